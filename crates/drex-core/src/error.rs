@@ -1,0 +1,70 @@
+//! The error type of the crate: what was wrong, where, and what to do.
+
+use std::path::{Path, PathBuf};
+
+/// Result of this crate.
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// What can go wrong when data is read, checked or written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A file could not be read, created or replaced.
+    #[error("cannot {action} {}: {source}", path.display())]
+    Io {
+        /// "read", "write", "create"…
+        action: &'static str,
+        /// The file or folder.
+        path: PathBuf,
+        /// The operating system's reason.
+        #[source]
+        source: std::io::Error,
+    },
+    /// A file was read but its content is not what it should be.
+    #[error("{}{}: {what}; {remedy}", path.display(), line.map(|l| format!(", line {l}")).unwrap_or_default())]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// 1-based line, where there is one.
+        line: Option<usize>,
+        /// What is wrong.
+        what: String,
+        /// What to do about it.
+        remedy: String,
+    },
+    /// A value handed to a function is outside what the function is defined for.
+    #[error("{what}; {remedy}")]
+    Value {
+        /// What is wrong.
+        what: String,
+        /// What to do about it.
+        remedy: String,
+    },
+}
+
+impl Error {
+    /// An [`Error::Io`] for `path`.
+    pub fn io(action: &'static str, path: impl AsRef<Path>, source: std::io::Error) -> Self {
+        Self::Io { action, path: path.as_ref().to_path_buf(), source }
+    }
+
+    /// An [`Error::Content`] for a whole file or one `line` of it.
+    pub fn content(
+        path: impl AsRef<Path>,
+        line: impl Into<Option<usize>>,
+        what: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
+        Self::Content {
+            path: path.as_ref().to_path_buf(),
+            line: line.into(),
+            what: what.into(),
+            remedy: remedy.into(),
+        }
+    }
+
+    /// An [`Error::Value`].
+    pub fn value(what: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::Value { what: what.into(), remedy: remedy.into() }
+    }
+}

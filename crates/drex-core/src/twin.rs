@@ -1,0 +1,1 @@
+//! `twin.toml`: the manifest of one object's twin folder.

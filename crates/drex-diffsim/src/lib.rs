@@ -1,0 +1,1 @@
+//! Differentiable rigid-body simulation with contact and friction, on dual numbers.

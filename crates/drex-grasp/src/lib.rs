@@ -1,0 +1,1 @@
+//! Contacts between a hand and an object: grasp map, force closure, the smallest squeeze.

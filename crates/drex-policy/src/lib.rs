@@ -1,0 +1,1 @@
+//! A grasp policy conditioned on mass, with its force in newtons.

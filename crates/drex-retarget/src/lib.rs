@@ -1,0 +1,1 @@
+//! Human hand poses to robot hands, aware of the object.

@@ -1,0 +1,1 @@
+//! Robot models from URDF and MJCF: kinematics, Jacobians, mass matrix; bundled LEAP and Allegro hands.

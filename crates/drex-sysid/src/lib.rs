@@ -1,0 +1,1 @@
+//! The mass of an object from a recorded push: estimate, interval, verdict.
