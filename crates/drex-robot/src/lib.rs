@@ -1,1 +1,15 @@
 //! Robot models from URDF and MJCF: kinematics, Jacobians, mass matrix; bundled LEAP and Allegro hands.
+
+pub mod error;
+pub mod model;
+pub mod orders;
+
+mod dynamics;
+mod fingers;
+mod kinematics;
+mod load;
+mod samples;
+
+pub use error::{Error, Result};
+pub use fingers::Finger;
+pub use model::{Actuator, ActuatorKind, Geom, GeomRole, Joint, JointKind, Link, Mimic, Robot, Shape};
