@@ -1,0 +1,122 @@
+//! Demonstrations to learn from: grasps of one object with the squeeze each needs at a given mass.
+
+use drex_core::Pose;
+use nalgebra::Point3;
+
+use crate::{Error, Result};
+
+/// Standard gravity as the whole workspace uses it, m/s².
+pub const GRAVITY_M_S2: f64 = 9.81;
+
+/// How far a demonstration may lie outside a joint limit, rad: rounding of files, no more.
+pub const LIMIT_TOLERANCE_RAD: f64 = 1e-6;
+
+/// One grasp at one mass.
+///
+/// The same grasp (same joints, same wrist) usually appears once per mass, each time with the squeeze that this mass needs.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GraspSample {
+    /// Joint angles in rad, in the order of [`Dataset::joint_names`].
+    pub joints: Vec<f64>,
+    /// Where the palm of the hand is, in the frame of the object's mesh.
+    pub object_from_palm: Pose,
+    /// The smallest total squeeze that carries the object at `mass_kg`: sum of normal forces, N.
+    pub squeeze_n: f64,
+    /// Mass of the object for which `squeeze_n` holds, kg.
+    pub mass_kg: f64,
+}
+
+/// Grasps of one object by one hand.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Dataset {
+    /// Names of the hand's joints.
+    pub joint_names: Vec<String>,
+    /// Lower and upper limit of each joint, rad, in the order of `joint_names`.
+    pub joint_limits: Vec<(f64, f64)>,
+    /// Name of the hand model, e.g. `leap_right`.
+    pub hand: String,
+    /// N points on the object's surface, m, in the frame of its mesh.
+    pub points: Vec<Point3<f64>>,
+    /// The demonstrations.
+    pub samples: Vec<GraspSample>,
+}
+
+impl Dataset {
+    /// Whether the data can be trained on: lengths agree, every number is finite, joints are inside their limits,
+    /// squeezes and masses are positive.
+    ///
+    /// # Errors
+    /// [`Error::Dataset`] with the sample and the joint concerned.
+    pub fn validate(&self) -> Result<()> {
+        let count = self.joint_names.len();
+        if count == 0 {
+            return Err(self.wrong(None, None, "there are no joints", "name the joints of the hand"));
+        }
+        if let Some(name) = self.joint_names.iter().enumerate().find_map(|(i, n)| self.joint_names[..i].contains(n).then_some(n)) {
+            return Err(self.wrong(None, Some(name), "the name appears twice", "give each joint once"));
+        }
+        if self.joint_limits.len() != count {
+            let what = format!("{count} joint names but {} joint limits", self.joint_limits.len());
+            return Err(self.wrong(None, None, what, "give one (lower, upper) pair per joint"));
+        }
+        for (name, &(lower, upper)) in self.joint_names.iter().zip(&self.joint_limits) {
+            if !(lower.is_finite() && upper.is_finite() && lower <= upper) {
+                let what = format!("limits ({lower}, {upper}) rad are no interval");
+                return Err(self.wrong(None, Some(name), what, "give finite limits with lower <= upper"));
+            }
+        }
+        if self.samples.is_empty() {
+            return Err(self.wrong(None, None, "there are no demonstrations", "give at least one grasp"));
+        }
+        if let Some(i) = self.points.iter().position(|p| p.iter().any(|v| !v.is_finite())) {
+            return Err(self.wrong(None, None, format!("surface point {i} is not finite"), "repair the mesh or the sampling"));
+        }
+        self.samples.iter().enumerate().try_for_each(|(i, s)| self.validate_sample(i, s))
+    }
+
+    fn validate_sample(&self, index: usize, sample: &GraspSample) -> Result<()> {
+        let at = Some(index);
+        if sample.joints.len() != self.joint_names.len() {
+            let what = format!("{} joint angles for {} joints", sample.joints.len(), self.joint_names.len());
+            return Err(self.wrong(at, None, what, "give one angle per joint, in the order of the joint names"));
+        }
+        for (j, &angle) in sample.joints.iter().enumerate() {
+            let (lower, upper) = self.joint_limits[j];
+            let name = Some(&self.joint_names[j]);
+            if !angle.is_finite() {
+                return Err(self.wrong(at, name, format!("the angle is {angle}"), "remove the sample or repair the file"));
+            }
+            if angle < lower - LIMIT_TOLERANCE_RAD || angle > upper + LIMIT_TOLERANCE_RAD {
+                let what = format!("{angle:.6} rad is outside its limits {lower:.6} .. {upper:.6} rad");
+                return Err(self.wrong(at, name, what, "clamp the grasp, or check joint order and units (rad)"));
+            }
+        }
+        let pose = &sample.object_from_palm;
+        if pose.translation.vector.iter().chain(pose.rotation.coords.iter()).any(|v| !v.is_finite()) {
+            return Err(self.wrong(at, None, "the wrist pose is not finite", "remove the sample or solve its wrist again"));
+        }
+        for (what, value, unit) in [("squeeze", sample.squeeze_n, "N"), ("mass", sample.mass_kg, "kg")] {
+            if !(value.is_finite() && value > 0.0) {
+                let text = format!("the {what} is {value} {unit}, not a positive number");
+                return Err(self.wrong(at, None, text, "leave out grasps for which no squeeze was found"));
+            }
+        }
+        Ok(())
+    }
+
+    pub(crate) fn wrong(
+        &self,
+        sample: Option<usize>,
+        joint: Option<&String>,
+        what: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Error {
+        Error::Dataset {
+            hand: self.hand.clone(),
+            sample,
+            joint: joint.cloned(),
+            what: what.into(),
+            remedy: remedy.into(),
+        }
+    }
+}
