@@ -1,1 +1,47 @@
-fn main() {}
+//! `drex`: from a scan, a recorded push and human grasps to a weighed digital twin and a grasp with the right force.
+
+mod cli;
+mod commands;
+mod lock;
+mod object;
+mod picture;
+mod report;
+mod twin;
+mod ui;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+use crate::cli::{Cli, Command};
+use crate::ui::Ui;
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let ui = Ui::new(cli.common.json, cli.common.verbose);
+    match run(&cli, &ui) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            ui.failed(&error);
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(cli: &Cli, ui: &Ui) -> anyhow::Result<()> {
+    if let Some(threads) = cli.common.threads {
+        rayon::ThreadPoolBuilder::new().num_threads(threads.get()).build_global()?;
+    }
+    let seed = cli.common.seed;
+    match &cli.command {
+        Command::Asset(args) => commands::asset::run(args, ui),
+        Command::Identify(args) => commands::identify::run(args, ui),
+        Command::Train(args) => commands::run::run(args, twin::Stage::Train, seed, ui),
+        Command::Evaluate(args) => commands::run::run(args, twin::Stage::Evaluate, seed, ui),
+        Command::Run(args) => commands::run::run(args, twin::Stage::Report, seed, ui),
+        Command::Report(args) => commands::run::run(args, twin::Stage::Report, seed, ui),
+        Command::Demo(args) => commands::demo::run(args, seed, ui),
+        Command::Import(args) => commands::import::run(args, ui),
+        Command::Doctor => commands::doctor::run(ui),
+    }
+}

@@ -1,0 +1,181 @@
+//! The command line.
+
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use drex_core::push::{ForceChoice, PoseChoice};
+
+/// From a scan, a recorded push and human grasps to a weighed digital twin and a grasp with the right force.
+///
+/// Exit status: 0 done (a verdict such as "not identifiable" is an answer), 1 failed, 2 wrong usage.
+#[derive(Debug, Parser)]
+#[command(name = "drex", version, max_term_width = 110)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+    /// Options of every subcommand.
+    #[command(flatten)]
+    pub common: Common,
+}
+
+/// Options that every subcommand takes.
+#[derive(Debug, Args)]
+pub struct Common {
+    /// Print one JSON object on stdout; everything else goes to stderr.
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// Seed of everything random; overrides the manifest's.
+    #[arg(long, global = true, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Number of worker threads; results do not depend on it.
+    #[arg(long, global = true, value_name = "N")]
+    pub threads: Option<NonZeroUsize>,
+    /// Log more to stderr (repeat for more).
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    pub verbose: u8,
+}
+
+/// The subcommands, in the order of the path from scan to grasp.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Make a sim-ready asset of a mesh: repaired, convex pieces, mass properties, MJCF.
+    Asset(AssetArgs),
+    /// Weigh an object from recorded pushes, or say why they cannot.
+    Identify(IdentifyArgs),
+    /// Fit the demonstrated grasps to the object and train the grasp network on them.
+    Train(TwinArgs),
+    /// Judge the predicted grasps by the static check.
+    Evaluate(TwinArgs),
+    /// Do every stage of a twin folder whose inputs changed, then write report.html.
+    Run(TwinArgs),
+    /// Write report.html again (and what it needs).
+    Report(TwinArgs),
+    /// Run the whole path on bundled data.
+    Demo(DemoArgs),
+    /// Make twin folders from recordings in other layouts.
+    Import(ImportArgs),
+    /// Say what is on this machine and what is missing for which feature.
+    Doctor,
+}
+
+/// `drex asset`.
+#[derive(Debug, Args)]
+pub struct AssetArgs {
+    /// STL, OBJ, PLY, GLTF or GLB file.
+    pub mesh: PathBuf,
+    /// Folder to write: mesh/, asset/object.xml.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Mass of the object, kg; without it the density of water is assumed and said so.
+    #[arg(long, value_name = "KG", value_parser = positive)]
+    pub mass: Option<f64>,
+    /// Unit of the mesh's coordinates.
+    #[arg(long, value_enum, default_value_t = Unit::M)]
+    pub unit: Unit,
+    /// Direction in the mesh that points up while the object stands on the table, as X,Y,Z.
+    #[arg(long, value_name = "X,Y,Z", default_value = "0,0,1", value_parser = direction, allow_hyphen_values = true)]
+    pub up: [f64; 3],
+    /// Coulomb friction written into the MJCF.
+    #[arg(long, default_value_t = 0.5, value_parser = positive)]
+    pub friction: f64,
+}
+
+/// Unit of length.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Unit {
+    /// metres
+    M,
+    /// centimetres
+    Cm,
+    /// millimetres
+    Mm,
+}
+
+/// `drex identify`.
+#[derive(Debug, Args)]
+pub struct IdentifyArgs {
+    /// push.toml, or a folder with push.toml, meta.json or run.json; several pushes of one object are used together.
+    #[arg(required = true)]
+    pub pushes: Vec<PathBuf>,
+    /// Which pose track of a simulated recording to use.
+    #[arg(long, default_value = "noisy", value_name = "noisy|hard|clean")]
+    pub poses: PoseChoice,
+    /// Which force record of a simulated recording to use.
+    #[arg(long, default_value = "noisy", value_name = "noisy|exact")]
+    pub force: ForceChoice,
+    /// Whether to use the fingertip's encoder, where there is one.
+    #[arg(long, value_enum, default_value_t = OnOff::On)]
+    pub encoder: OnOff,
+    /// Estimate the friction too instead of believing the recording's.
+    #[arg(long)]
+    pub free_friction: bool,
+    /// Write the result to this file as well.
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+}
+
+/// on or off.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum OnOff {
+    /// Use it.
+    On,
+    /// Leave it out.
+    Off,
+}
+
+/// Subcommands on a twin folder.
+#[derive(Debug, Args)]
+pub struct TwinArgs {
+    /// twin.toml, or the folder that holds it.
+    #[arg(default_value = "twin.toml")]
+    pub twin: PathBuf,
+}
+
+/// `drex demo`.
+#[derive(Debug, Args)]
+pub struct DemoArgs {
+    /// Folder for the demo's twin and report.
+    #[arg(long, value_name = "DIR", default_value = "drex-demo")]
+    pub out: PathBuf,
+}
+
+/// `drex import`.
+#[derive(Debug, Args)]
+pub struct ImportArgs {
+    /// Layout of the source.
+    #[command(subcommand)]
+    pub source: ImportSource,
+}
+
+/// Layouts that can be imported.
+#[derive(Debug, Subcommand)]
+pub enum ImportSource {
+    /// Recordings of the D-REX authors: a folder with runs/, objects/ and demos/, or one run's folder.
+    DRex {
+        /// The folder.
+        dir: PathBuf,
+        /// Where to make one twin folder per object.
+        #[arg(long, value_name = "DIR")]
+        out: PathBuf,
+        /// Only this object.
+        #[arg(long, value_name = "NAME")]
+        object: Option<String>,
+    },
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if v.is_finite() && v > 0.0 => Ok(v),
+        _ => Err("expected a positive number".into()),
+    }
+}
+
+fn direction(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Vec<f64> = text.split(',').map(|s| s.trim().parse()).collect::<Result<_, _>>().map_err(|_| "expected three numbers X,Y,Z")?;
+    match numbers.as_slice() {
+        &[x, y, z] if [x, y, z].iter().all(|v: &f64| v.is_finite()) && x * x + y * y + z * z > 1e-12 => Ok([x, y, z]),
+        _ => Err("expected a direction as three numbers X,Y,Z, not all zero".into()),
+    }
+}

@@ -1,0 +1,4 @@
+//! Pictures for the report: a small z-buffered renderer and SVG plots. No GPU, no fonts, no network.
+
+pub mod plot;
+pub mod raster;

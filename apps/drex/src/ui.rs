@@ -1,0 +1,87 @@
+//! What the user sees: progress and notes on stderr, the answer on stdout.
+
+use std::io::{IsTerminal, Write};
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use serde::Serialize;
+use tracing_subscriber::filter::LevelFilter;
+
+/// Output settings of one invocation.
+pub struct Ui {
+    json: bool,
+    bars: bool,
+}
+
+impl Ui {
+    /// `json`: the answer is one JSON object. `verbose`: 0 warnings, 1 info, 2 debug.
+    pub fn new(json: bool, verbose: u8) -> Self {
+        let level = match verbose {
+            0 => LevelFilter::WARN,
+            1 => LevelFilter::INFO,
+            _ => LevelFilter::DEBUG,
+        };
+        tracing_subscriber::fmt().with_max_level(level).with_target(false).without_time().with_writer(std::io::stderr).init();
+        Self { json, bars: std::io::stderr().is_terminal() }
+    }
+
+    /// A line about what is going on, on stderr.
+    pub fn note(&self, text: impl AsRef<str>) {
+        eprintln!("{}", text.as_ref());
+    }
+
+    /// The answer: `text` for a person, or `value` as one JSON object on stdout.
+    pub fn answer(&self, value: &impl Serialize, text: impl AsRef<str>) -> anyhow::Result<()> {
+        let line = if self.json { serde_json::to_string(value)? } else { text.as_ref().trim_end().to_owned() };
+        // A closed pipe (`drex … | head`) is the reader's decision, not an error of ours.
+        let _ = writeln!(std::io::stdout(), "{line}");
+        Ok(())
+    }
+
+    /// Prints why the command failed: the message and its causes, no backtrace.
+    pub fn failed(&self, error: &anyhow::Error) {
+        let mut message = error.to_string();
+        for cause in error.chain().skip(1).map(ToString::to_string) {
+            if !message.contains(&cause) {
+                message = format!("{message}: {cause}");
+            }
+        }
+        eprintln!("error: {message}");
+        if self.json {
+            let _ = writeln!(std::io::stdout(), "{}", serde_json::json!({ "error": message }));
+        }
+    }
+
+    /// A bar of `length` steps; invisible when stderr is no terminal.
+    pub fn bar(&self, label: &str, length: u64) -> ProgressBar {
+        // The template is a constant that the tests below parse.
+        let style = ProgressStyle::with_template(BAR).unwrap_or_else(|_| ProgressStyle::default_bar());
+        ProgressBar::with_draw_target(Some(length), self.target()).with_style(style).with_prefix(label.to_owned())
+    }
+
+    /// A spinner for work of unknown length.
+    pub fn spinner(&self, label: &str) -> ProgressBar {
+        let style = ProgressStyle::with_template(SPINNER).unwrap_or_else(|_| ProgressStyle::default_spinner());
+        let bar = ProgressBar::with_draw_target(None, self.target()).with_style(style).with_prefix(label.to_owned());
+        bar.enable_steady_tick(Duration::from_millis(120));
+        bar
+    }
+
+    fn target(&self) -> ProgressDrawTarget {
+        if self.bars { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() }
+    }
+}
+
+const BAR: &str = "{prefix:>10} [{bar:32}] {pos}/{len} {msg}";
+const SPINNER: &str = "{prefix:>10} {spinner} {elapsed} {msg}";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn templates_parse() {
+        assert!(ProgressStyle::with_template(BAR).is_ok());
+        assert!(ProgressStyle::with_template(SPINNER).is_ok());
+    }
+}
