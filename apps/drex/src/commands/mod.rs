@@ -1,0 +1,8 @@
+//! One file per subcommand.
+
+pub mod asset;
+pub mod demo;
+pub mod doctor;
+pub mod identify;
+pub mod import;
+pub mod run;
