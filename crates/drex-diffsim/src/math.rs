@@ -1,0 +1,41 @@
+//! Rotations that are smooth at zero, for dual numbers.
+
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+
+use crate::Scalar;
+
+/// exp of half a rotation vector: the unit quaternion of the rotation vector `r`. Never takes a root at zero.
+pub(crate) fn exp<T: Scalar>(r: &Vector3<T>) -> UnitQuaternion<T> {
+    let x = r.norm_squared() * T::lift(0.25);
+    let (c, s) = if x.value() < 1e-4 {
+        // cos √x and sin(√x)/√x as series; the first term left out is below 1e-18.
+        let c = T::one() - x * (T::lift(0.5) - x * (T::lift(1.0 / 24.0) - x * T::lift(1.0 / 720.0)));
+        let s = T::one() - x * (T::lift(1.0 / 6.0) - x * (T::lift(1.0 / 120.0) - x * T::lift(1.0 / 5040.0)));
+        (c, s)
+    } else {
+        let a = x.sqrt();
+        (a.cos(), a.sin() / a)
+    };
+    let v = r * (s * T::lift(0.5));
+    UnitQuaternion::new_unchecked(Quaternion::from_parts(c, v))
+}
+
+/// `q` with its norm brought back to one (one Newton step: the drift is of rounding size).
+pub(crate) fn renormalized<T: Scalar>(q: UnitQuaternion<T>) -> UnitQuaternion<T> {
+    let q = q.into_inner();
+    let k = T::lift(1.5) - q.norm_squared() * T::lift(0.5);
+    UnitQuaternion::new_unchecked(q * k)
+}
+
+/// The matrix of a cross product from the left.
+pub(crate) fn skew<T: Scalar>(v: &Vector3<T>) -> Matrix3<T> {
+    let o = T::zero();
+    Matrix3::new(o, -v.z, v.y, v.z, o, -v.x, -v.y, v.x, o)
+}
+
+/// x of A x = b by Cramer's rule; smooth in duals. A is the matrix of a gyroscopic step and far from singular.
+pub(crate) fn solve3<T: Scalar>(a: &Matrix3<T>, b: &Vector3<T>) -> Vector3<T> {
+    let (c0, c1, c2) = (a.column(0).into_owned(), a.column(1).into_owned(), a.column(2).into_owned());
+    let k = T::one() / c0.dot(&c1.cross(&c2));
+    Vector3::new(b.dot(&c1.cross(&c2)), c0.dot(&b.cross(&c2)), c0.dot(&c1.cross(b))) * k
+}
