@@ -45,7 +45,11 @@ pub enum Error {
 impl Error {
     /// An [`Error::Io`] for `path`.
     pub fn io(action: &'static str, path: impl AsRef<Path>, source: std::io::Error) -> Self {
-        Self::Io { action, path: path.as_ref().to_path_buf(), source }
+        Self::Io {
+            action,
+            path: path.as_ref().to_path_buf(),
+            source,
+        }
     }
 
     /// An [`Error::Content`] for a whole file or one `line` of it.
@@ -63,8 +67,20 @@ impl Error {
         }
     }
 
+    /// `error` with the place it was found at: a value that is wrong becomes content of `path` that is wrong.
+    /// Errors that already name a file stay as they are.
+    pub fn at(path: impl AsRef<Path>, line: impl Into<Option<usize>>, error: Self) -> Self {
+        match error {
+            Self::Value { what, remedy } => Self::content(path, line, what, remedy),
+            other => other,
+        }
+    }
+
     /// An [`Error::Value`].
     pub fn value(what: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self::Value { what: what.into(), remedy: remedy.into() }
+        Self::Value {
+            what: what.into(),
+            remedy: remedy.into(),
+        }
     }
 }

@@ -2,7 +2,9 @@
 
 use std::fs;
 use std::io::Write;
-use std::path::Path;
+use std::path::{Component, Path, PathBuf};
+
+use serde::de::DeserializeOwned;
 
 use crate::{Error, Result};
 
@@ -19,8 +21,14 @@ pub fn read_bytes(path: &Path) -> Result<Vec<u8>> {
 /// # Errors
 /// If it cannot be read or is not UTF-8.
 pub fn read_text(path: &Path) -> Result<String> {
-    String::from_utf8(read_bytes(path)?)
-        .map_err(|_| Error::content(path, None, "the file is not text (UTF-8)", "check that this is the right file"))
+    String::from_utf8(read_bytes(path)?).map_err(|_| {
+        Error::content(
+            path,
+            None,
+            "the file is not text (UTF-8)",
+            "check that this is the right file",
+        )
+    })
 }
 
 /// Writes `bytes` to `path`: first to a temporary name beside it, then renamed. Missing folders are made.
@@ -31,14 +39,159 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<()> {
     if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
         fs::create_dir_all(folder).map_err(|e| Error::io("create", folder, e))?;
     }
-    let mut name = path.file_name().map(|n| n.to_os_string()).unwrap_or_default();
+    let mut name = path
+        .file_name()
+        .map(|n| n.to_os_string())
+        .unwrap_or_default();
     name.push(format!(".{}.tmp", std::process::id()));
     let temporary = path.with_file_name(name);
-    let written = fs::File::create(&temporary).and_then(|mut f| f.write_all(bytes).and_then(|()| f.sync_all()));
+    let written = fs::File::create(&temporary)
+        .and_then(|mut f| f.write_all(bytes).and_then(|()| f.sync_all()));
     if let Err(e) = written.and_then(|()| fs::rename(&temporary, path)) {
         // The temporary file is ours and useless now; that it may not exist is no second error.
         let _ = fs::remove_file(&temporary);
         return Err(Error::io("write", path, e));
     }
     Ok(())
+}
+
+/// A value from the TOML `text` of `path`.
+///
+/// # Errors
+/// If the text is no TOML of this shape; the message gives line and column.
+pub fn from_toml<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T> {
+    toml::from_str(text).map_err(|e| {
+        let (line, what) = match e.span() {
+            Some(span) => {
+                let before = text.get(..span.start).unwrap_or(text);
+                let column = before.chars().rev().take_while(|&c| c != '\n').count() + 1;
+                (
+                    Some(before.matches('\n').count() + 1),
+                    format!("column {column}: {}", e.message()),
+                )
+            }
+            None => (None, e.message().to_owned()),
+        };
+        Error::content(path, line, what, "correct the entry as documented")
+    })
+}
+
+/// A value from the JSON `text` of `path`.
+///
+/// # Errors
+/// If the text is no JSON of this shape; the message gives line and column.
+pub fn from_json<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T> {
+    serde_json::from_str(text).map_err(|e| {
+        // serde_json appends " at line 3 column 7", which the error says in its own way.
+        let message = e.to_string();
+        let message = message
+            .rsplit_once(" at line ")
+            .map_or(message.as_str(), |(head, _)| head);
+        let what = format!("column {}: {message}", e.column());
+        Error::content(path, e.line(), what, "correct the entry as documented")
+    })
+}
+
+/// `path` as seen from the folder `base`, with forward slashes, for files that must survive a move of the whole folder.
+/// Both are taken as they stand, after resolving `.` and `..`; a path that shares no root with `base` stays absolute.
+pub fn relative_path(path: &Path, base: &Path) -> PathBuf {
+    let (path, base) = (absolute(path), absolute(base));
+    let shared = path
+        .components()
+        .zip(base.components())
+        .take_while(|(a, b)| a == b)
+        .count();
+    if shared == 0 {
+        return path;
+    }
+    let mut out = String::new();
+    let ups = base.components().skip(shared).map(|_| "..".into());
+    for part in ups.chain(
+        path.components()
+            .skip(shared)
+            .map(|c| c.as_os_str().to_string_lossy()),
+    ) {
+        if !out.is_empty() {
+            out.push('/');
+        }
+        out.push_str(&part);
+    }
+    PathBuf::from(if out.is_empty() { ".".into() } else { out })
+}
+
+/// `path` made absolute and free of `.` and `..`, without asking the file system.
+pub fn absolute(path: &Path) -> PathBuf {
+    let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+    let mut out = PathBuf::new();
+    for part in whole.components() {
+        match part {
+            Component::CurDir => {}
+            Component::ParentDir => {
+                out.pop();
+            }
+            other => out.push(other),
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn relative_paths_lead_back() {
+        let base = Path::new("/a/twin/push/p1");
+        for (path, expected) in [
+            ("/a/twin/push/p1/pose.csv", "pose.csv"),
+            ("/a/twin/scan/./mesh.stl", "../../scan/mesh.stl"),
+            ("/b/mesh.stl", "../../../../b/mesh.stl"),
+            ("/a/twin/push/p1", "."),
+        ] {
+            assert_eq!(
+                relative_path(Path::new(path), base),
+                PathBuf::from(expected)
+            );
+            assert_eq!(absolute(&base.join(expected)), absolute(Path::new(path)));
+        }
+    }
+
+    #[test]
+    fn a_write_that_fails_leaves_nothing_behind() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("taken");
+        fs::create_dir(&target).unwrap();
+        fs::write(target.join("x"), b"1").unwrap();
+        assert!(write_atomic(&target, b"new").is_err());
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+        write_atomic(&folder.path().join("deep/er/file"), b"new").unwrap();
+        assert_eq!(
+            fs::read(folder.path().join("deep/er/file")).unwrap(),
+            b"new"
+        );
+    }
+
+    #[test]
+    fn messages_of_toml_and_json_carry_line_and_column() {
+        #[derive(Debug, serde::Deserialize)]
+        #[serde(deny_unknown_fields)]
+        struct One {
+            #[allow(dead_code)] // only its presence matters here
+            a: f64,
+        }
+        let toml = from_toml::<One>(Path::new("x.toml"), "a = 1.0\n  bb = 2")
+            .unwrap_err()
+            .to_string();
+        assert!(
+            toml.contains("line 2") && toml.contains("column 3") && toml.contains("bb"),
+            "{toml}"
+        );
+        let json = from_json::<One>(Path::new("x.json"), "{\"a\": 1,\n \"bb\": 2}")
+            .unwrap_err()
+            .to_string();
+        assert!(
+            json.contains("line 2") && json.contains("column 5") && json.contains("bb"),
+            "{json}"
+        );
+    }
 }

@@ -5,12 +5,14 @@
 //! `a_from_b` maps coordinates in frame b to coordinates in frame a; quaternions are w, x, y, z on disk;
 //! joint values are keyed by joint name; time stamps are seconds of one clock.
 
+pub mod clock;
 pub mod error;
 pub mod fsutil;
 pub mod joints;
 pub mod mesh;
 pub mod pose;
 pub mod push;
+pub mod readers;
 pub mod surface;
 pub mod trajectory;
 pub mod twin;

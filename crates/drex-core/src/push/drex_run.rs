@@ -1,0 +1,175 @@
+//! Logged runs of a robot hand that topples an object: a folder with `run.json`, the joint log and the log that
+//! FoundationPose printed.
+//!
+//! The camera's pose in the world is unknown in this layout; the run names the up direction of the resting object and the
+//! direction of the push instead.
+
+use std::path::{Path, PathBuf};
+
+use nalgebra::{Matrix3, Vector3};
+use serde::Deserialize;
+
+use super::*;
+use crate::clock::{format_utc_offset, parse_utc_offset};
+use crate::fsutil;
+use crate::pose::{rotation_from_matrix, to_wxyz};
+
+/// `run.json`.
+#[derive(Deserialize)]
+struct Run {
+    object: String,
+    mesh: PathBuf,
+    hand: String,
+    hand_base_pose_xyz_m: [f64; 3],
+    hand_base_quat_wxyz: [f64; 4],
+    table_height_m: f64,
+    object_start_xyz_m_nominal: Option<[f64; 3]>,
+    joint_clock: String,
+    pose_clock: String,
+    mass_prior_kg: Option<f64>,
+    tracked_from_mesh: TrackedFromMesh,
+    up_in_tracked_frame: [f64; 3],
+    topples_towards_in_tracked_frame: Option<[f64; 3]>,
+}
+
+#[derive(Deserialize)]
+struct TrackedFromMesh {
+    rotation_rows: [[f64; 3]; 3],
+    translation_m: [f64; 3],
+}
+
+/// Joint names of the Allegro hand in the order of its ROS driver: index, middle, ring, thumb, each from base to tip.
+const ALLEGRO_ROS: [&str; 16] = [
+    "ffj0", "ffj1", "ffj2", "ffj3", "mfj0", "mfj1", "mfj2", "mfj3", "rfj0", "rfj1", "rfj2", "rfj3",
+    "thj0", "thj1", "thj2", "thj3",
+];
+
+/// What `run_json` says, as a `push.toml` whose paths are relative to `folder` (the folder that it will be written to).
+/// The meaning of the run's own clock and frame conventions is spelled out, so that the result stands alone.
+///
+/// # Errors
+/// If the file cannot be read or is malformed, its `tracked_from_mesh` is no rotation, a clock is not understood, or the
+/// order of the hand's joints is not known.
+pub fn to_push_config(run_json: &Path, folder: &Path) -> Result<PushConfig> {
+    let run: Run = fsutil::from_json(run_json, &fsutil::read_text(run_json)?)?;
+    let refuse = |what: String, remedy: &str| Error::content(run_json, None, what, remedy);
+    let home = folder_of(run_json);
+    let relative = |file: &Path| fsutil::relative_path(&home.join(file), folder);
+
+    let r = &run.tracked_from_mesh.rotation_rows;
+    let rows = Matrix3::from_fn(|i, j| r[i][j]);
+    let rotation = rotation_from_matrix(&rows)
+        .map_err(|e| refuse(format!("tracked_from_mesh: {e}"), "correct the matrix"))?;
+    let tracked_from_mesh = Pose::from_parts(run.tracked_from_mesh.translation_m.into(), rotation);
+    let up = unit(run.up_in_tracked_frame).ok_or_else(|| {
+        refuse(
+            "up_in_tracked_frame is no direction".into(),
+            "give a vector that is not zero",
+        )
+    })?;
+    let push = match run.topples_towards_in_tracked_frame {
+        None => None,
+        Some(towards) => {
+            let towards = Vector3::from(towards);
+            let horizontal = unit((towards - up * up.dot(&towards)).into())
+                .filter(|_| towards.amax() > 0.0)
+                .ok_or_else(|| {
+                    refuse(
+                        "topples_towards_in_tracked_frame has no horizontal part".into(),
+                        "give a direction across up",
+                    )
+                })?;
+            Some((rotation.inverse() * horizontal).into())
+        }
+    };
+    if !run.joint_clock.starts_with("unix") {
+        return Err(refuse(
+            format!("joint_clock `{}` is not known", run.joint_clock),
+            "give unix seconds",
+        ));
+    }
+    let utc_offset = parse_utc_offset(&run.pose_clock)
+        .map_err(|e| refuse(format!("pose_clock: {e}"), "name the time zone"))?;
+    let joint_names = match run.hand.as_str() {
+        "allegro_right" | "allegro_left" => ALLEGRO_ROS.map(str::to_owned).to_vec(),
+        other => {
+            return Err(refuse(
+                format!("the joint order of hand `{other}` is not known here"),
+                "write a push.toml with [hand] joint_names instead",
+            ));
+        }
+    };
+    Ok(PushConfig {
+        schema: 1,
+        name: Some(match fsutil::absolute(home).file_name() {
+            Some(name) => name.to_string_lossy().into_owned(),
+            None => run.object,
+        }),
+        mesh: relative(&run.mesh),
+        gravity_m_s2: [0.0, 0.0, -9.81],
+        mass_prior_kg: run.mass_prior_kg,
+        track: TrackConfig {
+            file: relative(Path::new("object_poses.txt")),
+            format: TrackFormat::FoundationPoseLog,
+            fps: None,
+            scene_id: None,
+            obj_id: None,
+            clock: ClockConfig {
+                kind: ClockKind::LocalIso,
+                utc_offset: Some(format_utc_offset(utc_offset)),
+                offset_s: None,
+            },
+            frame: FrameKind::Camera,
+            up_in_mesh: Some((rotation.inverse() * up).into()),
+            push_in_mesh: push,
+            tracked_from_mesh: Some(PoseConfig::from(&tracked_from_mesh)),
+            noise: None,
+        },
+        support: Support {
+            table_height_m: run.table_height_m,
+            ..Support::default()
+        },
+        start: StartConfig {
+            at_rest: true,
+            nominal_position_m: run.object_start_xyz_m_nominal,
+            ..StartConfig::default()
+        },
+        force: None,
+        finger: None,
+        hand: Some(HandConfig {
+            robot: run.hand,
+            world_from_base: PoseConfig {
+                position_m: run.hand_base_pose_xyz_m,
+                quat_wxyz: run.hand_base_quat_wxyz,
+            },
+            joints: relative(Path::new("joint_states.csv")),
+            joint_names: Some(joint_names),
+            clock: ClockConfig {
+                kind: ClockKind::Unix,
+                ..ClockConfig::default()
+            },
+        }),
+    })
+}
+
+/// Reads the run that `file`, a `run.json`, describes.
+pub(super) fn load(file: &Path) -> Result<PushRecording> {
+    let folder = folder_of(file);
+    to_push_config(file, folder)?.load(folder, &InputChoice::default())
+}
+
+fn unit(v: [f64; 3]) -> Option<Vector3<f64>> {
+    Vector3::from(v)
+        .try_normalize(1e-9)
+        .filter(|u| u.iter().all(|c| c.is_finite()))
+}
+
+impl From<&Pose> for PoseConfig {
+    fn from(pose: &Pose) -> Self {
+        let (position_m, quat_wxyz) = to_wxyz(pose);
+        Self {
+            position_m,
+            quat_wxyz,
+        }
+    }
+}

@@ -1,0 +1,317 @@
+//! A recorded push: what the files say, checked and brought to one clock and one frame.
+//!
+//! [`PushConfig`] is `push.toml` as it stands on disk; [`PushRecording`] is the push itself, whatever layout it came
+//! from. [`PushRecording::load`] reads all layouts.
+
+mod choice;
+pub mod drex_run;
+mod mujoco;
+mod toml;
+
+use std::path::{Path, PathBuf};
+
+use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
+
+pub use self::choice::{ForceChoice, InputChoice, PoseChoice};
+pub use self::toml::{
+    ClockConfig, ClockKind, FingerConfig, ForceConfig, FrameKind, HandConfig, PoseConfig,
+    PushConfig, StartConfig, TrackConfig, TrackFormat,
+};
+use crate::clock::{Span, overlap};
+use crate::{Error, Pose, Result, Trajectory};
+
+/// A push, ready for identification. Times are seconds of one clock whose zero is the start: the moment at which
+/// `initial_pose` and `starts_at_rest` hold (the first pose, where nothing else is known).
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct PushRecording {
+    /// A name for reports.
+    pub name: String,
+    /// The object's mesh file. Poses are poses of this mesh's frame.
+    pub mesh: PathBuf,
+    /// Pose of the object's mesh frame over time, in `track_frame`.
+    pub track: Trajectory,
+    /// The frame that the track is given in.
+    pub track_frame: TrackFrame,
+    /// What is known of the noise of the track; `None` where it is to be estimated from the track.
+    pub noise: Option<PoseNoise>,
+    /// What the object stands on.
+    pub support: Support,
+    /// Gravity in the world frame, m/s².
+    pub gravity: Vector3<f64>,
+    /// First guess of the mass, kg, if somebody made one. It is a prior, never an answer.
+    pub mass_prior_kg: Option<f64>,
+    /// Initial pose in the world, if it is known from elsewhere than the track.
+    pub initial_pose: Option<Pose>,
+    /// Whether the object is known to start at rest.
+    pub starts_at_rest: bool,
+    /// Roughly where the tracked object stood in the world, if somebody wrote it down; good to centimetres.
+    pub nominal_start: Option<Point3<f64>>,
+    /// What acts on the object.
+    pub drive: Drive,
+    /// Readings that were asked for or came along, for the report ("104 poses over 6.9 s, largest gap 0.11 s").
+    pub notes: Vec<String>,
+}
+
+impl PushRecording {
+    /// A recording of `drive` acting on the object of `mesh`, tracked in the world, on a table at height zero with
+    /// unknown friction, nothing else known.
+    pub fn new(
+        name: impl Into<String>,
+        mesh: impl Into<PathBuf>,
+        track: Trajectory,
+        drive: Drive,
+    ) -> Self {
+        Self {
+            name: name.into(),
+            mesh: mesh.into(),
+            track,
+            track_frame: TrackFrame::World,
+            noise: None,
+            support: Support::default(),
+            gravity: Vector3::new(0.0, 0.0, -9.81),
+            mass_prior_kg: None,
+            initial_pose: None,
+            starts_at_rest: false,
+            nominal_start: None,
+            drive,
+            notes: Vec::new(),
+        }
+    }
+
+    /// Reads a push from a `push.toml`, a `meta.json` (a rollout of known mass) or a `run.json` (a logged robot run),
+    /// or from a folder that holds one of these. `choice` picks among the inputs that a `meta.json` folder offers and
+    /// whether a fingertip encoder is used.
+    ///
+    /// # Errors
+    /// If there is no such file, one of the files it leads to cannot be read or is malformed, or the recordings do not
+    /// overlap in time. Messages name file, place and remedy.
+    pub fn load(path: &Path, choice: &InputChoice) -> Result<Self> {
+        const LAYOUTS: [&str; 3] = ["push.toml", "meta.json", "run.json"];
+        let file = if path.is_dir() {
+            LAYOUTS
+                .iter()
+                .map(|name| path.join(name))
+                .find(|p| p.is_file())
+                .ok_or_else(|| {
+                    Error::content(
+                        path,
+                        None,
+                        "the folder holds none of push.toml, meta.json, run.json",
+                        "give the folder of one push, or write a push.toml there",
+                    )
+                })?
+        } else {
+            path.to_path_buf()
+        };
+        let recording = match file.file_name().and_then(|n| n.to_str()) {
+            Some("meta.json") => mujoco::load(&file, choice)?,
+            Some("run.json") => drex_run::load(&file)?,
+            _ if file.extension().is_some_and(|e| e == "toml") => {
+                PushConfig::read(&file)?.load(folder_of(&file), choice)?
+            }
+            _ => {
+                let what = "the file is none of push.toml, meta.json, run.json";
+                return Err(Error::content(
+                    &file,
+                    None,
+                    what,
+                    "describe the push in a push.toml",
+                ));
+            }
+        };
+        if !recording.mesh.is_file() {
+            let missing = std::io::Error::new(
+                std::io::ErrorKind::NotFound,
+                "the mesh of the pushed object is missing",
+            );
+            return Err(Error::io("read", &recording.mesh, missing));
+        }
+        Ok(recording)
+    }
+}
+
+/// The folder that relative paths of `file` start from.
+fn folder_of(file: &Path) -> &Path {
+    match file.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    }
+}
+
+/// Checks that the samples at `times_s` meet the track; `what` names them. Returns a note for the report.
+fn check_overlap(file: &Path, track: &Trajectory, what: &str, times_s: &[f64]) -> Result<String> {
+    let (Some((first_s, last_s)), Some(first), Some(last)) =
+        (track.span_s(), times_s.first(), times_s.last())
+    else {
+        return Err(Error::content(
+            file,
+            None,
+            format!("the pose track or the {what} is empty"),
+            "record again",
+        ));
+    };
+    let shared = overlap(
+        Span {
+            what: "pose track",
+            first_s,
+            last_s,
+        },
+        Span {
+            what,
+            first_s: *first,
+            last_s: *last,
+        },
+    )
+    .map_err(|e| Error::at(file, None, e))?;
+    Ok(format!(
+        "pose track and {what} overlap from {:.3} to {:.3} s",
+        shared.0, shared.1
+    ))
+}
+
+/// "104 poses over 6.900 s (0.000 to 6.900 s), largest gap 0.110 s".
+fn sampling_note(what: &str, times_s: &[f64]) -> String {
+    let (Some(first), Some(last)) = (times_s.first(), times_s.last()) else {
+        return format!("no {what}");
+    };
+    let gap = times_s.windows(2).map(|w| w[1] - w[0]).fold(0.0, f64::max);
+    format!(
+        "{} {what} over {:.3} s ({first:.3} to {last:.3} s), largest gap {gap:.3} s",
+        times_s.len(),
+        last - first
+    )
+}
+
+/// The frame of a pose track.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum TrackFrame {
+    /// Poses in the world: z up, the table known.
+    World,
+    /// Poses in a camera whose own pose nobody recorded; the up direction of the resting object is known instead.
+    Camera {
+        /// Up, as a unit vector in the object's mesh frame, while it rests on the table before the push.
+        up_in_mesh: Vector3<f64>,
+        /// Horizontal direction of the push, in the object's mesh frame, if it is known.
+        push_in_mesh: Option<Vector3<f64>>,
+    },
+}
+
+/// Standard deviations of a pose track.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PoseNoise {
+    /// Per axis, metres.
+    pub position_m: f64,
+    /// Per axis of the rotation vector, radians.
+    pub rotation_rad: f64,
+}
+
+/// What the object stands on: a table plane and boxes fixed to it.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Support {
+    /// Height of the table top in the world, metres.
+    #[serde(default)]
+    pub table_height_m: f64,
+    /// Coulomb friction of object against support, if known.
+    #[serde(default)]
+    pub friction: Option<f64>,
+    /// Fixed boxes on the table, such as a step.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub boxes: Vec<SupportBox>,
+}
+
+/// A fixed box, axis-aligned in the world.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SupportBox {
+    /// Centre, metres, world.
+    pub center_m: [f64; 3],
+    /// Half extents, metres.
+    pub half_m: [f64; 3],
+}
+
+/// What moved the object, as far as the recording knows.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub enum Drive {
+    /// A known force at a point fixed to the object.
+    Force(ForceProfile),
+    /// A compliant fingertip that was commanded along a path.
+    Finger(FingerPush),
+    /// A robot hand whose joints were logged.
+    Hand(HandPush),
+    /// Nothing touched the object but its support (a toss, a slide to rest).
+    Nothing,
+}
+
+/// A force over time, held constant from each sample to the next (zero-order hold), zero outside.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ForceProfile {
+    /// Sample times, seconds, increasing.
+    pub times_s: Vec<f64>,
+    /// Force in the world frame, newtons, per sample.
+    pub forces_n: Vec<Vector3<f64>>,
+    /// Where it acts, in the object's mesh frame, metres.
+    pub point_in_object: Point3<f64>,
+}
+
+/// A commanded compliant fingertip: force = kp (command − q) − (kv + damping) q̇.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FingerPush {
+    /// Commanded tip positions in the world.
+    pub command_times_s: Vec<f64>,
+    /// One per command time, metres.
+    pub commands: Vec<Point3<f64>>,
+    /// Encoder: measured tip positions in the world; `None` if not recorded or not to be used.
+    pub encoder: Option<EncoderTrack>,
+    /// Impedance and shape.
+    pub impedance: FingerImpedance,
+}
+
+/// Measured fingertip motion.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EncoderTrack {
+    /// Seconds.
+    pub times_s: Vec<f64>,
+    /// Tip positions in the world, metres.
+    pub positions: Vec<Point3<f64>>,
+    /// Tip velocities in the world, m/s.
+    pub velocities: Vec<Vector3<f64>>,
+}
+
+/// The fingertip: a sphere on three slides with a position servo.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FingerImpedance {
+    /// Sphere radius, m.
+    pub radius_m: f64,
+    /// Moving mass, kg.
+    pub mass_kg: f64,
+    /// Reflected actuator inertia per axis, kg.
+    pub armature_kg: f64,
+    /// Joint damping, N s/m.
+    pub damping_ns_m: f64,
+    /// Position gain, N/m.
+    pub kp_n_m: f64,
+    /// Velocity gain, N s/m.
+    pub kv_ns_m: f64,
+    /// Friction of the tip against the object.
+    pub friction: f64,
+    /// Tip position of zero joint coordinates, world, m.
+    pub home_m: [f64; 3],
+}
+
+/// A logged robot hand.
+#[derive(Debug, Clone, PartialEq)]
+pub struct HandPush {
+    /// Robot model: a bundled name (`allegro_right`) or a path to URDF or MJCF.
+    pub robot: String,
+    /// Pose of the hand's base in the world.
+    pub world_from_base: Pose,
+    /// Joint log on the same clock as the track.
+    pub joints: crate::joints::JointLog,
+}
