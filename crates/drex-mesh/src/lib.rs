@@ -1,1 +1,26 @@
-//! Sim-ready assets from meshes: repair, convex pieces, mass properties, signed distance, MJCF.
+//! Sim-ready assets from meshes: repair, convex pieces, mass properties, signed distance, MJCF and URDF.
+
+mod boundary;
+mod bvh;
+mod caps;
+mod error;
+mod grid;
+mod hull;
+mod pieces;
+mod repair;
+mod sample;
+mod sdf;
+#[cfg(test)]
+mod shapes;
+mod solid;
+mod topology;
+
+pub use caps::close_openings;
+pub use error::{Error, Result};
+pub use grid::{GridOptions, GridSdf};
+pub use hull::{convex_hull, convex_hull_with_at_most};
+pub use pieces::{HowDivided, PieceOptions, convex_pieces};
+pub use repair::{DroppedBit, RepairOptions, RepairReport, repair};
+pub use sample::{farthest_points, sample_surface};
+pub use sdf::MeshSdf;
+pub use solid::{HowClosed, Solid, solid_properties};

@@ -1,0 +1,206 @@
+//! The boundary of the solid {winding number > 1/2}: which parts of which faces of a closed mesh belong to it.
+
+use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
+
+use drex_core::{MassProperties, TriMesh};
+
+use crate::bvh::Bvh;
+
+/// A triangle that bounds the solid, and how often it counts.
+///
+/// The weight is (H(inside) - H(outside)) / (inside - outside), with H(w) = 1 for w > 1/2 and w the winding numbers just
+/// behind and in front of the face: 1 for an ordinary face, 0 for a wall inside the solid, 1/2 for each of two faces
+/// of overlapping parts that lie in one plane.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Piece {
+    pub corners: [Point3<f64>; 3],
+    pub weight: f64,
+}
+
+/// The boundary of the solid.
+#[derive(Debug, Clone)]
+pub(crate) struct Boundary {
+    pub pieces: Vec<Piece>,
+    /// Face of the mesh each piece comes from.
+    pub faces: Vec<u32>,
+    /// Whether every face counts once: then the mesh itself is the boundary.
+    pub whole: bool,
+    /// Share of the mesh's area that is no boundary (walls inside the solid, hidden parts of overlapping shells).
+    pub hidden_area_share: f64,
+}
+
+struct Probe<'a> {
+    tree: &'a Bvh,
+    /// How far from the face the winding number is asked.
+    step: f64,
+    /// Triangles with longer sides are divided before they are judged, so that no overlap slips between the probes.
+    coarse: f64,
+    /// Triangles with shorter sides are judged by one probe.
+    fine: f64,
+}
+
+enum Verdict {
+    Uniform(f64),
+    Mixed(Vec<Piece>),
+}
+
+/// Finds the boundary of the solid bounded by `mesh`, whose openings are capped; `tree` is over all its faces.
+///
+/// Faces are divided until each part has one weight or is smaller than 1/1000 of the mesh; faces with one weight stay whole.
+pub(crate) fn boundary(mesh: &TriMesh, tree: &Bvh) -> Boundary {
+    let diagonal = mesh.bounds().map_or(0.0, |(lo, hi)| (hi - lo).norm());
+    let probe = Probe { tree, step: 1e-6 * diagonal, coarse: diagonal / 24.0, fine: diagonal / 1000.0 };
+    let verdicts: Vec<Verdict> = (0..mesh.faces.len())
+        .into_par_iter()
+        .map(|f| {
+            let t = mesh.triangle(f);
+            match (t[1] - t[0]).cross(&(t[2] - t[0])).try_normalize(0.0) {
+                Some(normal) => probe.judge(&t, &normal),
+                None => Verdict::Uniform(0.0),
+            }
+        })
+        .collect();
+    let area = |t: &[Point3<f64>; 3]| (t[1] - t[0]).cross(&(t[2] - t[0])).norm() * 0.5;
+    let mut out = Boundary { pieces: Vec::new(), faces: Vec::new(), whole: true, hidden_area_share: 0.0 };
+    let mut odd = 0.0;
+    for (f, verdict) in verdicts.into_iter().enumerate() {
+        let pieces = match verdict {
+            Verdict::Uniform(weight) => vec![Piece { corners: mesh.triangle(f), weight }],
+            Verdict::Mixed(pieces) => pieces,
+        };
+        for p in pieces {
+            let a = area(&p.corners);
+            odd += if p.weight == 1.0 { 0.0 } else { a };
+            out.hidden_area_share += a * (1.0 - p.weight.clamp(0.0, 1.0));
+            if p.weight != 0.0 {
+                out.pieces.push(p);
+                out.faces.push(f as u32);
+            }
+        }
+    }
+    let total = mesh.area();
+    out.hidden_area_share /= total;
+    // A probe may land on the wrong side of a blade thinner than the step: a millionth of the area says nothing.
+    if odd <= 1e-6 * total {
+        out.whole = true;
+        out.pieces = (0..mesh.faces.len()).map(|f| Piece { corners: mesh.triangle(f), weight: 1.0 }).collect();
+        out.faces = (0..mesh.faces.len() as u32).collect();
+    } else {
+        out.whole = false;
+    }
+    out
+}
+
+impl Probe<'_> {
+    fn weight(&self, t: &[Point3<f64>; 3], normal: &Vector3<f64>) -> f64 {
+        let middle = Point3::from((t[0].coords + t[1].coords + t[2].coords) / 3.0);
+        let inside = self.tree.winding(&(middle - normal * self.step)).round();
+        let outside = self.tree.winding(&(middle + normal * self.step)).round();
+        if inside == outside {
+            return 0.0;
+        }
+        let filled = |w: f64| if w > 0.5 { 1.0 } else { 0.0 };
+        (filled(inside) - filled(outside)) / (inside - outside)
+    }
+
+    fn judge(&self, t: &[Point3<f64>; 3], normal: &Vector3<f64>) -> Verdict {
+        let side = (0..3).map(|k| (t[(k + 1) % 3] - t[k]).norm()).fold(0.0, f64::max);
+        if side <= self.fine {
+            return Verdict::Uniform(self.weight(t, normal));
+        }
+        let m = [0, 1, 2].map(|k| nalgebra::center(&t[k], &t[(k + 1) % 3]));
+        let children = [[t[0], m[0], m[2]], [m[0], t[1], m[1]], [m[2], m[1], t[2]], [m[0], m[1], m[2]]];
+        if side <= self.coarse {
+            let first = self.weight(&children[3], normal);
+            // Small triangles of scans are judged at their middle; larger ones at four points.
+            if side <= 8.0 * self.fine || children[..3].iter().all(|c| self.weight(c, normal) == first) {
+                return Verdict::Uniform(first);
+            }
+        }
+        let verdicts = children.map(|c| self.judge(&c, normal));
+        if let [Verdict::Uniform(a), Verdict::Uniform(b), Verdict::Uniform(c), Verdict::Uniform(d)] = verdicts
+            && a == b
+            && b == c
+            && c == d
+        {
+            return Verdict::Uniform(a);
+        }
+        let mut pieces = Vec::new();
+        for (corners, verdict) in children.into_iter().zip(verdicts) {
+            match verdict {
+                Verdict::Uniform(weight) => pieces.push(Piece { corners, weight }),
+                Verdict::Mixed(more) => pieces.extend(more),
+            }
+        }
+        Verdict::Mixed(pieces)
+    }
+}
+
+impl Boundary {
+    /// Mass properties of the solid at density 1, by the divergence theorem over the pieces. `None` without volume.
+    pub fn mass_properties(&self) -> Option<MassProperties> {
+        let mut moments = Moments::about(self.pieces.first()?.corners[0]);
+        for piece in &self.pieces {
+            moments.add_tetrahedron(&piece.corners, piece.weight);
+        }
+        moments.mass_properties()
+    }
+
+    /// The boundary as a mesh, every piece once. Where faces of several parts lie in one plane, all of them are there.
+    pub fn mesh(&self) -> TriMesh {
+        let vertices = self.pieces.iter().flat_map(|p| p.corners).collect();
+        let faces = (0..self.pieces.len() as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
+        TriMesh { vertices, faces }
+    }
+}
+
+/// Volume integrals of 1, x and x xᵀ about a reference point.
+#[derive(Debug, Clone)]
+pub(crate) struct Moments {
+    reference: Point3<f64>,
+    volume: f64,
+    first: Vector3<f64>,
+    second: nalgebra::Matrix3<f64>,
+}
+
+impl Moments {
+    pub fn about(reference: Point3<f64>) -> Self {
+        Self { reference, volume: 0.0, first: Vector3::zeros(), second: nalgebra::Matrix3::zeros() }
+    }
+
+    /// A body of known mass properties at density 1.
+    pub fn of(body: &MassProperties) -> Self {
+        let central = nalgebra::Matrix3::identity() * (body.inertia.trace() / 2.0) - body.inertia;
+        Self { reference: body.center_of_mass, volume: body.mass_kg, first: Vector3::zeros(), second: central }
+    }
+
+    /// The tetrahedron between the reference point and a triangle, signed and weighted.
+    pub fn add_tetrahedron(&mut self, corners: &[Point3<f64>; 3], weight: f64) {
+        let [a, b, c] = corners.map(|p| p - self.reference);
+        let v = weight * a.dot(&b.cross(&c)) / 6.0;
+        let s = a + b + c;
+        self.volume += v;
+        self.first += s * (v / 4.0);
+        self.second += (s * s.transpose() + a * a.transpose() + b * b.transpose() + c * c.transpose()) * (v / 20.0);
+    }
+
+    /// A small volume at a point.
+    pub fn add_point(&mut self, p: &Point3<f64>, volume: f64) {
+        let d = p - self.reference;
+        self.volume += volume;
+        self.first += d * volume;
+        self.second += d * d.transpose() * volume;
+    }
+
+    /// Mass properties at density 1. `None` without volume.
+    pub fn mass_properties(&self) -> Option<MassProperties> {
+        if !(self.volume > 0.0) {
+            return None;
+        }
+        let c = self.first / self.volume;
+        let central = self.second - c * c.transpose() * self.volume;
+        let inertia = nalgebra::Matrix3::identity() * central.trace() - central;
+        Some(MassProperties { mass_kg: self.volume, center_of_mass: self.reference + c, inertia })
+    }
+}

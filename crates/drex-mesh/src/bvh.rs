@@ -1,0 +1,431 @@
+//! A bounding volume hierarchy over triangles: nearest point, first hit of a ray, generalised winding number.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+
+use drex_core::TriMesh;
+
+/// Largest number of triangles in a leaf.
+const LEAF: usize = 4;
+/// A subtree is seen as one dipole when the query is farther than this many of its radii.
+const FAR: f64 = 2.0;
+/// Median splits halve the triangle count, so 2^64 triangles would be needed to go deeper.
+const STACK: usize = 64;
+
+/// Axis-aligned bounding box.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Aabb {
+    pub lo: Point3<f64>,
+    pub hi: Point3<f64>,
+}
+
+impl Aabb {
+    pub fn empty() -> Self {
+        Self { lo: Point3::from([f64::INFINITY; 3]), hi: Point3::from([f64::NEG_INFINITY; 3]) }
+    }
+
+    pub fn of(points: &[Point3<f64>]) -> Self {
+        points.iter().fold(Self::empty(), |b, p| b.grown(p))
+    }
+
+    pub fn grown(self, p: &Point3<f64>) -> Self {
+        Self { lo: self.lo.inf(p), hi: self.hi.sup(p) }
+    }
+
+    pub fn union(self, o: &Self) -> Self {
+        Self { lo: self.lo.inf(&o.lo), hi: self.hi.sup(&o.hi) }
+    }
+
+    pub fn fattened(self, by: f64) -> Self {
+        let d = Vector3::repeat(by);
+        Self { lo: self.lo - d, hi: self.hi + d }
+    }
+
+    pub fn overlaps(&self, o: &Self) -> bool {
+        (0..3).all(|k| self.lo[k] <= o.hi[k] && o.lo[k] <= self.hi[k])
+    }
+
+    pub fn contains(&self, o: &Self) -> bool {
+        (0..3).all(|k| self.lo[k] <= o.lo[k] && o.hi[k] <= self.hi[k])
+    }
+
+    fn distance_squared(&self, p: &Point3<f64>) -> f64 {
+        (0..3).map(|k| (self.lo[k] - p[k]).max(p[k] - self.hi[k]).max(0.0).powi(2)).sum()
+    }
+
+    /// Entry parameter of a ray, if it meets the box before `t_max`.
+    fn ray_entry(&self, origin: &Point3<f64>, inverse: &Vector3<f64>, t_max: f64) -> Option<f64> {
+        let (mut t0, mut t1) = (0.0_f64, t_max);
+        for k in 0..3 {
+            let a = (self.lo[k] - origin[k]) * inverse[k];
+            let b = (self.hi[k] - origin[k]) * inverse[k];
+            // A ray inside a slab's plane gives NaN (0 · ∞); `max` and `min` ignore it, which keeps the box.
+            t0 = t0.max(a.min(b));
+            t1 = t1.min(a.max(b));
+        }
+        (t0 <= t1).then_some(t0)
+    }
+}
+
+#[derive(Debug, Clone)]
+struct Node {
+    bounds: Aabb,
+    /// First triangle (leaf) or right child (inner node; the left child follows its parent).
+    first: u32,
+    /// Number of triangles; 0 for an inner node.
+    count: u32,
+    /// Winding number far away: area-weighted centre, farthest triangle corner from it, ∫ n dA and ∫ (x - centre) nᵀ dA.
+    center: Point3<f64>,
+    radius: f64,
+    dipole: Vector3<f64>,
+    quadrupole: Matrix3<f64>,
+}
+
+/// A nearest point.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Nearest {
+    pub face: u32,
+    pub point: Point3<f64>,
+    pub distance_squared: f64,
+}
+
+/// Triangles of one mesh in a tree. Faces keep their numbers in the mesh.
+#[derive(Debug, Clone)]
+pub(crate) struct Bvh {
+    nodes: Vec<Node>,
+    /// Corners in tree order and the face each came from.
+    triangles: Vec<[Point3<f64>; 3]>,
+    faces: Vec<u32>,
+}
+
+impl Bvh {
+    /// Builds the tree over all faces of `mesh`.
+    pub fn new(mesh: &TriMesh) -> Self {
+        Self::over(mesh, (0..mesh.faces.len() as u32).collect())
+    }
+
+    /// Builds the tree over some faces of `mesh`.
+    pub fn over(mesh: &TriMesh, mut faces: Vec<u32>) -> Self {
+        let mut nodes = Vec::with_capacity(2 * faces.len() / LEAF + 1);
+        if !faces.is_empty() {
+            build(mesh, &mut faces, 0, &mut nodes);
+        }
+        let triangles = faces.iter().map(|&f| mesh.triangle(f as usize)).collect();
+        Self { nodes, triangles, faces }
+    }
+
+    /// The nearest point of the mesh closer than `within` (use infinity for "anywhere").
+    pub fn nearest(&self, p: &Point3<f64>, within: f64) -> Option<Nearest> {
+        let mut best = within * within;
+        let mut found = None;
+        let mut stack = [(0u32, 0.0_f64); STACK];
+        let mut top = usize::from(!self.nodes.is_empty());
+        while top > 0 {
+            top -= 1;
+            let (id, bound) = stack[top];
+            if bound >= best {
+                continue;
+            }
+            let node = &self.nodes[id as usize];
+            if node.count > 0 {
+                for t in node.first as usize..(node.first + node.count) as usize {
+                    let q = closest_on_triangle(p, &self.triangles[t]);
+                    let d = (p - q).norm_squared();
+                    if d < best {
+                        best = d;
+                        found = Some(Nearest { face: self.faces[t], point: q, distance_squared: d });
+                    }
+                }
+                continue;
+            }
+            let near = (id + 1, self.nodes[id as usize + 1].bounds.distance_squared(p));
+            let far = (node.first, self.nodes[node.first as usize].bounds.distance_squared(p));
+            let (near, far) = if near.1 <= far.1 { (near, far) } else { (far, near) };
+            for child in [far, near] {
+                if child.1 < best {
+                    stack[top] = child;
+                    top += 1;
+                }
+            }
+        }
+        found
+    }
+
+    /// The first face hit by `origin + t direction`, 0 <= t <= `t_max`, with its t.
+    pub fn ray(&self, origin: &Point3<f64>, direction: &Vector3<f64>, t_max: f64) -> Option<(u32, f64)> {
+        let inverse = direction.map(|d| 1.0 / d);
+        let mut best = t_max;
+        let mut found = None;
+        let mut stack = [0u32; STACK];
+        let mut top = usize::from(!self.nodes.is_empty());
+        while top > 0 {
+            top -= 1;
+            let id = stack[top];
+            let node = &self.nodes[id as usize];
+            if node.bounds.ray_entry(origin, &inverse, best).is_none() {
+                continue;
+            }
+            if node.count > 0 {
+                for t in node.first as usize..(node.first + node.count) as usize {
+                    if let Some(hit) = ray_triangle(origin, direction, &self.triangles[t])
+                        && hit <= best
+                    {
+                        best = hit;
+                        found = Some((self.faces[t], hit));
+                    }
+                }
+                continue;
+            }
+            stack[top] = node.first;
+            stack[top + 1] = id + 1;
+            top += 2;
+        }
+        found
+    }
+
+    /// Calls `visit` with every face whose box overlaps `region`, until it answers true.
+    pub fn any_in(&self, region: &Aabb, mut visit: impl FnMut(u32, &[Point3<f64>; 3]) -> bool) -> bool {
+        let mut stack = [0u32; STACK];
+        let mut top = usize::from(!self.nodes.is_empty());
+        while top > 0 {
+            top -= 1;
+            let id = stack[top];
+            let node = &self.nodes[id as usize];
+            if !node.bounds.overlaps(region) {
+                continue;
+            }
+            if node.count > 0 {
+                for t in node.first as usize..(node.first + node.count) as usize {
+                    let tri = &self.triangles[t];
+                    if Aabb::of(tri).overlaps(region) && visit(self.faces[t], tri) {
+                        return true;
+                    }
+                }
+                continue;
+            }
+            stack[top] = node.first;
+            stack[top + 1] = id + 1;
+            top += 2;
+        }
+        false
+    }
+
+    /// Generalised winding number at `q` (Jacobson et al. 2013), far subtrees by their dipole and quadrupole
+    /// (Barill et al., "Fast Winding Numbers for Soups and Clouds", 2018, equations 13 and 14).
+    pub fn winding(&self, q: &Point3<f64>) -> f64 {
+        let mut sum = 0.0;
+        let mut stack = [0u32; STACK];
+        let mut top = usize::from(!self.nodes.is_empty());
+        while top > 0 {
+            top -= 1;
+            let id = stack[top];
+            let node = &self.nodes[id as usize];
+            let r = node.center - q;
+            let d2 = r.norm_squared();
+            if d2 > (FAR * node.radius).powi(2) {
+                let d = d2.sqrt();
+                let u = r / d;
+                let trace = node.quadrupole.trace();
+                sum += node.dipole.dot(&u) / d2 + (trace - 3.0 * u.dot(&(node.quadrupole * u))) / (d2 * d);
+                continue;
+            }
+            if node.count > 0 {
+                for t in node.first as usize..(node.first + node.count) as usize {
+                    sum += solid_angle(q, &self.triangles[t]);
+                }
+                continue;
+            }
+            stack[top] = node.first;
+            stack[top + 1] = id + 1;
+            top += 2;
+        }
+        sum / (4.0 * std::f64::consts::PI)
+    }
+}
+
+/// Builds the subtree over `faces` (reordered), whose first triangle has number `offset`.
+fn build(mesh: &TriMesh, faces: &mut [u32], offset: usize, nodes: &mut Vec<Node>) -> usize {
+    let id = nodes.len();
+    nodes.push(describe(mesh, faces));
+    if faces.len() <= LEAF {
+        nodes[id].first = offset as u32;
+        nodes[id].count = faces.len() as u32;
+        return id;
+    }
+    let centroid = |f: u32| {
+        let [a, b, c] = mesh.triangle(f as usize);
+        (a.coords + b.coords + c.coords) / 3.0
+    };
+    let spread = faces.iter().fold(Aabb::empty(), |b, &f| b.grown(&centroid(f).into()));
+    let axis = (spread.hi - spread.lo).imax();
+    let middle = faces.len() / 2;
+    // The face number breaks ties, so that the tree does not depend on the sort.
+    faces.select_nth_unstable_by(middle, |&f, &g| centroid(f)[axis].total_cmp(&centroid(g)[axis]).then(f.cmp(&g)));
+    let (left, right) = faces.split_at_mut(middle);
+    build(mesh, left, offset, nodes);
+    let second = build(mesh, right, offset + middle, nodes);
+    nodes[id].first = second as u32;
+    id
+}
+
+fn describe(mesh: &TriMesh, faces: &[u32]) -> Node {
+    let mut bounds = Aabb::empty();
+    let (mut area, mut weighted, mut dipole) = (0.0, Vector3::zeros(), Vector3::zeros());
+    for &f in faces {
+        let [a, b, c] = mesh.triangle(f as usize);
+        bounds = bounds.union(&Aabb::of(&[a, b, c]));
+        let n = (b - a).cross(&(c - a)) * 0.5;
+        let s = n.norm();
+        area += s;
+        weighted += (a.coords + b.coords + c.coords) * (s / 3.0);
+        dipole += n;
+    }
+    let center = if area > 0.0 { Point3::from(weighted / area) } else { nalgebra::center(&bounds.lo, &bounds.hi) };
+    let (mut quadrupole, mut radius) = (Matrix3::zeros(), 0.0_f64);
+    for &f in faces {
+        let [a, b, c] = mesh.triangle(f as usize);
+        let n = (b - a).cross(&(c - a)) * 0.5;
+        let m = (a.coords + b.coords + c.coords) / 3.0 - center.coords;
+        quadrupole += m * n.transpose();
+        radius = [a, b, c].iter().fold(radius, |r, p| r.max((p - center).norm()));
+    }
+    Node { bounds, first: 0, count: 0, center, radius, dipole, quadrupole }
+}
+
+/// Solid angle of a triangle seen from `q` (van Oosterom and Strackee 1983), positive from behind.
+pub(crate) fn solid_angle(q: &Point3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> f64 {
+    let (a, b, c) = (a - q, b - q, c - q);
+    let (la, lb, lc) = (a.norm(), b.norm(), c.norm());
+    let numerator = a.dot(&b.cross(&c));
+    let denominator = la * lb * lc + a.dot(&b) * lc + b.dot(&c) * la + c.dot(&a) * lb;
+    2.0 * numerator.atan2(denominator)
+}
+
+/// The point of a triangle nearest to `p` (Ericson, "Real-Time Collision Detection", section 5.1.5).
+pub(crate) fn closest_on_triangle(p: &Point3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> Point3<f64> {
+    let (ab, ac, ap) = (b - a, c - a, p - a);
+    let (d1, d2) = (ab.dot(&ap), ac.dot(&ap));
+    if d1 <= 0.0 && d2 <= 0.0 {
+        return *a;
+    }
+    let bp = p - b;
+    let (d3, d4) = (ab.dot(&bp), ac.dot(&bp));
+    if d3 >= 0.0 && d4 <= d3 {
+        return *b;
+    }
+    let vc = d1 * d4 - d3 * d2;
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
+        return a + ab * (d1 / (d1 - d3));
+    }
+    let cp = p - c;
+    let (d5, d6) = (ab.dot(&cp), ac.dot(&cp));
+    if d6 >= 0.0 && d5 <= d6 {
+        return *c;
+    }
+    let vb = d5 * d2 - d1 * d6;
+    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
+        return a + ac * (d2 / (d2 - d6));
+    }
+    let va = d3 * d6 - d5 * d4;
+    if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 {
+        return b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6)));
+    }
+    let scale = 1.0 / (va + vb + vc);
+    a + ab * (vb * scale) + ac * (vc * scale)
+}
+
+/// Ray parameter where the ray meets the triangle (Möller and Trumbore 1997), both sides.
+fn ray_triangle(origin: &Point3<f64>, direction: &Vector3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> Option<f64> {
+    let (e1, e2) = (b - a, c - a);
+    let p = direction.cross(&e2);
+    let det = e1.dot(&p);
+    if det == 0.0 {
+        return None;
+    }
+    let s = origin - a;
+    let u = s.dot(&p) / det;
+    let q = s.cross(&e1);
+    let v = direction.dot(&q) / det;
+    // A hair of tolerance, so that rays through a shared edge do not slip between its triangles.
+    let hair = -1e-12;
+    (u >= hair && v >= hair && u + v <= 1.0 - hair).then(|| e2.dot(&q) / det).filter(|t| *t >= 0.0)
+}
+
+/// Distance between a segment and a triangle; zero if they meet.
+pub(crate) fn segment_triangle_distance(p: &Point3<f64>, q: &Point3<f64>, tri: &[Point3<f64>; 3]) -> f64 {
+    let along = q - p;
+    if ray_triangle(p, &along, tri).is_some_and(|t| t <= 1.0) {
+        return 0.0;
+    }
+    let ends = (p - closest_on_triangle(p, tri)).norm().min((q - closest_on_triangle(q, tri)).norm());
+    (0..3).map(|k| segment_segment_distance(p, q, &tri[k], &tri[(k + 1) % 3])).fold(ends, f64::min)
+}
+
+/// Distance between two segments (Ericson, section 5.1.9).
+fn segment_segment_distance(p1: &Point3<f64>, q1: &Point3<f64>, p2: &Point3<f64>, q2: &Point3<f64>) -> f64 {
+    let (d1, d2, r) = (q1 - p1, q2 - p2, p1 - p2);
+    let (a, e, f) = (d1.norm_squared(), d2.norm_squared(), d2.dot(&r));
+    if a == 0.0 || e == 0.0 {
+        return r.norm().min((q1 - p2).norm()).min((p1 - q2).norm());
+    }
+    let (b, c) = (d1.dot(&d2), d1.dot(&r));
+    let denominator = a * e - b * b;
+    let mut s = if denominator > 0.0 { ((b * f - c * e) / denominator).clamp(0.0, 1.0) } else { 0.0 };
+    let mut t = (b * s + f) / e;
+    if t < 0.0 {
+        t = 0.0;
+        s = (-c / a).clamp(0.0, 1.0);
+    } else if t > 1.0 {
+        t = 1.0;
+        s = ((b - c) / a).clamp(0.0, 1.0);
+    }
+    ((p1 + d1 * s) - (p2 + d2 * t)).norm()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::shapes;
+
+    #[test]
+    fn winding_of_a_sphere_is_one_inside_and_zero_outside() {
+        let bvh = Bvh::new(&shapes::sphere(0.05, 4));
+        for (r, expected) in [(0.0, 1.0), (0.03, 1.0), (0.0495, 1.0), (0.0505, 0.0), (0.2, 0.0)] {
+            for d in [Vector3::x(), Vector3::new(0.6, 0.0, 0.8), Vector3::new(-0.48, 0.6, 0.64)] {
+                let w = bvh.winding(&Point3::from(d * r));
+                assert!((w - expected).abs() < 5e-3, "radius {r}: {w}");
+            }
+        }
+    }
+
+    #[test]
+    fn fast_winding_agrees_with_the_exact_sum_on_an_open_mesh() {
+        let mut mesh = shapes::sphere(0.05, 4);
+        mesh.faces.retain(|f| f.iter().any(|&v| mesh.vertices[v as usize].z < 0.02));
+        let bvh = Bvh::new(&mesh);
+        let mut worst = 0.0_f64;
+        for i in 0..500 {
+            let p = Point3::from(shapes::low_discrepancy(i).map(|c| (c - 0.5) * 0.15));
+            let exact: f64 = (0..mesh.faces.len()).map(|f| solid_angle(&p, &mesh.triangle(f))).sum::<f64>()
+                / (4.0 * std::f64::consts::PI);
+            worst = worst.max((bvh.winding(&p) - exact).abs());
+        }
+        assert!(worst < 5e-3, "{worst}");
+    }
+
+    #[test]
+    fn nearest_and_ray_agree_with_brute_force() {
+        let mesh = shapes::sphere(0.05, 3);
+        let bvh = Bvh::new(&mesh);
+        for i in 0..200 {
+            let p = Point3::from(shapes::low_discrepancy(i).map(|c| (c - 0.5) * 0.2));
+            let brute = (0..mesh.faces.len())
+                .map(|f| (p - closest_on_triangle(&p, &mesh.triangle(f))).norm_squared())
+                .fold(f64::INFINITY, f64::min);
+            assert_eq!(bvh.nearest(&p, f64::INFINITY).unwrap().distance_squared, brute);
+            let d = Vector3::from(shapes::low_discrepancy(i + 1000).map(|c| c - 0.5)).normalize();
+            let brute =
+                (0..mesh.faces.len()).filter_map(|f| ray_triangle(&p, &d, &mesh.triangle(f))).fold(f64::INFINITY, f64::min);
+            assert_eq!(bvh.ray(&p, &d, f64::INFINITY).map_or(f64::INFINITY, |h| h.1), brute);
+        }
+    }
+}

@@ -1,0 +1,577 @@
+//! From a file's triangles to consistent shells: weld, drop what is degenerate, double or a loose bit, wind outwards.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Point3, Vector3};
+use serde::Serialize;
+
+use drex_core::TriMesh;
+
+use crate::bvh::{Aabb, Bvh, segment_triangle_distance, solid_angle};
+use crate::topology::{NONE, Sets, Topology, ends};
+use crate::{Error, Result};
+
+/// Settings of [`repair`].
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct RepairOptions {
+    /// Vertices closer than this become one. `None`: 1e-7 of the bounding box's diagonal, a few steps of
+    /// single precision.
+    pub weld_m: Option<f64>,
+    /// Shells closer than this belong to one body. `None`: 1e-3 of the bounding box's diagonal.
+    pub touching_m: Option<f64>,
+    /// Bodies with less than this share of the area are dropped.
+    pub smallest_area_share: f64,
+}
+
+impl Default for RepairOptions {
+    fn default() -> Self {
+        Self { weld_m: None, touching_m: None, smallest_area_share: 0.02 }
+    }
+}
+
+/// What [`repair`] found and did.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct RepairReport {
+    /// Vertices in the input.
+    pub vertices_before: usize,
+    /// Faces in the input.
+    pub faces_before: usize,
+    /// Vertices in the result.
+    pub vertices: usize,
+    /// Faces in the result.
+    pub faces: usize,
+    /// Faces dropped because two corners coincide or the corners lie on a line.
+    pub degenerate_faces: usize,
+    /// Faces dropped because the same triangle was there already.
+    pub duplicate_faces: usize,
+    /// Faces whose winding was turned round.
+    pub flipped_faces: usize,
+    /// Pieces of surface connected over edges.
+    pub shells: usize,
+    /// Shells that are closed.
+    pub closed_shells: usize,
+    /// Closed shells wound inwards inside another one: cavities.
+    pub cavities: usize,
+    /// Groups of shells that touch, overlap or contain each other.
+    pub bodies: usize,
+    /// Edges without a face on the other side.
+    pub open_edges: usize,
+    /// Edges at which more than two faces meet.
+    pub crowded_edges: usize,
+    /// Bodies dropped because they hold too little area.
+    pub dropped: Vec<DroppedBit>,
+}
+
+/// A loose bit that was dropped.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct DroppedBit {
+    /// Its share of the mesh's area.
+    pub area_share: f64,
+    /// Its faces.
+    pub faces: usize,
+    /// Centre of its bounding box, metres.
+    pub center_m: [f64; 3],
+    /// Sides of its bounding box, metres.
+    pub size_m: [f64; 3],
+}
+
+/// Welds the vertices, drops degenerate and duplicate faces, winds the faces of each shell consistently and closed
+/// shells outwards, and drops bodies that hold little area.
+///
+/// Shells that touch, overlap or contain each other are one body. A closed shell inside another keeps its winding
+/// relative to it: wound the other way it is a cavity, wound the same way it is a part of the solid. Open surfaces
+/// are turned as a whole so that they face away from their middle. If most of the area is there twice, facing both
+/// ways (a double-sided export), one side is kept.
+///
+/// # Errors
+/// If the mesh has no triangles, a vertex is not finite or a face names a vertex that does not exist.
+pub fn repair(mesh: &TriMesh, options: &RepairOptions) -> Result<(TriMesh, RepairReport)> {
+    if mesh.faces.is_empty() {
+        return Err(Error::Empty { subject: "the mesh".into() });
+    }
+    let checked = TriMesh::new(mesh.vertices.clone(), mesh.faces.clone())?;
+    let diagonal = checked.bounds().map_or(0.0, |(lo, hi)| (hi - lo).norm());
+    let weld_m = options.weld_m.unwrap_or(1e-7 * diagonal);
+    let touching_m = options.touching_m.unwrap_or(1e-3 * diagonal);
+
+    let (mut clean, degenerate_faces) = weld(&checked, weld_m);
+    let duplicate_faces = drop_duplicates(&mut clean);
+    if clean.faces.is_empty() {
+        return Err(Error::NoVolume {
+            subject: "the mesh".into(),
+            reason: format!("all {degenerate_faces} triangles have no area"),
+        });
+    }
+    let mut turned = vec![false; clean.faces.len()];
+    align_patches(&mut clean, &mut turned);
+    let topology = Topology::new(&clean);
+    let (labels, count) = topology.shells();
+    let shells = describe_shells(&clean, &topology, &labels, count);
+    let parents = nesting(&clean, &shells);
+    let cavities = orient_shells(&mut clean, &shells, &parents, &mut turned);
+    let bodies = group_bodies(&clean, &shells, &parents, touching_m);
+    let (kept, dropped) = drop_bits(&mut clean, &shells, &bodies, options.smallest_area_share);
+    compact(&mut clean);
+
+    let topology = Topology::new(&clean);
+    let body_count = kept.iter().map(|&s| bodies[s]).collect::<std::collections::BTreeSet<_>>().len();
+    let report = RepairReport {
+        vertices_before: mesh.vertices.len(),
+        faces_before: mesh.faces.len(),
+        vertices: clean.vertices.len(),
+        faces: clean.faces.len(),
+        degenerate_faces,
+        duplicate_faces,
+        flipped_faces: turned.iter().filter(|&&t| t).count(),
+        shells: kept.len(),
+        closed_shells: kept.iter().filter(|&&s| shells[s].closed).count(),
+        cavities: kept.iter().filter(|&&s| cavities[s]).count(),
+        bodies: body_count,
+        open_edges: topology.open_edges,
+        crowded_edges: topology.crowded_edges,
+        dropped,
+    };
+    Ok((clean, report))
+}
+
+/// One vertex for all that lie within `tolerance_m` of each other (directly or through others); drops faces that
+/// lose a corner or have none. Returns the mesh and how many faces were dropped.
+pub(crate) fn weld(mesh: &TriMesh, tolerance_m: f64) -> (TriMesh, usize) {
+    let n = mesh.vertices.len();
+    let mut order: Vec<u32> = (0..n as u32).collect();
+    let key = |i: u32| mesh.vertices[i as usize];
+    order.sort_unstable_by(|&i, &j| {
+        let (p, q) = (key(i), key(j));
+        p.x.total_cmp(&q.x).then(p.y.total_cmp(&q.y)).then(p.z.total_cmp(&q.z)).then(i.cmp(&j))
+    });
+    let mut sets = Sets::new(n);
+    // Exact twins first: they are the bulk of a triangle soup and sit side by side.
+    for w in order.windows(2) {
+        if key(w[0]) == key(w[1]) {
+            sets.join(w[0], w[1]);
+        }
+    }
+    if tolerance_m > 0.0 {
+        let cell = |p: &Point3<f64>| [0, 1, 2].map(|k| (p[k] / (2.0 * tolerance_m)).floor());
+        let mut grid: BTreeMap<[u64; 3], Vec<u32>> = BTreeMap::new();
+        for &i in &order {
+            if sets.find(i) != i {
+                continue;
+            }
+            let c = cell(&key(i));
+            let near = |k: usize, s: f64| ((key(i)[k] + s * tolerance_m) / (2.0 * tolerance_m)).floor();
+            // Only cells that a ball of the tolerance reaches: at most two along each axis.
+            for x in [near(0, -1.0), near(0, 1.0)] {
+                for y in [near(1, -1.0), near(1, 1.0)] {
+                    for z in [near(2, -1.0), near(2, 1.0)] {
+                        for &j in grid.get(&[x, y, z].map(f64::to_bits)).map_or(&[][..], |v| v) {
+                            if (key(i) - key(j)).norm() <= tolerance_m {
+                                sets.join(i, j);
+                            }
+                        }
+                    }
+                }
+            }
+            grid.entry(c.map(f64::to_bits)).or_default().push(i);
+        }
+    }
+    let mut number = vec![NONE; n];
+    let mut vertices = Vec::new();
+    let mut faces = Vec::with_capacity(mesh.faces.len());
+    for f in &mesh.faces {
+        let roots = f.map(|v| sets.find(v));
+        let [a, b, c] = roots.map(|v| mesh.vertices[v as usize]);
+        let longest = (b - a).norm().max((c - b).norm()).max((a - c).norm());
+        let height = (b - a).cross(&(c - a)).norm() / longest;
+        if roots[0] == roots[1] || roots[1] == roots[2] || roots[2] == roots[0] || !(height > 0.0) {
+            continue;
+        }
+        faces.push(roots.map(|r| {
+            if number[r as usize] == NONE {
+                number[r as usize] = vertices.len() as u32;
+                vertices.push(mesh.vertices[r as usize]);
+            }
+            number[r as usize]
+        }));
+    }
+    let dropped = mesh.faces.len() - faces.len();
+    (TriMesh { vertices, faces }, dropped)
+}
+
+/// Drops faces that repeat another one; where most of the mesh is there facing both ways, also the second sides.
+fn drop_duplicates(mesh: &mut TriMesh) -> usize {
+    let before = mesh.faces.len();
+    let canonical = |f: &[u32; 3]| {
+        let k = (0..3).min_by_key(|&k| f[k]).unwrap_or(0);
+        [f[k], f[(k + 1) % 3], f[(k + 2) % 3]]
+    };
+    let mut seen = std::collections::BTreeSet::new();
+    mesh.faces.retain(|f| seen.insert(canonical(f)));
+    let both: Vec<bool> = mesh.faces.iter().map(|f| seen.contains(&canonical(&[f[0], f[2], f[1]]))).collect();
+    let area = |f: usize| {
+        let [a, b, c] = mesh.triangle(f);
+        (b - a).cross(&(c - a)).norm()
+    };
+    let total: f64 = (0..mesh.faces.len()).map(area).sum();
+    let doubled: f64 = (0..mesh.faces.len()).filter(|&f| both[f]).map(area).sum();
+    if doubled > 0.5 * total {
+        let mut sides = std::collections::BTreeSet::new();
+        mesh.faces.retain(|f| {
+            let mut key = *f;
+            key.sort_unstable();
+            sides.insert(key)
+        });
+    }
+    before - mesh.faces.len()
+}
+
+/// Makes the winding consistent over edges with two faces.
+fn align_patches(mesh: &mut TriMesh, turned: &mut [bool]) {
+    let topology = Topology::new(mesh);
+    if topology.misaligned == 0 {
+        return;
+    }
+    let mut neighbours = vec![[(NONE, false); 3]; mesh.faces.len()];
+    for group in crate::topology::edges(mesh).chunk_by(|a, b| a.0 == b.0) {
+        if let [(_, g), (_, h)] = group {
+            let same = ends(mesh, *g).0 == ends(mesh, *h).0;
+            neighbours[*g as usize / 3][*g as usize % 3] = (h / 3, same);
+            neighbours[*h as usize / 3][*h as usize % 3] = (g / 3, same);
+        }
+    }
+    let mut state: Vec<Option<bool>> = vec![None; mesh.faces.len()];
+    for seed in 0..mesh.faces.len() {
+        if state[seed].is_some() {
+            continue;
+        }
+        state[seed] = Some(false);
+        let mut patch = vec![seed];
+        let mut next = 0;
+        while next < patch.len() {
+            let f = patch[next];
+            next += 1;
+            for (g, same) in neighbours[f] {
+                if g != NONE && state[g as usize].is_none() {
+                    state[g as usize] = Some((state[f] == Some(true)) ^ same);
+                    patch.push(g as usize);
+                }
+            }
+        }
+        if !patch.iter().any(|&f| state[f] == Some(true)) {
+            continue;
+        }
+        // The side that most of the area already faces, unless the patch bulges clearly the other way.
+        let flip = |f: usize| state[f] == Some(true);
+        let area = |f: usize| {
+            let [a, b, c] = mesh.triangle(f);
+            (b - a).cross(&(c - a)).norm() * 0.5
+        };
+        let total: f64 = patch.iter().map(|&f| area(f)).sum();
+        let against: f64 = patch.iter().filter(|&&f| flip(f)).map(|&f| area(f)).sum();
+        let bulge = bulge(mesh, &patch, |f| if flip(f) { -1.0 } else { 1.0 });
+        let invert = if bulge.abs() > 0.1 { bulge < 0.0 } else { against > 0.5 * total };
+        for &f in &patch {
+            if flip(f) != invert {
+                mesh.faces[f].swap(1, 2);
+                turned[f] = true;
+            }
+        }
+    }
+}
+
+/// Volume of the cone over a surface from its own middle, relative to a ball of the same area: 1 for a sphere wound
+/// outwards, -1 inwards, 0 for a flat sheet.
+fn bulge(mesh: &TriMesh, faces: &[usize], sign: impl Fn(usize) -> f64) -> f64 {
+    let (mut area, mut weighted) = (0.0, Vector3::zeros());
+    for &f in faces {
+        let [a, b, c] = mesh.triangle(f);
+        let s = (b - a).cross(&(c - a)).norm() * 0.5;
+        area += s;
+        weighted += (a.coords + b.coords + c.coords) * (s / 3.0);
+    }
+    let middle = weighted / area;
+    let volume: f64 = faces
+        .iter()
+        .map(|&f| {
+            let [a, b, c] = mesh.triangle(f).map(|p| p.coords - middle);
+            sign(f) * a.dot(&b.cross(&c)) / 6.0
+        })
+        .sum();
+    volume * 6.0 * std::f64::consts::PI.sqrt() / area.powf(1.5)
+}
+
+/// A piece of surface connected over edges.
+#[derive(Debug, Clone)]
+pub(crate) struct Shell {
+    pub faces: Vec<u32>,
+    pub closed: bool,
+    pub bounds: Aabb,
+    pub area_m2: f64,
+    /// Signed volume (of the cone from the middle of the box, if open).
+    pub volume_m3: f64,
+}
+
+pub(crate) fn describe_shells(mesh: &TriMesh, topology: &Topology, labels: &[u32], count: usize) -> Vec<Shell> {
+    let mut shells =
+        vec![Shell { faces: Vec::new(), closed: true, bounds: Aabb::empty(), area_m2: 0.0, volume_m3: 0.0 }; count];
+    for (f, &label) in labels.iter().enumerate() {
+        let shell = &mut shells[label as usize];
+        shell.faces.push(f as u32);
+        shell.closed &= topology.partner[3 * f..3 * f + 3].iter().all(|&p| p != NONE);
+        shell.bounds = shell.bounds.union(&Aabb::of(&mesh.triangle(f)));
+    }
+    for shell in &mut shells {
+        let middle = nalgebra::center(&shell.bounds.lo, &shell.bounds.hi);
+        for &f in &shell.faces {
+            let [a, b, c] = mesh.triangle(f as usize).map(|p| p - middle);
+            shell.area_m2 += (b - a).cross(&(c - a)).norm() * 0.5;
+            shell.volume_m3 += a.dot(&b.cross(&c)) / 6.0;
+        }
+    }
+    shells
+}
+
+/// For each shell the smallest closed shell that contains it.
+fn nesting(mesh: &TriMesh, shells: &[Shell]) -> Vec<Option<usize>> {
+    (0..shells.len())
+        .map(|i| {
+            (0..shells.len())
+                .filter(|&j| j != i && shells[j].closed && shells[j].bounds.contains(&shells[i].bounds))
+                .filter(|&j| shells[j].volume_m3.abs() > shells[i].volume_m3.abs() || !shells[i].closed)
+                .filter(|&j| lies_inside(mesh, &shells[i], &shells[j]))
+                .min_by(|&j, &k| shells[j].volume_m3.abs().total_cmp(&shells[k].volume_m3.abs()).then(j.cmp(&k)))
+        })
+        .collect()
+}
+
+/// Whether up to 16 points of shell `a`, spread over its faces, all lie inside the closed shell `b`.
+fn lies_inside(mesh: &TriMesh, a: &Shell, b: &Shell) -> bool {
+    let step = a.faces.len().div_ceil(16).max(1);
+    a.faces.iter().step_by(step).all(|&f| {
+        let [p, q, r] = mesh.triangle(f as usize);
+        let middle = Point3::from((p.coords + q.coords + r.coords) / 3.0);
+        let angle: f64 = b.faces.iter().map(|&g| solid_angle(&middle, &mesh.triangle(g as usize))).sum();
+        // 0.75: a face that lies in a face of `b` sees half of it and is not inside.
+        (angle / (4.0 * std::f64::consts::PI)).abs() > 0.75
+    })
+}
+
+/// Winds the shells outwards and says which are cavities.
+fn orient_shells(
+    mesh: &mut TriMesh,
+    shells: &[Shell],
+    parents: &[Option<usize>],
+    turned: &mut [bool],
+) -> Vec<bool> {
+    let mut flip = vec![None; shells.len()];
+    for i in (0..shells.len()).filter(|&i| shells[i].closed) {
+        // The outermost shell of the nest decides; what is inside turns with it.
+        let mut root = i;
+        while let Some(p) = parents[root] {
+            root = p;
+        }
+        flip[i] = Some(shells[root].volume_m3 < 0.0);
+    }
+    let open: Vec<usize> =
+        (0..shells.len()).filter(|&i| !shells[i].closed).flat_map(|i| shells[i].faces.iter().map(|&f| f as usize)).collect();
+    // Without a clear bulge (a sheet) there is no outside, and the file's word stands.
+    let turn_open = !open.is_empty() && bulge(mesh, &open, |_| 1.0) < -1e-3;
+    let mut cavities = vec![false; shells.len()];
+    for (i, shell) in shells.iter().enumerate() {
+        let turn = flip[i].unwrap_or(turn_open);
+        cavities[i] = shell.closed && parents[i].is_some() && ((shell.volume_m3 < 0.0) ^ turn);
+        if turn {
+            for &f in &shell.faces {
+                mesh.faces[f as usize].swap(1, 2);
+                turned[f as usize] ^= true;
+            }
+        }
+    }
+    cavities
+}
+
+/// The body (group of touching, overlapping or nested shells) of each shell.
+fn group_bodies(mesh: &TriMesh, shells: &[Shell], parents: &[Option<usize>], touching_m: f64) -> Vec<u32> {
+    let mut sets = Sets::new(shells.len());
+    for (i, parent) in parents.iter().enumerate() {
+        if let Some(j) = parent {
+            sets.join(i as u32, *j as u32);
+        }
+    }
+    // Larger shells first, each with a tree, so that crumbs are tested against them and not with each other first.
+    let mut order: Vec<usize> = (0..shells.len()).collect();
+    order.sort_by(|&i, &j| shells[j].area_m2.total_cmp(&shells[i].area_m2).then(i.cmp(&j)));
+    for (rank, &i) in order.iter().enumerate() {
+        let reach = shells[i].bounds.fattened(touching_m);
+        let rest = order[rank + 1..].iter().filter(|&&j| reach.overlaps(&shells[j].bounds));
+        let candidates: Vec<usize> = rest.copied().collect();
+        if candidates.is_empty() {
+            continue;
+        }
+        let tree = Bvh::over(mesh, shells[i].faces.clone());
+        for j in candidates {
+            if sets.find(i as u32) != sets.find(j as u32) && touch(mesh, &shells[i], &tree, &shells[j], touching_m) {
+                sets.join(i as u32, j as u32);
+            }
+        }
+    }
+    sets.labels().0
+}
+
+/// Whether an edge of one shell comes within `reach` of a face of the other.
+fn touch(mesh: &TriMesh, a: &Shell, a_tree: &Bvh, b: &Shell, reach: f64) -> bool {
+    let meets = |faces: &[u32], tree: &Bvh, other: &Aabb| {
+        faces.iter().any(|&f| {
+            let tri = mesh.triangle(f as usize);
+            Aabb::of(&tri).fattened(reach).overlaps(other)
+                && (0..3).any(|k| {
+                    let (p, q) = (tri[k], tri[(k + 1) % 3]);
+                    tree.any_in(&Aabb::of(&[p, q]).fattened(reach), |_, t| segment_triangle_distance(&p, &q, t) <= reach)
+                })
+        })
+    };
+    meets(&b.faces, a_tree, &a.bounds) || meets(&a.faces, &Bvh::over(mesh, b.faces.clone()), &b.bounds)
+}
+
+/// Removes the faces of bodies with too little area; returns the shells that stay.
+fn drop_bits(mesh: &mut TriMesh, shells: &[Shell], bodies: &[u32], share: f64) -> (Vec<usize>, Vec<DroppedBit>) {
+    let total: f64 = shells.iter().map(|s| s.area_m2).sum();
+    let mut area: BTreeMap<u32, f64> = BTreeMap::new();
+    for (s, &b) in shells.iter().zip(bodies) {
+        *area.entry(b).or_default() += s.area_m2;
+    }
+    let largest = area.values().copied().fold(0.0, f64::max);
+    let stays = |b: u32| area[&b] >= share * total || area[&b] >= largest;
+    let mut gone = vec![false; mesh.faces.len()];
+    let mut dropped = Vec::new();
+    for (&b, &a) in area.iter().filter(|&(&b, _)| !stays(b)) {
+        let mut bounds = Aabb::empty();
+        let mut faces = 0;
+        for (s, _) in shells.iter().zip(bodies).filter(|&(_, &body)| body == b) {
+            bounds = bounds.union(&s.bounds);
+            faces += s.faces.len();
+            s.faces.iter().for_each(|&f| gone[f as usize] = true);
+        }
+        dropped.push(DroppedBit {
+            area_share: a / total,
+            faces,
+            center_m: nalgebra::center(&bounds.lo, &bounds.hi).into(),
+            size_m: (bounds.hi - bounds.lo).into(),
+        });
+    }
+    dropped.sort_by(|a, b| b.area_share.total_cmp(&a.area_share));
+    let mut f = 0;
+    mesh.faces.retain(|_| {
+        f += 1;
+        !gone[f - 1]
+    });
+    ((0..shells.len()).filter(|&s| stays(bodies[s])).collect(), dropped)
+}
+
+/// Forgets vertices that no face uses.
+fn compact(mesh: &mut TriMesh) {
+    let mut number = vec![NONE; mesh.vertices.len()];
+    let mut vertices = Vec::new();
+    for v in mesh.faces.iter_mut().flatten() {
+        if number[*v as usize] == NONE {
+            number[*v as usize] = vertices.len() as u32;
+            vertices.push(mesh.vertices[*v as usize]);
+        }
+        *v = number[*v as usize];
+    }
+    mesh.vertices = vertices;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::shapes::{cuboid, flipped, joined, sphere};
+
+    fn fixed(mesh: &TriMesh) -> (TriMesh, RepairReport) {
+        repair(mesh, &RepairOptions::default()).unwrap()
+    }
+
+    fn volume(mesh: &TriMesh) -> f64 {
+        mesh.mass_properties(1.0).unwrap().mass_kg
+    }
+
+    fn soup(mesh: &TriMesh) -> TriMesh {
+        let vertices = (0..mesh.faces.len()).flat_map(|f| mesh.triangle(f)).collect();
+        TriMesh { vertices, faces: (0..mesh.faces.len() as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect() }
+    }
+
+    #[test]
+    fn a_soup_becomes_a_closed_mesh() {
+        let (m, r) = fixed(&soup(&sphere(0.05, 3)));
+        assert_eq!((m.vertices.len(), r.open_edges, r.shells, r.bodies), (258, 0, 1, 1));
+    }
+
+    #[test]
+    fn inverted_doubled_and_mixed_winding_are_put_right() {
+        let good = sphere(0.05, 3);
+        let v = volume(&good);
+        let mut mixed = good.clone();
+        mixed.faces.iter_mut().step_by(3).for_each(|f| f.swap(0, 1));
+        let mut twice = good.clone();
+        twice.faces.extend(good.faces.iter().map(|&[a, b, c]| [b, c, a]));
+        let mut both_sides = good.clone();
+        both_sides.faces.extend(flipped(&good).faces);
+        for bad in [flipped(&good), mixed, twice, both_sides] {
+            let (m, r) = fixed(&bad);
+            assert!((volume(&m) - v).abs() < 1e-15, "{r:?}");
+            assert_eq!(r.open_edges, 0);
+        }
+    }
+
+    #[test]
+    fn one_inverted_box_of_two_touching_ones_is_turned() {
+        let t = joined(&[cuboid([-3.0, 0.0, 0.0], [3.0, 2.0, 1.0]), flipped(&cuboid([-1.0, -4.0, 0.0], [1.0, 0.0, 1.0]))]);
+        let (m, r) = fixed(&t);
+        assert_eq!((r.shells, r.bodies, r.flipped_faces), (2, 1, 12));
+        assert!((volume(&m) - 20.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_cavity_stays_a_cavity_even_in_an_inverted_file() {
+        let ball = joined(&[sphere(0.05, 3), flipped(&sphere(0.03, 3))]);
+        for mesh in [ball.clone(), flipped(&ball)] {
+            let (m, r) = fixed(&mesh);
+            assert_eq!((r.cavities, r.bodies, r.shells), (1, 1, 2));
+            let hollow = volume(&sphere(0.05, 3)) - volume(&sphere(0.03, 3));
+            assert!((volume(&m) - hollow).abs() < 1e-15);
+        }
+    }
+
+    #[test]
+    fn loose_bits_go_and_are_listed_but_touching_ones_stay() {
+        let body = cuboid([0.0; 3], [0.1; 3]);
+        let crumb = |x: f64| cuboid([x, 0.0, 0.0], [x + 0.005, 0.005, 0.005]);
+        let (m, r) = fixed(&joined(&[body.clone(), crumb(0.15)]));
+        assert_eq!((m.faces.len(), r.dropped.len(), r.dropped[0].faces), (12, 1, 12));
+        assert!((r.dropped[0].center_m[0] - 0.1525).abs() < 1e-12);
+        let (m, r) = fixed(&joined(&[body, crumb(0.1)]));
+        assert_eq!((m.faces.len(), r.dropped.len(), r.bodies), (24, 0, 1));
+    }
+
+    #[test]
+    fn crossing_bars_are_one_body_although_no_corner_is_inside_the_other() {
+        let plus = joined(&[cuboid([-3.0, -1.0, -1.0], [3.0, 1.0, 1.0]), cuboid([-1.0, -3.0, -0.5], [1.0, 3.0, 0.5])]);
+        let stacked = joined(&[cuboid([-3.0, -1.0, 0.0], [3.0, 1.0, 1.0]), cuboid([-1.0, -3.0, 1.0], [1.0, 3.0, 2.0])]);
+        for mesh in [plus, stacked] {
+            assert_eq!(fixed(&mesh).1.bodies, 1);
+        }
+    }
+
+    #[test]
+    fn nothing_and_not_a_number_are_refused() {
+        assert!(matches!(repair(&TriMesh::default(), &RepairOptions::default()), Err(Error::Empty { .. })));
+        let mut m = cuboid([0.0; 3], [1.0; 3]);
+        m.vertices[3].y = f64::NAN;
+        assert!(repair(&m, &RepairOptions::default()).unwrap_err().to_string().contains("vertex 3"));
+        m.vertices = vec![Point3::origin(); 8];
+        assert!(matches!(repair(&m, &RepairOptions::default()), Err(Error::NoVolume { .. })));
+    }
+}
