@@ -8,7 +8,13 @@ mod dynamics;
 mod fingers;
 mod kinematics;
 mod load;
+mod meshfile;
+mod mjcf;
 mod samples;
+mod shape;
+mod unread;
+mod urdf;
+mod xml;
 
 pub use error::{Error, Result};
 pub use fingers::Finger;

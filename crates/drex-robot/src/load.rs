@@ -2,7 +2,14 @@
 
 use std::path::Path;
 
-use crate::{Error, Result, Robot};
+use crate::xml::Node;
+use crate::{Error, Result, Robot, mjcf, urdf};
+
+/// Names and text of the bundled hands.
+const BUNDLED: [(&str, &str); 2] = [
+    ("leap_right", include_str!("../models/leap_right.xml")),
+    ("allegro_right", include_str!("../models/allegro_right.xml")),
+];
 
 impl Robot {
     /// Reads a URDF or MJCF file; the root element tells which.
@@ -10,7 +17,13 @@ impl Robot {
     /// # Errors
     /// If the file or a file that it needs cannot be read, or cannot be used as it stands.
     pub fn load(path: &Path) -> Result<Self> {
-        Err(Error::document(path, None, "not yet", "wait"))
+        let text = drex_core::fsutil::read_text(path)?;
+        let root = Node::parse(&text, path)?;
+        match root.tag.as_str() {
+            "robot" => urdf::read(&root, path),
+            "mujoco" => mjcf::read(&text, path, path.parent()),
+            _ => Err(root.error("no robot model", "the root element must be <robot> (URDF) or <mujoco> (MJCF)")),
+        }
     }
 
     /// Reads a URDF file.
@@ -18,7 +31,8 @@ impl Robot {
     /// # Errors
     /// As [`Robot::load`].
     pub fn from_urdf(path: &Path) -> Result<Self> {
-        Self::load(path)
+        let text = drex_core::fsutil::read_text(path)?;
+        urdf::read(&Node::parse(&text, path)?, path)
     }
 
     /// Reads an MJCF file.
@@ -26,7 +40,7 @@ impl Robot {
     /// # Errors
     /// As [`Robot::load`].
     pub fn from_mjcf(path: &Path) -> Result<Self> {
-        Self::load(path)
+        mjcf::read(&drex_core::fsutil::read_text(path)?, path, path.parent())
     }
 
     /// Reads MJCF text. Files that it names are looked for in `folder`; without one, naming a file is an error.
@@ -34,8 +48,7 @@ impl Robot {
     /// # Errors
     /// As [`Robot::load`].
     pub fn from_mjcf_str(xml: &str, folder: Option<&Path>) -> Result<Self> {
-        let _ = (xml, folder);
-        Self::load(Path::new("text"))
+        mjcf::read(xml, Path::new("MJCF text"), folder)
     }
 
     /// A bundled hand: `leap_right` or `allegro_right`.
@@ -43,7 +56,15 @@ impl Robot {
     /// # Errors
     /// If there is no bundled model of that name.
     pub fn bundled(name: &str) -> Result<Self> {
-        Self::load(Path::new(name))
+        match Self::bundled_mjcf(name) {
+            Some(xml) => mjcf::read(xml, Path::new(name), None),
+            None => Err(Error::UnknownModel { name: name.into(), tried: None, remedy: bundled_names() }),
+        }
+    }
+
+    /// The MJCF text of a bundled hand, to be written out or put into a scene.
+    pub fn bundled_mjcf(name: &str) -> Option<&'static str> {
+        BUNDLED.iter().find(|(n, _)| *n == name).map(|(_, xml)| *xml)
     }
 
     /// A bundled model by name, or a file by path, relative to `relative_to` (the folder of the file that names it).
@@ -51,6 +72,18 @@ impl Robot {
     /// # Errors
     /// As [`Robot::load`], and if there is neither a bundled model nor a file of that name.
     pub fn resolve(name_or_path: &str, relative_to: &Path) -> Result<Self> {
-        Self::load(&relative_to.join(name_or_path))
+        if Self::bundled_mjcf(name_or_path).is_some() {
+            return Self::bundled(name_or_path);
+        }
+        let path = relative_to.join(name_or_path);
+        if path.is_file() {
+            return Self::load(&path);
+        }
+        Err(Error::UnknownModel { name: name_or_path.into(), tried: Some(path), remedy: bundled_names() })
     }
+}
+
+fn bundled_names() -> String {
+    let names: Vec<&str> = BUNDLED.iter().map(|(n, _)| *n).collect();
+    format!("give the path of a URDF or MJCF file, or one of the bundled models {}", names.join(", "))
 }

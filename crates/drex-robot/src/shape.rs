@@ -1,0 +1,258 @@
+//! What shapes can be asked: mass properties, signed distance, a triangle mesh.
+
+use std::collections::HashMap;
+use std::f64::consts::PI;
+
+use drex_core::{MassProperties, TriMesh};
+use nalgebra::{Matrix3, Point3, Vector3};
+
+use crate::model::Shape;
+
+impl Shape {
+    /// Mass, centre of mass and inertia in the shape's frame at uniform density; `None` for a plane or a shape
+    /// without volume.
+    ///
+    /// Exact for the primitives and for a closed mesh. An open mesh bounds no solid: its convex hull stands in for it
+    /// (see [`Shape::is_closed`]).
+    pub fn mass_properties(&self, density_kg_m3: f64) -> Option<MassProperties> {
+        let symmetric = |volume: f64, moments_per_mass: Vector3<f64>| {
+            let mass_kg = volume * density_kg_m3;
+            MassProperties {
+                mass_kg,
+                center_of_mass: Point3::origin(),
+                inertia: Matrix3::from_diagonal(&(moments_per_mass * mass_kg)),
+            }
+        };
+        match self {
+            Self::Plane => None,
+            Self::Sphere { radius: r } => Some(symmetric(4.0 / 3.0 * PI * r.powi(3), Vector3::repeat(0.4 * r * r))),
+            Self::Box { half: h } => {
+                let s = h.component_mul(h) / 3.0;
+                Some(symmetric(8.0 * h.product(), Vector3::new(s.y + s.z, s.z + s.x, s.x + s.y)))
+            }
+            Self::Ellipsoid { radii: a } => {
+                let s = a.component_mul(a) / 5.0;
+                Some(symmetric(4.0 / 3.0 * PI * a.product(), Vector3::new(s.y + s.z, s.z + s.x, s.x + s.y)))
+            }
+            Self::Cylinder { radius: r, half_length: h } => {
+                let across = r * r / 4.0 + h * h / 3.0;
+                Some(symmetric(2.0 * PI * r * r * h, Vector3::new(across, across, 0.5 * r * r)))
+            }
+            Self::Capsule { radius: r, half_length: h } => {
+                // Cylinder plus two half balls, each with its centre 3r/8 beyond the end of the cylinder.
+                let (cylinder, ball) = (2.0 * PI * r * r * h, 4.0 / 3.0 * PI * r.powi(3));
+                let volume = cylinder + ball;
+                let along = cylinder * 0.5 * r * r + ball * 0.4 * r * r;
+                let across = cylinder * (r * r / 4.0 + h * h / 3.0) + ball * (0.4 * r * r + h * h + 0.75 * h * r);
+                Some(symmetric(volume, Vector3::new(across, across, along) / volume))
+            }
+            Self::Mesh(mesh) => {
+                if self.is_closed() {
+                    solid(mesh, density_kg_m3)
+                } else {
+                    solid(&convex_hull(mesh)?, density_kg_m3)
+                }
+            }
+        }
+        .filter(|m| m.mass_kg > 0.0)
+    }
+
+    /// Whether the shape bounds a solid. A mesh does if every edge is used once in each direction, where vertices at
+    /// the same position count as one.
+    pub fn is_closed(&self) -> bool {
+        let mesh = match self {
+            Self::Mesh(mesh) => mesh,
+            Self::Plane => return false,
+            _ => return true,
+        };
+        let mut first: HashMap<[u64; 3], u32> = HashMap::with_capacity(mesh.vertices.len());
+        let welded: Vec<u32> = mesh
+            .vertices
+            .iter()
+            .enumerate()
+            .map(|(i, p)| *first.entry([p.x, p.y, p.z].map(|c| (c + 0.0).to_bits())).or_insert(i as u32))
+            .collect();
+        let mut balance: HashMap<(u32, u32), i32> = HashMap::with_capacity(mesh.faces.len() * 2);
+        for face in &mesh.faces {
+            let f = face.map(|v| welded[v as usize]);
+            for (a, b) in [(f[0], f[1]), (f[1], f[2]), (f[2], f[0])] {
+                if a != b {
+                    *balance.entry((a.min(b), a.max(b))).or_default() += if a < b { 1 } else { -1 };
+                }
+            }
+        }
+        balance.values().all(|&n| n == 0)
+    }
+
+    /// Distance from `point` (in the shape's frame) to the surface, negative inside, m.
+    ///
+    /// Exact for sphere, capsule, cylinder, box, plane and mesh (a mesh must be closed for the sign to mean anything;
+    /// its cost is one pass over all faces). For an ellipsoid it is the first-order value f/|∇f| of its level
+    /// function, exact on the surface.
+    pub fn signed_distance(&self, point: &Point3<f64>) -> f64 {
+        let p = point.coords;
+        match self {
+            Self::Plane => p.z,
+            Self::Sphere { radius } => p.norm() - radius,
+            Self::Capsule { radius, half_length } => {
+                let beyond = p.z - p.z.clamp(-half_length, *half_length);
+                Vector3::new(p.x, p.y, beyond).norm() - radius
+            }
+            Self::Cylinder { radius, half_length } => {
+                let (out, up) = (p.xy().norm() - radius, p.z.abs() - half_length);
+                out.max(up).min(0.0) + out.max(0.0).hypot(up.max(0.0))
+            }
+            Self::Box { half } => {
+                let d = p.abs() - half;
+                d.max().min(0.0) + d.map(|c| c.max(0.0)).norm()
+            }
+            Self::Ellipsoid { radii } => {
+                let k = p.component_div(radii).norm();
+                let slope = p.component_div(&radii.component_mul(radii)).norm();
+                if slope > 0.0 { k * (k - 1.0) / slope } else { -radii.min() }
+            }
+            Self::Mesh(mesh) => {
+                let nearest = (0..mesh.faces.len())
+                    .map(|f| (nearest_on_triangle(point, &mesh.triangle(f)) - point).norm_squared())
+                    .fold(f64::INFINITY, f64::min)
+                    .sqrt();
+                if winding_number(mesh, point) > 0.5 { -nearest } else { nearest }
+            }
+        }
+    }
+
+    /// The surface as triangles, outward, with `segments` (at least 3) around a circle; `None` for a plane.
+    pub fn to_mesh(&self, segments: usize) -> Option<TriMesh> {
+        let n = segments.max(3);
+        match self {
+            Self::Plane => None,
+            Self::Mesh(mesh) => Some((**mesh).clone()),
+            Self::Box { half } => Some(box_mesh(half)),
+            Self::Sphere { radius } => Some(lathe(&arc(*radius, 0.0, n), n)),
+            Self::Ellipsoid { radii } => {
+                let mut mesh = lathe(&arc(1.0, 0.0, n), n);
+                mesh.vertices.iter_mut().for_each(|v| v.coords.component_mul_assign(radii));
+                Some(mesh)
+            }
+            Self::Capsule { radius, half_length } => Some(lathe(&arc(*radius, *half_length, n), n)),
+            Self::Cylinder { radius: r, half_length: h } => Some(lathe(&[(0.0, -h), (*r, -h), (*r, *h), (0.0, *h)], n)),
+        }
+    }
+}
+
+/// Exact properties of a closed mesh, whichever way it is wound.
+fn solid(mesh: &TriMesh, density_kg_m3: f64) -> Option<MassProperties> {
+    mesh.mass_properties(density_kg_m3).ok().or_else(|| {
+        let faces = mesh.faces.iter().map(|f| [f[0], f[2], f[1]]).collect();
+        TriMesh { vertices: mesh.vertices.clone(), faces }.mass_properties(density_kg_m3).ok()
+    })
+}
+
+/// The convex hull; `None` for a flat mesh.
+pub(crate) fn convex_hull(mesh: &TriMesh) -> Option<TriMesh> {
+    let points: Vec<_> = mesh.vertices.iter().map(|v| parry3d_f64::math::Vector::new(v.x, v.y, v.z)).collect();
+    let (vertices, faces) = parry3d_f64::transformation::try_convex_hull(&points).ok()?;
+    Some(TriMesh { vertices: vertices.iter().map(|v| Point3::new(v.x, v.y, v.z)).collect(), faces })
+}
+
+/// The point of the triangle nearest to `p` (Ericson, *Real-Time Collision Detection*, 2004, section 5.1.5).
+fn nearest_on_triangle(p: &Point3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> Point3<f64> {
+    let (ab, ac, ap) = (b - a, c - a, p - a);
+    let (d1, d2) = (ab.dot(&ap), ac.dot(&ap));
+    if d1 <= 0.0 && d2 <= 0.0 {
+        return *a;
+    }
+    let bp = p - b;
+    let (d3, d4) = (ab.dot(&bp), ac.dot(&bp));
+    if d3 >= 0.0 && d4 <= d3 {
+        return *b;
+    }
+    let vc = d1 * d4 - d3 * d2;
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 && d1 > d3 {
+        return a + ab * (d1 / (d1 - d3));
+    }
+    let cp = p - c;
+    let (d5, d6) = (ab.dot(&cp), ac.dot(&cp));
+    if d6 >= 0.0 && d5 <= d6 {
+        return *c;
+    }
+    let vb = d5 * d2 - d1 * d6;
+    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 && d2 > d6 {
+        return a + ac * (d2 / (d2 - d6));
+    }
+    let va = d3 * d6 - d5 * d4;
+    let (u, v) = (d4 - d3, d5 - d6);
+    if va <= 0.0 && u >= 0.0 && v >= 0.0 && u + v > 0.0 {
+        return b + (c - b) * (u / (u + v));
+    }
+    let sum = va + vb + vc;
+    if sum == 0.0 { *a } else { a + ab * (vb / sum) + ac * (vc / sum) }
+}
+
+/// How often the mesh goes around the point: 1 inside, 0 outside (van Oosterom and Strackee, 1983).
+fn winding_number(mesh: &TriMesh, p: &Point3<f64>) -> f64 {
+    let solid_angle: f64 = (0..mesh.faces.len())
+        .map(|f| {
+            let [a, b, c] = mesh.triangle(f).map(|v| v - p);
+            let (la, lb, lc) = (a.norm(), b.norm(), c.norm());
+            let denominator = la * lb * lc + a.dot(&b) * lc + b.dot(&c) * la + c.dot(&a) * lb;
+            2.0 * a.dot(&b.cross(&c)).atan2(denominator)
+        })
+        .sum();
+    solid_angle / (4.0 * PI)
+}
+
+/// Outline (distance from z, height) from bottom to top of a ball whose halves are drawn apart by `half_length`.
+fn arc(radius: f64, half_length: f64, segments: usize) -> Vec<(f64, f64)> {
+    let quarter = segments.div_ceil(4).max(2);
+    let half = |sign: f64| {
+        (0..=quarter).map(move |i| {
+            let angle = 0.5 * PI * i as f64 / quarter as f64;
+            (radius * angle.cos(), sign * (half_length + radius * angle.sin()))
+        })
+    };
+    let mut outline: Vec<_> = half(-1.0).collect();
+    outline.reverse();
+    outline.extend(half(1.0).skip(usize::from(half_length == 0.0)));
+    if let Some(first) = outline.first_mut() {
+        first.0 = 0.0;
+    }
+    if let Some(last) = outline.last_mut() {
+        last.0 = 0.0;
+    }
+    outline
+}
+
+/// The surface that an outline (distance from z, height), bottom to top, first and last on the axis, sweeps about z.
+fn lathe(outline: &[(f64, f64)], segments: usize) -> TriMesh {
+    let mut mesh = TriMesh::default();
+    let inner = &outline[1..outline.len() - 1];
+    for &(r, z) in inner {
+        for k in 0..segments {
+            let angle = 2.0 * PI * k as f64 / segments as f64;
+            mesh.vertices.push(Point3::new(r * angle.cos(), r * angle.sin(), z));
+        }
+    }
+    let at = |ring: usize, k: usize| (ring * segments + k % segments) as u32;
+    for ring in 1..inner.len() {
+        for k in 0..segments {
+            mesh.faces.push([at(ring - 1, k), at(ring - 1, k + 1), at(ring, k + 1)]);
+            mesh.faces.push([at(ring - 1, k), at(ring, k + 1), at(ring, k)]);
+        }
+    }
+    let (bottom, top) = (mesh.vertices.len() as u32, mesh.vertices.len() as u32 + 1);
+    mesh.vertices.push(Point3::new(0.0, 0.0, outline[0].1));
+    mesh.vertices.push(Point3::new(0.0, 0.0, outline[outline.len() - 1].1));
+    for k in 0..segments {
+        mesh.faces.push([bottom, at(0, k + 1), at(0, k)]);
+        mesh.faces.push([top, at(inner.len() - 1, k), at(inner.len() - 1, k + 1)]);
+    }
+    mesh
+}
+
+fn box_mesh(half: &Vector3<f64>) -> TriMesh {
+    let corner = |i: usize, bit: usize| if i >> bit & 1 == 1 { half[bit] } else { -half[bit] };
+    let vertices = (0..8).map(|i| Point3::new(corner(i, 0), corner(i, 1), corner(i, 2))).collect();
+    let quads = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+    TriMesh { vertices, faces: quads.iter().flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]).collect() }
+}

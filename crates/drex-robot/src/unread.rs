@@ -1,0 +1,49 @@
+//! What a file has and the reader does not use, gathered so that the user sees it once and in full.
+
+use std::collections::BTreeMap;
+
+use crate::xml::Node;
+
+/// Collected remarks; [`Unread::sentences`] turns them into text.
+#[derive(Debug, Default)]
+pub(crate) struct Unread {
+    notes: Vec<String>,
+    elements: BTreeMap<String, (usize, u32)>,
+    attributes: BTreeMap<(String, String), (usize, u32)>,
+}
+
+impl Unread {
+    /// A remark in words.
+    pub fn note(&mut self, sentence: impl Into<String>) {
+        let sentence = sentence.into();
+        if !self.notes.contains(&sentence) {
+            self.notes.push(sentence);
+        }
+    }
+
+    /// An element that is skipped with all it contains.
+    pub fn element(&mut self, node: &Node) {
+        self.elements.entry(node.tag.clone()).or_insert((0, node.line)).0 += 1;
+    }
+
+    /// Every attribute of `node` that is not in `used`.
+    pub fn attributes(&mut self, node: &Node, used: &[&str]) {
+        for name in node.attributes.keys().filter(|a| !used.contains(&a.as_str())) {
+            self.attributes.entry((node.tag.clone(), name.clone())).or_insert((0, node.line)).0 += 1;
+        }
+    }
+
+    /// All remarks as sentences, in a fixed order.
+    pub fn sentences(self) -> Vec<String> {
+        let times = |n: usize| if n == 1 { "once".to_owned() } else { format!("{n} times") };
+        let elements = self
+            .elements
+            .into_iter()
+            .map(|(tag, (n, line))| format!("<{tag}> is not read ({}, first in line {line})", times(n)));
+        let attributes = self
+            .attributes
+            .into_iter()
+            .map(|((tag, name), (n, line))| format!("{name} of <{tag}> is not read ({}, first in line {line})", times(n)));
+        self.notes.into_iter().chain(elements).chain(attributes).collect()
+    }
+}
