@@ -2,6 +2,7 @@
 
 use drex_core::Pose;
 use nalgebra::Point3;
+use sha2::{Digest, Sha256};
 
 use crate::{Error, Result};
 
@@ -10,6 +11,10 @@ pub const GRAVITY_M_S2: f64 = 9.81;
 
 /// How far a demonstration may lie outside a joint limit, rad: rounding of files, no more.
 pub const LIMIT_TOLERANCE_RAD: f64 = 1e-6;
+
+/// Squeezes of less or more than this many times the weight are taken for a mistake in the units: friction coefficients of 0.01 to 10
+/// lead to ratios of 0.1 to 100.
+const SQUEEZE_PER_WEIGHT: (f64, f64) = (1e-3, 1e4);
 
 /// One grasp at one mass.
 ///
@@ -101,7 +106,35 @@ impl Dataset {
                 return Err(self.wrong(at, None, text, "leave out grasps for which no squeeze was found"));
             }
         }
+        let ratio = crate::norm::squeeze_per_weight(sample);
+        let (least, most) = SQUEEZE_PER_WEIGHT;
+        if !(ratio >= least && ratio <= most) {
+            let what = format!("a squeeze of {} N for {} kg is {ratio:.3e} times the weight", sample.squeeze_n, sample.mass_kg);
+            return Err(self.wrong(at, None, what, "check the units (N, kg)"));
+        }
         Ok(())
+    }
+
+    /// SHA-256 over names, limits, points and samples, in hexadecimal.
+    pub(crate) fn sha256(&self) -> String {
+        let mut hash = Sha256::new();
+        // Lengths go in first, so that moving a name or a number from one list to the next changes the hash.
+        let counts = [self.joint_names.len(), self.joint_limits.len(), self.points.len(), self.samples.len()];
+        counts.iter().for_each(|c| hash.update((*c as u64).to_le_bytes()));
+        for name in std::iter::once(&self.hand).chain(&self.joint_names) {
+            hash.update((name.len() as u64).to_le_bytes());
+            hash.update(name.as_bytes());
+        }
+        let mut number = |v: f64| hash.update(v.to_bits().to_le_bytes());
+        self.joint_limits.iter().for_each(|(a, b)| [*a, *b].into_iter().for_each(&mut number));
+        self.points.iter().for_each(|p| p.iter().copied().for_each(&mut number));
+        for s in &self.samples {
+            let (translation, quaternion) = drex_core::pose::to_wxyz(&s.object_from_palm);
+            s.joints.iter().copied().chain(translation).chain(quaternion).for_each(&mut number);
+            number(s.squeeze_n);
+            number(s.mass_kg);
+        }
+        crate::files::hex(&hash.finalize())
     }
 
     pub(crate) fn wrong(

@@ -1,0 +1,195 @@
+//! Between the network's numbers and physical ones: normalisation of the inputs, targets, and decoding of the outputs.
+
+use drex_core::Pose;
+use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::data::GRAVITY_M_S2;
+use crate::{Dataset, GraspSample};
+
+/// tanh reaches its ends only at infinity, but demonstrations often lie on a joint limit: the output interval is this much wider than
+/// the limits, and what exceeds them is clamped.
+pub(crate) const STRETCH: f64 = 1.02;
+
+/// The force stays within this factor of the squeeze per weight seen in training.
+const FORCE_MARGIN: f64 = 2.0;
+
+/// Masses beyond this factor of those seen in training are refused.
+pub(crate) const MASS_MARGIN: f64 = 10.0;
+
+/// Numbers taken from the training samples (never from those held out).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Normalisation {
+    /// Scale of points and wrist, lever of angles, m.
+    pub length_m: f64,
+    /// Lightest object seen, kg.
+    pub least_mass_kg: f64,
+    /// Heaviest object seen, kg.
+    pub most_mass_kg: f64,
+    /// Least squeeze per weight seen, N/N.
+    pub least_squeeze_per_weight: f64,
+    /// Largest squeeze per weight seen, N/N.
+    pub most_squeeze_per_weight: f64,
+}
+
+impl Normalisation {
+    pub fn new<'a>(samples: impl Iterator<Item = &'a GraspSample>, length_m: f64) -> Self {
+        let mut norm = Self {
+            length_m,
+            least_mass_kg: f64::INFINITY,
+            most_mass_kg: 0.0,
+            least_squeeze_per_weight: f64::INFINITY,
+            most_squeeze_per_weight: 0.0,
+        };
+        for s in samples {
+            let ratio = squeeze_per_weight(s);
+            norm.least_mass_kg = norm.least_mass_kg.min(s.mass_kg);
+            norm.most_mass_kg = norm.most_mass_kg.max(s.mass_kg);
+            norm.least_squeeze_per_weight = norm.least_squeeze_per_weight.min(ratio);
+            norm.most_squeeze_per_weight = norm.most_squeeze_per_weight.max(ratio);
+        }
+        norm
+    }
+
+    /// Whether numbers read from a file can be used.
+    pub fn is_sound(&self) -> bool {
+        let ordered = |least: f64, most: f64| least > 0.0 && least <= most && most.is_finite() && least.is_normal();
+        (1e-3..=10.0).contains(&self.length_m)
+            && ordered(self.least_mass_kg, self.most_mass_kg)
+            && ordered(self.least_squeeze_per_weight, self.most_squeeze_per_weight)
+    }
+
+    /// The mass input: -1 at the lightest and 1 at the heaviest mass of the training data, linear in the logarithm, constant outside.
+    /// So outside the data the squeeze per weight keeps its last value and the force grows in proportion to the mass.
+    pub fn mass_input(&self, mass_kg: f64) -> f32 {
+        let (a, b) = (self.least_mass_kg.ln(), self.most_mass_kg.ln());
+        if b - a < 1e-9 {
+            return 0.0;
+        }
+        (2.0 * (mass_kg.ln() - a) / (b - a) - 1.0).clamp(-1.0, 1.0) as f32
+    }
+
+    /// Centre and half width of the interval of ln(squeeze / weight) that the network can express.
+    pub fn log_ratio_interval(&self) -> (f64, f64) {
+        let (a, b) = (self.least_squeeze_per_weight.ln(), self.most_squeeze_per_weight.ln());
+        ((a + b) / 2.0, (b - a) / 2.0 + FORCE_MARGIN.ln())
+    }
+
+    /// Squeeze in N from the network's output and the mass: m g exp(c + h tanh o).
+    pub fn squeeze_n(&self, output: f64, mass_kg: f64) -> f64 {
+        let (centre, half) = self.log_ratio_interval();
+        mass_kg * GRAVITY_M_S2 * (centre + half * output.tanh()).exp()
+    }
+}
+
+/// Squeeze over weight of a demonstration, N/N. Friction and the geometry of the grasp fix it; the mass drops out
+/// as long as torque limits do not bind.
+pub(crate) fn squeeze_per_weight(sample: &GraspSample) -> f64 {
+    sample.squeeze_n / (sample.mass_kg * GRAVITY_M_S2)
+}
+
+/// Centre and half width of each joint's interval, rad.
+pub(crate) fn joint_intervals(limits: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    limits.iter().map(|(a, b)| ((a + b) / 2.0, (b - a) / 2.0)).collect()
+}
+
+/// Translation over length and the first two columns of the rotation (Zhou et al. 2019): nine numbers without a jump anywhere on SO(3).
+pub(crate) fn wrist_numbers(pose: &Pose, length_m: f64) -> [f64; 9] {
+    let t = pose.translation.vector / length_m;
+    let r = pose.rotation.to_rotation_matrix();
+    let (a, b) = (r.matrix().column(0), r.matrix().column(1));
+    [t.x, t.y, t.z, a[0], a[1], a[2], b[0], b[1], b[2]]
+}
+
+/// The pose that [`wrist_numbers`] came from; the columns are made orthonormal by Gram-Schmidt. Where they are parallel
+/// or zero, some rotation.
+pub(crate) fn wrist_pose(numbers: &[f64; 9], length_m: f64) -> Pose {
+    let [x, y, z, a, b, c, d, e, f] = *numbers;
+    let first = Vector3::new(a, b, c).try_normalize(1e-12).unwrap_or_else(Vector3::x);
+    let second = Vector3::new(d, e, f);
+    let second = (second - first * first.dot(&second)).try_normalize(1e-12).unwrap_or_else(|| {
+        // Any direction across the first: the axis along which it has its smallest component cannot be parallel to it.
+        let axis = Vector3::ith(first.iamin(), 1.0);
+        (axis - first * first.dot(&axis)).normalize()
+    });
+    let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[first, second, first.cross(&second)]));
+    Isometry3::from_parts((Vector3::new(x, y, z) * length_m).into(), UnitQuaternion::from_rotation_matrix(&rotation))
+}
+
+/// What the last layer must say for its output to be this grasp: the inverse of the decoding, cut short of infinity.
+pub(crate) fn outputs_for(data: &Dataset, sample: &GraspSample, centre: &Vector3<f64>, norm: &Normalisation) -> Vec<f32> {
+    let inverse_tanh = |v: f64| v.clamp(-0.999, 0.999).atanh();
+    let mut out = Vec::new();
+    for (&angle, (middle, half)) in sample.joints.iter().zip(joint_intervals(&data.joint_limits)) {
+        let part = if half > 0.0 { (angle - middle) / (half * STRETCH) } else { 0.0 };
+        out.push(inverse_tanh(part) as f32);
+    }
+    let pose = relative_to(&sample.object_from_palm, centre);
+    out.extend(wrist_numbers(&pose, norm.length_m).map(|v| v as f32));
+    let (middle, half) = norm.log_ratio_interval();
+    out.push(inverse_tanh((squeeze_per_weight(sample).ln() - middle) / half) as f32);
+    out.push(0.0);
+    out
+}
+
+/// The pose with its translation measured from `centre`.
+pub(crate) fn relative_to(pose: &Pose, centre: &Vector3<f64>) -> Pose {
+    Isometry3::from_parts((pose.translation.vector - centre).into(), pose.rotation)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn norm() -> Normalisation {
+        Normalisation { length_m: 0.1, least_mass_kg: 0.1, most_mass_kg: 0.4, least_squeeze_per_weight: 2.0, most_squeeze_per_weight: 3.0 }
+    }
+
+    #[test]
+    fn force_is_proportional_to_mass_and_bounded() {
+        let n = norm();
+        assert!((n.squeeze_n(0.3, 0.4) / n.squeeze_n(0.3, 0.1) - 4.0).abs() < 1e-12);
+        let weight = 0.2 * GRAVITY_M_S2;
+        for output in [-1e30, -3.0, 0.0, 3.0, 1e30] {
+            let ratio = n.squeeze_n(output, 0.2) / weight;
+            assert!((2.0 / 2.0 - 1e-9..=3.0 * 2.0 + 1e-9).contains(&ratio), "{ratio}");
+        }
+    }
+
+    #[test]
+    fn mass_input_spans_the_data_and_stops_there() {
+        let n = norm();
+        assert_eq!(n.mass_input(0.1), -1.0);
+        assert!(n.mass_input(0.2).abs() < 1e-6);
+        assert_eq!(n.mass_input(0.4), 1.0);
+        assert_eq!(n.mass_input(4.0), 1.0);
+        let one = Normalisation { most_mass_kg: 0.1, ..n };
+        assert_eq!(one.mass_input(0.3), 0.0);
+    }
+
+    proptest! {
+        #[test]
+        fn wrist_numbers_round_trip(t in prop::array::uniform3(-1.0..1.0), axis in prop::array::uniform3(-3.0..3.0)) {
+            let pose = Isometry3::new(Vector3::from(t), Vector3::from(axis));
+            let back = wrist_pose(&wrist_numbers(&pose, 0.1), 0.1);
+            prop_assert!((back.translation.vector - pose.translation.vector).norm() < 1e-12);
+            prop_assert!(back.rotation.angle_to(&pose.rotation) < 1e-7);
+        }
+
+        #[test]
+        fn any_nine_numbers_give_a_rotation(numbers in prop::array::uniform9(-2.0..2.0)) {
+            let r = wrist_pose(&numbers, 0.1).rotation.to_rotation_matrix();
+            prop_assert!((r.matrix().determinant() - 1.0).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn degenerate_columns_give_a_rotation() {
+        for numbers in [[0.0; 9], [0.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, -1.0, 0.0]] {
+            let r = wrist_pose(&numbers, 0.1).rotation;
+            assert!((r.norm() - 1.0).abs() < 1e-12);
+        }
+    }
+}

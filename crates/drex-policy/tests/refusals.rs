@@ -1,0 +1,93 @@
+//! Input that cannot be used, and what the message says.
+#![allow(clippy::unwrap_used, missing_docs)] // a test says what fails by failing
+#![cfg(feature = "flex")]
+
+mod common;
+
+use std::ops::ControlFlow;
+
+use common::{box_points, small, toy};
+use drex_policy::{Dataset, GraspPolicy, TrainOptions};
+
+fn refused(data: &Dataset, options: &TrainOptions) -> String {
+    GraspPolicy::train(data, options, &mut |_| ControlFlow::Continue(())).unwrap_err().to_string()
+}
+
+/// The message of training on toy data after `change`, which must name all of `words`.
+fn check(change: impl FnOnce(&mut Dataset), words: &[&str]) {
+    let mut data = toy(6, &[0.1, 0.2]);
+    change(&mut data);
+    let message = refused(&data, &small());
+    for word in words {
+        assert!(message.contains(word), "'{word}' is missing in: {message}");
+    }
+}
+
+#[test]
+fn data_that_cannot_be_used() {
+    check(|d| d.samples.clear(), &["toy_hand", "no demonstrations", "at least one"]);
+    check(|d| d.joint_names.clear(), &["no joints"]);
+    check(|d| d.joint_names[2] = "base".into(), &["'base'", "twice"]);
+    check(|d| d.joint_limits.truncate(2), &["3 joint names but 2 joint limits"]);
+    check(|d| d.joint_limits[1] = (1.0, -1.0), &["'middle'", "no interval"]);
+    check(|d| d.samples[3].joints[1] = f64::NAN, &["sample 3", "'middle'", "NaN"]);
+    check(|d| d.samples[4].joints[0] = 2.3, &["sample 4", "'base'", "2.3", "limits", "units"]);
+    check(|d| d.samples[2].joints.truncate(1), &["sample 2", "1 joint angles for 3 joints"]);
+    check(|d| d.samples[1].object_from_palm.translation.x = f64::INFINITY, &["sample 1", "wrist", "not finite"]);
+    check(|d| d.samples[5].squeeze_n = 0.0, &["sample 5", "squeeze is 0 N"]);
+    check(|d| d.samples[0].mass_kg = -1.0, &["sample 0", "mass is -1 kg"]);
+    check(|d| d.samples[0].squeeze_n = 1e9, &["sample 0", "times the weight", "units"]);
+    check(|d| d.points.truncate(20), &["20 surface points", "takes 48"]);
+    check(|d| d.points[7].y = f64::NAN, &["surface point 7"]);
+    check(|d| d.points.iter_mut().for_each(|p| *p *= 1000.0), &["m across", "metres"]);
+}
+
+#[test]
+fn options_that_cannot_be_used() {
+    let data = toy(6, &[0.1]);
+    for (options, word) in [
+        (small().with_epochs(0), "'epochs'"),
+        (small().with_batch(0), "'batch'"),
+        (small().with_modes(0), "'modes'"),
+        (small().with_hidden(1_000_000), "'hidden'"),
+        (small().with_hold_out_every(1), "'hold_out_every'"),
+        (small().with_learning_rate(f64::NAN), "'learning_rate'"),
+    ] {
+        let message = refused(&data, &options);
+        assert!(message.contains(word), "{message}");
+    }
+    assert!(serde_json::from_str::<TrainOptions>(r#"{"epoch": 3}"#).unwrap_err().to_string().contains("epoch"));
+    assert_eq!(serde_json::from_str::<TrainOptions>(r#"{"epochs": 3}"#).unwrap(), TrainOptions::default().with_epochs(3));
+}
+
+#[test]
+fn a_learning_rate_that_diverges_is_named_or_survives() {
+    let message = match GraspPolicy::train(&toy(6, &[0.1]), &small().with_learning_rate(1.0), &mut |_| ControlFlow::Continue(())) {
+        Ok((_, report)) => {
+            assert!(report.curve.iter().all(|s| s.total.is_finite()));
+            return;
+        }
+        Err(e) => e.to_string(),
+    };
+    assert!(message.contains("learning rate"), "{message}");
+}
+
+#[test]
+fn queries_that_cannot_be_answered() {
+    let (policy, _) = GraspPolicy::train(&toy(6, &[0.1, 0.2]), &small().with_epochs(1), &mut |_| ControlFlow::Continue(())).unwrap();
+    let points = box_points();
+    let says = |points: &[nalgebra::Point3<f64>], mass: f64, word: &str| {
+        let message = policy.predict(points, mass).unwrap_err().to_string();
+        assert!(message.contains(word), "{message}");
+    };
+    says(&points[..40], 0.1, "40 points, but the policy takes 48");
+    says(&[], 0.1, "0 points");
+    for mass in [0.0, -0.1, f64::NAN, f64::INFINITY, 1000.0] {
+        says(&points, mass, "too far from the 0.1 .. 0.2 kg");
+    }
+    let mut broken = points.clone();
+    broken[3].z = f64::NEG_INFINITY;
+    says(&broken, 0.1, "point 3 is not finite");
+    let millimetres: Vec<_> = points.iter().map(|p| p * 1000.0).collect();
+    says(&millimetres, 0.1, "metres");
+}
