@@ -1,1 +1,34 @@
 //! Contacts between a hand and an object: grasp map, force closure, the smallest squeeze.
+//!
+//! ```
+//! use drex_grasp::{Contact, SqueezeProblem, smallest_squeeze};
+//! use nalgebra::{Point3, Vector3};
+//!
+//! // Two fingers pinch a 206 g box from both sides, friction 0.5.
+//! let left = Contact::new(Point3::new(-0.03, 0.0, 0.0), Vector3::x(), 0.5);
+//! let right = Contact::new(Point3::new(0.03, 0.0, 0.0), -Vector3::x(), 0.5);
+//! let gravity = Vector3::new(0.0, 0.0, -9.81);
+//! let squeeze = smallest_squeeze(&SqueezeProblem::new(vec![left, right], 0.206, Point3::origin(), gravity))?;
+//! assert!((squeeze.normal_n[0] - 0.206 * 9.81 / (2.0 * 0.5)).abs() < 1e-5); // m g / (2 mu)
+//! # Ok::<(), drex_grasp::SqueezeError>(())
+//! ```
+//!
+//! # Conventions
+//! Points, normals and forces are in the object's frame, SI units. A contact's normal points *into* the object; a contact
+//! force is the force of the hand *on* the object. Robot joint values are in the model's order.
+
+mod ball;
+mod closure;
+mod cone;
+mod contact;
+mod error;
+mod squeeze;
+
+pub use closure::{ClosureOptions, ForceClosure, force_closure};
+pub use contact::{Contact, characteristic_length_m, grasp_map};
+pub use error::{GraspError, Result};
+pub use squeeze::{Squeeze, SqueezeError, SqueezeProblem, TorqueLimits, smallest_forces, smallest_squeeze};
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct ReadmeDoctests;

@@ -1,0 +1,187 @@
+//! Force closure: can the contacts resist a wrench in every direction, and how well?
+
+use nalgebra::{Matrix6xX, Point3};
+use serde::Serialize;
+
+use crate::ball::largest_ball;
+use crate::cone::{Affine, Answer, ConeProgram};
+use crate::contact::validate;
+use crate::{Contact, GraspError, Result, characteristic_length_m, grasp_map};
+
+/// How force closure is judged.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct ClosureOptions {
+    /// Torques are taken about this point (the centre of mass), object frame.
+    pub origin: Point3<f64>,
+    /// Torques are divided by this length, metres; `None` takes [`characteristic_length_m`].
+    pub length_m: Option<f64>,
+    /// Soft fingers: the torque about the normal is at most this many metres times the normal force. `None`: point contacts.
+    pub torsion_m: Option<f64>,
+    /// Sides of the friction pyramids for `min_weight`; FRoGGeR uses 4.
+    pub min_weight_sides: usize,
+}
+
+impl Default for ClosureOptions {
+    fn default() -> Self {
+        Self { origin: Point3::origin(), length_m: None, torsion_m: None, min_weight_sides: 4 }
+    }
+}
+
+impl ClosureOptions {
+    /// The defaults with torques about `origin`.
+    pub fn about(origin: Point3<f64>) -> Self {
+        Self { origin, ..Self::default() }
+    }
+
+    /// The same with soft fingers of torsional friction `torsion_m`, metres.
+    pub fn with_torsion_m(mut self, torsion_m: f64) -> Self {
+        self.torsion_m = Some(torsion_m);
+        self
+    }
+}
+
+/// Whether and how well the contacts hold the object in every direction.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct ForceClosure {
+    /// Whether forces strictly inside all cones balance and the contacts span all six directions
+    /// (Murray, Li, Sastry, proposition 5.3). Exact circular cones.
+    pub closed: bool,
+    /// Ferrari-Canny quality: radius of the largest ball about the origin inside the hull of the wrenches of unit normal force
+    /// (Ferrari, Canny 1992, the L1 form),
+    /// circular cones, torques divided by `length_m`. Zero if not closed. Soft-finger torsion is not counted. Found by local search from many starts: an upper bound, in practice the value.
+    pub epsilon: f64,
+    /// FRoGGeR's min-weight: the largest l with Σ aᵢ wᵢ = 0, Σ aᵢ = 1, aᵢ >= l over the pyramid's edge wrenches wᵢ. Zero if there is none.
+    pub min_weight: f64,
+    /// The length that torques were divided by, metres.
+    pub length_m: f64,
+}
+
+/// Judges the force closure of `contacts`.
+///
+/// # Errors
+/// If a contact or an option is invalid, or the solver gives up. No contacts at all is simply not closed.
+pub fn force_closure(contacts: &[Contact], options: &ClosureOptions) -> Result<ForceClosure> {
+    validate(contacts)?;
+    if !(3..=64).contains(&options.min_weight_sides) {
+        return Err(GraspError::value(
+            format!("a friction pyramid with {} sides", options.min_weight_sides),
+            "give min_weight_sides of 3 to 64",
+        ));
+    }
+    let length_m = options.length_m.unwrap_or_else(|| characteristic_length_m(contacts, &options.origin));
+    if !(length_m > 0.0 && length_m.is_finite()) {
+        return Err(GraspError::value(format!("the torque length is {length_m} m"), "give a positive length"));
+    }
+    let open = ForceClosure { closed: false, epsilon: 0.0, min_weight: 0.0, length_m };
+    if contacts.is_empty() {
+        return Ok(open);
+    }
+    let g = scaled_map(contacts, options, length_m);
+    let closed = spans_all(contacts, &g, options.torsion_m) && balance_margin(contacts, &g, options.torsion_m)? > 1e-6;
+    if !closed {
+        return Ok(open);
+    }
+    let epsilon = largest_ball(contacts, &g)?;
+    let min_weight = min_weight(contacts, &g, options.min_weight_sides)?.max(0.0);
+    Ok(ForceClosure { closed, epsilon, min_weight, length_m })
+}
+
+/// Grasp map with torques in units of force.
+fn scaled_map(contacts: &[Contact], options: &ClosureOptions, length_m: f64) -> Matrix6xX<f64> {
+    let mut g = grasp_map(contacts, &options.origin);
+    g.rows_mut(3, 3).scale_mut(1.0 / length_m);
+    g
+}
+
+/// Whether the directions in which the contacts can push at all span six dimensions.
+fn spans_all(contacts: &[Contact], g: &Matrix6xX<f64>, torsion_m: Option<f64>) -> bool {
+    let mut columns = Vec::new();
+    for (i, c) in contacts.iter().enumerate() {
+        columns.push(g.column(3 * i).into_owned());
+        if c.friction > 0.0 {
+            columns.push(g.column(3 * i + 1).into_owned());
+            columns.push(g.column(3 * i + 2).into_owned());
+        }
+        if torsion_m.is_some_and(|t| t > 0.0) {
+            let mut twist = nalgebra::Vector6::zeros();
+            twist.fixed_rows_mut::<3>(3).copy_from(&c.normal);
+            columns.push(twist);
+        }
+    }
+    if columns.len() < 6 {
+        return false;
+    }
+    let gram = columns.iter().map(|c| c * c.transpose()).sum::<nalgebra::Matrix6<f64>>();
+    let eigenvalues = gram.symmetric_eigenvalues();
+    // Eigenvalues are squares: 1e-8 is a singular value ratio of 1e-4, well below any real grasp and above rounding.
+    eigenvalues.min() > 1e-8 * eigenvalues.max()
+}
+
+/// The largest t such that forces with Σ f_n = 1 balance and stay a distance t inside their cones.
+fn balance_margin(contacts: &[Contact], g: &Matrix6xX<f64>, torsion_m: Option<f64>) -> Result<f64> {
+    let n = contacts.len();
+    let torsion = torsion_m.filter(|&t| t > 0.0);
+    let t = 3 * n + if torsion.is_some() { n } else { 0 };
+    let mut program = ConeProgram::new(t + 1);
+    program.cost(t, -1.0);
+    program.zero(Affine::new((0..n).map(|i| (3 * i, 1.0)).collect(), -1.0));
+    for row in 0..6 {
+        let mut terms: Vec<(usize, f64)> = (0..3 * n).map(|j| (j, g[(row, j)])).collect();
+        if torsion.is_some() && row >= 3 {
+            terms.extend(contacts.iter().enumerate().map(|(i, c)| (3 * n + i, c.normal[row - 3])));
+        }
+        program.zero(Affine::new(terms, 0.0));
+    }
+    for (i, c) in contacts.iter().enumerate() {
+        program.nonnegative(Affine::new(vec![(3 * i, 1.0), (t, -1.0)], 0.0));
+        if c.friction > 0.0 {
+            program.second_order(vec![
+                Affine::new(vec![(3 * i, c.friction), (t, -c.friction)], 0.0),
+                Affine::var(3 * i + 1, 1.0),
+                Affine::var(3 * i + 2, 1.0),
+            ]);
+        } else {
+            program.zero(Affine::var(3 * i + 1, 1.0));
+            program.zero(Affine::var(3 * i + 2, 1.0));
+        }
+        if torsion.is_some() {
+            // The scale of the torsion does not matter for closure, only that there is some.
+            for sign in [1.0, -1.0] {
+                program.nonnegative(Affine::new(vec![(3 * i, 1.0), (t, -1.0), (3 * n + i, sign)], 0.0));
+            }
+        }
+    }
+    match program.minimise()? {
+        Answer::Solved { x } => Ok(x[t]),
+        Answer::Infeasible => Ok(f64::NEG_INFINITY),
+    }
+}
+
+/// FRoGGeR's linear programme (Li et al., 2023, eq. 6).
+fn min_weight(contacts: &[Contact], g: &Matrix6xX<f64>, sides: usize) -> Result<f64> {
+    let mut edges = Vec::new();
+    for (i, c) in contacts.iter().enumerate() {
+        // A frictionless contact has one edge, its normal.
+        let count = if c.friction > 0.0 { sides } else { 1 };
+        for k in 0..count {
+            let (s, co) = (std::f64::consts::TAU * k as f64 / sides as f64).sin_cos();
+            edges.push(g.column(3 * i) + (g.column(3 * i + 1) * co + g.column(3 * i + 2) * s) * c.friction);
+        }
+    }
+    let l = edges.len();
+    let mut program = ConeProgram::new(l + 1);
+    program.cost(l, -1.0);
+    program.zero(Affine::new((0..l).map(|j| (j, 1.0)).collect(), -1.0));
+    for row in 0..6 {
+        program.zero(Affine::new(edges.iter().enumerate().map(|(j, w)| (j, w[row])).collect(), 0.0));
+    }
+    for j in 0..l {
+        program.nonnegative(Affine::new(vec![(j, 1.0), (l, -1.0)], 0.0));
+    }
+    match program.minimise()? {
+        Answer::Solved { x } => Ok(x[l]),
+        Answer::Infeasible => Ok(0.0),
+    }
+}

@@ -1,0 +1,406 @@
+//! The smallest squeeze that carries a load: a second-order cone programme.
+//!
+//! minimise Σ f_n  subject to  G f = −w,  |f_t| <= μ f_n,  floor <= f_n <= ceiling,  τ_min <= Jᵀ f + τ_gravity <= τ_max.
+
+use nalgebra::{DVector, Matrix3xX, Point3, Vector3, Vector6};
+
+use crate::cone::{Affine, Answer, ConeProgram};
+use crate::contact::validate;
+use crate::{Contact, GraspError, characteristic_length_m, grasp_map};
+
+/// Contacts, load and limits.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct SqueezeProblem {
+    /// Where the hand touches the object, object frame.
+    pub contacts: Vec<Contact>,
+    /// Mass of the object, kg.
+    pub mass_kg: f64,
+    /// Centre of mass, object frame, metres.
+    pub center_of_mass: Point3<f64>,
+    /// Gravity in the object frame, m/s².
+    pub gravity: Vector3<f64>,
+    /// Margin γ on the weight: 1 carries it at rest, 1.5 covers errors of about 20 % in mass and friction.
+    pub gamma: f64,
+    /// Further load on the object: force (N) and torque about the centre of mass (N m), object frame.
+    pub extra_wrench: Vector6<f64>,
+    /// Soft fingers: torque about the normal up to this many metres times the normal force.
+    pub torsion_m: Option<f64>,
+    /// Least normal force of each contact, N.
+    pub min_normal_n: f64,
+    /// Largest normal force of each contact, N: what the object stands before it is damaged.
+    pub max_normal_n: Option<f64>,
+    /// What the fingers' motors can do.
+    pub torques: Option<TorqueLimits>,
+}
+
+/// Joint torques that the contact forces ask for, and what the motors can give.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TorqueLimits {
+    /// Per contact, 3 × dof: velocity of the link's point at the contact, in the object frame, per joint speed.
+    pub jacobians: Vec<Matrix3xX<f64>>,
+    /// Lower and upper torque of each joint, N m; infinite where a joint has no limit.
+    pub limits_nm: Vec<(f64, f64)>,
+    /// Torque of each joint that holds the hand's own weight, N m.
+    pub gravity_nm: DVector<f64>,
+}
+
+impl SqueezeProblem {
+    /// Carries `mass_kg` at rest against `gravity` (object frame, m/s²): no margin, no limits, point contacts.
+    pub fn new(contacts: Vec<Contact>, mass_kg: f64, center_of_mass: Point3<f64>, gravity: Vector3<f64>) -> Self {
+        Self {
+            contacts,
+            mass_kg,
+            center_of_mass,
+            gravity,
+            gamma: 1.0,
+            extra_wrench: Vector6::zeros(),
+            torsion_m: None,
+            min_normal_n: 0.0,
+            max_normal_n: None,
+            torques: None,
+        }
+    }
+
+    /// The same with the margin `gamma` on the weight.
+    pub fn with_gamma(mut self, gamma: f64) -> Self {
+        self.gamma = gamma;
+        self
+    }
+
+    /// The same with soft fingers of torsional friction `torsion_m`, metres.
+    pub fn with_torsion_m(mut self, torsion_m: f64) -> Self {
+        self.torsion_m = Some(torsion_m);
+        self
+    }
+
+    /// The same with at most `max_normal_n` newtons at each contact.
+    pub fn with_max_normal_n(mut self, max_normal_n: f64) -> Self {
+        self.max_normal_n = Some(max_normal_n);
+        self
+    }
+
+    /// The same with at least `min_normal_n` newtons at each contact.
+    pub fn with_min_normal_n(mut self, min_normal_n: f64) -> Self {
+        self.min_normal_n = min_normal_n;
+        self
+    }
+
+    /// The same with motors.
+    pub fn with_torques(mut self, torques: TorqueLimits) -> Self {
+        self.torques = Some(torques);
+        self
+    }
+
+    /// The wrench the contacts have to balance, about the centre of mass.
+    fn load(&self) -> Vector6<f64> {
+        let weight = self.gravity * (self.mass_kg * self.gamma);
+        self.extra_wrench + Vector6::new(weight.x, weight.y, weight.z, 0.0, 0.0, 0.0)
+    }
+}
+
+/// The smallest squeeze.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Squeeze {
+    /// Sum of the normal forces, N.
+    pub total_n: f64,
+    /// Force of each contact on the object, N, object frame.
+    pub forces: Vec<Vector3<f64>>,
+    /// Normal force of each contact, N.
+    pub normal_n: Vec<f64>,
+    /// Sum of the normal forces of each finger, N; index = finger. Fingers beyond the last that touches are not listed.
+    pub per_finger_n: Vec<f64>,
+    /// Sum of the normal forces of the palm, N.
+    pub palm_n: f64,
+    /// Torque of each joint, N m; empty if the problem has no [`TorqueLimits`].
+    pub joint_torques_nm: Vec<f64>,
+    /// Least 1 − |τ| / |limit| over the joints: 0 at a limit. One if there are no limits.
+    pub torque_margin: f64,
+    /// By which fraction all friction coefficients can fall before no squeeze within the limits carries the load:
+    /// 0 at the edge, 1 if no friction is needed.
+    pub friction_margin: f64,
+}
+
+/// Why there is no squeeze.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SqueezeError {
+    /// No contact forces inside the friction cones balance the load, however hard the hand squeezes.
+    #[error(
+        "{contacts} contacts cannot carry the load however hard they squeeze: no forces inside the friction cones balance it; add an opposing contact"
+    )]
+    NoEquilibrium {
+        /// Number of contacts.
+        contacts: usize,
+    },
+    /// The load could be carried, but not within the normal-force limits.
+    #[error(
+        "the load needs up to {needed_n:.2} N at one contact (contact {contact}), the limits are {min_n:.2} to {max_n:.2} N; spread the load over more contacts"
+    )]
+    NormalForce {
+        /// The contact that carries most in the unlimited solution.
+        contact: usize,
+        /// Its normal force there, N.
+        needed_n: f64,
+        /// Lower limit, N.
+        min_n: f64,
+        /// Upper limit, N.
+        max_n: f64,
+    },
+    /// The load could be carried, but not with these motors.
+    #[error(
+        "joint {joint} would need {needed_nm:.3} N m and has {limit_nm:.3} N m; no other distribution stays within the limits: grasp closer to the palm or lower the load"
+    )]
+    Torque {
+        /// The joint furthest over its limit in the solution without torque limits.
+        joint: usize,
+        /// Its torque there, N m.
+        needed_nm: f64,
+        /// The limit it breaks, N m.
+        limit_nm: f64,
+    },
+    /// The problem is no problem: sizes or numbers.
+    #[error(transparent)]
+    Input(#[from] GraspError),
+}
+
+/// Solves the cone programme and, if it cannot be solved, says which limit is in the way.
+///
+/// # Errors
+/// [`SqueezeError::NoEquilibrium`], [`SqueezeError::NormalForce`] or [`SqueezeError::Torque`] if the load cannot be carried;
+/// [`SqueezeError::Input`] for sizes that do not fit or numbers that are not finite.
+pub fn smallest_squeeze(problem: &SqueezeProblem) -> Result<Squeeze, SqueezeError> {
+    let f = smallest_forces(problem)?;
+    let mut squeeze = describe(problem, &f);
+    squeeze.friction_margin = friction_margin(problem)?;
+    Ok(squeeze)
+}
+
+/// Only the forces of [`smallest_squeeze`]: normal and two tangential components per contact in [`Contact::axes`], N.
+/// One cone programme instead of the dozen that the friction margin takes.
+///
+/// # Errors
+/// As [`smallest_squeeze`].
+pub fn smallest_forces(problem: &SqueezeProblem) -> Result<Vec<Vector3<f64>>, SqueezeError> {
+    check(problem)?;
+    if let Some(f) = solve(problem, 1.0, Limits { normal: true, torque: true })? {
+        return Ok(f);
+    }
+    // Drop the limits one by one to find the one in the way.
+    let Some(free) = solve(problem, 1.0, Limits { normal: false, torque: false })? else {
+        return Err(SqueezeError::NoEquilibrium { contacts: problem.contacts.len() });
+    };
+    if let Some(without_torque) = solve(problem, 1.0, Limits { normal: true, torque: false })? {
+        return Err(worst_joint(problem, &without_torque));
+    }
+    let contact = (0..free.len()).max_by(|&a, &b| free[a].x.total_cmp(&free[b].x)).unwrap_or(0);
+    Err(SqueezeError::NormalForce {
+        contact,
+        needed_n: free[contact].x,
+        min_n: problem.min_normal_n,
+        max_n: problem.max_normal_n.unwrap_or(f64::INFINITY),
+    })
+}
+
+/// Which limits a programme keeps.
+#[derive(Clone, Copy)]
+struct Limits {
+    normal: bool,
+    torque: bool,
+}
+
+/// The programme with all friction coefficients times `friction_scale`. `None` if it is infeasible.
+fn solve(problem: &SqueezeProblem, friction_scale: f64, limits: Limits) -> Result<Option<Vec<Vector3<f64>>>, GraspError> {
+    let contacts = &problem.contacts;
+    let n = contacts.len();
+    let load = problem.load();
+    let length = characteristic_length_m(contacts, &problem.center_of_mass);
+    // Forces in units of the load and torques in units of load times length, so that the solver's tolerances are relative.
+    let unit = load.fixed_rows::<3>(0).norm().max(load.fixed_rows::<3>(3).norm() / length);
+    if unit == 0.0 && problem.min_normal_n == 0.0 {
+        return Ok(within_limits_at_rest(problem).then(|| vec![Vector3::zeros(); n]));
+    }
+    let unit = if unit > 0.0 { unit } else { problem.min_normal_n };
+    let g = grasp_map(contacts, &problem.center_of_mass);
+    let torsion = problem.torsion_m.filter(|&t| t > 0.0);
+    let mut program = ConeProgram::new(3 * n + if torsion.is_some() { n } else { 0 });
+    for row in 0..6 {
+        let scale = if row < 3 { 1.0 } else { 1.0 / length };
+        let mut terms: Vec<(usize, f64)> = (0..3 * n).map(|j| (j, g[(row, j)] * scale)).collect();
+        if let (Some(t), true) = (torsion, row >= 3) {
+            // The torsional unknown is torque / torsion_m, a force, to keep the columns alike.
+            terms.extend(contacts.iter().enumerate().map(|(i, c)| (3 * n + i, c.normal[row - 3] * t * scale)));
+        }
+        program.zero(Affine::new(terms, load[row] * scale / unit));
+    }
+    for (i, c) in contacts.iter().enumerate() {
+        program.cost(3 * i, 1.0);
+        let floor = if limits.normal { problem.min_normal_n } else { 0.0 };
+        program.nonnegative(Affine::new(vec![(3 * i, 1.0)], -floor / unit));
+        if let (true, Some(most)) = (limits.normal, problem.max_normal_n) {
+            program.nonnegative(Affine::new(vec![(3 * i, -1.0)], most / unit));
+        }
+        let mu = c.friction * friction_scale;
+        if mu > 0.0 {
+            program.second_order(vec![Affine::var(3 * i, mu), Affine::var(3 * i + 1, 1.0), Affine::var(3 * i + 2, 1.0)]);
+        } else {
+            program.zero(Affine::var(3 * i + 1, 1.0));
+            program.zero(Affine::var(3 * i + 2, 1.0));
+        }
+        if torsion.is_some() {
+            for sign in [1.0, -1.0] {
+                program.nonnegative(Affine::new(vec![(3 * i, friction_scale), (3 * n + i, sign)], 0.0));
+            }
+        }
+    }
+    if let (true, Some(torques)) = (limits.torque, &problem.torques) {
+        let rows: Vec<Matrix3xX<f64>> =
+            contacts.iter().zip(&torques.jacobians).map(|(c, j)| c.axes().transpose() * j).collect();
+        for (joint, &(lower, upper)) in torques.limits_nm.iter().enumerate() {
+            // Rows in units of load times length as well.
+            let row = |sign: f64| {
+                (0..3 * n).map(|k| (k, sign * rows[k / 3][(k % 3, joint)] / length)).collect::<Vec<_>>()
+            };
+            let scale = 1.0 / (unit * length);
+            if upper.is_finite() {
+                program.nonnegative(Affine::new(row(-1.0), (upper - torques.gravity_nm[joint]) * scale));
+            }
+            if lower.is_finite() {
+                program.nonnegative(Affine::new(row(1.0), (torques.gravity_nm[joint] - lower) * scale));
+            }
+        }
+    }
+    Ok(match program.minimise()? {
+        Answer::Solved { x } => {
+            Some((0..n).map(|i| Vector3::new(x[3 * i], x[3 * i + 1], x[3 * i + 2]) * unit).collect())
+        }
+        Answer::Infeasible => None,
+    })
+}
+
+/// With no load at all the smallest squeeze is none, provided that the hand can hold itself.
+fn within_limits_at_rest(problem: &SqueezeProblem) -> bool {
+    problem.torques.as_ref().is_none_or(|t| {
+        t.limits_nm.iter().zip(t.gravity_nm.iter()).all(|(&(lower, upper), &own)| (lower..=upper).contains(&own))
+    })
+}
+
+/// Forces as the reader wants them.
+fn describe(problem: &SqueezeProblem, f: &[Vector3<f64>]) -> Squeeze {
+    let normal_n: Vec<f64> = f.iter().map(|f| f.x).collect();
+    let fingers = problem.contacts.iter().filter_map(|c| c.finger).max().map_or(0, |m| m + 1);
+    let mut per_finger_n = vec![0.0; fingers];
+    let mut palm_n = 0.0;
+    for (contact, normal) in problem.contacts.iter().zip(&normal_n) {
+        match contact.finger {
+            Some(finger) => per_finger_n[finger] += normal,
+            None => palm_n += normal,
+        }
+    }
+    let joint_torques_nm = torques(problem, f);
+    let torque_margin = problem.torques.iter().flat_map(|t| &t.limits_nm).zip(&joint_torques_nm).fold(1.0, |m, (l, t)| {
+        f64::min(m, 1.0 - t / if *t >= 0.0 { l.1.max(f64::MIN_POSITIVE) } else { l.0.min(-f64::MIN_POSITIVE) })
+    });
+    Squeeze {
+        total_n: normal_n.iter().sum(),
+        forces: problem.contacts.iter().zip(f).map(|(c, f)| c.axes() * f).collect(),
+        normal_n,
+        per_finger_n,
+        palm_n,
+        joint_torques_nm,
+        torque_margin,
+        friction_margin: 0.0,
+    }
+}
+
+/// τ = Jᵀ f + τ_gravity for forces in contact axes; empty without motors.
+fn torques(problem: &SqueezeProblem, f: &[Vector3<f64>]) -> Vec<f64> {
+    problem.torques.iter().flat_map(|t| {
+        let mut tau = t.gravity_nm.clone();
+        for ((contact, jacobian), f) in problem.contacts.iter().zip(&t.jacobians).zip(f) {
+            tau += jacobian.tr_mul(&(contact.axes() * f));
+        }
+        tau.iter().copied().collect::<Vec<_>>()
+    }).collect()
+}
+
+/// Bisection on a common factor of the friction coefficients; the feasible factors form an interval that ends at 1.
+fn friction_margin(problem: &SqueezeProblem) -> Result<f64, GraspError> {
+    let feasible = |scale: f64| -> Result<bool, GraspError> {
+        match solve(problem, scale, Limits { normal: true, torque: true }) {
+            Ok(answer) => Ok(answer.is_some()),
+            // Close to the edge the interior is thin and the solver may stop half-way: count it as the edge.
+            Err(GraspError::Solver { .. }) => Ok(false),
+            Err(other) => Err(other),
+        }
+    };
+    if feasible(0.0)? {
+        return Ok(1.0);
+    }
+    let (mut low, mut high) = (0.0, 1.0);
+    for _ in 0..10 {
+        let middle = 0.5 * (low + high);
+        if feasible(middle)? { high = middle } else { low = middle }
+    }
+    Ok(1.0 - high)
+}
+
+/// The joint that is furthest beyond its limit, in units of the limit.
+fn worst_joint(problem: &SqueezeProblem, f: &[Vector3<f64>]) -> SqueezeError {
+    let limits = problem.torques.as_ref().map(|t| t.limits_nm.as_slice()).unwrap_or_default();
+    let mut worst = (f64::NEG_INFINITY, SqueezeError::NoEquilibrium { contacts: problem.contacts.len() });
+    for (joint, (&tau, &(lower, upper))) in torques(problem, f).iter().zip(limits).enumerate() {
+        let limit = if tau > upper { upper } else { lower };
+        let excess = (tau - upper).max(lower - tau) / limit.abs().max(1e-9);
+        if excess > worst.0 {
+            worst = (excess, SqueezeError::Torque { joint, needed_nm: tau, limit_nm: limit });
+        }
+    }
+    worst.1
+}
+
+/// Sizes and numbers.
+fn check(problem: &SqueezeProblem) -> Result<(), GraspError> {
+    validate(&problem.contacts)?;
+    let bad = |what: String, remedy| Err(GraspError::value(what, remedy));
+    if !(problem.mass_kg >= 0.0 && problem.mass_kg.is_finite()) {
+        return bad(format!("the mass is {} kg", problem.mass_kg), "give a finite mass of zero or more");
+    }
+    if !(problem.gamma >= 0.0 && problem.gamma.is_finite()) {
+        return bad(format!("the margin gamma is {}", problem.gamma), "give a factor such as 1.5");
+    }
+    let numbers = problem.center_of_mass.iter().chain(problem.gravity.iter()).chain(problem.extra_wrench.iter());
+    if numbers.copied().any(|v| !v.is_finite()) {
+        return bad("the centre of mass, gravity or extra wrench is not finite".into(), "check where they come from");
+    }
+    if !(problem.min_normal_n >= 0.0) || problem.max_normal_n.is_some_and(|m| !(m >= problem.min_normal_n)) {
+        return bad(
+            format!("the normal force limits are {} to {:?} N", problem.min_normal_n, problem.max_normal_n),
+            "give 0 <= floor <= ceiling",
+        );
+    }
+    if problem.torsion_m.is_some_and(|t| !(t >= 0.0 && t.is_finite())) {
+        return bad(format!("the torsional friction is {:?} m", problem.torsion_m), "give metres, such as 0.005");
+    }
+    if let Some(t) = &problem.torques {
+        let dof = t.limits_nm.len();
+        if t.jacobians.len() != problem.contacts.len() {
+            return bad(
+                format!("{} Jacobians for {} contacts", t.jacobians.len(), problem.contacts.len()),
+                "give one Jacobian per contact",
+            );
+        }
+        if t.gravity_nm.len() != dof || t.jacobians.iter().any(|j| j.ncols() != dof) {
+            return bad(format!("Jacobians or gravity torques do not have {dof} joints"), "give one column per joint");
+        }
+        if let Some(joint) = t.limits_nm.iter().position(|(l, u)| !(l <= u)) {
+            return bad(format!("joint {joint} has no interval of torques"), "give lower <= upper, N m");
+        }
+        let mut values = t.jacobians.iter().flat_map(|j| j.iter()).chain(t.gravity_nm.iter());
+        if values.any(|v| !v.is_finite()) {
+            return bad("a Jacobian or gravity torque is not finite".into(), "check the joint values");
+        }
+    }
+    Ok(())
+}
