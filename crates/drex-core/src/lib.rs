@@ -5,6 +5,7 @@
 //! `a_from_b` maps coordinates in frame b to coordinates in frame a; quaternions are w, x, y, z on disk;
 //! joint values are keyed by joint name; time stamps are seconds of one clock.
 
+pub mod camera;
 pub mod clock;
 pub mod error;
 pub mod fsutil;

@@ -1,5 +1,12 @@
 //! Triangle meshes as plain data, and the exact mass properties of the solid they bound.
 
+mod obj;
+mod stl;
+
+use std::path::Path;
+
+pub use self::obj::{parse_obj, read_obj};
+pub use self::stl::{parse_stl, read_stl};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::{Error, Pose, Result};
@@ -51,6 +58,23 @@ impl TriMesh {
             ));
         }
         Ok(Self { vertices, faces })
+    }
+
+    /// Reads a mesh by the ending of its name: `.stl` (binary or text) or `.obj`. Coordinates are taken as metres.
+    ///
+    /// # Errors
+    /// If the file cannot be read, its ending is another, or its content is malformed.
+    pub fn read(path: &Path) -> Result<Self> {
+        match path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).as_deref() {
+            Some("stl") => read_stl(path),
+            Some("obj") => read_obj(path),
+            _ => Err(Error::content(path, None, "meshes are read from .stl and .obj", "convert the mesh to one of these")),
+        }
+    }
+
+    /// The same mesh with every coordinate multiplied, as from millimetres to metres (0.001).
+    pub fn scaled(&self, factor: f64) -> Self {
+        Self { vertices: self.vertices.iter().map(|v| v * factor).collect(), faces: self.faces.clone() }
     }
 
     /// Corner points of face `f`.

@@ -1,7 +1,10 @@
 //! Time-stamped poses.
 
+mod analysis;
+
 use nalgebra::Vector3;
 
+pub use self::analysis::{Gap, Speeds, TrackNoise, make_signs_continuous};
 use crate::pose::interpolate;
 use crate::{Error, Pose, Result};
 
@@ -117,5 +120,46 @@ impl Trajectory {
             times_s: self.times_s.clone(),
             poses: self.poses.iter().map(|p| p * b_from_c).collect(),
         }
+    }
+
+    /// The motion at the given times, interpolated as in [`Trajectory::at`].
+    ///
+    /// # Errors
+    /// If a time is outside the recorded span.
+    pub fn resampled(&self, times_s: &[f64]) -> Result<Self> {
+        let poses = times_s
+            .iter()
+            .map(|&t| {
+                self.at(t).ok_or_else(|| {
+                    let span = self.span_s().map_or("nothing".into(), |(a, b)| format!("{a:.3} to {b:.3} s"));
+                    Error::value(
+                        format!("time {t:.3} s is outside the recording ({span})"),
+                        "ask only for times inside it",
+                    )
+                })
+            })
+            .collect::<Result<Vec<_>>>()?;
+        Self::from_samples(times_s, &poses)
+    }
+
+    /// The motion at a steady `rate_hz` from its first time on.
+    ///
+    /// # Errors
+    /// If the rate is not positive, the trajectory is empty, or it would have more than ten million samples.
+    pub fn resampled_at_rate(&self, rate_hz: f64) -> Result<Self> {
+        const MOST: f64 = 1e7;
+        let Some((first, last)) = self.span_s() else {
+            return Err(Error::value("the trajectory is empty", "give one with samples"));
+        };
+        let steps = ((last - first) * rate_hz).floor();
+        if !(rate_hz > 0.0 && rate_hz.is_finite() && steps < MOST) {
+            return Err(Error::value(
+                format!("a rate of {rate_hz} Hz over {:.3} s", last - first),
+                "give a positive rate that makes at most ten million samples",
+            ));
+        }
+        // Rounding may carry the last time a hair beyond the end.
+        let times: Vec<f64> = (0..=steps as usize).map(|i| (first + i as f64 / rate_hz).min(last)).collect();
+        self.resampled(&times)
     }
 }

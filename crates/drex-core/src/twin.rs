@@ -1,1 +1,0 @@
-//! `twin.toml`: the manifest of one object's twin folder.

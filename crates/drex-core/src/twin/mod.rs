@@ -1,0 +1,272 @@
+//! `twin.toml`: the manifest of one object's twin folder.
+//!
+//! The manifest says what is given: the scan, the mass or the pushes that tell it, the grasps, and settings. What the
+//! stages make from it lies beside it in the folder and is never written into the manifest.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Error, Result, fsutil};
+
+/// Name of the manifest in a twin folder.
+pub const MANIFEST: &str = "twin.toml";
+
+/// Friction of the object against hand and table where the manifest states none; reports list it as an assumption.
+pub const ASSUMED_FRICTION: f64 = 0.5;
+
+/// A `twin.toml`. Paths are relative to its folder.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TwinManifest {
+    /// Version of this format: 1.
+    pub schema: u32,
+    /// Name of the object.
+    pub name: String,
+    /// Seed of everything random.
+    #[serde(default)]
+    pub seed: u64,
+    /// The object.
+    pub object: ObjectConfig,
+    /// What is known of its mass.
+    pub mass: MassConfig,
+    /// Recorded grasps.
+    pub grasps: Option<GraspsConfig>,
+    /// Settings of the training, where they differ from the defaults.
+    pub train: Option<TrainConfig>,
+}
+
+/// The object as it was scanned.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ObjectConfig {
+    /// The scanned mesh.
+    pub mesh: PathBuf,
+    /// Unit of the mesh's coordinates.
+    #[serde(default)]
+    pub unit: LengthUnit,
+    /// Up in the mesh frame while the object stands on the table.
+    #[serde(default = "z_up")]
+    pub up_in_mesh: [f64; 3],
+    /// Coulomb friction of the object against hand and table; [`ASSUMED_FRICTION`] if left out.
+    pub friction: Option<f64>,
+}
+
+fn z_up() -> [f64; 3] {
+    [0.0, 0.0, 1.0]
+}
+
+/// Unit of length of a mesh file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LengthUnit {
+    /// Metre.
+    #[default]
+    M,
+    /// Millimetre.
+    Mm,
+    /// Centimetre.
+    Cm,
+}
+
+impl LengthUnit {
+    /// Metres per unit.
+    pub fn in_metres(self) -> f64 {
+        match self {
+            Self::M => 1.0,
+            Self::Mm => 1e-3,
+            Self::Cm => 1e-2,
+        }
+    }
+}
+
+/// Where the mass comes from: a weighed value wins over identification, a prior is never an answer.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MassConfig {
+    /// Pushes that tell the mass: folders or files as [`crate::push::PushRecording::load`] takes them.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub identify: Vec<PathBuf>,
+    /// Weighed mass, kg.
+    pub weighed_kg: Option<f64>,
+    /// First guess, kg.
+    pub prior_kg: Option<f64>,
+}
+
+/// Recorded grasps.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GraspsConfig {
+    /// JSON or npy, as [`crate::readers::read_grasps`] takes them.
+    pub file: PathBuf,
+    /// A bundled hand (`leap_right`) or the path of a URDF or MJCF file.
+    pub hand: String,
+    /// Order of the joints, such as `leap_sdk`, for files that name no joints.
+    pub joint_order: Option<String>,
+}
+
+/// Settings of the training; what is left out keeps its default.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TrainConfig {
+    /// Passes over the grasps.
+    pub epochs: Option<usize>,
+    /// Step size.
+    pub learning_rate: Option<f64>,
+    /// Number of grasp modes that the network chooses from.
+    pub modes: Option<usize>,
+    /// Width of the hidden layers.
+    pub hidden: Option<usize>,
+}
+
+impl TwinManifest {
+    /// A manifest with the given mesh and mass, defaults elsewhere.
+    pub fn new(name: impl Into<String>, mesh: impl Into<PathBuf>, mass: MassConfig) -> Self {
+        let object = ObjectConfig { mesh: mesh.into(), unit: LengthUnit::M, up_in_mesh: z_up(), friction: None };
+        Self { schema: 1, name: name.into(), seed: 0, object, mass, grasps: None, train: None }
+    }
+
+    /// Reads and checks a manifest: a `twin.toml`, or the folder that holds one.
+    ///
+    /// # Errors
+    /// If it cannot be read, is no TOML, has an unknown, missing or ill-typed entry (with line and column), or fails
+    /// [`TwinManifest::check`].
+    pub fn load(path: &Path) -> Result<Self> {
+        let file = if path.is_dir() { path.join(MANIFEST) } else { path.to_path_buf() };
+        Self::parse(&file, &fsutil::read_text(&file)?)
+    }
+
+    /// As [`TwinManifest::load`], from memory; `path` is for messages.
+    ///
+    /// # Errors
+    /// As [`TwinManifest::load`].
+    pub fn parse(path: &Path, text: &str) -> Result<Self> {
+        let manifest: Self = fsutil::from_toml(path, text)?;
+        manifest.check().map_err(|e| Error::at(path, None, e))?;
+        Ok(manifest)
+    }
+
+    /// The text of the file.
+    ///
+    /// # Errors
+    /// If a path is not Unicode or the seed is beyond what TOML can hold (2⁶³ - 1).
+    pub fn to_toml_string(&self) -> Result<String> {
+        toml::to_string(self)
+            .map_err(|e| Error::value(format!("the manifest cannot be written as TOML: {e}"), "use paths in Unicode and a smaller seed"))
+    }
+
+    /// Friction of the object and whether it is assumed rather than stated.
+    pub fn friction(&self) -> (f64, bool) {
+        self.object.friction.map_or((ASSUMED_FRICTION, true), |f| (f, false))
+    }
+
+    /// Checks what the types cannot.
+    ///
+    /// # Errors
+    /// With the entry that is wrong.
+    pub fn check(&self) -> Result<()> {
+        let refuse = |what: String, remedy: &str| Err(Error::value(what, remedy));
+        if self.schema != 1 {
+            return refuse(format!("schema {} of twin.toml is not known", self.schema), "write schema = 1 or use a newer drex");
+        }
+        if self.name.trim().is_empty() {
+            return refuse("name is empty".into(), "name the object");
+        }
+        if self.seed > i64::MAX as u64 {
+            return refuse(format!("seed {} does not fit into TOML", self.seed), "use a seed below 2^63");
+        }
+        let up = nalgebra::Vector3::from(self.object.up_in_mesh);
+        if !(up.iter().all(|c| c.is_finite()) && up.norm() > 1e-9) {
+            return refuse("[object] up_in_mesh is no direction".into(), "give a vector that is not zero, such as [0, 0, 1]");
+        }
+        if let Some(friction) = self.object.friction
+            && !(0.0..=10.0).contains(&friction)
+        {
+            return refuse(format!("[object] friction = {friction}"), "give a coefficient between 0 and 10, usually 0.2 to 1");
+        }
+        let m = &self.mass;
+        if m.identify.is_empty() && m.weighed_kg.is_none() && m.prior_kg.is_none() {
+            return refuse(
+                "[mass] says nothing".into(),
+                "give identify = [\"push/<name>\"] with a recorded push, or weighed_kg, or at least a guess as prior_kg",
+            );
+        }
+        for (entry, value) in [("weighed_kg", m.weighed_kg), ("prior_kg", m.prior_kg)] {
+            if let Some(value) = value
+                && !(value > 0.0 && value < 1e3)
+            {
+                return refuse(format!("[mass] {entry} = {value}"), "give kilograms of an object that a hand can lift");
+            }
+        }
+        if let Some(grasps) = &self.grasps
+            && grasps.hand.trim().is_empty()
+        {
+            return refuse("[grasps] hand is empty".into(), "name a bundled hand such as leap_right, or a URDF or MJCF file");
+        }
+        let train = self.train.clone().unwrap_or_default();
+        for (entry, value) in [("epochs", train.epochs), ("modes", train.modes), ("hidden", train.hidden)] {
+            if value == Some(0) {
+                return refuse(format!("[train] {entry} = 0"), "give a positive number or leave it out");
+            }
+        }
+        if let Some(rate) = train.learning_rate
+            && !(rate > 0.0 && rate.is_finite())
+        {
+            return refuse(format!("[train] learning_rate = {rate}"), "give a small positive number, such as 1e-3");
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FULL: &str = r#"
+schema = 1
+name = "cookie"
+[object]
+mesh = "scan/cookie.stl"
+unit = "mm"
+up_in_mesh = [1, 0, 0]
+[mass]
+identify = ["push/push1"]
+prior_kg = 0.5
+[grasps]
+file = "demos/grasps.json"
+hand = "leap_right"
+joint_order = "leap_sdk"
+[train]
+epochs = 200
+"#;
+
+    fn parse(text: &str) -> Result<TwinManifest> {
+        TwinManifest::parse(Path::new("twin.toml"), text)
+    }
+
+    #[test]
+    fn a_manifest_is_read_with_its_defaults() {
+        let m = parse(FULL).unwrap();
+        assert_eq!((m.seed, m.object.unit.in_metres(), m.object.up_in_mesh), (0, 1e-3, [1.0, 0.0, 0.0]));
+        assert_eq!(m.friction(), (ASSUMED_FRICTION, true));
+        assert_eq!(parse(&m.to_toml_string().unwrap()).unwrap(), m);
+    }
+
+    #[test]
+    fn mistakes_are_named_with_their_place() {
+        for (from, to, expected) in [
+            ("epochs = 200", "epoch = 200", "line 16: column 1: unknown field `epoch`"),
+            ("unit = \"mm\"", "unit = \"inch\"", "line 6"),
+            ("prior_kg = 0.5", "prior_kg = -1", "prior_kg = -1"),
+            ("identify = [\"push/push1\"]\nprior_kg = 0.5", "", "[mass] says nothing"),
+            ("schema = 1", "schema = 2", "schema 2"),
+            ("[1, 0, 0]", "[0, 0, 0]", "up_in_mesh"),
+            ("name = \"cookie\"", "", "missing field `name`"),
+            ("epochs = 200", "epochs = 0", "epochs = 0"),
+            ("epochs = 200", "learning_rate = nan", "learning_rate"),
+        ] {
+            let message = parse(&FULL.replace(from, to)).unwrap_err().to_string();
+            assert!(message.contains(expected) && message.starts_with("twin.toml"), "{message}");
+        }
+    }
+}

@@ -1,0 +1,208 @@
+//! Wrong input is refused with the file, the place and a remedy.
+#![allow(clippy::unwrap_used, missing_docs)] // a test may stop at the first surprise
+
+use std::path::{Path, PathBuf};
+
+use drex_core::push::{Drive, InputChoice, PushConfig, PushRecording, TrackFrame};
+use tempfile::TempDir;
+
+/// A small push of each kind on disk, sound until a test spoils it.
+struct Push(TempDir);
+
+const TRACK: &str = "t,x,y,z,qw,qx,qy,qz\n10,0,0,0.05,1,0,0,0\n10.1,0,0,0.05,1,0,0,0\n10.2,0.01,0,0.05,1,0,0,0\n";
+const CAMERA_TRACK: &str = "2025-04-17T18:59:37.5 - Pose:\ntensor([[[1, 0, 0, 0.1],\n[0, 1, 0, 0],\n[0, 0, 1, 0.8],\n[0, 0, 0, 1]]])\n\
+    2025-04-17T18:59:38.5 - Pose:\ntensor([[[1, 0, 0, 0.1],\n[0, 1, 0, 0],\n[0, 0, 1, 0.8],\n[0, 0, 0, 1]]])\n";
+
+const FORCE: &str = r#"schema = 1
+mesh = "box.obj"
+mass_prior_kg = 0.3
+[track]
+file = "pose.csv"
+format = "pose_csv"
+frame = "world"
+noise = { position_m = 0.002, rotation_rad = 0.017 }
+[support]
+friction = 0.4
+boxes = [{ center_m = [0.1, 0, 0.02], half_m = [0.05, 0.1, 0.02] }]
+[start]
+at_rest = true
+time_s = 10
+[force]
+file = "force.csv"
+point_in_object_m = [0, 0, 0.02]
+"#;
+
+const FINGER: &str = r#"schema = 1
+mesh = "box.obj"
+[track]
+file = "pose.csv"
+format = "pose_csv"
+frame = "world"
+[start]
+at_rest = true
+pose = { position_m = [0, 0, 0.05], quat_wxyz = [1, 0, 0, 0] }
+[finger]
+commands = "action.csv"
+encoder = "proprio.csv"
+clock = { offset_s = 10.0 }
+impedance = { radius_m = 0.01, mass_kg = 0.04, armature_kg = 0.02, damping_ns_m = 0.5, kp_n_m = 135, kv_ns_m = 2.9, friction = 0.6, home_m = [0, 0, 0.1] }
+"#;
+
+const HAND: &str = r#"schema = 1
+name = "hand"
+mesh = "box.obj"
+[track]
+file = "poses.txt"
+format = "foundation_pose_log"
+clock = { kind = "local_iso", utc_offset = "-07:00" }
+frame = "camera"
+up_in_mesh = [0, 0, 2]
+push_in_mesh = [1, 0, 0]
+[hand]
+robot = "allegro_right"
+world_from_base = { position_m = [0, 0, 0.3], quat_wxyz = [1, 0, 0, 0] }
+joints = "joints.csv"
+joint_names = ["ffj0", "ffj1"]
+clock = { kind = "unix" }
+"#;
+
+const TOSS: &str = "schema = 1\nmesh = \"box.obj\"\n[track]\nfile = \"pose.csv\"\nformat = \"pose_csv\"\nframe = \"world\"\n";
+
+impl Push {
+    fn new(toml: &str) -> Self {
+        let push = Self(tempfile::tempdir().unwrap());
+        push.write("push.toml", toml);
+        push.write("box.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+        push.write("pose.csv", TRACK);
+        push.write("poses.txt", CAMERA_TRACK);
+        push.write("force.csv", "t,fx,fy,fz\n10,0,0,0\n10.05,1,0,0\n10.1,0,0,0\n");
+        push.write("action.csv", "t,x_cmd,y_cmd,z_cmd\n0,0,0,0.1\n0.1,0.01,0,0.1\n");
+        push.write("proprio.csv", "t,x,y,z,vx,vy,vz\n0,0,0,0.1,0,0,0\n0.1,0.01,0,0.1,0.1,0,0\n");
+        // 1744941577.5 is 2025-04-17T18:59:37.5-07:00.
+        push.write("joints.csv", "timestamp,position_0,position_1,effort_0,effort_1\n1744941577.9,0,0.1,0,0\n1744941578.0,0,0.2,0,0\n");
+        push
+    }
+
+    fn write(&self, name: &str, text: &str) {
+        std::fs::write(self.0.path().join(name), text).unwrap();
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn load(&self) -> PushRecording {
+        PushRecording::load(self.0.path(), &InputChoice::default()).unwrap()
+    }
+
+    fn message(&self) -> String {
+        PushRecording::load(self.0.path(), &InputChoice::default()).unwrap_err().to_string()
+    }
+}
+
+#[test]
+fn all_four_kinds_of_push_can_be_said() {
+    let force = Push::new(FORCE).load();
+    let Drive::Force(profile) = &force.drive else { panic!() };
+    assert!((profile.times_s[1] - 0.05).abs() < 1e-12 && force.track.times_s()[0] == 0.0);
+    assert_eq!(force.support.boxes.len(), 1);
+    assert!(force.noise.is_some() && force.starts_at_rest);
+
+    // The start has a pose, so zero stays zero; the finger's own clock starts at 10 s of the track's.
+    let finger = Push::new(FINGER).load();
+    let Drive::Finger(push) = &finger.drive else { panic!() };
+    assert_eq!((push.command_times_s[0], finger.track.times_s()[0]), (10.0, 10.0));
+    assert!(push.encoder.is_some());
+
+    let hand = Push::new(HAND).load();
+    let Drive::Hand(push) = &hand.drive else { panic!() };
+    assert!((push.joints.times_s[0] - 0.4).abs() < 1e-6 && hand.track.times_s()[0] == 0.0);
+    let TrackFrame::Camera { up_in_mesh, .. } = hand.track_frame else { panic!() };
+    assert_eq!(up_in_mesh.z, 1.0);
+
+    let toss = Push::new(TOSS).load();
+    assert!(matches!(toss.drive, Drive::Nothing) && toss.track.times_s()[0] == 0.0);
+    for text in [FORCE, FINGER, HAND, TOSS] {
+        let file = Push::new(text);
+        let config = PushConfig::read(&file.path("push.toml")).unwrap();
+        file.write("push.toml", &config.to_toml_string().unwrap());
+        assert_eq!(PushConfig::read(&file.path("push.toml")).unwrap(), config);
+    }
+}
+
+#[test]
+fn spoiled_push_files_are_named_with_the_place() {
+    for (toml, from, to, expected) in [
+        (FORCE, "friction = 0.4", "frction = 0.4", "line 10: column 1: unknown field `frction`"),
+        (FORCE, "format = \"pose_csv\"", "format = \"csv\"", "line 6: column 10: unknown variant `csv`"),
+        (FORCE, "mesh = \"box.obj\"", "", "missing field `mesh`"),
+        (FORCE, "schema = 1", "schema = 9", "schema 9"),
+        (FORCE, "schema = 1", "schema = ", "line 1"),
+        (FORCE, "box.obj", "gone.obj", "gone.obj"),
+        (FORCE, "pose.csv", "gone.csv", "gone.csv"),
+        (FORCE, "[force]", "[hand]", "missing field `robot`"),
+        (FORCE, "friction = 0.4", "friction = nan", "friction"),
+        (FINGER, "[finger]", "[force]\nfile = \"force.csv\"\npoint_in_object_m = [0,0,0]\n[finger]", "more than one"),
+        (FINGER, "quat_wxyz = [1, 0, 0, 0]", "quat_wxyz = [0, 0, 0, 0]", "norm 0.0000"),
+        (FINGER, "offset_s = 10.0", "offset_s = 0.0", "do not overlap"),
+        (HAND, "up_in_mesh = [0, 0, 2]", "", "up_in_mesh"),
+        (HAND, "up_in_mesh = [0, 0, 2]", "up_in_mesh = [0, 0, 0]", "no direction"),
+        (HAND, "-07:00", "soon", "names no UTC offset"),
+        (HAND, "-07:00", "-06:00", "time zone"),
+        (HAND, ", utc_offset = \"-07:00\"", "", "utc_offset"),
+        (HAND, "clock = { kind = \"unix\" }", "", "state clock.offset_s"),
+        (HAND, "[\"ffj0\", \"ffj1\"]", "[\"ffj0\"]", "2 joint columns but 1 joint names"),
+        (HAND, "joint_names = [\"ffj0\", \"ffj1\"]", "", "joints are unknown"),
+        (TOSS, "pose_csv", "bop_csv", "needs fps"),
+    ] {
+        assert!(toml.contains(from));
+        let push = Push::new(&toml.replace(from, to));
+        let message = push.message();
+        assert!(message.contains(expected), "expected `{expected}` in: {message}");
+    }
+}
+
+#[test]
+fn spoiled_tables_are_named_with_the_line() {
+    for (toml, file, text, expected) in [
+        (TOSS, "pose.csv", TRACK.replace("10.1,0,0,", "10.1,0,NaN,"), "line 3: column y: `NaN` is not finite"),
+        (TOSS, "pose.csv", TRACK.replace("10.1,0,0,", "10.1,0,zero,"), "line 3: column y: `zero` is not a number"),
+        (TOSS, "pose.csv", TRACK.replace("0.05,1,0,0,0\n10.2", "0.05,0.5,0,0,0\n10.2"), "line 3: the quaternion"),
+        (TOSS, "pose.csv", TRACK.replace("qw,", "w,"), "no column qw; the columns are t, x, y, z, w, qx"),
+        (TOSS, "pose.csv", TRACK.replace("0.05", "50"), "millimetres"),
+        (TOSS, "pose.csv", TRACK.replace("10.1,0,0,0.05,1,0,0,0", "10.1,0,0"), "line 3: 3 fields"),
+        (TOSS, "pose.csv", "t,x,y,z,qw,qx,qy,qz\n".into(), "no rows"),
+        (TOSS, "pose.csv", String::new(), "empty"),
+        (FORCE, "force.csv", "t,fx,fy\n10,0,0\n".into(), "no column fz"),
+        (FORCE, "force.csv", "t,fx,fy,fz\n10,0,0,inf\n".into(), "line 2: column fz"),
+        (FORCE, "force.csv", "t,fx,fy,fz\n99,0,0,0\n".into(), "do not overlap"),
+        (HAND, "joints.csv", "timestamp,position_0,position_1\n1744941577.9,0,90\n".into(), "joint ffj1 at 90.000 rad"),
+        (HAND, "joints.csv", "timestamp,angle_0\n1744941577.9,0\n".into(), "no column position_0"),
+        (HAND, "joints.csv", "timestamp,position_0,position_1\n1744966777.9,0,0\n".into(), "25199.400 s lie between"),
+        (HAND, "poses.txt", "nothing here".into(), "no complete"),
+        (HAND, "poses.txt", CAMERA_TRACK.replacen("[0, 1, 0, 0]", "[0, 2, 0, 0]", 1), "no rotation"),
+    ] {
+        let push = Push::new(toml);
+        push.write(file, &text);
+        let message = push.message();
+        assert!(message.contains(expected) && message.contains(file), "expected `{expected}` in: {message}");
+        assert!(message.contains("; "), "no remedy in: {message}");
+    }
+}
+
+#[test]
+fn a_row_that_was_cut_off_while_written_is_dropped() {
+    let push = Push::new(TOSS);
+    push.write("pose.csv", TRACK.strip_suffix(",0.05,1,0,0,0\n").unwrap());
+    assert_eq!(push.load().track.len(), 2);
+}
+
+#[test]
+fn folders_without_a_push_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let message = |p: &Path| PushRecording::load(p, &InputChoice::default()).unwrap_err().to_string();
+    assert!(message(folder.path()).contains("push.toml, meta.json, run.json"));
+    assert!(message(&folder.path().join("push.toml")).contains("cannot read"));
+    assert!("loud".parse::<drex_core::push::PoseChoice>().unwrap_err().to_string().contains("noisy, hard or clean"));
+    assert_eq!("exact".parse::<drex_core::push::ForceChoice>().unwrap(), drex_core::push::ForceChoice::Exact);
+}

@@ -1,0 +1,203 @@
+//! Properties that hold for any pose, any bytes, any manifest.
+#![allow(clippy::unwrap_used, missing_docs)] // a test may stop at the first surprise
+
+use std::path::{Path, PathBuf};
+
+use drex_core::clock::{self, Clock};
+use drex_core::mesh::{parse_obj, parse_stl};
+use drex_core::pose::{interpolate, pose_difference, pose_from_matrix, pose_from_wxyz, to_wxyz};
+use drex_core::push::PushConfig;
+use drex_core::readers::*;
+use drex_core::twin::{GraspsConfig, LengthUnit, MassConfig, TrainConfig, TwinManifest};
+use drex_core::{Pose, Trajectory};
+use nalgebra::{Point3, UnitQuaternion, Vector3};
+use proptest::prelude::*;
+
+fn poses() -> impl Strategy<Value = Pose> {
+    (prop::array::uniform3(-2.0..2.0f64), prop::array::uniform3(-1.8..1.8f64))
+        .prop_map(|(t, r)| Pose::from_parts(Vector3::from(t).into(), UnitQuaternion::from_scaled_axis(Vector3::from(r))))
+}
+
+fn close(a: &Pose, b: &Pose) -> bool {
+    (a.to_homogeneous() - b.to_homogeneous()).abs().max() < 1e-12
+}
+
+proptest! {
+    #[test]
+    fn poses_form_a_group(a in poses(), b in poses(), c in poses(), p in prop::array::uniform3(-1.0..1.0f64)) {
+        prop_assert!(close(&((a * b) * c), &(a * (b * c))));
+        prop_assert!(close(&(a * a.inverse()), &Pose::identity()));
+        prop_assert!(close(&(a * b).inverse(), &(b.inverse() * a.inverse())));
+        let p = Point3::from(p);
+        prop_assert!(((a * b) * p - a * (b * p)).norm() < 1e-12);
+    }
+
+    #[test]
+    fn poses_survive_their_disk_forms(a in poses()) {
+        let (t, q) = to_wxyz(&a);
+        prop_assert!(q[0] >= 0.0);
+        prop_assert!(close(&pose_from_wxyz(t, q).unwrap(), &a));
+        prop_assert!(close(&pose_from_wxyz(t, q.map(|v| -v)).unwrap(), &a));
+        prop_assert!(close(&pose_from_matrix(&a.to_homogeneous()).unwrap(), &a));
+    }
+
+    #[test]
+    fn interpolation_is_a_geodesic_of_constant_speed(a in poses(), b in poses(), s in 0.0..1.0f64, t in 0.0..1.0f64) {
+        prop_assert!(close(&interpolate(&a, &b, 0.0), &a) && close(&interpolate(&a, &b, 1.0), &b));
+        let (at_s, at_t) = (interpolate(&a, &b, s), interpolate(&a, &b, t));
+        prop_assert!((at_s.rotation.norm() - 1.0).abs() < 1e-12);
+        let whole = pose_difference(&a, &b);
+        let part = pose_difference(&at_s, &at_t);
+        let ratio = (t - s).abs();
+        let angle = |d: &nalgebra::Vector6<f64>| d.fixed_rows::<3>(3).norm();
+        prop_assert!((angle(&part) - ratio * angle(&whole)).abs() < 1e-9);
+        prop_assert!((part.fixed_rows::<3>(0) - whole.fixed_rows::<3>(0) * (t - s)).norm() < 1e-12);
+        // As nalgebra's own slerp, up to the sign of a half turn.
+        if angle(&whole) < 3.1 {
+            prop_assert!(a.rotation.slerp(&b.rotation, s).angle_to(&at_s.rotation) < 1e-7);
+        }
+    }
+
+    #[test]
+    fn a_trajectory_is_sorted_and_stays_inside_its_span(
+        samples in prop::collection::vec((-10.0..10.0f64, poses()), 1..30), t in -11.0..11.0f64
+    ) {
+        let (times, poses): (Vec<f64>, Vec<Pose>) = samples.into_iter().unzip();
+        let track = Trajectory::from_samples(&times, &poses).unwrap();
+        prop_assert!(track.times_s().windows(2).all(|w| w[0] < w[1]));
+        let (first, last) = track.span_s().unwrap();
+        prop_assert_eq!(track.at(t).is_some(), (first..=last).contains(&t));
+        for (time, pose) in track.times_s().iter().zip(track.poses()) {
+            prop_assert!(close(&track.at(*time).unwrap(), pose));
+        }
+        prop_assert_eq!(track.velocities().len(), track.len());
+    }
+
+    #[test]
+    fn stamps_survive_any_text(text in ".{0,40}", minutes in any::<i32>()) {
+        let _ = Clock::LocalIso { utc_offset_minutes: minutes }.parse(&text);
+        let _ = Clock::Unix.parse(&text);
+        let _ = clock::parse_utc_offset(&text);
+    }
+}
+
+const POSE_CSV: &str = "t,x,y,z,qw,qx,qy,qz\n0,0,0,0.04405,1,0,0,0\n0.0335,0,0,0.0439973,1,0,0,0\n";
+const JOINT_CSV: &str = "timestamp,local_time,position_0,position_1,velocity_0,velocity_1,effort_0,effort_1\n\
+    1744941584.37,2025-04-18 01:59:44,0.1,0.2,0,0,0.01,0.02\n1744941584.38,x,0.1,0.2,0,0,0.01,0.02\n";
+const FORCE_CSV: &str = "t,fx,fy,fz\n0,0,0,-0\n0.01,1,0,2\n";
+const ACTION_CSV: &str = "t,x_cmd,y_cmd,z_cmd\n0,0,0,0.1\n0.01,0,0,0.1\n";
+const PROPRIO_CSV: &str = "t,x,y,z,vx,vy,vz\n0,0,0,0.1,0,0,0\n";
+const BOP: &str = "scene_id,im_id,obj_id,score,R,t,time\n1,3,2,0.9,1 0 0 0 1 0 0 0 1,100 -50 800,0.1\n";
+const LOG: &str = "2025-04-17T18:59:37.5 - Final transform:\n[[1 0]]\n2025-04-17T18:59:37.5 - Pose:\ntensor([[[ 1.0, 0.0, 0.0, 0.1],\n\
+    [0.0, 1.0, 0.0, 0.2],\n [0.0, 0.0, 1.0, 8e-1],\n [0.0, 0.0, 0.0, 1.0]]], device='cuda:0')\n";
+const GRASPS: &str = r#"{"schema":1,"joint_names":["a","b"],"unit":"rad","grasps":[[0.1,0.2],[0.3,0.4]]}"#;
+const NPY: &[u8] = b"\x93NUMPY\x01\x00\x3f\x00{'descr': '<f4', 'fortran_order': False, 'shape': (1, 2), }    \n\0\0\x80\x3f\0\0\x80\x3f";
+const STL: &str = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid\n";
+const OBJ: &str = "v 0 0 0\nv 1 0 0\nv 0 1 0 1 1 1\nf 1/1 2//3 -1\n";
+const PUSH: &str = "schema = 1\nmesh = \"m.stl\"\n[track]\nfile = \"p.csv\"\nformat = \"pose_csv\"\nframe = \"world\"\n[force]\n\
+    file = \"f.csv\"\npoint_in_object_m = [0, 0, 0.1]\n";
+const TWIN: &str = "schema = 1\nname = \"x\"\n[object]\nmesh = \"m.stl\"\n[mass]\nweighed_kg = 0.2\n";
+
+/// Every reader, told apart by number; whether it took the bytes.
+fn read_with(reader: usize, bytes: &[u8]) -> bool {
+    let path = Path::new("fuzz");
+    let names = ["a".to_owned(), "b".to_owned()];
+    let text = String::from_utf8_lossy(bytes);
+    match reader {
+        0 => parse_pose_csv(path, bytes).is_ok(),
+        1 => parse_joint_log_csv(path, bytes, Some(&names)).is_ok(),
+        2 => parse_force_csv(path, bytes, Point3::origin()).is_ok(),
+        3 => parse_action_csv(path, bytes).is_ok(),
+        4 => parse_proprio_csv(path, bytes).is_ok(),
+        5 => parse_bop_csv(path, bytes, &BopSelection { fps: 30.0, scene_id: None, obj_id: None }).is_ok(),
+        6 => parse_foundation_pose_log(path, bytes, &Clock::LocalIso { utc_offset_minutes: -420 }).is_ok(),
+        7 => parse_grasps_json(path, bytes).is_ok(),
+        8 => parse_grasps_npy(path, bytes, &names).is_ok(),
+        9 => parse_stl(path, bytes).is_ok(),
+        10 => parse_obj(path, bytes).is_ok(),
+        11 => drex_core::fsutil::from_toml::<PushConfig>(path, &text).is_ok(),
+        12 => TwinManifest::parse(path, &text).is_ok(),
+        _ => parse_matrix_text(path, bytes).is_ok(),
+    }
+}
+
+const SAMPLES: [&[u8]; 14] = [
+    POSE_CSV.as_bytes(), JOINT_CSV.as_bytes(), FORCE_CSV.as_bytes(), ACTION_CSV.as_bytes(), PROPRIO_CSV.as_bytes(),
+    BOP.as_bytes(), LOG.as_bytes(), GRASPS.as_bytes(), NPY, STL.as_bytes(), OBJ.as_bytes(), PUSH.as_bytes(),
+    TWIN.as_bytes(), b"1 0 0 0.1\n0 1 0 0.2\n0 0 1 0.3\n0 0 0 1\n",
+];
+
+#[test]
+fn every_reader_takes_its_sample() {
+    for (reader, sample) in SAMPLES.iter().enumerate() {
+        assert!(read_with(reader, sample), "reader {reader}");
+    }
+}
+
+/// A change to a valid file: put these bytes over or into it at a place, or cut it there.
+fn edits() -> impl Strategy<Value = Vec<(usize, u8, Vec<u8>)>> {
+    let token = prop_oneof![
+        prop::collection::vec(any::<u8>(), 0..4),
+        prop::sample::select(vec!["nan", "-inf", "1e999", ",", "\n", "\"", "[", "]", "-1", "99999999999999999999", "\u{e9}", "\0"])
+            .prop_map(|s| s.as_bytes().to_vec()),
+    ];
+    prop::collection::vec((any::<usize>(), 0..3u8, token), 1..6)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    #[test]
+    fn readers_survive_arbitrary_bytes(reader in 0..14usize, bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+        let _ = read_with(reader, &bytes);
+    }
+
+    #[test]
+    fn readers_survive_damaged_files(reader in 0..14usize, edits in edits()) {
+        let mut bytes = SAMPLES[reader].to_vec();
+        for (at, kind, token) in edits {
+            let at = at % (bytes.len() + 1);
+            match kind {
+                0 => bytes.truncate(at),
+                1 => drop(bytes.splice(at..at, token)),
+                _ => {
+                    let end = (at + token.len()).min(bytes.len());
+                    drop(bytes.splice(at..end, token));
+                }
+            }
+        }
+        let _ = read_with(reader, &bytes);
+    }
+}
+
+fn manifests() -> impl Strategy<Value = TwinManifest> {
+    let path = "[a-zA-Z0-9 _./äß-]{1,20}".prop_map(PathBuf::from);
+    let positive = prop_oneof![1e-6..100.0f64, Just(0.1)];
+    let mass = (prop::collection::vec(path.clone(), 0..3), prop::option::of(positive.clone()), positive.clone())
+        .prop_map(|(identify, weighed_kg, prior)| MassConfig { identify, weighed_kg, prior_kg: Some(prior) });
+    let grasps = prop::option::of((path.clone(), "[a-z_]{1,10}", prop::option::of("[a-z_]{1,10}"))).prop_map(|g| {
+        g.map(|(file, hand, joint_order)| GraspsConfig { file, hand, joint_order })
+    });
+    let train = prop::option::of((prop::option::of(1..999usize), prop::option::of(1e-6..1.0f64))).prop_map(|t| {
+        t.map(|(epochs, learning_rate)| TrainConfig { epochs, learning_rate, ..TrainConfig::default() })
+    });
+    let up = prop::array::uniform3(0.1..1.0f64);
+    let unit = prop::sample::select(vec![LengthUnit::M, LengthUnit::Mm, LengthUnit::Cm]);
+    let name = "[^\\s\\p{C}][^\\p{C}]{0,12}";
+    (name, path, mass, grasps, train, up, unit, 0..=i64::MAX as u64, prop::option::of(0.0..2.0f64)).prop_map(
+        |(name, mesh, mass, grasps, train, up, unit, seed, friction)| {
+            let mut m = TwinManifest::new(name, mesh, mass);
+            (m.seed, m.grasps, m.train) = (seed, grasps, train);
+            (m.object.unit, m.object.up_in_mesh, m.object.friction) = (unit, up, friction);
+            m
+        },
+    )
+}
+
+proptest! {
+    #[test]
+    fn a_manifest_survives_its_file(manifest in manifests()) {
+        let text = manifest.to_toml_string().unwrap();
+        prop_assert_eq!(TwinManifest::parse(Path::new("twin.toml"), &text).unwrap(), manifest);
+    }
+}
