@@ -1,7 +1,7 @@
 //! The largest ball about the origin inside the hull of the wrenches of unit normal force (Ferrari-Canny, L1).
 //!
 //! The hull's support function is known in closed form, circular cones and all: h(u) = max over contacts of
-//! (Gᵢᵀu)_n + μ |(Gᵢᵀu)_t|. The radius is the least h over unit vectors, that is one over the length of the longest y with
+//! (Gᵢᵀu)_n + μ |(Gᵢᵀu)_t| (+ γ |nᵢ·u_torque| for soft fingers). The radius is the least h over unit vectors, that is one over the length of the longest y with
 //! h(y) <= 1 (the polar body). That is a convex function maximised over a convex body: from a direction d, the y that
 //! reaches furthest along d (a small cone programme) is the next d, until it stops growing. Every stop is a local maximum and so
 //! gives an upper bound on the radius; starts along the grasp's own axes make it the global one in practice (facets of hulls
@@ -17,21 +17,23 @@ const ARRIVED: f64 = 1e-7;
 /// Steps of one start; a handful is usual.
 const MAX_STEPS: usize = 30;
 
-/// Radius of the ball for contacts in force closure. `g` is the grasp map with torques already divided by a length.
-pub(crate) fn largest_ball(contacts: &[Contact], g: &Matrix6xX<f64>) -> Result<f64> {
+/// Radius of the ball for contacts in force closure. `g` is the grasp map with torques already divided by a length,
+/// `torsion` the torsional friction of soft fingers divided by the same length (zero for point contacts).
+pub(crate) fn largest_ball(contacts: &[Contact], g: &Matrix6xX<f64>, torsion: f64) -> Result<f64> {
     let mut program = ConeProgram::new(6);
     let row = |column: usize, factor: f64, constant: f64| {
         Affine::new((0..6).map(|k| (k, factor * g[(k, column)])).collect(), constant)
     };
     for (i, c) in contacts.iter().enumerate() {
-        if c.friction > 0.0 {
-            program.second_order(vec![
-                row(3 * i, -1.0, 1.0),
-                row(3 * i + 1, c.friction, 0.0),
-                row(3 * i + 2, c.friction, 0.0),
-            ]);
-        } else {
-            program.nonnegative(row(3 * i, -1.0, 1.0));
+        // With torsion the interval adds to the disc: both of its ends must stay within reach.
+        for twist in if torsion > 0.0 { vec![torsion, -torsion] } else { vec![0.0] } {
+            let mut top = row(3 * i, -1.0, 1.0);
+            top.terms.extend((0..3).map(|k| (3 + k, twist * c.normal[k])));
+            if c.friction > 0.0 {
+                program.second_order(vec![top, row(3 * i + 1, c.friction, 0.0), row(3 * i + 2, c.friction, 0.0)]);
+            } else {
+                program.nonnegative(top);
+            }
         }
     }
     let mut longest = 0.0_f64;

@@ -50,7 +50,7 @@ pub struct ForceClosure {
     pub closed: bool,
     /// Ferrari-Canny quality: radius of the largest ball about the origin inside the hull of the wrenches of unit normal force
     /// (Ferrari, Canny 1992, the L1 form),
-    /// circular cones, torques divided by `length_m`. Zero if not closed. Soft-finger torsion is not counted. Found by local search from many starts: an upper bound, in practice the value.
+    /// circular cones, torques divided by `length_m`. Zero if not closed. Found by local search from many starts: an upper bound, in practice the value.
     pub epsilon: f64,
     /// FRoGGeR's min-weight: the largest l with Σ aᵢ wᵢ = 0, Σ aᵢ = 1, aᵢ >= l over the pyramid's edge wrenches wᵢ. Zero if there is none.
     pub min_weight: f64,
@@ -83,7 +83,7 @@ pub fn force_closure(contacts: &[Contact], options: &ClosureOptions) -> Result<F
     if !closed {
         return Ok(open);
     }
-    let epsilon = largest_ball(contacts, &g)?;
+    let epsilon = largest_ball(contacts, &g, options.torsion_m.unwrap_or(0.0) / length_m)?;
     let min_weight = min_weight(contacts, &g, options.min_weight_sides)?.max(0.0);
     Ok(ForceClosure { closed, epsilon, min_weight, length_m })
 }

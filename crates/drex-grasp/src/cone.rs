@@ -83,6 +83,7 @@ impl ConeProgram {
         // Clarabel's form is A x + s = b with s in the cone, so A = -coefficients and b = constants.
         let (mut i, mut j, mut v, mut b) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for row in self.zero.iter().chain(&self.nonnegative).chain(self.second_order.iter().flatten()) {
+            // Entries of the same place are added up.
             for &(column, value) in row.terms.iter().filter(|(_, value)| *value != 0.0) {
                 i.push(b.len());
                 j.push(column);

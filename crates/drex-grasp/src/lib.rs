@@ -18,15 +18,22 @@
 //! force is the force of the hand *on* the object. Robot joint values are in the model's order.
 
 mod ball;
+mod check;
 mod closure;
 mod cone;
 mod contact;
 mod error;
+mod find;
+mod hand;
+mod motors;
 mod squeeze;
 
+pub use check::{CheckOptions, FingerContacts, StaticCheck, StaticGrasp, TablePlane, static_check, static_check_with};
 pub use closure::{ClosureOptions, ForceClosure, force_closure};
 pub use contact::{Contact, characteristic_length_m, grasp_map};
 pub use error::{GraspError, Result};
+pub use find::{ContactOptions, find_contacts};
+pub use hand::{HandSurface, LinkSurface};
 pub use squeeze::{Squeeze, SqueezeError, SqueezeProblem, TorqueLimits, smallest_forces, smallest_squeeze};
 
 #[cfg(doctest)]

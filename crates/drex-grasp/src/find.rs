@@ -1,0 +1,194 @@
+//! Where a posed hand touches an object.
+
+use drex_core::{Pose, SignedDistance};
+use drex_robot::Robot;
+use nalgebra::{Point3, Vector3};
+
+use crate::{Contact, GraspError, HandSurface, Result};
+
+/// What counts as a contact and how many are kept.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct ContactOptions {
+    /// A link touches if a point of it is at most this far from the surface, metres.
+    pub max_gap_m: f64,
+    /// Distance between the points sampled on the hand, metres.
+    pub spacing_m: f64,
+    /// Coulomb coefficient of friction of hand against object.
+    pub friction: f64,
+    /// Contacts kept per link: the deepest point and those of its patch that spread furthest.
+    pub max_per_link: usize,
+    /// Points belong to the patch if they are at most this much farther out than the deepest, metres.
+    pub patch_depth_m: f64,
+    /// Least distance between two contacts of one link, metres.
+    pub separation_m: f64,
+}
+
+impl Default for ContactOptions {
+    fn default() -> Self {
+        Self {
+            max_gap_m: 0.002,
+            spacing_m: 0.003,
+            friction: 0.5,
+            max_per_link: 3,
+            patch_depth_m: 0.0005,
+            separation_m: 0.005,
+        }
+    }
+}
+
+impl ContactOptions {
+    /// The defaults with Coulomb coefficient `friction`.
+    pub fn with_friction(friction: f64) -> Self {
+        Self { friction, ..Self::default() }
+    }
+}
+
+/// Contacts of the hand at joint vector `q` (model order, rad) with an object.
+///
+/// `object_from_base` is the pose of the robot's base in the object's frame. Per link at most
+/// [`ContactOptions::max_per_link`] points, the deepest first; links in the model's order. The point is moved onto the object's
+/// surface and the normal is against the gradient of the distance there.
+///
+/// # Errors
+/// If `q` does not fit the robot, an option is not positive, or the robot has no collision shapes.
+pub fn find_contacts(
+    robot: &Robot,
+    q: &[f64],
+    object_from_base: &Pose,
+    object: &dyn SignedDistance,
+    options: &ContactOptions,
+) -> Result<Vec<Contact>> {
+    let surface = HandSurface::new(robot, options.spacing_m)?;
+    surface.contacts(robot, q, object_from_base, object, options)
+}
+
+impl HandSurface {
+    /// [`find_contacts`] with the hand already sampled ([`ContactOptions::spacing_m`] is not used).
+    ///
+    /// # Errors
+    /// As [`find_contacts`].
+    pub fn contacts(
+        &self,
+        robot: &Robot,
+        q: &[f64],
+        object_from_base: &Pose,
+        object: &dyn SignedDistance,
+        options: &ContactOptions,
+    ) -> Result<Vec<Contact>> {
+        check_joints(robot, q)?;
+        if !(options.max_gap_m >= 0.0 && options.friction >= 0.0 && options.max_per_link > 0) {
+            return Err(GraspError::value(
+                format!(
+                    "contact options: gap {} m, friction {}, {} per link",
+                    options.max_gap_m, options.friction, options.max_per_link
+                ),
+                "give a gap and friction of zero or more and at least one contact per link",
+            ));
+        }
+        let poses = robot.forward_kinematics(q, object_from_base);
+        let mut contacts = Vec::new();
+        for (link, (surface, pose)) in self.links.iter().zip(&poses).enumerate() {
+            let touching = self.near_points(surface, pose, object, options.max_gap_m);
+            for (point, distance, gradient) in patch(touching, options) {
+                contacts.push(Contact {
+                    point: point - gradient * distance,
+                    normal: -gradient,
+                    link,
+                    finger: self.finger_of_link[link],
+                    depth_m: -distance,
+                    friction: options.friction,
+                });
+            }
+        }
+        Ok(contacts)
+    }
+
+    /// How deep each link is inside the object, metres (negative: the gap); minus infinity for links without points. A gap of
+    /// more than `exact_within_m` may be reported larger than that without being exact.
+    pub fn depths(&self, link_poses: &[Pose], object: &dyn SignedDistance, exact_within_m: f64) -> Vec<f64> {
+        self.links
+            .iter()
+            .zip(link_poses)
+            .map(|(surface, pose)| {
+                if surface.samples.is_empty() {
+                    return f64::NEG_INFINITY;
+                }
+                let ball = object.signed_distance(&(pose * surface.center)).distance_m - surface.radius_m;
+                if ball > exact_within_m {
+                    return -ball;
+                }
+                let nearest = surface.samples.iter().map(|(p, _)| object.signed_distance(&(pose * p)).distance_m);
+                -nearest.fold(f64::INFINITY, f64::min)
+            })
+            .collect()
+    }
+
+    /// Points of a link within `gap_m` of the object: position, signed distance, gradient, object frame.
+    fn near_points(
+        &self,
+        surface: &crate::LinkSurface,
+        pose: &Pose,
+        object: &dyn SignedDistance,
+        gap_m: f64,
+    ) -> Vec<(Point3<f64>, f64, Vector3<f64>)> {
+        // A distance changes by at most the way travelled, so a far ball means far points; one spacing covers interpolation.
+        if surface.samples.is_empty()
+            || object.signed_distance(&(pose * surface.center)).distance_m > surface.radius_m + gap_m + self.spacing_m
+        {
+            return Vec::new();
+        }
+        surface
+            .samples
+            .iter()
+            .filter_map(|(p, _)| {
+                let point = pose * p;
+                let s = object.signed_distance(&point);
+                let gradient = s.gradient.try_normalize(1e-9)?;
+                (s.distance_m <= gap_m).then_some((point, s.distance_m, gradient))
+            })
+            .collect()
+    }
+}
+
+/// The deepest point, then those of the same patch that are furthest from the ones taken.
+fn patch(mut near: Vec<(Point3<f64>, f64, Vector3<f64>)>, options: &ContactOptions) -> Vec<(Point3<f64>, f64, Vector3<f64>)> {
+    let Some(deepest) = near.iter().map(|n| n.1).min_by(f64::total_cmp) else { return Vec::new() };
+    near.retain(|n| n.1 <= deepest + options.patch_depth_m);
+    let first = near.iter().position(|n| n.1 == deepest).unwrap_or(0);
+    let mut taken = vec![near[first]];
+    while taken.len() < options.max_per_link {
+        let spread = |n: &(Point3<f64>, f64, Vector3<f64>)| {
+            taken.iter().map(|t| (t.0 - n.0).norm()).fold(f64::INFINITY, f64::min)
+        };
+        // The first of equals, so that the order of the samples decides and nothing else.
+        let mut best: Option<(f64, usize)> = None;
+        for (i, n) in near.iter().enumerate() {
+            let s = spread(n);
+            if best.is_none_or(|b| s > b.0) {
+                best = Some((s, i));
+            }
+        }
+        match best {
+            Some((s, i)) if s >= options.separation_m => taken.push(near[i]),
+            _ => break,
+        }
+    }
+    taken
+}
+
+/// Refuses joint vectors that are not of this robot.
+pub(crate) fn check_joints(robot: &Robot, q: &[f64]) -> Result<()> {
+    if q.len() != robot.dof() {
+        return Err(GraspError::Robot(format!(
+            "{} joint values for the {} joints of \"{}\"; give one per joint, in the model's order",
+            q.len(),
+            robot.dof(),
+            robot.name
+        )));
+    }
+    if let Some(j) = q.iter().position(|v| !v.is_finite()) {
+        return Err(GraspError::Robot(format!("the value of joint \"{}\" is not finite; repair the grasp", robot.joints[j].name)));
+    }
+    Ok(())
+}
