@@ -36,7 +36,9 @@ struct Probe<'a> {
     step: f64,
     /// Triangles with longer sides are divided before they are judged, so that no overlap slips between the probes.
     coarse: f64,
-    /// Triangles with shorter sides are judged by one probe.
+    /// Faces of the mesh with shorter sides (the triangles of scans) are judged by one probe.
+    small: f64,
+    /// Parts of larger faces are divided no further than this.
     fine: f64,
 }
 
@@ -47,15 +49,17 @@ enum Verdict {
 
 /// Finds the boundary of the solid bounded by `mesh`, whose openings are capped; `tree` is over all its faces.
 ///
-/// Faces are divided until each part has one weight or is smaller than 1/1000 of the mesh; faces with one weight stay whole.
+/// Faces longer than 1/100 of the mesh are divided until each part has one weight or is smaller than 1/1000 of the mesh; faces
+/// with one weight stay whole.
 pub(crate) fn boundary(mesh: &TriMesh, tree: &Bvh) -> Boundary {
     let diagonal = mesh.bounds().map_or(0.0, |(lo, hi)| (hi - lo).norm());
-    let probe = Probe { tree, step: 1e-6 * diagonal, coarse: diagonal / 24.0, fine: diagonal / 1000.0 };
+    let probe = Probe { tree, step: 1e-6 * diagonal, coarse: diagonal / 24.0, small: diagonal / 100.0, fine: diagonal / 1000.0 };
     let verdicts: Vec<Verdict> = (0..mesh.faces.len())
         .into_par_iter()
         .map(|f| {
             let t = mesh.triangle(f);
             match (t[1] - t[0]).cross(&(t[2] - t[0])).try_normalize(0.0) {
+                Some(normal) if longest_side(&t) <= probe.small => Verdict::Uniform(probe.weight(&middle(&t), &normal)),
                 Some(normal) => probe.judge(&t, &normal),
                 None => Verdict::Uniform(0.0),
             }
@@ -92,11 +96,19 @@ pub(crate) fn boundary(mesh: &TriMesh, tree: &Bvh) -> Boundary {
     out
 }
 
+fn middle(t: &[Point3<f64>; 3]) -> Point3<f64> {
+    Point3::from((t[0].coords + t[1].coords + t[2].coords) / 3.0)
+}
+
+fn longest_side(t: &[Point3<f64>; 3]) -> f64 {
+    (0..3).map(|k| (t[(k + 1) % 3] - t[k]).norm()).fold(0.0, f64::max)
+}
+
 impl Probe<'_> {
-    fn weight(&self, t: &[Point3<f64>; 3], normal: &Vector3<f64>) -> f64 {
-        let middle = Point3::from((t[0].coords + t[1].coords + t[2].coords) / 3.0);
-        let inside = self.tree.winding(&(middle - normal * self.step)).round();
-        let outside = self.tree.winding(&(middle + normal * self.step)).round();
+    /// Weight of a triangle as seen at one point of it.
+    fn weight(&self, at: &Point3<f64>, normal: &Vector3<f64>) -> f64 {
+        let inside = self.tree.winding(&(at - normal * self.step)).round();
+        let outside = self.tree.winding(&(at + normal * self.step)).round();
         if inside == outside {
             return 0.0;
         }
@@ -105,19 +117,19 @@ impl Probe<'_> {
     }
 
     fn judge(&self, t: &[Point3<f64>; 3], normal: &Vector3<f64>) -> Verdict {
-        let side = (0..3).map(|k| (t[(k + 1) % 3] - t[k]).norm()).fold(0.0, f64::max);
+        let side = longest_side(t);
         if side <= self.fine {
-            return Verdict::Uniform(self.weight(t, normal));
+            return Verdict::Uniform(self.weight(&middle(t), normal));
         }
-        let m = [0, 1, 2].map(|k| nalgebra::center(&t[k], &t[(k + 1) % 3]));
-        let children = [[t[0], m[0], m[2]], [m[0], t[1], m[1]], [m[2], m[1], t[2]], [m[0], m[1], m[2]]];
         if side <= self.coarse {
-            let first = self.weight(&children[3], normal);
-            // Small triangles of scans are judged at their middle; larger ones at four points.
-            if side <= 8.0 * self.fine || children[..3].iter().all(|c| self.weight(c, normal) == first) {
+            let first = self.weight(&middle(t), normal);
+            // A line that crosses the triangle leaves one of its corners alone.
+            if t.iter().all(|corner| self.weight(&corner.lerp(&middle(t), 0.02), normal) == first) {
                 return Verdict::Uniform(first);
             }
         }
+        let m = [0, 1, 2].map(|k| nalgebra::center(&t[k], &t[(k + 1) % 3]));
+        let children = [[t[0], m[0], m[2]], [m[0], t[1], m[1]], [m[2], m[1], t[2]], [m[0], m[1], m[2]]];
         let verdicts = children.map(|c| self.judge(&c, normal));
         if let [Verdict::Uniform(a), Verdict::Uniform(b), Verdict::Uniform(c), Verdict::Uniform(d)] = verdicts
             && a == b

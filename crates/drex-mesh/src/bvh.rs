@@ -6,7 +6,7 @@ use drex_core::TriMesh;
 
 /// Largest number of triangles in a leaf.
 const LEAF: usize = 4;
-/// A subtree is seen as one dipole when the query is farther than this many of its radii.
+/// A subtree is replaced by its moments when the query is farther than this many of its radii.
 const FAR: f64 = 2.0;
 /// Median splits halve the triangle count, so 2^64 triangles would be needed to go deeper.
 const STACK: usize = 64;
@@ -73,11 +73,69 @@ struct Node {
     first: u32,
     /// Number of triangles; 0 for an inner node.
     count: u32,
-    /// Winding number far away: area-weighted centre, farthest triangle corner from it, ∫ n dA and ∫ (x - centre) nᵀ dA.
+    /// Area-weighted centre of the triangles and how far their corners are from it.
     center: Point3<f64>,
     radius: f64,
-    dipole: Vector3<f64>,
-    quadrupole: Matrix3<f64>,
+    far: Far,
+}
+
+/// The winding number of a group of triangles seen from far away: with m = x - centre, the moments
+/// ∫ n dA, ∫ m nᵀ dA and ∫ m mᵀ ⊗ n dA, the last as the two contractions that the Taylor series asks for.
+#[derive(Debug, Clone)]
+struct Far {
+    first: Vector3<f64>,
+    second: Matrix3<f64>,
+    /// 2 Σ_j ∫ m_i m_j n_j + Σ_j ∫ m_j m_j n_i.
+    traces: Vector3<f64>,
+    /// Coefficients of the cubic form Σ ∫ m_i m_j n_k u_i u_j u_k: xxx xxy xxz xyy xyz xzz yyy yyz yzz zzz.
+    cubic: [f64; 10],
+}
+
+impl Far {
+    fn none() -> Self {
+        Self { first: Vector3::zeros(), second: Matrix3::zeros(), traces: Vector3::zeros(), cubic: [0.0; 10] }
+    }
+
+    /// Adds a triangle, corners relative to the centre.
+    fn add(&mut self, [a, b, c]: [Vector3<f64>; 3]) {
+        let n = (b - a).cross(&(c - a)) * 0.5;
+        let s = a + b + c;
+        self.first += n;
+        self.second += s * n.transpose() / 3.0;
+        // ∫ m mᵀ over a triangle of unit area.
+        let m = (s * s.transpose() + a * a.transpose() + b * b.transpose() + c * c.transpose()) / 12.0;
+        self.traces += m * n * 2.0 + n * m.trace();
+        let t = |i: usize, j: usize, k: usize| m[(i, j)] * n[k];
+        let pair = |i: usize, k: usize| 2.0 * t(i, k, i) + t(i, i, k);
+        let terms = [
+            t(0, 0, 0),
+            pair(0, 1),
+            pair(0, 2),
+            pair(1, 0),
+            2.0 * (t(0, 1, 2) + t(0, 2, 1) + t(1, 2, 0)),
+            pair(2, 0),
+            t(1, 1, 1),
+            pair(1, 2),
+            pair(2, 1),
+            t(2, 2, 2),
+        ];
+        for (sum, term) in self.cubic.iter_mut().zip(terms) {
+            *sum += term;
+        }
+    }
+
+    /// Solid angle seen from a point; `u` and `d` are direction and distance from there to the centre.
+    fn solid_angle(&self, u: &Vector3<f64>, d: f64) -> f64 {
+        let (x, y, z) = (u.x, u.y, u.z);
+        let k = &self.cubic;
+        let cubic = x * (x * (k[0] * x + k[1] * y + k[2] * z) + y * (k[3] * y + k[4] * z) + k[5] * z * z)
+            + y * (y * (k[6] * y + k[7] * z) + k[8] * z * z)
+            + k[9] * z * z * z;
+        let inverse = 1.0 / d;
+        let order_1 = self.second.trace() - 3.0 * u.dot(&(self.second * u));
+        let order_2 = 7.5 * cubic - 1.5 * self.traces.dot(u);
+        inverse * inverse * (self.first.dot(u) + inverse * (order_1 + inverse * order_2))
+    }
 }
 
 /// A nearest point.
@@ -209,8 +267,8 @@ impl Bvh {
         false
     }
 
-    /// Generalised winding number at `q` (Jacobson et al. 2013), far subtrees by their dipole and quadrupole
-    /// (Barill et al., "Fast Winding Numbers for Soups and Clouds", 2018, equations 13 and 14).
+    /// Generalised winding number at `q` (Jacobson et al. 2013), far subtrees by a Taylor series to second
+    /// order (Barill et al., "Fast Winding Numbers for Soups and Clouds", 2018, section 3).
     pub fn winding(&self, q: &Point3<f64>) -> f64 {
         let mut sum = 0.0;
         let mut stack = [0u32; STACK];
@@ -223,9 +281,7 @@ impl Bvh {
             let d2 = r.norm_squared();
             if d2 > (FAR * node.radius).powi(2) {
                 let d = d2.sqrt();
-                let u = r / d;
-                let trace = node.quadrupole.trace();
-                sum += node.dipole.dot(&u) / d2 + (trace - 3.0 * u.dot(&(node.quadrupole * u))) / (d2 * d);
+                sum += node.far.solid_angle(&(r / d), d);
                 continue;
             }
             if node.count > 0 {
@@ -269,26 +325,22 @@ fn build(mesh: &TriMesh, faces: &mut [u32], offset: usize, nodes: &mut Vec<Node>
 
 fn describe(mesh: &TriMesh, faces: &[u32]) -> Node {
     let mut bounds = Aabb::empty();
-    let (mut area, mut weighted, mut dipole) = (0.0, Vector3::zeros(), Vector3::zeros());
+    let (mut area, mut weighted) = (0.0, Vector3::zeros());
     for &f in faces {
         let [a, b, c] = mesh.triangle(f as usize);
         bounds = bounds.union(&Aabb::of(&[a, b, c]));
-        let n = (b - a).cross(&(c - a)) * 0.5;
-        let s = n.norm();
+        let s = (b - a).cross(&(c - a)).norm();
         area += s;
         weighted += (a.coords + b.coords + c.coords) * (s / 3.0);
-        dipole += n;
     }
     let center = if area > 0.0 { Point3::from(weighted / area) } else { nalgebra::center(&bounds.lo, &bounds.hi) };
-    let (mut quadrupole, mut radius) = (Matrix3::zeros(), 0.0_f64);
+    let (mut far, mut radius) = (Far::none(), 0.0_f64);
     for &f in faces {
-        let [a, b, c] = mesh.triangle(f as usize);
-        let n = (b - a).cross(&(c - a)) * 0.5;
-        let m = (a.coords + b.coords + c.coords) / 3.0 - center.coords;
-        quadrupole += m * n.transpose();
-        radius = [a, b, c].iter().fold(radius, |r, p| r.max((p - center).norm()));
+        let corners = mesh.triangle(f as usize).map(|p| p - center);
+        far.add(corners);
+        radius = corners.iter().fold(radius, |r, c| r.max(c.norm()));
     }
-    Node { bounds, first: 0, count: 0, center, radius, dipole, quadrupole }
+    Node { bounds, first: 0, count: 0, center, radius, far }
 }
 
 /// Solid angle of a triangle seen from `q` (van Oosterom and Strackee 1983), positive from behind.

@@ -3,7 +3,7 @@
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
-use drex_core::{SdfSample, SignedDistance, Surface};
+use drex_core::{SdfSample, SignedDistance, Surface, SurfacePoint};
 
 use crate::sdf::MeshSdf;
 use crate::{Error, Result};
@@ -26,9 +26,10 @@ impl Default for GridOptions {
 
 /// Signed distance on a regular grid, interpolated trilinearly; the gradient is that of the interpolant.
 ///
-/// Beyond the grid the distance continues from its border to the surface point found there.
+/// Beyond the grid the exact distance answers, and nearest points and rays always are exact.
 #[derive(Debug, Clone)]
 pub struct GridSdf {
+    exact: MeshSdf,
     origin: Point3<f64>,
     spacing: f64,
     size: [usize; 3],
@@ -40,7 +41,7 @@ impl GridSdf {
     ///
     /// # Errors
     /// See [`GridSdf::with_options`].
-    pub fn new(exact: &MeshSdf) -> Result<Self> {
+    pub fn new(exact: MeshSdf) -> Result<Self> {
         Self::with_options(exact, &GridOptions::default())
     }
 
@@ -48,7 +49,7 @@ impl GridSdf {
     ///
     /// # Errors
     /// If fewer than 8 or more than 2³¹ nodes are asked for, or the margin is negative or not finite.
-    pub fn with_options(exact: &MeshSdf, options: &GridOptions) -> Result<Self> {
+    pub fn with_options(exact: MeshSdf, options: &GridOptions) -> Result<Self> {
         let (lo, hi) = exact.bounds();
         let margin = options.margin_m.unwrap_or(0.1 * (hi - lo).norm());
         if !(8..1 << 31).contains(&options.nodes) || !(margin >= 0.0 && margin.is_finite()) {
@@ -66,9 +67,9 @@ impl GridSdf {
         let mut values = vec![0.0_f32; size.iter().product()];
         values.par_chunks_mut(size[0]).enumerate().for_each(|(row, out)| {
             let start = origin + Vector3::new(0.0, (row % size[1]) as f64, (row / size[1]) as f64) * spacing;
-            fill_row(exact, &start, spacing, out);
+            fill_row(&exact, &start, spacing, out);
         });
-        Ok(Self { origin, spacing, size, values })
+        Ok(Self { exact, origin, spacing, size, values })
     }
 
     /// Distance between neighbouring nodes, metres.
@@ -79,6 +80,11 @@ impl GridSdf {
     /// Number of nodes along x, y, z.
     pub fn size(&self) -> [usize; 3] {
         self.size
+    }
+
+    /// The exact distance behind the grid.
+    pub fn exact(&self) -> &MeshSdf {
+        &self.exact
     }
 
     fn interpolate(&self, p: &Point3<f64>) -> (f64, Vector3<f64>) {
@@ -125,17 +131,27 @@ fn fill_row(exact: &MeshSdf, start: &Point3<f64>, spacing: f64, out: &mut [f32])
 
 impl SignedDistance for GridSdf {
     fn signed_distance(&self, point: &Point3<f64>) -> SdfSample {
-        let far = Vector3::from([0, 1, 2].map(|k| (self.size[k] - 1) as f64 * self.spacing));
-        let on_grid = point.sup(&self.origin).inf(&(self.origin + far));
-        let (distance_m, slope) = self.interpolate(&on_grid);
-        let gradient = slope.try_normalize(1e-12).unwrap_or_else(Vector3::z);
-        if on_grid == *point {
-            return SdfSample { distance_m, gradient };
+        let reach = |k: usize| (self.size[k] - 1) as f64 * self.spacing;
+        let on_grid = (0..3).all(|k| (0.0..=reach(k)).contains(&(point[k] - self.origin[k])));
+        if !on_grid {
+            return self.exact.distance_outside(point);
         }
-        let surface = on_grid - gradient * distance_m;
-        let away = point - surface;
-        let distance_m = away.norm();
-        SdfSample { distance_m, gradient: away.try_normalize(0.0).unwrap_or(gradient) }
+        let (distance_m, slope) = self.interpolate(point);
+        SdfSample { distance_m, gradient: slope.try_normalize(1e-12).unwrap_or_else(Vector3::z) }
+    }
+}
+
+impl Surface for GridSdf {
+    fn nearest(&self, point: &Point3<f64>) -> SurfacePoint {
+        self.exact.nearest(point)
+    }
+
+    fn ray_cast(&self, origin: &Point3<f64>, direction: &Vector3<f64>, max_distance_m: f64) -> Option<SurfacePoint> {
+        self.exact.ray_cast(origin, direction, max_distance_m)
+    }
+
+    fn bounds(&self) -> (Point3<f64>, Point3<f64>) {
+        self.exact.bounds()
     }
 }
 
@@ -147,7 +163,7 @@ mod tests {
     #[test]
     fn the_grid_follows_the_exact_distance() {
         let exact = MeshSdf::new(&sphere(0.05, 4)).unwrap();
-        let grid = GridSdf::new(&exact).unwrap();
+        let grid = GridSdf::new(exact.clone()).unwrap();
         let h = grid.spacing_m();
         for i in 0..2000 {
             let p = Point3::from(crate::sample::unit_cube_point(i).map(|c| 0.4 * (c - 0.5)));
@@ -162,7 +178,7 @@ mod tests {
     #[test]
     fn impossible_settings_are_refused() {
         let exact = MeshSdf::new(&sphere(0.05, 2)).unwrap();
-        assert!(GridSdf::with_options(&exact, &GridOptions { nodes: 1, margin_m: None }).is_err());
-        assert!(GridSdf::with_options(&exact, &GridOptions { nodes: 100, margin_m: Some(f64::NAN) }).is_err());
+        assert!(GridSdf::with_options(exact.clone(), &GridOptions { nodes: 1, margin_m: None }).is_err());
+        assert!(GridSdf::with_options(exact, &GridOptions { nodes: 100, margin_m: Some(f64::NAN) }).is_err());
     }
 }

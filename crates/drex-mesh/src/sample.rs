@@ -85,12 +85,17 @@ mod tests {
     }
 
     #[test]
-    fn farthest_points_of_a_box_are_its_corners() {
-        let mut points = sample_surface(&cuboid([0.0; 3], [1.0; 3]), 500, 1).iter().map(|s| s.point).collect::<Vec<_>>();
-        points.extend(cuboid([0.0; 3], [1.0; 3]).vertices);
-        let mut chosen = farthest_points(&points, 8);
-        chosen.sort_unstable();
-        assert_eq!(chosen, (500..508).collect::<Vec<_>>());
+    fn farthest_points_are_spread() {
+        let points: Vec<_> = sample_surface(&cuboid([0.0; 3], [1.0; 3]), 2000, 1).iter().map(|s| s.point).collect();
+        let chosen = farthest_points(&points, 60);
+        let gap = |i: usize, from: &[usize]| {
+            from.iter().map(|&j| (points[i] - points[j]).norm()).fold(f64::INFINITY, f64::min)
+        };
+        let gaps: Vec<f64> = (1..60).map(|k| gap(chosen[k], &chosen[..k])).collect();
+        assert!(gaps.windows(2).all(|g| g[0] >= g[1]));
+        // Every other point is closer to a chosen one than the last chosen one was.
+        assert!((0..points.len()).all(|i| gap(i, &chosen) <= gaps[58]));
+        assert_eq!(farthest_points(&points[..5], 9).len(), 5);
     }
 
     #[test]

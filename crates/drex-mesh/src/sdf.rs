@@ -52,6 +52,24 @@ impl MeshSdf {
         (b - a).cross(&(c - a)).try_normalize(0.0).unwrap_or_else(Vector3::z)
     }
 
+    fn distance(&self, point: &Point3<f64>, inside: bool) -> SdfSample {
+        let Some(n) = self.boundary_tree.nearest(point, f64::INFINITY) else {
+            return SdfSample { distance_m: f64::INFINITY, gradient: Vector3::z() };
+        };
+        let sign = if inside { -1.0 } else { 1.0 };
+        let away = point - n.point;
+        let distance = n.distance_squared.sqrt();
+        // Closer than rounding lets the difference have a direction, the face's normal is the better answer.
+        let scale = 1e-12 * (self.bounds.1 - self.bounds.0).norm();
+        let gradient = if distance > scale { away * (sign / distance) } else { self.normal(n.face) };
+        SdfSample { distance_m: sign * distance, gradient }
+    }
+
+    /// Signed distance at a point that is known to be outside.
+    pub(crate) fn distance_outside(&self, point: &Point3<f64>) -> SdfSample {
+        self.distance(point, false)
+    }
+
     /// Distance without sign and the nearest point, looking no farther than `within`.
     pub(crate) fn distance_within(&self, point: &Point3<f64>, within: f64) -> Option<f64> {
         self.boundary_tree.nearest(point, within).map(|n| n.distance_squared.sqrt())
@@ -80,16 +98,7 @@ impl Surface for MeshSdf {
 impl SignedDistance for MeshSdf {
     /// The gradient at the surface itself is the normal of the face.
     fn signed_distance(&self, point: &Point3<f64>) -> SdfSample {
-        let Some(n) = self.boundary_tree.nearest(point, f64::INFINITY) else {
-            return SdfSample { distance_m: f64::INFINITY, gradient: Vector3::z() };
-        };
-        let sign = if self.contains(point) { -1.0 } else { 1.0 };
-        let away = point - n.point;
-        let distance = n.distance_squared.sqrt();
-        // Closer than rounding lets the difference have a direction, the face's normal is the better answer.
-        let scale = 1e-12 * (self.bounds.1 - self.bounds.0).norm();
-        let gradient = if distance > scale { away * (sign / distance) } else { self.normal(n.face) };
-        SdfSample { distance_m: sign * distance, gradient }
+        self.distance(point, self.contains(point))
     }
 }
 

@@ -221,7 +221,8 @@ mod tests {
         let welded = crate::repair::weld(&two, 1e-9).0;
         assert_eq!(welded.vertices.len(), 12);
         let t = Topology::new(&welded);
-        assert_eq!((t.open_edges, t.crowded_edges, t.shells().1), (0, 4, 2));
+        // The four edges of the common face and its diagonal.
+        assert_eq!((t.open_edges, t.crowded_edges, t.shells().1), (0, 5, 2));
     }
 
     #[test]

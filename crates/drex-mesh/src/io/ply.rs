@@ -1,0 +1,265 @@
+//! PLY: ASCII and binary (both byte orders), elements `vertex` and `face`; other elements and properties are skipped.
+
+use std::path::Path;
+
+use nalgebra::Point3;
+
+use drex_core::TriMesh;
+
+use crate::Result;
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Scalar {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    F32,
+    F64,
+}
+
+impl Scalar {
+    fn parse(name: &str) -> Option<Self> {
+        Some(match name {
+            "char" | "int8" => Self::I8,
+            "uchar" | "uint8" => Self::U8,
+            "short" | "int16" => Self::I16,
+            "ushort" | "uint16" => Self::U16,
+            "int" | "int32" => Self::I32,
+            "uint" | "uint32" => Self::U32,
+            "float" | "float32" => Self::F32,
+            "double" | "float64" => Self::F64,
+            _ => return None,
+        })
+    }
+
+    fn size(self) -> usize {
+        match self {
+            Self::I8 | Self::U8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::I32 | Self::U32 | Self::F32 => 4,
+            Self::F64 => 8,
+        }
+    }
+}
+
+#[derive(Debug, Clone)]
+struct Property {
+    name: String,
+    /// Type of the length of a list; `None` for a single value.
+    length: Option<Scalar>,
+    value: Scalar,
+}
+
+#[derive(Debug, Clone)]
+struct Element {
+    name: String,
+    count: usize,
+    properties: Vec<Property>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Format {
+    Ascii,
+    Little,
+    Big,
+}
+
+pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
+    let (format, elements, body, line) = header(path, bytes)?;
+    let mut source = match format {
+        Format::Ascii => Source::Text { words: words(&bytes[body..], line + 1), line },
+        _ => Source::Binary { rest: &bytes[body..], big: format == Format::Big },
+    };
+    let mut mesh = TriMesh::default();
+    let mut corners = Vec::new();
+    for element in &elements {
+        let axis = |p: &Property| ["x", "y", "z"].iter().position(|n| p.name == *n && element.name == "vertex");
+        let is_index = |p: &Property| {
+            element.name == "face" && p.length.is_some() && matches!(p.name.as_str(), "vertex_indices" | "vertex_index")
+        };
+        if element.name == "vertex" && element.properties.iter().filter_map(axis).count() != 3 {
+            return Err(bad(path, None, "the vertices have no x, y, z", "write the vertices with x, y and z"));
+        }
+        for row in 0..element.count {
+            let mut point = Point3::origin();
+            corners.clear();
+            for property in &element.properties {
+                let n = match property.length {
+                    None => 1,
+                    Some(kind) => match source.number(kind) {
+                        // No element can be longer than the file.
+                        Some(n) if n >= 0.0 && n <= bytes.len() as f64 && n.fract() == 0.0 => n as usize,
+                        Some(n) => {
+                            let what = format!("{} {row} has a list of {n} values", element.name);
+                            return Err(bad(path, source.line(), what, "export the file again"));
+                        }
+                        None => return Err(cut_off(path, &source, element, row)),
+                    },
+                };
+                for _ in 0..n {
+                    let Some(value) = source.number(property.value) else {
+                        return Err(cut_off(path, &source, element, row));
+                    };
+                    if let Some(k) = axis(property) {
+                        point[k] = value;
+                    } else if is_index(property) {
+                        corners.push(value);
+                    }
+                }
+            }
+            if element.name == "vertex" {
+                if point.iter().any(|c| !c.is_finite()) {
+                    let what = format!("vertex {row} is not finite");
+                    return Err(bad(path, source.line(), what, "remove it and its faces"));
+                }
+                mesh.vertices.push(point);
+            }
+            fan(path, &source, row, &corners, &mut mesh.faces)?;
+        }
+    }
+    if let Some(f) = mesh.faces.iter().position(|f| f.iter().any(|&v| v as usize >= mesh.vertices.len())) {
+        let what = format!("triangle {f} names a vertex beyond the {} there are", mesh.vertices.len());
+        return Err(bad(path, None, what, "export the file again"));
+    }
+    Ok(mesh)
+}
+
+fn fan(path: &Path, source: &Source<'_>, row: usize, corners: &[f64], faces: &mut Vec<[u32; 3]>) -> Result<()> {
+    if let Some(c) = corners.iter().find(|c| !(**c >= 0.0 && **c < f64::from(u32::MAX) && c.fract() == 0.0)) {
+        return Err(bad(path, source.line(), format!("face {row} names vertex {c}"), "export the file again"));
+    }
+    for k in 2..corners.len() {
+        faces.push([corners[0] as u32, corners[k - 1] as u32, corners[k] as u32]);
+    }
+    Ok(())
+}
+
+/// Format, elements, offset of the body and number of header lines.
+fn header(path: &Path, bytes: &[u8]) -> Result<(Format, Vec<Element>, usize, usize)> {
+    let mut at = 0;
+    let mut line = 0;
+    let mut format = None;
+    let mut elements: Vec<Element> = Vec::new();
+    loop {
+        let Some(end) = bytes[at..].iter().position(|&b| b == b'\n') else {
+            return Err(bad(path, line + 1, "the header has no end_header", "check that this is a complete PLY file"));
+        };
+        line += 1;
+        let text = String::from_utf8_lossy(&bytes[at..at + end]);
+        at += end + 1;
+        let words: Vec<&str> = text.split_whitespace().collect();
+        let refuse = |what: String| Err(bad(path, line, what, "check that this is a PLY 1.0 file"));
+        if line == 1 {
+            if words != ["ply"] {
+                return refuse("the file does not begin with \"ply\"".into());
+            }
+            continue;
+        }
+        match words[..] {
+            ["format", "ascii", "1.0"] => format = Some(Format::Ascii),
+            ["format", "binary_little_endian", "1.0"] => format = Some(Format::Little),
+            ["format", "binary_big_endian", "1.0"] => format = Some(Format::Big),
+            ["comment", ..] | ["obj_info", ..] | [] => {}
+            ["element", name, count] => match count.parse() {
+                Ok(count) => elements.push(Element { name: name.into(), count, properties: Vec::new() }),
+                Err(_) => return refuse(format!("{count:?} is no number of elements")),
+            },
+            ["property", ref rest @ ..] => {
+                let property = match *rest {
+                    ["list", length, value, name] => Scalar::parse(length).zip(Scalar::parse(value)).map(|(l, v)| {
+                        Property { name: name.into(), length: Some(l), value: v }
+                    }),
+                    [value, name] => {
+                        Scalar::parse(value).map(|value| Property { name: name.into(), length: None, value })
+                    }
+                    _ => None,
+                };
+                match (elements.last_mut(), property) {
+                    (Some(element), Some(property)) => element.properties.push(property),
+                    _ => return refuse(format!("{:?} is no property of an element", text.trim())),
+                }
+            }
+            ["end_header"] => break,
+            _ => return refuse(format!("{:?} is no line of a PLY header", text.trim())),
+        }
+    }
+    // Rows without bytes could be counted forever.
+    if let Some(e) = elements.iter().find(|e| e.count > bytes.len() || (e.properties.is_empty() && e.count > 0)) {
+        let what = format!("{} elements \"{}\" do not fit into {} bytes", e.count, e.name, bytes.len());
+        return Err(bad(path, None, what, "check that the file is complete"));
+    }
+    match format {
+        Some(format) => Ok((format, elements, at, line)),
+        None => Err(bad(path, None, "the header names no format", "check that this is a PLY 1.0 file")),
+    }
+}
+
+/// Where the numbers come from.
+enum Source<'a> {
+    Text { words: Words<'a>, line: usize },
+    Binary { rest: &'a [u8], big: bool },
+}
+
+type Words<'a> = Box<dyn Iterator<Item = (usize, &'a [u8])> + 'a>;
+
+/// The words of the body, each with its line in the file.
+fn words(bytes: &[u8], first_line: usize) -> Words<'_> {
+    Box::new(bytes.split(|&b| b == b'\n').zip(first_line..).flat_map(|(text, line)| {
+        text.split(|b| b.is_ascii_whitespace()).filter(|w| !w.is_empty()).map(move |w| (line, w))
+    }))
+}
+
+impl Source<'_> {
+    fn number(&mut self, kind: Scalar) -> Option<f64> {
+        match self {
+            Self::Text { words, line } => {
+                let (at, word) = words.next()?;
+                *line = at;
+                std::str::from_utf8(word).ok()?.parse().ok()
+            }
+            Self::Binary { rest, big } => {
+                let (head, tail) = rest.split_at_checked(kind.size())?;
+                *rest = tail;
+                let mut raw = [0u8; 8];
+                for (k, r) in raw.iter_mut().take(head.len()).enumerate() {
+                    *r = if *big { head[head.len() - 1 - k] } else { head[k] };
+                }
+                let bits = u64::from_le_bytes(raw);
+                Some(match kind {
+                    Scalar::I8 => f64::from(bits as i8),
+                    Scalar::U8 => f64::from(bits as u8),
+                    Scalar::I16 => f64::from(bits as i16),
+                    Scalar::U16 => f64::from(bits as u16),
+                    Scalar::I32 => f64::from(bits as i32),
+                    Scalar::U32 => f64::from(bits as u32),
+                    Scalar::F32 => f64::from(f32::from_bits(bits as u32)),
+                    Scalar::F64 => f64::from_bits(bits),
+                })
+            }
+        }
+    }
+
+    fn line(&self) -> Option<usize> {
+        match self {
+            Self::Text { line, .. } => Some(*line),
+            Self::Binary { .. } => None,
+        }
+    }
+}
+
+fn cut_off(path: &Path, source: &Source<'_>, element: &Element, row: usize) -> crate::Error {
+    let what = format!("{} {row} of {} is cut off or no number", element.name, element.count);
+    bad(path, source.line(), what, "check that the file is complete")
+}
+
+fn bad(
+    path: &Path,
+    line: impl Into<Option<usize>>,
+    what: impl Into<String>,
+    remedy: impl Into<String>,
+) -> crate::Error {
+    drex_core::Error::content(path, line, what, remedy).into()
+}
