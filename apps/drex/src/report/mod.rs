@@ -1,3 +1,61 @@
 //! `report.html`: what was made of the twin, with which inputs, and how far it can be trusted.
 
-pub mod page;
+mod grasps;
+mod object;
+mod page;
+mod push;
+mod summary;
+
+use anyhow::Result;
+
+use crate::lock::made_by;
+use crate::twin::{Evaluation, FitFile, MassFile, Training, Twin, files};
+
+pub use object::closing_text;
+pub use push::verdict_text;
+pub use summary::{Findings, findings};
+
+use page::Page;
+
+/// The report as one HTML page.
+pub fn page_of(twin: &Twin) -> Result<String> {
+    let asset = crate::object::read_asset(&twin.root)?;
+    let mass: MassFile = files::read_json(&twin.path(files::MASS))?;
+    let learned = match &twin.manifest.grasps {
+        Some(_) => Some((
+            files::read_json::<FitFile>(&twin.path(files::FITS))?,
+            files::read_json::<Training>(&twin.path(files::TRAINING))?,
+            files::read_json::<Evaluation>(&twin.path(files::EVALUATION))?,
+        )),
+        None => None,
+    };
+    let mut page = Page::new(&format!("{}: digital twin", twin.manifest.name));
+    summary::figures(&mut page, &asset, &mass, learned.as_ref().map(|(fits, _, evaluation)| (fits, evaluation)));
+    object::section(&mut page, twin, &asset)?;
+    push::section(&mut page, &mass);
+    if let Some((fits, training, evaluation)) = &learned {
+        grasps::demonstrations(&mut page, twin, &asset, fits)?;
+        grasps::training(&mut page, training);
+        grasps::evaluation(&mut page, twin, &asset, fits, evaluation)?;
+    }
+    provenance(&mut page, twin);
+    Ok(page.to_html())
+}
+
+/// Settings, seeds, versions, digests.
+fn provenance(page: &mut Page, twin: &Twin) {
+    page.section("How this was made");
+    page.paragraph(&format!("{} with seed {}. The manifest:", made_by(), twin.seed));
+    page.code(&twin.manifest.to_toml_string().unwrap_or_else(|e| e.to_string()));
+    let rows: Vec<Vec<String>> = twin
+        .lock
+        .stages()
+        .iter()
+        // The report cannot carry its own digest, nor that of the run that replaces it.
+        .filter(|(name, _)| name.as_str() != "report")
+        .map(|(name, r)| {
+            vec![name.clone(), r.made_by.clone(), r.seed.to_string(), r.inputs_sha256[..16.min(r.inputs_sha256.len())].to_owned()]
+        })
+        .collect();
+    page.table(&["stage", "made by", "seed", "digest of its inputs"], &rows);
+}

@@ -29,6 +29,11 @@ impl Page {
         let _ = write!(self.body, "<p>{}</p>", escape(text));
     }
 
+    /// Preformatted text.
+    pub fn code(&mut self, text: &str) {
+        let _ = write!(self.body, "<pre>{}</pre>", escape(text));
+    }
+
     /// A list of plain text lines.
     pub fn list(&mut self, lines: &[String]) {
         if lines.is_empty() {
@@ -123,6 +128,7 @@ ul{max-width:90ch;padding-left:1.2em;color:var(--soft)}\
 figure{margin:0;background:var(--panel);border-radius:10px;padding:10px;min-width:0}\
 figure img{width:100%;height:auto;border-radius:6px;display:block}figure svg{width:100%;height:auto;display:block}\
 figcaption{font-size:13px;color:var(--soft);padding-top:6px}\
+pre{background:var(--panel);border-radius:10px;padding:12px 14px;overflow-x:auto;font-size:13px}\
 .scroll{overflow-x:auto}table{border-collapse:collapse;margin:10px 0;font-variant-numeric:tabular-nums}\
 th,td{text-align:left;padding:5px 14px 5px 0;border-bottom:1px solid var(--line);vertical-align:top}\
 th{font-weight:600;color:var(--soft)}";

@@ -1,0 +1,184 @@
+//! Makes the bundled demo data: a tea tin, a push of it that is simulated, and grasps of it with the LEAP hand.
+//!
+//! ```sh
+//! cargo run --release -p drex --example make_demo_data -- data/demo
+//! ```
+//!
+//! The push is simulated with a stiffer contact and a shorter step than the estimator uses, and what it "records" is
+//! noisy. The true mass goes to `truth.json`, which no stage reads; `drex demo` prints it beside the estimate at the end.
+
+use std::f64::consts::PI;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Context, Result};
+use drex_core::push::{
+    ClockConfig, ForceConfig, FrameKind, PoseConfig, PushConfig, StartConfig, Support, TrackConfig, TrackFormat,
+};
+use drex_core::{MassProperties, Pose, TriMesh, fsutil, pose};
+use drex_diffsim::{AppliedForce, Body, ConvexPiece, ForcePoint, Model, Scene, State, Table, rollout};
+use nalgebra::{Point3, UnitQuaternion, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+const SEED: u64 = 2026;
+/// What the demo's estimator has to find.
+const TRUE_MASS_KG: f64 = 0.236;
+const TRUE_FRICTION: f64 = 0.6;
+/// Tin and lid: octagonal prisms, distance between opposite sides and height in metres.
+const TIN: (f64, f64) = (0.062, 0.070);
+const LID: (f64, f64) = (0.046, 0.012);
+/// Height at which the push acts, metres.
+const PUSH_HEIGHT_M: f64 = 0.066;
+/// Noise of the simulated tracker and of the force record.
+const POSITION_SD_M: f64 = 0.002;
+const ROTATION_SD_RAD: f64 = PI / 180.0;
+const FORCE_SD_N: f64 = 0.02;
+
+fn main() -> Result<()> {
+    let out = std::env::args().nth(1).map_or_else(|| PathBuf::from("data/demo"), PathBuf::from);
+    let shells = [prism(TIN, 0.0)?, prism(LID, TIN.1)?];
+    fsutil::write_atomic(&out.join("scan/tin.obj"), obj(&shells).as_bytes())?;
+    make_push(&shells, &out.join("push/tilt"))?;
+    let truth = format!("{{\"mass_kg\": {TRUE_MASS_KG}, \"friction\": {TRUE_FRICTION}}}\n");
+    fsutil::write_atomic(&out.join("truth.json"), truth.as_bytes())?;
+    Ok(())
+}
+
+/// A closed octagonal prism standing on z = `bottom_m`.
+fn prism((across_m, height_m): (f64, f64), bottom_m: f64) -> Result<TriMesh> {
+    const N: u32 = 8;
+    let radius = across_m / 2.0 / (PI / f64::from(N)).cos();
+    let ring = |z: f64| {
+        (0..N).map(move |i| {
+            let angle = 2.0 * PI * (f64::from(i) + 0.5) / f64::from(N);
+            Point3::new(radius * angle.cos(), radius * angle.sin(), z)
+        })
+    };
+    let vertices = ring(bottom_m).chain(ring(bottom_m + height_m)).collect();
+    let mut faces = Vec::new();
+    for i in 0..N {
+        let j = (i + 1) % N;
+        faces.push([i, j, N + j]);
+        faces.push([i, N + j, N + i]);
+    }
+    for i in 1..N - 1 {
+        faces.push([0, i + 1, i]);
+        faces.push([N, N + i, N + i + 1]);
+    }
+    Ok(TriMesh::new(vertices, faces)?)
+}
+
+/// The shells one after the other as OBJ text.
+fn obj(shells: &[TriMesh]) -> String {
+    let mut text = String::from("# A tea tin, metres, z up, standing on z = 0. Made by make_demo_data.\n");
+    let mut first = 1;
+    for (shell, name) in shells.iter().zip(["tin", "lid"]) {
+        let _ = writeln!(text, "o {name}");
+        for v in &shell.vertices {
+            let _ = writeln!(text, "v {:.6} {:.6} {:.6}", v.x, v.y, v.z);
+        }
+        for f in &shell.faces {
+            let _ = writeln!(text, "f {} {} {}", f[0] + first, f[1] + first, f[2] + first);
+        }
+        first += shell.vertices.len() as u32;
+    }
+    text
+}
+
+/// Rocks the tin about its far edge with two pulses and writes what a tracker and a force gauge would have recorded.
+fn make_push(shells: &[TriMesh], folder: &Path) -> Result<()> {
+    let parts = shells.iter().map(|s| s.mass_properties(1.0)).collect::<Result<Vec<_>, _>>()?;
+    let body = MassProperties::combined(&parts).context("the tin has no volume")?.with_mass(TRUE_MASS_KG);
+    let pieces = shells.iter().map(|s| ConvexPiece::from_points(&s.vertices)).collect::<Result<Vec<_>, _>>()?;
+
+    let mut model = Model::new(vec![Body::new(&body, TRUE_MASS_KG, Arc::new(pieces))]);
+    model.dt_s = 1e-4;
+    model.contact.frequency_rad_s = 1400.0;
+    let mut scene: Scene<f64> = Scene::empty();
+    scene.table = Some(Table { height_m: 0.0, friction: TRUE_FRICTION });
+    let tipping_n = TRUE_MASS_KG * 9.81 * (TIN.0 / 2.0) / PUSH_HEIGHT_M;
+    let point = Point3::new(-TIN.0 / 2.0, 0.0, PUSH_HEIGHT_M);
+    let times: Vec<f64> = (0..=160).map(|i| f64::from(i) / 100.0).collect();
+    let forces: Vec<Vector3<f64>> =
+        times.iter().map(|&t| Vector3::x() * tipping_n * (1.25 * pulse(t, 0.30, 0.20) + 1.22 * pulse(t, 0.95, 0.22))).collect();
+    scene.forces.push(AppliedForce::new(0, &times, &forces, ForcePoint::Body(point))?);
+
+    let frames: Vec<f64> = (0..48).map(|i| f64::from(i) / 30.0).collect();
+    let start = Pose::translation(0.0, 0.0, 0.0);
+    let record = rollout(&model, &scene, &State::at_rest(start), &frames)?;
+
+    let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+    let mut poses_csv = String::from("t,x,y,z,qw,qx,qy,qz\n");
+    let mut highest_tilt: f64 = 0.0;
+    for (t, p) in frames.iter().zip(&record.poses) {
+        highest_tilt = highest_tilt.max(p.rotation.angle());
+        let shake = UnitQuaternion::from_scaled_axis(normal3(&mut rng) * ROTATION_SD_RAD);
+        let noisy = Pose::from_parts((p.translation.vector + normal3(&mut rng) * POSITION_SD_M).into(), shake * p.rotation);
+        let (x, q) = pose::to_wxyz(&noisy);
+        let _ = writeln!(
+            poses_csv,
+            "{t:.4},{:.5},{:.5},{:.5},{:.6},{:.6},{:.6},{:.6}",
+            x[0], x[1], x[2], q[0], q[1], q[2], q[3]
+        );
+    }
+    let mut force_csv = String::from("t,fx,fy,fz\n");
+    for (t, f) in times.iter().zip(&forces) {
+        let f = f + normal3(&mut rng) * FORCE_SD_N;
+        let _ = writeln!(force_csv, "{t:.2},{:.4},{:.4},{:.4}", f.x, f.y, f.z);
+    }
+    let config = PushConfig {
+        schema: 1,
+        name: Some("tilt".into()),
+        mesh: "../../scan/tin.obj".into(),
+        gravity_m_s2: [0.0, 0.0, -9.81],
+        mass_prior_kg: Some(0.5),
+        track: TrackConfig {
+            file: "poses.csv".into(),
+            format: TrackFormat::PoseCsv,
+            fps: None,
+            scene_id: None,
+            obj_id: None,
+            clock: ClockConfig::default(),
+            frame: FrameKind::World,
+            up_in_mesh: None,
+            push_in_mesh: None,
+            tracked_from_mesh: None,
+            noise: None,
+        },
+        support: Support { table_height_m: 0.0, friction: None, boxes: Vec::new() },
+        start: StartConfig {
+            pose: Some(PoseConfig { position_m: [0.0; 3], quat_wxyz: [1.0, 0.0, 0.0, 0.0] }),
+            at_rest: true,
+            time_s: Some(0.0),
+            nominal_position_m: None,
+        },
+        force: Some(ForceConfig {
+            file: "force.csv".into(),
+            point_in_object_m: point.into(),
+            clock: ClockConfig::default(),
+        }),
+        finger: None,
+        hand: None,
+    };
+    fsutil::write_atomic(&folder.join("poses.csv"), poses_csv.as_bytes())?;
+    fsutil::write_atomic(&folder.join("force.csv"), force_csv.as_bytes())?;
+    fsutil::write_atomic(&folder.join("push.toml"), config.to_toml_string()?.as_bytes())?;
+    eprintln!("the tin leans by up to {:.1} degrees; it tips above {tipping_n:.3} N", highest_tilt.to_degrees());
+    Ok(())
+}
+
+/// A half sine of height one.
+fn pulse(t: f64, start_s: f64, length_s: f64) -> f64 {
+    let s = (t - start_s) / length_s;
+    if (0.0..=1.0).contains(&s) { (PI * s).sin() } else { 0.0 }
+}
+
+/// Three independent standard normal numbers (Box and Muller).
+fn normal3(rng: &mut ChaCha8Rng) -> Vector3<f64> {
+    Vector3::from_fn(|_, _| {
+        let (u, v): (f64, f64) = (rng.random(), rng.random());
+        (-2.0 * (1.0 - u).ln()).sqrt() * (2.0 * PI * v).cos()
+    })
+}

@@ -1,0 +1,45 @@
+//! `drex asset`: a mesh becomes a sim-ready asset.
+
+use anyhow::Result;
+use drex_mesh::{AssetOptions, build_asset};
+
+use crate::cli::{AssetArgs, Unit};
+use crate::ui::Ui;
+
+/// Builds the asset, writes it, answers with its report.
+pub fn run(args: &AssetArgs, ui: &Ui) -> Result<()> {
+    let unit_m = match args.unit {
+        Unit::M => 1.0,
+        Unit::Cm => 1e-2,
+        Unit::Mm => 1e-3,
+    };
+    let options =
+        AssetOptions::default().with_unit_m(unit_m).with_up_in_mesh(args.up).with_friction(args.friction);
+    let spinner = ui.spinner("asset");
+    let asset = build_asset(&args.mesh, &options)?;
+    let asset = match args.mass {
+        Some(mass_kg) => asset.with_mass(mass_kg),
+        None => asset,
+    };
+    asset.write(&args.out)?;
+    spinner.finish_and_clear();
+    let r = &asset.report;
+    let p = &asset.properties;
+    let mut text = format!(
+        "{}\n  volume   {:.2} cm3 ({})\n  mass     {:.1} g{}\n  centre   {:.2}, {:.2}, {:.2} mm\n  pieces   {} convex\n",
+        args.mesh.display(),
+        1e6 * r.volume_m3,
+        crate::report::closing_text(r),
+        1e3 * p.mass_kg,
+        if args.mass.is_some() { "" } else { " at 1000 kg/m3: give --mass for the real one" },
+        1e3 * p.center_of_mass.x,
+        1e3 * p.center_of_mass.y,
+        1e3 * p.center_of_mass.z,
+        asset.pieces.len()
+    );
+    for warning in &r.warnings {
+        text += &format!("  note     {warning}\n");
+    }
+    text += &format!("  written  {}", args.out.join("asset").join("object.xml").display());
+    ui.answer(r, text)
+}

@@ -1,0 +1,181 @@
+//! `drex import`: twin folders from recordings in other layouts.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use drex_core::fsutil;
+use drex_core::push::{InputChoice, PushConfig, PushRecording, TrackFrame, drex_run};
+use drex_core::twin::TwinManifest;
+use serde::Serialize;
+
+use crate::cli::{ImportArgs, ImportSource};
+use crate::ui::Ui;
+
+/// The named order of the joint columns in the authors' grasp files.
+const GRASP_ORDER: &str = "leap_sdk";
+
+/// What was made of one object.
+#[derive(Debug, Serialize)]
+struct Imported {
+    object: String,
+    twin: PathBuf,
+    pushes: usize,
+    grasps: bool,
+}
+
+/// Imports every object found.
+pub fn run(args: &ImportArgs, ui: &Ui) -> Result<()> {
+    let ImportSource::DRex { dir, out, object } = &args.source;
+    let runs = find_runs(dir)?;
+    let mut by_object: BTreeMap<String, Vec<PathBuf>> = BTreeMap::new();
+    for run in runs {
+        by_object.entry(object_of(&run)?).or_default().push(run);
+    }
+    if let Some(wanted) = object {
+        by_object.retain(|name, _| name == wanted);
+        if by_object.is_empty() {
+            bail!("no run of an object named `{wanted}` in {}", dir.display());
+        }
+    }
+    let mut imported = Vec::new();
+    for (name, runs) in by_object {
+        let root = out.join(&name);
+        imported.push(import_object(&name, &runs, dir, &root).with_context(|| format!("importing {name}"))?);
+    }
+    let lines: Vec<String> = imported
+        .iter()
+        .map(|i| {
+            let grasps = if i.grasps { ", with grasps" } else { "" };
+            format!("{}: {} push(es){grasps}\n  drex run {}", i.object, i.pushes, i.twin.display())
+        })
+        .collect();
+    ui.answer(&serde_json::json!({ "imported": imported }), lines.join("\n"))
+}
+
+/// Folders with a run.json: `dir` itself, below `dir/runs`, or below `dir`.
+fn find_runs(dir: &Path) -> Result<Vec<PathBuf>> {
+    if dir.join("run.json").is_file() {
+        return Ok(vec![dir.to_path_buf()]);
+    }
+    let folder = if dir.join("runs").is_dir() { dir.join("runs") } else { dir.to_path_buf() };
+    let entries = std::fs::read_dir(&folder).with_context(|| format!("cannot list {}", folder.display()))?;
+    let mut runs: Vec<PathBuf> =
+        entries.filter_map(|e| Some(e.ok()?.path())).filter(|p| p.join("run.json").is_file()).collect();
+    runs.sort();
+    if runs.is_empty() {
+        bail!("no run.json in {} or one folder below it; give the folder that holds runs/ and objects/", folder.display());
+    }
+    Ok(runs)
+}
+
+fn object_of(run: &Path) -> Result<String> {
+    let file = run.join("run.json");
+    let value: serde_json::Value = serde_json::from_slice(&fsutil::read_bytes(&file)?)
+        .with_context(|| format!("{} is no JSON", file.display()))?;
+    match value.get("object").and_then(|v| v.as_str()) {
+        // The name becomes a folder name.
+        Some(name) if !name.is_empty() && !name.contains(['/', '\\']) && name != ".." => Ok(name.to_owned()),
+        _ => bail!("{} does not name its object; add \"object\": \"NAME\"", file.display()),
+    }
+}
+
+/// Copies the object's mesh, runs and grasps into `root` and writes its manifest last.
+fn import_object(name: &str, runs: &[PathBuf], dir: &Path, root: &Path) -> Result<Imported> {
+    let mut mesh = None;
+    let mut up_in_mesh = None;
+    let mut pushes = Vec::new();
+    for run in runs {
+        // Loading checks the run as a whole before anything is copied.
+        let recording = PushRecording::load(run, &InputChoice::default())?;
+        if let TrackFrame::Camera { up_in_mesh: up, .. } = &recording.track_frame {
+            // Axis-aligned within a few degrees by the recording's own convention; the first run decides.
+            up_in_mesh.get_or_insert([up.x, up.y, up.z]);
+        }
+        let mesh = mesh.get_or_insert_with(|| recording.mesh.clone());
+        let place = Path::new("push").join(run_name(run));
+        pushes.push(place.clone());
+        copy_run(run, mesh, &root.join(&place), root)?;
+    }
+    let (Some(mesh), Some(up_in_mesh)) = (mesh, up_in_mesh) else {
+        bail!("the runs of {name} do not say which way is up");
+    };
+    copy(&mesh, &root.join(scan_name(&mesh)))?;
+    let grasps = grasp_file(name, dir, runs);
+    if let Some(file) = &grasps {
+        copy(file, &root.join("demos").join(file_name(file)))?;
+    }
+    let manifest = manifest(name, &mesh, up_in_mesh, &pushes, grasps.as_deref())?;
+    let twin = root.join("twin.toml");
+    fsutil::write_atomic(&twin, manifest.as_bytes())?;
+    TwinManifest::load(&twin)?;
+    Ok(Imported { object: name.to_owned(), twin, pushes: pushes.len(), grasps: grasps.is_some() })
+}
+
+/// Copies the logs of a run and writes a push.toml that stands alone.
+fn copy_run(run: &Path, mesh: &Path, to: &Path, root: &Path) -> Result<()> {
+    let mut config: PushConfig = drex_run::to_push_config(&run.join("run.json"), run)?;
+    copy(&run.join(&config.track.file), &to.join(file_name(&config.track.file)))?;
+    config.track.file = file_name(&config.track.file);
+    if let Some(hand) = &mut config.hand {
+        copy(&run.join(&hand.joints), &to.join(file_name(&hand.joints)))?;
+        hand.joints = file_name(&hand.joints);
+    }
+    config.mesh = fsutil::relative_path(&root.join(scan_name(mesh)), to);
+    fsutil::write_atomic(&to.join("push.toml"), config.to_toml_string()?.as_bytes())?;
+    Ok(())
+}
+
+/// The manifest as a person would write it.
+fn manifest(name: &str, mesh: &Path, up: [f64; 3], pushes: &[PathBuf], grasps: Option<&Path>) -> Result<String> {
+    let slashes = |p: &Path| p.to_string_lossy().replace('\\', "/");
+    let text = |s: &str| toml::Value::String(s.to_owned()).to_string();
+    let list: Vec<String> = pushes.iter().map(|p| text(&slashes(p))).collect();
+    let mut out = format!(
+        "schema = 1\nname = {}\n\n[object]\nmesh = {}\nup_in_mesh = [{}, {}, {}]\n\n[mass]\nidentify = [{}]\n",
+        text(name),
+        text(&slashes(&scan_name(mesh))),
+        up[0],
+        up[1],
+        up[2],
+        list.join(", ")
+    );
+    if let Some(file) = grasps {
+        let file = text(&slashes(&Path::new("demos").join(file_name(file))));
+        out += &format!("\n[grasps]\nfile = {file}\nhand = \"leap_right\"\njoint_order = \"{GRASP_ORDER}\"\n");
+    }
+    Ok(out)
+}
+
+/// `demos/<object>_*.json` beside the runs, if there is one.
+fn grasp_file(object: &str, dir: &Path, runs: &[PathBuf]) -> Option<PathBuf> {
+    let beside_runs = runs.first().and_then(|r| r.parent()?.parent()).map(|p| p.join("demos"));
+    let folders = [Some(dir.join("demos")), beside_runs];
+    let mut found: Vec<PathBuf> = folders
+        .into_iter()
+        .flatten()
+        .filter_map(|f| std::fs::read_dir(f).ok())
+        .flatten()
+        .filter_map(|e| Some(e.ok()?.path()))
+        .filter(|p| p.extension().is_some_and(|e| e == "json"))
+        .filter(|p| file_name(p).to_string_lossy().starts_with(&format!("{object}_")))
+        .collect();
+    found.sort();
+    found.into_iter().next()
+}
+
+fn copy(from: &Path, to: &Path) -> Result<()> {
+    Ok(fsutil::write_atomic(to, &fsutil::read_bytes(from)?)?)
+}
+
+fn file_name(path: &Path) -> PathBuf {
+    path.file_name().map(PathBuf::from).unwrap_or_default()
+}
+
+fn run_name(run: &Path) -> PathBuf {
+    std::fs::canonicalize(run).ok().map(|p| file_name(&p)).unwrap_or_else(|| file_name(run))
+}
+
+fn scan_name(mesh: &Path) -> PathBuf {
+    Path::new("scan").join(file_name(mesh))
+}

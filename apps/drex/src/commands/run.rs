@@ -1,0 +1,20 @@
+//! `drex run`, `train`, `evaluate` and `report`: the stages of a twin folder up to one of them.
+
+use anyhow::Result;
+use serde_json::json;
+
+use crate::cli::TwinArgs;
+use crate::twin::{Stage, Twin};
+use crate::ui::Ui;
+
+/// Runs the twin's stages up to `last` and answers with what was done and found.
+pub fn run(args: &TwinArgs, last: Stage, seed: Option<u64>, ui: &Ui) -> Result<()> {
+    let mut twin = Twin::open(&args.twin, seed)?;
+    let summary = twin.run_until(last, ui)?;
+    let findings = twin.findings(last)?;
+    let mut answer = json!(summary);
+    if let Some(object) = answer.as_object_mut() {
+        object.extend(findings.json);
+    }
+    ui.answer(&answer, findings.text)
+}

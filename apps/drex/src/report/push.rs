@@ -1,0 +1,147 @@
+//! The push: what was tracked, what the simulation makes of it, how likely each mass is.
+
+use drex_sysid::{Identification, PushReport, Verdict};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+
+use super::page::Page;
+use crate::picture::plot::{COLORS, Plot, Series};
+use crate::twin::{MassFile, MassSource};
+
+/// The verdict as a person reads it.
+pub fn verdict_text(r: &Identification) -> String {
+    let mut text = match (r.verdict, r.mass_kg, r.ci95_kg) {
+        (Verdict::Identified, Some(m), Some([lo, hi])) => {
+            format!("identified: {:.1} g, 95 % interval {:.1} to {:.1} g", 1e3 * m, 1e3 * lo, 1e3 * hi)
+        }
+        (Verdict::OnlyMuM, ..) => match r.mu_m_kg {
+            Some(mu_m) => format!("only friction times mass: mu m = {:.1} g", 1e3 * mu_m),
+            None => "only friction times mass".to_owned(),
+        },
+        _ => "not identifiable".to_owned(),
+    };
+    text += &format!("\n  {}", r.reason);
+    for assumption in &r.assumptions {
+        text += &format!("\n  assumed: {assumption}");
+    }
+    text
+}
+
+/// The section on mass and pushes.
+pub fn section(page: &mut Page, mass: &MassFile) {
+    page.section("Mass");
+    match mass.source {
+        MassSource::Weighed => page.paragraph(&format!("{:.1} g, weighed.", 1e3 * mass.mass_kg)),
+        MassSource::Identified => {}
+        MassSource::Prior => page.paragraph(&format!(
+            "Later stages use {:.0} g. This is a first guess and not a measurement: no recording confirmed it.",
+            1e3 * mass.mass_kg
+        )),
+    }
+    let Some(result) = &mass.identification else { return };
+    page.paragraph(&format!("The pushes say: {}", verdict_text(result).lines().take(2).collect::<Vec<_>>().join(". ")));
+    let mut plots = Vec::new();
+    if result.profile.len() > 2 {
+        plots.push(profile_plot(result));
+    }
+    for push in &result.pushes {
+        plots.extend(push_plots(push));
+    }
+    page.plots(&plots);
+    let rows: Vec<Vec<String>> = result
+        .pushes
+        .iter()
+        .map(|p| {
+            vec![
+                p.name.clone(),
+                p.times_s.len().to_string(),
+                format!("{:.2} / {:.2}", 1e3 * p.position_sd_m, p.rotation_sd_rad.to_degrees()),
+                p.rms_position_m.map_or("-".into(), |v| format!("{:.2}", 1e3 * v)),
+                p.rms_rotation_rad.map_or("-".into(), |v| format!("{:.2}", v.to_degrees())),
+                p.outliers.to_string(),
+            ]
+        })
+        .collect();
+    page.table(
+        &["push", "poses", "noise taken, mm / deg", "residual, mm (rms)", "residual, deg (rms)", "outliers"],
+        &rows,
+    );
+    if let Some(b) = &result.error_budget {
+        let percent = |v: f64| format!("{:.2} %", 100.0 * v);
+        page.table(
+            &["standard deviation of the mass from", "poses", "residual scatter", "profile", "force record", "contact model"],
+            &[vec![
+                String::new(),
+                percent(b.poses),
+                percent(b.sandwich),
+                percent(b.profile),
+                percent(b.force),
+                percent(b.contact),
+            ]],
+        );
+    }
+    page.list(&result.assumptions.iter().map(|a| format!("Assumed: {a}")).collect::<Vec<_>>());
+    for push in &result.pushes {
+        page.list(&push.notes);
+    }
+}
+
+fn profile_plot(result: &Identification) -> String {
+    let lowest = result.profile.iter().map(|p| p.1).fold(f64::INFINITY, f64::min);
+    let x: Vec<f64> = result.profile.iter().map(|p| 1e3 * p.0).collect();
+    // The cost spans orders of magnitude; what matters is near zero.
+    let y: Vec<f64> = result.profile.iter().map(|p| (1.0 + p.1 - lowest).log10()).collect();
+    let dots = result.profile.len() < 80;
+    let mut series = vec![Series { label: "", x: &x, y: &y, color: COLORS[0], dots: false }];
+    if dots {
+        series.push(Series { label: "", x: &x, y: &y, color: COLORS[0], dots: true });
+    }
+    Plot {
+        title: "Likelihood of the mass",
+        x_label: "mass, g",
+        y_label: "log10(1 + cost above the best)",
+        series,
+        log_x: true,
+        marks: result.mass_kg.map(|m| (1e3 * m, format!("{:.1} g", 1e3 * m))).into_iter().collect(),
+        band: result.ci95_kg.map(|[lo, hi]| (1e3 * lo, 1e3 * hi)),
+    }
+    .to_svg()
+}
+
+/// Displacement and lean of the object, tracked and simulated.
+fn push_plots(push: &PushReport) -> Vec<String> {
+    let Some(start) = push.observed.first() else { return Vec::new() };
+    let moved = |poses: &[[f64; 7]], axis: usize| -> Vec<f64> {
+        poses.iter().map(|p| 1e3 * (p[axis] - start[axis])).collect()
+    };
+    let turned = |poses: &[[f64; 7]]| -> Vec<f64> {
+        poses.iter().map(|p| (rotation(start).inverse() * rotation(p)).angle().to_degrees()).collect()
+    };
+    let labels = ["x", "y", "z"];
+    let tracked: Vec<Vec<f64>> = (0..3).map(|a| moved(&push.observed, a)).collect();
+    let simulated: Vec<Vec<f64>> = (0..3).map(|a| moved(&push.simulated, a)).collect();
+    let mut series = Vec::new();
+    for a in 0..3 {
+        series.push(Series { label: labels[a], x: &push.times_s, y: &tracked[a], color: COLORS[a], dots: true });
+        if !push.simulated.is_empty() {
+            series.push(Series { label: "", x: &push.times_s, y: &simulated[a], color: COLORS[a], dots: false });
+        }
+    }
+    let how = if push.simulated.is_empty() { "tracked" } else { "dots tracked, lines simulated" };
+    let title = format!("{}: displacement ({how})", push.name);
+    let displacement =
+        Plot { title: &title, x_label: "time, s", y_label: "mm", series, ..Plot::default() }.to_svg();
+
+    let (tracked, simulated) = (turned(&push.observed), turned(&push.simulated));
+    let mut series = vec![Series { label: "tracked", x: &push.times_s, y: &tracked, color: COLORS[0], dots: true }];
+    if !push.simulated.is_empty() {
+        series.push(Series { label: "simulated", x: &push.times_s, y: &simulated, color: COLORS[1], dots: false });
+    }
+    let title = format!("{}: rotation since the start", push.name);
+    let rotation = Plot { title: &title, x_label: "time, s", y_label: "degrees", series, ..Plot::default() }.to_svg();
+    vec![displacement, rotation]
+}
+
+fn rotation(pose: &[f64; 7]) -> UnitQuaternion<f64> {
+    let q = Quaternion::from_parts(pose[3], Vector3::new(pose[4], pose[5], pose[6]));
+    UnitQuaternion::from_quaternion(q)
+}

@@ -1,0 +1,168 @@
+//! What the stages write for each other and for people: JSON with units in the field names.
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use drex_core::{Pose, fsutil, pose};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+/// Result of the identify stage.
+pub const MASS: &str = "mass.json";
+/// Result of the grasps stage.
+pub const FITS: &str = "grasps/wrist_fits.json";
+/// Folder of the trained network.
+pub const POLICY: &str = "policy/network";
+/// Curve and baselines of the training.
+pub const TRAINING: &str = "policy/training.json";
+/// Result of the evaluate stage.
+pub const EVALUATION: &str = "policy/evaluation.json";
+
+/// Where a mass comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MassSource {
+    /// Put on a scale; given in the manifest.
+    Weighed,
+    /// Identified from the pushes.
+    Identified,
+    /// A first guess that nothing has confirmed.
+    Prior,
+}
+
+impl MassSource {
+    /// For tables and sentences.
+    pub fn text(self) -> &'static str {
+        match self {
+            Self::Weighed => "weighed",
+            Self::Identified => "identified from the push",
+            Self::Prior => "a prior, not confirmed by any recording",
+        }
+    }
+}
+
+/// `mass.json`.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct MassFile {
+    /// The mass that later stages use, kg.
+    pub mass_kg: f64,
+    /// What kind of number it is.
+    pub source: MassSource,
+    /// 95 % interval, kg; only for an identified mass.
+    pub ci95_kg: Option<[f64; 2]>,
+    /// What the pushes said; absent when there were none.
+    pub identification: Option<serde_json::Value>,
+}
+
+/// `grasps/wrist_fits.json`.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct FitFile {
+    /// Layout version.
+    pub schema: u32,
+    /// The hand model: a bundled name or a file relative to the twin.
+    pub hand: String,
+    /// Joint names of the columns of `joints_rad`.
+    pub joint_names: Vec<String>,
+    /// Demonstrations read, fitted and accepted.
+    pub demonstrations: usize,
+    /// Of those, how many the fit accepted.
+    pub accepted: usize,
+    /// One record per demonstration, in the order of the file.
+    pub grasps: Vec<FitRecord>,
+}
+
+/// One demonstration on the object.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct FitRecord {
+    /// Row in the file of demonstrations, from 0.
+    pub demonstration: usize,
+    /// Whether it holds the rules of the fit.
+    pub accepted: bool,
+    /// Why not, one sentence each.
+    pub reasons: Vec<String>,
+    /// Joint angles after correction, rad.
+    pub joints_rad: Vec<f64>,
+    /// Largest change of a joint against the demonstration, rad.
+    pub largest_correction_rad: f64,
+    /// Pose of the hand's base in the object's mesh frame.
+    pub object_from_base: PoseRecord,
+    /// Deepest penetration of hand into object, mm.
+    pub penetration_mm: f64,
+    /// Lowest point of the hand above the table, mm.
+    pub table_clearance_mm: f64,
+    /// Fingers on the surface, by name.
+    pub touching: Vec<String>,
+}
+
+/// A pose on disk.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct PoseRecord {
+    /// Metres.
+    pub translation_m: [f64; 3],
+    /// w, x, y, z.
+    pub quat_wxyz: [f64; 4],
+}
+
+impl From<&Pose> for PoseRecord {
+    fn from(p: &Pose) -> Self {
+        let (translation_m, quat_wxyz) = pose::to_wxyz(p);
+        Self { translation_m, quat_wxyz }
+    }
+}
+
+impl PoseRecord {
+    /// As a pose.
+    pub fn to_pose(self) -> Result<Pose> {
+        Ok(pose::pose_from_wxyz(self.translation_m, self.quat_wxyz)?)
+    }
+}
+
+/// `policy/evaluation.json`: predicted grasps under the static check.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Evaluation {
+    /// Mass that the grasps were asked for and judged at, kg.
+    pub mass_kg: f64,
+    /// Friction that was assumed.
+    pub friction: f64,
+    /// The network's grasps as predicted.
+    pub predicted: Vec<JudgedGrasp>,
+    /// The same after the wrist was solved again on the object with small finger corrections.
+    pub refined: Vec<JudgedGrasp>,
+    /// The demonstrations that it learned from, for comparison.
+    pub demonstrations: Vec<JudgedGrasp>,
+}
+
+/// A grasp and what the static check says of it.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct JudgedGrasp {
+    /// Joint angles, rad, in the order of the grasp file.
+    pub joints_rad: Vec<f64>,
+    /// Pose of the hand's base in the object's mesh frame.
+    pub object_from_base: PoseRecord,
+    /// Squeeze that the network asks for, N; absent for demonstrations.
+    pub predicted_squeeze_n: Option<f64>,
+    /// Weight of the mode among the network's answers; absent for demonstrations.
+    pub weight: Option<f64>,
+    /// The static check.
+    pub check: serde_json::Value,
+    /// Whether the check passed.
+    pub passed: bool,
+    /// Why not.
+    pub reasons: Vec<String>,
+    /// Smallest squeeze by the cone programme at this mass, N; absent when there is none.
+    pub smallest_squeeze_n: Option<f64>,
+}
+
+/// Writes a value as indented JSON.
+pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
+    let mut text = serde_json::to_vec_pretty(value)?;
+    text.push(b'\n');
+    fsutil::write_atomic(path, &text)?;
+    Ok(())
+}
+
+/// Reads what [`write_json`] wrote.
+pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
+    serde_json::from_slice(&fsutil::read_bytes(path)?)
+        .with_context(|| format!("{} is not what drex wrote there; delete it and run again", path.display()))
+}

@@ -1,0 +1,61 @@
+//! Pushes to a mass, and the mass into the asset's MJCF.
+
+use std::path::PathBuf;
+
+use anyhow::{Result, bail};
+use drex_core::push::{InputChoice, PushRecording};
+use drex_sysid::{Identification, IdentifyOptions, Verdict, identify};
+
+use super::files::{MASS, write_json};
+use super::{MassFile, MassSource, Twin};
+use crate::object::{model_of, read_asset};
+use crate::ui::Ui;
+
+pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
+    let asset = read_asset(&twin.root)?;
+    let recordings = recordings(twin)?;
+    let identification = if recordings.is_empty() {
+        None
+    } else {
+        let spinner = ui.spinner("identify");
+        let result = identify(&recordings, &model_of(&asset), &IdentifyOptions::default().with_seed(twin.seed))?;
+        spinner.finish_and_clear();
+        Some(result)
+    };
+    let mass = choose(twin, &recordings, identification.as_ref())?;
+    asset.with_mass(mass.mass_kg).write_models(&twin.root)?;
+    write_json(&twin.path(MASS), &mass)?;
+    Ok(vec![twin.path(MASS), twin.path("asset")])
+}
+
+/// The manifest's pushes, loaded.
+pub fn recordings(twin: &Twin) -> Result<Vec<PushRecording>> {
+    let choice = InputChoice::default();
+    Ok(twin
+        .manifest
+        .mass
+        .identify
+        .iter()
+        .map(|push| PushRecording::load(&twin.path(push), &choice))
+        .collect::<Result<_, _>>()?)
+}
+
+/// A weighed value wins, then an identified one; a prior is the last resort and stays marked as one.
+fn choose(twin: &Twin, recordings: &[PushRecording], identification: Option<&Identification>) -> Result<MassFile> {
+    let config = &twin.manifest.mass;
+    let identified = identification.filter(|i| i.verdict == Verdict::Identified).and_then(|i| i.mass_kg);
+    let prior = config.prior_kg.or_else(|| recordings.iter().find_map(|r| r.mass_prior_kg));
+    let (mass_kg, source) = match (config.weighed_kg, identified, prior) {
+        (Some(kg), _, _) => (kg, MassSource::Weighed),
+        (None, Some(kg), _) => (kg, MassSource::Identified),
+        (None, None, Some(kg)) => (kg, MassSource::Prior),
+        (None, None, None) => bail!(
+            "the pushes do not tell the mass ({}) and nobody guessed one; put weighed_kg or prior_kg into [mass] of {}",
+            identification.map_or("there are none", |i| i.reason.as_str()),
+            twin.path("twin.toml").display()
+        ),
+    };
+    let ci95_kg = identification.filter(|_| source == MassSource::Identified).and_then(|i| i.ci95_kg);
+    let identification = identification.map(serde_json::to_value).transpose()?;
+    Ok(MassFile { mass_kg, source, ci95_kg, identification })
+}

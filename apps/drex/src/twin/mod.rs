@@ -1,0 +1,172 @@
+//! The twin folder and its stages, in the order in which they build on each other.
+
+mod asset;
+mod evaluate;
+mod files;
+mod grasps;
+mod identify;
+mod report;
+mod train;
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+use drex_core::twin::TwinManifest;
+use serde::Serialize;
+
+use crate::lock::{Inputs, Lock};
+use crate::ui::Ui;
+
+pub use files::{Evaluation, FitFile, FitRecord, JudgedGrasp, MassFile, MassSource};
+
+/// The stages of a twin, in order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Stage {
+    /// Mesh to repaired, decomposed object with mass properties.
+    Asset,
+    /// Pushes to a mass; the asset's MJCF gets it.
+    Identify,
+    /// Demonstrated joint angles to grasps on the object.
+    Grasps,
+    /// Grasps to a network.
+    Train,
+    /// The network's grasps judged.
+    Evaluate,
+    /// The page about all of it.
+    Report,
+}
+
+impl Stage {
+    const ALL: [Self; 6] = [Self::Asset, Self::Identify, Self::Grasps, Self::Train, Self::Evaluate, Self::Report];
+
+    /// The stage's name in the lock and in messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Asset => "asset",
+            Self::Identify => "identify",
+            Self::Grasps => "grasps",
+            Self::Train => "train",
+            Self::Evaluate => "evaluate",
+            Self::Report => "report",
+        }
+    }
+
+    /// Whether the stage needs demonstrated grasps.
+    fn needs_grasps(self) -> bool {
+        matches!(self, Self::Grasps | Self::Train | Self::Evaluate)
+    }
+}
+
+/// A twin folder that is being worked on.
+pub struct Twin {
+    /// The folder.
+    pub root: PathBuf,
+    /// What is given.
+    pub manifest: TwinManifest,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// What has been made.
+    pub lock: Lock,
+}
+
+/// What a run did.
+#[derive(Debug, Serialize)]
+pub struct RunSummary {
+    /// The twin's name.
+    pub name: String,
+    /// Stages that were made in this run.
+    pub stages_run: Vec<&'static str>,
+    /// Stages that were up to date.
+    pub stages_current: Vec<&'static str>,
+    /// Wall time, seconds.
+    pub seconds: f64,
+}
+
+impl Twin {
+    /// Opens the twin at `path`: a `twin.toml` or the folder that holds it. `seed` overrides the manifest's.
+    pub fn open(path: &Path, seed: Option<u64>) -> Result<Self> {
+        let file = if path.is_dir() { path.join("twin.toml") } else { path.to_path_buf() };
+        let manifest = TwinManifest::load(&file)?;
+        let root = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf();
+        let seed = seed.unwrap_or(manifest.seed);
+        let lock = Lock::open(&root);
+        Ok(Self { root, manifest, seed, lock })
+    }
+
+    /// A file of the twin folder.
+    pub fn path(&self, relative: impl AsRef<Path>) -> PathBuf {
+        self.root.join(relative)
+    }
+
+    /// Does every stage up to and including `last` whose inputs changed, and skips the others.
+    pub fn run_until(&mut self, last: Stage, ui: &Ui) -> Result<RunSummary> {
+        if last.needs_grasps() && self.manifest.grasps.is_none() {
+            bail!(
+                "{} has no [grasps] section, so there is nothing to {}; name a file of demonstrated grasps there",
+                self.path("twin.toml").display(),
+                last.name()
+            );
+        }
+        let started = Instant::now();
+        let mut summary = RunSummary { name: self.manifest.name.clone(), stages_run: vec![], stages_current: vec![], seconds: 0.0 };
+        for stage in Stage::ALL.into_iter().filter(|s| *s <= last) {
+            if stage.needs_grasps() && self.manifest.grasps.is_none() {
+                continue;
+            }
+            let inputs = self.inputs(stage).with_context(|| format!("stage {}", stage.name()))?;
+            if self.lock.is_current(stage.name(), &inputs) {
+                ui.note(format!("{:>10}  up to date", stage.name()));
+                summary.stages_current.push(stage.name());
+                continue;
+            }
+            let begun = Instant::now();
+            let outputs = self.make(stage, ui).with_context(|| format!("stage {} of {}", stage.name(), self.root.display()))?;
+            let seconds = begun.elapsed().as_secs_f64();
+            self.lock.record(stage.name(), inputs, self.seed, seconds, &outputs)?;
+            ui.note(format!("{:>10}  done in {seconds:.1} s", stage.name()));
+            summary.stages_run.push(stage.name());
+        }
+        summary.seconds = started.elapsed().as_secs_f64();
+        Ok(summary)
+    }
+
+    fn make(&self, stage: Stage, ui: &Ui) -> Result<Vec<PathBuf>> {
+        match stage {
+            Stage::Asset => asset::make(self, ui),
+            Stage::Identify => identify::make(self, ui),
+            Stage::Grasps => grasps::make(self, ui),
+            Stage::Train => train::make(self, ui),
+            Stage::Evaluate => evaluate::make(self, ui),
+            Stage::Report => report::make(self),
+        }
+    }
+
+    /// The digest of all that a stage depends on. Earlier stages' outputs count as inputs.
+    fn inputs(&self, stage: Stage) -> Result<String> {
+        let m = &self.manifest;
+        let inputs = Inputs::new(self.seed);
+        let inputs = match stage {
+            Stage::Asset => inputs.setting("object", &m.object)?.file(&self.path(&m.object.mesh))?,
+            Stage::Identify => {
+                let inputs = inputs.setting("mass", &m.mass)?.setting("object", &m.object)?.file(&self.path("mesh"))?;
+                m.mass.identify.iter().try_fold(inputs, |inputs, push| inputs.file(&self.path(push)))?
+            }
+            Stage::Grasps => {
+                let inputs = inputs.setting("grasps", &m.grasps)?.setting("object", &m.object)?.file(&self.path("mesh"))?;
+                m.grasps.iter().try_fold(inputs, |inputs, g| inputs.file(&self.path(&g.file)))?
+            }
+            Stage::Train => inputs.setting("train", &m.train)?.file(&self.path(files::FITS))?.file(&self.path(files::MASS))?,
+            Stage::Evaluate => inputs.setting("object", &m.object)?.file(&self.path(files::POLICY))?.file(&self.path(files::FITS))?.file(&self.path(files::MASS))?,
+            Stage::Report => {
+                let inputs = inputs.setting("manifest", m)?.file(&self.path("mesh"))?.file(&self.path(files::MASS))?;
+                if m.grasps.is_some() {
+                    inputs.file(&self.path(files::FITS))?.file(&self.path(files::POLICY))?.file(&self.path(files::EVALUATION))?
+                } else {
+                    inputs
+                }
+            }
+        };
+        Ok(inputs.digest())
+    }
+}

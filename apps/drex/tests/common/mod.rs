@@ -1,0 +1,84 @@
+//! Runs the built command line.
+#![allow(dead_code, clippy::unwrap_used)] // a test helper: not every test uses all of it, and a panic is the report
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// What a run of `drex` printed and how it ended.
+pub struct Run {
+    /// Exit status.
+    pub code: i32,
+    /// Standard output.
+    pub stdout: String,
+    /// Standard error.
+    pub stderr: String,
+}
+
+/// Runs `drex` with these arguments.
+pub fn drex<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Run {
+    let output: Output =
+        Command::new(env!("CARGO_BIN_EXE_drex")).args(arguments).env_remove("RUST_BACKTRACE").output().unwrap();
+    Run {
+        code: output.status.code().unwrap_or(-1),
+        stdout: String::from_utf8_lossy(&output.stdout).into_owned(),
+        stderr: String::from_utf8_lossy(&output.stderr).into_owned(),
+    }
+}
+
+impl Run {
+    /// The JSON object on stdout.
+    pub fn json(&self) -> serde_json::Value {
+        serde_json::from_str(&self.stdout).unwrap_or_else(|e| panic!("{e}: {}\n{}", self.stdout, self.stderr))
+    }
+
+    /// Asserts exit status 1 and that the message holds every one of `words`.
+    pub fn fails_with(&self, words: &[&str]) {
+        assert_eq!(self.code, 1, "stdout: {}\nstderr: {}", self.stdout, self.stderr);
+        for word in words {
+            assert!(self.stderr.contains(word), "`{word}` is missing in: {}", self.stderr);
+        }
+        assert!(!self.stderr.contains("panicked"), "{}", self.stderr);
+    }
+}
+
+/// The bundled demo data.
+pub fn demo_data() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("data/demo")
+}
+
+/// A copy of the demo data in a temporary folder.
+pub fn demo_copy() -> (tempfile::TempDir, PathBuf) {
+    let dir = tempfile::tempdir().unwrap();
+    let to = dir.path().join("twin");
+    copy_tree(&demo_data(), &to);
+    (dir, to)
+}
+
+fn copy_tree(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap() {
+        let entry = entry.unwrap();
+        let target = to.join(entry.file_name());
+        if entry.path().is_dir() {
+            copy_tree(&entry.path(), &target);
+        } else {
+            std::fs::copy(entry.path(), target).unwrap();
+        }
+    }
+}
+
+/// Replaces `old` by `new` in a file; `old` must be there.
+pub fn edit(path: &Path, old: &str, new: &str) {
+    let text = std::fs::read_to_string(path).unwrap();
+    assert!(text.contains(old), "`{old}` is not in {}", path.display());
+    std::fs::write(path, text.replacen(old, new, 1)).unwrap();
+}
+
+/// Reference recordings, or a printed note that `test` is skipped.
+pub fn shared_data(test: &str) -> Option<PathBuf> {
+    let Some(root) = std::env::var_os("DREX_SHARED") else {
+        eprintln!("skipped {test}: DREX_SHARED is not set");
+        return None;
+    };
+    Some(PathBuf::from(root).join("data"))
+}

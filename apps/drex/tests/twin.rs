@@ -1,0 +1,112 @@
+//! The path from a twin folder to its report: on the bundled data, and on real recordings where they are at hand.
+#![allow(clippy::unwrap_used, missing_docs)] // tests: a panic is the report
+
+mod common;
+
+use std::fs;
+
+use common::{demo_copy, drex, edit, shared_data};
+
+#[test]
+fn the_demo_weighs_the_tin_and_the_second_run_has_nothing_to_do() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("demo");
+    let run = drex(["demo", "--json", "--out", out.to_str().unwrap()]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let answer = run.json();
+    let truth: serde_json::Value = serde_json::from_str(&fs::read_to_string(common::demo_data().join("truth.json")).unwrap()).unwrap();
+    let truth_kg = truth["mass_kg"].as_f64().unwrap();
+    assert_eq!(answer["mass"]["source"], "identified", "{answer}");
+    let mass_kg = answer["mass"]["mass_kg"].as_f64().unwrap();
+    assert!((mass_kg / truth_kg - 1.0).abs() < 0.05, "{mass_kg} kg, simulated with {truth_kg} kg");
+    let ci = &answer["mass"]["ci95_kg"];
+    assert!(ci[0].as_f64().unwrap() < mass_kg && mass_kg < ci[1].as_f64().unwrap(), "{ci}");
+
+    let html = fs::read_to_string(out.join("report.html")).unwrap();
+    assert!(html.contains("<svg") && html.contains("data:image/png;base64,"));
+    assert!(!html.contains("http://") && !html.contains("https://"), "the report must not need the network");
+    assert!(fs::read_to_string(out.join("asset/object.xml")).unwrap().contains("<mujoco"));
+
+    let again = drex(["run", "--json", out.to_str().unwrap()]);
+    assert_eq!(again.json()["stages_run"], serde_json::json!([]), "{}", again.stderr);
+
+    // A changed input makes its stage and those that build on it again, and only those.
+    edit(&out.join("twin.toml"), "prior_kg = 0.5", "weighed_kg = 0.25");
+    let weighed = drex(["run", "--json", out.to_str().unwrap()]);
+    let made: Vec<&str> = ["identify", "train", "evaluate", "report"].to_vec();
+    assert_eq!(weighed.json()["stages_run"], serde_json::json!(made), "{}", weighed.stderr);
+    assert_eq!(weighed.json()["mass"]["source"], "weighed");
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_with_one_thread_and_two() {
+    let (_a, one) = demo_copy();
+    let (_b, two) = demo_copy();
+    for (twin, threads) in [(&one, "1"), (&two, "2")] {
+        edit(&twin.join("twin.toml"), "hand = \"leap_right\"", "hand = \"leap_right\"\n\n[train]\nepochs = 5");
+        let run = drex(["evaluate", "--threads", threads, twin.to_str().unwrap()]);
+        assert_eq!(run.code, 0, "{}", run.stderr);
+    }
+    for file in ["mesh/report.json", "asset/object.xml", "grasps/wrist_fits.json", "policy/evaluation.json"] {
+        assert_eq!(fs::read(one.join(file)).unwrap(), fs::read(two.join(file)).unwrap(), "{file}");
+    }
+}
+
+#[test]
+fn a_killed_run_goes_on_where_it_stopped() {
+    let (_dir, twin) = demo_copy();
+    assert_eq!(drex(["run", twin.to_str().unwrap(), "--help"]).code, 0);
+    // What a kill leaves: the first stages recorded, the next one's files half there and not in the lock.
+    let first = drex(["identify", twin.join("push/tilt").to_str().unwrap()]);
+    assert_eq!(first.code, 0);
+    edit(&twin.join("twin.toml"), "[grasps]\nfile = \"demos/grasps.json\"\nhand = \"leap_right\"", "");
+    assert_eq!(drex(["run", twin.to_str().unwrap()]).code, 0);
+    fs::write(twin.join("mass.json"), "{\"mass_kg\": 0.").unwrap();
+    let resumed = drex(["run", "--json", twin.to_str().unwrap()]);
+    assert_eq!(resumed.code, 0, "{}", resumed.stderr);
+    assert_eq!(resumed.json()["stages_current"], serde_json::json!(["asset"]));
+    assert!(fs::read_to_string(twin.join("mass.json")).unwrap().ends_with("}\n"));
+}
+
+#[test]
+fn a_simulated_toss_and_a_real_push_are_not_identifiable() {
+    let Some(data) = shared_data("a_simulated_toss_and_a_real_push_are_not_identifiable") else { return };
+    for recording in ["push_mujoco/brick/toss", "drex_real/runs/ketchup1"] {
+        let run = drex(["identify", "--json", data.join(recording).to_str().unwrap()]);
+        assert_eq!(run.code, 0, "{recording}: {}", run.stderr);
+        let answer = run.json();
+        assert_eq!(answer["verdict"], "not_identifiable", "{recording}: {answer}");
+        for absent in ["mass_kg", "ci95_kg", "mu_m_kg"] {
+            assert!(answer.as_object().unwrap().contains_key(absent) && answer[absent].is_null(), "{recording}: {absent}");
+        }
+        assert!(!answer["reason"].as_str().unwrap().is_empty() && answer["seconds"].is_number());
+    }
+}
+
+#[test]
+fn a_known_force_weighs_the_object() {
+    let Some(data) = shared_data("a_known_force_weighs_the_object") else { return };
+    for (object, scenario) in [("brick", "lift_force"), ("can", "tilt_force"), ("letter_l", "slide_force")] {
+        let folder = data.join("push_mujoco").join(object).join(scenario);
+        let run = drex(["identify", "--json", "--poses", "clean", "--force", "exact", folder.to_str().unwrap()]);
+        let truth: serde_json::Value = serde_json::from_str(&fs::read_to_string(folder.join("truth.json")).unwrap()).unwrap();
+        let (found, truth) = (run.json()["mass_kg"].as_f64().unwrap(), truth["mass"].as_f64().unwrap());
+        assert!((found / truth - 1.0).abs() < 0.05, "{object}/{scenario}: {found} for {truth} kg");
+    }
+}
+
+#[test]
+fn real_recordings_become_twins_with_a_report() {
+    let Some(data) = shared_data("real_recordings_become_twins_with_a_report") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("twins");
+    let source = data.join("drex_real");
+    let run = drex(["import", "d-rex", source.to_str().unwrap(), "--out", out.to_str().unwrap(), "--object", "ketchup"]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let run = drex(["run", "--json", out.join("ketchup").to_str().unwrap()]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let answer = run.json();
+    assert_eq!(answer["mass"]["source"], "prior", "a replayed hand tells no mass: {answer}");
+    let html = fs::read_to_string(out.join("ketchup/report.html")).unwrap();
+    assert!(html.contains("not a measurement"), "a prior must be called one");
+}
