@@ -66,21 +66,16 @@ pub fn parse_iso(text: &str, utc_offset_minutes: i32) -> Result<f64> {
                     "write stamps like 2025-04-17T18:59:37.970819",
                 )
             })?;
-            let offset = utc_offset_minutes
-                .checked_mul(60)
-                .and_then(|s| Offset::from_seconds(s).ok())
-                .ok_or_else(|| {
+            let offset =
+                utc_offset_minutes.checked_mul(60).and_then(|s| Offset::from_seconds(s).ok()).ok_or_else(|| {
                     Error::value(
                         format!("a UTC offset of {utc_offset_minutes} min is beyond a day"),
                         "give local time minus UTC, such as -07:00",
                     )
                 })?;
-            offset.to_timestamp(local).map_err(|_| {
-                Error::value(
-                    format!("`{text}` is outside the calendar"),
-                    "check the stamp",
-                )
-            })?
+            offset
+                .to_timestamp(local)
+                .map_err(|_| Error::value(format!("`{text}` is outside the calendar"), "check the stamp"))?
         }
     };
     Ok(timestamp.as_second() as f64 + f64::from(timestamp.subsec_nanosecond()) * 1e-9)
@@ -92,22 +87,13 @@ pub fn parse_iso(text: &str, utc_offset_minutes: i32) -> Result<f64> {
 /// If there is no offset in the text or it is beyond ±18 h.
 pub fn parse_utc_offset(text: &str) -> Result<i32> {
     let refuse = || {
-        Error::value(
-            format!("`{text}` names no UTC offset"),
-            "write local time minus UTC as ±hh:mm, such as -07:00",
-        )
+        Error::value(format!("`{text}` names no UTC offset"), "write local time minus UTC as ±hh:mm, such as -07:00")
     };
-    let tail = text
-        .rsplit_once("UTC")
-        .map_or(text, |(_, tail)| tail)
-        .trim();
+    let tail = text.rsplit_once("UTC").map_or(text, |(_, tail)| tail).trim();
     if matches!(tail, "Z" | "z") || (tail.is_empty() && text.contains("UTC")) {
         return Ok(0);
     }
-    let (sign, digits) = match tail
-        .strip_prefix('-')
-        .or_else(|| tail.strip_prefix('\u{2212}'))
-    {
+    let (sign, digits) = match tail.strip_prefix('-').or_else(|| tail.strip_prefix('\u{2212}')) {
         Some(rest) => (-1, rest),
         None => (1, tail.strip_prefix('+').ok_or_else(refuse)?),
     };
@@ -116,10 +102,7 @@ pub fn parse_utc_offset(text: &str) -> Result<i32> {
         None if digits.len() == 4 && digits.is_ascii() => digits.split_at(2),
         None => (digits, "0"),
     };
-    let (h, m): (i32, i32) = (
-        hours.parse().map_err(|_| refuse())?,
-        minutes.parse().map_err(|_| refuse())?,
-    );
+    let (h, m): (i32, i32) = (hours.parse().map_err(|_| refuse())?, minutes.parse().map_err(|_| refuse())?);
     if !(0..=18).contains(&h) || !(0..60).contains(&m) {
         return Err(refuse());
     }
@@ -129,11 +112,7 @@ pub fn parse_utc_offset(text: &str) -> Result<i32> {
 /// `-07:00` for -420 minutes.
 pub fn format_utc_offset(minutes: i32) -> String {
     let sign = if minutes < 0 { '-' } else { '+' };
-    format!(
-        "{sign}{:02}:{:02}",
-        minutes.unsigned_abs() / 60,
-        minutes.unsigned_abs() % 60
-    )
+    format!("{sign}{:02}:{:02}", minutes.unsigned_abs() / 60, minutes.unsigned_abs() % 60)
 }
 
 /// A named time span, seconds, for messages about two recordings that should meet.
@@ -178,11 +157,7 @@ mod tests {
     #[test]
     fn local_time_is_brought_to_unix_seconds() {
         // 2025-04-18T01:59:37.970819Z, by `date -d`.
-        let t = Clock::LocalIso {
-            utc_offset_minutes: -420,
-        }
-        .parse("2025-04-17T18:59:37.970819")
-        .unwrap();
+        let t = Clock::LocalIso { utc_offset_minutes: -420 }.parse("2025-04-17T18:59:37.970819").unwrap();
         assert!((t - 1_744_941_577.970_819).abs() < 1e-6, "{t}");
         assert!((parse_iso("2025-04-17T18:59:37.970819-07:00", 0).unwrap() - t).abs() < 1e-6);
         assert!((parse_iso("2025-04-18T01:59:37.970819Z", -420).unwrap() - t).abs() < 1e-6);
@@ -190,14 +165,9 @@ mod tests {
 
     #[test]
     fn offsets_are_read_in_the_usual_spellings() {
-        for (text, minutes) in [
-            ("local time, UTC-07:00", -420),
-            ("-07:00", -420),
-            ("+0530", 330),
-            ("UTC", 0),
-            ("UTC+2", 120),
-            ("Z", 0),
-        ] {
+        for (text, minutes) in
+            [("local time, UTC-07:00", -420), ("-07:00", -420), ("+0530", 330), ("UTC", 0), ("UTC+2", 120), ("Z", 0)]
+        {
             assert_eq!(parse_utc_offset(text).unwrap(), minutes, "{text}");
         }
         for text in ["", "local", "7", "-99:00", "UTC-x", "+1:77"] {
@@ -209,32 +179,10 @@ mod tests {
 
     #[test]
     fn spans_that_do_not_meet_are_refused_with_the_gap() {
-        let a = Span {
-            what: "pose track",
-            first_s: 0.0,
-            last_s: 10.0,
-        };
-        let b = Span {
-            what: "joint log",
-            first_s: 25200.0,
-            last_s: 25210.0,
-        };
+        let a = Span { what: "pose track", first_s: 0.0, last_s: 10.0 };
+        let b = Span { what: "joint log", first_s: 25200.0, last_s: 25210.0 };
         let message = overlap(a, b).unwrap_err().to_string();
-        assert!(
-            message.contains("25190.000 s") && message.contains("time zone"),
-            "{message}"
-        );
-        assert_eq!(
-            overlap(
-                a,
-                Span {
-                    what: "x",
-                    first_s: 4.0,
-                    last_s: 90.0
-                }
-            )
-            .unwrap(),
-            (4.0, 10.0)
-        );
+        assert!(message.contains("25190.000 s") && message.contains("time zone"), "{message}");
+        assert_eq!(overlap(a, Span { what: "x", first_s: 4.0, last_s: 90.0 }).unwrap(), (4.0, 10.0));
     }
 }

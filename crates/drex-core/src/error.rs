@@ -45,11 +45,7 @@ pub enum Error {
 impl Error {
     /// An [`Error::Io`] for `path`.
     pub fn io(action: &'static str, path: impl AsRef<Path>, source: std::io::Error) -> Self {
-        Self::Io {
-            action,
-            path: path.as_ref().to_path_buf(),
-            source,
-        }
+        Self::Io { action, path: path.as_ref().to_path_buf(), source }
     }
 
     /// An [`Error::Content`] for a whole file or one `line` of it.
@@ -59,12 +55,7 @@ impl Error {
         what: impl Into<String>,
         remedy: impl Into<String>,
     ) -> Self {
-        Self::Content {
-            path: path.as_ref().to_path_buf(),
-            line: line.into(),
-            what: what.into(),
-            remedy: remedy.into(),
-        }
+        Self::Content { path: path.as_ref().to_path_buf(), line: line.into(), what: what.into(), remedy: remedy.into() }
     }
 
     /// `error` with the place it was found at: a value that is wrong becomes content of `path` that is wrong.
@@ -78,9 +69,6 @@ impl Error {
 
     /// An [`Error::Value`].
     pub fn value(what: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self::Value {
-            what: what.into(),
-            remedy: remedy.into(),
-        }
+        Self::Value { what: what.into(), remedy: remedy.into() }
     }
 }

@@ -1,9 +1,38 @@
-//! Poses, trajectories, clocks, cameras, meshes and the twin folder: what every drex crate shares.
+//! Poses, trajectories, clocks, cameras, meshes, recorded data and the twin folder: what every drex crate shares.
 //!
-//! Conventions (the whole workspace keeps them):
-//! SI units; world z up, gravity (0, 0, -9.81) m/s²; cameras have OpenCV axes (x right, y down, z forward);
-//! `a_from_b` maps coordinates in frame b to coordinates in frame a; quaternions are w, x, y, z on disk;
-//! joint values are keyed by joint name; time stamps are seconds of one clock.
+//! A recorded push, whatever layout it came in, is one value on one clock:
+//!
+//! ```no_run
+//! use drex_core::push::{Drive, InputChoice, PushRecording};
+//!
+//! let push = PushRecording::load("twin/push/push1".as_ref(), &InputChoice::default())?;
+//! println!("{}: {}", push.name, push.notes.join("; "));
+//! if let Drive::Hand(hand) = &push.drive {
+//!     println!("{} moved it; joints {}", hand.robot, hand.joints.names.join(", "));
+//! }
+//! # Ok::<(), drex_core::Error>(())
+//! ```
+//!
+//! Meshes know what the solid weighs and how it turns:
+//!
+//! ```
+//! let tetrahedron = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n";
+//! let mesh = drex_core::mesh::parse_obj("t.obj".as_ref(), tetrahedron.as_bytes())?;
+//! let solid = mesh.mass_properties(1000.0)?; // density, kg/m³
+//! assert!((solid.mass_kg - 1.0 / 6.0).abs() < 1e-12);
+//! assert!((solid.center_of_mass.x - 0.025).abs() < 1e-12);
+//! # Ok::<(), drex_core::Error>(())
+//! ```
+//!
+//! # Conventions
+//!
+//! The whole workspace keeps them: SI units; world z up, gravity (0, 0, -9.81) m/s²; cameras have OpenCV axes (x right,
+//! y down, z forward); `a_from_b` maps coordinates in frame b to coordinates in frame a; quaternions are w, x, y, z on
+//! disk; joint values are keyed by joint name; time stamps are seconds of one clock.
+//!
+//! Errors ([`Error`]) say what was wrong, in which file and line, and what to do. No input makes the crate panic.
+
+#![allow(clippy::neg_cmp_op_on_partial_ord)] // `!(x > 0.0)` also refuses NaN, which is meant
 
 pub mod camera;
 pub mod clock;
@@ -23,3 +52,8 @@ pub use mesh::{MassProperties, TriMesh};
 pub use pose::{Pose, Real};
 pub use surface::{SdfSample, SignedDistance, Surface, SurfacePoint};
 pub use trajectory::Trajectory;
+
+/// Runs the examples of the README as tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct ReadmeDoctests;

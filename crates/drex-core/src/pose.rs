@@ -1,9 +1,6 @@
 //! Rigid poses. A pose is named `a_from_b`: it maps coordinates in frame b to coordinates in frame a.
 
-use nalgebra::{
-    Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3,
-    Vector6,
-};
+use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
 
 use crate::{Error, Result};
 
@@ -23,15 +20,8 @@ pub const UNIT_TOLERANCE: f64 = 1e-2;
 /// # Errors
 /// If a number is not finite or the quaternion's norm is not 1 within [`UNIT_TOLERANCE`].
 pub fn pose_from_wxyz(translation_m: [f64; 3], quat_wxyz: [f64; 4]) -> Result<Pose> {
-    if translation_m
-        .iter()
-        .chain(&quat_wxyz)
-        .any(|v| !v.is_finite())
-    {
-        return Err(Error::value(
-            "the pose has a number that is not finite",
-            "remove the row or repair the track",
-        ));
+    if translation_m.iter().chain(&quat_wxyz).any(|v| !v.is_finite()) {
+        return Err(Error::value("the pose has a number that is not finite", "remove the row or repair the track"));
     }
     let [w, x, y, z] = quat_wxyz;
     let q = Quaternion::new(w, x, y, z);
@@ -42,10 +32,7 @@ pub fn pose_from_wxyz(translation_m: [f64; 3], quat_wxyz: [f64; 4]) -> Result<Po
             "give unit quaternions in the order w, x, y, z",
         ));
     }
-    Ok(Isometry3::from_parts(
-        Translation3::from(translation_m),
-        UnitQuaternion::from_quaternion(q),
-    ))
+    Ok(Isometry3::from_parts(Translation3::from(translation_m), UnitQuaternion::from_quaternion(q)))
 }
 
 /// A pose from a homogeneous 4 x 4 matrix; the rotation is replaced by the nearest proper one.
@@ -55,10 +42,7 @@ pub fn pose_from_wxyz(translation_m: [f64; 3], quat_wxyz: [f64; 4]) -> Result<Po
 /// right-handed rotation within [`UNIT_TOLERANCE`].
 pub fn pose_from_matrix(m: &Matrix4<f64>) -> Result<Pose> {
     if m.iter().any(|v| !v.is_finite()) {
-        return Err(Error::value(
-            "the matrix has a number that is not finite",
-            "remove the frame or repair the track",
-        ));
+        return Err(Error::value("the matrix has a number that is not finite", "remove the frame or repair the track"));
     }
     let last = [m[(3, 0)], m[(3, 1)], m[(3, 2)], m[(3, 3)] - 1.0];
     if last.iter().any(|v| v.abs() > 1e-6) {
@@ -69,10 +53,7 @@ pub fn pose_from_matrix(m: &Matrix4<f64>) -> Result<Pose> {
     }
     let r: Matrix3<f64> = m.fixed_view::<3, 3>(0, 0).into_owned();
     let rotation = rotation_from_matrix(&r)?;
-    Ok(Isometry3::from_parts(
-        Translation3::new(m[(0, 3)], m[(1, 3)], m[(2, 3)]),
-        rotation,
-    ))
+    Ok(Isometry3::from_parts(Translation3::new(m[(0, 3)], m[(1, 3)], m[(2, 3)]), rotation))
 }
 
 /// The proper rotation nearest to `r` (polar decomposition by SVD).
@@ -95,24 +76,16 @@ pub fn rotation_from_matrix(r: &Matrix3<f64>) -> Result<UnitQuaternion<f64>> {
     }
     let svd = r.svd(true, true);
     let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
-        return Err(Error::value(
-            "the 3 x 3 block has no singular value decomposition",
-            "check the matrix",
-        ));
+        return Err(Error::value("the 3 x 3 block has no singular value decomposition", "check the matrix"));
     };
-    Ok(UnitQuaternion::from_rotation_matrix(
-        &Rotation3::from_matrix_unchecked(u * v_t),
-    ))
+    Ok(UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(u * v_t)))
 }
 
 /// Position and w, x, y, z quaternion of a pose, as files carry them (w >= 0).
 pub fn to_wxyz(pose: &Pose) -> ([f64; 3], [f64; 4]) {
     let q = pose.rotation.quaternion();
     let s = if q.w < 0.0 { -1.0 } else { 1.0 };
-    (
-        pose.translation.vector.into(),
-        [s * q.w, s * q.i, s * q.j, s * q.k],
-    )
+    (pose.translation.vector.into(), [s * q.w, s * q.i, s * q.j, s * q.k])
 }
 
 /// The difference `b ⊖ a` as (translation in the common frame, rotation vector of `a⁻¹ b` in frame of a), metres and radians.
@@ -127,8 +100,5 @@ pub fn pose_difference(a: &Pose, b: &Pose) -> Vector6<f64> {
 pub fn interpolate(a: &Pose, b: &Pose, s: f64) -> Pose {
     let t = a.translation.vector.lerp(&b.translation.vector, s);
     let delta: Vector3<f64> = (a.rotation.inverse() * b.rotation).scaled_axis();
-    Isometry3::from_parts(
-        t.into(),
-        a.rotation * UnitQuaternion::from_scaled_axis(delta * s),
-    )
+    Isometry3::from_parts(t.into(), a.rotation * UnitQuaternion::from_scaled_axis(delta * s))
 }

@@ -25,12 +25,7 @@ pub trait Surface: Send + Sync {
     /// The surface point nearest to `point`.
     fn nearest(&self, point: &Point3<f64>) -> SurfacePoint;
     /// The first point hit by the ray `origin + t direction`, 0 <= t <= `max_distance_m`, for a unit `direction`.
-    fn ray_cast(
-        &self,
-        origin: &Point3<f64>,
-        direction: &Vector3<f64>,
-        max_distance_m: f64,
-    ) -> Option<SurfacePoint>;
+    fn ray_cast(&self, origin: &Point3<f64>, direction: &Vector3<f64>, max_distance_m: f64) -> Option<SurfacePoint>;
     /// Lower and upper corner of the axis-aligned bounding box.
     fn bounds(&self) -> (Point3<f64>, Point3<f64>);
 }

@@ -66,7 +66,8 @@ joint_names = ["ffj0", "ffj1"]
 clock = { kind = "unix" }
 "#;
 
-const TOSS: &str = "schema = 1\nmesh = \"box.obj\"\n[track]\nfile = \"pose.csv\"\nformat = \"pose_csv\"\nframe = \"world\"\n";
+const TOSS: &str =
+    "schema = 1\nmesh = \"box.obj\"\n[track]\nfile = \"pose.csv\"\nformat = \"pose_csv\"\nframe = \"world\"\n";
 
 impl Push {
     fn new(toml: &str) -> Self {
@@ -79,7 +80,10 @@ impl Push {
         push.write("action.csv", "t,x_cmd,y_cmd,z_cmd\n0,0,0,0.1\n0.1,0.01,0,0.1\n");
         push.write("proprio.csv", "t,x,y,z,vx,vy,vz\n0,0,0,0.1,0,0,0\n0.1,0.01,0,0.1,0.1,0,0\n");
         // 1744941577.5 is 2025-04-17T18:59:37.5-07:00.
-        push.write("joints.csv", "timestamp,position_0,position_1,effort_0,effort_1\n1744941577.9,0,0.1,0,0\n1744941578.0,0,0.2,0,0\n");
+        push.write(
+            "joints.csv",
+            "timestamp,position_0,position_1,effort_0,effort_1\n1744941577.9,0,0.1,0,0\n1744941578.0,0,0.2,0,0\n",
+        );
         push
     }
 
@@ -140,8 +144,11 @@ fn spoiled_push_files_are_named_with_the_place() {
         (FORCE, "schema = 1", "schema = ", "line 1"),
         (FORCE, "box.obj", "gone.obj", "gone.obj"),
         (FORCE, "pose.csv", "gone.csv", "gone.csv"),
-        (FORCE, "[force]", "[hand]", "missing field `robot`"),
-        (FORCE, "friction = 0.4", "friction = nan", "friction"),
+        (FORCE, "[force]", "[hand]", "unknown field `file`"),
+        (FORCE, "friction = 0.4", "friction = nan", "support.friction is not finite"),
+        (FORCE, "friction = 0.4", "friction = -0.4", "the friction of object and support is given as -0.4"),
+        (FORCE, "position_m = 0.002", "position_m = 2", "the noise of positions (m)"),
+        (FINGER, "kp_n_m = 135", "kp_n_m = 0", "the stiffness of the finger"),
         (FINGER, "[finger]", "[force]\nfile = \"force.csv\"\npoint_in_object_m = [0,0,0]\n[finger]", "more than one"),
         (FINGER, "quat_wxyz = [1, 0, 0, 0]", "quat_wxyz = [0, 0, 0, 0]", "norm 0.0000"),
         (FINGER, "offset_s = 10.0", "offset_s = 0.0", "do not overlap"),

@@ -86,8 +86,19 @@ proptest! {
 #[test]
 fn the_optical_axis_hits_the_principal_point() {
     for model in CameraModel::ALL {
-        let params: Vec<f64> =
-            model.parameter_names().iter().map(|n| if n.starts_with('f') { 500.0 } else if n.starts_with('c') { 300.0 } else { 0.01 }).collect();
+        let params: Vec<f64> = model
+            .parameter_names()
+            .iter()
+            .map(|n| {
+                if n.starts_with('f') {
+                    500.0
+                } else if n.starts_with('c') {
+                    300.0
+                } else {
+                    0.01
+                }
+            })
+            .collect();
         let camera = Camera::from_colmap_name(model.name(), 640, 480, &params).unwrap();
         let pixel = camera.project(&Point3::new(0.0, 0.0, 2.0)).unwrap();
         assert_eq!((pixel.x, pixel.y), (300.0, 300.0), "{model}");
@@ -113,9 +124,9 @@ fn values_by_hand() {
     let behind = Vector3::new(0.6, 0.0, -0.8);
     let pixel = fisheye.project(&Point3::from(behind)).unwrap();
     assert!((fisheye.unproject(&pixel).unwrap() - behind).norm() < 1e-12);
-    // FOV maps the half angle ω/2 to the radius 1/2.
+    // FOV leaves the radius 1/2 where it is, whatever ω.
     let fov = Camera::from_colmap_id(7, 640, 480, &[100.0, 100.0, 0.0, 0.0, 1.2]).unwrap();
-    let pixel = fov.project(&Point3::new(0.6f64.tan(), 0.0, 1.0)).unwrap();
+    let pixel = fov.project(&Point3::new(1.0, 0.0, 2.0)).unwrap();
     assert!((pixel.x - 50.0).abs() < 1e-10);
 }
 

@@ -115,7 +115,8 @@ fn broken_meshes_are_refused_with_their_place() {
 #[test]
 fn golden_inertias_are_met() {
     let Some(root) = shared("golden/mesh") else { return };
-    let golden: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(root.join("inertia.json")).unwrap()).unwrap();
+    let golden: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(root.join("inertia.json")).unwrap()).unwrap();
     let density = golden["density_kgm3"].as_f64().unwrap();
     let shapes = golden["shapes"].as_object().unwrap();
     assert!(shapes.len() >= 4);

@@ -14,8 +14,9 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
 fn poses() -> impl Strategy<Value = Pose> {
-    (prop::array::uniform3(-2.0..2.0f64), prop::array::uniform3(-1.8..1.8f64))
-        .prop_map(|(t, r)| Pose::from_parts(Vector3::from(t).into(), UnitQuaternion::from_scaled_axis(Vector3::from(r))))
+    (prop::array::uniform3(-2.0..2.0f64), prop::array::uniform3(-1.8..1.8f64)).prop_map(|(t, r)| {
+        Pose::from_parts(Vector3::from(t).into(), UnitQuaternion::from_scaled_axis(Vector3::from(r)))
+    })
 }
 
 fn close(a: &Pose, b: &Pose) -> bool {
@@ -91,8 +92,9 @@ const BOP: &str = "scene_id,im_id,obj_id,score,R,t,time\n1,3,2,0.9,1 0 0 0 1 0 0
 const LOG: &str = "2025-04-17T18:59:37.5 - Final transform:\n[[1 0]]\n2025-04-17T18:59:37.5 - Pose:\ntensor([[[ 1.0, 0.0, 0.0, 0.1],\n\
     [0.0, 1.0, 0.0, 0.2],\n [0.0, 0.0, 1.0, 8e-1],\n [0.0, 0.0, 0.0, 1.0]]], device='cuda:0')\n";
 const GRASPS: &str = r#"{"schema":1,"joint_names":["a","b"],"unit":"rad","grasps":[[0.1,0.2],[0.3,0.4]]}"#;
-const NPY: &[u8] = b"\x93NUMPY\x01\x00\x3f\x00{'descr': '<f4', 'fortran_order': False, 'shape': (1, 2), }    \n\0\0\x80\x3f\0\0\x80\x3f";
-const STL: &str = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid\n";
+const NPY: &[u8] = b"\x93NUMPY\x01\x00\x40\x00{'descr': '<f4', 'fortran_order': False, 'shape': (1, 2), }    \n\0\0\x80\x3f\0\0\x80\x3f";
+const STL: &str =
+    "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid\n";
 const OBJ: &str = "v 0 0 0\nv 1 0 0\nv 0 1 0 1 1 1\nf 1/1 2//3 -1\n";
 const PUSH: &str = "schema = 1\nmesh = \"m.stl\"\n[track]\nfile = \"p.csv\"\nformat = \"pose_csv\"\nframe = \"world\"\n[force]\n\
     file = \"f.csv\"\npoint_in_object_m = [0, 0, 0.1]\n";
@@ -122,9 +124,20 @@ fn read_with(reader: usize, bytes: &[u8]) -> bool {
 }
 
 const SAMPLES: [&[u8]; 14] = [
-    POSE_CSV.as_bytes(), JOINT_CSV.as_bytes(), FORCE_CSV.as_bytes(), ACTION_CSV.as_bytes(), PROPRIO_CSV.as_bytes(),
-    BOP.as_bytes(), LOG.as_bytes(), GRASPS.as_bytes(), NPY, STL.as_bytes(), OBJ.as_bytes(), PUSH.as_bytes(),
-    TWIN.as_bytes(), b"1 0 0 0.1\n0 1 0 0.2\n0 0 1 0.3\n0 0 0 1\n",
+    POSE_CSV.as_bytes(),
+    JOINT_CSV.as_bytes(),
+    FORCE_CSV.as_bytes(),
+    ACTION_CSV.as_bytes(),
+    PROPRIO_CSV.as_bytes(),
+    BOP.as_bytes(),
+    LOG.as_bytes(),
+    GRASPS.as_bytes(),
+    NPY,
+    STL.as_bytes(),
+    OBJ.as_bytes(),
+    PUSH.as_bytes(),
+    TWIN.as_bytes(),
+    b"1 0 0 0.1\n0 1 0 0.2\n0 0 1 0.3\n0 0 0 1\n",
 ];
 
 #[test]
@@ -138,8 +151,21 @@ fn every_reader_takes_its_sample() {
 fn edits() -> impl Strategy<Value = Vec<(usize, u8, Vec<u8>)>> {
     let token = prop_oneof![
         prop::collection::vec(any::<u8>(), 0..4),
-        prop::sample::select(vec!["nan", "-inf", "1e999", ",", "\n", "\"", "[", "]", "-1", "99999999999999999999", "\u{e9}", "\0"])
-            .prop_map(|s| s.as_bytes().to_vec()),
+        prop::sample::select(vec![
+            "nan",
+            "-inf",
+            "1e999",
+            ",",
+            "\n",
+            "\"",
+            "[",
+            "]",
+            "-1",
+            "99999999999999999999",
+            "\u{e9}",
+            "\0"
+        ])
+        .prop_map(|s| s.as_bytes().to_vec()),
     ];
     prop::collection::vec((any::<usize>(), 0..3u8, token), 1..6)
 }
@@ -175,12 +201,10 @@ fn manifests() -> impl Strategy<Value = TwinManifest> {
     let positive = prop_oneof![1e-6..100.0f64, Just(0.1)];
     let mass = (prop::collection::vec(path.clone(), 0..3), prop::option::of(positive.clone()), positive.clone())
         .prop_map(|(identify, weighed_kg, prior)| MassConfig { identify, weighed_kg, prior_kg: Some(prior) });
-    let grasps = prop::option::of((path.clone(), "[a-z_]{1,10}", prop::option::of("[a-z_]{1,10}"))).prop_map(|g| {
-        g.map(|(file, hand, joint_order)| GraspsConfig { file, hand, joint_order })
-    });
-    let train = prop::option::of((prop::option::of(1..999usize), prop::option::of(1e-6..1.0f64))).prop_map(|t| {
-        t.map(|(epochs, learning_rate)| TrainConfig { epochs, learning_rate, ..TrainConfig::default() })
-    });
+    let grasps = prop::option::of((path.clone(), "[a-z_]{1,10}", prop::option::of("[a-z_]{1,10}")))
+        .prop_map(|g| g.map(|(file, hand, joint_order)| GraspsConfig { file, hand, joint_order }));
+    let train = prop::option::of((prop::option::of(1..999usize), prop::option::of(1e-6..1.0f64)))
+        .prop_map(|t| t.map(|(epochs, learning_rate)| TrainConfig { epochs, learning_rate, ..TrainConfig::default() }));
     let up = prop::array::uniform3(0.1..1.0f64);
     let unit = prop::sample::select(vec![LengthUnit::M, LengthUnit::Mm, LengthUnit::Cm]);
     let name = "[^\\s\\p{C}][^\\p{C}]{0,12}";

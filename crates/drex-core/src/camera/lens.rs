@@ -109,7 +109,7 @@ impl Lens {
     }
 
     /// The unit direction that reaches a point of the plane.
-    pub(super) fn from_plane(self, p: &Vector2<f64>) -> Option<Vector3<f64>> {
+    pub(super) fn ray_of(self, p: &Vector2<f64>) -> Option<Vector3<f64>> {
         let r = p.norm();
         match self.plane {
             Plane::Perspective => Some(Vector3::new(p.x, p.y, 1.0).normalize()),
@@ -150,7 +150,8 @@ impl Lens {
         let d_radial = (d_above - radial * d_below) / below; // by r²
         let [p1, p2] = self.tangential;
         let s = Vector2::from(self.prism);
-        let tangent = Vector2::new(2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y));
+        let tangent =
+            Vector2::new(2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y));
         let bent = p * radial + tangent + s * r2;
         let tangent_j = Matrix2::new(
             2.0 * p1 * y + 6.0 * p2 * x,

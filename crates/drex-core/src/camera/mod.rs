@@ -11,8 +11,8 @@ mod model;
 
 use nalgebra::{Matrix2, Matrix2x3, Point2, Point3, Vector2, Vector3};
 
-pub use self::model::CameraModel;
 use self::lens::Lens;
+pub use self::model::CameraModel;
 use crate::{Error, Result};
 
 /// A camera: image size and intrinsic parameters.
@@ -150,7 +150,8 @@ impl Camera {
     pub fn unproject(&self, pixel: &Point2<f64>) -> Option<Vector3<f64>> {
         let bent = (pixel.coords - self.center).component_div(&self.focal);
         let plane = self.lens.undistort(&bent)?;
-        self.lens.from_plane(&plane)
+        // Numbers at the end of the range may overflow on the way.
+        self.lens.ray_of(&plane).filter(|ray| (ray.norm() - 1.0).abs() < 1e-6)
     }
 
     /// Whether a pixel coordinate lies in the image.

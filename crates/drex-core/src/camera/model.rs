@@ -55,7 +55,10 @@ impl CameraModel {
     /// If there is none.
     pub fn from_id(id: i32) -> Result<Self> {
         Self::ALL.into_iter().find(|m| *m as i32 == id).ok_or_else(|| {
-            Error::value(format!("camera model id {id} is not known"), "export the reconstruction with one of COLMAP's models 0 to 10")
+            Error::value(
+                format!("camera model id {id} is not known"),
+                "export the reconstruction with one of COLMAP's models 0 to 10",
+            )
         })
     }
 

@@ -38,24 +38,12 @@ impl TriMesh {
     /// # Errors
     /// If a vertex is not finite or a face names a vertex that does not exist.
     pub fn new(vertices: Vec<Point3<f64>>, faces: Vec<[u32; 3]>) -> Result<Self> {
-        if let Some(i) = vertices
-            .iter()
-            .position(|v| v.iter().any(|c| !c.is_finite()))
-        {
-            return Err(Error::value(
-                format!("vertex {i} is not finite"),
-                "repair the mesh",
-            ));
+        if let Some(i) = vertices.iter().position(|v| v.iter().any(|c| !c.is_finite())) {
+            return Err(Error::value(format!("vertex {i} is not finite"), "repair the mesh"));
         }
         let n = vertices.len();
-        if let Some(i) = faces
-            .iter()
-            .position(|f| f.iter().any(|&v| v as usize >= n))
-        {
-            return Err(Error::value(
-                format!("face {i} names a vertex beyond the {n} there are"),
-                "repair the mesh",
-            ));
+        if let Some(i) = faces.iter().position(|f| f.iter().any(|&v| v as usize >= n)) {
+            return Err(Error::value(format!("face {i} names a vertex beyond the {n} there are"), "repair the mesh"));
         }
         Ok(Self { vertices, faces })
     }
@@ -68,7 +56,12 @@ impl TriMesh {
         match path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).as_deref() {
             Some("stl") => read_stl(path),
             Some("obj") => read_obj(path),
-            _ => Err(Error::content(path, None, "meshes are read from .stl and .obj", "convert the mesh to one of these")),
+            _ => Err(Error::content(
+                path,
+                None,
+                "meshes are read from .stl and .obj",
+                "convert the mesh to one of these",
+            )),
         }
     }
 
@@ -85,11 +78,7 @@ impl TriMesh {
     /// Lower and upper corner of the bounding box; `None` for a mesh without vertices.
     pub fn bounds(&self) -> Option<(Point3<f64>, Point3<f64>)> {
         let first = *self.vertices.first()?;
-        Some(
-            self.vertices
-                .iter()
-                .fold((first, first), |(lo, hi), v| (lo.inf(v), hi.sup(v))),
-        )
+        Some(self.vertices.iter().fold((first, first), |(lo, hi), v| (lo.inf(v), hi.sup(v))))
     }
 
     /// Total area, m².
@@ -104,10 +93,7 @@ impl TriMesh {
 
     /// The mesh seen from another frame: every vertex mapped by `a_from_b`.
     pub fn transformed(&self, a_from_b: &Pose) -> Self {
-        Self {
-            vertices: self.vertices.iter().map(|v| a_from_b * v).collect(),
-            faces: self.faces.clone(),
-        }
+        Self { vertices: self.vertices.iter().map(|v| a_from_b * v).collect(), faces: self.faces.clone() }
     }
 
     /// Exact mass properties of the solid that the mesh bounds, at uniform `density_kg_m3`.
@@ -119,10 +105,7 @@ impl TriMesh {
     /// If the enclosed volume is not positive (open, flat or wound inwards).
     pub fn mass_properties(&self, density_kg_m3: f64) -> Result<MassProperties> {
         let Some((lo, hi)) = self.bounds() else {
-            return Err(Error::value(
-                "the mesh has no vertices",
-                "give a mesh of a solid",
-            ));
+            return Err(Error::value("the mesh has no vertices", "give a mesh of a solid"));
         };
         let reference = nalgebra::center(&lo, &hi);
         let mut volume = 0.0;
@@ -135,9 +118,7 @@ impl TriMesh {
             volume += v;
             first += s * (v / 4.0);
             // ∫ x xᵀ over a tetrahedron with one corner at the origin.
-            second +=
-                (s * s.transpose() + a * a.transpose() + b * b.transpose() + c * c.transpose())
-                    * (v / 20.0);
+            second += (s * s.transpose() + a * a.transpose() + b * b.transpose() + c * c.transpose()) * (v / 20.0);
         }
         let extent = (hi - lo).norm();
         if !(volume > 1e-12 * extent.powi(3)) {
@@ -149,11 +130,7 @@ impl TriMesh {
         let c = first / volume;
         let central = second - c * c.transpose() * volume;
         let inertia = (Matrix3::identity() * central.trace() - central) * density_kg_m3;
-        Ok(MassProperties {
-            mass_kg: density_kg_m3 * volume,
-            center_of_mass: reference + c,
-            inertia,
-        })
+        Ok(MassProperties { mass_kg: density_kg_m3 * volume, center_of_mass: reference + c, inertia })
     }
 }
 
@@ -161,11 +138,7 @@ impl MassProperties {
     /// The same body with another mass at the same shape: inertia scales along.
     pub fn with_mass(&self, mass_kg: f64) -> Self {
         let k = mass_kg / self.mass_kg;
-        Self {
-            mass_kg,
-            center_of_mass: self.center_of_mass,
-            inertia: self.inertia * k,
-        }
+        Self { mass_kg, center_of_mass: self.center_of_mass, inertia: self.inertia * k }
     }
 
     /// The same body described in frame a.
@@ -184,11 +157,7 @@ impl MassProperties {
         if !(mass_kg > 0.0) {
             return None;
         }
-        let com = parts
-            .iter()
-            .map(|p| p.center_of_mass.coords * p.mass_kg)
-            .sum::<Vector3<f64>>()
-            / mass_kg;
+        let com = parts.iter().map(|p| p.center_of_mass.coords * p.mass_kg).sum::<Vector3<f64>>() / mass_kg;
         let inertia = parts
             .iter()
             .map(|p| {
@@ -196,21 +165,12 @@ impl MassProperties {
                 p.inertia + (Matrix3::identity() * d.norm_squared() - d * d.transpose()) * p.mass_kg
             })
             .sum();
-        Some(Self {
-            mass_kg,
-            center_of_mass: com.into(),
-            inertia,
-        })
+        Some(Self { mass_kg, center_of_mass: com.into(), inertia })
     }
 
     /// Whether a real body can have this inertia: positive definite and A + B >= C for the principal moments.
     pub fn is_physical(&self) -> bool {
-        let mut e: Vec<f64> = self
-            .inertia
-            .symmetric_eigenvalues()
-            .iter()
-            .copied()
-            .collect();
+        let mut e: Vec<f64> = self.inertia.symmetric_eigenvalues().iter().copied().collect();
         e.sort_by(f64::total_cmp);
         self.mass_kg > 0.0 && e[0] > 0.0 && e[0] + e[1] >= e[2] * (1.0 - 1e-9)
     }

@@ -33,7 +33,9 @@ pub fn parse_stl(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
         text_corners(path, bytes)?
     } else {
         let what = match count {
-            Some(n) => format!("{} bytes, but {n} triangles need {}", bytes.len(), (n as u64) * RECORD as u64 + HEADER as u64),
+            Some(n) => {
+                format!("{} bytes, but {n} triangles need {}", bytes.len(), (n as u64) * RECORD as u64 + HEADER as u64)
+            }
             None => format!("{} bytes are no STL", bytes.len()),
         };
         return Err(Error::content(path, None, what, "export the mesh again"));

@@ -20,11 +20,7 @@ pub struct InputChoice {
 
 impl Default for InputChoice {
     fn default() -> Self {
-        Self {
-            poses: PoseChoice::default(),
-            force: ForceChoice::default(),
-            encoder: true,
-        }
+        Self { poses: PoseChoice::default(), force: ForceChoice::default(), encoder: true }
     }
 }
 
@@ -80,12 +76,7 @@ impl FromStr for PoseChoice {
         [Self::Noisy, Self::Hard, Self::Clean]
             .into_iter()
             .find(|c| c.as_str() == s)
-            .ok_or_else(|| {
-                Error::value(
-                    format!("`{s}` is no kind of pose track"),
-                    "choose noisy, hard or clean",
-                )
-            })
+            .ok_or_else(|| Error::value(format!("`{s}` is no kind of pose track"), "choose noisy, hard or clean"))
     }
 }
 
@@ -96,11 +87,6 @@ impl FromStr for ForceChoice {
         [Self::Noisy, Self::Exact]
             .into_iter()
             .find(|c| c.as_str() == s)
-            .ok_or_else(|| {
-                Error::value(
-                    format!("`{s}` is no kind of force record"),
-                    "choose noisy or exact",
-                )
-            })
+            .ok_or_else(|| Error::value(format!("`{s}` is no kind of force record"), "choose noisy or exact"))
     }
 }

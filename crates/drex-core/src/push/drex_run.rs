@@ -40,8 +40,8 @@ struct TrackedFromMesh {
 
 /// Joint names of the Allegro hand in the order of its ROS driver: index, middle, ring, thumb, each from base to tip.
 const ALLEGRO_ROS: [&str; 16] = [
-    "ffj0", "ffj1", "ffj2", "ffj3", "mfj0", "mfj1", "mfj2", "mfj3", "rfj0", "rfj1", "rfj2", "rfj3",
-    "thj0", "thj1", "thj2", "thj3",
+    "ffj0", "ffj1", "ffj2", "ffj3", "mfj0", "mfj1", "mfj2", "mfj3", "rfj0", "rfj1", "rfj2", "rfj3", "thj0", "thj1",
+    "thj2", "thj3",
 ];
 
 /// What `run_json` says, as a `push.toml` whose paths are relative to `folder` (the folder that it will be written to).
@@ -58,22 +58,17 @@ pub fn to_push_config(run_json: &Path, folder: &Path) -> Result<PushConfig> {
 
     let r = &run.tracked_from_mesh.rotation_rows;
     let rows = Matrix3::from_fn(|i, j| r[i][j]);
-    let rotation = rotation_from_matrix(&rows)
-        .map_err(|e| refuse(format!("tracked_from_mesh: {e}"), "correct the matrix"))?;
+    let rotation =
+        rotation_from_matrix(&rows).map_err(|e| refuse(format!("tracked_from_mesh: {e}"), "correct the matrix"))?;
     let tracked_from_mesh = Pose::from_parts(run.tracked_from_mesh.translation_m.into(), rotation);
-    let up = unit(run.up_in_tracked_frame).ok_or_else(|| {
-        refuse(
-            "up_in_tracked_frame is no direction".into(),
-            "give a vector that is not zero",
-        )
-    })?;
+    let up = unit(run.up_in_tracked_frame)
+        .ok_or_else(|| refuse("up_in_tracked_frame is no direction".into(), "give a vector that is not zero"))?;
     let push = match run.topples_towards_in_tracked_frame {
         None => None,
         Some(towards) => {
             let towards = Vector3::from(towards);
-            let horizontal = unit((towards - up * up.dot(&towards)).into())
-                .filter(|_| towards.amax() > 0.0)
-                .ok_or_else(|| {
+            let horizontal =
+                unit((towards - up * up.dot(&towards)).into()).filter(|_| towards.amax() > 0.0).ok_or_else(|| {
                     refuse(
                         "topples_towards_in_tracked_frame has no horizontal part".into(),
                         "give a direction across up",
@@ -83,13 +78,10 @@ pub fn to_push_config(run_json: &Path, folder: &Path) -> Result<PushConfig> {
         }
     };
     if !run.joint_clock.starts_with("unix") {
-        return Err(refuse(
-            format!("joint_clock `{}` is not known", run.joint_clock),
-            "give unix seconds",
-        ));
+        return Err(refuse(format!("joint_clock `{}` is not known", run.joint_clock), "give unix seconds"));
     }
-    let utc_offset = parse_utc_offset(&run.pose_clock)
-        .map_err(|e| refuse(format!("pose_clock: {e}"), "name the time zone"))?;
+    let utc_offset =
+        parse_utc_offset(&run.pose_clock).map_err(|e| refuse(format!("pose_clock: {e}"), "name the time zone"))?;
     let joint_names = match run.hand.as_str() {
         "allegro_right" | "allegro_left" => ALLEGRO_ROS.map(str::to_owned).to_vec(),
         other => {
@@ -125,10 +117,7 @@ pub fn to_push_config(run_json: &Path, folder: &Path) -> Result<PushConfig> {
             tracked_from_mesh: Some(PoseConfig::from(&tracked_from_mesh)),
             noise: None,
         },
-        support: Support {
-            table_height_m: run.table_height_m,
-            ..Support::default()
-        },
+        support: Support { table_height_m: run.table_height_m, ..Support::default() },
         start: StartConfig {
             at_rest: true,
             nominal_position_m: run.object_start_xyz_m_nominal,
@@ -138,16 +127,10 @@ pub fn to_push_config(run_json: &Path, folder: &Path) -> Result<PushConfig> {
         finger: None,
         hand: Some(HandConfig {
             robot: run.hand,
-            world_from_base: PoseConfig {
-                position_m: run.hand_base_pose_xyz_m,
-                quat_wxyz: run.hand_base_quat_wxyz,
-            },
+            world_from_base: PoseConfig { position_m: run.hand_base_pose_xyz_m, quat_wxyz: run.hand_base_quat_wxyz },
             joints: relative(Path::new("joint_states.csv")),
             joint_names: Some(joint_names),
-            clock: ClockConfig {
-                kind: ClockKind::Unix,
-                ..ClockConfig::default()
-            },
+            clock: ClockConfig { kind: ClockKind::Unix, ..ClockConfig::default() },
         }),
     })
 }
@@ -159,17 +142,12 @@ pub(super) fn load(file: &Path) -> Result<PushRecording> {
 }
 
 fn unit(v: [f64; 3]) -> Option<Vector3<f64>> {
-    Vector3::from(v)
-        .try_normalize(1e-9)
-        .filter(|u| u.iter().all(|c| c.is_finite()))
+    Vector3::from(v).try_normalize(1e-9).filter(|u| u.iter().all(|c| c.is_finite()))
 }
 
 impl From<&Pose> for PoseConfig {
     fn from(pose: &Pose) -> Self {
         let (position_m, quat_wxyz) = to_wxyz(pose);
-        Self {
-            position_m,
-            quat_wxyz,
-        }
+        Self { position_m, quat_wxyz }
     }
 }

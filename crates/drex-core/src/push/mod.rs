@@ -15,10 +15,11 @@ use serde::{Deserialize, Serialize};
 
 pub use self::choice::{ForceChoice, InputChoice, PoseChoice};
 pub use self::toml::{
-    ClockConfig, ClockKind, FingerConfig, ForceConfig, FrameKind, HandConfig, PoseConfig,
-    PushConfig, StartConfig, TrackConfig, TrackFormat,
+    ClockConfig, ClockKind, FingerConfig, ForceConfig, FrameKind, HandConfig, PoseConfig, PushConfig, StartConfig,
+    TrackConfig, TrackFormat,
 };
 use crate::clock::{Span, overlap};
+use crate::readers::FARTHEST_M;
 use crate::{Error, Pose, Result, Trajectory};
 
 /// A push, ready for identification. Times are seconds of one clock whose zero is the start: the moment at which
@@ -57,12 +58,7 @@ pub struct PushRecording {
 impl PushRecording {
     /// A recording of `drive` acting on the object of `mesh`, tracked in the world, on a table at height zero with
     /// unknown friction, nothing else known.
-    pub fn new(
-        name: impl Into<String>,
-        mesh: impl Into<PathBuf>,
-        track: Trajectory,
-        drive: Drive,
-    ) -> Self {
+    pub fn new(name: impl Into<String>, mesh: impl Into<PathBuf>, track: Trajectory, drive: Drive) -> Self {
         Self {
             name: name.into(),
             mesh: mesh.into(),
@@ -90,18 +86,14 @@ impl PushRecording {
     pub fn load(path: &Path, choice: &InputChoice) -> Result<Self> {
         const LAYOUTS: [&str; 3] = ["push.toml", "meta.json", "run.json"];
         let file = if path.is_dir() {
-            LAYOUTS
-                .iter()
-                .map(|name| path.join(name))
-                .find(|p| p.is_file())
-                .ok_or_else(|| {
-                    Error::content(
-                        path,
-                        None,
-                        "the folder holds none of push.toml, meta.json, run.json",
-                        "give the folder of one push, or write a push.toml there",
-                    )
-                })?
+            LAYOUTS.iter().map(|name| path.join(name)).find(|p| p.is_file()).ok_or_else(|| {
+                Error::content(
+                    path,
+                    None,
+                    "the folder holds none of push.toml, meta.json, run.json",
+                    "give the folder of one push, or write a push.toml there",
+                )
+            })?
         } else {
             path.to_path_buf()
         };
@@ -113,22 +105,50 @@ impl PushRecording {
             }
             _ => {
                 let what = "the file is none of push.toml, meta.json, run.json";
-                return Err(Error::content(
-                    &file,
-                    None,
-                    what,
-                    "describe the push in a push.toml",
-                ));
+                return Err(Error::content(&file, None, what, "describe the push in a push.toml"));
             }
         };
+        recording.check().map_err(|e| Error::at(&file, None, e))?;
         if !recording.mesh.is_file() {
-            let missing = std::io::Error::new(
-                std::io::ErrorKind::NotFound,
-                "the mesh of the pushed object is missing",
-            );
+            let missing = std::io::Error::new(std::io::ErrorKind::NotFound, "the mesh of the pushed object is missing");
             return Err(Error::io("read", &recording.mesh, missing));
         }
         Ok(recording)
+    }
+}
+
+impl PushRecording {
+    /// Checks that the stated constants can be true of a tabletop.
+    fn check(&self) -> Result<()> {
+        let mut facts = vec![("the size of gravity (m/s²)", self.gravity.norm(), 1e-3, 100.0)];
+        facts.extend(self.support.friction.map(|f| ("the friction of object and support", f, 0.0, 10.0)));
+        facts.extend(self.mass_prior_kg.map(|m| ("the first guess of the mass (kg)", m, 1e-6, 1e3)));
+        for b in &self.support.boxes {
+            facts.extend(b.half_m.map(|h| ("half an edge of a support box (m)", h, 1e-6, FARTHEST_M)));
+        }
+        if let Some(noise) = self.noise {
+            facts.push(("the noise of positions (m)", noise.position_m, 1e-9, 1.0));
+            facts.push(("the noise of rotations (rad)", noise.rotation_rad, 1e-9, 1.0));
+        }
+        if let Drive::Finger(push) = &self.drive {
+            let i = &push.impedance;
+            facts.extend([
+                ("the radius of the fingertip (m)", i.radius_m, 1e-6, 1.0),
+                ("the mass of the fingertip (kg)", i.mass_kg, 0.0, 100.0),
+                ("the armature of the finger (kg)", i.armature_kg, 0.0, 1e9),
+                ("the damping of the finger (N s/m)", i.damping_ns_m, 0.0, 1e9),
+                ("the stiffness of the finger (N/m)", i.kp_n_m, 1e-6, 1e12),
+                ("the velocity gain of the finger (N s/m)", i.kv_ns_m, 0.0, 1e9),
+                ("the friction of the fingertip", i.friction, 0.0, 10.0),
+            ]);
+        }
+        match facts.into_iter().find(|(_, value, least, most)| !(least..=most).contains(&value)) {
+            None => Ok(()),
+            Some((what, value, least, most)) => Err(Error::value(
+                format!("{what} is given as {value}, outside {least} to {most}"),
+                "check the number and its unit",
+            )),
+        }
     }
 }
 
@@ -142,33 +162,12 @@ fn folder_of(file: &Path) -> &Path {
 
 /// Checks that the samples at `times_s` meet the track; `what` names them. Returns a note for the report.
 fn check_overlap(file: &Path, track: &Trajectory, what: &str, times_s: &[f64]) -> Result<String> {
-    let (Some((first_s, last_s)), Some(first), Some(last)) =
-        (track.span_s(), times_s.first(), times_s.last())
-    else {
-        return Err(Error::content(
-            file,
-            None,
-            format!("the pose track or the {what} is empty"),
-            "record again",
-        ));
+    let (Some((first_s, last_s)), Some(first), Some(last)) = (track.span_s(), times_s.first(), times_s.last()) else {
+        return Err(Error::content(file, None, format!("the pose track or the {what} is empty"), "record again"));
     };
-    let shared = overlap(
-        Span {
-            what: "pose track",
-            first_s,
-            last_s,
-        },
-        Span {
-            what,
-            first_s: *first,
-            last_s: *last,
-        },
-    )
-    .map_err(|e| Error::at(file, None, e))?;
-    Ok(format!(
-        "pose track and {what} overlap from {:.3} to {:.3} s",
-        shared.0, shared.1
-    ))
+    let shared = overlap(Span { what: "pose track", first_s, last_s }, Span { what, first_s: *first, last_s: *last })
+        .map_err(|e| Error::at(file, None, e))?;
+    Ok(format!("pose track and {what} overlap from {:.3} to {:.3} s", shared.0, shared.1))
 }
 
 /// "104 poses over 6.900 s (0.000 to 6.900 s), largest gap 0.110 s".
@@ -177,11 +176,7 @@ fn sampling_note(what: &str, times_s: &[f64]) -> String {
         return format!("no {what}");
     };
     let gap = times_s.windows(2).map(|w| w[1] - w[0]).fold(0.0, f64::max);
-    format!(
-        "{} {what} over {:.3} s ({first:.3} to {last:.3} s), largest gap {gap:.3} s",
-        times_s.len(),
-        last - first
-    )
+    format!("{} {what} over {:.3} s ({first:.3} to {last:.3} s), largest gap {gap:.3} s", times_s.len(), last - first)
 }
 
 /// The frame of a pose track.

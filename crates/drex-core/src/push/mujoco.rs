@@ -66,21 +66,14 @@ pub(super) fn load(file: &Path, choice: &InputChoice) -> Result<PushRecording> {
     let folder = folder_of(file);
     if meta.hold.as_deref().is_some_and(|h| h != "zero-order") {
         let what = format!("hold `{}` is not known", meta.hold.unwrap_or_default());
-        return Err(Error::content(
-            file,
-            None,
-            what,
-            "samples of force and command must be held (zero-order)",
-        ));
+        return Err(Error::content(file, None, what, "samples of force and command must be held (zero-order)"));
     }
     let pose_file = folder.join(format!("pose_{}.csv", choice.poses.as_str()));
     let track = read_pose_csv(&pose_file)?;
     let mut notes = vec![sampling_note("poses", track.times_s())];
 
     let drive = match (meta.finger, meta.force_point_body) {
-        (Some(finger), _) => {
-            Drive::Finger(finger_push(folder, &track, finger, choice, &mut notes)?)
-        }
+        (Some(finger), _) => Drive::Finger(finger_push(folder, &track, finger, choice, &mut notes)?),
         (None, Some(point)) => {
             let name = match choice.force {
                 ForceChoice::Noisy => "force_noisy.csv",
@@ -88,12 +81,7 @@ pub(super) fn load(file: &Path, choice: &InputChoice) -> Result<PushRecording> {
             };
             let force = read_force_csv(&folder.join(name), point.into())?;
             notes.push(sampling_note("forces", &force.times_s));
-            notes.push(check_overlap(
-                &folder.join(name),
-                &track,
-                "force record",
-                &force.times_s,
-            )?);
+            notes.push(check_overlap(&folder.join(name), &track, "force record", &force.times_s)?);
             Drive::Force(force)
         }
         (None, None) => Drive::Nothing,
@@ -101,42 +89,23 @@ pub(super) fn load(file: &Path, choice: &InputChoice) -> Result<PushRecording> {
     let white = meta.noise.and_then(|n| n.noisy);
     let noise = white
         .filter(|_| choice.poses == PoseChoice::Noisy)
-        .map(|n| PoseNoise {
-            position_m: n.pos_sd,
-            rotation_rad: n.rot_sd_deg.to_radians(),
-        });
+        .map(|n| PoseNoise { position_m: n.pos_sd, rotation_rad: n.rot_sd_deg.to_radians() });
     let initial_pose = match meta.initial_pose {
-        Some([x, y, z, qw, qx, qy, qz]) => Some(
-            pose_from_wxyz([x, y, z], [qw, qx, qy, qz]).map_err(|e| Error::at(file, None, e))?,
-        ),
+        Some([x, y, z, qw, qx, qy, qz]) => {
+            Some(pose_from_wxyz([x, y, z], [qw, qx, qy, qz]).map_err(|e| Error::at(file, None, e))?)
+        }
         None => None,
     };
-    let boxes = meta
-        .step
-        .iter()
-        .map(|s| SupportBox {
-            center_m: [s.x, 0.0, s.half[2]],
-            half_m: s.half,
-        })
-        .collect();
+    let boxes = meta.step.iter().map(|s| SupportBox { center_m: [s.x, 0.0, s.half[2]], half_m: s.half }).collect();
     Ok(PushRecording {
         noise,
-        support: Support {
-            table_height_m: 0.0,
-            friction: meta.friction_object_table,
-            boxes,
-        },
+        support: Support { table_height_m: 0.0, friction: meta.friction_object_table, boxes },
         gravity: Vector3::from(meta.gravity),
         mass_prior_kg: meta.mass_prior,
         initial_pose,
         starts_at_rest: meta.initial_velocity_known,
         notes,
-        ..PushRecording::new(
-            format!("{}/{}", meta.object, meta.scenario),
-            folder.join("../object.obj"),
-            track,
-            drive,
-        )
+        ..PushRecording::new(format!("{}/{}", meta.object, meta.scenario), folder.join("../object.obj"), track, drive)
     })
 }
 
@@ -150,26 +119,12 @@ fn finger_push(
     let action_file = folder.join("action.csv");
     let action = read_action_csv(&action_file)?;
     notes.push(sampling_note("commands", &action.times_s));
-    notes.push(check_overlap(
-        &action_file,
-        track,
-        "commands",
-        &action.times_s,
-    )?);
+    notes.push(check_overlap(&action_file, track, "commands", &action.times_s)?);
     let encoder_file = folder.join("proprio.csv");
-    let encoder = if choice.encoder && encoder_file.is_file() {
-        Some(read_proprio_csv(&encoder_file)?)
-    } else {
-        None
-    };
+    let encoder = if choice.encoder && encoder_file.is_file() { Some(read_proprio_csv(&encoder_file)?) } else { None };
     if let Some(encoder) = &encoder {
         notes.push(sampling_note("encoder samples", &encoder.times_s));
-        notes.push(check_overlap(
-            &encoder_file,
-            track,
-            "encoder samples",
-            &encoder.times_s,
-        )?);
+        notes.push(check_overlap(&encoder_file, track, "encoder samples", &encoder.times_s)?);
     }
     Ok(FingerPush {
         command_times_s: action.times_s,

@@ -11,9 +11,8 @@ use crate::fsutil;
 use crate::joints::JointLog;
 use crate::pose::pose_from_wxyz;
 use crate::readers::{
-    BopSelection, FrameTimes, read_action_csv, read_bop_csv, read_force_csv,
-    read_foundation_pose_folder, read_foundation_pose_log, read_joint_log_csv, read_pose_csv,
-    read_proprio_csv,
+    BopSelection, FrameTimes, read_action_csv, read_bop_csv, read_force_csv, read_foundation_pose_folder,
+    read_foundation_pose_log, read_joint_log_csv, read_pose_csv, read_proprio_csv,
 };
 
 /// `push.toml`. Paths are relative to the folder of the file. At most one of `force`, `finger`, `hand` is there; with
@@ -216,12 +215,8 @@ impl PushConfig {
     /// # Errors
     /// If a path is not Unicode.
     pub fn to_toml_string(&self) -> Result<String> {
-        ::toml::to_string(self).map_err(|e| {
-            Error::value(
-                format!("the push cannot be written as TOML: {e}"),
-                "rename the file it names",
-            )
-        })
+        ::toml::to_string(self)
+            .map_err(|e| Error::value(format!("the push cannot be written as TOML: {e}"), "rename the file it names"))
     }
 
     /// Checks what the types cannot.
@@ -233,25 +228,15 @@ impl PushConfig {
                 "write schema = 1 or use a newer drex",
             );
         }
-        let drives = [
-            self.force.is_some(),
-            self.finger.is_some(),
-            self.hand.is_some(),
-        ];
+        let drives = [self.force.is_some(), self.finger.is_some(), self.hand.is_some()];
         if drives.iter().filter(|d| **d).count() > 1 {
             return refuse(
                 "more than one of [force], [finger], [hand] is given".into(),
                 "keep the one that moved the object",
             );
         }
-        if self
-            .mass_prior_kg
-            .is_some_and(|m| !(m > 0.0 && m.is_finite()))
-        {
-            return refuse(
-                "mass_prior_kg is not positive".into(),
-                "give kilograms, or leave it out",
-            );
+        if self.mass_prior_kg.is_some_and(|m| !(m > 0.0 && m.is_finite())) {
+            return refuse("mass_prior_kg is not positive".into(), "give kilograms, or leave it out");
         }
         let t = &self.track;
         match (t.frame, &t.up_in_mesh) {
@@ -269,36 +254,18 @@ impl PushConfig {
             }
             _ => {}
         }
-        for (name, vector) in [
-            ("up_in_mesh", &t.up_in_mesh),
-            ("push_in_mesh", &t.push_in_mesh),
-        ] {
-            if vector.is_some_and(|v| {
-                Vector3::from(v)
-                    .try_normalize(1e-9)
-                    .is_none_or(|u| !u.iter().all(|c| c.is_finite()))
-            }) {
-                return refuse(
-                    format!("[track] {name} is no direction"),
-                    "give a vector that is not zero",
-                );
+        for (name, vector) in [("up_in_mesh", &t.up_in_mesh), ("push_in_mesh", &t.push_in_mesh)] {
+            if vector
+                .is_some_and(|v| Vector3::from(v).try_normalize(1e-9).is_none_or(|u| !u.iter().all(|c| c.is_finite())))
+            {
+                return refuse(format!("[track] {name} is no direction"), "give a vector that is not zero");
             }
         }
-        if matches!(
-            t.format,
-            TrackFormat::FoundationPoseFolder | TrackFormat::BopCsv
-        ) && t.fps.is_none()
-        {
-            return refuse(
-                "[track] this format numbers its frames and needs fps".into(),
-                "add fps, such as fps = 30",
-            );
+        if matches!(t.format, TrackFormat::FoundationPoseFolder | TrackFormat::BopCsv) && t.fps.is_none() {
+            return refuse("[track] this format numbers its frames and needs fps".into(), "add fps, such as fps = 30");
         }
         if t.clock.kind == ClockKind::LocalIso && t.format != TrackFormat::FoundationPoseLog {
-            return refuse(
-                "[track] this format has no ISO stamps".into(),
-                "set clock.kind to unix or relative",
-            );
+            return refuse("[track] this format has no ISO stamps".into(), "set clock.kind to unix or relative");
         }
         let others = [
             self.force.as_ref().map(|f| &f.clock),
@@ -313,8 +280,7 @@ impl PushConfig {
                 );
             }
             let absolute = [clock, &t.clock].map(|c| c.kind != ClockKind::Relative);
-            if absolute[0] != absolute[1] && clock.offset_s.is_none() && t.clock.offset_s.is_none()
-            {
+            if absolute[0] != absolute[1] && clock.offset_s.is_none() && t.clock.offset_s.is_none() {
                 return refuse(
                     "one file counts from 1970 and the other from its own start".into(),
                     "state clock.offset_s: common time = file time + offset_s",
@@ -345,17 +311,12 @@ impl PushConfig {
         let drive = self.read_drive(folder, choice, &track, zero, &mut notes)?;
 
         let name = self.name.clone().unwrap_or_else(|| {
-            fsutil::absolute(folder)
-                .file_name()
-                .map_or_else(|| "push".to_owned(), |n| n.to_string_lossy().into_owned())
+            fsutil::absolute(folder).file_name().map_or_else(|| "push".to_owned(), |n| n.to_string_lossy().into_owned())
         });
         let track_frame = match (self.track.frame, self.track.up_in_mesh) {
             (FrameKind::Camera, Some(up)) => TrackFrame::Camera {
                 up_in_mesh: Vector3::from(up).normalize(),
-                push_in_mesh: self
-                    .track
-                    .push_in_mesh
-                    .map(|p| Vector3::from(p).normalize()),
+                push_in_mesh: self.track.push_in_mesh.map(|p| Vector3::from(p).normalize()),
             },
             _ => TrackFrame::World,
         };
@@ -365,11 +326,7 @@ impl PushConfig {
             support: self.support.clone(),
             gravity: self.gravity_m_s2.into(),
             mass_prior_kg: self.mass_prior_kg,
-            initial_pose: self
-                .start
-                .pose
-                .map(|p| p.pose("[start] pose"))
-                .transpose()?,
+            initial_pose: self.start.pose.map(|p| p.pose("[start] pose")).transpose()?,
             starts_at_rest: self.start.at_rest,
             nominal_start: self.start.nominal_position_m.map(Into::into),
             notes,
@@ -385,17 +342,8 @@ impl PushConfig {
         let track = match t.format {
             TrackFormat::PoseCsv => read_pose_csv(file)?,
             TrackFormat::FoundationPoseLog => read_foundation_pose_log(file, &t.clock.clock()?)?,
-            TrackFormat::FoundationPoseFolder => {
-                read_foundation_pose_folder(file, &FrameTimes::Fps(fps))?
-            }
-            TrackFormat::BopCsv => read_bop_csv(
-                file,
-                &BopSelection {
-                    fps,
-                    scene_id: t.scene_id,
-                    obj_id: t.obj_id,
-                },
-            )?,
+            TrackFormat::FoundationPoseFolder => read_foundation_pose_folder(file, &FrameTimes::Fps(fps))?,
+            TrackFormat::BopCsv => read_bop_csv(file, &BopSelection { fps, scene_id: t.scene_id, obj_id: t.obj_id })?,
         };
         let track = match &t.tracked_from_mesh {
             Some(pose) => track.right_mul(&pose.pose("[track] tracked_from_mesh")?),
@@ -440,12 +388,7 @@ impl PushConfig {
                     let file = folder.join(encoder);
                     let mut encoder = read_proprio_csv(&file)?;
                     shift(&mut encoder.times_s, &finger.clock);
-                    note(
-                        &file,
-                        "encoder samples",
-                        "encoder samples",
-                        &encoder.times_s,
-                    )?;
+                    note(&file, "encoder samples", "encoder samples", &encoder.times_s)?;
                     Some(encoder)
                 }
                 _ => None,
@@ -468,11 +411,7 @@ impl PushConfig {
                 hand.robot.clone()
             };
             let world_from_base = hand.world_from_base.pose("[hand] world_from_base")?;
-            return Ok(Drive::Hand(HandPush {
-                robot,
-                world_from_base,
-                joints,
-            }));
+            return Ok(Drive::Hand(HandPush { robot, world_from_base, joints }));
         }
         Ok(Drive::Nothing)
     }
@@ -494,9 +433,7 @@ impl ClockConfig {
         Ok(match (self.kind, &self.utc_offset) {
             (ClockKind::Relative, _) => Clock::Relative,
             (ClockKind::Unix, _) => Clock::Unix,
-            (ClockKind::LocalIso, Some(offset)) => Clock::LocalIso {
-                utc_offset_minutes: parse_utc_offset(offset)?,
-            },
+            (ClockKind::LocalIso, Some(offset)) => Clock::LocalIso { utc_offset_minutes: parse_utc_offset(offset)? },
             (ClockKind::LocalIso, None) => {
                 return Err(Error::value(
                     "local_iso stamps need utc_offset",

@@ -44,29 +44,15 @@ pub fn parse_bop_csv(path: &Path, bytes: &[u8], selection: &BopSelection) -> Res
     let columns = table.columns(&["scene_id", "im_id", "obj_id", "score", "R", "t"])?;
     let id = |row: usize, column: usize| {
         table.text(row, column).parse::<u64>().map_err(|_| {
-            let what = format!(
-                "column {}: `{}` is no number of a {0}",
-                table.header()[column],
-                table.text(row, column)
-            );
+            let what =
+                format!("column {}: `{}` is no number of a {0}", table.header()[column], table.text(row, column));
             Error::content(path, table.line(row), what, "give whole numbers")
         })
     };
     let ids = (0..table.len())
-        .map(|row| {
-            Ok([
-                id(row, columns[0])?,
-                id(row, columns[1])?,
-                id(row, columns[2])?,
-            ])
-        })
+        .map(|row| Ok([id(row, columns[0])?, id(row, columns[1])?, id(row, columns[2])?]))
         .collect::<Result<Vec<_>>>()?;
-    let scene = choose(
-        path,
-        "scene_id",
-        selection.scene_id,
-        ids.iter().map(|i| i[0]),
-    )?;
+    let scene = choose(path, "scene_id", selection.scene_id, ids.iter().map(|i| i[0]))?;
     let in_scene = ids.iter().filter(|i| i[0] == scene).map(|i| i[2]);
     let object = choose(path, "obj_id", selection.obj_id, in_scene)?;
 
@@ -84,8 +70,7 @@ pub fn parse_bop_csv(path: &Path, bytes: &[u8], selection: &BopSelection) -> Res
     let mut farthest_mm: f64 = 0.0;
     for (image, (_, row)) in best {
         let line = table.line(row);
-        let r =
-            Matrix3::from_row_slice(&vector::<9>(path, line, "R", table.text(row, columns[4]))?);
+        let r = Matrix3::from_row_slice(&vector::<9>(path, line, "R", table.text(row, columns[4]))?);
         let t = Vector3::from(vector::<3>(path, line, "t", table.text(row, columns[5]))?);
         let rotation = rotation_from_matrix(&r).map_err(|e| Error::at(path, line, e))?;
         farthest_mm = farthest_mm.max(t.norm());
@@ -96,23 +81,13 @@ pub fn parse_bop_csv(path: &Path, bytes: &[u8], selection: &BopSelection) -> Res
     }
     if farthest_mm < NEAREST_MM {
         let what = format!("every t lies within {farthest_mm:.3} mm of the camera");
-        return Err(Error::content(
-            path,
-            None,
-            what,
-            "t is in millimetres in this format; multiply metres by 1000",
-        ));
+        return Err(Error::content(path, None, what, "t is in millimetres in this format; multiply metres by 1000"));
     }
     Trajectory::from_samples(&times_s, &poses)
 }
 
 /// The chosen id, or the only one there is.
-fn choose(
-    path: &Path,
-    name: &str,
-    chosen: Option<u64>,
-    present: impl Iterator<Item = u64>,
-) -> Result<u64> {
+fn choose(path: &Path, name: &str, chosen: Option<u64>, present: impl Iterator<Item = u64>) -> Result<u64> {
     let mut ids: Vec<u64> = present.collect();
     ids.sort_unstable();
     ids.dedup();
@@ -125,33 +100,19 @@ fn choose(
             format!("choose one of these as {name}"),
         )),
         (None, [id]) => Ok(*id),
-        (None, _) => Err(Error::content(
-            path,
-            None,
-            format!("several {name}: {ids:?}"),
-            format!("choose one as {name}"),
-        )),
+        (None, _) => {
+            Err(Error::content(path, None, format!("several {name}: {ids:?}"), format!("choose one as {name}")))
+        }
     }
 }
 
 /// Exactly `N` finite numbers separated by blanks.
 fn vector<const N: usize>(path: &Path, line: usize, name: &str, text: &str) -> Result<[f64; N]> {
-    let numbers: Vec<f64> = text
-        .split_whitespace()
-        .filter_map(|t| t.parse().ok())
-        .filter(|v: &f64| v.is_finite())
-        .collect();
+    let numbers: Vec<f64> =
+        text.split_whitespace().filter_map(|t| t.parse().ok()).filter(|v: &f64| v.is_finite()).collect();
     if text.split_whitespace().count() != N {
-        let what = format!(
-            "column {name} has {} entries, not {N}",
-            text.split_whitespace().count()
-        );
-        return Err(Error::content(
-            path,
-            line,
-            what,
-            "give numbers separated by blanks",
-        ));
+        let what = format!("column {name} has {} entries, not {N}", text.split_whitespace().count());
+        return Err(Error::content(path, line, what, "give numbers separated by blanks"));
     }
     numbers.try_into().map_err(|_| {
         Error::content(
@@ -171,11 +132,7 @@ mod tests {
         1,6,2,0.4,1 0 0 0 1 0 0 0 1,0 0 900,0.1\n1,3,2,0.9,1 0 0 0 1 0 0 0 1,100 -50 800,0.1\n1,6,2,0.5,1 0 0 0 0 -1 0 1 0,0 0 700,-1\n";
 
     fn parse(text: &str) -> Result<Trajectory> {
-        let selection = BopSelection {
-            fps: 30.0,
-            scene_id: None,
-            obj_id: None,
-        };
+        let selection = BopSelection { fps: 30.0, scene_id: None, obj_id: None };
         parse_bop_csv(Path::new("bop.csv"), text.as_bytes(), &selection)
     }
 
@@ -183,28 +140,16 @@ mod tests {
     fn millimetres_become_metres_and_the_best_score_stays() {
         let track = parse(FILE).unwrap();
         assert_eq!(track.times_s(), [0.1, 0.2]);
-        assert_eq!(
-            track.poses()[0].translation.vector,
-            Vector3::new(0.1, -0.05, 0.8)
-        );
+        assert_eq!(track.poses()[0].translation.vector, Vector3::new(0.1, -0.05, 0.8));
         assert!((track.poses()[1].translation.z - 0.7).abs() < 1e-15);
     }
 
     #[test]
     fn metres_mirrored_rotations_and_ambiguous_objects_are_refused() {
-        let metres = FILE
-            .replace("0 0 900", "0 0 0.9")
-            .replace("100 -50 800", "0.1 0 0.8")
-            .replace("0 0 700", "0 0 0.7");
-        assert!(
-            parse(&metres)
-                .unwrap_err()
-                .to_string()
-                .contains("multiply metres by 1000")
-        );
-        let mirrored = FILE
-            .replace("1 0 0 0 1 0 0 0 1,0 0 900", "1 0 0 0 1 0 0 0 -1,0 0 900")
-            .replace("0.4", "0.8");
+        let metres =
+            FILE.replace("0 0 900", "0 0 0.9").replace("100 -50 800", "0.1 0 0.8").replace("0 0 700", "0 0 0.7");
+        assert!(parse(&metres).unwrap_err().to_string().contains("multiply metres by 1000"));
+        let mirrored = FILE.replace("1 0 0 0 1 0 0 0 1,0 0 900", "1 0 0 0 1 0 0 0 -1,0 0 900").replace("0.4", "0.8");
         assert!(parse(&mirrored).unwrap_err().to_string().contains("line 2"));
         let two = format!("{FILE}1,9,5,0.5,1 0 0 0 1 0 0 0 1,0 0 700,-1\n");
         assert!(parse(&two).unwrap_err().to_string().contains("[2, 5]"));

@@ -46,10 +46,7 @@ pub fn read_foundation_pose_folder(folder: &Path, times: &FrameTimes) -> Result<
         FrameTimes::Given(given) => given.clone(),
         FrameTimes::Fps(fps) => {
             let fps = check_fps(*fps)?;
-            files
-                .iter()
-                .map(|(number, _)| *number as f64 / fps)
-                .collect()
+            files.iter().map(|(number, _)| *number as f64 / fps).collect()
         }
     };
     let poses = files
@@ -64,10 +61,7 @@ pub(super) fn check_fps(fps: f64) -> Result<f64> {
     if fps.is_finite() && fps > 0.0 {
         Ok(fps)
     } else {
-        Err(Error::value(
-            format!("a frame rate of {fps} per second"),
-            "give a positive number, such as fps = 30",
-        ))
+        Err(Error::value(format!("a frame rate of {fps} per second"), "give a positive number, such as fps = 30"))
     }
 }
 
@@ -77,26 +71,11 @@ fn pose_files(folder: &Path) -> Result<Vec<(u64, PathBuf)>> {
     let mut files = Vec::new();
     for entry in entries {
         let path = entry.map_err(|e| Error::io("read", folder, e))?.path();
-        if path
-            .extension()
-            .is_some_and(|e| e.eq_ignore_ascii_case("txt"))
-            && path.is_file()
-        {
-            let stem = path
-                .file_stem()
-                .map(|s| s.to_string_lossy().into_owned())
-                .unwrap_or_default();
-            let digits = stem
-                .rsplit(|c: char| !c.is_ascii_digit())
-                .next()
-                .unwrap_or_default();
+        if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("txt")) && path.is_file() {
+            let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+            let digits = stem.rsplit(|c: char| !c.is_ascii_digit()).next().unwrap_or_default();
             let number = digits.parse::<u64>().map_err(|_| {
-                Error::content(
-                    &path,
-                    None,
-                    "the file name carries no frame number",
-                    "name pose files <frame>.txt",
-                )
+                Error::content(&path, None, "the file name carries no frame number", "name pose files <frame>.txt")
             })?;
             files.push((number, path));
         }
@@ -104,12 +83,7 @@ fn pose_files(folder: &Path) -> Result<Vec<(u64, PathBuf)>> {
     files.sort();
     if let Some(pair) = files.windows(2).find(|w| w[0].0 == w[1].0) {
         let what = format!("the same frame number as {}", pair[0].1.display());
-        return Err(Error::content(
-            &pair[1].1,
-            None,
-            what,
-            "keep one file per frame",
-        ));
+        return Err(Error::content(&pair[1].1, None, what, "keep one file per frame"));
     }
     Ok(files)
 }
@@ -119,14 +93,8 @@ fn pose_files(folder: &Path) -> Result<Vec<(u64, PathBuf)>> {
 /// # Errors
 /// If there are not sixteen finite numbers, they are no rigid transform, or the position cannot be in metres.
 pub fn parse_matrix_text(path: &Path, bytes: &[u8]) -> Result<Pose> {
-    let text = std::str::from_utf8(bytes).map_err(|_| {
-        Error::content(
-            path,
-            None,
-            "the file is not text",
-            "check that this is the right file",
-        )
-    })?;
+    let text = std::str::from_utf8(bytes)
+        .map_err(|_| Error::content(path, None, "the file is not text", "check that this is the right file"))?;
     matrix_pose(path, 1, text)
 }
 
@@ -140,27 +108,16 @@ fn matrix_pose(path: &Path, line: usize, text: &str) -> Result<Pose> {
                 Ok(v) if v.is_finite() => numbers.push(v),
                 _ => {
                     let what = format!("`{token}` is not a finite number");
-                    return Err(Error::content(
-                        path,
-                        line + i,
-                        what,
-                        "remove the frame or repair the track",
-                    ));
+                    return Err(Error::content(path, line + i, what, "remove the frame or repair the track"));
                 }
             }
         }
     }
     if numbers.len() != 16 {
         let what = format!("{} numbers where a 4 x 4 matrix has 16", numbers.len());
-        return Err(Error::content(
-            path,
-            line,
-            what,
-            "give one camera_from_object matrix, row by row",
-        ));
+        return Err(Error::content(path, line, what, "give one camera_from_object matrix, row by row"));
     }
-    let pose = pose_from_matrix(&Matrix4::from_row_slice(&numbers))
-        .map_err(|e| Error::at(path, line, e))?;
+    let pose = pose_from_matrix(&Matrix4::from_row_slice(&numbers)).map_err(|e| Error::at(path, line, e))?;
     check_position(path, line, &pose.translation.vector)?;
     Ok(pose)
 }
@@ -183,22 +140,13 @@ pub fn parse_foundation_pose_log(path: &Path, bytes: &[u8], clock: &Clock) -> Re
     // A cut-off file may end inside a character; what stands before is still text.
     let text = match std::str::from_utf8(bytes) {
         Ok(text) => text,
-        Err(e) if e.error_len().is_none() => {
-            std::str::from_utf8(&bytes[..e.valid_up_to()]).unwrap_or_default()
-        }
+        Err(e) if e.error_len().is_none() => std::str::from_utf8(&bytes[..e.valid_up_to()]).unwrap_or_default(),
         Err(_) => {
-            return Err(Error::content(
-                path,
-                None,
-                "the file is not text",
-                "check that this is the right file",
-            ));
+            return Err(Error::content(path, None, "the file is not text", "check that this is the right file"));
         }
     };
     let lines: Vec<&str> = text.lines().collect();
-    let headers: Vec<usize> = (0..lines.len())
-        .filter(|&i| header(lines[i]).is_some())
-        .collect();
+    let headers: Vec<usize> = (0..lines.len()).filter(|&i| header(lines[i]).is_some()).collect();
     let (mut times_s, mut poses) = (Vec::new(), Vec::new());
     for (k, &at) in headers.iter().enumerate() {
         let Some((stamp, "Pose")) = header(lines[at]) else {
@@ -211,24 +159,14 @@ pub fn parse_foundation_pose_log(path: &Path, bytes: &[u8], clock: &Clock) -> Re
                 break; // cut off while it was written
             }
             let what = "the matrix of this pose has no closing bracket";
-            return Err(Error::content(
-                path,
-                at + 1,
-                what,
-                "remove the block or record again",
-            ));
+            return Err(Error::content(path, at + 1, what, "remove the block or record again"));
         };
         times_s.push(clock.parse(stamp).map_err(|e| Error::at(path, at + 1, e))?);
         poses.push(matrix_pose(path, at + 2, matrix)?);
     }
     if poses.is_empty() {
         let what = "no complete `<ISO time> - Pose:` block";
-        return Err(Error::content(
-            path,
-            None,
-            what,
-            "give the log that FoundationPose printed during the push",
-        ));
+        return Err(Error::content(path, None, what, "give the log that FoundationPose printed during the push"));
     }
     Trajectory::from_samples(&times_s, &poses)
 }
@@ -236,9 +174,7 @@ pub fn parse_foundation_pose_log(path: &Path, bytes: &[u8], clock: &Clock) -> Re
 /// Stamp and title of a block header `<stamp> - <title>:`.
 fn header(line: &str) -> Option<(&str, &str)> {
     let (stamp, title) = line.trim_end().strip_suffix(':')?.split_once(" - ")?;
-    stamp
-        .starts_with(|c: char| c.is_ascii_digit())
-        .then_some((stamp, title))
+    stamp.starts_with(|c: char| c.is_ascii_digit()).then_some((stamp, title))
 }
 
 /// The text from the first `[` to the `]` that closes it.
@@ -267,13 +203,7 @@ mod tests {
         [0.0, 0.0, 0.0, 1.0]]], device='cuda:0')\n";
 
     fn parse(text: &str) -> Result<Trajectory> {
-        parse_foundation_pose_log(
-            Path::new("poses.txt"),
-            text.as_bytes(),
-            &Clock::LocalIso {
-                utc_offset_minutes: 0,
-            },
-        )
+        parse_foundation_pose_log(Path::new("poses.txt"), text.as_bytes(), &Clock::LocalIso { utc_offset_minutes: 0 })
     }
 
     #[test]
@@ -289,11 +219,7 @@ mod tests {
         for cut in 0..second.len() {
             let track = parse(&format!("{LOG}{}", &second[..cut])).unwrap();
             let closing = second.find("]]]").unwrap();
-            assert_eq!(
-                track.len(),
-                if cut >= closing + 3 { 2 } else { 1 },
-                "cut at {cut}"
-            );
+            assert_eq!(track.len(), if cut >= closing + 3 { 2 } else { 1 }, "cut at {cut}");
         }
     }
 
@@ -301,28 +227,10 @@ mod tests {
     fn a_broken_block_in_the_middle_is_named_by_its_line() {
         let broken = LOG.replace("8e-1]", "8e-1x]");
         let message = parse(&format!("{broken}{LOG}")).unwrap_err().to_string();
-        assert!(
-            message.contains("line 9") && message.contains("8e-1x"),
-            "{message}"
-        );
+        assert!(message.contains("line 9") && message.contains("8e-1x"), "{message}");
         let unclosed = LOG.replace("]]]", "");
-        assert!(
-            parse(&format!("{unclosed}{LOG}"))
-                .unwrap_err()
-                .to_string()
-                .contains("line 6")
-        );
-        assert!(
-            parse(&LOG.replace("8e-1", "nan"))
-                .unwrap_err()
-                .to_string()
-                .contains("line 9")
-        );
-        assert!(
-            parse(&LOG.replace("8e-1", "800"))
-                .unwrap_err()
-                .to_string()
-                .contains("millimetres")
-        );
+        assert!(parse(&format!("{unclosed}{LOG}")).unwrap_err().to_string().contains("line 6"));
+        assert!(parse(&LOG.replace("8e-1", "nan")).unwrap_err().to_string().contains("line 9"));
+        assert!(parse(&LOG.replace("8e-1", "800")).unwrap_err().to_string().contains("millimetres"));
     }
 }

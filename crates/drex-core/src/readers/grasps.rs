@@ -52,10 +52,7 @@ impl GraspFile {
 /// # Errors
 /// If the file cannot be read, holds no grasps, no finite numbers or no radians, or the joints are unknown or do not fit.
 pub fn read_grasps(path: &Path, names: Option<&[String]>) -> Result<JointPoses> {
-    let is = |ending: &str| {
-        path.extension()
-            .is_some_and(|e| e.eq_ignore_ascii_case(ending))
-    };
+    let is = |ending: &str| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(ending));
     let table = path.with_extension("npy");
     if is("npy") {
         read_grasps_npy(path, required(path, names)?)
@@ -64,12 +61,7 @@ pub fn read_grasps(path: &Path, names: Option<&[String]>) -> Result<JointPoses> 
     } else if is("json") {
         read_grasps_json(path)
     } else {
-        Err(Error::content(
-            path,
-            None,
-            "grasps are read from .json and .npy",
-            "convert the file",
-        ))
+        Err(Error::content(path, None, "grasps are read from .json and .npy", "convert the file"))
     }
 }
 
@@ -103,47 +95,22 @@ pub fn read_grasps_json(path: &Path) -> Result<JointPoses> {
 /// # Errors
 /// As [`read_grasps_json`].
 pub fn parse_grasps_json(path: &Path, bytes: &[u8]) -> Result<JointPoses> {
-    let text = std::str::from_utf8(bytes).map_err(|_| {
-        Error::content(
-            path,
-            None,
-            "the file is not text (UTF-8)",
-            "check that this is the right file",
-        )
-    })?;
+    let text = std::str::from_utf8(bytes)
+        .map_err(|_| Error::content(path, None, "the file is not text (UTF-8)", "check that this is the right file"))?;
     let file: GraspFile = fsutil::from_json(path, text)?;
     if file.schema != 1 {
         let what = format!("schema {} of grasp files is not known", file.schema);
-        return Err(Error::content(
-            path,
-            None,
-            what,
-            "write schema 1 or use a newer drex",
-        ));
+        return Err(Error::content(path, None, what, "write schema 1 or use a newer drex"));
     }
     if file.unit != "rad" {
         let what = format!("the unit of the angles is `{}`", file.unit);
-        return Err(Error::content(
-            path,
-            None,
-            what,
-            "give radians and unit \"rad\"",
-        ));
+        return Err(Error::content(path, None, what, "give radians and unit \"rad\""));
     }
     if let Some(wrist) = &file.wrist
         && wrist.len() != file.grasps.len()
     {
-        let what = format!(
-            "{} wrist poses for {} grasps",
-            wrist.len(),
-            file.grasps.len()
-        );
-        return Err(Error::content(
-            path,
-            None,
-            what,
-            "give one per grasp, or none",
-        ));
+        let what = format!("{} wrist poses for {} grasps", wrist.len(), file.grasps.len());
+        return Err(Error::content(path, None, what, "give one per grasp, or none"));
     }
     checked(path, file.joint_names, file.grasps)
 }
@@ -154,10 +121,7 @@ pub fn parse_grasps_json(path: &Path, bytes: &[u8]) -> Result<JointPoses> {
 /// If the file cannot be written.
 pub fn write_grasps_json(path: &Path, file: &GraspFile) -> Result<()> {
     let mut text = serde_json::to_string_pretty(file).map_err(|e| {
-        Error::value(
-            format!("the grasps cannot be written as JSON: {e}"),
-            "check for numbers that are not finite",
-        )
+        Error::value(format!("the grasps cannot be written as JSON: {e}"), "check for numbers that are not finite")
     })?;
     text.push('\n');
     fsutil::write_atomic(path, text.as_bytes())
@@ -176,18 +140,13 @@ pub fn read_grasps_npy(path: &Path, names: &[String]) -> Result<JointPoses> {
 /// # Errors
 /// As [`read_grasps_npy`].
 pub fn parse_grasps_npy(path: &Path, bytes: &[u8], names: &[String]) -> Result<JointPoses> {
-    let refuse =
-        |what: String| Error::content(path, None, what, "save a 2-D float array with numpy.save");
-    let (header, data) =
-        split_npy(bytes).ok_or_else(|| refuse("the file is no npy array".into()))?;
+    let refuse = |what: String| Error::content(path, None, what, "save a 2-D float array with numpy.save");
+    let (header, data) = split_npy(bytes).ok_or_else(|| refuse("the file is no npy array".into()))?;
     let width = match field(header, "descr").map(|d| d.trim_matches(|c| matches!(c, '\'' | '"'))) {
         Some("<f8") => 8,
         Some("<f4") => 4,
         other => {
-            return Err(refuse(format!(
-                "the numbers are of type {}, not f8 or f4",
-                other.unwrap_or("unknown")
-            )));
+            return Err(refuse(format!("the numbers are of type {}, not f8 or f4", other.unwrap_or("unknown"))));
         }
     };
     if field(header, "fortran_order") != Some("False") {
@@ -196,49 +155,28 @@ pub fn parse_grasps_npy(path: &Path, bytes: &[u8], names: &[String]) -> Result<J
     let shape: Vec<usize> = field(header, "shape")
         .and_then(|s| {
             let inner = s.strip_prefix('(')?.strip_suffix(')')?;
-            inner
-                .split(',')
-                .map(str::trim)
-                .filter(|n| !n.is_empty())
-                .map(|n| n.parse().ok())
-                .collect()
+            inner.split(',').map(str::trim).filter(|n| !n.is_empty()).map(|n| n.parse().ok()).collect()
         })
         .ok_or_else(|| refuse("the array has no readable shape".into()))?;
     let &[rows, columns] = shape.as_slice() else {
-        return Err(refuse(format!(
-            "the array has {} dimensions, not 2 (grasp, joint)",
-            shape.len()
-        )));
+        return Err(refuse(format!("the array has {} dimensions, not 2 (grasp, joint)", shape.len())));
     };
     if rows == 0 {
         return Err(no_grasps(path));
     }
     if columns != names.len() {
         let what = format!("{columns} columns but {} joint names", names.len());
-        return Err(Error::content(
-            path,
-            None,
-            what,
-            "name the joints of this table, one per column",
-        ));
+        return Err(Error::content(path, None, what, "name the joints of this table, one per column"));
     }
-    if rows.checked_mul(columns).and_then(|n| n.checked_mul(width)) != Some(data.len())
-        || columns == 0
-    {
-        return Err(refuse(format!(
-            "{} bytes of data do not make {rows} x {columns} numbers",
-            data.len()
-        )));
+    if rows.checked_mul(columns).and_then(|n| n.checked_mul(width)) != Some(data.len()) || columns == 0 {
+        return Err(refuse(format!("{} bytes of data do not make {rows} x {columns} numbers", data.len())));
     }
     let number = |chunk: &[u8]| match (<[u8; 8]>::try_from(chunk), <[u8; 4]>::try_from(chunk)) {
         (Ok(b), _) => f64::from_le_bytes(b),
         (_, Ok(b)) => f64::from(f32::from_le_bytes(b)),
         _ => f64::NAN,
     };
-    let grasps = data
-        .chunks_exact(width * columns)
-        .map(|row| row.chunks_exact(width).map(number).collect())
-        .collect();
+    let grasps = data.chunks_exact(width * columns).map(|row| row.chunks_exact(width).map(number).collect()).collect();
     checked(path, names.to_vec(), grasps)
 }
 
@@ -263,15 +201,10 @@ fn split_npy(bytes: &[u8]) -> Option<(&str, &[u8])> {
 
 /// The value of `key` in a flat Python dict literal, as text.
 fn field<'a>(header: &'a str, key: &str) -> Option<&'a str> {
-    let after = [format!("'{key}'"), format!("\"{key}\"")]
-        .iter()
-        .find_map(|k| Some(&header[header.find(k)? + k.len()..]))?;
+    let after =
+        [format!("'{key}'"), format!("\"{key}\"")].iter().find_map(|k| Some(&header[header.find(k)? + k.len()..]))?;
     let value = after.trim_start().strip_prefix(':')?.trim_start();
-    let end = if value.starts_with('(') {
-        value.find(')')? + 1
-    } else {
-        value.find([',', '}'])?
-    };
+    let end = if value.starts_with('(') { value.find(')')? + 1 } else { value.find([',', '}'])? };
     Some(value[..end].trim())
 }
 
@@ -290,30 +223,16 @@ fn checked(path: &Path, names: Vec<String>, rows: Vec<Vec<f64>>) -> Result<Joint
         return Err(no_grasps(path));
     }
     if names.is_empty() {
-        return Err(Error::content(
-            path,
-            None,
-            "no joint is named",
-            "name the joint of each column",
-        ));
+        return Err(Error::content(path, None, "no joint is named", "name the joint of each column"));
     }
     let mut sorted: Vec<&String> = names.iter().collect();
     sorted.sort();
     if let Some(pair) = sorted.windows(2).find(|w| w[0] == w[1]) {
-        return Err(Error::content(
-            path,
-            None,
-            format!("joint {} is named twice", pair[0]),
-            "name each joint once",
-        ));
+        return Err(Error::content(path, None, format!("joint {} is named twice", pair[0]), "name each joint once"));
     }
     for (i, row) in rows.iter().enumerate() {
         if row.len() != names.len() {
-            let what = format!(
-                "grasp {i} has {} angles for {} joints",
-                row.len(),
-                names.len()
-            );
+            let what = format!("grasp {i} has {} angles for {} joints", row.len(), names.len());
             return Err(Error::content(path, None, what, "give one angle per joint"));
         }
         for (joint, &angle) in names.iter().zip(row) {
@@ -332,8 +251,7 @@ mod tests {
     use super::*;
 
     fn npy(descr: &str, shape: &str, data: &[u8]) -> Vec<u8> {
-        let mut header =
-            format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
+        let mut header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
         while (10 + header.len() + 1) % 64 != 0 {
             header.push(' ');
         }
@@ -352,58 +270,26 @@ mod tests {
     #[test]
     fn both_float_widths_are_read_row_by_row() {
         let rows = vec![vec![0.5, -0.25], vec![1.0, 2.0]];
-        let f8: Vec<u8> = rows
-            .iter()
-            .flatten()
-            .flat_map(|v: &f64| v.to_le_bytes())
-            .collect();
-        let f4: Vec<u8> = rows
-            .iter()
-            .flatten()
-            .flat_map(|v: &f64| (*v as f32).to_le_bytes())
-            .collect();
+        let f8: Vec<u8> = rows.iter().flatten().flat_map(|v: &f64| v.to_le_bytes()).collect();
+        let f4: Vec<u8> = rows.iter().flatten().flat_map(|v: &f64| (*v as f32).to_le_bytes()).collect();
         for (descr, data) in [("<f8", f8), ("<f4", f4)] {
-            let poses =
-                parse_grasps_npy(Path::new("g.npy"), &npy(descr, "(2, 2)", &data), &names())
-                    .unwrap();
-            assert_eq!(
-                poses,
-                JointPoses {
-                    names: names(),
-                    rows: rows.clone()
-                }
-            );
+            let poses = parse_grasps_npy(Path::new("g.npy"), &npy(descr, "(2, 2)", &data), &names()).unwrap();
+            assert_eq!(poses, JointPoses { names: names(), rows: rows.clone() });
         }
     }
 
     #[test]
     fn bad_tables_are_refused_with_the_reason() {
-        let read = |bytes: &[u8]| {
-            parse_grasps_npy(Path::new("g.npy"), bytes, &names())
-                .unwrap_err()
-                .to_string()
-        };
+        let read = |bytes: &[u8]| parse_grasps_npy(Path::new("g.npy"), bytes, &names()).unwrap_err().to_string();
         assert!(read(&npy("<f8", "(0, 2)", &[])).contains("no grasps"));
         assert!(read(&npy("<f8", "(1, 3)", &[0; 24])).contains("3 columns but 2 joint names"));
         assert!(read(&npy("<f8", "(2, 2)", &[0; 31])).contains("31 bytes"));
         assert!(read(&npy("<i8", "(2, 2)", &[0; 32])).contains("<i8"));
         assert!(read(&npy("<f8", "(4,)", &[0; 32])).contains("1 dimensions"));
         assert!(read(&npy("<f8", "(9223372036854775807, 2)", &[0; 32])).contains("32 bytes"));
+        assert!(read(&npy("<f8", "(1, 2)", &[90f64.to_le_bytes(), 0f64.to_le_bytes()].concat())).contains("degrees"));
         assert!(
-            read(&npy(
-                "<f8",
-                "(1, 2)",
-                &[90f64.to_le_bytes(), 0f64.to_le_bytes()].concat()
-            ))
-            .contains("degrees")
-        );
-        assert!(
-            read(&npy(
-                "<f8",
-                "(1, 2)",
-                &[f64::NAN.to_le_bytes(), 0f64.to_le_bytes()].concat()
-            ))
-            .contains("joint a")
+            read(&npy("<f8", "(1, 2)", &[f64::NAN.to_le_bytes(), 0f64.to_le_bytes()].concat())).contains("joint a")
         );
     }
 
@@ -411,30 +297,13 @@ mod tests {
     fn json_is_checked_and_survives_a_round_trip() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("g.json");
-        let poses = JointPoses {
-            names: names(),
-            rows: vec![vec![0.1, 0.2]],
-        };
+        let poses = JointPoses { names: names(), rows: vec![vec![0.1, 0.2]] };
         write_grasps_json(&path, &GraspFile::new(&poses)).unwrap();
         assert_eq!(read_grasps(&path, None).unwrap(), poses);
-        let parse = |text: &str| {
-            parse_grasps_json(&path, text.as_bytes())
-                .unwrap_err()
-                .to_string()
-        };
-        assert!(
-            parse(r#"{"schema":1,"joint_names":["a"],"unit":"rad","grasps":[]}"#)
-                .contains("no grasps")
-        );
-        assert!(
-            parse(r#"{"schema":1,"joint_names":["a"],"unit":"deg","grasps":[[1]]}"#)
-                .contains("deg")
-        );
-        let unknown =
-            parse("{\"schema\":1,\n\"joints\":[\"a\"],\"unit\":\"rad\",\"grasps\":[[1]]}");
-        assert!(
-            unknown.contains("line 2") && unknown.contains("joints"),
-            "{unknown}"
-        );
+        let parse = |text: &str| parse_grasps_json(&path, text.as_bytes()).unwrap_err().to_string();
+        assert!(parse(r#"{"schema":1,"joint_names":["a"],"unit":"rad","grasps":[]}"#).contains("no grasps"));
+        assert!(parse(r#"{"schema":1,"joint_names":["a"],"unit":"deg","grasps":[[1]]}"#).contains("deg"));
+        let unknown = parse("{\"schema\":1,\n\"joints\":[\"a\"],\"unit\":\"rad\",\"grasps\":[[1]]}");
+        assert!(unknown.contains("line 2") && unknown.contains("joints"), "{unknown}");
     }
 }

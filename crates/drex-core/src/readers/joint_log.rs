@@ -22,22 +22,14 @@ pub fn read_joint_log_csv(path: &Path, names: Option<&[String]>) -> Result<Joint
 ///
 /// # Errors
 /// As [`read_joint_log_csv`].
-pub fn parse_joint_log_csv(
-    path: &Path,
-    bytes: &[u8],
-    names: Option<&[String]>,
-) -> Result<JointLog> {
+pub fn parse_joint_log_csv(path: &Path, bytes: &[u8], names: Option<&[String]>) -> Result<JointLog> {
     let table = Table::parse(path, bytes)?;
     let time = match table.find("timestamp").or_else(|| table.find("t")) {
         Some(column) => column,
         None => table.columns(&["timestamp"])?[0],
     };
-    let keys: Vec<String> = table
-        .header()
-        .iter()
-        .filter_map(|h| h.strip_prefix("position_"))
-        .map(str::to_owned)
-        .collect();
+    let keys: Vec<String> =
+        table.header().iter().filter_map(|h| h.strip_prefix("position_")).map(str::to_owned).collect();
     if keys.is_empty() {
         table.columns(&["position_0"])?;
     }
@@ -48,18 +40,11 @@ pub fn parse_joint_log_csv(
                 return Err(Error::content(
                     path,
                     1,
-                    format!(
-                        "{} joint columns but {} joint names",
-                        keys.len(),
-                        names.len()
-                    ),
+                    format!("{} joint columns but {} joint names", keys.len(), names.len()),
                     "give one joint name per position_i column, in column order",
                 ));
             }
-            (
-                names.to_vec(),
-                (0..names.len()).map(|i| i.to_string()).collect(),
-            )
+            (names.to_vec(), (0..names.len()).map(|i| i.to_string()).collect())
         }
         Some(names) => (names.to_vec(), names.to_vec()),
         None if numbered => {
@@ -72,37 +57,15 @@ pub fn parse_joint_log_csv(
         }
         None => (keys.clone(), keys),
     };
-    let columns = |prefix: &str| {
-        table.columns(
-            &keys
-                .iter()
-                .map(|k| format!("{prefix}{k}"))
-                .collect::<Vec<_>>(),
-        )
-    };
+    let columns = |prefix: &str| table.columns(&keys.iter().map(|k| format!("{prefix}{k}")).collect::<Vec<_>>());
     let logged = |prefix: &str| table.header().iter().any(|h| h.starts_with(prefix));
     let positions = columns("position_")?;
-    let velocities = if logged("velocity_") {
-        columns("velocity_")?
-    } else {
-        Vec::new()
-    };
-    let efforts = if logged("effort_") {
-        columns("effort_")?
-    } else {
-        Vec::new()
-    };
+    let velocities = if logged("velocity_") { columns("velocity_")? } else { Vec::new() };
+    let efforts = if logged("effort_") { columns("effort_")? } else { Vec::new() };
 
-    let mut log = JointLog {
-        names,
-        ..JointLog::default()
-    };
-    let row_of = |row: usize, columns: &[usize]| {
-        columns
-            .iter()
-            .map(|&c| table.number(row, c))
-            .collect::<Result<Vec<_>>>()
-    };
+    let mut log = JointLog { names, ..JointLog::default() };
+    let row_of =
+        |row: usize, columns: &[usize]| columns.iter().map(|&c| table.number(row, c)).collect::<Result<Vec<_>>>();
     for (row, t) in table.rows_by_time(time)? {
         let q = row_of(row, &positions)?;
         for (joint, &angle) in log.names.iter().zip(&q) {

@@ -12,18 +12,16 @@ mod table;
 
 pub use bop::{BopSelection, parse_bop_csv, read_bop_csv};
 pub use foundation_pose::{
-    FrameTimes, parse_foundation_pose_log, parse_matrix_text, read_foundation_pose_folder,
-    read_foundation_pose_log,
+    FrameTimes, parse_foundation_pose_log, parse_matrix_text, read_foundation_pose_folder, read_foundation_pose_log,
 };
 pub use grasps::{
-    GraspFile, parse_grasps_json, parse_grasps_npy, read_grasps, read_grasps_json, read_grasps_npy,
-    write_grasps_json,
+    GraspFile, parse_grasps_json, parse_grasps_npy, read_grasps, read_grasps_json, read_grasps_npy, write_grasps_json,
 };
 pub use joint_log::{parse_joint_log_csv, read_joint_log_csv};
 pub use pose_csv::{parse_pose_csv, read_pose_csv};
 pub use samples::{
-    PointSeries, parse_action_csv, parse_force_csv, parse_proprio_csv, read_action_csv,
-    read_force_csv, read_proprio_csv,
+    PointSeries, parse_action_csv, parse_force_csv, parse_proprio_csv, read_action_csv, read_force_csv,
+    read_proprio_csv,
 };
 pub use table::Table;
 
@@ -43,10 +41,7 @@ fn check_position(path: &std::path::Path, line: usize, position: &Vector3<f64>) 
         return Err(Error::content(
             path,
             line,
-            format!(
-                "a position of {:.3} m, farther than {FARTHEST_M} m from the origin",
-                position.amax()
-            ),
+            format!("a position of {:.3} m, farther than {FARTHEST_M} m from the origin", position.amax()),
             "positions are metres; if these are millimetres, divide them by 1000",
         ));
     }
@@ -54,12 +49,7 @@ fn check_position(path: &std::path::Path, line: usize, position: &Vector3<f64>) 
 }
 
 /// Refuses a joint angle that must be in another unit.
-fn check_angle(
-    path: &std::path::Path,
-    line: impl Into<Option<usize>>,
-    joint: &str,
-    angle: f64,
-) -> Result<()> {
+fn check_angle(path: &std::path::Path, line: impl Into<Option<usize>>, joint: &str, angle: f64) -> Result<()> {
     if angle.abs() > LARGEST_ANGLE_RAD {
         return Err(Error::content(
             path,

@@ -24,18 +24,12 @@ pub fn read_pose_csv(path: &Path) -> Result<Trajectory> {
 pub fn parse_pose_csv(path: &Path, bytes: &[u8]) -> Result<Trajectory> {
     let table = Table::parse(path, bytes)?;
     let columns = table.columns(&["t", "x", "y", "z", "qw", "qx", "qy", "qz"])?;
-    let (mut times_s, mut poses) = (
-        Vec::with_capacity(table.len()),
-        Vec::with_capacity(table.len()),
-    );
+    let (mut times_s, mut poses) = (Vec::with_capacity(table.len()), Vec::with_capacity(table.len()));
     for row in 0..table.len() {
         let [t, x, y, z, qw, qx, qy, qz] = table.numbers(row, &columns)?;
         check_position(path, table.line(row), &Vector3::new(x, y, z))?;
         times_s.push(t);
-        poses.push(
-            pose_from_wxyz([x, y, z], [qw, qx, qy, qz])
-                .map_err(|e| Error::at(path, table.line(row), e))?,
-        );
+        poses.push(pose_from_wxyz([x, y, z], [qw, qx, qy, qz]).map_err(|e| Error::at(path, table.line(row), e))?);
     }
     Trajectory::from_samples(&times_s, &poses)
 }

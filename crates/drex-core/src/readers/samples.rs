@@ -32,18 +32,10 @@ pub fn read_force_csv(path: &Path, point_in_object: Point3<f64>) -> Result<Force
 ///
 /// # Errors
 /// As [`read_force_csv`].
-pub fn parse_force_csv(
-    path: &Path,
-    bytes: &[u8],
-    point_in_object: Point3<f64>,
-) -> Result<ForceProfile> {
+pub fn parse_force_csv(path: &Path, bytes: &[u8], point_in_object: Point3<f64>) -> Result<ForceProfile> {
     let table = Table::parse(path, bytes)?;
     let columns = table.columns(&["t", "fx", "fy", "fz"])?;
-    let mut profile = ForceProfile {
-        times_s: Vec::new(),
-        forces_n: Vec::new(),
-        point_in_object,
-    };
+    let mut profile = ForceProfile { times_s: Vec::new(), forces_n: Vec::new(), point_in_object };
     for (row, t) in table.rows_by_time(columns[0])? {
         let force = Vector3::from(table.numbers::<3>(row, &columns[1..])?);
         if force.amax() > LARGEST_FORCE_N {
@@ -75,10 +67,7 @@ pub fn read_action_csv(path: &Path) -> Result<PointSeries> {
 pub fn parse_action_csv(path: &Path, bytes: &[u8]) -> Result<PointSeries> {
     let table = Table::parse(path, bytes)?;
     let columns = table.columns(&["t", "x_cmd", "y_cmd", "z_cmd"])?;
-    let mut series = PointSeries {
-        times_s: Vec::new(),
-        points: Vec::new(),
-    };
+    let mut series = PointSeries { times_s: Vec::new(), points: Vec::new() };
     for (row, t) in table.rows_by_time(columns[0])? {
         let point = Vector3::from(table.numbers::<3>(row, &columns[1..])?);
         check_position(path, table.line(row), &point)?;
@@ -103,11 +92,7 @@ pub fn read_proprio_csv(path: &Path) -> Result<EncoderTrack> {
 pub fn parse_proprio_csv(path: &Path, bytes: &[u8]) -> Result<EncoderTrack> {
     let table = Table::parse(path, bytes)?;
     let columns = table.columns(&["t", "x", "y", "z", "vx", "vy", "vz"])?;
-    let mut track = EncoderTrack {
-        times_s: Vec::new(),
-        positions: Vec::new(),
-        velocities: Vec::new(),
-    };
+    let mut track = EncoderTrack { times_s: Vec::new(), positions: Vec::new(), velocities: Vec::new() };
     for (row, t) in table.rows_by_time(columns[0])? {
         let [x, y, z, vx, vy, vz] = table.numbers(row, &columns[1..])?;
         check_position(path, table.line(row), &Vector3::new(x, y, z))?;

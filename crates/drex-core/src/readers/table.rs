@@ -45,12 +45,7 @@ impl Table {
         }
         let mut records = records.into_iter();
         let Some((_, head)) = records.next() else {
-            return Err(Error::content(
-                path,
-                None,
-                "the file is empty",
-                "give a csv file with a header line",
-            ));
+            return Err(Error::content(path, None, "the file is empty", "give a csv file with a header line"));
         };
         let header: Vec<String> = head.iter().map(str::to_owned).collect();
         let mut rows: Vec<_> = records.collect();
@@ -63,11 +58,7 @@ impl Table {
             return Err(Error::content(
                 path,
                 *line,
-                format!(
-                    "{} fields where the header names {} columns",
-                    row.len(),
-                    header.len()
-                ),
+                format!("{} fields where the header names {} columns", row.len(), header.len()),
                 "repair or remove the row",
             ));
         }
@@ -79,12 +70,7 @@ impl Table {
                 "record again or give another file",
             ));
         }
-        Ok(Self {
-            path: path.to_path_buf(),
-            header,
-            rows,
-            cut_rows,
-        })
+        Ok(Self { path: path.to_path_buf(), header, rows, cut_rows })
     }
 
     /// The file the table came from, for messages.
@@ -122,40 +108,24 @@ impl Table {
     /// # Errors
     /// If one is missing or there twice; the message names the missing ones and those present.
     pub fn columns<S: AsRef<str>>(&self, names: &[S]) -> Result<Vec<usize>> {
-        let missing: Vec<&str> = names
-            .iter()
-            .map(AsRef::as_ref)
-            .filter(|n| self.find(n).is_none())
-            .collect();
+        let missing: Vec<&str> = names.iter().map(AsRef::as_ref).filter(|n| self.find(n).is_none()).collect();
         if !missing.is_empty() {
             return Err(Error::content(
                 &self.path,
                 1,
-                format!(
-                    "no column {}; the columns are {}",
-                    missing.join(", "),
-                    shorten(&self.header)
-                ),
+                format!("no column {}; the columns are {}", missing.join(", "), shorten(&self.header)),
                 "name the columns as documented (the name fixes the unit) or give the right file",
             ));
         }
         names
             .iter()
             .map(|n| {
-                let mut hits = self
-                    .header
-                    .iter()
-                    .enumerate()
-                    .filter(|(_, h)| *h == n.as_ref())
-                    .map(|(i, _)| i);
+                let mut hits = self.header.iter().enumerate().filter(|(_, h)| *h == n.as_ref()).map(|(i, _)| i);
                 match (hits.next(), hits.next()) {
                     (Some(i), None) => Ok(i),
-                    _ => Err(Error::content(
-                        &self.path,
-                        1,
-                        format!("column {} is there twice", n.as_ref()),
-                        "keep one",
-                    )),
+                    _ => {
+                        Err(Error::content(&self.path, 1, format!("column {} is there twice", n.as_ref()), "keep one"))
+                    }
                 }
             })
             .collect()
@@ -175,11 +145,7 @@ impl Table {
         match text.parse::<f64>() {
             Ok(v) if v.is_finite() => Ok(v),
             parsed => {
-                let what = if parsed.is_ok() {
-                    "not finite"
-                } else {
-                    "not a number"
-                };
+                let what = if parsed.is_ok() { "not finite" } else { "not a number" };
                 Err(Error::content(
                     &self.path,
                     self.line(row),
@@ -207,9 +173,7 @@ impl Table {
     /// # Errors
     /// If a time is no finite number.
     pub fn rows_by_time(&self, column: usize) -> Result<Vec<(usize, f64)>> {
-        let mut rows = (0..self.len())
-            .map(|r| Ok((r, self.number(r, column)?)))
-            .collect::<Result<Vec<_>>>()?;
+        let mut rows = (0..self.len()).map(|r| Ok((r, self.number(r, column)?))).collect::<Result<Vec<_>>>()?;
         rows.sort_by(|a, b| a.1.total_cmp(&b.1));
         rows.dedup_by(|a, b| a.1 == b.1);
         Ok(rows)
@@ -219,15 +183,6 @@ impl Table {
 /// Column names for a message, at most a dozen.
 fn shorten(names: &[String]) -> String {
     const MOST: usize = 12;
-    let head = names
-        .iter()
-        .take(MOST)
-        .map(String::as_str)
-        .collect::<Vec<_>>()
-        .join(", ");
-    if names.len() > MOST {
-        format!("{head}, … ({} in all)", names.len())
-    } else {
-        head
-    }
+    let head = names.iter().take(MOST).map(String::as_str).collect::<Vec<_>>().join(", ");
+    if names.len() > MOST { format!("{head}, … ({} in all)", names.len()) } else { head }
 }

@@ -95,8 +95,8 @@ impl Trajectory {
             .collect()
     }
 
-    /// White noise of the track, per axis, from how far each sample lies off the line (geodesic) through its neighbours:
-    /// the median of that distance is hardly moved by outliers or by a short motion. An acceleration a that lasts for
+    /// White noise of the track, per axis, from how far each sample lies off the line (geodesic) through its neighbours;
+    /// neither outliers nor a short motion move the estimate by much. An acceleration a that lasts for
     /// most of the track adds about a h²/2 for samples h apart. `None` with fewer than five samples.
     pub fn noise(&self) -> Option<TrackNoise> {
         if self.len() < 5 {
@@ -108,7 +108,8 @@ impl Trajectory {
             let (w0, w1) = (h1 / (h0 + h1), h0 / (h0 + h1));
             let (a, b, c) = (&self.poses[i - 1], &self.poses[i], &self.poses[i + 1]);
             let position = b.translation.vector - a.translation.vector * w0 - c.translation.vector * w1;
-            let middle = a.rotation * UnitQuaternion::from_scaled_axis((a.rotation.inverse() * c.rotation).scaled_axis() * w1);
+            let middle =
+                a.rotation * UnitQuaternion::from_scaled_axis((a.rotation.inverse() * c.rotation).scaled_axis() * w1);
             let rotation = (middle.inverse() * b.rotation).scaled_axis();
             // The variance of the offset is σ² (1 + w0² + w1²).
             let scale = (1.0 + w0 * w0 + w1 * w1).sqrt().recip();
@@ -117,7 +118,7 @@ impl Trajectory {
                 offsets[3 + k].push((rotation[k] * scale).abs());
             }
         }
-        let sd = offsets.map(|o| median(o).unwrap_or(0.0) / MAD_OF_NORMAL);
+        let sd = offsets.map(robust_sd);
         Some(TrackNoise {
             position_m: Vector3::new(sd[0], sd[1], sd[2]),
             rotation_rad: Vector3::new(sd[3], sd[4], sd[5]),
@@ -163,6 +164,22 @@ pub fn make_signs_continuous(quats_wxyz: &mut [[f64; 4]]) {
             }
         }
     }
+}
+
+/// Standard deviation from absolute deviations, most of which are of a normal distribution: the root mean square of those
+/// within three standard deviations, starting from the median.
+fn robust_sd(deviations: Vec<f64>) -> f64 {
+    /// Variance of a unit normal cut off at ±3.
+    const CUT_VARIANCE: f64 = 0.973_335;
+    let mut sd = median(deviations.clone()).unwrap_or(0.0) / MAD_OF_NORMAL;
+    for _ in 0..3 {
+        let (sum, count) =
+            deviations.iter().filter(|d| **d <= 3.0 * sd).fold((0.0, 0usize), |(sum, n), d| (sum + d * d, n + 1));
+        if count > 0 {
+            sd = (sum / count as f64 / CUT_VARIANCE).sqrt();
+        }
+    }
+    sd
 }
 
 /// The median; the mean of the two middle values of an even number. `None` of nothing.
@@ -262,7 +279,6 @@ mod tests {
         }
         let track = Trajectory::from_samples(&times, &poses).unwrap();
         let noise = track.noise().unwrap();
-        eprintln!("{noise:?}");
         for (estimate, truth) in noise.position_m.iter().zip([sp, sp, 3.0 * sp]) {
             assert!((estimate / truth - 1.0).abs() < 0.2, "{estimate} against {truth}");
         }

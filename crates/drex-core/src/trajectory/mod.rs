@@ -38,10 +38,7 @@ impl Trajectory {
             ));
         }
         if let Some(i) = times_s.iter().position(|t| !t.is_finite()) {
-            return Err(Error::value(
-                format!("time {i} is not finite"),
-                "remove the sample",
-            ));
+            return Err(Error::value(format!("time {i} is not finite"), "remove the sample"));
         }
         let mut order: Vec<usize> = (0..times_s.len()).collect();
         order.sort_by(|&a, &b| times_s[a].total_cmp(&times_s[b]));
@@ -83,43 +80,27 @@ impl Trajectory {
         if !(t_s >= first && t_s <= last) {
             return None;
         }
-        let i = self
-            .times_s
-            .partition_point(|&t| t <= t_s)
-            .clamp(1, self.len().max(2) - 1);
+        let i = self.times_s.partition_point(|&t| t <= t_s).clamp(1, self.len().max(2) - 1);
         if self.len() == 1 {
             return Some(self.poses[0]);
         }
         let (t0, t1) = (self.times_s[i - 1], self.times_s[i]);
-        Some(interpolate(
-            &self.poses[i - 1],
-            &self.poses[i],
-            (t_s - t0) / (t1 - t0),
-        ))
+        Some(interpolate(&self.poses[i - 1], &self.poses[i], (t_s - t0) / (t1 - t0)))
     }
 
     /// The same motion with `offset_s` added to every time.
     pub fn shifted(&self, offset_s: f64) -> Self {
-        Self {
-            times_s: self.times_s.iter().map(|t| t + offset_s).collect(),
-            poses: self.poses.clone(),
-        }
+        Self { times_s: self.times_s.iter().map(|t| t + offset_s).collect(), poses: self.poses.clone() }
     }
 
     /// Every pose with another frame on its left: `c_from_a` turns `a_from_b` into `c_from_b`.
     pub fn left_mul(&self, c_from_a: &Pose) -> Self {
-        Self {
-            times_s: self.times_s.clone(),
-            poses: self.poses.iter().map(|p| c_from_a * p).collect(),
-        }
+        Self { times_s: self.times_s.clone(), poses: self.poses.iter().map(|p| c_from_a * p).collect() }
     }
 
     /// Every pose with another frame on its right: `b_from_c` turns `a_from_b` into `a_from_c`.
     pub fn right_mul(&self, b_from_c: &Pose) -> Self {
-        Self {
-            times_s: self.times_s.clone(),
-            poses: self.poses.iter().map(|p| p * b_from_c).collect(),
-        }
+        Self { times_s: self.times_s.clone(), poses: self.poses.iter().map(|p| p * b_from_c).collect() }
     }
 
     /// The motion at the given times, interpolated as in [`Trajectory::at`].

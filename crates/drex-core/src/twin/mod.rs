@@ -151,8 +151,12 @@ impl TwinManifest {
     /// # Errors
     /// If a path is not Unicode or the seed is beyond what TOML can hold (2⁶³ - 1).
     pub fn to_toml_string(&self) -> Result<String> {
-        toml::to_string(self)
-            .map_err(|e| Error::value(format!("the manifest cannot be written as TOML: {e}"), "use paths in Unicode and a smaller seed"))
+        toml::to_string(self).map_err(|e| {
+            Error::value(
+                format!("the manifest cannot be written as TOML: {e}"),
+                "use paths in Unicode and a smaller seed",
+            )
+        })
     }
 
     /// Friction of the object and whether it is assumed rather than stated.
@@ -167,7 +171,10 @@ impl TwinManifest {
     pub fn check(&self) -> Result<()> {
         let refuse = |what: String, remedy: &str| Err(Error::value(what, remedy));
         if self.schema != 1 {
-            return refuse(format!("schema {} of twin.toml is not known", self.schema), "write schema = 1 or use a newer drex");
+            return refuse(
+                format!("schema {} of twin.toml is not known", self.schema),
+                "write schema = 1 or use a newer drex",
+            );
         }
         if self.name.trim().is_empty() {
             return refuse("name is empty".into(), "name the object");
@@ -177,12 +184,18 @@ impl TwinManifest {
         }
         let up = nalgebra::Vector3::from(self.object.up_in_mesh);
         if !(up.iter().all(|c| c.is_finite()) && up.norm() > 1e-9) {
-            return refuse("[object] up_in_mesh is no direction".into(), "give a vector that is not zero, such as [0, 0, 1]");
+            return refuse(
+                "[object] up_in_mesh is no direction".into(),
+                "give a vector that is not zero, such as [0, 0, 1]",
+            );
         }
         if let Some(friction) = self.object.friction
             && !(0.0..=10.0).contains(&friction)
         {
-            return refuse(format!("[object] friction = {friction}"), "give a coefficient between 0 and 10, usually 0.2 to 1");
+            return refuse(
+                format!("[object] friction = {friction}"),
+                "give a coefficient between 0 and 10, usually 0.2 to 1",
+            );
         }
         let m = &self.mass;
         if m.identify.is_empty() && m.weighed_kg.is_none() && m.prior_kg.is_none() {
@@ -201,7 +214,10 @@ impl TwinManifest {
         if let Some(grasps) = &self.grasps
             && grasps.hand.trim().is_empty()
         {
-            return refuse("[grasps] hand is empty".into(), "name a bundled hand such as leap_right, or a URDF or MJCF file");
+            return refuse(
+                "[grasps] hand is empty".into(),
+                "name a bundled hand such as leap_right, or a URDF or MJCF file",
+            );
         }
         let train = self.train.clone().unwrap_or_default();
         for (entry, value) in [("epochs", train.epochs), ("modes", train.modes), ("hidden", train.hidden)] {
