@@ -53,7 +53,13 @@ enum Verdict {
 /// with one weight stay whole.
 pub(crate) fn boundary(mesh: &TriMesh, tree: &Bvh) -> Boundary {
     let diagonal = mesh.bounds().map_or(0.0, |(lo, hi)| (hi - lo).norm());
-    let probe = Probe { tree, step: 1e-6 * diagonal, coarse: diagonal / 24.0, small: diagonal / 100.0, fine: diagonal / 1000.0 };
+    let probe = Probe {
+        tree,
+        step: 1e-6 * diagonal,
+        coarse: diagonal / 24.0,
+        small: diagonal / 100.0,
+        fine: diagonal / 1000.0,
+    };
     let verdicts: Vec<Verdict> = (0..mesh.faces.len())
         .into_par_iter()
         .map(|f| {

@@ -475,8 +475,9 @@ mod tests {
                 .fold(f64::INFINITY, f64::min);
             assert_eq!(bvh.nearest(&p, f64::INFINITY).unwrap().distance_squared, brute);
             let d = Vector3::from(shapes::low_discrepancy(i + 1000).map(|c| c - 0.5)).normalize();
-            let brute =
-                (0..mesh.faces.len()).filter_map(|f| ray_triangle(&p, &d, &mesh.triangle(f))).fold(f64::INFINITY, f64::min);
+            let brute = (0..mesh.faces.len())
+                .filter_map(|f| ray_triangle(&p, &d, &mesh.triangle(f)))
+                .fold(f64::INFINITY, f64::min);
             assert_eq!(bvh.ray(&p, &d, f64::INFINITY).map_or(f64::INFINITY, |h| h.1), brute);
         }
     }

@@ -120,7 +120,8 @@ fn fill_row(exact: &MeshSdf, start: &Point3<f64>, spacing: f64, out: &mut [f32])
     for (i, value) in out.iter_mut().enumerate() {
         let p = start + Vector3::x() * (i as f64 * spacing);
         let within = (before + spacing) * (1.0 + 1e-9);
-        let d = exact.distance_within(&p, within).or_else(|| exact.distance_within(&p, f64::INFINITY)).unwrap_or(before);
+        let d =
+            exact.distance_within(&p, within).or_else(|| exact.distance_within(&p, f64::INFINITY)).unwrap_or(before);
         if i == 0 || before + d <= spacing * (1.0 + 1e-9) {
             inside = exact.contains(&p);
         }

@@ -219,7 +219,8 @@ mod tests {
 
     #[test]
     fn boxes_of_a_letter_are_its_pieces() {
-        let t = joined(&[cuboid([-0.05, 0.0, 0.0], [0.05, 0.02, 0.03]), cuboid([-0.01, -0.06, 0.0], [0.01, 0.0, 0.03])]);
+        let t =
+            joined(&[cuboid([-0.05, 0.0, 0.0], [0.05, 0.02, 0.03]), cuboid([-0.01, -0.06, 0.0], [0.01, 0.0, 0.03])]);
         let pieces = convex_pieces(&t, &PieceOptions::default()).unwrap();
         assert_eq!(pieces.iter().map(|p| p.vertices.len()).collect::<Vec<_>>(), [8, 8]);
     }

@@ -360,12 +360,7 @@ fn lies_inside(mesh: &TriMesh, a: &Shell, b: &Shell) -> bool {
 }
 
 /// Winds the shells outwards and says which are cavities.
-fn orient_shells(
-    mesh: &mut TriMesh,
-    shells: &[Shell],
-    parents: &[Option<usize>],
-    turned: &mut [bool],
-) -> Vec<bool> {
+fn orient_shells(mesh: &mut TriMesh, shells: &[Shell], parents: &[Option<usize>], turned: &mut [bool]) -> Vec<bool> {
     let mut flip = vec![None; shells.len()];
     for i in (0..shells.len()).filter(|&i| shells[i].closed) {
         // The outermost shell of the nest decides; what is inside turns with it.
@@ -375,8 +370,10 @@ fn orient_shells(
         }
         flip[i] = Some(shells[root].volume_m3 < 0.0);
     }
-    let open: Vec<usize> =
-        (0..shells.len()).filter(|&i| !shells[i].closed).flat_map(|i| shells[i].faces.iter().map(|&f| f as usize)).collect();
+    let open: Vec<usize> = (0..shells.len())
+        .filter(|&i| !shells[i].closed)
+        .flat_map(|i| shells[i].faces.iter().map(|&f| f as usize))
+        .collect();
     // Without a clear bulge (a sheet) there is no outside, and the file's word stands.
     let turn_open = !open.is_empty() && bulge(mesh, &open, |_| 1.0) < -1e-3;
     let mut cavities = vec![false; shells.len()];
@@ -429,7 +426,9 @@ fn touch(mesh: &TriMesh, a: &Shell, a_tree: &Bvh, b: &Shell, reach: f64) -> bool
             Aabb::of(&tri).fattened(reach).overlaps(other)
                 && (0..3).any(|k| {
                     let (p, q) = (tri[k], tri[(k + 1) % 3]);
-                    tree.any_in(&Aabb::of(&[p, q]).fattened(reach), |_, t| segment_triangle_distance(&p, &q, t) <= reach)
+                    tree.any_in(&Aabb::of(&[p, q]).fattened(reach), |_, t| {
+                        segment_triangle_distance(&p, &q, t) <= reach
+                    })
                 })
         })
     };
@@ -528,7 +527,8 @@ mod tests {
 
     #[test]
     fn one_inverted_box_of_two_touching_ones_is_turned() {
-        let t = joined(&[cuboid([-3.0, 0.0, 0.0], [3.0, 2.0, 1.0]), flipped(&cuboid([-1.0, -4.0, 0.0], [1.0, 0.0, 1.0]))]);
+        let t =
+            joined(&[cuboid([-3.0, 0.0, 0.0], [3.0, 2.0, 1.0]), flipped(&cuboid([-1.0, -4.0, 0.0], [1.0, 0.0, 1.0]))]);
         let (m, r) = fixed(&t);
         assert_eq!((r.shells, r.bodies, r.flipped_faces), (2, 1, 12));
         assert!((volume(&m) - 20.0).abs() < 1e-12);

@@ -30,10 +30,11 @@ impl MeshSdf {
     pub fn new(mesh: &TriMesh) -> Result<Self> {
         let (capped, tree, boundary) = bounded(mesh)?;
         let boundary = if boundary.whole { capped.mesh } else { boundary.mesh() };
-        let bounds = boundary.bounds().filter(|_| !boundary.faces.is_empty()).ok_or_else(|| crate::Error::NoVolume {
-            subject: "the mesh".into(),
-            reason: "none of its faces has an inside and an outside".into(),
-        })?;
+        let bounds =
+            boundary.bounds().filter(|_| !boundary.faces.is_empty()).ok_or_else(|| crate::Error::NoVolume {
+                subject: "the mesh".into(),
+                reason: "none of its faces has an inside and an outside".into(),
+            })?;
         Ok(Self { boundary_tree: Bvh::new(&boundary), boundary, tree, bounds })
     }
 

@@ -110,8 +110,7 @@ impl Enclosed {
         if capped.openings > 0 {
             let (corrected, differing) = correct_lids(&properties, &capped, &tree);
             closing_spread = differing / properties.mass_kg;
-            properties = corrected
-                .ok_or_else(|| no_volume("nowhere does its winding number exceed 1/2".into()))?;
+            properties = corrected.ok_or_else(|| no_volume("nowhere does its winding number exceed 1/2".into()))?;
         }
         let solid = Solid {
             properties,
@@ -223,7 +222,8 @@ mod tests {
 
     #[test]
     fn touching_boxes_are_exact() {
-        let t = joined(&[cuboid([-0.05, 0.0, 0.0], [0.05, 0.02, 0.03]), cuboid([-0.01, -0.06, 0.0], [0.01, 0.0, 0.03])]);
+        let t =
+            joined(&[cuboid([-0.05, 0.0, 0.0], [0.05, 0.02, 0.03]), cuboid([-0.01, -0.06, 0.0], [0.01, 0.0, 0.03])]);
         let s = solid_properties(&t).unwrap();
         close(s.volume_m3, 0.1 * 0.02 * 0.03 + 0.02 * 0.06 * 0.03, 1e-12);
     }
@@ -259,7 +259,8 @@ mod tests {
         let cut = m.vertices.iter().zip(0..).filter(|(_, i)| m.faces.iter().flatten().any(|v| v == i));
         let top = cut.map(|(v, _)| v.z).fold(f64::MIN, f64::max);
         let h = 0.05 - top;
-        let truth = 4.0 / 3.0 * std::f64::consts::PI * 0.05_f64.powi(3) - std::f64::consts::PI * h * h * (0.15 - h) / 3.0;
+        let truth =
+            4.0 / 3.0 * std::f64::consts::PI * 0.05_f64.powi(3) - std::f64::consts::PI * h * h * (0.15 - h) / 3.0;
         close(s.volume_m3, truth, 0.02);
     }
 

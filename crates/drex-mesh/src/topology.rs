@@ -87,8 +87,7 @@ impl Topology {
     /// edge or a face stay two shells.
     pub fn new(mesh: &TriMesh) -> Self {
         let keyed = edges(mesh);
-        let mut topology =
-            Self { partner: vec![NONE; keyed.len()], open_edges: 0, crowded_edges: 0, misaligned: 0 };
+        let mut topology = Self { partner: vec![NONE; keyed.len()], open_edges: 0, crowded_edges: 0, misaligned: 0 };
         for group in keyed.chunk_by(|a, b| a.0 == b.0) {
             match group {
                 [(_, g), (_, h)] => {

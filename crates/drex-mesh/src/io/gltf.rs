@@ -41,9 +41,9 @@ fn buffers(path: &Path, file: &gltf::Gltf) -> Result<Vec<Vec<u8>>> {
                 Source::Uri(uri) => match uri.strip_prefix("data:") {
                     Some(data) => {
                         let text = data.split_once(";base64,").map_or("", |(_, t)| t);
-                        base64::engine::general_purpose::STANDARD
-                            .decode(text)
-                            .map_err(|e| bad(path, format!("buffer {}: no base64 ({e})", buffer.index()), "export it again"))?
+                        base64::engine::general_purpose::STANDARD.decode(text).map_err(|e| {
+                            bad(path, format!("buffer {}: no base64 ({e})", buffer.index()), "export it again")
+                        })?
                     }
                     None => read_bytes(&folder.join(percent_decoded(uri)))?,
                 },
@@ -186,7 +186,9 @@ impl Reader<'_> {
 fn local_transform(node: &gltf::Node<'_>) -> Matrix4<f64> {
     match node.transform() {
         // Columns, as glTF stores them.
-        gltf::scene::Transform::Matrix { matrix } => Matrix4::from_iterator(matrix.iter().flatten().map(|&c| f64::from(c))),
+        gltf::scene::Transform::Matrix { matrix } => {
+            Matrix4::from_iterator(matrix.iter().flatten().map(|&c| f64::from(c)))
+        }
         gltf::scene::Transform::Decomposed { translation, rotation, scale } => {
             let [x, y, z, w] = rotation.map(f64::from);
             let q = nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));

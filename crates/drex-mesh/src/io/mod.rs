@@ -9,6 +9,7 @@ use std::path::Path;
 use drex_core::TriMesh;
 use drex_core::fsutil::read_bytes;
 
+pub(crate) use write::obj_text;
 pub use write::{write_obj, write_ply, write_stl};
 
 use crate::{Error, Result};

@@ -169,9 +169,9 @@ fn header(path: &Path, bytes: &[u8]) -> Result<(Format, Vec<Element>, usize, usi
             },
             ["property", ref rest @ ..] => {
                 let property = match *rest {
-                    ["list", length, value, name] => Scalar::parse(length).zip(Scalar::parse(value)).map(|(l, v)| {
-                        Property { name: name.into(), length: Some(l), value: v }
-                    }),
+                    ["list", length, value, name] => Scalar::parse(length)
+                        .zip(Scalar::parse(value))
+                        .map(|(l, v)| Property { name: name.into(), length: Some(l), value: v }),
                     [value, name] => {
                         Scalar::parse(value).map(|value| Property { name: name.into(), length: None, value })
                     }
