@@ -136,6 +136,9 @@ fn beyond_the_fold_there_is_no_ray_and_wrong_parameters_are_refused() {
     let camera = Camera::from_colmap_id(2, 640, 480, &[100.0, 0.0, 0.0, -0.5]).unwrap();
     assert!(camera.unproject(&Point2::new(54.0, 0.0)).is_some());
     assert!(camera.unproject(&Point2::new(55.0, 0.0)).is_none());
+    assert!(camera.project(&Point3::new(0.81, 0.0, 1.0)).is_some());
+    assert!(camera.project(&Point3::new(0.82, 0.0, 1.0)).is_none());
+    assert!(camera.project(&Point3::new(1.5, 0.0, 1.0)).is_none(), "it would come back on the other side");
     assert!(camera.project(&Point3::new(0.0, 0.0, -1.0)).is_none());
     let message = Camera::from_colmap_id(4, 640, 480, &[500.0; 4]).unwrap_err().to_string();
     assert!(message.contains("OPENCV") && message.contains("fx, fy, cx, cy, k1, k2, p1, p2"), "{message}");

@@ -147,6 +147,17 @@ fn every_reader_takes_its_sample() {
     }
 }
 
+#[test]
+fn deep_nesting_and_long_lines_do_not_overflow() {
+    for token in ["[", "{\"a\":", "(", "a = [", "[[a]]\n", "a.", "[a.", "\"", ",", "v 0 0 0 ", "f 1 ", "{a="] {
+        let bytes = token.repeat(50_000).into_bytes();
+        for reader in 0..SAMPLES.len() {
+            let _ = read_with(reader, &bytes);
+            let _ = read_with(reader, &[SAMPLES[reader], &bytes].concat());
+        }
+    }
+}
+
 /// A change to a valid file: put these bytes over or into it at a place, or cut it there.
 fn edits() -> impl Strategy<Value = Vec<(usize, u8, Vec<u8>)>> {
     let token = prop_oneof![
@@ -171,7 +182,7 @@ fn edits() -> impl Strategy<Value = Vec<(usize, u8, Vec<u8>)>> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(2000))]
+    #![proptest_config(ProptestConfig::with_cases(20_000))]
 
     #[test]
     fn readers_survive_arbitrary_bytes(reader in 0..14usize, bytes in prop::collection::vec(any::<u8>(), 0..400)) {

@@ -33,13 +33,21 @@ pub(super) struct Lens {
     tangential: [f64; 2],
     /// s_x, s_y.
     prism: [f64; 2],
+    /// Radius in the plane at which the radial polynomial folds back: beyond it points would reappear in the image.
+    fold_radius: f64,
 }
 
 impl Lens {
     /// The lens of `model` with the parameters that follow the principal point; their number has been checked.
     pub(super) fn new(model: CameraModel, k: &[f64]) -> Self {
-        let mut lens =
-            Self { plane: Plane::Perspective, above: [0.0; 4], below: [0.0; 3], tangential: [0.0; 2], prism: [0.0; 2] };
+        let mut lens = Self {
+            plane: Plane::Perspective,
+            above: [0.0; 4],
+            below: [0.0; 3],
+            tangential: [0.0; 2],
+            prism: [0.0; 2],
+            fold_radius: f64::INFINITY,
+        };
         match model {
             CameraModel::SimplePinhole | CameraModel::Pinhole => {}
             CameraModel::SimpleRadial | CameraModel::Radial => lens.above[..k.len()].copy_from_slice(k),
@@ -64,7 +72,43 @@ impl Lens {
             }
             CameraModel::Fov => lens.plane = Plane::FieldOfView { omega: k[0] },
         }
+        lens.fold_radius = lens.find_fold();
         lens
+    }
+
+    /// The smallest radius at which r ρ(r²) stops to grow, to a part in 10⁹ of an angle; infinite if it always grows.
+    fn find_fold(self) -> f64 {
+        const STEPS: u32 = 2000;
+        let widest = match self.plane {
+            Plane::Equidistant => std::f64::consts::PI,
+            _ => 89.0f64.to_radians(),
+        };
+        let radius = |angle: f64| if self.plane == Plane::Equidistant { angle } else { angle.tan() };
+        let grows = |angle: f64| {
+            let r2 = radius(angle).powi(2);
+            let (radial, by_r2, below) = self.radial(r2);
+            below > 0.0 && radial + 2.0 * r2 * by_r2 > 0.0
+        };
+        let step = widest / f64::from(STEPS);
+        let Some(first) = (1..=STEPS).find(|i| !grows(f64::from(*i) * step)) else { return f64::INFINITY };
+        let (mut inside, mut outside) = (f64::from(first - 1) * step, f64::from(first) * step);
+        for _ in 0..24 {
+            let middle = 0.5 * (inside + outside);
+            if grows(middle) { inside = middle } else { outside = middle }
+        }
+        radius(inside)
+    }
+
+    /// ρ at r², its derivative by r², and the polynomial below the line.
+    fn radial(self, r2: f64) -> (f64, f64, f64) {
+        let [k1, k2, k3, k4] = self.above;
+        let [b1, b2, b3] = self.below;
+        let above = 1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)));
+        let d_above = k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3 + r2 * 4.0 * k4));
+        let below = 1.0 + r2 * (b1 + r2 * (b2 + r2 * b3));
+        let d_below = b1 + r2 * (2.0 * b2 + r2 * 3.0 * b3);
+        let radial = above / below;
+        (radial, (d_above - radial * d_below) / below, below)
     }
 
     /// The point of the plane that a direction reaches, and its derivative.
@@ -140,14 +184,7 @@ impl Lens {
     pub(super) fn distort(self, p: &Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
         let (x, y) = (p.x, p.y);
         let r2 = p.norm_squared();
-        let [k1, k2, k3, k4] = self.above;
-        let [b1, b2, b3] = self.below;
-        let above = 1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)));
-        let d_above = k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3 + r2 * 4.0 * k4));
-        let below = 1.0 + r2 * (b1 + r2 * (b2 + r2 * b3));
-        let d_below = b1 + r2 * (2.0 * b2 + r2 * 3.0 * b3);
-        let radial = above / below;
-        let d_radial = (d_above - radial * d_below) / below; // by r²
+        let (radial, d_radial, _) = self.radial(r2);
         let [p1, p2] = self.tangential;
         let s = Vector2::from(self.prism);
         let tangent =
@@ -161,6 +198,11 @@ impl Lens {
         );
         let j = Matrix2::identity() * radial + (p * d_radial + s) * (2.0 * p.transpose()) + tangent_j;
         (bent, j)
+    }
+
+    /// Whether a point of the plane lies before the fold.
+    pub(super) fn covers(self, p: &Vector2<f64>) -> bool {
+        p.norm() < self.fold_radius
     }
 
     /// The point of the plane that is bent to `target`: Newton's method with halved steps, along a path from the

@@ -129,7 +129,8 @@ impl Camera {
     /// axis for fisheye models, and r² = x'² + y'²: u = f_x (x' ρ + 2 p₁ x'y' + p₂ (r² + 2 x'²) + s_x r²) + c_x, v likewise,
     /// ρ = (1 + k₁r² + k₂r⁴ + k₃r⁶ [+ k₄r⁸]) / (1 + …), as in COLMAP's `models.h`.
     ///
-    /// `None` where the model gives no image: behind a perspective camera, or at the camera's centre.
+    /// `None` where the model gives no image: behind a perspective camera, at the camera's centre, or so far outside that
+    /// the polynomial folds back, where points beyond the field of view would reappear inside the image.
     pub fn project(&self, point: &Point3<f64>) -> Option<Point2<f64>> {
         Some(self.project_with_jacobian(point)?.0)
     }
@@ -137,6 +138,9 @@ impl Camera {
     /// As [`Camera::project`], with the derivative of the pixel by the point, pixels per metre.
     pub fn project_with_jacobian(&self, point: &Point3<f64>) -> Option<(Point2<f64>, Matrix2x3<f64>)> {
         let (plane, plane_by_point) = self.lens.to_plane(&point.coords)?;
+        if !self.lens.covers(&plane) {
+            return None;
+        }
         let (bent, bent_by_plane) = self.lens.distort(&plane);
         let pixel = bent.component_mul(&self.focal) + self.center;
         let jacobian = Matrix2::from_diagonal(&self.focal) * bent_by_plane * plane_by_point;
@@ -149,7 +153,7 @@ impl Camera {
     /// of the image.
     pub fn unproject(&self, pixel: &Point2<f64>) -> Option<Vector3<f64>> {
         let bent = (pixel.coords - self.center).component_div(&self.focal);
-        let plane = self.lens.undistort(&bent)?;
+        let plane = self.lens.undistort(&bent).filter(|p| self.lens.covers(p))?;
         // Numbers at the end of the range may overflow on the way.
         self.lens.ray_of(&plane).filter(|ray| (ray.norm() - 1.0).abs() < 1e-6)
     }

@@ -3,6 +3,7 @@
 //! [`PushConfig`] is `push.toml` as it stands on disk; [`PushRecording`] is the push itself, whatever layout it came
 //! from. [`PushRecording::load`] reads all layouts.
 
+mod assemble;
 mod choice;
 pub mod drex_run;
 mod mujoco;

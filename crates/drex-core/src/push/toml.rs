@@ -5,15 +5,8 @@ use std::path::{Path, PathBuf};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::*;
-use crate::clock::{Clock, parse_utc_offset};
-use crate::fsutil;
-use crate::joints::JointLog;
-use crate::pose::pose_from_wxyz;
-use crate::readers::{
-    BopSelection, FrameTimes, read_action_csv, read_bop_csv, read_force_csv, read_foundation_pose_folder,
-    read_foundation_pose_log, read_joint_log_csv, read_pose_csv, read_proprio_csv,
-};
+use super::{FingerImpedance, PoseNoise, Support};
+use crate::{Error, Result, fsutil};
 
 /// `push.toml`. Paths are relative to the folder of the file. At most one of `force`, `finger`, `hand` is there; with
 /// none of them nothing but gravity and the support acted on the object.
@@ -220,7 +213,7 @@ impl PushConfig {
     }
 
     /// Checks what the types cannot.
-    fn check(&self) -> Result<()> {
+    pub(super) fn check(&self) -> Result<()> {
         let refuse = |what: String, remedy: &str| Err(Error::value(what, remedy));
         if self.schema != 1 {
             return refuse(
@@ -288,158 +281,5 @@ impl PushConfig {
             }
         }
         Ok(())
-    }
-
-    /// Reads everything that the configuration names; relative paths start at `folder`.
-    ///
-    /// # Errors
-    /// As [`PushRecording::load`].
-    pub fn load(&self, folder: &Path, choice: &InputChoice) -> Result<PushRecording> {
-        self.check()?;
-        let track_file = folder.join(&self.track.file);
-        let track = self.read_track(&track_file)?;
-        // Everything is shifted so that the start is at zero.
-        let first = track.span_s().map_or(0.0, |s| s.0);
-        let absolute = self.track.clock.kind != ClockKind::Relative;
-        let zero = match self.start.time_s {
-            Some(t) => t,
-            None if self.start.pose.is_some() && !absolute => 0.0,
-            None => first,
-        };
-        let track = track.shifted(-zero);
-        let mut notes = vec![sampling_note("poses", track.times_s())];
-        let drive = self.read_drive(folder, choice, &track, zero, &mut notes)?;
-
-        let name = self.name.clone().unwrap_or_else(|| {
-            fsutil::absolute(folder).file_name().map_or_else(|| "push".to_owned(), |n| n.to_string_lossy().into_owned())
-        });
-        let track_frame = match (self.track.frame, self.track.up_in_mesh) {
-            (FrameKind::Camera, Some(up)) => TrackFrame::Camera {
-                up_in_mesh: Vector3::from(up).normalize(),
-                push_in_mesh: self.track.push_in_mesh.map(|p| Vector3::from(p).normalize()),
-            },
-            _ => TrackFrame::World,
-        };
-        Ok(PushRecording {
-            track_frame,
-            noise: self.track.noise,
-            support: self.support.clone(),
-            gravity: self.gravity_m_s2.into(),
-            mass_prior_kg: self.mass_prior_kg,
-            initial_pose: self.start.pose.map(|p| p.pose("[start] pose")).transpose()?,
-            starts_at_rest: self.start.at_rest,
-            nominal_start: self.start.nominal_position_m.map(Into::into),
-            notes,
-            ..PushRecording::new(name, folder.join(&self.mesh), track, drive)
-        })
-    }
-
-    /// The track of the mesh frame on the common clock, not yet shifted to the start.
-    fn read_track(&self, file: &Path) -> Result<Trajectory> {
-        let t = &self.track;
-        // `check` has made sure that the formats that need a rate have one.
-        let fps = t.fps.unwrap_or(f64::NAN);
-        let track = match t.format {
-            TrackFormat::PoseCsv => read_pose_csv(file)?,
-            TrackFormat::FoundationPoseLog => read_foundation_pose_log(file, &t.clock.clock()?)?,
-            TrackFormat::FoundationPoseFolder => read_foundation_pose_folder(file, &FrameTimes::Fps(fps))?,
-            TrackFormat::BopCsv => read_bop_csv(file, &BopSelection { fps, scene_id: t.scene_id, obj_id: t.obj_id })?,
-        };
-        let track = match &t.tracked_from_mesh {
-            Some(pose) => track.right_mul(&pose.pose("[track] tracked_from_mesh")?),
-            None => track,
-        };
-        Ok(track.shifted(t.clock.offset_s.unwrap_or(0.0)))
-    }
-
-    /// What moved the object, with the start at time zero.
-    fn read_drive(
-        &self,
-        folder: &Path,
-        choice: &InputChoice,
-        track: &Trajectory,
-        zero: f64,
-        notes: &mut Vec<String>,
-    ) -> Result<Drive> {
-        let shift = |times_s: &mut Vec<f64>, clock: &ClockConfig| {
-            for t in times_s {
-                *t += clock.offset_s.unwrap_or(0.0) - zero;
-            }
-        };
-        let mut note = |file: &Path, plural: &str, what: &str, times_s: &[f64]| {
-            notes.push(sampling_note(plural, times_s));
-            notes.push(check_overlap(file, track, what, times_s)?);
-            Ok::<_, Error>(())
-        };
-        if let Some(force) = &self.force {
-            let file = folder.join(&force.file);
-            let mut profile = read_force_csv(&file, force.point_in_object_m.into())?;
-            shift(&mut profile.times_s, &force.clock);
-            note(&file, "forces", "force record", &profile.times_s)?;
-            return Ok(Drive::Force(profile));
-        }
-        if let Some(finger) = &self.finger {
-            let file = folder.join(&finger.commands);
-            let mut commands = read_action_csv(&file)?;
-            shift(&mut commands.times_s, &finger.clock);
-            note(&file, "commands", "commands", &commands.times_s)?;
-            let encoder = match &finger.encoder {
-                Some(encoder) if choice.encoder => {
-                    let file = folder.join(encoder);
-                    let mut encoder = read_proprio_csv(&file)?;
-                    shift(&mut encoder.times_s, &finger.clock);
-                    note(&file, "encoder samples", "encoder samples", &encoder.times_s)?;
-                    Some(encoder)
-                }
-                _ => None,
-            };
-            return Ok(Drive::Finger(FingerPush {
-                command_times_s: commands.times_s,
-                commands: commands.points,
-                encoder,
-                impedance: finger.impedance,
-            }));
-        }
-        if let Some(hand) = &self.hand {
-            let file = folder.join(&hand.joints);
-            let mut joints: JointLog = read_joint_log_csv(&file, hand.joint_names.as_deref())?;
-            shift(&mut joints.times_s, &hand.clock);
-            note(&file, "joint samples", "joint log", &joints.times_s)?;
-            let robot = if folder.join(&hand.robot).is_file() {
-                folder.join(&hand.robot).to_string_lossy().into_owned()
-            } else {
-                hand.robot.clone()
-            };
-            let world_from_base = hand.world_from_base.pose("[hand] world_from_base")?;
-            return Ok(Drive::Hand(HandPush { robot, world_from_base, joints }));
-        }
-        Ok(Drive::Nothing)
-    }
-}
-
-impl PoseConfig {
-    /// The pose; `entry` names it in messages.
-    fn pose(&self, entry: &str) -> Result<Pose> {
-        pose_from_wxyz(self.position_m, self.quat_wxyz).map_err(|e| match e {
-            Error::Value { what, remedy } => Error::value(format!("{entry}: {what}"), remedy),
-            other => other,
-        })
-    }
-}
-
-impl ClockConfig {
-    /// The clock that stamps are parsed with.
-    fn clock(&self) -> Result<Clock> {
-        Ok(match (self.kind, &self.utc_offset) {
-            (ClockKind::Relative, _) => Clock::Relative,
-            (ClockKind::Unix, _) => Clock::Unix,
-            (ClockKind::LocalIso, Some(offset)) => Clock::LocalIso { utc_offset_minutes: parse_utc_offset(offset)? },
-            (ClockKind::LocalIso, None) => {
-                return Err(Error::value(
-                    "local_iso stamps need utc_offset",
-                    "give local time minus UTC, such as \"-07:00\"",
-                ));
-            }
-        })
     }
 }
