@@ -1,0 +1,285 @@
+//! Where was the wrist? A grasp that was recorded as joint angles only gets its wrist pose back from the object.
+//!
+//! Unknowns: the six of the wrist, and a bounded correction of every joint. Wanted: the pads of the thumb and of at least two
+//! fingers on the surface and opposing each other, nothing inside the object, nothing below the table. A smooth least-squares
+//! problem ([`crate::wrist_fit`] uses Levenberg-Marquardt with analytic derivatives) from many starts that surround the object;
+//! the answer is the best end that fulfils the rules, or the best that does not together with the reasons.
+
+mod ends;
+mod hand;
+mod levenberg;
+mod residuals;
+mod starts;
+
+use drex_core::{Pose, SignedDistance};
+use drex_grasp::TablePlane;
+use drex_robot::Robot;
+use nalgebra::Point3;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::{Result, RetargetError};
+pub(crate) use hand::HandModel;
+
+/// The object, in its own frame.
+#[derive(Clone, Copy)]
+pub struct ObjectSurface<'a> {
+    /// Distance used by the search: a fast one, such as a grid.
+    pub search: &'a dyn SignedDistance,
+    /// Distance that the result is judged by: the exact one. May be the same.
+    pub judge: &'a dyn SignedDistance,
+    /// Lower and upper corner of the object's bounding box, metres.
+    pub bounds: (Point3<f64>, Point3<f64>),
+    /// Centre of mass, metres.
+    pub center_of_mass: Point3<f64>,
+}
+
+/// Rules and effort of a fit.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct WristFitOptions {
+    /// Each joint may move this far from its recorded angle (after clipping to the limits), rad.
+    pub max_finger_correction_rad: f64,
+    /// The hand may be this deep inside the object, metres.
+    pub max_penetration_m: f64,
+    /// A finger is on the surface if a point of its pad is at most this far from it, metres.
+    pub contact_gap_m: f64,
+    /// Fingers that must be on the surface besides the thumb.
+    pub min_fingers: usize,
+    /// Least height of the hand over the table, metres.
+    pub min_table_clearance_m: f64,
+    /// Coulomb friction with which the ends are compared.
+    pub friction: f64,
+    /// Wrist poses that are looked at.
+    pub starts: usize,
+    /// Of these, how many are improved roughly, and of those, how many to the end.
+    pub kept: (usize, usize),
+    /// Turns the sequence of starts.
+    pub seed: u64,
+    /// Distance between points on the hand: rough search, final search and verdict, metres.
+    pub spacings_m: (f64, f64),
+}
+
+impl Default for WristFitOptions {
+    fn default() -> Self {
+        Self {
+            max_finger_correction_rad: 0.15,
+            max_penetration_m: 0.002,
+            contact_gap_m: 0.002,
+            min_fingers: 2,
+            min_table_clearance_m: 0.0,
+            friction: 0.5,
+            starts: 512,
+            kept: (64, 16),
+            seed: 0,
+            spacings_m: (0.008, 0.003),
+        }
+    }
+}
+
+impl WristFitOptions {
+    /// The same with another seed.
+    pub fn with_seed(mut self, seed: u64) -> Self {
+        self.seed = seed;
+        self
+    }
+}
+
+/// The gap of one finger.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FingerGap {
+    /// Name of the finger.
+    pub finger: String,
+    /// Distance of its pad from the surface, mm; negative inside.
+    pub gap_mm: f64,
+    /// Whether that counts as touching.
+    pub touches: bool,
+}
+
+/// One broken rule.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+#[serde(tag = "rule", rename_all = "snake_case")]
+pub enum Rejection {
+    /// The thumb is not on the surface.
+    ThumbMisses {
+        /// Distance of its pad, mm.
+        gap_mm: f64,
+    },
+    /// Too few other fingers are on the surface.
+    FingersMiss {
+        /// Names and gaps (mm) of those that are not.
+        missing: Vec<(String, f64)>,
+        /// How many are.
+        touching: usize,
+        /// How many are asked for.
+        needed: usize,
+    },
+    /// The hand is too deep inside the object.
+    Penetrates {
+        /// The deepest link.
+        link: String,
+        /// Its depth, mm.
+        depth_mm: f64,
+    },
+    /// The hand reaches below the table.
+    BelowTable {
+        /// The lowest link.
+        link: String,
+        /// How far below, mm.
+        depth_mm: f64,
+    },
+}
+
+impl Rejection {
+    /// The kind of the reason, for counting.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::ThumbMisses { .. } => "thumb misses",
+            Self::FingersMiss { .. } => "fingers miss",
+            Self::Penetrates { .. } => "penetrates",
+            Self::BelowTable { .. } => "below the table",
+        }
+    }
+}
+
+impl std::fmt::Display for Rejection {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::ThumbMisses { gap_mm } => write!(f, "the thumb misses the surface by {gap_mm:.1} mm"),
+            Self::FingersMiss { missing, touching, needed } => {
+                let list: Vec<String> = missing.iter().map(|(n, g)| format!("{n} by {g:.1} mm")).collect();
+                write!(f, "{touching} of at least {needed} fingers touch; {} miss the surface", list.join(", "))
+            }
+            Self::Penetrates { link, depth_mm } => write!(f, "link \"{link}\" is {depth_mm:.1} mm inside the object"),
+            Self::BelowTable { link, depth_mm } => write!(f, "link \"{link}\" is {depth_mm:.1} mm below the table"),
+        }
+    }
+}
+
+/// Whether a fit keeps the rules.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(tag = "verdict", content = "reasons", rename_all = "snake_case")]
+pub enum Verdict {
+    /// It does.
+    Accepted,
+    /// It does not.
+    Rejected(Vec<Rejection>),
+}
+
+impl Verdict {
+    /// Whether the fit was accepted.
+    pub fn is_accepted(&self) -> bool {
+        matches!(self, Self::Accepted)
+    }
+}
+
+/// A wrist pose for one grasp.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct WristFit {
+    /// Pose of the robot's base in the object's frame.
+    pub object_from_base: Pose,
+    /// Corrected joint vector, model order, rad.
+    pub joints: Vec<f64>,
+    /// How far each recorded angle was moved to be within the joint's limits, rad.
+    pub clipped_rad: Vec<f64>,
+    /// How far each joint was moved after that, rad.
+    pub correction_rad: Vec<f64>,
+    /// Gap of each finger.
+    pub fingers: Vec<FingerGap>,
+    /// Deepest point of the hand inside the object, mm; negative is a gap.
+    pub penetration_mm: f64,
+    /// Height of the hand's lowest point over the table, mm.
+    pub table_clearance_mm: f64,
+    /// Smallest sum of normal forces that carries the object, in units of its weight, at the friction of the options and without
+    /// motor limits; `None` if the contacts cannot carry it.
+    pub squeeze_per_weight: Option<f64>,
+    /// The rules.
+    pub verdict: Verdict,
+}
+
+impl WristFit {
+    /// Largest correction of a joint, rad.
+    pub fn largest_correction_rad(&self) -> f64 {
+        self.correction_rad.iter().fold(0.0, |m, c| m.max(c.abs()))
+    }
+}
+
+/// Finds the wrist pose of one grasp: `joints` in the model's order, rad, not necessarily within the limits.
+///
+/// # Errors
+/// If the joints do not fit the robot, the robot has no thumb or fingers, or an option is out of range.
+pub fn fit_wrist(
+    robot: &Robot,
+    joints: &[f64],
+    object: &ObjectSurface<'_>,
+    table: &TablePlane,
+    options: &WristFitOptions,
+) -> Result<WristFit> {
+    let hand = HandModel::new(robot, options)?;
+    fit_one(&hand, joints, object, table, options)
+}
+
+/// [`fit_wrist`] for many grasps, in parallel; the same result for any number of threads.
+///
+/// # Errors
+/// As [`fit_wrist`]; the message names the row.
+pub fn fit_wrists(
+    robot: &Robot,
+    grasps: &[Vec<f64>],
+    object: &ObjectSurface<'_>,
+    table: &TablePlane,
+    options: &WristFitOptions,
+) -> Result<Vec<WristFit>> {
+    let hand = HandModel::new(robot, options)?;
+    grasps
+        .par_iter()
+        .enumerate()
+        .map(|(row, joints)| {
+            fit_one(&hand, joints, object, table, options).map_err(|e| match e {
+                RetargetError::Joints { what, remedy } => RetargetError::Joints { what: format!("row {row}: {what}"), remedy },
+                other => other,
+            })
+        })
+        .collect()
+}
+
+fn fit_one(
+    hand: &HandModel<'_>,
+    joints: &[f64],
+    object: &ObjectSurface<'_>,
+    table: &TablePlane,
+    options: &WristFitOptions,
+) -> Result<WristFit> {
+    let recorded = hand.recorded_within(joints, options.max_finger_correction_rad)?;
+    let scene = residuals::Scene { hand, object, table, options, recorded: &recorded };
+    let mut candidates: Vec<(f64, residuals::State)> = starts::starts(&scene)
+        .into_iter()
+        .map(|s| (residuals::cost(&scene, &s, residuals::Stage::Rough), s))
+        .collect();
+    keep_best(&mut candidates, options.kept.0);
+    let mut candidates: Vec<(f64, residuals::State)> = candidates
+        .into_iter()
+        .map(|(_, s)| levenberg::minimise(&scene, s, residuals::Stage::Rough, 8))
+        .collect();
+    keep_best(&mut candidates, options.kept.1);
+    let mut best: Option<ends::End> = None;
+    for (_, state) in candidates {
+        let (_, state) = levenberg::minimise(&scene, state, residuals::Stage::Rough, 20);
+        let fingers = residuals::nearest_fingers(&scene, &state);
+        let (_, state) = levenberg::minimise(&scene, state, residuals::Stage::Final { fingers }, 25);
+        let end = ends::judge(&scene, state)?;
+        if best.as_ref().is_none_or(|b| end.better_than(b)) {
+            best = Some(end);
+        }
+    }
+    // There is a start whenever options are valid, and they were checked when the hand was made.
+    best.map(|b| b.fit).ok_or_else(|| RetargetError::value("no start was tried", "give starts and kept of one or more"))
+}
+
+/// Sorts by cost, ties by order, and keeps the first `n`.
+fn keep_best(candidates: &mut Vec<(f64, residuals::State)>, n: usize) {
+    candidates.sort_by(|a, b| a.0.total_cmp(&b.0));
+    candidates.truncate(n);
+}

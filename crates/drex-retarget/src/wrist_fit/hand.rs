@@ -1,0 +1,170 @@
+//! What the fit needs to know of a hand, worked out once from the model: where the pads are and which way they press.
+
+use drex_core::Pose;
+use drex_grasp::{ContactOptions, HandSurface};
+use drex_robot::Robot;
+use nalgebra::{Point3, Vector3};
+
+use super::WristFitOptions;
+use crate::{Result, RetargetError};
+
+/// A hand prepared for fitting.
+pub(crate) struct HandModel<'a> {
+    pub(crate) robot: &'a Robot,
+    /// Few points, for the search among starts.
+    pub(crate) rough: HandSurface,
+    /// Many points, for the end and the verdict.
+    pub(crate) fine: HandSurface,
+    /// Pads of each finger on the rough and on the fine surface.
+    pub(crate) pads: [Vec<Pad>; 2],
+    pub(crate) thumb: usize,
+    pub(crate) contact: ContactOptions,
+}
+
+/// The points of one finger that may press on an object: link and index of the sample.
+pub(crate) struct Pad {
+    pub(crate) points: Vec<(usize, usize)>,
+}
+
+/// A grasp as it was recorded, and the interval that each joint may use.
+pub(crate) struct Recorded {
+    /// Within the limits, rad.
+    pub(crate) joints: Vec<f64>,
+    pub(crate) clipped_rad: Vec<f64>,
+    pub(crate) intervals: Vec<(f64, f64)>,
+}
+
+impl<'a> HandModel<'a> {
+    pub(crate) fn new(robot: &'a Robot, options: &WristFitOptions) -> Result<Self> {
+        check(options)?;
+        let rough = HandSurface::new(robot, options.spacings_m.0)?;
+        let fine = HandSurface::new(robot, options.spacings_m.1)?;
+        let Some(thumb) = fine.thumb() else {
+            return Err(RetargetError::value(
+                format!("robot \"{}\" has no thumb", robot.name),
+                "use the model of a hand; name the thumb's links thumb_*",
+            ));
+        };
+        if fine.fingers.len() <= options.min_fingers {
+            return Err(RetargetError::value(
+                format!("robot \"{}\" has {} fingers beside the thumb", robot.name, fine.fingers.len() - 1),
+                "lower min_fingers",
+            ));
+        }
+        let pads = [&rough, &fine].map(|surface| pads(robot, surface));
+        for (finger, pad) in fine.fingers.iter().zip(&pads[1]) {
+            if pad.points.is_empty() {
+                return Err(RetargetError::value(
+                    format!("finger \"{}\" of robot \"{}\" has no collision shapes on its last links", finger.name, robot.name),
+                    "add shapes to the model",
+                ));
+            }
+        }
+        let mut contact = ContactOptions::with_friction(options.friction);
+        contact.max_gap_m = options.contact_gap_m;
+        contact.spacing_m = options.spacings_m.1;
+        Ok(Self { robot, rough, fine, pads, thumb, contact })
+    }
+
+    /// Clips a recorded grasp to the joint limits.
+    pub(crate) fn recorded_within(&self, joints: &[f64], correction_rad: f64) -> Result<Recorded> {
+        let fail = |what, remedy| Err(RetargetError::Joints { what, remedy });
+        if joints.len() != self.robot.dof() {
+            return fail(
+                format!("{} values for the {} joints of \"{}\"", joints.len(), self.robot.dof(), self.robot.name),
+                "give one angle per joint, in the model's order",
+            );
+        }
+        if let Some(j) = joints.iter().position(|v| !v.is_finite()) {
+            return fail(format!("the angle of joint \"{}\" is not finite", self.robot.joints[j].name), "repair the record");
+        }
+        let mut clipped = joints.to_vec();
+        self.robot.clamp_to_limits(&mut clipped);
+        let intervals = clipped
+            .iter()
+            .zip(&self.robot.joints)
+            .map(|(q, joint)| {
+                let (lo, hi) = joint.limits.unwrap_or((f64::NEG_INFINITY, f64::INFINITY));
+                ((q - correction_rad).max(lo), (q + correction_rad).min(hi))
+            })
+            .collect();
+        let clipped_rad = clipped.iter().zip(joints).map(|(c, q)| c - q).collect();
+        Ok(Recorded { joints: clipped, clipped_rad, intervals })
+    }
+}
+
+fn check(options: &WristFitOptions) -> Result<()> {
+    let ok = options.max_finger_correction_rad >= 0.0
+        && options.max_penetration_m >= 0.0
+        && options.contact_gap_m >= 0.0
+        && options.friction >= 0.0
+        && options.min_fingers >= 1
+        && options.starts >= 1
+        && options.kept.0 >= 1
+        && options.kept.1 >= 1;
+    if ok {
+        Ok(())
+    } else {
+        Err(RetargetError::value(
+            format!("the options of the wrist fit make no sense: {options:?}"),
+            "give lengths and angles of zero or more, and at least one finger, start and kept start",
+        ))
+    }
+}
+
+/// The palmar sides of the links that the last two joints of each finger move.
+///
+/// Palmar is the side towards which the link moves when its own joint bends the finger; a finger bends towards the side on
+/// which its joint has the wider range.
+fn pads(robot: &Robot, surface: &HandSurface) -> Vec<Pad> {
+    let poses = robot.forward_kinematics(&robot.reference_position(), &Pose::identity());
+    surface
+        .fingers
+        .iter()
+        .map(|finger| {
+            let mut points = Vec::new();
+            let mut far = poses[finger.tip_link] * finger.tip_point;
+            for &j in finger.joints.iter().rev().take(2) {
+                let (axis, anchor) = robot.joint_axis(&poses, j);
+                let bends = robot.joints[j].limits.map_or(1.0, |(lo, hi)| if hi >= -lo { 1.0 } else { -1.0 });
+                let palmar = (axis * bends).cross(&(far - anchor)).try_normalize(1e-9);
+                let next_joints = &finger.joints[finger.joints.iter().position(|&k| k == j).map_or(0, |p| p + 1)..];
+                for link in rigid_part(robot, &finger.links, robot.joints[j].link, next_joints) {
+                    let samples = &surface.links[link].samples;
+                    points.extend((0..samples.len()).filter(|&i| {
+                        // A little beyond the side counts: fingertips press with their end as well.
+                        palmar.is_none_or(|d| (poses[link] * samples[i].1).dot(&d) > -0.2)
+                    }).map(|i| (link, i)));
+                }
+                far = anchor;
+            }
+            Pad { points }
+        })
+        .collect()
+}
+
+/// Links of the finger that move with `first`, up to the next joint.
+fn rigid_part(robot: &Robot, links: &[usize], first: usize, next_joints: &[usize]) -> Vec<usize> {
+    let stops: Vec<usize> = next_joints.iter().map(|&j| robot.joints[j].link).collect();
+    let mut part = vec![first];
+    for &link in links {
+        if link != first && !stops.contains(&link) && robot.links[link].parent.is_some_and(|p| part.contains(&p)) {
+            part.push(link);
+        }
+    }
+    part
+}
+
+impl HandModel<'_> {
+    /// Mean point of each finger's pad at these link poses (on the last link), to place starts by.
+    pub(crate) fn tips(&self, poses: &[Pose]) -> Vec<Point3<f64>> {
+        self.fine.fingers.iter().map(|f| poses[f.tip_link] * f.tip_point).collect()
+    }
+
+    /// Origin of the palm, or of the base where the model has no palm.
+    pub(crate) fn palm(&self, poses: &[Pose]) -> (Point3<f64>, Vector3<f64>) {
+        let link = self.robot.palm_link().unwrap_or(0);
+        let normal = self.robot.palm_normal().unwrap_or_else(Vector3::z);
+        (Point3::from(poses[link].translation.vector), poses[link].rotation * normal)
+    }
+}

@@ -1,0 +1,301 @@
+//! What a good wrist pose makes small, with derivatives by the six of the wrist and the joints.
+//!
+//! Every residual is in units of "a millimetre of gap". Points are chosen anew at each evaluation (the nearest point of a pad,
+//! the deepest of a link, the lowest of a link): minima over fixed points, hence piecewise smooth.
+
+use drex_core::Pose;
+use drex_grasp::{HandSurface, TablePlane};
+use nalgebra::{DMatrix, DVector, Matrix3, Point3, Vector3};
+
+use super::hand::Recorded;
+use super::{HandModel, ObjectSurface, WristFitOptions};
+
+/// One residual unit of gap, of penetration, and of height below the table, metres.
+const GAP_M: f64 = 0.001;
+const PENETRATION_M: f64 = 0.0005;
+const TABLE_M: f64 = 0.001;
+/// The hand keeps this distance from the table while searching, metres.
+const TABLE_MARGIN_M: f64 = 0.002;
+/// Gaps much beyond this pull with fading strength while it is open which fingers will touch, metres.
+const FADE_M: f64 = 0.012;
+/// Weight of unbalanced unit normal forces (thumb against fingers), and the length their torque is divided by, metres.
+const BALANCE: f64 = 3.0;
+const BALANCE_LENGTH_M: f64 = 0.04;
+/// Weight of a correction as large as allowed.
+const CORRECTION: f64 = 0.3;
+/// Step for the curvature of the distance field, metres.
+const CURVATURE_STEP_M: f64 = 0.002;
+
+/// Everything that does not change during a fit.
+#[derive(Clone, Copy)]
+pub(crate) struct Scene<'a> {
+    pub(crate) hand: &'a HandModel<'a>,
+    pub(crate) object: &'a ObjectSurface<'a>,
+    pub(crate) table: &'a TablePlane,
+    pub(crate) options: &'a WristFitOptions,
+    pub(crate) recorded: &'a Recorded,
+}
+
+/// The unknowns.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct State {
+    pub(crate) object_from_base: Pose,
+    pub(crate) joints: Vec<f64>,
+}
+
+/// How the search looks at the fingers.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Stage {
+    /// Few points on the hand; every finger is drawn to the surface, far ones weakly.
+    Rough,
+    /// All points; the fingers of this bit set are drawn with full strength, the others not at all.
+    Final { fingers: u32 },
+}
+
+impl State {
+    /// The point that steps turn the hand about: the object's centre of mass.
+    pub(crate) fn pivot(&self, scene: &Scene<'_>) -> Point3<f64> {
+        scene.object.center_of_mass
+    }
+}
+
+/// A point of the hand that a residual depends on.
+struct Active {
+    link: usize,
+    point: Point3<f64>,
+    distance: f64,
+    gradient: Vector3<f64>,
+}
+
+/// The active points of a state.
+struct View {
+    poses: Vec<Pose>,
+    /// Nearest point of each finger's pad.
+    pads: Vec<Active>,
+    /// Deepest point of each link that is inside.
+    inside: Vec<Active>,
+    /// Lowest points under the margin: link, point, height over the table.
+    low: Vec<(usize, Point3<f64>, f64)>,
+}
+
+/// Half the sum of squares.
+pub(crate) fn cost(scene: &Scene<'_>, state: &State, stage: Stage) -> f64 {
+    let view = View::new(scene, state, stage);
+    0.5 * residuals(scene, state, stage, &view, None).norm_squared()
+}
+
+/// Residuals and their derivatives (columns: rotation, translation, joints).
+pub(crate) fn linearise(scene: &Scene<'_>, state: &State, stage: Stage) -> (DVector<f64>, DMatrix<f64>) {
+    let view = View::new(scene, state, stage);
+    let mut rows = Vec::new();
+    let r = residuals(scene, state, stage, &view, Some(&mut rows));
+    let columns = 6 + state.joints.len();
+    let mut j = DMatrix::zeros(rows.len(), columns);
+    for (i, row) in rows.iter().enumerate() {
+        j.row_mut(i).copy_from(&row.transpose());
+    }
+    (r, j)
+}
+
+/// Bit set of the thumb and the fingers whose pads are within reach: all below the fade length, at least as many as needed.
+pub(crate) fn nearest_fingers(scene: &Scene<'_>, state: &State) -> u32 {
+    let view = View::new(scene, state, Stage::Rough);
+    let mut others: Vec<usize> = (0..view.pads.len()).filter(|&f| f != scene.hand.thumb).collect();
+    others.sort_by(|&a, &b| view.pads[a].distance.abs().total_cmp(&view.pads[b].distance.abs()));
+    let mut set = 1_u32 << scene.hand.thumb;
+    for (rank, &finger) in others.iter().enumerate() {
+        if rank < scene.options.min_fingers || view.pads[finger].distance.abs() < 0.5 * FADE_M {
+            set |= 1 << finger;
+        }
+    }
+    set
+}
+
+impl View {
+    fn new(scene: &Scene<'_>, state: &State, stage: Stage) -> Self {
+        let hand = scene.hand;
+        let (surface, pads): (&HandSurface, _) = match stage {
+            Stage::Rough => (&hand.rough, &hand.pads[0]),
+            Stage::Final { .. } => (&hand.fine, &hand.pads[1]),
+        };
+        let poses = hand.robot.forward_kinematics(&state.joints, &state.object_from_base);
+        let sdf = scene.object.search;
+        let pads = pads
+            .iter()
+            .map(|pad| {
+                let mut best = (f64::INFINITY, 0, Point3::origin());
+                for &(link, i) in &pad.points {
+                    let point = poses[link] * surface.links[link].samples[i].0;
+                    let d = sdf.signed_distance(&point).distance_m;
+                    if d < best.0 {
+                        best = (d, link, point);
+                    }
+                }
+                Active { link: best.1, point: best.2, distance: best.0, gradient: sdf.signed_distance(&best.2).gradient }
+            })
+            .collect();
+        let mut inside = Vec::new();
+        let mut low = Vec::new();
+        let up = scene.table.up.into_inner();
+        for (link, (part, pose)) in surface.links.iter().zip(&poses).enumerate() {
+            if part.samples.is_empty() {
+                continue;
+            }
+            let center = pose * part.center;
+            if sdf.signed_distance(&center).distance_m < part.radius_m {
+                let mut best = (0.0, Point3::origin());
+                for (p, _) in &part.samples {
+                    let point = pose * p;
+                    let d = sdf.signed_distance(&point).distance_m;
+                    if d < best.0 {
+                        best = (d, point);
+                    }
+                }
+                if best.0 < 0.0 {
+                    let gradient = sdf.signed_distance(&best.1).gradient;
+                    inside.push(Active { link, point: best.1, distance: best.0, gradient });
+                }
+            }
+            let floor = scene.table.height_m + scene.options.min_table_clearance_m + TABLE_MARGIN_M;
+            if center.coords.dot(&up) - part.radius_m < floor {
+                let height = |p: &Point3<f64>| (pose * p).coords.dot(&up) - floor;
+                let lowest = part.samples.iter().map(|(p, _)| (height(p), p)).min_by(|a, b| a.0.total_cmp(&b.0));
+                if let Some((h, p)) = lowest.filter(|l| l.0 < 0.0) {
+                    low.push((link, pose * p, h));
+                }
+            }
+        }
+        Self { poses, pads, inside, low }
+    }
+}
+
+/// The residual vector; with `rows`, one derivative row per residual is added to it.
+fn residuals(
+    scene: &Scene<'_>,
+    state: &State,
+    stage: Stage,
+    view: &View,
+    mut rows: Option<&mut Vec<DVector<f64>>>,
+) -> DVector<f64> {
+    let mut r = Vec::new();
+    let pivot = state.pivot(scene);
+    let motion = |link: usize, point: &Point3<f64>| point_motion(scene, view, link, point, &pivot, state.joints.len());
+
+    // Pads on the surface.
+    let (pulls, slopes): (Vec<f64>, Vec<f64>) = view.pads.iter().enumerate().map(|(f, pad)| pull(stage, f, pad.distance)).unzip();
+    for (pad, (&pulled, &slope)) in view.pads.iter().zip(pulls.iter().zip(&slopes)) {
+        r.push(pulled);
+        if let Some(rows) = rows.as_deref_mut() {
+            rows.push(motion(pad.link, &pad.point).tr_mul(&pad.gradient) * slope);
+        }
+    }
+    // Nothing inside the object.
+    for a in &view.inside {
+        r.push(a.distance / PENETRATION_M);
+        if let Some(rows) = rows.as_deref_mut() {
+            rows.push(motion(a.link, &a.point).tr_mul(&a.gradient) / PENETRATION_M);
+        }
+    }
+    // Nothing below the table.
+    for (link, point, height) in &view.low {
+        r.push(height / TABLE_M);
+        if let Some(rows) = rows.as_deref_mut() {
+            rows.push(motion(*link, point).tr_mul(&scene.table.up.into_inner()) / TABLE_M);
+        }
+    }
+    // The thumb's normal force against the fingers', each finger with its share.
+    balance(scene, stage, view, &motion, &mut r, rows.as_deref_mut());
+    // Small corrections.
+    let unit = CORRECTION / scene.options.max_finger_correction_rad.max(1e-6);
+    for (k, (q, recorded)) in state.joints.iter().zip(&scene.recorded.joints).enumerate() {
+        r.push((q - recorded) * unit);
+        if let Some(rows) = rows.as_deref_mut() {
+            let mut row = DVector::zeros(6 + state.joints.len());
+            row[6 + k] = unit;
+            rows.push(row);
+        }
+    }
+    DVector::from_vec(r)
+}
+
+/// Residual of a gap and its slope. Far fingers of the rough stage pull like the square root of a logarithm (Cauchy's loss).
+fn pull(stage: Stage, finger: usize, distance: f64) -> (f64, f64) {
+    match stage {
+        Stage::Final { fingers } if fingers & (1 << finger) == 0 => (0.0, 0.0),
+        Stage::Final { .. } => (distance / GAP_M, 1.0 / GAP_M),
+        Stage::Rough => {
+            let x = distance / FADE_M;
+            let r = (1.0 + x * x).ln().sqrt();
+            let slope = if r > 1e-6 { x.abs() / ((1.0 + x * x) * r) } else { 1.0 };
+            (distance.signum() * r * FADE_M / GAP_M, slope / GAP_M)
+        }
+    }
+}
+
+/// Σ aᵢ nᵢ and Σ aᵢ (pᵢ − c) × nᵢ with the thumb's share one and the fingers' shares adding up to one (differentiable force
+/// closure: Liu et al. 2021, with fixed shares).
+fn balance(
+    scene: &Scene<'_>,
+    stage: Stage,
+    view: &View,
+    motion: &dyn Fn(usize, &Point3<f64>) -> DMatrix<f64>,
+    r: &mut Vec<f64>,
+    rows: Option<&mut Vec<DVector<f64>>>,
+) {
+    let thumb = scene.hand.thumb;
+    // Shares are held fixed for the derivative: they only move slowly.
+    let weight = |f: usize| match stage {
+        Stage::Final { fingers } => f64::from(fingers >> f & 1),
+        Stage::Rough => 1.0 / (1.0 + (view.pads[f].distance / FADE_M).powi(2)),
+    };
+    let total: f64 = (0..view.pads.len()).filter(|&f| f != thumb).map(weight).sum();
+    let share = |f: usize| if f == thumb { 1.0 } else { weight(f) / total.max(1e-9) };
+    // Torques about the middle of the contacts: the weight's own arm is left to the cone programme.
+    let middle = view.pads.iter().enumerate().map(|(f, p)| p.point.coords * share(f)).sum::<Vector3<f64>>() / 2.0;
+    let (mut force, mut torque) = (Vector3::zeros(), Vector3::zeros());
+    for (f, pad) in view.pads.iter().enumerate() {
+        force += pad.gradient * share(f);
+        torque += (pad.point.coords - middle).cross(&pad.gradient) * (share(f) / BALANCE_LENGTH_M);
+    }
+    r.extend(force.iter().chain(torque.iter()).map(|v| v * BALANCE));
+    let Some(rows) = rows else { return };
+    let columns = 6 + scene.recorded.joints.len();
+    let mut d = DMatrix::zeros(6, columns);
+    for (f, pad) in view.pads.iter().enumerate().filter(|(f, _)| share(*f) > 0.0) {
+        let m = motion(pad.link, &pad.point);
+        let turn = curvature(scene, &pad.point) * &m;
+        let arm = (pad.point.coords - middle).cross_matrix();
+        let mut top = d.rows_mut(0, 3);
+        top += &turn * share(f);
+        let mut bottom = d.rows_mut(3, 3);
+        bottom += (arm * turn - pad.gradient.cross_matrix() * m) * (share(f) / BALANCE_LENGTH_M);
+    }
+    rows.extend((0..6).map(|k| d.row(k).transpose() * BALANCE));
+}
+
+/// Derivative of the gradient of the distance, by central differences.
+fn curvature(scene: &Scene<'_>, point: &Point3<f64>) -> Matrix3<f64> {
+    let sdf = scene.object.search;
+    let columns = [0, 1, 2].map(|k| {
+        let step = Vector3::ith(k, CURVATURE_STEP_M);
+        (sdf.signed_distance(&(point + step)).gradient - sdf.signed_distance(&(point - step)).gradient)
+            / (2.0 * CURVATURE_STEP_M)
+    });
+    Matrix3::from_columns(&columns)
+}
+
+/// Velocity of a point of a link per unit of each unknown, 3 × (6 + joints), object frame.
+fn point_motion(
+    scene: &Scene<'_>,
+    view: &View,
+    link: usize,
+    point: &Point3<f64>,
+    pivot: &Point3<f64>,
+    joints: usize,
+) -> DMatrix<f64> {
+    let mut m = DMatrix::zeros(3, 6 + joints);
+    m.fixed_view_mut::<3, 3>(0, 0).copy_from(&-(point - pivot).cross_matrix());
+    m.fixed_view_mut::<3, 3>(0, 3).copy_from(&Matrix3::identity());
+    m.columns_mut(6, joints).copy_from(&scene.hand.robot.jacobian(&view.poses, link, point).0);
+    m
+}
