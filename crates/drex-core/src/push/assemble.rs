@@ -53,10 +53,20 @@ impl PushConfig {
             mass_prior_kg: self.mass_prior_kg,
             initial_pose: self.start.pose.map(|p| p.pose("[start] pose")).transpose()?,
             starts_at_rest: self.start.at_rest,
+            sources: self.files().into_iter().map(|f| folder.join(f)).collect(),
             nominal_start: self.start.nominal_position_m.map(Into::into),
             notes,
             ..PushRecording::new(name, folder.join(&self.mesh), track, drive)
         })
+    }
+
+    /// The recordings it names, as it names them.
+    fn files(&self) -> Vec<&Path> {
+        let mut files = vec![self.track.file.as_path()];
+        files.extend(self.force.iter().map(|f| f.file.as_path()));
+        files.extend(self.finger.iter().flat_map(|f| [Some(f.commands.as_path()), f.encoder.as_deref()]).flatten());
+        files.extend(self.hand.iter().map(|h| h.joints.as_path()));
+        files
     }
 
     /// The track of the mesh frame on the common clock, not yet shifted to the start.

@@ -52,6 +52,8 @@ pub struct PushRecording {
     pub nominal_start: Option<Point3<f64>>,
     /// What acts on the object.
     pub drive: Drive,
+    /// The files and folders it was read from, the mesh not among them.
+    pub sources: Vec<PathBuf>,
     /// Readings that were asked for or came along, for the report ("104 poses over 6.9 s, largest gap 0.11 s").
     pub notes: Vec<String>,
 }
@@ -73,6 +75,7 @@ impl PushRecording {
             starts_at_rest: false,
             nominal_start: None,
             drive,
+            sources: Vec::new(),
             notes: Vec::new(),
         }
     }
@@ -98,7 +101,7 @@ impl PushRecording {
         } else {
             path.to_path_buf()
         };
-        let recording = match file.file_name().and_then(|n| n.to_str()) {
+        let mut recording = match file.file_name().and_then(|n| n.to_str()) {
             Some("meta.json") => mujoco::load(&file, choice)?,
             Some("run.json") => drex_run::load(&file)?,
             _ if file.extension().is_some_and(|e| e == "toml") => {
@@ -109,6 +112,7 @@ impl PushRecording {
                 return Err(Error::content(&file, None, what, "describe the push in a push.toml"));
             }
         };
+        recording.sources.insert(0, file.clone());
         recording.check().map_err(|e| Error::at(&file, None, e))?;
         if !recording.mesh.is_file() {
             let missing = std::io::Error::new(std::io::ErrorKind::NotFound, "the mesh of the pushed object is missing");

@@ -60,6 +60,9 @@ struct WhiteNoise {
     rot_sd_deg: f64,
 }
 
+const COMMANDS: &str = "action.csv";
+const ENCODER: &str = "proprio.csv";
+
 /// Reads the push that `file`, a `meta.json`, describes.
 pub(super) fn load(file: &Path, choice: &InputChoice) -> Result<PushRecording> {
     let meta: Meta = fsutil::from_json(file, &fsutil::read_text(file)?)?;
@@ -71,9 +74,15 @@ pub(super) fn load(file: &Path, choice: &InputChoice) -> Result<PushRecording> {
     let pose_file = folder.join(format!("pose_{}.csv", choice.poses.as_str()));
     let track = read_pose_csv(&pose_file)?;
     let mut notes = vec![sampling_note("poses", track.times_s())];
+    let mut sources = vec![pose_file];
 
     let drive = match (meta.finger, meta.force_point_body) {
-        (Some(finger), _) => Drive::Finger(finger_push(folder, &track, finger, choice, &mut notes)?),
+        (Some(finger), _) => {
+            let push = finger_push(folder, &track, finger, choice, &mut notes)?;
+            sources.push(folder.join(COMMANDS));
+            sources.extend(push.encoder.is_some().then(|| folder.join(ENCODER)));
+            Drive::Finger(push)
+        }
         (None, Some(point)) => {
             let name = match choice.force {
                 ForceChoice::Noisy => "force_noisy.csv",
@@ -82,6 +91,7 @@ pub(super) fn load(file: &Path, choice: &InputChoice) -> Result<PushRecording> {
             let force = read_force_csv(&folder.join(name), point.into())?;
             notes.push(sampling_note("forces", &force.times_s));
             notes.push(check_overlap(&folder.join(name), &track, "force record", &force.times_s)?);
+            sources.push(folder.join(name));
             Drive::Force(force)
         }
         (None, None) => Drive::Nothing,
@@ -104,6 +114,7 @@ pub(super) fn load(file: &Path, choice: &InputChoice) -> Result<PushRecording> {
         mass_prior_kg: meta.mass_prior,
         initial_pose,
         starts_at_rest: meta.initial_velocity_known,
+        sources,
         notes,
         ..PushRecording::new(format!("{}/{}", meta.object, meta.scenario), folder.join("../object.obj"), track, drive)
     })
@@ -116,11 +127,11 @@ fn finger_push(
     choice: &InputChoice,
     notes: &mut Vec<String>,
 ) -> Result<FingerPush> {
-    let action_file = folder.join("action.csv");
+    let action_file = folder.join(COMMANDS);
     let action = read_action_csv(&action_file)?;
     notes.push(sampling_note("commands", &action.times_s));
     notes.push(check_overlap(&action_file, track, "commands", &action.times_s)?);
-    let encoder_file = folder.join("proprio.csv");
+    let encoder_file = folder.join(ENCODER);
     let encoder = if choice.encoder && encoder_file.is_file() { Some(read_proprio_csv(&encoder_file)?) } else { None };
     if let Some(encoder) = &encoder {
         notes.push(sampling_note("encoder samples", &encoder.times_s));
