@@ -14,6 +14,9 @@ use crate::{Scalar, Scene};
 /// Number of sites that carry a flat face at full stiffness: the corners of a box face.
 const FACE_SITES: f64 = 4.0;
 
+/// Touching vertices nearer to one another than this part of the piece's radius stand for one place.
+const NEAR: f64 = 0.4;
+
 /// A closed contact.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Contact<T: Scalar> {
@@ -61,6 +64,7 @@ pub(crate) fn find<T: Scalar>(
     scene: &Scene<T>,
     com: &Vector3<T>,
     t: f64,
+    touching: &mut Vec<(usize, f64)>,
     out: &mut Vec<Contact<T>>,
 ) {
     out.clear();
@@ -69,16 +73,22 @@ pub(crate) fn find<T: Scalar>(
     let exact = |v: &Point3<f64>| (state.world_from_body * v.map(T::lift)).coords;
     let mut base = 0_u32;
     if let Some(table) = &scene.table {
+        let (up_row, height) = (frame.r.row(2).transpose(), table.height_m - frame.p.z);
         for piece in body.shape.iter() {
-            for v in piece.vertices() {
-                let z = frame.r.row(2).transpose().dot(&v.coords) + frame.p.z;
-                if z < table.height_m {
-                    let x = exact(v);
-                    let depth = T::lift(table.height_m) - x.z;
-                    out.push(Contact { site: base, arm: x - com, normal: up, depth, friction: table.friction, support_velocity: Vector3::zeros() });
+            touching.clear();
+            for (i, v) in piece.vertices().iter().enumerate() {
+                let depth = height - up_row.dot(&v.coords);
+                if depth > 0.0 {
+                    touching.push((i, depth));
                 }
-                base += 1;
             }
+            reduce(touching, piece, base, &up_row, &state.anchors);
+            for &(i, _) in touching.iter() {
+                let x = exact(&piece.vertices()[i]);
+                let depth = T::lift(table.height_m) - x.z;
+                out.push(Contact { site: base + i as u32, arm: x - com, normal: up, depth, friction: table.friction, support_velocity: Vector3::zeros() });
+            }
+            base += piece.vertices().len() as u32;
         }
     }
     for fixed in &scene.boxes {
@@ -131,6 +141,37 @@ pub(crate) fn find<T: Scalar>(
             base += 1;
         }
     }
+}
+
+/// Of many touching vertices of a round or finely meshed face, keeps at most four that span it: the deepest, the one
+/// farthest from it, and the farthest on either side of the line between them. Vertices near a kept one stand for the
+/// same place. What stuck before is preferred, so that the choice does not flicker.
+fn reduce<T: Scalar>(touching: &mut Vec<(usize, f64)>, piece: &crate::ConvexPiece, base: u32, up: &Vector3<f64>, anchors: &[Anchor<T>]) {
+    let p = |i: usize| piece.vertices()[i].coords;
+    let favour = |i: usize| if anchors.binary_search_by_key(&(base + i as u32), |a| a.site).is_ok() { 1.2 } else { 1.0 };
+    let best = |score: &dyn Fn(usize, f64) -> f64| {
+        touching.iter().map(|&(i, d)| (i, score(i, d) * favour(i))).max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))
+    };
+    if touching.len() < 2 {
+        return;
+    }
+    let Some((a, _)) = best(&|_, d| d) else { return };
+    let Some((b, _)) = best(&|i, _| (p(i) - p(a)).norm()) else { return };
+    let line = p(b) - p(a);
+    let across = up.cross(&line).try_normalize(0.0).unwrap_or_default();
+    let near = NEAR * piece.radius();
+    let mut keep = vec![a];
+    if line.norm() > near {
+        keep.push(b);
+        for sign in [1.0, -1.0] {
+            if let Some((c, side)) = best(&|i, _| sign * across.dot(&(p(i) - p(a)))) {
+                if side > near && !keep.contains(&c) {
+                    keep.push(c);
+                }
+            }
+        }
+    }
+    touching.retain(|(i, _)| keep.contains(i));
 }
 
 /// Depth below the nearest face of a box, and that face's normal.

@@ -25,6 +25,7 @@ pub struct ConvexPiece {
     vertices: Vec<Point3<f64>>,
     edges: Vec<[u32; 2]>,
     planes: Vec<(Vector3<f64>, f64)>,
+    radius: f64,
 }
 
 impl ConvexPiece {
@@ -56,6 +57,11 @@ impl ConvexPiece {
         &self.planes
     }
 
+    /// Half of the shortest side of the bounding box, metres.
+    pub(crate) fn radius(&self) -> f64 {
+        self.radius
+    }
+
     fn from_hull(vertices: Vec<Point3<f64>>, triangles: &[[usize; 3]]) -> Self {
         let normal = |t: &[usize; 3]| {
             let (a, b, c) = (vertices[t[0]], vertices[t[1]], vertices[t[2]]);
@@ -82,7 +88,9 @@ impl ConvexPiece {
                 }
             }
         }
-        Self { vertices, edges, planes }
+        let (lo, hi) = vertices.iter().fold((vertices[0], vertices[0]), |(lo, hi), p| (lo.inf(p), hi.sup(p)));
+        let radius = 0.5 * (hi - lo).min();
+        Self { vertices, edges, planes, radius }
     }
 }
 

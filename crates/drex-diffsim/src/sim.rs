@@ -14,13 +14,14 @@ const SPEED_LIMIT: f64 = 1e4;
 /// Buffers that a step reuses; they hold nothing between steps.
 #[derive(Debug)]
 pub struct Workspace<T: Scalar> {
+    touching: Vec<(usize, f64)>,
     contacts: Vec<Contact<T>>,
     anchors: Vec<Anchor<T>>,
 }
 
 impl<T: Scalar> Default for Workspace<T> {
     fn default() -> Self {
-        Self { contacts: Vec::new(), anchors: Vec::new() }
+        Self { touching: Vec::new(), contacts: Vec::new(), anchors: Vec::new() }
     }
 }
 
@@ -37,7 +38,7 @@ pub fn step<T: Scalar>(model: &Model<T>, scene: &Scene<T>, state: &mut State<T>,
     for (index, (body, s)) in model.bodies.iter().zip(&mut state.bodies).enumerate() {
         let q = s.world_from_body.rotation;
         let com = s.world_from_body.translation.vector + q * body.center_of_mass.coords;
-        contact::find(body, s, scene, &com, t, &mut work.contacts);
+        contact::find(body, s, scene, &com, t, &mut work.touching, &mut work.contacts);
         let (mut linear, mut moment) = contact::forces(&work.contacts, &model.contact, gravity, dt, s, &mut work.anchors);
         linear += scene.gravity;
         for force in scene.forces.iter().filter(|f| f.body == index) {

@@ -1,0 +1,69 @@
+//! Weighs the object of one recorded push and prints the answer as JSON.
+//!
+//! `cargo run --release -p drex-sysid --example identify -- FOLDER [--poses noisy|hard|clean] [--force noisy|exact] [--free-friction] [--full]`
+//!
+//! The folder is a push as `drex_core::push::PushRecording::load` reads it; its mesh must consist of closed convex shells in OBJ.
+
+use std::error::Error;
+use std::io::Write;
+use std::path::Path;
+
+use drex_core::TriMesh;
+use drex_core::push::{InputChoice, PushRecording};
+use drex_sysid::{IdentifyOptions, ObjectModel, identify};
+use nalgebra::Point3;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut choice = InputChoice::default();
+    let mut options = IdentifyOptions::default();
+    let mut folder = None;
+    let mut full = false;
+    let mut args = std::env::args().skip(1);
+    while let Some(arg) = args.next() {
+        let mut value = || args.next().ok_or_else(|| format!("{arg} needs a value"));
+        match arg.as_str() {
+            "--poses" => choice.poses = value()?.parse()?,
+            "--force" => choice.force = value()?.parse()?,
+            "--free-friction" => options.free_friction = true,
+            "--full" => full = true,
+            "--w" => options.contact.frequency_rad_s = value()?.parse()?,
+            "--z" => options.contact.damping_ratio = value()?.parse()?,
+            "--dt" => options.dt_s = value()?.parse()?,
+            _ => folder = Some(arg),
+        }
+    }
+    let folder = folder.ok_or("name the folder of a push")?;
+    let recording = PushRecording::load(Path::new(&folder), &choice)?;
+    let object = ObjectModel::from_mesh(&read_obj(&recording.mesh)?)?;
+    let mut answer = identify(&[recording], &object, &options)?;
+    if !full {
+        answer.profile.clear();
+        for push in &mut answer.pushes {
+            push.times_s.clear();
+            push.observed.clear();
+            push.simulated.clear();
+        }
+    }
+    writeln!(std::io::stdout(), "{}", serde_json::to_string(&answer)?)?;
+    Ok(())
+}
+
+/// Vertices and triangles of an OBJ file.
+fn read_obj(path: &Path) -> Result<TriMesh, Box<dyn Error>> {
+    let (mut vertices, mut faces) = (Vec::new(), Vec::new());
+    for line in std::fs::read_to_string(path)?.lines() {
+        let mut words = line.split_whitespace();
+        match words.next() {
+            Some("v") => {
+                let v = words.map(str::parse).collect::<Result<Vec<f64>, _>>()?;
+                vertices.push(Point3::from_slice(v.get(..3).ok_or("a vertex has fewer than three numbers")?));
+            }
+            Some("f") => {
+                let f = words.map(|w| w.split('/').next().unwrap_or(w).parse::<u32>()).collect::<Result<Vec<u32>, _>>()?;
+                faces.push(<[u32; 3]>::try_from(f).map_err(|_| "a face is no triangle")?.map(|i| i - 1));
+            }
+            _ => {}
+        }
+    }
+    Ok(TriMesh::new(vertices, faces)?)
+}

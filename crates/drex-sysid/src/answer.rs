@@ -1,0 +1,92 @@
+//! The answer: a mass with an interval, or why there is none.
+
+use serde::{Deserialize, Serialize};
+
+/// What the recordings can tell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// The mass.
+    Identified,
+    /// Only the product of friction coefficient and mass.
+    OnlyMuM,
+    /// Neither.
+    NotIdentifiable,
+}
+
+/// The result of [`crate::identify`]. Its first fields are what `--json` prints; absent values are null.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Identification {
+    /// Estimated mass, kg; only with [`Verdict::Identified`].
+    pub mass_kg: Option<f64>,
+    /// 95 % interval of the mass, kg.
+    pub ci95_kg: Option<[f64; 2]>,
+    /// What the recordings can tell.
+    pub verdict: Verdict,
+    /// Friction times mass, kg, where only that is known.
+    pub mu_m_kg: Option<f64>,
+    /// The verdict in words.
+    pub reason: String,
+    /// Wall time, seconds.
+    pub seconds: f64,
+    /// A first guess that came with the recordings, kg. It is no result and took no part in one.
+    pub prior_kg: Option<f64>,
+    /// Friction of the support that was estimated along with the mass, if it was.
+    pub friction: Option<f64>,
+    /// Standard deviation of the logarithm of the mass, all sources of error together; absent when it is infinite.
+    pub sd_log_mass: Option<f64>,
+    /// Its parts.
+    pub error_budget: Option<ErrorBudget>,
+    /// What was taken for granted.
+    pub assumptions: Vec<String>,
+    /// Mass (kg) and cost (half the robust sum of squares, nuisances solved for) along the scan and the refinement, by mass.
+    pub profile: Vec<(f64, f64)>,
+    /// One per push.
+    pub pushes: Vec<PushReport>,
+}
+
+/// Standard deviations of the logarithm of the mass by source.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ErrorBudget {
+    /// Noise of the poses, from the curvature of the cost.
+    pub poses: f64,
+    /// The same from the scatter of the residuals (sandwich), with their correlation in time.
+    pub sandwich: f64,
+    /// The same from the width of the likelihood profile.
+    pub profile: f64,
+    /// Noise of the recorded force.
+    pub force: f64,
+    /// Contact of the simulator: half as stiff, twice as stiff, half the step.
+    pub contact: f64,
+}
+
+/// How one push was reproduced.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct PushReport {
+    /// Name of the push.
+    pub name: String,
+    /// Standard deviation taken for positions, metres.
+    pub position_sd_m: f64,
+    /// Standard deviation taken for rotations, radians per axis.
+    pub rotation_sd_rad: f64,
+    /// Root mean square of the position residual, metres (three axes).
+    pub rms_position_m: Option<f64>,
+    /// Root mean square of the rotation residual, radians (three axes).
+    pub rms_rotation_rad: Option<f64>,
+    /// Frames that count less than half (outliers).
+    pub outliers: usize,
+    /// Offset of the track's clock that was estimated, seconds.
+    pub clock_offset_s: Option<f64>,
+    /// Constant error of the tracked position that was estimated, metres.
+    pub position_bias_m: Option<[f64; 3]>,
+    /// Times of the poses, seconds.
+    pub times_s: Vec<f64>,
+    /// Tracked poses: x, y, z (m), then w, x, y, z of the quaternion.
+    pub observed: Vec<[f64; 7]>,
+    /// The simulated poses at the estimate, same layout; empty if nothing was simulated.
+    pub simulated: Vec<[f64; 7]>,
+    /// What was found in the recording.
+    pub notes: Vec<String>,
+}

@@ -1,0 +1,63 @@
+//! What identification refuses.
+
+use drex_diffsim::SimError;
+
+/// Result of this crate.
+pub type Result<T, E = SysidError> = std::result::Result<T, E>;
+
+/// Why a push cannot be evaluated at all. That a push carries no information is no error: it is a verdict.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SysidError {
+    /// No recording was given.
+    #[error("no recording was given; name at least one push")]
+    NoRecording,
+    /// The track has too few poses.
+    #[error("push `{push}`: the track has {poses} poses; at least {needed} are needed")]
+    TooFewPoses {
+        /// Name of the push.
+        push: String,
+        /// Poses there are.
+        poses: usize,
+        /// Poses needed.
+        needed: usize,
+    },
+    /// The mesh cannot serve as a rigid body.
+    #[error("the object's mesh {what}; {remedy}")]
+    Object {
+        /// What is wrong.
+        what: String,
+        /// What to do.
+        remedy: String,
+    },
+    /// An option is outside its range.
+    #[error("option {option}: {what}")]
+    Option {
+        /// Name of the option.
+        option: &'static str,
+        /// What is wrong, and what to do.
+        what: String,
+    },
+    /// The recording contradicts itself or the object.
+    #[error("push `{push}`: {what}; {remedy}")]
+    Recording {
+        /// Name of the push.
+        push: String,
+        /// What is wrong.
+        what: String,
+        /// What to do.
+        remedy: String,
+    },
+    /// The simulator refused the push.
+    #[error("push `{push}`: {source}")]
+    Simulation {
+        /// Name of the push.
+        push: String,
+        /// Its reason.
+        #[source]
+        source: SimError,
+    },
+    /// Masses or tensors of the mesh are unusable.
+    #[error(transparent)]
+    Core(#[from] drex_core::Error),
+}

@@ -1,0 +1,214 @@
+//! From recordings to an answer.
+
+use std::time::Instant;
+
+use drex_core::Pose;
+use drex_core::pose::to_wxyz;
+use drex_core::push::{Drive, PoseNoise, PushRecording, TrackFrame};
+
+use crate::answer::{Identification, PushReport, Verdict};
+use crate::estimate::{Estimate, Joint};
+use crate::problem::{Fit, Motion, Parameters, Problem};
+use crate::{IdentifyOptions, ObjectModel, Result, SysidError, invariance, noise};
+
+/// Poses a track must have.
+const MIN_POSES: usize = 5;
+/// Standard deviation of log mass above which a recording does not weigh the object.
+const SD_LIMIT: f64 = 0.35;
+/// Standard deviation of log(friction · mass) below which the product counts as known.
+const SD_PRODUCT_LIMIT: f64 = 0.15;
+
+/// Estimates the mass of `object` from pushes of it.
+///
+/// Known forces are simulated and fitted together; what other recordings can tell is checked and said. A recording
+/// without information about the mass is a verdict, not an error.
+///
+/// # Errors
+/// If there is no recording, a track is too short, geometry and support contradict, or the object cannot be simulated.
+pub fn identify(recordings: &[PushRecording], object: &ObjectModel, options: &IdentifyOptions) -> Result<Identification> {
+    check(options)?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(options.threads).build().map_err(|e| SysidError::Option {
+        option: "threads",
+        what: format!("{e}; ask for fewer"),
+    })?;
+    pool.install(|| run(recordings, object, options))
+}
+
+fn run(recordings: &[PushRecording], object: &ObjectModel, options: &IdentifyOptions) -> Result<Identification> {
+    let begin = Instant::now();
+    if recordings.is_empty() {
+        return Err(SysidError::NoRecording);
+    }
+    let shape = object.shape()?;
+    let mut reports = Vec::new();
+    let mut problems = Vec::new();
+    let mut frictions = Vec::new();
+    let mut fitted = Vec::new();
+    for (i, recording) in recordings.iter().enumerate() {
+        let poses = recording.track.len();
+        if poses < MIN_POSES {
+            return Err(SysidError::TooFewPoses { push: recording.name.clone(), poses, needed: MIN_POSES });
+        }
+        let noise = recording.noise.unwrap_or_else(|| noise::of_track(&recording.track));
+        reports.push(report(recording, noise));
+        if recording.track_frame == TrackFrame::World && matches!(recording.drive, Drive::Force(_)) {
+            problems.push(Problem::new(recording, object, shape.clone(), options, noise)?);
+            frictions.push(recording.support.friction.filter(|_| !options.free_friction));
+            fitted.push(i);
+        }
+    }
+    let mut answer = Identification {
+        mass_kg: None,
+        ci95_kg: None,
+        verdict: Verdict::NotIdentifiable,
+        mu_m_kg: None,
+        reason: String::new(),
+        seconds: 0.0,
+        prior_kg: recordings.iter().find_map(|r| r.mass_prior_kg),
+        friction: None,
+        sd_log_mass: None,
+        error_budget: None,
+        assumptions: assumptions(recordings, options),
+        profile: Vec::new(),
+        pushes: Vec::new(),
+    };
+    let mut reasons = Vec::new();
+    for (i, recording) in recordings.iter().enumerate() {
+        if !fitted.contains(&i) {
+            let finding = invariance::explain(recording, object, &shape, options)?;
+            reports[i].notes.extend(finding.notes);
+            reports[i].simulated = finding.simulated.iter().map(row).collect();
+            if fitted.is_empty() && answer.profile.is_empty() {
+                answer.profile = finding.profile;
+            }
+            reasons.push(finding.reason);
+        }
+    }
+    if problems.is_empty() {
+        answer.reason = reasons.join(" ");
+    } else {
+        let joint = Joint { problems: &problems, friction: frictions.clone(), options };
+        let estimate = joint.solve()?;
+        for (k, &i) in fitted.iter().enumerate() {
+            if let (Some(motion), Some(fit)) = (estimate.best.motions.get(k), estimate.best.fits.get(k)) {
+                fill(&mut reports[i], &problems[k], motion, fit);
+            }
+        }
+        decide(&mut answer, &estimate, frictions.iter().any(Option::is_none));
+        answer.profile = estimate.profile;
+        if !reasons.is_empty() {
+            answer.reason = format!("{} {}", answer.reason, reasons.join(" "));
+        }
+    }
+    answer.pushes = reports;
+    answer.seconds = begin.elapsed().as_secs_f64();
+    Ok(answer)
+}
+
+/// Verdict and numbers from an estimate.
+fn decide(answer: &mut Identification, e: &Estimate, friction_free: bool) {
+    let m = e.best.parameters.log_mass.exp();
+    let mu = e.best.parameters.log_friction.exp();
+    answer.sd_log_mass = e.sd.is_finite().then_some(e.sd);
+    answer.error_budget = Some(e.budget);
+    // 3.84 / 2: what the likelihood must lose, at the worst mass of the scan, to exclude anything at all.
+    let informative = e.relief > 1.92 && e.best.cost.is_finite();
+    if informative && e.sd < SD_LIMIT {
+        let half = (1.96 * e.sd).exp();
+        answer.mass_kg = Some(m);
+        answer.ci95_kg = Some([m / half, m * half]);
+        answer.verdict = Verdict::Identified;
+        if friction_free {
+            answer.friction = Some(mu);
+        }
+        answer.reason = format!(
+            "the known force moved the object in a way that only masses from {:.1} to {:.1} g explain",
+            1e3 * m / half,
+            1e3 * m * half
+        );
+    } else if let Some(sd) = e.sd_mu_m.filter(|sd| informative && *sd < SD_PRODUCT_LIMIT) {
+        answer.verdict = Verdict::OnlyMuM;
+        answer.mu_m_kg = Some(mu * m);
+        answer.reason = format!(
+            "the object slid under a known force with unknown friction: force and friction balance for every mass with the same \
+             product of friction and mass, {:.4} kg (standard deviation {:.1} %); the friction coefficient, a coast after the push \
+             or a push that tips would give the mass",
+            mu * m,
+            100.0 * sd
+        );
+    } else {
+        answer.reason = format!(
+            "the motion under the known force is explained by masses over a range of more than {:.1} to 1: the push was too weak, \
+             or nothing moved; push harder, tip the object, or press on an overhanging end",
+            (1.96 * e.sd.min(3.0) * 2.0).exp()
+        );
+    }
+}
+
+fn report(recording: &PushRecording, noise: PoseNoise) -> PushReport {
+    PushReport {
+        name: recording.name.clone(),
+        position_sd_m: noise.position_m,
+        rotation_sd_rad: noise.rotation_rad,
+        rms_position_m: None,
+        rms_rotation_rad: None,
+        outliers: 0,
+        clock_offset_s: None,
+        position_bias_m: None,
+        times_s: recording.track.times_s().to_vec(),
+        observed: recording.track.poses().iter().map(row).collect(),
+        simulated: Vec::new(),
+        notes: recording.notes.clone(),
+    }
+}
+
+fn fill(report: &mut PushReport, problem: &Problem, motion: &Motion, fit: &Fit) {
+    let kept: Vec<_> = fit.residuals.iter().zip(&fit.weights).filter(|(_, w)| **w >= 0.5).map(|(r, _)| r).collect();
+    let n = kept.len().max(1) as f64;
+    let rms = |first: usize| (kept.iter().map(|r| r.fixed_rows::<3>(first).norm_squared()).sum::<f64>() / n).sqrt();
+    report.rms_position_m = Some(rms(0) * problem.noise.position_m);
+    report.rms_rotation_rad = Some(rms(3) * problem.noise.rotation_rad);
+    report.outliers = fit.weights.len() - kept.len();
+    report.clock_offset_s = Some(fit.nuisance[0]);
+    report.position_bias_m = Some([fit.nuisance[1], fit.nuisance[2], fit.nuisance[3]]);
+    report.simulated = problem.times_s.iter().map(|t| row(&motion.at(t - fit.nuisance[0]))).collect();
+}
+
+fn row(pose: &Pose) -> [f64; 7] {
+    let ([x, y, z], [qw, qx, qy, qz]) = to_wxyz(pose);
+    [x, y, z, qw, qx, qy, qz]
+}
+
+fn assumptions(recordings: &[PushRecording], options: &IdentifyOptions) -> Vec<String> {
+    let mut out = vec!["the object is rigid and of uniform density: centre of mass and inertia follow from its mesh".to_owned()];
+    if recordings.iter().any(|r| matches!(r.drive, Drive::Force(_))) {
+        out.push("the recorded force has the right gain and acts at the stated point".into());
+        out.push("gravity and the shape of the support are as stated".into());
+        match recordings.iter().find_map(|r| r.support.friction).filter(|_| !options.free_friction) {
+            Some(mu) => out.push(format!("the friction against the support is {mu} as stated")),
+            None => out.push("the friction against the support is one unknown constant".into()),
+        }
+    }
+    out
+}
+
+fn check(options: &IdentifyOptions) -> Result<()> {
+    let bad = |option, what: &str| Err(SysidError::Option { option, what: what.into() });
+    let [lo, hi] = options.scan_kg;
+    if !(lo > 0.0 && hi > lo && hi.is_finite()) {
+        return bad("scan_kg", "needs two positive masses in kilograms, the smaller first");
+    }
+    if options.scan_points < 5 {
+        return bad("scan_points", "needs at least five points");
+    }
+    let priors = [options.position_bias_m, options.rotation_bias_rad, options.clock_offset_s];
+    if priors.iter().any(|p| !(*p > 0.0 && p.is_finite())) {
+        return bad("position_bias_m, rotation_bias_rad, clock_offset_s", "standard deviations must be positive");
+    }
+    Ok(())
+}
+
+/// Parameters with the logarithms of a mass and a friction.
+pub(crate) fn parameters(mass_kg: f64, friction: f64) -> Parameters {
+    Parameters { log_mass: mass_kg.ln(), log_friction: friction.ln() }
+}

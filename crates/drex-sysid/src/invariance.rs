@@ -1,0 +1,143 @@
+//! Recordings in which the mass cannot be seen, shown by simulation where there is something to simulate.
+//!
+//! Gravity, Coulomb friction and contact scale with the mass, and so does the force a prescribed pusher needs: the
+//! motion is the same for every mass. Simulating it with masses a hundredfold apart gives the same cost.
+
+use std::sync::Arc;
+
+use drex_core::Pose;
+use drex_core::pose::pose_difference;
+use drex_core::push::{Drive, HandPush, PushRecording, TrackFrame};
+use drex_diffsim::ConvexPiece;
+use nalgebra::{SMatrix, SVector, Vector3};
+
+use crate::identify::parameters;
+use crate::problem::Problem;
+use crate::{IdentifyOptions, ObjectModel, Result, noise};
+
+/// Masses at which the cost of a motion without known force is compared.
+const MASSES_KG: [f64; 7] = [0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0];
+
+/// What a recording without a known force tells.
+pub(crate) struct Finding {
+    pub reason: String,
+    pub notes: Vec<String>,
+    pub profile: Vec<(f64, f64)>,
+    pub simulated: Vec<Pose>,
+}
+
+pub(crate) fn explain(
+    recording: &PushRecording,
+    object: &ObjectModel,
+    shape: &Arc<Vec<ConvexPiece>>,
+    options: &IdentifyOptions,
+) -> Result<Finding> {
+    let mut finding = Finding { reason: String::new(), notes: Vec::new(), profile: Vec::new(), simulated: Vec::new() };
+    if recording.track_frame == TrackFrame::World {
+        let noise = recording.noise.unwrap_or_else(|| noise::of_track(&recording.track));
+        let mut problem = Problem::new(recording, object, Arc::clone(shape), options, noise)?;
+        if !recording.starts_at_rest {
+            start_from_track(&mut problem, recording);
+        }
+        let friction = recording.support.friction.unwrap_or(0.5);
+        for mass in MASSES_KG {
+            let Ok(motion) = problem.simulate(&parameters(mass, friction)) else { continue };
+            let fit = problem.fit(&motion, None);
+            if finding.simulated.is_empty() {
+                finding.simulated = problem.times_s.iter().map(|t| motion.at(t - fit.nuisance[0])).collect();
+            }
+            finding.profile.push((mass, fit.cost));
+        }
+        let costs = || finding.profile.iter().map(|p| p.1);
+        let spread = costs().fold(f64::NEG_INFINITY, f64::max) - costs().fold(f64::INFINITY, f64::min);
+        if !finding.profile.is_empty() {
+            finding.notes.push(format!(
+                "simulated with {} masses from 20 g to 2 kg: the cost differs by {spread:.1e} (it would have to differ by 1.92)",
+                finding.profile.len()
+            ));
+        }
+    }
+    finding.reason = match &recording.drive {
+        Drive::Nothing => "no known force acted on the object: gravity, friction and impact scale with its mass, so every mass moves \
+                           the same way (the simulated cost is flat); push it with a known force, tip it, or lift it"
+            .into(),
+        Drive::Finger(_) => "the fingertip is replayed along its path, and a prescribed pusher moves every mass the same way (the \
+                             simulated cost is flat); its impedance is recorded but its force is not estimated from it; record \
+                             the force, or push with a force sensor"
+            .into(),
+        Drive::Hand(hand) => {
+            finding.notes.extend(clocks(recording, hand));
+            format!(
+                "the hand is replayed from its joint angles, and a prescribed pusher moves every mass the same way; the log holds \
+                 {} efforts, but without a calibration of the joint friction they are no known force; the first guess of the \
+                 mass stays a guess",
+                if hand.joints.efforts.is_empty() { "no joint" } else { "commanded joint" }
+            )
+        }
+        _ => "the poses are given in a camera of unknown pose, where neither gravity nor the force has a direction; record the \
+              camera's pose in the world"
+            .into(),
+    };
+    Ok(finding)
+}
+
+/// Start pose and velocity of a motion that does not start at rest, from the first frames: straight line in free fall,
+/// constant rotation about a fixed axis.
+fn start_from_track(problem: &mut Problem, recording: &PushRecording) {
+    let n = problem.times_s.len().min(6);
+    let mut normal = SMatrix::<f64, 2, 2>::zeros();
+    let mut right = SMatrix::<f64, 2, 6>::zeros();
+    let first = problem.observed[0];
+    for k in 0..n {
+        let t = problem.times_s[k];
+        let mut d = pose_difference(&first, &problem.observed[k]);
+        // Rotation in the world, translation without the fall.
+        let turn = first.rotation * Vector3::new(d[3], d[4], d[5]);
+        let fall = recording.gravity * (0.5 * t * t);
+        for i in 0..3 {
+            d[i] -= fall[i];
+            d[i + 3] = turn[i];
+        }
+        let a = SVector::<f64, 2>::new(1.0, t);
+        normal += a * a.transpose();
+        right += a * d.transpose();
+    }
+    if let Some(solution) = normal.try_inverse().map(|i| i * right) {
+        let spin = Vector3::new(solution[(1, 3)], solution[(1, 4)], solution[(1, 5)]);
+        let origin = Vector3::new(solution[(1, 0)], solution[(1, 1)], solution[(1, 2)]);
+        problem.start = recording.initial_pose.unwrap_or(first);
+        problem.start_spin = spin;
+        // The track follows the mesh frame; the simulator wants the centre of mass.
+        problem.start_velocity = origin + spin.cross(&(problem.start.rotation * problem.center_of_mass().coords));
+    }
+}
+
+/// When things begin to move in the track and in the joint log.
+fn clocks(recording: &PushRecording, hand: &HandPush) -> Vec<String> {
+    let mut notes = Vec::new();
+    let track = &recording.track;
+    let sd = noise::of_track(track);
+    let calm = track.len().min(10);
+    let onset = track.poses().first().and_then(|first| {
+        let moved = |p: &Pose| {
+            let d = pose_difference(first, p);
+            let shift = d.fixed_rows::<3>(0).norm() / (8.0 * sd.position_m).max(4e-3);
+            let turn = d.fixed_rows::<3>(3).norm() / (8.0 * sd.rotation_rad).max(0.06);
+            shift.max(turn) > 1.0
+        };
+        // Two frames in a row: one may be an outlier.
+        (1..track.len().saturating_sub(1)).find(|&k| moved(&track.poses()[k]) && moved(&track.poses()[k + 1]))
+    });
+    match onset {
+        Some(k) => notes.push(format!("the object begins to move {:.2} s after the first pose (frame {k})", track.times_s()[k] - track.times_s()[0])),
+        None => notes.push(format!("the object does not move beyond the noise of its track ({calm} calm frames looked at)")),
+    }
+    if let (Some(a), Some(b)) = (hand.joints.times_s.first(), hand.joints.times_s.last()) {
+        let speed = |row: &Vec<f64>| row.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+        let fastest = hand.joints.velocities.iter().map(speed).fold(0.0, f64::max);
+        let moving = hand.joints.velocities.iter().position(|row| speed(row) > 0.2 * fastest && fastest > 0.05);
+        let when = moving.and_then(|i| hand.joints.times_s.get(i)).map_or("never".to_owned(), |t| format!("at {t:.2} s"));
+        notes.push(format!("joint log of {} samples from {a:.2} to {b:.2} s on the track's clock; the hand begins to move {when}", hand.joints.times_s.len()));
+    }
+    notes
+}

@@ -1,0 +1,162 @@
+//! The pushed object: convex pieces for contact, mass properties at one kilogram.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use drex_core::{MassProperties, TriMesh};
+use drex_diffsim::ConvexPiece;
+use nalgebra::Point3;
+
+use crate::{Result, SysidError};
+
+/// Vertices closer than this, relative to the size of the mesh, are one.
+const WELD: f64 = 1e-6;
+
+/// Geometry of the pushed object in its mesh frame, at uniform density.
+#[derive(Debug, Clone)]
+pub struct ObjectModel {
+    /// Points of the convex pieces that touch the support, metres, mesh frame.
+    pub pieces: Vec<Vec<Point3<f64>>>,
+    /// Mass properties at a mass of 1 kg, mesh frame.
+    pub unit: MassProperties,
+}
+
+impl ObjectModel {
+    /// From a mesh of closed shells that touch but do not overlap, each the surface of a convex part.
+    /// Meshes with holes or with parts that are not convex come as pieces from elsewhere: fill the fields then.
+    ///
+    /// # Errors
+    /// If a shell is open, encloses no volume, or the mesh is empty.
+    pub fn from_mesh(mesh: &TriMesh) -> Result<Self> {
+        let shells = closed_shells(mesh)?;
+        let parts = shells.iter().map(|s| s.mass_properties(1.0)).collect::<Result<Vec<_>, _>>()?;
+        let whole = MassProperties::combined(&parts).ok_or_else(|| SysidError::Object {
+            what: "encloses no volume".into(),
+            remedy: "give a closed surface that winds outwards".into(),
+        })?;
+        Ok(Self { pieces: shells.into_iter().map(|s| s.vertices).collect(), unit: whole.with_mass(1.0) })
+    }
+
+    /// The pieces as the simulator takes them.
+    pub(crate) fn shape(&self) -> Result<Arc<Vec<ConvexPiece>>> {
+        if !self.unit.is_physical() {
+            return Err(SysidError::Object {
+                what: "has mass properties that no solid has".into(),
+                remedy: "close the mesh, or check its scale".into(),
+            });
+        }
+        let pieces = self.pieces.iter().map(|p| ConvexPiece::from_points(p)).collect::<Result<Vec<_>, _>>();
+        let pieces = pieces.map_err(|e| SysidError::Object { what: format!("has a bad convex piece: {e}"), remedy: "split or close it".into() })?;
+        if pieces.is_empty() {
+            return Err(SysidError::Object { what: "has no convex piece".into(), remedy: "give at least one".into() });
+        }
+        Ok(Arc::new(pieces))
+    }
+
+    /// Diagonal of the bounding box of all pieces, metres.
+    pub fn size_m(&self) -> f64 {
+        let mut points = self.pieces.iter().flatten();
+        let Some(&first) = points.next() else { return 0.0 };
+        let (lo, hi) = points.fold((first, first), |(lo, hi), p| (lo.inf(p), hi.sup(p)));
+        (hi - lo).norm()
+    }
+}
+
+/// The connected closed surfaces of a mesh, vertices welded.
+fn closed_shells(mesh: &TriMesh) -> Result<Vec<TriMesh>> {
+    let Some((lo, hi)) = mesh.bounds() else {
+        return Err(SysidError::Object { what: "has no vertices".into(), remedy: "check the file".into() });
+    };
+    let cell = WELD * (hi - lo).norm().max(f64::MIN_POSITIVE);
+    // Rounding to a grid separates points on two sides of a cell border; two grids, half a cell apart, catch both cases.
+    let weld = |ids: &[usize], shift: f64| -> Vec<usize> {
+        let mut seen = BTreeMap::new();
+        let key = |p: &Point3<f64>| [p.x, p.y, p.z].map(|c| (c / cell + shift).floor() as i64);
+        let mut of: Vec<usize> = (0..mesh.vertices.len()).collect();
+        for (i, p) in mesh.vertices.iter().enumerate() {
+            of[i] = *seen.entry(key(p)).or_insert(ids[i]);
+        }
+        of
+    };
+    let mut group = Groups::new(mesh.vertices.len());
+    let identity: Vec<usize> = (0..mesh.vertices.len()).collect();
+    for shift in [0.0, 0.5] {
+        for (i, j) in weld(&identity, shift).into_iter().enumerate() {
+            group.join(i, j);
+        }
+    }
+    let vertex: Vec<usize> = (0..mesh.vertices.len()).map(|i| group.root(i)).collect();
+    let faces: Vec<[usize; 3]> = mesh
+        .faces
+        .iter()
+        .map(|f| f.map(|v| vertex[v as usize]))
+        .filter(|f| f[0] != f[1] && f[1] != f[2] && f[2] != f[0])
+        .collect();
+    split_by_shared_edges(mesh, &faces)
+}
+
+/// Faces that share an edge in opposite directions belong to one shell. Where more than two faces meet in an edge (two
+/// touching parts with welded vertices), the file's order of faces decides: parts are written one after the other.
+fn split_by_shared_edges(mesh: &TriMesh, faces: &[[usize; 3]]) -> Result<Vec<TriMesh>> {
+    let mut open: BTreeMap<(usize, usize), Vec<usize>> = BTreeMap::new();
+    let mut group = Groups::new(faces.len());
+    for (i, f) in faces.iter().enumerate() {
+        for k in 0..3 {
+            let (a, b) = (f[k], f[(k + 1) % 3]);
+            match open.get_mut(&(b, a)).and_then(Vec::pop) {
+                Some(j) => group.join(i, j),
+                None => open.entry((a, b)).or_default().push(i),
+            }
+        }
+    }
+    let holes = open.values().map(Vec::len).sum::<usize>();
+    if holes > 0 {
+        return Err(SysidError::Object {
+            what: format!("is open: {holes} edges belong to one face only"),
+            remedy: "close it (drex asset repairs scans), or give convex pieces and mass properties".into(),
+        });
+    }
+    let mut shells: BTreeMap<usize, Vec<[usize; 3]>> = BTreeMap::new();
+    for (i, f) in faces.iter().enumerate() {
+        shells.entry(group.root(i)).or_default().push(*f);
+    }
+    shells
+        .into_values()
+        .map(|faces| {
+            let mut index = BTreeMap::new();
+            let mut vertices = Vec::new();
+            let faces = faces
+                .iter()
+                .map(|f| {
+                    f.map(|v| {
+                        *index.entry(v).or_insert_with(|| {
+                            vertices.push(mesh.vertices[v]);
+                            (vertices.len() - 1) as u32
+                        })
+                    })
+                })
+                .collect();
+            TriMesh::new(vertices, faces).map_err(SysidError::from)
+        })
+        .collect()
+}
+
+/// Disjoint sets.
+struct Groups(Vec<usize>);
+
+impl Groups {
+    fn new(n: usize) -> Self {
+        Self((0..n).collect())
+    }
+    fn root(&mut self, mut i: usize) -> usize {
+        while self.0[i] != i {
+            self.0[i] = self.0[self.0[i]];
+            i = self.0[i];
+        }
+        i
+    }
+    fn join(&mut self, i: usize, j: usize) {
+        let (a, b) = (self.root(i), self.root(j));
+        self.0[a.max(b)] = a.min(b);
+    }
+}
