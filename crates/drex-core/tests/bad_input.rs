@@ -213,3 +213,17 @@ fn folders_without_a_push_are_refused() {
     assert!("loud".parse::<drex_core::push::PoseChoice>().unwrap_err().to_string().contains("noisy, hard or clean"));
     assert_eq!("exact".parse::<drex_core::push::ForceChoice>().unwrap(), drex_core::push::ForceChoice::Exact);
 }
+
+/// The examples in the documentation of the format are of the format.
+#[test]
+fn documented_examples_are_read() {
+    let source = include_str!("../src/push/toml.rs");
+    let mut examples = 0;
+    for block in source.split("//! ```toml\n").skip(1) {
+        let text = block.split("//! ```").next().unwrap().replace("//! ", "").replace("//!", "");
+        let config: PushConfig = drex_core::fsutil::from_toml(Path::new("example"), &text).unwrap();
+        assert!(config.force.is_some() != config.hand.is_some());
+        examples += 1;
+    }
+    assert_eq!(examples, 2);
+}

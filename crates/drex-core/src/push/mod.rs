@@ -7,7 +7,7 @@ mod assemble;
 mod choice;
 pub mod drex_run;
 mod mujoco;
-mod toml;
+pub mod toml;
 
 use std::path::{Path, PathBuf};
 

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::check_angle;
 use crate::joints::JointPoses;
+use crate::pose::pose_from_wxyz;
 use crate::{Error, Result, fsutil};
 
 /// A grasp file as it stands on disk (JSON, `schema` 1).
@@ -95,6 +96,23 @@ pub fn read_grasps_json(path: &Path) -> Result<JointPoses> {
 /// # Errors
 /// As [`read_grasps_json`].
 pub fn parse_grasps_json(path: &Path, bytes: &[u8]) -> Result<JointPoses> {
+    let file = parse_grasp_file(path, bytes)?;
+    Ok(JointPoses { names: file.joint_names, rows: file.grasps })
+}
+
+/// Reads a [`GraspFile`] whole, with what it knows besides the joint angles.
+///
+/// # Errors
+/// As [`read_grasps_json`]; also if a wrist pose is not finite or its quaternion is not of unit norm.
+pub fn read_grasp_file(path: &Path) -> Result<GraspFile> {
+    parse_grasp_file(path, &fsutil::read_bytes(path)?)
+}
+
+/// As [`read_grasp_file`], from memory.
+///
+/// # Errors
+/// As [`read_grasp_file`].
+pub fn parse_grasp_file(path: &Path, bytes: &[u8]) -> Result<GraspFile> {
     let text = std::str::from_utf8(bytes)
         .map_err(|_| Error::content(path, None, "the file is not text (UTF-8)", "check that this is the right file"))?;
     let file: GraspFile = fsutil::from_json(path, text)?;
@@ -106,13 +124,18 @@ pub fn parse_grasps_json(path: &Path, bytes: &[u8]) -> Result<JointPoses> {
         let what = format!("the unit of the angles is `{}`", file.unit);
         return Err(Error::content(path, None, what, "give radians and unit \"rad\""));
     }
-    if let Some(wrist) = &file.wrist
-        && wrist.len() != file.grasps.len()
-    {
-        let what = format!("{} wrist poses for {} grasps", wrist.len(), file.grasps.len());
+    let wrists = file.wrist.as_deref().unwrap_or_default();
+    if file.wrist.is_some() && wrists.len() != file.grasps.len() {
+        let what = format!("{} wrist poses for {} grasps", wrists.len(), file.grasps.len());
         return Err(Error::content(path, None, what, "give one per grasp, or none"));
     }
-    checked(path, file.joint_names, file.grasps)
+    for (i, &[x, y, z, qw, qx, qy, qz]) in wrists.iter().enumerate() {
+        if let Err(e) = pose_from_wxyz([x, y, z], [qw, qx, qy, qz]) {
+            return Err(Error::content(path, None, format!("wrist pose {i}: {e}"), "correct or remove the grasp"));
+        }
+    }
+    let JointPoses { names, rows } = checked(path, file.joint_names, file.grasps)?;
+    Ok(GraspFile { joint_names: names, grasps: rows, ..file })
 }
 
 /// Writes grasps in our format, in one step.
@@ -303,6 +326,8 @@ mod tests {
         let parse = |text: &str| parse_grasps_json(&path, text.as_bytes()).unwrap_err().to_string();
         assert!(parse(r#"{"schema":1,"joint_names":["a"],"unit":"rad","grasps":[]}"#).contains("no grasps"));
         assert!(parse(r#"{"schema":1,"joint_names":["a"],"unit":"deg","grasps":[[1]]}"#).contains("deg"));
+        let wrist = r#"{"schema":1,"joint_names":["a"],"unit":"rad","grasps":[[1]],"wrist":[[0,0,0,2,0,0,0]]}"#;
+        assert!(parse(wrist).contains("wrist pose 0"));
         let unknown = parse("{\"schema\":1,\n\"joints\":[\"a\"],\"unit\":\"rad\",\"grasps\":[[1]]}");
         assert!(unknown.contains("line 2") && unknown.contains("joints"), "{unknown}");
     }

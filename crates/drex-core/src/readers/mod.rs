@@ -15,7 +15,8 @@ pub use foundation_pose::{
     FrameTimes, parse_foundation_pose_log, parse_matrix_text, read_foundation_pose_folder, read_foundation_pose_log,
 };
 pub use grasps::{
-    GraspFile, parse_grasps_json, parse_grasps_npy, read_grasps, read_grasps_json, read_grasps_npy, write_grasps_json,
+    GraspFile, parse_grasp_file, parse_grasps_json, parse_grasps_npy, read_grasp_file, read_grasps, read_grasps_json,
+    read_grasps_npy, write_grasps_json,
 };
 pub use joint_log::{parse_joint_log_csv, read_joint_log_csv};
 pub use pose_csv::{parse_pose_csv, read_pose_csv};
