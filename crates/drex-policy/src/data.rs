@@ -57,7 +57,9 @@ impl Dataset {
         if count == 0 {
             return Err(self.wrong(None, None, "there are no joints", "name the joints of the hand"));
         }
-        if let Some(name) = self.joint_names.iter().enumerate().find_map(|(i, n)| self.joint_names[..i].contains(n).then_some(n)) {
+        if let Some(name) =
+            self.joint_names.iter().enumerate().find_map(|(i, n)| self.joint_names[..i].contains(n).then_some(n))
+        {
             return Err(self.wrong(None, Some(name), "the name appears twice", "give each joint once"));
         }
         if self.joint_limits.len() != count {
@@ -74,7 +76,12 @@ impl Dataset {
             return Err(self.wrong(None, None, "there are no demonstrations", "give at least one grasp"));
         }
         if let Some(i) = self.points.iter().position(|p| p.iter().any(|v| !v.is_finite())) {
-            return Err(self.wrong(None, None, format!("surface point {i} is not finite"), "repair the mesh or the sampling"));
+            return Err(self.wrong(
+                None,
+                None,
+                format!("surface point {i} is not finite"),
+                "repair the mesh or the sampling",
+            ));
         }
         self.samples.iter().enumerate().try_for_each(|(i, s)| self.validate_sample(i, s))
     }
@@ -89,7 +96,12 @@ impl Dataset {
             let (lower, upper) = self.joint_limits[j];
             let name = Some(&self.joint_names[j]);
             if !angle.is_finite() {
-                return Err(self.wrong(at, name, format!("the angle is {angle}"), "remove the sample or repair the file"));
+                return Err(self.wrong(
+                    at,
+                    name,
+                    format!("the angle is {angle}"),
+                    "remove the sample or repair the file",
+                ));
             }
             if angle < lower - LIMIT_TOLERANCE_RAD || angle > upper + LIMIT_TOLERANCE_RAD {
                 let what = format!("{angle:.6} rad is outside its limits {lower:.6} .. {upper:.6} rad");
@@ -98,7 +110,12 @@ impl Dataset {
         }
         let pose = &sample.object_from_palm;
         if pose.translation.vector.iter().chain(pose.rotation.coords.iter()).any(|v| !v.is_finite()) {
-            return Err(self.wrong(at, None, "the wrist pose is not finite", "remove the sample or solve its wrist again"));
+            return Err(self.wrong(
+                at,
+                None,
+                "the wrist pose is not finite",
+                "remove the sample or solve its wrist again",
+            ));
         }
         for (what, value, unit) in [("squeeze", sample.squeeze_n, "N"), ("mass", sample.mass_kg, "kg")] {
             if !(value.is_finite() && value > 0.0) {
@@ -109,7 +126,10 @@ impl Dataset {
         let ratio = crate::norm::squeeze_per_weight(sample);
         let (least, most) = SQUEEZE_PER_WEIGHT;
         if !(ratio >= least && ratio <= most) {
-            let what = format!("a squeeze of {} N for {} kg is {ratio:.3e} times the weight", sample.squeeze_n, sample.mass_kg);
+            let what = format!(
+                "a squeeze of {} N for {} kg is {ratio:.3e} times the weight",
+                sample.squeeze_n, sample.mass_kg
+            );
             return Err(self.wrong(at, None, what, "check the units (N, kg)"));
         }
         Ok(())

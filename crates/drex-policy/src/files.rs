@@ -100,7 +100,11 @@ pub(crate) fn load(folder: &Path) -> Result<GraspPolicy> {
         .map_err(|e| Error::file(&path, format!("no JSON (line {}, column {}: {e})", e.line(), e.column()), again))?;
     // Format and version come first: a file of another version has other fields, and the version is what to tell the user.
     if manifest.get("format").and_then(|f| f.as_str()) != Some(FORMAT) {
-        return Err(Error::file(&path, format!("not a policy (no \"format\": \"{FORMAT}\")"), "check that this is the right folder"));
+        return Err(Error::file(
+            &path,
+            format!("not a policy (no \"format\": \"{FORMAT}\")"),
+            "check that this is the right folder",
+        ));
     }
     if manifest.get("version").and_then(|v| v.as_u64()) != Some(u64::from(VERSION)) {
         let found = manifest.get("version").map_or("missing".to_owned(), ToString::to_string);
@@ -122,7 +126,8 @@ pub(crate) fn load(folder: &Path) -> Result<GraspPolicy> {
         let what = "the content is not what policy.json was written for (SHA-256 differs)";
         return Err(Error::file(&weights_path, what, "copy the whole folder again, or train the policy again"));
     }
-    let weights = Weights::from_bytes(manifest.policy.network, &bytes).map_err(|what| Error::file(&weights_path, what, again))?;
+    let weights =
+        Weights::from_bytes(manifest.policy.network, &bytes).map_err(|what| Error::file(&weights_path, what, again))?;
     Ok(GraspPolicy { card: manifest.policy, weights })
 }
 

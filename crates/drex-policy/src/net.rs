@@ -65,7 +65,11 @@ pub(crate) fn outputs(weights: &Weights, encoded: &[f32], mass: &[f32]) -> Resul
 ///
 /// # Errors
 /// If the build has no backend or the backend fails.
-pub(crate) fn loss_and_gradients(weights: &Weights, batch: &Batch<'_>, scales: &Scales) -> Result<(LossParts, Vec<Vec<f32>>)> {
+pub(crate) fn loss_and_gradients(
+    weights: &Weights,
+    batch: &Batch<'_>,
+    scales: &Scales,
+) -> Result<(LossParts, Vec<Vec<f32>>)> {
     let device = device()?.autodiff();
     let parameters: Vec<Tensor<2>> = load(weights, &device).into_iter().map(Tensor::require_grad).collect();
     let outputs = forward(&weights.layout, &parameters, batch.encoded, batch.mass, &device);
@@ -91,9 +95,10 @@ fn forward(layout: &Layout, p: &[Tensor<2>], encoded: &[f32], mass: &[f32], devi
     let object = x.clone().max_dim(0).matmul(weight(6)) + x.mean_dim(0).matmul(weight(7)) + weight(9);
     let mass = tensor(mass.to_vec(), [mass.len(), 1], device);
     let [samples, _] = mass.dims();
-    let x = relu(mass.matmul(weight(8)) + object);
+    let x = relu(mass.clone().matmul(weight(8)) + object);
     let x = relu(x.matmul(weight(10)) + weight(11));
-    let x = x.matmul(weight(12)) + weight(13);
+    // The mass also goes straight to the outputs: a power law of the squeeze in the mass needs nothing else.
+    let x = x.matmul(weight(12)) + mass.matmul(weight(13)) + weight(14);
     x.reshape([samples, layout.modes, layout.mode_width()])
 }
 
@@ -212,9 +217,8 @@ mod tests {
         }
     }
 
-    fn batch_arrays() -> (Vec<f32>, Vec<f32>, Vec<f32>, Vec<f32>, Vec<f32>) {
-        let wave = |n: usize, s: f32| (0..n).map(|i| ((i as f32 + 1.0) * s).sin()).collect::<Vec<_>>();
-        (wave(5 * 9, 0.7), vec![-1.0, 0.5], wave(4, 1.3), wave(18, 0.9), vec![0.8, 1.4])
+    fn wave(count: usize, step: f32) -> Vec<f32> {
+        (0..count).map(|i| ((i as f32 + 1.0) * step).sin()).collect()
     }
 
     /// The same network and loss in plain f64, written from the formulas: the oracle for values and derivatives.
@@ -244,7 +248,9 @@ mod tests {
             let from_mass = dense(&[f64::from(batch.mass[b])], &w[8], None);
             let x = relu((0..h).map(|j| from_max[j] + from_mean[j] + from_mass[j] + w[9][j]).collect());
             let x = relu(dense(&x, &w[10], Some(&w[11])));
-            let out = dense(&x, &w[12], Some(&w[13]));
+            let direct = dense(&[f64::from(batch.mass[b])], &w[13], None);
+            let out = dense(&x, &w[12], Some(&w[14]));
+            let out: Vec<f64> = out.iter().zip(direct).map(|(a, b)| a + b).collect();
             let modes: Vec<_> = out.chunks(l.mode_width()).collect();
             let distance = |o: &[f64]| {
                 let joint = (0..l.joints).map(|j| {
@@ -258,7 +264,7 @@ mod tests {
                 100.0 * (joint.sum::<f64>() / l.joints as f64 + wrist.sum::<f64>())
             };
             let distances: Vec<f64> = modes.iter().map(|o| distance(o)).collect();
-            let win = (0..l.modes).min_by(|&a, &b| distances[a].total_cmp(&distances[b])).unwrap();
+            let win = (1..l.modes).fold(0, |best, k| if distances[k] < distances[best] { k } else { best });
             for (k, d) in distances.iter().enumerate() {
                 let share = if k == win { 1.0 - s.share } else { s.share / (l.modes - 1) as f64 };
                 total += share * 2.0 * ((1.0 + d).sqrt() - 1.0);
@@ -273,11 +279,14 @@ mod tests {
 
     #[test]
     fn loss_and_gradients_match_plain_f64_and_finite_differences() {
-        let weights = Weights::initial(LAYOUT, 3);
-        let (encoded, mass, joints, wrist, log_ratio) = batch_arrays();
-        let batch = Batch { encoded: &encoded, mass: &mass, joints: &joints, wrist: &wrist, log_ratio: &log_ratio };
+        let mut weights = Weights::initial(LAYOUT, 3);
+        weights.arrays[13] = wave(weights.arrays[13].len(), 2.1); // zero at the start, which would hide its part
+        let (encoded, joints, wrist) = (wave(5 * 9, 0.7), wave(4, 1.3), wave(18, 0.9));
+        let batch =
+            Batch { encoded: &encoded, mass: &[-1.0, 0.5], joints: &joints, wrist: &wrist, log_ratio: &[0.8, 1.4] };
         let (parts, gradients) = loss_and_gradients(&weights, &batch, &scales()).unwrap();
-        let mut plain: Vec<Vec<f64>> = weights.arrays.iter().map(|a| a.iter().map(|v| f64::from(*v)).collect()).collect();
+        let mut plain: Vec<Vec<f64>> =
+            weights.arrays.iter().map(|a| a.iter().map(|v| f64::from(*v)).collect()).collect();
         let expected = plain_loss(&plain, &batch, &scales());
         assert!((parts.total / expected - 1.0).abs() < 1e-5, "{} against {expected}", parts.total);
         let step = 1e-6;
@@ -303,7 +312,7 @@ mod tests {
     #[test]
     fn order_of_points_does_not_matter_and_mass_does() {
         let weights = Weights::initial(LAYOUT, 9);
-        let (encoded, ..) = batch_arrays();
+        let encoded = wave(5 * 9, 0.7);
         let mut reversed: Vec<f32> = encoded.chunks(9).rev().flatten().copied().collect();
         let a = outputs(&weights, &encoded, &[0.5]).unwrap();
         let b = outputs(&weights, &reversed, &[0.5]).unwrap();

@@ -118,7 +118,12 @@ pub(crate) fn wrist_pose(numbers: &[f64; 9], length_m: f64) -> Pose {
 }
 
 /// What the last layer must say for its output to be this grasp: the inverse of the decoding, cut short of infinity.
-pub(crate) fn outputs_for(data: &Dataset, sample: &GraspSample, centre: &Vector3<f64>, norm: &Normalisation) -> Vec<f32> {
+pub(crate) fn outputs_for(
+    data: &Dataset,
+    sample: &GraspSample,
+    centre: &Vector3<f64>,
+    norm: &Normalisation,
+) -> Vec<f32> {
     let inverse_tanh = |v: f64| v.clamp(-0.999, 0.999).atanh();
     let mut out = Vec::new();
     for (&angle, (middle, half)) in sample.joints.iter().zip(joint_intervals(&data.joint_limits)) {
@@ -144,7 +149,13 @@ mod tests {
     use proptest::prelude::*;
 
     fn norm() -> Normalisation {
-        Normalisation { length_m: 0.1, least_mass_kg: 0.1, most_mass_kg: 0.4, least_squeeze_per_weight: 2.0, most_squeeze_per_weight: 3.0 }
+        Normalisation {
+            length_m: 0.1,
+            least_mass_kg: 0.1,
+            most_mass_kg: 0.4,
+            least_squeeze_per_weight: 2.0,
+            most_squeeze_per_weight: 3.0,
+        }
     }
 
     #[test]

@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use drex_core::Pose;
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::cloud::{box_centre, encode, farthest_points};
@@ -13,7 +13,7 @@ use crate::weights::{Layout, Weights};
 use crate::{Dataset, EpochStats, Error, Result, TrainOptions, TrainReport, net};
 
 /// Objects larger than this many lengths of a hand are taken for a mistake in the units.
-const LARGEST_OBJECT: f64 = 20.0;
+pub(crate) const LARGEST_OBJECT: f64 = 20.0;
 
 /// One grasp that the policy proposes.
 #[derive(Debug, Clone, PartialEq)]
@@ -58,6 +58,13 @@ impl Card {
     }
 }
 
+/// An object ready for the network.
+#[derive(Debug, Clone)]
+pub(crate) struct Scene {
+    centre: Vector3<f64>,
+    encoded: Vec<f32>,
+}
+
 /// A trained network with the numbers and names that give its output a meaning.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GraspPolicy {
@@ -100,42 +107,52 @@ impl GraspPolicy {
         if let Some(i) = points.iter().position(|p| p.iter().any(|v| !v.is_finite())) {
             return Err(Error::query(format!("point {i} is not finite"), "repair the mesh or the sampling"));
         }
-        check_size(points, self.card.normalisation.length_m).map_err(|what| Error::query(what, "give the points in metres"))?;
+        check_size(points, self.card.normalisation.length_m)
+            .map_err(|what| Error::query(what, "give the points in metres"))?;
         let (least, most) = self.mass_range_kg();
         // Written so that a NaN is refused as well.
         if !(mass_kg >= least / MASS_MARGIN && mass_kg <= most * MASS_MARGIN) {
             let what = format!("mass {mass_kg} kg is too far from the {least} .. {most} kg the policy was trained on");
             return Err(Error::query(what, "check the unit (kg), or train with this mass among the samples"));
         }
-        let mut grasps = self.propose(points, mass_kg)?;
+        let mut grasps = self.propose(&self.look(points), mass_kg)?;
         grasps.sort_by(|a, b| b.weight.total_cmp(&a.weight));
         Ok(grasps)
     }
 
-    /// [`predict`](Self::predict) without checks, modes in their own order.
-    pub(crate) fn propose(&self, points: &[Point3<f64>], mass_kg: f64) -> Result<Vec<PredictedGrasp>> {
-        let norm = &self.card.normalisation;
+    /// The object as the network sees it.
+    pub(crate) fn look(&self, points: &[Point3<f64>]) -> Scene {
         let centre = box_centre(points);
         let mut encoded = Vec::new();
         for p in farthest_points(points, &centre, self.card.points) {
-            encode(&(p.coords - centre), norm.length_m, self.card.network.frequencies, &mut encoded);
+            let frequencies = self.card.network.frequencies;
+            encode(&(p.coords - centre), self.card.normalisation.length_m, frequencies, &mut encoded);
         }
-        let outputs = net::outputs(&self.weights, &encoded, &[norm.mass_input(mass_kg)])?;
+        Scene { centre, encoded }
+    }
+
+    /// [`predict`](Self::predict) without checks, modes in their own order.
+    pub(crate) fn propose(&self, scene: &Scene, mass_kg: f64) -> Result<Vec<PredictedGrasp>> {
+        let norm = &self.card.normalisation;
+        let outputs = net::outputs(&self.weights, &scene.encoded, &[norm.mass_input(mass_kg)])?;
         let joints = self.card.network.joints;
-        let modes: Vec<Vec<f64>> =
-            outputs.chunks_exact(self.card.network.mode_width()).map(|m| m.iter().map(|v| f64::from(*v)).collect()).collect();
+        let modes: Vec<Vec<f64>> = outputs
+            .chunks_exact(self.card.network.mode_width())
+            .map(|m| m.iter().map(|v| f64::from(*v)).collect())
+            .collect();
         let largest = modes.iter().map(|m| m[joints + 10]).fold(f64::NEG_INFINITY, f64::max);
         let sum: f64 = modes.iter().map(|m| (m[joints + 10] - largest).exp()).sum();
+        let intervals = joint_intervals(&self.card.joint_limits_rad);
         let grasp = |m: &Vec<f64>| {
-            let limits = self.card.joint_limits_rad.iter();
-            let angle = |((o, (middle, half)), (lower, upper)): ((&f64, (f64, f64)), &(f64, f64))| {
-                (middle + half * STRETCH * o.tanh()).clamp(*lower, *upper)
+            let angle = |j: usize| {
+                let ((middle, half), (lower, upper)) = (intervals[j], self.card.joint_limits_rad[j]);
+                (middle + half * STRETCH * m[j].tanh()).clamp(lower, upper)
             };
             let wrist: [f64; 9] = std::array::from_fn(|i| m[joints + i]);
             let mut pose = wrist_pose(&wrist, norm.length_m);
-            pose.translation.vector += centre;
+            pose.translation.vector += scene.centre;
             PredictedGrasp {
-                joints: m[..joints].iter().zip(joint_intervals(&self.card.joint_limits_rad)).zip(limits).map(angle).collect(),
+                joints: (0..joints).map(angle).collect(),
                 object_from_palm: pose,
                 squeeze_n: norm.squeeze_n(m[joints + 9], mass_kg),
                 weight: (m[joints + 10] - largest).exp() / sum,
@@ -211,5 +228,8 @@ pub(crate) fn check_size(points: &[Point3<f64>], length_m: f64) -> Result<(), St
     if 2.0 * radius <= most {
         return Ok(());
     }
-    Err(format!("the object is {:.3} m across, more than the {most} m that a hand of {length_m} m can deal with", 2.0 * radius))
+    Err(format!(
+        "the object is {:.3} m across, more than the {most} m that a hand of {length_m} m can deal with",
+        2.0 * radius
+    ))
 }

@@ -28,6 +28,8 @@ pub struct EpochStats {
 /// Near is measured by [`grasp_distance_m`](crate::grasp_distance_m).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct GraspErrors {
+    /// The grasp distance itself, m of fingertip displacement.
+    pub distance_m: f64,
     /// Root mean square over the joints, rad.
     pub joint_rms_rad: f64,
     /// Distance of the palms, m.

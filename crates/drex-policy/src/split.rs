@@ -68,7 +68,13 @@ fn distinct_grasps(samples: &[GraspSample]) -> Vec<Vec<usize>> {
 
 /// `count` grasps to start the modes from (sample indices), spread over the training grasps: the first at random, each next one with
 /// probability proportional to the squared distance to the nearest one chosen (k-means++, Arthur and Vassilvitskii 2007).
-pub(crate) fn spread_grasps(data: &Dataset, grasps: &[Vec<usize>], count: usize, length_m: f64, seed: u64) -> Vec<usize> {
+pub(crate) fn spread_grasps(
+    data: &Dataset,
+    grasps: &[Vec<usize>],
+    count: usize,
+    length_m: f64,
+    seed: u64,
+) -> Vec<usize> {
     let mut random = random(seed, Stream::Modes);
     let samples: Vec<usize> = grasps.iter().filter_map(|g| g.first().copied()).collect();
     if samples.is_empty() {
@@ -138,7 +144,8 @@ mod tests {
     #[test]
     fn modes_start_in_every_cluster() {
         // Three tight clusters of very different sizes: three draws must hit all three.
-        let angles: Vec<f64> = (0..50).map(|i| [0.0, 2.0, -3.0][[0, 0, 0, 0, 1, 0, 2][i % 7]] + 1e-4 * i as f64).collect();
+        let angles: Vec<f64> =
+            (0..50).map(|i| [0.0, 2.0, -3.0][[0, 0, 0, 0, 1, 0, 2][i % 7]] + 1e-4 * i as f64).collect();
         let data = data(&angles, &[0.1]);
         let split = Split::new(&data, 0, 1);
         for seed in 0..10 {

@@ -1,5 +1,7 @@
 //! The training loop.
 
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::f64::consts::PI;
 use std::ops::ControlFlow;
 use std::time::Instant;
@@ -13,10 +15,13 @@ use crate::cloud::{box_centre, encode, farthest_points};
 use crate::evaluate::{baselines, grasp_errors, mode_reports};
 use crate::net::{Batch, LossParts, Scales, loss_and_gradients};
 use crate::norm::{Normalisation, joint_intervals, outputs_for, relative_to, squeeze_per_weight, wrist_numbers};
-use crate::policy::Card;
+use crate::policy::{Card, LARGEST_OBJECT, Scene, check_size};
 use crate::split::{Split, Stream, random, shuffle, spread_grasps};
 use crate::weights::{Layout, Weights};
-use crate::{Dataset, EpochStats, Error, GraspPolicy, GraspSample, Result, TrainOptions, TrainReport};
+use crate::{
+    Dataset, EpochStats, Error, GraspErrors, GraspPolicy, GraspSample, PredictedGrasp, Result, TrainOptions,
+    TrainReport,
+};
 
 /// After this share of the steps only the winning mode learns: each mode then settles at the centre of the grasps it wins.
 const SHARE_ENDS: f64 = 0.8;
@@ -38,11 +43,12 @@ pub(crate) fn train(
     let mut policy = initial_policy(data, options, &split, &learned)?;
     let mut trainer = Trainer::new(data, options, &policy, &learned);
     let mut adam = Adam::new(&policy.weights.arrays);
+    let scene = policy.look(&data.points);
     let mut curve = Vec::new();
     let mut stopped_early = false;
     for epoch in 0..options.epochs {
         let parts = trainer.epoch(epoch, &mut policy.weights, &mut adam)?;
-        let errors = grasp_errors(&held_out, options.length_m, |s| policy.propose(&data.points, s.mass_kg))?;
+        let errors = held_out_errors(&policy, &scene, &held_out)?;
         let stats = EpochStats {
             epoch,
             joint_loss: parts.joint,
@@ -66,7 +72,7 @@ pub(crate) fn train(
         parameters: policy.weights.layout.parameters(),
         modes: mode_reports(&policy, data, &split)?,
         held_out: curve.last().and_then(|s| s.held_out),
-        baselines: baselines(data, &split, policy.modes(), options)?,
+        baselines: baselines(data, &split, policy.modes(), options),
         curve,
         stopped_early,
         options: options.clone(),
@@ -75,18 +81,44 @@ pub(crate) fn train(
     Ok((policy, report))
 }
 
+/// Errors of the policy as it is; each mass is asked once.
+fn held_out_errors(policy: &GraspPolicy, scene: &Scene, held_out: &[&GraspSample]) -> Result<Option<GraspErrors>> {
+    let mut by_mass: BTreeMap<u64, Vec<PredictedGrasp>> = BTreeMap::new();
+    for sample in held_out {
+        if let Entry::Vacant(entry) = by_mass.entry(sample.mass_kg.to_bits()) {
+            entry.insert(policy.propose(scene, sample.mass_kg)?);
+        }
+    }
+    let proposed = |s: &GraspSample| by_mass.get(&s.mass_kg.to_bits()).cloned().unwrap_or_default();
+    Ok(grasp_errors(held_out, policy.card.normalisation.length_m, proposed))
+}
+
 fn check_cloud(data: &Dataset, options: &TrainOptions) -> Result<()> {
     if data.points.len() < options.points {
         let what = format!("{} surface points, but the network takes {}", data.points.len(), options.points);
         return Err(data.wrong(None, None, what, "sample the surface more densely or lower the option 'points'"));
     }
-    crate::policy::check_size(&data.points, options.length_m).map_err(|what| {
-        data.wrong(None, None, what, "give the points in metres, or set the option 'length_m' to the size of the hand")
-    })
+    let remedy = "give metres, or set the option 'length_m' to the size of the hand";
+    check_size(&data.points, options.length_m).map_err(|what| data.wrong(None, None, what, remedy))?;
+    let centre = box_centre(&data.points);
+    let most = LARGEST_OBJECT * options.length_m;
+    for (i, sample) in data.samples.iter().enumerate() {
+        let gap = (sample.object_from_palm.translation.vector - centre).norm();
+        if gap > most {
+            let what = format!("the palm is {gap:.3} m from the object, more than {most} m");
+            return Err(data.wrong(Some(i), None, what, remedy));
+        }
+    }
+    Ok(())
 }
 
 /// The untrained policy: each mode starts as one of the demonstrations.
-fn initial_policy(data: &Dataset, options: &TrainOptions, split: &Split, learned: &[&GraspSample]) -> Result<GraspPolicy> {
+fn initial_policy(
+    data: &Dataset,
+    options: &TrainOptions,
+    split: &Split,
+    learned: &[&GraspSample],
+) -> Result<GraspPolicy> {
     let norm = Normalisation::new(learned.iter().copied(), options.length_m);
     let layout = Layout {
         joints: data.joint_names.len(),
@@ -199,4 +231,35 @@ fn normal_vector(random: &mut ChaCha8Rng) -> Vector3<f64> {
     };
     let ((x, y), (z, _)) = (pair(), pair());
     Vector3::new(x, y, z)
+}
+
+#[cfg(all(test, feature = "flex"))]
+mod tests {
+    use super::*;
+    use drex_core::Pose;
+
+    #[test]
+    fn numbers_that_overflow_stop_the_training() {
+        let sample =
+            GraspSample { joints: vec![0.5], object_from_palm: Pose::identity(), squeeze_n: 4.0, mass_kg: 0.2 };
+        let data = Dataset {
+            joint_names: vec!["j".into()],
+            joint_limits: vec![(0.0, 1.0)],
+            hand: "toy".into(),
+            points: (0..8)
+                .map(|i| Point3::new(f64::from(i % 2), f64::from(i / 2 % 2), f64::from(i / 4)) * 0.1)
+                .collect(),
+            samples: vec![sample],
+        };
+        let options = TrainOptions::default().with_points(8).with_hidden(4);
+        let split = Split::new(&data, 0, 0);
+        let learned = [&data.samples[0]];
+        let mut policy = initial_policy(&data, &options, &split, &learned).unwrap();
+        let mut trainer = Trainer::new(&data, &options, &policy, &learned);
+        let mut adam = Adam::new(&policy.weights.arrays);
+        assert!(trainer.epoch(0, &mut policy.weights, &mut adam).is_ok());
+        policy.weights.arrays.iter_mut().flatten().for_each(|w| *w = f32::MAX);
+        let message = trainer.epoch(7, &mut policy.weights, &mut adam).unwrap_err().to_string();
+        assert!(message.contains("epoch 7") && message.contains("lower the learning rate"), "{message}");
+    }
 }

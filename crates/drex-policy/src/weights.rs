@@ -46,6 +46,7 @@ impl Layout {
             ("head1.weight", [h, h]),
             ("head1.bias", [1, h]),
             ("head2.weight", [h, self.modes * self.mode_width()]),
+            ("head2.from_mass", [1, self.modes * self.mode_width()]),
             ("head2.bias", [1, self.modes * self.mode_width()]),
         ]
     }
@@ -66,14 +67,19 @@ pub(crate) struct Weights {
 
 impl Weights {
     /// Where training starts: matrices uniform in ±sqrt(6 / inputs) (He et al. 2015, equation 10, as a uniform distribution), biases zero.
-    /// The last layer is ten times smaller: at the start, modes come from its bias, which the caller sets.
+    /// The last layer is ten times smaller, and zero for the mass: at the start, modes come from its bias, which the caller sets.
     pub fn initial(layout: Layout, seed: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let scale = |name| match name {
+            "head2.weight" => 0.1,
+            "head2.from_mass" => 0.0,
+            _ => 1.0,
+        };
         let arrays = layout.arrays().into_iter().map(|(name, [rows, columns])| {
-            let inputs = if name == "trunk.from_mass" { layout.hidden } else { rows };
-            let scale = if name == "head2.weight" { 0.1 } else { 1.0 };
-            let bound = scale * (6.0 / inputs as f64).sqrt();
-            let draw = |_| if name.ends_with("bias") { 0.0 } else { random.random_range(-bound..bound) as f32 };
+            let bound = scale(name) * (6.0 / rows as f64).sqrt();
+            let draw = |_| {
+                if bound == 0.0 || name.ends_with("bias") { 0.0 } else { random.random_range(-bound..bound) as f32 }
+            };
             (0..rows * columns).map(draw).collect()
         });
         Self { layout, arrays: arrays.collect() }
@@ -94,7 +100,10 @@ impl Weights {
         for ((name, shape), values) in self.layout.arrays().into_iter().zip(&self.arrays) {
             let start = data.len();
             data.extend(values.iter().flat_map(|v| v.to_le_bytes()));
-            header.insert(name.to_owned(), Entry { dtype: "F32".into(), shape: shape.to_vec(), data_offsets: [start, data.len()] });
+            header.insert(
+                name.to_owned(),
+                Entry { dtype: "F32".into(), shape: shape.to_vec(), data_offsets: [start, data.len()] },
+            );
         }
         let mut header = serde_json::to_vec(&header).unwrap_or_default();
         // The format wants the values aligned to eight bytes and allows spaces after the header.
@@ -126,7 +135,9 @@ impl Weights {
             }
             let [start, end] = entry.data_offsets;
             let values = data.get(start..end).filter(|v| v.len() == 4 * shape[0] * shape[1]);
-            let values = values.ok_or_else(|| format!("array '{name}' has bytes {start} .. {end}, which do not hold {shape:?} numbers"))?;
+            let values = values.ok_or_else(|| {
+                format!("array '{name}' has bytes {start} .. {end}, which do not hold {shape:?} numbers")
+            })?;
             used += values.len();
             let values: Vec<f32> = values.as_chunks().0.iter().map(|&b| f32::from_le_bytes(b)).collect();
             if let Some(at) = values.iter().position(|v| !v.is_finite()) {

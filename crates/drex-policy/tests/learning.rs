@@ -38,11 +38,35 @@ fn two_ways_to_grasp_become_two_modes_with_their_force() {
             let nearest = grasps.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap();
             assert!(distance(nearest) < 0.005, "way {i} at {mass} kg is {} m off", distance(nearest));
             let needed = ratio * mass * GRAVITY_M_S2;
-            assert!((nearest.squeeze_n / needed - 1.0).abs() < 0.05, "way {i} at {mass} kg: {} N for {needed} N", nearest.squeeze_n);
+            assert!(
+                (nearest.squeeze_n / needed - 1.0).abs() < 0.05,
+                "way {i} at {mass} kg: {} N for {needed} N",
+                nearest.squeeze_n
+            );
             let share = [2.0 / 3.0, 1.0 / 3.0][i];
             assert!((nearest.weight - share).abs() < 0.1, "way {i} has weight {}", nearest.weight);
         }
     }
+}
+
+#[test]
+fn a_squeeze_that_grows_faster_than_the_weight_is_learned() {
+    // From 2 times the weight at the lightest to 3 times at the heaviest, as when weak joints force a worse distribution.
+    let mut data = toy(24, &MASSES);
+    let ratio = |mass: f64| 2.0 + (mass / 0.1).ln() / 4f64.ln();
+    for s in &mut data.samples {
+        s.squeeze_n = ratio(s.mass_kg) * s.mass_kg * GRAVITY_M_S2;
+    }
+    let (policy, _) = GraspPolicy::train(&data, &small().with_epochs(150), &mut quiet).unwrap();
+    for mass in [0.1, 0.14, 0.2, 0.3, 0.4] {
+        for g in policy.predict(&box_points(), mass).unwrap() {
+            let needed = ratio(mass) * mass * GRAVITY_M_S2;
+            assert!((g.squeeze_n / needed - 1.0).abs() < 0.05, "{mass} kg: {} N for {needed} N", g.squeeze_n);
+        }
+    }
+    // Outside the data the last ratio stays: the force is exactly proportional to the mass.
+    let at = |mass: f64| policy.predict(&box_points(), mass).unwrap()[0].squeeze_n;
+    assert!((at(1.6) / at(0.8) - 2.0).abs() < 1e-9 && (at(0.4) / at(0.8) - 0.5).abs() < 1e-9);
 }
 
 #[test]

@@ -39,6 +39,7 @@ fn data_that_cannot_be_used() {
     check(|d| d.samples[0].squeeze_n = 1e9, &["sample 0", "times the weight", "units"]);
     check(|d| d.points.truncate(20), &["20 surface points", "takes 48"]);
     check(|d| d.points[7].y = f64::NAN, &["surface point 7"]);
+    check(|d| d.samples[2].object_from_palm.translation.z = 120.0, &["sample 2", "palm is 119", "metres"]);
     check(|d| d.points.iter_mut().for_each(|p| *p *= 1000.0), &["m across", "metres"]);
 }
 
@@ -57,24 +58,16 @@ fn options_that_cannot_be_used() {
         assert!(message.contains(word), "{message}");
     }
     assert!(serde_json::from_str::<TrainOptions>(r#"{"epoch": 3}"#).unwrap_err().to_string().contains("epoch"));
-    assert_eq!(serde_json::from_str::<TrainOptions>(r#"{"epochs": 3}"#).unwrap(), TrainOptions::default().with_epochs(3));
-}
-
-#[test]
-fn a_learning_rate_that_diverges_is_named_or_survives() {
-    let message = match GraspPolicy::train(&toy(6, &[0.1]), &small().with_learning_rate(1.0), &mut |_| ControlFlow::Continue(())) {
-        Ok((_, report)) => {
-            assert!(report.curve.iter().all(|s| s.total.is_finite()));
-            return;
-        }
-        Err(e) => e.to_string(),
-    };
-    assert!(message.contains("learning rate"), "{message}");
+    assert_eq!(
+        serde_json::from_str::<TrainOptions>(r#"{"epochs": 3}"#).unwrap(),
+        TrainOptions::default().with_epochs(3)
+    );
 }
 
 #[test]
 fn queries_that_cannot_be_answered() {
-    let (policy, _) = GraspPolicy::train(&toy(6, &[0.1, 0.2]), &small().with_epochs(1), &mut |_| ControlFlow::Continue(())).unwrap();
+    let (policy, _) =
+        GraspPolicy::train(&toy(6, &[0.1, 0.2]), &small().with_epochs(1), &mut |_| ControlFlow::Continue(())).unwrap();
     let points = box_points();
     let says = |points: &[nalgebra::Point3<f64>], mass: f64, word: &str| {
         let message = policy.predict(points, mass).unwrap_err().to_string();

@@ -57,5 +57,11 @@ pub fn box_points() -> Vec<Point3<f64>> {
 /// Settings that train the toy in about a second.
 #[allow(dead_code)] // not every test file trains small
 pub fn small() -> TrainOptions {
-    TrainOptions::default().with_points(48).with_hidden(24).with_batch(32).with_epochs(60).with_modes(2).with_learning_rate(5e-3)
+    TrainOptions::default()
+        .with_points(48)
+        .with_hidden(24)
+        .with_batch(32)
+        .with_epochs(60)
+        .with_modes(2)
+        .with_learning_rate(5e-3)
 }
