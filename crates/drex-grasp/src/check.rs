@@ -3,7 +3,7 @@
 use drex_core::{MassProperties, Pose, SignedDistance};
 use drex_robot::Robot;
 use nalgebra::{Unit, Vector3};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::{
     ClosureOptions, ContactOptions, HandSurface, Result, SqueezeError, SqueezeProblem, TorqueLimits, force_closure, smallest_squeeze,
@@ -90,7 +90,7 @@ impl Default for CheckOptions {
 }
 
 /// Contacts of one finger.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FingerContacts {
     /// Name of the finger, or `palm`.
     pub finger: String,
@@ -101,7 +101,7 @@ pub struct FingerContacts {
 }
 
 /// The outcome of [`static_check`].
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct StaticCheck {
     /// Whether nothing is in `failures`.

@@ -79,13 +79,28 @@ pub fn force_closure(contacts: &[Contact], options: &ClosureOptions) -> Result<F
         return Ok(open);
     }
     let g = scaled_map(contacts, options, length_m);
-    let closed = spans_all(contacts, &g, options.torsion_m) && balance_margin(contacts, &g, options.torsion_m)? > 1e-6;
+    let closed = closes(contacts, &g, options.torsion_m)?;
     if !closed {
         return Ok(open);
     }
     let epsilon = largest_ball(contacts, &g, options.torsion_m.unwrap_or(0.0) / length_m)?;
     let min_weight = min_weight(contacts, &g, options.min_weight_sides)?.max(0.0);
     Ok(ForceClosure { closed, epsilon, min_weight, length_m })
+}
+
+/// Only the yes or no of [`force_closure`]: one cone programme.
+///
+/// # Errors
+/// As [`force_closure`].
+pub fn is_force_closed(contacts: &[Contact], origin: &Point3<f64>, torsion_m: Option<f64>) -> Result<bool> {
+    validate(contacts)?;
+    let mut options = ClosureOptions::about(*origin);
+    options.torsion_m = torsion_m;
+    closes(contacts, &scaled_map(contacts, &options, characteristic_length_m(contacts, origin)), torsion_m)
+}
+
+fn closes(contacts: &[Contact], g: &Matrix6xX<f64>, torsion_m: Option<f64>) -> Result<bool> {
+    Ok(spans_all(contacts, g, torsion_m) && balance_margin(contacts, g, torsion_m)? > 1e-6)
 }
 
 /// Grasp map with torques in units of force.

@@ -89,7 +89,11 @@ impl HandSurface {
         let poses = robot.forward_kinematics(q, object_from_base);
         let mut contacts = Vec::new();
         for (link, (surface, pose)) in self.links.iter().zip(&poses).enumerate() {
-            let touching = self.near_points(surface, pose, object, options.max_gap_m);
+            let touching = surface
+                .within(pose, object, options.max_gap_m)
+                .into_iter()
+                .filter_map(|(i, s)| Some((pose * surface.samples()[i].0, s.distance_m, s.gradient.try_normalize(1e-9)?)))
+                .collect();
             for (point, distance, gradient) in patch(touching, options) {
                 contacts.push(Contact {
                     point: point - gradient * distance,
@@ -102,52 +106,6 @@ impl HandSurface {
             }
         }
         Ok(contacts)
-    }
-
-    /// How deep each link is inside the object, metres (negative: the gap); minus infinity for links without points. A gap of
-    /// more than `exact_within_m` may be reported larger than that without being exact.
-    pub fn depths(&self, link_poses: &[Pose], object: &dyn SignedDistance, exact_within_m: f64) -> Vec<f64> {
-        self.links
-            .iter()
-            .zip(link_poses)
-            .map(|(surface, pose)| {
-                if surface.samples.is_empty() {
-                    return f64::NEG_INFINITY;
-                }
-                let ball = object.signed_distance(&(pose * surface.center)).distance_m - surface.radius_m;
-                if ball > exact_within_m {
-                    return -ball;
-                }
-                let nearest = surface.samples.iter().map(|(p, _)| object.signed_distance(&(pose * p)).distance_m);
-                -nearest.fold(f64::INFINITY, f64::min)
-            })
-            .collect()
-    }
-
-    /// Points of a link within `gap_m` of the object: position, signed distance, gradient, object frame.
-    fn near_points(
-        &self,
-        surface: &crate::LinkSurface,
-        pose: &Pose,
-        object: &dyn SignedDistance,
-        gap_m: f64,
-    ) -> Vec<(Point3<f64>, f64, Vector3<f64>)> {
-        // A distance changes by at most the way travelled, so a far ball means far points; one spacing covers interpolation.
-        if surface.samples.is_empty()
-            || object.signed_distance(&(pose * surface.center)).distance_m > surface.radius_m + gap_m + self.spacing_m
-        {
-            return Vec::new();
-        }
-        surface
-            .samples
-            .iter()
-            .filter_map(|(p, _)| {
-                let point = pose * p;
-                let s = object.signed_distance(&point);
-                let gradient = s.gradient.try_normalize(1e-9)?;
-                (s.distance_m <= gap_m).then_some((point, s.distance_m, gradient))
-            })
-            .collect()
     }
 }
 

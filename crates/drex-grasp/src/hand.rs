@@ -1,6 +1,8 @@
 //! The hand's surface as points, sampled once and reused for many poses.
 
-use drex_core::Pose;
+use std::collections::BTreeMap;
+
+use drex_core::{Pose, SdfSample, SignedDistance};
 use drex_robot::{Finger, Robot};
 use nalgebra::{Point3, Vector3};
 
@@ -20,17 +22,36 @@ pub struct HandSurface {
     pub spacing_m: f64,
 }
 
-/// Points on one link, with a ball around them.
-#[derive(Debug, Clone)]
-#[non_exhaustive]
+/// Points on one link, in patches with a ball around each, so that far patches are skipped whole.
+#[derive(Debug, Clone, Default)]
 pub struct LinkSurface {
-    /// Points and outward unit normals, link frame, metres.
-    pub samples: Vec<(Point3<f64>, Vector3<f64>)>,
-    /// Centre of a ball around the points, link frame.
-    pub center: Point3<f64>,
-    /// Radius of that ball, metres.
-    pub radius_m: f64,
+    samples: Vec<(Point3<f64>, Vector3<f64>)>,
+    patches: Vec<Patch>,
+    ball: Ball,
 }
+
+/// A run of samples and the ball around them.
+#[derive(Debug, Clone)]
+struct Patch {
+    samples: std::ops::Range<usize>,
+    ball: Ball,
+}
+
+/// A ball in the link's frame, metres.
+#[derive(Debug, Clone, Copy)]
+struct Ball {
+    center: Point3<f64>,
+    radius_m: f64,
+}
+
+impl Default for Ball {
+    fn default() -> Self {
+        Self { center: Point3::origin(), radius_m: 0.0 }
+    }
+}
+
+/// Edge of the cells that make patches, metres.
+const PATCH_M: f64 = 0.012;
 
 impl HandSurface {
     /// Samples every collision shape of `robot` at about `spacing_m`.
@@ -42,8 +63,8 @@ impl HandSurface {
             return Err(GraspError::value(format!("a sample spacing of {spacing_m} m"), "give millimetres, such as 0.003"));
         }
         let links: Vec<LinkSurface> =
-            (0..robot.links.len()).map(|l| LinkSurface::new(robot.surface_samples(l, spacing_m))).collect();
-        if links.iter().all(|l| l.samples.is_empty()) {
+            (0..robot.links.len()).map(|l| LinkSurface::new(&robot.surface_samples(l, spacing_m))).collect();
+        if links.iter().all(|l| l.samples().is_empty()) {
             return Err(GraspError::Robot(format!(
                 "\"{}\" has no collision shapes; load a model that has them",
                 robot.name
@@ -67,27 +88,127 @@ impl HandSurface {
     /// Lowest height of each link's points over the plane `up · x = 0`, in the frame of `link_poses`, metres; infinite for
     /// links without points.
     pub fn lowest(&self, link_poses: &[Pose], up: &Vector3<f64>) -> Vec<f64> {
-        self.links
-            .iter()
-            .zip(link_poses)
-            .map(|(link, pose)| {
-                let up_link = pose.rotation.inverse() * up;
-                let origin = pose.translation.vector.dot(up);
-                link.samples.iter().map(|(p, _)| origin + p.coords.dot(&up_link)).fold(f64::INFINITY, f64::min)
-            })
-            .collect()
+        let each = self.links.iter().zip(link_poses);
+        each.map(|(link, pose)| link.lowest(pose, up, f64::INFINITY).map_or(f64::INFINITY, |l| l.1)).collect()
+    }
+
+    /// How deep each link is inside the object, metres, negative for gaps; minus infinity for links without points or with a gap
+    /// of more than `exact_within_m`.
+    pub fn depths(&self, link_poses: &[Pose], object: &dyn SignedDistance, exact_within_m: f64) -> Vec<f64> {
+        let each = self.links.iter().zip(link_poses);
+        each.map(|(link, pose)| link.nearest(pose, object, exact_within_m).map_or(f64::NEG_INFINITY, |n| -n.1)).collect()
     }
 }
 
 impl LinkSurface {
-    fn new(samples: Vec<(Point3<f64>, Vector3<f64>)>) -> Self {
-        let (mut lo, mut hi) = (Point3::from([f64::INFINITY; 3]), Point3::from([f64::NEG_INFINITY; 3]));
-        for (p, _) in &samples {
-            lo = lo.inf(p);
-            hi = hi.sup(p);
+    /// Patches of these points and outward unit normals (link frame, metres).
+    pub fn new(samples: &[(Point3<f64>, Vector3<f64>)]) -> Self {
+        let mut cells: BTreeMap<[i64; 3], Vec<(Point3<f64>, Vector3<f64>)>> = BTreeMap::new();
+        for s in samples {
+            // Saturates for points that are not finite; no robot model has them.
+            let cell = [0, 1, 2].map(|k| (s.0[k] / PATCH_M).floor() as i64);
+            cells.entry(cell).or_default().push(*s);
         }
-        let center = if samples.is_empty() { Point3::origin() } else { nalgebra::center(&lo, &hi) };
-        let radius_m = samples.iter().map(|(p, _)| (p - center).norm()).fold(0.0, f64::max);
-        Self { samples, center, radius_m }
+        let mut surface = Self { ball: Ball::around(samples), ..Self::default() };
+        for members in cells.into_values() {
+            let start = surface.samples.len();
+            surface.patches.push(Patch { samples: start..start + members.len(), ball: Ball::around(&members) });
+            surface.samples.extend(members);
+        }
+        surface
+    }
+
+    /// The points with their outward unit normals, link frame.
+    pub fn samples(&self) -> &[(Point3<f64>, Vector3<f64>)] {
+        &self.samples
+    }
+
+    /// Centre (link frame) and radius of a ball around all points, metres.
+    pub fn ball(&self) -> (Point3<f64>, f64) {
+        (self.ball.center, self.ball.radius_m)
+    }
+
+    /// The point nearest to (or deepest in) the object, if its signed distance is below `limit_m`: index and distance.
+    ///
+    /// Exact for true distances, which change by no more than the way travelled.
+    pub fn nearest(&self, object_from_link: &Pose, object: &dyn SignedDistance, limit_m: f64) -> Option<(usize, f64)> {
+        let mut best = (None, limit_m);
+        self.visit(object_from_link, object, &mut |i, point, best_so_far| {
+            let d = object.signed_distance(point).distance_m;
+            if d < best_so_far {
+                best = (Some(i), d);
+            }
+            best.1
+        }, limit_m);
+        best.0.map(|i| (i, best.1))
+    }
+
+    /// The points within `limit_m`: index and what the object says there.
+    pub fn within(&self, object_from_link: &Pose, object: &dyn SignedDistance, limit_m: f64) -> Vec<(usize, SdfSample)> {
+        let mut list = Vec::new();
+        self.visit(object_from_link, object, &mut |i, point, limit| {
+            let s = object.signed_distance(point);
+            if s.distance_m <= limit {
+                list.push((i, s));
+            }
+            limit
+        }, limit_m);
+        list
+    }
+
+    /// Lowest point along `up` (object frame): its height over the object's origin and its index, if it is below `limit_m`.
+    pub fn lowest(&self, object_from_link: &Pose, up: &Vector3<f64>, limit_m: f64) -> Option<(usize, f64)> {
+        let origin = object_from_link.translation.vector.dot(up);
+        let up = object_from_link.rotation.inverse() * up;
+        let height = |p: &Point3<f64>| origin + p.coords.dot(&up);
+        let mut best = (None, limit_m);
+        if height(&self.ball.center) - self.ball.radius_m >= limit_m {
+            return None;
+        }
+        for patch in &self.patches {
+            if height(&patch.ball.center) - patch.ball.radius_m < best.1 {
+                for i in patch.samples.clone() {
+                    let h = height(&self.samples[i].0);
+                    if h < best.1 {
+                        best = (Some(i), h);
+                    }
+                }
+            }
+        }
+        best.0.map(|i| (i, best.1))
+    }
+
+    /// Calls `take` (index, point in the object's frame, limit so far → new limit) for the points of all patches that may have
+    /// one below the limit.
+    fn visit(
+        &self,
+        object_from_link: &Pose,
+        object: &dyn SignedDistance,
+        take: &mut dyn FnMut(usize, &Point3<f64>, f64) -> f64,
+        mut limit_m: f64,
+    ) {
+        let beyond = |ball: &Ball, limit: f64| {
+            object.signed_distance(&(object_from_link * ball.center)).distance_m - ball.radius_m > limit
+        };
+        if self.samples.is_empty() || beyond(&self.ball, limit_m) {
+            return;
+        }
+        for patch in &self.patches {
+            if !beyond(&patch.ball, limit_m) {
+                for i in patch.samples.clone() {
+                    limit_m = take(i, &(object_from_link * self.samples[i].0), limit_m);
+                }
+            }
+        }
+    }
+}
+
+impl Ball {
+    /// Centre of the bounding box and the furthest point from it.
+    fn around(samples: &[(Point3<f64>, Vector3<f64>)]) -> Self {
+        let Some(first) = samples.first() else { return Self::default() };
+        let (lo, hi) = samples.iter().fold((first.0, first.0), |(lo, hi), (p, _)| (lo.inf(p), hi.sup(p)));
+        let center = nalgebra::center(&lo, &hi);
+        Self { center, radius_m: samples.iter().map(|(p, _)| (p - center).norm()).fold(0.0, f64::max) }
     }
 }

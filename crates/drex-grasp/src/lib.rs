@@ -29,7 +29,7 @@ mod motors;
 mod squeeze;
 
 pub use check::{CheckOptions, FingerContacts, StaticCheck, StaticGrasp, TablePlane, static_check, static_check_with};
-pub use closure::{ClosureOptions, ForceClosure, force_closure};
+pub use closure::{ClosureOptions, ForceClosure, force_closure, is_force_closed};
 pub use contact::{Contact, characteristic_length_m, grasp_map};
 pub use error::{GraspError, Result};
 pub use find::{ContactOptions, find_contacts};

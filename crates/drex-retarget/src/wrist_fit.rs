@@ -192,6 +192,8 @@ pub struct WristFit {
     pub penetration_mm: f64,
     /// Height of the hand's lowest point over the table, mm.
     pub table_clearance_mm: f64,
+    /// Whether the contacts are in force closure; false for rejected fits.
+    pub force_closure: bool,
     /// Smallest sum of normal forces that carries the object, in units of its weight, at the friction of the options and without
     /// motor limits; `None` if the contacts cannot carry it.
     pub squeeze_per_weight: Option<f64>,

@@ -1,6 +1,6 @@
 //! Where a search ended, judged by the rules.
 
-use drex_grasp::{SqueezeError, SqueezeProblem, smallest_forces};
+use drex_grasp::{Contact, GraspError, SqueezeError, SqueezeProblem, is_force_closed, smallest_forces};
 
 use super::residuals::{Scene, State};
 use super::{FingerGap, Rejection, Verdict, WristFit};
@@ -11,19 +11,26 @@ pub(crate) struct End {
     pub(crate) fit: WristFit,
     /// Sum of what the rules are broken by, mm.
     broken_mm: f64,
+    /// Among the accepted: root mean square correction in units of the largest allowed, plus the squeeze in units of that of a
+    /// plain pinch (one over friction) at [`SLIPPERY`] friction. A hook or a tray that needs less than a pinch is not rewarded for it.
+    score: f64,
 }
 
+/// Ends are compared at this fraction of the friction, so that those at the edge of slipping lose.
+const SLIPPERY: f64 = 0.7;
+/// Score of a grasp that cannot carry the object at that friction.
+const SLIPS: f64 = 10.0;
+
 impl End {
-    /// Accepted before rejected; of the accepted those that can carry the object, with the smallest squeeze plus a little for
-    /// corrections; of the rejected the one that misses by least.
+    /// Accepted before rejected; of the rejected the one that misses by least; of the accepted those in force closure that can
+    /// carry the object, then the least of deviation from the record and squeeze.
     pub(crate) fn better_than(&self, other: &Self) -> bool {
         let rank = |e: &Self| {
-            let held = e.fit.squeeze_per_weight;
-            let correction: f64 = e.fit.correction_rad.iter().map(|c| c * c).sum();
-            (!e.fit.verdict.is_accepted(), e.broken_mm, held.is_none(), held.unwrap_or(0.0) + correction)
+            let held = e.fit.squeeze_per_weight.is_some();
+            (!e.fit.verdict.is_accepted(), e.broken_mm, !(held && e.fit.force_closure), !held, e.score)
         };
         let (a, b) = (rank(self), rank(other));
-        a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)).then(a.3.total_cmp(&b.3)).is_lt()
+        a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then((a.2, a.3).cmp(&(b.2, b.3))).then(a.4.total_cmp(&b.4)).is_lt()
     }
 }
 
@@ -36,15 +43,11 @@ pub(crate) fn judge(scene: &Scene<'_>, state: State) -> Result<End> {
         .iter()
         .zip(&hand.fine.fingers)
         .map(|(pad, finger)| {
-            let gap = pad
-                .points
-                .iter()
-                .map(|&(link, i)| sdf.signed_distance(&(poses[link] * hand.fine.links[link].samples[i].0)).distance_m)
-                .fold(f64::INFINITY, f64::min);
+            let gap = pad.nearest(&poses, sdf).map_or(f64::INFINITY, |n| n.2);
             FingerGap { finger: finger.name.clone(), gap_mm: 1e3 * gap, touches: gap <= options.contact_gap_m }
         })
         .collect();
-    let depths = hand.fine.depths(&poses, sdf, options.contact_gap_m);
+    let depths = hand.fine.depths(&poses, sdf, 0.05);
     let (deepest, depth) = largest(&depths);
     let lowest = hand.fine.lowest(&poses, &scene.table.up);
     let (low_link, below) = largest(&lowest.iter().map(|h| scene.table.height_m - h).collect::<Vec<_>>());
@@ -75,8 +78,13 @@ pub(crate) fn judge(scene: &Scene<'_>, state: State) -> Result<End> {
         reasons.push(Rejection::BelowTable { link: link(low_link), depth_mm: 1e3 * (below + options.min_table_clearance_m) });
         broken_mm += 1e3 * (below + options.min_table_clearance_m);
     }
-    let squeeze_per_weight = if reasons.is_empty() { squeeze_per_weight(scene, &state)? } else { None };
-    let correction_rad = state.joints.iter().zip(&scene.recorded.joints).map(|(q, r)| q - r).collect();
+    let accepted = reasons.is_empty();
+    let force = if accepted { Force::of(scene, &state)? } else { Force::default() };
+    let correction_rad: Vec<f64> = state.joints.iter().zip(&scene.recorded.joints).map(|(q, r)| q - r).collect();
+    let mean_square = correction_rad.iter().map(|c| c * c).sum::<f64>() / correction_rad.len().max(1) as f64;
+    let pinch = 1.0 / (SLIPPERY * options.friction).max(1e-9);
+    let score = mean_square.sqrt() / options.max_finger_correction_rad.max(1e-9)
+        + force.slippery.map_or(SLIPS, |s| (s / pinch).max(1.0));
     let fit = WristFit {
         object_from_base: state.object_from_base,
         joints: state.joints,
@@ -85,22 +93,48 @@ pub(crate) fn judge(scene: &Scene<'_>, state: State) -> Result<End> {
         fingers,
         penetration_mm: 1e3 * depth,
         table_clearance_mm: -1e3 * below,
-        squeeze_per_weight,
-        verdict: if reasons.is_empty() { Verdict::Accepted } else { Verdict::Rejected(reasons) },
+        force_closure: force.closed,
+        squeeze_per_weight: force.squeeze,
+        verdict: if accepted { Verdict::Accepted } else { Verdict::Rejected(reasons) },
     };
-    Ok(End { fit, broken_mm })
+    Ok(End { fit, broken_mm, score })
+}
+
+/// What the contacts can do.
+#[derive(Default)]
+struct Force {
+    closed: bool,
+    /// Squeeze per weight, at the friction of the options and at a fraction of it.
+    squeeze: Option<f64>,
+    slippery: Option<f64>,
+}
+
+impl Force {
+    fn of(scene: &Scene<'_>, state: &State) -> Result<Self> {
+        let hand = scene.hand;
+        let mut contacts =
+            hand.fine.contacts(hand.robot, &state.joints, &state.object_from_base, scene.object.judge, &hand.contact)?;
+        let com = scene.object.center_of_mass;
+        let closed = solved(is_force_closed(&contacts, &com, None).map_err(SqueezeError::from))?.unwrap_or(false);
+        let squeeze = squeeze_per_weight(scene, &contacts)?;
+        contacts.iter_mut().for_each(|c| c.friction *= SLIPPERY);
+        let slippery = squeeze_per_weight(scene, &contacts)?;
+        Ok(Self { closed, squeeze, slippery })
+    }
 }
 
 /// The squeeze for a unit weight; `None` if the contacts cannot carry it.
-fn squeeze_per_weight(scene: &Scene<'_>, state: &State) -> Result<Option<f64>> {
-    let hand = scene.hand;
-    let contacts =
-        hand.fine.contacts(hand.robot, &state.joints, &state.object_from_base, scene.object.judge, &hand.contact)?;
+fn squeeze_per_weight(scene: &Scene<'_>, contacts: &[Contact]) -> Result<Option<f64>> {
     let down = -scene.table.up.into_inner();
-    match smallest_forces(&SqueezeProblem::new(contacts, 1.0, scene.object.center_of_mass, down)) {
-        Ok(forces) => Ok(Some(forces.iter().map(|f| f.x).sum())),
-        // At the edge of closure the solver may stop without an answer: such a grasp is not worth choosing.
-        Err(SqueezeError::Input(drex_grasp::GraspError::Solver { .. })) => Ok(None),
+    let problem = SqueezeProblem::new(contacts.to_vec(), 1.0, scene.object.center_of_mass, down);
+    Ok(solved(smallest_forces(&problem))?.map(|forces| forces.iter().map(|f| f.x).sum()))
+}
+
+/// `None` for a load that cannot be carried and for a solver that stops half-way (the edge of closure): neither is worth choosing.
+fn solved<T>(answer: Result<T, SqueezeError>) -> Result<Option<T>> {
+    match answer {
+        Ok(value) => Ok(Some(value)),
+        Err(SqueezeError::Input(GraspError::Solver { .. })) => Ok(None),
         Err(SqueezeError::Input(error)) => Err(error.into()),
         Err(_) => Ok(None),
     }

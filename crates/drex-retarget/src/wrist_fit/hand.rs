@@ -1,7 +1,7 @@
 //! What the fit needs to know of a hand, worked out once from the model: where the pads are and which way they press.
 
-use drex_core::Pose;
-use drex_grasp::{ContactOptions, HandSurface};
+use drex_core::{Pose, SignedDistance};
+use drex_grasp::{ContactOptions, HandSurface, LinkSurface};
 use drex_robot::Robot;
 use nalgebra::{Point3, Vector3};
 
@@ -21,9 +21,27 @@ pub(crate) struct HandModel<'a> {
     pub(crate) contact: ContactOptions,
 }
 
-/// The points of one finger that may press on an object: link and index of the sample.
+/// The points of one finger that may press on an object, by link.
 pub(crate) struct Pad {
-    pub(crate) points: Vec<(usize, usize)>,
+    pub(crate) parts: Vec<(usize, LinkSurface)>,
+}
+
+/// A pad point faces the way its link moves when it bends: least cosine of its normal to that way. Straight ahead (the very end of
+/// a fingertip) is 0.
+const FACING: f64 = 0.3;
+
+impl Pad {
+    /// Link, point (object frame) and distance of the pad's point that is nearest to the object.
+    pub(crate) fn nearest(&self, poses: &[Pose], object: &dyn SignedDistance) -> Option<(usize, Point3<f64>, f64)> {
+        let mut best: Option<(usize, Point3<f64>, f64)> = None;
+        for (link, part) in &self.parts {
+            let limit = best.map_or(f64::INFINITY, |b| b.2);
+            if let Some((i, distance)) = part.nearest(&poses[*link], object, limit) {
+                best = Some((*link, poses[*link] * part.samples()[i].0, distance));
+            }
+        }
+        best
+    }
 }
 
 /// A grasp as it was recorded, and the interval that each joint may use.
@@ -53,7 +71,7 @@ impl<'a> HandModel<'a> {
         }
         let pads = [&rough, &fine].map(|surface| pads(robot, surface));
         for (finger, pad) in fine.fingers.iter().zip(&pads[1]) {
-            if pad.points.is_empty() {
+            if pad.parts.iter().all(|(_, p)| p.samples().is_empty()) {
                 return Err(RetargetError::value(
                     format!("finger \"{}\" of robot \"{}\" has no collision shapes on its last links", finger.name, robot.name),
                     "add shapes to the model",
@@ -122,7 +140,7 @@ fn pads(robot: &Robot, surface: &HandSurface) -> Vec<Pad> {
         .fingers
         .iter()
         .map(|finger| {
-            let mut points = Vec::new();
+            let mut parts = Vec::new();
             let mut far = poses[finger.tip_link] * finger.tip_point;
             for &j in finger.joints.iter().rev().take(2) {
                 let (axis, anchor) = robot.joint_axis(&poses, j);
@@ -130,15 +148,13 @@ fn pads(robot: &Robot, surface: &HandSurface) -> Vec<Pad> {
                 let palmar = (axis * bends).cross(&(far - anchor)).try_normalize(1e-9);
                 let next_joints = &finger.joints[finger.joints.iter().position(|&k| k == j).map_or(0, |p| p + 1)..];
                 for link in rigid_part(robot, &finger.links, robot.joints[j].link, next_joints) {
-                    let samples = &surface.links[link].samples;
-                    points.extend((0..samples.len()).filter(|&i| {
-                        // A little beyond the side counts: fingertips press with their end as well.
-                        palmar.is_none_or(|d| (poses[link] * samples[i].1).dot(&d) > -0.2)
-                    }).map(|i| (link, i)));
+                    let facing = |n: &Vector3<f64>| palmar.is_none_or(|d| (poses[link] * n).dot(&d) > FACING);
+                    let samples = surface.links[link].samples().iter().filter(|s| facing(&s.1)).copied();
+                    parts.push((link, LinkSurface::new(&samples.collect::<Vec<_>>())));
                 }
                 far = anchor;
             }
-            Pad { points }
+            Pad { parts }
         })
         .collect()
 }

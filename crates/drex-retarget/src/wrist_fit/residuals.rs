@@ -22,7 +22,7 @@ const FADE_M: f64 = 0.012;
 const BALANCE: f64 = 3.0;
 const BALANCE_LENGTH_M: f64 = 0.04;
 /// Weight of a correction as large as allowed.
-const CORRECTION: f64 = 0.3;
+const CORRECTION: f64 = 1.5;
 /// Step for the curvature of the distance field, metres.
 const CURVATURE_STEP_M: f64 = 0.002;
 
@@ -120,49 +120,27 @@ impl View {
         };
         let poses = hand.robot.forward_kinematics(&state.joints, &state.object_from_base);
         let sdf = scene.object.search;
-        let pads = pads
-            .iter()
-            .map(|pad| {
-                let mut best = (f64::INFINITY, 0, Point3::origin());
-                for &(link, i) in &pad.points {
-                    let point = poses[link] * surface.links[link].samples[i].0;
-                    let d = sdf.signed_distance(&point).distance_m;
-                    if d < best.0 {
-                        best = (d, link, point);
-                    }
-                }
-                Active { link: best.1, point: best.2, distance: best.0, gradient: sdf.signed_distance(&best.2).gradient }
-            })
-            .collect();
+        let active = |link: usize, point: Point3<f64>, distance: f64| Active {
+            link,
+            point,
+            distance,
+            gradient: sdf.signed_distance(&point).gradient,
+        };
+        // A pad without points would have been refused when the hand was made.
+        let pads = pads.iter().filter_map(|pad| pad.nearest(&poses, sdf)).map(|(l, p, d)| active(l, p, d)).collect();
         let mut inside = Vec::new();
         let mut low = Vec::new();
         let up = scene.table.up.into_inner();
+        let floor = scene.table.height_m + scene.options.min_table_clearance_m + TABLE_MARGIN_M;
         for (link, (part, pose)) in surface.links.iter().zip(&poses).enumerate() {
-            if part.samples.is_empty() {
-                continue;
+            let (center, radius) = part.ball();
+            if box_distance(scene.object.bounds, &(pose * center)) < radius
+                && let Some((i, distance)) = part.nearest(pose, sdf, 0.0)
+            {
+                inside.push(active(link, pose * part.samples()[i].0, distance));
             }
-            let center = pose * part.center;
-            if sdf.signed_distance(&center).distance_m < part.radius_m {
-                let mut best = (0.0, Point3::origin());
-                for (p, _) in &part.samples {
-                    let point = pose * p;
-                    let d = sdf.signed_distance(&point).distance_m;
-                    if d < best.0 {
-                        best = (d, point);
-                    }
-                }
-                if best.0 < 0.0 {
-                    let gradient = sdf.signed_distance(&best.1).gradient;
-                    inside.push(Active { link, point: best.1, distance: best.0, gradient });
-                }
-            }
-            let floor = scene.table.height_m + scene.options.min_table_clearance_m + TABLE_MARGIN_M;
-            if center.coords.dot(&up) - part.radius_m < floor {
-                let height = |p: &Point3<f64>| (pose * p).coords.dot(&up) - floor;
-                let lowest = part.samples.iter().map(|(p, _)| (height(p), p)).min_by(|a, b| a.0.total_cmp(&b.0));
-                if let Some((h, p)) = lowest.filter(|l| l.0 < 0.0) {
-                    low.push((link, pose * p, h));
-                }
+            if let Some((i, height)) = part.lowest(pose, &up, floor) {
+                low.push((link, pose * part.samples()[i].0, height - floor));
             }
         }
         Self { poses, pads, inside, low }
@@ -282,6 +260,11 @@ fn curvature(scene: &Scene<'_>, point: &Point3<f64>) -> Matrix3<f64> {
             / (2.0 * CURVATURE_STEP_M)
     });
     Matrix3::from_columns(&columns)
+}
+
+/// Distance of a point from a box, a cheap lower bound of the distance from what is in it.
+fn box_distance((lo, hi): (Point3<f64>, Point3<f64>), point: &Point3<f64>) -> f64 {
+    (lo - point).sup(&(point - hi)).sup(&Vector3::zeros()).norm()
 }
 
 /// Velocity of a point of a link per unit of each unknown, 3 × (6 + joints), object frame.
