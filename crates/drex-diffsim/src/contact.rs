@@ -1,18 +1,10 @@
-//! Where a body touches its surroundings, and the forces there, per unit mass of the body.
-//!
-//! Normal: k depth + c rate, never pulling. Friction: a spring per contact that sticks, returned to the Coulomb cone
-//! when it slips (elastic predictor, return mapping), so that a loaded contact below the cone does not creep.
-//! The stiffness of one site is shared with the sites that carry load beside it, weighed by how evenly they carry
-//! (participation ratio), so the total does not grow with the number of points.
+//! Where a body touches its surroundings.
 
 use drex_core::Pose;
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use crate::model::{Anchor, Body, BodyState, ContactOptions};
+use crate::model::{Anchor, Body, BodyState};
 use crate::{Scalar, Scene};
-
-/// Number of sites that carry a flat face at full stiffness: the corners of a box face.
-const FACE_SITES: f64 = 4.0;
 
 /// Touching vertices nearer to one another than this part of the piece's radius stand for one place.
 const NEAR: f64 = 0.4;
@@ -20,15 +12,15 @@ const NEAR: f64 = 0.4;
 /// A closed contact.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Contact<T: Scalar> {
-    site: u32,
+    pub site: u32,
     /// From the centre of mass to the contact, world.
-    arm: Vector3<T>,
+    pub arm: Vector3<T>,
     /// Out of the support.
-    normal: Vector3<T>,
-    depth: T,
-    friction: T,
+    pub normal: Vector3<T>,
+    pub depth: T,
+    pub friction: T,
     /// Velocity of the support there.
-    support_velocity: Vector3<f64>,
+    pub support_velocity: Vector3<f64>,
 }
 
 /// Real parts of a pose, for the search; only what is found is computed with derivatives.
@@ -210,65 +202,6 @@ fn against_sphere<T: Scalar>(
     let x = c - n_world * gap;
     // The sphere pushes into the body, against the outward normal of the face.
     Some(Contact { site: 0, arm: x - com, normal: -n_world, depth: T::lift(radius) - gap, friction: T::zero(), support_velocity: Vector3::zeros() })
-}
-
-/// Sum of contact force and moment about the centre of mass, per unit mass; replaces the anchors of `state`.
-pub(crate) fn forces<T: Scalar>(
-    contacts: &[Contact<T>],
-    options: &ContactOptions,
-    gravity: f64,
-    dt: f64,
-    state: &mut BodyState<T>,
-    spare: &mut Vec<Anchor<T>>,
-) -> (Vector3<T>, Vector3<T>) {
-    spare.clear();
-    let (mut force, mut moment) = (Vector3::zeros(), Vector3::zeros());
-    if contacts.is_empty() {
-        state.anchors.clear();
-        return (force, moment);
-    }
-    let w = options.frequency_rad_s;
-    let (mut sum, mut squares) = (T::zero(), T::zero());
-    for c in contacts {
-        sum += c.depth;
-        squares += c.depth * c.depth;
-    }
-    let ratio = sum * sum / squares * T::lift(1.0 / FACE_SITES);
-    let share = if ratio.value() > 1.0 { T::one() / ratio } else { T::one() } * T::lift(1.0 / FACE_SITES);
-    let k_n = share * T::lift(w * w);
-    let c_n = share * T::lift(2.0 * options.damping_ratio * w);
-    let k_t = k_n * T::lift(options.tangential_ratio);
-    let c_t = share * T::lift(2.0 * options.tangential_damping_ratio * options.tangential_ratio.sqrt() * w);
-    // Damping grows in over a fraction of the rest depth, so that contact begins without a jump.
-    let onset = T::lift(0.1 * gravity / (w * w));
-    let mut old = state.anchors.iter().peekable();
-    for c in contacts {
-        let velocity = state.velocity + state.angular_velocity.cross(&c.arm) - c.support_velocity.map(T::lift);
-        let rate = velocity.dot(&c.normal);
-        let normal = k_n * c.depth - c_n * rate * (c.depth / (c.depth + onset));
-        while old.next_if(|a| a.site < c.site).is_some() {}
-        let kept = old.next_if(|a| a.site == c.site).map_or_else(Vector3::zeros, |a| a.stretch);
-        if !(normal.value() > 0.0) {
-            spare.push(Anchor { site: c.site, stretch: Vector3::zeros() });
-            continue;
-        }
-        let slide = velocity - c.normal * rate;
-        let stretch = kept - c.normal * kept.dot(&c.normal) + slide * T::lift(dt);
-        let trial = -(stretch * k_t + slide * c_t);
-        let (size2, bound) = (trial.norm_squared(), c.friction * normal);
-        let (tangential, stretch) = if size2.value() > (bound * bound).value() {
-            let f = trial * (bound / size2.sqrt());
-            (f, f * (-T::one() / k_t))
-        } else {
-            (trial, stretch)
-        };
-        let f = c.normal * normal + tangential;
-        force += f;
-        moment += c.arm.cross(&f);
-        spare.push(Anchor { site: c.site, stretch });
-    }
-    std::mem::swap(&mut state.anchors, spare);
-    (force, moment)
 }
 
 /// How deep the start pose sinks into its support, and into which; for the check of a scene.

@@ -38,15 +38,13 @@ pub enum SimError {
         /// Number of points given.
         points: usize,
     },
-    /// The time step is not positive or too long for the contact stiffness.
-    #[error("time step {dt_s} s is outside (0, {limit_s:.2e}] s, where contact of {frequency_rad_s} rad/s is stable; take a shorter step or softer contact")]
+    /// The time step is not positive or too long to notice contact in time.
+    #[error("time step {dt_s} s is outside (0, {limit_s}] s; a quarter of a millisecond is usual")]
     TimeStep {
         /// The step asked for.
         dt_s: f64,
-        /// The longest stable one.
+        /// The longest accepted one.
         limit_s: f64,
-        /// Contact frequency of the options.
-        frequency_rad_s: f64,
     },
     /// The state stopped being finite or left every reasonable range.
     #[error("body {body}: the motion diverged at t = {time_s:.4} s (speed {speed:.3e} m/s); take a shorter step, or check forces and masses")]

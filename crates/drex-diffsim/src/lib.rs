@@ -36,6 +36,7 @@ mod error;
 mod hull;
 mod math;
 mod model;
+mod response;
 mod scalar;
 mod scene;
 mod sim;

@@ -5,7 +5,8 @@ use nalgebra::{Translation3, Vector3};
 
 use crate::contact::{self, Contact};
 use crate::math::{exp, renormalized, skew, solve3};
-use crate::model::{Anchor, BodyState};
+use crate::model::BodyState;
+use crate::response;
 use crate::{ForcePoint, Model, Result, Scalar, Scene, SimError, State};
 
 /// Speed beyond which a rollout is called diverged, m/s.
@@ -16,17 +17,17 @@ const SPEED_LIMIT: f64 = 1e4;
 pub struct Workspace<T: Scalar> {
     touching: Vec<(usize, f64)>,
     contacts: Vec<Contact<T>>,
-    anchors: Vec<Anchor<T>>,
+    response: response::Buffers<T>,
 }
 
 impl<T: Scalar> Default for Workspace<T> {
     fn default() -> Self {
-        Self { touching: Vec::new(), contacts: Vec::new(), anchors: Vec::new() }
+        Self { touching: Vec::new(), contacts: Vec::new(), response: response::Buffers::default() }
     }
 }
 
 /// One step of semi-implicit Euler: forces at the old pose, new velocities, and with these the new pose.
-/// The gyroscopic moment is taken at the new angular velocity (one Newton step in the body's frame), orientation moves
+/// Contact forces and the velocities they lead to are found together (implicit in the velocity). The gyroscopic moment is taken at the new angular velocity (one Newton step in the body's frame), orientation moves
 /// by the exponential map.
 ///
 /// # Errors
@@ -34,13 +35,11 @@ impl<T: Scalar> Default for Workspace<T> {
 pub fn step<T: Scalar>(model: &Model<T>, scene: &Scene<T>, state: &mut State<T>, work: &mut Workspace<T>) -> Result<()> {
     let dt = model.dt_s;
     let t = state.time_s;
-    let gravity = scene.gravity.map(|x| x.value()).norm();
     for (index, (body, s)) in model.bodies.iter().zip(&mut state.bodies).enumerate() {
         let q = s.world_from_body.rotation;
         let com = s.world_from_body.translation.vector + q * body.center_of_mass.coords;
         contact::find(body, s, scene, &com, t, &mut work.touching, &mut work.contacts);
-        let (mut linear, mut moment) = contact::forces(&work.contacts, &model.contact, gravity, dt, s, &mut work.anchors);
-        linear += scene.gravity;
+        let (mut linear, mut moment) = (scene.gravity, Vector3::zeros());
         for force in scene.forces.iter().filter(|f| f.body == index) {
             let f = force.mean(t, dt);
             if f == Vector3::zeros() {
@@ -58,8 +57,11 @@ pub fn step<T: Scalar>(model: &Model<T>, scene: &Scene<T>, state: &mut State<T>,
             moment += arm.cross(&f);
         }
         let h = T::lift(dt);
-        s.velocity += linear * h;
-        s.angular_velocity = spin(&body.unit_inertia, &q, &s.angular_velocity, &moment, h);
+        let free = (s.velocity + linear * h, spin(&body.unit_inertia, &q, &s.angular_velocity, &moment, h));
+        let r = q.to_rotation_matrix().into_inner();
+        let inertia = r * body.unit_inertia * r.transpose();
+        (s.velocity, s.angular_velocity) =
+            response::solve(&work.contacts, &model.contact, dt, &inertia, free, s, &mut work.response);
         let rotation = renormalized(exp(&(s.angular_velocity * h)) * q);
         let com = com + s.velocity * h;
         s.world_from_body = Pose::from_parts(Translation3::from(com - rotation * body.center_of_mass.coords), rotation);
