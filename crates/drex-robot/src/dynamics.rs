@@ -50,9 +50,10 @@ impl Robot {
         let mut force = vec![Spatial::zero(); n];
         for (i, link) in self.links.iter().enumerate() {
             // Gravity enters as an upward acceleration of the base.
-            let (mut v, mut a) = link.parent.map_or((Spatial::zero(), Spatial { angular: Vector3::zeros(), linear: -*gravity }), |p| {
-                (velocity[p], acceleration[p])
-            });
+            let (mut v, mut a) =
+                link.parent.map_or((Spatial::zero(), Spatial { angular: Vector3::zeros(), linear: -*gravity }), |p| {
+                    (velocity[p], acceleration[p])
+                });
             for &j in &link.joints {
                 let rate = axes[j].scaled(qd.get(j).copied().unwrap_or_else(T::zero));
                 a = a + v.cross_motion(&rate);

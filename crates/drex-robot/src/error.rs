@@ -25,28 +25,20 @@ pub enum Error {
         remedy: String,
     },
     /// An element of the file cannot be used as it stands.
-    #[error("{}, line {line}, <{element}>: {what}; {remedy}", path.display())]
+    #[error("{place}: {what}; {remedy}")]
     Element {
-        /// The file.
-        path: PathBuf,
-        /// 1-based line.
-        line: u32,
-        /// Tag, with the name of the element where it has one: `joint name="if_mcp"`.
-        element: String,
+        /// Where.
+        place: Box<Place>,
         /// What is wrong.
         what: String,
         /// What to do about it.
         remedy: String,
     },
     /// An attribute of an element cannot be used as it stands.
-    #[error("{}, line {line}, <{element}>, {attribute}=\"{value}\": {what}; {remedy}", path.display())]
+    #[error("{place}, {attribute}=\"{value}\": {what}; {remedy}")]
     Attribute {
-        /// The file.
-        path: PathBuf,
-        /// 1-based line.
-        line: u32,
-        /// Tag, with the name of the element where it has one.
-        element: String,
+        /// Where.
+        place: Box<Place>,
         /// Name of the attribute.
         attribute: String,
         /// Its value in the file.
@@ -104,6 +96,24 @@ pub enum Error {
         /// What to do about it.
         remedy: String,
     },
+}
+
+/// An element in a file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Place {
+    /// The file, or a stand-in for text that came from memory.
+    pub path: PathBuf,
+    /// 1-based line.
+    pub line: u32,
+    /// Tag, with the name of the element where it has one: `joint name="if_mcp"`.
+    pub element: String,
+}
+
+impl std::fmt::Display for Place {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}, line {}, <{}>", self.path.display(), self.line, self.element)
+    }
 }
 
 impl Error {

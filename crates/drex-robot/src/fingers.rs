@@ -5,12 +5,10 @@ use std::collections::BTreeSet;
 use drex_core::Pose;
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use crate::model::{Robot, Shape};
+use crate::model::{JointKind, Robot, Shape};
 
 /// Nearer than this to the last joint, the frame of a tip link says nothing about where the tip is, m.
 const SAME_PLACE: f64 = 1e-3;
-/// Points this close to the farthest one count as the end of a finger, m.
-const TIP_DEPTH: f64 = 2e-3;
 
 /// One finger: the chain of links from the palm to a tip.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,7 +34,8 @@ impl Robot {
     /// without such a palm (an arm).
     pub fn fingers(&self) -> Vec<Finger> {
         let Some(palm) = self.palm_link() else { return Vec::new() };
-        let mut fingers: Vec<Finger> = self.jointed_children(palm).into_iter().map(|first| self.finger(first)).collect();
+        let mut fingers: Vec<Finger> =
+            self.jointed_children(palm).into_iter().map(|first| self.finger(first)).collect();
         if !fingers.iter().any(|f| f.is_thumb)
             && let Some(thumb) = self.thumb_by_direction(&fingers)
         {
@@ -79,7 +78,8 @@ impl Robot {
         let along = (tip(&straight) - base).try_normalize(1e-9)?;
         let mut curl = tip(&bent) - tip(&straight);
         if let (Some(first), Some(last)) = (fingers.first(), fingers.last())
-            && let Some(row) = (self.finger_base(first, &straight) - self.finger_base(last, &straight)).try_normalize(1e-9)
+            && let Some(row) =
+                (self.finger_base(first, &straight) - self.finger_base(last, &straight)).try_normalize(1e-9)
         {
             curl -= row * row.dot(&curl);
             let across = (along - row * row.dot(&along)).try_normalize(1e-9).unwrap_or(along);
@@ -130,7 +130,11 @@ impl Robot {
         loop {
             let jointed = self.jointed_children(at);
             // Where a finger divides, the part with more joints goes on; ties go to the earlier link.
-            let next = jointed.iter().copied().max_by_key(|&c| (self.joints_below(c), std::cmp::Reverse(c))).or_else(|| self.tip_frame(at));
+            let next = jointed
+                .iter()
+                .copied()
+                .max_by_key(|&c| (self.joints_below(c), std::cmp::Reverse(c)))
+                .or_else(|| self.tip_frame(at));
             let Some(next) = next else { break };
             links.push(next);
             at = next;
@@ -152,7 +156,9 @@ impl Robot {
             let own = self.links[i].parent_from_link.translation.vector.norm();
             own + self.links[i].geoms.iter().map(|g| g.link_from_geom.translation.vector.norm()).fold(0.0, f64::max)
         };
-        (0..self.links.len()).filter(|&i| self.links[i].parent == Some(link)).max_by(|&a, &b| reach(a).total_cmp(&reach(b)))
+        (0..self.links.len())
+            .filter(|&i| self.links[i].parent == Some(link))
+            .max_by(|&a, &b| reach(a).total_cmp(&reach(b)))
     }
 
     fn finger_name(&self, links: &[usize]) -> String {
@@ -216,28 +222,39 @@ impl Robot {
         }
         let tip_frame = frames.iter().find(|(l, _)| *l == tip).map_or_else(Pose::identity, |(_, p)| *p);
         let (axis, anchor) = (self.joints[joint].axis, self.joints[joint].anchor);
-        let from_axis = |p: Point3<f64>| {
-            let d = p - anchor;
-            if self.joints[joint].kind == crate::model::JointKind::Revolute { (d - axis * axis.dot(&d)).norm() } else { d.norm() }
-        };
-        if tip != moved && from_axis(Point3::from(tip_frame.translation.vector)) > SAME_PLACE {
+        // Where along its axis a hinge has its anchor says nothing.
+        let turns = self.joints[joint].kind == JointKind::Revolute;
+        let from_axis = |d: Vector3<f64>| if turns { d - axis * axis.dot(&d) } else { d };
+        if tip != moved && from_axis(tip_frame.translation.vector - anchor.coords).norm() > SAME_PLACE {
             return Point3::origin();
         }
         let points: Vec<Point3<f64>> = frames
             .iter()
             .flat_map(|(l, pose)| {
-                self.links[*l].geoms.iter().filter(|g| g.collides()).flat_map(move |g| corners(&g.shape).into_iter().map(move |c| pose * g.link_from_geom * c))
+                self.links[*l].geoms.iter().filter(|g| g.collides()).map(move |g| (pose * g.link_from_geom, g))
             })
+            .flat_map(|(pose, g)| corners(&g.shape).into_iter().map(move |c| pose * c))
             .collect();
-        let farthest = points.iter().map(|p| from_axis(*p)).fold(0.0, f64::max);
-        let end: Vec<&Point3<f64>> = points.iter().filter(|p| from_axis(**p) >= farthest - TIP_DEPTH).collect();
-        if end.is_empty() {
-            return tip_frame.inverse() * anchor;
+        // From the joint through the middle of the shapes to their end, then again with the outer third of them only.
+        let mut tip = anchor;
+        let mut kept = points;
+        for _ in 0..2 {
+            let Some(center) = middle(&kept) else { break };
+            let Some(direction) = from_axis(center - anchor).try_normalize(SAME_PLACE) else { break };
+            let reach = |p: &Point3<f64>| direction.dot(&(p - anchor));
+            let farthest = kept.iter().map(reach).fold(0.0, f64::max);
+            tip = center + direction * (farthest - reach(&center));
+            kept.retain(|p| reach(p) >= farthest * 2.0 / 3.0);
         }
-        // The middle of the end, not the mean of its vertices, which crowd where a mesh is fine.
-        let (lo, hi) = end.iter().fold((*end[0], *end[0]), |(lo, hi), p| (lo.inf(p), hi.sup(p)));
-        tip_frame.inverse() * nalgebra::center(&lo, &hi)
+        tip_frame.inverse() * tip
     }
+}
+
+/// Centre of the bounding box.
+fn middle(points: &[Point3<f64>]) -> Option<Point3<f64>> {
+    let first = *points.first()?;
+    let (lo, hi) = points.iter().fold((first, first), |(lo, hi), p| (lo.inf(p), hi.sup(p)));
+    Some(nalgebra::center(&lo, &hi))
 }
 
 /// Points that span a shape.

@@ -33,7 +33,9 @@ impl Robot {
         let travel = value - convert::<f64, T>(joint.reference);
         let axis: Vector3<T> = joint.axis.map(convert);
         match joint.kind {
-            JointKind::Prismatic => Isometry3::from_parts(Translation3::from(axis * travel), UnitQuaternion::identity()),
+            JointKind::Prismatic => {
+                Isometry3::from_parts(Translation3::from(axis * travel), UnitQuaternion::identity())
+            }
             JointKind::Revolute => {
                 let rotation = UnitQuaternion::from_axis_angle(&Unit::new_unchecked(axis), travel);
                 let anchor: Vector3<T> = joint.anchor.coords.map(convert);
@@ -46,7 +48,10 @@ impl Robot {
     pub fn joint_axis<T: Real>(&self, link_poses: &[Isometry3<T>], j: usize) -> (Vector3<T>, Point3<T>) {
         let joint = &self.joints[j];
         let pose = &link_poses[joint.link];
-        (pose.rotation * joint.axis.map(convert::<f64, T>), pose * Point3::from(joint.anchor.coords.map(convert::<f64, T>)))
+        (
+            pose.rotation * joint.axis.map(convert::<f64, T>),
+            pose * Point3::from(joint.anchor.coords.map(convert::<f64, T>)),
+        )
     }
 
     /// Jacobian of the point of `link` that is at `point_world`, both parts 3 × [`Robot::dof`] in the world frame:

@@ -54,7 +54,7 @@ mod unread;
 mod urdf;
 mod xml;
 
-pub use error::{Error, Result};
+pub use error::{Error, Place, Result};
 pub use fingers::Finger;
 pub use model::{Actuator, ActuatorKind, Geom, GeomRole, Joint, JointKind, Link, Mimic, Robot, Shape};
 

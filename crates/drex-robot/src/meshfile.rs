@@ -28,7 +28,13 @@ fn read_stl(bytes: &[u8], path: &Path) -> Result<TriMesh> {
     let corners = match binary_faces {
         Some(n) if n.checked_mul(50).and_then(|s| s.checked_add(84)) == Some(bytes.len()) => binary_stl_corners(bytes),
         _ if bytes.trim_ascii_start().starts_with(b"solid") => ascii_stl_corners(bytes, path)?,
-        _ => return Err(Error::mesh(path, "neither a binary STL of the length it announces nor a text STL", "export the mesh again")),
+        _ => {
+            return Err(Error::mesh(
+                path,
+                "neither a binary STL of the length it announces nor a text STL",
+                "export the mesh again",
+            ));
+        }
     };
     // STL repeats every corner: equal positions become one vertex.
     let mut mesh = TriMesh::default();
@@ -69,7 +75,11 @@ fn ascii_stl_corners(bytes: &[u8], path: &Path) -> Result<Vec<Point3<f64>>> {
         }
     }
     if corners.len() % 3 != 0 {
-        return Err(Error::mesh(path, format!("{} corners do not make triangles", corners.len()), "export the mesh again"));
+        return Err(Error::mesh(
+            path,
+            format!("{} corners do not make triangles", corners.len()),
+            "export the mesh again",
+        ));
     }
     Ok(corners)
 }
@@ -87,7 +97,11 @@ fn read_obj(bytes: &[u8], path: &Path) -> Result<TriMesh> {
                     .map(|word| corner(word, mesh.vertices.len()).ok_or(word))
                     .collect::<Result<Vec<u32>, _>>()
                     .map_err(|word| {
-                        Error::mesh(path, format!("line {}: \"{word}\" names no vertex before it", i + 1), "export the mesh again")
+                        Error::mesh(
+                            path,
+                            format!("line {}: \"{word}\" names no vertex before it", i + 1),
+                            "export the mesh again",
+                        )
                     })?;
                 // A polygon becomes a fan of triangles.
                 for k in 2..corners.len() {
@@ -111,7 +125,9 @@ fn point(words: &str, path: &Path, line: usize) -> Result<Point3<f64>> {
     let mut numbers = words.split_ascii_whitespace().map(str::parse::<f64>);
     match (numbers.next(), numbers.next(), numbers.next()) {
         (Some(Ok(x)), Some(Ok(y)), Some(Ok(z))) => Ok(Point3::new(x, y, z)),
-        _ => Err(Error::mesh(path, format!("line {}: a vertex is not three numbers", line + 1), "export the mesh again")),
+        _ => {
+            Err(Error::mesh(path, format!("line {}: a vertex is not three numbers", line + 1), "export the mesh again"))
+        }
     }
 }
 
@@ -144,7 +160,8 @@ mod tests {
 
     #[test]
     fn text_and_binary_stl_weld_to_the_same_mesh() {
-        let corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0f32]];
+        let corners =
+            [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0f32]];
         let mut text = String::from("solid a\n");
         let mut binary = vec![0u8; 80];
         binary.extend(2u32.to_le_bytes());

@@ -365,15 +365,26 @@ impl Robot {
         path
     }
 
-    /// Whether a collision between the two links counts: not the same link, not parent and child (links that are
-    /// rigidly attached to one another count as one), not excluded by the file.
+    /// Whether a collision between the two links counts: not the same link, not parent and child, not excluded by the
+    /// file. Links that are rigidly attached to one another count as one; links without shapes between two others, such
+    /// as those between the joints of one body, do not separate them.
     pub fn may_collide(&self, a: usize, b: usize) -> bool {
         let (ra, rb) = (self.rigid_root(a), self.rigid_root(b));
-        let parent_body = |r: usize| self.links[r].parent.map(|p| self.rigid_root(p));
         ra != rb
-            && parent_body(ra) != Some(rb)
-            && parent_body(rb) != Some(ra)
+            && self.shaped_parent(ra) != Some(rb)
+            && self.shaped_parent(rb) != Some(ra)
             && !self.excluded_pairs.contains(&(a.min(b), a.max(b)))
+    }
+
+    /// The next rigid group with shapes up the tree from the group that begins with `root`; the base at the latest.
+    fn shaped_parent(&self, root: usize) -> Option<usize> {
+        let mut at = self.rigid_root(self.links[root].parent?);
+        while let Some(above) = self.links[at].parent
+            && !(at..self.links.len()).any(|l| !self.links[l].geoms.is_empty() && self.rigid_root(l) == at)
+        {
+            at = self.rigid_root(above);
+        }
+        Some(at)
     }
 
     /// The first link up the tree that a joint moves (or the base).

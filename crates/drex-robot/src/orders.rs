@@ -17,28 +17,29 @@ use crate::{Error, Result};
 pub const LEAP_DRIVER_OFFSET_RAD: f64 = std::f64::consts::PI;
 
 const LEAP_SDK: [&str; 16] = [
-    "if_rot", "if_mcp", "if_pip", "if_dip", "mf_rot", "mf_mcp", "mf_pip", "mf_dip", "rf_rot", "rf_mcp", "rf_pip", "rf_dip",
-    "th_cmc", "th_axl", "th_mcp", "th_ipl",
+    "if_rot", "if_mcp", "if_pip", "if_dip", "mf_rot", "mf_mcp", "mf_pip", "mf_dip", "rf_rot", "rf_mcp", "rf_pip",
+    "rf_dip", "th_cmc", "th_axl", "th_mcp", "th_ipl",
 ];
 const LEAP_MENAGERIE: [&str; 16] = [
-    "if_mcp", "if_rot", "if_pip", "if_dip", "mf_mcp", "mf_rot", "mf_pip", "mf_dip", "rf_mcp", "rf_rot", "rf_pip", "rf_dip",
-    "th_cmc", "th_axl", "th_mcp", "th_ipl",
+    "if_mcp", "if_rot", "if_pip", "if_dip", "mf_mcp", "mf_rot", "mf_pip", "mf_dip", "rf_mcp", "rf_rot", "rf_pip",
+    "rf_dip", "th_cmc", "th_axl", "th_mcp", "th_ipl",
 ];
 const LEAP_URDF: [&str; 16] = [
-    "if_mcp", "if_rot", "if_pip", "if_dip", "th_cmc", "th_axl", "th_mcp", "th_ipl", "mf_mcp", "mf_rot", "mf_pip", "mf_dip",
-    "rf_mcp", "rf_rot", "rf_pip", "rf_dip",
+    "if_mcp", "if_rot", "if_pip", "if_dip", "th_cmc", "th_axl", "th_mcp", "th_ipl", "mf_mcp", "mf_rot", "mf_pip",
+    "mf_dip", "rf_mcp", "rf_rot", "rf_pip", "rf_dip",
 ];
 const ALLEGRO: [&str; 16] = [
-    "ffj0", "ffj1", "ffj2", "ffj3", "mfj0", "mfj1", "mfj2", "mfj3", "rfj0", "rfj1", "rfj2", "rfj3", "thj0", "thj1", "thj2",
-    "thj3",
+    "ffj0", "ffj1", "ffj2", "ffj3", "mfj0", "mfj1", "mfj2", "mfj3", "rfj0", "rfj1", "rfj2", "rfj3", "thj0", "thj1",
+    "thj2", "thj3",
 ];
 const ALLEGRO_URDF: [&str; 16] = [
-    "ffj0", "ffj1", "ffj2", "ffj3", "thj0", "thj1", "thj2", "thj3", "mfj0", "mfj1", "mfj2", "mfj3", "rfj0", "rfj1", "rfj2",
-    "rfj3",
+    "ffj0", "ffj1", "ffj2", "ffj3", "thj0", "thj1", "thj2", "thj3", "mfj0", "mfj1", "mfj2", "mfj3", "rfj0", "rfj1",
+    "rfj2", "rfj3",
 ];
 
 /// Names of all orders.
-pub const NAMES: [&str; 6] = ["leap_sdk", "leap_menagerie", "leap_urdf", "allegro_ros", "allegro_menagerie", "allegro_urdf"];
+pub const NAMES: [&str; 6] =
+    ["leap_sdk", "leap_menagerie", "leap_urdf", "allegro_ros", "allegro_menagerie", "allegro_urdf"];
 
 /// Joint names of the bundled model in the order called `name`; see the table above.
 pub fn order(name: &str) -> Option<&'static [&'static str]> {
@@ -57,8 +58,9 @@ pub fn order(name: &str) -> Option<&'static [&'static str]> {
 /// # Errors
 /// If there is no such order.
 pub fn require(name: &str) -> Result<&'static [&'static str]> {
-    order(name)
-        .ok_or_else(|| Error::value(format!("there is no joint order \"{name}\""), format!("use one of {}", NAMES.join(", "))))
+    order(name).ok_or_else(|| {
+        Error::value(format!("there is no joint order \"{name}\""), format!("use one of {}", NAMES.join(", ")))
+    })
 }
 
 /// `values` in joint order `from`, rearranged to joint order `to`, by name.

@@ -29,7 +29,9 @@ impl Robot {
         for (i, geom) in geoms.iter().enumerate() {
             let covered = |p: &Point3<f64>| {
                 geoms.iter().enumerate().any(|(k, other)| {
-                    k != i && closed[k] && other.shape.signed_distance(&other.link_from_geom.inverse_transform_point(p)) < -COVERED
+                    k != i
+                        && closed[k]
+                        && other.shape.signed_distance(&other.link_from_geom.inverse_transform_point(p)) < -COVERED
                 })
             };
             samples.extend(
@@ -47,14 +49,14 @@ impl Robot {
 impl Shape {
     /// Points and outward unit normals on the surface, in the shape's frame, about `spacing_m` apart; none for a plane.
     pub fn surface_samples(&self, spacing_m: f64) -> Vec<Sample> {
-        if !(spacing_m > 0.0) {
+        if spacing_m.is_nan() || spacing_m <= 0.0 {
             return Vec::new();
         }
         match self {
             Self::Plane => Vec::new(),
-            Self::Sphere { radius } => ball(count(4.0 * PI * radius * radius, spacing_m))
-                .map(|n| (Point3::from(n * *radius), n))
-                .collect(),
+            Self::Sphere { radius } => {
+                ball(count(4.0 * PI * radius * radius, spacing_m)).map(|n| (Point3::from(n * *radius), n)).collect()
+            }
             Self::Capsule { radius, half_length } => {
                 let mut samples: Vec<Sample> = ball(count(4.0 * PI * radius * radius, spacing_m))
                     .map(|n| (Point3::from(n * *radius + Vector3::z() * half_length.copysign(n.z)), n))
@@ -144,23 +146,32 @@ fn box_faces(half: &Vector3<f64>, axis: usize, spacing: f64) -> Vec<Sample> {
 fn on_triangles(mesh: &TriMesh, spacing: f64) -> Vec<Sample> {
     let area_per_point = (spacing * spacing).max(mesh.area() / MOST_POINTS as f64);
     let mut samples = Vec::new();
-    // Starting half full puts a point on a mesh smaller than the spacing.
     let mut owed = 0.5;
+    let mut largest: Option<(f64, Sample)> = None;
     for f in 0..mesh.faces.len() {
         let [a, b, c] = mesh.triangle(f);
         let cross = (b - a).cross(&(c - a));
         let Some(normal) = cross.try_normalize(1e-300) else { continue };
-        owed += 0.5 * cross.norm() / area_per_point;
+        let area = 0.5 * cross.norm();
+        if largest.is_none_or(|(most, _)| area > most) {
+            largest = Some((area, (Point3::from((a.coords + b.coords + c.coords) / 3.0), normal)));
+        }
+        owed += area / area_per_point;
         while owed >= 1.0 {
             owed -= 1.0;
             // Roberts' additive sequence in two dimensions.
             let k = samples.len() as f64;
-            let (mut s, mut t) = ((0.5 + k * 0.754_877_666_246_692_8).fract(), (0.5 + k * 0.569_840_290_998_053_3).fract());
+            let (mut s, mut t) =
+                ((0.3 + k * 0.754_877_666_246_692_8).fract(), (0.2 + k * 0.569_840_290_998_053_3).fract());
             if s + t > 1.0 {
                 (s, t) = (1.0 - s, 1.0 - t);
             }
             samples.push((a + (b - a) * s + (c - a) * t, normal));
         }
+    }
+    // A mesh smaller than the spacing has one point.
+    if samples.is_empty() {
+        samples.extend(largest.map(|(_, sample)| sample));
     }
     samples
 }

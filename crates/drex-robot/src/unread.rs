@@ -40,10 +40,9 @@ impl Unread {
             .elements
             .into_iter()
             .map(|(tag, (n, line))| format!("<{tag}> is not read ({}, first in line {line})", times(n)));
-        let attributes = self
-            .attributes
-            .into_iter()
-            .map(|((tag, name), (n, line))| format!("{name} of <{tag}> is not read ({}, first in line {line})", times(n)));
+        let attributes = self.attributes.into_iter().map(|((tag, name), (n, line))| {
+            format!("{name} of <{tag}> is not read ({}, first in line {line})", times(n))
+        });
         self.notes.into_iter().chain(elements).chain(attributes).collect()
     }
 }

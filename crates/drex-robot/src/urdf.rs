@@ -119,7 +119,8 @@ impl<'a> Tree<'a> {
             }
             joints_below.entry(parent).or_default().push(node);
         }
-        let mut roots = root.children_called("link").filter(|l| l.get("name").is_some_and(|n| !joint_above.contains_key(n)));
+        let mut roots =
+            root.children_called("link").filter(|l| l.get("name").is_some_and(|n| !joint_above.contains_key(n)));
         let Some(base) = roots.next() else {
             return Err(root.error("there is no link without a parent", "links form a tree with one root"));
         };
@@ -235,7 +236,14 @@ impl Reader {
             Some(material) => self.read_material(material)?,
             None => None,
         };
-        Ok(Some(Geom { name: node.get("name").map(str::to_owned), link_from_geom: origin(node)?, shape, role, friction: None, rgba }))
+        Ok(Some(Geom {
+            name: node.get("name").map(str::to_owned),
+            link_from_geom: origin(node)?,
+            shape,
+            role,
+            friction: None,
+            rgba,
+        }))
     }
 
     fn read_mesh(&mut self, node: &Node) -> Result<Shape> {
@@ -246,7 +254,11 @@ impl Reader {
             return Ok(shape.clone());
         }
         let path = find_mesh(&self.folder, name).ok_or_else(|| {
-            node.fault("filename", format!("no such file from {} upwards", shown(&self.folder)), "put the mesh where the model names it")
+            node.fault(
+                "filename",
+                format!("no such file from {} upwards", shown(&self.folder)),
+                "put the mesh where the model names it",
+            )
         })?;
         let mesh = meshfile::read_mesh(&path)
             .map_err(|e| node.fault("filename", e.to_string(), "repair or replace the file"))?;
@@ -279,7 +291,8 @@ impl Reader {
         let axis = match node.child("axis") {
             Some(child) => {
                 let axis = child.with_defaults(None).vector("xyz")?.unwrap_or_else(Vector3::x);
-                axis.try_normalize(1e-12).ok_or_else(|| child.fault("xyz", "an axis of length zero", "give a direction"))?
+                axis.try_normalize(1e-12)
+                    .ok_or_else(|| child.fault("xyz", "an axis of length zero", "give a direction"))?
             }
             None => Vector3::x(),
         };
@@ -297,7 +310,9 @@ impl Reader {
                 effort_limit = a.number("effort")?;
                 velocity_limit = a.number("velocity")?;
             }
-            None if !unlimited => return Err(node.error("the joint has no <limit>", "add it, or make the joint continuous")),
+            None if !unlimited => {
+                return Err(node.error("the joint has no <limit>", "add it, or make the joint continuous"));
+            }
             None => {}
         }
         let (mut damping, mut friction_loss) = (0.0, 0.0);
@@ -376,9 +391,7 @@ fn find_mesh(folder: &Path, name: &str) -> Option<PathBuf> {
         .take(8)
         .map(Path::to_path_buf)
         .collect();
-    (0..parts.len()).find_map(|skip| {
-        folders.iter().map(|f| f.join(parts[skip..].join("/"))).find(|p| p.is_file())
-    })
+    (0..parts.len()).find_map(|skip| folders.iter().map(|f| f.join(parts[skip..].join("/"))).find(|p| p.is_file()))
 }
 
 fn shown(folder: &Path) -> String {

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use nalgebra::Vector3;
 
+use crate::error::Place;
 use crate::{Error, Result};
 
 /// Deeper files are refused, so that recursion over the tree cannot exhaust the stack.
@@ -25,11 +26,11 @@ pub(crate) struct Node {
 impl Node {
     /// Parses `text`, which came from `path`.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
-        let document = roxmltree::Document::parse(text).map_err(|e| {
-            Error::document(path, e.pos().row, format!("no well-formed XML ({e})"), "repair the file")
-        })?;
-        let line_starts: Vec<usize> =
-            std::iter::once(0).chain(text.bytes().enumerate().filter(|(_, b)| *b == b'\n').map(|(i, _)| i + 1)).collect();
+        let document = roxmltree::Document::parse(text)
+            .map_err(|e| Error::document(path, e.pos().row, format!("no well-formed XML ({e})"), "repair the file"))?;
+        let line_starts: Vec<usize> = std::iter::once(0)
+            .chain(text.bytes().enumerate().filter(|(_, b)| *b == b'\n').map(|(i, _)| i + 1))
+            .collect();
         Self::from_element(document.root_element(), &Arc::from(path), &line_starts, 0)
     }
 
@@ -41,7 +42,12 @@ impl Node {
     ) -> Result<Self> {
         let line = line_starts.partition_point(|&start| start <= element.range().start) as u32;
         if depth > MAX_DEPTH {
-            return Err(Error::document(path, line, format!("elements are nested more than {MAX_DEPTH} deep"), "flatten the file"));
+            return Err(Error::document(
+                path,
+                line,
+                format!("elements are nested more than {MAX_DEPTH} deep"),
+                "flatten the file",
+            ));
         }
         Ok(Self {
             tag: element.tag_name().name().to_owned(),
@@ -74,7 +80,11 @@ impl Node {
             }
             let file = child.require("file")?;
             let Some(folder) = folder else {
-                return Err(child.fault("file", "text that came without a folder cannot include files", "load the model from a file"));
+                return Err(child.fault(
+                    "file",
+                    "text that came without a folder cannot include files",
+                    "load the model from a file",
+                ));
             };
             let beside = folder.join(file);
             let path = match child.path.parent().map(|p| p.join(file)) {
@@ -128,9 +138,13 @@ impl Node {
         }
     }
 
+    fn place(&self) -> Box<Place> {
+        Box::new(Place { path: self.path.to_path_buf(), line: self.line, element: self.title() })
+    }
+
     /// An error about the element as a whole.
     pub fn error(&self, what: impl Into<String>, remedy: impl Into<String>) -> Error {
-        Error::Element { path: self.path.to_path_buf(), line: self.line, element: self.title(), what: what.into(), remedy: remedy.into() }
+        Error::Element { place: self.place(), what: what.into(), remedy: remedy.into() }
     }
 
     /// An error about one attribute.
@@ -140,9 +154,7 @@ impl Node {
 
     fn fault_with(&self, attribute: &str, value: &str, what: impl Into<String>, remedy: impl Into<String>) -> Error {
         Error::Attribute {
-            path: self.path.to_path_buf(),
-            line: self.line,
-            element: self.title(),
+            place: self.place(),
             attribute: attribute.into(),
             value: value.into(),
             what: what.into(),
@@ -184,22 +196,25 @@ impl<'a> Attributes<'a> {
     /// The numbers of attribute `name`; `None` if it is absent.
     pub fn numbers(&self, name: &str, count: std::ops::RangeInclusive<usize>) -> Result<Option<Vec<f64>>> {
         let Some(text) = self.get(name) else { return Ok(None) };
-        let numbers: Vec<f64> = text
-            .split_ascii_whitespace()
-            .map(|word| {
-                f64::from_str(word)
-                    .ok()
-                    .filter(|v| v.is_finite())
-                    .ok_or_else(|| self.fault(name, format!("\"{word}\" is no finite number"), "give decimal numbers"))
-            })
-            .collect::<Result<_>>()?;
+        let numbers: Vec<f64> =
+            text.split_ascii_whitespace()
+                .map(|word| {
+                    f64::from_str(word).ok().filter(|v| v.is_finite()).ok_or_else(|| {
+                        self.fault(name, format!("\"{word}\" is no finite number"), "give decimal numbers")
+                    })
+                })
+                .collect::<Result<_>>()?;
         if !count.contains(&numbers.len()) {
             let wanted = if count.start() == count.end() {
                 count.start().to_string()
             } else {
                 format!("{} to {}", count.start(), count.end())
             };
-            return Err(self.fault(name, format!("{} numbers where {wanted} are wanted", numbers.len()), "give that many"));
+            return Err(self.fault(
+                name,
+                format!("{} numbers where {wanted} are wanted", numbers.len()),
+                "give that many",
+            ));
         }
         Ok(Some(numbers))
     }

@@ -38,7 +38,8 @@ fn orientations_in_all_their_spellings() {
     assert!(near(&(robot.file_world_from_base.rotation * Vector3::z()), [1.0, 0.0, 0.0]));
     // x then y about moving axes against fixed axes.
     let turned = |sequence: &str| {
-        let text = format!(r#"<compiler eulerseq="{sequence}"/><worldbody><body name="a" euler="90 90 0"/></worldbody>"#);
+        let text =
+            format!(r#"<compiler eulerseq="{sequence}"/><worldbody><body name="a" euler="90 90 0"/></worldbody>"#);
         mjcf(&text).unwrap().file_world_from_base.rotation * Vector3::z()
     };
     assert!(near(&turned("xyz"), [1.0, 0.0, 0.0]));
@@ -104,7 +105,9 @@ fn limits_angles_and_kinds_of_joints() {
     assert!(near(&robot.joints[1].axis, [0.0, 0.6, 0.8]));
     assert_eq!(robot.joints[2].limits, None);
     assert_eq!(robot.collision_geoms().count(), 2);
-    let strict = mjcf(r#"<compiler autolimits="false"/><worldbody><body name="o"><body name="a"><joint name="h" range="-90 90"/></body></body></worldbody>"#);
+    let strict = mjcf(
+        r#"<compiler autolimits="false"/><worldbody><body name="o"><body name="a"><joint name="h" range="-90 90"/></body></body></worldbody>"#,
+    );
     assert_eq!(strict.unwrap().joints[0].limits, None);
 }
 
@@ -119,10 +122,13 @@ fn the_base_is_found_in_a_scene() {
     assert_eq!(scene.links[0].name, "arm");
     assert!(scene.unread.iter().any(|r| r.contains("cube")), "{:?}", scene.unread);
     // A moving body on the world: the world is the base and keeps its shapes.
-    let door = mjcf(r#"<worldbody><geom size="1"/><body name="door"><joint name="j"/><geom size="0.1"/></body></worldbody>"#).unwrap();
+    let door =
+        mjcf(r#"<worldbody><geom size="1"/><body name="door"><joint name="j"/><geom size="0.1"/></body></worldbody>"#)
+            .unwrap();
     assert_eq!((door.links[0].name.as_str(), door.links[0].geoms.len()), ("world", 1));
     // A floating base has the pose that the caller gives it.
-    let floating = mjcf(r#"<worldbody><body name="torso" pos="0 0 1"><freejoint/><geom size="0.1"/></body></worldbody>"#).unwrap();
+    let floating =
+        mjcf(r#"<worldbody><body name="torso" pos="0 0 1"><freejoint/><geom size="0.1"/></body></worldbody>"#).unwrap();
     assert_eq!((floating.dof(), floating.file_world_from_base.translation.z), (0, 1.0));
 }
 
@@ -135,8 +141,14 @@ fn includes_meshes_and_their_reference_pose() {
         fs::write(path, text).unwrap();
     };
     write("assets/tetra.obj", TETRAHEDRON);
-    write("parts/defaults.xml", r#"<mujocoinclude><default><geom type="mesh" density="600"/></default></mujocoinclude>"#);
-    write("parts/finger.xml", r#"<mujocoinclude><body name="f" pos="1 0 0"><joint name="j"/><geom mesh="tetra"/></body></mujocoinclude>"#);
+    write(
+        "parts/defaults.xml",
+        r#"<mujocoinclude><default><geom type="mesh" density="600"/></default></mujocoinclude>"#,
+    );
+    write(
+        "parts/finger.xml",
+        r#"<mujocoinclude><body name="f" pos="1 0 0"><joint name="j"/><geom mesh="tetra"/></body></mujocoinclude>"#,
+    );
     write(
         "robot.xml",
         r#"<mujoco model="m"><compiler meshdir="assets"/><include file="parts/defaults.xml"/>
@@ -159,7 +171,10 @@ fn includes_meshes_and_their_reference_pose() {
         let message = Robot::load(&folder.path().join("bad.xml")).unwrap_err().to_string();
         assert!(message.contains("bad.xml") && message.contains(part), "{message}");
     };
-    refuses(r#"<mujoco><asset><mesh name="gone" file="gone.obj"/></asset><worldbody><body name="b"><geom type="mesh" mesh="gone"/></body></worldbody></mujoco>"#, "gone.obj");
+    refuses(
+        r#"<mujoco><asset><mesh name="gone" file="gone.obj"/></asset><worldbody><body name="b"><geom type="mesh" mesh="gone"/></body></worldbody></mujoco>"#,
+        "gone.obj",
+    );
     refuses(r#"<mujoco><include file="bad.xml"/></mujoco>"#, "includes itself");
     refuses(r#"<mujoco><include file="no.xml"/></mujoco>"#, "no.xml");
 }
@@ -167,18 +182,33 @@ fn includes_meshes_and_their_reference_pose() {
 #[test]
 fn refusals_name_line_element_and_attribute() {
     let cases = [
-        ("<worldbody><body name=\"a\">\n<joint name=\"j\" axis=\"0 0 0\"/></body></worldbody>", &["line 2", "joint name=\"j\"", "axis"][..]),
-        ("<worldbody><body name=\"a\"><geom type=\"box\" size=\"1 x 1\"/></body></worldbody>", &["geom", "size", "\"x\""]),
+        (
+            "<worldbody><body name=\"a\">\n<joint name=\"j\" axis=\"0 0 0\"/></body></worldbody>",
+            &["line 2", "joint name=\"j\"", "axis"][..],
+        ),
+        (
+            "<worldbody><body name=\"a\"><geom type=\"box\" size=\"1 x 1\"/></body></worldbody>",
+            &["geom", "size", "\"x\""],
+        ),
         ("<worldbody><body name=\"a\"><geom type=\"box\" size=\"1 1\"/></body></worldbody>", &["box needs 3 sizes"]),
         ("<worldbody><body name=\"a\"><geom type=\"blob\"/></body></worldbody>", &["type=\"blob\""]),
         ("<worldbody><body name=\"a\"><geom class=\"no\"/></body></worldbody>", &["no default class \"no\"", "main"]),
         ("<worldbody><body name=\"a\"><body name=\"a\"/></body></worldbody>", &["name=\"a\"", "twice"]),
         ("<worldbody><body name=\"a\"><body name=\"b\"><joint type=\"ball\"/></body></body></worldbody>", &["ball"]),
         ("<worldbody><body name=\"a\"><geom type=\"mesh\" mesh=\"m\"/></body></worldbody>", &["no mesh \"m\""]),
-        ("<worldbody><body name=\"a\"/></worldbody><actuator><motor joint=\"k\"/></actuator>", &["joint=\"k\"", "no such joint"]),
-        ("<worldbody><body name=\"a\"/></worldbody><contact><exclude body1=\"a\" body2=\"z\"/></contact>", &["body2=\"z\""]),
+        (
+            "<worldbody><body name=\"a\"/></worldbody><actuator><motor joint=\"k\"/></actuator>",
+            &["joint=\"k\"", "no such joint"],
+        ),
+        (
+            "<worldbody><body name=\"a\"/></worldbody><contact><exclude body1=\"a\" body2=\"z\"/></contact>",
+            &["body2=\"z\""],
+        ),
         ("<compiler coordinate=\"global\"/><worldbody><body name=\"a\"/></worldbody>", &["global"]),
-        ("<worldbody><body name=\"a\"><inertial mass=\"1\" fullinertia=\"1 1 -1 0 0 0\"/></body></worldbody>", &["negative principal moment"]),
+        (
+            "<worldbody><body name=\"a\"><inertial mass=\"1\" fullinertia=\"1 1 -1 0 0 0\"/></body></worldbody>",
+            &["negative principal moment"],
+        ),
         ("<wolrdbody/>", &["wolrdbody"]),
         ("", &["no bodies"]),
     ];
@@ -201,7 +231,15 @@ fn what_is_not_read_is_said() {
     )
     .unwrap();
     let all = robot.unread.join("\n");
-    for part in ["<option>", "<site>", "<tendon>", "\"pull\"", "<muscle>", "condim of <geom> is not read (2 times", "stiffness of <joint>"] {
+    for part in [
+        "<option>",
+        "<site>",
+        "<tendon>",
+        "\"pull\"",
+        "<muscle>",
+        "condim of <geom> is not read (2 times",
+        "stiffness of <joint>",
+    ] {
         assert!(all.contains(part), "{part} is missing in\n{all}");
     }
     assert!(Robot::bundled("leap_right").unwrap().unread.is_empty());
@@ -236,7 +274,10 @@ fn urdf_joints_shapes_and_masses() {
     let names: Vec<&str> = robot.links.iter().map(|l| l.name.as_str()).collect();
     assert_eq!(names, ["base", "mid", "tip"]);
     let j = &robot.joints[0];
-    assert_eq!((j.limits, j.effort_limit, j.velocity_limit, j.damping, j.friction_loss), (Some((-1.0, 2.0)), Some(3.0), Some(4.0), 0.1, 0.2));
+    assert_eq!(
+        (j.limits, j.effort_limit, j.velocity_limit, j.damping, j.friction_loss),
+        (Some((-1.0, 2.0)), Some(3.0), Some(4.0), 0.1, 0.2)
+    );
     assert_eq!((robot.joints[1].limits, robot.joints[1].axis), (None, Vector3::x()));
     let mut q = vec![0.25, 9.0];
     robot.apply_mimic(&mut q);
@@ -248,17 +289,35 @@ fn urdf_joints_shapes_and_masses() {
     assert_eq!(robot.links[0].geoms[0].role, GeomRole::Visual);
     assert!((robot.links[2].inertial.unwrap().mass_kg - 8.0).abs() < 1e-12);
     assert!((robot.links[1].inertial.unwrap().mass_kg - 1000.0 / 6.0).abs() < 1e-9);
-    assert!(robot.unread.iter().any(|r| r.contains("gone.dae")) && robot.unread.iter().any(|r| r.contains("\"tip\" has no mass")));
+    assert!(
+        robot.unread.iter().any(|r| r.contains("gone.dae"))
+            && robot.unread.iter().any(|r| r.contains("\"tip\" has no mass"))
+    );
     let turned = Isometry3::rotation(Vector3::zeros()) * robot.links[1].parent_from_link;
     assert_eq!(turned.rotation, nalgebra::UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3));
 
     for (text, part) in [
-        ("<link name=\"a\"><collision><geometry><mesh filename=\"gone.stl\"/></geometry></collision></link>", "gone.stl"),
+        (
+            "<link name=\"a\"><collision><geometry><mesh filename=\"gone.stl\"/></geometry></collision></link>",
+            "gone.stl",
+        ),
         ("<link name=\"a\"/><link name=\"b\"/>", "second link without a parent"),
-        ("<link name=\"a\"/><joint name=\"j\" type=\"fixed\"><parent link=\"a\"/><child link=\"c\"/></joint>", "link=\"c\""),
-        ("<link name=\"a\"/><link name=\"b\"/><joint name=\"j\" type=\"planar\"><parent link=\"a\"/><child link=\"b\"/></joint>", "type=\"planar\""),
-        ("<link name=\"a\"/><link name=\"b\"/><joint name=\"j\" type=\"revolute\"><parent link=\"a\"/><child link=\"b\"/></joint>", "no <limit>"),
-        ("<link name=\"a\"/><link name=\"b\"/><link name=\"c\"/><joint name=\"j\" type=\"fixed\"><parent link=\"b\"/><child link=\"c\"/></joint><joint name=\"k\" type=\"fixed\"><parent link=\"c\"/><child link=\"b\"/></joint>", "circle"),
+        (
+            "<link name=\"a\"/><joint name=\"j\" type=\"fixed\"><parent link=\"a\"/><child link=\"c\"/></joint>",
+            "link=\"c\"",
+        ),
+        (
+            "<link name=\"a\"/><link name=\"b\"/><joint name=\"j\" type=\"planar\"><parent link=\"a\"/><child link=\"b\"/></joint>",
+            "type=\"planar\"",
+        ),
+        (
+            "<link name=\"a\"/><link name=\"b\"/><joint name=\"j\" type=\"revolute\"><parent link=\"a\"/><child link=\"b\"/></joint>",
+            "no <limit>",
+        ),
+        (
+            "<link name=\"a\"/><link name=\"b\"/><link name=\"c\"/><joint name=\"j\" type=\"fixed\"><parent link=\"b\"/><child link=\"c\"/></joint><joint name=\"k\" type=\"fixed\"><parent link=\"c\"/><child link=\"b\"/></joint>",
+            "circle",
+        ),
     ] {
         let message = urdf(folder.path(), text).unwrap_err().to_string();
         assert!(message.contains("r.urdf") && message.contains("line 1") && message.contains(part), "{message}");
@@ -268,7 +327,30 @@ fn urdf_joints_shapes_and_masses() {
 /// Numbers, tags and attributes shuffled about, text cut anywhere: an answer or an error, never a panic.
 fn damaged(text: &'static str) -> impl Strategy<Value = String> {
     let bytes = text.len();
-    (0..bytes, 0..bytes, prop::sample::select(vec!["", "-", "\"", "<", ">", "/", "0", "1e999", "nan", " ", "class=\"x\"", "<body/>", "<joint type=\"slide\"/>", "type=\"mesh\"", "<include file=\"x\"/>", "&lt;", "é"]), 0..4usize)
+    (
+        0..bytes,
+        0..bytes,
+        prop::sample::select(vec![
+            "",
+            "-",
+            "\"",
+            "<",
+            ">",
+            "/",
+            "0",
+            "1e999",
+            "nan",
+            " ",
+            "class=\"x\"",
+            "<body/>",
+            "<joint type=\"slide\"/>",
+            "type=\"mesh\"",
+            "<include file=\"x\"/>",
+            "&lt;",
+            "é",
+        ]),
+        0..4usize,
+    )
         .prop_map(move |(a, b, piece, mode)| {
             let clip = |i: usize| (0..=i).rev().find(|k| text.is_char_boundary(*k)).unwrap_or(0);
             let (a, b) = (clip(a.min(b)), clip(a.max(b)));

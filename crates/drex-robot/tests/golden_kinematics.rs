@@ -80,7 +80,10 @@ fn check(shared: &Path, name: &str) {
             }
         }
     }
-    eprintln!("{name}: largest difference: pose {:.1e}, jacobian {:.1e}, mass matrix {:.1e}, bias {:.1e}", worst[0], worst[1], worst[2], worst[3]);
+    eprintln!(
+        "{name}: largest difference: pose {:.1e}, jacobian {:.1e}, mass matrix {:.1e}, bias {:.1e}",
+        worst[0], worst[1], worst[2], worst[3]
+    );
     assert!(worst[0] < 1e-9 && worst[1] < 1e-9, "{name}: {worst:?}");
     assert!(worst[2] < 1e-7 && worst[3] < 1e-7, "{name}: {worst:?}");
 }

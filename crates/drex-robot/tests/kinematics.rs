@@ -33,12 +33,21 @@ const ODD: &str = r#"
 </mujoco>"#;
 
 fn models() -> [Robot; 3] {
-    [Robot::from_mjcf_str(ODD, None).unwrap(), Robot::bundled("leap_right").unwrap(), Robot::bundled("allegro_right").unwrap()]
+    [
+        Robot::from_mjcf_str(ODD, None).unwrap(),
+        Robot::bundled("leap_right").unwrap(),
+        Robot::bundled("allegro_right").unwrap(),
+    ]
 }
 
 /// Joint vector at fractions of the range.
 fn within(robot: &Robot, fractions: &[f64]) -> Vec<f64> {
-    robot.joints.iter().zip(fractions).map(|(j, s)| j.limits.map_or(2.0 * s - 1.0, |(lo, hi)| lo + s * (hi - lo))).collect()
+    robot
+        .joints
+        .iter()
+        .zip(fractions)
+        .map(|(j, s)| j.limits.map_or(2.0 * s - 1.0, |(lo, hi)| lo + s * (hi - lo)))
+        .collect()
 }
 
 fn base() -> Isometry3<f64> {
@@ -149,7 +158,10 @@ fn short_and_long_vectors_do_not_panic() {
     for robot in models() {
         let at_reference = robot.forward_kinematics(&robot.reference_position(), &base());
         assert_eq!(robot.forward_kinematics::<f64>(&[], &base()), at_reference);
-        assert_eq!(robot.forward_kinematics(&[robot.reference_position(), vec![1.0; 9]].concat(), &base()), at_reference);
+        assert_eq!(
+            robot.forward_kinematics(&[robot.reference_position(), vec![1.0; 9]].concat(), &base()),
+            at_reference
+        );
         assert_eq!(robot.bias_force::<f64>(&[], &[], &Vector3::zeros()).abs().max(), 0.0);
     }
 }

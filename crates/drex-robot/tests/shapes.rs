@@ -45,7 +45,10 @@ fn an_open_mesh_has_the_mass_of_its_hull() {
     let (a, b) = (full.mass_properties(1.0).unwrap(), open.mass_properties(1.0).unwrap());
     assert!((a.mass_kg - b.mass_kg).abs() < 1e-15 && (a.inertia - b.inertia).abs().max() < 1e-15);
     // Wound inwards: the same solid.
-    let inward = Shape::Mesh(Arc::new(TriMesh { vertices: mesh.vertices.clone(), faces: mesh.faces.iter().map(|f| [f[0], f[2], f[1]]).collect() }));
+    let inward = Shape::Mesh(Arc::new(TriMesh {
+        vertices: mesh.vertices.clone(),
+        faces: mesh.faces.iter().map(|f| [f[0], f[2], f[1]]).collect(),
+    }));
     assert!((inward.mass_properties(1.0).unwrap().mass_kg - a.mass_kg).abs() < 1e-15);
     let flat = Shape::Mesh(Arc::new(TriMesh { vertices: mesh.vertices[..3].to_vec(), faces: vec![[0, 1, 2]] }));
     assert!(flat.mass_properties(1.0).is_none());
@@ -53,8 +56,9 @@ fn an_open_mesh_has_the_mass_of_its_hull() {
 
 #[test]
 fn samples_lie_on_the_surface_and_point_outwards() {
-    let h = 1e-5;
     for shape in shapes() {
+        // Close to the edges of a mesh the distance has a kink.
+        let h = if matches!(shape, Shape::Mesh(_)) { 1e-8 } else { 1e-5 };
         let area = shape.to_mesh(400).unwrap().area();
         let spacing = 0.004;
         let samples = shape.surface_samples(spacing);

@@ -9,8 +9,29 @@ use super::Builder;
 
 const DRIVES: [&str; 4] = ["general", "motor", "position", "velocity"];
 const USED: [&str; 23] = [
-    "name", "class", "group", "joint", "jointinparent", "tendon", "site", "body", "slidersite", "cranksite", "gear", "ctrllimited",
-    "forcelimited", "ctrlrange", "forcerange", "kp", "kv", "gaintype", "biastype", "gainprm", "biasprm", "dyntype", "inheritrange",
+    "name",
+    "class",
+    "group",
+    "joint",
+    "jointinparent",
+    "tendon",
+    "site",
+    "body",
+    "slidersite",
+    "cranksite",
+    "gear",
+    "ctrllimited",
+    "forcelimited",
+    "ctrlrange",
+    "forcerange",
+    "kp",
+    "kv",
+    "gaintype",
+    "biastype",
+    "gainprm",
+    "biasprm",
+    "dyntype",
+    "inheritrange",
 ];
 
 /// Whether elements called `tag` are drives that the reader understands.
@@ -165,6 +186,13 @@ impl Builder {
             let (middle, reach) = (0.5 * (lo + hi), 0.5 * (hi - lo) * s.inherit_range);
             ctrl_range = Some((middle - reach, middle + reach));
         }
-        Ok(Some(Actuator { name, joint, kind, force_range: limit(s.force_range, s.force_limited), ctrl_range, gear: s.gear }))
+        Ok(Some(Actuator {
+            name,
+            joint,
+            kind,
+            force_range: limit(s.force_range, s.force_limited),
+            ctrl_range,
+            gear: s.gear,
+        }))
     }
 }

@@ -74,7 +74,13 @@ impl Assets {
         Ok(assets)
     }
 
-    fn read_mesh(&mut self, node: &Node, defaults: &Defaults, compiler: &Compiler, folder: Option<&Path>) -> Result<()> {
+    fn read_mesh(
+        &mut self,
+        node: &Node,
+        defaults: &Defaults,
+        compiler: &Compiler,
+        folder: Option<&Path>,
+    ) -> Result<()> {
         let a = defaults.resolve(node, None)?;
         let source = if let Some(file) = node.get("file") {
             let file = Path::new(file);
@@ -84,7 +90,8 @@ impl Assets {
                 None => Source::Missing("text that came without a folder cannot name mesh files".into()),
             }
         } else if node.get("vertex").is_some() {
-            inline_mesh(node)?.map_or_else(|| Source::Missing("a mesh of bare vertices has no volume".into()), Source::Inline)
+            inline_mesh(node)?
+                .map_or_else(|| Source::Missing("a mesh of bare vertices has no volume".into()), Source::Inline)
         } else {
             Source::Missing("the mesh has neither file nor vertices".into())
         };
@@ -126,13 +133,19 @@ impl Assets {
             return Ok(mesh.clone());
         }
         let mesh = match &asset.source {
-            Source::Missing(why) => return Err(asset.node.error(why.clone(), "load the model from a file, or use a primitive shape")),
+            Source::Missing(why) => {
+                return Err(asset.node.error(why.clone(), "load the model from a file, or use a primitive shape"));
+            }
             Source::Inline(mesh) => mesh.clone(),
             Source::File(path) => meshfile::read_mesh(path).map_err(|e| super::in_element(&asset.node, &e))?,
         };
         let (shift, rotation) = asset.reference;
         let moved = TriMesh {
-            vertices: mesh.vertices.iter().map(|v| Point3::from(rotation.inverse_transform_vector(&(v.coords - shift)))).collect(),
+            vertices: mesh
+                .vertices
+                .iter()
+                .map(|v| Point3::from(rotation.inverse_transform_vector(&(v.coords - shift))))
+                .collect(),
             faces: mesh.faces,
         };
         let mesh = Arc::new(meshfile::scaled(moved, &asset.scale));
@@ -144,7 +157,9 @@ impl Assets {
     pub fn solid_of(&self, name: &str, shape: &Shape) -> Shape {
         let hull = self.meshes.get(name).is_some_and(|m| m.solid == Solid::Hull);
         match shape {
-            Shape::Mesh(mesh) if hull => shape::convex_hull(mesh).map_or_else(|| shape.clone(), |h| Shape::Mesh(Arc::new(h))),
+            Shape::Mesh(mesh) if hull => {
+                shape::convex_hull(mesh).map_or_else(|| shape.clone(), |h| Shape::Mesh(Arc::new(h)))
+            }
             _ => shape.clone(),
         }
     }

@@ -12,14 +12,47 @@ use super::compiler::InertiaSource;
 use super::geoms::ReadGeom;
 use super::{Builder, unique_name};
 
-const BODY_ATTRIBUTES: [&str; 9] = ["name", "pos", "quat", "axisangle", "xyaxes", "zaxis", "euler", "childclass", "user"];
+const BODY_ATTRIBUTES: [&str; 9] =
+    ["name", "pos", "quat", "axisangle", "xyaxes", "zaxis", "euler", "childclass", "user"];
 const JOINT_ATTRIBUTES: [&str; 15] = [
-    "name", "class", "group", "type", "pos", "axis", "range", "limited", "ref", "armature", "damping", "frictionloss",
-    "actuatorfrcrange", "actuatorfrclimited", "user",
+    "name",
+    "class",
+    "group",
+    "type",
+    "pos",
+    "axis",
+    "range",
+    "limited",
+    "ref",
+    "armature",
+    "damping",
+    "frictionloss",
+    "actuatorfrcrange",
+    "actuatorfrclimited",
+    "user",
 ];
 const GEOM_ATTRIBUTES: [&str; 21] = [
-    "name", "class", "type", "contype", "conaffinity", "group", "size", "material", "friction", "mass", "density", "fromto", "pos",
-    "quat", "axisangle", "xyaxes", "zaxis", "euler", "mesh", "rgba", "user",
+    "name",
+    "class",
+    "type",
+    "contype",
+    "conaffinity",
+    "group",
+    "size",
+    "material",
+    "friction",
+    "mass",
+    "density",
+    "fromto",
+    "pos",
+    "quat",
+    "axisangle",
+    "xyaxes",
+    "zaxis",
+    "euler",
+    "mesh",
+    "rgba",
+    "user",
 ];
 const MESH_ATTRIBUTES: [&str; 9] = ["name", "class", "file", "vertex", "face", "scale", "refpos", "refquat", "inertia"];
 const INERTIAL_ATTRIBUTES: [&str; 9] =
@@ -61,7 +94,11 @@ impl Builder {
             robots = bodies.clone();
         } else {
             for free in bodies.iter().filter(|p| floats(p)) {
-                self.unread.note(format!("<{}> (line {}) floats freely and is no part of the robot", free.node.title(), free.node.line));
+                self.unread.note(format!(
+                    "<{}> (line {}) floats freely and is no part of the robot",
+                    free.node.title(),
+                    free.node.line
+                ));
             }
         }
         match robots[..] {
@@ -104,7 +141,10 @@ impl Builder {
                     self.gather(child, body_from_frame * pose, child.get("childclass").or(childclass), parts)?;
                 }
                 "replicate" | "attach" => {
-                    return Err(child.error("generated bodies are not read", "save the compiled model (MuJoCo's mj_saveLastXML) and load that"));
+                    return Err(child.error(
+                        "generated bodies are not read",
+                        "save the compiled model (MuJoCo's mj_saveLastXML) and load that",
+                    ));
                 }
                 "body" | "geom" | "joint" | "freejoint" | "inertial" => {
                     parts.push(Part { node: child, body_from_frame, childclass });
@@ -119,7 +159,11 @@ impl Builder {
         let node = part.node;
         note_unread_attributes(node, &mut self.unread);
         let childclass = node.get("childclass").or(part.childclass);
-        let name = unique_name(node, |n| self.links.iter().any(|l| l.name == n), |i| format!("body_{}", self.links.len() + i))?;
+        let name = unique_name(
+            node,
+            |n| self.links.iter().any(|l| l.name == n),
+            |i| format!("body_{}", self.links.len() + i),
+        )?;
         let mut pose = part.body_from_frame * self.compiler.pose(&node.with_defaults(None))?;
         let mut parent = parent;
         if parent.is_none() {
@@ -130,7 +174,9 @@ impl Builder {
         self.gather(node, Pose::identity(), childclass, &mut parts)?;
 
         let joints: Vec<&Part<'_>> = parts.iter().filter(|p| p.node.tag == "joint" && !is_free(p.node)).collect();
-        if parent.is_some() && let Some(free) = parts.iter().find(|p| is_free(p.node)) {
+        if parent.is_some()
+            && let Some(free) = parts.iter().find(|p| is_free(p.node))
+        {
             return Err(free.node.error("a body inside another cannot float freely", "use hinges and slides"));
         }
         // One link per joint; the last is the body itself.
@@ -215,8 +261,15 @@ impl Builder {
             _ if source == InertiaSource::Explicit => None,
             _ => {
                 let expected = parts.iter().filter(|p| p.node.tag == "geom").count();
-                if geoms.len() < expected && !self.compiler.discard_visual && geoms.iter().all(|g| g.geom.role != GeomRole::Visual) {
-                    self.unread.note(format!("the mass of <{}> (line {}) comes from its shapes, of which some are left out", body.title(), body.line));
+                if geoms.len() < expected
+                    && !self.compiler.discard_visual
+                    && geoms.iter().all(|g| g.geom.role != GeomRole::Visual)
+                {
+                    self.unread.note(format!(
+                        "the mass of <{}> (line {}) comes from its shapes, of which some are left out",
+                        body.title(),
+                        body.line
+                    ));
                 }
                 let (lo, hi) = self.compiler.inertia_groups;
                 let masses: Vec<MassProperties> =
@@ -258,7 +311,9 @@ impl Builder {
         };
         let least = local.symmetric_eigenvalues().min();
         if least < -1e-9 * local.abs().max() {
-            return Err(node.error(format!("the inertia has a negative principal moment ({least:.3e})"), "repair the model"));
+            return Err(
+                node.error(format!("the inertia has a negative principal moment ({least:.3e})"), "repair the model")
+            );
         }
         let r = pose.rotation.to_rotation_matrix();
         Ok((mass_kg > 0.0).then(|| MassProperties {

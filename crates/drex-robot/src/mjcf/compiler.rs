@@ -8,8 +8,22 @@ use crate::unread::Unread;
 use crate::xml::{Attributes, Node};
 
 const USED: [&str; 17] = [
-    "angle", "eulerseq", "meshdir", "assetdir", "texturedir", "autolimits", "inertiafromgeom", "inertiagrouprange",
-    "balanceinertia", "boundmass", "boundinertia", "settotalmass", "strippath", "discardvisual", "fusestatic", "usethread",
+    "angle",
+    "eulerseq",
+    "meshdir",
+    "assetdir",
+    "texturedir",
+    "autolimits",
+    "inertiafromgeom",
+    "inertiagrouprange",
+    "balanceinertia",
+    "boundmass",
+    "boundinertia",
+    "settotalmass",
+    "strippath",
+    "discardvisual",
+    "fusestatic",
+    "usethread",
     "exactmeshinertia",
 ];
 
@@ -72,7 +86,11 @@ impl Compiler {
                 }
             }
             if a.get("coordinate").is_some_and(|v| v != "local") {
-                return Err(a.fault("coordinate", "global coordinates are not read", "save the model with local coordinates"));
+                return Err(a.fault(
+                    "coordinate",
+                    "global coordinates are not read",
+                    "save the model with local coordinates",
+                ));
             }
             if let Some(folder) = a.get("meshdir").or(a.get("assetdir")) {
                 c.mesh_folder = folder.to_owned();
@@ -106,7 +124,10 @@ impl Compiler {
     /// Position and orientation attributes as a pose.
     pub fn pose(&self, a: &Attributes<'_>) -> Result<Pose> {
         let position = a.vector("pos")?.unwrap_or_default();
-        Ok(Pose::from_parts(Translation3::from(position), self.orientation(a)?.unwrap_or_else(UnitQuaternion::identity)))
+        Ok(Pose::from_parts(
+            Translation3::from(position),
+            self.orientation(a)?.unwrap_or_else(UnitQuaternion::identity),
+        ))
     }
 
     /// The orientation attribute of an element, whichever of the five it is.

@@ -33,7 +33,9 @@ impl Defaults {
             let name = node.get("class").unwrap_or(MAIN);
             let main = defaults.classes.get(MAIN).cloned().unwrap_or_default();
             defaults.read_class(node, name, main, unread)?;
-            if name != MAIN && let Some(class) = defaults.classes.get(name).cloned() {
+            if name != MAIN
+                && let Some(class) = defaults.classes.get(name).cloned()
+            {
                 defaults.classes.insert(MAIN.to_owned(), class);
             }
         }
@@ -74,7 +76,11 @@ impl Defaults {
         let name = node.get("class").or(childclass).unwrap_or(MAIN);
         self.classes.get(name).ok_or_else(|| {
             let known: Vec<&str> = self.classes.keys().map(String::as_str).collect();
-            node.fault(attribute, format!("there is no default class \"{name}\""), format!("use one of {}", known.join(", ")))
+            node.fault(
+                attribute,
+                format!("there is no default class \"{name}\""),
+                format!("use one of {}", known.join(", ")),
+            )
         })
     }
 

@@ -28,7 +28,12 @@ pub(super) struct ReadGeom {
 
 impl Builder {
     /// Reads a shape whose file coordinates are those of `frame`, given in the body. `None` for one that is left out.
-    pub(super) fn read_geom(&mut self, node: &Node, frame: &Pose, childclass: Option<&str>) -> Result<Option<ReadGeom>> {
+    pub(super) fn read_geom(
+        &mut self,
+        node: &Node,
+        frame: &Pose,
+        childclass: Option<&str>,
+    ) -> Result<Option<ReadGeom>> {
         let a = self.defaults.resolve(node, childclass)?;
         let touches = a.number("contype")?.unwrap_or(1.0) != 0.0 || a.number("conaffinity")?.unwrap_or(1.0) != 0.0;
         let group = a.number("group")?.unwrap_or(0.0) as i64;
@@ -56,7 +61,10 @@ impl Builder {
             "mesh" | "sdf" => None,
             // A primitive that is to be fitted to a mesh: the mesh itself says more.
             _ if mesh.is_some() => {
-                self.unread.note(format!("primitive shapes are not fitted to meshes (line {}): the mesh is used itself", node.line));
+                self.unread.note(format!(
+                    "primitive shapes are not fitted to meshes (line {}): the mesh is used itself",
+                    node.line
+                ));
                 None
             }
             kind => Some(primitive(kind, &a, &mut pose)?),
@@ -134,7 +142,13 @@ fn primitive(kind: &str, a: &Attributes<'_>, pose: &mut Pose) -> Result<Option<S
         "box" | "ellipsoid" => 3,
         "plane" => return Ok(Some(Shape::Plane)),
         "hfield" => return Ok(None),
-        _ => return Err(a.fault("type", "no type of shape", "use sphere, capsule, cylinder, box, ellipsoid, plane or mesh")),
+        _ => {
+            return Err(a.fault(
+                "type",
+                "no type of shape",
+                "use sphere, capsule, cylinder, box, ellipsoid, plane or mesh",
+            ));
+        }
     };
     let mut size = a.numbers("size", 1..=3)?.unwrap_or_default();
     if let Some(ends) = a.numbers("fromto", 6..=6)? {

@@ -20,10 +20,23 @@ use assets::Assets;
 use compiler::Compiler;
 use defaults::Defaults;
 
+/// Sections of the file that are read.
+const READ_SECTIONS: [&str; 6] = ["compiler", "default", "asset", "worldbody", "contact", "actuator"];
 /// Sections of the file that say nothing about a robot's body.
 const OTHER_SECTIONS: [&str; 13] = [
-    "option", "size", "visual", "statistic", "custom", "sensor", "keyframe", "tendon", "equality", "deformable", "extension",
-    "plugin", "skin",
+    "option",
+    "size",
+    "visual",
+    "statistic",
+    "custom",
+    "sensor",
+    "keyframe",
+    "tendon",
+    "equality",
+    "deformable",
+    "extension",
+    "plugin",
+    "skin",
 ];
 
 /// Reads MJCF text. `path` names it in messages; `folder` is where its files are.
@@ -33,6 +46,13 @@ pub(crate) fn read(xml: &str, path: &Path, folder: Option<&Path>) -> Result<Robo
         return Err(root.error("this is no MJCF model", "the root element must be <mujoco>"));
     }
     root.expand_includes(folder)?;
+    if let Some(odd) = root
+        .children
+        .iter()
+        .find(|c| !READ_SECTIONS.contains(&c.tag.as_str()) && !OTHER_SECTIONS.contains(&c.tag.as_str()))
+    {
+        return Err(odd.error("no section of an MJCF model", "check the spelling"));
+    }
 
     let mut unread = Unread::default();
     let compiler = Compiler::read(&root, &mut unread)?;
@@ -68,7 +88,6 @@ impl Builder {
         let mut actuators = Vec::new();
         for section in &root.children {
             match section.tag.as_str() {
-                "compiler" | "default" | "asset" | "worldbody" => {}
                 "contact" => {
                     for child in &section.children {
                         if child.tag == "exclude" {
@@ -84,7 +103,7 @@ impl Builder {
                     }
                 }
                 tag if OTHER_SECTIONS.contains(&tag) => self.unread.element(section),
-                _ => return Err(section.error("no section of an MJCF model", "check the spelling")),
+                _ => {}
             }
         }
         excluded_pairs.sort_unstable();
