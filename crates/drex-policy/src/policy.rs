@@ -233,3 +233,14 @@ pub(crate) fn check_size(points: &[Point3<f64>], length_m: f64) -> Result<(), St
         2.0 * radius
     ))
 }
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn policies_cross_threads() {
+        fn shared<T: Send + Sync>() {}
+        shared::<super::GraspPolicy>();
+        shared::<super::PredictedGrasp>();
+        shared::<crate::Error>();
+    }
+}

@@ -167,6 +167,7 @@ struct Entry {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
 
     const SMALL: Layout = Layout { joints: 2, modes: 3, hidden: 4, frequencies: 1 };
 
@@ -189,5 +190,47 @@ mod tests {
         assert!((variance * 64.0 / 2.0 - 1.0).abs() < 0.05, "He: variance 2 / inputs, found {variance}");
         assert!(weights.arrays[1].iter().all(|v| *v == 0.0));
         assert_eq!(layout.parameters(), weights.arrays.iter().map(Vec::len).sum::<usize>());
+    }
+
+    #[test]
+    fn damage_is_named() {
+        let weights = Weights::initial(SMALL, 5);
+        let bytes = weights.to_bytes();
+        let start = 8 + u64::from_le_bytes(*bytes.first_chunk().unwrap()) as usize;
+        let says = |bytes: &[u8], word: &str| {
+            let message = Weights::from_bytes(SMALL, bytes).unwrap_err();
+            assert!(message.contains(word), "'{word}' is missing in: {message}");
+        };
+        let header = |from: &str, to: &str| {
+            let text = String::from_utf8(bytes[8..start].to_vec()).unwrap();
+            assert!(text.contains(from), "{text}");
+            let text = text.replacen(from, to, 1);
+            [&(text.len() as u64).to_le_bytes()[..], text.as_bytes(), &bytes[start..]].concat()
+        };
+        says(&[], "shorter than its header");
+        says(&bytes[..20], "longer than the file");
+        says(&bytes[..bytes.len() - 4], "do not hold");
+        says(&[&bytes[..], &[0; 4]].concat(), "but the file holds");
+        says(&u64::MAX.to_le_bytes(), "longer than the file");
+        says(&header("F32", "F16"), "not F32");
+        says(&header("\"trunk.bias\"", "\"trunk.bais\""), "'trunk.bias' is missing");
+        says(&header("{\"head1.bias\"", "{\"more\":0,\"head1.bias\""), "'more' does not belong");
+        says(&header("{\"head1.bias\"", "{{"), "no JSON object");
+        let mut nan = bytes.clone();
+        nan[start..start + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+        says(&nan, "holds NaN at position 0");
+        let with_note = header("{\"head1.bias\"", "{\"__metadata__\":{\"a\":\"b\"},\"head1.bias\"");
+        assert_eq!(Weights::from_bytes(SMALL, &with_note).unwrap(), weights);
+    }
+
+    proptest! {
+        #[test]
+        fn arbitrary_bytes_never_panic(noise in prop::collection::vec(any::<u8>(), 0..40), at in 0usize..2500, cut in any::<bool>()) {
+            let mut bytes = Weights::initial(SMALL, 5).to_bytes();
+            let at = at.min(bytes.len());
+            let end = if cut { bytes.len() } else { (at + noise.len()).min(bytes.len()) };
+            bytes.splice(at..end, noise);
+            let _ = Weights::from_bytes(SMALL, &bytes);
+        }
     }
 }
