@@ -16,8 +16,14 @@ use anyhow::{Context, Result};
 use drex_core::push::{
     ClockConfig, ForceConfig, FrameKind, PoseConfig, PushConfig, StartConfig, Support, TrackConfig, TrackFormat,
 };
-use drex_core::{MassProperties, Pose, TriMesh, fsutil, pose};
+use drex_core::joints::JointPoses;
+use drex_core::readers::{GraspFile, write_grasps_json};
+use drex_core::{MassProperties, Pose, Surface, TriMesh, fsutil, pose};
 use drex_diffsim::{AppliedForce, Body, ConvexPiece, ForcePoint, Model, Scene, State, Table, rollout};
+use drex_grasp::TablePlane;
+use drex_mesh::{AssetOptions, GridSdf, MeshSdf, asset_from_mesh};
+use drex_retarget::{ObjectSurface, WristFitOptions, fit_wrists};
+use drex_robot::Robot;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -35,12 +41,16 @@ const PUSH_HEIGHT_M: f64 = 0.066;
 const POSITION_SD_M: f64 = 0.002;
 const ROTATION_SD_RAD: f64 = PI / 180.0;
 const FORCE_SD_N: f64 = 0.02;
+/// Demonstrations, and the noise of their joint angles.
+const GRASPS: usize = 40;
+const JOINT_SD_RAD: f64 = 0.03;
 
 fn main() -> Result<()> {
     let out = std::env::args().nth(1).map_or_else(|| PathBuf::from("data/demo"), PathBuf::from);
     let shells = [prism(TIN, 0.0)?, prism(LID, TIN.1)?];
     fsutil::write_atomic(&out.join("scan/tin.obj"), obj(&shells).as_bytes())?;
     make_push(&shells, &out.join("push/tilt"))?;
+    make_grasps(&shells, &out.join("demos/grasps.json"))?;
     let truth = format!("{{\"mass_kg\": {TRUE_MASS_KG}, \"friction\": {TRUE_FRICTION}}}\n");
     fsutil::write_atomic(&out.join("truth.json"), truth.as_bytes())?;
     Ok(())
@@ -167,6 +177,63 @@ fn make_push(shells: &[TriMesh], folder: &Path) -> Result<()> {
     fsutil::write_atomic(&folder.join("push.toml"), config.to_toml_string()?.as_bytes())?;
     eprintln!("the tin leans by up to {:.1} degrees; it tips above {tipping_n:.3} N", highest_tilt.to_degrees());
     Ok(())
+}
+
+/// Grasps of the tin: hands closed by random amounts, put onto the surface with large corrections allowed, then
+/// recorded as joint angles with noise and without the wrist, as a retargeted human demonstration would be.
+fn make_grasps(shells: &[TriMesh], file: &Path) -> Result<()> {
+    let robot = Robot::bundled("leap_right")?;
+    let tin = asset_from_mesh(&merged(shells)?, &AssetOptions::default())?;
+    let exact = MeshSdf::new(&tin.visual)?;
+    let grid = GridSdf::new(exact.clone())?;
+    let table = TablePlane::under(&tin.visual.vertices, Vector3::z()).context("the tin has no vertices")?;
+    let object = ObjectSurface {
+        search: &grid,
+        judge: &exact,
+        bounds: exact.bounds(),
+        center_of_mass: tin.properties.center_of_mass,
+    };
+    let mut fit = WristFitOptions::default().with_seed(SEED);
+    fit.max_finger_correction_rad = 0.5;
+    let mut rng = ChaCha8Rng::seed_from_u64(SEED + 1);
+    let closed: Vec<Vec<f64>> = (0..2 * GRASPS).map(|_| closed_hand(&robot, &mut rng)).collect();
+    let fits = fit_wrists(&robot, &closed, &object, &table, &fit)?;
+    let rows: Vec<Vec<f64>> = fits
+        .iter()
+        .filter(|f| f.verdict.is_accepted() && f.squeeze_per_weight.is_some())
+        .take(GRASPS)
+        .map(|f| f.joints.iter().map(|q| ((q + JOINT_SD_RAD * normal3(&mut rng).x) * 1e4).round() / 1e4).collect())
+        .collect();
+    eprintln!("{} grasps of {} tries", rows.len(), closed.len());
+    let names = robot.joint_names().into_iter().map(str::to_owned).collect();
+    Ok(write_grasps_json(file, &GraspFile::new(&JointPoses { names, rows }))?)
+}
+
+/// A hand that closes: each finger curls by its own amount, side joints stay near the middle, the thumb opposes.
+fn closed_hand(robot: &Robot, rng: &mut ChaCha8Rng) -> Vec<f64> {
+    let mut q = robot.mid_range();
+    for finger in robot.fingers() {
+        let curl: f64 = 0.25 + 0.35 * rng.random::<f64>();
+        for &j in &finger.joints {
+            if let Some((lo, hi)) = robot.joints[j].limits {
+                let sideways = lo < -0.8 && hi > 0.8 && !finger.is_thumb;
+                let at = if sideways { 0.5 + 0.1 * normal3(rng).x } else { curl + 0.08 * normal3(rng).x };
+                q[j] = lo + at.clamp(0.0, 1.0) * (hi - lo);
+            }
+        }
+    }
+    q
+}
+
+/// All shells as one mesh.
+fn merged(shells: &[TriMesh]) -> Result<TriMesh> {
+    let mut all = TriMesh::default();
+    for shell in shells {
+        let first = all.vertices.len() as u32;
+        all.vertices.extend(&shell.vertices);
+        all.faces.extend(shell.faces.iter().map(|f| f.map(|v| v + first)));
+    }
+    Ok(TriMesh::new(all.vertices, all.faces)?)
 }
 
 /// A half sine of height one.

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use drex_core::push::{ForceChoice, PoseChoice};
+use drex_mesh::LengthUnit;
 
 /// From a scan, a recorded push and human grasps to a weighed digital twin and a grasp with the right force.
 ///
@@ -71,26 +72,15 @@ pub struct AssetArgs {
     /// Mass of the object, kg; without it the density of water is assumed and said so.
     #[arg(long, value_name = "KG", value_parser = positive)]
     pub mass: Option<f64>,
-    /// Unit of the mesh's coordinates.
-    #[arg(long, value_enum, default_value_t = Unit::M)]
-    pub unit: Unit,
-    /// Direction in the mesh that points up while the object stands on the table, as X,Y,Z.
-    #[arg(long, value_name = "X,Y,Z", default_value = "0,0,1", value_parser = direction, allow_hyphen_values = true)]
-    pub up: [f64; 3],
+    /// Unit of the mesh's coordinates: m, cm, mm, in, or auto (told by the size).
+    #[arg(long, value_name = "UNIT", default_value = "auto")]
+    pub unit: LengthUnit,
+    /// Direction in the mesh that points up while the object stands on the table, as X,Y,Z [default: 0,0,1; glTF: 0,1,0].
+    #[arg(long, value_name = "X,Y,Z", value_parser = direction, allow_hyphen_values = true)]
+    pub up: Option<[f64; 3]>,
     /// Coulomb friction written into the MJCF.
     #[arg(long, default_value_t = 0.5, value_parser = positive)]
     pub friction: f64,
-}
-
-/// Unit of length.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Unit {
-    /// metres
-    M,
-    /// centimetres
-    Cm,
-    /// millimetres
-    Mm,
 }
 
 /// `drex identify`.

@@ -35,7 +35,7 @@ fn run(cli: &Cli, ui: &Ui) -> anyhow::Result<()> {
     let seed = cli.common.seed;
     match &cli.command {
         Command::Asset(args) => commands::asset::run(args, ui),
-        Command::Identify(args) => commands::identify::run(args, ui),
+        Command::Identify(args) => commands::identify::run(args, seed, ui),
         Command::Train(args) => commands::run::run(args, twin::Stage::Train, seed, ui),
         Command::Evaluate(args) => commands::run::run(args, twin::Stage::Evaluate, seed, ui),
         Command::Run(args) => commands::run::run(args, twin::Stage::Report, seed, ui),

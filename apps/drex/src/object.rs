@@ -1,18 +1,11 @@
-//! The object as each stage needs it, from the files of the asset stage.
+//! The object between the mesh crate and the crates that use it.
 
-use std::path::Path;
-
-use anyhow::{Context, Result};
-use drex_mesh::{Asset, AssetOptions, build_asset};
+use drex_core::twin::{LengthUnit, ObjectConfig};
+use drex_mesh::{Asset, AssetOptions};
 use drex_sysid::ObjectModel;
+use nalgebra::Vector3;
 
-/// The object of an identification, straight from a mesh file in metres, and the asset it came from.
-pub fn object_model(mesh: &Path) -> Result<(ObjectModel, Asset)> {
-    let asset = build_asset(mesh, &AssetOptions::default())?;
-    Ok((model_of(&asset), asset))
-}
-
-/// Convex pieces and mass properties at one kilogram.
+/// Convex pieces and mass properties at one kilogram, for identification.
 pub fn model_of(asset: &Asset) -> ObjectModel {
     ObjectModel {
         pieces: asset.pieces.iter().map(|p| p.vertices.clone()).collect(),
@@ -20,7 +13,15 @@ pub fn model_of(asset: &Asset) -> ObjectModel {
     }
 }
 
-/// The asset that an earlier stage wrote below `root`.
-pub fn read_asset(root: &Path) -> Result<Asset> {
-    Asset::read(root).with_context(|| format!("reading the asset in {}", root.display()))
+/// The manifest's object as the mesh crate takes it.
+pub fn asset_options(object: &ObjectConfig, friction: f64) -> AssetOptions {
+    let mut options = AssetOptions::default();
+    options.unit = match object.unit {
+        LengthUnit::M => drex_mesh::LengthUnit::Metre,
+        LengthUnit::Cm => drex_mesh::LengthUnit::Centimetre,
+        LengthUnit::Mm => drex_mesh::LengthUnit::Millimetre,
+    };
+    options.up_in_mesh = Some(Vector3::from(object.up_in_mesh));
+    options.friction = friction;
+    options
 }

@@ -2,25 +2,20 @@
 
 use anyhow::Result;
 use drex_mesh::{AssetOptions, build_asset};
+use nalgebra::Vector3;
 
-use crate::cli::{AssetArgs, Unit};
+use crate::cli::AssetArgs;
 use crate::ui::Ui;
 
 /// Builds the asset, writes it, answers with its report.
 pub fn run(args: &AssetArgs, ui: &Ui) -> Result<()> {
-    let unit_m = match args.unit {
-        Unit::M => 1.0,
-        Unit::Cm => 1e-2,
-        Unit::Mm => 1e-3,
-    };
-    let options =
-        AssetOptions::default().with_unit_m(unit_m).with_up_in_mesh(args.up).with_friction(args.friction);
+    let mut options = AssetOptions::default();
+    options.unit = args.unit;
+    options.up_in_mesh = args.up.map(Vector3::from);
+    options.friction = args.friction;
+    options.mass_kg = args.mass;
     let spinner = ui.spinner("asset");
     let asset = build_asset(&args.mesh, &options)?;
-    let asset = match args.mass {
-        Some(mass_kg) => asset.with_mass(mass_kg),
-        None => asset,
-    };
     asset.write(&args.out)?;
     spinner.finish_and_clear();
     let r = &asset.report;

@@ -1,17 +1,20 @@
 //! `drex identify`: weigh an object from recorded pushes, or say why they cannot.
 
-use anyhow::{Context, Result};
+use std::path::Path;
+
+use anyhow::{Result, bail};
 use drex_core::fsutil;
 use drex_core::push::{InputChoice, PushRecording};
+use drex_mesh::{AssetOptions, LengthUnit, build_asset};
 use drex_sysid::{IdentifyOptions, identify};
 
 use crate::cli::{IdentifyArgs, OnOff};
-use crate::object::object_model;
+use crate::object::model_of;
 use crate::report::verdict_text;
 use crate::ui::Ui;
 
 /// Loads the pushes, builds the object from their mesh, identifies, answers.
-pub fn run(args: &IdentifyArgs, ui: &Ui) -> Result<()> {
+pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     let choice = InputChoice { poses: args.poses, force: args.force, encoder: args.encoder == OnOff::On };
     let recordings: Vec<PushRecording> =
         args.pushes.iter().map(|path| PushRecording::load(path, &choice)).collect::<Result<_, _>>()?;
@@ -21,13 +24,31 @@ pub fn run(args: &IdentifyArgs, ui: &Ui) -> Result<()> {
             ui.note(format!("  {line}"));
         }
     }
-    let mesh = &recordings[0].mesh;
-    let (object, _) = object_model(mesh).with_context(|| format!("the object of {}", args.pushes[0].display()))?;
+    let Some(first) = recordings.first() else { bail!("no push was given") };
+    if let Some(other) = recordings.iter().find(|r| !same_file(&r.mesh, &first.mesh)) {
+        bail!(
+            "{} pushes {} and {} pushes {}; several pushes at once must be of one object",
+            first.name,
+            first.mesh.display(),
+            other.name,
+            other.mesh.display()
+        );
+    }
+    let mut metres = AssetOptions::default();
+    metres.unit = LengthUnit::Metre;
+    let object = model_of(&build_asset(&first.mesh, &metres)?);
+    let mut options = IdentifyOptions::default();
+    options.free_friction = args.free_friction;
+    options.seed = seed.unwrap_or(options.seed);
     let spinner = ui.spinner("identify");
-    let result = identify(&recordings, &object, &IdentifyOptions::default().with_free_friction(args.free_friction))?;
+    let result = identify(&recordings, &object, &options)?;
     spinner.finish_and_clear();
     if let Some(out) = &args.out {
         fsutil::write_atomic(out, serde_json::to_string_pretty(&result)?.as_bytes())?;
     }
     ui.answer(&result, verdict_text(&result))
+}
+
+fn same_file(a: &Path, b: &Path) -> bool {
+    matches!((std::fs::canonicalize(a), std::fs::canonicalize(b)), (Ok(a), Ok(b)) if a == b)
 }

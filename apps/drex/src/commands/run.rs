@@ -11,7 +11,7 @@ use crate::ui::Ui;
 pub fn run(args: &TwinArgs, last: Stage, seed: Option<u64>, ui: &Ui) -> Result<()> {
     let mut twin = Twin::open(&args.twin, seed)?;
     let summary = twin.run_until(last, ui)?;
-    let findings = twin.findings(last)?;
+    let findings = crate::report::findings(&twin, last)?;
     let mut answer = json!(summary);
     if let Some(object) = answer.as_object_mut() {
         object.extend(findings.json);

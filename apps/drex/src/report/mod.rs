@@ -13,13 +13,13 @@ use crate::twin::{Evaluation, FitFile, MassFile, Training, Twin, files};
 
 pub use object::closing_text;
 pub use push::verdict_text;
-pub use summary::{Findings, findings};
+pub use summary::findings;
 
 use page::Page;
 
 /// The report as one HTML page.
 pub fn page_of(twin: &Twin) -> Result<String> {
-    let asset = crate::object::read_asset(&twin.root)?;
+    let asset = twin.asset()?;
     let mass: MassFile = files::read_json(&twin.path(files::MASS))?;
     let learned = match &twin.manifest.grasps {
         Some(_) => Some((
@@ -30,13 +30,13 @@ pub fn page_of(twin: &Twin) -> Result<String> {
         None => None,
     };
     let mut page = Page::new(&format!("{}: digital twin", twin.manifest.name));
-    summary::figures(&mut page, &asset, &mass, learned.as_ref().map(|(fits, _, evaluation)| (fits, evaluation)));
-    object::section(&mut page, twin, &asset)?;
+    summary::figures(&mut page, asset, &mass, learned.as_ref().map(|(fits, _, evaluation)| (fits, evaluation)));
+    object::section(&mut page, twin, asset, &mass)?;
     push::section(&mut page, &mass);
     if let Some((fits, training, evaluation)) = &learned {
-        grasps::demonstrations(&mut page, twin, &asset, fits)?;
+        grasps::demonstrations(&mut page, twin, asset, fits)?;
         grasps::training(&mut page, training);
-        grasps::evaluation(&mut page, twin, &asset, fits, evaluation)?;
+        grasps::evaluation(&mut page, twin, asset, fits, evaluation)?;
     }
     provenance(&mut page, twin);
     Ok(page.to_html())

@@ -4,6 +4,9 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use drex_core::{Pose, fsutil, pose};
+use drex_grasp::StaticCheck;
+use drex_policy::TrainReport;
+use drex_sysid::Identification;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -51,7 +54,7 @@ pub struct MassFile {
     /// 95 % interval, kg; only for an identified mass.
     pub ci95_kg: Option<[f64; 2]>,
     /// What the pushes said; absent when there were none.
-    pub identification: Option<serde_json::Value>,
+    pub identification: Option<Identification>,
 }
 
 /// `grasps/wrist_fits.json`.
@@ -82,7 +85,9 @@ pub struct FitRecord {
     pub reasons: Vec<String>,
     /// Joint angles after correction, rad.
     pub joints_rad: Vec<f64>,
-    /// Largest change of a joint against the demonstration, rad.
+    /// Largest distance that a recorded angle was outside its joint's limits, rad.
+    pub largest_clipping_rad: f64,
+    /// Largest change of a joint after clipping, rad.
     pub largest_correction_rad: f64,
     /// Pose of the hand's base in the object's mesh frame.
     pub object_from_base: PoseRecord,
@@ -144,13 +149,18 @@ pub struct JudgedGrasp {
     /// Weight of the mode among the network's answers; absent for demonstrations.
     pub weight: Option<f64>,
     /// The static check.
-    pub check: serde_json::Value,
-    /// Whether the check passed.
-    pub passed: bool,
-    /// Why not.
-    pub reasons: Vec<String>,
-    /// Smallest squeeze by the cone programme at this mass, N; absent when there is none.
-    pub smallest_squeeze_n: Option<f64>,
+    pub check: StaticCheck,
+}
+
+/// `policy/training.json`.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Training {
+    /// Grasps that were learned from.
+    pub grasps: usize,
+    /// Pairs of grasp and mass.
+    pub samples: usize,
+    /// Curve, held-out errors, baselines.
+    pub report: TrainReport,
 }
 
 /// Writes a value as indented JSON.

@@ -1,4 +1,4 @@
-//! Pushes to a mass, and the mass into the asset's MJCF.
+//! Pushes to a mass.
 
 use std::path::PathBuf;
 
@@ -8,24 +8,24 @@ use drex_sysid::{Identification, IdentifyOptions, Verdict, identify};
 
 use super::files::{MASS, write_json};
 use super::{MassFile, MassSource, Twin};
-use crate::object::{model_of, read_asset};
+use crate::object::model_of;
 use crate::ui::Ui;
 
 pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
-    let asset = read_asset(&twin.root)?;
     let recordings = recordings(twin)?;
     let identification = if recordings.is_empty() {
         None
     } else {
         let spinner = ui.spinner("identify");
-        let result = identify(&recordings, &model_of(&asset), &IdentifyOptions::default().with_seed(twin.seed))?;
+        let mut options = IdentifyOptions::default();
+        options.seed = twin.seed;
+        let result = identify(&recordings, &model_of(twin.asset()?), &options)?;
         spinner.finish_and_clear();
         Some(result)
     };
     let mass = choose(twin, &recordings, identification.as_ref())?;
-    asset.with_mass(mass.mass_kg).write_models(&twin.root)?;
     write_json(&twin.path(MASS), &mass)?;
-    Ok(vec![twin.path(MASS), twin.path("asset")])
+    Ok(vec![twin.path(MASS)])
 }
 
 /// The manifest's pushes, loaded.
@@ -56,6 +56,5 @@ fn choose(twin: &Twin, recordings: &[PushRecording], identification: Option<&Ide
         ),
     };
     let ci95_kg = identification.filter(|_| source == MassSource::Identified).and_then(|i| i.ci95_kg);
-    let identification = identification.map(serde_json::to_value).transpose()?;
-    Ok(MassFile { mass_kg, source, ci95_kg, identification })
+    Ok(MassFile { mass_kg, source, ci95_kg, identification: identification.cloned() })
 }

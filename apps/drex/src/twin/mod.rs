@@ -2,31 +2,37 @@
 
 mod asset;
 mod evaluate;
-mod files;
+pub mod files;
 mod grasps;
 mod identify;
 mod report;
+mod scene;
 mod train;
 
+use std::cell::OnceCell;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use drex_core::twin::TwinManifest;
+use drex_core::push::{InputChoice, PushRecording};
+use drex_core::twin::{ASSUMED_FRICTION, TwinManifest};
+use drex_mesh::{Asset, build_asset};
 use serde::Serialize;
 
 use crate::lock::{Inputs, Lock};
+use crate::object::asset_options;
 use crate::ui::Ui;
 
-pub use files::{Evaluation, FitFile, FitRecord, JudgedGrasp, MassFile, MassSource};
+pub use files::{Evaluation, FitFile, FitRecord, JudgedGrasp, MassFile, MassSource, PoseRecord, Training};
+pub use scene::Scene;
 
 /// The stages of a twin, in order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stage {
-    /// Mesh to repaired, decomposed object with mass properties.
-    Asset,
-    /// Pushes to a mass; the asset's MJCF gets it.
+    /// Pushes to a mass.
     Identify,
+    /// Mesh and mass to a simulation asset.
+    Asset,
     /// Demonstrated joint angles to grasps on the object.
     Grasps,
     /// Grasps to a network.
@@ -38,7 +44,7 @@ pub enum Stage {
 }
 
 impl Stage {
-    const ALL: [Self; 6] = [Self::Asset, Self::Identify, Self::Grasps, Self::Train, Self::Evaluate, Self::Report];
+    const ALL: [Self; 6] = [Self::Identify, Self::Asset, Self::Grasps, Self::Train, Self::Evaluate, Self::Report];
 
     /// The stage's name in the lock and in messages.
     pub fn name(self) -> &'static str {
@@ -68,6 +74,7 @@ pub struct Twin {
     pub seed: u64,
     /// What has been made.
     pub lock: Lock,
+    asset: OnceCell<Asset>,
 }
 
 /// What a run did.
@@ -91,12 +98,27 @@ impl Twin {
         let root = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf();
         let seed = seed.unwrap_or(manifest.seed);
         let lock = Lock::open(&root);
-        Ok(Self { root, manifest, seed, lock })
+        Ok(Self { root, manifest, seed, lock, asset: OnceCell::new() })
     }
 
     /// A file of the twin folder.
     pub fn path(&self, relative: impl AsRef<Path>) -> PathBuf {
         self.root.join(relative)
+    }
+
+    /// The object, made of its mesh when it is first asked for.
+    pub fn asset(&self) -> Result<&Asset> {
+        if let Some(asset) = self.asset.get() {
+            return Ok(asset);
+        }
+        let options = asset_options(&self.manifest.object, self.friction());
+        let asset = build_asset(&self.path(&self.manifest.object.mesh), &options)?;
+        Ok(self.asset.get_or_init(|| asset))
+    }
+
+    /// Friction of the object against hand and table: the manifest's, or the stated assumption.
+    pub fn friction(&self) -> f64 {
+        self.manifest.object.friction.unwrap_or(ASSUMED_FRICTION)
     }
 
     /// Does every stage up to and including `last` whose inputs changed, and skips the others.
@@ -133,7 +155,7 @@ impl Twin {
 
     fn make(&self, stage: Stage, ui: &Ui) -> Result<Vec<PathBuf>> {
         match stage {
-            Stage::Asset => asset::make(self, ui),
+            Stage::Asset => asset::make(self),
             Stage::Identify => identify::make(self, ui),
             Stage::Grasps => grasps::make(self, ui),
             Stage::Train => train::make(self, ui),
@@ -146,18 +168,25 @@ impl Twin {
     fn inputs(&self, stage: Stage) -> Result<String> {
         let m = &self.manifest;
         let inputs = Inputs::new(self.seed);
+        let mesh = self.path(&m.object.mesh);
         let inputs = match stage {
-            Stage::Asset => inputs.setting("object", &m.object)?.file(&self.path(&m.object.mesh))?,
             Stage::Identify => {
-                let inputs = inputs.setting("mass", &m.mass)?.setting("object", &m.object)?.file(&self.path("mesh"))?;
-                m.mass.identify.iter().try_fold(inputs, |inputs, push| inputs.file(&self.path(push)))?
+                let inputs = inputs.setting("mass", &m.mass)?.setting("object", &m.object)?.file(&mesh)?;
+                m.mass.identify.iter().try_fold(inputs, |inputs, push| push_files(&self.path(push), inputs))?
             }
+            Stage::Asset => inputs.setting("object", &m.object)?.file(&mesh)?.file(&self.path(files::MASS))?,
             Stage::Grasps => {
-                let inputs = inputs.setting("grasps", &m.grasps)?.setting("object", &m.object)?.file(&self.path("mesh"))?;
+                let inputs = inputs.setting("grasps", &m.grasps)?.setting("object", &m.object)?.file(&mesh)?;
                 m.grasps.iter().try_fold(inputs, |inputs, g| inputs.file(&self.path(&g.file)))?
             }
-            Stage::Train => inputs.setting("train", &m.train)?.file(&self.path(files::FITS))?.file(&self.path(files::MASS))?,
-            Stage::Evaluate => inputs.setting("object", &m.object)?.file(&self.path(files::POLICY))?.file(&self.path(files::FITS))?.file(&self.path(files::MASS))?,
+            Stage::Train => {
+                let inputs = inputs.setting("train", &m.train)?.setting("object", &m.object)?.file(&mesh)?;
+                inputs.file(&self.path(files::FITS))?.file(&self.path(files::MASS))?
+            }
+            Stage::Evaluate => {
+                let inputs = inputs.setting("object", &m.object)?.file(&mesh)?.file(&self.path(files::POLICY))?;
+                inputs.file(&self.path(files::FITS))?.file(&self.path(files::MASS))?
+            }
             Stage::Report => {
                 let inputs = inputs.setting("manifest", m)?.file(&self.path("mesh"))?.file(&self.path(files::MASS))?;
                 if m.grasps.is_some() {
@@ -169,4 +198,10 @@ impl Twin {
         };
         Ok(inputs.digest())
     }
+}
+
+/// Every file that a push is read from.
+fn push_files(push: &Path, inputs: Inputs) -> Result<Inputs> {
+    let recording = PushRecording::load(push, &InputChoice::default())?;
+    recording.sources.iter().try_fold(inputs, |inputs, file| inputs.file(file))
 }

@@ -1,0 +1,205 @@
+//! Demonstrations, training and predicted grasps.
+
+use std::collections::BTreeMap;
+
+use anyhow::Result;
+use drex_core::{Pose, TriMesh};
+use drex_mesh::Asset;
+use drex_robot::Robot;
+
+use super::page::Page;
+use super::summary::median;
+use crate::picture::plot::{COLORS, Plot, Series};
+use crate::picture::raster::{Part, View, render_png};
+use crate::twin::{Evaluation, FitFile, JudgedGrasp, Training, Twin};
+
+const OBJECT_COLOR: [f64; 3] = [0.86, 0.55, 0.30];
+const HAND_COLOR: [f64; 3] = [0.36, 0.42, 0.52];
+const TIP_COLOR: [f64; 3] = [0.20, 0.60, 0.62];
+/// Pictures per row of grasps.
+const SHOWN: usize = 4;
+
+/// What became of the demonstrations.
+pub fn demonstrations(page: &mut Page, twin: &Twin, asset: &Asset, fits: &FitFile) -> Result<()> {
+    page.section("Demonstrated grasps on the object");
+    page.paragraph(&format!(
+        "The recordings hold joint angles only. For each, the pose of the hand is solved so that the thumb and at least two \
+         fingers lie on the surface, the hand stays above the table and penetrates by at most 2 mm, with finger corrections of at \
+         most 0.15 rad. {} of {} demonstrations can be placed like this.",
+        fits.accepted, fits.demonstrations
+    ));
+    let stage = Stage::new(twin, asset)?;
+    let mut accepted: Vec<_> = fits.grasps.iter().filter(|g| g.accepted).collect();
+    accepted.sort_by(|a, b| a.largest_correction_rad.total_cmp(&b.largest_correction_rad));
+    let mut pictures = Vec::new();
+    for grasp in accepted.iter().step_by((accepted.len() / SHOWN).max(1)).take(SHOWN) {
+        let caption = format!(
+            "demonstration {}: {} on the surface, corrected by up to {:.2} rad",
+            grasp.demonstration,
+            grasp.touching.join(", "),
+            grasp.largest_correction_rad
+        );
+        pictures.push((stage.picture(&grasp.joints_rad, &grasp.object_from_base.to_pose()?)?, caption));
+    }
+    page.pictures(&pictures);
+    let mut why: BTreeMap<String, usize> = BTreeMap::new();
+    for reason in fits.grasps.iter().flat_map(|g| &g.reasons) {
+        // The same reason with other numbers is the same reason.
+        let kind: String = reason.chars().map(|c| if c.is_ascii_digit() { '#' } else { c }).collect();
+        *why.entry(kind.replace("##", "#").replace("##", "#").replace("#.#", "#")).or_default() += 1;
+    }
+    if !why.is_empty() {
+        let mut rows: Vec<(String, usize)> = why.into_iter().collect();
+        rows.sort_by(|a, b| b.1.cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
+        let rows: Vec<Vec<String>> = rows.into_iter().take(8).map(|(k, n)| vec![k, n.to_string()]).collect();
+        page.table(&["why a demonstration was left out", "times"], &rows);
+    }
+    Ok(())
+}
+
+/// Curve and errors of the training.
+pub fn training(page: &mut Page, training: &Training) {
+    page.section("The network");
+    let r = &training.report;
+    page.paragraph(&format!(
+        "{} parameters, {} samples for training ({} grasps at several masses) and {} held out. From surface points and mass to \
+         several modes of joint angles, wrist pose and squeeze.",
+        r.parameters, r.train_samples, r.train_grasps, r.held_out_samples
+    ));
+    let x: Vec<f64> = r.curve.iter().map(|e| e.epoch as f64).collect();
+    let column = |f: fn(&drex_policy::EpochStats) -> f64| -> Vec<f64> { r.curve.iter().map(|e| f(e).max(1e-9).log10()).collect() };
+    let (joints, wrist, force) = (column(|e| e.joint_loss), column(|e| e.wrist_loss), column(|e| e.force_loss));
+    let plot = Plot {
+        title: "Training",
+        x_label: "epoch",
+        y_label: "log10(loss)",
+        series: vec![
+            Series { label: "joints", x: &x, y: &joints, color: COLORS[0], dots: false },
+            Series { label: "wrist", x: &x, y: &wrist, color: COLORS[1], dots: false },
+            Series { label: "force", x: &x, y: &force, color: COLORS[2], dots: false },
+        ],
+        ..Plot::default()
+    };
+    page.plots(&[plot.to_svg()]);
+    if let (Some(held_out), Some(b)) = (&r.held_out, &r.baselines) {
+        let row = |name: &str, e: &drex_policy::GraspErrors| {
+            vec![
+                name.to_owned(),
+                format!("{:.3}", e.joint_rms_rad),
+                format!("{:.1}", 1e3 * e.wrist_m),
+                format!("{:.1}", e.wrist_rad.to_degrees()),
+                format!("{:.1} %", 100.0 * e.force_relative),
+            ]
+        };
+        page.table(
+            &["nearest answer to held-out grasps", "joints, rad (rms)", "wrist, mm", "wrist, deg", "force"],
+            &[
+                row("the network's modes", held_out),
+                row("mean demonstration", &b.mean_demonstration),
+                row("as many random demonstrations", &b.random_demonstrations),
+                row("nearest demonstration of all", &b.nearest_demonstration),
+            ],
+        );
+    }
+}
+
+/// The predicted grasps and the static check.
+pub fn evaluation(page: &mut Page, twin: &Twin, asset: &Asset, fits: &FitFile, e: &Evaluation) -> Result<()> {
+    page.section("Predicted grasps, static check");
+    page.paragraph(&format!(
+        "Judged at {:.1} g and friction {}: contacts of thumb and at least two fingers, penetration, force closure, and the \
+         smallest squeeze that carries the weight within the motors' torque. This is a static check of geometry and forces; \
+         nothing was lifted, in simulation or on a robot.",
+        1e3 * e.mass_kg,
+        e.friction
+    ));
+    let stage = Stage::new(twin, asset)?;
+    let mut best: Vec<&JudgedGrasp> = e.refined.iter().collect();
+    best.sort_by(|a, b| b.check.passed.cmp(&a.check.passed).then(b.weight.unwrap_or(0.0).total_cmp(&a.weight.unwrap_or(0.0))));
+    let mut pictures = Vec::new();
+    for grasp in best.iter().take(SHOWN) {
+        let caption = match (grasp.check.passed, grasp.check.squeeze_n) {
+            (true, Some(n)) => format!("passes: squeeze {n:.2} N, network asks for {:.2} N", grasp.predicted_squeeze_n.unwrap_or(f64::NAN)),
+            _ => format!("fails: {}", grasp.check.failures.join("; ")),
+        };
+        pictures.push((stage.picture(&grasp.joints_rad, &grasp.object_from_base.to_pose()?)?, caption));
+    }
+    page.pictures(&pictures);
+    let rows: Vec<Vec<String>> = [("as predicted", &e.predicted), ("refined on the surface", &e.refined), ("demonstrations", &e.demonstrations)]
+        .into_iter()
+        .map(|(name, grasps)| {
+            let of = |f: &dyn Fn(&JudgedGrasp) -> Option<f64>| median(grasps.iter().filter_map(f).collect()).map_or("-".to_owned(), |v| format!("{v:.2}"));
+            vec![
+                name.to_owned(),
+                super::summary::passed(grasps),
+                of(&|g| Some(g.check.penetration_mm)),
+                format!("{}", grasps.iter().filter(|g| g.check.force_closure).count()),
+                of(&|g| g.check.squeeze_n),
+                of(&|g| g.predicted_squeeze_n),
+                of(&|g| g.check.friction_margin),
+            ]
+        })
+        .collect();
+    page.table(
+        &["grasps", "pass", "penetration, mm", "force closure", "smallest squeeze, N", "network's squeeze, N", "friction margin"],
+        &rows,
+    );
+    let rows: Vec<Vec<String>> = e
+        .refined
+        .iter()
+        .enumerate()
+        .map(|(i, g)| {
+            let contacts: Vec<String> = g.check.contacts.iter().filter(|c| c.contacts > 0).map(|c| format!("{} {}", c.finger, c.contacts)).collect();
+            vec![
+                (i + 1).to_string(),
+                g.weight.map_or("-".into(), |w| format!("{:.2}", w)),
+                if g.check.passed { "pass".into() } else { g.check.failures.join("; ") },
+                contacts.join(", "),
+                format!("{:.2}", g.check.penetration_mm),
+                g.check.squeeze_n.map_or("-".into(), |v| format!("{v:.2}")),
+                g.predicted_squeeze_n.map_or("-".into(), |v| format!("{v:.2}")),
+            ]
+        })
+        .collect();
+    page.table(&["mode", "weight", "static check", "contacts", "penetration, mm", "smallest squeeze, N", "network's squeeze, N"], &rows);
+    let _ = fits;
+    Ok(())
+}
+
+/// The object on its table, ready for pictures with the hand.
+struct Stage<'a> {
+    robot: Robot,
+    asset: &'a Asset,
+    world_from_object: Pose,
+}
+
+impl<'a> Stage<'a> {
+    fn new(twin: &Twin, asset: &'a Asset) -> Result<Self> {
+        let hand = twin.manifest.grasps.as_ref().map_or("leap_right", |g| g.hand.as_str());
+        Ok(Self { robot: Robot::resolve(hand, &twin.root)?, asset, world_from_object: asset.world_from_mesh_at_rest })
+    }
+
+    fn picture(&self, joints: &[f64], object_from_base: &Pose) -> Result<Vec<u8>> {
+        let links = self.robot.forward_kinematics(joints, &(self.world_from_object * object_from_base));
+        let tips: Vec<usize> = self.robot.fingers().iter().map(|f| f.tip_link).collect();
+        let shapes: Vec<(TriMesh, Pose, [f64; 3])> = self
+            .robot
+            .collision_geoms()
+            .filter_map(|(link, geom)| {
+                let color = if tips.contains(&link) { TIP_COLOR } else { HAND_COLOR };
+                Some((geom.shape.to_mesh(20)?, links[link] * geom.link_from_geom, color))
+            })
+            .collect();
+        let mut parts: Vec<Part<'_>> =
+            shapes.iter().map(|(mesh, pose, color)| Part { mesh, world_from_mesh: *pose, color: *color }).collect();
+        parts.push(Part { mesh: &self.asset.visual, world_from_mesh: self.world_from_object, color: OBJECT_COLOR });
+        render_png(&parts, &View { width: 420, height: 340, azimuth: self.best_azimuth(&links), elevation: 0.45, table_height_m: Some(0.0) })
+    }
+
+    /// Looks from where the palm does not hide the object: across the line from object to palm.
+    fn best_azimuth(&self, links: &[Pose]) -> f64 {
+        let center = self.world_from_object * self.asset.properties.center_of_mass;
+        let to_palm = links.first().map(|p| p.translation.vector - center.coords).unwrap_or_default();
+        to_palm.y.atan2(to_palm.x) + 1.9
+    }
+}

@@ -1,0 +1,76 @@
+//! The object: pictures, pieces, mass properties, what was mended.
+
+use anyhow::Result;
+use drex_mesh::{Asset, AssetReport, HowClosed};
+
+use super::page::Page;
+use crate::picture::raster::{Part, View, render_png};
+use crate::twin::{MassFile, Twin};
+
+const OBJECT_COLOR: [f64; 3] = [0.86, 0.55, 0.30];
+/// Colours of neighbouring pieces.
+const PIECE_COLORS: [[f64; 3]; 6] = [
+    [0.86, 0.55, 0.30],
+    [0.30, 0.58, 0.76],
+    [0.45, 0.68, 0.42],
+    [0.74, 0.50, 0.68],
+    [0.84, 0.72, 0.34],
+    [0.50, 0.54, 0.60],
+];
+
+/// How the solid was obtained, in a few words.
+pub fn closing_text(report: &AssetReport) -> String {
+    match report.how_closed {
+        HowClosed::Exact => "closed mesh, exact".to_owned(),
+        HowClosed::Union => "closed shells that overlap, exact union".to_owned(),
+        _ => format!(
+            "open scan, {} open edges closed by flat lids; two ways of closing differ by {:.1} %",
+            report.open_edges,
+            100.0 * report.closing_spread
+        ),
+    }
+}
+
+/// The section on the object.
+pub fn section(page: &mut Page, twin: &Twin, asset: &Asset, mass: &MassFile) -> Result<()> {
+    page.section("Object");
+    let mut pictures = Vec::new();
+    for (azimuth, elevation, caption) in [(-0.7, 0.35, "from the front"), (2.4, 0.35, "from behind"), (-0.7, 1.2, "from above")] {
+        let part = Part { mesh: &asset.visual, world_from_mesh: asset.world_from_mesh_at_rest, color: OBJECT_COLOR };
+        pictures.push((render_png(&[part], &view(azimuth, elevation))?, caption.to_owned()));
+    }
+    let pieces: Vec<Part<'_>> = asset
+        .pieces
+        .iter()
+        .zip(PIECE_COLORS.iter().cycle())
+        .map(|(mesh, &color)| Part { mesh, world_from_mesh: asset.world_from_mesh_at_rest, color })
+        .collect();
+    pictures.push((render_png(&pieces, &view(-0.7, 0.35))?, format!("{} convex pieces", asset.pieces.len())));
+    page.pictures(&pictures);
+
+    let r = &asset.report;
+    let body = asset.properties.with_mass(mass.mass_kg);
+    let mm = |v: f64| format!("{:.2}", 1e3 * v);
+    let c = body.center_of_mass;
+    let i = body.inertia;
+    let rows = [
+        ("size, mm", r.size_m.map(mm).join(" × ")),
+        ("volume, cm³", format!("{:.2}", 1e6 * r.volume_m3)),
+        ("solid", closing_text(r)),
+        ("mass, g", format!("{:.1} ({})", 1e3 * mass.mass_kg, mass.source.text())),
+        ("density, kg/m³", format!("{:.0}, taken as uniform", mass.mass_kg / r.volume_m3)),
+        ("centre of mass in the mesh frame, mm", format!("{}, {}, {}", mm(c.x), mm(c.y), mm(c.z))),
+        ("inertia about it, kg m² (xx yy zz)", format!("{:.3e}, {:.3e}, {:.3e}", i[(0, 0)], i[(1, 1)], i[(2, 2)])),
+        ("inertia (xy xz yz)", format!("{:.2e}, {:.2e}, {:.2e}", i[(0, 1)], i[(0, 2)], i[(1, 2)])),
+        ("convex pieces", format!("{}, at most {} corners, together {:.3} of the volume", r.pieces, r.most_corners, r.pieces_to_solid_volume)),
+    ];
+    let rows: Vec<Vec<String>> = rows.into_iter().map(|(k, v)| vec![k.to_owned(), v]).collect();
+    page.table(&["property", "value"], &rows);
+    page.list(&r.warnings);
+    page.paragraph(&format!("Simulation asset: {}/asset/object.xml (MJCF) and object.urdf.", twin.manifest.name));
+    Ok(())
+}
+
+fn view(azimuth: f64, elevation: f64) -> View {
+    View { width: 420, height: 340, azimuth, elevation, table_height_m: Some(0.0) }
+}

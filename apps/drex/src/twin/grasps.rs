@@ -1,0 +1,77 @@
+//! Demonstrated joint angles to grasps on the object.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use drex_core::joints::JointPoses;
+use drex_core::readers::read_grasps;
+use drex_retarget::{Verdict, WristFit};
+use drex_robot::{Robot, orders};
+use rayon::prelude::*;
+
+use super::files::{FITS, write_json};
+use super::{FitFile, FitRecord, PoseRecord, Scene, Twin};
+use crate::ui::Ui;
+
+pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
+    let scene = Scene::of(twin)?;
+    let demonstrations = read(twin, &scene.robot)?;
+    let bar = ui.bar("grasps", demonstrations.len() as u64);
+    let fits: Vec<WristFit> = demonstrations
+        .par_iter()
+        .map(|joints| scene.fit(joints).inspect(|_| bar.inc(1)))
+        .collect::<Result<_>>()?;
+    bar.finish_and_clear();
+    let grasps: Vec<FitRecord> = fits.iter().enumerate().map(|(i, fit)| record(i, fit)).collect();
+    let file = FitFile {
+        schema: 1,
+        hand: scene.robot.name.clone(),
+        joint_names: scene.robot.joint_names().into_iter().map(str::to_owned).collect(),
+        demonstrations: grasps.len(),
+        accepted: grasps.iter().filter(|g| g.accepted).count(),
+        grasps,
+    };
+    ui.note(format!("{:>10}  {} of {} demonstrations fit the object", "grasps", file.accepted, file.demonstrations));
+    write_json(&twin.path(FITS), &file)?;
+    Ok(vec![twin.path(FITS)])
+}
+
+/// The demonstrations as joint vectors in the model's order.
+fn read(twin: &Twin, robot: &Robot) -> Result<Vec<Vec<f64>>> {
+    let config = twin.manifest.grasps.as_ref().context("the manifest has no [grasps]")?;
+    let path = twin.path(&config.file);
+    let names: Option<Vec<String>> = match &config.joint_order {
+        Some(order) => Some(orders::require(order)?.iter().map(|&n| n.to_owned()).collect()),
+        None => None,
+    };
+    let poses: JointPoses = read_grasps(&path, names.as_deref())?;
+    poses
+        .rows
+        .iter()
+        .enumerate()
+        .map(|(i, row)| {
+            robot
+                .joint_vector_full(&poses.names, row)
+                .with_context(|| format!("grasp {i} of {} for hand {}", path.display(), robot.name))
+        })
+        .collect()
+}
+
+fn record(demonstration: usize, fit: &WristFit) -> FitRecord {
+    let reasons = match &fit.verdict {
+        Verdict::Accepted => Vec::new(),
+        Verdict::Rejected(reasons) => reasons.iter().map(ToString::to_string).collect(),
+    };
+    FitRecord {
+        demonstration,
+        accepted: fit.verdict.is_accepted(),
+        reasons,
+        joints_rad: fit.joints.clone(),
+        largest_clipping_rad: fit.clipped_rad.iter().fold(0.0, |m, c| c.abs().max(m)),
+        largest_correction_rad: fit.largest_correction_rad(),
+        object_from_base: PoseRecord::from(&fit.object_from_base),
+        penetration_mm: fit.penetration_mm,
+        table_clearance_mm: fit.table_clearance_mm,
+        touching: fit.fingers.iter().filter(|f| f.touches).map(|f| f.finger.clone()).collect(),
+    }
+}

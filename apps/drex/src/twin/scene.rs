@@ -1,0 +1,67 @@
+//! Hand, object and table of a twin, as the grasp stages need them.
+
+use anyhow::{Context, Result};
+use drex_core::{MassProperties, Pose, Surface};
+use drex_grasp::{CheckOptions, ContactOptions, StaticGrasp, TablePlane};
+use drex_mesh::{Asset, GridSdf, MeshSdf};
+use drex_retarget::{ObjectSurface, WristFit, WristFitOptions, fit_wrist};
+use drex_robot::Robot;
+use nalgebra::Vector3;
+
+use super::Twin;
+/// Hand, object and table.
+pub struct Scene {
+    /// The hand model.
+    pub robot: Robot,
+    /// The object.
+    pub asset: Asset,
+    /// Its signed distance.
+    pub sdf: GridSdf,
+    /// The table under it, in the object's mesh frame.
+    pub table: TablePlane,
+    friction: f64,
+    seed: u64,
+}
+
+impl Scene {
+    /// From the manifest.
+    pub fn of(twin: &Twin) -> Result<Self> {
+        let grasps = twin.manifest.grasps.as_ref().context("the manifest has no [grasps]")?;
+        let robot = Robot::resolve(&grasps.hand, &twin.root)?;
+        let asset = twin.asset()?.clone();
+        let sdf = GridSdf::new(MeshSdf::new(&asset.visual)?)?;
+        let table = TablePlane::under(&asset.visual.vertices, Vector3::from(twin.manifest.object.up_in_mesh))
+            .context("the object has no surface")?;
+        Ok(Self { robot, asset, sdf, table, friction: twin.friction(), seed: twin.seed })
+    }
+
+    /// What the static check asks for.
+    pub fn check_options(&self) -> CheckOptions {
+        let mut options = CheckOptions::default();
+        options.contact = ContactOptions::with_friction(self.friction);
+        options
+    }
+
+    /// A grasp of the object with this mass.
+    pub fn grasp<'a>(&'a self, joints: &'a [f64], object_from_base: Pose, body: &'a MassProperties) -> StaticGrasp<'a> {
+        StaticGrasp { robot: &self.robot, joints, object_from_base, object: &self.sdf, body, table: self.table }
+    }
+
+    /// The rules of the wrist fit.
+    pub fn fit_options(&self) -> WristFitOptions {
+        let mut options = WristFitOptions::default().with_seed(self.seed);
+        options.friction = self.friction;
+        options
+    }
+
+    /// Solves the wrist pose for joint angles.
+    pub fn fit(&self, joints: &[f64]) -> Result<WristFit> {
+        let object = ObjectSurface {
+            search: &self.sdf,
+            judge: self.sdf.exact(),
+            bounds: self.sdf.bounds(),
+            center_of_mass: self.asset.properties.center_of_mass,
+        };
+        Ok(fit_wrist(&self.robot, joints, &object, &self.table, &self.fit_options())?)
+    }
+}
