@@ -3,11 +3,8 @@
 use drex_core::Pose;
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use crate::model::{Anchor, Body, BodyState};
+use crate::model::{Body, BodyState};
 use crate::{Scalar, Scene};
-
-/// Touching vertices nearer to one another than this part of the piece's radius stand for one place.
-const NEAR: f64 = 0.4;
 
 /// A closed contact.
 #[derive(Debug, Clone, Copy)]
@@ -49,14 +46,14 @@ impl<T: Scalar> MapValue for nalgebra::Quaternion<T> {
     }
 }
 
-/// All closed contacts of `body`, by increasing site. `com` is its centre of mass in the world, `t` the time.
+/// All contacts of `body` that are closed or within `margin` of it, by increasing site. `com` is its centre of mass in
+/// the world, `t` the time.
 pub(crate) fn find<T: Scalar>(
     body: &Body<T>,
     state: &BodyState<T>,
     scene: &Scene<T>,
     com: &Vector3<T>,
-    t: f64,
-    touching: &mut Vec<(usize, f64)>,
+    (t, margin): (f64, f64),
     out: &mut Vec<Contact<T>>,
 ) {
     out.clear();
@@ -67,18 +64,12 @@ pub(crate) fn find<T: Scalar>(
     if let Some(table) = &scene.table {
         let (up_row, height) = (frame.r.row(2).transpose(), table.height_m - frame.p.z);
         for piece in body.shape.iter() {
-            touching.clear();
             for (i, v) in piece.vertices().iter().enumerate() {
-                let depth = height - up_row.dot(&v.coords);
-                if depth > 0.0 {
-                    touching.push((i, depth));
+                if height - up_row.dot(&v.coords) > -margin {
+                    let x = exact(v);
+                    let depth = T::lift(table.height_m) - x.z;
+                    out.push(Contact { site: base + i as u32, arm: x - com, normal: up, depth, friction: table.friction, support_velocity: Vector3::zeros() });
                 }
-            }
-            reduce(touching, piece, base, &up_row, &state.anchors);
-            for &(i, _) in touching.iter() {
-                let x = exact(&piece.vertices()[i]);
-                let depth = T::lift(table.height_m) - x.z;
-                out.push(Contact { site: base + i as u32, arm: x - com, normal: up, depth, friction: table.friction, support_velocity: Vector3::zeros() });
             }
             base += piece.vertices().len() as u32;
         }
@@ -88,14 +79,14 @@ pub(crate) fn find<T: Scalar>(
         for piece in body.shape.iter() {
             let corners = piece.vertices();
             let world: Vec<Vector3<f64>> = corners.iter().map(|v| frame.map(v)).collect();
-            let far = |k: usize| world.iter().all(|w| w[k] > hi[k]) || world.iter().all(|w| w[k] < lo[k]);
+            let far = |k: usize| world.iter().all(|w| w[k] > hi[k] + margin) || world.iter().all(|w| w[k] < lo[k]);
             let sites = (corners.len() + 4 * piece.edges().len()) as u32;
             if far(0) || far(1) || far(2) {
                 base += sites;
                 continue;
             }
             for (i, (v, w)) in corners.iter().zip(&world).enumerate() {
-                if (0..3).all(|k| w[k] > lo[k] && w[k] < hi[k]) {
+                if (0..3).all(|k| w[k] > lo[k] && w[k] < hi[k] + if k == 2 { margin } else { 0.0 }) {
                     let (depth, normal) = box_depth(&exact(v), &lo, &hi);
                     out.push(Contact { site: base + i as u32, arm: exact(v) - com, normal, depth, friction: fixed.friction, support_velocity: Vector3::zeros() });
                 }
@@ -110,7 +101,7 @@ pub(crate) fn find<T: Scalar>(
                     }
                     let w = wa + (wb - wa) * ((bound - wa[axis]) / (wb[axis] - wa[axis]));
                     let other = 1 - axis;
-                    if w.z < hi.z && w.z > lo.z && w[other] > lo[other] && w[other] < hi[other] {
+                    if w.z < hi.z + margin && w.z > lo.z && w[other] > lo[other] && w[other] < hi[other] {
                         let (xa, xb) = (exact(&corners[*a as usize]), exact(&corners[*b as usize]));
                         let x = xa + (xb - xa) * ((T::lift(bound) - xa[axis]) / (xb[axis] - xa[axis]));
                         let depth = T::lift(hi.z) - x.z;
@@ -127,43 +118,12 @@ pub(crate) fn find<T: Scalar>(
     for pusher in &scene.pushers {
         let (center, support_velocity) = pusher.at(t);
         for piece in body.shape.iter() {
-            if let Some(contact) = against_sphere(piece, state, &frame, &center, pusher.radius_m, com) {
+            if let Some(contact) = against_sphere(piece, state, &frame, &center, pusher.radius_m, margin, com) {
                 out.push(Contact { site: base, friction: pusher.friction, support_velocity, ..contact });
             }
             base += 1;
         }
     }
-}
-
-/// Of many touching vertices of a round or finely meshed face, keeps at most four that span it: the deepest, the one
-/// farthest from it, and the farthest on either side of the line between them. Vertices near a kept one stand for the
-/// same place. What stuck before is preferred, so that the choice does not flicker.
-fn reduce<T: Scalar>(touching: &mut Vec<(usize, f64)>, piece: &crate::ConvexPiece, base: u32, up: &Vector3<f64>, anchors: &[Anchor<T>]) {
-    let p = |i: usize| piece.vertices()[i].coords;
-    let favour = |i: usize| if anchors.binary_search_by_key(&(base + i as u32), |a| a.site).is_ok() { 1.2 } else { 1.0 };
-    let best = |score: &dyn Fn(usize, f64) -> f64| {
-        touching.iter().map(|&(i, d)| (i, score(i, d) * favour(i))).max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))
-    };
-    if touching.len() < 2 {
-        return;
-    }
-    let Some((a, _)) = best(&|_, d| d) else { return };
-    let Some((b, _)) = best(&|i, _| (p(i) - p(a)).norm()) else { return };
-    let line = p(b) - p(a);
-    let across = up.cross(&line).try_normalize(0.0).unwrap_or_default();
-    let near = NEAR * piece.radius();
-    let mut keep = vec![a];
-    if line.norm() > near {
-        keep.push(b);
-        for sign in [1.0, -1.0] {
-            if let Some((c, side)) = best(&|i, _| sign * across.dot(&(p(i) - p(a)))) {
-                if side > near && !keep.contains(&c) {
-                    keep.push(c);
-                }
-            }
-        }
-    }
-    touching.retain(|(i, _)| keep.contains(i));
 }
 
 /// Depth below the nearest face of a box, and that face's normal.
@@ -186,13 +146,14 @@ fn against_sphere<T: Scalar>(
     frame: &Frame,
     center: &Point3<f64>,
     radius: f64,
+    margin: f64,
     com: &Vector3<T>,
 ) -> Option<Contact<T>> {
     let local = frame.r.transpose() * (center.coords - frame.p);
     let (n, d) = piece.planes().iter().max_by(|a, b| {
         (a.0.dot(&local) - a.1).total_cmp(&(b.0.dot(&local) - b.1))
     })?;
-    if n.dot(&local) - d >= radius {
+    if n.dot(&local) - d >= radius + margin {
         return None;
     }
     let pose = &state.world_from_body;

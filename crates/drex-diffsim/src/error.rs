@@ -39,7 +39,7 @@ pub enum SimError {
         points: usize,
     },
     /// The time step is not positive or too long to notice contact in time.
-    #[error("time step {dt_s} s is outside (0, {limit_s}] s; a quarter of a millisecond is usual")]
+    #[error("time step {dt_s} s is outside (0, {limit_s}] s; half a millisecond is usual")]
     TimeStep {
         /// The step asked for.
         dt_s: f64,

@@ -25,7 +25,8 @@ pub struct ConvexPiece {
     vertices: Vec<Point3<f64>>,
     edges: Vec<[u32; 2]>,
     planes: Vec<(Vector3<f64>, f64)>,
-    radius: f64,
+    /// Corners of the bounding box.
+    bounds: (Point3<f64>, Point3<f64>),
 }
 
 impl ConvexPiece {
@@ -57,9 +58,9 @@ impl ConvexPiece {
         &self.planes
     }
 
-    /// Half of the shortest side of the bounding box, metres.
-    pub(crate) fn radius(&self) -> f64 {
-        self.radius
+    /// Bound on the distance of a point of the piece from `p`: the farthest corner of the bounding box.
+    pub(crate) fn farthest_from(&self, p: &Point3<f64>) -> f64 {
+        (self.bounds.0 - p).abs().sup(&(self.bounds.1 - p).abs()).norm()
     }
 
     fn from_hull(vertices: Vec<Point3<f64>>, triangles: &[[usize; 3]]) -> Self {
@@ -89,8 +90,7 @@ impl ConvexPiece {
             }
         }
         let (lo, hi) = vertices.iter().fold((vertices[0], vertices[0]), |(lo, hi), p| (lo.inf(p), hi.sup(p)));
-        let radius = 0.5 * (hi - lo).min();
-        Self { vertices, edges, planes, radius }
+        Self { vertices, edges, planes, bounds: (lo, hi) }
     }
 }
 

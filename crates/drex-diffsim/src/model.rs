@@ -32,6 +32,12 @@ impl<T: Scalar> Body<T> {
         Self { mass_kg, center_of_mass: properties.center_of_mass.map(T::lift), unit_inertia: unit.map(T::lift), shape }
     }
 
+    /// Bound on the distance of a point of the body from its centre of mass, metres.
+    pub(crate) fn reach(&self) -> f64 {
+        let c = self.center_of_mass.map(|x| x.value());
+        self.shape.iter().map(|p| p.farthest_from(&c)).fold(0.0, f64::max)
+    }
+
     fn check(&self, body: usize) -> Result<()> {
         let mass_kg = self.mass_kg.value();
         if !(mass_kg.is_finite() && mass_kg > 0.0) {
@@ -51,22 +57,25 @@ impl<T: Scalar> Body<T> {
 }
 
 /// Constants of compliant contact, all per unit mass: contact never makes the mass of a body visible.
+///
+/// A face carries f_n = k (depth + τ rate) with k = ω² per kilogram, never pulling.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct ContactOptions {
     /// Natural frequency ω of a body resting flat on its support, rad/s. It sinks in by g/ω².
     pub frequency_rad_s: f64,
-    /// Damping ratio of that motion; 1 is critical.
-    pub damping_ratio: f64,
+    /// Damping over stiffness τ, seconds: a depth fades with this time constant, and the smaller it is against 2/ω the
+    /// more a contact rebounds.
+    pub relaxation_s: f64,
     /// Tangential stiffness over normal stiffness.
     pub tangential_ratio: f64,
-    /// Damping ratio of the tangential springs.
-    pub tangential_damping_ratio: f64,
+    /// Damping over stiffness of the tangential springs, seconds.
+    pub tangential_relaxation_s: f64,
 }
 
 impl Default for ContactOptions {
     fn default() -> Self {
-        Self { frequency_rad_s: 600.0, damping_ratio: 0.7, tangential_ratio: 1.0, tangential_damping_ratio: 0.5 }
+        Self { frequency_rad_s: 1e4, relaxation_s: 4e-3, tangential_ratio: 1.0, tangential_relaxation_s: 1e-3 }
     }
 }
 
@@ -83,9 +92,9 @@ pub struct Model<T: Scalar> {
 }
 
 impl<T: Scalar> Model<T> {
-    /// A model with default contact and a step of 0.25 ms.
+    /// A model with default contact and a step of 0.5 ms.
     pub fn new(bodies: Vec<Body<T>>) -> Self {
-        Self { bodies, contact: ContactOptions::default(), dt_s: 2.5e-4 }
+        Self { bodies, contact: ContactOptions::default(), dt_s: 5e-4 }
     }
 
     /// Checks bodies and step.

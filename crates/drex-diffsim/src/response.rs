@@ -137,16 +137,17 @@ fn prepare<T: Scalar>(contacts: &[Contact<T>], options: &ContactOptions, dt: f64
     let w = options.frequency_rad_s;
     let (mut sum, mut squares) = (T::zero(), T::zero());
     for c in contacts {
-        sum += c.depth;
-        squares += c.depth * c.depth;
+        if c.depth.value() > 0.0 {
+            sum += c.depth;
+            squares += c.depth * c.depth;
+        }
     }
-    let ratio = sum * sum / squares * T::lift(1.0 / FACE_CONTACTS);
+    let ratio = if squares.value() > 0.0 { sum * sum / squares * T::lift(1.0 / FACE_CONTACTS) } else { T::zero() };
     let share = if ratio.value() > 1.0 { T::one() / ratio } else { T::one() } * T::lift(1.0 / FACE_CONTACTS);
     let k_n = share * T::lift(w * w);
-    let kappa_n = share * T::lift(w * w * dt + 2.0 * options.damping_ratio * w);
+    let kappa_n = k_n * T::lift(dt + options.relaxation_s);
     let k_t = k_n * T::lift(options.tangential_ratio);
-    let c_t = 2.0 * options.tangential_damping_ratio * options.tangential_ratio.sqrt() * w;
-    let kappa_t = share * T::lift(w * w * options.tangential_ratio * dt + c_t);
+    let kappa_t = k_t * T::lift(dt + options.tangential_relaxation_s);
     let mut old = anchors.iter().peekable();
     for c in contacts {
         while old.next_if(|a| a.site < c.site).is_some() {}
@@ -157,7 +158,8 @@ fn prepare<T: Scalar>(contacts: &[Contact<T>], options: &ContactOptions, dt: f64
             normal: c.normal,
             support: c.support_velocity.map(T::lift),
             friction: c.friction,
-            preload: k_n * c.depth,
+            // A gap may close by the end of the step, and no further.
+            preload: if c.depth.value() > 0.0 { k_n * c.depth } else { kappa_n * c.depth * T::lift(1.0 / dt) },
             kappa_n,
             stretch: kept - c.normal * kept.dot(&c.normal),
             k_t,

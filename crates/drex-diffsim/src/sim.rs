@@ -15,14 +15,13 @@ const SPEED_LIMIT: f64 = 1e4;
 /// Buffers that a step reuses; they hold nothing between steps.
 #[derive(Debug)]
 pub struct Workspace<T: Scalar> {
-    touching: Vec<(usize, f64)>,
     contacts: Vec<Contact<T>>,
     response: response::Buffers<T>,
 }
 
 impl<T: Scalar> Default for Workspace<T> {
     fn default() -> Self {
-        Self { touching: Vec::new(), contacts: Vec::new(), response: response::Buffers::default() }
+        Self { contacts: Vec::new(), response: response::Buffers::default() }
     }
 }
 
@@ -38,7 +37,9 @@ pub fn step<T: Scalar>(model: &Model<T>, scene: &Scene<T>, state: &mut State<T>,
     for (index, (body, s)) in model.bodies.iter().zip(&mut state.bodies).enumerate() {
         let q = s.world_from_body.rotation;
         let com = s.world_from_body.translation.vector + q * body.center_of_mass.coords;
-        contact::find(body, s, scene, &com, t, &mut work.touching, &mut work.contacts);
+        // How far a point of the body can get in this step.
+        let reach = s.velocity.map(|x| x.value()).norm() + s.angular_velocity.map(|x| x.value()).norm() * body.reach();
+        contact::find(body, s, scene, &com, (t, reach * dt + 1e-6), &mut work.contacts);
         let (mut linear, mut moment) = (scene.gravity, Vector3::zeros());
         for force in scene.forces.iter().filter(|f| f.body == index) {
             let f = force.mean(t, dt);

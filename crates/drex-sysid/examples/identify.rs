@@ -27,7 +27,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             "--free-friction" => options.free_friction = true,
             "--full" => full = true,
             "--w" => options.contact.frequency_rad_s = value()?.parse()?,
-            "--z" => options.contact.damping_ratio = value()?.parse()?,
+            "--z" => options.contact.relaxation_s = value()?.parse()?,
             "--dt" => options.dt_s = value()?.parse()?,
             _ => folder = Some(arg),
         }

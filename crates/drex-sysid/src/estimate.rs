@@ -300,7 +300,7 @@ impl Joint<'_> {
                     .map(|(i, problem)| {
                         let mut changed = problem.clone();
                         changed.contact.frequency_rad_s *= frequency;
-                        changed.contact.damping_ratio *= damping;
+                        changed.contact.relaxation_s *= damping;
                         changed.dt_s *= step;
                         self.shift(information, i, best, &changed)
                     })

@@ -5,8 +5,9 @@ use drex_core::pose::pose_difference;
 use drex_core::push::PoseNoise;
 use nalgebra::{Vector3, Vector6};
 
-/// No simulator of contact is closer to another than this; a cleaner track is not worth more.
-pub(crate) const FLOOR: PoseNoise = PoseNoise { position_m: 2e-4, rotation_rad: 2e-3 };
+/// Two correct simulators of rigid contact differ by about this much where objects slide and rock; a cleaner track is
+/// not worth more.
+pub(crate) const FLOOR: PoseNoise = PoseNoise { position_m: 1e-3, rotation_rad: 0.01 };
 
 /// Standard deviations of a track per axis, from its second differences: white noise of deviation s has second
 /// differences of deviation s √6. Only the calmest third of the frames is looked at (motion adds to the differences),

@@ -35,7 +35,7 @@ impl Default for IdentifyOptions {
             scan_kg: [0.02, 2.0],
             scan_points: 25,
             contact: ContactOptions::default(),
-            dt_s: 2.5e-4,
+            dt_s: 5e-4,
             position_bias_m: 0.01,
             rotation_bias_rad: 0.02,
             clock_offset_s: 0.035,
