@@ -44,6 +44,7 @@ pub mod orders;
 
 mod dynamics;
 mod fingers;
+mod hull;
 mod kinematics;
 mod load;
 mod meshfile;

@@ -1,11 +1,11 @@
 //! What shapes can be asked: mass properties, signed distance, a triangle mesh.
 
-use std::collections::HashMap;
 use std::f64::consts::PI;
 
 use drex_core::{MassProperties, TriMesh};
 use nalgebra::{Matrix3, Point3, Vector3};
 
+use crate::hull;
 use crate::model::Shape;
 
 impl Shape {
@@ -50,38 +50,22 @@ impl Shape {
                 if self.is_closed() {
                     solid(mesh, density_kg_m3)
                 } else {
-                    solid(&convex_hull(mesh)?, density_kg_m3)
+                    solid(&hull::convex_hull(mesh)?, density_kg_m3)
                 }
             }
         }
         .filter(|m| m.mass_kg > 0.0)
     }
 
-    /// Whether the shape bounds a solid. A mesh does if every edge is used once in each direction, where vertices at
-    /// the same position count as one.
+    /// Whether the shape bounds a solid. A mesh does if every edge is used as often in one direction as in the other,
+    /// vertices within a millionth of its extent counting as one, but for openings too small to hide a hundredth of
+    /// its volume.
     pub fn is_closed(&self) -> bool {
-        let mesh = match self {
-            Self::Mesh(mesh) => mesh,
-            Self::Plane => return false,
-            _ => return true,
-        };
-        let mut first: HashMap<[u64; 3], u32> = HashMap::with_capacity(mesh.vertices.len());
-        let welded: Vec<u32> = mesh
-            .vertices
-            .iter()
-            .enumerate()
-            .map(|(i, p)| *first.entry([p.x, p.y, p.z].map(|c| (c + 0.0).to_bits())).or_insert(i as u32))
-            .collect();
-        let mut balance: HashMap<(u32, u32), i32> = HashMap::with_capacity(mesh.faces.len() * 2);
-        for face in &mesh.faces {
-            let f = face.map(|v| welded[v as usize]);
-            for (a, b) in [(f[0], f[1]), (f[1], f[2]), (f[2], f[0])] {
-                if a != b {
-                    *balance.entry((a.min(b), a.max(b))).or_default() += if a < b { 1 } else { -1 };
-                }
-            }
+        match self {
+            Self::Mesh(mesh) => hull::is_closed(mesh),
+            Self::Plane => false,
+            _ => true,
         }
-        balance.values().all(|&n| n == 0)
     }
 
     /// Distance from `point` (in the shape's frame) to the surface, negative inside, m.
@@ -140,19 +124,17 @@ impl Shape {
     }
 }
 
+/// Whether every number is finite.
+pub(crate) fn is_finite(body: &MassProperties) -> bool {
+    body.mass_kg.is_finite() && body.center_of_mass.iter().chain(body.inertia.iter()).all(|v| v.is_finite())
+}
+
 /// Exact properties of a closed mesh, whichever way it is wound.
 fn solid(mesh: &TriMesh, density_kg_m3: f64) -> Option<MassProperties> {
     mesh.mass_properties(density_kg_m3).ok().or_else(|| {
         let faces = mesh.faces.iter().map(|f| [f[0], f[2], f[1]]).collect();
         TriMesh { vertices: mesh.vertices.clone(), faces }.mass_properties(density_kg_m3).ok()
     })
-}
-
-/// The convex hull; `None` for a flat mesh.
-pub(crate) fn convex_hull(mesh: &TriMesh) -> Option<TriMesh> {
-    let points: Vec<_> = mesh.vertices.iter().map(|v| parry3d_f64::math::Vector::new(v.x, v.y, v.z)).collect();
-    let (vertices, faces) = parry3d_f64::transformation::try_convex_hull(&points).ok()?;
-    Some(TriMesh { vertices: vertices.iter().map(|v| Point3::new(v.x, v.y, v.z)).collect(), faces })
 }
 
 /// The point of the triangle nearest to `p` (Ericson, *Real-Time Collision Detection*, 2004, section 5.1.5).

@@ -8,6 +8,7 @@ use drex_core::{MassProperties, Pose};
 use nalgebra::{Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 
 use crate::model::{Geom, GeomRole, Joint, JointKind, Link, Mimic, Robot, Shape};
+use crate::shape::is_finite;
 use crate::unread::Unread;
 use crate::xml::Node;
 use crate::{Result, meshfile};
@@ -177,6 +178,9 @@ impl Reader {
                 _ => self.unread.element(child),
             }
         }
+        if link.inertial.is_some_and(|m| !is_finite(&m)) {
+            return Err(node.error("the inertia is not finite", "repair the model"));
+        }
         let collides = |g: &&Geom| g.role == GeomRole::Collision;
         if link.inertial.is_none() && link.geoms.iter().any(|g| collides(&g)) {
             let parts: Vec<MassProperties> = link
@@ -225,7 +229,7 @@ impl Reader {
                 Ok(shape) => shape,
                 // What is only seen is not needed; what touches is.
                 Err(e) if role == GeomRole::Visual => {
-                    self.unread.note(format!("a visual shape is left out: {e}"));
+                    self.unread.missing_visual(&e);
                     return Ok(None);
                 }
                 Err(e) => return Err(e),

@@ -13,6 +13,9 @@ use crate::{Error, Result};
 /// Deeper files are refused, so that recursion over the tree cannot exhaust the stack.
 const MAX_DEPTH: usize = 200;
 
+/// Products of a few numbers up to this size stay finite.
+const LARGEST: f64 = 1e50;
+
 /// An element of a file.
 #[derive(Debug, Clone)]
 pub(crate) struct Node {
@@ -193,8 +196,16 @@ impl<'a> Attributes<'a> {
         self.node.fault_with(attribute, self.get(attribute).unwrap_or_default(), what, remedy)
     }
 
-    /// The numbers of attribute `name`; `None` if it is absent.
+    /// The numbers of attribute `name`; `None` if it is absent. None of them is so large that its square overflows.
     pub fn numbers(&self, name: &str, count: std::ops::RangeInclusive<usize>) -> Result<Option<Vec<f64>>> {
+        let numbers = self.any_numbers(name, count)?;
+        if numbers.iter().flatten().any(|v| v.abs() > LARGEST) {
+            return Err(self.fault(name, format!("a number beyond {LARGEST:e}"), "repair the model"));
+        }
+        Ok(numbers)
+    }
+
+    fn any_numbers(&self, name: &str, count: std::ops::RangeInclusive<usize>) -> Result<Option<Vec<f64>>> {
         let Some(text) = self.get(name) else { return Ok(None) };
         let numbers: Vec<f64> =
             text.split_ascii_whitespace()
@@ -210,17 +221,15 @@ impl<'a> Attributes<'a> {
             } else {
                 format!("{} to {}", count.start(), count.end())
             };
-            return Err(self.fault(
-                name,
-                format!("{} numbers where {wanted} are wanted", numbers.len()),
-                "give that many",
-            ));
+            let what = format!("{} numbers where {wanted} are wanted", numbers.len());
+            return Err(self.fault(name, what, "give that many"));
         }
         Ok(Some(numbers))
     }
 
+    /// One number, however large: limits may be.
     pub fn number(&self, name: &str) -> Result<Option<f64>> {
-        Ok(self.numbers(name, 1..=1)?.map(|v| v[0]))
+        Ok(self.any_numbers(name, 1..=1)?.map(|v| v[0]))
     }
 
     pub fn vector(&self, name: &str) -> Result<Option<Vector3<f64>>> {
@@ -228,7 +237,7 @@ impl<'a> Attributes<'a> {
     }
 
     pub fn range(&self, name: &str) -> Result<Option<(f64, f64)>> {
-        let Some(v) = self.numbers(name, 2..=2)? else { return Ok(None) };
+        let Some(v) = self.any_numbers(name, 2..=2)? else { return Ok(None) };
         if v[0] > v[1] {
             return Err(self.fault(name, "the lower bound is above the upper one", "swap them"));
         }

@@ -31,10 +31,11 @@ fn by_name(robot: &Robot, v: &Value) -> Vec<f64> {
     robot.joint_vector(named.iter().map(|(name, x)| (name.as_str(), x.as_f64().unwrap()))).unwrap()
 }
 
-fn check(shared: &Path, name: &str) {
-    let text = std::fs::read_to_string(shared.join(format!("data/golden/kinematics/{name}.json"))).unwrap();
+/// Compares with the golden file `name`; the model's path in it is relative to `folder`.
+fn check(folder: &Path, file: &str, name: &str) {
+    let text = std::fs::read_to_string(folder.join(file)).unwrap();
     let golden: Value = serde_json::from_str(&text).unwrap();
-    let robot = Robot::load(&shared.join("data").join(golden["model"].as_str().unwrap())).unwrap();
+    let robot = Robot::load(&folder.join(golden["model"].as_str().unwrap())).unwrap();
     let gravity = Vector3::from_column_slice(&numbers(&golden["gravity"]));
     let mut worst = [0.0f64; 4];
     for case in golden["cases"].as_array().unwrap() {
@@ -91,20 +92,38 @@ fn check(shared: &Path, name: &str) {
 #[test]
 fn leap_right() {
     if let Some(shared) = shared() {
-        check(&shared, "leap_right");
+        check(&shared.join("data"), "golden/kinematics/leap_right.json", "leap_right");
     }
 }
 
 #[test]
 fn allegro_right() {
     if let Some(shared) = shared() {
-        check(&shared, "allegro_right");
+        check(&shared.join("data"), "golden/kinematics/allegro_right.json", "allegro_right");
     }
 }
 
 #[test]
 fn panda_with_independent_fingers() {
     if let Some(shared) = shared() {
-        check(&shared, "panda");
+        check(&shared.join("data"), "golden/kinematics/panda.json", "panda");
     }
+}
+
+/// Several joints on one body, anchors, references, frames, all orientations, inertia from shapes, balanced and scaled.
+#[test]
+fn odd_model() {
+    check(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden"), "odd.json", "odd");
+}
+
+/// A body without an inertial: the exact volume of its mesh, which MuJoCo's legacy rule triples.
+#[test]
+fn inertia_from_meshes_is_exact() {
+    let Some(shared) = shared() else { return };
+    let robot = Robot::load(&shared.join("data/robots/allegro_hand/mjcf/right_hand.xml")).unwrap();
+    let mass = |n: &str| robot.links[robot.require_link(n).unwrap()].inertial.unwrap().mass_kg;
+    assert!((mass("ff_base") - 2.74e-3).abs() < 5e-6, "{}", mass("ff_base"));
+    // A simple convex part, where both rules must agree.
+    assert!((mass("ff_tip") - 0.006844521380847799).abs() < 1e-8, "{}", mass("ff_tip"));
+    assert!(robot.unread.iter().all(|r| !r.contains("not closed")), "{:?}", robot.unread);
 }

@@ -6,31 +6,8 @@ use nalgebra::{DVector, Isometry3, Point3, UnitQuaternion, Vector3};
 use num_dual::Dual64;
 use proptest::prelude::*;
 
-/// A model with every kind of joint: hinges off the origin, a slide, a body with three joints, a reference position.
-const ODD: &str = r#"
-<mujoco model="odd">
-  <compiler angle="degree" eulerseq="ZYX"/>
-  <worldbody>
-    <body name="base" pos="0.1 0.2 0.3" euler="10 20 30">
-      <geom type="box" size="0.1 0.1 0.1"/>
-      <body name="arm" pos="0.3 0 0" axisangle="0 1 0 40">
-        <joint name="a" axis="1 2 3" pos="0.05 -0.02 0.01" ref="25"/>
-        <joint name="b" type="slide" axis="0 1 1" ref="0.1"/>
-        <joint name="c" axis="0 0 1" pos="0 0.1 0"/>
-        <geom type="capsule" fromto="0 0 0 0.2 0.1 0" size="0.03"/>
-        <body name="hand" pos="0.2 0.1 0" xyaxes="0 1 0 0 0 1">
-          <joint name="d" axis="1 0 0" armature="0.01"/>
-          <geom type="ellipsoid" size="0.05 0.03 0.02" pos="0 0 0.05"/>
-          <body name="finger" pos="0 0 0.1">
-            <joint name="e" type="slide" axis="0 0 1"/>
-            <geom type="cylinder" size="0.01 0.04" zaxis="1 1 0"/>
-          </body>
-        </body>
-        <body name="other" pos="0 0.2 0"><joint name="f" axis="0 1 0"/><geom size="0.04" pos="0.03 0 0"/></body>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>"#;
+/// Every kind of joint, orientation and primitive; compared with MuJoCo in `golden_kinematics.rs`.
+const ODD: &str = include_str!("golden/odd.xml");
 
 fn models() -> [Robot; 3] {
     [
@@ -58,7 +35,7 @@ fn base() -> Isometry3<f64> {
 fn a_body_with_three_joints_becomes_a_chain() {
     let robot = &models()[0];
     let names: Vec<&str> = robot.links.iter().map(|l| l.name.as_str()).collect();
-    assert_eq!(names, ["base", "arm:a", "arm:b", "arm", "hand", "finger", "other"]);
+    assert_eq!(names, ["base", "arm:a", "arm:b", "arm", "hand", "finger", "other", "weighed", "unbalanced"]);
     assert!(robot.links.iter().all(|l| l.joints.len() <= 1));
     assert!(robot.links.iter().enumerate().all(|(i, l)| l.parent.is_none_or(|p| p < i)));
     assert!((robot.joints[0].reference - 25f64.to_radians()).abs() < 1e-15);

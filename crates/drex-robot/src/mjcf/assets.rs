@@ -10,7 +10,7 @@ use nalgebra::{Point3, Quaternion, Unit, UnitQuaternion, Vector3};
 use crate::model::Shape;
 use crate::unread::Unread;
 use crate::xml::Node;
-use crate::{Result, meshfile, shape};
+use crate::{Result, hull, meshfile};
 
 use super::compiler::Compiler;
 use super::defaults::Defaults;
@@ -148,17 +148,21 @@ impl Assets {
                 .collect(),
             faces: mesh.faces,
         };
-        let mesh = Arc::new(meshfile::scaled(moved, &asset.scale));
+        let mesh = meshfile::scaled(moved, &asset.scale);
+        if mesh.vertices.iter().any(|v| v.iter().any(|c| !c.is_finite())) {
+            return Err(asset.node.error("the scaled mesh is not finite", "repair the scale"));
+        }
+        let mesh = Arc::new(mesh);
         asset.loaded = Some(mesh.clone());
         Ok(mesh)
     }
 
     /// The shape whose mass properties the mesh called `name` has.
     pub fn solid_of(&self, name: &str, shape: &Shape) -> Shape {
-        let hull = self.meshes.get(name).is_some_and(|m| m.solid == Solid::Hull);
+        let wants_hull = self.meshes.get(name).is_some_and(|m| m.solid == Solid::Hull);
         match shape {
-            Shape::Mesh(mesh) if hull => {
-                shape::convex_hull(mesh).map_or_else(|| shape.clone(), |h| Shape::Mesh(Arc::new(h)))
+            Shape::Mesh(mesh) if wants_hull => {
+                hull::convex_hull(mesh).map_or_else(|| shape.clone(), |h| Shape::Mesh(Arc::new(h)))
             }
             _ => shape.clone(),
         }
@@ -179,5 +183,5 @@ fn inline_mesh(node: &Node) -> Result<Option<TriMesh>> {
     let vertices = v.chunks_exact(3).map(|c| Point3::new(c[0], c[1], c[2])).collect();
     let faces: Vec<[u32; 3]> = f.chunks_exact(3).map(|c| [c[0] as u32, c[1] as u32, c[2] as u32]).collect();
     let mesh = TriMesh { vertices, faces };
-    Ok(if mesh.faces.is_empty() { shape::convex_hull(&mesh) } else { Some(mesh) })
+    Ok(if mesh.faces.is_empty() { hull::convex_hull(&mesh) } else { Some(mesh) })
 }

@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::Result;
 use crate::model::{GeomRole, Joint, JointKind, Link};
+use crate::shape::is_finite;
 use crate::unread::Unread;
 use crate::xml::Node;
 
@@ -197,7 +198,9 @@ impl Builder {
         let link = self.links.len() - 1;
         let geoms = self.read_geoms(&parts)?;
         self.links[link].inertial = self.read_inertia(node, &parts, &geoms)?;
-        self.links[link].geoms = geoms.into_iter().map(|g| g.geom).collect();
+        let discard = self.compiler.discard_visual;
+        self.links[link].geoms =
+            geoms.into_iter().map(|g| g.geom).filter(|g| !(discard && g.role == GeomRole::Visual)).collect();
         for child in parts.iter().filter(|p| p.node.tag == "body") {
             self.add_body(child, Some(link))?;
         }
@@ -260,11 +263,7 @@ impl Builder {
             }
             _ if source == InertiaSource::Explicit => None,
             _ => {
-                let expected = parts.iter().filter(|p| p.node.tag == "geom").count();
-                if geoms.len() < expected
-                    && !self.compiler.discard_visual
-                    && geoms.iter().all(|g| g.geom.role != GeomRole::Visual)
-                {
+                if geoms.len() < parts.iter().filter(|p| p.node.tag == "geom").count() {
                     self.unread.note(format!(
                         "the mass of <{}> (line {}) comes from its shapes, of which some are left out",
                         body.title(),
@@ -277,6 +276,9 @@ impl Builder {
                 MassProperties::combined(&masses)
             }
         };
+        if properties.is_some_and(|p| !is_finite(&p)) {
+            return Err(body.error("the inertia is not finite", "repair sizes, mass and density"));
+        }
         if let Some(p) = &mut properties {
             if p.mass_kg < self.compiler.least_mass_kg {
                 p.mass_kg = self.compiler.least_mass_kg;

@@ -42,9 +42,6 @@ impl Builder {
             (true, true) => GeomRole::Both,
             (true, false) => GeomRole::Collision,
         };
-        if role == GeomRole::Visual && self.compiler.discard_visual {
-            return Ok(None);
-        }
         let mesh = a.get("mesh").map(str::to_owned);
         let colour = match (a.numbers("rgba", 4..=4)?, a.get("material")) {
             (Some(c), _) => Some([0, 1, 2, 3].map(|k| c[k] as f32)),
@@ -80,7 +77,7 @@ impl Builder {
                 Ok(mesh) => Shape::Mesh(mesh),
                 // What is only seen is not needed; what carries mass or touches is.
                 Err(e) if role == GeomRole::Visual => {
-                    self.unread.note(format!("a visual shape is left out: {e}"));
+                    self.unread.missing_visual(&e);
                     return Ok(None);
                 }
                 Err(e) => return Err(e),
@@ -117,10 +114,7 @@ impl Builder {
             return None;
         }
         if !shape.is_closed() {
-            self.unread.note(format!(
-                "mesh \"{}\" is not closed: where it gives a body its inertia, its convex hull does",
-                read.mesh.as_deref().unwrap_or_default()
-            ));
+            self.unread.open_mesh(read.mesh.as_deref().unwrap_or_default());
         }
         let Some(body) = shape.mass_properties(read.density.max(f64::MIN_POSITIVE)) else {
             self.unread.note(format!("<{}> (line {}) has no volume and so carries no mass", read.title, read.line));
