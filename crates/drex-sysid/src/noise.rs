@@ -49,6 +49,38 @@ pub(crate) fn of_force(forces: &[Vector3<f64>]) -> f64 {
     (sizes[sizes.len() / 2] / (0.4549 * 20.0)).sqrt()
 }
 
+/// [`of_force`], or zero where it is below a thousandth of the largest force: rounding, or the curvature of the profile.
+pub(crate) fn significant(forces: &[Vector3<f64>]) -> f64 {
+    let peak = forces.iter().map(Vector3::amax).fold(0.0, f64::max);
+    Some(of_force(forces)).filter(|sd| *sd >= 1e-3 * peak).unwrap_or(0.0)
+}
+
+/// The record with every stretch that white noise of deviation `sd` explains set to zero, axis by axis: a sensor reads
+/// noise while nothing is touched, and noise is no push. A stretch is seven samples; it stays if their sum or the sum
+/// of their squares is too large for noise at about 3 in 1000.
+pub(crate) fn without_idle(forces: &[Vector3<f64>], sd: f64) -> Vec<Vector3<f64>> {
+    const HALF: usize = 3;
+    let n = forces.len();
+    if sd == 0.0 || n < 2 * HALF + 1 {
+        return forces.to_vec();
+    }
+    let mut keep = vec![Vector3::from_element(false); n];
+    for axis in 0..3 {
+        for k in HALF..n - HALF {
+            let window = &forces[k - HALF..=k + HALF];
+            let sum: f64 = window.iter().map(|f| f[axis] / sd).sum();
+            let squares: f64 = window.iter().map(|f| (f[axis] / sd).powi(2)).sum();
+            // 3 sd of the sum; the 99.7 % point of chi-square with seven degrees of freedom is 21.6.
+            if sum.abs() > 3.0 * (window.len() as f64).sqrt() || squares > 21.6 {
+                for kept in &mut keep[k - HALF..=k + HALF] {
+                    kept[axis] = true;
+                }
+            }
+        }
+    }
+    forces.iter().zip(&keep).map(|(f, k)| f.zip_map(k, |x, k| if k { x } else { 0.0 })).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

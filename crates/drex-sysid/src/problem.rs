@@ -15,7 +15,7 @@ use drex_diffsim::{
 };
 use nalgebra::{ComplexField, Point3, SMatrix, SVector, Vector3, Vector6};
 
-use crate::{IdentifyOptions, ObjectModel, Result, SysidError};
+use crate::{IdentifyOptions, ObjectModel, Result, SysidError, noise};
 
 /// Nuisances: clock offset, position bias (3), rotation bias (3).
 pub(crate) const NUISANCES: usize = 7;
@@ -38,7 +38,13 @@ pub(crate) struct Parameters {
 #[derive(Debug, Clone)]
 pub(crate) enum Action {
     /// A known force at a point.
-    Force { times_s: Vec<f64>, forces_n: Vec<Vector3<f64>>, point: ForcePoint },
+    Force {
+        times_s: Vec<f64>,
+        forces_n: Vec<Vector3<f64>>,
+        /// Standard deviation of white noise on each sample, newtons per axis.
+        noise_n: f64,
+        point: ForcePoint,
+    },
     /// A sphere on a prescribed path.
     Pusher { radius_m: f64, friction: f64, times_s: Vec<f64>, centers: Vec<Point3<f64>> },
     /// Nothing.
@@ -91,7 +97,9 @@ impl Problem {
         let first = recording.track.poses().first().ok_or_else(|| bad("the track is empty", "record again"))?;
         let action = match &recording.drive {
             Drive::Force(ForceProfile { times_s, forces_n, point_in_object }) => {
-                Action::Force { times_s: times_s.clone(), forces_n: forces_n.clone(), point: ForcePoint::Body(*point_in_object) }
+                let noise_n = noise::significant(forces_n);
+                let forces_n = noise::without_idle(forces_n, noise_n);
+                Action::Force { times_s: times_s.clone(), forces_n, noise_n, point: ForcePoint::Body(*point_in_object) }
             }
             Drive::Finger(finger) => {
                 let (times_s, centers) = match &finger.encoder {
@@ -135,7 +143,7 @@ impl Problem {
         scene.table = Some(Table { height_m: self.table_height_m, friction });
         scene.boxes = self.boxes.iter().map(|b| FixedBox { center: b.center_m.into(), half: b.half_m.into(), friction }).collect();
         match &self.action {
-            Action::Force { times_s, forces_n, point } => {
+            Action::Force { times_s, forces_n, point, .. } => {
                 scene.forces.push(AppliedForce::new(0, times_s, forces_n, point.clone()).map_err(wrap)?);
             }
             Action::Pusher { radius_m, friction, times_s, centers } => {
@@ -215,7 +223,7 @@ impl Problem {
 
     /// Derivative of each frame's residual by the nuisances. A later clock shows the motion of an earlier time: the
     /// column of the offset is the velocity.
-    fn nuisance_columns(&self, motion: &Motion, nuisance: &Nuisance) -> Vec<SMatrix<f64, 6, NUISANCES>> {
+    pub(crate) fn nuisance_columns(&self, motion: &Motion, nuisance: &Nuisance) -> Vec<SMatrix<f64, 6, NUISANCES>> {
         let (sp, sr) = (self.noise.position_m, self.noise.rotation_rad);
         self.times_s
             .iter()
