@@ -45,6 +45,9 @@ impl Robot {
     }
 
     /// Axis and a point on it, in the world, of joint `j` at the poses that [`Robot::forward_kinematics`] gave.
+    ///
+    /// # Panics
+    /// As indexing does, if `j` is not a joint of this robot or `link_poses` has fewer poses than it has links.
     pub fn joint_axis<T: Real>(&self, link_poses: &[Isometry3<T>], j: usize) -> (Vector3<T>, Point3<T>) {
         let joint = &self.joints[j];
         let pose = &link_poses[joint.link];
@@ -58,6 +61,9 @@ impl Robot {
     /// velocity of the point = linear · q̇, angular velocity of the link = angular · q̇ (base at rest).
     ///
     /// `link_poses` are those of [`Robot::forward_kinematics`].
+    ///
+    /// # Panics
+    /// As indexing does, if `link` is not a link of this robot or `link_poses` has fewer poses than it has links.
     pub fn jacobian<T: Real>(
         &self,
         link_poses: &[Isometry3<T>],

@@ -193,11 +193,11 @@ pub enum ActuatorKind {
         /// Damping.
         kv: f64,
     },
-    /// effort = gain · control + bias[0] + bias[1] · position + bias[2] · velocity.
+    /// effort = gain · control + b₀ + b₁ · position + b₂ · velocity.
     Affine {
         /// Factor of the control.
         gain: f64,
-        /// Constant, factor of the position, factor of the velocity.
+        /// b₀, b₁, b₂.
         bias: [f64; 3],
     },
 }

@@ -384,4 +384,27 @@ proptest! {
             let _ = (robot.fingers(), robot.forward_kinematics(&robot.mid_range(), &Isometry3::identity()));
         }
     }
+
+    #[test]
+    fn damaged_meshes_never_panic(
+        lines in prop::collection::vec("(v|f|vertex|facet) (-?[0-9]{1,3}(/[0-9])? ?|nan |1e400 |x ){0,5}", 0..20),
+        bytes in prop::collection::vec(any::<u8>(), 0..300),
+        faces in 0..5u32,
+    ) {
+        let folder = tempfile::tempdir().unwrap();
+        let text = lines.join("\n");
+        let mut binary = bytes.clone();
+        if let Some(count) = binary.get_mut(80..84) {
+            count.copy_from_slice(&faces.to_le_bytes());
+            binary.resize(84 + 50 * faces as usize, 7);
+        }
+        let contents = [("a.obj", text.clone().into_bytes()), ("b.stl", format!("solid\n{text}").into_bytes()), ("c.stl", binary), ("d.stl", bytes)];
+        for (name, content) in contents {
+            fs::write(folder.path().join(name), content).unwrap();
+            let xml = format!(r#"<mujoco><asset><mesh name="m" file="{name}"/></asset><worldbody><body name="a"><geom type="mesh" mesh="m"/></body></worldbody></mujoco>"#);
+            if let Ok(robot) = Robot::from_mjcf_str(&xml, Some(folder.path())) {
+                let _ = (robot.surface_samples(0, 50.0), robot.links[0].geoms[0].shape.signed_distance(&Point3::origin()));
+            }
+        }
+    }
 }
