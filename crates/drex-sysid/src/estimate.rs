@@ -16,8 +16,8 @@ const MODEL_FLOOR: f64 = 0.005;
 const DRAWS: usize = 24;
 /// Friction coefficients of the scan when friction is free.
 const FRICTIONS: [f64; 6] = [0.12, 0.2, 0.3, 0.45, 0.65, 0.9];
-/// Offsets in the logarithms over which slopes are averaged.
-const SECANT: [f64; 4] = [-0.03, -0.015, 0.015, 0.03];
+/// Spans in the logarithms over which slopes are averaged.
+const SPANS: [f64; 3] = [0.03, 0.01, 0.003];
 /// Longest Gauss-Newton step in the logarithms.
 const MAX_STEP: f64 = 0.5;
 
@@ -270,34 +270,30 @@ impl Joint<'_> {
         out
     }
 
-    /// Mean slopes of the residuals over a few percent of mass (and friction). Where objects rock and chatter the exact
-    /// derivative is that of one brief branch; what a track can tell follows the mean slope.
-    fn secants(&self, c: &Candidate, i: usize) -> Result<Vec<SMatrix<f64, 6, 2>>> {
+    /// Mean slopes of the residuals over a few percent of mass (and friction), one set per span. Where objects rock and
+    /// chatter the exact derivative is that of one brief branch; what a track can tell follows the mean slope.
+    fn secants(&self, c: &Candidate, i: usize) -> Result<Vec<Vec<SMatrix<f64, 6, 2>>>> {
         let (problem, fit) = (&self.problems[i], &c.fits[i]);
         let at = self.at(&c.parameters, i);
-        let mut runs: Vec<(usize, f64)> = SECANT.iter().map(|x| (0, *x)).collect();
-        if self.friction[i].is_none() {
-            runs.extend(SECANT.iter().map(|x| (1, *x)));
-        }
-        let motions: Vec<(usize, f64, Result<Motion>)> = runs
+        let columns = if self.friction[i].is_none() { 2 } else { 1 };
+        let runs: Vec<(usize, f64)> = (0..columns).flat_map(|n| SPANS.iter().flat_map(move |x| [(n, -x), (n, *x)])).collect();
+        let motions = runs
             .par_iter()
             .map(|&(n, x)| {
-                let p = if n == 0 {
-                    Parameters { log_mass: at.log_mass + x, ..at }
-                } else {
-                    Parameters { log_friction: at.log_friction + x, ..at }
-                };
-                (n, x, problem.simulate(&p))
+                let mut p = at;
+                *(if n == 0 { &mut p.log_mass } else { &mut p.log_friction }) += x;
+                problem.simulate(&p)
             })
-            .collect();
-        let mut out = vec![SMatrix::<f64, 6, 2>::zeros(); problem.times_s.len()];
-        let norm = SECANT.iter().map(|x| x * x).sum::<f64>();
-        for (n, x, motion) in motions {
-            let motion = motion?;
-            for (k, j) in out.iter_mut().enumerate() {
-                let r = problem.residual(&motion.at(problem.times_s[k] - fit.nuisance[0]), k, &fit.nuisance);
-                let column = j.column(n) + (r - fit.residuals[k]) * (x / norm);
-                j.set_column(n, &column);
+            .collect::<Result<Vec<Motion>>>()?;
+        let mut out = vec![vec![SMatrix::<f64, 6, 2>::zeros(); problem.times_s.len()]; SPANS.len()];
+        for (pair, run) in motions.chunks(2).zip(runs.chunks(2)) {
+            let (n, span) = (run[0].0, run[1].1);
+            let Some(set) = SPANS.iter().position(|s| *s == span).and_then(|k| out.get_mut(k)) else { continue };
+            for (k, j) in set.iter_mut().enumerate() {
+                let at = |motion: &Motion| {
+                    problem.residual(&motion.at(problem.times_s[k] - fit.nuisance[0]), k, &fit.nuisance)
+                };
+                j.set_column(n, &((at(&pair[1]) - at(&pair[0])) / (2.0 * span)));
             }
         }
         Ok(out)
@@ -389,13 +385,21 @@ impl Information {
         let mut scatter = Matrix2::zeros();
         for (i, problem) in joint.problems.iter().enumerate() {
             let (Some(fit), Some(motion)) = (c.fits.get(i), c.motions.get(i)) else { continue };
-            let by_parameters = joint.secants(c, i)?;
-            let linear = Linear {
-                residuals: fit.residuals.clone(),
-                by_parameters,
-                by_nuisances: problem.nuisance_columns(motion, &fit.nuisance),
-            };
-            let (j, _) = eliminated(problem, &linear, fit);
+            // Of several spans the one that claims least: a nearby cliff (an object that topples) is no knowledge.
+            let mut least: Option<(f64, Vec<SMatrix<f64, 6, 2>>)> = None;
+            for by_parameters in joint.secants(c, i)? {
+                let linear = Linear {
+                    residuals: fit.residuals.clone(),
+                    by_parameters,
+                    by_nuisances: problem.nuisance_columns(motion, &fit.nuisance),
+                };
+                let (j, _) = eliminated(problem, &linear, fit);
+                let claim = j.iter().zip(&fit.weights).map(|(j, w)| j.column(0).norm_squared() * w).sum::<f64>();
+                if least.as_ref().is_none_or(|l| claim < l.0) {
+                    least = Some((claim, j));
+                }
+            }
+            let Some((_, j)) = least else { continue };
             let mut scores: Vec<Vector2<f64>> = Vec::new();
             for ((j, r), w) in j.iter().zip(&fit.residuals).zip(&fit.weights) {
                 h += j.transpose() * j * *w;

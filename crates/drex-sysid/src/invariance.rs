@@ -33,6 +33,7 @@ pub(crate) fn explain(
     options: &IdentifyOptions,
 ) -> Result<Finding> {
     let mut finding = Finding { reason: String::new(), notes: Vec::new(), profile: Vec::new(), simulated: Vec::new() };
+    let mut flat = false;
     if recording.track_frame == TrackFrame::World {
         let noise = recording.noise.unwrap_or_else(|| noise::of_track(&recording.track));
         let mut problem = Problem::new(recording, object, Arc::clone(shape), options, noise)?;
@@ -50,6 +51,7 @@ pub(crate) fn explain(
         }
         let costs = || finding.profile.iter().map(|p| p.1);
         let spread = costs().fold(f64::NEG_INFINITY, f64::max) - costs().fold(f64::INFINITY, f64::min);
+        flat = finding.profile.len() == MASSES_KG.len() && spread < 1e-3;
         if !finding.profile.is_empty() {
             finding.notes.push(format!(
                 "simulated with {} masses from 20 g to 2 kg: the cost differs by {spread:.1e} (it would have to differ by 1.92)",
@@ -57,14 +59,16 @@ pub(crate) fn explain(
             ));
         }
     }
+    let shown = if flat { " (simulated with masses from 20 g to 2 kg, the cost is the same)" } else { "" };
     finding.reason = match &recording.drive {
-        Drive::Nothing => "no known force acted on the object: gravity, friction and impact scale with its mass, so every mass moves \
-                           the same way (the simulated cost is flat); push it with a known force, tip it, or lift it"
-            .into(),
-        Drive::Finger(_) => "the fingertip is replayed along its path, and a prescribed pusher moves every mass the same way (the \
-                             simulated cost is flat); its impedance is recorded but its force is not estimated from it; record \
-                             the force, or push with a force sensor"
-            .into(),
+        Drive::Nothing => format!(
+            "no known force acted on the object: gravity, friction and impact scale with its mass, so every mass moves \
+                           the same way{shown}; push it with a known force, tip it, or lift it"
+        ),
+        Drive::Finger(_) => format!(
+            "the fingertip is replayed along its path, and a prescribed pusher moves every mass the same way{shown}; its impedance is \
+             recorded but its force is not estimated from it; record the force, or push with a force sensor"
+        ),
         Drive::Hand(hand) => {
             finding.notes.extend(clocks(recording, hand));
             format!(

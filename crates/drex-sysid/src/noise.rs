@@ -57,7 +57,7 @@ pub(crate) fn significant(forces: &[Vector3<f64>]) -> f64 {
 
 /// The record with every stretch that white noise of deviation `sd` explains set to zero, axis by axis: a sensor reads
 /// noise while nothing is touched, and noise is no push. A stretch is seven samples; it stays if their sum or the sum
-/// of their squares is too large for noise at about 3 in 1000.
+/// of their squares is too large for noise at about 1 in 10000.
 pub(crate) fn without_idle(forces: &[Vector3<f64>], sd: f64) -> Vec<Vector3<f64>> {
     const HALF: usize = 3;
     let n = forces.len();
@@ -70,8 +70,8 @@ pub(crate) fn without_idle(forces: &[Vector3<f64>], sd: f64) -> Vec<Vector3<f64>
             let window = &forces[k - HALF..=k + HALF];
             let sum: f64 = window.iter().map(|f| f[axis] / sd).sum();
             let squares: f64 = window.iter().map(|f| (f[axis] / sd).powi(2)).sum();
-            // 3 sd of the sum; the 99.7 % point of chi-square with seven degrees of freedom is 21.6.
-            if sum.abs() > 3.0 * (window.len() as f64).sqrt() || squares > 21.6 {
+            // 4 sd of the sum; the 99.99 % point of chi-square with seven degrees of freedom is 29.9.
+            if sum.abs() > 4.0 * (window.len() as f64).sqrt() || squares > 29.9 {
                 for kept in &mut keep[k - HALF..=k + HALF] {
                     kept[axis] = true;
                 }
