@@ -12,3 +12,7 @@ mod wrist_fit;
 pub use drex_grasp::TablePlane;
 pub use error::{Result, RetargetError};
 pub use wrist_fit::{FingerGap, ObjectSurface, Rejection, Verdict, WristFit, WristFitOptions, fit_wrist, fit_wrists};
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct ReadmeDoctests;

@@ -2,7 +2,7 @@
 //!
 //! Unknowns: the six of the wrist, and a bounded correction of every joint. Wanted: the pads of the thumb and of at least two
 //! fingers on the surface and opposing each other, nothing inside the object, nothing below the table. A smooth least-squares
-//! problem ([`crate::wrist_fit`] uses Levenberg-Marquardt with analytic derivatives) from many starts that surround the object;
+//! problem (Levenberg-Marquardt with analytic derivatives) from many starts that surround the object;
 //! the answer is the best end that fulfils the rules, or the best that does not together with the reasons.
 
 mod ends;
@@ -10,6 +10,8 @@ mod hand;
 mod levenberg;
 mod residuals;
 mod starts;
+#[cfg(test)]
+mod tests;
 
 use drex_core::{Pose, SignedDistance};
 use drex_grasp::TablePlane;

@@ -2,7 +2,7 @@
 
 use drex_grasp::{Contact, GraspError, SqueezeError, SqueezeProblem, is_force_closed, smallest_forces};
 
-use super::residuals::{Scene, State};
+use super::residuals::{Scene, State, pushed_away};
 use super::{FingerGap, Rejection, Verdict, WristFit};
 use crate::Result;
 
@@ -12,7 +12,7 @@ pub(crate) struct End {
     /// Sum of what the rules are broken by, mm.
     broken_mm: f64,
     /// Among the accepted: root mean square correction in units of the largest allowed, plus the squeeze in units of that of a
-    /// plain pinch (one over friction) at [`SLIPPERY`] friction. A hook or a tray that needs less than a pinch is not rewarded for it.
+    /// plain pinch (one over friction), plus how much the pads push the object out of the hand; the squeeze at [`SLIPPERY`] friction. A hook or a tray that needs less than a pinch is not rewarded for it.
     score: f64,
 }
 
@@ -79,11 +79,13 @@ pub(crate) fn judge(scene: &Scene<'_>, state: State) -> Result<End> {
         broken_mm += 1e3 * (below + options.min_table_clearance_m);
     }
     let accepted = reasons.is_empty();
+    let touching_set = fingers.iter().enumerate().filter(|(_, g)| g.touches).fold(0, |set, (f, _)| set | 1 << f);
     let force = if accepted { Force::of(scene, &state)? } else { Force::default() };
     let correction_rad: Vec<f64> = state.joints.iter().zip(&scene.recorded.joints).map(|(q, r)| q - r).collect();
     let mean_square = correction_rad.iter().map(|c| c * c).sum::<f64>() / correction_rad.len().max(1) as f64;
     let pinch = 1.0 / (SLIPPERY * options.friction).max(1e-9);
     let score = mean_square.sqrt() / options.max_finger_correction_rad.max(1e-9)
+        + if accepted { pushed_away(scene, &state, touching_set) } else { 0.0 }
         + force.slippery.map_or(SLIPS, |s| (s / pinch).max(1.0));
     let fit = WristFit {
         object_from_base: state.object_from_base,

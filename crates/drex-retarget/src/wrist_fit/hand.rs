@@ -28,7 +28,7 @@ pub(crate) struct Pad {
 
 /// A pad point faces the way its link moves when it bends: least cosine of its normal to that way. Straight ahead (the very end of
 /// a fingertip) is 0.
-const FACING: f64 = 0.3;
+const FACING: f64 = 0.5;
 
 impl Pad {
     /// Link, point (object frame) and distance of the pad's point that is nearest to the object.

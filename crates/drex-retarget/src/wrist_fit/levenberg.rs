@@ -21,7 +21,7 @@ pub(crate) fn minimise(scene: &Scene<'_>, mut state: State, stage: Stage, iterat
         for _ in 0..6 {
             let mut damped = normal.clone();
             for k in 0..damped.nrows() {
-                damped[(k, k)] += lambda * (normal[(k, k)] + scale(k)) ;
+                damped[(k, k)] += lambda * (normal[(k, k)] + scale(k));
             }
             let Some(factor) = damped.cholesky() else {
                 lambda *= 10.0;
@@ -81,7 +81,7 @@ fn masked(scene: &Scene<'_>, state: &State, mut gradient: DVector<f64>) -> DVect
 }
 
 /// The state after a step: rotation (about the pivot, object frame), translation, joints.
-fn moved(scene: &Scene<'_>, state: &State, step: &DVector<f64>) -> State {
+pub(crate) fn moved(scene: &Scene<'_>, state: &State, step: &DVector<f64>) -> State {
     let rotation = Vector3::new(step[0], step[1], step[2]);
     let translation = Vector3::new(step[3], step[4], step[5]);
     let shrink = (MAX_STEP.0 / rotation.norm().max(1e-12)).min(MAX_STEP.1 / translation.norm().max(1e-12)).min(1.0);

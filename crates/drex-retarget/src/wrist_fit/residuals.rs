@@ -21,6 +21,9 @@ const FADE_M: f64 = 0.012;
 /// Weight of unbalanced unit normal forces (thumb against fingers), and the length their torque is divided by, metres.
 const BALANCE: f64 = 3.0;
 const BALANCE_LENGTH_M: f64 = 0.04;
+/// Weight of a pad that pushes the object away from the palm, and the cosine up to which that is left alone.
+const PUSHED_AWAY: f64 = 3.0;
+pub(crate) const PUSH_FREE: f64 = 0.3;
 /// Weight of a correction as large as allowed.
 const CORRECTION: f64 = 1.5;
 /// Step for the curvature of the distance field, metres.
@@ -82,6 +85,12 @@ struct View {
 pub(crate) fn cost(scene: &Scene<'_>, state: &State, stage: Stage) -> f64 {
     let view = View::new(scene, state, stage);
     0.5 * residuals(scene, state, stage, &view, None).norm_squared()
+}
+
+/// The residuals alone.
+#[cfg(test)]
+pub(crate) fn residual_vector(scene: &Scene<'_>, state: &State, stage: Stage) -> DVector<f64> {
+    residuals(scene, state, stage, &View::new(scene, state, stage), None)
 }
 
 /// Residuals and their derivatives (columns: rotation, translation, joints).
@@ -183,6 +192,8 @@ fn residuals(
     }
     // The thumb's normal force against the fingers', each finger with its share.
     balance(scene, stage, view, &motion, &mut r, rows.as_deref_mut());
+    // No pad pushes the object out of the hand.
+    caging(scene, stage, view, &motion, &mut r, rows.as_deref_mut());
     // Small corrections.
     let unit = CORRECTION / scene.options.max_finger_correction_rad.max(1e-6);
     for (k, (q, recorded)) in state.joints.iter().zip(&scene.recorded.joints).enumerate() {
@@ -246,9 +257,52 @@ fn balance(
         let mut top = d.rows_mut(0, 3);
         top += &turn * share(f);
         let mut bottom = d.rows_mut(3, 3);
-        bottom += (arm * turn - pad.gradient.cross_matrix() * m) * (share(f) / BALANCE_LENGTH_M);
+        // The middle moves along by half of every share.
+        let with_middle = (force.cross_matrix() * 0.5 - pad.gradient.cross_matrix()) * m;
+        bottom += (arm * turn + with_middle) * (share(f) / BALANCE_LENGTH_M);
     }
     rows.extend((0..6).map(|k| d.row(k).transpose() * BALANCE));
+}
+
+/// Pads whose push on the object points out of the palm: a hand that holds a thing has it between its fingers, not before them.
+fn caging(
+    scene: &Scene<'_>,
+    stage: Stage,
+    view: &View,
+    motion: &dyn Fn(usize, &Point3<f64>) -> DMatrix<f64>,
+    r: &mut Vec<f64>,
+    mut rows: Option<&mut Vec<DVector<f64>>>,
+) {
+    let (_, palm) = scene.hand.palm(&view.poses);
+    for (f, pad) in view.pads.iter().enumerate() {
+        let weight = match stage {
+            Stage::Final { fingers } => f64::from(fingers >> f & 1),
+            Stage::Rough => 1.0 / (1.0 + (pad.distance / FADE_M).powi(2)),
+        } * PUSHED_AWAY;
+        let push = -pad.gradient.dot(&palm) - PUSH_FREE;
+        if push <= 0.0 || weight == 0.0 {
+            continue;
+        }
+        r.push(weight * push);
+        if let Some(rows) = rows.as_deref_mut() {
+            let mut row = (curvature(scene, &pad.point) * motion(pad.link, &pad.point)).tr_mul(&palm) * -weight;
+            // The palm turns with the wrist: d palm = ω × palm.
+            let turn = palm.cross(&pad.gradient) * -weight;
+            for k in 0..3 {
+                row[k] += turn[k];
+            }
+            rows.push(row);
+        }
+    }
+}
+
+/// Mean over the touching pads (bit set) of how much they push the object out of the palm, 0 to 1.
+pub(crate) fn pushed_away(scene: &Scene<'_>, state: &State, fingers: u32) -> f64 {
+    let view = View::new(scene, state, Stage::Final { fingers });
+    let (_, palm) = scene.hand.palm(&view.poses);
+    let touching = view.pads.iter().enumerate().filter(|(f, _)| fingers >> f & 1 == 1);
+    let (sum, n) = touching.fold((0.0, 0), |(s, n), (_, p)| (s + (-p.gradient.dot(&palm) - PUSH_FREE).max(0.0), n + 1));
+    sum / f64::from(n.max(1))
 }
 
 /// Derivative of the gradient of the distance, by central differences.

@@ -1,0 +1,106 @@
+//! Derivatives of the residuals against finite differences, and where the pads are.
+
+use drex_core::{SdfSample, SignedDistance};
+use drex_grasp::TablePlane;
+use drex_robot::Robot;
+use nalgebra::{DVector, Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+
+use super::levenberg::moved;
+use super::residuals::{Scene, Stage, State, linearise, residual_vector};
+use super::{HandModel, ObjectSurface, WristFitOptions};
+
+/// An ellipsoid's distance to first order: smooth, with curvature.
+struct Ball;
+impl SignedDistance for Ball {
+    fn signed_distance(&self, p: &Point3<f64>) -> SdfSample {
+        SdfSample { distance_m: p.coords.norm() - 0.04, gradient: p.coords.normalize() }
+    }
+}
+
+#[test]
+fn the_derivatives_are_those_of_the_residuals() {
+    for name in ["leap_right", "allegro_right"] {
+        let robot = Robot::bundled(name).unwrap();
+        let options = WristFitOptions::default();
+        let hand = HandModel::new(&robot, &options).unwrap();
+        let recorded = hand.recorded_within(&robot.mid_range(), 0.15).unwrap();
+        let corner = Point3::new(0.04, 0.04, 0.04);
+        let object = ObjectSurface { search: &Ball, judge: &Ball, bounds: (-corner, corner), center_of_mass: Point3::origin() };
+        let table = TablePlane { up: Vector3::z_axis(), height_m: -0.04 };
+        let scene = Scene { hand: &hand, object: &object, table: &table, options: &options, recorded: &recorded };
+        let mut checked = 0;
+        for k in 0..24 {
+            let a = f64::from(k);
+            let turn = UnitQuaternion::from_euler_angles(1.3 * a, 0.7 * a, 2.1 * a);
+            let grasp_center = robot.grasp_center().unwrap();
+            // Off to one side: the field has no derivative at the ball's centre.
+            let at = 0.11 * Vector3::new((3.0 * a).sin(), (2.0 * a).cos(), a.sin()).normalize();
+            let pose = Isometry3::from_parts(Translation3::from(at - turn * grasp_center.coords), turn);
+            let state = State { object_from_base: pose, joints: recorded.joints.clone() };
+            for stage in [Stage::Rough, Stage::Final { fingers: 0b1111 }] {
+                checked += check(&scene, &state, stage);
+            }
+        }
+        assert!(checked > 2000, "{name}: only {checked} entries could be compared");
+    }
+}
+
+/// Compares every column where the set of active points stays the same; returns how many entries were compared.
+fn check(scene: &Scene<'_>, state: &State, stage: Stage) -> usize {
+    let (r, j) = linearise(scene, state, stage);
+    // Curvature is a difference over 2 mm, a percent off 3 cm from the ball's centre and useless at it.
+    let pads = scene.hand.pads[0].len();
+    if stage != Stage::Rough && r.iter().take(pads).any(|gap_mm| *gap_mm < -10.0) {
+        return 0;
+    }
+    let h = 1e-6;
+    let mut compared = 0;
+    for column in 0..j.ncols() {
+        let step = |sign: f64| {
+            let mut s = DVector::zeros(j.ncols());
+            s[column] = sign * h;
+            residual_vector(scene, &moved(scene, state, &s), stage)
+        };
+        let (plus, minus) = (step(1.0), step(-1.0));
+        if plus.len() != r.len() || minus.len() != r.len() {
+            continue;
+        }
+        // In the rough stage the shares of the balance move with the gaps and are held fixed for the derivative.
+        let rows = if stage == Stage::Rough { pads } else { r.len() };
+        for row in 0..rows {
+            // A kink (another point became the nearest) shows as different slopes on both sides.
+            let (left, right) = ((r[row] - minus[row]) / h, (plus[row] - r[row]) / h);
+            let size = left.abs().max(right.abs()).max(j.row(row).amax()).max(1.0);
+            if (left - right).abs() < 1e-3 * size {
+                let numeric = 0.5 * (left + right);
+                assert!(
+                    (numeric - j[(row, column)]).abs() < 2e-2 * size,
+                    "row {row} column {column}: {numeric} against {} in {stage:?}",
+                    j[(row, column)]
+                );
+                compared += 1;
+            }
+        }
+    }
+    compared
+}
+
+#[test]
+fn pads_are_on_the_palmar_side_of_every_finger() {
+    for name in ["leap_right", "allegro_right"] {
+        let robot = Robot::bundled(name).unwrap();
+        let hand = HandModel::new(&robot, &WristFitOptions::default()).unwrap();
+        let mut straight = vec![0.0; robot.dof()];
+        robot.clamp_to_limits(&mut straight);
+        let poses = robot.forward_kinematics(&straight, &Isometry3::identity());
+        let (_, palm) = hand.palm(&poses);
+        for (finger, pad) in hand.fine.fingers.iter().zip(&hand.pads[1]) {
+            let normals: Vec<Vector3<f64>> =
+                pad.parts.iter().flat_map(|(l, part)| part.samples().iter().map(|s| poses[*l] * s.1)).collect();
+            assert!(normals.len() > 20, "{name} {}", finger.name);
+            let mean = normals.iter().sum::<Vector3<f64>>() / normals.len() as f64;
+            // Straight fingers look where the palm looks; the thumb is elsewhere.
+            assert!(finger.is_thumb || mean.dot(&palm) > 0.5, "{name} {}: {mean}", finger.name);
+        }
+    }
+}
