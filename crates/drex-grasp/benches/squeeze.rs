@@ -16,9 +16,13 @@ fn thumb_against_three() -> SqueezeProblem {
 fn run(c: &mut Criterion) {
     let problem = thumb_against_three();
     c.bench_function("smallest forces, 4 contacts", |b| b.iter(|| smallest_forces(&problem).unwrap()));
-    c.bench_function("smallest squeeze with friction margin, 4 contacts", |b| b.iter(|| smallest_squeeze(&problem).unwrap()));
+    c.bench_function("smallest squeeze with friction margin, 4 contacts", |b| {
+        b.iter(|| smallest_squeeze(&problem).unwrap())
+    });
     let options = ClosureOptions::default();
-    c.bench_function("force closure with epsilon, 4 contacts", |b| b.iter(|| force_closure(&problem.contacts, &options).unwrap()));
+    c.bench_function("force closure with epsilon, 4 contacts", |b| {
+        b.iter(|| force_closure(&problem.contacts, &options).unwrap())
+    });
 }
 
 criterion_group!(benches, run);

@@ -6,7 +6,8 @@ use nalgebra::{Unit, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    ClosureOptions, ContactOptions, HandSurface, Result, SqueezeError, SqueezeProblem, TorqueLimits, force_closure, smallest_squeeze,
+    ClosureOptions, ContactOptions, HandSurface, Result, SqueezeError, SqueezeProblem, TorqueLimits, force_closure,
+    smallest_squeeze,
 };
 
 /// The table: points x with up · x = height, in the object's frame.
@@ -148,7 +149,11 @@ pub fn static_check(grasp: &StaticGrasp<'_>, options: &CheckOptions) -> Result<S
 ///
 /// # Errors
 /// As [`static_check`].
-pub fn static_check_with(surface: &HandSurface, grasp: &StaticGrasp<'_>, options: &CheckOptions) -> Result<StaticCheck> {
+pub fn static_check_with(
+    surface: &HandSurface,
+    grasp: &StaticGrasp<'_>,
+    options: &CheckOptions,
+) -> Result<StaticCheck> {
     let StaticGrasp { robot, joints, object_from_base, object, body, table } = grasp;
     let contacts = surface.contacts(robot, joints, object_from_base, *object, &options.contact)?;
     let poses = robot.forward_kinematics(joints, object_from_base);
@@ -174,7 +179,8 @@ pub fn static_check_with(surface: &HandSurface, grasp: &StaticGrasp<'_>, options
     }
 
     let gravity = table.gravity();
-    let mut problem = SqueezeProblem::new(contacts.clone(), body.mass_kg, body.center_of_mass, gravity).with_gamma(options.gamma);
+    let mut problem =
+        SqueezeProblem::new(contacts.clone(), body.mass_kg, body.center_of_mass, gravity).with_gamma(options.gamma);
     problem.torsion_m = options.torsion_m;
     problem.max_normal_n = options.max_normal_n;
     if options.motors {
@@ -234,7 +240,10 @@ fn touching_fingers(
     failures: &mut Vec<String>,
 ) {
     let thumb = surface.thumb();
-    if options.thumb && let Some(t) = thumb && contacts_of(t) == 0 {
+    if options.thumb
+        && let Some(t) = thumb
+        && contacts_of(t) == 0
+    {
         failures.push("the thumb does not touch the object".into());
     }
     let others: Vec<usize> = (0..surface.fingers.len()).filter(|&f| Some(f) != thumb).collect();

@@ -29,7 +29,9 @@ pub enum GraspError {
     #[error("robot model: {0}")]
     Robot(String),
     /// The cone solver stopped without an answer.
-    #[error("the cone programme stopped with {status} after {iterations} iterations; scale the problem or check the contacts for duplicates")]
+    #[error(
+        "the cone programme stopped with {status} after {iterations} iterations; scale the problem or check the contacts for duplicates"
+    )]
     Solver {
         /// The solver's own word.
         status: String,

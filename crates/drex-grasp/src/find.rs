@@ -92,7 +92,9 @@ impl HandSurface {
             let touching = surface
                 .within(pose, object, options.max_gap_m)
                 .into_iter()
-                .filter_map(|(i, s)| Some((pose * surface.samples()[i].0, s.distance_m, s.gradient.try_normalize(1e-9)?)))
+                .filter_map(|(i, s)| {
+                    Some((pose * surface.samples()[i].0, s.distance_m, s.gradient.try_normalize(1e-9)?))
+                })
                 .collect();
             for (point, distance, gradient) in patch(touching, options) {
                 contacts.push(Contact {
@@ -110,7 +112,10 @@ impl HandSurface {
 }
 
 /// The deepest point, then those of the same patch that are furthest from the ones taken.
-fn patch(mut near: Vec<(Point3<f64>, f64, Vector3<f64>)>, options: &ContactOptions) -> Vec<(Point3<f64>, f64, Vector3<f64>)> {
+fn patch(
+    mut near: Vec<(Point3<f64>, f64, Vector3<f64>)>,
+    options: &ContactOptions,
+) -> Vec<(Point3<f64>, f64, Vector3<f64>)> {
     let Some(deepest) = near.iter().map(|n| n.1).min_by(f64::total_cmp) else { return Vec::new() };
     near.retain(|n| n.1 <= deepest + options.patch_depth_m);
     let first = near.iter().position(|n| n.1 == deepest).unwrap_or(0);
@@ -146,7 +151,10 @@ pub(crate) fn check_joints(robot: &Robot, q: &[f64]) -> Result<()> {
         )));
     }
     if let Some(j) = q.iter().position(|v| !v.is_finite()) {
-        return Err(GraspError::Robot(format!("the value of joint \"{}\" is not finite; repair the grasp", robot.joints[j].name)));
+        return Err(GraspError::Robot(format!(
+            "the value of joint \"{}\" is not finite; repair the grasp",
+            robot.joints[j].name
+        )));
     }
     Ok(())
 }

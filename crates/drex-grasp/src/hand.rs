@@ -25,10 +25,13 @@ pub struct HandSurface {
 /// Points on one link, in patches with a ball around each, so that far patches are skipped whole.
 #[derive(Debug, Clone, Default)]
 pub struct LinkSurface {
-    samples: Vec<(Point3<f64>, Vector3<f64>)>,
+    samples: Vec<Sample>,
     patches: Vec<Patch>,
     ball: Ball,
 }
+
+/// A point and its outward unit normal, link frame.
+type Sample = (Point3<f64>, Vector3<f64>);
 
 /// A run of samples and the ball around them.
 #[derive(Debug, Clone)]
@@ -60,7 +63,10 @@ impl HandSurface {
     /// If the spacing is not positive or the robot has no collision shape at all.
     pub fn new(robot: &Robot, spacing_m: f64) -> Result<Self> {
         if !(spacing_m > 1e-5 && spacing_m.is_finite()) {
-            return Err(GraspError::value(format!("a sample spacing of {spacing_m} m"), "give millimetres, such as 0.003"));
+            return Err(GraspError::value(
+                format!("a sample spacing of {spacing_m} m"),
+                "give millimetres, such as 0.003",
+            ));
         }
         let links: Vec<LinkSurface> =
             (0..robot.links.len()).map(|l| LinkSurface::new(&robot.surface_samples(l, spacing_m))).collect();
@@ -96,14 +102,15 @@ impl HandSurface {
     /// of more than `exact_within_m`.
     pub fn depths(&self, link_poses: &[Pose], object: &dyn SignedDistance, exact_within_m: f64) -> Vec<f64> {
         let each = self.links.iter().zip(link_poses);
-        each.map(|(link, pose)| link.nearest(pose, object, exact_within_m).map_or(f64::NEG_INFINITY, |n| -n.1)).collect()
+        each.map(|(link, pose)| link.nearest(pose, object, exact_within_m).map_or(f64::NEG_INFINITY, |n| -n.1))
+            .collect()
     }
 }
 
 impl LinkSurface {
     /// Patches of these points and outward unit normals (link frame, metres).
     pub fn new(samples: &[(Point3<f64>, Vector3<f64>)]) -> Self {
-        let mut cells: BTreeMap<[i64; 3], Vec<(Point3<f64>, Vector3<f64>)>> = BTreeMap::new();
+        let mut cells: BTreeMap<[i64; 3], Vec<Sample>> = BTreeMap::new();
         for s in samples {
             // Saturates for points that are not finite; no robot model has them.
             let cell = [0, 1, 2].map(|k| (s.0[k] / PATCH_M).floor() as i64);
@@ -133,26 +140,41 @@ impl LinkSurface {
     /// Exact for true distances, which change by no more than the way travelled.
     pub fn nearest(&self, object_from_link: &Pose, object: &dyn SignedDistance, limit_m: f64) -> Option<(usize, f64)> {
         let mut best = (None, limit_m);
-        self.visit(object_from_link, object, &mut |i, point, best_so_far| {
-            let d = object.signed_distance(point).distance_m;
-            if d < best_so_far {
-                best = (Some(i), d);
-            }
-            best.1
-        }, limit_m);
+        self.visit(
+            object_from_link,
+            object,
+            &mut |i, point, best_so_far| {
+                let d = object.signed_distance(point).distance_m;
+                if d < best_so_far {
+                    best = (Some(i), d);
+                }
+                best.1
+            },
+            limit_m,
+        );
         best.0.map(|i| (i, best.1))
     }
 
     /// The points within `limit_m`: index and what the object says there.
-    pub fn within(&self, object_from_link: &Pose, object: &dyn SignedDistance, limit_m: f64) -> Vec<(usize, SdfSample)> {
+    pub fn within(
+        &self,
+        object_from_link: &Pose,
+        object: &dyn SignedDistance,
+        limit_m: f64,
+    ) -> Vec<(usize, SdfSample)> {
         let mut list = Vec::new();
-        self.visit(object_from_link, object, &mut |i, point, limit| {
-            let s = object.signed_distance(point);
-            if s.distance_m <= limit {
-                list.push((i, s));
-            }
-            limit
-        }, limit_m);
+        self.visit(
+            object_from_link,
+            object,
+            &mut |i, point, limit| {
+                let s = object.signed_distance(point);
+                if s.distance_m <= limit {
+                    list.push((i, s));
+                }
+                limit
+            },
+            limit_m,
+        );
         list
     }
 
@@ -205,7 +227,7 @@ impl LinkSurface {
 
 impl Ball {
     /// Centre of the bounding box and the furthest point from it.
-    fn around(samples: &[(Point3<f64>, Vector3<f64>)]) -> Self {
+    fn around(samples: &[Sample]) -> Self {
         let Some(first) = samples.first() else { return Self::default() };
         let (lo, hi) = samples.iter().fold((first.0, first.0), |(lo, hi), (p, _)| (lo.inf(p), hi.sup(p)));
         let center = nalgebra::center(&lo, &hi);

@@ -17,6 +17,8 @@
 //! Points, normals and forces are in the object's frame, SI units. A contact's normal points *into* the object; a contact
 //! force is the force of the hand *on* the object. Robot joint values are in the model's order.
 
+#![allow(clippy::neg_cmp_op_on_partial_ord)] // `!(x >= 0.0)` refuses NaN, `x < 0.0` does not
+
 mod ball;
 mod check;
 mod closure;

@@ -211,7 +211,11 @@ struct Limits {
 }
 
 /// The programme with all friction coefficients times `friction_scale`. `None` if it is infeasible.
-fn solve(problem: &SqueezeProblem, friction_scale: f64, limits: Limits) -> Result<Option<Vec<Vector3<f64>>>, GraspError> {
+fn solve(
+    problem: &SqueezeProblem,
+    friction_scale: f64,
+    limits: Limits,
+) -> Result<Option<Vec<Vector3<f64>>>, GraspError> {
     let contacts = &problem.contacts;
     let n = contacts.len();
     let load = problem.load();
@@ -243,7 +247,11 @@ fn solve(problem: &SqueezeProblem, friction_scale: f64, limits: Limits) -> Resul
         }
         let mu = c.friction * friction_scale;
         if mu > 0.0 {
-            program.second_order(vec![Affine::var(3 * i, mu), Affine::var(3 * i + 1, 1.0), Affine::var(3 * i + 2, 1.0)]);
+            program.second_order(vec![
+                Affine::var(3 * i, mu),
+                Affine::var(3 * i + 1, 1.0),
+                Affine::var(3 * i + 2, 1.0),
+            ]);
         } else {
             program.zero(Affine::var(3 * i + 1, 1.0));
             program.zero(Affine::var(3 * i + 2, 1.0));
@@ -259,9 +267,8 @@ fn solve(problem: &SqueezeProblem, friction_scale: f64, limits: Limits) -> Resul
             contacts.iter().zip(&torques.jacobians).map(|(c, j)| c.axes().transpose() * j).collect();
         for (joint, &(lower, upper)) in torques.limits_nm.iter().enumerate() {
             // Rows in units of load times length as well.
-            let row = |sign: f64| {
-                (0..3 * n).map(|k| (k, sign * rows[k / 3][(k % 3, joint)] / length)).collect::<Vec<_>>()
-            };
+            let row =
+                |sign: f64| (0..3 * n).map(|k| (k, sign * rows[k / 3][(k % 3, joint)] / length)).collect::<Vec<_>>();
             let scale = 1.0 / (unit * length);
             if upper.is_finite() {
                 program.nonnegative(Affine::new(row(-1.0), (upper - torques.gravity_nm[joint]) * scale));
@@ -299,9 +306,10 @@ fn describe(problem: &SqueezeProblem, f: &[Vector3<f64>]) -> Squeeze {
         }
     }
     let joint_torques_nm = torques(problem, f);
-    let torque_margin = problem.torques.iter().flat_map(|t| &t.limits_nm).zip(&joint_torques_nm).fold(1.0, |m, (l, t)| {
-        f64::min(m, 1.0 - t / if *t >= 0.0 { l.1.max(f64::MIN_POSITIVE) } else { l.0.min(-f64::MIN_POSITIVE) })
-    });
+    let torque_margin =
+        problem.torques.iter().flat_map(|t| &t.limits_nm).zip(&joint_torques_nm).fold(1.0, |m, (l, t)| {
+            f64::min(m, 1.0 - t / if *t >= 0.0 { l.1.max(f64::MIN_POSITIVE) } else { l.0.min(-f64::MIN_POSITIVE) })
+        });
     Squeeze {
         total_n: normal_n.iter().sum(),
         forces: problem.contacts.iter().zip(f).map(|(c, f)| c.axes() * f).collect(),
@@ -316,13 +324,17 @@ fn describe(problem: &SqueezeProblem, f: &[Vector3<f64>]) -> Squeeze {
 
 /// τ = Jᵀ f + τ_gravity for forces in contact axes; empty without motors.
 fn torques(problem: &SqueezeProblem, f: &[Vector3<f64>]) -> Vec<f64> {
-    problem.torques.iter().flat_map(|t| {
-        let mut tau = t.gravity_nm.clone();
-        for ((contact, jacobian), f) in problem.contacts.iter().zip(&t.jacobians).zip(f) {
-            tau += jacobian.tr_mul(&(contact.axes() * f));
-        }
-        tau.iter().copied().collect::<Vec<_>>()
-    }).collect()
+    problem
+        .torques
+        .iter()
+        .flat_map(|t| {
+            let mut tau = t.gravity_nm.clone();
+            for ((contact, jacobian), f) in problem.contacts.iter().zip(&t.jacobians).zip(f) {
+                tau += jacobian.tr_mul(&(contact.axes() * f));
+            }
+            tau.iter().copied().collect::<Vec<_>>()
+        })
+        .collect()
 }
 
 /// Bisection on a common factor of the friction coefficients; the feasible factors form an interval that ends at 1.

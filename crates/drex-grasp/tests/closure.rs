@@ -69,7 +69,13 @@ fn frictionless_points_close_a_box_from_seven_and_never_from_six() {
         })
         .to_vec();
     assert!(!closure(&tetrahedron).closed);
-    let rough: Vec<Contact> = tetrahedron.into_iter().map(|mut c| { c.friction = 0.3; c }).collect();
+    let rough: Vec<Contact> = tetrahedron
+        .into_iter()
+        .map(|mut c| {
+            c.friction = 0.3;
+            c
+        })
+        .collect();
     assert!(closure(&rough).closed);
 }
 
@@ -89,7 +95,11 @@ fn epsilon_of_a_frictionless_octahedron_is_known() {
     // With torques divided by 1 cm every generator is (±e_a, ±e_b) with b determined by a: the hull is the set of points with
     // Σ_a max(|f_a|, |t_b(a)|) <= 1. Its polar is max_a (|u_a| + |v_a|) <= 1, whose furthest point from the origin has
     // length √3 (one entry of each pair), so the ball has radius 1/√3.
-    let options = { let mut o = ClosureOptions::default(); o.length_m = Some(0.01); o };
+    let options = {
+        let mut o = ClosureOptions::default();
+        o.length_m = Some(0.01);
+        o
+    };
     let epsilon = force_closure(&contacts, &options).unwrap().epsilon;
     assert!((epsilon - 1.0 / 3f64.sqrt()).abs() < 2e-4, "{epsilon}");
 }

@@ -3,8 +3,8 @@
 
 use drex_core::{MassProperties, SdfSample, SignedDistance};
 use drex_grasp::{
-    CheckOptions, ContactOptions, GraspError, HandSurface, SqueezeProblem, StaticGrasp, TablePlane, TorqueLimits, find_contacts,
-    smallest_squeeze, static_check,
+    CheckOptions, ContactOptions, GraspError, HandSurface, SqueezeProblem, StaticGrasp, TablePlane, TorqueLimits,
+    find_contacts, smallest_squeeze, static_check,
 };
 use drex_robot::Robot;
 use nalgebra::{Isometry3, Matrix3, Point3, Translation3, Vector3};
@@ -49,7 +49,8 @@ fn a_fingertip_that_touches_is_found_with_its_depth_and_normal() {
         let robot = Robot::bundled(name).unwrap();
         let q = robot.joint_vector::<&str>([]).unwrap();
         let (ball, link) = ball_at_the_fingertip(&robot, &q, 0.001);
-        let contacts = find_contacts(&robot, &q, &Isometry3::identity(), &ball, &ContactOptions::with_friction(0.4)).unwrap();
+        let contacts =
+            find_contacts(&robot, &q, &Isometry3::identity(), &ball, &ContactOptions::with_friction(0.4)).unwrap();
         let tip: Vec<_> = contacts.iter().filter(|c| c.link == link).collect();
         assert!(!tip.is_empty() && tip.len() <= 3, "{name}: {contacts:?}");
         // Sampling at 3 mm may miss the deepest point by a little.
@@ -60,7 +61,9 @@ fn a_fingertip_that_touches_is_found_with_its_depth_and_normal() {
             assert!((c.normal - (ball.center - c.point).normalize()).norm() < 1e-9, "into the object");
         }
         let (far, _) = ball_at_the_fingertip(&robot, &q, -0.01);
-        assert!(find_contacts(&robot, &q, &Isometry3::identity(), &far, &ContactOptions::default()).unwrap().is_empty());
+        assert!(
+            find_contacts(&robot, &q, &Isometry3::identity(), &far, &ContactOptions::default()).unwrap().is_empty()
+        );
     }
 }
 
@@ -90,7 +93,10 @@ fn torques_of_the_robot_do_the_work_of_the_contact_forces() {
     // Virtual work: the torques that hold contact forces on the fingertip equal force times displacement per joint.
     let robot = Robot::bundled("leap_right").unwrap();
     let q = robot.mid_range();
-    let base = Isometry3::from_parts(Translation3::new(0.1, -0.2, 0.05), nalgebra::UnitQuaternion::from_euler_angles(0.3, 0.5, -0.2));
+    let base = Isometry3::from_parts(
+        Translation3::new(0.1, -0.2, 0.05),
+        nalgebra::UnitQuaternion::from_euler_angles(0.3, 0.5, -0.2),
+    );
     let finger = &robot.fingers()[0];
     let poses = robot.forward_kinematics(&q, &base);
     let tip = poses[finger.tip_link] * finger.tip_point;
@@ -131,7 +137,14 @@ fn the_static_check_names_what_is_wrong() {
     let (ball, _) = ball_at_the_fingertip(&robot, &q, 0.004);
     let body = body(0.1, ball.center);
     let table = TablePlane { up: Vector3::z_axis(), height_m: 0.0 };
-    let grasp = StaticGrasp { robot: &robot, joints: &q, object_from_base: Isometry3::identity(), object: &ball, body: &body, table };
+    let grasp = StaticGrasp {
+        robot: &robot,
+        joints: &q,
+        object_from_base: Isometry3::identity(),
+        object: &ball,
+        body: &body,
+        table,
+    };
     let check = static_check(&grasp, &CheckOptions::default()).unwrap();
     assert!(!check.passed && check.squeeze_n.is_none() && !check.force_closure);
     for word in ["thumb", "1 of 3 fingers", "inside the object", "below the table", "force closure", "cannot carry"] {
@@ -159,7 +172,8 @@ fn squeeze_with_motors_is_never_smaller_than_without() {
     let gravity = Vector3::new(0.0, 0.0, -9.81);
     let limits = TorqueLimits::of_robot(&robot, &q, &Isometry3::identity(), &contacts, &gravity).unwrap();
     let problem = SqueezeProblem::new(contacts, 0.3, center, gravity);
-    if let (Ok(free), Ok(bound)) = (smallest_squeeze(&problem), smallest_squeeze(&problem.clone().with_torques(limits))) {
+    if let (Ok(free), Ok(bound)) = (smallest_squeeze(&problem), smallest_squeeze(&problem.clone().with_torques(limits)))
+    {
         assert!(bound.total_n >= free.total_n * (1.0 - 1e-6));
         assert_eq!(bound.joint_torques_nm.len(), robot.dof());
         assert!(bound.torque_margin >= -1e-6);

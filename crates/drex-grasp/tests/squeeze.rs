@@ -96,17 +96,24 @@ fn the_friction_margin_of_a_wedge_is_known() {
 #[test]
 fn a_ceiling_on_the_force_is_the_friction_margin_of_a_pinch() {
     // At most F per contact: friction may fall to m g / (2 F).
-    let s = smallest_squeeze(&SqueezeProblem::new(pinch(0.5), 0.2, Point3::origin(), down()).with_max_normal_n(4.0)).unwrap();
+    let s = smallest_squeeze(&SqueezeProblem::new(pinch(0.5), 0.2, Point3::origin(), down()).with_max_normal_n(4.0))
+        .unwrap();
     assert!((s.friction_margin - (1.0 - 0.2 * G / (2.0 * 4.0) / 0.5)).abs() < 2e-3);
-    let refused = smallest_squeeze(&SqueezeProblem::new(pinch(0.5), 0.2, Point3::origin(), down()).with_max_normal_n(1.9));
-    assert!(matches!(refused, Err(SqueezeError::NormalForce { needed_n, .. }) if (needed_n - 1.962).abs() < 1e-5), "{refused:?}");
+    let refused =
+        smallest_squeeze(&SqueezeProblem::new(pinch(0.5), 0.2, Point3::origin(), down()).with_max_normal_n(1.9));
+    assert!(
+        matches!(refused, Err(SqueezeError::NormalForce { needed_n, .. }) if (needed_n - 1.962).abs() < 1e-5),
+        "{refused:?}"
+    );
 }
 
 #[test]
 fn a_floor_on_the_force_binds() {
-    let s = smallest_squeeze(&SqueezeProblem::new(pinch(0.5), 0.01, Point3::origin(), down()).with_min_normal_n(1.0)).unwrap();
+    let s = smallest_squeeze(&SqueezeProblem::new(pinch(0.5), 0.01, Point3::origin(), down()).with_min_normal_n(1.0))
+        .unwrap();
     assert!((s.total_n - 2.0).abs() < 1e-6);
-    let idle = smallest_squeeze(&SqueezeProblem::new(pinch(0.5), 0.0, Point3::origin(), down()).with_min_normal_n(0.3)).unwrap();
+    let idle = smallest_squeeze(&SqueezeProblem::new(pinch(0.5), 0.0, Point3::origin(), down()).with_min_normal_n(0.3))
+        .unwrap();
     assert!((idle.total_n - 0.6).abs() < 1e-6);
     let none = smallest_squeeze(&SqueezeProblem::new(pinch(0.5), 0.0, Point3::origin(), down())).unwrap();
     assert_eq!(none.total_n, 0.0);
@@ -130,8 +137,11 @@ fn torques_follow_the_forces_and_bind() {
     assert!((s.joint_torques_nm[0] - 0.06 * 1.962).abs() < 1e-7);
     assert!((s.torque_margin - (1.0 - 0.06 * 1.962 / 0.2)).abs() < 1e-6);
     let refused = smallest_squeeze(&problem(0.1));
-    assert!(matches!(refused, Err(SqueezeError::Torque { joint: 0, needed_nm, limit_nm })
-        if (needed_nm - 0.06 * 1.962).abs() < 1e-6 && limit_nm == 0.1), "{refused:?}");
+    assert!(
+        matches!(refused, Err(SqueezeError::Torque { joint: 0, needed_nm, limit_nm })
+        if (needed_nm - 0.06 * 1.962).abs() < 1e-6 && limit_nm == 0.1),
+        "{refused:?}"
+    );
     // With two fingers on one side a weak joint hands its share to the other finger.
     let contacts = thumb_against(2, 0.5);
     let mut one = Matrix3xX::zeros(1);
@@ -176,7 +186,9 @@ fn bad_input_is_refused_by_name() {
     sizes.torques.as_mut().unwrap().jacobians.pop();
     let mut limits = good.with_max_normal_n(1.0);
     limits.min_normal_n = 2.0;
-    for (problem, word) in [(nan, "mass"), (long, "contact 1"), (slippery, "contact 0"), (sizes, "Jacobians"), (limits, "limits")] {
+    for (problem, word) in
+        [(nan, "mass"), (long, "contact 1"), (slippery, "contact 0"), (sizes, "Jacobians"), (limits, "limits")]
+    {
         let message = smallest_squeeze(&problem).unwrap_err().to_string();
         assert!(message.contains(word), "{message}");
     }

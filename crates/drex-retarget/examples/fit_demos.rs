@@ -23,9 +23,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let option = |name: &str| args.iter().position(|a| a == name).and_then(|i| args.get(i + 1)).cloned();
     let [mesh_path, grasps_path] = [0, 1].map(|i| PathBuf::from(args.get(i).cloned().unwrap_or_default()));
     let robot = Robot::bundled(&option("--robot").unwrap_or_else(|| "leap_right".into()))?;
-    let order: Vec<String> =
-        orders::require(&option("--order").unwrap_or_else(|| "leap_sdk".into()))?.iter().map(|s| s.to_string()).collect();
-    let up: Vec<f64> = option("--up").unwrap_or_else(|| "0,0,1".into()).split(',').map(|v| v.parse()).collect::<Result<_, _>>()?;
+    let order: Vec<String> = orders::require(&option("--order").unwrap_or_else(|| "leap_sdk".into()))?
+        .iter()
+        .map(|s| s.to_string())
+        .collect();
+    let up: Vec<f64> =
+        option("--up").unwrap_or_else(|| "0,0,1".into()).split(',').map(|v| v.parse()).collect::<Result<_, _>>()?;
     let mass_kg: f64 = option("--mass").unwrap_or_else(|| "0.2".into()).parse()?;
 
     let clock = Instant::now();
@@ -37,7 +40,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     grid.margin_m = Some(0.1);
     let search = GridSdf::with_options(exact.clone(), &grid)?;
     let table = TablePlane::under(&mesh.vertices, Vector3::new(up[0], up[1], up[2])).ok_or("no up direction")?;
-    println!("object ready in {:.1} s, extents {:?} m", clock.elapsed().as_secs_f64(), (bounds.1 - bounds.0).as_slice());
+    println!(
+        "object ready in {:.1} s, extents {:?} m",
+        clock.elapsed().as_secs_f64(),
+        (bounds.1 - bounds.0).as_slice()
+    );
 
     let table_of_grasps = read_grasps(&grasps_path, Some(&order))?;
     let mut rows = Vec::new();
@@ -74,7 +81,11 @@ fn report(
     let held = accepted.iter().filter(|f| f.squeeze_per_weight.is_some()).count();
     let clipped = fits.iter().filter(|f| f.clipped_rad.iter().any(|c| *c != 0.0)).count();
     let closed = accepted.iter().filter(|f| f.force_closure).count();
-    println!("{} of {} survive, {held} of them carry the object, {closed} are in force closure; {clipped} were outside joint limits", accepted.len(), fits.len());
+    println!(
+        "{} of {} survive, {held} of them carry the object, {closed} are in force closure; {clipped} were outside joint limits",
+        accepted.len(),
+        fits.len()
+    );
     let mut reasons: BTreeMap<String, usize> = BTreeMap::new();
     for fit in fits {
         if let Verdict::Rejected(list) = &fit.verdict {
@@ -84,7 +95,10 @@ fn report(
     println!("reasons: {reasons:?}");
     spread("penetration of all, mm", fits.iter().map(|f| f.penetration_mm));
     spread("largest correction of survivors, rad", accepted.iter().map(|f| f.largest_correction_rad()));
-    spread("touching fingers of survivors", accepted.iter().map(|f| f.fingers.iter().filter(|g| g.touches).count() as f64));
+    spread(
+        "touching fingers of survivors",
+        accepted.iter().map(|f| f.fingers.iter().filter(|g| g.touches).count() as f64),
+    );
     spread("squeeze per weight", accepted.iter().filter_map(|f| f.squeeze_per_weight));
 
     let surface = HandSurface::new(robot, 0.003)?;
@@ -92,10 +106,21 @@ fn report(
     options.gamma = 1.5;
     let mut checks = Vec::new();
     for fit in &accepted {
-        let grasp = StaticGrasp { robot, joints: &fit.joints, object_from_base: fit.object_from_base, object: exact, body, table };
+        let grasp = StaticGrasp {
+            robot,
+            joints: &fit.joints,
+            object_from_base: fit.object_from_base,
+            object: exact,
+            body,
+            table,
+        };
         checks.push(static_check_with(&surface, &grasp, &options)?);
     }
-    println!("static check (gamma 1.5, motors, mu 0.5): {} of {} pass", checks.iter().filter(|c| c.passed).count(), checks.len());
+    println!(
+        "static check (gamma 1.5, motors, mu 0.5): {} of {} pass",
+        checks.iter().filter(|c| c.passed).count(),
+        checks.len()
+    );
     let mut failures: BTreeMap<String, usize> = BTreeMap::new();
     for failure in checks.iter().flat_map(|c| &c.failures) {
         let kind: String = failure.chars().filter(|c| !c.is_ascii_digit()).take(48).collect();
@@ -116,7 +141,14 @@ fn spread(what: &str, values: impl Iterator<Item = f64>) {
         return;
     }
     let at = |p: f64| v[((v.len() - 1) as f64 * p).round() as usize];
-    println!("{what}: min {:.3}, quartiles {:.3} {:.3} {:.3}, max {:.3}", at(0.0), at(0.25), at(0.5), at(0.75), at(1.0));
+    println!(
+        "{what}: min {:.3}, quartiles {:.3} {:.3} {:.3}, max {:.3}",
+        at(0.0),
+        at(0.25),
+        at(0.5),
+        at(0.75),
+        at(1.0)
+    );
 }
 
 fn write(out: &Path, robot: &Robot, mesh: &TriMesh, fits: &[WristFit]) -> Result<(), Box<dyn std::error::Error>> {
@@ -174,7 +206,9 @@ fn shape_mesh(shape: &Shape) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
         return (mesh.vertices.clone(), mesh.faces.clone());
     }
     if let Shape::Box { half } = shape {
-        let points = (0..8).map(|k| Point3::from(Vector3::from_fn(|a, _| if k >> a & 1 == 1 { half[a] } else { -half[a] }))).collect();
+        let points = (0..8)
+            .map(|k| Point3::from(Vector3::from_fn(|a, _| if k >> a & 1 == 1 { half[a] } else { -half[a] })))
+            .collect();
         let quads: [[u32; 4]; 6] = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
         return (points, quads.iter().flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]).collect());
     }

@@ -72,7 +72,7 @@ impl Default for WristFitOptions {
             min_table_clearance_m: 0.0,
             friction: 0.5,
             starts: 512,
-            kept: (64, 16),
+            kept: (96, 24),
             seed: 0,
             spacings_m: (0.008, 0.003),
         }
@@ -242,7 +242,9 @@ pub fn fit_wrists(
         .enumerate()
         .map(|(row, joints)| {
             fit_one(&hand, joints, object, table, options).map_err(|e| match e {
-                RetargetError::Joints { what, remedy } => RetargetError::Joints { what: format!("row {row}: {what}"), remedy },
+                RetargetError::Joints { what, remedy } => {
+                    RetargetError::Joints { what: format!("row {row}: {what}"), remedy }
+                }
                 other => other,
             })
         })
@@ -258,15 +260,11 @@ fn fit_one(
 ) -> Result<WristFit> {
     let recorded = hand.recorded_within(joints, options.max_finger_correction_rad)?;
     let scene = residuals::Scene { hand, object, table, options, recorded: &recorded };
-    let mut candidates: Vec<(f64, residuals::State)> = starts::starts(&scene)
-        .into_iter()
-        .map(|s| (residuals::cost(&scene, &s, residuals::Stage::Rough), s))
-        .collect();
+    let mut candidates: Vec<(f64, residuals::State)> =
+        starts::starts(&scene).into_iter().map(|s| (residuals::cost(&scene, &s, residuals::Stage::Rough), s)).collect();
     keep_best(&mut candidates, options.kept.0);
-    let mut candidates: Vec<(f64, residuals::State)> = candidates
-        .into_iter()
-        .map(|(_, s)| levenberg::minimise(&scene, s, residuals::Stage::Rough, 8))
-        .collect();
+    let mut candidates: Vec<(f64, residuals::State)> =
+        candidates.into_iter().map(|(_, s)| levenberg::minimise(&scene, s, residuals::Stage::Rough, 8)).collect();
     keep_best(&mut candidates, options.kept.1);
     let mut best: Option<ends::End> = None;
     for (_, state) in candidates {

@@ -2,7 +2,9 @@
 #![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 use drex_core::{SdfSample, SignedDistance};
-use drex_retarget::{ObjectSurface, Rejection, RetargetError, TablePlane, Verdict, WristFit, WristFitOptions, fit_wrist, fit_wrists};
+use drex_retarget::{
+    ObjectSurface, Rejection, RetargetError, TablePlane, Verdict, WristFit, WristFitOptions, fit_wrist, fit_wrists,
+};
 use drex_robot::Robot;
 use nalgebra::{Point3, Vector3};
 
@@ -45,12 +47,34 @@ impl Cylinder {
 fn half_closed(robot: &Robot) -> Vec<f64> {
     let named: &[(&str, f64)] = match robot.name.as_str() {
         "leap_right" => &[
-            ("if_mcp", 0.8), ("if_pip", 0.6), ("if_dip", 0.5), ("mf_mcp", 0.8), ("mf_pip", 0.6), ("mf_dip", 0.5),
-            ("rf_mcp", 0.8), ("rf_pip", 0.6), ("rf_dip", 0.5), ("th_cmc", 1.5), ("th_axl", 0.3), ("th_mcp", 0.2), ("th_ipl", 0.3),
+            ("if_mcp", 0.8),
+            ("if_pip", 0.6),
+            ("if_dip", 0.5),
+            ("mf_mcp", 0.8),
+            ("mf_pip", 0.6),
+            ("mf_dip", 0.5),
+            ("rf_mcp", 0.8),
+            ("rf_pip", 0.6),
+            ("rf_dip", 0.5),
+            ("th_cmc", 1.5),
+            ("th_axl", 0.3),
+            ("th_mcp", 0.2),
+            ("th_ipl", 0.3),
         ],
         _ => &[
-            ("ffj1", 0.8), ("ffj2", 0.7), ("ffj3", 0.5), ("mfj1", 0.8), ("mfj2", 0.7), ("mfj3", 0.5),
-            ("rfj1", 0.8), ("rfj2", 0.7), ("rfj3", 0.5), ("thj0", 1.2), ("thj1", 0.3), ("thj2", 0.4), ("thj3", 0.5),
+            ("ffj1", 0.8),
+            ("ffj2", 0.7),
+            ("ffj3", 0.5),
+            ("mfj1", 0.8),
+            ("mfj2", 0.7),
+            ("mfj3", 0.5),
+            ("rfj1", 0.8),
+            ("rfj2", 0.7),
+            ("rfj3", 0.5),
+            ("thj0", 1.2),
+            ("thj1", 0.3),
+            ("thj2", 0.4),
+            ("thj3", 0.5),
         ],
     };
     robot.joint_vector(named.iter().copied()).unwrap()
@@ -158,7 +182,8 @@ fn any_number_of_threads_gives_the_same_bytes() {
 fn bad_input_is_refused_by_name() {
     let robot = Robot::bundled("leap_right").unwrap();
     let can = Cylinder { radius: 0.03, half: 0.05 };
-    let fit = |rows: &[Vec<f64>], options: &WristFitOptions| fit_wrists(&robot, rows, &can.surface(), &can.table(), options);
+    let fit =
+        |rows: &[Vec<f64>], options: &WristFitOptions| fit_wrists(&robot, rows, &can.surface(), &can.table(), options);
     let mut nan = half_closed(&robot);
     nan[3] = f64::NAN;
     let message = fit(&[half_closed(&robot), nan], &quick()).unwrap_err().to_string();

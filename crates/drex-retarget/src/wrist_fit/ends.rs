@@ -75,7 +75,10 @@ pub(crate) fn judge(scene: &Scene<'_>, state: State) -> Result<End> {
         broken_mm += 1e3 * (depth - options.max_penetration_m);
     }
     if below > -options.min_table_clearance_m {
-        reasons.push(Rejection::BelowTable { link: link(low_link), depth_mm: 1e3 * (below + options.min_table_clearance_m) });
+        reasons.push(Rejection::BelowTable {
+            link: link(low_link),
+            depth_mm: 1e3 * (below + options.min_table_clearance_m),
+        });
         broken_mm += 1e3 * (below + options.min_table_clearance_m);
     }
     let accepted = reasons.is_empty();
@@ -114,8 +117,13 @@ struct Force {
 impl Force {
     fn of(scene: &Scene<'_>, state: &State) -> Result<Self> {
         let hand = scene.hand;
-        let mut contacts =
-            hand.fine.contacts(hand.robot, &state.joints, &state.object_from_base, scene.object.judge, &hand.contact)?;
+        let mut contacts = hand.fine.contacts(
+            hand.robot,
+            &state.joints,
+            &state.object_from_base,
+            scene.object.judge,
+            &hand.contact,
+        )?;
         let com = scene.object.center_of_mass;
         let closed = solved(is_force_closed(&contacts, &com, None).map_err(SqueezeError::from))?.unwrap_or(false);
         let squeeze = squeeze_per_weight(scene, &contacts)?;

@@ -73,7 +73,10 @@ impl<'a> HandModel<'a> {
         for (finger, pad) in fine.fingers.iter().zip(&pads[1]) {
             if pad.parts.iter().all(|(_, p)| p.samples().is_empty()) {
                 return Err(RetargetError::value(
-                    format!("finger \"{}\" of robot \"{}\" has no collision shapes on its last links", finger.name, robot.name),
+                    format!(
+                        "finger \"{}\" of robot \"{}\" has no collision shapes on its last links",
+                        finger.name, robot.name
+                    ),
                     "add shapes to the model",
                 ));
             }
@@ -94,7 +97,10 @@ impl<'a> HandModel<'a> {
             );
         }
         if let Some(j) = joints.iter().position(|v| !v.is_finite()) {
-            return fail(format!("the angle of joint \"{}\" is not finite", self.robot.joints[j].name), "repair the record");
+            return fail(
+                format!("the angle of joint \"{}\" is not finite", self.robot.joints[j].name),
+                "repair the record",
+            );
         }
         let mut clipped = joints.to_vec();
         self.robot.clamp_to_limits(&mut clipped);

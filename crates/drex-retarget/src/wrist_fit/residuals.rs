@@ -22,7 +22,7 @@ const FADE_M: f64 = 0.012;
 const BALANCE: f64 = 3.0;
 const BALANCE_LENGTH_M: f64 = 0.04;
 /// Weight of a pad that pushes the object away from the palm, and the cosine up to which that is left alone.
-const PUSHED_AWAY: f64 = 3.0;
+const PUSHED_AWAY: f64 = 2.0;
 pub(crate) const PUSH_FREE: f64 = 0.3;
 /// Weight of a correction as large as allowed.
 const CORRECTION: f64 = 1.5;
@@ -169,7 +169,8 @@ fn residuals(
     let motion = |link: usize, point: &Point3<f64>| point_motion(scene, view, link, point, &pivot, state.joints.len());
 
     // Pads on the surface.
-    let (pulls, slopes): (Vec<f64>, Vec<f64>) = view.pads.iter().enumerate().map(|(f, pad)| pull(stage, f, pad.distance)).unzip();
+    let (pulls, slopes): (Vec<f64>, Vec<f64>) =
+        view.pads.iter().enumerate().map(|(f, pad)| pull(stage, f, pad.distance)).unzip();
     for (pad, (&pulled, &slope)) in view.pads.iter().zip(pulls.iter().zip(&slopes)) {
         r.push(pulled);
         if let Some(rows) = rows.as_deref_mut() {

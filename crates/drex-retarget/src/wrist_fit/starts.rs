@@ -39,7 +39,10 @@ pub(crate) fn starts(scene: &Scene<'_>) -> Vec<State> {
             let approach = up * z + (e1 * c + e2 * s) * flat;
             let roll = std::f64::consts::TAU * u[2];
             let offset = Vector3::from_fn(|k, _| OFFSET * half[k] * (2.0 * u[3 + k] - 1.0));
-            State { object_from_base: frame.placed(&(center + offset), &approach, roll), joints: scene.recorded.joints.clone() }
+            State {
+                object_from_base: frame.placed(&(center + offset), &approach, roll),
+                joints: scene.recorded.joints.clone(),
+            }
         })
         .collect()
 }
@@ -65,9 +68,8 @@ impl HandFrame {
         let oppose = (fingers - thumb).try_normalize(1e-6).unwrap_or_else(Vector3::x);
         // The hand comes along the palm's normal, mixed with the way from the palm to the tips.
         let toward = (middle - palm).try_normalize(1e-6).unwrap_or(normal) + normal;
-        let approach = (toward - oppose * oppose.dot(&toward))
-            .try_normalize(1e-6)
-            .unwrap_or_else(|| level_axes(&oppose).0);
+        let approach =
+            (toward - oppose * oppose.dot(&toward)).try_normalize(1e-6).unwrap_or_else(|| level_axes(&oppose).0);
         Self { middle, axes: Matrix3::from_columns(&[approach, oppose, approach.cross(&oppose)]) }
     }
 

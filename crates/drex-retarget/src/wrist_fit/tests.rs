@@ -25,7 +25,8 @@ fn the_derivatives_are_those_of_the_residuals() {
         let hand = HandModel::new(&robot, &options).unwrap();
         let recorded = hand.recorded_within(&robot.mid_range(), 0.15).unwrap();
         let corner = Point3::new(0.04, 0.04, 0.04);
-        let object = ObjectSurface { search: &Ball, judge: &Ball, bounds: (-corner, corner), center_of_mass: Point3::origin() };
+        let object =
+            ObjectSurface { search: &Ball, judge: &Ball, bounds: (-corner, corner), center_of_mass: Point3::origin() };
         let table = TablePlane { up: Vector3::z_axis(), height_m: -0.04 };
         let scene = Scene { hand: &hand, object: &object, table: &table, options: &options, recorded: &recorded };
         let mut checked = 0;
