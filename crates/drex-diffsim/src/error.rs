@@ -56,8 +56,8 @@ pub enum SimError {
         /// Last speed seen.
         speed: f64,
     },
-    /// The start state penetrates its support deeper than half of the body.
-    #[error("body {body}: it starts {depth_m:.4} m inside {support}, which is more than half its size; check pose, frame and units")]
+    /// The start state penetrates its support deeper than a quarter of the body.
+    #[error("body {body}: it starts {depth_m:.4} m inside {support}, which is more than a quarter of its size; check pose, frame and units")]
     StartsInside {
         /// Index of the body in the model.
         body: usize,

@@ -165,7 +165,7 @@ fn check_start<T: Scalar>(model: &Model<T>, scene: &Scene<T>, start: &State<T>) 
         let center = points().map(|p| p.coords).sum::<Vector3<f64>>() / points().count().max(1) as f64;
         let size = 2.0 * points().map(|p| (p.coords - center).norm()).fold(0.0, f64::max);
         if let Some((depth_m, support)) = contact::start_depth(body, s, scene) {
-            if depth_m > 0.5 * size {
+            if depth_m > 0.25 * size {
                 return Err(SimError::StartsInside { body: i, depth_m, support });
             }
         }

@@ -18,6 +18,8 @@ const DRAWS: usize = 24;
 const FRICTIONS: [f64; 6] = [0.12, 0.2, 0.3, 0.45, 0.65, 0.9];
 /// Spans in the logarithms over which slopes are averaged.
 const SPANS: [f64; 3] = [0.03, 0.01, 0.003];
+/// Nobody is surer beforehand than this about the logarithm of a mass or a friction of something on a table.
+const PRIOR_SD: f64 = 1.0;
 /// Longest Gauss-Newton step in the logarithms.
 const MAX_STEP: f64 = 0.5;
 
@@ -83,6 +85,12 @@ impl Joint<'_> {
     /// The whole estimate.
     pub(crate) fn solve(&self) -> Result<Estimate> {
         let scan = self.refined(self.scan());
+        if scan.iter().all(|s| !s.1.is_finite()) {
+            // No mass can be simulated: say why.
+            for (i, problem) in self.problems.iter().enumerate() {
+                problem.simulate(&self.at(&scan[scan.len() / 2].0, i))?;
+            }
+        }
         let worst = scan.iter().map(|s| s.1).filter(|c| c.is_finite()).fold(f64::NEG_INFINITY, f64::max);
         let mut profile: Vec<(f64, f64)> = scan.iter().map(|(p, c)| (p.log_mass.exp(), *c)).collect();
         let mut best: Option<Candidate> = None;
@@ -372,6 +380,8 @@ struct Information {
     /// Whitened derivative of each frame by (log mass, log friction), nuisances eliminated; per push.
     columns: Vec<Vec<SMatrix<f64, 6, 2>>>,
     inverse: Matrix2<f64>,
+    /// The same with a weak prior, for what is known although mass and friction are not.
+    bounded: Matrix2<f64>,
     /// Reduced chi-square, at least one.
     scale: f64,
     sandwich: f64,
@@ -414,8 +424,10 @@ impl Information {
             h[(1, 1)] = 1e12;
         }
         let inverse = (h + Matrix2::identity() * 1e-9).try_inverse().unwrap_or_else(Matrix2::zeros);
+        let prior = Matrix2::identity() / (PRIOR_SD * PRIOR_SD);
+        let bounded = (h + prior).try_inverse().unwrap_or_else(Matrix2::identity);
         let sandwich = (inverse * scatter * inverse)[(0, 0)].max(0.0).sqrt();
-        Ok(Self { columns, inverse, scale: (chi / f64::max(count - 9.0, 1.0)).max(1.0), sandwich })
+        Ok(Self { columns, inverse, bounded, scale: (chi / f64::max(count - 9.0, 1.0)).max(1.0), sandwich })
     }
 
     fn sd(&self, scale: f64) -> f64 {
@@ -423,7 +435,7 @@ impl Information {
     }
 
     fn sd_product(&self, scale: f64) -> f64 {
-        (self.inverse.sum() * scale).max(0.0).sqrt()
+        (self.bounded.sum() * scale).max(0.0).sqrt()
     }
 
     /// How log friction follows log mass in the valley.

@@ -120,28 +120,37 @@ fn start_from_track(problem: &mut Problem, recording: &PushRecording) {
 fn clocks(recording: &PushRecording, hand: &HandPush) -> Vec<String> {
     let mut notes = Vec::new();
     let track = &recording.track;
-    let sd = noise::of_track(track);
-    let calm = track.len().min(10);
-    let onset = track.poses().first().and_then(|first| {
-        let moved = |p: &Pose| {
-            let d = pose_difference(first, p);
-            let shift = d.fixed_rows::<3>(0).norm() / (8.0 * sd.position_m).max(4e-3);
-            let turn = d.fixed_rows::<3>(3).norm() / (8.0 * sd.rotation_rad).max(0.06);
-            shift.max(turn) > 1.0
-        };
-        // Two frames in a row: one may be an outlier.
-        (1..track.len().saturating_sub(1)).find(|&k| moved(&track.poses()[k]) && moved(&track.poses()[k + 1]))
-    });
-    match onset {
-        Some(k) => notes.push(format!("the object begins to move {:.2} s after the first pose (frame {k})", track.times_s()[k] - track.times_s()[0])),
-        None => notes.push(format!("the object does not move beyond the noise of its track ({calm} calm frames looked at)")),
+    let (t, poses) = (track.times_s(), track.poses());
+    let log = &hand.joints;
+    let first = log.times_s.first().map_or(0, |a| t.partition_point(|x| x < a)).min(t.len().saturating_sub(1));
+    match onset(recording, first) {
+        Some(k) => notes.push(format!("the object begins to move at {:.2} s (frame {k} of {})", t[k], poses.len())),
+        None => notes.push("the object never begins to move beyond the noise of its track while the joints are logged".into()),
     }
-    if let (Some(a), Some(b)) = (hand.joints.times_s.first(), hand.joints.times_s.last()) {
+    if let (Some(a), Some(b)) = (log.times_s.first(), log.times_s.last()) {
         let speed = |row: &Vec<f64>| row.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-        let fastest = hand.joints.velocities.iter().map(speed).fold(0.0, f64::max);
-        let moving = hand.joints.velocities.iter().position(|row| speed(row) > 0.2 * fastest && fastest > 0.05);
-        let when = moving.and_then(|i| hand.joints.times_s.get(i)).map_or("never".to_owned(), |t| format!("at {t:.2} s"));
-        notes.push(format!("joint log of {} samples from {a:.2} to {b:.2} s on the track's clock; the hand begins to move {when}", hand.joints.times_s.len()));
+        let fastest = log.velocities.iter().map(speed).fold(0.0, f64::max);
+        let moving = log.velocities.iter().position(|row| speed(row) > 0.2 * fastest && fastest > 0.05);
+        let when = moving.and_then(|i| log.times_s.get(i)).map_or("never".to_owned(), |t| format!("at {t:.2} s"));
+        notes.push(format!("joint log from {a:.2} to {b:.2} s on the track's clock; the hand begins to move {when}"));
     }
     notes
+}
+
+/// The first frame from `first` on from which the object has left its place or its upright: two frames in a row, since
+/// one may be an outlier. Turning about the vertical does not count: trackers lose round objects there.
+fn onset(recording: &PushRecording, first: usize) -> Option<usize> {
+    let poses = recording.track.poses();
+    let sd = noise::of_track(&recording.track);
+    let up = match &recording.track_frame {
+        TrackFrame::Camera { up_in_mesh, .. } => *up_in_mesh,
+        _ => poses.get(first)?.rotation.inverse() * Vector3::z(),
+    };
+    let rest = poses.get(first)?;
+    let moved = |p: &Pose| {
+        let shift = (p.translation.vector - rest.translation.vector).norm();
+        let lean = (p.rotation * up).angle(&(rest.rotation * up));
+        shift > (8.0 * sd.position_m).max(4e-3) || lean > (8.0 * sd.rotation_rad).max(0.06)
+    };
+    (first..poses.len().saturating_sub(1)).find(|&k| moved(&poses[k]) && moved(&poses[k + 1]))
 }

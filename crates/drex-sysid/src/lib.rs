@@ -19,3 +19,7 @@ pub use error::{Result, SysidError};
 pub use identify::identify;
 pub use object::ObjectModel;
 pub use options::IdentifyOptions;
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct ReadmeDoctests;

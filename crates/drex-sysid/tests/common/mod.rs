@@ -1,0 +1,86 @@
+//! Objects and recordings for the tests.
+
+use std::path::{Path, PathBuf};
+
+use drex_core::push::{Drive, ForceProfile, PoseNoise, PushRecording};
+use drex_core::{MassProperties, Pose, TriMesh, Trajectory};
+use drex_diffsim::{AppliedForce, Body, ConvexPiece, ForcePoint, Model, Scene, State, rollout};
+use drex_sysid::ObjectModel;
+use nalgebra::{Matrix3, Point3, Vector3};
+use std::sync::Arc;
+
+/// The folder of shared data, or `None` with a note that the test is skipped.
+pub fn shared() -> Option<PathBuf> {
+    let folder = std::env::var_os("DREX_SHARED").map(PathBuf::from);
+    if folder.is_none() {
+        eprintln!("skipped: DREX_SHARED is not set");
+    }
+    folder
+}
+
+/// Vertices and triangles of an OBJ file of triangles.
+pub fn read_obj(path: &Path) -> TriMesh {
+    let (mut vertices, mut faces) = (Vec::new(), Vec::new());
+    for line in std::fs::read_to_string(path).unwrap().lines() {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let number = |i: usize| words[i].parse::<f64>().unwrap();
+        match words.first() {
+            Some(&"v") => vertices.push(Point3::new(number(1), number(2), number(3))),
+            Some(&"f") => faces.push([1, 2, 3].map(|i| words[i].parse::<u32>().unwrap() - 1)),
+            _ => {}
+        }
+    }
+    TriMesh::new(vertices, faces).unwrap()
+}
+
+/// A closed box mesh.
+pub fn box_mesh(half: Vector3<f64>, center: Vector3<f64>) -> TriMesh {
+    let vertices = (0..8)
+        .map(|i| Point3::from(center + half.component_mul(&Vector3::from_fn(|k, _| if i >> k & 1 == 0 { -1.0 } else { 1.0 }))))
+        .collect();
+    let quads = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+    let faces = quads.iter().flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]).collect();
+    TriMesh::new(vertices, faces).unwrap()
+}
+
+/// A block of 5 x 6 x 8 cm.
+pub fn block() -> ObjectModel {
+    ObjectModel::from_mesh(&box_mesh(Vector3::new(0.025, 0.03, 0.04), Vector3::zeros())).unwrap()
+}
+
+/// A push of that block, simulated with `mass_kg`, under `force` between 0.3 and 0.45 s at `point`.
+pub fn simulated(mass_kg: f64, friction: f64, force: Vector3<f64>, point: Point3<f64>) -> PushRecording {
+    pushed_until(0.45, mass_kg, friction, force, point)
+}
+
+/// The same with the end of the force chosen.
+pub fn pushed_until(end: f64, mass_kg: f64, friction: f64, force: Vector3<f64>, point: Point3<f64>) -> PushRecording {
+    let object = block();
+    let shape = Arc::new(object.pieces.iter().map(|p| ConvexPiece::from_points(p).unwrap()).collect());
+    let model = Model::new(vec![Body::new(&object.unit, mass_kg, shape)]);
+    let mut scene = Scene::on_table(friction);
+    let times: Vec<f64> = (0..120).map(|k| f64::from(k) * 0.01).collect();
+    let forces: Vec<_> = times.iter().map(|t| if (0.3..end - 1e-4).contains(t) { force } else { Vector3::zeros() }).collect();
+    scene.forces.push(AppliedForce::new(0, &times, &forces, ForcePoint::Body(point)).unwrap());
+    let start = Pose::translation(0.0, 0.0, 0.04);
+    let frames: Vec<f64> = (0..36).map(|k| f64::from(k) / 30.0).collect();
+    let record = rollout(&model, &scene, &State::at_rest(start), &frames).unwrap();
+    let track = Trajectory::from_samples(&frames, &record.poses).unwrap();
+    let drive = Drive::Force(ForceProfile { times_s: times, forces_n: forces, point_in_object: point });
+    let mut push = PushRecording::new("block", "block.obj", track, drive);
+    push.support.friction = Some(friction);
+    push.initial_pose = Some(start);
+    push.starts_at_rest = true;
+    push.noise = Some(PoseNoise { position_m: 1e-3, rotation_rad: 0.01 });
+    push.mass_prior_kg = Some(1.0);
+    push
+}
+
+/// Mass properties of a solid box around `points` at 1 kg, for objects whose solid does not matter.
+pub fn bounding_solid(points: Vec<Point3<f64>>) -> ObjectModel {
+    let (lo, hi) = points.iter().fold((points[0], points[0]), |(a, b), p| (a.inf(p), b.sup(p)));
+    let s = (hi - lo).component_mul(&(hi - lo)) / 12.0;
+    let inertia = Matrix3::from_diagonal(&Vector3::new(s.y + s.z, s.z + s.x, s.x + s.y));
+    let unit = MassProperties { mass_kg: 1.0, center_of_mass: nalgebra::center(&lo, &hi), inertia };
+    ObjectModel { pieces: vec![points], unit }
+}

@@ -1,0 +1,99 @@
+//! Recorded pushes: simulated by MuJoCo with known masses, and a real hand. The truth is read by the tests alone.
+#![allow(clippy::unwrap_used, missing_docs, dead_code)] // a test may panic; not every test uses every helper
+
+mod common;
+
+use std::path::Path;
+
+use common::{bounding_solid, read_obj, shared};
+use drex_core::push::{ForceChoice, InputChoice, PoseChoice, PushRecording};
+use drex_sysid::{Identification, IdentifyOptions, ObjectModel, Verdict, identify};
+use nalgebra::Point3;
+
+fn weigh(folder: &Path, choice: &InputChoice) -> Identification {
+    let recording = PushRecording::load(folder, choice).unwrap();
+    let object = ObjectModel::from_mesh(&read_obj(&recording.mesh)).unwrap();
+    identify(&[recording], &object, &IdentifyOptions::default()).unwrap()
+}
+
+fn truth(folder: &Path) -> f64 {
+    let text = std::fs::read_to_string(folder.join("truth.json")).unwrap();
+    serde_json::from_str::<serde_json::Value>(&text).unwrap()["mass"].as_f64().unwrap()
+}
+
+/// One scenario of each kind, different objects; the whole set takes minutes.
+const KNOWN_FORCE: [(&str, &str); 4] = [
+    ("letter_l", "lift_force"),
+    ("letter_t", "slide_force"),
+    ("brick", "tilt_force"),
+    ("letter_l_rho1", "overhang_press"),
+];
+
+#[test]
+fn known_forces_weigh_within_three_percent() {
+    let Some(shared) = shared() else { return };
+    let exact = InputChoice { poses: PoseChoice::Clean, force: ForceChoice::Exact, encoder: true };
+    for (object, scenario) in KNOWN_FORCE {
+        let folder = shared.join("data/push_mujoco").join(object).join(scenario);
+        let a = weigh(&folder, &exact);
+        let error = a.mass_kg.unwrap_or(f64::NAN) / truth(&folder) - 1.0;
+        assert!(error.abs() < 0.03, "{object}/{scenario}: {error:+.4}, {}", a.reason);
+    }
+}
+
+#[test]
+fn noisy_inputs_keep_the_truth_inside_the_interval() {
+    let Some(shared) = shared() else { return };
+    for (object, scenario) in [("letter_l_rho1", "lift_force"), ("letter_l_rho3", "slide_force")] {
+        let folder = shared.join("data/push_mujoco").join(object).join(scenario);
+        let a = weigh(&folder, &InputChoice::default());
+        let (ci, m) = (a.ci95_kg.unwrap(), truth(&folder));
+        assert!(ci[0] < m && m < ci[1], "{object}/{scenario}: {ci:?} without {m}");
+        assert!(ci[1] / ci[0] < 1.15, "{object}/{scenario}: {ci:?}");
+    }
+}
+
+#[test]
+fn tosses_and_replayed_fingers_weigh_nothing() {
+    let Some(shared) = shared() else { return };
+    for object in ["brick", "can"] {
+        for scenario in ["toss", "finger_rigid"] {
+            let a = weigh(&shared.join("data/push_mujoco").join(object).join(scenario), &InputChoice::default());
+            assert_eq!(a.verdict, Verdict::NotIdentifiable);
+            assert!(a.mass_kg.is_none() && a.prior_kg.is_some());
+            let first = a.profile[0].1;
+            assert!(a.profile.len() == 7 && a.profile.iter().all(|p| (p.1 - first).abs() < 1e-6 * first), "{:?}", a.profile);
+        }
+    }
+}
+
+/// Corner points of a binary STL.
+fn stl_points(path: &Path) -> Vec<Point3<f64>> {
+    let bytes = std::fs::read(path).unwrap();
+    let number = |i: usize| f64::from(f32::from_le_bytes(bytes[i..i + 4].try_into().unwrap()));
+    let count = u32::from_le_bytes(bytes[80..84].try_into().unwrap()) as usize;
+    (0..count)
+        .flat_map(|f| (0..3).map(move |v| 84 + 50 * f + 12 + 12 * v))
+        .map(|i| Point3::new(number(i), number(i + 4), number(i + 8)))
+        .collect()
+}
+
+#[test]
+fn real_hands_that_are_replayed_weigh_nothing_and_keep_the_prior() {
+    let Some(shared) = shared() else { return };
+    let runs = shared.join("data/drex_real/runs");
+    let mut folders: Vec<_> = std::fs::read_dir(runs).unwrap().map(|e| e.unwrap().path()).collect();
+    folders.sort();
+    assert_eq!(folders.len(), 7);
+    for folder in folders {
+        let recording = PushRecording::load(&folder, &InputChoice::default()).unwrap();
+        let object = bounding_solid(stl_points(&recording.mesh));
+        let a = identify(&[recording], &object, &IdentifyOptions::default()).unwrap();
+        assert_eq!(a.verdict, Verdict::NotIdentifiable);
+        assert!(a.mass_kg.is_none() && a.prior_kg.is_some());
+        let notes = a.pushes[0].notes.join("; ");
+        eprintln!("{}: {notes}", folder.display());
+        assert!(notes.contains("the object begins to move") && notes.contains("the hand begins to move"), "{notes}");
+        assert!(a.reason.contains("effort"));
+    }
+}

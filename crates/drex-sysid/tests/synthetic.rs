@@ -1,0 +1,169 @@
+//! Pushes simulated here, so that the truth is known and nothing but the estimator is tested.
+#![allow(clippy::unwrap_used, missing_docs, dead_code)] // a test may panic; not every test uses every helper
+
+mod common;
+
+use common::{block, box_mesh, pushed_until, simulated};
+use drex_core::TriMesh;
+use drex_core::push::Drive;
+use drex_core::{Pose, Trajectory};
+use drex_sysid::{IdentifyOptions, ObjectModel, SysidError, Verdict, identify};
+use nalgebra::{Point3, Vector3};
+
+const G: f64 = 9.81;
+
+#[test]
+fn lifted_slid_and_tipped_blocks_are_weighed() {
+    let m = 0.137;
+    let pushes = [
+        simulated(m, 0.4, Vector3::z() * m * G * 1.6, Point3::origin()),
+        simulated(m, 0.4, Vector3::x() * m * G * 0.4 * 1.8, Point3::new(-0.025, 0.0, -0.03)),
+        simulated(m, 0.9, Vector3::x() * m * G * (0.025 / 0.075) * 1.25, Point3::new(-0.025, 0.0, 0.035)),
+    ];
+    for push in pushes {
+        let a = identify(std::slice::from_ref(&push), &block(), &IdentifyOptions::default()).unwrap();
+        assert_eq!(a.verdict, Verdict::Identified, "{}", a.reason);
+        let (found, ci) = (a.mass_kg.unwrap(), a.ci95_kg.unwrap());
+        assert!((found / m - 1.0).abs() < 1e-3, "{found}");
+        assert!(ci[0] < m && m < ci[1] && ci[1] / ci[0] < 1.05);
+        assert_eq!(a.prior_kg, Some(1.0));
+        assert_eq!(a.pushes[0].simulated.len(), push.track.len());
+    }
+}
+
+#[test]
+fn masses_beyond_the_first_scan_are_found() {
+    for m in [0.008, 4.0] {
+        let push = simulated(m, 0.4, Vector3::z() * m * G * 1.6, Point3::origin());
+        let a = identify(&[push], &block(), &IdentifyOptions::default()).unwrap();
+        assert!((a.mass_kg.unwrap() / m - 1.0).abs() < 5e-3, "{m}: {:?}", a.mass_kg);
+    }
+}
+
+#[test]
+fn a_steady_slide_with_unknown_friction_gives_the_product_and_a_coast_gives_both() {
+    let (m, mu) = (0.2, 0.35);
+    let push = simulated(m, mu, Vector3::x() * mu * m * G * 1.6, Point3::new(-0.025, 0.0, -0.03));
+    let mut options = IdentifyOptions::default();
+    options.free_friction = true;
+    let both = identify(std::slice::from_ref(&push), &block(), &options).unwrap();
+    assert_eq!(both.verdict, Verdict::Identified, "{}", both.reason);
+    assert!((both.mass_kg.unwrap() / m - 1.0).abs() < 0.05 && (both.friction.unwrap() / mu - 1.0).abs() < 0.05);
+
+    // A quasi-static slide: just above the limit, and the track ends before the coast.
+    let mut slow = pushed_until(1.1, m, mu, Vector3::x() * mu * m * G * 1.04, Point3::new(-0.025, 0.0, -0.03));
+    let keep = slow.track.times_s().iter().filter(|t| **t < 1.1).count();
+    slow.track = Trajectory::from_samples(&slow.track.times_s()[..keep], &slow.track.poses()[..keep]).unwrap();
+    let product = identify(&[slow], &block(), &options).unwrap();
+    assert_eq!(product.verdict, Verdict::OnlyMuM, "{} {:?}", product.reason, product.mass_kg);
+    assert!((product.mu_m_kg.unwrap() / (mu * m) - 1.0).abs() < 0.1);
+    assert!(product.mass_kg.is_none() && product.ci95_kg.is_none());
+}
+
+#[test]
+fn a_push_too_weak_to_move_anything_is_no_measurement() {
+    let push = simulated(0.3, 0.5, Vector3::x() * 0.2, Point3::new(-0.025, 0.0, -0.03));
+    // It does exclude light masses, which would have moved.
+    let a = identify(&[push], &block(), &IdentifyOptions::default()).unwrap();
+    assert_eq!(a.verdict, Verdict::NotIdentifiable, "{:?}", a.mass_kg);
+    assert!(a.mass_kg.is_none() && a.ci95_kg.is_none());
+}
+
+#[test]
+fn nothing_pushed_nothing_known() {
+    let mut push = simulated(0.3, 0.5, Vector3::z() * 5.0, Point3::origin());
+    push.drive = Drive::Nothing;
+    push.starts_at_rest = false;
+    let a = identify(&[push], &block(), &IdentifyOptions::default()).unwrap();
+    assert_eq!(a.verdict, Verdict::NotIdentifiable);
+    // The profile was computed and is flat.
+    assert_eq!(a.profile.len(), 7);
+    assert!(a.profile.iter().all(|p| (p.1 - a.profile[0].1).abs() < 1e-6 * (1.0 + a.profile[0].1)));
+}
+
+#[test]
+fn a_clock_offset_and_a_bias_do_not_spoil_the_mass() {
+    let m = 0.2;
+    let mut push = simulated(m, 0.4, Vector3::z() * m * G * 1.6, Point3::origin());
+    let moved: Vec<Pose> = push.track.poses().iter().map(|p| Pose::translation(0.0, 0.0, 0.006) * p).collect();
+    let times: Vec<f64> = push.track.times_s().iter().map(|t| t + 0.03).collect();
+    push.track = Trajectory::from_samples(&times, &moved).unwrap();
+    let a = identify(&[push], &block(), &IdentifyOptions::default()).unwrap();
+    assert!((a.mass_kg.unwrap() / m - 1.0).abs() < 0.005, "{:?}", a.mass_kg);
+    assert!((a.pushes[0].clock_offset_s.unwrap() - 0.03).abs() < 2e-3);
+    assert!((a.pushes[0].position_bias_m.unwrap()[2] - 0.006).abs() < 1e-3);
+}
+
+#[test]
+fn outliers_are_set_aside() {
+    let m = 0.2;
+    let mut push = simulated(m, 0.4, Vector3::z() * m * G * 1.6, Point3::origin());
+    let mut poses = push.track.poses().to_vec();
+    poses[15] = Pose::new(Vector3::new(0.05, -0.04, 0.03), Vector3::new(0.4, 0.1, -0.3)) * poses[15];
+    push.track = Trajectory::from_samples(push.track.times_s(), &poses).unwrap();
+    let a = identify(&[push], &block(), &IdentifyOptions::default()).unwrap();
+    assert!((a.mass_kg.unwrap() / m - 1.0).abs() < 0.005, "{:?}", a.mass_kg);
+    assert_eq!(a.pushes[0].outliers, 1);
+}
+
+#[test]
+fn the_answer_does_not_depend_on_threads() {
+    let push = simulated(0.2, 0.9, Vector3::x() * 0.8, Point3::new(-0.025, 0.0, 0.035));
+    let answers: Vec<_> = [1, 2]
+        .iter()
+        .map(|threads| {
+            let mut options = IdentifyOptions::default();
+            options.threads = *threads;
+            let mut a = identify(std::slice::from_ref(&push), &block(), &options).unwrap();
+            a.seconds = 0.0;
+            serde_json::to_string(&a).unwrap()
+        })
+        .collect();
+    assert_eq!(answers[0], answers[1]);
+}
+
+#[test]
+fn json_has_the_agreed_keys() {
+    let mut push = simulated(0.2, 0.4, Vector3::z() * 3.0, Point3::origin());
+    push.drive = Drive::Nothing;
+    let a = identify(&[push], &block(), &IdentifyOptions::default()).unwrap();
+    let json = serde_json::to_value(&a).unwrap();
+    assert_eq!(json["verdict"], "not_identifiable");
+    assert!(json["mass_kg"].is_null() && json["ci95_kg"].is_null() && json["mu_m_kg"].is_null());
+    assert!(json["reason"].is_string() && json["seconds"].is_number());
+}
+
+#[test]
+fn touching_shells_are_told_apart() {
+    let (a, b) = (Vector3::new(0.014, 0.039, 0.012), Vector3::new(0.014, 0.012, 0.032));
+    let parts = [box_mesh(a, Vector3::new(0.0, 0.0, 0.032)), box_mesh(b, Vector3::new(0.0, 0.0, -0.012))];
+    let mut both = TriMesh::default();
+    for part in &parts {
+        let n = both.vertices.len() as u32;
+        both.vertices.extend(&part.vertices);
+        both.faces.extend(part.faces.iter().map(|f| f.map(|v| v + n)));
+    }
+    let object = ObjectModel::from_mesh(&both).unwrap();
+    assert_eq!(object.pieces.len(), 2);
+    let (va, vb) = (a.product(), b.product());
+    let z = (va * 0.032 - vb * 0.012) / (va + vb);
+    assert!((object.unit.center_of_mass - Point3::new(0.0, 0.0, z)).norm() < 1e-12);
+    both.faces.pop();
+    assert!(matches!(ObjectModel::from_mesh(&both), Err(SysidError::Object { .. })));
+}
+
+#[test]
+fn unusable_input_is_refused() {
+    let push = simulated(0.2, 0.4, Vector3::z() * 3.0, Point3::origin());
+    let options = IdentifyOptions::default();
+    assert!(matches!(identify(&[], &block(), &options), Err(SysidError::NoRecording)));
+    let mut short = push.clone();
+    short.track = Trajectory::from_samples(&[0.0, 0.1], &[Pose::identity(); 2]).unwrap();
+    assert!(matches!(identify(&[short], &block(), &options), Err(SysidError::TooFewPoses { poses: 2, .. })));
+    let mut bad = IdentifyOptions::default();
+    bad.scan_kg = [2.0, 0.02];
+    assert!(matches!(identify(std::slice::from_ref(&push), &block(), &bad), Err(SysidError::Option { option: "scan_kg", .. })));
+    // A mesh in millimetres: it would start deep inside the table.
+    let huge = ObjectModel::from_mesh(&box_mesh(Vector3::new(25.0, 30.0, 40.0), Vector3::zeros())).unwrap();
+    assert!(identify(&[push], &huge, &options).is_err());
+}
