@@ -11,7 +11,8 @@ use nalgebra::{Matrix3, Point3, RealField, Vector3};
 
 fn shape() -> Arc<Vec<ConvexPiece>> {
     let half = Vector3::new(0.03, 0.03, 0.04);
-    let corner = |i: usize| Point3::from(half.component_mul(&Vector3::from_fn(|k, _| if i >> k & 1 == 0 { -1.0 } else { 1.0 })));
+    let corner =
+        |i: usize| Point3::from(half.component_mul(&Vector3::from_fn(|k, _| if i >> k & 1 == 0 { -1.0 } else { 1.0 })));
     Arc::new(vec![ConvexPiece::from_points(&(0..8).map(corner).collect::<Vec<_>>()).unwrap()])
 }
 

@@ -68,7 +68,14 @@ pub(crate) fn find<T: Scalar>(
                 if height - up_row.dot(&v.coords) > -margin {
                     let x = exact(v);
                     let depth = T::lift(table.height_m) - x.z;
-                    out.push(Contact { site: base + i as u32, arm: x - com, normal: up, depth, friction: table.friction, support_velocity: Vector3::zeros() });
+                    out.push(Contact {
+                        site: base + i as u32,
+                        arm: x - com,
+                        normal: up,
+                        depth,
+                        friction: table.friction,
+                        support_velocity: Vector3::zeros(),
+                    });
                 }
             }
             base += piece.vertices().len() as u32;
@@ -88,7 +95,14 @@ pub(crate) fn find<T: Scalar>(
             for (i, (v, w)) in corners.iter().zip(&world).enumerate() {
                 if (0..3).all(|k| w[k] > lo[k] && w[k] < hi[k] + if k == 2 { margin } else { 0.0 }) {
                     let (depth, normal) = box_depth(&exact(v), &lo, &hi);
-                    out.push(Contact { site: base + i as u32, arm: exact(v) - com, normal, depth, friction: fixed.friction, support_velocity: Vector3::zeros() });
+                    out.push(Contact {
+                        site: base + i as u32,
+                        arm: exact(v) - com,
+                        normal,
+                        depth,
+                        friction: fixed.friction,
+                        support_velocity: Vector3::zeros(),
+                    });
                 }
             }
             base += corners.len() as u32;
@@ -107,7 +121,14 @@ pub(crate) fn find<T: Scalar>(
                         let depth = T::lift(hi.z) - x.z;
                         // Deeper below the top than the side is away: the piece lies beside the box, not on it.
                         if depth.value() < 0.25 * (hi.z - lo.z) {
-                            out.push(Contact { site: base + s as u32, arm: x - com, normal: up, depth, friction: fixed.friction, support_velocity: Vector3::zeros() });
+                            out.push(Contact {
+                                site: base + s as u32,
+                                arm: x - com,
+                                normal: up,
+                                depth,
+                                friction: fixed.friction,
+                                support_velocity: Vector3::zeros(),
+                            });
                         }
                     }
                 }
@@ -150,9 +171,7 @@ fn against_sphere<T: Scalar>(
     com: &Vector3<T>,
 ) -> Option<Contact<T>> {
     let local = frame.r.transpose() * (center.coords - frame.p);
-    let (n, d) = piece.planes().iter().max_by(|a, b| {
-        (a.0.dot(&local) - a.1).total_cmp(&(b.0.dot(&local) - b.1))
-    })?;
+    let (n, d) = piece.planes().iter().max_by(|a, b| (a.0.dot(&local) - a.1).total_cmp(&(b.0.dot(&local) - b.1)))?;
     if n.dot(&local) - d >= radius + margin {
         return None;
     }
@@ -162,7 +181,14 @@ fn against_sphere<T: Scalar>(
     let gap = n_world.dot(&(c - pose.translation.vector)) - T::lift(*d);
     let x = c - n_world * gap;
     // The sphere pushes into the body, against the outward normal of the face.
-    Some(Contact { site: 0, arm: x - com, normal: -n_world, depth: T::lift(radius) - gap, friction: T::zero(), support_velocity: Vector3::zeros() })
+    Some(Contact {
+        site: 0,
+        arm: x - com,
+        normal: -n_world,
+        depth: T::lift(radius) - gap,
+        friction: T::zero(),
+        support_velocity: Vector3::zeros(),
+    })
 }
 
 /// How deep the start pose sinks into its support, and into which; for the check of a scene.

@@ -33,7 +33,9 @@ pub enum SimError {
         what: String,
     },
     /// The points of a convex piece span no volume.
-    #[error("a convex piece of {points} points spans no volume; give at least four points that do not lie in one plane")]
+    #[error(
+        "a convex piece of {points} points spans no volume; give at least four points that do not lie in one plane"
+    )]
     FlatPiece {
         /// Number of points given.
         points: usize,
@@ -47,7 +49,9 @@ pub enum SimError {
         limit_s: f64,
     },
     /// The state stopped being finite or left every reasonable range.
-    #[error("body {body}: the motion diverged at t = {time_s:.4} s (speed {speed:.3e} m/s); take a shorter step, or check forces and masses")]
+    #[error(
+        "body {body}: the motion diverged at t = {time_s:.4} s (speed {speed:.3e} m/s); take a shorter step, or check forces and masses"
+    )]
     Diverged {
         /// Index of the body in the model.
         body: usize,
@@ -57,7 +61,9 @@ pub enum SimError {
         speed: f64,
     },
     /// The start state penetrates its support deeper than a quarter of the body.
-    #[error("body {body}: it starts {depth_m:.4} m inside {support}, which is more than a quarter of its size; check pose, frame and units")]
+    #[error(
+        "body {body}: it starts {depth_m:.4} m inside {support}, which is more than a quarter of its size; check pose, frame and units"
+    )]
     StartsInside {
         /// Index of the body in the model.
         body: usize,

@@ -11,10 +11,10 @@
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
+use crate::Scalar;
 use crate::contact::Contact;
 use crate::math::skew;
 use crate::model::{Anchor, BodyState, ContactOptions};
-use crate::Scalar;
 
 /// Number of contacts that carry a flat face at full stiffness: the corners of a box face.
 const FACE_CONTACTS: f64 = 4.0;
@@ -118,8 +118,10 @@ pub(crate) fn solve<T: Scalar>(
     if let Some(inverse) = matrix.try_inverse() {
         for row in 0..3 {
             for column in 0..3 {
-                v[row] -= rv[column] * T::lift(inverse[(row, column)]) + rw[column] * T::lift(inverse[(row, column + 3)]);
-                w[row] -= rv[column] * T::lift(inverse[(row + 3, column)]) + rw[column] * T::lift(inverse[(row + 3, column + 3)]);
+                v[row] -=
+                    rv[column] * T::lift(inverse[(row, column)]) + rw[column] * T::lift(inverse[(row, column + 3)]);
+                w[row] -= rv[column] * T::lift(inverse[(row + 3, column)])
+                    + rw[column] * T::lift(inverse[(row + 3, column + 3)]);
             }
         }
     }
@@ -132,7 +134,13 @@ pub(crate) fn solve<T: Scalar>(
 }
 
 /// The laws of all contacts in this step.
-fn prepare<T: Scalar>(contacts: &[Contact<T>], options: &ContactOptions, dt: f64, anchors: &[Anchor<T>], out: &mut Vec<Law<T>>) {
+fn prepare<T: Scalar>(
+    contacts: &[Contact<T>],
+    options: &ContactOptions,
+    dt: f64,
+    anchors: &[Anchor<T>],
+    out: &mut Vec<Law<T>>,
+) {
     out.clear();
     let w = options.frequency_rad_s;
     let (mut sum, mut squares) = (T::zero(), T::zero());
@@ -194,7 +202,7 @@ impl<T: Scalar> Law<T> {
         let u = self.velocity(v, w);
         let rate = u.dot(&self.normal);
         let normal = self.preload - self.kappa_n * rate;
-        if !(normal.value() > 0.0) {
+        if normal.value() <= 0.0 {
             return (Vector3::zeros(), None);
         }
         let trial = -(self.stretch * self.k_t + (u - self.normal * rate) * self.kappa_t);
@@ -228,7 +236,7 @@ impl Law<f64> {
         let n = &self.normal;
         let rate = u.dot(n);
         let normal = self.preload - self.kappa_n * rate;
-        if !(normal > 0.0) {
+        if normal <= 0.0 {
             return None;
         }
         let along = n * n.transpose();
@@ -247,7 +255,13 @@ impl Law<f64> {
 }
 
 /// Momentum balance of the step at velocities `u`, per unit mass.
-fn residual(laws: &[Law<f64>], dt: f64, inertia: &Matrix3<f64>, free: (&Vector3<f64>, &Vector3<f64>), u: &Vector6) -> Vector6 {
+fn residual(
+    laws: &[Law<f64>],
+    dt: f64,
+    inertia: &Matrix3<f64>,
+    free: (&Vector3<f64>, &Vector3<f64>),
+    u: &Vector6,
+) -> Vector6 {
     let (v, w) = (u.fixed_rows::<3>(0).into_owned(), u.fixed_rows::<3>(3).into_owned());
     let (mut rv, mut rw) = (v - free.0, inertia * (w - free.1));
     for law in laws {

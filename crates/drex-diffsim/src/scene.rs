@@ -140,7 +140,7 @@ impl<T: Scalar> Pusher<T> {
     /// If the numbers of samples differ, times do not increase or a number is not finite.
     pub fn new(radius_m: f64, friction: T, times_s: &[f64], centers: &[Point3<f64>]) -> Result<Self> {
         check_series("pusher path", times_s, centers.len())?;
-        if !(radius_m > 0.0) || centers.iter().any(|p| p.iter().any(|x| !x.is_finite())) {
+        if radius_m.is_nan() || radius_m <= 0.0 || centers.iter().any(|p| p.iter().any(|x| !x.is_finite())) {
             return Err(SimError::NotFinite { what: "radius or path of the pusher".into() });
         }
         Ok(Self { radius_m, friction, times_s: times_s.to_vec(), centers: centers.to_vec() })
@@ -186,7 +186,7 @@ fn check_series(what: &str, times_s: &[f64], values: usize) -> Result<()> {
             remedy: "give one value per time, at least one".into(),
         });
     }
-    if let Some(i) = (1..times_s.len()).find(|&i| !(times_s[i] > times_s[i - 1])) {
+    if let Some(i) = (1..times_s.len()).find(|&i| times_s[i].is_nan() || times_s[i] <= times_s[i - 1]) {
         return Err(SimError::Series {
             what: format!("{what}: time {i} ({} s) is not after the one before", times_s[i]),
             remedy: "sort the samples by time and drop repeated ones".into(),

@@ -31,7 +31,12 @@ impl<T: Scalar> Default for Workspace<T> {
 ///
 /// # Errors
 /// If the motion diverges.
-pub fn step<T: Scalar>(model: &Model<T>, scene: &Scene<T>, state: &mut State<T>, work: &mut Workspace<T>) -> Result<()> {
+pub fn step<T: Scalar>(
+    model: &Model<T>,
+    scene: &Scene<T>,
+    state: &mut State<T>,
+    work: &mut Workspace<T>,
+) -> Result<()> {
     let dt = model.dt_s;
     let t = state.time_s;
     for (index, (body, s)) in model.bodies.iter().zip(&mut state.bodies).enumerate() {
@@ -67,7 +72,7 @@ pub fn step<T: Scalar>(model: &Model<T>, scene: &Scene<T>, state: &mut State<T>,
         let com = com + s.velocity * h;
         s.world_from_body = Pose::from_parts(Translation3::from(com - rotation * body.center_of_mass.coords), rotation);
         let speed = s.velocity.map(|x| x.value()).norm() + s.angular_velocity.map(|x| x.value()).norm();
-        if !(speed < SPEED_LIMIT) {
+        if speed.is_nan() || speed >= SPEED_LIMIT {
             return Err(SimError::Diverged { body: index, time_s: t, speed });
         }
     }
@@ -122,7 +127,8 @@ pub fn rollout<T: Scalar>(model: &Model<T>, scene: &Scene<T>, start: &State<T>, 
     let mut work = Workspace::default();
     let mut state = start.clone();
     let n = times_s.len();
-    let (mut poses, mut velocities, mut angular_velocities) = (Vec::with_capacity(n), Vec::with_capacity(n), Vec::with_capacity(n));
+    let (mut poses, mut velocities, mut angular_velocities) =
+        (Vec::with_capacity(n), Vec::with_capacity(n), Vec::with_capacity(n));
     let mut previous = state.clone();
     // Step times are counted, not summed, so that they do not drift against the times of the samples.
     let mut steps = 0_u64;
@@ -133,7 +139,8 @@ pub fn rollout<T: Scalar>(model: &Model<T>, scene: &Scene<T>, start: &State<T>, 
             steps += 1;
             state.time_s = start.time_s + steps as f64 * model.dt_s;
         }
-        let (Some(body), Some(a), Some(b)) = (model.bodies.first(), previous.bodies.first(), state.bodies.first()) else {
+        let (Some(body), Some(a), Some(b)) = (model.bodies.first(), previous.bodies.first(), state.bodies.first())
+        else {
             return Err(SimError::Series { what: "the model has no body".into(), remedy: "add one".into() });
         };
         let back = if steps == 0 { 0.0 } else { (t - previous.time_s).clamp(0.0, model.dt_s) };
@@ -164,10 +171,8 @@ fn check_start<T: Scalar>(model: &Model<T>, scene: &Scene<T>, start: &State<T>) 
         let points = || body.shape.iter().flat_map(|p| p.vertices());
         let center = points().map(|p| p.coords).sum::<Vector3<f64>>() / points().count().max(1) as f64;
         let size = 2.0 * points().map(|p| (p.coords - center).norm()).fold(0.0, f64::max);
-        if let Some((depth_m, support)) = contact::start_depth(body, s, scene) {
-            if depth_m > 0.25 * size {
-                return Err(SimError::StartsInside { body: i, depth_m, support });
-            }
+        if let Some((depth_m, support)) = contact::start_depth(body, s, scene).filter(|d| d.0 > 0.25 * size) {
+            return Err(SimError::StartsInside { body: i, depth_m, support });
         }
     }
     Ok(())
@@ -175,5 +180,12 @@ fn check_start<T: Scalar>(model: &Model<T>, scene: &Scene<T>, start: &State<T>) 
 
 fn finite<T: Scalar>(s: &BodyState<T>) -> bool {
     let q = s.world_from_body.rotation.quaternion();
-    s.world_from_body.translation.vector.iter().chain(q.coords.iter()).chain(s.velocity.iter()).chain(s.angular_velocity.iter()).all(|x| x.value().is_finite())
+    s.world_from_body
+        .translation
+        .vector
+        .iter()
+        .chain(q.coords.iter())
+        .chain(s.velocity.iter())
+        .chain(s.angular_velocity.iter())
+        .all(|x| x.value().is_finite())
 }

@@ -55,7 +55,8 @@ fn free_fall_and_lift_are_parabolas() {
 fn a_block_rests_at_depth_g_over_omega_squared() {
     let (_, mut model) = cube();
     model.contact.frequency_rad_s = 200.0;
-    let end = rollout(&model, &Scene::on_table(0.5), &State::at_rest(Pose::translation(0.0, 0.0, 0.031)), &[1.0]).unwrap();
+    let end =
+        rollout(&model, &Scene::on_table(0.5), &State::at_rest(Pose::translation(0.0, 0.0, 0.031)), &[1.0]).unwrap();
     let depth = 0.03 - end.poses[0].translation.vector.z;
     assert!((depth / (G / 200.0_f64.powi(2)) - 1.0).abs() < 1e-3, "{depth}");
     assert!(end.last.bodies[0].velocity.norm() < 1e-9);
@@ -70,10 +71,13 @@ fn rest_depth_does_not_depend_on_the_number_of_rim_points() {
                 [-0.05, 0.05].map(|z| Point3::new(0.03 * a.cos(), 0.03 * a.sin(), z))
             })
             .collect();
-        let unit = MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia: Matrix3::identity() * 1e-3 };
-        let mut model = Model::new(vec![Body::new(&unit, 0.3, Arc::new(vec![ConvexPiece::from_points(&points).unwrap()]))]);
+        let unit =
+            MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia: Matrix3::identity() * 1e-3 };
+        let mut model =
+            Model::new(vec![Body::new(&unit, 0.3, Arc::new(vec![ConvexPiece::from_points(&points).unwrap()]))]);
         model.contact.frequency_rad_s = 300.0;
-        let end = rollout(&model, &Scene::on_table(0.4), &State::at_rest(Pose::translation(0.0, 0.0, 0.05)), &[0.6]).unwrap();
+        let end =
+            rollout(&model, &Scene::on_table(0.4), &State::at_rest(Pose::translation(0.0, 0.0, 0.05)), &[0.6]).unwrap();
         0.05 - end.poses[0].translation.vector.z
     };
     for n in [12, 38, 60] {
@@ -86,7 +90,9 @@ fn incline(angle: f64, mu: f64, seconds: f64) -> Vector3<f64> {
     let (_, model) = cube();
     let mut scene = Scene::on_table(mu);
     scene.gravity = Vector3::new(angle.sin(), 0.0, -angle.cos()) * G;
-    rollout(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.03)), &[seconds]).unwrap().poses[0].translation.vector
+    rollout(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.03)), &[seconds]).unwrap().poses[0]
+        .translation
+        .vector
 }
 
 #[test]
@@ -294,8 +300,11 @@ fn nonsense_is_refused_by_name() {
     assert!(matches!(rollout(&model, &scene, &nan, &[0.1]), Err(SimError::NotFinite { .. })));
     model.bodies[0].unit_inertia[(0, 0)] = 1.0;
     assert!(matches!(rollout(&model, &scene, &start, &[0.1]), Err(SimError::Inertia { .. })));
-    assert!(AppliedForce::<f64>::new(0, &[0.0, 0.0], &[Vector3::zeros(); 2], ForcePoint::Body(Point3::origin())).is_err());
-    let wild = AppliedForce::<f64>::new(0, &[0.0, 1.0], &[Vector3::repeat(1e9); 2], ForcePoint::Body(Point3::origin())).unwrap();
+    assert!(
+        AppliedForce::<f64>::new(0, &[0.0, 0.0], &[Vector3::zeros(); 2], ForcePoint::Body(Point3::origin())).is_err()
+    );
+    let wild = AppliedForce::<f64>::new(0, &[0.0, 1.0], &[Vector3::repeat(1e9); 2], ForcePoint::Body(Point3::origin()))
+        .unwrap();
     let mut pushed = scene.clone();
     pushed.forces.push(wild);
     assert!(matches!(rollout(&cube().1, &pushed, &start, &[1.0]), Err(SimError::Diverged { .. })));

@@ -27,7 +27,10 @@ fn push<T: Scalar + RealField>(p: P<T>, force_n: Vector3<f64>, height: f64, unti
     let mut scene = Scene::on_table(p[1]);
     let at = ForcePoint::Body(Point3::new(-0.03, 0.0, height));
     scene.forces.push(AppliedForce::new(0, &[0.1, 0.25], &[force_n, Vector3::zeros()], at).unwrap());
-    let mut start = State::at_rest(Pose::from_parts(Vector3::new(T::zero(), T::zero(), T::lift(0.04)).into(), nalgebra::UnitQuaternion::identity()));
+    let mut start = State::at_rest(Pose::from_parts(
+        Vector3::new(T::zero(), T::zero(), T::lift(0.04)).into(),
+        nalgebra::UnitQuaternion::identity(),
+    ));
     start.bodies[0].world_from_body.translation.vector.x += p[3];
     let end = rollout(&model, &scene, &start, &[until]).unwrap();
     let pose = end.poses[0];
@@ -82,7 +85,12 @@ fn a_slide_to_rest_sticks_again() {
 
 #[test]
 fn a_motion_without_applied_force_has_no_derivative_by_the_mass() {
-    let d = push([parameter::<1>(0.3_f64.ln(), 0), Dual::from_re(0.4), Dual::from_re(0.001), Dual::from_re(0.0)], Vector3::zeros(), 0.0, 0.5);
+    let d = push(
+        [parameter::<1>(0.3_f64.ln(), 0), Dual::from_re(0.4), Dual::from_re(0.001), Dual::from_re(0.0)],
+        Vector3::zeros(),
+        0.0,
+        0.5,
+    );
     for x in d {
         assert!(tangents(&x)[0].abs() < 1e-12, "{x:?}");
     }

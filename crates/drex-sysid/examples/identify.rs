@@ -59,7 +59,8 @@ fn read_obj(path: &Path) -> Result<TriMesh, Box<dyn Error>> {
                 vertices.push(Point3::from_slice(v.get(..3).ok_or("a vertex has fewer than three numbers")?));
             }
             Some("f") => {
-                let f = words.map(|w| w.split('/').next().unwrap_or(w).parse::<u32>()).collect::<Result<Vec<u32>, _>>()?;
+                let f =
+                    words.map(|w| w.split('/').next().unwrap_or(w).parse::<u32>()).collect::<Result<Vec<u32>, _>>()?;
                 faces.push(<[u32; 3]>::try_from(f).map_err(|_| "a face is no triangle")?.map(|i| i - 1));
             }
             _ => {}

@@ -102,7 +102,8 @@ impl Joint<'_> {
                 best = Some(candidate);
             }
         }
-        let mut best = best.unwrap_or_else(|| self.evaluate(Parameters { log_mass: 0.2_f64.ln(), log_friction: 0.5_f64.ln() }, None));
+        let mut best = best
+            .unwrap_or_else(|| self.evaluate(Parameters { log_mass: 0.2_f64.ln(), log_friction: 0.5_f64.ln() }, None));
         let mut information = Information::of(self, &best)?;
         let mut fine = Vec::new();
         for _ in 0..4 {
@@ -184,7 +185,9 @@ impl Joint<'_> {
             let Some(k) = scan.iter().position(|s| s.0 == center) else { continue };
             for neighbour in [k.checked_sub(1), Some(k + 1)].into_iter().flatten().filter_map(|i| scan.get(i)) {
                 let (a, b) = (center.log_mass, neighbour.0.log_mass);
-                more.extend((1..PARTS).map(|i| Parameters { log_mass: a + (b - a) * i as f64 / PARTS as f64, ..center }));
+                more.extend(
+                    (1..PARTS).map(|i| Parameters { log_mass: a + (b - a) * i as f64 / PARTS as f64, ..center }),
+                );
             }
         }
         let costs = self.costs(&more);
@@ -216,7 +219,10 @@ impl Joint<'_> {
                 }
                 let p = now.parameters;
                 let next = self.evaluate(
-                    Parameters { log_mass: p.log_mass + step.x, log_friction: (p.log_friction + step.y).clamp(-4.0, 1.0) },
+                    Parameters {
+                        log_mass: p.log_mass + step.x,
+                        log_friction: (p.log_friction + step.y).clamp(-4.0, 1.0),
+                    },
                     Some(&now.fits),
                 );
                 if next.cost < now.cost {
@@ -284,7 +290,8 @@ impl Joint<'_> {
         let (problem, fit) = (&self.problems[i], &c.fits[i]);
         let at = self.at(&c.parameters, i);
         let columns = if self.friction[i].is_none() { 2 } else { 1 };
-        let runs: Vec<(usize, f64)> = (0..columns).flat_map(|n| SPANS.iter().flat_map(move |x| [(n, -x), (n, *x)])).collect();
+        let runs: Vec<(usize, f64)> =
+            (0..columns).flat_map(|n| SPANS.iter().flat_map(move |x| [(n, -x), (n, *x)])).collect();
         let motions = runs
             .par_iter()
             .map(|&(n, x)| {
@@ -332,7 +339,10 @@ impl Joint<'_> {
                 .map(|draw| {
                     let mut normal = Normal::new(self.options.seed, (i * DRAWS + draw) as u64);
                     // Idle stretches carry no noise any more.
-                    let forces_n = forces_n.iter().map(|f| f.map(|x| if x == 0.0 { 0.0 } else { x + noise_n * normal.next() })).collect();
+                    let forces_n = forces_n
+                        .iter()
+                        .map(|f| f.map(|x| if x == 0.0 { 0.0 } else { x + noise_n * normal.next() }))
+                        .collect();
                     let point: ForcePoint = point.clone();
                     let mut changed = problem.clone();
                     changed.action = Action::Force { times_s: times_s.clone(), forces_n, noise_n: *noise_n, point };

@@ -25,12 +25,16 @@ const SD_PRODUCT_LIMIT: f64 = 0.15;
 ///
 /// # Errors
 /// If there is no recording, a track is too short, geometry and support contradict, or the object cannot be simulated.
-pub fn identify(recordings: &[PushRecording], object: &ObjectModel, options: &IdentifyOptions) -> Result<Identification> {
+pub fn identify(
+    recordings: &[PushRecording],
+    object: &ObjectModel,
+    options: &IdentifyOptions,
+) -> Result<Identification> {
     check(options)?;
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(options.threads).build().map_err(|e| SysidError::Option {
-        option: "threads",
-        what: format!("{e}; ask for fewer"),
-    })?;
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(options.threads)
+        .build()
+        .map_err(|e| SysidError::Option { option: "threads", what: format!("{e}; ask for fewer") })?;
     pool.install(|| run(recordings, object, options))
 }
 
@@ -180,7 +184,8 @@ fn row(pose: &Pose) -> [f64; 7] {
 }
 
 fn assumptions(recordings: &[PushRecording], options: &IdentifyOptions) -> Vec<String> {
-    let mut out = vec!["the object is rigid and of uniform density: centre of mass and inertia follow from its mesh".to_owned()];
+    let mut out =
+        vec!["the object is rigid and of uniform density: centre of mass and inertia follow from its mesh".to_owned()];
     if recordings.iter().any(|r| matches!(r.drive, Drive::Force(_))) {
         out.push("the recorded force has the right gain and acts at the stated point".into());
         out.push("gravity and the shape of the support are as stated".into());

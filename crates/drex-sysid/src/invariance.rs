@@ -125,7 +125,8 @@ fn clocks(recording: &PushRecording, hand: &HandPush) -> Vec<String> {
     let first = log.times_s.first().map_or(0, |a| t.partition_point(|x| x < a)).min(t.len().saturating_sub(1));
     match onset(recording, first) {
         Some(k) => notes.push(format!("the object begins to move at {:.2} s (frame {k} of {})", t[k], poses.len())),
-        None => notes.push("the object never begins to move beyond the noise of its track while the joints are logged".into()),
+        None => notes
+            .push("the object never begins to move beyond the noise of its track while the joints are logged".into()),
     }
     if let (Some(a), Some(b)) = (log.times_s.first(), log.times_s.last()) {
         let speed = |row: &Vec<f64>| row.iter().fold(0.0_f64, |m, v| m.max(v.abs()));

@@ -17,7 +17,8 @@ pub(crate) fn of_track(track: &Trajectory) -> PoseNoise {
     let mut steps: Vec<f64> = t.windows(2).map(|w| w[1] - w[0]).collect();
     steps.sort_by(f64::total_cmp);
     let usual = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
-    let even = |k: usize| ((t[k] - t[k - 1]) / usual - 1.0).abs() < 0.1 && ((t[k + 1] - t[k]) / usual - 1.0).abs() < 0.1;
+    let even =
+        |k: usize| ((t[k] - t[k - 1]) / usual - 1.0).abs() < 0.1 && ((t[k + 1] - t[k]) / usual - 1.0).abs() < 0.1;
     let second: Vec<Vector6<f64>> = (1..t.len().saturating_sub(1))
         .filter(|&k| even(k))
         .map(|k| pose_difference(&p[k], &p[k + 1]) + pose_difference(&p[k], &p[k - 1]))
@@ -118,7 +119,8 @@ mod tests {
     #[test]
     fn noise_of_a_force_is_found_and_a_clean_force_has_none() {
         let mut s = 3;
-        let pulse = |k: i32| if (30..70).contains(&k) { (f64::from(k - 30) / 40.0 * std::f64::consts::PI).sin() } else { 0.0 };
+        let pulse =
+            |k: i32| if (30..70).contains(&k) { (f64::from(k - 30) / 40.0 * std::f64::consts::PI).sin() } else { 0.0 };
         let clean: Vec<_> = (0..200).map(|k| Vector3::x() * pulse(k)).collect();
         assert!(of_force(&clean) < 1e-9);
         let noisy: Vec<_> = clean.iter().map(|f| f + Vector3::from_fn(|_, _| 0.04 * normal(&mut s))).collect();

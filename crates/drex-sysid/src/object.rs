@@ -46,7 +46,10 @@ impl ObjectModel {
             });
         }
         let pieces = self.pieces.iter().map(|p| ConvexPiece::from_points(p)).collect::<Result<Vec<_>, _>>();
-        let pieces = pieces.map_err(|e| SysidError::Object { what: format!("has a bad convex piece: {e}"), remedy: "split or close it".into() })?;
+        let pieces = pieces.map_err(|e| SysidError::Object {
+            what: format!("has a bad convex piece: {e}"),
+            remedy: "split or close it".into(),
+        })?;
         if pieces.is_empty() {
             return Err(SysidError::Object { what: "has no convex piece".into(), remedy: "give at least one".into() });
         }

@@ -92,8 +92,18 @@ pub(crate) struct Linear {
 }
 
 impl Problem {
-    pub(crate) fn new(recording: &PushRecording, object: &ObjectModel, shape: Arc<Vec<ConvexPiece>>, options: &IdentifyOptions, noise: PoseNoise) -> Result<Self> {
-        let bad = |what: &str, remedy: &str| SysidError::Recording { push: recording.name.clone(), what: what.into(), remedy: remedy.into() };
+    pub(crate) fn new(
+        recording: &PushRecording,
+        object: &ObjectModel,
+        shape: Arc<Vec<ConvexPiece>>,
+        options: &IdentifyOptions,
+        noise: PoseNoise,
+    ) -> Result<Self> {
+        let bad = |what: &str, remedy: &str| SysidError::Recording {
+            push: recording.name.clone(),
+            what: what.into(),
+            remedy: remedy.into(),
+        };
         let first = recording.track.poses().first().ok_or_else(|| bad("the track is empty", "record again"))?;
         let action = match &recording.drive {
             Drive::Force(ForceProfile { times_s, forces_n, point_in_object }) => {
@@ -106,7 +116,12 @@ impl Problem {
                     Some(e) => (e.times_s.clone(), e.positions.clone()),
                     None => (finger.command_times_s.clone(), finger.commands.clone()),
                 };
-                Action::Pusher { radius_m: finger.impedance.radius_m, friction: finger.impedance.friction, times_s, centers }
+                Action::Pusher {
+                    radius_m: finger.impedance.radius_m,
+                    friction: finger.impedance.friction,
+                    times_s,
+                    centers,
+                }
             }
             _ => Action::Nothing,
         };
@@ -141,7 +156,11 @@ impl Problem {
         let mut scene = Scene::empty();
         scene.gravity = self.gravity.map(T::lift);
         scene.table = Some(Table { height_m: self.table_height_m, friction });
-        scene.boxes = self.boxes.iter().map(|b| FixedBox { center: b.center_m.into(), half: b.half_m.into(), friction }).collect();
+        scene.boxes = self
+            .boxes
+            .iter()
+            .map(|b| FixedBox { center: b.center_m.into(), half: b.half_m.into(), friction })
+            .collect();
         match &self.action {
             Action::Force { times_s, forces_n, point, .. } => {
                 scene.forces.push(AppliedForce::new(0, times_s, forces_n, point.clone()).map_err(wrap)?);
@@ -151,7 +170,10 @@ impl Problem {
             }
             Action::Nothing => {}
         }
-        let pose = Pose::from_parts(self.start.translation.vector.map(T::lift).into(), nalgebra::UnitQuaternion::new_unchecked(self.start.rotation.into_inner().map_coords(T::lift)));
+        let pose = Pose::from_parts(
+            self.start.translation.vector.map(T::lift).into(),
+            nalgebra::UnitQuaternion::new_unchecked(self.start.rotation.into_inner().map_coords(T::lift)),
+        );
         let mut state = State::at_rest(pose);
         state.bodies[0].velocity = self.start_velocity.map(T::lift);
         state.bodies[0].angular_velocity = self.start_spin.map(T::lift);
@@ -164,7 +186,8 @@ impl Problem {
         let end = self.times_s.last().copied().unwrap_or(0.0) + 3.0 * self.prior[0];
         let count = (end.max(0.0) / DENSE_S).ceil() as usize + 1;
         let times: Vec<f64> = (0..=count).map(|k| k as f64 * DENSE_S).collect();
-        let record = rollout(&model, &scene, &state, &times).map_err(|source| SysidError::Simulation { push: self.name.clone(), source })?;
+        let record = rollout(&model, &scene, &state, &times)
+            .map_err(|source| SysidError::Simulation { push: self.name.clone(), source })?;
         let path = Trajectory::from_samples(&record.times_s, &record.poses)?;
         Ok(Motion { path, record })
     }
@@ -207,7 +230,8 @@ impl Problem {
             .map(|k| self.residual(&motion.at(self.times_s[k] - nuisance[0]), k, nuisance))
             .collect();
         let prior = nuisance.component_div(&self.prior).norm_squared();
-        let cost = 0.5 * prior + residuals.iter().map(|r| 0.5 * CAUCHY * (r.norm_squared() / CAUCHY).ln_1p()).sum::<f64>();
+        let cost =
+            0.5 * prior + residuals.iter().map(|r| 0.5 * CAUCHY * (r.norm_squared() / CAUCHY).ln_1p()).sum::<f64>();
         let weights = residuals.iter().map(|r| 1.0 / (1.0 + r.norm_squared() / CAUCHY)).collect();
         Fit { cost, nuisance: *nuisance, residuals, weights }
     }
@@ -256,7 +280,8 @@ impl Problem {
     fn linearize_with<const N: usize>(&self, mass: Dual<N>, friction: Dual<N>, fit: &Fit) -> Result<Linear> {
         let (model, scene, state) = self.build(mass, friction)?;
         let times: Vec<f64> = self.times_s.iter().map(|t| (t - fit.nuisance[0]).max(0.0)).collect();
-        let record = rollout(&model, &scene, &state, &times).map_err(|source| SysidError::Simulation { push: self.name.clone(), source })?;
+        let record = rollout(&model, &scene, &state, &times)
+            .map_err(|source| SysidError::Simulation { push: self.name.clone(), source })?;
         let (sp, sr) = (self.noise.position_m, self.noise.rotation_rad);
         let mut out = Linear { residuals: Vec::new(), by_parameters: Vec::new(), by_nuisances: Vec::new() };
         for (k, pose) in record.poses.iter().enumerate() {

@@ -62,7 +62,11 @@ fn tosses_and_replayed_fingers_weigh_nothing() {
             assert_eq!(a.verdict, Verdict::NotIdentifiable);
             assert!(a.mass_kg.is_none() && a.prior_kg.is_some());
             let first = a.profile[0].1;
-            assert!(a.profile.len() == 7 && a.profile.iter().all(|p| (p.1 - first).abs() < 1e-6 * first), "{:?}", a.profile);
+            assert!(
+                a.profile.len() == 7 && a.profile.iter().all(|p| (p.1 - first).abs() < 1e-6 * first),
+                "{:?}",
+                a.profile
+            );
         }
     }
 }

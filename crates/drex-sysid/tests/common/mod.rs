@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use drex_core::push::{Drive, ForceProfile, PoseNoise, PushRecording};
-use drex_core::{MassProperties, Pose, TriMesh, Trajectory};
+use drex_core::{MassProperties, Pose, Trajectory, TriMesh};
 use drex_diffsim::{AppliedForce, Body, ConvexPiece, ForcePoint, Model, Scene, State, rollout};
 use drex_sysid::ObjectModel;
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -36,7 +36,11 @@ pub fn read_obj(path: &Path) -> TriMesh {
 /// A closed box mesh.
 pub fn box_mesh(half: Vector3<f64>, center: Vector3<f64>) -> TriMesh {
     let vertices = (0..8)
-        .map(|i| Point3::from(center + half.component_mul(&Vector3::from_fn(|k, _| if i >> k & 1 == 0 { -1.0 } else { 1.0 }))))
+        .map(|i| {
+            Point3::from(
+                center + half.component_mul(&Vector3::from_fn(|k, _| if i >> k & 1 == 0 { -1.0 } else { 1.0 })),
+            )
+        })
         .collect();
     let quads = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
     let faces = quads.iter().flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]).collect();
@@ -60,7 +64,8 @@ pub fn pushed_until(end: f64, mass_kg: f64, friction: f64, force: Vector3<f64>, 
     let model = Model::new(vec![Body::new(&object.unit, mass_kg, shape)]);
     let mut scene = Scene::on_table(friction);
     let times: Vec<f64> = (0..120).map(|k| f64::from(k) * 0.01).collect();
-    let forces: Vec<_> = times.iter().map(|t| if (0.3..end - 1e-4).contains(t) { force } else { Vector3::zeros() }).collect();
+    let forces: Vec<_> =
+        times.iter().map(|t| if (0.3..end - 1e-4).contains(t) { force } else { Vector3::zeros() }).collect();
     scene.forces.push(AppliedForce::new(0, &times, &forces, ForcePoint::Body(point)).unwrap());
     let start = Pose::translation(0.0, 0.0, 0.04);
     let frames: Vec<f64> = (0..36).map(|k| f64::from(k) / 30.0).collect();
