@@ -89,8 +89,8 @@ fn import_object(name: &str, runs: &[PathBuf], dir: &Path, root: &Path) -> Resul
         // Loading checks the run as a whole before anything is copied.
         let recording = PushRecording::load(run, &InputChoice::default())?;
         if let TrackFrame::Camera { up_in_mesh: up, .. } = &recording.track_frame {
-            // Axis-aligned within a few degrees by the recording's own convention; the first run decides.
-            up_in_mesh.get_or_insert([up.x, up.y, up.z]);
+            // The first run decides. Rounded, so that an axis reads as one.
+            up_in_mesh.get_or_insert([up.x, up.y, up.z].map(|c| (c * 1e6).round() / 1e6));
         }
         let mesh = mesh.get_or_insert_with(|| recording.mesh.clone());
         let place = Path::new("push").join(run_name(run));
@@ -104,6 +104,11 @@ fn import_object(name: &str, runs: &[PathBuf], dir: &Path, root: &Path) -> Resul
     let grasps = grasp_file(name, dir, runs);
     if let Some(file) = &grasps {
         copy(file, &root.join("demos").join(file_name(file)))?;
+        // A JSON file may only describe the array beside it.
+        let array = file.with_extension("npy");
+        if array.is_file() {
+            copy(&array, &root.join("demos").join(file_name(&array)))?;
+        }
     }
     let manifest = manifest(name, &mesh, up_in_mesh, &pushes, grasps.as_deref())?;
     let twin = root.join("twin.toml");

@@ -45,7 +45,29 @@ pub fn render_png(parts: &[Part<'_>], view: &View) -> Result<Vec<u8>> {
     Ok(png.into_inner())
 }
 
+/// The azimuth from which most pixels show part `subject` or, where it is large, its surroundings too: both the object and
+/// the hand around it should be seen.
+pub fn clearest_azimuth(parts: &[Part<'_>], subject: usize, view: &View) -> f64 {
+    const VIEWS: u32 = 24;
+    let small = View { width: view.width / 6, height: view.height / 6, table_height_m: None, ..*view };
+    let mut best = (0.0, view.azimuth);
+    for k in 0..VIEWS {
+        let azimuth = std::f64::consts::TAU * f64::from(k) / f64::from(VIEWS);
+        let canvas = draw(parts, &View { azimuth, ..small });
+        let seen = |wanted: bool| canvas.part.iter().filter(|p| p.is_some_and(|p| (p == subject) == wanted)).count() as f64;
+        let score = seen(true) * seen(false);
+        if score > best.0 {
+            best = (score, azimuth);
+        }
+    }
+    best.1
+}
+
 fn render(parts: &[Part<'_>], view: &View) -> RgbImage {
+    draw(parts, view).downsample(view.width, view.height)
+}
+
+fn draw(parts: &[Part<'_>], view: &View) -> Canvas {
     let (width, height) = (view.width * OVERSAMPLE, view.height * OVERSAMPLE);
     let mut canvas = Canvas::new(width as usize, height as usize);
     let world: Vec<TriMesh> = parts.iter().map(|p| p.mesh.transformed(&p.world_from_mesh)).collect();
@@ -53,11 +75,11 @@ fn render(parts: &[Part<'_>], view: &View) -> RgbImage {
         if let Some(z) = view.table_height_m {
             canvas.draw_table(&camera, z);
         }
-        for (mesh, part) in world.iter().zip(parts) {
-            canvas.draw_mesh(&camera, mesh, part.color);
+        for (index, (mesh, part)) in world.iter().zip(parts).enumerate() {
+            canvas.draw_mesh(&camera, mesh, part.color, index);
         }
     }
-    canvas.downsample(view.width, view.height)
+    canvas
 }
 
 struct Camera {
@@ -114,14 +136,16 @@ struct Canvas {
     height: usize,
     depth: Vec<f64>,
     color: Vec<[f64; 3]>,
+    /// Which part is seen in each sample.
+    part: Vec<Option<usize>>,
 }
 
 impl Canvas {
     fn new(width: usize, height: usize) -> Self {
-        Self { width, height, depth: vec![f64::INFINITY; width * height], color: vec![BACKGROUND; width * height] }
+        Self { width, height, depth: vec![f64::INFINITY; width * height], color: vec![BACKGROUND; width * height], part: vec![None; width * height] }
     }
 
-    fn draw_mesh(&mut self, camera: &Camera, mesh: &TriMesh, color: [f64; 3]) {
+    fn draw_mesh(&mut self, camera: &Camera, mesh: &TriMesh, color: [f64; 3], part: usize) {
         for f in 0..mesh.faces.len() {
             let corners = mesh.triangle(f);
             let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
@@ -130,7 +154,7 @@ impl Canvas {
             // Scans can be wound either way: light the side that is seen.
             let normal = if normal.dot(&to_eye) < 0.0 { -normal } else { normal };
             let shade = shade(&normal, &to_eye, camera);
-            self.draw_triangle(camera, &corners, color.map(|c| (c * shade).min(1.0)));
+            self.draw_triangle(camera, &corners, color.map(|c| (c * shade).min(1.0)), part);
         }
     }
 
@@ -161,7 +185,7 @@ impl Canvas {
         }
     }
 
-    fn draw_triangle(&mut self, camera: &Camera, corners: &[Point3<f64>; 3], color: [f64; 3]) {
+    fn draw_triangle(&mut self, camera: &Camera, corners: &[Point3<f64>; 3], color: [f64; 3], part: usize) {
         let [Some(a), Some(b), Some(c)] = [0, 1, 2].map(|i| camera.project(&corners[i])) else { return };
         let area = (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x);
         if area.abs() < 1e-12 {
@@ -185,6 +209,7 @@ impl Canvas {
                 if z < self.depth[i] {
                     self.depth[i] = z;
                     self.color[i] = color;
+                    self.part[i] = Some(part);
                 }
             }
         }
@@ -247,6 +272,25 @@ mod tests {
         assert!(seen[0] > 100 && seen[2] < 50, "the upper, red triangle must be seen from above: {seen:?}");
         let blue = Part { mesh: &low, world_from_mesh: Pose::identity(), color: [0.0, 0.0, 1.0] };
         assert_eq!(seen, centre_color(&[blue, red_after]));
+    }
+
+    #[test]
+    fn the_clearest_view_shows_what_the_other_part_hides() {
+        // A wall between the eye at azimuth 0 and a small subject behind it.
+        let wall = TriMesh::new(
+            vec![Point3::new(0.3, -1.0, -1.0), Point3::new(0.3, 1.0, -1.0), Point3::new(0.3, 1.0, 1.0), Point3::new(0.3, -1.0, 1.0)],
+            vec![[0, 1, 2], [0, 2, 3]],
+        )
+        .unwrap();
+        let subject = TriMesh::new(
+            vec![Point3::new(0.0, -0.3, -0.3), Point3::new(0.0, 0.3, -0.3), Point3::new(0.0, 0.0, 0.4)],
+            vec![[0, 1, 2]],
+        )
+        .unwrap();
+        let part = |mesh| Part { mesh, world_from_mesh: Pose::identity(), color: [0.5; 3] };
+        let view = View { width: 120, height: 120, azimuth: 0.0, elevation: 0.2, table_height_m: None };
+        let azimuth = clearest_azimuth(&[part(&wall), part(&subject)], 1, &view);
+        assert!(azimuth.cos() < 0.0, "the subject is hidden from azimuth 0 and seen from behind: {azimuth}");
     }
 
     #[test]

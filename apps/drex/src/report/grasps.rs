@@ -10,7 +10,7 @@ use drex_robot::Robot;
 use super::page::Page;
 use super::summary::median;
 use crate::picture::plot::{COLORS, Plot, Series};
-use crate::picture::raster::{Part, View, render_png};
+use crate::picture::raster::{Part, View, clearest_azimuth, render_png};
 use crate::twin::{Evaluation, FitFile, JudgedGrasp, Training, Twin};
 
 const OBJECT_COLOR: [f64; 3] = [0.86, 0.55, 0.30];
@@ -193,13 +193,8 @@ impl<'a> Stage<'a> {
         let mut parts: Vec<Part<'_>> =
             shapes.iter().map(|(mesh, pose, color)| Part { mesh, world_from_mesh: *pose, color: *color }).collect();
         parts.push(Part { mesh: &self.asset.visual, world_from_mesh: self.world_from_object, color: OBJECT_COLOR });
-        render_png(&parts, &View { width: 420, height: 340, azimuth: self.best_azimuth(&links), elevation: 0.45, table_height_m: Some(0.0) })
-    }
-
-    /// Looks from where the palm does not hide the object: across the line from object to palm.
-    fn best_azimuth(&self, links: &[Pose]) -> f64 {
-        let center = self.world_from_object * self.asset.properties.center_of_mass;
-        let to_palm = links.first().map(|p| p.translation.vector - center.coords).unwrap_or_default();
-        to_palm.y.atan2(to_palm.x) + 1.9
+        let view = View { width: 420, height: 340, azimuth: 0.0, elevation: 0.45, table_height_m: Some(0.0) };
+        let azimuth = clearest_azimuth(&parts, parts.len() - 1, &view);
+        render_png(&parts, &View { azimuth, ..view })
     }
 }

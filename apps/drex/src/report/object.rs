@@ -22,7 +22,7 @@ const PIECE_COLORS: [[f64; 3]; 6] = [
 pub fn closing_text(report: &AssetReport) -> String {
     match report.how_closed {
         HowClosed::Exact => "closed mesh, exact".to_owned(),
-        HowClosed::Union => "closed shells that overlap, exact union".to_owned(),
+        HowClosed::Union => "closed shells as one solid, exact union".to_owned(),
         _ => format!(
             "open scan, {} open edges closed by flat lids; two ways of closing differ by {:.1} %",
             report.open_edges,

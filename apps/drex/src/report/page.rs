@@ -124,7 +124,7 @@ ul{max-width:90ch;padding-left:1.2em;color:var(--soft)}\
 .figures div{background:var(--panel);border-radius:10px;padding:14px 16px;display:flex;flex-direction:column}\
 .figures b{font-size:24px;font-weight:650}.figures small{color:var(--soft)}\
 .grid{display:grid;grid-template-columns:repeat(auto-fit,minmax(230px,1fr));gap:12px;margin:14px 0}\
-.grid.wide{grid-template-columns:repeat(auto-fit,minmax(min(100%,430px),1fr))}\
+.grid.wide{grid-template-columns:repeat(auto-fit,minmax(min(100%,430px),1fr))}.grid.wide figure{max-width:640px}\
 figure{margin:0;background:var(--panel);border-radius:10px;padding:10px;min-width:0}\
 figure img{width:100%;height:auto;border-radius:6px;display:block}figure svg{width:100%;height:auto;display:block}\
 figcaption{font-size:13px;color:var(--soft);padding-top:6px}\

@@ -109,7 +109,8 @@ fn profile_plot(result: &Identification) -> String {
 
 /// Displacement and lean of the object, tracked and simulated.
 fn push_plots(push: &PushReport) -> Vec<String> {
-    let Some(start) = push.observed.first() else { return Vec::new() };
+    // A single tracked pose is noisy; the simulated start is not.
+    let Some(start) = push.simulated.first().or(push.observed.first()) else { return Vec::new() };
     let moved = |poses: &[[f64; 7]], axis: usize| -> Vec<f64> {
         poses.iter().map(|p| 1e3 * (p[axis] - start[axis])).collect()
     };
