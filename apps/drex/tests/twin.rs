@@ -5,7 +5,7 @@ mod common;
 
 use std::fs;
 
-use common::{demo_copy, drex, edit, shared_data};
+use common::{demo_copy, drex, edit, keep_demonstrations, shared_data};
 
 #[test]
 fn the_demo_weighs_the_tin_and_the_second_run_has_nothing_to_do() {
@@ -43,6 +43,7 @@ fn the_same_seed_gives_the_same_bytes_with_one_thread_and_two() {
     let (_a, one) = demo_copy();
     let (_b, two) = demo_copy();
     for (twin, threads) in [(&one, "1"), (&two, "2")] {
+        keep_demonstrations(twin, 6);
         edit(&twin.join("twin.toml"), "hand = \"leap_right\"", "hand = \"leap_right\"\n\n[train]\nepochs = 5");
         let run = drex(["evaluate", "--threads", threads, twin.to_str().unwrap()]);
         assert_eq!(run.code, 0, "{}", run.stderr);

@@ -38,7 +38,7 @@ pub fn section(page: &mut Page, mass: &MassFile) {
         )),
     }
     let Some(result) = &mass.identification else { return };
-    page.paragraph(&format!("The pushes say: {}", verdict_text(result).lines().take(2).collect::<Vec<_>>().join(". ")));
+    page.paragraph(&format!("The pushes say: {}", verdict_text(result).lines().take(2).collect::<Vec<_>>().join(" — ").replace("—   ", "— ")));
     let mut plots = Vec::new();
     if result.profile.len() > 2 {
         plots.push(profile_plot(result));

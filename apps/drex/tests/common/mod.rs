@@ -67,6 +67,14 @@ fn copy_tree(from: &Path, to: &Path) {
     }
 }
 
+/// Keeps the first `n` demonstrations of a twin, for tests that do not need all.
+pub fn keep_demonstrations(twin: &Path, n: usize) {
+    let file = twin.join("demos/grasps.json");
+    let mut value: serde_json::Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
+    value["grasps"].as_array_mut().unwrap().truncate(n);
+    std::fs::write(&file, value.to_string()).unwrap();
+}
+
 /// Replaces `old` by `new` in a file; `old` must be there.
 pub fn edit(path: &Path, old: &str, new: &str) {
     let text = std::fs::read_to_string(path).unwrap();
