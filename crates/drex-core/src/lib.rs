@@ -32,7 +32,6 @@
 //!
 //! Errors ([`Error`]) say what was wrong, in which file and line, and what to do. No input makes the crate panic.
 
-#![allow(clippy::neg_cmp_op_on_partial_ord)] // `!(x > 0.0)` also refuses NaN, which is meant
 
 pub mod camera;
 pub mod clock;
