@@ -1,6 +1,6 @@
 //! Weighs the object of one recorded push and prints the answer as JSON.
 //!
-//! `cargo run --release -p drex-sysid --example identify -- FOLDER [--poses noisy|hard|clean] [--force noisy|exact] [--free-friction] [--full]`
+//! `cargo run --release -p drex-sysid --example identify -- FOLDER [--poses noisy|hard|clean] [--force noisy|exact] [--free-friction] [--finger-force] [--full]`
 //!
 //! The folder is a push as `drex_core::push::PushRecording::load` reads it; its mesh must consist of closed convex shells in OBJ.
 
@@ -25,10 +25,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             "--poses" => choice.poses = value()?.parse()?,
             "--force" => choice.force = value()?.parse()?,
             "--free-friction" => options.free_friction = true,
+            "--finger-force" => options.finger_force = true,
             "--full" => full = true,
-            "--w" => options.contact.frequency_rad_s = value()?.parse()?,
-            "--z" => options.contact.relaxation_s = value()?.parse()?,
-            "--dt" => options.dt_s = value()?.parse()?,
             _ => folder = Some(arg),
         }
     }

@@ -12,6 +12,8 @@ use crate::{IdentifyOptions, Result};
 
 /// Two correct simulators of rigid contact disagree about a mass by this much (relative).
 const MODEL_FLOOR: f64 = 0.005;
+/// The same for a push by a fingertip that slides and chatters on the object, against MuJoCo.
+const FINGER_FLOOR: f64 = 0.03;
 /// Draws that carry the force noise into the estimate.
 const DRAWS: usize = 24;
 /// Friction coefficients of the scan when friction is free.
@@ -131,7 +133,8 @@ impl Joint<'_> {
             contact: self.contact_sd(&best, &information),
         };
         let random = budget.poses.max(budget.sandwich).max(budget.profile);
-        let sd = (random.powi(2) + budget.force.powi(2) + budget.contact.powi(2) + MODEL_FLOOR.powi(2)).sqrt();
+        let floor = if self.problems.iter().any(Problem::is_pushed_by_finger) { FINGER_FLOOR } else { MODEL_FLOOR };
+        let sd = (random.powi(2) + budget.force.powi(2) + budget.contact.powi(2) + floor.powi(2)).sqrt();
         let sd_mu_m = self.friction_free().then(|| information.sd_product(scale));
         Ok(Estimate { relief: worst - best.cost, best, profile, budget, sd, sd_mu_m })
     }

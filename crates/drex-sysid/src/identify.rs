@@ -55,8 +55,13 @@ fn run(recordings: &[PushRecording], object: &ObjectModel, options: &IdentifyOpt
         }
         let noise = recording.noise.unwrap_or_else(|| noise::of_track(&recording.track));
         reports.push(report(recording, noise));
-        if recording.track_frame == TrackFrame::World && matches!(recording.drive, Drive::Force(_)) {
-            problems.push(Problem::new(recording, object, shape.clone(), options, noise)?);
+        if recording.track_frame != TrackFrame::World || !matches!(recording.drive, Drive::Force(_) | Drive::Finger(_))
+        {
+            continue;
+        }
+        let problem = Problem::new(recording, object, shape.clone(), options, noise)?;
+        if problem.has_known_force() {
+            problems.push(problem);
             frictions.push(recording.support.friction.filter(|_| !options.free_friction));
             fitted.push(i);
         }
@@ -188,11 +193,15 @@ fn assumptions(recordings: &[PushRecording], options: &IdentifyOptions) -> Vec<S
         vec!["the object is rigid and of uniform density: centre of mass and inertia follow from its mesh".to_owned()];
     if recordings.iter().any(|r| matches!(r.drive, Drive::Force(_))) {
         out.push("the recorded force has the right gain and acts at the stated point".into());
+        out.push("a stretch of the force record that noise explains is no force".into());
         out.push("gravity and the shape of the support are as stated".into());
         match recordings.iter().find_map(|r| r.support.friction).filter(|_| !options.free_friction) {
             Some(mu) => out.push(format!("the friction against the support is {mu} as stated")),
             None => out.push("the friction against the support is one unknown constant".into()),
         }
+    }
+    if options.finger_force && recordings.iter().any(|r| matches!(r.drive, Drive::Finger(_))) {
+        out.push("gains, damping and moving mass of the fingertip are as stated; its encoder is good to 0.1 mm".into());
     }
     out
 }

@@ -15,7 +15,7 @@ use drex_diffsim::{
 };
 use nalgebra::{ComplexField, Point3, SMatrix, SVector, Vector3, Vector6};
 
-use crate::{IdentifyOptions, ObjectModel, Result, SysidError, noise};
+use crate::{IdentifyOptions, ObjectModel, Result, SysidError, finger, noise};
 
 /// Nuisances: clock offset, position bias (3), rotation bias (3).
 pub(crate) const NUISANCES: usize = 7;
@@ -112,16 +112,19 @@ impl Problem {
                 Action::Force { times_s: times_s.clone(), forces_n, noise_n, point: ForcePoint::Body(*point_in_object) }
             }
             Drive::Finger(finger) => {
-                let (times_s, centers) = match &finger.encoder {
-                    Some(e) => (e.times_s.clone(), e.positions.clone()),
-                    None => (finger.command_times_s.clone(), finger.commands.clone()),
-                };
-                Action::Pusher {
-                    radius_m: finger.impedance.radius_m,
-                    friction: finger.impedance.friction,
-                    times_s,
-                    centers,
-                }
+                let known = if options.finger_force { finger::known_force(recording, finger, &shape) } else { None };
+                known.unwrap_or_else(|| {
+                    let (times_s, centers) = match &finger.encoder {
+                        Some(e) => (e.times_s.clone(), e.positions.clone()),
+                        None => (finger.command_times_s.clone(), finger.commands.clone()),
+                    };
+                    Action::Pusher {
+                        radius_m: finger.impedance.radius_m,
+                        friction: finger.impedance.friction,
+                        times_s,
+                        centers,
+                    }
+                })
             }
             _ => Action::Nothing,
         };
@@ -316,6 +319,16 @@ impl Problem {
             out.by_nuisances.push(g);
         }
         Ok(out)
+    }
+
+    /// Whether the known force is that of a fingertip.
+    pub(crate) fn is_pushed_by_finger(&self) -> bool {
+        matches!(&self.action, Action::Force { point: ForcePoint::World(_), .. })
+    }
+
+    /// Whether something acts whose size does not scale with the mass.
+    pub(crate) fn has_known_force(&self) -> bool {
+        matches!(self.action, Action::Force { .. })
     }
 
     /// Centre of mass in the mesh frame.
