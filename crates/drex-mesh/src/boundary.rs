@@ -49,17 +49,13 @@ enum Verdict {
 
 /// Finds the boundary of the solid bounded by `mesh`, whose openings are capped; `tree` is over all its faces.
 ///
-/// Faces longer than 1/100 of the mesh are divided until each part has one weight or is smaller than 1/1000 of the mesh; faces
-/// with one weight stay whole.
-pub(crate) fn boundary(mesh: &TriMesh, tree: &Bvh) -> Boundary {
+/// Faces longer than 1/100 of the mesh are divided until each part has one weight or is smaller than 1/1000 of the mesh (1/60
+/// where lids take part); faces with one weight stay whole.
+pub(crate) fn boundary(mesh: &TriMesh, tree: &Bvh, has_lids: bool) -> Boundary {
     let diagonal = mesh.bounds().map_or(0.0, |(lo, hi)| (hi - lo).norm());
-    let probe = Probe {
-        tree,
-        step: 1e-6 * diagonal,
-        coarse: diagonal / 24.0,
-        small: diagonal / 100.0,
-        fine: diagonal / 1000.0,
-    };
+    // Lids are a guess; finer parts would not make it better.
+    let fine = diagonal / if has_lids { 60.0 } else { 1000.0 };
+    let probe = Probe { tree, step: 1e-6 * diagonal, coarse: diagonal / 24.0, small: diagonal / 100.0, fine };
     let verdicts: Vec<Verdict> = (0..mesh.faces.len())
         .into_par_iter()
         .map(|f| {
@@ -106,8 +102,12 @@ fn middle(t: &[Point3<f64>; 3]) -> Point3<f64> {
     Point3::from((t[0].coords + t[1].coords + t[2].coords) / 3.0)
 }
 
+fn length(t: &[Point3<f64>; 3], side: usize) -> f64 {
+    (t[(side + 1) % 3] - t[side]).norm()
+}
+
 fn longest_side(t: &[Point3<f64>; 3]) -> f64 {
-    (0..3).map(|k| (t[(k + 1) % 3] - t[k]).norm()).fold(0.0, f64::max)
+    (0..3).map(|k| length(t, k)).fold(0.0, f64::max)
 }
 
 impl Probe<'_> {
@@ -134,18 +134,19 @@ impl Probe<'_> {
                 return Verdict::Uniform(first);
             }
         }
-        let m = [0, 1, 2].map(|k| nalgebra::center(&t[k], &t[(k + 1) % 3]));
-        let children = [[t[0], m[0], m[2]], [m[0], t[1], m[1]], [m[2], m[1], t[2]], [m[0], m[1], m[2]]];
-        let verdicts = children.map(|c| self.judge(&c, normal));
-        if let [Verdict::Uniform(a), Verdict::Uniform(b), Verdict::Uniform(c), Verdict::Uniform(d)] = verdicts
+        // Halving the longest side keeps the parts of long thin triangles (lids) few and makes them rounder.
+        let k = (0..3).max_by(|&i, &j| length(t, i).total_cmp(&length(t, j))).unwrap_or(0);
+        let (p, q, apex) = (t[k], t[(k + 1) % 3], t[(k + 2) % 3]);
+        let m = nalgebra::center(&p, &q);
+        let halves = [[p, m, apex], [m, q, apex]];
+        let verdicts = halves.map(|h| self.judge(&h, normal));
+        if let [Verdict::Uniform(a), Verdict::Uniform(b)] = verdicts
             && a == b
-            && b == c
-            && c == d
         {
             return Verdict::Uniform(a);
         }
         let mut pieces = Vec::new();
-        for (corners, verdict) in children.into_iter().zip(verdicts) {
+        for (corners, verdict) in halves.into_iter().zip(verdicts) {
             match verdict {
                 Verdict::Uniform(weight) => pieces.push(Piece { corners, weight }),
                 Verdict::Mixed(more) => pieces.extend(more),
@@ -185,12 +186,6 @@ pub(crate) struct Moments {
 impl Moments {
     pub fn about(reference: Point3<f64>) -> Self {
         Self { reference, volume: 0.0, first: Vector3::zeros(), second: nalgebra::Matrix3::zeros() }
-    }
-
-    /// A body of known mass properties at density 1.
-    pub fn of(body: &MassProperties) -> Self {
-        let central = nalgebra::Matrix3::identity() * (body.inertia.trace() / 2.0) - body.inertia;
-        Self { reference: body.center_of_mass, volume: body.mass_kg, first: Vector3::zeros(), second: central }
     }
 
     /// The tetrahedron between the reference point and a triangle, signed and weighted.

@@ -17,12 +17,20 @@ pub(crate) struct Capped {
     pub openings: usize,
     /// Largest distance across an opening (twice the farthest rim point from its middle), metres.
     pub widest_m: f64,
+    /// Area of the lids, m²: for each the length of its vector area, so that folds of a ragged lid cancel.
+    pub lid_area_m2: f64,
 }
 
 /// Closes every opening by a fan of triangles from its rim to the middle of the rim.
 pub(crate) fn cap(mesh: &TriMesh) -> Capped {
     let loops = boundary_loops(mesh);
-    let mut out = Capped { mesh: mesh.clone(), surface_faces: mesh.faces.len(), openings: loops.len(), widest_m: 0.0 };
+    let mut out = Capped {
+        mesh: mesh.clone(),
+        surface_faces: mesh.faces.len(),
+        openings: loops.len(),
+        widest_m: 0.0,
+        lid_area_m2: 0.0,
+    };
     for rim in &loops {
         let at = |k: usize| mesh.vertices[rim[k % rim.len()] as usize];
         let (mut length, mut weighted) = (0.0, Vector3::zeros());
@@ -42,6 +50,9 @@ pub(crate) fn cap(mesh: &TriMesh) -> Capped {
             out.mesh.faces.extend((0..rim.len()).map(|k| [rim[k], rim[(k + 1) % rim.len()], hub]));
         }
         let middle = Point3::from(weighted / length);
+        let vector_area: Vector3<f64> =
+            (0..rim.len()).map(|k| (at(k) - middle).cross(&(at(k + 1) - middle)) * 0.5).sum();
+        out.lid_area_m2 += vector_area.norm();
         out.widest_m = (0..rim.len()).map(|k| 2.0 * (at(k) - middle).norm()).fold(out.widest_m, f64::max);
     }
     out

@@ -1,11 +1,16 @@
 //! Convex pieces that together cover a solid, for collision.
 
+use std::collections::BTreeSet;
+
 use nalgebra::Point3;
 
 use drex_core::TriMesh;
 use parry3d_f64::math::Vector;
 use parry3d_f64::transformation::vhacd::{VHACD, VHACDParameters};
+use parry3d_f64::transformation::voxelization::{Voxel, VoxelSet};
 
+use crate::boundary::boundary;
+use crate::bvh::Bvh;
 use crate::hull::{convex_hull, convex_hull_with_at_most, hull_volume};
 use crate::repair::{Shell, describe_shells};
 use crate::solid::Enclosed;
@@ -98,10 +103,14 @@ pub(crate) fn divide(
     let mut how = HowDivided::Shells;
     if !rest.is_empty() {
         // With cavities or openings a single shell says nothing about the solid: then all goes in.
-        let open = enclosed.capped.openings > 0 || shells.iter().any(|s| s.volume_m3 < 0.0);
-        let part = if open || pieces.is_empty() {
+        let cavities = shells.iter().any(|s| s.volume_m3 < 0.0);
+        let part = if enclosed.capped.openings > 0 {
             pieces.clear();
-            enclosed.capped.mesh.clone()
+            // Without the parts of ragged lids that lie outside the solid.
+            boundary(&enclosed.capped.mesh, &Bvh::new(&enclosed.capped.mesh), true).mesh()
+        } else if cavities || pieces.is_empty() {
+            pieces.clear();
+            mesh.clone()
         } else {
             TriMesh { vertices: mesh.vertices.clone(), faces: rest.iter().map(|&f| mesh.faces[f as usize]).collect() }
         };
@@ -151,8 +160,22 @@ fn decompose(mesh: &TriMesh, resolution: u32) -> Option<Vec<TriMesh>> {
     };
     // Its inner hulls assert on some inputs; that must not take the program down.
     let parts = std::panic::catch_unwind(|| {
-        let found = VHACD::decompose(&parameters, &points, &mesh.faces, true);
-        found.compute_primitive_intersections(&points, &mesh.faces)
+        let voxels = VoxelSet::voxelize(&points, &mesh.faces, resolution, parameters.fill_mode, true);
+        let place = |v: &Voxel| [v.coords.x, v.coords.y, v.coords.z];
+        let surface: BTreeSet<_> = voxels.voxels().iter().filter(|v| v.is_on_surface).map(place).collect();
+        let found = VHACD::from_voxels(&parameters, voxels);
+        let mut parts = found.compute_primitive_intersections(&points, &mesh.faces);
+        for (part, set) in parts.iter_mut().zip(found.voxel_parts()) {
+            // A part is bounded by the surface and by cuts through the inside, where there are only voxels.
+            for voxel in set.voxels().iter().filter(|v| !surface.contains(&place(v))) {
+                let middle = set.get_voxel_point(voxel);
+                for corner in 0..8 {
+                    let side = |axis: u32| if corner >> axis & 1 == 0 { -0.5 } else { 0.5 };
+                    part.push(middle + Vector::new(side(0), side(1), side(2)) * set.scale);
+                }
+            }
+        }
+        parts
     })
     .ok()?;
     let hulls: Vec<TriMesh> = parts

@@ -228,7 +228,11 @@ fn drop_duplicates(mesh: &mut TriMesh) -> usize {
     before - mesh.faces.len()
 }
 
-/// Makes the winding consistent over edges with two faces.
+/// Makes the winding consistent over edges with two faces, if it is not.
+///
+/// Each patch connected over such edges then faces the side that sees more of the surroundings (Takayama et al.,
+/// "A Simple Method for Correcting Facet Orientations in Polygon Meshes Based on Ray Casting", 2014); if neither does,
+/// the side to which it bulges; if it is flat, the side that most of its area faced.
 fn align_patches(mesh: &mut TriMesh, turned: &mut [bool]) {
     let topology = Topology::new(mesh);
     if topology.misaligned == 0 {
@@ -242,6 +246,7 @@ fn align_patches(mesh: &mut TriMesh, turned: &mut [bool]) {
             neighbours[*h as usize / 3][*h as usize % 3] = (g / 3, same);
         }
     }
+    let tree = Bvh::new(mesh);
     let mut state: Vec<Option<bool>> = vec![None; mesh.faces.len()];
     for seed in 0..mesh.faces.len() {
         if state[seed].is_some() {
@@ -260,19 +265,16 @@ fn align_patches(mesh: &mut TriMesh, turned: &mut [bool]) {
                 }
             }
         }
-        if !patch.iter().any(|&f| state[f] == Some(true)) {
-            continue;
-        }
-        // The side that most of the area already faces, unless the patch bulges clearly the other way.
         let flip = |f: usize| state[f] == Some(true);
-        let area = |f: usize| {
-            let [a, b, c] = mesh.triangle(f);
-            (b - a).cross(&(c - a)).norm() * 0.5
+        let sign = |f: usize| if flip(f) { -1.0 } else { 1.0 };
+        let openness = openness(mesh, &tree, &patch, sign);
+        let bulge = bulge(mesh, &patch, sign);
+        let kept: f64 = patch.iter().map(|&f| sign(f) * area(mesh, f)).sum();
+        let invert = match (openness, bulge) {
+            (o, _) if o.abs() > 0.1 => o < 0.0,
+            (_, b) if b.abs() > 0.1 => b < 0.0,
+            _ => kept < 0.0,
         };
-        let total: f64 = patch.iter().map(|&f| area(f)).sum();
-        let against: f64 = patch.iter().filter(|&&f| flip(f)).map(|&f| area(f)).sum();
-        let bulge = bulge(mesh, &patch, |f| if flip(f) { -1.0 } else { 1.0 });
-        let invert = if bulge.abs() > 0.1 { bulge < 0.0 } else { against > 0.5 * total };
         for &f in &patch {
             if flip(f) != invert {
                 mesh.faces[f].swap(1, 2);
@@ -280,6 +282,40 @@ fn align_patches(mesh: &mut TriMesh, turned: &mut [bool]) {
             }
         }
     }
+}
+
+fn area(mesh: &TriMesh, f: usize) -> f64 {
+    let [a, b, c] = mesh.triangle(f);
+    (b - a).cross(&(c - a)).norm() * 0.5
+}
+
+/// How much more of the rays that leave a patch on its front get away than of those on its back: from -1 to 1.
+fn openness(mesh: &TriMesh, tree: &Bvh, patch: &[usize], sign: impl Fn(usize) -> f64) -> f64 {
+    const RAYS: usize = 12;
+    let step = patch.len().div_ceil(48).max(1);
+    let (mut front, mut back) = (0.0, 0.0);
+    for &f in patch.iter().step_by(step) {
+        let [a, b, c] = mesh.triangle(f);
+        let Some(normal) = (b - a).cross(&(c - a)).try_normalize(0.0).map(|n| n * sign(f)) else { continue };
+        let middle = Point3::from((a.coords + b.coords + c.coords) / 3.0);
+        let weight = area(mesh, f);
+        for k in 0..RAYS {
+            // Evenly over the hemisphere: a Fibonacci spiral.
+            let z = (k as f64 + 0.5) / RAYS as f64;
+            let turn = 2.399_963_229_728_653 * k as f64;
+            let r = (1.0 - z * z).sqrt();
+            let side = normal.cross(&Vector3::ith(normal.iamin(), 1.0)).normalize();
+            let tangent = side * (r * turn.cos()) + normal.cross(&side) * (r * turn.sin());
+            for (direction, sum) in [(normal * z + tangent, &mut front), (tangent - normal * z, &mut back)] {
+                // Off the face itself by far less than any distance that matters.
+                let origin = middle + direction * (1e-4 * weight.sqrt());
+                if tree.ray(&origin, &direction, f64::INFINITY).is_none() {
+                    *sum += weight * z;
+                }
+            }
+        }
+    }
+    if front + back > 0.0 { (front - back) / (front + back) } else { 0.0 }
 }
 
 /// Volume of the cone over a surface from its own middle, relative to a ball of the same area: 1 for a sphere wound
@@ -398,41 +434,27 @@ fn group_bodies(mesh: &TriMesh, shells: &[Shell], parents: &[Option<usize>], tou
             sets.join(i as u32, *j as u32);
         }
     }
-    // Larger shells first, each with a tree, so that crumbs are tested against them and not with each other first.
-    let mut order: Vec<usize> = (0..shells.len()).collect();
-    order.sort_by(|&i, &j| shells[j].area_m2.total_cmp(&shells[i].area_m2).then(i.cmp(&j)));
-    for (rank, &i) in order.iter().enumerate() {
-        let reach = shells[i].bounds.fattened(touching_m);
-        let rest = order[rank + 1..].iter().filter(|&&j| reach.overlaps(&shells[j].bounds));
-        let candidates: Vec<usize> = rest.copied().collect();
-        if candidates.is_empty() {
-            continue;
-        }
-        let tree = Bvh::over(mesh, shells[i].faces.clone());
-        for j in candidates {
-            if sets.find(i as u32) != sets.find(j as u32) && touch(mesh, &shells[i], &tree, &shells[j], touching_m) {
-                sets.join(i as u32, j as u32);
+    let mut shell_of = vec![0u32; mesh.faces.len()];
+    for (i, shell) in shells.iter().enumerate() {
+        shell.faces.iter().for_each(|&f| shell_of[f as usize] = i as u32);
+    }
+    if shells.len() > 1 {
+        let tree = Bvh::new(mesh);
+        for f in 0..mesh.faces.len() {
+            let (tri, shell) = (mesh.triangle(f), shell_of[f]);
+            for k in 0..3 {
+                let (p, q) = (tri[k], tri[(k + 1) % 3]);
+                tree.any_in(&Aabb::of(&[p, q]).fattened(touching_m), |g, t| {
+                    let other = shell_of[g as usize];
+                    if sets.find(shell) != sets.find(other) && segment_triangle_distance(&p, &q, t) <= touching_m {
+                        sets.join(shell, other);
+                    }
+                    false
+                });
             }
         }
     }
     sets.labels().0
-}
-
-/// Whether an edge of one shell comes within `reach` of a face of the other.
-fn touch(mesh: &TriMesh, a: &Shell, a_tree: &Bvh, b: &Shell, reach: f64) -> bool {
-    let meets = |faces: &[u32], tree: &Bvh, other: &Aabb| {
-        faces.iter().any(|&f| {
-            let tri = mesh.triangle(f as usize);
-            Aabb::of(&tri).fattened(reach).overlaps(other)
-                && (0..3).any(|k| {
-                    let (p, q) = (tri[k], tri[(k + 1) % 3]);
-                    tree.any_in(&Aabb::of(&[p, q]).fattened(reach), |_, t| {
-                        segment_triangle_distance(&p, &q, t) <= reach
-                    })
-                })
-        })
-    };
-    meets(&b.faces, a_tree, &a.bounds) || meets(&a.faces, &Bvh::over(mesh, b.faces.clone()), &b.bounds)
 }
 
 /// Removes the faces of bodies with too little area; returns the shells that stay.

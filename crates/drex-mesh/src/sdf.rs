@@ -5,8 +5,9 @@ use nalgebra::{Point3, Vector3};
 use drex_core::{SdfSample, SignedDistance, Surface, SurfacePoint, TriMesh};
 
 use crate::Result;
+use crate::boundary::boundary;
 use crate::bvh::Bvh;
-use crate::solid::bounded;
+use crate::solid::close;
 
 /// Signed distance, nearest point and rays for the solid that a mesh encloses.
 ///
@@ -28,7 +29,8 @@ impl MeshSdf {
     /// # Errors
     /// If the mesh has no triangles or no face of it bounds a solid.
     pub fn new(mesh: &TriMesh) -> Result<Self> {
-        let (capped, tree, boundary) = bounded(mesh)?;
+        let (capped, tree) = close(mesh)?;
+        let boundary = boundary(&capped.mesh, &tree, capped.openings > 0);
         let boundary = if boundary.whole { capped.mesh } else { boundary.mesh() };
         let bounds =
             boundary.bounds().filter(|_| !boundary.faces.is_empty()).ok_or_else(|| crate::Error::NoVolume {

@@ -6,15 +6,15 @@ use serde::Serialize;
 
 use drex_core::{MassProperties, TriMesh};
 
-use crate::boundary::{Boundary, Moments, boundary};
+use crate::boundary::{Moments, boundary};
 use crate::bvh::Bvh;
 use crate::caps::{Capped, cap};
 use crate::sample::unit_cube_point;
 use crate::topology::Topology;
 use crate::{Error, Result};
 
-/// Points at which the two ways of closing an open surface are compared.
-const COMPARED: usize = 1 << 16;
+/// Points at which the solid of an open surface is sampled.
+const SAMPLES: usize = 1 << 16;
 /// An open surface whose lids would be more than this share of its boundary is called a sheet, not a solid.
 const LARGEST_LID_SHARE: f64 = 0.45;
 
@@ -55,7 +55,8 @@ pub struct Solid {
     /// How far two ways of closing differ: the volume inside only one of {winding number > 1/2} and the mesh with
     /// fans over its openings, relative to the volume. 0 for a closed mesh.
     pub closing_spread: f64,
-    /// Share of the mesh's area that lies inside the solid (overlaps, inner walls).
+    /// Share of a closed mesh's area that lies inside the solid (overlaps, inner walls); 0 for an open one, where it is
+    /// not measured.
     pub hidden_area_share: f64,
     /// Pieces of surface connected over edges.
     pub shells: usize,
@@ -65,7 +66,7 @@ pub struct Solid {
 ///
 /// The mesh should be welded and wound outwards ([`crate::repair()`] does both). The solid is where the generalised
 /// winding number (Jacobson et al. 2013) exceeds 1/2: overlaps count once, shells wound inwards are cavities,
-/// openings get flat lids. Closed meshes are integrated over the exact boundary; for open ones the same integral with
+/// openings get flat lids. Closed meshes are integrated over the exact boundary; for open ones the exact integral with
 /// fans over the openings is corrected by the volume between the fans and the level set 1/2, sampled at 65,536 points.
 ///
 /// # Errors
@@ -74,25 +75,20 @@ pub fn solid_properties(mesh: &TriMesh) -> Result<Solid> {
     Ok(Enclosed::new(mesh)?.solid)
 }
 
-/// The solid together with what was computed on the way.
+/// The solid together with the closed mesh it was found with.
 #[derive(Debug, Clone)]
 pub(crate) struct Enclosed {
     pub solid: Solid,
-    pub boundary: Boundary,
     pub capped: Capped,
-    /// Over all faces of the capped mesh.
-    pub tree: Bvh,
 }
 
 impl Enclosed {
     pub fn new(mesh: &TriMesh) -> Result<Self> {
-        let (capped, tree, boundary) = bounded(mesh)?;
+        let (capped, tree) = close(mesh)?;
         let topology = Topology::new(mesh);
         let no_volume = |reason: String| Error::NoVolume { subject: "the mesh".into(), reason };
-        let Some(mut properties) = boundary.mass_properties() else {
-            return Err(no_volume(format!("its faces cancel, {} of its edges are open", topology.open_edges)));
-        };
-        let lid_area_share = lid_share(&boundary, capped.surface_faces);
+        let area = mesh.area();
+        let lid_area_share = capped.lid_area_m2 / (capped.lid_area_m2 + area);
         if lid_area_share > LARGEST_LID_SHARE {
             return Err(no_volume(format!(
                 "it is a sheet: lids over its {} open edges would be {:.0} % of the surface",
@@ -100,94 +96,87 @@ impl Enclosed {
                 100.0 * lid_area_share
             )));
         }
-        let area: f64 = boundary.mesh().area();
+        let (properties, how_closed, hidden_area_share, closing_spread) = if capped.openings == 0 {
+            let boundary = boundary(&capped.mesh, &tree, false);
+            let how = if boundary.whole { HowClosed::Exact } else { HowClosed::Union };
+            (boundary.mass_properties(), how, boundary.hidden_area_share, 0.0)
+        } else {
+            let (properties, differing) = integrate_open(&capped, &tree);
+            let spread = properties.map_or(0.0, |p| differing / p.mass_kg);
+            (properties, HowClosed::WindingNumber, 0.0, spread)
+        };
+        let properties = properties
+            .ok_or_else(|| no_volume(format!("its faces cancel, {} of its edges are open", topology.open_edges)))?;
         // 1 for a ball; a sheet of paper has 1e-3.
         let fullness = properties.mass_kg * 6.0 * std::f64::consts::PI.sqrt() / area.powf(1.5);
         if !(fullness > 1e-6) {
             return Err(no_volume(format!("{:.3e} m³ inside {area:.3e} m² of surface", properties.mass_kg)));
         }
-        let mut closing_spread = 0.0;
-        if capped.openings > 0 {
-            let (corrected, differing) = correct_lids(&properties, &capped, &tree);
-            closing_spread = differing / properties.mass_kg;
-            properties = corrected.ok_or_else(|| no_volume("nowhere does its winding number exceed 1/2".into()))?;
-        }
         let solid = Solid {
             properties,
             volume_m3: properties.mass_kg,
             closed: topology.open_edges == 0,
-            how_closed: match (capped.openings, boundary.whole) {
-                (0, true) => HowClosed::Exact,
-                (0, false) => HowClosed::Union,
-                _ => HowClosed::WindingNumber,
-            },
+            how_closed,
             open_edges: topology.open_edges,
             openings: capped.openings,
             widest_opening_m: capped.widest_m,
             lid_area_share,
             closing_spread,
-            hidden_area_share: boundary.hidden_area_share,
+            hidden_area_share,
             shells: topology.shells().1,
         };
-        Ok(Self { solid, boundary, capped, tree })
+        Ok(Self { solid, capped })
     }
 }
 
-/// Caps the mesh and finds the boundary of the solid.
-pub(crate) fn bounded(mesh: &TriMesh) -> Result<(Capped, Bvh, Boundary)> {
+/// Closes the openings and builds a tree over all faces.
+pub(crate) fn close(mesh: &TriMesh) -> Result<(Capped, Bvh)> {
     if mesh.faces.is_empty() {
         return Err(Error::Empty { subject: "the mesh".into() });
     }
     let mesh = TriMesh::new(mesh.vertices.clone(), mesh.faces.clone())?;
     let capped = cap(&mesh);
     let tree = Bvh::new(&capped.mesh);
-    let boundary = boundary(&capped.mesh, &tree);
-    Ok((capped, tree, boundary))
+    Ok((capped, tree))
 }
 
-fn lid_share(boundary: &Boundary, surface_faces: usize) -> f64 {
-    let (mut lids, mut total) = (0.0, 0.0);
-    for (piece, &f) in boundary.pieces.iter().zip(&boundary.faces) {
-        let [a, b, c] = piece.corners;
-        let area = piece.weight.abs() * (b - a).cross(&(c - a)).norm();
-        total += area;
-        lids += if (f as usize) < surface_faces { 0.0 } else { area };
-    }
-    if total > 0.0 { lids / total } else { 0.0 }
-}
-
-/// Moves the boundary from the fans to the level set 1/2 of the open surface's winding number. Both solids are sampled at the
-/// same points, so the error is that of their small difference only. Also returns the volume of that difference.
-fn correct_lids(fans: &MassProperties, capped: &Capped, tree: &Bvh) -> (Option<MassProperties>, f64) {
+/// Mass properties at density 1 of {w > 1/2} for the winding number w of an open surface, and the volume on which that
+/// solid and the one closed by fans differ.
+///
+/// With v the winding number of the closed surface, an integer, ∫ f v dV is exact by the divergence theorem, and only
+/// ∫ f (H(w - 1/2) - v) dV is sampled: nothing but a film between lid and level set, and folds of the surface.
+fn integrate_open(capped: &Capped, tree: &Bvh) -> (Option<MassProperties>, f64) {
     let lids = Bvh::over(&capped.mesh, (capped.surface_faces as u32..capped.mesh.faces.len() as u32).collect());
     let Some((lo, hi)) = capped.mesh.bounds() else { return (None, 0.0) };
     let size = hi - lo;
-    let cell = size.product() / COMPARED as f64;
-    let changes: Vec<(Point3<f64>, f64)> = (0..COMPARED)
+    let cell = size.product() / SAMPLES as f64;
+    let changes: Vec<(Point3<f64>, f64, bool)> = (0..SAMPLES)
         .into_par_iter()
         .filter_map(|i| {
             let p = lo + size.component_mul(&Vector3::from(unit_cube_point(i)));
             let closed = tree.winding(&p);
-            let open = closed - lids.winding(&p);
-            match (open > 0.5, closed > 0.5) {
-                (true, false) => Some((p, cell)),
-                (false, true) => Some((p, -cell)),
-                _ => None,
-            }
+            let inside = closed - lids.winding(&p) > 0.5;
+            let change = f64::from(u8::from(inside)) - closed.round();
+            let differs = inside != (closed > 0.5);
+            (change != 0.0 || differs).then_some((p, change * cell, differs))
         })
         .collect();
-    let mut moments = Moments::of(fans);
-    for (p, volume) in &changes {
-        moments.add_point(p, *volume);
+    let mut moments = Moments::about(nalgebra::center(&lo, &hi));
+    for f in 0..capped.mesh.faces.len() {
+        moments.add_tetrahedron(&capped.mesh.triangle(f), 1.0);
     }
-    (moments.mass_properties(), cell * changes.len() as f64)
+    let mut differing = 0.0;
+    for (p, volume, differs) in &changes {
+        moments.add_point(p, *volume);
+        differing += if *differs { cell } else { 0.0 };
+    }
+    (moments.mass_properties(), differing)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::shapes::{cuboid, flipped, joined, sphere};
-    use nalgebra::Matrix3;
 
     fn close(a: f64, b: f64, relative: f64) {
         assert!((a - b).abs() <= relative * b.abs(), "{a} is not {b} within {relative}");
@@ -277,12 +266,5 @@ mod tests {
             assert!(matches!(e, Error::NoVolume { .. }), "{e}");
             assert!(e.to_string().contains("thickness"));
         }
-    }
-
-    #[test]
-    fn moments_of_a_body_give_the_body_back() {
-        let p = cuboid([0.1, -0.2, 0.3], [0.2, 0.2, 0.5]).mass_properties(1.0).unwrap();
-        let q = Moments::of(&p).mass_properties().unwrap();
-        assert!((p.inertia - q.inertia).norm() < 1e-15 && p.inertia != Matrix3::zeros());
     }
 }
