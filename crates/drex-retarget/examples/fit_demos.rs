@@ -63,6 +63,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let fits = fit_wrists(&robot, &rows, &object, &table, &options)?;
     let seconds = clock.elapsed().as_secs_f64();
     println!("{} grasps in {seconds:.1} s, {:.0} ms each", fits.len(), 1e3 * seconds / fits.len() as f64);
+    spread("recorded distance of thumb tip and furthest fingertip, mm", rows.iter().map(|q| opening_mm(&robot, q)));
     report(&robot, &fits, &exact, &body, table)?;
     if let Some(out) = option("--out") {
         write(Path::new(&out), &robot, &mesh, &fits)?;
@@ -99,6 +100,9 @@ fn report(
         "touching fingers of survivors",
         accepted.iter().map(|f| f.fingers.iter().filter(|g| g.touches).count() as f64),
     );
+    spread("pushed out of the hand", accepted.iter().map(|f| f.pushed_out));
+    let good = accepted.iter().filter(|f| f.pushed_out < 0.1 && f.squeeze_per_weight.is_some_and(|s| s < 4.0)).count();
+    println!("{good} survivors have the object between the fingers and carry it with less than four times its weight");
     spread("squeeze per weight", accepted.iter().filter_map(|f| f.squeeze_per_weight));
 
     let surface = HandSurface::new(robot, 0.003)?;
@@ -134,6 +138,15 @@ fn report(
     Ok(())
 }
 
+/// Largest distance between the tip of the thumb and that of a finger.
+fn opening_mm(robot: &Robot, q: &[f64]) -> f64 {
+    let poses = robot.forward_kinematics(q, &Pose::identity());
+    let tips: Vec<(bool, Point3<f64>)> =
+        robot.fingers().iter().map(|f| (f.is_thumb, poses[f.tip_link] * f.tip_point)).collect();
+    let thumb = tips.iter().find(|t| t.0).map_or_else(Point3::origin, |t| t.1);
+    1e3 * tips.iter().filter(|t| !t.0).map(|t| (t.1 - thumb).norm()).fold(0.0, f64::max)
+}
+
 fn spread(what: &str, values: impl Iterator<Item = f64>) {
     let mut v: Vec<f64> = values.collect();
     v.sort_by(f64::total_cmp);
@@ -159,7 +172,7 @@ fn write(out: &Path, robot: &Robot, mesh: &TriMesh, fits: &[WristFit]) -> Result
         list.push(serde_json::json!({
             "grasp": i, "joints": fit.joints, "position": position, "wxyz": wxyz, "fingers": fit.fingers,
             "penetration_mm": fit.penetration_mm, "table_clearance_mm": fit.table_clearance_mm,
-            "squeeze_per_weight": fit.squeeze_per_weight, "correction_rad": fit.correction_rad, "verdict": fit.verdict,
+            "squeeze_per_weight": fit.squeeze_per_weight, "pushed_out": fit.pushed_out, "correction_rad": fit.correction_rad, "verdict": fit.verdict,
         }));
         std::fs::write(out.join(format!("hand_{i:03}.obj")), hand_obj(robot, &fit.joints, &fit.object_from_base))?;
     }

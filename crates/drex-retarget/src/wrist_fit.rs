@@ -194,6 +194,9 @@ pub struct WristFit {
     pub penetration_mm: f64,
     /// Height of the hand's lowest point over the table, mm.
     pub table_clearance_mm: f64,
+    /// How much the touching pads push the object out of the hand, along the palm's normal: mean over them of the part of the
+    /// cosine beyond 0.3. Zero for an object between the fingers; large for a fist that presses against its side.
+    pub pushed_out: f64,
     /// Whether the contacts are in force closure; false for rejected fits.
     pub force_closure: bool,
     /// Smallest sum of normal forces that carries the object, in units of its weight, at the friction of the options and without

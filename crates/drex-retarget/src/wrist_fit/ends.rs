@@ -86,9 +86,10 @@ pub(crate) fn judge(scene: &Scene<'_>, state: State) -> Result<End> {
     let force = if accepted { Force::of(scene, &state)? } else { Force::default() };
     let correction_rad: Vec<f64> = state.joints.iter().zip(&scene.recorded.joints).map(|(q, r)| q - r).collect();
     let mean_square = correction_rad.iter().map(|c| c * c).sum::<f64>() / correction_rad.len().max(1) as f64;
+    let pushed_out = pushed_away(scene, &state, touching_set);
     let pinch = 1.0 / (SLIPPERY * options.friction).max(1e-9);
     let score = mean_square.sqrt() / options.max_finger_correction_rad.max(1e-9)
-        + if accepted { pushed_away(scene, &state, touching_set) } else { 0.0 }
+        + pushed_out
         + force.slippery.map_or(SLIPS, |s| (s / pinch).max(1.0));
     let fit = WristFit {
         object_from_base: state.object_from_base,
@@ -98,6 +99,7 @@ pub(crate) fn judge(scene: &Scene<'_>, state: State) -> Result<End> {
         fingers,
         penetration_mm: 1e3 * depth,
         table_clearance_mm: -1e3 * below,
+        pushed_out,
         force_closure: force.closed,
         squeeze_per_weight: force.squeeze,
         verdict: if accepted { Verdict::Accepted } else { Verdict::Rejected(reasons) },
