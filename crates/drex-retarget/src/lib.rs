@@ -1,6 +1,6 @@
 //! Hand poses of people and other hands for a robot hand, aware of the object.
 //!
-//! Today: the wrist pose of grasps that were recorded as joint angles only ([`fit_wrist`], [`fit_wrists`]).
+//! Here so far: the wrist pose of grasps that were recorded as joint angles only ([`fit_wrist`], [`fit_wrists`]).
 //!
 //! # Conventions
 //! Poses are `object_from_base`: of the robot's base in the object's mesh frame, metres. Joint vectors are in the model's order,
