@@ -21,7 +21,7 @@ use drex_core::readers::{GraspFile, write_grasps_json};
 use drex_core::{MassProperties, Pose, Surface, TriMesh, fsutil, pose};
 use drex_diffsim::{AppliedForce, Body, ConvexPiece, ForcePoint, Model, Scene, State, Table, rollout};
 use drex_grasp::TablePlane;
-use drex_mesh::{AssetOptions, GridSdf, MeshSdf, asset_from_mesh};
+use drex_mesh::{AssetOptions, GridOptions, GridSdf, MeshSdf, asset_from_mesh};
 use drex_retarget::{ObjectSurface, WristFitOptions, fit_wrists};
 use drex_robot::Robot;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
@@ -185,7 +185,9 @@ fn make_grasps(shells: &[TriMesh], file: &Path) -> Result<()> {
     let robot = Robot::bundled("leap_right")?;
     let tin = asset_from_mesh(&merged(shells)?, &AssetOptions::default())?;
     let exact = MeshSdf::new(&tin.visual)?;
-    let grid = GridSdf::new(exact.clone())?;
+    let mut around = GridOptions::default();
+    around.margin_m = Some(0.1);
+    let grid = GridSdf::with_options(exact.clone(), &around)?;
     let table = TablePlane::under(&tin.visual.vertices, Vector3::z()).context("the tin has no vertices")?;
     let object = ObjectSurface {
         search: &grid,

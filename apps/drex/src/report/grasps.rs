@@ -11,22 +11,29 @@ use super::page::Page;
 use super::summary::median;
 use crate::picture::plot::{COLORS, Plot, Series};
 use crate::picture::raster::{Part, View, clearest_azimuth, render_png};
-use crate::twin::{Evaluation, FitFile, JudgedGrasp, Training, Twin};
+use crate::twin::{Evaluation, FitFile, FitRecord, JudgedGrasp, Training, Twin};
 
 const OBJECT_COLOR: [f64; 3] = [0.86, 0.55, 0.30];
 const HAND_COLOR: [f64; 3] = [0.36, 0.42, 0.52];
 const TIP_COLOR: [f64; 3] = [0.20, 0.60, 0.62];
+/// Fits that push the object out of the hand by less than this hold it between the fingers.
+const PUSHED_OUT: f64 = 0.1;
 /// Pictures per row of grasps.
 const SHOWN: usize = 4;
 
 /// What became of the demonstrations.
 pub fn demonstrations(page: &mut Page, twin: &Twin, asset: &Asset, fits: &FitFile) -> Result<()> {
     page.section("Demonstrated grasps on the object");
+    let count = |holds: &dyn Fn(&FitRecord) -> bool| fits.grasps.iter().filter(|g| g.accepted && holds(g)).count();
     page.paragraph(&format!(
         "The recordings hold joint angles only. For each, the pose of the hand is solved so that the thumb and at least two \
          fingers lie on the surface, the hand stays above the table and penetrates by at most 2 mm, with finger corrections of at \
-         most 0.15 rad. {} of {} demonstrations can be placed like this.",
-        fits.accepted, fits.demonstrations
+         most 0.15 rad. {} of {} demonstrations can be placed like this; the contacts of {} of these can carry the object at all, \
+         and in {} the object lies between the fingers rather than being pressed from one side.",
+        fits.accepted,
+        fits.demonstrations,
+        count(&|g| g.squeeze_per_weight.is_some()),
+        count(&|g| g.pushed_out < PUSHED_OUT),
     ));
     let stage = Stage::new(twin, asset)?;
     let mut accepted: Vec<_> = fits.grasps.iter().filter(|g| g.accepted).collect();

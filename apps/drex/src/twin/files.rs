@@ -97,6 +97,11 @@ pub struct FitRecord {
     pub table_clearance_mm: f64,
     /// Fingers on the surface, by name.
     pub touching: Vec<String>,
+    /// How much the touching pads push the object out of the hand: 0 for an object between the fingers, towards 1 for a fist
+    /// that presses against its side.
+    pub pushed_out: f64,
+    /// Smallest sum of normal forces that carries the object, in units of its weight; absent when the contacts cannot.
+    pub squeeze_per_weight: Option<f64>,
 }
 
 /// A pose on disk.

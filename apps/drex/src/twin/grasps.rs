@@ -73,5 +73,7 @@ fn record(demonstration: usize, fit: &WristFit) -> FitRecord {
         penetration_mm: fit.penetration_mm,
         table_clearance_mm: fit.table_clearance_mm,
         touching: fit.fingers.iter().filter(|f| f.touches).map(|f| f.finger.clone()).collect(),
+        pushed_out: fit.pushed_out,
+        squeeze_per_weight: fit.squeeze_per_weight,
     }
 }

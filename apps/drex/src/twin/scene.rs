@@ -3,19 +3,22 @@
 use anyhow::{Context, Result};
 use drex_core::{MassProperties, Pose, Surface};
 use drex_grasp::{CheckOptions, ContactOptions, StaticGrasp, TablePlane};
-use drex_mesh::{Asset, GridSdf, MeshSdf};
+use drex_mesh::{Asset, GridOptions, GridSdf, MeshSdf};
 use drex_retarget::{ObjectSurface, WristFit, WristFitOptions, fit_wrist};
 use drex_robot::Robot;
 use nalgebra::Vector3;
 
 use super::Twin;
+/// The search for a wrist pose asks for distances this far around the object; most of a hand is nearer.
+const SEARCH_MARGIN_M: f64 = 0.1;
+
 /// Hand, object and table.
 pub struct Scene {
     /// The hand model.
     pub robot: Robot,
     /// The object.
     pub asset: Asset,
-    /// Its signed distance.
+    /// Its signed distance on a grid for searching; the exact one inside it judges.
     pub sdf: GridSdf,
     /// The table under it, in the object's mesh frame.
     pub table: TablePlane,
@@ -29,7 +32,9 @@ impl Scene {
         let grasps = twin.manifest.grasps.as_ref().context("the manifest has no [grasps]")?;
         let robot = Robot::resolve(&grasps.hand, &twin.root)?;
         let asset = twin.asset()?.clone();
-        let sdf = GridSdf::new(MeshSdf::new(&asset.visual)?)?;
+        let mut grid = GridOptions::default();
+        grid.margin_m = Some(SEARCH_MARGIN_M);
+        let sdf = GridSdf::with_options(MeshSdf::new(&asset.visual)?, &grid)?;
         let table = TablePlane::under(&asset.visual.vertices, Vector3::from(twin.manifest.object.up_in_mesh))
             .context("the object has no surface")?;
         Ok(Self { robot, asset, sdf, table, friction: twin.friction(), seed: twin.seed })
@@ -44,7 +49,7 @@ impl Scene {
 
     /// A grasp of the object with this mass.
     pub fn grasp<'a>(&'a self, joints: &'a [f64], object_from_base: Pose, body: &'a MassProperties) -> StaticGrasp<'a> {
-        StaticGrasp { robot: &self.robot, joints, object_from_base, object: &self.sdf, body, table: self.table }
+        StaticGrasp { robot: &self.robot, joints, object_from_base, object: self.sdf.exact(), body, table: self.table }
     }
 
     /// The rules of the wrist fit.
