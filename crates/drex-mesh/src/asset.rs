@@ -310,8 +310,9 @@ fn rest(pieces: &[TriMesh], center: &Point3<f64>, up: &Unit<Vector3<f64>>) -> (P
     let c = rotation * center;
     let pose = Pose::from_parts(Vector3::new(-c.x, -c.y, -lowest).into(), rotation);
     let bounds = Aabb::of(&points);
-    // Scans are not flat to the micrometre: what is within 1 % of the height counts as foot.
-    let foot = lowest + 0.01 * (bounds.hi.z - bounds.lo.z);
+    // Scans are not flat: an object that settles by a degree or so stands.
+    let size = bounds.hi - bounds.lo;
+    let foot = lowest + 0.02 * size.x.hypot(size.y);
     let feet: Vec<[f64; 2]> = points.iter().filter(|p| p.z <= foot).map(|p| [p.x - c.x, p.y - c.y]).collect();
     (pose, margin_inside_hull(&feet))
 }

@@ -16,6 +16,17 @@ use crate::{Error, Result};
 const DEEPEST: usize = 128;
 
 pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
+    // The validation of the glTF library indexes out of bounds on some damaged files.
+    std::panic::catch_unwind(|| read(path, bytes)).unwrap_or_else(|_| {
+        Err(bad(
+            path,
+            "the glTF refers to something that is not there",
+            "check it with the glTF validator or export it again",
+        ))
+    })
+}
+
+fn read(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
     // A GLB header whose lengths contradict the file would make the parser subtract below zero.
     let word = |at: usize| bytes.get(at..at + 4).map_or(0, |b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
     if bytes.starts_with(b"glTF") && (word(8) > bytes.len() || word(8) < 20 || word(12) > word(8) - 20) {
