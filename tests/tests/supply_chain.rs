@@ -41,7 +41,17 @@ struct Skip {
 /// (name, version, licence expression) of every package in the normal and build dependency graph.
 fn packages() -> BTreeSet<(String, String, String)> {
     let output = Command::new(env!("CARGO"))
-        .args(["tree", "--workspace", "--locked", "--offline", "--edges", "normal,build", "--prefix", "none", "--no-dedupe"])
+        .args([
+            "tree",
+            "--workspace",
+            "--locked",
+            "--offline",
+            "--edges",
+            "normal,build",
+            "--prefix",
+            "none",
+            "--no-dedupe",
+        ])
         .args(["--format", "{p}|{l}"])
         .current_dir(workspace_root())
         .output()

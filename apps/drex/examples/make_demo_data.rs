@@ -13,10 +13,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
+use drex_core::joints::JointPoses;
 use drex_core::push::{
     ClockConfig, ForceConfig, FrameKind, PoseConfig, PushConfig, StartConfig, Support, TrackConfig, TrackFormat,
 };
-use drex_core::joints::JointPoses;
 use drex_core::readers::{GraspFile, write_grasps_json};
 use drex_core::{MassProperties, Pose, Surface, TriMesh, fsutil, pose};
 use drex_diffsim::{AppliedForce, Body, ConvexPiece, ForcePoint, Model, Scene, State, Table, rollout};
@@ -111,8 +111,10 @@ fn make_push(shells: &[TriMesh], folder: &Path) -> Result<()> {
     let tipping_n = TRUE_MASS_KG * 9.81 * (TIN.0 / 2.0) / PUSH_HEIGHT_M;
     let point = Point3::new(-TIN.0 / 2.0, 0.0, PUSH_HEIGHT_M);
     let times: Vec<f64> = (0..=160).map(|i| f64::from(i) / 100.0).collect();
-    let forces: Vec<Vector3<f64>> =
-        times.iter().map(|&t| Vector3::x() * tipping_n * (1.25 * pulse(t, 0.30, 0.20) + 1.22 * pulse(t, 0.95, 0.22))).collect();
+    let forces: Vec<Vector3<f64>> = times
+        .iter()
+        .map(|&t| Vector3::x() * tipping_n * (1.25 * pulse(t, 0.30, 0.20) + 1.22 * pulse(t, 0.95, 0.22)))
+        .collect();
     scene.forces.push(AppliedForce::new(0, &times, &forces, ForcePoint::Body(point))?);
 
     let frames: Vec<f64> = (0..48).map(|i| f64::from(i) / 30.0).collect();
@@ -125,7 +127,8 @@ fn make_push(shells: &[TriMesh], folder: &Path) -> Result<()> {
     for (t, p) in frames.iter().zip(&record.poses) {
         highest_tilt = highest_tilt.max(p.rotation.angle());
         let shake = UnitQuaternion::from_scaled_axis(normal3(&mut rng) * ROTATION_SD_RAD);
-        let noisy = Pose::from_parts((p.translation.vector + normal3(&mut rng) * POSITION_SD_M).into(), shake * p.rotation);
+        let noisy =
+            Pose::from_parts((p.translation.vector + normal3(&mut rng) * POSITION_SD_M).into(), shake * p.rotation);
         let (x, q) = pose::to_wxyz(&noisy);
         let _ = writeln!(
             poses_csv,

@@ -163,7 +163,11 @@ fn positive(text: &str) -> Result<f64, String> {
 }
 
 fn direction(text: &str) -> Result<[f64; 3], String> {
-    let numbers: Vec<f64> = text.split(',').map(|s| s.trim().parse()).collect::<Result<_, _>>().map_err(|_| "expected three numbers X,Y,Z")?;
+    let numbers: Vec<f64> = text
+        .split(',')
+        .map(|s| s.trim().parse())
+        .collect::<Result<_, _>>()
+        .map_err(|_| "expected three numbers X,Y,Z")?;
     match numbers.as_slice() {
         &[x, y, z] if [x, y, z].iter().all(|v: &f64| v.is_finite()) && x * x + y * y + z * z > 1e-12 => Ok([x, y, z]),
         _ => Err("expected a direction as three numbers X,Y,Z, not all zero".into()),

@@ -90,13 +90,24 @@ impl Lock {
     }
 
     /// Records a finished stage and writes the lock. `outputs` are files or folders below the root.
-    pub fn record(&mut self, stage: &str, inputs_sha256: String, seed: u64, seconds: f64, outputs: &[PathBuf]) -> Result<()> {
+    pub fn record(
+        &mut self,
+        stage: &str,
+        inputs_sha256: String,
+        seed: u64,
+        seconds: f64,
+        outputs: &[PathBuf],
+    ) -> Result<()> {
         let mut outputs_sha256 = BTreeMap::new();
         for path in outputs {
             self.digest_outputs(path, &mut outputs_sha256)?;
         }
-        self.stages.insert(stage.to_owned(), StageRecord { inputs_sha256, made_by: made_by(), seed, seconds, outputs_sha256 });
-        let text = format!("# Written by drex: how each stage was made. Delete it to make everything again.\n{}", toml::to_string(self)?);
+        self.stages
+            .insert(stage.to_owned(), StageRecord { inputs_sha256, made_by: made_by(), seed, seconds, outputs_sha256 });
+        let text = format!(
+            "# Written by drex: how each stage was made. Delete it to make everything again.\n{}",
+            toml::to_string(self)?
+        );
         fsutil::write_atomic(&self.root.join(FILE), text.as_bytes())?;
         Ok(())
     }

@@ -21,7 +21,13 @@ impl Ui {
             1 => LevelFilter::INFO,
             _ => LevelFilter::DEBUG,
         };
-        tracing_subscriber::fmt().with_max_level(level).with_target(false).with_ansi(std::io::stderr().is_terminal()).without_time().with_writer(std::io::stderr).init();
+        tracing_subscriber::fmt()
+            .with_max_level(level)
+            .with_target(false)
+            .with_ansi(std::io::stderr().is_terminal())
+            .without_time()
+            .with_writer(std::io::stderr)
+            .init();
         Self { json, bars: std::io::stderr().is_terminal() }
     }
 

@@ -122,7 +122,11 @@ fn a_joint_that_the_hand_does_not_have_is_named() {
 #[test]
 fn an_empty_demo_set_is_refused() {
     let (_dir, twin) = demo_copy();
-    fs::write(twin.join("demos/grasps.json"), "{\"schema\": 1, \"joint_names\": [\"if_mcp\"], \"unit\": \"rad\", \"grasps\": []}").unwrap();
+    fs::write(
+        twin.join("demos/grasps.json"),
+        "{\"schema\": 1, \"joint_names\": [\"if_mcp\"], \"unit\": \"rad\", \"grasps\": []}",
+    )
+    .unwrap();
     drex(["train", twin.to_str().unwrap()]).fails_with(&["grasps.json"]);
 }
 
@@ -141,7 +145,8 @@ fn a_pose_track_and_a_force_that_do_not_overlap_are_refused() {
     let (_dir, twin) = demo_copy();
     let file = twin.join("push/tilt/push.toml");
     let text = fs::read_to_string(&file).unwrap();
-    let shifted = text.replace("[force.clock]\nkind = \"relative\"", "[force.clock]\nkind = \"relative\"\noffset_s = 500.0");
+    let shifted =
+        text.replace("[force.clock]\nkind = \"relative\"", "[force.clock]\nkind = \"relative\"\noffset_s = 500.0");
     assert_ne!(text, shifted);
     fs::write(&file, shifted).unwrap();
     drex(["identify", twin.join("push/tilt").to_str().unwrap()]).fails_with(&["overlap"]);

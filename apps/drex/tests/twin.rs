@@ -14,7 +14,8 @@ fn the_demo_weighs_the_tin_and_the_second_run_has_nothing_to_do() {
     let run = drex(["demo", "--json", "--out", out.to_str().unwrap()]);
     assert_eq!(run.code, 0, "{}", run.stderr);
     let answer = run.json();
-    let truth: serde_json::Value = serde_json::from_str(&fs::read_to_string(common::demo_data().join("truth.json")).unwrap()).unwrap();
+    let truth: serde_json::Value =
+        serde_json::from_str(&fs::read_to_string(common::demo_data().join("truth.json")).unwrap()).unwrap();
     let truth_kg = truth["mass_kg"].as_f64().unwrap();
     assert_eq!(answer["mass"]["source"], "identified", "{answer}");
     let mass_kg = answer["mass"]["mass_kg"].as_f64().unwrap();
@@ -78,7 +79,10 @@ fn a_simulated_toss_and_a_real_push_are_not_identifiable() {
         let answer = run.json();
         assert_eq!(answer["verdict"], "not_identifiable", "{recording}: {answer}");
         for absent in ["mass_kg", "ci95_kg", "mu_m_kg"] {
-            assert!(answer.as_object().unwrap().contains_key(absent) && answer[absent].is_null(), "{recording}: {absent}");
+            assert!(
+                answer.as_object().unwrap().contains_key(absent) && answer[absent].is_null(),
+                "{recording}: {absent}"
+            );
         }
         assert!(!answer["reason"].as_str().unwrap().is_empty() && answer["seconds"].is_number());
     }
@@ -90,7 +94,8 @@ fn a_known_force_weighs_the_object() {
     for (object, scenario) in [("brick", "lift_force"), ("can", "tilt_force"), ("letter_l", "slide_force")] {
         let folder = data.join("push_mujoco").join(object).join(scenario);
         let run = drex(["identify", "--json", "--poses", "clean", "--force", "exact", folder.to_str().unwrap()]);
-        let truth: serde_json::Value = serde_json::from_str(&fs::read_to_string(folder.join("truth.json")).unwrap()).unwrap();
+        let truth: serde_json::Value =
+            serde_json::from_str(&fs::read_to_string(folder.join("truth.json")).unwrap()).unwrap();
         let (found, truth) = (run.json()["mass_kg"].as_f64().unwrap(), truth["mass"].as_f64().unwrap());
         assert!((found / truth - 1.0).abs() < 0.05, "{object}/{scenario}: {found} for {truth} kg");
     }
@@ -102,7 +107,8 @@ fn real_recordings_become_twins_with_a_report() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("twins");
     let source = data.join("drex_real");
-    let run = drex(["import", "d-rex", source.to_str().unwrap(), "--out", out.to_str().unwrap(), "--object", "ketchup"]);
+    let run =
+        drex(["import", "d-rex", source.to_str().unwrap(), "--out", out.to_str().unwrap(), "--object", "ketchup"]);
     assert_eq!(run.code, 0, "{}", run.stderr);
     let run = drex(["run", "--json", out.join("ketchup").to_str().unwrap()]);
     assert_eq!(run.code, 0, "{}", run.stderr);

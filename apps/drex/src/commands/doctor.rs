@@ -36,12 +36,34 @@ pub fn run(ui: &Ui) -> Result<()> {
     let required = vec![writable_temporary_folder(), bundled_hand("leap_right"), bundled_hand("allegro_right")];
     let ready = required.iter().all(|c| c.found);
     let optional = [
-        program("colmap", &["-h"], "camera poses from photos (reconstruction from a scan)", "install it with your package manager, for example `apt-get install colmap`"),
-        program("ffmpeg", &["-version"], "frames from a video of the object", "install it with your package manager, for example `apt-get install ffmpeg`"),
+        program(
+            "colmap",
+            &["-h"],
+            "camera poses from photos (reconstruction from a scan)",
+            "install it with your package manager, for example `apt-get install colmap`",
+        ),
+        program(
+            "ffmpeg",
+            &["-version"],
+            "frames from a video of the object",
+            "install it with your package manager, for example `apt-get install ffmpeg`",
+        ),
         python_module("mujoco", "comparison with MuJoCo and loading the asset there"),
         python_module("dex_retargeting", "comparison with the reference retargeter"),
-        devices("serial port", "/dev", &["ttyUSB", "ttyACM"], "a LEAP hand (Dynamixel over USB)", "plug in the U2D2 adapter"),
-        devices("CAN interface", "/sys/class/net", &["can", "vcan", "slcan"], "an Allegro hand (CAN)", "plug in the adapter, then `ip link set can0 up type can bitrate 1000000`"),
+        devices(
+            "serial port",
+            "/dev",
+            &["ttyUSB", "ttyACM"],
+            "a LEAP hand (Dynamixel over USB)",
+            "plug in the U2D2 adapter",
+        ),
+        devices(
+            "CAN interface",
+            "/sys/class/net",
+            &["can", "vcan", "slcan"],
+            "an Allegro hand (CAN)",
+            "plug in the adapter, then `ip link set can0 up type can bitrate 1000000`",
+        ),
         recordings(),
     ];
     let diagnosis = Diagnosis {
@@ -63,7 +85,11 @@ fn text(d: &Diagnosis) -> String {
             out += &format!("         to get it: {}\n", c.remedy);
         }
     }
-    out + if d.ready { "Ready: `drex demo` and `drex run` have all they need." } else { "Not ready: see the missing ones above." }
+    out + if d.ready {
+        "Ready: `drex demo` and `drex run` have all they need."
+    } else {
+        "Not ready: see the missing ones above."
+    }
 }
 
 fn writable_temporary_folder() -> Check {
@@ -125,7 +151,11 @@ fn python_module(name: &'static str, needed_for: &'static str) -> Check {
         found: version.is_some(),
         detail: version.as_ref().map_or_else(|| "no such Python package".into(), |v| format!("Python package {v}")),
         needed_for,
-        remedy: if version.is_some() { String::new() } else { format!("`pip install {}` in a virtual environment", name.replace('_', "-")) },
+        remedy: if version.is_some() {
+            String::new()
+        } else {
+            format!("`pip install {}` in a virtual environment", name.replace('_', "-"))
+        },
     }
 }
 

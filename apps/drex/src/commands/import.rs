@@ -64,7 +64,10 @@ fn find_runs(dir: &Path) -> Result<Vec<PathBuf>> {
         entries.filter_map(|e| Some(e.ok()?.path())).filter(|p| p.join("run.json").is_file()).collect();
     runs.sort();
     if runs.is_empty() {
-        bail!("no run.json in {} or one folder below it; give the folder that holds runs/ and objects/", folder.display());
+        bail!(
+            "no run.json in {} or one folder below it; give the folder that holds runs/ and objects/",
+            folder.display()
+        );
     }
     Ok(runs)
 }

@@ -98,7 +98,11 @@ impl Plot<'_> {
 
     fn axes(&self, svg: &mut String, xr: (f64, f64), yr: (f64, f64), px: &dyn Fn(f64) -> f64, py: &dyn Fn(f64) -> f64) {
         let bottom = HEIGHT - BOTTOM;
-        let _ = write!(svg, "<text x=\"{LEFT}\" y=\"16\" font-weight=\"600\" font-size=\"12.5\">{}</text>", escape(self.title));
+        let _ = write!(
+            svg,
+            "<text x=\"{LEFT}\" y=\"16\" font-weight=\"600\" font-size=\"12.5\">{}</text>",
+            escape(self.title)
+        );
         for y in linear_ticks(yr.0, yr.1) {
             let v = py(y);
             let _ = write!(
@@ -223,7 +227,13 @@ mod tests {
     fn text_is_escaped_and_gaps_break_the_line() {
         let plot = Plot {
             title: "a < b",
-            series: vec![Series { label: "s", x: &[0.0, 1.0, 2.0, 3.0], y: &[0.0, f64::NAN, 1.0, 2.0], color: "red", dots: false }],
+            series: vec![Series {
+                label: "s",
+                x: &[0.0, 1.0, 2.0, 3.0],
+                y: &[0.0, f64::NAN, 1.0, 2.0],
+                color: "red",
+                dots: false,
+            }],
             ..Plot::default()
         };
         let svg = plot.to_svg();

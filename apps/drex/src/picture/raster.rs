@@ -54,7 +54,8 @@ pub fn clearest_azimuth(parts: &[Part<'_>], subject: usize, view: &View) -> f64 
     for k in 0..VIEWS {
         let azimuth = std::f64::consts::TAU * f64::from(k) / f64::from(VIEWS);
         let canvas = draw(parts, &View { azimuth, ..small });
-        let seen = |wanted: bool| canvas.part.iter().filter(|p| p.is_some_and(|p| (p == subject) == wanted)).count() as f64;
+        let seen =
+            |wanted: bool| canvas.part.iter().filter(|p| p.is_some_and(|p| (p == subject) == wanted)).count() as f64;
         let score = seen(true) * seen(false);
         if score > best.0 {
             best = (score, azimuth);
@@ -96,16 +97,9 @@ struct Camera {
 impl Camera {
     /// A camera that sees the bounding sphere of all meshes; `None` if there is nothing to see.
     fn framing(meshes: &[TriMesh], view: &View, width: f64, height: f64) -> Option<Self> {
-        let (lo, hi) = meshes
-            .iter()
-            .filter_map(TriMesh::bounds)
-            .reduce(|a, b| (a.0.inf(&b.0), a.1.sup(&b.1)))?;
+        let (lo, hi) = meshes.iter().filter_map(TriMesh::bounds).reduce(|a, b| (a.0.inf(&b.0), a.1.sup(&b.1)))?;
         let target = nalgebra::center(&lo, &hi);
-        let radius = meshes
-            .iter()
-            .flat_map(|m| &m.vertices)
-            .map(|v| (v - target).norm())
-            .fold(1e-6, f64::max);
+        let radius = meshes.iter().flat_map(|m| &m.vertices).map(|v| (v - target).norm()).fold(1e-6, f64::max);
         let (sa, ca) = view.azimuth.sin_cos();
         let (se, ce) = view.elevation.sin_cos();
         let back = Vector3::new(ce * ca, ce * sa, se);
@@ -114,7 +108,16 @@ impl Camera {
         let right = forward.cross(&Vector3::z()).normalize();
         let up = right.cross(&forward);
         let focal = 0.92 * 0.5 * width.min(height) * (distance * distance - radius * radius).sqrt() / radius;
-        Some(Self { eye: target + back * distance, right, up, forward, focal, center: (width / 2.0, height / 2.0), target, radius })
+        Some(Self {
+            eye: target + back * distance,
+            right,
+            up,
+            forward,
+            focal,
+            center: (width / 2.0, height / 2.0),
+            target,
+            radius,
+        })
     }
 
     /// Pixel coordinates and depth along the optical axis; `None` behind the eye.
@@ -142,7 +145,13 @@ struct Canvas {
 
 impl Canvas {
     fn new(width: usize, height: usize) -> Self {
-        Self { width, height, depth: vec![f64::INFINITY; width * height], color: vec![BACKGROUND; width * height], part: vec![None; width * height] }
+        Self {
+            width,
+            height,
+            depth: vec![f64::INFINITY; width * height],
+            color: vec![BACKGROUND; width * height],
+            part: vec![None; width * height],
+        }
     }
 
     fn draw_mesh(&mut self, camera: &Camera, mesh: &TriMesh, color: [f64; 3], part: usize) {
@@ -192,8 +201,10 @@ impl Canvas {
             return;
         }
         let clamp = |v: f64, n: usize| v.clamp(0.0, n as f64) as usize;
-        let (x0, x1) = (clamp(a.x.min(b.x).min(c.x).floor(), self.width), clamp(a.x.max(b.x).max(c.x).ceil(), self.width));
-        let (y0, y1) = (clamp(a.y.min(b.y).min(c.y).floor(), self.height), clamp(a.y.max(b.y).max(c.y).ceil(), self.height));
+        let (x0, x1) =
+            (clamp(a.x.min(b.x).min(c.x).floor(), self.width), clamp(a.x.max(b.x).max(c.x).ceil(), self.width));
+        let (y0, y1) =
+            (clamp(a.y.min(b.y).min(c.y).floor(), self.height), clamp(a.y.max(b.y).max(c.y).ceil(), self.height));
         for y in y0..y1 {
             for x in x0..x1 {
                 let (px, py) = (x as f64 + 0.5, y as f64 + 0.5);
@@ -278,7 +289,12 @@ mod tests {
     fn the_clearest_view_shows_what_the_other_part_hides() {
         // A wall between the eye at azimuth 0 and a small subject behind it.
         let wall = TriMesh::new(
-            vec![Point3::new(0.3, -1.0, -1.0), Point3::new(0.3, 1.0, -1.0), Point3::new(0.3, 1.0, 1.0), Point3::new(0.3, -1.0, 1.0)],
+            vec![
+                Point3::new(0.3, -1.0, -1.0),
+                Point3::new(0.3, 1.0, -1.0),
+                Point3::new(0.3, 1.0, 1.0),
+                Point3::new(0.3, -1.0, 1.0),
+            ],
             vec![[0, 1, 2], [0, 2, 3]],
         )
         .unwrap();

@@ -74,7 +74,9 @@ pub fn training(page: &mut Page, training: &Training) {
         r.parameters, r.train_samples, r.train_grasps, r.held_out_samples
     ));
     let x: Vec<f64> = r.curve.iter().map(|e| e.epoch as f64).collect();
-    let column = |f: fn(&drex_policy::EpochStats) -> f64| -> Vec<f64> { r.curve.iter().map(|e| f(e).max(1e-9).log10()).collect() };
+    let column = |f: fn(&drex_policy::EpochStats) -> f64| -> Vec<f64> {
+        r.curve.iter().map(|e| f(e).max(1e-9).log10()).collect()
+    };
     let (joints, wrist, force) = (column(|e| e.joint_loss), column(|e| e.wrist_loss), column(|e| e.force_loss));
     let plot = Plot {
         title: "Training",
@@ -122,33 +124,49 @@ pub fn evaluation(page: &mut Page, twin: &Twin, asset: &Asset, fits: &FitFile, e
     ));
     let stage = Stage::new(twin, asset)?;
     let mut best: Vec<&JudgedGrasp> = e.refined.iter().collect();
-    best.sort_by(|a, b| b.check.passed.cmp(&a.check.passed).then(b.weight.unwrap_or(0.0).total_cmp(&a.weight.unwrap_or(0.0))));
+    best.sort_by(|a, b| {
+        b.check.passed.cmp(&a.check.passed).then(b.weight.unwrap_or(0.0).total_cmp(&a.weight.unwrap_or(0.0)))
+    });
     let mut pictures = Vec::new();
     for grasp in best.iter().take(SHOWN) {
         let caption = match (grasp.check.passed, grasp.check.squeeze_n) {
-            (true, Some(n)) => format!("passes: squeeze {n:.2} N, network asks for {:.2} N", grasp.predicted_squeeze_n.unwrap_or(f64::NAN)),
+            (true, Some(n)) => format!(
+                "passes: squeeze {n:.2} N, network asks for {:.2} N",
+                grasp.predicted_squeeze_n.unwrap_or(f64::NAN)
+            ),
             _ => format!("fails: {}", grasp.check.failures.join("; ")),
         };
         pictures.push((stage.picture(&grasp.joints_rad, &grasp.object_from_base.to_pose()?)?, caption));
     }
     page.pictures(&pictures);
-    let rows: Vec<Vec<String>> = [("as predicted", &e.predicted), ("refined on the surface", &e.refined), ("demonstrations", &e.demonstrations)]
-        .into_iter()
-        .map(|(name, grasps)| {
-            let of = |f: &dyn Fn(&JudgedGrasp) -> Option<f64>| median(grasps.iter().filter_map(f).collect()).map_or("-".to_owned(), |v| format!("{v:.2}"));
-            vec![
-                name.to_owned(),
-                super::summary::passed(grasps),
-                of(&|g| Some(g.check.penetration_mm)),
-                format!("{}", grasps.iter().filter(|g| g.check.force_closure).count()),
-                of(&|g| g.check.squeeze_n),
-                of(&|g| g.predicted_squeeze_n),
-                of(&|g| g.check.friction_margin),
-            ]
-        })
-        .collect();
+    let rows: Vec<Vec<String>> =
+        [("as predicted", &e.predicted), ("refined on the surface", &e.refined), ("demonstrations", &e.demonstrations)]
+            .into_iter()
+            .map(|(name, grasps)| {
+                let of = |f: &dyn Fn(&JudgedGrasp) -> Option<f64>| {
+                    median(grasps.iter().filter_map(f).collect()).map_or("-".to_owned(), |v| format!("{v:.2}"))
+                };
+                vec![
+                    name.to_owned(),
+                    super::summary::passed(grasps),
+                    of(&|g| Some(g.check.penetration_mm)),
+                    format!("{}", grasps.iter().filter(|g| g.check.force_closure).count()),
+                    of(&|g| g.check.squeeze_n),
+                    of(&|g| g.predicted_squeeze_n),
+                    of(&|g| g.check.friction_margin),
+                ]
+            })
+            .collect();
     page.table(
-        &["grasps", "pass", "penetration, mm", "force closure", "smallest squeeze, N", "network's squeeze, N", "friction margin"],
+        &[
+            "grasps",
+            "pass",
+            "penetration, mm",
+            "force closure",
+            "smallest squeeze, N",
+            "network's squeeze, N",
+            "friction margin",
+        ],
         &rows,
     );
     let rows: Vec<Vec<String>> = e
@@ -156,7 +174,13 @@ pub fn evaluation(page: &mut Page, twin: &Twin, asset: &Asset, fits: &FitFile, e
         .iter()
         .enumerate()
         .map(|(i, g)| {
-            let contacts: Vec<String> = g.check.contacts.iter().filter(|c| c.contacts > 0).map(|c| format!("{} {}", c.finger, c.contacts)).collect();
+            let contacts: Vec<String> = g
+                .check
+                .contacts
+                .iter()
+                .filter(|c| c.contacts > 0)
+                .map(|c| format!("{} {}", c.finger, c.contacts))
+                .collect();
             vec![
                 (i + 1).to_string(),
                 g.weight.map_or("-".into(), |w| format!("{:.2}", w)),
@@ -168,7 +192,18 @@ pub fn evaluation(page: &mut Page, twin: &Twin, asset: &Asset, fits: &FitFile, e
             ]
         })
         .collect();
-    page.table(&["mode", "weight", "static check", "contacts", "penetration, mm", "smallest squeeze, N", "network's squeeze, N"], &rows);
+    page.table(
+        &[
+            "mode",
+            "weight",
+            "static check",
+            "contacts",
+            "penetration, mm",
+            "smallest squeeze, N",
+            "network's squeeze, N",
+        ],
+        &rows,
+    );
     let _ = fits;
     Ok(())
 }

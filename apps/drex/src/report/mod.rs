@@ -54,7 +54,12 @@ fn provenance(page: &mut Page, twin: &Twin) {
         // The report cannot carry its own digest, nor that of the run that replaces it.
         .filter(|(name, _)| name.as_str() != "report")
         .map(|(name, r)| {
-            vec![name.clone(), r.made_by.clone(), r.seed.to_string(), r.inputs_sha256[..16.min(r.inputs_sha256.len())].to_owned()]
+            vec![
+                name.clone(),
+                r.made_by.clone(),
+                r.seed.to_string(),
+                r.inputs_sha256[..16.min(r.inputs_sha256.len())].to_owned(),
+            ]
         })
         .collect();
     page.table(&["stage", "made by", "seed", "digest of its inputs"], &rows);

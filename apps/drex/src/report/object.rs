@@ -35,7 +35,9 @@ pub fn closing_text(report: &AssetReport) -> String {
 pub fn section(page: &mut Page, twin: &Twin, asset: &Asset, mass: &MassFile) -> Result<()> {
     page.section("Object");
     let mut pictures = Vec::new();
-    for (azimuth, elevation, caption) in [(-0.7, 0.35, "from the front"), (2.4, 0.35, "from behind"), (-0.7, 1.2, "from above")] {
+    for (azimuth, elevation, caption) in
+        [(-0.7, 0.35, "from the front"), (2.4, 0.35, "from behind"), (-0.7, 1.2, "from above")]
+    {
         let part = Part { mesh: &asset.visual, world_from_mesh: asset.world_from_mesh_at_rest, color: OBJECT_COLOR };
         pictures.push((render_png(&[part], &view(azimuth, elevation))?, caption.to_owned()));
     }
@@ -62,7 +64,13 @@ pub fn section(page: &mut Page, twin: &Twin, asset: &Asset, mass: &MassFile) -> 
         ("centre of mass in the mesh frame, mm", format!("{}, {}, {}", mm(c.x), mm(c.y), mm(c.z))),
         ("inertia about it, kg m² (xx yy zz)", format!("{:.3e}, {:.3e}, {:.3e}", i[(0, 0)], i[(1, 1)], i[(2, 2)])),
         ("inertia (xy xz yz)", format!("{:.2e}, {:.2e}, {:.2e}", i[(0, 1)], i[(0, 2)], i[(1, 2)])),
-        ("convex pieces", format!("{}, at most {} corners, together {:.3} of the volume", r.pieces, r.most_corners, r.pieces_to_solid_volume)),
+        (
+            "convex pieces",
+            format!(
+                "{}, at most {} corners, together {:.3} of the volume",
+                r.pieces, r.most_corners, r.pieces_to_solid_volume
+            ),
+        ),
     ];
     let rows: Vec<Vec<String>> = rows.into_iter().map(|(k, v)| vec![k.to_owned(), v]).collect();
     page.table(&["property", "value"], &rows);

@@ -38,7 +38,10 @@ pub fn section(page: &mut Page, mass: &MassFile) {
         )),
     }
     let Some(result) = &mass.identification else { return };
-    page.paragraph(&format!("The pushes say: {}", verdict_text(result).lines().take(2).collect::<Vec<_>>().join(" — ").replace("—   ", "— ")));
+    page.paragraph(&format!(
+        "The pushes say: {}",
+        verdict_text(result).lines().take(2).collect::<Vec<_>>().join(" — ").replace("—   ", "— ")
+    ));
     let mut plots = Vec::new();
     if result.profile.len() > 2 {
         plots.push(profile_plot(result));
@@ -68,7 +71,14 @@ pub fn section(page: &mut Page, mass: &MassFile) {
     if let Some(b) = &result.error_budget {
         let percent = |v: f64| format!("{:.2} %", 100.0 * v);
         page.table(
-            &["standard deviation of the mass from", "poses", "residual scatter", "profile", "force record", "contact model"],
+            &[
+                "standard deviation of the mass from",
+                "poses",
+                "residual scatter",
+                "profile",
+                "force record",
+                "contact model",
+            ],
             &[vec![
                 String::new(),
                 percent(b.poses),
@@ -111,9 +121,8 @@ fn profile_plot(result: &Identification) -> String {
 fn push_plots(push: &PushReport) -> Vec<String> {
     // A single tracked pose is noisy; the simulated start is not.
     let Some(start) = push.simulated.first().or(push.observed.first()) else { return Vec::new() };
-    let moved = |poses: &[[f64; 7]], axis: usize| -> Vec<f64> {
-        poses.iter().map(|p| 1e3 * (p[axis] - start[axis])).collect()
-    };
+    let moved =
+        |poses: &[[f64; 7]], axis: usize| -> Vec<f64> { poses.iter().map(|p| 1e3 * (p[axis] - start[axis])).collect() };
     let turned = |poses: &[[f64; 7]]| -> Vec<f64> {
         poses.iter().map(|p| (rotation(start).inverse() * rotation(p)).angle().to_degrees()).collect()
     };
@@ -129,8 +138,7 @@ fn push_plots(push: &PushReport) -> Vec<String> {
     }
     let how = if push.simulated.is_empty() { "tracked" } else { "dots tracked, lines simulated" };
     let title = format!("{}: displacement ({how})", push.name);
-    let displacement =
-        Plot { title: &title, x_label: "time, s", y_label: "mm", series, ..Plot::default() }.to_svg();
+    let displacement = Plot { title: &title, x_label: "time, s", y_label: "mm", series, ..Plot::default() }.to_svg();
 
     let (tracked, simulated) = (turned(&push.observed), turned(&push.simulated));
     let mut series = vec![Series { label: "tracked", x: &push.times_s, y: &tracked, color: COLORS[0], dots: true }];

@@ -17,10 +17,8 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     let scene = Scene::of(twin)?;
     let demonstrations = read(twin, &scene.robot)?;
     let bar = ui.bar("grasps", demonstrations.len() as u64);
-    let fits: Vec<WristFit> = demonstrations
-        .par_iter()
-        .map(|joints| scene.fit(joints).inspect(|_| bar.inc(1)))
-        .collect::<Result<_>>()?;
+    let fits: Vec<WristFit> =
+        demonstrations.par_iter().map(|joints| scene.fit(joints).inspect(|_| bar.inc(1))).collect::<Result<_>>()?;
     bar.finish_and_clear();
     let grasps: Vec<FitRecord> = fits.iter().enumerate().map(|(i, fit)| record(i, fit)).collect();
     let file = FitFile {

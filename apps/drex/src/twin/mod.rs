@@ -131,7 +131,8 @@ impl Twin {
             );
         }
         let started = Instant::now();
-        let mut summary = RunSummary { name: self.manifest.name.clone(), stages_run: vec![], stages_current: vec![], seconds: 0.0 };
+        let mut summary =
+            RunSummary { name: self.manifest.name.clone(), stages_run: vec![], stages_current: vec![], seconds: 0.0 };
         for stage in Stage::ALL.into_iter().filter(|s| *s <= last) {
             if stage.needs_grasps() && self.manifest.grasps.is_none() {
                 continue;
@@ -143,7 +144,8 @@ impl Twin {
                 continue;
             }
             let begun = Instant::now();
-            let outputs = self.make(stage, ui).with_context(|| format!("stage {} of {}", stage.name(), self.root.display()))?;
+            let outputs =
+                self.make(stage, ui).with_context(|| format!("stage {} of {}", stage.name(), self.root.display()))?;
             let seconds = begun.elapsed().as_secs_f64();
             self.lock.record(stage.name(), inputs, self.seed, seconds, &outputs)?;
             ui.note(format!("{:>10}  done in {seconds:.1} s", stage.name()));
@@ -190,7 +192,10 @@ impl Twin {
             Stage::Report => {
                 let inputs = inputs.setting("manifest", m)?.file(&self.path("mesh"))?.file(&self.path(files::MASS))?;
                 if m.grasps.is_some() {
-                    inputs.file(&self.path(files::FITS))?.file(&self.path(files::POLICY))?.file(&self.path(files::EVALUATION))?
+                    inputs
+                        .file(&self.path(files::FITS))?
+                        .file(&self.path(files::POLICY))?
+                        .file(&self.path(files::EVALUATION))?
                 } else {
                     inputs
                 }

@@ -35,11 +35,8 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     bar.finish_and_clear();
     let folder = twin.path(POLICY);
     policy.save(&folder)?;
-    let training = Training {
-        grasps: report.train_grasps + report.held_out_grasps,
-        samples: data.samples.len(),
-        report,
-    };
+    let training =
+        Training { grasps: report.train_grasps + report.held_out_grasps, samples: data.samples.len(), report };
     write_json(&twin.path(TRAINING), &training)?;
     fsutil::write_atomic(&twin.path("policy/curve.csv"), curve_csv(&training.report).as_bytes())?;
     Ok(vec![folder, twin.path(TRAINING), twin.path("policy/curve.csv")])
@@ -67,9 +64,15 @@ fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Resul
             for factor in MASS_FACTORS {
                 let mass_kg = factor * mass.mass_kg;
                 let body = scene.asset.properties.with_mass(mass_kg);
-                let judged = static_check_with(&surface, &scene.grasp(&fit.joints_rad, object_from_base, &body), &check)?;
+                let judged =
+                    static_check_with(&surface, &scene.grasp(&fit.joints_rad, object_from_base, &body), &check)?;
                 if let Some(squeeze_n) = judged.squeeze_n {
-                    samples.push(GraspSample { joints: fit.joints_rad.clone(), object_from_palm: object_from_base, squeeze_n, mass_kg });
+                    samples.push(GraspSample {
+                        joints: fit.joints_rad.clone(),
+                        object_from_palm: object_from_base,
+                        squeeze_n,
+                        mass_kg,
+                    });
                 }
             }
             Ok(samples)
@@ -88,7 +91,11 @@ fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Resul
         .robot
         .joints
         .iter()
-        .map(|j| j.limits.with_context(|| format!("joint {} of {} has no limits; the network needs them", j.name, scene.robot.name)))
+        .map(|j| {
+            j.limits.with_context(|| {
+                format!("joint {} of {} has no limits; the network needs them", j.name, scene.robot.name)
+            })
+        })
         .collect::<Result<_>>()?;
     Ok(Dataset {
         joint_names: fits.joint_names.clone(),
