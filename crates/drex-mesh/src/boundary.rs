@@ -1,5 +1,7 @@
 //! The boundary of the solid {winding number > 1/2}: which parts of which faces of a closed mesh belong to it.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
@@ -26,12 +28,17 @@ pub(crate) struct Boundary {
     pub faces: Vec<u32>,
     /// Whether every face counts once: then the mesh itself is the boundary.
     pub whole: bool,
+    /// Whether the winding number is 0 or 1 everywhere: shells may touch, but none overlap. Then the integrals over all
+    /// faces are exact.
+    pub simple: bool,
     /// Share of the mesh's area that is no boundary (walls inside the solid, hidden parts of overlapping shells).
     pub hidden_area_share: f64,
 }
 
 struct Probe<'a> {
     tree: &'a Bvh,
+    /// Set when a winding number other than 0 or 1 turns up.
+    layered: AtomicBool,
     /// How far from the face the winding number is asked.
     step: f64,
     /// Triangles with longer sides are divided before they are judged, so that no overlap slips between the probes.
@@ -55,7 +62,8 @@ pub(crate) fn boundary(mesh: &TriMesh, tree: &Bvh, has_lids: bool) -> Boundary {
     let diagonal = mesh.bounds().map_or(0.0, |(lo, hi)| (hi - lo).norm());
     // Lids are a guess; finer parts would not make it better.
     let fine = diagonal / if has_lids { 60.0 } else { 1000.0 };
-    let probe = Probe { tree, step: 1e-6 * diagonal, coarse: diagonal / 24.0, small: diagonal / 100.0, fine };
+    let layered = AtomicBool::new(false);
+    let probe = Probe { tree, layered, step: 1e-6 * diagonal, coarse: diagonal / 24.0, small: diagonal / 100.0, fine };
     let verdicts: Vec<Verdict> = (0..mesh.faces.len())
         .into_par_iter()
         .map(|f| {
@@ -68,7 +76,13 @@ pub(crate) fn boundary(mesh: &TriMesh, tree: &Bvh, has_lids: bool) -> Boundary {
         })
         .collect();
     let area = |t: &[Point3<f64>; 3]| (t[1] - t[0]).cross(&(t[2] - t[0])).norm() * 0.5;
-    let mut out = Boundary { pieces: Vec::new(), faces: Vec::new(), whole: true, hidden_area_share: 0.0 };
+    let mut out = Boundary {
+        pieces: Vec::new(),
+        faces: Vec::new(),
+        whole: true,
+        simple: !probe.layered.into_inner(),
+        hidden_area_share: 0.0,
+    };
     let mut odd = 0.0;
     for (f, verdict) in verdicts.into_iter().enumerate() {
         let pieces = match verdict {
@@ -115,6 +129,9 @@ impl Probe<'_> {
     fn weight(&self, at: &Point3<f64>, normal: &Vector3<f64>) -> f64 {
         let inside = self.tree.winding(&(at - normal * self.step)).round();
         let outside = self.tree.winding(&(at + normal * self.step)).round();
+        if ![inside, outside].iter().all(|w| (0.0..=1.0).contains(w)) {
+            self.layered.store(true, Ordering::Relaxed);
+        }
         if inside == outside {
             return 0.0;
         }

@@ -52,7 +52,7 @@ impl GridSdf {
     pub fn with_options(exact: MeshSdf, options: &GridOptions) -> Result<Self> {
         let (lo, hi) = exact.bounds();
         let margin = options.margin_m.unwrap_or(0.1 * (hi - lo).norm());
-        if !(8..1 << 31).contains(&options.nodes) || !(margin >= 0.0 && margin.is_finite()) {
+        if !((8..1 << 31).contains(&options.nodes) && margin >= 0.0 && margin.is_finite()) {
             return Err(Error::value(
                 format!("a distance grid of {} nodes with a margin of {margin} m cannot be made", options.nodes),
                 "give 8 to 2^31 nodes and a margin of 0 or more",

@@ -1,4 +1,23 @@
 //! Sim-ready assets from meshes: repair, convex pieces, mass properties, signed distance, MJCF and URDF.
+//!
+//! [`build_asset`] does the whole way from a file to an [`Asset`]; its steps can be used alone:
+//! [`read_mesh`], [`repair()`], [`solid_properties`], [`convex_pieces`], [`MeshSdf`] and its fast sibling [`GridSdf`].
+//!
+//! ```
+//! use drex_mesh::{RepairOptions, convex_hull, repair, solid_properties};
+//! use nalgebra::Point3;
+//!
+//! let tip = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]].map(Point3::from);
+//! let mut mesh = convex_hull(&tip)?;
+//! mesh.faces.iter_mut().for_each(|f| f.swap(0, 1)); // wound inwards
+//! let (mesh, report) = repair(&mesh, &RepairOptions::default())?;
+//! assert_eq!(report.flipped_faces, 4);
+//! let solid = solid_properties(&mesh)?;
+//! assert!((solid.volume_m3 - 1e-3 / 6.0).abs() < 1e-15);
+//! # Ok::<(), drex_mesh::Error>(())
+//! ```
+//!
+//! Conventions: metres, the frame of the mesh file, faces counter-clockwise seen from outside, distances negative inside.
 
 mod asset;
 mod boundary;
@@ -9,6 +28,7 @@ mod grid;
 mod hull;
 mod io;
 mod model;
+mod orient;
 mod pieces;
 mod repair;
 mod sample;
@@ -30,3 +50,8 @@ pub use repair::{DroppedBit, RepairOptions, RepairReport, repair};
 pub use sample::{farthest_points, sample_surface};
 pub use sdf::MeshSdf;
 pub use solid::{HowClosed, Solid, solid_properties};
+
+/// The examples of the README are compiled and run as doctests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct ReadmeDoctests;

@@ -23,7 +23,7 @@ const LARGEST_LID_SHARE: f64 = 0.45;
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum HowClosed {
-    /// The mesh is closed and is the boundary: exact integrals over its faces.
+    /// The mesh is closed and nothing overlaps (shells may touch): exact integrals over its faces.
     Exact,
     /// The mesh is closed, but its shells overlap or it crosses itself: the solid is the union, hidden parts of
     /// faces do not count.
@@ -98,8 +98,12 @@ impl Enclosed {
         }
         let (properties, how_closed, hidden_area_share, closing_spread) = if capped.openings == 0 {
             let boundary = boundary(&capped.mesh, &tree, false);
-            let how = if boundary.whole { HowClosed::Exact } else { HowClosed::Union };
-            (boundary.mass_properties(), how, boundary.hidden_area_share, 0.0)
+            let (properties, how) = if boundary.whole || boundary.simple {
+                (capped.mesh.mass_properties(1.0).ok(), HowClosed::Exact)
+            } else {
+                (boundary.mass_properties(), HowClosed::Union)
+            };
+            (properties, how, boundary.hidden_area_share, 0.0)
         } else {
             let (properties, differing) = integrate_open(&capped, &tree);
             let spread = properties.map_or(0.0, |p| differing / p.mass_kg);
@@ -214,7 +218,9 @@ mod tests {
         let t =
             joined(&[cuboid([-0.05, 0.0, 0.0], [0.05, 0.02, 0.03]), cuboid([-0.01, -0.06, 0.0], [0.01, 0.0, 0.03])]);
         let s = solid_properties(&t).unwrap();
-        close(s.volume_m3, 0.1 * 0.02 * 0.03 + 0.02 * 0.06 * 0.03, 1e-12);
+        assert_eq!(s.how_closed, HowClosed::Exact);
+        close(s.volume_m3, 0.1 * 0.02 * 0.03 + 0.02 * 0.06 * 0.03, 1e-13);
+        assert!(s.hidden_area_share > 0.05);
     }
 
     #[test]
