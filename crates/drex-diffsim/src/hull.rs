@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use drex_core::mesh::convex_hull_faces;
 use nalgebra::{Point3, Vector3};
 
 use crate::{Result, SimError};
@@ -39,7 +40,9 @@ impl ConvexPiece {
             return Err(SimError::NotFinite { what: "a vertex of a convex piece".into() });
         }
         let vertices = spread_out(extreme_points(points), MAX_VERTICES);
-        let triangles = hull_triangles(&vertices).ok_or(SimError::FlatPiece { points: points.len() })?;
+        let size = vertices.iter().map(|p| (p - vertices[0]).norm()).fold(0.0, f64::max);
+        let triangles =
+            convex_hull_faces(&vertices, FLAT * size).ok_or(SimError::FlatPiece { points: points.len() })?;
         Ok(Self::from_hull(vertices, &triangles))
     }
 
@@ -63,7 +66,8 @@ impl ConvexPiece {
         (self.bounds.0 - p).abs().sup(&(self.bounds.1 - p).abs()).norm()
     }
 
-    fn from_hull(vertices: Vec<Point3<f64>>, triangles: &[[usize; 3]]) -> Self {
+    fn from_hull(vertices: Vec<Point3<f64>>, triangles: &[[u32; 3]]) -> Self {
+        let triangles: Vec<[usize; 3]> = triangles.iter().map(|t| t.map(|v| v as usize)).collect();
         let normal = |t: &[usize; 3]| {
             let (a, b, c) = (vertices[t[0]], vertices[t[1]], vertices[t[2]]);
             (b - a).cross(&(c - a)).normalize()
@@ -135,50 +139,6 @@ fn spread_out(points: Vec<Point3<f64>>, limit: usize) -> Vec<Point3<f64>> {
         next = farthest(&distance);
     }
     chosen.into_iter().map(|i| points[i]).collect()
-}
-
-/// Triangles of the convex hull, counter-clockwise from outside; incremental, for the few points of a piece.
-/// `None` if the points span no volume.
-fn hull_triangles(p: &[Point3<f64>]) -> Option<Vec<[usize; 3]>> {
-    let first = *p.first()?;
-    let size = p.iter().map(|q| (q - first).norm()).fold(0.0, f64::max);
-    let eps = FLAT * size;
-    let arg_max = |f: &dyn Fn(&Point3<f64>) -> f64| (0..p.len()).max_by(|&a, &b| f(&p[a]).total_cmp(&f(&p[b])));
-    let a = arg_max(&|q| (q - first).norm())?;
-    let b = arg_max(&|q| (q - p[a]).norm())?;
-    let c = arg_max(&|q| (p[b] - p[a]).cross(&(q - p[a])).norm())?;
-    let n = (p[b] - p[a]).cross(&(p[c] - p[a])).try_normalize(1e-3 * eps * size.max(f64::MIN_POSITIVE))?;
-    let d = arg_max(&|q| n.dot(&(q - p[a])).abs())?;
-    let height = n.dot(&(p[d] - p[a]));
-    if height.abs() <= eps.max(f64::MIN_POSITIVE) {
-        return None;
-    }
-    let (b, c) = if height > 0.0 { (c, b) } else { (b, c) };
-    let mut faces = vec![[a, b, c], [a, d, b], [b, d, c], [c, d, a]];
-    let above = |f: &[usize; 3], q: &Point3<f64>| {
-        let m = (p[f[1]] - p[f[0]]).cross(&(p[f[2]] - p[f[0]]));
-        m.dot(&(q - p[f[0]])) > eps * m.norm()
-    };
-    for i in 0..p.len() {
-        if [a, b, c, d].contains(&i) {
-            continue;
-        }
-        let (visible, hidden): (Vec<_>, Vec<_>) = faces.iter().copied().partition(|f| above(f, &p[i]));
-        if visible.is_empty() {
-            continue;
-        }
-        faces = hidden;
-        for f in &visible {
-            for k in 0..3 {
-                let (u, v) = (f[k], f[(k + 1) % 3]);
-                let shared = visible.iter().any(|g| (0..3).any(|j| g[j] == v && g[(j + 1) % 3] == u));
-                if !shared {
-                    faces.push([u, v, i]);
-                }
-            }
-        }
-    }
-    Some(faces)
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use drex_core::TriMesh;
+use drex_core::mesh::nearest_on_triangle;
 
 /// Largest number of triangles in a leaf.
 const LEAF: usize = 4;
@@ -186,7 +187,7 @@ impl Bvh {
             let node = &self.nodes[id as usize];
             if node.count > 0 {
                 for t in node.first as usize..(node.first + node.count) as usize {
-                    let q = closest_on_triangle(p, &self.triangles[t]);
+                    let q = nearest_on_triangle(p, &self.triangles[t]);
                     let d = (p - q).norm_squared();
                     if d < best {
                         best = d;
@@ -352,39 +353,6 @@ pub(crate) fn solid_angle(q: &Point3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> f64 
     2.0 * numerator.atan2(denominator)
 }
 
-/// The point of a triangle nearest to `p` (Ericson, "Real-Time Collision Detection", section 5.1.5).
-pub(crate) fn closest_on_triangle(p: &Point3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> Point3<f64> {
-    let (ab, ac, ap) = (b - a, c - a, p - a);
-    let (d1, d2) = (ab.dot(&ap), ac.dot(&ap));
-    if d1 <= 0.0 && d2 <= 0.0 {
-        return *a;
-    }
-    let bp = p - b;
-    let (d3, d4) = (ab.dot(&bp), ac.dot(&bp));
-    if d3 >= 0.0 && d4 <= d3 {
-        return *b;
-    }
-    let vc = d1 * d4 - d3 * d2;
-    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
-        return a + ab * (d1 / (d1 - d3));
-    }
-    let cp = p - c;
-    let (d5, d6) = (ab.dot(&cp), ac.dot(&cp));
-    if d6 >= 0.0 && d5 <= d6 {
-        return *c;
-    }
-    let vb = d5 * d2 - d1 * d6;
-    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
-        return a + ac * (d2 / (d2 - d6));
-    }
-    let va = d3 * d6 - d5 * d4;
-    if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 {
-        return b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6)));
-    }
-    let scale = 1.0 / (va + vb + vc);
-    a + ab * (vb * scale) + ac * (vc * scale)
-}
-
 /// Ray parameter where the ray meets the triangle (Möller and Trumbore 1997), both sides.
 fn ray_triangle(origin: &Point3<f64>, direction: &Vector3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> Option<f64> {
     let (e1, e2) = (b - a, c - a);
@@ -408,7 +376,7 @@ pub(crate) fn segment_triangle_distance(p: &Point3<f64>, q: &Point3<f64>, tri: &
     if ray_triangle(p, &along, tri).is_some_and(|t| t <= 1.0) {
         return 0.0;
     }
-    let ends = (p - closest_on_triangle(p, tri)).norm().min((q - closest_on_triangle(q, tri)).norm());
+    let ends = (p - nearest_on_triangle(p, tri)).norm().min((q - nearest_on_triangle(q, tri)).norm());
     (0..3).map(|k| segment_segment_distance(p, q, &tri[k], &tri[(k + 1) % 3])).fold(ends, f64::min)
 }
 
@@ -471,7 +439,7 @@ mod tests {
         for i in 0..200 {
             let p = Point3::from(shapes::low_discrepancy(i).map(|c| (c - 0.5) * 0.2));
             let brute = (0..mesh.faces.len())
-                .map(|f| (p - closest_on_triangle(&p, &mesh.triangle(f))).norm_squared())
+                .map(|f| (p - nearest_on_triangle(&p, &mesh.triangle(f))).norm_squared())
                 .fold(f64::INFINITY, f64::min);
             assert_eq!(bvh.nearest(&p, f64::INFINITY).unwrap().distance_squared, brute);
             let d = Vector3::from(shapes::low_discrepancy(i + 1000).map(|c| c - 0.5)).normalize();

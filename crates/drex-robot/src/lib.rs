@@ -42,9 +42,9 @@ pub mod error;
 pub mod model;
 pub mod orders;
 
+mod closed;
 mod dynamics;
 mod fingers;
-mod hull;
 mod kinematics;
 mod load;
 mod meshfile;

@@ -299,13 +299,15 @@ impl Robot {
                 "give one value per joint",
             ));
         }
+        // A name that the model does not have explains better what is wrong than the one that is missing for it.
+        let q = self.joint_vector(names.iter().map(AsRef::as_ref).zip(values.iter().copied()))?;
         if let Some(j) = self.joints.iter().find(|j| !names.iter().any(|n| n.as_ref() == j.name)) {
             return Err(Error::value(
                 format!("robot \"{}\" has a joint \"{}\" that the data does not name", self.name, j.name),
                 "give every joint of the model, or name the order of the columns",
             ));
         }
-        self.joint_vector(names.iter().map(AsRef::as_ref).zip(values.iter().copied()))
+        Ok(q)
     }
 
     /// Every joint at its reference position (0 unless the file says otherwise), whether within limits or not.

@@ -2,10 +2,11 @@
 
 use std::f64::consts::PI;
 
+use drex_core::mesh::nearest_on_triangle;
 use drex_core::{MassProperties, TriMesh};
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use crate::hull;
+use crate::closed;
 use crate::model::Shape;
 
 impl Shape {
@@ -50,7 +51,7 @@ impl Shape {
                 if self.is_closed() {
                     solid(mesh, density_kg_m3)
                 } else {
-                    solid(&hull::convex_hull(mesh)?, density_kg_m3)
+                    solid(&TriMesh::convex_hull(&mesh.vertices)?, density_kg_m3)
                 }
             }
         }
@@ -62,7 +63,7 @@ impl Shape {
     /// its volume.
     pub fn is_closed(&self) -> bool {
         match self {
-            Self::Mesh(mesh) => hull::is_closed(mesh),
+            Self::Mesh(mesh) => closed::is_closed(mesh),
             Self::Plane => false,
             _ => true,
         }
@@ -135,40 +136,6 @@ fn solid(mesh: &TriMesh, density_kg_m3: f64) -> Option<MassProperties> {
         let faces = mesh.faces.iter().map(|f| [f[0], f[2], f[1]]).collect();
         TriMesh { vertices: mesh.vertices.clone(), faces }.mass_properties(density_kg_m3).ok()
     })
-}
-
-/// The point of the triangle nearest to `p` (Ericson, *Real-Time Collision Detection*, 2004, section 5.1.5).
-fn nearest_on_triangle(p: &Point3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> Point3<f64> {
-    let (ab, ac, ap) = (b - a, c - a, p - a);
-    let (d1, d2) = (ab.dot(&ap), ac.dot(&ap));
-    if d1 <= 0.0 && d2 <= 0.0 {
-        return *a;
-    }
-    let bp = p - b;
-    let (d3, d4) = (ab.dot(&bp), ac.dot(&bp));
-    if d3 >= 0.0 && d4 <= d3 {
-        return *b;
-    }
-    let vc = d1 * d4 - d3 * d2;
-    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 && d1 > d3 {
-        return a + ab * (d1 / (d1 - d3));
-    }
-    let cp = p - c;
-    let (d5, d6) = (ab.dot(&cp), ac.dot(&cp));
-    if d6 >= 0.0 && d5 <= d6 {
-        return *c;
-    }
-    let vb = d5 * d2 - d1 * d6;
-    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 && d2 > d6 {
-        return a + ac * (d2 / (d2 - d6));
-    }
-    let va = d3 * d6 - d5 * d4;
-    let (u, v) = (d4 - d3, d5 - d6);
-    if va <= 0.0 && u >= 0.0 && v >= 0.0 && u + v > 0.0 {
-        return b + (c - b) * (u / (u + v));
-    }
-    let sum = va + vb + vc;
-    if sum == 0.0 { *a } else { a + ab * (vb / sum) + ac * (vc / sum) }
 }
 
 /// How often the mesh goes around the point: 1 inside, 0 outside (van Oosterom and Strackee, 1983).

@@ -1,10 +1,12 @@
 //! Triangle meshes as plain data, and the exact mass properties of the solid they bound.
 
+mod hull;
 mod obj;
 mod stl;
 
 use std::path::Path;
 
+pub use self::hull::convex_hull_faces;
 pub use self::obj::{parse_obj, read_obj};
 pub use self::stl::{parse_stl, read_stl};
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -132,6 +134,40 @@ impl TriMesh {
         let inertia = (Matrix3::identity() * central.trace() - central) * density_kg_m3;
         Ok(MassProperties { mass_kg: density_kg_m3 * volume, center_of_mass: reference + c, inertia })
     }
+}
+
+/// The point of the triangle nearest to `p` (Ericson, *Real-Time Collision Detection*, 2004, section 5.1.5).
+pub fn nearest_on_triangle(p: &Point3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> Point3<f64> {
+    let (ab, ac, ap) = (b - a, c - a, p - a);
+    let (d1, d2) = (ab.dot(&ap), ac.dot(&ap));
+    if d1 <= 0.0 && d2 <= 0.0 {
+        return *a;
+    }
+    let bp = p - b;
+    let (d3, d4) = (ab.dot(&bp), ac.dot(&bp));
+    if d3 >= 0.0 && d4 <= d3 {
+        return *b;
+    }
+    let vc = d1 * d4 - d3 * d2;
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 && d1 > d3 {
+        return a + ab * (d1 / (d1 - d3));
+    }
+    let cp = p - c;
+    let (d5, d6) = (ab.dot(&cp), ac.dot(&cp));
+    if d6 >= 0.0 && d5 <= d6 {
+        return *c;
+    }
+    let vb = d5 * d2 - d1 * d6;
+    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 && d2 > d6 {
+        return a + ac * (d2 / (d2 - d6));
+    }
+    let va = d3 * d6 - d5 * d4;
+    let (u, v) = (d4 - d3, d5 - d6);
+    if va <= 0.0 && u >= 0.0 && v >= 0.0 && u + v > 0.0 {
+        return b + (c - b) * (u / (u + v));
+    }
+    let sum = va + vb + vc;
+    if sum == 0.0 { *a } else { a + ab * (vb / sum) + ac * (vc / sum) }
 }
 
 impl MassProperties {

@@ -10,7 +10,7 @@ use nalgebra::{Point3, Quaternion, Unit, UnitQuaternion, Vector3};
 use crate::model::Shape;
 use crate::unread::Unread;
 use crate::xml::Node;
-use crate::{Result, hull, meshfile};
+use crate::{Result, meshfile};
 
 use super::compiler::Compiler;
 use super::defaults::Defaults;
@@ -162,7 +162,7 @@ impl Assets {
         let wants_hull = self.meshes.get(name).is_some_and(|m| m.solid == Solid::Hull);
         match shape {
             Shape::Mesh(mesh) if wants_hull => {
-                hull::convex_hull(mesh).map_or_else(|| shape.clone(), |h| Shape::Mesh(Arc::new(h)))
+                TriMesh::convex_hull(&mesh.vertices).map_or_else(|| shape.clone(), |h| Shape::Mesh(Arc::new(h)))
             }
             _ => shape.clone(),
         }
@@ -183,5 +183,5 @@ fn inline_mesh(node: &Node) -> Result<Option<TriMesh>> {
     let vertices = v.chunks_exact(3).map(|c| Point3::new(c[0], c[1], c[2])).collect();
     let faces: Vec<[u32; 3]> = f.chunks_exact(3).map(|c| [c[0] as u32, c[1] as u32, c[2] as u32]).collect();
     let mesh = TriMesh { vertices, faces };
-    Ok(if mesh.faces.is_empty() { hull::convex_hull(&mesh) } else { Some(mesh) })
+    Ok(if mesh.faces.is_empty() { TriMesh::convex_hull(&mesh.vertices) } else { Some(mesh) })
 }
