@@ -21,7 +21,8 @@ const SD_PRODUCT_LIMIT: f64 = 0.15;
 /// Estimates the mass of `object` from pushes of it.
 ///
 /// Known forces are simulated and fitted together; what other recordings can tell is checked and said. A recording
-/// without information about the mass is a verdict, not an error.
+/// without information about the mass is a verdict, not an error. Runs in rayon's current pool; the result does not depend on
+/// its number of threads.
 ///
 /// # Errors
 /// If there is no recording, a track is too short, geometry and support contradict, or the object cannot be simulated.
@@ -31,14 +32,6 @@ pub fn identify(
     options: &IdentifyOptions,
 ) -> Result<Identification> {
     check(options)?;
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(options.threads)
-        .build()
-        .map_err(|e| SysidError::Option { option: "threads", what: format!("{e}; ask for fewer") })?;
-    pool.install(|| run(recordings, object, options))
-}
-
-fn run(recordings: &[PushRecording], object: &ObjectModel, options: &IdentifyOptions) -> Result<Identification> {
     let begin = Instant::now();
     if recordings.is_empty() {
         return Err(SysidError::NoRecording);

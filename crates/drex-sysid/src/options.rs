@@ -27,8 +27,6 @@ pub struct IdentifyOptions {
     pub clock_offset_s: f64,
     /// Seed of the draws that carry the noise of the force into the interval.
     pub seed: u64,
-    /// Threads of the scan; 0 takes all cores. The result does not depend on it.
-    pub threads: usize,
 }
 
 impl Default for IdentifyOptions {
@@ -44,7 +42,6 @@ impl Default for IdentifyOptions {
             rotation_bias_rad: 0.02,
             clock_offset_s: 0.035,
             seed: 0,
-            threads: 0,
         }
     }
 }

@@ -112,9 +112,9 @@ fn the_answer_does_not_depend_on_threads() {
     let answers: Vec<_> = [1, 2]
         .iter()
         .map(|threads| {
-            let mut options = IdentifyOptions::default();
-            options.threads = *threads;
-            let mut a = identify(std::slice::from_ref(&push), &block(), &options).unwrap();
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(*threads).build().unwrap();
+            let run = || identify(std::slice::from_ref(&push), &block(), &IdentifyOptions::default());
+            let mut a = pool.install(run).unwrap();
             a.seconds = 0.0;
             serde_json::to_string(&a).unwrap()
         })

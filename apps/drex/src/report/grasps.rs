@@ -113,7 +113,7 @@ pub fn training(page: &mut Page, training: &Training) {
 }
 
 /// The predicted grasps and the static check.
-pub fn evaluation(page: &mut Page, twin: &Twin, asset: &Asset, fits: &FitFile, e: &Evaluation) -> Result<()> {
+pub fn evaluation(page: &mut Page, twin: &Twin, asset: &Asset, e: &Evaluation) -> Result<()> {
     page.section("Predicted grasps, static check");
     page.paragraph(&format!(
         "Judged at {:.1} g and friction {}: contacts of thumb and at least two fingers, penetration, force closure, and the \
@@ -204,7 +204,6 @@ pub fn evaluation(page: &mut Page, twin: &Twin, asset: &Asset, fits: &FitFile, e
         ],
         &rows,
     );
-    let _ = fits;
     Ok(())
 }
 

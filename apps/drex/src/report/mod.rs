@@ -11,7 +11,7 @@ use anyhow::Result;
 use crate::lock::made_by;
 use crate::twin::{Evaluation, FitFile, MassFile, Training, Twin, files};
 
-pub use object::closing_text;
+pub use object::{closing_text, pieces_text};
 pub use push::verdict_text;
 pub use summary::findings;
 
@@ -31,12 +31,12 @@ pub fn page_of(twin: &Twin) -> Result<String> {
     };
     let mut page = Page::new(&format!("{}: digital twin", twin.manifest.name));
     summary::figures(&mut page, asset, &mass, learned.as_ref().map(|(fits, _, evaluation)| (fits, evaluation)));
-    object::section(&mut page, twin, asset, &mass)?;
+    object::section(&mut page, asset, &mass)?;
     push::section(&mut page, &mass);
     if let Some((fits, training, evaluation)) = &learned {
         grasps::demonstrations(&mut page, twin, asset, fits)?;
         grasps::training(&mut page, training);
-        grasps::evaluation(&mut page, twin, asset, fits, evaluation)?;
+        grasps::evaluation(&mut page, twin, asset, evaluation)?;
     }
     provenance(&mut page, twin);
     Ok(page.to_html())

@@ -5,7 +5,7 @@ use drex_mesh::{Asset, AssetReport, HowClosed};
 
 use super::page::Page;
 use crate::picture::raster::{Part, View, render_png};
-use crate::twin::{MassFile, Twin};
+use crate::twin::MassFile;
 
 const OBJECT_COLOR: [f64; 3] = [0.86, 0.55, 0.30];
 /// Colours of neighbouring pieces.
@@ -31,8 +31,14 @@ pub fn closing_text(report: &AssetReport) -> String {
     }
 }
 
+/// "1 convex piece", "12 convex pieces".
+pub fn pieces_text(asset: &Asset) -> String {
+    let n = asset.pieces.len();
+    format!("{n} convex piece{}", if n == 1 { "" } else { "s" })
+}
+
 /// The section on the object.
-pub fn section(page: &mut Page, twin: &Twin, asset: &Asset, mass: &MassFile) -> Result<()> {
+pub fn section(page: &mut Page, asset: &Asset, mass: &MassFile) -> Result<()> {
     page.section("Object");
     let mut pictures = Vec::new();
     for (azimuth, elevation, caption) in
@@ -47,12 +53,13 @@ pub fn section(page: &mut Page, twin: &Twin, asset: &Asset, mass: &MassFile) -> 
         .zip(PIECE_COLORS.iter().cycle())
         .map(|(mesh, &color)| Part { mesh, world_from_mesh: asset.world_from_mesh_at_rest, color })
         .collect();
-    pictures.push((render_png(&pieces, &view(-0.7, 0.35))?, format!("{} convex pieces", asset.pieces.len())));
+    pictures.push((render_png(&pieces, &view(-0.7, 0.35))?, pieces_text(asset)));
     page.pictures(&pictures);
 
     let r = &asset.report;
     let body = asset.properties.with_mass(mass.mass_kg);
-    let mm = |v: f64| format!("{:.2}", 1e3 * v);
+    // Adding zero turns -0.00 into 0.00.
+    let mm = |v: f64| format!("{:.2}", (1e5 * v).round() / 1e2 + 0.0);
     let c = body.center_of_mass;
     let i = body.inertia;
     let rows = [
@@ -75,7 +82,7 @@ pub fn section(page: &mut Page, twin: &Twin, asset: &Asset, mass: &MassFile) -> 
     let rows: Vec<Vec<String>> = rows.into_iter().map(|(k, v)| vec![k.to_owned(), v]).collect();
     page.table(&["property", "value"], &rows);
     page.list(&r.warnings);
-    page.paragraph(&format!("Simulation asset: {}/asset/object.xml (MJCF) and object.urdf.", twin.manifest.name));
+    page.paragraph("Simulation asset: asset/object.xml (MJCF) and asset/object.urdf, in the twin folder.");
     Ok(())
 }
 

@@ -88,7 +88,7 @@ pub fn figures(page: &mut Page, asset: &Asset, mass: &MassFile, learned: Option<
         (
             format!("{:.1} cm³", 1e6 * asset.report.volume_m3),
             "volume".to_owned(),
-            format!("{}; {} convex pieces", super::closing_text(&asset.report), asset.pieces.len()),
+            format!("{}; {}", super::closing_text(&asset.report), super::pieces_text(asset)),
         ),
     ];
     if let Some((fits, evaluation)) = learned {
