@@ -101,7 +101,7 @@ pub struct IdentifyArgs {
     /// Estimate the friction too instead of believing the recording's.
     #[arg(long)]
     pub free_friction: bool,
-    /// Write the result to this file as well.
+    /// Write the result to this file as well, with likelihood profile and trajectories.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
 }

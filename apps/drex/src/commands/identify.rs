@@ -6,7 +6,8 @@ use anyhow::{Result, bail};
 use drex_core::fsutil;
 use drex_core::push::{InputChoice, PushRecording};
 use drex_mesh::{AssetOptions, LengthUnit, build_asset};
-use drex_sysid::{IdentifyOptions, identify};
+use drex_sysid::{Identification, IdentifyOptions, identify};
+use serde_json::Value;
 
 use crate::cli::{IdentifyArgs, OnOff};
 use crate::object::model_of;
@@ -46,7 +47,21 @@ pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     if let Some(out) = &args.out {
         fsutil::write_atomic(out, serde_json::to_string_pretty(&result)?.as_bytes())?;
     }
-    ui.answer(&result, verdict_text(&result))
+    ui.answer(&without_series(&result)?, verdict_text(&result))
+}
+
+/// The result without the long series (likelihood profile, trajectories), which `--out` keeps.
+fn without_series(result: &Identification) -> Result<Value> {
+    let mut value = serde_json::to_value(result)?;
+    if let Some(object) = value.as_object_mut() {
+        object.remove("profile");
+    }
+    for push in value["pushes"].as_array_mut().into_iter().flatten().filter_map(Value::as_object_mut) {
+        for series in ["times_s", "observed", "simulated"] {
+            push.remove(series);
+        }
+    }
+    Ok(value)
 }
 
 fn same_file(a: &Path, b: &Path) -> bool {
