@@ -71,6 +71,20 @@ fn a_killed_run_goes_on_where_it_stopped() {
 }
 
 #[test]
+fn the_doctor_finds_what_the_demo_needs() {
+    let run = drex(["doctor", "--json"]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let answer = run.json();
+    assert_eq!(answer["ready"], true, "{answer}");
+    let checks = answer["checks"].as_array().unwrap();
+    for check in checks {
+        let remedy = check["remedy"].as_str().unwrap();
+        assert_eq!(check["found"].as_bool().unwrap(), remedy.is_empty(), "what is missing has a remedy: {check}");
+    }
+    assert!(checks.iter().any(|c| c["name"] == "LEAP hand model" && c["found"] == true));
+}
+
+#[test]
 fn a_simulated_toss_and_a_real_push_are_not_identifiable() {
     let Some(data) = shared_data("a_simulated_toss_and_a_real_push_are_not_identifiable") else { return };
     for recording in ["push_mujoco/brick/toss", "drex_real/runs/ketchup1"] {
