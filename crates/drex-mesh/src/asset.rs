@@ -252,7 +252,7 @@ pub fn asset_from_mesh(mesh: &TriMesh, options: &AssetOptions) -> Result<Asset> 
         warnings,
     };
     for warning in &report.warnings {
-        tracing::warn!("{warning}");
+        tracing::info!("{warning}");
     }
     let friction = options.friction;
     Ok(Asset { visual, pieces, properties, up_in_mesh, world_from_mesh_at_rest, friction, report })
