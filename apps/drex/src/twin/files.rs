@@ -87,7 +87,9 @@ pub struct FitRecord {
     pub joints_rad: Vec<f64>,
     /// Largest distance that a recorded angle was outside its joint's limits, rad.
     pub largest_clipping_rad: f64,
-    /// Largest change of a joint after clipping, rad.
+    /// Change of each joint after clipping, rad.
+    pub correction_rad: Vec<f64>,
+    /// The largest of them.
     pub largest_correction_rad: f64,
     /// Pose of the hand's base in the object's mesh frame.
     pub object_from_base: PoseRecord,

@@ -66,6 +66,7 @@ fn record(demonstration: usize, fit: &WristFit) -> FitRecord {
         reasons,
         joints_rad: fit.joints.clone(),
         largest_clipping_rad: fit.clipped_rad.iter().fold(0.0, |m, c| c.abs().max(m)),
+        correction_rad: fit.correction_rad.clone(),
         largest_correction_rad: fit.largest_correction_rad(),
         object_from_base: PoseRecord::from(&fit.object_from_base),
         penetration_mm: fit.penetration_mm,
