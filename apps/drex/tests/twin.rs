@@ -33,6 +33,10 @@ fn the_demo_weighs_the_tin_and_the_second_run_has_nothing_to_do() {
     let again = drex(["run", "--json", out.to_str().unwrap()]);
     assert_eq!(again.json()["stages_run"], serde_json::json!([]), "{}", again.stderr);
 
+    let report = drex(["report", "--json", out.to_str().unwrap()]);
+    assert_eq!(report.json()["stages_run"], serde_json::json!(["report"]), "{}", report.stderr);
+    assert_eq!(fs::read_to_string(out.join("report.html")).unwrap(), html, "the same inputs give the same bytes");
+
     // A changed input makes its stage and those that build on it again, and only those.
     edit(&out.join("twin.toml"), "prior_kg = 0.5", "weighed_kg = 0.25");
     let weighed = drex(["run", "--json", out.to_str().unwrap()]);

@@ -30,7 +30,7 @@ pub fn run(args: &DemoArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
         write_if_changed(&args.out.join(name), content)?;
     }
     let mut twin = Twin::open(&args.out, seed)?;
-    let summary = twin.run_until(Stage::Report, ui)?;
+    let summary = twin.run_until(Stage::Report, false, ui)?;
     let findings = crate::report::findings(&twin, Stage::Report)?;
     let truth: Value = serde_json::from_str(TRUTH).context("the bundled truth.json is damaged")?;
     let mut answer = json!(summary);

@@ -62,6 +62,8 @@ pub fn section(page: &mut Page, asset: &Asset, mass: &MassFile) -> Result<()> {
     let mm = |v: f64| format!("{:.2}", (1e5 * v).round() / 1e2 + 0.0);
     let c = body.center_of_mass;
     let i = body.inertia;
+    // What is only rounding of a symmetric object's zero is printed as zero.
+    let product = |v: f64| if v.abs() < 1e-9 * i.trace() { "0".to_owned() } else { format!("{v:.2e}") };
     let rows = [
         ("size, mm", r.size_m.map(mm).join(" × ")),
         ("volume, cm³", format!("{:.2}", 1e6 * r.volume_m3)),
@@ -70,7 +72,7 @@ pub fn section(page: &mut Page, asset: &Asset, mass: &MassFile) -> Result<()> {
         ("density, kg/m³", format!("{:.0}, taken as uniform", mass.mass_kg / r.volume_m3)),
         ("centre of mass in the mesh frame, mm", format!("{}, {}, {}", mm(c.x), mm(c.y), mm(c.z))),
         ("inertia about it, kg m² (xx yy zz)", format!("{:.3e}, {:.3e}, {:.3e}", i[(0, 0)], i[(1, 1)], i[(2, 2)])),
-        ("inertia (xy xz yz)", format!("{:.2e}, {:.2e}, {:.2e}", i[(0, 1)], i[(0, 2)], i[(1, 2)])),
+        ("inertia (xy xz yz)", [i[(0, 1)], i[(0, 2)], i[(1, 2)]].map(product).join(", ")),
         (
             "convex pieces",
             format!(

@@ -44,7 +44,7 @@ pub fn section(page: &mut Page, mass: &MassFile) {
     ));
     let mut plots = Vec::new();
     if result.profile.len() > 2 {
-        plots.push(profile_plot(result));
+        plots.extend(profile_plots(result));
     }
     for push in &result.pushes {
         plots.extend(push_plots(push));
@@ -95,26 +95,36 @@ pub fn section(page: &mut Page, mass: &MassFile) {
     }
 }
 
-fn profile_plot(result: &Identification) -> String {
+/// The likelihood over all masses that were tried, and near the best one.
+fn profile_plots(result: &Identification) -> Vec<String> {
+    // Above this the likelihood is nil for any purpose.
+    const NEAR: f64 = 30.0;
     let lowest = result.profile.iter().map(|p| p.1).fold(f64::INFINITY, f64::min);
-    let x: Vec<f64> = result.profile.iter().map(|p| 1e3 * p.0).collect();
-    // The cost spans orders of magnitude; what matters is near zero.
-    let y: Vec<f64> = result.profile.iter().map(|p| (1.0 + p.1 - lowest).log10()).collect();
-    let dots = result.profile.len() < 80;
-    let mut series = vec![Series { label: "", x: &x, y: &y, color: COLORS[0], dots: false }];
-    if dots {
-        series.push(Series { label: "", x: &x, y: &y, color: COLORS[0], dots: true });
+    let plot = |title, y_label, log_x, points: Vec<(f64, f64)>| {
+        let (x, y): (Vec<f64>, Vec<f64>) = points.into_iter().unzip();
+        Plot {
+            title,
+            x_label: "mass, g",
+            y_label,
+            series: vec![
+                Series { label: "", x: &x, y: &y, color: COLORS[0], dots: false },
+                Series { label: "", x: &x, y: &y, color: COLORS[0], dots: true },
+            ],
+            log_x,
+            marks: result.mass_kg.map(|m| (1e3 * m, format!("{:.1} g", 1e3 * m))).into_iter().collect(),
+            band: result.ci95_kg.map(|[lo, hi]| (1e3 * lo, 1e3 * hi)),
+        }
+        .to_svg()
+    };
+    // The cost spans orders of magnitude over all masses.
+    let all = result.profile.iter().map(|p| (1e3 * p.0, (1.0 + p.1 - lowest).log10())).collect();
+    let near: Vec<(f64, f64)> =
+        result.profile.iter().map(|p| (1e3 * p.0, p.1 - lowest)).filter(|p| p.1 < NEAR).collect();
+    let mut plots = vec![plot("Likelihood of the mass", "log10(1 + cost above the best)", true, all)];
+    if result.mass_kg.is_some() && near.len() > 3 {
+        plots.push(plot("The same near the best; shaded: 95 % interval", "cost above the best", false, near));
     }
-    Plot {
-        title: "Likelihood of the mass",
-        x_label: "mass, g",
-        y_label: "log10(1 + cost above the best)",
-        series,
-        log_x: true,
-        marks: result.mass_kg.map(|m| (1e3 * m, format!("{:.1} g", 1e3 * m))).into_iter().collect(),
-        band: result.ci95_kg.map(|[lo, hi]| (1e3 * lo, 1e3 * hi)),
-    }
-    .to_svg()
+    plots
 }
 
 /// Displacement and lean of the object, tracked and simulated.

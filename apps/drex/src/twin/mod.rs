@@ -121,8 +121,9 @@ impl Twin {
         self.manifest.object.friction.unwrap_or(ASSUMED_FRICTION)
     }
 
-    /// Does every stage up to and including `last` whose inputs changed, and skips the others.
-    pub fn run_until(&mut self, last: Stage, ui: &Ui) -> Result<RunSummary> {
+    /// Does every stage up to and including `last` whose inputs changed, and skips the others. With `again` the last one is
+    /// done in any case.
+    pub fn run_until(&mut self, last: Stage, again: bool, ui: &Ui) -> Result<RunSummary> {
         if last.needs_grasps() && self.manifest.grasps.is_none() {
             bail!(
                 "{} has no [grasps] section, so there is nothing to {}; name a file of demonstrated grasps there",
@@ -138,7 +139,7 @@ impl Twin {
                 continue;
             }
             let inputs = self.inputs(stage).with_context(|| format!("stage {}", stage.name()))?;
-            if self.lock.is_current(stage.name(), &inputs) {
+            if self.lock.is_current(stage.name(), &inputs) && !(again && stage == last) {
                 ui.note(format!("{:>10}  up to date", stage.name()));
                 summary.stages_current.push(stage.name());
                 continue;
