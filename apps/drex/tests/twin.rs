@@ -52,10 +52,19 @@ fn the_same_seed_gives_the_same_bytes_with_one_thread_and_two() {
     for (twin, threads) in [(&one, "1"), (&two, "2")] {
         keep_demonstrations(twin, 6);
         edit(&twin.join("twin.toml"), "hand = \"leap_right\"", "hand = \"leap_right\"\n\n[train]\nepochs = 5");
-        let run = drex(["evaluate", "--threads", threads, twin.to_str().unwrap()]);
+        let run = drex(["run", "--threads", threads, twin.to_str().unwrap()]);
         assert_eq!(run.code, 0, "{}", run.stderr);
     }
-    for file in ["mesh/report.json", "asset/object.xml", "grasps/wrist_fits.json", "policy/evaluation.json"] {
+    let made = [
+        "mass.json",
+        "mesh/report.json",
+        "asset/object.xml",
+        "grasps/wrist_fits.json",
+        "policy/training.json",
+        "policy/evaluation.json",
+        "report.html",
+    ];
+    for file in made {
         assert_eq!(fs::read(one.join(file)).unwrap(), fs::read(two.join(file)).unwrap(), "{file}");
     }
 }
