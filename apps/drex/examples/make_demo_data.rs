@@ -19,7 +19,7 @@ use drex_core::push::{
 };
 use drex_core::readers::{GraspFile, write_grasps_json};
 use drex_core::{MassProperties, Pose, Surface, TriMesh, fsutil, pose};
-use drex_diffsim::{AppliedForce, Body, ConvexPiece, ForcePoint, Model, Scene, State, Table, rollout};
+use drex_diffsim::{AppliedForce, Body, Collider, ConvexPiece, Fixed, ForcePoint, Model, Part, Scene, State, rollout};
 use drex_grasp::TablePlane;
 use drex_mesh::{AssetOptions, GridOptions, GridSdf, MeshSdf, asset_from_mesh};
 use drex_retarget::{ObjectSurface, WristFitOptions, fit_wrists};
@@ -103,11 +103,11 @@ fn make_push(shells: &[TriMesh], folder: &Path) -> Result<()> {
     let body = MassProperties::combined(&parts).context("the tin has no volume")?.with_mass(TRUE_MASS_KG);
     let pieces = shells.iter().map(|s| ConvexPiece::from_points(&s.vertices)).collect::<Result<Vec<_>, _>>()?;
 
-    let mut model = Model::new(vec![Body::new(&body, TRUE_MASS_KG, Arc::new(pieces))]);
+    let mut model = Model::new(vec![Body::new(&body, TRUE_MASS_KG, Arc::new(Collider::convex(pieces)))]);
     model.dt_s = 1e-4;
     model.contact.frequency_rad_s = 1400.0;
     let mut scene: Scene<f64> = Scene::empty();
-    scene.table = Some(Table { height_m: 0.0, friction: TRUE_FRICTION });
+    scene.fixed.push(Fixed::table(0.0, TRUE_FRICTION));
     let tipping_n = TRUE_MASS_KG * 9.81 * (TIN.0 / 2.0) / PUSH_HEIGHT_M;
     let point = Point3::new(-TIN.0 / 2.0, 0.0, PUSH_HEIGHT_M);
     let times: Vec<f64> = (0..=160).map(|i| f64::from(i) / 100.0).collect();
@@ -115,7 +115,7 @@ fn make_push(shells: &[TriMesh], folder: &Path) -> Result<()> {
         .iter()
         .map(|&t| Vector3::x() * tipping_n * (1.25 * pulse(t, 0.30, 0.20) + 1.22 * pulse(t, 0.95, 0.22)))
         .collect();
-    scene.forces.push(AppliedForce::new(0, &times, &forces, ForcePoint::Body(point))?);
+    scene.forces.push(AppliedForce::new(Part::Body(0), &times, &forces, ForcePoint::Body(point))?);
 
     let frames: Vec<f64> = (0..48).map(|i| f64::from(i) / 30.0).collect();
     let start = Pose::translation(0.0, 0.0, 0.0);
@@ -124,7 +124,7 @@ fn make_push(shells: &[TriMesh], folder: &Path) -> Result<()> {
     let mut rng = ChaCha8Rng::seed_from_u64(SEED);
     let mut poses_csv = String::from("t,x,y,z,qw,qx,qy,qz\n");
     let mut highest_tilt: f64 = 0.0;
-    for (t, p) in frames.iter().zip(&record.poses) {
+    for (t, p) in frames.iter().zip(&record.bodies[0].poses) {
         highest_tilt = highest_tilt.max(p.rotation.angle());
         let shake = UnitQuaternion::from_scaled_axis(normal3(&mut rng) * ROTATION_SD_RAD);
         let noisy =

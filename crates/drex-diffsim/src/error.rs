@@ -48,33 +48,106 @@ pub enum SimError {
         /// The longest accepted one.
         limit_s: f64,
     },
-    /// The state stopped being finite or left every reasonable range.
+    /// The contact is too stiff for the penalty scheme at this step.
     #[error(
-        "body {body}: the motion diverged at t = {time_s:.4} s (speed {speed:.3e} m/s); take a shorter step, or check forces and masses"
+        "a step of {dt_s} s needs {substeps:.0} substeps at this contact stiffness; take softer contact or a step near {limit_s:.1e} s"
     )]
+    Stiff {
+        /// The step asked for.
+        dt_s: f64,
+        /// Substeps it would need.
+        substeps: f64,
+        /// A step that is stable by itself.
+        limit_s: f64,
+    },
+    /// The method does not simulate articulations.
+    #[error("this method steps free bodies only; use Method::SemiImplicit for models with articulations")]
+    Method,
+    /// The state stopped being finite or left every reasonable range.
+    #[error("{body}: the motion diverged at t = {time_s:.4} s (speed {speed:.3e}); take a shorter step, or check forces and masses")]
     Diverged {
-        /// Index of the body in the model.
-        body: usize,
+        /// Which body or articulation.
+        body: String,
         /// Simulated time.
         time_s: f64,
-        /// Last speed seen.
+        /// Last speed seen, m/s or rad/s.
         speed: f64,
     },
-    /// The start state penetrates its support deeper than a quarter of the body.
+    /// Something starts deeper inside something else than a quarter of its size.
     #[error(
-        "body {body}: it starts {depth_m:.4} m inside {support}, which is more than a quarter of its size; check pose, frame and units"
+        "{what} starts {depth_m:.4} m inside {support}, which is more than a quarter of its size; check pose, frame and units"
     )]
     StartsInside {
-        /// Index of the body in the model.
-        body: usize,
+        /// Which body or link.
+        what: String,
         /// Depth.
         depth_m: f64,
-        /// "the table" or "box i".
+        /// What it is inside of.
         support: String,
+    },
+    /// A contact constant is out of range.
+    #[error("contact constant {name} is {value}; give a finite positive number (relaxation times may be zero)")]
+    Option {
+        /// Field of `ContactOptions`.
+        name: &'static str,
+        /// The value given.
+        value: f64,
+    },
+    /// A coefficient of friction or a torsion radius is negative or not finite.
+    #[error("{what}: friction {friction} or its torsion radius is negative or not finite; give a number from zero up")]
+    Friction {
+        /// Whose surface.
+        what: String,
+        /// The value given.
+        friction: f64,
+    },
+    /// A force acts on something that is not there or cannot move.
+    #[error("{what} acts on {part}, which is no body or link of the model; give the index of a body or of a link")]
+    Part {
+        /// Which force.
+        what: String,
+        /// What it should act on.
+        part: String,
+    },
+    /// Contact between two shapes is not found.
+    #[error("{what}: contact between these kinds of shapes is not found; give one of them convex pieces")]
+    Unsupported {
+        /// Which shapes.
+        what: String,
     },
     /// Lengths that should agree do not, or times do not increase.
     #[error("{what}; {remedy}")]
     Series {
+        /// What is wrong.
+        what: String,
+        /// What to do.
+        remedy: String,
+    },
+    /// A joint, link or drive of a robot cannot be simulated as it stands, or is not there.
+    #[error("robot \"{robot}\", joint \"{joint}\": {what}; {remedy}")]
+    Joint {
+        /// Name of the robot.
+        robot: String,
+        /// Name of the joint, or "link ..." where a link is meant.
+        joint: String,
+        /// What is wrong.
+        what: String,
+        /// What to do.
+        remedy: String,
+    },
+    /// The controls of a robot's drives.
+    #[error("robot \"{robot}\": {what}; {remedy}")]
+    Control {
+        /// Name of the robot.
+        robot: String,
+        /// What is wrong.
+        what: String,
+        /// What to do.
+        remedy: String,
+    },
+    /// A shape that no body can have.
+    #[error("{what}; {remedy}")]
+    Shape {
         /// What is wrong.
         what: String,
         /// What to do.

@@ -1,5 +1,6 @@
 //! Rotations that are smooth at zero, for dual numbers.
 
+use drex_core::Pose;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
 use crate::Scalar;
@@ -25,6 +26,23 @@ pub(crate) fn renormalized<T: Scalar>(q: UnitQuaternion<T>) -> UnitQuaternion<T>
     let q = q.into_inner();
     let k = T::lift(1.5) - q.norm_squared() * T::lift(0.5);
     UnitQuaternion::new_unchecked(q * k)
+}
+
+/// A pose without derivatives.
+pub(crate) fn value_of<T: Scalar>(pose: &Pose<T>) -> Pose {
+    let q = pose.rotation.quaternion();
+    let q = Quaternion::new(q.w.value(), q.i.value(), q.j.value(), q.k.value());
+    Pose::from_parts(pose.translation.vector.map(|x| x.value()).into(), UnitQuaternion::new_unchecked(q))
+}
+
+/// A rotation as a constant of the scalar `T`.
+pub(crate) fn lift_rotation<T: Scalar>(q: &UnitQuaternion<f64>) -> UnitQuaternion<T> {
+    UnitQuaternion::new_unchecked(Quaternion::from_vector(q.coords.map(T::lift)))
+}
+
+/// A pose as a constant of the scalar `T`.
+pub(crate) fn lift_pose<T: Scalar>(pose: &Pose) -> Pose<T> {
+    Pose::from_parts(pose.translation.vector.map(T::lift).into(), lift_rotation(&pose.rotation))
 }
 
 /// The matrix of a cross product from the left.

@@ -1,14 +1,39 @@
-//! What is simulated: bodies with mass and shape, and the constants of contact.
+//! What is simulated: bodies and articulations with mass and shape, and how.
 
 use std::sync::Arc;
 
-use drex_core::{MassProperties, Pose};
-use nalgebra::{Matrix3, Point3, SymmetricEigen, Vector3};
+use drex_core::MassProperties;
+use nalgebra::{Matrix3, Point3, SymmetricEigen};
 
-use crate::{ConvexPiece, Result, Scalar, SimError};
+use crate::articulation::Articulation;
+use crate::collider::Collider;
+use crate::{Result, Scalar, SimError};
 
 /// Steps beyond this are refused: contact would be found centimetres late.
 const LONGEST_STEP_S: f64 = 0.02;
+
+/// What a surface does to another one that it touches.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Material<T = f64> {
+    /// Coulomb friction. Between two surfaces the larger one counts.
+    pub friction: T,
+    /// Radius of the ring on which a single point of contact spreads, metres: it resists turning about the normal with
+    /// up to friction · radius · normal force. Between two surfaces the larger one counts. Zero for hard surfaces.
+    pub torsion_radius_m: f64,
+}
+
+impl<T: Scalar> Material<T> {
+    /// A hard surface.
+    pub fn new(friction: T) -> Self {
+        Self { friction, torsion_radius_m: 0.0 }
+    }
+
+    /// What counts between two surfaces.
+    pub(crate) fn paired(&self, other: &Self) -> Self {
+        let friction = if other.friction.value() > self.friction.value() { other.friction } else { self.friction };
+        Self { friction, torsion_radius_m: self.torsion_radius_m.max(other.torsion_radius_m) }
+    }
+}
 
 /// A free rigid body. Everything but the mass is per kilogram, so that what does not depend on the mass carries no
 /// derivative by it, not even rounding.
@@ -21,21 +46,29 @@ pub struct Body<T: Scalar> {
     pub center_of_mass: Point3<T>,
     /// Inertia about the centre of mass along the body's axes, divided by the mass, m².
     pub unit_inertia: Matrix3<T>,
-    /// Convex pieces that touch the support, in the body's frame.
-    pub shape: Arc<Vec<ConvexPiece>>,
+    /// Shapes that touch, in the body's frame.
+    pub collider: Arc<Collider>,
+    /// Friction of its own; what it touches may have more.
+    pub material: Material<T>,
 }
 
 impl<T: Scalar> Body<T> {
-    /// A body with the centre of mass and the inertia-to-mass ratio of `properties`, but the mass `mass_kg`.
-    pub fn new(properties: &MassProperties, mass_kg: T, shape: Arc<Vec<ConvexPiece>>) -> Self {
+    /// A body with the centre of mass and the inertia-to-mass ratio of `properties`, but the mass `mass_kg`; its own
+    /// friction is zero, so that of what it touches counts.
+    pub fn new(properties: &MassProperties, mass_kg: T, collider: Arc<Collider>) -> Self {
         let unit = properties.inertia / properties.mass_kg;
-        Self { mass_kg, center_of_mass: properties.center_of_mass.map(T::lift), unit_inertia: unit.map(T::lift), shape }
+        Self {
+            mass_kg,
+            center_of_mass: properties.center_of_mass.map(T::lift),
+            unit_inertia: unit.map(T::lift),
+            collider,
+            material: Material::new(T::zero()),
+        }
     }
 
     /// Bound on the distance of a point of the body from its centre of mass, metres.
     pub(crate) fn reach(&self) -> f64 {
-        let c = self.center_of_mass.map(|x| x.value());
-        self.shape.iter().map(|p| p.farthest_from(&c)).fold(0.0, f64::max)
+        self.collider.reach_from(&self.center_of_mass.map(|x| x.value()))
     }
 
     fn check(&self, body: usize) -> Result<()> {
@@ -52,57 +85,149 @@ impl<T: Scalar> Body<T> {
         if !(moments[0] > 0.0 && moments[0] + moments[1] >= moments[2] * (1.0 - 1e-6)) {
             return Err(SimError::Inertia { body, moments });
         }
+        check_friction(&self.material, || format!("body {body}"))
+    }
+}
+
+/// Constants of compliant contact. By default all are per unit mass: contact never makes the mass of a body visible.
+///
+/// A patch between two parts carries f_n = k (depth + τ rate), never pulling, with k = m ω². m is the mass of the free
+/// body (of two free bodies m₁m₂/(m₁+m₂)), or of the link where there is no free body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct ContactOptions<T = f64> {
+    /// Natural frequency ω of a body resting flat on its support, rad/s. It sinks in by g/ω².
+    pub frequency_rad_s: T,
+    /// Damping over stiffness τ, seconds: a depth fades with this time constant, and the smaller it is against 2/ω the
+    /// more a contact rebounds.
+    pub relaxation_s: T,
+    /// Tangential stiffness over normal stiffness.
+    pub tangential_ratio: T,
+    /// Damping over stiffness of the tangential springs, seconds.
+    pub tangential_relaxation_s: T,
+    /// Stiffness k of a patch, N/m, in place of m ω².
+    pub stiffness_n_m: Option<T>,
+}
+
+impl<T: Scalar> Default for ContactOptions<T> {
+    fn default() -> Self {
+        Self {
+            frequency_rad_s: T::lift(1e4),
+            relaxation_s: T::lift(4e-3),
+            tangential_ratio: T::one(),
+            tangential_relaxation_s: T::lift(1e-3),
+            stiffness_n_m: None,
+        }
+    }
+}
+
+impl ContactOptions {
+    /// The same constants without derivatives.
+    pub fn lift<T: Scalar>(&self) -> ContactOptions<T> {
+        ContactOptions {
+            frequency_rad_s: T::lift(self.frequency_rad_s),
+            relaxation_s: T::lift(self.relaxation_s),
+            tangential_ratio: T::lift(self.tangential_ratio),
+            tangential_relaxation_s: T::lift(self.tangential_relaxation_s),
+            stiffness_n_m: self.stiffness_n_m.map(T::lift),
+        }
+    }
+}
+
+impl<T: Scalar> ContactOptions<T> {
+    /// Stiffness of a patch per `unit` of mass, where `mass` is what it carries in the same unit of mass.
+    pub(crate) fn patch_stiffness(&self, mass: T, unit: T) -> T {
+        match self.stiffness_n_m {
+            Some(k) => k / unit,
+            None => self.frequency_rad_s * self.frequency_rad_s * mass,
+        }
+    }
+
+    fn check(&self) -> Result<()> {
+        let all = [
+            ("frequency_rad_s", Some(self.frequency_rad_s), 0.0),
+            ("relaxation_s", Some(self.relaxation_s), -f64::MIN_POSITIVE),
+            ("tangential_ratio", Some(self.tangential_ratio), 0.0),
+            ("tangential_relaxation_s", Some(self.tangential_relaxation_s), -f64::MIN_POSITIVE),
+            ("stiffness_n_m", self.stiffness_n_m, 0.0),
+        ];
+        for (name, value, above) in all {
+            if let Some(x) = value.map(|x| x.value())
+                && !(x.is_finite() && x > above)
+            {
+                return Err(SimError::Option { name, value: x });
+            }
+        }
         Ok(())
     }
 }
 
-/// Constants of compliant contact, all per unit mass: contact never makes the mass of a body visible.
-///
-/// A face carries f_n = k (depth + τ rate) with k = ω² per kilogram, never pulling.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// How time is stepped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
-pub struct ContactOptions {
-    /// Natural frequency ω of a body resting flat on its support, rad/s. It sinks in by g/ω².
-    pub frequency_rad_s: f64,
-    /// Damping over stiffness τ, seconds: a depth fades with this time constant, and the smaller it is against 2/ω the
-    /// more a contact rebounds.
-    pub relaxation_s: f64,
-    /// Tangential stiffness over normal stiffness.
-    pub tangential_ratio: f64,
-    /// Damping over stiffness of the tangential springs, seconds.
-    pub tangential_relaxation_s: f64,
+pub enum Method {
+    /// Semi-implicit Euler: new velocities first, then poses with these; contact forces, friction, joint damping and
+    /// actuators are taken at the end of the step. Stable at any stiffness.
+    #[default]
+    SemiImplicit,
+    /// Penalty forces at the old state, as in the D-REX paper and its ablation. Free bodies only.
+    Penalty {
+        /// Which velocity moves the poses.
+        scheme: Scheme,
+        /// Substeps per step; `None`: as many as the contact stiffness needs to be stable.
+        substeps: Option<u32>,
+    },
 }
 
-impl Default for ContactOptions {
-    fn default() -> Self {
-        Self { frequency_rad_s: 1e4, relaxation_s: 4e-3, tangential_ratio: 1.0, tangential_relaxation_s: 1e-3 }
-    }
+/// Which velocity moves the poses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Scheme {
+    /// The new one.
+    SemiImplicit,
+    /// The old one.
+    Explicit,
 }
 
-/// Bodies, contact constants and the time step.
+/// Bodies, articulations, contact constants and the time step.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Model<T: Scalar> {
-    /// The bodies. They touch the support of the scene, not each other.
+    /// Free rigid bodies.
     pub bodies: Vec<Body<T>>,
+    /// Robots.
+    pub arms: Vec<Articulation<T>>,
     /// Constants of contact.
-    pub contact: ContactOptions,
+    pub contact: ContactOptions<T>,
     /// Time step, seconds.
     pub dt_s: f64,
+    /// How time is stepped.
+    pub method: Method,
 }
 
 impl<T: Scalar> Model<T> {
     /// A model with default contact and a step of 0.5 ms.
     pub fn new(bodies: Vec<Body<T>>) -> Self {
-        Self { bodies, contact: ContactOptions::default(), dt_s: 5e-4 }
+        Self { bodies, arms: Vec::new(), contact: ContactOptions::default(), dt_s: 5e-4, method: Method::default() }
     }
 
-    /// Checks bodies and step.
+    /// The model with one more articulation.
+    pub fn with_arm(mut self, arm: Articulation<T>) -> Self {
+        self.arms.push(arm);
+        self
+    }
+
+    /// Checks bodies, articulations, constants and step.
     ///
     /// # Errors
-    /// For a mass or inertia that no body has, and for a step that contact cannot be integrated with.
+    /// For a mass or inertia that no body has, for constants out of range, and for a step that contact cannot be
+    /// integrated with.
     pub fn check(&self) -> Result<()> {
         self.bodies.iter().enumerate().try_for_each(|(i, b)| b.check(i))?;
+        self.arms.iter().try_for_each(Articulation::check)?;
+        self.contact.check()?;
+        if self.method != Method::SemiImplicit && !self.arms.is_empty() {
+            return Err(SimError::Method);
+        }
         if !(self.dt_s > 0.0 && self.dt_s <= LONGEST_STEP_S) {
             return Err(SimError::TimeStep { dt_s: self.dt_s, limit_s: LONGEST_STEP_S });
         }
@@ -110,47 +235,11 @@ impl<T: Scalar> Model<T> {
     }
 }
 
-/// State of one body.
-#[derive(Debug, Clone, PartialEq)]
-pub struct BodyState<T: Scalar> {
-    /// Pose of the body's frame in the world.
-    pub world_from_body: Pose<T>,
-    /// Velocity of the centre of mass in the world, m/s.
-    pub velocity: Vector3<T>,
-    /// Angular velocity in the world, rad/s.
-    pub angular_velocity: Vector3<T>,
-    /// Friction springs of the contacts that are closed, by increasing `site`.
-    pub anchors: Vec<Anchor<T>>,
-}
-
-/// A friction spring: how far the contact has been dragged from where it stuck.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Anchor<T: Scalar> {
-    /// Which contact: counts the vertices of the body against the table, then the sites of each box.
-    pub site: u32,
-    /// Stretch in the world, metres; tangential to the support.
-    pub stretch: Vector3<T>,
-}
-
-/// State of all bodies and the time. Cloning it saves everything that the future depends on.
-#[derive(Debug, Clone, PartialEq)]
-pub struct State<T: Scalar> {
-    /// Simulated time, seconds.
-    pub time_s: f64,
-    /// One per body of the model.
-    pub bodies: Vec<BodyState<T>>,
-}
-
-impl<T: Scalar> BodyState<T> {
-    /// At rest at a pose.
-    pub fn at_rest(world_from_body: Pose<T>) -> Self {
-        Self { world_from_body, velocity: Vector3::zeros(), angular_velocity: Vector3::zeros(), anchors: Vec::new() }
+/// Friction is a finite number, zero or more.
+pub(crate) fn check_friction<T: Scalar>(material: &Material<T>, what: impl Fn() -> String) -> Result<()> {
+    let mu = material.friction.value();
+    if !(mu >= 0.0 && mu.is_finite() && material.torsion_radius_m >= 0.0 && material.torsion_radius_m.is_finite()) {
+        return Err(SimError::Friction { what: what(), friction: mu });
     }
-}
-
-impl<T: Scalar> State<T> {
-    /// One body at rest, time zero.
-    pub fn at_rest(world_from_body: Pose<T>) -> Self {
-        Self { time_s: 0.0, bodies: vec![BodyState::at_rest(world_from_body)] }
-    }
+    Ok(())
 }

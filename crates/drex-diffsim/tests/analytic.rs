@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use drex_core::{MassProperties, Pose};
 use drex_diffsim::{
-    AppliedForce, Body, ConvexPiece, ForcePoint, Model, Pusher, Scene, SimError, State, Workspace, rollout, step,
+    AppliedForce, Body, Collider, ConvexPiece, Fixed, ForcePoint, Model, Mover, Part, Scene, SimError, State, Workspace, rollout, step,
 };
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
 
@@ -21,7 +21,7 @@ fn block(half: Vector3<f64>, mass_kg: f64) -> Model<f64> {
     let s = half.component_mul(&half) / 3.0;
     let inertia = Matrix3::from_diagonal(&Vector3::new(s.y + s.z, s.z + s.x, s.x + s.y));
     let unit = MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia };
-    Model::new(vec![Body::new(&unit, mass_kg, Arc::new(vec![ConvexPiece::from_points(&corners(half)).unwrap()]))])
+    Model::new(vec![Body::new(&unit, mass_kg, Arc::new(Collider::convex(vec![ConvexPiece::from_points(&corners(half)).unwrap()])))])
 }
 
 fn cube() -> (Vector3<f64>, Model<f64>) {
@@ -30,7 +30,7 @@ fn cube() -> (Vector3<f64>, Model<f64>) {
 }
 
 fn force(f: Vector3<f64>, from: f64, to: f64, at: Point3<f64>) -> AppliedForce<f64> {
-    AppliedForce::new(0, &[from, to], &[f, Vector3::zeros()], ForcePoint::Body(at)).unwrap()
+    AppliedForce::new(Part::Body(0), &[from, to], &[f, Vector3::zeros()], ForcePoint::Body(at)).unwrap()
 }
 
 #[test]
@@ -40,14 +40,14 @@ fn free_fall_and_lift_are_parabolas() {
     start.bodies[0].velocity = Vector3::new(1.0, -0.5, 0.3);
     start.bodies[0].angular_velocity = Vector3::new(3.0, 1.0, -2.0);
     let end = rollout(&model, &Scene::empty(), &start, &[0.5]).unwrap();
-    let x = end.poses[0].translation.vector;
+    let x = end.bodies[0].poses[0].translation.vector;
     // Semi-implicit Euler is behind the parabola by g t dt / 2.
     assert!((x - Vector3::new(0.5, -0.25, 2.0 + 0.15 - 0.5 * G * 0.25)).norm() < 1.01 * 0.5 * G * 0.5 * model.dt_s);
     // m z'' = u - m g once u exceeds the weight.
     let mut scene = Scene::on_table(0.5);
     scene.forces.push(force(Vector3::z() * 0.2 * G * 1.7, 0.1, 0.3, Point3::origin()));
     let end = rollout(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.03)), &[0.25]).unwrap();
-    let rise = end.poses[0].translation.vector.z - 0.03;
+    let rise = end.bodies[0].poses[0].translation.vector.z - 0.03;
     assert!((rise / (0.5 * 0.7 * G * 0.15_f64.powi(2)) - 1.0).abs() < 0.005, "{rise}");
 }
 
@@ -57,7 +57,7 @@ fn a_block_rests_at_depth_g_over_omega_squared() {
     model.contact.frequency_rad_s = 200.0;
     let end =
         rollout(&model, &Scene::on_table(0.5), &State::at_rest(Pose::translation(0.0, 0.0, 0.031)), &[1.0]).unwrap();
-    let depth = 0.03 - end.poses[0].translation.vector.z;
+    let depth = 0.03 - end.bodies[0].poses[0].translation.vector.z;
     assert!((depth / (G / 200.0_f64.powi(2)) - 1.0).abs() < 1e-3, "{depth}");
     assert!(end.last.bodies[0].velocity.norm() < 1e-9);
 }
@@ -74,11 +74,11 @@ fn rest_depth_does_not_depend_on_the_number_of_rim_points() {
         let unit =
             MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia: Matrix3::identity() * 1e-3 };
         let mut model =
-            Model::new(vec![Body::new(&unit, 0.3, Arc::new(vec![ConvexPiece::from_points(&points).unwrap()]))]);
+            Model::new(vec![Body::new(&unit, 0.3, Arc::new(Collider::convex(vec![ConvexPiece::from_points(&points).unwrap()])))]);
         model.contact.frequency_rad_s = 300.0;
         let end =
             rollout(&model, &Scene::on_table(0.4), &State::at_rest(Pose::translation(0.0, 0.0, 0.05)), &[0.6]).unwrap();
-        0.05 - end.poses[0].translation.vector.z
+        0.05 - end.bodies[0].poses[0].translation.vector.z
     };
     for n in [12, 38, 60] {
         assert!((depth(n) / (G / 9e4) - 1.0).abs() < 0.01, "{n}: {}", depth(n));
@@ -90,7 +90,7 @@ fn incline(angle: f64, mu: f64, seconds: f64) -> Vector3<f64> {
     let (_, model) = cube();
     let mut scene = Scene::on_table(mu);
     scene.gravity = Vector3::new(angle.sin(), 0.0, -angle.cos()) * G;
-    rollout(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.03)), &[seconds]).unwrap().poses[0]
+    rollout(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.03)), &[seconds]).unwrap().bodies[0].poses[0]
         .translation
         .vector
 }
@@ -114,7 +114,7 @@ fn a_pushed_block_in_stiction_balances_the_force() {
     let mut scene = Scene::on_table(0.6);
     scene.forces.push(force(Vector3::x() * 0.2 * G * 0.5, 0.05, 10.0, Point3::new(0.0, 0.0, -0.03)));
     let r = rollout(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.03)), &[0.5, 3.0]).unwrap();
-    let creep = (r.poses[1].translation.vector - r.poses[0].translation.vector).norm();
+    let creep = (r.bodies[0].poses[1].translation.vector - r.bodies[0].poses[0].translation.vector).norm();
     assert!(creep < 1e-9, "{creep}");
 }
 
@@ -125,9 +125,9 @@ fn a_sliding_block_stops_after_v_squared_over_two_mu_g() {
         let mut start = State::at_rest(Pose::translation(0.0, 0.0, 0.03));
         start.bodies[0].velocity = Vector3::new(0.6, 0.3, 0.0);
         let x = rollout(&model, &Scene::on_table(0.4), &start, &[1.0, 2.0]).unwrap();
-        let slid = x.poses[0].translation.vector.xy().norm();
+        let slid = x.bodies[0].poses[0].translation.vector.xy().norm();
         assert!((slid / (0.45 / (2.0 * 0.4 * G)) - 1.0).abs() < 0.005, "{slid}");
-        assert!((x.poses[1].translation.vector - x.poses[0].translation.vector).norm() < 1e-9, "it creeps");
+        assert!((x.bodies[0].poses[1].translation.vector - x.bodies[0].poses[0].translation.vector).norm() < 1e-9, "it creeps");
     }
 }
 
@@ -141,8 +141,8 @@ fn a_push_tips_above_the_height_b_over_two_mu_and_slides_below() {
         let f = 0.3 * G * if tips { 0.03 / height * 1.03 } else { 0.5 * 1.03 };
         scene.forces.push(force(Vector3::x() * f, 0.05, 0.25, Point3::new(-0.03, 0.0, height - 0.05)));
         let end = rollout(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.05)), &[0.25]).unwrap();
-        let tilt = end.poses[0].rotation.angle().to_degrees();
-        let foot = (end.poses[0] * Point3::new(0.03, 0.0, -0.05)).x - 0.03;
+        let tilt = end.bodies[0].poses[0].rotation.angle().to_degrees();
+        let foot = (end.bodies[0].poses[0] * Point3::new(0.03, 0.0, -0.05)).x - 0.03;
         assert_eq!(tilt > 0.3, tips, "height {height}: tilt {tilt}, foot {foot}");
         assert_eq!(foot > 1e-3, !tips, "height {height}: tilt {tilt}, foot {foot}");
     }
@@ -166,7 +166,7 @@ fn tilting_about_an_edge_follows_the_pendulum_equation() {
     for k in 0..180_000 {
         let t = 0.1 + f64::from(k) * dt;
         while next < times.len() && times[next] <= t {
-            let simulated = record.poses[next].rotation.scaled_axis().y;
+            let simulated = record.bodies[0].poses[next].rotation.scaled_axis().y;
             assert!((simulated - theta).abs() < 0.01 * theta.abs() + 1e-3, "t {t:.3}: {simulated} against {theta}");
             next += 1;
         }
@@ -179,7 +179,7 @@ fn tilting_about_an_edge_follows_the_pendulum_equation() {
             break;
         }
     }
-    assert!(next > 12 && record.poses[9].rotation.angle() > 0.03);
+    assert!(next > 12 && record.bodies[0].poses[9].rotation.angle() > 0.03);
 }
 
 #[test]
@@ -189,11 +189,8 @@ fn an_object_over_a_step_edge_rocks_about_it() {
     let mass = 0.2;
     let model = block(half, mass);
     let mut scene = Scene::on_table(0.6);
-    scene.boxes.push(drex_diffsim::FixedBox {
-        center: Point3::new(-0.15, 0.0, 0.025),
-        half: Vector3::new(0.15, 0.2, 0.025),
-        friction: 0.6,
-    });
+    let step = Fixed::cuboid(Point3::new(-0.15, 0.0, 0.025), Vector3::new(0.15, 0.2, 0.025), 0.6).unwrap();
+    scene.fixed.push(step);
     let start = State::at_rest(Pose::translation(-0.008, 0.0, 0.065));
     let arm = 0.04 - 0.008;
     let threshold = mass * G * 0.008 / arm;
@@ -201,8 +198,8 @@ fn an_object_over_a_step_edge_rocks_about_it() {
         let mut scene = scene.clone();
         scene.forces.push(force(-Vector3::z() * threshold * factor, 0.1, 0.2, Point3::new(0.04, 0.0, 0.015)));
         let r = rollout(&model, &scene, &start, &[0.05, 0.2]).unwrap();
-        assert!((r.poses[0].translation.vector - Vector3::new(-0.008, 0.0, 0.065)).norm() < 1e-5, "it rests");
-        r.poses[1].rotation.scaled_axis().y
+        assert!((r.bodies[0].poses[0].translation.vector - Vector3::new(-0.008, 0.0, 0.065)).norm() < 1e-5, "it rests");
+        r.bodies[0].poses[1].rotation.scaled_axis().y
     };
     assert!(tilt(0.97).abs() < 1e-4);
     // (I_E / m) theta'' = F x_F(theta) / m + g x_C(theta), x measured from the edge; integrated to high accuracy.
@@ -248,7 +245,7 @@ fn a_symmetric_top_precesses_at_the_rate_of_its_momentum() {
         center_of_mass: Point3::origin(),
         inertia: Matrix3::from_diagonal(&Vector3::new(2e-3, 2e-3, 3e-3)),
     };
-    let shape = Arc::new(vec![ConvexPiece::from_points(&corners(Vector3::repeat(0.05))).unwrap()]);
+    let shape = Arc::new(Collider::convex(vec![ConvexPiece::from_points(&corners(Vector3::repeat(0.05))).unwrap()]));
     let mut model = Model::new(vec![Body::new(&unit, 1.0, shape)]);
     model.dt_s = 1e-4;
     let mut scene = Scene::empty();
@@ -259,7 +256,7 @@ fn a_symmetric_top_precesses_at_the_rate_of_its_momentum() {
     let t = 1.0;
     let end = rollout(&model, &scene, &state, &[t]).unwrap();
     let expected = UnitQuaternion::from_scaled_axis(l.normalize() * (l.norm() / 2e-3 * t)) * Vector3::z();
-    let axis = end.poses[0].rotation * Vector3::z();
+    let axis = end.bodies[0].poses[0].rotation * Vector3::z();
     assert!(axis.angle(&expected) < 2e-3, "{}", axis.angle(&expected));
 }
 
@@ -271,8 +268,8 @@ fn a_prescribed_sphere_moves_every_mass_alike() {
         .map(|m| {
             let model = block(Vector3::repeat(0.03), *m);
             let mut scene = Scene::on_table(0.4);
-            scene.pushers.push(Pusher::new(0.01, 0.6, &[0.1, 1.1], &path).unwrap());
-            rollout(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.03)), &[1.3]).unwrap().poses[0]
+            scene.movers.push(Mover::sphere(0.01, 0.6, &[0.1, 1.1], &path).unwrap());
+            rollout(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.03)), &[1.3]).unwrap().bodies[0].poses[0]
         })
         .collect();
     // The sphere's front ends at x = 5 cm, the block's centre is 3 cm further.
@@ -301,9 +298,9 @@ fn nonsense_is_refused_by_name() {
     model.bodies[0].unit_inertia[(0, 0)] = 1.0;
     assert!(matches!(rollout(&model, &scene, &start, &[0.1]), Err(SimError::Inertia { .. })));
     assert!(
-        AppliedForce::<f64>::new(0, &[0.0, 0.0], &[Vector3::zeros(); 2], ForcePoint::Body(Point3::origin())).is_err()
+        AppliedForce::<f64>::new(Part::Body(0), &[0.0, 0.0], &[Vector3::zeros(); 2], ForcePoint::Body(Point3::origin())).is_err()
     );
-    let wild = AppliedForce::<f64>::new(0, &[0.0, 1.0], &[Vector3::repeat(1e9); 2], ForcePoint::Body(Point3::origin()))
+    let wild = AppliedForce::<f64>::new(Part::Body(0), &[0.0, 1.0], &[Vector3::repeat(1e9); 2], ForcePoint::Body(Point3::origin()))
         .unwrap();
     let mut pushed = scene.clone();
     pushed.forces.push(wild);

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use drex_core::{MassProperties, Pose};
 use drex_diffsim::{
-    AppliedForce, Body, ConvexPiece, Dual, ForcePoint, Model, Scalar, Scene, State, parameter, rollout, tangents,
+    AppliedForce, Body, Collider, ConvexPiece, Dual, ForcePoint, Model, Part, Scalar, Scene, State, parameter, rollout, tangents,
 };
 use nalgebra::{Matrix3, Point3, RealField, Vector3};
 
@@ -20,20 +20,20 @@ fn push<T: Scalar + RealField>(p: P<T>, force_n: Vector3<f64>, height: f64, unti
         .collect();
     let inertia = Matrix3::from_diagonal(&Vector3::new(8.3e-4, 8.3e-4, 6e-4));
     let unit = MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia };
-    let shape = Arc::new(vec![ConvexPiece::from_points(&points).unwrap()]);
+    let shape = Arc::new(Collider::convex(vec![ConvexPiece::from_points(&points).unwrap()]));
     let mut body = Body::new(&unit, p[0].exp(), shape);
     body.center_of_mass.x += p[2];
     let model = Model::new(vec![body]);
     let mut scene = Scene::on_table(p[1]);
     let at = ForcePoint::Body(Point3::new(-0.03, 0.0, height));
-    scene.forces.push(AppliedForce::new(0, &[0.1, 0.25], &[force_n, Vector3::zeros()], at).unwrap());
+    scene.forces.push(AppliedForce::new(Part::Body(0), &[0.1, 0.25], &[force_n, Vector3::zeros()], at).unwrap());
     let mut start = State::at_rest(Pose::from_parts(
         Vector3::new(T::zero(), T::zero(), T::lift(0.04)).into(),
         nalgebra::UnitQuaternion::identity(),
     ));
     start.bodies[0].world_from_body.translation.vector.x += p[3];
     let end = rollout(&model, &scene, &start, &[until]).unwrap();
-    let pose = end.poses[0];
+    let pose = end.bodies[0].poses[0];
     [pose.translation.vector.x, pose.translation.vector.z, (pose.rotation * Vector3::x()).z]
 }
 

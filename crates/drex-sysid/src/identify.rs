@@ -52,7 +52,7 @@ pub fn identify(
         {
             continue;
         }
-        let problem = Problem::new(recording, object, shape.clone(), options, noise)?;
+        let problem = Problem::new(recording, object, &shape, options, noise)?;
         if problem.has_known_force() {
             problems.push(problem);
             frictions.push(recording.support.friction.filter(|_| !options.free_friction));

@@ -3,8 +3,6 @@
 //! Gravity, Coulomb friction and contact scale with the mass, and so does the force a prescribed pusher needs: the
 //! motion is the same for every mass. Simulating it with masses a hundredfold apart gives the same cost.
 
-use std::sync::Arc;
-
 use drex_core::Pose;
 use drex_core::pose::pose_difference;
 use drex_core::push::{Drive, HandPush, PushRecording, TrackFrame};
@@ -29,14 +27,14 @@ pub(crate) struct Finding {
 pub(crate) fn explain(
     recording: &PushRecording,
     object: &ObjectModel,
-    shape: &Arc<Vec<ConvexPiece>>,
+    shape: &[ConvexPiece],
     options: &IdentifyOptions,
 ) -> Result<Finding> {
     let mut finding = Finding { reason: String::new(), notes: Vec::new(), profile: Vec::new(), simulated: Vec::new() };
     let mut flat = false;
     if recording.track_frame == TrackFrame::World {
         let noise = recording.noise.unwrap_or_else(|| noise::of_track(&recording.track));
-        let mut problem = Problem::new(recording, object, Arc::clone(shape), options, noise)?;
+        let mut problem = Problem::new(recording, object, shape, options, noise)?;
         if !recording.starts_at_rest {
             start_from_track(&mut problem, recording);
         }

@@ -1,8 +1,6 @@
 //! The pushed object: convex pieces for contact, mass properties at one kilogram.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
-
 use drex_core::{MassProperties, TriMesh};
 use drex_diffsim::ConvexPiece;
 use nalgebra::Point3;
@@ -38,7 +36,7 @@ impl ObjectModel {
     }
 
     /// The pieces as the simulator takes them.
-    pub(crate) fn shape(&self) -> Result<Arc<Vec<ConvexPiece>>> {
+    pub(crate) fn shape(&self) -> Result<Vec<ConvexPiece>> {
         if !self.unit.is_physical() {
             return Err(SysidError::Object {
                 what: "has mass properties that no solid has".into(),
@@ -53,7 +51,7 @@ impl ObjectModel {
         if pieces.is_empty() {
             return Err(SysidError::Object { what: "has no convex piece".into(), remedy: "give at least one".into() });
         }
-        Ok(Arc::new(pieces))
+        Ok(pieces)
     }
 
     /// Diagonal of the bounding box of all pieces, metres.

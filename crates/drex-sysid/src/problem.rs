@@ -10,8 +10,8 @@ use drex_core::pose::pose_difference;
 use drex_core::push::{Drive, ForceProfile, PoseNoise, PushRecording};
 use drex_core::{Pose, Trajectory};
 use drex_diffsim::{
-    AppliedForce, Body, ContactOptions, ConvexPiece, Dual, FixedBox, ForcePoint, Model, Pusher, Record, Scalar, Scene,
-    State, Table, rollout, tangents,
+    AppliedForce, Body, Collider, ContactOptions, ConvexPiece, Dual, Fixed, ForcePoint, Model, Mover, Part, Record,
+    Scalar, Scene, State, rollout, tangents,
 };
 use nalgebra::{ComplexField, Point3, SMatrix, SVector, Vector3, Vector6};
 
@@ -70,7 +70,7 @@ pub(crate) struct Problem {
     table_height_m: f64,
     boxes: Vec<drex_core::push::SupportBox>,
     unit: drex_core::MassProperties,
-    shape: Arc<Vec<ConvexPiece>>,
+    collider: Arc<Collider>,
 }
 
 /// Fit of the nuisances at fixed parameters.
@@ -95,7 +95,7 @@ impl Problem {
     pub(crate) fn new(
         recording: &PushRecording,
         object: &ObjectModel,
-        shape: Arc<Vec<ConvexPiece>>,
+        shape: &[ConvexPiece],
         options: &IdentifyOptions,
         noise: PoseNoise,
     ) -> Result<Self> {
@@ -112,7 +112,7 @@ impl Problem {
                 Action::Force { times_s: times_s.clone(), forces_n, noise_n, point: ForcePoint::Body(*point_in_object) }
             }
             Drive::Finger(finger) => {
-                let known = if options.finger_force { finger::known_force(recording, finger, &shape) } else { None };
+                let known = if options.finger_force { finger::known_force(recording, finger, shape) } else { None };
                 known.unwrap_or_else(|| {
                     let (times_s, centers) = match &finger.encoder {
                         Some(e) => (e.times_s.clone(), e.positions.clone()),
@@ -146,30 +146,28 @@ impl Problem {
             table_height_m: recording.support.table_height_m,
             boxes: recording.support.boxes.clone(),
             unit: object.unit,
-            shape,
+            collider: Arc::new(Collider::convex(shape.to_vec())),
         })
     }
 
     /// The scene and model of the simulator at parameters of any scalar.
     fn build<T: Scalar>(&self, mass_kg: T, friction: T) -> Result<(Model<T>, Scene<T>, State<T>)> {
         let wrap = |source| SysidError::Simulation { push: self.name.clone(), source };
-        let mut model = Model::new(vec![Body::new(&self.unit, mass_kg, Arc::clone(&self.shape))]);
-        model.contact = self.contact;
+        let mut model = Model::new(vec![Body::new(&self.unit, mass_kg, Arc::clone(&self.collider))]);
+        model.contact = self.contact.lift();
         model.dt_s = self.dt_s;
         let mut scene = Scene::empty();
         scene.gravity = self.gravity.map(T::lift);
-        scene.table = Some(Table { height_m: self.table_height_m, friction });
-        scene.boxes = self
-            .boxes
-            .iter()
-            .map(|b| FixedBox { center: b.center_m.into(), half: b.half_m.into(), friction })
-            .collect();
+        scene.fixed.push(Fixed::table(self.table_height_m, friction));
+        for b in &self.boxes {
+            scene.fixed.push(Fixed::cuboid(b.center_m.into(), b.half_m.into(), friction).map_err(wrap)?);
+        }
         match &self.action {
             Action::Force { times_s, forces_n, point, .. } => {
-                scene.forces.push(AppliedForce::new(0, times_s, forces_n, point.clone()).map_err(wrap)?);
+                scene.forces.push(AppliedForce::new(Part::Body(0), times_s, forces_n, point.clone()).map_err(wrap)?);
             }
             Action::Pusher { radius_m, friction, times_s, centers } => {
-                scene.pushers.push(Pusher::new(*radius_m, T::lift(*friction), times_s, centers).map_err(wrap)?);
+                scene.movers.push(Mover::sphere(*radius_m, T::lift(*friction), times_s, centers).map_err(wrap)?);
             }
             Action::Nothing => {}
         }
@@ -191,7 +189,7 @@ impl Problem {
         let times: Vec<f64> = (0..=count).map(|k| k as f64 * DENSE_S).collect();
         let record = rollout(&model, &scene, &state, &times)
             .map_err(|source| SysidError::Simulation { push: self.name.clone(), source })?;
-        let path = Trajectory::from_samples(&record.times_s, &record.poses)?;
+        let path = Trajectory::from_samples(&record.times_s, &record.bodies[0].poses)?;
         Ok(Motion { path, record })
     }
 
@@ -287,7 +285,8 @@ impl Problem {
             .map_err(|source| SysidError::Simulation { push: self.name.clone(), source })?;
         let (sp, sr) = (self.noise.position_m, self.noise.rotation_rad);
         let mut out = Linear { residuals: Vec::new(), by_parameters: Vec::new(), by_nuisances: Vec::new() };
-        for (k, pose) in record.poses.iter().enumerate() {
+        let track = &record.bodies[0];
+        for (k, pose) in track.poses.iter().enumerate() {
             let value = value_of(pose);
             out.residuals.push(self.residual(&value, k, &fit.nuisance));
             let q = pose.rotation.quaternion();
@@ -306,8 +305,8 @@ impl Problem {
             out.by_parameters.push(j);
             let mut g = SMatrix::<f64, 6, NUISANCES>::zeros();
             let moving = self.times_s[k] - fit.nuisance[0] > 0.0;
-            let v = record.velocities[k].map(|x| x.re);
-            let w = value.rotation.inverse() * record.angular_velocities[k].map(|x| x.re);
+            let v = track.velocities[k].map(|x| x.re);
+            let w = value.rotation.inverse() * track.angular_velocities[k].map(|x| x.re);
             for i in 0..3 {
                 if moving {
                     g[(i, 0)] = v[i] / sp;
@@ -361,8 +360,9 @@ impl Motion {
         if k < 0.0 {
             return (Vector3::zeros(), Vector3::zeros());
         }
-        let k = (k as usize + 1).min(self.record.poses.len() - 1);
-        (self.record.velocities[k], self.record.poses[k].rotation.inverse() * self.record.angular_velocities[k])
+        let track = &self.record.bodies[0];
+        let k = (k as usize + 1).min(track.poses.len() - 1);
+        (track.velocities[k], track.poses[k].rotation.inverse() * track.angular_velocities[k])
     }
 }
 

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use drex_core::push::{Drive, ForceProfile, PoseNoise, PushRecording};
 use drex_core::{MassProperties, Pose, Trajectory, TriMesh};
-use drex_diffsim::{AppliedForce, Body, ConvexPiece, ForcePoint, Model, Scene, State, rollout};
+use drex_diffsim::{AppliedForce, Body, Collider, ConvexPiece, ForcePoint, Model, Part, Scene, State, rollout};
 use drex_sysid::ObjectModel;
 use nalgebra::{Matrix3, Point3, Vector3};
 use std::sync::Arc;
@@ -60,17 +60,17 @@ pub fn simulated(mass_kg: f64, friction: f64, force: Vector3<f64>, point: Point3
 /// The same with the end of the force chosen.
 pub fn pushed_until(end: f64, mass_kg: f64, friction: f64, force: Vector3<f64>, point: Point3<f64>) -> PushRecording {
     let object = block();
-    let shape = Arc::new(object.pieces.iter().map(|p| ConvexPiece::from_points(p).unwrap()).collect());
+    let shape = Arc::new(Collider::convex(object.pieces.iter().map(|p| ConvexPiece::from_points(p).unwrap()).collect()));
     let model = Model::new(vec![Body::new(&object.unit, mass_kg, shape)]);
     let mut scene = Scene::on_table(friction);
     let times: Vec<f64> = (0..120).map(|k| f64::from(k) * 0.01).collect();
     let forces: Vec<_> =
         times.iter().map(|t| if (0.3..end - 1e-4).contains(t) { force } else { Vector3::zeros() }).collect();
-    scene.forces.push(AppliedForce::new(0, &times, &forces, ForcePoint::Body(point)).unwrap());
+    scene.forces.push(AppliedForce::new(Part::Body(0), &times, &forces, ForcePoint::Body(point)).unwrap());
     let start = Pose::translation(0.0, 0.0, 0.04);
     let frames: Vec<f64> = (0..36).map(|k| f64::from(k) / 30.0).collect();
     let record = rollout(&model, &scene, &State::at_rest(start), &frames).unwrap();
-    let track = Trajectory::from_samples(&frames, &record.poses).unwrap();
+    let track = Trajectory::from_samples(&frames, &record.bodies[0].poses).unwrap();
     let drive = Drive::Force(ForceProfile { times_s: times, forces_n: forces, point_in_object: point });
     let mut push = PushRecording::new("block", "block.obj", track, drive);
     push.support.friction = Some(friction);

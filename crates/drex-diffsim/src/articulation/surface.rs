@@ -1,0 +1,86 @@
+//! What of a robot touches: its collision shapes, link by link.
+
+use drex_robot::{Link, Robot, Shape as RobotShape};
+use nalgebra::Point3;
+
+use crate::collider::Collider;
+use crate::model::Material;
+use crate::{ConvexPiece, Geom, Result, Scalar, Shape};
+
+use super::Articulation;
+
+/// Points per half turn on an ellipsoid.
+const ELLIPSOID_ROWS: usize = 16;
+
+impl<T: Scalar> Articulation<T> {
+    /// The same friction on all links.
+    pub fn with_friction(mut self, friction: T) -> Self {
+        self.materials.iter_mut().for_each(|m| m.friction = friction);
+        self
+    }
+
+    /// Soft skin on all links: the radius of the ring on which a point of contact spreads, metres. See
+    /// [`Material::torsion_radius_m`].
+    pub fn with_torsion_radius(mut self, radius_m: f64) -> Self {
+        self.materials.iter_mut().for_each(|m| m.torsion_radius_m = radius_m);
+        self
+    }
+
+    /// The mass that scales the contact stiffness of a link where no free body takes part: its own, or the mean of all
+    /// links for a link without mass.
+    pub(crate) fn contact_mass(&self, link: usize) -> T {
+        let own = self.links[link].mass_kg;
+        if own.value() > 0.0 {
+            return own;
+        }
+        let (mut sum, mut count) = (T::zero(), 0.0);
+        for m in self.links.iter().map(|l| l.mass_kg).filter(|m| m.value() > 0.0) {
+            sum += m;
+            count += 1.0;
+        }
+        if count > 0.0 { sum * T::lift(1.0 / count) } else { T::one() }
+    }
+}
+
+/// Collision shapes of every link; meshes stand for their convex hulls.
+pub(super) fn colliders(robot: &Robot) -> Result<Vec<Collider>> {
+    robot.links.iter().map(collider).collect()
+}
+
+/// Friction of every link: the largest that the file gives one of its shapes, else zero, so that what it touches
+/// decides.
+pub(super) fn materials(robot: &Robot) -> Vec<Material<f64>> {
+    let friction = |l: &Link| l.geoms.iter().filter(|g| g.collides()).filter_map(|g| g.friction).fold(0.0, f64::max);
+    robot.links.iter().map(|l| Material::new(friction(l))).collect()
+}
+
+fn collider(link: &Link) -> Result<Collider> {
+    let geoms = link.geoms.iter().filter(|g| g.collides()).map(|g| Ok(Geom::new(shape(&g.shape)?).at(g.link_from_geom)));
+    Collider::new(&geoms.collect::<Result<Vec<_>>>()?)
+}
+
+fn shape(shape: &RobotShape) -> Result<Shape> {
+    Ok(match shape {
+        RobotShape::Sphere { radius } => Shape::Sphere { radius_m: *radius },
+        RobotShape::Capsule { radius, half_length } => Shape::Capsule { radius_m: *radius, half_length_m: *half_length },
+        RobotShape::Cylinder { radius, half_length } => {
+            Shape::Cylinder { radius_m: *radius, half_length_m: *half_length }
+        }
+        RobotShape::Box { half } => Shape::Box { half_m: *half },
+        RobotShape::Ellipsoid { radii } => Shape::Convex(ConvexPiece::from_points(&ellipsoid(radii))?.into()),
+        RobotShape::Mesh(mesh) => Shape::Convex(ConvexPiece::from_points(&mesh.vertices)?.into()),
+        _ => Shape::Plane,
+    })
+}
+
+fn ellipsoid(radii: &nalgebra::Vector3<f64>) -> Vec<Point3<f64>> {
+    let mut out = vec![Point3::new(0.0, 0.0, radii.z), Point3::new(0.0, 0.0, -radii.z)];
+    for i in 1..ELLIPSOID_ROWS {
+        let (s, c) = (std::f64::consts::PI * i as f64 / ELLIPSOID_ROWS as f64).sin_cos();
+        for j in 0..2 * ELLIPSOID_ROWS {
+            let (y, x) = (std::f64::consts::PI * j as f64 / ELLIPSOID_ROWS as f64).sin_cos();
+            out.push(Point3::new(radii.x * s * x, radii.y * s * y, radii.z * c));
+        }
+    }
+    out
+}

@@ -1,0 +1,74 @@
+//! The shapes of one rigid thing, prepared for contact.
+
+use drex_core::Pose;
+use nalgebra::{Point3, Vector3};
+
+use crate::collide::CollisionGeom;
+use crate::{ConvexPiece, Geom, Result, Shape};
+
+/// Shapes in the frame of a body, with what contact search needs. Made once, shared by all models of the same body.
+#[derive(Debug, Clone)]
+pub struct Collider {
+    geoms: Vec<CollisionGeom>,
+    shapes: Vec<Shape>,
+    /// A ball that holds all shapes; infinite for a plane.
+    center: Vector3<f64>,
+    radius: f64,
+}
+
+impl Collider {
+    /// Prepares shapes.
+    ///
+    /// # Errors
+    /// If a shape has a size that is not a positive number.
+    pub fn new(geoms: &[Geom]) -> Result<Self> {
+        let prepared = geoms.iter().map(|g| CollisionGeom::new(&g.shape, &g.body_from_shape));
+        Ok(Self::from_prepared(prepared.collect::<Result<_>>()?, geoms.iter().map(|g| g.shape.clone()).collect()))
+    }
+
+    /// Convex pieces in the body's own frame.
+    pub fn convex(pieces: Vec<ConvexPiece>) -> Self {
+        let shapes: Vec<Shape> = pieces.into_iter().map(|p| Shape::Convex(p.into())).collect();
+        // A piece was checked when it was made, and the identity is a pose.
+        let geoms = shapes.iter().filter_map(|s| CollisionGeom::new(s, &Pose::identity()).ok()).collect();
+        Self::from_prepared(geoms, shapes)
+    }
+
+    /// The plane z = 0.
+    pub fn plane() -> Self {
+        let geom = CollisionGeom::new(&Shape::Plane, &Pose::identity());
+        Self::from_prepared(geom.into_iter().collect(), vec![Shape::Plane])
+    }
+
+    /// Nothing that touches.
+    pub fn none() -> Self {
+        Self::from_prepared(Vec::new(), Vec::new())
+    }
+
+    fn from_prepared(geoms: Vec<CollisionGeom>, shapes: Vec<Shape>) -> Self {
+        let count = geoms.len().max(1) as f64;
+        let center = geoms.iter().map(|g| g.center).sum::<Vector3<f64>>() / count;
+        let radius = geoms.iter().map(|g| (g.center - center).norm() + g.radius).fold(0.0, f64::max);
+        Self { geoms, shapes, center, radius }
+    }
+
+    /// The prepared shapes.
+    pub(crate) fn geoms(&self) -> &[CollisionGeom] {
+        &self.geoms
+    }
+
+    /// The shapes, in the order in which [`crate::ContactKey`] counts them.
+    pub fn shapes(&self) -> &[Shape] {
+        &self.shapes
+    }
+
+    /// Centre and radius of a ball that holds all shapes.
+    pub(crate) fn bounding_sphere(&self) -> (Vector3<f64>, f64) {
+        (self.center, self.radius)
+    }
+
+    /// Bound on the distance of a point of the shapes from `p`.
+    pub(crate) fn reach_from(&self, p: &Point3<f64>) -> f64 {
+        if self.geoms.is_empty() { 0.0 } else { (self.center - p.coords).norm() + self.radius }
+    }
+}

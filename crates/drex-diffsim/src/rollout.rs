@@ -1,0 +1,144 @@
+//! Many steps: motions recorded at chosen times.
+
+use drex_core::Pose;
+use nalgebra::{Translation3, Vector3};
+use rayon::prelude::*;
+
+use crate::math::exp;
+use crate::{Body, BodyState, Model, Result, Scalar, Scene, SimError, State, Workspace, pairs, step};
+
+/// The motion of everything at chosen times.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Record<T: Scalar> {
+    /// The times asked for, seconds.
+    pub times_s: Vec<f64>,
+    /// One track per body of the model.
+    pub bodies: Vec<Track<T>>,
+    /// One table per articulation: joint coordinates per time.
+    pub joints: Vec<Vec<Vec<T>>>,
+    /// The state after the last time.
+    pub last: State<T>,
+}
+
+/// The motion of a body's frame.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Track<T: Scalar> {
+    /// Poses in the world, one per time.
+    pub poses: Vec<Pose<T>>,
+    /// Velocity of the frame's origin in the world, m/s.
+    pub velocities: Vec<Vector3<T>>,
+    /// Angular velocity in the world, rad/s.
+    pub angular_velocities: Vec<Vector3<T>>,
+}
+
+/// Steps from `start` and records everything at `times_s` (increasing, seconds of the state's clock; times before the
+/// start give the start). Between two steps everything moves at the constant velocity of that step.
+///
+/// # Errors
+/// For a model, scene or start that cannot be simulated, times that decrease, and motion that diverges.
+pub fn rollout<T: Scalar>(model: &Model<T>, scene: &Scene<T>, start: &State<T>, times_s: &[f64]) -> Result<Record<T>> {
+    let mut work = Workspace::default();
+    check(model, scene, start, times_s, &mut work)?;
+    let mut state = start.clone();
+    let n = times_s.len();
+    let track = || Track {
+        poses: Vec::with_capacity(n),
+        velocities: Vec::with_capacity(n),
+        angular_velocities: Vec::with_capacity(n),
+    };
+    let mut bodies: Vec<Track<T>> = model.bodies.iter().map(|_| track()).collect();
+    let mut joints: Vec<Vec<Vec<T>>> = model.arms.iter().map(|_| Vec::with_capacity(n)).collect();
+    let mut previous = state.clone();
+    // Step times are counted, not summed, so that they do not drift against the times of the samples.
+    let mut steps = 0_u64;
+    for &t in times_s {
+        while state.time_s < t - 1e-12 {
+            previous.clone_from(&state);
+            step(model, scene, &mut state, &mut work)?;
+            steps += 1;
+            state.time_s = start.time_s + steps as f64 * model.dt_s;
+        }
+        let since = T::lift(if steps == 0 { 0.0 } else { (t - previous.time_s).clamp(0.0, model.dt_s) });
+        for ((track, body), (a, b)) in
+            bodies.iter_mut().zip(&model.bodies).zip(previous.bodies.iter().zip(&state.bodies))
+        {
+            let moved = between(body, a, b, since);
+            let arm = moved.rotation * body.center_of_mass.coords;
+            track.poses.push(moved);
+            track.velocities.push(b.velocity - b.angular_velocity.cross(&arm));
+            track.angular_velocities.push(b.angular_velocity);
+        }
+        for (table, (a, b)) in joints.iter_mut().zip(previous.arms.iter().zip(&state.arms)) {
+            table.push(a.q.iter().zip(&b.velocities).map(|(q, u)| *q + *u * since).collect());
+        }
+    }
+    Ok(Record { times_s: times_s.to_vec(), bodies, joints, last: state })
+}
+
+/// One rollout to be done.
+#[derive(Debug, Clone)]
+pub struct Job<T: Scalar> {
+    /// What is simulated.
+    pub model: Model<T>,
+    /// Where.
+    pub scene: Scene<T>,
+    /// From where.
+    pub start: State<T>,
+}
+
+/// Rollouts side by side on all threads of the current rayon pool; results in the order of the jobs, the same bytes
+/// with any number of threads.
+pub fn rollout_batch<T: Scalar + Send + Sync>(jobs: &[Job<T>], times_s: &[f64]) -> Vec<Result<Record<T>>> {
+    jobs.par_iter().map(|job| rollout(&job.model, &job.scene, &job.start, times_s)).collect()
+}
+
+/// The pose `since` seconds after `a` on the way to `b`, at the velocity of the step between.
+fn between<T: Scalar>(body: &Body<T>, a: &BodyState<T>, b: &BodyState<T>, since: T) -> Pose<T> {
+    let rotation = exp(&(b.angular_velocity * since)) * a.world_from_body.rotation;
+    let com = a.world_from_body * body.center_of_mass + b.velocity * since;
+    Pose::from_parts(Translation3::from(com.coords - rotation * body.center_of_mass.coords), rotation)
+}
+
+fn check<T: Scalar>(
+    model: &Model<T>,
+    scene: &Scene<T>,
+    start: &State<T>,
+    times_s: &[f64],
+    work: &mut Workspace<T>,
+) -> Result<()> {
+    model.check()?;
+    scene.check()?;
+    if let Some(i) = (0..times_s.len()).find(|&i| !times_s[i].is_finite() || (i > 0 && times_s[i] < times_s[i - 1])) {
+        return Err(SimError::Series {
+            what: format!("record time {i} ({} s) is not finite or before its predecessor", times_s[i]),
+            remedy: "sort the times".into(),
+        });
+    }
+    for (what, given, needed) in
+        [("bodies", start.bodies.len(), model.bodies.len()), ("articulations", start.arms.len(), model.arms.len())]
+    {
+        if given != needed {
+            return Err(SimError::Series {
+                what: format!("the model has {needed} {what} but the state {given}"),
+                remedy: "give one state each".into(),
+            });
+        }
+    }
+    for (i, s) in start.bodies.iter().enumerate() {
+        let pose = s.world_from_body.translation.vector.iter().chain(s.world_from_body.rotation.coords.iter());
+        if pose.chain(s.velocity.iter()).chain(s.angular_velocity.iter()).any(|x| !x.value().is_finite()) {
+            return Err(SimError::NotFinite { what: format!("body {i}: the start state") });
+        }
+    }
+    for (arm, s) in model.arms.iter().zip(&start.arms) {
+        arm.check_state(s)?;
+    }
+    for (i, force) in scene.forces.iter().enumerate() {
+        pairs::check_part(model, force.on, || format!("force {i}"))?;
+    }
+    crate::sim::begin(model, scene, start, work, model.dt_s)?;
+    pairs::check_shapes(model, scene, start, work)?;
+    pairs::check_start(model, scene, start, work)
+}

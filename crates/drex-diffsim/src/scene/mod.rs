@@ -1,0 +1,149 @@
+//! What acts on the bodies: gravity, fixed and moving surroundings, applied forces, controls of actuators.
+
+mod control;
+mod force;
+mod path;
+
+use std::sync::Arc;
+
+use drex_core::Pose;
+use nalgebra::{Point3, Translation3, Vector3};
+
+pub use control::Control;
+pub use force::{AppliedForce, ForcePoint};
+pub use path::{Motion, Path};
+
+use crate::collider::Collider;
+use crate::model::{Material, check_friction};
+use crate::{Geom, Result, Scalar, Shape, SimError};
+
+/// The surroundings of the bodies.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct Scene<T: Scalar> {
+    /// Gravity in the world, m/s².
+    pub gravity: Vector3<T>,
+    /// What does not move: the table, boxes, anything solid.
+    pub fixed: Vec<Fixed<T>>,
+    /// What moves along a prescribed path, whatever it meets.
+    pub movers: Vec<Mover<T>>,
+    /// Forces and torques over time.
+    pub forces: Vec<AppliedForce<T>>,
+    /// Controls of the actuators, one per articulation that has any.
+    pub controls: Vec<Control>,
+}
+
+/// Something solid that does not move.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct Fixed<T> {
+    /// Pose of its frame in the world.
+    pub world_from_body: Pose,
+    /// Shapes in its frame.
+    pub collider: Arc<Collider>,
+    /// Its surface.
+    pub material: Material<T>,
+}
+
+impl<T: Scalar> Fixed<T> {
+    /// Shapes at a pose.
+    pub fn new(world_from_body: Pose, collider: Arc<Collider>, friction: T) -> Self {
+        Self { world_from_body, collider, material: Material::new(friction) }
+    }
+
+    /// The plane z = `height_m`; everything below it is solid.
+    pub fn table(height_m: f64, friction: T) -> Self {
+        Self::new(Pose::translation(0.0, 0.0, height_m), Arc::new(Collider::plane()), friction)
+    }
+
+    /// A box along the world's axes: centre and half extents, metres.
+    ///
+    /// # Errors
+    /// If a half extent is not a positive number.
+    pub fn cuboid(center: Point3<f64>, half_m: Vector3<f64>, friction: T) -> Result<Self> {
+        let collider = Collider::new(&[Geom::new(Shape::Box { half_m })])?;
+        Ok(Self::new(Pose::translation(center.x, center.y, center.z), Arc::new(collider), friction))
+    }
+}
+
+/// Something solid on a prescribed path.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct Mover<T> {
+    /// Where it is, when.
+    pub path: Path,
+    /// Shapes in its frame.
+    pub collider: Arc<Collider>,
+    /// Its surface.
+    pub material: Material<T>,
+}
+
+impl<T: Scalar> Mover<T> {
+    /// Shapes along a path.
+    pub fn new(path: Path, collider: Arc<Collider>, friction: T) -> Self {
+        Self { path, collider, material: Material::new(friction) }
+    }
+
+    /// A sphere whose centre passes `centers` at `times_s`, linearly in between, at rest before and after.
+    ///
+    /// # Errors
+    /// If the numbers of samples differ, times do not increase or a number is not finite.
+    pub fn sphere(radius_m: f64, friction: T, times_s: &[f64], centers: &[Point3<f64>]) -> Result<Self> {
+        let poses: Vec<Pose> = centers.iter().map(|c| Translation3::from(c.coords).into()).collect();
+        let collider = Collider::new(&[Geom::new(Shape::Sphere { radius_m })])?;
+        Ok(Self::new(Path::linear(times_s, &poses)?, Arc::new(collider), friction))
+    }
+}
+
+impl<T: Scalar> Scene<T> {
+    /// Nothing but gravity of 9.81 m/s².
+    pub fn empty() -> Self {
+        Self {
+            gravity: Vector3::new(T::zero(), T::zero(), T::lift(-9.81)),
+            fixed: Vec::new(),
+            movers: Vec::new(),
+            forces: Vec::new(),
+            controls: Vec::new(),
+        }
+    }
+
+    /// A table at height zero under gravity of 9.81 m/s².
+    pub fn on_table(friction: T) -> Self {
+        Self { fixed: vec![Fixed::table(0.0, friction)], ..Self::empty() }
+    }
+
+    /// Checks gravity, poses and surfaces.
+    pub(crate) fn check(&self) -> Result<()> {
+        if self.gravity.iter().any(|x| !x.value().is_finite()) {
+            return Err(SimError::NotFinite { what: "gravity".into() });
+        }
+        for (i, f) in self.fixed.iter().enumerate() {
+            let pose = &f.world_from_body;
+            if pose.translation.vector.iter().chain(pose.rotation.coords.iter()).any(|x| !x.is_finite()) {
+                return Err(SimError::NotFinite { what: format!("the pose of fixed thing {i}") });
+            }
+            check_friction(&f.material, || format!("fixed thing {i}"))?;
+        }
+        self.movers.iter().enumerate().try_for_each(|(i, m)| check_friction(&m.material, || format!("mover {i}")))
+    }
+}
+
+/// One value per time, times that increase.
+pub(crate) fn check_series(what: &str, times_s: &[f64], values: usize) -> Result<()> {
+    if times_s.is_empty() || times_s.len() != values {
+        return Err(SimError::Series {
+            what: format!("{what}: {} times but {values} values", times_s.len()),
+            remedy: "give one value per time, at least one".into(),
+        });
+    }
+    if let Some(i) = (1..times_s.len()).find(|&i| times_s[i].is_nan() || times_s[i] <= times_s[i - 1]) {
+        return Err(SimError::Series {
+            what: format!("{what}: time {i} ({} s) is not after the one before", times_s[i]),
+            remedy: "sort the samples by time and drop repeated ones".into(),
+        });
+    }
+    if !(times_s[0].is_finite() && times_s[times_s.len() - 1].is_finite()) {
+        return Err(SimError::NotFinite { what: format!("a time of the {what}") });
+    }
+    Ok(())
+}

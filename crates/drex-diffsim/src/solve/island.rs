@@ -1,0 +1,349 @@
+//! Bodies and articulated trees that touch each other: one system of equations for all of them.
+//!
+//! M (u - ũ) - g = h Σ Jᵀ f(u) with the mass matrix M, contact laws on the velocities of contact points, and laws on
+//! single joints. Newton's method with the full coupling of friction to the normal force comes first; where it does not
+//! converge, the normal force in the friction bound is held fixed (the problem is then convex and Newton with a line
+//! search cannot fail) and brought up to date in an outer loop.
+
+use nalgebra::Vector3;
+
+use super::law::Law;
+use super::lu::Lu;
+use crate::Scalar;
+use crate::articulation::{Column, ScalarLaw};
+
+const ITERATIONS: usize = 25;
+const OUTER: usize = 12;
+/// Change of velocity, relative, below which an iteration has converged.
+const TOLERANCE: f64 = 1e-11;
+
+/// The equations of one step of one island.
+#[derive(Debug)]
+pub(crate) struct Island<T: Scalar> {
+    pub n: usize,
+    /// Mass matrix, n × n, row-major.
+    pub mass: Vec<T>,
+    /// Reference velocity ũ.
+    pub reference: Vec<T>,
+    /// Smooth impulse g.
+    pub impulse: Vec<T>,
+    /// Where Newton's method starts.
+    pub guess: Vec<f64>,
+    pub laws: Vec<Law<T>>,
+    /// End of each law's columns.
+    pub ends: Vec<usize>,
+    pub columns: Vec<Column<T>>,
+    /// Velocity and spin of prescribed supports, per law.
+    pub supports: Vec<(Vector3<T>, T)>,
+    pub scalars: Vec<ScalarLaw<T>>,
+}
+
+impl<T: Scalar> Default for Island<T> {
+    fn default() -> Self {
+        Self {
+            n: 0,
+            mass: Vec::new(),
+            reference: Vec::new(),
+            impulse: Vec::new(),
+            guess: Vec::new(),
+            laws: Vec::new(),
+            ends: Vec::new(),
+            columns: Vec::new(),
+            supports: Vec::new(),
+            scalars: Vec::new(),
+        }
+    }
+}
+
+/// Buffers of the solver and its answer.
+#[derive(Debug)]
+pub(crate) struct Solver<T: Scalar> {
+    values: Island<f64>,
+    matrix: Vec<f64>,
+    lu: Lu,
+    u: Vec<f64>,
+    step: Vec<f64>,
+    trial: Vec<f64>,
+    r: Vec<f64>,
+    trial_r: Vec<f64>,
+    columns: Vec<[f64; 8]>,
+    dual_r: Vec<T>,
+    /// Velocities at the end of the step.
+    pub velocities: Vec<T>,
+    /// Whether the last solve converged.
+    pub converged: bool,
+    /// Newton iterations of the last solve.
+    pub iterations: usize,
+}
+
+impl<T: Scalar> Default for Solver<T> {
+    fn default() -> Self {
+        Self {
+            values: Island::default(),
+            matrix: Vec::new(),
+            lu: Lu::default(),
+            u: Vec::new(),
+            step: Vec::new(),
+            trial: Vec::new(),
+            r: Vec::new(),
+            trial_r: Vec::new(),
+            columns: Vec::new(),
+            dual_r: Vec::new(),
+            velocities: Vec::new(),
+            converged: true,
+            iterations: 0,
+        }
+    }
+}
+
+impl<T: Scalar> Island<T> {
+    pub(crate) fn clear(&mut self) {
+        self.n = 0;
+        self.mass.clear();
+        self.reference.clear();
+        self.impulse.clear();
+        self.guess.clear();
+        self.laws.clear();
+        self.ends.clear();
+        self.columns.clear();
+        self.supports.clear();
+        self.scalars.clear();
+    }
+
+    fn columns_of(&self, law: usize) -> &[Column<T>] {
+        let start = if law == 0 { 0 } else { self.ends[law - 1] };
+        &self.columns[start..self.ends[law]]
+    }
+
+    /// Velocity and spin about the normal of contact `law` at velocities `u`.
+    pub(crate) fn relative(&self, law: usize, u: &[T]) -> (Vector3<T>, T) {
+        let (support, support_spin) = self.supports[law];
+        let (mut v, mut spin) = (-support, -support_spin);
+        let turning = self.laws[law].lever > 0.0;
+        for c in self.columns_of(law) {
+            v += c.linear * u[c.dof];
+            if turning {
+                spin += self.laws[law].normal.dot(&c.angular) * u[c.dof];
+            }
+        }
+        (v, spin)
+    }
+
+    /// M (u - ũ) - g - h Σ Jᵀ f(u).
+    fn residual(&self, u: &[T], dt: f64, out: &mut Vec<T>) {
+        let n = self.n;
+        let h = T::lift(dt);
+        out.clear();
+        for i in 0..n {
+            let mut sum = -self.impulse[i];
+            for (j, m) in self.mass[i * n..(i + 1) * n].iter().enumerate() {
+                if m.value() != 0.0 {
+                    sum += *m * (u[j] - self.reference[j]);
+                }
+            }
+            out.push(sum);
+        }
+        for law in &self.scalars {
+            out[law.dof] -= law.force(u[law.dof]) * h;
+        }
+        for (k, law) in self.laws.iter().enumerate() {
+            let (v, spin) = self.relative(k, u);
+            let f = law.reaction(&v, spin);
+            if f.mode == super::law::Mode::Open {
+                continue;
+            }
+            let (force, torque) = (f.force * h, f.torque * h);
+            for c in self.columns_of(k) {
+                out[c.dof] -= c.linear.dot(&force);
+                if law.lever > 0.0 {
+                    out[c.dof] -= c.angular.dot(&law.normal) * torque;
+                }
+            }
+        }
+    }
+
+    fn values_into(&self, out: &mut Island<f64>) {
+        let f = |v: &Vector3<T>| v.map(|x| x.value());
+        out.clear();
+        out.n = self.n;
+        out.mass.extend(self.mass.iter().map(Scalar::value));
+        out.reference.extend(self.reference.iter().map(Scalar::value));
+        out.impulse.extend(self.impulse.iter().map(Scalar::value));
+        out.guess.extend_from_slice(&self.guess);
+        out.laws.extend(self.laws.iter().map(Law::value));
+        out.ends.extend_from_slice(&self.ends);
+        out.columns.extend(
+            self.columns.iter().map(|c| Column { dof: c.dof, linear: f(&c.linear), angular: f(&c.angular) }),
+        );
+        out.supports.extend(self.supports.iter().map(|(v, s)| (f(v), s.value())));
+        out.scalars.extend(self.scalars.iter().map(ScalarLaw::value));
+    }
+}
+
+impl<T: Scalar> Solver<T> {
+    /// Finds the velocities at the end of the step.
+    pub(crate) fn solve(&mut self, island: &Island<T>, dt: f64) {
+        island.values_into(&mut self.values);
+        self.u.clear();
+        self.u.extend_from_slice(&island.guess);
+        self.iterations = 0;
+        self.converged = self.newton(dt, ITERATIONS) || self.lagged(dt);
+
+        // One more step with derivatives.
+        self.velocities.clear();
+        self.velocities.extend(self.u.iter().map(|&x| T::lift(x)));
+        if T::TANGENTS > 0 {
+            self.assemble(dt);
+            if self.lu.factor(island.n, &self.matrix) {
+                island.residual(&self.velocities, dt, &mut self.dual_r);
+                self.lu.solve_scalars(&mut self.dual_r);
+                for (u, r) in self.velocities.iter_mut().zip(&self.dual_r) {
+                    *u -= *r;
+                }
+            }
+        }
+    }
+
+    /// Newton's method with the full law. Steps that lead to a larger residual are cut after the first few.
+    fn newton(&mut self, dt: f64, iterations: usize) -> bool {
+        self.values.residual(&self.u, dt, &mut self.r);
+        for iteration in 0..iterations {
+            self.iterations += 1;
+            if !self.direction(dt) {
+                return false;
+            }
+            let before = self.merit(&self.r);
+            let mut length = 1.0;
+            self.try_step(length, dt);
+            while self.merit(&self.trial_r) > before && length > 0.02 && iteration > 2 {
+                length *= 0.5;
+                self.try_step(length, dt);
+            }
+            let change = length * norm(&self.step);
+            std::mem::swap(&mut self.u, &mut self.trial);
+            std::mem::swap(&mut self.r, &mut self.trial_r);
+            if change < TOLERANCE * (1.0 + norm(&self.u)) {
+                return true;
+            }
+        }
+        false
+    }
+
+    /// The outer loop over convex problems.
+    fn lagged(&mut self, dt: f64) -> bool {
+        self.u.clone_from(&self.values.guess);
+        for _ in 0..OUTER {
+            for k in 0..self.values.laws.len() {
+                let (v, _) = self.values.relative(k, &self.u);
+                let law = &mut self.values.laws[k];
+                law.lagged = Some((law.preload - law.kappa_n * v.dot(&law.normal)).max(0.0));
+            }
+            self.convex(dt);
+            for law in &mut self.values.laws {
+                law.lagged = None;
+            }
+            self.trial.clone_from(&self.u);
+            if self.newton(dt, 6) {
+                return true;
+            }
+            self.u.clone_from(&self.trial);
+        }
+        false
+    }
+
+    /// Newton's method on a convex problem: along each direction the residual's component is monotone, and its zero is
+    /// bracketed.
+    fn convex(&mut self, dt: f64) {
+        self.values.residual(&self.u, dt, &mut self.r);
+        for _ in 0..ITERATIONS {
+            self.iterations += 1;
+            if !self.direction(dt) {
+                return;
+            }
+            let (mut low, mut high, mut length) = (0.0, 1.0, 1.0);
+            for _ in 0..30 {
+                self.try_step(length, dt);
+                let slope = -dot(&self.trial_r, &self.step);
+                // Still downhill at the end of the full step is as good.
+                if slope <= 0.0 && length == 1.0 {
+                    break;
+                }
+                if slope > 0.0 { high = length } else { low = length }
+                if high - low < 0.1 * high && slope <= 0.0 {
+                    break;
+                }
+                length = 0.5 * (low + high);
+            }
+            let change = length * norm(&self.step);
+            std::mem::swap(&mut self.u, &mut self.trial);
+            std::mem::swap(&mut self.r, &mut self.trial_r);
+            if change < TOLERANCE * (1.0 + norm(&self.u)) {
+                return;
+            }
+        }
+    }
+
+    /// The Newton step at `u` for the residual `r`, into `step`.
+    fn direction(&mut self, dt: f64) -> bool {
+        self.assemble(dt);
+        if !self.lu.factor(self.values.n, &self.matrix) {
+            return false;
+        }
+        self.step.clone_from(&self.r);
+        self.lu.solve(&mut self.step);
+        self.step.iter().all(|x| x.is_finite())
+    }
+
+    fn try_step(&mut self, length: f64, dt: f64) {
+        self.trial.clear();
+        self.trial.extend(self.u.iter().zip(&self.step).map(|(u, s)| u - s * length));
+        self.values.residual(&self.trial, dt, &mut self.trial_r);
+    }
+
+    /// Size of a residual in the metric of the masses.
+    fn merit(&self, r: &[f64]) -> f64 {
+        let n = self.values.n;
+        r.iter().enumerate().map(|(i, x)| x * x / self.values.mass[i * n + i]).sum()
+    }
+
+    /// Derivative of the residual at `u`.
+    fn assemble(&mut self, dt: f64) {
+        let (n, island) = (self.values.n, &self.values);
+        self.matrix.clone_from(&island.mass);
+        for law in &island.scalars {
+            self.matrix[law.dof * n + law.dof] += law.stiffness(self.u[law.dof]) * dt;
+        }
+        for (k, law) in island.laws.iter().enumerate() {
+            let (v, spin) = island.relative(k, &self.u);
+            let Some(stiffness) = law.stiffness(&v, spin) else { continue };
+            let columns = island.columns_of(k);
+            // Per column: what its velocity does to the force, and to the torque about the normal.
+            self.columns.clear();
+            self.columns.extend(columns.iter().map(|c| {
+                let f = stiffness.force * c.linear * dt;
+                let turn = law.normal.dot(&c.angular);
+                let t = (stiffness.torque * turn + stiffness.coupling.dot(&c.linear)) * dt;
+                [f.x, f.y, f.z, t, turn, 0.0, 0.0, 0.0]
+            }));
+            let turning = law.lever > 0.0;
+            for (row, r) in columns.iter().zip(&self.columns) {
+                let start = row.dof * n;
+                for (column, c) in columns.iter().zip(&self.columns) {
+                    let mut x = row.linear.x * c[0] + row.linear.y * c[1] + row.linear.z * c[2];
+                    if turning {
+                        x += r[4] * c[3];
+                    }
+                    self.matrix[start + column.dof] += x;
+                }
+            }
+        }
+    }
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| x * y).sum()
+}
+
+fn norm(a: &[f64]) -> f64 {
+    dot(a, a).sqrt()
+}

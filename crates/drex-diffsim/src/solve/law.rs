@@ -1,0 +1,169 @@
+//! The law of one contact: force and torque by the velocity at the end of the step.
+//!
+//! Normal: k depth + c rate, never pulling. Friction: a spring that sticks, returned to the Coulomb cone when it slips
+//! (elastic predictor, return mapping), so that a loaded contact below the cone does not creep; a second spring resists
+//! turning about the normal. All are taken at the end of the step (implicit Euler), so that contact can be as stiff as
+//! rigid bodies are at any step.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::Scalar;
+
+/// Constants of one closed or closing contact in one step.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Law<T: Scalar> {
+    /// Out of the support, unit.
+    pub normal: Vector3<T>,
+    pub friction: T,
+    /// Normal force at zero velocity.
+    pub preload: T,
+    /// Loss of normal force per velocity.
+    pub kappa_n: T,
+    /// Stretch of the friction spring at the start of the step, world, tangential.
+    pub stretch: Vector3<T>,
+    pub k_t: T,
+    pub kappa_t: T,
+    /// Lever of the torsional friction: its bound is friction · lever · normal force. Zero: none.
+    pub lever: f64,
+    /// Angle of the torsional spring at the start of the step.
+    pub twist: T,
+    pub k_r: T,
+    pub kappa_r: T,
+    /// A normal force that bounds the friction in place of the contact's own: the law is then the gradient of a convex
+    /// function.
+    pub lagged: Option<f64>,
+}
+
+/// What a contact does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Mode {
+    Open,
+    Sticks,
+    Slips,
+}
+
+/// Force and torque of a contact on the body that the normal points into.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Reaction<T: Scalar> {
+    pub force: Vector3<T>,
+    /// About the normal.
+    pub torque: T,
+    pub mode: Mode,
+    /// Whether the torsional spring slips.
+    pub turns: bool,
+}
+
+/// Minus the derivative of a reaction by the velocity of the contact.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Stiffness {
+    /// Force by velocity.
+    pub force: Matrix3<f64>,
+    /// Torque by the spin about the normal.
+    pub torque: f64,
+    /// Torque by velocity.
+    pub coupling: Vector3<f64>,
+}
+
+impl<T: Scalar> Law<T> {
+    pub(crate) fn value(&self) -> Law<f64> {
+        let f = |v: &Vector3<T>| v.map(|x| x.value());
+        Law {
+            normal: f(&self.normal),
+            friction: self.friction.value(),
+            preload: self.preload.value(),
+            kappa_n: self.kappa_n.value(),
+            stretch: f(&self.stretch),
+            k_t: self.k_t.value(),
+            kappa_t: self.kappa_t.value(),
+            lever: self.lever,
+            twist: self.twist.value(),
+            k_r: self.k_r.value(),
+            kappa_r: self.kappa_r.value(),
+            lagged: self.lagged,
+        }
+    }
+
+    /// Reaction at relative velocity `u` (world) and relative spin about the normal.
+    pub(crate) fn reaction(&self, u: &Vector3<T>, spin: T) -> Reaction<T> {
+        let rate = u.dot(&self.normal);
+        let normal = self.preload - self.kappa_n * rate;
+        if normal.value() <= 0.0 {
+            return Reaction { force: Vector3::zeros(), torque: T::zero(), mode: Mode::Open, turns: false };
+        }
+        let trial = self.trial(u, rate);
+        let (size2, bound) = (trial.norm_squared(), self.friction * self.lagged.map_or(normal, T::lift));
+        let (tangential, mode) = if size2.value() > (bound * bound).value() {
+            (trial * (bound / size2.sqrt()), Mode::Slips)
+        } else {
+            (trial, Mode::Sticks)
+        };
+        let (mut torque, mut turns) = (T::zero(), false);
+        if self.lever > 0.0 {
+            torque = -(self.twist * self.k_r + spin * self.kappa_r);
+            let bound = bound * T::lift(self.lever);
+            if torque.value().abs() > bound.value() {
+                torque = if torque.value() > 0.0 { bound } else { -bound };
+                turns = true;
+            }
+        }
+        Reaction { force: self.normal * normal + tangential, torque, mode, turns }
+    }
+
+    /// The springs at the end of the step: dragged along while they stick, on their bound while they slip, gone when
+    /// the contact carries nothing.
+    pub(crate) fn springs(&self, u: &Vector3<T>, spin: T, dt: f64) -> (Vector3<T>, T) {
+        let r = self.reaction(u, spin);
+        let h = T::lift(dt);
+        let stretch = match r.mode {
+            Mode::Open => return (Vector3::zeros(), T::zero()),
+            Mode::Slips => (r.force - self.normal * r.force.dot(&self.normal)) * (-T::one() / self.k_t),
+            Mode::Sticks => self.stretch + (u - self.normal * u.dot(&self.normal)) * h,
+        };
+        let twist = match (self.lever > 0.0, r.turns) {
+            (false, _) => T::zero(),
+            (true, true) => -r.torque / self.k_r,
+            (true, false) => self.twist + spin * h,
+        };
+        (stretch, twist)
+    }
+
+    fn trial(&self, u: &Vector3<T>, rate: T) -> Vector3<T> {
+        -(self.stretch * self.k_t + (u - self.normal * rate) * self.kappa_t)
+    }
+}
+
+impl Law<f64> {
+    /// How the reaction changes with the velocity; nothing where the contact carries nothing.
+    pub(crate) fn stiffness(&self, u: &Vector3<f64>, spin: f64) -> Option<Stiffness> {
+        let n = &self.normal;
+        let rate = u.dot(n);
+        let normal = self.preload - self.kappa_n * rate;
+        if normal <= 0.0 {
+            return None;
+        }
+        let along = n * n.transpose();
+        let across = Matrix3::identity() - along;
+        let trial = self.trial(u, rate);
+        let (size, bound) = (trial.norm(), self.friction * self.lagged.unwrap_or(normal));
+        // How fast the bound of the friction falls with the rate.
+        let fall = if self.lagged.is_some() { 0.0 } else { self.friction * self.kappa_n };
+        let force = if size > bound {
+            let t = trial / size;
+            along * self.kappa_n
+                + t * n.transpose() * fall
+                + (across - t * t.transpose()) * (bound / size * self.kappa_t)
+        } else {
+            along * self.kappa_n + across * self.kappa_t
+        };
+        let (mut torque, mut coupling) = (0.0, Vector3::zeros());
+        if self.lever > 0.0 {
+            let trial = -(self.twist * self.k_r + spin * self.kappa_r);
+            if trial.abs() > bound * self.lever {
+                coupling = n * (trial.signum() * self.lever * fall);
+            } else {
+                torque = self.kappa_r;
+            }
+        }
+        Some(Stiffness { force, torque, coupling })
+    }
+}
