@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use drex_core::{MassProperties, Pose};
 use drex_diffsim::{
-    Articulation, Base, BasePath, Body, Collider, Control, Geom, Model, Part, Result, Scene, Shape, State, Workspace, step,
+    ActuatorKind, Articulation, Base, BasePath, Body, Collider, Control, Geom, Model, Part, Result, Scene, Shape, State, Workspace, step,
 };
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
@@ -34,6 +34,11 @@ const YAW: f64 = -0.1186;
 /// Half extents of the box, metres, and the height of the contacts over the table.
 const HALF: Vector3<f64> = Vector3::new(0.025, 0.04, 0.04);
 const CONTACT_HEIGHT_M: f64 = 0.05;
+/// Stiffness and damping of the position drives, N m/rad and N m s/rad.
+const STIFFNESS: f64 = 3.0;
+const DAMPING: f64 = 0.05;
+/// How far the fingers are open at the start, rad.
+const OPEN: [(&str, f64); 3] = [("if_mcp", -0.06), ("mf_mcp", -0.06), ("th_mcp", -0.06)];
 const G: f64 = 9.81;
 
 /// A pick to be simulated.
@@ -82,6 +87,7 @@ pub fn scene(pick: &Pick) -> Result<(Model<f64>, Scene<f64>, State<f64>)> {
     let mut hand = Articulation::new(Arc::clone(&robot), Base::Path(lift))?.with_friction(pick.friction);
     for drive in &mut hand.actuators {
         drive.force_range = Some((-pick.cap_nm, pick.cap_nm));
+        drive.kind = ActuatorKind::Position { kp: STIFFNESS, kv: DAMPING };
     }
     let q = robot.joint_vector(GRASP).map_err(|e| drex_diffsim::SimError::Series {
         what: e.to_string(),
@@ -101,13 +107,18 @@ pub fn scene(pick: &Pick) -> Result<(Model<f64>, Scene<f64>, State<f64>)> {
     model.dt_s = pick.dt_s;
     let mut scene = Scene::on_table(pick.friction);
     scene.controls.push(control);
-    let arm = model.arms[0].at_rest(&q, 0.0)?;
+    let mut open = q;
+    for (name, angle) in OPEN {
+        open[model.arms[0].joint_index(name)?] += angle;
+    }
+    let arm = model.arms[0].at_rest(&open, 0.0)?;
     let mut start = State::at_rest(pose);
     start.arms.push(arm);
     Ok((model, scene, start))
 }
 
-/// Commands of the position drives that make the fingertips press with the squeeze: q + (Jᵀ f + gravity)/kp.
+/// Commands of the position drives that make the fingertips press with the squeeze and carry the box, half of it on each
+/// side: q + (Jᵀ f + gravity)/kp.
 fn commands(hand: &Articulation<f64>, q: &[f64], pick: &Pick, world_from_base: &Pose) -> Vec<f64> {
     let robot = &hand.robot;
     let poses = robot.forward_kinematics(q, world_from_base);
@@ -116,19 +127,14 @@ fn commands(hand: &Articulation<f64>, q: &[f64], pick: &Pick, world_from_base: &
     let mut torque: Vec<f64> = robot.gravity_torque(q, &Vector3::new(0.0, 0.0, -G)).iter().copied().collect();
     for (finger, share) in [("thumb", 1.0), ("index", -0.5), ("middle", -0.5)] {
         if let Some(f) = robot.fingers().iter().find(|f| f.name == finger) {
-            let pad = poses[f.tip_link] * (Point3::new(-0.00085, 0.0097, 0.0));
+            let pad = poses[f.tip_link] * Point3::new(-0.00085, 0.0097, 0.0);
             let (linear, _) = robot.jacobian(&poses, f.tip_link, &pad);
-            let tau = linear.transpose() * (out * (squeeze * share));
+            let weight: f64 = 0.5 * pick.mass_kg * G * share;
+            let tau = linear.transpose() * (out * (squeeze * share) + Vector3::z() * weight.abs());
             torque.iter_mut().zip(tau.iter()).for_each(|(t, x)| *t += x);
         }
     }
-    hand.actuators
-        .iter()
-        .map(|a| match a.kind {
-            drex_diffsim::ActuatorKind::Position { kp, .. } => q[a.joint] + torque[a.joint] / kp,
-            _ => torque[a.joint],
-        })
-        .collect()
+    hand.actuators.iter().map(|a| q[a.joint] + torque[a.joint] / STIFFNESS).collect()
 }
 
 /// Runs a pick.
@@ -161,10 +167,8 @@ pub fn run(pick: &Pick) -> Result<Outcome> {
     let thumb = model.arms[0].robot.fingers().iter().find(|f| f.is_thumb).map(|f| f.links.clone()).unwrap_or_default();
     let of_thumb = |p: Part| matches!(p, Part::Link { link, .. } if thumb.contains(&(link as usize)));
     let thumb_n = work.contacts().filter(|c| of_thumb(c.key.b)).map(|c| c.force.dot(&c.normal)).sum();
-    let torque_nm = model.arms[0].actuators.iter().zip(scene.controls[0].at(0.0)).map(|(a, c)| match a.kind {
-        drex_diffsim::ActuatorKind::Position { kp, .. } => (kp * (c - state.arms[0].q[a.joint])).abs(),
-        _ => 0.0,
-    });
+    let drives = model.arms[0].actuators.iter().zip(scene.controls[0].at(0.0));
+    let torque_nm = drives.map(|(a, c)| (STIFFNESS * (c - state.arms[0].q[a.joint])).abs());
     Ok(Outcome {
         height_m: state.bodies[0].world_from_body.translation.z - HALF.z,
         slip_lift_m: slips[1],

@@ -23,9 +23,9 @@ impl<T: Scalar> Articulation<T> {
     ) {
         let first = self.base_dof();
         let joints = &u[first..];
-        // A friction spring keeps what it carries: it stretches while it sticks and is dragged along while it slips.
         for law in laws.iter().filter(|law| law.kind == LawKind::Friction) {
-            state.friction[law.joint] = law.force(joints[law.joint]) * T::lift(-h) / law.kappa;
+            let (j, stretch) = (law.joint, &mut state.friction[law.joint]);
+            *stretch = self.joints[j].friction_stretch(law, *stretch, joints[j], h);
         }
         let h_t = T::lift(h);
         for (j, &rate) in joints.iter().enumerate() {

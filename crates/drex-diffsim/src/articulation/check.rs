@@ -21,13 +21,15 @@ impl<T: Scalar> Articulation<T> {
             let finite = m.center_of_mass.iter().chain(m.inertia.iter()).all(|x| x.value().is_finite());
             let inertia = m.inertia.map(|x| x.value());
             if !(finite && mass.is_finite() && mass >= 0.0)
+                || (inertia - inertia.transpose()).amax() > 1e-9 * inertia.norm()
                 || SymmetricEigen::new(inertia).eigenvalues.min() < -1e-9 * inertia.norm()
             {
                 return Err(SimError::Joint {
                     robot: self.robot.name.clone(),
                     joint: format!("link {}", link.name),
                     what: format!("mass {mass} kg, inertia {:?} are no rigid body's", inertia.as_slice()),
-                    remedy: "give finite numbers, no negative mass and no negative moment of inertia".into(),
+                    remedy: "give finite numbers, no negative mass, and a symmetric inertia without negative moments"
+                        .into(),
                 });
             }
         }

@@ -1,7 +1,7 @@
 //! What acts inside joints: drives, damping, dry friction, limits. All of it is taken at the end of the step, as a force
 //! that never grows with the velocity, so that the step can be solved however stiff it is.
 
-use super::{ActuatorKind, ActuatorParams, ArmState, Articulation, TreeWork};
+use super::{ActuatorKind, ActuatorParams, ArmState, Articulation, JointParams, TreeWork};
 use crate::Scalar;
 
 /// Natural frequency of a joint on its stop, rad/s: it gives by torque / (inertia ω²).
@@ -88,9 +88,9 @@ impl<T: Scalar> Articulation<T> {
                 put(none, p.damping, -open, open, LawKind::Damping);
             }
             if p.friction_loss.value() > 0.0 {
-                let k = p.friction_loss / T::lift(p.presliding);
+                let (k, damping) = p.friction_spring(work.joints[joint].inertia);
                 let bound = p.friction_loss;
-                put(-k * state.friction[joint], k * T::lift(h), -bound, bound, LawKind::Friction);
+                put(-k * state.friction[joint], k * T::lift(h) + damping, -bound, bound, LawKind::Friction);
             }
             let Some((lo, hi)) = p.limits else { continue };
             let (q, reach) = (state.q[joint], LIMIT_MARGIN.max(2.0 * h * state.velocities[joint].value().abs()));
@@ -129,6 +129,29 @@ impl<T: Scalar> Articulation<T> {
                 high,
                 kind: LawKind::Actuator(i),
             });
+        }
+    }
+}
+
+impl<T: Scalar> JointParams<T> {
+    /// Stiffness and damping of the spring that dry friction is while it sticks; critically damped with the inertia that
+    /// the joint moves alone. The stiffness does not depend on configuration or step, so that what the spring carries
+    /// does not change while it stands still.
+    fn friction_spring(&self, inertia: T) -> (T, T) {
+        let k = self.friction_loss / T::lift(self.presliding);
+        (k, (k * inertia).sqrt() * T::lift(2.0))
+    }
+
+    /// The stretch of that spring at the end of a step at velocity `u`, from `stretch`: it grows while it sticks, and is
+    /// dragged along at its bound while it slips.
+    pub(super) fn friction_stretch(&self, law: &ScalarLaw<T>, stretch: T, u: T, h: f64) -> T {
+        let f = law.preload - law.kappa * u;
+        if f.value() < law.low.value() {
+            T::lift(self.presliding)
+        } else if f.value() > law.high.value() {
+            T::lift(-self.presliding)
+        } else {
+            stretch + u * T::lift(h)
         }
     }
 }

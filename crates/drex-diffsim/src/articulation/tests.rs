@@ -1,1 +1,0 @@
-//! Trees against an independent implementation, closed forms, finite differences and conservation.
