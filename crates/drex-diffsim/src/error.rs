@@ -80,4 +80,12 @@ pub enum SimError {
         /// What to do.
         remedy: String,
     },
+    /// A shape that no body can have.
+    #[error("{what}; {remedy}")]
+    Shape {
+        /// What is wrong.
+        what: String,
+        /// What to do.
+        remedy: String,
+    },
 }

@@ -31,21 +31,23 @@
 //! mass in the world. Derivatives are those of the branch that the values take: at the instant a contact opens, closes
 //! or begins to slip, the motion has a kink, and its derivative is the one-sided one.
 
+#[allow(dead_code)] // what finds contact between bodies
+mod collide;
 mod contact;
 mod error;
-mod hull;
 mod math;
 mod model;
 mod response;
 mod scalar;
 mod scene;
+mod shape;
 mod sim;
 
 pub use error::{Result, SimError};
-pub use hull::ConvexPiece;
 pub use model::{Anchor, Body, BodyState, ContactOptions, Model, State};
 pub use scalar::{Dual, Scalar, parameter, tangents};
 pub use scene::{AppliedForce, FixedBox, ForcePoint, Pusher, Scene, Table};
+pub use shape::{ConvexPiece, Geom, SdfShape, Shape, SurfacePoints};
 pub use sim::{Record, Workspace, rollout, step};
 
 #[cfg(doctest)]

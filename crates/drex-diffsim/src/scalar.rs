@@ -9,6 +9,8 @@ pub type Dual<const N: usize> = DualSVec64<N>;
 
 /// What the simulator asks of a number beyond [`drex_core::Real`].
 pub trait Scalar: drex_core::Real {
+    /// Number of derivatives that it carries; none for `f64`.
+    const TANGENTS: usize;
     /// The value without derivatives.
     fn value(&self) -> f64;
     /// A constant.
@@ -18,6 +20,7 @@ pub trait Scalar: drex_core::Real {
 }
 
 impl Scalar for f64 {
+    const TANGENTS: usize = 0;
     fn value(&self) -> f64 {
         *self
     }
@@ -27,6 +30,7 @@ impl Scalar for f64 {
 }
 
 impl<const N: usize> Scalar for Dual<N> {
+    const TANGENTS: usize = N;
     fn value(&self) -> f64 {
         self.re
     }

@@ -1,0 +1,263 @@
+//! Two convex polyhedra: the direction in which they overlap least, among the normals of faces and the cross products of
+//! edges (separating axis theorem, with the Gauss map to tell which edges can meet; D. Gregorius, "The separating axis
+//! test between convex polyhedra", GDC 2013).
+
+use nalgebra::Vector3;
+
+use super::feature::{Feature, Frame, Line, Plane, Side, Touch};
+use super::geom::Poly;
+use super::manifold::Half;
+use super::{CollideWork, Pair};
+
+/// Edges whose angle has a smaller sine are parallel: the normals of faces stand for them.
+const PARALLEL: f64 = 1e-3;
+/// Cosine of the angle within which an edge lies flat on a face and touches it at both ends.
+const FLAT_COS: f64 = 0.9994;
+/// Overlaps that differ by less (relatively) are alike; the face of larger area is taken then.
+const ALIKE: f64 = 0.02;
+
+/// Buffers of the search.
+#[derive(Debug, Default)]
+pub(crate) struct Buffers {
+    vertices: Vec<Vector3<f64>>,
+    planes: Vec<Plane>,
+    edges: [Vec<Near>; 2],
+}
+
+/// An edge near the overlap, in the frame of the first body.
+#[derive(Debug, Clone, Copy)]
+struct Near {
+    index: u32,
+    start: Vector3<f64>,
+    along: Vector3<f64>,
+    /// Box around it.
+    lo: Vector3<f64>,
+    hi: Vector3<f64>,
+    /// Normals of its faces, and their cross product.
+    n: [Vector3<f64>; 2],
+    arc: Vector3<f64>,
+}
+
+/// A direction from the first to the second, and how far they are apart along it (negative: they overlap).
+#[derive(Debug, Clone, Copy)]
+struct Axis {
+    gap: f64,
+    normal: Vector3<f64>,
+    face: u32,
+}
+
+impl Pair<'_> {
+    /// Sites: the vertices of the polyhedron with more of them, those of the other, then pairs of edges.
+    pub fn poly_poly(&mut self, a: &Poly, b: &Poly, work: &mut CollideWork) {
+        // The smaller one is moved into the frame of the larger one.
+        if a.vertices.len() >= b.vertices.len() {
+            let frame = self.a_from_b;
+            self.polys(a, b, &frame, [Side::A, Side::B], work);
+        } else {
+            let frame = self.a_from_b.inverse();
+            self.polys(b, a, &frame, [Side::B, Side::A], work);
+        }
+    }
+
+    fn polys(&mut self, p: &Poly, q: &Poly, p_from_q: &Frame<f64>, on: [Side; 2], work: &mut CollideWork) {
+        let margin = self.margin;
+        if boxes_gap(p, q, p_from_q) > margin {
+            return;
+        }
+        let Buffers { vertices, planes, edges } = &mut work.sat;
+        vertices.clear();
+        vertices.extend(q.vertices.iter().map(|v| p_from_q.point(v)));
+        planes.clear();
+        planes.extend(q.planes.iter().map(|plane| p_from_q.plane(plane)));
+        let Some(on_p) = best_face(&p.planes, vertices, &p_from_q.point(&q.middle), margin) else { return };
+        let Some(on_q) = best_face(planes, &p.vertices, &p.middle, margin) else { return };
+        let on_q = Axis { normal: -on_q.normal, ..on_q };
+        let widest = if on_p.gap >= on_q.gap { &on_p } else { &on_q };
+        let alike = ALIKE * widest.gap.abs() + 1e-7 * p.half.norm().min(q.half.norm());
+        let q_half = Half { poly: q, vertices, planes, frame: *p_from_q, on: on[1], first_site: p.vertices.len() as u32 };
+        let p_half = Half {
+            poly: p,
+            vertices: &p.vertices,
+            planes: &p.planes,
+            frame: Frame { r: nalgebra::Matrix3::identity(), p: Vector3::zeros() },
+            on: on[0],
+            first_site: 0,
+        };
+        near_edges(&p_half, &q_half, widest, margin, edges);
+        let crossing = best_edges(edges, [&p.vertices, vertices], widest.gap + alike);
+        if let Some((axis, i, j)) = crossing {
+            if axis.gap > margin {
+                return;
+            }
+            let (e, f) = (&edges[0][i], &edges[1][j]);
+            let faces = [(e.n[0], 0, 0), (e.n[1], 0, 1), (-f.n[0], 1, 0), (-f.n[1], 1, 1)];
+            let flattest = faces.into_iter().max_by(|a, b| a.0.dot(&axis.normal).total_cmp(&b.0.dot(&axis.normal)));
+            let (e_index, f_index) = (e.index, f.index);
+            if let Some((n, side, k)) = flattest
+                && n.dot(&axis.normal) > FLAT_COS
+            {
+                let start = self.out.len();
+                let deepest = if side == 0 {
+                    let face = p.edges[e_index as usize].faces[k];
+                    self.manifold(&p_half, &q_half, face, false, &mut work.spots)
+                } else {
+                    let face = q.edges[f_index as usize].faces[k];
+                    self.manifold(&q_half, &p_half, face, false, &mut work.spots)
+                };
+                if deepest >= -0.5 * axis.gap - alike {
+                    return;
+                }
+                self.out.truncate(start);
+            }
+            let line = |poly: &Poly, edge: u32| {
+                let edge = &poly.edges[edge as usize];
+                Line { origin: *poly.vertex(edge.ends[0]), along: edge.along, radius: 0.0 }
+            };
+            let (line, other) = (line(p, e_index), line(q, f_index));
+            // The normal of the contact points from the second towards the first.
+            let sign = if edges[0][i].along.cross(&edges[1][j].along).dot(&axis.normal) < 0.0 { 1.0 } else { -1.0 };
+            let site = (p.vertices.len() + q.vertices.len()) as u32 + e_index * q.edges.len() as u32 + f_index;
+            self.out.push(Touch::new(site, Feature::LineLine { on: on[0], line, other, sign }));
+            return;
+        }
+        let p_is_reference = if (on_p.gap - on_q.gap).abs() <= alike {
+            p.areas[on_p.face as usize] >= q.areas[on_q.face as usize] * (1.0 - 1e-9)
+        } else {
+            on_p.gap > on_q.gap
+        };
+        if p_is_reference {
+            self.manifold(&p_half, &q_half, on_p.face, true, &mut work.spots);
+        } else {
+            self.manifold(&q_half, &p_half, on_q.face, true, &mut work.spots);
+        }
+    }
+}
+
+/// How far the bounding boxes are apart, at the best of the directions of their sides.
+fn boxes_gap(p: &Poly, q: &Poly, p_from_q: &Frame<f64>) -> f64 {
+    let turned = p.axes.tr_mul(&p_from_q.r) * q.axes;
+    let between = p.axes.tr_mul(&(p_from_q.point(&q.middle) - p.middle));
+    let size = turned.abs();
+    let along_p = between.abs() - p.half - size * q.half;
+    let along_q = turned.tr_mul(&between).abs() - q.half - size.tr_mul(&p.half);
+    along_p.max().max(along_q.max())
+}
+
+/// The face plane that all `vertices` are farthest in front of; `None` if farther than `margin`. `hint` is a point amid
+/// the vertices.
+fn best_face(planes: &[Plane], vertices: &[Vector3<f64>], hint: &Vector3<f64>, margin: f64) -> Option<Axis> {
+    let lowest = |n: &Vector3<f64>| {
+        let mut best = (f64::INFINITY, 0);
+        for (i, v) in vertices.iter().enumerate() {
+            let height = n.dot(v);
+            if height < best.0 {
+                best = (height, i);
+            }
+        }
+        best
+    };
+    let front = |f: &usize| planes[*f].0.dot(hint) - planes[*f].1;
+    let first = (0..planes.len()).max_by(|i, j| front(i).total_cmp(&front(j)))?;
+    let (height, v) = lowest(&planes[first].0);
+    let mut best = Axis { gap: height - planes[first].1, normal: planes[first].0, face: first as u32 };
+    let mut witness = [vertices[v], *hint];
+    for (f, (n, d)) in planes.iter().enumerate() {
+        if best.gap > margin {
+            return None;
+        }
+        // Any point of the other body bounds the gap from above.
+        if witness.iter().any(|w| n.dot(w) - d <= best.gap) {
+            continue;
+        }
+        let (height, v) = lowest(n);
+        witness = [vertices[v], witness[0]];
+        if height - d > best.gap {
+            best = Axis { gap: height - d, normal: *n, face: f as u32 };
+        }
+    }
+    (best.gap <= margin).then_some(best)
+}
+
+/// The edges of both that can carry an overlap not larger than that along `axis`.
+fn near_edges(p: &Half<'_>, q: &Half<'_>, axis: &Axis, margin: f64, out: &mut [Vec<Near>; 2]) {
+    let reach = (-axis.gap).max(0.0) + margin + 1e-9 * p.poly.half.max();
+    let n = &axis.normal;
+    let extent = |v: &[Vector3<f64>]| {
+        v.iter().fold((v[0], v[0], n.dot(&v[0]), n.dot(&v[0])), |(lo, hi, least, most), x| {
+            (lo.inf(x), hi.sup(x), least.min(n.dot(x)), most.max(n.dot(x)))
+        })
+    };
+    let (p_lo, p_hi, _, p_most) = extent(p.vertices);
+    let (q_lo, q_hi, q_least, _) = extent(q.vertices);
+    let (lo, hi) = (p_lo.sup(&q_lo).add_scalar(-reach), p_hi.inf(&q_hi).add_scalar(reach));
+    // Where they meet, the first is no farther than `reach` from the second, and the other way round.
+    let slab = [(q_least - reach, 1.0), (-(p_most + reach), -1.0)];
+    for ((half, (least, sign)), out) in [p, q].into_iter().zip(slab).zip(out) {
+        out.clear();
+        for (index, edge) in half.poly.edges.iter().enumerate() {
+            let [v, w] = edge.ends.map(|i| half.vertices[i as usize]);
+            if sign * n.dot(&v) < least && sign * n.dot(&w) < least {
+                continue;
+            }
+            let (from, to) = (v.inf(&w).add_scalar(-0.5 * reach), v.sup(&w).add_scalar(0.5 * reach));
+            if (0..3).any(|k| from[k] > hi[k] || to[k] < lo[k]) {
+                continue;
+            }
+            let normals = edge.faces.map(|f| half.planes[f as usize].0);
+            out.push(Near {
+                index: index as u32,
+                start: v,
+                along: half.frame.direction(&edge.along),
+                lo: from,
+                hi: to,
+                n: normals,
+                arc: normals[1].cross(&normals[0]),
+            });
+        }
+    }
+}
+
+/// The pair of edges whose cross product separates the most, if it does so by more than `least`.
+fn best_edges(
+    edges: &[Vec<Near>; 2],
+    vertices: [&[Vector3<f64>]; 2],
+    least: f64,
+) -> Option<(Axis, usize, usize)> {
+    let mut best: Option<(Axis, usize, usize)> = None;
+    let mut least = least;
+    for (i, e) in edges[0].iter().enumerate() {
+        for (j, f) in edges[1].iter().enumerate() {
+            if (0..3).any(|k| e.lo[k] > f.hi[k] || f.lo[k] > e.hi[k]) || !arcs_cross(e, f) {
+                continue;
+            }
+            let cross = e.along.cross(&f.along);
+            let sine = cross.norm();
+            if sine < PARALLEL {
+                continue;
+            }
+            let outwards = if cross.dot(&(e.n[0] + e.n[1])) < 0.0 { -1.0 } else { 1.0 };
+            let normal = cross * (outwards / sine);
+            let gap = normal.dot(&(f.start - e.start));
+            if gap <= least {
+                continue;
+            }
+            // Slivers have normals of no meaning: nothing may lie beyond the two edges.
+            let most = vertices[0].iter().map(|v| normal.dot(v)).fold(f64::NEG_INFINITY, f64::max);
+            let lowest = vertices[1].iter().map(|v| normal.dot(v)).fold(f64::INFINITY, f64::min);
+            if (lowest - most - gap).abs() < 1e-9 * (1.0 + gap.abs()) + 1e-3 * gap.abs() {
+                best = Some((Axis { gap, normal, face: 0 }, i, j));
+                least = gap;
+            }
+        }
+    }
+    best
+}
+
+/// Whether the normals of e and the reversed normals of f have a direction in common: arcs on the unit sphere that cross.
+fn arcs_cross(e: &Near, f: &Near) -> bool {
+    let (c, d) = (-f.n[0], -f.n[1]);
+    let (ec, ed) = (c.dot(&e.arc), d.dot(&e.arc));
+    // d x c of the reversed normals is that of the normals.
+    let (fa, fb) = (e.n[0].dot(&f.arc), e.n[1].dot(&f.arc));
+    ec * ed < 0.0 && fa * fb < 0.0 && ec * fb > 0.0
+}
