@@ -45,7 +45,7 @@ impl Pair<'_> {
         let (other, other_length) = capsule_line(b, other_radius);
         let there = (self.a_from_b.point(&other.origin), self.a_from_b.direction(&other.along));
         let Some((s, t)) = crossing((&line.origin, &line.along), (&there.0, &there.1)) else { return };
-        let inside = |s: f64, length: f64, radius: f64| s > 0.02 * radius && s < length - 0.02 * radius;
+        let inside = |s: f64, length: f64, radius: f64| s > 1e-6 * radius && s < length - 1e-6 * radius;
         if !inside(s, length, radius) || !inside(t, other_length, other_radius) {
             return;
         }
@@ -64,7 +64,7 @@ impl Pair<'_> {
         let q = p + e * length;
         let limit = radius + self.margin;
         let (lo, hi) = (p.inf(&q).add_scalar(-limit), p.sup(&q).add_scalar(limit));
-        let inside = |s: f64| s > 0.02 * radius && s < length - 0.02 * radius;
+        let inside = |s: f64| s > 1e-6 * radius && s < length - 1e-6 * radius;
         let first = self.out.len();
         let mut best: Option<(f64, Vector3<f64>)> = None;
         for (i, edge) in poly.edges.iter().enumerate() {
@@ -82,7 +82,8 @@ impl Pair<'_> {
             let sign = if cross.dot(&(n1 + n2)) < 0.0 { -1.0 } else { 1.0 };
             let n = cross * sign;
             let gap = n.dot(&(p - v));
-            let in_cone = n.dot(&edge.along.cross(&n1)) > -OUTSIDE_CONE && n.dot(&n2.cross(&edge.along)) > -OUTSIDE_CONE;
+            let in_cone =
+                n.dot(&edge.along.cross(&n1)) > -OUTSIDE_CONE && n.dot(&n2.cross(&edge.along)) > -OUTSIDE_CONE;
             // Behind the edge, but out of the polyhedron again on its far side.
             let beyond = |(m, d): &Plane| m.dot(&(p + e * s)) - d > OUTSIDE_CONE * gap.abs();
             if gap < limit && in_cone && (gap >= 0.0 || !poly.planes.iter().any(beyond)) {
@@ -117,7 +118,8 @@ impl Pair<'_> {
                     (next - v).dot(&apart) <= 0.0
                 })
             };
-            if inside(s) && apart.norm() < limit && apart.norm() > 0.0 && poly.faces_at(i as u32).iter().all(sticks_out) {
+            if inside(s) && apart.norm() < limit && apart.norm() > 0.0 && poly.faces_at(i as u32).iter().all(sticks_out)
+            {
                 let ball = Ball { center: *v, radius: 0.0 };
                 let site = 2 + (poly.edges.len() + i) as u32;
                 self.out.push(Touch::new(site, Feature::BallLine { on: Side::B, ball, line }));

@@ -204,9 +204,12 @@ impl Feature {
                 let (y, e) = (there.point(&line.origin), there.direction(&line.along));
                 beside(x, T::lift(ball.radius), y + e * e.dot(&(x - y)), T::lift(line.radius))
             }
-            Self::BallBall { ball, other, .. } => {
-                beside(here.point(&ball.center), T::lift(ball.radius), there.point(&other.center), T::lift(other.radius))
-            }
+            Self::BallBall { ball, other, .. } => beside(
+                here.point(&ball.center),
+                T::lift(ball.radius),
+                there.point(&other.center),
+                T::lift(other.radius),
+            ),
             Self::BallRim { ball, axis, .. } => {
                 let x = here.point(&ball.center);
                 let (c, e) = (there.point(&axis.origin), there.direction(&axis.along));

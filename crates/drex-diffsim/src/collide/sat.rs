@@ -4,9 +4,10 @@
 
 use nalgebra::Vector3;
 
+use super::capsule::crossing;
 use super::feature::{Feature, Frame, Line, Plane, Side, Touch};
 use super::geom::Poly;
-use super::manifold::Half;
+use super::manifold::{BESIDE, Half};
 use super::{CollideWork, Pair};
 
 /// Edges whose angle has a smaller sine are parallel: the normals of faces stand for them.
@@ -74,7 +75,8 @@ impl Pair<'_> {
         let on_q = Axis { normal: -on_q.normal, ..on_q };
         let widest = if on_p.gap >= on_q.gap { &on_p } else { &on_q };
         let alike = ALIKE * widest.gap.abs() + 1e-7 * p.half.norm().min(q.half.norm());
-        let q_half = Half { poly: q, vertices, planes, frame: *p_from_q, on: on[1], first_site: p.vertices.len() as u32 };
+        let q_half =
+            Half { poly: q, vertices, planes, frame: *p_from_q, on: on[1], first_site: p.vertices.len() as u32 };
         let p_half = Half {
             poly: p,
             vertices: &p.vertices,
@@ -84,40 +86,27 @@ impl Pair<'_> {
             first_site: 0,
         };
         near_edges(&p_half, &q_half, widest, margin, edges);
-        let crossing = best_edges(edges, [&p.vertices, vertices], widest.gap + alike);
-        if let Some((axis, i, j)) = crossing {
+        let halves = [&p_half, &q_half];
+        if let Some((axis, i, j)) = best_edges(edges, [&p.vertices, vertices], widest.gap + alike) {
             if axis.gap > margin {
                 return;
             }
             let (e, f) = (&edges[0][i], &edges[1][j]);
+            // A face that lies flat on the edge is touched at more than one point.
             let faces = [(e.n[0], 0, 0), (e.n[1], 0, 1), (-f.n[0], 1, 0), (-f.n[1], 1, 1)];
             let flattest = faces.into_iter().max_by(|a, b| a.0.dot(&axis.normal).total_cmp(&b.0.dot(&axis.normal)));
-            let (e_index, f_index) = (e.index, f.index);
+            let start = self.out.len();
             if let Some((n, side, k)) = flattest
                 && n.dot(&axis.normal) > FLAT_COS
             {
-                let start = self.out.len();
-                let deepest = if side == 0 {
-                    let face = p.edges[e_index as usize].faces[k];
-                    self.manifold(&p_half, &q_half, face, false, &mut work.spots)
-                } else {
-                    let face = q.edges[f_index as usize].faces[k];
-                    self.manifold(&q_half, &p_half, face, false, &mut work.spots)
-                };
-                if deepest >= -0.5 * axis.gap - alike {
+                let edge = [e.index, f.index][side];
+                let face = halves[side].poly.edges[edge as usize].faces[k];
+                if self.manifold(halves[side], halves[1 - side], face, &mut work.spots) >= -0.5 * axis.gap - alike {
                     return;
                 }
                 self.out.truncate(start);
             }
-            let line = |poly: &Poly, edge: u32| {
-                let edge = &poly.edges[edge as usize];
-                Line { origin: *poly.vertex(edge.ends[0]), along: edge.along, radius: 0.0 }
-            };
-            let (line, other) = (line(p, e_index), line(q, f_index));
-            // The normal of the contact points from the second towards the first.
-            let sign = if edges[0][i].along.cross(&edges[1][j].along).dot(&axis.normal) < 0.0 { 1.0 } else { -1.0 };
-            let site = (p.vertices.len() + q.vertices.len()) as u32 + e_index * q.edges.len() as u32 + f_index;
-            self.out.push(Touch::new(site, Feature::LineLine { on: on[0], line, other, sign }));
+            self.edge_pair(halves, (e, f), &axis.normal);
             return;
         }
         let p_is_reference = if (on_p.gap - on_q.gap).abs() <= alike {
@@ -125,11 +114,36 @@ impl Pair<'_> {
         } else {
             on_p.gap > on_q.gap
         };
-        if p_is_reference {
-            self.manifold(&p_half, &q_half, on_p.face, true, &mut work.spots);
+        let found = if p_is_reference {
+            self.manifold(&p_half, &q_half, on_p.face, &mut work.spots)
         } else {
-            self.manifold(&q_half, &p_half, on_q.face, true, &mut work.spots);
+            self.manifold(&q_half, &p_half, on_q.face, &mut work.spots)
+        };
+        // Nothing over the face: two edges, whose overlap is hardly less.
+        if found == f64::NEG_INFINITY
+            && widest.gap < 0.0
+            && let Some((axis, i, j)) = best_edges(edges, [&p.vertices, vertices], f64::NEG_INFINITY)
+        {
+            self.edge_pair(halves, (&edges[0][i], &edges[1][j]), &axis.normal);
         }
+    }
+
+    /// Two edges, if they cross within their lengths.
+    fn edge_pair(&mut self, [p, q]: [&Half<'_>; 2], (e, f): (&Near, &Near), normal: &Vector3<f64>) {
+        let Some((s, t)) = crossing((&e.start, &e.along), (&f.start, &f.along)) else { return };
+        let beside = BESIDE * p.poly.half.norm().min(q.poly.half.norm());
+        let line = |half: &Half<'_>, edge: u32, s: f64| {
+            let edge = &half.poly.edges[edge as usize];
+            let length = (half.poly.vertex(edge.ends[1]) - half.poly.vertex(edge.ends[0])).norm();
+            let line = Line { origin: *half.poly.vertex(edge.ends[0]), along: edge.along, radius: 0.0 };
+            (s > -beside && s < length + beside).then_some(line)
+        };
+        let (Some(line), Some(other)) = (line(p, e.index, s), line(q, f.index, t)) else { return };
+        // The normal of the contact points from the second towards the first.
+        let sign = if e.along.cross(&f.along).dot(normal) < 0.0 { 1.0 } else { -1.0 };
+        let vertices = (p.poly.vertices.len() + q.poly.vertices.len()) as u32;
+        let site = vertices + e.index * q.poly.edges.len() as u32 + f.index;
+        self.out.push(Touch::new(site, Feature::LineLine { on: p.on, line, other, sign }));
     }
 }
 
@@ -218,11 +232,7 @@ fn near_edges(p: &Half<'_>, q: &Half<'_>, axis: &Axis, margin: f64, out: &mut [V
 }
 
 /// The pair of edges whose cross product separates the most, if it does so by more than `least`.
-fn best_edges(
-    edges: &[Vec<Near>; 2],
-    vertices: [&[Vector3<f64>]; 2],
-    least: f64,
-) -> Option<(Axis, usize, usize)> {
+fn best_edges(edges: &[Vec<Near>; 2], vertices: [&[Vector3<f64>]; 2], least: f64) -> Option<(Axis, usize, usize)> {
     let mut best: Option<(Axis, usize, usize)> = None;
     let mut least = least;
     for (i, e) in edges[0].iter().enumerate() {

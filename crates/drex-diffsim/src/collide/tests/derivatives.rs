@@ -15,7 +15,12 @@ fn numbers(p: &Place<f64>) -> Vec<f64> {
 }
 
 /// Compares the derivatives by the twist of one body with central differences.
-pub(in crate::collide) fn check(touch: &Touch, pa: &Pose, pb: &Pose, tolerance: f64) -> std::result::Result<(), TestCaseError> {
+pub(in crate::collide) fn check(
+    touch: &Touch,
+    pa: &Pose,
+    pb: &Pose,
+    tolerance: f64,
+) -> std::result::Result<(), TestCaseError> {
     let dual: [Dual<6>; 6] = std::array::from_fn(|k| parameter(0.0, k));
     for first in [true, false] {
         let place = if first {
@@ -23,8 +28,7 @@ pub(in crate::collide) fn check(touch: &Touch, pa: &Pose, pb: &Pose, tolerance: 
         } else {
             touch.evaluate(&pa.cast(), &moved(pb, &dual))
         };
-        let all: Vec<Dual<6>> =
-            place.point.iter().chain(place.normal.iter()).copied().chain([place.depth]).collect();
+        let all: Vec<Dual<6>> = place.point.iter().chain(place.normal.iter()).copied().chain([place.depth]).collect();
         for k in 0..6 {
             let h = 1e-6;
             let shifted = |h: f64| {
@@ -39,7 +43,8 @@ pub(in crate::collide) fn check(touch: &Touch, pa: &Pose, pb: &Pose, tolerance: 
                 let exact = tangents(x)[k];
                 prop_assert!(
                     (exact - difference).abs() < tolerance * (1.0 + difference.abs()),
-                    "number {i} by {k} of body {first}: {exact} against {difference}, {:?}", touch.feature
+                    "number {i} by {k} of body {first}: {exact} against {difference}, {:?}",
+                    touch.feature
                 );
             }
         }
