@@ -76,6 +76,17 @@ pub(crate) struct FaceSide {
     pub cut: Plane,
 }
 
+impl Cylinder {
+    pub fn ends(&self) -> [Vector3<f64>; 2] {
+        [self.center - self.axis * self.half_length, self.center + self.axis * self.half_length]
+    }
+
+    /// How far the sides of the prism are inside the cylinder.
+    pub fn sagitta(&self) -> f64 {
+        self.radius * (1.0 - (std::f64::consts::PI / f64::from(Shape::CYLINDER_SIDES)).cos())
+    }
+}
+
 impl CollisionGeom {
     /// # Errors
     /// For sizes that no shape has and a pose that is not finite.

@@ -66,7 +66,7 @@ impl ConvexPiece {
     pub(crate) fn prism(radius_m: f64, half_length_m: f64, sides: u32) -> Self {
         let corner = |i: u32| {
             let (sin, cos) = (std::f64::consts::TAU * f64::from(i / 2) / f64::from(sides)).sin_cos();
-            Point3::new(radius_m * cos, radius_m * sin, if i % 2 == 0 { -half_length_m } else { half_length_m })
+            Point3::new(radius_m * cos, radius_m * sin, half_length_m * if i & 1 == 0 { -1.0 } else { 1.0 })
         };
         let mut triangles = Vec::new();
         for i in 0..sides {

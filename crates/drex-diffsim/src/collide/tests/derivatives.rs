@@ -77,7 +77,9 @@ proptest! {
         a in any_solid(), b in any_solid(), pa in any_pose(0.1), turn in any_pose(0.0), u in any_direction(),
         common in any_pose(1.0),
     ) {
-        let pb = brought_together(&a, &pa, &b, &turn, &u, 1e-4);
+        let mut pb = brought_together(&a, &pa, &b, &turn, &u, 1e-4);
+        // Away from where the prism of a cylinder takes over from its side.
+        pb.translation.vector -= u * 3e-4;
         let found = touches(&a, &pa, &b, &pb, 1e-5);
         let place = |t: &Touch| t.evaluate(&pa, &pb);
         let swapped = touches(&b, &pb, &a, &pa, 1e-5);

@@ -126,6 +126,8 @@ proptest! {
             let p = pb * at(0.0, 0.0, 0.04 * (f64::from(i) / 200.0 - 1.0));
             truth = truth.max(deepest_place(&places(&other, &pa, &ball, &p, 0.01)).map_or(f64::NEG_INFINITY, |p| p.depth));
         }
-        prop_assert!(found.depth > truth - 1e-9 && found.depth < truth + 2e-5, "{} {truth}", found.depth);
+        // Flat on the end of a cylinder, the sides of its prism stand for the rim.
+        let slack = if matches!(other, Shape::Cylinder { .. }) { 1e-5 } else { 1e-9 };
+        prop_assert!(found.depth > truth - slack && found.depth < truth + 2e-5, "{} {truth}", found.depth);
     }
 }
