@@ -1,17 +1,17 @@
 //! One free body against what does not answer: the table, fixed things, things on prescribed paths. Per unit mass of
 //! the body, so that a mass which cannot be seen leaves no trace, not even in rounding.
 
-use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
 use super::law::Law;
+use super::six::{Lu6, Matrix6, Vector6};
 use crate::Scalar;
 use crate::math::skew;
 
 /// Newton iterations at most; two or three are usual.
-const ITERATIONS: usize = 30;
-
-type Vector6 = SVector<f64, 6>;
-type Matrix6 = SMatrix<f64, 6, 6>;
+const ITERATIONS: usize = 16;
+/// Change of velocity, relative, below which an iteration has converged.
+const TOLERANCE: f64 = 1e-11;
 
 /// Where a law acts.
 #[derive(Debug, Clone, Copy)]
@@ -28,6 +28,8 @@ pub(crate) struct Lever<T: Scalar> {
 #[derive(Debug, Default)]
 pub(crate) struct Buffers {
     values: Vec<(Law<f64>, Lever<f64>)>,
+    /// Derivative of the velocities by each parameter.
+    tangents: Vec<Vector6>,
 }
 
 /// Velocities at the end of the step, given those without contact (`free`), the inertia per unit mass about the centre
@@ -51,55 +53,62 @@ pub(crate) fn solve<T: Scalar>(
     let mut u = Vector6::zeros();
     u.fixed_rows_mut::<3>(0).copy_from(&guess.0.map(|x| x.value()));
     u.fixed_rows_mut::<3>(3).copy_from(&guess.1.map(|x| x.value()));
-    let mut matrix = Matrix6::identity();
     let mut r = residual(values, dt, &j, (&fv, &fw), &u);
-    let mut converged = false;
-    for iteration in 0..ITERATIONS {
-        matrix = tangent(values, dt, &j, &u);
-        let step = matrix.lu().solve(&r)?;
-        // The law is piecewise smooth: steps that lead to a larger residual are cut.
-        let mut length = 1.0;
-        let mut next = u - step;
-        let mut next_r = residual(values, dt, &j, (&fv, &fw), &next);
-        while next_r.norm_squared() > r.norm_squared() && length > 0.05 && iteration > 2 {
-            length *= 0.5;
-            next = u - step * length;
-            next_r = residual(values, dt, &j, (&fv, &fw), &next);
+    let lu = 'newton: {
+        for iteration in 0..ITERATIONS {
+            let lu = Lu6::new(&tangent(values, dt, &j, &u))?;
+            let step = lu.solve(&r);
+            // The law is piecewise smooth: steps that lead to a larger residual are cut.
+            let mut length = 1.0;
+            let mut next = u - step;
+            let mut next_r = residual(values, dt, &j, (&fv, &fw), &next);
+            while next_r.norm_squared() > r.norm_squared() && length > 0.05 && iteration > 2 {
+                length *= 0.5;
+                next = u - step * length;
+                next_r = residual(values, dt, &j, (&fv, &fw), &next);
+            }
+            u = next;
+            r = next_r;
+            // Without a change of branch the equations are almost linear: the residual says so after one step.
+            let scale = 1.0 + u.norm();
+            if step.norm() * length < TOLERANCE * scale || is_solved(&r, &j, scale) {
+                break 'newton lu;
+            }
         }
-        let change = step.norm() * length;
-        u = next;
-        r = next_r;
-        if change < 1e-11 * (1.0 + u.norm()) {
-            converged = true;
-            break;
-        }
-    }
-    if !converged {
         return None;
-    }
-    if r.norm() > 0.0 {
-        matrix = tangent(values, dt, &j, &u);
+    };
+    let (v, w) = (u.fixed_rows::<3>(0).into_owned(), u.fixed_rows::<3>(3).into_owned());
+    if T::TANGENTS == 0 {
+        return Some((v.map(T::lift), w.map(T::lift)));
     }
 
     // One more step with derivatives.
-    let (mut v, mut w) = (u.fixed_rows::<3>(0).map(T::lift), u.fixed_rows::<3>(3).map(T::lift));
-    let (mut rv, mut rw) = (v - v0, inertia * (w - w0));
+    let lu = Lu6::new(&tangent(values, dt, &j, &u)).unwrap_or(lu);
+    let (lv, lw) = (v.map(T::lift), w.map(T::lift));
+    let (mut rv, mut rw) = (lv - v0, inertia * (lw - w0));
     for (law, lever) in laws.iter().zip(levers) {
-        let (velocity, spin) = lever.relative(law, &v, &w);
+        let (velocity, spin) = lever.relative(law, &lv, &lw);
         let f = law.reaction(&velocity, spin);
-        let force = f.force * T::lift(dt);
+        let force = f.force.map(|x| x.scaled(dt));
         rv -= force;
-        rw -= lever.arm.cross(&force) + law.normal * (f.torque * T::lift(dt));
-    }
-    let inverse = matrix.try_inverse()?;
-    for row in 0..3 {
-        for column in 0..3 {
-            v[row] -= rv[column] * T::lift(inverse[(row, column)]) + rw[column] * T::lift(inverse[(row, column + 3)]);
-            w[row] -=
-                rv[column] * T::lift(inverse[(row + 3, column)]) + rw[column] * T::lift(inverse[(row + 3, column + 3)]);
+        rw -= lever.arm.cross(&force);
+        if law.lever > 0.0 {
+            rw -= law.normal * f.torque.scaled(dt);
         }
     }
-    Some((v, w))
+    let by = &mut buffers.tangents;
+    by.clear();
+    by.extend((0..T::TANGENTS).map(|i| {
+        lu.solve(&Vector6::from_fn(|k, _| -if k < 3 { rv[k].tangent(i) } else { rw[k - 3].tangent(i) }))
+    }));
+    let with = |k: usize| T::with_tangents(u[k], |i| by[i][k]);
+    Some((Vector3::from_fn(|k, _| with(k)), Vector3::from_fn(|k, _| with(k + 3))))
+}
+
+/// Whether what is left of the momentum balance is of rounding size.
+fn is_solved(r: &Vector6, inertia: &Matrix3<f64>, scale: f64) -> bool {
+    let left = TOLERANCE * 1e-2 * scale;
+    r.fixed_rows::<3>(0).norm() < left && r.fixed_rows::<3>(3).norm() < left * 0.1 * inertia.trace()
 }
 
 impl<T: Scalar> Lever<T> {
@@ -146,17 +155,17 @@ fn tangent(laws: &[(Law<f64>, Lever<f64>)], dt: f64, inertia: &Matrix3<f64>, u: 
     for (law, lever) in laws {
         let (velocity, spin) = lever.relative(law, &v, &w);
         if let Some(stiffness) = law.stiffness(&velocity, spin) {
-            let (k, s) = (stiffness.force * dt, skew(&lever.arm));
-            // The contact moves at v + w x arm = v - [arm] w, its force turns the body by [arm] f.
+            // The contact moves at v - [arm] w, its force turns the body by [arm] f.
+            let k = stiffness.force * dt;
+            let ks = rows_cross(&k, &lever.arm);
             a += k;
-            b -= k * s;
-            c += s * k;
-            d -= s * k * s;
+            b -= ks;
+            c += cross_columns(&lever.arm, &k);
+            d -= cross_columns(&lever.arm, &ks);
             if law.lever > 0.0 {
-                let n = law.normal * dt;
-                let g = stiffness.coupling.transpose();
+                let (n, g) = (law.normal * dt, stiffness.coupling.transpose());
                 c += n * g;
-                d += n * (law.normal.transpose() * stiffness.torque) - n * (g * s);
+                d += n * (law.normal.transpose() * stiffness.torque) - n * (g * skew(&lever.arm));
             }
         }
     }
@@ -166,4 +175,33 @@ fn tangent(laws: &[(Law<f64>, Lever<f64>)], dt: f64, inertia: &Matrix3<f64>, u: 
     out.fixed_view_mut::<3, 3>(3, 0).copy_from(&c);
     out.fixed_view_mut::<3, 3>(3, 3).copy_from(&d);
     out
+}
+
+/// M [s]: every row crossed with s.
+fn rows_cross(m: &Matrix3<f64>, s: &Vector3<f64>) -> Matrix3<f64> {
+    Matrix3::from_fn(|i, j| {
+        let (k, l) = ((j + 1) % 3, (j + 2) % 3);
+        m[(i, k)] * s[l] - m[(i, l)] * s[k]
+    })
+}
+
+/// [s] M: s crossed with every column.
+fn cross_columns(s: &Vector3<f64>, m: &Matrix3<f64>) -> Matrix3<f64> {
+    Matrix3::from_fn(|i, j| {
+        let (k, l) = ((i + 1) % 3, (i + 2) % 3);
+        s[k] * m[(l, j)] - s[l] * m[(k, j)]
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn products_with_cross_product_matrices() {
+        let m = Matrix3::new(1.0, 2.0, 3.0, -4.0, 5.0, 6.5, 7.0, -8.0, 9.0);
+        let s = Vector3::new(0.3, -0.2, 0.7);
+        assert!((rows_cross(&m, &s) - m * skew(&s)).norm() < 1e-14);
+        assert!((cross_columns(&s, &m) - skew(&s) * m).norm() < 1e-14);
+    }
 }

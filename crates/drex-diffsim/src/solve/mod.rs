@@ -7,6 +7,7 @@ pub(crate) mod free;
 pub(crate) mod island;
 pub(crate) mod law;
 pub(crate) mod lu;
+pub(crate) mod six;
 
 use nalgebra::{UnitQuaternion, Vector3};
 
