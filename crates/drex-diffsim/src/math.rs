@@ -45,6 +45,36 @@ pub(crate) fn lift_pose<T: Scalar>(pose: &Pose) -> Pose<T> {
     Pose::from_parts(pose.translation.vector.map(T::lift).into(), lift_rotation(&pose.rotation))
 }
 
+/// R A Rᵀ of a symmetric A. Spelled out, because the library's product costs a dual number three times as much.
+pub(crate) fn congruent<T: Scalar>(r: &Matrix3<T>, a: &Matrix3<T>) -> Matrix3<T> {
+    let row = |m: &Matrix3<T>, i: usize| [m[(i, 0)], m[(i, 1)], m[(i, 2)]];
+    let dot = |x: &[T; 3], y: &[T; 3]| x[0] * y[0] + x[1] * y[1] + x[2] * y[2];
+    let rows = [0, 1, 2].map(|i| row(r, i));
+    let columns = [0, 1, 2].map(|i| row(a, i));
+    let ra = rows.map(|x| [dot(&x, &columns[0]), dot(&x, &columns[1]), dot(&x, &columns[2])]);
+    let (xx, xy, xz) = (dot(&ra[0], &rows[0]), dot(&ra[0], &rows[1]), dot(&ra[0], &rows[2]));
+    let (yy, yz, zz) = (dot(&ra[1], &rows[1]), dot(&ra[1], &rows[2]), dot(&ra[2], &rows[2]));
+    Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
+}
+
+/// M v, spelled out for the same reason.
+pub(crate) fn apply<T: Scalar>(m: &Matrix3<T>, v: &Vector3<T>) -> Vector3<T> {
+    Vector3::new(
+        m[(0, 0)] * v.x + m[(0, 1)] * v.y + m[(0, 2)] * v.z,
+        m[(1, 0)] * v.x + m[(1, 1)] * v.y + m[(1, 2)] * v.z,
+        m[(2, 0)] * v.x + m[(2, 1)] * v.y + m[(2, 2)] * v.z,
+    )
+}
+
+/// M v of a constant v.
+pub(crate) fn apply_constant<T: Scalar>(m: &Matrix3<T>, v: &Vector3<f64>) -> Vector3<T> {
+    Vector3::new(
+        m[(0, 0)].scaled(v.x) + m[(0, 1)].scaled(v.y) + m[(0, 2)].scaled(v.z),
+        m[(1, 0)].scaled(v.x) + m[(1, 1)].scaled(v.y) + m[(1, 2)].scaled(v.z),
+        m[(2, 0)].scaled(v.x) + m[(2, 1)].scaled(v.y) + m[(2, 2)].scaled(v.z),
+    )
+}
+
 /// The matrix of a cross product from the left.
 pub(crate) fn skew<T: Scalar>(v: &Vector3<T>) -> Matrix3<T> {
     let o = T::zero();

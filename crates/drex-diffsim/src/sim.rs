@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Translation3, UnitQuaternion, Vector3};
 use crate::articulation::{Column, LinkForce, ScalarLaw, TreeWork};
 use crate::collide::{CollideWork, Touch};
 use crate::contact::{Contact, ContactForce};
-use crate::math::{exp, lift_rotation, renormalized, skew, solve3, value_of};
+use crate::math::{congruent, exp, lift_rotation, renormalized, skew, solve3, value_of};
 use crate::solve::free::{self, Lever};
 use crate::solve::island::{Island, Solver};
 use crate::solve::law::{Law, Mode};
@@ -198,7 +198,7 @@ pub(crate) fn begin<T: Scalar>(
         work.frames.push(BodyFrame {
             pose: value_of(&s.world_from_body),
             com,
-            inertia: r * body.unit_inertia * r.transpose(),
+            inertia: congruent(&r, &body.unit_inertia),
             free: (s.velocity + linear * h, spin(&body.unit_inertia, &q, &s.angular_velocity, &moment, h)),
             speed: s.velocity.map(|x| x.value()).norm() + s.angular_velocity.map(|x| x.value()).norm() * body.reach(),
         });
@@ -524,7 +524,7 @@ pub(crate) fn record<T: Scalar>(
     dt: f64,
 ) {
     let reaction = law.reaction(u, spin);
-    let (stretch, twist) = law.springs(u, spin, dt);
+    let (stretch, twist) = law.springs(&reaction, u, spin, dt);
     out.force = reaction.force * unit;
     out.torque = reaction.torque * unit;
     out.slips = reaction.mode == Mode::Slips;

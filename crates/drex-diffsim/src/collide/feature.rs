@@ -5,6 +5,7 @@ use std::sync::Arc;
 use drex_core::Pose;
 use nalgebra::{Matrix3, Point3, Vector3};
 
+use crate::math::apply_constant;
 use crate::{Scalar, SdfShape};
 
 /// A pose as a matrix: maps points of a body into the world (or of one body into the frame of another).
@@ -24,7 +25,7 @@ impl<T: Scalar> Frame<T> {
     }
 
     pub fn direction(&self, x: &Vector3<f64>) -> Vector3<T> {
-        self.r * x.map(T::lift)
+        apply_constant(&self.r, x)
     }
 
     /// n and d of the plane n·x = d.

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::law::Law;
 use super::six::{Lu6, Matrix6, Vector6};
 use crate::Scalar;
-use crate::math::skew;
+use crate::math::{apply, skew};
 
 /// Newton iterations at most; two or three are usual.
 const ITERATIONS: usize = 16;
@@ -85,7 +85,7 @@ pub(crate) fn solve<T: Scalar>(
     // One more step with derivatives.
     let lu = Lu6::new(&tangent(values, dt, &j, &u)).unwrap_or(lu);
     let (lv, lw) = (v.map(T::lift), w.map(T::lift));
-    let (mut rv, mut rw) = (lv - v0, inertia * (lw - w0));
+    let (mut rv, mut rw) = (lv - v0, apply(inertia, &(lw - w0)));
     for (law, lever) in laws.iter().zip(levers) {
         let (velocity, spin) = lever.relative(law, &lv, &lw);
         let f = law.reaction(&velocity, spin);

@@ -109,20 +109,18 @@ impl<T: Scalar> Law<T> {
         Reaction { force: self.normal * normal + tangential, torque, mode, turns }
     }
 
-    /// The springs at the end of the step: dragged along while they stick, on their bound while they slip, gone when
-    /// the contact carries nothing.
-    pub(crate) fn springs(&self, u: &Vector3<T>, spin: T, dt: f64) -> (Vector3<T>, T) {
-        let r = self.reaction(u, spin);
-        let h = T::lift(dt);
+    /// The springs at the end of a step with the reaction `r`: dragged along while they stick, on their bound while they
+    /// slip, gone when the contact carries nothing.
+    pub(crate) fn springs(&self, r: &Reaction<T>, u: &Vector3<T>, spin: T, dt: f64) -> (Vector3<T>, T) {
         let stretch = match r.mode {
             Mode::Open => return (Vector3::zeros(), T::zero()),
             Mode::Slips => (r.force - self.normal * r.force.dot(&self.normal)) * (-T::one() / self.k_t),
-            Mode::Sticks => self.stretch + (u - self.normal * u.dot(&self.normal)) * h,
+            Mode::Sticks => self.stretch + (u - self.normal * u.dot(&self.normal)).map(|x| x.scaled(dt)),
         };
         let twist = match (self.lever > 0.0, r.turns) {
             (false, _) => T::zero(),
             (true, true) => -r.torque / self.k_r,
-            (true, false) => self.twist + spin * h,
+            (true, false) => self.twist + spin.scaled(dt),
         };
         (stretch, twist)
     }

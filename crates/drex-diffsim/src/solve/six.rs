@@ -32,7 +32,8 @@ impl Lu6 {
             let below = a[k + 1..].iter().map(|row| row[k].abs()).fold(0.0, f64::max);
             if !(pivot.abs() > WEAK * below && pivot != 0.0 && pivot.is_finite()) {
                 let lu = m.lu();
-                return lu.is_invertible().then(|| Self::Exchanged(Box::new(lu)));
+                let good = m.iter().all(|x| x.is_finite()) && lu.is_invertible();
+                return good.then(|| Self::Exchanged(Box::new(lu)));
             }
             let inverse = 1.0 / pivot;
             a[k][k] = inverse;
