@@ -15,8 +15,7 @@ mod tests;
 use drex_core::Pose;
 
 pub(crate) use feature::{Frame, Place, Side, Touch};
-pub(crate) use geom::CollisionGeom;
-use geom::Kind;
+pub(crate) use geom::{CollisionGeom, Kind, Poly};
 
 use crate::Shape;
 

@@ -1,0 +1,280 @@
+//! The same model and scene in both engines.
+#![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)] // a test may panic, and shows what it measured
+
+use std::sync::Arc;
+
+use drex_core::{MassProperties, Pose};
+use drex_diffsim::mujoco::{self, MjcfOptions, MujocoEngine, to_mjcf};
+use drex_diffsim::{
+    AppliedForce, Articulation, Base, BasePath, Body, BodyState, Collider, Control, ConvexPiece, Fixed, ForcePoint, Geom,
+    Model, Mover, Part, Scene, Shape, SimError, State, rollout,
+};
+use drex_robot::Robot;
+use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
+
+const G: f64 = 9.81;
+
+fn piece(half: Vector3<f64>, center: Vector3<f64>) -> ConvexPiece {
+    let sign = |i: usize| Vector3::from_fn(|k, _| if i >> k & 1 == 0 { -1.0 } else { 1.0 });
+    let corners: Vec<_> = (0..8).map(|i| Point3::from(center + half.component_mul(&sign(i)))).collect();
+    ConvexPiece::from_points(&corners).unwrap()
+}
+
+fn body(mass_kg: f64, com: Point3<f64>, gyration: Vector3<f64>, pieces: Vec<ConvexPiece>) -> Model<f64> {
+    let s = gyration.component_mul(&gyration);
+    let inertia = Matrix3::from_diagonal(&Vector3::new(s.y + s.z, s.z + s.x, s.x + s.y));
+    let unit = MassProperties { mass_kg: 1.0, center_of_mass: com, inertia };
+    Model::new(vec![Body::new(&unit, mass_kg, Arc::new(Collider::convex(pieces)))])
+}
+
+fn block(half: Vector3<f64>, mass_kg: f64) -> Model<f64> {
+    body(mass_kg, Point3::origin(), half / 3.0_f64.sqrt(), vec![piece(half, Vector3::zeros())])
+}
+
+fn cylinder(radius: f64, half_length: f64, sides: u32) -> ConvexPiece {
+    let rim = (0..sides).flat_map(|i| {
+        let a = std::f64::consts::TAU * f64::from(i) / f64::from(sides);
+        [-half_length, half_length].map(|z| Point3::new(radius * a.cos(), radius * a.sin(), z))
+    });
+    ConvexPiece::from_points(&rim.collect::<Vec<_>>()).unwrap()
+}
+
+fn force(f: Vector3<f64>, from: f64, to: f64, at: Point3<f64>) -> AppliedForce<f64> {
+    AppliedForce::new(Part::Body(0), &[from, to], &[f, Vector3::zeros()], ForcePoint::Body(at)).unwrap()
+}
+
+/// Runs both engines and checks that positions agree within `mm` and orientations within `degrees` at fifty times, and
+/// that the body moved at least `moved_mm`, so that the comparison says something.
+fn agree(model: &Model<f64>, scene: &Scene<f64>, start: &State<f64>, until_s: f64, bounds: (f64, f64, f64)) {
+    let times: Vec<f64> = (1..=50).map(|i| f64::from(i) * until_s / 50.0).collect();
+    let ours = rollout(model, scene, start, &times).unwrap();
+    let theirs = mujoco::rollout(model, scene, start, &times, &MjcfOptions::default()).unwrap();
+    let from = start.bodies[0].world_from_body.translation.vector;
+    let (mut distance, mut angle, mut moved) = (0.0_f64, 0.0_f64, 0.0_f64);
+    for (a, b) in ours.bodies[0].poses.iter().zip(&theirs.bodies[0].poses) {
+        distance = distance.max((a.translation.vector - b.translation.vector).norm() * 1e3);
+        angle = angle.max(a.rotation.angle_to(&b.rotation).to_degrees());
+        moved = moved.max((a.translation.vector - from).norm() * 1e3);
+    }
+    println!("{distance:.4} mm, {angle:.3} degrees on a way of {moved:.1} mm");
+    let (mm, degrees, moved_mm) = bounds;
+    assert!(moved > moved_mm, "it moved {moved} mm");
+    assert!(distance < mm && angle < degrees, "{distance} mm, {angle} degrees");
+}
+
+#[test]
+fn a_tumbling_body_with_its_mass_off_centre() {
+    let box_piece = piece(Vector3::new(0.03, 0.05, 0.08), Vector3::zeros());
+    let model = body(0.3, Point3::new(0.02, -0.01, 0.03), Vector3::new(0.02, 0.04, 0.06), vec![box_piece]);
+    let turned = UnitQuaternion::from_euler_angles(0.3, 0.7, -0.4);
+    let mut start = State::at_rest(Pose::from_parts(Vector3::new(0.1, 0.2, 3.0).into(), turned));
+    start.bodies[0].velocity = Vector3::new(0.5, -0.3, 1.0);
+    start.bodies[0].angular_velocity = Vector3::new(3.0, 7.0, -2.0);
+    agree(&model, &Scene::empty(), &start, 0.6, (0.01, 0.01, 1000.0));
+}
+
+#[test]
+fn a_box_that_drops_and_rests() {
+    let model = block(Vector3::repeat(0.03), 0.2);
+    let start = State::at_rest(Pose::translation(0.0, 0.0, 0.08));
+    agree(&model, &Scene::on_table(0.5), &start, 0.5, (0.2, 0.05, 45.0));
+}
+
+#[test]
+fn a_box_that_slides_to_rest() {
+    // MuJoCo's box loses and regains contact while it slides, which turns it a little; see the documentation.
+    let model = block(Vector3::repeat(0.03), 0.2);
+    let mut start = State::at_rest(Pose::translation(0.0, 0.0, 0.03));
+    start.bodies[0].velocity = Vector3::new(0.6, 0.3, 0.0);
+    agree(&model, &Scene::on_table(0.4), &start, 0.5, (1.5, 2.5, 55.0));
+}
+
+#[test]
+fn a_block_tilted_about_its_edge() {
+    let model = block(Vector3::new(0.02, 0.04, 0.05), 0.25);
+    let mut scene = Scene::on_table(0.9);
+    let f = 1.4 * 0.25 * G * 0.02 / 0.08;
+    scene.forces.push(force(Vector3::x() * f, 0.1, 0.2, Point3::new(-0.02, 0.0, 0.03)));
+    agree(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.05)), 0.28, (0.1, 0.25, 10.0));
+}
+
+#[test]
+fn a_board_rocked_over_the_edge_of_a_step() {
+    let model = block(Vector3::new(0.04, 0.03, 0.015), 0.2);
+    let mut scene = Scene::on_table(0.6);
+    let half = Vector3::new(0.15, 0.2, 0.025);
+    scene.fixed.push(Fixed::cuboid(Point3::new(-0.15, 0.0, 0.025), half, 0.6).unwrap());
+    let f = 1.5 * 0.2 * G * 0.008 / 0.032;
+    scene.forces.push(force(-Vector3::z() * f, 0.1, 0.2, Point3::new(0.04, 0.0, 0.015)));
+    agree(&model, &scene, &State::at_rest(Pose::translation(-0.008, 0.0, 0.065)), 0.25, (0.1, 0.2, 5.0));
+}
+
+#[test]
+fn a_cylinder_made_of_points_that_is_pushed() {
+    let model = body(0.3, Point3::origin(), Vector3::new(0.017, 0.017, 0.03), vec![cylinder(0.03, 0.05, 38)]);
+    let mut scene = Scene::on_table(0.4);
+    scene.forces.push(force(Vector3::x() * 2.0, 0.1, 0.2, Point3::new(0.0, 0.0, -0.045)));
+    agree(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.05)), 0.6, (1.5, 5.0, 20.0));
+}
+
+#[test]
+fn a_box_pushed_by_a_prescribed_sphere() {
+    let model = block(Vector3::repeat(0.03), 0.2);
+    let mut scene = Scene::on_table(0.4);
+    let path = [Point3::new(-0.06, 0.0, 0.03), Point3::new(0.04, 0.0, 0.03)];
+    scene.movers.push(Mover::sphere(0.01, 0.6, &[0.1, 1.1], &path).unwrap());
+    agree(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.03)), 1.3, (2.5, 4.0, 70.0));
+}
+
+#[test]
+fn a_resting_box_is_carried_by_its_contacts() {
+    let model = block(Vector3::repeat(0.03), 0.2);
+    let start = State::at_rest(Pose::translation(0.0, 0.0, 0.03));
+    let mut engine = MujocoEngine::new(&model, &Scene::on_table(0.5), &start, &MjcfOptions::default()).unwrap();
+    for _ in 0..400 {
+        engine.step().unwrap();
+    }
+    let contacts = engine.contacts();
+    assert_eq!(contacts.len(), 4);
+    let mut force = Vector3::zeros();
+    for c in &contacts {
+        assert_eq!((c.key.a, c.key.b), (Part::Body(0), Part::Fixed(0)));
+        assert!(c.normal.z > 0.999 && c.depth.abs() < 1e-4 && c.point.z.abs() < 1e-4 && !c.slips, "{c:?}");
+        force += c.force;
+    }
+    assert!((force - Vector3::z() * 0.2 * G).norm() < 1e-4, "{force}");
+    assert!((engine.time_s() - 0.2).abs() < 1e-12);
+    assert!(engine.state().bodies[0].velocity.norm() < 1e-6);
+}
+
+#[test]
+fn what_cannot_be_run_is_refused_by_name() {
+    let model = block(Vector3::repeat(0.03), 0.2);
+    let scene = Scene::on_table(0.5);
+    let start = State::at_rest(Pose::translation(0.0, 0.0, 0.03));
+    let mut options = MjcfOptions::default();
+    options.contact_time_s = Some(1e-4);
+    let error = to_mjcf(&model, &scene, &start, &options).unwrap_err();
+    assert!(error.to_string().contains("contact_time_s"), "{error}");
+    options = MjcfOptions::default();
+    assert!(mujoco::rollout(&block(Vector3::repeat(0.03), -1.0), &scene, &start, &[0.1], &options).is_err());
+    assert!(mujoco::rollout(&model, &scene, &start, &[0.2, 0.1], &options).is_err());
+    options.impratio = f64::NAN;
+    assert!(mujoco::rollout(&model, &scene, &start, &[0.1], &options).is_err());
+    let mut wild = scene.clone();
+    wild.forces.push(force(Vector3::x() * 1e6, 0.0, 1.0, Point3::origin()));
+    let error = mujoco::rollout(&model, &wild, &start, &[0.1], &MjcfOptions::default()).unwrap_err();
+    assert!(matches!(error, SimError::Diverged { .. }), "{error}");
+}
+
+fn sphere(radius_m: f64) -> Collider {
+    Collider::new(&[Geom::new(Shape::Sphere { radius_m })]).unwrap()
+}
+
+#[test]
+fn a_ball_that_rolls_against_a_box() {
+    let mut model = block(Vector3::repeat(0.02), 0.05);
+    let radius = 0.03;
+    let unit = MassProperties {
+        mass_kg: 1.0,
+        center_of_mass: Point3::origin(),
+        inertia: Matrix3::identity() * (0.4 * radius * radius),
+    };
+    model.bodies.push(Body::new(&unit, 0.3, Arc::new(sphere(radius))));
+    let mut start = State::at_rest(Pose::translation(0.0, 0.0, 0.02));
+    let mut ball = BodyState::at_rest(Pose::translation(-0.12, 0.0, radius));
+    ball.velocity = Vector3::x() * 0.5;
+    ball.angular_velocity = Vector3::y() * (0.5 / radius);
+    start.bodies.push(ball);
+    agree(&model, &Scene::on_table(0.3), &start, 0.6, (2.0, 6.0, 20.0));
+}
+
+/// The bundled hand, and a joint vector with bent fingers.
+fn hand(base: Base<f64>) -> (Articulation<f64>, Vec<f64>) {
+    let robot = Arc::new(Robot::bundled("leap_right").unwrap());
+    let q = robot
+        .joint_vector([("if_mcp", 0.5), ("if_pip", 0.4), ("mf_mcp", 0.8), ("mf_dip", 0.3), ("th_cmc", 0.9), ("th_mcp", 0.2)])
+        .unwrap();
+    (Articulation::new(robot, base).unwrap(), q)
+}
+
+/// Largest difference of joint angles between the engines, rad, and how far any joint moved.
+fn joints_agree(model: &Model<f64>, scene: &Scene<f64>, start: &State<f64>, until_s: f64, rad: f64, moved_rad: f64) {
+    let times: Vec<f64> = (1..=50).map(|i| f64::from(i) * until_s / 50.0).collect();
+    let ours = rollout(model, scene, start, &times).unwrap();
+    let theirs = mujoco::rollout(model, scene, start, &times, &MjcfOptions::default()).unwrap();
+    let (mut worst, mut moved) = (0.0_f64, 0.0_f64);
+    for (a, b) in ours.joints[0].iter().zip(&theirs.joints[0]) {
+        for ((x, y), z) in a.iter().zip(b).zip(&start.arms[0].q) {
+            worst = worst.max((x - y).abs());
+            moved = moved.max((x - z).abs());
+        }
+    }
+    println!("{worst:.5} rad, joints moved by up to {moved:.3} rad");
+    assert!(moved > moved_rad, "they moved {moved} rad");
+    assert!(worst < rad, "{worst} rad");
+}
+
+#[test]
+fn a_hand_that_closes() {
+    let side = UnitQuaternion::from_euler_angles(1.2, 0.3, 0.0);
+    let (arm, q) = hand(Base::Fixed(Pose::from_parts(Vector3::new(0.0, 0.0, 0.5).into(), side)));
+    let control: Vec<f64> = arm.actuators.iter().map(|a| q[a.joint] + 0.3).collect();
+    let start = State::new(Vec::new(), vec![arm.at_rest(&q, 0.0).unwrap()]);
+    let mut scene = Scene::empty();
+    scene.controls.push(Control::constant(&control).unwrap());
+    joints_agree(&Model::new(Vec::new()).with_arm(arm), &scene, &start, 1.0, 0.01, 0.2);
+}
+
+#[test]
+fn a_hand_without_drives_and_friction_that_swings() {
+    let side = UnitQuaternion::from_euler_angles(1.2, 0.3, 0.0);
+    let (mut arm, q) = hand(Base::Fixed(Pose::from_parts(Vector3::new(0.0, 0.0, 0.5).into(), side)));
+    arm.actuators.clear();
+    for j in &mut arm.joints {
+        (j.friction_loss, j.damping, j.limits) = (0.0, 1e-3, None);
+    }
+    let start = State::new(Vec::new(), vec![arm.at_rest(&q, 0.0).unwrap()]);
+    joints_agree(&Model::new(Vec::new()).with_arm(arm), &Scene::empty(), &start, 0.5, 0.01, 0.2);
+}
+
+#[test]
+fn a_hand_whose_base_is_moved_feels_it() {
+    // Fingers without friction and drives: only the base's acceleration moves them, no gravity.
+    let to = Pose::from_parts(Vector3::new(0.1, -0.2, 0.6).into(), UnitQuaternion::from_euler_angles(0.6, -0.4, 0.9));
+    let path = BasePath::new(&[0.05, 0.45], &[Pose::translation(0.0, 0.0, 0.5), to]).unwrap();
+    let (mut arm, q) = hand(Base::Path(path));
+    arm.actuators.clear();
+    for j in &mut arm.joints {
+        (j.friction_loss, j.damping, j.limits) = (0.0, 1e-3, None);
+    }
+    let start = State::new(Vec::new(), vec![arm.at_rest(&q, 0.0).unwrap()]);
+    let mut scene = Scene::empty();
+    scene.gravity = Vector3::zeros();
+    joints_agree(&Model::new(Vec::new()).with_arm(arm), &scene, &start, 0.5, 0.01, 0.2);
+}
+
+#[test]
+fn a_free_hand_pushed_at_a_fingertip() {
+    let (mut arm, q) = hand(Base::Free);
+    for j in &mut arm.joints {
+        j.friction_loss = 0.0;
+    }
+    let control: Vec<f64> = arm.actuators.iter().map(|a| q[a.joint]).collect();
+    let link = arm.robot.link_index("index_tip").unwrap() as u32;
+    let mut scene = Scene::empty();
+    scene.controls.push(Control::constant(&control).unwrap());
+    let on = Part::Link { arm: 0, link };
+    let push = [Vector3::new(0.3, 0.5, -0.4), Vector3::zeros()];
+    scene.forces.push(AppliedForce::new(on, &[0.05, 0.25], &push, ForcePoint::Body(Point3::new(0.0, 0.01, 0.0))).unwrap());
+    let start = State::new(Vec::new(), vec![arm.at_rest(&q, 0.0).unwrap()]);
+    let model = Model::new(Vec::new()).with_arm(arm);
+    joints_agree(&model, &scene, &start, 0.4, 0.005, 0.05);
+    let ours = rollout(&model, &scene, &start, &[0.4]).unwrap().last.arms[0].base.clone();
+    let theirs = mujoco::rollout(&model, &scene, &start, &[0.4], &MjcfOptions::default()).unwrap().last.arms[0].base.clone();
+    let way = ours.world_from_base.translation.vector.norm();
+    let apart = (ours.world_from_base.translation.vector - theirs.world_from_base.translation.vector).norm();
+    let turned = ours.world_from_base.rotation.angle_to(&theirs.world_from_base.rotation);
+    println!("base {:.4} mm of {:.1} mm, {turned:.5} rad of {:.3}", apart * 1e3, way * 1e3, ours.world_from_base.rotation.angle());
+    assert!(way > 0.5 && apart < 1e-3 && turned < 0.01);
+}
