@@ -1,13 +1,14 @@
 //! The same model and scene in both engines.
 #![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)] // a test may panic, and shows what it measured
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use drex_core::{MassProperties, Pose};
 use drex_diffsim::mujoco::{self, MjcfOptions, MujocoEngine, to_mjcf};
 use drex_diffsim::{
-    AppliedForce, Articulation, Base, BasePath, Body, BodyState, Collider, Control, ConvexPiece, Fixed, ForcePoint, Geom,
-    Model, Mover, Part, Scene, Shape, SimError, State, rollout,
+    AppliedForce, Articulation, Base, BasePath, Body, BodyState, Collider, ContactForce, Control, ConvexPiece, Fixed,
+    ForcePoint, Geom, Model, Mover, Part, Scene, Shape, SimError, State, Workspace, rollout, step,
 };
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
@@ -193,7 +194,14 @@ fn a_ball_that_rolls_against_a_box() {
 fn hand(base: Base<f64>) -> (Articulation<f64>, Vec<f64>) {
     let robot = Arc::new(Robot::bundled("leap_right").unwrap());
     let q = robot
-        .joint_vector([("if_mcp", 0.5), ("if_pip", 0.4), ("mf_mcp", 0.8), ("mf_dip", 0.3), ("th_cmc", 0.9), ("th_mcp", 0.2)])
+        .joint_vector([
+            ("if_mcp", 0.5),
+            ("if_pip", 0.4),
+            ("mf_mcp", 0.8),
+            ("mf_dip", 0.3),
+            ("th_cmc", 0.9),
+            ("th_mcp", 0.2),
+        ])
         .unwrap();
     (Articulation::new(robot, base).unwrap(), q)
 }
@@ -266,15 +274,108 @@ fn a_free_hand_pushed_at_a_fingertip() {
     scene.controls.push(Control::constant(&control).unwrap());
     let on = Part::Link { arm: 0, link };
     let push = [Vector3::new(0.3, 0.5, -0.4), Vector3::zeros()];
-    scene.forces.push(AppliedForce::new(on, &[0.05, 0.25], &push, ForcePoint::Body(Point3::new(0.0, 0.01, 0.0))).unwrap());
+    scene
+        .forces
+        .push(AppliedForce::new(on, &[0.05, 0.25], &push, ForcePoint::Body(Point3::new(0.0, 0.01, 0.0))).unwrap());
     let start = State::new(Vec::new(), vec![arm.at_rest(&q, 0.0).unwrap()]);
     let model = Model::new(Vec::new()).with_arm(arm);
     joints_agree(&model, &scene, &start, 0.4, 0.005, 0.05);
     let ours = rollout(&model, &scene, &start, &[0.4]).unwrap().last.arms[0].base.clone();
-    let theirs = mujoco::rollout(&model, &scene, &start, &[0.4], &MjcfOptions::default()).unwrap().last.arms[0].base.clone();
+    let theirs =
+        mujoco::rollout(&model, &scene, &start, &[0.4], &MjcfOptions::default()).unwrap().last.arms[0].base.clone();
     let way = ours.world_from_base.translation.vector.norm();
     let apart = (ours.world_from_base.translation.vector - theirs.world_from_base.translation.vector).norm();
     let turned = ours.world_from_base.rotation.angle_to(&theirs.world_from_base.rotation);
-    println!("base {:.4} mm of {:.1} mm, {turned:.5} rad of {:.3}", apart * 1e3, way * 1e3, ours.world_from_base.rotation.angle());
+    println!(
+        "base {:.4} mm of {:.1} mm, {turned:.5} rad of {:.3}",
+        apart * 1e3,
+        way * 1e3,
+        ours.world_from_base.rotation.angle()
+    );
     assert!(way > 0.5 && apart < 1e-3 && turned < 0.01);
+}
+
+#[path = "../examples/pick.rs"]
+#[allow(dead_code)] // it has a main of its own
+mod pick;
+
+#[test]
+fn a_hand_that_picks_a_box_or_cannot() {
+    for (squeeze, rises_m) in [(1.5, 0.2), (0.5, 0.0)] {
+        let pick = pick::Pick { mass_kg: 0.2, friction: 0.5, cap_nm: 0.29, squeeze, dt_s: 1e-3 };
+        let (model, scene, start) = pick::scene(&pick).unwrap();
+        // Before the lift, after it, and after a hold of three seconds.
+        let times = [0.5, 2.5, 5.5];
+        let ours = rollout(&model, &scene, &start, &times).unwrap();
+        let theirs = mujoco::rollout(&model, &scene, &start, &times, &MjcfOptions::default()).unwrap();
+        for (engine, record) in [("ours", &ours), ("MuJoCo", &theirs)] {
+            let [before, lifted, held] = [0, 1, 2].map(|i| record.bodies[0].poses[i].translation.vector);
+            let (rise, drift) = (lifted.z - before.z, (held - lifted).norm());
+            println!("squeeze {squeeze}, {engine}: rises {rise:.4} m, drifts {:.4} mm in the hold", drift * 1e3);
+            assert!((rise - rises_m).abs() < 2e-3 && drift < 1e-4);
+        }
+        for (a, b) in ours.bodies[0].poses.iter().zip(&theirs.bodies[0].poses) {
+            let (way, turn) = ((a.translation.vector - b.translation.vector).norm(), a.rotation.angle_to(&b.rotation));
+            println!("  apart by {:.3} mm, {turn:.4} rad", way * 1e3);
+            assert!(way < 2e-3 && turn < 0.03);
+        }
+        for (a, b) in ours.joints[0][2].iter().zip(&theirs.joints[0][2]) {
+            assert!((a - b).abs() < 0.01, "{a} rad, {b} rad");
+        }
+    }
+}
+
+#[test]
+fn contacts_of_a_pick_are_told_alike() {
+    let pick = pick::Pick { mass_kg: 0.2, friction: 0.5, cap_nm: 0.29, squeeze: 1.5, dt_s: 1e-3 };
+    let (model, scene, start) = pick::scene(&pick).unwrap();
+    let mut engine = MujocoEngine::new(&model, &scene, &start, &MjcfOptions::default()).unwrap();
+    let mut state = start.clone();
+    let mut work = Workspace::default();
+    for _ in 0..3000 {
+        engine.step().unwrap();
+        step(&model, &scene, &mut state, &mut work).unwrap();
+    }
+    // The box hangs, so that the forces of the fingers together carry it. What presses index and middle finger against
+    // each other through the box is not determined by statics, so that only normal forces compare.
+    let per_link = |contacts: &mut dyn Iterator<Item = ContactForce<f64>>| {
+        let mut sum = Vector3::zeros();
+        let mut normal = BTreeMap::<Part, f64>::new();
+        for c in contacts.filter(|c| c.force.norm() > 0.0) {
+            assert_eq!(c.key.a, Part::Body(0), "{c:?}");
+            assert!(c.normal.dot(&c.force) > 0.0 && c.velocity.norm() < 1e-3 && c.depth.abs() < 1e-3, "{c:?}");
+            sum += c.force;
+            *normal.entry(c.key.b).or_default() += c.force.dot(&c.normal);
+        }
+        assert!((sum - Vector3::z() * 0.2 * G).norm() < 0.02, "{sum}");
+        normal
+    };
+    let ours = per_link(&mut work.contacts().copied());
+    let theirs = per_link(&mut engine.contacts().into_iter());
+    assert!(ours.len() == 3 && ours.keys().eq(theirs.keys()), "{ours:?} {theirs:?}");
+    for (a, b) in ours.values().zip(theirs.values()) {
+        println!("{a:.3} N, {b:.3} N");
+        assert!((a - b).abs() < 0.2 * a, "{a} N, {b} N");
+    }
+}
+
+#[test]
+fn links_of_a_hand_touch_each_other_only_where_they_should() {
+    // The fingers are spread into one another. With self-collision both engines stop them, without it neither does.
+    for self_collision in [false, true] {
+        let (mut arm, _) = hand(Base::Fixed(Pose::identity()));
+        arm.self_collision = self_collision;
+        let q = arm.robot.joint_vector([("if_mcp", 0.2), ("mf_mcp", 0.2)]).unwrap();
+        let control = arm.control([("if_rot", 0.9), ("mf_rot", -0.9), ("if_mcp", 0.2), ("mf_mcp", 0.2)], 0.0).unwrap();
+        let start = State::new(Vec::new(), vec![arm.at_rest(&q, 0.0).unwrap()]);
+        let mut scene = Scene::empty();
+        scene.controls.push(Control::constant(&control).unwrap());
+        let joint = arm.robot.joint_index("if_rot").unwrap();
+        let model = Model::new(Vec::new()).with_arm(arm);
+        let ours = rollout(&model, &scene, &start, &[1.0]).unwrap();
+        let theirs = mujoco::rollout(&model, &scene, &start, &[1.0], &MjcfOptions::default()).unwrap();
+        let (a, b) = (ours.joints[0][0][joint], theirs.joints[0][0][joint]);
+        println!("self-collision {self_collision}: {a:.3} rad, {b:.3} rad");
+        assert!((a - b).abs() < 0.02 && (a.abs() < 0.7) == self_collision);
+    }
 }

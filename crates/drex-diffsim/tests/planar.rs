@@ -81,7 +81,9 @@ fn a_box_pushed_off_its_centre_slides_and_turns_as_the_plane_problem_says() {
     model.dt_s = 1e-4;
     let mut scene = Scene::on_table(FRICTION);
     let at = ForcePoint::Body(Point3::from(POINT));
-    scene.forces.push(AppliedForce::new(Part::Body(0), &[0.1, 0.3], &[Vector3::x() * FORCE_N, Vector3::zeros()], at).unwrap());
+    scene
+        .forces
+        .push(AppliedForce::new(Part::Body(0), &[0.1, 0.3], &[Vector3::x() * FORCE_N, Vector3::zeros()], at).unwrap());
     let times = [0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.8];
     let record = rollout(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, HALF_M)), &times).unwrap();
     let truth = plane_problem(&times);

@@ -163,7 +163,9 @@ impl MujocoEngine {
             return Vector3::zeros();
         };
         let u = self.data.qvel();
-        Vector3::from_fn(|k, _| jacobian.chunks_exact(u.len()).nth(k).map_or(0.0, |row| row.iter().zip(u).map(|(j, u)| j * u).sum()))
+        Vector3::from_fn(|k, _| {
+            jacobian.chunks_exact(u.len()).nth(k).map_or(0.0, |row| row.iter().zip(u).map(|(j, u)| j * u).sum())
+        })
     }
 
     fn free(&self, slots: &FreeSlots) -> Prescribed {
@@ -183,18 +185,24 @@ impl MujocoEngine {
         let (t, dt) = (self.time_s(), self.dt_s);
         let mut all: Vec<(FreeSlots, [Prescribed; 2])> = Vec::new();
         for (slots, mover) in self.layout.movers.iter().zip(&self.scene.movers) {
-            all.push((*slots, [t, t + dt].map(|t| {
-                let m = mover.path.at(t);
-                Prescribed { pose: m.pose, velocity: m.velocity, angular_velocity: m.angular_velocity }
-            })));
+            all.push((
+                *slots,
+                [t, t + dt].map(|t| {
+                    let m = mover.path.at(t);
+                    Prescribed { pose: m.pose, velocity: m.velocity, angular_velocity: m.angular_velocity }
+                }),
+            ));
         }
         for (slots, arm) in self.layout.arms.iter().zip(&self.model.arms) {
             if let (Some(base), Base::Path(_)) = (slots.base, &arm.base) {
-                all.push((base, [t, t + dt].map(|t| {
-                    let b = arm.prescribed_base(t);
-                    let (velocity, angular_velocity) = (b.velocity, b.angular_velocity);
-                    Prescribed { pose: b.world_from_base, velocity, angular_velocity }
-                })));
+                all.push((
+                    base,
+                    [t, t + dt].map(|t| {
+                        let b = arm.prescribed_base(t);
+                        let (velocity, angular_velocity) = (b.velocity, b.angular_velocity);
+                        Prescribed { pose: b.world_from_base, velocity, angular_velocity }
+                    }),
+                ));
             }
         }
         for (slots, [now, next]) in &all {
