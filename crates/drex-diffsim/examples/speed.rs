@@ -5,7 +5,7 @@
 //! ```
 //!
 //! Prints one line of JSON per case and step: `case`, `dt_s`, `rate` (simulated seconds per second of wall time, at
-//! least S seconds of it), `error_mm` (largest distance from the true path). With `--mjcf` it also writes the cases as MJCF, for
+//! least S seconds of it), `error_mm` (largest distance of the body from its true path). With `--mjcf` it also writes the cases as MJCF, for
 //! `tests/peers/diffsim_speed.py`, which runs this program and MuJoCo in turn.
 #![allow(clippy::print_stdout)] // a program
 
@@ -16,12 +16,20 @@ use std::time::Instant;
 
 use drex_core::{MassProperties, Pose};
 use drex_diffsim::mujoco::{MjcfOptions, to_mjcf};
-use drex_diffsim::{Body, ConvexPiece, Model, Scene, State, Workspace, rollout, step};
+use drex_diffsim::{Base, Body, Collider, Geom, Model, Scene, Shape, State, Workspace, rollout, step};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 const G: f64 = 9.81;
-const STEPS_S: [f64; 2] = [5e-4, 2e-3];
+const STEPS_S: [f64; 3] = [5e-4, 1e-3, 2e-3];
 const SAMPLES: u32 = 50;
+/// When the example `pick` has lifted its box.
+const LIFTED_S: f64 = 2.5;
+/// What is held has settled by then.
+const SETTLED_S: f64 = 0.5;
+
+#[path = "pick.rs"]
+#[allow(dead_code)] // it has a main of its own
+mod pick;
 
 /// What is simulated again and again, and how far from the truth it ends.
 struct Case {
@@ -31,34 +39,43 @@ struct Case {
     start: State<f64>,
     /// Length of one run, seconds.
     until_s: f64,
-    /// Where the body's origin is in truth, by time.
-    truth: fn(f64) -> Vector3<f64>,
+    /// Where the body's origin is in truth, by time; `None`: where it is at [`SETTLED_S`].
+    truth: Option<fn(f64) -> Vector3<f64>>,
 }
 
 /// A cube of 6 cm and 0.2 kg on a table inclined by `degrees`, which here is gravity that leans.
 fn box_case(name: &'static str, degrees: f64, friction: f64) -> Result<Case, Box<dyn Error>> {
-    let corner = |i: i32| Point3::new(0.06 * f64::from(i & 1), 0.03 * f64::from(i & 2), 0.015 * f64::from(i & 4));
-    let corners: Vec<_> = (0..8).map(|i| corner(i) - Vector3::repeat(0.03)).collect();
+    let shape = Shape::Box { half_m: Vector3::repeat(0.03) };
     let unit = MassProperties {
         mass_kg: 1.0,
         center_of_mass: Point3::origin(),
         inertia: Matrix3::identity() * (0.06_f64.powi(2) / 6.0),
     };
-    let model = Model::new(vec![Body::new(&unit, 0.2, Arc::new(vec![ConvexPiece::from_points(&corners)?]))]);
+    let model = Model::new(vec![Body::new(&unit, 0.2, Arc::new(Collider::new(&[Geom::new(shape)])?))]);
     let mut scene = Scene::on_table(friction);
     let angle = degrees.to_radians();
     scene.gravity = Vector3::new(angle.sin(), 0.0, -angle.cos()) * G;
     let start = State::at_rest(Pose::translation(0.0, 0.0, 0.03));
-    Ok(Case { name, model, scene, start, until_s: 1.0, truth: |_| Vector3::z() * 0.03 })
+    Ok(Case { name, model, scene, start, until_s: 1.0, truth: Some(|_| Vector3::z() * 0.03) })
 }
 
 fn cases() -> Result<Vec<Case>, Box<dyn Error>> {
     let mut slide = box_case("box_slide", 25.0, 0.4)?;
-    slide.truth = |t| {
+    slide.truth = Some(|t| {
         let a = 25.0_f64.to_radians();
         Vector3::new(0.5 * G * (a.sin() - 0.4 * a.cos()) * t * t, 0.0, 0.03)
-    };
-    Ok(vec![box_case("box_rest", 0.0, 0.5)?, box_case("box_stick", 20.0, 0.5)?, slide])
+    });
+    Ok(vec![box_case("box_rest", 0.0, 0.5)?, box_case("box_stick", 20.0, 0.5)?, slide, hand_case()?])
+}
+
+/// The box of the example `pick` in the lifted hand, which now stands still.
+fn hand_case() -> Result<Case, Box<dyn Error>> {
+    let of = pick::Pick { mass_kg: 0.2, friction: 0.5, cap_nm: 0.29, squeeze: 1.5, dt_s: 1e-3 };
+    let (mut model, scene, start) = pick::scene(&of)?;
+    let mut state = rollout(&model, &scene, &start, &[LIFTED_S])?.last;
+    model.arms[0].base = Base::Fixed(state.arms[0].base.world_from_base);
+    state.time_s = 0.0;
+    Ok(Case { name: "hand_hold", model, scene, start: state, until_s: 3.0, truth: None })
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -109,6 +126,12 @@ fn rate(case: &Case, seconds: f64) -> Result<f64, Box<dyn Error>> {
 fn error_mm(case: &Case) -> Result<f64, Box<dyn Error>> {
     let times: Vec<f64> = (1..=SAMPLES).map(|i| f64::from(i) * case.until_s / f64::from(SAMPLES)).collect();
     let record = rollout(&case.model, &case.scene, &case.start, &times)?;
-    let distance = |(t, p): (&f64, &Pose)| (p.translation.vector - (case.truth)(*t)).norm() * 1e3;
-    Ok(times.iter().zip(&record.poses).map(distance).fold(0.0, f64::max))
+    let path = || times.iter().zip(record.bodies[0].poses.iter().map(|p| p.translation.vector));
+    let settled = path().find(|(t, _)| **t >= SETTLED_S - 1e-9).map_or(Vector3::zeros(), |(_, x)| x);
+    let distance = |(t, x): (&f64, Vector3<f64>)| match case.truth {
+        Some(truth) => (x - truth(*t)).norm() * 1e3,
+        None if *t < SETTLED_S => 0.0,
+        None => (x - settled).norm() * 1e3,
+    };
+    Ok(path().map(distance).fold(0.0, f64::max))
 }

@@ -35,6 +35,7 @@ pub fn to_mjcf<T: Scalar>(
 
 /// MJCF, and what of it the engine has to know.
 #[derive(Debug)]
+#[cfg_attr(not(feature = "mujoco"), expect(dead_code, reason = "without the engine only the text is used"))]
 pub(super) struct Written {
     pub text: String,
     /// Name, part and index in its collider of every geom.
