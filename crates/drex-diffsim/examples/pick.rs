@@ -15,22 +15,22 @@ use nalgebra::{Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 
 /// Joint angles at which the thumb faces the index and middle fingers across 5 cm.
 const GRASP: [(&str, f64); 12] = [
-    ("if_mcp", 0.4761),
-    ("if_rot", 0.0107),
-    ("if_pip", 0.5781),
-    ("if_dip", 1.1011),
-    ("mf_mcp", 0.4679),
-    ("mf_rot", -0.0103),
-    ("mf_pip", 0.6962),
-    ("mf_dip", 1.0521),
-    ("th_cmc", 0.339),
-    ("th_axl", 1.0704),
-    ("th_mcp", 1.389),
-    ("th_ipl", 0.494),
+    ("if_mcp", 0.323),
+    ("if_rot", 0.0332),
+    ("if_pip", 1.3067),
+    ("if_dip", 0.6129),
+    ("mf_mcp", 0.4686),
+    ("mf_rot", -0.1072),
+    ("mf_pip", 0.5256),
+    ("mf_dip", 1.2977),
+    ("th_cmc", 1.493),
+    ("th_axl", 0.8261),
+    ("th_mcp", 1.623),
+    ("th_ipl", -1.34),
 ];
 /// Where the box is then: its centre line in the hand's frame, and its yaw.
-const CENTER: (f64, f64, f64) = (-0.00205, -0.01049, -0.1066);
-const YAW: f64 = -0.1186;
+const CENTER: (f64, f64, f64) = (-0.00776, -0.02648, -0.10179);
+const YAW: f64 = 0.393;
 /// Half extents of the box, metres, and the height of the contacts over the table.
 const HALF: Vector3<f64> = Vector3::new(0.025, 0.04, 0.04);
 const CONTACT_HEIGHT_M: f64 = 0.05;
@@ -52,6 +52,9 @@ pub struct Pick {
     pub cap_nm: f64,
     /// Squeeze of each side over m g / (2 friction).
     pub squeeze: f64,
+    /// Torque that a drive may add to what the squeeze needs, to hold its position, N m. With it, fingers that are told to
+    /// press too little make up for it as they are pushed apart.
+    pub reserve_nm: f64,
     /// Time step, seconds.
     pub dt_s: f64,
 }
@@ -86,14 +89,22 @@ pub fn scene(pick: &Pick) -> Result<(Model<f64>, Scene<f64>, State<f64>)> {
     let lift = BasePath::new(&[0.5, 2.5], &[at(height), at(height + 0.2)])?;
     let mut hand = Articulation::new(Arc::clone(&robot), Base::Path(lift))?.with_friction(pick.friction);
     for drive in &mut hand.actuators {
-        drive.force_range = Some((-pick.cap_nm, pick.cap_nm));
         drive.kind = ActuatorKind::Position { kp: STIFFNESS, kv: DAMPING };
     }
     let q = robot.joint_vector(GRASP).map_err(|e| drex_diffsim::SimError::Series {
         what: e.to_string(),
         remedy: "use the bundled hand".into(),
     })?;
-    let control = Control::constant(&commands(&hand, &q, pick, &at(height)))?;
+    let torque = torques(&hand, &q, pick, &at(height));
+    let drives = hand.actuators.iter_mut();
+    let commands: Vec<f64> = drives
+        .map(|drive| {
+            let cap = (torque[drive.joint].abs() + pick.reserve_nm).min(pick.cap_nm);
+            drive.force_range = Some((-cap, cap));
+            q[drive.joint] + torque[drive.joint] / STIFFNESS
+        })
+        .collect();
+    let control = Control::constant(&commands)?;
 
     let s = HALF.component_mul(&HALF) / 3.0;
     let inertia = Matrix3::from_diagonal(&Vector3::new(s.y + s.z, s.z + s.x, s.x + s.y));
@@ -117,9 +128,9 @@ pub fn scene(pick: &Pick) -> Result<(Model<f64>, Scene<f64>, State<f64>)> {
     Ok((model, scene, start))
 }
 
-/// Commands of the position drives that make the fingertips press with the squeeze and carry the box, half of it on each
-/// side: q + (Jᵀ f + gravity)/kp.
-fn commands(hand: &Articulation<f64>, q: &[f64], pick: &Pick, world_from_base: &Pose) -> Vec<f64> {
+/// Joint torques that make the fingertips press with the squeeze and carry the box, half of it on each side:
+/// Jᵀ f + gravity.
+fn torques(hand: &Articulation<f64>, q: &[f64], pick: &Pick, world_from_base: &Pose) -> Vec<f64> {
     let robot = &hand.robot;
     let poses = robot.forward_kinematics(q, world_from_base);
     let squeeze = pick.squeeze * pick.mass_kg * G / (2.0 * pick.friction);
@@ -134,7 +145,7 @@ fn commands(hand: &Articulation<f64>, q: &[f64], pick: &Pick, world_from_base: &
             torque.iter_mut().zip(tau.iter()).for_each(|(t, x)| *t += x);
         }
     }
-    hand.actuators.iter().map(|a| q[a.joint] + torque[a.joint] / STIFFNESS).collect()
+    torque
 }
 
 /// Runs a pick.
@@ -182,10 +193,11 @@ pub fn run(pick: &Pick) -> Result<Outcome> {
 
 #[allow(clippy::print_stdout, dead_code)] // the output is the point of an example; a test includes this file
 fn main() -> Result<()> {
+    let dt_s = 1e-3;
     println!("{:>6} {:>5} {:>5} {:>8} | {:>9} {:>9} {:>9} {:>9} {:>7} {:>7}", "kg", "mu", "N m", "squeeze", "height m", "lift mm", "hold mm", "drift mm", "thumb N", "N m");
     for (mass_kg, friction, cap_nm) in [(0.2, 0.5, 0.29), (0.7, 0.9, 0.5)] {
-        for squeeze in [0.5, 1.2, 1.5, 2.0] {
-            let o = run(&Pick { mass_kg, friction, cap_nm, squeeze, dt_s: 1e-3 })?;
+        for (squeeze, reserve_nm) in [(0.5, 0.0), (1.2, 0.1), (1.5, 0.1), (2.0, 0.1)] {
+            let o = run(&Pick { mass_kg, friction, cap_nm, squeeze, reserve_nm, dt_s })?;
             println!(
                 "{mass_kg:>6} {friction:>5} {cap_nm:>5} {squeeze:>8} | {:>9.4} {:>9.4} {:>9.4} {:>9.4} {:>7.2} {:>7.3} {}",
                 o.height_m,

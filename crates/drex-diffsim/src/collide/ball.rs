@@ -4,7 +4,8 @@ use nalgebra::Vector3;
 
 use super::Pair;
 use super::feature::{Ball, Feature, Line, Plane, Side, Touch};
-use super::geom::{Kind, Poly};
+use super::geom::{Cylinder, Kind, Poly};
+use crate::SdfShape;
 
 /// The nearest feature of a shape.
 #[derive(Debug, Clone, Copy)]
@@ -16,6 +17,16 @@ pub(super) enum Target {
 }
 
 impl Target {
+    /// An edge or corner: a point beside it has no steady normal.
+    pub fn is_sharp(&self) -> bool {
+        match self {
+            Self::Plane(_) => false,
+            Self::Rim(_) => true,
+            Self::Line(line) => line.radius <= 0.0,
+            Self::Ball(ball) => ball.radius <= 0.0,
+        }
+    }
+
     pub fn feature(self, on: Side, ball: Ball) -> Feature {
         match self {
             Self::Plane(plane) => Feature::BallPlane { on, ball, plane },
@@ -33,7 +44,14 @@ impl Pair<'_> {
             Side::A => self.a_from_b.r.tr_mul(&(center - self.a_from_b.p)),
             Side::B => self.a_from_b.point(center),
         };
-        if let Some((distance, target)) = nearest(other, &x, radius + self.margin)
+        if let Kind::Sdf { sdf, shape_from_body } = other {
+            let gap = distance_within(sdf, &shape_from_body.point(&x), radius + self.margin);
+            if gap.is_some_and(|gap| gap < radius + self.margin) {
+                let ball = Ball { center: *center, radius };
+                let feature = Feature::BallSdf { on, ball, sdf: sdf.clone(), shape_from_body: *shape_from_body };
+                self.out.push(Touch::new(site, feature));
+            }
+        } else if let Some((distance, target)) = nearest(other, &x, radius + self.margin)
             && distance < radius + self.margin
         {
             self.out.push(Touch::new(site, target.feature(on, Ball { center: *center, radius })));
@@ -71,14 +89,41 @@ pub(super) fn nearest(kind: &Kind, x: &Vector3<f64>, limit: f64) -> Option<(f64,
             };
             Some(((x - foot).norm() - radius, target))
         }
+        Kind::Cylinder(cylinder) => Some(nearest_of_cylinder(cylinder, x)),
         Kind::Poly(poly) => nearest_of_poly(poly, x, limit),
         _ => None,
     }
 }
 
+/// Signed distance of a solid at a point of its frame; `None` if its bounding box is farther than `limit`. The solid is
+/// not asked about points outside its box by more than that: there a grid may be slow or have no answer.
+pub(super) fn distance_within(sdf: &SdfShape, x: &Vector3<f64>, limit: f64) -> Option<f64> {
+    let (lo, hi) = sdf.bounds();
+    let outside = (lo.coords - x).sup(&(x - hi.coords)).sup(&Vector3::zeros()).norm();
+    (outside <= limit).then(|| sdf.sample(&(*x).into()).distance_m)
+}
+
 pub(super) fn unit(v: &Vector3<f64>) -> (Vector3<f64>, f64) {
     let length = v.norm();
     if length > 0.0 { (v / length, length) } else { (Vector3::z(), 0.0) }
+}
+
+/// Inside: side or end, whichever is nearer.
+fn nearest_of_cylinder(c: &Cylinder, x: &Vector3<f64>) -> (f64, Target) {
+    let w = x - c.center;
+    let s = w.dot(&c.axis);
+    let beside = (w - c.axis * s).norm() - c.radius;
+    let above = s.abs() - c.half_length;
+    let end = c.axis * 1.0_f64.copysign(s);
+    let line = Line { origin: c.center, along: c.axis, radius: c.radius };
+    if beside > 0.0 && above > 0.0 {
+        let rim = Line { origin: c.center + end * c.half_length, ..line };
+        (beside.hypot(above), Target::Rim(rim))
+    } else if above > beside {
+        (above, Target::Plane((end, end.dot(&c.center) + c.half_length)))
+    } else {
+        (beside, Target::Line(line))
+    }
 }
 
 /// A feature of a polyhedron.

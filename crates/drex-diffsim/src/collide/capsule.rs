@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use super::Pair;
 use super::ball::unit;
 use super::feature::{Ball, Feature, Line, Plane, Side, Touch};
-use super::geom::{Kind, Poly};
+use super::geom::{Edge, Kind, Poly};
 
 /// Lines whose angle has a smaller sine do not cross.
 const PARALLEL: f64 = 1e-3;
@@ -41,11 +41,11 @@ impl Pair<'_> {
                 self.out.remove(i);
             }
         }
-        let (line, length) = capsule_line(a, radius);
-        let (other, other_length) = capsule_line(b, other_radius);
+        let Rod { line, length, .. } = Rod::new(a, radius, Side::A);
+        let Rod { line: other, length: other_length, .. } = Rod::new(b, other_radius, Side::B);
         let there = (self.a_from_b.point(&other.origin), self.a_from_b.direction(&other.along));
         let Some((s, t)) = crossing((&line.origin, &line.along), (&there.0, &there.1)) else { return };
-        let inside = |s: f64, length: f64, radius: f64| s > 0.02 * radius && s < length - 0.02 * radius;
+        let inside = |s: f64, length: f64, radius: f64| s > 1e-6 * radius && s < length - 1e-6 * radius;
         if !inside(s, length, radius) || !inside(t, other_length, other_radius) {
             return;
         }
@@ -56,15 +56,21 @@ impl Pair<'_> {
         }
     }
 
-    /// Sites: 0 and 1 are the ends (not found here), then the edges of the polyhedron, then its vertices.
-    pub fn capsule_poly(&mut self, ends: &[Vector3<f64>; 2], radius: f64, poly: &Poly) {
-        let b_from_a = self.a_from_b.inverse();
-        let (line, length) = capsule_line(ends, radius);
-        let (p, e) = (b_from_a.point(&line.origin), b_from_a.direction(&line.along));
-        let q = p + e * length;
-        let limit = radius + self.margin;
+    /// A thick segment without its ends against the edges and vertices of a polyhedron on the other body. Sites: the
+    /// edges from `site` on, then the vertices. With `towards` (out of the polyhedron, in its frame) only touches whose
+    /// normals are that way.
+    pub fn rod_poly(&mut self, rod: &Rod, poly: &Poly, site: u32, towards: Option<Vector3<f64>>) {
+        let poly_from_rod = match rod.on {
+            Side::A => self.a_from_b.inverse(),
+            Side::B => self.a_from_b,
+        };
+        let Rod { line, length, on } = rod;
+        let (p, e) = (poly_from_rod.point(&line.origin), poly_from_rod.direction(&line.along));
+        let q = p + e * *length;
+        let limit = line.radius + self.margin;
         let (lo, hi) = (p.inf(&q).add_scalar(-limit), p.sup(&q).add_scalar(limit));
-        let inside = |s: f64| s > 0.02 * radius && s < length - 0.02 * radius;
+        let inside = |s: f64| s > 1e-6 * line.radius && s < length - 1e-6 * line.radius;
+        let out_of = |n: &Vector3<f64>| towards.is_none_or(|t| t.dot(n) > 0.5);
         let first = self.out.len();
         let mut best: Option<(f64, Vector3<f64>)> = None;
         for (i, edge) in poly.edges.iter().enumerate() {
@@ -82,26 +88,25 @@ impl Pair<'_> {
             let sign = if cross.dot(&(n1 + n2)) < 0.0 { -1.0 } else { 1.0 };
             let n = cross * sign;
             let gap = n.dot(&(p - v));
-            let in_cone = n.dot(&edge.along.cross(&n1)) > -OUTSIDE_CONE && n.dot(&n2.cross(&edge.along)) > -OUTSIDE_CONE;
             // Behind the edge, but out of the polyhedron again on its far side.
             let beyond = |(m, d): &Plane| m.dot(&(p + e * s)) - d > OUTSIDE_CONE * gap.abs();
-            if gap < limit && in_cone && (gap >= 0.0 || !poly.planes.iter().any(beyond)) {
-                let other = Line { origin: *v, along: edge.along, radius: 0.0 };
-                self.out.push(Touch::new(2 + i as u32, Feature::LineLine { on: Side::A, line, other, sign }));
-                if best.is_none_or(|(g, _)| gap > g) {
-                    best = Some((gap, n));
-                }
+            if gap >= limit || !in_cone(poly, edge, &n) || !out_of(&n) || (gap < 0.0 && poly.planes.iter().any(beyond))
+            {
+                continue;
+            }
+            let other = Line { origin: *v, along: edge.along, radius: 0.0 };
+            self.out.push(Touch::new(site + i as u32, Feature::LineLine { on: *on, line: *line, other, sign }));
+            if best.is_none_or(|(g, _)| gap > g) {
+                best = Some((gap, n));
             }
         }
-        // A capsule deep inside crosses edges on the far side as well.
+        // A rod deep inside crosses edges on the far side as well.
         if let Some((_, n)) = best {
-            let mut i = first;
-            while i < self.out.len() {
-                let keep = match &self.out[i].feature {
-                    Feature::LineLine { other, sign, .. } => e.cross(&other.along).dot(&n) * sign > 0.0,
-                    _ => true,
-                };
-                if keep { i += 1 } else { drop(self.out.remove(i)) }
+            for i in (first..self.out.len()).rev() {
+                let Feature::LineLine { other, sign, .. } = &self.out[i].feature else { continue };
+                if e.cross(&other.along).dot(&n) * sign <= 0.0 {
+                    self.out.remove(i);
+                }
             }
         }
         for (i, v) in poly.vertices.iter().enumerate() {
@@ -110,25 +115,59 @@ impl Pair<'_> {
             }
             let s = e.dot(&(v - p));
             let apart = p + e * s - v;
-            let sticks_out = |f: &u32| {
-                let sides = poly.sides(*f);
-                sides.iter().enumerate().filter(|(_, side)| side.vertex == i as u32).all(|(k, _)| {
-                    let next = poly.vertex(sides[(k + 1) % sides.len()].vertex);
-                    (next - v).dot(&apart) <= 0.0
-                })
+            let distance = apart.norm();
+            let crossed = |t: &Touch| match &t.feature {
+                Feature::LineLine { other, .. } => crossing((&p, &e), (&other.origin, &other.along))
+                    .is_some_and(|c| (c.0 - s).abs() < 0.02 * line.radius),
+                _ => false,
             };
-            if inside(s) && apart.norm() < limit && apart.norm() > 0.0 && poly.faces_at(i as u32).iter().all(sticks_out) {
+            if inside(s)
+                && !self.out[first..].iter().any(crossed)
+                && distance < limit
+                && distance > 0.0
+                && out_of(&(apart / distance))
+                && sticks_out(poly, i as u32, &apart)
+            {
                 let ball = Ball { center: *v, radius: 0.0 };
-                let site = 2 + (poly.edges.len() + i) as u32;
-                self.out.push(Touch::new(site, Feature::BallLine { on: Side::B, ball, line }));
+                let site = site + (poly.edges.len() + i) as u32;
+                self.out.push(Touch::new(site, Feature::BallLine { on: on.other(), ball, line: *line }));
             }
         }
     }
 }
 
-fn capsule_line(ends: &[Vector3<f64>; 2], radius: f64) -> (Line, f64) {
-    let (along, length) = unit(&(ends[1] - ends[0]));
-    (Line { origin: ends[0], along, radius }, length)
+/// A thick segment from the origin of its line.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Rod {
+    pub line: Line,
+    pub length: f64,
+    pub on: Side,
+}
+
+impl Rod {
+    pub fn new(ends: &[Vector3<f64>; 2], radius: f64, on: Side) -> Self {
+        let (along, length) = unit(&(ends[1] - ends[0]));
+        Self { line: Line { origin: ends[0], along, radius }, length, on }
+    }
+}
+
+/// Whether a unit normal across an edge is between the normals of its faces, or nearly so.
+pub(super) fn in_cone(poly: &Poly, edge: &Edge, n: &Vector3<f64>) -> bool {
+    let [n1, n2] = edge.faces.map(|f| poly.planes[f as usize].0);
+    n.dot(&edge.along.cross(&n1)) > -OUTSIDE_CONE && n.dot(&n2.cross(&edge.along)) > -OUTSIDE_CONE
+}
+
+/// Whether no edge at a vertex leads (more than hardly) in the direction d.
+fn sticks_out(poly: &Poly, vertex: u32, d: &Vector3<f64>) -> bool {
+    let v = poly.vertex(vertex);
+    let limit = OUTSIDE_CONE * d.norm();
+    poly.faces_at(vertex).iter().all(|&f| {
+        let sides = poly.sides(f);
+        sides.iter().enumerate().filter(|(_, side)| side.vertex == vertex).all(|(k, _)| {
+            let edge = poly.vertex(sides[(k + 1) % sides.len()].vertex) - v;
+            edge.dot(d) <= limit * edge.norm()
+        })
+    })
 }
 
 /// Where two lines (origin, unit direction) are nearest to each other, as lengths along them; `None` if parallel.

@@ -98,6 +98,8 @@ pub(crate) enum Feature {
     BallBall { on: Side, ball: Ball, other: Ball },
     /// A ball beside a circle about `axis`, the rim of a cylinder (`axis.radius` is the circle's).
     BallRim { on: Side, ball: Ball, axis: Line },
+    /// A thick line beside a circle about `axis`; they are nearest about `at` metres from the line's origin.
+    LineRim { on: Side, line: Line, axis: Line, at: f64 },
     /// The point of a circle about `axis` that lies lowest over a plane.
     RimPlane { on: Side, axis: Line, plane: Plane },
     /// A ball at a solid given by signed distance.
@@ -204,14 +206,31 @@ impl Feature {
                 let (y, e) = (there.point(&line.origin), there.direction(&line.along));
                 beside(x, T::lift(ball.radius), y + e * e.dot(&(x - y)), T::lift(line.radius))
             }
-            Self::BallBall { ball, other, .. } => {
-                beside(here.point(&ball.center), T::lift(ball.radius), there.point(&other.center), T::lift(other.radius))
-            }
+            Self::BallBall { ball, other, .. } => beside(
+                here.point(&ball.center),
+                T::lift(ball.radius),
+                there.point(&other.center),
+                T::lift(other.radius),
+            ),
             Self::BallRim { ball, axis, .. } => {
                 let x = here.point(&ball.center);
                 let (c, e) = (there.point(&axis.origin), there.direction(&axis.along));
                 let radial = direction(&across(&(x - c), &e)).0;
                 beside(x, T::lift(ball.radius), c + radial * T::lift(axis.radius), T::zero())
+            }
+            Self::LineRim { line, axis, at, .. } => {
+                let (x, e) = (here.point(&line.origin), here.direction(&line.along));
+                let (c, axial) = (there.point(&axis.origin), there.direction(&axis.along));
+                let r = T::lift(axis.radius);
+                let x = x + e * T::lift(*at);
+                let (radial, distance) = direction(&across(&(x - c), &axial));
+                let y = c + radial * r;
+                // One step of Newton's method on e·(x - y) = 0 along the line.
+                let sideways = across(&e, &axial);
+                let turning = across(&sideways, &radial) * (r / distance);
+                let x = x - e * (e.dot(&(x - y)) / (T::one() - e.dot(&turning)));
+                let y = c + direction(&across(&(x - c), &axial)).0 * r;
+                beside(x, T::lift(line.radius), y, T::zero())
             }
             Self::RimPlane { axis, plane, .. } => {
                 let (n, d) = there.plane(plane);
@@ -236,6 +255,7 @@ impl Feature {
             | Self::BallLine { on, .. }
             | Self::BallBall { on, .. }
             | Self::BallRim { on, .. }
+            | Self::LineRim { on, .. }
             | Self::RimPlane { on, .. }
             | Self::BallSdf { on, .. } => on,
         }
@@ -249,6 +269,7 @@ impl Feature {
             | Self::BallLine { on, .. }
             | Self::BallBall { on, .. }
             | Self::BallRim { on, .. }
+            | Self::LineRim { on, .. }
             | Self::RimPlane { on, .. }
             | Self::BallSdf { on, .. } => on,
         }

@@ -76,6 +76,17 @@ pub(crate) struct FaceSide {
     pub cut: Plane,
 }
 
+impl Cylinder {
+    pub fn ends(&self) -> [Vector3<f64>; 2] {
+        [self.center - self.axis * self.half_length, self.center + self.axis * self.half_length]
+    }
+
+    /// How far the sides of the prism are inside the cylinder.
+    pub fn sagitta(&self) -> f64 {
+        self.radius * (1.0 - (std::f64::consts::PI / f64::from(Shape::CYLINDER_SIDES)).cos())
+    }
+}
+
 impl CollisionGeom {
     /// # Errors
     /// For sizes that no shape has and a pose that is not finite.
@@ -89,9 +100,7 @@ impl CollisionGeom {
         let z = frame.r.column(2).into_owned();
         let origin = frame.p;
         Ok(match shape {
-            Shape::Plane => {
-                Self { kind: Kind::Plane((z, z.dot(&origin))), center: origin, radius: f64::INFINITY }
-            }
+            Shape::Plane => Self { kind: Kind::Plane((z, z.dot(&origin))), center: origin, radius: f64::INFINITY },
             Shape::Sphere { radius_m } => {
                 let kind = Kind::Sphere { center: origin, radius: *radius_m };
                 Self { kind, center: origin, radius: *radius_m }
@@ -141,11 +150,9 @@ impl Poly {
             (vertices[b as usize] - vertices[a as usize]).try_normalize(0.0).unwrap_or_else(Vector3::z)
         };
         let pairs = piece.edges().iter().zip(piece.edge_faces());
-        let edges: Vec<Edge> =
-            pairs.map(|(&ends, &faces)| Edge { ends, faces, along: unit(ends) }).collect();
-        let edge_of = |a: u32, b: u32| {
-            edges.iter().position(|e| e.ends == [a, b] || e.ends == [b, a]).unwrap_or(0) as u32
-        };
+        let edges: Vec<Edge> = pairs.map(|(&ends, &faces)| Edge { ends, faces, along: unit(ends) }).collect();
+        let edge_of =
+            |a: u32, b: u32| edges.iter().position(|e| e.ends == [a, b] || e.ends == [b, a]).unwrap_or(0) as u32;
         let (mut sides, mut side_start, mut areas) = (Vec::new(), vec![0], Vec::new());
         let mut faces_at = vec![Vec::new(); vertices.len()];
         for (f, (n, _)) in planes.iter().enumerate() {

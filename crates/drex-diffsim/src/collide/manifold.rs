@@ -11,7 +11,7 @@ use super::geom::{FaceSide, Poly};
 
 /// A vertex this far (relative to the smaller body) beyond the side of a face is still on it, so that boxes of the same
 /// size stand on each other's corners.
-const BESIDE: f64 = 2e-4;
+pub(super) const BESIDE: f64 = 2e-4;
 /// Cosine of the angle within which a face of the other polyhedron faces the reference face.
 const FACING_COS: f64 = -0.5;
 
@@ -35,16 +35,8 @@ pub(crate) struct Spots {
 }
 
 impl Pair<'_> {
-    /// The touches of `face` of the first with the second polyhedron. Returns the largest depth found. With
-    /// `never_empty`, polyhedra that overlap get the lowest vertex when rounding leaves no other.
-    pub fn manifold(
-        &mut self,
-        reference: &Half<'_>,
-        other: &Half<'_>,
-        face: u32,
-        never_empty: bool,
-        spots: &mut Spots,
-    ) -> f64 {
+    /// The touches of `face` of the first with the second polyhedron. Returns the largest depth found.
+    pub fn manifold(&mut self, reference: &Half<'_>, other: &Half<'_>, face: u32, spots: &mut Spots) -> f64 {
         let (n, d) = reference.planes[face as usize];
         let sides = reference.poly.sides(face);
         let beside = BESIDE * reference.poly.half.norm().min(other.poly.half.norm());
@@ -56,29 +48,18 @@ impl Pair<'_> {
         let mut deepest = f64::NEG_INFINITY;
         // Vertices over the face.
         let plane = reference.poly.planes[face as usize];
-        let over = |point: u32| {
-            let ball = Ball { center: *other.poly.vertex(point), radius: 0.0 };
-            Touch::new(other.first_site + point, Feature::BallPlane { on: other.on, ball, plane })
-        };
-        let mut lowest = (f64::NEG_INFINITY, 0);
         for (i, v) in other.vertices.iter().enumerate() {
             let depth = d - n.dot(v);
-            if depth > lowest.0 {
-                lowest = (depth, i as u32);
-            }
             if depth > -margin && inside(cuts, v, beside, usize::MAX) {
-                self.out.push(over(i as u32));
+                let ball = Ball { center: other.poly.vertices[i], radius: 0.0 };
+                let feature = Feature::BallPlane { on: other.on, ball, plane };
+                self.out.push(Touch::new(other.first_site + i as u32, feature));
                 points.push(*v);
                 deepest = deepest.max(depth);
             }
         }
         deepest = deepest.max(self.corners(reference, other, (&n, sides), beside, points));
-        deepest = deepest.max(self.crossings(reference, other, face, beside, (points, cuts)));
-        if never_empty && points.is_empty() && lowest.0 > 0.0 {
-            self.out.push(over(lowest.1));
-            deepest = lowest.0;
-        }
-        deepest
+        deepest.max(self.crossings(reference, other, face, beside, (points, cuts)))
     }
 
     /// Corners of the face that are inside the other polyhedron.
@@ -152,7 +133,7 @@ impl Pair<'_> {
                 let x = v + (w - v) * (s / (s - t));
                 let depth = d - n.dot(&x);
                 if depth <= -self.margin
-                    || !inside(cuts, &x, beside, k)
+                    || !inside(cuts, &x, 1e-4 * beside, k)
                     || points.iter().any(|p| across(&(p - x), &n) < 2.0 * beside)
                 {
                     continue;

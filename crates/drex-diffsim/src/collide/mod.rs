@@ -5,16 +5,22 @@
 
 mod ball;
 mod capsule;
+mod cylinder;
 mod feature;
 mod geom;
 mod manifold;
+mod points;
 mod sat;
+mod solid;
 #[cfg(test)]
 mod tests;
 
 use drex_core::Pose;
 
-pub(crate) use feature::{Frame, Place, Side, Touch};
+#[cfg(test)]
+use feature::Place;
+pub(crate) use feature::{Frame, Side, Touch};
+use geom::Cylinder;
 pub(crate) use geom::{CollisionGeom, Kind, Poly};
 
 use crate::Shape;
@@ -23,6 +29,7 @@ use crate::Shape;
 #[derive(Debug, Default)]
 pub(crate) struct CollideWork {
     sat: sat::Buffers,
+    planes: Vec<feature::Plane>,
     spots: manifold::Spots,
 }
 
@@ -30,11 +37,7 @@ pub(crate) struct CollideWork {
 pub(crate) fn supported(a: &Shape, b: &Shape) -> bool {
     !matches!(
         (a, b),
-        (Shape::Plane, Shape::Plane)
-            | (Shape::Sdf(_), Shape::Sdf(_))
-            | (Shape::Plane, Shape::Sdf(_))
-            | (Shape::Sdf(_), Shape::Plane)
-            | (Shape::Points(_), Shape::Points(_))
+        (Shape::Plane, Shape::Plane) | (Shape::Sdf(_), Shape::Sdf(_)) | (Shape::Points(_), Shape::Points(_))
     )
 }
 
@@ -136,6 +139,12 @@ impl Pair<'_> {
                 self.ball(Side::B, &ends[0], *radius, a, 0);
                 self.ball(Side::B, &ends[1], *radius, a, 1);
             }
+            (Kind::Points { .. }, _) => {}
+            (_, Kind::Points { points, body_from_shape }) => self.points(a, points, body_from_shape, work),
+            (Kind::Plane(plane), Kind::Sdf { sdf, shape_from_body }) => self.plane_sdf(plane, sdf, shape_from_body),
+            (Kind::Cylinder(Cylinder { prism: poly, .. }) | Kind::Poly(poly), Kind::Sdf { sdf, shape_from_body }) => {
+                self.poly_sdf(poly, sdf, shape_from_body);
+            }
             (Kind::Sphere { center, radius }, _) => self.ball(Side::A, center, *radius, b, 0),
             (Kind::Capsule { ends, radius }, _) => {
                 let start = self.out.len();
@@ -145,10 +154,15 @@ impl Pair<'_> {
                     Kind::Capsule { ends: other, radius: other_radius } => {
                         self.capsule_capsule(ends, *radius, a, other, *other_radius, start);
                     }
-                    Kind::Poly(poly) => self.capsule_poly(ends, *radius, poly),
+                    Kind::Cylinder(cylinder) => self.capsule_cylinder(ends, *radius, cylinder, b),
+                    Kind::Sdf { .. } => self.capsule_sdf(ends, *radius, b),
+                    Kind::Poly(poly) => self.rod_poly(&capsule::Rod::new(ends, *radius, Side::A), poly, 2, None),
                     _ => {}
                 }
             }
+            (Kind::Plane(plane), Kind::Cylinder(cylinder)) => self.plane_cylinder(plane, cylinder),
+            (Kind::Cylinder(c), Kind::Cylinder(d)) => self.cylinder_cylinder(c, d, work),
+            (Kind::Cylinder(cylinder), Kind::Poly(poly)) => self.cylinder_poly(cylinder, poly, work),
             (Kind::Poly(p), Kind::Poly(q)) => self.poly_poly(p, q, work),
             _ => {}
         }

@@ -4,9 +4,10 @@
 
 use nalgebra::Vector3;
 
+use super::capsule::crossing;
 use super::feature::{Feature, Frame, Line, Plane, Side, Touch};
 use super::geom::Poly;
-use super::manifold::Half;
+use super::manifold::{BESIDE, Half, Spots};
 use super::{CollideWork, Pair};
 
 /// Edges whose angle has a smaller sine are parallel: the normals of faces stand for them.
@@ -19,14 +20,23 @@ const ALIKE: f64 = 0.02;
 /// Buffers of the search.
 #[derive(Debug, Default)]
 pub(crate) struct Buffers {
+    moved: Moved,
+    edges: NearEdges,
+}
+
+/// The second polyhedron in the frame of the first.
+#[derive(Debug, Default)]
+struct Moved {
     vertices: Vec<Vector3<f64>>,
     planes: Vec<Plane>,
-    edges: [Vec<Near>; 2],
 }
+
+/// Edges of both near the overlap.
+pub(super) type NearEdges = [Vec<Near>; 2];
 
 /// An edge near the overlap, in the frame of the first body.
 #[derive(Debug, Clone, Copy)]
-struct Near {
+pub(super) struct Near {
     index: u32,
     start: Vector3<f64>,
     along: Vector3<f64>,
@@ -46,95 +56,160 @@ struct Axis {
     face: u32,
 }
 
-impl Pair<'_> {
-    /// Sites: the vertices of the polyhedron with more of them, those of the other, then pairs of edges.
-    pub fn poly_poly(&mut self, a: &Poly, b: &Poly, work: &mut CollideWork) {
-        // The smaller one is moved into the frame of the larger one.
-        if a.vertices.len() >= b.vertices.len() {
-            let frame = self.a_from_b;
-            self.polys(a, b, &frame, [Side::A, Side::B], work);
-        } else {
-            let frame = self.a_from_b.inverse();
-            self.polys(b, a, &frame, [Side::B, Side::A], work);
-        }
-    }
+/// Where two polyhedra overlap least.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Overlap {
+    /// Negative: minus the overlap.
+    gap: f64,
+    /// From the first to the second, in the frame of the first.
+    pub normal: Vector3<f64>,
+    /// Gaps that differ by less are alike.
+    alike: f64,
+    least: Least,
+}
 
-    fn polys(&mut self, p: &Poly, q: &Poly, p_from_q: &Frame<f64>, on: [Side; 2], work: &mut CollideWork) {
-        let margin = self.margin;
-        if boxes_gap(p, q, p_from_q) > margin {
-            return;
-        }
-        let Buffers { vertices, planes, edges } = &mut work.sat;
+/// Which features overlap least.
+#[derive(Debug, Clone, Copy)]
+enum Least {
+    /// A face of the first (0) or the second (1).
+    Face(usize, u32),
+    /// Two edges, by their place among those near the overlap; and a face of one of them that the other lies flat on.
+    Edges([usize; 2], Option<(usize, u32)>),
+}
+
+/// Two polyhedra in a common frame.
+pub(super) struct Search<'a> {
+    pub halves: [Half<'a>; 2],
+    pub edges: &'a mut NearEdges,
+}
+
+impl<'a> Search<'a> {
+    /// The one with fewer vertices is moved into the frame of the other.
+    pub fn new(a: &'a Poly, b: &'a Poly, a_from_b: &Frame<f64>, work: &'a mut Buffers) -> Self {
+        let (p, q, p_from_q, on) = if a.vertices.len() >= b.vertices.len() {
+            (a, b, *a_from_b, [Side::A, Side::B])
+        } else {
+            (b, a, a_from_b.inverse(), [Side::B, Side::A])
+        };
+        let Moved { vertices, planes } = &mut work.moved;
         vertices.clear();
         vertices.extend(q.vertices.iter().map(|v| p_from_q.point(v)));
         planes.clear();
         planes.extend(q.planes.iter().map(|plane| p_from_q.plane(plane)));
-        let Some(on_p) = best_face(&p.planes, vertices, &p_from_q.point(&q.middle), margin) else { return };
-        let Some(on_q) = best_face(planes, &p.vertices, &p.middle, margin) else { return };
+        let first_site = p.vertices.len() as u32;
+        let second = Half { poly: q, vertices, planes, frame: p_from_q, on: on[1], first_site };
+        let frame = Frame { r: nalgebra::Matrix3::identity(), p: Vector3::zeros() };
+        let first = Half { poly: p, vertices: &p.vertices, planes: &p.planes, frame, on: on[0], first_site: 0 };
+        Self { halves: [first, second], edges: &mut work.edges }
+    }
+
+    /// The half that is on the body `on`.
+    pub fn half(&self, on: Side) -> &Half<'a> {
+        &self.halves[usize::from(self.halves[0].on != on)]
+    }
+
+    /// The first site that is no vertex and no pair of edges.
+    pub fn sites(&self) -> u32 {
+        let [p, q] = [self.halves[0].poly, self.halves[1].poly];
+        (p.vertices.len() + q.vertices.len() + p.edges.len() * q.edges.len()) as u32
+    }
+
+    /// Where they overlap least; `None` if they are farther apart than `margin`.
+    pub fn least_overlap(&mut self, margin: f64) -> Option<Overlap> {
+        let [p, q] = &self.halves;
+        let on_p = best_face(p.planes, q.vertices, &q.frame.point(&q.poly.middle), margin)?;
+        let on_q = best_face(q.planes, p.vertices, &p.poly.middle, margin)?;
         let on_q = Axis { normal: -on_q.normal, ..on_q };
         let widest = if on_p.gap >= on_q.gap { &on_p } else { &on_q };
-        let alike = ALIKE * widest.gap.abs() + 1e-7 * p.half.norm().min(q.half.norm());
-        let q_half = Half { poly: q, vertices, planes, frame: *p_from_q, on: on[1], first_site: p.vertices.len() as u32 };
-        let p_half = Half {
-            poly: p,
-            vertices: &p.vertices,
-            planes: &p.planes,
-            frame: Frame { r: nalgebra::Matrix3::identity(), p: Vector3::zeros() },
-            on: on[0],
-            first_site: 0,
-        };
-        near_edges(&p_half, &q_half, widest, margin, edges);
-        let crossing = best_edges(edges, [&p.vertices, vertices], widest.gap + alike);
-        if let Some((axis, i, j)) = crossing {
+        let alike = ALIKE * widest.gap.abs() + 1e-7 * p.poly.half.norm().min(q.poly.half.norm());
+        near_edges(p, q, widest, margin, self.edges);
+        if let Some((axis, i, j)) = best_edges(self.edges, [p.vertices, q.vertices], widest.gap + alike) {
             if axis.gap > margin {
-                return;
+                return None;
             }
-            let (e, f) = (&edges[0][i], &edges[1][j]);
+            let (e, f) = (&self.edges[0][i], &self.edges[1][j]);
+            // A face that lies flat on the edge is touched at more than one point.
             let faces = [(e.n[0], 0, 0), (e.n[1], 0, 1), (-f.n[0], 1, 0), (-f.n[1], 1, 1)];
             let flattest = faces.into_iter().max_by(|a, b| a.0.dot(&axis.normal).total_cmp(&b.0.dot(&axis.normal)));
-            let (e_index, f_index) = (e.index, f.index);
-            if let Some((n, side, k)) = flattest
-                && n.dot(&axis.normal) > FLAT_COS
-            {
-                let start = self.out.len();
-                let deepest = if side == 0 {
-                    let face = p.edges[e_index as usize].faces[k];
-                    self.manifold(&p_half, &q_half, face, false, &mut work.spots)
-                } else {
-                    let face = q.edges[f_index as usize].faces[k];
-                    self.manifold(&q_half, &p_half, face, false, &mut work.spots)
-                };
-                if deepest >= -0.5 * axis.gap - alike {
-                    return;
-                }
-                self.out.truncate(start);
-            }
-            let line = |poly: &Poly, edge: u32| {
-                let edge = &poly.edges[edge as usize];
-                Line { origin: *poly.vertex(edge.ends[0]), along: edge.along, radius: 0.0 }
-            };
-            let (line, other) = (line(p, e_index), line(q, f_index));
-            // The normal of the contact points from the second towards the first.
-            let sign = if edges[0][i].along.cross(&edges[1][j].along).dot(&axis.normal) < 0.0 { 1.0 } else { -1.0 };
-            let site = (p.vertices.len() + q.vertices.len()) as u32 + e_index * q.edges.len() as u32 + f_index;
-            self.out.push(Touch::new(site, Feature::LineLine { on: on[0], line, other, sign }));
-            return;
+            let flat = flattest.filter(|(n, _, _)| n.dot(&axis.normal) > FLAT_COS).map(|(_, which, k)| {
+                let edge = [e.index, f.index][which];
+                (which, self.halves[which].poly.edges[edge as usize].faces[k])
+            });
+            return Some(Overlap { gap: axis.gap, normal: axis.normal, alike, least: Least::Edges([i, j], flat) });
         }
-        let p_is_reference = if (on_p.gap - on_q.gap).abs() <= alike {
-            p.areas[on_p.face as usize] >= q.areas[on_q.face as usize] * (1.0 - 1e-9)
+        let first = if (on_p.gap - on_q.gap).abs() <= alike {
+            p.poly.areas[on_p.face as usize] >= q.poly.areas[on_q.face as usize] * (1.0 - 1e-9)
         } else {
             on_p.gap > on_q.gap
         };
-        if p_is_reference {
-            self.manifold(&p_half, &q_half, on_p.face, true, &mut work.spots);
-        } else {
-            self.manifold(&q_half, &p_half, on_q.face, true, &mut work.spots);
+        let (which, axis) = if first { (0, on_p) } else { (1, on_q) };
+        Some(Overlap { gap: axis.gap, normal: axis.normal, alike, least: Least::Face(which, axis.face) })
+    }
+}
+
+impl Pair<'_> {
+    /// Sites: the vertices of the polyhedron with more of them, those of the other, then pairs of edges.
+    pub fn poly_poly(&mut self, a: &Poly, b: &Poly, work: &mut CollideWork) {
+        if boxes_gap(a, b, &self.a_from_b) > self.margin {
+            return;
         }
+        let mut search = Search::new(a, b, &self.a_from_b, &mut work.sat);
+        if let Some(overlap) = search.least_overlap(self.margin) {
+            self.overlap(&search, &overlap, &mut work.spots);
+        }
+    }
+
+    /// The touches of two polyhedra that overlap least in this way.
+    pub fn overlap(&mut self, search: &Search<'_>, overlap: &Overlap, spots: &mut Spots) {
+        let halves = &search.halves;
+        let [near_p, near_q] = &*search.edges;
+        match overlap.least {
+            Least::Edges([i, j], flat) => {
+                let start = self.out.len();
+                if let Some((which, face)) = flat
+                    && self.manifold(&halves[which], &halves[1 - which], face, spots)
+                        >= -0.5 * overlap.gap - overlap.alike
+                {
+                    return;
+                }
+                self.out.truncate(start);
+                self.edge_pair(halves, (&near_p[i], &near_q[j]), &overlap.normal);
+            }
+            Least::Face(which, face) => {
+                let found = self.manifold(&halves[which], &halves[1 - which], face, spots);
+                // Nothing over the face: two edges, whose overlap is hardly less.
+                if found == f64::NEG_INFINITY
+                    && overlap.gap < 0.0
+                    && let [p, q] = halves
+                    && let Some((axis, i, j)) = best_edges(search.edges, [p.vertices, q.vertices], f64::NEG_INFINITY)
+                {
+                    self.edge_pair(halves, (&near_p[i], &near_q[j]), &axis.normal);
+                }
+            }
+        }
+    }
+
+    /// Two edges, if they cross within their lengths.
+    fn edge_pair(&mut self, [p, q]: &[Half<'_>; 2], (e, f): (&Near, &Near), normal: &Vector3<f64>) {
+        let Some((s, t)) = crossing((&e.start, &e.along), (&f.start, &f.along)) else { return };
+        let beside = BESIDE * p.poly.half.norm().min(q.poly.half.norm());
+        let line = |half: &Half<'_>, edge: u32, s: f64| {
+            let edge = &half.poly.edges[edge as usize];
+            let length = (half.poly.vertex(edge.ends[1]) - half.poly.vertex(edge.ends[0])).norm();
+            let line = Line { origin: *half.poly.vertex(edge.ends[0]), along: edge.along, radius: 0.0 };
+            (s > -beside && s < length + beside).then_some(line)
+        };
+        let (Some(line), Some(other)) = (line(p, e.index, s), line(q, f.index, t)) else { return };
+        // The normal of the contact points from the second towards the first.
+        let sign = if e.along.cross(&f.along).dot(normal) < 0.0 { 1.0 } else { -1.0 };
+        let vertices = (p.poly.vertices.len() + q.poly.vertices.len()) as u32;
+        let site = vertices + e.index * q.poly.edges.len() as u32 + f.index;
+        self.out.push(Touch::new(site, Feature::LineLine { on: p.on, line, other, sign }));
     }
 }
 
 /// How far the bounding boxes are apart, at the best of the directions of their sides.
-fn boxes_gap(p: &Poly, q: &Poly, p_from_q: &Frame<f64>) -> f64 {
+pub(super) fn boxes_gap(p: &Poly, q: &Poly, p_from_q: &Frame<f64>) -> f64 {
     let turned = p.axes.tr_mul(&p_from_q.r) * q.axes;
     let between = p.axes.tr_mul(&(p_from_q.point(&q.middle) - p.middle));
     let size = turned.abs();
@@ -179,7 +254,7 @@ fn best_face(planes: &[Plane], vertices: &[Vector3<f64>], hint: &Vector3<f64>, m
 }
 
 /// The edges of both that can carry an overlap not larger than that along `axis`.
-fn near_edges(p: &Half<'_>, q: &Half<'_>, axis: &Axis, margin: f64, out: &mut [Vec<Near>; 2]) {
+fn near_edges(p: &Half<'_>, q: &Half<'_>, axis: &Axis, margin: f64, out: &mut NearEdges) {
     let reach = (-axis.gap).max(0.0) + margin + 1e-9 * p.poly.half.max();
     let n = &axis.normal;
     let extent = |v: &[Vector3<f64>]| {
@@ -218,11 +293,7 @@ fn near_edges(p: &Half<'_>, q: &Half<'_>, axis: &Axis, margin: f64, out: &mut [V
 }
 
 /// The pair of edges whose cross product separates the most, if it does so by more than `least`.
-fn best_edges(
-    edges: &[Vec<Near>; 2],
-    vertices: [&[Vector3<f64>]; 2],
-    least: f64,
-) -> Option<(Axis, usize, usize)> {
+fn best_edges(edges: &[Vec<Near>; 2], vertices: [&[Vector3<f64>]; 2], least: f64) -> Option<(Axis, usize, usize)> {
     let mut best: Option<(Axis, usize, usize)> = None;
     let mut least = least;
     for (i, e) in edges[0].iter().enumerate() {

@@ -56,8 +56,7 @@ impl ConvexPiece {
         let corner = |i: usize| {
             Point3::from(half.component_mul(&Vector3::from_fn(|k, _| if i >> k & 1 == 0 { -1.0 } else { 1.0 })))
         };
-        let quads: [[u32; 4]; 6] =
-            [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+        let quads: [[u32; 4]; 6] = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
         let triangles: Vec<[u32; 3]> = quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
         Self::from_hull((0..8).map(corner).collect(), &triangles)
     }
@@ -67,7 +66,7 @@ impl ConvexPiece {
     pub(crate) fn prism(radius_m: f64, half_length_m: f64, sides: u32) -> Self {
         let corner = |i: u32| {
             let (sin, cos) = (std::f64::consts::TAU * f64::from(i / 2) / f64::from(sides)).sin_cos();
-            Point3::new(radius_m * cos, radius_m * sin, if i % 2 == 0 { -half_length_m } else { half_length_m })
+            Point3::new(radius_m * cos, radius_m * sin, half_length_m * if i & 1 == 0 { -1.0 } else { 1.0 })
         };
         let mut triangles = Vec::new();
         for i in 0..sides {

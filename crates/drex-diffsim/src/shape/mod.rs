@@ -10,8 +10,8 @@ use drex_core::Pose;
 use nalgebra::Vector3;
 
 pub use convex::ConvexPiece;
+pub(crate) use points::Node;
 pub use points::SurfacePoints;
-pub(crate) use points::{Node, Tree};
 pub use sdf::SdfShape;
 
 use crate::{Result, SimError};

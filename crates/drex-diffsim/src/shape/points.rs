@@ -41,9 +41,11 @@ impl SurfacePoints {
             mesh.vertices.iter().copied().zip(areas).filter(|(_, area)| *area > 0.0).collect();
         let key = |p: &Point3<f64>| [p.x, p.y, p.z];
         points.sort_by(|a, b| key(&a.0).partial_cmp(&key(&b.0)).unwrap_or(std::cmp::Ordering::Equal));
-        points.dedup_by(|later, first| later.0 == first.0 && {
-            first.1 += later.1;
-            true
+        points.dedup_by(|later, first| {
+            later.0 == first.0 && {
+                first.1 += later.1;
+                true
+            }
         });
         if points.is_empty() {
             return Err(SimError::Shape { what: "a surface has no area".into(), remedy: "give its triangles".into() });

@@ -1,9 +1,7 @@
 //! Bodies and articulated trees that touch each other: one system of equations for all of them.
 //!
 //! M (u - ũ) - g = h Σ Jᵀ f(u) with the mass matrix M, contact laws on the velocities of contact points, and laws on
-//! single joints. Newton's method with the full coupling of friction to the normal force comes first; where it does not
-//! converge, the normal force in the friction bound is held fixed (the problem is then convex and Newton with a line
-//! search cannot fail) and brought up to date in an outer loop.
+//! single joints.
 
 use nalgebra::Vector3;
 
@@ -12,8 +10,13 @@ use super::lu::Lu;
 use crate::Scalar;
 use crate::articulation::{Column, ScalarLaw};
 
-const ITERATIONS: usize = 25;
-const OUTER: usize = 12;
+const ITERATIONS: usize = 60;
+/// Points tried along one direction, at most.
+const SEARCHES: usize = 12;
+/// A full step is good if it leaves this part of the squared residual.
+const DESCENT: f64 = 0.5;
+/// Part of the residual's component along a direction that may be left at its end.
+const FLAT: f64 = 0.1;
 /// Change of velocity, relative, below which an iteration has converged.
 const TOLERANCE: f64 = 1e-11;
 
@@ -187,7 +190,7 @@ impl<T: Scalar> Solver<T> {
         self.u.clear();
         self.u.extend_from_slice(&island.guess);
         self.iterations = 0;
-        self.converged = self.newton(dt, ITERATIONS) || self.lagged(dt);
+        self.converged = self.newton(dt);
 
         // One more step with derivatives.
         self.velocities.clear();
@@ -204,83 +207,82 @@ impl<T: Scalar> Solver<T> {
         }
     }
 
-    /// Newton's method with the full law. Steps that lead to a larger residual are cut after the first few.
-    fn newton(&mut self, dt: f64, iterations: usize) -> bool {
-        self.values.residual(&self.u, dt, &mut self.r);
-        for iteration in 0..iterations {
-            self.iterations += 1;
-            if !self.direction(dt) {
-                return false;
-            }
-            let before = self.merit(&self.r);
-            let mut length = 1.0;
-            self.try_step(length, dt);
-            while self.merit(&self.trial_r) > before && length > 0.02 && iteration > 2 {
-                length *= 0.5;
-                self.try_step(length, dt);
-            }
-            let change = length * norm(&self.step);
-            std::mem::swap(&mut self.u, &mut self.trial);
-            std::mem::swap(&mut self.r, &mut self.trial_r);
-            if change < TOLERANCE * (1.0 + norm(&self.u)) {
-                return true;
-            }
-        }
-        false
-    }
-
-    /// The outer loop over convex problems.
-    fn lagged(&mut self, dt: f64) -> bool {
-        self.u.clone_from(&self.values.guess);
-        for _ in 0..OUTER {
-            for k in 0..self.values.laws.len() {
-                let (v, _) = self.values.relative(k, &self.u);
-                let law = &mut self.values.laws[k];
-                law.lagged = Some((law.preload - law.kappa_n * v.dot(&law.normal)).max(0.0));
-            }
-            self.convex(dt);
-            for law in &mut self.values.laws {
-                law.lagged = None;
-            }
-            self.trial.clone_from(&self.u);
-            if self.newton(dt, 6) {
-                return true;
-            }
-            self.u.clone_from(&self.trial);
-        }
-        false
-    }
-
-    /// Newton's method on a convex problem: along each direction the residual's component is monotone, and its zero is
-    /// bracketed.
-    fn convex(&mut self, dt: f64) {
+    /// Newton's method. Where the full step of the full law does not reduce the residual, the direction is searched with
+    /// the normal force in the friction bound held at what it is now: that problem is convex, so the residual's
+    /// component along the direction is monotone and its zero can be bracketed. Without that, friction that changes
+    /// sides never settles.
+    fn newton(&mut self, dt: f64) -> bool {
         self.values.residual(&self.u, dt, &mut self.r);
         for _ in 0..ITERATIONS {
             self.iterations += 1;
-            if !self.direction(dt) {
-                return;
+            let mut found = self.direction(dt);
+            let mut length = 1.0;
+            if found {
+                let before = self.merit(&self.r);
+                self.try_step(1.0, dt);
+                found = self.merit(&self.trial_r) <= DESCENT * before;
             }
-            let (mut low, mut high, mut length) = (0.0, 1.0, 1.0);
-            for _ in 0..30 {
-                self.try_step(length, dt);
-                let slope = -dot(&self.trial_r, &self.step);
-                // Still downhill at the end of the full step is as good.
-                if slope <= 0.0 && length == 1.0 {
-                    break;
+            if !found {
+                self.hold_bounds();
+                let downhill = dot(&self.r, &self.step) > 0.0;
+                if !(downhill || self.direction(dt)) {
+                    return false;
                 }
-                if slope > 0.0 { high = length } else { low = length }
-                if high - low < 0.1 * high && slope <= 0.0 {
-                    break;
-                }
-                length = 0.5 * (low + high);
+                length = self.line_search(dt);
+                self.free_bounds();
+                self.values.residual(&self.trial, dt, &mut self.trial_r);
             }
-            let change = length * norm(&self.step);
+            let size = norm(&self.step) * length.max(0.1);
             std::mem::swap(&mut self.u, &mut self.trial);
             std::mem::swap(&mut self.r, &mut self.trial_r);
-            if change < TOLERANCE * (1.0 + norm(&self.u)) {
-                return;
+            if size < TOLERANCE * (1.0 + norm(&self.u)) {
+                return true;
             }
         }
+        false
+    }
+
+    /// The part of the step at whose end the residual has almost no component left along it; leaves the end in `trial`.
+    fn line_search(&mut self, dt: f64) -> f64 {
+        let start = dot(&self.r, &self.step);
+        let (mut low, mut at_low, mut high, mut at_high) = (0.0, start, f64::NAN, f64::NAN);
+        let mut length = 1.0;
+        for k in 0..SEARCHES {
+            self.try_step(length, dt);
+            let slope = dot(&self.trial_r, &self.step);
+            if slope.abs() < FLAT * start || (k == 0 && slope > 0.0) {
+                break;
+            }
+            if slope > 0.0 { (low, at_low) = (length, slope) } else { (high, at_high) = (length, slope) }
+            // The slope is piecewise linear: the secant, kept off the ends of the bracket.
+            let secant = low + (high - low) * at_low / (at_low - at_high);
+            let edge = 0.05 * (high - low);
+            length = secant.clamp(low + edge, high - edge);
+        }
+        length
+    }
+
+    /// Holds the friction bounds at the normal forces of `u`.
+    fn hold_bounds(&mut self) {
+        for k in 0..self.values.laws.len() {
+            let (v, _) = self.values.relative(k, &self.u);
+            let law = &mut self.values.laws[k];
+            law.lagged = Some((law.preload - law.kappa_n * v.dot(&law.normal)).max(0.0));
+        }
+    }
+
+    fn free_bounds(&mut self) {
+        self.values.laws.iter_mut().for_each(|law| law.lagged = None);
+    }
+
+    /// Size of a residual in the metric of the matrix's diagonal.
+    fn merit(&self, r: &[f64]) -> f64 {
+        let n = self.values.n;
+        // Sliding may make an entry negative.
+        r.iter()
+            .enumerate()
+            .map(|(i, x)| x * x / self.matrix[i * n + i].abs().max(self.values.mass[i * n + i]))
+            .sum()
     }
 
     /// The Newton step at `u` for the residual `r`, into `step`.
@@ -298,12 +300,6 @@ impl<T: Scalar> Solver<T> {
         self.trial.clear();
         self.trial.extend(self.u.iter().zip(&self.step).map(|(u, s)| u - s * length));
         self.values.residual(&self.trial, dt, &mut self.trial_r);
-    }
-
-    /// Size of a residual in the metric of the masses.
-    fn merit(&self, r: &[f64]) -> f64 {
-        let n = self.values.n;
-        r.iter().enumerate().map(|(i, x)| x * x / self.values.mass[i * n + i]).sum()
     }
 
     /// Derivative of the residual at `u`.

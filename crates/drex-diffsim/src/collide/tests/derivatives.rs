@@ -15,7 +15,12 @@ fn numbers(p: &Place<f64>) -> Vec<f64> {
 }
 
 /// Compares the derivatives by the twist of one body with central differences.
-pub(in crate::collide) fn check(touch: &Touch, pa: &Pose, pb: &Pose, tolerance: f64) -> std::result::Result<(), TestCaseError> {
+pub(in crate::collide) fn check(
+    touch: &Touch,
+    pa: &Pose,
+    pb: &Pose,
+    tolerance: f64,
+) -> std::result::Result<(), TestCaseError> {
     let dual: [Dual<6>; 6] = std::array::from_fn(|k| parameter(0.0, k));
     for first in [true, false] {
         let place = if first {
@@ -23,8 +28,7 @@ pub(in crate::collide) fn check(touch: &Touch, pa: &Pose, pb: &Pose, tolerance: 
         } else {
             touch.evaluate(&pa.cast(), &moved(pb, &dual))
         };
-        let all: Vec<Dual<6>> =
-            place.point.iter().chain(place.normal.iter()).copied().chain([place.depth]).collect();
+        let all: Vec<Dual<6>> = place.point.iter().chain(place.normal.iter()).copied().chain([place.depth]).collect();
         for k in 0..6 {
             let h = 1e-6;
             let shifted = |h: f64| {
@@ -39,7 +43,8 @@ pub(in crate::collide) fn check(touch: &Touch, pa: &Pose, pb: &Pose, tolerance: 
                 let exact = tangents(x)[k];
                 prop_assert!(
                     (exact - difference).abs() < tolerance * (1.0 + difference.abs()),
-                    "number {i} by {k} of body {first}: {exact} against {difference}, {:?}", touch.feature
+                    "number {i} by {k} of body {first}: {exact} against {difference}, {:?}",
+                    touch.feature
                 );
             }
         }
@@ -72,7 +77,9 @@ proptest! {
         a in any_solid(), b in any_solid(), pa in any_pose(0.1), turn in any_pose(0.0), u in any_direction(),
         common in any_pose(1.0),
     ) {
-        let pb = brought_together(&a, &pa, &b, &turn, &u, 1e-4);
+        let mut pb = brought_together(&a, &pa, &b, &turn, &u, 1e-4);
+        // Away from where the prism of a cylinder takes over from its side.
+        pb.translation.vector -= u * 3e-4;
         let found = touches(&a, &pa, &b, &pb, 1e-5);
         let place = |t: &Touch| t.evaluate(&pa, &pb);
         let swapped = touches(&b, &pb, &a, &pa, 1e-5);

@@ -1,8 +1,10 @@
 //! What the search finds, against formulas, brute force and finite differences.
 
+mod cylinders;
 mod derivatives;
 mod polys;
 mod round;
+mod solids;
 mod speed;
 
 use drex_core::Pose;
@@ -73,6 +75,7 @@ pub(super) fn any_solid() -> impl Strategy<Value = Shape> {
     prop_oneof![
         Just(Shape::Sphere { radius_m: 0.03 }),
         Just(Shape::Capsule { radius_m: 0.012, half_length_m: 0.04 }),
+        Just(Shape::Cylinder { radius_m: 0.02, half_length_m: 0.035 }),
         Just(cuboid(0.02, 0.03, 0.045)),
         Just(cuboid(0.1, 0.008, 0.01)),
         Just(lump(14)),

@@ -60,7 +60,10 @@ fn a_capsule_lies_on_two_points_and_stands_on_one() {
 
 #[test]
 fn capsules_cross_at_one_point_and_lie_along_each_other_at_two() {
-    let (a, b) = (Shape::Capsule { radius_m: 0.01, half_length_m: 0.04 }, Shape::Capsule { radius_m: 0.02, half_length_m: 0.06 });
+    let (a, b) = (
+        Shape::Capsule { radius_m: 0.01, half_length_m: 0.04 },
+        Shape::Capsule { radius_m: 0.02, half_length_m: 0.06 },
+    );
     let x = turned(V::new(0.003, 0.0, 0.03 - 1e-5), V::y() * std::f64::consts::FRAC_PI_2);
     let y = turned(V::new(0.0, 0.01, 0.0), V::x() * std::f64::consts::FRAC_PI_2);
     let p = places(&a, &x, &b, &y, 0.0);
@@ -77,19 +80,18 @@ fn capsules_cross_at_one_point_and_lie_along_each_other_at_two() {
     assert!((p[0].normal - V::z()).norm() < 1e-12);
 }
 
-/// Distance of x from the convex hull of points, by Frank and Wolfe's method with exact line search; slow but simple.
-fn distance_to_hull(points: &[V], x: &V) -> f64 {
-    let mut p = points[0];
-    for _ in 0..20_000 {
-        let g = p - x;
-        let far = points.iter().min_by(|a, b| g.dot(a).total_cmp(&g.dot(b))).unwrap();
-        let d = far - p;
-        if g.dot(&d) > -1e-16 {
-            break;
-        }
-        p += d * (-g.dot(&d) / d.norm_squared()).min(1.0);
-    }
-    (p - x).norm()
+/// Distance of x, outside, from a polyhedron: all faces, all edges, all vertices.
+fn distance_to_poly(poly: &crate::collide::geom::Poly, x: &V) -> f64 {
+    let edge = |e: &crate::collide::geom::Edge| {
+        let (v, w) = (poly.vertex(e.ends[0]), poly.vertex(e.ends[1]));
+        (x - v - e.along * e.along.dot(&(x - v)).clamp(0.0, (w - v).norm())).norm()
+    };
+    let face = |f: usize| {
+        let (n, d) = poly.planes[f];
+        let over = poly.sides(f as u32).iter().all(|s| s.cut.0.dot(x) <= s.cut.1);
+        if over && n.dot(x) > d { n.dot(x) - d } else { f64::INFINITY }
+    };
+    poly.edges.iter().map(edge).chain((0..poly.planes.len()).map(face)).fold(f64::INFINITY, f64::min)
 }
 
 proptest! {
@@ -105,9 +107,8 @@ proptest! {
         let x = u * (r * 0.04);
         let Some((found, _)) = nearest(&g.kind, &x, 1.0) else { panic!() };
         if found > 1e-6 {
-            let truth = distance_to_hull(&poly.vertices, &x);
-            // Frank and Wolfe come from above, slowly.
-            prop_assert!(found <= truth + 1e-12 && truth < found + 2e-5, "{found} {truth}");
+            let truth = distance_to_poly(poly, &x);
+            prop_assert!((found - truth).abs() < 1e-12, "{found} {truth}");
         }
     }
 
@@ -125,6 +126,8 @@ proptest! {
             let p = pb * at(0.0, 0.0, 0.04 * (f64::from(i) / 200.0 - 1.0));
             truth = truth.max(deepest_place(&places(&other, &pa, &ball, &p, 0.01)).map_or(f64::NEG_INFINITY, |p| p.depth));
         }
-        prop_assert!(found.depth > truth - 1e-9 && found.depth < truth + 2e-5, "{} {truth}", found.depth);
+        // Flat on the end of a cylinder, the sides of its prism stand for the rim.
+        let slack = if matches!(other, Shape::Cylinder { .. }) { 1e-5 } else { 1e-9 };
+        prop_assert!(found.depth > truth - slack && found.depth < truth + 2e-5, "{} {truth}", found.depth);
     }
 }

@@ -14,7 +14,7 @@ fn nanoseconds_per_pair() {
     let capsule = Shape::Capsule { radius_m: 0.01, half_length_m: 0.04 };
     let ball = Shape::Sphere { radius_m: 0.01 };
     let prism = Shape::Convex(std::sync::Arc::new(ConvexPiece::prism(0.03, 0.05, 38)));
-    let lying = turned(V::new(0.0, 0.0, 0.01 - 1e-5), V::y() * 1.57);
+    let lying = turned(V::new(0.0, 0.0, 0.01 - 1e-5), V::y() * std::f64::consts::FRAC_PI_2);
     let origin = Pose::identity();
     let side = turned(V::x() * 0.5, V::new(0.3, 0.2, 0.1));
     let lumps = brought_together(&lump(2000), &origin, &lump(2000), &side, &V::new(0.5, 0.3, 0.7).normalize(), 1e-5);
@@ -26,17 +26,41 @@ fn nanoseconds_per_pair() {
         ("stacked equal boxes", brick.clone(), at(0.0, 0.0, 0.02 - 1e-6), brick.clone(), origin),
         ("prism 38 on box", prism.clone(), down(0.05 - 1e-6), table.clone(), low),
         ("prism 38 on prism 38", prism.clone(), at(0.0, 0.0, 0.1 - 1e-6), prism.clone(), origin),
-        ("lump 128 on plane", lump(2000), down(0.02 - 1e-4), Shape::Plane, origin),
-        ("lump 128 on box", lump(2000), down(0.02 - 1e-4), table.clone(), low),
+        ("lump 128 on plane", lump(2000), down(0.0195), Shape::Plane, origin),
+        ("lump 128 on box", lump(2000), down(0.0195), table.clone(), low),
         ("lump 128 on lump 128", lump(2000), origin, lump(2000), lumps),
         ("ball on box", ball.clone(), down(0.01 - 1e-6), table.clone(), low),
-        ("ball on lump 128", ball.clone(), at(0.0, 0.0, 0.0299), lump(2000), origin),
+        ("ball on lump 128", ball.clone(), at(0.0, 0.0, 0.0291), lump(2000), origin),
         ("ball on ball", ball.clone(), at(0.0, 0.0, 0.0199), ball, origin),
         ("capsule on box", capsule.clone(), lying, table, low),
-        ("capsule on lump 128", capsule.clone(), at(0.01, 0.0, 0.0699), lump(2000), origin),
+        ("capsule on lump 128", capsule.clone(), turned(V::z() * 0.029, V::y() * 1.5), lump(2000), origin),
         ("capsule on capsule", capsule.clone(), lying, capsule, turned(V::z() * -0.01, V::x() * 1.57)),
     ];
-    for (name, a, pa, b, pb) in cases {
+    let can = Shape::Cylinder { radius_m: 0.03, half_length_m: 0.05 };
+    let rolling = turned(V::new(0.0, 0.0, 0.03 - 1e-6), V::y() * std::f64::consts::FRAC_PI_2);
+    let more: Vec<(&str, Shape, Pose, Shape, Pose)> = vec![
+        ("can standing on plane", can.clone(), down(0.05 - 1e-6), Shape::Plane, origin),
+        ("can lying on plane", can.clone(), rolling, Shape::Plane, origin),
+        ("can standing on box", can.clone(), down(0.05 - 1e-6), cuboid(0.3, 0.3, 0.05), low),
+        ("can lying on box", can.clone(), rolling, cuboid(0.3, 0.3, 0.05), low),
+        ("can on can, stacked", can.clone(), at(0.0, 0.0, 0.1 - 1e-6), can.clone(), origin),
+        ("can beside can", can.clone(), at(0.06 - 1e-6, 0.0, 0.0), can.clone(), origin),
+        ("ball beside can", Shape::Sphere { radius_m: 0.01 }, at(0.04 - 1e-6, 0.0, 0.0), can.clone(), origin),
+        (
+            "capsule across can",
+            Shape::Capsule { radius_m: 0.01, half_length_m: 0.04 },
+            turned(V::x() * (0.04 - 1e-6), V::x()),
+            can,
+            origin,
+        ),
+        ("ball on solid", Shape::Sphere { radius_m: 0.01 }, at(0.0, 0.0, 0.0399), solids::sdf_ball(0.03), origin),
+        ("solid ball on box", solids::sdf_ball(0.03), at(0.0, 0.0, 0.0298), cuboid(0.3, 0.3, 0.05), low),
+        ("1k points on box", solids::ball_points(0.05, 16), at(0.0, 0.0, 0.0499), cuboid(0.3, 0.3, 0.05), low),
+        ("69k points on box", solids::ball_points(0.05, 132), at(0.0, 0.0, 0.049999), cuboid(0.3, 0.3, 0.05), low),
+        ("69k points on plane", solids::ball_points(0.05, 132), at(0.0, 0.0, 0.049999), Shape::Plane, origin),
+        ("69k points on solid", solids::ball_points(0.05, 132), at(0.0, 0.0, 0.079999), solids::sdf_ball(0.03), origin),
+    ];
+    for (name, a, pa, b, pb) in cases.into_iter().chain(more) {
         measure(name, &a, &pa, &b, &pb);
     }
 }
