@@ -8,7 +8,7 @@ use drex_core::{MassProperties, Pose};
 use drex_diffsim::mujoco::{self, MjcfOptions, MujocoEngine, to_mjcf};
 use drex_diffsim::{
     AppliedForce, Articulation, Base, BasePath, Body, BodyState, Collider, ContactForce, Control, ConvexPiece, Fixed,
-    ForcePoint, Geom, Model, Mover, Part, Scene, Shape, SimError, State, Workspace, rollout, step,
+    ForcePoint, Geom, Model, Mover, Part, Path, Scene, Shape, SimError, State, Workspace, rollout, step,
 };
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
@@ -83,11 +83,15 @@ fn a_box_that_drops_and_rests() {
 
 #[test]
 fn a_box_that_slides_to_rest() {
-    // MuJoCo's box loses and regains contact while it slides, which turns it a little; see the documentation.
+    // MuJoCo's box loses and regains contact while it slides, which turns it a little.
     let model = block(Vector3::repeat(0.03), 0.2);
     let mut start = State::at_rest(Pose::translation(0.0, 0.0, 0.03));
     start.bodies[0].velocity = Vector3::new(0.6, 0.3, 0.0);
-    agree(&model, &Scene::on_table(0.4), &start, 0.5, (1.5, 2.5, 55.0));
+    let scene = Scene::on_table(0.4);
+    let mut engine = MujocoEngine::new(&model, &scene, &start, &MjcfOptions::default()).unwrap();
+    let touching = (0..200).map(|_| engine.step().map(|()| engine.contacts().len()).unwrap()).sum::<usize>();
+    println!("MuJoCo's sliding box: {:.1} of 4 corners in contact on average", touching as f64 / 200.0);
+    agree(&model, &scene, &start, 0.5, (1.5, 2.5, 55.0));
 }
 
 #[test]
@@ -96,7 +100,7 @@ fn a_block_tilted_about_its_edge() {
     let mut scene = Scene::on_table(0.9);
     let f = 1.4 * 0.25 * G * 0.02 / 0.08;
     scene.forces.push(force(Vector3::x() * f, 0.1, 0.2, Point3::new(-0.02, 0.0, 0.03)));
-    agree(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.05)), 0.28, (0.1, 0.25, 10.0));
+    agree(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.05)), 0.28, (0.02, 0.05, 10.0));
 }
 
 #[test]
@@ -107,7 +111,7 @@ fn a_board_rocked_over_the_edge_of_a_step() {
     scene.fixed.push(Fixed::cuboid(Point3::new(-0.15, 0.0, 0.025), half, 0.6).unwrap());
     let f = 1.5 * 0.2 * G * 0.008 / 0.032;
     scene.forces.push(force(-Vector3::z() * f, 0.1, 0.2, Point3::new(0.04, 0.0, 0.015)));
-    agree(&model, &scene, &State::at_rest(Pose::translation(-0.008, 0.0, 0.065)), 0.25, (0.1, 0.2, 5.0));
+    agree(&model, &scene, &State::at_rest(Pose::translation(-0.008, 0.0, 0.065)), 0.25, (0.05, 0.1, 5.0));
 }
 
 #[test]
@@ -124,7 +128,7 @@ fn a_box_pushed_by_a_prescribed_sphere() {
     let mut scene = Scene::on_table(0.4);
     let path = [Point3::new(-0.06, 0.0, 0.03), Point3::new(0.04, 0.0, 0.03)];
     scene.movers.push(Mover::sphere(0.01, 0.6, &[0.1, 1.1], &path).unwrap());
-    agree(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.03)), 1.3, (2.5, 4.0, 70.0));
+    agree(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.03)), 1.3, (0.4, 0.4, 70.0));
 }
 
 #[test]
@@ -187,7 +191,63 @@ fn a_ball_that_rolls_against_a_box() {
     ball.velocity = Vector3::x() * 0.5;
     ball.angular_velocity = Vector3::y() * (0.5 / radius);
     start.bodies.push(ball);
-    agree(&model, &Scene::on_table(0.3), &start, 0.6, (2.0, 6.0, 20.0));
+    agree(&model, &Scene::on_table(0.3), &start, 0.6, (2.0, 5.0, 100.0));
+}
+
+#[test]
+fn a_ball_on_soft_skin_that_spins_down() {
+    let (radius, ring, mu) = (0.03, 4e-3, 0.5);
+    let inertia = Matrix3::identity() * (0.4 * radius * radius);
+    let unit = MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia };
+    let model = Model::new(vec![Body::new(&unit, 0.2, Arc::new(sphere(radius)))]);
+    let mut scene = Scene::on_table(mu);
+    scene.fixed[0].material.torsion_radius_m = ring;
+    let mut start = State::at_rest(Pose::translation(0.0, 0.0, radius));
+    start.bodies[0].angular_velocity = Vector3::z() * 20.0;
+    // Torsional friction mu r m g brings it down at a constant rate: it stops after 20 / 54.5 = 0.37 s.
+    let rate = mu * ring * G / (0.4 * radius * radius);
+    let times = [0.1, 0.2, 0.3, 0.5];
+    let ours = rollout(&model, &scene, &start, &times).unwrap();
+    let theirs = mujoco::rollout(&model, &scene, &start, &times, &MjcfOptions::default()).unwrap();
+    for (i, t) in times.iter().enumerate() {
+        let spin = [&ours, &theirs].map(|r| r.bodies[0].angular_velocities[i].z);
+        println!("t {t}: {:.3} rad/s, {:.3} rad/s", spin[0], spin[1]);
+        let truth = (20.0 - rate * t).max(0.0);
+        assert!(spin.iter().all(|w| (w - truth).abs() < 0.2), "{spin:?} {truth}");
+    }
+}
+
+#[test]
+fn a_box_on_a_turntable() {
+    let model = block(Vector3::repeat(0.02), 0.1);
+    let turn = |a: f64| Pose::from_parts(Vector3::zeros().into(), UnitQuaternion::from_euler_angles(0.0, 0.0, a));
+    let half_m = Vector3::new(0.2, 0.2, 0.01);
+    let table = Collider::new(&[Geom::new(Shape::Box { half_m }).at(Pose::translation(0.0, 0.0, -0.01))]).unwrap();
+    let mut scene = Scene::empty();
+    let path = Path::stops(&[0.1, 1.1], &[turn(0.0), turn(1.5)]).unwrap();
+    scene.movers.push(Mover::new(path, Arc::new(table), 0.8));
+    agree(&model, &scene, &State::at_rest(Pose::translation(0.1, 0.0, 0.02)), 1.2, (0.5, 0.5, 100.0));
+}
+
+#[test]
+fn capsules_and_cylinders_that_roll() {
+    let shapes = [
+        Shape::Capsule { radius_m: 0.02, half_length_m: 0.03 },
+        Shape::Cylinder { radius_m: 0.02, half_length_m: 0.03 },
+    ];
+    for shape in shapes {
+        let lying = UnitQuaternion::from_euler_angles(std::f64::consts::FRAC_PI_2, 0.0, 0.0);
+        let geom = Geom::new(shape).at(Pose::from_parts(Vector3::zeros().into(), lying));
+        let unit = MassProperties {
+            mass_kg: 1.0,
+            center_of_mass: Point3::origin(),
+            inertia: Matrix3::from_diagonal(&Vector3::new(5e-4, 2e-4, 5e-4)),
+        };
+        let model = Model::new(vec![Body::new(&unit, 0.2, Arc::new(Collider::new(&[geom]).unwrap()))]);
+        let mut scene = Scene::on_table(0.5);
+        scene.gravity = Vector3::new(0.2_f64.sin(), 0.0, -0.2_f64.cos()) * G;
+        agree(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.02)), 0.5, (0.05, 0.05, 100.0));
+    }
 }
 
 /// The bundled hand, and a joint vector with bent fingers.
@@ -231,7 +291,7 @@ fn a_hand_that_closes() {
     let start = State::new(Vec::new(), vec![arm.at_rest(&q, 0.0).unwrap()]);
     let mut scene = Scene::empty();
     scene.controls.push(Control::constant(&control).unwrap());
-    joints_agree(&Model::new(Vec::new()).with_arm(arm), &scene, &start, 1.0, 0.01, 0.2);
+    joints_agree(&Model::new(Vec::new()).with_arm(arm), &scene, &start, 1.0, 0.005, 0.2);
 }
 
 #[test]
@@ -243,7 +303,7 @@ fn a_hand_without_drives_and_friction_that_swings() {
         (j.friction_loss, j.damping, j.limits) = (0.0, 1e-3, None);
     }
     let start = State::new(Vec::new(), vec![arm.at_rest(&q, 0.0).unwrap()]);
-    joints_agree(&Model::new(Vec::new()).with_arm(arm), &Scene::empty(), &start, 0.5, 0.01, 0.2);
+    joints_agree(&Model::new(Vec::new()).with_arm(arm), &Scene::empty(), &start, 0.5, 0.002, 1.0);
 }
 
 #[test]
@@ -259,7 +319,7 @@ fn a_hand_whose_base_is_moved_feels_it() {
     let start = State::new(Vec::new(), vec![arm.at_rest(&q, 0.0).unwrap()]);
     let mut scene = Scene::empty();
     scene.gravity = Vector3::zeros();
-    joints_agree(&Model::new(Vec::new()).with_arm(arm), &scene, &start, 0.5, 0.01, 0.2);
+    joints_agree(&Model::new(Vec::new()).with_arm(arm), &scene, &start, 0.5, 0.002, 0.2);
 }
 
 #[test]
@@ -279,7 +339,7 @@ fn a_free_hand_pushed_at_a_fingertip() {
         .push(AppliedForce::new(on, &[0.05, 0.25], &push, ForcePoint::Body(Point3::new(0.0, 0.01, 0.0))).unwrap());
     let start = State::new(Vec::new(), vec![arm.at_rest(&q, 0.0).unwrap()]);
     let model = Model::new(Vec::new()).with_arm(arm);
-    joints_agree(&model, &scene, &start, 0.4, 0.005, 0.05);
+    joints_agree(&model, &scene, &start, 0.4, 0.002, 0.05);
     let ours = rollout(&model, &scene, &start, &[0.4]).unwrap().last.arms[0].base.clone();
     let theirs =
         mujoco::rollout(&model, &scene, &start, &[0.4], &MjcfOptions::default()).unwrap().last.arms[0].base.clone();
@@ -292,7 +352,7 @@ fn a_free_hand_pushed_at_a_fingertip() {
         way * 1e3,
         ours.world_from_base.rotation.angle()
     );
-    assert!(way > 0.5 && apart < 1e-3 && turned < 0.01);
+    assert!(way > 0.5 && apart < 5e-5 && turned < 1e-3);
 }
 
 #[path = "../examples/pick.rs"]
@@ -301,8 +361,8 @@ mod pick;
 
 #[test]
 fn a_hand_that_picks_a_box_or_cannot() {
-    for (squeeze, rises_m) in [(1.5, 0.2), (0.5, 0.0)] {
-        let pick = pick::Pick { mass_kg: 0.2, friction: 0.5, cap_nm: 0.29, squeeze, dt_s: 1e-3 };
+    for (squeeze, reserve_nm, rises_m) in [(1.5, 0.1, 0.2), (0.5, 0.0, 0.0)] {
+        let pick = pick::Pick { mass_kg: 0.2, friction: 0.5, cap_nm: 0.29, squeeze, reserve_nm, dt_s: 1e-3 };
         let (model, scene, start) = pick::scene(&pick).unwrap();
         // Before the lift, after it, and after a hold of three seconds.
         let times = [0.5, 2.5, 5.5];
@@ -327,7 +387,7 @@ fn a_hand_that_picks_a_box_or_cannot() {
 
 #[test]
 fn contacts_of_a_pick_are_told_alike() {
-    let pick = pick::Pick { mass_kg: 0.2, friction: 0.5, cap_nm: 0.29, squeeze: 1.5, dt_s: 1e-3 };
+    let pick = pick::Pick { mass_kg: 0.2, friction: 0.5, cap_nm: 0.29, squeeze: 1.5, reserve_nm: 0.1, dt_s: 1e-3 };
     let (model, scene, start) = pick::scene(&pick).unwrap();
     let mut engine = MujocoEngine::new(&model, &scene, &start, &MjcfOptions::default()).unwrap();
     let mut state = start.clone();
