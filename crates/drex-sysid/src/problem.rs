@@ -13,7 +13,7 @@ use drex_diffsim::{
     AppliedForce, Body, Collider, ContactOptions, ConvexPiece, Dual, Fixed, ForcePoint, Model, Mover, Part, Record,
     Scalar, Scene, State, rollout, tangents,
 };
-use nalgebra::{ComplexField, Point3, SMatrix, SVector, Vector3, Vector6};
+use nalgebra::{Point3, SMatrix, SVector, Vector3, Vector6};
 
 use crate::{IdentifyOptions, ObjectModel, Result, SysidError, finger, noise};
 

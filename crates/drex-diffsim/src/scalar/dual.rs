@@ -76,6 +76,7 @@ macro_rules! operators {
     ($($op:ident $method:ident $assign:ident $assign_method:ident, |$a:ident, $b:ident| $dual:expr, |$c:ident, $k:ident| $plain:expr;)*) => {$(
         impl<const N: usize> $op for Dual<N> {
             type Output = Self;
+            #[allow(clippy::suspicious_arithmetic_impl)] // the product rule has a sum
             #[inline(always)]
             fn $method(self, other: Self) -> Self {
                 let ($a, $b) = (self, other);
