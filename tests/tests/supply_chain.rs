@@ -48,6 +48,9 @@ fn packages() -> BTreeSet<(String, String, String)> {
             "--offline",
             "--edges",
             "normal,build",
+            // The one feature that brings in a package of its own; listing it needs no library.
+            "--features",
+            "drex-diffsim/mujoco",
             "--prefix",
             "none",
             "--no-dedupe",

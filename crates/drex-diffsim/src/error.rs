@@ -153,4 +153,12 @@ pub enum SimError {
         /// What to do.
         remedy: String,
     },
+    /// The second engine cannot run what it was given.
+    #[error("{what}; {remedy}")]
+    Engine {
+        /// What is wrong.
+        what: String,
+        /// What to do.
+        remedy: String,
+    },
 }

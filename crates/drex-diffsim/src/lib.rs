@@ -38,6 +38,7 @@ mod contact;
 mod error;
 mod math;
 mod model;
+pub mod mujoco;
 mod pairs;
 mod penalty;
 mod rollout;

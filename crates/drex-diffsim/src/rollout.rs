@@ -41,6 +41,17 @@ pub struct Track<T: Scalar> {
 pub fn rollout<T: Scalar>(model: &Model<T>, scene: &Scene<T>, start: &State<T>, times_s: &[f64]) -> Result<Record<T>> {
     let mut work = Workspace::default();
     check(model, scene, start, times_s, &mut work)?;
+    record(model, start, times_s, model.dt_s, |state| step(model, scene, state, &mut work))
+}
+
+/// Records at `times_s` what `step` makes of `start` in steps of `dt_s`.
+pub(crate) fn record<T: Scalar>(
+    model: &Model<T>,
+    start: &State<T>,
+    times_s: &[f64],
+    dt_s: f64,
+    mut step: impl FnMut(&mut State<T>) -> Result<()>,
+) -> Result<Record<T>> {
     let mut state = start.clone();
     let n = times_s.len();
     let track = || Track {
@@ -56,11 +67,11 @@ pub fn rollout<T: Scalar>(model: &Model<T>, scene: &Scene<T>, start: &State<T>, 
     for &t in times_s {
         while state.time_s < t - 1e-12 {
             previous.clone_from(&state);
-            step(model, scene, &mut state, &mut work)?;
+            step(&mut state)?;
             steps += 1;
-            state.time_s = start.time_s + steps as f64 * model.dt_s;
+            state.time_s = start.time_s + steps as f64 * dt_s;
         }
-        let since = T::lift(if steps == 0 { 0.0 } else { (t - previous.time_s).clamp(0.0, model.dt_s) });
+        let since = T::lift(if steps == 0 { 0.0 } else { (t - previous.time_s).clamp(0.0, dt_s) });
         for ((track, body), (a, b)) in
             bodies.iter_mut().zip(&model.bodies).zip(previous.bodies.iter().zip(&state.bodies))
         {
@@ -101,7 +112,7 @@ fn between<T: Scalar>(body: &Body<T>, a: &BodyState<T>, b: &BodyState<T>, since:
     Pose::from_parts(Translation3::from(com.coords - rotation * body.center_of_mass.coords), rotation)
 }
 
-fn check<T: Scalar>(
+pub(crate) fn check<T: Scalar>(
     model: &Model<T>,
     scene: &Scene<T>,
     start: &State<T>,

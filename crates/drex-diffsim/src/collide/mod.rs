@@ -20,8 +20,8 @@ use drex_core::Pose;
 #[cfg(test)]
 use feature::Place;
 pub(crate) use feature::{Frame, Side, Touch};
-pub(crate) use geom::CollisionGeom;
-use geom::{Cylinder, Kind};
+use geom::Cylinder;
+pub(crate) use geom::{CollisionGeom, Kind, Poly};
 
 use crate::Shape;
 
