@@ -144,7 +144,6 @@ impl Touch {
             Side::A => (world_from_a, world_from_b),
             Side::B => (world_from_b, world_from_a),
         };
-        // The normal from there to here, the gap along it between the centres, and the two radii.
         let place = self.feature.place(here, there);
         match on {
             Side::A => place,
