@@ -24,7 +24,9 @@ impl<T: Scalar> Frame<T> {
     }
 
     pub fn direction(&self, x: &Vector3<f64>) -> Vector3<T> {
-        self.r * x.map(T::lift)
+        let [a, b, c] = [T::lift(x.x), T::lift(x.y), T::lift(x.z)];
+        let row = |i: usize| self.r[(i, 0)] * a + self.r[(i, 1)] * b + self.r[(i, 2)] * c;
+        Vector3::new(row(0), row(1), row(2))
     }
 
     /// n and d of the plane n·x = d.
