@@ -75,6 +75,14 @@ pub(crate) fn apply_constant<T: Scalar>(m: &Matrix3<T>, v: &Vector3<f64>) -> Vec
     )
 }
 
+/// [s] M: s crossed with every column.
+pub(crate) fn cross_columns<T: Scalar>(s: &Vector3<T>, m: &Matrix3<T>) -> Matrix3<T> {
+    Matrix3::from_fn(|i, j| {
+        let (k, l) = ((i + 1) % 3, (i + 2) % 3);
+        s[k] * m[(l, j)] - s[l] * m[(k, j)]
+    })
+}
+
 /// The matrix of a cross product from the left.
 pub(crate) fn skew<T: Scalar>(v: &Vector3<T>) -> Matrix3<T> {
     let o = T::zero();

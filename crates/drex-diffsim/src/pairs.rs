@@ -144,8 +144,8 @@ fn visit_all<T: Scalar>(
     let body = |i: usize| Side {
         part: Part::Body(i as u32),
         collider: &model.bodies[i].collider,
-        frame: Frame::of(&work.frames[i].pose),
-        exact: Frame::of(&state.bodies[i].world_from_body),
+        frame: work.frames[i].plain,
+        exact: work.frames[i].frame,
         material: model.bodies[i].material,
         speed: work.frames[i].speed,
     };
@@ -183,12 +183,13 @@ fn links<T: Scalar>(model: &Model<T>, arm: usize) -> impl Iterator<Item = usize>
 fn link<'a, T: Scalar>(arm: &'a Articulation<T>, work: &Workspace<T>, index: usize, l: usize) -> Side<'a, T> {
     let motion = &work.trees[index].links[l];
     let collider = &arm.colliders[l];
+    let exact = Frame { r: motion.rotation, p: motion.world_from_link.translation.vector };
     let speed = |v: &Vector3<T>| v.map(|x| x.value()).norm();
     Side {
         part: Part::Link { arm: index as u32, link: l as u32 },
         collider,
-        frame: Frame { r: motion.rotation.map(|x| x.value()), p: motion.world_from_link.translation.vector.map(|x| x.value()) },
-        exact: Frame { r: motion.rotation, p: motion.world_from_link.translation.vector },
+        frame: exact.value(),
+        exact,
         material: arm.materials[l],
         speed: speed(&motion.velocity) + speed(&motion.angular_velocity) * collider.reach_from(&Point3::origin()),
     }

@@ -4,9 +4,9 @@ use drex_core::Pose;
 use nalgebra::{Matrix3, Translation3, UnitQuaternion, Vector3};
 
 use crate::articulation::{Column, LinkForce, ScalarLaw, TreeWork};
-use crate::collide::{CollideWork, Touch};
+use crate::collide::{CollideWork, Frame, Touch};
 use crate::contact::{Contact, ContactForce};
-use crate::math::{congruent, exp, lift_rotation, renormalized, skew, solve3, value_of};
+use crate::math::{apply, apply_constant, congruent, cross_columns, exp, lift_rotation, renormalized, skew, solve3};
 use crate::solve::free::{self, Lever};
 use crate::solve::island::{Island, Solver};
 use crate::solve::law::{Law, Mode};
@@ -94,8 +94,9 @@ impl<T: Scalar> Workspace<T> {
 /// A free body at the start of a step.
 #[derive(Debug, Clone)]
 pub(crate) struct BodyFrame<T: Scalar> {
-    /// Pose without derivatives.
-    pub pose: Pose,
+    /// Pose of the body's frame, and the same without derivatives.
+    pub frame: Frame<T>,
+    pub plain: Frame<f64>,
     /// Centre of mass, world.
     pub com: Vector3<T>,
     /// Inertia per unit mass about it, world.
@@ -177,8 +178,8 @@ pub(crate) fn begin<T: Scalar>(
     work.movers.extend(scene.movers.iter().map(|m| m.path.at(t)));
     work.frames.clear();
     for (index, (body, s)) in model.bodies.iter().zip(&state.bodies).enumerate() {
-        let q = s.world_from_body.rotation;
-        let com = s.world_from_body.translation.vector + q * body.center_of_mass.coords;
+        let frame = Frame::of(&s.world_from_body);
+        let com = frame.p + apply(&frame.r, &body.center_of_mass.coords);
         let (mut linear, mut moment) = (scene.gravity, Vector3::zeros());
         for force in scene.forces.iter().filter(|f| f.on == Part::Body(index as u32)) {
             let f = force.mean(t, dt);
@@ -194,12 +195,12 @@ pub(crate) fn begin<T: Scalar>(
                 None => moment += f,
             }
         }
-        let r = q.to_rotation_matrix().into_inner();
         work.frames.push(BodyFrame {
-            pose: value_of(&s.world_from_body),
+            plain: frame.value(),
             com,
-            inertia: congruent(&r, &body.unit_inertia),
-            free: (s.velocity + linear * h, spin(&body.unit_inertia, &q, &s.angular_velocity, &moment, h)),
+            inertia: congruent(&frame.r, &body.unit_inertia),
+            free: (s.velocity + linear * h, spin(&body.unit_inertia, &frame.r, &s.angular_velocity, &moment, dt)),
+            frame,
             speed: s.velocity.map(|x| x.value()).norm() + s.angular_velocity.map(|x| x.value()).norm() * body.reach(),
         });
     }
@@ -541,19 +542,31 @@ pub(crate) fn advanced<T: Scalar>(body: &Body<T>, pose: &Pose<T>, v: &Vector3<T>
     Pose::from_parts(Translation3::from(com - rotation * body.center_of_mass.coords), rotation)
 }
 
-/// The new angular velocity in the world: one Newton step on J (w' - w) + h w' x J w' = h tau in the body's frame.
-fn spin<T: Scalar>(
-    inertia: &Matrix3<T>,
-    q: &UnitQuaternion<T>,
-    w: &Vector3<T>,
-    moment: &Vector3<T>,
-    h: T,
-) -> Vector3<T> {
-    let (w, tau) = (q.inverse_transform_vector(w), q.inverse_transform_vector(moment));
-    let momentum = inertia * w;
-    let residual = (w.cross(&momentum) - tau) * h;
-    let jacobian = inertia + (skew(&w) * inertia - skew(&momentum)) * h;
-    q * (w - solve3(&jacobian, &residual))
+/// The new angular velocity in the world: one Newton step on J (w' - w) + h w' x J w' = h tau in the body's frame,
+/// that is w' = w - x with K x = h (w x J w - tau) and K = J + h ([w] J - [J w]).
+fn spin<T: Scalar>(inertia: &Matrix3<T>, r: &Matrix3<T>, w: &Vector3<T>, moment: &Vector3<T>, dt: f64) -> Vector3<T> {
+    let value = |v: &Vector3<T>| v.map(|x| x.value());
+    let back = r.transpose();
+    let (w, tau) = (apply(&back, w), apply(&back, moment));
+    let momentum = apply(inertia, &w);
+    let right = (w.cross(&momentum) - tau).map(|x| x.scaled(dt));
+    let (j, w0) = (inertia.map(|x| x.value()), value(&w));
+    let k = j + (cross_columns(&w0, &j) - skew(&value(&momentum))) * dt;
+    let x = solve3(&k, &value(&right));
+    let change = if T::TANGENTS == 0 {
+        x.map(T::lift)
+    } else {
+        // Derivatives of the solution: K dx = d(right) - dK x.
+        let jx = apply_constant(inertia, &x);
+        let turned = w.cross(&jx) - momentum.cross(&x.map(T::lift));
+        let kx = jx + turned.map(|y| y.scaled(dt));
+        let inverse = k.try_inverse().unwrap_or_else(Matrix3::zeros);
+        let left = right - kx;
+        Vector3::from_fn(|row, _| {
+            T::with_tangents(x[row], |i| (0..3).map(|c| inverse[(row, c)] * left[c].tangent(i)).sum())
+        })
+    };
+    apply(r, &(w - change))
 }
 
 pub(crate) fn check_speeds<T: Scalar>(state: &State<T>) -> Result<()> {

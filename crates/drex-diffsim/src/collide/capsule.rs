@@ -136,6 +136,47 @@ impl Pair<'_> {
     }
 }
 
+impl Pair<'_> {
+    /// A capsule whose axis goes through a polyhedron: where it is deepest, out through the nearest face. Site: after
+    /// those of edges and vertices.
+    pub fn rod_through(&mut self, rod: &Rod, poly: &Poly) {
+        let b_from_a = self.a_from_b.inverse();
+        let (p, e) = (b_from_a.point(&rod.line.origin), b_from_a.direction(&rod.line.along));
+        let (mut from, mut to) = (0.0_f64, rod.length);
+        for (n, d) in &poly.planes {
+            let (height, slope) = (n.dot(&p) - d, n.dot(&e));
+            match slope {
+                _ if slope < 0.0 => from = from.max(-height / slope),
+                _ if slope > 0.0 => to = to.min(-height / slope),
+                _ if height > 0.0 => return,
+                _ => {}
+            }
+        }
+        if from >= to {
+            return;
+        }
+        let highest = |s: f64| {
+            let x = p + e * s;
+            poly.planes.iter().map(|plane| (plane.0.dot(&x) - plane.1, plane)).max_by(|a, b| a.0.total_cmp(&b.0))
+        };
+        let height = |s: f64| highest(s).map_or(f64::INFINITY, |h| h.0);
+        // Convex along the axis.
+        let (mut lo, mut hi) = (from, to);
+        for _ in 0..40 {
+            let (s, t) = (lo + 0.382 * (hi - lo), hi - 0.382 * (hi - lo));
+            if height(s) < height(t) { hi = t } else { lo = s }
+        }
+        let s = 0.5 * (lo + hi);
+        if let Some((gap, plane)) = highest(s)
+            && gap < 0.0
+        {
+            let ball = Ball { center: rod.line.origin + rod.line.along * s, radius: rod.line.radius };
+            let site = 2 + (poly.edges.len() + poly.vertices.len()) as u32;
+            self.out.push(Touch::new(site, Feature::BallPlane { on: rod.on, ball, plane: *plane }));
+        }
+    }
+}
+
 /// A thick segment from the origin of its line.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Rod {

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 
 use super::ball::{Target, nearest};
 use super::capsule::{Rod, crossing, in_cone};
-use super::feature::{Ball, Feature, Line, Plane, Side, Touch};
+use super::feature::{Ball, Feature, Frame, Line, Plane, Side, Touch};
 use super::geom::{Cylinder, Kind, Poly};
 use super::manifold::{BESIDE, Spots};
 use super::sat::{Overlap, Search, boxes_gap};
@@ -21,6 +21,9 @@ const ON_SIDE: f64 = 0.05;
 const ON_FACE: f64 = 0.99;
 /// Sine of the angle within which two lines touch along a stretch, not at a point.
 const PARALLEL: f64 = 0.035;
+
+/// Sine of the tilt up to which a capsule lies flat on the end of a cylinder.
+const LEVEL: f64 = 0.005;
 
 impl Pair<'_> {
     /// Sites: the corners of the prism, then the lowest points of the two rims.
@@ -65,8 +68,9 @@ impl Pair<'_> {
             return;
         }
         let mut search = Search::new(&c.prism, poly, &self.a_from_b, &mut work.sat);
-        if let Some(overlap) = search.least_overlap(margin) {
-            self.cylinder_on(c, Side::A, &search, &overlap, &mut work.spots);
+        let start = self.out.len();
+        if let Some(overlap) = self.least_overlap(&mut search, margin, &mut work.spots) {
+            self.cylinder_on(c, Side::A, &search, &overlap, &mut work.spots, start);
         }
     }
 
@@ -77,27 +81,34 @@ impl Pair<'_> {
             return;
         }
         let mut search = Search::new(&c.prism, &d.prism, &self.a_from_b, &mut work.sat);
-        let Some(overlap) = search.least_overlap(margin) else { return };
+        let start = self.out.len();
+        let Some(overlap) = self.least_overlap(&mut search, margin, &mut work.spots) else { return };
         // The prism with as many vertices comes first: the common frame is that of a.
         let along = |axis: &Vector3<f64>| overlap.normal.dot(axis).abs();
         match (along(&c.axis), along(&self.a_from_b.direction(&d.axis))) {
             (x, y) if x < ON_SIDE && y < ON_SIDE => {
-                let start = self.out.len();
+                self.out.truncate(start);
                 self.sides(c, d, search.sites() + 1000);
-                if self.out.len() == start {
-                    self.overlap(&search, &overlap, &mut work.spots);
-                }
+                self.prism_if_deeper(&search, &overlap, &mut work.spots, start);
             }
-            (x, y) if x < ON_SIDE || y > x => self.cylinder_on(c, Side::A, &search, &overlap, &mut work.spots),
-            _ => self.cylinder_on(d, Side::B, &search, &overlap, &mut work.spots),
+            (x, y) if x < ON_SIDE || y > x => self.cylinder_on(c, Side::A, &search, &overlap, &mut work.spots, start),
+            _ => self.cylinder_on(d, Side::B, &search, &overlap, &mut work.spots, start),
         }
     }
 
-    /// A cylinder on the body `on` against the polyhedron of the other body.
-    fn cylinder_on(&mut self, c: &Cylinder, on: Side, search: &Search<'_>, overlap: &Overlap, spots: &mut Spots) {
+    /// A cylinder on the body `on` against the polyhedron of the other body. Touches from `start` on are those of its
+    /// prism, if they have been found already.
+    fn cylinder_on(
+        &mut self,
+        c: &Cylinder,
+        on: Side,
+        search: &Search<'_>,
+        overlap: &Overlap,
+        spots: &mut Spots,
+        start: usize,
+    ) {
         let (mine, other) = (search.half(on), search.half(on.other()));
         let (poly, site) = (other.poly, search.sites());
-        let start = self.out.len();
         // Out of the polyhedron, in the common frame and in that of the polyhedron.
         let n = if search.halves[0].on == on { -overlap.normal } else { overlap.normal };
         let towards = other.frame.r.tr_mul(&n);
@@ -107,7 +118,9 @@ impl Pair<'_> {
             .filter(|&f| poly.planes[f].0.dot(&towards) > ON_FACE);
         let tilt = (1.0 - axial * axial).max(0.0).sqrt();
         let as_prism = axial >= ON_SIDE && (face.is_none() || tilt < STANDING);
-        if as_prism {
+        if !as_prism {
+            self.out.truncate(start);
+        } else if !overlap.done {
             self.overlap(search, overlap, spots);
         }
         if let Some(f) = face.filter(|_| tilt > TILTED) {
@@ -129,7 +142,18 @@ impl Pair<'_> {
             let site = site + 2 + (poly.edges.len() + poly.vertices.len()) as u32;
             self.side_along_edges(&rod, poly, site, &towards);
         }
-        if self.out.len() == start && !as_prism {
+        if !as_prism {
+            self.prism_if_deeper(search, overlap, spots, start);
+        }
+    }
+
+    /// The touches of the prism instead of those from `start` on, if these are less deep than the two overlap.
+    fn prism_if_deeper(&mut self, search: &Search<'_>, overlap: &Overlap, spots: &mut Spots, start: usize) {
+        let here = Frame { r: nalgebra::Matrix3::identity(), p: Vector3::zeros() };
+        let depths = self.out[start..].iter().map(|t| t.place(&here, &self.a_from_b).depth);
+        let deepest = depths.fold(f64::NEG_INFINITY, f64::max);
+        if deepest < -0.7 * overlap.gap - self.margin {
+            self.out.truncate(start);
             self.overlap(search, overlap, spots);
         }
     }
@@ -246,7 +270,7 @@ impl Pair<'_> {
         let side = Rod::new(&c.ends(), c.radius, Side::B);
         let along = self.a_from_b.direction(&c.axis);
         let parallel = capsule.line.along.cross(&along).norm() < PARALLEL;
-        let flat = capsule.line.along.dot(&along).abs() < PARALLEL;
+        let flat = capsule.line.along.dot(&along).abs() < LEVEL;
         match target {
             Target::Line(_) => {
                 self.rods_cross(&[capsule, side], 2);

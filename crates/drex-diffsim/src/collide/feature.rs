@@ -20,6 +20,11 @@ impl<T: Scalar> Frame<T> {
         Self { r: pose.rotation.to_rotation_matrix().into_inner(), p: pose.translation.vector }
     }
 
+    /// The same without derivatives.
+    pub fn value(&self) -> Frame<f64> {
+        Frame { r: self.r.map(|x| x.value()), p: self.p.map(|x| x.value()) }
+    }
+
     pub fn point(&self, x: &Vector3<f64>) -> Vector3<T> {
         self.direction(x) + self.p
     }
@@ -145,7 +150,6 @@ impl Touch {
             Side::A => (world_from_a, world_from_b),
             Side::B => (world_from_b, world_from_a),
         };
-        // The normal from there to here, the gap along it between the centres, and the two radii.
         let place = self.feature.place(here, there);
         match on {
             Side::A => place,

@@ -57,6 +57,8 @@ pub(crate) struct Poly {
     pub middle: Vector3<f64>,
     pub axes: Matrix3<f64>,
     pub half: Vector3<f64>,
+    /// If it is that box: its faces against and along each axis.
+    pub box_faces: Option<[[u32; 2]; 3]>,
 }
 
 /// An edge: its ends, the two faces beside it, its unit direction.
@@ -116,8 +118,8 @@ impl CollisionGeom {
                 let kind = Kind::Cylinder(Cylinder { center: origin, axis: z, radius, half_length, prism });
                 Self { kind, center: origin, radius: radius.hypot(half_length) }
             }
-            Shape::Box { half_m } => Self::poly(&ConvexPiece::cuboid(half_m), &frame),
-            Shape::Convex(piece) => Self::poly(piece, &frame),
+            Shape::Box { half_m } => Self::poly(Poly::new(&ConvexPiece::cuboid(half_m), &frame).into_box()),
+            Shape::Convex(piece) => Self::poly(Poly::new(piece, &frame)),
             Shape::Sdf(sdf) => {
                 let (lo, hi) = sdf.bounds();
                 let kind = Kind::Sdf { sdf: sdf.clone(), shape_from_body: frame.inverse() };
@@ -134,8 +136,7 @@ impl CollisionGeom {
         })
     }
 
-    fn poly(piece: &ConvexPiece, frame: &Frame<f64>) -> Self {
-        let poly = Poly::new(piece, frame);
+    fn poly(poly: Poly) -> Self {
         let center = poly.middle;
         let radius = poly.vertices.iter().map(|v| (v - center).norm()).fold(0.0, f64::max);
         Self { kind: Kind::Poly(poly), center, radius }
@@ -189,7 +190,18 @@ impl Poly {
             side_start,
             at_vertex,
             vertex_start,
+            box_faces: None,
         }
+    }
+
+    fn into_box(self) -> Self {
+        let face =
+            |n: Vector3<f64>| (0..6).max_by(|&i, &j| self.planes[i].0.dot(&n).total_cmp(&self.planes[j].0.dot(&n)));
+        let faces = [0, 1, 2].map(|k| {
+            let axis = self.axes.column(k).into_owned();
+            [-axis, axis].map(|n| face(n).unwrap_or(0) as u32)
+        });
+        Self { box_faces: Some(faces), ..self }
     }
 
     pub fn sides(&self, face: u32) -> &[FaceSide] {

@@ -7,13 +7,15 @@ use nalgebra::Vector3;
 
 use super::Pair;
 use super::feature::{Ball, Feature, Frame, Line, Plane, Side, Touch};
-use super::geom::{FaceSide, Poly};
+use super::geom::Poly;
 
 /// A vertex this far (relative to the smaller body) beyond the side of a face is still on it, so that boxes of the same
 /// size stand on each other's corners.
 pub(super) const BESIDE: f64 = 2e-4;
 /// Cosine of the angle within which a face of the other polyhedron faces the reference face.
-const FACING_COS: f64 = -0.5;
+const FACING: f64 = 0.5;
+/// Cosine of the angle within which its normal is as good as that of the reference face.
+const ALONG: f64 = 0.97;
 
 /// One of the two polyhedra, in a frame common to both.
 pub(super) struct Half<'a> {
@@ -27,11 +29,37 @@ pub(super) struct Half<'a> {
     pub first_site: u32,
 }
 
-/// Points found so far and the sides of the face, in the common frame.
+impl Half<'_> {
+    /// A box around it in the common frame.
+    pub fn bounds(&self) -> (Vector3<f64>, Vector3<f64>) {
+        let middle = self.frame.point(&self.poly.middle);
+        let reach = (self.frame.r * self.poly.axes).abs() * self.poly.half;
+        (middle - reach, middle + reach)
+    }
+}
+
+/// Points found so far with their depths, and the sides of the face, in the common frame.
 #[derive(Debug, Default)]
 pub(crate) struct Spots {
-    points: Vec<Vector3<f64>>,
+    points: Vec<(Vector3<f64>, f64)>,
     cuts: Vec<Plane>,
+    /// Heights of the vertices of the other polyhedron over the face, and whether they are inside its sides.
+    heights: Vec<(f64, bool)>,
+}
+
+impl Spots {
+    /// A lower bound on the width of what is in both bodies: the least height of a triangle of such points.
+    pub fn width(&self) -> f64 {
+        let inside = || self.points.iter().filter(|(_, depth)| *depth > 0.0).map(|(p, _)| *p);
+        let Some(a) = inside().next() else { return 0.0 };
+        let farthest = |size: &dyn Fn(&Vector3<f64>) -> f64| {
+            inside().map(|p| (size(&p), p)).fold((0.0, a), |best, next| if next.0 > best.0 { next } else { best })
+        };
+        let (ab, b) = farthest(&|p| (p - a).norm());
+        let (area, c) = farthest(&|p| (b - a).cross(&(p - a)).norm());
+        let longest = ab.max((c - a).norm()).max((c - b).norm());
+        if longest > 0.0 { area / longest } else { 0.0 }
+    }
 }
 
 impl Pair<'_> {
@@ -40,8 +68,9 @@ impl Pair<'_> {
         let (n, d) = reference.planes[face as usize];
         let sides = reference.poly.sides(face);
         let beside = BESIDE * reference.poly.half.norm().min(other.poly.half.norm());
-        let Spots { points, cuts } = spots;
+        let Spots { points, cuts, heights } = spots;
         points.clear();
+        heights.clear();
         cuts.clear();
         cuts.extend(sides.iter().map(|s| reference.frame.plane(&s.cut)));
         let margin = self.margin;
@@ -50,16 +79,18 @@ impl Pair<'_> {
         let plane = reference.poly.planes[face as usize];
         for (i, v) in other.vertices.iter().enumerate() {
             let depth = d - n.dot(v);
-            if depth > -margin && inside(cuts, v, beside, usize::MAX) {
+            let over = depth > -margin && inside(cuts, v, beside, usize::MAX);
+            heights.push((-depth, over));
+            if over {
                 let ball = Ball { center: other.poly.vertices[i], radius: 0.0 };
                 let feature = Feature::BallPlane { on: other.on, ball, plane };
                 self.out.push(Touch::new(other.first_site + i as u32, feature));
-                points.push(*v);
+                points.push((*v, depth));
                 deepest = deepest.max(depth);
             }
         }
-        deepest = deepest.max(self.corners(reference, other, (&n, sides), beside, points));
-        deepest.max(self.crossings(reference, other, face, beside, (points, cuts)))
+        deepest = deepest.max(self.corners(reference, other, face, beside, points));
+        deepest.max(self.crossings(reference, other, face, beside, spots))
     }
 
     /// Corners of the face that are inside the other polyhedron.
@@ -67,41 +98,42 @@ impl Pair<'_> {
         &mut self,
         reference: &Half<'_>,
         other: &Half<'_>,
-        (n, sides): (&Vector3<f64>, &[FaceSide]),
+        face: u32,
         beside: f64,
-        points: &mut Vec<Vector3<f64>>,
+        points: &mut Vec<(Vector3<f64>, f64)>,
     ) -> f64 {
+        let n = &reference.planes[face as usize].0;
+        let plane = reference.poly.planes[face as usize];
         let mut deepest = f64::NEG_INFINITY;
-        for side in sides {
+        for side in reference.poly.sides(face) {
             let u = reference.vertices[side.vertex as usize];
-            let mut floor: Option<(f64, usize)> = None;
-            let mut outside = false;
-            for (i, (m, c)) in other.planes.iter().enumerate() {
-                let height = m.dot(&u) - c;
-                if height <= floor.map_or(f64::NEG_INFINITY, |f| f.0.min(beside)) {
-                    continue;
+            // The face of the other that a ray from the corner leaves it by, and how far that is.
+            let mut floor = (f64::INFINITY, 0);
+            let outside = other.planes.iter().enumerate().any(|(i, (m, c))| {
+                let (height, facing) = (m.dot(&u) - c, -m.dot(n));
+                if facing < FACING {
+                    return height > beside;
                 }
-                if m.dot(n) < FACING_COS {
-                    if floor.is_none_or(|f| height > f.0) {
-                        floor = Some((height, i));
-                    }
-                    outside = height > self.margin;
-                } else {
-                    outside = height > beside;
+                if -height < floor.0 * facing {
+                    floor = (-height / facing, i);
                 }
-                if outside {
-                    break;
-                }
-            }
-            let Some((height, i)) = floor.filter(|_| !outside) else { continue };
-            if points.iter().any(|p| across(&(p - u), n) < 2.0 * beside) {
+                height > self.margin
+            });
+            let (depth, i) = floor;
+            if outside || depth == f64::INFINITY || points.iter().any(|(p, _)| is_near(&(p - u), n, beside)) {
                 continue;
             }
-            let ball = Ball { center: *reference.poly.vertex(side.vertex), radius: 0.0 };
-            let feature = Feature::BallPlane { on: reference.on, ball, plane: other.poly.planes[i] };
+            let feature = if other.planes[i].0.dot(n) < -ALONG {
+                let ball = Ball { center: *reference.poly.vertex(side.vertex), radius: 0.0 };
+                Feature::BallPlane { on: reference.on, ball, plane: other.poly.planes[i] }
+            } else {
+                // A steep face: its point under the corner, against the reference face.
+                let center = other.frame.r.tr_mul(&(u - n * depth - other.frame.p));
+                Feature::BallPlane { on: other.on, ball: Ball { center, radius: 0.0 }, plane }
+            };
             self.out.push(Touch::new(reference.first_site + side.vertex, feature));
-            points.push(u);
-            deepest = deepest.max(-height);
+            points.push((u, depth));
+            deepest = deepest.max(depth);
         }
         deepest
     }
@@ -113,7 +145,7 @@ impl Pair<'_> {
         other: &Half<'_>,
         face: u32,
         beside: f64,
-        (points, cuts): (&mut Vec<Vector3<f64>>, &[Plane]),
+        Spots { points, cuts, heights }: &mut Spots,
     ) -> f64 {
         let (n, d) = reference.planes[face as usize];
         let plane = reference.poly.planes[face as usize];
@@ -121,10 +153,11 @@ impl Pair<'_> {
         let mut deepest = f64::NEG_INFINITY;
         let vertices = (reference.poly.vertices.len() + other.poly.vertices.len()) as u32;
         for (index, edge) in other.poly.edges.iter().enumerate() {
-            let [v, w] = edge.ends.map(|i| other.vertices[i as usize]);
-            if n.dot(&v) - d > self.margin && n.dot(&w) - d > self.margin {
+            let [a, b] = edge.ends.map(|i| heights[i as usize]);
+            if a.0 > self.margin && b.0 > self.margin || a.1 && b.1 {
                 continue;
             }
+            let [v, w] = edge.ends.map(|i| other.vertices[i as usize]);
             for (k, (m, c)) in cuts.iter().enumerate() {
                 let (s, t) = (m.dot(&v) - c, m.dot(&w) - c);
                 if s.max(t) <= beside || s.min(t) >= -beside {
@@ -134,7 +167,7 @@ impl Pair<'_> {
                 let depth = d - n.dot(&x);
                 if depth <= -self.margin
                     || !inside(cuts, &x, 1e-4 * beside, k)
-                    || points.iter().any(|p| across(&(p - x), &n) < 2.0 * beside)
+                    || points.iter().any(|(p, _)| is_near(&(p - x), &n, beside))
                 {
                     continue;
                 }
@@ -147,7 +180,7 @@ impl Pair<'_> {
                     index as u32 * reference.poly.edges.len() as u32 + sides[k].edge
                 };
                 self.out.push(Touch::new(vertices + site, feature));
-                points.push(x);
+                points.push((x, depth));
                 deepest = deepest.max(depth);
             }
         }
@@ -160,7 +193,7 @@ fn inside(cuts: &[Plane], x: &Vector3<f64>, beside: f64, skip: usize) -> bool {
     cuts.iter().enumerate().all(|(i, (m, c))| i == skip || m.dot(x) - c <= beside)
 }
 
-/// Length of v across the unit vector n.
-fn across(v: &Vector3<f64>, n: &Vector3<f64>) -> f64 {
-    (v - n * v.dot(n)).norm()
+/// Whether two points that differ by v are one, seen along the unit vector n.
+fn is_near(v: &Vector3<f64>, n: &Vector3<f64>, beside: f64) -> bool {
+    v.norm_squared() - v.dot(n).powi(2) < 4.0 * beside * beside
 }

@@ -156,7 +156,13 @@ impl Pair<'_> {
                     }
                     Kind::Cylinder(cylinder) => self.capsule_cylinder(ends, *radius, cylinder, b),
                     Kind::Sdf { .. } => self.capsule_sdf(ends, *radius, b),
-                    Kind::Poly(poly) => self.rod_poly(&capsule::Rod::new(ends, *radius, Side::A), poly, 2, None),
+                    Kind::Poly(poly) => {
+                        let rod = capsule::Rod::new(ends, *radius, Side::A);
+                        self.rod_poly(&rod, poly, 2, None);
+                        if self.out.len() == start {
+                            self.rod_through(&rod, poly);
+                        }
+                    }
                     _ => {}
                 }
             }

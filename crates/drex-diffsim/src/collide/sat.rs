@@ -14,6 +14,8 @@ use super::{CollideWork, Pair};
 const PARALLEL: f64 = 1e-3;
 /// Cosine of the angle within which an edge lies flat on a face and touches it at both ends.
 const FLAT_COS: f64 = 0.9994;
+/// And its sine.
+const FLAT_SIN: f64 = 0.0346;
 /// Overlaps that differ by less (relatively) are alike; the face of larger area is taken then.
 const ALIKE: f64 = 0.02;
 
@@ -48,11 +50,10 @@ pub(super) struct Near {
     arc: Vector3<f64>,
 }
 
-/// A direction from the first to the second, and how far they are apart along it (negative: they overlap).
+/// A face, and how far the other is in front of it (negative: they overlap).
 #[derive(Debug, Clone, Copy)]
 struct Axis {
     gap: f64,
-    normal: Vector3<f64>,
     face: u32,
 }
 
@@ -60,12 +61,14 @@ struct Axis {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Overlap {
     /// Negative: minus the overlap.
-    gap: f64,
+    pub gap: f64,
     /// From the first to the second, in the frame of the first.
     pub normal: Vector3<f64>,
     /// Gaps that differ by less are alike.
     alike: f64,
     least: Least,
+    /// Its touches have been appended already.
+    pub done: bool,
 }
 
 /// Which features overlap least.
@@ -96,6 +99,7 @@ impl<'a> Search<'a> {
         vertices.extend(q.vertices.iter().map(|v| p_from_q.point(v)));
         planes.clear();
         planes.extend(q.planes.iter().map(|plane| p_from_q.plane(plane)));
+        work.edges.iter_mut().for_each(Vec::clear);
         let first_site = p.vertices.len() as u32;
         let second = Half { poly: q, vertices, planes, frame: p_from_q, on: on[1], first_site };
         let frame = Frame { r: nalgebra::Matrix3::identity(), p: Vector3::zeros() };
@@ -114,36 +118,52 @@ impl<'a> Search<'a> {
         (p.vertices.len() + q.vertices.len() + p.edges.len() * q.edges.len()) as u32
     }
 
-    /// Where they overlap least; `None` if they are farther apart than `margin`.
-    pub fn least_overlap(&mut self, margin: f64) -> Option<Overlap> {
+    /// The face along whose normal they overlap least; `None` if they are farther apart than `margin`.
+    fn best_face(&self, margin: f64) -> Option<Overlap> {
         let [p, q] = &self.halves;
-        let on_p = best_face(p.planes, q.vertices, &q.frame.point(&q.poly.middle), margin)?;
-        let on_q = best_face(q.planes, p.vertices, &p.poly.middle, margin)?;
-        let on_q = Axis { normal: -on_q.normal, ..on_q };
-        let widest = if on_p.gap >= on_q.gap { &on_p } else { &on_q };
-        let alike = ALIKE * widest.gap.abs() + 1e-7 * p.poly.half.norm().min(q.poly.half.norm());
-        near_edges(p, q, widest, margin, self.edges);
-        if let Some((axis, i, j)) = best_edges(self.edges, [p.vertices, q.vertices], widest.gap + alike) {
-            if axis.gap > margin {
-                return None;
+        let (on_p, on_q) = match (&p.poly.box_faces, &q.poly.box_faces) {
+            (Some(p_faces), Some(q_faces)) => {
+                let gaps = BoxGaps::new(p.poly, q.poly, &q.frame);
+                (gaps.face(&gaps.along_p, &gaps.between, p_faces), gaps.face(&gaps.along_q, &-gaps.seen_by_q, q_faces))
             }
-            let (e, f) = (&self.edges[0][i], &self.edges[1][j]);
-            // A face that lies flat on the edge is touched at more than one point.
-            let faces = [(e.n[0], 0, 0), (e.n[1], 0, 1), (-f.n[0], 1, 0), (-f.n[1], 1, 1)];
-            let flattest = faces.into_iter().max_by(|a, b| a.0.dot(&axis.normal).total_cmp(&b.0.dot(&axis.normal)));
-            let flat = flattest.filter(|(n, _, _)| n.dot(&axis.normal) > FLAT_COS).map(|(_, which, k)| {
-                let edge = [e.index, f.index][which];
-                (which, self.halves[which].poly.edges[edge as usize].faces[k])
-            });
-            return Some(Overlap { gap: axis.gap, normal: axis.normal, alike, least: Least::Edges([i, j], flat) });
+            _ => (
+                best_face(p.planes, q.vertices, &q.frame.point(&q.poly.middle), margin)?,
+                best_face(q.planes, p.vertices, &p.poly.middle, margin)?,
+            ),
+        };
+        let gap = on_p.gap.max(on_q.gap);
+        if gap > margin {
+            return None;
         }
+        let alike = ALIKE * gap.abs() + 1e-7 * p.poly.half.norm().min(q.poly.half.norm());
         let first = if (on_p.gap - on_q.gap).abs() <= alike {
             p.poly.areas[on_p.face as usize] >= q.poly.areas[on_q.face as usize] * (1.0 - 1e-9)
         } else {
             on_p.gap > on_q.gap
         };
-        let (which, axis) = if first { (0, on_p) } else { (1, on_q) };
-        Some(Overlap { gap: axis.gap, normal: axis.normal, alike, least: Least::Face(which, axis.face) })
+        let (which, face) = if first { (0, on_p.face) } else { (1, on_q.face) };
+        let normal = if first { p.planes[face as usize].0 } else { -q.planes[face as usize].0 };
+        Some(Overlap { gap, normal, alike, least: Least::Face(which, face), done: false })
+    }
+
+    /// The overlap of two edges, if it is less than that of all faces; `None` if they are farther apart than `margin`.
+    fn with_edges(&mut self, faces: Overlap, margin: f64) -> Option<Overlap> {
+        let [p, q] = &self.halves;
+        near_edges(p, q, &faces, margin, self.edges);
+        let found = best_edges(self.edges, [p.vertices, q.vertices], faces.gap + faces.alike);
+        let Some((gap, normal, i, j)) = found else { return Some(faces) };
+        if gap > margin {
+            return None;
+        }
+        let (e, f) = (&self.edges[0][i], &self.edges[1][j]);
+        // A face that lies flat on the edge is touched at more than one point.
+        let sides = [(e.n[0], 0, 0), (e.n[1], 0, 1), (-f.n[0], 1, 0), (-f.n[1], 1, 1)];
+        let flattest = sides.into_iter().max_by(|a, b| a.0.dot(&normal).total_cmp(&b.0.dot(&normal)));
+        let flat = flattest.filter(|(n, _, _)| n.dot(&normal) > FLAT_COS).map(|(_, which, k)| {
+            let edge = [e.index, f.index][which];
+            (which, self.halves[which].poly.edges[edge as usize].faces[k])
+        });
+        Some(Overlap { gap, normal, least: Least::Edges([i, j], flat), ..faces })
     }
 }
 
@@ -154,9 +174,29 @@ impl Pair<'_> {
             return;
         }
         let mut search = Search::new(a, b, &self.a_from_b, &mut work.sat);
-        if let Some(overlap) = search.least_overlap(self.margin) {
+        if let Some(overlap) = self.least_overlap(&mut search, self.margin, &mut work.spots)
+            && !overlap.done
+        {
             self.overlap(&search, &overlap, &mut work.spots);
         }
+    }
+
+    /// Where two polyhedra overlap least; `None` if they are farther apart than `margin`.
+    pub fn least_overlap(&mut self, search: &mut Search<'_>, margin: f64, spots: &mut Spots) -> Option<Overlap> {
+        let faces = search.best_face(margin)?;
+        // In a direction far from the normal, two bodies overlap by the width of what they have in common. Where that is
+        // wide and thin, no pair of edges overlaps less.
+        if faces.gap < 0.0
+            && let Least::Face(which, face) = faces.least
+        {
+            let start = self.out.len();
+            self.manifold(&search.halves[which], &search.halves[1 - which], face, spots);
+            if spots.width() * FLAT_SIN > -3.0 * faces.gap {
+                return Some(Overlap { done: true, ..faces });
+            }
+            self.out.truncate(start);
+        }
+        search.with_edges(faces, margin)
     }
 
     /// The touches of two polyhedra that overlap least in this way.
@@ -181,9 +221,10 @@ impl Pair<'_> {
                 if found == f64::NEG_INFINITY
                     && overlap.gap < 0.0
                     && let [p, q] = halves
-                    && let Some((axis, i, j)) = best_edges(search.edges, [p.vertices, q.vertices], f64::NEG_INFINITY)
+                    && let Some((_, normal, i, j)) =
+                        best_edges(search.edges, [p.vertices, q.vertices], f64::NEG_INFINITY)
                 {
-                    self.edge_pair(halves, (&near_p[i], &near_q[j]), &axis.normal);
+                    self.edge_pair(halves, (&near_p[i], &near_q[j]), &normal);
                 }
             }
         }
@@ -210,12 +251,34 @@ impl Pair<'_> {
 
 /// How far the bounding boxes are apart, at the best of the directions of their sides.
 pub(super) fn boxes_gap(p: &Poly, q: &Poly, p_from_q: &Frame<f64>) -> f64 {
-    let turned = p.axes.tr_mul(&p_from_q.r) * q.axes;
-    let between = p.axes.tr_mul(&(p_from_q.point(&q.middle) - p.middle));
-    let size = turned.abs();
-    let along_p = between.abs() - p.half - size * q.half;
-    let along_q = turned.tr_mul(&between).abs() - q.half - size.tr_mul(&p.half);
-    along_p.max().max(along_q.max())
+    let gaps = BoxGaps::new(p, q, p_from_q);
+    gaps.along_p.max().max(gaps.along_q.max())
+}
+
+/// How far two boxes are apart along their sides, and the middle of the second seen from the first, in either's axes.
+struct BoxGaps {
+    along_p: Vector3<f64>,
+    along_q: Vector3<f64>,
+    between: Vector3<f64>,
+    seen_by_q: Vector3<f64>,
+}
+
+impl BoxGaps {
+    fn new(p: &Poly, q: &Poly, p_from_q: &Frame<f64>) -> Self {
+        let turned = p.axes.tr_mul(&(p_from_q.r * q.axes));
+        let between = p.axes.tr_mul(&(p_from_q.point(&q.middle) - p.middle));
+        let seen_by_q = turned.tr_mul(&between);
+        let size = turned.abs();
+        let along_p = between.abs() - p.half - size * q.half;
+        let along_q = seen_by_q.abs() - q.half - size.tr_mul(&p.half);
+        Self { along_p, along_q, between, seen_by_q }
+    }
+
+    /// The face of a box that is farthest from the other, whose middle is `towards`.
+    fn face(&self, gaps: &Vector3<f64>, towards: &Vector3<f64>, faces: &[[u32; 2]; 3]) -> Axis {
+        let k = gaps.imax();
+        Axis { gap: gaps[k], face: faces[k][usize::from(towards[k] > 0.0)] }
+    }
 }
 
 /// The face plane that all `vertices` are farthest in front of; `None` if farther than `margin`. `hint` is a point amid
@@ -231,10 +294,16 @@ fn best_face(planes: &[Plane], vertices: &[Vector3<f64>], hint: &Vector3<f64>, m
         }
         best
     };
-    let front = |f: &usize| planes[*f].0.dot(hint) - planes[*f].1;
-    let first = (0..planes.len()).max_by(|i, j| front(i).total_cmp(&front(j)))?;
-    let (height, v) = lowest(&planes[first].0);
-    let mut best = Axis { gap: height - planes[first].1, normal: planes[first].0, face: first as u32 };
+    let mut first = (f64::NEG_INFINITY, 0);
+    for (f, (n, d)) in planes.iter().enumerate() {
+        let front = n.dot(hint) - d;
+        if front > first.0 {
+            first = (front, f);
+        }
+    }
+    let (n, d) = planes.get(first.1)?;
+    let (height, v) = lowest(n);
+    let mut best = Axis { gap: height - d, face: first.1 as u32 };
     let mut witness = [vertices[v], *hint];
     for (f, (n, d)) in planes.iter().enumerate() {
         if best.gap > margin {
@@ -247,28 +316,28 @@ fn best_face(planes: &[Plane], vertices: &[Vector3<f64>], hint: &Vector3<f64>, m
         let (height, v) = lowest(n);
         witness = [vertices[v], witness[0]];
         if height - d > best.gap {
-            best = Axis { gap: height - d, normal: *n, face: f as u32 };
+            best = Axis { gap: height - d, face: f as u32 };
         }
     }
     (best.gap <= margin).then_some(best)
 }
 
-/// The edges of both that can carry an overlap not larger than that along `axis`.
-fn near_edges(p: &Half<'_>, q: &Half<'_>, axis: &Axis, margin: f64, out: &mut NearEdges) {
-    let reach = (-axis.gap).max(0.0) + margin + 1e-9 * p.poly.half.max();
-    let n = &axis.normal;
-    let extent = |v: &[Vector3<f64>]| {
-        v.iter().fold((v[0], v[0], n.dot(&v[0]), n.dot(&v[0])), |(lo, hi, least, most), x| {
-            (lo.inf(x), hi.sup(x), least.min(n.dot(x)), most.max(n.dot(x)))
-        })
-    };
-    let (p_lo, p_hi, _, p_most) = extent(p.vertices);
-    let (q_lo, q_hi, q_least, _) = extent(q.vertices);
+/// The edges of both that can carry an overlap not larger than that of `faces`; none if one of them has none.
+fn near_edges(p: &Half<'_>, q: &Half<'_>, faces: &Overlap, margin: f64, out: &mut NearEdges) {
+    let reach = (-faces.gap).max(0.0) + margin + 1e-9 * p.poly.half.max();
+    let n = &faces.normal;
+    let (p_lo, p_hi) = p.bounds();
+    let (q_lo, q_hi) = q.bounds();
     let (lo, hi) = (p_lo.sup(&q_lo).add_scalar(-reach), p_hi.inf(&q_hi).add_scalar(reach));
+    let heights = |half: &Half<'_>| half.vertices.iter().map(|v| n.dot(v)).fold(f64::INFINITY, f64::min);
     // Where they meet, the first is no farther than `reach` from the second, and the other way round.
+    let q_least = heights(q);
+    let p_most = q_least - faces.gap;
     let slab = [(q_least - reach, 1.0), (-(p_most + reach), -1.0)];
-    for ((half, (least, sign)), out) in [p, q].into_iter().zip(slab).zip(out) {
-        out.clear();
+    out.iter_mut().for_each(Vec::clear);
+    // The second has fewer edges.
+    for k in [1, 0] {
+        let (half, (least, sign)) = ([p, q][k], slab[k]);
         for (index, edge) in half.poly.edges.iter().enumerate() {
             let [v, w] = edge.ends.map(|i| half.vertices[i as usize]);
             if sign * n.dot(&v) < least && sign * n.dot(&w) < least {
@@ -279,7 +348,7 @@ fn near_edges(p: &Half<'_>, q: &Half<'_>, axis: &Axis, margin: f64, out: &mut Ne
                 continue;
             }
             let normals = edge.faces.map(|f| half.planes[f as usize].0);
-            out.push(Near {
+            out[k].push(Near {
                 index: index as u32,
                 start: v,
                 along: half.frame.direction(&edge.along),
@@ -289,12 +358,20 @@ fn near_edges(p: &Half<'_>, q: &Half<'_>, axis: &Axis, margin: f64, out: &mut Ne
                 arc: normals[1].cross(&normals[0]),
             });
         }
+        if out[k].is_empty() {
+            return out.iter_mut().for_each(Vec::clear);
+        }
     }
 }
 
 /// The pair of edges whose cross product separates the most, if it does so by more than `least`.
-fn best_edges(edges: &[Vec<Near>; 2], vertices: [&[Vector3<f64>]; 2], least: f64) -> Option<(Axis, usize, usize)> {
-    let mut best: Option<(Axis, usize, usize)> = None;
+/// Gap, normal, and the place of the two among the edges.
+fn best_edges(
+    edges: &NearEdges,
+    vertices: [&[Vector3<f64>]; 2],
+    least: f64,
+) -> Option<(f64, Vector3<f64>, usize, usize)> {
+    let mut best = None;
     let mut least = least;
     for (i, e) in edges[0].iter().enumerate() {
         for (j, f) in edges[1].iter().enumerate() {
@@ -316,7 +393,7 @@ fn best_edges(edges: &[Vec<Near>; 2], vertices: [&[Vector3<f64>]; 2], least: f64
             let most = vertices[0].iter().map(|v| normal.dot(v)).fold(f64::NEG_INFINITY, f64::max);
             let lowest = vertices[1].iter().map(|v| normal.dot(v)).fold(f64::INFINITY, f64::min);
             if (lowest - most - gap).abs() < 1e-9 * (1.0 + gap.abs()) + 1e-3 * gap.abs() {
-                best = Some((Axis { gap, normal, face: 0 }, i, j));
+                best = Some((gap, normal, i, j));
                 least = gap;
             }
         }

@@ -97,7 +97,7 @@ impl Tree {
         (Self { points: order.iter().map(|&i| points[i as usize]).collect(), nodes }, order)
     }
 
-    /// Hands every point to `visit` whose boxes all pass `near`. Calls itself nothing and allocates nothing.
+    /// Hands every point to `visit` whose boxes all pass `near`, in order. Allocates nothing.
     pub fn visit(&self, mut near: impl FnMut(&Node) -> bool, mut visit: impl FnMut(u32, &Vector3<f64>)) {
         // A tree of 2^32 points is not deeper.
         let mut stack = [0_u32; 64];

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::law::Law;
 use super::six::{Lu6, Matrix6, Vector6};
 use crate::Scalar;
-use crate::math::{apply, skew};
+use crate::math::{apply, cross_columns, skew};
 
 /// Newton iterations at most; two or three are usual.
 const ITERATIONS: usize = 16;
@@ -182,14 +182,6 @@ fn rows_cross(m: &Matrix3<f64>, s: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_fn(|i, j| {
         let (k, l) = ((j + 1) % 3, (j + 2) % 3);
         m[(i, k)] * s[l] - m[(i, l)] * s[k]
-    })
-}
-
-/// [s] M: s crossed with every column.
-fn cross_columns(s: &Vector3<f64>, m: &Matrix3<f64>) -> Matrix3<f64> {
-    Matrix3::from_fn(|i, j| {
-        let (k, l) = ((i + 1) % 3, (i + 2) % 3);
-        s[k] * m[(l, j)] - s[l] * m[(k, j)]
     })
 }
 

@@ -83,6 +83,11 @@ pub(super) fn any_solid() -> impl Strategy<Value = Shape> {
     ]
 }
 
+/// A polyhedron.
+pub(super) fn any_poly() -> impl Strategy<Value = Shape> {
+    prop_oneof![Just(cuboid(0.02, 0.03, 0.045)), Just(cuboid(0.1, 0.008, 0.01)), Just(lump(14)), Just(lump(120))]
+}
+
 /// Moves b along `u` from far away until it is `depth` inside a.
 pub(super) fn brought_together(a: &Shape, pa: &Pose, b: &Shape, turn: &Pose, u: &V, depth: f64) -> Pose {
     let (ga, gb) = (geom(a), geom(b));

@@ -51,6 +51,13 @@ fn a_capsule_lies_on_two_points_and_stands_on_one() {
     assert_eq!(p.len(), 2);
     assert!(p.iter().all(|p| (p.depth - 1e-5).abs() < 1e-12 && (p.point.x.abs() - 0.02).abs() < 1e-12), "{p:?}");
     assert!(p.iter().all(|p| (p.normal - V::z()).norm() < 1e-9));
+    // Driven through a box, both ends outside: out through the nearest face.
+    let block = cuboid(0.02, 0.2, 0.05);
+    let p = places(&capsule, &lying, &block, &at(0.0, 0.0, 0.045), 0.0);
+    assert!(!p.is_empty() && p.iter().all(|p| (p.depth - 0.025).abs() < 1e-4 && p.normal.z < -0.99), "{p:?}");
+    let p =
+        places(&capsule, &turned(V::zeros(), V::new(0.3, 1.2, 0.4)), &cuboid(0.02, 0.02, 0.02), &Pose::identity(), 0.0);
+    assert!(!p.is_empty() && p.iter().all(|p| p.depth > 0.02), "{p:?}");
     // Over one edge with one end on the face.
     let p = places(&capsule, &lying, &cuboid(0.05, 0.2, 0.05), &at(-0.04, 0.0, -0.05), 0.0);
     let mut x: Vec<f64> = p.iter().map(|p| p.point.x).collect();

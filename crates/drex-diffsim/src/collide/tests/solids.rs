@@ -6,7 +6,7 @@ use super::*;
 use crate::collide::feature::Feature;
 use crate::{SdfShape, SurfacePoints};
 
-/// A ball, and a bowl: the shell between two balls below z = 0.
+/// A ball of this radius.
 struct BallSdf(f64);
 impl SignedDistance for BallSdf {
     fn signed_distance(&self, point: &Point3<f64>) -> SdfSample {
@@ -15,6 +15,7 @@ impl SignedDistance for BallSdf {
     }
 }
 
+/// A box of these half extents.
 struct BoxSdf(V);
 impl SignedDistance for BoxSdf {
     fn signed_distance(&self, point: &Point3<f64>) -> SdfSample {
@@ -185,7 +186,7 @@ fn a_fine_mesh_costs_what_touches_it() {
             let g = geom(&shape);
             let mut boxes = 0;
             let mut seen = 0;
-            // The same descent as the search's, by distance to the shape, counted.
+            // A descent like that of the search, counted.
             let near = |center: &V, reach: f64| match &g.kind {
                 Kind::Sdf { sdf, .. } => sdf.sample(&(pose.inverse() * Point3::from(*center))).distance_m < reach,
                 kind => crate::collide::ball::nearest(kind, &(pose.inverse() * Point3::from(*center)).coords, reach)
