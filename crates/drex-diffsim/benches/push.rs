@@ -6,7 +6,9 @@ use std::sync::Arc;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use drex_core::{MassProperties, Pose};
-use drex_diffsim::{AppliedForce, Body, Collider, ConvexPiece, ForcePoint, Model, Part, Scalar, Scene, State, parameter, rollout};
+use drex_diffsim::{
+    AppliedForce, Body, Collider, ConvexPiece, ForcePoint, Model, Part, Scalar, Scene, State, parameter, rollout,
+};
 use nalgebra::{Matrix3, Point3, RealField, Vector3};
 
 fn shape() -> Arc<Collider> {
@@ -25,7 +27,9 @@ fn push<T: Scalar + RealField>(shape: &Arc<Collider>, log_mass: T, friction: T) 
     let model = Model::new(vec![Body::new(&unit, log_mass.exp(), Arc::clone(shape))]);
     let mut scene = Scene::on_table(friction);
     let at = ForcePoint::Body(Point3::new(-0.03, 0.0, -0.03));
-    scene.forces.push(AppliedForce::new(Part::Body(0), &[0.1, 0.3], &[Vector3::x() * 1.6, Vector3::zeros()], at).unwrap());
+    scene
+        .forces
+        .push(AppliedForce::new(Part::Body(0), &[0.1, 0.3], &[Vector3::x() * 1.6, Vector3::zeros()], at).unwrap());
     let start = State::at_rest(Pose::from_parts(
         Vector3::new(T::zero(), T::zero(), T::lift(0.04)).into(),
         nalgebra::UnitQuaternion::identity(),

@@ -7,7 +7,9 @@ use std::sync::Arc;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use drex_core::{MassProperties, Pose};
-use drex_diffsim::{AppliedForce, Body, Collider, ConvexPiece, Dual, ForcePoint, Model, Part, Scalar, Scene, State, rollout};
+use drex_diffsim::{
+    AppliedForce, Body, Collider, ConvexPiece, Dual, ForcePoint, Model, Part, Scalar, Scene, State, rollout,
+};
 use nalgebra::{ComplexField, Matrix3, Point3, UnitQuaternion, Vector3};
 use num_dual::DualSVec64;
 
@@ -32,7 +34,9 @@ fn push<T: Scalar>(shape: &Arc<Collider>, values: [f64; 4]) -> T {
     let model = Model::new(vec![body]);
     let mut scene = Scene::on_table(at(1));
     let point = ForcePoint::Body(Point3::new(-0.03, 0.0, -0.03));
-    scene.forces.push(AppliedForce::new(Part::Body(0), &[0.05, 0.2], &[Vector3::x() * 1.6, Vector3::zeros()], point).unwrap());
+    scene
+        .forces
+        .push(AppliedForce::new(Part::Body(0), &[0.05, 0.2], &[Vector3::x() * 1.6, Vector3::zeros()], point).unwrap());
     let position = Vector3::new(at(3), T::zero(), T::lift(0.04));
     let start = State::at_rest(Pose::from_parts(position.into(), UnitQuaternion::identity()));
     rollout(&model, &scene, &start, &[0.3]).unwrap().bodies[0].poses[0].translation.vector.x

@@ -8,7 +8,8 @@ use std::sync::Arc;
 
 use drex_core::{MassProperties, Pose};
 use drex_diffsim::{
-    ActuatorKind, Articulation, Base, BasePath, Body, Collider, Control, Geom, Model, Part, Result, Scene, Shape, State, Workspace, step,
+    ActuatorKind, Articulation, Base, Body, Collider, Control, Geom, Model, Part, Path, Result, Scene, Shape, State,
+    Workspace, step,
 };
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
@@ -80,21 +81,21 @@ pub struct Outcome {
 
 /// Hand, box and table, at the start of the pick.
 pub fn scene(pick: &Pick) -> Result<(Model<f64>, Scene<f64>, State<f64>)> {
-    let robot = Arc::new(Robot::bundled("leap_right").map_err(|e| drex_diffsim::SimError::Series {
-        what: e.to_string(),
-        remedy: "reinstall drex-robot".into(),
-    })?);
+    let robot =
+        Arc::new(Robot::bundled("leap_right").map_err(|e| drex_diffsim::SimError::Series {
+            what: e.to_string(),
+            remedy: "reinstall drex-robot".into(),
+        })?);
     let height = CONTACT_HEIGHT_M - CENTER.2;
     let at = |z: f64| Pose::translation(0.0, 0.0, z);
-    let lift = BasePath::new(&[0.5, 2.5], &[at(height), at(height + 0.2)])?;
+    let lift = Path::smooth(&[0.5, 2.5], &[at(height), at(height + 0.2)])?;
     let mut hand = Articulation::new(Arc::clone(&robot), Base::Path(lift))?.with_friction(pick.friction);
     for drive in &mut hand.actuators {
         drive.kind = ActuatorKind::Position { kp: STIFFNESS, kv: DAMPING };
     }
-    let q = robot.joint_vector(GRASP).map_err(|e| drex_diffsim::SimError::Series {
-        what: e.to_string(),
-        remedy: "use the bundled hand".into(),
-    })?;
+    let q = robot
+        .joint_vector(GRASP)
+        .map_err(|e| drex_diffsim::SimError::Series { what: e.to_string(), remedy: "use the bundled hand".into() })?;
     let torque = torques(&hand, &q, pick, &at(height));
     let drives = hand.actuators.iter_mut();
     let commands: Vec<f64> = drives
@@ -194,7 +195,10 @@ pub fn run(pick: &Pick) -> Result<Outcome> {
 #[allow(clippy::print_stdout, dead_code)] // the output is the point of an example; a test includes this file
 fn main() -> Result<()> {
     let dt_s = 1e-3;
-    println!("{:>6} {:>5} {:>5} {:>8} | {:>9} {:>9} {:>9} {:>9} {:>7} {:>7}", "kg", "mu", "N m", "squeeze", "height m", "lift mm", "hold mm", "drift mm", "thumb N", "N m");
+    println!(
+        "{:>6} {:>5} {:>5} {:>8} | {:>9} {:>9} {:>9} {:>9} {:>7} {:>7}",
+        "kg", "mu", "N m", "squeeze", "height m", "lift mm", "hold mm", "drift mm", "thumb N", "N m"
+    );
     for (mass_kg, friction, cap_nm) in [(0.2, 0.5, 0.29), (0.7, 0.9, 0.5)] {
         for (squeeze, reserve_nm) in [(0.5, 0.0), (1.2, 0.1), (1.5, 0.1), (2.0, 0.1)] {
             let o = run(&Pick { mass_kg, friction, cap_nm, squeeze, reserve_nm, dt_s })?;

@@ -64,7 +64,9 @@ pub enum SimError {
     #[error("this method steps free bodies only; use Method::SemiImplicit for models with articulations")]
     Method,
     /// The state stopped being finite or left every reasonable range.
-    #[error("{body}: the motion diverged at t = {time_s:.4} s (speed {speed:.3e}); take a shorter step, or check forces and masses")]
+    #[error(
+        "{body}: the motion diverged at t = {time_s:.4} s (speed {speed:.3e}); take a shorter step, or check forces and masses"
+    )]
     Diverged {
         /// Which body or articulation.
         body: String,

@@ -49,7 +49,9 @@ mod sim;
 mod solve;
 mod state;
 
-pub use articulation::{ActuatorKind, ActuatorParams, ArmState, Articulation, Base, BasePath, BaseState, JointParams, LinkInertia};
+pub use articulation::{
+    ActuatorKind, ActuatorParams, ArmState, Articulation, Base, BaseState, JointParams, LinkInertia,
+};
 pub use collider::Collider;
 pub use contact::{ContactForce, ContactKey, Part};
 pub use error::{Result, SimError};

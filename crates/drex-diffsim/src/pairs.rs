@@ -8,7 +8,7 @@ use crate::collider::Collider;
 use crate::contact::{Contact, ContactKey};
 use crate::math::lift_pose;
 use crate::model::Material;
-use crate::{Model, Part, Result, Scalar, Scene, Shape, SimError, State, Workspace};
+use crate::{Model, Part, Result, Scalar, Scene, Shape, SimError, Workspace};
 
 /// Gap that always counts as closing, metres.
 const NEAR_M: f64 = 1e-6;
@@ -27,44 +27,29 @@ struct Side<'a, T: Scalar> {
 }
 
 /// All contacts that are closed or may close within `dt`, by increasing key.
-pub(crate) fn find<T: Scalar>(
-    model: &Model<T>,
-    scene: &Scene<T>,
-    state: &State<T>,
-    work: &mut Workspace<T>,
-    dt: f64,
-) {
+pub(crate) fn find<T: Scalar>(model: &Model<T>, scene: &Scene<T>, work: &mut Workspace<T>, dt: f64) {
     let mut contacts = std::mem::take(&mut work.contacts);
     let mut search = std::mem::take(&mut work.collide);
     let mut touches = std::mem::take(&mut work.touches);
     contacts.clear();
-    visit(model, scene, state, work, |a, b| {
+    visit(model, scene, work, |a, b| {
         touch(a, b, (a.speed + b.speed) * dt + NEAR_M, &mut search, &mut touches, &mut contacts);
     });
     (work.contacts, work.collide, work.touches) = (contacts, search, touches);
 }
 
 /// Refuses a start in which something is deep inside something else.
-pub(crate) fn check_start<T: Scalar>(
-    model: &Model<T>,
-    scene: &Scene<T>,
-    state: &State<T>,
-    work: &mut Workspace<T>,
-) -> Result<()> {
+pub(crate) fn check_start<T: Scalar>(model: &Model<T>, scene: &Scene<T>, work: &mut Workspace<T>) -> Result<()> {
     let mut search = std::mem::take(&mut work.collide);
     let (mut touches, mut contacts) = (Vec::new(), Vec::new());
     let mut worst = Ok(());
-    visit(model, scene, state, work, |a, b| {
+    visit(model, scene, work, |a, b| {
         contacts.clear();
         touch(a, b, 0.0, &mut search, &mut touches, &mut contacts);
         let size = |s: &Side<'_, T>| 2.0 * s.collider.bounding_sphere().1;
         let depth_m = contacts.iter().map(|c| c.depth.value()).fold(0.0, f64::max);
         if depth_m > START_DEPTH * size(a).min(size(b)) && worst.is_ok() {
-            worst = Err(SimError::StartsInside {
-                what: name(model, a.part),
-                depth_m,
-                support: name(model, b.part),
-            });
+            worst = Err(SimError::StartsInside { what: name(model, a.part), depth_m, support: name(model, b.part) });
         }
     });
     work.collide = search;
@@ -72,19 +57,18 @@ pub(crate) fn check_start<T: Scalar>(
 }
 
 /// Refuses pairs of shapes that contact is not found between.
-pub(crate) fn check_shapes<T: Scalar>(
-    model: &Model<T>,
-    scene: &Scene<T>,
-    state: &State<T>,
-    work: &Workspace<T>,
-) -> Result<()> {
+pub(crate) fn check_shapes<T: Scalar>(model: &Model<T>, scene: &Scene<T>, work: &Workspace<T>) -> Result<()> {
     let mut result = Ok(());
-    visit_all(model, scene, state, work, |a, b| {
+    visit_all(model, scene, work, |a, b| {
         for (i, x) in a.collider.shapes().iter().enumerate() {
             for (j, y) in b.collider.shapes().iter().enumerate() {
                 if !collide::supported(x, y) && result.is_ok() {
                     result = Err(SimError::Unsupported {
-                        what: format!("shape {i} of {} against shape {j} of {}", name(model, a.part), name(model, b.part)),
+                        what: format!(
+                            "shape {i} of {} against shape {j} of {}",
+                            name(model, a.part),
+                            name(model, b.part)
+                        ),
                     });
                 }
             }
@@ -97,12 +81,11 @@ pub(crate) fn check_shapes<T: Scalar>(
 fn visit<T: Scalar>(
     model: &Model<T>,
     scene: &Scene<T>,
-    state: &State<T>,
     work: &Workspace<T>,
     mut f: impl FnMut(&Side<'_, T>, &Side<'_, T>),
 ) {
     let dt = model.dt_s;
-    visit_all(model, scene, state, work, |a, b| {
+    visit_all(model, scene, work, |a, b| {
         let ((ca, ra), (cb, rb)) = (a.collider.bounding_sphere(), b.collider.bounding_sphere());
         let gap = if ra.is_finite() && rb.is_finite() {
             (a.frame.point(&ca) - b.frame.point(&cb)).norm() - ra - rb
@@ -118,7 +101,6 @@ fn visit<T: Scalar>(
 fn visit_all<T: Scalar>(
     model: &Model<T>,
     scene: &Scene<T>,
-    state: &State<T>,
     work: &Workspace<T>,
     mut f: impl FnMut(&Side<'_, T>, &Side<'_, T>),
 ) {
@@ -209,9 +191,9 @@ fn touch<T: Scalar>(
         for (j, y) in b.collider.geoms().iter().enumerate() {
             let (corners, sampled) = carriage(&a.collider.shapes()[i], &b.collider.shapes()[j]);
             touches.clear();
-            collide::find_in(x, &a.frame, y, &b.frame, margin, search, touches);
+            collide::find(x, &a.frame, y, &b.frame, margin, search, touches);
             for t in touches.iter() {
-                let place = t.place(&a.exact, &b.exact);
+                let place = t.evaluate(&a.exact, &b.exact);
                 out.push(Contact {
                     key: ContactKey { a: a.part, b: b.part, geom_a: i as u16, geom_b: j as u16, site: t.site },
                     point: place.point,

@@ -72,7 +72,7 @@ fn substep<T: Scalar>(
 ) -> Result<()> {
     let h = T::lift(dt);
     begin(model, scene, state, work, dt)?;
-    pairs::find(model, scene, state, work, dt);
+    pairs::find(model, scene, work, dt);
     work.contacts.retain(|c| c.depth.value() > 0.0);
     work.forces.clear();
     work.forces.extend(work.contacts.iter().map(ContactForce::of));
@@ -105,7 +105,8 @@ fn substep<T: Scalar>(
         from = to;
     }
     std::mem::swap(&mut state.anchors, &mut work.anchors);
-    for (((body, s), frame), (force, moment)) in model.bodies.iter().zip(&mut state.bodies).zip(&work.frames).zip(&acting)
+    for (((body, s), frame), (force, moment)) in
+        model.bodies.iter().zip(&mut state.bodies).zip(&work.frames).zip(&acting)
     {
         let (v0, w0) = (s.velocity, s.angular_velocity);
         let unit = h / body.mass_kg;

@@ -150,6 +150,6 @@ pub(crate) fn check<T: Scalar>(
         pairs::check_part(model, force.on, || format!("force {i}"))?;
     }
     crate::sim::begin(model, scene, start, work, model.dt_s)?;
-    pairs::check_shapes(model, scene, start, work)?;
-    pairs::check_start(model, scene, start, work)
+    pairs::check_shapes(model, scene, work)?;
+    pairs::check_start(model, scene, work)
 }

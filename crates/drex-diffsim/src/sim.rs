@@ -138,7 +138,7 @@ fn semi_implicit<T: Scalar>(
 ) -> Result<()> {
     let dt = model.dt_s;
     begin(model, scene, state, work, dt)?;
-    pairs::find(model, scene, state, work, dt);
+    pairs::find(model, scene, work, dt);
     group(model, work);
     work.anchors.clear();
     work.forces.clear();
@@ -292,7 +292,13 @@ fn island<T: Scalar>(
     work.island.mass.resize(n * n, T::zero());
     for &unit in &units {
         match unit.checked_sub(arms) {
-            Some(body) => add_body(&model.bodies[body], &work.frames[body], &state.bodies[body], &mut work.island, work.offsets[unit]),
+            Some(body) => add_body(
+                &model.bodies[body],
+                &work.frames[body],
+                &state.bodies[body],
+                &mut work.island,
+                work.offsets[unit],
+            ),
             None => add_arm(model, scene, state, work, unit, dt)?,
         }
     }
@@ -577,7 +583,8 @@ pub(crate) fn check_speeds<T: Scalar>(state: &State<T>) -> Result<()> {
         }
     }
     for (arm, s) in state.arms.iter().enumerate() {
-        let speed = s.velocities.iter().map(|x| x.value().abs()).fold(0.0, |a: f64, b| if b.is_nan() { b } else { a.max(b) });
+        let speed =
+            s.velocities.iter().map(|x| x.value().abs()).fold(0.0, |a: f64, b| if b.is_nan() { b } else { a.max(b) });
         if speed.is_nan() || speed >= SPEED_LIMIT {
             return Err(SimError::Diverged { body: format!("articulation {arm}"), time_s: state.time_s, speed });
         }

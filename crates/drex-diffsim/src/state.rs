@@ -3,8 +3,8 @@
 use drex_core::Pose;
 use nalgebra::Vector3;
 
-use crate::articulation::ArmState;
 use crate::Scalar;
+use crate::articulation::ArmState;
 use crate::contact::{Contact, ContactKey};
 
 /// State of one free body.

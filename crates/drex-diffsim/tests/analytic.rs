@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use drex_core::{MassProperties, Pose};
 use drex_diffsim::{
-    AppliedForce, Body, Collider, ConvexPiece, Fixed, ForcePoint, Model, Mover, Part, Scene, SimError, State, Workspace, rollout, step,
+    AppliedForce, Body, Collider, ConvexPiece, Fixed, ForcePoint, Model, Mover, Part, Scene, SimError, State,
+    Workspace, rollout, step,
 };
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
 
@@ -21,7 +22,11 @@ fn block(half: Vector3<f64>, mass_kg: f64) -> Model<f64> {
     let s = half.component_mul(&half) / 3.0;
     let inertia = Matrix3::from_diagonal(&Vector3::new(s.y + s.z, s.z + s.x, s.x + s.y));
     let unit = MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia };
-    Model::new(vec![Body::new(&unit, mass_kg, Arc::new(Collider::convex(vec![ConvexPiece::from_points(&corners(half)).unwrap()])))])
+    Model::new(vec![Body::new(
+        &unit,
+        mass_kg,
+        Arc::new(Collider::convex(vec![ConvexPiece::from_points(&corners(half)).unwrap()])),
+    )])
 }
 
 fn cube() -> (Vector3<f64>, Model<f64>) {
@@ -73,8 +78,11 @@ fn rest_depth_does_not_depend_on_the_number_of_rim_points() {
             .collect();
         let unit =
             MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia: Matrix3::identity() * 1e-3 };
-        let mut model =
-            Model::new(vec![Body::new(&unit, 0.3, Arc::new(Collider::convex(vec![ConvexPiece::from_points(&points).unwrap()])))]);
+        let mut model = Model::new(vec![Body::new(
+            &unit,
+            0.3,
+            Arc::new(Collider::convex(vec![ConvexPiece::from_points(&points).unwrap()])),
+        )]);
         model.contact.frequency_rad_s = 300.0;
         let end =
             rollout(&model, &Scene::on_table(0.4), &State::at_rest(Pose::translation(0.0, 0.0, 0.05)), &[0.6]).unwrap();
@@ -127,7 +135,10 @@ fn a_sliding_block_stops_after_v_squared_over_two_mu_g() {
         let x = rollout(&model, &Scene::on_table(0.4), &start, &[1.0, 2.0]).unwrap();
         let slid = x.bodies[0].poses[0].translation.vector.xy().norm();
         assert!((slid / (0.45 / (2.0 * 0.4 * G)) - 1.0).abs() < 0.005, "{slid}");
-        assert!((x.bodies[0].poses[1].translation.vector - x.bodies[0].poses[0].translation.vector).norm() < 1e-9, "it creeps");
+        assert!(
+            (x.bodies[0].poses[1].translation.vector - x.bodies[0].poses[0].translation.vector).norm() < 1e-9,
+            "it creeps"
+        );
     }
 }
 
@@ -269,7 +280,8 @@ fn a_prescribed_sphere_moves_every_mass_alike() {
             let model = block(Vector3::repeat(0.03), *m);
             let mut scene = Scene::on_table(0.4);
             scene.movers.push(Mover::sphere(0.01, 0.6, &[0.1, 1.1], &path).unwrap());
-            rollout(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.03)), &[1.3]).unwrap().bodies[0].poses[0]
+            rollout(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.03)), &[1.3]).unwrap().bodies[0].poses
+                [0]
         })
         .collect();
     // The sphere's front ends at x = 5 cm, the block's centre is 3 cm further.
@@ -298,10 +310,21 @@ fn nonsense_is_refused_by_name() {
     model.bodies[0].unit_inertia[(0, 0)] = 1.0;
     assert!(matches!(rollout(&model, &scene, &start, &[0.1]), Err(SimError::Inertia { .. })));
     assert!(
-        AppliedForce::<f64>::new(Part::Body(0), &[0.0, 0.0], &[Vector3::zeros(); 2], ForcePoint::Body(Point3::origin())).is_err()
+        AppliedForce::<f64>::new(
+            Part::Body(0),
+            &[0.0, 0.0],
+            &[Vector3::zeros(); 2],
+            ForcePoint::Body(Point3::origin())
+        )
+        .is_err()
     );
-    let wild = AppliedForce::<f64>::new(Part::Body(0), &[0.0, 1.0], &[Vector3::repeat(1e9); 2], ForcePoint::Body(Point3::origin()))
-        .unwrap();
+    let wild = AppliedForce::<f64>::new(
+        Part::Body(0),
+        &[0.0, 1.0],
+        &[Vector3::repeat(1e9); 2],
+        ForcePoint::Body(Point3::origin()),
+    )
+    .unwrap();
     let mut pushed = scene.clone();
     pushed.forces.push(wild);
     assert!(matches!(rollout(&cube().1, &pushed, &start, &[1.0]), Err(SimError::Diverged { .. })));

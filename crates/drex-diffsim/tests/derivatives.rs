@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use drex_core::{MassProperties, Pose};
 use drex_diffsim::{
-    AppliedForce, Body, Collider, ConvexPiece, Dual, ForcePoint, Model, Part, Scalar, Scene, State, parameter, rollout, tangents,
+    AppliedForce, Body, Collider, ConvexPiece, Dual, ForcePoint, Model, Part, Scalar, Scene, State, parameter, rollout,
+    tangents,
 };
 use nalgebra::{Matrix3, Point3, RealField, Vector3};
 

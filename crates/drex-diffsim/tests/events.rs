@@ -23,7 +23,8 @@ fn thrown<T: Scalar>([height, friction]: [T; 2], until: f64) -> [T; 2] {
     let position = Vector3::new(T::zero(), T::zero(), height + T::lift(half.z));
     let mut start = State::at_rest(Pose::from_parts(position.into(), UnitQuaternion::identity()));
     start.bodies[0].velocity.x = T::lift(SPEED);
-    let p = rollout(&model, &Scene::on_table(friction), &start, &[until]).unwrap().bodies[0].poses[0].translation.vector;
+    let p =
+        rollout(&model, &Scene::on_table(friction), &start, &[until]).unwrap().bodies[0].poses[0].translation.vector;
     [p.x, p.z]
 }
 

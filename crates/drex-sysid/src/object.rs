@@ -1,9 +1,9 @@
 //! The pushed object: convex pieces for contact, mass properties at one kilogram.
 
-use std::collections::BTreeMap;
 use drex_core::{MassProperties, TriMesh};
 use drex_diffsim::ConvexPiece;
 use nalgebra::Point3;
+use std::collections::BTreeMap;
 
 use crate::{Result, SysidError};
 

@@ -4,10 +4,10 @@ use drex_core::Pose;
 use nalgebra::{Matrix3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 use super::model::map_pose;
-use super::path::mean_rate;
 use super::spatial::{Sym3, mul};
 use super::{ArmState, Articulation, Base, LinkInertia};
 use crate::Scalar;
+use crate::scene::mean_rate;
 
 /// What one configuration of a robot needs; filled by [`Articulation::kinematics`], reused from step to step.
 #[derive(Debug, Clone)]
@@ -304,6 +304,7 @@ impl<T: Scalar> LinkMotion<T> {
         }
     }
 
+    #[cfg(test)]
     /// Centre of mass in the world.
     pub fn center_of_mass(&self) -> Vector3<T> {
         self.world_from_link.translation.vector - self.origin + self.center

@@ -7,9 +7,10 @@ use drex_robot::{ActuatorKind as Drive, Robot};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::state::{ArmState, BaseState};
-use super::{BasePath, check, surface};
+use super::{check, surface};
 use crate::collider::Collider;
 use crate::model::Material;
+use crate::scene::Path;
 use crate::{Result, Scalar, SimError};
 
 /// How far a joint gives before its dry friction slips, rad.
@@ -129,7 +130,7 @@ pub enum Base<T: Scalar> {
     /// It stands at this pose (world_from_base).
     Fixed(Pose<T>),
     /// It follows a path, whatever acts on it.
-    Path(BasePath),
+    Path(Path),
     /// Nothing: it moves as forces make it.
     Free,
 }

@@ -55,14 +55,17 @@ pub(super) fn materials(robot: &Robot) -> Vec<Material<f64>> {
 }
 
 fn collider(link: &Link) -> Result<Collider> {
-    let geoms = link.geoms.iter().filter(|g| g.collides()).map(|g| Ok(Geom::new(shape(&g.shape)?).at(g.link_from_geom)));
+    let geoms =
+        link.geoms.iter().filter(|g| g.collides()).map(|g| Ok(Geom::new(shape(&g.shape)?).at(g.link_from_geom)));
     Collider::new(&geoms.collect::<Result<Vec<_>>>()?)
 }
 
 fn shape(shape: &RobotShape) -> Result<Shape> {
     Ok(match shape {
         RobotShape::Sphere { radius } => Shape::Sphere { radius_m: *radius },
-        RobotShape::Capsule { radius, half_length } => Shape::Capsule { radius_m: *radius, half_length_m: *half_length },
+        RobotShape::Capsule { radius, half_length } => {
+            Shape::Capsule { radius_m: *radius, half_length_m: *half_length }
+        }
         RobotShape::Cylinder { radius, half_length } => {
             Shape::Cylinder { radius_m: *radius, half_length_m: *half_length }
         }

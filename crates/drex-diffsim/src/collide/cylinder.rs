@@ -150,7 +150,7 @@ impl Pair<'_> {
     /// The touches of the prism instead of those from `start` on, if these are less deep than the two overlap.
     fn prism_if_deeper(&mut self, search: &Search<'_>, overlap: &Overlap, spots: &mut Spots, start: usize) {
         let here = Frame { r: nalgebra::Matrix3::identity(), p: Vector3::zeros() };
-        let depths = self.out[start..].iter().map(|t| t.place(&here, &self.a_from_b).depth);
+        let depths = self.out[start..].iter().map(|t| t.evaluate(&here, &self.a_from_b).depth);
         let deepest = depths.fold(f64::NEG_INFINITY, f64::max);
         if deepest < -0.7 * overlap.gap - self.margin {
             self.out.truncate(start);

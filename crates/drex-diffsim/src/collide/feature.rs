@@ -138,13 +138,8 @@ impl Touch {
         Self { site, weight: 1.0, feature }
     }
 
-    /// Where the two features are at these poses, with derivatives.
-    pub fn evaluate<T: Scalar>(&self, world_from_a: &Pose<T>, world_from_b: &Pose<T>) -> Place<T> {
-        self.place(&Frame::of(world_from_a), &Frame::of(world_from_b))
-    }
-
-    /// The same for poses that are matrices already.
-    pub fn place<T: Scalar>(&self, world_from_a: &Frame<T>, world_from_b: &Frame<T>) -> Place<T> {
+    /// Where the two features are when the bodies are at these frames, with derivatives.
+    pub fn evaluate<T: Scalar>(&self, world_from_a: &Frame<T>, world_from_b: &Frame<T>) -> Place<T> {
         let on = self.feature.on();
         let (here, there) = match on {
             Side::A => (world_from_a, world_from_b),

@@ -15,8 +15,6 @@ mod solid;
 #[cfg(test)]
 mod tests;
 
-use drex_core::Pose;
-
 #[cfg(test)]
 use feature::Place;
 pub(crate) use feature::{Frame, Side, Touch};
@@ -43,19 +41,6 @@ pub(crate) fn supported(a: &Shape, b: &Shape) -> bool {
 
 /// Appends all touches of `a` against `b` whose depth is more than `-margin`, by increasing site.
 pub(crate) fn find(
-    a: &CollisionGeom,
-    world_from_a: &Pose,
-    b: &CollisionGeom,
-    world_from_b: &Pose,
-    margin: f64,
-    work: &mut CollideWork,
-    out: &mut Vec<Touch>,
-) {
-    find_in(a, &Frame::of(world_from_a), b, &Frame::of(world_from_b), margin, work, out);
-}
-
-/// The same for poses that are matrices already.
-pub(crate) fn find_in(
     a: &CollisionGeom,
     world_from_a: &Frame<f64>,
     b: &CollisionGeom,
@@ -95,19 +80,6 @@ pub(crate) fn find_in(
         }
         out.truncate(kept);
     }
-}
-
-/// The deepest penetration of two geoms, metres; `None` if they do not touch.
-pub(crate) fn deepest(
-    a: &CollisionGeom,
-    world_from_a: &Pose,
-    b: &CollisionGeom,
-    world_from_b: &Pose,
-    work: &mut CollideWork,
-) -> Option<f64> {
-    let mut touches = Vec::new();
-    find(a, world_from_a, b, world_from_b, 0.0, work, &mut touches);
-    touches.iter().map(|t| t.evaluate(world_from_a, world_from_b).depth).max_by(f64::total_cmp)
 }
 
 /// Pairs are searched with the lower rank first.

@@ -100,4 +100,3 @@ fn interpolate(times_s: &[f64], points: &[Point3<f64>], t: f64) -> Point3<f64> {
     let s = (t - times_s[k - 1]) / (times_s[k] - times_s[k - 1]);
     points[k - 1] + (points[k] - points[k - 1]) * s
 }
-

@@ -11,6 +11,7 @@ use nalgebra::{Point3, Translation3, Vector3};
 
 pub use control::Control;
 pub use force::{AppliedForce, ForcePoint};
+pub(crate) use path::mean_rate;
 pub use path::{Motion, Path};
 
 use crate::collider::Collider;

@@ -1,31 +1,34 @@
-//! Prescribed motion.
+//! Prescribed motion: a base or an obstacle that follows a path over time, whatever acts on it.
 
 use drex_core::Pose;
-use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 use super::check_series;
+use crate::math::exp;
 use crate::{Result, SimError};
 
-/// How a path goes from one pose to the next.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Blend {
-    /// At constant velocity: for dense samples.
-    Linear,
-    /// From rest to rest with the least jerk: s = 10 x³ - 15 x⁴ + 6 x⁵ (Flash and Hogan 1985).
-    Stops,
-}
-
-/// Poses over time; the first holds before, the last after.
-#[derive(Debug, Clone)]
+/// Poses over time; the first holds before, the last from its time on.
+#[derive(Debug, Clone, PartialEq)]
 pub struct Path {
     times_s: Vec<f64>,
     poses: Vec<Pose>,
-    /// Rotation vector in the world from each pose to the next.
+    /// Rotation vector from each sample to the next, in the frame of either.
     turns: Vec<Vector3<f64>>,
     blend: Blend,
 }
 
-/// Where a path is, how fast, and what speeds it up. Velocities are those of the frame's origin, in the world.
+/// What is between two samples.
+#[derive(Debug, Clone, PartialEq)]
+enum Blend {
+    Linear,
+    /// Cubic pieces: world velocity at each sample, and angular velocity in the frame of that sample.
+    Smooth {
+        velocities: Vec<Vector3<f64>>,
+        rates: Vec<Vector3<f64>>,
+    },
+}
+
+/// Where a path is at one instant and how it moves; all in the world, of the moving frame and its origin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Motion {
     /// World from the moving frame.
@@ -41,92 +44,157 @@ pub struct Motion {
 }
 
 impl Path {
-    /// Constant velocity between samples: for a recorded motion.
+    /// Constant velocity from each sample to the next: for dense samples of a recorded motion.
     ///
     /// # Errors
-    /// If the numbers of samples differ, times do not increase or a number is not finite.
+    /// If there is no sample, the numbers differ, times do not increase, a number is not finite, or two neighbouring
+    /// samples are half a turn apart, so that the way between them is not told.
     pub fn linear(times_s: &[f64], poses: &[Pose]) -> Result<Self> {
-        Self::new(times_s, poses, Blend::Linear)
+        Ok(Self {
+            times_s: times_s.to_vec(),
+            poses: poses.to_vec(),
+            turns: turns(times_s, poses)?,
+            blend: Blend::Linear,
+        })
     }
 
-    /// At rest at every sample, with the least jerk in between: for a planned motion.
+    /// Cubic pieces with continuous velocity, at rest at both ends: for a planned motion.
+    ///
+    /// The velocity at a sample is zero at both ends of the path and wherever a coordinate stands still or turns back, so
+    /// that a lift starts and stops smoothly, does not overshoot, and two samples make a smooth step. Between, it is the
+    /// harmonic mean of the slopes beside it (Fritsch and Butland, *SIAM J. Sci. Stat. Comput.* 5, 1984), coordinate by
+    /// coordinate, for rotations in the rotation vector from the sample before. The acceleration jumps at samples.
     ///
     /// # Errors
     /// As [`Path::linear`].
-    pub fn stops(times_s: &[f64], poses: &[Pose]) -> Result<Self> {
-        Self::new(times_s, poses, Blend::Stops)
-    }
-
-    fn new(times_s: &[f64], poses: &[Pose], blend: Blend) -> Result<Self> {
-        check_series("path", times_s, poses.len())?;
-        let finite = |p: &Pose| p.translation.vector.iter().chain(p.rotation.coords.iter()).all(|x| x.is_finite());
-        if let Some(i) = poses.iter().position(|p| !finite(p)) {
-            return Err(SimError::NotFinite { what: format!("pose {i} of a path") });
-        }
-        let turns = poses.windows(2).map(|w| (w[1].rotation * w[0].rotation.inverse()).scaled_axis()).collect();
+    pub fn smooth(times_s: &[f64], poses: &[Pose]) -> Result<Self> {
+        let turns = turns(times_s, poses)?;
+        let steps: Vec<f64> = times_s.windows(2).map(|w| w[1] - w[0]).collect();
+        let moves: Vec<_> = poses.windows(2).map(|w| w[1].translation.vector - w[0].translation.vector).collect();
+        let blend = Blend::Smooth { velocities: slopes(&steps, &moves), rates: slopes(&steps, &turns) };
         Ok(Self { times_s: times_s.to_vec(), poses: poses.to_vec(), turns, blend })
     }
 
-    /// The motion at time t.
+    /// Pose, velocity and acceleration at time t. At a sample, the acceleration is that of the piece after it.
     pub fn at(&self, t: f64) -> Motion {
         let k = self.times_s.partition_point(|&s| s <= t);
-        let zero = Vector3::zeros();
+        let o = Vector3::zeros();
         if k == 0 || k == self.times_s.len() {
             let pose = self.poses[k.saturating_sub(1)];
-            return Motion { pose, velocity: zero, angular_velocity: zero, acceleration: zero, angular_acceleration: zero };
+            return Motion { pose, velocity: o, angular_velocity: o, acceleration: o, angular_acceleration: o };
         }
-        let (a, b) = (&self.poses[k - 1], &self.poses[k]);
-        let span = self.times_s[k] - self.times_s[k - 1];
-        let x = (t - self.times_s[k - 1]) / span;
-        let (s, ds, dds) = match self.blend {
-            Blend::Linear => (x, 1.0, 0.0),
-            Blend::Stops => (
-                x * x * x * (10.0 - x * (15.0 - 6.0 * x)),
-                30.0 * x * x * (1.0 - x) * (1.0 - x),
-                60.0 * x * (1.0 - x) * (1.0 - 2.0 * x),
-            ),
+        let (i, h) = (k - 1, self.times_s[k] - self.times_s[k - 1]);
+        let s = (t - self.times_s[i]) / h;
+        let (start, turn) = (&self.poses[i], &self.turns[i]);
+        let step = self.poses[k].translation.vector - start.translation.vector;
+        let ((x, velocity, acceleration), (r, r1, r2)) = match &self.blend {
+            Blend::Linear => ((step * s, step / h, o), (turn * s, turn / h, o)),
+            Blend::Smooth { velocities, rates } => {
+                // The rotation vector from the sample before; its rate at the end is such that the body turns at the
+                // rate of the sample after.
+                let end = right_jacobian(turn).try_inverse().map_or(rates[k], |j| j * rates[k]);
+                (hermite(s, h, &step, &velocities[i], &velocities[k]), hermite(s, h, turn, &rates[i], &end))
+            }
         };
-        let (way, turn) = (b.translation.vector - a.translation.vector, self.turns[k - 1]);
-        let point = Point3::from(a.translation.vector + way * s);
-        let rotation = UnitQuaternion::from_scaled_axis(turn * s) * a.rotation;
+        let rotation = start.rotation * exp(&r);
+        let (rate, change) = body_rate(&r, &r1, &r2);
         Motion {
-            pose: Pose::from_parts(Translation3::from(point.coords), rotation),
-            velocity: way * (ds / span),
-            angular_velocity: turn * (ds / span),
-            acceleration: way * (dds / (span * span)),
-            angular_acceleration: turn * (dds / (span * span)),
+            pose: Pose::from_parts(Translation3::from(start.translation.vector + x), rotation),
+            velocity,
+            angular_velocity: rotation * rate,
+            acceleration,
+            angular_acceleration: rotation * change,
         }
     }
 }
 
-#[cfg(test)]
-#[allow(clippy::unwrap_used)] // a test may panic
-mod tests {
-    use super::*;
-
-    #[test]
-    fn velocities_and_accelerations_are_those_of_the_poses() {
-        let poses = [
-            Pose::identity(),
-            Pose::from_parts(Translation3::new(0.1, -0.2, 0.3), UnitQuaternion::from_euler_angles(0.3, -0.4, 1.0)),
-            Pose::from_parts(Translation3::new(0.0, 0.2, 0.1), UnitQuaternion::from_euler_angles(0.1, 0.4, 1.5)),
-        ];
-        for path in [Path::linear(&[0.0, 0.5, 1.5], &poses).unwrap(), Path::stops(&[0.0, 0.5, 1.5], &poses).unwrap()] {
-            for t in [0.1, 0.35, 0.7, 1.2] {
-                let h = 1e-4;
-                let (m, p, n) = (path.at(t - h), path.at(t), path.at(t + h));
-                let v = (n.pose.translation.vector - m.pose.translation.vector) / (2.0 * h);
-                let w = (n.pose.rotation * m.pose.rotation.inverse()).scaled_axis() / (2.0 * h);
-                assert!((v - p.velocity).norm() < 1e-6 && (w - p.angular_velocity).norm() < 1e-6);
-                let a = (n.velocity - m.velocity) / (2.0 * h);
-                let alpha = (n.angular_velocity - m.angular_velocity) / (2.0 * h);
-                assert!((a - p.acceleration).norm() < 1e-5 && (alpha - p.angular_acceleration).norm() < 1e-5);
-            }
-            assert_eq!(path.at(-1.0).pose, poses[0]);
-            assert_eq!(path.at(2.0).velocity, Vector3::zeros());
-        }
-        let stops = Path::stops(&[0.0, 0.5, 1.5], &poses).unwrap();
-        assert!(stops.at(0.5 - 1e-9).velocity.norm() < 1e-6 && stops.at(0.5 + 1e-9).velocity.norm() < 1e-6);
-        assert!(Path::linear(&[0.0, 0.0], &poses[..2]).is_err() && Path::linear(&[], &[]).is_err());
+/// Rotation vectors between the samples of a path, which is checked.
+fn turns(times_s: &[f64], poses: &[Pose]) -> Result<Vec<Vector3<f64>>> {
+    check_series("path", times_s, poses.len())?;
+    if let Some(i) = poses.iter().position(|p| p.translation.vector.iter().any(|x| !x.is_finite()) || !is_unit(p)) {
+        return Err(SimError::NotFinite { what: format!("path: the pose of sample {i}") });
     }
+    let turns: Vec<_> = poses.windows(2).map(|w| (w[0].rotation.inverse() * w[1].rotation).scaled_axis()).collect();
+    match turns.iter().position(|t| t.norm() > 0.99 * std::f64::consts::PI) {
+        Some(i) => Err(SimError::Series {
+            what: format!("path: samples {i} and {} are half a turn apart", i + 1),
+            remedy: "add samples between them".into(),
+        }),
+        None => Ok(turns),
+    }
+}
+
+fn is_unit(pose: &Pose) -> bool {
+    (pose.rotation.quaternion().norm_squared() - 1.0).abs() < 1e-6
+}
+
+/// Velocity at each sample from the steps in time and space between them.
+fn slopes(steps: &[f64], moves: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+    let mut out = vec![Vector3::zeros(); steps.len() + 1];
+    for i in 1..steps.len() {
+        let (h0, h1) = (steps[i - 1], steps[i]);
+        for c in 0..3 {
+            let (a, b) = (moves[i - 1][c] / h0, moves[i][c] / h1);
+            if a * b > 0.0 {
+                // The weights of unequal steps, as in Fritsch and Butland.
+                let (wa, wb) = (h0 + 2.0 * h1, 2.0 * h0 + h1);
+                out[i][c] = (wa + wb) / (wa / a + wb / b);
+            }
+        }
+    }
+    out
+}
+
+/// The cubic from zero to `step` with velocities `v0`, `v1`, at the fraction `s` of a piece of duration `h`:
+/// displacement, velocity, acceleration.
+fn hermite(
+    s: f64,
+    h: f64,
+    step: &Vector3<f64>,
+    v0: &Vector3<f64>,
+    v1: &Vector3<f64>,
+) -> (Vector3<f64>, Vector3<f64>, Vector3<f64>) {
+    let (a, b, c) = (v0 * h, step * 3.0 - (v0 * 2.0 + v1) * h, (v0 + v1) * h - step * 2.0);
+    let x = (a + (b + c * s) * s) * s;
+    (x, (a + (b * 2.0 + c * (3.0 * s)) * s) / h, (b * 2.0 + c * (6.0 * s)) / (h * h))
+}
+
+/// (1 - cos y)/y² and (1 - sin y / y)/y² of x = y², with their derivatives by x.
+fn jacobian_factors(x: f64) -> ([f64; 2], [f64; 2]) {
+    if x < 1e-2 {
+        // The first terms left out are below 1e-14.
+        let b = 0.5 - x * (1.0 / 24.0 - x * (1.0 / 720.0 - x * (1.0 / 40_320.0 - x / 3_628_800.0)));
+        let b1 = -1.0 / 24.0 + x * (1.0 / 360.0 - x * (1.0 / 13_440.0 - x / 907_200.0));
+        let c = 1.0 / 6.0 - x * (1.0 / 120.0 - x * (1.0 / 5040.0 - x * (1.0 / 362_880.0 - x / 39_916_800.0)));
+        let c1 = -1.0 / 120.0 + x * (1.0 / 2520.0 - x * (1.0 / 120_960.0 - x / 9_979_200.0));
+        return ([b, c], [b1, c1]);
+    }
+    let y = x.sqrt();
+    let (sin, cos) = y.sin_cos();
+    let (b, c) = ((1.0 - cos) / x, (1.0 - sin / y) / x);
+    ([b, c], [(sin / (2.0 * y) - b) / x, ((sin / y - cos) / (2.0 * x) - c) / x])
+}
+
+/// The matrix that maps the rate of the rotation vector r to the angular velocity in the turned frame.
+fn right_jacobian(r: &Vector3<f64>) -> nalgebra::Matrix3<f64> {
+    let ([b, c], _) = jacobian_factors(r.norm_squared());
+    let k = r.cross_matrix();
+    nalgebra::Matrix3::identity() - k * b + k * k * c
+}
+
+/// Angular velocity and its rate of change, in the turned frame, of a rotation vector r with rates r1, r2.
+/// The latter is also the angular acceleration, since a vector's own rotation does not change it.
+fn body_rate(r: &Vector3<f64>, r1: &Vector3<f64>, r2: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
+    let ([b, c], [b1, c1]) = jacobian_factors(r.norm_squared());
+    let x1 = 2.0 * r.dot(r1);
+    let (rx, rrx) = (r.cross(r1), r.cross(&r.cross(r1)));
+    let rate = r1 - rx * b + rrx * c;
+    let change =
+        r2 - r.cross(r2) * b + r.cross(&r.cross(r2)) * c - rx * (b1 * x1) + rrx * (c1 * x1) + r1.cross(&rx) * c;
+    (rate, change)
+}
+
+/// The constant angular velocity that turns `a` into `b` within `h`.
+pub(crate) fn mean_rate(a: &UnitQuaternion<f64>, b: &UnitQuaternion<f64>, h: f64) -> Vector3<f64> {
+    (b * a.inverse()).scaled_axis() / h
 }

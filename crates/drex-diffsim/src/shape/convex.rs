@@ -113,11 +113,6 @@ impl ConvexPiece {
         self.bounds
     }
 
-    /// Bound on the distance of a point of the piece from `p`: the farthest corner of the bounding box.
-    pub(crate) fn farthest_from(&self, p: &Point3<f64>) -> f64 {
-        (self.bounds.0 - p).abs().sup(&(self.bounds.1 - p).abs()).norm()
-    }
-
     /// The faces of a closed triangle hull: neighbouring triangles in one plane are one face.
     fn from_hull(vertices: Vec<Point3<f64>>, triangles: &[[u32; 3]]) -> Self {
         let (lo, hi) = vertices.iter().fold((vertices[0], vertices[0]), |(lo, hi), p| (lo.inf(p), hi.sup(p)));

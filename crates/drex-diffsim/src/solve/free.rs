@@ -98,9 +98,10 @@ pub(crate) fn solve<T: Scalar>(
     }
     let by = &mut buffers.tangents;
     by.clear();
-    by.extend((0..T::TANGENTS).map(|i| {
-        lu.solve(&Vector6::from_fn(|k, _| -if k < 3 { rv[k].tangent(i) } else { rw[k - 3].tangent(i) }))
-    }));
+    by.extend(
+        (0..T::TANGENTS)
+            .map(|i| lu.solve(&Vector6::from_fn(|k, _| -if k < 3 { rv[k].tangent(i) } else { rw[k - 3].tangent(i) }))),
+    );
     let with = |k: usize| T::with_tangents(u[k], |i| by[i][k]);
     Some((Vector3::from_fn(|k, _| with(k)), Vector3::from_fn(|k, _| with(k + 3))))
 }

@@ -175,9 +175,11 @@ impl<T: Scalar> Island<T> {
         out.guess.extend_from_slice(&self.guess);
         out.laws.extend(self.laws.iter().map(Law::value));
         out.ends.extend_from_slice(&self.ends);
-        out.columns.extend(
-            self.columns.iter().map(|c| Column { dof: c.dof, linear: f(&c.linear), angular: f(&c.angular) }),
-        );
+        out.columns.extend(self.columns.iter().map(|c| Column {
+            dof: c.dof,
+            linear: f(&c.linear),
+            angular: f(&c.angular),
+        }));
         out.supports.extend(self.supports.iter().map(|(v, s)| (f(v), s.value())));
         out.scalars.extend(self.scalars.iter().map(ScalarLaw::value));
     }
@@ -253,7 +255,11 @@ impl<T: Scalar> Solver<T> {
             if slope.abs() < FLAT * start || (k == 0 && slope > 0.0) {
                 break;
             }
-            if slope > 0.0 { (low, at_low) = (length, slope) } else { (high, at_high) = (length, slope) }
+            if slope > 0.0 {
+                (low, at_low) = (length, slope)
+            } else {
+                (high, at_high) = (length, slope)
+            }
             // The slope is piecewise linear: the secant, kept off the ends of the bracket.
             let secant = low + (high - low) * at_low / (at_low - at_high);
             let edge = 0.05 * (high - low);
@@ -279,10 +285,7 @@ impl<T: Scalar> Solver<T> {
     fn merit(&self, r: &[f64]) -> f64 {
         let n = self.values.n;
         // Sliding may make an entry negative.
-        r.iter()
-            .enumerate()
-            .map(|(i, x)| x * x / self.matrix[i * n + i].abs().max(self.values.mass[i * n + i]))
-            .sum()
+        r.iter().enumerate().map(|(i, x)| x * x / self.matrix[i * n + i].abs().max(self.values.mass[i * n + i])).sum()
     }
 
     /// The Newton step at `u` for the residual `r`, into `step`.

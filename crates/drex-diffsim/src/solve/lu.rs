@@ -141,7 +141,13 @@ mod tests {
             .map(|k| {
                 let (i, j) = (k / n, k % n);
                 let coupled = i / 3 == j / 3 || i / 3 == 2 || j / 3 == 2;
-                if i == j { 4.0 + i as f64 } else if coupled { ((i * 5 + j * 3) as f64).cos() } else { 0.0 }
+                if i == j {
+                    4.0 + i as f64
+                } else if coupled {
+                    ((i * 5 + j * 3) as f64).cos()
+                } else {
+                    0.0
+                }
             })
             .collect();
         check(n, &a);

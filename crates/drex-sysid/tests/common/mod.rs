@@ -60,7 +60,8 @@ pub fn simulated(mass_kg: f64, friction: f64, force: Vector3<f64>, point: Point3
 /// The same with the end of the force chosen.
 pub fn pushed_until(end: f64, mass_kg: f64, friction: f64, force: Vector3<f64>, point: Point3<f64>) -> PushRecording {
     let object = block();
-    let shape = Arc::new(Collider::convex(object.pieces.iter().map(|p| ConvexPiece::from_points(p).unwrap()).collect()));
+    let shape =
+        Arc::new(Collider::convex(object.pieces.iter().map(|p| ConvexPiece::from_points(p).unwrap()).collect()));
     let model = Model::new(vec![Body::new(&object.unit, mass_kg, shape)]);
     let mut scene = Scene::on_table(friction);
     let times: Vec<f64> = (0..120).map(|k| f64::from(k) * 0.01).collect();

@@ -215,7 +215,7 @@ fn derivatives_by_masses_and_state_are_those_of_finite_differences() {
 fn a_prescribed_acceleration_acts_as_the_same_free_one() {
     let mut numbers = Numbers(5);
     let poses: Vec<_> = (0..4).map(|_| numbers.pose()).collect();
-    let path = BasePath::new(&[0.0, 0.3, 0.7, 1.0], &poses).unwrap();
+    let path = Path::smooth(&[0.0, 0.3, 0.7, 1.0], &poses).unwrap();
     for t in [0.1, 0.35, 0.6, 0.95] {
         let at = path.at(t);
         let arm = Articulation::new(everything(), Base::Path(path.clone())).unwrap();

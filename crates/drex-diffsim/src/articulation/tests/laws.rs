@@ -150,7 +150,7 @@ fn limits_hold_and_let_go() {
 fn a_hand_goes_where_it_is_told() {
     let robot = Arc::new(Robot::bundled("leap_right").unwrap());
     let turned = Pose::from_parts(Vector3::z().into(), UnitQuaternion::from_scaled_axis(Vector3::new(0.3, 1.2, -0.4)));
-    let path = BasePath::new(&[0.2, 0.8], &[Pose::identity(), turned]).unwrap();
+    let path = Path::smooth(&[0.2, 0.8], &[Pose::identity(), turned]).unwrap();
     let arm = Articulation::new(robot.clone(), Base::Path(path)).unwrap();
     let mut state = arm.at_rest(&robot.mid_range(), 0.0).unwrap();
     let control: Vec<_> = robot.joints.iter().map(|j| j.limits.unwrap().1 - 0.1).collect();

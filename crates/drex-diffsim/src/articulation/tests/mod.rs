@@ -10,9 +10,9 @@ use drex_core::Pose;
 use drex_robot::Robot;
 use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector3};
 
-use super::path::mean_rate;
 use super::*;
 use crate::Scalar;
+use crate::scene::{Path, mean_rate};
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 

@@ -182,9 +182,9 @@ fn a_pendulum_has_its_period_and_keeps_its_energy() {
     assert!(worst < 2e-3 * 2.0 * g * l * (1.0 - amplitude.cos()), "{worst}");
 }
 
-fn path_of(numbers: &mut Numbers) -> BasePath {
+fn path_of(numbers: &mut Numbers) -> Path {
     let poses: Vec<_> = (0..6).map(|_| numbers.pose()).collect();
-    BasePath::new(&[0.0, 0.3, 0.5, 1.1, 1.2, 2.0], &poses).unwrap()
+    Path::smooth(&[0.0, 0.3, 0.5, 1.1, 1.2, 2.0], &poses).unwrap()
 }
 
 #[test]
@@ -214,14 +214,14 @@ fn a_path_passes_its_samples_smoothly_and_rests_at_its_ends() {
         assert!((a.velocity - b.velocity).norm() < 1e-6 && (a.angular_velocity - b.angular_velocity).norm() < 1e-6);
     }
     for t in [-1.0, 0.0, 2.0, 5.0] {
-        assert_eq!(path.velocity(t), (Vector3::zeros(), Vector3::zeros()));
+        assert_eq!((path.at(t).velocity, path.at(t).angular_velocity), (Vector3::zeros(), Vector3::zeros()));
     }
     // A lift between two rests: no faster than 1.5 times the mean, never past its ends.
     let poses = [0.0, 0.0, 0.2, 0.2].map(|z| Pose::translation(0.1, 0.0, z));
-    let path = BasePath::new(&[0.0, 1.0, 2.0, 3.0], &poses).unwrap();
+    let path = Path::smooth(&[0.0, 1.0, 2.0, 3.0], &poses).unwrap();
     for k in 0..300 {
         let t = 0.01 * f64::from(k);
-        let (pose, (v, _)) = (path.pose(t), path.velocity(t));
+        let (pose, v) = (path.at(t).pose, path.at(t).velocity);
         assert!((0.0..=0.2).contains(&pose.translation.z) && (0.0..=0.3 + 1e-12).contains(&v.z));
         assert!(t > 1.0 || pose.translation.z == 0.0);
     }
@@ -230,8 +230,8 @@ fn a_path_passes_its_samples_smoothly_and_rests_at_its_ends() {
 /// A pendulum whose pivot is moved sideways: θ'' = -(g sin θ + a cos θ) / l, integrated beside it.
 #[test]
 fn a_moving_base_swings_what_hangs_on_it() {
-    let path = BasePath::new(&[0.1, 0.6, 0.9, 1.5], &[0.0, 0.3, 0.1, 0.4].map(|x| Pose::translation(x, 0.0, 0.2 * x)))
-        .unwrap();
+    let path =
+        Path::smooth(&[0.1, 0.6, 0.9, 1.5], &[0.0, 0.3, 0.1, 0.4].map(|x| Pose::translation(x, 0.0, 0.2 * x))).unwrap();
     let arm = pendulum(Base::Path(path.clone()));
     let mut state = arm.at_rest(&[0.0], 0.0).unwrap();
     let (h, mut work, mut t) = (1e-4, TreeWork::default(), 0.0);
@@ -249,7 +249,7 @@ fn a_moving_base_swings_what_hangs_on_it() {
         assert!((state.q[0] - q).abs() < 1e-3, "{t}: {} {q}", state.q[0]);
     }
     assert!(q.abs() + u.abs() > 0.1);
-    let end = path.pose(2.0);
+    let end = path.at(2.0).pose;
     assert!((state.base.world_from_base.to_homogeneous() - end.to_homogeneous()).amax() < 1e-12);
 }
 
@@ -257,13 +257,13 @@ fn a_moving_base_swings_what_hangs_on_it() {
 fn bad_paths_are_refused_by_name() {
     let p = Pose::identity();
     let turned = Pose::rotation(Vector3::new(0.0, 0.0, std::f64::consts::PI));
-    let message = |r: crate::Result<BasePath>| r.unwrap_err().to_string();
-    assert!(message(BasePath::new(&[], &[])).contains("0 times"));
-    assert!(message(BasePath::new(&[0.0, 1.0], &[p])).contains("2 times but 1 poses"));
-    assert!(message(BasePath::new(&[0.0, 0.0], &[p, p])).contains("time 1"));
-    assert!(message(BasePath::new(&[0.0, f64::NAN], &[p, p])).contains("sample 1"));
-    assert!(message(BasePath::new(&[0.0, 1.0], &[p, Pose::translation(f64::NAN, 0.0, 0.0)])).contains("sample 1"));
-    assert!(message(BasePath::new(&[0.0, 1.0], &[p, turned])).contains("half a turn"));
-    let one = BasePath::new(&[3.0], &[p]).unwrap();
-    assert_eq!(one.pose(-1.0), one.pose(7.0));
+    let message = |r: crate::Result<Path>| r.unwrap_err().to_string();
+    assert!(message(Path::smooth(&[], &[])).contains("0 times"));
+    assert!(message(Path::smooth(&[0.0, 1.0], &[p])).contains("2 times but 1 values"));
+    assert!(message(Path::smooth(&[0.0, 0.0], &[p, p])).contains("time 1"));
+    assert!(message(Path::smooth(&[0.0, f64::NAN], &[p, p])).contains("time 1"));
+    assert!(message(Path::smooth(&[0.0, 1.0], &[p, Pose::translation(f64::NAN, 0.0, 0.0)])).contains("sample 1"));
+    assert!(message(Path::smooth(&[0.0, 1.0], &[p, turned])).contains("half a turn"));
+    let one = Path::smooth(&[3.0], &[p]).unwrap();
+    assert_eq!(one.at(-1.0).pose, one.at(7.0).pose);
 }

@@ -29,7 +29,7 @@ fn a_can_stands_on_its_rim_and_lies_on_two_points() {
             let now: Vec<u32> = found.iter().map(|t| t.site).collect();
             assert_eq!(now.len(), 2, "roll {k}");
             assert_eq!(sites.get_or_insert(now.clone()), &now);
-            for p in found.iter().map(|t| t.evaluate(&pose_of_can, &pose)) {
+            for p in found.iter().map(|t| t.at_poses(&pose_of_can, &pose)) {
                 assert!((p.depth - 1e-6).abs() < 1e-12 && (p.normal - V::z()).norm() < 1e-12);
                 assert!(((p.point.x - 0.02).abs() - H).abs() < 1e-12 && p.point.y.abs() < 1e-12);
             }

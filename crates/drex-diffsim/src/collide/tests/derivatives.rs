@@ -24,9 +24,9 @@ pub(in crate::collide) fn check(
     let dual: [Dual<6>; 6] = std::array::from_fn(|k| parameter(0.0, k));
     for first in [true, false] {
         let place = if first {
-            touch.evaluate(&moved(pa, &dual), &pb.cast())
+            touch.at_poses(&moved(pa, &dual), &pb.cast())
         } else {
-            touch.evaluate(&pa.cast(), &moved(pb, &dual))
+            touch.at_poses(&pa.cast(), &moved(pb, &dual))
         };
         let all: Vec<Dual<6>> = place.point.iter().chain(place.normal.iter()).copied().chain([place.depth]).collect();
         for k in 0..6 {
@@ -35,7 +35,7 @@ pub(in crate::collide) fn check(
                 let mut twist = [0.0; 6];
                 twist[k] = h;
                 let p = moved(if first { pa } else { pb }, &twist);
-                numbers(&if first { touch.evaluate(&p, pb) } else { touch.evaluate(pa, &p) })
+                numbers(&if first { touch.at_poses(&p, pb) } else { touch.at_poses(pa, &p) })
             };
             let (ahead, behind) = (shifted(h), shifted(-h));
             for (i, x) in all.iter().enumerate() {
@@ -81,19 +81,19 @@ proptest! {
         // Away from where the prism of a cylinder takes over from its side.
         pb.translation.vector -= u * 3e-4;
         let found = touches(&a, &pa, &b, &pb, 1e-5);
-        let place = |t: &Touch| t.evaluate(&pa, &pb);
+        let place = |t: &Touch| t.at_poses(&pa, &pb);
         let swapped = touches(&b, &pb, &a, &pa, 1e-5);
         prop_assert_eq!(found.len(), swapped.len());
         for t in &found {
             let p = place(t);
-            let twin = swapped.iter().map(|s| s.evaluate(&pb, &pa)).find(|q| (q.point - p.point).norm() < 1e-9);
+            let twin = swapped.iter().map(|s| s.at_poses(&pb, &pa)).find(|q| (q.point - p.point).norm() < 1e-9);
             prop_assert!(twin.is_some_and(|q| (q.normal + p.normal).norm() < 1e-9 && (q.depth - p.depth).abs() < 1e-12));
         }
         let (ca, cb) = (common * pa, common * pb);
         let moved = touches(&a, &ca, &b, &cb, 1e-5);
         prop_assert_eq!(found.iter().map(|t| t.site).collect::<Vec<_>>(), moved.iter().map(|t| t.site).collect::<Vec<_>>());
         for (t, m) in found.iter().zip(&moved) {
-            let (p, q) = (place(t), m.evaluate(&ca, &cb));
+            let (p, q) = (place(t), m.at_poses(&ca, &cb));
             prop_assert!((common * Point3::from(p.point) - Point3::from(q.point)).norm() < 1e-7);
             prop_assert!((common * p.normal - q.normal).norm() < 1e-7 && (q.depth - p.depth).abs() < 1e-12);
         }

@@ -12,7 +12,7 @@ use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
 use super::*;
-use crate::ConvexPiece;
+use crate::{ConvexPiece, Scalar};
 
 pub(super) type V = Vector3<f64>;
 
@@ -44,6 +44,37 @@ pub(super) fn lump(n: usize) -> Shape {
     Shape::Convex(std::sync::Arc::new(ConvexPiece::from_points(&points).unwrap()))
 }
 
+impl Touch {
+    fn at_poses<T: Scalar>(&self, world_from_a: &Pose<T>, world_from_b: &Pose<T>) -> Place<T> {
+        self.evaluate(&Frame::of(world_from_a), &Frame::of(world_from_b))
+    }
+}
+
+fn find(
+    a: &CollisionGeom,
+    world_from_a: &Pose,
+    b: &CollisionGeom,
+    world_from_b: &Pose,
+    margin: f64,
+    work: &mut CollideWork,
+    out: &mut Vec<Touch>,
+) {
+    super::find(a, &Frame::of(world_from_a), b, &Frame::of(world_from_b), margin, work, out);
+}
+
+/// The deepest penetration of two geoms, metres; `None` if they do not touch.
+fn deepest(
+    a: &CollisionGeom,
+    world_from_a: &Pose,
+    b: &CollisionGeom,
+    world_from_b: &Pose,
+    work: &mut CollideWork,
+) -> Option<f64> {
+    let mut touches = Vec::new();
+    find(a, world_from_a, b, world_from_b, 0.0, work, &mut touches);
+    touches.iter().map(|t| t.at_poses(world_from_a, world_from_b).depth).max_by(f64::total_cmp)
+}
+
 pub(super) fn touches(a: &Shape, pa: &Pose, b: &Shape, pb: &Pose, margin: f64) -> Vec<Touch> {
     let mut out = Vec::new();
     find(&geom(a), pa, &geom(b), pb, margin, &mut CollideWork::default(), &mut out);
@@ -52,7 +83,7 @@ pub(super) fn touches(a: &Shape, pa: &Pose, b: &Shape, pb: &Pose, margin: f64) -
 }
 
 pub(super) fn places(a: &Shape, pa: &Pose, b: &Shape, pb: &Pose, margin: f64) -> Vec<Place<f64>> {
-    touches(a, pa, b, pb, margin).iter().map(|t| t.evaluate(pa, pb)).collect()
+    touches(a, pa, b, pb, margin).iter().map(|t| t.at_poses(pa, pb)).collect()
 }
 
 pub(super) fn deepest_place(places: &[Place<f64>]) -> Option<Place<f64>> {

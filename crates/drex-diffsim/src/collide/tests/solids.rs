@@ -147,7 +147,7 @@ fn points_touch_every_solid_shape_from_outside() {
     let common = turned(V::new(0.3, -0.2, 0.1), V::new(0.5, 0.4, -0.3));
     for (shape, pose) in shapes {
         let found = touches(&points, &common, &shape, &(common * pose), 0.0);
-        let places: Vec<_> = found.iter().map(|t| t.evaluate(&common, &(common * pose))).collect();
+        let places: Vec<_> = found.iter().map(|t| t.at_poses(&common, &(common * pose))).collect();
         let best = deepest_place(&places).unwrap();
         assert!((best.depth - depth).abs() < 1e-9, "{shape:?} {best:?}");
         assert!((best.normal - common * V::z()).norm() < 1e-6);
