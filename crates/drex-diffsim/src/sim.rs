@@ -80,11 +80,6 @@ impl<T: Scalar> Workspace<T> {
         self.forces.iter().filter(|c| c.force.iter().any(|f| f.value() != 0.0))
     }
 
-    /// dbg
-    pub fn newton_iterations(&self) -> usize {
-        self.solver.iterations
-    }
-
     /// Steps so far in which the contact equations were not solved to full precision.
     pub fn unconverged_steps(&self) -> usize {
         self.unconverged
