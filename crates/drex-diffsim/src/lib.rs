@@ -1,24 +1,25 @@
-//! A small rigid-body simulator whose every number may be a dual number: motion and its derivatives in one pass.
+//! A rigid-body simulator whose every number may be a dual number: motion and its derivatives in one pass.
 //!
-//! It pushes, tips, lifts and drops free rigid bodies on a table and on fixed boxes. Contact is compliant and scaled
-//! with the mass, friction sticks without creep, and a rollout on [`Dual`] numbers returns exact derivatives of every
-//! recorded pose by mass, friction, centre of mass or start pose.
+//! [`Model`] says what is simulated (free bodies and robots), [`Scene`] where (gravity, surroundings, forces, controls),
+//! [`State`] from where; [`step`] and [`rollout`] do it. On [`Dual`] numbers a rollout returns exact derivatives of every
+//! recorded pose by mass, friction, centre of mass, stiffness, drive gains or start pose.
 //!
 //! ```
 //! use std::sync::Arc;
 //! use drex_core::{MassProperties, Pose};
-//! use drex_diffsim::{AppliedForce, Body, Collider, ConvexPiece, Dual, ForcePoint, Model, Part, Scene, State, parameter, rollout, tangents};
-//! use nalgebra::{ComplexField, Matrix3, Point3, Vector3};
+//! use drex_diffsim::{
+//!     AppliedForce, Body, Collider, Dual, ForcePoint, Geom, Model, Part, Scene, Shape, State, parameter, rollout, tangents,
+//! };
+//! use nalgebra::{Matrix3, Point3, Vector3};
 //!
 //! // A 4 cm cube of 0.2 kg, lifted by 3 N: how does its height after 0.1 s depend on ln m?
-//! let corners: Vec<_> = (0..8).map(|i| Point3::new(
-//!     0.02 * (2.0 * f64::from(i & 1) - 1.0), 0.02 * (f64::from(i & 2) - 1.0), 0.02 * (0.5 * f64::from(i & 4) - 1.0))).collect();
-//! let cube = Arc::new(Collider::convex(vec![ConvexPiece::from_points(&corners)?]));
+//! let cube = Arc::new(Collider::new(&[Geom::new(Shape::Box { half_m: Vector3::repeat(0.02) })])?);
 //! let unit = MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia: Matrix3::identity() * 2.667e-4 };
 //! let mass = parameter::<1>(0.2_f64.ln(), 0).exp();
 //! let model = Model::new(vec![Body::new(&unit, mass, cube)]);
 //! let mut scene = Scene::on_table(Dual::from_re(0.5));
-//! scene.forces.push(AppliedForce::new(Part::Body(0), &[0.0, 0.1], &[Vector3::z() * 3.0; 2], ForcePoint::Body(Point3::origin()))?);
+//! let at = ForcePoint::Body(Point3::origin());
+//! scene.forces.push(AppliedForce::new(Part::Body(0), &[0.0, 0.1], &[Vector3::z() * 3.0; 2], at)?);
 //! let start = State::at_rest(Pose::translation(0.0, 0.0, 0.02).cast());
 //! let end = rollout(&model, &scene, &start, &[0.1])?.bodies[0].poses[0].translation.vector.z;
 //! assert!((end.re - (0.02 + 0.5 * (3.0 / 0.2 - 9.81) * 0.01)).abs() < 2e-4);
@@ -28,8 +29,15 @@
 //!
 //! # Conventions
 //! SI units, world z up; a pose is `world_from_body` of the body's (mesh) frame; velocities are those of the centre of
-//! mass in the world. Derivatives are those of the branch that the values take: at the instant a contact opens, closes
-//! or begins to slip, the motion has a kink, and its derivative is the one-sided one.
+//! mass in the world. The generalised velocity of a robot is that of its base (if it is free), then one per joint.
+//!
+//! # The step
+//! Semi-implicit Euler with implicit contact: M (u⁺ - ũ) = h Σ Jᵀ f(u⁺) is solved for the velocities u⁺ at the end of the
+//! step, where ũ is what smooth forces alone would lead to and f are the laws of contacts, drives, joint friction and
+//! stops; then poses move with u⁺. Newton's method on plain numbers solves it, island by island; derivatives follow from
+//! the converged equations (implicit function theorem).
+//!
+#![doc = include_str!("docs/derivatives.md")]
 
 mod articulation;
 mod collide;
