@@ -64,7 +64,8 @@ impl Pair<'_> {
         for (i, v) in poly.vertices.iter().enumerate() {
             if n.dot(v) - d < self.margin {
                 let ball = Ball { center: *v, radius: 0.0 };
-                self.out.push(Touch::new(i as u32, Feature::BallPlane { on: Side::B, ball, plane: *plane }));
+                let feature = Feature::BallPlane { on: Side::B, ball, plane: *plane };
+                self.out.push(Touch { weight: poly.weights[i], ..Touch::new(i as u32, feature) });
             }
         }
     }

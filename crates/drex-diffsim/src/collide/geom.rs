@@ -53,6 +53,8 @@ pub(crate) struct Poly {
     /// Faces at each vertex, laid out like the sides.
     at_vertex: Vec<u32>,
     vertex_start: Vec<u32>,
+    /// Length of rim that each vertex stands for, over the mean on its face.
+    pub weights: Vec<f64>,
     /// A box around it: middle, directions of its sides (columns), half extents.
     pub middle: Vector3<f64>,
     pub axes: Matrix3<f64>,
@@ -171,6 +173,7 @@ impl Poly {
             areas.push(area.norm() / 2.0);
             side_start.push(sides.len() as u32);
         }
+        let weights = rim_weights(piece, &areas, &faces_at);
         let mut vertex_start = vec![0];
         let mut at_vertex = Vec::new();
         for faces in faces_at {
@@ -191,6 +194,7 @@ impl Poly {
             at_vertex,
             vertex_start,
             box_faces: None,
+            weights,
         }
     }
 
@@ -215,4 +219,20 @@ impl Poly {
     pub fn vertex(&self, v: u32) -> &Vector3<f64> {
         &self.vertices[v as usize]
     }
+}
+
+/// Half of a vertex's two sides around the largest face that it is a corner of, over the mean of that face's sides: the
+/// pressure on a rim then does not depend on where the mesh has its vertices.
+fn rim_weights(piece: &ConvexPiece, areas: &[f64], faces_at: &[Vec<u32>]) -> Vec<f64> {
+    let weight = |(v, faces): (usize, &Vec<u32>)| {
+        let largest = faces.iter().max_by(|a, b| areas[**a as usize].total_cmp(&areas[**b as usize]))?;
+        let corners = piece.face(*largest as usize);
+        let n = corners.len();
+        let at = |i: usize| piece.vertices()[corners[i % n] as usize];
+        let here = corners.iter().position(|&c| c as usize == v)?;
+        let around = (0..n).map(|i| (at(i + 1) - at(i)).norm()).sum::<f64>();
+        let own = (at(here + 1) - at(here)).norm() + (at(here) - at(here + n - 1)).norm();
+        (around > 0.0).then(|| 0.5 * own * n as f64 / around)
+    };
+    faces_at.iter().enumerate().map(|vertex| weight(vertex).unwrap_or(1.0)).collect()
 }

@@ -10,7 +10,7 @@ use crate::{Result, SimError};
 /// Directions in which extreme points are looked for. Even, so that no direction is horizontal.
 const DIRECTIONS: usize = 4096;
 /// Most vertices a piece keeps.
-const MAX_VERTICES: usize = 128;
+const MAX_VERTICES: usize = 512;
 /// Relative thickness below which a point counts as lying in a plane.
 const FLAT: f64 = 2e-6;
 /// Cosine of the angle under which two neighbouring triangles are one face.
