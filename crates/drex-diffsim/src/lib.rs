@@ -69,6 +69,7 @@ pub use scalar::{Dual, Scalar, parameter, tangents};
 pub use scene::{AppliedForce, Control, Fixed, ForcePoint, Motion, Mover, Path, Scene};
 pub use shape::{ConvexPiece, Geom, SdfShape, Shape, SurfacePoints};
 pub use sim::{Workspace, step};
+pub use solve::soft::SoftContact;
 pub use state::{Anchor, BodyState, State};
 
 #[cfg(doctest)]

@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Point3, SymmetricEigen};
 
 use crate::articulation::Articulation;
 use crate::collider::Collider;
-use crate::{Result, Scalar, SimError};
+use crate::{Result, Scalar, SimError, SoftContact};
 
 /// Steps beyond this are refused: contact would be found centimetres late.
 const LONGEST_STEP_S: f64 = 0.02;
@@ -107,6 +107,8 @@ pub struct ContactOptions<T = f64> {
     pub tangential_relaxation_s: T,
     /// Stiffness k of a patch, N/m, in place of m ω².
     pub stiffness_n_m: Option<T>,
+    /// Contact as MuJoCo has it, in place of all the above. [`Method::Penalty`] knows nothing of it.
+    pub soft: Option<SoftContact>,
 }
 
 impl<T: Scalar> Default for ContactOptions<T> {
@@ -117,6 +119,7 @@ impl<T: Scalar> Default for ContactOptions<T> {
             tangential_ratio: T::one(),
             tangential_relaxation_s: T::lift(1e-3),
             stiffness_n_m: None,
+            soft: None,
         }
     }
 }
@@ -130,6 +133,7 @@ impl ContactOptions {
             tangential_ratio: T::lift(self.tangential_ratio),
             tangential_relaxation_s: T::lift(self.tangential_relaxation_s),
             stiffness_n_m: self.stiffness_n_m.map(T::lift),
+            soft: self.soft,
         }
     }
 }

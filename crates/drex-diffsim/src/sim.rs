@@ -250,6 +250,12 @@ fn free_body<T: Scalar>(
             Lever { arm: c.point - frame.com, support, support_spin }
         }));
     }
+    if let Some(soft) = &model.contact.soft {
+        for ((law, lever), contact) in work.laws.iter_mut().zip(&work.levers).zip(&work.contacts[from..to]) {
+            let (u, _) = lever.relative(law, &s.velocity, &s.angular_velocity);
+            law.soften(soft, contact, u, T::one(), dt);
+        }
+    }
     let guess = (&s.velocity, &s.angular_velocity);
     let Some((v, w)) = free::solve(&work.laws, &work.levers, dt, &frame.inertia, frame.free, guess, &mut work.buffers)
     else {
@@ -350,7 +356,7 @@ fn add_body<T: Scalar>(body: &Body<T>, frame: &BodyFrame<T>, s: &BodyState<T>, i
     let (v, w) = &frame.free;
     island.reference.extend(v.iter().chain(w.iter()));
     island.impulse.extend([T::zero(); 6]);
-    island.guess.extend(s.velocity.iter().chain(s.angular_velocity.iter()).map(|x| x.value()));
+    island.start.extend(s.velocity.iter().chain(s.angular_velocity.iter()));
 }
 
 fn add_arm<T: Scalar>(
@@ -392,7 +398,7 @@ fn add_arm<T: Scalar>(
     island.impulse.extend(work.bias.iter().map(|b| -*b * h));
     let start = island.reference.len();
     arm.velocity(s, &mut island.reference);
-    island.guess.extend(island.reference[start..].iter().map(Scalar::value));
+    island.start.extend_from_slice(&island.reference[start..]);
     let control = scene.controls.get(index).map_or(&[][..], |c| c.at(state.time_s));
     arm.check_control(control)?;
     let laws = &mut work.joint_laws[index];
@@ -452,6 +458,14 @@ fn add_patch<T: Scalar>(
         }
         island.supports.push((support, spin));
         island.ends.push(island.columns.len());
+    }
+    if let Some(soft) = &model.contact.soft {
+        let mass = patch_mass(model, key.a, key.b);
+        let first = island.laws.len() - patch.len();
+        for (k, contact) in patch.iter().enumerate() {
+            let (u, _) = island.relative(first + k, &island.start);
+            island.laws[first + k].soften(soft, contact, u, mass, dt);
+        }
     }
 }
 

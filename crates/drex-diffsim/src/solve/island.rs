@@ -30,8 +30,8 @@ pub(crate) struct Island<T: Scalar> {
     pub reference: Vec<T>,
     /// Smooth impulse g.
     pub impulse: Vec<T>,
-    /// Where Newton's method starts.
-    pub guess: Vec<f64>,
+    /// Velocity at the start of the step, where Newton's method starts.
+    pub start: Vec<T>,
     pub laws: Vec<Law<T>>,
     /// End of each law's columns.
     pub ends: Vec<usize>,
@@ -48,7 +48,7 @@ impl<T: Scalar> Default for Island<T> {
             mass: Vec::new(),
             reference: Vec::new(),
             impulse: Vec::new(),
-            guess: Vec::new(),
+            start: Vec::new(),
             laws: Vec::new(),
             ends: Vec::new(),
             columns: Vec::new(),
@@ -105,7 +105,7 @@ impl<T: Scalar> Island<T> {
         self.mass.clear();
         self.reference.clear();
         self.impulse.clear();
-        self.guess.clear();
+        self.start.clear();
         self.laws.clear();
         self.ends.clear();
         self.columns.clear();
@@ -172,7 +172,7 @@ impl<T: Scalar> Island<T> {
         out.mass.extend(self.mass.iter().map(Scalar::value));
         out.reference.extend(self.reference.iter().map(Scalar::value));
         out.impulse.extend(self.impulse.iter().map(Scalar::value));
-        out.guess.extend_from_slice(&self.guess);
+        out.start.extend(self.start.iter().map(Scalar::value));
         out.laws.extend(self.laws.iter().map(Law::value));
         out.ends.extend_from_slice(&self.ends);
         out.columns.extend(self.columns.iter().map(|c| Column {
@@ -190,7 +190,7 @@ impl<T: Scalar> Solver<T> {
     pub(crate) fn solve(&mut self, island: &Island<T>, dt: f64) {
         island.values_into(&mut self.values);
         self.u.clear();
-        self.u.extend_from_slice(&island.guess);
+        self.u.extend(island.start.iter().map(Scalar::value));
         self.iterations = 0;
         self.converged = self.newton(dt);
 

@@ -7,7 +7,9 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::Scalar;
+use super::soft::SoftLaw;
+use crate::contact::Contact;
+use crate::{Scalar, SoftContact};
 
 /// Constants of one closed or closing contact in one step.
 #[derive(Debug, Clone, Copy)]
@@ -15,6 +17,8 @@ pub(crate) struct Law<T: Scalar> {
     /// Out of the support, unit.
     pub normal: Vector3<T>,
     pub friction: T,
+    /// Share of the patch.
+    pub share: T,
     /// Normal force at zero velocity.
     pub preload: T,
     /// Loss of normal force per velocity.
@@ -32,6 +36,8 @@ pub(crate) struct Law<T: Scalar> {
     /// A normal force that bounds the friction in place of the contact's own: the law is then the gradient of a convex
     /// function.
     pub lagged: Option<f64>,
+    /// The soft law in place of all others.
+    pub soft: Option<SoftLaw<T>>,
 }
 
 /// What a contact does.
@@ -70,6 +76,7 @@ impl<T: Scalar> Law<T> {
         Law {
             normal: f(&self.normal),
             friction: self.friction.value(),
+            share: self.share.value(),
             preload: self.preload.value(),
             kappa_n: self.kappa_n.value(),
             stretch: f(&self.stretch),
@@ -80,11 +87,23 @@ impl<T: Scalar> Law<T> {
             k_r: self.k_r.value(),
             kappa_r: self.kappa_r.value(),
             lagged: self.lagged,
+            soft: self.soft.as_ref().map(SoftLaw::value),
         }
+    }
+
+    /// Makes it the soft law of a contact that moves at `u` at the start of the step. `mass` is what the patch carries.
+    /// Every corner is as stiff as if it carried alone: the spring behind it, not the stiffness, says how it moves.
+    pub(crate) fn soften(&mut self, soft: &SoftContact, contact: &Contact<T>, u: Vector3<T>, mass: T, dt: f64) {
+        let corners = if contact.sampled { self.share * T::lift(super::FACE_CORNERS) } else { T::one() };
+        self.soft = Some(soft.law(contact.depth, u, &self.normal, corners * mass, dt));
     }
 
     /// Reaction at relative velocity `u` (world) and relative spin about the normal.
     pub(crate) fn reaction(&self, u: &Vector3<T>, spin: T) -> Reaction<T> {
+        if let Some(soft) = &self.soft {
+            let (force, mode) = soft.force(u, &self.normal, self.friction);
+            return Reaction { force, torque: T::zero(), mode, turns: false };
+        }
         let rate = u.dot(&self.normal);
         let normal = self.preload - self.kappa_n * rate;
         if normal.value() <= 0.0 {
@@ -112,6 +131,9 @@ impl<T: Scalar> Law<T> {
     /// The springs at the end of a step with the reaction `r`: dragged along while they stick, on their bound while they
     /// slip, gone when the contact carries nothing.
     pub(crate) fn springs(&self, r: &Reaction<T>, u: &Vector3<T>, spin: T, dt: f64) -> (Vector3<T>, T) {
+        if self.soft.is_some() {
+            return (Vector3::zeros(), T::zero());
+        }
         let stretch = match r.mode {
             Mode::Open => return (Vector3::zeros(), T::zero()),
             Mode::Slips => (r.force - self.normal * r.force.dot(&self.normal)) * (-T::one() / self.k_t),
@@ -134,6 +156,10 @@ impl Law<f64> {
     /// How the reaction changes with the velocity; nothing where the contact carries nothing.
     pub(crate) fn stiffness(&self, u: &Vector3<f64>, spin: f64) -> Option<Stiffness> {
         let n = &self.normal;
+        if let Some(soft) = &self.soft {
+            let force = soft.tangent(u, n, self.friction)?;
+            return Some(Stiffness { force, torque: 0.0, coupling: Vector3::zeros() });
+        }
         let rate = u.dot(n);
         let normal = self.preload - self.kappa_n * rate;
         if normal <= 0.0 {

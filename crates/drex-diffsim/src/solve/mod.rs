@@ -7,6 +7,7 @@ pub(crate) mod free;
 pub(crate) mod island;
 pub(crate) mod law;
 pub(crate) mod lu;
+pub(crate) mod soft;
 pub(crate) mod six;
 
 use nalgebra::{UnitQuaternion, Vector3};
@@ -57,7 +58,8 @@ pub(crate) fn prepare_patch<T: Scalar>(
             || (Vector3::zeros(), T::zero()),
             |a| (rotation.map_or(a.stretch, |r| r * a.stretch), a.twist),
         );
-        let k_n = stiffness * (T::lift(c.weight) / shares);
+        let share = T::lift(c.weight) / shares;
+        let k_n = stiffness * share;
         let kappa_n = k_n * (h + options.relaxation_s);
         let k_t = k_n * options.tangential_ratio;
         let kappa_t = k_t * (h + options.tangential_relaxation_s);
@@ -65,6 +67,7 @@ pub(crate) fn prepare_patch<T: Scalar>(
         out.push(Law {
             normal: c.normal,
             friction: c.friction,
+            share,
             // A gap may close by the end of the step, and no further.
             preload: if c.depth.value() > 0.0 { k_n * c.depth } else { kappa_n * c.depth / h },
             kappa_n,
@@ -76,6 +79,7 @@ pub(crate) fn prepare_patch<T: Scalar>(
             k_r: k_t * squared,
             kappa_r: kappa_t * squared,
             lagged: None,
+            soft: None,
         });
     }
 }
