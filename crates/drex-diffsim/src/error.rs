@@ -88,7 +88,7 @@ pub enum SimError {
         support: String,
     },
     /// A contact constant is out of range.
-    #[error("contact constant {name} is {value}; give a finite positive number (relaxation times may be zero)")]
+    #[error("contact constant {name} is {value}; give a finite positive number (relaxation times may be zero, impedances are below one)")]
     Option {
         /// Field of `ContactOptions`.
         name: &'static str,

@@ -162,7 +162,7 @@ impl<T: Scalar> ContactOptions<T> {
                 return Err(SimError::Option { name, value: x });
             }
         }
-        Ok(())
+        self.soft.as_ref().map_or(Ok(()), SoftContact::check)
     }
 }
 

@@ -1,5 +1,5 @@
 //! The LEAP with torque-capped drives picks boxes off a table; with half the force that is needed it does not.
-#![allow(clippy::unwrap_used, missing_docs)] // a test may panic
+#![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)] // a test may panic and say what it measured
 
 #[path = "../examples/pick.rs"]
 #[allow(dead_code)] // it has a main of its own

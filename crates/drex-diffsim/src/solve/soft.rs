@@ -18,7 +18,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::law::Mode;
-use crate::Scalar;
+use crate::{Result, Scalar, SimError};
 
 /// Constants of MuJoCo's soft contact.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -56,6 +56,24 @@ pub(crate) struct SoftLaw<T: Scalar> {
 }
 
 impl SoftContact {
+    pub(crate) fn check(&self) -> Result<()> {
+        let [d0, d1] = self.impedance;
+        let positive = |x: f64| x > 0.0 && x.is_finite();
+        for (name, value, good) in [
+            ("soft.time_constant_s", self.time_constant_s, positive(self.time_constant_s)),
+            ("soft.damping_ratio", self.damping_ratio, positive(self.damping_ratio)),
+            ("soft.impedance[0]", d0, positive(d0) && d0 < 1.0),
+            ("soft.impedance[1]", d1, positive(d1) && d1 < 1.0),
+            ("soft.width_m", self.width_m, positive(self.width_m)),
+            ("soft.friction_ratio", self.friction_ratio, positive(self.friction_ratio)),
+        ] {
+            if !good {
+                return Err(SimError::Option { name, value });
+            }
+        }
+        Ok(())
+    }
+
     /// The law of a contact of this depth that moves at `velocity` at the start of a step of `dt` and carries `mass`.
     pub(crate) fn law<T: Scalar>(
         &self,
