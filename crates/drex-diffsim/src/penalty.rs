@@ -121,7 +121,7 @@ fn substep<T: Scalar>(
 }
 
 /// Velocity and spin about the normal of a contact, at the old velocities.
-fn relative<T: Scalar>(state: &State<T>, work: &Workspace<T>, c: &Contact<T>) -> (Vector3<T>, T) {
+pub(crate) fn relative<T: Scalar>(state: &State<T>, work: &Workspace<T>, c: &Contact<T>) -> (Vector3<T>, T) {
     let motion = |part: Part| match part {
         Part::Body(i) => {
             let (s, frame) = (&state.bodies[i as usize], &work.frames[i as usize]);

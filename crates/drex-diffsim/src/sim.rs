@@ -13,7 +13,7 @@ use crate::solve::law::{Law, Mode};
 use crate::solve::prepare_patch;
 use crate::state::{Anchor, BodyState};
 use crate::{Body, Method, Model, Motion, Part, Result, Scalar, Scene, SimError, State};
-use crate::{pairs, penalty};
+use crate::{pairs, penalty, position_based};
 
 /// Speed beyond which a rollout is called diverged, m/s or rad/s.
 const SPEED_LIMIT: f64 = 1e4;
@@ -44,6 +44,7 @@ pub struct Workspace<T: Scalar> {
     joint_laws: Vec<Vec<ScalarLaw<T>>>,
     /// First velocity of each unit in its island.
     offsets: Vec<usize>,
+    pub(crate) position: position_based::Buffers<T>,
     unconverged: usize,
 }
 
@@ -69,6 +70,7 @@ impl<T: Scalar> Default for Workspace<T> {
             external: Vec::new(),
             joint_laws: Vec::new(),
             offsets: Vec::new(),
+            position: position_based::Buffers::default(),
             unconverged: 0,
         }
     }
@@ -125,6 +127,7 @@ pub fn step<T: Scalar>(
     match model.method {
         Method::SemiImplicit => semi_implicit(model, scene, state, work)?,
         Method::Penalty { scheme, substeps } => penalty::step(model, scene, state, work, scheme, substeps)?,
+        Method::PositionBased { substeps } => position_based::step(model, scene, state, work, substeps)?,
     }
     state.time_s += model.dt_s;
     check_speeds(state)
