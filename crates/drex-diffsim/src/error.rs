@@ -60,6 +60,9 @@ pub enum SimError {
         /// A step that is stable by itself.
         limit_s: f64,
     },
+    /// Explicit Euler has no damping of its own.
+    #[error("explicit Euler grows on contact without damping; give relaxation_s and tangential_relaxation_s above zero")]
+    Undamped,
     /// The method does not simulate articulations.
     #[error("this method steps free bodies only; use Method::SemiImplicit for models with articulations")]
     Method,

@@ -77,7 +77,9 @@ pub(crate) fn record<T: Scalar>(
         {
             let moved = match model.method {
                 Method::SemiImplicit => between(body, a, b, since),
-                Method::Penalty { .. } | Method::PositionBased { .. } => on_the_way(body, a, b, since / T::lift(model.dt_s)),
+                Method::Penalty { .. } | Method::PositionBased { .. } => {
+                    on_the_way(body, a, b, since / T::lift(model.dt_s))
+                }
             };
             let arm = moved.rotation * body.center_of_mass.coords;
             track.poses.push(moved);

@@ -44,6 +44,7 @@ pub struct Workspace<T: Scalar> {
     joint_laws: Vec<Vec<ScalarLaw<T>>>,
     /// First velocity of each unit in its island.
     offsets: Vec<usize>,
+    pub(crate) penalty: penalty::Buffers<T>,
     pub(crate) position: position_based::Buffers<T>,
     unconverged: usize,
 }
@@ -70,6 +71,7 @@ impl<T: Scalar> Default for Workspace<T> {
             external: Vec::new(),
             joint_laws: Vec::new(),
             offsets: Vec::new(),
+            penalty: penalty::Buffers::default(),
             position: position_based::Buffers::default(),
             unconverged: 0,
         }
@@ -124,6 +126,9 @@ pub fn step<T: Scalar>(
     state: &mut State<T>,
     work: &mut Workspace<T>,
 ) -> Result<()> {
+    if model.method != Method::SemiImplicit && !model.arms.is_empty() {
+        return Err(SimError::Method);
+    }
     match model.method {
         Method::SemiImplicit => semi_implicit(model, scene, state, work)?,
         Method::Penalty { scheme, substeps } => penalty::step(model, scene, state, work, scheme, substeps)?,

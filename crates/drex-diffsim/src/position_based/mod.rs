@@ -14,18 +14,21 @@
 //!
 //! Forces are per mass of their patch, so that a mass which cannot be seen leaves no trace.
 
-use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+mod row;
 
-use crate::collide::{Frame, Touch};
+use nalgebra::Vector3;
+
+use crate::collide::Touch;
 use crate::contact::{Contact, ContactForce};
-use crate::math::{exp, lift_pose, lift_rotation, log, renormalized, solve3};
+use crate::math::{exp, lift_rotation, log, renormalized};
 use crate::penalty::relative;
 use crate::sim::{begin, check_speeds, patch_mass, rotation_of};
 use crate::solve::{law::Law, prepare_patch};
 use crate::state::Anchor;
-use crate::{Model, Motion, Part, Result, Scalar, Scene, State, Workspace, pairs};
+use crate::{Model, Part, Result, Scalar, Scene, State, Workspace, pairs};
+use row::{Against, Grip, Moving, Row, bounded, clamped, inverse, push, scaled, support};
 
-/// Sweeps over all contacts per substep. Boxes, edges and pairs of bodies lose a factor of 3 to 10 of their error in one.
+/// Sweeps over all contacts per substep. For the same work more substeps are more exact than more sweeps.
 const SWEEPS: usize = 8;
 
 /// Buffers that a substep reuses.
@@ -40,57 +43,6 @@ impl<T: Scalar> Default for Buffers<T> {
     fn default() -> Self {
         Self { features: Vec::new(), bodies: Vec::new(), rows: Vec::new() }
     }
-}
-
-/// A body on its way through a substep. The way is kept by itself: velocities from it lose no digits.
-#[derive(Debug)]
-struct Moving<T: Scalar> {
-    /// Centre of mass in the world at the start, and in the body's frame.
-    com: Vector3<T>,
-    center: Vector3<T>,
-    rotation: UnitQuaternion<T>,
-    /// Inverse of the inertia per unit mass at the start, world.
-    inverse: Matrix3<T>,
-    moved: Vector3<T>,
-    turned: UnitQuaternion<T>,
-}
-
-/// One side of a contact.
-#[derive(Debug)]
-struct Grip<T: Scalar> {
-    body: usize,
-    /// Mass of the patch over that of the body.
-    share: T,
-    /// From the centre of mass to the contact at the start, world.
-    arm: Vector3<T>,
-}
-
-/// What a contact is against.
-#[derive(Debug)]
-enum Against<T: Scalar> {
-    Body(Grip<T>),
-    /// Something fixed or on a path: where it is at the end of the substep, which way its point of contact goes, and by
-    /// how much it turns about the normal.
-    Support { frame: Frame<T>, way: Vector3<T>, turn: T },
-}
-
-/// A contact while it is solved; forces are on `a`, per mass of the patch.
-#[derive(Debug)]
-struct Row<T: Scalar> {
-    /// Index of contact, feature and law.
-    index: usize,
-    a: Grip<T>,
-    b: Against<T>,
-    /// Inverse masses, in patch masses: along the normal, across it (the largest), of a turn about it.
-    normal_mobility: T,
-    across_mobility: T,
-    turn_mobility: T,
-    normal: T,
-    across: Vector3<T>,
-    torque: T,
-    slips: bool,
-    /// Whether the torsional spring is at its bound.
-    turns: bool,
 }
 
 /// One step in `substeps`.
@@ -141,7 +93,13 @@ fn substep<T: Scalar>(
     prepare(model, scene, state, work, bodies, rows, h);
 
     for row in rows.iter_mut() {
-        start(row, &work.contacts[row.index], &work.laws[row.index], relative(state, work, &work.contacts[row.index]), h);
+        start(
+            row,
+            &work.contacts[row.index],
+            &work.laws[row.index],
+            relative(state, work, &work.contacts[row.index]),
+            h,
+        );
         let (n, f) = (work.contacts[row.index].normal, row.across);
         push(bodies, row, &(n * row.normal + f), &(n * row.torque), h);
     }
@@ -235,28 +193,6 @@ fn prepare<T: Scalar>(
     }
 }
 
-/// Something that no contact moves, at the end of the substep.
-fn support<T: Scalar>(scene: &Scene<T>, work: &Workspace<T>, end_s: f64, c: &Contact<T>) -> Against<T> {
-    match c.key.b {
-        Part::Mover(i) => {
-            let (start, end): (&Motion, Motion) = (&work.movers[i as usize], scene.movers[i as usize].path.at(end_s));
-            let turned = end.pose.rotation * start.pose.rotation.inverse();
-            let arm = c.point - start.pose.translation.vector.map(T::lift);
-            let way = (end.pose.translation.vector - start.pose.translation.vector).map(T::lift)
-                + swung(&lift_rotation(&turned), &arm);
-            let turn = turned.scaled_axis().map(T::lift).dot(&c.normal);
-            Against::Support { frame: Frame::of(&lift_pose(&end.pose)), way, turn }
-        }
-        Part::Fixed(i) => {
-            let frame = Frame::of(&lift_pose(&scene.fixed[i as usize].world_from_body));
-            Against::Support { frame, way: Vector3::zeros(), turn: T::zero() }
-        }
-        Part::Body(_) | Part::Link { .. } => {
-            Against::Support { frame: Frame { r: Matrix3::identity(), p: Vector3::zeros() }, way: Vector3::zeros(), turn: T::zero() }
-        }
-    }
-}
-
 /// The forces that the sweeps start from: those of the springs at the old pose, less what the damper takes from a contact
 /// that opens.
 fn start<T: Scalar>(row: &mut Row<T>, c: &Contact<T>, law: &Law<T>, (u, _): (Vector3<T>, T), h: f64) {
@@ -328,7 +264,7 @@ fn rub<T: Scalar>(row: &mut Row<T>, c: &Contact<T>, state: &mut State<T>, bodies
     if !(bound.value() > 0.0) {
         return;
     }
-    let velocity = row.velocity(c, state, h);
+    let velocity = row.velocity(state, h);
     let v = velocity - c.normal * velocity.dot(&c.normal);
     let (across, slips) = bounded(row.across - scaled(&v, 1.0 / h) / row.across_mobility, bound.sqrt());
     let change = scaled(&(across - row.across), h);
@@ -361,7 +297,7 @@ fn read_out<T: Scalar>(
     for row in rows {
         let (c, law) = (&work.contacts[row.index], &work.laws[row.index]);
         let (out, anchor) = (&mut work.forces[row.index], &mut work.anchors[row.index]);
-        out.velocity = row.velocity(c, state, h);
+        out.velocity = row.velocity(state, h);
         if !(row.normal.value() > 0.0) {
             continue;
         }
@@ -383,96 +319,4 @@ fn read_out<T: Scalar>(
             Part::Fixed(_) | Part::Link { .. } => out.stretch,
         };
     }
-}
-
-impl<T: Scalar> Moving<T> {
-    fn frame(&self) -> Frame<T> {
-        let r = (self.turned * self.rotation).to_rotation_matrix().into_inner();
-        Frame { r, p: self.com + self.moved - r * self.center }
-    }
-
-    /// The way of a point that began at `arm` from the centre of mass.
-    fn way(&self, arm: &Vector3<T>) -> Vector3<T> {
-        self.moved + swung(&self.turned, arm)
-    }
-}
-
-impl<T: Scalar> Row<T> {
-    /// Way of `a` against `b` across the normal so far, and turn about it where it matters.
-    fn way(&self, bodies: &[Moving<T>], c: &Contact<T>, turning: bool) -> (Vector3<T>, T) {
-        let a = &bodies[self.a.body];
-        let mut way = a.way(&self.a.arm);
-        let mut turn = if turning { log(&a.turned).dot(&c.normal) } else { T::zero() };
-        match &self.b {
-            Against::Body(grip) => {
-                way -= bodies[grip.body].way(&grip.arm);
-                if turning {
-                    turn -= log(&bodies[grip.body].turned).dot(&c.normal);
-                }
-            }
-            Against::Support { way: support, turn: support_turn, .. } => {
-                way -= support;
-                turn -= *support_turn;
-            }
-        }
-        (way - c.normal * way.dot(&c.normal), turn)
-    }
-
-    /// Velocity of `a` against `b` at the end of the substep.
-    fn velocity(&self, c: &Contact<T>, state: &State<T>, h: f64) -> Vector3<T> {
-        let of = |grip: &Grip<T>| {
-            let s = &state.bodies[grip.body];
-            s.velocity + s.angular_velocity.cross(&grip.arm)
-        };
-        of(&self.a)
-            - match &self.b {
-                Against::Body(grip) => of(grip),
-                Against::Support { way, .. } => scaled(way, 1.0 / h),
-            }
-    }
-}
-
-/// Moves both sides by what a force and a moment on `a` do in a substep.
-fn push<T: Scalar>(bodies: &mut [Moving<T>], row: &Row<T>, force: &Vector3<T>, moment: &Vector3<T>, h: f64) {
-    let mut side = |grip: &Grip<T>, share: T| {
-        let (body, share) = (&mut bodies[grip.body], share.scaled(h * h));
-        body.moved += force * share;
-        body.turned = exp(&(body.inverse * (grip.arm.cross(force) + moment) * share)) * body.turned;
-    };
-    side(&row.a, row.a.share);
-    if let Against::Body(grip) = &row.b {
-        side(grip, -grip.share);
-    }
-}
-
-/// A friction force brought back to its bound, and whether it had to be.
-fn bounded<T: Scalar>(force: Vector3<T>, bound: T) -> (Vector3<T>, bool) {
-    let square = force.norm_squared();
-    if square.value() > (bound * bound).value() { (force * (bound / square.sqrt()), true) } else { (force, false) }
-}
-
-/// The same for a torque.
-fn clamped<T: Scalar>(torque: T, bound: T) -> (T, bool) {
-    if torque.value() > bound.value() {
-        (bound, true)
-    } else if torque.value() < -bound.value() {
-        (-bound, true)
-    } else {
-        (torque, false)
-    }
-}
-
-/// How far a rotation takes the end of `arm`. Small ways keep their digits.
-fn swung<T: Scalar>(q: &UnitQuaternion<T>, arm: &Vector3<T>) -> Vector3<T> {
-    let v = Vector3::new(q.i, q.j, q.k);
-    let t = v.cross(arm).map(|x| x.scaled(2.0));
-    t * q.w + v.cross(&t)
-}
-
-fn scaled<T: Scalar>(v: &Vector3<T>, k: f64) -> Vector3<T> {
-    v.map(|x| x.scaled(k))
-}
-
-fn inverse<T: Scalar>(a: &Matrix3<T>) -> Matrix3<T> {
-    Matrix3::from_columns(&[0, 1, 2].map(|k| solve3(a, &Vector3::ith(k, T::one()))))
 }
