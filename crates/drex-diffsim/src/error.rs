@@ -60,6 +60,11 @@ pub enum SimError {
         /// A step that is stable by itself.
         limit_s: f64,
     },
+    /// Explicit Euler has no damping of its own.
+    #[error(
+        "explicit Euler grows on contact without damping; give relaxation_s and tangential_relaxation_s above zero"
+    )]
+    Undamped,
     /// The method does not simulate articulations.
     #[error("this method steps free bodies only; use Method::SemiImplicit for models with articulations")]
     Method,
@@ -88,7 +93,9 @@ pub enum SimError {
         support: String,
     },
     /// A contact constant is out of range.
-    #[error("contact constant {name} is {value}; give a finite positive number (relaxation times may be zero, impedances are below one)")]
+    #[error(
+        "contact constant {name} is {value}; give a finite positive number (relaxation times may be zero, impedances are below one)"
+    )]
     Option {
         /// Field of `ContactOptions`.
         name: &'static str,

@@ -49,6 +49,7 @@ mod model;
 pub mod mujoco;
 mod pairs;
 mod penalty;
+mod position_based;
 mod rollout;
 mod scalar;
 mod scene;

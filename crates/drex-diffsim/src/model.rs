@@ -181,6 +181,12 @@ pub enum Method {
         /// Substeps per step; `None`: as many as the contact stiffness needs to be stable.
         substeps: Option<u32>,
     },
+    /// Position-based dynamics (rigid XPBD): contacts move poses, and velocities follow from the poses. Stable at any
+    /// stiffness; the shorter the substeps, the smaller its damping. Free bodies only.
+    PositionBased {
+        /// Substeps per step.
+        substeps: u32,
+    },
 }
 
 /// Which velocity moves the poses.

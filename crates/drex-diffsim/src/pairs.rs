@@ -33,7 +33,27 @@ pub(crate) fn find<T: Scalar>(model: &Model<T>, scene: &Scene<T>, work: &mut Wor
     let mut touches = std::mem::take(&mut work.touches);
     contacts.clear();
     visit(model, scene, work, |a, b| {
-        touch(a, b, (a.speed + b.speed) * dt + NEAR_M, &mut search, &mut touches, &mut contacts);
+        touch(a, b, (a.speed + b.speed) * dt + NEAR_M, &mut search, &mut touches, &mut contacts, None);
+    });
+    (work.contacts, work.collide, work.touches) = (contacts, search, touches);
+}
+
+/// As [`find`], and the features of each contact, by which it is followed while its parts move.
+pub(crate) fn find_features<T: Scalar>(
+    model: &Model<T>,
+    scene: &Scene<T>,
+    work: &mut Workspace<T>,
+    dt: f64,
+    features: &mut Vec<Touch>,
+) {
+    let mut contacts = std::mem::take(&mut work.contacts);
+    let mut search = std::mem::take(&mut work.collide);
+    let mut touches = std::mem::take(&mut work.touches);
+    contacts.clear();
+    features.clear();
+    visit(model, scene, work, |a, b| {
+        let margin = (a.speed + b.speed) * dt + NEAR_M;
+        touch(a, b, margin, &mut search, &mut touches, &mut contacts, Some(&mut *features));
     });
     (work.contacts, work.collide, work.touches) = (contacts, search, touches);
 }
@@ -45,7 +65,7 @@ pub(crate) fn check_start<T: Scalar>(model: &Model<T>, scene: &Scene<T>, work: &
     let mut worst = Ok(());
     visit(model, scene, work, |a, b| {
         contacts.clear();
-        touch(a, b, 0.0, &mut search, &mut touches, &mut contacts);
+        touch(a, b, 0.0, &mut search, &mut touches, &mut contacts, None);
         let size = |s: &Side<'_, T>| 2.0 * s.collider.bounding_sphere().1;
         let depth_m = contacts.iter().map(|c| c.depth.value()).fold(0.0, f64::max);
         if depth_m > START_DEPTH * size(a).min(size(b)) && worst.is_ok() {
@@ -177,7 +197,7 @@ fn link<'a, T: Scalar>(arm: &'a Articulation<T>, work: &Workspace<T>, index: usi
     }
 }
 
-/// Contacts of all shapes of `a` with all shapes of `b`.
+/// Contacts of all shapes of `a` with all shapes of `b`, and their features where they are asked for.
 fn touch<T: Scalar>(
     a: &Side<'_, T>,
     b: &Side<'_, T>,
@@ -185,6 +205,7 @@ fn touch<T: Scalar>(
     search: &mut collide::CollideWork,
     touches: &mut Vec<Touch>,
     out: &mut Vec<Contact<T>>,
+    mut features: Option<&mut Vec<Touch>>,
 ) {
     let material = a.material.paired(&b.material);
     for (i, x) in a.collider.geoms().iter().enumerate() {
@@ -204,6 +225,9 @@ fn touch<T: Scalar>(
                     friction: material.friction,
                     lever: material.torsion_radius_m,
                 });
+            }
+            if let Some(features) = &mut features {
+                features.append(touches);
             }
         }
     }

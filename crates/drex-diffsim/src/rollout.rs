@@ -1,11 +1,11 @@
 //! Many steps: motions recorded at chosen times.
 
 use drex_core::Pose;
-use nalgebra::{Translation3, Vector3};
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
-use crate::math::exp;
-use crate::{Body, BodyState, Model, Result, Scalar, Scene, SimError, State, Workspace, pairs, step};
+use crate::math::{exp, log};
+use crate::{Body, BodyState, Method, Model, Result, Scalar, Scene, SimError, State, Workspace, pairs, step};
 
 /// The motion of everything at chosen times.
 #[derive(Debug, Clone, PartialEq)]
@@ -34,7 +34,7 @@ pub struct Track<T: Scalar> {
 }
 
 /// Steps from `start` and records everything at `times_s` (increasing, seconds of the state's clock; times before the
-/// start give the start). Between two steps everything moves at the constant velocity of that step.
+/// start give the start). Between two steps everything moves at a constant velocity.
 ///
 /// # Errors
 /// For a model, scene or start that cannot be simulated, times that decrease, and motion that diverges.
@@ -75,7 +75,12 @@ pub(crate) fn record<T: Scalar>(
         for ((track, body), (a, b)) in
             bodies.iter_mut().zip(&model.bodies).zip(previous.bodies.iter().zip(&state.bodies))
         {
-            let moved = between(body, a, b, since);
+            let moved = match model.method {
+                Method::SemiImplicit => between(body, a, b, since),
+                Method::Penalty { .. } | Method::PositionBased { .. } => {
+                    on_the_way(body, a, b, since / T::lift(model.dt_s))
+                }
+            };
             let arm = moved.rotation * body.center_of_mass.coords;
             track.poses.push(moved);
             track.velocities.push(b.velocity - b.angular_velocity.cross(&arm));
@@ -110,6 +115,19 @@ fn between<T: Scalar>(body: &Body<T>, a: &BodyState<T>, b: &BodyState<T>, since:
     let rotation = exp(&(b.angular_velocity * since)) * a.world_from_body.rotation;
     let com = a.world_from_body * body.center_of_mass + b.velocity * since;
     Pose::from_parts(Translation3::from(com.coords - rotation * body.center_of_mass.coords), rotation)
+}
+
+/// The pose at the part `s` of the way from `a` to `b`, for methods whose last velocity is not that of the whole step.
+fn on_the_way<T: Scalar>(body: &Body<T>, a: &BodyState<T>, b: &BodyState<T>, s: T) -> Pose<T> {
+    let (from, to) = (&a.world_from_body, &b.world_from_body);
+    let mut turn = to.rotation * from.rotation.inverse();
+    if turn.w.value() < 0.0 {
+        turn = UnitQuaternion::new_unchecked(-turn.into_inner());
+    }
+    let rotation = exp(&(log(&turn) * s)) * from.rotation;
+    let (start, end) = (from * body.center_of_mass, to * body.center_of_mass);
+    let com = start.coords + (end - start) * s;
+    Pose::from_parts(Translation3::from(com - rotation * body.center_of_mass.coords), rotation)
 }
 
 pub(crate) fn check<T: Scalar>(

@@ -13,7 +13,7 @@ use crate::solve::law::{Law, Mode};
 use crate::solve::prepare_patch;
 use crate::state::{Anchor, BodyState};
 use crate::{Body, Method, Model, Motion, Part, Result, Scalar, Scene, SimError, State};
-use crate::{pairs, penalty};
+use crate::{pairs, penalty, position_based};
 
 /// Speed beyond which a rollout is called diverged, m/s or rad/s.
 const SPEED_LIMIT: f64 = 1e4;
@@ -44,6 +44,8 @@ pub struct Workspace<T: Scalar> {
     joint_laws: Vec<Vec<ScalarLaw<T>>>,
     /// First velocity of each unit in its island.
     offsets: Vec<usize>,
+    pub(crate) penalty: penalty::Buffers<T>,
+    pub(crate) position: position_based::Buffers<T>,
     unconverged: usize,
 }
 
@@ -69,6 +71,8 @@ impl<T: Scalar> Default for Workspace<T> {
             external: Vec::new(),
             joint_laws: Vec::new(),
             offsets: Vec::new(),
+            penalty: penalty::Buffers::default(),
+            position: position_based::Buffers::default(),
             unconverged: 0,
         }
     }
@@ -117,9 +121,13 @@ pub fn step<T: Scalar>(
     state: &mut State<T>,
     work: &mut Workspace<T>,
 ) -> Result<()> {
+    if model.method != Method::SemiImplicit && !model.arms.is_empty() {
+        return Err(SimError::Method);
+    }
     match model.method {
         Method::SemiImplicit => semi_implicit(model, scene, state, work)?,
         Method::Penalty { scheme, substeps } => penalty::step(model, scene, state, work, scheme, substeps)?,
+        Method::PositionBased { substeps } => position_based::step(model, scene, state, work, substeps)?,
     }
     state.time_s += model.dt_s;
     check_speeds(state)

@@ -7,8 +7,8 @@ pub(crate) mod free;
 pub(crate) mod island;
 pub(crate) mod law;
 pub(crate) mod lu;
-pub(crate) mod soft;
 pub(crate) mod six;
+pub(crate) mod soft;
 
 use nalgebra::{UnitQuaternion, Vector3};
 
