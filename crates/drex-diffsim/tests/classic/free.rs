@@ -7,7 +7,7 @@ use drex_core::Pose;
 use drex_diffsim::{Model, Scene, State, Workspace, step};
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
-use crate::common::{G, body, cuboid, energy, fixed_arm, kinetic, momenta, relative, robot, turned, within};
+use crate::common::{G, body, cuboid, fixed_arm, kinetic, momenta, relative, robot, turned, within};
 
 fn weightless() -> Scene<f64> {
     let mut scene = Scene::empty();
