@@ -5,8 +5,8 @@ mod common;
 
 use drex_core::Pose;
 use drex_diffsim::{
-    ActuatorKind, AppliedForce, Articulation, Base, BodyState, Control, Dual, ForcePoint, Model, Part, Scalar, Scene, State, Workspace,
-    parameter, rollout, step, tangents,
+    ActuatorKind, AppliedForce, Articulation, Base, BodyState, Control, Dual, ForcePoint, Model, Part, Scalar, Scene,
+    State, Workspace, parameter, rollout, step, tangents,
 };
 use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 
@@ -64,8 +64,16 @@ struct Push {
 }
 
 impl Motion<8> for Push {
-    const NAMES: [&'static str; 8] =
-        ["ln mass", "friction", "centre of mass x", "centre of mass y", "ln stiffness", "start x", "start y", "start yaw"];
+    const NAMES: [&'static str; 8] = [
+        "ln mass",
+        "friction",
+        "centre of mass x",
+        "centre of mass y",
+        "ln stiffness",
+        "start x",
+        "start y",
+        "start yaw",
+    ];
     const AT: [f64; 8] = [-1.6, 0.45, 0.001, 0.0005, 0.0, 0.01, -0.02, 0.3];
 
     fn outcome<T: Scalar>(&self, p: &[T; 8]) -> Vec<T> {
@@ -78,7 +86,9 @@ impl Motion<8> for Push {
         model.contact.frequency_rad_s = (p[4] * T::lift(0.5)).exp() * T::lift(self.frequency);
         let mut scene = Scene::on_table(p[1]);
         let at = ForcePoint::Body(Point3::new(-0.03, 0.004, self.height));
-        scene.forces.push(AppliedForce::new(Part::Body(0), &[0.1, 0.25], &[self.force_n, Vector3::zeros()], at).unwrap());
+        scene
+            .forces
+            .push(AppliedForce::new(Part::Body(0), &[0.1, 0.25], &[self.force_n, Vector3::zeros()], at).unwrap());
         let yaw = UnitQuaternion::from_scaled_axis(Vector3::new(T::zero(), T::zero(), p[7]));
         let sunk = half.z - G / (self.frequency * self.frequency);
         let start = State::at_rest(Pose::from_parts(Translation3::new(p[5], p[6], T::lift(sunk)), yaw));
@@ -123,7 +133,16 @@ struct FingerPush {
 
 impl Motion<10> for FingerPush {
     const NAMES: [&'static str; 10] = [
-        "ln mass", "friction", "centre of mass y", "ln stiffness", "kp", "kv", "start x", "start yaw", "start of a joint", "mass of a link",
+        "ln mass",
+        "friction",
+        "centre of mass y",
+        "ln stiffness",
+        "kp",
+        "kv",
+        "start x",
+        "start yaw",
+        "start of a joint",
+        "mass of a link",
     ];
     const AT: [f64; 10] = [-1.6, 0.4, 0.002, 0.0, 2.0, 0.1, 0.0, 0.1, 0.0, 0.03];
 
@@ -223,6 +242,7 @@ fn a_toss_of_several_bodies_does_not_see_their_common_mass() {
         step(&model, &scene, &mut state, &mut work).unwrap();
     }
     let arm = &state.arms[0];
-    let joints = Pose::from_parts(Translation3::new(arm.q[0], arm.q[1], Dual::from_re(0.0)), UnitQuaternion::identity());
+    let joints =
+        Pose::from_parts(Translation3::new(arm.q[0], arm.q[1], Dual::from_re(0.0)), UnitQuaternion::identity());
     by_mass("toss of a robot", &[arm.base.world_from_base, joints]);
 }
