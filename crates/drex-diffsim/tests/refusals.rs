@@ -5,8 +5,8 @@ mod common;
 
 use drex_core::Pose;
 use drex_diffsim::{
-    AppliedForce, Articulation, Base, BasePath, Body, Control, Fixed, ForcePoint, Geom, Method, Model, Mover, Part,
-    Path, Result, Scene, Scheme, Shape, State, Workspace, rollout, step,
+    AppliedForce, Articulation, Base, Body, Control, Fixed, ForcePoint, Geom, Method, Model, Mover, Part, Path, Result,
+    Scene, Scheme, Shape, State, Workspace, rollout, step,
 };
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -213,7 +213,7 @@ fn whatever_else_is_wrong_is_named() {
         &["2 times but 1 values"],
     );
     refused(Path::linear(&[0.0, f64::NAN], &[at(0.0, 0.0, 0.0); 2]), &["time 1"]);
-    refused(BasePath::new(&[0.0, 0.0], &[at(0.0, 0.0, 0.0); 2]), &["time 1"]);
+    refused(Path::smooth(&[0.0, 0.0], &[at(0.0, 0.0, 0.0); 2]), &["time 1"]);
     let shape = |s: Shape| drex_diffsim::Collider::new(&[Geom::new(s)]);
     refused(shape(Shape::Sphere { radius_m: -0.1 }), &["radius of a sphere", "-0.1"]);
     let (mut model, state) = cubes(2);

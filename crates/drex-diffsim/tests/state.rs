@@ -6,8 +6,8 @@ mod common;
 
 use drex_core::Pose;
 use drex_diffsim::{
-    Articulation, Base, BasePath, BodyState, Control, Job, Material, Model, Part, Record, Scene, State, Workspace,
-    rollout, rollout_batch, step,
+    Articulation, Base, BodyState, Control, Job, Material, Model, Part, Path, Record, Scene, State, Workspace, rollout,
+    rollout_batch, step,
 };
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -30,7 +30,7 @@ fn busy(mass: f64) -> (Model<f64>, Scene<f64>, State<f64>) {
         ),
         r#"<motor joint="left"/><motor joint="right"/>"#,
     );
-    let path = BasePath::new(&[0.1, 0.6], &[at(0.0, 0.003, 0.035), at(0.02, 0.003, 0.085)]).unwrap();
+    let path = Path::smooth(&[0.1, 0.6], &[at(0.0, 0.003, 0.035), at(0.02, 0.003, 0.085)]).unwrap();
     let arm = Articulation::new(fingers, Base::Path(path)).unwrap().with_friction(0.6).with_torsion_radius(3e-3);
     let bodies = vec![
         cuboid(Vector3::repeat(0.03), mass),

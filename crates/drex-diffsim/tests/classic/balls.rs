@@ -8,7 +8,7 @@ use nalgebra::{Point3, Vector3};
 
 use crate::common::{G, at, ball, cuboid, relative, resting, robot, within};
 
-/// 12. SimBenchmark's rolling test: 25 balls of 1 kg on a box of 10 kg that 150 N drag over the ground for 4 s, along a
+/// (12) SimBenchmark's rolling test: 25 balls of 1 kg on a box of 10 kg that 150 N drag over the ground for 4 s, along a
 /// direction between the axes; mu 0.4 below and 0.8 above.
 #[test]
 fn balls_roll_on_a_box_that_is_dragged() {
@@ -103,7 +103,7 @@ fn sums(model: &Model<f64>, state: &State<f64>) -> (Vector3<f64>, f64, f64) {
     (p, energy, height)
 }
 
-/// 13. SimBenchmark's momentum test: a ball of 10 kg at 5 m/s hits a free robot in free space.
+/// (13) SimBenchmark's momentum test: a ball of 10 kg at 5 m/s hits a free robot in free space.
 #[test]
 fn a_ball_hands_its_momentum_to_a_free_robot() {
     let mut model = Model::new(vec![ball(0.15, 10.0)]).with_arm(walker());
@@ -135,7 +135,7 @@ fn a_ball_hands_its_momentum_to_a_free_robot() {
     assert_eq!(work.unconverged_steps(), 0);
 }
 
-/// 13. A free robot falls with its joints in motion: momentum grows by m g t, energy is kept.
+/// (13) A free robot falls with its joints in motion: momentum grows by m g t, energy is kept.
 #[test]
 fn a_free_robot_falls_as_one() {
     let mut model = Model::new(Vec::new()).with_arm(walker());

@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 
 use crate::common::{G, at, cuboid, relative, resting, within};
 
-/// 19. Drags a box to its speed with mu g, carries it without creep, and leaves it v²/(2 mu g) further when it stops.
+/// (19) Drags a box to its speed with mu g, carries it without creep, and leaves it v²/(2 mu g) further when it stops.
 #[test]
 fn a_belt_drags_a_box_to_its_speed() {
     let (mu, speed, end) = (0.4, 0.5, 3.0);

@@ -41,7 +41,7 @@ fn press(robot: Arc<Robot>, q: &[f64], command: &[f64], wall: Fixed<f64>, gravit
     (off.norm() / drive.norm(), force)
 }
 
-/// 18. At rest the drives hold the weight and the force at the tip: tau = g(q) - Jᵀ f.
+/// (18) At rest the drives hold the weight and the force at the tip: tau = g(q) - Jᵀ f.
 #[test]
 fn drives_carry_what_the_tip_presses() {
     let two = robot(

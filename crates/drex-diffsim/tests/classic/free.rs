@@ -15,7 +15,7 @@ fn weightless() -> Scene<f64> {
     scene
 }
 
-/// 1. A point mass on a massless rod; 500 steps from rest.
+/// (1) A point mass on a massless rod; 500 steps from rest.
 #[test]
 fn energy_of_a_pendulum_drifts_less_than_by_explicit_euler_and_more_than_by_runge_kutta() {
     let (l, h, start) = (0.5, 2e-3, 1.0_f64);
@@ -53,7 +53,7 @@ fn energy_of_a_pendulum_drifts_less_than_by_explicit_euler_and_more_than_by_rung
     within("1 pendulum, 500 steps of 2 ms", "energy drift of Runge-Kutta 4 below ours", runge_kutta, ours);
 }
 
-/// 1. E = T + V of the acrobot in closed form; the error of a first-order method halves with the step.
+/// (1) E = T + V of the acrobot in closed form; the error of a first-order method halves with the step.
 #[test]
 fn energy_of_an_acrobot_is_kept_to_first_order() {
     let (m1, m2, l1, c1, c2, i1, i2) = (1.0, 1.3, 1.0, 0.5, 0.9, 0.083, 0.33);
@@ -90,7 +90,7 @@ fn energy_of_an_acrobot_is_kept_to_first_order() {
     within("1 acrobot, half the step", "half the drift", (coarse / fine / 2.0 - 1.0).abs(), 0.1);
 }
 
-/// 2. Euler's equations of a symmetric body at phases where the accelerated component is zero, so that a step of 1e-18 s
+/// (2) Euler's equations of a symmetric body at phases where the accelerated component is zero, so that a step of 1e-18 s
 /// shows the derivative to the last digits.
 #[test]
 fn derivatives_of_a_torque_free_body_are_exact() {
@@ -115,7 +115,7 @@ fn derivatives_of_a_torque_free_body_are_exact() {
     within("2 torque-free body, derivatives", "2 q' = w q", worst[1], 32.0 * f64::EPSILON);
 }
 
-/// 2. R(t) = exp(L t / I1) R(0) exp(z (1 - I3/I1) w3 t) and w3 constant, over four periods.
+/// (2) R(t) = exp(L t / I1) R(0) exp(z (1 - I3/I1) w3 t) and w3 constant, over four periods.
 #[test]
 fn a_symmetric_body_turns_and_precesses_at_its_two_rates() {
     let (i1, i3) = (0.04, 0.02);
@@ -151,7 +151,7 @@ fn a_symmetric_body_turns_and_precesses_at_its_two_rates() {
     within("2 torque-free body, half the step", "half the deviation", relative(coarse / fine, 2.0), 0.1);
 }
 
-/// 3. The boxes of MuJoCo's FreeBodyConservation, 10 ms.
+/// (3) The boxes of MuJoCo's FreeBodyConservation, 10 ms.
 #[test]
 fn a_tumbling_box_loses_a_little_energy_and_never_gains_any() {
     let tilt = UnitQuaternion::from_euler_angles(10_f64.to_radians(), 20_f64.to_radians(), 30_f64.to_radians());
@@ -183,7 +183,7 @@ fn a_tumbling_box_loses_a_little_energy_and_never_gains_any() {
     }
 }
 
-/// 3. The boxes of MuJoCo's FreeBodyGyroStable: tumbling about the middle axis, and fast about the first.
+/// (3) The boxes of MuJoCo's FreeBodyGyroStable: tumbling about the middle axis, and fast about the first.
 #[test]
 fn a_spinning_box_gains_no_energy_in_100_seconds() {
     for w in [Vector3::new(0.05, 5.0, 0.05), Vector3::new(20.0, 0.05, 0.05)] {
@@ -200,7 +200,7 @@ fn a_spinning_box_gains_no_energy_in_100_seconds() {
     }
 }
 
-/// 4. A top as three hinges (precession, nutation, spin).
+/// (4) A top as three hinges (precession, nutation, spin).
 struct Top {
     model: Model<f64>,
     tilt: f64,
@@ -253,7 +253,7 @@ fn a_heavy_top_precesses_steadily() {
     }
 }
 
-/// 4. Released with spin only, the top nods 40 times while it precesses at m g l / (I3 w3) in the mean.
+/// (4) Released with spin only, the top nods 40 times while it precesses at m g l / (I3 w3) in the mean.
 #[test]
 fn a_fast_top_released_from_rest_nods_and_precesses() {
     let top = Top::new(1e-5);

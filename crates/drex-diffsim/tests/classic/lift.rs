@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use drex_core::Pose;
-use drex_diffsim::{Articulation, Base, BasePath, BodyState, Control, Model, Part, Scene, State, Workspace, step};
+use drex_diffsim::{Articulation, Base, BodyState, Control, Model, Part, Path, Scene, State, Workspace, step};
 use drex_robot::Robot;
 use nalgebra::Vector3;
 
@@ -45,7 +45,7 @@ impl Grip {
     /// A box of `mass` that is squeezed by `force` on each side.
     fn new(mass: f64, force: f64) -> Self {
         let height = HALF + 0.005;
-        let path = BasePath::new(&LIFT, &[at(0.0, 0.0, height), at(0.0, 0.0, height + 0.01)]).unwrap();
+        let path = Path::smooth(&LIFT, &[at(0.0, 0.0, height), at(0.0, 0.0, height + 0.01)]).unwrap();
         let arm = Articulation::new(gripper(), Base::Path(path)).unwrap().with_friction(MU);
         let mut model = Model::new(vec![cuboid(Vector3::repeat(HALF), mass)]).with_arm(arm);
         model.dt_s = 1e-3;
@@ -73,7 +73,7 @@ impl Grip {
     }
 }
 
-/// 14. Threshold m g / (2 mu), hold at 1.5 times it, balance of forces; the masses of Symbol-Y.
+/// (14) Threshold m g / (2 mu), hold at 1.5 times it, balance of forces; the masses of Symbol-Y.
 #[test]
 fn two_fingers_lift_what_friction_can_carry_and_hold_it() {
     for mass in [0.117, 0.206, 0.324] {

@@ -38,7 +38,7 @@ fn first_move(mass: f64, height: f64) -> (bool, f64) {
     (false, f64::INFINITY)
 }
 
-/// 15. Tips iff h > b / (2 mu), at the force m g b / (2 h); else slides from mu m g on.
+/// (15) Tips iff h > b / (2 mu), at the force m g b / (2 h); else slides from mu m g on.
 #[test]
 fn a_push_tips_above_the_height_b_over_two_mu_and_slides_below() {
     let limit = 2.0 * HALF.x / (2.0 * MU);
@@ -55,7 +55,7 @@ fn a_push_tips_above_the_height_b_over_two_mu_and_slides_below() {
     }
 }
 
-/// 15. Below the limit it slides with a = F / m - mu g.
+/// (15) Below the limit it slides with a = F / m - mu g.
 #[test]
 fn a_push_below_the_limit_accelerates_the_box() {
     for (mass, factor) in [(0.1, 1.2), (1.0, 2.0), (5.0, 1.05)] {
@@ -74,7 +74,7 @@ fn a_push_below_the_limit_accelerates_the_box() {
     }
 }
 
-/// 16. A box that rests on the table is pressed down and let go: with contact per unit mass, m z'' = u - m g - m (...)
+/// (16) A box that rests on the table is pressed down and let go: with contact per unit mass, m z'' = u - m g - m (...)
 /// makes z(t) affine in 1/m. Two known masses give the line, least squares over the track give the third.
 #[test]
 fn a_push_down_tells_the_mass() {

@@ -52,7 +52,7 @@ fn jam(stiffness: f64) -> Vector3<f64> {
     left
 }
 
-/// 17. Bounded, no gain of energy, converges as the stiffness grows.
+/// (17) Bounded, no gain of energy, converges as the stiffness grows.
 #[test]
 fn painleves_rod_jams_without_gaining_energy_and_converges_with_the_stiffness() {
     let ends = [1e5, 1e6, 1e7, 1e8, 1e9].map(jam);

@@ -4,7 +4,7 @@ use drex_diffsim::{Model, Scene, Workspace, step};
 
 use crate::common::{G, at, ball, relative, resting, within};
 
-/// 10. Slides until t = 2 v0 / (7 mu g), then rolls at 5/7 v0 and keeps that speed.
+/// (10) Slides until t = 2 v0 / (7 mu g), then rolls at 5/7 v0 and keeps that speed.
 #[test]
 fn a_bowling_ball_slides_and_then_rolls() {
     for (mass, radius, mu, v0) in [(7.0, 0.11, 0.12, 3.0), (0.05, 0.02, 0.4, 1.0)] {
