@@ -238,6 +238,11 @@ impl<T: Scalar> Model<T> {
         if self.method != Method::SemiImplicit && !self.arms.is_empty() {
             return Err(SimError::Method);
         }
+        self.check_step()
+    }
+
+    /// Checks the time step.
+    pub(crate) fn check_step(&self) -> Result<()> {
         if !(self.dt_s > 0.0 && self.dt_s <= LONGEST_STEP_S) {
             return Err(SimError::TimeStep { dt_s: self.dt_s, limit_s: LONGEST_STEP_S });
         }

@@ -145,25 +145,7 @@ pub(crate) fn check<T: Scalar>(
             remedy: "sort the times".into(),
         });
     }
-    for (what, given, needed) in
-        [("bodies", start.bodies.len(), model.bodies.len()), ("articulations", start.arms.len(), model.arms.len())]
-    {
-        if given != needed {
-            return Err(SimError::Series {
-                what: format!("the model has {needed} {what} but the state {given}"),
-                remedy: "give one state each".into(),
-            });
-        }
-    }
-    for (i, s) in start.bodies.iter().enumerate() {
-        let pose = s.world_from_body.translation.vector.iter().chain(s.world_from_body.rotation.coords.iter());
-        if pose.chain(s.velocity.iter()).chain(s.angular_velocity.iter()).any(|x| !x.value().is_finite()) {
-            return Err(SimError::NotFinite { what: format!("body {i}: the start state") });
-        }
-    }
-    for (arm, s) in model.arms.iter().zip(&start.arms) {
-        arm.check_state(s)?;
-    }
+    start.check(model)?;
     for (i, force) in scene.forces.iter().enumerate() {
         pairs::check_part(model, force.on, || format!("force {i}"))?;
     }

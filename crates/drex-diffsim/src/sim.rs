@@ -114,7 +114,9 @@ pub(crate) struct BodyFrame<T: Scalar> {
 /// the exponential map.
 ///
 /// # Errors
-/// If the motion diverges, or a control does not fit its articulation.
+/// If the state does not fit the model or is not finite, the time step is out of range, a control does not fit its
+/// articulation, or the motion diverges. Masses, constants and scene are checked by [`crate::rollout`] alone, or by
+/// [`Model::check`].
 pub fn step<T: Scalar>(
     model: &Model<T>,
     scene: &Scene<T>,
@@ -124,6 +126,8 @@ pub fn step<T: Scalar>(
     if model.method != Method::SemiImplicit && !model.arms.is_empty() {
         return Err(SimError::Method);
     }
+    model.check_step()?;
+    state.check(model)?;
     match model.method {
         Method::SemiImplicit => semi_implicit(model, scene, state, work)?,
         Method::Penalty { scheme, substeps } => penalty::step(model, scene, state, work, scheme, substeps)?,

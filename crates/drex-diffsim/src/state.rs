@@ -3,9 +3,9 @@
 use drex_core::Pose;
 use nalgebra::Vector3;
 
-use crate::Scalar;
 use crate::articulation::ArmState;
 use crate::contact::{Contact, ContactKey};
+use crate::{Model, Result, Scalar, SimError};
 
 /// State of one free body.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -65,5 +65,32 @@ impl<T: Scalar> State<T> {
     /// Bodies and articulations, nothing touching yet, time zero.
     pub fn new(bodies: Vec<BodyState<T>>, arms: Vec<ArmState<T>>) -> Self {
         Self { time_s: 0.0, bodies, arms, anchors: Vec::new() }
+    }
+
+    /// Checks that there is one state per body and articulation of the model, and that all of it is finite.
+    ///
+    /// # Errors
+    /// Names the body, or the robot and the joint.
+    pub fn check(&self, model: &Model<T>) -> Result<()> {
+        if !self.time_s.is_finite() {
+            return Err(SimError::NotFinite { what: format!("the time of the state, {} s,", self.time_s) });
+        }
+        for (what, given, needed) in
+            [("bodies", self.bodies.len(), model.bodies.len()), ("articulations", self.arms.len(), model.arms.len())]
+        {
+            if given != needed {
+                return Err(SimError::Series {
+                    what: format!("the model has {needed} {what} but the state {given}"),
+                    remedy: "give one state each".into(),
+                });
+            }
+        }
+        for (i, s) in self.bodies.iter().enumerate() {
+            let pose = s.world_from_body.translation.vector.iter().chain(s.world_from_body.rotation.coords.iter());
+            if pose.chain(s.velocity.iter()).chain(s.angular_velocity.iter()).any(|x| !x.value().is_finite()) {
+                return Err(SimError::NotFinite { what: format!("body {i}: pose or velocity") });
+            }
+        }
+        model.arms.iter().zip(&self.arms).try_for_each(|(arm, s)| arm.check_state(s))
     }
 }

@@ -1,7 +1,7 @@
 //! What a robot, its state and its controls must be to be simulated; names instead of indices.
 
 use drex_robot::Robot;
-use nalgebra::SymmetricEigen;
+use nalgebra::{Matrix3, SymmetricEigen};
 
 use super::{ActuatorKind, ArmState, Articulation, TreeWork};
 use crate::{Result, Scalar, SimError};
@@ -20,15 +20,13 @@ impl<T: Scalar> Articulation<T> {
             let mass = m.mass_kg.value();
             let finite = m.center_of_mass.iter().chain(m.inertia.iter()).all(|x| x.value().is_finite());
             let inertia = m.inertia.map(|x| x.value());
-            if !(finite && mass.is_finite() && mass >= 0.0)
-                || (inertia - inertia.transpose()).amax() > 1e-9 * inertia.norm()
-                || SymmetricEigen::new(inertia).eigenvalues.min() < -1e-9 * inertia.norm()
-            {
+            if !(finite && mass.is_finite() && mass >= 0.0 && exists(&inertia)) {
                 return Err(SimError::Joint {
                     robot: self.robot.name.clone(),
                     joint: format!("link {}", link.name),
                     what: format!("mass {mass} kg, inertia {:?} are no rigid body's", inertia.as_slice()),
-                    remedy: "give finite numbers, no negative mass, and a symmetric inertia without negative moments"
+                    remedy: "give finite numbers, no negative mass, and a symmetric inertia none of whose principal moments \
+                             is negative or above the sum of the others"
                         .into(),
                 });
             }
@@ -213,6 +211,16 @@ impl<T: Scalar> Articulation<T> {
         }
         Ok(())
     }
+}
+
+/// Whether some arrangement of masses has this inertia: symmetric, no negative principal moment, none above the sum of
+/// the others. All zero is the inertia of a point.
+fn exists(inertia: &Matrix3<f64>) -> bool {
+    let slack = 1e-9 * inertia.norm();
+    let moments = SymmetricEigen::new(*inertia).eigenvalues;
+    (inertia - inertia.transpose()).amax() <= slack
+        && moments.min() >= -slack
+        && 2.0 * moments.max() <= moments.sum() * (1.0 + 1e-6) + slack
 }
 
 /// An error about a joint.

@@ -17,6 +17,13 @@ const SEARCHES: usize = 12;
 const DESCENT: f64 = 0.5;
 /// Part of the residual's component along a direction that may be left at its end.
 const FLAT: f64 = 0.1;
+/// Updates of the friction bounds, at most, where Newton's method fails.
+const SETTLINGS: usize = 300;
+/// Relative change of the bounds from where on Newton's method is tried again, and its iterations then.
+const SETTLED: f64 = 1e-5;
+/// The bounds move by this many times what they are off, at most.
+const LONGEST: f64 = 4.0;
+const POLISHES: usize = 12;
 /// Change of velocity, relative, below which an iteration has converged.
 const TOLERANCE: f64 = 1e-11;
 
@@ -70,6 +77,10 @@ pub(crate) struct Solver<T: Scalar> {
     r: Vec<f64>,
     trial_r: Vec<f64>,
     columns: Vec<[f64; 8]>,
+    /// Normal force less friction bound, per law.
+    gaps: Vec<f64>,
+    bounds: Vec<f64>,
+    settled: Vec<f64>,
     dual_r: Vec<T>,
     /// Velocities at the end of the step.
     pub velocities: Vec<T>,
@@ -91,6 +102,9 @@ impl<T: Scalar> Default for Solver<T> {
             r: Vec::new(),
             trial_r: Vec::new(),
             columns: Vec::new(),
+            gaps: Vec::new(),
+            bounds: Vec::new(),
+            settled: Vec::new(),
             dual_r: Vec::new(),
             velocities: Vec::new(),
             converged: true,
@@ -192,7 +206,7 @@ impl<T: Scalar> Solver<T> {
         self.u.clear();
         self.u.extend(island.start.iter().map(Scalar::value));
         self.iterations = 0;
-        self.converged = self.newton(dt);
+        self.converged = self.newton(dt, ITERATIONS) || self.settle(dt);
 
         // One more step with derivatives.
         self.velocities.clear();
@@ -213,9 +227,9 @@ impl<T: Scalar> Solver<T> {
     /// the normal force in the friction bound held at what it is now: that problem is convex, so the residual's
     /// component along the direction is monotone and its zero can be bracketed. Without that, friction that changes
     /// sides never settles.
-    fn newton(&mut self, dt: f64) -> bool {
+    fn newton(&mut self, dt: f64, iterations: usize) -> bool {
         self.values.residual(&self.u, dt, &mut self.r);
-        for _ in 0..ITERATIONS {
+        for _ in 0..iterations {
             self.iterations += 1;
             let mut found = self.direction(dt);
             let mut length = 1.0;
@@ -242,6 +256,72 @@ impl<T: Scalar> Solver<T> {
             }
         }
         false
+    }
+
+    /// A fixed-point iteration on the friction bounds from the guess, for where Newton's method goes in circles (a body
+    /// that is wedged between two others): the convex problem of held bounds is solved to the end, then the bounds move
+    /// to the normal forces that it gives: further while they keep their direction, less far where they swing back.
+    fn settle(&mut self, dt: f64) -> bool {
+        self.u.clone_from(&self.values.guess);
+        self.hold_bounds();
+        self.bounds.clear();
+        self.bounds.extend(self.values.laws.iter().map(|law| law.lagged.unwrap_or(0.0)));
+        self.gaps.clear();
+        self.gaps.resize(self.bounds.len(), 0.0);
+        let (mut part, mut goal) = (1.0, SETTLED);
+        for _ in 0..SETTLINGS {
+            for (law, bound) in self.values.laws.iter_mut().zip(&self.bounds) {
+                law.lagged = Some(*bound);
+            }
+            self.convex(dt);
+            // From the bounds to the normal forces at u, and how far along what that was before.
+            let (mut gap2, mut sum, mut along) = (0.0, 0.0, 0.0);
+            for (k, law) in self.values.laws.iter().enumerate() {
+                let (v, _) = self.values.relative(k, &self.u);
+                let normal = (law.preload - law.kappa_n * v.dot(&law.normal)).max(0.0);
+                let gap = normal - self.bounds[k];
+                (gap2, sum) = (gap2 + gap * gap, sum + normal);
+                along += gap * self.gaps[k];
+                self.gaps[k] = gap;
+            }
+            if gap2.sqrt() <= goal * sum {
+                // Near enough for Newton's method; where it leaves again, the fixed point itself is the answer.
+                self.free_bounds();
+                self.settled.clone_from(&self.u);
+                if self.newton(dt, POLISHES) {
+                    return true;
+                }
+                self.u.clone_from(&self.settled);
+                if goal <= TOLERANCE {
+                    return true;
+                }
+                goal *= 1e-3;
+            }
+            part = if along < 0.0 { 0.5 * part } else { f64::min(1.5 * part, LONGEST) };
+            for (bound, gap) in self.bounds.iter_mut().zip(&self.gaps) {
+                *bound = (*bound + part * gap).max(0.0);
+            }
+        }
+        self.free_bounds();
+        self.newton(dt, POLISHES)
+    }
+
+    /// Newton's method on the convex problem of held bounds, from `u`.
+    fn convex(&mut self, dt: f64) {
+        self.values.residual(&self.u, dt, &mut self.r);
+        for _ in 0..ITERATIONS {
+            self.iterations += 1;
+            if !self.direction(dt) {
+                return;
+            }
+            let length = self.line_search(dt);
+            let size = norm(&self.step) * length;
+            std::mem::swap(&mut self.u, &mut self.trial);
+            std::mem::swap(&mut self.r, &mut self.trial_r);
+            if size < TOLERANCE * (1.0 + norm(&self.u)) {
+                return;
+            }
+        }
     }
 
     /// The part of the step at whose end the residual has almost no component left along it; leaves the end in `trial`.
