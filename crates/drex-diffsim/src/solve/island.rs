@@ -262,7 +262,7 @@ impl<T: Scalar> Solver<T> {
     /// that is wedged between two others): the convex problem of held bounds is solved to the end, then the bounds move
     /// to the normal forces that it gives: further while they keep their direction, less far where they swing back.
     fn settle(&mut self, dt: f64) -> bool {
-        self.u.clone_from(&self.values.guess);
+        self.u.clone_from(&self.values.start);
         self.hold_bounds();
         self.bounds.clear();
         self.bounds.extend(self.values.laws.iter().map(|law| law.lagged.unwrap_or(0.0)));
