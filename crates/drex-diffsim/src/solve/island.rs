@@ -258,11 +258,16 @@ impl<T: Scalar> Solver<T> {
         false
     }
 
-    /// A fixed-point iteration on the friction bounds from the guess, for where Newton's method goes in circles (a body
+    /// A fixed-point iteration on the friction bounds from the start, for where Newton's method goes in circles (a body
     /// that is wedged between two others): the convex problem of held bounds is solved to the end, then the bounds move
     /// to the normal forces that it gives: further while they keep their direction, less far where they swing back.
     fn settle(&mut self, dt: f64) -> bool {
         self.u.clone_from(&self.values.start);
+        if self.values.laws.iter().any(|law| law.soft.is_some()) {
+            // Soft laws have no bounds: the problem is convex as it is.
+            self.convex(dt);
+            return self.newton(dt, POLISHES);
+        }
         self.hold_bounds();
         self.bounds.clear();
         self.bounds.extend(self.values.laws.iter().map(|law| law.lagged.unwrap_or(0.0)));

@@ -28,10 +28,10 @@ fn run(model: &Model<f64>, scene: &Scene<f64>, state: &mut State<f64>, work: &mu
 fn a_spinning_ellipsoid_on_a_slope_does_not_speed_up_by_itself() {
     let radii = Vector3::new(0.05, 0.1, 0.15);
     let mut points = Vec::new();
-    for i in 0..=12 {
-        let (s, c) = (std::f64::consts::PI * f64::from(i) / 12.0).sin_cos();
-        for j in 0..24 {
-            let (y, x) = (std::f64::consts::TAU * f64::from(j) / 24.0).sin_cos();
+    for i in 0..=16 {
+        let (s, c) = (std::f64::consts::PI * f64::from(i) / 16.0).sin_cos();
+        for j in 0..30 {
+            let (y, x) = (std::f64::consts::TAU * f64::from(j) / 30.0).sin_cos();
             points.push(Point3::from(radii.component_mul(&Vector3::new(s * x, s * y, c))));
         }
     }
@@ -47,14 +47,14 @@ fn a_spinning_ellipsoid_on_a_slope_does_not_speed_up_by_itself() {
         let (mut before, mut gain) = (energy(&model, &state, &scene.gravity), 0.0_f64);
         for _ in 0..5000 {
             step(&model, &scene, &mut state, &mut work).unwrap();
-            touching += usize::from(work.contacts().next().is_some());
+            touching += work.contacts().count();
             let b = &state.bodies[0];
             fastest = fastest.max((b.velocity.norm_squared() + b.angular_velocity.norm_squared()).sqrt());
             let now = energy(&model, &state, &scene.gravity);
             gain = gain.max(now - before);
             before = now;
         }
-        assert!(touching > 1000, "it touches in {touching} steps");
+        assert!(touching > 1000, "it touches {touching} times");
         let name = format!("5 spin and contact, slope {:.0} degrees, 10 s", angle.to_degrees());
         within(&name, "speed over start", fastest / 30.0, 2.0);
         within(&name, "energy gained in a step, J", gain, 1e-9);
