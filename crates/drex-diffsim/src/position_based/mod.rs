@@ -257,16 +257,17 @@ fn correct<T: Scalar>(
     }
 }
 
-/// Dynamic friction of a contact that slips: what is left of its bound is turned against the velocity that it has now,
-/// and stops it at most.
+/// Dynamic friction of a contact that slips: it is turned against the velocity that the contact has in the end. One that
+/// already slips the other way is left alone: its spring lets go in the next substep, and a push that stopped it at once
+/// would wind the spring up backwards.
 fn rub<T: Scalar>(row: &mut Row<T>, c: &Contact<T>, state: &mut State<T>, bodies: &[Moving<T>], h: f64) {
-    let bound = row.across.norm_squared();
-    if !(bound.value() > 0.0) {
-        return;
-    }
     let velocity = row.velocity(state, h);
     let v = velocity - c.normal * velocity.dot(&c.normal);
-    let (across, slips) = bounded(row.across - scaled(&v, 1.0 / h) / row.across_mobility, bound.sqrt());
+    if !(row.across.dot(&v).value() < 0.0) {
+        return;
+    }
+    let bound = row.across.norm();
+    let (across, _) = bounded(row.across - scaled(&v, 1.0 / h) / row.across_mobility, bound);
     let change = scaled(&(across - row.across), h);
     let mut kick = |grip: &Grip<T>, sign: T| {
         let s = &mut state.bodies[grip.body];
@@ -278,7 +279,7 @@ fn rub<T: Scalar>(row: &mut Row<T>, c: &Contact<T>, state: &mut State<T>, bodies
     if let Against::Body(grip) = &row.b {
         kick(grip, -T::one());
     }
-    (row.across, row.slips) = (across, slips);
+    row.across = across;
 }
 
 /// Notes what the contacts did, and keeps their springs.

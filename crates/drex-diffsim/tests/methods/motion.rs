@@ -294,3 +294,34 @@ fn methods_agree_on_a_slide_that_turns() {
         assert!(off.0 < 1e-4 && off.1 < 2e-3, "{method:?}: {off:?}");
     }
 }
+
+#[test]
+fn a_lifted_box_whose_edge_slides_to_and_fro_stays_on_its_line() {
+    // Lifted at one side, the lower edge slides back, then forth once the box is let go, with friction springs as soft as
+    // 1e4 N/m. The friction of both corners has to turn round together, at any step.
+    let half = Vector3::new(0.06, 0.06, 0.025);
+    let run = |method: Method, dt_s: f64| {
+        let mut model = block(half, 0.2, method);
+        model.contact.stiffness_n_m = Some(1e4);
+        model.contact.relaxation_s = 2e-3;
+        model.contact.tangential_relaxation_s = 2e-3;
+        model.dt_s = dt_s;
+        let mut scene = Scene::on_table(0.3);
+        scene.forces.push(force(Vector3::z() * (0.75 * 0.2 * G), 0.05, 0.117, Point3::new(-0.06, 0.0, 0.0)));
+        let start = State::at_rest(at(0.0, 0.0, 0.025 - 0.2 * G / 1e4));
+        rollout(&model, &scene, &start, &[0.11, 0.15, 0.2]).unwrap().bodies[0].poses.clone()
+    };
+    let truth = run(IMPLICIT, 1e-5);
+    let corner = Point3::new(0.06, 0.06, -0.025);
+    assert!((truth[0] * corner).x < 0.0598 && (truth[2] * corner).x > 0.065, "{}", truth[2]);
+    for method in ALL {
+        for dt_s in [4e-4, 1e-4] {
+            for (p, q) in run(method, dt_s).iter().zip(&truth) {
+                let turn = (p.rotation * q.rotation.inverse()).scaled_axis();
+                assert!(turn.x.abs() < 1e-5 && turn.z.abs() < 1e-5, "{method:?} at {dt_s}: it turns by {turn}");
+                let off = (p.translation.vector - q.translation.vector).norm() + turn.y.abs() * half.x;
+                assert!(off < 6e-4 * dt_s / 4e-4, "{method:?} at {dt_s}: {off}");
+            }
+        }
+    }
+}
