@@ -69,7 +69,8 @@ fn simulate(
     let [a, b, c] = half.map(|x| x * x / 3.0);
     let inertia = Matrix3::from_diagonal(&Vector3::new(b + c, c + a, a + b));
     let unit = MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia };
-    let mut model = Model::new(vec![Body::new(&unit, mass_kg, Arc::new(Collider::new(&[Geom::new(Shape::Box { half_m })])?))]);
+    let mut model =
+        Model::new(vec![Body::new(&unit, mass_kg, Arc::new(Collider::new(&[Geom::new(Shape::Box { half_m })])?))]);
     model.contact.stiffness_n_m = Some(STIFFNESS);
     model.contact.relaxation_s = DAMPING / STIFFNESS;
     model.contact.tangential_relaxation_s = DAMPING / STIFFNESS;
@@ -175,7 +176,9 @@ fn main() -> Result<()> {
             .collect();
         let row = |o: usize, m: usize| &results[(o * METHODS.len() + m) * STEPS_S.len()..][..STEPS_S.len()];
         println!("## {motion:?}: pose error, mm / degrees\n");
-        table(|o, m| row(o, m).iter().map(|c| c.0.map_or("unstable".into(), |(p, r)| format!("{p:.2} / {r:.2}"))).collect());
+        table(|o, m| {
+            row(o, m).iter().map(|c| c.0.map_or("unstable".into(), |(p, r)| format!("{p:.2} / {r:.2}"))).collect()
+        });
         println!("\n## {motion:?}: error of the identified mass, %\n");
         table(|o, m| {
             let cell = |c: &Cell| match (c.0, c.1) {
