@@ -211,3 +211,25 @@ proptest! {
         }
     }
 }
+
+/// Wedged between a table and the side of a block, at a friction where the two contacts nearly lock each other: Newton's
+/// method alone goes in circles here.
+#[test]
+fn a_capsule_between_a_table_and_a_block_is_solved_in_every_step() {
+    let (radius_m, half_length_m, friction) = (0.0438, 0.0493, 0.9557);
+    let geom = Geom::new(Shape::Capsule { radius_m, half_length_m });
+    let model = Model::new(vec![body(&[geom], Vector3::new(3.369e-3, 3.369e-3, 9.594e-4), 0.05)]);
+    let mut scene = Scene::on_table(friction);
+    scene.fixed.push(Fixed::cuboid(Point3::new(0.1, 0.0, 0.02), Vector3::new(0.05, 0.3, 0.03), friction).unwrap());
+    let mut unsolved = 0;
+    for k in 0..40 {
+        let lean = UnitQuaternion::from_scaled_axis(Vector3::new(-1.9584 + 0.01 * f64::from(k), 0.2206, 1.1925));
+        let mut state = resting(&[turned(Vector3::new(-0.0267, 0.0, 0.2209), lean)]);
+        state.bodies[0].velocity = Vector3::new(0.1049, -0.2798, -0.7822);
+        state.bodies[0].angular_velocity = Vector3::new(-7.883, -1.0129, -6.6141);
+        let mut work = Workspace::default();
+        advance(&model, &scene, &mut state, &mut work, 0.4);
+        unsolved += work.unconverged_steps();
+    }
+    assert_eq!(unsolved, 0);
+}
