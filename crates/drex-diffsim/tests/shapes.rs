@@ -99,7 +99,7 @@ fn the_fineness_of_a_mesh_hardly_changes_a_slide() {
         (end.bodies[0].poses[0].translation.vector, end.bodies[0].poses[0].rotation.angle())
     };
     let ends: Vec<_> = shapes().into_iter().take(5).map(|(name, shape)| (name, slide(shape))).collect();
-    for (coarse, fine, allowed) in [(0, 1, 1e-6), (2, 4, 0.05), (3, 4, 0.01)] {
+    for (coarse, fine, allowed) in [(0, 1, 1e-6), (2, 4, 0.05), (3, 4, 0.02)] {
         let ((name, (way, turn)), (_, (w, t))) = (ends[coarse], ends[fine]);
         assert!((way - w).norm() < allowed * w.norm(), "{name}: {way:?} {w:?}");
         assert!((turn - t).abs() < allowed * t, "{name}: {turn} {t}");
