@@ -325,3 +325,31 @@ fn a_lifted_box_whose_edge_slides_to_and_fro_stays_on_its_line() {
         }
     }
 }
+
+#[test]
+fn round_things_that_slide_end_up_rolling() {
+    // Angular momentum about the ground is kept: v = v₀ / (1 + J / (m r²)), with J / (m r²) of 2/5 and 1/2.
+    let (r, v) = (0.03, 0.5);
+    let lying = Pose::from_parts(
+        nalgebra::Translation3::identity(),
+        UnitQuaternion::from_euler_angles(std::f64::consts::FRAC_PI_2, 0.0, 0.0),
+    );
+    let cylinder = Geom::new(Shape::Cylinder { radius_m: r, half_length_m: 0.04 }).at(lying);
+    for (geom, ratio) in [(Geom::new(Shape::Sphere { radius_m: r }), 0.4), (cylinder, 0.5)] {
+        let along = if ratio == 0.4 { 0.4 * r * r } else { r * r / 4.0 + 0.08 * 0.08 / 12.0 };
+        let inertia = Matrix3::from_diagonal(&Vector3::new(along, ratio * r * r, along));
+        let unit = MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia };
+        for method in ALL {
+            let mut model = block(Vector3::repeat(r), 0.2, method);
+            model.bodies[0] = Body::new(&unit, 0.2, Arc::new(Collider::new(&[geom.clone()]).unwrap()));
+            let mut start = State::at_rest(at(0.0, 0.0, r));
+            start.bodies[0].velocity.x = v;
+            let end = &rollout(&model, &Scene::on_table(0.4), &start, &[0.3, 0.6]).unwrap();
+            let speed = (place(end, 1).x - place(end, 0).x) / 0.3;
+            let rolls = v / (1.0 + ratio);
+            assert!((speed / rolls - 1.0).abs() < 2e-3, "{method:?}, {geom:?}: {speed} against {rolls}");
+            let spin = end.last.bodies[0].angular_velocity;
+            assert!((spin.y * r / rolls - 1.0).abs() < 2e-3 && spin.xz().norm() < 1e-4, "{method:?}: {spin}");
+        }
+    }
+}
