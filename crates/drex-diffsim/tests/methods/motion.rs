@@ -341,7 +341,7 @@ fn round_things_that_slide_end_up_rolling() {
         let unit = MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia };
         for method in ALL {
             let mut model = block(Vector3::repeat(r), 0.2, method);
-            model.bodies[0] = Body::new(&unit, 0.2, Arc::new(Collider::new(&[geom.clone()]).unwrap()));
+            model.bodies[0] = Body::new(&unit, 0.2, Arc::new(Collider::new(std::slice::from_ref(&geom)).unwrap()));
             let mut start = State::at_rest(at(0.0, 0.0, r));
             start.bodies[0].velocity.x = v;
             let end = &rollout(&model, &Scene::on_table(0.4), &start, &[0.3, 0.6]).unwrap();
