@@ -48,6 +48,25 @@ pub enum SysidError {
         /// What to do.
         remedy: String,
     },
+    /// Frames and clocks of a track cannot be found.
+    #[error("frames of the track: {what}; {remedy}")]
+    Frames {
+        /// What is wrong.
+        what: String,
+        /// What to do.
+        remedy: String,
+    },
+    /// A hand cannot be calibrated, or a calibration cannot be used.
+    #[error("calibration of the hand: {what}; {remedy}")]
+    Calibration {
+        /// What is wrong.
+        what: String,
+        /// What to do.
+        remedy: String,
+    },
+    /// The robot's model is unusable.
+    #[error(transparent)]
+    Robot(#[from] drex_robot::Error),
     /// The simulator refused the push.
     #[error("push `{push}`: {source}")]
     Simulation {

@@ -1,9 +1,12 @@
 #![doc = include_str!("../README.md")]
 
 mod answer;
+pub mod calibrate;
+
 mod error;
 mod estimate;
 mod finger;
+pub mod frames;
 mod identify;
 mod invariance;
 mod noise;

@@ -1,0 +1,144 @@
+//! Joint logs as smooth signals on an even grid: position, velocity, acceleration, effort and the gravity torque of the
+//! links, each from the same stretch of samples, so that relations between them survive the smoothing.
+
+use drex_core::Pose;
+use drex_core::joints::JointLog;
+use drex_robot::Robot;
+use nalgebra::{Matrix3, Vector3};
+
+use crate::{Result, SysidError};
+
+/// Time between grid points, s.
+pub(super) const STEP: f64 = 0.01;
+/// Half the stretch of samples that a grid point is made from, s.
+const HALF: f64 = 0.05;
+/// Samples that a grid point needs.
+const LEAST: usize = 8;
+
+/// One log of a hand, with what is known of how the hand stood.
+#[derive(Debug, Clone, Copy)]
+pub struct HandRun<'a> {
+    /// Name for reports.
+    pub name: &'a str,
+    /// Positions and efforts over time.
+    pub joints: &'a JointLog,
+    /// Pose of the hand's base in the world; only its orientation against gravity is used.
+    pub world_from_base: &'a Pose,
+    /// Gravity in the world, m/s².
+    pub gravity: Vector3<f64>,
+}
+
+/// Smoothed signals, `[joint of the robot][grid point]`; a joint that the log does not have is empty.
+#[derive(Debug, Clone)]
+pub(super) struct Signals {
+    pub times_s: Vec<f64>,
+    pub position: Vec<Vec<f64>>,
+    pub velocity: Vec<Vec<f64>>,
+    pub acceleration: Vec<Vec<f64>>,
+    pub effort: Vec<Vec<f64>>,
+    /// Torque that holds the links against gravity, N m.
+    pub gravity: Vec<Vec<f64>>,
+}
+
+impl Signals {
+    /// Smooths a log of `robot`.
+    ///
+    /// # Errors
+    /// If the log has no efforts, names a joint that the robot does not have, or is shorter than a tenth of a second.
+    pub fn of(run: &HandRun<'_>, robot: &Robot) -> Result<Self> {
+        let log = run.joints;
+        let n = log.times_s.len();
+        if log.efforts.len() != n || log.positions.len() != n {
+            return Err(SysidError::Calibration {
+                what: format!("run `{}` has {n} times, {} rows of positions and {} of efforts", run.name, log.positions.len(), log.efforts.len()),
+                remedy: "log effort_* beside position_* for every sample".into(),
+            });
+        }
+        let columns = log.names.iter().map(|name| robot.require_joint(name)).collect::<Result<Vec<_>, _>>().map_err(|e| {
+            SysidError::Calibration {
+                what: format!("run `{}` is not of the hand `{}`: {e}", run.name, robot.name),
+                remedy: "give the robot that the log was made with".into(),
+            }
+        })?;
+        let short = || SysidError::Calibration {
+            what: format!("run `{}` is shorter than a tenth of a second", run.name),
+            remedy: "give a longer joint log".into(),
+        };
+        let (first, last) = log.span_s().filter(|s| s.1 - s.0 > 2.0 * HALF).ok_or_else(short)?;
+        let dof = robot.dof();
+        let mut out = Self {
+            times_s: Vec::new(),
+            position: vec![Vec::new(); dof],
+            velocity: vec![Vec::new(); dof],
+            acceleration: vec![Vec::new(); dof],
+            effort: vec![Vec::new(); dof],
+            gravity: vec![Vec::new(); dof],
+        };
+        let down = run.world_from_base.rotation.inverse() * run.gravity;
+        for k in 0..=((last - first - 2.0 * HALF) / STEP).floor() as usize {
+            let t = first + HALF + k as f64 * STEP;
+            let (a, b) = (log.times_s.partition_point(|&s| s < t - HALF), log.times_s.partition_point(|&s| s <= t + HALF));
+            let Some(fit) = (b >= a + LEAST).then(|| Quadratic::new(t, &log.times_s[a..b])).flatten() else { continue };
+            out.times_s.push(t);
+            let mut q = robot.joints.iter().map(|j| j.reference).collect::<Vec<_>>();
+            for (column, &j) in columns.iter().enumerate() {
+                let [p, v, acc] = fit.of(log.positions[a..b].iter().map(|row| row[column]));
+                q[j] = p;
+                out.position[j].push(p);
+                out.velocity[j].push(v);
+                out.acceleration[j].push(acc);
+                out.effort[j].push(fit.of(log.efforts[a..b].iter().map(|row| row[column]))[0]);
+            }
+            let gravity = robot.gravity_torque(&q, &down);
+            for &j in &columns {
+                out.gravity[j].push(gravity[j]);
+            }
+        }
+        if out.times_s.len() < LEAST { Err(short()) } else { Ok(out) }
+    }
+
+    /// Joint vector at grid point `k`, at the reference where the log has no such joint.
+    pub fn joint_vector(&self, robot: &Robot, k: usize) -> Vec<f64> {
+        let value = |(j, joint): (usize, &drex_robot::Joint)| self.position[j].get(k).copied().unwrap_or(joint.reference);
+        robot.joints.iter().enumerate().map(value).collect()
+    }
+}
+
+/// Least-squares parabola through samples about a time.
+struct Quadratic {
+    offsets: Vec<f64>,
+    inverse: Matrix3<f64>,
+}
+
+impl Quadratic {
+    fn new(t: f64, times_s: &[f64]) -> Option<Self> {
+        let offsets: Vec<f64> = times_s.iter().map(|s| s - t).collect();
+        let mut normal = Matrix3::zeros();
+        for d in &offsets {
+            let row = Vector3::new(1.0, *d, d * d);
+            normal += row * row.transpose();
+        }
+        Some(Self { offsets, inverse: normal.try_inverse()? })
+    }
+
+    /// Value, first and second derivative at the middle.
+    fn of(&self, values: impl Iterator<Item = f64>) -> [f64; 3] {
+        let sum: Vector3<f64> = self.offsets.iter().zip(values).map(|(d, y)| Vector3::new(1.0, *d, d * d) * y).sum();
+        let c = self.inverse * sum;
+        [c[0], c[1], 2.0 * c[2]]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_parabola_is_kept_whatever_the_sampling() {
+        let times = [0.0, 0.003, 0.011, 0.013, 0.02, 0.031, 0.04];
+        let fit = Quadratic::new(0.015, &times).unwrap();
+        let y = |t: f64| 2.0 - 3.0 * t + 40.0 * t * t;
+        let [p, v, a] = fit.of(times.iter().map(|t| y(*t)));
+        assert!((p - y(0.015)).abs() < 1e-12 && (v - (-3.0 + 80.0 * 0.015)).abs() < 1e-9 && (a - 80.0).abs() < 1e-6);
+    }
+}
