@@ -20,8 +20,14 @@ use nalgebra::{DMatrix, DVector};
 pub(super) const LEAST_SPEED: f64 = 0.1;
 /// Effort that a contact adds, to begin with, N m.
 const USUAL_CONTACT: f64 = 0.05;
+/// Noise of an effort from which the search starts, N m.
+const STARTS: [f64; 4] = [0.004, 0.01, 0.02, 0.04];
+/// Share of samples that may lie anywhere.
+const STRAY: f64 = 0.05;
 /// Noise of an effort that is assumed at least, N m.
 const LEAST_NOISE: f64 = 1e-3;
+/// Share by which dry friction changes with position.
+const ALONG_THE_WAY: f64 = 0.25;
 /// Length of a stretch whose mean shows what repeats, s.
 const BLOCK: f64 = 0.3;
 
@@ -82,12 +88,9 @@ pub(super) fn fit(sequences: &[Sequence], prior: LoadPrior) -> Option<Fit> {
         x
     };
     let x = rows(false);
-    let mut state = Mixture { weights: vec![1.0; count], noise: 0.03, contact: USUAL_CONTACT, share: 0.3 };
-    let mut c = DVector::zeros(3);
-    for _ in 0..80 {
-        c = solve(&x, &effort, &state.weights, state.noise, prior)?.0;
-        state.update((&effort - &x * &c).as_slice());
-    }
+    // Where most motions touch something, a wide start takes contact for noise and a narrow one finds it: the likelier stays.
+    let ends = STARTS.iter().filter_map(|&noise| maximise(&x, &effort, noise, prior));
+    let (c, state) = ends.max_by(|a, b| a.1.likelihood.total_cmp(&b.1.likelihood))?;
     let mut residual = &effort - &x * &c;
     // Neighbours err alike: count independent stretches, not samples.
     let independent = independence(sequences, residual.as_slice(), &state.weights);
@@ -112,7 +115,10 @@ pub(super) fn fit(sequences: &[Sequence], prior: LoadPrior) -> Option<Fit> {
     }
     let noise = weighted_sd(residual.as_slice(), &state.weights).max(LEAST_NOISE);
     Some(Fit {
-        repeatability: block_sd(sequences, residual.as_slice(), &state.weights).unwrap_or(noise),
+        // Few motions cannot tell a touch that lasts from friction that changes along the way.
+        repeatability: block_sd(sequences, residual.as_slice(), &state.weights)
+            .unwrap_or(noise)
+            .hypot(ALONG_THE_WAY * values[0].abs() / (sequences.len() as f64).sqrt()),
         start_error: start_error(sequences, residual.as_slice(), values[2], noise),
         gravity_range: gravity_range(sequences, &free),
         values,
@@ -122,34 +128,60 @@ pub(super) fn fit(sequences: &[Sequence], prior: LoadPrior) -> Option<Fit> {
     })
 }
 
-/// Expectation maximisation over what is noise and what is contact.
+/// Expectation maximisation from one start.
+fn maximise(x: &DMatrix<f64>, y: &DVector<f64>, noise: f64, prior: LoadPrior) -> Option<(DVector<f64>, Mixture)> {
+    // Starts and stops are no friction: a few samples may lie anywhere.
+    let stray = 1.0 / (y.max() - y.min()).max(LEAST_NOISE);
+    let mut state = Mixture { weights: vec![1.0; y.len()], touched: vec![0.0; y.len()], noise, contact: USUAL_CONTACT, share: 0.3, likelihood: 0.0, stray };
+    // The lower half is freer than the upper: start there.
+    let flat = y.iter().sum::<f64>() / y.len() as f64;
+    let mut c = solve(x, y, &y.iter().map(|e| if *e < flat { 1.0 } else { 0.1 }).collect::<Vec<_>>(), noise, prior)?.0;
+    for _ in 0..80 {
+        state.expect((y - x * &c).as_slice());
+        c = solve(x, y, &state.weights, state.noise, prior)?.0;
+        state.maximise((y - x * &c).as_slice());
+    }
+    Some((c, state))
+}
+
+/// What is noise and what is contact.
 struct Mixture {
-    /// Probability of each sample that nothing touches.
+    /// Probability of each sample that nothing touches, and that something does; the rest are strays.
     weights: Vec<f64>,
+    touched: Vec<f64>,
     noise: f64,
     contact: f64,
     share: f64,
+    likelihood: f64,
+    /// Density of strays, 1/(N m).
+    stray: f64,
 }
 
 impl Mixture {
-    fn update(&mut self, residual: &[f64]) {
+    /// The probability of each sample that nothing touches.
+    fn expect(&mut self, residual: &[f64]) {
         let (s, rate) = (self.noise, 1.0 / self.contact);
-        for (w, r) in self.weights.iter_mut().zip(residual) {
+        self.likelihood = 0.0;
+        for ((w, held), r) in self.weights.iter_mut().zip(&mut self.touched).zip(residual) {
             let alone = (1.0 - self.share) * (-0.5 * (r / s).powi(2)).exp() / (s * (2.0 * std::f64::consts::PI).sqrt());
             // Normal noise plus an exponential: an exponentially modified normal density.
             let lift = rate * (rate * s * s / 2.0 - r);
             let touched = self.share * rate * lift.min(500.0).exp() * normal_cdf((r - rate * s * s) / s);
-            let sum = alone + touched;
-            *w = if sum > 0.0 { alone / sum } else { 0.0 };
+            let sum = (1.0 - STRAY) * (alone + touched) + STRAY * self.stray;
+            let alone = (1.0 - STRAY) * alone;
+            *w = alone / sum;
+            *held = (1.0 - STRAY) * touched / sum;
+            self.likelihood += sum.ln();
         }
-        let free: f64 = self.weights.iter().sum();
+    }
+
+    /// Noise, and share and size of contact, from these.
+    fn maximise(&mut self, residual: &[f64]) {
         self.noise = weighted_sd(residual, &self.weights).max(LEAST_NOISE);
-        self.share = (1.0 - free / residual.len() as f64).clamp(0.01, 0.9);
-        let (sum, held) = residual
-            .iter()
-            .zip(&self.weights)
-            .fold((0.0, 0.0), |(a, b), (r, w)| (a + (1.0 - w) * r.max(0.0), b + 1.0 - w));
+        let (free, held): (f64, f64) = (self.weights.iter().sum(), self.touched.iter().sum());
+        self.share = (held / (free + held)).clamp(0.01, 0.9);
         if held > 1.0 {
+            let sum: f64 = residual.iter().zip(&self.touched).map(|(r, w)| w * r.max(0.0)).sum();
             self.contact = (sum / held).clamp(3.0 * self.noise, 10.0);
         }
     }

@@ -11,16 +11,20 @@
 
 use drex_core::clock::{Span, overlap};
 use drex_core::{Pose, Trajectory, TriMesh};
+use drex_robot::{Finger, Robot, Shape};
 use nalgebra::{DMatrix, DVector, Point3, Translation3, UnitQuaternion, Vector3};
 
 use super::standing::Standing;
 use super::{FoundFrames, score};
+use crate::calibrate::{ExtraTorque, Touch};
 use crate::{Result, SysidError};
 
 /// Standard deviation of the stated height of a hand over the table, metres.
 const HEIGHT_SD: f64 = 0.05;
 /// Standard deviation of a tracker's delay, seconds.
 const DELAY_SD: f64 = 0.1;
+/// The longest delay of a tracker that is thought of, seconds.
+const MOST_DELAY: f64 = 0.3;
 /// Positions of a moving object are off by this share of the way it went.
 const SHARE_OF_WAY: f64 = 0.1;
 /// Rate at which a touch is looked at, Hz.
@@ -143,6 +147,55 @@ pub fn against_hand(
         rms_m: fit.rms,
         samples: fit.samples,
     })
+}
+
+/// The touch of `finger` that can have moved an object which starts to move at `motion_start_s` of the track's clock: of those
+/// that go on while it starts (the tracker may be late by [`MOST_DELAY`]), the strongest.
+pub(crate) fn moving_touch<'a>(touches: &'a [Touch], finger: &str, motion_start_s: f64) -> Option<&'a Touch> {
+    let mine = touches.iter().filter(|t| t.finger == finger);
+    let goes_on = mine.filter(|t| t.from_to_s[0] < motion_start_s + 0.5 && t.from_to_s[1] > motion_start_s - MOST_DELAY);
+    goes_on.max_by(|a, b| a.sigmas.total_cmp(&b.sigmas))
+}
+
+/// The paths of all fingertips of `robot` in a run, each with the touch that can have moved an object which starts to move at
+/// `motion_start_s`.
+pub fn tip_paths(
+    robot: &Robot,
+    world_from_base: &Pose,
+    extra: &ExtraTorque,
+    touches: &[Touch],
+    motion_start_s: f64,
+) -> Vec<TipPath> {
+    let fingers = robot.fingers();
+    let balls: Vec<(Point3<f64>, f64)> = fingers.iter().map(|f| tip_ball(robot, f)).collect();
+    let mut centers = vec![Vec::with_capacity(extra.times_s.len()); fingers.len()];
+    for q in &extra.positions {
+        let poses = robot.forward_kinematics(q, world_from_base);
+        for (finger, (ball, path)) in fingers.iter().zip(balls.iter().zip(&mut centers)) {
+            path.push(poses[finger.tip_link] * ball.0);
+        }
+    }
+    let path = |((finger, ball), centers): ((Finger, (Point3<f64>, f64)), Vec<Point3<f64>>)| {
+        let touch = moving_touch(touches, &finger.name, motion_start_s);
+        TipPath {
+            name: finger.name,
+            times_s: extra.times_s.clone(),
+            centers,
+            radius_m: ball.1,
+            touch_s: touch.map(|t| t.from_to_s),
+        }
+    };
+    fingers.into_iter().zip(balls).zip(centers).map(path).collect()
+}
+
+/// Centre, in the frame of the tip link, and radius of the ball at the end of a finger; the tip itself where there is none.
+pub(crate) fn tip_ball(robot: &Robot, finger: &Finger) -> (Point3<f64>, f64) {
+    let balls = robot.links[finger.tip_link].geoms.iter().filter_map(|g| match g.shape {
+        Shape::Sphere { radius } => Some((Point3::from(g.link_from_geom.translation.vector), radius)),
+        _ => None,
+    });
+    let nearest = balls.min_by(|a, b| (a.0 - finger.tip_point).norm().total_cmp(&(b.0 - finger.tip_point).norm()));
+    nearest.unwrap_or((finger.tip_point, 0.0))
 }
 
 /// Mean horizontal direction of the tips while they push.

@@ -18,11 +18,17 @@ use drex_core::trajectory::TrackNoise;
 use drex_core::{Pose, Trajectory, TriMesh};
 use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
-pub use self::hand::{HandPlacement, TipPath, against_hand};
+pub use self::hand::{HandPlacement, TipPath, against_hand, tip_paths};
+pub(crate) use self::hand::{moving_touch, tip_ball};
 pub use self::standing::{Standing, StandingFace};
 use crate::{Result, SysidError};
 use motion::Motion;
 use score::{Evidence, Hypothesis};
+
+/// Up directions that differ by less count as one, rad.
+const SAME_UP: f64 = 0.35;
+/// Odds below which a turn of the mesh is left out.
+const LEAST_ODDS: f64 = 1e-3;
 
 /// What is known beforehand, for [`find`]. Everything may be left out.
 #[derive(Debug, Clone, Default)]
@@ -67,10 +73,25 @@ pub struct FoundFrames {
     pub noise: TrackNoise,
     /// Odds of the next best up direction (20 degrees or more away) against this one; near 1 means a guess.
     pub runner_up_odds: f64,
+    /// How the mesh may sit in the tracked frame with the same up (trackers take objects upside down or turned by a quarter where
+    /// they look alike), with odds against the best; the best first. One, where it was given.
+    pub turns: Vec<Turn>,
     /// Other up directions, tracked frame, with their odds against this one, likely ones first.
     pub alternatives: Vec<(Vector3<f64>, f64)>,
     /// What the user should know.
     pub remarks: Vec<String>,
+}
+
+/// A way in which the mesh may sit in the tracked frame.
+#[derive(Debug, Clone, Copy)]
+#[non_exhaustive]
+pub struct Turn {
+    /// Pose of the mesh in the tracked frame.
+    pub tracked_from_mesh: Pose,
+    /// Up at rest in the mesh frame.
+    pub up_in_mesh: Vector3<f64>,
+    /// Odds against the best one.
+    pub odds: f64,
 }
 
 /// Finds the frames of `track` (poses `camera_from_tracked`, OpenCV camera axes) of the object of `mesh` (metres).
@@ -98,10 +119,16 @@ pub fn find(track: &Trajectory, mesh: &TriMesh, options: &FrameOptions) -> Resul
     }
     let up_in_tracked = best.tracked_from_mesh.rotation * best.up_in_mesh;
     let mut alternatives: Vec<(Vector3<f64>, f64)> = Vec::new();
-    for h in &ranked[1..] {
+    let mut turns: Vec<Turn> = Vec::new();
+    for h in &ranked {
         let up = h.tracked_from_mesh.rotation * h.up_in_mesh;
-        if alternatives.iter().map(|a| a.0).chain([up_in_tracked]).all(|a| a.angle(&up) > 0.35) {
-            alternatives.push((up, (best.cost - h.cost).exp()));
+        let odds = (best.cost - h.cost).exp();
+        let new = turns.iter().all(|t| t.tracked_from_mesh.rotation.angle_to(&h.tracked_from_mesh.rotation) > 0.1);
+        if up.angle(&up_in_tracked) < SAME_UP && odds > LEAST_ODDS && new {
+            turns.push(Turn { tracked_from_mesh: h.tracked_from_mesh, up_in_mesh: h.up_in_mesh, odds });
+        }
+        if alternatives.iter().map(|a| a.0).chain([up_in_tracked]).all(|a| a.angle(&up) > SAME_UP) {
+            alternatives.push((up, odds));
         }
     }
     alternatives.truncate(8);
@@ -137,6 +164,7 @@ pub fn find(track: &Trajectory, mesh: &TriMesh, options: &FrameOptions) -> Resul
         weights,
         noise: motion.noise,
         runner_up_odds,
+        turns,
         alternatives,
         remarks,
     })
@@ -145,7 +173,7 @@ pub fn find(track: &Trajectory, mesh: &TriMesh, options: &FrameOptions) -> Resul
 /// Hypotheses, likely ones first.
 fn rank(evidence: &Evidence, solid: &Standing, motion: &Motion, options: &FrameOptions) -> Vec<Hypothesis> {
     /// Cost of the assumption that the tracker's mesh had other axes than the file.
-    const OTHER_AXES: f64 = 4.0;
+    const OTHER_AXES: f64 = 2.0;
     let known_up = match options.world_from_camera {
         Some(w) => Some((w.rotation * motion.rest_pose.rotation).inverse() * Vector3::z()),
         None => options.up_in_tracked.and_then(|u| u.try_normalize(1e-9)),

@@ -15,7 +15,7 @@ const LEAST_POSES: usize = 10;
 /// Poses that the rest before the push must have.
 const LEAST_REST: usize = 5;
 /// Standard deviations by which medians of five frames must leave the rest.
-const SIGMAS: f64 = 6.0;
+const SIGMAS: [f64; 3] = [6.0, 4.5, 3.5];
 
 /// The parts of a track.
 #[derive(Debug, Clone)]
@@ -52,7 +52,9 @@ impl Motion {
         let (times, poses): (Vec<f64>, Vec<Pose>) = kept.iter().map(pick).unzip();
         let clean = Trajectory::from_samples(&times, &poses)?;
         let noise = clean.noise().ok_or_else(|| refuse("the track is all outliers".into(), "record again"))?;
-        let still = clean.leading_rest(&noise, SIGMAS);
+        // A track that rocks all the time looks noisier than it is: what is not sure may still be there.
+        let sigmas = SIGMAS.into_iter().find(|s| clean.leading_rest(&noise, *s) < clean.len()).unwrap_or(SIGMAS[0]);
+        let still = clean.leading_rest(&noise, sigmas);
         let span = track.span_s().unwrap_or_default();
         if still >= clean.len() {
             return Err(refuse(
@@ -60,20 +62,28 @@ impl Motion {
                 "record a push that moves it",
             ));
         }
-        if still < LEAST_REST {
+        let rest_pose = mean_pose(&poses[..still]);
+        if still < LEAST_REST || !rests(&poses[..still], &rest_pose, &noise) {
             return Err(refuse(
                 format!("the object already moves at the first pose ({:.3} s)", span.0),
                 "start the track at least half a second before the push, or give the camera's pose",
             ));
         }
-        let rest_pose = mean_pose(&poses[..still]);
         let (start_s, first) = onset(&clean, still, &rest_pose, &noise);
         let back: Vec<f64> = times.iter().rev().map(|t| -t).collect();
         let turned: Vec<Pose> = poses.iter().rev().copied().collect();
-        let calm = Trajectory::from_samples(&back, &turned)?.leading_rest(&noise, SIGMAS);
+        let calm = Trajectory::from_samples(&back, &turned)?.leading_rest(&noise, sigmas);
         let settled = clean.len() - calm.min(clean.len() - still)..clean.len();
         Ok(Self { rest: 0..first, rest_pose, start_s, settled, noise, weights, clean })
     }
+}
+
+/// Whether poses scatter about `mean` no more than a tracker's noise and drift explain.
+fn rests(poses: &[Pose], mean: &Pose, noise: &TrackNoise) -> bool {
+    let off: Vec<Vector6<f64>> = poses.iter().map(|p| pose_difference(mean, p)).collect();
+    let white: Vec<f64> = noise.position_m.iter().chain(&noise.rotation_rad).copied().collect();
+    let rms = |k: usize| (off.iter().map(|d| d[k] * d[k]).sum::<f64>() / poses.len() as f64).sqrt();
+    (0..6).all(|k| rms(k) < 6.0 * white[k].max(if k < 3 { 1e-4 } else { 1e-3 }))
 }
 
 /// Weight of each frame: how well it lies between its neighbours, measured by how far these lie apart. A frame that
@@ -128,8 +138,8 @@ pub(super) fn mean_pose(poses: &[Pose]) -> Pose {
     center
 }
 
-/// When the motion starts: the size of the motion grows like the square of time, so its root is carried back to zero.
-/// Also the first frame that is no longer at rest.
+/// When the motion starts, and its standard deviation: the size of the motion over the first frames, less what noise adds
+/// to it, is carried back to zero along a line. Also the first frame that is no longer at rest.
 fn onset(track: &Trajectory, still: usize, rest: &Pose, noise: &TrackNoise) -> ((f64, f64), usize) {
     let (t, p) = (track.times_s(), track.poses());
     // A tracker also drifts: the scatter about the mean of the rest counts, not only the white noise.
@@ -140,17 +150,17 @@ fn onset(track: &Trajectory, still: usize, rest: &Pose, noise: &TrackNoise) -> (
         .collect();
     let size = |i: usize| {
         let d = pose_difference(rest, &p[i]);
-        (0..6).map(|k| (d[k] / sd[k]).powi(2)).sum::<f64>().sqrt()
+        ((0..6).map(|k| (d[k] / sd[k]).powi(2)).sum::<f64>() - 6.0).max(0.0).sqrt()
     };
     // `leading_rest` looks five frames ahead: the motion begins with the last run of frames beyond the noise after it.
     let first = (still..track.len()).find(|&i| (i..(i + 3).min(track.len())).all(|k| size(k) > 6.0)).unwrap_or(still);
     let step = track.median_step_s().unwrap_or(0.0);
-    let rows: Vec<(f64, f64)> = (first..(first + 5).min(track.len())).map(|i| (t[i], size(i).sqrt())).collect();
+    let rows: Vec<(f64, f64)> = (first..(first + 4).min(track.len())).map(|i| (t[i], size(i))).collect();
     let n = rows.len() as f64;
     let (mt, ms) = (rows.iter().map(|r| r.0).sum::<f64>() / n, rows.iter().map(|r| r.1).sum::<f64>() / n);
     let slope = rows.iter().map(|r| (r.0 - mt) * (r.1 - ms)).sum::<f64>()
         / rows.iter().map(|r| (r.0 - mt).powi(2)).sum::<f64>().max(1e-12);
-    let earliest = t[first.saturating_sub(3)];
+    let earliest = t[first.saturating_sub(2)];
     let start = if slope > 0.0 { (mt - ms / slope).clamp(earliest, t[first]) } else { t[first] };
     ((start, step), first)
 }

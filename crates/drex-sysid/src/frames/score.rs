@@ -17,8 +17,8 @@ const MOST_FRAMES: usize = 60;
 const SECONDS: f64 = 4.0;
 /// A track of a moving object is off by this share of the way it went (bias of depth and of view).
 const SHARE_OF_WAY: f64 = 0.12;
-/// Rotations smaller than this have no direction worth looking at, rad.
-const LEAST_TILT: f64 = 0.07;
+/// Beyond this the object lies, and its centre no longer moves as it leans, rad.
+const MOST_TILT: f64 = 1.3;
 
 /// Frames of a moving object against its rest, in camera axes.
 pub(super) struct Evidence {
@@ -26,6 +26,7 @@ pub(super) struct Evidence {
     settled: Option<Pose>,
     rest: Pose,
     noise_m: f64,
+    noise_rad: f64,
 }
 
 /// An assumption about frames.
@@ -53,6 +54,7 @@ impl Evidence {
             settled,
             rest: motion.rest_pose,
             noise_m: motion.noise.position_m.norm(),
+            noise_rad: motion.noise.rotation_rad.norm(),
         }
     }
 
@@ -64,29 +66,34 @@ impl Evidence {
         let com = solid.unit.center_of_mass;
         let table = table_of(&rest, &up, solid);
         let height = up.dot(&(rest * com).coords) - table;
-        let (mut gap, mut axis, mut way, mut reach) = (Mean::default(), Mean::default(), Mean::default(), Mean::default());
+        let mut gap = Mean::default();
+        let (mut turned, mut spun, mut along, mut across, mut leaned) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for frame in self.frames.iter().chain(&self.settled) {
             let pose = frame * h.tracked_from_mesh;
             let moved = pose * com - rest * com;
             let sd = self.noise_m + 0.01 * size + SHARE_OF_WAY * moved.norm();
             gap.add(heavy((table_of(&pose, &up, solid) - table) / sd));
             let turn = (pose.rotation * rest.rotation.inverse()).scaled_axis();
-            let tilt = turn.norm();
-            if !(LEAST_TILT..1.3).contains(&tilt) {
-                continue;
-            }
-            axis.add(heavy(up.dot(&turn) / tilt / 0.25));
             let lean = turn.cross(&up);
-            let across = moved - up * up.dot(&moved);
-            if across.norm() > 3.0 * self.noise_m && lean.norm() > 1e-9 {
-                way.add(heavy(lean.angle(&across) / 0.5));
-                let ratio = across.dot(&lean) / lean.norm() / (height * tilt.sin()).max(1e-6);
-                reach.add(heavy(ratio.max(0.02).ln() / 0.5));
+            if turn.norm() < MOST_TILT {
+                turned += turn.norm_squared();
+                spun += up.dot(&turn).powi(2);
+                along += moved.dot(&lean);
+                across += moved.dot(&up.cross(&lean));
+                leaned += lean.norm_squared();
             }
         }
-        10.0 * gap.value() + 6.0 * axis.value() + 6.0 * way.value() + 3.0 * reach.value()
-            + self.settled.map_or(0.0, |s| 4.0 * self.standing_again(&(s * h.tracked_from_mesh), &up, solid))
-            + camera_prior(&up)
+        // The noise of a rotation has no direction.
+        let level = self.frames.len() as f64 * self.noise_rad.powi(2);
+        let spin = ((spun - level / 3.0).max(0.0) / (turned - level).max(level).max(1e-12)).sqrt();
+        let mut cost = 10.0 * gap.value() + 6.0 * heavy(spin / 0.25) + camera_prior(&up);
+        if leaned > 4.0 * level.max(1e-9) {
+            // Turning about a point on the table moves the centre by its height times the lean, to where it leans.
+            let reach = self.noise_m / (height * leaned.sqrt());
+            let (k, side) = (along / leaned / height, across / leaned / height);
+            cost += 9.0 * heavy((k - 1.0) / reach.hypot(0.4)) + 3.0 * heavy(side / reach.hypot(0.4));
+        }
+        cost + self.settled.map_or(0.0, |s| 4.0 * self.standing_again(&(s * h.tracked_from_mesh), &up, solid))
     }
 
     /// How far the last rest is from a way to stand.

@@ -1,12 +1,12 @@
 //! On which faces a solid can stand: the faces of its convex hull with the centre of mass above them.
 
 use drex_core::{MassProperties, TriMesh};
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::{Result, SysidError};
 
 /// Ways to stand that differ by less count as one, radians: scans have rough bottoms.
-const SAME: f64 = 0.17;
+const SAME: f64 = 0.26;
 /// Ways to stand that are kept at most; a lying cylinder alone has 36.
 const MOST: usize = 48;
 /// A solid that fills less of its hull than this is taken for a surface with holes.
@@ -166,7 +166,29 @@ impl Foot<'_> {
                 _ => step *= 0.5,
             }
         }
-        (value, best)
+        // Firmness says little about the direction in which the foot is long; the plane through the foot does.
+        for _ in 0..3 {
+            match self.plane(&best).map(|d| (self.firmness(&d), d)) {
+                Some((v, d)) if v > 0.8 * value && d.angle(&up) < 0.35 => best = d,
+                _ => break,
+            }
+        }
+        (self.firmness(&best), best)
+    }
+
+    /// The plane nearest to the points of the foot, as its normal on the side of `up`.
+    fn plane(&self, up: &Vector3<f64>) -> Option<Vector3<f64>> {
+        let low = lowest(self.hull, up);
+        let points: Vec<&Point3<f64>> = self.hull.vertices.iter().filter(|v| up.dot(&v.coords) <= low + self.rise).collect();
+        let mean = points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len() as f64;
+        let scatter: Matrix3<f64> = points.iter().map(|p| (p.coords - mean) * (p.coords - mean).transpose()).sum();
+        let eigen = scatter.symmetric_eigen();
+        let order = eigen.eigenvalues.iter().enumerate().min_by(|a, b| a.1.total_cmp(b.1))?;
+        let normal: Vector3<f64> = eigen.eigenvectors.column(order.0).into();
+        // Points on a line or few points have no plane.
+        let mut sizes: Vec<f64> = eigen.eigenvalues.iter().copied().collect();
+        sizes.sort_by(f64::total_cmp);
+        (points.len() >= 3 && sizes[1] > 20.0 * sizes[0].max(0.0)).then(|| normal * normal.dot(up).signum())
     }
 }
 

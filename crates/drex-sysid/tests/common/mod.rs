@@ -90,3 +90,17 @@ pub fn bounding_solid(points: Vec<Point3<f64>>) -> ObjectModel {
     let unit = MassProperties { mass_kg: 1.0, center_of_mass: nalgebra::center(&lo, &hi), inertia };
     ObjectModel { pieces: vec![points], unit }
 }
+
+/// Standard normal deviates from a seed: sums of twelve uniforms of a linear congruential generator.
+pub fn normals(seed: u64) -> impl FnMut() -> f64 {
+    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(0x1234_5678_9ABC_DEF1);
+    move || {
+        (0..12)
+            .map(|_| {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                (state >> 11) as f64 / (1_u64 << 53) as f64
+            })
+            .sum::<f64>()
+            - 6.0
+    }
+}

@@ -1,0 +1,386 @@
+//! The mass and what is uncertain beside it, by Gauss-Newton under priors.
+//!
+//! g r + J θ̈ = M / m is weighed with the hat function of each frame (one there, zero at its neighbours), which turns θ̈ into the
+//! difference of the slopes of θ before and after the frame: no derivative is estimated. The noise of the leans then is alike
+//! in neighbouring equations; its covariance is carried along. Frames after the touch have M = 0: they tell nothing about the mass
+//! but where the edge is, because the object falls about it. The equations are linear in 1/m, which may come out zero or
+//! negative: then the efforts show no force, and there is no upper bound.
+
+use nalgebra::{Cholesky, DMatrix, DVector, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::moments::Samples;
+use super::{BoundOptions, Topple};
+use crate::frames::Standing;
+
+/// Time over which errors of an effort are alike, s.
+const ALIKE: f64 = 0.05;
+/// Share of m g r that a rigid body that turns about a fixed edge misses (it slides, it rolls over a rounded edge).
+const MODEL: f64 = 0.15;
+
+/// The closed-form answer and its error budget.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Bound {
+    /// Whether any touch stands out of the joint friction. If none does, contact hides in friction and nothing bounds the mass.
+    pub seen: bool,
+    /// Fingers that push.
+    pub fingers: Vec<String>,
+    /// First and last touch, seconds of the joint log's clock.
+    pub from_to_s: [f64; 2],
+    /// Frames used, and how many of them while touched.
+    pub frames: [usize; 2],
+    /// ∫ M dt over the touch, N m s.
+    pub impulse_nms: f64,
+    /// Work of the extra torques over the touch, J.
+    pub work_j: f64,
+    /// 1/m with everything at its most likely value beforehand, 1/kg.
+    pub closed_form_per_kg: f64,
+    /// 1/m with the uncertain quantities estimated along, 1/kg.
+    pub per_kg: f64,
+    /// Standard deviation of that, 1/kg.
+    pub sd_per_kg: f64,
+    /// What standard deviation (1/kg) would be left if all but efforts and leans were known exactly.
+    pub sd_of_efforts_per_kg: f64,
+    /// Probability and 1/m (1/kg) of each way in which the mesh may sit in the tracked frame; the other fields but `per_kg` and
+    /// `sd_per_kg` are of the first.
+    pub turns: Vec<(f64, f64)>,
+    /// Half the sum of squares of what is left, equations and priors together: compares assumptions about the object.
+    pub misfit: f64,
+    /// What each uncertain quantity costs: square root of the variance that knowing it would save, 1/kg; largest first.
+    pub budget: Vec<(String, f64)>,
+    /// The uncertain quantities: name, value beforehand, its standard deviation, value in the fit.
+    pub unknowns: Vec<(String, f64, f64, f64)>,
+}
+
+impl Bound {
+    /// The mass, kg; `None` if the efforts do not show a force by one standard deviation.
+    pub fn mass_kg(&self) -> Option<f64> {
+        (self.seen && self.per_kg > self.sd_per_kg).then(|| 1.0 / self.per_kg)
+    }
+
+    /// Standard deviation of the logarithm of the mass.
+    pub fn sd_log(&self) -> f64 {
+        if self.per_kg > 0.0 { self.sd_per_kg / self.per_kg } else { f64::INFINITY }
+    }
+
+    /// The 95 % interval of the mass, kg. Most errors are factors, so it is that of the logarithm while its standard deviation
+    /// is below one half; beyond, that of 1/m, which may have no upper end. Without a touch there is none: zero to infinity.
+    pub fn interval_kg(&self) -> [f64; 2] {
+        let (s, m) = (self.sd_log(), 1.0 / self.per_kg);
+        if !self.seen {
+            return [0.0, f64::INFINITY];
+        }
+        if s < 0.5 {
+            return [m * (-1.96 * s).exp(), m * (1.96 * s).exp()];
+        }
+        let (lo, hi) = (self.per_kg - 1.96 * self.sd_per_kg, self.per_kg + 1.96 * self.sd_per_kg);
+        [if hi > 0.0 { 1.0 / hi } else { f64::INFINITY }, if lo > 0.0 { 1.0 / lo } else { f64::INFINITY }]
+    }
+
+    /// What limits the answer, in words.
+    pub fn limits(&self) -> &str {
+        match self.budget.first() {
+            _ if !self.seen => "no force stands out of the joint friction",
+            Some(b) => b.0.as_str(),
+            None => "nothing",
+        }
+    }
+}
+
+/// Something known to within an error, in standard deviations u from its most likely value.
+struct Unknown {
+    name: String,
+    mean: f64,
+    sd: f64,
+    /// What stays positive together with the value: value + this = (mean + this) exp(u sd / (mean + this)). `None`: mean + u sd.
+    positive_with: Option<f64>,
+    /// Whether it belongs to the efforts themselves.
+    effort: bool,
+}
+
+impl Unknown {
+    fn value(&self, u: f64) -> f64 {
+        match self.positive_with {
+            Some(shift) if self.mean + shift > 0.0 => {
+                let whole = self.mean + shift;
+                whole * (u * self.sd / whole).clamp(-5.0, 5.0).exp() - shift
+            }
+            _ => self.mean + u * self.sd,
+        }
+    }
+}
+
+/// Places of the unknowns; the offsets of the fingers come last.
+const SCALE: usize = 0;
+const HEIGHT: usize = 1;
+const CLOCK: usize = 2;
+const FOOT: usize = 3;
+const DENSITY: usize = 4;
+const FRICTION: usize = 5;
+const LEAN: usize = 6;
+const OFFSETS: usize = 7;
+
+struct Scene<'a> {
+    samples: &'a Samples,
+    gravity: f64,
+    /// Height of the centre of mass, m.
+    center: f64,
+    /// From the centre of mass back to the face that is pushed, m.
+    behind: f64,
+    /// Inertia per mass about a horizontal axis through the centre of mass, m².
+    inertia: f64,
+    unknowns: Vec<Unknown>,
+}
+
+/// One equation: ∫ hat (g r + J θ̈) dt = ∫ hat M dt / m.
+struct Row {
+    moment: f64,
+    per_mass: f64,
+}
+
+pub(super) fn fit(run: &Topple<'_>, solid: &Standing, samples: &Samples, options: &BoundOptions) -> Option<Bound> {
+    let scene = Scene::of(run, solid, samples, options)?;
+    let rows = scene.rows(&scene.values(&vec![0.0; scene.unknowns.len()]));
+    let touched: Vec<&Row> = rows.iter().filter(|r| r.moment != 0.0).collect();
+    if touched.len() < 3 {
+        return None;
+    }
+    let closed = touched.iter().map(|r| r.moment * r.per_mass).sum::<f64>()
+        / touched.iter().map(|r| r.moment.powi(2)).sum::<f64>().max(1e-300);
+    let n = scene.unknowns.len() + 1;
+    let (mut per_kg, mut u) = (closed, vec![0.0; n - 1]);
+    let (mut normal, mut misfit) = (DMatrix::zeros(n, n), f64::INFINITY);
+    // Variance added to equations that miss by more than two standard deviations (a knock, a slip, a jump of the tracker).
+    let mut added = vec![0.0; rows.len()];
+    for round in 0..90 {
+        let (jacobian, residual) = scene.linearised(per_kg, &u, &added)?;
+        normal = jacobian.transpose() * &jacobian;
+        misfit = 0.5 * residual.norm_squared();
+        let step = normal.clone().try_inverse()? * (jacobian.transpose() * &residual);
+        // A step beyond half a standard deviation leaves the range in which the model is straight.
+        let longest = step.iter().skip(1).fold(1.0, |m: f64, s| m.max(2.0 * s.abs()));
+        per_kg -= step[0] / longest;
+        for (u, s) in u.iter_mut().zip(step.iter().skip(1)) {
+            *u -= s / longest;
+        }
+        let settled = longest == 1.0 && step.norm() < 1e-6;
+        if round % 20 == 19 || settled {
+            let before = added.clone();
+            scene.forgive(per_kg, &u, &mut added)?;
+            if settled && added.iter().zip(&before).all(|(a, b)| (a - b).abs() <= 1e-3 * a.abs()) {
+                break;
+            }
+        }
+    }
+    let variance = |known: &dyn Fn(usize) -> bool| -> Option<f64> {
+        let keep: Vec<usize> = (0..n).filter(|&i| i == 0 || !known(i - 1)).collect();
+        let part = DMatrix::from_fn(keep.len(), keep.len(), |i, j| normal[(keep[i], keep[j])]);
+        Some(part.try_inverse()?[(0, 0)])
+    };
+    let total = variance(&|_| false)?;
+    let mut budget: Vec<(String, f64)> = Vec::new();
+    for (k, u) in scene.unknowns.iter().enumerate() {
+        budget.push((u.name.clone(), (total - variance(&|i| i == k)?).max(0.0).sqrt()));
+    }
+    budget.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let efforts = variance(&|i| !scene.unknowns[i].effort)?;
+    // Where the equations fit worse than their noise, the answer is that much less sure.
+    let worse = (2.0 * misfit / rows.len() as f64).sqrt().max(1.0);
+    let touch = |k: usize| samples.pushers.iter().map(move |p| p.touch_s[k]);
+    let values = scene.values(&u);
+    Some(Bound {
+        seen: samples.seen,
+        fingers: samples.pushers.iter().map(|p| p.name.clone()).collect(),
+        from_to_s: [touch(0).fold(f64::INFINITY, f64::min), touch(1).fold(f64::NEG_INFINITY, f64::max)],
+        frames: [rows.len(), touched.len()],
+        impulse_nms: scene.impulse(&scene.values(&vec![0.0; n - 1])),
+        work_j: samples.pushers.iter().map(|p| p.work_j).sum(),
+        closed_form_per_kg: closed,
+        per_kg,
+        sd_per_kg: total.sqrt() * worse,
+        sd_of_efforts_per_kg: efforts.sqrt() * worse,
+        turns: vec![(1.0, per_kg)],
+        misfit,
+        budget,
+        unknowns: scene.unknowns.iter().zip(&values).map(|(u, v)| (u.name.clone(), u.mean, u.sd, *v)).collect(),
+    })
+}
+
+impl<'a> Scene<'a> {
+    fn of(run: &Topple<'_>, solid: &Standing, samples: &'a Samples, options: &BoundOptions) -> Option<Self> {
+        let up = run.found.up_in_mesh;
+        let towards = run.found.tracked_from_mesh.rotation.inverse() * run.found.topples_towards_in_tracked?;
+        let com = solid.unit.center_of_mass.coords;
+        let size = solid.size_m();
+        let reach = |rise: f64| solid.foot_reach(&up, &towards, rise * size);
+        let axis = up.cross(&towards).try_normalize(1e-9).unwrap_or_else(Vector3::y);
+        let scale_sd = samples.pushers.iter().map(|p| p.scale_sd).fold(0.0, f64::max);
+        let unknown = |name: &str, mean: f64, sd: f64, positive_with: Option<f64>| Unknown {
+            name: name.into(),
+            mean,
+            sd,
+            positive_with,
+            effort: false,
+        };
+        let foot = reach(0.01);
+        let foot_sd = (0.5 * (reach(0.03) - reach(0.003))).hypot(options.foot_sd * foot);
+        let heights = samples.pushers.iter().map(|p| p.height_m[p.index(p.touch_s[0])]);
+        let tip = heights.fold(f64::INFINITY, f64::min);
+        let mut unknowns = vec![
+            unknown("load factor and link masses", 1.0, scale_sd, Some(0.0)),
+            unknown("height of the hand", samples.height_m[0], samples.height_m[1], Some(tip)),
+            unknown("clock of the tracker", samples.clock_s[0], samples.clock_s[1], None),
+            unknown("edge of the foot", foot, foot_sd, Some(0.0)),
+            unknown("height of the centre of mass", 1.0, options.density_sd, Some(0.0)),
+            unknown("friction of the tip", 0.0, options.tip_friction_sd, None),
+            unknown("tracked lean", 1.0, options.lean_sd, Some(0.0)),
+        ];
+        debug_assert_eq!(unknowns.len(), OFFSETS);
+        for p in &samples.pushers {
+            let offset = unknown(&format!("joint friction of {}", p.name), 0.0, p.offset_sd_nm, None);
+            unknowns.push(Unknown { effort: true, ..offset });
+        }
+        Some(Self {
+            samples,
+            gravity: run.gravity_m_s2,
+            center: up.dot(&com) - solid.lowest(&up),
+            behind: solid.hull.vertices.iter().map(|v| -towards.dot(&(v.coords - com))).fold(0.0, f64::max),
+            inertia: axis.dot(&(solid.unit.inertia * axis)) / solid.unit.mass_kg,
+            unknowns,
+        })
+    }
+
+    fn values(&self, u: &[f64]) -> Vec<f64> {
+        self.unknowns.iter().zip(u).map(|(k, u)| k.value(*u)).collect()
+    }
+
+    /// Moment of all fingertips about the edge at time `t` of the joint log, N m.
+    fn moment(&self, v: &[f64], t: f64) -> f64 {
+        let mut moment = 0.0;
+        for (n, p) in self.samples.pushers.iter().enumerate().filter(|(_, p)| p.touches(t)) {
+            let k = p.index(t);
+            // Friction along the face loads the joint, too.
+            let torque = v[SCALE] * p.force_n[k] + p.per_offset[k] * v[OFFSETS + n];
+            let force = torque / (1.0 + v[FRICTION] * p.friction_lever[k]);
+            moment += force * (p.height_m[k] + v[HEIGHT] + v[FRICTION] * (v[FOOT] + self.behind));
+        }
+        moment
+    }
+
+    fn impulse(&self, v: &[f64]) -> f64 {
+        let all = self.samples.pushers.iter().flat_map(|p| p.touch_s);
+        let (first, last) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), t| (a.min(t), b.max(t)));
+        let steps = ((last - first) / 0.01).max(0.0) as usize;
+        (0..=steps).map(|k| 0.01 * self.moment(v, first + 0.01 * k as f64)).sum()
+    }
+
+    /// Way to the edge and inertia about it.
+    fn arm(&self, v: &[f64], lean: f64) -> f64 {
+        self.gravity * (v[FOOT] * lean.cos() - self.center * v[DENSITY] * lean.sin())
+    }
+
+    fn about_edge(&self, v: &[f64]) -> f64 {
+        self.inertia + v[FOOT].powi(2) + (self.center * v[DENSITY]).powi(2)
+    }
+
+    fn rows(&self, v: &[f64]) -> Vec<Row> {
+        let f = &self.samples.frames;
+        let row = |i: usize| {
+            let [(t0, a), (t1, b), (t2, c)] = [f[i - 1], f[i], f[i + 1]].map(|(t, lean)| (t, lean * v[LEAN]));
+            let (h, k) = (t1 - t0, t2 - t1);
+            // Exact for arms that are linear between frames.
+            let arms = self.arm(v, a) * h / 6.0 + self.arm(v, b) * (h + k) / 3.0 + self.arm(v, c) * k / 6.0;
+            let per_mass = arms + self.about_edge(v) * ((c - b) / k - (b - a) / h);
+            let parts = 8;
+            let hat = |from: f64, length: f64, rising: bool| -> f64 {
+                (0..parts)
+                    .map(|n| {
+                        let s = (f64::from(n) + 0.5) / f64::from(parts);
+                        let weight = if rising { s } else { 1.0 - s };
+                        weight * self.moment(v, from + s * length - v[CLOCK]) * length / f64::from(parts)
+                    })
+                    .sum()
+            };
+            Row { moment: hat(t0, h, true) + hat(t1, k, false), per_mass }
+        };
+        (1..f.len() - 1).map(row).collect()
+    }
+
+    /// What the moment misses of knocks, weighed with the hat over three frames, N m s.
+    fn knock(&self, v: &[f64], [a, b, c]: [f64; 3]) -> f64 {
+        let mut sum = 0.0;
+        for p in &self.samples.pushers {
+            for ((t, knock), h) in p.times_s.iter().zip(&p.knock_n).zip(&p.height_m) {
+                let t = t + v[CLOCK];
+                let hat = if t < b { (t - a) / (b - a) } else { (c - t) / (c - b) };
+                sum += hat.max(0.0) * knock * (h + v[HEIGHT]).abs() * 0.01;
+            }
+        }
+        sum
+    }
+
+    /// Covariance of the equations at `per_kg`.
+    fn covariance(&self, per_kg: f64, v: &[f64]) -> DMatrix<f64> {
+        let f = &self.samples.frames;
+        let n = f.len() - 2;
+        let mut slopes = DMatrix::zeros(n, n + 2);
+        let mut c = DMatrix::zeros(n, n);
+        for i in 0..n {
+            let (h, k) = (f[i + 1].0 - f[i].0, f[i + 2].0 - f[i + 1].0);
+            slopes[(i, i)] = 1.0 / h;
+            slopes[(i, i + 1)] = -1.0 / h - 1.0 / k;
+            slopes[(i, i + 2)] = 1.0 / k;
+            c[(i, i)] += (per_kg * self.knock(v, [f[i].0, f[i + 1].0, f[i + 2].0])).powi(2);
+            let t = f[i + 1].0 - v[CLOCK];
+            let touching = self.samples.pushers.iter().filter(|p| p.touches(t));
+            let moment: f64 = touching.map(|p| (p.noise_n * (p.height_m[p.index(t)] + v[HEIGHT])).powi(2)).sum();
+            // A white noise over the square of the hat, a third of its base.
+            c[(i, i)] += per_kg * per_kg * moment * ALIKE * (h + k) / 3.0;
+            let miss = MODEL * self.gravity * v[FOOT].hypot(self.center * f[i + 1].1.sin()) * 0.5 * (h + k);
+            c[(i, i)] += miss * miss;
+        }
+        let scale = self.about_edge(v) * self.samples.lean_noise;
+        c + &slopes * slopes.transpose() * (scale * scale)
+    }
+
+    /// Updates the variance added to each equation so that none misses by more than two standard deviations of its own.
+    fn forgive(&self, per_kg: f64, u: &[f64], added: &mut [f64]) -> Option<()> {
+        let v = self.values(u);
+        let own = self.covariance(per_kg, &v);
+        for (i, row) in self.rows(&v).iter().enumerate() {
+            added[i] = ((row.per_mass - per_kg * row.moment).powi(2) / 4.0 - own[(i, i)]).max(0.0);
+        }
+        Some(())
+    }
+
+    /// Jacobian by central differences, and residual, both whitened; priors as rows of their own.
+    fn linearised(&self, per_kg: f64, u: &[f64], added: &[f64]) -> Option<(DMatrix<f64>, DVector<f64>)> {
+        let now = self.values(u);
+        let factor = Cholesky::new(self.covariance(per_kg, &now) + DMatrix::from_diagonal(&DVector::from_column_slice(added)))?;
+        let white = |v: &[f64], per_kg: f64| -> Option<DVector<f64>> {
+            let rows = self.rows(v);
+            let r = rows.iter().map(|r| r.per_mass - per_kg * r.moment);
+            factor.l_dirty().solve_lower_triangular(&DVector::from_iterator(rows.len(), r))
+        };
+        let here = white(&now, per_kg)?;
+        let (rows, n) = (here.len(), u.len());
+        let mut jacobian = DMatrix::zeros(rows + n, n + 1);
+        let mut r = DVector::zeros(rows + n);
+        jacobian.view_mut((0, 0), (rows, 1)).copy_from(&(white(&now, per_kg + 1.0)? - &here));
+        r.rows_mut(0, rows).copy_from(&here);
+        for i in 0..n {
+            const H: f64 = 0.1;
+            let moved = |s: f64| {
+                let mut u = u.to_vec();
+                u[i] += s * H;
+                white(&self.values(&u), per_kg)
+            };
+            let slope = (moved(1.0)? - moved(-1.0)?) / (2.0 * H);
+            jacobian.view_mut((0, i + 1), (rows, 1)).copy_from(&slope);
+            jacobian[(rows + i, i + 1)] = 1.0;
+            r[rows + i] = u[i];
+        }
+        Some((jacobian, r))
+    }
+}

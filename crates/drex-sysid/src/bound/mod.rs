@@ -1,0 +1,107 @@
+//! What joint efforts can tell about the mass of an object that a hand topples: a closed form and its error budget.
+//!
+//! While the object tips about the edge of its foot, friction at the edge has no moment about it. With the lean θ, the way c
+//! from below the centre of mass to the edge, the height H of the centre of mass and the inertia J about the edge per unit mass,
+//!
+//! M(t) = m [g (c cos θ − H sin θ) + J θ̈],
+//!
+//! where M is the moment of the fingertips about the edge, Σ Fₙ (h + f d): normal forces from the extra joint torques at heights
+//! h, friction f Fₙ along the face at the distance d from the edge. Linear in m: no simulation is needed, and the answer is
+//! as good as M. What is known to within an error (gain and offset of the torques, height of the hand, clock, foot, centre of
+//! mass, tip friction, tracked lean) is estimated along with m under its prior; [`Bound::budget`] says what each costs.
+
+mod fit;
+mod moments;
+
+use drex_core::{Pose, Trajectory, TriMesh};
+use drex_robot::Robot;
+
+use crate::calibrate::{ExtraTorque, Touch};
+use crate::frames::{FoundFrames, HandPlacement, Standing};
+use crate::{Result, SysidError};
+pub use fit::Bound;
+
+/// What [`of_topple`] needs of a run.
+#[derive(Debug, Clone, Copy)]
+pub struct Topple<'a> {
+    /// The robot whose log it is.
+    pub robot: &'a Robot,
+    /// Stated pose of its base in the world (z up).
+    pub world_from_base: &'a Pose,
+    /// Stated height of the table there, metres.
+    pub table_height_m: f64,
+    /// Extra joint torques of the run.
+    pub extra: &'a ExtraTorque,
+    /// Touches found in them; without any, the fingers that move are taken to push.
+    pub touches: &'a [Touch],
+    /// Track of the object.
+    pub track: &'a Trajectory,
+    /// Its mesh.
+    pub mesh: &'a TriMesh,
+    /// Its frames.
+    pub found: &'a FoundFrames,
+    /// The hand against these, where it could be placed.
+    pub placement: Option<&'a HandPlacement>,
+    /// Size of gravity, m/s².
+    pub gravity_m_s2: f64,
+}
+
+/// Standard deviations of what is not measured.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct BoundOptions {
+    /// Of the height of the centre of mass against that of a uniform solid, as a fraction.
+    pub density_sd: f64,
+    /// Of the way to the edge of the foot, as a fraction, besides what the mesh leaves open.
+    pub foot_sd: f64,
+    /// Of tip friction over normal force.
+    pub tip_friction_sd: f64,
+    /// Of the tracked lean, as a fraction.
+    pub lean_sd: f64,
+}
+
+impl Default for BoundOptions {
+    fn default() -> Self {
+        Self { density_sd: 0.1, foot_sd: 0.15, tip_friction_sd: 0.2, lean_sd: 0.08 }
+    }
+}
+
+/// The closed-form mass of a toppled object, and how well it can be known from these efforts.
+///
+/// # Errors
+/// If the object does not topple, or no finger moves while it does.
+pub fn of_topple(run: &Topple<'_>, options: &BoundOptions) -> Result<Bound> {
+    let solid = Standing::of(run.mesh)?;
+    let refuse = |what: &str, remedy: &str| SysidError::Frames { what: what.into(), remedy: remedy.into() };
+    let samples = moments::samples(run)
+        .ok_or_else(|| refuse("the object does not lean while a finger moves", "push higher, so that it tips"))?;
+    // How the mesh sits in the tracked frame decides about the foot; the fall tells more about it than the pictures.
+    let fits: Vec<(f64, Bound)> = run
+        .found
+        .turns
+        .iter()
+        .filter_map(|turn| {
+            let mut found = run.found.clone();
+            (found.tracked_from_mesh, found.up_in_mesh) = (turn.tracked_from_mesh, turn.up_in_mesh);
+            let bound = fit::fit(&Topple { found: &found, ..*run }, &solid, &samples, options)?;
+            Some((bound.misfit - turn.odds.ln(), bound))
+        })
+        .collect();
+    combine(fits).ok_or_else(|| {
+        refuse("fewer than three frames at which the object leans and a finger pushes", "push more slowly, so that it tips")
+    })
+}
+
+/// The best fit, as unsure as all of them together.
+fn combine(mut fits: Vec<(f64, Bound)>) -> Option<Bound> {
+    fits.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let least = fits.first()?.0;
+    let weights: Vec<f64> = fits.iter().map(|f| (least - f.0).exp()).collect();
+    let sum: f64 = weights.iter().sum();
+    let mean = fits.iter().zip(&weights).map(|(f, w)| w * f.1.per_kg).sum::<f64>() / sum;
+    let spread = |f: &Bound| f.sd_per_kg.powi(2) + (f.per_kg - mean).powi(2);
+    let variance = fits.iter().zip(&weights).map(|(f, w)| w * spread(&f.1)).sum::<f64>() / sum;
+    let turns = fits.iter().zip(&weights).map(|(f, w)| (w / sum, f.1.per_kg)).collect();
+    let best = fits.swap_remove(0).1;
+    Some(Bound { per_kg: mean, sd_per_kg: variance.sqrt(), turns, ..best })
+}
