@@ -1,96 +1,235 @@
-//! Everything that recorded runs of a hand tell before an object is weighed.
+//! What recorded runs of a hand tell before an object is weighed: frames, clocks, joint friction, touches, and what the efforts
+//! bound. `cargo run --release -p drex-sysid --example real_hand -- RUNS [--entries]`; the folder RUNS holds one folder per run
+//! (`run.json`, `object_poses.txt`, `joint_states.csv`). The frame entries of `run.json` are left out, or used with `--entries`.
+
 use std::error::Error;
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use drex_core::clock::{Clock, parse_utc_offset};
+use drex_core::push::{Drive, HandPush, InputChoice, PushRecording};
 use drex_core::readers::read_foundation_pose_log;
-use drex_core::TriMesh;
-use drex_sysid::frames::{FrameOptions, against_hand, find, tip_paths};
-use drex_core::push::{Drive, InputChoice, PushRecording};
+use drex_core::{Trajectory, TriMesh};
 use drex_robot::Robot;
-use drex_sysid::bound::{BoundOptions, Topple, of_topple};
-use drex_sysid::calibrate::{CalibrateOptions, HandRun, hand};
+use drex_sysid::bound::{Bound, BoundOptions, Topple, of_topple};
+use drex_sysid::calibrate::{CalibrateOptions, ExtraTorque, HandCalibration, HandRun, Touch, hand};
+use drex_sysid::frames::{FoundFrames, FrameOptions, HandPlacement, against_hand, find, tip_paths};
 use nalgebra::Vector3;
 use serde_json::Value;
 
-fn vector(v: &Value) -> Vector3<f64> {
-    Vector3::from_fn(|i, _| v[i].as_f64().unwrap_or(f64::NAN))
+type Any<T> = Result<T, Box<dyn Error>>;
+
+struct Run {
+    name: String,
+    object: String,
+    hand: HandPush,
+    gravity: Vector3<f64>,
+    table_height_m: f64,
+    track: Trajectory,
+    mesh: TriMesh,
+    up: Vector3<f64>,
+    lean: Vector3<f64>,
+    options: FrameOptions,
 }
 
-fn main() -> Result<(), Box<dyn Error>> {
-    let runs = PathBuf::from(std::env::args().nth(1).ok_or("give the folder of the runs")?);
-    let mut folders: Vec<PathBuf> = std::fs::read_dir(&runs)?.map(|e| Ok(e?.path())).collect::<std::io::Result<_>>()?;
+fn main() -> Any<()> {
+    let mut args = std::env::args().skip(1);
+    let folder = PathBuf::from(args.next().ok_or("give the folder of the runs")?);
+    let entries = args.next().as_deref() == Some("--entries");
+    let mut folders: Vec<PathBuf> =
+        std::fs::read_dir(&folder)?.map(|e| Ok(e?.path())).collect::<std::io::Result<_>>()?;
     folders.sort();
-    let mut out = std::io::stdout();
-    let mut loaded = Vec::new();
-    let mut run_objects = std::collections::BTreeMap::new();
-    let masses: Value = serde_json::from_str(&std::fs::read_to_string(runs.join("../true_mass_kg.json"))?)?;
-    let mut found = std::collections::BTreeMap::new();
-    for folder in folders {
-        let run: Value = serde_json::from_str(&std::fs::read_to_string(folder.join("run.json"))?)?;
-        let utc = parse_utc_offset(run["pose_clock"].as_str().unwrap_or_default())?;
-        let track = read_foundation_pose_log(&folder.join("object_poses.txt"), &Clock::LocalIso { utc_offset_minutes: utc })?;
-        let zero = track.times_s()[0];
-        let track = track.shifted(-zero);
-        let mesh = TriMesh::read(&folder.join(run["mesh"].as_str().unwrap_or_default()))?;
-        let begin = std::time::Instant::now();
-        let f = find(&track, &mesh, &FrameOptions::default())?;
-        let up = vector(&run["up_in_tracked_frame"]);
-        let lean = vector(&run["topples_towards_in_tracked_frame"]);
-        writeln!(
-            out,
-            "{:9} up {:5.1} deg off, lean {:5.1} deg off, odds of the next {:.1e}; rest to {:.2} s, moves {:.3} +- {:.3} s, trusted to {:.2} s; {:.2} s",
-            folder.file_name().unwrap_or_default().to_string_lossy(),
-            up.angle(&f.up_in_tracked).to_degrees(),
-            f.topples_towards_in_tracked.map_or(f64::NAN, |l| lean.angle(&l).to_degrees()),
-            f.runner_up_odds, f.rest_s[1], f.motion_start_s, f.motion_start_sd_s, f.trusted_until_s, begin.elapsed().as_secs_f64(),
-        )?;
-        for (u, o) in f.alternatives.iter().take(3) {
-            writeln!(out, "     other {:.2} {:.2} {:.2} odds {o:.1e}", u.x, u.y, u.z)?;
-        }
-        for r in &f.remarks { writeln!(out, "     {r}")?; }
-        run_objects.insert(folder.file_name().unwrap_or_default().to_string_lossy().into_owned(), run["object"].as_str().unwrap_or_default().to_owned());
-        found.insert(folder.file_name().unwrap_or_default().to_string_lossy().into_owned(), (f, track, mesh));
-        loaded.push((folder.file_name().unwrap_or_default().to_string_lossy().into_owned(), PushRecording::load(&folder, &InputChoice::default())?));
+    let runs = folders.iter().map(|f| load(f, entries)).collect::<Any<Vec<Run>>>()?;
+    let robot = Robot::resolve(&runs.first().ok_or("there is no run")?.hand.robot, &folder)?;
+    let hands: Vec<HandRun<'_>> = runs.iter().map(hand_run).collect();
+    let calibration = hand(&hands, &robot, &CalibrateOptions::default())?;
+    let truth = std::fs::read_to_string(folder.join("../true_mass_kg.json"));
+    let truth: Value = truth.ok().and_then(|t| serde_json::from_str(&t).ok()).unwrap_or_default();
+
+    let out = &mut std::io::stdout();
+    let mut found = Vec::new();
+    writeln!(
+        out,
+        "Frames (degrees against run.json)\nrun       up off  lean off  next best  rest until  moves at       trusted until"
+    )?;
+    for run in &runs {
+        let f = find(&run.track, &run.mesh, &run.options)?;
+        frames_row(out, run, &f)?;
+        found.push(f);
     }
-    let robot = Robot::bundled("allegro_right")?;
-    let hands: Vec<HandRun<'_>> = loaded.iter().filter_map(|(name, r)| match &r.drive {
-        Drive::Hand(h) => Some(HandRun { name, joints: &h.joints, world_from_base: &h.world_from_base, gravity: r.gravity }),
-        _ => None,
-    }).collect();
-    let begin = std::time::Instant::now();
-    let c = hand(&hands, &robot, &CalibrateOptions::default())?;
-    writeln!(out, "calibrated in {:.2} s", begin.elapsed().as_secs_f64())?;
-    for j in &c.joints {
-        writeln!(out, "{} c {:.3?} k {:.2?} {} b {:.3?} I {:.4?} arm {:?} noise {:.4} rep {:.4} start {:.2} holds {:.3} spans {}", j.joint, j.coulomb_nm, j.load_factor, j.load_factor_seen, j.viscous_nms, j.inertia_kg_m2, j.armature_kg_m2, j.noise_nm, j.repeatability_nm, j.start_error, j.holds_nm, j.spans.len())?;
+    friction_table(out, &calibration)?;
+    let mut rows = Vec::new();
+    writeln!(out, "\nTouches (contact torque, N m) and the hand against the object")?;
+    for ((run, h), f) in runs.iter().zip(&hands).zip(&found) {
+        let extra = calibration.extra_torque(h, &robot)?;
+        let touches = extra.touches(&robot);
+        let tips = tip_paths(&robot, h.world_from_base, &extra, &touches, f.motion_start_s);
+        let placement = against_hand(f, &run.track, &run.mesh, &tips, run.table_height_m);
+        touch_rows(out, run, &touches, placement.as_ref().map_err(ToString::to_string))?;
+        rows.push(bound(run, &robot, f, &extra, &touches, placement.as_ref().ok()).map_err(|e| e.to_string()));
     }
-    for h in &hands {
-        let x = c.extra_torque(h, &robot)?;
-        for t in x.touches(&robot) {
-            writeln!(out, "{} {} {:.3?} {} peak {:.3} sigmas {:.1}", h.name, t.finger, t.from_to_s, t.joint, t.peak_nm, t.sigmas)?;
-        }
-        let (f, track, mesh) = &found[h.name];
-        let tips = tip_paths(&robot, h.world_from_base, &x, &x.touches(&robot), f.motion_start_s);
-        let placed = against_hand(f, track, mesh, &tips, 0.062);
-        match &placed {
-            Ok(p) => writeln!(out, "  {} clock {:.3?} height {:.3?} rms {:.4} n {} push {:.2} {:.2}", h.name, p.clock_offset_s, p.height_offset_m, p.rms_m, p.samples, p.push_in_world.x, p.push_in_world.y)?,
-            Err(e) => writeln!(out, "  {} {e}", h.name)?,
-        }
-        let touches = x.touches(&robot);
-        let topple = Topple { robot: &robot, world_from_base: h.world_from_base, table_height_m: 0.062, extra: &x, touches: &touches, track, mesh, found: f, placement: placed.as_ref().ok(), gravity_m_s2: 9.81 };
-        match of_topple(&topple, &BoundOptions::default()) {
-            Ok(b) => {
-                let truth: f64 = masses[run_objects[h.name].as_str()].as_f64().unwrap_or(f64::NAN);
-                writeln!(out, "  BOUND {} {:?} {:.3?} n {:?} imp {:.4} work {:.4} closed {:.3} m {:.3} sdlog {:.2} eff {:.2} ci {:.3?} misfit {:.2} true {truth}", h.name, b.fingers, b.from_to_s, b.frames, b.impulse_nms, b.work_j, 1.0 / b.closed_form_per_kg, 1.0 / b.per_kg, b.sd_log(), b.sd_of_efforts_per_kg / b.per_kg, b.interval_kg(), b.misfit)?;
-                writeln!(out, "      turns {:?}", b.turns.iter().map(|(w, p)| format!("{w:.2}: {:.3}", 1.0 / p)).collect::<Vec<_>>())?;
-                for (n, v) in &b.budget { write!(out, "      {n} {v:.3};")?; }
-                writeln!(out)?;
-                for (n, m, sd, v) in &b.unknowns { write!(out, "      {n} {m:.3}+-{sd:.3}->{v:.3};")?; }
-                writeln!(out)?;
-            }
-            Err(e) => writeln!(out, "  BOUND {} {e}", h.name)?,
+    let head = ["fingers", "mN m s", "mJ", "kg", "sd(log)", "of efforts", "95 %, kg", "limited by", "weighed, kg"];
+    let [fingers, impulse, work, mass, sd, efforts, interval, limits, weighed] = head;
+    writeln!(
+        out,
+        "\nWhat the efforts tell: impulse and work about the edge, closed form, what limits it\n\
+         {:9} {fingers:18} {impulse:>7} {work:>6} {mass:>6} {sd:>8} {efforts:>10}  {interval:14}  {limits:42} {weighed}",
+        "run"
+    )?;
+    for (run, row) in runs.iter().zip(&rows) {
+        match row {
+            Ok(b) => bound_row(out, run, b, truth[&run.object].as_f64())?,
+            Err(e) => writeln!(out, "{:9} {e}", run.name)?,
         }
     }
     Ok(())
+}
+
+fn load(folder: &Path, entries: bool) -> Any<Run> {
+    let run: Value = serde_json::from_str(&std::fs::read_to_string(folder.join("run.json"))?)?;
+    let vector = |key: &str| Vector3::from_fn(|i, _| run[key][i].as_f64().unwrap_or(f64::NAN));
+    let recording = PushRecording::load(folder, &InputChoice::default())?;
+    let Drive::Hand(hand) = recording.drive else { return Err(format!("{} has no hand", folder.display()).into()) };
+    let utc_offset_minutes = parse_utc_offset(run["pose_clock"].as_str().unwrap_or_default())?;
+    let track = read_foundation_pose_log(&folder.join("object_poses.txt"), &Clock::LocalIso { utc_offset_minutes })?;
+    // The recording counts from its first pose.
+    let zero = track.span_s().map_or(0.0, |s| s.0);
+    let mut options = FrameOptions::default();
+    if entries {
+        options.up_in_tracked = Some(vector("up_in_tracked_frame"));
+        options.topples_towards_in_tracked = Some(vector("topples_towards_in_tracked_frame"));
+    }
+    Ok(Run {
+        name: folder.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+        object: run["object"].as_str().unwrap_or_default().to_owned(),
+        hand,
+        gravity: recording.gravity,
+        table_height_m: recording.support.table_height_m,
+        track: track.shifted(-zero),
+        mesh: TriMesh::read(&recording.mesh)?,
+        up: vector("up_in_tracked_frame"),
+        lean: vector("topples_towards_in_tracked_frame"),
+        options,
+    })
+}
+
+fn hand_run(run: &Run) -> HandRun<'_> {
+    HandRun {
+        name: &run.name,
+        joints: &run.hand.joints,
+        world_from_base: &run.hand.world_from_base,
+        gravity: run.gravity,
+    }
+}
+
+fn bound(
+    run: &Run,
+    robot: &Robot,
+    found: &FoundFrames,
+    extra: &ExtraTorque,
+    touches: &[Touch],
+    placement: Option<&HandPlacement>,
+) -> drex_sysid::Result<Bound> {
+    let topple = Topple {
+        robot,
+        world_from_base: &run.hand.world_from_base,
+        table_height_m: run.table_height_m,
+        extra,
+        touches,
+        track: &run.track,
+        mesh: &run.mesh,
+        found,
+        placement,
+        gravity_m_s2: run.gravity.norm(),
+    };
+    of_topple(&topple, &BoundOptions::default())
+}
+
+fn frames_row(out: &mut impl Write, run: &Run, f: &FoundFrames) -> std::io::Result<()> {
+    writeln!(
+        out,
+        "{:9} {:6.1}  {:8.1}  {:9.0e}  {:8.2} s  {:.2} +- {:.2} s  {:.2} s",
+        run.name,
+        run.up.angle(&f.up_in_tracked).to_degrees(),
+        f.topples_towards_in_tracked.map_or(f64::NAN, |l| run.lean.angle(&l).to_degrees()),
+        f.runner_up_odds,
+        f.rest_s[1],
+        f.motion_start_s,
+        f.motion_start_sd_s,
+        f.trusted_until_s
+    )?;
+    f.remarks.iter().try_for_each(|r| writeln!(out, "          {r}"))
+}
+
+fn friction_table(out: &mut impl Write, c: &HandCalibration) -> std::io::Result<()> {
+    writeln!(
+        out,
+        "\nFriction of {} from {} runs\njoints              Coulomb, N m     load factor         inertia, g m2    noise  repeats within, N m",
+        c.robot,
+        c.runs.len()
+    )?;
+    for j in c.joints.iter().filter(|j| j.alike.first() == Some(&j.joint)) {
+        writeln!(
+            out,
+            "{:19} {:.3} +- {:.3}   {:.2} +- {:.2} {}   {:.2} +- {:.2}    {:.4}   {:.4}",
+            j.alike.join(" "),
+            j.coulomb_nm[0],
+            j.coulomb_nm[1],
+            j.load_factor[0],
+            j.load_factor[1],
+            if j.load_factor_seen { "seen " } else { "taken" },
+            1e3 * j.inertia_kg_m2[0],
+            1e3 * j.inertia_kg_m2[1],
+            j.noise_nm,
+            j.repeatability_nm
+        )?;
+    }
+    c.remarks.iter().try_for_each(|r| writeln!(out, "  {r}"))
+}
+
+fn touch_rows(
+    out: &mut impl Write,
+    run: &Run,
+    touches: &[Touch],
+    placement: Result<&HandPlacement, String>,
+) -> std::io::Result<()> {
+    for t in touches {
+        writeln!(
+            out,
+            "{:9} {:7} {:.2} to {:.2} s  {:.3} at {} ({:.0} sd)",
+            run.name, t.finger, t.from_to_s[0], t.from_to_s[1], t.peak_nm, t.joint, t.sigmas
+        )?;
+    }
+    match placement {
+        Ok(p) => writeln!(
+            out,
+            "{:9} tracker late by {:.2} +- {:.2} s; hand {:+.0} +- {:.0} mm higher than stated; tips within {:.1} mm of the face",
+            run.name,
+            p.clock_offset_s[0],
+            p.clock_offset_s[1],
+            1e3 * p.height_offset_m[0],
+            1e3 * p.height_offset_m[1],
+            1e3 * p.rms_m
+        ),
+        Err(e) => writeln!(out, "{:9} {e}", run.name),
+    }
+}
+
+fn bound_row(out: &mut impl Write, run: &Run, b: &Bound, truth: Option<f64>) -> std::io::Result<()> {
+    let [lo, hi] = b.interval_kg();
+    writeln!(
+        out,
+        "{:9} {:18} {:7.1} {:6.1} {:>6} {:8.2} {:10.2}  {:.3} to {:.3}  {:42} {}",
+        run.name,
+        b.fingers.join(" "),
+        1e3 * b.impulse_nms,
+        1e3 * b.work_j,
+        b.mass_kg().map_or("-".into(), |m| format!("{m:.3}")),
+        b.sd_log(),
+        b.sd_of_efforts_per_kg / b.per_kg.max(0.0),
+        lo,
+        hi,
+        b.limits(),
+        truth.map_or("unknown".into(), |m| format!("{m:.3}"))
+    )
 }

@@ -10,7 +10,7 @@ use drex_core::clock::{Clock, parse_utc_offset};
 use drex_core::push::{InputChoice, PushRecording};
 use drex_core::readers::read_foundation_pose_log;
 use drex_core::{Pose, Trajectory, TriMesh};
-use drex_sysid::frames::{FrameOptions, FoundFrames, find};
+use drex_sysid::frames::{FoundFrames, FrameOptions, find};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde_json::Value;
 
@@ -81,7 +81,8 @@ fn a_toppled_box_shows_up_lean_table_and_start_despite_faults() {
         let world = f.world_from_camera * view;
         assert!(world.translation.vector.norm() < 0.006 && world.rotation.angle() < 0.15, "seed {seed}: {world}");
         assert!(f.runner_up_odds < 0.05);
-        let outliers = track.times_s().iter().zip(&f.weights).filter(|(t, _)| **t < start).filter(|(_, w)| **w < 0.2).count();
+        let outliers =
+            track.times_s().iter().zip(&f.weights).filter(|(t, _)| **t < start).filter(|(_, w)| **w < 0.2).count();
         assert!((1..=4).contains(&outliers), "seed {seed}: {outliers} outliers at rest");
     }
 }
@@ -141,7 +142,8 @@ fn recordings_that_show_nothing_are_refused_by_name() {
 fn up_is_found_in_simulated_tilts_seen_by_unknown_cameras() {
     let Some(shared) = shared() else { return };
     let mut folders = vec![shared.join("data/push_mujoco")];
-    folders.extend(["/tmp/push_seed77", "/tmp/push_seed4242"].map(PathBuf::from).into_iter().filter(|f| f.is_dir()));
+    // Sets of other seeds, made with the same generator, if there are any.
+    folders.extend(std::env::var_os("DREX_PUSH_SETS").iter().flat_map(std::env::split_paths));
     let (mut tried, mut wrong, mut warned) = (0, 0, 0);
     for set in folders {
         for object in ["letter_t", "brick", "can", "bottle", "letter_l_rho1", "letter_l", "letter_l_rho3"] {
@@ -159,7 +161,11 @@ fn up_is_found_in_simulated_tilts_seen_by_unknown_cameras() {
                             if off > 15.0 {
                                 wrong += 1;
                                 warned += usize::from(f.runner_up_odds > 0.2);
-                                eprintln!("{} camera {seed}: {off:.0} degrees off, odds {:.2}", folder.display(), f.runner_up_odds);
+                                eprintln!(
+                                    "{} camera {seed}: {off:.0} degrees off, odds {:.2}",
+                                    folder.display(),
+                                    f.runner_up_odds
+                                );
                             }
                         }
                         Err(e) => eprintln!("{} camera {seed}: {e}", folder.display()),
@@ -218,7 +224,10 @@ fn up_and_lean_of_real_runs_are_found_without_their_frame_entries() {
         }
         assert!(f.runner_up_odds < 0.2);
         // Seen from the other end: the same track in a camera that is turned about its axis by a quarter.
-        let turned = run.track.left_mul(&Pose::from_parts(Translation3::identity(), Rotation3::from_axis_angle(&Vector3::z_axis(), 0.5).into()));
+        let turned = run.track.left_mul(&Pose::from_parts(
+            Translation3::identity(),
+            Rotation3::from_axis_angle(&Vector3::z_axis(), 0.5).into(),
+        ));
         let again = find(&turned, &run.mesh, &FrameOptions::default()).unwrap();
         assert!(degrees(&again.up_in_tracked, &f.up_in_tracked) < 8.0, "{}", run.name);
     }

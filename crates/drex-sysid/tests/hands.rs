@@ -19,6 +19,9 @@ const DOWN: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 /// Truth of the made-up hand: Coulomb friction (N m), load factor, inertia (kg m²).
 const FRICTION: (f64, f64, f64) = (0.08, 1.8, 0.003);
 
+/// A quantity over time.
+type Curve<'a> = &'a dyn Fn(f64) -> f64;
+
 /// The Allegro hand with its fingers hanging down, 0.25 m up.
 fn allegro() -> (Robot, Pose) {
     let turned = UnitQuaternion::from_quaternion(Quaternion::new(0.0, 0.0, -1.0, 0.0));
@@ -26,7 +29,7 @@ fn allegro() -> (Robot, Pose) {
 }
 
 /// A log of all joints at 300 Hz from positions and contact torques of the joints `moving`, with efforts of the made-up hand.
-fn log(robot: &Robot, base: &Pose, seconds: f64, moving: &[(usize, &dyn Fn(f64) -> f64, &dyn Fn(f64) -> f64)], seed: u64) -> JointLog {
+fn log(robot: &Robot, base: &Pose, seconds: f64, moving: &[(usize, Curve<'_>, Curve<'_>)], seed: u64) -> JointLog {
     let mut n = normals(seed);
     let gravity = base.rotation.inverse() * DOWN;
     let names = robot.joint_names().iter().map(|s| (*s).to_owned()).collect();
@@ -77,8 +80,20 @@ fn friction_load_factor_and_touches_come_out_of_logs_that_name_none() {
     let second = |t: f64| push(t, 0.9, 1.5, 0.05);
     let logs = [
         log(&robot, &base, 3.0, &[(j("ffj1"), &fast, &first), (j("mfj1"), &fast, &none), (j("rfj1"), &fast, &none)], 1),
-        log(&robot, &base, 3.0, &[(j("ffj1"), &slow, &none), (j("mfj1"), &slow, &second), (j("rfj1"), &slow, &second)], 2),
-        log(&robot, &base, 3.0, &[(j("ffj1"), &fast, &second), (j("mfj1"), &slow, &second), (j("rfj1"), &slow, &none)], 3),
+        log(
+            &robot,
+            &base,
+            3.0,
+            &[(j("ffj1"), &slow, &none), (j("mfj1"), &slow, &second), (j("rfj1"), &slow, &second)],
+            2,
+        ),
+        log(
+            &robot,
+            &base,
+            3.0,
+            &[(j("ffj1"), &fast, &second), (j("mfj1"), &slow, &second), (j("rfj1"), &slow, &none)],
+            3,
+        ),
     ];
     let runs: Vec<HandRun<'_>> = ["a", "b", "c"]
         .iter()
@@ -98,17 +113,24 @@ fn friction_load_factor_and_touches_come_out_of_logs_that_name_none() {
 
     let touched: Vec<Vec<(String, [f64; 2])>> = runs
         .iter()
-        .map(|r| c.extra_torque(r, &robot).unwrap().touches(&robot).into_iter().map(|t| (t.finger, t.from_to_s)).collect())
+        .map(|r| {
+            c.extra_torque(r, &robot).unwrap().touches(&robot).into_iter().map(|t| (t.finger, t.from_to_s)).collect()
+        })
         .collect();
-    let expected = [vec![("index", [0.7, 1.1])], vec![("middle", [0.9, 1.5]), ("ring", [0.9, 1.5])], vec![
-        ("index", [0.9, 1.4]),
-        ("middle", [0.9, 1.5]),
-    ]];
+    let expected = [
+        vec![("index", [0.7, 1.1])],
+        vec![("middle", [0.9, 1.5]), ("ring", [0.9, 1.5])],
+        vec![("index", [0.9, 1.4]), ("middle", [0.9, 1.5])],
+    ];
     for (run, (found, expected)) in touched.iter().zip(&expected).enumerate() {
         assert_eq!(found.len(), expected.len(), "run {run}: {found:?}");
         for (name, span) in expected {
-            let hit = found.iter().find(|f| f.0 == *name).unwrap_or_else(|| panic!("run {run}: {name} is not in {found:?}"));
-            assert!((hit.1[0] - span[0]).abs() < 0.15 && (hit.1[1] - span[1]).abs() < 0.2, "run {run}: {hit:?} for {span:?}");
+            let hit =
+                found.iter().find(|f| f.0 == *name).unwrap_or_else(|| panic!("run {run}: {name} is not in {found:?}"));
+            assert!(
+                (hit.1[0] - span[0]).abs() < 0.15 && (hit.1[1] - span[1]).abs() < 0.2,
+                "run {run}: {hit:?} for {span:?}"
+            );
         }
     }
     let x = c.extra_torque(&runs[0], &robot).unwrap();
@@ -243,7 +265,13 @@ fn made_topple(robot: &Robot, base: &Pose, mass: f64, seed: u64) -> MadeTopple {
     MadeTopple { joints, track, mesh: box_mesh(HALF.into(), Vector3::zeros()) }
 }
 
-fn weigh(robot: &Robot, base: &Pose, made: &MadeTopple, c: &HandCalibration, table: f64) -> (Bound, HandPlacement, ExtraTorque) {
+fn weigh(
+    robot: &Robot,
+    base: &Pose,
+    made: &MadeTopple,
+    c: &HandCalibration,
+    table: f64,
+) -> (Bound, HandPlacement, ExtraTorque) {
     let run = HandRun { name: "made", joints: &made.joints, world_from_base: base, gravity: DOWN };
     let extra = c.extra_torque(&run, robot).unwrap();
     let touches = extra.touches(robot);
@@ -268,21 +296,33 @@ fn weigh(robot: &Robot, base: &Pose, made: &MadeTopple, c: &HandCalibration, tab
 #[test]
 fn a_made_up_topple_gives_back_clock_height_and_mass() {
     let (robot, base) = allegro();
-    let made: Vec<(f64, MadeTopple)> = [0.15, 0.3, 0.6].map(|m| (m, made_topple(&robot, &base, m, (100.0 * m) as u64))).into();
-    let runs: Vec<HandRun<'_>> =
-        made.iter().map(|(_, t)| HandRun { name: "made", joints: &t.joints, world_from_base: &base, gravity: DOWN }).collect();
+    let made: Vec<(f64, MadeTopple)> =
+        [0.15, 0.3, 0.6].map(|m| (m, made_topple(&robot, &base, m, (100.0 * m) as u64))).into();
+    let runs: Vec<HandRun<'_>> = made
+        .iter()
+        .map(|(_, t)| HandRun { name: "made", joints: &t.joints, world_from_base: &base, gravity: DOWN })
+        .collect();
     let c = hand(&runs, &robot, &CalibrateOptions::default()).unwrap();
     let mut estimates = Vec::new();
     for (mass, t) in &made {
         let (bound, placement, _) = weigh(&robot, &base, t, &c, TABLE);
         eprintln!(
             "{mass} kg: {:?} closed {:.3} kg, {:.3} kg, interval {:.3?}, clock {:.3?}, height {:.3?}, limited by {}",
-            bound.fingers, 1.0 / bound.closed_form_per_kg, 1.0 / bound.per_kg, bound.interval_kg(), placement.clock_offset_s,
-            placement.height_offset_m, bound.limits()
+            bound.fingers,
+            1.0 / bound.closed_form_per_kg,
+            1.0 / bound.per_kg,
+            bound.interval_kg(),
+            placement.clock_offset_s,
+            placement.height_offset_m,
+            bound.limits()
         );
         assert_eq!(bound.fingers, ["index"]);
         assert!((placement.clock_offset_s[0] - DELAY).abs() < 0.06, "{:?}", placement.clock_offset_s);
-        assert!(placement.height_offset_m[0].abs() < 2.5 * placement.height_offset_m[1], "{:?}", placement.height_offset_m);
+        assert!(
+            placement.height_offset_m[0].abs() < 2.5 * placement.height_offset_m[1],
+            "{:?}",
+            placement.height_offset_m
+        );
         assert!((placement.push_in_world + Vector3::x()).norm() < 0.1);
         let [lo, hi] = bound.interval_kg();
         assert!(lo < *mass && *mass < hi && hi / lo < 6.0, "{lo} to {hi} for {mass}");
@@ -310,7 +350,12 @@ fn real_runs() -> Option<Vec<(String, PushRecording, HandPush)>> {
 
 fn hand_runs(all: &[(String, PushRecording, HandPush)]) -> Vec<HandRun<'_>> {
     all.iter()
-        .map(|(name, r, h)| HandRun { name, joints: &h.joints, world_from_base: &h.world_from_base, gravity: r.gravity })
+        .map(|(name, r, h)| HandRun {
+            name,
+            joints: &h.joints,
+            world_from_base: &h.world_from_base,
+            gravity: r.gravity,
+        })
         .collect()
 }
 
@@ -345,7 +390,8 @@ fn real_logs_show_the_friction_and_the_touches_that_were_measured_in_them() {
         let hit = touches.iter().filter(|t| t.finger == finger).map(|t| t.peak_nm).fold(0.0, f64::max);
         assert!(range.contains(&hit), "{} {finger}: {hit} not in {range:?}", run.name);
     }
-    for (run, free) in [("domino2", ["index", "ring"]), ("ketchup1", ["ring", "thumb"]), ("lego2", ["index", "middle"])] {
+    for (run, free) in [("domino2", ["index", "ring"]), ("ketchup1", ["ring", "thumb"]), ("lego2", ["index", "middle"])]
+    {
         let run = runs.iter().find(|r| r.name == run).unwrap();
         let touches = c.extra_torque(run, &robot).unwrap().touches(&robot);
         assert!(touches.iter().all(|t| !free.contains(&t.finger.as_str())), "{}: {touches:?}", run.name);
@@ -391,7 +437,10 @@ fn tracks_and_logs_of_different_runs_are_refused_with_both_times() {
         tip.touch_s.iter_mut().flatten().for_each(|t| *t -= 1800.0);
     }
     let message = against_hand(&found, &all[ketchup].1.track, &mesh, &tips, 0.062).unwrap_err().to_string();
-    assert!(message.contains("do not overlap") && message.contains("joint log") && message.contains("pose track"), "{message}");
+    assert!(
+        message.contains("do not overlap") && message.contains("joint log") && message.contains("pose track"),
+        "{message}"
+    );
 }
 
 #[test]

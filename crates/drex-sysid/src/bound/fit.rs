@@ -65,13 +65,13 @@ impl Bound {
     }
 
     /// The 95 % interval of the mass, kg. Most errors are factors, so it is that of the logarithm while its standard deviation
-    /// is below one half; beyond, that of 1/m, which may have no upper end. Without a touch there is none: zero to infinity.
+    /// is below 0.7; beyond, that of 1/m, which may have no upper end. Without a touch there is none: zero to infinity.
     pub fn interval_kg(&self) -> [f64; 2] {
         let (s, m) = (self.sd_log(), 1.0 / self.per_kg);
         if !self.seen {
             return [0.0, f64::INFINITY];
         }
-        if s < 0.5 {
+        if s < 0.7 {
             return [m * (-1.96 * s).exp(), m * (1.96 * s).exp()];
         }
         let (lo, hi) = (self.per_kg - 1.96 * self.sd_per_kg, self.per_kg + 1.96 * self.sd_per_kg);
@@ -357,7 +357,8 @@ impl<'a> Scene<'a> {
     /// Jacobian by central differences, and residual, both whitened; priors as rows of their own.
     fn linearised(&self, per_kg: f64, u: &[f64], added: &[f64]) -> Option<(DMatrix<f64>, DVector<f64>)> {
         let now = self.values(u);
-        let factor = Cholesky::new(self.covariance(per_kg, &now) + DMatrix::from_diagonal(&DVector::from_column_slice(added)))?;
+        let factor =
+            Cholesky::new(self.covariance(per_kg, &now) + DMatrix::from_diagonal(&DVector::from_column_slice(added)))?;
         let white = |v: &[f64], per_kg: f64| -> Option<DVector<f64>> {
             let rows = self.rows(v);
             let r = rows.iter().map(|r| r.per_mass - per_kg * r.moment);

@@ -88,7 +88,10 @@ pub fn of_topple(run: &Topple<'_>, options: &BoundOptions) -> Result<Bound> {
         })
         .collect();
     combine(fits).ok_or_else(|| {
-        refuse("fewer than three frames at which the object leans and a finger pushes", "push more slowly, so that it tips")
+        refuse(
+            "fewer than three frames at which the object leans and a finger pushes",
+            "push more slowly, so that it tips",
+        )
     })
 }
 

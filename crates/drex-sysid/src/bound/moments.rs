@@ -176,7 +176,13 @@ fn pusher(run: &Topple<'_>, finger: &Finger, touch_s: [f64; 2], push: &Vector3<f
 
 /// The normal force from T_j = l_j F over the joints of the finger, each with its own errors; what it gains per offset of all
 /// torques; and the joint that says most.
-fn normal_force(run: &Topple<'_>, finger: &Finger, k: usize, push: &Vector3<f64>, linear: &Matrix3xX<f64>) -> (f64, f64, usize) {
+fn normal_force(
+    run: &Topple<'_>,
+    finger: &Finger,
+    k: usize,
+    push: &Vector3<f64>,
+    linear: &Matrix3xX<f64>,
+) -> (f64, f64, usize) {
     let x = run.extra;
     let (mut a, mut b, mut u, mut best) = (0.0, 0.0, 0.0, (0.0, finger.joints.first().copied().unwrap_or(0)));
     for &j in &finger.joints {

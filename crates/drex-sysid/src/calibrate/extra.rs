@@ -147,7 +147,11 @@ impl ExtraTorque {
         let level = |k: usize| {
             let moving = k > 0 && (self.positions[k][j] - self.positions[k - 1][j]).abs() > LEAST_SPEED * STEP;
             let sign = if k > 0 { (self.positions[k][j] - self.positions[k - 1][j]).signum() } else { 0.0 };
-            if moving && self.torque_nm[j][k].is_finite() { sign * self.torque_nm[j][k] / self.sd_nm[j][k] } else { 0.0 }
+            if moving && self.torque_nm[j][k].is_finite() {
+                sign * self.torque_nm[j][k] / self.sd_nm[j][k]
+            } else {
+                0.0
+            }
         };
         let levels: Vec<f64> = (0..n).map(level).collect();
         let mut out = Vec::new();

@@ -100,13 +100,15 @@ pub(super) fn fit(sequences: &[Sequence], prior: LoadPrior) -> Option<Fit> {
     let with_speed = rows(true);
     if let Some((d, cov)) = solve(&with_speed, &effort, &thinned, state.noise, prior) {
         let r = &effort - &with_speed * &d;
-        let better = weighted_sd(r.as_slice(), &state.weights) < 0.95 * weighted_sd(residual.as_slice(), &state.weights);
+        let better =
+            weighted_sd(r.as_slice(), &state.weights) < 0.95 * weighted_sd(residual.as_slice(), &state.weights);
         if d[3] > 3.0 * cov[(3, 3)].sqrt() && better && d[0] > 0.0 {
             (values, covariance, residual) = ([d[0], d[1], d[2], d[3]], cov, r);
         }
     }
     let n = covariance.nrows();
-    let covariance = std::array::from_fn(|i| std::array::from_fn(|j| if i < n && j < n { covariance[(i, j)] } else { 0.0 }));
+    let covariance =
+        std::array::from_fn(|i| std::array::from_fn(|j| if i < n && j < n { covariance[(i, j)] } else { 0.0 }));
     let mut free = Vec::new();
     let mut at = 0;
     for s in sequences {
@@ -132,7 +134,15 @@ pub(super) fn fit(sequences: &[Sequence], prior: LoadPrior) -> Option<Fit> {
 fn maximise(x: &DMatrix<f64>, y: &DVector<f64>, noise: f64, prior: LoadPrior) -> Option<(DVector<f64>, Mixture)> {
     // Starts and stops are no friction: a few samples may lie anywhere.
     let stray = 1.0 / (y.max() - y.min()).max(LEAST_NOISE);
-    let mut state = Mixture { weights: vec![1.0; y.len()], touched: vec![0.0; y.len()], noise, contact: USUAL_CONTACT, share: 0.3, likelihood: 0.0, stray };
+    let mut state = Mixture {
+        weights: vec![1.0; y.len()],
+        touched: vec![0.0; y.len()],
+        noise,
+        contact: USUAL_CONTACT,
+        share: 0.3,
+        likelihood: 0.0,
+        stray,
+    };
     // The lower half is freer than the upper: start there.
     let flat = y.iter().sum::<f64>() / y.len() as f64;
     let mut c = solve(x, y, &y.iter().map(|e| if *e < flat { 1.0 } else { 0.1 }).collect::<Vec<_>>(), noise, prior)?.0;
@@ -188,7 +198,13 @@ impl Mixture {
 }
 
 /// Weighted least squares with a normal prior on κ, c ≥ 0 and I ≥ 0 not enforced. Values and covariance.
-fn solve(x: &DMatrix<f64>, y: &DVector<f64>, w: &[f64], noise: f64, prior: LoadPrior) -> Option<(DVector<f64>, DMatrix<f64>)> {
+fn solve(
+    x: &DMatrix<f64>,
+    y: &DVector<f64>,
+    w: &[f64],
+    noise: f64,
+    prior: LoadPrior,
+) -> Option<(DVector<f64>, DMatrix<f64>)> {
     let n = x.ncols();
     let (mut a, mut b) = (DMatrix::zeros(n, n), DVector::zeros(n));
     for i in 0..x.nrows() {
@@ -259,7 +275,10 @@ fn start_error(sequences: &[Sequence], r: &[f64], inertia: f64, noise: f64) -> f
 }
 
 fn gravity_range(sequences: &[Sequence], free: &[Vec<f64>]) -> f64 {
-    let values = sequences.iter().zip(free).flat_map(|(s, w)| s.gravity.iter().zip(w).filter(|(_, w)| **w > 0.5).map(|(g, _)| *g));
+    let values = sequences
+        .iter()
+        .zip(free)
+        .flat_map(|(s, w)| s.gravity.iter().zip(w).filter(|(_, w)| **w > 0.5).map(|(g, _)| *g));
     let (lo, hi) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), g| (a.min(g), b.max(g)));
     (hi - lo).max(0.0)
 }
@@ -268,7 +287,8 @@ fn gravity_range(sequences: &[Sequence], free: &[Vec<f64>]) -> f64 {
 fn normal_cdf(z: f64) -> f64 {
     let x = z.abs() / std::f64::consts::SQRT_2;
     let t = 1.0 / (1.0 + 0.327_591_1 * x);
-    let poly = t * (0.254_829_592 + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
+    let poly =
+        t * (0.254_829_592 + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
     let tail = 0.5 * poly * (-x * x).exp();
     if z > 0.0 { 1.0 - tail } else { tail }
 }

@@ -145,7 +145,10 @@ pub fn hand(runs: &[HandRun<'_>], robot: &Robot, options: &CalibrateOptions) -> 
         }
     }
     if joints.is_empty() {
-        return Err(refuse("no joint moves faster than 0.1 rad/s in any run".into(), "give runs in which the hand moves"));
+        return Err(refuse(
+            "no joint moves faster than 0.1 rad/s in any run".into(),
+            "give runs in which the hand moves",
+        ));
     }
     let mut remarks = Vec::new();
     if factors.is_empty() {
@@ -281,7 +284,11 @@ fn calibration(
             let end = (k..free.len()).find(|&i| free[i] < 0.5).unwrap_or(free.len());
             if end >= k + 10 {
                 let from_to_s = [s.times_s[k], s.times_s[end - 1]];
-                spans.push(FreeSpan { run: runs[s.run].name.into(), joint: robot.joints[s.joint].name.clone(), from_to_s });
+                spans.push(FreeSpan {
+                    run: runs[s.run].name.into(),
+                    joint: robot.joints[s.joint].name.clone(),
+                    from_to_s,
+                });
             }
             k = end + 1;
         }

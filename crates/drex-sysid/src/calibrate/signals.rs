@@ -50,16 +50,22 @@ impl Signals {
         let n = log.times_s.len();
         if log.efforts.len() != n || log.positions.len() != n {
             return Err(SysidError::Calibration {
-                what: format!("run `{}` has {n} times, {} rows of positions and {} of efforts", run.name, log.positions.len(), log.efforts.len()),
+                what: format!(
+                    "run `{}` has {n} times, {} rows of positions and {} of efforts",
+                    run.name,
+                    log.positions.len(),
+                    log.efforts.len()
+                ),
                 remedy: "log effort_* beside position_* for every sample".into(),
             });
         }
-        let columns = log.names.iter().map(|name| robot.require_joint(name)).collect::<Result<Vec<_>, _>>().map_err(|e| {
-            SysidError::Calibration {
-                what: format!("run `{}` is not of the hand `{}`: {e}", run.name, robot.name),
-                remedy: "give the robot that the log was made with".into(),
-            }
-        })?;
+        let columns =
+            log.names.iter().map(|name| robot.require_joint(name)).collect::<Result<Vec<_>, _>>().map_err(|e| {
+                SysidError::Calibration {
+                    what: format!("run `{}` is not of the hand `{}`: {e}", run.name, robot.name),
+                    remedy: "give the robot that the log was made with".into(),
+                }
+            })?;
         let short = || SysidError::Calibration {
             what: format!("run `{}` is shorter than a tenth of a second", run.name),
             remedy: "give a longer joint log".into(),
@@ -77,7 +83,8 @@ impl Signals {
         let down = run.world_from_base.rotation.inverse() * run.gravity;
         for k in 0..=((last - first - 2.0 * HALF) / STEP).floor() as usize {
             let t = first + HALF + k as f64 * STEP;
-            let (a, b) = (log.times_s.partition_point(|&s| s < t - HALF), log.times_s.partition_point(|&s| s <= t + HALF));
+            let (a, b) =
+                (log.times_s.partition_point(|&s| s < t - HALF), log.times_s.partition_point(|&s| s <= t + HALF));
             let Some(fit) = (b >= a + LEAST).then(|| Quadratic::new(t, &log.times_s[a..b])).flatten() else { continue };
             out.times_s.push(t);
             let mut q = robot.joints.iter().map(|j| j.reference).collect::<Vec<_>>();
@@ -99,7 +106,8 @@ impl Signals {
 
     /// Joint vector at grid point `k`, at the reference where the log has no such joint.
     pub fn joint_vector(&self, robot: &Robot, k: usize) -> Vec<f64> {
-        let value = |(j, joint): (usize, &drex_robot::Joint)| self.position[j].get(k).copied().unwrap_or(joint.reference);
+        let value =
+            |(j, joint): (usize, &drex_robot::Joint)| self.position[j].get(k).copied().unwrap_or(joint.reference);
         robot.joints.iter().enumerate().map(value).collect()
     }
 }

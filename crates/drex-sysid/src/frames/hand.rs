@@ -125,7 +125,8 @@ pub fn against_hand(
     };
     let weights: Vec<f64> = profile.iter().map(|(_, c)| (least - c).exp()).collect();
     let sum: f64 = weights.iter().sum();
-    let tau_sd = (profile.iter().zip(&weights).map(|((t, _), w)| w * (t - tau).powi(2)).sum::<f64>() / sum).sqrt().max(0.01);
+    let tau_sd =
+        (profile.iter().zip(&weights).map(|((t, _), w)| w * (t - tau).powi(2)).sum::<f64>() / sum).sqrt().max(0.01);
     let slope = {
         let other = view.fit(&touching, &push, tau + 0.02, table_height_m);
         other.map_or(0.0, |o| (o.height - fit.height) / 0.02)
@@ -137,7 +138,8 @@ pub fn against_hand(
     let (offset, offset_sd) = (fit.height * w / (w + v), (w + v).powf(-0.5));
 
     let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), push.y.atan2(push.x));
-    let lateral = touching.iter().map(|(t, s)| push.cross(&Vector3::z()).dot(&t.at(s[0]).coords)).sum::<f64>() / touching.len() as f64;
+    let lateral = touching.iter().map(|(t, s)| push.cross(&Vector3::z()).dot(&t.at(s[0]).coords)).sum::<f64>()
+        / touching.len() as f64;
     let origin = push * -fit.start - Vector3::z().cross(&push) * lateral + Vector3::z() * (table_height_m - offset);
     Ok(HandPlacement {
         world_from_camera: Pose::from_parts(Translation3::from(origin), yaw) * found.world_from_camera,
@@ -153,7 +155,8 @@ pub fn against_hand(
 /// that go on while it starts (the tracker may be late by [`MOST_DELAY`]), the strongest.
 pub(crate) fn moving_touch<'a>(touches: &'a [Touch], finger: &str, motion_start_s: f64) -> Option<&'a Touch> {
     let mine = touches.iter().filter(|t| t.finger == finger);
-    let goes_on = mine.filter(|t| t.from_to_s[0] < motion_start_s + 0.5 && t.from_to_s[1] > motion_start_s - MOST_DELAY);
+    let goes_on =
+        mine.filter(|t| t.from_to_s[0] < motion_start_s + 0.5 && t.from_to_s[1] > motion_start_s - MOST_DELAY);
     goes_on.max_by(|a, b| a.sigmas.total_cmp(&b.sigmas))
 }
 
@@ -166,26 +169,19 @@ pub fn tip_paths(
     touches: &[Touch],
     motion_start_s: f64,
 ) -> Vec<TipPath> {
-    let fingers = robot.fingers();
-    let balls: Vec<(Point3<f64>, f64)> = fingers.iter().map(|f| tip_ball(robot, f)).collect();
-    let mut centers = vec![Vec::with_capacity(extra.times_s.len()); fingers.len()];
-    for q in &extra.positions {
-        let poses = robot.forward_kinematics(q, world_from_base);
-        for (finger, (ball, path)) in fingers.iter().zip(balls.iter().zip(&mut centers)) {
-            path.push(poses[finger.tip_link] * ball.0);
-        }
-    }
-    let path = |((finger, ball), centers): ((Finger, (Point3<f64>, f64)), Vec<Point3<f64>>)| {
-        let touch = moving_touch(touches, &finger.name, motion_start_s);
+    let tips = |q: &Vec<f64>| robot.forward_kinematics(q, world_from_base);
+    let poses: Vec<Vec<Pose>> = extra.positions.iter().map(tips).collect();
+    let path = |finger: Finger| {
+        let (ball, radius_m) = tip_ball(robot, &finger);
         TipPath {
-            name: finger.name,
             times_s: extra.times_s.clone(),
-            centers,
-            radius_m: ball.1,
-            touch_s: touch.map(|t| t.from_to_s),
+            centers: poses.iter().map(|links| links[finger.tip_link] * ball).collect(),
+            radius_m,
+            touch_s: moving_touch(touches, &finger.name, motion_start_s).map(|t| t.from_to_s),
+            name: finger.name,
         }
     };
-    fingers.into_iter().zip(balls).zip(centers).map(path).collect()
+    robot.fingers().into_iter().map(path).collect()
 }
 
 /// Centre, in the frame of the tip link, and radius of the ball at the end of a finger; the tip itself where there is none.
@@ -244,7 +240,8 @@ impl<'a> View<'a> {
             keep.iter().map(|&i| found.world_from_camera * track.poses()[i] * found.tracked_from_mesh).collect();
         let center = score::box_center(solid);
         let lean = found.topples_towards_in_tracked.map(|l| found.tracked_from_mesh.rotation.inverse() * l);
-        let behind = lean.map_or(0.0, |l| solid.hull.vertices.iter().map(|v| -l.dot(&(v - center))).fold(0.0, f64::max));
+        let behind =
+            lean.map_or(0.0, |l| solid.hull.vertices.iter().map(|v| -l.dot(&(v - center))).fold(0.0, f64::max));
         let track = Trajectory::from_samples(&times, &poses).unwrap_or_default();
         let until = track.span_s().map_or(0.0, |s| s.1);
         Self { found, track, behind, center, until }
@@ -278,7 +275,8 @@ impl<'a> View<'a> {
                 rows.push((n, y, lean.tan(), sd, z));
             }
         }
-        let tilts = rows.iter().map(|r| r.2).fold(f64::INFINITY, f64::min)..rows.iter().map(|r| r.2).fold(0.0, f64::max);
+        let tilts =
+            rows.iter().map(|r| r.2).fold(f64::INFINITY, f64::min)..rows.iter().map(|r| r.2).fold(0.0, f64::max);
         let unknowns = touching.len() + 1;
         if rows.len() < unknowns + 3 || tilts.end - tilts.start < 0.05 {
             return None;

@@ -115,7 +115,8 @@ pub fn find(track: &Trajectory, mesh: &TriMesh, options: &FrameOptions) -> Resul
     };
     let mut remarks = Vec::new();
     if best.tracked_from_mesh.rotation.angle() > 0.1 && options.tracked_from_mesh.is_none() {
-        remarks.push("the track contradicts the axes of the mesh: the tracker seems to use a mesh with other axes".into());
+        remarks
+            .push("the track contradicts the axes of the mesh: the tracker seems to use a mesh with other axes".into());
     }
     let up_in_tracked = best.tracked_from_mesh.rotation * best.up_in_mesh;
     let mut alternatives: Vec<(Vector3<f64>, f64)> = Vec::new();
@@ -178,20 +179,30 @@ fn rank(evidence: &Evidence, solid: &Standing, motion: &Motion, options: &FrameO
         Some(w) => Some((w.rotation * motion.rest_pose.rotation).inverse() * Vector3::z()),
         None => options.up_in_tracked.and_then(|u| u.try_normalize(1e-9)),
     };
-    let center = Translation3::from(-score::box_center(solid).coords);
+    // Trackers report the pose of the mesh's frame or of the middle of its bounding box; turns are about that middle.
+    let center = Translation3::from(score::box_center(solid).coords);
     let frames: Vec<Pose> = match options.tracked_from_mesh {
         Some(known) => vec![known],
-        None => score::axis_permutations().into_iter().map(|r| Pose::from_parts(Translation3::identity(), r) * center).collect(),
+        None => score::axis_permutations()
+            .into_iter()
+            .flat_map(|r| {
+                let turned = Pose::from_parts(Translation3::identity(), r) * center.inverse();
+                let apart = center.vector.norm() > 1e-3 * solid.size_m();
+                [Some(turned), apart.then(|| center * turned)]
+            })
+            .flatten()
+            .collect(),
     };
     let mut ranked = Vec::new();
-    for (i, frame) in frames.iter().enumerate() {
+    for frame in &frames {
         let ways: Vec<Vector3<f64>> = match known_up {
             Some(up) => vec![frame.rotation.inverse() * up],
             None => solid.faces.iter().map(|f| f.up).collect(),
         };
         for up_in_mesh in ways {
             let mut h = Hypothesis { tracked_from_mesh: *frame, up_in_mesh, cost: 0.0 };
-            h.cost = evidence.cost(&h, solid) + if i == 0 { 0.0 } else { OTHER_AXES };
+            let as_filed = frame.rotation.angle() < 0.1 || options.tracked_from_mesh.is_some();
+            h.cost = evidence.cost(&h, solid) + if as_filed { 0.0 } else { OTHER_AXES };
             ranked.push(h);
         }
     }
@@ -269,7 +280,10 @@ fn trusted(motion: &Motion, solid: &Standing, best: &Hypothesis) -> (f64, Option
         } else if rate > 25.0 {
             format!("the tracked orientation turns at {rate:.0} rad/s")
         } else if lean.is_some() && (0.15..1.4).contains(&tilt) && spin.abs() > 0.5 {
-            format!("the tracked object has turned by {:.0} degrees about its own axis while it topples", spin.to_degrees())
+            format!(
+                "the tracked object has turned by {:.0} degrees about its own axis while it topples",
+                spin.to_degrees()
+            )
         } else {
             continue;
         };

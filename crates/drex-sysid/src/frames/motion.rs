@@ -129,7 +129,8 @@ pub(super) fn mean_pose(poses: &[Pose]) -> Pose {
                 return median;
             }
             let spread = 3.0 * middle(values.iter().map(|v| (v - median).abs()).collect()) / 0.6745;
-            let (sum, n) = values.iter().filter(|v| (*v - median).abs() <= spread).fold((0.0, 0), |(s, n), v| (s + v, n + 1));
+            let (sum, n) =
+                values.iter().filter(|v| (*v - median).abs() <= spread).fold((0.0, 0), |(s, n), v| (s + v, n + 1));
             if n > 0 { sum / f64::from(n) } else { median }
         });
         center.translation.vector += step.fixed_rows::<3>(0);

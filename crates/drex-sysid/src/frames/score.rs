@@ -48,7 +48,8 @@ impl Evidence {
         let moving: Vec<Pose> =
             (motion.rest.end..motion.settled.start.min(p.len())).filter(|&i| t[i] <= end).map(|i| p[i]).collect();
         let stride = moving.len().div_ceil(MOST_FRAMES).max(1);
-        let settled = (motion.settled.len() >= 5 && t[motion.settled.start] <= until_s).then(|| super::motion::mean_pose(&p[motion.settled.clone()]));
+        let settled = (motion.settled.len() >= 5 && t[motion.settled.start] <= until_s)
+            .then(|| super::motion::mean_pose(&p[motion.settled.clone()]));
         Self {
             frames: moving.into_iter().step_by(stride).collect(),
             settled,
@@ -106,7 +107,8 @@ impl Evidence {
 
 /// All rotations that turn a box onto its axes, the identity first.
 pub(super) fn axis_permutations() -> Vec<UnitQuaternion<f64>> {
-    let axes: [Vector3<f64>; 6] = [Vector3::x(), -Vector3::x(), Vector3::y(), -Vector3::y(), Vector3::z(), -Vector3::z()];
+    let axes: [Vector3<f64>; 6] =
+        [Vector3::x(), -Vector3::x(), Vector3::y(), -Vector3::y(), Vector3::z(), -Vector3::z()];
     let mut all = Vec::with_capacity(24);
     for x in axes {
         for y in axes.into_iter().filter(|y| x.dot(y).abs() < 0.5) {

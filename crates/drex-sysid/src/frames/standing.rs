@@ -109,7 +109,8 @@ fn ways_to_stand(hull: &TriMesh, com: &Point3<f64>) -> Vec<StandingFace> {
         }
     }
     directions.extend([Vector3::x(), Vector3::y(), Vector3::z()].into_iter().flat_map(|a| [a, -a]));
-    let mut firm: Vec<(f64, Vector3<f64>)> = directions.into_iter().map(|up| foot.firmest_near(up)).filter(|f| f.0 > 0.0).collect();
+    let mut firm: Vec<(f64, Vector3<f64>)> =
+        directions.into_iter().map(|up| foot.firmest_near(up)).filter(|f| f.0 > 0.0).collect();
     firm.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut kept: Vec<StandingFace> = Vec::new();
     for (_, up) in firm {
@@ -154,7 +155,8 @@ impl Foot<'_> {
         let (mut best, mut value) = (up, self.firmness(&up));
         let mut step = 0.08;
         while step > 0.004 {
-            let side = if best.x.abs() < 0.7 { best.cross(&Vector3::x()) } else { best.cross(&Vector3::y()) }.normalize();
+            let side =
+                if best.x.abs() < 0.7 { best.cross(&Vector3::x()) } else { best.cross(&Vector3::y()) }.normalize();
             let other = best.cross(&side);
             let moved = (0..8).map(|k| {
                 let (s, c) = (std::f64::consts::FRAC_PI_4 * f64::from(k)).sin_cos();
@@ -179,7 +181,8 @@ impl Foot<'_> {
     /// The plane nearest to the points of the foot, as its normal on the side of `up`.
     fn plane(&self, up: &Vector3<f64>) -> Option<Vector3<f64>> {
         let low = lowest(self.hull, up);
-        let points: Vec<&Point3<f64>> = self.hull.vertices.iter().filter(|v| up.dot(&v.coords) <= low + self.rise).collect();
+        let points: Vec<&Point3<f64>> =
+            self.hull.vertices.iter().filter(|v| up.dot(&v.coords) <= low + self.rise).collect();
         let mean = points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len() as f64;
         let scatter: Matrix3<f64> = points.iter().map(|p| (p.coords - mean) * (p.coords - mean).transpose()).sum();
         let eigen = scatter.symmetric_eigen();
@@ -222,7 +225,8 @@ mod tests {
 
     /// A box of half extents `h` about `c`.
     fn cuboid(h: [f64; 3], c: [f64; 3]) -> TriMesh {
-        let corner = |i: usize| Point3::from(Vector3::from_fn(|k, _| c[k] + if i >> k & 1 == 0 { -h[k] } else { h[k] }));
+        let corner =
+            |i: usize| Point3::from(Vector3::from_fn(|k, _| c[k] + if i >> k & 1 == 0 { -h[k] } else { h[k] }));
         TriMesh::convex_hull(&(0..8).map(corner).collect::<Vec<_>>()).unwrap()
     }
 
