@@ -216,7 +216,8 @@ fn margin(mut points: Vec<[f64; 2]>) -> f64 {
         let length = (w[1][0] - w[0][0]).hypot(w[1][1] - w[0][1]);
         turn(w[0], w[1], [0.0, 0.0]) / length.max(1e-12)
     };
-    edges.map(distance).fold(f64::INFINITY, f64::min).min(1e3)
+    // A point or a line carries nothing.
+    if lower.len() + upper.len() < 5 { -1.0 } else { edges.map(distance).fold(f64::INFINITY, f64::min) }
 }
 
 #[cfg(test)]
@@ -233,9 +234,9 @@ mod tests {
     #[test]
     fn a_box_stands_on_six_faces_and_tips_over_its_edges() {
         let s = Standing::of(&cuboid([0.01, 0.02, 0.05], [0.3, 0.0, 0.1])).unwrap();
-        assert_eq!(s.faces.len(), 6);
+        assert_eq!(s.faces.len(), 6, "{:?}", s.faces);
         assert!(!s.of_hull && (s.unit.center_of_mass - Point3::new(0.3, 0.0, 0.1)).norm() < 1e-12);
-        assert!((s.faces[0].height_m - 0.01).abs() < 1e-12 && s.faces[0].up.x.abs() > 0.99);
+        assert!((s.faces[0].height_m - 0.01).abs() < 1e-12 && s.faces[0].up.x.abs() > 0.99, "{:?}", s.faces);
         assert!((s.faces[5].height_m - 0.05).abs() < 1e-12 && s.faces[5].up.z.abs() > 0.99);
         assert!((s.foot_reach(&Vector3::z(), &Vector3::x(), 1e-3) - 0.01).abs() < 1e-12);
         assert!((s.lowest(&Vector3::z()) - 0.05).abs() < 1e-12);
