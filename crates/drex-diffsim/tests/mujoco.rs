@@ -222,7 +222,7 @@ fn a_box_on_a_turntable() {
     let half_m = Vector3::new(0.2, 0.2, 0.01);
     let table = Collider::new(&[Geom::new(Shape::Box { half_m }).at(Pose::translation(0.0, 0.0, -0.01))]).unwrap();
     let mut scene = Scene::empty();
-    let path = Path::stops(&[0.1, 1.1], &[turn(0.0), turn(1.5)]).unwrap();
+    let path = Path::smooth(&[0.1, 1.1], &[turn(0.0), turn(1.5)]).unwrap();
     scene.movers.push(Mover::new(path, Arc::new(table), 0.8));
     agree(&model, &scene, &State::at_rest(Pose::translation(0.1, 0.0, 0.02)), 1.2, (0.5, 0.5, 100.0));
 }

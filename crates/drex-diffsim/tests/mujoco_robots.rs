@@ -7,8 +7,8 @@ use std::sync::Arc;
 use drex_core::Pose;
 use drex_diffsim::mujoco::{self, MjcfOptions, MujocoEngine};
 use drex_diffsim::{
-    AppliedForce, Articulation, Base, BasePath, ContactForce, Control, ForcePoint, Model, Part, Scene, State,
-    Workspace, rollout, step,
+    AppliedForce, Articulation, Base, ContactForce, Control, ForcePoint, Model, Part, Path, Scene, State, Workspace,
+    rollout, step,
 };
 use drex_robot::Robot;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
@@ -75,7 +75,7 @@ fn a_hand_without_drives_and_friction_that_swings() {
 fn a_hand_whose_base_is_moved_feels_it() {
     // Fingers without friction and drives: only the base's acceleration moves them, no gravity.
     let to = Pose::from_parts(Vector3::new(0.1, -0.2, 0.6).into(), UnitQuaternion::from_euler_angles(0.6, -0.4, 0.9));
-    let path = BasePath::new(&[0.05, 0.45], &[Pose::translation(0.0, 0.0, 0.5), to]).unwrap();
+    let path = Path::smooth(&[0.05, 0.45], &[Pose::translation(0.0, 0.0, 0.5), to]).unwrap();
     let (mut arm, q) = hand(Base::Path(path));
     arm.actuators.clear();
     for j in &mut arm.joints {
