@@ -1,6 +1,5 @@
 //! Weighs the object of one recorded push and prints the answer as JSON.
 //!
-//! `cargo run --release -p drex-sysid --example identify -- FOLDER [--poses noisy|hard|clean] [--force noisy|exact] [--free-friction] [--finger-force] [--full]`
 //!
 //! The folder is a push as `drex_core::push::PushRecording::load` reads it; its mesh must consist of closed convex shells in OBJ.
 
@@ -10,7 +9,7 @@ use std::path::Path;
 
 use drex_core::TriMesh;
 use drex_core::push::{InputChoice, PushRecording};
-use drex_sysid::{IdentifyOptions, ObjectModel, identify};
+use drex_sysid::{IdentifyOptions, Knowledge, ObjectModel, Parameter, identify};
 use nalgebra::Point3;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -24,8 +23,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         match arg.as_str() {
             "--poses" => choice.poses = value()?.parse()?,
             "--force" => choice.force = value()?.parse()?,
-            "--free-friction" => options.free_friction = true,
-            "--finger-force" => options.finger_force = true,
+            "--free-friction" => options.parameters.set(Parameter::Friction, Knowledge::Free)?,
             "--full" => full = true,
             _ => folder = Some(arg),
         }

@@ -16,7 +16,7 @@ use std::time::Instant;
 
 use drex_core::TriMesh;
 use drex_core::push::{InputChoice, PushRecording};
-use drex_sysid::{Identification, IdentifyOptions, ObjectModel, Verdict, identify};
+use drex_sysid::{Identification, IdentifyOptions, Knowledge, ObjectModel, Parameter, Verdict, identify};
 use nalgebra::Point3;
 use serde_json::Value;
 
@@ -72,7 +72,7 @@ fn weigh(folder: &Path, name: &str, arguments: &Arguments) -> Result<Line, Failu
     let finger = scenario.starts_with("finger");
     let with_encoder = finger && arguments.choice.encoder;
     let expect = truth[if with_encoder { "expect_encoder" } else { "expect" }].as_str().unwrap_or_default().to_owned();
-    let friction = if arguments.options.free_friction { "free" } else { "known" };
+    let friction = if arguments.options.parameters.get(Parameter::Friction).is_some() { "free" } else { "known" };
     let crb = number(&format!("crb_rel_sd_mass_{}mu_{friction}", if with_encoder { "encoder_" } else { "" }));
 
     let error = answer.mass_kg.map(|m| m / mass - 1.0);
@@ -129,15 +129,18 @@ fn details(answer: &Identification) -> String {
     let push = answer.pushes.first();
     let fit = push.map_or(String::new(), |p| {
         format!(
-            "rms {:?} mm {:?} rad, clock {:?}, bias {:?}, outliers {}",
+            "rms {:?} mm {:?} rad, encoder {:?} mm, clock {:?}, bias {:?}, outliers {}",
             p.rms_position_m.map(|x| 1e3 * x),
             p.rms_rotation_rad,
+            p.rms_encoder_m.map(|x| 1e3 * x),
             p.clock_offset_s,
             p.position_bias_m,
             p.outliers
         )
     });
-    format!("\n    {budget} friction {:?}\n    {fit}\n    {}", answer.friction, answer.reason)
+    let sensitive: Vec<String> =
+        answer.sensitivities.iter().map(|s| format!("{} {:+.2}", s.parameter.as_str(), s.log_mass)).collect();
+    format!("\n    {budget} friction {:?}\n    {fit}\n    {}\n    {}", answer.friction, sensitive.join(", "), answer.reason)
 }
 
 fn summary(lines: &[Line]) {
@@ -190,7 +193,7 @@ fn read_arguments() -> Result<Arguments, Failure> {
             "--poses" => out.choice.poses = value()?.parse()?,
             "--force" => out.choice.force = value()?.parse()?,
             "--encoder" => out.choice.encoder = value()? == "on",
-            "--free" if value()? == "friction" => out.options.free_friction = true,
+            "--free" if value()? == "friction" => out.options.parameters.set(Parameter::Friction, Knowledge::Free)?,
             "--only" => out.only.push(value()?),
             "--verbose" => out.verbose = true,
             _ if arg.starts_with("--") => return Err(format!("{arg} is not understood").into()),

@@ -38,6 +38,16 @@ pub enum SysidError {
         /// What is wrong, and what to do.
         what: String,
     },
+    /// A parameter cannot be what was stated.
+    #[error("parameter {name} {what}; {remedy}")]
+    Parameter {
+        /// Its name.
+        name: String,
+        /// What is wrong.
+        what: String,
+        /// What to do.
+        remedy: String,
+    },
     /// The recording contradicts itself or the object.
     #[error("push `{push}`: {what}; {remedy}")]
     Recording {

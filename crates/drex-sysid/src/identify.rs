@@ -6,9 +6,12 @@ use drex_core::Pose;
 use drex_core::pose::to_wxyz;
 use drex_core::push::{Drive, PoseNoise, PushRecording, TrackFrame};
 
-use crate::answer::{Identification, PushReport, Verdict};
-use crate::estimate::{Estimate, Joint};
-use crate::problem::{Fit, Motion, Parameters, Problem};
+use crate::answer::{Identification, PushReport, Sensitivity, Verdict};
+use crate::estimate::Estimate;
+use crate::fit::Fit;
+use crate::joint::{Candidate, Joint};
+use crate::parameters::{Knowledge, Parameter};
+use crate::problem::{Motion, Problem};
 use crate::{IdentifyOptions, ObjectModel, Result, SysidError, invariance, noise};
 
 /// Poses a track must have.
@@ -53,9 +56,9 @@ pub fn identify(
             continue;
         }
         let problem = Problem::new(recording, object, &shape, options, noise)?;
-        if problem.has_known_force() {
+        if problem.can_weigh() {
             problems.push(problem);
-            frictions.push(recording.support.friction.filter(|_| !options.free_friction));
+            frictions.push(recording.support.friction);
             fitted.push(i);
         }
     }
@@ -70,6 +73,7 @@ pub fn identify(
         friction: None,
         sd_log_mass: None,
         error_budget: None,
+        sensitivities: Vec::new(),
         assumptions: assumptions(recordings, options),
         profile: Vec::new(),
         pushes: Vec::new(),
@@ -89,14 +93,16 @@ pub fn identify(
     if problems.is_empty() {
         answer.reason = reasons.join(" ");
     } else {
-        let joint = Joint { problems: &problems, friction: frictions.clone(), options };
-        let estimate = joint.solve()?;
+        let mut joint = Joint::new(problems, &frictions, options);
+        let estimate = joint.solve(options)?;
         for (k, &i) in fitted.iter().enumerate() {
             if let (Some(motion), Some(fit)) = (estimate.best.motions.get(k), estimate.best.fits.get(k)) {
-                fill(&mut reports[i], &problems[k], motion, fit);
+                fill(&mut reports[i], &joint.problems[k], motion, fit);
             }
         }
-        decide(&mut answer, &estimate, frictions.iter().any(Option::is_none));
+        decide(&mut answer, &estimate, &joint);
+        answer.sensitivities =
+            estimate.sensitivities.iter().map(|&(parameter, log_mass)| Sensitivity { parameter, log_mass }).collect();
         answer.profile = estimate.profile;
         if !reasons.is_empty() {
             answer.reason = format!("{} {}", answer.reason, reasons.join(" "));
@@ -108,31 +114,32 @@ pub fn identify(
 }
 
 /// Verdict and numbers from an estimate.
-fn decide(answer: &mut Identification, e: &Estimate, friction_free: bool) {
-    let m = e.best.parameters.log_mass.exp();
-    let mu = e.best.parameters.log_friction.exp();
+fn decide(answer: &mut Identification, e: &Estimate, joint: &Joint) {
+    let Candidate { point, cost, .. } = &e.best;
+    let m = point[0].exp();
+    let mu = joint.friction().map(|k| point[k].exp());
+    let finger = joint.problems.iter().any(Problem::has_finger);
+    let cause = if finger { "the compliant fingertip" } else { "the known force" };
     answer.sd_log_mass = e.sd.is_finite().then_some(e.sd);
     answer.error_budget = Some(e.budget);
     // 3.84 / 2: what the likelihood must lose, at the worst mass of the scan, to exclude anything at all.
-    let informative = e.relief > 1.92 && e.best.cost.is_finite();
+    let informative = e.relief > 1.92 && cost.is_finite();
     if informative && e.sd < SD_LIMIT {
         let half = (1.96 * e.sd).exp();
         answer.mass_kg = Some(m);
         answer.ci95_kg = Some([m / half, m * half]);
         answer.verdict = Verdict::Identified;
-        if friction_free {
-            answer.friction = Some(mu);
-        }
+        answer.friction = mu;
         answer.reason = format!(
-            "the known force moved the object in a way that only masses from {:.1} to {:.1} g explain",
+            "{cause} moved the object in a way that only masses from {:.1} to {:.1} g explain",
             1e3 * m / half,
             1e3 * m * half
         );
-    } else if let Some(sd) = e.sd_mu_m.filter(|sd| informative && *sd < SD_PRODUCT_LIMIT) {
+    } else if let Some((mu, sd)) = mu.zip(e.sd_mu_m).filter(|(_, sd)| informative && *sd < SD_PRODUCT_LIMIT) {
         answer.verdict = Verdict::OnlyMuM;
         answer.mu_m_kg = Some(mu * m);
         answer.reason = format!(
-            "the object slid under a known force with unknown friction: force and friction balance for every mass with the same \
+            "the object slid under {cause} with unknown friction: force and friction balance for every mass with the same \
              product of friction and mass, {:.4} kg (standard deviation {:.1} %); the friction coefficient, a coast after the push \
              or a push that tips would give the mass",
             mu * m,
@@ -140,9 +147,14 @@ fn decide(answer: &mut Identification, e: &Estimate, friction_free: bool) {
         );
     } else {
         answer.reason = format!(
-            "the motion under the known force is explained by masses over a range of more than {:.1} to 1: the push was too weak, \
-             or nothing moved; push harder, tip the object, or press on an overhanging end",
-            (1.96 * e.sd.min(3.0) * 2.0).exp()
+            "the motion under {cause} is explained by masses over a range of more than {:.1} to 1: {}",
+            (1.96 * e.sd.min(3.0) * 2.0).exp(),
+            if finger {
+                "the finger is so stiff that it moves every mass the same way, or its deflection is lost in the noise; use its \
+                 encoder, a softer finger, a faster push, or tip the object"
+            } else {
+                "the push was too weak, or nothing moved; push harder, tip the object, or press on an overhanging end"
+            }
         );
     }
 }
@@ -156,6 +168,7 @@ fn report(recording: &PushRecording, noise: PoseNoise) -> PushReport {
         rms_rotation_rad: None,
         outliers: 0,
         clock_offset_s: None,
+        rms_encoder_m: None,
         position_bias_m: None,
         times_s: recording.track.times_s().to_vec(),
         observed: recording.track.poses().iter().map(row).collect(),
@@ -165,12 +178,17 @@ fn report(recording: &PushRecording, noise: PoseNoise) -> PushReport {
 }
 
 fn fill(report: &mut PushReport, problem: &Problem, motion: &Motion, fit: &Fit) {
-    let kept: Vec<_> = fit.residuals.iter().zip(&fit.weights).filter(|(_, w)| **w >= 0.5).map(|(r, _)| r).collect();
+    let poses = &fit.weights[..problem.times_s.len().min(fit.weights.len())];
+    let kept: Vec<_> = fit.residuals.chunks_exact(6).zip(poses).filter(|(_, w)| **w >= 0.5).map(|(r, _)| r).collect();
     let n = kept.len().max(1) as f64;
-    let rms = |first: usize| (kept.iter().map(|r| r.fixed_rows::<3>(first).norm_squared()).sum::<f64>() / n).sqrt();
+    let square = |r: &[f64]| r.iter().map(|x| x * x).sum::<f64>();
+    let rms = |first: usize| (kept.iter().map(|r| square(&r[first..first + 3])).sum::<f64>() / n).sqrt();
     report.rms_position_m = Some(rms(0) * problem.noise.position_m);
     report.rms_rotation_rad = Some(rms(3) * problem.noise.rotation_rad);
-    report.outliers = fit.weights.len() - kept.len();
+    report.outliers = poses.len() - kept.len();
+    let readings = fit.residuals.get(6 * poses.len()..).unwrap_or(&[]);
+    report.rms_encoder_m = (!readings.is_empty())
+        .then(|| (readings.iter().map(|r| r * r).sum::<f64>() * 3.0 / readings.len() as f64).sqrt() * problem.encoder_m);
     report.clock_offset_s = Some(fit.nuisance[0]);
     report.position_bias_m = Some([fit.nuisance[1], fit.nuisance[2], fit.nuisance[3]]);
     report.simulated = problem.times_s.iter().map(|t| row(&motion.at(t - fit.nuisance[0]))).collect();
@@ -184,18 +202,28 @@ fn row(pose: &Pose) -> [f64; 7] {
 fn assumptions(recordings: &[PushRecording], options: &IdentifyOptions) -> Vec<String> {
     let mut out =
         vec!["the object is rigid and of uniform density: centre of mass and inertia follow from its mesh".to_owned()];
-    if recordings.iter().any(|r| matches!(r.drive, Drive::Force(_))) {
+    let force = recordings.iter().any(|r| matches!(r.drive, Drive::Force(_)));
+    let finger = recordings.iter().any(|r| matches!(r.drive, Drive::Finger(_)));
+    if force {
         out.push("the recorded force has the right gain and acts at the stated point".into());
         out.push("a stretch of the force record that noise explains is no force".into());
-        out.push("gravity and the shape of the support are as stated".into());
-        match recordings.iter().find_map(|r| r.support.friction).filter(|_| !options.free_friction) {
-            Some(mu) => out.push(format!("the friction against the support is {mu} as stated")),
-            None => out.push("the friction against the support is one unknown constant".into()),
+    }
+    if finger {
+        out.push("gains, damping, moving mass, radius and friction of the fingertip are as stated".into());
+        if recordings.iter().any(|r| matches!(&r.drive, Drive::Finger(f) if f.encoder.is_some())) {
+            out.push(format!("the fingertip's encoder is good to {} mm", 1e3 * options.encoder_m));
         }
     }
-    if options.finger_force && recordings.iter().any(|r| matches!(r.drive, Drive::Finger(_))) {
-        out.push("gains, damping and moving mass of the fingertip are as stated; its encoder is good to 0.1 mm".into());
+    if force || finger {
+        out.push("gravity and the shape of the support are as stated".into());
+        if options.parameters.get(Parameter::Friction).is_none() {
+            out.push(match recordings.iter().find_map(|r| r.support.friction) {
+                Some(mu) => format!("the friction against the support is {mu} as stated"),
+                None => "the friction against the support is one unknown constant".into(),
+            });
+        }
     }
+    out.extend(options.parameters.sentences());
     out
 }
 
@@ -208,14 +236,12 @@ fn check(options: &IdentifyOptions) -> Result<()> {
     if options.scan_points < 5 {
         return bad("scan_points", "needs at least five points");
     }
-    let priors = [options.position_bias_m, options.rotation_bias_rad, options.clock_offset_s];
-    if priors.iter().any(|p| !(*p > 0.0 && p.is_finite())) {
-        return bad("position_bias_m, rotation_bias_rad, clock_offset_s", "standard deviations must be positive");
+    let positive = [("dt_s", options.dt_s), ("scan_dt_s", options.scan_dt_s), ("encoder_m", options.encoder_m)];
+    if let Some((option, _)) = positive.into_iter().find(|(_, x)| !(*x > 0.0 && x.is_finite())) {
+        return bad(option, "needs a positive number");
+    }
+    if let Some(Knowledge::Fixed(_)) = options.parameters.get(Parameter::Mass) {
+        return bad("parameters", "fixes the mass: nothing is left to be weighed; give a prior instead");
     }
     Ok(())
-}
-
-/// Parameters with the logarithms of a mass and a friction.
-pub(crate) fn parameters(mass_kg: f64, friction: f64) -> Parameters {
-    Parameters { log_mass: mass_kg.ln(), log_friction: friction.ln() }
 }

@@ -9,7 +9,7 @@ use drex_core::push::{Drive, HandPush, PushRecording, TrackFrame};
 use drex_diffsim::ConvexPiece;
 use nalgebra::{SMatrix, SVector, Vector3};
 
-use crate::identify::parameters;
+use crate::parameters::Parameter;
 use crate::problem::Problem;
 use crate::{IdentifyOptions, ObjectModel, Result, noise};
 
@@ -38,9 +38,9 @@ pub(crate) fn explain(
         if !recording.starts_at_rest {
             start_from_track(&mut problem, recording);
         }
-        let friction = recording.support.friction.unwrap_or(0.5);
+        let friction = recording.support.friction.unwrap_or(Parameter::Friction.nominal());
         for mass in MASSES_KG {
-            let Ok(motion) = problem.simulate(&parameters(mass, friction)) else { continue };
+            let Ok(motion) = problem.simulate(&problem.stated(mass, friction), options.dt_s) else { continue };
             let fit = problem.fit(&motion, None);
             if finding.simulated.is_empty() {
                 finding.simulated = problem.times_s.iter().map(|t| motion.at(t - fit.nuisance[0])).collect();
@@ -62,10 +62,6 @@ pub(crate) fn explain(
         Drive::Nothing => format!(
             "no known force acted on the object: gravity, friction and impact scale with its mass, so every mass moves \
                            the same way{shown}; push it with a known force, tip it, or lift it"
-        ),
-        Drive::Finger(_) => format!(
-            "the fingertip is replayed along its path, and a prescribed pusher moves every mass the same way{shown}; its impedance is \
-             recorded but its force is not estimated from it; record the force, or push with a force sensor"
         ),
         Drive::Hand(hand) => {
             finding.notes.extend(clocks(recording, hand));

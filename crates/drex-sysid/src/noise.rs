@@ -50,6 +50,15 @@ pub(crate) fn of_force(forces: &[Vector3<f64>]) -> f64 {
     (sizes[sizes.len() / 2] / (0.4549 * 20.0)).sqrt()
 }
 
+/// Standard deviation of three-vectors of which a few may be wild or follow a worse law, from their 80 % point; `None` of
+/// none.
+pub(crate) fn spread<'a>(vectors: impl Iterator<Item = &'a [f64]>) -> Option<f64> {
+    let mut sizes: Vec<f64> = vectors.map(|v| v.iter().map(|x| x * x).sum()).collect();
+    sizes.sort_by(f64::total_cmp);
+    // The 80 % point of chi-square with three degrees of freedom is 4.64.
+    sizes.get(sizes.len() * 4 / 5).map(|s| (s / 4.64).sqrt())
+}
+
 /// [`of_force`], or zero where it is below a thousandth of the largest force: rounding, or the curvature of the profile.
 pub(crate) fn significant(forces: &[Vector3<f64>]) -> f64 {
     let peak = forces.iter().map(Vector3::amax).fold(0.0, f64::max);

@@ -1,54 +1,47 @@
-//! One push as a least-squares problem: simulate it with a mass and a friction, compare with the track.
-//!
-//! Residuals are geodesic: translation in the world, rotation vector of q_sim⁻¹ q_obs in the body, each over its
-//! standard deviation. Constant errors of the track (position, rotation, clock) are nuisances with priors; they never
-//! need a new simulation.
+//! One push ready to be simulated: what acts, what it stands on, what was observed.
 
 use std::sync::Arc;
 
-use drex_core::pose::pose_difference;
-use drex_core::push::{Drive, ForceProfile, PoseNoise, PushRecording};
-use drex_core::{Pose, Trajectory};
+use drex_core::Pose;
+use drex_core::push::{Drive, PoseNoise, PushRecording, SupportBox};
 use drex_diffsim::{
-    AppliedForce, Body, Collider, ContactOptions, ConvexPiece, Dual, Fixed, ForcePoint, Model, Mover, Part, Record,
-    Scalar, Scene, State, rollout, tangents,
+    AppliedForce, Body, Collider, ContactOptions, ConvexPiece, Fixed, ForcePoint, Model, Part, Record, Scalar, Scene,
+    State, rollout,
 };
-use nalgebra::{Point3, SMatrix, SVector, Vector3, Vector6};
+use nalgebra::{Point3, UnitQuaternion, Vector3};
 
-use crate::{IdentifyOptions, ObjectModel, Result, SysidError, finger, noise};
+use crate::finger::{Finger, FingerValues};
+use crate::force::KnownForce;
+use crate::parameters::{NUISANCES, Parameter, SIMULATED};
+use crate::{IdentifyOptions, ObjectModel, Result, SysidError};
 
-/// Nuisances: clock offset, position bias (3), rotation bias (3).
-pub(crate) const NUISANCES: usize = 7;
-pub(crate) type Nuisance = SVector<f64, NUISANCES>;
-type NuisanceMatrix = SMatrix<f64, NUISANCES, NUISANCES>;
-
-/// Squared whitened residual of a frame (six numbers) from which on it counts as suspicious (Cauchy's loss).
-const CAUCHY: f64 = 40.0;
 /// Spacing of the dense record that nuisances are solved on, seconds.
-const DENSE_S: f64 = 2e-3;
-
-/// The parameters that need simulation.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Parameters {
-    pub log_mass: f64,
-    pub log_friction: f64,
-}
+pub(crate) const DENSE_S: f64 = 4e-3;
+/// Before a known force first acts, the object has this long to settle.
+const SETTLE_S: f64 = 0.1;
 
 /// What acts on the object.
 #[derive(Debug, Clone)]
 pub(crate) enum Action {
-    /// A known force at a point.
-    Force {
-        times_s: Vec<f64>,
-        forces_n: Vec<Vector3<f64>>,
-        /// Standard deviation of white noise on each sample, newtons per axis.
-        noise_n: f64,
-        point: ForcePoint,
-    },
-    /// A sphere on a prescribed path.
-    Pusher { radius_m: f64, friction: f64, times_s: Vec<f64>, centers: Vec<Point3<f64>> },
+    Force(KnownForce),
+    Finger(Box<Finger>),
     /// Nothing.
     Nothing,
+}
+
+/// Everything a simulation of a push depends on and that may carry derivatives: coordinates of the simulated parameters, and
+/// errors of the force in standard deviations.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Values<T> {
+    pub named: [T; SIMULATED],
+    pub errors: Vec<T>,
+}
+
+/// One entry of [`Values`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Slot {
+    Named(Parameter),
+    Error(usize),
 }
 
 /// A push ready to be simulated.
@@ -58,37 +51,20 @@ pub(crate) struct Problem {
     pub times_s: Vec<f64>,
     pub observed: Vec<Pose>,
     pub noise: PoseNoise,
+    /// Standard deviation of the encoder, metres.
+    pub encoder_m: f64,
     pub start: Pose,
     pub start_velocity: Vector3<f64>,
     pub start_spin: Vector3<f64>,
     pub action: Action,
-    prior: Nuisance,
-    /// Contact and step, open for variation.
+    /// Mean and standard deviation of each error of the track.
+    pub nuisances: [(f64, f64); NUISANCES],
     pub contact: ContactOptions,
-    pub dt_s: f64,
     gravity: Vector3<f64>,
     table_height_m: f64,
-    boxes: Vec<drex_core::push::SupportBox>,
+    boxes: Vec<SupportBox>,
     unit: drex_core::MassProperties,
     collider: Arc<Collider>,
-}
-
-/// Fit of the nuisances at fixed parameters.
-#[derive(Debug, Clone)]
-pub(crate) struct Fit {
-    pub cost: f64,
-    pub nuisance: Nuisance,
-    /// Whitened residual per frame.
-    pub residuals: Vec<Vector6<f64>>,
-    /// Weight per frame.
-    pub weights: Vec<f64>,
-}
-
-/// Residuals with their derivatives by (log mass, log friction) and the nuisances.
-pub(crate) struct Linear {
-    pub residuals: Vec<Vector6<f64>>,
-    pub by_parameters: Vec<SMatrix<f64, 6, 2>>,
-    pub by_nuisances: Vec<SMatrix<f64, 6, NUISANCES>>,
 }
 
 impl Problem {
@@ -99,49 +75,32 @@ impl Problem {
         options: &IdentifyOptions,
         noise: PoseNoise,
     ) -> Result<Self> {
-        let bad = |what: &str, remedy: &str| SysidError::Recording {
-            push: recording.name.clone(),
-            what: what.into(),
-            remedy: remedy.into(),
-        };
-        let first = recording.track.poses().first().ok_or_else(|| bad("the track is empty", "record again"))?;
+        let name = recording.name.clone();
+        let first = recording.track.poses().first().ok_or_else(|| SysidError::Recording {
+            push: name.clone(),
+            what: "the track is empty".into(),
+            remedy: "record again".into(),
+        })?;
         let action = match &recording.drive {
-            Drive::Force(ForceProfile { times_s, forces_n, point_in_object }) => {
-                let noise_n = noise::significant(forces_n);
-                let forces_n = noise::without_idle(forces_n, noise_n);
-                Action::Force { times_s: times_s.clone(), forces_n, noise_n, point: ForcePoint::Body(*point_in_object) }
-            }
-            Drive::Finger(finger) => {
-                let known = if options.finger_force { finger::known_force(recording, finger, shape) } else { None };
-                known.unwrap_or_else(|| {
-                    let (times_s, centers) = match &finger.encoder {
-                        Some(e) => (e.times_s.clone(), e.positions.clone()),
-                        None => (finger.command_times_s.clone(), finger.commands.clone()),
-                    };
-                    Action::Pusher {
-                        radius_m: finger.impedance.radius_m,
-                        friction: finger.impedance.friction,
-                        times_s,
-                        centers,
-                    }
-                })
+            Drive::Force(profile) => Action::Force(KnownForce::new(profile)),
+            Drive::Finger(push) => {
+                let finger = Finger::new(push).map_err(|source| SysidError::Simulation { push: name.clone(), source })?;
+                Action::Finger(Box::new(finger))
             }
             _ => Action::Nothing,
         };
-        let p = options.position_bias_m;
-        let r = options.rotation_bias_rad;
         Ok(Self {
-            name: recording.name.clone(),
+            name,
             times_s: recording.track.times_s().to_vec(),
             observed: recording.track.poses().to_vec(),
             noise,
+            encoder_m: options.encoder_m,
             start: recording.initial_pose.unwrap_or(*first),
             start_velocity: Vector3::zeros(),
             start_spin: Vector3::zeros(),
             action,
-            prior: Nuisance::from([options.clock_offset_s, p, p, p, r, r, r]),
+            nuisances: options.parameters.nuisances(),
             contact: options.contact,
-            dt_s: options.dt_s,
             gravity: recording.gravity,
             table_height_m: recording.support.table_height_m,
             boxes: recording.support.boxes.clone(),
@@ -150,184 +109,29 @@ impl Problem {
         })
     }
 
-    /// The scene and model of the simulator at parameters of any scalar.
-    fn build<T: Scalar>(&self, mass_kg: T, friction: T) -> Result<(Model<T>, Scene<T>, State<T>)> {
-        let wrap = |source| SysidError::Simulation { push: self.name.clone(), source };
-        let mut model = Model::new(vec![Body::new(&self.unit, mass_kg, Arc::clone(&self.collider))]);
-        model.contact = self.contact.lift();
-        model.dt_s = self.dt_s;
-        let mut scene = Scene::empty();
-        scene.gravity = self.gravity.map(T::lift);
-        scene.fixed.push(Fixed::table(self.table_height_m, friction));
-        for b in &self.boxes {
-            scene.fixed.push(Fixed::cuboid(b.center_m.into(), b.half_m.into(), friction).map_err(wrap)?);
-        }
+    /// Errors of the force that are estimated.
+    pub(crate) fn errors(&self) -> usize {
         match &self.action {
-            Action::Force { times_s, forces_n, point, .. } => {
-                scene.forces.push(AppliedForce::new(Part::Body(0), times_s, forces_n, point.clone()).map_err(wrap)?);
-            }
-            Action::Pusher { radius_m, friction, times_s, centers } => {
-                scene.movers.push(Mover::sphere(*radius_m, T::lift(*friction), times_s, centers).map_err(wrap)?);
-            }
-            Action::Nothing => {}
-        }
-        let pose = Pose::from_parts(
-            self.start.translation.vector.map(T::lift).into(),
-            nalgebra::UnitQuaternion::new_unchecked(self.start.rotation.into_inner().map_coords(T::lift)),
-        );
-        let mut state = State::at_rest(pose);
-        state.bodies[0].velocity = self.start_velocity.map(T::lift);
-        state.bodies[0].angular_velocity = self.start_spin.map(T::lift);
-        Ok((model, scene, state))
-    }
-
-    /// The motion at `parameters`, densely recorded from the start to beyond the last pose.
-    pub(crate) fn simulate(&self, parameters: &Parameters) -> Result<Motion> {
-        let (model, scene, state) = self.build(parameters.log_mass.exp(), parameters.log_friction.exp())?;
-        let end = self.times_s.last().copied().unwrap_or(0.0) + 3.0 * self.prior[0];
-        let count = (end.max(0.0) / DENSE_S).ceil() as usize + 1;
-        let times: Vec<f64> = (0..=count).map(|k| k as f64 * DENSE_S).collect();
-        let record = rollout(&model, &scene, &state, &times)
-            .map_err(|source| SysidError::Simulation { push: self.name.clone(), source })?;
-        let path = Trajectory::from_samples(&record.times_s, &record.bodies[0].poses)?;
-        Ok(Motion { path, record })
-    }
-
-    /// Nuisances and weights that fit the track best to a motion, by iterated reweighting from `guess`.
-    pub(crate) fn fit(&self, motion: &Motion, guess: Option<&Fit>) -> Fit {
-        let mut nuisance = guess.map_or_else(Nuisance::zeros, |g| g.nuisance);
-        let mut last = self.evaluate(motion, &nuisance);
-        for _ in 0..8 {
-            let columns = self.nuisance_columns(motion, &nuisance);
-            let mut h = NuisanceMatrix::from_diagonal(&self.prior.map(|s| 1.0 / (s * s)));
-            let mut g = -nuisance.component_div(&self.prior.component_mul(&self.prior));
-            for ((r, w), j) in last.residuals.iter().zip(&last.weights).zip(&columns) {
-                h += j.transpose() * j * *w;
-                g -= j.transpose() * r * *w;
-            }
-            let Some(step) = h.cholesky().map(|c| c.solve(&g)) else { break };
-            let mut next = self.evaluate(motion, &(nuisance + step));
-            let mut shrink = 1.0;
-            while next.cost > last.cost && shrink > 0.05 {
-                shrink *= 0.4;
-                next = self.evaluate(motion, &(nuisance + step * shrink));
-            }
-            let gain = last.cost - next.cost;
-            if gain <= 0.0 {
-                break;
-            }
-            nuisance = next.nuisance;
-            last = next;
-            if gain < 1e-6 * (1.0 + last.cost) {
-                break;
-            }
-        }
-        last
-    }
-
-    /// Residuals, weights and cost at given nuisances.
-    fn evaluate(&self, motion: &Motion, nuisance: &Nuisance) -> Fit {
-        let residuals: Vec<Vector6<f64>> = (0..self.times_s.len())
-            .map(|k| self.residual(&motion.at(self.times_s[k] - nuisance[0]), k, nuisance))
-            .collect();
-        let prior = nuisance.component_div(&self.prior).norm_squared();
-        let cost =
-            0.5 * prior + residuals.iter().map(|r| 0.5 * CAUCHY * (r.norm_squared() / CAUCHY).ln_1p()).sum::<f64>();
-        let weights = residuals.iter().map(|r| 1.0 / (1.0 + r.norm_squared() / CAUCHY)).collect();
-        Fit { cost, nuisance: *nuisance, residuals, weights }
-    }
-
-    pub(crate) fn residual(&self, simulated: &Pose, k: usize, nuisance: &Nuisance) -> Vector6<f64> {
-        let mut r = pose_difference(simulated, &self.observed[k]) - nuisance.fixed_rows::<6>(1);
-        for i in 0..3 {
-            r[i] /= self.noise.position_m;
-            r[i + 3] /= self.noise.rotation_rad;
-        }
-        r
-    }
-
-    /// Derivative of each frame's residual by the nuisances. A later clock shows the motion of an earlier time: the
-    /// column of the offset is the velocity.
-    pub(crate) fn nuisance_columns(&self, motion: &Motion, nuisance: &Nuisance) -> Vec<SMatrix<f64, 6, NUISANCES>> {
-        let (sp, sr) = (self.noise.position_m, self.noise.rotation_rad);
-        self.times_s
-            .iter()
-            .map(|t| {
-                let mut j = SMatrix::zeros();
-                let (v, w) = motion.velocity_at(t - nuisance[0]);
-                for i in 0..3 {
-                    j[(i, 0)] = v[i] / sp;
-                    j[(i + 3, 0)] = w[i] / sr;
-                    j[(i, 1 + i)] = -1.0 / sp;
-                    j[(i + 3, 4 + i)] = -1.0 / sr;
-                }
-                j
-            })
-            .collect()
-    }
-
-    /// Residuals and derivatives at `parameters` and the nuisances of `fit`, through dual numbers.
-    pub(crate) fn linearize(&self, parameters: &Parameters, fit: &Fit, friction_free: bool) -> Result<Linear> {
-        if friction_free {
-            let m = drex_diffsim::parameter::<2>(parameters.log_mass, 0);
-            let f = drex_diffsim::parameter::<2>(parameters.log_friction, 1);
-            self.linearize_with(m.exp(), f.exp(), fit)
-        } else {
-            let m = drex_diffsim::parameter::<1>(parameters.log_mass, 0);
-            self.linearize_with(m.exp(), Dual::from_re(parameters.log_friction.exp()), fit)
+            Action::Force(force) => force.errors.len(),
+            _ => 0,
         }
     }
 
-    fn linearize_with<const N: usize>(&self, mass: Dual<N>, friction: Dual<N>, fit: &Fit) -> Result<Linear> {
-        let (model, scene, state) = self.build(mass, friction)?;
-        let times: Vec<f64> = self.times_s.iter().map(|t| (t - fit.nuisance[0]).max(0.0)).collect();
-        let record = rollout(&model, &scene, &state, &times)
-            .map_err(|source| SysidError::Simulation { push: self.name.clone(), source })?;
-        let (sp, sr) = (self.noise.position_m, self.noise.rotation_rad);
-        let mut out = Linear { residuals: Vec::new(), by_parameters: Vec::new(), by_nuisances: Vec::new() };
-        let track = &record.bodies[0];
-        for (k, pose) in track.poses.iter().enumerate() {
-            let value = value_of(pose);
-            out.residuals.push(self.residual(&value, k, &fit.nuisance));
-            let q = pose.rotation.quaternion();
-            let dp = [0, 1, 2].map(|i| tangents(&pose.translation.vector[i]));
-            let dq = [q.w, q.i, q.j, q.k].map(|x| tangents(&x));
-            let mut j = SMatrix::<f64, 6, 2>::zeros();
-            for n in 0..N.min(2) {
-                // The body rotation vector of a small change: 2 Im(q⁻¹ dq). The residual turns by its opposite.
-                let change = nalgebra::Quaternion::new(dq[0][n], dq[1][n], dq[2][n], dq[3][n]);
-                let turn = (value.rotation.quaternion().conjugate() * change).imag() * 2.0;
-                for i in 0..3 {
-                    j[(i, n)] = -dp[i][n] / sp;
-                    j[(i + 3, n)] = -turn[i] / sr;
-                }
-            }
-            out.by_parameters.push(j);
-            let mut g = SMatrix::<f64, 6, NUISANCES>::zeros();
-            let moving = self.times_s[k] - fit.nuisance[0] > 0.0;
-            let v = track.velocities[k].map(|x| x.re);
-            let w = value.rotation.inverse() * track.angular_velocities[k].map(|x| x.re);
-            for i in 0..3 {
-                if moving {
-                    g[(i, 0)] = v[i] / sp;
-                    g[(i + 3, 0)] = w[i] / sr;
-                }
-                g[(i, 1 + i)] = -1.0 / sp;
-                g[(i + 3, 4 + i)] = -1.0 / sr;
-            }
-            out.by_nuisances.push(g);
+    /// Readings of the encoder.
+    pub(crate) fn readings(&self) -> usize {
+        match &self.action {
+            Action::Finger(finger) => finger.encoder_times_s.len(),
+            _ => 0,
         }
-        Ok(out)
-    }
-
-    /// Whether the known force is that of a fingertip.
-    pub(crate) fn is_pushed_by_finger(&self) -> bool {
-        matches!(&self.action, Action::Force { point: ForcePoint::World(_), .. })
     }
 
     /// Whether something acts whose size does not scale with the mass.
-    pub(crate) fn has_known_force(&self) -> bool {
-        matches!(self.action, Action::Force { .. })
+    pub(crate) fn can_weigh(&self) -> bool {
+        !matches!(self.action, Action::Nothing)
+    }
+
+    pub(crate) fn has_finger(&self) -> bool {
+        matches!(self.action, Action::Finger(_))
     }
 
     /// Centre of mass in the mesh frame.
@@ -335,49 +139,252 @@ impl Problem {
         self.unit.center_of_mass
     }
 
-    /// Whitening of the nuisances.
-    pub(crate) fn prior_precision(&self) -> Nuisance {
-        self.prior.map(|s| 1.0 / (s * s))
+    /// The parameters as stated, with a mass and a friction.
+    pub(crate) fn stated(&self, mass_kg: f64, friction: f64) -> Values<f64> {
+        let mut named = Parameter::ALL.map(|p| p.to_coordinate(p.nominal()));
+        named[Parameter::Mass as usize] = mass_kg.ln();
+        named[Parameter::Friction as usize] = friction.ln();
+        if let Action::Finger(finger) = &self.action {
+            named[Parameter::FingerFriction as usize] = finger.friction.max(1e-6).ln();
+        }
+        let mut out = Values { named: [0.0; SIMULATED], errors: vec![0.0; self.errors()] };
+        out.named.copy_from_slice(&named[..SIMULATED]);
+        out
+    }
+
+    /// The scene and model of the simulator.
+    fn build<T: Scalar>(&self, values: &Values<T>, dt_s: f64) -> Result<(Model<T>, Scene<T>, State<T>)> {
+        let wrap = |source| self.failed(source);
+        let at = |p: Parameter| values.named[p as usize];
+        let factor = |p: Parameter| at(p).exp();
+        let friction = factor(Parameter::Friction);
+
+        let mut body = Body::new(&self.unit, factor(Parameter::Mass), Arc::clone(&self.collider));
+        body.center_of_mass.coords +=
+            Vector3::new(at(Parameter::CenterX), at(Parameter::CenterY), at(Parameter::CenterZ));
+        let roots = [Parameter::InertiaX, Parameter::InertiaY, Parameter::InertiaZ].map(|p| at(p).scaled(0.5).exp());
+        for (i, root) in roots.iter().enumerate() {
+            for k in 0..3 {
+                body.unit_inertia[(i, k)] *= *root;
+                body.unit_inertia[(k, i)] *= *root;
+            }
+        }
+        body.material.friction = friction;
+        let mut model = Model::new(vec![body]);
+        model.contact = self.contact.lift();
+        model.contact.frequency_rad_s *= at(Parameter::ContactStiffness).scaled(0.5).exp();
+        model.contact.relaxation_s *= factor(Parameter::ContactDamping);
+        model.dt_s = dt_s;
+
+        let mut scene = Scene::empty();
+        scene.gravity = self.gravity.map(T::lift);
+        scene.fixed.push(Fixed::table(self.table_height_m, friction));
+        for b in &self.boxes {
+            scene.fixed.push(Fixed::cuboid(b.center_m.into(), b.half_m.into(), friction).map_err(wrap)?);
+        }
+        let mut arms = Vec::new();
+        match &self.action {
+            Action::Force(force) => self.apply(force, values, &mut scene).map_err(wrap)?,
+            Action::Finger(finger) => {
+                let (arm, q) = finger.arm(&FingerValues {
+                    friction: factor(Parameter::FingerFriction),
+                    factors: [
+                        factor(Parameter::ActuatorStiffness),
+                        factor(Parameter::ActuatorDamping),
+                        factor(Parameter::FingerInertia),
+                    ],
+                    joint_friction: at(Parameter::JointFriction),
+                    height: at(Parameter::ContactHeight),
+                });
+                arms.push(arm.at_rest(&q, 0.0).map_err(wrap)?);
+                scene.controls.push(finger.control.clone());
+                model.arms.push(arm);
+            }
+            Action::Nothing => {}
+        }
+        let mut state = State::at_rest(self.start_pose(&at));
+        state.arms = arms;
+        state.time_s = self.begin_s();
+        state.bodies[0].velocity = self.start_velocity.map(T::lift);
+        state.bodies[0].angular_velocity = self.start_spin.map(T::lift);
+        Ok((model, scene, state))
+    }
+
+    /// The recorded force, its errors, and the moment of its height error.
+    fn apply<T: Scalar>(
+        &self,
+        force: &KnownForce,
+        values: &Values<T>,
+        scene: &mut Scene<T>,
+    ) -> Result<(), drex_diffsim::SimError> {
+        let on = Part::Body(0);
+        let gain = values.named[Parameter::ForceGain as usize].exp();
+        let point = || ForcePoint::Body(force.point);
+        let mut put = |times_s: &[f64], forces_n: &[Vector3<f64>], point: ForcePoint, gain: T| {
+            let mut f = AppliedForce::new(on, times_s, forces_n, point)?;
+            f.gain = gain;
+            scene.forces.push(f);
+            Ok(())
+        };
+        put(&force.times_s, &force.forces_n, point(), gain)?;
+        for (error, size) in force.errors.iter().zip(&values.errors) {
+            // One that is zero and carries no derivative does nothing.
+            if size.value() != 0.0 || (0..T::TANGENTS).any(|i| size.tangent(i) != 0.0) {
+                put(&error.times_s, &[error.force_n, Vector3::zeros()], point(), *size)?;
+            }
+        }
+        let height = values.named[Parameter::ContactHeight as usize];
+        if height.value() != 0.0 || (0..T::TANGENTS).any(|i| height.tangent(i) != 0.0) {
+            let moments: Vec<_> = force.forces_n.iter().map(|f| Vector3::z().cross(f)).collect();
+            put(&force.times_s, &moments, ForcePoint::Couple, gain * height)?;
+        }
+        Ok(())
+    }
+
+    fn start_pose<T: Scalar>(&self, at: &impl Fn(Parameter) -> T) -> Pose<T> {
+        let (x, q) = (self.start.translation.vector.map(T::lift), self.start.rotation.quaternion());
+        let rotation = nalgebra::Quaternion::new(T::lift(q.w), T::lift(q.i), T::lift(q.j), T::lift(q.k));
+        let half = at(Parameter::StartYaw).scaled(0.5);
+        let yaw = nalgebra::Quaternion::new(half.cos(), T::zero(), T::zero(), half.sin());
+        let shift = Vector3::new(at(Parameter::StartX), at(Parameter::StartY), at(Parameter::StartZ));
+        Pose::from_parts((x + shift).into(), UnitQuaternion::new_unchecked(yaw * rotation))
+    }
+
+    /// When the simulation begins: at the start, or shortly before a known force first acts on an object at rest.
+    pub(crate) fn begin_s(&self) -> f64 {
+        let resting = self.start_velocity == Vector3::zeros() && self.start_spin == Vector3::zeros();
+        match &self.action {
+            Action::Force(force) if resting => force.onset_s().map_or(0.0, |t| (t - SETTLE_S).max(0.0)),
+            _ => 0.0,
+        }
+    }
+
+    /// Steps through the push and records it at `times_s`.
+    pub(crate) fn run<T: Scalar>(&self, values: &Values<T>, dt_s: f64, times_s: &[f64]) -> Result<Record<T>> {
+        let (model, scene, state) = self.build(values, dt_s)?;
+        rollout(&model, &scene, &state, times_s).map_err(|source| self.failed(source))
+    }
+
+    /// The motion at `values`, densely recorded from the start to beyond the last pose.
+    pub(crate) fn simulate(&self, values: &Values<f64>, dt_s: f64) -> Result<Motion> {
+        let begin = self.begin_s();
+        let (offset, sd) = self.nuisances[0];
+        let end = self.times_s.last().copied().unwrap_or(0.0) - offset + 3.0 * sd.min(1.0);
+        let count = ((end - begin).max(0.0) / DENSE_S).ceil() as usize + 1;
+        let dense: Vec<f64> = (0..=count).map(|k| begin + k as f64 * DENSE_S).collect();
+        let schedule = Schedule::new(&dense, self.encoder_times_s());
+        let record = self.run(values, dt_s, &schedule.times_s)?;
+        let body = &record.bodies[0];
+        let pick = |k: &usize| (body.poses[*k], body.velocities[*k], body.angular_velocities[*k]);
+        let samples = schedule.first.iter().map(pick).collect();
+        let joints = record.joints.first();
+        let tips =
+            schedule.second.iter().filter_map(|&k| joints.and_then(|j| j.get(k)?.first_chunk::<3>().copied())).collect();
+        Ok(Motion { begin_s: begin, samples, tips })
+    }
+
+    pub(crate) fn encoder_times_s(&self) -> &[f64] {
+        match &self.action {
+            Action::Finger(finger) => &finger.encoder_times_s,
+            _ => &[],
+        }
+    }
+
+    fn failed(&self, source: drex_diffsim::SimError) -> SysidError {
+        SysidError::Simulation { push: self.name.clone(), source }
+    }
+}
+
+impl<T: Scalar> Values<T> {
+    pub(crate) fn at_mut(&mut self, slot: Slot) -> Option<&mut T> {
+        match slot {
+            Slot::Named(p) => self.named.get_mut(p as usize),
+            Slot::Error(k) => self.errors.get_mut(k),
+        }
+    }
+}
+
+impl Values<f64> {
+    pub(crate) fn lift<T: Scalar>(&self) -> Values<T> {
+        Values { named: self.named.map(T::lift), errors: self.errors.iter().map(|x| T::lift(*x)).collect() }
+    }
+}
+
+/// Two increasing lists of times as one, and where the entries of each are in it.
+pub(crate) struct Schedule {
+    pub times_s: Vec<f64>,
+    pub first: Vec<usize>,
+    pub second: Vec<usize>,
+}
+
+impl Schedule {
+    pub(crate) fn new(a: &[f64], b: &[f64]) -> Self {
+        let mut out = Self { times_s: Vec::new(), first: Vec::new(), second: Vec::new() };
+        let (mut i, mut j) = (0, 0);
+        while i < a.len() || j < b.len() {
+            let k = out.times_s.len();
+            if j == b.len() || (i < a.len() && a[i] <= b[j]) {
+                out.times_s.push(a[i]);
+                out.first.push(k);
+                i += 1;
+            } else {
+                out.times_s.push(b[j]);
+                out.second.push(k);
+                j += 1;
+            }
+        }
+        out
     }
 }
 
 /// A simulated motion.
 pub(crate) struct Motion {
-    path: Trajectory,
-    record: Record<f64>,
+    begin_s: f64,
+    /// Pose, velocity of the origin in the world, angular velocity in the world, [`DENSE_S`] apart.
+    samples: Vec<(Pose, Vector3<f64>, Vector3<f64>)>,
+    /// Joint coordinates of the finger at the times of its encoder.
+    pub tips: Vec<[f64; 3]>,
 }
 
 impl Motion {
     /// The pose at time t; the first and the last pose hold before and after.
     pub(crate) fn at(&self, t: f64) -> Pose {
-        let (a, b) = self.path.span_s().unwrap_or((0.0, 0.0));
-        self.path.at(t.clamp(a, b)).unwrap_or_default()
+        let (k, s) = self.place(t);
+        match (self.samples.get(k), self.samples.get(k + 1)) {
+            (Some(a), Some(b)) => drex_core::pose::interpolate(&a.0, &b.0, s),
+            (a, _) => a.or(self.samples.last()).map_or_else(Pose::identity, |s| s.0),
+        }
     }
 
     /// Velocity of the frame's origin in the world and angular velocity in the body's frame at time t.
-    fn velocity_at(&self, t: f64) -> (Vector3<f64>, Vector3<f64>) {
-        let k = (t / DENSE_S).floor();
-        if k < 0.0 {
+    pub(crate) fn velocity_at(&self, t: f64) -> (Vector3<f64>, Vector3<f64>) {
+        if t < self.begin_s {
             return (Vector3::zeros(), Vector3::zeros());
         }
-        let track = &self.record.bodies[0];
-        let k = (k as usize + 1).min(track.poses.len() - 1);
-        (track.velocities[k], track.poses[k].rotation.inverse() * track.angular_velocities[k])
+        let (k, _) = self.place(t);
+        let Some((pose, v, w)) = self.samples.get(k + 1).or(self.samples.last()) else {
+            return (Vector3::zeros(), Vector3::zeros());
+        };
+        (*v, pose.rotation.inverse() * w)
+    }
+
+    fn place(&self, t: f64) -> (usize, f64) {
+        let x = ((t - self.begin_s) / DENSE_S).max(0.0);
+        let k = x.floor();
+        (k as usize, x - k)
     }
 }
 
-fn value_of<const N: usize>(pose: &Pose<Dual<N>>) -> Pose {
-    let q = pose.rotation.quaternion();
-    let q = nalgebra::Quaternion::new(q.w.re, q.i.re, q.j.re, q.k.re);
-    Pose::from_parts(pose.translation.vector.map(|x| x.re).into(), nalgebra::UnitQuaternion::new_unchecked(q))
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// Entry-wise map of a quaternion.
-trait MapCoords {
-    fn map_coords<T: Scalar>(&self, f: impl Fn(f64) -> T) -> nalgebra::Quaternion<T>;
-}
-impl MapCoords for nalgebra::Quaternion<f64> {
-    fn map_coords<T: Scalar>(&self, f: impl Fn(f64) -> T) -> nalgebra::Quaternion<T> {
-        nalgebra::Quaternion::new(f(self.w), f(self.i), f(self.j), f(self.k))
+    #[test]
+    fn two_lists_of_times_become_one() {
+        let (a, b) = ([0.0, 0.2, 0.4], [0.1, 0.2, 0.5, 0.6]);
+        let s = Schedule::new(&a, &b);
+        assert_eq!(s.times_s, [0.0, 0.1, 0.2, 0.2, 0.4, 0.5, 0.6]);
+        assert!(s.first.iter().zip(a).all(|(k, t)| s.times_s[*k] == t));
+        assert!(s.second.iter().zip(b).all(|(k, t)| s.times_s[*k] == t));
     }
 }

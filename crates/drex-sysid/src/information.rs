@@ -1,0 +1,253 @@
+//! What observations tell about the coordinates at an estimate.
+//!
+//! Slopes are mean slopes over a few percent: where objects rock and chatter, the exact derivative is that of one brief
+//! branch, and what a track can tell follows the mean slope.
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use crate::joint::{Candidate, Joint, weighted};
+use crate::parameters::Parameter;
+use crate::problem::Slot;
+use crate::{IdentifyOptions, Result};
+
+/// Spans in the logarithm of the mass and of a free friction over which slopes are averaged.
+const SPANS: [f64; 3] = [0.03, 0.01, 0.003];
+/// Nobody is surer beforehand than this about the logarithm of a mass or a friction of something on a table.
+const PRIOR_SD: f64 = 1.0;
+
+/// Information about all coordinates.
+pub(crate) struct Information {
+    /// Per push: its coordinates, and for each the derivative of the rows, nuisances eliminated.
+    pub columns: Vec<(Vec<usize>, Vec<Vec<f64>>)>,
+    /// Weight of each row, per push, over the excess of its kind's residuals.
+    pub weights: Vec<Vec<f64>>,
+    /// Covariance.
+    pub inverse: DMatrix<f64>,
+    /// Variance of log mass if the force had no errors.
+    conditional: f64,
+    /// Covariance with a weak prior, for what is known although mass and friction are not.
+    bounded: DMatrix<f64>,
+    friction: Option<usize>,
+    /// Standard deviation of log mass from the scatter of the residuals, with their correlation in time.
+    pub sandwich: f64,
+    /// Mean square of the residuals of the kind that agrees worst; at least one.
+    pub scale: f64,
+}
+
+impl Information {
+    pub(crate) fn of(joint: &Joint, c: &Candidate, options: &IdentifyOptions) -> Result<Self> {
+        let all = joint.active(true);
+        let n = all.len();
+        let mut h = DMatrix::zeros(n, n);
+        for (k, coordinate) in joint.coordinates.iter().enumerate() {
+            h[(k, k)] += coordinate.prior.map_or(0.0, |(_, sd)| 1.0 / (sd * sd));
+        }
+        let prior = h.clone();
+        let (mut columns, mut weights) = (Vec::new(), Vec::new());
+        let mut scale = 1.0_f64;
+        for i in 0..joint.problems.len() {
+            let own = joint.coordinates_of(i, &all);
+            let slopes: Vec<Vec<f64>> = own
+                .par_iter()
+                .map(|&k| joint.mean_slope(c, i, k, options))
+                .collect::<Result<_>>()?;
+            let (rows, excess) = joint.whitened(c, i);
+            scale = scale.max(excess);
+            for (a, &ka) in slopes.iter().zip(&own) {
+                for (b, &kb) in slopes.iter().zip(&own) {
+                    h[(ka, kb)] += weighted(&rows, a, b);
+                }
+            }
+            columns.push((own, slopes));
+            weights.push(rows);
+        }
+        let identity = DMatrix::<f64>::identity(n, n);
+        let invert = |m: &DMatrix<f64>| m.clone().cholesky().map(|c| c.inverse());
+        let inverse = invert(&(&h + &identity * 1e-9)).unwrap_or_else(|| &identity * 1e9);
+        let mut weak = h.clone();
+        let friction = joint.friction();
+        for k in [Some(0), friction].into_iter().flatten() {
+            weak[(k, k)] += 1.0 / (PRIOR_SD * PRIOR_SD);
+        }
+        let bounded = invert(&weak).unwrap_or(identity);
+        let named = joint.active(false);
+        let sub = DMatrix::from_fn(named.len(), named.len(), |a, b| {
+            h[(named[a], named[b])] + if a == b { 1e-9 } else { 0.0 }
+        });
+        let conditional = invert(&sub).map_or(1e9, |m| m[(0, 0)]);
+        let mut out = Self { columns, weights, inverse, conditional, bounded, friction, sandwich: 0.0, scale };
+        out.sandwich = out.scatter(joint, c, &prior);
+        Ok(out)
+    }
+
+    /// Standard deviation of log mass: noise of poses, encoder and force.
+    pub(crate) fn sd(&self) -> f64 {
+        self.inverse[(0, 0)].max(0.0).sqrt()
+    }
+
+    /// The same without the errors of the force.
+    pub(crate) fn sd_of_poses(&self) -> f64 {
+        self.conditional.max(0.0).sqrt()
+    }
+
+    /// What the errors of the force add.
+    pub(crate) fn sd_of_force(&self) -> f64 {
+        (self.inverse[(0, 0)] - self.conditional).max(0.0).sqrt()
+    }
+
+    /// Standard deviation of log(friction · mass).
+    pub(crate) fn sd_product(&self) -> f64 {
+        let Some(f) = self.friction else { return f64::INFINITY };
+        let b = &self.bounded;
+        (b[(0, 0)] + 2.0 * b[(0, f)] + b[(f, f)]).max(0.0).sqrt()
+    }
+
+    /// How the other coordinates follow log mass in the valley.
+    pub(crate) fn valley(&self) -> DVector<f64> {
+        let v = self.inverse[(0, 0)];
+        if v > 0.0 { self.inverse.column(0) / v } else { crate::estimate::unit(self.inverse.nrows(), 0) }
+    }
+
+    /// Shift of log mass when the residuals change as given per push, by one Gauss-Newton step.
+    pub(crate) fn shift(&self, differences: &[Vec<f64>]) -> f64 {
+        let mut g = DVector::zeros(self.inverse.nrows());
+        for (((own, slopes), rows), r) in self.columns.iter().zip(&self.weights).zip(differences) {
+            for (&k, slope) in own.iter().zip(slopes) {
+                g[k] += weighted(rows, slope, r);
+            }
+        }
+        -(self.inverse.row(0) * g)[0]
+    }
+
+    /// Scatter of log mass: how each block's residual moves it, neighbours in time taken together as far as they agree
+    /// (the initial positive sequence of Geyer, 1992), and the priors' share.
+    fn scatter(&self, joint: &Joint, c: &Candidate, prior: &DMatrix<f64>) -> f64 {
+        let row = self.inverse.row(0);
+        let mut variance = (row * prior * row.transpose())[0];
+        for (i, problem) in joint.problems.iter().enumerate() {
+            let ((own, slopes), rows, fit) = (&self.columns[i], &self.weights[i], &c.fits[i]);
+            let influence: Vec<f64> = (0..problem.blocks())
+                .map(|k| {
+                    let (start, length) = problem.block(k);
+                    let range = start..start + length;
+                    let of = |slope: &Vec<f64>| {
+                        weighted(&rows[range.clone()], &slope[range.clone()], &fit.residuals[range.clone()])
+                    };
+                    own.iter().zip(slopes).map(|(&n, slope)| row[n] * of(slope)).sum()
+                })
+                .collect();
+            let (poses, readings) = influence.split_at(problem.times_s.len());
+            variance += correlated_square(poses) + correlated_square(readings);
+        }
+        variance.max(0.0).sqrt()
+    }
+}
+
+impl Joint {
+    /// Mean slope of push `i`'s rows by coordinate `k`, nuisances eliminated. Of several spans the one that claims least: a
+    /// nearby cliff (an object that topples) is no knowledge.
+    fn mean_slope(&self, c: &Candidate, i: usize, k: usize, options: &IdentifyOptions) -> Result<Vec<f64>> {
+        let coordinate = &self.coordinates[k];
+        let several = matches!(coordinate.slot, Slot::Named(Parameter::Mass | Parameter::Friction));
+        let spans: &[f64] = if several { &SPANS } else { std::slice::from_ref(&coordinate.span) };
+        let (problem, fit) = (&self.problems[i], &c.fits[i]);
+        let rows = problem.row_weights(fit);
+        let mut least: Option<(f64, Vec<f64>)> = None;
+        for &span in spans {
+            let Some(mut column) = self.secant(c, i, coordinate.slot, span, options) else { continue };
+            problem.eliminate(&c.motions[i], fit, std::slice::from_mut(&mut column));
+            let claim = weighted(&rows, &column, &column);
+            if least.as_ref().is_none_or(|l| claim < l.0) {
+                least = Some((claim, column));
+            }
+        }
+        Ok(least.map_or_else(|| vec![0.0; fit.residuals.len()], |l| l.1))
+    }
+
+    /// Difference quotient of push `i`'s rows by an entry of its values; `None` if one side cannot be simulated.
+    fn secant(&self, c: &Candidate, i: usize, slot: Slot, span: f64, options: &IdentifyOptions) -> Option<Vec<f64>> {
+        let (problem, fit) = (&self.problems[i], &c.fits[i]);
+        let side = |x: f64| {
+            let mut values = self.values(i, &c.point);
+            *values.at_mut(slot)? += x;
+            let motion = problem.simulate(&values, options.dt_s).ok()?;
+            Some(problem.residuals(&motion, &fit.nuisance))
+        };
+        let (low, high) = (side(-span)?, side(span)?);
+        Some(low.iter().zip(&high).map(|(a, b)| (b - a) / (2.0 * span)).collect())
+    }
+
+    /// Weights of the rows of push `i`, divided by the mean square of the residuals of their kind where that exceeds one;
+    /// and the largest such excess.
+    fn whitened(&self, c: &Candidate, i: usize) -> (Vec<f64>, f64) {
+        let (problem, fit) = (&self.problems[i], &c.fits[i]);
+        let mut rows = problem.row_weights(fit);
+        let mut worst = 1.0_f64;
+        let split = 6 * problem.times_s.len();
+        let unknowns = crate::parameters::NUISANCES + 1;
+        for (range, unknowns) in [(0..split, unknowns), (split..rows.len(), 1)] {
+            let count: f64 = rows[range.clone()].iter().sum();
+            let square: f64 = range.clone().map(|k| rows[k] * fit.residuals[k] * fit.residuals[k]).sum();
+            let excess = (square / (count - unknowns as f64).max(1.0)).max(1.0);
+            worst = worst.max(excess);
+            rows[range].iter_mut().for_each(|w| *w /= excess);
+        }
+        (rows, worst)
+    }
+
+    /// Change of log mass per change of each parameter that was taken as stated.
+    pub(crate) fn sensitivities(
+        &self,
+        c: &Candidate,
+        information: &Information,
+        options: &IdentifyOptions,
+    ) -> Vec<(Parameter, f64)> {
+        use Parameter::*;
+        let all = [Friction, FingerFriction, ContactHeight, ForceGain, ActuatorStiffness, FingerInertia];
+        let fixed = |p: &Parameter| !self.coordinates.iter().any(|k| k.slot == Slot::Named(*p));
+        let candidates: Vec<Parameter> = all.into_iter().filter(fixed).collect();
+        candidates
+            .par_iter()
+            .filter_map(|&p| {
+                let changes = (0..self.problems.len())
+                    .map(|i| match self.problems[i].depends_on(p) {
+                        true => self.secant(c, i, Slot::Named(p), p.scale(), options),
+                        false => Some(vec![0.0; c.fits[i].residuals.len()]),
+                    })
+                    .collect::<Option<Vec<_>>>()?;
+                changes.iter().flatten().any(|x| *x != 0.0).then(|| (p, information.shift(&changes)))
+            })
+            .collect()
+    }
+}
+
+/// Square of a sum of numbers in order of time whose neighbours may agree.
+fn correlated_square(x: &[f64]) -> f64 {
+    let at = |lag: usize| x.iter().zip(&x[lag.min(x.len())..]).map(|(a, b)| a * b).sum::<f64>();
+    let mut sum = at(0);
+    for lag in (1..x.len() / 2).step_by(2) {
+        let pair = at(lag) + at(lag + 1);
+        if pair <= 0.0 {
+            break;
+        }
+        sum += 2.0 * pair;
+    }
+    sum
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn correlation_in_time_counts() {
+        let white: Vec<f64> = (0..4000).map(|k| f64::from((k * 7919 % 4001) - 2000) / 1155.0).collect();
+        let plain: f64 = white.iter().map(|x| x * x).sum();
+        assert!((correlated_square(&white) / plain - 1.0).abs() < 0.3);
+        // Every number five times in a row: five times the square.
+        let held: Vec<f64> = white.iter().flat_map(|x| [*x; 5]).collect();
+        let ratio = correlated_square(&held) / (5.0 * plain);
+        assert!((3.5..6.5).contains(&ratio), "{ratio}");
+    }
+}
