@@ -91,7 +91,7 @@ pub struct PushReport {
     pub outliers: usize,
     /// Offset of the track's clock that was estimated, seconds.
     pub clock_offset_s: Option<f64>,
-    /// Root mean square distance of the simulated from the measured fingertip, metres; with an encoder.
+    /// Root mean square distance of the simulated from the measured fingertip along the push, metres; with an encoder.
     pub rms_encoder_m: Option<f64>,
     /// Constant error of the tracked position that was estimated, metres.
     pub position_bias_m: Option<[f64; 3]>,

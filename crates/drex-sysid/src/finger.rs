@@ -1,29 +1,32 @@
-//! A compliant fingertip as the simulator sees it: a sphere on three slides, each with a position servo.
+//! A compliant fingertip as the simulator sees it: a sphere on three slides, the first of them along the push.
 //!
-//! On each axis (m + armature) q̈ = kp (command − home − q) − (kv + damping) q̇ − f, gravity compensated, with the force f of
-//! the contact found by the simulator. Since the slides only translate, tip mass and armature act alike: the links are
-//! massless and the whole of it is armature, which gravity does not see.
+//! On each slide (m + armature) q̈ = kp (command − q) − (kv + damping) q̇ − f, gravity compensated. Along the push the force f of
+//! the contact is found by the simulator, and the encoder's reading of q is an observation. Across the push the tip sticks and
+//! slips on the object's face, which no simulator predicts, but the encoder tells the force: there the servo is replaced
+//! by what it exerted, kp (command − q) − (kv + damping) q̇ with the q that was read. Without an encoder all slides are simulated.
+//!
+//! Since the slides only translate, tip mass and armature act alike: the links are massless and the whole of it is armature,
+//! which gravity does not see.
 
 use std::sync::Arc;
 
 use drex_core::Pose;
-use drex_core::push::{FingerImpedance, FingerPush};
+use drex_core::push::{EncoderTrack, FingerImpedance, FingerPush};
 use drex_diffsim::{ActuatorKind, Articulation, Base, Control, Scalar, SimError};
 use drex_robot::Robot;
-use nalgebra::Point3;
+use nalgebra::{Matrix3, Point3, Vector3};
 
 /// A fingertip and what it is told.
 #[derive(Debug, Clone)]
 pub(crate) struct Finger {
     arm: Articulation<f64>,
     pub control: Control,
-    home: Point3<f64>,
     /// Joint coordinates at the start.
     start: [f64; 3],
     /// Times of the encoder, seconds; empty without one.
     pub encoder_times_s: Vec<f64>,
-    /// Tip positions that it reads, world.
-    pub encoder: Vec<Point3<f64>>,
+    /// What it reads along the push.
+    pub encoder: Vec<f64>,
     /// Friction that is stated for the tip.
     pub friction: f64,
 }
@@ -46,7 +49,8 @@ impl Finger {
     pub(crate) fn new(push: &FingerPush) -> Result<Self, SimError> {
         let i = &push.impedance;
         let refused = |e: drex_robot::Error| SimError::NotFinite { what: format!("the impedance of the fingertip ({e})") };
-        let robot = Arc::new(Robot::from_mjcf_str(&mjcf(i), None).map_err(refused)?);
+        let axes = axes(&push.commands);
+        let robot = Arc::new(Robot::from_mjcf_str(&mjcf(i, &axes), None).map_err(refused)?);
         let mut arm = Articulation::new(robot, Base::Fixed(Pose::identity()))?.with_friction(i.friction);
         for link in &mut arm.links {
             link.mass_kg = 0.0;
@@ -55,14 +59,53 @@ impl Finger {
         for joint in &mut arm.joints {
             joint.armature = i.armature_kg + i.mass_kg;
         }
-        arm.check()?;
         let home = Point3::from(i.home_m);
-        let rows = push.commands.iter().map(|c| (c - home).as_slice().to_vec()).collect();
-        let control = Control::sampled(&push.command_times_s, rows)?;
-        let (encoder_times_s, encoder) =
-            push.encoder.as_ref().map_or((Vec::new(), Vec::new()), |e| (e.times_s.clone(), e.positions.clone()));
-        let first = encoder.first().or(push.commands.first()).copied().unwrap_or(home);
-        Ok(Self { arm, control, home, start: (first - home).into(), encoder_times_s, encoder, friction: i.friction })
+        let along = |p: &Point3<f64>| axes.transpose() * (p - home);
+        let commands: Vec<Vector3<f64>> = push.commands.iter().map(along).collect();
+        let first = push.encoder.as_ref().and_then(|e| e.positions.first()).or(push.commands.first());
+        let start = first.map_or(Vector3::zeros(), along).into();
+        let mut out = Self {
+            control: Control::sampled(&push.command_times_s, commands.iter().map(|c| c.as_slice().to_vec()).collect())?,
+            arm,
+            start,
+            encoder_times_s: Vec::new(),
+            encoder: Vec::new(),
+            friction: i.friction,
+        };
+        if let Some(encoder) = push.encoder.as_ref().filter(|e| e.times_s.len() > 1) {
+            out.exert_what_was_read(encoder, i, &along, &axes)?;
+        }
+        out.arm.check()?;
+        Ok(out)
+    }
+
+    /// Replaces the servos across the push by the force that they exerted.
+    fn exert_what_was_read(
+        &mut self,
+        encoder: &EncoderTrack,
+        i: &FingerImpedance,
+        along: &impl Fn(&Point3<f64>) -> Vector3<f64>,
+        axes: &Matrix3<f64>,
+    ) -> Result<(), SimError> {
+        let read: Vec<Vector3<f64>> = encoder.positions.iter().map(along).collect();
+        let rates: Vec<Vector3<f64>> = encoder.velocities.iter().map(|v| axes.transpose() * v).collect();
+        let rows = (0..read.len()).map(|k| {
+            let next = (k + 1).min(read.len() - 1);
+            let (q, v) = ((read[k] + read[next]) * 0.5, (rates[k] + rates[next]) * 0.5);
+            let command = self.control.at(encoder.times_s[k]);
+            let force = |axis: usize| {
+                i.kp_n_m * (command[axis] - q[axis]) - (i.kv_ns_m + i.damping_ns_m) * v[axis]
+            };
+            vec![command[0], force(1), force(2)]
+        });
+        self.control = Control::sampled(&encoder.times_s, rows.collect())?;
+        for axis in [1, 2] {
+            self.arm.joints[axis].damping = 0.0;
+            self.arm.actuators[axis].kind = ActuatorKind::Motor { gain: 1.0 };
+        }
+        self.encoder_times_s.clone_from(&encoder.times_s);
+        self.encoder = read.iter().map(|q| q.x).collect();
+        Ok(())
     }
 
     /// The finger with the given parameters, and its joint coordinates at the start.
@@ -75,9 +118,14 @@ impl Finger {
             joint.friction_loss = values.joint_friction;
         }
         for actuator in &mut arm.actuators {
-            if let ActuatorKind::Position { kp, kv } = &mut actuator.kind {
-                *kp *= stiffness;
-                *kv *= damping;
+            match &mut actuator.kind {
+                ActuatorKind::Position { kp, kv } => {
+                    *kp *= stiffness;
+                    *kv *= damping;
+                }
+                // What was exerted is mostly stiffness times deflection.
+                ActuatorKind::Motor { gain } => *gain *= stiffness,
+                _ => {}
             }
         }
         let mut base = Pose::<T>::identity();
@@ -85,26 +133,34 @@ impl Finger {
         arm.base = Base::Fixed(base);
         (arm, self.start.map(T::lift))
     }
-
-    /// What the encoder should read at the joint coordinates `q`, less what it reads at sample `k`.
-    pub(crate) fn misfit(&self, k: usize, q: &[f64]) -> [f64; 3] {
-        [0, 1, 2].map(|i| self.encoder[k][i] - self.home[i] - q[i])
-    }
 }
 
-/// Three slides from `home`, named for their axes.
-fn mjcf(i: &FingerImpedance) -> String {
+/// Columns: the direction in which the command leads farthest from its start, and two across.
+fn axes(commands: &[Point3<f64>]) -> Matrix3<f64> {
+    let first = commands.first().copied().unwrap_or_default();
+    let way = |p: &Point3<f64>| p - first;
+    let farthest = commands.iter().map(way).max_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared()));
+    let push = farthest.and_then(|w| w.try_normalize(1e-9)).unwrap_or_else(Vector3::x);
+    let other = if push.z.abs() < 0.9 { Vector3::z() } else { Vector3::x() };
+    let side = other.cross(&push).normalize();
+    Matrix3::from_columns(&[push, side, push.cross(&side)])
+}
+
+/// Three slides from the tip's home along the columns of `axes`.
+fn mjcf(i: &FingerImpedance, axes: &Matrix3<f64>) -> String {
     let [x, y, z] = i.home_m;
-    let axes = [("x", "1 0 0"), ("y", "0 1 0"), ("z", "0 0 1")];
     let joints: String = axes
-        .iter()
-        .map(|(n, axis)| {
-            format!(r#"<joint name="{n}" type="slide" axis="{axis}" damping="{}" armature="{}"/>"#, i.damping_ns_m, i.armature_kg)
+        .column_iter()
+        .enumerate()
+        .map(|(n, a)| {
+            format!(
+                r#"<joint name="{n}" type="slide" axis="{} {} {}" damping="{}" armature="{}"/>"#,
+                a.x, a.y, a.z, i.damping_ns_m, i.armature_kg
+            )
         })
         .collect();
-    let drives: String = axes
-        .iter()
-        .map(|(n, _)| format!(r#"<position name="{n}" joint="{n}" kp="{}" kv="{}"/>"#, i.kp_n_m, i.kv_ns_m))
+    let drives: String = (0..3)
+        .map(|n| format!(r#"<position name="{n}" joint="{n}" kp="{}" kv="{}"/>"#, i.kp_n_m, i.kv_ns_m))
         .collect();
     format!(
         r#"<mujoco model="fingertip"><worldbody><body name="tip" pos="{x} {y} {z}">{joints}<geom type="sphere" size="{}" mass="{}"/></body></worldbody><actuator>{drives}</actuator></mujoco>"#,
@@ -152,7 +208,7 @@ mod tests {
         for (t, q) in record.times_s.iter().zip(&record.joints[0]) {
             let t = t - 0.05;
             let x = 0.01 * (1.0 - (-a * t).exp() * ((w * t).cos() + a / w * (w * t).sin()));
-            assert!((q[0] - x).abs() < 2e-5 && q[1] == 0.0 && q[2].abs() < 1e-12, "{t}: {q:?} {x}");
+            assert!((q[0] - x).abs() < 2e-5 && q[1].abs() < 1e-12 && q[2].abs() < 1e-12, "{t}: {q:?} {x}");
         }
     }
 }

@@ -1,7 +1,7 @@
 //! How well a simulated motion agrees with what was observed, and how that changes with the parameters.
 //!
 //! Pose residuals are geodesic: translation in the world, rotation vector of q_sim⁻¹ q_obs in the body, each over its
-//! standard deviation; encoder residuals are tip positions. A block is one pose or one reading: it is weighed as a whole
+//! standard deviation; encoder residuals are those of the tip along the push. A block is one pose or one reading: it is weighed as a whole
 //! (Cauchy's loss), so that an outlier of the tracker counts little. Errors of the track (clock, bias, drift) are nuisances with
 //! priors; they never need a new simulation.
 
@@ -28,7 +28,7 @@ const LANES: usize = 8;
 pub(crate) struct Fit {
     pub cost: f64,
     pub nuisance: Nuisance,
-    /// Whitened residuals: six per pose, then three per reading of the encoder.
+    /// Whitened residuals: six per pose, then one per reading of the encoder.
     pub residuals: Vec<f64>,
     /// One weight per pose, then one per reading.
     pub weights: Vec<f64>,
@@ -38,7 +38,7 @@ impl Problem {
     /// Row at which the block starts, and its length.
     pub(crate) fn block(&self, k: usize) -> (usize, usize) {
         let n = self.times_s.len();
-        if k < n { (6 * k, 6) } else { (6 * n + 3 * (k - n), 3) }
+        if k < n { (6 * k, 6) } else { (5 * n + k, 1) }
     }
 
     /// Poses and readings.
@@ -96,7 +96,7 @@ impl Problem {
 
     /// Whitened residuals of a motion.
     pub(crate) fn residuals(&self, motion: &Motion, nuisance: &Nuisance) -> Vec<f64> {
-        let mut out = Vec::with_capacity(6 * self.times_s.len() + 3 * self.readings());
+        let mut out = Vec::with_capacity(6 * self.times_s.len() + self.readings());
         for (t, observed) in self.times_s.iter().zip(&self.observed) {
             let mut r = pose_difference(&motion.at(t - nuisance[0]), observed) - nuisance.fixed_rows::<6>(1);
             r[2] -= nuisance[7] * t;
@@ -104,7 +104,7 @@ impl Problem {
         }
         if let Action::Finger(finger) = &self.action {
             for (k, q) in motion.tips.iter().enumerate() {
-                out.extend(finger.misfit(k, q).map(|r| r / self.encoder_m));
+                out.push((finger.encoder[k] - q) / self.encoder_m);
             }
         }
         out
@@ -195,9 +195,9 @@ impl Problem {
             }
         }
         for &k in &schedule.second {
-            let q = record.joints.first().and_then(|j| j.get(k)).and_then(|q| q.first_chunk::<3>());
+            let q = record.joints.first().and_then(|j| j.get(k)?.first());
             for (n, column) in out.iter_mut().enumerate() {
-                column.extend((0..3).map(|i| q.map_or(0.0, |q| -q[i].tangent(n) / self.encoder_m)));
+                column.push(q.map_or(0.0, |q| -q.tangent(n) / self.encoder_m));
             }
         }
         Ok(out)

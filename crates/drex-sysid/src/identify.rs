@@ -188,7 +188,7 @@ fn fill(report: &mut PushReport, problem: &Problem, motion: &Motion, fit: &Fit) 
     report.outliers = poses.len() - kept.len();
     let readings = fit.residuals.get(6 * poses.len()..).unwrap_or(&[]);
     report.rms_encoder_m = (!readings.is_empty())
-        .then(|| (readings.iter().map(|r| r * r).sum::<f64>() * 3.0 / readings.len() as f64).sqrt() * problem.encoder_m);
+        .then(|| (readings.iter().map(|r| r * r).sum::<f64>() / readings.len() as f64).sqrt() * problem.encoder_m);
     report.clock_offset_s = Some(fit.nuisance[0]);
     report.position_bias_m = Some([fit.nuisance[1], fit.nuisance[2], fit.nuisance[3]]);
     report.simulated = problem.times_s.iter().map(|t| row(&motion.at(t - fit.nuisance[0]))).collect();

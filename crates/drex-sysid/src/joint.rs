@@ -266,7 +266,7 @@ impl Joint {
         let mut changed = false;
         for (problem, fit) in self.problems.iter_mut().zip(&c.fits) {
             let residuals = fit.residuals.get(6 * problem.times_s.len()..).unwrap_or(&[]);
-            if let Some(sd) = noise::spread(residuals.chunks_exact(3)) {
+            if let Some(sd) = noise::spread(residuals) {
                 let next = (sd * problem.encoder_m).clamp(range.0, range.1);
                 changed |= (next / problem.encoder_m).ln().abs() > 0.1;
                 problem.encoder_m = next;

@@ -20,6 +20,9 @@ mod parameters;
 mod problem;
 mod profile;
 
+#[cfg(test)]
+mod scratch;
+
 pub use answer::{ErrorBudget, Identification, PushReport, Sensitivity, Verdict};
 pub use error::{Result, SysidError};
 pub use identify::identify;

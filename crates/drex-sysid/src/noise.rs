@@ -50,13 +50,12 @@ pub(crate) fn of_force(forces: &[Vector3<f64>]) -> f64 {
     (sizes[sizes.len() / 2] / (0.4549 * 20.0)).sqrt()
 }
 
-/// Standard deviation of three-vectors of which a few may be wild or follow a worse law, from their 80 % point; `None` of
-/// none.
-pub(crate) fn spread<'a>(vectors: impl Iterator<Item = &'a [f64]>) -> Option<f64> {
-    let mut sizes: Vec<f64> = vectors.map(|v| v.iter().map(|x| x * x).sum()).collect();
+/// Standard deviation of numbers of which a few may be wild or follow a worse law, from their 80 % point; `None` of none.
+pub(crate) fn spread(numbers: &[f64]) -> Option<f64> {
+    let mut sizes: Vec<f64> = numbers.iter().map(|x| x.abs()).collect();
     sizes.sort_by(f64::total_cmp);
-    // The 80 % point of chi-square with three degrees of freedom is 4.64.
-    sizes.get(sizes.len() * 4 / 5).map(|s| (s / 4.64).sqrt())
+    // 80 % of normal numbers are within 1.282 standard deviations.
+    sizes.get(sizes.len() * 4 / 5).map(|s| s / 1.282)
 }
 
 /// [`of_force`], or zero where it is below a thousandth of the largest force: rounding, or the curvature of the profile.

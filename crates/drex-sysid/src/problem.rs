@@ -279,7 +279,7 @@ impl Problem {
         let samples = schedule.first.iter().map(pick).collect();
         let joints = record.joints.first();
         let tips =
-            schedule.second.iter().filter_map(|&k| joints.and_then(|j| j.get(k)?.first_chunk::<3>().copied())).collect();
+            schedule.second.iter().filter_map(|&k| joints.and_then(|j| j.get(k)?.first().copied())).collect();
         Ok(Motion { begin_s: begin, samples, tips })
     }
 
@@ -342,8 +342,8 @@ pub(crate) struct Motion {
     begin_s: f64,
     /// Pose, velocity of the origin in the world, angular velocity in the world, [`DENSE_S`] apart.
     samples: Vec<(Pose, Vector3<f64>, Vector3<f64>)>,
-    /// Joint coordinates of the finger at the times of its encoder.
-    pub tips: Vec<[f64; 3]>,
+    /// The finger along the push at the times of its encoder, metres.
+    pub tips: Vec<f64>,
 }
 
 impl Motion {

@@ -1,0 +1,46 @@
+use super::*;
+use crate::problem::*;
+use drex_core::push::*;
+use drex_core::TriMesh;
+use nalgebra::Point3;
+fn read_obj(path: &std::path::Path) -> TriMesh {
+    let (mut vertices, mut faces) = (Vec::new(), Vec::new());
+    for line in std::fs::read_to_string(path).unwrap().lines() {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let number = |i: usize| words[i].parse::<f64>().unwrap();
+        match words.first() {
+            Some(&"v") => vertices.push(Point3::new(number(1), number(2), number(3))),
+            Some(&"f") => faces.push([1, 2, 3].map(|i| words[i].parse::<u32>().unwrap() - 1)),
+            _ => {}
+        }
+    }
+    TriMesh::new(vertices, faces).unwrap()
+}
+#[test]
+fn scratch() {
+    let folder = std::env::var("PUSH").unwrap();
+    let folder = std::path::Path::new(&folder);
+    let choice = InputChoice { poses: PoseChoice::Clean, force: ForceChoice::Exact, encoder: true };
+    let recording = PushRecording::load(folder, &choice).unwrap();
+    let object = ObjectModel::from_mesh(&read_obj(&recording.mesh)).unwrap();
+    let shape = object.shape().unwrap();
+    let options = IdentifyOptions::default();
+    let p = Problem::new(&recording, &object, &shape, &options, PoseNoise { position_m: 0.002, rotation_rad: 0.0175 }).unwrap();
+    let text = std::fs::read_to_string(folder.join("truth.json")).unwrap();
+    let t: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let f = |k: &str, d: f64| std::env::var(k).ok().and_then(|s| s.parse().ok()).unwrap_or(d);
+    let mut v = p.stated(t["mass"].as_f64().unwrap() * f("M", 1.0), t["mu"].as_f64().unwrap() * f("MU", 1.0));
+    v.named[parameters::Parameter::ContactDamping as usize] = f("D", 1.0).ln();
+    v.named[parameters::Parameter::ContactStiffness as usize] = f("K", 1.0).ln();
+    let m = p.simulate(&v, f("DT", 5e-4)).unwrap();
+    if let Action::Finger(fi) = &p.action {
+        for (k, q) in m.tips.iter().enumerate() {
+            let r = (fi.encoder[k] - q) * 1e3;
+            let t = fi.encoder_times_s[k];
+            let c = fi.control.at(t);
+            let x = m.at(t).translation.vector - m.at(0.0).translation.vector;
+            let o = recording.track.at(t.min(*p.times_s.last().unwrap())).unwrap().translation.vector - recording.track.poses()[0].translation.vector;
+            println!("{t:.2} cmd {:.2} q {:.2} lag {:.3} res {:.3} f {:.3} {:.3}  obj sim {:.2} {:.2} obs {:.2} {:.2} mm", c[0]*1e3, q*1e3, (c[0]-q)*1e3, r, c[1], c[2], x.x*1e3, x.y*1e3, o.x*1e3, o.y*1e3);
+        }
+    }
+}
