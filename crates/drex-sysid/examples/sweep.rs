@@ -140,7 +140,12 @@ fn details(answer: &Identification) -> String {
     });
     let sensitive: Vec<String> =
         answer.sensitivities.iter().map(|s| format!("{} {:+.2}", s.parameter.as_str(), s.log_mass)).collect();
-    format!("\n    {budget} friction {:?}\n    {fit}\n    {}\n    {}", answer.friction, sensitive.join(", "), answer.reason)
+    format!(
+        "\n    {budget} friction {:?}\n    {fit}\n    {}\n    {}",
+        answer.friction,
+        sensitive.join(", "),
+        answer.reason
+    )
 }
 
 fn summary(lines: &[Line]) {

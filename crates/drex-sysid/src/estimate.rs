@@ -59,7 +59,8 @@ impl Joint {
             .map(|p| self.descend(self.evaluate(p.clone(), None, middle_dt), &named, middle_dt))
             .collect();
         let found = found.into_iter().collect::<Result<Vec<_>>>()?;
-        let start = found.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost)).map_or_else(|| self.start(), |c| c.point);
+        let start =
+            found.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost)).map_or_else(|| self.start(), |c| c.point);
 
         let all = self.active(true);
         let mut best = self.evaluate(start, None, options.dt_s);

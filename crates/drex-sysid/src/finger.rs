@@ -48,7 +48,8 @@ impl Finger {
     /// If the impedance cannot be simulated or the commands are no series.
     pub(crate) fn new(push: &FingerPush) -> Result<Self, SimError> {
         let i = &push.impedance;
-        let refused = |e: drex_robot::Error| SimError::NotFinite { what: format!("the impedance of the fingertip ({e})") };
+        let refused =
+            |e: drex_robot::Error| SimError::NotFinite { what: format!("the impedance of the fingertip ({e})") };
         let axes = axes(&push.commands);
         let robot = Arc::new(Robot::from_mjcf_str(&mjcf(i, &axes), None).map_err(refused)?);
         let mut arm = Articulation::new(robot, Base::Fixed(Pose::identity()))?.with_friction(i.friction);
@@ -93,9 +94,7 @@ impl Finger {
             let next = (k + 1).min(read.len() - 1);
             let (q, v) = ((read[k] + read[next]) * 0.5, (rates[k] + rates[next]) * 0.5);
             let command = self.control.at(encoder.times_s[k]);
-            let force = |axis: usize| {
-                i.kp_n_m * (command[axis] - q[axis]) - (i.kv_ns_m + i.damping_ns_m) * v[axis]
-            };
+            let force = |axis: usize| i.kp_n_m * (command[axis] - q[axis]) - (i.kv_ns_m + i.damping_ns_m) * v[axis];
             vec![command[0], force(1), force(2)]
         });
         self.control = Control::sampled(&encoder.times_s, rows.collect())?;
@@ -108,8 +107,11 @@ impl Finger {
         Ok(())
     }
 
-    /// The finger with the given parameters, and its joint coordinates at the start.
-    pub(crate) fn arm<T: Scalar>(&self, values: &FingerValues<T>) -> (Articulation<T>, [T; 3]) {
+    /// The finger with the given parameters for steps of `dt_s`, and its joint coordinates at the start.
+    ///
+    /// The simulator takes the servo at the end of a step, which damps its spring by kp · dt; the servo's own damping is
+    /// reduced by as much.
+    pub(crate) fn arm<T: Scalar>(&self, values: &FingerValues<T>, dt_s: f64) -> (Articulation<T>, [T; 3]) {
         let mut arm = self.arm.lift::<T>().with_friction(values.friction);
         let [stiffness, damping, inertia] = values.factors;
         for joint in &mut arm.joints {
@@ -122,6 +124,8 @@ impl Finger {
                 ActuatorKind::Position { kp, kv } => {
                     *kp *= stiffness;
                     *kv *= damping;
+                    let added = kp.scaled(dt_s);
+                    *kv = if kv.value() > added.value() { *kv - added } else { T::zero() };
                 }
                 // What was exerted is mostly stiffness times deflection.
                 ActuatorKind::Motor { gain } => *gain *= stiffness,
@@ -159,9 +163,8 @@ fn mjcf(i: &FingerImpedance, axes: &Matrix3<f64>) -> String {
             )
         })
         .collect();
-    let drives: String = (0..3)
-        .map(|n| format!(r#"<position name="{n}" joint="{n}" kp="{}" kv="{}"/>"#, i.kp_n_m, i.kv_ns_m))
-        .collect();
+    let drives: String =
+        (0..3).map(|n| format!(r#"<position name="{n}" joint="{n}" kp="{}" kv="{}"/>"#, i.kp_n_m, i.kv_ns_m)).collect();
     format!(
         r#"<mujoco model="fingertip"><worldbody><body name="tip" pos="{x} {y} {z}">{joints}<geom type="sphere" size="{}" mass="{}"/></body></worldbody><actuator>{drives}</actuator></mujoco>"#,
         i.radius_m,
@@ -196,7 +199,7 @@ mod tests {
         };
         let finger = Finger::new(&push).unwrap();
         let one = FingerValues { friction: 0.6, factors: [1.0; 3], joint_friction: 0.0, height: 0.0 };
-        let (arm, q) = finger.arm(&one);
+        let (arm, q) = finger.arm(&one, 5e-5);
         let start = State::new(Vec::new(), vec![arm.at_rest(&q, 0.0).unwrap()]);
         let mut model = Model::<f64>::new(Vec::new()).with_arm(arm);
         model.dt_s = 5e-5;

@@ -48,10 +48,8 @@ impl Information {
         let mut scale = 1.0_f64;
         for i in 0..joint.problems.len() {
             let own = joint.coordinates_of(i, &all);
-            let slopes: Vec<Vec<f64>> = own
-                .par_iter()
-                .map(|&k| joint.mean_slope(c, i, k, options))
-                .collect::<Result<_>>()?;
+            let slopes: Vec<Vec<f64>> =
+                own.par_iter().map(|&k| joint.mean_slope(c, i, k, options)).collect::<Result<_>>()?;
             let (rows, excess) = joint.whitened(c, i);
             scale = scale.max(excess);
             for (a, &ka) in slopes.iter().zip(&own) {

@@ -62,7 +62,8 @@ impl Joint {
             let mut own = Vec::new();
             for (i, values) in fixed.iter_mut().enumerate() {
                 // What the recording says; friction may not be said.
-                let stated = Some(p.of_coordinate(values.named[n])).filter(|_| p != Parameter::Friction || frictions[i].is_some());
+                let stated = Some(p.of_coordinate(values.named[n]))
+                    .filter(|_| p != Parameter::Friction || frictions[i].is_some());
                 let (start, prior) = match options.parameters.of(p, stated) {
                     Knowledge::Fixed(value) if p != Parameter::Mass => {
                         values.named[n] = p.to_coordinate(value);
@@ -84,8 +85,14 @@ impl Joint {
                 _ => (f64::NEG_INFINITY, f64::INFINITY),
             };
             let max_step = if p.is_logarithmic() { MAX_STEP } else { 10.0 * p.scale() };
-            let one = |pushes: Vec<usize>| {
-                Coordinate { slot: Slot::Named(p), pushes, prior, start, span: p.scale(), max_step, bounds }
+            let one = |pushes: Vec<usize>| Coordinate {
+                slot: Slot::Named(p),
+                pushes,
+                prior,
+                start,
+                span: p.scale(),
+                max_step,
+                bounds,
             };
             if p.is_of_push() {
                 coordinates.extend(own.iter().map(|(i, ..)| one(vec![*i])));
@@ -202,7 +209,8 @@ impl Joint {
     /// A point moved by `step` in the coordinates `active`, no farther than each may move at once; and the size of the
     /// move, in spans.
     pub(crate) fn stepped(&self, from: &Point, active: &[usize], step: &DVector<f64>) -> (Point, f64) {
-        let over = active.iter().zip(step.iter()).map(|(&c, x)| x.abs() / self.coordinates[c].max_step).fold(1.0, f64::max);
+        let over =
+            active.iter().zip(step.iter()).map(|(&c, x)| x.abs() / self.coordinates[c].max_step).fold(1.0, f64::max);
         let (mut point, mut size) = (from.clone(), 0.0_f64);
         for (&c, x) in active.iter().zip(step.iter()) {
             let (lo, hi) = self.coordinates[c].bounds;

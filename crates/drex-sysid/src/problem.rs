@@ -84,7 +84,8 @@ impl Problem {
         let action = match &recording.drive {
             Drive::Force(profile) => Action::Force(KnownForce::new(profile)),
             Drive::Finger(push) => {
-                let finger = Finger::new(push).map_err(|source| SysidError::Simulation { push: name.clone(), source })?;
+                let finger =
+                    Finger::new(push).map_err(|source| SysidError::Simulation { push: name.clone(), source })?;
                 Action::Finger(Box::new(finger))
             }
             _ => Action::Nothing,
@@ -186,16 +187,19 @@ impl Problem {
         match &self.action {
             Action::Force(force) => self.apply(force, values, &mut scene).map_err(wrap)?,
             Action::Finger(finger) => {
-                let (arm, q) = finger.arm(&FingerValues {
-                    friction: factor(Parameter::FingerFriction),
-                    factors: [
-                        factor(Parameter::ActuatorStiffness),
-                        factor(Parameter::ActuatorDamping),
-                        factor(Parameter::FingerInertia),
-                    ],
-                    joint_friction: at(Parameter::JointFriction),
-                    height: at(Parameter::ContactHeight),
-                });
+                let (arm, q) = finger.arm(
+                    &FingerValues {
+                        friction: factor(Parameter::FingerFriction),
+                        factors: [
+                            factor(Parameter::ActuatorStiffness),
+                            factor(Parameter::ActuatorDamping),
+                            factor(Parameter::FingerInertia),
+                        ],
+                        joint_friction: at(Parameter::JointFriction),
+                        height: at(Parameter::ContactHeight),
+                    },
+                    dt_s,
+                );
                 arms.push(arm.at_rest(&q, 0.0).map_err(wrap)?);
                 scene.controls.push(finger.control.clone());
                 model.arms.push(arm);
@@ -278,8 +282,7 @@ impl Problem {
         let pick = |k: &usize| (body.poses[*k], body.velocities[*k], body.angular_velocities[*k]);
         let samples = schedule.first.iter().map(pick).collect();
         let joints = record.joints.first();
-        let tips =
-            schedule.second.iter().filter_map(|&k| joints.and_then(|j| j.get(k)?.first().copied())).collect();
+        let tips = schedule.second.iter().filter_map(|&k| joints.and_then(|j| j.get(k)?.first().copied())).collect();
         Ok(Motion { begin_s: begin, samples, tips })
     }
 

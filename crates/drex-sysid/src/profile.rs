@@ -18,7 +18,12 @@ pub(crate) struct Profile {
 
 impl Profile {
     /// Costs around `best`, along the valley that the other coordinates follow, each improved by one Gauss-Newton step.
-    pub(crate) fn around(joint: &Joint, best: &Candidate, information: &Information, options: &IdentifyOptions) -> Self {
+    pub(crate) fn around(
+        joint: &Joint,
+        best: &Candidate,
+        information: &Information,
+        options: &IdentifyOptions,
+    ) -> Self {
         let mut unit = information.sd().clamp(0.002, 0.15);
         let valley = information.valley();
         let all = joint.active(true);

@@ -1,7 +1,7 @@
 use super::*;
 use crate::problem::*;
-use drex_core::push::*;
 use drex_core::TriMesh;
+use drex_core::push::*;
 use nalgebra::Point3;
 fn read_obj(path: &std::path::Path) -> TriMesh {
     let (mut vertices, mut faces) = (Vec::new(), Vec::new());
@@ -25,7 +25,8 @@ fn scratch() {
     let object = ObjectModel::from_mesh(&read_obj(&recording.mesh)).unwrap();
     let shape = object.shape().unwrap();
     let options = IdentifyOptions::default();
-    let p = Problem::new(&recording, &object, &shape, &options, PoseNoise { position_m: 0.002, rotation_rad: 0.0175 }).unwrap();
+    let p = Problem::new(&recording, &object, &shape, &options, PoseNoise { position_m: 0.002, rotation_rad: 0.0175 })
+        .unwrap();
     let text = std::fs::read_to_string(folder.join("truth.json")).unwrap();
     let t: serde_json::Value = serde_json::from_str(&text).unwrap();
     let f = |k: &str, d: f64| std::env::var(k).ok().and_then(|s| s.parse().ok()).unwrap_or(d);
@@ -39,8 +40,21 @@ fn scratch() {
             let t = fi.encoder_times_s[k];
             let c = fi.control.at(t);
             let x = m.at(t).translation.vector - m.at(0.0).translation.vector;
-            let o = recording.track.at(t.min(*p.times_s.last().unwrap())).unwrap().translation.vector - recording.track.poses()[0].translation.vector;
-            println!("{t:.2} cmd {:.2} q {:.2} lag {:.3} res {:.3} f {:.3} {:.3}  obj sim {:.2} {:.2} obs {:.2} {:.2} mm", c[0]*1e3, q*1e3, (c[0]-q)*1e3, r, c[1], c[2], x.x*1e3, x.y*1e3, o.x*1e3, o.y*1e3);
+            let o = recording.track.at(t.min(*p.times_s.last().unwrap())).unwrap().translation.vector
+                - recording.track.poses()[0].translation.vector;
+            println!(
+                "{t:.2} cmd {:.2} q {:.2} lag {:.3} res {:.3} f {:.3} {:.3}  obj sim {:.2} {:.2} obs {:.2} {:.2} mm",
+                c[0] * 1e3,
+                q * 1e3,
+                (c[0] - q) * 1e3,
+                r,
+                c[1],
+                c[2],
+                x.x * 1e3,
+                x.y * 1e3,
+                o.x * 1e3,
+                o.y * 1e3
+            );
         }
     }
 }
