@@ -17,6 +17,7 @@ mod noise;
 mod object;
 mod options;
 mod parameters;
+mod primitive;
 mod problem;
 mod profile;
 

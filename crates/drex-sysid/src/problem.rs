@@ -13,7 +13,7 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 use crate::finger::{Finger, FingerValues};
 use crate::force::KnownForce;
 use crate::parameters::{NUISANCES, Parameter, SIMULATED};
-use crate::{IdentifyOptions, ObjectModel, Result, SysidError};
+use crate::{IdentifyOptions, ObjectModel, Result, SysidError, primitive};
 
 /// Spacing of the dense record that nuisances are solved on, seconds.
 pub(crate) const DENSE_S: f64 = 4e-3;
@@ -90,6 +90,8 @@ impl Problem {
             }
             _ => Action::Nothing,
         };
+        let collider = Collider::new(&primitive::geoms(shape))
+            .map_err(|source| SysidError::Simulation { push: name.clone(), source })?;
         Ok(Self {
             name,
             times_s: recording.track.times_s().to_vec(),
@@ -106,7 +108,7 @@ impl Problem {
             table_height_m: recording.support.table_height_m,
             boxes: recording.support.boxes.clone(),
             unit: object.unit,
-            collider: Arc::new(Collider::convex(shape.to_vec())),
+            collider: Arc::new(collider),
         })
     }
 

@@ -58,3 +58,39 @@ fn scratch() {
         }
     }
 }
+#[test]
+fn timing() {
+    let folder = std::env::var("PUSH").unwrap();
+    let folder = std::path::Path::new(&folder);
+    let choice = InputChoice::default();
+    let recording = PushRecording::load(folder, &choice).unwrap();
+    let object = ObjectModel::from_mesh(&read_obj(&recording.mesh)).unwrap();
+    let shape = object.shape().unwrap();
+    let options = IdentifyOptions::default();
+    let cpu = || { let t = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap(); t.split_whitespace().next().unwrap().parse::<f64>().unwrap() * 1e-6 };
+    let b = cpu();
+    let p = Problem::new(&recording, &object, &shape, &options, PoseNoise { position_m: 0.002, rotation_rad: 0.0175 }).unwrap();
+    println!("new {:.2} ms", cpu() - b);
+    let text = std::fs::read_to_string(folder.join("truth.json")).unwrap();
+    let t: serde_json::Value = serde_json::from_str(&text).unwrap();
+    for scale in [0.1, 1.0, 10.0] {
+    let v = p.stated(t["mass"].as_f64().unwrap() * scale, t["mu"].as_f64().unwrap());
+    for dt in [5e-4, 1e-3, 2e-3] {
+        let b = cpu();
+        for _ in 0..5 { p.simulate(&v, dt).unwrap(); }
+        let sim = (cpu() - b) / 5.0;
+        let m = p.simulate(&v, dt).unwrap();
+        let b = cpu();
+        for _ in 0..5 { p.fit(&m, None); }
+        let fit = (cpu() - b) / 5.0;
+        let f = p.fit(&m, None);
+        let mut s = Vec::new();
+        for n in [1, 2, 4, 8] {
+            let slots: Vec<Slot> = (0..n).map(|k| Slot::Named(parameters::Parameter::ALL[[0, 1, 2, 3, 4, 5, 6, 7][k]])).collect();
+            let b = cpu();
+            p.slopes(&v, &slots, &f, dt).unwrap();
+            s.push(format!("{:.1}", cpu() - b));
+        }
+        println!("scale {scale} dt {dt} sim {sim:.1} ms, fit {fit:.2} ms, slopes {s:?}, T {}", p.times_s.last().unwrap());
+    } }
+}
