@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! cargo run --release -p drex-sysid --example sweep -- ROOT [--poses noisy|hard|clean] [--force noisy|exact] [--encoder on|off]
-//!     [--free friction] [--dt SECONDS] [--only TEXT]... [--verbose]
+//!     [--free NAME]... [--fix NAME=VALUE]... [--dt SECONDS] [--only TEXT]... [--verbose]
 //! ```
 //!
 //! ROOT holds `<object>/<scenario>/meta.json` with `truth.json` beside it; the truth is read after the estimate. One line
@@ -203,7 +203,12 @@ fn read_arguments() -> Result<Arguments, Failure> {
             "--poses" => out.choice.poses = value()?.parse()?,
             "--force" => out.choice.force = value()?.parse()?,
             "--encoder" => out.choice.encoder = value()? == "on",
-            "--free" if value()? == "friction" => out.options.parameters.set(Parameter::Friction, Knowledge::Free)?,
+            "--free" => out.options.parameters.set(value()?.parse()?, Knowledge::Free)?,
+            "--fix" => {
+                let text = value()?;
+                let (name, number) = text.split_once('=').ok_or("--fix needs NAME=VALUE")?;
+                out.options.parameters.set(name.parse()?, Knowledge::Fixed(number.parse()?))?;
+            }
             "--dt" => out.options.dt_s = value()?.parse()?,
             "--only" => out.only.push(value()?),
             "--verbose" => out.verbose = true,

@@ -11,7 +11,7 @@ use crate::profile::{Profile, minima};
 use crate::{IdentifyOptions, Result};
 
 /// Two correct simulators of rigid contact disagree about a mass by this much (relative).
-const MODEL_FLOOR: f64 = 0.003;
+const MODEL_FLOOR: f64 = 0.005;
 /// The same for a push by a fingertip that slides and chatters on the object, against MuJoCo.
 const FINGER_FLOOR: f64 = 0.01;
 /// Friction coefficients of the scan when friction is free.
@@ -53,7 +53,7 @@ impl Joint {
             }
         }
         let named = self.active(false);
-        let starts = minima(&scan, 3);
+        let starts = promising(&scan, 3);
         let found: Vec<Result<Candidate>> = starts
             .par_iter()
             .map(|p| self.descend(self.evaluate(p.clone(), None, middle_dt), &named, middle_dt))
@@ -77,10 +77,11 @@ impl Joint {
         let mut information = Information::of(self, &best, options)?;
         let mut profile = Profile::default();
         for _ in 0..4 {
+            best = self.polish(best, &information, options.dt_s);
             profile = Profile::around(self, &best, &information, options);
             match profile.lowest() {
                 Some((point, cost)) if cost < best.cost - 0.02 => {
-                    best = self.descend(self.evaluate(point, Some(&best.fits), options.dt_s), &all, options.dt_s)?;
+                    best = self.evaluate(point, Some(&best.fits), options.dt_s);
                     information = Information::of(self, &best, options)?;
                 }
                 _ => break,
@@ -166,7 +167,7 @@ impl Joint {
     fn refined(&self, mut scan: Vec<(Point, f64)>, dt_s: f64) -> Vec<(Point, f64)> {
         const PARTS: usize = 8;
         let mut more: Vec<Point> = Vec::new();
-        for center in minima(&scan, 2) {
+        for center in promising(&scan, 2) {
             let Some(k) = scan.iter().position(|s| s.0 == center) else { continue };
             for neighbour in [k.checked_sub(1), Some(k + 1)].into_iter().flatten().filter_map(|i| scan.get(i)) {
                 let (a, b) = (center[0], neighbour.0[0]);
@@ -207,6 +208,13 @@ impl Joint {
             .collect();
         (shifts.iter().map(|s| s * s).sum::<f64>() / shifts.len() as f64).sqrt().min(10.0)
     }
+}
+
+/// The local minima of a scan, best first, without those that no refinement makes the best.
+fn promising(scan: &[(Point, f64)], most: usize) -> Vec<Point> {
+    let lowest = scan.iter().map(|s| s.1).fold(f64::INFINITY, f64::min);
+    let cost = |p: &Point| scan.iter().find(|s| s.0 == *p).map_or(f64::INFINITY, |s| s.1);
+    minima(scan, most).into_iter().filter(|p| cost(p) <= 3.0 * lowest + 20.0).collect()
 }
 
 /// The unit vector of coordinate `k` among `n`.

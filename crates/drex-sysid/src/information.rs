@@ -18,12 +18,14 @@ const PRIOR_SD: f64 = 1.0;
 
 /// Information about all coordinates.
 pub(crate) struct Information {
-    /// Per push: its coordinates, and for each the derivative of the rows, nuisances eliminated.
-    pub columns: Vec<(Vec<usize>, Vec<Vec<f64>>)>,
+    /// Per push: its coordinates.
+    own: Vec<Vec<usize>>,
+    /// Per push and coordinate: the derivative of the rows, nuisances eliminated.
+    pub slopes: Vec<Vec<Vec<f64>>>,
     /// Weight of each row, per push, over the excess of its kind's residuals.
-    pub weights: Vec<Vec<f64>>,
+    weights: Vec<Vec<f64>>,
     /// Covariance.
-    pub inverse: DMatrix<f64>,
+    inverse: DMatrix<f64>,
     /// Variance of log mass if the force had no errors.
     conditional: f64,
     /// Covariance with a weak prior, for what is known although mass and friction are not.
@@ -44,7 +46,7 @@ impl Information {
             h[(k, k)] += coordinate.prior.map_or(0.0, |(_, sd)| 1.0 / (sd * sd));
         }
         let prior = h.clone();
-        let (mut columns, mut weights) = (Vec::new(), Vec::new());
+        let (mut all_own, mut all_slopes, mut weights) = (Vec::new(), Vec::new(), Vec::new());
         let mut scale = 1.0_f64;
         for i in 0..joint.problems.len() {
             let own = joint.coordinates_of(i, &all);
@@ -57,7 +59,8 @@ impl Information {
                     h[(ka, kb)] += weighted(&rows, a, b);
                 }
             }
-            columns.push((own, slopes));
+            all_own.push(own);
+            all_slopes.push(slopes);
             weights.push(rows);
         }
         let identity = DMatrix::<f64>::identity(n, n);
@@ -74,7 +77,17 @@ impl Information {
             h[(named[a], named[b])] + if a == b { 1e-9 } else { 0.0 }
         });
         let conditional = invert(&sub).map_or(1e9, |m| m[(0, 0)]);
-        let mut out = Self { columns, weights, inverse, conditional, bounded, friction, sandwich: 0.0, scale };
+        let mut out = Self {
+            own: all_own,
+            slopes: all_slopes,
+            weights,
+            inverse,
+            conditional,
+            bounded,
+            friction,
+            sandwich: 0.0,
+            scale,
+        };
         out.sandwich = out.scatter(joint, c, &prior);
         Ok(out)
     }
@@ -110,7 +123,7 @@ impl Information {
     /// Shift of log mass when the residuals change as given per push, by one Gauss-Newton step.
     pub(crate) fn shift(&self, differences: &[Vec<f64>]) -> f64 {
         let mut g = DVector::zeros(self.inverse.nrows());
-        for (((own, slopes), rows), r) in self.columns.iter().zip(&self.weights).zip(differences) {
+        for (((own, slopes), rows), r) in self.own.iter().zip(&self.slopes).zip(&self.weights).zip(differences) {
             for (&k, slope) in own.iter().zip(slopes) {
                 g[k] += weighted(rows, slope, r);
             }
@@ -124,7 +137,7 @@ impl Information {
         let row = self.inverse.row(0);
         let mut variance = (row * prior * row.transpose())[0];
         for (i, problem) in joint.problems.iter().enumerate() {
-            let ((own, slopes), rows, fit) = (&self.columns[i], &self.weights[i], &c.fits[i]);
+            let (own, slopes, rows, fit) = (&self.own[i], &self.slopes[i], &self.weights[i], &c.fits[i]);
             let influence: Vec<f64> = (0..problem.blocks())
                 .map(|k| {
                     let (start, length) = problem.block(k);
@@ -143,33 +156,32 @@ impl Information {
 }
 
 impl Joint {
-    /// Mean slope of push `i`'s rows by coordinate `k`, nuisances eliminated. Of several spans the one that claims least: a
-    /// nearby cliff (an object that topples) is no knowledge.
+    /// Mean slope of push `i`'s rows by coordinate `k`, nuisances eliminated. Of several spans the one in the
+    /// middle: a nearby cliff (an object that topples) or a brief chatter is no knowledge.
     fn mean_slope(&self, c: &Candidate, i: usize, k: usize, options: &IdentifyOptions) -> Result<Vec<f64>> {
         let coordinate = &self.coordinates[k];
         let several = matches!(coordinate.slot, Slot::Named(Parameter::Mass | Parameter::Friction));
         let spans: &[f64] = if several { &SPANS } else { std::slice::from_ref(&coordinate.span) };
         let (problem, fit) = (&self.problems[i], &c.fits[i]);
         let rows = problem.row_weights(fit);
-        let mut least: Option<(f64, Vec<f64>)> = None;
+        let mut claims: Vec<(f64, Vec<f64>)> = Vec::new();
         for &span in spans {
-            let Some(mut column) = self.secant(c, i, coordinate.slot, span, options) else { continue };
+            let Some(mut column) = self.secant(c, i, coordinate.slot, span, options.dt_s) else { continue };
             problem.eliminate(&c.motions[i], fit, std::slice::from_mut(&mut column));
-            let claim = weighted(&rows, &column, &column);
-            if least.as_ref().is_none_or(|l| claim < l.0) {
-                least = Some((claim, column));
-            }
+            claims.push((weighted(&rows, &column, &column), column));
         }
-        Ok(least.map_or_else(|| vec![0.0; fit.residuals.len()], |l| l.1))
+        claims.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let middle = claims.len().saturating_sub(1) / 2;
+        Ok(claims.into_iter().nth(middle).map_or_else(|| vec![0.0; fit.residuals.len()], |l| l.1))
     }
 
     /// Difference quotient of push `i`'s rows by an entry of its values; `None` if one side cannot be simulated.
-    fn secant(&self, c: &Candidate, i: usize, slot: Slot, span: f64, options: &IdentifyOptions) -> Option<Vec<f64>> {
+    pub(crate) fn secant(&self, c: &Candidate, i: usize, slot: Slot, span: f64, dt_s: f64) -> Option<Vec<f64>> {
         let (problem, fit) = (&self.problems[i], &c.fits[i]);
         let side = |x: f64| {
             let mut values = self.values(i, &c.point);
             *values.at_mut(slot)? += x;
-            let motion = problem.simulate(&values, options.dt_s).ok()?;
+            let motion = problem.simulate(&values, dt_s).ok()?;
             Some(problem.residuals(&motion, &fit.nuisance))
         };
         let (low, high) = (side(-span)?, side(span)?);
@@ -210,7 +222,7 @@ impl Joint {
             .filter_map(|&p| {
                 let changes = (0..self.problems.len())
                     .map(|i| match self.problems[i].depends_on(p) {
-                        true => self.secant(c, i, Slot::Named(p), p.scale(), options),
+                        true => self.secant(c, i, Slot::Named(p), p.scale(), options.scan_dt_s),
                         false => Some(vec![0.0; c.fits[i].residuals.len()]),
                     })
                     .collect::<Option<Vec<_>>>()?;

@@ -5,6 +5,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use crate::fit::Fit;
+use crate::information::Information;
 use crate::noise;
 use crate::parameters::{Knowledge, Parameter};
 use crate::problem::{Motion, Problem, Slot, Values};
@@ -14,6 +15,8 @@ use crate::{IdentifyOptions, Result};
 const MAX_STEP: f64 = 0.5;
 /// Iterations of one descent.
 const ITERATIONS: usize = 25;
+/// A step that promises less than this much of the cost is not taken.
+const PROMISE: f64 = 2e-3;
 
 /// One estimated number.
 #[derive(Debug, Clone)]
@@ -186,11 +189,14 @@ impl Joint {
                     damped[(k, k)] += h[(k, k)] * damping + 1e-9;
                 }
                 let Some(step) = damped.cholesky().map(|c| -c.solve(&g)) else { break };
+                if -0.5 * g.dot(&step) < PROMISE {
+                    break;
+                }
                 let (point, size) = self.stepped(&now.point, active, &step);
                 let next = self.evaluate(point, Some(&now.fits), dt_s);
                 if next.cost < now.cost {
                     damping = (damping * 0.2).max(1e-6);
-                    improved = size > 1e-3 && now.cost - next.cost > 1e-4;
+                    improved = size > 1e-3 && now.cost - next.cost > PROMISE;
                     now = next;
                     break;
                 }
@@ -204,6 +210,27 @@ impl Joint {
             }
         }
         Ok(now)
+    }
+
+    /// Gauss-Newton from `now` with the slopes of `information` instead of exact ones: where an object rocks and
+    /// chatters, those lead nowhere.
+    pub(crate) fn polish(&self, mut now: Candidate, information: &Information, dt_s: f64) -> Candidate {
+        let all = self.active(true);
+        for _ in 0..4 {
+            let (mut h, g) = self.normal_equations(&now, &all, &information.slopes);
+            (0..all.len()).for_each(|k| h[(k, k)] += 1e-9);
+            let Some(step) = h.cholesky().map(|c| -c.solve(&g)) else { break };
+            if -0.5 * g.dot(&step) < PROMISE {
+                break;
+            }
+            let better = [1.0, 0.4].iter().find_map(|length| {
+                let (point, _) = self.stepped(&now.point, &all, &(&step * *length));
+                Some(self.evaluate(point, Some(&now.fits), dt_s)).filter(|next| next.cost < now.cost - PROMISE)
+            });
+            let Some(next) = better else { break };
+            now = next;
+        }
+        now
     }
 
     /// A point moved by `step` in the coordinates `active`, no farther than each may move at once; and the size of the

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use crate::IdentifyOptions;
 use crate::information::Information;
-use crate::joint::{Candidate, Joint, Point, weighted};
+use crate::joint::{Candidate, Joint, Point};
 
 /// Half the 95 % point of chi-square with one degree of freedom.
 const BOUND: f64 = 1.92;
@@ -29,9 +29,9 @@ impl Profile {
         let all = joint.active(true);
         let mut points: Vec<(Point, f64)> = Vec::new();
         for round in 0..3 {
-            let grid: Vec<f64> = [-4.0, -3.0, -2.0, -1.5, -1.0, -0.5, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0]
+            let grid: Vec<f64> = [-3.0, -2.0, -1.4, -0.7, 0.7, 1.4, 2.0, 3.0]
                 .into_iter()
-                .filter(|k: &f64| round == 0 || k.abs() > 1.2)
+                .filter(|k: &f64| round == 0 || k.abs() > 1.0)
                 .map(|k| k * unit)
                 .collect();
             points.par_extend(grid.par_iter().map(|x| {
@@ -100,23 +100,8 @@ fn across(joint: &Joint, there: &Candidate, information: &Information) -> Option
     if n < 2 || !there.cost.is_finite() {
         return None;
     }
-    let (mut h, mut g) = (nalgebra::DMatrix::<f64>::zeros(n, n), DVector::<f64>::zeros(n));
-    for (k, coordinate) in joint.coordinates.iter().enumerate() {
-        if let Some((mean, sd)) = coordinate.prior {
-            h[(k, k)] += 1.0 / (sd * sd);
-            g[k] += (there.point[k] - mean) / (sd * sd);
-        }
-        h[(k, k)] += 1e-9;
-    }
-    for (i, (own, slopes)) in information.columns.iter().enumerate() {
-        let rows = joint.problems[i].row_weights(&there.fits[i]);
-        for (a, &ka) in slopes.iter().zip(own) {
-            for (b, &kb) in slopes.iter().zip(own) {
-                h[(ka, kb)] += weighted(&rows, a, b);
-            }
-            g[ka] += weighted(&rows, a, &there.fits[i].residuals);
-        }
-    }
+    let (mut h, g) = joint.normal_equations(there, &joint.active(true), &information.slopes);
+    (0..n).for_each(|k| h[(k, k)] += 1e-9);
     let (sub, right) = (h.view((1, 1), (n - 1, n - 1)).into_owned(), g.rows(1, n - 1).into_owned());
     let step = sub.cholesky()?.solve(&right);
     Some(DVector::from_fn(n, |k, _| if k == 0 { 0.0 } else { -step[k - 1] }))

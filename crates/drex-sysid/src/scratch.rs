@@ -67,30 +67,114 @@ fn timing() {
     let object = ObjectModel::from_mesh(&read_obj(&recording.mesh)).unwrap();
     let shape = object.shape().unwrap();
     let options = IdentifyOptions::default();
-    let cpu = || { let t = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap(); t.split_whitespace().next().unwrap().parse::<f64>().unwrap() * 1e-6 };
+    let cpu = || {
+        let t = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap();
+        t.split_whitespace().next().unwrap().parse::<f64>().unwrap() * 1e-6
+    };
     let b = cpu();
-    let p = Problem::new(&recording, &object, &shape, &options, PoseNoise { position_m: 0.002, rotation_rad: 0.0175 }).unwrap();
+    let p = Problem::new(&recording, &object, &shape, &options, PoseNoise { position_m: 0.002, rotation_rad: 0.0175 })
+        .unwrap();
     println!("new {:.2} ms", cpu() - b);
     let text = std::fs::read_to_string(folder.join("truth.json")).unwrap();
     let t: serde_json::Value = serde_json::from_str(&text).unwrap();
     for scale in [0.1, 1.0, 10.0] {
-    let v = p.stated(t["mass"].as_f64().unwrap() * scale, t["mu"].as_f64().unwrap());
-    for dt in [5e-4, 1e-3, 2e-3] {
-        let b = cpu();
-        for _ in 0..5 { p.simulate(&v, dt).unwrap(); }
-        let sim = (cpu() - b) / 5.0;
-        let m = p.simulate(&v, dt).unwrap();
-        let b = cpu();
-        for _ in 0..5 { p.fit(&m, None); }
-        let fit = (cpu() - b) / 5.0;
-        let f = p.fit(&m, None);
-        let mut s = Vec::new();
-        for n in [1, 2, 4, 8] {
-            let slots: Vec<Slot> = (0..n).map(|k| Slot::Named(parameters::Parameter::ALL[[0, 1, 2, 3, 4, 5, 6, 7][k]])).collect();
+        let v = p.stated(t["mass"].as_f64().unwrap() * scale, t["mu"].as_f64().unwrap());
+        for dt in [5e-4, 1e-3, 2e-3] {
             let b = cpu();
-            p.slopes(&v, &slots, &f, dt).unwrap();
-            s.push(format!("{:.1}", cpu() - b));
+            for _ in 0..5 {
+                p.simulate(&v, dt).unwrap();
+            }
+            let sim = (cpu() - b) / 5.0;
+            let m = p.simulate(&v, dt).unwrap();
+            let b = cpu();
+            for _ in 0..5 {
+                p.fit(&m, None);
+            }
+            let fit = (cpu() - b) / 5.0;
+            let f = p.fit(&m, None);
+            let mut s = Vec::new();
+            for n in [1, 2, 4, 8] {
+                let slots: Vec<Slot> =
+                    (0..n).map(|k| Slot::Named(parameters::Parameter::ALL[[0, 1, 2, 3, 4, 5, 6, 7][k]])).collect();
+                let b = cpu();
+                p.slopes(&v, &slots, &f, dt).unwrap();
+                s.push(format!("{:.1}", cpu() - b));
+            }
+            println!(
+                "scale {scale} dt {dt} sim {sim:.1} ms, fit {fit:.2} ms, slopes {s:?}, T {}",
+                p.times_s.last().unwrap()
+            );
         }
-        println!("scale {scale} dt {dt} sim {sim:.1} ms, fit {fit:.2} ms, slopes {s:?}, T {}", p.times_s.last().unwrap());
-    } }
+    }
+}
+#[test]
+fn spans() {
+    use crate::joint::*;
+    let folder = std::env::var("PUSH").unwrap();
+    let folder = std::path::Path::new(&folder);
+    let recording = PushRecording::load(folder, &InputChoice::default()).unwrap();
+    let object = ObjectModel::from_mesh(&read_obj(&recording.mesh)).unwrap();
+    let shape = object.shape().unwrap();
+    let options = IdentifyOptions::default();
+    let p = Problem::new(&recording, &object, &shape, &options, recording.noise.unwrap()).unwrap();
+    let mut joint = Joint::new(vec![p], &[recording.support.friction], &options);
+    let e = joint.solve(&options).unwrap();
+    let b = &e.best;
+    println!("best {:?} cost {}", b.point, b.cost);
+    let rows = joint.problems[0].row_weights(&b.fits[0]);
+    let slots: Vec<Slot> = joint.coordinates.iter().map(|c| c.slot).collect();
+    let mut exact = joint.problems[0].slopes(&joint.values(0, &b.point), &slots, &b.fits[0], options.dt_s).unwrap();
+    joint.problems[0].eliminate(&b.motions[0], &b.fits[0], &mut exact);
+    for (k, c) in joint.coordinates.iter().enumerate() {
+        let spans: Vec<f64> = match c.slot {
+            Slot::Named(_) => vec![0.1, 0.03, 0.01, 0.003, 0.001],
+            _ => vec![3.0, 1.0, 0.3, 0.1],
+        };
+        let mut cols: Vec<Vec<f64>> = spans.iter().map(|s| joint.secant(b, 0, c.slot, *s, 5e-4).unwrap()).collect();
+        joint.problems[0].eliminate(&b.motions[0], &b.fits[0], &mut cols);
+        let n = |a: &Vec<f64>| weighted(&rows, a, a).sqrt();
+        println!(
+            "{:?} norms {:?} exact {:.1} cos to first {:?}",
+            c.slot,
+            cols.iter().map(|c| (n(c) * 10.0).round() / 10.0).collect::<Vec<_>>(),
+            n(&exact[k]),
+            cols.iter()
+                .chain([&exact[k]])
+                .map(|c| (weighted(&rows, c, &cols[0]) / n(c) / n(&cols[0]) * 1000.0).round() / 1000.0)
+                .collect::<Vec<_>>()
+        );
+    }
+}
+#[test]
+fn landscape() {
+    use crate::joint::*;
+    let folder = std::env::var("PUSH").unwrap();
+    let folder = std::path::Path::new(&folder);
+    let recording = PushRecording::load(folder, &InputChoice::default()).unwrap();
+    let object = ObjectModel::from_mesh(&read_obj(&recording.mesh)).unwrap();
+    let shape = object.shape().unwrap();
+    let options = IdentifyOptions::default();
+    let p = Problem::new(&recording, &object, &shape, &options, recording.noise.unwrap()).unwrap();
+    let mut joint = Joint::new(vec![p], &[recording.support.friction], &options);
+    let text = std::fs::read_to_string(folder.join("truth.json")).unwrap();
+    let t: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let m = t["mass"].as_f64().unwrap();
+    let all = joint.active(true);
+    for k in -8..9 {
+        let lm = (m * (1.0 + 0.005 * k as f64)).ln();
+        joint.coordinates[0].prior = Some((lm, 1e-7));
+        let mut pt = joint.start();
+        pt[0] = lm;
+        let a = joint.evaluate(pt.clone(), None, 5e-4);
+        let a0 = a.cost;
+        let d = joint.descend(a, &all[1..], 5e-4).unwrap();
+        println!(
+            "{:+.1} % cost at zero errors {:.2} adapted {:.2}: {:?} clock {:.4}",
+            0.5 * k as f64,
+            a0,
+            d.cost,
+            d.point[1..].iter().map(|x| (x * 100.0).round() / 100.0).collect::<Vec<_>>(),
+            d.fits[0].nuisance[0]
+        );
+    }
 }
