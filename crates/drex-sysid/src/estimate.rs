@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use crate::answer::ErrorBudget;
 use crate::information::Information;
-use crate::joint::{Candidate, Joint, Point};
+use crate::joint::{Candidate, Joint, Point, Slopes};
 use crate::profile::{Profile, minima};
 use crate::{IdentifyOptions, Result};
 
@@ -52,24 +52,29 @@ impl Joint {
                 problem.simulate(&self.values(i, &scan[scan.len() / 2].0), options.dt_s)?;
             }
         }
-        let named = self.active(false);
+        let (named, all) = (self.active(false), self.active(true));
+        // With errors of the force, many motions agree with the track: the exact slopes of one are of little use.
+        let by = if named.len() < all.len() { Slopes::Mean } else { Slopes::Exact };
         let starts = promising(&scan, 3);
         let found: Vec<Result<Candidate>> = starts
             .par_iter()
-            .map(|p| self.descend(self.evaluate(p.clone(), None, middle_dt), &named, middle_dt))
+            .map(|p| {
+                let found =
+                    self.descend(self.evaluate(p.clone(), None, middle_dt), &named, Slopes::Exact, middle_dt)?;
+                if by == Slopes::Exact { Ok(found) } else { self.descend(found, &all, by, middle_dt) }
+            })
             .collect();
         let found = found.into_iter().collect::<Result<Vec<_>>>()?;
         let start =
             found.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost)).map_or_else(|| self.start(), |c| c.point);
 
-        let all = self.active(true);
         let mut best = self.evaluate(start, None, options.dt_s);
         for _ in 0..4 {
             let changed = self.rescale_encoders(&best, (finest, WORST_ENCODER_M.max(finest)));
             if changed {
                 best = self.evaluate(best.point, Some(&best.fits), options.dt_s);
             }
-            best = self.descend(best, &all, options.dt_s)?;
+            best = self.descend(best, &all, by, options.dt_s)?;
             if !changed {
                 break;
             }

@@ -13,6 +13,8 @@ use crate::{IdentifyOptions, Result};
 
 /// Longest Gauss-Newton step in the logarithm of a mass or a friction.
 const MAX_STEP: f64 = 0.5;
+/// Change of the logarithm of the mass over which mean slopes are taken.
+const MASS_SPAN: f64 = 0.01;
 /// Iterations of one descent.
 const ITERATIONS: usize = 25;
 /// A step that promises less than this much of the cost is not taken.
@@ -31,6 +33,15 @@ pub(crate) struct Coordinate {
     pub span: f64,
     max_step: f64,
     bounds: (f64, f64),
+}
+
+/// Derivatives to descend with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Slopes {
+    /// Those of the branch that the motion takes, by dual numbers.
+    Exact,
+    /// Difference quotients over what is not known anyway: where an object rocks and chatters, exact ones lead nowhere.
+    Mean,
 }
 
 /// Values of the coordinates.
@@ -173,14 +184,17 @@ impl Joint {
         self.coordinates.iter().zip(point).map(of).sum()
     }
 
-    /// Levenberg-Marquardt over the coordinates `active` from `now`, with exact derivatives.
-    pub(crate) fn descend(&self, mut now: Candidate, active: &[usize], dt_s: f64) -> Result<Candidate> {
+    /// Levenberg-Marquardt over the coordinates `active` from `now`.
+    pub(crate) fn descend(&self, mut now: Candidate, active: &[usize], by: Slopes, dt_s: f64) -> Result<Candidate> {
         let mut damping = 1e-3;
         for _ in 0..ITERATIONS {
             if !now.cost.is_finite() {
                 break;
             }
-            let columns = self.exact_columns(&now, active, dt_s)?;
+            let columns = match by {
+                Slopes::Exact => self.exact_columns(&now, active, dt_s)?,
+                Slopes::Mean => self.mean_columns(&now, active, dt_s),
+            };
             let (h, g) = self.normal_equations(&now, active, &columns);
             let mut improved = false;
             for _ in 0..6 {
@@ -258,6 +272,26 @@ impl Joint {
                 let mut columns = problem.slopes(&self.values(i, &c.point), &slots, &c.fits[i], dt_s)?;
                 problem.eliminate(&c.motions[i], &c.fits[i], &mut columns);
                 Ok(columns)
+            })
+            .collect()
+    }
+
+    /// The same by difference quotients; zero where one side cannot be simulated.
+    fn mean_columns(&self, c: &Candidate, active: &[usize], dt_s: f64) -> Vec<Vec<Vec<f64>>> {
+        let column = |i: usize, k: usize| {
+            let coordinate = &self.coordinates[k];
+            let span = if k == 0 { MASS_SPAN } else { coordinate.span };
+            let zero = || vec![0.0; c.fits[i].residuals.len()];
+            self.secant(c, i, coordinate.slot, span, dt_s).unwrap_or_else(zero)
+        };
+        self.problems
+            .iter()
+            .enumerate()
+            .map(|(i, problem)| {
+                let own = self.coordinates_of(i, active);
+                let mut columns: Vec<Vec<f64>> = own.par_iter().map(|&k| column(i, k)).collect();
+                problem.eliminate(&c.motions[i], &c.fits[i], &mut columns);
+                columns
             })
             .collect()
     }

@@ -236,7 +236,7 @@ impl Problem {
         for (error, size) in force.errors.iter().zip(&values.errors) {
             // One that is zero and carries no derivative does nothing.
             if size.value() != 0.0 || (0..T::TANGENTS).any(|i| size.tangent(i) != 0.0) {
-                put(&error.times_s, &[error.force_n, Vector3::zeros()], point(), *size)?;
+                put(&error.times_s, &error.forces_n, point(), *size)?;
             }
         }
         let height = values.named[Parameter::ContactHeight as usize];

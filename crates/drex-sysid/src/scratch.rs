@@ -167,7 +167,7 @@ fn landscape() {
         pt[0] = lm;
         let a = joint.evaluate(pt.clone(), None, 5e-4);
         let a0 = a.cost;
-        let d = joint.descend(a, &all[1..], 5e-4).unwrap();
+        let d = joint.descend(a, &all[1..], Slopes::Mean, 5e-4).unwrap();
         println!(
             "{:+.1} % cost at zero errors {:.2} adapted {:.2}: {:?} clock {:.4}",
             0.5 * k as f64,
