@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use crate::answer::ErrorBudget;
 use crate::information::Information;
-use crate::joint::{Candidate, Joint, Point, Slopes};
+use crate::joint::{Candidate, ITERATIONS, Joint, Point, Slopes};
 use crate::profile::{Profile, minima};
 use crate::{IdentifyOptions, Result};
 
@@ -59,9 +59,14 @@ impl Joint {
         let found: Vec<Result<Candidate>> = starts
             .par_iter()
             .map(|p| {
-                let found =
-                    self.descend(self.evaluate(p.clone(), None, middle_dt), &named, Slopes::Exact, middle_dt)?;
-                if by == Slopes::Exact { Ok(found) } else { self.descend(found, &all, by, middle_dt) }
+                let found = self.descend(
+                    self.evaluate(p.clone(), None, middle_dt),
+                    &named,
+                    Slopes::Exact,
+                    ITERATIONS,
+                    middle_dt,
+                )?;
+                if by == Slopes::Exact { Ok(found) } else { self.descend(found, &all, by, ITERATIONS, middle_dt) }
             })
             .collect();
         let found = found.into_iter().collect::<Result<Vec<_>>>()?;
@@ -74,7 +79,7 @@ impl Joint {
             if changed {
                 best = self.evaluate(best.point, Some(&best.fits), options.dt_s);
             }
-            best = self.descend(best, &all, by, options.dt_s)?;
+            best = self.descend(best, &all, by, ITERATIONS, options.dt_s)?;
             if !changed {
                 break;
             }
@@ -82,8 +87,8 @@ impl Joint {
         let mut information = Information::of(self, &best, options)?;
         let mut profile = Profile::default();
         for _ in 0..4 {
-            best = self.polish(best, &information, options.dt_s);
-            profile = Profile::around(self, &best, &information, options);
+            best = self.polish(best, &all, &information, options.dt_s);
+            profile = Profile::around(self, &best, &information, options.dt_s)?;
             match profile.lowest() {
                 Some((point, cost)) if cost < best.cost - 0.02 => {
                     best = self.evaluate(point, Some(&best.fits), options.dt_s);
@@ -96,12 +101,12 @@ impl Joint {
             poses: information.sd_of_poses(),
             sandwich: information.sandwich,
             profile: profile.sd(&best, information.scale),
-            force: information.sd_of_force(),
+            force: information.sd_of_force().hypot(information.factor),
             contact: self.contact_sd(&best, &information, options),
         };
         let random = information.sd().max(budget.sandwich).max(budget.profile);
         let floor = if self.problems.iter().any(|p| p.has_finger()) { FINGER_FLOOR } else { MODEL_FLOOR };
-        let sd = (random.powi(2) + budget.contact.powi(2) + floor.powi(2)).sqrt();
+        let sd = (random.powi(2) + information.factor.powi(2) + budget.contact.powi(2) + floor.powi(2)).sqrt();
         let worst = scan.iter().map(|s| s.1).filter(|c| c.is_finite()).fold(f64::NEG_INFINITY, f64::max);
         // The scan was weighed differently if there is an encoder; its own best is what its worst compares with.
         let lowest = scan.iter().map(|s| s.1).fold(f64::INFINITY, f64::min);

@@ -2,7 +2,9 @@
 //!
 //! White noise on the samples is carried into the estimate as unknown smooth errors of the force: what is faster hardly
 //! moves a body. Their sizes are estimated along with the mass, each with the standard deviation that the noise gives it, so
-//! that poses are weighed by what they tell in spite of them.
+//! that poses are weighed by what they tell in spite of them. One error no pose can tell: a factor on the whole force moves
+//! everything as the same factor on the mass does. Noise of deviation s on samples u has such a part, of the relative size
+//! s / |u|; it goes straight into the interval.
 
 use drex_core::push::ForceProfile;
 use nalgebra::{Point3, Vector3};
@@ -21,7 +23,9 @@ pub(crate) struct KnownForce {
     pub forces_n: Vec<Vector3<f64>>,
     /// Where it acts, mesh frame.
     pub point: Point3<f64>,
-    /// Errors of one standard deviation.
+    /// Standard deviation of the noise as a factor on the whole force.
+    pub factor_sd: f64,
+    /// Other errors, of one standard deviation each.
     pub errors: Vec<ErrorShape>,
 }
 
@@ -37,7 +41,9 @@ impl KnownForce {
         let noise_n = noise::significant(&profile.forces_n);
         let forces_n = noise::without_idle(&profile.forces_n, noise_n);
         let errors = shapes(&profile.times_s, &forces_n, noise_n);
-        Self { times_s: profile.times_s.clone(), forces_n, point: profile.point_in_object, errors }
+        let size = forces_n.iter().map(Vector3::norm_squared).sum::<f64>().sqrt();
+        let factor_sd = if size > 0.0 { noise_n / size } else { 0.0 };
+        Self { times_s: profile.times_s.clone(), forces_n, point: profile.point_in_object, factor_sd, errors }
     }
 
     /// When it first acts, seconds.
@@ -47,7 +53,7 @@ impl KnownForce {
 }
 
 /// Smooth shapes on the runs of samples that carry force along an axis: the lowest orthonormal polynomials of each, more of
-/// them on longer runs, each times the standard deviation of a sample.
+/// them on longer runs, without the part that is a factor on the whole force; each times the standard deviation of a sample.
 fn shapes(times_s: &[f64], forces_n: &[Vector3<f64>], noise_n: f64) -> Vec<ErrorShape> {
     if noise_n == 0.0 {
         return Vec::new();
@@ -69,23 +75,39 @@ fn shapes(times_s: &[f64], forces_n: &[Vector3<f64>], noise_n: f64) -> Vec<Error
     }
     let samples: usize = runs.iter().map(|(_, a, b)| b - a).sum();
     let spare = MOST.saturating_sub(runs.len());
-    let mut out = Vec::new();
+    let mut found: Vec<Vec<Vector3<f64>>> = Vec::new();
+    let mut basis = vec![forces_n.to_vec()];
+    normalize(&mut basis[0]);
     for (axis, a, b) in runs {
         let share = 1 + spare * (b - a) / samples.max(1);
         for shape in polynomials(b - a, share.min(HIGHEST)) {
-            let mut forces: Vec<_> = shape.iter().map(|x| Vector3::ith(axis, x * noise_n)).collect();
-            let mut times = times_s[a..b].to_vec();
-            // The last sample holds until the next one.
-            if let Some(end) = times_s.get(b) {
-                times.push(*end);
-                forces.push(Vector3::zeros());
+            let mut whole = vec![Vector3::zeros(); forces_n.len()];
+            whole[a..b].iter_mut().zip(&shape).for_each(|(f, x)| f[axis] = *x);
+            // Twice is enough (Parlett, The Symmetric Eigenvalue Problem, 6.9).
+            for other in basis.iter().chain(&basis) {
+                let along: f64 = whole.iter().zip(other).map(|(a, b)| a.dot(b)).sum();
+                whole.iter_mut().zip(other).for_each(|(a, b)| *a -= b * along);
             }
-            if times.len() > 1 {
-                out.push(ErrorShape { times_s: times, forces_n: forces });
+            // What is left of one that the others make up is rounding.
+            if normalize(&mut whole) > 1e-3 {
+                found.push(whole.clone());
+                basis.push(whole);
             }
         }
     }
-    out
+    found
+        .into_iter()
+        .map(|forces| ErrorShape { times_s: times_s.to_vec(), forces_n: forces.iter().map(|f| f * noise_n).collect() })
+        .collect()
+}
+
+/// Scales a series to length one; returns its length.
+fn normalize(series: &mut [Vector3<f64>]) -> f64 {
+    let size = series.iter().map(Vector3::norm_squared).sum::<f64>().sqrt();
+    if size > 0.0 {
+        series.iter_mut().for_each(|f| *f /= size);
+    }
+    size
 }
 
 /// The first `count` orthonormal polynomials on `n` equally spaced samples.
@@ -114,26 +136,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shapes_are_orthonormal_and_carry_the_noise_of_the_impulse() {
+    fn shapes_are_orthonormal_and_none_is_a_factor_on_the_force() {
         let times: Vec<f64> = (0..200).map(|k| 0.01 * f64::from(k)).collect();
         let force = |k: usize| {
-            let x = if (20..83).contains(&k) { 1.0 } else { 0.0 };
+            let x = if (20..83).contains(&k) { 1.0 + 0.01 * k as f64 } else { 0.0 };
             Vector3::new(x, 0.0, if (120..127).contains(&k) { -1.0 } else { 0.0 })
         };
         let forces: Vec<_> = (0..200).map(force).collect();
         let out = shapes(&times, &forces, 0.1);
         assert!(out.len() <= MOST && out.len() >= MOST / 2, "{}", out.len());
-        let x: Vec<&ErrorShape> = out.iter().filter(|s| s.forces_n[0].x != 0.0).collect();
-        for (i, a) in x.iter().enumerate() {
-            assert!(a.times_s[0] == times[20] && a.times_s[63] == times[83] && a.forces_n[63].x == 0.0);
-            for (j, b) in x.iter().enumerate() {
-                let dot: f64 = a.forces_n.iter().zip(&b.forces_n).map(|(a, b)| a.dot(b)).sum();
-                assert!((dot - if i == j { 0.01 } else { 0.0 }).abs() < 1e-12, "{i} {j} {dot}");
+        let dot = |a: &[Vector3<f64>], b: &[Vector3<f64>]| a.iter().zip(b).map(|(a, b)| a.dot(b)).sum::<f64>();
+        for (i, a) in out.iter().enumerate() {
+            assert!(dot(&a.forces_n, &forces).abs() < 1e-9);
+            assert!(a.forces_n[..20].iter().chain(&a.forces_n[127..]).all(|f| f.norm() == 0.0));
+            for (j, b) in out.iter().enumerate() {
+                let expected = if i == j { 0.01 } else { 0.0 };
+                assert!((dot(&a.forces_n, &b.forces_n) - expected).abs() < 1e-9, "{i} {j}");
             }
         }
-        // Of the impulse of white noise, the first shape carries all.
-        let impulse: f64 = x[0].forces_n.iter().map(|f| 0.01 * f.x).sum();
-        assert!((impulse.abs() / (63.0_f64.sqrt() * 0.1 * 0.01) - 1.0).abs() < 1e-9);
         assert!(shapes(&times, &forces, 0.0).is_empty());
     }
 }

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use crate::joint::{Candidate, Joint, weighted};
 use crate::parameters::Parameter;
-use crate::problem::Slot;
+use crate::problem::{Problem, Slot};
 use crate::{IdentifyOptions, Result};
 
 /// Spans in the logarithm of the mass and of a free friction over which slopes are averaged.
@@ -33,6 +33,8 @@ pub(crate) struct Information {
     friction: Option<usize>,
     /// Standard deviation of log mass from the scatter of the residuals, with their correlation in time.
     pub sandwich: f64,
+    /// The same from what the noise of each force amounts to as a factor, weighed by what each push tells.
+    pub factor: f64,
     /// Mean square of the residuals of the kind that agrees worst; at least one.
     pub scale: f64,
 }
@@ -86,10 +88,20 @@ impl Information {
             bounded,
             friction,
             sandwich: 0.0,
+            factor: 0.0,
             scale,
         };
+        out.factor = out.factors(joint);
         out.sandwich = out.scatter(joint, c, &prior);
         Ok(out)
+    }
+
+    /// The slopes by the coordinates `active` alone, per push.
+    pub(crate) fn slopes_of(&self, active: &[usize]) -> Vec<Vec<Vec<f64>>> {
+        let pick = |(own, slopes): (&Vec<usize>, &Vec<Vec<f64>>)| {
+            own.iter().zip(slopes).filter(|(k, _)| active.contains(k)).map(|(_, s)| s.clone()).collect()
+        };
+        self.own.iter().zip(&self.slopes).map(pick).collect()
     }
 
     /// Standard deviation of log mass: noise of poses, encoder and force.
@@ -129,6 +141,18 @@ impl Information {
             }
         }
         -(self.inverse.row(0) * g)[0]
+    }
+
+    /// A factor on the force of one push moves log mass by the share of the information that comes from this push.
+    fn factors(&self, joint: &Joint) -> f64 {
+        let claim = |i: usize| {
+            let mass = self.own[i].iter().position(|&k| k == 0).and_then(|k| self.slopes[i].get(k));
+            mass.map_or(0.0, |s| weighted(&self.weights[i], s, s))
+        };
+        let claims: Vec<f64> = (0..joint.problems.len()).map(claim).collect();
+        let all: f64 = claims.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+        let square = |(p, c): (&Problem, &f64)| (p.factor_sd() * c / all).powi(2);
+        joint.problems.iter().zip(&claims).map(square).sum::<f64>().sqrt()
     }
 
     /// Scatter of log mass: how each block's residual moves it, neighbours in time taken together as far as they agree

@@ -15,8 +15,8 @@ use crate::{IdentifyOptions, Result};
 const MAX_STEP: f64 = 0.5;
 /// Change of the logarithm of the mass over which mean slopes are taken.
 const MASS_SPAN: f64 = 0.01;
-/// Iterations of one descent.
-const ITERATIONS: usize = 25;
+/// Iterations of one descent to the bottom.
+pub(crate) const ITERATIONS: usize = 25;
 /// A step that promises less than this much of the cost is not taken.
 const PROMISE: f64 = 2e-3;
 
@@ -185,9 +185,16 @@ impl Joint {
     }
 
     /// Levenberg-Marquardt over the coordinates `active` from `now`.
-    pub(crate) fn descend(&self, mut now: Candidate, active: &[usize], by: Slopes, dt_s: f64) -> Result<Candidate> {
+    pub(crate) fn descend(
+        &self,
+        mut now: Candidate,
+        active: &[usize],
+        by: Slopes,
+        most: usize,
+        dt_s: f64,
+    ) -> Result<Candidate> {
         let mut damping = 1e-3;
-        for _ in 0..ITERATIONS {
+        for _ in 0..most {
             if !now.cost.is_finite() {
                 break;
             }
@@ -226,19 +233,25 @@ impl Joint {
         Ok(now)
     }
 
-    /// Gauss-Newton from `now` with the slopes of `information` instead of exact ones: where an object rocks and
+    /// Gauss-Newton over the coordinates `active` from `now` with the slopes of `information` instead of exact ones: where an object rocks and
     /// chatters, those lead nowhere.
-    pub(crate) fn polish(&self, mut now: Candidate, information: &Information, dt_s: f64) -> Candidate {
-        let all = self.active(true);
+    pub(crate) fn polish(
+        &self,
+        mut now: Candidate,
+        active: &[usize],
+        information: &Information,
+        dt_s: f64,
+    ) -> Candidate {
         for _ in 0..4 {
-            let (mut h, g) = self.normal_equations(&now, &all, &information.slopes);
-            (0..all.len()).for_each(|k| h[(k, k)] += 1e-9);
+            let slopes = information.slopes_of(active);
+            let (mut h, g) = self.normal_equations(&now, active, &slopes);
+            (0..active.len()).for_each(|k| h[(k, k)] += 1e-9);
             let Some(step) = h.cholesky().map(|c| -c.solve(&g)) else { break };
             if -0.5 * g.dot(&step) < PROMISE {
                 break;
             }
             let better = [1.0, 0.4].iter().find_map(|length| {
-                let (point, _) = self.stepped(&now.point, &all, &(&step * *length));
+                let (point, _) = self.stepped(&now.point, active, &(&step * *length));
                 Some(self.evaluate(point, Some(&now.fits), dt_s)).filter(|next| next.cost < now.cost - PROMISE)
             });
             let Some(next) = better else { break };

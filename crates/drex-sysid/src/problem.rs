@@ -120,6 +120,14 @@ impl Problem {
         }
     }
 
+    /// Standard deviation of a factor on the whole force that its noise amounts to.
+    pub(crate) fn factor_sd(&self) -> f64 {
+        match &self.action {
+            Action::Force(force) => force.factor_sd,
+            _ => 0.0,
+        }
+    }
+
     /// Readings of the encoder.
     pub(crate) fn readings(&self) -> usize {
         match &self.action {

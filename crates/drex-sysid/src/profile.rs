@@ -3,9 +3,9 @@
 use nalgebra::DVector;
 use rayon::prelude::*;
 
-use crate::IdentifyOptions;
+use crate::Result;
 use crate::information::Information;
-use crate::joint::{Candidate, Joint, Point};
+use crate::joint::{Candidate, Joint, Point, Slopes};
 
 /// Half the 95 % point of chi-square with one degree of freedom.
 const BOUND: f64 = 1.92;
@@ -17,48 +17,17 @@ pub(crate) struct Profile {
 }
 
 impl Profile {
-    /// Costs around `best`, along the valley that the other coordinates follow, each improved by one Gauss-Newton step.
-    pub(crate) fn around(
-        joint: &Joint,
-        best: &Candidate,
-        information: &Information,
-        options: &IdentifyOptions,
-    ) -> Self {
-        let mut unit = information.sd().clamp(0.002, 0.15);
-        let valley = information.valley();
-        let all = joint.active(true);
-        let mut points: Vec<(Point, f64)> = Vec::new();
-        for round in 0..3 {
-            let grid: Vec<f64> = [-3.0, -2.0, -1.4, -0.7, 0.7, 1.4, 2.0, 3.0]
-                .into_iter()
-                .filter(|k: &f64| round == 0 || k.abs() > 1.0)
-                .map(|k| k * unit)
-                .collect();
-            points.par_extend(grid.par_iter().map(|x| {
-                let mut point = best.point.clone();
-                for (p, v) in point.iter_mut().zip(valley.iter()) {
-                    *p += v * x;
-                }
-                let (point, _) = joint.stepped(&point, &all, &DVector::zeros(all.len()));
-                let there = joint.evaluate(point, Some(&best.fits), options.dt_s);
-                let (point, cost) = (there.point.clone(), there.cost);
-                match across(joint, &there, information) {
-                    Some(step) => {
-                        let (point2, _) = joint.stepped(&point, &all, &step);
-                        let next = joint.evaluate(point2, Some(&there.fits), options.dt_s);
-                        if next.cost < cost { (next.point, next.cost) } else { (point, cost) }
-                    }
-                    None => (point, cost),
-                }
-            }));
-            points.sort_by(|a, b| a.0[0].total_cmp(&b.0[0]));
-            let open = |s: Option<&(Point, f64)>| s.is_some_and(|s| s.1 < best.cost + BOUND * information.scale);
-            if !(open(points.first()) || open(points.last())) {
-                break;
-            }
-            unit *= 3.0;
+    /// Costs on both sides of `best`, outwards until a mass is excluded. The other coordinates follow the valley of the slopes,
+    /// and where that would exclude a mass, they are fitted to it.
+    pub(crate) fn around(joint: &Joint, best: &Candidate, information: &Information, dt_s: f64) -> Result<Self> {
+        let sides: Vec<Result<Vec<(Point, f64)>>> =
+            [-1.0, 1.0].par_iter().map(|side| one_side(joint, best, information, *side, dt_s)).collect();
+        let mut points = Vec::new();
+        for side in sides {
+            points.extend(side?);
         }
-        Self { points }
+        points.sort_by(|a: &(Point, f64), b| a.0[0].total_cmp(&b.0[0]));
+        Ok(Self { points })
     }
 
     pub(crate) fn lowest(&self) -> Option<(Point, f64)> {
@@ -94,17 +63,42 @@ impl Profile {
     }
 }
 
-/// The Gauss-Newton step in everything but the mass at a candidate, with the slopes of the estimate.
-fn across(joint: &Joint, there: &Candidate, information: &Information) -> Option<DVector<f64>> {
-    let n = joint.coordinates.len();
-    if n < 2 || !there.cost.is_finite() {
-        return None;
+fn one_side(
+    joint: &Joint,
+    best: &Candidate,
+    information: &Information,
+    side: f64,
+    dt_s: f64,
+) -> Result<Vec<(Point, f64)>> {
+    const STEPS: [f64; 8] = [0.7, 1.4, 2.0, 3.0, 5.0, 8.0, 14.0, 25.0];
+    let unit = information.sd().clamp(0.002, 0.15);
+    let valley = information.valley();
+    let others: Vec<usize> = (1..joint.coordinates.len()).collect();
+    let bound = best.cost + BOUND * information.scale;
+    let mut out: Vec<(Point, f64)> = Vec::new();
+    let mut from = (best.point.clone(), 0.0, best.fits.clone());
+    for step in STEPS {
+        let mut point = from.0.clone();
+        for (p, v) in point.iter_mut().zip(valley.iter()) {
+            *p += v * side * unit * (step - from.1);
+        }
+        let all = joint.active(true);
+        let (point, _) = joint.stepped(&point, &all, &DVector::zeros(all.len()));
+        let mut there = joint.evaluate(point, Some(&from.2), dt_s);
+        if !others.is_empty() && there.cost.is_finite() {
+            there = joint.polish(there, &others, information, dt_s);
+            if there.cost > bound {
+                there = joint.descend(there, &others, Slopes::Mean, 4, dt_s)?;
+            }
+        }
+        let cost = there.cost;
+        out.push((there.point.clone(), cost));
+        if cost > bound {
+            break;
+        }
+        from = (there.point, step, there.fits);
     }
-    let (mut h, g) = joint.normal_equations(there, &joint.active(true), &information.slopes);
-    (0..n).for_each(|k| h[(k, k)] += 1e-9);
-    let (sub, right) = (h.view((1, 1), (n - 1, n - 1)).into_owned(), g.rows(1, n - 1).into_owned());
-    let step = sub.cholesky()?.solve(&right);
-    Some(DVector::from_fn(n, |k, _| if k == 0 { 0.0 } else { -step[k - 1] }))
+    Ok(out)
 }
 
 /// The local minima of a scan by mass, best first.

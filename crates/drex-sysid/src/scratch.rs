@@ -167,7 +167,7 @@ fn landscape() {
         pt[0] = lm;
         let a = joint.evaluate(pt.clone(), None, 5e-4);
         let a0 = a.cost;
-        let d = joint.descend(a, &all[1..], Slopes::Mean, 5e-4).unwrap();
+        let d = joint.descend(a, &all[1..], Slopes::Mean, 25, 5e-4).unwrap();
         println!(
             "{:+.1} % cost at zero errors {:.2} adapted {:.2}: {:?} clock {:.4}",
             0.5 * k as f64,
@@ -176,5 +176,27 @@ fn landscape() {
             d.point[1..].iter().map(|x| (x * 100.0).round() / 100.0).collect::<Vec<_>>(),
             d.fits[0].nuisance[0]
         );
+    }
+}
+#[test]
+fn prof() {
+    use crate::joint::*;
+    let folder = std::env::var("PUSH").unwrap();
+    let folder = std::path::Path::new(&folder);
+    let recording = PushRecording::load(folder, &InputChoice::default()).unwrap();
+    let object = ObjectModel::from_mesh(&read_obj(&recording.mesh)).unwrap();
+    let shape = object.shape().unwrap();
+    let options = IdentifyOptions::default();
+    let text = std::fs::read_to_string(folder.join("truth.json")).unwrap();
+    let t: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let m = t["mass"].as_f64().unwrap();
+    let p = Problem::new(&recording, &object, &shape, &options, recording.noise.unwrap()).unwrap();
+    let mut joint = Joint::new(vec![p], &[recording.support.friction], &options);
+    let e = joint.solve(&options).unwrap();
+    println!("best {:+.2} % cost {:.2}", 100.0 * (e.best.point[0].exp() / m - 1.0), e.best.cost);
+    for (x, c) in &e.profile {
+        if (x / m - 1.0).abs() < 0.1 {
+            println!("{:+.2} % {:.2}", 100.0 * (x / m - 1.0), c);
+        }
     }
 }
