@@ -22,6 +22,9 @@ const LOOSE_ENCODER_M: f64 = 2e-3;
 /// The most that is taken for it in the end.
 const WORST_ENCODER_M: f64 = 2e-3;
 
+/// Iterations of one descent by mean slopes.
+const MEAN_ITERATIONS: usize = 8;
+
 /// What the estimator found.
 pub(crate) struct Estimate {
     pub best: Candidate,
@@ -55,21 +58,21 @@ impl Joint {
         let (named, all) = (self.active(false), self.active(true));
         // With errors of the force, many motions agree with the track: the exact slopes of one are of little use.
         let by = if named.len() < all.len() { Slopes::Mean } else { Slopes::Exact };
-        let starts = promising(&scan, 3);
-        let found: Vec<Result<Candidate>> = starts
+        let mut found: Vec<Candidate> = promising(&scan, 3)
             .par_iter()
             .map(|p| {
-                let found = self.descend(
-                    self.evaluate(p.clone(), None, middle_dt),
-                    &named,
-                    Slopes::Exact,
-                    ITERATIONS,
-                    middle_dt,
-                )?;
-                if by == Slopes::Exact { Ok(found) } else { self.descend(found, &all, by, ITERATIONS, middle_dt) }
+                let start = self.evaluate(p.clone(), None, middle_dt);
+                self.descend(start, &named, Slopes::Exact, ITERATIONS, middle_dt)
             })
-            .collect();
-        let found = found.into_iter().collect::<Result<Vec<_>>>()?;
+            .collect::<Result<_>>()?;
+        found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        if by == Slopes::Mean {
+            found.truncate(2);
+            found = found
+                .into_par_iter()
+                .map(|c| self.descend(c, &all, by, MEAN_ITERATIONS, middle_dt))
+                .collect::<Result<_>>()?;
+        }
         let start =
             found.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost)).map_or_else(|| self.start(), |c| c.point);
 
@@ -79,18 +82,18 @@ impl Joint {
             if changed {
                 best = self.evaluate(best.point, Some(&best.fits), options.dt_s);
             }
-            best = self.descend(best, &all, by, ITERATIONS, options.dt_s)?;
+            best = self.descend(best, &all, by, MEAN_ITERATIONS, options.dt_s)?;
             if !changed {
                 break;
             }
         }
         let mut information = Information::of(self, &best, options)?;
         let mut profile = Profile::default();
-        for _ in 0..4 {
+        for _ in 0..3 {
             best = self.polish(best, &all, &information, options.dt_s);
             profile = Profile::around(self, &best, &information, options.dt_s)?;
             match profile.lowest() {
-                Some((point, cost)) if cost < best.cost - 0.02 => {
+                Some((point, cost)) if cost < best.cost - 0.3 => {
                     best = self.evaluate(point, Some(&best.fits), options.dt_s);
                     information = Information::of(self, &best, options)?;
                 }

@@ -17,8 +17,8 @@ const MAX_STEP: f64 = 0.5;
 const MASS_SPAN: f64 = 0.01;
 /// Iterations of one descent to the bottom.
 pub(crate) const ITERATIONS: usize = 25;
-/// A step that promises less than this much of the cost is not taken.
-const PROMISE: f64 = 2e-3;
+/// A step that promises less than this much of the cost is not taken; nor is another after one that brought less.
+const PROMISE: f64 = 0.01;
 
 /// One estimated number.
 #[derive(Debug, Clone)]
