@@ -5,15 +5,22 @@ use nalgebra::DVector;
 use rayon::prelude::*;
 
 use crate::answer::ErrorBudget;
+use crate::finger::PULL;
 use crate::information::Information;
 use crate::joint::{Candidate, ITERATIONS, Joint, Point, Slopes};
+use crate::problem::{Action, Problem};
 use crate::profile::{Profile, minima};
 use crate::{IdentifyOptions, Result};
 
 /// Two correct simulators of rigid contact disagree about a mass by this much (relative).
 const MODEL_FLOOR: f64 = 0.005;
 /// The same for a push by a fingertip that slides and chatters on the object, against MuJoCo.
-const FINGER_FLOOR: f64 = 0.01;
+const FINGER_FLOOR: f64 = 0.015;
+/// The same without an encoder, which alone tells the force across the push.
+const BLIND_FINGER_FLOOR: f64 = 0.04;
+/// Models that are as right as the chosen one: factors on frequency and damping of contact, on the pull on a fingertip
+/// across the push, and on the time step.
+const VARIANTS: [[f64; 4]; 3] = [[0.5, 1.0, 1.0, 1.0], [1.0, 0.6, 1.0, 1.0], [1.0, 1.0, 3.0, 0.5]];
 /// Friction coefficients of the scan when friction is free.
 const FRICTIONS: [f64; 6] = [0.12, 0.2, 0.3, 0.45, 0.65, 0.9];
 /// Standard deviations taken for an encoder in the scan and in the first descent, metres: far from the best mass no reading
@@ -22,6 +29,8 @@ const LOOSE_ENCODER_M: f64 = 2e-3;
 /// The most that is taken for it in the end.
 const WORST_ENCODER_M: f64 = 2e-3;
 
+/// Standard deviation of log mass beyond which nothing that could be added makes a measurement of it.
+const HOPELESS: f64 = 3.0;
 /// Iterations of one descent by mean slopes.
 const MEAN_ITERATIONS: usize = 8;
 
@@ -89,7 +98,8 @@ impl Joint {
         }
         let mut information = Information::of(self, &best, options)?;
         let mut profile = Profile::default();
-        for _ in 0..3 {
+        let rounds = if information.sd() > HOPELESS { 0 } else { 3 };
+        for _ in 0..rounds {
             best = self.polish(best, &all, &information, options.dt_s);
             profile = Profile::around(self, &best, &information, options.dt_s)?;
             match profile.lowest() {
@@ -105,16 +115,16 @@ impl Joint {
             sandwich: information.sandwich,
             profile: profile.sd(&best, information.scale),
             force: information.sd_of_force().hypot(information.factor),
-            contact: self.contact_sd(&best, &information, options),
+            contact: if rounds > 0 { self.contact_sd(&best, &information, options) } else { 0.0 },
         };
         let random = information.sd().max(budget.sandwich).max(budget.profile);
-        let floor = if self.problems.iter().any(|p| p.has_finger()) { FINGER_FLOOR } else { MODEL_FLOOR };
+        let floor = self.problems.iter().map(floor).fold(0.0, f64::max);
         let sd = (random.powi(2) + information.factor.powi(2) + budget.contact.powi(2) + floor.powi(2)).sqrt();
         let worst = scan.iter().map(|s| s.1).filter(|c| c.is_finite()).fold(f64::NEG_INFINITY, f64::max);
         // The scan was weighed differently if there is an encoder; its own best is what its worst compares with.
         let lowest = scan.iter().map(|s| s.1).fold(f64::INFINITY, f64::min);
         let sd_mu_m = self.friction().map(|_| information.sd_product());
-        let sensitivities = self.sensitivities(&best, &information, options);
+        let sensitivities = if rounds > 0 { self.sensitivities(&best, &information, options) } else { Vec::new() };
         let mut points = profile.masses();
         points.push((best.point[0].exp(), best.cost));
         points.extend(scan.iter().map(|(p, c)| (p[0].exp(), *c - lowest + best.cost)));
@@ -198,28 +208,34 @@ impl Joint {
         scan
     }
 
-    /// Shift of log mass when contact is softer or stiffer or the step shorter.
+    /// Shift of log mass when contact is softer, or less damped, or a fingertip slides less across
+    /// the push and the step is shorter.
     fn contact_sd(&self, best: &Candidate, information: &Information, options: &IdentifyOptions) -> f64 {
-        let shifts: Vec<f64> = [(0.5, 1.0, 1.0), (1.0, 0.6, 1.0), (1.0, 1.0, 0.5)]
-            .par_iter()
-            .map(|(frequency, damping, step)| {
-                let mut differences = Vec::new();
-                for (i, problem) in self.problems.iter().enumerate() {
-                    let mut changed = problem.clone();
-                    changed.contact.frequency_rad_s *= frequency;
-                    changed.contact.relaxation_s *= damping;
-                    let fit = &best.fits[i];
-                    let Ok(motion) = changed.simulate(&self.values(i, &best.point), options.dt_s * step) else {
-                        return 0.0;
-                    };
-                    let mut r = changed.residuals(&motion, &fit.nuisance);
-                    r.iter_mut().zip(&fit.residuals).for_each(|(r, old)| *r -= old);
-                    differences.push(r);
-                }
-                information.shift(&differences)
-            })
-            .collect();
+        let shifts: Vec<f64> =
+            VARIANTS.par_iter().map(|variant| self.shift_by(variant, best, information, options.dt_s)).collect();
         (shifts.iter().map(|s| s * s).sum::<f64>() / shifts.len() as f64).sqrt().min(10.0)
+    }
+
+    /// Shift of log mass with another contact.
+    pub(crate) fn shift_by(&self, variant: &[f64; 4], best: &Candidate, information: &Information, dt_s: f64) -> f64 {
+        let [frequency, damping, pull, step] = variant;
+        let mut differences = Vec::new();
+        for (i, problem) in self.problems.iter().enumerate() {
+            let mut changed = problem.clone();
+            changed.contact.frequency_rad_s *= frequency;
+            changed.contact.relaxation_s *= damping;
+            if let Action::Finger(finger) = &mut changed.action
+                && finger.pull_across(PULL * pull).is_err()
+            {
+                return 0.0;
+            }
+            let fit = &best.fits[i];
+            let Ok(motion) = changed.simulate(&self.values(i, &best.point), dt_s * step) else { return 0.0 };
+            let mut r = changed.residuals(&motion, &fit.nuisance);
+            r.iter_mut().zip(&fit.residuals).for_each(|(r, old)| *r -= old);
+            differences.push(r);
+        }
+        information.shift(&differences)
     }
 }
 
@@ -228,6 +244,15 @@ fn promising(scan: &[(Point, f64)], most: usize) -> Vec<Point> {
     let lowest = scan.iter().map(|s| s.1).fold(f64::INFINITY, f64::min);
     let cost = |p: &Point| scan.iter().find(|s| s.0 == *p).map_or(f64::INFINITY, |s| s.1);
     minima(scan, most).into_iter().filter(|p| cost(p) <= 3.0 * lowest + 20.0).collect()
+}
+
+/// How far two correct simulators may differ about the mass from a push.
+fn floor(problem: &Problem) -> f64 {
+    match (problem.has_finger(), problem.readings()) {
+        (false, _) => MODEL_FLOOR,
+        (true, 0) => BLIND_FINGER_FLOOR,
+        (true, _) => FINGER_FLOOR,
+    }
 }
 
 /// The unit vector of coordinate `k` among `n`.

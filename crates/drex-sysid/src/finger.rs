@@ -3,7 +3,8 @@
 //! On each slide (m + armature) q̈ = kp (command − q) − (kv + damping) q̇ − f, gravity compensated. Along the push the force f of
 //! the contact is found by the simulator, and the encoder's reading of q is an observation. Across the push the tip sticks and
 //! slips on the object's face, which no simulator predicts, but the encoder tells the force: there the servo is replaced
-//! by what it exerted, kp (command − q) − (kv + damping) q̇ with the q that was read. Without an encoder all slides are simulated.
+//! by what it exerted, kp (command − q) − (kv + damping) q̇ with the q that was read, and a weak pull to that q, since a tip on a
+//! round face that nothing holds runs off. Without an encoder all slides are simulated.
 //!
 //! Since the slides only translate, tip mass and armature act alike: the links are massless and the whole of it is armature,
 //! which gravity does not see.
@@ -11,10 +12,13 @@
 use std::sync::Arc;
 
 use drex_core::Pose;
-use drex_core::push::{EncoderTrack, FingerImpedance, FingerPush};
+use drex_core::push::{FingerImpedance, FingerPush};
 use drex_diffsim::{ActuatorKind, Articulation, Base, Control, Scalar, SimError};
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Point3, Vector3};
+
+/// Pull across the push to where the tip was read, as a share of its servo.
+pub(crate) const PULL: f64 = 0.1;
 
 /// A fingertip and what it is told.
 #[derive(Debug, Clone)]
@@ -29,6 +33,16 @@ pub(crate) struct Finger {
     pub encoder: Vec<f64>,
     /// Friction that is stated for the tip.
     pub friction: f64,
+    reading: Option<Reading>,
+}
+
+/// What the encoder read, along and across the push.
+#[derive(Debug, Clone)]
+struct Reading {
+    positions: Vec<Vector3<f64>>,
+    velocities: Vec<Vector3<f64>>,
+    commands: Vec<Vector3<f64>>,
+    impedance: FingerImpedance,
 }
 
 /// Parameters of a finger, any scalar.
@@ -72,38 +86,45 @@ impl Finger {
             encoder_times_s: Vec::new(),
             encoder: Vec::new(),
             friction: i.friction,
+            reading: None,
         };
         if let Some(encoder) = push.encoder.as_ref().filter(|e| e.times_s.len() > 1) {
-            out.exert_what_was_read(encoder, i, &along, &axes)?;
+            let reading = Reading {
+                positions: encoder.positions.iter().map(along).collect(),
+                velocities: encoder.velocities.iter().map(|v| axes.transpose() * v).collect(),
+                commands: encoder.times_s.iter().map(|t| Vector3::from_column_slice(out.control.at(*t))).collect(),
+                impedance: *i,
+            };
+            out.encoder_times_s.clone_from(&encoder.times_s);
+            out.encoder = reading.positions.iter().map(|q| q.x).collect();
+            out.reading = Some(reading);
+            for axis in [1, 2] {
+                out.arm.joints[axis].damping = 0.0;
+            }
+            out.pull_across(PULL)?;
         }
         out.arm.check()?;
         Ok(out)
     }
 
-    /// Replaces the servos across the push by the force that they exerted.
-    fn exert_what_was_read(
-        &mut self,
-        encoder: &EncoderTrack,
-        i: &FingerImpedance,
-        along: &impl Fn(&Point3<f64>) -> Vector3<f64>,
-        axes: &Matrix3<f64>,
-    ) -> Result<(), SimError> {
-        let read: Vec<Vector3<f64>> = encoder.positions.iter().map(along).collect();
-        let rates: Vec<Vector3<f64>> = encoder.velocities.iter().map(|v| axes.transpose() * v).collect();
-        let rows = (0..read.len()).map(|k| {
-            let next = (k + 1).min(read.len() - 1);
-            let (q, v) = ((read[k] + read[next]) * 0.5, (rates[k] + rates[next]) * 0.5);
-            let command = self.control.at(encoder.times_s[k]);
-            let force = |axis: usize| i.kp_n_m * (command[axis] - q[axis]) - (i.kv_ns_m + i.damping_ns_m) * v[axis];
-            vec![command[0], force(1), force(2)]
+    /// Replaces the servos across the push by the force that they exerted, plus a pull of `share` times the servo to where
+    /// the tip was read. Nothing happens without an encoder.
+    pub(crate) fn pull_across(&mut self, share: f64) -> Result<(), SimError> {
+        let Some(Reading { positions, velocities, commands, impedance: i }) = &self.reading else { return Ok(()) };
+        let (kp, kv) = (share * i.kp_n_m, share * i.kv_ns_m);
+        let rows = (0..positions.len()).map(|k| {
+            let next = (k + 1).min(positions.len() - 1);
+            let (q, v) = ((positions[k] + positions[next]) * 0.5, (velocities[k] + velocities[next]) * 0.5);
+            let across = |axis: usize| {
+                let force = i.kp_n_m * (commands[k][axis] - q[axis]) - (i.kv_ns_m + i.damping_ns_m) * v[axis];
+                q[axis] + (force + kv * v[axis]) / kp
+            };
+            vec![commands[k].x, across(1), across(2)]
         });
-        self.control = Control::sampled(&encoder.times_s, rows.collect())?;
+        self.control = Control::sampled(&self.encoder_times_s, rows.collect())?;
         for axis in [1, 2] {
-            self.arm.joints[axis].damping = 0.0;
-            self.arm.actuators[axis].kind = ActuatorKind::Motor { gain: 1.0 };
+            self.arm.actuators[axis].kind = ActuatorKind::Position { kp, kv };
         }
-        self.encoder_times_s.clone_from(&encoder.times_s);
-        self.encoder = read.iter().map(|q| q.x).collect();
         Ok(())
     }
 
@@ -127,8 +148,6 @@ impl Finger {
                     let added = kp.scaled(dt_s);
                     *kv = if kv.value() > added.value() { *kv - added } else { T::zero() };
                 }
-                // What was exerted is mostly stiffness times deflection.
-                ActuatorKind::Motor { gain } => *gain *= stiffness,
                 _ => {}
             }
         }

@@ -48,11 +48,11 @@ impl Problem {
 
     /// Nuisances and weights that fit the track best to a motion, by iterated reweighting from `guess`.
     pub(crate) fn fit(&self, motion: &Motion, guess: Option<&Nuisance>) -> Fit {
-        let prior = self.nuisance_precision();
         let mean = self.nuisance_mean();
         let mut last = self.evaluate(motion, guess.unwrap_or(&mean));
         for _ in 0..8 {
             let columns = self.nuisance_columns(motion, &last.nuisance);
+            let prior = self.nuisance_precision(&last.nuisance);
             let mut h = NuisanceMatrix::from_diagonal(&prior);
             let mut g = -(last.nuisance - mean).component_mul(&prior);
             for ((r, w), j) in last.residuals.chunks_exact(6).zip(&last.weights).zip(&columns) {
@@ -81,8 +81,7 @@ impl Problem {
     /// Residuals, weights and cost at given nuisances.
     pub(crate) fn evaluate(&self, motion: &Motion, nuisance: &Nuisance) -> Fit {
         let residuals = self.residuals(motion, nuisance);
-        let deviation = (nuisance - self.nuisance_mean()).component_mul(&self.nuisance_precision().map(f64::sqrt));
-        let mut cost = 0.5 * deviation.norm_squared();
+        let mut cost: f64 = self.nuisances.iter().zip(nuisance.iter()).map(|(e, x)| e.cost(*x)).sum();
         let weights = (0..self.blocks())
             .map(|k| {
                 let (start, length) = self.block(k);
@@ -139,12 +138,12 @@ impl Problem {
     }
 
     pub(crate) fn nuisance_mean(&self) -> Nuisance {
-        Nuisance::from_fn(|i, _| self.nuisances[i].0)
+        Nuisance::from_fn(|i, _| self.nuisances[i].mean)
     }
 
-    /// One over the variance of each nuisance beforehand.
-    pub(crate) fn nuisance_precision(&self) -> Nuisance {
-        Nuisance::from_fn(|i, _| 1.0 / (self.nuisances[i].1 * self.nuisances[i].1))
+    /// One over the variance of each nuisance beforehand, as felt at a value.
+    fn nuisance_precision(&self, at: &Nuisance) -> Nuisance {
+        Nuisance::from_fn(|i, _| self.nuisances[i].precision(at[i]))
     }
 
     /// Derivatives of the residuals by the entries `slots` of `values`, at the nuisances of `fit`, through dual numbers.
@@ -206,7 +205,7 @@ impl Problem {
     /// Takes the part that nuisances can take over out of columns of derivatives, at the motion and weights of `fit`.
     pub(crate) fn eliminate(&self, motion: &Motion, fit: &Fit, columns: &mut [Vec<f64>]) {
         let by_nuisance = self.nuisance_columns(motion, &fit.nuisance);
-        let mut h = NuisanceMatrix::from_diagonal(&self.nuisance_precision());
+        let mut h = NuisanceMatrix::from_diagonal(&self.nuisance_precision(&fit.nuisance));
         for (j, w) in by_nuisance.iter().zip(&fit.weights) {
             h += j.transpose() * j * *w;
         }

@@ -101,6 +101,30 @@ pub struct ParameterSet {
     entries: BTreeMap<Parameter, Knowledge>,
 }
 
+/// What is expected of an error of the track.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Expected {
+    pub mean: f64,
+    /// Standard deviation; half the width at half the height of a heavy-tailed one.
+    pub sd: f64,
+    /// Follows Cauchy's law: most likely small, but it may be anything.
+    pub heavy: bool,
+}
+
+impl Expected {
+    /// Minus the logarithm of the density, up to a constant.
+    pub(crate) fn cost(&self, x: f64) -> f64 {
+        let square = ((x - self.mean) / self.sd).powi(2);
+        if self.heavy { square.ln_1p() } else { 0.5 * square }
+    }
+
+    /// The precision of the normal law that has the same slope at `x`.
+    pub(crate) fn precision(&self, x: f64) -> f64 {
+        let plain = 1.0 / (self.sd * self.sd);
+        if self.heavy { 2.0 * plain / (1.0 + (x - self.mean).powi(2) * plain) } else { plain }
+    }
+}
+
 /// Simulated parameters.
 pub(crate) const SIMULATED: usize = Parameter::JointFriction as usize + 1;
 /// Errors of the track.
@@ -224,7 +248,7 @@ impl Parameter {
     fn nuisance_sd(self) -> f64 {
         use Parameter::*;
         match self {
-            ClockOffset => 0.035,
+            ClockOffset => 0.005,
             BiasX | BiasY | BiasZ => 0.01,
             TurnX | TurnY | TurnZ => 0.02,
             _ => 0.002,
@@ -282,16 +306,19 @@ impl ParameterSet {
         })
     }
 
-    /// Means and standard deviations of the errors of the track; a vanishing deviation fixes one.
-    pub(crate) fn nuisances(&self) -> [(f64, f64); NUISANCES] {
+    /// What is expected of each error of the track; a vanishing deviation fixes one.
+    pub(crate) fn nuisances(&self) -> [Expected; NUISANCES] {
         std::array::from_fn(|i| {
             let parameter = Parameter::ALL[SIMULATED + i];
+            let sd = parameter.nuisance_sd();
+            let normal = |mean, sd| Expected { mean, sd, heavy: false };
             match self.get(parameter) {
-                None => (0.0, parameter.nuisance_sd()),
+                // Clocks agree, or they do not.
+                None => Expected { mean: 0.0, sd, heavy: parameter == Parameter::ClockOffset },
                 // A flat prior, to the eye of any track.
-                Some(Knowledge::Free) => (0.0, 1e3 * parameter.nuisance_sd()),
-                Some(Knowledge::Fixed(value)) => (value, 1e-6 * parameter.nuisance_sd()),
-                Some(Knowledge::Prior { mean, sd }) => (mean, sd),
+                Some(Knowledge::Free) => normal(0.0, 1e3 * sd),
+                Some(Knowledge::Fixed(value)) => normal(value, 1e-6 * sd),
+                Some(Knowledge::Prior { mean, sd }) => normal(mean, sd),
             }
         })
     }

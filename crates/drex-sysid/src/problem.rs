@@ -12,11 +12,13 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use crate::finger::{Finger, FingerValues};
 use crate::force::KnownForce;
-use crate::parameters::{NUISANCES, Parameter, SIMULATED};
+use crate::parameters::{Expected, NUISANCES, Parameter, SIMULATED};
 use crate::{IdentifyOptions, ObjectModel, Result, SysidError, primitive};
 
 /// Spacing of the dense record that nuisances are solved on, seconds.
 pub(crate) const DENSE_S: f64 = 4e-3;
+/// The simulation goes on for this long after the last pose: the clock of the track may be late by as much.
+const LATEST_S: f64 = 0.1;
 /// Before a known force first acts, the object has this long to settle.
 const SETTLE_S: f64 = 0.1;
 
@@ -57,8 +59,8 @@ pub(crate) struct Problem {
     pub start_velocity: Vector3<f64>,
     pub start_spin: Vector3<f64>,
     pub action: Action,
-    /// Mean and standard deviation of each error of the track.
-    pub nuisances: [(f64, f64); NUISANCES],
+    /// What is expected of each error of the track.
+    pub nuisances: [Expected; NUISANCES],
     pub contact: ContactOptions,
     gravity: Vector3<f64>,
     table_height_m: f64,
@@ -282,8 +284,7 @@ impl Problem {
     /// The motion at `values`, densely recorded from the start to beyond the last pose.
     pub(crate) fn simulate(&self, values: &Values<f64>, dt_s: f64) -> Result<Motion> {
         let begin = self.begin_s();
-        let (offset, sd) = self.nuisances[0];
-        let end = self.times_s.last().copied().unwrap_or(0.0) - offset + 3.0 * sd.min(1.0);
+        let end = self.times_s.last().copied().unwrap_or(0.0) - self.nuisances[0].mean + LATEST_S;
         let count = ((end - begin).max(0.0) / DENSE_S).ceil() as usize + 1;
         let dense: Vec<f64> = (0..=count).map(|k| begin + k as f64 * DENSE_S).collect();
         let schedule = Schedule::new(&dense, self.encoder_times_s());

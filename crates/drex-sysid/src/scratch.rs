@@ -200,3 +200,37 @@ fn prof() {
         }
     }
 }
+#[test]
+fn variants() {
+    use crate::joint::*;
+    let folder = std::env::var("PUSH").unwrap();
+    let folder = std::path::Path::new(&folder);
+    let recording = PushRecording::load(folder, &InputChoice::default()).unwrap();
+    let object = ObjectModel::from_mesh(&read_obj(&recording.mesh)).unwrap();
+    let shape = object.shape().unwrap();
+    let mut options = IdentifyOptions::default();
+    if std::env::var("FREE").is_ok() {
+        options.parameters.set(Parameter::Friction, Knowledge::Free).unwrap();
+    }
+    let text = std::fs::read_to_string(folder.join("truth.json")).unwrap();
+    let t: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let m = t["mass"].as_f64().unwrap();
+    let p = Problem::new(&recording, &object, &shape, &options, recording.noise.unwrap()).unwrap();
+    let mut joint = Joint::new(vec![p], &[recording.support.friction], &options);
+    let e = joint.solve(&options).unwrap();
+    println!("best {:+.2} % cost {:.2} sd {:.4}", 100.0 * (e.best.point[0].exp() / m - 1.0), e.best.cost, e.sd);
+    let info = crate::information::Information::of(&joint, &e.best, &options).unwrap();
+    for v in [
+        [0.5, 1.0, 1.0, 1.0],
+        [0.1, 1.0, 1.0, 1.0],
+        [1.0, 0.6, 1.0, 1.0],
+        [1.0, 1.0, 1.0, 0.5],
+        [1.0, 1.0, 0.1, 1.0],
+        [1.0, 1.0, 0.01, 1.0],
+        [0.1, 2.0, 0.1, 1.0],
+        [1.0, 1.0, 1e-3, 1.0],
+        [1.0, 1.0, 1.0, 2.0],
+    ] {
+        println!("{v:?} shift {:+.2} %", 100.0 * joint.shift_by(&v, &e.best, &info, options.dt_s));
+    }
+}
