@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use drex_core::push::{ForceChoice, PoseChoice};
 use drex_mesh::LengthUnit;
+use drex_sysid::Parameter;
 
 /// From a scan, a recorded push and human grasps to a weighed digital twin and a grasp with the right force.
 ///
@@ -98,9 +99,15 @@ pub struct IdentifyArgs {
     /// Whether to use the fingertip's encoder, where there is one.
     #[arg(long, value_enum, default_value_t = OnOff::On)]
     pub encoder: OnOff,
-    /// Estimate the friction too instead of believing the recording's.
-    #[arg(long)]
-    pub free_friction: bool,
+    /// Estimate this parameter too (friction, clock_offset, center_x, ...); repeatable.
+    #[arg(long, value_name = "NAME")]
+    pub free: Vec<Parameter>,
+    /// Take this value for a parameter; repeatable. A fixed mass is not estimated but tested against the motion.
+    #[arg(long, value_name = "NAME=VALUE", value_parser = named_value)]
+    pub fix: Vec<(Parameter, f64)>,
+    /// Expect this value with this standard deviation (of the logarithm, for a number that is positive by nature); repeatable.
+    #[arg(long, value_name = "NAME=MEAN,SD", value_parser = named_prior)]
+    pub prior: Vec<(Parameter, [f64; 2])>,
     /// Write the result to this file as well, with likelihood profile and trajectories.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
@@ -160,6 +167,18 @@ fn positive(text: &str) -> Result<f64, String> {
         Ok(v) if v.is_finite() && v > 0.0 => Ok(v),
         _ => Err("expected a positive number".into()),
     }
+}
+
+fn named_value(text: &str) -> Result<(Parameter, f64), String> {
+    let (name, value) = text.split_once('=').ok_or("expected NAME=VALUE, such as friction=0.4")?;
+    let parameter = name.trim().parse::<Parameter>().map_err(|e| e.to_string())?;
+    Ok((parameter, value.trim().parse().map_err(|_| format!("`{value}` is no number"))?))
+}
+
+fn named_prior(text: &str) -> Result<(Parameter, [f64; 2]), String> {
+    let (head, sd) = text.rsplit_once(',').ok_or("expected NAME=MEAN,SD, such as friction=0.4,0.1")?;
+    let (parameter, mean) = named_value(head)?;
+    Ok((parameter, [mean, sd.trim().parse().map_err(|_| format!("`{sd}` is no number"))?]))
 }
 
 fn direction(text: &str) -> Result<[f64; 3], String> {

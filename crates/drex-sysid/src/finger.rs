@@ -141,14 +141,11 @@ impl Finger {
             joint.friction_loss = values.joint_friction;
         }
         for actuator in &mut arm.actuators {
-            match &mut actuator.kind {
-                ActuatorKind::Position { kp, kv } => {
-                    *kp *= stiffness;
-                    *kv *= damping;
-                    let added = kp.scaled(dt_s);
-                    *kv = if kv.value() > added.value() { *kv - added } else { T::zero() };
-                }
-                _ => {}
+            if let ActuatorKind::Position { kp, kv } = &mut actuator.kind {
+                *kp *= stiffness;
+                *kv *= damping;
+                let added = kp.scaled(dt_s);
+                *kv = if kv.value() > added.value() { *kv - added } else { T::zero() };
             }
         }
         let mut base = Pose::<T>::identity();

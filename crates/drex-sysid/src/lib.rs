@@ -3,12 +3,12 @@
 mod answer;
 pub mod bound;
 pub mod calibrate;
-
 mod error;
 mod estimate;
 mod finger;
 mod fit;
 mod force;
+pub mod frames;
 mod identify;
 mod information;
 mod invariance;
@@ -20,9 +20,6 @@ mod parameters;
 mod primitive;
 mod problem;
 mod profile;
-
-#[cfg(test)]
-mod scratch;
 
 pub use answer::{ErrorBudget, Identification, PushReport, Sensitivity, Verdict};
 pub use error::{Result, SysidError};

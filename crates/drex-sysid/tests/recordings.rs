@@ -50,40 +50,32 @@ fn noisy_inputs_keep_the_truth_inside_the_interval() {
 }
 
 #[test]
-fn tosses_and_replayed_fingers_weigh_nothing() {
+fn tosses_weigh_nothing() {
     let Some(shared) = shared() else { return };
     for object in ["brick", "can"] {
-        for scenario in ["toss", "finger_rigid"] {
-            let a = weigh(&shared.join("data/push_mujoco").join(object).join(scenario), &InputChoice::default());
-            assert_eq!(a.verdict, Verdict::NotIdentifiable);
-            assert!(a.mass_kg.is_none() && a.prior_kg.is_some());
-            let first = a.profile[0].1;
-            assert!(
-                a.profile.len() == 7 && a.profile.iter().all(|p| (p.1 - first).abs() < 1e-6 * first),
-                "{:?}",
-                a.profile
-            );
-        }
+        let a = weigh(&shared.join("data/push_mujoco").join(object).join("toss"), &InputChoice::default());
+        assert_eq!(a.verdict, Verdict::NotIdentifiable);
+        assert!(a.mass_kg.is_none() && a.prior_kg.is_some());
+        let first = a.profile[0].1;
+        assert!(
+            a.profile.len() == 7 && a.profile.iter().all(|p| (p.1 - first).abs() < 1e-6 * first),
+            "{:?}",
+            a.profile
+        );
     }
 }
 
 #[test]
-fn an_encoder_makes_a_compliant_finger_a_known_force_if_asked() {
+fn compliant_fingers_weigh_and_a_rigid_one_does_not() {
     let Some(shared) = shared() else { return };
-    let folder = shared.join("data/push_mujoco/brick/finger_slow");
-    let recording = PushRecording::load(&folder, &InputChoice::default()).unwrap();
-    let object = ObjectModel::from_mesh(&read_obj(&recording.mesh)).unwrap();
-    let mut options = IdentifyOptions::default();
-    let replayed = identify(std::slice::from_ref(&recording), &object, &options).unwrap();
-    assert_eq!(replayed.verdict, Verdict::NotIdentifiable);
-    options.finger_force = true;
-    let a = identify(std::slice::from_ref(&recording), &object, &options).unwrap();
-    let (ci, m) = (a.ci95_kg.unwrap(), truth(&folder));
-    assert!(ci[0] < m && m < ci[1] && ci[1] / ci[0] < 1.3, "{ci:?} and {m}");
-    // A rigid finger's force is lost in the resolution of its encoder.
-    let rigid =
-        PushRecording::load(&shared.join("data/push_mujoco/brick/finger_rigid"), &InputChoice::default()).unwrap();
-    assert_eq!(identify(&[rigid], &object, &options).unwrap().verdict, Verdict::NotIdentifiable);
+    let brick = shared.join("data/push_mujoco/brick");
+    for scenario in ["finger_slow", "finger_fast", "finger_tilt"] {
+        let a = weigh(&brick.join(scenario), &InputChoice::default());
+        let (ci, m) = (a.ci95_kg.unwrap(), truth(&brick.join(scenario)));
+        assert!(ci[0] < m && m < ci[1], "{scenario}: {ci:?} and {m}");
+        assert!((a.mass_kg.unwrap() / m - 1.0).abs() < 0.05, "{scenario}: {:?} and {m}", a.mass_kg);
+    }
+    assert_eq!(weigh(&brick.join("finger_rigid"), &InputChoice::default()).verdict, Verdict::NotIdentifiable);
 }
 
 /// Corner points of a binary STL.

@@ -7,7 +7,7 @@ use common::{block, box_mesh, pushed_until, simulated};
 use drex_core::TriMesh;
 use drex_core::push::Drive;
 use drex_core::{Pose, Trajectory};
-use drex_sysid::{IdentifyOptions, ObjectModel, SysidError, Verdict, identify};
+use drex_sysid::{IdentifyOptions, Knowledge, ObjectModel, Parameter, SysidError, Verdict, identify};
 use nalgebra::{Point3, Vector3};
 
 const G: f64 = 9.81;
@@ -45,7 +45,7 @@ fn a_steady_slide_with_unknown_friction_gives_the_product_and_a_coast_gives_both
     let (m, mu) = (0.2, 0.35);
     let push = simulated(m, mu, Vector3::x() * mu * m * G * 1.6, Point3::new(-0.025, 0.0, -0.03));
     let mut options = IdentifyOptions::default();
-    options.free_friction = true;
+    options.parameters.set(Parameter::Friction, Knowledge::Free).unwrap();
     let both = identify(std::slice::from_ref(&push), &block(), &options).unwrap();
     assert_eq!(both.verdict, Verdict::Identified, "{}", both.reason);
     assert!((both.mass_kg.unwrap() / m - 1.0).abs() < 0.05 && (both.friction.unwrap() / mu - 1.0).abs() < 0.05);

@@ -6,7 +6,7 @@ use anyhow::{Result, bail};
 use drex_core::fsutil;
 use drex_core::push::{InputChoice, PushRecording};
 use drex_mesh::{AssetOptions, LengthUnit, build_asset};
-use drex_sysid::{Identification, IdentifyOptions, identify};
+use drex_sysid::{Identification, IdentifyOptions, Knowledge, ParameterSet, identify};
 use serde_json::Value;
 
 use crate::cli::{IdentifyArgs, OnOff};
@@ -39,7 +39,7 @@ pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     metres.unit = LengthUnit::Metre;
     let object = model_of(&build_asset(&first.mesh, &metres)?);
     let mut options = IdentifyOptions::default();
-    options.free_friction = args.free_friction;
+    options.parameters = parameters(args)?;
     options.seed = seed.unwrap_or(options.seed);
     let spinner = ui.spinner("identify");
     let result = identify(&recordings, &object, &options)?;
@@ -48,6 +48,21 @@ pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
         fsutil::write_atomic(out, serde_json::to_string_pretty(&result)?.as_bytes())?;
     }
     ui.answer(&without_series(&result)?, verdict_text(&result))
+}
+
+/// What the command line states about parameters.
+fn parameters(args: &IdentifyArgs) -> Result<ParameterSet> {
+    let mut out = ParameterSet::default();
+    let free = args.free.iter().map(|p| (*p, Knowledge::Free));
+    let fixed = args.fix.iter().map(|(p, value)| (*p, Knowledge::Fixed(*value)));
+    let prior = args.prior.iter().map(|(p, [mean, sd])| (*p, Knowledge::Prior { mean: *mean, sd: *sd }));
+    for (parameter, knowledge) in free.chain(fixed).chain(prior) {
+        if out.get(parameter).is_some() {
+            bail!("{} is stated twice; say once what is known about it", parameter.as_str());
+        }
+        out.set(parameter, knowledge)?;
+    }
+    Ok(out)
 }
 
 /// The result without the long series (likelihood profile, trajectories), which `--out` keeps.

@@ -337,7 +337,8 @@ impl<T: Scalar> Solver<T> {
         for k in 0..SEARCHES {
             self.try_step(length, dt);
             let slope = dot(&self.trial_r, &self.step);
-            if slope.abs() < FLAT * start || (k == 0 && slope > 0.0) {
+            // What has diverged is found out after the step.
+            if slope.abs() < FLAT * start || (k == 0 && slope > 0.0) || !(slope.is_finite() && start.is_finite()) {
                 break;
             }
             if slope > 0.0 {
