@@ -12,10 +12,8 @@ use crate::fit::Fit;
 use crate::joint::{Candidate, Joint};
 use crate::parameters::{Knowledge, Parameter};
 use crate::problem::{Motion, Problem};
-use crate::{IdentifyOptions, ObjectModel, Result, SysidError, invariance, noise};
+use crate::{IdentifyOptions, ObjectModel, Result, SysidError, checks, invariance, noise};
 
-/// Poses a track must have.
-const MIN_POSES: usize = 5;
 /// Standard deviation of log mass above which a recording does not weigh the object.
 const SD_LIMIT: f64 = 0.35;
 /// Standard deviation of log(friction · mass) below which the product counts as known.
@@ -45,11 +43,8 @@ pub fn identify(
     let mut frictions = Vec::new();
     let mut fitted = Vec::new();
     for (i, recording) in recordings.iter().enumerate() {
-        let poses = recording.track.len();
-        if poses < MIN_POSES {
-            return Err(SysidError::TooFewPoses { push: recording.name.clone(), poses, needed: MIN_POSES });
-        }
         let noise = recording.noise.unwrap_or_else(|| noise::of_track(&recording.track));
+        checks::recording(recording, object, &noise)?;
         reports.push(report(recording, noise));
         if recording.track_frame != TrackFrame::World || !matches!(recording.drive, Drive::Force(_) | Drive::Finger(_))
         {

@@ -3,6 +3,7 @@
 mod answer;
 pub mod bound;
 pub mod calibrate;
+mod checks;
 mod error;
 mod estimate;
 mod finger;
