@@ -7,6 +7,7 @@
 //! The push is simulated with a stiffer contact and a shorter step than the estimator uses, and what it "records" is
 //! noisy. The true mass goes to `truth.json`, which no stage reads; `drex demo` prints it beside the estimate at the end.
 
+use std::collections::BTreeMap;
 use std::f64::consts::PI;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -174,6 +175,7 @@ fn make_push(shells: &[TriMesh], folder: &Path) -> Result<()> {
         }),
         finger: None,
         hand: None,
+        parameters: BTreeMap::new(),
     };
     fsutil::write_atomic(&folder.join("poses.csv"), poses_csv.as_bytes())?;
     fsutil::write_atomic(&folder.join("force.csv"), force_csv.as_bytes())?;

@@ -102,12 +102,16 @@ pub struct IdentifyArgs {
     /// Estimate this parameter too (friction, clock_offset, center_x, ...); repeatable.
     #[arg(long, value_name = "NAME")]
     pub free: Vec<Parameter>,
-    /// Take this value for a parameter; repeatable. A fixed mass is not estimated but tested against the motion.
+    /// Take this value for a parameter; repeatable. With a fixed mass, the rest is fitted and nothing is weighed.
     #[arg(long, value_name = "NAME=VALUE", value_parser = named_value)]
     pub fix: Vec<(Parameter, f64)>,
     /// Expect this value with this standard deviation (of the logarithm, for a number that is positive by nature); repeatable.
     #[arg(long, value_name = "NAME=MEAN,SD", value_parser = named_prior)]
     pub prior: Vec<(Parameter, [f64; 2])>,
+    /// First guess of the mass to print beside the answer: kilograms, a material ("wood"), or a JSON file with somebody's answer.
+    /// It takes no part in the estimate; --prior mass=MEAN,SD does.
+    #[arg(long, value_name = "KG|MATERIAL|FILE")]
+    pub guess: Option<String>,
     /// Write the result to this file as well, with likelihood profile and trajectories.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,

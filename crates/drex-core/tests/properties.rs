@@ -211,7 +211,12 @@ fn manifests() -> impl Strategy<Value = TwinManifest> {
     let path = "[a-zA-Z0-9 _./äß-]{1,20}".prop_map(PathBuf::from);
     let positive = prop_oneof![1e-6..100.0f64, Just(0.1)];
     let mass = (prop::collection::vec(path.clone(), 0..3), prop::option::of(positive.clone()), positive.clone())
-        .prop_map(|(identify, weighed_kg, prior)| MassConfig { identify, weighed_kg, prior_kg: Some(prior) });
+        .prop_map(|(identify, weighed_kg, prior)| MassConfig {
+            identify,
+            weighed_kg,
+            prior_kg: Some(prior),
+            ..MassConfig::default()
+        });
     let grasps = prop::option::of((path.clone(), "[a-z_]{1,10}", prop::option::of("[a-z_]{1,10}")))
         .prop_map(|g| g.map(|(file, hand, joint_order)| GraspsConfig { file, hand, joint_order }));
     let train = prop::option::of((prop::option::of(1..999usize), prop::option::of(1e-6..1.0f64)))

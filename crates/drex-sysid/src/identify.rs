@@ -10,7 +10,7 @@ use crate::answer::{Identification, PushReport, Sensitivity, Verdict};
 use crate::estimate::Estimate;
 use crate::fit::Fit;
 use crate::joint::{Candidate, Joint};
-use crate::parameters::{Knowledge, Parameter};
+use crate::parameters::{Knowledge, Parameter, ParameterSet};
 use crate::problem::{Motion, Problem};
 use crate::{IdentifyOptions, ObjectModel, Result, SysidError, checks, invariance, noise};
 
@@ -38,6 +38,7 @@ pub fn identify(
         return Err(SysidError::NoRecording);
     }
     let shape = object.shape()?;
+    agree(recordings)?;
     let mut reports = Vec::new();
     let mut problems = Vec::new();
     let mut frictions = Vec::new();
@@ -88,7 +89,7 @@ pub fn identify(
     if problems.is_empty() {
         answer.reason = reasons.join(" ");
     } else {
-        let mut joint = Joint::new(problems, &frictions, options);
+        let mut joint = Joint::new(problems, &frictions);
         let estimate = joint.solve(options)?;
         for (k, &i) in fitted.iter().enumerate() {
             if let (Some(motion), Some(fit)) = (estimate.best.motions.get(k), estimate.best.fits.get(k)) {
@@ -119,7 +120,14 @@ fn decide(answer: &mut Identification, e: &Estimate, joint: &Joint) {
     answer.error_budget = Some(e.budget);
     // 3.84 / 2: what the likelihood must lose, at the worst mass of the scan, to exclude anything at all.
     let informative = e.relief > 1.92 && cost.is_finite();
-    if informative && e.sd < SD_LIMIT {
+    if let Some(Knowledge::Fixed(kg)) = joint.problems.first().and_then(|p| p.parameters.get(Parameter::Mass)) {
+        answer.friction = mu;
+        answer.sd_log_mass = None;
+        answer.reason = format!(
+            "the mass was fixed to {:.1} g: everything else was fitted to it, and nothing was weighed",
+            1e3 * kg
+        );
+    } else if informative && e.sd < SD_LIMIT {
         let half = (1.96 * e.sd).exp();
         answer.mass_kg = Some(m);
         answer.ci95_kg = Some([m / half, m * half]);
@@ -211,15 +219,38 @@ fn assumptions(recordings: &[PushRecording], options: &IdentifyOptions) -> Vec<S
     }
     if force || finger {
         out.push("gravity and the shape of the support are as stated".into());
-        if options.parameters.get(Parameter::Friction).is_none() {
+        let of_push = |r: &PushRecording| r.parameters.contains_key(Parameter::Friction.as_str());
+        if options.parameters.get(Parameter::Friction).is_none() && !recordings.iter().any(of_push) {
             out.push(match recordings.iter().find_map(|r| r.support.friction) {
                 Some(mu) => format!("the friction against the support is {mu} as stated"),
                 None => "the friction against the support is one unknown constant".into(),
             });
         }
     }
-    out.extend(options.parameters.sentences());
+    let stated = recordings.iter().filter_map(|r| ParameterSet::of_recording(r).ok());
+    out.extend(stated.fold(options.parameters.clone(), |all, set| all.or(&set)).sentences());
     out
+}
+
+/// What several pushes state about something that they share must be the same.
+fn agree(recordings: &[PushRecording]) -> Result<()> {
+    let mut stated: Vec<(&str, ParameterSet)> = Vec::new();
+    for recording in recordings {
+        let set = ParameterSet::of_recording(recording)?;
+        for parameter in Parameter::ALL.into_iter().filter(|p| !p.is_of_push()) {
+            let Some(here) = set.get(parameter) else { continue };
+            let other = stated.iter().find(|(_, s)| s.get(parameter).is_some_and(|k| k != here));
+            if let Some((name, _)) = other {
+                return Err(SysidError::Parameter {
+                    name: parameter.as_str().into(),
+                    what: format!("is stated differently by the pushes `{name}` and `{}`", recording.name),
+                    remedy: "it is one number for all pushes: state it once".into(),
+                });
+            }
+        }
+        stated.push((&recording.name, set));
+    }
+    Ok(())
 }
 
 fn check(options: &IdentifyOptions) -> Result<()> {
@@ -234,9 +265,6 @@ fn check(options: &IdentifyOptions) -> Result<()> {
     let positive = [("dt_s", options.dt_s), ("scan_dt_s", options.scan_dt_s), ("encoder_m", options.encoder_m)];
     if let Some((option, _)) = positive.into_iter().find(|(_, x)| !(*x > 0.0 && x.is_finite())) {
         return bad(option, "needs a positive number");
-    }
-    if let Some(Knowledge::Fixed(_)) = options.parameters.get(Parameter::Mass) {
-        return bad("parameters", "fixes the mass: nothing is left to be weighed; give a prior instead");
     }
     Ok(())
 }

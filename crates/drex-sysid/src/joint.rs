@@ -9,7 +9,7 @@ use crate::information::Information;
 use crate::noise;
 use crate::parameters::{Knowledge, Parameter};
 use crate::problem::{Motion, Problem, Slot, Values};
-use crate::{IdentifyOptions, Result};
+use crate::Result;
 
 /// Longest Gauss-Newton step in the logarithm of a mass or a friction.
 const MAX_STEP: f64 = 0.5;
@@ -65,7 +65,7 @@ pub(crate) struct Candidate {
 
 impl Joint {
     /// `frictions` are those that the recordings state.
-    pub(crate) fn new(problems: Vec<Problem>, frictions: &[Option<f64>], options: &IdentifyOptions) -> Self {
+    pub(crate) fn new(problems: Vec<Problem>, frictions: &[Option<f64>]) -> Self {
         let mut fixed: Vec<Values<f64>> = problems
             .iter()
             .zip(frictions)
@@ -78,7 +78,7 @@ impl Joint {
                 // What the recording says; friction may not be said.
                 let stated = Some(p.of_coordinate(values.named[n]))
                     .filter(|_| p != Parameter::Friction || frictions[i].is_some());
-                let (start, prior) = match options.parameters.of(p, stated) {
+                let (start, prior) = match problems[i].parameters.of(p, stated) {
                     Knowledge::Fixed(value) if p != Parameter::Mass => {
                         values.named[n] = p.to_coordinate(value);
                         continue;

@@ -19,6 +19,7 @@ mod object;
 mod options;
 mod parameters;
 mod primitive;
+mod prior;
 mod problem;
 mod profile;
 
@@ -28,3 +29,4 @@ pub use identify::identify;
 pub use object::ObjectModel;
 pub use options::IdentifyOptions;
 pub use parameters::{Knowledge, Parameter, ParameterSet};
+pub use prior::MassPrior;

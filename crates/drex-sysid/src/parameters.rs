@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::str::FromStr;
 
+use drex_core::push::{PushRecording, StatedParameter};
 use serde::{Deserialize, Serialize};
 
 use crate::{Result, SysidError};
@@ -291,6 +292,32 @@ impl ParameterSet {
         }
         self.entries.insert(parameter, knowledge);
         Ok(())
+    }
+
+    /// What a push states about its parameters.
+    ///
+    /// # Errors
+    /// For names that no parameter has, and values that it cannot have.
+    pub fn of_recording(recording: &PushRecording) -> Result<Self> {
+        let mut out = Self::default();
+        for (name, stated) in &recording.parameters {
+            out.set(
+                name.parse()?,
+                match *stated {
+                    StatedParameter::Free(_) => Knowledge::Free,
+                    StatedParameter::Value(value) => Knowledge::Fixed(value),
+                    StatedParameter::Expected { mean, sd } => Knowledge::Prior { mean, sd },
+                },
+            )?;
+        }
+        Ok(out)
+    }
+
+    /// Everything that `self` states, and what only `others` state.
+    pub fn or(&self, others: &Self) -> Self {
+        let mut entries = others.entries.clone();
+        entries.extend(self.entries.iter().map(|(p, k)| (*p, *k)));
+        Self { entries }
     }
 
     /// What was stated about a parameter, if anything.

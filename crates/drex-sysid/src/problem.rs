@@ -12,7 +12,7 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use crate::finger::{Finger, FingerValues};
 use crate::force::KnownForce;
-use crate::parameters::{Expected, NUISANCES, Parameter, SIMULATED};
+use crate::parameters::{Expected, NUISANCES, Parameter, ParameterSet, SIMULATED};
 use crate::{IdentifyOptions, ObjectModel, Result, SysidError, primitive};
 
 /// Spacing of the dense record that nuisances are solved on, seconds.
@@ -59,6 +59,8 @@ pub(crate) struct Problem {
     pub start_velocity: Vector3<f64>,
     pub start_spin: Vector3<f64>,
     pub action: Action,
+    /// What is stated of parameters; the options' word counts before the recording's.
+    pub parameters: ParameterSet,
     /// What is expected of each error of the track.
     pub nuisances: [Expected; NUISANCES],
     pub contact: ContactOptions,
@@ -92,6 +94,7 @@ impl Problem {
             }
             _ => Action::Nothing,
         };
+        let parameters = options.parameters.or(&ParameterSet::of_recording(recording)?);
         let collider = Collider::new(&primitive::geoms(shape))
             .map_err(|source| SysidError::Simulation { push: name.clone(), source })?;
         Ok(Self {
@@ -104,7 +107,8 @@ impl Problem {
             start_velocity: Vector3::zeros(),
             start_spin: Vector3::zeros(),
             action,
-            nuisances: options.parameters.nuisances(),
+            nuisances: parameters.nuisances(),
+            parameters,
             contact: options.contact,
             gravity: recording.gravity,
             table_height_m: recording.support.table_height_m,

@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
 use drex_core::push::{InputChoice, PushRecording};
 use drex_mesh::{AssetOptions, LengthUnit, build_asset};
-use drex_sysid::{Identification, IdentifyOptions, Knowledge, ParameterSet, identify};
+use drex_sysid::{Identification, IdentifyOptions, Knowledge, MassPrior, ParameterSet, identify};
 use serde_json::Value;
 
 use crate::cli::{IdentifyArgs, OnOff};
@@ -17,7 +17,7 @@ use crate::ui::Ui;
 /// Loads the pushes, builds the object from their mesh, identifies, answers.
 pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     let choice = InputChoice { poses: args.poses, force: args.force, encoder: args.encoder == OnOff::On };
-    let recordings: Vec<PushRecording> =
+    let mut recordings: Vec<PushRecording> =
         args.pushes.iter().map(|path| PushRecording::load(path, &choice)).collect::<Result<_, _>>()?;
     for (path, recording) in args.pushes.iter().zip(&recordings) {
         ui.note(format!("{}:", path.display()));
@@ -37,7 +37,17 @@ pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     }
     let mut metres = AssetOptions::default();
     metres.unit = LengthUnit::Metre;
-    let object = model_of(&build_asset(&first.mesh, &metres)?);
+    let asset = build_asset(&first.mesh, &metres)?;
+    let object = model_of(&asset);
+    if let Some(guess) = &args.guess {
+        let prior = guessed(guess, asset.report.volume_m3)?;
+        ui.note(format!(
+            "first guess: {:.1} g ({}); it takes no part in the answer",
+            1e3 * prior.mass_kg,
+            prior.source
+        ));
+        recordings.iter_mut().for_each(|r| r.mass_prior_kg = Some(prior.mass_kg));
+    }
     let mut options = IdentifyOptions::default();
     options.parameters = parameters(args)?;
     options.seed = seed.unwrap_or(options.seed);
@@ -48,6 +58,18 @@ pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
         fsutil::write_atomic(out, serde_json::to_string_pretty(&result)?.as_bytes())?;
     }
     ui.answer(&without_series(&result)?, verdict_text(&result))
+}
+
+/// A guess as the command line gives it.
+fn guessed(text: &str, volume_m3: f64) -> Result<MassPrior> {
+    Ok(match text.parse::<f64>() {
+        Ok(kg) => MassPrior::from_number(kg)?,
+        Err(_) if text.ends_with(".json") => {
+            let file = Path::new(text);
+            MassPrior::from_json(&fsutil::read_text(file)?, Some(volume_m3)).with_context(|| text.to_owned())?
+        }
+        Err(_) => MassPrior::from_material(text, volume_m3)?,
+    })
 }
 
 /// What the command line states about parameters.

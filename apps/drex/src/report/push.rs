@@ -37,6 +37,13 @@ pub fn section(page: &mut Page, mass: &MassFile) {
             1e3 * mass.mass_kg
         )),
     }
+    if let (Some(prior), true) = (&mass.prior, mass.source != MassSource::Prior) {
+        page.paragraph(&format!(
+            "A first guess was {:.0} g ({}). It took no part in this.",
+            1e3 * prior.mass_kg,
+            prior.source
+        ));
+    }
     let Some(result) = &mass.identification else { return };
     page.paragraph(&format!(
         "The pushes say: {}",

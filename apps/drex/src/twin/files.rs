@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 use drex_core::{Pose, fsutil, pose};
 use drex_grasp::StaticCheck;
 use drex_policy::TrainReport;
-use drex_sysid::Identification;
+use drex_sysid::{Identification, MassPrior};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -53,6 +53,8 @@ pub struct MassFile {
     pub source: MassSource,
     /// 95 % interval, kg; only for an identified mass.
     pub ci95_kg: Option<[f64; 2]>,
+    /// The first guess, if there was one.
+    pub prior: Option<MassPrior>,
     /// What the pushes said; absent when there were none.
     pub identification: Option<Identification>,
 }

@@ -2,9 +2,10 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
+use drex_core::fsutil;
 use drex_core::push::{InputChoice, PushRecording};
-use drex_sysid::{Identification, IdentifyOptions, Verdict, identify};
+use drex_sysid::{Identification, IdentifyOptions, MassPrior, Verdict, identify};
 
 use super::files::{MASS, write_json};
 use super::{MassFile, MassSource, Twin};
@@ -25,7 +26,8 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
         result.seconds = 0.0;
         Some(result)
     };
-    let mass = choose(twin, &recordings, identification.as_ref())?;
+    let prior = prior(twin, &recordings)?;
+    let mass = choose(twin, prior, identification.as_ref())?;
     write_json(&twin.path(MASS), &mass)?;
     Ok(vec![twin.path(MASS)])
 }
@@ -43,20 +45,35 @@ pub fn recordings(twin: &Twin) -> Result<Vec<PushRecording>> {
 }
 
 /// A weighed value wins, then an identified one; a prior is the last resort and stays marked as one.
-fn choose(twin: &Twin, recordings: &[PushRecording], identification: Option<&Identification>) -> Result<MassFile> {
+fn choose(twin: &Twin, prior: Option<MassPrior>, identification: Option<&Identification>) -> Result<MassFile> {
     let config = &twin.manifest.mass;
     let identified = identification.filter(|i| i.verdict == Verdict::Identified).and_then(|i| i.mass_kg);
-    let prior = config.prior_kg.or_else(|| recordings.iter().find_map(|r| r.mass_prior_kg));
-    let (mass_kg, source) = match (config.weighed_kg, identified, prior) {
+    let (mass_kg, source) = match (config.weighed_kg, identified, &prior) {
         (Some(kg), _, _) => (kg, MassSource::Weighed),
         (None, Some(kg), _) => (kg, MassSource::Identified),
-        (None, None, Some(kg)) => (kg, MassSource::Prior),
+        (None, None, Some(guess)) => (guess.mass_kg, MassSource::Prior),
         (None, None, None) => bail!(
-            "the pushes do not tell the mass ({}) and nobody guessed one; put weighed_kg or prior_kg into [mass] of {}",
+            "the pushes do not tell the mass ({}) and nobody guessed one; put weighed_kg or a first guess into [mass] of {}",
             identification.map_or("there are none", |i| i.reason.as_str()),
             twin.path("twin.toml").display()
         ),
     };
     let ci95_kg = identification.filter(|_| source == MassSource::Identified).and_then(|i| i.ci95_kg);
-    Ok(MassFile { mass_kg, source, ci95_kg, identification: identification.cloned() })
+    Ok(MassFile { mass_kg, source, ci95_kg, prior, identification: identification.cloned() })
+}
+
+/// The first guess: the manifest's, else one that came with a push.
+fn prior(twin: &Twin, recordings: &[PushRecording]) -> Result<Option<MassPrior>> {
+    let config = &twin.manifest.mass;
+    let volume_m3 = twin.asset()?.report.volume_m3;
+    Ok(match (config.prior_kg, &config.prior_material, &config.prior_file) {
+        (Some(kg), ..) => Some(MassPrior::from_number(kg)?),
+        (_, Some(material), _) => Some(MassPrior::from_material(material, volume_m3)?),
+        (.., Some(file)) => {
+            let path = twin.path(file);
+            let read = MassPrior::from_json(&fsutil::read_text(&path)?, Some(volume_m3));
+            Some(read.with_context(|| path.display().to_string())?)
+        }
+        _ => recordings.iter().find_map(|r| r.mass_prior_kg).map(MassPrior::from_number).transpose()?,
+    })
 }

@@ -175,6 +175,7 @@ impl Twin {
         let inputs = match stage {
             Stage::Identify => {
                 let inputs = inputs.setting("mass", &m.mass)?.setting("object", &m.object)?.file(&mesh)?;
+                let inputs = m.mass.prior_file.iter().try_fold(inputs, |inputs, f| inputs.file(&self.path(f)))?;
                 m.mass.identify.iter().try_fold(inputs, |inputs, push| push_files(&self.path(push), inputs))?
             }
             Stage::Asset => inputs.setting("object", &m.object)?.file(&mesh)?.file(&self.path(files::MASS))?,

@@ -53,6 +53,7 @@ impl PushConfig {
             mass_prior_kg: self.mass_prior_kg,
             initial_pose: self.start.pose.map(|p| p.pose("[start] pose")).transpose()?,
             starts_at_rest: self.start.at_rest,
+            parameters: self.parameters.clone(),
             sources: self.files().into_iter().map(|f| folder.join(f)).collect(),
             nominal_start: self.start.nominal_position_m.map(Into::into),
             notes,

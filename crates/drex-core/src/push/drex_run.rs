@@ -4,6 +4,7 @@
 //! The camera's pose in the world is unknown in this layout; the run names the up direction of the resting object and the
 //! direction of the push instead.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Matrix3, Vector3};
@@ -132,6 +133,7 @@ pub fn to_push_config(run_json: &Path, folder: &Path) -> Result<PushConfig> {
             joint_names: Some(joint_names),
             clock: ClockConfig { kind: ClockKind::Unix, ..ClockConfig::default() },
         }),
+        parameters: BTreeMap::new(),
     })
 }
 

@@ -9,6 +9,7 @@ pub mod drex_run;
 mod mujoco;
 pub mod toml;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Point3, Vector3};
@@ -16,8 +17,8 @@ use serde::{Deserialize, Serialize};
 
 pub use self::choice::{ForceChoice, InputChoice, PoseChoice};
 pub use self::toml::{
-    ClockConfig, ClockKind, FingerConfig, ForceConfig, FrameKind, HandConfig, PoseConfig, PushConfig, StartConfig,
-    TrackConfig, TrackFormat,
+    ClockConfig, ClockKind, FingerConfig, ForceConfig, FrameKind, Free, HandConfig, PoseConfig, PushConfig,
+    StartConfig, StatedParameter, TrackConfig, TrackFormat,
 };
 use crate::clock::{Span, overlap};
 use crate::readers::FARTHEST_M;
@@ -52,6 +53,8 @@ pub struct PushRecording {
     pub nominal_start: Option<Point3<f64>>,
     /// What acts on the object.
     pub drive: Drive,
+    /// What is stated of single parameters, by name.
+    pub parameters: BTreeMap<String, StatedParameter>,
     /// The files and folders it was read from, the mesh not among them.
     pub sources: Vec<PathBuf>,
     /// Readings that were asked for or came along, for the report ("104 poses over 6.9 s, largest gap 0.11 s").
@@ -75,6 +78,7 @@ impl PushRecording {
             starts_at_rest: false,
             nominal_start: None,
             drive,
+            parameters: BTreeMap::new(),
             sources: Vec::new(),
             notes: Vec::new(),
         }

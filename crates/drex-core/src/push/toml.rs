@@ -45,9 +45,19 @@
 //! clock = { kind = "unix" }
 //! ```
 //!
+//! What is known of single parameters of the push, by the names that the identification gives them:
+//!
+//! ```toml
+//! [parameters]
+//! friction = "free"                               # to be estimated
+//! force_gain = 1.02                               # known
+//! contact_height = { mean = 0.0, sd = 0.005 }     # known roughly
+//! ```
+//!
 //! A compliant fingertip has `[finger]` with `commands`, `encoder` (optional) and `impedance`; without `[force]`, `[finger]`
 //! and `[hand]` nothing but gravity and the support acted (a toss).
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use nalgebra::Vector3;
@@ -86,6 +96,34 @@ pub struct PushConfig {
     pub finger: Option<FingerConfig>,
     /// A logged robot hand.
     pub hand: Option<HandConfig>,
+    /// What is known of single parameters, by name.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub parameters: BTreeMap<String, StatedParameter>,
+}
+
+/// What a push says of a parameter.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum StatedParameter {
+    /// `"free"`: it is to be estimated.
+    Free(Free),
+    /// Its value.
+    Value(f64),
+    /// What is expected of it.
+    Expected {
+        /// Expected value.
+        mean: f64,
+        /// Standard deviation; of the logarithm, for parameters that are positive by nature.
+        sd: f64,
+    },
+}
+
+/// The word `"free"`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Free {
+    /// To be estimated.
+    Free,
 }
 
 fn standard_gravity() -> [f64; 3] {

@@ -91,6 +91,17 @@ pub struct MassConfig {
     pub weighed_kg: Option<f64>,
     /// First guess, kg.
     pub prior_kg: Option<f64>,
+    /// First guess: the material of a solid object ("wood"); its volume is that of the mesh.
+    pub prior_material: Option<String>,
+    /// First guess: a JSON file with somebody's answer, such as a vision-language model's.
+    pub prior_file: Option<PathBuf>,
+}
+
+impl MassConfig {
+    /// Whether there is a first guess.
+    pub fn has_prior(&self) -> bool {
+        self.prior_kg.is_some() || self.prior_material.is_some() || self.prior_file.is_some()
+    }
 }
 
 /// Recorded grasps.
@@ -198,10 +209,17 @@ impl TwinManifest {
             );
         }
         let m = &self.mass;
-        if m.identify.is_empty() && m.weighed_kg.is_none() && m.prior_kg.is_none() {
+        if m.identify.is_empty() && m.weighed_kg.is_none() && !m.has_prior() {
             return refuse(
                 "[mass] says nothing".into(),
                 "give identify = [\"push/<name>\"] with a recorded push, or weighed_kg, or at least a guess as prior_kg",
+            );
+        }
+        let guesses = [m.prior_kg.is_some(), m.prior_material.is_some(), m.prior_file.is_some()];
+        if guesses.into_iter().filter(|g| *g).count() > 1 {
+            return refuse(
+                "[mass] has several first guesses".into(),
+                "keep one of prior_kg, prior_material and prior_file",
             );
         }
         for (entry, value) in [("weighed_kg", m.weighed_kg), ("prior_kg", m.prior_kg)] {
