@@ -134,7 +134,8 @@ fn details(answer: &Identification) -> String {
     let push = answer.pushes.first();
     let fit = push.map_or(String::new(), |p| {
         format!(
-            "rms {:?} mm {:?} rad, encoder {:?} mm, clock {:?}, bias {:?}, outliers {}",
+            "closed form {:?}; rms {:?} mm {:?} rad, encoder {:?} mm, clock {:?}, bias {:?}, outliers {}",
+            p.closed_form.map(|c| (c.kind, c.mass_kg, c.sd_log_mass)),
             p.rms_position_m.map(|x| 1e3 * x),
             p.rms_rotation_rad,
             p.rms_encoder_m.map(|x| 1e3 * x),

@@ -95,6 +95,9 @@ pub struct PushReport {
     pub rms_encoder_m: Option<f64>,
     /// Constant error of the tracked position that was estimated, metres.
     pub position_bias_m: Option<[f64; 3]>,
+    /// The mass without a simulator, where the motion has a closed form: a check.
+    #[serde(default)]
+    pub closed_form: Option<crate::ClosedForm>,
     /// Times of the poses, seconds.
     pub times_s: Vec<f64>,
     /// Tracked poses: x, y, z (m), then w, x, y, z of the quaternion.

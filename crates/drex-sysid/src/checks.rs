@@ -1,8 +1,8 @@
 //! What a recording must be before it is worth simulating.
 
 use drex_core::pose::pose_difference;
-use drex_core::push::{Drive, PoseNoise, PushRecording, TrackFrame};
-use nalgebra::Vector3;
+use drex_core::push::{Drive, PoseNoise, PushRecording, Support, SupportBox, TrackFrame};
+use nalgebra::{Point3, Vector3};
 
 use crate::{ObjectModel, Result, SysidError};
 
@@ -74,16 +74,9 @@ fn still(recording: &PushRecording, noise: &PoseNoise) -> bool {
 /// The start pose must put the object on its support.
 fn stands(recording: &PushRecording, object: &ObjectModel) -> Result<()> {
     let Some(start) = recording.initial_pose.or(recording.track.poses().first().copied()) else { return Ok(()) };
-    let points = || object.pieces.iter().flatten().map(|p| start * p);
-    let Some(any) = points().next() else { return Ok(()) };
-    let (lo, hi) = points().fold((any, any), |(lo, hi), p| (lo.inf(&p), hi.sup(&p)));
+    let Some((lo, hi)) = object.bounds_at(&start) else { return Ok(()) };
     let table = recording.support.table_height_m;
-    // The highest thing under the object's outline holds it.
-    let over = |b: &&drex_core::push::SupportBox| {
-        (0..2).all(|i| lo[i] <= b.center_m[i] + b.half_m[i] && hi[i] >= b.center_m[i] - b.half_m[i])
-    };
-    let tops = recording.support.boxes.iter().filter(over).map(|b| b.center_m[2] + b.half_m[2]);
-    let highest = tops.fold(table, f64::max);
+    let highest = support_top(&recording.support, &lo, &hi);
     let millimetres = |x: f64| format!("{:.0} mm", 1e3 * x);
     let what = if lo.z > highest + GAP_M {
         format!("the object starts at rest {} above what it should stand on", millimetres(lo.z - highest))
@@ -97,6 +90,14 @@ fn stands(recording: &PushRecording, object: &ObjectModel) -> Result<()> {
         what,
         "check table_height_m, the start pose, the frame of the track and the mesh's unit and origin",
     ))
+}
+
+/// The highest thing under an outline: it holds what stands there.
+pub(crate) fn support_top(support: &Support, lo: &Point3<f64>, hi: &Point3<f64>) -> f64 {
+    let under =
+        |b: &&SupportBox| (0..2).all(|i| lo[i] <= b.center_m[i] + b.half_m[i] && hi[i] >= b.center_m[i] - b.half_m[i]);
+    let tops = support.boxes.iter().filter(under).map(|b| b.center_m[2] + b.half_m[2]);
+    tops.fold(support.table_height_m, f64::max)
 }
 
 /// The first poses must be those of an object at rest: they are the start of the simulation.

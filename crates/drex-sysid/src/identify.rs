@@ -7,6 +7,7 @@ use drex_core::pose::to_wxyz;
 use drex_core::push::{Drive, PoseNoise, PushRecording, TrackFrame};
 
 use crate::answer::{Identification, PushReport, Sensitivity, Verdict};
+use crate::closed_form::closed_form;
 use crate::estimate::Estimate;
 use crate::fit::Fit;
 use crate::joint::{Candidate, Joint};
@@ -93,7 +94,7 @@ pub fn identify(
         let estimate = joint.solve(options)?;
         for (k, &i) in fitted.iter().enumerate() {
             if let (Some(motion), Some(fit)) = (estimate.best.motions.get(k), estimate.best.fits.get(k)) {
-                fill(&mut reports[i], &joint.problems[k], motion, fit);
+                fill(&mut reports[i], &recordings[i], object, &joint.problems[k], motion, fit);
             }
         }
         decide(&mut answer, &estimate, &joint);
@@ -173,6 +174,7 @@ fn report(recording: &PushRecording, noise: PoseNoise) -> PushReport {
         clock_offset_s: None,
         rms_encoder_m: None,
         position_bias_m: None,
+        closed_form: None,
         times_s: recording.track.times_s().to_vec(),
         observed: recording.track.poses().iter().map(row).collect(),
         simulated: Vec::new(),
@@ -180,7 +182,14 @@ fn report(recording: &PushRecording, noise: PoseNoise) -> PushReport {
     }
 }
 
-fn fill(report: &mut PushReport, problem: &Problem, motion: &Motion, fit: &Fit) {
+fn fill(
+    report: &mut PushReport,
+    recording: &PushRecording,
+    object: &ObjectModel,
+    problem: &Problem,
+    motion: &Motion,
+    fit: &Fit,
+) {
     let poses = &fit.weights[..problem.times_s.len().min(fit.weights.len())];
     let kept: Vec<_> = fit.residuals.chunks_exact(6).zip(poses).filter(|(_, w)| **w >= 0.5).map(|(r, _)| r).collect();
     let n = kept.len().max(1) as f64;
@@ -194,6 +203,7 @@ fn fill(report: &mut PushReport, problem: &Problem, motion: &Motion, fit: &Fit) 
         .then(|| (readings.iter().map(|r| r * r).sum::<f64>() / readings.len() as f64).sqrt() * problem.encoder_m);
     report.clock_offset_s = Some(fit.nuisance[0]);
     report.position_bias_m = Some([fit.nuisance[1], fit.nuisance[2], fit.nuisance[3]]);
+    report.closed_form = closed_form(recording, object, &problem.noise, fit.nuisance[0]);
     report.simulated = problem.times_s.iter().map(|t| row(&motion.at(t - fit.nuisance[0]))).collect();
 }
 

@@ -4,12 +4,12 @@
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
+use crate::Result;
 use crate::fit::Fit;
 use crate::information::Information;
 use crate::noise;
 use crate::parameters::{Knowledge, Parameter};
 use crate::problem::{Motion, Problem, Slot, Values};
-use crate::Result;
 
 /// Longest Gauss-Newton step in the logarithm of a mass or a friction.
 const MAX_STEP: f64 = 0.5;

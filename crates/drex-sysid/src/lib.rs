@@ -4,6 +4,7 @@ mod answer;
 pub mod bound;
 pub mod calibrate;
 mod checks;
+mod closed_form;
 mod error;
 mod estimate;
 mod finger;
@@ -24,6 +25,7 @@ mod problem;
 mod profile;
 
 pub use answer::{ErrorBudget, Identification, PushReport, Sensitivity, Verdict};
+pub use closed_form::{ClosedForm, ClosedFormKind};
 pub use error::{Result, SysidError};
 pub use identify::identify;
 pub use object::ObjectModel;

@@ -1,6 +1,6 @@
 //! The pushed object: convex pieces for contact, mass properties at one kilogram.
 
-use drex_core::{MassProperties, TriMesh};
+use drex_core::{MassProperties, Pose, TriMesh};
 use drex_diffsim::ConvexPiece;
 use nalgebra::Point3;
 use std::collections::BTreeMap;
@@ -54,12 +54,16 @@ impl ObjectModel {
         Ok(pieces)
     }
 
+    /// Lowest and highest corner of the object's outline in the world, placed at `pose`.
+    pub(crate) fn bounds_at(&self, pose: &Pose) -> Option<(Point3<f64>, Point3<f64>)> {
+        let mut points = self.pieces.iter().flatten().map(|p| pose * p);
+        let first = points.next()?;
+        Some(points.fold((first, first), |(lo, hi), p| (lo.inf(&p), hi.sup(&p))))
+    }
+
     /// Diagonal of the bounding box of all pieces, metres.
     pub fn size_m(&self) -> f64 {
-        let mut points = self.pieces.iter().flatten();
-        let Some(&first) = points.next() else { return 0.0 };
-        let (lo, hi) = points.fold((first, first), |(lo, hi), p| (lo.inf(p), hi.sup(p)));
-        (hi - lo).norm()
+        self.bounds_at(&Pose::identity()).map_or(0.0, |(lo, hi)| (hi - lo).norm())
     }
 }
 

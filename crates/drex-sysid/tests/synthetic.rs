@@ -7,7 +7,7 @@ use common::{block, box_mesh, pushed_until, simulated};
 use drex_core::TriMesh;
 use drex_core::push::Drive;
 use drex_core::{Pose, Trajectory};
-use drex_sysid::{IdentifyOptions, Knowledge, ObjectModel, Parameter, SysidError, Verdict, identify};
+use drex_sysid::{ClosedFormKind, IdentifyOptions, Knowledge, ObjectModel, Parameter, SysidError, Verdict, identify};
 use nalgebra::{Point3, Vector3};
 
 const G: f64 = 9.81;
@@ -169,4 +169,20 @@ fn unusable_input_is_refused() {
     // A mesh in millimetres: it would start deep inside the table.
     let huge = ObjectModel::from_mesh(&box_mesh(Vector3::new(25.0, 30.0, 40.0), Vector3::zeros())).unwrap();
     assert!(identify(&[push], &huge, &options).is_err());
+}
+
+#[test]
+fn closed_forms_agree_where_the_motion_has_one() {
+    let m = 0.137;
+    let lifted = simulated(m, 0.4, Vector3::z() * m * G * 1.6, Point3::origin());
+    let force = Vector3::x() * m * G * (0.025 / 0.075) * 1.06;
+    let tipped = pushed_until(0.55, m, 0.9, force, Point3::new(-0.025, 0.0, 0.035));
+    let slid = simulated(m, 0.4, Vector3::x() * m * G * 0.4 * 1.8, Point3::new(-0.025, 0.0, -0.03));
+    let form = |push| identify(&[push], &block(), &IdentifyOptions::default()).unwrap().pushes.remove(0).closed_form;
+    for (push, kind) in [(lifted, ClosedFormKind::Flight), (tipped, ClosedFormKind::Tipping)] {
+        let found = form(push).unwrap_or_else(|| panic!("no {kind:?}"));
+        assert_eq!(found.kind, kind);
+        assert!((found.mass_kg / m - 1.0).abs() < 0.02 && found.frames >= 5, "{found:?}");
+    }
+    assert_eq!(form(slid), None);
 }
