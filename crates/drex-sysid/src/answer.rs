@@ -38,6 +38,9 @@ pub struct Identification {
     pub sd_log_mass: Option<f64>,
     /// Its parts.
     pub error_budget: Option<ErrorBudget>,
+    /// What else was estimated.
+    #[serde(default)]
+    pub estimates: Vec<ParameterEstimate>,
     /// What errors in what was taken for granted do to the mass.
     pub sensitivities: Vec<Sensitivity>,
     /// What was taken for granted.
@@ -61,6 +64,19 @@ pub struct ErrorBudget {
     pub force: f64,
     /// Contact of the simulator: half as stiff, twice as stiff, half the step.
     pub contact: f64,
+}
+
+/// A parameter that was estimated along with the mass.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ParameterEstimate {
+    /// The parameter.
+    pub parameter: crate::Parameter,
+    /// The push whose parameter it is; absent for one that all pushes share.
+    pub push: Option<String>,
+    /// Its value.
+    pub value: f64,
+    /// Standard deviation from the noise of the observations; of the value itself.
+    pub sd: f64,
 }
 
 /// What an error in a parameter that was taken as stated does to the mass, to first order.
@@ -95,6 +111,9 @@ pub struct PushReport {
     pub rms_encoder_m: Option<f64>,
     /// Constant error of the tracked position that was estimated, metres.
     pub position_bias_m: Option<[f64; 3]>,
+    /// What each pose tells about the mass, as a share of what all observations of all pushes tell; empty if nothing was estimated.
+    #[serde(default)]
+    pub information: Vec<f64>,
     /// The mass without a simulator, where the motion has a closed form: a check.
     #[serde(default)]
     pub closed_form: Option<crate::ClosedForm>,

@@ -24,7 +24,7 @@ mod prior;
 mod problem;
 mod profile;
 
-pub use answer::{ErrorBudget, Identification, PushReport, Sensitivity, Verdict};
+pub use answer::{ErrorBudget, Identification, ParameterEstimate, PushReport, Sensitivity, Verdict};
 pub use closed_form::{ClosedForm, ClosedFormKind};
 pub use error::{Result, SysidError};
 pub use identify::identify;

@@ -1,6 +1,6 @@
 //! The push: what was tracked, what the simulation makes of it, how likely each mass is.
 
-use drex_sysid::{Identification, PushReport, Verdict};
+use drex_sysid::{Identification, PushReport, Sensitivity, Verdict};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::page::Page;
@@ -24,6 +24,15 @@ pub fn verdict_text(r: &Identification) -> String {
         text += &format!("\n  assumed: {assumption}");
     }
     text
+}
+
+/// The effect of a likely error, in words.
+fn sensitivity_text(s: &Sensitivity) -> String {
+    if s.parameter.is_logarithmic() {
+        format!("{:+.1} % if it is 10 % larger", 100.0 * s.log_mass * 1.1_f64.ln())
+    } else {
+        format!("{:+.1} % if it is a millimetre larger", 100.0 * s.log_mass * 1e-3)
+    }
 }
 
 /// The section on mass and pushes.
@@ -96,6 +105,22 @@ pub fn section(page: &mut Page, mass: &MassFile) {
             ]],
         );
     }
+    if !result.sensitivities.is_empty() {
+        let rows: Vec<Vec<String>> = result
+            .sensitivities
+            .iter()
+            .map(|s| vec![s.parameter.as_str().to_owned(), sensitivity_text(s)])
+            .collect();
+        page.table(&["if this is wrong", "the mass changes by"], &rows);
+    }
+    if !result.estimates.is_empty() {
+        let rows: Vec<Vec<String>> = result
+            .estimates
+            .iter()
+            .map(|e| vec![e.parameter.as_str().to_owned(), format!("{:.4}", e.value), format!("{:.4}", e.sd)])
+            .collect();
+        page.table(&["estimated along with the mass", "value", "standard deviation"], &rows);
+    }
     page.list(&result.assumptions.iter().map(|a| format!("Assumed: {a}")).collect::<Vec<_>>());
     for push in &result.pushes {
         page.list(&push.notes);
@@ -164,7 +189,47 @@ fn push_plots(push: &PushReport) -> Vec<String> {
     }
     let title = format!("{}: rotation since the start", push.name);
     let rotation = Plot { title: &title, x_label: "time, s", y_label: "degrees", series, ..Plot::default() }.to_svg();
-    vec![displacement, rotation]
+    let mut plots = vec![displacement, rotation];
+    plots.extend(residual_plot(push));
+    plots.extend(information_plot(push));
+    plots
+}
+
+/// What the simulation leaves unexplained at each pose, in standard deviations of the tracker.
+fn residual_plot(push: &PushReport) -> Option<String> {
+    if push.simulated.len() != push.observed.len() {
+        return None;
+    }
+    let bias = Vector3::from(push.position_bias_m.unwrap_or_default());
+    let pairs = || push.observed.iter().zip(&push.simulated);
+    let place = |p: &[f64; 7]| Vector3::new(p[0], p[1], p[2]);
+    let shift: Vec<f64> = pairs()
+        .map(|(o, s)| (place(o) - place(s) - bias).norm() / (3.0_f64.sqrt() * push.position_sd_m))
+        .collect();
+    let turn: Vec<f64> = pairs()
+        .map(|(o, s)| rotation(s).angle_to(&rotation(o)) / (3.0_f64.sqrt() * push.rotation_sd_rad))
+        .collect();
+    let title = format!("{}: residuals", push.name);
+    let series = vec![
+        Series { label: "position", x: &push.times_s, y: &shift, color: COLORS[0], dots: true },
+        Series { label: "rotation", x: &push.times_s, y: &turn, color: COLORS[1], dots: true },
+    ];
+    let y_label = "standard deviations (rms of three axes)";
+    Some(Plot { title: &title, x_label: "time, s", y_label, series, ..Plot::default() }.to_svg())
+}
+
+/// Which poses tell the mass.
+fn information_plot(push: &PushReport) -> Option<String> {
+    let share: Vec<f64> = push.information.iter().map(|i| 100.0 * i).collect();
+    if share.len() != push.times_s.len() || share.is_empty() {
+        return None;
+    }
+    let title = format!("{}: which poses tell the mass", push.name);
+    let series = vec![
+        Series { label: "", x: &push.times_s, y: &share, color: COLORS[2], dots: false },
+        Series { label: "", x: &push.times_s, y: &share, color: COLORS[2], dots: true },
+    ];
+    Some(Plot { title: &title, x_label: "time, s", y_label: "% of the information", series, ..Plot::default() }.to_svg())
 }
 
 fn rotation(pose: &[f64; 7]) -> UnitQuaternion<f64> {
