@@ -210,7 +210,7 @@ impl Joint {
 
     /// Shift of log mass when contact is softer, or less damped, or a fingertip slides less across
     /// the push and the step is shorter.
-    fn contact_sd(&self, best: &Candidate, information: &Information, options: &IdentifyOptions) -> f64 {
+    pub(crate) fn contact_sd(&self, best: &Candidate, information: &Information, options: &IdentifyOptions) -> f64 {
         let shifts: Vec<f64> =
             VARIANTS.par_iter().map(|variant| self.shift_by(variant, best, information, options.dt_s)).collect();
         (shifts.iter().map(|s| s * s).sum::<f64>() / shifts.len() as f64).sqrt().min(10.0)
@@ -247,7 +247,7 @@ fn promising(scan: &[(Point, f64)], most: usize) -> Vec<Point> {
 }
 
 /// How far two correct simulators may differ about the mass from a push.
-fn floor(problem: &Problem) -> f64 {
+pub(crate) fn floor(problem: &Problem) -> f64 {
     match (problem.has_finger(), problem.readings()) {
         (false, _) => MODEL_FLOOR,
         (true, 0) => BLIND_FINGER_FLOOR,

@@ -156,7 +156,7 @@ impl Finger {
 }
 
 /// Columns: the direction in which the command leads farthest from its start, and two across.
-fn axes(commands: &[Point3<f64>]) -> Matrix3<f64> {
+pub(crate) fn axes(commands: &[Point3<f64>]) -> Matrix3<f64> {
     let first = commands.first().copied().unwrap_or_default();
     let way = |p: &Point3<f64>| p - first;
     let farthest = commands.iter().map(way).max_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared()));

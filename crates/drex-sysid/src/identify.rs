@@ -16,9 +16,9 @@ use crate::problem::{Motion, Problem};
 use crate::{IdentifyOptions, ObjectModel, Result, SysidError, checks, invariance, noise};
 
 /// Standard deviation of log mass above which a recording does not weigh the object.
-const SD_LIMIT: f64 = 0.35;
+pub(crate) const SD_LIMIT: f64 = 0.35;
 /// Standard deviation of log(friction · mass) below which the product counts as known.
-const SD_PRODUCT_LIMIT: f64 = 0.15;
+pub(crate) const SD_PRODUCT_LIMIT: f64 = 0.15;
 
 /// Estimates the mass of `object` from pushes of it.
 ///

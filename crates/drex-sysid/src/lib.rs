@@ -19,6 +19,7 @@ mod noise;
 mod object;
 mod options;
 mod parameters;
+pub mod plan;
 mod primitive;
 mod prior;
 mod problem;
