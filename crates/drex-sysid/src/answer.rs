@@ -20,7 +20,7 @@ pub enum Verdict {
 pub struct Identification {
     /// Estimated mass, kg; only with [`Verdict::Identified`].
     pub mass_kg: Option<f64>,
-    /// 95 % interval of the mass, kg.
+    /// 95 % interval of the mass, kg; absent with [`crate::Method::Adam`], which has none.
     pub ci95_kg: Option<[f64; 2]>,
     /// What the recordings can tell.
     pub verdict: Verdict,
@@ -30,6 +30,8 @@ pub struct Identification {
     pub reason: String,
     /// Wall time, seconds.
     pub seconds: f64,
+    /// Simulated pushes, those with derivatives included.
+    pub simulations: usize,
     /// A first guess that came with the recordings, kg. It is no result and took no part in one.
     pub prior_kg: Option<f64>,
     /// Friction of the support that was estimated along with the mass, if it was.

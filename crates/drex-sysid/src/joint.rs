@@ -1,6 +1,8 @@
 //! Several pushes of one object as one least-squares problem over a list of coordinates, the first of them the logarithm of
 //! the mass.
 
+use std::sync::atomic::Ordering;
+
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
@@ -126,6 +128,11 @@ impl Joint {
             }));
         }
         Self { problems, coordinates, fixed }
+    }
+
+    /// How often a push has been simulated so far.
+    pub(crate) fn simulations(&self) -> usize {
+        self.problems.iter().map(|p| p.simulations.load(Ordering::Relaxed)).sum()
     }
 
     pub(crate) fn start(&self) -> Point {

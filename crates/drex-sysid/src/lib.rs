@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+mod adam;
 mod answer;
 pub mod bound;
 pub mod calibrate;
@@ -30,6 +31,6 @@ pub use closed_form::{ClosedForm, ClosedFormKind};
 pub use error::{Result, SysidError};
 pub use identify::identify;
 pub use object::ObjectModel;
-pub use options::IdentifyOptions;
+pub use options::{IdentifyOptions, Method};
 pub use parameters::{Knowledge, Parameter, ParameterSet};
 pub use prior::MassPrior;

@@ -4,12 +4,26 @@ use drex_diffsim::ContactOptions;
 
 use crate::ParameterSet;
 
+/// How the mass is looked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum Method {
+    /// Scan of all masses, Levenberg-Marquardt, interval and verdict.
+    #[default]
+    Lm,
+    /// Adam on the logarithm of the mass alone from the first guess, as in the D-REX paper, for comparison: it tells neither an
+    /// interval nor whether the recording can weigh the object at all.
+    Adam,
+}
+
 /// Options of [`crate::identify`]. Build with `IdentifyOptions::default()` and change what differs.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct IdentifyOptions {
     /// What is known beforehand. A friction that is stated here, or set free, overrides that of the recording.
     pub parameters: ParameterSet,
+    /// How the mass is looked for.
+    pub method: Method,
     /// Range of the first scan over mass, kg; widened when the best mass is at its edge.
     pub scan_kg: [f64; 2],
     /// Points of the scan.
@@ -31,6 +45,7 @@ impl Default for IdentifyOptions {
     fn default() -> Self {
         Self {
             parameters: ParameterSet::default(),
+            method: Method::default(),
             scan_kg: [0.005, 5.0],
             scan_points: 28,
             contact: ContactOptions::default(),

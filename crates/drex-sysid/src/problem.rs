@@ -1,6 +1,7 @@
 //! One push ready to be simulated: what acts, what it stands on, what was observed.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use drex_core::Pose;
 use drex_core::push::{Drive, PoseNoise, PushRecording, SupportBox};
@@ -64,6 +65,8 @@ pub(crate) struct Problem {
     /// What is expected of each error of the track.
     pub nuisances: [Expected; NUISANCES],
     pub contact: ContactOptions,
+    /// How often it has been simulated.
+    pub simulations: Arc<AtomicUsize>,
     gravity: Vector3<f64>,
     table_height_m: f64,
     boxes: Vec<SupportBox>,
@@ -110,6 +113,7 @@ impl Problem {
             nuisances: parameters.nuisances(),
             parameters,
             contact: options.contact,
+            simulations: Arc::default(),
             gravity: recording.gravity,
             table_height_m: recording.support.table_height_m,
             boxes: recording.support.boxes.clone(),
@@ -282,6 +286,7 @@ impl Problem {
     /// Steps through the push and records it at `times_s`.
     pub(crate) fn run<T: Scalar>(&self, values: &Values<T>, dt_s: f64, times_s: &[f64]) -> Result<Record<T>> {
         let (model, scene, state) = self.build(values, dt_s)?;
+        self.simulations.fetch_add(1, Ordering::Relaxed);
         rollout(&model, &scene, &state, times_s).map_err(|source| self.failed(source))
     }
 

@@ -6,9 +6,6 @@ use super::rehearse::Stage;
 use super::{GuardedPush, PlannedOutcome, PushDrive, PushKind};
 use crate::Verdict;
 
-/// An object that is to tip and goes this far slides, metres.
-pub(super) const SLIPPED_M: f64 = 0.02;
-
 /// The push and what to expect of it in one line.
 pub(super) fn text(push: &GuardedPush, outcomes: &[PlannedOutcome], verdict: Verdict) -> String {
     let (height, towards) = (1e3 * push.height_m, heading(&push.direction.into()));

@@ -13,6 +13,8 @@ use crate::{Result, Verdict};
 
 /// A standard deviation of a logarithm beyond which the number is not known at all.
 const UNKNOWN: f64 = 3.0;
+/// An object that goes this much farther than its lean explains slides, metres.
+const SLIPPED_M: f64 = 0.02;
 /// An object that moves and leans less than this does not move: a fraction of what it was to.
 const MOVED: f64 = 0.1;
 
@@ -112,17 +114,20 @@ impl Stage<'_> {
 
     /// Why a push is not to be done, from what it did.
     fn refused(&self, push: &GuardedPush, run: &Rehearsal) -> Option<String> {
-        let moved = run.travel_m / push.until_travel_m.unwrap_or(words::SLIPPED_M);
+        let moved = run.travel_m / push.until_travel_m.unwrap_or(SLIPPED_M);
+        let tipping = matches!(push.kind, PushKind::Tilt | PushKind::Topple | PushKind::OverhangPress);
+        if tipping && run.travel_m > SLIPPED_M + run.tilt * self.object.size_m() {
+            return Some(words::slides(self.friction()));
+        }
         if run.reached {
             let tilt = run.tilt > self.options.largest_tilt_rad && push.kind != PushKind::Topple;
             return tilt.then(|| words::falls(run.tilt));
         }
         let tips = run.tilt > self.options.largest_tilt_rad;
-        Some(match push.kind {
-            PushKind::Tilt | PushKind::Topple | PushKind::OverhangPress if moved > 0.5 => words::slides(self.friction()),
+        Some(match moved < MOVED && run.peak_force_n < 0.9 * self.limit(push) {
             _ if tips => words::falls(run.tilt),
-            _ if moved < MOVED && run.peak_force_n < 0.9 * self.limit(push) => words::unmoved(),
-            _ => words::too_weak(self.limit(push)),
+            true => words::unmoved(),
+            false => words::too_weak(self.limit(push)),
         })
     }
 
