@@ -46,6 +46,8 @@ pub enum Command {
     Asset(AssetArgs),
     /// Weigh an object from recorded pushes, or say why they cannot.
     Identify(IdentifyArgs),
+    /// Rank pushes of an object by how well they would weigh it.
+    PlanPush(PlanPushArgs),
     /// Fit the demonstrated grasps to the object and train the grasp network on them.
     Train(TwinArgs),
     /// Judge the predicted grasps by the static check.
@@ -112,8 +114,78 @@ pub struct IdentifyArgs {
     /// It takes no part in the estimate; --prior mass=MEAN,SD does.
     #[arg(long, value_name = "KG|MATERIAL|FILE")]
     pub guess: Option<String>,
+    /// How to look for the mass; adam is the D-REX paper's way, for comparison: it gives no interval.
+    #[arg(long, value_enum, default_value_t = MethodArg::Lm)]
+    pub method: MethodArg,
     /// Write the result to this file as well, with likelihood profile and trajectories.
     #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+}
+
+/// How the mass is looked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum MethodArg {
+    /// Scan and Levenberg-Marquardt, with interval and verdict.
+    Lm,
+    /// Adam on the logarithm of the mass, from the first guess.
+    Adam,
+}
+
+/// `drex plan-push`.
+#[derive(Debug, Args)]
+pub struct PlanPushArgs {
+    /// Mesh of the object: STL, OBJ, PLY, GLTF or GLB.
+    pub mesh: PathBuf,
+    /// Range of masses that are thought possible, kg.
+    #[arg(long, value_name = "LOW,HIGH", default_value = "0.05,1", value_parser = range)]
+    pub masses: [f64; 2],
+    /// Friction of the object on the table; unknown if left out.
+    #[arg(long, value_name = "MU", value_parser = positive)]
+    pub friction: Option<f64>,
+    /// Height of a step that the object can be put on so that one end sticks out, m.
+    #[arg(long, value_name = "M", value_parser = positive)]
+    pub step: Option<f64>,
+    /// Direction in the mesh that points up while the object stands [default: 0,0,1].
+    #[arg(long, value_name = "X,Y,Z", value_parser = direction, allow_hyphen_values = true)]
+    pub up: Option<[f64; 3]>,
+    /// Unit of the mesh's coordinates: m, cm, mm, in, or auto (told by the size).
+    #[arg(long, value_name = "UNIT", default_value = "auto")]
+    pub unit: LengthUnit,
+    /// TOML file with reaction_s, [force] and [finger] in place of the options below.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["max_force", "stiffness"], required_unless_present_any = ["max_force", "stiffness"])]
+    pub robot: Option<PathBuf>,
+    /// The robot pushes with a measured force of at most this, N.
+    #[arg(long, value_name = "N", value_parser = positive)]
+    pub max_force: Option<f64>,
+    /// Noise of that force per sample at 100 Hz, N.
+    #[arg(long, value_name = "N", default_value_t = 0.03, value_parser = positive)]
+    pub force_noise: f64,
+    /// It can push but not pull up.
+    #[arg(long)]
+    pub no_lift: bool,
+    /// The robot pushes with a compliant fingertip of this stiffness, N/m.
+    #[arg(long, value_name = "N/M", value_parser = positive)]
+    pub stiffness: Option<f64>,
+    /// Largest force of the fingertip, N.
+    #[arg(long, value_name = "N", default_value_t = 10.0, value_parser = positive)]
+    pub max_tip_force: f64,
+    /// Fastest fingertip, m/s.
+    #[arg(long, value_name = "M/S", default_value_t = 0.4, value_parser = positive)]
+    pub max_speed: f64,
+    /// Longest way of the fingertip, m.
+    #[arg(long, value_name = "M", default_value_t = 0.15, value_parser = positive)]
+    pub stroke: f64,
+    /// Whether the fingertip's encoder is recorded.
+    #[arg(long, value_enum, default_value_t = OnOff::On)]
+    pub encoder: OnOff,
+    /// Hand whose torque limits bound the force of the fingertip: a bundled name or a URDF or MJCF file.
+    #[arg(long, value_name = "NAME|FILE")]
+    pub hand: Option<String>,
+    /// Try pushes that make the object fall over, too.
+    #[arg(long)]
+    pub topple: bool,
+    /// Write the plan to this file as well.
+    #[arg(long, value_name = "plan.toml")]
     pub out: Option<PathBuf>,
 }
 
@@ -183,6 +255,12 @@ fn named_prior(text: &str) -> Result<(Parameter, [f64; 2]), String> {
     let (head, sd) = text.rsplit_once(',').ok_or("expected NAME=MEAN,SD, such as friction=0.4,0.1")?;
     let (parameter, mean) = named_value(head)?;
     Ok((parameter, [mean, sd.trim().parse().map_err(|_| format!("`{sd}` is no number"))?]))
+}
+
+fn range(text: &str) -> Result<[f64; 2], String> {
+    let (lo, hi) = text.split_once(',').ok_or("expected LOW,HIGH, such as 0.05,0.5")?;
+    let (lo, hi) = (positive(lo.trim())?, positive(hi.trim())?);
+    if lo <= hi { Ok([lo, hi]) } else { Err("expected the smaller number first".into()) }
 }
 
 fn direction(text: &str) -> Result<[f64; 3], String> {

@@ -89,7 +89,13 @@ fn main() -> Result<(), Box<dyn Error>> {
             let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len().max(1) as f64).sqrt();
             let mean = errors.iter().sum::<f64>() / errors.len().max(1) as f64;
             let count = errors.len();
-            writeln!(out, "      {:.0} g: {count} of {repeat} identified, rms {:.2} %, mean {:+.2} %", 1e3 * o.mass_kg, 1e2 * rms, 1e2 * mean)?;
+            writeln!(
+                out,
+                "      {:.0} g: {count} of {repeat} identified, rms {:.2} %, mean {:+.2} %",
+                1e3 * o.mass_kg,
+                1e2 * rms,
+                1e2 * mean
+            )?;
         }
     }
     Ok(())

@@ -2,10 +2,10 @@
 //! learning rate is not published), for comparison. The loss is the mean square of the whitened geodesic residuals, with the
 //! clock and the frame of the track taken as they are. Kingma and Ba, *Adam* (ICLR 2015), algorithm 1.
 
+use crate::Result;
 use crate::joint::{Candidate, Joint, Point};
 use crate::parameters::Parameter;
 use crate::problem::Slot;
-use crate::Result;
 
 const EPOCHS: i32 = 200;
 /// Change of the logarithm per epoch, at most about: far enough in all to cross a factor of 50.

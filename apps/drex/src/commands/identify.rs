@@ -6,10 +6,10 @@ use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
 use drex_core::push::{InputChoice, PushRecording};
 use drex_mesh::{AssetOptions, LengthUnit, build_asset};
-use drex_sysid::{Identification, IdentifyOptions, Knowledge, MassPrior, ParameterSet, identify};
+use drex_sysid::{Identification, IdentifyOptions, Knowledge, MassPrior, Method, ParameterSet, identify};
 use serde_json::Value;
 
-use crate::cli::{IdentifyArgs, OnOff};
+use crate::cli::{IdentifyArgs, MethodArg, OnOff};
 use crate::object::model_of;
 use crate::report::verdict_text;
 use crate::ui::Ui;
@@ -50,6 +50,10 @@ pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     }
     let mut options = IdentifyOptions::default();
     options.parameters = parameters(args)?;
+    options.method = match args.method {
+        MethodArg::Lm => Method::Lm,
+        MethodArg::Adam => Method::Adam,
+    };
     options.seed = seed.unwrap_or(options.seed);
     let spinner = ui.spinner("identify");
     let result = identify(&recordings, &object, &options)?;

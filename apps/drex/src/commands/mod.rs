@@ -5,4 +5,5 @@ pub mod demo;
 pub mod doctor;
 pub mod identify;
 pub mod import;
+pub mod plan_push;
 pub mod run;

@@ -13,6 +13,7 @@ pub fn verdict_text(r: &Identification) -> String {
         (Verdict::Identified, Some(m), Some([lo, hi])) => {
             format!("identified: {:.1} g, 95 % interval {:.1} to {:.1} g", 1e3 * m, 1e3 * lo, 1e3 * hi)
         }
+        (Verdict::Identified, Some(m), None) => format!("{:.1} g, without an interval", 1e3 * m),
         (Verdict::OnlyMuM, ..) => match r.mu_m_kg {
             Some(mu_m) => format!("only friction times mass: mu m = {:.1} g", 1e3 * mu_m),
             None => "only friction times mass".to_owned(),

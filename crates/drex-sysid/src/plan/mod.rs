@@ -25,8 +25,8 @@ use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-pub use self::robot::{FingerLimits, ForceLimits, RobotLimits, tip_force_limit};
 use self::rehearse::Stage;
+pub use self::robot::{FingerLimits, ForceLimits, RobotLimits, tip_force_limit};
 use self::standing::Standing;
 use crate::{IdentifyOptions, ObjectModel, Result, SysidError, Verdict};
 
@@ -248,7 +248,8 @@ impl GuardedPush {
 
     /// Whether the object has moved as far as it is to.
     fn is_reached(&self, tilt: f64, shift: &Vector3<f64>) -> bool {
-        self.until_tilt_deg.is_some_and(|t| tilt.to_degrees() >= t) || self.until_travel_m.is_some_and(|s| shift.norm() >= s)
+        self.until_tilt_deg.is_some_and(|t| tilt.to_degrees() >= t)
+            || self.until_travel_m.is_some_and(|s| shift.norm() >= s)
     }
 }
 

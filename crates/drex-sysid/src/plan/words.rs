@@ -40,12 +40,9 @@ pub(super) fn text(push: &GuardedPush, outcomes: &[PlannedOutcome], verdict: Ver
     let weighed: Vec<&PlannedOutcome> = outcomes.iter().filter(|o| o.verdict == Verdict::Identified).collect();
     let sd = weighed.iter().filter_map(|o| o.sd_log_mass).sum::<f64>() / weighed.len().max(1) as f64;
     let result = match (verdict, weighed.first().zip(weighed.last())) {
-        (Verdict::Identified, Some((a, b))) if weighed.len() < outcomes.len() => format!(
-            "+-{:.1} % from {:.0} to {:.0} g only",
-            100.0 * half_width(sd),
-            1e3 * a.mass_kg,
-            1e3 * b.mass_kg
-        ),
+        (Verdict::Identified, Some((a, b))) if weighed.len() < outcomes.len() => {
+            format!("+-{:.1} % from {:.0} to {:.0} g only", 100.0 * half_width(sd), 1e3 * a.mass_kg, 1e3 * b.mass_kg)
+        }
         (Verdict::Identified, _) => format!("+-{:.1} %", 100.0 * half_width(sd)),
         (Verdict::OnlyMuM, _) => "friction times mass only".into(),
         (Verdict::NotIdentifiable, _) => "no mass".into(),
@@ -82,7 +79,9 @@ pub(super) fn why(push: &GuardedPush, stage: &Stage<'_>, verdict: Verdict) -> St
              friction plays no part",
             push.threshold_n_per_kg / super::G
         ),
-        PushKind::OverhangPress => format!("{source} on the free end balances weight behind the edge; friction plays no part"),
+        PushKind::OverhangPress => {
+            format!("{source} on the free end balances weight behind the edge; friction plays no part")
+        }
         PushKind::Slide if verdict == Verdict::OnlyMuM => {
             format!("{source} balances friction, so only friction times mass shows; state the friction, tip or lift it")
         }
