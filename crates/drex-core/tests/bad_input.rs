@@ -121,8 +121,10 @@ fn all_four_kinds_of_push_can_be_said() {
     let hand = Push::new(HAND).load();
     let Drive::Hand(push) = &hand.drive else { panic!() };
     assert!((push.joints.times_s[0] - 0.4).abs() < 1e-6 && hand.track.times_s()[0] == 0.0);
-    let TrackFrame::Camera { up_in_mesh, .. } = hand.track_frame else { panic!() };
-    assert_eq!(up_in_mesh.z, 1.0);
+    let TrackFrame::Camera { of_mesh, up, .. } = hand.track_frame else { panic!() };
+    assert!(!of_mesh && up.unwrap().z == 1.0);
+    let bare = Push::new(&HAND.replace("up_in_mesh = [0, 0, 2]\npush_in_mesh = [1, 0, 0]\n", "")).load();
+    assert_eq!(bare.track_frame, TrackFrame::Camera { of_mesh: false, up: None, push: None });
 
     let toss = Push::new(TOSS).load();
     assert!(matches!(toss.drive, Drive::Nothing) && toss.track.times_s()[0] == 0.0);
@@ -152,7 +154,6 @@ fn spoiled_push_files_are_named_with_the_place() {
         (FINGER, "[finger]", "[force]\nfile = \"force.csv\"\npoint_in_object_m = [0,0,0]\n[finger]", "more than one"),
         (FINGER, "quat_wxyz = [1, 0, 0, 0]", "quat_wxyz = [0, 0, 0, 0]", "norm 0.0000"),
         (FINGER, "offset_s = 10.0", "offset_s = 0.0", "do not overlap"),
-        (HAND, "up_in_mesh = [0, 0, 2]", "", "up_in_mesh"),
         (HAND, "up_in_mesh = [0, 0, 2]", "up_in_mesh = [0, 0, 0]", "no direction"),
         (HAND, "-07:00", "soon", "names no UTC offset"),
         (HAND, "-07:00", "-06:00", "time zone"),

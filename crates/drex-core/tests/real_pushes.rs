@@ -78,10 +78,10 @@ fn every_real_run_is_read_on_one_clock_in_the_mesh_frame() {
         assert!(hand.joints.times_s[0] > 0.0 && *hand.joints.times_s.last().unwrap() < push.track.span_s().unwrap().1);
         // Gravity points the same way in the camera before every push of a day; up must agree with the picture: the
         // camera looks down on the table, so up has a component against the image's y axis.
-        let TrackFrame::Camera { up_in_mesh, push_in_mesh } = &push.track_frame else { panic!() };
-        let up_in_camera = push.track.poses()[0] * up_in_mesh;
-        assert!((up_in_mesh.norm() - 1.0).abs() < 1e-12 && up_in_camera.y < -0.5, "{}: {up_in_camera}", push.name);
-        assert!(push_in_mesh.unwrap().dot(up_in_mesh).abs() < 1e-9);
+        let TrackFrame::Camera { of_mesh: true, up: Some(up), push: Some(towards) } = &push.track_frame else { panic!() };
+        let up_in_camera = push.track.poses()[0] * up;
+        assert!((up.norm() - 1.0).abs() < 1e-12 && up_in_camera.y < -0.5, "{}: {up_in_camera}", push.name);
+        assert!(towards.dot(up).abs() < 1e-9);
     }
 }
 
@@ -199,7 +199,7 @@ fn the_topples_lean_where_the_push_points_about_a_centre_at_half_height() {
     let Some(root) = shared("drex_real/runs") else { return };
     for run in folders(&root) {
         let push = PushRecording::load(&run, &InputChoice::default()).unwrap();
-        let TrackFrame::Camera { up_in_mesh: up, push_in_mesh: Some(towards) } = &push.track_frame else { panic!() };
+        let TrackFrame::Camera { up: Some(up), push: Some(towards), .. } = &push.track_frame else { panic!() };
         let (lo, hi) = TriMesh::read(&push.mesh).unwrap().bounds().unwrap();
         let center = nalgebra::center(&lo, &hi);
         let half_height = 0.5 * (hi - lo).dot(&up.abs());

@@ -91,9 +91,9 @@ fn import_object(name: &str, runs: &[PathBuf], dir: &Path, root: &Path) -> Resul
     for run in runs {
         // Loading checks the run as a whole before anything is copied.
         let recording = PushRecording::load(run, &InputChoice::default())?;
-        if let TrackFrame::Camera { up_in_mesh: up, .. } = &recording.track_frame {
+        if up_in_mesh.is_none() {
             // The first run decides. Rounded, so that an axis reads as one.
-            up_in_mesh.get_or_insert([up.x, up.y, up.z].map(|c| (c * 1e6).round() / 1e6));
+            up_in_mesh = up_of(&recording)?.map(|up| [up.x, up.y, up.z].map(|c| (c * 1e6).round() / 1e6));
         }
         let mesh = mesh.get_or_insert_with(|| recording.mesh.clone());
         let place = Path::new("push").join(run_name(run));
@@ -118,6 +118,18 @@ fn import_object(name: &str, runs: &[PathBuf], dir: &Path, root: &Path) -> Resul
     fsutil::write_atomic(&twin, manifest.as_bytes())?;
     TwinManifest::load(&twin)?;
     Ok(Imported { object: name.to_owned(), twin, pushes: pushes.len(), grasps: grasps.is_some() })
+}
+
+/// Up of the resting object in its mesh frame: as stated, or as the track shows it.
+fn up_of(recording: &PushRecording) -> Result<Option<Vector3<f64>>> {
+    Ok(match &recording.track_frame {
+        TrackFrame::Camera { of_mesh: true, up: Some(up), .. } => Some(*up),
+        TrackFrame::Camera { .. } => {
+            let mesh = TriMesh::read(&recording.mesh)?;
+            Some(frames::find(&recording.track, &Standing::of(&mesh)?, &FrameOptions::of(recording))?.up_in_mesh)
+        }
+        _ => None,
+    })
 }
 
 /// Copies the logs of a run and writes a push.toml that stands alone.

@@ -38,12 +38,14 @@ impl PushConfig {
         let name = self.name.clone().unwrap_or_else(|| {
             fsutil::absolute(folder).file_name().map_or_else(|| "push".to_owned(), |n| n.to_string_lossy().into_owned())
         });
-        let track_frame = match (self.track.frame, self.track.up_in_mesh) {
-            (FrameKind::Camera, Some(up)) => TrackFrame::Camera {
-                up_in_mesh: Vector3::from(up).normalize(),
-                push_in_mesh: self.track.push_in_mesh.map(|p| Vector3::from(p).normalize()),
+        let unit = |v: [f64; 3]| Vector3::from(v).normalize();
+        let track_frame = match self.track.frame {
+            FrameKind::Camera => TrackFrame::Camera {
+                of_mesh: self.track.tracked_from_mesh.is_some(),
+                up: self.track.up_in_mesh.map(unit),
+                push: self.track.push_in_mesh.map(unit),
             },
-            _ => TrackFrame::World,
+            FrameKind::World => TrackFrame::World,
         };
         Ok(PushRecording {
             track_frame,

@@ -1,13 +1,13 @@
 //! Logged runs of a robot hand that topples an object: a folder with `run.json`, the joint log and the log that
 //! FoundationPose printed.
 //!
-//! The camera's pose in the world is unknown in this layout; the run names the up direction of the resting object and the
-//! direction of the push instead.
+//! The camera's pose in the world is unknown in this layout. The run may name the up direction of the resting object, the
+//! direction of the push and how the mesh sits in the tracked frame; what it does not name is left to be found in the track.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
 use super::*;
@@ -28,8 +28,8 @@ struct Run {
     joint_clock: String,
     pose_clock: String,
     mass_prior_kg: Option<f64>,
-    tracked_from_mesh: TrackedFromMesh,
-    up_in_tracked_frame: [f64; 3],
+    tracked_from_mesh: Option<TrackedFromMesh>,
+    up_in_tracked_frame: Option<[f64; 3]>,
     topples_towards_in_tracked_frame: Option<[f64; 3]>,
 }
 
@@ -49,7 +49,7 @@ const ALLEGRO_ROS: [&str; 16] = [
 /// The meaning of the run's own clock and frame conventions is spelled out, so that the result stands alone.
 ///
 /// # Errors
-/// If the file cannot be read or is malformed, its `tracked_from_mesh` is no rotation, a clock is not understood, or the
+/// If the file cannot be read or is malformed, a given `tracked_from_mesh` is no rotation, a clock is not understood, or the
 /// order of the hand's joints is not known.
 pub fn to_push_config(run_json: &Path, folder: &Path) -> Result<PushConfig> {
     let run: Run = fsutil::from_json(run_json, &fsutil::read_text(run_json)?)?;
@@ -57,24 +57,34 @@ pub fn to_push_config(run_json: &Path, folder: &Path) -> Result<PushConfig> {
     let home = folder_of(run_json);
     let relative = |file: &Path| fsutil::relative_path(&home.join(file), folder);
 
-    let r = &run.tracked_from_mesh.rotation_rows;
-    let rows = Matrix3::from_fn(|i, j| r[i][j]);
-    let rotation =
-        rotation_from_matrix(&rows).map_err(|e| refuse(format!("tracked_from_mesh: {e}"), "correct the matrix"))?;
-    let tracked_from_mesh = Pose::from_parts(run.tracked_from_mesh.translation_m.into(), rotation);
-    let up = unit(run.up_in_tracked_frame)
-        .ok_or_else(|| refuse("up_in_tracked_frame is no direction".into(), "give a vector that is not zero"))?;
+    let tracked_from_mesh = match &run.tracked_from_mesh {
+        None => None,
+        Some(t) => {
+            let rows = Matrix3::from_fn(|i, j| t.rotation_rows[i][j]);
+            let rotation =
+                rotation_from_matrix(&rows).map_err(|e| refuse(format!("tracked_from_mesh: {e}"), "correct the matrix"))?;
+            Some(Pose::from_parts(t.translation_m.into(), rotation))
+        }
+    };
+    let rotation = tracked_from_mesh.map_or_else(UnitQuaternion::identity, |t| t.rotation);
+    let up = match run.up_in_tracked_frame {
+        None => None,
+        Some(up) => Some(
+            unit(up)
+                .ok_or_else(|| refuse("up_in_tracked_frame is no direction".into(), "give a vector that is not zero"))?,
+        ),
+    };
     let push = match run.topples_towards_in_tracked_frame {
         None => None,
         Some(towards) => {
             let towards = Vector3::from(towards);
-            let horizontal =
-                unit((towards - up * up.dot(&towards)).into()).filter(|_| towards.amax() > 0.0).ok_or_else(|| {
-                    refuse(
-                        "topples_towards_in_tracked_frame has no horizontal part".into(),
-                        "give a direction across up",
-                    )
-                })?;
+            let horizontal = towards - up.map_or_else(Vector3::zeros, |up| up * up.dot(&towards));
+            let horizontal = unit(horizontal.into()).filter(|_| towards.amax() > 0.0).ok_or_else(|| {
+                refuse(
+                    "topples_towards_in_tracked_frame has no horizontal part".into(),
+                    "give a direction across up",
+                )
+            })?;
             Some((rotation.inverse() * horizontal).into())
         }
     };
@@ -113,9 +123,9 @@ pub fn to_push_config(run_json: &Path, folder: &Path) -> Result<PushConfig> {
                 offset_s: None,
             },
             frame: FrameKind::Camera,
-            up_in_mesh: Some((rotation.inverse() * up).into()),
+            up_in_mesh: up.map(|up| (rotation.inverse() * up).into()),
             push_in_mesh: push,
-            tracked_from_mesh: Some(PoseConfig::from(&tracked_from_mesh)),
+            tracked_from_mesh: tracked_from_mesh.as_ref().map(PoseConfig::from),
             noise: None,
         },
         support: Support { table_height_m: run.table_height_m, ..Support::default() },

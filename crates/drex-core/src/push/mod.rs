@@ -33,7 +33,7 @@ pub struct PushRecording {
     pub name: String,
     /// The object's mesh file. Poses are poses of this mesh's frame.
     pub mesh: PathBuf,
-    /// Pose of the object's mesh frame over time, in `track_frame`.
+    /// Pose of the object's mesh frame over time, in `track_frame` (which says when it is another frame of the object).
     pub track: Trajectory,
     /// The frame that the track is given in.
     pub track_frame: TrackFrame,
@@ -194,12 +194,15 @@ fn sampling_note(what: &str, times_s: &[f64]) -> String {
 pub enum TrackFrame {
     /// Poses in the world: z up, the table known.
     World,
-    /// Poses in a camera whose own pose nobody recorded; the up direction of the resting object is known instead.
+    /// Poses in a camera whose own pose nobody recorded. What is not known here can be found in the track.
     Camera {
-        /// Up, as a unit vector in the object's mesh frame, while it rests on the table before the push.
-        up_in_mesh: Vector3<f64>,
-        /// Horizontal direction of the push, in the object's mesh frame, if it is known.
-        push_in_mesh: Option<Vector3<f64>>,
+        /// Whether the poses are those of the mesh's frame; if not, they are those of the frame that the tracker uses, whose
+        /// place in the mesh is not known.
+        of_mesh: bool,
+        /// Up, as a unit vector in that frame, while the object rests on the table before the push, if it is known.
+        up: Option<Vector3<f64>>,
+        /// Horizontal direction of the push, unit vector in that frame at rest, if it is known.
+        push: Option<Vector3<f64>>,
     },
 }
 

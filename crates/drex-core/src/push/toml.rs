@@ -32,7 +32,7 @@
 //! format = "foundation_pose_log"
 //! clock = { kind = "local_iso", utc_offset = "-07:00" }
 //! frame = "camera"
-//! up_in_mesh = [0, 0, -1]
+//! up_in_mesh = [0, 0, -1]            # this and the next two may be left out: they are then found in the track
 //! push_in_mesh = [0, 1, 0]
 //! tracked_from_mesh = { position_m = [0.001, -0.006, -0.041], quat_wxyz = [1, 0, 0, 0] }
 //! [support]
@@ -149,11 +149,13 @@ pub struct TrackConfig {
     pub clock: ClockConfig,
     /// Whether the poses are given in the world or in a camera whose pose is unknown.
     pub frame: FrameKind,
-    /// For a camera: up in the mesh frame while the object rests before the push.
+    /// For a camera: up in the mesh frame while the object rests before the push, if known; in the tracked frame, where
+    /// `tracked_from_mesh` is left out.
     pub up_in_mesh: Option<[f64; 3]>,
-    /// For a camera: horizontal direction of the push in the mesh frame, if known.
+    /// For a camera: horizontal direction of the push in the same frame, if known.
     pub push_in_mesh: Option<[f64; 3]>,
-    /// Pose of the mesh frame in the tracked frame, if the tracker used another frame.
+    /// Pose of the mesh frame in the tracked frame. Left out, poses in the world are those of the mesh frame; for a camera the
+    /// two are taken to be the same unless the track contradicts it.
     pub tracked_from_mesh: Option<PoseConfig>,
     /// Standard deviations, if known.
     pub noise: Option<PoseNoise>,
@@ -318,20 +320,11 @@ impl PushConfig {
             return refuse("mass_prior_kg is not positive".into(), "give kilograms, or leave it out");
         }
         let t = &self.track;
-        match (t.frame, &t.up_in_mesh) {
-            (FrameKind::Camera, None) => {
-                return refuse(
-                    "[track] frame = \"camera\" needs up_in_mesh".into(),
-                    "give the up direction of the resting object in its mesh frame, such as [0, 0, 1]",
-                );
-            }
-            (FrameKind::World, Some(_)) => {
-                return refuse(
-                    "[track] up_in_mesh has no meaning in the world".into(),
-                    "remove it or set frame = \"camera\"",
-                );
-            }
-            _ => {}
+        if t.frame == FrameKind::World && t.up_in_mesh.is_some() {
+            return refuse(
+                "[track] up_in_mesh has no meaning in the world".into(),
+                "remove it or set frame = \"camera\"",
+            );
         }
         for (name, vector) in [("up_in_mesh", &t.up_in_mesh), ("push_in_mesh", &t.push_in_mesh)] {
             if vector
