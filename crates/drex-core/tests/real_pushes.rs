@@ -78,7 +78,9 @@ fn every_real_run_is_read_on_one_clock_in_the_mesh_frame() {
         assert!(hand.joints.times_s[0] > 0.0 && *hand.joints.times_s.last().unwrap() < push.track.span_s().unwrap().1);
         // Gravity points the same way in the camera before every push of a day; up must agree with the picture: the
         // camera looks down on the table, so up has a component against the image's y axis.
-        let TrackFrame::Camera { of_mesh: true, up: Some(up), push: Some(towards) } = &push.track_frame else { panic!() };
+        let TrackFrame::Camera { of_mesh: true, up: Some(up), push: Some(towards) } = &push.track_frame else {
+            panic!()
+        };
         let up_in_camera = push.track.poses()[0] * up;
         assert!((up.norm() - 1.0).abs() < 1e-12 && up_in_camera.y < -0.5, "{}: {up_in_camera}", push.name);
         assert!(towards.dot(up).abs() < 1e-9);

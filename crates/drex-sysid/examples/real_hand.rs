@@ -13,7 +13,7 @@ use drex_core::{Trajectory, TriMesh};
 use drex_robot::Robot;
 use drex_sysid::bound::{Bound, BoundOptions, Topple, of_topple};
 use drex_sysid::calibrate::{CalibrateOptions, ExtraTorque, HandCalibration, HandRun, Touch, hand};
-use drex_sysid::frames::{FoundFrames, FrameOptions, HandPlacement, against_hand, find, tip_paths};
+use drex_sysid::frames::{FoundFrames, FrameOptions, HandPlacement, Standing, against_hand, find, tip_paths};
 use nalgebra::Vector3;
 use serde_json::Value;
 
@@ -26,7 +26,7 @@ struct Run {
     gravity: Vector3<f64>,
     table_height_m: f64,
     track: Trajectory,
-    mesh: TriMesh,
+    solid: Standing,
     up: Vector3<f64>,
     lean: Vector3<f64>,
     options: FrameOptions,
@@ -53,7 +53,7 @@ fn main() -> Any<()> {
         "Frames (degrees against run.json)\nrun       up off  lean off  next best  rest until  moves at       trusted until"
     )?;
     for run in &runs {
-        let f = find(&run.track, &run.mesh, &run.options)?;
+        let f = find(&run.track, &run.solid, &run.options)?;
         frames_row(out, run, &f)?;
         found.push(f);
     }
@@ -64,7 +64,7 @@ fn main() -> Any<()> {
         let extra = calibration.extra_torque(h, &robot)?;
         let touches = extra.touches(&robot);
         let tips = tip_paths(&robot, h.world_from_base, &extra, &touches, f.motion_start_s);
-        let placement = against_hand(f, &run.track, &run.mesh, &tips, run.table_height_m);
+        let placement = against_hand(f, &run.track, &run.solid, &tips, run.table_height_m);
         touch_rows(out, run, &touches, placement.as_ref().map_err(ToString::to_string))?;
         rows.push(bound(run, &robot, f, &extra, &touches, placement.as_ref().ok()).map_err(|e| e.to_string()));
     }
@@ -106,7 +106,7 @@ fn load(folder: &Path, entries: bool) -> Any<Run> {
         gravity: recording.gravity,
         table_height_m: recording.support.table_height_m,
         track: track.shifted(-zero),
-        mesh: TriMesh::read(&recording.mesh)?,
+        solid: Standing::of(&TriMesh::read(&recording.mesh)?)?,
         up: vector("up_in_tracked_frame"),
         lean: vector("topples_towards_in_tracked_frame"),
         options,
@@ -137,7 +137,7 @@ fn bound(
         extra,
         touches,
         track: &run.track,
-        mesh: &run.mesh,
+        solid: &run.solid,
         found,
         placement,
         gravity_m_s2: run.gravity.norm(),
@@ -216,7 +216,7 @@ fn touch_rows(
 }
 
 fn bound_row(out: &mut impl Write, run: &Run, b: &Bound, truth: Option<f64>) -> std::io::Result<()> {
-    let [lo, hi] = b.interval_kg();
+    let [lo, hi] = b.interval_kg;
     writeln!(
         out,
         "{:9} {:18} {:7.1} {:6.1} {:>6} {:8.2} {:10.2}  {:.3} to {:.3}  {:42} {}",
@@ -224,8 +224,8 @@ fn bound_row(out: &mut impl Write, run: &Run, b: &Bound, truth: Option<f64>) -> 
         b.fingers.join(" "),
         1e3 * b.impulse_nms,
         1e3 * b.work_j,
-        b.mass_kg().map_or("-".into(), |m| format!("{m:.3}")),
-        b.sd_log(),
+        format!("{:.3}", b.median_kg),
+        b.sd_log,
         b.sd_of_efforts_per_kg / b.per_kg.max(0.0),
         lo,
         hi,

@@ -5,7 +5,7 @@
 
 use drex_core::Pose;
 use drex_core::pose::pose_difference;
-use drex_core::push::{Drive, HandPush, PushRecording, TrackFrame};
+use drex_core::push::{Drive, PushRecording, TrackFrame};
 use drex_diffsim::ConvexPiece;
 use nalgebra::{SMatrix, SVector, Vector3};
 
@@ -63,15 +63,6 @@ pub(crate) fn explain(
             "no known force acted on the object: gravity, friction and impact scale with its mass, so every mass moves \
                            the same way{shown}; push it with a known force, tip it, or lift it"
         ),
-        Drive::Hand(hand) => {
-            finding.notes.extend(clocks(recording, hand));
-            format!(
-                "the hand is replayed from its joint angles, and a prescribed pusher moves every mass the same way; the log holds \
-                 {} efforts, but without a calibration of the joint friction they are no known force; the first guess of the \
-                 mass stays a guess",
-                if hand.joints.efforts.is_empty() { "no joint" } else { "commanded joint" }
-            )
-        }
         _ => "the poses are given in a camera of unknown pose, where neither gravity nor the force has a direction; record the \
               camera's pose in the world"
             .into(),
@@ -108,44 +99,4 @@ fn start_from_track(problem: &mut Problem, recording: &PushRecording) {
         // The track follows the mesh frame; the simulator wants the centre of mass.
         problem.start_velocity = origin + spin.cross(&(problem.start.rotation * problem.center_of_mass().coords));
     }
-}
-
-/// When things begin to move in the track and in the joint log.
-fn clocks(recording: &PushRecording, hand: &HandPush) -> Vec<String> {
-    let mut notes = Vec::new();
-    let track = &recording.track;
-    let (t, poses) = (track.times_s(), track.poses());
-    let log = &hand.joints;
-    let first = log.times_s.first().map_or(0, |a| t.partition_point(|x| x < a)).min(t.len().saturating_sub(1));
-    match onset(recording, first) {
-        Some(k) => notes.push(format!("the object begins to move at {:.2} s (frame {k} of {})", t[k], poses.len())),
-        None => notes
-            .push("the object never begins to move beyond the noise of its track while the joints are logged".into()),
-    }
-    if let (Some(a), Some(b)) = (log.times_s.first(), log.times_s.last()) {
-        let speed = |row: &Vec<f64>| row.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-        let fastest = log.velocities.iter().map(speed).fold(0.0, f64::max);
-        let moving = log.velocities.iter().position(|row| speed(row) > 0.2 * fastest && fastest > 0.05);
-        let when = moving.and_then(|i| log.times_s.get(i)).map_or("never".to_owned(), |t| format!("at {t:.2} s"));
-        notes.push(format!("joint log from {a:.2} to {b:.2} s on the track's clock; the hand begins to move {when}"));
-    }
-    notes
-}
-
-/// The first frame from `first` on from which the object has left its place or its upright: two frames in a row, since
-/// one may be an outlier. Turning about the vertical does not count: trackers lose round objects there.
-fn onset(recording: &PushRecording, first: usize) -> Option<usize> {
-    let poses = recording.track.poses();
-    let sd = noise::of_track(&recording.track);
-    let up = match &recording.track_frame {
-        TrackFrame::Camera { up_in_mesh, .. } => *up_in_mesh,
-        _ => poses.get(first)?.rotation.inverse() * Vector3::z(),
-    };
-    let rest = poses.get(first)?;
-    let moved = |p: &Pose| {
-        let shift = (p.translation.vector - rest.translation.vector).norm();
-        let lean = (p.rotation * up).angle(&(rest.rotation * up));
-        shift > (8.0 * sd.position_m).max(4e-3) || lean > (8.0 * sd.rotation_rad).max(0.06)
-    };
-    (first..poses.len().saturating_sub(1)).find(|&k| moved(&poses[k]) && moved(&poses[k + 1]))
 }

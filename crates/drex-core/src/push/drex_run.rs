@@ -61,29 +61,26 @@ pub fn to_push_config(run_json: &Path, folder: &Path) -> Result<PushConfig> {
         None => None,
         Some(t) => {
             let rows = Matrix3::from_fn(|i, j| t.rotation_rows[i][j]);
-            let rotation =
-                rotation_from_matrix(&rows).map_err(|e| refuse(format!("tracked_from_mesh: {e}"), "correct the matrix"))?;
+            let rotation = rotation_from_matrix(&rows)
+                .map_err(|e| refuse(format!("tracked_from_mesh: {e}"), "correct the matrix"))?;
             Some(Pose::from_parts(t.translation_m.into(), rotation))
         }
     };
     let rotation = tracked_from_mesh.map_or_else(UnitQuaternion::identity, |t| t.rotation);
-    let up = match run.up_in_tracked_frame {
-        None => None,
-        Some(up) => Some(
-            unit(up)
-                .ok_or_else(|| refuse("up_in_tracked_frame is no direction".into(), "give a vector that is not zero"))?,
-        ),
-    };
+    let up =
+        match run.up_in_tracked_frame {
+            None => None,
+            Some(up) => Some(unit(up).ok_or_else(|| {
+                refuse("up_in_tracked_frame is no direction".into(), "give a vector that is not zero")
+            })?),
+        };
     let push = match run.topples_towards_in_tracked_frame {
         None => None,
         Some(towards) => {
             let towards = Vector3::from(towards);
             let horizontal = towards - up.map_or_else(Vector3::zeros, |up| up * up.dot(&towards));
             let horizontal = unit(horizontal.into()).filter(|_| towards.amax() > 0.0).ok_or_else(|| {
-                refuse(
-                    "topples_towards_in_tracked_frame has no horizontal part".into(),
-                    "give a direction across up",
-                )
+                refuse("topples_towards_in_tracked_frame has no horizontal part".into(), "give a direction across up")
             })?;
             Some((rotation.inverse() * horizontal).into())
         }

@@ -11,7 +11,6 @@ use serde::{Deserialize, Serialize};
 
 use super::moments::Samples;
 use super::{BoundOptions, Topple};
-use crate::frames::Standing;
 
 /// Time over which errors of an effort are alike, s.
 const ALIKE: f64 = 0.05;
@@ -42,42 +41,27 @@ pub struct Bound {
     pub sd_per_kg: f64,
     /// What standard deviation (1/kg) would be left if all but efforts and leans were known exactly.
     pub sd_of_efforts_per_kg: f64,
-    /// Probability and 1/m (1/kg) of each way in which the mesh may sit in the tracked frame; the other fields but `per_kg` and
-    /// `sd_per_kg` are of the first.
+    /// Probability and 1/m (1/kg) of each way in which the mesh may sit in the tracked frame; the other fields but those of the
+    /// mass are of the likeliest.
     pub turns: Vec<(f64, f64)>,
-    /// Half the sum of squares of what is left, equations and priors together: compares assumptions about the object.
-    pub misfit: f64,
     /// What each uncertain quantity costs: square root of the variance that knowing it would save, 1/kg; largest first.
     pub budget: Vec<(String, f64)>,
     /// The uncertain quantities: name, value beforehand, its standard deviation, value in the fit.
     pub unknowns: Vec<(String, f64, f64, f64)>,
+    /// Masses (kg) and their negative log likelihood, all uncertain quantities integrated over; zero at the best.
+    pub profile: Vec<(f64, f64)>,
+    /// The median mass, kg.
+    pub median_kg: f64,
+    /// 95 % interval of the mass, kg, within [`super::BoundOptions::range_kg`].
+    pub interval_kg: [f64; 2],
+    /// Whether the lightest and the heaviest mass of the range are excluded. Without a touch that stands out, the lightest is
+    /// not: then the interval is a bound from above.
+    pub excluded: [bool; 2],
+    /// Standard deviation of the logarithm of the mass.
+    pub sd_log: f64,
 }
 
 impl Bound {
-    /// The mass, kg; `None` if the efforts do not show a force by one standard deviation.
-    pub fn mass_kg(&self) -> Option<f64> {
-        (self.seen && self.per_kg > self.sd_per_kg).then(|| 1.0 / self.per_kg)
-    }
-
-    /// Standard deviation of the logarithm of the mass.
-    pub fn sd_log(&self) -> f64 {
-        if self.per_kg > 0.0 { self.sd_per_kg / self.per_kg } else { f64::INFINITY }
-    }
-
-    /// The 95 % interval of the mass, kg. Most errors are factors, so it is that of the logarithm while its standard deviation
-    /// is below 0.7; beyond, that of 1/m, which may have no upper end. Without a touch there is none: zero to infinity.
-    pub fn interval_kg(&self) -> [f64; 2] {
-        let (s, m) = (self.sd_log(), 1.0 / self.per_kg);
-        if !self.seen {
-            return [0.0, f64::INFINITY];
-        }
-        if s < 0.7 {
-            return [m * (-1.96 * s).exp(), m * (1.96 * s).exp()];
-        }
-        let (lo, hi) = (self.per_kg - 1.96 * self.sd_per_kg, self.per_kg + 1.96 * self.sd_per_kg);
-        [if hi > 0.0 { 1.0 / hi } else { f64::INFINITY }, if lo > 0.0 { 1.0 / lo } else { f64::INFINITY }]
-    }
-
     /// What limits the answer, in words.
     pub fn limits(&self) -> &str {
         match self.budget.first() {
@@ -121,7 +105,7 @@ const FRICTION: usize = 5;
 const LEAN: usize = 6;
 const OFFSETS: usize = 7;
 
-struct Scene<'a> {
+pub(super) struct Scene<'a> {
     samples: &'a Samples,
     gravity: f64,
     /// Height of the centre of mass, m.
@@ -139,8 +123,10 @@ struct Row {
     per_mass: f64,
 }
 
-pub(super) fn fit(run: &Topple<'_>, solid: &Standing, samples: &Samples, options: &BoundOptions) -> Option<Bound> {
-    let scene = Scene::of(run, solid, samples, options)?;
+/// The least-squares answer of one way in which the mesh may sit (the fields of the mass are left open), and half its sum of
+/// squares, equations and priors together.
+pub(super) fn fit(scene: &Scene<'_>) -> Option<(Bound, f64)> {
+    let samples = scene.samples;
     let rows = scene.rows(&scene.values(&vec![0.0; scene.unknowns.len()]));
     let touched: Vec<&Row> = rows.iter().filter(|r| r.moment != 0.0).collect();
     if touched.len() < 3 {
@@ -189,7 +175,7 @@ pub(super) fn fit(run: &Topple<'_>, solid: &Standing, samples: &Samples, options
     let worse = (2.0 * misfit / rows.len() as f64).sqrt().max(1.0);
     let touch = |k: usize| samples.pushers.iter().map(move |p| p.touch_s[k]);
     let values = scene.values(&u);
-    Some(Bound {
+    let bound = Bound {
         seen: samples.seen,
         fingers: samples.pushers.iter().map(|p| p.name.clone()).collect(),
         from_to_s: [touch(0).fold(f64::INFINITY, f64::min), touch(1).fold(f64::NEG_INFINITY, f64::max)],
@@ -200,15 +186,21 @@ pub(super) fn fit(run: &Topple<'_>, solid: &Standing, samples: &Samples, options
         per_kg,
         sd_per_kg: total.sqrt() * worse,
         sd_of_efforts_per_kg: efforts.sqrt() * worse,
-        turns: vec![(1.0, per_kg)],
-        misfit,
+        turns: Vec::new(),
         budget,
         unknowns: scene.unknowns.iter().zip(&values).map(|(u, v)| (u.name.clone(), u.mean, u.sd, *v)).collect(),
-    })
+        profile: Vec::new(),
+        median_kg: f64::NAN,
+        interval_kg: [f64::NAN; 2],
+        excluded: [false; 2],
+        sd_log: f64::INFINITY,
+    };
+    Some((bound, misfit))
 }
 
 impl<'a> Scene<'a> {
-    fn of(run: &Topple<'_>, solid: &Standing, samples: &'a Samples, options: &BoundOptions) -> Option<Self> {
+    pub fn of(run: &Topple<'_>, samples: &'a Samples, options: &BoundOptions) -> Option<Self> {
+        let solid = run.solid;
         let up = run.found.up_in_mesh;
         let towards = run.found.tracked_from_mesh.rotation.inverse() * run.found.topples_towards_in_tracked?;
         let com = solid.unit.center_of_mass.coords;
@@ -249,6 +241,21 @@ impl<'a> Scene<'a> {
             inertia: axis.dot(&(solid.unit.inertia * axis)) / solid.unit.mass_kg,
             unknowns,
         })
+    }
+
+    /// Number of equations.
+    pub fn equations(&self) -> usize {
+        self.samples.frames.len().saturating_sub(2)
+    }
+
+    /// Number of quantities known to within an error.
+    pub fn unknowns(&self) -> usize {
+        self.unknowns.len()
+    }
+
+    /// Covariance of the equations at `per_kg`, with variances `added`.
+    pub fn covariance_with(&self, per_kg: f64, u: &[f64], added: &[f64]) -> DMatrix<f64> {
+        self.covariance(per_kg, &self.values(u)) + DMatrix::from_diagonal(&DVector::from_column_slice(added))
     }
 
     fn values(&self, u: &[f64]) -> Vec<f64> {
@@ -345,7 +352,7 @@ impl<'a> Scene<'a> {
     }
 
     /// Updates the variance added to each equation so that none misses by more than two standard deviations of its own.
-    fn forgive(&self, per_kg: f64, u: &[f64], added: &mut [f64]) -> Option<()> {
+    pub fn forgive(&self, per_kg: f64, u: &[f64], added: &mut [f64]) -> Option<()> {
         let v = self.values(u);
         let own = self.covariance(per_kg, &v);
         for (i, row) in self.rows(&v).iter().enumerate() {
@@ -355,10 +362,9 @@ impl<'a> Scene<'a> {
     }
 
     /// Jacobian by central differences, and residual, both whitened; priors as rows of their own.
-    fn linearised(&self, per_kg: f64, u: &[f64], added: &[f64]) -> Option<(DMatrix<f64>, DVector<f64>)> {
+    pub fn linearised(&self, per_kg: f64, u: &[f64], added: &[f64]) -> Option<(DMatrix<f64>, DVector<f64>)> {
         let now = self.values(u);
-        let factor =
-            Cholesky::new(self.covariance(per_kg, &now) + DMatrix::from_diagonal(&DVector::from_column_slice(added)))?;
+        let factor = Cholesky::new(self.covariance_with(per_kg, u, added))?;
         let white = |v: &[f64], per_kg: f64| -> Option<DVector<f64>> {
             let rows = self.rows(v);
             let r = rows.iter().map(|r| r.per_mass - per_kg * r.moment);

@@ -12,14 +12,17 @@
 
 mod fit;
 mod moments;
+mod posterior;
 
-use drex_core::{Pose, Trajectory, TriMesh};
+use drex_core::{Pose, Trajectory};
 use drex_robot::Robot;
 
 use crate::calibrate::{ExtraTorque, Touch};
 use crate::frames::{FoundFrames, HandPlacement, Standing};
 use crate::{Result, SysidError};
 pub use fit::Bound;
+use fit::Scene;
+use posterior::Profile;
 
 /// What [`of_topple`] needs of a run.
 #[derive(Debug, Clone, Copy)]
@@ -36,8 +39,8 @@ pub struct Topple<'a> {
     pub touches: &'a [Touch],
     /// Track of the object.
     pub track: &'a Trajectory,
-    /// Its mesh.
-    pub mesh: &'a TriMesh,
+    /// The object.
+    pub solid: &'a Standing,
     /// Its frames.
     pub found: &'a FoundFrames,
     /// The hand against these, where it could be placed.
@@ -58,11 +61,13 @@ pub struct BoundOptions {
     pub tip_friction_sd: f64,
     /// Of the tracked lean, as a fraction.
     pub lean_sd: f64,
+    /// The lightest and the heaviest mass that is thought of, kg.
+    pub range_kg: [f64; 2],
 }
 
 impl Default for BoundOptions {
     fn default() -> Self {
-        Self { density_sd: 0.1, foot_sd: 0.15, tip_friction_sd: 0.2, lean_sd: 0.08 }
+        Self { density_sd: 0.1, foot_sd: 0.15, tip_friction_sd: 0.2, lean_sd: 0.08, range_kg: [0.005, 5.0] }
     }
 }
 
@@ -71,23 +76,20 @@ impl Default for BoundOptions {
 /// # Errors
 /// If the object does not topple, or no finger moves while it does.
 pub fn of_topple(run: &Topple<'_>, options: &BoundOptions) -> Result<Bound> {
-    let solid = Standing::of(run.mesh)?;
     let refuse = |what: &str, remedy: &str| SysidError::Frames { what: what.into(), remedy: remedy.into() };
     let samples = moments::samples(run)
         .ok_or_else(|| refuse("the object does not lean while a finger moves", "push higher, so that it tips"))?;
     // How the mesh sits in the tracked frame decides about the foot; the fall tells more about it than the pictures.
-    let fits: Vec<(f64, Bound)> = run
-        .found
-        .turns
-        .iter()
-        .filter_map(|turn| {
-            let mut found = run.found.clone();
-            (found.tracked_from_mesh, found.up_in_mesh) = (turn.tracked_from_mesh, turn.up_in_mesh);
-            let bound = fit::fit(&Topple { found: &found, ..*run }, &solid, &samples, options)?;
-            Some((bound.misfit - turn.odds.ln(), bound))
-        })
-        .collect();
-    combine(fits).ok_or_else(|| {
+    let mut fits = Vec::new();
+    for turn in &run.found.turns {
+        let mut found = run.found.clone();
+        (found.tracked_from_mesh, found.up_in_mesh) = (turn.tracked_from_mesh, turn.up_in_mesh);
+        let Some(scene) = Scene::of(&Topple { found: &found, ..*run }, &samples, options) else { continue };
+        let Some((bound, misfit)) = fit::fit(&scene) else { continue };
+        let profile = if samples.seen { None } else { posterior::profile(&scene, options.range_kg) };
+        fits.push((misfit - turn.odds.ln(), turn.odds, bound, profile));
+    }
+    combine(fits, options.range_kg).ok_or_else(|| {
         refuse(
             "fewer than three frames at which the object leans and a finger pushes",
             "push more slowly, so that it tips",
@@ -95,16 +97,30 @@ pub fn of_topple(run: &Topple<'_>, options: &BoundOptions) -> Result<Bound> {
     })
 }
 
-/// The best fit, as unsure as all of them together.
-fn combine(mut fits: Vec<(f64, Bound)>) -> Option<Bound> {
+/// The likeliest fit, as unsure as all of them together. Each comes with its cost, its odds beforehand and, where no touch
+/// stands out, with the profile of its masses.
+fn combine(mut fits: Vec<(f64, f64, Bound, Option<Profile>)>, range_kg: [f64; 2]) -> Option<Bound> {
     fits.sort_by(|a, b| a.0.total_cmp(&b.0));
     let least = fits.first()?.0;
     let weights: Vec<f64> = fits.iter().map(|f| (least - f.0).exp()).collect();
     let sum: f64 = weights.iter().sum();
-    let mean = fits.iter().zip(&weights).map(|(f, w)| w * f.1.per_kg).sum::<f64>() / sum;
-    let spread = |f: &Bound| f.sd_per_kg.powi(2) + (f.per_kg - mean).powi(2);
-    let variance = fits.iter().zip(&weights).map(|(f, w)| w * spread(&f.1)).sum::<f64>() / sum;
-    let turns = fits.iter().zip(&weights).map(|(f, w)| (w / sum, f.1.per_kg)).collect();
-    let best = fits.swap_remove(0).1;
-    Some(Bound { per_kg: mean, sd_per_kg: variance.sqrt(), turns, ..best })
+    let weighted =
+        |value: &dyn Fn(&Bound) -> f64| fits.iter().zip(&weights).map(|(f, w)| w * value(&f.2)).sum::<f64>() / sum;
+    let per_kg = weighted(&|b| b.per_kg);
+    let sd_per_kg = weighted(&|b| b.sd_per_kg.powi(2) + (b.per_kg - per_kg).powi(2)).sqrt();
+    let turns = fits.iter().zip(&weights).map(|(f, w)| (w / sum, f.2.per_kg)).collect();
+    let unseen: Vec<(f64, Profile)> = fits.iter_mut().filter_map(|f| Some((f.1, f.3.take()?))).collect();
+    let of_all = if unseen.is_empty() { vec![(1.0, posterior::normal(per_kg, sd_per_kg, range_kg))] } else { unseen };
+    let p = posterior::combine(&of_all)?;
+    Some(Bound {
+        per_kg,
+        sd_per_kg,
+        turns,
+        profile: p.profile,
+        median_kg: p.median_kg,
+        interval_kg: p.interval_kg,
+        excluded: p.excluded,
+        sd_log: p.sd_log,
+        ..fits.swap_remove(0).2
+    })
 }

@@ -10,7 +10,7 @@
 //! higher than stated moves farther for the same lean. τ (the delay of the tracker) is scanned.
 
 use drex_core::clock::{Span, overlap};
-use drex_core::{Pose, Trajectory, TriMesh};
+use drex_core::{Pose, Trajectory};
 use drex_robot::{Finger, Robot, Shape};
 use nalgebra::{DMatrix, DVector, Point3, Translation3, UnitQuaternion, Vector3};
 
@@ -71,11 +71,10 @@ pub struct HandPlacement {
 pub fn against_hand(
     found: &FoundFrames,
     track: &Trajectory,
-    mesh: &TriMesh,
+    solid: &Standing,
     tips: &[TipPath],
     table_height_m: f64,
 ) -> Result<HandPlacement> {
-    let solid = Standing::of(mesh)?;
     let (first_s, last_s) = track.span_s().unwrap_or_default();
     let touching: Vec<(&TipPath, [f64; 2])> = tips.iter().filter_map(|t| Some((t, t.touch_s?))).collect();
     for tip in tips {
@@ -100,7 +99,7 @@ pub fn against_hand(
         });
     }
     let push = push_direction(&touching);
-    let view = View::of(found, track, &solid);
+    let view = View::of(found, track, solid);
     // The object cannot have moved before it was touched; the tracker may be late.
     let onset = found.motion_start_s - touched;
     let mut best: Option<(f64, f64, Fit)> = None;

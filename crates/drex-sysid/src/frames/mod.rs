@@ -1,7 +1,7 @@
 //! Frames and clocks of a tracked push when nobody calibrated the camera.
 //!
-//! [`find`] takes a track `camera_from_tracked` of an object that first stands on a table and is then pushed, and its
-//! mesh. It finds which direction is up, where the table is, to where the object leans when it topples, when it starts to
+//! [`find`] takes a track `camera_from_tracked` of an object that first stands on a table and is then pushed, and the
+//! object's solid. It finds which direction is up, where the table is, to where the object leans when it topples, when it starts to
 //! move, and until when the tracker can be believed. [`against_hand`] then puts camera and hand into one world: the yaw, the
 //! clock offset, and how far the stated height of the hand is off.
 //!
@@ -14,8 +14,9 @@ mod motion;
 mod score;
 mod standing;
 
+use drex_core::push::{PushRecording, TrackFrame};
 use drex_core::trajectory::TrackNoise;
-use drex_core::{Pose, Trajectory, TriMesh};
+use drex_core::{Pose, Trajectory};
 use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 pub use self::hand::{HandPlacement, TipPath, against_hand, tip_paths};
@@ -42,6 +43,26 @@ pub struct FrameOptions {
     pub topples_towards_in_tracked: Option<Vector3<f64>>,
     /// Pose of the camera in a world with z up, if it was calibrated. Decides over `up_in_tracked`.
     pub world_from_camera: Option<Pose>,
+}
+
+impl FrameOptions {
+    /// What a recording states of its frames. A track in the world tells up.
+    pub fn of(recording: &PushRecording) -> Self {
+        let known = Some(Pose::identity());
+        match &recording.track_frame {
+            TrackFrame::Camera { of_mesh, up, push } => Self {
+                tracked_from_mesh: known.filter(|_| *of_mesh),
+                up_in_tracked: *up,
+                topples_towards_in_tracked: *push,
+                world_from_camera: None,
+            },
+            _ => Self {
+                tracked_from_mesh: known,
+                up_in_tracked: recording.track.poses().first().map(|p| p.rotation.inverse() * -recording.gravity),
+                ..Self::default()
+            },
+        }
+    }
 }
 
 /// What [`find`] finds.
@@ -94,19 +115,18 @@ pub struct Turn {
     pub odds: f64,
 }
 
-/// Finds the frames of `track` (poses `camera_from_tracked`, OpenCV camera axes) of the object of `mesh` (metres).
+/// Finds the frames of `track` (poses `camera_from_tracked`, OpenCV camera axes) of the object `solid`.
 ///
 /// # Errors
-/// If the mesh is no solid or of a wrong scale, the track is too short, does not begin at rest, or never moves.
-pub fn find(track: &Trajectory, mesh: &TriMesh, options: &FrameOptions) -> Result<FoundFrames> {
-    let solid = Standing::of(mesh)?;
+/// If the object is of a wrong scale, the track is too short, does not begin at rest, or never moves.
+pub fn find(track: &Trajectory, solid: &Standing, options: &FrameOptions) -> Result<FoundFrames> {
     let motion = Motion::of(track)?;
-    check_scale(&solid, &motion)?;
+    check_scale(solid, &motion)?;
     // Frames after a fault of the tracker mislead; which ones these are shows once up is roughly known.
-    let rough = rank(&Evidence::of(&motion, f64::INFINITY), &solid, &motion, options);
-    let until = |h: &Hypothesis| trusted(&motion, &solid, h);
+    let rough = rank(&Evidence::of(&motion, f64::INFINITY), solid, &motion, options);
+    let until = |h: &Hypothesis| trusted(&motion, solid, h);
     let end_s = rough.first().map_or(f64::INFINITY, |h| until(h).0);
-    let ranked = rank(&Evidence::of(&motion, end_s), &solid, &motion, options);
+    let ranked = rank(&Evidence::of(&motion, end_s), solid, &motion, options);
     let Some(best) = ranked.first() else {
         return Err(SysidError::Frames {
             what: "the object cannot stand on any face of its mesh".into(),
@@ -145,7 +165,7 @@ pub fn find(track: &Trajectory, mesh: &TriMesh, options: &FrameOptions) -> Resul
     .and_then(|l| (l - up * up.dot(&l)).try_normalize(1e-6));
     let world_from_camera = match options.world_from_camera {
         Some(known) => known,
-        None => world(&motion, &solid, best, &up, lean.or_else(|| moves_in_camera(&motion, &up))),
+        None => world(&motion, solid, best, &up, lean.or_else(|| moves_in_camera(&motion, &up))),
     };
     let (trusted_until_s, doubt) = until(best);
     remarks.extend(doubt);

@@ -3,7 +3,7 @@
 use drex_core::{MassProperties, TriMesh};
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use crate::{Result, SysidError};
+use crate::{ObjectModel, Result, SysidError};
 
 /// Ways to stand that differ by less count as one, radians: scans have rough bottoms.
 const SAME: f64 = 0.26;
@@ -53,6 +53,21 @@ impl Standing {
         let (unit, of_hull) = (solid.unwrap_or(of_hull).with_mass(1.0), solid.is_none());
         let faces = ways_to_stand(&hull, &unit.center_of_mass);
         Ok(Self { hull, unit, of_hull, faces })
+    }
+
+    /// Hull, centre of mass and ways to stand of an object that is prepared for simulation.
+    ///
+    /// # Errors
+    /// If it is flat or empty.
+    pub fn of_object(object: &ObjectModel) -> Result<Self> {
+        let points: Vec<Point3<f64>> = object.pieces.iter().flatten().copied().collect();
+        let hull = TriMesh::convex_hull(&points).ok_or_else(|| SysidError::Object {
+            what: "is flat or empty".into(),
+            remedy: "give the surface of a solid, in metres".into(),
+        })?;
+        let unit = object.unit.with_mass(1.0);
+        let faces = ways_to_stand(&hull, &unit.center_of_mass);
+        Ok(Self { hull, unit, of_hull: false, faces })
     }
 
     /// Diagonal of the bounding box, metres.
