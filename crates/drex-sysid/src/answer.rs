@@ -2,6 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::bound::Bound;
+use crate::frames::{FoundFrames, HandPlacement};
+
 /// What the recordings can tell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -20,7 +23,8 @@ pub enum Verdict {
 pub struct Identification {
     /// Estimated mass, kg; only with [`Verdict::Identified`].
     pub mass_kg: Option<f64>,
-    /// 95 % interval of the mass, kg; absent with [`crate::Method::Adam`], which has none.
+    /// 95 % interval of the mass, kg; absent with [`crate::Method::Adam`], which has none. Pushes of a hand give one even where it
+    /// is too wide for a verdict.
     pub ci95_kg: Option<[f64; 2]>,
     /// What the recordings can tell.
     pub verdict: Verdict,
@@ -127,4 +131,67 @@ pub struct PushReport {
     pub simulated: Vec<[f64; 7]>,
     /// What was found in the recording.
     pub notes: Vec<String>,
+    /// Frames, clocks and forces of a push by a hand.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hand: Option<HandReport>,
+}
+
+/// What was found about a push by a hand. Pairs are value and standard deviation.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct HandReport {
+    /// Up while the object rests, unit vector in the tracked frame.
+    pub up_in_tracked: [f64; 3],
+    /// Horizontal direction to where it topples, unit vector in the tracked frame; absent if it does not tilt.
+    pub topples_towards_in_tracked: Option<[f64; 3]>,
+    /// Odds of the next best up direction against this one.
+    pub runner_up_odds: f64,
+    /// When the object begins to move, seconds of the track.
+    pub motion_start_s: [f64; 2],
+    /// Until when the track agrees with a rigid object on a table, seconds.
+    pub trusted_until_s: f64,
+    /// Delay of the tracker against the joint log, seconds; absent where the hand could not be placed.
+    pub clock_offset_s: Option<[f64; 2]>,
+    /// How much higher over the table the hand is than stated, metres.
+    pub height_offset_m: Option<[f64; 2]>,
+    /// Fingers that push.
+    pub fingers: Vec<String>,
+    /// First and last touch, seconds of the joint log.
+    pub touch_s: Option<[f64; 2]>,
+    /// Moment of the fingertips about the edge of the foot, over the touch, N m s.
+    pub impulse_nms: Option<f64>,
+    /// What each uncertain quantity costs: square root of the variance of log mass that knowing it would save; largest first.
+    pub budget: Vec<(String, f64)>,
+}
+
+impl HandReport {
+    pub(crate) fn of(found: &FoundFrames) -> Self {
+        Self {
+            up_in_tracked: found.up_in_tracked.into(),
+            topples_towards_in_tracked: found.topples_towards_in_tracked.map(Into::into),
+            runner_up_odds: found.runner_up_odds,
+            motion_start_s: [found.motion_start_s, found.motion_start_sd_s],
+            trusted_until_s: found.trusted_until_s,
+            clock_offset_s: None,
+            height_offset_m: None,
+            fingers: Vec::new(),
+            touch_s: None,
+            impulse_nms: None,
+            budget: Vec::new(),
+        }
+    }
+
+    pub(crate) fn place(&mut self, placement: Option<&HandPlacement>) {
+        self.clock_offset_s = placement.map(|p| p.clock_offset_s);
+        self.height_offset_m = placement.map(|p| p.height_offset_m);
+    }
+
+    pub(crate) fn fill(&mut self, bound: &Bound) {
+        self.fingers.clone_from(&bound.fingers);
+        self.touch_s = bound.seen.then_some(bound.from_to_s);
+        self.impulse_nms = bound.seen.then_some(bound.impulse_nms);
+        if bound.seen {
+            self.budget = bound.budget.iter().map(|(n, sd)| (n.clone(), sd / bound.per_kg.abs())).collect();
+        }
+    }
 }

@@ -13,7 +13,7 @@ use crate::fit::Fit;
 use crate::joint::{Candidate, Joint};
 use crate::parameters::{Knowledge, Parameter, ParameterSet};
 use crate::problem::{Motion, Problem};
-use crate::{IdentifyOptions, Method, ObjectModel, Result, SysidError, adam, checks, invariance, noise};
+use crate::{IdentifyOptions, Method, ObjectModel, Result, SysidError, adam, checks, hand, invariance, noise};
 
 /// Standard deviation of log mass above which a recording does not weigh the object.
 pub(crate) const SD_LIMIT: f64 = 0.35;
@@ -77,8 +77,13 @@ pub fn identify(
         pushes: Vec::new(),
     };
     let mut reasons = Vec::new();
+    let hands = hand::look(recordings, object, options)?;
     for (i, recording) in recordings.iter().enumerate() {
-        if !fitted.contains(&i) {
+        if let Some(found) = &hands[i] {
+            reports[i].notes.extend(found.notes.iter().cloned());
+            reports[i].hand = Some(found.report.clone());
+            reports[i].clock_offset_s = found.report.clock_offset_s.map(|c| c[0]);
+        } else if !fitted.contains(&i) {
             let finding = invariance::explain(recording, object, &shape, options)?;
             reports[i].notes.extend(finding.notes);
             reports[i].simulated = finding.simulated.iter().map(row).collect();
@@ -89,6 +94,9 @@ pub fn identify(
         }
     }
     if problems.is_empty() {
+        if hand::decide(&mut answer, &hands) {
+            reasons.insert(0, std::mem::take(&mut answer.reason));
+        }
         answer.reason = reasons.join(" ");
     } else if options.method == Method::Adam {
         let joint = Joint::new(problems, &frictions);
@@ -214,6 +222,7 @@ fn report(recording: &PushRecording, noise: PoseNoise) -> PushReport {
         observed: recording.track.poses().iter().map(row).collect(),
         simulated: Vec::new(),
         notes: recording.notes.clone(),
+        hand: None,
     }
 }
 
@@ -272,6 +281,7 @@ fn assumptions(recordings: &[PushRecording], options: &IdentifyOptions) -> Vec<S
             });
         }
     }
+    out.extend(hand::assumptions(recordings, options));
     let stated = recordings.iter().filter_map(|r| ParameterSet::of_recording(r).ok());
     out.extend(stated.fold(options.parameters.clone(), |all, set| all.or(&set)).sentences());
     out

@@ -12,6 +12,7 @@ mod finger;
 mod fit;
 mod force;
 pub mod frames;
+mod hand;
 mod identify;
 mod information;
 mod invariance;
@@ -26,7 +27,7 @@ mod prior;
 mod problem;
 mod profile;
 
-pub use answer::{ErrorBudget, Identification, ParameterEstimate, PushReport, Sensitivity, Verdict};
+pub use answer::{ErrorBudget, HandReport, Identification, ParameterEstimate, PushReport, Sensitivity, Verdict};
 pub use closed_form::{ClosedForm, ClosedFormKind};
 pub use error::{Result, SysidError};
 pub use identify::identify;

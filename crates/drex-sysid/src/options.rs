@@ -3,6 +3,7 @@
 use drex_diffsim::ContactOptions;
 
 use crate::ParameterSet;
+use crate::calibrate::HandCalibration;
 
 /// How the mass is looked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -37,6 +38,8 @@ pub struct IdentifyOptions {
     /// Standard deviation of the readings of a finger's encoder, metres. Where the simulation cannot follow the encoder as
     /// closely, what it misses counts.
     pub encoder_m: f64,
+    /// Joint friction of the hand that pushes; without it, it is found in the free motions of the same logs.
+    pub hand: Option<HandCalibration>,
     /// Seed of random draws.
     pub seed: u64,
 }
@@ -52,6 +55,7 @@ impl Default for IdentifyOptions {
             dt_s: 5e-4,
             scan_dt_s: 2e-3,
             encoder_m: 1e-4,
+            hand: None,
             seed: 0,
         }
     }

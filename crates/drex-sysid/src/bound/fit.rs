@@ -95,6 +95,10 @@ impl Unknown {
     }
 }
 
+/// Unknowns that are the same in every topple of one object by one hand.
+pub(super) const COMMON: [&str; 4] =
+    ["load factor and link masses", "edge of the foot", "height of the centre of mass", "friction of the tip"];
+
 /// Places of the unknowns; the offsets of the fingers come last.
 const SCALE: usize = 0;
 const HEIGHT: usize = 1;
@@ -220,12 +224,12 @@ impl<'a> Scene<'a> {
         let heights = samples.pushers.iter().map(|p| p.height_m[p.index(p.touch_s[0])]);
         let tip = heights.fold(f64::INFINITY, f64::min);
         let mut unknowns = vec![
-            unknown("load factor and link masses", 1.0, scale_sd, Some(0.0)),
+            unknown(COMMON[0], 1.0, scale_sd, Some(0.0)),
             unknown("height of the hand", samples.height_m[0], samples.height_m[1], Some(tip)),
             unknown("clock of the tracker", samples.clock_s[0], samples.clock_s[1], None),
-            unknown("edge of the foot", foot, foot_sd, Some(0.0)),
-            unknown("height of the centre of mass", 1.0, options.density_sd, Some(0.0)),
-            unknown("friction of the tip", 0.0, options.tip_friction_sd, None),
+            unknown(COMMON[1], foot, foot_sd, Some(0.0)),
+            unknown(COMMON[2], 1.0, options.density_sd, Some(0.0)),
+            unknown(COMMON[3], 0.0, options.tip_friction_sd, None),
             unknown("tracked lean", 1.0, options.lean_sd, Some(0.0)),
         ];
         debug_assert_eq!(unknowns.len(), OFFSETS);

@@ -22,7 +22,7 @@ use crate::frames::{FoundFrames, HandPlacement, Standing};
 use crate::{Result, SysidError};
 pub use fit::Bound;
 use fit::Scene;
-use posterior::Profile;
+use posterior::{Posterior, Profile};
 
 /// What [`of_topple`] needs of a run.
 #[derive(Debug, Clone, Copy)]
@@ -123,4 +123,23 @@ fn combine(mut fits: Vec<(f64, f64, Bound, Option<Profile>)>, range_kg: [f64; 2]
         sd_log: p.sd_log,
         ..fits.swap_remove(0).2
     })
+}
+
+/// The mass from several topples of one object by one hand.
+///
+/// Errors that all of them share (load factor, edge of the foot, centre of mass, friction of the tips) do not average out: with
+/// the mean share ρ of these in the variance, n topples count as n / (1 + (n − 1) ρ). `None` without any.
+pub(crate) fn together(bounds: &[&Bound]) -> Option<Posterior> {
+    let share = |b: &Bound| {
+        let common: f64 =
+            b.budget.iter().filter(|(name, _)| fit::COMMON.contains(&name.as_str())).map(|x| x.1.powi(2)).sum();
+        if b.seen { (common / b.sd_per_kg.powi(2)).min(1.0) } else { 1.0 }
+    };
+    let n = bounds.len() as f64;
+    let rho = bounds.iter().map(|b| share(b)).sum::<f64>() / n;
+    let first = &bounds.first()?.profile;
+    let cost =
+        |k: usize| bounds.iter().filter_map(|b| b.profile.get(k)).map(|x| x.1).sum::<f64>() / (1.0 + (n - 1.0) * rho);
+    let profile = first.iter().enumerate().map(|(k, x)| (x.0, cost(k))).collect();
+    posterior::combine(&[(1.0, profile)])
 }

@@ -95,7 +95,7 @@ fn settle(scene: &Scene<'_>, m: f64, start: &[f64], added: &[f64], scale: f64) -
 
 /// Probabilities of masses.
 #[derive(Debug, Clone)]
-pub(super) struct Posterior {
+pub(crate) struct Posterior {
     pub profile: Profile,
     /// Median, kg.
     pub median_kg: f64,

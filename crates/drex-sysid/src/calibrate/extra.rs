@@ -69,12 +69,7 @@ impl HandCalibration {
     /// # Errors
     /// If the log has no efforts or is of another hand.
     pub fn extra_torque(&self, run: &HandRun<'_>, robot: &Robot) -> Result<ExtraTorque> {
-        if robot.name != self.robot {
-            return Err(super::refuse(
-                format!("it is of the hand `{}`, not of `{}`", self.robot, robot.name),
-                "calibrate the hand that made the log",
-            ));
-        }
+        self.check(robot)?;
         let s = Signals::of(run, robot)?;
         let n = s.times_s.len();
         let dof = robot.dof();

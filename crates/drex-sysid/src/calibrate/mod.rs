@@ -193,6 +193,17 @@ impl HandCalibration {
         Ok(fsutil::write_atomic(path, text.as_bytes())?)
     }
 
+    /// Refuses another hand.
+    pub(crate) fn check(&self, robot: &Robot) -> Result<()> {
+        if robot.name != self.robot {
+            return Err(refuse(
+                format!("it is of the hand `{}`, not of `{}`", self.robot, robot.name),
+                "calibrate the hand that made the log",
+            ));
+        }
+        Ok(())
+    }
+
     /// The calibration of the joint called `name`.
     pub fn joint(&self, name: &str) -> Option<&JointCalibration> {
         self.joints.iter().find(|j| j.joint == name)

@@ -3,6 +3,7 @@
 
 use drex_core::Pose;
 use drex_core::joints::JointLog;
+use drex_core::push::{Drive, PushRecording};
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Vector3};
 
@@ -26,6 +27,45 @@ pub struct HandRun<'a> {
     pub world_from_base: &'a Pose,
     /// Gravity in the world, m/s².
     pub gravity: Vector3<f64>,
+}
+
+/// A joint may read beyond its limits by this much: zero positions of encoders differ, rad.
+const BEYOND: f64 = 0.2;
+
+impl<'a> HandRun<'a> {
+    /// The hand of a recorded push; `None` if none pushed.
+    pub fn of(recording: &'a PushRecording) -> Option<Self> {
+        let Drive::Hand(hand) = &recording.drive else { return None };
+        Some(Self {
+            name: &recording.name,
+            joints: &hand.joints,
+            world_from_base: &hand.world_from_base,
+            gravity: recording.gravity,
+        })
+    }
+
+    /// Checks that the log can be of `robot`: its joints, within their limits.
+    ///
+    /// # Errors
+    /// If it names a joint that the robot does not have, or one is where it cannot go.
+    pub fn check(&self, robot: &Robot) -> Result<()> {
+        let other = |what: String| SysidError::Calibration {
+            what: format!("run `{}` is not of the hand `{}`: {what}", self.name, robot.name),
+            remedy: "give the robot that the log was made with, and its joints in the order of the columns".into(),
+        };
+        for (column, name) in self.joints.names.iter().enumerate() {
+            let j = robot.require_joint(name).map_err(|e| other(e.to_string()))?;
+            let Some((lo, hi)) = robot.joints[j].limits else { continue };
+            let rows = self.joints.times_s.iter().zip(&self.joints.positions);
+            let beyond = |q: f64| !(lo - BEYOND..=hi + BEYOND).contains(&q);
+            if let Some((t, q)) = rows.filter_map(|(t, row)| Some((t, *row.get(column)?))).find(|(_, q)| beyond(*q)) {
+                return Err(other(format!(
+                    "`{name}` is at {q:.2} rad at {t:.3} s, beyond its limits {lo:.2} to {hi:.2}"
+                )));
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Smoothed signals, `[joint of the robot][grid point]`; a joint that the log does not have is empty.
@@ -59,13 +99,8 @@ impl Signals {
                 remedy: "log effort_* beside position_* for every sample".into(),
             });
         }
-        let columns =
-            log.names.iter().map(|name| robot.require_joint(name)).collect::<Result<Vec<_>, _>>().map_err(|e| {
-                SysidError::Calibration {
-                    what: format!("run `{}` is not of the hand `{}`: {e}", run.name, robot.name),
-                    remedy: "give the robot that the log was made with".into(),
-                }
-            })?;
+        run.check(robot)?;
+        let columns = log.names.iter().map(|name| robot.require_joint(name)).collect::<Result<Vec<_>, _>>()?;
         let short = || SysidError::Calibration {
             what: format!("run `{}` is shorter than a tenth of a second", run.name),
             remedy: "give a longer joint log".into(),
