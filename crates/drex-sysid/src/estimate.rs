@@ -4,11 +4,11 @@
 use nalgebra::DVector;
 use rayon::prelude::*;
 
-use crate::answer::ErrorBudget;
+use crate::answer::{ErrorBudget, ParameterEstimate};
 use crate::finger::PULL;
 use crate::information::Information;
-use crate::joint::{Candidate, ITERATIONS, Joint, Point, Slopes};
-use crate::problem::{Action, Problem};
+use crate::joint::{Candidate, Coordinate, ITERATIONS, Joint, Point, Slopes};
+use crate::problem::{Action, Problem, Slot};
 use crate::profile::{Profile, minima};
 use crate::{IdentifyOptions, Result};
 
@@ -45,6 +45,10 @@ pub(crate) struct Estimate {
     pub sd_mu_m: Option<f64>,
     /// Cost at the worst mass of the scan minus cost at the best.
     pub relief: f64,
+    /// Per push and pose: what it tells about the mass, as a share of the whole.
+    pub shares: Vec<Vec<f64>>,
+    /// What else was estimated.
+    pub others: Vec<ParameterEstimate>,
     /// Change of log mass per change of what was taken for granted.
     pub sensitivities: Vec<(crate::Parameter, f64)>,
 }
@@ -125,12 +129,36 @@ impl Joint {
         let lowest = scan.iter().map(|s| s.1).fold(f64::INFINITY, f64::min);
         let sd_mu_m = self.friction().map(|_| information.sd_product());
         let sensitivities = if rounds > 0 { self.sensitivities(&best, &information, options) } else { Vec::new() };
+        let shares = (0..self.problems.len()).map(|i| information.shares(self, i)).collect();
+        let others = self.others(&best, &information);
         let mut points = profile.masses();
         points.push((best.point[0].exp(), best.cost));
         points.extend(scan.iter().map(|(p, c)| (p[0].exp(), *c - lowest + best.cost)));
         points.retain(|(_, c)| c.is_finite());
         points.sort_by(|a, b| a.0.total_cmp(&b.0));
-        Ok(Estimate { relief: worst - lowest, best, profile: points, budget, sd, sd_mu_m, sensitivities })
+        Ok(Estimate {
+            relief: worst - lowest,
+            best,
+            profile: points,
+            budget,
+            sd,
+            sd_mu_m,
+            shares,
+            others,
+            sensitivities,
+        })
+    }
+
+    /// The estimated parameters besides the mass.
+    fn others(&self, best: &Candidate, information: &Information) -> Vec<ParameterEstimate> {
+        let of = |(k, c): (usize, &Coordinate)| {
+            let Slot::Named(parameter) = c.slot else { return None };
+            let value = parameter.of_coordinate(best.point[k]);
+            let sd = information.sd_of(k) * if parameter.is_logarithmic() { value } else { 1.0 };
+            let push = parameter.is_of_push().then(|| self.problems[c.pushes[0]].name.clone());
+            Some(ParameterEstimate { parameter, push, value, sd })
+        };
+        self.coordinates.iter().enumerate().skip(1).filter_map(of).collect()
     }
 
     /// Cost over the grid of masses (and, if it is free, of frictions: the best of each mass is kept).

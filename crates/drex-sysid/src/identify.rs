@@ -71,6 +71,7 @@ pub fn identify(
         friction: None,
         sd_log_mass: None,
         error_budget: None,
+        estimates: Vec::new(),
         sensitivities: Vec::new(),
         assumptions: assumptions(recordings, options),
         profile: Vec::new(),
@@ -115,6 +116,10 @@ pub fn identify(
         }
         decide(&mut answer, &estimate, &joint);
         answer.simulations = joint.simulations();
+        for (k, &i) in fitted.iter().enumerate() {
+            reports[i].information.clone_from(&estimate.shares[k]);
+        }
+        answer.estimates.clone_from(&estimate.others);
         answer.sensitivities =
             estimate.sensitivities.iter().map(|&(parameter, log_mass)| Sensitivity { parameter, log_mass }).collect();
         answer.profile = estimate.profile;
@@ -217,6 +222,7 @@ fn report(recording: &PushRecording, noise: PoseNoise) -> PushReport {
         clock_offset_s: None,
         rms_encoder_m: None,
         position_bias_m: None,
+        information: Vec::new(),
         closed_form: None,
         times_s: recording.track.times_s().to_vec(),
         observed: recording.track.poses().iter().map(row).collect(),

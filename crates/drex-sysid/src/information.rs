@@ -119,6 +119,20 @@ impl Information {
         (self.inverse[(0, 0)] - self.conditional).max(0.0).sqrt()
     }
 
+    /// Standard deviation of coordinate `k`.
+    pub(crate) fn sd_of(&self, k: usize) -> f64 {
+        self.inverse[(k, k)].max(0.0).sqrt()
+    }
+
+    /// What each pose of push `i` tells about log mass, as a share of all that is known of it (encoders and priors have the rest).
+    pub(crate) fn shares(&self, joint: &Joint, i: usize) -> Vec<f64> {
+        let (own, slopes, rows) = (&self.own[i], &self.slopes[i], &self.weights[i]);
+        // The variance is the sum over rows of their weight times the square of how they move log mass.
+        let influence = |r: usize| own.iter().zip(slopes).map(|(&k, s)| self.inverse[(0, k)] * s[r]).sum::<f64>();
+        let share = |r: usize| rows[r] * influence(r).powi(2) / self.inverse[(0, 0)];
+        (0..joint.problems[i].times_s.len()).map(|k| (6 * k..6 * k + 6).map(share).sum()).collect()
+    }
+
     /// Standard deviation of log(friction · mass).
     pub(crate) fn sd_product(&self) -> f64 {
         let Some(f) = self.friction else { return f64::INFINITY };

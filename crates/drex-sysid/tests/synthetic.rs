@@ -172,6 +172,26 @@ fn unusable_input_is_refused() {
 }
 
 #[test]
+fn poses_tell_the_mass_once_the_object_moves_and_what_else_is_free_is_given() {
+    let (m, mu) = (0.2, 0.35);
+    let push = simulated(m, mu, Vector3::x() * mu * m * G * 1.6, Point3::new(-0.025, 0.0, -0.03));
+    let mut options = IdentifyOptions::default();
+    options.parameters.set(Parameter::Friction, Knowledge::Free).unwrap();
+    let a = identify(&[push], &block(), &options).unwrap();
+    let push = &a.pushes[0];
+    assert_eq!(push.information.len(), push.times_s.len());
+    // Without an encoder and without a prior of the mass all that is known comes from the poses.
+    let sum: f64 = push.information.iter().sum();
+    assert!((0.95..1.05).contains(&sum), "{sum}");
+    let before = push.information.iter().zip(&push.times_s).filter(|(_, t)| **t < 0.3).map(|x| x.0).sum::<f64>();
+    assert!(before < 0.3, "{before}");
+    assert_eq!(a.estimates.len(), 1);
+    let friction = &a.estimates[0];
+    assert_eq!((friction.parameter, friction.push.as_deref()), (Parameter::Friction, None));
+    assert!((friction.value - mu).abs() < 4.0 * friction.sd && friction.sd < 0.1 * mu, "{friction:?}");
+}
+
+#[test]
 fn closed_forms_agree_where_the_motion_has_one() {
     let m = 0.137;
     let lifted = simulated(m, 0.4, Vector3::z() * m * G * 1.6, Point3::origin());

@@ -107,11 +107,8 @@ pub fn section(page: &mut Page, mass: &MassFile) {
         );
     }
     if !result.sensitivities.is_empty() {
-        let rows: Vec<Vec<String>> = result
-            .sensitivities
-            .iter()
-            .map(|s| vec![s.parameter.as_str().to_owned(), sensitivity_text(s)])
-            .collect();
+        let rows: Vec<Vec<String>> =
+            result.sensitivities.iter().map(|s| vec![s.parameter.as_str().to_owned(), sensitivity_text(s)]).collect();
         page.table(&["if this is wrong", "the mass changes by"], &rows);
     }
     if !result.estimates.is_empty() {
@@ -204,12 +201,10 @@ fn residual_plot(push: &PushReport) -> Option<String> {
     let bias = Vector3::from(push.position_bias_m.unwrap_or_default());
     let pairs = || push.observed.iter().zip(&push.simulated);
     let place = |p: &[f64; 7]| Vector3::new(p[0], p[1], p[2]);
-    let shift: Vec<f64> = pairs()
-        .map(|(o, s)| (place(o) - place(s) - bias).norm() / (3.0_f64.sqrt() * push.position_sd_m))
-        .collect();
-    let turn: Vec<f64> = pairs()
-        .map(|(o, s)| rotation(s).angle_to(&rotation(o)) / (3.0_f64.sqrt() * push.rotation_sd_rad))
-        .collect();
+    let shift: Vec<f64> =
+        pairs().map(|(o, s)| (place(o) - place(s) - bias).norm() / (3.0_f64.sqrt() * push.position_sd_m)).collect();
+    let turn: Vec<f64> =
+        pairs().map(|(o, s)| rotation(s).angle_to(&rotation(o)) / (3.0_f64.sqrt() * push.rotation_sd_rad)).collect();
     let title = format!("{}: residuals", push.name);
     let series = vec![
         Series { label: "position", x: &push.times_s, y: &shift, color: COLORS[0], dots: true },
@@ -230,7 +225,9 @@ fn information_plot(push: &PushReport) -> Option<String> {
         Series { label: "", x: &push.times_s, y: &share, color: COLORS[2], dots: false },
         Series { label: "", x: &push.times_s, y: &share, color: COLORS[2], dots: true },
     ];
-    Some(Plot { title: &title, x_label: "time, s", y_label: "% of the information", series, ..Plot::default() }.to_svg())
+    Some(
+        Plot { title: &title, x_label: "time, s", y_label: "% of the information", series, ..Plot::default() }.to_svg(),
+    )
 }
 
 fn rotation(pose: &[f64; 7]) -> UnitQuaternion<f64> {

@@ -138,7 +138,7 @@ impl Stage<'_> {
         let noise = self.options.noise;
         let problem = Problem::new(&recording, self.object, self.shape, &options, noise)?;
         let floor = crate::estimate::floor(&problem);
-        let joint = Joint::new(vec![problem], &[recording.support.friction], &options);
+        let joint = Joint::new(vec![problem], &[recording.support.friction]);
         let mut point = joint.start();
         point[0] = mass_kg.ln();
         if let Some(k) = joint.friction() {
