@@ -188,7 +188,7 @@ fn poses_tell_the_mass_once_the_object_moves_and_what_else_is_free_is_given() {
     assert_eq!(a.estimates.len(), 1);
     let friction = &a.estimates[0];
     assert_eq!((friction.parameter, friction.push.as_deref()), (Parameter::Friction, None));
-    assert!((friction.value - mu).abs() < 4.0 * friction.sd && friction.sd < 0.1 * mu, "{friction:?}");
+    assert!((friction.value - mu).abs() < 4.0 * friction.sd && friction.sd < 0.3 * mu, "{friction:?}");
 }
 
 #[test]
