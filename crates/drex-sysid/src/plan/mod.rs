@@ -51,14 +51,15 @@ pub struct PlanOptions {
     pub largest_tilt_rad: f64,
     /// Whether pushes that make the object fall over are tried too.
     pub topple: bool,
-    /// How the push would be evaluated. Its `dt_s` is that of the planner; `encoder_m` is that of the finger.
+    /// Time step of the planner's simulations, seconds.
+    pub dt_s: f64,
+    /// How the push would be evaluated; `encoder_m` is taken from the finger.
     pub identify: IdentifyOptions,
 }
 
 impl Default for PlanOptions {
     fn default() -> Self {
-        let mut identify = IdentifyOptions::default();
-        identify.dt_s = identify.scan_dt_s;
+        let identify = IdentifyOptions::default();
         Self {
             masses: 5,
             up_in_mesh: Vector3::z(),
@@ -67,6 +68,7 @@ impl Default for PlanOptions {
             fps: 30.0,
             largest_tilt_rad: 0.35,
             topple: false,
+            dt_s: identify.scan_dt_s,
             identify,
         }
     }
@@ -197,7 +199,7 @@ pub fn plan_push(
     check(robot, masses_kg, options)?;
     let shape = object.shape()?;
     let standing = Standing::new(object, &shape, &options.up_in_mesh)?;
-    let stage = Stage { object, shape: &shape, support, robot, options };
+    let stage = Stage { object, shape: &shape, support, robot, options, dt_s: options.dt_s };
     let pushes = candidates::all(&standing, support, robot, options, stage.friction(), masses_kg[0]);
     let (masses, count, done) = (grid(masses_kg, options.masses), pushes.len(), AtomicUsize::new(0));
     let mut judged: Vec<PlannedPush> = pushes
@@ -229,7 +231,7 @@ impl GuardedPush {
     ) -> Result<PushRecording> {
         check(robot, [mass_kg; 2], options)?;
         let shape = object.shape()?;
-        let stage = Stage { object, shape: &shape, support, robot, options };
+        let stage = Stage { object, shape: &shape, support, robot, options, dt_s: options.identify.dt_s };
         stage.with_noise(stage.rehearse(self, mass_kg)?.recording, seed)
     }
 
@@ -279,6 +281,7 @@ fn check(robot: &RobotLimits, [lo, hi]: [f64; 2], options: &PlanOptions) -> Resu
         ("noise.position_m", noise.position_m),
         ("noise.rotation_rad", noise.rotation_rad),
         ("largest_tilt_rad", options.largest_tilt_rad),
+        ("dt_s", options.dt_s),
         ("identify.dt_s", options.identify.dt_s),
     ];
     match positive.into_iter().find(|(_, x)| !(*x > 0.0 && x.is_finite())) {

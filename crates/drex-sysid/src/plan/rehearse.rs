@@ -40,6 +40,8 @@ pub(super) struct Stage<'a> {
     pub support: &'a Support,
     pub robot: &'a RobotLimits,
     pub options: &'a PlanOptions,
+    /// Time step, seconds.
+    pub dt_s: f64,
 }
 
 /// A push that was done.
@@ -130,6 +132,7 @@ impl Stage<'_> {
     /// How such a push is evaluated.
     pub(super) fn identify_options(&self) -> IdentifyOptions {
         let mut options = self.options.identify.clone();
+        options.dt_s = self.dt_s;
         options.encoder_m = self.robot.finger.and_then(|f| f.encoder_m).unwrap_or(options.encoder_m);
         options
     }

@@ -80,21 +80,34 @@ impl Stage<'_> {
         Ok(PlannedPush { text, why, verdict, half_width, refused, push, outcomes })
     }
 
-    /// Under a known force, one mass stands for all: the lightest one that the force can move, which lasts shortest.
+    /// Under a known force, one mass stands for all: the middle one, or the next lighter one that the force can move. It is
+    /// met by the force as soon as the lightest one would be, which spares the wait.
     fn scaled(&self, push: &GuardedPush, masses_kg: &[f64]) -> Result<Vec<PlannedOutcome>> {
-        let Some(&model_kg) = masses_kg.first() else { return Ok(Vec::new()) };
-        let run = self.rehearse(push, model_kg)?;
+        let Some(&lightest_kg) = masses_kg.first() else { return Ok(Vec::new()) };
+        let mut model_kg = lightest_kg;
+        let mut done = None;
+        for &mass_kg in masses_kg[..masses_kg.len().div_ceil(2)].iter().rev() {
+            let first_force_n = push.first_force_n.map(|f| f * mass_kg / lightest_kg);
+            let run = self.rehearse(&GuardedPush { first_force_n, ..push.clone() }, mass_kg)?;
+            model_kg = mass_kg;
+            let reached = run.reached;
+            done = Some(run);
+            if reached {
+                break;
+            }
+        }
+        let Some(run) = done else { return Ok(Vec::new()) };
         let worth = self.worth_if_done(push, model_kg, &run)?;
         let of = |&mass_kg: &f64| {
             let factor = mass_kg / model_kg;
             let peak_force_n = run.peak_force_n * factor;
             let beyond = run.reached && peak_force_n > self.limit(push);
             let refused = self.refused(push, &run).or_else(|| beyond.then(|| words::too_weak(self.limit(push))));
-            let later = push.doubling_s.unwrap_or(0.0) * factor.log2();
+            let wait_s = push.doubling_s.unwrap_or(0.0) * (mass_kg / lightest_kg).log2();
             // Of the force's noise, what counts is its ratio to the force.
             let worth = worth.map(|w| Worth { force: w.force / factor, ..w });
-            let run = Rehearsal { peak_force_n, seconds: run.seconds + later, recording: run.recording.clone(), ..run };
-            outcome(mass_kg, &run, worth, refused)
+            let done = Done { peak_force_n, seconds: run.seconds + wait_s, ..Done::of(&run) };
+            outcome(mass_kg, done, worth, refused)
         };
         Ok(masses_kg.iter().map(of).collect())
     }
@@ -102,7 +115,7 @@ impl Stage<'_> {
     fn outcome(&self, push: &GuardedPush, mass_kg: f64) -> Result<PlannedOutcome> {
         let run = self.rehearse(push, mass_kg)?;
         let worth = self.worth_if_done(push, mass_kg, &run)?;
-        Ok(outcome(mass_kg, &run, worth, self.refused(push, &run)))
+        Ok(outcome(mass_kg, Done::of(&run), worth, self.refused(push, &run)))
     }
 
     fn worth_if_done(&self, push: &GuardedPush, mass_kg: f64, run: &Rehearsal) -> Result<Option<Worth>> {
@@ -161,7 +174,22 @@ impl Stage<'_> {
     }
 }
 
-fn outcome(mass_kg: f64, run: &Rehearsal, worth: Option<Worth>, refused: Option<String>) -> PlannedOutcome {
+/// What a rehearsal did, in numbers.
+#[derive(Clone, Copy)]
+struct Done {
+    peak_force_n: f64,
+    tilt: f64,
+    travel_m: f64,
+    seconds: f64,
+}
+
+impl Done {
+    fn of(run: &Rehearsal) -> Self {
+        Self { peak_force_n: run.peak_force_n, tilt: run.tilt, travel_m: run.travel_m, seconds: run.seconds }
+    }
+}
+
+fn outcome(mass_kg: f64, run: Done, worth: Option<Worth>, refused: Option<String>) -> PlannedOutcome {
     let worth = worth.filter(|_| refused.is_none());
     let known = |sd: f64| Some(sd).filter(|sd| *sd < UNKNOWN);
     PlannedOutcome {
