@@ -48,6 +48,8 @@ pub enum Command {
     Identify(IdentifyArgs),
     /// Rank pushes of an object by how well they would weigh it.
     PlanPush(PlanPushArgs),
+    /// Find the joint friction of a hand in logs of its runs, for `identify --hand`.
+    CalibrateHand(CalibrateHandArgs),
     /// Fit the demonstrated grasps to the object and train the grasp network on them.
     Train(TwinArgs),
     /// Judge the predicted grasps by the static check.
@@ -117,6 +119,10 @@ pub struct IdentifyArgs {
     /// How to look for the mass; adam is the D-REX paper's way, for comparison: it gives no interval.
     #[arg(long, value_enum, default_value_t = MethodArg::Lm)]
     pub method: MethodArg,
+    /// Joint friction of the hand that pushed, from `drex calibrate-hand`; without it, it is found in the free motions of the
+    /// same logs.
+    #[arg(long, value_name = "FILE")]
+    pub hand: Option<PathBuf>,
     /// Write the result to this file as well, with likelihood profile and trajectories.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
@@ -187,6 +193,17 @@ pub struct PlanPushArgs {
     /// Write the plan to this file as well.
     #[arg(long, value_name = "plan.toml")]
     pub out: Option<PathBuf>,
+}
+
+/// `drex calibrate-hand`.
+#[derive(Debug, Args)]
+pub struct CalibrateHandArgs {
+    /// Runs of one hand, each a push.toml or a folder as `identify` takes them, or a folder of such folders.
+    #[arg(required = true)]
+    pub runs: Vec<PathBuf>,
+    /// Where to write the calibration (JSON).
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
 }
 
 /// on or off.

@@ -6,6 +6,7 @@ use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
 use drex_core::push::{InputChoice, PushRecording};
 use drex_mesh::{AssetOptions, LengthUnit, build_asset};
+use drex_sysid::calibrate::HandCalibration;
 use drex_sysid::{Identification, IdentifyOptions, Knowledge, MassPrior, Method, ParameterSet, identify};
 use serde_json::Value;
 
@@ -54,6 +55,7 @@ pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
         MethodArg::Lm => Method::Lm,
         MethodArg::Adam => Method::Adam,
     };
+    options.hand = args.hand.as_deref().map(HandCalibration::load).transpose()?;
     options.seed = seed.unwrap_or(options.seed);
     let spinner = ui.spinner("identify");
     let result = identify(&recordings, &object, &options)?;

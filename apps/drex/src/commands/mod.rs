@@ -1,6 +1,7 @@
 //! One file per subcommand.
 
 pub mod asset;
+pub mod calibrate_hand;
 pub mod demo;
 pub mod doctor;
 pub mod identify;

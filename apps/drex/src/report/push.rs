@@ -11,13 +11,25 @@ use crate::twin::{MassFile, MassSource};
 pub fn verdict_text(r: &Identification) -> String {
     let mut text = match (r.verdict, r.mass_kg, r.ci95_kg) {
         (Verdict::Identified, Some(m), Some([lo, hi])) => {
-            format!("identified: {:.1} g, 95 % interval {:.1} to {:.1} g", 1e3 * m, 1e3 * lo, 1e3 * hi)
+            format!(
+                "identified: {:.1} g, 95 % interval {:.1} to {:.1} g (upper/lower {:.2})",
+                1e3 * m,
+                1e3 * lo,
+                1e3 * hi,
+                hi / lo
+            )
         }
         (Verdict::Identified, Some(m), None) => format!("{:.1} g, without an interval", 1e3 * m),
         (Verdict::OnlyMuM, ..) => match r.mu_m_kg {
             Some(mu_m) => format!("only friction times mass: mu m = {:.1} g", 1e3 * mu_m),
             None => "only friction times mass".to_owned(),
         },
+        (_, _, Some([lo, hi])) => format!(
+            "not identifiable; 95 % interval {:.1} to {:.1} g (upper/lower {:.2})",
+            1e3 * lo,
+            1e3 * hi,
+            hi / lo
+        ),
         _ => "not identifiable".to_owned(),
     };
     text += &format!("\n  {}", r.reason);
