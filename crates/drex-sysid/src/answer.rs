@@ -68,7 +68,7 @@ pub struct ErrorBudget {
     pub profile: f64,
     /// Noise of the recorded force.
     pub force: f64,
-    /// Contact of the simulator: half as stiff, twice as stiff, half the step.
+    /// Contact of the simulator: softer, less damped, with half the step; and what a finger's encoder shows it to miss.
     pub contact: f64,
 }
 

@@ -14,8 +14,8 @@ use crate::{IdentifyOptions, Result};
 
 /// Two correct simulators of rigid contact disagree about a mass by this much (relative).
 const MODEL_FLOOR: f64 = 0.005;
-/// The same for a push by a fingertip that slides and chatters on the object, against MuJoCo.
-const FINGER_FLOOR: f64 = 0.015;
+/// The same for a push by a fingertip whose encoder shows how far the two motions differ.
+const FINGER_FLOOR: f64 = 0.0035;
 /// The same without an encoder, which alone tells the force across the push.
 const BLIND_FINGER_FLOOR: f64 = 0.04;
 /// Models that are as right as the chosen one: factors on frequency and damping of contact, on the pull on a fingertip
@@ -119,7 +119,11 @@ impl Joint {
             sandwich: information.sandwich,
             profile: profile.sd(&best, information.scale),
             force: information.sd_of_force().hypot(information.factor),
-            contact: if rounds > 0 { self.contact_sd(&best, &information, options) } else { 0.0 },
+            contact: if rounds > 0 {
+                self.contact_sd(&best, &information, options).hypot(information.unmodelled)
+            } else {
+                0.0
+            },
         };
         let random = information.sd().max(budget.sandwich).max(budget.profile);
         let floor = self.problems.iter().map(floor).fold(0.0, f64::max);

@@ -35,6 +35,8 @@ pub(crate) struct Information {
     pub sandwich: f64,
     /// The same from what the noise of each force amounts to as a factor, weighed by what each push tells.
     pub factor: f64,
+    /// What motions that the simulator does not follow may do to log mass, as told by a finger's encoder.
+    pub unmodelled: f64,
     /// Mean square of the residuals of the kind that agrees worst; at least one.
     pub scale: f64,
 }
@@ -89,9 +91,11 @@ impl Information {
             friction,
             sandwich: 0.0,
             factor: 0.0,
+            unmodelled: 0.0,
             scale,
         };
         out.factor = out.factors(joint);
+        out.unmodelled = out.unmodelled(joint, c);
         out.sandwich = out.scatter(joint, c, &prior);
         Ok(out)
     }
@@ -157,16 +161,35 @@ impl Information {
         -(self.inverse.row(0) * g)[0]
     }
 
+    /// What an encoder sees the simulator miss, slower than its noise, may go on unseen along the slope of the mass. At most as
+    /// much as is seen there moves log mass by as many of its standard deviations; anything up to that is as likely.
+    fn unmodelled(&self, joint: &Joint, c: &Candidate) -> f64 {
+        let claims = self.claims(joint);
+        let square = |(i, claim): (usize, &f64)| {
+            let from = 6 * joint.problems[i].times_s.len();
+            let rows = self.weights[i].iter().zip(&c.fits[i].residuals).skip(from);
+            let whitened: Vec<f64> = rows.map(|(w, r)| w.sqrt() * r).collect();
+            let slow: f64 = whitened.windows(2).map(|r| r[0] * r[1]).sum();
+            slow.max(0.0) * claim
+        };
+        self.sd() * (claims.iter().enumerate().map(square).sum::<f64>() / 3.0).sqrt()
+    }
+
     /// A factor on the force of one push moves log mass by the share of the information that comes from this push.
     fn factors(&self, joint: &Joint) -> f64 {
+        let square = |(p, c): (&Problem, f64)| (p.factor_sd() * c).powi(2);
+        joint.problems.iter().zip(self.claims(joint)).map(square).sum::<f64>().sqrt()
+    }
+
+    /// Share of each push in what all tell about the mass.
+    fn claims(&self, joint: &Joint) -> Vec<f64> {
         let claim = |i: usize| {
             let mass = self.own[i].iter().position(|&k| k == 0).and_then(|k| self.slopes[i].get(k));
             mass.map_or(0.0, |s| weighted(&self.weights[i], s, s))
         };
         let claims: Vec<f64> = (0..joint.problems.len()).map(claim).collect();
         let all: f64 = claims.iter().sum::<f64>().max(f64::MIN_POSITIVE);
-        let square = |(p, c): (&Problem, &f64)| (p.factor_sd() * c / all).powi(2);
-        joint.problems.iter().zip(&claims).map(square).sum::<f64>().sqrt()
+        claims.iter().map(|c| c / all).collect()
     }
 
     /// Scatter of log mass: how each block's residual moves it, neighbours in time taken together as far as they agree
