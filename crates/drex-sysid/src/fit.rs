@@ -22,6 +22,9 @@ type Columns = SMatrix<f64, 6, NUISANCES>;
 const CAUCHY: f64 = 40.0;
 /// Derivatives carried by one simulation, at most.
 const LANES: usize = 8;
+/// Poses are believed to show a motion if their likelihood under it is larger than for an object at rest by this factor's
+/// logarithm.
+const SHOWN: f64 = 4.0;
 
 /// Fit of the nuisances to a motion.
 #[derive(Debug, Clone)]
@@ -91,6 +94,19 @@ impl Problem {
             })
             .collect();
         Fit { cost, nuisance: *nuisance, residuals, weights }
+    }
+
+    /// Whether the poses show the motion that `fit` belongs to, and not just any object at rest.
+    pub(crate) fn shows(&self, fit: &Fit) -> bool {
+        let tips = match &self.action {
+            Action::Finger(finger) => finger.encoder.clone(),
+            _ => Vec::new(),
+        };
+        let rest = self.fit(&Motion::resting(self.start, tips), Some(&fit.nuisance));
+        let n = self.times_s.len();
+        // The weight of a pose is 1 / (1 + s), its cost half of Cauchy's constant times ln(1 + s).
+        let of_poses = |f: &Fit| f.weights.iter().take(n).map(|w| -0.5 * CAUCHY * w.ln()).sum::<f64>();
+        of_poses(&rest) > of_poses(fit) + SHOWN
     }
 
     /// Whitened residuals of a motion.

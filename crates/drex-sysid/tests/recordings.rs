@@ -6,8 +6,8 @@ mod common;
 use std::path::Path;
 
 use common::{bounding_solid, read_obj, shared};
-use drex_core::push::{ForceChoice, InputChoice, PoseChoice, PushRecording};
-use drex_sysid::{Identification, IdentifyOptions, ObjectModel, Verdict, identify};
+use drex_core::push::{Drive, ForceChoice, InputChoice, PoseChoice, PushRecording};
+use drex_sysid::{Identification, IdentifyOptions, ObjectModel, Parameter, Verdict, identify};
 use nalgebra::Point3;
 
 fn weigh(folder: &Path, choice: &InputChoice) -> Identification {
@@ -109,5 +109,54 @@ fn real_hands_that_are_replayed_weigh_nothing_and_keep_the_prior() {
         eprintln!("{}: {notes}", folder.display());
         assert!(notes.contains("the object begins to move") && notes.contains("the hand begins to move"), "{notes}");
         assert!(a.reason.contains("effort"));
+    }
+}
+
+/// The same letter of three densities.
+#[test]
+fn three_densities_of_one_shape_are_told_apart() {
+    let Some(shared) = shared() else { return };
+    let root = shared.join("data/push_mujoco");
+    for scenario in ["lift_force", "tilt_force", "overhang_press", "finger_tilt"] {
+        let intervals = ["letter_l_rho1", "letter_l", "letter_l_rho3"].map(|object| {
+            let folder = root.join(object).join(scenario);
+            let a = weigh(&folder, &InputChoice::default());
+            assert_eq!(a.verdict, Verdict::Identified, "{object}/{scenario}: {}", a.reason);
+            let (ci, m) = (a.ci95_kg.unwrap(), truth(&folder));
+            assert!(ci[0] < m && m < ci[1], "{object}/{scenario}: {ci:?} without {m}");
+            ci
+        });
+        assert!(intervals[0][1] < intervals[1][0] && intervals[1][1] < intervals[2][0], "{scenario}: {intervals:?}");
+    }
+}
+
+/// What the answer says about errors of what it took for granted is what they do.
+#[test]
+fn sensitivities_predict_what_a_wrong_finger_or_a_wrong_friction_does() {
+    let Some(shared) = shared() else { return };
+    let root = shared.join("data/push_mujoco");
+    let object_of = |r: &PushRecording| ObjectModel::from_mesh(&read_obj(&r.mesh)).unwrap();
+    for name in ["brick/finger_tilt", "letter_t/finger_slow", "letter_l/finger_fast"] {
+        let push = PushRecording::load(&root.join(name), &InputChoice::default()).unwrap();
+        let object = object_of(&push);
+        let right = identify(std::slice::from_ref(&push), &object, &IdentifyOptions::default()).unwrap();
+        let changes = |p: Parameter| right.sensitivities.iter().find(|s| s.parameter == p).map_or(0.0, |s| s.log_mass);
+        let (mut stiff, mut rough) = (push.clone(), push.clone());
+        if let Drive::Finger(finger) = &mut stiff.drive {
+            finger.impedance.kp_n_m *= 1.1;
+        }
+        rough.support.friction = push.support.friction.map(|mu| mu * 1.3);
+        for (wrong, parameter, factor) in
+            [(stiff, Parameter::ActuatorStiffness, 1.1_f64), (rough, Parameter::Friction, 1.3)]
+        {
+            let a = identify(&[wrong], &object, &IdentifyOptions::default()).unwrap();
+            let change = (a.mass_kg.unwrap() / right.mass_kg.unwrap()).ln();
+            let predicted = changes(parameter) * factor.ln();
+            eprintln!(
+                "{name}: {} times {factor} moves log mass by {change:+.4}, predicted {predicted:+.4}",
+                parameter.as_str()
+            );
+            assert!((change - predicted).abs() < 0.01 + 0.25 * predicted.abs());
+        }
     }
 }
