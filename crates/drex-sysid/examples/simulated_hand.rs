@@ -15,8 +15,8 @@ use drex_core::joints::JointLog;
 use drex_core::push::{Drive, HandPush, InputChoice, PushRecording};
 use drex_core::{Pose, Trajectory, TriMesh};
 use drex_diffsim::{
-    ActuatorKind, Articulation, Base, Body, BodyState, Collider, Control, ConvexPiece, Fixed, Model, Part, Scene, State,
-    Workspace, step,
+    ActuatorKind, Articulation, Base, Body, BodyState, Collider, Control, ConvexPiece, Fixed, Model, Part, Scene,
+    State, Workspace, step,
 };
 use drex_robot::Robot;
 use drex_sysid::calibrate::{CalibrateOptions, HandCalibration, HandRun, hand};
@@ -101,20 +101,22 @@ struct Push<'a> {
 
 impl<'a> Push<'a> {
     fn of(recording: &'a PushRecording, robot: &'a Arc<Robot>, calibration: &'a HandCalibration) -> Any<Self> {
-        let (Drive::Hand(log), Some(run)) = (&recording.drive, HandRun::of(recording)) else { return Err("no hand".into()) };
+        let (Drive::Hand(log), Some(run)) = (&recording.drive, HandRun::of(recording)) else {
+            return Err("no hand".into());
+        };
         let solid = Standing::of(&TriMesh::read(&recording.mesh)?)?;
         let object = ObjectModel { pieces: vec![solid.hull.vertices.clone()], unit: solid.unit };
         let found = find(&recording.track, &solid, &FrameOptions::of(recording))?;
         let extra = calibration.extra_torque(&run, robot)?;
         let tips = tip_paths(robot, &log.world_from_base, &extra, &extra.touches(robot), found.motion_start_s);
         let stated = recording.support.table_height_m;
-        let (world_from_camera, table_m, delay_s) =
-            match against_hand(&found, &recording.track, &solid, &tips, stated) {
-                Ok(HandPlacement { world_from_camera, height_offset_m, clock_offset_s, .. }) => {
-                    (world_from_camera, stated - height_offset_m[0], clock_offset_s[0])
-                }
-                Err(_) => (behind_the_fastest(&found, &solid, &tips, stated), stated, 0.1),
-            };
+        let (world_from_camera, table_m, delay_s) = match against_hand(&found, &recording.track, &solid, &tips, stated)
+        {
+            Ok(HandPlacement { world_from_camera, height_offset_m, clock_offset_s, .. }) => {
+                (world_from_camera, stated - height_offset_m[0], clock_offset_s[0])
+            }
+            Err(_) => (behind_the_fastest(&found, &solid, &tips, stated), stated, 0.1),
+        };
         Ok(Self { recording, log, robot, calibration, solid, object, found, world_from_camera, table_m, delay_s })
     }
 
@@ -309,7 +311,8 @@ fn behind_the_fastest(found: &FoundFrames, solid: &Standing, tips: &[TipPath], t
     let middle = solid.hull.bounds().map_or_else(Point3::origin, |(a, b)| nalgebra::center(&a, &b));
     let behind = solid.hull.vertices.iter().map(|v| -lean.dot(&(v - middle))).fold(0.0, f64::max);
     let at = tip.at(touch).coords + push * (behind + tip.radius_m);
-    let yaw = UnitQuaternion::from_rotation_matrix(&Rotation3::from_axis_angle(&Vector3::z_axis(), push.y.atan2(push.x)));
+    let yaw =
+        UnitQuaternion::from_rotation_matrix(&Rotation3::from_axis_angle(&Vector3::z_axis(), push.y.atan2(push.x)));
     Pose::from_parts(Translation3::new(at.x, at.y, table_m), yaw) * found.world_from_camera
 }
 

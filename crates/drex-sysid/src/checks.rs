@@ -54,7 +54,7 @@ pub(crate) fn recording(recording: &PushRecording, object: &ObjectModel, noise: 
 /// Whether anything is commanded to act.
 fn acts(drive: &Drive) -> bool {
     match drive {
-        Drive::Force(f) => f.forces_n.iter().any(|f| f.norm() > 0.0),
+        Drive::Force(f) => f.forces_n.iter().chain(&f.torques_nm).any(|f| f.norm() > 0.0),
         Drive::Finger(f) => f.commands.iter().any(|c| *c != f.commands[0]),
         _ => false,
     }

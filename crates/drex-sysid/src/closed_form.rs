@@ -112,7 +112,7 @@ fn flight(
     let mut out = Vec::new();
     for run in runs(&heights, least) {
         let times = &track.times_s[run.clone()];
-        let pushed = twice_integrated(times, |t| force_at(force, t));
+        let pushed = twice_integrated(times, |t| held(&force.times_s, &force.forces_n, t));
         for axis in 0..3 {
             let fall = |t: f64| 0.5 * recording.gravity[axis] * (t - times[0]).powi(2);
             let com = |p: &Pose| (p * object.unit.center_of_mass)[axis];
@@ -156,9 +156,10 @@ fn tipping(
         let times = &track.times_s[run.clone()];
         let lean_at = |t: f64| interpolate(&track.times_s, &leans, t);
         let terms = twice_integrated(times, |t| {
-            let f = force_at(force, t);
+            let f = held(&force.times_s, &force.forces_n, t);
             let (along, high) = lever.turned(&lever.force_point, lean_at(t));
-            let moment = high * f.dot(&lever.direction) - along * f.dot(&up);
+            let torque = held(&force.times_s, &force.torques_nm, t).dot(&lever.direction.cross(&-up));
+            let moment = high * f.dot(&lever.direction) - along * f.dot(&up) + torque;
             let (r, _) = lever.turned(&lever.center, lean_at(t));
             Vector3::new(moment, gravity * r, 0.0) / lever.inertia
         });
@@ -298,9 +299,10 @@ fn smoothed(x: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
         .collect()
 }
 
-fn force_at(force: &ForceProfile, t: f64) -> Vector3<f64> {
-    let k = force.times_s.partition_point(|x| *x <= t);
-    k.checked_sub(1).and_then(|k| force.forces_n.get(k)).copied().unwrap_or_default()
+/// The sample that holds at time t.
+fn held(times_s: &[f64], samples: &[Vector3<f64>], t: f64) -> Vector3<f64> {
+    let k = times_s.partition_point(|x| *x <= t);
+    k.checked_sub(1).and_then(|k| samples.get(k)).copied().unwrap_or_default()
 }
 
 fn interpolate(times_s: &[f64], values: &[f64], t: f64) -> f64 {

@@ -21,6 +21,8 @@ const HIGHEST: usize = 6;
 pub(crate) struct KnownForce {
     pub times_s: Vec<f64>,
     pub forces_n: Vec<Vector3<f64>>,
+    /// Torque about the point, per sample; empty without one. Its noise is not modelled.
+    pub torques_nm: Vec<Vector3<f64>>,
     /// Where it acts, mesh frame.
     pub point: Point3<f64>,
     /// Standard deviation of the noise as a factor on the whole force.
@@ -43,12 +45,22 @@ impl KnownForce {
         let errors = shapes(&profile.times_s, &forces_n, noise_n);
         let size = forces_n.iter().map(Vector3::norm_squared).sum::<f64>().sqrt();
         let factor_sd = if size > 0.0 { noise_n / size } else { 0.0 };
-        Self { times_s: profile.times_s.clone(), forces_n, point: profile.point_in_object, factor_sd, errors }
+        let torques_nm = noise::without_idle(&profile.torques_nm, noise::significant(&profile.torques_nm));
+        Self {
+            times_s: profile.times_s.clone(),
+            forces_n,
+            torques_nm,
+            point: profile.point_in_object,
+            factor_sd,
+            errors,
+        }
     }
 
     /// When it first acts, seconds.
     pub(crate) fn onset_s(&self) -> Option<f64> {
-        self.forces_n.iter().position(|f| f.iter().any(|x| *x != 0.0)).and_then(|k| self.times_s.get(k)).copied()
+        let first = |samples: &[Vector3<f64>]| samples.iter().position(|f| f.iter().any(|x| *x != 0.0));
+        let k = first(&self.forces_n).into_iter().chain(first(&self.torques_nm)).min();
+        k.and_then(|k| self.times_s.get(k)).copied()
     }
 }
 

@@ -251,6 +251,9 @@ impl Problem {
             Ok(())
         };
         put(&force.times_s, &force.forces_n, point(), gain)?;
+        if !force.torques_nm.is_empty() {
+            put(&force.times_s, &force.torques_nm, ForcePoint::Couple, gain)?;
+        }
         for (error, size) in force.errors.iter().zip(&values.errors) {
             // One that is zero and carries no derivative does nothing.
             if size.value() != 0.0 || (0..T::TANGENTS).any(|i| size.tangent(i) != 0.0) {

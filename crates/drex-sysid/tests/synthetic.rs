@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{block, box_mesh, pushed_until, simulated};
+use common::{block, box_mesh, pushed_by, pushed_until, simulated};
 use drex_core::TriMesh;
 use drex_core::push::Drive;
 use drex_core::{Pose, Trajectory};
@@ -29,6 +29,21 @@ fn lifted_slid_and_tipped_blocks_are_weighed() {
         assert_eq!(a.prior_kg, Some(1.0));
         assert_eq!(a.pushes[0].simulated.len(), push.track.len());
     }
+}
+
+#[test]
+fn a_torque_weighs_as_a_force_does() {
+    let m = 0.137;
+    // The same moment about the far edge as a force of 1.25 times what tips, and no force.
+    let torque = Vector3::y() * m * G * 0.025 * 1.25;
+    let mut push = pushed_by(0.45, m, 0.9, [Vector3::zeros(), torque], Point3::origin());
+    let a = identify(std::slice::from_ref(&push), &block(), &IdentifyOptions::default()).unwrap();
+    assert!((a.mass_kg.unwrap() / m - 1.0).abs() < 2e-3, "{} {:?}", a.reason, a.mass_kg);
+    if let Drive::Force(f) = &mut push.drive {
+        f.torques_nm.iter_mut().for_each(|t| *t *= 1.5);
+    }
+    let heavier = identify(&[push], &block(), &IdentifyOptions::default()).unwrap();
+    assert!((heavier.mass_kg.unwrap() / (1.5 * m) - 1.0).abs() < 2e-3, "{:?}", heavier.mass_kg);
 }
 
 #[test]

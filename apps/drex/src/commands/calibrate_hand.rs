@@ -25,7 +25,11 @@ pub fn run(args: &CalibrateHandArgs, ui: &Ui) -> Result<()> {
         match &model {
             None => model = Some(push.robot.clone()),
             Some(first) if *first != push.robot => {
-                bail!("{} is of the hand {}, the first run of {first}; calibrate one hand at a time", recording.name, push.robot)
+                bail!(
+                    "{} is of the hand {}, the first run of {first}; calibrate one hand at a time",
+                    recording.name,
+                    push.robot
+                )
             }
             Some(_) => {}
         }

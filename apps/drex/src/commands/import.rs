@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use drex_core::TriMesh;
 use drex_core::fsutil;
 use drex_core::push::{InputChoice, PushConfig, PushRecording, TrackFrame, drex_run};
-use drex_core::TriMesh;
 use drex_core::twin::TwinManifest;
 use drex_sysid::frames::{self, FrameOptions, Standing};
 use nalgebra::Vector3;

@@ -24,12 +24,9 @@ pub fn verdict_text(r: &Identification) -> String {
             Some(mu_m) => format!("only friction times mass: mu m = {:.1} g", 1e3 * mu_m),
             None => "only friction times mass".to_owned(),
         },
-        (_, _, Some([lo, hi])) => format!(
-            "not identifiable; 95 % interval {:.1} to {:.1} g (upper/lower {:.2})",
-            1e3 * lo,
-            1e3 * hi,
-            hi / lo
-        ),
+        (_, _, Some([lo, hi])) => {
+            format!("not identifiable; 95 % interval {:.1} to {:.1} g (upper/lower {:.2})", 1e3 * lo, 1e3 * hi, hi / lo)
+        }
         _ => "not identifiable".to_owned(),
     };
     text += &format!("\n  {}", r.reason);

@@ -255,13 +255,15 @@ pub enum Drive {
     Nothing,
 }
 
-/// A force over time, held constant from each sample to the next (zero-order hold), zero outside.
+/// A force or wrench over time, held constant from each sample to the next (zero-order hold), zero outside.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ForceProfile {
     /// Sample times, seconds, increasing.
     pub times_s: Vec<f64>,
     /// Force in the world frame, newtons, per sample.
     pub forces_n: Vec<Vector3<f64>>,
+    /// Torque about the point where the force acts, world frame, N m, per sample; empty for a force without one.
+    pub torques_nm: Vec<Vector3<f64>>,
     /// Where it acts, in the object's mesh frame, metres.
     pub point_in_object: Point3<f64>,
 }

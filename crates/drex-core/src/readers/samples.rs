@@ -20,7 +20,8 @@ pub struct PointSeries {
     pub points: Vec<Point3<f64>>,
 }
 
-/// Reads `t,fx,fy,fz` (s, N, world frame), a force that acts at `point_in_object` (m, mesh frame).
+/// Reads `t,fx,fy,fz` (s, N, world frame), a force that acts at `point_in_object` (m, mesh frame); with the columns `tx,ty,tz`
+/// (N m, world frame) a wrench, its torque about that point.
 ///
 /// # Errors
 /// If the file cannot be read, a column is missing, or (with the line) a number is not finite or no force of a finger.
@@ -35,7 +36,11 @@ pub fn read_force_csv(path: &Path, point_in_object: Point3<f64>) -> Result<Force
 pub fn parse_force_csv(path: &Path, bytes: &[u8], point_in_object: Point3<f64>) -> Result<ForceProfile> {
     let table = Table::parse(path, bytes)?;
     let columns = table.columns(&["t", "fx", "fy", "fz"])?;
-    let mut profile = ForceProfile { times_s: Vec::new(), forces_n: Vec::new(), point_in_object };
+    let torque = ["tx", "ty", "tz"];
+    let torque =
+        if torque.iter().any(|name| table.find(name).is_some()) { table.columns(&torque)? } else { Vec::new() };
+    let mut profile =
+        ForceProfile { times_s: Vec::new(), forces_n: Vec::new(), torques_nm: Vec::new(), point_in_object };
     for (row, t) in table.rows_by_time(columns[0])? {
         let force = Vector3::from(table.numbers::<3>(row, &columns[1..])?);
         if force.amax() > LARGEST_FORCE_N {
@@ -48,6 +53,9 @@ pub fn parse_force_csv(path: &Path, bytes: &[u8], point_in_object: Point3<f64>) 
         }
         profile.times_s.push(t);
         profile.forces_n.push(force);
+        if !torque.is_empty() {
+            profile.torques_nm.push(Vector3::from(table.numbers::<3>(row, &torque)?));
+        }
     }
     Ok(profile)
 }

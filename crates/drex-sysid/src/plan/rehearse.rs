@@ -167,7 +167,12 @@ impl Stage<'_> {
         };
         let times = ticks(stop + if stop_s.is_some() { AFTER_S } else { 0.0 });
         let forces_n = times.iter().map(|t| direction * size(*t)).collect();
-        Ok(Drive::Force(ForceProfile { times_s: times, forces_n, point_in_object: push.point_in_object_m.into() }))
+        Ok(Drive::Force(ForceProfile {
+            times_s: times,
+            forces_n,
+            torques_nm: Vec::new(),
+            point_in_object: push.point_in_object_m.into(),
+        }))
     }
 
     fn recording(&self, push: &GuardedPush, drive: Drive) -> Result<PushRecording> {

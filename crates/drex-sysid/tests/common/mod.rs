@@ -59,20 +59,34 @@ pub fn simulated(mass_kg: f64, friction: f64, force: Vector3<f64>, point: Point3
 
 /// The same with the end of the force chosen.
 pub fn pushed_until(end: f64, mass_kg: f64, friction: f64, force: Vector3<f64>, point: Point3<f64>) -> PushRecording {
+    pushed_by(end, mass_kg, friction, [force, Vector3::zeros()], point)
+}
+
+/// The same by a force and a torque about its point.
+pub fn pushed_by(
+    end: f64,
+    mass_kg: f64,
+    friction: f64,
+    wrench: [Vector3<f64>; 2],
+    point: Point3<f64>,
+) -> PushRecording {
     let object = block();
     let shape =
         Arc::new(Collider::convex(object.pieces.iter().map(|p| ConvexPiece::from_points(p).unwrap()).collect()));
     let model = Model::new(vec![Body::new(&object.unit, mass_kg, shape)]);
     let mut scene = Scene::on_table(friction);
     let times: Vec<f64> = (0..120).map(|k| f64::from(k) * 0.01).collect();
-    let forces: Vec<_> =
-        times.iter().map(|t| if (0.3..end - 1e-4).contains(t) { force } else { Vector3::zeros() }).collect();
+    let [forces, torques] = wrench.map(|w| -> Vec<_> {
+        times.iter().map(|t| if (0.3..end - 1e-4).contains(t) { w } else { Vector3::zeros() }).collect()
+    });
     scene.forces.push(AppliedForce::new(Part::Body(0), &times, &forces, ForcePoint::Body(point)).unwrap());
+    scene.forces.push(AppliedForce::new(Part::Body(0), &times, &torques, ForcePoint::Couple).unwrap());
     let start = Pose::translation(0.0, 0.0, 0.04);
     let frames: Vec<f64> = (0..36).map(|k| f64::from(k) / 30.0).collect();
     let record = rollout(&model, &scene, &State::at_rest(start), &frames).unwrap();
     let track = Trajectory::from_samples(&frames, &record.bodies[0].poses).unwrap();
-    let drive = Drive::Force(ForceProfile { times_s: times, forces_n: forces, point_in_object: point });
+    let drive =
+        Drive::Force(ForceProfile { times_s: times, forces_n: forces, torques_nm: torques, point_in_object: point });
     let mut push = PushRecording::new("block", "block.obj", track, drive);
     push.support.friction = Some(friction);
     push.initial_pose = Some(start);
