@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use drex_core::push::{Drive, InputChoice, PushConfig, PushRecording, TrackFrame};
+use drex_core::push::{Drive, Free, InputChoice, PushConfig, PushRecording, StatedParameter, TrackFrame};
 use tempfile::TempDir;
 
 /// A small push of each kind on disk, sound until a test spoils it.
@@ -110,6 +110,7 @@ fn all_four_kinds_of_push_can_be_said() {
     let Drive::Force(profile) = &force.drive else { panic!() };
     assert!((profile.times_s[1] - 0.05).abs() < 1e-12 && force.track.times_s()[0] == 0.0);
     assert_eq!(force.support.boxes.len(), 1);
+    assert!(profile.torques_nm.is_empty() && force.parameters.is_empty());
     assert!(force.noise.is_some() && force.starts_at_rest);
 
     // The start has a pose, so zero stays zero; the finger's own clock starts at 10 s of the track's.
@@ -134,6 +135,20 @@ fn all_four_kinds_of_push_can_be_said() {
         file.write("push.toml", &config.to_toml_string().unwrap());
         assert_eq!(PushConfig::read(&file.path("push.toml")).unwrap(), config);
     }
+}
+
+#[test]
+fn torques_and_stated_parameters_are_read() {
+    let stated = "[parameters]\nfriction = \"free\"\nforce_gain = 1.02\ncontact_height = { mean = 0.0, sd = 0.005 }\n[force]";
+    let push = Push::new(&FORCE.replace("[force]", stated));
+    push.write("force.csv", "t,fx,fy,fz,tx,ty,tz\n10,0,0,0,0,0,0\n10.05,1,0,0,0,0.2,0\n10.1,0,0,0,0,0,0\n");
+    let loaded = push.load();
+    let Drive::Force(profile) = &loaded.drive else { panic!() };
+    assert_eq!(profile.torques_nm[1].y, 0.2);
+    let of = |name: &str| loaded.parameters[name];
+    assert_eq!(of("friction"), StatedParameter::Free(Free::Free));
+    assert_eq!(of("force_gain"), StatedParameter::Value(1.02));
+    assert_eq!(of("contact_height"), StatedParameter::Expected { mean: 0.0, sd: 0.005 });
 }
 
 #[test]
@@ -183,6 +198,7 @@ fn spoiled_tables_are_named_with_the_line() {
         (TOSS, "pose.csv", String::new(), "empty"),
         (FORCE, "force.csv", "t,fx,fy\n10,0,0\n".into(), "no column fz"),
         (FORCE, "force.csv", "t,fx,fy,fz\n10,0,0,inf\n".into(), "line 2: column fz"),
+        (FORCE, "force.csv", "t,fx,fy,fz,tx,tz\n10,0,0,0,0,0\n".into(), "no column ty"),
         (FORCE, "force.csv", "t,fx,fy,fz\n99,0,0,0\n".into(), "do not overlap"),
         (HAND, "joints.csv", "timestamp,position_0,position_1\n1744941577.9,0,90\n".into(), "joint ffj1 at 90.000 rad"),
         (HAND, "joints.csv", "timestamp,angle_0\n1744941577.9,0\n".into(), "no column position_0"),

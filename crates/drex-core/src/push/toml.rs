@@ -20,6 +20,10 @@
 //! [force]
 //! file = "force.csv"
 //! point_in_object_m = [0.008, 0, -0.044]
+//! [parameters]                                           # by the names that the identification gives them
+//! friction = "free"                                      # to be estimated
+//! force_gain = 1.02                                      # known
+//! contact_height = { mean = 0.0, sd = 0.005 }            # known roughly
 //! ```
 //!
 //! A logged hand and a camera that nobody calibrated; two clocks:
@@ -43,15 +47,6 @@
 //! joints = "joint_states.csv"
 //! joint_names = ["ffj0", "ffj1"]     # one per column position_0, position_1, …
 //! clock = { kind = "unix" }
-//! ```
-//!
-//! What is known of single parameters of the push, by the names that the identification gives them:
-//!
-//! ```toml
-//! [parameters]
-//! friction = "free"                               # to be estimated
-//! force_gain = 1.02                               # known
-//! contact_height = { mean = 0.0, sd = 0.005 }     # known roughly
 //! ```
 //!
 //! A compliant fingertip has `[finger]` with `commands`, `encoder` (optional) and `impedance`; without `[force]`, `[finger]`
