@@ -21,7 +21,7 @@ const SLIDE_M: f64 = 0.05;
 /// Speeds of a fingertip: a fast push at most, a slow one, slow and brisk tipping, m/s.
 const SPEEDS_M_S: [f64; 4] = [0.4, 0.03, 0.04, 0.1];
 /// How far behind an edge the centre of mass is placed, as a share of what reaches beyond it.
-const OVERHANG: f64 = 0.3;
+const OVERHANG: f64 = 0.45;
 /// Least free end to press on, metres; and how far from its end one presses, as a share of it.
 const LEAST_END_M: f64 = 0.01;
 const FROM_END: f64 = 0.12;
@@ -139,8 +139,7 @@ impl Maker<'_> {
             for share in HEIGHTS {
                 let Some(at) = s.side(&direction, share * s.height()) else { continue };
                 let push = |kind| self.push(kind, &at, direction, G * reach / at.z);
-                let lean = LEAN.0.min(LEAN.1 * falling).to_degrees();
-                out.push(GuardedPush { until_tilt_deg: Some(lean), ..push(PushKind::Tilt) });
+                out.push(GuardedPush { until_tilt_deg: Some(lean(falling)), ..push(PushKind::Tilt) });
                 if topple {
                     let fall = (falling + BEYOND).to_degrees();
                     out.push(GuardedPush { until_tilt_deg: Some(fall), ..push(PushKind::Topple) });
@@ -165,8 +164,13 @@ impl Maker<'_> {
         let place = top + direction * (edge - behind);
         let arm = (at - s.center).dot(&direction) - behind;
         let push = self.push_from(&place, PushKind::OverhangPress, &at, -Vector3::z(), G * behind / arm);
-        Some(GuardedPush { until_tilt_deg: Some(LEAN.0.to_degrees()), ..push })
+        Some(GuardedPush { until_tilt_deg: Some(lean(behind.atan2(s.center.z))), ..push })
     }
+}
+
+/// How far to lean what falls at an angle, degrees.
+fn lean(falling: f64) -> f64 {
+    LEAN.0.min(LEAN.1 * falling).to_degrees()
 }
 
 fn horizontal() -> [Vector3<f64>; 4] {
