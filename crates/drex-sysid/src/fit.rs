@@ -8,7 +8,7 @@
 use drex_core::Pose;
 use drex_core::pose::pose_difference;
 use drex_diffsim::{Dual, Scalar, tangents};
-use nalgebra::{SMatrix, SVector, Vector6};
+use nalgebra::{DMatrix, SMatrix, SVector, Vector6};
 
 use crate::Result;
 use crate::parameters::NUISANCES;
@@ -22,9 +22,10 @@ type Columns = SMatrix<f64, 6, NUISANCES>;
 const CAUCHY: f64 = 40.0;
 /// Derivatives carried by one simulation, at most.
 const LANES: usize = 8;
-/// Poses are believed to show a motion if their likelihood under it is larger than for an object at rest by this factor's
-/// logarithm.
-const SHOWN: f64 = 4.0;
+/// Poses show a motion if in their order they agree better with it than in any order, by this many standard deviations.
+const SHOWN: f64 = 3.0;
+/// Poses that are looked at for that, at most.
+const COMPARED: usize = 150;
 
 /// Fit of the nuisances to a motion.
 #[derive(Debug, Clone)]
@@ -96,17 +97,24 @@ impl Problem {
         Fit { cost, nuisance: *nuisance, residuals, weights }
     }
 
-    /// Whether the poses show the motion that `fit` belongs to, and not just any object at rest.
-    pub(crate) fn shows(&self, fit: &Fit) -> bool {
-        let tips = match &self.action {
-            Action::Finger(finger) => finger.encoder.clone(),
-            _ => Vec::new(),
-        };
-        let rest = self.fit(&Motion::resting(self.start, tips), Some(&fit.nuisance));
-        let n = self.times_s.len();
-        // The weight of a pose is 1 / (1 + s), its cost half of Cauchy's constant times ln(1 + s).
-        let of_poses = |f: &Fit| f.weights.iter().take(n).map(|w| -0.5 * CAUCHY * w.ln()).sum::<f64>();
-        of_poses(&rest) > of_poses(fit) + SHOWN
+    /// Whether the poses show the motion that `fit` belongs to: poses of something at rest, or of another motion, agree with it
+    /// as well in any other order. Mean and variance of the cost over all orders are those of Hoeffding (1951).
+    pub(crate) fn shows(&self, motion: &Motion, fit: &Fit) -> bool {
+        let every = self.times_s.len().div_ceil(COMPARED);
+        let frames: Vec<usize> = (0..self.times_s.len()).step_by(every.max(1)).collect();
+        let n = frames.len();
+        let bias = fit.nuisance.fixed_rows::<6>(1);
+        let cost = DMatrix::from_fn(n, n, |i, j| {
+            let (t, observed) = (self.times_s[frames[i]], &self.observed[frames[j]]);
+            let r = pose_difference(&motion.at(t - fit.nuisance[0]), observed) - bias;
+            let size: f64 = r.iter().zip(self.sds()).map(|(r, sd)| (r / sd).powi(2)).sum();
+            0.5 * CAUCHY * (size / CAUCHY).ln_1p()
+        });
+        let (of_time, of_pose, mean) = (cost.column_mean(), cost.row_mean(), cost.mean());
+        let spread = cost.map_with_location(|i, j, c| (c - of_time[i] - of_pose[j] + mean).powi(2)).sum();
+        let sd = (spread / (n as f64 - 1.0).max(1.0)).sqrt();
+        // Less than one in cost is nothing, however sure.
+        n as f64 * mean - cost.trace() > SHOWN * sd.max(1.0)
     }
 
     /// Whitened residuals of a motion.

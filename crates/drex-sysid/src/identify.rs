@@ -169,7 +169,8 @@ fn decide(answer: &mut Identification, e: &Estimate, joint: &Joint) {
     answer.error_budget = Some(e.budget);
     // 3.84 / 2: what the likelihood must lose, at the worst mass of the scan, to exclude anything at all.
     let informative = e.relief > 1.92 && cost.is_finite();
-    let shown = joint.problems.iter().zip(&e.best.fits).any(|(problem, fit)| problem.shows(fit));
+    let Candidate { motions, fits, .. } = &e.best;
+    let shown = joint.problems.iter().zip(motions).zip(fits).any(|((p, m), f)| p.shows(m, f));
     if let Some(Knowledge::Fixed(kg)) = joint.problems.first().and_then(|p| p.parameters.get(Parameter::Mass)) {
         answer.friction = mu;
         answer.sd_log_mass = None;
@@ -179,8 +180,8 @@ fn decide(answer: &mut Identification, e: &Estimate, joint: &Joint) {
         );
     } else if !shown {
         answer.reason = format!(
-            "the poses are no likelier under the motion that {cause} makes with any mass than for an object that never moves; check \
-             that the track belongs to this push and that the object moved"
+            "whatever the mass, the poses do not follow the motion that {cause} makes: in another order they would agree with it as \
+             well; check that the track belongs to this push and that the object moved"
         );
     } else if informative && e.sd < SD_LIMIT {
         let half = (1.96 * e.sd).exp();

@@ -373,11 +373,6 @@ pub(crate) struct Motion {
 }
 
 impl Motion {
-    /// An object that never moves, whatever the tip does.
-    pub(crate) fn resting(at: Pose, tips: Vec<f64>) -> Self {
-        Self { begin_s: 0.0, samples: vec![(at, Vector3::zeros(), Vector3::zeros())], tips }
-    }
-
     /// The pose at time t; the first and the last pose hold before and after.
     pub(crate) fn at(&self, t: f64) -> Pose {
         let (k, s) = self.place(t);

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 
 use common::{block, read_obj, shared, simulated};
 use drex_core::Trajectory;
-use drex_core::push::{Drive, ForceChoice, ForceProfile, InputChoice, PoseChoice, PushRecording};
+use drex_core::push::{Drive, ForceChoice, ForceProfile, InputChoice, PoseChoice, PoseNoise, PushRecording};
 use drex_sysid::{Identification, IdentifyOptions, ObjectModel, Verdict, identify};
 use nalgebra::{Point3, Vector3};
 
@@ -63,6 +63,17 @@ fn held(track: &Trajectory) -> Trajectory {
     Trajectory::from_samples(track.times_s(), &vec![track.poses()[0]; track.len()]).unwrap()
 }
 
+fn with_track(push: &PushRecording, track: Trajectory, noise: Option<PoseNoise>) -> PushRecording {
+    let mut out = push.clone();
+    (out.track, out.noise) = (track, noise);
+    out
+}
+
+fn with_drive(mut push: PushRecording, drive: Drive) -> PushRecording {
+    push.drive = drive;
+    push
+}
+
 fn weighs_nothing(push: PushRecording, object: &ObjectModel, what: &str) {
     let a = weigh(push, object);
     assert_eq!(a.verdict, Verdict::NotIdentifiable, "{what}: {:?} {:?} {}", a.mass_kg, a.ci95_kg, a.reason);
@@ -74,11 +85,9 @@ fn shuffled_and_constant_poses_of_a_block_weigh_nothing() {
     for push in blocks(0.137) {
         for stated in [push.noise, None] {
             for seed in [1, 2] {
-                let track = shuffled(&push.track, seed);
-                weighs_nothing(PushRecording { noise: stated, track, ..push.clone() }, &block(), "shuffled");
+                weighs_nothing(with_track(&push, shuffled(&push.track, seed), stated), &block(), "shuffled");
             }
-            let track = held(&push.track);
-            weighs_nothing(PushRecording { noise: stated, track, ..push.clone() }, &block(), "constant");
+            weighs_nothing(with_track(&push, held(&push.track), stated), &block(), "constant");
         }
     }
 }
@@ -90,10 +99,9 @@ fn shuffled_and_constant_poses_of_recordings_weigh_nothing() {
         let (push, object) = load(&shared.join("data/push_mujoco").join(name), &InputChoice::default());
         for seed in [1, 2] {
             let track = shuffled(&push.track, seed);
-            weighs_nothing(PushRecording { track, ..push.clone() }, &object, &format!("{name} shuffled"));
+            weighs_nothing(with_track(&push, track, push.noise), &object, &format!("{name} shuffled"));
         }
-        let track = held(&push.track);
-        weighs_nothing(PushRecording { track, ..push }, &object, &format!("{name} held"));
+        weighs_nothing(with_track(&push, held(&push.track), push.noise), &object, &format!("{name} held"));
     }
 }
 
@@ -101,7 +109,9 @@ fn shuffled_and_constant_poses_of_recordings_weigh_nothing() {
 fn a_first_guess_moves_nothing() {
     let push = blocks(0.137)[1].clone();
     let answers = [0.1, 1.0, 10.0].map(|factor| {
-        let mut a = weigh(PushRecording { mass_prior_kg: Some(0.137 * factor), ..push.clone() }, &block());
+        let mut push = push.clone();
+        push.mass_prior_kg = Some(0.137 * factor);
+        let mut a = weigh(push, &block());
         assert_eq!(a.prior_kg.take(), Some(0.137 * factor));
         a.seconds = 0.0;
         a
@@ -117,7 +127,7 @@ fn forces_of_another_mass_give_that_mass() {
     for factor in [0.6, 1.6] {
         for (own, other) in blocks(m).into_iter().zip(blocks(factor * m)) {
             // The lighter object moves under 0.6 of the force as the heavier one does under all of it.
-            let a = weigh(PushRecording { drive: own.drive, ..other }, &block());
+            let a = weigh(with_drive(other, own.drive), &block());
             assert_eq!(a.verdict, Verdict::Identified, "{}", a.reason);
             assert!((a.mass_kg.unwrap() / m - 1.0).abs() < 2e-3, "{factor}: {:?}", a.mass_kg);
         }
@@ -147,7 +157,7 @@ fn forces_of_another_mass_give_that_mass_in_other_simulations() {
                 eprintln!("skipped {set}/{name}: its force is no multiple of the other's");
                 continue;
             };
-            let a = weigh(PushRecording { drive: own.drive.clone(), ..other }, &object);
+            let a = weigh(with_drive(other, own.drive.clone()), &object);
             let (ci, expected) = (a.ci95_kg.unwrap(), truth * gain);
             eprintln!(
                 "{set}/{name}: {:.4} kg with its force times {gain:.4}: {:.4} ({ci:.4?}), expected {expected:.4}",
