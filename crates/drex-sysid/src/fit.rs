@@ -22,8 +22,10 @@ type Columns = SMatrix<f64, 6, NUISANCES>;
 const CAUCHY: f64 = 40.0;
 /// Derivatives carried by one simulation, at most.
 const LANES: usize = 8;
-/// Poses show a motion if in their order they agree better with it than in any order, by this many standard deviations.
-const SHOWN: f64 = 3.0;
+/// Poses show a motion if in their order they agree better with it than in any order, by this many standard deviations;
+const SHOWN: f64 = 4.0;
+/// or, where they are few, by this share of the √(n - 1) that n poses without noise can reach.
+const SHOWN_SHARE: f64 = 0.75;
 /// Poses that are looked at for that, at most.
 const COMPARED: usize = 150;
 
@@ -112,9 +114,10 @@ impl Problem {
         });
         let (of_time, of_pose, mean) = (cost.column_mean(), cost.row_mean(), cost.mean());
         let spread = cost.map_with_location(|i, j, c| (c - of_time[i] - of_pose[j] + mean).powi(2)).sum();
-        let sd = (spread / (n as f64 - 1.0).max(1.0)).sqrt();
+        let most = (n as f64 - 1.0).max(1.0).sqrt();
+        let sd = spread.sqrt() / most;
         // Less than one in cost is nothing, however sure.
-        n as f64 * mean - cost.trace() > SHOWN * sd.max(1.0)
+        n as f64 * mean - cost.trace() > SHOWN.min(SHOWN_SHARE * most) * sd.max(1.0)
     }
 
     /// Whitened residuals of a motion.
