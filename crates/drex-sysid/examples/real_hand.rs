@@ -6,15 +6,13 @@ use std::error::Error;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use drex_core::clock::{Clock, parse_utc_offset};
 use drex_core::push::{Drive, HandPush, InputChoice, PushRecording};
-use drex_core::readers::read_foundation_pose_log;
-use drex_core::{Trajectory, TriMesh};
+use drex_core::{Pose, Trajectory, TriMesh};
 use drex_robot::Robot;
 use drex_sysid::bound::{Bound, BoundOptions, Topple, of_topple};
 use drex_sysid::calibrate::{CalibrateOptions, ExtraTorque, HandCalibration, HandRun, Touch, hand};
 use drex_sysid::frames::{FoundFrames, FrameOptions, HandPlacement, Standing, against_hand, find, tip_paths};
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use serde_json::Value;
 
 type Any<T> = Result<T, Box<dyn Error>>;
@@ -88,24 +86,26 @@ fn main() -> Any<()> {
 fn load(folder: &Path, entries: bool) -> Any<Run> {
     let run: Value = serde_json::from_str(&std::fs::read_to_string(folder.join("run.json"))?)?;
     let vector = |key: &str| Vector3::from_fn(|i, _| run[key][i].as_f64().unwrap_or(f64::NAN));
-    let recording = PushRecording::load(folder, &InputChoice::default())?;
-    let Drive::Hand(hand) = recording.drive else { return Err(format!("{} has no hand", folder.display()).into()) };
-    let utc_offset_minutes = parse_utc_offset(run["pose_clock"].as_str().unwrap_or_default())?;
-    let track = read_foundation_pose_log(&folder.join("object_poses.txt"), &Clock::LocalIso { utc_offset_minutes })?;
-    // The recording counts from its first pose.
-    let zero = track.span_s().map_or(0.0, |s| s.0);
-    let mut options = FrameOptions::default();
-    if entries {
-        options.up_in_tracked = Some(vector("up_in_tracked_frame"));
-        options.topples_towards_in_tracked = Some(vector("topples_towards_in_tracked_frame"));
-    }
+    let mut recording = PushRecording::load(folder, &InputChoice::default())?;
+    let Drive::Hand(hand) = recording.drive.clone() else { return Err(format!("{} has no hand", folder.display()).into()) };
+    let options = if entries {
+        FrameOptions::of(&recording)
+    } else {
+        // The tracker's own frame, as if the run said nothing of it.
+        let rows = &run["tracked_from_mesh"]["rotation_rows"];
+        let rotation = Matrix3::from_fn(|i, j| rows[i][j].as_f64().unwrap_or(f64::NAN));
+        let at = Vector3::from_fn(|i, _| run["tracked_from_mesh"]["translation_m"][i].as_f64().unwrap_or(f64::NAN));
+        let turn = UnitQuaternion::from_matrix(&rotation);
+        recording.track = recording.track.right_mul(&Pose::from_parts(at.into(), turn).inverse());
+        FrameOptions::default()
+    };
     Ok(Run {
         name: folder.file_name().unwrap_or_default().to_string_lossy().into_owned(),
         object: run["object"].as_str().unwrap_or_default().to_owned(),
         hand,
         gravity: recording.gravity,
         table_height_m: recording.support.table_height_m,
-        track: track.shifted(-zero),
+        track: recording.track,
         solid: Standing::of(&TriMesh::read(&recording.mesh)?)?,
         up: vector("up_in_tracked_frame"),
         lean: vector("topples_towards_in_tracked_frame"),

@@ -275,9 +275,10 @@ fn weigh(
     let run = HandRun { name: "made", joints: &made.joints, world_from_base: base, gravity: DOWN };
     let extra = c.extra_torque(&run, robot).unwrap();
     let touches = extra.touches(robot);
-    let found = find(&made.track, &made.mesh, &FrameOptions::default()).unwrap();
+    let solid = Standing::of(&made.mesh).unwrap();
+    let found = find(&made.track, &solid, &FrameOptions::default()).unwrap();
     let tips = tip_paths(robot, base, &extra, &touches, found.motion_start_s);
-    let placement = against_hand(&found, &made.track, &made.mesh, &tips, table).unwrap();
+    let placement = against_hand(&found, &made.track, &solid, &tips, table).unwrap();
     let topple = Topple {
         robot,
         world_from_base: base,
@@ -285,7 +286,7 @@ fn weigh(
         extra: &extra,
         touches: &touches,
         track: &made.track,
-        mesh: &made.mesh,
+        solid: &solid,
         found: &found,
         placement: Some(&placement),
         gravity_m_s2: 9.81,
@@ -311,7 +312,7 @@ fn a_made_up_topple_gives_back_clock_height_and_mass() {
             bound.fingers,
             1.0 / bound.closed_form_per_kg,
             1.0 / bound.per_kg,
-            bound.interval_kg(),
+            bound.interval_kg,
             placement.clock_offset_s,
             placement.height_offset_m,
             bound.limits()
@@ -324,7 +325,7 @@ fn a_made_up_topple_gives_back_clock_height_and_mass() {
             placement.height_offset_m
         );
         assert!((placement.push_in_world + Vector3::x()).norm() < 0.1);
-        let [lo, hi] = bound.interval_kg();
+        let [lo, hi] = bound.interval_kg;
         assert!(lo < *mass && *mass < hi && hi / lo < 6.0, "{lo} to {hi} for {mass}");
         estimates.push(1.0 / bound.per_kg);
         assert!((estimates[estimates.len() - 1] / mass - 1.0).abs() < 0.35, "{:?} for {mass}", estimates.last());
@@ -477,7 +478,7 @@ fn what_efforts_tell_about_real_objects_holds_the_truth() {
         let bound = of_topple(&topple, &BoundOptions::default()).unwrap();
         let object = name.trim_end_matches(|c: char| c.is_ascii_digit());
         let mass = truth[object].as_f64().unwrap();
-        let [lo, hi] = bound.interval_kg();
+        let [lo, hi] = bound.interval_kg;
         eprintln!("{name}: {lo:.3} to {hi:.3} kg, weighed {mass} kg; limited by {}", bound.limits());
         assert!(lo < mass && mass < hi, "{name}: {lo} to {hi} without {mass}");
         if object == "lego" {

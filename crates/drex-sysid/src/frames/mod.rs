@@ -37,6 +37,9 @@ const LEAST_ODDS: f64 = 1e-3;
 pub struct FrameOptions {
     /// Pose of the mesh in the tracked frame, if it is known.
     pub tracked_from_mesh: Option<Pose>,
+    /// Whether that may be off by a turn of a box: trackers take objects upside down or turned by a quarter where they look
+    /// alike, and a stated pose of the mesh does not tell. Other turns then are in [`FoundFrames::turns`].
+    pub looks_alike: bool,
     /// Up in the tracked frame while the object rests, if it is known.
     pub up_in_tracked: Option<Vector3<f64>>,
     /// Horizontal direction of the topple in the tracked frame, if it is known.
@@ -52,6 +55,7 @@ impl FrameOptions {
         match &recording.track_frame {
             TrackFrame::Camera { of_mesh, up, push } => Self {
                 tracked_from_mesh: known.filter(|_| *of_mesh),
+                looks_alike: true,
                 up_in_tracked: *up,
                 topples_towards_in_tracked: *push,
                 world_from_camera: None,
@@ -95,7 +99,7 @@ pub struct FoundFrames {
     /// Odds of the next best up direction (20 degrees or more away) against this one; near 1 means a guess.
     pub runner_up_odds: f64,
     /// How the mesh may sit in the tracked frame with the same up (trackers take objects upside down or turned by a quarter where
-    /// they look alike), with odds against the best; the best first. One, where it was given.
+    /// they look alike), with odds against the best, or against the one that was given. One, where that is certain.
     pub turns: Vec<Turn>,
     /// Other up directions, tracked frame, with their odds against this one, likely ones first.
     pub alternatives: Vec<(Vector3<f64>, f64)>,
@@ -143,13 +147,23 @@ pub fn find(track: &Trajectory, solid: &Standing, options: &FrameOptions) -> Res
     let mut turns: Vec<Turn> = Vec::new();
     for h in &ranked {
         let up = h.tracked_from_mesh.rotation * h.up_in_mesh;
+        if alternatives.iter().map(|a| a.0).chain([up_in_tracked]).all(|a| a.angle(&up) > SAME_UP) {
+            alternatives.push((up, (best.cost - h.cost).exp()));
+        }
+    }
+    let open = FrameOptions { up_in_tracked: Some(up_in_tracked), ..options.clone() };
+    let turned = match options.tracked_from_mesh {
+        Some(known) if options.looks_alike => {
+            rank_among(&turned(solid, &known), &Evidence::of(&motion, end_s), solid, &motion, &open)
+        }
+        _ => Vec::new(),
+    };
+    for h in if turned.is_empty() { &ranked } else { &turned } {
+        let up = h.tracked_from_mesh.rotation * h.up_in_mesh;
         let odds = (best.cost - h.cost).exp();
         let new = turns.iter().all(|t| t.tracked_from_mesh.rotation.angle_to(&h.tracked_from_mesh.rotation) > 0.1);
         if up.angle(&up_in_tracked) < SAME_UP && odds > LEAST_ODDS && new {
             turns.push(Turn { tracked_from_mesh: h.tracked_from_mesh, up_in_mesh: h.up_in_mesh, odds });
-        }
-        if alternatives.iter().map(|a| a.0).chain([up_in_tracked]).all(|a| a.angle(&up) > SAME_UP) {
-            alternatives.push((up, odds));
         }
     }
     alternatives.truncate(8);
@@ -193,35 +207,49 @@ pub fn find(track: &Trajectory, solid: &Standing, options: &FrameOptions) -> Res
 
 /// Hypotheses, likely ones first.
 fn rank(evidence: &Evidence, solid: &Standing, motion: &Motion, options: &FrameOptions) -> Vec<Hypothesis> {
+    let frames = match options.tracked_from_mesh {
+        Some(known) => vec![known],
+        None => {
+            // Trackers report the pose of the mesh's frame or of the middle of its bounding box.
+            let center = score::box_center(solid).coords;
+            let apart = center.norm() > 1e-3 * solid.size_m();
+            let middle = apart.then(|| turned(solid, &Translation3::from(-center).into()));
+            middle.into_iter().flatten().chain(turned(solid, &Pose::identity())).collect()
+        }
+    };
+    rank_among(&frames, evidence, solid, motion, options)
+}
+
+/// `frame` (tracked from mesh) and the mesh turned in it about the middle of its bounding box.
+fn turned(solid: &Standing, frame: &Pose) -> Vec<Pose> {
+    let center = Translation3::from(score::box_center(solid).coords);
+    let turn = |r| frame * center * Pose::from_parts(Translation3::identity(), r) * center.inverse();
+    score::axis_permutations().into_iter().map(turn).collect()
+}
+
+fn rank_among(
+    frames: &[Pose],
+    evidence: &Evidence,
+    solid: &Standing,
+    motion: &Motion,
+    options: &FrameOptions,
+) -> Vec<Hypothesis> {
     /// Cost of the assumption that the tracker's mesh had other axes than the file.
     const OTHER_AXES: f64 = 2.0;
     let known_up = match options.world_from_camera {
         Some(w) => Some((w.rotation * motion.rest_pose.rotation).inverse() * Vector3::z()),
         None => options.up_in_tracked.and_then(|u| u.try_normalize(1e-9)),
     };
-    // Trackers report the pose of the mesh's frame or of the middle of its bounding box; turns are about that middle.
-    let center = Translation3::from(score::box_center(solid).coords);
-    let frames: Vec<Pose> = match options.tracked_from_mesh {
-        Some(known) => vec![known],
-        None => score::axis_permutations()
-            .into_iter()
-            .flat_map(|r| {
-                let turned = Pose::from_parts(Translation3::identity(), r) * center.inverse();
-                let apart = center.vector.norm() > 1e-3 * solid.size_m();
-                [Some(turned), apart.then(|| center * turned)]
-            })
-            .flatten()
-            .collect(),
-    };
     let mut ranked = Vec::new();
-    for frame in &frames {
+    for frame in frames {
         let ways: Vec<Vector3<f64>> = match known_up {
             Some(up) => vec![frame.rotation.inverse() * up],
             None => solid.faces.iter().map(|f| f.up).collect(),
         };
         for up_in_mesh in ways {
             let mut h = Hypothesis { tracked_from_mesh: *frame, up_in_mesh, cost: 0.0 };
-            let as_filed = frame.rotation.angle() < 0.1 || options.tracked_from_mesh.is_some();
+            let filed = options.tracked_from_mesh.map_or_else(UnitQuaternion::identity, |known| known.rotation);
+            let as_filed = frame.rotation.angle_to(&filed) < 0.1;
             h.cost = evidence.cost(&h, solid) + if as_filed { 0.0 } else { OTHER_AXES };
             ranked.push(h);
         }

@@ -80,6 +80,13 @@ impl Standing {
         lowest(&self.hull, up)
     }
 
+    /// The way to stand nearest to `up`; `up` itself where there is none nearby. A stated up is often an axis of the mesh, and the
+    /// bottom of a scan is not square to it.
+    pub fn firm(&self, up: &Vector3<f64>) -> Vector3<f64> {
+        let nearest = self.faces.iter().min_by(|a, b| a.up.angle(up).total_cmp(&b.up.angle(up)));
+        nearest.filter(|f| f.up.angle(up) < SAME).map_or(*up, |f| f.up)
+    }
+
     /// How far the foot reaches from below the centre of mass in the horizontal direction `towards`, metres: over the
     /// points of the hull that are within `rise_m` of the lowest one. The object tips about that edge.
     pub fn foot_reach(&self, up: &Vector3<f64>, towards: &Vector3<f64>, rise_m: f64) -> f64 {
