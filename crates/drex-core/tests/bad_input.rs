@@ -139,7 +139,8 @@ fn all_four_kinds_of_push_can_be_said() {
 
 #[test]
 fn torques_and_stated_parameters_are_read() {
-    let stated = "[parameters]\nfriction = \"free\"\nforce_gain = 1.02\ncontact_height = { mean = 0.0, sd = 0.005 }\n[force]";
+    let stated =
+        "[parameters]\nfriction = \"free\"\nforce_gain = 1.02\ncontact_height = { mean = 0.0, sd = 0.005 }\n[force]";
     let push = Push::new(&FORCE.replace("[force]", stated));
     push.write("force.csv", "t,fx,fy,fz,tx,ty,tz\n10,0,0,0,0,0,0\n10.05,1,0,0,0,0.2,0\n10.1,0,0,0,0,0,0\n");
     let loaded = push.load();

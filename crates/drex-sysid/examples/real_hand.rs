@@ -87,7 +87,9 @@ fn load(folder: &Path, entries: bool) -> Any<Run> {
     let run: Value = serde_json::from_str(&std::fs::read_to_string(folder.join("run.json"))?)?;
     let vector = |key: &str| Vector3::from_fn(|i, _| run[key][i].as_f64().unwrap_or(f64::NAN));
     let mut recording = PushRecording::load(folder, &InputChoice::default())?;
-    let Drive::Hand(hand) = recording.drive.clone() else { return Err(format!("{} has no hand", folder.display()).into()) };
+    let Drive::Hand(hand) = recording.drive.clone() else {
+        return Err(format!("{} has no hand", folder.display()).into());
+    };
     let options = if entries {
         FrameOptions::of(&recording)
     } else {
