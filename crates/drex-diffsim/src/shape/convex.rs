@@ -206,13 +206,13 @@ fn outline(triangles: &[[u32; 3]], vertices: &[Point3<f64>], normal: &Vector3<f6
 /// The lattice is generic, so of points on a flat face only its corners are found.
 fn extreme_points(points: &[Point3<f64>]) -> Vec<Point3<f64>> {
     let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
+    let blocks = Blocks::new(points);
     let mut found = BTreeSet::new();
     for i in 0..DIRECTIONS {
         let z = 1.0 - (2 * i + 1) as f64 / DIRECTIONS as f64;
         let (r, a) = ((1.0 - z * z).sqrt(), golden * i as f64 + 0.1);
         let n = Vector3::new(r * a.cos(), r * a.sin(), z);
-        let best = points.iter().enumerate().max_by(|x, y| n.dot(&x.1.coords).total_cmp(&n.dot(&y.1.coords)));
-        found.extend(best.map(|(k, _)| k));
+        found.extend(blocks.farthest(&n));
     }
     let mut kept: Vec<Point3<f64>> = Vec::new();
     let size = found.iter().map(|&k| (points[k] - points[0]).norm()).fold(0.0, f64::max);
@@ -222,6 +222,53 @@ fn extreme_points(points: &[Point3<f64>]) -> Vec<Point3<f64>> {
         }
     }
     kept
+}
+
+/// Points in groups of neighbours, so that most are never looked at when one asks for the farthest.
+struct Blocks<'a> {
+    points: &'a [Point3<f64>],
+    /// Indices of the points, group after group, with the centre and the half extents of the group's box.
+    groups: Vec<(Vec<usize>, Vector3<f64>, Vector3<f64>)>,
+}
+
+impl<'a> Blocks<'a> {
+    fn new(points: &'a [Point3<f64>]) -> Self {
+        const CELLS: f64 = 16.0;
+        let Some(&first) = points.first() else { return Self { points, groups: Vec::new() } };
+        let (low, high) = points.iter().fold((first, first), |(lo, hi), p| (lo.inf(p), hi.sup(p)));
+        let size = high - low;
+        let cell =
+            |p: &Point3<f64>| [0, 1, 2].map(|i| (CELLS * (p[i] - low[i]) / size[i].max(f64::MIN_POSITIVE)) as u8);
+        let mut cells: BTreeMap<[u8; 3], Vec<usize>> = BTreeMap::new();
+        for (k, p) in points.iter().enumerate() {
+            cells.entry(cell(p)).or_default().push(k);
+        }
+        let boxed = |of: Vec<usize>| {
+            let start = points[of[0]];
+            let (lo, hi) = of.iter().fold((start, start), |(lo, hi), &k| (lo.inf(&points[k]), hi.sup(&points[k])));
+            (of, nalgebra::center(&lo, &hi).coords, (hi - lo) * 0.5)
+        };
+        Self { points, groups: cells.into_values().map(boxed).collect() }
+    }
+
+    /// The point farthest along `n`; of several the last.
+    fn farthest(&self, n: &Vector3<f64>) -> Option<usize> {
+        let reach: Vec<f64> = self.groups.iter().map(|(_, c, half)| n.dot(c) + n.abs().dot(half)).collect();
+        let value = |k: usize| n.dot(&self.points[k].coords);
+        let better = |a: &usize, b: &usize| value(*a).total_cmp(&value(*b)).then(a.cmp(b));
+        let of = |g: usize| self.groups[g].0.iter().copied().max_by(better);
+        let first = (0..reach.len()).max_by(|&a, &b| reach[a].total_cmp(&reach[b]))?;
+        let mut best = of(first)?;
+        // Rounding of a reach must not hide a group.
+        let (_, center, half) = &self.groups[first];
+        let margin = 1e-12 * (center.norm() + half.norm());
+        for g in (0..reach.len()).filter(|&g| g != first) {
+            if reach[g] + margin >= value(best) {
+                best = of(g).into_iter().chain([best]).max_by(better)?;
+            }
+        }
+        Some(best)
+    }
 }
 
 /// At most `limit` of `points`, chosen so that each is the farthest from those already chosen; order of `points` kept.
@@ -248,6 +295,26 @@ fn spread_out(points: Vec<Point3<f64>>, limit: usize) -> Vec<Point3<f64>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn groups_find_what_a_look_at_all_points_finds() {
+        let mut state = 1_u64;
+        let mut next = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
+        };
+        let cloud: Vec<Point3<f64>> = (0..3000).map(|_| Point3::new(next(), 0.1 * next(), 3.0 + next())).collect();
+        for points in [cloud, grid_box(0.02, 0.03, 0.04, 12), vec![Point3::origin(); 5]] {
+            let blocks = Blocks::new(&points);
+            for _ in 0..200 {
+                let n = Vector3::new(next(), next(), next()).normalize();
+                let all = points.iter().enumerate();
+                let best = all.max_by(|x, y| n.dot(&x.1.coords).total_cmp(&n.dot(&y.1.coords))).map(|(k, _)| k);
+                assert_eq!(blocks.farthest(&n), best);
+            }
+        }
+        assert_eq!(Blocks::new(&[]).farthest(&Vector3::x()), None);
+    }
 
     fn grid_box(hx: f64, hy: f64, hz: f64, n: usize) -> Vec<Point3<f64>> {
         let mut out = Vec::new();
