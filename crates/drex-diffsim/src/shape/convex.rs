@@ -233,7 +233,7 @@ struct Blocks<'a> {
 
 impl<'a> Blocks<'a> {
     fn new(points: &'a [Point3<f64>]) -> Self {
-        const CELLS: f64 = 16.0;
+        const CELLS: f64 = 10.0;
         let Some(&first) = points.first() else { return Self { points, groups: Vec::new() } };
         let (low, high) = points.iter().fold((first, first), |(lo, hi), p| (lo.inf(p), hi.sup(p)));
         let size = high - low;
