@@ -9,7 +9,7 @@ use crate::finger::PULL;
 use crate::information::Information;
 use crate::joint::{Candidate, Coordinate, ITERATIONS, Joint, Point, Slopes};
 use crate::problem::{Action, Problem, Slot};
-use crate::profile::{Profile, minima};
+use crate::profile::{BOUND, Profile, minima};
 use crate::{IdentifyOptions, Result};
 
 /// Two correct simulators of rigid contact disagree about a mass by this much (relative).
@@ -61,7 +61,12 @@ impl Joint {
             problem.encoder_m = LOOSE_ENCODER_M.max(finest);
         }
         let middle_dt = (options.dt_s * options.scan_dt_s).sqrt();
-        let scan = self.refined(self.scan(options), options.scan_dt_s);
+        let mut scan = self.scan(options);
+        // Where all masses do equally well, a minimum between two of them is an accident of contact.
+        let told = relief(&scan) > BOUND;
+        if told {
+            scan = self.refined(scan, options.scan_dt_s);
+        }
         if scan.iter().all(|s| !s.1.is_finite()) {
             // No mass can be simulated: say why.
             for (i, problem) in self.problems.iter().enumerate() {
@@ -71,7 +76,8 @@ impl Joint {
         let (named, all) = (self.active(false), self.active(true));
         // With errors of the force, many motions agree with the track: the exact slopes of one are of little use.
         let by = if named.len() < all.len() { Slopes::Mean } else { Slopes::Exact };
-        let mut found: Vec<Candidate> = promising(&scan, 3)
+        let starts = if told { 3 } else { 0 };
+        let mut found: Vec<Candidate> = promising(&scan, starts)
             .par_iter()
             .map(|p| {
                 let start = self.evaluate(p.clone(), None, middle_dt);
@@ -90,7 +96,7 @@ impl Joint {
             found.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost)).map_or_else(|| self.start(), |c| c.point);
 
         let mut best = self.evaluate(start, None, options.dt_s);
-        for _ in 0..4 {
+        for _ in 0..if told { 4 } else { 0 } {
             let changed = self.rescale_encoders(&best, (finest, WORST_ENCODER_M.max(finest)));
             if changed {
                 best = self.evaluate(best.point, Some(&best.fits), options.dt_s);
@@ -102,7 +108,7 @@ impl Joint {
         }
         let mut information = Information::of(self, &best, options)?;
         let mut profile = Profile::default();
-        let rounds = if information.sd() > HOPELESS { 0 } else { 3 };
+        let rounds = if told && information.sd() <= HOPELESS { 3 } else { 0 };
         for _ in 0..rounds {
             best = self.polish(best, &all, &information, options.dt_s);
             profile = Profile::around(self, &best, &information, options.dt_s)?;
@@ -128,7 +134,6 @@ impl Joint {
         let random = information.sd().max(budget.sandwich).max(budget.profile);
         let floor = self.problems.iter().map(floor).fold(0.0, f64::max);
         let sd = (random.powi(2) + information.factor.powi(2) + budget.contact.powi(2) + floor.powi(2)).sqrt();
-        let worst = scan.iter().map(|s| s.1).filter(|c| c.is_finite()).fold(f64::NEG_INFINITY, f64::max);
         // The scan was weighed differently if there is an encoder; its own best is what its worst compares with.
         let lowest = scan.iter().map(|s| s.1).fold(f64::INFINITY, f64::min);
         let sd_mu_m = self.friction().map(|_| information.sd_product());
@@ -141,7 +146,7 @@ impl Joint {
         points.retain(|(_, c)| c.is_finite());
         points.sort_by(|a, b| a.0.total_cmp(&b.0));
         Ok(Estimate {
-            relief: worst - lowest,
+            relief: relief(&scan),
             best,
             profile: points,
             budget,
@@ -269,6 +274,12 @@ impl Joint {
         }
         information.shift(&differences)
     }
+}
+
+/// Cost at the worst mass of a scan minus cost at the best.
+fn relief(scan: &[(Point, f64)]) -> f64 {
+    let costs = || scan.iter().map(|s| s.1).filter(|c| c.is_finite());
+    costs().fold(f64::NEG_INFINITY, f64::max) - costs().fold(f64::INFINITY, f64::min)
 }
 
 /// The local minima of a scan, best first, without those that no refinement makes the best.

@@ -13,6 +13,7 @@ use crate::fit::Fit;
 use crate::joint::{Candidate, Joint};
 use crate::parameters::{Knowledge, Parameter, ParameterSet};
 use crate::problem::{Motion, Problem};
+use crate::profile::BOUND;
 use crate::{IdentifyOptions, Method, ObjectModel, Result, SysidError, adam, checks, hand, invariance, noise};
 
 /// Standard deviation of log mass above which a recording does not weigh the object.
@@ -167,8 +168,8 @@ fn decide(answer: &mut Identification, e: &Estimate, joint: &Joint) {
     let cause = if finger { "the compliant fingertip" } else { "the known force" };
     answer.sd_log_mass = e.sd.is_finite().then_some(e.sd);
     answer.error_budget = Some(e.budget);
-    // 3.84 / 2: what the likelihood must lose, at the worst mass of the scan, to exclude anything at all.
-    let informative = e.relief > 1.92 && cost.is_finite();
+    // Whether the worst mass of the scan is excluded, at least.
+    let informative = e.relief > BOUND && cost.is_finite();
     let Candidate { motions, fits, .. } = &e.best;
     let shown = joint.problems.iter().zip(motions).zip(fits).any(|((p, m), f)| p.shows(m, f));
     if let Some(Knowledge::Fixed(kg)) = joint.problems.first().and_then(|p| p.parameters.get(Parameter::Mass)) {
