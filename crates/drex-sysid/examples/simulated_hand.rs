@@ -19,6 +19,7 @@ use drex_diffsim::{
     State, Workspace, step,
 };
 use drex_robot::Robot;
+use drex_sysid::bound::{BoundOptions, Topple, of_topple};
 use drex_sysid::calibrate::{CalibrateOptions, HandCalibration, HandRun, hand};
 use drex_sysid::frames::{FoundFrames, FrameOptions, HandPlacement, Standing, TipPath, against_hand, find, tip_paths};
 use drex_sysid::{Identification, IdentifyOptions, ObjectModel, identify};
@@ -53,32 +54,42 @@ fn main() -> Any<()> {
 
     let out = &mut std::io::stdout();
     writeln!(out, "run        weighed  real, kg          log width | simulated, kg, and log widths")?;
-    let (mut real_sum, mut simulated_sum, mut inside, mut all) = (0.0, 0.0, 0, 0);
+    let (mut real_sum, mut simulated_sum, mut compared, mut inside, mut all) = (0.0, 0.0, 0.0, 0, 0);
     for (folder, recording) in folders.iter().zip(&recordings) {
         let run: Value = serde_json::from_str(&std::fs::read_to_string(folder.join("run.json"))?)?;
         let mass = truth[run["object"].as_str().unwrap_or_default()].as_f64().ok_or("no weighed mass")?;
         let push = Push::of(recording, &robot, &calibration)?;
-        let real = interval(&push.identify(recording)?);
+        let Some(real) = push.identify(recording)?.ci95_kg else {
+            writeln!(out, "{:9} {mass:8.3}  no interval", recording.name)?;
+            continue;
+        };
         write!(out, "{:9} {mass:8.3}  {} {:9.2} |", recording.name, text(real), width(real))?;
         let mut widths = Vec::new();
         for seed in 0..seeds {
             let simulated = push.simulated(mass, seed)?;
-            let got = interval(&push.identify(&simulated)?);
+            let answer = push.identify(&simulated)?;
+            let Some(got) = answer.ci95_kg else {
+                write!(out, "  no interval")?;
+                continue;
+            };
             write!(out, "  {} {:5.2}", text(got), width(got))?;
             inside += usize::from(got[0] <= mass && mass <= got[1]);
             all += 1;
             widths.push(width(got));
         }
-        let mean = widths.iter().sum::<f64>() / widths.len().max(1) as f64;
+        if widths.is_empty() {
+            writeln!(out)?;
+            continue;
+        }
+        let mean = widths.iter().sum::<f64>() / widths.len() as f64;
         writeln!(out, "  ratio {:.2}", width(real) / mean)?;
-        real_sum += width(real);
-        simulated_sum += mean;
+        (real_sum, simulated_sum, compared) = (real_sum + width(real), simulated_sum + mean, compared + 1.0);
     }
     writeln!(
         out,
         "mean log width {:.2} real, {:.2} simulated: ratio {:.2}; {inside} of {all} simulated intervals hold the mass",
-        real_sum / recordings.len() as f64,
-        simulated_sum / recordings.len() as f64,
+        real_sum / compared,
+        simulated_sum / compared,
         real_sum / simulated_sum
     )?;
     Ok(())
@@ -106,10 +117,27 @@ impl<'a> Push<'a> {
         };
         let solid = Standing::of(&TriMesh::read(&recording.mesh)?)?;
         let object = ObjectModel { pieces: vec![solid.hull.vertices.clone()], unit: solid.unit };
-        let found = find(&recording.track, &solid, &FrameOptions::of(recording))?;
+        let mut found = find(&recording.track, &solid, &FrameOptions::of(recording))?;
         let extra = calibration.extra_torque(&run, robot)?;
-        let tips = tip_paths(robot, &log.world_from_base, &extra, &extra.touches(robot), found.motion_start_s);
+        let touches = extra.touches(robot);
+        let tips = tip_paths(robot, &log.world_from_base, &extra, &touches, found.motion_start_s);
         let stated = recording.support.table_height_m;
+        // Stand it as the fall shows it.
+        let placement = against_hand(&found, &recording.track, &solid, &tips, stated).ok();
+        let topple = Topple {
+            robot,
+            world_from_base: &log.world_from_base,
+            table_height_m: stated,
+            extra: &extra,
+            touches: &touches,
+            track: &recording.track,
+            solid: &solid,
+            found: &found,
+            placement: placement.as_ref(),
+            gravity_m_s2: recording.gravity.norm(),
+        };
+        let turn = found.turns[of_topple(&topple, &BoundOptions::default())?.turn];
+        (found.tracked_from_mesh, found.up_in_mesh) = (turn.tracked_from_mesh, solid.firm(&turn.up_in_mesh));
         let (world_from_camera, table_m, delay_s) = match against_hand(&found, &recording.track, &solid, &tips, stated)
         {
             Ok(HandPlacement { world_from_camera, height_offset_m, clock_offset_s, .. }) => {
@@ -187,7 +215,7 @@ impl<'a> Push<'a> {
         let mut state = State::new(vec![BodyState::at_rest(self.rest())], vec![arm_state]);
         state.time_s = start;
         let mut work = Workspace::default();
-        let mut motion = Motion { times_s: Vec::new(), poses: Vec::new(), joints: Vec::new(), contact_nm: Vec::new() };
+        let mut motion = Motion { times_s: Vec::new(), poses: Vec::new(), contact_nm: Vec::new() };
         let until = (self.found.motion_start_s + 2.0).min(times[times.len() - 1]);
         while state.time_s < until {
             step(&model, &scene, &mut state, &mut work)?;
@@ -206,7 +234,6 @@ impl<'a> Push<'a> {
             }
             motion.times_s.push(state.time_s);
             motion.poses.push(state.bodies[0].world_from_body);
-            motion.joints.push(q.clone());
             motion.contact_nm.push(torque);
         }
         Ok(motion)
@@ -279,7 +306,6 @@ impl<'a> Push<'a> {
 struct Motion {
     times_s: Vec<f64>,
     poses: Vec<Pose>,
-    joints: Vec<Vec<f64>>,
     contact_nm: Vec<Vec<f64>>,
 }
 
@@ -314,10 +340,6 @@ fn behind_the_fastest(found: &FoundFrames, solid: &Standing, tips: &[TipPath], t
     let yaw =
         UnitQuaternion::from_rotation_matrix(&Rotation3::from_axis_angle(&Vector3::z_axis(), push.y.atan2(push.x)));
     Pose::from_parts(Translation3::new(at.x, at.y, table_m), yaw) * found.world_from_camera
-}
-
-fn interval(answer: &Identification) -> [f64; 2] {
-    answer.ci95_kg.unwrap_or(IdentifyOptions::default().scan_kg)
 }
 
 fn width([lo, hi]: [f64; 2]) -> f64 {

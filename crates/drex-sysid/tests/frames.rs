@@ -10,7 +10,7 @@ use drex_core::clock::{Clock, parse_utc_offset};
 use drex_core::push::{InputChoice, PushRecording};
 use drex_core::readers::read_foundation_pose_log;
 use drex_core::{Pose, Trajectory, TriMesh};
-use drex_sysid::frames::{FoundFrames, FrameOptions, find};
+use drex_sysid::frames::{self, FoundFrames, FrameOptions, Standing};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde_json::Value;
 
@@ -58,6 +58,10 @@ fn spoilt(track: &Trajectory, seed: u64, position: f64, rotation: f64, faults: b
         poses.push(Isometry3::from_parts(Translation3::from(p.translation.vector + shift), q));
     }
     Trajectory::from_samples(&times, &poses).unwrap()
+}
+
+fn find(track: &Trajectory, mesh: &TriMesh, options: &FrameOptions) -> drex_sysid::Result<FoundFrames> {
+    frames::find(track, &Standing::of(mesh)?, options)
 }
 
 fn degrees(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {

@@ -12,7 +12,8 @@ use drex_core::{Pose, Trajectory, TriMesh};
 use drex_robot::Robot;
 use drex_sysid::bound::{Bound, BoundOptions, Topple, of_topple};
 use drex_sysid::calibrate::{CalibrateOptions, ExtraTorque, HandCalibration, HandRun, hand};
-use drex_sysid::frames::{FrameOptions, HandPlacement, against_hand, find, tip_paths};
+use drex_sysid::frames::{FrameOptions, HandPlacement, Standing, against_hand, find, tip_paths};
+use drex_sysid::{Identification, IdentifyOptions, ObjectModel, Verdict, identify};
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 const DOWN: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
@@ -428,8 +429,8 @@ fn tracks_and_logs_of_different_runs_are_refused_with_both_times() {
     let c = hand(&runs, &robot, &CalibrateOptions::default()).unwrap();
     let at = |name: &str| all.iter().position(|r| r.0 == name).unwrap();
     let (cookie, ketchup) = (at("cookie1"), at("ketchup1"));
-    let mesh = TriMesh::read(&all[ketchup].1.mesh).unwrap();
-    let found = find(&all[ketchup].1.track, &mesh, &FrameOptions::default()).unwrap();
+    let solid = Standing::of(&TriMesh::read(&all[ketchup].1.mesh).unwrap()).unwrap();
+    let found = find(&all[ketchup].1.track, &solid, &FrameOptions::default()).unwrap();
     let extra = c.extra_torque(&runs[cookie], &robot).unwrap();
     let mut tips = tip_paths(&robot, runs[cookie].world_from_base, &extra, &extra.touches(&robot), 4.5);
     // Each recording counts from its own start here; on the computer's clock the runs are half an hour apart.
@@ -437,52 +438,71 @@ fn tracks_and_logs_of_different_runs_are_refused_with_both_times() {
         tip.times_s.iter_mut().for_each(|t| *t -= 1800.0);
         tip.touch_s.iter_mut().flatten().for_each(|t| *t -= 1800.0);
     }
-    let message = against_hand(&found, &all[ketchup].1.track, &mesh, &tips, 0.062).unwrap_err().to_string();
+    let message = against_hand(&found, &all[ketchup].1.track, &solid, &tips, 0.062).unwrap_err().to_string();
     assert!(
         message.contains("do not overlap") && message.contains("joint log") && message.contains("pose track"),
         "{message}"
     );
 }
 
+/// What identify says of a run, with a calibration or without.
+fn identified(recording: &PushRecording, hand: Option<&HandCalibration>) -> Identification {
+    let solid = Standing::of(&TriMesh::read(&recording.mesh).unwrap()).unwrap();
+    let object = ObjectModel { pieces: vec![solid.hull.vertices.clone()], unit: solid.unit };
+    let mut options = IdentifyOptions::default();
+    options.hand = hand.cloned();
+    identify(std::slice::from_ref(recording), &object, &options).unwrap()
+}
+
 #[test]
-fn what_efforts_tell_about_real_objects_holds_the_truth() {
+fn intervals_of_real_objects_hold_the_weighed_mass() {
     let Some(all) = real_runs() else { return };
     let robot = Robot::bundled("allegro_right").unwrap();
     let runs = hand_runs(&all);
     let c = hand(&runs, &robot, &CalibrateOptions::default()).unwrap();
     let truth = std::fs::read_to_string(shared().unwrap().join("data/drex_real/true_mass_kg.json")).unwrap();
     let truth: serde_json::Value = serde_json::from_str(&truth).unwrap();
-    for ((name, recording, _), run) in all.iter().zip(&runs) {
-        let mesh = TriMesh::read(&recording.mesh).unwrap();
-        let found = find(&recording.track, &mesh, &FrameOptions::default()).unwrap();
-        let extra = c.extra_torque(run, &robot).unwrap();
-        let touches = extra.touches(&robot);
-        let tips = tip_paths(&robot, run.world_from_base, &extra, &touches, found.motion_start_s);
-        let table = recording.support.table_height_m;
-        let placement = against_hand(&found, &recording.track, &mesh, &tips, table).ok();
-        if let Some(p) = &placement {
-            assert!((0.0..0.2).contains(&p.clock_offset_s[0]), "{name}: {:?}", p.clock_offset_s);
-        }
-        let topple = Topple {
-            robot: &robot,
-            world_from_base: run.world_from_base,
-            table_height_m: table,
-            extra: &extra,
-            touches: &touches,
-            track: &recording.track,
-            mesh: &mesh,
-            found: &found,
-            placement: placement.as_ref(),
-            gravity_m_s2: 9.81,
-        };
-        let bound = of_topple(&topple, &BoundOptions::default()).unwrap();
+    for (name, recording, _) in &all {
         let object = name.trim_end_matches(|c: char| c.is_ascii_digit());
         let mass = truth[object].as_f64().unwrap();
-        let [lo, hi] = bound.interval_kg;
-        eprintln!("{name}: {lo:.3} to {hi:.3} kg, weighed {mass} kg; limited by {}", bound.limits());
+        let answer = identified(recording, Some(&c));
+        let [lo, hi] = answer.ci95_kg.unwrap();
+        eprintln!("{name}: {lo:.3} to {hi:.3} kg, weighed {mass} kg; {}", answer.reason);
         assert!(lo < mass && mass < hi, "{name}: {lo} to {hi} without {mass}");
-        if object == "lego" {
-            assert!(bound.mass_kg().is_none() && !bound.seen);
+        assert_eq!(answer.verdict == Verdict::Identified, answer.mass_kg.is_some());
+        let report = answer.pushes[0].hand.as_ref().unwrap();
+        match object {
+            "ketchup" => assert!(answer.verdict == Verdict::Identified && hi / lo < 4.0, "{lo} to {hi}"),
+            "lego" => assert!(report.fingers == ["thumb"] && report.touch_s.is_none() && lo < 0.006, "{report:?}"),
+            _ => assert!(report.clock_offset_s.is_some_and(|c| (0.0..0.2).contains(&c[0])), "{report:?}"),
         }
+        // A guess of the mass takes no part.
+        let mut other = recording.clone();
+        other.mass_prior_kg = recording.mass_prior_kg.map(|m| 10.0 * m);
+        assert_eq!(identified(&other, Some(&c)).ci95_kg, answer.ci95_kg, "{name}");
+        // Without efforts the hand is only replayed.
+        let Drive::Hand(push) = &mut other.drive else { panic!() };
+        push.joints.efforts.clear();
+        let replayed = identified(&other, Some(&c));
+        assert!(replayed.ci95_kg.is_none() && replayed.reason.contains("replayed"), "{}", replayed.reason);
     }
+}
+
+#[test]
+fn a_joint_log_of_another_hand_is_refused_by_name() {
+    let Some(all) = real_runs() else { return };
+    let (name, mut recording, mut push) = all.into_iter().next().unwrap();
+    let solid = Standing::of(&TriMesh::read(&recording.mesh).unwrap()).unwrap();
+    let object = ObjectModel { pieces: vec![solid.hull.vertices.clone()], unit: solid.unit };
+    let mut message = |push: &HandPush| {
+        recording.drive = Drive::Hand(push.clone());
+        identify(std::slice::from_ref(&recording), &object, &IdentifyOptions::default()).unwrap_err().to_string()
+    };
+    push.robot = "leap_right".into();
+    let other = message(&push);
+    assert!(other.contains(&name) && other.contains("not of the hand"), "{other}");
+    push.robot = "allegro_right".into();
+    push.joints.positions[40][5] = 2.9;
+    let beyond = message(&push);
+    assert!(beyond.contains("beyond its limits") && beyond.contains("mfj1"), "{beyond}");
 }

@@ -44,6 +44,8 @@ pub struct Bound {
     /// Probability and 1/m (1/kg) of each way in which the mesh may sit in the tracked frame; the other fields but those of the
     /// mass are of the likeliest.
     pub turns: Vec<(f64, f64)>,
+    /// Index of the likeliest of these in [`crate::frames::FoundFrames::turns`].
+    pub turn: usize,
     /// What each uncertain quantity costs: square root of the variance that knowing it would save, 1/kg; largest first.
     pub budget: Vec<(String, f64)>,
     /// The uncertain quantities: name, value beforehand, its standard deviation, value in the fit.
@@ -191,6 +193,7 @@ pub(super) fn fit(scene: &Scene<'_>) -> Option<(Bound, f64)> {
         sd_per_kg: total.sqrt() * worse,
         sd_of_efforts_per_kg: efforts.sqrt() * worse,
         turns: Vec::new(),
+        turn: 0,
         budget,
         unknowns: scene.unknowns.iter().zip(&values).map(|(u, v)| (u.name.clone(), u.mean, u.sd, *v)).collect(),
         profile: Vec::new(),

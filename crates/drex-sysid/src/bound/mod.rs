@@ -81,13 +81,13 @@ pub fn of_topple(run: &Topple<'_>, options: &BoundOptions) -> Result<Bound> {
         .ok_or_else(|| refuse("the object does not lean while a finger moves", "push higher, so that it tips"))?;
     // How the mesh sits in the tracked frame decides about the foot; the fall tells more about it than the pictures.
     let mut fits = Vec::new();
-    for turn in &run.found.turns {
+    for (index, turn) in run.found.turns.iter().enumerate() {
         let mut found = run.found.clone();
         (found.tracked_from_mesh, found.up_in_mesh) = (turn.tracked_from_mesh, turn.up_in_mesh);
         let Some(scene) = Scene::of(&Topple { found: &found, ..*run }, &samples, options) else { continue };
         let Some((bound, misfit)) = fit::fit(&scene) else { continue };
         let profile = if samples.seen { None } else { posterior::profile(&scene, options.range_kg) };
-        fits.push((misfit - turn.odds.ln(), turn.odds, bound, profile));
+        fits.push((misfit - turn.odds.ln(), turn.odds, Bound { turn: index, ..bound }, profile));
     }
     combine(fits, options.range_kg).ok_or_else(|| {
         refuse(
