@@ -56,9 +56,13 @@ impl<'a> HandRun<'a> {
         for (column, name) in self.joints.names.iter().enumerate() {
             let j = robot.require_joint(name).map_err(|e| other(e.to_string()))?;
             let Some((lo, hi)) = robot.joints[j].limits else { continue };
-            let rows = self.joints.times_s.iter().zip(&self.joints.positions);
-            let beyond = |q: f64| !(lo - BEYOND..=hi + BEYOND).contains(&q);
-            if let Some((t, q)) = rows.filter_map(|(t, row)| Some((t, *row.get(column)?))).find(|(_, q)| beyond(*q)) {
+            let values = self.joints.positions.iter().filter_map(|row| row.get(column).copied());
+            let rows: Vec<(f64, f64)> = self.joints.times_s.iter().copied().zip(values).collect();
+            // A joint that never moves may not have been read at all.
+            if rows.iter().all(|r| (r.1 - rows[0].1).abs() < BEYOND) {
+                continue;
+            }
+            if let Some((t, q)) = rows.iter().find(|r| !(lo - BEYOND..=hi + BEYOND).contains(&r.1)) {
                 return Err(other(format!(
                     "`{name}` is at {q:.2} rad at {t:.3} s, beyond its limits {lo:.2} to {hi:.2}"
                 )));
