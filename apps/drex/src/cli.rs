@@ -158,7 +158,7 @@ pub struct PlanPushArgs {
     #[arg(long, value_name = "UNIT", default_value = "auto")]
     pub unit: LengthUnit,
     /// TOML file with reaction_s, [force] and [finger] in place of the options below.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["max_force", "stiffness"], required_unless_present_any = ["max_force", "stiffness"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["max_force", "stiffness"])]
     pub robot: Option<PathBuf>,
     /// The robot pushes with a measured force of at most this, N.
     #[arg(long, value_name = "N", value_parser = positive)]

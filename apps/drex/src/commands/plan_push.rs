@@ -91,6 +91,9 @@ fn robot(args: &PlanPushArgs) -> Result<RobotLimits> {
             }),
         },
     };
+    if robot.force.is_none() && robot.finger.is_none() {
+        bail!("state what the robot pushes with: --max-force N, --stiffness N/M, or --robot FILE with [force] or [finger]");
+    }
     if let Some(name) = &args.hand {
         let Some(finger) = &mut robot.finger else {
             bail!("--hand limits the force of a fingertip, but there is none; add --stiffness or --robot");
