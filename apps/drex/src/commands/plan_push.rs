@@ -92,7 +92,9 @@ fn robot(args: &PlanPushArgs) -> Result<RobotLimits> {
         },
     };
     if robot.force.is_none() && robot.finger.is_none() {
-        bail!("state what the robot pushes with: --max-force N, --stiffness N/M, or --robot FILE with [force] or [finger]");
+        bail!(
+            "state what the robot pushes with: --max-force N, --stiffness N/M, or --robot FILE with [force] or [finger]"
+        );
     }
     if let Some(name) = &args.hand {
         let Some(finger) = &mut robot.finger else {
