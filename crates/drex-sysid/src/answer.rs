@@ -64,7 +64,7 @@ pub struct ErrorBudget {
     pub poses: f64,
     /// The same from the scatter of the residuals (sandwich), with their correlation in time.
     pub sandwich: f64,
-    /// The same from the width of the likelihood profile.
+    /// The same from the width of the likelihood profile, up to the farthest minimum that is not excluded.
     pub profile: f64,
     /// Noise of the recorded force.
     pub force: f64,

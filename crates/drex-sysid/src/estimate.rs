@@ -92,8 +92,8 @@ impl Joint {
                 .map(|c| self.descend(c, &all, by, MEAN_ITERATIONS, middle_dt))
                 .collect::<Result<_>>()?;
         }
-        let start =
-            found.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost)).map_or_else(|| self.start(), |c| c.point);
+        found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        let start = found.first().map_or_else(|| self.start(), |c| c.point.clone());
 
         let mut best = self.evaluate(start, None, options.dt_s);
         for _ in 0..if told { 4 } else { 0 } {
@@ -120,10 +120,11 @@ impl Joint {
                 _ => break,
             }
         }
+        let rivals = if rounds > 0 { self.rivals(found, &best, &information, options.dt_s)? } else { 0.0 };
         let budget = ErrorBudget {
             poses: information.sd_of_poses(),
             sandwich: information.sandwich,
-            profile: profile.sd(&best, information.scale),
+            profile: profile.sd(&best, information.scale) + rivals,
             force: information.sd_of_force().hypot(information.factor),
             contact: if rounds > 0 {
                 self.contact_sd(&best, &information, options).hypot(information.unmodelled)
@@ -243,6 +244,24 @@ impl Joint {
         scan.sort_by(|a, b| a.0[0].total_cmp(&b.0[0]));
         scan.dedup_by(|a, b| a.0[0] == b.0[0]);
         scan
+    }
+
+    /// What other minima that are not excluded add to the standard deviation of log mass: the interval is to reach them.
+    fn rivals(&self, found: Vec<Candidate>, best: &Candidate, information: &Information, dt_s: f64) -> Result<f64> {
+        let away = |c: &Candidate| (c.point[0] - best.point[0]).abs();
+        let all = self.active(true);
+        let mut reach = 0.0_f64;
+        for c in found.into_iter().filter(|c| away(c) > 2.0 * information.sd()) {
+            let mut rival = self.evaluate(c.point, Some(&best.fits), dt_s);
+            // A few steps make up for the coarser step that it was found with, not for more.
+            if rival.cost <= best.cost + 10.0 * BOUND * information.scale {
+                rival = self.descend(rival, &all, Slopes::Mean, 3, dt_s)?;
+            }
+            if rival.cost <= best.cost + BOUND * information.scale {
+                reach = reach.max(away(&rival));
+            }
+        }
+        Ok(reach / 1.96)
     }
 
     /// Shift of log mass when contact is softer, or less damped, or a fingertip slides less across
