@@ -110,6 +110,28 @@ fn a_real_run_written_as_push_toml_reads_the_same() {
 }
 
 #[test]
+fn a_real_run_that_states_no_frames_is_read_in_the_tracked_frame() {
+    let Some(root) = shared("drex_real/runs") else { return };
+    for run in folders(&root) {
+        let stated = PushRecording::load(&run, &InputChoice::default()).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        for log in ["joint_states.csv", "object_poses.txt"] {
+            std::fs::copy(run.join(log), folder.path().join(log)).unwrap();
+        }
+        let text = std::fs::read_to_string(run.join("run.json")).unwrap();
+        let mut json: serde_json::Value = serde_json::from_str(&text).unwrap();
+        for entry in ["tracked_from_mesh", "up_in_tracked_frame", "topples_towards_in_tracked_frame"] {
+            json.as_object_mut().unwrap().remove(entry).unwrap();
+        }
+        json["mesh"] = stated.mesh.to_str().unwrap().into();
+        std::fs::write(folder.path().join("run.json"), json.to_string()).unwrap();
+        let bare = PushRecording::load(folder.path(), &InputChoice::default()).unwrap();
+        assert_eq!(bare.track_frame, TrackFrame::Camera { of_mesh: false, up: None, push: None });
+        assert_eq!(bare.track.times_s(), stated.track.times_s());
+    }
+}
+
+#[test]
 fn the_noise_of_simulated_tracks_is_found() {
     let Some(root) = shared("push_mujoco") else { return };
     let (mut worst, mut logs): (f64, Vec<f64>) = (0.0, Vec::new());
