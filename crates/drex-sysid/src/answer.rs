@@ -68,6 +68,10 @@ pub struct ErrorBudget {
     pub profile: f64,
     /// Noise of the recorded force.
     pub force: f64,
+    /// The part of that which no pose can tell. Force and mass times one factor move everything alike, and noise of deviation s on
+    /// the samples u of a force is such a factor of deviation s / |u|: no estimate from this record has a smaller deviation,
+    /// however good the poses.
+    pub force_factor: f64,
     /// Contact of the simulator: softer, less damped, with half the step; and what a finger's encoder shows it to miss.
     pub contact: f64,
 }

@@ -13,7 +13,7 @@ use crate::profile::{BOUND, Profile, minima};
 use crate::{IdentifyOptions, Result};
 
 /// Two correct simulators of rigid contact disagree about a mass by this much (relative).
-const MODEL_FLOOR: f64 = 0.005;
+const MODEL_FLOOR: f64 = 0.003;
 /// The same for a push by a fingertip whose encoder shows how far the two motions differ.
 const FINGER_FLOOR: f64 = 0.0035;
 /// The same without an encoder, which alone tells the force across the push.
@@ -33,6 +33,14 @@ const WORST_ENCODER_M: f64 = 2e-3;
 const HOPELESS: f64 = 3.0;
 /// Iterations of one descent by mean slopes.
 const MEAN_ITERATIONS: usize = 8;
+/// The same from near the bottom.
+const FEW_ITERATIONS: usize = 3;
+
+/// Masses on each side, and the logarithm between neighbours, that are looked at again with the shortest step.
+const NEAR: i32 = 14;
+const NEAR_STEP: f64 = 0.007;
+/// A valley whose cost is higher by this does not become the best one.
+const FAR_WORSE: f64 = 15.0;
 
 /// What the estimator found.
 pub(crate) struct Estimate {
@@ -85,18 +93,21 @@ impl Joint {
             })
             .collect::<Result<_>>()?;
         found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-        if by == Slopes::Mean {
-            found.truncate(2);
-            found = found
+        if self.knows_a_force()
+            && let Some(first) = found.first()
+        {
+            found = self
+                .valleys(first, options.dt_s)
                 .into_par_iter()
-                .map(|c| self.descend(c, &all, by, MEAN_ITERATIONS, middle_dt))
+                .map(|c| self.descend(c, &all, by, MEAN_ITERATIONS, options.dt_s))
                 .collect::<Result<_>>()?;
         }
         found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
         let start = found.first().map_or_else(|| self.start(), |c| c.point.clone());
 
         let mut best = self.evaluate(start, None, options.dt_s);
-        for _ in 0..if told { 4 } else { 0 } {
+        let passes = if told && self.problems.iter().any(Problem::has_finger) { 4 } else { 0 };
+        for _ in 0..passes {
             let changed = self.rescale_encoders(&best, (finest, WORST_ENCODER_M.max(finest)));
             if changed {
                 best = self.evaluate(best.point, Some(&best.fits), options.dt_s);
@@ -106,6 +117,7 @@ impl Joint {
                 break;
             }
         }
+        best = self.tolerant(best, &all, by, options)?;
         let mut information = Information::of(self, &best, options)?;
         let mut profile = Profile::default();
         let rounds = if told && information.sd() <= HOPELESS { 3 } else { 0 };
@@ -126,6 +138,7 @@ impl Joint {
             sandwich: information.sandwich,
             profile: profile.sd(&best, information.scale) + rivals,
             force: information.sd_of_force().hypot(information.factor),
+            force_factor: information.factor,
             contact: if rounds > 0 {
                 self.contact_sd(&best, &information, options).hypot(information.unmodelled)
             } else {
@@ -169,6 +182,47 @@ impl Joint {
             Some(ParameterEstimate { parameter, push, value, sd })
         };
         self.coordinates.iter().enumerate().skip(1).filter_map(of).collect()
+    }
+
+    fn knows_a_force(&self) -> bool {
+        self.problems.iter().any(|p| matches!(p.action, Action::Force(_)))
+    }
+
+    /// The best two valleys of the cost near a candidate: where an object rocks they are narrow, and a coarse step misses them.
+    fn valleys(&self, around: &Candidate, dt_s: f64) -> Vec<Candidate> {
+        let near: Vec<Point> = (-NEAR..=NEAR)
+            .map(|k| {
+                let mut point = around.point.clone();
+                point[0] += NEAR_STEP * f64::from(k);
+                point
+            })
+            .collect();
+        let costs = self.costs(&near, Some(&around.fits), dt_s);
+        let scan: Vec<(Point, f64)> = near.into_iter().zip(costs).collect();
+        let mut found: Vec<Candidate> =
+            minima(&scan, 2).into_iter().map(|p| self.evaluate(p, Some(&around.fits), dt_s)).collect();
+        let bound = found.first().map_or(0.0, |c| c.cost + FAR_WORSE);
+        found.retain(|c| c.cost <= bound);
+        found
+    }
+
+    /// The best candidate when poses count only as far as models of contact agree about them, near one that was found without.
+    fn tolerant(
+        &mut self,
+        best: Candidate,
+        active: &[usize],
+        by: Slopes,
+        options: &IdentifyOptions,
+    ) -> Result<Candidate> {
+        if !self.knows_a_force() || !best.cost.is_finite() {
+            return Ok(best);
+        }
+        let values: Vec<_> = (0..self.problems.len()).map(|i| self.values(i, &best.point)).collect();
+        for ((problem, values), fit) in self.problems.iter_mut().zip(&values).zip(&best.fits) {
+            problem.tolerate(values, fit, options.dt_s);
+        }
+        let start = self.evaluate(best.point, Some(&best.fits), options.dt_s);
+        self.descend(start, active, by, FEW_ITERATIONS, options.dt_s)
     }
 
     /// Cost over the grid of masses (and, if it is free, of frictions: the best of each mass is kept).

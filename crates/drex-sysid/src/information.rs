@@ -13,6 +13,8 @@ use crate::{IdentifyOptions, Result};
 
 /// Spans in the logarithm of the mass and of a free friction over which slopes are averaged.
 const SPANS: [f64; 3] = [0.03, 0.01, 0.003];
+/// The same for the height of a force, metres.
+const HEIGHT_SPANS_M: [f64; 3] = [3e-3, 1e-3, 3e-4];
 /// Nobody is surer beforehand than this about the logarithm of a mass or a friction of something on a table.
 const PRIOR_SD: f64 = 1.0;
 
@@ -55,7 +57,7 @@ impl Information {
         for i in 0..joint.problems.len() {
             let own = joint.coordinates_of(i, &all);
             let slopes: Vec<Vec<f64>> =
-                own.par_iter().map(|&k| joint.mean_slope(c, i, k, options)).collect::<Result<_>>()?;
+                own.par_iter().map(|&k| joint.mean_slope(c, i, joint.coordinates[k].slot, options)).collect();
             let (rows, excess) = joint.whitened(c, i);
             scale = scale.max(excess);
             for (a, &ka) in slopes.iter().zip(&own) {
@@ -217,23 +219,31 @@ impl Information {
 }
 
 impl Joint {
-    /// Mean slope of push `i`'s rows by coordinate `k`, nuisances eliminated. Of several spans the one in the
+    /// Mean slope of push `i`'s rows by an entry of its values, nuisances eliminated. Of several spans the one in the
     /// middle: a nearby cliff (an object that topples) or a brief chatter is no knowledge.
-    fn mean_slope(&self, c: &Candidate, i: usize, k: usize, options: &IdentifyOptions) -> Result<Vec<f64>> {
-        let coordinate = &self.coordinates[k];
-        let several = matches!(coordinate.slot, Slot::Named(Parameter::Mass | Parameter::Friction));
-        let spans: &[f64] = if several { &SPANS } else { std::slice::from_ref(&coordinate.span) };
+    fn mean_slope(&self, c: &Candidate, i: usize, slot: Slot, options: &IdentifyOptions) -> Vec<f64> {
+        use Parameter::{ContactHeight, ForceGain, Friction, Mass};
+        let one;
+        let spans: &[f64] = match slot {
+            Slot::Named(Mass | Friction | ForceGain) => &SPANS,
+            Slot::Named(ContactHeight) => &HEIGHT_SPANS_M,
+            Slot::Named(p) => {
+                one = [p.scale()];
+                &one
+            }
+            Slot::Error(_) => &[1.0],
+        };
         let (problem, fit) = (&self.problems[i], &c.fits[i]);
         let rows = problem.row_weights(fit);
         let mut claims: Vec<(f64, Vec<f64>)> = Vec::new();
         for &span in spans {
-            let Some(mut column) = self.secant(c, i, coordinate.slot, span, options.dt_s) else { continue };
+            let Some(mut column) = self.secant(c, i, slot, span, options.dt_s) else { continue };
             problem.eliminate(&c.motions[i], fit, std::slice::from_mut(&mut column));
             claims.push((weighted(&rows, &column, &column), column));
         }
         claims.sort_by(|a, b| a.0.total_cmp(&b.0));
         let middle = claims.len().saturating_sub(1) / 2;
-        Ok(claims.into_iter().nth(middle).map_or_else(|| vec![0.0; fit.residuals.len()], |l| l.1))
+        claims.into_iter().nth(middle).map_or_else(|| vec![0.0; fit.residuals.len()], |l| l.1)
     }
 
     /// Difference quotient of push `i`'s rows by an entry of its values; `None` if one side cannot be simulated.
@@ -267,7 +277,8 @@ impl Joint {
         (rows, worst)
     }
 
-    /// Change of log mass per change of each parameter that was taken as stated.
+    /// Change of log mass per change of each parameter that was taken as stated. Slopes are taken as those by the mass are, so that a
+    /// factor on the force gives the same factor on the mass.
     pub(crate) fn sensitivities(
         &self,
         c: &Candidate,
@@ -281,12 +292,12 @@ impl Joint {
         candidates
             .par_iter()
             .filter_map(|&p| {
-                let changes = (0..self.problems.len())
+                let changes: Vec<Vec<f64>> = (0..self.problems.len())
                     .map(|i| match self.problems[i].depends_on(p) {
-                        true => self.secant(c, i, Slot::Named(p), p.scale(), options.scan_dt_s),
-                        false => Some(vec![0.0; c.fits[i].residuals.len()]),
+                        true => self.mean_slope(c, i, Slot::Named(p), options),
+                        false => vec![0.0; c.fits[i].residuals.len()],
                     })
-                    .collect::<Option<Vec<_>>>()?;
+                    .collect();
                 changes.iter().flatten().any(|x| *x != 0.0).then(|| (p, information.shift(&changes)))
             })
             .collect()

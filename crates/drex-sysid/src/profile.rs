@@ -88,7 +88,7 @@ fn one_side(
         if !others.is_empty() && there.cost.is_finite() {
             there = joint.polish(there, &others, information, dt_s);
             if there.cost > bound {
-                there = joint.descend(there, &others, Slopes::Mean, 4, dt_s)?;
+                there = joint.descend(there, &others, Slopes::Mean, 2, dt_s)?;
             }
         }
         let cost = there.cost;

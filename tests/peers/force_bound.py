@@ -1,0 +1,75 @@
+"""The least standard deviation that any estimate of a mass can have, given noisy poses and a noisy force, by MuJoCo itself.
+
+    python3 force_bound.py PUSH_MUJOCO        # needs mujoco and numpy; PUSH_MUJOCO holds generate.py and <object>/<scenario>
+
+The unknowns of the linear Gaussian problem around the true motion are ln m, the error of every sample of the force (3 % of
+its peak + 10 mN), and what drex takes for unknown of a track: clock (5 ms), a constant error of position (10 mm) and rotation
+(20 mrad), a drift (2 mm/s). Poses: 2 mm, 1 degree. Printed, in percent of the mass:
+
+    perfect   poses without any error: noise s on samples u leaves s / |u|, since force and mass times one factor move everything alike
+    force     exact force
+    both      both noisy
+    file      what truth.json states for an exact force: slopes over +-10 % of mass, which for a tilt reach beyond toppling
+"""
+import glob, importlib.util, json, os, sys
+
+import mujoco
+import numpy as np
+
+STEP = 0.5  # of a standard deviation, to each side
+ROTATION = np.radians(1.0)
+
+
+def main(root):
+    spec = importlib.util.spec_from_file_location("generate", os.path.join(root, "generate.py"))
+    generate = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(generate)
+    for path in sorted(glob.glob(os.path.join(root, "*", "*", "force.csv"))):
+        folder = os.path.dirname(path)
+        perfect, force, both, stated = bounds(generate, folder)
+        name = "/".join(folder.split(os.sep)[-2:])
+        print(f"{name:30s} perfect {perfect:.2f} force {force:.2f} both {both:.2f} file {stated:.3f}", flush=True)
+
+
+def bounds(generate, folder):
+    meta, truth = (json.load(open(os.path.join(folder, f + ".json"))) for f in ("meta", "truth"))
+    model = mujoco.MjModel.from_xml_path(os.path.join(folder, "scene.xml"))
+    body = model.body("object").id
+    model.body_inertia[body] *= truth["mass"] / model.body_mass[body]
+    model.body_mass[body] = truth["mass"]
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    u = np.genfromtxt(os.path.join(folder, "force.csv"), delimiter=",", skip_header=1)[:, 1:4]
+    sd = 0.03 * np.abs(u).max() + 0.01
+    base, _ = generate.run(model, meta["duration"], u, meta["force_point_body"])
+
+    def residual(u, shift=0):
+        return generate.resid(base, generate.run(model, meta["duration"], u, meta["force_point_body"], shift=shift)[0])
+
+    samples = np.argwhere(u != 0)
+    errors = []
+    for k, axis in samples:
+        more, less = u.copy(), u.copy()
+        more[k, axis] += STEP * sd
+        less[k, axis] -= STEP * sd
+        errors.append((residual(more) - residual(less)) / (2 * STEP))
+    by_mass = -sum(e * u[k, axis] / sd for e, (k, axis) in zip(errors, samples))
+    track = [(residual(u, 10) - residual(u, -10)) / 0.01 * 0.005]
+    for axis in range(6):
+        constant = np.zeros((len(base), 6))
+        constant[:, axis] = 0.010 / 0.002 if axis < 3 else 0.020 / ROTATION
+        track.append(constant.ravel())
+    drift = np.zeros((len(base), 6))
+    drift[:, 2] = base[:, 0] * 0.002 / 0.002
+    track.append(drift.ravel())
+    return (100 * sd / np.linalg.norm(u), least(by_mass, track), least(by_mass, track + errors), 100 * truth["crb_rel_sd_mass_mu_known"])
+
+
+def least(by_mass, unit_unknowns):
+    """Standard deviation of ln m in percent, the other unknowns having a prior deviation of one."""
+    slopes = np.array([by_mass, *unit_unknowns]).T
+    information = slopes.T @ slopes + np.diag([1e-9] + [1.0] * len(unit_unknowns))
+    return 100 * np.sqrt(np.linalg.inv(information)[0, 0])
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
