@@ -175,6 +175,13 @@ impl Problem {
         Nuisance::from_fn(|i, _| self.nuisances[i].precision(at[i]))
     }
 
+    /// The residuals, and those of the nuisances' priors, as [`Problem::eliminate`] appends them.
+    pub(crate) fn with_priors(&self, fit: &Fit) -> Vec<f64> {
+        let precision = self.nuisance_precision(&fit.nuisance);
+        let priors = (fit.nuisance - self.nuisance_mean()).component_mul(&precision.map(f64::sqrt));
+        fit.residuals.iter().chain(priors.iter()).copied().collect()
+    }
+
     /// Derivatives of the residuals by the entries `slots` of `values`, at the nuisances of `fit`, through dual numbers.
     pub(crate) fn slopes(&self, values: &Values<f64>, slots: &[Slot], fit: &Fit, dt_s: f64) -> Result<Vec<Vec<f64>>> {
         let mut out = Vec::with_capacity(slots.len());
@@ -231,10 +238,12 @@ impl Problem {
         Ok(out)
     }
 
-    /// Takes the part that nuisances can take over out of columns of derivatives, at the motion and weights of `fit`.
+    /// Takes the part that nuisances can take over out of columns of derivatives, at the motion and weights of `fit`. What the
+    /// nuisances' priors say to that is appended, one row per nuisance.
     pub(crate) fn eliminate(&self, motion: &Motion, fit: &Fit, columns: &mut [Vec<f64>]) {
         let by_nuisance = self.nuisance_columns(motion, &fit.nuisance);
-        let mut h = NuisanceMatrix::from_diagonal(&self.nuisance_precision(&fit.nuisance));
+        let precision = self.nuisance_precision(&fit.nuisance);
+        let mut h = NuisanceMatrix::from_diagonal(&precision);
         for (j, w) in by_nuisance.iter().zip(&fit.weights) {
             h += j.transpose() * j * *w;
         }
@@ -250,6 +259,7 @@ impl Problem {
                     *p -= x;
                 }
             }
+            column.extend(precision.iter().zip(taken.iter()).map(|(p, x)| -p.sqrt() * x));
         }
     }
 }

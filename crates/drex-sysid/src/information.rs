@@ -267,7 +267,7 @@ impl Joint {
         let mut worst = 1.0_f64;
         let split = 6 * problem.times_s.len();
         let unknowns = crate::parameters::NUISANCES + 1;
-        for (range, unknowns) in [(0..split, unknowns), (split..rows.len(), 1)] {
+        for (range, unknowns) in [(0..split, unknowns), (split..fit.residuals.len(), 1)] {
             let count: f64 = rows[range.clone()].iter().sum();
             let square: f64 = range.clone().map(|k| rows[k] * fit.residuals[k] * fit.residuals[k]).sum();
             let excess = (square / (count - unknowns as f64).max(1.0)).max(1.0);

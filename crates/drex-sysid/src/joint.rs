@@ -10,7 +10,7 @@ use crate::Result;
 use crate::fit::Fit;
 use crate::information::Information;
 use crate::noise;
-use crate::parameters::{Knowledge, Parameter};
+use crate::parameters::{Knowledge, NUISANCES, Parameter};
 use crate::problem::{Motion, Problem, Slot, Values};
 
 /// Longest Gauss-Newton step in the logarithm of a mass or a friction.
@@ -333,7 +333,7 @@ impl Joint {
         }
         for (i, problem) in self.problems.iter().enumerate() {
             let fit = &c.fits[i];
-            let rows = problem.row_weights(fit);
+            let (rows, residuals) = (problem.row_weights(fit), problem.with_priors(fit));
             let own: Vec<usize> = (0..n).filter(|&k| self.coordinates[active[k]].pushes.contains(&i)).collect();
             for (a, ka) in columns[i].iter().zip(&own) {
                 for (b, kb) in columns[i].iter().zip(&own).filter(|(_, kb)| *kb <= ka) {
@@ -343,7 +343,7 @@ impl Joint {
                         h[(*kb, *ka)] += x;
                     }
                 }
-                g[*ka] += weighted(&rows, a, &fit.residuals);
+                g[*ka] += weighted(&rows, a, &residuals);
             }
         }
         (h, g)
@@ -377,9 +377,10 @@ impl Problem {
         }
     }
 
-    /// The weight of each row.
+    /// The weight of each row, those of the nuisances' priors at the end.
     pub(crate) fn row_weights(&self, fit: &Fit) -> Vec<f64> {
-        (0..self.blocks()).flat_map(|k| std::iter::repeat_n(fit.weights[k], self.block(k).1)).collect()
+        let observed = (0..self.blocks()).flat_map(|k| std::iter::repeat_n(fit.weights[k], self.block(k).1));
+        observed.chain(std::iter::repeat_n(1.0, NUISANCES)).collect()
     }
 }
 
