@@ -13,7 +13,7 @@ use crate::profile::{BOUND, Profile, minima};
 use crate::{IdentifyOptions, Result};
 
 /// Two correct simulators of rigid contact disagree about a mass by this much (relative).
-const MODEL_FLOOR: f64 = 0.003;
+const MODEL_FLOOR: f64 = 0.005;
 /// The same for a push by a fingertip whose encoder shows how far the two motions differ.
 const FINGER_FLOOR: f64 = 0.0035;
 /// The same without an encoder, which alone tells the force across the push.
@@ -33,8 +33,6 @@ const WORST_ENCODER_M: f64 = 2e-3;
 const HOPELESS: f64 = 3.0;
 /// Iterations of one descent by mean slopes.
 const MEAN_ITERATIONS: usize = 8;
-/// The same from near the bottom.
-const FEW_ITERATIONS: usize = 3;
 
 /// Masses on each side, and the logarithm between neighbours, that are looked at again with the shortest step.
 const NEAR: i32 = 14;
@@ -117,7 +115,6 @@ impl Joint {
                 break;
             }
         }
-        best = self.tolerant(best, &all, by, options)?;
         let mut information = Information::of(self, &best, options)?;
         let mut profile = Profile::default();
         let rounds = if told && information.sd() <= HOPELESS { 3 } else { 0 };
@@ -204,25 +201,6 @@ impl Joint {
         let bound = found.first().map_or(0.0, |c| c.cost + FAR_WORSE);
         found.retain(|c| c.cost <= bound);
         found
-    }
-
-    /// The best candidate when poses count only as far as models of contact agree about them, near one that was found without.
-    fn tolerant(
-        &mut self,
-        best: Candidate,
-        active: &[usize],
-        by: Slopes,
-        options: &IdentifyOptions,
-    ) -> Result<Candidate> {
-        if !self.knows_a_force() || !best.cost.is_finite() {
-            return Ok(best);
-        }
-        let values: Vec<_> = (0..self.problems.len()).map(|i| self.values(i, &best.point)).collect();
-        for ((problem, values), fit) in self.problems.iter_mut().zip(&values).zip(&best.fits) {
-            problem.tolerate(values, fit, options.dt_s);
-        }
-        let start = self.evaluate(best.point, Some(&best.fits), options.dt_s);
-        self.descend(start, active, by, FEW_ITERATIONS, options.dt_s)
     }
 
     /// Cost over the grid of masses (and, if it is free, of frictions: the best of each mass is kept).

@@ -106,10 +106,11 @@ impl Problem {
         let frames: Vec<usize> = (0..self.times_s.len()).step_by(every.max(1)).collect();
         let n = frames.len();
         let bias = fit.nuisance.fixed_rows::<6>(1);
+        let sds = self.sds();
         let cost = DMatrix::from_fn(n, n, |i, j| {
             let (t, observed) = (self.times_s[frames[i]], &self.observed[frames[j]]);
             let r = pose_difference(&motion.at(t - fit.nuisance[0]), observed) - bias;
-            let size: f64 = r.iter().zip(self.sds(frames[i])).map(|(r, sd)| (r / sd).powi(2)).sum();
+            let size: f64 = r.iter().zip(sds).map(|(r, sd)| (r / sd).powi(2)).sum();
             0.5 * CAUCHY * (size / CAUCHY).ln_1p()
         });
         let (of_time, of_pose, mean) = (cost.column_mean(), cost.row_mean(), cost.mean());
@@ -123,10 +124,10 @@ impl Problem {
     /// Whitened residuals of a motion.
     pub(crate) fn residuals(&self, motion: &Motion, nuisance: &Nuisance) -> Vec<f64> {
         let mut out = Vec::with_capacity(6 * self.times_s.len() + self.readings());
-        for (k, (t, observed)) in self.times_s.iter().zip(&self.observed).enumerate() {
+        for (t, observed) in self.times_s.iter().zip(&self.observed) {
             let mut r = pose_difference(&motion.at(t - nuisance[0]), observed) - nuisance.fixed_rows::<6>(1);
             r[2] -= nuisance[7] * t;
-            out.extend(r.iter().zip(self.sds(k)).map(|(r, sd)| r / sd));
+            out.extend(r.iter().zip(self.sds()).map(|(r, sd)| r / sd));
         }
         if let Action::Finger(finger) = &self.action {
             for (k, q) in motion.tips.iter().enumerate() {
@@ -136,21 +137,19 @@ impl Problem {
         out
     }
 
-    /// Standard deviation of each component of pose `k`: that of the tracker, and what models of contact differ by.
-    pub(crate) fn sds(&self, k: usize) -> [f64; 6] {
+    /// Standard deviation of each component of a pose.
+    pub(crate) fn sds(&self) -> [f64; 6] {
         let (p, r) = (self.noise.position_m, self.noise.rotation_rad);
-        let factor = self.tolerance.get(k).copied().unwrap_or([1.0; 6]);
-        std::array::from_fn(|i| factor[i] * if i < 3 { p } else { r })
+        [p, p, p, r, r, r]
     }
 
     /// Derivative of each pose's residual by the nuisances. A later clock shows the motion of an earlier time: the
     /// column of the offset is the velocity.
     pub(crate) fn nuisance_columns(&self, motion: &Motion, nuisance: &Nuisance) -> Vec<Columns> {
+        let sd = self.sds();
         self.times_s
             .iter()
-            .enumerate()
-            .map(|(k, t)| {
-                let sd = self.sds(k);
+            .map(|t| {
                 let mut j = Columns::zeros();
                 let (v, w) = motion.velocity_at(t - nuisance[0]);
                 for i in 0..3 {
@@ -214,8 +213,8 @@ impl Problem {
         let schedule = Schedule::new(&poses, self.encoder_times_s());
         let record = self.run(&values, dt_s, &schedule.times_s)?;
         let mut out = vec![Vec::with_capacity(fit.residuals.len()); slots.len()];
-        for (pose, &k) in schedule.first.iter().enumerate() {
-            let sd = self.sds(pose);
+        let sd = self.sds();
+        for &k in &schedule.first {
             let pose = &record.bodies[0].poses[k];
             let q = pose.rotation.quaternion();
             let back = value_of(pose).rotation.quaternion().conjugate();

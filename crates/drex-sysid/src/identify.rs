@@ -254,16 +254,12 @@ fn fill(
     fit: &Fit,
 ) {
     let poses = &fit.weights[..problem.times_s.len().min(fit.weights.len())];
-    let blocks = fit.residuals.chunks_exact(6).zip(poses).enumerate();
-    let kept: Vec<(usize, &[f64])> = blocks.filter(|(_, (_, w))| **w >= 0.5).map(|(k, (r, _))| (k, r)).collect();
+    let kept: Vec<_> = fit.residuals.chunks_exact(6).zip(poses).filter(|(_, w)| **w >= 0.5).map(|(r, _)| r).collect();
     let n = kept.len().max(1) as f64;
-    let square = |k: usize, r: &[f64], i: usize| (r[i] * problem.sds(k)[i]).powi(2);
-    let rms = |of: std::ops::Range<usize>| {
-        let sum: f64 = kept.iter().map(|(k, r)| of.clone().map(|i| square(*k, r, i)).sum::<f64>()).sum();
-        Some((sum / n).sqrt())
-    };
-    report.rms_position_m = rms(0..3);
-    report.rms_rotation_rad = rms(3..6);
+    let square = |r: &[f64]| r.iter().map(|x| x * x).sum::<f64>();
+    let rms = |first: usize| (kept.iter().map(|r| square(&r[first..first + 3])).sum::<f64>() / n).sqrt();
+    report.rms_position_m = Some(rms(0) * problem.noise.position_m);
+    report.rms_rotation_rad = Some(rms(3) * problem.noise.rotation_rad);
     report.outliers = poses.len() - kept.len();
     let readings = fit.residuals.get(6 * poses.len()..).unwrap_or(&[]);
     report.rms_encoder_m = (!readings.is_empty())

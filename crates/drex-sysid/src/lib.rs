@@ -6,7 +6,6 @@ pub mod bound;
 pub mod calibrate;
 mod checks;
 mod closed_form;
-mod discrepancy;
 mod error;
 mod estimate;
 mod finger;

@@ -51,7 +51,7 @@ impl Default for IdentifyOptions {
             method: Method::default(),
             scan_kg: [0.005, 5.0],
             scan_points: 28,
-            contact: landing(),
+            contact: ContactOptions::default(),
             dt_s: 5e-4,
             scan_dt_s: 2e-3,
             encoder_m: 1e-4,
@@ -59,11 +59,4 @@ impl Default for IdentifyOptions {
             seed: 0,
         }
     }
-}
-
-/// Contact of hard things that land without a rebound: depth fades slower than the simulator's default.
-fn landing() -> ContactOptions {
-    let mut out = ContactOptions::default();
-    out.relaxation_s = 8e-3;
-    out
 }

@@ -54,8 +54,6 @@ pub(crate) struct Problem {
     pub times_s: Vec<f64>,
     pub observed: Vec<Pose>,
     pub noise: PoseNoise,
-    /// Per pose and component: by how much the standard deviation exceeds the tracker's; empty if it does not.
-    pub tolerance: Vec<[f64; 6]>,
     /// Standard deviation of the encoder, metres.
     pub encoder_m: f64,
     pub start: Pose,
@@ -107,7 +105,6 @@ impl Problem {
             times_s: recording.track.times_s().to_vec(),
             observed: recording.track.poses().to_vec(),
             noise,
-            tolerance: Vec::new(),
             encoder_m: options.encoder_m,
             start: recording.initial_pose.unwrap_or(*first),
             start_velocity: Vector3::zeros(),

@@ -1,14 +1,13 @@
-//! Recorded pushes: simulated by MuJoCo with known masses, and a real hand. The truth is read by the tests alone.
+//! Recorded pushes: simulated by MuJoCo with known masses. The truth is read by the tests alone.
 #![allow(clippy::unwrap_used, missing_docs, dead_code)] // a test may panic; not every test uses every helper
 
 mod common;
 
 use std::path::Path;
 
-use common::{bounding_solid, read_obj, shared};
+use common::{read_obj, shared};
 use drex_core::push::{Drive, ForceChoice, InputChoice, PoseChoice, PushRecording};
 use drex_sysid::{Identification, IdentifyOptions, ObjectModel, Parameter, Verdict, identify};
-use nalgebra::Point3;
 
 fn weigh(folder: &Path, choice: &InputChoice) -> Identification {
     let recording = PushRecording::load(folder, choice).unwrap();
@@ -37,16 +36,22 @@ fn known_forces_weigh_within_three_percent() {
     }
 }
 
+/// In 95 of 100 draws the interval holds the truth: of ten pushes two may miss (more do in 1 of 87 sets), and none may brag or hide.
 #[test]
 fn noisy_inputs_keep_the_truth_inside_the_interval() {
     let Some(shared) = shared() else { return };
-    for (object, scenario) in [("letter_l_rho1", "lift_force"), ("brick", "tilt_force")] {
-        let folder = shared.join("data/push_mujoco").join(object).join(scenario);
-        let a = weigh(&folder, &InputChoice::default());
-        let (ci, m) = (a.ci95_kg.unwrap(), truth(&folder));
-        assert!(ci[0] < m && m < ci[1], "{object}/{scenario}: {ci:?} without {m}");
-        assert!(ci[1] / ci[0] < 1.15, "{object}/{scenario}: {ci:?}");
+    let mut held = 0;
+    for object in ["letter_l_rho1", "brick", "can", "letter_t", "letter_l_rho3"] {
+        for scenario in ["lift_force", "slide_force"] {
+            let folder = shared.join("data/push_mujoco").join(object).join(scenario);
+            let a = weigh(&folder, &InputChoice::default());
+            let (ci, m) = (a.ci95_kg.unwrap(), truth(&folder));
+            held += usize::from(ci[0] < m && m < ci[1]);
+            assert!((1.01..1.1).contains(&(ci[1] / ci[0])), "{object}/{scenario}: {ci:?}");
+        }
     }
+    eprintln!("{held} of 10 intervals hold the truth");
+    assert!(held >= 8, "{held}");
 }
 
 #[test]
@@ -76,40 +81,6 @@ fn compliant_fingers_weigh_and_a_rigid_one_does_not() {
         assert!((a.mass_kg.unwrap() / m - 1.0).abs() < 0.05, "{scenario}: {:?} and {m}", a.mass_kg);
     }
     assert_eq!(weigh(&brick.join("finger_rigid"), &InputChoice::default()).verdict, Verdict::NotIdentifiable);
-}
-
-/// Corner points of a binary STL.
-fn stl_points(path: &Path) -> Vec<Point3<f64>> {
-    let bytes = std::fs::read(path).unwrap();
-    let number = |i: usize| f64::from(f32::from_le_bytes(bytes[i..i + 4].try_into().unwrap()));
-    let count = u32::from_le_bytes(bytes[80..84].try_into().unwrap()) as usize;
-    let mut points: Vec<[f64; 3]> = (0..count)
-        .flat_map(|f| (0..3).map(move |v| 84 + 50 * f + 12 + 12 * v))
-        .map(|i| [number(i), number(i + 4), number(i + 8)])
-        .collect();
-    points.sort_by(|a, b| a.partial_cmp(b).unwrap());
-    points.dedup();
-    points.into_iter().map(Point3::from).collect()
-}
-
-#[test]
-fn real_hands_that_are_replayed_weigh_nothing_and_keep_the_prior() {
-    let Some(shared) = shared() else { return };
-    let runs = shared.join("data/drex_real/runs");
-    let mut folders: Vec<_> = std::fs::read_dir(runs).unwrap().map(|e| e.unwrap().path()).collect();
-    folders.sort();
-    assert_eq!(folders.len(), 7);
-    for folder in folders {
-        let recording = PushRecording::load(&folder, &InputChoice::default()).unwrap();
-        let object = bounding_solid(stl_points(&recording.mesh));
-        let a = identify(&[recording], &object, &IdentifyOptions::default()).unwrap();
-        assert_eq!(a.verdict, Verdict::NotIdentifiable);
-        assert!(a.mass_kg.is_none() && a.prior_kg.is_some());
-        let notes = a.pushes[0].notes.join("; ");
-        eprintln!("{}: {notes}", folder.display());
-        assert!(notes.contains("the object begins to move") && notes.contains("the hand begins to move"), "{notes}");
-        assert!(a.reason.contains("effort"));
-    }
 }
 
 /// The same letter of three densities.
