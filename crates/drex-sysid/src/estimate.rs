@@ -115,6 +115,13 @@ impl Joint {
                 break;
             }
         }
+        let mut across = self.across_frictions(&best, &all, options.dt_s)?;
+        if let Some(k) = (0..across.len()).min_by(|&a, &b| across[a].cost.total_cmp(&across[b].cost))
+            && across[k].cost < best.cost - 0.3
+        {
+            across.push(best);
+            best = self.descend(across.swap_remove(k), &all, by, MEAN_ITERATIONS, options.dt_s)?;
+        }
         let mut information = Information::of(self, &best, options)?;
         let mut profile = Profile::default();
         let rounds = if told && information.sd() <= HOPELESS { 3 } else { 0 };
@@ -130,10 +137,11 @@ impl Joint {
             }
         }
         let rivals = if rounds > 0 { self.rivals(found, &best, &information, options.dt_s)? } else { 0.0 };
+        let width = profile.sd(&best, information.scale) + rivals;
         let budget = ErrorBudget {
             poses: information.sd_of_poses(),
             sandwich: information.sandwich,
-            profile: profile.sd(&best, information.scale) + rivals,
+            profile: widened(width, &best, &across, information.scale),
             force: information.sd_of_force().hypot(information.factor),
             force_factor: information.factor,
             contact: if rounds > 0 {
@@ -296,6 +304,30 @@ impl Joint {
         Ok(reach / 1.96)
     }
 
+    /// The best candidates at other frictions, if friction is free and nothing is known of it: from the value on at which something sticks
+    /// all frictions do equally well, and slopes at one of them do not tell.
+    fn across_frictions(&self, best: &Candidate, all: &[usize], dt_s: f64) -> Result<Vec<Candidate>> {
+        let Some(friction) = self.friction().filter(|&c| self.coordinates[c].prior.is_none()) else {
+            return Ok(Vec::new());
+        };
+        let others: Vec<usize> = all.iter().copied().filter(|k| *k != friction).collect();
+        let found: Vec<Option<Candidate>> = FRICTIONS
+            .par_iter()
+            .map(|mu| {
+                let mut point = best.point.clone();
+                point[friction] = mu.ln();
+                let there = self.evaluate(point, Some(&best.fits), dt_s);
+                let there = self.descend(there, &[0], Slopes::Mean, MEAN_ITERATIONS, dt_s)?;
+                // Errors of the force make up for a little, not for a wrong friction.
+                if there.cost > best.cost + 10.0 * BOUND {
+                    return Ok(None);
+                }
+                self.descend(there, &others, Slopes::Mean, 3, dt_s).map(Some)
+            })
+            .collect::<Result<_>>()?;
+        Ok(found.into_iter().flatten().collect())
+    }
+
     /// Shift of log mass when contact is softer, or less damped, or a fingertip slides less across
     /// the push and the step is shorter.
     pub(crate) fn contact_sd(&self, best: &Candidate, information: &Information, options: &IdentifyOptions) -> f64 {
@@ -331,6 +363,16 @@ impl Joint {
 fn relief(scan: &[(Point, f64)]) -> f64 {
     let costs = || scan.iter().map(|s| s.1).filter(|c| c.is_finite());
     costs().fold(f64::NEG_INFINITY, f64::max) - costs().fold(f64::INFINITY, f64::min)
+}
+
+/// A standard deviation of log mass from a profile around `best`, widened to hold the profiles around `others` as far as these are not
+/// excluded.
+fn widened(sd: f64, best: &Candidate, others: &[Candidate], scale: f64) -> f64 {
+    let reach = |c: &Candidate| {
+        let left = 1.0 - (c.cost - best.cost) / (BOUND * scale);
+        if left > 0.0 { (c.point[0] - best.point[0]).abs() / 1.96 + sd * left.sqrt() } else { 0.0 }
+    };
+    others.iter().map(reach).fold(sd, f64::max)
 }
 
 /// The local minima of a scan, best first, without those that no refinement makes the best.
