@@ -4,7 +4,7 @@
 //! cargo run --release -p drex --example make_demo_data -- data/demo
 //! ```
 //!
-//! The push is simulated with a stiffer contact and a shorter step than the estimator uses, and what it "records" is
+//! The push is simulated with a softer contact and a shorter step than the estimator uses, and what it "records" is
 //! noisy. The true mass goes to `truth.json`, which no stage reads; `drex demo` prints it beside the estimate at the end.
 
 use std::collections::BTreeMap;
