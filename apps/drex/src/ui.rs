@@ -1,7 +1,7 @@
 //! What the user sees: progress and notes on stderr, the answer on stdout.
 
 use std::io::{IsTerminal, Write};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
@@ -73,8 +73,33 @@ impl Ui {
         bar
     }
 
+    /// A bar for work of which parts are told; it shows up only once the work has taken a second.
+    pub fn slow_bar(&self, label: &str) -> SlowBar {
+        SlowBar { bar: self.bar(label, 100), begin: Instant::now() }
+    }
+
     fn target(&self) -> ProgressDrawTarget {
         if self.bars { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() }
+    }
+}
+
+/// See [`Ui::slow_bar`].
+pub struct SlowBar {
+    bar: ProgressBar,
+    begin: Instant,
+}
+
+impl SlowBar {
+    /// Shows that this part of the work is done, from 0 to 1.
+    pub fn show(&self, part: f64) {
+        if self.begin.elapsed() > Duration::from_secs(1) {
+            self.bar.set_position((100.0 * part) as u64);
+        }
+    }
+
+    /// Takes the bar away.
+    pub fn clear(&self) {
+        self.bar.finish_and_clear();
     }
 }
 

@@ -61,7 +61,7 @@ pub(crate) struct Estimate {
 
 impl Joint {
     /// The whole estimate.
-    pub(crate) fn solve(&mut self, options: &IdentifyOptions) -> Result<Estimate> {
+    pub(crate) fn solve(&mut self, options: &IdentifyOptions, progress: &(dyn Fn(f64) + Sync)) -> Result<Estimate> {
         let finest = options.encoder_m;
         for problem in &mut self.problems {
             problem.encoder_m = LOOSE_ENCODER_M.max(finest);
@@ -79,6 +79,8 @@ impl Joint {
                 problem.simulate(&self.values(i, &scan[scan.len() / 2].0), options.dt_s)?;
             }
         }
+        // The shares are those that the parts usually take.
+        progress(0.15);
         let (named, all) = (self.active(false), self.active(true));
         // With errors of the force, many motions agree with the track: the exact slopes of one are of little use.
         let by = if named.len() < all.len() { Slopes::Mean } else { Slopes::Exact };
@@ -103,6 +105,7 @@ impl Joint {
         found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
         let start = found.first().map_or_else(|| self.start(), |c| c.point.clone());
 
+        progress(0.4);
         let mut best = self.evaluate(start, None, options.dt_s);
         let passes = if told && self.problems.iter().any(Problem::has_finger) { 4 } else { 0 };
         for _ in 0..passes {
@@ -122,10 +125,12 @@ impl Joint {
             across.push(best);
             best = self.descend(across.swap_remove(k), &all, by, MEAN_ITERATIONS, options.dt_s)?;
         }
+        progress(0.6);
         let mut information = Information::of(self, &best, options)?;
         let mut profile = Profile::default();
         let rounds = if told && information.sd() <= HOPELESS { 3 } else { 0 };
-        for _ in 0..rounds {
+        for round in 0..rounds {
+            progress(0.65 + 0.1 * f64::from(round));
             best = self.polish(best, &all, &information, options.dt_s);
             profile = Profile::around(self, &best, &information, options.dt_s)?;
             match profile.lowest() {

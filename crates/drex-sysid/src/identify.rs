@@ -34,6 +34,19 @@ pub fn identify(
     object: &ObjectModel,
     options: &IdentifyOptions,
 ) -> Result<Identification> {
+    identify_watched(recordings, object, options, &|_| {})
+}
+
+/// As [`identify`]; `progress` is told now and then which part of the work is done, from 0 to 1 and never less than before.
+///
+/// # Errors
+/// As [`identify`].
+pub fn identify_watched(
+    recordings: &[PushRecording],
+    object: &ObjectModel,
+    options: &IdentifyOptions,
+    progress: &(dyn Fn(f64) + Sync),
+) -> Result<Identification> {
     check(options)?;
     let begin = Instant::now();
     if recordings.is_empty() {
@@ -109,7 +122,7 @@ pub fn identify(
         answer.simulations = joint.simulations();
     } else {
         let mut joint = Joint::new(problems, &frictions);
-        let estimate = joint.solve(options)?;
+        let estimate = joint.solve(options, progress)?;
         for (k, &i) in fitted.iter().enumerate() {
             if let (Some(motion), Some(fit)) = (estimate.best.motions.get(k), estimate.best.fits.get(k)) {
                 fill(&mut reports[i], &recordings[i], object, &joint.problems[k], motion, fit);
@@ -128,6 +141,7 @@ pub fn identify(
             answer.reason = format!("{} {}", answer.reason, reasons.join(" "));
         }
     }
+    progress(1.0);
     answer.pushes = reports;
     answer.seconds = begin.elapsed().as_secs_f64();
     Ok(answer)

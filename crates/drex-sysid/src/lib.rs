@@ -30,7 +30,7 @@ mod profile;
 pub use answer::{ErrorBudget, HandReport, Identification, ParameterEstimate, PushReport, Sensitivity, Verdict};
 pub use closed_form::{ClosedForm, ClosedFormKind};
 pub use error::{Result, SysidError};
-pub use identify::identify;
+pub use identify::{identify, identify_watched};
 pub use object::ObjectModel;
 pub use options::{IdentifyOptions, Method};
 pub use parameters::{Knowledge, Parameter, ParameterSet};

@@ -7,7 +7,9 @@ use common::{block, box_mesh, pushed_by, pushed_until, simulated};
 use drex_core::TriMesh;
 use drex_core::push::Drive;
 use drex_core::{Pose, Trajectory};
-use drex_sysid::{ClosedFormKind, IdentifyOptions, Knowledge, ObjectModel, Parameter, SysidError, Verdict, identify};
+use drex_sysid::{
+    ClosedFormKind, IdentifyOptions, Knowledge, ObjectModel, Parameter, SysidError, Verdict, identify, identify_watched,
+};
 use nalgebra::{Point3, Vector3};
 
 const G: f64 = 9.81;
@@ -119,6 +121,15 @@ fn outliers_are_set_aside() {
     let a = identify(&[push], &block(), &IdentifyOptions::default()).unwrap();
     assert!((a.mass_kg.unwrap() / m - 1.0).abs() < 0.005, "{:?}", a.mass_kg);
     assert_eq!(a.pushes[0].outliers, 1);
+}
+
+#[test]
+fn progress_never_goes_back_and_ends() {
+    let push = simulated(0.2, 0.4, Vector3::z() * 3.0, Point3::origin());
+    let seen = std::sync::Mutex::new(Vec::new());
+    identify_watched(&[push], &block(), &IdentifyOptions::default(), &|part| seen.lock().unwrap().push(part)).unwrap();
+    let seen = seen.into_inner().unwrap();
+    assert!(seen.len() > 3 && seen.windows(2).all(|w| w[0] <= w[1]) && seen.last() == Some(&1.0), "{seen:?}");
 }
 
 #[test]

@@ -7,7 +7,7 @@ use drex_core::fsutil;
 use drex_core::push::{InputChoice, PushRecording};
 use drex_mesh::{AssetOptions, LengthUnit, build_asset};
 use drex_sysid::calibrate::HandCalibration;
-use drex_sysid::{Identification, IdentifyOptions, Knowledge, MassPrior, Method, ParameterSet, identify};
+use drex_sysid::{Identification, IdentifyOptions, Knowledge, MassPrior, Method, ParameterSet, identify_watched};
 use serde_json::Value;
 
 use crate::cli::{IdentifyArgs, MethodArg, OnOff};
@@ -57,9 +57,9 @@ pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     };
     options.hand = args.hand.as_deref().map(HandCalibration::load).transpose()?;
     options.seed = seed.unwrap_or(options.seed);
-    let spinner = ui.spinner("identify");
-    let result = identify(&recordings, &object, &options)?;
-    spinner.finish_and_clear();
+    let bar = ui.slow_bar("identify");
+    let result = identify_watched(&recordings, &object, &options, &|part| bar.show(part))?;
+    bar.clear();
     if let Some(out) = &args.out {
         fsutil::write_atomic(out, serde_json::to_string_pretty(&result)?.as_bytes())?;
     }

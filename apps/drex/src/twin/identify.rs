@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
 use drex_core::push::{InputChoice, PushRecording};
-use drex_sysid::{Identification, IdentifyOptions, MassPrior, Verdict, identify};
+use drex_sysid::{Identification, IdentifyOptions, MassPrior, Verdict, identify_watched};
 
 use super::files::{MASS, write_json};
 use super::{MassFile, MassSource, Twin};
@@ -17,11 +17,12 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     let identification = if recordings.is_empty() {
         None
     } else {
-        let spinner = ui.spinner("identify");
+        let bar = ui.slow_bar("identify");
         let mut options = IdentifyOptions::default();
         options.seed = twin.seed;
-        let mut result = identify(&recordings, &model_of(twin.asset()?), &options)?;
-        spinner.finish_and_clear();
+        let object = model_of(twin.asset()?);
+        let mut result = identify_watched(&recordings, &object, &options, &|part| bar.show(part))?;
+        bar.clear();
         // Wall times are in twin.lock; what a stage makes depends on its inputs only.
         result.seconds = 0.0;
         Some(result)
