@@ -1,6 +1,6 @@
 //! The push: what was tracked, what the simulation makes of it, how likely each mass is.
 
-use drex_sysid::{Identification, PushReport, Sensitivity, Verdict};
+use drex_sysid::{Identification, ParameterEstimate, PushReport, Sensitivity, Verdict};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::page::Page;
@@ -34,6 +34,15 @@ pub fn verdict_text(r: &Identification) -> String {
         text += &format!("\n  assumed: {assumption}");
     }
     text
+}
+
+/// How well a parameter is known, in words where it is not.
+fn deviation_text(e: &ParameterEstimate) -> String {
+    if e.parameter.is_logarithmic() && e.sd > e.value {
+        "this push does not tell it".to_owned()
+    } else {
+        format!("{:.4}", e.sd)
+    }
 }
 
 /// The effect of a likely error, in words.
@@ -124,7 +133,7 @@ pub fn section(page: &mut Page, mass: &MassFile) {
         let rows: Vec<Vec<String>> = result
             .estimates
             .iter()
-            .map(|e| vec![e.parameter.as_str().to_owned(), format!("{:.4}", e.value), format!("{:.4}", e.sd)])
+            .map(|e| vec![e.parameter.as_str().to_owned(), format!("{:.4}", e.value), deviation_text(e)])
             .collect();
         page.table(&["estimated along with the mass", "value", "standard deviation"], &rows);
     }
