@@ -118,6 +118,13 @@ impl Joint {
                 break;
             }
         }
+        for _ in 0..if told { 2 } else { 0 } {
+            if !self.rescale_poses(&best) {
+                break;
+            }
+            best = self.evaluate(best.point, Some(&best.fits), options.dt_s);
+            best = self.descend(best, &all, by, MEAN_ITERATIONS, options.dt_s)?;
+        }
         let mut across = self.across_frictions(&best, &all, options.dt_s)?;
         if let Some(k) = (0..across.len()).min_by(|&a, &b| across[a].cost.total_cmp(&across[b].cost))
             && across[k].cost < best.cost - 0.3

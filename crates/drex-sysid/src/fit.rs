@@ -140,7 +140,7 @@ impl Problem {
     /// Standard deviation of each component of a pose.
     pub(crate) fn sds(&self) -> [f64; 6] {
         let (p, r) = (self.noise.position_m, self.noise.rotation_rad);
-        [p, p, p, r, r, r]
+        std::array::from_fn(|i| self.excess[i] * if i < 3 { p } else { r })
     }
 
     /// Derivative of each pose's residual by the nuisances. A later clock shows the motion of an earlier time: the

@@ -17,6 +17,9 @@ use crate::problem::{Motion, Problem, Slot, Values};
 const MAX_STEP: f64 = 0.5;
 /// Change of the logarithm of the mass over which mean slopes are taken.
 const MASS_SPAN: f64 = 0.01;
+/// A spread of residuals below this, in standard deviations, is chance; above the other one it is a wrong motion.
+const LEAST_EXCESS: f64 = 1.3;
+const MOST_EXCESS: f64 = 10.0;
 /// Iterations of one descent to the bottom.
 pub(crate) const ITERATIONS: usize = 25;
 /// A step that promises less than this much of the cost is not taken; nor is another after one that brought less.
@@ -347,6 +350,25 @@ impl Joint {
             }
         }
         (h, g)
+    }
+
+    /// Components of poses that miss a candidate by more than noise count as much less (the yaw of what turns on its patch, say, which no
+    /// simulator predicts). Returns whether one changed by more than a tenth.
+    pub(crate) fn rescale_poses(&mut self, c: &Candidate) -> bool {
+        let mut changed = false;
+        for (problem, fit) in self.problems.iter_mut().zip(&c.fits) {
+            for i in 0..6 {
+                let of: Vec<f64> =
+                    fit.residuals[..6 * problem.times_s.len()].iter().skip(i).step_by(6).copied().collect();
+                let Some(miss) = noise::spread(&of) else { continue };
+                let (old, next) = (problem.excess[i], (problem.excess[i] * miss).clamp(1.0, MOST_EXCESS));
+                if next > LEAST_EXCESS && (next / old).ln().abs() > 0.1 {
+                    problem.excess[i] = next;
+                    changed = true;
+                }
+            }
+        }
+        changed
     }
 
     /// The encoder's standard deviation set to what its residuals at a candidate are, within `range`: two correct

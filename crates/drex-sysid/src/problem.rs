@@ -54,6 +54,8 @@ pub(crate) struct Problem {
     pub times_s: Vec<f64>,
     pub observed: Vec<Pose>,
     pub noise: PoseNoise,
+    /// Per component of a pose: factor on its standard deviation, for what no simulation reproduces.
+    pub excess: [f64; 6],
     /// Standard deviation of the encoder, metres.
     pub encoder_m: f64,
     pub start: Pose,
@@ -105,6 +107,7 @@ impl Problem {
             times_s: recording.track.times_s().to_vec(),
             observed: recording.track.poses().to_vec(),
             noise,
+            excess: [1.0; 6],
             encoder_m: options.encoder_m,
             start: recording.initial_pose.unwrap_or(*first),
             start_velocity: Vector3::zeros(),
