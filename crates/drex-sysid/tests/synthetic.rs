@@ -10,7 +10,7 @@ use drex_core::{Pose, Trajectory};
 use drex_sysid::{
     ClosedFormKind, IdentifyOptions, Knowledge, ObjectModel, Parameter, SysidError, Verdict, identify, identify_watched,
 };
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 const G: f64 = 9.81;
 
@@ -121,6 +121,22 @@ fn outliers_are_set_aside() {
     let a = identify(&[push], &block(), &IdentifyOptions::default()).unwrap();
     assert!((a.mass_kg.unwrap() / m - 1.0).abs() < 0.005, "{:?}", a.mass_kg);
     assert_eq!(a.pushes[0].outliers, 1);
+}
+
+#[test]
+fn a_yaw_that_no_simulation_reproduces_does_not_hide_the_mass() {
+    let m = 0.2;
+    let still = simulated(m, 0.4, Vector3::z() * m * G * 1.6, Point3::origin());
+    let mut turning = still.clone();
+    let yaw = |t: f64| UnitQuaternion::from_scaled_axis(Vector3::z() * 0.1 * (3.0 * t).sin());
+    let times = still.track.times_s();
+    let poses: Vec<Pose> = times.iter().zip(still.track.poses()).map(|(t, p)| p * yaw(*t)).collect();
+    turning.track = Trajectory::from_samples(times, &poses).unwrap();
+    let of = |push| identify(&[push], &block(), &IdentifyOptions::default()).unwrap();
+    let (a, b) = (of(still), of(turning));
+    assert_eq!(b.pushes[0].outliers, 0);
+    assert!((b.mass_kg.unwrap() / m - 1.0).abs() < 5e-3, "{:?}", b.mass_kg);
+    assert!(b.sd_log_mass.unwrap() < 1.5 * a.sd_log_mass.unwrap(), "{:?} {:?}", b.sd_log_mass, a.sd_log_mass);
 }
 
 #[test]
