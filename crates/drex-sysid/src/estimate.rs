@@ -31,6 +31,8 @@ const WORST_ENCODER_M: f64 = 2e-3;
 
 /// Standard deviation of log mass beyond which nothing that could be added makes a measurement of it.
 const HOPELESS: f64 = 3.0;
+/// Standard deviation of log mass below which a closed form is a start.
+const GOOD_HINT: f64 = 0.1;
 /// Iterations of one descent by mean slopes.
 const MEAN_ITERATIONS: usize = 8;
 
@@ -85,7 +87,9 @@ impl Joint {
         // With errors of the force, many motions agree with the track: the exact slopes of one are of little use.
         let by = if named.len() < all.len() { Slopes::Mean } else { Slopes::Exact };
         let starts = if told { 3 } else { 0 };
-        let mut found: Vec<Candidate> = promising(&scan, starts)
+        let mut begin = promising(&scan, starts);
+        begin.extend(self.hints(&begin));
+        let mut found: Vec<Candidate> = begin
             .par_iter()
             .map(|p| {
                 let start = self.evaluate(p.clone(), None, middle_dt);
@@ -187,6 +191,18 @@ impl Joint {
             others,
             sensitivities,
         })
+    }
+
+    /// The masses of closed forms, where they are good ones, with everything else as in the best of the points that there are.
+    fn hints(&self, others: &[Point]) -> Vec<Point> {
+        let Some(best) = others.first() else { return Vec::new() };
+        let hints = self.problems.iter().filter_map(|p| p.hint).filter(|h| h.sd_log_mass < GOOD_HINT);
+        let at = |h: crate::ClosedForm| {
+            let mut point = best.clone();
+            point[0] = h.mass_kg.ln();
+            point
+        };
+        hints.map(at).collect()
     }
 
     /// The estimated parameters besides the mass.
