@@ -10,6 +10,7 @@ use crate::information::Information;
 use crate::joint::{Candidate, Coordinate, ITERATIONS, Joint, Point, Slopes};
 use crate::problem::{Action, Problem, Slot};
 use crate::profile::{BOUND, Profile, minima};
+use crate::rivals::widened;
 use crate::{IdentifyOptions, Result};
 
 /// Two correct simulators of rigid contact disagree about a mass by this much (relative).
@@ -22,7 +23,7 @@ const BLIND_FINGER_FLOOR: f64 = 0.04;
 /// across the push, and on the time step.
 const VARIANTS: [[f64; 4]; 3] = [[0.5, 1.0, 1.0, 1.0], [1.0, 0.6, 1.0, 1.0], [1.0, 1.0, 3.0, 0.5]];
 /// Friction coefficients of the scan when friction is free.
-const FRICTIONS: [f64; 6] = [0.12, 0.2, 0.3, 0.45, 0.65, 0.9];
+pub(crate) const FRICTIONS: [f64; 6] = [0.12, 0.2, 0.3, 0.45, 0.65, 0.9];
 /// Standard deviations taken for an encoder in the scan and in the first descent, metres: far from the best mass no reading
 /// agrees to a tenth of a millimetre, and all would count as outliers.
 const LOOSE_ENCODER_M: f64 = 2e-3;
@@ -34,13 +35,7 @@ const HOPELESS: f64 = 3.0;
 /// Standard deviation of log mass below which a closed form is a start.
 const GOOD_HINT: f64 = 0.1;
 /// Iterations of one descent by mean slopes.
-const MEAN_ITERATIONS: usize = 8;
-
-/// Masses on each side, and the logarithm between neighbours, that are looked at again with the shortest step.
-const NEAR: i32 = 14;
-const NEAR_STEP: f64 = 0.007;
-/// A valley whose cost is higher by this does not become the best one.
-const FAR_WORSE: f64 = 15.0;
+pub(crate) const MEAN_ITERATIONS: usize = 8;
 
 /// What the estimator found.
 pub(crate) struct Estimate {
@@ -221,24 +216,6 @@ impl Joint {
         self.problems.iter().any(|p| matches!(p.action, Action::Force(_)))
     }
 
-    /// The best two valleys of the cost near a candidate: where an object rocks they are narrow, and a coarse step misses them.
-    fn valleys(&self, around: &Candidate, dt_s: f64) -> Vec<Candidate> {
-        let near: Vec<Point> = (-NEAR..=NEAR)
-            .map(|k| {
-                let mut point = around.point.clone();
-                point[0] += NEAR_STEP * f64::from(k);
-                point
-            })
-            .collect();
-        let costs = self.costs(&near, Some(&around.fits), dt_s);
-        let scan: Vec<(Point, f64)> = near.into_iter().zip(costs).collect();
-        let mut found: Vec<Candidate> =
-            minima(&scan, 2).into_iter().map(|p| self.evaluate(p, Some(&around.fits), dt_s)).collect();
-        let bound = found.first().map_or(0.0, |c| c.cost + FAR_WORSE);
-        found.retain(|c| c.cost <= bound);
-        found
-    }
-
     /// Cost over the grid of masses (and, if it is free, of frictions: the best of each mass is kept).
     fn scan(&self, options: &IdentifyOptions) -> Vec<(Point, f64)> {
         let n = options.scan_points.max(5);
@@ -314,48 +291,6 @@ impl Joint {
         scan
     }
 
-    /// What other minima that are not excluded add to the standard deviation of log mass: the interval is to reach them.
-    fn rivals(&self, found: Vec<Candidate>, best: &Candidate, information: &Information, dt_s: f64) -> Result<f64> {
-        let away = |c: &Candidate| (c.point[0] - best.point[0]).abs();
-        let all = self.active(true);
-        let mut reach = 0.0_f64;
-        for c in found.into_iter().filter(|c| away(c) > 2.0 * information.sd()) {
-            let mut rival = self.evaluate(c.point, Some(&best.fits), dt_s);
-            // A few steps make up for the coarser step that it was found with, not for more.
-            if rival.cost <= best.cost + 10.0 * BOUND * information.scale {
-                rival = self.descend(rival, &all, Slopes::Mean, 3, dt_s)?;
-            }
-            if rival.cost <= best.cost + BOUND * information.scale {
-                reach = reach.max(away(&rival));
-            }
-        }
-        Ok(reach / 1.96)
-    }
-
-    /// The best candidates at other frictions, if friction is free and nothing is known of it: from the value on at which something sticks
-    /// all frictions do equally well, and slopes at one of them do not tell.
-    fn across_frictions(&self, best: &Candidate, all: &[usize], dt_s: f64) -> Result<Vec<Candidate>> {
-        let Some(friction) = self.friction().filter(|&c| self.coordinates[c].prior.is_none()) else {
-            return Ok(Vec::new());
-        };
-        let others: Vec<usize> = all.iter().copied().filter(|k| *k != friction).collect();
-        let found: Vec<Option<Candidate>> = FRICTIONS
-            .par_iter()
-            .map(|mu| {
-                let mut point = best.point.clone();
-                point[friction] = mu.ln();
-                let there = self.evaluate(point, Some(&best.fits), dt_s);
-                let there = self.descend(there, &[0], Slopes::Mean, MEAN_ITERATIONS, dt_s)?;
-                // Errors of the force make up for a little, not for a wrong friction.
-                if there.cost > best.cost + 10.0 * BOUND {
-                    return Ok(None);
-                }
-                self.descend(there, &others, Slopes::Mean, 3, dt_s).map(Some)
-            })
-            .collect::<Result<_>>()?;
-        Ok(found.into_iter().flatten().collect())
-    }
-
     /// Shift of log mass when contact is softer, or less damped, or a fingertip slides less across
     /// the push and the step is shorter.
     pub(crate) fn contact_sd(&self, best: &Candidate, information: &Information, options: &IdentifyOptions) -> f64 {
@@ -391,16 +326,6 @@ impl Joint {
 fn relief(scan: &[(Point, f64)]) -> f64 {
     let costs = || scan.iter().map(|s| s.1).filter(|c| c.is_finite());
     costs().fold(f64::NEG_INFINITY, f64::max) - costs().fold(f64::INFINITY, f64::min)
-}
-
-/// A standard deviation of log mass from a profile around `best`, widened to hold the profiles around `others` as far as these are not
-/// excluded.
-fn widened(sd: f64, best: &Candidate, others: &[Candidate], scale: f64) -> f64 {
-    let reach = |c: &Candidate| {
-        let left = 1.0 - (c.cost - best.cost) / (BOUND * scale);
-        if left > 0.0 { (c.point[0] - best.point[0]).abs() / 1.96 + sd * left.sqrt() } else { 0.0 }
-    };
-    others.iter().map(reach).fold(sd, f64::max)
 }
 
 /// The local minima of a scan, best first, without those that no refinement makes the best.

@@ -26,6 +26,7 @@ mod primitive;
 mod prior;
 mod problem;
 mod profile;
+mod rivals;
 
 pub use answer::{ErrorBudget, HandReport, Identification, ParameterEstimate, PushReport, Sensitivity, Verdict};
 pub use closed_form::{ClosedForm, ClosedFormKind};
