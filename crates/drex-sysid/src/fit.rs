@@ -20,6 +20,8 @@ type Columns = SMatrix<f64, 6, NUISANCES>;
 
 /// Squared whitened residual of a block from which on it counts as suspicious.
 const CAUCHY: f64 = 40.0;
+/// Clock offset, either way, that a fit without a guess is tried from, seconds.
+const OFFSET_S: f64 = 0.04;
 /// Derivatives carried by one simulation, at most.
 const LANES: usize = 8;
 /// Poses show a motion if in their order they agree better with it than in any order, by this many standard deviations;
@@ -52,10 +54,27 @@ impl Problem {
         self.times_s.len() + self.readings()
     }
 
-    /// Nuisances and weights that fit the track best to a motion, by iterated reweighting from `guess`.
+    /// Nuisances and weights that fit the track best to a motion, from `guess` or, without one, from several clock offsets: a brief
+    /// motion that two clocks keep apart shows no way to it.
     pub(crate) fn fit(&self, motion: &Motion, guess: Option<&Nuisance>) -> Fit {
         let mean = self.nuisance_mean();
-        let mut last = self.evaluate(motion, guess.unwrap_or(&mean));
+        let Some(guess) = guess else {
+            let apart = |s: f64| {
+                let mut from = mean;
+                from[0] += s * OFFSET_S;
+                self.fit_from(motion, &from)
+            };
+            let earlier_or_later = if self.nuisances[0].heavy { [-1.0, 1.0].as_slice() } else { &[] };
+            let best = |a: Fit, b: Fit| if b.cost < a.cost { b } else { a };
+            return earlier_or_later.iter().map(|s| apart(*s)).fold(self.fit_from(motion, &mean), best);
+        };
+        self.fit_from(motion, guess)
+    }
+
+    /// The same by iterated reweighting from `guess`.
+    fn fit_from(&self, motion: &Motion, guess: &Nuisance) -> Fit {
+        let mean = self.nuisance_mean();
+        let mut last = self.evaluate(motion, guess);
         for _ in 0..8 {
             let columns = self.nuisance_columns(motion, &last.nuisance);
             let prior = self.nuisance_precision(&last.nuisance);
