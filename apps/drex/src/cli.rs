@@ -157,7 +157,7 @@ pub struct PlanPushArgs {
     /// Unit of the mesh's coordinates: m, cm, mm, in, or auto (told by the size).
     #[arg(long, value_name = "UNIT", default_value = "auto")]
     pub unit: LengthUnit,
-    /// TOML file with reaction_s, [force] and [finger] in place of the options below.
+    /// TOML file with reaction_s, `[force]` and `[finger]` in place of the options below.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["max_force", "stiffness"])]
     pub robot: Option<PathBuf>,
     /// The robot pushes with a measured force of at most this, N.
