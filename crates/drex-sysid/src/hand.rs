@@ -56,7 +56,7 @@ pub(crate) fn look(
         });
     }
     let runs: Vec<HandRun<'_>> = pushes.iter().filter_map(|(r, _)| HandRun::of(r)).collect();
-    runs.iter().try_for_each(|r| r.check(&robot))?;
+    runs.iter().try_for_each(|r| if r.has_efforts() { calibrate::check(r, &robot) } else { r.check(&robot) })?;
     let calibration = calibrated(&runs, &robot, options)?;
     let look_at = |r: &PushRecording| -> Result<Option<Finding>> {
         let Some(run) = HandRun::of(r) else { return Ok(None) };
@@ -75,7 +75,7 @@ fn calibrated(
         stated.check(robot)?;
         return Ok(Ok(stated.clone()));
     }
-    let with_efforts: Vec<HandRun<'_>> = runs.iter().filter(|r| !r.joints.efforts.is_empty()).copied().collect();
+    let with_efforts: Vec<HandRun<'_>> = runs.iter().filter(|r| r.has_efforts()).copied().collect();
     if with_efforts.is_empty() {
         return Ok(Err("no joint efforts were logged".into()));
     }
@@ -112,7 +112,7 @@ impl Scene<'_> {
             )
         };
         let calibration = match calibration {
-            _ if self.run.joints.efforts.is_empty() => {
+            _ if !self.run.has_efforts() => {
                 let outcome = Err(replayed("the log holds no joint efforts"));
                 return Ok(Finding { report, notes, outcome });
             }
@@ -272,7 +272,7 @@ pub(crate) fn decide(answer: &mut Identification, found: &[Option<Finding>]) -> 
 
 /// What a weighing by joint efforts takes for granted.
 pub(crate) fn assumptions(recordings: &[PushRecording], options: &IdentifyOptions) -> Vec<String> {
-    if !recordings.iter().any(|r| hand_of(r).is_some_and(|h| !h.joints.efforts.is_empty())) {
+    if !recordings.iter().filter_map(HandRun::of).any(|r| r.has_efforts()) {
         return Vec::new();
     }
     let o = BoundOptions::default();

@@ -137,6 +137,9 @@ pub fn identify_watched(
         answer.sensitivities =
             estimate.sensitivities.iter().map(|&(parameter, log_mass)| Sensitivity { parameter, log_mass }).collect();
         answer.profile = estimate.profile;
+        if hands.iter().any(Option::is_some) {
+            reasons.push("The pushes of a hand took no part: weigh by them alone to see what they tell.".into());
+        }
         if !reasons.is_empty() {
             answer.reason = format!("{} {}", answer.reason, reasons.join(" "));
         }
@@ -316,7 +319,12 @@ fn assumptions(recordings: &[PushRecording], options: &IdentifyOptions) -> Vec<S
     }
     out.extend(hand::assumptions(recordings, options));
     let stated = recordings.iter().filter_map(|r| ParameterSet::of_recording(r).ok());
-    out.extend(stated.fold(options.parameters.clone(), |all, set| all.or(&set)).sentences());
+    let sentences = stated.fold(options.parameters.clone(), |all, set| all.or(&set)).sentences();
+    if !sentences.is_empty() && !force && !finger {
+        out.push("what is stated of parameters plays no part: nothing here is simulated with them".into());
+    } else {
+        out.extend(sentences);
+    }
     out
 }
 

@@ -506,3 +506,25 @@ fn a_joint_log_of_another_hand_is_refused_by_name() {
     let beyond = message(&push);
     assert!(beyond.contains("beyond its limits") && beyond.contains("mfj1"), "{beyond}");
 }
+
+#[test]
+fn efforts_that_cannot_be_are_no_answer() {
+    let Some(all) = real_runs() else { return };
+    let (_, recording, _) = all.into_iter().find(|r| r.0 == "ketchup1").unwrap();
+    let scaled = |factor: f64| {
+        let mut other = recording.clone();
+        if let Drive::Hand(hand) = &mut other.drive {
+            hand.joints.efforts.iter_mut().flatten().for_each(|e| *e *= factor);
+        }
+        let solid = Standing::of(&TriMesh::read(&other.mesh).unwrap()).unwrap();
+        let object = ObjectModel { pieces: vec![solid.hull.vertices.clone()], unit: solid.unit };
+        identify(&[other], &object, &IdentifyOptions::default())
+    };
+    // Columns of zeros are no efforts.
+    let none = scaled(0.0).unwrap();
+    assert!(none.ci95_kg.is_none() && none.reason.contains("no joint efforts"), "{}", none.reason);
+    for (factor, what) in [(1e3, "its drive can do"), (-1.0, "less than nothing"), (1e-3, "less than nothing")] {
+        let message = scaled(factor).unwrap_err().to_string();
+        assert!(message.contains(what) && message.contains("N m"), "{factor}: {message}");
+    }
+}

@@ -20,6 +20,8 @@ use nalgebra::{DMatrix, DVector};
 pub(super) const LEAST_SPEED: f64 = 0.1;
 /// Effort that a contact adds, to begin with, N m.
 const USUAL_CONTACT: f64 = 0.05;
+/// More no contact of a hand adds, N m.
+const MOST_CONTACT: f64 = 10.0;
 /// Noise of an effort from which the search starts, N m.
 const STARTS: [f64; 4] = [0.004, 0.01, 0.02, 0.04];
 /// Share of samples that may lie anywhere.
@@ -192,7 +194,7 @@ impl Mixture {
         self.share = (held / (free + held)).clamp(0.01, 0.9);
         if held > 1.0 {
             let sum: f64 = residual.iter().zip(&self.touched).map(|(r, w)| w * r.max(0.0)).sum();
-            self.contact = (sum / held).clamp(3.0 * self.noise, 10.0);
+            self.contact = (sum / held).min(MOST_CONTACT).max(3.0 * self.noise);
         }
     }
 }

@@ -167,6 +167,11 @@ pub fn hand(runs: &[HandRun<'_>], robot: &Robot, options: &CalibrateOptions) -> 
     })
 }
 
+/// Refuses a log whose efforts cannot be those of `robot`.
+pub(crate) fn check(run: &HandRun<'_>, robot: &Robot) -> Result<()> {
+    Signals::of(run, robot).map(|_| ())
+}
+
 impl HandCalibration {
     /// Reads a calibration.
     ///

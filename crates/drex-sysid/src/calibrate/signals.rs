@@ -7,12 +7,15 @@ use drex_core::push::{Drive, PushRecording};
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Vector3};
 
+use super::friction::LEAST_SPEED;
 use crate::{Result, SysidError};
 
 /// Time between grid points, s.
 pub(super) const STEP: f64 = 0.01;
 /// Half the stretch of samples that a grid point is made from, s.
 const HALF: f64 = 0.05;
+/// More than this many times what its drive can do is another unit.
+const MOST_LOAD: f64 = 10.0;
 /// Samples that a grid point needs.
 const LEAST: usize = 8;
 
@@ -42,6 +45,11 @@ impl<'a> HandRun<'a> {
             world_from_base: &hand.world_from_base,
             gravity: recording.gravity,
         })
+    }
+
+    /// Whether efforts were logged; a column of zeros is none.
+    pub(crate) fn has_efforts(&self) -> bool {
+        self.joints.efforts.iter().flatten().any(|e| *e != 0.0)
     }
 
     /// Checks that the log can be of `robot`: its joints, within their limits.
@@ -140,7 +148,46 @@ impl Signals {
                 out.gravity[j].push(gravity[j]);
             }
         }
-        if out.times_s.len() < LEAST { Err(short()) } else { Ok(out) }
+        if out.times_s.len() < LEAST {
+            return Err(short());
+        }
+        out.check(run.name, robot)?;
+        Ok(out)
+    }
+
+    /// Checks that the efforts can have moved this robot: a drive does not exert many times what it can, and what it does beyond
+    /// lifting the links goes into friction, never out of it.
+    ///
+    /// # Errors
+    /// If they are of another unit or sign.
+    pub fn check(&self, name: &str, robot: &Robot) -> Result<()> {
+        let refuse = |what: String| SysidError::Calibration {
+            what: format!("run `{name}`: {what}"),
+            remedy: "give efforts in N m, positive where they push towards larger joint angles".into(),
+        };
+        for (joint, effort) in robot.joints.iter().zip(&self.effort) {
+            let drive = robot.actuators.iter().find(|a| robot.joints[a.joint].name == joint.name);
+            let limit = drive.and_then(|a| a.force_range).map(|r| r.1).or(joint.effort_limit);
+            let most = effort.iter().map(|e| e.abs()).fold(0.0, f64::max);
+            if let Some(limit) = limit.filter(|l| *l > 0.0 && most > MOST_LOAD * l) {
+                return Err(refuse(format!(
+                    "`{}` has an effort of {most:.3} N m, its drive can do {limit}",
+                    joint.name
+                )));
+            }
+        }
+        let lost = |j: usize| -> f64 {
+            let at = |k: usize| (self.effort[j][k] - self.gravity[j][k]) * self.velocity[j][k];
+            (0..self.velocity[j].len()).filter(|&k| self.velocity[j][k].abs() > LEAST_SPEED).map(at).sum()
+        };
+        let work: f64 = (0..robot.dof()).map(lost).sum::<f64>() * STEP;
+        let moves = self.velocity.iter().flatten().any(|v| v.abs() > LEAST_SPEED);
+        if moves && work <= 0.0 {
+            return Err(refuse(format!(
+                "the efforts do {work:.2e} J on friction over the whole log, less than nothing: they did not move this hand"
+            )));
+        }
+        Ok(())
     }
 
     /// Joint vector at grid point `k`, at the reference where the log has no such joint.
