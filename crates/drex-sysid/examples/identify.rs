@@ -10,7 +10,6 @@ use std::path::Path;
 use drex_core::TriMesh;
 use drex_core::push::{InputChoice, PushRecording};
 use drex_sysid::{IdentifyOptions, Knowledge, ObjectModel, Parameter, identify};
-use nalgebra::Point3;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut choice = InputChoice::default();
@@ -30,7 +29,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let folder = folder.ok_or("name the folder of a push")?;
     let recording = PushRecording::load(Path::new(&folder), &choice)?;
-    let object = ObjectModel::from_mesh(&read_obj(&recording.mesh)?)?;
+    let object = ObjectModel::from_mesh(&TriMesh::read(&recording.mesh)?)?;
     let mut answer = identify(&[recording], &object, &options)?;
     if !full {
         answer.profile.clear();
@@ -42,25 +41,4 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     writeln!(std::io::stdout(), "{}", serde_json::to_string(&answer)?)?;
     Ok(())
-}
-
-/// Vertices and triangles of an OBJ file.
-fn read_obj(path: &Path) -> Result<TriMesh, Box<dyn Error>> {
-    let (mut vertices, mut faces) = (Vec::new(), Vec::new());
-    for line in std::fs::read_to_string(path)?.lines() {
-        let mut words = line.split_whitespace();
-        match words.next() {
-            Some("v") => {
-                let v = words.map(str::parse).collect::<Result<Vec<f64>, _>>()?;
-                vertices.push(Point3::from_slice(v.get(..3).ok_or("a vertex has fewer than three numbers")?));
-            }
-            Some("f") => {
-                let f =
-                    words.map(|w| w.split('/').next().unwrap_or(w).parse::<u32>()).collect::<Result<Vec<u32>, _>>()?;
-                faces.push(<[u32; 3]>::try_from(f).map_err(|_| "a face is no triangle")?.map(|i| i - 1));
-            }
-            _ => {}
-        }
-    }
-    Ok(TriMesh::new(vertices, faces)?)
 }

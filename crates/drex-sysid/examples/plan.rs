@@ -13,7 +13,6 @@ use drex_core::TriMesh;
 use drex_core::push::{Support, SupportBox};
 use drex_sysid::plan::{FingerLimits, ForceLimits, PlanOptions, RobotLimits, plan_push};
 use drex_sysid::{IdentifyOptions, ObjectModel, identify};
-use nalgebra::Point3;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut support = Support::default();
@@ -38,7 +37,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             _ => mesh = Some(arg),
         }
     }
-    let object = ObjectModel::from_mesh(&read_obj(Path::new(&mesh.ok_or("name an OBJ file")?))?)?;
+    let object = ObjectModel::from_mesh(&TriMesh::read(Path::new(&mesh.ok_or("name an OBJ file")?))?)?;
     let robot = RobotLimits {
         reaction_s: 0.03,
         force: Some(ForceLimits { max_n: 10.0, noise_n: 0.03, lifts: true }),
@@ -99,25 +98,4 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
     }
     Ok(())
-}
-
-/// Vertices and triangles of an OBJ file.
-fn read_obj(path: &Path) -> Result<TriMesh, Box<dyn Error>> {
-    let (mut vertices, mut faces) = (Vec::new(), Vec::new());
-    for line in std::fs::read_to_string(path)?.lines() {
-        let mut words = line.split_whitespace();
-        match words.next() {
-            Some("v") => {
-                let v = words.map(str::parse).collect::<Result<Vec<f64>, _>>()?;
-                vertices.push(Point3::from_slice(v.get(..3).ok_or("a vertex has fewer than three numbers")?));
-            }
-            Some("f") => {
-                let f =
-                    words.map(|w| w.split('/').next().unwrap_or(w).parse::<u32>()).collect::<Result<Vec<u32>, _>>()?;
-                faces.push(<[u32; 3]>::try_from(f).map_err(|_| "a face is no triangle")?.map(|i| i - 1));
-            }
-            _ => {}
-        }
-    }
-    Ok(TriMesh::new(vertices, faces)?)
 }

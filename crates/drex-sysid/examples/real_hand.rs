@@ -90,16 +90,16 @@ fn load(folder: &Path, entries: bool) -> Any<Run> {
     let Drive::Hand(hand) = recording.drive.clone() else {
         return Err(format!("{} has no hand", folder.display()).into());
     };
-    let options = if entries {
-        FrameOptions::of(&recording)
+    let entry = &run["tracked_from_mesh"];
+    let rotation = Matrix3::from_fn(|i, j| entry["rotation_rows"][i][j].as_f64().unwrap_or(f64::NAN));
+    let at = Vector3::from_fn(|i, _| entry["translation_m"][i].as_f64().unwrap_or(f64::NAN));
+    let tracked_from_mesh = Pose::from_parts(at.into(), UnitQuaternion::from_matrix(&rotation));
+    // With its entries a run is in the frame of the mesh; without, in the tracker's own, as if it said nothing of it.
+    let (options, from_tracked) = if entries {
+        (FrameOptions::of(&recording), tracked_from_mesh.rotation.inverse())
     } else {
-        // The tracker's own frame, as if the run said nothing of it.
-        let rows = &run["tracked_from_mesh"]["rotation_rows"];
-        let rotation = Matrix3::from_fn(|i, j| rows[i][j].as_f64().unwrap_or(f64::NAN));
-        let at = Vector3::from_fn(|i, _| run["tracked_from_mesh"]["translation_m"][i].as_f64().unwrap_or(f64::NAN));
-        let turn = UnitQuaternion::from_matrix(&rotation);
-        recording.track = recording.track.right_mul(&Pose::from_parts(at.into(), turn).inverse());
-        FrameOptions::default()
+        recording.track = recording.track.right_mul(&tracked_from_mesh.inverse());
+        (FrameOptions::default(), UnitQuaternion::identity())
     };
     Ok(Run {
         name: folder.file_name().unwrap_or_default().to_string_lossy().into_owned(),
@@ -109,8 +109,8 @@ fn load(folder: &Path, entries: bool) -> Any<Run> {
         table_height_m: recording.support.table_height_m,
         track: recording.track,
         solid: Standing::of(&TriMesh::read(&recording.mesh)?)?,
-        up: vector("up_in_tracked_frame"),
-        lean: vector("topples_towards_in_tracked_frame"),
+        up: from_tracked * vector("up_in_tracked_frame"),
+        lean: from_tracked * vector("topples_towards_in_tracked_frame"),
         options,
     })
 }

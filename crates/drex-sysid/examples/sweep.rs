@@ -16,7 +16,6 @@ use std::path::{Path, PathBuf};
 use drex_core::TriMesh;
 use drex_core::push::{InputChoice, PushRecording};
 use drex_sysid::{Identification, IdentifyOptions, Knowledge, ObjectModel, Parameter, Verdict, identify};
-use nalgebra::Point3;
 use serde_json::Value;
 
 type Failure = Box<dyn Error + Send + Sync>;
@@ -59,7 +58,7 @@ fn main() -> Result<(), Failure> {
 
 fn weigh(folder: &Path, name: &str, arguments: &Arguments) -> Result<Line, Failure> {
     let recording = PushRecording::load(folder, &arguments.choice)?;
-    let object = ObjectModel::from_mesh(&read_obj(&recording.mesh)?)?;
+    let object = ObjectModel::from_mesh(&TriMesh::read(&recording.mesh)?)?;
     let begin = cpu_seconds();
     let answer = identify(&[recording], &object, &arguments.options)?;
     let seconds = begin.zip(cpu_seconds()).map_or(answer.seconds, |(a, b)| b - a);
@@ -233,25 +232,4 @@ fn recordings(root: &Path) -> Result<Vec<PathBuf>, Failure> {
     }
     out.sort();
     Ok(out)
-}
-
-/// Vertices and triangles of an OBJ file.
-fn read_obj(path: &Path) -> Result<TriMesh, Failure> {
-    let (mut vertices, mut faces) = (Vec::new(), Vec::new());
-    for line in std::fs::read_to_string(path)?.lines() {
-        let mut words = line.split_whitespace();
-        match words.next() {
-            Some("v") => {
-                let v = words.map(str::parse).collect::<Result<Vec<f64>, _>>()?;
-                vertices.push(Point3::from_slice(v.get(..3).ok_or("a vertex has fewer than three numbers")?));
-            }
-            Some("f") => {
-                let f =
-                    words.map(|w| w.split('/').next().unwrap_or(w).parse::<u32>()).collect::<Result<Vec<u32>, _>>()?;
-                faces.push(<[u32; 3]>::try_from(f).map_err(|_| "a face is no triangle")?.map(|i| i - 1));
-            }
-            _ => {}
-        }
-    }
-    Ok(TriMesh::new(vertices, faces)?)
 }

@@ -5,7 +5,7 @@ mod common;
 
 use std::path::{Path, PathBuf};
 
-use common::{box_mesh, normals, read_obj, shared};
+use common::{box_mesh, normals, shared};
 use drex_core::clock::{Clock, parse_utc_offset};
 use drex_core::push::{InputChoice, PushRecording};
 use drex_core::readers::read_foundation_pose_log;
@@ -154,7 +154,7 @@ fn up_is_found_in_simulated_tilts_seen_by_unknown_cameras() {
             for scenario in ["tilt_force", "finger_tilt"] {
                 let folder = set.join(object).join(scenario);
                 let Ok(recording) = PushRecording::load(&folder, &InputChoice::default()) else { continue };
-                let mesh = read_obj(&recording.mesh);
+                let mesh = TriMesh::read(&recording.mesh).unwrap();
                 let truth = recording.track.poses()[0].rotation.inverse() * Vector3::z();
                 for seed in 0..3 {
                     let track = recording.track.left_mul(&camera(100 + seed));

@@ -5,7 +5,8 @@ mod common;
 
 use std::path::Path;
 
-use common::{block, normals, read_obj, shared, simulated};
+use common::{block, normals, shared, simulated};
+use drex_core::TriMesh;
 use drex_core::push::{Drive, ForceChoice, InputChoice, PoseChoice, PushRecording};
 use drex_sysid::{Identification, IdentifyOptions, Knowledge, ObjectModel, Parameter, identify};
 use nalgebra::{Point3, Vector3};
@@ -45,7 +46,7 @@ fn noise_of_the_force_leaves_what_it_must_and_hardly_more() {
 
 fn load(folder: &Path, poses: PoseChoice, force: ForceChoice) -> (PushRecording, ObjectModel) {
     let recording = PushRecording::load(folder, &InputChoice { poses, force, encoder: true }).unwrap();
-    let object = ObjectModel::from_mesh(&read_obj(&recording.mesh)).unwrap();
+    let object = ObjectModel::from_mesh(&TriMesh::read(&recording.mesh).unwrap()).unwrap();
     (recording, object)
 }
 

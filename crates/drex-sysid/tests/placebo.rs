@@ -11,8 +11,9 @@ mod common;
 
 use std::path::{Path, PathBuf};
 
-use common::{block, read_obj, shared, simulated};
+use common::{block, shared, simulated};
 use drex_core::Trajectory;
+use drex_core::TriMesh;
 use drex_core::push::{Drive, ForceChoice, ForceProfile, InputChoice, PoseChoice, PoseNoise, PushRecording};
 use drex_sysid::{Identification, IdentifyOptions, ObjectModel, Verdict, identify};
 use nalgebra::{Point3, Vector3};
@@ -34,7 +35,7 @@ fn weigh(push: PushRecording, object: &ObjectModel) -> Identification {
 
 fn load(folder: &Path, choice: &InputChoice) -> (PushRecording, ObjectModel) {
     let recording = PushRecording::load(folder, choice).unwrap();
-    let object = ObjectModel::from_mesh(&read_obj(&recording.mesh)).unwrap();
+    let object = ObjectModel::from_mesh(&TriMesh::read(&recording.mesh).unwrap()).unwrap();
     (recording, object)
 }
 

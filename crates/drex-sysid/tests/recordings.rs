@@ -5,13 +5,14 @@ mod common;
 
 use std::path::Path;
 
-use common::{read_obj, shared};
+use common::shared;
+use drex_core::TriMesh;
 use drex_core::push::{Drive, ForceChoice, InputChoice, PoseChoice, PushRecording};
 use drex_sysid::{Identification, IdentifyOptions, ObjectModel, Parameter, Verdict, identify};
 
 fn weigh(folder: &Path, choice: &InputChoice) -> Identification {
     let recording = PushRecording::load(folder, choice).unwrap();
-    let object = ObjectModel::from_mesh(&read_obj(&recording.mesh)).unwrap();
+    let object = ObjectModel::from_mesh(&TriMesh::read(&recording.mesh).unwrap()).unwrap();
     identify(&[recording], &object, &IdentifyOptions::default()).unwrap()
 }
 
@@ -106,7 +107,7 @@ fn three_densities_of_one_shape_are_told_apart() {
 fn sensitivities_predict_what_a_wrong_finger_or_a_wrong_friction_does() {
     let Some(shared) = shared() else { return };
     let root = shared.join("data/push_mujoco");
-    let object_of = |r: &PushRecording| ObjectModel::from_mesh(&read_obj(&r.mesh)).unwrap();
+    let object_of = |r: &PushRecording| ObjectModel::from_mesh(&TriMesh::read(&r.mesh).unwrap()).unwrap();
     for name in ["brick/finger_tilt", "letter_t/finger_slow", "letter_l/finger_fast"] {
         let push = PushRecording::load(&root.join(name), &InputChoice::default()).unwrap();
         let object = object_of(&push);

@@ -1,6 +1,6 @@
 //! Objects and recordings for the tests.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use drex_core::push::{Drive, ForceProfile, PoseNoise, PushRecording};
 use drex_core::{MassProperties, Pose, Trajectory, TriMesh};
@@ -16,21 +16,6 @@ pub fn shared() -> Option<PathBuf> {
         eprintln!("skipped: DREX_SHARED is not set");
     }
     folder
-}
-
-/// Vertices and triangles of an OBJ file of triangles.
-pub fn read_obj(path: &Path) -> TriMesh {
-    let (mut vertices, mut faces) = (Vec::new(), Vec::new());
-    for line in std::fs::read_to_string(path).unwrap().lines() {
-        let words: Vec<&str> = line.split_whitespace().collect();
-        let number = |i: usize| words[i].parse::<f64>().unwrap();
-        match words.first() {
-            Some(&"v") => vertices.push(Point3::new(number(1), number(2), number(3))),
-            Some(&"f") => faces.push([1, 2, 3].map(|i| words[i].parse::<u32>().unwrap() - 1)),
-            _ => {}
-        }
-    }
-    TriMesh::new(vertices, faces).unwrap()
 }
 
 /// A closed box mesh.
