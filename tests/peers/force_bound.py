@@ -10,6 +10,9 @@ its peak + 10 mN), and what drex takes for unknown of a track: clock (5 ms), a c
     force     exact force
     both      both noisy
     file      what truth.json states for an exact force: slopes over +-10 % of mass, which for a tilt reach beyond toppling
+    drawn     the error that the noise in the files leaves an estimate from perfect poses, and the best one from the noisy poses
+
+and at the end the root mean square of the last two.
 """
 import glob, importlib.util, json, os, sys
 
@@ -24,11 +27,18 @@ def main(root):
     spec = importlib.util.spec_from_file_location("generate", os.path.join(root, "generate.py"))
     generate = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(generate)
+    drawn = []
     for path in sorted(glob.glob(os.path.join(root, "*", "*", "force.csv"))):
         folder = os.path.dirname(path)
-        perfect, force, both, stated = bounds(generate, folder)
+        perfect, force, both, stated, errors = bounds(generate, folder)
+        drawn.append(errors)
         name = "/".join(folder.split(os.sep)[-2:])
-        print(f"{name:30s} perfect {perfect:.2f} force {force:.2f} both {both:.2f} file {stated:.3f}", flush=True)
+        print(
+            f"{name:30s} perfect {perfect:.2f} force {force:.2f} both {both:.2f} file {stated:.3f} "
+            f"drawn {errors[0]:+.2f} {errors[1]:+.2f}",
+            flush=True,
+        )
+    print("root mean square of the drawn errors: {:.2f} {:.2f}".format(*np.sqrt(np.mean(np.square(drawn), axis=0))))
 
 
 def bounds(generate, folder):
@@ -38,7 +48,9 @@ def bounds(generate, folder):
     model.body_inertia[body] *= truth["mass"] / model.body_mass[body]
     model.body_mass[body] = truth["mass"]
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    u = np.genfromtxt(os.path.join(folder, "force.csv"), delimiter=",", skip_header=1)[:, 1:4]
+    table = lambda name: np.genfromtxt(os.path.join(folder, name), delimiter=",", skip_header=1)
+    u = table("force.csv")[:, 1:4]
+    noise = table("force_noisy.csv")[:, 1:4] - u
     sd = 0.03 * np.abs(u).max() + 0.01
     base, _ = generate.run(model, meta["duration"], u, meta["force_point_body"])
 
@@ -61,14 +73,24 @@ def bounds(generate, folder):
     drift = np.zeros((len(base), 6))
     drift[:, 2] = base[:, 0] * 0.002 / 0.002
     track.append(drift.ravel())
-    return (100 * sd / np.linalg.norm(u), least(by_mass, track), least(by_mass, track + errors), 100 * truth["crb_rel_sd_mass_mu_known"])
+    # What the estimate sees: noisy poses against the motion under the noisy force at the true mass.
+    drawn = np.array([noise[k, axis] / sd for k, axis in samples])
+    seen = generate.resid(base, table("pose_noisy.csv")) - sum(e * x for e, x in zip(errors, drawn))
+    best = least(by_mass, track + errors, seen)
+    return (
+        100 * sd / np.linalg.norm(u),
+        least(by_mass, track),
+        least(by_mass, track + errors),
+        100 * truth["crb_rel_sd_mass_mu_known"],
+        (100 * np.sum(noise * u) / np.sum(u * u), best),
+    )
 
 
-def least(by_mass, unit_unknowns):
-    """Standard deviation of ln m in percent, the other unknowns having a prior deviation of one."""
+def least(by_mass, unit_unknowns, seen=None):
+    """Standard deviation of ln m in percent, the other unknowns having a prior deviation of one; or its estimate from residuals."""
     slopes = np.array([by_mass, *unit_unknowns]).T
-    information = slopes.T @ slopes + np.diag([1e-9] + [1.0] * len(unit_unknowns))
-    return 100 * np.sqrt(np.linalg.inv(information)[0, 0])
+    covariance = np.linalg.inv(slopes.T @ slopes + np.diag([1e-9] + [1.0] * len(unit_unknowns)))
+    return 100 * (np.sqrt(covariance[0, 0]) if seen is None else (covariance @ slopes.T @ seen)[0])
 
 
 if __name__ == "__main__":
