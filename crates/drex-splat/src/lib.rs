@@ -1,0 +1,16 @@
+//! Photos to Gaussians on any computer: 3D for looks, 2D for geometry.
+//!
+//! # Conventions
+//!
+//! Cameras have OpenCV axes (x right, y down, z forward); the centre of the first pixel is (0.5, 0.5). Quaternions are
+//! w, x, y, z. Scenes are in single precision, cameras and poses in double.
+
+pub mod camera;
+pub mod error;
+pub mod gaussians;
+pub mod raster;
+
+pub use camera::PinholeCamera;
+pub use error::{Error, Result};
+pub use gaussians::{Gaussians, Kind, Label};
+pub use raster::{GaussianGradients, Rasterizer, Render, RenderGradients, RenderOptions};
