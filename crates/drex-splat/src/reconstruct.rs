@@ -1,0 +1,366 @@
+//! From a capture to both sets of Gaussians, their scores on photos held out, and depth maps.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use drex_core::fsutil;
+use serde::Serialize;
+
+use crate::capture::{Capture, CaptureReport, PhotoOptions, Photos};
+use crate::io::{npy, picture, ply};
+use crate::loss::{MaskMode, surface_depth};
+use crate::metrics::{Table, similarity};
+use crate::train::{DensityChoice, Preset, Progress, TrainOptions, Trainer, Views, VisualHull, from_points};
+use crate::{Error, Gaussians, Kind, Label, PinholeCamera, Rasterizer, Result, usage};
+
+/// What to reconstruct, and how carefully.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct ReconstructOptions {
+    /// How much time it may take.
+    pub preset: Preset,
+    /// How Gaussians are born and removed.
+    pub density: DensityChoice,
+    /// Every n-th photo by name is not trained on but measured against.
+    pub hold_out: Option<usize>,
+    /// Whether masks cut the object out. Without masks the whole scene is trained.
+    pub use_masks: bool,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Longest side of the photos instead of the preset's, pixels.
+    pub max_side: Option<usize>,
+    /// Steps of each set instead of the preset's.
+    pub iterations: Option<u32>,
+    /// Most Gaussians of each set instead of the preset's.
+    pub max_gaussians: Option<usize>,
+    /// Whether each photo gets an affine colour of its own.
+    pub exposure: bool,
+    /// Whether poses are refined.
+    pub refine_poses: bool,
+    /// Weight of normal maps, where the capture has them, on the surfels.
+    pub normal_weight: f32,
+    /// Weight of depth maps, where the capture has them.
+    pub depth_weight: f32,
+    /// Steps between checkpoints; 0 for none.
+    pub checkpoint_every: u32,
+    /// Whether to go on from checkpoints in the output folder.
+    pub resume: bool,
+    /// Bytes of pictures that are kept in memory.
+    pub memory_bytes: usize,
+}
+
+impl Default for ReconstructOptions {
+    fn default() -> Self {
+        Self {
+            preset: Preset::Default,
+            density: DensityChoice::Adaptive,
+            hold_out: None,
+            use_masks: true,
+            seed: 0,
+            max_side: None,
+            iterations: None,
+            max_gaussians: None,
+            exposure: false,
+            refine_poses: false,
+            normal_weight: 0.05,
+            depth_weight: 0.2,
+            checkpoint_every: 1000,
+            resume: false,
+            memory_bytes: 1 << 30,
+        }
+    }
+}
+
+/// What came out; also written as `splat/report.json`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Reconstruction {
+    /// Photos trained on and held out.
+    pub photos_trained: usize,
+    /// See `photos_trained`.
+    pub photos_held_out: usize,
+    /// Photos left out of masked training, and why.
+    pub left_out: Vec<String>,
+    /// Whether only the object was trained.
+    pub object_only: bool,
+    /// The ellipsoids: looks.
+    pub appearance: SetSummary,
+    /// The surfels: geometry.
+    pub surface: SetSummary,
+    /// Depth maps written.
+    pub depth_maps: usize,
+    /// Peak memory of the process, bytes, where the system tells.
+    pub peak_memory_bytes: Option<u64>,
+}
+
+/// One set.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SetSummary {
+    /// Its file.
+    pub file: PathBuf,
+    /// Gaussians in it.
+    pub gaussians: usize,
+    /// Removed at the end because a silhouette excludes their centre.
+    pub outside_hull: usize,
+    /// Steps of training.
+    pub iterations: u32,
+    /// Processor seconds of all threads, where the system tells.
+    pub core_seconds: Option<f64>,
+    /// Seconds on the clock.
+    pub seconds: f64,
+    /// Scores on the photos held out, as they are: no exposure is fitted to them.
+    pub held_out: Table,
+}
+
+/// A progress report: which set, where it is, and seconds since it began.
+pub type OnProgress<'a> = dyn FnMut(Kind, &Progress, &TrainOptions, f64) + 'a;
+
+/// Margin round a silhouette in which centres are kept, pixels of the training photos.
+const HULL_MARGIN_PX: usize = 1;
+
+/// Trains both sets from `capture` and writes `splat/appearance.ply`, `splat/surface.ply`, `splat/report.json` and
+/// `depth/` (see [`write_depth_maps`]) into `out`.
+///
+/// Photos whose masks `report` calls misplaced are left out where masks are used.
+///
+/// # Errors
+/// If there are no sparse points, too few photos, a photo or mask cannot be read, or a file cannot be written.
+pub fn reconstruct<R: Rasterizer + Clone>(
+    capture: &Capture,
+    report: &CaptureReport,
+    rasterizer: &R,
+    out: &Path,
+    options: &ReconstructOptions,
+    on_progress: &mut OnProgress<'_>,
+) -> Result<Reconstruction> {
+    let job = Job::new(capture, report, options)?;
+    let appearance = job.train(Kind::Ellipsoid, rasterizer, out, on_progress)?;
+    let surface = job.train(Kind::Surfel, rasterizer, out, on_progress)?;
+    let depth_maps = write_depth_maps(&out.join("depth"), capture, &job.photos, rasterizer, &appearance.0, &surface.0)?;
+    let reconstruction = Reconstruction {
+        photos_trained: job.trained.len(),
+        photos_held_out: job.held_out.len(),
+        left_out: job.left_out,
+        object_only: job.masked,
+        appearance: appearance.1,
+        surface: surface.1,
+        depth_maps,
+        peak_memory_bytes: usage::peak_memory_bytes(),
+    };
+    let text = serde_json::to_string_pretty(&reconstruction)
+        .map_err(|e| Error::Option { what: format!("the report cannot be written: {e}"), remedy: "look for numbers that are not finite".into() })?;
+    fsutil::write_atomic(&out.join("splat/report.json"), text.as_bytes())?;
+    Ok(reconstruction)
+}
+
+/// What both sets share.
+struct Job<'a> {
+    capture: &'a Capture,
+    options: &'a ReconstructOptions,
+    photos: Photos,
+    trained: Vec<usize>,
+    held_out: Vec<usize>,
+    left_out: Vec<String>,
+    masked: bool,
+    /// Silhouettes of the photos trained on.
+    hull: VisualHull,
+    /// Silhouettes of all photos: cuts the finished sets, after they have been measured.
+    whole_hull: VisualHull,
+}
+
+impl<'a> Job<'a> {
+    fn new(capture: &'a Capture, report: &CaptureReport, options: &'a ReconstructOptions) -> Result<Self> {
+        let mut photo_options = PhotoOptions::default();
+        photo_options.max_side = Some(options.max_side.unwrap_or(options.preset.max_side()));
+        photo_options.memory_bytes = options.memory_bytes;
+        let photos = Photos::new(capture, photo_options)?;
+        if options.hold_out.is_some_and(|n| n < 2) {
+            return Err(Error::Option { what: "every photo would be held out".into(), remedy: "hold out every 2nd or fewer".into() });
+        }
+        let mut masks = Vec::new();
+        if options.use_masks {
+            for i in 0..photos.len() {
+                let photo = photos.get(i)?;
+                masks.push(photo.mask.as_ref().map(|m| m.iter().any(|&v| v >= 128)));
+            }
+        }
+        let masked = masks.iter().any(Option::is_some);
+        let (mut trained, mut held_out, mut left_out) = (Vec::new(), Vec::new(), Vec::new());
+        for (i, view) in capture.views.iter().enumerate() {
+            let reason = match masks.get(i).filter(|_| masked) {
+                Some(None) => Some("it has no mask"),
+                Some(Some(false)) => Some("its mask is empty"),
+                Some(Some(true)) if report.is_misplaced(&view.name) => Some("its mask looks misplaced"),
+                _ => None,
+            };
+            match reason {
+                Some(why) => left_out.push(format!("{}: {why}", view.name)),
+                None if options.hold_out.is_some_and(|n| i % n == 0) => held_out.push(i),
+                None => trained.push(i),
+            }
+        }
+        let (mut hull, mut whole_hull) = (VisualHull::new(), VisualHull::new());
+        if masked {
+            for &i in trained.iter().chain(&held_out) {
+                let photo = photos.get(i)?;
+                let mask = photo.mask.as_deref().unwrap_or_default();
+                whole_hull.add(&photo.camera, mask, HULL_MARGIN_PX);
+                if trained.contains(&i) {
+                    hull.add(&photo.camera, mask, HULL_MARGIN_PX);
+                }
+            }
+        }
+        Ok(Self { capture, options, photos, trained, held_out, left_out, masked, hull, whole_hull })
+    }
+
+    /// Trains one set, measures it, cuts it to the hull and writes it.
+    fn train<R: Rasterizer + Clone>(
+        &self,
+        kind: Kind,
+        rasterizer: &R,
+        out: &Path,
+        on_progress: &mut OnProgress<'_>,
+    ) -> Result<(Gaussians, SetSummary)> {
+        let (clock, cores) = (Instant::now(), usage::core_seconds());
+        let name = if kind == Kind::Ellipsoid { "appearance" } else { "surface" };
+        let checkpoint = out.join(format!("splat/{name}.checkpoint"));
+        let extent = self.capture.extent();
+        let indices = self.trained.clone();
+        let mut trainer = if self.options.resume && checkpoint.exists() {
+            Trainer::resume(&self.photos, indices, rasterizer.clone(), extent, &checkpoint)?
+        } else {
+            let options = self.train_options(kind);
+            Trainer::new(&self.photos, indices, rasterizer.clone(), self.first(&options)?, extent, options)?
+        };
+        trainer.set_hull(self.hull.clone());
+        while !trainer.is_done() {
+            let progress = trainer.step()?;
+            let every = self.options.checkpoint_every;
+            if every > 0 && progress.step % every == 0 && !trainer.is_done() {
+                trainer.save(&checkpoint)?;
+            }
+            let options = trainer.options();
+            on_progress(kind, &progress, options, clock.elapsed().as_secs_f64());
+        }
+        let core_seconds = usage::core_seconds().zip(cores).map(|(now, then)| now - then);
+        let seconds = clock.elapsed().as_secs_f64();
+        let held_out = self.score(&trainer)?;
+        let outside_hull = trainer.cut(&self.hull) + trainer.cut(&self.whole_hull);
+        let mut gaussians = trainer.gaussians().clone();
+        if self.masked {
+            gaussians.labels.fill(Label::OBJECT);
+        }
+        let file = out.join(format!("splat/{name}.ply"));
+        ply::write(&file, &gaussians)?;
+        if checkpoint.exists() {
+            std::fs::remove_file(&checkpoint).map_err(|e| drex_core::Error::io("remove", &checkpoint, e))?;
+        }
+        let iterations = trainer.steps_done();
+        let summary = SetSummary { file, gaussians: gaussians.len(), outside_hull, iterations, core_seconds, seconds, held_out };
+        Ok((gaussians, summary))
+    }
+
+    fn train_options(&self, kind: Kind) -> TrainOptions {
+        let o = self.options;
+        let mut options = o.preset.train_options(kind, o.density);
+        options.seed = o.seed;
+        options.iterations = o.iterations.unwrap_or(options.iterations);
+        options.max_gaussians = o.max_gaussians.unwrap_or(options.max_gaussians);
+        options.exposure = o.exposure;
+        options.refine_poses = o.refine_poses;
+        options.surface.prior_normal = o.normal_weight;
+        options.depth_weight = o.depth_weight;
+        if self.masked {
+            options.masks = MaskMode::Transparent;
+            options.background = None;
+        } else {
+            options.surface.median_share = 0.0;
+        }
+        options
+    }
+
+    /// The first Gaussians: the sparse points, of the object if masks are used.
+    fn first(&self, options: &TrainOptions) -> Result<Gaussians> {
+        let kept: Vec<_> = self.capture.points.iter().filter(|p| self.hull.contains(&p.position.map(|v| v as f32))).collect();
+        if kept.is_empty() {
+            return Err(Error::Capture {
+                what: format!("of {} sparse points none lies on the object", self.capture.points.len()),
+                remedy: "give a model with points3D, or check that the masks show the object in white".into(),
+            });
+        }
+        let step = kept.len().div_ceil(options.max_gaussians);
+        let (points, colours): (Vec<_>, Vec<_>) = kept.iter().step_by(step).map(|p| (p.position, p.rgb)).unzip();
+        let opacity = if matches!(options.density, crate::train::Density::Mcmc(_)) { 0.5 } else { 0.1 };
+        Ok(from_points(&points, &colours, options.kind, options.sh_degree, opacity))
+    }
+
+    /// PSNR and SSIM on the photos held out, inside their masks where masks are used.
+    fn score<R: Rasterizer>(&self, trainer: &Trainer<'_, Photos, R>) -> Result<Table> {
+        let mut table = Table::default();
+        for &i in &self.held_out {
+            let photo = self.photos.get(i)?;
+            let render = trainer.render(&photo.camera, [0.0; 3])?;
+            let mask = photo.mask.as_deref().filter(|_| self.masked);
+            let count = mask.map_or(photo.rgb.len(), |m| m.iter().filter(|&&v| v >= 128).count());
+            let score = similarity(&render.rgb, &photo.rgb, mask, render.width, render.height)?;
+            table.push(&self.capture.views[i].name, score, count);
+        }
+        Ok(table)
+    }
+}
+
+/// Depth of the surface for every photo's camera: `NAME.npy` (z in the camera frame, scene units, 0 where there is no
+/// surface, `[height, width]`), `NAME.normal.npy` (unit normals, camera frame, `[height, width, 3]`), `NAME.png` (the
+/// appearance from there, transparent where there is no surface) and `transforms.json`, which
+/// [`Capture::load`] reads. Gives how many.
+///
+/// # Errors
+/// If a file cannot be written.
+pub fn write_depth_maps<R: Rasterizer>(
+    folder: &Path,
+    capture: &Capture,
+    photos: &Photos,
+    rasterizer: &R,
+    appearance: &Gaussians,
+    surface: &Gaussians,
+) -> Result<usize> {
+    let mut frames = Vec::new();
+    for (i, view) in capture.views.iter().enumerate() {
+        let camera = photos.camera(i);
+        let stem = Path::new(&view.name).with_extension("");
+        let at = |extension: &str| folder.join(format!("{}.{extension}", stem.display()));
+        let looks = rasterizer.forward(appearance, camera, &Default::default())?.0;
+        let shape = rasterizer.forward(surface, camera, &Default::default())?.0;
+        let depth = surface_depth(&shape, 1.0, 0.5)?;
+        let normal: Vec<[f32; 3]> = shape.normal.iter().zip(&depth).map(|(n, &z)| unit_or_zero(*n, z)).collect();
+        npy::write(&at("npy"), &[camera.height, camera.width], &depth)?;
+        npy::write(&at("normal.npy"), &[camera.height, camera.width, 3], normal.as_flattened())?;
+        picture::write_rgba(&at("png"), &looks.rgb, &looks.alpha, camera.width, camera.height)?;
+        frames.push(frame(camera, &stem));
+    }
+    let text = serde_json::json!({ "camera_model": "PINHOLE", "frames": frames }).to_string();
+    fsutil::write_atomic(&folder.join("transforms.json"), text.as_bytes())?;
+    Ok(frames.len())
+}
+
+fn unit_or_zero(n: [f32; 3], z: f32) -> [f32; 3] {
+    let unit = nalgebra::Vector3::from(n).try_normalize(1e-6).filter(|_| z > 0.0);
+    unit.map_or([0.0; 3], Into::into)
+}
+
+/// One frame of transforms.json: camera to world, OpenGL axes (x right, y up, z back).
+fn frame(camera: &PinholeCamera, stem: &Path) -> serde_json::Value {
+    let mut m = camera.camera_from_world.inverse().to_homogeneous();
+    for column in [1, 2] {
+        for row in 0..3 {
+            m[(row, column)] = -m[(row, column)];
+        }
+    }
+    let rows: Vec<Vec<f64>> = (0..4).map(|r| (0..4).map(|c| m[(r, c)]).collect()).collect();
+    serde_json::json!({
+        "file_path": format!("{}.png", stem.display()),
+        "depth_file_path": format!("{}.npy", stem.display()),
+        "transform_matrix": rows,
+        "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy,
+        "w": camera.width, "h": camera.height,
+    })
+}

@@ -1,0 +1,18 @@
+//! From photos to Gaussians: the optimisation.
+
+mod checkpoint;
+mod density;
+mod hull;
+mod init;
+mod model;
+mod options;
+mod preset;
+mod trainer;
+mod views;
+
+pub use hull::VisualHull;
+pub use init::from_points;
+pub use preset::{DensityChoice, Preset};
+pub use options::{Adaptive, Coarse, Density, Mcmc, Rates, SurfaceTerms, TrainOptions};
+pub use trainer::{Progress, Trainer};
+pub use views::Views;

@@ -1,0 +1,91 @@
+//! Where training gets its photos from.
+
+use std::sync::Arc;
+
+use crate::capture::{Photo, Photos};
+use crate::{PinholeCamera, Result};
+
+/// Posed photos by number: a capture's, or some in memory.
+pub trait Views: Sync {
+    /// How many there are.
+    fn count(&self) -> usize;
+
+    /// Photo number `i`.
+    ///
+    /// # Errors
+    /// If it cannot be read.
+    fn photo(&self, i: usize) -> Result<Arc<Photo>>;
+}
+
+impl Views for Photos {
+    fn count(&self) -> usize {
+        self.len()
+    }
+
+    fn photo(&self, i: usize) -> Result<Arc<Photo>> {
+        self.get(i)
+    }
+}
+
+impl Views for Vec<Arc<Photo>> {
+    fn count(&self) -> usize {
+        self.len()
+    }
+
+    fn photo(&self, i: usize) -> Result<Arc<Photo>> {
+        Ok(self[i].clone())
+    }
+}
+
+/// A photo made `divisor` times smaller along each side: the mean of the pixels that fall together; what is left over
+/// at the right and lower edge is cut off.
+pub(crate) fn reduced(photo: &Photo, divisor: usize) -> Photo {
+    let (w, h) = (photo.camera.width / divisor, photo.camera.height / divisor);
+    if divisor <= 1 || w == 0 || h == 0 {
+        return photo.clone();
+    }
+    let d = divisor as f64;
+    let camera = PinholeCamera {
+        fx: photo.camera.fx / d,
+        fy: photo.camera.fy / d,
+        cx: photo.camera.cx / d,
+        cy: photo.camera.cy / d,
+        width: w,
+        height: h,
+        ..photo.camera.clone()
+    };
+    let cell = |x: usize, y: usize| {
+        let full = photo.camera.width;
+        (y * divisor..(y + 1) * divisor).flat_map(move |v| (x * divisor..(x + 1) * divisor).map(move |u| v * full + u))
+    };
+    let pixels = || (0..h).flat_map(|y| (0..w).map(move |x| (x, y)));
+    let area = (divisor * divisor) as u32;
+    let mean = |values: &[u8], x, y| ((cell(x, y).map(|i| u32::from(values[i])).sum::<u32>() + area / 2) / area) as u8;
+    let rgb = pixels().map(|(x, y)| {
+        let mut sum = [0u32; 3];
+        for i in cell(x, y) {
+            for k in 0..3 {
+                sum[k] += u32::from(photo.rgb[i][k]);
+            }
+        }
+        sum.map(|s| ((s + area / 2) / area) as u8)
+    });
+    let depth = |values: &[f32], x, y| {
+        let (sum, n) = cell(x, y).map(|i| values[i]).filter(|&z| z > 0.0).fold((0.0, 0), |(s, n), z| (s + z, n + 1));
+        if n > 0 { sum / n as f32 } else { 0.0 }
+    };
+    let normal = |values: &[[f32; 3]], x, y| {
+        let mut sum = nalgebra::Vector3::<f32>::zeros();
+        for i in cell(x, y) {
+            sum += nalgebra::Vector3::from(values[i]);
+        }
+        sum.try_normalize(1e-6).map_or([0.0; 3], Into::into)
+    };
+    Photo {
+        rgb: rgb.collect(),
+        mask: photo.mask.as_ref().map(|m| pixels().map(|(x, y)| mean(m, x, y)).collect()),
+        depth: photo.depth.as_ref().map(|m| pixels().map(|(x, y)| depth(m, x, y)).collect()),
+        normal: photo.normal.as_ref().map(|m| pixels().map(|(x, y)| normal(m, x, y)).collect()),
+        camera,
+    }
+}
