@@ -13,4 +13,4 @@ pub mod raster;
 pub use camera::PinholeCamera;
 pub use error::{Error, Result};
 pub use gaussians::{Gaussians, Kind, Label};
-pub use raster::{GaussianGradients, Rasterizer, Render, RenderGradients, RenderOptions};
+pub use raster::{Cpu, CpuSaved, GaussianGradients, Rasterizer, Render, RenderGradients, RenderOptions};

@@ -3,8 +3,10 @@
 //! [`Rasterizer`] has two halves: `forward` draws, `backward` takes the derivative of a loss by every pixel and gives it
 //! by every parameter of every Gaussian, analytically. Backends share this file's types and nothing else.
 
+mod cpu;
 mod tiles;
 
+pub use cpu::{Cpu, CpuSaved};
 pub(crate) use tiles::{ScreenBox, TILE, Tiles};
 
 use crate::{Gaussians, PinholeCamera, Result};

@@ -1,0 +1,112 @@
+//! Drawing on the processor: SIMD within a tile, threads over tiles, every sum in a fixed order.
+
+mod ellipsoid;
+pub(crate) mod lanes;
+pub(crate) mod sh;
+mod surfel;
+
+use super::{GaussianGradients, Rasterizer, Render, RenderGradients, RenderOptions};
+use crate::{Error, Gaussians, Kind, PinholeCamera, Result};
+
+/// The backend that needs nothing but a processor. Uses the current rayon pool; the bytes of its results do not depend
+/// on the number of threads.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Cpu;
+
+/// What [`Cpu`] keeps from `forward` for `backward`.
+#[derive(Debug, Clone)]
+pub struct CpuSaved(Kept);
+
+#[derive(Debug, Clone)]
+enum Kept {
+    Ellipsoids(ellipsoid::Saved),
+    Surfels(surfel::Saved),
+}
+
+impl Rasterizer for Cpu {
+    type Saved = CpuSaved;
+
+    fn forward(
+        &self,
+        scene: &Gaussians,
+        camera: &PinholeCamera,
+        options: &RenderOptions,
+    ) -> Result<(Render, CpuSaved)> {
+        scene.check()?;
+        camera.check()?;
+        check_options(scene, options)?;
+        Ok(match scene.kind {
+            Kind::Ellipsoid => {
+                let (render, saved) = ellipsoid::forward(scene, camera, options)?;
+                (render, CpuSaved(Kept::Ellipsoids(saved)))
+            }
+            Kind::Surfel => {
+                let (render, saved) = surfel::forward(scene, camera, options)?;
+                (render, CpuSaved(Kept::Surfels(saved)))
+            }
+        })
+    }
+
+    fn backward(
+        &self,
+        scene: &Gaussians,
+        camera: &PinholeCamera,
+        options: &RenderOptions,
+        render: &Render,
+        saved: &CpuSaved,
+        gradients: &RenderGradients,
+    ) -> Result<GaussianGradients> {
+        check_gradients(render, gradients)?;
+        match &saved.0 {
+            Kept::Ellipsoids(saved) => ellipsoid::backward(scene, camera, options, render, saved, gradients),
+            Kept::Surfels(saved) => surfel::backward(scene, camera, options, render, saved, gradients),
+        }
+    }
+}
+
+fn check_options(scene: &Gaussians, options: &RenderOptions) -> Result<()> {
+    let wrong = |what: String, remedy: &str| Err(Error::Option { what, remedy: remedy.into() });
+    if options.sh_degree > scene.sh_degree {
+        let what = format!("colour of degree {} from a set of degree {}", options.sh_degree, scene.sh_degree);
+        return wrong(what, "give at most the degree of the set");
+    }
+    if !options.background.iter().all(|c| c.is_finite()) {
+        return wrong(format!("background {:?}", options.background), "give finite numbers");
+    }
+    if !(options.max_alpha > super::MIN_ALPHA && options.max_alpha < 1.0) {
+        return wrong(format!("max_alpha {}", options.max_alpha), "give a number between 1/255 and 1, such as 0.999");
+    }
+    if !(options.near > 0.0 && options.near.is_finite()) {
+        return wrong(format!("near {}", options.near), "give a positive depth in scene units");
+    }
+    if !(options.blur >= 0.0 && options.blur.is_finite()) {
+        return wrong(format!("blur {}", options.blur), "give a variance in px², such as 0.3");
+    }
+    if !(options.centre_cutoff > 0.0 && options.centre_cutoff.is_finite()) {
+        return wrong(format!("centre_cutoff {}", options.centre_cutoff), "give 1 or 9");
+    }
+    let [near, far] = options.distortion_range;
+    if !(near > 0.0 && far > near && far.is_finite()) {
+        return wrong(format!("distortion_range {near} to {far}"), "give two positive depths, the nearer first");
+    }
+    Ok(())
+}
+
+fn check_gradients(render: &Render, gradients: &RenderGradients) -> Result<()> {
+    let pixels = render.width * render.height;
+    let lengths = [
+        ("rgb", gradients.rgb.len()),
+        ("alpha", gradients.alpha.len()),
+        ("depth", gradients.depth.len()),
+        ("normal", gradients.normal.len()),
+        ("median_depth", gradients.median_depth.len()),
+        ("distortion", gradients.distortion.len()),
+    ];
+    match lengths.iter().find(|(_, len)| *len != 0 && *len != pixels) {
+        None => Ok(()),
+        Some((name, len)) => Err(Error::Option {
+            what: format!("the gradient by {name} has {len} pixels, the render {pixels}"),
+            remedy: "give one entry a pixel, or none for zero everywhere".into(),
+        }),
+    }
+}

@@ -1,0 +1,26 @@
+//! Surfels (2DGS).
+
+use super::super::{GaussianGradients, Render, RenderGradients, RenderOptions};
+use crate::{Error, Gaussians, PinholeCamera, Result};
+
+#[derive(Debug, Clone)]
+pub(super) struct Saved;
+
+pub(super) fn forward(_: &Gaussians, _: &PinholeCamera, _: &RenderOptions) -> Result<(Render, Saved)> {
+    Err(not_yet())
+}
+
+pub(super) fn backward(
+    _: &Gaussians,
+    _: &PinholeCamera,
+    _: &RenderOptions,
+    _: &Render,
+    _: &Saved,
+    _: &RenderGradients,
+) -> Result<GaussianGradients> {
+    Err(not_yet())
+}
+
+fn not_yet() -> Error {
+    Error::Option { what: "surfels are not drawn yet".into(), remedy: "draw ellipsoids".into() }
+}
