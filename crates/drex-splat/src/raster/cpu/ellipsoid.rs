@@ -1,26 +1,142 @@
 //! Ellipsoids (Kerbl et al. 2023).
 
-use super::super::{GaussianGradients, Render, RenderGradients, RenderOptions};
-use crate::{Error, Gaussians, PinholeCamera, Result};
+mod backward;
+mod forward;
+mod project;
+
+use pulp::Arch;
+use rayon::prelude::*;
+
+use super::super::{GaussianGradients, Render, RenderGradients, RenderOptions, ScreenBox, Tiles};
+use super::lanes::Plane;
+use crate::{Gaussians, PinholeCamera, Result};
+use project::{Splat, SplatGradient, Sums, View};
+
+/// Gaussians that one task projects: also the unit in which the camera's twist is summed.
+const CHUNK: usize = 256;
 
 #[derive(Debug, Clone)]
-pub(super) struct Saved;
+pub(super) struct Saved {
+    splats: Vec<Splat>,
+    boxes: Vec<ScreenBox>,
+    tiles: Tiles,
+    ends: Vec<End>,
+}
 
-pub(super) fn forward(_: &Gaussians, _: &PinholeCamera, _: &RenderOptions) -> Result<(Render, Saved)> {
-    Err(not_yet())
+/// How a tile's pixels ended.
+#[derive(Debug, Clone)]
+struct End {
+    /// Transmittance behind the last splat.
+    t: Plane,
+    /// 1 + place in the tile's list of the last splat that touches the pixel; 0 where none does.
+    last: Plane,
+}
+
+pub(super) fn forward(scene: &Gaussians, camera: &PinholeCamera, options: &RenderOptions) -> Result<(Render, Saved)> {
+    let view = View::new(camera, options);
+    let (splats, boxes): (Vec<_>, Vec<_>) =
+        (0..scene.len()).into_par_iter().with_min_len(CHUNK).map(|i| view.project(scene, i)).unzip();
+    let (width, height) = (camera.width, camera.height);
+    let tiles = Tiles::new(&boxes, width, height, |_, _, _| true);
+
+    let pixels = width * height;
+    let mut render = Render {
+        width,
+        height,
+        rgb: vec![[0.0; 3]; pixels],
+        alpha: vec![0.0; pixels],
+        depth: vec![0.0; pixels],
+        count: if options.count { vec![0; pixels] } else { Vec::new() },
+        ..Render::default()
+    };
+    let arch = Arch::new();
+    let ends = (
+        0..tiles.len(),
+        tiles.cut_image(&mut render.rgb, width),
+        tiles.cut_image(&mut render.alpha, width),
+        tiles.cut_image(&mut render.depth, width),
+        tiles.cut_image(&mut render.count, width),
+    )
+        .into_par_iter()
+        .map(|(tile, mut rgb, mut alpha, mut depth, mut count)| {
+            let list = tiles.list(tile);
+            let drawn = arch.dispatch(forward::DrawTile {
+                splats: &splats,
+                boxes: &boxes,
+                list,
+                corner: tiles.corner(tile),
+                options,
+            });
+            drawn.write(options.background, &mut rgb, &mut alpha, &mut depth, &mut count);
+            drawn.end
+        })
+        .collect();
+    Ok((render, Saved { splats, boxes, tiles, ends }))
 }
 
 pub(super) fn backward(
-    _: &Gaussians,
-    _: &PinholeCamera,
-    _: &RenderOptions,
-    _: &Render,
-    _: &Saved,
-    _: &RenderGradients,
+    scene: &Gaussians,
+    camera: &PinholeCamera,
+    options: &RenderOptions,
+    saved: &Saved,
+    gradients: &RenderGradients,
 ) -> Result<GaussianGradients> {
-    Err(not_yet())
+    let view = View::new(camera, options);
+    let Saved { splats, boxes, tiles, ends } = saved;
+    let arch = Arch::new();
+    let mut records = vec![Sums::default(); tiles.slot_count()];
+    (0..tiles.len(), tiles.cut_records(&mut records)).into_par_iter().for_each(|(tile, sums)| {
+        if sums.is_empty() {
+            return;
+        }
+        let corner = tiles.corner(tile);
+        arch.dispatch(backward::DifferentiateTile {
+            splats,
+            boxes,
+            list: tiles.list(tile),
+            corner,
+            options,
+            end: &ends[tile],
+            incoming: &backward::Incoming::read(gradients, options.background, camera, corner),
+            sums,
+        });
+    });
+    Ok(gather(scene, &view, saved, &records))
 }
 
-fn not_yet() -> Error {
-    Error::Option { what: "ellipsoids are not drawn yet".into(), remedy: "draw surfels".into() }
+/// Sums the records of every splat and leads them to its parameters.
+fn gather(scene: &Gaussians, view: &View<'_>, saved: &Saved, records: &[Sums]) -> GaussianGradients {
+    let n = scene.len();
+    let stride = scene.sh_stride();
+    let mut out = GaussianGradients { sh: vec![0.0; n * stride], ..GaussianGradients::default() };
+    let splats: Vec<SplatGradient> = out
+        .sh
+        .par_chunks_mut(stride)
+        .enumerate()
+        .with_min_len(CHUNK)
+        .map(|(i, d_sh)| {
+            let slots = saved.tiles.slots_of(i);
+            if slots.is_empty() {
+                return SplatGradient::default();
+            }
+            let mut sums = Sums::default();
+            for &slot in slots {
+                sums.add(&records[slot as usize]);
+            }
+            view.backward(scene, i, &saved.splats[i], &sums, d_sh)
+        })
+        .collect();
+    for s in &splats {
+        out.means.push(s.mean);
+        out.rotations.push(s.rotation);
+        out.log_scales.push(s.log_scale);
+        out.logit_opacities.push(s.logit_opacity);
+        out.mean2d.push(s.mean2d);
+        out.abs_mean2d.push(s.abs_mean2d);
+        out.radius.push(s.radius);
+        for k in 0..6 {
+            out.twist[k] += s.twist[k];
+        }
+    }
+    out
 }

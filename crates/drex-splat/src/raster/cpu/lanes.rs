@@ -8,7 +8,7 @@ use std::ops::{Add, Mul, Neg, Sub};
 
 use pulp::Simd;
 
-use super::super::TILE;
+use super::super::{MIN_ALPHA, TILE};
 
 /// Pixels of a tile.
 pub(crate) const PIXELS: usize = TILE * TILE;
@@ -139,7 +139,7 @@ impl<S: Simd> Lanes<S> {
     }
 
     /// 2^self for -126 < self < 127, to 2e-7 of the value: the exponent is put together from bits, the rest is a
-    /// polynomial (least squares on [-1/2, 1/2] in relative error).
+    /// polynomial (the minimax coefficients of Cephes' exp2f).
     #[inline(always)]
     pub fn exp2(self) -> Self {
         let simd = self.0;
@@ -159,6 +159,37 @@ impl<S: Simd> Lanes<S> {
 /// Coefficients of 2^f on [-1/2, 1/2], highest power first.
 const EXP2: [f32; 7] =
     [1.535_336e-4, 1.339_887e-3, 9.618_437e-3, 5.550_332_5e-2, 0.240_226_48, core::f32::consts::LN_2, 1.0];
+
+/// Half width of the band round [`MIN_ALPHA`] in which a splat fades out when the cut-off is smooth, relative.
+pub(crate) const FADE: f32 = 0.25;
+
+/// The exponent below which 2^exponent does not touch a pixel: log₂ of 1/255, or of the lower end of the fade.
+#[inline(always)]
+pub(crate) fn least_exponent(smooth: bool) -> f32 {
+    const LOG2_MIN_ALPHA: f32 = -7.994_353_4;
+    const LOG2_FADED: f32 = -8.409_391; // log₂(0.75 / 255)
+    if smooth { LOG2_FADED } else { LOG2_MIN_ALPHA }
+}
+
+/// Opacity α = min(2^exponent, max_alpha) in a pixel that is touched, and dα/d(ln 2^exponent): α itself, 0 where it is
+/// clamped. With `SMOOTH`, α is multiplied by 3x² - 2x³, x rising from 0 to 1 over the band.
+#[inline(always)]
+pub(crate) fn opacity<S: Simd, const SMOOTH: bool>(exponent: Lanes<S>, max_alpha: Lanes<S>) -> (Lanes<S>, Lanes<S>) {
+    let simd = exponent.0;
+    let zero = Lanes::splat(simd, 0.0);
+    let free = exponent.exp2();
+    let alpha = free.min(max_alpha);
+    let slope = free.lt(max_alpha).select(free, zero);
+    if !SMOOTH {
+        return (alpha, slope);
+    }
+    let per_alpha = Lanes::splat(simd, 1.0 / (2.0 * FADE * MIN_ALPHA));
+    let [one, two, three, six] = [1.0, 2.0, 3.0, 6.0].map(|c| Lanes::splat(simd, c));
+    let x = (alpha - Lanes::splat(simd, (1.0 - FADE) * MIN_ALPHA)) * per_alpha;
+    let x = x.max(zero).min(one);
+    let fade = x * x * (three - two * x);
+    (alpha * fade, slope * (fade + alpha * per_alpha * six * x * (one - x)))
+}
 
 impl<S: Simd> Mask<S> {
     #[inline(always)]

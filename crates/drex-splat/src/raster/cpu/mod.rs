@@ -58,7 +58,7 @@ impl Rasterizer for Cpu {
     ) -> Result<GaussianGradients> {
         check_gradients(render, gradients)?;
         match &saved.0 {
-            Kept::Ellipsoids(saved) => ellipsoid::backward(scene, camera, options, render, saved, gradients),
+            Kept::Ellipsoids(saved) => ellipsoid::backward(scene, camera, options, saved, gradients),
             Kept::Surfels(saved) => surfel::backward(scene, camera, options, render, saved, gradients),
         }
     }
