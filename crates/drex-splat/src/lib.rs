@@ -8,6 +8,7 @@
 pub mod camera;
 pub mod error;
 pub mod gaussians;
+pub mod io;
 pub mod raster;
 
 pub use camera::PinholeCamera;
