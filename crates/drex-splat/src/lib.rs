@@ -9,9 +9,14 @@ pub mod camera;
 pub mod error;
 pub mod gaussians;
 pub mod io;
+pub mod orbit;
 pub mod raster;
+pub mod scene;
+pub mod transform;
 
 pub use camera::PinholeCamera;
 pub use error::{Error, Result};
 pub use gaussians::{Gaussians, Kind, Label};
+pub use orbit::Orbit;
 pub use raster::{Cpu, CpuSaved, GaussianGradients, Rasterizer, Render, RenderGradients, RenderOptions};
+pub use scene::{Bound, Scene};
