@@ -4,10 +4,6 @@ mod ellipsoid;
 pub(crate) mod lanes;
 pub(crate) mod sh;
 mod surfel;
-mod surfel_bounds;
-mod surfel_grad;
-mod surfel_project;
-mod surfel_tile;
 
 use super::{GaussianGradients, Rasterizer, Render, RenderGradients, RenderOptions};
 use crate::{Error, Gaussians, Kind, PinholeCamera, Result};

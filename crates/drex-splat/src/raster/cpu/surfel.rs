@@ -1,18 +1,21 @@
 //! Surfels (Huang et al. 2024, 2DGS): discs that know depth and normal at every pixel.
 
+mod backward;
+mod bounds;
+mod forward;
+mod project;
+
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 
-use super::lanes::{PIXELS, place};
+use super::lanes::{PIXELS, least_exponent, place};
 use super::sh;
-use super::surfel_bounds::Footprint;
-use super::surfel_grad::{Differentiate, Record, TileGradients};
-use super::surfel_project::{Surfel, SurfelGradient, rotation, rotation_backward};
-use super::surfel_tile::{Draw, Rules, Splat, TileSums, blocks};
-use crate::raster::{
-    DepthKind, GaussianGradients, MIN_ALPHA, Render, RenderGradients, RenderOptions, ScreenBox, TILE, Tiles,
-};
+use crate::raster::{DepthKind, GaussianGradients, Render, RenderGradients, RenderOptions, ScreenBox, TILE, Tiles};
 use crate::{Gaussians, PinholeCamera, Result};
+use backward::{Differentiate, Record, TileGradients};
+use bounds::Footprint;
+use forward::{Draw, Rules, Splat, TileSums, blocks};
+use project::{Surfel, SurfelGradient, rotation, rotation_backward};
 
 /// A plane that is met farther away than this many times the depth of the surfel's centre is seen edge-on: not drawn.
 const MAX_DEPTH_RATIO: f64 = 1e6;
@@ -163,7 +166,8 @@ impl<'a> View<'a> {
 
     fn project(&self, scene: &Gaussians, i: usize) -> Option<(Splat, Footprint)> {
         let opacity = 1.0 / (1.0 + (-f64::from(scene.logit_opacities[i])).exp());
-        let radius2 = 2.0 * (opacity / f64::from(MIN_ALPHA)).ln();
+        let least = f64::from(least_exponent(self.options.smooth_cutoff));
+        let radius2 = 2.0 * std::f64::consts::LN_2 * (opacity.log2() - least);
         let surfel = self.surfel(scene, i)?;
         let footprint = Footprint::new(&surfel, radius2, f64::from(self.options.near))?;
         let stride = scene.sh_stride();
@@ -202,8 +206,7 @@ impl<'a> View<'a> {
         let pixels = |sums: &TileSums, p: usize| -> [f32; 3] {
             std::array::from_fn(|i| sums.rgb[i].0[p] + (1.0 - sums.alpha.0[p]) * background[i])
         };
-        let image =
-            |wanted: bool, value: fn(&TileSums, usize) -> f32| self.image(saved, wanted, |sums, p| value(sums, p));
+        let image = |wanted, value: fn(&TileSums, usize) -> f32| self.image(saved, wanted, value);
         let g = options.geometry;
         Render {
             width,

@@ -2,9 +2,9 @@
 
 use pulp::{Simd, WithSimd};
 
-use super::lanes::{BLOCK, BLOCKS, Lanes, Mask, PIXEL_X, PIXEL_Y, PIXELS, Plane, per_block};
-use super::surfel_bounds::Footprint;
-use crate::raster::{MIN_ALPHA, MIN_TRANSMITTANCE};
+use super::super::lanes::{BLOCK, BLOCKS, Lanes, Mask, PIXEL_X, PIXEL_Y, PIXELS, Plane, opacity, per_block};
+use super::bounds::Footprint;
+use crate::raster::MIN_TRANSMITTANCE;
 
 /// What the kernels read of a surfel. A pixel at d = (dx, dy, 1) from `origin` meets it at (u, v, 1) / z = M d.
 #[derive(Debug, Clone, Copy, Default)]
@@ -205,11 +205,9 @@ pub(super) struct Meeting<S: Simd> {
     pub rho3: Lanes<S>,
     /// Whether the disc counts, not the floor.
     pub on_disc: Mask<S>,
-    /// Opacity before it is limited, and its derivative by -rho / 2.
+    /// Opacity, and its derivative by -rho / 2.
     pub alpha: Lanes<S>,
-    pub alpha_slope: Lanes<S>,
-    /// Opacity as it counts.
-    pub limited: Lanes<S>,
+    pub slope: Lanes<S>,
     pub near_enough: Mask<S>,
 }
 
@@ -237,27 +235,17 @@ pub(super) fn meet<S: Simd>(simd: S, s: &Splat, rules: &Rules, x: Lanes<S>, y: L
         return None;
     }
     let half_log2_e = Lanes::splat(simd, -0.5 * std::f32::consts::LOG2_E);
-    let plain = rho.min(radius2).mul_add(half_log2_e, Lanes::splat(simd, s.log2_opacity)).exp2();
-    let (alpha, alpha_slope) = if rules.smooth { fade(simd, plain) } else { (plain, plain) };
-    let limited = alpha.min(Lanes::splat(simd, rules.max_alpha));
+    let exponent = rho.min(radius2).mul_add(half_log2_e, Lanes::splat(simd, s.log2_opacity));
+    let max_alpha = Lanes::splat(simd, rules.max_alpha);
+    let (alpha, slope) =
+        if rules.smooth { opacity::<S, true>(exponent, max_alpha) } else { opacity::<S, false>(exponent, max_alpha) };
     let on_disc = rho3.le(rho2);
-    Some(Meeting { dx, dy, ex, ey, q: [q0, q1, q2], z, u, v, rho3, on_disc, alpha, alpha_slope, limited, near_enough })
+    Some(Meeting { dx, dy, ex, ey, q: [q0, q1, q2], z, u, v, rho3, on_disc, alpha, slope, near_enough })
 }
 
 #[inline(always)]
 fn row<S: Simd>(simd: S, m: [f32; 3], dx: Lanes<S>, dy: Lanes<S>) -> Lanes<S> {
     Lanes::splat(simd, m[0]).mul_add(dx, Lanes::splat(simd, m[1]).mul_add(dy, Lanes::splat(simd, m[2])))
-}
-
-/// α f(α), which is zero at the cut and α from twice the cut on, f = t² (3 - 2t); and its derivative by ln α.
-#[inline(always)]
-fn fade<S: Simd>(simd: S, alpha: Lanes<S>) -> (Lanes<S>, Lanes<S>) {
-    let (zero, one) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0));
-    let cuts = alpha * Lanes::splat(simd, 1.0 / MIN_ALPHA);
-    let t = (cuts - one).max(zero).min(one);
-    let f = t * t * (Lanes::splat(simd, 3.0) - (t + t));
-    let slope = Lanes::splat(simd, 6.0) * t * (one - t);
-    (alpha * f, alpha * slope.mul_add(cuts, f))
 }
 
 /// A splat's weight in a register of pixels.
@@ -272,7 +260,7 @@ pub(super) struct Pass<S: Simd> {
 #[inline(always)]
 pub(super) fn step<S: Simd>(simd: S, meeting: &Meeting<S>, transmittance: Lanes<S>) -> Pass<S> {
     let zero = Lanes::splat(simd, 0.0);
-    let w = transmittance * meeting.limited;
+    let w = transmittance * meeting.alpha;
     let next = transmittance - w;
     let goes_on = next.gt(Lanes::splat(simd, MIN_TRANSMITTANCE));
     let touched = meeting.near_enough.and(goes_on);

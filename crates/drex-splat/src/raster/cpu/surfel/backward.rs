@@ -5,8 +5,8 @@
 
 use pulp::{Simd, WithSimd};
 
-use super::lanes::{Lanes, PIXELS, Plane, per_block};
-use super::surfel_tile::{Rules, Splat, TileSums, meet, pixels, step};
+use super::super::lanes::{Lanes, PIXELS, Plane, per_block};
+use super::forward::{Rules, Splat, TileSums, meet, pixels, step};
 
 /// Derivative of the loss by the sums of a tile. A pixel outside the image has zeros.
 #[derive(Debug, Clone)]
@@ -146,9 +146,8 @@ fn differentiate<S: Simd, const GEOMETRY: bool>(simd: S, tile: Differentiate<'_>
                 let rest = w.neg_mul_add(g, Lanes(simd, behind.registers::<S>()[r]));
                 behind.registers_mut::<S>()[r] = rest.1;
                 let one = Lanes::splat(simd, 1.0);
-                let free = pass.touched.and(meeting.alpha.lt(Lanes::splat(simd, rules.max_alpha)));
-                let by_alpha = t * g - rest * (one - meeting.limited).recip();
-                let by_log_alpha = free.select(by_alpha * meeting.alpha_slope, zero);
+                let by_alpha = t * g - rest * (one - meeting.alpha).recip();
+                let by_log_alpha = pass.touched.select(by_alpha * meeting.slope, zero);
                 g_log_opacity = g_log_opacity + by_log_alpha;
 
                 // Where the ray meets the disc: ln α = -rho / 2, and z = 1 / q₂.

@@ -5,7 +5,7 @@
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 
-use super::surfel_project::Surfel;
+use super::project::Surfel;
 
 /// Added on every side, pixels: more than single precision can err.
 const MARGIN: f64 = 0.05;
