@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use drex_splat::io::{ply, splat};
+use drex_splat::io::{self, ply, splat, spz};
 use drex_splat::{Gaussians, Kind, Label};
 use proptest::prelude::*;
 
@@ -196,6 +196,122 @@ fn splat_keeps_what_it_has_room_for() {
     assert!(splat::to_bytes(&zero).unwrap_err().to_string().contains("Gaussian 0"));
 }
 
+#[test]
+fn spz_keeps_what_it_says() {
+    let g = set(Kind::Ellipsoid, 3, 500, 12);
+    for version in [spz::Version::V2, spz::Version::V3] {
+        let bytes = spz::to_bytes(&g, version).unwrap();
+        let back = spz::parse(Path::new("t.spz"), &bytes, Kind::Ellipsoid).unwrap();
+        assert_eq!((back.len(), back.sh_degree), (500, 3));
+        for i in 0..g.len() {
+            for k in 0..3 {
+                // Coordinates stay below 2, so 22 of 24 bits could stand after the point; 20 are written.
+                assert!((back.means[i][k] - g.means[i][k]).abs() < 0.51 / f32::from(1u16 << 10).powi(2));
+                assert!((back.log_scales[i][k] - g.log_scales[i][k]).abs() < 0.0313);
+                assert!((back.sh[48 * i + k] - g.sh[48 * i + k]).abs() < 0.5001 / 255.0 / 0.15);
+            }
+            for k in 3..48 {
+                let (off, half) = ((back.sh[48 * i + k] - g.sh[48 * i + k]).abs(), if k < 12 { 4.0 } else { 8.0 });
+                assert!(off < (half + 0.01) / 128.0, "{k}: {off}");
+            }
+            assert!((back.opacity(i) - g.opacity(i)).abs() < 0.501 / 255.0);
+            // Version 2 derives w from the others, which is ill-conditioned near half a turn.
+            let norm = g.rotations[i].iter().map(|q| q * q).sum::<f32>().sqrt();
+            let turn = match version {
+                spz::Version::V2 if g.rotations[i][0].abs() / norm > 0.3 => 0.05,
+                spz::Version::V2 => 0.35,
+                spz::Version::V3 => 0.005,
+            };
+            let off = angle(back.rotations[i], g.rotations[i]);
+            assert!(off < turn, "{version:?}: {off} rad of {:?}", g.rotations[i]);
+        }
+        let again = spz::to_bytes(&back, version).unwrap();
+        assert_eq!(spz::parse(Path::new("t.spz"), &again, Kind::Ellipsoid).unwrap().sh, back.sh);
+    }
+}
+
+/// A file put together by hand from the published description of the format, not by our writer.
+#[test]
+fn spz_of_known_bytes() {
+    let version_3 = |rotation: u32| {
+        let mut b = b"NGSP\x03\0\0\0\x01\0\0\0\x01\x0c\x01\0".to_vec();
+        b.extend([0, 16, 0, 0, 0xf0, 0xff, 0, 32, 0]); // 1, -1, 2 in right, up, back
+        b.extend([128, 255, 0, 128, 160, 144, 176]); // opacity, colour, scales 0, -1, 1
+        b.extend(rotation.to_le_bytes());
+        b.extend([192, 128, 128, 128, 192, 128, 128, 128, 64]); // -C1 y red, C1 z green, -C1 x blue
+        let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        std::io::Write::write_all(&mut gzip, &b).unwrap();
+        gzip.finish().unwrap()
+    };
+    // Largest: w (3). x = 511/511 √½, y = -√½ 256/511, z = 0.
+    let bytes = version_3(3 << 30 | 511 << 20 | (512 + 256) << 10);
+    let g = spz::parse(Path::new("t.spz"), &bytes, Kind::Ellipsoid).unwrap();
+    assert_eq!(g.means, [[1.0, 1.0, -2.0]]);
+    assert_eq!(g.log_scales, [[0.0, -1.0, 1.0]]);
+    assert_eq!(g.sh[3..], [-0.5, 0.0, 0.0, 0.0, -0.5, 0.0, 0.0, 0.0, -0.5]);
+    assert!((g.opacity(0) - 128.0 / 255.0).abs() < 1e-6 && (g.sh[0] - 0.5 / 0.15).abs() < 1e-6);
+    let x = std::f32::consts::FRAC_1_SQRT_2;
+    let y = x * 256.0 / 511.0;
+    let expected = [(1.0 - x * x - y * y).sqrt(), x, y, 0.0];
+    assert!(g.rotations[0].iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-6), "{:?}", g.rotations);
+}
+
+#[test]
+fn hostile_spz_is_a_named_error() {
+    let g = set(Kind::Ellipsoid, 1, 40, 13);
+    let raw = {
+        let mut raw = Vec::new();
+        let bytes = spz::to_bytes(&g, spz::Version::V3).unwrap();
+        std::io::Read::read_to_end(&mut flate2::read::GzDecoder::new(bytes.as_slice()), &mut raw).unwrap();
+        raw
+    };
+    let error = |at: usize, byte: u8, len: usize| {
+        let mut raw = raw.clone();
+        raw[at] = byte;
+        let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        std::io::Write::write_all(&mut gzip, &raw[..len]).unwrap();
+        let bytes = gzip.finish().unwrap();
+        spz::parse(Path::new("t.spz"), &bytes, Kind::Ellipsoid).unwrap_err().to_string()
+    };
+    let len = raw.len();
+    for (at, byte, len, word) in [
+        (0, b'X', len, "no .spz"),
+        (4, 4, len, "version 4"),
+        (4, 1, len, "version 1"),
+        (11, 255, len, "Gaussians of degree"),
+        (10, 100, len, "ends before"),
+        (12, 4, len, "degree 4"),
+        (13, 64, len, "64 fractional"),
+        (14, 2, len, "extensions"),
+        (20, 0, len - 1, "ends before"),
+        (0, b'N', 9, "no .spz"),
+    ] {
+        let error = error(at, byte, len);
+        assert!(error.contains(word) && error.contains("t.spz"), "{error}");
+    }
+    let mut far = g.clone();
+    far.means[7][1] = 1e9;
+    assert!(spz::to_bytes(&far, spz::Version::V2).unwrap_err().to_string().contains("Gaussian 7"));
+    far.means[7][1] = 1e6;
+    let back = spz::parse(Path::new("t"), &spz::to_bytes(&far, spz::Version::V2).unwrap(), Kind::Ellipsoid).unwrap();
+    assert!((back.means[7][1] - 1e6).abs() < 0.13);
+}
+
+#[test]
+fn the_name_tells_the_format() {
+    let folder = tempfile::tempdir().unwrap();
+    let g = set(Kind::Ellipsoid, 2, 30, 14);
+    for name in ["a.ply", "b.SPZ", "c.splat"] {
+        let path = folder.path().join(name);
+        io::write_gaussians(&path, &g).unwrap();
+        assert_eq!(io::read_gaussians(&path, Kind::Ellipsoid).unwrap().len(), 30);
+    }
+    let error = io::write_gaussians(&folder.path().join("d.obj"), &g).unwrap_err().to_string();
+    assert!(error.contains("d.obj") && error.contains(".spz"), "{error}");
+    let error = io::read_gaussians(&folder.path().join("no.ply"), Kind::Ellipsoid).unwrap_err().to_string();
+    assert!(error.contains("no.ply"), "{error}");
+}
+
 /// Angle between two rotations, radians.
 fn angle(a: [f32; 4], b: [f32; 4]) -> f64 {
     let q = |q: [f32; 4]| {
@@ -210,13 +326,13 @@ proptest! {
 
     /// Whatever one changes in a file, the answer is a set that can be drawn or an error.
     #[test]
-    fn damaged_files_never_panic(at in 0usize..2000, byte: u8, cut in 0usize..2000, which in 0usize..2) {
+    fn damaged_files_never_panic(at in 0usize..2000, byte: u8, cut in 0usize..2000, which in 0usize..3) {
         let g = set(Kind::Surfel, 1, 6, 2);
-        let mut bytes = [ply::to_bytes(&g).unwrap(), splat::to_bytes(&g).unwrap()][which].clone();
+        let mut bytes = [ply::to_bytes(&g).unwrap(), splat::to_bytes(&g).unwrap(), spz::to_bytes(&g, spz::Version::V3).unwrap()][which].clone();
         let len = bytes.len();
         bytes[at % len] = byte;
         bytes.truncate(if cut % 3 == 0 { cut % len } else { len });
-        let read = [ply::parse, splat::parse][which](name(), &bytes, Kind::Ellipsoid);
+        let read = [ply::parse, splat::parse, spz::parse][which](name(), &bytes, Kind::Ellipsoid);
         if let Ok(read) = read {
             prop_assert!(read.check().is_ok());
         }

@@ -5,12 +5,13 @@
 
 pub mod ply;
 pub mod splat;
+pub mod spz;
 
 use std::path::Path;
 
 use crate::{Error, Gaussians, Kind, Result};
 
-/// Reads Gaussians from a `.ply` or `.splat` file, told by the name. `otherwise` is what they are if the file
+/// Reads Gaussians from a `.ply`, `.spz` or `.splat` file, told by the name. `otherwise` is what they are if the file
 /// does not tell.
 ///
 /// # Errors
@@ -18,18 +19,20 @@ use crate::{Error, Gaussians, Kind, Result};
 pub fn read_gaussians(path: &Path, otherwise: Kind) -> Result<Gaussians> {
     match extension(path).as_str() {
         "ply" => ply::read(path, otherwise),
+        "spz" => spz::read(path, otherwise),
         "splat" => splat::read(path, otherwise),
         _ => Err(unknown(path)),
     }
 }
 
-/// Writes Gaussians to a `.ply` or `.splat` file, told by the name.
+/// Writes Gaussians to a `.ply`, `.spz` or `.splat` file, told by the name.
 ///
 /// # Errors
 /// If the name has another ending, the set is inconsistent, or the file cannot be written.
 pub fn write_gaussians(path: &Path, gaussians: &Gaussians) -> Result<()> {
     match extension(path).as_str() {
         "ply" => ply::write(path, gaussians),
+        "spz" => spz::write(path, gaussians, spz::Version::default()),
         "splat" => splat::write(path, gaussians),
         _ => Err(unknown(path)),
     }
@@ -88,4 +91,9 @@ fn unit_quaternion(gaussians: &Gaussians, i: usize) -> Result<[f32; 4]> {
 fn logit(byte: u8) -> f32 {
     let o = f32::from(byte).clamp(0.5, 254.5) / 255.0;
     (o / (1.0 - o)).ln()
+}
+
+/// Rounded into a byte.
+fn byte(v: f32) -> u8 {
+    v.round().clamp(0.0, 255.0) as u8
 }

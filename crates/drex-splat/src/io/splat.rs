@@ -8,7 +8,7 @@ use std::path::Path;
 
 use drex_core::fsutil;
 
-use super::{SH_C0, checked, content, logit, three_log_scales, unit_quaternion};
+use super::{SH_C0, byte, checked, content, logit, three_log_scales, unit_quaternion};
 use crate::{Gaussians, Kind, Label, Result};
 
 /// Bytes of one Gaussian.
@@ -33,9 +33,9 @@ pub fn to_bytes(gaussians: &Gaussians) -> Result<Vec<u8>> {
     for i in 0..gaussians.len() {
         let scales = three_log_scales(gaussians, i).map(f32::exp);
         out.extend(gaussians.means[i].iter().chain(&scales).flat_map(|v| v.to_le_bytes()));
-        out.extend(gaussians.sh[i * stride..i * stride + 3].iter().map(|c| byte(0.5 + SH_C0 * c, 255.0, 0.0)));
-        out.push(byte(gaussians.opacity(i), 255.0, 0.0));
-        out.extend(unit_quaternion(gaussians, i)?.map(|q| byte(q, 128.0, 128.0)));
+        out.extend(gaussians.sh[i * stride..i * stride + 3].iter().map(|c| byte(255.0 * (0.5 + SH_C0 * c))));
+        out.push(byte(255.0 * gaussians.opacity(i)));
+        out.extend(unit_quaternion(gaussians, i)?.map(|q| byte(128.0 * (q + 1.0))));
     }
     Ok(out)
 }
@@ -68,9 +68,4 @@ pub fn parse(path: &Path, bytes: &[u8], kind: Kind) -> Result<Gaussians> {
         out.labels.push(Label::BACKGROUND);
     }
     checked(path, out)
-}
-
-/// `scale` v + `zero`, rounded into a byte.
-fn byte(v: f32, scale: f32, zero: f32) -> u8 {
-    (v * scale + zero).round().clamp(0.0, 255.0) as u8
 }
