@@ -6,20 +6,27 @@
 //! w, x, y, z. Scenes are in single precision, cameras and poses in double.
 
 pub mod camera;
+pub mod capture;
 pub mod error;
 pub mod gaussians;
 pub mod io;
-pub mod orbit;
 pub mod loss;
 pub mod metrics;
 pub mod optim;
+pub mod orbit;
 pub mod raster;
+pub mod reconstruct;
 pub mod scene;
+pub mod train;
 pub mod transform;
+pub mod usage;
 
 pub use camera::PinholeCamera;
+pub use capture::{Capture, CaptureOptions, Photo, PhotoOptions, Photos};
 pub use error::{Error, Result};
 pub use gaussians::{Gaussians, Kind, Label};
 pub use orbit::Orbit;
 pub use raster::{Cpu, CpuSaved, GaussianGradients, Rasterizer, Render, RenderGradients, RenderOptions};
+pub use reconstruct::{ReconstructOptions, Reconstruction, reconstruct};
 pub use scene::{Bound, Scene};
+pub use train::{TrainOptions, Trainer};

@@ -10,7 +10,7 @@ use crate::capture::{Capture, CaptureReport, PhotoOptions, Photos};
 use crate::io::{npy, picture, ply};
 use crate::loss::{MaskMode, surface_depth};
 use crate::metrics::{Table, similarity};
-use crate::train::{DensityChoice, Preset, Progress, TrainOptions, Trainer, Views, VisualHull, from_points};
+use crate::train::{DensityChoice, Preset, Progress, TrainOptions, Trainer, VisualHull, from_points};
 use crate::{Error, Gaussians, Kind, Label, PinholeCamera, Rasterizer, Result, usage};
 
 /// What to reconstruct, and how carefully.
@@ -189,7 +189,7 @@ impl<'a> Job<'a> {
             let reason = match masks.get(i).filter(|_| masked) {
                 Some(None) => Some("it has no mask"),
                 Some(Some(false)) => Some("its mask is empty"),
-                Some(Some(true)) if report.is_misplaced(&view.name) => Some("its mask looks misplaced"),
+                Some(Some(true)) if report.views[i].mask.as_ref().is_some_and(|m| m.misplaced) => Some("its mask looks misplaced"),
                 _ => None,
             };
             match reason {
@@ -334,7 +334,7 @@ pub fn write_depth_maps<R: Rasterizer>(
         let normal: Vec<[f32; 3]> = shape.normal.iter().zip(&depth).map(|(n, &z)| unit_or_zero(*n, z)).collect();
         npy::write(&at("npy"), &[camera.height, camera.width], &depth)?;
         npy::write(&at("normal.npy"), &[camera.height, camera.width, 3], normal.as_flattened())?;
-        picture::write_rgba(&at("png"), &looks.rgb, &looks.alpha, camera.width, camera.height)?;
+        picture::write_rgba(&at("png"), camera.width, camera.height, &looks.rgb, &looks.alpha)?;
         frames.push(frame(camera, &stem));
     }
     let text = serde_json::json!({ "camera_model": "PINHOLE", "frames": frames }).to_string();

@@ -54,6 +54,11 @@ impl Moments {
         &self.v
     }
 
+    /// First and second moments, Gaussian by Gaussian.
+    pub fn slices_mut(&mut self) -> (&mut [f32], &mut [f32]) {
+        (&mut self.m, &mut self.v)
+    }
+
     /// Removes the moments of the Gaussians that are not kept; those past the end of `keep` are kept.
     pub fn retain(&mut self, keep: &[bool]) {
         for moments in [&mut self.m, &mut self.v] {
@@ -79,34 +84,40 @@ impl Moments {
     }
 }
 
-/// One step `t` (the first is 1) down the gradient `grads` of `params` with learning rate `lr`:
+/// One step `t` (the first is 1) down the gradient `grads` of `params`, with a learning rate for each of the numbers a
+/// Gaussian has in this group:
 ///
 /// ```text
-/// m = β₁m + (1 - β₁)g    v = β₂v + (1 - β₂)g²    θ -= lr m/(1 - β₁ᵗ) / (√(v/(1 - β₂ᵗ)) + ε)
+/// m = β₁m + (1 - β₁)g    v = β₂v + (1 - β₂)g²    θ -= rate m/(1 - β₁ᵗ) / (√(v/(1 - β₂ᵗ)) + ε)
 /// ```
 ///
 /// # Errors
-/// If parameters, gradients and moments differ in length. Nothing has changed then.
-pub fn adam_step(params: &mut [f32], grads: &[f32], moments: &mut Moments, lr: f32, t: u32) -> Result<()> {
-    if params.len() != grads.len() || params.len() != moments.m.len() {
+/// If parameters, gradients and moments differ in length, or rates and stride do. Nothing has changed then.
+pub fn adam_step(params: &mut [f32], grads: &[f32], moments: &mut Moments, rates: &[f32], t: u32) -> Result<()> {
+    if params.len() != grads.len() || params.len() != moments.m.len() || rates.len() != moments.stride {
         return Err(Error::Training {
             what: format!(
-                "step {t} of {} parameters has {} gradients and {} moments",
+                "step {t} of {} parameters, {} a Gaussian, has {} gradients, {} moments and {} rates",
                 params.len(),
+                moments.stride,
                 grads.len(),
-                moments.m.len()
+                moments.m.len(),
+                rates.len()
             ),
             remedy: "change the moments (retain, append_zeros) whenever Gaussians are removed or added".into(),
         });
     }
     let correction = |beta: f32| (1.0 - f64::from(beta).powf(f64::from(t.max(1)))) as f32;
-    // The corrections leave the loop: lr m̂ / (√v̂ + ε) = step m / (√v per_root + ε).
-    let (step, per_root) = (lr / correction(BETA1), 1.0 / correction(BETA2).sqrt());
-    let moments = moments.m.par_chunks_mut(CHUNK).zip(moments.v.par_chunks_mut(CHUNK));
-    let chunks = params.par_chunks_mut(CHUNK).zip(grads.par_chunks(CHUNK)).zip(moments);
+    // The corrections leave the loop: rate m̂ / (√v̂ + ε) = step m / (√v per_root + ε).
+    let (by_first, per_root) = (1.0 / correction(BETA1), 1.0 / correction(BETA2).sqrt());
+    let chunk = moments.stride * (CHUNK / moments.stride).max(1);
+    let steps: Vec<f32> = rates.iter().map(|rate| rate * by_first).cycle().take(chunk).collect();
+    let moments = moments.m.par_chunks_mut(chunk).zip(moments.v.par_chunks_mut(chunk));
+    let chunks = params.par_chunks_mut(chunk).zip(grads.par_chunks(chunk)).zip(moments);
     chunks.for_each(|((params, grads), (m, v))| {
         pulp::Arch::new().dispatch(|| {
-            for (((p, g), m), v) in params.iter_mut().zip(grads).zip(m.iter_mut()).zip(v.iter_mut()) {
+            let moments = m.iter_mut().zip(v.iter_mut());
+            for (((p, g), (m, v)), step) in params.iter_mut().zip(grads).zip(moments).zip(&steps) {
                 let first = BETA1 * *m + (1.0 - BETA1) * g;
                 // Unseen Gaussians' moments shrink for ever; subnormal numbers would slow every step down.
                 *m = if first.abs() < f32::MIN_POSITIVE { 0.0 } else { first };
@@ -118,22 +129,3 @@ pub fn adam_step(params: &mut [f32], grads: &[f32], moments: &mut Moments, lr: f
     Ok(())
 }
 
-/// A learning rate that goes from `initial` to `last` in `steps` steps along a straight line of its logarithm, and then
-/// stays.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct ExponentialRate {
-    /// Rate at step 0, positive.
-    pub initial: f64,
-    /// Rate at step `steps` and after it, positive.
-    pub last: f64,
-    /// Steps between the two; 0 is the last rate from the start.
-    pub steps: u32,
-}
-
-impl ExponentialRate {
-    /// The rate at a step.
-    pub fn at(&self, step: u32) -> f32 {
-        let s = if self.steps == 0 { 1.0 } else { (f64::from(step) / f64::from(self.steps)).min(1.0) };
-        (self.initial.powf(1.0 - s) * self.last.powf(s)) as f32
-    }
-}

@@ -1,5 +1,5 @@
-//! What moves the parameters: Adam, and how its steps shrink.
+//! What moves the parameters: Adam.
 
 pub mod adam;
 
-pub use adam::{ExponentialRate, Moments, adam_step};
+pub use adam::{Moments, adam_step};

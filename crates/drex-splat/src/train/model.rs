@@ -32,9 +32,9 @@ impl Model {
         let mut colour_rates = vec![rates.colour_rest; g.sh_stride()];
         colour_rates[..3].fill(rates.colour);
         let [means, rotations, scales, opacities, colours] = &mut self.moments;
-        adam_step(g.means.as_flattened_mut(), gradients.means.as_flattened(), means, &[position_rate; 3], step);
-        adam_step(g.rotations.as_flattened_mut(), gradients.rotations.as_flattened(), rotations, &[rates.rotation; 4], step);
-        adam_step(g.log_scales.as_flattened_mut(), gradients.log_scales.as_flattened(), scales, &[rates.scale; 3], step);
+        adam_step(g.means.as_flattened_mut(), gradients.means.as_flattened(), means, &[position_rate; 3], step)?;
+        adam_step(g.rotations.as_flattened_mut(), gradients.rotations.as_flattened(), rotations, &[rates.rotation; 4], step)?;
+        adam_step(g.log_scales.as_flattened_mut(), gradients.log_scales.as_flattened(), scales, &[rates.scale; 3], step)?;
         adam_step(&mut g.logit_opacities, &gradients.logit_opacities, opacities, &[rates.opacity], step)?;
         adam_step(&mut g.sh, &gradients.sh, colours, &colour_rates, step)
     }
