@@ -1,0 +1,191 @@
+//! The files beside a photo: masks, depth maps, normal maps; and which files are photos.
+
+use std::path::{Component, Path, PathBuf};
+
+use drex_core::fsutil::read_bytes;
+use image::{DynamicImage, ImageDecoder, ImageReader};
+
+use super::{CaptureOptions, View, refuse};
+use crate::{Error, Result};
+
+/// Optional files of one view.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Companions {
+    pub(super) mask: Option<PathBuf>,
+    pub(super) depth: Option<PathBuf>,
+    pub(super) normal: Option<PathBuf>,
+}
+
+const PICTURES: [&str; 6] = ["png", "jpg", "jpeg", "PNG", "JPG", "JPEG"];
+
+impl Companions {
+    /// What lies in the capture's folders for the photo of this relative name.
+    pub(super) fn find(folder: &Path, name: &str, options: &CaptureOptions) -> Self {
+        // Steps up, and roots, would lead out of these folders, back to the photo itself.
+        let within: PathBuf = Path::new(name).components().filter(|c| matches!(c, Component::Normal(_))).collect();
+        let place =
+            |given: &Option<PathBuf>, usual: &str| given.clone().unwrap_or_else(|| folder.join(usual)).join(&within);
+        let find = |at: PathBuf, extensions: &[&str]| {
+            let beside_stem = extensions.iter().map(|e| at.with_extension(e));
+            let behind_name = extensions.iter().map(|e| PathBuf::from(format!("{}.{e}", at.display())));
+            beside_stem.chain(behind_name).find(|p| p.is_file())
+        };
+        Self {
+            mask: find(place(&options.masks, "masks"), &PICTURES),
+            depth: find(place(&options.depths, "depths"), &["npy", "png"]),
+            normal: find(place(&options.normals, "normals"), &["png"]),
+        }
+    }
+}
+
+/// The file at `path`, or else one with the same stem and the extension of a picture.
+pub(super) fn with_known_extension(path: &Path) -> Option<PathBuf> {
+    if path.is_file() {
+        return Some(path.into());
+    }
+    let appended = PICTURES.iter().map(|e| PathBuf::from(format!("{}.{e}", path.display())));
+    appended.chain(PICTURES.iter().map(|e| path.with_extension(e))).find(|p| p.is_file())
+}
+
+/// All pictures under `root` with their relative names (forward slashes), sorted.
+pub(super) fn photos_under(root: &Path) -> Vec<(String, PathBuf)> {
+    let mut found = Vec::new();
+    let mut folders = vec![(String::new(), root.to_path_buf())];
+    while let Some((prefix, folder)) = folders.pop() {
+        for entry in std::fs::read_dir(&folder).into_iter().flatten().flatten() {
+            let path = entry.path();
+            let name = format!("{prefix}{}", entry.file_name().to_string_lossy());
+            // Links to folders are not followed: they may lead in circles.
+            if entry.file_type().is_ok_and(|kind| kind.is_dir()) {
+                folders.push((format!("{name}/"), path));
+            } else if path.extension().is_some_and(|e| PICTURES.iter().any(|p| e == *p)) && path.is_file() {
+                found.push((name, path));
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+/// Width and height of a picture, from its header alone.
+pub(super) fn size_of(path: &Path) -> Result<[f64; 2]> {
+    let (width, height) = open(path)?.into_dimensions().map_err(|e| unreadable(path, e))?;
+    Ok([f64::from(width), f64::from(height)])
+}
+
+/// The decoded picture, as stored.
+pub(super) fn picture(path: &Path) -> Result<DynamicImage> {
+    open(path)?.decode().map_err(|e| unreadable(path, e))
+}
+
+fn open(path: &Path) -> Result<ImageReader<std::io::BufReader<std::fs::File>>> {
+    let io = |e| drex_core::Error::io("read", path, e);
+    Ok(ImageReader::open(path).map_err(io)?.with_guessed_format().map_err(io)?)
+}
+
+fn unreadable(path: &Path, source: image::ImageError) -> Error {
+    Error::Picture { action: "read", path: path.into(), source }
+}
+
+/// A mask: width, height and values from 0 (background) to 255 (object). A transparent pixel is background; a picture of
+/// zeros and ones is taken as of 0 and 255.
+pub(super) fn mask(path: &Path) -> Result<(usize, usize, Vec<u8>)> {
+    let picture = picture(path)?;
+    let mut values: Vec<u8> = if picture.color().has_alpha() {
+        picture.to_luma_alpha8().pixels().map(|p| (u16::from(p.0[0]) * u16::from(p.0[1]) / 255) as u8).collect()
+    } else {
+        picture.to_luma8().into_raw()
+    };
+    if values.iter().all(|v| *v <= 1) {
+        values.iter_mut().for_each(|v| *v *= 255);
+    }
+    Ok((picture.width() as usize, picture.height() as usize, values))
+}
+
+/// The mask of a view, from its file or the photo's alpha channel.
+pub(super) fn mask_of(view: &View) -> Result<Option<(usize, usize, Vec<u8>)>> {
+    if let Some(path) = &view.mask {
+        return mask(path).map(Some);
+    }
+    let has_alpha = open(&view.photo)?.into_decoder().map_err(|e| unreadable(&view.photo, e))?.color_type().has_alpha();
+    if !has_alpha {
+        return Ok(None);
+    }
+    let photo = picture(&view.photo)?.into_rgba8();
+    let alpha = photo.pixels().map(|p| p.0[3]).collect();
+    Ok(Some((photo.width() as usize, photo.height() as usize, alpha)))
+}
+
+/// A depth map: width, height and z in the camera's frame; 0 where unknown. Integers of a 16-bit PNG are multiplied by
+/// `scale`, numbers of an npy file are taken as they are.
+pub(super) fn depth(path: &Path, scale: f64) -> Result<(usize, usize, Vec<f32>)> {
+    let (width, height, mut values) = if path.extension().is_some_and(|e| e == "npy") {
+        npy(path)?
+    } else {
+        match picture(path)? {
+            DynamicImage::ImageLuma16(map) => {
+                let values = map.pixels().map(|p| (f64::from(p.0[0]) * scale) as f32).collect();
+                (map.width() as usize, map.height() as usize, values)
+            }
+            _ => return refuse(format!("{} is no 16-bit grey PNG", path.display()), "write depth maps with 16 bits"),
+        }
+    };
+    for v in &mut values {
+        if !(v.is_finite() && *v > 0.0) {
+            *v = 0.0;
+        }
+    }
+    Ok((width, height, values))
+}
+
+/// A normal map: width, height and unit vectors in the camera's frame (x right, y down, z forward) after `flip`; zero
+/// where unknown (black, white or grey pixels).
+pub(super) fn normal(path: &Path, flip: [bool; 3]) -> Result<(usize, usize, Vec<[f32; 3]>)> {
+    let picture = picture(path)?.to_rgb16();
+    let values = picture.pixels().map(|p| {
+        let mut n = p.0.map(|v| f32::from(v) / 65535.0 * 2.0 - 1.0);
+        let norm = n.iter().map(|v| v * v).sum::<f32>().sqrt();
+        for (v, flip) in n.iter_mut().zip(flip) {
+            *v *= if flip { -1.0 } else { 1.0 } / norm;
+        }
+        // Half way between 0 and 1 there is no direction; black and white are no unit vectors.
+        if (0.5..1.5).contains(&norm) { n } else { [0.0; 3] }
+    });
+    Ok((picture.width() as usize, picture.height() as usize, values.collect()))
+}
+
+/// A two-dimensional npy array of 32- or 64-bit numbers in C order: columns, rows, values.
+fn npy(path: &Path) -> Result<(usize, usize, Vec<f32>)> {
+    let bytes = read_bytes(path)?;
+    let refuse = |what: &str| {
+        let remedy = "save a little-endian float32 or float64 array of shape (height, width) with numpy.save";
+        Err(drex_core::Error::content(path, None, what, remedy).into())
+    };
+    let header_start = match bytes.get(..8) {
+        Some(b"\x93NUMPY\x01\x00") => 10,
+        Some(b"\x93NUMPY\x02\x00" | b"\x93NUMPY\x03\x00") => 12,
+        _ => return refuse("this is no npy file"),
+    };
+    let length = bytes.get(8..header_start).map(|l| l.iter().rev().fold(0, |n, b| n << 8 | usize::from(*b)));
+    let data_start = length.map_or(usize::MAX, |l| header_start.saturating_add(l));
+    let Some(header) = bytes.get(header_start..data_start).and_then(|h| std::str::from_utf8(h).ok()) else {
+        return refuse("the npy header is damaged");
+    };
+    let value_of = |key: &str| header.split_once(&format!("'{key}':")).map_or("", |(_, v)| v.trim_start());
+    if !value_of("fortran_order").starts_with("False") {
+        return refuse("the array is in Fortran order");
+    }
+    let shape = value_of("shape").strip_prefix('(').and_then(|s| s.split_once(')')).map_or("", |(s, _)| s);
+    let sides: Vec<usize> = shape.split(',').filter_map(|s| s.trim().parse().ok()).collect();
+    let &[rows, columns] = sides.as_slice() else { return refuse("the array has not two dimensions") };
+    let data = &bytes[data_start..];
+    let values: Vec<f32> = match value_of("descr").get(..5) {
+        Some("'<f4'") => data.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect(),
+        Some("'<f8'") => data.as_chunks().0.iter().map(|b| f64::from_le_bytes(*b) as f32).collect(),
+        _ => return refuse("the array is not of float32 or float64"),
+    };
+    if rows.checked_mul(columns) != Some(values.len()) || values.is_empty() {
+        return refuse("the array has not the numbers its shape asks for");
+    }
+    Ok((columns, rows, values))
+}

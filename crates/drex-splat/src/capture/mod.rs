@@ -1,0 +1,177 @@
+//! Photos, cameras and masks in: COLMAP models, transforms.json, or photos alone through COLMAP.
+//!
+//! [`Capture`] says what was photographed from where; [`Photos`] reads the pictures, undistorted and at the size that is
+//! asked for; [`CaptureReport`] says what to trust.
+//!
+//! A capture folder is laid out as
+//! ```text
+//! images/       photos, in subfolders if need be              (or photos/, input/, or beside the model)
+//! masks/        same relative name, .png or .jpg, or COLMAP's NAME.jpg.png; white is the object; or the photo's own alpha
+//! depths/       same relative name: 16-bit .png, or .npy of 32- or 64-bit numbers
+//! normals/      same relative name: .png, rgb = (n + 1)/2 in the camera's frame
+//! sparse/0/     COLMAP's model, binary or text                (or sparse/, colmap/sparse/0/, or the folder itself)
+//! transforms.json                                             where there is no model
+//! ```
+
+mod assemble;
+mod colmap;
+mod companions;
+mod photos;
+mod point_cloud;
+mod report;
+mod tools;
+mod transforms;
+mod undistort;
+
+use std::path::{Path, PathBuf};
+
+use drex_core::Pose;
+use drex_core::camera::Camera;
+use nalgebra::Point3;
+
+pub use self::photos::{Photo, PhotoOptions, Photos};
+pub use self::report::{CaptureReport, Coverage, MaskCheck, ReprojectionError, ViewReport};
+pub use self::tools::{ColmapOptions, VideoOptions, extract_frames, reconstruct};
+use self::undistort::Undistortion;
+use crate::{Error, PinholeCamera, Result};
+
+/// Photos of a scene with their cameras, and the sparse points the cameras were found with.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Capture {
+    /// The folder it was read from.
+    pub folder: PathBuf,
+    /// One per photo that has a camera, sorted by name.
+    pub views: Vec<View>,
+    /// Triangulated points, none where the source has none; in the order of the file.
+    pub points: Vec<SparsePoint>,
+    /// Photos in the folder that no camera was found for, sorted.
+    pub unregistered: Vec<String>,
+    /// What was odd, in sentences.
+    pub notes: Vec<String>,
+}
+
+/// A photo and the camera that took it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct View {
+    /// Name in the model, with subfolders and extension.
+    pub name: String,
+    /// The photo's file.
+    pub photo: PathBuf,
+    /// A picture in which the object is white.
+    pub mask: Option<PathBuf>,
+    /// A depth map.
+    pub depth: Option<PathBuf>,
+    /// A normal map.
+    pub normal: Option<PathBuf>,
+    /// The lens, for pixels of the photo's file as it is stored (an orientation tag turns nothing).
+    pub lens: Camera,
+    /// Maps world coordinates to camera coordinates, scene units.
+    pub camera_from_world: Pose,
+    /// Where features were found, in pixels of the photo's file; empty for transforms.json.
+    pub keypoints: Vec<Keypoint>,
+}
+
+/// A feature in a photo.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Keypoint {
+    /// Pixels from the left edge.
+    pub x: f64,
+    /// Pixels from the upper edge.
+    pub y: f64,
+    /// Index in [`Capture::points`] of the point seen there.
+    pub point: Option<usize>,
+}
+
+/// A point that several photos see.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SparsePoint {
+    /// World frame, scene units.
+    pub position: [f64; 3],
+    /// Colour.
+    pub rgb: [u8; 3],
+    /// Mean reprojection error as the file states it, pixels; 0 where it states none.
+    pub error_px: f64,
+    /// Index of the view and of its keypoint, sorted.
+    pub track: Vec<(usize, usize)>,
+}
+
+/// Where to look for what.
+#[derive(Debug, Clone, Default, PartialEq)]
+#[non_exhaustive]
+pub struct CaptureOptions {
+    /// Folder of the photos instead of the usual ones.
+    pub images: Option<PathBuf>,
+    /// Folder of the masks instead of `masks`.
+    pub masks: Option<PathBuf>,
+    /// Folder of the depth maps instead of `depths`.
+    pub depths: Option<PathBuf>,
+    /// Folder of the normal maps instead of `normals`.
+    pub normals: Option<PathBuf>,
+}
+
+impl Capture {
+    /// Reads the capture in `folder`: the biggest COLMAP model there, or else transforms.json.
+    ///
+    /// Only headers of photos are read. A camera of another size than its photo is scaled, with its keypoints, if the
+    /// aspect agrees.
+    ///
+    /// # Errors
+    /// If there is neither model nor transforms.json, a file is damaged, no photo is found, or a photo or mask has
+    /// another aspect than its camera.
+    pub fn load(folder: &Path, options: &CaptureOptions) -> Result<Self> {
+        assemble::load(folder, options)
+    }
+
+    /// The pinhole camera of a view: undistorted, and scaled so that no side is longer than `max_side` pixels. It is
+    /// the camera of the [`Photo`] that [`Photos`] gives for the same `max_side`.
+    ///
+    /// The focal lengths and the direction of the optical axis are the lens's. The image is the largest rectangle round
+    /// the optical axis, whole pixels, that the photo fills, so that no pixel is made up; a wide lens is cut at 60° to
+    /// each side.
+    ///
+    /// # Errors
+    /// If there is no such view, or the lens model cannot be inverted near its axis.
+    pub fn pinhole(&self, view: usize, max_side: Option<usize>) -> Result<PinholeCamera> {
+        let Some(view) = self.views.get(view) else {
+            return Err(Error::Option {
+                what: format!("view {view} of a capture of {}", self.views.len()),
+                remedy: "give the index of a view".into(),
+            });
+        };
+        Undistortion::new(view)?.camera(view.camera_from_world, max_side)
+    }
+
+    /// Where the cameras stand, world frame.
+    pub fn centres(&self) -> Vec<Point3<f64>> {
+        self.views.iter().map(|v| v.camera_from_world.inverse().translation.vector.into()).collect()
+    }
+
+    /// 1.1 times the largest distance of a camera from the mean of the cameras (3DGS), scene units; cameras that
+    /// [`CaptureReport`] calls outliers by their place do not count. Where all cameras stand in one place, the median
+    /// distance of the points to them, or 1.
+    pub fn extent(&self) -> f64 {
+        let centres = self.centres();
+        let outlier = report::outliers_by_place(&centres);
+        let kept: Vec<_> = centres.iter().zip(outlier).filter(|(_, far)| !far).map(|(c, _)| c.coords).collect();
+        let mean = kept.iter().sum::<nalgebra::Vector3<f64>>() / kept.len().max(1) as f64;
+        let radius = kept.iter().map(|c| (c - mean).norm()).fold(0.0, f64::max);
+        if radius > 0.0 {
+            return 1.1 * radius;
+        }
+        let distances = self.points.iter().map(|p| (nalgebra::Vector3::from(p.position) - mean).norm());
+        report::median(distances.collect()).filter(|d| *d > 0.0).unwrap_or(1.0)
+    }
+
+    /// What to trust of this capture; reads the masks.
+    ///
+    /// # Errors
+    /// If a mask cannot be read.
+    pub fn report(&self) -> Result<CaptureReport> {
+        CaptureReport::new(self)
+    }
+}
+
+/// Shorthand for an error about a capture.
+fn refuse<T>(what: impl Into<String>, remedy: impl Into<String>) -> Result<T> {
+    Err(Error::Capture { what: what.into(), remedy: remedy.into() })
+}

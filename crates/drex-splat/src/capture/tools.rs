@@ -1,0 +1,326 @@
+//! Other programs: COLMAP for the cameras of photos, ffmpeg for the frames of a video.
+
+use std::collections::VecDeque;
+use std::ffi::OsStr;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::mpsc;
+
+use drex_core::camera::CameraModel;
+
+use super::assemble::count;
+use super::companions::{photos_under, size_of};
+use super::{Capture, CaptureOptions, refuse};
+use crate::{Error, Result};
+
+/// How COLMAP is run.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct ColmapOptions {
+    /// The program, a name on the path or a file.
+    pub program: PathBuf,
+    /// Longest side at which features are looked for, pixels.
+    pub max_side: usize,
+    /// Features per photo.
+    pub max_features: usize,
+    /// The lens that is fitted.
+    pub lens: CameraModel,
+    /// Match each photo with its neighbours by name only, as for the frames of a video; `None` does so above 200 photos.
+    pub sequential: Option<bool>,
+    /// Threads; 0 for all.
+    pub threads: usize,
+    /// Whether COLMAP may use a GPU. Not every build can.
+    pub gpu: bool,
+    /// Share of the photos, 0 to 1, that must get a camera.
+    pub least_registered: f64,
+}
+
+impl Default for ColmapOptions {
+    fn default() -> Self {
+        Self {
+            program: "colmap".into(),
+            max_side: 1600,
+            max_features: 4096,
+            lens: CameraModel::SimpleRadial,
+            sequential: None,
+            threads: 0,
+            gpu: false,
+            least_registered: 0.6,
+        }
+    }
+}
+
+/// How frames are taken from a video.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct VideoOptions {
+    /// The program, a name on the path or a file.
+    pub program: PathBuf,
+    /// Frames per second that are kept.
+    pub frames_per_s: f64,
+    /// Longest side, pixels; larger frames are scaled down.
+    pub max_side: usize,
+}
+
+impl Default for VideoOptions {
+    fn default() -> Self {
+        Self { program: "ffmpeg".into(), frames_per_s: 2.0, max_side: 1920 }
+    }
+}
+
+/// Lets COLMAP find the cameras of the photos in `folder` (`images`, or `photos`, `input`, or the folder itself) and
+/// loads what it found. Everything it writes is in `folder/colmap`, replacing what was there before.
+///
+/// `progress` gets each line that COLMAP prints.
+///
+/// # Errors
+/// If COLMAP is not installed or fails, or if it finds cameras for too few photos; the message names those without.
+pub fn reconstruct(
+    folder: &Path,
+    capture: &CaptureOptions,
+    options: &ColmapOptions,
+    progress: &mut dyn FnMut(&str),
+) -> Result<Capture> {
+    let Some((root, photos)) = photos_of(folder, capture) else {
+        return refuse(format!("{} has no photos", folder.display()), "put at least three into the folder images");
+    };
+    if photos.len() < 3 {
+        let what = format!("{} has only {}", root.display(), count(photos.len(), "photo"));
+        return refuse(what, "take photos all round the object, each showing most of what the one before showed");
+    }
+    let colmap = Colmap::new(options, progress)?;
+    let work = folder.join("colmap");
+    let (database, sparse) = (work.join("database.db"), work.join("sparse"));
+    let io = |action, path: &Path| {
+        let path = path.to_path_buf();
+        move |e| Error::from(drex_core::Error::io(action, path, e))
+    };
+    if sparse.exists() {
+        std::fs::remove_dir_all(&sparse).map_err(io("remove", &sparse))?;
+    }
+    if database.exists() {
+        std::fs::remove_file(&database).map_err(io("remove", &database))?;
+    }
+    std::fs::create_dir_all(&sparse).map_err(io("create", &sparse))?;
+    colmap.run_all(&root, &photos, &database, &sparse, progress)?;
+
+    let within = CaptureOptions { images: Some(root), ..capture.clone() };
+    let found = std::fs::read_dir(&sparse).is_ok_and(|mut entries| entries.next().is_some());
+    if !found {
+        return refuse(
+            format!("COLMAP found no cameras for the {} photos of {}", photos.len(), folder.display()),
+            "take sharp photos with texture in view, each overlapping the one before by two thirds",
+        );
+    }
+    let mut result = Capture::load(folder, &within)?;
+    let registered = result.views.len() as f64 / photos.len() as f64;
+    let summary = format!("COLMAP found cameras for {} of {} photos", result.views.len(), photos.len());
+    if registered < options.least_registered {
+        return refuse(
+            format!(
+                "{summary}, fewer than {:.0} %; without: {}",
+                100.0 * options.least_registered,
+                result.unregistered.join(", ")
+            ),
+            "take more photos between these and the others, or lower the share that must be found",
+        );
+    }
+    result.notes.push(format!("{summary}."));
+    Ok(result)
+}
+
+/// The frames of a video as `images/frame_00001.jpg`… in `folder`; returns how many.
+///
+/// # Errors
+/// If ffmpeg is not installed or fails, or there are frames in the folder already.
+pub fn extract_frames(
+    video: &Path,
+    folder: &Path,
+    options: &VideoOptions,
+    progress: &mut dyn FnMut(&str),
+) -> Result<usize> {
+    if !video.is_file() {
+        return refuse(format!("{} is no file", video.display()), "give a video");
+    }
+    if !(options.frames_per_s.is_finite() && options.frames_per_s > 0.0) {
+        return refuse(format!("{} frames per second", options.frames_per_s), "give a positive number");
+    }
+    let images = folder.join("images");
+    std::fs::create_dir_all(&images).map_err(|e| drex_core::Error::io("create", &images, e))?;
+    if let Some((name, _)) = photos_under(&images).first() {
+        return refuse(
+            format!("{} has {name} already", images.display()),
+            "give an empty folder, so that no frames of two videos are mixed",
+        );
+    }
+    let side = options.max_side;
+    let filter = format!(
+        "fps={},scale='min({side},iw)':'min({side},ih)':force_original_aspect_ratio=decrease",
+        options.frames_per_s
+    );
+    let mut command = Command::new(&options.program);
+    command.args(["-nostdin", "-hide_banner", "-y", "-i"]).arg(video);
+    command.args(["-vf", &filter, "-qscale:v", "2"]).arg(images.join("frame_%05d.jpg"));
+    let install = "install ffmpeg (Debian, Ubuntu: apt install ffmpeg; macOS: brew install ffmpeg) or take photos";
+    run(command, "ffmpeg", install, progress)?;
+    match photos_under(&images).len() {
+        0 => refuse(
+            format!("ffmpeg found no frames in {}", video.display()),
+            "give another video, or more frames per second",
+        ),
+        n => Ok(n),
+    }
+}
+
+/// The folder of the photos and the photos in it.
+fn photos_of(folder: &Path, options: &CaptureOptions) -> Option<(PathBuf, Vec<(String, PathBuf)>)> {
+    let usual = ["images", "photos", "input"].map(|n| folder.join(n));
+    let places = match &options.images {
+        Some(images) => vec![images.clone()],
+        None => usual.into_iter().chain([folder.to_path_buf()]).collect(),
+    };
+    places.into_iter().map(|p| (p.clone(), photos_under(&p))).find(|(_, photos)| !photos.is_empty())
+}
+
+const INSTALL: &str = "install COLMAP (Debian, Ubuntu: apt install colmap; macOS: brew install colmap; \
+                       Windows: https://colmap.github.io/install.html), or put a model into sparse/0";
+
+/// COLMAP as it is installed here: versions differ in the names of options.
+struct Colmap<'a> {
+    options: &'a ColmapOptions,
+    /// Options of extraction and of matching have these prefixes.
+    extraction: &'static str,
+    matching: &'static str,
+}
+
+impl<'a> Colmap<'a> {
+    fn new(options: &'a ColmapOptions, progress: &mut dyn FnMut(&str)) -> Result<Self> {
+        let mut help = Command::new(&options.program);
+        help.args(["feature_extractor", "--help"]);
+        let mut new_names = false;
+        let mut listen = |line: &str| new_names |= line.contains("--FeatureExtraction.use_gpu");
+        run(help, "COLMAP", INSTALL, &mut listen)?;
+        progress("COLMAP is installed.");
+        let [extraction, matching] =
+            if new_names { ["FeatureExtraction", "FeatureMatching"] } else { ["SiftExtraction", "SiftMatching"] };
+        Ok(Self { options, extraction, matching })
+    }
+
+    fn run_all(
+        &self,
+        root: &Path,
+        photos: &[(String, PathBuf)],
+        database: &Path,
+        sparse: &Path,
+        progress: &mut dyn FnMut(&str),
+    ) -> Result<()> {
+        let options = self.options;
+        let threads = if options.threads == 0 { "-1".to_owned() } else { options.threads.to_string() };
+        let gpu = if options.gpu { "1" } else { "0" };
+        let named = |stage: &str, name: &str| format!("--{stage}.{name}");
+
+        let mut extract = self.command("feature_extractor", database);
+        extract.arg("--image_path").arg(root);
+        extract.args(["--ImageReader.camera_model", options.lens.name()]);
+        if one_size_per_folder(photos)? {
+            extract.args(["--ImageReader.single_camera_per_folder", "1"]);
+        }
+        extract.args([named(self.extraction, "use_gpu").as_str(), gpu]);
+        extract.args([named(self.extraction, "num_threads"), threads.clone()]);
+        // These two kept their names in every version but one, which knows both prefixes for the first.
+        let max_size = if self.extraction == "SiftExtraction" { "SiftExtraction" } else { "FeatureExtraction" };
+        extract.args([named(max_size, "max_image_size"), options.max_side.to_string()]);
+        extract.args([named("SiftExtraction", "max_num_features"), options.max_features.to_string()]);
+        self.run(extract, "feature_extractor", progress)?;
+
+        let sequential = options.sequential.unwrap_or(photos.len() > 200);
+        let matcher = if sequential { "sequential_matcher" } else { "exhaustive_matcher" };
+        let mut match_up = self.command(matcher, database);
+        match_up.args([named(self.matching, "use_gpu").as_str(), gpu]);
+        match_up.args([named(self.matching, "num_threads"), threads.clone()]);
+        self.run(match_up, matcher, progress)?;
+
+        let mut map = self.command("mapper", database);
+        map.arg("--image_path").arg(root).arg("--output_path").arg(sparse);
+        map.args([named("Mapper", "num_threads"), threads]);
+        self.run(map, "mapper", progress)
+    }
+
+    fn command(&self, step: &str, database: &Path) -> Command {
+        let mut command = Command::new(&self.options.program);
+        // Its library for windows must not look for a screen.
+        command.env("QT_QPA_PLATFORM", "offscreen").arg(step).arg("--database_path").arg(database);
+        command
+    }
+
+    fn run(&self, command: Command, step: &str, progress: &mut dyn FnMut(&str)) -> Result<()> {
+        progress(&format!("COLMAP {step}"));
+        run(command, &format!("COLMAP's {step}"), INSTALL, progress)
+    }
+}
+
+/// Whether all photos of each folder have one size, so that they may share a camera.
+fn one_size_per_folder(photos: &[(String, PathBuf)]) -> Result<bool> {
+    let folder = |path: &Path| path.parent().map_or(OsStr::new(""), Path::as_os_str).to_owned();
+    let sizes = photos.iter().map(|(_, path)| Ok((folder(path), size_of(path)?))).collect::<Result<Vec<_>>>()?;
+    // Sorted by name, photos of a folder may be parted by those of a folder in it.
+    let first = |wanted: &OsStr| sizes.iter().find(|(folder, _)| folder == wanted).map(|(_, size)| *size);
+    Ok(sizes.iter().all(|(folder, size)| first(folder) == Some(*size)))
+}
+
+/// Runs a program to its end; each line it prints goes to `progress`.
+fn run(mut command: Command, name: &str, install: &str, progress: &mut dyn FnMut(&str)) -> Result<()> {
+    let fail = |what: String, remedy: &str| Err(Error::Tool { what, remedy: remedy.into() });
+    let spawned = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
+    let mut child = match spawned {
+        Ok(child) => child,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
+            return fail(
+                format!("{name} is not installed ({} was not found)", command.get_program().display()),
+                install,
+            );
+        }
+        Err(e) => return fail(format!("{name} cannot be started: {e}"), install),
+    };
+    const LAST_LINES: usize = 12;
+    let mut last = VecDeque::new();
+    let (sender, lines) = mpsc::channel();
+    let pipes: [Option<Box<dyn Read + Send>>; 2] =
+        [child.stdout.take().map(|p| Box::new(p) as _), child.stderr.take().map(|p| Box::new(p) as _)];
+    std::thread::scope(|scope| {
+        for pipe in pipes.into_iter().flatten() {
+            let sender = sender.clone();
+            scope.spawn(move || send_lines(pipe, &sender));
+        }
+        drop(sender);
+        for line in lines {
+            progress(&line);
+            if last.len() == LAST_LINES {
+                last.pop_front();
+            }
+            last.push_back(line);
+        }
+    });
+    match child.wait() {
+        Ok(status) if status.success() => Ok(()),
+        Ok(status) => {
+            let said = last.make_contiguous().join("\n");
+            fail(format!("{name} failed ({status}); it said last:\n{said}\n"), "read these lines for the reason")
+        }
+        Err(e) => fail(format!("{name} was lost: {e}"), "start again"),
+    }
+}
+
+/// Lines end with a newline or, in progress bars, a carriage return.
+fn send_lines(pipe: Box<dyn Read + Send>, to: &mpsc::Sender<String>) {
+    let mut reader = BufReader::new(pipe);
+    let mut bytes = Vec::new();
+    while let Ok(1..) = reader.read_until(b'\n', &mut bytes) {
+        for line in String::from_utf8_lossy(&bytes).split(['\n', '\r']).filter(|l| !l.trim().is_empty()) {
+            // The receiver is gone only when the program is being given up.
+            let _ = to.send(line.to_owned());
+        }
+        bytes.clear();
+    }
+}
