@@ -40,8 +40,13 @@ pub(super) fn load(folder: &Path, options: &CaptureOptions) -> Result<Capture> {
     Ok(capture)
 }
 
-/// The model with the most images of all that are in the folder's usual places.
-fn biggest_model(folder: &Path, notes: &mut Vec<String>) -> Result<Option<(PathBuf, Model)>> {
+/// Whether the folder says where its photos were taken from.
+pub(super) fn has_cameras(folder: &Path) -> bool {
+    !places_of_models(folder).is_empty() || transforms::find(folder).is_some()
+}
+
+/// The folder's usual places, as far as there is a model.
+fn places_of_models(folder: &Path) -> Vec<PathBuf> {
     let mut places = vec![folder.to_path_buf()];
     for sparse in ["sparse", "colmap/sparse"].map(|s| folder.join(s)) {
         let mut numbered: Vec<_> = std::fs::read_dir(&sparse)
@@ -52,6 +57,12 @@ fn biggest_model(folder: &Path, notes: &mut Vec<String>) -> Result<Option<(PathB
         places.push(sparse);
     }
     places.retain(|place| Model::is_in(place));
+    places
+}
+
+/// The model with the most images of all that are in the folder's usual places.
+fn biggest_model(folder: &Path, notes: &mut Vec<String>) -> Result<Option<(PathBuf, Model)>> {
+    let places = places_of_models(folder);
     let mut best: Option<(PathBuf, Model)> = None;
     let mut sizes = Vec::new();
     for place in &places {

@@ -122,6 +122,22 @@ impl Capture {
         assemble::load(folder, options)
     }
 
+    /// As [`Capture::load`], but where a folder has only photos, COLMAP is asked for their cameras (see [`reconstruct`]).
+    ///
+    /// # Errors
+    /// As [`Capture::load`] and [`reconstruct`].
+    pub fn open(
+        folder: &Path,
+        options: &CaptureOptions,
+        colmap: &ColmapOptions,
+        progress: &mut dyn FnMut(&str),
+    ) -> Result<Self> {
+        if assemble::has_cameras(folder) {
+            return Self::load(folder, options);
+        }
+        reconstruct(folder, options, colmap, progress)
+    }
+
     /// The pinhole camera of a view: undistorted, and scaled so that no side is longer than `max_side` pixels. It is
     /// the camera of the [`Photo`] that [`Photos`] gives for the same `max_side`.
     ///

@@ -220,7 +220,9 @@ impl Source {
 }
 
 /// Colours of a photo and its alpha channel, if it has one.
-fn colours(view: &View) -> Result<(Vec<[u8; 3]>, Option<Vec<u8>>)> {
+type Colours = (Vec<[u8; 3]>, Option<Vec<u8>>);
+
+fn colours(view: &View) -> Result<Colours> {
     let picture = companions::picture(&view.photo)?;
     if (picture.width(), picture.height()) != (view.lens.width_px(), view.lens.height_px()) {
         return refuse(format!("{} has changed its size", view.photo.display()), "load the capture again");

@@ -89,7 +89,6 @@ pub fn reconstruct(
         let what = format!("{} has only {}", root.display(), count(photos.len(), "photo"));
         return refuse(what, "take photos all round the object, each showing most of what the one before showed");
     }
-    let colmap = Colmap::new(options, progress)?;
     let work = folder.join("colmap");
     let (database, sparse) = (work.join("database.db"), work.join("sparse"));
     let io = |action, path: &Path| {
@@ -103,7 +102,7 @@ pub fn reconstruct(
         std::fs::remove_file(&database).map_err(io("remove", &database))?;
     }
     std::fs::create_dir_all(&sparse).map_err(io("create", &sparse))?;
-    colmap.run_all(&root, &photos, &database, &sparse, progress)?;
+    run_all(options, &root, &photos, &work, progress)?;
 
     let within = CaptureOptions { images: Some(root), ..capture.clone() };
     let found = std::fs::read_dir(&sparse).is_ok_and(|mut entries| entries.next().is_some());
@@ -186,77 +185,81 @@ fn photos_of(folder: &Path, options: &CaptureOptions) -> Option<(PathBuf, Vec<(S
 const INSTALL: &str = "install COLMAP (Debian, Ubuntu: apt install colmap; macOS: brew install colmap; \
                        Windows: https://colmap.github.io/install.html), or put a model into sparse/0";
 
-/// COLMAP as it is installed here: versions differ in the names of options.
-struct Colmap<'a> {
-    options: &'a ColmapOptions,
-    /// Options of extraction and of matching have these prefixes.
-    extraction: &'static str,
-    matching: &'static str,
+/// The steps of a reconstruction, one after the other.
+fn run_all(
+    options: &ColmapOptions,
+    root: &Path,
+    photos: &[(String, PathBuf)],
+    work: &Path,
+    progress: &mut dyn FnMut(&str),
+) -> Result<()> {
+    let threads = if options.threads == 0 { "-1".to_owned() } else { options.threads.to_string() };
+    let gpu = if options.gpu { "1" } else { "0" };
+
+    let mut extract = Step::new(options, "feature_extractor", work)?;
+    extract.command.arg("--image_path").arg(root);
+    extract.set(&["ImageReader"], "camera_model", options.lens.name());
+    if one_size_per_folder(photos)? {
+        extract.set(&["ImageReader"], "single_camera_per_folder", "1");
+    }
+    extract.set(&["FeatureExtraction", "SiftExtraction"], "use_gpu", gpu);
+    extract.set(&["FeatureExtraction", "SiftExtraction"], "num_threads", &threads);
+    extract.set(&["FeatureExtraction", "SiftExtraction"], "max_image_size", &options.max_side.to_string());
+    extract.set(&["SiftExtraction"], "max_num_features", &options.max_features.to_string());
+    extract.run(progress)?;
+
+    let sequential = options.sequential.unwrap_or(photos.len() > 200);
+    let matcher = if sequential { "sequential_matcher" } else { "exhaustive_matcher" };
+    let mut match_up = Step::new(options, matcher, work)?;
+    match_up.set(&["FeatureMatching", "SiftMatching"], "use_gpu", gpu);
+    match_up.set(&["FeatureMatching", "SiftMatching"], "num_threads", &threads);
+    match_up.run(progress)?;
+
+    let mut map = Step::new(options, "mapper", work)?;
+    map.command.arg("--image_path").arg(root).arg("--output_path").arg(work.join("sparse"));
+    map.set(&["Mapper"], "num_threads", &threads);
+    map.run(progress)
 }
 
-impl<'a> Colmap<'a> {
-    fn new(options: &'a ColmapOptions, progress: &mut dyn FnMut(&str)) -> Result<Self> {
-        let mut help = Command::new(&options.program);
-        help.args(["feature_extractor", "--help"]);
-        let mut new_names = false;
-        let mut listen = |line: &str| new_names |= line.contains("--FeatureExtraction.use_gpu");
-        run(help, "COLMAP", INSTALL, &mut listen)?;
-        progress("COLMAP is installed.");
-        let [extraction, matching] =
-            if new_names { ["FeatureExtraction", "FeatureMatching"] } else { ["SiftExtraction", "SiftMatching"] };
-        Ok(Self { options, extraction, matching })
+/// One step of COLMAP. Its options change names from version to version, so its help is read first.
+struct Step {
+    name: String,
+    command: Command,
+    help: String,
+}
+
+impl Step {
+    fn new(options: &ColmapOptions, step: &str, work: &Path) -> Result<Self> {
+        let start = || {
+            let mut command = Command::new(&options.program);
+            // Its library for windows must not look for a screen.
+            command.env("QT_QPA_PLATFORM", "offscreen").arg(step);
+            command
+        };
+        let name = format!("COLMAP's {step}");
+        let mut ask = start();
+        ask.arg("--help");
+        let mut help = String::new();
+        run(ask, &name, INSTALL, &mut |line| {
+            help.push_str(line);
+            help.push('\n');
+        })?;
+        let mut command = start();
+        command.arg("--database_path").arg(work.join("database.db"));
+        Ok(Self { name, command, help })
     }
 
-    fn run_all(
-        &self,
-        root: &Path,
-        photos: &[(String, PathBuf)],
-        database: &Path,
-        sparse: &Path,
-        progress: &mut dyn FnMut(&str),
-    ) -> Result<()> {
-        let options = self.options;
-        let threads = if options.threads == 0 { "-1".to_owned() } else { options.threads.to_string() };
-        let gpu = if options.gpu { "1" } else { "0" };
-        let named = |stage: &str, name: &str| format!("--{stage}.{name}");
-
-        let mut extract = self.command("feature_extractor", database);
-        extract.arg("--image_path").arg(root);
-        extract.args(["--ImageReader.camera_model", options.lens.name()]);
-        if one_size_per_folder(photos)? {
-            extract.args(["--ImageReader.single_camera_per_folder", "1"]);
+    /// Sets an option under the first of its prefixes that this version knows; one that it does not know keeps its default.
+    fn set(&mut self, prefixes: &[&str], option: &str, value: &str) {
+        let known = |prefix: &&str| self.help.contains(&format!("--{prefix}.{option} "));
+        if let Some(prefix) = prefixes.iter().find(|p| known(p)) {
+            self.command.args([&format!("--{prefix}.{option}"), value]);
         }
-        extract.args([named(self.extraction, "use_gpu").as_str(), gpu]);
-        extract.args([named(self.extraction, "num_threads"), threads.clone()]);
-        // These two kept their names in every version but one, which knows both prefixes for the first.
-        let max_size = if self.extraction == "SiftExtraction" { "SiftExtraction" } else { "FeatureExtraction" };
-        extract.args([named(max_size, "max_image_size"), options.max_side.to_string()]);
-        extract.args([named("SiftExtraction", "max_num_features"), options.max_features.to_string()]);
-        self.run(extract, "feature_extractor", progress)?;
-
-        let sequential = options.sequential.unwrap_or(photos.len() > 200);
-        let matcher = if sequential { "sequential_matcher" } else { "exhaustive_matcher" };
-        let mut match_up = self.command(matcher, database);
-        match_up.args([named(self.matching, "use_gpu").as_str(), gpu]);
-        match_up.args([named(self.matching, "num_threads"), threads.clone()]);
-        self.run(match_up, matcher, progress)?;
-
-        let mut map = self.command("mapper", database);
-        map.arg("--image_path").arg(root).arg("--output_path").arg(sparse);
-        map.args([named("Mapper", "num_threads"), threads]);
-        self.run(map, "mapper", progress)
     }
 
-    fn command(&self, step: &str, database: &Path) -> Command {
-        let mut command = Command::new(&self.options.program);
-        // Its library for windows must not look for a screen.
-        command.env("QT_QPA_PLATFORM", "offscreen").arg(step).arg("--database_path").arg(database);
-        command
-    }
-
-    fn run(&self, command: Command, step: &str, progress: &mut dyn FnMut(&str)) -> Result<()> {
-        progress(&format!("COLMAP {step}"));
-        run(command, &format!("COLMAP's {step}"), INSTALL, progress)
+    fn run(self, progress: &mut dyn FnMut(&str)) -> Result<()> {
+        progress(&format!("{} starts.", self.name));
+        run(self.command, &self.name, INSTALL, progress)
     }
 }
 
