@@ -124,7 +124,10 @@ fn a_folder_without_cameras_says_what_to_do() {
     let folder = tempfile::tempdir().unwrap();
     grey(&folder.path().join("images/a.jpg"), 8, 8);
     let message = refusal(folder.path());
-    assert!(message.contains("neither a COLMAP model nor transforms.json") && message.contains("sparse/0"), "{message}");
+    assert!(
+        message.contains("neither a COLMAP model nor transforms.json") && message.contains("sparse/0"),
+        "{message}"
+    );
 }
 
 #[test]
@@ -185,7 +188,9 @@ fn the_report_knows_from_where_the_ring_looks() {
     assert!(Point3::from(coverage.centre).coords.norm() < 1e-6, "{coverage:?}");
     assert!((coverage.up[2] - 1.0).abs() < 1e-9);
     let elevation = 0.25f64.atan().to_degrees();
-    assert!((coverage.elevation_deg[0] - elevation).abs() < 1e-6 && (coverage.elevation_deg[1] - elevation).abs() < 1e-6);
+    assert!(
+        (coverage.elevation_deg[0] - elevation).abs() < 1e-6 && (coverage.elevation_deg[1] - elevation).abs() < 1e-6
+    );
     assert!((coverage.azimuth_gap_deg[1] - coverage.azimuth_gap_deg[0] - 30.0).abs() < 1e-6);
     assert!((coverage.emptiest_distance_deg - 90.0 - elevation).abs() < 3.0, "{coverage:?}");
     // A third of the ring is gone: views 1 to 4 at 30° to 120°.

@@ -23,21 +23,17 @@ pub(super) struct Posed {
 }
 
 pub(super) fn load(folder: &Path, options: &CaptureOptions) -> Result<Capture> {
-    let mut notes = Vec::new();
-    let mut capture = match biggest_model(folder, &mut notes)? {
-        Some((place, model)) => from_colmap(folder, &place, model, options, notes)?,
-        None => match transforms::find(folder) {
-            Some(file) => transforms::load(folder, &file, options, notes)?,
-            None => {
-                return refuse(
-                    format!("{} has neither a COLMAP model nor transforms.json", folder.display()),
-                    "put the model into sparse/0, or let COLMAP reconstruct the photos",
-                );
-            }
-        },
-    };
-    capture.folder = folder.into();
-    Ok(capture)
+    let places = places_of_models(folder);
+    if !places.is_empty() {
+        return load_model(folder, &places, options);
+    }
+    match transforms::find(folder) {
+        Some(file) => transforms::load(folder, &file, options),
+        None => refuse(
+            format!("{} has neither a COLMAP model nor transforms.json", folder.display()),
+            "put the model into sparse/0, or let COLMAP reconstruct the photos",
+        ),
+    }
 }
 
 /// Whether the folder says where its photos were taken from.
@@ -47,35 +43,41 @@ pub(super) fn has_cameras(folder: &Path) -> bool {
 
 /// The folder's usual places, as far as there is a model.
 fn places_of_models(folder: &Path) -> Vec<PathBuf> {
-    let mut places = vec![folder.to_path_buf()];
-    for sparse in ["sparse", "colmap/sparse"].map(|s| folder.join(s)) {
-        let mut numbered: Vec<_> = std::fs::read_dir(&sparse)
-            .map(|entries| entries.flatten().map(|e| e.path()).filter(|p| p.is_dir()).collect())
-            .unwrap_or_default();
-        numbered.sort();
-        places.extend(numbered);
-        places.push(sparse);
+    let mut places = models_in(&folder.join("sparse"));
+    places.extend(models_in(&folder.join("colmap/sparse")));
+    if Model::is_in(folder) {
+        places.insert(0, folder.into());
     }
+    places
+}
+
+/// `folder` and the folders in it, as far as there is a model.
+pub(super) fn models_in(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut places: Vec<_> = entries.map(|e| e.path()).filter(|p| p.is_dir()).collect();
+    places.sort();
+    places.push(folder.into());
     places.retain(|place| Model::is_in(place));
     places
 }
 
-/// The model with the most images of all that are in the folder's usual places.
-fn biggest_model(folder: &Path, notes: &mut Vec<String>) -> Result<Option<(PathBuf, Model)>> {
-    let places = places_of_models(folder);
-    let mut best: Option<(PathBuf, Model)> = None;
-    let mut sizes = Vec::new();
-    for place in &places {
-        let model = Model::load(place)?;
-        sizes.push(format!("{} with {} images", place.display(), model.images.len()));
-        if best.as_ref().is_none_or(|(_, b)| b.images.len() < model.images.len()) {
-            best = Some((place.clone(), model));
-        }
+/// The capture of the model with the most images of those in `places`.
+pub(super) fn load_model(folder: &Path, places: &[PathBuf], options: &CaptureOptions) -> Result<Capture> {
+    let mut models = Vec::new();
+    for place in places {
+        models.push((place, Model::load(place)?));
     }
-    if let (Some((place, _)), 2..) = (&best, sizes.len()) {
+    let sizes = models.iter().map(|(place, m)| format!("{} with {}", place.display(), count(m.images.len(), "image")));
+    let sizes: Vec<_> = sizes.collect();
+    // The first of equals.
+    let Some((place, model)) = models.into_iter().rev().max_by_key(|(_, m)| m.images.len()) else {
+        return refuse(format!("{} has no COLMAP model", folder.display()), "put it into sparse/0");
+    };
+    let mut notes = Vec::new();
+    if sizes.len() > 1 {
         notes.push(format!("{} was used, the biggest of the models: {}.", place.display(), sizes.join(", ")));
     }
-    Ok(best)
+    from_colmap(folder, place, model, options, notes)
 }
 
 fn from_colmap(
@@ -259,7 +261,7 @@ fn lens_for(name: &str, lens: &Camera, size: [f64; 2]) -> Result<Camera> {
 }
 
 /// Whether one image is the other scaled, with sides rounded to whole pixels either way.
-fn same_aspect(a: [f64; 2], b: [f64; 2]) -> bool {
+pub(super) fn same_aspect(a: [f64; 2], b: [f64; 2]) -> bool {
     let (small, large) = if a[0] <= b[0] { (a, b) } else { (b, a) };
     (small[1] - large[1] * small[0] / large[0]).abs() <= 1.0 || (small[0] - large[0] * small[1] / large[1]).abs() <= 1.0
 }

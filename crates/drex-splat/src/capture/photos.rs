@@ -1,7 +1,9 @@
 //! The pictures of a capture: read when asked for, straightened, scaled, and kept as far as memory allows.
 
+use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard};
 
+use super::assemble::same_aspect;
 use super::companions;
 use super::undistort::{Plane, Undistortion};
 use super::{Capture, View, refuse};
@@ -205,18 +207,35 @@ impl Source {
             let values = values.as_chunks().0;
             warp.area::<1>(&Plane { width: w, height: h, values }, width, height).into_iter().flatten().collect()
         });
-        let depth = view.depth.as_ref().map(|path| {
+        let mut photo = Photo { camera: camera.clone(), rgb, mask, depth: None, normal: None };
+        if let Some(path) = &view.depth {
             let (w, h, values) = companions::depth(path, options.depth_scale)?;
-            Ok(warp.nearest(&Plane { width: w, height: h, values: &values }, width, height))
-        });
-        let normal = view.normal.as_ref().map(|path| {
+            photo.depth = Some(warp.nearest(&of_same_aspect(path, view, w, h, &values)?, width, height));
+        }
+        if let Some(path) = &view.normal {
             let (w, h, values) = companions::normal(path, options.flip_normals)?;
-            Ok(warp.nearest(&Plane { width: w, height: h, values: &values }, width, height))
-        });
-        let (depth, normal) = (depth.transpose(), normal.transpose());
-        let (depth, normal): (Result<_>, Result<_>) = (depth, normal);
-        Ok(Photo { camera: camera.clone(), rgb, mask, depth: depth?, normal: normal? })
+            photo.normal = Some(warp.nearest(&of_same_aspect(path, view, w, h, &values)?, width, height));
+        }
+        Ok(photo)
     }
+}
+
+/// A map, if it has the aspect of its photo.
+fn of_same_aspect<'a, T>(
+    path: &Path,
+    view: &View,
+    width: usize,
+    height: usize,
+    values: &'a [T],
+) -> Result<Plane<'a, T>> {
+    let (w, h) = (view.lens.width_px(), view.lens.height_px());
+    if same_aspect([f64::from(w), f64::from(h)], [width as f64, height as f64]) {
+        return Ok(Plane { width, height, values });
+    }
+    refuse(
+        format!("{} has {width} x {height} pixels, its photo {w} x {h}", path.display()),
+        "give a map of the photo's aspect",
+    )
 }
 
 /// Colours of a photo and its alpha channel, if it has one.

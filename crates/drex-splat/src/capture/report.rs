@@ -20,7 +20,7 @@ const FEW_POINTS: usize = 50;
 /// A camera further from the median camera than this many median distances is an outlier.
 const FAR: f64 = 5.0;
 /// A focal length that differs from the median by this factor is an outlier.
-const OTHER_LENS: f64 = 1.2;
+const OTHER_LENS: f64 = 1.25;
 
 /// What to trust of a capture. [`std::fmt::Display`] says it in sentences.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -114,9 +114,9 @@ impl CaptureReport {
         self.names(|v| v.mask.as_ref().is_some_and(|m| m.misplaced))
     }
 
-    /// Views whose camera stands far from the others or has another lens.
+    /// Views whose camera stands far from all others.
     pub fn outlier_cameras(&self) -> Vec<&str> {
-        self.names(|v| v.far || v.other_lens)
+        self.names(|v| v.far)
     }
 
     fn names(&self, wanted: impl Fn(&ViewReport) -> bool) -> Vec<&str> {

@@ -1,7 +1,6 @@
 //! Other programs: COLMAP for the cameras of photos, ffmpeg for the frames of a video.
 
-use std::collections::VecDeque;
-use std::ffi::OsStr;
+use std::collections::{BTreeMap, VecDeque};
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -9,7 +8,7 @@ use std::sync::mpsc;
 
 use drex_core::camera::CameraModel;
 
-use super::assemble::count;
+use super::assemble::{self, count};
 use super::companions::{photos_under, size_of};
 use super::{Capture, CaptureOptions, refuse};
 use crate::{Error, Result};
@@ -26,13 +25,15 @@ pub struct ColmapOptions {
     pub max_features: usize,
     /// The lens that is fitted.
     pub lens: CameraModel,
+    /// Whether photos of one folder and size share a camera; not for photos taken with zoom, or cropped.
+    pub shared_lens: bool,
     /// Match each photo with its neighbours by name only, as for the frames of a video; `None` does so above 200 photos.
     pub sequential: Option<bool>,
     /// Threads; 0 for all.
     pub threads: usize,
     /// Whether COLMAP may use a GPU. Not every build can.
     pub gpu: bool,
-    /// Share of the photos, 0 to 1, that must get a camera.
+    /// Share of the photos, 0 to 1, that must get a camera that is no outlier.
     pub least_registered: f64,
 }
 
@@ -43,6 +44,7 @@ impl Default for ColmapOptions {
             max_side: 1600,
             max_features: 4096,
             lens: CameraModel::SimpleRadial,
+            shared_lens: true,
             sequential: None,
             threads: 0,
             gpu: false,
@@ -112,17 +114,26 @@ pub fn reconstruct(
             "take sharp photos with texture in view, each overlapping the one before by two thirds",
         );
     }
-    let mut result = Capture::load(folder, &within)?;
-    let registered = result.views.len() as f64 / photos.len() as f64;
-    let summary = format!("COLMAP found cameras for {} of {} photos", result.views.len(), photos.len());
-    if registered < options.least_registered {
+    let mut result = assemble::load_model(folder, &assemble::models_in(&sparse), &within)?;
+    let report = result.report()?;
+    let outliers = report.outlier_cameras();
+    let good = result.views.len() - outliers.len();
+    let without =
+        |names: &[String]| if names.is_empty() { String::new() } else { format!("; without: {}", names.join(", ")) };
+    let likely_wrong = |names: &[&str]| {
+        if names.is_empty() { String::new() } else { format!("; likely wrong: {}", names.join(", ")) }
+    };
+    let summary = format!(
+        "COLMAP found cameras for {} of {} photos{}{}",
+        result.views.len(),
+        photos.len(),
+        without(&result.unregistered),
+        likely_wrong(&outliers)
+    );
+    if (good as f64) < options.least_registered * photos.len() as f64 {
         return refuse(
-            format!(
-                "{summary}, fewer than {:.0} %; without: {}",
-                100.0 * options.least_registered,
-                result.unregistered.join(", ")
-            ),
-            "take more photos between these and the others, or lower the share that must be found",
+            format!("{summary}; {:.0} % are needed", 100.0 * options.least_registered),
+            "take more photos between these and the others, or lower the share that is needed",
         );
     }
     result.notes.push(format!("{summary}."));
@@ -196,17 +207,20 @@ fn run_all(
     let threads = if options.threads == 0 { "-1".to_owned() } else { options.threads.to_string() };
     let gpu = if options.gpu { "1" } else { "0" };
 
-    let mut extract = Step::new(options, "feature_extractor", work)?;
-    extract.command.arg("--image_path").arg(root);
-    extract.set(&["ImageReader"], "camera_model", options.lens.name());
-    if one_size_per_folder(photos)? {
-        extract.set(&["ImageReader"], "single_camera_per_folder", "1");
+    // Photos of one folder and size share a camera; COLMAP is run once for each such group.
+    for group in groups(photos)? {
+        let list = work.join("photos.txt");
+        drex_core::fsutil::write_atomic(&list, group.join("\n").as_bytes())?;
+        let mut extract = Step::new(options, "feature_extractor", work)?;
+        extract.command.arg("--image_path").arg(root).arg("--image_list_path").arg(list);
+        extract.set(&["ImageReader"], "camera_model", options.lens.name());
+        extract.set(&["ImageReader"], "single_camera", if options.shared_lens { "1" } else { "0" });
+        extract.set(&["FeatureExtraction", "SiftExtraction"], "use_gpu", gpu);
+        extract.set(&["FeatureExtraction", "SiftExtraction"], "num_threads", &threads);
+        extract.set(&["FeatureExtraction", "SiftExtraction"], "max_image_size", &options.max_side.to_string());
+        extract.set(&["SiftExtraction"], "max_num_features", &options.max_features.to_string());
+        extract.run(progress)?;
     }
-    extract.set(&["FeatureExtraction", "SiftExtraction"], "use_gpu", gpu);
-    extract.set(&["FeatureExtraction", "SiftExtraction"], "num_threads", &threads);
-    extract.set(&["FeatureExtraction", "SiftExtraction"], "max_image_size", &options.max_side.to_string());
-    extract.set(&["SiftExtraction"], "max_num_features", &options.max_features.to_string());
-    extract.run(progress)?;
 
     let sequential = options.sequential.unwrap_or(photos.len() > 200);
     let matcher = if sequential { "sequential_matcher" } else { "exhaustive_matcher" };
@@ -263,13 +277,14 @@ impl Step {
     }
 }
 
-/// Whether all photos of each folder have one size, so that they may share a camera.
-fn one_size_per_folder(photos: &[(String, PathBuf)]) -> Result<bool> {
-    let folder = |path: &Path| path.parent().map_or(OsStr::new(""), Path::as_os_str).to_owned();
-    let sizes = photos.iter().map(|(_, path)| Ok((folder(path), size_of(path)?))).collect::<Result<Vec<_>>>()?;
-    // Sorted by name, photos of a folder may be parted by those of a folder in it.
-    let first = |wanted: &OsStr| sizes.iter().find(|(folder, _)| folder == wanted).map(|(_, size)| *size);
-    Ok(sizes.iter().all(|(folder, size)| first(folder) == Some(*size)))
+/// Names of the photos that are of one folder and one size, group by group.
+fn groups(photos: &[(String, PathBuf)]) -> Result<Vec<Vec<&str>>> {
+    let mut groups = BTreeMap::<_, Vec<_>>::new();
+    for (name, path) in photos {
+        let size = size_of(path)?.map(|side| side as u32);
+        groups.entry((path.parent(), size)).or_default().push(name.as_str());
+    }
+    Ok(groups.into_values().collect())
 }
 
 /// Runs a program to its end; each line it prints goes to `progress`.

@@ -62,7 +62,8 @@ pub(super) fn find(folder: &Path) -> Option<PathBuf> {
     ["transforms.json", "transforms_train.json"].map(|n| folder.join(n)).into_iter().find(|p| p.is_file())
 }
 
-pub(super) fn load(folder: &Path, path: &Path, options: &CaptureOptions, mut notes: Vec<String>) -> Result<Capture> {
+pub(super) fn load(folder: &Path, path: &Path, options: &CaptureOptions) -> Result<Capture> {
+    let mut notes = Vec::new();
     let file: File = from_json(path, &read_text(path)?)?;
     let colmap_from_saved = match &file.applied_transform {
         Some(rows) => pose(rows).map_err(|e| at(path, "applied_transform", e))?.inverse(),
