@@ -17,7 +17,7 @@ use crate::{Gaussians, PinholeCamera, Result};
 pub struct RenderOptions {
     /// Colour behind everything, linear in the photos' values, 0 to 1.
     pub background: [f32; 3],
-    /// Degree of the spherical harmonics used, at most that of the set.
+    /// Degree of the spherical harmonics used; a set of a lower degree is drawn with its own.
     pub sh_degree: usize,
     /// Splats whose centre is nearer than this are not drawn, scene units.
     pub near: f32,

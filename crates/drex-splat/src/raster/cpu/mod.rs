@@ -34,7 +34,7 @@ impl Rasterizer for Cpu {
     ) -> Result<(Render, CpuSaved)> {
         scene.check()?;
         camera.check()?;
-        check_options(scene, options)?;
+        check_options(options)?;
         Ok(match scene.kind {
             Kind::Ellipsoid => {
                 let (render, saved) = ellipsoid::forward(scene, camera, options)?;
@@ -64,12 +64,8 @@ impl Rasterizer for Cpu {
     }
 }
 
-fn check_options(scene: &Gaussians, options: &RenderOptions) -> Result<()> {
+fn check_options(options: &RenderOptions) -> Result<()> {
     let wrong = |what: String, remedy: &str| Err(Error::Option { what, remedy: remedy.into() });
-    if options.sh_degree > scene.sh_degree {
-        let what = format!("colour of degree {} from a set of degree {}", options.sh_degree, scene.sh_degree);
-        return wrong(what, "give at most the degree of the set");
-    }
     if !options.background.iter().all(|c| c.is_finite()) {
         return wrong(format!("background {:?}", options.background), "give finite numbers");
     }

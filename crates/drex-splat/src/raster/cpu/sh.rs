@@ -17,7 +17,7 @@ pub(crate) fn direction(mean: [f32; 3], centre: &Point3<f64>) -> (Vector3<f32>, 
     if r > 0.0 && r.is_finite() { (d / r, 1.0 / r) } else { (Vector3::zeros(), 0.0) }
 }
 
-/// max(0, 0.5 + Σ basis_k(dir) sh_k): `sh` has at least 3 (degree + 1)² numbers, coefficient by coefficient, RGB last.
+/// max(0, 0.5 + Σ basis_k(dir) sh_k): `sh` coefficient by coefficient, RGB last; if it has less than `degree`, all of it.
 #[inline]
 pub(crate) fn colour(degree: usize, sh: &[f32], dir: &Vector3<f32>) -> [f32; 3] {
     let basis = basis(degree, dir);

@@ -87,9 +87,23 @@ struct Footprint {
     cov: [f64; 4],
 }
 
+/// Splats beyond are not drawn, since single precision would hold neither them nor their derivative: standard deviation
+/// and place in the image (pixels), depth (scene units), brightness.
+const LARGEST: f64 = 1e9;
+/// Quaternions shorter than this have no direction.
+const SHORTEST: f64 = 1e-12;
+
 /// 1 / √(2 ln 2): opacity is a power of two in the kernels.
 fn half_log2_e() -> f64 {
     (0.5 * std::f64::consts::LOG2_E).sqrt()
+}
+
+impl Footprint {
+    /// a, b, c of [`Splat::whiten`]: Σ⁻¹ = Wᵀ W with W = [√(Σyy / det), -Σxy / √(det Σyy); 0, 1 / √Σyy], over √(2 ln 2).
+    fn whiten(&self) -> [f64; 3] {
+        let [_, xy, yy, det] = self.cov;
+        [(yy / det).sqrt(), -xy / (det * yy).sqrt(), 1.0 / yy.sqrt()].map(|w| w * half_log2_e())
+    }
 }
 
 impl<'a> View<'a> {
@@ -119,16 +133,15 @@ impl<'a> View<'a> {
     fn try_project(&self, scene: &Gaussians, i: usize) -> Option<(Splat, ScreenBox)> {
         let camera = self.camera;
         let f = self.footprint(scene, i)?;
-        let [_, xy, yy, det] = f.cov;
         let mut opacity = f64::from(scene.opacity(i));
         if self.options.antialias {
-            opacity *= (f.cov0[3] / det).max(0.0).sqrt();
+            opacity *= (f.cov0[3] / f.cov[3]).max(0.0).sqrt();
         }
         let least = f64::from(MIN_ALPHA) * if self.options.smooth_cutoff { 1.0 - f64::from(FADE) } else { 1.0 };
         // How far opacity may fall: d² = dᵀ Σ⁻¹ d at the cut. Everything beyond is not drawn, nothing within is lost.
         let d2 = 2.0 * (opacity / least).ln();
         let mean = [camera.fx * f.t.x / f.t.z + camera.cx, camera.fy * f.t.y / f.t.z + camera.cy];
-        if !(d2 > 0.0 && mean.iter().all(|m| m.abs() < 1e9)) {
+        if !(d2 > 0.0 && mean.iter().all(|m| m.abs() < LARGEST)) {
             return None;
         }
         let half = [f.cov[0], f.cov[2]].map(|var| (d2 * var).sqrt() * (1.0 + 1e-5) + 1e-3);
@@ -137,19 +150,19 @@ impl<'a> View<'a> {
         if x0 >= x1 || y0 >= y1 {
             return None;
         }
-        let k = half_log2_e();
-        // Σ⁻¹ = Wᵀ W with W = [√(Σyy / det), -Σxy / √(det Σyy); 0, 1 / √Σyy].
-        let whiten = [(yy / det).sqrt(), -xy / (det * yy).sqrt(), 1.0 / yy.sqrt()].map(|w| (k * w) as f32);
-        if !whiten.iter().all(|w| w.is_finite()) {
-            return None;
-        }
         let stride = scene.sh_stride();
         let (dir, _) = sh::direction(scene.means[i], &self.centre);
         let colour = sh::colour(self.options.sh_degree, &scene.sh[i * stride..(i + 1) * stride], &dir);
         let depth = f.t.z as f32;
-        let splat = Splat { mean: mean.map(|m| m as f32), whiten, log2_opacity: opacity.log2() as f32, colour, depth };
-        let finite = colour.iter().all(|c| c.is_finite()) && depth.is_finite();
-        finite.then_some((splat, ScreenBox { x0, y0, x1, y1, depth }))
+        let splat = Splat {
+            mean: mean.map(|m| m as f32),
+            whiten: f.whiten().map(|w| w as f32),
+            log2_opacity: opacity.log2() as f32,
+            colour,
+            depth,
+        };
+        let drawable = colour.iter().chain([&depth]).all(|v| f64::from(*v) < LARGEST);
+        drawable.then_some((splat, ScreenBox { x0, y0, x1, y1, depth }))
     }
 
     fn footprint(&self, scene: &Gaussians, i: usize) -> Option<Footprint> {
@@ -171,16 +184,8 @@ impl<'a> View<'a> {
         let det0 = a1.cross(&a2).norm_squared();
         let blur = f64::from(self.options.blur);
         let cov = [xx + blur, xy, yy + blur, det0 + blur * (xx + yy) + blur * blur];
-        (cov.iter().all(|v| v.is_finite()) && cov[3] > 0.0).then_some(Footprint {
-            t,
-            ratio,
-            j,
-            scale,
-            v,
-            a,
-            cov0: [xx, xy, yy, det0],
-            cov,
-        })
+        let drawable = cov[0].max(cov[2]) < LARGEST * LARGEST && cov[3] > 0.0;
+        drawable.then_some(Footprint { t, ratio, j, scale, v, a, cov0: [xx, xy, yy, det0], cov })
     }
 
     /// The backward of [`View::project`] for a splat that is drawn: from its sums over the image to its parameters.
@@ -188,7 +193,7 @@ impl<'a> View<'a> {
         let Some(f) = self.footprint(scene, i) else { return SplatGradient::default() };
         let ln2 = std::f64::consts::LN_2;
         let [g, gu, gv, guu, guv, gvv] = sums.moments.map(f64::from);
-        let [a, b, c] = splat.whiten.map(f64::from);
+        let [a, b, c] = f.whiten();
 
         // q = u² + v², dL/dq = -ln 2 Σ g; d(u, v)/d(mean) = -W.
         let d_mean2d = Vector2::new(a * gu, b * gu + c * gv) * (2.0 * ln2);
@@ -279,7 +284,7 @@ fn pixels(mean: f64, half: f64, side: usize) -> [u16; 2] {
 /// The rotation of a quaternion w, x, y, z of any length but zero.
 fn unit(q: [f32; 4]) -> Option<UnitQuaternion<f64>> {
     let [w, x, y, z] = q.map(f64::from);
-    UnitQuaternion::try_new(Quaternion::new(w, x, y, z), f64::MIN_POSITIVE)
+    UnitQuaternion::try_new(Quaternion::new(w, x, y, z), SHORTEST)
 }
 
 /// dL/dq through Q(q / |q|), from dL/dQ.
