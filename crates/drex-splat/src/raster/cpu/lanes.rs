@@ -161,18 +161,19 @@ const EXP2: [f32; 7] =
     [1.535_336e-4, 1.339_887e-3, 9.618_437e-3, 5.550_332_5e-2, 0.240_226_48, core::f32::consts::LN_2, 1.0];
 
 /// Half width of the band round [`MIN_ALPHA`] in which a splat fades out when the cut-off is smooth, relative.
-pub(crate) const FADE: f32 = 0.25;
+pub(crate) const FADE: f32 = 0.5;
 
 /// The exponent below which 2^exponent does not touch a pixel: log₂ of 1/255, or of the lower end of the fade.
 #[inline(always)]
 pub(crate) fn least_exponent(smooth: bool) -> f32 {
     const LOG2_MIN_ALPHA: f32 = -7.994_353_4;
-    const LOG2_FADED: f32 = -8.409_391; // log₂(0.75 / 255)
+    const LOG2_FADED: f32 = LOG2_MIN_ALPHA - 1.0; // log₂(1 - FADE) = -1
     if smooth { LOG2_FADED } else { LOG2_MIN_ALPHA }
 }
 
 /// Opacity α = min(2^exponent, max_alpha) in a pixel that is touched, and dα/d(ln 2^exponent): α itself, 0 where it is
-/// clamped. With `SMOOTH`, α is multiplied by 3x² - 2x³, x rising from 0 to 1 over the band.
+/// clamped. With `SMOOTH`, α is multiplied by x³ (10 - 15x + 6x²), x rising from 0 to 1 over the band: smooth
+/// to the second derivative, so that differences of fourth order hold.
 #[inline(always)]
 pub(crate) fn opacity<S: Simd, const SMOOTH: bool>(exponent: Lanes<S>, max_alpha: Lanes<S>) -> (Lanes<S>, Lanes<S>) {
     let simd = exponent.0;
@@ -184,11 +185,12 @@ pub(crate) fn opacity<S: Simd, const SMOOTH: bool>(exponent: Lanes<S>, max_alpha
         return (alpha, slope);
     }
     let per_alpha = Lanes::splat(simd, 1.0 / (2.0 * FADE * MIN_ALPHA));
-    let [one, two, three, six] = [1.0, 2.0, 3.0, 6.0].map(|c| Lanes::splat(simd, c));
+    let [one, six, ten, fifteen, thirty] = [1.0, 6.0, 10.0, 15.0, 30.0].map(|c| Lanes::splat(simd, c));
     let x = (alpha - Lanes::splat(simd, (1.0 - FADE) * MIN_ALPHA)) * per_alpha;
     let x = x.max(zero).min(one);
-    let fade = x * x * (three - two * x);
-    (alpha * fade, slope * (fade + alpha * per_alpha * six * x * (one - x)))
+    let fade = x * x * x * (ten - x * (fifteen - six * x));
+    let fade_slope = thirty * x * x * (one - x) * (one - x) * per_alpha;
+    (alpha * fade, slope * (fade + alpha * fade_slope))
 }
 
 impl<S: Simd> Mask<S> {
