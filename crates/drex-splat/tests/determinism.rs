@@ -1,12 +1,11 @@
 //! The same bytes with any number of threads, and from one run to the next.
 #![allow(clippy::unwrap_used)]
 
-mod support;
+mod scenes;
 
 use drex_splat::{
     Cpu, GaussianGradients, Gaussians, PinholeCamera, Rasterizer, Render, RenderGradients, RenderOptions,
 };
-use support::scenes;
 
 #[test]
 fn ellipsoids_do_not_depend_on_the_number_of_threads() {

@@ -1,12 +1,11 @@
 //! The derivative of our own loss against differences of it, with the smooth cut-off that makes them valid.
 #![allow(clippy::unwrap_used)]
 
-mod support;
+mod scenes;
 
 use drex_core::Pose;
 use drex_splat::{Cpu, Gaussians, PinholeCamera, Rasterizer, Render, RenderGradients, RenderOptions};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
-use support::scenes;
 
 /// Agreement, relative to the largest derivative of the same kind.
 const LIMIT: f64 = 1e-4;

@@ -1,11 +1,10 @@
 //! Ellipsoids that no one should make: the picture and the derivative stay finite, or the error says what is wrong.
 #![allow(clippy::unwrap_used)]
 
-mod support;
+mod scenes;
 
 use drex_splat::{Cpu, Error, Gaussians, Rasterizer, RenderGradients, RenderOptions};
 use proptest::prelude::*;
-use support::scenes;
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 96, failure_persistence: None, ..ProptestConfig::default() })]

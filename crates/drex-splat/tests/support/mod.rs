@@ -1,8 +1,6 @@
 //! Golden arrays: a reader of uncompressed npz files, and the comparison the goldens ask for.
 #![allow(dead_code, clippy::unwrap_used, clippy::missing_panics_doc, missing_docs, unreachable_pub)] // shared by several test files
 
-pub mod scenes;
-
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 

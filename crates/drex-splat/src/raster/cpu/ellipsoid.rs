@@ -2,6 +2,8 @@
 
 mod backward;
 mod forward;
+#[cfg(test)]
+mod golden_projection;
 mod project;
 
 use pulp::Arch;

@@ -1,4 +1,5 @@
 //! Scenes made of random numbers.
+#![allow(dead_code, clippy::unwrap_used, clippy::missing_panics_doc, missing_docs, unreachable_pub)] // shared by several test files
 
 use drex_core::pose::pose_from_wxyz;
 use drex_splat::{Gaussians, Kind, Label, PinholeCamera};
