@@ -1,7 +1,7 @@
 //! Time of drawing and of its derivative, in core-seconds (all threads together), so that other work on the machine
 //! does not count.
 //!
-//! `DREX_SHARED=... cargo run --release -p drex-splat --example bench_raster [-- seconds per measurement]`
+//! `DREX_SHARED=... cargo run --release -p drex-splat --example bench_raster [-- seconds per measurement [part of a name]]`
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 #[path = "../tests/support/mod.rs"]
@@ -17,6 +17,7 @@ use rand::seq::SliceRandom;
 
 fn main() {
     let seconds: f64 = std::env::args().nth(1).map_or(3.0, |s| s.parse().unwrap());
+    let part = std::env::args().nth(2).unwrap_or_default();
     let Some(scans) = support::shared("scans") else { return };
     let cases = [
         ("mouse56 480x360", colmap(&scans.join("mouse56"), 0.5), true),
@@ -24,7 +25,7 @@ fn main() {
         ("garden, 100 k, 640x480", garden(&scans.join("garden_points/test_garden.npz")), false),
     ];
     println!("core-milliseconds a picture (wall in brackets)");
-    for (name, (scene, cameras), train) in &cases {
+    for (name, (scene, cameras), train) in cases.iter().filter(|case| case.0.contains(&part)) {
         for threads in [1, 2] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             let line = pool.install(|| measure(scene, cameras, *train, seconds));
@@ -44,10 +45,10 @@ fn measure(scene: &Gaussians, cameras: &[PinholeCamera], train: bool, seconds: f
     }
     let both = timed(seconds, cameras, |camera| {
         let (render, saved) = Cpu.forward(scene, camera, &options).unwrap();
-        // A gradient of the size and the roughness of a photometric one.
+        // A gradient of the size of a photometric one.
         let pixels = render.rgb.len() as f32;
         let gradients = RenderGradients {
-            rgb: render.rgb.iter().map(|c| c.map(|v| (17.0 * v).sin() / pixels)).collect(),
+            rgb: render.rgb.iter().map(|c| c.map(|v| (v - 0.5) / pixels)).collect(),
             ..RenderGradients::default()
         };
         Cpu.backward(scene, camera, &options, &render, &saved, &gradients).unwrap();

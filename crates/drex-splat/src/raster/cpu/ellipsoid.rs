@@ -9,7 +9,7 @@ mod project;
 use pulp::Arch;
 use rayon::prelude::*;
 
-use super::super::{GaussianGradients, Render, RenderGradients, RenderOptions, ScreenBox, Tiles};
+use super::super::{GaussianGradients, Render, RenderGradients, RenderOptions, Tiles};
 use super::lanes::Plane;
 use crate::{Gaussians, PinholeCamera, Result};
 use project::{Splat, SplatGradient, Sums, View};
@@ -20,7 +20,6 @@ const CHUNK: usize = 256;
 #[derive(Debug, Clone)]
 pub(super) struct Saved {
     splats: Vec<Splat>,
-    boxes: Vec<ScreenBox>,
     tiles: Tiles,
     ends: Vec<End>,
 }
@@ -32,6 +31,8 @@ struct End {
     t: Plane,
     /// 1 + place in the tile's list of the last splat that touches the pixel; 0 where none does.
     last: Plane,
+    /// For the splats of the list that were reached, the blocks they touch, one bit each.
+    blocks: Vec<u16>,
 }
 
 pub(super) fn forward(scene: &Gaussians, camera: &PinholeCamera, options: &RenderOptions) -> Result<(Render, Saved)> {
@@ -62,18 +63,12 @@ pub(super) fn forward(scene: &Gaussians, camera: &PinholeCamera, options: &Rende
         .into_par_iter()
         .map(|(tile, mut rgb, mut alpha, mut depth, mut count)| {
             let list = tiles.list(tile);
-            let drawn = arch.dispatch(forward::DrawTile {
-                splats: &splats,
-                boxes: &boxes,
-                list,
-                corner: tiles.corner(tile),
-                options,
-            });
+            let drawn = arch.dispatch(forward::DrawTile { splats: &splats, list, corner: tiles.corner(tile), options });
             drawn.write(options.background, &mut rgb, &mut alpha, &mut depth, &mut count);
             drawn.end
         })
         .collect();
-    Ok((render, Saved { splats, boxes, tiles, ends }))
+    Ok((render, Saved { splats, tiles, ends }))
 }
 
 pub(super) fn backward(
@@ -84,7 +79,7 @@ pub(super) fn backward(
     gradients: &RenderGradients,
 ) -> Result<GaussianGradients> {
     let view = View::new(camera, options);
-    let Saved { splats, boxes, tiles, ends } = saved;
+    let Saved { splats, tiles, ends } = saved;
     let arch = Arch::new();
     let mut records = vec![Sums::default(); tiles.slot_count()];
     (0..tiles.len(), tiles.cut_records(&mut records)).into_par_iter().for_each(|(tile, sums)| {
@@ -94,7 +89,6 @@ pub(super) fn backward(
         let corner = tiles.corner(tile);
         arch.dispatch(backward::DifferentiateTile {
             splats,
-            boxes,
             list: tiles.list(tile),
             corner,
             options,

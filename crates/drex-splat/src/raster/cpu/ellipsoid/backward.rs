@@ -5,15 +5,14 @@
 
 use pulp::{Simd, WithSimd};
 
-use super::super::super::{RenderGradients, RenderOptions, ScreenBox, TILE};
+use super::super::super::{RenderGradients, RenderOptions, TILE};
 use super::super::lanes::{self, BLOCKS, Lanes, PIXEL_X, PIXEL_Y, Plane, per_block, place};
-use super::forward::{Broadcast, blocks};
+use super::forward::Broadcast;
 use super::{End, Splat, Sums};
 use crate::PinholeCamera;
 
 pub(super) struct DifferentiateTile<'a> {
     pub splats: &'a [Splat],
-    pub boxes: &'a [ScreenBox],
     pub list: &'a [u32],
     pub corner: (usize, usize),
     pub options: &'a RenderOptions,
@@ -76,7 +75,7 @@ impl DifferentiateTile<'_> {
         let (t, behind) = (t.registers_mut::<S>(), behind.registers_mut::<S>());
         let last = self.end.last.registers::<S>();
         let [red, green, blue, depth] = &self.incoming.payload;
-        let d_payload = [red, green, blue, depth].map(Plane::registers::<S>);
+        let d_payload = [red.registers::<S>(), green.registers::<S>(), blue.registers::<S>(), depth.registers::<S>()];
         let d_alpha = self.incoming.alpha.registers::<S>();
         let (x, y) = (PIXEL_X.registers::<S>(), PIXEL_Y.registers::<S>());
         let max_alpha = Lanes::splat(simd, self.options.max_alpha);
@@ -84,47 +83,47 @@ impl DifferentiateTile<'_> {
         let zero = Lanes::splat(simd, 0.0);
         let one = Lanes::splat(simd, 1.0);
 
-        for (k, &id) in self.list.iter().enumerate().rev() {
+        for (k, (&id, &blocks)) in self.list.iter().zip(&self.end.blocks).enumerate().rev() {
+            if blocks == 0 {
+                continue;
+            }
             let here = Lanes::splat(simd, (k + 1) as f32);
             let splat = Broadcast::new(simd, &self.splats[id as usize], self.corner);
-            let (columns, rows) = blocks(&self.boxes[id as usize], self.corner);
             let mut sum = [zero; 6];
             let mut sum_abs = [zero; 2];
             let mut sum_payload = [zero; 4];
-            for block_row in rows.0..rows.1 {
-                for block in block_row * BLOCKS + columns.0..block_row * BLOCKS + columns.1 {
-                    for i in block * per_block::<S>()..(block + 1) * per_block::<S>() {
-                        let (u, v) = splat.offset(Lanes(simd, x[i]), Lanes(simd, y[i]));
-                        let exponent = splat.exponent_at(u, v);
-                        let touched = exponent.ge(least).and(Lanes(simd, last[i]).ge(here));
-                        if !touched.any() {
-                            continue;
-                        }
-                        let (alpha, slope) = lanes::opacity::<S, SMOOTH>(exponent, max_alpha);
-                        let through = (one - alpha).recip();
-                        let t_here = Lanes(simd, t[i]) * through;
-                        let w = touched.select(t_here * alpha, zero);
-                        let mut q = Lanes(simd, d_alpha[i]);
-                        for c in 0..4 {
-                            let d = Lanes(simd, d_payload[c][i]);
-                            q = d.mul_add(splat.payload[c], q);
-                            sum_payload[c] = w.mul_add(d, sum_payload[c]);
-                        }
-                        let d_alpha = (Lanes(simd, behind[i]) * through).neg_mul_add(one, t_here * q);
-                        behind[i] = w.mul_add(q, Lanes(simd, behind[i])).1;
-                        t[i] = touched.select(t_here, Lanes(simd, t[i])).1;
-
-                        let g = touched.select(slope * d_alpha, zero);
-                        let (gu, gv) = (g * u, g * v);
-                        sum[0] = sum[0] + g;
-                        sum[1] = sum[1] + gu;
-                        sum[2] = sum[2] + gv;
-                        sum[3] = gu.mul_add(u, sum[3]);
-                        sum[4] = gu.mul_add(v, sum[4]);
-                        sum[5] = gv.mul_add(v, sum[5]);
-                        sum_abs[0] = sum_abs[0] + gu.abs();
-                        sum_abs[1] = sum_abs[1] + splat.whiten[1].mul_add(gu, splat.whiten[2] * gv).abs();
+            let mut to_do = blocks;
+            while to_do != 0 {
+                let block = to_do.trailing_zeros() as usize % (BLOCKS * BLOCKS);
+                to_do &= to_do - 1;
+                for i in block * per_block::<S>()..(block + 1) * per_block::<S>() {
+                    let (u, v) = splat.offset(Lanes(simd, x[i]), Lanes(simd, y[i]));
+                    let exponent = splat.exponent_at(u, v);
+                    let touched = exponent.ge(least).and(Lanes(simd, last[i]).ge(here));
+                    let (alpha, slope) = lanes::opacity::<S, SMOOTH>(exponent, max_alpha);
+                    let through = (one - alpha).recip();
+                    let t_here = Lanes(simd, t[i]) * through;
+                    let w = touched.select(t_here * alpha, zero);
+                    let mut q = Lanes(simd, d_alpha[i]);
+                    for c in 0..4 {
+                        let d = Lanes(simd, d_payload[c][i]);
+                        q = d.mul_add(splat.payload[c], q);
+                        sum_payload[c] = w.mul_add(d, sum_payload[c]);
                     }
+                    let d_alpha = (Lanes(simd, behind[i]) * through).neg_mul_add(one, t_here * q);
+                    behind[i] = w.mul_add(q, Lanes(simd, behind[i])).1;
+                    t[i] = touched.select(t_here, Lanes(simd, t[i])).1;
+
+                    let g = touched.select(slope * d_alpha, zero);
+                    let (gu, gv) = (g * u, g * v);
+                    sum[0] = sum[0] + g;
+                    sum[1] = sum[1] + gu;
+                    sum[2] = sum[2] + gv;
+                    sum[3] = gu.mul_add(u, sum[3]);
+                    sum[4] = gu.mul_add(v, sum[4]);
+                    sum[5] = gv.mul_add(v, sum[5]);
+                    sum_abs[0] = sum_abs[0] + gu.abs();
+                    sum_abs[1] = sum_abs[1] + splat.whiten[1].mul_add(gu, splat.whiten[2] * gv).abs();
                 }
             }
             let two_ln2 = 2.0 * std::f32::consts::LN_2;
