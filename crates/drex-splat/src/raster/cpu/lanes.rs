@@ -33,6 +33,43 @@ pub(crate) static PIXEL_X: Plane = pixel_centres(true);
 /// y of the pixel centres from the tile's upper edge.
 pub(crate) static PIXEL_Y: Plane = pixel_centres(false);
 
+/// One number for every block of a tile.
+#[repr(align(64))]
+pub(crate) struct BlockRow([f32; BLOCKS * BLOCKS]);
+
+/// x of the first pixel centre of the blocks, from the tile's left edge.
+pub(crate) static BLOCK_X: BlockRow = block_centres(true);
+/// y of the first pixel centre of the blocks, from the tile's upper edge.
+pub(crate) static BLOCK_Y: BlockRow = block_centres(false);
+/// 2^block: the sum over blocks is a set of blocks in a word.
+pub(crate) static BLOCK_BIT: BlockRow = {
+    let mut row = BlockRow([0.0; BLOCKS * BLOCKS]);
+    let mut b = 0;
+    while b < BLOCKS * BLOCKS {
+        row.0[b] = (1u32 << b) as f32;
+        b += 1;
+    }
+    row
+};
+
+const fn block_centres(x_axis: bool) -> BlockRow {
+    let mut row = BlockRow([0.0; BLOCKS * BLOCKS]);
+    let mut b = 0;
+    while b < BLOCKS * BLOCKS {
+        row.0[b] = ((if x_axis { b % BLOCKS } else { b / BLOCKS }) * BLOCK) as f32 + 0.5;
+        b += 1;
+    }
+    row
+}
+
+impl BlockRow {
+    /// The row as registers.
+    #[inline(always)]
+    pub fn registers<S: Simd>(&self) -> &[S::f32s] {
+        S::as_simd_f32s(&self.0).0
+    }
+}
+
 const fn pixel_centres(x_axis: bool) -> Plane {
     let mut plane = Plane([0.0; PIXELS]);
     let mut i = 0;

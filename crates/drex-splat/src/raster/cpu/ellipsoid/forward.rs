@@ -3,7 +3,9 @@
 use pulp::{Simd, WithSimd};
 
 use super::super::super::{MIN_TRANSMITTANCE, RenderOptions};
-use super::super::lanes::{self, BLOCK, BLOCKS, Lanes, Mask, PIXEL_X, PIXEL_Y, PIXELS, Plane, per_block, place};
+use super::super::lanes::{
+    self, BLOCK, BLOCK_BIT, BLOCK_X, BLOCK_Y, BLOCKS, Lanes, Mask, PIXEL_X, PIXEL_Y, PIXELS, Plane, per_block, place,
+};
 use super::{End, Splat};
 
 pub(super) struct DrawTile<'a> {
@@ -53,29 +55,26 @@ impl DrawTile<'_> {
         let (depth, count) = (depth.registers_mut::<S>(), count.registers_mut::<S>());
         let (x, y) = (PIXEL_X.registers::<S>(), PIXEL_Y.registers::<S>());
         let max_alpha = Lanes::splat(simd, self.options.max_alpha);
-        let least = lanes::least_exponent(SMOOTH);
         let [zero, one, least_t, least_exponent] =
-            [0.0, 1.0, MIN_TRANSMITTANCE, least].map(|value| Lanes::splat(simd, value));
+            [0.0, 1.0, MIN_TRANSMITTANCE, lanes::least_exponent(SMOOTH)].map(|value| Lanes::splat(simd, value));
 
         // Blocks with a pixel that has not stopped.
         let mut open = u16::MAX;
         for (k, &id) in self.list.iter().enumerate() {
-            let splat = &self.splats[id as usize];
-            let mut to_do = splat.blocks(self.corner, least) & open;
-            let mut done = 0;
             let place = Lanes::splat(simd, (k + 1) as f32);
-            let splat = Broadcast::new(simd, splat, self.corner);
+            let splat = Broadcast::new(simd, &self.splats[id as usize], self.corner);
+            let mut to_do = splat.blocks(least_exponent) & open;
+            let mut done = 0;
             while to_do != 0 {
                 let block = to_do.trailing_zeros() as usize % (BLOCKS * BLOCKS);
                 let bit = 1 << block;
                 to_do &= to_do - 1;
-                let mut still_open = false;
+                let mut stopped = false;
                 for v in block * per_block::<S>()..(block + 1) * per_block::<S>() {
                     let exponent = splat.exponent(Lanes(simd, x[v]), Lanes(simd, y[v]));
                     let t_here = Lanes(simd, t[v]);
                     let touched = exponent.ge(least_exponent).and(t_here.gt(zero));
                     if !touched.any() {
-                        still_open = true;
                         continue;
                     }
                     done |= bit;
@@ -83,9 +82,8 @@ impl DrawTile<'_> {
                     let t_next = t_here * (one - alpha);
                     let drawn: Mask<S> = touched.and(t_next.gt(least_t));
                     let w = drawn.select(t_here * alpha, zero);
-                    let t_next = drawn.select(t_next, touched.select(-t_here, t_here));
-                    still_open |= t_next.gt(zero).any();
-                    t[v] = t_next.1;
+                    stopped |= touched.and(t_next.le(least_t)).any();
+                    t[v] = drawn.select(t_next, touched.select(-t_here, t_here)).1;
                     last[v] = drawn.select(place, Lanes(simd, last[v])).1;
                     red[v] = w.mul_add(splat.payload[0], Lanes(simd, red[v])).1;
                     green[v] = w.mul_add(splat.payload[1], Lanes(simd, green[v])).1;
@@ -95,8 +93,12 @@ impl DrawTile<'_> {
                         count[v] = (Lanes(simd, count[v]) + drawn.select(one, zero)).1;
                     }
                 }
-                if !still_open {
-                    open &= !bit;
+                if stopped {
+                    let mut still_open = false;
+                    for v in block * per_block::<S>()..(block + 1) * per_block::<S>() {
+                        still_open |= Lanes(simd, t[v]).gt(zero).any();
+                    }
+                    open &= if still_open { u16::MAX } else { !bit };
                 }
             }
             end.blocks.push(done);
@@ -141,6 +143,7 @@ impl DrawnTile {
 /// A splat in every lane, its mean counted from the tile's corner.
 pub(super) struct Broadcast<S: Simd> {
     mean: [Lanes<S>; 2],
+    valley: [Lanes<S>; 2],
     pub whiten: [Lanes<S>; 3],
     log2_opacity: Lanes<S>,
     /// Red, green, blue, depth.
@@ -153,6 +156,7 @@ impl<S: Simd> Broadcast<S> {
         let [red, green, blue] = s.colour;
         Self {
             mean: [Lanes::splat(simd, s.mean[0] - corner.0 as f32), Lanes::splat(simd, s.mean[1] - corner.1 as f32)],
+            valley: [Lanes::splat(simd, s.valley[0]), Lanes::splat(simd, s.valley[1])],
             whiten: [Lanes::splat(simd, s.whiten[0]), Lanes::splat(simd, s.whiten[1]), Lanes::splat(simd, s.whiten[2])],
             log2_opacity: Lanes::splat(simd, s.log2_opacity),
             payload: [
@@ -177,43 +181,42 @@ impl<S: Simd> Broadcast<S> {
         u.neg_mul_add(u, v.neg_mul_add(v, self.log2_opacity))
     }
 
+    /// The blocks of the tile with a pixel where log₂ of the opacity reaches `least`, one bit each.
+    ///
+    /// q = u² + v² is convex, so its least value over the pixel centres of a block, taken as a rectangle, lies on one of
+    /// the two edges that face the mean; there it is where `valley` meets the edge, or at the edge's nearer end.
+    #[inline(always)]
+    fn blocks(&self, least: Lanes<S>) -> u16 {
+        let simd = least.0;
+        let side = Lanes::splat(simd, (BLOCK - 1) as f32);
+        let zero = Lanes::splat(simd, 0.0);
+        // Rounding may make a splat a little smaller here than where it is drawn.
+        let reach = self.log2_opacity - least + Lanes::splat(simd, 1e-4);
+        let mut bits = 0.0;
+        for ((x, y), bit) in
+            BLOCK_X.registers::<S>().iter().zip(BLOCK_Y.registers::<S>()).zip(BLOCK_BIT.registers::<S>())
+        {
+            let (x0, y0) = (Lanes(simd, *x) - self.mean[0], Lanes(simd, *y) - self.mean[1]);
+            let (x1, y1) = (x0 + side, y0 + side);
+            let (x, y) = (zero.max(x0).min(x1), zero.max(y0).min(y1));
+            let along_x = (self.valley[0] * y).max(x0).min(x1);
+            let along_y = (self.valley[1] * x).max(y0).min(y1);
+            let q = self.squared(along_x, y).min(self.squared(x, along_y));
+            bits += q.le(reach).select(Lanes(simd, *bit), zero).sum();
+        }
+        bits as u16
+    }
+
+    /// u² + v² at an offset from the mean.
+    #[inline(always)]
+    fn squared(&self, dx: Lanes<S>, dy: Lanes<S>) -> Lanes<S> {
+        let (u, v) = (self.whiten[0].mul_add(dx, self.whiten[1] * dy), self.whiten[2] * dy);
+        u.mul_add(u, v * v)
+    }
+
     #[inline(always)]
     fn exponent(&self, x: Lanes<S>, y: Lanes<S>) -> Lanes<S> {
         let (u, v) = self.offset(x, y);
         self.exponent_at(u, v)
-    }
-}
-
-impl Splat {
-    /// The blocks of the tile at `corner` with a pixel centre where log₂ of the opacity may reach `least`, one bit each.
-    /// In the strip of a row of blocks the ellipse u² + v² = d² reaches x = (±√(d² - v²) - b y) / a, farthest where
-    /// y = ∓b d / (c √(b² + c²)) or at the strip's edge.
-    #[inline(always)]
-    pub fn blocks(&self, corner: (usize, usize), least: f32) -> u16 {
-        let [a, b, c] = self.whiten;
-        let (x, y) = (self.mean[0] - corner.0 as f32, self.mean[1] - corner.1 as f32);
-        // A little more than needed, for rounding.
-        let d2 = (self.log2_opacity - least) * (1.0 + 1e-5) + 1e-5;
-        let d = d2.max(0.0).sqrt();
-        let (height, farthest) = (d / c, -b * d / (c * (b * b + c * c).sqrt()));
-        let mut blocks = 0;
-        for row in 0..BLOCKS {
-            let low = ((row * BLOCK) as f32 + 0.5 - y).max(-height);
-            let high = ((row * BLOCK + BLOCK - 1) as f32 + 0.5 - y).min(height);
-            if low > high {
-                continue;
-            }
-            let reach = |dy: f32| (d2 - (c * dy) * (c * dy)).max(0.0).sqrt();
-            let (right, left) = (farthest.max(low).min(high), (-farthest).max(low).min(high));
-            let right = x + (reach(right) - b * right) / a;
-            let left = x + (-reach(left) - b * left) / a;
-            // Block k has its pixel centres from 4 k + 0.5 to 4 k + 3.5.
-            let from = ((left - 3.5) * 0.25).max(0.0).ceil() as u32;
-            let to = ((right - 0.5) * 0.25 + 1.0).clamp(0.0, BLOCKS as f32) as u32;
-            if from < to {
-                blocks |= ((1u16 << to) - (1 << from)) << (row * BLOCKS);
-            }
-        }
-        blocks
     }
 }

@@ -17,6 +17,8 @@ pub(super) struct Splat {
     pub mean: [f32; 2],
     /// a, b, c: the Cholesky factor of Σ⁻¹ / (2 ln 2).
     pub whiten: [f32; 3],
+    /// Where u² + v² is least for a given dy or dx: dx = valley₀ dy, dy = valley₁ dx.
+    pub valley: [f32; 2],
     /// log₂ of the opacity, compensation included.
     pub log2_opacity: f32,
     pub colour: [f32; 3],
@@ -133,6 +135,7 @@ impl<'a> View<'a> {
     fn try_project(&self, scene: &Gaussians, i: usize) -> Option<(Splat, ScreenBox)> {
         let camera = self.camera;
         let f = self.footprint(scene, i)?;
+        let [xx, xy, yy, _] = f.cov;
         let mut opacity = f64::from(scene.opacity(i));
         if self.options.antialias {
             opacity *= (f.cov0[3] / f.cov[3]).max(0.0).sqrt();
@@ -144,7 +147,7 @@ impl<'a> View<'a> {
         if !(d2 > 0.0 && mean.iter().all(|m| m.abs() < LARGEST)) {
             return None;
         }
-        let half = [f.cov[0], f.cov[2]].map(|var| (d2 * var).sqrt() * (1.0 + 1e-5) + 1e-3);
+        let half = [xx, yy].map(|var| (d2 * var).sqrt() * (1.0 + 1e-5) + 1e-3);
         let [x0, x1] = pixels(mean[0], half[0], camera.width);
         let [y0, y1] = pixels(mean[1], half[1], camera.height);
         if x0 >= x1 || y0 >= y1 {
@@ -157,6 +160,7 @@ impl<'a> View<'a> {
         let splat = Splat {
             mean: mean.map(|m| m as f32),
             whiten: f.whiten().map(|w| w as f32),
+            valley: [xy / yy, xy / xx].map(|v| v as f32),
             log2_opacity: opacity.log2() as f32,
             colour,
             depth,
