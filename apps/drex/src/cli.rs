@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use drex_core::push::{ForceChoice, PoseChoice};
 use drex_mesh::LengthUnit;
+use drex_splat::train::{DensityChoice, Preset};
 use drex_sysid::Parameter;
 
 /// From a scan, a recorded push and human grasps to a weighed digital twin and a grasp with the right force.
@@ -42,6 +43,8 @@ pub struct Common {
 /// The subcommands, in the order of the path from scan to grasp.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// Train Gaussians for looks and for geometry from photos, and write depth maps.
+    Reconstruct(ReconstructArgs),
     /// Make a sim-ready asset of a mesh: repaired, convex pieces, mass properties, MJCF.
     Asset(AssetArgs),
     /// Weigh an object from recorded pushes, or say why they cannot.
@@ -64,6 +67,101 @@ pub enum Command {
     Import(ImportArgs),
     /// Say what is on this machine and what is missing for which feature.
     Doctor,
+}
+
+/// `drex reconstruct`.
+#[derive(Debug, Args)]
+pub struct ReconstructArgs {
+    /// Folder with photos and their cameras (a COLMAP model or transforms.json); with photos alone, or a video, COLMAP
+    /// and ffmpeg find them if they are installed.
+    pub scan: PathBuf,
+    /// Folder to write: splat/appearance.ply, splat/surface.ply, splat/report.json, depth/.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// How much time it may take: minutes, tens of minutes, hours.
+    #[arg(long, value_enum, default_value_t = PresetArg::Default)]
+    pub preset: PresetArg,
+    /// How Gaussians are born and removed: adaptive density control or Markov chain Monte Carlo.
+    #[arg(long, value_enum, default_value_t = DensityArg::Adaptive)]
+    pub density: DensityArg,
+    /// Hold out every N-th photo by name and score the sets on them.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(usize))]
+    pub hold_out: Option<usize>,
+    /// Folder of the masks (white is the object) [default: SCAN/masks].
+    #[arg(long, value_name = "DIR")]
+    pub masks: Option<PathBuf>,
+    /// Train the whole scene even where there are masks of the object.
+    #[arg(long)]
+    pub whole_scene: bool,
+    /// Longest side of the photos in training, pixels [default: the preset's].
+    #[arg(long, value_name = "PX")]
+    pub max_side: Option<usize>,
+    /// Steps of each set [default: the preset's].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub iterations: Option<u32>,
+    /// Most Gaussians of each set [default: the preset's].
+    #[arg(long, value_name = "N")]
+    pub max_gaussians: Option<usize>,
+    /// Give each photo an affine colour of its own, for photos of differing exposure.
+    #[arg(long)]
+    pub exposure: bool,
+    /// Refine the cameras' poses.
+    #[arg(long)]
+    pub refine_poses: bool,
+    /// Steps between checkpoints; 0 for none.
+    #[arg(long, value_name = "N", default_value_t = 1000)]
+    pub checkpoint_every: u32,
+    /// Go on from the checkpoints of a run that was stopped.
+    #[arg(long)]
+    pub resume: bool,
+    /// Megabytes of photos kept in memory.
+    #[arg(long, value_name = "MB", default_value_t = 1024)]
+    pub memory_mb: usize,
+    /// The COLMAP program.
+    #[arg(long, value_name = "PROGRAM", default_value = "colmap")]
+    pub colmap: PathBuf,
+    /// The ffmpeg program.
+    #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg")]
+    pub ffmpeg: PathBuf,
+}
+
+/// See [`drex_splat::train::Preset`].
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub enum PresetArg {
+    /// Minutes on one core.
+    Fast,
+    /// Tens of minutes.
+    Default,
+    /// Hours.
+    Best,
+}
+
+impl From<PresetArg> for Preset {
+    fn from(preset: PresetArg) -> Self {
+        match preset {
+            PresetArg::Fast => Self::Fast,
+            PresetArg::Default => Self::Default,
+            PresetArg::Best => Self::Best,
+        }
+    }
+}
+
+/// See [`drex_splat::train::DensityChoice`].
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub enum DensityArg {
+    /// Clone, split, prune.
+    Adaptive,
+    /// Relocation and noise, up to a cap.
+    Mcmc,
+}
+
+impl From<DensityArg> for DensityChoice {
+    fn from(density: DensityArg) -> Self {
+        match density {
+            DensityArg::Adaptive => Self::Adaptive,
+            DensityArg::Mcmc => Self::Mcmc,
+        }
+    }
 }
 
 /// `drex asset`.

@@ -34,6 +34,7 @@ fn run(cli: &Cli, ui: &Ui) -> anyhow::Result<()> {
     }
     let seed = cli.common.seed;
     match &cli.command {
+        Command::Reconstruct(args) => commands::reconstruct::run(args, seed, ui),
         Command::Asset(args) => commands::asset::run(args, ui),
         Command::Identify(args) => commands::identify::run(args, seed, ui),
         Command::PlanPush(args) => commands::plan_push::run(args, ui),

@@ -60,7 +60,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             let photo = photos.get(i)?;
             let render = trainer.render(&photo.camera, [0.0; 3])?;
             let mask = photo.mask.as_deref().filter(|_| masked);
-            table.push(&capture.views[i].name, similarity(&render.rgb, &photo.rgb, mask, render.width, render.height)?, 0);
+            table.push(
+                &capture.views[i].name,
+                similarity(&render.rgb, &photo.rgb, mask, render.width, render.height)?,
+                0,
+            );
         }
         Ok(table)
     };

@@ -111,8 +111,8 @@ pub struct SetSummary {
     pub held_out: Table,
 }
 
-/// A progress report: which set, where it is, and seconds since it began.
-pub type OnProgress<'a> = dyn FnMut(Kind, &Progress, &TrainOptions, f64) + 'a;
+/// A progress report: which set, where it is, its steps in all, and seconds since it began.
+pub type OnProgress<'a> = dyn FnMut(Kind, &Progress, u32, f64) + 'a;
 
 /// Margin round a silhouette in which centres are kept, pixels of the training photos.
 const HULL_MARGIN_PX: usize = 1;
@@ -146,8 +146,10 @@ pub fn reconstruct<R: Rasterizer + Clone>(
         depth_maps,
         peak_memory_bytes: usage::peak_memory_bytes(),
     };
-    let text = serde_json::to_string_pretty(&reconstruction)
-        .map_err(|e| Error::Option { what: format!("the report cannot be written: {e}"), remedy: "look for numbers that are not finite".into() })?;
+    let text = serde_json::to_string_pretty(&reconstruction).map_err(|e| Error::Option {
+        what: format!("the report cannot be written: {e}"),
+        remedy: "look for numbers that are not finite".into(),
+    })?;
     fsutil::write_atomic(&out.join("splat/report.json"), text.as_bytes())?;
     Ok(reconstruction)
 }
@@ -174,7 +176,10 @@ impl<'a> Job<'a> {
         photo_options.memory_bytes = options.memory_bytes;
         let photos = Photos::new(capture, photo_options)?;
         if options.hold_out.is_some_and(|n| n < 2) {
-            return Err(Error::Option { what: "every photo would be held out".into(), remedy: "hold out every 2nd or fewer".into() });
+            return Err(Error::Option {
+                what: "every photo would be held out".into(),
+                remedy: "hold out every 2nd or fewer".into(),
+            });
         }
         let mut masks = Vec::new();
         if options.use_masks {
@@ -189,7 +194,9 @@ impl<'a> Job<'a> {
             let reason = match masks.get(i).filter(|_| masked) {
                 Some(None) => Some("it has no mask"),
                 Some(Some(false)) => Some("its mask is empty"),
-                Some(Some(true)) if report.views[i].mask.as_ref().is_some_and(|m| m.misplaced) => Some("its mask looks misplaced"),
+                Some(Some(true)) if report.views[i].mask.as_ref().is_some_and(|m| m.misplaced) => {
+                    Some("its mask looks misplaced")
+                }
                 _ => None,
             };
             match reason {
@@ -238,8 +245,7 @@ impl<'a> Job<'a> {
             if every > 0 && progress.step % every == 0 && !trainer.is_done() {
                 trainer.save(&checkpoint)?;
             }
-            let options = trainer.options();
-            on_progress(kind, &progress, options, clock.elapsed().as_secs_f64());
+            on_progress(kind, &progress, trainer.options().iterations, clock.elapsed().as_secs_f64());
         }
         let core_seconds = usage::core_seconds().zip(cores).map(|(now, then)| now - then);
         let seconds = clock.elapsed().as_secs_f64();
@@ -255,7 +261,8 @@ impl<'a> Job<'a> {
             std::fs::remove_file(&checkpoint).map_err(|e| drex_core::Error::io("remove", &checkpoint, e))?;
         }
         let iterations = trainer.steps_done();
-        let summary = SetSummary { file, gaussians: gaussians.len(), outside_hull, iterations, core_seconds, seconds, held_out };
+        let summary =
+            SetSummary { file, gaussians: gaussians.len(), outside_hull, iterations, core_seconds, seconds, held_out };
         Ok((gaussians, summary))
     }
 
@@ -280,7 +287,8 @@ impl<'a> Job<'a> {
 
     /// The first Gaussians: the sparse points, of the object if masks are used.
     fn first(&self, options: &TrainOptions) -> Result<Gaussians> {
-        let kept: Vec<_> = self.capture.points.iter().filter(|p| self.hull.contains(&p.position.map(|v| v as f32))).collect();
+        let kept: Vec<_> =
+            self.capture.points.iter().filter(|p| self.hull.contains(&p.position.map(|v| v as f32))).collect();
         if kept.is_empty() {
             return Err(Error::Capture {
                 what: format!("of {} sparse points none lies on the object", self.capture.points.len()),

@@ -39,7 +39,9 @@ fn the_first_step_is_the_learning_rate_however_small_the_gradient() {
 fn each_number_of_a_gaussian_has_its_rate() {
     let (mut params, mut moments) = (vec![0.0_f32; 30_000], Moments::new(3, 10_000));
     adam_step(&mut params, &vec![1.0; 30_000], &mut moments, &[0.1, 0.0, 0.3], 1).unwrap();
-    assert!(params.as_chunks::<3>().0.iter().all(|p| (p[0] + 0.1).abs() < 1e-6 && p[1] == 0.0 && (p[2] + 0.3).abs() < 1e-6));
+    assert!(
+        params.as_chunks::<3>().0.iter().all(|p| (p[0] + 0.1).abs() < 1e-6 && p[1] == 0.0 && (p[2] + 0.3).abs() < 1e-6)
+    );
 }
 
 #[test]

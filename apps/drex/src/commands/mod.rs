@@ -7,4 +7,5 @@ pub mod doctor;
 pub mod identify;
 pub mod import;
 pub mod plan_push;
+pub mod reconstruct;
 pub mod run;

@@ -29,6 +29,7 @@ use drex_core::Pose;
 use drex_core::camera::Camera;
 use nalgebra::Point3;
 
+pub use self::assemble::has_cameras;
 pub use self::photos::{Photo, PhotoOptions, Photos};
 pub use self::report::{CaptureReport, Coverage, MaskCheck, ReprojectionError, ViewReport};
 pub use self::tools::{ColmapOptions, VideoOptions, extract_frames, reconstruct};

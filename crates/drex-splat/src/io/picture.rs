@@ -36,8 +36,11 @@ pub fn write_rgb(path: &Path, width: usize, height: usize, rgb: &[[f32; 3]]) -> 
 /// # Errors
 /// As [`write_rgb`].
 pub fn write_rgba(path: &Path, width: usize, height: usize, rgb: &[[f32; 3]], alpha: &[f32]) -> Result<()> {
-    let bytes: Vec<u8> =
-        rgb.iter().zip(alpha).flat_map(|(c, &a)| [c[0], c[1], c[2], a * a].map(|v| byte(255.0 * v / a.max(1e-6)))).collect();
+    let bytes: Vec<u8> = rgb
+        .iter()
+        .zip(alpha)
+        .flat_map(|(c, &a)| [c[0], c[1], c[2], a * a].map(|v| byte(255.0 * v / a.max(1e-6))))
+        .collect();
     write(path, width, height, &bytes, ExtendedColorType::Rgba8)
 }
 

@@ -128,4 +128,3 @@ pub fn adam_step(params: &mut [f32], grads: &[f32], moments: &mut Moments, rates
     });
     Ok(())
 }
-

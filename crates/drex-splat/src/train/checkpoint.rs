@@ -69,7 +69,10 @@ pub(crate) fn read(path: &Path) -> Result<(State, TrainOptions)> {
     let header: Header = serde_json::from_slice(header).map_err(|e| refuse(path, &format!("its header: {e}")))?;
     let n = header.gaussians;
     // Before memory is asked for: each Gaussian has more bytes than this, and so has each photo.
-    if header.sh_degree > 3 || n.checked_mul(44).is_none_or(|b| b > rest.len()) || header.photos.checked_mul(56).is_none_or(|b| b > rest.len()) {
+    if header.sh_degree > 3
+        || n.checked_mul(44).is_none_or(|b| b > rest.len())
+        || header.photos.checked_mul(56).is_none_or(|b| b > rest.len())
+    {
         return Err(short());
     }
     let mut g = Gaussians::new(header.kind, header.sh_degree);

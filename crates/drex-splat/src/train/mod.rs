@@ -12,7 +12,7 @@ mod views;
 
 pub use hull::VisualHull;
 pub use init::from_points;
-pub use preset::{DensityChoice, Preset};
 pub use options::{Adaptive, Coarse, Density, Mcmc, Rates, SurfaceTerms, TrainOptions};
+pub use preset::{DensityChoice, Preset};
 pub use trainer::{Progress, Trainer};
 pub use views::Views;

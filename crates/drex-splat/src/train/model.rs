@@ -27,14 +27,32 @@ impl Model {
     }
 
     /// One step of Adam, `step` 1-based; positions move by `position_rate`, scene units.
-    pub fn descend(&mut self, gradients: &GaussianGradients, rates: &Rates, position_rate: f32, step: u32) -> Result<()> {
+    pub fn descend(
+        &mut self,
+        gradients: &GaussianGradients,
+        rates: &Rates,
+        position_rate: f32,
+        step: u32,
+    ) -> Result<()> {
         let g = &mut self.gaussians;
         let mut colour_rates = vec![rates.colour_rest; g.sh_stride()];
         colour_rates[..3].fill(rates.colour);
         let [means, rotations, scales, opacities, colours] = &mut self.moments;
         adam_step(g.means.as_flattened_mut(), gradients.means.as_flattened(), means, &[position_rate; 3], step)?;
-        adam_step(g.rotations.as_flattened_mut(), gradients.rotations.as_flattened(), rotations, &[rates.rotation; 4], step)?;
-        adam_step(g.log_scales.as_flattened_mut(), gradients.log_scales.as_flattened(), scales, &[rates.scale; 3], step)?;
+        adam_step(
+            g.rotations.as_flattened_mut(),
+            gradients.rotations.as_flattened(),
+            rotations,
+            &[rates.rotation; 4],
+            step,
+        )?;
+        adam_step(
+            g.log_scales.as_flattened_mut(),
+            gradients.log_scales.as_flattened(),
+            scales,
+            &[rates.scale; 3],
+            step,
+        )?;
         adam_step(&mut g.logit_opacities, &gradients.logit_opacities, opacities, &[rates.opacity], step)?;
         adam_step(&mut g.sh, &gradients.sh, colours, &colour_rates, step)
     }
@@ -114,7 +132,8 @@ impl Model {
         let stride = g.sh_stride();
         (0..g.len()).find(|&i| {
             let numbers = g.means[i].iter().chain(&g.rotations[i]).chain(&g.log_scales[i]);
-            !(numbers.chain(&g.sh[i * stride..(i + 1) * stride]).all(|v| v.is_finite()) && g.logit_opacities[i].is_finite())
+            !(numbers.chain(&g.sh[i * stride..(i + 1) * stride]).all(|v| v.is_finite())
+                && g.logit_opacities[i].is_finite())
         })
     }
 }

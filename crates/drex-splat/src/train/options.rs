@@ -202,7 +202,14 @@ impl Default for Rates {
 
 impl Default for SurfaceTerms {
     fn default() -> Self {
-        Self { normal: 0.05, normal_from: 0.25, distortion: 100.0, distortion_from: 0.1, median_share: 1.0, prior_normal: 0.0 }
+        Self {
+            normal: 0.05,
+            normal_from: 0.25,
+            distortion: 100.0,
+            distortion_from: 0.1,
+            median_share: 1.0,
+            prior_normal: 0.0,
+        }
     }
 }
 

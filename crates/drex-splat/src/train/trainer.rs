@@ -9,14 +9,16 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::capture::Photo;
-use crate::loss::{self, DepthOptions, DepthTarget, Exposure, MaskMode, PhotometricOptions, SurfaceOptions, SurfaceTarget, Target};
+use crate::loss::{
+    self, DepthOptions, DepthTarget, Exposure, MaskMode, PhotometricOptions, SurfaceOptions, SurfaceTarget, Target,
+};
 use crate::optim::{Moments, adam_step};
+use crate::train::checkpoint;
 use crate::train::density::{self, Statistics};
 use crate::train::hull::VisualHull;
 use crate::train::model::{Model, position_rate};
 use crate::train::options::{Density, TrainOptions};
 use crate::train::views::{Views, reduced};
-use crate::train::checkpoint;
 use crate::{Error, Gaussians, Kind, PinholeCamera, Rasterizer, Render, RenderGradients, RenderOptions, Result};
 
 /// Optimises a set of Gaussians so that it looks like the photos.
@@ -118,7 +120,14 @@ impl<'a, V: Views, R: Rasterizer> Trainer<'a, V, R> {
         Self::assemble(views, indices, rasterizer, extent, options, state)
     }
 
-    fn assemble(views: &'a V, indices: Vec<usize>, rasterizer: R, extent: f64, options: TrainOptions, state: State) -> Result<Self> {
+    fn assemble(
+        views: &'a V,
+        indices: Vec<usize>,
+        rasterizer: R,
+        extent: f64,
+        options: TrainOptions,
+        state: State,
+    ) -> Result<Self> {
         options.check()?;
         let gaussians = &state.model.gaussians;
         gaussians.check()?;
@@ -134,12 +143,19 @@ impl<'a, V: Views, R: Rasterizer> Trainer<'a, V, R> {
         }
         if gaussians.is_empty() || gaussians.len() > options.max_gaussians {
             return refuse(
-                format!("training starts from {} Gaussians, at most {} are allowed", gaussians.len(), options.max_gaussians),
+                format!(
+                    "training starts from {} Gaussians, at most {} are allowed",
+                    gaussians.len(),
+                    options.max_gaussians
+                ),
                 "give at least one, and raise max_gaussians where there are more",
             );
         }
         if gaussians.kind != options.kind {
-            return refuse("the Gaussians and the options are of different kinds".into(), "make both ellipsoids or both surfels");
+            return refuse(
+                "the Gaussians and the options are of different kinds".into(),
+                "make both ellipsoids or both surfels",
+            );
         }
         if !(extent > 0.0 && extent.is_finite()) {
             return refuse(format!("the extent of the scene is {extent}"), "give cameras that stand apart");
@@ -298,8 +314,13 @@ impl<'a, V: Views, R: Rasterizer> Trainer<'a, V, R> {
             mask: photo.mask.as_deref(),
             exposure: o.exposure.then_some(&self.state.exposures[k]),
         };
-        let photometric =
-            PhotometricOptions { lambda: o.ssim_weight, mask: o.masks, background, alpha: o.alpha_weight, ignore_band: 0 };
+        let photometric = PhotometricOptions {
+            lambda: o.ssim_weight,
+            mask: o.masks,
+            background,
+            alpha: o.alpha_weight,
+            ignore_band: 0,
+        };
         let mut loss = loss::photometric(render, &target, &photometric)?;
         let mut value = loss.value;
         if o.kind == Kind::Surfel {
@@ -361,7 +382,13 @@ impl<'a, V: Views, R: Rasterizer> Trainer<'a, V, R> {
                 if step % a.every == 0 && done >= a.from && done < a.until {
                     let prune_large = self.state.resets > 0;
                     let mut rng = self.rng(step, 2);
-                    density::adapt(&mut self.state.model, &self.state.statistics, &a, (self.extent, most, prune_large), &mut rng);
+                    density::adapt(
+                        &mut self.state.model,
+                        &self.state.statistics,
+                        &a,
+                        (self.extent, most, prune_large),
+                        &mut rng,
+                    );
                     self.state.statistics = Statistics::new(self.state.model.len());
                     self.cut_to_hull();
                 }

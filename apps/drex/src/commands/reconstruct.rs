@@ -1,0 +1,143 @@
+//! `drex reconstruct`: photos become Gaussians and depth maps.
+
+use std::path::Path;
+
+use anyhow::Result;
+use drex_splat::capture::{self, Capture, CaptureOptions, CaptureReport, ColmapOptions, VideoOptions};
+use drex_splat::metrics::Table;
+use drex_splat::raster::Cpu;
+use drex_splat::reconstruct::{Reconstruction, SetSummary, reconstruct};
+use drex_splat::train::Progress;
+use drex_splat::{Kind, ReconstructOptions};
+use indicatif::ProgressBar;
+use serde::Serialize;
+
+use crate::cli::ReconstructArgs;
+use crate::ui::Ui;
+
+/// The answer of `drex reconstruct --json`.
+#[derive(Serialize)]
+struct Answer<'a> {
+    capture: &'a CaptureReport,
+    #[serde(flatten)]
+    reconstruction: Reconstruction,
+}
+
+/// Finds the cameras where they are not given, trains both sets, writes them, answers with their scores.
+pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
+    let capture = load(args, ui)?;
+    let report = capture.report()?;
+    for line in report.to_string().lines() {
+        ui.note(line);
+    }
+    let mut options = ReconstructOptions::default();
+    options.preset = args.preset.into();
+    options.density = args.density.into();
+    options.hold_out = args.hold_out;
+    options.use_masks = !args.whole_scene;
+    options.seed = seed.unwrap_or(0);
+    options.max_side = args.max_side;
+    options.iterations = args.iterations;
+    options.max_gaussians = args.max_gaussians;
+    options.exposure = args.exposure;
+    options.refine_poses = args.refine_poses;
+    options.checkpoint_every = args.checkpoint_every;
+    options.resume = args.resume;
+    options.memory_bytes = args.memory_mb << 20;
+
+    let mut bar: Option<(Kind, ProgressBar)> = None;
+    let mut psnr = 0.0;
+    let mut on_progress = |kind: Kind, p: &Progress, steps: u32, seconds: f64| {
+        if bar.as_ref().is_none_or(|(of, _)| *of != kind) {
+            let label = if kind == Kind::Ellipsoid { "appearance" } else { "surface" };
+            bar = Some((kind, ui.bar(label, u64::from(steps))));
+            psnr = p.psnr;
+        }
+        psnr += 0.02 * (p.psnr - psnr); // a mean over about fifty photos
+        if let Some((_, bar)) = &bar {
+            bar.set_position(u64::from(p.step));
+            let speed = f64::from(p.step) / seconds.max(1e-9);
+            bar.set_message(format!("{psnr:.1} dB, {speed:.0} it/s, {} Gaussians", p.gaussians));
+            if p.step == steps {
+                bar.finish_and_clear();
+            }
+        }
+    };
+    let reconstruction = reconstruct(&capture, &report, &Cpu, &args.out, &options, &mut on_progress)?;
+    let text = describe(&reconstruction, &args.out);
+    ui.answer(&Answer { capture: &report, reconstruction }, text)
+}
+
+/// The capture; cameras come from COLMAP where the folder has none, photos from ffmpeg where it is a video.
+fn load(args: &ReconstructArgs, ui: &Ui) -> Result<Capture> {
+    let mut within = CaptureOptions::default();
+    within.masks.clone_from(&args.masks);
+    if !args.scan.is_file() {
+        if capture::has_cameras(&args.scan) {
+            return Ok(Capture::load(&args.scan, &within)?);
+        }
+        return find_cameras(&args.scan, &within, &args.colmap, ui);
+    }
+    let folder = args.out.join("scan");
+    let mut video = VideoOptions::default();
+    video.program.clone_from(&args.ffmpeg);
+    if !folder.join("images").exists() {
+        let spinner = ui.spinner("frames");
+        let frames =
+            capture::extract_frames(&args.scan, &folder, &video, &mut |line| spinner.set_message(line.to_owned()))?;
+        spinner.finish_and_clear();
+        ui.note(format!("{frames} frames of {}", args.scan.display()));
+    }
+    if capture::has_cameras(&folder) {
+        return Ok(Capture::load(&folder, &within)?);
+    }
+    find_cameras(&folder, &within, &args.colmap, ui)
+}
+
+fn find_cameras(folder: &Path, within: &CaptureOptions, program: &Path, ui: &Ui) -> Result<Capture> {
+    let mut colmap = ColmapOptions::default();
+    colmap.program = program.into();
+    let spinner = ui.spinner("cameras");
+    let found = capture::reconstruct(folder, within, &colmap, &mut |line| spinner.set_message(line.to_owned()))?;
+    spinner.finish_and_clear();
+    Ok(found)
+}
+
+fn describe(r: &Reconstruction, out: &Path) -> String {
+    let mut text = format!(
+        "{} photos trained on, {} held out{}\n",
+        r.photos_trained,
+        r.photos_held_out,
+        if r.object_only { "; the object alone" } else { "; the whole scene" }
+    );
+    for left_out in &r.left_out {
+        text += &format!("  left out  {left_out}\n");
+    }
+    for (name, set) in [("appearance", &r.appearance), ("surface", &r.surface)] {
+        text += &describe_set(name, set);
+    }
+    text += &format!("  depth     {} maps in {}\n", r.depth_maps, out.join("depth").display());
+    if let Some(bytes) = r.peak_memory_bytes {
+        text += &format!("  memory    {:.0} MB at the most\n", bytes as f64 / 1e6);
+    }
+    text
+}
+
+fn describe_set(name: &str, set: &SetSummary) -> String {
+    let cost = set.core_seconds.map_or(String::new(), |s| format!(", {:.1} core-minutes", s / 60.0));
+    let mut text = format!(
+        "  {name}: {} Gaussians after {} steps, {:.0} s{cost}, {}\n",
+        set.gaussians,
+        set.iterations,
+        set.seconds,
+        set.file.display()
+    );
+    if !set.held_out.rows.is_empty() {
+        text += &indented(&set.held_out);
+    }
+    text
+}
+
+fn indented(table: &Table) -> String {
+    table.to_string().lines().map(|line| format!("    {line}\n")).collect()
+}
