@@ -20,6 +20,7 @@ pub mod scene;
 pub mod train;
 pub mod transform;
 pub mod usage;
+mod simd;
 
 pub use camera::PinholeCamera;
 pub use capture::{Capture, CaptureOptions, Photo, PhotoOptions, Photos};

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use crate::Result;
-use crate::loss::{check_image, empty_mask, ssim, sum, unit};
+use crate::loss::{area, check_image, empty_mask, ssim, unit};
 
 /// A value of an image: a byte, or a number that is clamped to 0 to 1.
 pub trait Sample: Copy + Send + Sync {
@@ -47,24 +47,22 @@ pub fn similarity<A: Sample, B: Sample>(
     check_image("the picture to be measured", image.len(), width, height)?;
     check_image("the photo it is measured against", target.len(), width, height)?;
     check_image("the mask of a measure", mask.map_or(image.len(), <[u8]>::len), width, height)?;
-    let weight: Option<Vec<f32>> = mask.map(|mask| mask.iter().map(|m| unit(*m)).collect());
-    let area = weight.as_ref().map_or(image.len() as f64, |w| sum(w));
+    let area = mask.map_or(image.len() as f64, area);
     if area == 0.0 {
         return Err(empty_mask("a picture to be measured", "the mask is zero everywhere"));
     }
-    let weight_at = |i: usize| weight.as_ref().map_or(1.0, |w| w[i]);
     let y: Vec<[f32; 3]> = target.iter().map(|rgb| rgb.map(Sample::to_unit)).collect();
     let mut x: Vec<[f32; 3]> = image.iter().map(|rgb| rgb.map(Sample::to_unit)).collect();
     let mut squares = 0.0;
     for (i, (x, y)) in x.iter_mut().zip(&y).enumerate() {
-        let w = weight_at(i);
+        let w = mask.map_or(1.0, |mask| unit(mask[i]));
         for k in 0..3 {
             squares += f64::from(w) * f64::from(x[k] - y[k]).powi(2);
             x[k] = w * x[k] + (1.0 - w) * y[k];
         }
     }
     let psnr = -10.0 * (squares / (3.0 * area)).log10();
-    Ok(Similarity { psnr, ssim: ssim(&x, &y, weight.as_deref(), width, height)? })
+    Ok(Similarity { psnr, ssim: ssim(&x, &y, mask, width, height)? })
 }
 
 /// [`similarity`]'s PSNR alone, dB.

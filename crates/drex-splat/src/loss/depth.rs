@@ -1,7 +1,9 @@
 //! Depth given from outside: a map of an RGB-D camera or a depth estimator, or the points of a sparse model.
 
 use super::photometric::sign;
-use super::{check_image, check_render, weights};
+use rayon::prelude::*;
+
+use super::{area_that_counts, check_image, check_render, strip_rows, sum, unit};
 use crate::{Error, Render, RenderGradients, Result};
 
 /// Which depth of a render is compared.
@@ -73,43 +75,50 @@ pub struct DepthLoss {
 /// If sizes differ, an option is out of range, the mask is zero everywhere, or the render has no median depth.
 pub fn depth(render: &Render, target: &DepthTarget<'_>, options: &DepthOptions) -> Result<DepthLoss> {
     check(render, target, options)?;
-    let mut known = sparse_pixels(render, target.sparse);
-    if let Some(dense) = target.dense {
-        let weight = weights(render, target.mask, target.name)?.0;
-        let weight = |i: usize| weight.as_ref().map_or(1.0, |w| w[i]);
-        known.extend(dense.iter().enumerate().map(|(i, z)| (i, *z, weight(i))).filter(|(_, _, w)| *w > 0.0));
-    }
-    known.retain(|(i, z, _)| z.is_finite() && *z > 0.0 && render.alpha[*i] >= options.min_alpha);
-    let count: f64 = known.iter().map(|(_, _, w)| f64::from(*w)).sum();
+    let mut weight = dense_weights(render, target, options)?;
+    let sparse = sparse_pixels(render, target.sparse, options);
+    let count = sum(&weight) + sparse.len() as f64;
     if count == 0.0 {
         return Ok(DepthLoss::default());
     }
 
-    let per_value = (f64::from(options.weight) / count) as f32;
-    let pixels = render.alpha.len();
     let mut loss = DepthLoss { count, ..Default::default() };
-    let gradients = &mut loss.gradients;
-    match options.source {
-        DepthSource::Expected => (gradients.depth, gradients.alpha) = (vec![0.0; pixels], vec![0.0; pixels]),
-        DepthSource::Median => gradients.median_depth = vec![0.0; pixels],
-    }
-    for (i, z, w) in known {
-        let alpha = render.alpha[i];
-        let ours = match options.source {
-            DepthSource::Expected => render.depth[i] / alpha,
-            DepthSource::Median => render.median_depth[i],
-        };
-        loss.l1 += f64::from(w) * f64::from((ours - z).abs()) / count;
-        let g = per_value * w * sign(ours - z);
-        match options.source {
-            DepthSource::Expected => {
-                gradients.depth[i] += g / alpha;
-                gradients.alpha[i] -= g * ours / alpha;
+    let per_value = (f64::from(options.weight) / count) as f32;
+    let ours = |i: usize| match options.source {
+        DepthSource::Expected => render.depth[i] / render.alpha[i],
+        DepthSource::Median => render.median_depth[i],
+    };
+    // From here on `weight` becomes the derivative by our depth.
+    let rows = strip_rows(render.height) * render.width;
+    let strips = weight.par_chunks_mut(rows).zip(target.dense.unwrap_or_default().par_chunks(rows)).enumerate();
+    let sums: Vec<f64> = strips
+        .map(|(k, (weight, given))| {
+            let mut total = 0.0;
+            for (i, (w, z)) in weight.iter_mut().zip(given).enumerate().filter(|(_, (w, _))| **w > 0.0) {
+                let off = ours(k * rows + i) - z;
+                total += f64::from(*w) * f64::from(off.abs());
+                *w *= per_value * sign(off);
             }
-            DepthSource::Median => gradients.median_depth[i] += g,
-        }
+            total
+        })
+        .collect();
+    let mut total: f64 = sums.iter().sum();
+    for (i, z) in sparse {
+        let off = ours(i) - z;
+        total += f64::from(off.abs());
+        weight[i] += per_value * sign(off);
     }
+    loss.l1 = total / count;
     loss.value = f64::from(options.weight) * loss.l1;
+    match options.source {
+        DepthSource::Expected => {
+            let by = |g: f32, value: f32, alpha: f32| if g == 0.0 { 0.0 } else { g * value / alpha };
+            let pixels = weight.iter().zip(&render.depth).zip(&render.alpha);
+            loss.gradients.alpha = pixels.map(|((g, depth), alpha)| by(*g, -depth / alpha, *alpha)).collect();
+            loss.gradients.depth = weight.iter().zip(&render.alpha).map(|(g, alpha)| by(*g, 1.0, *alpha)).collect();
+        }
+        DepthSource::Median => loss.gradients.median_depth = weight,
+    }
     Ok(loss)
 }
 
@@ -130,11 +139,28 @@ fn check(render: &Render, target: &DepthTarget<'_>, options: &DepthOptions) -> R
     Ok(())
 }
 
-/// Index, depth and weight of the pixels that sparse points fall in.
-fn sparse_pixels(render: &Render, sparse: &[SparseDepth]) -> Vec<(usize, f32, f32)> {
+/// Weight of every pixel: that of the mask where both depths are known, else 0.
+fn dense_weights(render: &Render, target: &DepthTarget<'_>, options: &DepthOptions) -> Result<Vec<f32>> {
+    let Some(dense) = target.dense else {
+        return Ok(vec![0.0; render.alpha.len()]);
+    };
+    area_that_counts(render, target.mask, target.name)?; // refuses what is wrong with the mask
+    let known = |(z, alpha): (&f32, &f32)| f32::from(u8::from(is_depth(*z) & (*alpha >= options.min_alpha)));
+    let mut weight: Vec<f32> = dense.iter().zip(&render.alpha).map(known).collect();
+    weight.iter_mut().zip(target.mask.unwrap_or_default()).for_each(|(w, m)| *w *= unit(*m));
+    Ok(weight)
+}
+
+/// Index and depth of the pixels that sparse points fall in and that the render covers.
+fn sparse_pixels(render: &Render, sparse: &[SparseDepth], options: &DepthOptions) -> Vec<(usize, f32)> {
     let inside = |p: &&SparseDepth| {
         (0.0..render.width as f32).contains(&p.pixel[0]) && (0.0..render.height as f32).contains(&p.pixel[1])
     };
     let index = |p: &SparseDepth| p.pixel[1] as usize * render.width + p.pixel[0] as usize;
-    sparse.iter().filter(inside).map(|p| (index(p), p.depth, 1.0)).collect()
+    let pixels = sparse.iter().filter(inside).map(|p| (index(p), p.depth));
+    pixels.filter(|(i, z)| is_depth(*z) && render.alpha[*i] >= options.min_alpha).collect()
+}
+
+fn is_depth(z: f32) -> bool {
+    (z > 0.0) & (z < f32::INFINITY)
 }

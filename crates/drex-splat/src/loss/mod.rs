@@ -10,22 +10,29 @@
 //! All sums are taken row by row and then over the rows in their order, so that a loss has the same value and the same
 //! derivative, to the last bit, with any number of threads.
 
+mod consistency;
 pub mod depth;
 pub mod exposure;
+mod normals;
 pub mod photometric;
 pub mod ssim;
 pub mod surface;
 
+pub use consistency::surface_depth;
 pub use depth::{DepthLoss, DepthOptions, DepthSource, DepthTarget, SparseDepth, depth};
 pub use exposure::Exposure;
+pub use normals::depth_normals;
 pub use photometric::{MaskMode, PhotometricLoss, PhotometricOptions, Target, photometric};
 pub use ssim::{ssim, ssim_map, ssim_with_gradient};
-pub use surface::{SurfaceLoss, SurfaceOptions, SurfaceTarget, depth_normals, surface, surface_depth};
+pub use surface::{SurfaceLoss, SurfaceOptions, SurfaceTarget, surface};
 
 use crate::{Error, Render, RenderGradients, Result};
 
-/// Rows that one task of a parallel loop does.
-pub(crate) const BAND: usize = 8;
+/// Rows that one task of a parallel loop does: about 90, in an even number of strips; it does not depend on the number of
+/// threads.
+pub(crate) fn strip_rows(height: usize) -> usize {
+    height.div_ceil(2 * height.div_ceil(180).max(1)).max(1)
+}
 
 impl RenderGradients {
     /// Adds `other`, the derivative of another loss by the same images. An empty vector counts as zeros.
@@ -43,22 +50,28 @@ fn add<T: Copy>(ours: &mut Vec<T>, theirs: Vec<T>, plus: impl Fn(&mut T, T)) {
     if ours.is_empty() {
         *ours = theirs;
     } else {
-        pulp::Arch::new().dispatch(|| ours.iter_mut().zip(&theirs).for_each(|(a, b)| plus(a, *b)));
+        ours.iter_mut().zip(theirs).for_each(|(a, b)| plus(a, b));
     }
 }
 
 /// Σ of a row, in double precision and in an order that vectorises.
 #[inline(always)]
 pub(crate) fn sum(row: &[f32]) -> f64 {
+    sum_with(row, row, |v, _| v)
+}
+
+/// Σ of a function of two rows of the same length, as [`sum`].
+#[inline(always)]
+pub(crate) fn sum_with(a: &[f32], b: &[f32], of: impl Fn(f32, f32) -> f32) -> f64 {
     const LANES: usize = 16;
-    let (chunks, rest) = row.as_chunks::<LANES>();
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
     let mut lanes = [0.0_f64; LANES];
-    for chunk in chunks {
-        for (lane, value) in lanes.iter_mut().zip(chunk) {
-            *lane += f64::from(*value);
+    for (a, b) in a.iter().zip(b) {
+        for k in 0..LANES {
+            lanes[k] += f64::from(of(a[k], b[k]));
         }
     }
-    lanes.iter().sum::<f64>() + rest.iter().map(|v| f64::from(*v)).sum::<f64>()
+    lanes.iter().sum::<f64>() + a_rest.iter().zip(b_rest).map(|(a, b)| f64::from(of(*a, *b))).sum::<f64>()
 }
 
 /// Refuses an image without pixels, and `entries` (of what `name` says) that are not one a pixel.
@@ -77,21 +90,24 @@ pub(crate) fn check_render(render: &Render, name: &str, entries: usize) -> Resul
     check_image(name, entries, render.width, render.height)
 }
 
-/// The mask as weights 0 to 1 and their sum; all ones without a mask.
+/// Σ of the mask's weights; the number of pixels without a mask.
 ///
 /// # Errors
 /// If the mask has another size than the render, or no pixel of it is set; `name` is the photo's.
-pub(crate) fn weights(render: &Render, mask: Option<&[u8]>, name: &str) -> Result<(Option<Vec<f32>>, f64)> {
+pub(crate) fn area_that_counts(render: &Render, mask: Option<&[u8]>, name: &str) -> Result<f64> {
     let Some(mask) = mask else {
-        return Ok((None, (render.width * render.height) as f64));
+        return Ok((render.width * render.height) as f64);
     };
     check_render(render, &format!("the mask of {name}"), mask.len())?;
-    // Whole numbers below 2^53: exact in any order.
-    let area = mask.iter().map(|m| u64::from(*m)).sum::<u64>() as f64 / 255.0;
-    if area == 0.0 {
-        return Err(empty_mask(name, "the mask is zero everywhere"));
+    match area(mask) {
+        0.0 => Err(empty_mask(name, "the mask is zero everywhere")),
+        area => Ok(area),
     }
-    Ok((Some(mask.iter().map(|m| unit(*m)).collect()), area))
+}
+
+/// Σ of a mask's weights: whole numbers, exact in any order.
+pub(crate) fn area(mask: &[u8]) -> f64 {
+    mask.iter().map(|m| u64::from(*m)).sum::<u64>() as f64 / 255.0
 }
 
 pub(crate) fn empty_mask(name: &str, why: &str) -> Error {

@@ -5,8 +5,9 @@ use std::borrow::Cow;
 
 use rayon::prelude::*;
 
-use super::ssim::Ssim;
-use super::{BAND, Exposure, check_render, empty_mask, sum, unit, weights};
+use super::ssim::{Strip, Want};
+use super::{Exposure, area, area_that_counts, check_render, empty_mask, strip_rows, sum_with, unit};
+use crate::simd::vectorised;
 use crate::{Error, Render, RenderGradients, Result};
 
 /// A photo to compare with, as large as the render.
@@ -92,14 +93,24 @@ pub fn photometric(render: &Render, target: &Target<'_>, options: &PhotometricOp
     };
     let background = target.exposure.map_or(options.background, |exposure| exposure.apply(options.background));
     let (weight, area) = weight_of(render, target, options)?;
+    let job = Job {
+        width: render.width,
+        height: render.height,
+        exposed: &exposed,
+        photo: target.rgb,
+        blend: target.mask.filter(|_| transparent),
+        background,
+        weight: weight.as_deref(),
+        area,
+    };
 
-    let (l1, ssim, rgb) = colours(render, &exposed, target, options, weight.as_deref(), area, background);
+    let (l1, ssim, rgb) = job.colours(options.lambda);
     let mut loss = PhotometricLoss { l1, ssim, ..Default::default() };
     loss.value = f64::from(1.0 - options.lambda) * l1 + f64::from(options.lambda) * (1.0 - ssim);
     loss.gradients.rgb = rgb;
-    loss.exposure = target.exposure.map(|e| e.backward(&render.rgb, &mut loss.gradients.rgb, render.width));
-    if let (true, Some(mask)) = (transparent, target.mask) {
-        (loss.alpha, loss.gradients.alpha) = opacity(render, mask, options.alpha, weight.as_deref(), area);
+    loss.exposure = target.exposure.map(|e| e.backward(&render.rgb, &mut loss.gradients.rgb));
+    if let Some(mask) = job.blend {
+        (loss.alpha, loss.gradients.alpha) = job.opacity(&render.alpha, mask, options.alpha);
         loss.value += f64::from(options.alpha) * loss.alpha;
     }
     Ok(loss)
@@ -124,150 +135,150 @@ fn check(render: &Render, target: &Target<'_>, options: &PhotometricOptions) -> 
     Ok(())
 }
 
-/// The weights of the pixels (`None`: all one) and their sum.
-fn weight_of(render: &Render, target: &Target<'_>, options: &PhotometricOptions) -> Result<(Option<Vec<f32>>, f64)> {
+/// The weights of the pixels (255 is one, `None`: all one) and their sum.
+fn weight_of<'a>(
+    render: &Render,
+    target: &Target<'a>,
+    options: &PhotometricOptions,
+) -> Result<(Option<Cow<'a, [u8]>>, f64)> {
     let all = (None, render.rgb.len() as f64);
-    match (options.mask, target.mask) {
-        (MaskMode::Off, _) | (_, None) => Ok(all),
-        (MaskMode::Masked, mask) => weights(render, mask, target.name),
-        (MaskMode::Transparent, Some(mask)) => {
-            weights(render, Some(mask), target.name)?; // refuses what is wrong with the mask
-            if options.ignore_band == 0 {
-                return Ok(all);
-            }
-            let weight = off_rim(mask, render.width, options.ignore_band);
-            match sum(&weight) {
-                0.0 => Err(empty_mask(target.name, "the band that is ignored at the mask's rim is too wide")),
-                area => Ok((Some(weight), area)),
-            }
-        }
+    let (Some(mask), true) = (target.mask, options.mask != MaskMode::Off) else {
+        return Ok(all);
+    };
+    let mask_area = area_that_counts(render, Some(mask), target.name)?;
+    if options.mask == MaskMode::Masked {
+        return Ok((Some(Cow::Borrowed(mask)), mask_area));
+    }
+    if options.ignore_band == 0 {
+        return Ok(all);
+    }
+    let weight = off_rim(mask, render.width, options.ignore_band);
+    match area(&weight) {
+        0.0 => Err(empty_mask(target.name, "the band that is ignored at the mask's rim is too wide")),
+        area => Ok((Some(Cow::Owned(weight)), area)),
     }
 }
 
-/// L1, SSIM, and the derivative of their sum by the exposed colours.
-fn colours(
-    render: &Render,
-    exposed: &[[f32; 3]],
-    target: &Target<'_>,
-    options: &PhotometricOptions,
-    weight: Option<&[f32]>,
-    area: f64,
+/// What is compared, all of the same size.
+struct Job<'a> {
+    width: usize,
+    height: usize,
+    exposed: &'a [[f32; 3]],
+    photo: &'a [[u8; 3]],
+    /// Where the photo is kept and where it becomes the background.
+    blend: Option<&'a [u8]>,
     background: [f32; 3],
-) -> (f64, f64, Vec<[f32; 3]>) {
-    let (width, pixels) = (render.width, exposed.len());
-    let blend = target.mask.filter(|_| options.mask == MaskMode::Transparent);
-    let per_value = 1.0 / (3.0 * area);
-    let by_l1 = (f64::from(1.0 - options.lambda) * per_value) as f32;
-    let by_ssim = (f64::from(options.lambda) * per_value) as f32;
+    weight: Option<&'a [u8]>,
+    area: f64,
+}
 
-    let mut ssim = Ssim::new(width, render.height);
-    let [mut x, mut y, mut s] = std::array::from_fn(|_| vec![0.0; pixels]);
-    let mut gradient = vec![[0.0; 3]; pixels];
-    let (mut l1, mut similarity) = (0.0, 0.0);
-    for c in 0..3 {
-        let rows = x.par_chunks_mut(width).zip(y.par_chunks_mut(width)).enumerate().with_min_len(BAND);
-        let sums: Vec<f64> = rows
-            .map(|(row, (x, y))| {
-                let at = row * width..(row + 1) * width;
-                let (exposed, photo) = (&exposed[at.clone()], &target.rgb[at.clone()]);
-                let (blend, weight) = (blend.map(|m| &m[at.clone()]), weight.map(|w| &w[at]));
-                pulp::Arch::new().dispatch(|| channel(c, exposed, photo, blend, background[c], weight, x, y))
+impl Job<'_> {
+    /// L1, SSIM, and the derivative of (1 - λ) L1 - λ SSIM by the exposed colours.
+    fn colours(&self, lambda: f32) -> (f64, f64, Vec<[f32; 3]>) {
+        let (width, height) = (self.width, self.height);
+        let per_value = 1.0 / (3.0 * self.area);
+        let factors = [f64::from(1.0 - lambda) * per_value, f64::from(lambda) * per_value].map(|f| f as f32);
+        let mut gradient = vec![[0.0; 3]; self.exposed.len()];
+        let rows = strip_rows(height);
+        let strip = |strip: &mut Strip, (k, gradient): (usize, &mut [[f32; 3]])| {
+            let range = k * rows..((k + 1) * rows).min(height);
+            let (mut l1, mut ssim) = (0.0, 0.0);
+            for c in 0..3 {
+                let done = |row: usize, x: &[f32], y: &[f32], s: &[f32]| {
+                    let gradient = &mut gradient[(row - k * rows) * width..][..width];
+                    l1 += self.slope(c, row, x, y, s, factors, gradient);
+                };
+                ssim +=
+                    strip.run(range.clone(), self.weight, Want::Gradient, |row, x, y| self.fill(c, row, x, y), done);
+            }
+            (l1, ssim)
+        };
+        let strips = gradient.par_chunks_mut(rows * width).enumerate();
+        let sums: Vec<(f64, f64)> = strips.map_init(|| Strip::new(width, height), strip).collect();
+        let (l1, ssim) = sums.iter().fold((0.0, 0.0), |(l1, ssim), of| (l1 + of.0, ssim + of.1));
+        (l1 * per_value, ssim * per_value, gradient)
+    }
+
+    /// A row of one channel: x' and y.
+    fn fill(&self, c: usize, row: usize, x: &mut [f32], y: &mut [f32]) {
+        let at = row * self.width..(row + 1) * self.width;
+        let background = self.background[c];
+        vectorised(
+            #[inline(always)]
+            || {
+                x.iter_mut().zip(&self.exposed[at.clone()]).for_each(|(x, rgb)| *x = rgb[c]);
+                y.iter_mut().zip(&self.photo[at.clone()]).for_each(|(y, rgb)| *y = unit(rgb[c]));
+                if let Some(blend) = self.blend {
+                    for (y, m) in y.iter_mut().zip(&blend[at.clone()]) {
+                        *y = unit(*m) * *y + (1.0 - unit(*m)) * background;
+                    }
+                }
+                if let Some(weight) = self.weight {
+                    for ((x, y), w) in x.iter_mut().zip(&*y).zip(&weight[at.clone()]) {
+                        // Not by multiplication with zero: what does not count may be anything.
+                        *x = if *w > 0 { unit(*w) * *x + (1.0 - unit(*w)) * y } else { *y };
+                    }
+                }
+            },
+        );
+    }
+
+    /// Channel c of a row of the derivative, w ((1 - λ) sign(x' - y) - λ ∂ΣwS/∂x') / (3 Σw); gives Σ |x' - y|, which is
+    /// Σ w |x - y|.
+    #[expect(clippy::too_many_arguments, reason = "a row of each of the images of the formula")]
+    fn slope(
+        &self,
+        c: usize,
+        row: usize,
+        x: &[f32],
+        y: &[f32],
+        s: &[f32],
+        [by_l1, by_ssim]: [f32; 2],
+        gradient: &mut [[f32; 3]],
+    ) -> f64 {
+        vectorised(
+            #[inline(always)]
+            || {
+                for (((g, x), y), s) in gradient.iter_mut().zip(x).zip(y).zip(s) {
+                    g[c] = by_l1 * sign(x - y) - by_ssim * s;
+                }
+                if let Some(weight) = self.weight {
+                    for (g, w) in gradient.iter_mut().zip(&weight[row * self.width..]) {
+                        g[c] *= unit(*w);
+                    }
+                }
+                sum_with(x, y, |x, y| (x - y).abs())
+            },
+        )
+    }
+
+    /// Mean |alpha - mask| over the pixels that count, and its derivative times `factor`.
+    fn opacity(&self, alpha: &[f32], mask: &[u8], factor: f32) -> (f64, Vec<f32>) {
+        let rows = strip_rows(self.height) * self.width;
+        let by_value = (f64::from(factor) / self.area) as f32;
+        let mut gradient = vec![0.0; alpha.len()];
+        let strips = gradient.par_chunks_mut(rows).zip(alpha.par_chunks(rows)).zip(mask.par_chunks(rows));
+        let sums: Vec<f64> = strips
+            .enumerate()
+            .map(|(k, ((gradient, alpha), mask))| {
+                vectorised(
+                    #[inline(always)]
+                    || {
+                        gradient.iter_mut().zip(alpha).zip(mask).for_each(|((g, a), m)| *g = a - unit(*m));
+                        if let Some(weight) = self.weight {
+                            // 0 or 255 here: all or nothing.
+                            let weight = &weight[k * rows..];
+                            gradient.iter_mut().zip(weight).for_each(|(g, w)| *g = if *w > 0 { *g } else { 0.0 });
+                        }
+                        let total = sum_with(gradient, gradient, |g, _| g.abs());
+                        gradient.iter_mut().for_each(|g| *g = by_value * sign(*g));
+                        total
+                    },
+                )
             })
             .collect();
-        l1 += sums.iter().sum::<f64>();
-        similarity += ssim.map(&x, &y, weight, &mut s);
-        ssim.gradient(&x, &y, &mut s);
-        let rows = gradient.par_chunks_mut(width).enumerate().with_min_len(BAND);
-        rows.for_each(|(row, gradient)| {
-            let at = row * width..(row + 1) * width;
-            let (x, y, s) = (&x[at.clone()], &y[at.clone()], &s[at.clone()]);
-            let weight = weight.map(|w| &w[at]);
-            pulp::Arch::new().dispatch(|| slope(c, x, y, s, weight, [by_l1, by_ssim], gradient));
-        });
+        (sums.iter().sum::<f64>() / self.area, gradient)
     }
-    (l1 * per_value, similarity * per_value, gradient)
-}
-
-/// A row of one channel: x' and y; gives Σ |x' - y| = Σ w |x - y|.
-#[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "a row of each of the images of the formula")]
-fn channel(
-    c: usize,
-    exposed: &[[f32; 3]],
-    photo: &[[u8; 3]],
-    blend: Option<&[u8]>,
-    background: f32,
-    weight: Option<&[f32]>,
-    x: &mut [f32],
-    y: &mut [f32],
-) -> f64 {
-    for (((x, y), exposed), photo) in x.iter_mut().zip(&mut *y).zip(exposed).zip(photo) {
-        *x = exposed[c];
-        *y = unit(photo[c]);
-    }
-    for (y, m) in y.iter_mut().zip(blend.unwrap_or_default()) {
-        *y = unit(*m) * *y + (1.0 - unit(*m)) * background;
-    }
-    for ((x, y), w) in x.iter_mut().zip(&*y).zip(weight.unwrap_or_default()) {
-        *x = w * *x + (1.0 - w) * y;
-    }
-    let mut lanes = [0.0_f64; 8];
-    for (i, (x, y)) in x.iter().zip(&*y).enumerate() {
-        lanes[i % 8] += f64::from((x - y).abs());
-    }
-    lanes.iter().sum()
-}
-
-/// Channel c of a row of the derivative: w ((1 - λ) sign(x' - y) - λ ∂ΣwS/∂x') / (3 Σw).
-#[inline(always)]
-fn slope(
-    c: usize,
-    x: &[f32],
-    y: &[f32],
-    s: &[f32],
-    weight: Option<&[f32]>,
-    [by_l1, by_ssim]: [f32; 2],
-    gradient: &mut [[f32; 3]],
-) {
-    for (((g, x), y), s) in gradient.iter_mut().zip(x).zip(y).zip(s) {
-        g[c] = by_l1 * sign(x - y) - by_ssim * s;
-    }
-    for (g, w) in gradient.iter_mut().zip(weight.unwrap_or_default()) {
-        g[c] *= w;
-    }
-}
-
-/// Mean |alpha - mask| over the pixels that count, and its derivative times `factor`.
-fn opacity(render: &Render, mask: &[u8], factor: f32, weight: Option<&[f32]>, area: f64) -> (f64, Vec<f32>) {
-    let width = render.width;
-    let by_value = (f64::from(factor) / area) as f32;
-    let mut gradient = vec![0.0; render.alpha.len()];
-    let rows = gradient.par_chunks_mut(width).zip(render.alpha.par_chunks(width)).zip(mask.par_chunks(width));
-    let sums: Vec<f64> = rows
-        .enumerate()
-        .with_min_len(BAND)
-        .map(|(row, ((gradient, alpha), mask))| {
-            let weight = weight.map_or(&[][..], |w| &w[row * width..][..width]);
-            pulp::Arch::new().dispatch(|| {
-                for ((g, a), m) in gradient.iter_mut().zip(alpha).zip(mask) {
-                    *g = a - unit(*m);
-                }
-                for (g, w) in gradient.iter_mut().zip(weight) {
-                    *g *= w;
-                }
-                let mut lanes = [0.0_f64; 8];
-                for (i, g) in gradient.iter().enumerate() {
-                    lanes[i % 8] += f64::from(g.abs());
-                }
-                // Weights are zero or one here, so the sign tells which pixels count.
-                for g in gradient.iter_mut() {
-                    *g = by_value * sign(*g);
-                }
-                lanes.iter().sum::<f64>()
-            })
-        })
-        .collect();
-    (sums.iter().sum::<f64>() / area, gradient)
 }
 
 /// -1, 0 or 1; 0 for what is not a number.
@@ -276,23 +287,26 @@ pub(crate) fn sign(v: f32) -> f32 {
     f32::from(u8::from(v > 0.0)) - f32::from(u8::from(v < 0.0))
 }
 
-/// 1 where the square of pixels up to `band` away lies wholly inside or wholly outside the mask, else 0.
-fn off_rim(mask: &[u8], width: usize, band: usize) -> Vec<f32> {
+/// 255 where the square of pixels up to `band` away lies wholly inside or wholly outside the mask, else 0.
+fn off_rim(mask: &[u8], width: usize, band: usize) -> Vec<u8> {
     let inside: Vec<u8> = mask.iter().map(|m| u8::from(*m >= 128)).collect();
-    let extreme = |pick: fn(u8, u8) -> u8| {
-        let mut along = inside.clone();
-        for (row, out) in inside.chunks(width).zip(along.chunks_mut(width)) {
-            (1..=band).for_each(|d| spread(row, d, out, pick));
-        }
-        let mut across = along.clone();
-        (1..=band).for_each(|d| spread(&along, d.saturating_mul(width), &mut across, pick));
-        across
-    };
-    let (least, most) = (extreme(u8::min), extreme(u8::max));
-    least.iter().zip(&most).map(|(l, m)| f32::from(u8::from(l == m))).collect()
+    let (least, most) = (extreme(&inside, width, band, u8::min), extreme(&inside, width, band, u8::max));
+    least.iter().zip(&most).map(|(l, m)| if l == m { 255 } else { 0 }).collect()
+}
+
+/// The least or greatest value in the square of pixels up to `band` away.
+fn extreme(values: &[u8], width: usize, band: usize, pick: impl Fn(u8, u8) -> u8) -> Vec<u8> {
+    let mut along = values.to_vec();
+    for (row, out) in values.chunks(width).zip(along.chunks_mut(width)) {
+        (1..=band.min(width)).for_each(|d| spread(row, d, out, &pick));
+    }
+    let mut across = along.clone();
+    (1..=band.min(values.len() / width)).for_each(|d| spread(&along, d * width, &mut across, &pick));
+    across
 }
 
 /// Picks between each value and those `offset` before and after it, as far as there are any.
+#[inline(always)]
 fn spread(values: &[u8], offset: usize, out: &mut [u8], pick: impl Fn(u8, u8) -> u8) {
     let after = values.get(offset..).unwrap_or_default();
     out.iter_mut().zip(after).for_each(|(o, v)| *o = pick(*o, *v));

@@ -9,11 +9,17 @@
 //!
 //! S needs x² and y² only as a sum, so four images are blurred. With P = ∂S/∂(G*x²) = -S/B₂, Q = ∂S/∂(G*xy) =
 //! 2 A₁/(B₁B₂) and R = ∂S/∂μx, and because G is symmetric, ∂ΣS/∂x = G*R + 2x G*P + y G*Q: three more.
+//!
+//! The image is done in strips of rows. A strip runs down its rows once with the last eleven rows of every step at hand,
+//! so that all that is between the images and the derivative stays in the cache.
+
+use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::{BAND, check_image, sum};
+use super::{check_image, strip_rows, sum, unit};
 use crate::Result;
+use crate::simd::vectorised;
 
 /// Taps of the window to either side of its centre.
 const REACH: usize = 5;
@@ -21,21 +27,16 @@ const TAPS: usize = 2 * REACH + 1;
 const C1: f32 = 0.01 * 0.01;
 const C2: f32 = 0.03 * 0.03;
 
-/// Mean structural similarity of two images of values 0 to 1, row by row; `weight` (one a pixel, not negative) makes it
-/// a weighted mean, for instance over a mask.
+/// Mean structural similarity of two images of values 0 to 1, row by row. With a mask (255 counts, 0 does not) it is a
+/// weighted mean, but the windows of pixels that count see those that do not.
 ///
 /// # Errors
 /// If an image has another number of entries than `width * height`, or none.
-pub fn ssim(
-    image: &[[f32; 3]],
-    target: &[[f32; 3]],
-    weight: Option<&[f32]>,
-    width: usize,
-    height: usize,
-) -> Result<f64> {
-    let mut total = 0.0;
-    each_channel(image, target, weight, width, height, |_, ssim, x, y, s| total += ssim.map(x, y, weight, s))?;
-    Ok(total / (3.0 * area(weight, width * height)))
+pub fn ssim(image: &[[f32; 3]], target: &[[f32; 3]], mask: Option<&[u8]>, width: usize, height: usize) -> Result<f64> {
+    check(image, target, mask, width, height)?;
+    let mut unused = vec![(); width * height];
+    let total = each_strip(image, target, mask, [width, height], Want::Map, &mut unused, |_, _, _| {});
+    Ok(total / (3.0 * area(mask, width * height)))
 }
 
 /// As [`ssim`], with its derivative by `image`.
@@ -45,17 +46,15 @@ pub fn ssim(
 pub fn ssim_with_gradient(
     image: &[[f32; 3]],
     target: &[[f32; 3]],
-    weight: Option<&[f32]>,
+    mask: Option<&[u8]>,
     width: usize,
     height: usize,
 ) -> Result<(f64, Vec<[f32; 3]>)> {
-    let per_value = 1.0 / (3.0 * area(weight, width.saturating_mul(height)));
-    let (mut total, mut gradient) = (0.0, vec![[0.0; 3]; image.len()]);
-    each_channel(image, target, weight, width, height, |c, ssim, x, y, s| {
-        total += ssim.map(x, y, weight, s);
-        ssim.gradient(x, y, s);
-        gradient.iter_mut().zip(s).for_each(|(g, s)| g[c] = *s * per_value as f32);
-    })?;
+    check(image, target, mask, width, height)?;
+    let per_value = 1.0 / (3.0 * area(mask, width * height));
+    let mut gradient = vec![[0.0; 3]; image.len()];
+    let write = |c: usize, g: &mut [f32; 3], by_x: f32| g[c] = by_x * per_value as f32;
+    let total = each_strip(image, target, mask, [width, height], Want::Gradient, &mut gradient, write);
     Ok((total * per_value, gradient))
 }
 
@@ -64,117 +63,224 @@ pub fn ssim_with_gradient(
 /// # Errors
 /// As [`ssim`].
 pub fn ssim_map(image: &[[f32; 3]], target: &[[f32; 3]], width: usize, height: usize) -> Result<Vec<[f32; 3]>> {
+    check(image, target, None, width, height)?;
     let mut map = vec![[0.0; 3]; image.len()];
-    each_channel(image, target, None, width, height, |c, ssim, x, y, s| {
-        ssim.map(x, y, None, s);
-        map.iter_mut().zip(s).for_each(|(m, s)| m[c] = *s);
-    })?;
+    each_strip(image, target, None, [width, height], Want::Map, &mut map, |c, m, s| m[c] = s);
     Ok(map)
 }
 
-fn each_channel(
-    image: &[[f32; 3]],
-    target: &[[f32; 3]],
-    weight: Option<&[f32]>,
-    width: usize,
-    height: usize,
-    mut work: impl FnMut(usize, &mut Ssim, &[f32], &[f32], &mut [f32]),
-) -> Result<()> {
+fn check(image: &[[f32; 3]], target: &[[f32; 3]], mask: Option<&[u8]>, width: usize, height: usize) -> Result<()> {
     check_image("the image of a similarity", image.len(), width, height)?;
     check_image("the target of a similarity", target.len(), width, height)?;
-    check_image("the weight of a similarity", weight.map_or(image.len(), <[f32]>::len), width, height)?;
-    let mut ssim = Ssim::new(width, height);
-    let mut s = vec![0.0; image.len()];
-    for c in 0..3 {
-        let plane = |image: &[[f32; 3]]| image.iter().map(|p| p[c]).collect::<Vec<_>>();
-        work(c, &mut ssim, &plane(image), &plane(target), &mut s);
-    }
-    Ok(())
+    check_image("the mask of a similarity", mask.map_or(image.len(), <[u8]>::len), width, height)
 }
 
-fn area(weight: Option<&[f32]>, pixels: usize) -> f64 {
-    weight.map_or(pixels as f64, sum)
+fn area(mask: Option<&[u8]>, pixels: usize) -> f64 {
+    mask.map_or(pixels as f64, super::area)
 }
 
-/// The work of one colour plane after the other, with the memory it needs: seven numbers a pixel.
-pub(crate) struct Ssim {
+/// Σ mask S, with `write(channel, entry of out, result)` for every pixel.
+fn each_strip<T: Send>(
+    image: &[[f32; 3]],
+    target: &[[f32; 3]],
+    mask: Option<&[u8]>,
+    [width, height]: [usize; 2],
+    want: Want,
+    out: &mut [T],
+    write: impl Fn(usize, &mut T, f32) + Sync,
+) -> f64 {
+    let rows = strip_rows(height);
+    let strip = |strip: &mut Strip, (k, out): (usize, &mut [T])| {
+        let first = k * rows;
+        let fill = |c: usize, row: usize, x: &mut [f32], y: &mut [f32]| {
+            let at = row * width..(row + 1) * width;
+            x.iter_mut().zip(&image[at.clone()]).for_each(|(x, p)| *x = p[c]);
+            y.iter_mut().zip(&target[at]).for_each(|(y, p)| *y = p[c]);
+        };
+        let mut total = 0.0;
+        for c in 0..3 {
+            let done = |row: usize, _: &[f32], _: &[f32], result: &[f32]| {
+                let out = &mut out[(row - first) * width..][..width];
+                out.iter_mut().zip(result).for_each(|(out, result)| write(c, out, *result));
+            };
+            let rows = first..(first + rows).min(height);
+            total += strip.run(rows, mask, want, |row, x, y| fill(c, row, x, y), done);
+        }
+        total
+    };
+    let strips = out.par_chunks_mut(rows * width).enumerate();
+    let sums: Vec<f64> = strips.map_init(|| Strip::new(width, height), strip).collect();
+    sums.iter().sum()
+}
+
+/// What a strip computes of every pixel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Want {
+    /// S.
+    Map,
+    /// ∂(Σ mask S)/∂x.
+    Gradient,
+}
+
+/// The memory of a strip of one colour plane after the other.
+pub(crate) struct Strip {
     width: usize,
     height: usize,
     /// Taps of the window from its centre outwards.
     window: [f32; REACH + 1],
-    /// Row by row: x, y, x² + y², xy, each blurred along the row.
-    moments: Vec<f32>,
-    /// Row by row: P, Q, R, each times the weight, blurred along the row.
-    slopes: Vec<f32>,
+    /// The last rows of x and y.
+    x: Ring,
+    y: Ring,
+    /// The last rows of x, y, x² + y², xy, each blurred along the row.
+    moments: Ring,
+    /// The last rows of P, Q, R, each times the mask, blurred along the row.
+    slopes: Ring,
+    /// Rows with zeros on either side, before they are blurred.
+    padded: Vec<f32>,
+    /// A row of moments or slopes, blurred along the column too.
+    blurred: Vec<f32>,
+    /// Mask, S and mask times S of a row, then the derivative.
+    weight: Vec<f32>,
+    s: Vec<f32>,
+    weighted: Vec<f32>,
 }
 
-impl Ssim {
+impl Strip {
     /// For planes of `width * height` values, both at least 1.
     pub fn new(width: usize, height: usize) -> Self {
-        let pixels = width * height;
-        Self { width, height, window: window(), moments: vec![0.0; 4 * pixels], slopes: vec![0.0; 3 * pixels] }
+        let row = || vec![0.0; width];
+        Self {
+            width,
+            height,
+            window: window(),
+            x: Ring::new(width),
+            y: Ring::new(width),
+            moments: Ring::new(4 * width),
+            slopes: Ring::new(3 * width),
+            padded: vec![0.0; 4 * (width + 2 * REACH)],
+            blurred: vec![0.0; 4 * width],
+            weight: vec![1.0; width],
+            s: row(),
+            weighted: row(),
+        }
     }
 
-    /// Writes S of every pixel to `s` and gives Σ weight S.
-    pub fn map(&mut self, x: &[f32], y: &[f32], weight: Option<&[f32]>, s: &mut [f32]) -> f64 {
-        self.blur_moments(x, y);
-        let (width, height, window, moments) = (self.width, self.height, &self.window, &self.moments);
-        let zeros = vec![0.0; 4 * width];
-        let ones = vec![1.0; width];
-        let sums: Vec<f64> = s
-            .par_chunks_mut(width)
-            .zip(self.slopes.par_chunks_mut(3 * width))
-            .enumerate()
-            .with_min_len(BAND)
-            .map_init(
-                || (vec![0.0; 4 * width], vec![0.0; 3 * (width + 2 * REACH)], vec![0.0; width]),
-                |(m, padded, weighted), (row, (s, slopes))| {
-                    let weight = weight.map_or(ones.as_slice(), |w| &w[row * width..][..width]);
-                    pulp::Arch::new().dispatch(|| {
-                        blur(column(moments, &zeros, row, height), window, m);
-                        similarity(m, weight, s, weighted, padded);
-                        blur_rows(padded, window, slopes, width);
-                        sum(weighted)
-                    })
-                },
-            )
-            .collect();
-        sums.iter().sum()
+    /// Gives Σ mask S over `rows` of a plane, and calls `done(row, x, y, result)` for each of them in order.
+    /// `fill(row, x, y)` writes a row of both images.
+    pub fn run(
+        &mut self,
+        rows: Range<usize>,
+        mask: Option<&[u8]>,
+        want: Want,
+        mut fill: impl FnMut(usize, &mut [f32], &mut [f32]),
+        mut done: impl FnMut(usize, &[f32], &[f32], &[f32]),
+    ) -> f64 {
+        let reach = if want == Want::Gradient { REACH } else { 0 };
+        let inner = rows.start.saturating_sub(reach)..(rows.end + reach).min(self.height);
+        let outer = inner.start.saturating_sub(REACH)..(inner.end + REACH).min(self.height);
+        let mut total = 0.0;
+        // Each step lags behind the one before by the rows its window needs below.
+        for front in outer.start..rows.end + 2 * REACH {
+            if outer.contains(&front) {
+                fill(front, self.x.row_mut(front), self.y.row_mut(front));
+                self.moments_of(front);
+            }
+            let Some(middle) = front.checked_sub(REACH) else { continue };
+            if inner.contains(&middle) {
+                let sum = self.similarity_of(middle, mask, want);
+                if rows.contains(&middle) {
+                    total += sum;
+                    if want == Want::Map {
+                        done(middle, self.x.row(middle), self.y.row(middle), &self.s);
+                    }
+                }
+            }
+            let Some(back) = middle.checked_sub(REACH) else { continue };
+            if want == Want::Gradient && rows.contains(&back) {
+                self.gradient_of(back);
+                done(back, self.x.row(back), self.y.row(back), &self.s);
+            }
+        }
+        total
     }
 
-    /// Writes ∂(Σ weight S)/∂x, after [`Ssim::map`] of the same planes and weight.
-    pub fn gradient(&self, x: &[f32], y: &[f32], gradient: &mut [f32]) {
-        let (width, height) = (self.width, self.height);
-        let zeros = vec![0.0; 3 * width];
-        gradient.par_chunks_mut(width).enumerate().with_min_len(BAND).for_each_init(
-            || vec![0.0; 3 * width],
-            |blurred, (row, gradient)| {
-                let (x, y) = (&x[row * width..][..width], &y[row * width..][..width]);
-                pulp::Arch::new().dispatch(|| {
-                    blur(column(&self.slopes, &zeros, row, height), &self.window, blurred);
-                    let (p, rest) = blurred.split_at(width);
-                    let (q, r) = rest.split_at(width);
-                    combine(x, y, p, q, r, gradient);
-                });
+    fn moments_of(&mut self, row: usize) {
+        let Self { width, window, x, y, moments, padded, .. } = self;
+        vectorised(
+            #[inline(always)]
+            || {
+                multiply(x.row(row), y.row(row), padded);
+                blur_rows(padded, window, moments.row_mut(row), *width);
             },
         );
     }
 
-    fn blur_moments(&mut self, x: &[f32], y: &[f32]) {
-        let (width, window) = (self.width, &self.window);
-        self.moments
-            .par_chunks_mut(4 * width)
-            .zip(x.par_chunks(width).zip(y.par_chunks(width)))
-            .with_min_len(BAND)
-            .for_each_init(
-                || vec![0.0; 4 * (width + 2 * REACH)],
-                |padded, (moments, (x, y))| {
-                    pulp::Arch::new().dispatch(|| {
-                        multiply(x, y, padded);
-                        blur_rows(padded, window, moments, width);
-                    });
-                },
-            );
+    /// Σ mask S of the row; S is in `s` then.
+    fn similarity_of(&mut self, row: usize, mask: Option<&[u8]>, want: Want) -> f64 {
+        let Self { width, height, window, moments, slopes, padded, blurred, weight, s, weighted, .. } = self;
+        let width = *width;
+        vectorised(
+            #[inline(always)]
+            || {
+                if let Some(mask) = mask {
+                    weight.iter_mut().zip(&mask[row * width..]).for_each(|(w, m)| *w = unit(*m));
+                }
+                blur(moments.around(row, *height), window, blurred);
+                similarity(blurred, weight, s, weighted, padded);
+                if want == Want::Gradient {
+                    blur_rows(padded, window, slopes.row_mut(row), width);
+                }
+                sum(weighted)
+            },
+        )
+    }
+
+    /// The derivative of the row, in `s`.
+    fn gradient_of(&mut self, row: usize) {
+        let Self { width, height, window, x, y, slopes, blurred, s, .. } = self;
+        vectorised(
+            #[inline(always)]
+            || {
+                let blurred = &mut blurred[..3 * *width];
+                blur(slopes.around(row, *height), window, blurred);
+                combine(x.row(row), y.row(row), blurred, s);
+            },
+        );
+    }
+}
+
+/// The last rows of an image that runs by.
+struct Ring {
+    stride: usize,
+    rows: Vec<f32>,
+    zeros: Vec<f32>,
+}
+
+impl Ring {
+    fn new(stride: usize) -> Self {
+        Self { stride, rows: vec![0.0; TAPS * stride], zeros: vec![0.0; stride] }
+    }
+
+    #[inline(always)]
+    fn row(&self, row: usize) -> &[f32] {
+        &self.rows[row % TAPS * self.stride..][..self.stride]
+    }
+
+    #[inline(always)]
+    fn row_mut(&mut self, row: usize) -> &mut [f32] {
+        &mut self.rows[row % TAPS * self.stride..][..self.stride]
+    }
+
+    /// The rows from `REACH` above to `REACH` below `row`, zeros outside the image.
+    #[inline(always)]
+    fn around(&self, row: usize, height: usize) -> [&[f32]; TAPS] {
+        std::array::from_fn(
+            #[inline(always)]
+            |k| match (row + k).checked_sub(REACH) {
+                Some(at) if at < height => self.row(at),
+                _ => &self.zeros,
+            },
+        )
     }
 }
 
@@ -185,21 +291,18 @@ fn window() -> [f32; REACH + 1] {
     taps.map(|tap| (tap / total) as f32)
 }
 
-/// The rows from `REACH` above to `REACH` below `row`, zeros outside the image.
-#[inline(always)]
-fn column<'a>(rows: &'a [f32], zeros: &'a [f32], row: usize, height: usize) -> [&'a [f32]; TAPS] {
-    let stride = zeros.len();
-    std::array::from_fn(|k| match (row + k).checked_sub(REACH) {
-        Some(at) if at < height => &rows[at * stride..][..stride],
-        _ => zeros,
-    })
-}
-
 /// Blurs each of several padded rows along itself.
 #[inline(always)]
 fn blur_rows(padded: &[f32], window: &[f32; REACH + 1], out: &mut [f32], width: usize) {
     for (padded, out) in padded.chunks_exact(width + 2 * REACH).zip(out.chunks_exact_mut(width)) {
-        blur(std::array::from_fn(|k| &padded[k..]), window, out);
+        blur(
+            std::array::from_fn(
+                #[inline(always)]
+                |k| &padded[k..],
+            ),
+            window,
+            out,
+        );
     }
 }
 
@@ -207,7 +310,10 @@ fn blur_rows(padded: &[f32], window: &[f32; REACH + 1], out: &mut [f32], width: 
 #[inline(always)]
 fn blur(rows: [&[f32]; TAPS], window: &[f32; REACH + 1], out: &mut [f32]) {
     let n = out.len();
-    let [a5, a4, a3, a2, a1, centre, b1, b2, b3, b4, b5] = rows.map(|row| &row[..n]);
+    let [a5, a4, a3, a2, a1, centre, b1, b2, b3, b4, b5] = rows.map(
+        #[inline(always)]
+        |row| &row[..n],
+    );
     let [g0, g1, g2, g3, g4, g5] = *window;
     for i in 0..n {
         let near = g0 * centre[i] + g1 * (a1[i] + b1[i]) + g2 * (a2[i] + b2[i]);
@@ -256,10 +362,13 @@ fn similarity(moments: &[f32], weight: &[f32], s: &mut [f32], weighted: &mut [f3
     }
 }
 
+/// G*R + 2x G*P + y G*Q.
 #[inline(always)]
-fn combine(x: &[f32], y: &[f32], p: &[f32], q: &[f32], r: &[f32], gradient: &mut [f32]) {
+fn combine(x: &[f32], y: &[f32], slopes: &[f32], gradient: &mut [f32]) {
     let n = gradient.len();
-    let (x, y, p, q, r) = (&x[..n], &y[..n], &p[..n], &q[..n], &r[..n]);
+    let (p, rest) = slopes.split_at(n);
+    let (q, r) = rest.split_at(n);
+    let (x, y, r) = (&x[..n], &y[..n], &r[..n]);
     for i in 0..n {
         gradient[i] = r[i] + 2.0 * x[i] * p[i] + y[i] * q[i];
     }
@@ -269,8 +378,11 @@ fn combine(x: &[f32], y: &[f32], p: &[f32], q: &[f32], r: &[f32], gradient: &mut
 #[inline(always)]
 fn padded_rows<const N: usize>(padded: &mut [f32], width: usize) -> [&mut [f32]; N] {
     let mut rows = padded.chunks_exact_mut(width + 2 * REACH);
-    std::array::from_fn(|_| match rows.next() {
-        Some(row) => &mut row[REACH..REACH + width],
-        None => &mut [],
-    })
+    std::array::from_fn(
+        #[inline(always)]
+        |_| match rows.next() {
+            Some(row) => &mut row[REACH..REACH + width],
+            None => &mut [],
+        },
+    )
 }

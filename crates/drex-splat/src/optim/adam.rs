@@ -1,8 +1,9 @@
-//! Adam (Kingma and Ba 2015, algorithm 1) over flat slices, one learning rate a slice, with moments that follow
+//! Adam (Kingma and Ba 2015, algorithm 1) over flat slices, a learning rate for each number a Gaussian has, with moments that follow
 //! Gaussians when they are removed, added or reset.
 
 use rayon::prelude::*;
 
+use crate::simd::vectorised;
 use crate::{Error, Result};
 
 /// Decay of the first moment.
@@ -115,16 +116,19 @@ pub fn adam_step(params: &mut [f32], grads: &[f32], moments: &mut Moments, rates
     let moments = moments.m.par_chunks_mut(chunk).zip(moments.v.par_chunks_mut(chunk));
     let chunks = params.par_chunks_mut(chunk).zip(grads.par_chunks(chunk)).zip(moments);
     chunks.for_each(|((params, grads), (m, v))| {
-        pulp::Arch::new().dispatch(|| {
-            let moments = m.iter_mut().zip(v.iter_mut());
-            for (((p, g), (m, v)), step) in params.iter_mut().zip(grads).zip(moments).zip(&steps) {
-                let first = BETA1 * *m + (1.0 - BETA1) * g;
-                // Unseen Gaussians' moments shrink for ever; subnormal numbers would slow every step down.
-                *m = if first.abs() < f32::MIN_POSITIVE { 0.0 } else { first };
-                *v = BETA2 * *v + (1.0 - BETA2) * g * g;
-                *p -= step * *m / (v.sqrt() * per_root + EPSILON);
-            }
-        });
+        vectorised(
+            #[inline(always)]
+            || {
+                let moments = m.iter_mut().zip(v.iter_mut());
+                for (((p, g), (m, v)), step) in params.iter_mut().zip(grads).zip(moments).zip(&steps) {
+                    let first = BETA1 * *m + (1.0 - BETA1) * g;
+                    // Unseen Gaussians' moments shrink for ever; subnormal numbers would slow every step down.
+                    *m = if first.abs() < f32::MIN_POSITIVE { 0.0 } else { first };
+                    *v = BETA2 * *v + (1.0 - BETA2) * g * g;
+                    *p -= step * *m / (v.sqrt() * per_root + EPSILON);
+                }
+            },
+        );
     });
     Ok(())
 }
