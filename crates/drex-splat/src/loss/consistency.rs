@@ -184,46 +184,11 @@ impl RowWork<'_> {
                 for edge in [0, width - 1] {
                     [agreement[edge], x[edge], y[edge], z[edge]] = [0.0; 4];
                 }
-                let neighbours = Neighbours::new(&d[(row - 1) % 3], &d[row % 3], &d[(row + 1) % 3]);
-                self.agree_inside(row, &neighbours, agreement, [x, y, z], sent);
+                let neighbours = Neighbours::new(&d[(row - 1) % 3], &d[row % 3], &d[(row + 1) % 3], &self.rays, row);
+                agree(&neighbours, self.by_value, agreement, [&mut *x, &mut *y, &mut *z], sent);
                 sum(agreement)
             },
         )
-    }
-
-    #[inline(always)]
-    fn agree_inside(
-        &self,
-        row: usize,
-        neighbours: &Neighbours<'_>,
-        agreement: &mut [f32],
-        normal: [&mut [f32]; 3],
-        sent: &mut Sent,
-    ) {
-        let rays = &self.rays;
-        let agreement = inner_mut(agreement);
-        let n = agreement.len();
-        let [x, y, z] = normal;
-        let (x, y, z) = (&mut inner_mut(x)[..n], &mut inner_mut(y)[..n], &mut inner_mut(z)[..n]);
-        let (below, above) = (&mut inner_mut(&mut sent.below)[..n], &mut inner_mut(&mut sent.above)[..n]);
-        let (right, left) = (&mut inner_mut(&mut sent.right)[..n], &mut inner_mut(&mut sent.left)[..n]);
-        for i in 0..n {
-            let t = neighbours.tangents(rays, i, row);
-            let (rendered, n) = ([x[i], y[i], z[i]], t.c.map(|c| c * t.per_length));
-            let w = agreement[i];
-            agreement[i] = w * dot(rendered, n);
-            [x[i], y[i], z[i]] = n.map(|n| -self.by_value * w * n);
-            // Through the normalisation, then through the cross product.
-            let by_n = rendered.map(|v| -self.by_value * w * v);
-            let along = dot(n, by_n);
-            let by_c = [0, 1, 2].map(|k: usize| t.per_length * (by_n[k] - along * n[k]));
-            let (by_a, by_b) = (cross(t.b, by_c), cross(by_c, t.a));
-            let (along_a, along_b) = (dot(t.ray, by_a), dot(t.ray, by_b));
-            below[i] = rays.per_fy * by_a[1] + along_a;
-            above[i] = rays.per_fy * by_a[1] - along_a;
-            right[i] = rays.per_fx * by_b[0] + along_b;
-            left[i] = rays.per_fx * by_b[0] - along_b;
-        }
     }
 
     /// From d = (1 - r) depth / alpha + r median to the three.
@@ -244,13 +209,44 @@ impl RowWork<'_> {
             || {
                 for i in 0..n {
                     let opaque = alpha[i] >= min_alpha;
-                    let by_expected = if opaque { (1.0 - r) * by_d[i] / alpha[i] } else { 0.0 };
+                    let per_alpha = 1.0 / alpha[i];
+                    let by_expected = if opaque { (1.0 - r) * by_d[i] * per_alpha } else { 0.0 };
                     by_depth[i] = by_expected;
-                    by_alpha[i] = if opaque { -by_expected * depth[i] / alpha[i] } else { 0.0 };
+                    by_alpha[i] = if opaque { -by_expected * depth[i] * per_alpha } else { 0.0 };
                     by_median[i] = if opaque { r * by_d[i] } else { 0.0 };
                 }
             },
         );
+    }
+}
+
+/// The pixels of a row but its first and its last: w alpha becomes w alpha N·n, N the derivative by it, and `sent` is
+/// filled.
+#[inline(always)]
+fn agree(neighbours: &Neighbours<'_>, by_value: f32, agreement: &mut [f32], normal: [&mut [f32]; 3], sent: &mut Sent) {
+    let n = neighbours.here.len();
+    let Neighbours { per_fx, per_fy, .. } = *neighbours;
+    let [x, y, z] = normal;
+    let agreement = &mut inner_mut(agreement)[..n];
+    let (x, y, z) = (&mut inner_mut(x)[..n], &mut inner_mut(y)[..n], &mut inner_mut(z)[..n]);
+    let (below, above) = (&mut inner_mut(&mut sent.below)[..n], &mut inner_mut(&mut sent.above)[..n]);
+    let (right, left) = (&mut inner_mut(&mut sent.right)[..n], &mut inner_mut(&mut sent.left)[..n]);
+    for i in 0..n {
+        let t = neighbours.tangents(i);
+        let (rendered, n) = ([x[i], y[i], z[i]], t.c.map(|c| c * t.per_length));
+        let w = agreement[i];
+        agreement[i] = w * dot(rendered, n);
+        [x[i], y[i], z[i]] = n.map(|n| -by_value * w * n);
+        // Through the normalisation, then through the cross product.
+        let by_n = rendered.map(|v| -by_value * w * v);
+        let along = dot(n, by_n);
+        let by_c = [0, 1, 2].map(|k: usize| t.per_length * (by_n[k] - along * n[k]));
+        let (by_a, by_b) = (cross(t.b, by_c), cross(by_c, t.a));
+        let (along_a, along_b) = (dot(t.ray, by_a), dot(t.ray, by_b));
+        below[i] = per_fy * by_a[1] + along_a;
+        above[i] = per_fy * by_a[1] - along_a;
+        right[i] = per_fx * by_b[0] + along_b;
+        left[i] = per_fx * by_b[0] - along_b;
     }
 }
 

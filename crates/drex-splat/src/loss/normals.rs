@@ -32,10 +32,12 @@ pub fn depth_normals(depth: &[f32], camera: &PinholeCamera) -> Result<Vec<[f32; 
         vectorised(
             #[inline(always)]
             || {
-                let neighbours = Neighbours::new(at(row - 1), at(row), at(row + 1));
-                for (i, normal) in inner_mut(normals).iter_mut().enumerate() {
-                    let t = neighbours.tangents(&rays, i, row);
-                    *normal = t.c.map(|c| c * t.per_length);
+                let neighbours = Neighbours::new(at(row - 1), at(row), at(row + 1), &rays, row);
+                let n = neighbours.here.len();
+                let normals = &mut inner_mut(normals)[..n];
+                for i in 0..n {
+                    let t = neighbours.tangents(i);
+                    normals[i] = t.c.map(|c| c * t.per_length);
                 }
             },
         );
@@ -64,13 +66,18 @@ impl Rays {
     }
 }
 
-/// The depths round the pixels of a row but its first and its last; index 0 is the second pixel.
+/// The depths round the pixels of a row but its first and its last, and their rays; index 0 is the second pixel. All
+/// slices have the same length.
 pub(super) struct Neighbours<'a> {
-    above: &'a [f32],
-    left: &'a [f32],
-    here: &'a [f32],
-    right: &'a [f32],
-    below: &'a [f32],
+    pub above: &'a [f32],
+    pub left: &'a [f32],
+    pub here: &'a [f32],
+    pub right: &'a [f32],
+    pub below: &'a [f32],
+    pub ray_x: &'a [f32],
+    pub ray_y: f32,
+    pub per_fx: f32,
+    pub per_fy: f32,
 }
 
 /// The ray of a pixel, the differences a and b of surface points, their cross product, and 1 / its length: 0 where
@@ -84,33 +91,42 @@ pub(super) struct Tangents {
 }
 
 impl<'a> Neighbours<'a> {
-    /// Of three rows of a depth map.
+    /// Of three rows of a depth map; there are none where the image is narrower than three pixels.
     #[inline(always)]
-    pub fn new(above: &'a [f32], here: &'a [f32], below: &'a [f32]) -> Self {
+    pub fn new(above: &'a [f32], here: &'a [f32], below: &'a [f32], rays: &'a Rays, row: usize) -> Self {
         let n = here.len().saturating_sub(2);
-        let from = |row: &'a [f32], first: usize| row.get(first..).and_then(|row| row.get(..n)).unwrap_or_default();
         Self {
-            above: from(above, 1),
-            left: from(here, 0),
-            here: from(here, 1),
-            right: from(here, 2),
-            below: from(below, 1),
+            above: from(above, 1, n),
+            left: from(here, 0, n),
+            here: from(here, 1, n),
+            right: from(here, 2, n),
+            below: from(below, 1, n),
+            ray_x: from(&rays.x, 1, n),
+            ray_y: rays.y[row],
+            per_fx: rays.per_fx,
+            per_fy: rays.per_fy,
         }
     }
 
     #[inline(always)]
-    pub fn tangents(&self, rays: &Rays, i: usize, row: usize) -> Tangents {
+    pub fn tangents(&self, i: usize) -> Tangents {
         let (below, above, right, left) = (self.below[i], self.above[i], self.right[i], self.left[i]);
-        let ray = [rays.x[i + 1], rays.y[row], 1.0];
+        let ray = [self.ray_x[i], self.ray_y, 1.0];
         let (da, db) = (below - above, right - left);
-        let a = [da * ray[0], da * ray[1] + (below + above) * rays.per_fy, da];
-        let b = [db * ray[0] + (right + left) * rays.per_fx, db * ray[1], db];
+        let a = [da * ray[0], da * ray[1] + (below + above) * self.per_fy, da];
+        let b = [db * ray[0] + (right + left) * self.per_fx, db * ray[1], db];
         let c = cross(a, b);
         let squared = dot(c, c);
         let seen = (below > 0.0) & (above > 0.0) & (right > 0.0) & (left > 0.0) & (self.here[i] > 0.0);
         let per_length = if seen & (squared > 0.0) { 1.0 / squared.sqrt() } else { 0.0 };
         Tangents { ray, a, b, c, per_length }
     }
+}
+
+/// `n` entries of a row from number `first` on.
+#[inline(always)]
+fn from(row: &[f32], first: usize, n: usize) -> &[f32] {
+    &row[first.min(row.len() - n)..][..n]
 }
 
 /// A row without its first and its last entry.

@@ -184,9 +184,10 @@ impl Job<'_> {
             let range = k * rows..((k + 1) * rows).min(height);
             let (mut l1, mut ssim) = (0.0, 0.0);
             for c in 0..3 {
-                let done = |row: usize, x: &[f32], y: &[f32], s: &[f32]| {
+                let done = |row: usize, x: &[f32], y: &[f32], s: &mut [f32]| {
+                    l1 += self.slope(row, x, y, s, factors);
                     let gradient = &mut gradient[(row - k * rows) * width..][..width];
-                    l1 += self.slope(c, row, x, y, s, factors, gradient);
+                    gradient.iter_mut().zip(s).for_each(|(g, s)| g[c] = *s);
                 };
                 ssim +=
                     strip.run(range.clone(), self.weight, Want::Gradient, |row, x, y| self.fill(c, row, x, y), done);
@@ -223,29 +224,17 @@ impl Job<'_> {
         );
     }
 
-    /// Channel c of a row of the derivative, w ((1 - λ) sign(x' - y) - λ ∂ΣwS/∂x') / (3 Σw); gives Σ |x' - y|, which is
-    /// Σ w |x - y|.
-    #[expect(clippy::too_many_arguments, reason = "a row of each of the images of the formula")]
-    fn slope(
-        &self,
-        c: usize,
-        row: usize,
-        x: &[f32],
-        y: &[f32],
-        s: &[f32],
-        [by_l1, by_ssim]: [f32; 2],
-        gradient: &mut [[f32; 3]],
-    ) -> f64 {
+    /// A row of one channel: ∂ΣwS/∂x' becomes the derivative w ((1 - λ) sign(x' - y) - λ ∂ΣwS/∂x') / (3 Σw); gives
+    /// Σ |x' - y|, which is Σ w |x - y|.
+    fn slope(&self, row: usize, x: &[f32], y: &[f32], s: &mut [f32], [by_l1, by_ssim]: [f32; 2]) -> f64 {
         vectorised(
             #[inline(always)]
             || {
-                for (((g, x), y), s) in gradient.iter_mut().zip(x).zip(y).zip(s) {
-                    g[c] = by_l1 * sign(x - y) - by_ssim * s;
+                for ((s, x), y) in s.iter_mut().zip(x).zip(y) {
+                    *s = by_l1 * sign(x - y) - by_ssim * *s;
                 }
                 if let Some(weight) = self.weight {
-                    for (g, w) in gradient.iter_mut().zip(&weight[row * self.width..]) {
-                        g[c] *= unit(*w);
-                    }
+                    s.iter_mut().zip(&weight[row * self.width..]).for_each(|(s, w)| *s *= unit(*w));
                 }
                 sum_with(x, y, |x, y| (x - y).abs())
             },

@@ -99,7 +99,7 @@ fn each_strip<T: Send>(
         };
         let mut total = 0.0;
         for c in 0..3 {
-            let done = |row: usize, _: &[f32], _: &[f32], result: &[f32]| {
+            let done = |row: usize, _: &[f32], _: &[f32], result: &mut [f32]| {
                 let out = &mut out[(row - first) * width..][..width];
                 out.iter_mut().zip(result).for_each(|(out, result)| write(c, out, *result));
             };
@@ -173,7 +173,7 @@ impl Strip {
         mask: Option<&[u8]>,
         want: Want,
         mut fill: impl FnMut(usize, &mut [f32], &mut [f32]),
-        mut done: impl FnMut(usize, &[f32], &[f32], &[f32]),
+        mut done: impl FnMut(usize, &[f32], &[f32], &mut [f32]),
     ) -> f64 {
         let reach = if want == Want::Gradient { REACH } else { 0 };
         let inner = rows.start.saturating_sub(reach)..(rows.end + reach).min(self.height);
@@ -191,14 +191,14 @@ impl Strip {
                 if rows.contains(&middle) {
                     total += sum;
                     if want == Want::Map {
-                        done(middle, self.x.row(middle), self.y.row(middle), &self.s);
+                        done(middle, self.x.row(middle), self.y.row(middle), &mut self.s);
                     }
                 }
             }
             let Some(back) = middle.checked_sub(REACH) else { continue };
             if want == Want::Gradient && rows.contains(&back) {
                 self.gradient_of(back);
-                done(back, self.x.row(back), self.y.row(back), &self.s);
+                done(back, self.x.row(back), self.y.row(back), &mut self.s);
             }
         }
         total
