@@ -7,7 +7,7 @@ use pulp::{Simd, WithSimd};
 
 use super::super::super::{RenderGradients, RenderOptions, TILE};
 use super::super::lanes::{self, BLOCKS, Lanes, PIXEL_X, PIXEL_Y, Plane, per_block, place};
-use super::forward::Broadcast;
+use super::forward::{AHEAD, Broadcast, fetch};
 use super::{End, Splat, Sums};
 use crate::PinholeCamera;
 
@@ -83,16 +83,22 @@ impl DifferentiateTile<'_> {
         let zero = Lanes::splat(simd, 0.0);
         let one = Lanes::splat(simd, 1.0);
 
-        for (k, (&id, &blocks)) in self.list.iter().zip(&self.end.blocks).enumerate().rev() {
-            if blocks == 0 {
+        let mut near = [Splat::default(); AHEAD];
+        let reached = self.end.blocks.len();
+        for k in (0..reached).rev() {
+            if k % AHEAD == AHEAD - 1 || k + 1 == reached {
+                fetch(&mut near, self.splats, &self.list[k - k % AHEAD..=k], self.corner);
+            }
+            let mut to_do = self.end.blocks[k];
+            if to_do == 0 {
                 continue;
             }
             let here = Lanes::splat(simd, (k + 1) as f32);
-            let splat = Broadcast::new(simd, &self.splats[id as usize], self.corner);
+            let a = near[k % AHEAD].whiten[0];
+            let splat = Broadcast::new(simd, &near[k % AHEAD]);
             let mut sum = [zero; 6];
             let mut sum_abs = [zero; 2];
             let mut sum_payload = [zero; 4];
-            let mut to_do = blocks;
             while to_do != 0 {
                 let block = to_do.trailing_zeros() as usize % (BLOCKS * BLOCKS);
                 to_do &= to_do - 1;
@@ -127,7 +133,6 @@ impl DifferentiateTile<'_> {
                 }
             }
             let two_ln2 = 2.0 * std::f32::consts::LN_2;
-            let a = self.splats[id as usize].whiten[0];
             self.sums[k] = Sums {
                 moments: [sum[0].sum(), sum[1].sum(), sum[2].sum(), sum[3].sum(), sum[4].sum(), sum[5].sum()],
                 abs_mean: [two_ln2 * a * sum_abs[0].sum(), two_ln2 * sum_abs[1].sum()],
