@@ -1,6 +1,8 @@
 //! A set of Gaussians as it is optimised: position, rotation, logarithms of the scales, logit of the opacity, colour as
 //! spherical harmonics.
 
+use rayon::prelude::*;
+
 use crate::{Error, Result};
 
 /// What a Gaussian is.
@@ -135,7 +137,7 @@ impl Gaussians {
                 && !self.logit_opacities[i].is_nan()
                 && self.sh[i * stride..(i + 1) * stride].iter().all(|v| v.is_finite())
         };
-        if let Some(i) = (0..n).find(|&i| !finite(i)) {
+        if let Some(i) = (0..n).into_par_iter().with_min_len(1024).find_first(|&i| !finite(i)) {
             return Err(Error::Gaussians {
                 what: format!("Gaussian {i} of {n} has a number that is not finite"),
                 remedy: "remove it or read the file again".into(),

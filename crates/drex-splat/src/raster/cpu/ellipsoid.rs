@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::super::{GaussianGradients, Render, RenderGradients, RenderOptions, Tiles};
 use super::lanes::Plane;
 use crate::{Gaussians, PinholeCamera, Result};
-use project::{Splat, SplatGradient, Sums, View};
+use project::{Splat, Sums, View};
 
 /// Gaussians that one task projects: also the unit in which the camera's twist is summed.
 const CHUNK: usize = 256;
@@ -37,8 +37,12 @@ struct End {
 
 pub(super) fn forward(scene: &Gaussians, camera: &PinholeCamera, options: &RenderOptions) -> Result<(Render, Saved)> {
     let view = View::new(camera, options);
-    let (splats, boxes): (Vec<_>, Vec<_>) =
-        (0..scene.len()).into_par_iter().with_min_len(CHUNK).map(|i| view.project(scene, i)).unzip();
+    let (mut splats, mut boxes) = (Vec::new(), Vec::new());
+    (0..scene.len())
+        .into_par_iter()
+        .with_min_len(CHUNK)
+        .map(|i| view.project(scene, i))
+        .unzip_into_vecs(&mut splats, &mut boxes);
     let (width, height) = (camera.width, camera.height);
     let tiles = Tiles::new(&boxes, width, height, |_, _, _| true);
 
@@ -104,34 +108,56 @@ pub(super) fn backward(
 fn gather(scene: &Gaussians, view: &View<'_>, saved: &Saved, records: &[Sums]) -> GaussianGradients {
     let n = scene.len();
     let stride = scene.sh_stride();
-    let mut out = GaussianGradients { sh: vec![0.0; n * stride], ..GaussianGradients::default() };
-    let splats: Vec<SplatGradient> = out
-        .sh
-        .par_chunks_mut(stride)
+    let mut out = GaussianGradients {
+        means: vec![[0.0; 3]; n],
+        rotations: vec![[0.0; 4]; n],
+        log_scales: vec![[0.0; 3]; n],
+        logit_opacities: vec![0.0; n],
+        sh: vec![0.0; n * stride],
+        mean2d: vec![[0.0; 2]; n],
+        abs_mean2d: vec![[0.0; 2]; n],
+        radius: vec![0.0; n],
+        twist: [0.0; 6],
+    };
+    let twists: Vec<[f64; 6]> = (
+        out.means.par_chunks_mut(CHUNK),
+        out.rotations.par_chunks_mut(CHUNK),
+        out.log_scales.par_chunks_mut(CHUNK),
+        out.logit_opacities.par_chunks_mut(CHUNK),
+        out.sh.par_chunks_mut(CHUNK * stride),
+        out.mean2d.par_chunks_mut(CHUNK),
+        out.abs_mean2d.par_chunks_mut(CHUNK),
+        out.radius.par_chunks_mut(CHUNK),
+    )
+        .into_par_iter()
         .enumerate()
-        .with_min_len(CHUNK)
-        .map(|(i, d_sh)| {
-            let slots = saved.tiles.slots_of(i);
-            if slots.is_empty() {
-                return SplatGradient::default();
+        .map(|(chunk, (means, rotations, log_scales, logit_opacities, sh, mean2d, abs_mean2d, radius))| {
+            let mut twist = [0.0; 6];
+            for k in 0..means.len() {
+                let i = chunk * CHUNK + k;
+                let slots = saved.tiles.slots_of(i);
+                if slots.is_empty() {
+                    continue;
+                }
+                let mut sums = Sums::default();
+                for &slot in slots {
+                    sums.add(&records[slot as usize]);
+                }
+                let d_sh = &mut sh[k * stride..(k + 1) * stride];
+                let d = view.backward(scene, i, &saved.splats[i], &sums, d_sh);
+                (means[k], rotations[k], log_scales[k]) = (d.mean, d.rotation, d.log_scale);
+                (logit_opacities[k], radius[k]) = (d.logit_opacity, d.radius);
+                (mean2d[k], abs_mean2d[k]) = (d.mean2d, d.abs_mean2d);
+                for axis in 0..6 {
+                    twist[axis] += d.twist[axis];
+                }
             }
-            let mut sums = Sums::default();
-            for &slot in slots {
-                sums.add(&records[slot as usize]);
-            }
-            view.backward(scene, i, &saved.splats[i], &sums, d_sh)
+            twist
         })
         .collect();
-    for s in &splats {
-        out.means.push(s.mean);
-        out.rotations.push(s.rotation);
-        out.log_scales.push(s.log_scale);
-        out.logit_opacities.push(s.logit_opacity);
-        out.mean2d.push(s.mean2d);
-        out.abs_mean2d.push(s.abs_mean2d);
-        out.radius.push(s.radius);
-        for k in 0..6 {
-            out.twist[k] += s.twist[k];
+    for twist in twists {
+        for axis in 0..6 {
+            out.twist[axis] += twist[axis];
         }
     }
     out
