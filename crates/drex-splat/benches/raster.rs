@@ -12,10 +12,8 @@ fn ellipsoids(c: &mut Criterion) {
     let camera = scenes::camera(480, 360);
     let options = RenderOptions::default();
     let (render, saved) = Cpu.forward(&scene, &camera, &options).unwrap();
-    let gradients = RenderGradients {
-        rgb: render.rgb.iter().map(|c| c.map(|v| v - 0.5)).collect(),
-        ..RenderGradients::default()
-    };
+    let gradients =
+        RenderGradients { rgb: render.rgb.iter().map(|c| c.map(|v| v - 0.5)).collect(), ..RenderGradients::default() };
     let mut group = c.benchmark_group("ellipsoids, 4000, 480x360");
     group.sample_size(20);
     group.bench_function("forward", |b| b.iter(|| Cpu.forward(&scene, &camera, &options).unwrap()));

@@ -4,6 +4,8 @@ mod backward;
 mod forward;
 #[cfg(test)]
 mod golden_projection;
+#[cfg(test)]
+mod instructions;
 mod project;
 
 use pulp::Arch;

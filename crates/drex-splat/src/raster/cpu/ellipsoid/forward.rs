@@ -203,7 +203,7 @@ impl<S: Simd> Broadcast<S> {
     /// q = u² + v² is convex, so its least value over the pixel centres of a block, taken as a rectangle, lies on one of
     /// the two edges that face the mean; there it is where `valley` meets the edge, or at the edge's nearer end.
     #[inline(always)]
-    fn blocks(&self, least: Lanes<S>) -> u16 {
+    pub fn blocks(&self, least: Lanes<S>) -> u16 {
         let simd = least.0;
         let side = Lanes::splat(simd, (BLOCK - 1) as f32);
         let zero = Lanes::splat(simd, 0.0);
