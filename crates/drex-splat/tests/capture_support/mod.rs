@@ -114,27 +114,31 @@ impl Model {
         for (id, camera) in &self.cameras {
             out.u32(*id).u32(camera.model() as u32);
             out.u64(u64::from(camera.width_px())).u64(u64::from(camera.height_px()));
-            camera.params().iter().for_each(|p| drop(out.f64(*p)));
+            out.numbers(camera.params());
         }
         out.write(&folder.join("cameras.bin"));
         out.u64(self.images.len() as u64);
         for image in &self.images {
             out.u32(image.id);
-            wxyz_xyz(&image.camera_from_world).iter().for_each(|v| drop(out.f64(*v)));
+            out.numbers(&wxyz_xyz(&image.camera_from_world));
             out.u32(image.camera);
             out.0.extend(image.name.as_bytes());
             out.0.push(0);
             out.u64(image.keypoints.len() as u64);
-            image.keypoints.iter().for_each(|(x, y, id)| drop(out.f64(*x).f64(*y).u64(*id as u64)));
+            for (x, y, id) in &image.keypoints {
+                out.numbers(&[*x, *y]).u64(*id as u64);
+            }
         }
         out.write(&folder.join("images.bin"));
         out.u64(self.points.len() as u64);
         for point in &self.points {
             out.u64(point.id);
-            point.position.iter().for_each(|v| drop(out.f64(*v)));
+            out.numbers(&point.position);
             out.0.extend(point.rgb);
-            out.f64(point.error).u64(point.track.len() as u64);
-            point.track.iter().for_each(|(image, k)| drop(out.u32(*image).u32(*k)));
+            out.numbers(&[point.error]).u64(point.track.len() as u64);
+            for (image, k) in &point.track {
+                out.u32(*image).u32(*k);
+            }
         }
         out.write(&folder.join("points3D.bin"));
         // Newer versions write these too; what is in them does not matter here.
@@ -211,8 +215,8 @@ impl Bytes {
         self
     }
 
-    fn f64(&mut self, v: f64) -> &mut Self {
-        self.0.extend(v.to_le_bytes());
+    fn numbers(&mut self, values: &[f64]) -> &mut Self {
+        self.0.extend(values.iter().flat_map(|v| v.to_le_bytes()));
         self
     }
 
