@@ -4,10 +4,12 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use drex_core::pose::pose_from_wxyz;
 use drex_core::push::{ForceChoice, PoseChoice};
 use drex_mesh::LengthUnit;
 use drex_splat::train::{DensityChoice, Preset};
 use drex_sysid::Parameter;
+use nalgebra::Similarity3;
 
 /// From a scan, a recorded push and human grasps to a weighed digital twin and a grasp with the right force.
 ///
@@ -53,6 +55,8 @@ pub enum Command {
     PlanPush(PlanPushArgs),
     /// Find the joint friction of a hand in logs of its runs, for `identify --hand`.
     CalibrateHand(CalibrateHandArgs),
+    /// Draw Gaussians from cameras of a scan or on an orbit, with an object that moves if a trajectory is given.
+    Render(RenderArgs),
     /// Fit the demonstrated grasps to the object and train the grasp network on them.
     Train(TwinArgs),
     /// Judge the predicted grasps by the static check.
@@ -304,6 +308,82 @@ pub struct CalibrateHandArgs {
     pub out: PathBuf,
 }
 
+/// `drex render`.
+#[derive(Debug, Args)]
+pub struct RenderArgs {
+    /// Gaussians: PLY, SPZ or SPLAT.
+    pub splat: PathBuf,
+    /// Folder for the pictures; maps go to depth/ and normal/ in it.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Take the cameras of this scan (COLMAP model or transforms.json), one picture a view.
+    #[arg(long, value_name = "SCAN", conflicts_with = "orbit")]
+    pub cameras: Option<PathBuf>,
+    /// Of those cameras take only the view with this name.
+    #[arg(long, value_name = "NAME", requires = "cameras")]
+    pub view: Option<String>,
+    /// Number of cameras on a circle round the scene [default: 60, or one a picture with --trajectory].
+    #[arg(long, value_name = "N")]
+    pub orbit: Option<NonZeroUsize>,
+    /// Centre of the circle, scene units [default: the middle of the Gaussians].
+    #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true, conflicts_with = "cameras")]
+    pub center: Option<[f64; 3]>,
+    /// Radius of the circle, scene units [default: shows the whole scene].
+    #[arg(long, value_name = "R", value_parser = positive, conflicts_with = "cameras")]
+    pub radius: Option<f64>,
+    /// Height of the circle over the centre as an angle, degrees.
+    #[arg(long, value_name = "DEG", default_value_t = 25.0, allow_hyphen_values = true, conflicts_with = "cameras")]
+    pub elevation: f64,
+    /// Direction that is up in the scene; scans by COLMAP often have 0,-1,0.
+    #[arg(long, value_name = "X,Y,Z", value_parser = direction, default_value = "0,0,1", allow_hyphen_values = true, conflicts_with = "cameras")]
+    pub up: [f64; 3],
+    /// Angle of view from left to right, degrees.
+    #[arg(long, value_name = "DEG", default_value_t = 50.0, value_parser = positive, conflicts_with = "cameras")]
+    pub fov: f64,
+    /// Size of the pictures [default: 640x480, or that of the scan's photos].
+    #[arg(long, value_name = "WxH", value_parser = size)]
+    pub size: Option<[usize; 2]>,
+    /// Colour behind everything, 0 to 1.
+    #[arg(long, value_name = "R,G,B", value_parser = numbers::<3>, default_value = "0,0,0")]
+    pub background: [f64; 3],
+    /// The Gaussians are surfels although their file does not say so.
+    #[arg(long)]
+    pub surfels: bool,
+    /// Correct the opacity of splats smaller than a pixel, for sets trained that way.
+    #[arg(long)]
+    pub antialias: bool,
+    /// Write expected depth, scene units, as well.
+    #[arg(long, value_enum, value_name = "npy|exr")]
+    pub depth: Option<MapFormat>,
+    /// Write normals (camera frame: x right, y down, z forward) as well; surfels only.
+    #[arg(long, value_enum, value_name = "npy|exr")]
+    pub normal: Option<MapFormat>,
+    /// Gaussians of an object that moves over the scene.
+    #[arg(long, value_name = "SPLAT", requires = "trajectory")]
+    pub object: Option<PathBuf>,
+    /// Its poses in the scene's frame, csv with t,x,y,z,qw,qx,qy,qz (s, m).
+    #[arg(long, value_name = "POSES.csv", requires = "object")]
+    pub trajectory: Option<PathBuf>,
+    /// Pictures per second of the trajectory.
+    #[arg(long, value_name = "1/S", default_value_t = 30.0, value_parser = positive)]
+    pub fps: f64,
+    /// Maps the object's Gaussians to the frame its poses are of: metres per unit of the Gaussians, then a pose.
+    #[arg(long, value_name = "SCALE[,X,Y,Z,QW,QX,QY,QZ]", value_parser = similarity, requires = "object", allow_hyphen_values = true)]
+    pub object_from_splat: Option<Similarity3<f64>>,
+    /// The same for the Gaussians of the scene.
+    #[arg(long, value_name = "SCALE[,X,Y,Z,QW,QX,QY,QZ]", value_parser = similarity, allow_hyphen_values = true)]
+    pub scene_from_splat: Option<Similarity3<f64>>,
+}
+
+/// How maps are written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum MapFormat {
+    /// NumPy arrays.
+    Npy,
+    /// OpenEXR pictures.
+    Exr,
+}
+
 /// on or off.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum OnOff {
@@ -379,13 +459,28 @@ fn range(text: &str) -> Result<[f64; 2], String> {
 }
 
 fn direction(text: &str) -> Result<[f64; 3], String> {
-    let numbers: Vec<f64> = text
-        .split(',')
-        .map(|s| s.trim().parse())
-        .collect::<Result<_, _>>()
-        .map_err(|_| "expected three numbers X,Y,Z")?;
-    match numbers.as_slice() {
-        &[x, y, z] if [x, y, z].iter().all(|v: &f64| v.is_finite()) && x * x + y * y + z * z > 1e-12 => Ok([x, y, z]),
+    match numbers(text)? {
+        d if d.iter().map(|v| v * v).sum::<f64>() > 1e-12 => Ok(d),
         _ => Err("expected a direction as three numbers X,Y,Z, not all zero".into()),
     }
+}
+
+fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
+    let numbers = text.split(',').map(|s| s.trim().parse().ok().filter(|v: &f64| v.is_finite()));
+    let numbers: Option<Vec<f64>> = numbers.collect();
+    numbers.and_then(|v| v.try_into().ok()).ok_or_else(|| format!("expected {N} numbers with commas between them"))
+}
+
+fn size(text: &str) -> Result<[usize; 2], String> {
+    let sides = text.split_once(['x', 'X']).and_then(|(w, h)| Some([w.trim().parse().ok()?, h.trim().parse().ok()?]));
+    sides.filter(|[w, h]| *w > 0 && *h > 0).ok_or_else(|| "expected WIDTHxHEIGHT in pixels, such as 640x480".into())
+}
+
+fn similarity(text: &str) -> Result<Similarity3<f64>, String> {
+    if !text.contains(',') {
+        return Ok(Similarity3::from_scaling(positive(text)?));
+    }
+    let [s, x, y, z, qw, qx, qy, qz] = numbers(text)?;
+    let pose = pose_from_wxyz([x, y, z], [qw, qx, qy, qz]).map_err(|e| e.to_string())?;
+    if s > 0.0 { Ok(Similarity3::from_isometry(pose, s)) } else { Err("expected a positive scale".into()) }
 }

@@ -31,3 +31,8 @@ pub use raster::{Cpu, CpuSaved, GaussianGradients, Rasterizer, Render, RenderGra
 pub use reconstruct::{ReconstructOptions, Reconstruction, reconstruct};
 pub use scene::{Bound, Scene};
 pub use train::{TrainOptions, Trainer};
+
+/// Runs the examples of the README as tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct ReadmeDoctests;

@@ -183,6 +183,8 @@ fn pictures_show_what_was_drawn() {
 fn depth_is_normalised_and_its_range_ignores_outliers() {
     let render = Render { depth: vec![1.0, 0.0], alpha: vec![0.5, 0.0], ..Render::default() };
     assert_eq!(render.expected_depth(), [2.0, 0.0]);
+    let render = Render { normal: vec![[0.0, -0.3, 0.4], [0.0; 3]], ..Render::default() };
+    assert_eq!(render.unit_normals(), [[0.0, -0.6, 0.8], [0.0; 3]]);
     let mut depth: Vec<f32> = (1..=100).map(|i| i as f32).collect();
     depth.extend([0.0, f32::NAN]);
     assert_eq!(picture::depth_range(&depth), Some([3.0, 98.0]));

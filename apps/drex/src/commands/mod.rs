@@ -8,4 +8,5 @@ pub mod identify;
 pub mod import;
 pub mod plan_push;
 pub mod reconstruct;
+pub mod render;
 pub mod run;

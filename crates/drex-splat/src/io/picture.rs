@@ -80,10 +80,7 @@ pub fn depth_range(depth: &[f32]) -> Option<[f32; 2]> {
 pub fn write_normals(path: &Path, width: usize, height: usize, normals: &[[f32; 3]]) -> Result<()> {
     let bytes: Vec<u8> = normals
         .iter()
-        .flat_map(|&[x, y, z]| {
-            let length = (x * x + y * y + z * z).sqrt();
-            if length > 0.0 { [x, -y, -z].map(|v| byte(127.5 * (1.0 + v / length))) } else { [0; 3] }
-        })
+        .flat_map(|&n| unit(n).map_or([0; 3], |[x, y, z]| [x, -y, -z].map(|v| byte(127.5 * (1.0 + v)))))
         .collect();
     write(path, width, height, &bytes, ExtendedColorType::Rgb8)
 }
@@ -93,6 +90,16 @@ impl Render {
     pub fn expected_depth(&self) -> Vec<f32> {
         self.depth.iter().zip(&self.alpha).map(|(&d, &a)| if a > 0.0 { d / a } else { 0.0 }).collect()
     }
+
+    /// The normals at unit length, camera frame; 0 where nothing is seen.
+    pub fn unit_normals(&self) -> Vec<[f32; 3]> {
+        self.normal.iter().map(|&n| unit(n).unwrap_or_default()).collect()
+    }
+}
+
+fn unit([x, y, z]: [f32; 3]) -> Option<[f32; 3]> {
+    let length = (x * x + y * y + z * z).sqrt();
+    (length > 0.0).then(|| [x / length, y / length, z / length])
 }
 
 fn is_depth(z: f32) -> bool {
