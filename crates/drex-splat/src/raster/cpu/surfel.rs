@@ -336,15 +336,20 @@ impl<'a> View<'a> {
         let last = sum.m.column(2);
         let mean2d: [f64; 2] = std::array::from_fn(|k| sum.centre[k] - surfel.m.column(k).dot(&last));
         Own {
-            mean: mean.map(|x| x as f32).into(),
-            rotation: by_rotation,
-            log_scale: [frame.log_s[0] as f32, frame.log_s[1] as f32, 0.0],
-            logit_opacity: (sum.log_opacity * (1.0 - opacity)) as f32,
-            mean2d: mean2d.map(|x| x as f32),
-            abs_mean2d: sum.abs.map(|x| x as f32).into(),
+            mean: mean.map(single).into(),
+            rotation: by_rotation.map(single),
+            log_scale: [single(frame.log_s[0]), single(frame.log_s[1]), 0.0],
+            logit_opacity: single(sum.log_opacity * (1.0 - opacity)),
+            mean2d: mean2d.map(single),
+            abs_mean2d: sum.abs.map(single).into(),
             twist: [rho.x, rho.y, rho.z, phi.x, phi.y, phi.z],
         }
     }
+}
+
+/// In single precision; what is too large for it becomes its largest number.
+fn single(x: f64) -> f32 {
+    if x.is_nan() { 0.0 } else { x.clamp(f64::from(f32::MIN), f64::from(f32::MAX)) as f32 }
 }
 
 /// Derivatives by the parameters of one surfel.

@@ -184,7 +184,7 @@ pub(super) fn rotation(q: [f32; 4]) -> Option<Matrix3<f64>> {
 }
 
 /// The backward of [`rotation`], through the normalisation.
-pub(super) fn rotation_backward(q: [f32; 4], g: &Matrix3<f64>) -> [f32; 4] {
+pub(super) fn rotation_backward(q: [f32; 4], g: &Matrix3<f64>) -> [f64; 4] {
     let Some(((w, x, y, z), length)) = unit(q) else { return [0.0; 4] };
     let by_unit = [
         2.0 * (x * (g.m32 - g.m23) + y * (g.m13 - g.m31) + z * (g.m21 - g.m12)),
@@ -194,7 +194,7 @@ pub(super) fn rotation_backward(q: [f32; 4], g: &Matrix3<f64>) -> [f32; 4] {
     ];
     let unit = [w, x, y, z];
     let along: f64 = (0..4).map(|k| unit[k] * by_unit[k]).sum();
-    std::array::from_fn(|k| ((by_unit[k] - along * unit[k]) / length) as f32)
+    std::array::from_fn(|k| (by_unit[k] - along * unit[k]) / length)
 }
 
 fn unit(q: [f32; 4]) -> Option<((f64, f64, f64, f64), f64)> {
