@@ -8,13 +8,13 @@ mod project;
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 
-use super::lanes::{PIXELS, least_exponent, place};
+use super::lanes::{BLOCK, least_exponent, place};
 use super::sh;
 use crate::raster::{DepthKind, GaussianGradients, Render, RenderGradients, RenderOptions, ScreenBox, TILE, Tiles};
 use crate::{Gaussians, PinholeCamera, Result};
 use backward::{Differentiate, Record, TileGradients};
 use bounds::Footprint;
-use forward::{Draw, Rules, Splat, TileSums, blocks};
+use forward::{Draw, Projected, Rules, Splat, TileSums};
 use project::{Surfel, SurfelGradient, rotation, rotation_backward};
 
 /// A plane that is met farther away than this many times the depth of the surfel's centre is seen edge-on: not drawn.
@@ -25,9 +25,7 @@ const MAX_COEFFICIENT: f32 = 1e15;
 #[derive(Debug, Clone)]
 pub(super) struct Saved {
     tiles: Tiles,
-    splats: Vec<Splat>,
-    /// Radius in the image; 0 where not drawn.
-    radius: Vec<f32>,
+    projected: Vec<Projected>,
     /// Blocks of its tile that a splat touched, for every slot.
     blocks: Vec<u16>,
     sums: Vec<TileSums>,
@@ -35,38 +33,33 @@ pub(super) struct Saved {
 
 pub(super) fn forward(scene: &Gaussians, camera: &PinholeCamera, options: &RenderOptions) -> Result<(Render, Saved)> {
     let view = View::new(camera, options);
-    let projected: Vec<Option<(Splat, Footprint)>> =
-        (0..scene.len()).into_par_iter().with_min_len(256).map(|i| view.project(scene, i)).collect();
-    let boxes: Vec<ScreenBox> = projected.iter().map(|p| view.screen_box(p.as_ref())).collect();
-    let footprint = |i: usize| projected[i].as_ref().map(|(_, footprint)| footprint);
+    let (projected, boxes): (Vec<Projected>, Vec<ScreenBox>) =
+        (0..scene.len()).into_par_iter().with_min_len(256).map(|i| view.project(scene, i).unwrap_or_default()).unzip();
     let tiles = Tiles::new(&boxes, camera.width, camera.height, |i, column, row| {
-        footprint(i).is_some_and(|f| meets_tile(f, column, row))
+        meets_tile(&projected[i].footprint, column, row)
     });
     let rules = view.rules();
-    let mut hits = vec![0; tiles.slot_count()];
+    let mut blocks = vec![0; tiles.slot_count()];
     let sums = tiles
-        .cut_records(&mut hits)
+        .cut_records(&mut blocks)
         .into_par_iter()
         .enumerate()
-        .map_init(Vec::new, |scratch: &mut Vec<Splat>, (t, hits)| {
-            let corner = corner(&tiles, t);
-            scratch.clear();
-            for (&i, hits) in tiles.list(t).iter().zip(hits.iter_mut()) {
-                if let Some((splat, footprint)) = &projected[i as usize] {
-                    scratch.push(splat.in_tile(corner));
-                    *hits = blocks(footprint, corner);
-                }
-            }
+        .map_init(Vec::new, |scratch, (t, blocks)| {
             let mut sums = TileSums::ZERO;
-            pulp::Arch::new().dispatch(Draw { splats: scratch, blocks: hits, rules, sums: &mut sums });
+            let (list, corner) = (tiles.list(t), corner(&tiles, t));
+            pulp::Arch::new().dispatch(Draw {
+                projected: &projected,
+                list,
+                corner,
+                scratch,
+                blocks,
+                rules,
+                sums: &mut sums,
+            });
             sums
         })
         .collect();
-    let drawn = |i: usize| boxes[i].x0 < boxes[i].x1 && boxes[i].y0 < boxes[i].y1;
-    let radius = (0..scene.len()).map(|i| if drawn(i) { footprint(i).map_or(0.0, Footprint::radius) } else { 0.0 });
-    let radius = radius.collect();
-    let splats = projected.into_iter().map(|p| p.map_or_else(Splat::default, |(splat, _)| splat)).collect();
-    let saved = Saved { tiles, splats, radius, blocks: hits, sums };
+    let saved = Saved { tiles, projected, blocks, sums };
     Ok((view.images(&saved), saved))
 }
 
@@ -92,9 +85,12 @@ pub(super) fn backward(
     tiles.cut_records(&mut records).into_par_iter().zip(hits).enumerate().for_each_init(
         || (Vec::new(), Box::new(TileGradients::ZERO)),
         |(scratch, by_sums), (t, (records, blocks))| {
+            if records.is_empty() {
+                return;
+            }
             let corner = corner(tiles, t);
             scratch.clear();
-            scratch.extend(tiles.list(t).iter().map(|&i| saved.splats[i as usize].in_tile(corner)));
+            scratch.extend(tiles.list(t).iter().map(|&i| saved.projected[i as usize].splat.in_tile(corner)));
             view.load_gradients(gradients, render, tiles.corner(t), by_sums);
             let sums = &saved.sums[t];
             pulp::Arch::new().dispatch(Differentiate {
@@ -108,6 +104,11 @@ pub(super) fn backward(
         },
     );
     Ok(view.gather(scene, saved, &records))
+}
+
+/// `count` pixels of an image, none of an empty one.
+fn row<T>(image: &[T], from: usize, count: usize) -> &[T] {
+    image.get(from..from + count).unwrap_or_default()
 }
 
 fn corner(tiles: &Tiles, t: usize) -> [f32; 2] {
@@ -164,12 +165,17 @@ impl<'a> View<'a> {
         Surfel::new(self.camera, r, [log_u, log_v], t, near, c2)
     }
 
-    fn project(&self, scene: &Gaussians, i: usize) -> Option<(Splat, Footprint)> {
+    /// None if the surfel is nowhere in the image.
+    fn project(&self, scene: &Gaussians, i: usize) -> Option<(Projected, ScreenBox)> {
         let opacity = 1.0 / (1.0 + (-f64::from(scene.logit_opacities[i])).exp());
         let least = f64::from(least_exponent(self.options.smooth_cutoff));
         let radius2 = 2.0 * std::f64::consts::LN_2 * (opacity.log2() - least);
         let surfel = self.surfel(scene, i)?;
         let footprint = Footprint::new(&surfel, radius2, f64::from(self.options.near))?;
+        let screen_box = self.screen_box(&footprint, surfel.t.z as f32);
+        if screen_box.x0 >= screen_box.x1 || screen_box.y0 >= screen_box.y1 {
+            return None;
+        }
         let stride = scene.sh_stride();
         let (direction, _) = sh::direction(scene.means[i], &self.centre);
         // A floor beyond the camera's plane is put where no pixel is.
@@ -186,18 +192,17 @@ impl<'a> View<'a> {
             depth: surfel.t.z as f32,
         };
         let sound = splat.m.iter().all(|m| m.abs() < MAX_COEFFICIENT) && splat.depth < MAX_COEFFICIENT;
-        sound.then_some((splat, footprint))
+        sound.then_some((Projected { splat, footprint }, screen_box))
     }
 
-    fn screen_box(&self, projected: Option<&(Splat, Footprint)>) -> ScreenBox {
-        let Some((splat, footprint)) = projected else { return ScreenBox::default() };
+    fn screen_box(&self, footprint: &Footprint, depth: f32) -> ScreenBox {
         let pixels = |[lo, hi]: [f32; 2], side: usize| {
             let side = side as f32;
             [(lo - 0.5).ceil().clamp(0.0, side), ((hi - 0.5).floor() + 1.0).clamp(0.0, side)].map(|v| v as u16)
         };
         let [x0, x1] = pixels(footprint.x, self.camera.width);
         let [y0, y1] = pixels(footprint.y, self.camera.height);
-        ScreenBox { x0, y0, x1, y1, depth: splat.depth }
+        ScreenBox { x0, y0, x1, y1, depth }
     }
 
     fn images(&self, saved: &Saved) -> Render {
@@ -238,8 +243,11 @@ impl<'a> View<'a> {
         image.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
             for (column, piece) in row.chunks_mut(TILE).enumerate() {
                 let sums = &saved.sums[y / TILE * columns + column];
-                for (x, pixel) in piece.iter_mut().enumerate() {
-                    *pixel = value(sums, place(x, y % TILE));
+                for (block, pixels) in piece.chunks_mut(BLOCK).enumerate() {
+                    let first = place(block * BLOCK, y % TILE);
+                    for (x, pixel) in pixels.iter_mut().enumerate() {
+                        *pixel = value(sums, first + x);
+                    }
                 }
             }
         });
@@ -254,26 +262,39 @@ impl<'a> View<'a> {
         (x0, y0): (usize, usize),
         by_sums: &mut TileGradients,
     ) {
-        let kappa2 = self.kappa2();
-        let [r, g, b] = self.options.background;
-        let (width, height) = (render.width, render.height);
-        for k in 0..PIXELS {
-            let (x, y) = (k % TILE, k / TILE);
-            let inside = x0 + x < width && y0 + y < height;
-            // Pixels outside have no entry.
-            let at = if inside { (y0 + y) * width + x0 + x } else { usize::MAX };
-            let number = |image: &[f32]| image.get(at).copied().unwrap_or(0.0);
-            let three = |image: &[[f32; 3]]| image.get(at).copied().unwrap_or([0.0; 3]);
-            let (rgb, normal) = (three(&gradients.rgb), three(&gradients.normal));
-            let p = place(x, y);
-            for i in 0..3 {
-                by_sums.rgb[i].0[p] = rgb[i];
-                by_sums.normal[i].0[p] = normal[i];
+        let (kappa2, [r, g, b]) = (self.kappa2(), self.options.background);
+        let (columns, rows) = (TILE.min(render.width - x0), TILE.min(render.height - y0));
+        if columns < TILE || rows < TILE {
+            *by_sums = TileGradients::ZERO;
+        }
+        for y in 0..rows {
+            let from = (y0 + y) * render.width + x0;
+            let at = |x: usize| place(x, y);
+            for (x, d) in row(&gradients.rgb, from, columns).iter().enumerate() {
+                by_sums.alpha.0[at(x)] = -(d[0] * r + d[1] * g + d[2] * b);
+                for i in 0..3 {
+                    by_sums.rgb[i].0[at(x)] = d[i];
+                }
             }
-            by_sums.alpha.0[p] = number(&gradients.alpha) - (rgb[0] * r + rgb[1] * g + rgb[2] * b);
-            by_sums.depth.0[p] = number(&gradients.depth);
-            by_sums.median.0[p] = number(&gradients.median_depth);
-            by_sums.distortion.0[p] = kappa2 * number(&gradients.distortion);
+            let shown = !gradients.rgb.is_empty();
+            for (x, d) in row(&gradients.alpha, from, columns).iter().enumerate() {
+                let background = if shown { by_sums.alpha.0[at(x)] } else { 0.0 };
+                by_sums.alpha.0[at(x)] = background + d;
+            }
+            for (x, d) in row(&gradients.normal, from, columns).iter().enumerate() {
+                for i in 0..3 {
+                    by_sums.normal[i].0[at(x)] = d[i];
+                }
+            }
+            for (x, d) in row(&gradients.depth, from, columns).iter().enumerate() {
+                by_sums.depth.0[at(x)] = *d;
+            }
+            for (x, d) in row(&gradients.median_depth, from, columns).iter().enumerate() {
+                by_sums.median.0[at(x)] = *d;
+            }
+            for (x, d) in row(&gradients.distortion, from, columns).iter().enumerate() {
+                by_sums.distortion.0[at(x)] = kappa2 * d;
+            }
         }
     }
 
@@ -301,7 +322,7 @@ impl<'a> View<'a> {
             sh,
             mean2d: own.iter().map(|o| o.mean2d).collect(),
             abs_mean2d: own.iter().map(|o| o.abs_mean2d).collect(),
-            radius: saved.radius.clone(),
+            radius: own.iter().map(|o| o.radius).collect(),
             twist,
         }
     }
@@ -320,7 +341,7 @@ impl<'a> View<'a> {
             self.options.sh_degree,
             &scene.sh[i * stride..(i + 1) * stride],
             (&direction, inverse_distance),
-            saved.splats[i].colour,
+            saved.projected[i].splat.colour,
             sum.colour.map(|c| c as f32).into(),
             d_sh,
         )
@@ -342,6 +363,7 @@ impl<'a> View<'a> {
             logit_opacity: single(sum.log_opacity * (1.0 - opacity)),
             mean2d: mean2d.map(single),
             abs_mean2d: sum.abs.map(single).into(),
+            radius: saved.projected[i].footprint.radius,
             twist: [rho.x, rho.y, rho.z, phi.x, phi.y, phi.z],
         }
     }
@@ -361,6 +383,7 @@ struct Own {
     logit_opacity: f32,
     mean2d: [f32; 2],
     abs_mean2d: [f32; 2],
+    radius: f32,
     twist: [f64; 6],
 }
 

@@ -13,7 +13,7 @@ const MARGIN: f64 = 0.05;
 const CORNERS: usize = 16;
 
 /// Pixel coordinates that a surfel can touch: a box and a strip across it.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Footprint {
     /// Range of x, pixels.
     pub x: [f32; 2],
@@ -23,6 +23,9 @@ pub(super) struct Footprint {
     pub axis: [f32; 2],
     /// Range of axis · (x, y), pixels.
     pub strip: [f32; 2],
+    /// Longest half axis of the disc of three standard deviations, pixels; as long as the box where the camera's plane
+    /// cuts that disc.
+    pub radius: f32,
 }
 
 impl Footprint {
@@ -51,12 +54,11 @@ impl Footprint {
             let with_floor = floor.iter().map(|(c, spread)| range(&n, c, spread)).chain([ranges[i]]);
             absolute(hull(with_floor.flatten()), n)
         });
-        Some(Self { x, y, axis: [axis.x as f32, axis.y as f32], strip })
-    }
-
-    /// Half the longer side, pixels.
-    pub fn radius(&self) -> f32 {
-        (0.5 * (self.x[1] - self.x[0])).max(0.5 * (self.y[1] - self.y[0]))
+        let radius = match ellipse(surfel, 9.0) {
+            Some((_, spread)) => spread_range(&spread).1.max(9.0 / 2.0).sqrt() as f32,
+            None => (x[1] - x[0]).max(y[1] - y[0]),
+        };
+        Some(Self { x, y, axis: [axis.x as f32, axis.y as f32], strip, radius })
     }
 }
 
@@ -74,10 +76,20 @@ fn ellipse(surfel: &Surfel, r2: f64) -> Option<(Vector2<f64>, Matrix2<f64>)> {
     Some((centre, centre * centre.transpose() - dual.fixed_view::<2, 2>(0, 0) / w))
 }
 
+/// Smaller and larger eigenvalue.
+fn spread_range(spread: &Matrix2<f64>) -> (f64, f64) {
+    let [a, b, c] = [spread[(0, 0)], spread[(0, 1)], spread[(1, 1)]];
+    let (middle, half) = (0.5 * (a + c), (0.25 * (a - c) * (a - c) + b * b).sqrt());
+    (middle - half, middle + half)
+}
+
 /// Eigenvector of the smaller eigenvalue.
 fn thin_axis(spread: &Matrix2<f64>) -> Vector2<f64> {
-    let angle = 0.5 * (2.0 * spread[(0, 1)]).atan2(spread[(0, 0)] - spread[(1, 1)]);
-    Vector2::new(-angle.sin(), angle.cos())
+    let [a, b, c] = [spread[(0, 0)], spread[(0, 1)], spread[(1, 1)]];
+    let (_, largest) = spread_range(spread);
+    // Perpendicular to (largest - c, b) and to (b, largest - a): the longer of both has the digits.
+    let axis = if a > c { Vector2::new(-b, largest - c) } else { Vector2::new(largest - a, -b) };
+    axis.try_normalize(0.0).unwrap_or(Vector2::x())
 }
 
 /// Extent of an ellipse along `n`.

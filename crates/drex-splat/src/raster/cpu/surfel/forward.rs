@@ -2,7 +2,9 @@
 
 use pulp::{Simd, WithSimd};
 
-use super::super::lanes::{BLOCK, BLOCKS, Lanes, Mask, PIXEL_X, PIXEL_Y, PIXELS, Plane, opacity, per_block};
+use super::super::lanes::{
+    BLOCK, BLOCK_BIT, BLOCK_X, BLOCK_Y, Lanes, Mask, PIXEL_X, PIXEL_Y, PIXELS, Plane, opacity, per_block,
+};
 use super::bounds::Footprint;
 use crate::raster::MIN_TRANSMITTANCE;
 
@@ -92,11 +94,23 @@ impl TileSums {
     };
 }
 
+/// A splat and where it may be.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Projected {
+    pub splat: Splat,
+    pub footprint: Footprint,
+}
+
 /// Draws the splats of one tile.
 pub(super) struct Draw<'a> {
-    /// Nearest first, [`Splat::in_tile`].
-    pub splats: &'a [Splat],
-    /// In: the blocks of 4 x 4 pixels that a splat may touch, one bit each. Out: those it does.
+    pub projected: &'a [Projected],
+    /// Those of this tile, nearest first.
+    pub list: &'a [u32],
+    /// Pixels from the image's corner to the tile's.
+    pub corner: [f32; 2],
+    /// Room for the splats of the list.
+    pub scratch: &'a mut Vec<Splat>,
+    /// Out: the blocks of 4 x 4 pixels that a splat touches, one bit each.
     pub blocks: &'a mut [u16],
     pub rules: Rules,
     pub sums: &'a mut TileSums,
@@ -117,7 +131,13 @@ impl WithSimd for Draw<'_> {
 
 #[inline(always)]
 fn draw<S: Simd, const GEOMETRY: bool>(simd: S, tile: Draw<'_>) {
-    let Draw { splats, blocks, rules, sums } = tile;
+    let Draw { projected, list, corner, scratch: splats, blocks, rules, sums } = tile;
+    splats.clear();
+    for (&i, blocks) in list.iter().zip(blocks.iter_mut()) {
+        let Projected { splat, footprint } = &projected[i as usize];
+        splats.push(splat.in_tile(corner));
+        *blocks = may_touch(simd, footprint, corner);
+    }
     let (zero, one, half) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0), Lanes::splat(simd, 0.5));
     let mut hits = vec![0u16; splats.len()];
     for r in 0..PIXELS / S::F32_LANES {
@@ -272,20 +292,27 @@ pub(super) fn step<S: Simd>(simd: S, meeting: &Meeting<S>, transmittance: Lanes<
 }
 
 /// The blocks of the tile at `corner` that a footprint meets, one bit each.
-pub(super) fn blocks(footprint: &Footprint, corner: [f32; 2]) -> u16 {
-    /// From the centre of a block to its outermost pixel centres.
-    const REACH: f32 = (BLOCK - 1) as f32 / 2.0;
-    let middle = |range: [f32; 2]| (0.5 * (range[0] + range[1]), 0.5 * (range[1] - range[0]));
+#[inline(always)]
+fn may_touch<S: Simd>(simd: S, footprint: &Footprint, corner: [f32; 2]) -> u16 {
+    let side = (BLOCK - 1) as f32;
     let [a, b] = footprint.axis;
-    let ((mx, hx), (my, hy), (ms, hs)) = (middle(footprint.x), middle(footprint.y), middle(footprint.strip));
-    let mut bits = 0;
-    for k in 0..BLOCKS * BLOCKS {
-        let x = corner[0] + ((k % BLOCKS) * BLOCK) as f32 + 0.5 * BLOCK as f32;
-        let y = corner[1] + ((k / BLOCKS) * BLOCK) as f32 + 0.5 * BLOCK as f32;
-        let meets = ((x - mx).abs() <= hx + REACH)
-            & ((y - my).abs() <= hy + REACH)
-            & ((a * x + b * y - ms).abs() <= hs + REACH * (a.abs() + b.abs()));
-        bits |= u16::from(meets) << k;
+    // Ranges of the first pixel of a block.
+    let [x0, x1] = [footprint.x[0] - corner[0] - side, footprint.x[1] - corner[0]];
+    let [y0, y1] = [footprint.y[0] - corner[1] - side, footprint.y[1] - corner[1]];
+    let middle = a * corner[0] + b * corner[1] + 0.5 * side * (a + b);
+    let reach = 0.5 * side * (a.abs() + b.abs());
+    let [s0, s1] = [footprint.strip[0] - middle - reach, footprint.strip[1] - middle + reach];
+    let mut bits = 0.0;
+    for r in 0..BLOCK_X.registers::<S>().len() {
+        let (x, y) = (Lanes(simd, BLOCK_X.registers::<S>()[r]), Lanes(simd, BLOCK_Y.registers::<S>()[r]));
+        let along = Lanes::splat(simd, a).mul_add(x, Lanes::splat(simd, b) * y);
+        let meets = within(simd, x, x0, x1).and(within(simd, y, y0, y1)).and(within(simd, along, s0, s1));
+        bits += meets.select(Lanes(simd, BLOCK_BIT.registers::<S>()[r]), Lanes::splat(simd, 0.0)).sum();
     }
-    bits
+    bits as u16
+}
+
+#[inline(always)]
+fn within<S: Simd>(simd: S, value: Lanes<S>, lo: f32, hi: f32) -> Mask<S> {
+    value.ge(Lanes::splat(simd, lo)).and(value.le(Lanes::splat(simd, hi)))
 }
