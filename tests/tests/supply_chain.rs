@@ -48,9 +48,9 @@ fn packages() -> BTreeSet<(String, String, String)> {
             "--offline",
             "--edges",
             "normal,build",
-            // The one feature that brings in a package of its own; listing it needs no library.
+            // The features that bring in packages of their own; listing them needs no library.
             "--features",
-            "drex-diffsim/mujoco",
+            "drex-diffsim/mujoco,drex-splat/wgpu",
             "--prefix",
             "none",
             "--no-dedupe",

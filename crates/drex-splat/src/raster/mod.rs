@@ -4,9 +4,13 @@
 //! by every parameter of every Gaussian, analytically. Backends share this file's types and nothing else.
 
 mod cpu;
+#[cfg(feature = "wgpu")]
+mod gpu;
 mod tiles;
 
 pub use cpu::{Cpu, CpuSaved};
+#[cfg(feature = "wgpu")]
+pub use gpu::{Gpu, GpuSaved};
 pub(crate) use tiles::{ScreenBox, TILE, Tiles};
 
 use crate::{Gaussians, PinholeCamera, Result};

@@ -64,7 +64,7 @@ impl Rasterizer for Cpu {
     }
 }
 
-fn check_options(options: &RenderOptions) -> Result<()> {
+pub(super) fn check_options(options: &RenderOptions) -> Result<()> {
     let wrong = |what: String, remedy: &str| Err(Error::Option { what, remedy: remedy.into() });
     if !options.background.iter().all(|c| c.is_finite()) {
         return wrong(format!("background {:?}", options.background), "give finite numbers");
@@ -88,7 +88,7 @@ fn check_options(options: &RenderOptions) -> Result<()> {
     Ok(())
 }
 
-fn check_gradients(render: &Render, gradients: &RenderGradients) -> Result<()> {
+pub(super) fn check_gradients(render: &Render, gradients: &RenderGradients) -> Result<()> {
     let pixels = render.width * render.height;
     let lengths = [
         ("rgb", gradients.rgb.len()),
