@@ -103,6 +103,19 @@ fn agrees_with_the_processor_on_surfels() {
     }
 }
 
+/// Discs that the camera's plane cuts, and long thin ones: none may lose a pixel to its bounds.
+#[test]
+fn surfels_round_the_camera() {
+    let Some(gpu) = gpu() else { return };
+    let mut camera = scenes::camera(163, 121);
+    camera.camera_from_world.translation.vector.z = 0.3;
+    let mut scene = surfels_seen_from_the_front(800, 13, &camera);
+    for (i, scales) in scene.log_scales.iter_mut().enumerate() {
+        *scales = [scales[0] + 1.0, scales[1] - (i % 4) as f32, 0.0];
+    }
+    agree(gpu, &scene, &camera, &options());
+}
+
 #[test]
 fn the_same_bytes_again() {
     let Some(gpu) = gpu() else { return };

@@ -127,7 +127,7 @@ impl Kernels {
         let project = shader!(device, "view", "lists", "surfel", "surfel_project");
         let draw = shader!(device, "view", "draw", "surfel_draw");
         let back = shader!(device, "view", "gradients", "surfel", "surfel_back");
-        Self::new(device, [&project, &draw, &back], 24, 21)
+        Self::new(device, [&project, &draw, &back], 28, 21)
     }
 
     fn new(device: &Device, [project, draw, back]: [&wgpu::ShaderModule; 3], footprint: u64, record: u64) -> Self {

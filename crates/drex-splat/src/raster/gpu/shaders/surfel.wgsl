@@ -66,3 +66,75 @@ fn box_weights(tw: vec3f, c2: f32) -> vec4f {
     let norm = dot(d, tw * tw);
     return vec4f(d / min(norm, -1e-30), norm / (tw.z * tw.z));
 }
+
+// Where a surfel can touch the image, pixels from its origin: a box, and a strip across it along the direction in which
+// the projected disc is thinnest. Holds the disc of squared radius 2 `power` and the floor's spot (σ = √½ px).
+struct Reach {
+    low: vec2f,
+    high: vec2f,
+    axis: vec2f,
+    strip: vec2f,
+}
+
+// A disc that all but touches the camera's plane has an ellipse too large for these digits.
+const TOUCHES_PLANE = -1e-4;
+
+fn reach_of(e: Surfel, power: f32) -> Reach {
+    var reach: Reach;
+    let w = box_weights(e.tw, 2.0 * power);
+    if w.w < TOUCHES_PLANE {
+        // (x - c)ᵀ Γ⁻¹ (x - c) = 1, from the dual conic T diag(r², r², -1) Tᵀ.
+        let c = vec2f(dot(w.xyz, e.tu * e.tw), dot(w.xyz, e.tv * e.tw));
+        let square = c * c - vec2f(dot(w.xyz, e.tu * e.tu), dot(w.xyz, e.tv * e.tv));
+        let mixed = c.x * c.y - dot(w.xyz, e.tu * e.tv);
+        let angle = 0.5 * atan2(2.0 * mixed, square.x - square.y);
+        let n = vec2f(-sin(angle), cos(angle));
+        // More than single precision can err.
+        let margin = 1e-5 * (dot(c, c) + abs(square.x) + abs(square.y) + 1.0);
+        let half = sqrt(max(square, vec2f(0.0)) + margin);
+        let thin = sqrt(max(dot(n * n, square) + 2.0 * n.x * n.y * mixed, 0.0) + margin);
+        reach = Reach(c - half, c + half, n, dot(n, c) + vec2f(-thin, thin));
+    } else {
+        reach = cut_reach(e, sqrt(2.0 * power));
+    }
+    if e.centre.x < NOWHERE {
+        let spot = sqrt(power) + 0.05;
+        reach.low = min(reach.low, e.centre - spot);
+        reach.high = max(reach.high, e.centre + spot);
+        let at = dot(reach.axis, e.centre);
+        reach.strip = vec2f(min(reach.strip.x, at - spot), max(reach.strip.y, at + spot));
+    }
+    return reach;
+}
+
+const CORNERS = 16u;
+
+// Of a disc that reaches the camera's plane: the hull of a polygon round it, cut at z = near and projected.
+fn cut_reach(e: Surfel, radius: f32) -> Reach {
+    let turn = 6.2831853 / f32(CORNERS);
+    let outer = radius / cos(0.5 * turn);
+    var low = vec2f(1e30);
+    var high = vec2f(-1e30);
+    var a = corner(e, outer, 0.0);
+    for (var k = 1u; k <= CORNERS; k++) {
+        let b = corner(e, outer, turn * f32(k));
+        if a.z >= view.near {
+            low = min(low, a.xy / a.z);
+            high = max(high, a.xy / a.z);
+        }
+        if (a.z >= view.near) != (b.z >= view.near) {
+            let cut = (a + (b - a) * ((view.near - a.z) / (b.z - a.z))).xy / view.near;
+            low = min(low, cut);
+            high = max(high, cut);
+        }
+        a = b;
+    }
+    let margin = 1e-4 * (high - low) + 0.05;
+    return Reach(low - margin, high + margin, vec2f(1.0, 0.0), vec2f(low.x - margin.x, high.x + margin.x));
+}
+
+// z (x, y, 1) of a point on the rim.
+fn corner(e: Surfel, radius: f32, angle: f32) -> vec3f {
+    let p = vec3f(radius * cos(angle), radius * sin(angle), 1.0);
+    return vec3f(dot(e.tu, p), dot(e.tv, p), dot(e.tw, p));
+}

@@ -23,7 +23,9 @@ fn project_back(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroup
     let by_floor = vec2f(sum[15], sum[16]);
     // The whole splat moved in the image: Tu + δ Tw.
     let by_centre = by_floor + vec2f(dot(by_tu, e.tw), dot(by_tv, e.tw));
-    put_statistics(i, by_centre, vec2f(sum[17], sum[18]), radius_of(e, opacity_of(i)));
+    let reach = reach_of(e, largest_power(opacity_of(i)));
+    let half = 0.5 * (reach.high - reach.low);
+    put_statistics(i, by_centre, vec2f(sum[17], sum[18]), max(half.x, half.y));
     put_opacity_gradient(i, sum[19]);
 
     // Through the floor's centre f · (Tu Tw), f · (Tv Tw).
@@ -54,16 +56,4 @@ fn project_back(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroup
     put_gradient3(0u, i, transpose(r) * by_t + by_sight);
     let turn = cross(e.r[0], by_r[0]) + cross(e.r[1], by_r[1]) + cross(e.r[2], by_r[2]);
     put_twist(i, by_t + r * by_sight, cross(e.t, by_t) + turn);
-}
-
-// Half the longer side of the box, pixels; the whole image where the disc reaches the camera's plane.
-fn radius_of(e: Surfel, opacity: f32) -> f32 {
-    let power = largest_power(opacity);
-    let w = box_weights(e.tw, 2.0 * power);
-    if w.w >= -1e-4 {
-        return 0.5 * f32(max(view.size.x, view.size.y));
-    }
-    let middle = vec2f(dot(w.xyz, e.tu * e.tw), dot(w.xyz, e.tv * e.tw));
-    let square = middle * middle - vec2f(dot(w.xyz, e.tu * e.tu), dot(w.xyz, e.tv * e.tv));
-    return sqrt(max(max(square.x, square.y), power));
 }

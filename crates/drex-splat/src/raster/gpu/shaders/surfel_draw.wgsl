@@ -79,7 +79,7 @@ fn draw(@builtin(workgroup_id) tile: vec3u, @builtin(global_invocation_id) id: v
     var count = 0u;
     var end = 0u;
     for (var s = range.x; s < range.y; s++) {
-        let i = 6u * splats[s];
+        let i = 7u * splats[s];
         let hit = meet(i, at - origin_of(i));
         if !hit.seen {
             continue;
@@ -142,7 +142,7 @@ fn draw_back(@builtin(workgroup_id) tile: vec3u, @builtin(local_invocation_index
     for (var done = 0u; done < length; done += WALKERS) {
         let mine = done + local < length;
         let place = length - 1u - min(done + local, length - 1u);
-        let i = 6u * splats[first + place];
+        let i = 7u * splats[first + place];
         let origin = origin_of(i);
         let tw = footprints[i + 2u];
         let f3 = footprints[i + 3u];
