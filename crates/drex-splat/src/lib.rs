@@ -17,10 +17,10 @@ pub mod orbit;
 pub mod raster;
 pub mod reconstruct;
 pub mod scene;
+mod simd;
 pub mod train;
 pub mod transform;
 pub mod usage;
-mod simd;
 
 pub use camera::PinholeCamera;
 pub use capture::{Capture, CaptureOptions, Photo, PhotoOptions, Photos};

@@ -95,6 +95,11 @@ impl Photos {
         self.sources.len()
     }
 
+    /// Name of a view as its capture has it; empty if there is no such view.
+    pub fn name(&self, view: usize) -> &str {
+        self.sources.get(view).map_or("", |source| &source.view.name)
+    }
+
     /// Whether there is no view.
     pub fn is_empty(&self) -> bool {
         self.sources.is_empty()

@@ -246,11 +246,17 @@ impl<'a, V: Views, R: Rasterizer> Trainer<'a, V, R> {
     /// One step: a photo, its loss, the derivative, Adam, and densification where it is due.
     ///
     /// # Errors
-    /// If the photo cannot be read, its mask is empty, or a parameter is no longer finite.
+    /// If the photo cannot be read, is black all over, its mask is empty, or a parameter is no longer finite.
     pub fn step(&mut self) -> Result<Progress> {
         let step = self.state.step + 1;
         let k = self.photo_of(step);
         let full = self.views.photo(self.indices[k])?;
+        if full.rgb.iter().all(|c| *c == [0; 3]) {
+            return Err(Error::Training {
+                what: format!("the photo {} is black all over", self.views.name(self.indices[k])),
+                remedy: "leave it out, or look for the right file".into(),
+            });
+        }
         let photo = reduced(&full, self.options.divisor_at(step) as usize);
         let camera = self.camera(k, &photo);
         let mut rng = self.rng(step, 0);
@@ -306,7 +312,7 @@ impl<'a, V: Views, R: Rasterizer> Trainer<'a, V, R> {
         (render, background): (&Render, [f32; 3]),
     ) -> Result<(f64, f64, RenderGradients)> {
         let o = &self.options;
-        let name = format!("number {}", self.indices[k]);
+        let name = self.views.name(self.indices[k]);
         let mask = photo.mask.as_deref().filter(|_| o.masks != MaskMode::Off);
         let target = Target {
             name: &name,

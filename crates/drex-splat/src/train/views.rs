@@ -15,6 +15,11 @@ pub trait Views: Sync {
     /// # Errors
     /// If it cannot be read.
     fn photo(&self, i: usize) -> Result<Arc<Photo>>;
+
+    /// What messages call it.
+    fn name(&self, i: usize) -> String {
+        format!("number {i}")
+    }
 }
 
 impl Views for Photos {
@@ -24,6 +29,10 @@ impl Views for Photos {
 
     fn photo(&self, i: usize) -> Result<Arc<Photo>> {
         self.get(i)
+    }
+
+    fn name(&self, i: usize) -> String {
+        Photos::name(self, i).to_owned()
     }
 }
 
