@@ -175,6 +175,14 @@ fn an_outlier_does_not_blow_the_extent() {
     let report = capture.report().unwrap();
     assert_eq!(report.outlier_cameras(), ["view 03.png"]);
     assert!(report.to_string().contains("view 03.png stands"), "{report}");
+    capture.drop_views(&report.outlier_cameras());
+    assert_eq!(capture.views.len(), 11);
+    let sightings: usize = capture.points.iter().map(|p| p.track.len()).sum();
+    for (i, point) in capture.points.iter().enumerate() {
+        assert!(point.track.iter().all(|(view, k)| capture.views[*view].keypoints[*k].point == Some(i)));
+    }
+    assert_eq!(sightings, capture.views.iter().map(|v| v.keypoints.len() - 1).sum::<usize>());
+    assert!(capture.report().unwrap().reprojection.unwrap().mean_px < 1e-9);
     // One camera alone: the scale of the scene is that of its points.
     capture.views.truncate(1);
     assert!((3.0..6.0).contains(&capture.extent()), "{}", capture.extent());

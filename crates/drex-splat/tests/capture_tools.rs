@@ -102,6 +102,9 @@ fn too_few_cameras_are_refused() {
     let message = result.unwrap_err();
     assert!(message.contains("5 of 10 photos; without: view 05.png, view 06.png"), "{message}");
     assert!(message.contains("60 % are needed"), "{message}");
+    // What was refused is not taken for a model of the folder the next time.
+    assert!(!folder.join("colmap/sparse").exists());
+    assert!(run(&folder, &options).0.is_err());
     options.least_registered = 0.5;
     assert_eq!(reconstruct(&folder, &CaptureOptions::default(), &options, &mut |_| ()).unwrap().views.len(), 5);
 

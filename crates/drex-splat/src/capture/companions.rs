@@ -47,7 +47,7 @@ pub(super) fn with_known_extension(path: &Path) -> Option<PathBuf> {
     appended.chain(PICTURES.iter().map(|e| path.with_extension(e))).find(|p| p.is_file())
 }
 
-/// All pictures under `root` with their relative names (forward slashes), sorted.
+/// All pictures under `root` with their relative names (forward slashes), sorted; not those of a capture's other folders.
 pub(super) fn photos_under(root: &Path) -> Vec<(String, PathBuf)> {
     let mut found = Vec::new();
     let mut folders = vec![(String::new(), root.to_path_buf())];
@@ -57,6 +57,9 @@ pub(super) fn photos_under(root: &Path) -> Vec<(String, PathBuf)> {
             let name = format!("{prefix}{}", entry.file_name().to_string_lossy());
             // Links to folders are not followed: they may lead in circles.
             if entry.file_type().is_ok_and(|kind| kind.is_dir()) {
+                if ["masks", "depths", "normals", "colmap", "sparse"].contains(&name.as_str()) {
+                    continue;
+                }
                 folders.push((format!("{name}/"), path));
             } else if path.extension().is_some_and(|e| PICTURES.iter().any(|p| e == *p)) && path.is_file() {
                 found.push((name, path));

@@ -158,6 +158,24 @@ impl Capture {
         Undistortion::new(view)?.camera(view.camera_from_world, max_side)
     }
 
+    /// Leaves out the views of these names (outlier cameras, say) and their sightings; names of no view do nothing.
+    pub fn drop_views(&mut self, names: &[&str]) {
+        let mut kept = 0;
+        let new_index: Vec<Option<usize>> = self
+            .views
+            .iter()
+            .map(|v| {
+                let keep = !names.contains(&v.name.as_str());
+                kept += usize::from(keep);
+                keep.then(|| kept - 1)
+            })
+            .collect();
+        self.views.retain(|v| !names.contains(&v.name.as_str()));
+        for point in &mut self.points {
+            point.track = point.track.iter().filter_map(|(view, k)| Some(((*new_index.get(*view)?)?, *k))).collect();
+        }
+    }
+
     /// Where the cameras stand, world frame.
     pub fn centres(&self) -> Vec<Point3<f64>> {
         self.views.iter().map(|v| v.camera_from_world.inverse().translation.vector.into()).collect()

@@ -185,16 +185,15 @@ impl Photo {
 }
 
 impl Source {
-    /// About what reading takes: the decoded photo twice, and the picture.
+    /// About what reading takes: each file decoded, and again in the form it is used in, and the picture.
     fn bytes_to_read(&self) -> usize {
         let lens = &self.view.lens;
-        let [decoded, kept] =
-            [lens.width_px() as usize * lens.height_px() as usize, self.camera.width * self.camera.height];
-        let per_pixel = 3
-            + usize::from(self.view.mask.is_some())
-            + 4 * usize::from(self.view.depth.is_some())
-            + 12 * usize::from(self.view.normal.is_some());
-        6 * decoded + per_pixel * kept
+        let decoded = lens.width_px() as usize * lens.height_px() as usize;
+        let kept = self.camera.width * self.camera.height;
+        let mask = usize::from(self.view.mask.is_some());
+        let depth = usize::from(self.view.depth.is_some());
+        let normal = usize::from(self.view.normal.is_some());
+        (6 + 2 * mask + 6 * depth + 18 * normal) * decoded + (3 + mask + 4 * depth + 12 * normal) * kept
     }
 
     fn read(&self, options: &PhotoOptions) -> Result<Photo> {

@@ -72,7 +72,8 @@ impl Default for VideoOptions {
 }
 
 /// Lets COLMAP find the cameras of the photos in `folder` (`images`, or `photos`, `input`, or the folder itself) and
-/// loads what it found. Everything it writes is in `folder/colmap`, replacing what was there before.
+/// loads what it found. COLMAP works in `folder/colmap/attempt`; a model that is good enough moves to
+/// `folder/colmap/sparse`, replacing the one there, and [`Capture::load`] will find it.
 ///
 /// `progress` gets each line that COLMAP prints.
 ///
@@ -91,30 +92,21 @@ pub fn reconstruct(
         let what = format!("{} has only {}", root.display(), count(photos.len(), "photo"));
         return refuse(what, "take photos all round the object, each showing most of what the one before showed");
     }
-    let work = folder.join("colmap");
-    let (database, sparse) = (work.join("database.db"), work.join("sparse"));
-    let io = |action, path: &Path| {
-        let path = path.to_path_buf();
-        move |e| Error::from(drex_core::Error::io(action, path, e))
-    };
-    if sparse.exists() {
-        std::fs::remove_dir_all(&sparse).map_err(io("remove", &sparse))?;
-    }
-    if database.exists() {
-        std::fs::remove_file(&database).map_err(io("remove", &database))?;
-    }
-    std::fs::create_dir_all(&sparse).map_err(io("create", &sparse))?;
-    run_all(options, &root, &photos, &work, progress)?;
+    let (attempt, sparse) = (folder.join("colmap/attempt"), folder.join("colmap/sparse"));
+    clear(&attempt)?;
+    let found = attempt.join("sparse");
+    std::fs::create_dir_all(&found).map_err(|e| drex_core::Error::io("create", &found, e))?;
+    run_all(options, &root, &photos, &attempt, progress)?;
 
     let within = CaptureOptions { images: Some(root), ..capture.clone() };
-    let found = std::fs::read_dir(&sparse).is_ok_and(|mut entries| entries.next().is_some());
-    if !found {
+    let models = assemble::models_in(&found);
+    if models.is_empty() {
         return refuse(
             format!("COLMAP found no cameras for the {} photos of {}", photos.len(), folder.display()),
             "take sharp photos with texture in view, each overlapping the one before by two thirds",
         );
     }
-    let mut result = assemble::load_model(folder, &assemble::models_in(&sparse), &within)?;
+    let mut result = assemble::load_model(folder, &models, &within)?;
     let report = result.report()?;
     let outliers = report.outlier_cameras();
     let good = result.views.len() - outliers.len();
@@ -136,8 +128,17 @@ pub fn reconstruct(
             "take more photos between these and the others, or lower the share that is needed",
         );
     }
+    clear(&sparse)?;
+    std::fs::rename(&found, &sparse).map_err(|e| drex_core::Error::io("move", &found, e))?;
     result.notes.push(format!("{summary}."));
     Ok(result)
+}
+
+fn clear(folder: &Path) -> Result<()> {
+    match std::fs::remove_dir_all(folder) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(drex_core::Error::io("remove", folder, e).into()),
+        _ => Ok(()),
+    }
 }
 
 /// The frames of a video as `images/frame_00001.jpg`… in `folder`; returns how many.

@@ -2,7 +2,8 @@
 //!
 //! Points that the other views see inside their masks belong to the object, and every point of the object, hidden or not,
 //! projects into its silhouette. Points that the other views see outside must not be seen inside. Both are counted with a
-//! margin, so that a rim drawn a little tight or wide does no harm.
+//! margin, so that a rim drawn a little tight or wide does no harm. A mask that is moved towards a side where the object
+//! has hardly any points is not found.
 
 use std::fmt;
 
