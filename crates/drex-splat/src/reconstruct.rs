@@ -78,7 +78,7 @@ pub struct Reconstruction {
     pub photos_trained: usize,
     /// See `photos_trained`.
     pub photos_held_out: usize,
-    /// Photos left out of masked training, and why.
+    /// Photos left out, and why.
     pub left_out: Vec<String>,
     /// Whether only the object was trained.
     pub object_only: bool,
@@ -120,7 +120,7 @@ const HULL_MARGIN_PX: usize = 1;
 /// Trains both sets from `capture` and writes `splat/appearance.ply`, `splat/surface.ply`, `splat/report.json` and
 /// `depth/` (see [`write_depth_maps`]) into `out`.
 ///
-/// Photos whose masks `report` calls misplaced are left out where masks are used.
+/// Photos whose camera `report` calls far are left out, and where masks are used those whose mask it calls misplaced.
 ///
 /// # Errors
 /// If there are no sparse points, too few photos, a photo or mask cannot be read, or a file cannot be written.
@@ -197,6 +197,7 @@ impl<'a> Job<'a> {
                 Some(Some(true)) if report.views[i].mask.as_ref().is_some_and(|m| m.misplaced) => {
                     Some("its mask looks misplaced")
                 }
+                _ if report.views[i].far => Some("its camera stands far from all others"),
                 _ => None,
             };
             match reason {

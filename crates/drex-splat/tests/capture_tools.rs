@@ -10,7 +10,7 @@ use std::sync::{Mutex, MutexGuard};
 
 use capture_support::{Model, grey, lens, ring};
 use drex_core::camera::CameraModel;
-use drex_splat::capture::{Capture, CaptureOptions, ColmapOptions, VideoOptions, extract_frames, reconstruct};
+use drex_splat::capture::{Capture, CaptureOptions, ColmapOptions, VideoOptions, extract_frames, find_cameras};
 
 /// A script that one test writes while another starts a program may be held open by the latter: one test at a time.
 fn alone() -> MutexGuard<'static, ()> {
@@ -106,7 +106,7 @@ fn too_few_cameras_are_refused() {
     assert!(!folder.join("colmap/sparse").exists());
     assert!(run(&folder, &options).0.is_err());
     options.least_registered = 0.5;
-    assert_eq!(reconstruct(&folder, &CaptureOptions::default(), &options, &mut |_| ()).unwrap().views.len(), 5);
+    assert_eq!(find_cameras(&folder, &CaptureOptions::default(), &options, &mut |_| ()).unwrap().views.len(), 5);
 
     // Six are enough, but not when one of them stands somewhere else.
     let mut model = ring(&lens(CameraModel::SimpleRadial), 10, 120);

@@ -25,7 +25,7 @@ struct Answer<'a> {
 
 /// Finds the cameras where they are not given, trains both sets, writes them, answers with their scores.
 pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
-    let capture = load(args, ui)?;
+    let capture = open(args, ui)?;
     let report = capture.report()?;
     for line in report.to_string().lines() {
         ui.note(line);
@@ -69,38 +69,26 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
 }
 
 /// The capture; cameras come from COLMAP where the folder has none, photos from ffmpeg where it is a video.
-fn load(args: &ReconstructArgs, ui: &Ui) -> Result<Capture> {
+fn open(args: &ReconstructArgs, ui: &Ui) -> Result<Capture> {
     let mut within = CaptureOptions::default();
     within.masks.clone_from(&args.masks);
-    if !args.scan.is_file() {
-        if capture::has_cameras(&args.scan) {
-            return Ok(Capture::load(&args.scan, &within)?);
-        }
-        return find_cameras(&args.scan, &within, &args.colmap, ui);
-    }
-    let folder = args.out.join("scan");
-    let mut video = VideoOptions::default();
-    video.program.clone_from(&args.ffmpeg);
-    if !folder.join("images").exists() {
-        let spinner = ui.spinner("frames");
-        let frames =
-            capture::extract_frames(&args.scan, &folder, &video, &mut |line| spinner.set_message(line.to_owned()))?;
-        spinner.finish_and_clear();
-        ui.note(format!("{frames} frames of {}", args.scan.display()));
-    }
-    if capture::has_cameras(&folder) {
-        return Ok(Capture::load(&folder, &within)?);
-    }
-    find_cameras(&folder, &within, &args.colmap, ui)
-}
-
-fn find_cameras(folder: &Path, within: &CaptureOptions, program: &Path, ui: &Ui) -> Result<Capture> {
     let mut colmap = ColmapOptions::default();
-    colmap.program = program.into();
+    colmap.program.clone_from(&args.colmap);
     let spinner = ui.spinner("cameras");
-    let found = capture::reconstruct(folder, within, &colmap, &mut |line| spinner.set_message(line.to_owned()))?;
+    let mut show = |line: &str| spinner.set_message(line.to_owned());
+    let mut folder = args.scan.clone();
+    if args.scan.is_file() {
+        folder = args.out.join("scan");
+        if !folder.join("images").exists() {
+            let mut video = VideoOptions::default();
+            video.program.clone_from(&args.ffmpeg);
+            let frames = capture::extract_frames(&args.scan, &folder, &video, &mut show)?;
+            ui.note(format!("{frames} frames of {}", args.scan.display()));
+        }
+    }
+    let capture = Capture::open(&folder, &within, &colmap, &mut show)?;
     spinner.finish_and_clear();
-    Ok(found)
+    Ok(capture)
 }
 
 fn describe(r: &Reconstruction, out: &Path) -> String {

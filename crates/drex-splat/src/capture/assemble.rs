@@ -37,7 +37,7 @@ pub(super) fn load(folder: &Path, options: &CaptureOptions) -> Result<Capture> {
 }
 
 /// Whether the folder says where its photos were taken from.
-pub fn has_cameras(folder: &Path) -> bool {
+pub(super) fn has_cameras(folder: &Path) -> bool {
     !places_of_models(folder).is_empty() || transforms::find(folder).is_some()
 }
 

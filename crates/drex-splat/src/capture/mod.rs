@@ -29,10 +29,9 @@ use drex_core::Pose;
 use drex_core::camera::Camera;
 use nalgebra::Point3;
 
-pub use self::assemble::has_cameras;
 pub use self::photos::{Photo, PhotoOptions, Photos};
 pub use self::report::{CaptureReport, Coverage, MaskCheck, ReprojectionError, ViewReport};
-pub use self::tools::{ColmapOptions, VideoOptions, extract_frames, reconstruct};
+pub use self::tools::{ColmapOptions, VideoOptions, extract_frames, find_cameras};
 use self::undistort::Undistortion;
 use crate::{Error, PinholeCamera, Result};
 
@@ -123,10 +122,10 @@ impl Capture {
         assemble::load(folder, options)
     }
 
-    /// As [`Capture::load`], but where a folder has only photos, COLMAP is asked for their cameras (see [`reconstruct`]).
+    /// As [`Capture::load`], but where a folder has only photos, COLMAP is asked for their cameras (see [`find_cameras`]).
     ///
     /// # Errors
-    /// As [`Capture::load`] and [`reconstruct`].
+    /// As [`Capture::load`] and [`find_cameras`].
     pub fn open(
         folder: &Path,
         options: &CaptureOptions,
@@ -136,7 +135,7 @@ impl Capture {
         if assemble::has_cameras(folder) {
             return Self::load(folder, options);
         }
-        reconstruct(folder, options, colmap, progress)
+        find_cameras(folder, options, colmap, progress)
     }
 
     /// The pinhole camera of a view: undistorted, and scaled so that no side is longer than `max_side` pixels. It is

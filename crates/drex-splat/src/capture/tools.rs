@@ -79,7 +79,7 @@ impl Default for VideoOptions {
 ///
 /// # Errors
 /// If COLMAP is not installed or fails, or if it finds cameras for too few photos; the message names those without.
-pub fn reconstruct(
+pub fn find_cameras(
     folder: &Path,
     capture: &CaptureOptions,
     options: &ColmapOptions,
