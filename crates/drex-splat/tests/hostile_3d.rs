@@ -126,6 +126,20 @@ fn a_gradient_of_another_size_is_refused() {
     assert!(error.contains("depth") && error.contains('7'), "{error}");
 }
 
+#[test]
+fn a_backward_of_another_set_or_camera_is_refused() {
+    let (scene, camera) = (scenes::cloud(6, 1, 5), scenes::camera(50, 34));
+    let (render, saved) = Cpu.forward(&scene, &camera, &low()).unwrap();
+    let refused = |scene: &Gaussians, width: usize| {
+        let none = RenderGradients::default();
+        Cpu.backward(scene, &scenes::camera(width, 34), &low(), &render, &saved, &none).unwrap_err().to_string()
+    };
+    let error = refused(&scenes::cloud(7, 1, 5), 50);
+    assert!(error.contains("7 Gaussians") && error.contains("6 Gaussians"), "{error}");
+    let error = refused(&scene, 51);
+    assert!(error.contains("51 x 34"), "{error}");
+}
+
 fn low() -> RenderOptions {
     let mut options = RenderOptions::default();
     options.sh_degree = 1;

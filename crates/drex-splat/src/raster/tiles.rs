@@ -1,5 +1,7 @@
 //! Which splats touch which tile, nearest first; and images and records cut into tiles, so that threads can fill them.
 
+use crate::{Error, Result};
+
 /// Side of a tile, pixels.
 pub(crate) const TILE: usize = 16;
 
@@ -18,6 +20,12 @@ impl ScreenBox {
     fn is_empty(&self) -> bool {
         self.x0 >= self.x1 || self.y0 >= self.y1
     }
+
+    /// How many tiles the box touches.
+    fn tiles(&self) -> usize {
+        let side = |from: u16, to: u16| (to as usize).div_ceil(TILE).saturating_sub(from as usize / TILE);
+        if self.is_empty() { 0 } else { side(self.x0, self.x1) * side(self.y0, self.y1) }
+    }
 }
 
 /// The list of splats of every tile. A place in `ids` is called a slot: one splat in one tile.
@@ -35,6 +43,29 @@ pub(crate) struct Tiles {
 }
 
 impl Tiles {
+    /// Most slots that are listed: a gigabyte of lists, 6 gigabytes of records in a backward pass.
+    const MAX_SLOTS: usize = 1 << 27;
+
+    /// # Errors
+    /// If the lists of these boxes would fill the memory: thousands of splats each over the whole of a large image.
+    pub fn check(boxes: &[ScreenBox]) -> Result<()> {
+        let slots: usize = boxes.iter().map(ScreenBox::tiles).sum();
+        if slots <= Self::MAX_SLOTS {
+            return Ok(());
+        }
+        let (widest, at) = boxes.iter().zip(0..).map(|(b, i)| (b.tiles(), i)).max().unwrap_or_default();
+        Err(Error::Gaussians {
+            what: format!(
+                "{} Gaussians touch {slots} tiles of {TILE} x {TILE} pixels together (Gaussian {at} alone {widest}), at most {} are drawn",
+                boxes.len(),
+                Self::MAX_SLOTS
+            ),
+            remedy:
+                "remove those that cover the whole image (a training that diverged makes them), or draw a smaller image"
+                    .into(),
+        })
+    }
+
     /// Lists for an image of `width` x `height` pixels; `touches(splat, column, row)` may refuse a tile inside the box.
     pub fn new(
         boxes: &[ScreenBox],
@@ -192,6 +223,14 @@ mod tests {
             slots += expected.len();
         }
         assert_eq!(slots, tiles.slot_count());
+    }
+
+    #[test]
+    fn lists_that_would_fill_the_memory_are_refused() {
+        let whole = ScreenBox { x0: 0, y0: 0, x1: 8192, y1: 8192, depth: 1.0 };
+        assert!(Tiles::check(&vec![whole; 500]).is_ok());
+        let error = Tiles::check(&vec![whole; 600]).unwrap_err().to_string();
+        assert!(error.contains("600 Gaussians") && error.contains("262144"), "{error}");
     }
 
     #[test]

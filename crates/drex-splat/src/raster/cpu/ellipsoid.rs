@@ -46,6 +46,7 @@ pub(super) fn forward(scene: &Gaussians, camera: &PinholeCamera, options: &Rende
         .map(|i| view.project(scene, i))
         .unzip_into_vecs(&mut splats, &mut boxes);
     let (width, height) = (camera.width, camera.height);
+    Tiles::check(&boxes)?;
     let tiles = Tiles::new(&boxes, width, height, |_, _, _| true);
 
     let pixels = width * height;

@@ -15,7 +15,11 @@ pub struct Cpu;
 
 /// What [`Cpu`] keeps from `forward` for `backward`.
 #[derive(Debug, Clone)]
-pub struct CpuSaved(Kept);
+pub struct CpuSaved {
+    kept: Kept,
+    /// Gaussians, image width and height: `backward` has to be given the same.
+    shape: [usize; 3],
+}
 
 #[derive(Debug, Clone)]
 enum Kept {
@@ -35,16 +39,17 @@ impl Rasterizer for Cpu {
         scene.check()?;
         camera.check()?;
         check_options(options)?;
-        Ok(match scene.kind {
+        let (render, kept) = match scene.kind {
             Kind::Ellipsoid => {
                 let (render, saved) = ellipsoid::forward(scene, camera, options)?;
-                (render, CpuSaved(Kept::Ellipsoids(saved)))
+                (render, Kept::Ellipsoids(saved))
             }
             Kind::Surfel => {
                 let (render, saved) = surfel::forward(scene, camera, options)?;
-                (render, CpuSaved(Kept::Surfels(saved)))
+                (render, Kept::Surfels(saved))
             }
-        })
+        };
+        Ok((render, CpuSaved { kept, shape: [scene.len(), camera.width, camera.height] }))
     }
 
     fn backward(
@@ -56,8 +61,11 @@ impl Rasterizer for Cpu {
         saved: &CpuSaved,
         gradients: &RenderGradients,
     ) -> Result<GaussianGradients> {
+        scene.check()?;
+        check_shape(saved.shape, [scene.len(), camera.width, camera.height])?;
+        check_shape(saved.shape, [scene.len(), render.width, render.height])?;
         check_gradients(render, gradients)?;
-        match &saved.0 {
+        match &saved.kept {
             Kept::Ellipsoids(saved) => ellipsoid::backward(scene, camera, options, saved, gradients),
             Kept::Surfels(saved) => surfel::backward(scene, camera, options, render, saved, gradients),
         }
@@ -86,6 +94,17 @@ pub(super) fn check_options(options: &RenderOptions) -> Result<()> {
         return wrong(format!("distortion_range {near} to {far}"), "give two positive depths, the nearer first");
     }
     Ok(())
+}
+
+fn check_shape(forward: [usize; 3], backward: [usize; 3]) -> Result<()> {
+    if forward == backward {
+        return Ok(());
+    }
+    let name = |[n, width, height]: [usize; 3]| format!("{n} Gaussians in {width} x {height} pixels");
+    Err(Error::Option {
+        what: format!("backward is given {}, forward drew {}", name(backward), name(forward)),
+        remedy: "give both passes the same set, camera and render".into(),
+    })
 }
 
 pub(super) fn check_gradients(render: &Render, gradients: &RenderGradients) -> Result<()> {
