@@ -7,13 +7,14 @@ use drex_splat::{Cpu, Error, Gaussians, Rasterizer, RenderGradients, RenderOptio
 use proptest::prelude::*;
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 96, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 256, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn any_numbers_give_finite_results_or_a_named_error(
         numbers in prop::collection::vec((0..6usize, 0..16usize, hostile()), 1..12),
         antialias: bool,
         smooth_cutoff: bool,
+        blur in prop::sample::select(vec![0.0, 1e-30, 0.3]),
     ) {
         let mut scene = scenes::cloud(6, 1, 5);
         for (i, field, value) in numbers {
@@ -21,6 +22,7 @@ proptest! {
         }
         let mut options = RenderOptions::default();
         (options.sh_degree, options.antialias, options.smooth_cutoff) = (1, antialias, smooth_cutoff);
+        options.blur = blur;
         draw(&scene, &options);
     }
 }

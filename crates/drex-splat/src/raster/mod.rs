@@ -41,7 +41,8 @@ pub struct RenderOptions {
     pub geometry: bool,
     /// Near and far depth that the distortion's mapping m = far / (far - near) (1 - near / z) uses, scene units.
     pub distortion_range: [f32; 2],
-    /// Fade a splat out in a narrow band round its cut-off at opacity 1/255, so that finite differences hold. For tests.
+    /// Fade a splat out between opacity 1.5/255 and 0.5/255 instead of cutting it at 1/255, so that finite differences
+    /// hold. For tests.
     pub smooth_cutoff: bool,
     /// Whether [`Render::count`] is filled.
     pub count: bool,
@@ -138,7 +139,7 @@ pub struct GaussianGradients {
     pub mean2d: Vec<[f32; 2]>,
     /// As `mean2d`, with absolute values taken per pixel before summing (AbsGS).
     pub abs_mean2d: Vec<[f32; 2]>,
-    /// Radius in the image, pixels; 0 where the splat is not drawn.
+    /// Radius in the image (three standard deviations along the longest axis), pixels; 0 where the splat is not drawn.
     pub radius: Vec<f32>,
     /// By a small motion of the camera, (ρ, φ): camera_from_world' = exp((ρ, φ)^) camera_from_world.
     pub twist: [f64; 6],

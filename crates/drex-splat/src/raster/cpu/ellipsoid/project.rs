@@ -90,7 +90,7 @@ struct Footprint {
 }
 
 /// Splats beyond are not drawn, since single precision would hold neither them nor their derivative: standard deviation
-/// and place in the image (pixels), depth (scene units), brightness.
+/// (or its inverse) and place in the image (pixels), depth (scene units), brightness.
 const LARGEST: f64 = 1e9;
 /// Quaternions shorter than this have no direction.
 const SHORTEST: f64 = 1e-12;
@@ -188,7 +188,8 @@ impl<'a> View<'a> {
         let det0 = a1.cross(&a2).norm_squared();
         let blur = f64::from(self.options.blur);
         let cov = [xx + blur, xy, yy + blur, det0 + blur * (xx + yy) + blur * blur];
-        let drawable = cov[0].max(cov[2]) < LARGEST * LARGEST && cov[3] > 0.0;
+        let widest = cov[0].max(cov[2]);
+        let drawable = widest < LARGEST * LARGEST && cov[3] > widest / (LARGEST * LARGEST);
         drawable.then_some(Footprint { t, ratio, j, scale, v, a, cov0: [xx, xy, yy, det0], cov })
     }
 
@@ -282,7 +283,7 @@ impl<'a> View<'a> {
 
 /// Pixels of an axis whose centres lie within `half` of `mean`.
 fn pixels(mean: f64, half: f64, side: usize) -> [u16; 2] {
-    [mean - half - 0.5, mean + half + 0.5].map(|edge| edge.ceil().clamp(0.0, side as f64) as u16)
+    [(mean - half - 0.5).ceil(), (mean + half + 0.5).floor()].map(|edge| edge.clamp(0.0, side as f64) as u16)
 }
 
 /// The rotation of a quaternion w, x, y, z of any length but zero.
