@@ -123,3 +123,53 @@ fn clipped_corners(surfel: &Surfel, radius: f64, near: f64) -> Vec<Vector2<f64>>
 fn hull(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
     values.into_iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[lo, hi], v| [lo.min(v), hi.max(v)])
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix3, Rotation3};
+
+    use super::*;
+    use crate::PinholeCamera;
+
+    fn camera() -> PinholeCamera {
+        let camera_from_world = drex_core::Pose::identity();
+        PinholeCamera { camera_from_world, fx: 100.0, fy: 120.0, cx: 50.0, cy: 40.0, width: 100, height: 80 }
+    }
+
+    fn footprint(r: Matrix3<f64>, s: [f64; 2], t: Vector3<f64>) -> Footprint {
+        let surfel = Surfel::new(&camera(), r, s.map(f64::ln), t, 0.01, 9.0).unwrap();
+        Footprint::new(&surfel, 4.0, 0.01).unwrap()
+    }
+
+    #[test]
+    fn a_disc_that_faces_the_camera_has_the_box_of_its_ellipse() {
+        let f = footprint(Matrix3::identity(), [0.2, 0.1], Vector3::new(0.5, -0.25, 2.0));
+        let near = |range: [f32; 2], lo: f32, hi: f32| {
+            assert!(
+                (range[0] - lo + 0.05).abs() < 1e-3 && (range[1] - hi - 0.05).abs() < 1e-3,
+                "{range:?}, {lo} to {hi}"
+            );
+        };
+        near(f.x, 75.0 - 20.0, 75.0 + 20.0);
+        near(f.y, 25.0 - 12.0, 25.0 + 12.0);
+        assert_eq!((f.axis[0].abs(), f.axis[1].abs()), (0.0, 1.0), "thinnest along y");
+        assert!((f.radius - 30.0).abs() < 1e-3, "three times 10 px: {}", f.radius);
+    }
+
+    #[test]
+    fn an_edge_on_disc_has_a_strip_as_thin_as_its_floor() {
+        let turn =
+            Rotation3::from_axis_angle(&Vector3::z_axis(), 0.7) * Rotation3::from_axis_angle(&Vector3::x_axis(), 1.57);
+        let f = footprint(turn.into_inner(), [0.2, 0.2], Vector3::new(0.0, 0.0, 2.0));
+        assert!(f.strip[1] - f.strip[0] < 2.0 * (2.0 + 0.05) * 1.01, "floor of two standard deviations: {f:?}");
+        assert!(f.x[1] - f.x[0] > 20.0);
+    }
+
+    #[test]
+    fn a_disc_across_the_cameras_plane_has_a_finite_box() {
+        let turn = Rotation3::from_axis_angle(&Vector3::x_axis(), 1.2);
+        let f = footprint(turn.into_inner(), [1.0, 1.0], Vector3::new(0.0, 1.0, 1.0));
+        assert!(f.x.iter().chain(&f.y).chain(&f.strip).all(|v| v.is_finite()));
+        assert!(f.y[1] > 80.0, "it goes on below the image: {f:?}");
+    }
+}
