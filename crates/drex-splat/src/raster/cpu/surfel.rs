@@ -3,13 +3,15 @@
 mod backward;
 mod bounds;
 mod forward;
+#[cfg(test)]
+mod instructions;
 mod project;
 mod view;
 
 use rayon::prelude::*;
 
 use super::lanes::{BLOCK, Plane, place};
-use crate::raster::{GaussianGradients, Render, RenderGradients, RenderOptions, ScreenBox, TILE, Tiles};
+use crate::raster::{GaussianGradients, Render, RenderGradients, RenderOptions, TILE, Tiles};
 use crate::{Error, Gaussians, PinholeCamera, Result};
 use backward::{Differentiate, Record, TileGradients};
 use bounds::Footprint;
@@ -37,8 +39,12 @@ struct Hidden {
 
 pub(super) fn forward(scene: &Gaussians, camera: &PinholeCamera, options: &RenderOptions) -> Result<(Render, Saved)> {
     let view = View::new(camera, options);
-    let (projected, boxes): (Vec<Projected>, Vec<ScreenBox>) =
-        (0..scene.len()).into_par_iter().with_min_len(256).map(|i| view.project(scene, i).unwrap_or_default()).unzip();
+    let (mut projected, mut boxes) = (Vec::new(), Vec::new());
+    (0..scene.len())
+        .into_par_iter()
+        .with_min_len(256)
+        .map(|i| view.project(scene, i).unwrap_or_default())
+        .unzip_into_vecs(&mut projected, &mut boxes);
     let tiles = Tiles::new(&boxes, camera.width, camera.height, |i, column, row| {
         meets_tile(&projected[i].footprint, column, row)
     });
