@@ -275,7 +275,7 @@ mod tests {
         assert_eq!(m.len(), 11);
         let large = m.gaussians.log_scales.iter().filter(|s| (s[0].exp() - 1.0 / 1.6).abs() < 1e-6).count();
         assert_eq!(large, 2);
-        assert!(m.moments.iter().all(|x| x.len() == 11));
+        assert!(m.moments.iter().all(|x| x.m().len() == 11 * x.stride));
     }
 
     #[test]

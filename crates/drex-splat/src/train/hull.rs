@@ -110,7 +110,7 @@ mod tests {
         for margin in 0..3 {
             let mut hull = VisualHull::new();
             hull.add(&camera, &mask, margin);
-            for (dx, dy) in [(0, 0), (1, 0), (0, -1), (2, 2), (-3, 0), (4, 4)] {
+            for (dx, dy) in [(0_i32, 0_i32), (1, 0), (0, -1), (2, 2), (-3, 0), (4, 4)] {
                 let inside = dx.unsigned_abs() as usize <= margin && dy.unsigned_abs() as usize <= margin;
                 assert_eq!(hull.contains(&at(f64::from(dx), f64::from(dy))), inside, "margin {margin}, {dx}, {dy}");
             }

@@ -66,9 +66,22 @@ impl Golden {
             }
             worst_element = worst_element.max(off / (theirs.abs() + 1e-3 * largest));
         }
-        eprintln!("{}/{name}: {worst:.1e} of the largest ({limit:.0e}), element by element {worst_element:.1e} ({element:.0e})", self.name);
-        assert!(worst <= limit, "{}/{name}[{at}]: ours {}, golden {}: {worst:.2e} > {limit:.0e}", self.name, ours[at], file.values[at]);
-        assert!(worst_element <= element, "{}/{name}: element by element {worst_element:.2e} > {element:.0e}", self.name);
+        eprintln!(
+            "{}/{name}: {worst:.1e} of the largest ({limit:.0e}), element by element {worst_element:.1e} ({element:.0e})",
+            self.name
+        );
+        assert!(
+            worst <= limit,
+            "{}/{name}[{at}]: ours {}, golden {}: {worst:.2e} > {limit:.0e}",
+            self.name,
+            ours[at],
+            file.values[at]
+        );
+        assert!(
+            worst_element <= element,
+            "{}/{name}: element by element {worst_element:.2e} > {element:.0e}",
+            self.name
+        );
     }
 }
 
@@ -81,7 +94,8 @@ pub fn parse_npz(bytes: &[u8]) -> BTreeMap<String, Array> {
     let mut arrays = BTreeMap::new();
     for _ in 0..count {
         assert_eq!(u16_at(p + 10), 0, "compressed member");
-        let (size, name_len, extra, comment, local) = (u32_at(p + 24), u16_at(p + 28), u16_at(p + 30), u16_at(p + 32), u32_at(p + 42));
+        let (size, name_len, extra, comment, local) =
+            (u32_at(p + 24), u16_at(p + 28), u16_at(p + 30), u16_at(p + 32), u32_at(p + 42));
         let name = std::str::from_utf8(&bytes[p + 46..p + 46 + name_len]).unwrap().trim_end_matches(".npy").to_owned();
         let start = local + 30 + u16_at(local + 26) + u16_at(local + 28);
         arrays.insert(name, parse_npy(&bytes[start..start + size]));
