@@ -299,16 +299,11 @@ fn what_cannot_be_trained_is_refused_by_name() {
     bad.ssim_weight = 1.5;
     assert!(refused(vec![0, 1], first(), EXTENT, bad).contains("ssim_weight is 1.5"));
 
-    let black: Vec<Arc<Photo>> = world
-        .photos
-        .iter()
-        .map(|p| {
-            Arc::new(Photo { rgb: vec![[0; 3]; p.rgb.len()], mask: Some(vec![0; p.rgb.len()]), ..Photo::clone(p) })
-        })
-        .collect();
+    let unmasked: Vec<Arc<Photo>> =
+        world.photos.iter().map(|p| Arc::new(Photo { mask: Some(vec![0; p.rgb.len()]), ..Photo::clone(p) })).collect();
     let mut masked = o();
     masked.masks = MaskMode::Transparent;
-    let mut trainer = Trainer::new(&black, vec![0, 1, 2], Cpu, first(), EXTENT, masked).unwrap();
+    let mut trainer = Trainer::new(&unmasked, vec![0, 1, 2], Cpu, first(), EXTENT, masked).unwrap();
     let said = trainer.step().unwrap_err().to_string();
     assert!(said.contains("mask"), "{said}");
 }
