@@ -22,6 +22,8 @@ fn main() {
     let cases = [
         ("mouse56 480x360", colmap(&scans.join("mouse56"), 0.5), true),
         ("alexander54 504x504", colmap(&scans.join("alexander54"), 0.5), true),
+        ("surfels, mouse56 480x360", surfels(colmap(&scans.join("mouse56"), 0.5)), true),
+        ("surfels, alexander54 504x504", surfels(colmap(&scans.join("alexander54"), 0.5)), true),
         ("garden, 100 k, 640x480", garden(&scans.join("garden_points/test_garden.npz")), false),
     ];
     println!("core-milliseconds a picture (wall in brackets)");
@@ -49,6 +51,9 @@ fn measure(scene: &Gaussians, cameras: &[PinholeCamera], train: bool, seconds: f
         let pixels = render.rgb.len() as f32;
         let gradients = RenderGradients {
             rgb: render.rgb.iter().map(|c| c.map(|v| (v - 0.5) / pixels)).collect(),
+            normal: render.normal.iter().map(|n| n.map(|v| v / pixels)).collect(),
+            median_depth: render.median_depth.iter().map(|z| z / pixels).collect(),
+            distortion: render.distortion.iter().map(|_| 1.0 / pixels).collect(),
             ..RenderGradients::default()
         };
         Cpu.backward(scene, camera, &options, &render, &saved, &gradients).unwrap();
@@ -97,6 +102,16 @@ fn from_points(points: &[([f32; 3], [u8; 3])], opacity: f32, sh_degree: usize) -
         scene.labels.push(Label::BACKGROUND);
     }
     scene
+}
+
+/// The same as discs that face all ways.
+fn surfels((mut scene, cameras): (Gaussians, Vec<PinholeCamera>)) -> (Gaussians, Vec<PinholeCamera>) {
+    scene.kind = Kind::Surfel;
+    for (i, q) in scene.rotations.iter_mut().enumerate() {
+        let k = i as f32;
+        *q = [0.1 + (0.37 * k).sin().abs(), (1.7 * k).sin(), (2.3 * k).cos(), (3.1 * k).sin()];
+    }
+    (scene, cameras)
 }
 
 /// Root of the mean squared distance to the three nearest points, by a sweep along x.
