@@ -23,7 +23,7 @@ pub struct RenderOptions {
     pub background: [f32; 3],
     /// Degree of the spherical harmonics used; a set of a lower degree is drawn with its own.
     pub sh_degree: usize,
-    /// Splats whose centre is nearer than this are not drawn, scene units.
+    /// Splats whose centre is nearer than this are not drawn, scene units; nor are the pixels that meet a surfel nearer.
     pub near: f32,
     /// Opacity of one splat in one pixel stays below this; above, its derivative is zero.
     pub max_alpha: f32,
