@@ -161,9 +161,10 @@ fn degenerate_gaussians_give_finite_results_or_a_named_error() {
 fn what_does_not_fit_is_named() {
     let Some(gpu) = gpu() else { return };
     // Every splat covers all of a large image: more pairs than a buffer holds, on any adapter.
-    let mut scene = scenes::cloud(3000, 0, 5);
+    let mut scene = scenes::cloud(300, 0, 5);
     scene.log_scales.fill([5.0; 3]);
-    let error = gpu.forward(&scene, &scenes::camera(16_384, 16_384), &options()).unwrap_err().to_string();
+    let side = PinholeCamera::MAX_SIDE;
+    let error = gpu.forward(&scene, &scenes::camera(side, side), &options()).unwrap_err().to_string();
     assert!(error.contains("bytes") && error.contains("holds at most"), "{error}");
 }
 

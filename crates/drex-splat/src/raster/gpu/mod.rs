@@ -73,7 +73,8 @@ struct Kernels {
 const SHAPE: u64 = 11;
 /// Words of what densification and the camera get from a Gaussian: centre 2, absolute values 2, radius 1, twist 6.
 const STATISTICS: u64 = 11;
-/// Words of a pixel's images: colour 3, alpha, depth, normal 3, median depth, distortion; and with the count.
+/// Words of a pixel's images: colour 3, alpha, depth; normal 3, median depth, distortion as well; and the count.
+const LOOKS: u64 = 5;
 const IMAGES: u64 = 10;
 const IMAGES_AND_COUNT: u64 = IMAGES + 1;
 
@@ -305,21 +306,25 @@ impl Gpu {
         Ok(Lists { order, offsets, pairs, pair_ids, splats, ranges })
     }
 
+    /// All images in one transfer: waiting for the GPU costs more than the bytes.
     fn download(&self, images: &Buffer, camera: &PinholeCamera, surface: bool, count: bool) -> Result<Render> {
         let pixels = camera.width * camera.height;
-        let at = |section: usize| (section * pixels) as u64;
-        let (device, wanted) = (&self.device, if surface { pixels } else { 0 });
-        let count: Vec<f32> = device.read(images, at(10), if count { pixels } else { 0 })?;
+        let sections = if surface || count { IMAGES_AND_COUNT } else { LOOKS };
+        let all: Vec<f32> = self.device.read(images, 0, sections as usize * pixels)?;
+        let mut rest = all.as_slice();
+        let [rgb, alpha, depth, normal, median_depth, distortion, counts] =
+            [3, 1, 1, 3, 1, 1, 1].map(|words| split(&mut rest, words * pixels));
+        let surface = |image: &[f32]| if surface { image.to_vec() } else { Vec::new() };
         Ok(Render {
             width: camera.width,
             height: camera.height,
-            rgb: device.read(images, at(0), pixels)?,
-            alpha: device.read(images, at(3), pixels)?,
-            depth: device.read(images, at(4), pixels)?,
-            normal: device.read(images, at(5), wanted)?,
-            median_depth: device.read(images, at(8), wanted)?,
-            distortion: device.read(images, at(9), wanted)?,
-            count: count.into_iter().map(|c| c as u32).collect(),
+            rgb: rgb.as_chunks().0.to_vec(),
+            alpha: alpha.to_vec(),
+            depth: depth.to_vec(),
+            normal: surface(normal).as_chunks().0.to_vec(),
+            median_depth: surface(median_depth),
+            distortion: surface(distortion),
+            count: if count { counts.iter().map(|c| *c as u32).collect() } else { Vec::new() },
         })
     }
 
@@ -335,26 +340,34 @@ impl Gpu {
     }
 
     fn download_gradients(&self, gradients: &Buffer, scene: &Gaussians) -> Result<GaussianGradients> {
-        let (device, n, stride) = (&self.device, scene.len(), scene.sh_stride());
-        let at = |section: usize| (section * n) as u64;
-        let statistics = SHAPE as usize + stride;
-        let motions: Vec<[f32; 6]> = device.read(gradients, at(statistics + 5), n)?;
+        let (n, stride) = (scene.len(), scene.sh_stride());
+        let all: Vec<f32> = self.device.read(gradients, 0, n * ((SHAPE + STATISTICS) as usize + stride))?;
+        let mut rest = all.as_slice();
+        let [means, rotations, log_scales, logit_opacities, sh, mean2d, abs_mean2d, radius, motions] =
+            [3, 4, 3, 1, stride, 2, 2, 1, 6].map(|words| split(&mut rest, words * n));
         let mut twist = [0.0; 6];
-        for motion in motions {
+        for motion in motions.as_chunks::<6>().0 {
             for k in 0..6 {
                 twist[k] += f64::from(motion[k]);
             }
         }
         Ok(GaussianGradients {
-            means: device.read(gradients, 0, n)?,
-            rotations: device.read(gradients, at(3), n)?,
-            log_scales: device.read(gradients, at(7), n)?,
-            logit_opacities: device.read(gradients, at(10), n)?,
-            sh: device.read(gradients, at(SHAPE as usize), n * stride)?,
-            mean2d: device.read(gradients, at(statistics), n)?,
-            abs_mean2d: device.read(gradients, at(statistics + 2), n)?,
-            radius: device.read(gradients, at(statistics + 4), n)?,
+            means: means.as_chunks().0.to_vec(),
+            rotations: rotations.as_chunks().0.to_vec(),
+            log_scales: log_scales.as_chunks().0.to_vec(),
+            logit_opacities: logit_opacities.to_vec(),
+            sh: sh.to_vec(),
+            mean2d: mean2d.as_chunks().0.to_vec(),
+            abs_mean2d: abs_mean2d.as_chunks().0.to_vec(),
+            radius: radius.to_vec(),
             twist,
         })
     }
+}
+
+/// The next `count` numbers, or as many as there are.
+fn split<'a>(rest: &mut &'a [f32], count: usize) -> &'a [f32] {
+    let (first, others) = rest.split_at(count.min(rest.len()));
+    *rest = others;
+    first
 }

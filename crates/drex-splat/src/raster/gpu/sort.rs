@@ -61,7 +61,7 @@ impl Sorter {
         Ok(())
     }
 
-    /// Replaces each of the `len` first numbers by the sum of those before it.
+    /// Replaces each of the `len` first numbers by the sum of those before it, at most `u32::MAX`.
     pub fn scan(&self, device: &Device, pass: &mut ComputePass<'_>, numbers: &Buffer, len: u64) -> Result<()> {
         let count = len.div_ceil(SCAN_BLOCK);
         let totals = device.storage("sums of blocks", count)?;
@@ -119,6 +119,17 @@ mod tests {
             assert!(truth.iter().map(|t| t.0).eq(sorted[0].iter().copied()), "{len} keys of {bits} bits");
             assert!(truth.iter().map(|t| t.1).eq(sorted[1].iter().copied()), "{len} values, {bits} bits");
         }
+    }
+
+    #[test]
+    fn sums_that_overflow_stay_at_the_largest_number() {
+        let Some(device) = device() else { return };
+        let sorter = Sorter::new(&device);
+        let buffer = device.storage("test", 5000).unwrap();
+        device.write(&buffer, 0, &vec![1_u32 << 20; 5000]);
+        device.submit(|pass| sorter.scan(&device, pass, &buffer, 5000)).unwrap();
+        let sums: Vec<u32> = device.read(&buffer, 0, 5000).unwrap();
+        assert_eq!([sums[4095], sums[4096], sums[4999]], [4095 << 20, u32::MAX, u32::MAX]);
     }
 
     #[test]

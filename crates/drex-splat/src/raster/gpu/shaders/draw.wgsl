@@ -27,6 +27,7 @@ const WALKERS = 64u;
 var<workgroup> behind: array<vec2f, 256>;
 var<workgroup> end_of: array<u32, 256>;
 var<workgroup> by_colour: array<vec4f, 256>;
+// Zero at the start, as all memory of a workgroup.
 var<workgroup> longest: atomic<u32>;
 
 // Opacity of a splat where it is `full` before any limit, 0 where the pixel is not touched; and its derivative by ln full,

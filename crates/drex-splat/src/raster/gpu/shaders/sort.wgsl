@@ -58,6 +58,11 @@ fn scatter(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) gr
 @group(0) @binding(6) var<storage, read_write> sums: array<u32>;
 @group(0) @binding(7) var<storage, read_write> block_sums: array<u32>;
 
+// A sum too large for 32 bits stays at their largest number, so that the host sees that it does not fit.
+fn add(a: u32, b: u32) -> u32 {
+    return a + min(b, ~a);
+}
+
 var<workgroup> partial: array<u32, 256>;
 
 // Exclusive prefix sum of `sums` within blocks, and the blocks' totals.
@@ -71,24 +76,27 @@ fn scan_blocks(
     let first = block * SCAN_BLOCK + local * SCAN_RUN;
     var total = 0u;
     for (var s = first; s < min(first + SCAN_RUN, step.x); s++) {
-        total += sums[s];
+        total = add(total, sums[s]);
     }
     partial[local] = total;
     workgroupBarrier();
     for (var reach = 1u; reach < 256u; reach *= 2u) {
         var sum = partial[local];
         if local >= reach {
-            sum += partial[local - reach];
+            sum = add(sum, partial[local - reach]);
         }
         workgroupBarrier();
         partial[local] = sum;
         workgroupBarrier();
     }
-    var before = partial[local] - total;
+    var before = 0u;
+    if local > 0u {
+        before = partial[local - 1u];
+    }
     for (var s = first; s < min(first + SCAN_RUN, step.x); s++) {
         let here = sums[s];
         sums[s] = before;
-        before += here;
+        before = add(before, here);
     }
     if local == 255u && block * SCAN_BLOCK < step.x {
         block_sums[block] = partial[255u];
@@ -99,6 +107,6 @@ fn scan_blocks(
 fn add_blocks(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
     let s = index(id, groups);
     if s < step.x {
-        sums[s] += block_sums[s / SCAN_BLOCK];
+        sums[s] = add(sums[s], block_sums[s / SCAN_BLOCK]);
     }
 }
