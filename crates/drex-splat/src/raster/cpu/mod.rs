@@ -96,7 +96,7 @@ pub(super) fn check_options(options: &RenderOptions) -> Result<()> {
     Ok(())
 }
 
-fn check_shape(forward: [usize; 3], backward: [usize; 3]) -> Result<()> {
+pub(super) fn check_shape(forward: [usize; 3], backward: [usize; 3]) -> Result<()> {
     if forward == backward {
         return Ok(());
     }
@@ -105,6 +105,18 @@ fn check_shape(forward: [usize; 3], backward: [usize; 3]) -> Result<()> {
         what: format!("backward is given {}, forward drew {}", name(backward), name(forward)),
         remedy: "give both passes the same set, camera and render".into(),
     })
+}
+
+/// Surfels only: ellipsoids have no such images, and their gradients count for nothing.
+pub(super) fn check_geometry(options: &RenderOptions, gradients: &RenderGradients) -> Result<()> {
+    let by_geometry = [gradients.normal.len(), gradients.median_depth.len(), gradients.distortion.len()];
+    if !options.geometry && by_geometry.iter().any(|len| *len > 0) {
+        return Err(Error::Option {
+            what: "a gradient by normal, median depth or distortion of surfels drawn without geometry".into(),
+            remedy: "set `geometry`, or leave these gradients empty".into(),
+        });
+    }
+    Ok(())
 }
 
 pub(super) fn check_gradients(render: &Render, gradients: &RenderGradients) -> Result<()> {

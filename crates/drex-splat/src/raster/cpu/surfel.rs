@@ -10,9 +10,10 @@ mod view;
 
 use rayon::prelude::*;
 
+use super::check_geometry;
 use super::lanes::{BLOCK, Plane, place};
 use crate::raster::{GaussianGradients, Render, RenderGradients, RenderOptions, TILE, Tiles};
-use crate::{Error, Gaussians, PinholeCamera, Result};
+use crate::{Gaussians, PinholeCamera, Result};
 use backward::{Differentiate, Record, TileGradients};
 use bounds::Footprint;
 use forward::{Draw, Projected, TileSums};
@@ -89,13 +90,7 @@ pub(super) fn backward(
     saved: &Saved,
     gradients: &RenderGradients,
 ) -> Result<GaussianGradients> {
-    let by_geometry = [gradients.normal.len(), gradients.median_depth.len(), gradients.distortion.len()];
-    if !options.geometry && by_geometry.iter().any(|len| *len > 0) {
-        return Err(Error::Option {
-            what: "a gradient by normal, median depth or distortion of surfels drawn without geometry".into(),
-            remedy: "set `geometry`, or leave these gradients empty".into(),
-        });
-    }
+    check_geometry(options, gradients)?;
     let view = View::new(camera, options);
     let (tiles, rules, arch) = (&saved.tiles, view.rules(), pulp::Arch::new());
     let mut records = vec![Record::default(); tiles.slot_count()];

@@ -15,7 +15,7 @@ use wgpu::{Buffer, ComputePipeline};
 
 use self::device::{Device, line};
 use self::sort::Sorter;
-use super::cpu::{check_gradients, check_options};
+use super::cpu::{check_geometry, check_gradients, check_options, check_shape};
 use super::{GaussianGradients, Rasterizer, Render, RenderGradients, RenderOptions, TILE};
 use crate::{Gaussians, Kind, PinholeCamera, Result};
 
@@ -32,6 +32,9 @@ pub struct Gpu {
 /// What [`Gpu`] keeps from `forward` for `backward`, on the GPU.
 #[derive(Debug, Clone)]
 pub struct GpuSaved {
+    kind: Kind,
+    /// Gaussians, image width and height: `backward` has to be given the same.
+    shape: [usize; 3],
     view: Buffer,
     parameters: Buffer,
     footprints: Buffer,
@@ -183,20 +186,26 @@ impl Rasterizer for Gpu {
         })?;
         let surface = scene.kind == Kind::Surfel && options.geometry;
         let render = self.download(&images, camera, surface, options.count)?;
-        Ok((render, GpuSaved { view, parameters, footprints, lists, marks, ends }))
+        let shape = [scene.len(), camera.width, camera.height];
+        Ok((render, GpuSaved { kind: scene.kind, shape, view, parameters, footprints, lists, marks, ends }))
     }
 
     fn backward(
         &self,
         scene: &Gaussians,
         camera: &PinholeCamera,
-        _: &RenderOptions,
+        options: &RenderOptions,
         render: &Render,
         saved: &GpuSaved,
         gradients: &RenderGradients,
     ) -> Result<GaussianGradients> {
+        check_shape(saved.shape, [scene.len(), camera.width, camera.height])?;
+        check_shape(saved.shape, [scene.len(), render.width, render.height])?;
         check_gradients(render, gradients)?;
-        let (device, kernels) = (&self.device, self.kernels(scene.kind));
+        if saved.kind == Kind::Surfel {
+            check_geometry(options, gradients)?;
+        }
+        let (device, kernels) = (&self.device, self.kernels(saved.kind));
         let n = scene.len() as u64;
         let by_images = self.upload_gradients(gradients, (camera.width * camera.height) as u64)?;
         let records = device.storage("records of pairs", kernels.record * saved.lists.pairs)?;

@@ -58,6 +58,7 @@ fn ellipsoid(i: u32) -> Ellipsoid {
     if has(ANTIALIAS) {
         e.compensation = sqrt(e.sharp_det / e.det);
     }
-    e.drawn = e.det > 1e-30;
+    // Blur may be zero: a needle whose inverse leaves single precision.
+    e.drawn = e.det > 1e-18 * max(e.cov.x, e.cov.z) && e.det > 1e-30;
     return e;
 }

@@ -79,14 +79,29 @@ struct Reach {
 // A disc that all but touches the camera's plane has an ellipse too large for these digits.
 const TOUCHES_PLANE = -1e-4;
 
+// The ellipse (x - c)ᵀ Γ⁻¹ (x - c) = 1 that the disc of squared radius r² projects to, from the dual conic
+// T diag(r², r², -1) Tᵀ: diagonal of Γ and the entry beside it. Not whole where the disc reaches the camera's plane.
+struct Ellipse {
+    whole: bool,
+    c: vec2f,
+    square: vec2f,
+    mixed: f32,
+}
+
+fn ellipse_of(e: Surfel, r2: f32) -> Ellipse {
+    let w = box_weights(e.tw, r2);
+    let c = vec2f(dot(w.xyz, e.tu * e.tw), dot(w.xyz, e.tv * e.tw));
+    let square = c * c - vec2f(dot(w.xyz, e.tu * e.tu), dot(w.xyz, e.tv * e.tv));
+    return Ellipse(w.w < TOUCHES_PLANE, c, square, c.x * c.y - dot(w.xyz, e.tu * e.tv));
+}
+
 fn reach_of(e: Surfel, power: f32) -> Reach {
     var reach: Reach;
-    let w = box_weights(e.tw, 2.0 * power);
-    if w.w < TOUCHES_PLANE {
-        // (x - c)ᵀ Γ⁻¹ (x - c) = 1, from the dual conic T diag(r², r², -1) Tᵀ.
-        let c = vec2f(dot(w.xyz, e.tu * e.tw), dot(w.xyz, e.tv * e.tw));
-        let square = c * c - vec2f(dot(w.xyz, e.tu * e.tu), dot(w.xyz, e.tv * e.tv));
-        let mixed = c.x * c.y - dot(w.xyz, e.tu * e.tv);
+    let disc = ellipse_of(e, 2.0 * power);
+    if disc.whole {
+        let c = disc.c;
+        let square = disc.square;
+        let mixed = disc.mixed;
         let angle = 0.5 * atan2(2.0 * mixed, square.x - square.y);
         let n = vec2f(-sin(angle), cos(angle));
         // More than single precision can err.
@@ -137,4 +152,17 @@ fn cut_reach(e: Surfel, radius: f32) -> Reach {
 fn corner(e: Surfel, radius: f32, angle: f32) -> vec3f {
     let p = vec3f(radius * cos(angle), radius * sin(angle), 1.0);
     return vec3f(dot(e.tu, p), dot(e.tv, p), dot(e.tw, p));
+}
+
+// Three standard deviations of the disc or of the floor along the longest axis, pixels; the longer side of the box where
+// the disc reaches the camera's plane.
+fn radius_of(e: Surfel, power: f32) -> f32 {
+    let disc = ellipse_of(e, 9.0);
+    if disc.whole {
+        let half = 0.5 * (disc.square.x - disc.square.y);
+        let longest = 0.5 * (disc.square.x + disc.square.y) + length(vec2f(half, disc.mixed));
+        return sqrt(max(longest, 4.5));
+    }
+    let reach = reach_of(e, power);
+    return max(reach.high.x - reach.low.x, reach.high.y - reach.low.y);
 }

@@ -23,9 +23,7 @@ fn project_back(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroup
     let by_floor = vec2f(sum[15], sum[16]);
     // The whole splat moved in the image: Tu + δ Tw.
     let by_centre = by_floor + vec2f(dot(by_tu, e.tw), dot(by_tv, e.tw));
-    let reach = reach_of(e, largest_power(opacity_of(i)));
-    let half = 0.5 * (reach.high - reach.low);
-    put_statistics(i, by_centre, vec2f(sum[17], sum[18]), max(half.x, half.y));
+    put_statistics(i, by_centre, vec2f(sum[17], sum[18]), radius_of(e, largest_power(opacity_of(i))));
     put_opacity_gradient(i, sum[19]);
 
     // Through the floor's centre f · (Tu Tw), f · (Tv Tw).
