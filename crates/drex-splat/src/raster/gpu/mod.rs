@@ -85,7 +85,7 @@ impl Gpu {
     /// Opens the fastest adapter and compiles the shaders.
     ///
     /// # Errors
-    /// [`Error::Gpu`] if there is no adapter, or it gives no device or refuses a shader.
+    /// [`Error::Gpu`](crate::Error::Gpu) if there is no adapter, or it gives no device or refuses a shader.
     pub fn new() -> Result<Self> {
         let device = Device::new()?;
         let ranges = device.module("ranges", include_str!("shaders/ranges.wgsl"));
