@@ -54,7 +54,7 @@ pub fn to_bytes(shape: &[usize], values: &[f32]) -> Result<Vec<u8>> {
     Ok(out)
 }
 
-/// Reads an array of f2, f4, f8, u1, u2, i4 or bool, little endian, in C order.
+/// Reads an array of f2, f4, f8, u1, u2, i4, i8 or bool, little endian, in C order.
 ///
 /// # Errors
 /// If the file cannot be read, is no `.npy`, holds something else, or ends too early.
@@ -84,6 +84,7 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<Array> {
         "<f2" => (2, |b| half(u16::from_le_bytes([b[0], b[1]]))),
         "<f4" => (4, |b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])),
         "<i4" => (4, |b| i32::from_le_bytes([b[0], b[1], b[2], b[3]]) as f32),
+        "<i8" => (8, |b| i64::from_le_bytes([b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]]) as f32),
         "<f8" => (8, |b| f64::from_le_bytes([b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]]) as f32),
         other => return Err(refuse(format!("the numbers are of type {other}"))),
     };
