@@ -64,6 +64,10 @@ pub struct Progress {
     pub gaussians: usize,
 }
 
+/// Nothing is drawn nearer to a camera than this share of the scene's extent: what hangs right before one lens is seen by
+/// no other and only fogs it.
+const NEAR: f32 = 0.04;
+
 impl State {
     pub fn new(model: Model, photos: usize) -> Self {
         let n = model.len();
@@ -229,6 +233,7 @@ impl<'a, V: Views, R: Rasterizer> Trainer<'a, V, R> {
             sh_degree: self.options.sh_degree_at(step).min(self.gaussians().sh_degree),
             antialias: self.options.antialias,
             geometry: self.options.kind == Kind::Surfel,
+            near: NEAR * self.extent as f32,
             distortion_range: [0.05, 25.0].map(|x| x * self.extent as f32),
             ..RenderOptions::default()
         }
@@ -353,11 +358,24 @@ impl<'a, V: Views, R: Rasterizer> Trainer<'a, V, R> {
         }
         if let Some(by_exposure) = loss.exposure {
             let visits = (step - 1) / self.indices.len() as u32 + 1;
-            let matrix = self.state.exposures[k].matrix.as_flattened_mut();
+            let mut change = [0.0_f32; 12];
             let rates = [self.options.rates.exposure; 12];
-            adam_step(matrix, by_exposure.as_flattened(), &mut self.state.exposure_moments[k], &rates, visits)?;
+            adam_step(&mut change, by_exposure.as_flattened(), &mut self.state.exposure_moments[k], &rates, visits)?;
+            self.expose(k, &change);
         }
         Ok((value, psnr_of(render, photo, mask), loss.gradients))
+    }
+
+    /// Changes the exposure of photo `k` and all others a little the other way: their mean stays the identity, else the
+    /// set's own colours could drift and every exposure with them.
+    fn expose(&mut self, k: usize, change: &[f32; 12]) {
+        let share = 1.0 / self.state.exposures.len() as f32;
+        for (i, exposure) in self.state.exposures.iter_mut().enumerate() {
+            let part = if i == k { 1.0 - share } else { -share };
+            for (m, c) in exposure.matrix.as_flattened_mut().iter_mut().zip(change) {
+                *m += part * c;
+            }
+        }
     }
 
     /// Moves the camera of photo `k` against the gradient: exp(-rate · Adam direction) on the left.
