@@ -85,8 +85,8 @@ pub struct ReconstructArgs {
     /// How much time it may take: minutes, tens of minutes, hours.
     #[arg(long, value_enum, default_value_t = PresetArg::Default)]
     pub preset: PresetArg,
-    /// How Gaussians are born and removed: adaptive density control or Markov chain Monte Carlo.
-    #[arg(long, value_enum, default_value_t = DensityArg::Adaptive)]
+    /// How Gaussians are born and removed: Markov chain Monte Carlo or adaptive density control.
+    #[arg(long, value_enum, default_value_t = DensityArg::Mcmc)]
     pub density: DensityArg,
     /// Hold out every N-th photo by name and score the sets on them.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(usize))]
@@ -121,6 +121,9 @@ pub struct ReconstructArgs {
     /// Megabytes of photos kept in memory.
     #[arg(long, value_name = "MB", default_value_t = 1024)]
     pub memory_mb: usize,
+    /// Draw on the GPU (needs a build with `--features wgpu`).
+    #[arg(long)]
+    pub gpu: bool,
     /// The COLMAP program.
     #[arg(long, value_name = "PROGRAM", default_value = "colmap")]
     pub colmap: PathBuf,

@@ -28,7 +28,7 @@ fn main() {
     let mut t = 0;
     measure("Adam, 12 000 Gaussians of 59 numbers", || {
         t += 1;
-        adam_step(&mut params, &grads, &mut moments, 1e-3, t).unwrap();
+        adam_step(&mut params, &grads, &mut moments, &[1e-3; 59], t).unwrap();
     });
 }
 

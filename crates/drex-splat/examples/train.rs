@@ -25,7 +25,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let photos = Photos::new(&capture, photo_options)?;
     let kind = if flag("--surfels") { Kind::Surfel } else { Kind::Ellipsoid };
     let density = if flag("--mcmc") { DensityChoice::Mcmc } else { DensityChoice::Adaptive };
-    let mut options = Preset::Fast.train_options(kind, density);
+    let mut options = Preset::Fast.train_options(kind, density, capture.points.len());
     if let Some(n) = value("--iterations") {
         options.iterations = n.parse()?;
     }

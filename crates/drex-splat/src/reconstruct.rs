@@ -10,8 +10,8 @@ use crate::capture::{Capture, CaptureReport, PhotoOptions, Photos};
 use crate::io::{npy, picture, ply};
 use crate::loss::{MaskMode, surface_depth};
 use crate::metrics::{Table, similarity};
-use crate::train::{DensityChoice, Preset, Progress, TrainOptions, Trainer, VisualHull, from_points};
-use crate::{Error, Gaussians, Kind, Label, PinholeCamera, Rasterizer, Result, usage};
+use crate::train::{DensityChoice, NEAR, Preset, Progress, TrainOptions, Trainer, VisualHull, from_points};
+use crate::{Error, Gaussians, Kind, Label, PinholeCamera, Rasterizer, RenderOptions, Result, usage};
 
 /// What to reconstruct, and how carefully.
 #[derive(Debug, Clone, PartialEq)]
@@ -31,7 +31,7 @@ pub struct ReconstructOptions {
     pub max_side: Option<usize>,
     /// Steps of each set instead of the preset's.
     pub iterations: Option<u32>,
-    /// Most Gaussians of each set instead of the preset's.
+    /// Most Gaussians of each set instead of the preset's ([`Preset::max_gaussians`]).
     pub max_gaussians: Option<usize>,
     /// Whether each photo gets an affine colour of its own.
     pub exposure: bool,
@@ -53,7 +53,7 @@ impl Default for ReconstructOptions {
     fn default() -> Self {
         Self {
             preset: Preset::Default,
-            density: DensityChoice::Adaptive,
+            density: DensityChoice::default(),
             hold_out: None,
             use_masks: true,
             seed: 0,
@@ -171,9 +171,8 @@ struct Job<'a> {
 
 impl<'a> Job<'a> {
     fn new(capture: &'a Capture, report: &CaptureReport, options: &'a ReconstructOptions) -> Result<Self> {
-        let mut photo_options = PhotoOptions::default();
-        photo_options.max_side = Some(options.max_side.unwrap_or(options.preset.max_side()));
-        photo_options.memory_bytes = options.memory_bytes;
+        let max_side = Some(options.max_side.unwrap_or(options.preset.max_side()));
+        let photo_options = PhotoOptions { max_side, memory_bytes: options.memory_bytes, ..PhotoOptions::default() };
         let photos = Photos::new(capture, photo_options)?;
         if options.hold_out.is_some_and(|n| n < 2) {
             return Err(Error::Option {
@@ -243,7 +242,7 @@ impl<'a> Job<'a> {
         while !trainer.is_done() {
             let progress = trainer.step()?;
             let every = self.options.checkpoint_every;
-            if every > 0 && progress.step % every == 0 && !trainer.is_done() {
+            if every > 0 && progress.step.is_multiple_of(every) && !trainer.is_done() {
                 trainer.save(&checkpoint)?;
             }
             on_progress(kind, &progress, trainer.options().iterations, clock.elapsed().as_secs_f64());
@@ -269,7 +268,7 @@ impl<'a> Job<'a> {
 
     fn train_options(&self, kind: Kind) -> TrainOptions {
         let o = self.options;
-        let mut options = o.preset.train_options(kind, o.density);
+        let mut options = o.preset.train_options(kind, o.density, self.capture.points.len());
         options.seed = o.seed;
         options.iterations = o.iterations.unwrap_or(options.iterations);
         options.max_gaussians = o.max_gaussians.unwrap_or(options.max_gaussians);
@@ -332,13 +331,14 @@ pub fn write_depth_maps<R: Rasterizer>(
     appearance: &Gaussians,
     surface: &Gaussians,
 ) -> Result<usize> {
+    let options = RenderOptions { near: NEAR * capture.extent() as f32, ..RenderOptions::default() };
     let mut frames = Vec::new();
     for (i, view) in capture.views.iter().enumerate() {
         let camera = photos.camera(i);
         let stem = Path::new(&view.name).with_extension("");
         let at = |extension: &str| folder.join(format!("{}.{extension}", stem.display()));
-        let looks = rasterizer.forward(appearance, camera, &Default::default())?.0;
-        let shape = rasterizer.forward(surface, camera, &Default::default())?.0;
+        let looks = rasterizer.forward(appearance, camera, &options)?.0;
+        let shape = rasterizer.forward(surface, camera, &options)?.0;
         let depth = surface_depth(&shape, 1.0, 0.5)?;
         let normal: Vec<[f32; 3]> = shape.normal.iter().zip(&depth).map(|(n, &z)| unit_or_zero(*n, z)).collect();
         npy::write(&at("npy"), &[camera.height, camera.width], &depth)?;

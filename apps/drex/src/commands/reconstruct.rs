@@ -63,9 +63,25 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
             }
         }
     };
-    let reconstruction = reconstruct(&capture, &report, &Cpu, &args.out, &options, &mut on_progress)?;
+    let out = &args.out;
+    let reconstruction = if args.gpu {
+        reconstruct(&capture, &report, &gpu()?, out, &options, &mut on_progress)?
+    } else {
+        reconstruct(&capture, &report, &Cpu, out, &options, &mut on_progress)?
+    };
     let text = describe(&reconstruction, &args.out);
     ui.answer(&Answer { capture: &report, reconstruction }, text)
+}
+
+/// The first GPU there is.
+#[cfg(feature = "wgpu")]
+fn gpu() -> Result<drex_splat::raster::Gpu> {
+    Ok(drex_splat::raster::Gpu::new()?)
+}
+
+#[cfg(not(feature = "wgpu"))]
+fn gpu() -> Result<Cpu> {
+    anyhow::bail!("this drex was built without a GPU; build it with `--features wgpu`, or leave --gpu out")
 }
 
 /// The capture; cameras come from COLMAP where the folder has none, photos from ffmpeg where it is a video.

@@ -14,5 +14,6 @@ pub use hull::VisualHull;
 pub use init::from_points;
 pub use options::{Adaptive, Coarse, Density, Mcmc, Rates, SurfaceTerms, TrainOptions};
 pub use preset::{DensityChoice, Preset};
+pub(crate) use trainer::NEAR;
 pub use trainer::{Progress, Trainer};
 pub use views::Views;

@@ -23,9 +23,9 @@ pub enum Preset {
 #[serde(rename_all = "snake_case")]
 pub enum DensityChoice {
     /// Adaptive density control.
-    #[default]
     Adaptive,
-    /// Markov chain Monte Carlo.
+    /// Markov chain Monte Carlo: of the two the one that fogs photos held out less.
+    #[default]
     Mcmc,
 }
 
@@ -39,14 +39,25 @@ impl Preset {
         }
     }
 
-    /// Options of one set.
-    pub fn train_options(self, kind: Kind, density: DensityChoice) -> TrainOptions {
-        let (iterations, max_gaussians) = match (self, kind) {
-            (Self::Fast, Kind::Ellipsoid) => (2000, 30_000),
-            (Self::Fast, Kind::Surfel) => (1500, 30_000),
-            (Self::Default, _) => (7000, 150_000),
-            (Self::Best, _) => (30_000, 1_000_000),
+    /// Most Gaussians of one set of a capture with `sparse_points` triangulated points. Feature points measure how much
+    /// there is to see: where they are few, more Gaussians learn the photos by heart and fog all other views.
+    pub fn max_gaussians(self, sparse_points: usize) -> usize {
+        let (a_point, most) = match self {
+            Self::Fast => (2, 30_000),
+            Self::Default => (6, 150_000),
+            Self::Best => (20, 1_000_000),
         };
+        sparse_points.saturating_mul(a_point).clamp(5000, most)
+    }
+
+    /// Options of one set of a capture with `sparse_points` triangulated points.
+    pub fn train_options(self, kind: Kind, density: DensityChoice, sparse_points: usize) -> TrainOptions {
+        let iterations = match self {
+            Self::Fast => 2500,
+            Self::Default => 7000,
+            Self::Best => 30_000,
+        };
+        let max_gaussians = self.max_gaussians(sparse_points);
         let coarse = match self {
             Self::Fast => vec![Coarse { divisor: 2, until: 0.4 }],
             Self::Default => vec![Coarse { divisor: 4, until: 0.1 }, Coarse { divisor: 2, until: 0.4 }],

@@ -66,7 +66,7 @@ pub struct Progress {
 
 /// Nothing is drawn nearer to a camera than this share of the scene's extent: what hangs right before one lens is seen by
 /// no other and only fogs it.
-const NEAR: f32 = 0.04;
+pub(crate) const NEAR: f32 = 0.04;
 
 impl State {
     pub fn new(model: Model, photos: usize) -> Self {
@@ -284,7 +284,7 @@ impl<'a, V: Views, R: Rasterizer> Trainer<'a, V, R> {
             self.state.statistics.add(&by_set, a.absolute, camera.width, camera.height);
         }
         self.densify(step, rate);
-        if step % 100 == 0 || step == self.options.iterations {
+        if step.is_multiple_of(100) || step == self.options.iterations {
             self.check_finite(step)?;
         }
         self.state.step = step;
@@ -402,8 +402,8 @@ impl<'a, V: Views, R: Rasterizer> Trainer<'a, V, R> {
         match self.options.density {
             Density::Fixed => {}
             Density::Adaptive(a) => {
-                let reset = a.reset_every > 0 && step % a.reset_every == 0 && done < a.until;
-                if step % a.every == 0 && done >= a.from && done < a.until {
+                let reset = a.reset_every > 0 && step.is_multiple_of(a.reset_every) && done < a.until;
+                if step.is_multiple_of(a.every) && done >= a.from && done < a.until {
                     let prune_large = self.state.resets > 0;
                     let mut rng = self.rng(step, 2);
                     density::adapt(
@@ -422,7 +422,7 @@ impl<'a, V: Views, R: Rasterizer> Trainer<'a, V, R> {
                 }
             }
             Density::Mcmc(m) => {
-                if step % m.every == 0 && done >= m.from && done < m.until {
+                if step.is_multiple_of(m.every) && done >= m.from && done < m.until {
                     let mut rng = self.rng(step, 2);
                     density::relocate(&mut self.state.model, &m, most, &mut rng);
                     self.state.statistics = Statistics::new(self.state.model.len());
