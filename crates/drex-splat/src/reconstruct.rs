@@ -114,8 +114,10 @@ pub struct SetSummary {
 /// A progress report: which set, where it is, its steps in all, and seconds since it began.
 pub type OnProgress<'a> = dyn FnMut(Kind, &Progress, u32, f64) + 'a;
 
-/// Margin round a silhouette in which centres are kept, pixels of the training photos.
-const HULL_MARGIN_PX: usize = 1;
+/// Longest side at which silhouettes are kept, pixels; a bit a pixel.
+const HULL_SIDE: usize = 2048;
+/// Margin round a silhouette in which centres are kept, pixels at that size.
+const HULL_MARGIN_PX: usize = 2;
 
 /// Trains both sets from `capture` and writes `splat/appearance.ply`, `splat/surface.ply`, `splat/report.json` and
 /// `depth/` (see [`write_depth_maps`]) into `out`.
@@ -154,6 +156,31 @@ pub fn reconstruct<R: Rasterizer + Clone>(
     Ok(reconstruction)
 }
 
+/// The mask of a photo as the hull needs it.
+enum Silhouette {
+    Missing,
+    Empty,
+    Shape(VisualHull),
+}
+
+/// The silhouette of every view, from its mask at (nearly) full size, one after the other.
+fn silhouettes(capture: &Capture) -> Result<Vec<Silhouette>> {
+    let photo_options =
+        PhotoOptions { max_side: Some(HULL_SIDE), memory_bytes: options.memory_bytes, ..PhotoOptions::default() };
+    let photos = Photos::new(capture, photo_options)?;
+    let silhouette = |i: usize| {
+        let photo = photos.get(i)?;
+        let Some(mask) = &photo.mask else { return Ok(Silhouette::Missing) };
+        if mask.iter().all(|&m| m < 128) {
+            return Ok(Silhouette::Empty);
+        }
+        let mut shape = VisualHull::new();
+        shape.add(&photo.camera, mask, HULL_MARGIN_PX);
+        Ok(Silhouette::Shape(shape))
+    };
+    (0..photos.len()).map(silhouette).collect()
+}
+
 /// What both sets share.
 struct Job<'a> {
     capture: &'a Capture,
@@ -180,39 +207,31 @@ impl<'a> Job<'a> {
                 remedy: "hold out every 2nd or fewer".into(),
             });
         }
-        let mut masks = Vec::new();
-        if options.use_masks {
-            for i in 0..photos.len() {
-                let photo = photos.get(i)?;
-                masks.push(photo.mask.as_ref().map(|m| m.iter().any(|&v| v >= 128)));
-            }
-        }
-        let masked = masks.iter().any(Option::is_some);
+        let silhouettes = if options.use_masks { silhouettes(capture)? } else { Vec::new() };
+        let masked = silhouettes.iter().any(|s| !matches!(s, Silhouette::Missing));
         let (mut trained, mut held_out, mut left_out) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut hull, mut whole_hull) = (VisualHull::new(), VisualHull::new());
         for (i, view) in capture.views.iter().enumerate() {
-            let reason = match masks.get(i).filter(|_| masked) {
-                Some(None) => Some("it has no mask"),
-                Some(Some(false)) => Some("its mask is empty"),
-                Some(Some(true)) if report.views[i].mask.as_ref().is_some_and(|m| m.misplaced) => {
+            let silhouette = silhouettes.get(i).filter(|_| masked);
+            let reason = match silhouette {
+                Some(Silhouette::Missing) => Some("it has no mask"),
+                Some(Silhouette::Empty) => Some("its mask is empty"),
+                Some(_) if report.views[i].mask.as_ref().is_some_and(|m| m.misplaced) => {
                     Some("its mask looks misplaced")
                 }
                 _ if report.views[i].far => Some("its camera stands far from all others"),
                 _ => None,
             };
+            let holds_out = options.hold_out.is_some_and(|n| i % n == 0);
             match reason {
                 Some(why) => left_out.push(format!("{}: {why}", view.name)),
-                None if options.hold_out.is_some_and(|n| i % n == 0) => held_out.push(i),
+                None if holds_out => held_out.push(i),
                 None => trained.push(i),
             }
-        }
-        let (mut hull, mut whole_hull) = (VisualHull::new(), VisualHull::new());
-        if masked {
-            for &i in trained.iter().chain(&held_out) {
-                let photo = photos.get(i)?;
-                let mask = photo.mask.as_deref().unwrap_or_default();
-                whole_hull.add(&photo.camera, mask, HULL_MARGIN_PX);
-                if trained.contains(&i) {
-                    hull.add(&photo.camera, mask, HULL_MARGIN_PX);
+            if let (None, Some(Silhouette::Shape(shape))) = (reason, silhouette) {
+                whole_hull.extend(shape);
+                if !holds_out {
+                    hull.extend(shape);
                 }
             }
         }
@@ -309,7 +328,15 @@ impl<'a> Job<'a> {
             let render = trainer.render(&photo.camera, [0.0; 3])?;
             let mask = photo.mask.as_deref().filter(|_| self.masked);
             let count = mask.map_or(photo.rgb.len(), |m| m.iter().filter(|&&v| v >= 128).count());
-            let score = similarity(&render.rgb, &photo.rgb, mask, render.width, render.height)?;
+            let score = match mask {
+                None => similarity(&render.rgb, &photo.rgb, None, render.width, render.height)?,
+                // Where the object is half transparent, so is the photo: over black, as the render.
+                Some(m) => {
+                    let shown = |(c, &m): (&[u8; 3], &u8)| c.map(|v| f32::from(v) * f32::from(m) / (255.0 * 255.0));
+                    let target: Vec<[f32; 3]> = photo.rgb.iter().zip(m).map(shown).collect();
+                    similarity(&render.rgb, &target, mask, render.width, render.height)?
+                }
+            };
             table.push(&self.capture.views[i].name, score, count);
         }
         Ok(table)

@@ -165,6 +165,10 @@ fn pictures_show_what_was_drawn() {
     let at = |name: &str| folder.path().join(name);
     picture::write_rgb(&at("c.png"), 2, 1, &[[0.0, 0.5, 1.0], [-3.0, f32::NAN, 7.0]]).unwrap();
     picture::write_alpha(&at("a.png"), 1, 2, &[0.25, 1.0]).unwrap();
+    // Colours are divided by the opacity they were drawn with.
+    picture::write_rgba(&at("t.png"), 2, 1, &[[0.2, 0.1, 0.4], [0.0; 3]], &[0.4, 0.0]).unwrap();
+    let transparent = image::open(at("t.png")).unwrap().to_rgba8();
+    assert_eq!(transparent.as_raw()[..], [128, 64, 255, 102, 0, 0, 0, 0]);
     picture::write_depth(&at("z.png"), 3, 1, &[1.0, 3.0, 0.0], [1.0, 3.0]).unwrap();
     picture::write_normals(&at("n.png"), 2, 1, &[[0.0, 0.0, -0.5], [0.0, 0.0, 0.0]]).unwrap();
     let read = |name: &str| image::open(at(name)).unwrap().to_rgb8().into_raw();

@@ -31,7 +31,7 @@ pub fn write_rgb(path: &Path, width: usize, height: usize, rgb: &[[f32; 3]]) -> 
     write(path, width, height, &bytes, ExtendedColorType::Rgb8)
 }
 
-/// Writes colours (as drawn before black, so multiplied by the opacity) with their opacity.
+/// Writes colours with their opacity; `rgb` is as drawn before black, so multiplied by it.
 ///
 /// # Errors
 /// As [`write_rgb`].
@@ -115,7 +115,7 @@ fn colour(t: f32) -> [u8; 3] {
 }
 
 fn write(path: &Path, width: usize, height: usize, bytes: &[u8], kind: ExtendedColorType) -> Result<()> {
-    let channels = if kind == ExtendedColorType::L8 { 1 } else { 3 };
+    let channels = usize::from(kind.channel_count());
     let pixels = width.checked_mul(height).filter(|&n| n > 0 && n.checked_mul(channels) == Some(bytes.len()));
     let (Some(_), Ok(w), Ok(h)) = (pixels, u32::try_from(width), u32::try_from(height)) else {
         return Err(Error::Option {

@@ -40,6 +40,11 @@ impl VisualHull {
         self.silhouettes.push(Silhouette { camera: camera.clone(), bits });
     }
 
+    /// Adds the silhouettes of another.
+    pub fn extend(&mut self, other: &Self) {
+        self.silhouettes.extend_from_slice(&other.silhouettes);
+    }
+
     /// How many silhouettes there are.
     pub fn len(&self) -> usize {
         self.silhouettes.len()
