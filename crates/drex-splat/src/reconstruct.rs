@@ -165,8 +165,7 @@ enum Silhouette {
 
 /// The silhouette of every view, from its mask at (nearly) full size, one after the other.
 fn silhouettes(capture: &Capture) -> Result<Vec<Silhouette>> {
-    let photo_options =
-        PhotoOptions { max_side: Some(HULL_SIDE), memory_bytes: options.memory_bytes, ..PhotoOptions::default() };
+    let photo_options = PhotoOptions { max_side: Some(HULL_SIDE), memory_bytes: 0, ..PhotoOptions::default() };
     let photos = Photos::new(capture, photo_options)?;
     let silhouette = |i: usize| {
         let photo = photos.get(i)?;
