@@ -121,6 +121,9 @@ pub struct ReconstructArgs {
     /// Megabytes of photos kept in memory.
     #[arg(long, value_name = "MB", default_value_t = 1024)]
     pub memory_mb: usize,
+    /// Write both sets in this format too: spz (small, for the web) or splat; repeatable.
+    #[arg(long, value_enum, value_name = "FORMAT")]
+    pub also: Vec<SplatFormat>,
     /// Draw on the GPU (needs a build with `--features wgpu`).
     #[arg(long)]
     pub gpu: bool,
@@ -130,6 +133,15 @@ pub struct ReconstructArgs {
     /// The ffmpeg program.
     #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg")]
     pub ffmpeg: PathBuf,
+}
+
+/// Formats of Gaussians beside PLY; both lose precision.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub enum SplatFormat {
+    /// Niantic's, compressed.
+    Spz,
+    /// 32 bytes a Gaussian, colour from one side only.
+    Splat,
 }
 
 /// See [`drex_splat::train::Preset`].

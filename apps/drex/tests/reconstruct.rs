@@ -66,7 +66,7 @@ fn photos_become_both_sets_and_depth_maps() {
     let dir = tempfile::tempdir().unwrap();
     let (scan, out) = (dir.path().join("scan"), dir.path().join("twin"));
     write_scan(&scan);
-    let run = reconstruct(&scan, &out, &["--iterations", "1000", "--checkpoint-every", "300"]);
+    let run = reconstruct(&scan, &out, &["--iterations", "1000", "--checkpoint-every", "300", "--also", "spz"]);
     assert_eq!(run.code, 0, "{}", run.stderr);
     let json = run.json();
     assert_eq!((json["photos_trained"].as_u64(), json["photos_held_out"].as_u64()), (Some(12), Some(4)));
@@ -78,6 +78,8 @@ fn photos_become_both_sets_and_depth_maps() {
         let gaussians = read_gaussians(&out.join(format!("splat/{set}.ply")), Kind::Ellipsoid).unwrap();
         assert_eq!(json[set]["gaussians"].as_u64(), Some(gaussians.len() as u64));
         assert!(gaussians.labels.iter().all(|l| *l == Label::OBJECT));
+        let small = read_gaussians(&out.join(format!("splat/{set}.spz")), Kind::Ellipsoid).unwrap();
+        assert_eq!(small.len(), gaussians.len());
         assert!(!out.join(format!("splat/{set}.checkpoint")).exists());
     }
     assert!(out.join("splat/report.json").exists());

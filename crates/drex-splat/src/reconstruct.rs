@@ -298,7 +298,9 @@ impl<'a> Job<'a> {
             options.masks = MaskMode::Transparent;
             options.background = None;
         } else {
+            // An open scene: depth has steps that the terms would smear (2DGS, section 5, weighs it less, too).
             options.surface.median_share = 0.0;
+            options.surface.distortion = 1.0;
         }
         options
     }

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use drex_splat::capture::{self, Capture, CaptureOptions, CaptureReport, ColmapOptions, VideoOptions};
+use drex_splat::io::{read_gaussians, write_gaussians};
 use drex_splat::metrics::Table;
 use drex_splat::raster::Cpu;
 use drex_splat::reconstruct::{Reconstruction, SetSummary, reconstruct};
@@ -12,7 +13,7 @@ use drex_splat::{Kind, ReconstructOptions};
 use indicatif::ProgressBar;
 use serde::Serialize;
 
-use crate::cli::ReconstructArgs;
+use crate::cli::{ReconstructArgs, SplatFormat};
 use crate::ui::Ui;
 
 /// The answer of `drex reconstruct --json`.
@@ -69,6 +70,15 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     } else {
         reconstruct(&capture, &report, &Cpu, out, &options, &mut on_progress)?
     };
+    for format in &args.also {
+        let ending = match format {
+            SplatFormat::Spz => "spz",
+            SplatFormat::Splat => "splat",
+        };
+        for (set, kind) in [(&reconstruction.appearance, Kind::Ellipsoid), (&reconstruction.surface, Kind::Surfel)] {
+            write_gaussians(&set.file.with_extension(ending), &read_gaussians(&set.file, kind)?)?;
+        }
+    }
     let text = describe(&reconstruction, &args.out);
     ui.answer(&Answer { capture: &report, reconstruction }, text)
 }

@@ -19,7 +19,7 @@ use crate::train::hull::VisualHull;
 use crate::train::model::{Model, position_rate};
 use crate::train::options::{Density, TrainOptions};
 use crate::train::views::{Views, reduced};
-use crate::{Error, Gaussians, Kind, PinholeCamera, Rasterizer, Render, RenderGradients, RenderOptions, Result};
+use crate::{Error, Gaussians, Kind, PinholeCamera, Rasterizer, Render, RenderGradients, RenderOptions, Result, usage};
 
 /// Optimises a set of Gaussians so that it looks like the photos.
 #[derive(Debug)]
@@ -164,6 +164,7 @@ impl<'a, V: Views, R: Rasterizer> Trainer<'a, V, R> {
         if !(extent > 0.0 && extent.is_finite()) {
             return refuse(format!("the extent of the scene is {extent}"), "give cameras that stand apart");
         }
+        usage::keep_freed_blocks();
         Ok(Self { views, indices, rasterizer, options, extent, hull: VisualHull::new(), state })
     }
 
