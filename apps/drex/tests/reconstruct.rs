@@ -131,11 +131,29 @@ fn a_stopped_run_goes_on_to_the_same_files() {
     }
     child.kill().unwrap();
     child.wait().unwrap();
+    if stopped.join("splat/appearance.checkpoint").exists() {
+        let other = reconstruct(&scan, &stopped, &["--iterations", "61", "--resume"]);
+        other.fails_with(&["appearance.checkpoint", "other settings"]);
+    }
     assert_eq!(reconstruct(&scan, &stopped, &[&options[..], &["--resume", "--threads", "1"]].concat()).code, 0);
     for set in ["appearance", "surface"] {
         let file = format!("splat/{set}.ply");
         assert_eq!(fs::read(whole.join(&file)).unwrap(), fs::read(stopped.join(&file)).unwrap(), "{set}");
     }
+}
+
+#[test]
+fn a_whole_scene_is_labelled_by_its_masks() {
+    let dir = tempfile::tempdir().unwrap();
+    let (scan, out) = (dir.path().join("scan"), dir.path().join("twin"));
+    write_scan(&scan);
+    let run = reconstruct(&scan, &out, &["--iterations", "30", "--whole-scene"]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    assert_eq!(run.json()["object_only"].as_bool(), Some(false));
+    let set = read_gaussians(&out.join("splat/appearance.ply"), Kind::Ellipsoid).unwrap();
+    // Everything there is lies on the ball, in sight of all cameras.
+    let object = set.labels.iter().filter(|l| **l == Label::OBJECT).count();
+    assert!(object * 10 > set.len() * 9, "{object} of {}", set.len());
 }
 
 #[test]

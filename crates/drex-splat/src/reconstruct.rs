@@ -153,7 +153,22 @@ pub fn reconstruct<R: Rasterizer + Clone>(
         remedy: "look for numbers that are not finite".into(),
     })?;
     fsutil::write_atomic(&out.join("splat/report.json"), text.as_bytes())?;
+    for checkpoint in [Kind::Ellipsoid, Kind::Surfel].map(|kind| checkpoint_of(out, kind)).iter().filter(|c| c.exists())
+    {
+        std::fs::remove_file(checkpoint).map_err(|e| drex_core::Error::io("remove", checkpoint, e))?;
+    }
     Ok(reconstruction)
+}
+
+fn name_of(kind: Kind) -> &'static str {
+    match kind {
+        Kind::Ellipsoid => "appearance",
+        Kind::Surfel => "surface",
+    }
+}
+
+fn checkpoint_of(out: &Path, kind: Kind) -> PathBuf {
+    out.join(format!("splat/{}.checkpoint", name_of(kind)))
 }
 
 /// The mask of a photo as the hull needs it.
@@ -168,6 +183,12 @@ fn silhouettes(capture: &Capture) -> Result<Vec<Silhouette>> {
     let photo_options = PhotoOptions { max_side: Some(HULL_SIDE), memory_bytes: 0, ..PhotoOptions::default() };
     let photos = Photos::new(capture, photo_options)?;
     let silhouette = |i: usize| {
+        let view = &capture.views[i];
+        let may_be_transparent =
+            view.photo.extension().is_some_and(|e| !e.eq_ignore_ascii_case("jpg") && !e.eq_ignore_ascii_case("jpeg"));
+        if view.mask.is_none() && !may_be_transparent {
+            return Ok(Silhouette::Missing);
+        }
         let photo = photos.get(i)?;
         let Some(mask) = &photo.mask else { return Ok(Silhouette::Missing) };
         if mask.iter().all(|&m| m < 128) {
@@ -189,9 +210,9 @@ struct Job<'a> {
     held_out: Vec<usize>,
     left_out: Vec<String>,
     masked: bool,
-    /// Silhouettes of the photos trained on.
+    /// Silhouettes of the photos trained on, empty unless masks are used.
     hull: VisualHull,
-    /// Silhouettes of all photos: cuts the finished sets, after they have been measured.
+    /// Silhouettes of all photos: cuts the finished sets, after they have been measured, or labels a whole scene.
     whole_hull: VisualHull,
 }
 
@@ -206,19 +227,18 @@ impl<'a> Job<'a> {
                 remedy: "hold out every 2nd or fewer".into(),
             });
         }
-        let silhouettes = if options.use_masks { silhouettes(capture)? } else { Vec::new() };
-        let masked = silhouettes.iter().any(|s| !matches!(s, Silhouette::Missing));
+        let silhouettes = silhouettes(capture)?;
+        let masked = options.use_masks && silhouettes.iter().any(|s| !matches!(s, Silhouette::Missing));
         let (mut trained, mut held_out, mut left_out) = (Vec::new(), Vec::new(), Vec::new());
         let (mut hull, mut whole_hull) = (VisualHull::new(), VisualHull::new());
-        for (i, view) in capture.views.iter().enumerate() {
-            let silhouette = silhouettes.get(i).filter(|_| masked);
+        for (i, (view, silhouette)) in capture.views.iter().zip(&silhouettes).enumerate() {
+            let misplaced = report.views[i].mask.as_ref().is_some_and(|m| m.misplaced);
+            let far = report.views[i].far;
             let reason = match silhouette {
-                Some(Silhouette::Missing) => Some("it has no mask"),
-                Some(Silhouette::Empty) => Some("its mask is empty"),
-                Some(_) if report.views[i].mask.as_ref().is_some_and(|m| m.misplaced) => {
-                    Some("its mask looks misplaced")
-                }
-                _ if report.views[i].far => Some("its camera stands far from all others"),
+                _ if far => Some("its camera stands far from all others"),
+                Silhouette::Missing if masked => Some("it has no mask"),
+                Silhouette::Empty if masked => Some("its mask is empty"),
+                Silhouette::Shape(_) if masked && misplaced => Some("its mask looks misplaced"),
                 _ => None,
             };
             let holds_out = options.hold_out.is_some_and(|n| i % n == 0);
@@ -227,9 +247,9 @@ impl<'a> Job<'a> {
                 None if holds_out => held_out.push(i),
                 None => trained.push(i),
             }
-            if let (None, Some(Silhouette::Shape(shape))) = (reason, silhouette) {
+            if let (false, Silhouette::Shape(shape)) = (far || misplaced, silhouette) {
                 whole_hull.extend(shape);
-                if !holds_out {
+                if masked && !holds_out {
                     hull.extend(shape);
                 }
             }
@@ -246,21 +266,28 @@ impl<'a> Job<'a> {
         on_progress: &mut OnProgress<'_>,
     ) -> Result<(Gaussians, SetSummary)> {
         let (clock, cores) = (Instant::now(), usage::core_seconds());
-        let name = if kind == Kind::Ellipsoid { "appearance" } else { "surface" };
-        let checkpoint = out.join(format!("splat/{name}.checkpoint"));
+        let checkpoint = checkpoint_of(out, kind);
+        let wanted = self.train_options(kind);
         let extent = self.capture.extent();
         let indices = self.trained.clone();
         let mut trainer = if self.options.resume && checkpoint.exists() {
             Trainer::resume(&self.photos, indices, rasterizer.clone(), extent, &checkpoint)?
         } else {
-            let options = self.train_options(kind);
-            Trainer::new(&self.photos, indices, rasterizer.clone(), self.first(&options)?, extent, options)?
+            let first = self.first(&wanted)?;
+            Trainer::new(&self.photos, indices, rasterizer.clone(), first, extent, wanted.clone())?
         };
+        if *trainer.options() != wanted {
+            return Err(Error::Training {
+                what: format!("{} was made with other settings", checkpoint.display()),
+                remedy: "give the settings it was made with, or leave --resume out to start anew".into(),
+            });
+        }
         trainer.set_hull(self.hull.clone());
         while !trainer.is_done() {
             let progress = trainer.step()?;
             let every = self.options.checkpoint_every;
-            if every > 0 && progress.step.is_multiple_of(every) && !trainer.is_done() {
+            // Also at the end: a run that stops in the second set need not train the first again.
+            if every > 0 && (progress.step.is_multiple_of(every) || trainer.is_done()) {
                 trainer.save(&checkpoint)?;
             }
             on_progress(kind, &progress, trainer.options().iterations, clock.elapsed().as_secs_f64());
@@ -268,16 +295,15 @@ impl<'a> Job<'a> {
         let core_seconds = usage::core_seconds().zip(cores).map(|(now, then)| now - then);
         let seconds = clock.elapsed().as_secs_f64();
         let held_out = self.score(&trainer)?;
-        let outside_hull = trainer.cut(&self.hull) + trainer.cut(&self.whole_hull);
+        let outside_hull = if self.masked { trainer.cut(&self.whole_hull) } else { 0 };
         let mut gaussians = trainer.gaussians().clone();
-        if self.masked {
-            gaussians.labels.fill(Label::OBJECT);
+        for (label, mean) in gaussians.labels.iter_mut().zip(&gaussians.means) {
+            // In a whole scene a place that no silhouette can judge is not the object's.
+            let object = self.masked || (self.whole_hull.seen_by(mean) >= 2 && self.whole_hull.contains(mean));
+            *label = if object { Label::OBJECT } else { Label::BACKGROUND };
         }
-        let file = out.join(format!("splat/{name}.ply"));
+        let file = out.join(format!("splat/{}.ply", name_of(kind)));
         ply::write(&file, &gaussians)?;
-        if checkpoint.exists() {
-            std::fs::remove_file(&checkpoint).map_err(|e| drex_core::Error::io("remove", &checkpoint, e))?;
-        }
         let iterations = trainer.steps_done();
         let summary =
             SetSummary { file, gaussians: gaussians.len(), outside_hull, iterations, core_seconds, seconds, held_out };

@@ -58,19 +58,26 @@ impl VisualHull {
     /// Whether no silhouette excludes a world point. A camera that does not see the point's place says nothing.
     pub fn contains(&self, point_world: &[f32; 3]) -> bool {
         let point = Point3::from(point_world.map(f64::from));
-        self.silhouettes.iter().all(|s| s.allows(&point))
+        self.silhouettes.iter().all(|s| s.allows(&point) != Some(false))
+    }
+
+    /// How many silhouettes can judge a world point: it is before their camera and inside the image.
+    pub fn seen_by(&self, point_world: &[f32; 3]) -> usize {
+        let point = Point3::from(point_world.map(f64::from));
+        self.silhouettes.iter().filter(|s| s.allows(&point).is_some()).count()
     }
 }
 
 impl Silhouette {
-    fn allows(&self, point: &Point3<f64>) -> bool {
-        let Some(([x, y], _)) = self.camera.project(point) else { return true };
+    /// Whether the silhouette allows the point; `None` where the camera does not see the point's place.
+    fn allows(&self, point: &Point3<f64>) -> Option<bool> {
+        let ([x, y], _) = self.camera.project(point)?;
         let (w, h) = (self.camera.width as f64, self.camera.height as f64);
         if !(x >= 0.0 && x < w && y >= 0.0 && y < h) {
-            return true;
+            return None;
         }
         let i = y as usize * self.camera.width + x as usize;
-        self.bits[i / 64] >> (i % 64) & 1 == 1
+        Some((self.bits[i / 64] >> (i % 64)) & 1 == 1)
     }
 }
 
@@ -119,6 +126,10 @@ mod tests {
                 let inside = dx.unsigned_abs() as usize <= margin && dy.unsigned_abs() as usize <= margin;
                 assert_eq!(hull.contains(&at(f64::from(dx), f64::from(dy))), inside, "margin {margin}, {dx}, {dy}");
             }
+            assert_eq!(
+                [hull.seen_by(&at(0.0, 0.0)), hull.seen_by(&[9.0, 0.0, 0.0]), hull.seen_by(&[0.0, 0.0, -5.0])],
+                [1, 0, 0]
+            );
             assert!(hull.contains(&[9.0, 0.0, 0.0]), "out of the image");
             assert!(hull.contains(&[0.0, 0.0, -5.0]), "behind the camera");
         }
