@@ -7,6 +7,7 @@ pub mod exr;
 pub mod npy;
 pub mod picture;
 pub mod ply;
+pub(crate) mod ply_table;
 pub mod splat;
 pub mod spz;
 

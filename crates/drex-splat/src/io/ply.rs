@@ -13,13 +13,12 @@ use std::path::Path;
 
 use drex_core::fsutil;
 
+use super::ply_table::{Header, Scalar};
 use super::{checked, content, three_log_scales};
 use crate::{Gaussians, Kind, Label, Result};
 
-/// Longest line of a header, bytes.
-const LONGEST_LINE: usize = 4096;
 /// What tells surfels from ellipsoids in a file with three scales.
-const SURFEL_COMMENT: &str = "comment drex kind surfel";
+const SURFEL_COMMENT: &str = "drex kind surfel";
 
 /// Writes a set.
 ///
@@ -69,7 +68,7 @@ fn header_text(gaussians: &Gaussians, labelled: bool) -> String {
         text += "property uchar label\n";
     }
     if gaussians.kind == Kind::Surfel {
-        text += SURFEL_COMMENT;
+        text += &format!("comment {SURFEL_COMMENT}");
         text.push('\n');
     }
     text + "end_header\n"
@@ -99,8 +98,8 @@ pub fn read(path: &Path, otherwise: Kind) -> Result<Gaussians> {
 /// # Errors
 /// As [`read`].
 pub fn parse(path: &Path, bytes: &[u8], otherwise: Kind) -> Result<Gaussians> {
-    let header = Header::parse(path, bytes)?;
-    let vertices = &header.elements[header.vertices];
+    let header = Header::parse(path, bytes, "Gaussians")?;
+    let vertices = header.vertices();
     let has = |name: &str| vertices.properties.iter().any(|p| p.name == name);
     let rest = vertices.properties.iter().filter(|p| p.name.starts_with("f_rest_")).count();
     let sh_degree = match rest {
@@ -115,7 +114,8 @@ pub fn parse(path: &Path, bytes: &[u8], otherwise: Kind) -> Result<Gaussians> {
     };
     let scales = if has("scale_2") { 3 } else { 2 };
     let labelled = vertices.properties.iter().any(|p| p.name == "label" && p.scalar == Some(Scalar::U8));
-    let kind = if header.surfels || scales == 2 { Kind::Surfel } else { otherwise };
+    let kind =
+        if header.comments.iter().any(|c| c == SURFEL_COMMENT) || scales == 2 { Kind::Surfel } else { otherwise };
     let columns = ["x", "y", "z"]
         .map(String::from)
         .into_iter()
@@ -130,7 +130,8 @@ pub fn parse(path: &Path, bytes: &[u8], otherwise: Kind) -> Result<Gaussians> {
         .collect::<Result<Vec<_>>>()?;
 
     let mut gaussians = Gaussians::new(kind, sh_degree);
-    let mut push = |row: &[f32]| {
+    let mut push = |row: &[f64]| {
+        let row: Vec<f32> = row.iter().map(|&v| v as f32).collect();
         let (geometry, row) = row.split_at(3);
         let (colour, row) = row.split_at(3 + rest);
         let (shape, row) = row.split_at(1 + scales);
@@ -144,249 +145,6 @@ pub fn parse(path: &Path, bytes: &[u8], otherwise: Kind) -> Result<Gaussians> {
         gaussians.rotations.push([row[0], row[1], row[2], row[3]]);
         gaussians.labels.push(Label(row.get(4).map_or(0, |&l| l as u8)));
     };
-    match header.format {
-        Format::Ascii => header.each_text_row(path, bytes, &columns, &mut push)?,
-        Format::LittleEndian => header.each_binary_row(path, bytes, &columns, true, &mut push)?,
-        Format::BigEndian => header.each_binary_row(path, bytes, &columns, false, &mut push)?,
-    }
+    header.each_row(path, bytes, &columns, &mut push)?;
     checked(path, gaussians)
-}
-
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Format {
-    Ascii,
-    LittleEndian,
-    BigEndian,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Scalar {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
-
-/// A property; `scalar` is `None` for a list.
-#[derive(Debug)]
-struct Property {
-    name: String,
-    scalar: Option<Scalar>,
-}
-
-#[derive(Debug)]
-struct Element {
-    name: String,
-    count: usize,
-    /// 1-based line of the header that names it.
-    line: usize,
-    properties: Vec<Property>,
-}
-
-#[derive(Debug)]
-struct Header {
-    format: Format,
-    elements: Vec<Element>,
-    /// Which element the vertices are.
-    vertices: usize,
-    /// Whether the comment of surfels is there.
-    surfels: bool,
-    /// Lines and bytes of the header.
-    lines: usize,
-    bytes: usize,
-}
-
-impl Header {
-    fn parse(path: &Path, bytes: &[u8]) -> Result<Self> {
-        let refuse = |line: usize, what: String| content(path, line, what, "give a PLY file of Gaussians");
-        let (mut format, mut elements, mut surfels): (_, Vec<Element>, _) = (None, Vec::new(), false);
-        let (mut at, mut line) = (0, 0);
-        loop {
-            line += 1;
-            let tail = &bytes[at..];
-            let text = tail[..tail.len().min(LONGEST_LINE)]
-                .iter()
-                .position(|&b| b == b'\n')
-                .and_then(|end| std::str::from_utf8(&tail[..end]).ok().inspect(|_| at += end + 1))
-                .ok_or_else(|| refuse(line, "the header of a PLY file is no text or does not end".into()))?
-                .trim_end();
-            if line == 1 && text != "ply" {
-                return Err(refuse(1, "the file does not start with `ply`".into()));
-            }
-            let words: Vec<&str> = text.split_ascii_whitespace().collect();
-            match (words.as_slice(), elements.last_mut()) {
-                (["ply"], _) if line == 1 => {}
-                ([] | ["comment" | "obj_info", ..], _) => surfels |= text == SURFEL_COMMENT,
-                (["format", name, ..], _) => {
-                    format = Some(
-                        Format::parse(name).ok_or_else(|| refuse(line, format!("the format `{name}` is unknown")))?,
-                    )
-                }
-                (["element", name, count], _) => {
-                    let count = count.parse().map_err(|_| refuse(line, format!("`{count}` is no count of {name}")))?;
-                    elements.push(Element { name: (*name).into(), count, line, properties: Vec::new() });
-                }
-                (["property", "list", _, _, name], Some(element)) => {
-                    element.properties.push(Property { name: (*name).into(), scalar: None });
-                }
-                (["property", scalar, name], Some(element)) => {
-                    let scalar = Scalar::parse(scalar)
-                        .ok_or_else(|| refuse(line, format!("the type `{scalar}` of {name} is unknown")))?;
-                    if element.properties.iter().any(|p| p.name == *name) {
-                        return Err(refuse(line, format!("the property {name} is there twice")));
-                    }
-                    element.properties.push(Property { name: (*name).into(), scalar: Some(scalar) });
-                }
-                (["end_header"], _) => break,
-                _ => return Err(refuse(line, format!("`{text}` is not understood"))),
-            }
-        }
-        let format = format.ok_or_else(|| refuse(line, "the header names no format".into()))?;
-        let vertices = elements
-            .iter()
-            .position(|e| e.name == "vertex")
-            .ok_or_else(|| refuse(line, "the header has no element vertex".into()))?;
-        if let Some(element) = elements[..=vertices].iter().find(|e| e.properties.iter().any(|p| p.scalar.is_none())) {
-            return Err(refuse(element.line, format!("the element {} has lists", element.name)));
-        }
-        Ok(Self { format, elements, vertices, surfels, lines: line, bytes: at })
-    }
-
-    /// Calls `push` with the values of `columns` of every vertex.
-    fn each_binary_row(
-        &self,
-        path: &Path,
-        bytes: &[u8],
-        columns: &[usize],
-        little_endian: bool,
-        push: &mut impl FnMut(&[f32]),
-    ) -> Result<()> {
-        let widths = |e: &Element| e.properties.iter().map(|p| p.scalar.map_or(0, Scalar::width)).collect::<Vec<_>>();
-        let vertices = &self.elements[self.vertices];
-        let widths_of_vertex = widths(vertices);
-        let stride: usize = widths_of_vertex.iter().sum();
-        let before = self.elements[..self.vertices].iter().try_fold(self.bytes, |sum, e| {
-            widths(e).iter().sum::<usize>().checked_mul(e.count).and_then(|size| sum.checked_add(size))
-        });
-        let body = before
-            .and_then(|start| Some(start..start.checked_add(stride.checked_mul(vertices.count)?)?))
-            .and_then(|range| bytes.get(range))
-            .ok_or_else(|| {
-                let what =
-                    format!("{} vertices of {stride} bytes are announced, but the file ends before", vertices.count);
-                content(path, vertices.line, what, "fetch the file again: it was cut off")
-            })?;
-        let mut offset = 0;
-        let offsets: Vec<usize> = widths_of_vertex
-            .iter()
-            .map(|w| {
-                let at = offset;
-                offset += w;
-                at
-            })
-            .collect();
-        let readers: Vec<(usize, Scalar)> =
-            columns.iter().filter_map(|&c| Some((offsets[c], vertices.properties[c].scalar?))).collect();
-        let mut row = vec![0.0; columns.len()];
-        for bytes in body.chunks_exact(stride) {
-            for (value, &(offset, scalar)) in row.iter_mut().zip(&readers) {
-                *value = scalar.read(&bytes[offset..offset + scalar.width()], little_endian);
-            }
-            push(&row);
-        }
-        Ok(())
-    }
-
-    /// Calls `push` with the values of `columns` of every vertex; one vertex a line.
-    fn each_text_row(&self, path: &Path, bytes: &[u8], columns: &[usize], push: &mut impl FnMut(&[f32])) -> Result<()> {
-        let vertices = &self.elements[self.vertices];
-        let short = || {
-            let what = format!("{} vertices are announced, but the file ends before", vertices.count);
-            content(path, vertices.line, what, "fetch the file again: it was cut off")
-        };
-        let skipped = self.elements[..self.vertices]
-            .iter()
-            .try_fold(0usize, |sum, e| sum.checked_add(e.count))
-            .ok_or_else(short)?;
-        let mut lines = bytes[self.bytes..].split(|&b| b == b'\n').enumerate().skip(skipped);
-        let mut row = vec![0.0; columns.len()];
-        for _ in 0..vertices.count {
-            let (number, line) = lines.next().ok_or_else(short)?;
-            let number = self.lines + 1 + number;
-            let words: Vec<&str> = std::str::from_utf8(line).unwrap_or_default().split_ascii_whitespace().collect();
-            for (value, &column) in row.iter_mut().zip(columns) {
-                let name = &vertices.properties[column].name;
-                *value = words.get(column).and_then(|w| w.parse().ok()).ok_or_else(|| {
-                    content(
-                        path,
-                        number,
-                        format!("no number for the property {name}"),
-                        "repair the line or fetch the file again",
-                    )
-                })?;
-            }
-            push(&row);
-        }
-        Ok(())
-    }
-}
-
-impl Format {
-    fn parse(name: &str) -> Option<Self> {
-        Some(match name {
-            "ascii" => Self::Ascii,
-            "binary_little_endian" => Self::LittleEndian,
-            "binary_big_endian" => Self::BigEndian,
-            _ => return None,
-        })
-    }
-}
-
-impl Scalar {
-    fn parse(name: &str) -> Option<Self> {
-        Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    fn width(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
-
-    /// The number in the first [`Scalar::width`] of `bytes`.
-    fn read(self, bytes: &[u8], little_endian: bool) -> f32 {
-        // The bits, least significant byte first.
-        let mut le = [0; 8];
-        for (k, to) in le[..self.width()].iter_mut().enumerate() {
-            *to = bytes[if little_endian { k } else { self.width() - 1 - k }];
-        }
-        let bits = u64::from_le_bytes(le);
-        match self {
-            Self::I8 => f32::from(bits as i8),
-            Self::U8 => f32::from(bits as u8),
-            Self::I16 => f32::from(bits as i16),
-            Self::U16 => f32::from(bits as u16),
-            Self::I32 => bits as i32 as f32,
-            Self::U32 => bits as u32 as f32,
-            Self::F32 => f32::from_bits(bits as u32),
-            Self::F64 => f64::from_bits(bits) as f32,
-        }
-    }
 }
