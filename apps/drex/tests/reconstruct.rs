@@ -9,7 +9,7 @@ use std::path::Path;
 use common::drex;
 use drex_splat::io::{npy, picture, read_gaussians};
 use drex_splat::train::from_points;
-use drex_splat::{Capture, CaptureOptions, Cpu, Kind, Label, Orbit, Rasterizer, RenderOptions};
+use drex_splat::{Capture, CaptureOptions, Cpu, Kind, Label, Orbit, PhotoOptions, Photos, Rasterizer, RenderOptions};
 use nalgebra::Vector3;
 
 const RADIUS: f64 = 0.5;
@@ -87,6 +87,8 @@ fn photos_become_both_sets_and_depth_maps() {
     // The maps are a capture of their own, and show the ball where it is: the middle pixel sees its near side.
     let maps = Capture::load(&out.join("depth"), &CaptureOptions::default()).unwrap();
     assert_eq!(maps.views.len(), 16);
+    assert!(maps.unregistered.is_empty(), "{:?}", maps.unregistered);
+    let photos = Photos::new(&maps, PhotoOptions::default()).unwrap();
     for (i, view) in maps.views.iter().enumerate() {
         let camera = maps.pinhole(i, None).unwrap();
         let depth = npy::read(view.depth.as_ref().unwrap()).unwrap();
@@ -95,6 +97,8 @@ fn photos_become_both_sets_and_depth_maps() {
         let expected = camera.centre().coords.norm() - RADIUS;
         assert!((f64::from(centre) - expected).abs() < 0.1 * RADIUS, "{}: {centre} for {expected}", view.name);
         assert_eq!(depth.values[0], 0.0, "a corner shows nothing");
+        let normal = photos.get(i).unwrap().normal.as_ref().unwrap()[30 * 80 + 40];
+        assert!(normal[2] < -0.8, "{}: the middle faces the camera: {normal:?}", view.name);
     }
 }
 

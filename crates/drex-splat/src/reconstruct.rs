@@ -116,6 +116,8 @@ pub type OnProgress<'a> = dyn FnMut(Kind, &Progress, u32, f64) + 'a;
 
 /// Longest side at which silhouettes are kept, pixels; a bit a pixel.
 const HULL_SIDE: usize = 2048;
+/// Longest side of the depth maps, pixels: a voxel of a mesh of the same scan is larger than such a pixel.
+const DEPTH_SIDE: usize = 1024;
 /// Margin round a silhouette in which centres are kept, pixels at that size.
 const HULL_MARGIN_PX: usize = 2;
 
@@ -371,9 +373,9 @@ impl<'a> Job<'a> {
 }
 
 /// Depth of the surface for every photo's camera: `NAME.npy` (z in the camera frame, scene units, 0 where there is no
-/// surface, `[height, width]`), `NAME.normal.npy` (unit normals, camera frame, `[height, width, 3]`), `NAME.png` (the
-/// appearance from there, transparent where there is no surface) and `transforms.json`, which
-/// [`Capture::load`] reads. Gives how many.
+/// surface, `[height, width]`), `normals/NAME.png` (rgb = (n + 1) / 2 of the unit normal n in the camera's frame, grey
+/// where there is none), `NAME.png` (the appearance from there, transparent where there is nothing) and
+/// `transforms.json`, which [`Capture::load`] reads. No side is longer than 1024 pixels. Gives how many.
 ///
 /// # Errors
 /// If a file cannot be written.
@@ -388,15 +390,16 @@ pub fn write_depth_maps<R: Rasterizer>(
     let options = RenderOptions { near: NEAR * capture.extent() as f32, ..RenderOptions::default() };
     let mut frames = Vec::new();
     for (i, view) in capture.views.iter().enumerate() {
-        let camera = photos.camera(i);
+        let camera = &fitting(photos.camera(i), DEPTH_SIDE);
         let stem = Path::new(&view.name).with_extension("");
         let at = |extension: &str| folder.join(format!("{}.{extension}", stem.display()));
         let looks = rasterizer.forward(appearance, camera, &options)?.0;
         let shape = rasterizer.forward(surface, camera, &options)?.0;
         let depth = surface_depth(&shape, 1.0, 0.5)?;
-        let normal: Vec<[f32; 3]> = shape.normal.iter().zip(&depth).map(|(n, &z)| unit_or_zero(*n, z)).collect();
+        let normal: Vec<[f32; 3]> = shape.normal.iter().zip(&depth).map(|(n, &z)| normal_colour(*n, z)).collect();
         npy::write(&at("npy"), &[camera.height, camera.width], &depth)?;
-        npy::write(&at("normal.npy"), &[camera.height, camera.width, 3], normal.as_flattened())?;
+        let normals = folder.join("normals").join(format!("{}.png", stem.display()));
+        picture::write_rgb(&normals, camera.width, camera.height, &normal)?;
         picture::write_rgba(&at("png"), camera.width, camera.height, &looks.rgb, &looks.alpha)?;
         frames.push(frame(camera, &stem));
     }
@@ -405,9 +408,20 @@ pub fn write_depth_maps<R: Rasterizer>(
     Ok(frames.len())
 }
 
-fn unit_or_zero(n: [f32; 3], z: f32) -> [f32; 3] {
-    let unit = nalgebra::Vector3::from(n).try_normalize(1e-6).filter(|_| z > 0.0);
-    unit.map_or([0.0; 3], Into::into)
+/// The camera with no side longer than `side` pixels.
+fn fitting(camera: &PinholeCamera, side: usize) -> PinholeCamera {
+    let longest = camera.width.max(camera.height);
+    if longest <= side {
+        return camera.clone();
+    }
+    let scaled = |n: usize| (n * side / longest).max(1);
+    camera.resized(scaled(camera.width), scaled(camera.height))
+}
+
+/// (n + 1) / 2 of the unit normal; grey, which stands for none, where the depth is 0.
+fn normal_colour(n: [f32; 3], depth: f32) -> [f32; 3] {
+    let unit = nalgebra::Vector3::from(n).try_normalize(1e-6).filter(|_| depth > 0.0);
+    unit.map_or([0.5; 3], |n| n.map(|v| 0.5 * (v + 1.0)).into())
 }
 
 /// One frame of transforms.json: camera to world, OpenGL axes (x right, y up, z back).
