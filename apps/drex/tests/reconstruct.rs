@@ -172,6 +172,21 @@ fn what_is_missing_is_said() {
     write_scan(&scan);
     let run = reconstruct(&scan, &out, &["--hold-out", "1"]);
     assert!(run.stderr.contains("held out") || run.stderr.contains("hold-out"), "{}", run.stderr);
+    reconstruct(&scan, &out, &["--max-gaussians", "0"]).fails_with(&["max_gaussians is 0"]);
+    reconstruct(&scan, &out, &["--max-side", "0"]).fails_with(&["0 pixels"]);
+    let file = fs::read_to_string(scan.join("transforms.json")).unwrap();
+    let mut one: serde_json::Value = serde_json::from_str(&file).unwrap();
+    one["frames"].as_array_mut().unwrap().truncate(1);
+    fs::write(scan.join("transforms.json"), one.to_string()).unwrap();
+    drex(["reconstruct", scan.to_str().unwrap(), "--out", out.to_str().unwrap()])
+        .fails_with(&["photos to train on: 1"]);
+    fs::write(scan.join("transforms.json"), file).unwrap();
+    fs::create_dir(scan.join("masks")).unwrap();
+    for i in 0..16 {
+        let mask = scan.join(format!("masks/{}{}.png", i / 8, i % 8));
+        picture::write_alpha(&mask, 80, 60, &[0.0; 80 * 60]).unwrap();
+    }
+    reconstruct(&scan, &out, &[]).fails_with(&["photos left to train on: 0", "00.png: its mask is empty"]);
     fs::remove_file(scan.join("transforms.json")).unwrap();
     let run = reconstruct(&scan, &out, &["--colmap", "no-such-colmap"]);
     assert_eq!(run.code, 1);

@@ -256,6 +256,12 @@ impl<'a> Job<'a> {
                 }
             }
         }
+        if trained.len() < 2 && !left_out.is_empty() {
+            return Err(Error::Capture {
+                what: format!("photos left to train on: {}; left out: {}", trained.len(), left_out.join("; ")),
+                remedy: "mend the masks or cameras, or train the whole scene without masks".into(),
+            });
+        }
         Ok(Self { capture, options, photos, trained, held_out, left_out, masked, hull, whole_hull })
     }
 
@@ -270,6 +276,7 @@ impl<'a> Job<'a> {
         let (clock, cores) = (Instant::now(), usage::core_seconds());
         let checkpoint = checkpoint_of(out, kind);
         let wanted = self.train_options(kind);
+        wanted.check()?;
         let extent = self.capture.extent();
         let indices = self.trained.clone();
         let mut trainer = if self.options.resume && checkpoint.exists() {

@@ -283,7 +283,7 @@ fn what_cannot_be_trained_is_refused_by_name() {
     };
     let o = || options(Kind::Ellipsoid, 10, Density::Fixed);
     let first = || world.first(Kind::Ellipsoid);
-    assert!(refused(vec![0], first(), EXTENT, o()).contains("1 photos"));
+    assert!(refused(vec![0], first(), EXTENT, o()).contains("photos to train on: 1"));
     assert!(refused(vec![0, 99], first(), EXTENT, o()).contains("photo 99"));
     assert!(refused(vec![0, 1], first(), f64::NAN, o()).contains("extent"));
     assert!(refused(vec![0, 1], first(), 0.0, o()).contains("extent"));

@@ -141,7 +141,7 @@ impl<'a, V: Views, R: Rasterizer> Trainer<'a, V, R> {
         }
         if indices.len() < 2 {
             return refuse(
-                format!("there are {} photos to train on", indices.len()),
+                format!("photos to train on: {}", indices.len()),
                 "give photos from several sides: one photo tells nothing of the depth",
             );
         }
