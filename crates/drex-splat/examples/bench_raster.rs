@@ -10,8 +10,10 @@ mod support;
 use std::path::Path;
 use std::time::Instant;
 
-use drex_core::pose::{pose_from_matrix, pose_from_wxyz};
-use drex_splat::{Cpu, Gaussians, Kind, Label, PinholeCamera, Rasterizer, RenderGradients, RenderOptions};
+use drex_core::pose::pose_from_matrix;
+use drex_splat::capture::{Capture, CaptureOptions};
+use drex_splat::train::from_points;
+use drex_splat::{Cpu, Gaussians, Kind, PinholeCamera, Rasterizer, RenderGradients, RenderOptions};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 
@@ -85,25 +87,6 @@ fn cpu_seconds() -> f64 {
     tasks.map(|task| nanoseconds(task.unwrap())).sum::<f64>() * 1e-9
 }
 
-/// Points with colours as Gaussians: round, as large as the distance to the three nearest.
-fn from_points(points: &[([f32; 3], [u8; 3])], opacity: f32, sh_degree: usize) -> Gaussians {
-    let mut scene = Gaussians::new(Kind::Ellipsoid, sh_degree);
-    let spacing = nearest_three(&points.iter().map(|p| p.0).collect::<Vec<_>>());
-    for ((mean, rgb), spacing) in points.iter().zip(spacing) {
-        scene.means.push(*mean);
-        scene.rotations.push([1.0, 0.0, 0.0, 0.0]);
-        scene.log_scales.push([spacing.max(1e-7).ln(); 3]);
-        scene.logit_opacities.push((opacity / (1.0 - opacity)).ln());
-        let mut sh = vec![0.0; scene.sh_stride()];
-        for c in 0..3 {
-            sh[c] = (f32::from(rgb[c]) / 255.0 - 0.5) / 0.282_094_8;
-        }
-        scene.sh.extend(sh);
-        scene.labels.push(Label::BACKGROUND);
-    }
-    scene
-}
-
 /// The same as discs that face all ways.
 fn surfels((mut scene, cameras): (Gaussians, Vec<PinholeCamera>)) -> (Gaussians, Vec<PinholeCamera>) {
     scene.kind = Kind::Surfel;
@@ -114,35 +97,13 @@ fn surfels((mut scene, cameras): (Gaussians, Vec<PinholeCamera>)) -> (Gaussians,
     (scene, cameras)
 }
 
-/// Root of the mean squared distance to the three nearest points, by a sweep along x.
-fn nearest_three(points: &[[f32; 3]]) -> Vec<f32> {
-    let mut order: Vec<usize> = (0..points.len()).collect();
-    order.sort_by(|&a, &b| points[a][0].total_cmp(&points[b][0]));
-    let mut out = vec![0.0; points.len()];
-    for (at, &i) in order.iter().enumerate() {
-        let mut best = [f32::INFINITY; 3];
-        let mut visit = |j: usize| {
-            let d: f32 = (0..3).map(|k| (points[i][k] - points[j][k]).powi(2)).sum();
-            if d < best[2] {
-                best[2] = d;
-                best.sort_by(f32::total_cmp);
-            }
-            (points[i][0] - points[j][0]).powi(2) < best[2]
-        };
-        let _ = order[at + 1..].iter().all(|&j| visit(j));
-        let _ = order[..at].iter().rev().all(|&j| visit(j));
-        out[i] = (best.iter().sum::<f32>() / 3.0).sqrt();
-    }
-    out
-}
-
 fn garden(path: &Path) -> (Gaussians, Vec<PinholeCamera>) {
     let arrays = support::parse_npz(&std::fs::read(path).unwrap());
     let values = |name: &str| &arrays[name].values;
-    let mut points: Vec<([f32; 3], [u8; 3])> = values("means3d")
+    let mut points: Vec<([f64; 3], [u8; 3])> = values("means3d")
         .chunks(3)
         .zip(values("colors").chunks(3))
-        .map(|(p, c)| ([p[0] as f32, p[1] as f32, p[2] as f32], [c[0] as u8, c[1] as u8, c[2] as u8]))
+        .map(|(p, c)| ([p[0], p[1], p[2]], [c[0] as u8, c[1] as u8, c[2] as u8]))
         .collect();
     points.shuffle(&mut rand_chacha::ChaCha8Rng::seed_from_u64(0));
     points.truncate(100_000);
@@ -163,63 +124,19 @@ fn garden(path: &Path) -> (Gaussians, Vec<PinholeCamera>) {
             camera.resized(640, 480)
         })
         .collect();
-    (from_points(&points, 0.5, 0), cameras)
+    let (points, colours): (Vec<_>, Vec<_>) = points.into_iter().unzip();
+    (from_points(&points, &colours, Kind::Ellipsoid, 0, 0.5), cameras)
 }
 
-/// Points and cameras of a COLMAP model (PINHOLE, binary), the images made smaller by `factor`.
+/// Sparse points and cameras of a scan, its pictures made smaller by `factor`.
 fn colmap(folder: &Path, factor: f64) -> (Gaussians, Vec<PinholeCamera>) {
-    let read = |name: &str| Cursor(std::fs::read(folder.join("sparse/0").join(name)).unwrap(), 0);
-    let mut file = read("cameras.bin");
-    let mut intrinsics = std::collections::BTreeMap::new();
-    for _ in 0..file.u64() {
-        let (id, model) = (file.u32(), file.u32());
-        assert_eq!(model, 1, "PINHOLE");
-        let (width, height) = (file.u64() as usize, file.u64() as usize);
-        intrinsics.insert(id, (width, height, [file.f64(), file.f64(), file.f64(), file.f64()]));
-    }
-    let mut file = read("images.bin");
-    let mut cameras = Vec::new();
-    for _ in 0..file.u64() {
-        file.u32();
-        let q = [file.f64(), file.f64(), file.f64(), file.f64()];
-        let t = [file.f64(), file.f64(), file.f64()];
-        let (width, height, [fx, fy, cx, cy]) = intrinsics[&file.u32()];
-        while file.take::<1>() != [0] {}
-        file.1 += 24 * file.u64() as usize;
-        let camera_from_world = pose_from_wxyz(t, q).unwrap();
-        let camera = PinholeCamera { camera_from_world, fx, fy, cx, cy, width, height };
-        cameras.push(camera.resized((width as f64 * factor) as usize, (height as f64 * factor) as usize));
-    }
-    let mut file = read("points3D.bin");
-    let mut points = Vec::new();
-    for _ in 0..file.u64() {
-        file.u64();
-        let mean = [file.f64() as f32, file.f64() as f32, file.f64() as f32];
-        points.push((mean, file.take::<3>()));
-        file.f64();
-        file.1 += 8 * file.u64() as usize;
-    }
-    (from_points(&points, 0.1, 3), cameras)
-}
-
-/// Bytes and a place in them.
-struct Cursor(Vec<u8>, usize);
-
-impl Cursor {
-    fn take<const N: usize>(&mut self) -> [u8; N] {
-        self.1 += N;
-        self.0[self.1 - N..self.1].try_into().unwrap()
-    }
-
-    fn u32(&mut self) -> u32 {
-        u32::from_le_bytes(self.take())
-    }
-
-    fn u64(&mut self) -> u64 {
-        u64::from_le_bytes(self.take())
-    }
-
-    fn f64(&mut self) -> f64 {
-        f64::from_le_bytes(self.take())
-    }
+    let capture = Capture::load(folder, &CaptureOptions::default()).unwrap();
+    let smaller = |side: usize| (side as f64 * factor) as usize;
+    let camera = |i| {
+        let camera = capture.pinhole(i, None).unwrap();
+        camera.resized(smaller(camera.width), smaller(camera.height))
+    };
+    let (points, colours): (Vec<_>, Vec<_>) = capture.points.iter().map(|p| (p.position, p.rgb)).unzip();
+    let scene = from_points(&points, &colours, Kind::Ellipsoid, 3, 0.1);
+    (scene, (0..capture.views.len()).map(camera).collect())
 }

@@ -122,7 +122,10 @@ const DEPTH_SIDE: usize = 1024;
 const HULL_MARGIN_PX: usize = 2;
 
 /// Trains both sets from `capture` and writes `splat/appearance.ply`, `splat/surface.ply`, `splat/report.json` and
-/// `depth/` (see [`write_depth_maps`]) into `out`.
+/// `depth/` into `out`. For every photo's camera `depth/` gets `NAME.npy` (z in the camera frame, scene units, 0 where
+/// there is no surface, `[height, width]`), `normals/NAME.png` (rgb = (n + 1) / 2 of the unit normal n in the camera's
+/// frame, grey where there is none) and `NAME.png` (the appearance from there, transparent where there is nothing), no
+/// side longer than 1024 pixels, and `transforms.json`, with which [`Capture::load`] reads it as a scan.
 ///
 /// Photos whose camera `report` calls far are left out, and where masks are used those whose mask it calls misplaced.
 ///
@@ -220,6 +223,16 @@ struct Job<'a> {
 
 impl<'a> Job<'a> {
     fn new(capture: &'a Capture, report: &CaptureReport, options: &'a ReconstructOptions) -> Result<Self> {
+        if report.views.len() != capture.views.len() {
+            return Err(Error::Option {
+                what: format!(
+                    "the report is of {} photos, the capture has {}",
+                    report.views.len(),
+                    capture.views.len()
+                ),
+                remedy: "give the report of this capture".into(),
+            });
+        }
         let max_side = Some(options.max_side.unwrap_or(options.preset.max_side()));
         let photo_options = PhotoOptions { max_side, memory_bytes: options.memory_bytes, ..PhotoOptions::default() };
         let photos = Photos::new(capture, photo_options)?;
@@ -379,14 +392,8 @@ impl<'a> Job<'a> {
     }
 }
 
-/// Depth of the surface for every photo's camera: `NAME.npy` (z in the camera frame, scene units, 0 where there is no
-/// surface, `[height, width]`), `normals/NAME.png` (rgb = (n + 1) / 2 of the unit normal n in the camera's frame, grey
-/// where there is none), `NAME.png` (the appearance from there, transparent where there is nothing) and
-/// `transforms.json`, which [`Capture::load`] reads. No side is longer than 1024 pixels. Gives how many.
-///
-/// # Errors
-/// If a file cannot be written.
-pub fn write_depth_maps<R: Rasterizer>(
+/// `depth/`: depth of the surface for every photo's camera. Gives how many.
+fn write_depth_maps<R: Rasterizer>(
     folder: &Path,
     capture: &Capture,
     photos: &Photos,

@@ -158,8 +158,13 @@ fn frames_of_a_video() {
     assert!(call.contains("fps=1.5") && call.contains("push.mp4"), "{call}");
     assert!(extract(&options).unwrap_err().to_string().contains("has frame_00001.jpg already"));
     std::fs::remove_dir_all(&folder).unwrap();
+    // A film that breaks off leaves no half of its frames behind.
+    options.program = script(guard.path(), "ffmpeg-fails", &format!("{text}exit 1\n"));
+    assert!(extract(&options).is_err());
+    assert!(!folder.join("images").exists());
     options.program = "/nowhere/ffmpeg".into();
     assert!(extract(&options).unwrap_err().to_string().contains("apt install ffmpeg"));
+    assert!(!folder.join("images").exists());
     options.frames_per_s = 0.0;
     assert!(extract(&options).unwrap_err().to_string().contains("0 frames per second"));
     let missing = extract_frames(Path::new("/nowhere/film.mp4"), &folder, &options, &mut |_| ());

@@ -309,6 +309,29 @@ fn what_cannot_be_trained_is_refused_by_name() {
 }
 
 #[test]
+fn pictures_of_another_size_than_their_camera_are_refused() {
+    let world = World::new();
+    let too_few: [fn(&mut Photo); 4] = [
+        |p| p.rgb.truncate(5),
+        |p| p.mask = Some(vec![255; 3]),
+        |p| p.depth = Some(vec![1.0]),
+        |p| p.normal = Some(Vec::new()),
+    ];
+    for spoil in too_few {
+        let spoilt = |photo: &Arc<Photo>| {
+            let mut photo = Photo::clone(photo);
+            spoil(&mut photo);
+            Arc::new(photo)
+        };
+        let photos: Vec<Arc<Photo>> = world.photos.iter().map(spoilt).collect();
+        let o = options(Kind::Ellipsoid, 10, Density::Fixed);
+        let first = world.first(Kind::Ellipsoid);
+        let said = Trainer::new(&photos, (0..12).collect(), Cpu, first, EXTENT, o).unwrap().step().unwrap_err();
+        assert!(said.to_string().contains("pixels, its camera"), "{said}");
+    }
+}
+
+#[test]
 fn a_black_photo_is_refused() {
     let world = World::new();
     let black: Vec<Arc<Photo>> =

@@ -48,16 +48,18 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
 
     let mut bar: Option<(Kind, ProgressBar)> = None;
     let mut psnr = 0.0;
+    let mut first_step = 0;
     let mut on_progress = |kind: Kind, p: &Progress, steps: u32, seconds: f64| {
         if bar.as_ref().is_none_or(|(of, _)| *of != kind) {
             let label = if kind == Kind::Ellipsoid { "appearance" } else { "surface" };
             bar = Some((kind, ui.bar(label, u64::from(steps))));
             psnr = p.psnr;
+            first_step = p.step - 1; // more than 0 after --resume
         }
         psnr += 0.02 * (p.psnr - psnr); // a mean over about fifty photos
         if let Some((_, bar)) = &bar {
             bar.set_position(u64::from(p.step));
-            let speed = f64::from(p.step) / seconds.max(1e-9);
+            let speed = f64::from(p.step - first_step) / seconds.max(1e-9);
             bar.set_message(format!("{psnr:.1} dB, {speed:.0} it/s, {} Gaussians", p.gaussians));
             if p.step == steps {
                 bar.finish_and_clear();
@@ -105,7 +107,13 @@ fn open(args: &ReconstructArgs, ui: &Ui) -> Result<Capture> {
     let mut folder = args.scan.clone();
     if args.scan.is_file() {
         folder = args.out.join("scan");
-        if !folder.join("images").exists() {
+        if folder.join("images").exists() {
+            ui.note(format!(
+                "going on with the frames in {}; remove them to take those of {} anew",
+                folder.join("images").display(),
+                args.scan.display()
+            ));
+        } else {
             let mut video = VideoOptions::default();
             video.program.clone_from(&args.ffmpeg);
             let frames = capture::extract_frames(&args.scan, &folder, &video, &mut show)?;

@@ -174,14 +174,20 @@ pub fn extract_frames(
     command.args(["-nostdin", "-hide_banner", "-y", "-i"]).arg(video);
     command.args(["-vf", &filter, "-qscale:v", "2"]).arg(images.join("frame_%05d.jpg"));
     let install = "install ffmpeg (Debian, Ubuntu: apt install ffmpeg; macOS: brew install ffmpeg) or take photos";
-    run(command, "ffmpeg", install, progress)?;
-    match photos_under(&images).len() {
-        0 => refuse(
+    let ran = run(command, "ffmpeg", install, progress);
+    let frames = photos_under(&images).len();
+    if ran.is_err() || frames == 0 {
+        // Half of a video's frames would look like a whole scan to the next run.
+        std::fs::remove_dir_all(&images).map_err(|e| drex_core::Error::io("remove", &images, e))?;
+    }
+    ran?;
+    if frames == 0 {
+        return refuse(
             format!("ffmpeg found no frames in {}", video.display()),
             "give another video, or more frames per second",
-        ),
-        n => Ok(n),
+        );
     }
+    Ok(frames)
 }
 
 /// The folder of the photos and the photos in it.

@@ -18,7 +18,7 @@ use crate::train::density::{self, Statistics};
 use crate::train::hull::VisualHull;
 use crate::train::model::{Model, position_rate};
 use crate::train::options::{Density, TrainOptions};
-use crate::train::views::{Views, reduced};
+use crate::train::views::{Views, check_sizes, reduced};
 use crate::{Error, Gaussians, Kind, PinholeCamera, Rasterizer, Render, RenderGradients, RenderOptions, Result, usage};
 
 /// Optimises a set of Gaussians so that it looks like the photos.
@@ -257,6 +257,7 @@ impl<'a, V: Views, R: Rasterizer> Trainer<'a, V, R> {
         let step = self.state.step + 1;
         let k = self.photo_of(step);
         let full = self.views.photo(self.indices[k])?;
+        check_sizes(&full, || self.views.name(self.indices[k]))?;
         if full.rgb.iter().all(|c| *c == [0; 3]) {
             return Err(Error::Training {
                 what: format!("the photo {} is black all over", self.views.name(self.indices[k])),

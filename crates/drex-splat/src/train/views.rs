@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::capture::{Photo, Photos};
-use crate::{PinholeCamera, Result};
+use crate::{Error, PinholeCamera, Result};
 
 /// Posed photos by number: a capture's, or some in memory.
 pub trait Views: Sync {
@@ -42,8 +42,31 @@ impl Views for Vec<Arc<Photo>> {
     }
 
     fn photo(&self, i: usize) -> Result<Arc<Photo>> {
-        Ok(self[i].clone())
+        self.get(i).cloned().ok_or_else(|| Error::Option {
+            what: format!("there is no photo {i} among {}", self.len()),
+            remedy: "give numbers of photos that exist".into(),
+        })
     }
+}
+
+/// Refuses a photo whose pictures are not of its camera's size.
+pub(crate) fn check_sizes(photo: &Photo, name: impl Fn() -> String) -> Result<()> {
+    let (width, height) = (photo.camera.width, photo.camera.height);
+    let lengths = [
+        ("the colours", Some(photo.rgb.len())),
+        ("the mask", photo.mask.as_ref().map(Vec::len)),
+        ("the depth", photo.depth.as_ref().map(Vec::len)),
+        ("the normals", photo.normal.as_ref().map(Vec::len)),
+    ];
+    for (what, length) in lengths {
+        if let Some(length) = length.filter(|&n| Some(n) != width.checked_mul(height)) {
+            return Err(Error::Training {
+                what: format!("{what} of the photo {} have {length} pixels, its camera {width} x {height}", name()),
+                remedy: "give pictures of the camera's size".into(),
+            });
+        }
+    }
+    Ok(())
 }
 
 /// A photo made `divisor` times smaller along each side: the mean of the pixels that fall together; what is left over
