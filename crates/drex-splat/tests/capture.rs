@@ -125,7 +125,7 @@ fn a_folder_without_cameras_says_what_to_do() {
     grey(&folder.path().join("images/a.jpg"), 8, 8);
     let message = refusal(folder.path());
     assert!(
-        message.contains("neither a COLMAP model nor transforms.json") && message.contains("sparse/0"),
+        message.contains("no COLMAP model, no transforms.json and no cam_K.txt") && message.contains("sparse/0"),
         "{message}"
     );
 }

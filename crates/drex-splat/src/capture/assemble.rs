@@ -8,7 +8,7 @@ use drex_core::camera::Camera;
 
 use super::colmap::Model;
 use super::companions::{Companions, photos_under, size_of, with_known_extension};
-use super::{Capture, CaptureOptions, Keypoint, SparsePoint, View, refuse, transforms};
+use super::{Capture, CaptureOptions, Keypoint, SparsePoint, View, refuse, rgbd, transforms};
 use crate::Result;
 
 /// A view before its files are looked up.
@@ -29,8 +29,9 @@ pub(super) fn load(folder: &Path, options: &CaptureOptions) -> Result<Capture> {
     }
     match transforms::find(folder) {
         Some(file) => transforms::load(folder, &file, options),
+        None if rgbd::is_recording(folder) => rgbd::load(folder, options),
         None => refuse(
-            format!("{} has neither a COLMAP model nor transforms.json", folder.display()),
+            format!("{} has no COLMAP model, no transforms.json and no cam_K.txt", folder.display()),
             "put the model into sparse/0, or let COLMAP reconstruct the photos",
         ),
     }
@@ -38,7 +39,7 @@ pub(super) fn load(folder: &Path, options: &CaptureOptions) -> Result<Capture> {
 
 /// Whether the folder says where its photos were taken from.
 pub(super) fn has_cameras(folder: &Path) -> bool {
-    !places_of_models(folder).is_empty() || transforms::find(folder).is_some()
+    !places_of_models(folder).is_empty() || transforms::find(folder).is_some() || rgbd::is_recording(folder)
 }
 
 /// The folder's usual places, as far as there is a model.

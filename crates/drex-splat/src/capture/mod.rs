@@ -11,6 +11,7 @@
 //! normals/      same relative name: .png, rgb = (n + 1)/2 in the camera's frame
 //! sparse/0/     COLMAP's model, binary or text                (or sparse/, colmap/sparse/0/, or the folder itself)
 //! transforms.json                                             where there is no model
+//! cam_K.txt, rgb/, depth/, ob_in_cam/                          or an RGB-D recording with poses of the object
 //! ```
 
 mod assemble;
@@ -19,6 +20,7 @@ mod companions;
 mod photos;
 mod point_cloud;
 mod report;
+mod rgbd;
 mod tools;
 mod transforms;
 mod undistort;
@@ -107,16 +109,20 @@ pub struct CaptureOptions {
     pub depths: Option<PathBuf>,
     /// Folder of the normal maps instead of `normals`.
     pub normals: Option<PathBuf>,
+    /// Folder of the object's poses in the camera, for RGB-D recordings, instead of `annotated_poses`, `ob_in_cam` or
+    /// `poses`.
+    pub poses: Option<PathBuf>,
 }
 
 impl Capture {
-    /// Reads the capture in `folder`: the biggest COLMAP model there, or else transforms.json.
+    /// Reads the capture in `folder`: the biggest COLMAP model there, or else transforms.json, or else an RGB-D
+    /// recording, whose world is the frame of the object.
     ///
     /// Only headers of photos are read. A camera of another size than its photo is scaled, with its keypoints, if the
     /// aspect agrees.
     ///
     /// # Errors
-    /// If there is neither model nor transforms.json, a file is damaged, no photo is found, or a photo or mask has
+    /// If there is none of these, a file is damaged, no photo is found, or a photo or mask has
     /// another aspect than its camera.
     pub fn load(folder: &Path, options: &CaptureOptions) -> Result<Self> {
         assemble::load(folder, options)
