@@ -223,6 +223,23 @@ impl Moments {
         self.second += d * d.transpose() * volume;
     }
 
+    /// A share of a cube.
+    pub fn add_cube(&mut self, center: &Point3<f64>, side: f64, share: f64) {
+        let volume = share * side.powi(3);
+        self.add_point(center, volume);
+        self.second += nalgebra::Matrix3::identity() * (volume * side * side / 12.0);
+    }
+
+    /// The volume that a triangle sweeps along a vector; exact by two Gauss points times the middles of the sides.
+    pub fn add_prism(&mut self, corners: &[Point3<f64>; 3], sweep: &Vector3<f64>, volume: f64) {
+        let gauss = 0.5 / 3.0_f64.sqrt();
+        for k in 0..3 {
+            let middle = nalgebra::center(&corners[k], &corners[(k + 1) % 3]);
+            self.add_point(&(middle + sweep * (0.5 - gauss)), volume / 6.0);
+            self.add_point(&(middle + sweep * (0.5 + gauss)), volume / 6.0);
+        }
+    }
+
     /// Mass properties at density 1. `None` without volume.
     pub fn mass_properties(&self) -> Option<MassProperties> {
         if !(self.volume > 0.0) {

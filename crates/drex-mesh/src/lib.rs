@@ -27,12 +27,15 @@ mod error;
 mod grid;
 mod hull;
 mod io;
+mod mass;
 mod model;
 mod orient;
 mod pieces;
 mod region;
 mod repair;
+mod rest;
 mod sample;
+mod scale;
 mod sdf;
 #[cfg(test)]
 mod shapes;
@@ -46,10 +49,16 @@ pub use error::{Error, Result};
 pub use grid::{GridOptions, GridSdf};
 pub use hull::{convex_hull, convex_hull_with_at_most};
 pub use io::{parse_mesh, read_mesh, write_obj, write_ply, write_stl};
+pub use mass::{Hollow, HowHollow, check_mass_properties, principal, shell_properties};
 pub use pieces::{HowDivided, PieceOptions, convex_pieces};
 pub use region::{ObjectRegion, object_on_table, point_looked_at};
 pub use repair::{DroppedBit, RepairOptions, RepairReport, repair};
+pub use rest::{RestOptions, RestPose, settled_pose, stable_poses};
 pub use sample::{farthest_points, sample_surface};
+pub use scale::{
+    DistanceResidual, KnownDistance, Marks, PlaneOptions, ScaleFit, Sighting, Similarity, TablePlane, Triangulated,
+    read_marks, scale_from_distances, sheet_from_marks, table_plane, triangulate, triangulate_marks,
+};
 pub use sdf::MeshSdf;
 pub use solid::{HowClosed, Solid, solid_properties};
 

@@ -68,6 +68,11 @@ impl MeshSdf {
         SdfSample { distance_m: sign * distance, gradient }
     }
 
+    /// Signed distance at a point that is known to be inside.
+    pub(crate) fn distance_inside(&self, point: &Point3<f64>) -> SdfSample {
+        self.distance(point, true)
+    }
+
     /// Signed distance at a point that is known to be outside.
     pub(crate) fn distance_outside(&self, point: &Point3<f64>) -> SdfSample {
         self.distance(point, false)
