@@ -52,6 +52,7 @@ pub use io::{parse_mesh, read_mesh, write_obj, write_ply, write_stl};
 pub use mass::{Hollow, HowHollow, check_mass_properties, principal, shell_properties};
 pub use pieces::{HowDivided, PieceOptions, convex_pieces};
 pub use region::{ObjectRegion, object_on_table, point_looked_at};
+pub use pieces::{HowDivided, PieceOptions, UnionDistance, convex_pieces, union_distance};
 pub use repair::{DroppedBit, RepairOptions, RepairReport, repair};
 pub use rest::{RestOptions, RestPose, settled_pose, stable_poses};
 pub use sample::{farthest_points, sample_surface};

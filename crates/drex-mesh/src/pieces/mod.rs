@@ -1,21 +1,27 @@
 //! Convex pieces that together cover a solid, for collision.
 
-use std::collections::BTreeSet;
+mod cut;
+mod part;
+mod probe;
+mod score;
+mod tree;
 
 use nalgebra::Point3;
 
-use drex_core::TriMesh;
-use parry3d_f64::math::Vector;
-use parry3d_f64::transformation::vhacd::{VHACD, VHACDParameters};
-use parry3d_f64::transformation::voxelization::{Voxel, VoxelSet};
+use drex_core::{Surface, TriMesh};
 
-use crate::boundary::boundary;
-use crate::bvh::Bvh;
 use crate::hull::{convex_hull, convex_hull_with_at_most, hull_volume};
-use crate::repair::{Shell, describe_shells};
+use crate::repair::{Shell, describe_shells, weld};
+use crate::sdf::MeshSdf;
 use crate::solid::Enclosed;
 use crate::topology::Topology;
 use crate::{Error, Result};
+
+pub use score::{UnionDistance, union_distance};
+
+use cut::Scene;
+use part::Part;
+use tree::{Division, split};
 
 /// Settings of [`convex_pieces`].
 #[derive(Debug, Clone, PartialEq)]
@@ -27,20 +33,20 @@ pub struct PieceOptions {
     pub most_pieces: usize,
     /// Corners per piece at most. The pieces then lie inside their full hulls.
     pub most_corners: usize,
-    /// Two pieces become one when their common hull adds no more than this share of the solid's volume.
-    pub merge_excess: f64,
-    /// Voxels along the longest side in the decomposition.
-    pub resolution: u32,
+    /// A piece may fill a hollow this deep, as a share of the diagonal of the mesh's bounding box.
+    pub concavity: f64,
 }
 
 impl Default for PieceOptions {
     fn default() -> Self {
-        Self { convex_enough: 0.05, most_pieces: 32, most_corners: 64, merge_excess: 0.004, resolution: 64 }
+        Self { convex_enough: 0.05, most_pieces: 32, most_corners: 64, concavity: 0.0075 }
     }
 }
 
 /// Pieces smaller than this are slivers that engines refuse, m³.
 const SLIVER_M3: f64 = 1e-12;
+/// Points of the surface at which filled hollows are measured.
+const PROBES: usize = 4000;
 
 /// How the pieces were obtained.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
@@ -51,7 +57,7 @@ pub enum HowDivided {
     Hull,
     /// The mesh consists of closed convex shells, each is a piece.
     Shells,
-    /// Approximate convex decomposition (V-HACD), then merging.
+    /// Cut by planes into nearly convex parts.
     Decomposed,
     /// The decomposition failed; one hull stands in, with its concavities filled.
     HullAsLastResort,
@@ -75,10 +81,10 @@ pub(crate) fn divide(
     enclosed: &Enclosed,
     options: &PieceOptions,
 ) -> Result<(Vec<TriMesh>, HowDivided)> {
-    if options.most_corners < 4 || options.most_pieces == 0 || !(8..=512).contains(&options.resolution) {
+    if options.most_corners < 4 || options.most_pieces == 0 || !(1e-6..=1.0).contains(&options.concavity) {
         return Err(Error::value(
             "the options for convex pieces are out of range",
-            "allow 4 or more corners, 1 or more pieces and 8 to 512 voxels along the longest side",
+            "allow 4 or more corners, 1 or more pieces and a concavity of 1e-6 to 1",
         ));
     }
     let volume = enclosed.solid.volume_m3;
@@ -106,18 +112,17 @@ pub(crate) fn divide(
         let cavities = shells.iter().any(|s| s.volume_m3 < 0.0);
         let part = if enclosed.capped.openings > 0 {
             pieces.clear();
-            // Without the parts of ragged lids that lie outside the solid.
-            boundary(&enclosed.capped.mesh, &Bvh::new(&enclosed.capped.mesh), true).mesh()
+            mesh.clone()
         } else if cavities || pieces.is_empty() {
             pieces.clear();
             mesh.clone()
         } else {
             TriMesh { vertices: mesh.vertices.clone(), faces: rest.iter().map(|&f| mesh.faces[f as usize]).collect() }
         };
-        match decompose(&part, options.resolution).or_else(|| decompose(&part, options.resolution / 2)) {
+        let budget = options.most_pieces.saturating_sub(pieces.len()).max(1);
+        match decompose(&part, options, budget) {
             Some(parts) => {
-                let budget = options.most_pieces.saturating_sub(pieces.len()).max(1);
-                pieces.extend(merged(parts, volume, options.merge_excess, budget)?);
+                pieces.extend(parts);
                 how = HowDivided::Decomposed;
             }
             None => {
@@ -147,86 +152,25 @@ fn convex_shell(mesh: &TriMesh, shell: &Shell, convex_enough: f64) -> Option<Tri
     (hull_volume(&hull) <= (1.0 + convex_enough) * shell.volume_m3).then_some(hull)
 }
 
-/// Full hulls of the parts that V-HACD finds (Mamou and Ghorbel 2009); `None` if it fails.
-fn decompose(mesh: &TriMesh, resolution: u32) -> Option<Vec<TriMesh>> {
-    let points: Vec<Vector> = mesh.vertices.iter().map(|p| Vector::new(p.x, p.y, p.z)).collect();
-    let parameters = VHACDParameters {
-        resolution,
-        concavity: 0.0025,
-        convex_hull_downsampling: 4,
-        plane_downsampling: 4,
-        max_convex_hulls: 64,
-        ..VHACDParameters::default()
-    };
-    // Its inner hulls assert on some inputs; that must not take the program down.
-    let parts = std::panic::catch_unwind(|| {
-        let voxels = VoxelSet::voxelize(&points, &mesh.faces, resolution, parameters.fill_mode, true);
-        let place = |v: &Voxel| [v.coords.x, v.coords.y, v.coords.z];
-        let surface: BTreeSet<_> = voxels.voxels().iter().filter(|v| v.is_on_surface).map(place).collect();
-        let found = VHACD::from_voxels(&parameters, voxels);
-        let mut parts = found.compute_primitive_intersections(&points, &mesh.faces);
-        for (part, set) in parts.iter_mut().zip(found.voxel_parts()) {
-            // A part is bounded by the surface and by cuts through the inside, where there are only voxels.
-            for voxel in set.voxels().iter().filter(|v| !surface.contains(&place(v))) {
-                let middle = set.get_voxel_point(voxel);
-                for corner in 0..8 {
-                    let side = |axis: u32| if corner >> axis & 1 == 0 { -0.5 } else { 0.5 };
-                    part.push(middle + Vector::new(side(0), side(1), side(2)) * set.scale);
-                }
-            }
-        }
-        parts
-    })
-    .ok()?;
-    let hulls: Vec<TriMesh> = parts
-        .iter()
-        .filter_map(|part| {
-            let points: Vec<_> = part.iter().map(|v| Point3::new(v.x, v.y, v.z)).collect();
-            convex_hull(&points).ok()
-        })
-        .filter(|h| hull_volume(h) > SLIVER_M3)
-        .collect();
+/// Cuts the solid into parts and joins what fits together; `None` if it has no surface.
+fn decompose(mesh: &TriMesh, options: &PieceOptions, most: usize) -> Option<Vec<TriMesh>> {
+    let solid = MeshSdf::new(mesh).ok()?;
+    let (lo, hi) = solid.bounds();
+    let size = (hi - lo).norm();
+    let surface = weld(solid.boundary(), 1e-9 * size).0;
+    let scene = Scene::new(&solid, &surface, PROBES, options.concavity * size);
+    let whole = Part::whole(surface.clone())?;
+    let t = std::time::Instant::now();
+    let (tree, leaves) = split(&scene, whole.clone(), 2 * most)?;
+    eprintln!("split {} {:?}", leaves.len(), t.elapsed());
+    let mut division = Division::new(&scene, whole, tree, leaves);
+    eprintln!("cost {} pieces {}", division.cost(), division.pieces());
+    division.merge(most);
+    eprintln!("merged cost {} pieces {} {:?}", division.cost(), division.pieces(), t.elapsed());
+    division.refine(6);
+    eprintln!("refined cost {} pieces {} {:?}", division.cost(), division.pieces(), t.elapsed());
+    let hulls = division.hulls(surface);
     (!hulls.is_empty()).then_some(hulls)
-}
-
-/// Merges the pair whose common hull adds the least volume, while that is little or there are too many pieces.
-fn merged(mut parts: Vec<TriMesh>, volume: f64, excess: f64, most: usize) -> Result<Vec<TriMesh>> {
-    let join = |a: &TriMesh, b: &TriMesh| -> Result<(f64, TriMesh)> {
-        let points: Vec<_> = a.vertices.iter().chain(&b.vertices).copied().collect();
-        let hull = convex_hull(&points)?;
-        Ok((hull_volume(&hull) - hull_volume(a) - hull_volume(b), hull))
-    };
-    let mut costs: Vec<Vec<f64>> = Vec::new();
-    for i in 0..parts.len() {
-        costs.push((0..i).map(|j| join(&parts[i], &parts[j]).map(|c| c.0)).collect::<Result<_>>()?);
-    }
-    while parts.len() > 1 {
-        let mut best = (f64::INFINITY, 0, 0);
-        for (i, row) in costs.iter().enumerate() {
-            for (j, &c) in row.iter().enumerate() {
-                if c < best.0 {
-                    best = (c, i, j);
-                }
-            }
-        }
-        let (cost, i, j) = best;
-        if cost > excess * volume && parts.len() <= most {
-            break;
-        }
-        let (_, hull) = join(&parts[i], &parts[j])?;
-        parts[j] = hull;
-        parts.remove(i);
-        costs.remove(i);
-        for row in costs.iter_mut().skip(i) {
-            row.remove(i);
-        }
-        for k in 0..parts.len() {
-            if k != j {
-                costs[k.max(j)][k.min(j)] = join(&parts[k], &parts[j])?.0;
-            }
-        }
-    }
-    Ok(parts)
 }
 
 #[cfg(test)]

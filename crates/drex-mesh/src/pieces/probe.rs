@@ -1,0 +1,129 @@
+//! How much free space a hull fills, measured by rays that leave the solid along its normals.
+
+use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
+
+use drex_core::{Surface, TriMesh};
+
+use crate::bvh::Aabb;
+use crate::sample::sample_surface;
+use crate::sdf::MeshSdf;
+
+/// A point of the solid's surface that looks outwards.
+#[derive(Debug, Clone)]
+pub(super) struct Probe {
+    pub point: Point3<f64>,
+    pub normal: Vector3<f64>,
+    /// Free way along the normal up to the next surface, metres; infinite if there is none.
+    free: f64,
+}
+
+/// Free space inside a hull.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Fill {
+    /// ∫ t + t²/τ over the surface of the solid inside the hull, m³; t is the way along the normal that is inside the
+    /// hull and outside the solid, τ the tolerance. The first term is the volume filled (where it is thin), the second weighs
+    /// what is deep.
+    pub cost: f64,
+    /// The depth t that no more than [`DEEPEST_SHARE`] of the tested surface exceeds, metres.
+    pub depth: f64,
+}
+
+/// Scans have crumbs and folds; the deepest hundredth of the surface does not decide.
+const DEEPEST_SHARE: f64 = 0.01;
+
+impl Fill {
+    pub const NONE: Self = Self { cost: 0.0, depth: 0.0 };
+}
+
+/// Probes spread evenly over the surface of a solid.
+#[derive(Debug, Clone)]
+pub(super) struct Probes {
+    pub all: Vec<Probe>,
+    /// Area that each stands for, m².
+    area: f64,
+    tolerance: f64,
+    /// Points this far outside a hull count as inside, metres.
+    hair: f64,
+}
+
+impl Probes {
+    pub fn new(solid: &MeshSdf, count: usize, tolerance: f64, seed: u64) -> Self {
+        let (lo, hi) = solid.bounds();
+        let size = (hi - lo).norm();
+        let samples = sample_surface(solid.boundary(), count, seed);
+        let area = solid.boundary().area() / samples.len().max(1) as f64;
+        let all = samples
+            .into_par_iter()
+            .filter_map(|s| {
+                // Faces of scans that look into the solid say nothing about free space.
+                let start = s.point + s.normal * (1e-5 * size);
+                let hit = || solid.ray_cast(&start, &s.normal, size).map_or(f64::INFINITY, |h| (h.point - start).norm());
+                (!solid.contains(&start)).then(|| Probe { point: s.point, normal: s.normal, free: hit() })
+            })
+            .collect();
+        Self { all, area, tolerance, hair: 1e-5 * size }
+    }
+
+    /// The probes inside the box of a hull.
+    pub fn near(&self, hull: &TriMesh) -> Vec<u32> {
+        let b = Aabb::of(&hull.vertices).fattened(self.hair);
+        let inside = |p: &Point3<f64>| (0..3).all(|k| b.lo[k] <= p[k] && p[k] <= b.hi[k]);
+        (0..self.all.len() as u32).filter(|&i| inside(&self.all[i as usize].point)).collect()
+    }
+
+    /// Free space that a hull fills, as seen by some of the probes.
+    pub fn fill(&self, hull: &TriMesh, probes: &[u32]) -> Fill {
+        let planes = planes(hull);
+        let mut depths = Vec::with_capacity(probes.len());
+        'probes: for &i in probes {
+            let probe = &self.all[i as usize];
+            let mut depth = probe.free;
+            for (n, d) in &planes {
+                let below = d - n.dot(&probe.point.coords);
+                if below < -self.hair {
+                    continue 'probes;
+                }
+                let rate = n.dot(&probe.normal);
+                if depth * rate > below {
+                    depth = below.max(0.0) / rate;
+                }
+            }
+            // A probe in no facet's way is a hull without facets.
+            depths.push(if depth.is_finite() { depth } else { 0.0 });
+        }
+        if depths.is_empty() {
+            return Fill::NONE;
+        }
+        let cost = depths.iter().map(|t| t + t * t / self.tolerance).sum::<f64>() * self.area;
+        let rank = ((1.0 - DEEPEST_SHARE) * depths.len() as f64) as usize;
+        let rank = rank.min(depths.len() - 1);
+        let (_, depth, _) = depths.select_nth_unstable_by(rank, f64::total_cmp);
+        Fill { cost, depth: *depth }
+    }
+}
+
+/// Planes n·x = d of the facets, n outwards and of unit length.
+///
+/// The normal of a thin facet is at the mercy of rounding: its plane is moved out until no corner is in front of it.
+pub(super) fn planes(hull: &TriMesh) -> Vec<(Vector3<f64>, f64)> {
+    let bounds = Aabb::of(&hull.vertices);
+    let size = (bounds.hi - bounds.lo).norm();
+    let mut planes = Vec::with_capacity(hull.faces.len());
+    for f in 0..hull.faces.len() {
+        let [a, b, c] = hull.triangle(f);
+        let n = (b - a).cross(&(c - a));
+        let height = n.norm() / (b - a).norm().max((c - b).norm()).max((a - c).norm());
+        if !(height > 1e-6 * size) {
+            continue;
+        }
+        let n = n.normalize();
+        let d = if height > 1e-3 * size {
+            n.dot(&a.coords)
+        } else {
+            hull.vertices.iter().map(|p| n.dot(&p.coords)).fold(f64::NEG_INFINITY, f64::max)
+        };
+        planes.push((n, d));
+    }
+    planes
+}
