@@ -58,18 +58,10 @@ pub(crate) fn cap(mesh: &TriMesh) -> Capped {
     out
 }
 
-/// The mesh with every opening closed by a fan of triangles to the middle of its rim. A closed mesh comes back as it is.
-///
-/// Loose ends of a scan (missing bottom, small holes) get flat lids this way. The result is closed in the sense that
-/// every edge is run along equally often in both directions; its lids may cross the surface where a rim is ragged.
-pub fn close_openings(mesh: &TriMesh) -> TriMesh {
-    cap(mesh).mesh
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::shapes::{cuboid, sphere};
+    use crate::shapes::cuboid;
 
     #[test]
     fn an_open_box_is_closed_exactly() {
@@ -79,7 +71,5 @@ mod tests {
         assert_eq!((c.openings, c.mesh.faces.len()), (1, 14));
         assert!((c.widest_m - 5.0_f64.sqrt()).abs() < 1e-12);
         assert!((c.mesh.mass_properties(1.0).unwrap().mass_kg - 6.0).abs() < 1e-12);
-        let closed = sphere(1.0, 2);
-        assert_eq!(close_openings(&closed), closed);
     }
 }

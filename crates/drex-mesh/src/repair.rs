@@ -8,8 +8,10 @@ use serde::Serialize;
 use drex_core::TriMesh;
 
 use crate::bvh::{Aabb, Bvh, segment_triangle_distance};
+use crate::fill::{Filled, fill_holes};
+use crate::intersect::self_intersections;
 use crate::orient::{align_patches, nesting, orient_shells};
-use crate::topology::{NONE, Sets, Topology};
+use crate::topology::{NONE, Sets, Topology, split_pinched};
 use crate::{Error, Result};
 
 /// Settings of [`repair`].
@@ -21,13 +23,27 @@ pub struct RepairOptions {
     pub weld_m: Option<f64>,
     /// Shells closer than this belong to one body. `None`: 1e-3 of the bounding box's diagonal.
     pub touching_m: Option<f64>,
-    /// Bodies with less than this share of the area are dropped.
+    /// Closed bodies with less than this share of the volume are dropped.
+    pub smallest_volume_share: f64,
+    /// Bodies that are not closed are dropped if they hold less than this share of the area.
     pub smallest_area_share: f64,
+    /// Openings up to this wide are filled, wider ones stay open. `None`: 1/20 of the bounding box's diagonal.
+    pub fill_narrower_m: Option<f64>,
+    /// Whether sheets that meet at a common edge or vertex get vertices of their own.
+    pub split_pinched: bool,
 }
 
 impl Default for RepairOptions {
     fn default() -> Self {
-        Self { weld_m: None, touching_m: None, smallest_area_share: 0.02 }
+        // A tenth of the size, by volume; about as much by area.
+        Self {
+            weld_m: None,
+            touching_m: None,
+            smallest_volume_share: 1e-3,
+            smallest_area_share: 0.02,
+            fill_narrower_m: None,
+            split_pinched: true,
+        }
     }
 }
 
@@ -57,11 +73,21 @@ pub struct RepairReport {
     pub cavities: usize,
     /// Groups of shells that touch, overlap or contain each other.
     pub bodies: usize,
+    /// Openings that were filled.
+    pub filled_holes: usize,
+    /// Area that was filled, m².
+    pub filled_area_m2: f64,
+    /// Edges without a face on the other side, before filling.
+    pub open_edges_before: usize,
     /// Edges without a face on the other side.
     pub open_edges: usize,
-    /// Edges at which more than two faces meet.
+    /// Edges at which more than two faces meet, before they were split.
     pub crowded_edges: usize,
-    /// Bodies dropped because they hold too little area.
+    /// Vertices that were doubled because several sheets met in them.
+    pub split_vertices: usize,
+    /// Pairs of faces that cross or touch each other ([`crate::self_intersections`]). They stay as they are.
+    pub self_intersections: usize,
+    /// Bodies dropped because they hold too little volume or area.
     pub dropped: Vec<DroppedBit>,
 }
 
@@ -69,6 +95,8 @@ pub struct RepairReport {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct DroppedBit {
+    /// Its share of the volume of all shells; `None` if it is not closed.
+    pub volume_share: Option<f64>,
     /// Its share of the mesh's area.
     pub area_share: f64,
     /// Its faces.
@@ -80,7 +108,8 @@ pub struct DroppedBit {
 }
 
 /// Welds the vertices, drops degenerate and duplicate faces, winds the faces of each shell consistently and closed
-/// shells outwards, and drops bodies that hold little area.
+/// shells outwards, drops bodies that hold little volume (or area, if they are not closed), separates sheets that meet in
+/// an edge or a vertex, fills small openings and counts faces that cross each other.
 ///
 /// Shells that touch, overlap or contain each other are one body. A closed shell inside another keeps its winding
 /// relative to it: wound the other way it is a cavity, wound the same way it is a part of the solid. Open surfaces
@@ -114,10 +143,18 @@ pub fn repair(mesh: &TriMesh, options: &RepairOptions) -> Result<(TriMesh, Repai
     let parents = nesting(&clean, &shells);
     let cavities = orient_shells(&mut clean, &shells, &parents, &mut turned);
     let bodies = group_bodies(&clean, &shells, &parents, touching_m);
-    let (kept, dropped) = drop_bits(&mut clean, &shells, &bodies, options.smallest_area_share);
+    let (kept, dropped) = drop_bits(&mut clean, &shells, &bodies, options);
     compact(&mut clean);
 
     let topology = Topology::new(&clean);
+    let (open_edges_before, crowded_edges) = (topology.open_edges, topology.crowded_edges);
+    let split_vertices = if options.split_pinched { split_pinched(&mut clean, &topology) } else { 0 };
+    let filled = match options.fill_narrower_m.unwrap_or(0.05 * diagonal) {
+        narrower_m if open_edges_before > 0 && narrower_m > 0.0 => fill_holes(&mut clean, narrower_m),
+        _ => Filled::default(),
+    };
+    let topology = Topology::new(&clean);
+    let (labels, count) = topology.shells();
     let body_count = kept.iter().map(|&s| bodies[s]).collect::<std::collections::BTreeSet<_>>().len();
     let report = RepairReport {
         vertices_before: mesh.vertices.len(),
@@ -127,12 +164,17 @@ pub fn repair(mesh: &TriMesh, options: &RepairOptions) -> Result<(TriMesh, Repai
         degenerate_faces,
         duplicate_faces,
         flipped_faces: turned.iter().filter(|&&t| t).count(),
-        shells: kept.len(),
-        closed_shells: kept.iter().filter(|&&s| shells[s].closed).count(),
+        shells: count,
+        closed_shells: topology.closed_shells(&labels, count),
         cavities: kept.iter().filter(|&&s| cavities[s]).count(),
         bodies: body_count,
+        filled_holes: filled.holes,
+        filled_area_m2: filled.area_m2,
+        open_edges_before,
         open_edges: topology.open_edges,
-        crowded_edges: topology.crowded_edges,
+        crowded_edges,
+        split_vertices,
+        self_intersections: self_intersections(&clean).len(),
         dropped,
     };
     Ok((clean, report))
@@ -291,18 +333,36 @@ fn group_bodies(mesh: &TriMesh, shells: &[Shell], parents: &[Option<usize>], tou
     sets.labels().0
 }
 
-/// Removes the faces of bodies with too little area; returns the shells that stay.
-fn drop_bits(mesh: &mut TriMesh, shells: &[Shell], bodies: &[u32], share: f64) -> (Vec<usize>, Vec<DroppedBit>) {
-    let total: f64 = shells.iter().map(|s| s.area_m2).sum();
-    let mut area: BTreeMap<u32, f64> = BTreeMap::new();
+/// Removes the faces of bodies with too little volume or area; returns the shells that stay.
+fn drop_bits(
+    mesh: &mut TriMesh,
+    shells: &[Shell],
+    bodies: &[u32],
+    options: &RepairOptions,
+) -> (Vec<usize>, Vec<DroppedBit>) {
+    /// Area, volume and whether all shells are closed.
+    #[derive(Clone, Copy)]
+    struct Body(f64, f64, bool);
+    let mut of: BTreeMap<u32, Body> = BTreeMap::new();
     for (s, &b) in shells.iter().zip(bodies) {
-        *area.entry(b).or_default() += s.area_m2;
+        let body = of.entry(b).or_insert(Body(0.0, 0.0, true));
+        *body = Body(body.0 + s.area_m2, body.1 + s.volume_m3.abs(), body.2 && s.closed);
     }
-    let largest = area.values().copied().fold(0.0, f64::max);
-    let stays = |b: u32| area[&b] >= share * total || area[&b] >= largest;
+    let area: f64 = of.values().map(|b| b.0).sum();
+    let volume: f64 = of.values().map(|b| b.1).sum();
+    let share = |b: u32| {
+        let Body(a, v, closed) = of[&b];
+        (a / area, (closed && volume > 0.0).then_some(v / volume))
+    };
+    let largest = of.values().map(|b| b.0).fold(0.0, f64::max);
+    let stays = |b: u32| match share(b) {
+        _ if of[&b].0 >= largest => true,
+        (_, Some(v)) => v >= options.smallest_volume_share,
+        (a, None) => a >= options.smallest_area_share,
+    };
     let mut gone = vec![false; mesh.faces.len()];
     let mut dropped = Vec::new();
-    for (&b, &a) in area.iter().filter(|&(&b, _)| !stays(b)) {
+    for &b in of.keys().filter(|&&b| !stays(b)) {
         let mut bounds = Aabb::empty();
         let mut faces = 0;
         for (s, _) in shells.iter().zip(bodies).filter(|&(_, &body)| body == b) {
@@ -311,7 +371,8 @@ fn drop_bits(mesh: &mut TriMesh, shells: &[Shell], bodies: &[u32], share: f64) -
             s.faces.iter().for_each(|&f| gone[f as usize] = true);
         }
         dropped.push(DroppedBit {
-            area_share: a / total,
+            area_share: share(b).0,
+            volume_share: share(b).1,
             faces,
             center_m: nalgebra::center(&bounds.lo, &bounds.hi).into(),
             size_m: (bounds.hi - bounds.lo).into(),
@@ -327,7 +388,7 @@ fn drop_bits(mesh: &mut TriMesh, shells: &[Shell], bodies: &[u32], share: f64) -
 }
 
 /// Forgets vertices that no face uses.
-fn compact(mesh: &mut TriMesh) {
+pub(crate) fn compact(mesh: &mut TriMesh) {
     let mut number = vec![NONE; mesh.vertices.len()];
     let mut vertices = Vec::new();
     for v in mesh.faces.iter_mut().flatten() {

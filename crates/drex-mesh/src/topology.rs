@@ -141,6 +141,15 @@ impl Topology {
         }
     }
 
+    /// How many of the shells have no open edge.
+    pub fn closed_shells(&self, labels: &[u32], count: usize) -> usize {
+        let mut closed = vec![true; count];
+        for (h, &p) in self.partner.iter().enumerate() {
+            closed[labels[h / 3] as usize] &= p != NONE;
+        }
+        closed.iter().filter(|&&c| c).count()
+    }
+
     /// Shell of each face (faces connected over paired edges) and the number of shells.
     pub fn shells(&self) -> (Vec<u32>, usize) {
         let mut sets = Sets::new(self.partner.len() / 3);
@@ -151,6 +160,42 @@ impl Topology {
         }
         sets.labels()
     }
+}
+
+/// Gives every fan of faces at a vertex (faces connected over paired edges) a vertex of its own. Returns how many vertices
+/// were added; afterwards no vertex and no edge joins more than one sheet.
+pub(crate) fn split_pinched(mesh: &mut TriMesh, topology: &Topology) -> usize {
+    let mut fans = Sets::new(topology.partner.len());
+    for (h, &p) in topology.partner.iter().enumerate() {
+        if p == NONE {
+            continue;
+        }
+        // Corner k of a face is where its half-edge k begins.
+        let after = |h: u32| 3 * (h / 3) + (h + 1) % 3;
+        let (h, start) = (h as u32, ends(mesh, h as u32).0);
+        let (same, other) = if ends(mesh, p).0 == start { (p, after(p)) } else { (after(p), p) };
+        fans.join(h, same);
+        fans.join(after(h), other);
+    }
+    let mut owner = vec![NONE; mesh.vertices.len()];
+    let mut copy = std::collections::BTreeMap::new();
+    let before = mesh.vertices.len();
+    for corner in 0..topology.partner.len() as u32 {
+        let fan = fans.find(corner);
+        let v = &mut mesh.faces[corner as usize / 3][corner as usize % 3];
+        let first = &mut owner[*v as usize];
+        if *first == NONE {
+            *first = fan;
+        }
+        if *first != fan {
+            let old = *v;
+            *v = *copy.entry(fan).or_insert_with(|| {
+                mesh.vertices.push(mesh.vertices[old as usize]);
+                mesh.vertices.len() as u32 - 1
+            });
+        }
+    }
+    mesh.vertices.len() - before
 }
 
 /// The boundary of an open mesh as closed loops of vertices, each to be walked so that a cap on it winds like the mesh.
