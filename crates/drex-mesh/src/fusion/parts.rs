@@ -1,0 +1,107 @@
+//! The parts of an extracted surface: which stay, which are dropped, which hollows are filled.
+
+use serde::Serialize;
+
+use super::marching::{Extracted, GridEdge};
+use crate::topology::{NONE, Sets};
+
+/// A part of the surface that was dropped.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct DroppedPart {
+    /// Its volume, m³.
+    pub volume_m3: f64,
+    /// Its faces.
+    pub faces: usize,
+    /// Mean of its vertices, metres.
+    pub center_m: [f64; 3],
+    /// Whether it was dropped because nothing of its surface was measured.
+    pub unseen: bool,
+}
+
+/// What was done.
+pub(super) struct Cleaned {
+    pub parts: usize,
+    pub volume_m3: f64,
+    pub dropped: Vec<DroppedPart>,
+    pub filled_hollows: usize,
+}
+
+#[derive(Clone, Default)]
+struct Part {
+    volume: f64,
+    faces: usize,
+    vertices: usize,
+    sum: nalgebra::Vector3<f64>,
+    seen: usize,
+}
+
+/// Keeps the parts of which something was `observed` and whose volume is at least `share` of the largest such part.
+///
+/// Every part is closed, so a part with negative volume is the wall of a hollow.
+pub(super) fn clean(extracted: &mut Extracted, share: f64, observed: impl Fn(&GridEdge) -> bool) -> Cleaned {
+    let mesh = &mut extracted.mesh;
+    let mut sets = Sets::new(mesh.vertices.len());
+    for f in &mesh.faces {
+        sets.join(f[0], f[1]);
+        sets.join(f[0], f[2]);
+    }
+    let (labels, count) = sets.labels();
+    let mut parts = vec![Part::default(); count];
+    // Any point will do for the volume of a closed part; a near one keeps the digits.
+    let reference = mesh.vertices.first().copied().unwrap_or_default();
+    for f in 0..mesh.faces.len() {
+        let part = &mut parts[labels[mesh.faces[f][0] as usize] as usize];
+        let [a, b, c] = mesh.triangle(f).map(|p| p - reference);
+        part.volume += a.dot(&b.cross(&c)) / 6.0;
+        part.faces += 1;
+    }
+    for (v, &label) in labels.iter().enumerate() {
+        let part = &mut parts[label as usize];
+        part.vertices += 1;
+        part.sum += mesh.vertices[v].coords;
+        part.seen += usize::from(observed(&extracted.edges[v]));
+    }
+    let largest = parts.iter().filter(|p| p.seen > 0).map(|p| p.volume).fold(0.0, f64::max);
+    let stays = |p: &Part| p.seen > 0 && p.volume > 0.0 && p.volume >= share * largest;
+    let mut dropped: Vec<DroppedPart> = parts
+        .iter()
+        .filter(|p| p.volume > 0.0 && !stays(p))
+        .map(|p| DroppedPart {
+            volume_m3: p.volume,
+            faces: p.faces,
+            center_m: (p.sum / p.vertices as f64).into(),
+            unseen: p.seen == 0,
+        })
+        .collect();
+    dropped.sort_by(|a, b| b.volume_m3.total_cmp(&a.volume_m3));
+    let cleaned = Cleaned {
+        parts: parts.iter().filter(|p| stays(p)).count(),
+        volume_m3: parts.iter().filter(|p| stays(p)).map(|p| p.volume).sum(),
+        dropped,
+        filled_hollows: parts.iter().filter(|p| p.volume <= 0.0).count(),
+    };
+    if cleaned.parts < parts.len() {
+        let keep: Vec<bool> = labels.iter().map(|&l| stays(&parts[l as usize])).collect();
+        retain(extracted, &keep);
+    }
+    cleaned
+}
+
+/// Keeps the vertices that are marked, with the faces between them.
+fn retain(extracted: &mut Extracted, keep: &[bool]) {
+    let mut number = vec![NONE; keep.len()];
+    let mut next = 0;
+    for (v, _) in keep.iter().enumerate().filter(|k| *k.1) {
+        number[v] = next;
+        next += 1;
+    }
+    let marked = |v: usize| number[v] != NONE;
+    let mesh = &mut extracted.mesh;
+    mesh.faces.retain(|f| marked(f[0] as usize));
+    mesh.faces.iter_mut().flatten().for_each(|v| *v = number[*v as usize]);
+    let mut v = 0;
+    mesh.vertices.retain(|_| (marked(v), v += 1).0);
+    v = 0;
+    extracted.edges.retain(|_| (marked(v), v += 1).0);
+}

@@ -1,0 +1,259 @@
+//! The first look at all views: where the object is, how fine it was seen, how noisy, and how thin its walls are.
+
+use std::collections::HashMap;
+
+use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
+
+use super::FusionOptions;
+use super::prepare::{Hits, plane_factor};
+use crate::bvh::Aabb;
+use crate::depth::{DepthMap, DepthViews};
+use crate::{Error, Result};
+
+/// Points taken from all views together.
+const SAMPLES: usize = 200_000;
+/// At least so many from each.
+const LEAST_PER_VIEW: usize = 400;
+/// Patches whose thickness is probed.
+const PROBES: usize = 4000;
+/// Thinner walls than this share of the probed surface are not asked for.
+const THIN_SHARE: f64 = 0.02;
+/// Cosine beyond which two patches face each other's backs.
+const OPPOSITE: f64 = -0.8;
+
+/// A point of the surface with its normal (towards the camera), in the world.
+#[derive(Debug, Clone, Copy)]
+struct Sample {
+    point: Point3<f64>,
+    normal: Vector3<f64>,
+    view: u32,
+}
+
+/// What all views say together.
+#[derive(Debug)]
+pub(super) struct Survey {
+    /// Box of the object's points.
+    pub bounds: Aabb,
+    /// Median width of a pixel on the surface, metres.
+    pub footprint_m: f64,
+    /// Median distance of the surface from the cameras, metres.
+    pub depth_m: f64,
+    /// Median over the views of the noise of a single depth, metres.
+    pub noise_m: f64,
+    /// Median over the views of the noise left after smoothing, metres.
+    pub smoothed_noise_m: f64,
+    /// Views with depth of the object.
+    pub used_views: usize,
+    samples: Vec<Sample>,
+}
+
+/// One view's part.
+struct Look {
+    samples: Vec<Sample>,
+    footprint_m: f64,
+    depth_m: f64,
+    noise_m: f64,
+    smoothed_noise_m: f64,
+}
+
+impl Survey {
+    /// Looks at every view once.
+    pub fn new(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> Result<Self> {
+        let n = views.len();
+        if n == 0 {
+            return Err(Error::value("there are no depth maps to fuse", "give at least one view"));
+        }
+        let per_view = (SAMPLES / n).max(LEAST_PER_VIEW);
+        let looks: Vec<Option<Look>> = (0..n)
+            .into_par_iter()
+            .map(|i| {
+                let map = views.borrow_view(i)?;
+                map.check().map_err(|e| of_view(e, i))?;
+                Ok(Look::new(&map, i, per_view, options))
+            })
+            .collect::<Result<_>>()?;
+        let looks: Vec<Look> = looks.into_iter().flatten().collect();
+        let samples: Vec<Sample> = looks.iter().flat_map(|l| &l.samples).copied().collect();
+        if samples.is_empty() {
+            return Err(Error::value(
+                format!("none of the {n} views has a depth of the object"),
+                "check the unit (metres), the masks and the region",
+            ));
+        }
+        let median_of = |get: fn(&Look) -> f64| median(looks.iter().map(get).collect());
+        Ok(Self {
+            bounds: object_box(&samples, looks.len()),
+            footprint_m: median_of(|l| l.footprint_m),
+            depth_m: median_of(|l| l.depth_m),
+            noise_m: median_of(|l| l.noise_m),
+            smoothed_noise_m: median_of(|l| l.smoothed_noise_m),
+            used_views: looks.len(),
+            samples,
+        })
+    }
+}
+
+/// The error with the number of the view it is about.
+pub(super) fn of_view(e: Error, view: usize) -> Error {
+    match e {
+        Error::Value { what, remedy } => Error::value(format!("view {view}: {what}"), remedy),
+        other => other,
+    }
+}
+
+impl Look {
+    fn new(map: &DepthMap, view: usize, wanted: usize, options: &FusionOptions) -> Option<Self> {
+        let hits = Hits::new(map)?;
+        let camera = &map.camera;
+        let smoother = hits.smoother(camera);
+        let focal = [camera.fx_px as f32, camera.fy_px as f32];
+        // The window is not full: a part of its pixels are hits.
+        let filled = hits.depth.iter().filter(|&&z| z > 0.0).count();
+        let step = ((filled as f64 / wanted as f64).sqrt().ceil() as usize).max(1);
+        let mut samples = Vec::new();
+        for y in (step / 2..hits.window.height).step_by(step) {
+            for x in (step / 2..hits.window.width).step_by(step) {
+                let at = hits.index(x, y);
+                if !(hits.depth[at] > 0.0) {
+                    continue;
+                }
+                let (z, Some(slope)) = hits.plane(at, &smoother) else { continue };
+                let ray = camera.ray((hits.window.x + x) as u32, (hits.window.y + y) as u32);
+                // The normal of z(u, v) is along (f_x z_u, f_y z_v, -(z + x f_x z_u + y f_y z_v)), towards the camera.
+                let factor = f64::from(plane_factor(z, slope, focal, [ray.x as f32, ray.y as f32]));
+                let (a, b) = (f64::from(focal[0] * slope[0]), f64::from(focal[1] * slope[1]));
+                let normal = Vector3::new(a, b, -(f64::from(z) + ray.x * a + ray.y * b)) * (factor / f64::from(z));
+                let point = map.world_from_camera * Point3::from(ray * f64::from(z));
+                if options.region.is_none_or(|(lo, hi)| (0..3).all(|k| (lo[k]..=hi[k]).contains(&point[k]))) {
+                    samples.push(Sample { point, normal: map.world_from_camera * normal, view: view as u32 });
+                }
+            }
+        }
+        (!samples.is_empty()).then(|| Self {
+            samples,
+            footprint_m: f64::from(hits.typical_z) / camera.fx_px.max(camera.fy_px),
+            depth_m: f64::from(hits.typical_z),
+            noise_m: f64::from(hits.noise_m),
+            smoothed_noise_m: f64::from(hits.noise_m) / (2 * smoother.radius + 1) as f64,
+        })
+    }
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    let middle = values.len() / 2;
+    values.sort_by(f64::total_cmp);
+    values.get(middle).copied().unwrap_or(0.0)
+}
+
+/// The box of the samples, without those that stand alone: a coarse cell counts if a second view saw it too (where there
+/// are enough views to ask for that).
+fn object_box(samples: &[Sample], views: usize) -> Aabb {
+    const CELLS_ACROSS: f64 = 64.0;
+    const ENOUGH_VIEWS: usize = 5;
+    let all = samples.iter().fold(Aabb::empty(), |b, s| b.grown(&s.point));
+    if views < ENOUGH_VIEWS {
+        return all;
+    }
+    let size = (hi_lo(&all).max() / CELLS_ACROSS).max(f64::MIN_POSITIVE);
+    let cell = |s: &Sample| [0, 1, 2].map(|k| ((s.point[k] - all.lo[k]) / size) as u32);
+    let mut seen: HashMap<[u32; 3], (u32, bool)> = HashMap::new();
+    for s in samples {
+        let entry = seen.entry(cell(s)).or_insert((s.view, false));
+        entry.1 |= entry.0 != s.view;
+    }
+    let kept = samples.iter().filter(|s| seen[&cell(s)].1).fold(Aabb::empty(), |b, s| b.grown(&s.point));
+    if kept.lo.x <= kept.hi.x { kept } else { all }
+}
+
+fn hi_lo(b: &Aabb) -> Vector3<f64> {
+    b.hi - b.lo
+}
+
+/// Averages of the samples that fell into one cell and face one way.
+struct Patch {
+    point: Point3<f64>,
+    normal: Vector3<f64>,
+    /// Standard deviation of the samples from their plane; `None` if too few.
+    spread: Option<f64>,
+}
+
+/// What the samples say at a given resolution.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Walls {
+    /// Thickness of the thinnest walls, metres; `None` if none is thinner than looked for.
+    pub thickness_m: Option<f64>,
+    /// Median spread of the samples of a patch from their plane: noise after smoothing and disagreement of the views.
+    pub spread_m: f64,
+}
+
+impl Survey {
+    /// Probes the thickness of walls up to `deepest`: averages the samples per cell and facing, then looks from each
+    /// patch along its inward normal for one that faces the other way.
+    pub fn walls(&self, cell_m: f64, deepest_m: f64) -> Walls {
+        let (patches, by_cell) = self.patches(cell_m);
+        let spread_m = median(patches.iter().filter_map(|p| p.spread).collect());
+        let step = patches.len().div_ceil(PROBES).max(1);
+        let mut thickness: Vec<f64> = patches
+            .par_iter()
+            .step_by(step)
+            .map(|p| self.thickness_at(p, &patches, &by_cell, cell_m, deepest_m).unwrap_or(f64::INFINITY))
+            .collect();
+        thickness.sort_by(f64::total_cmp);
+        let thinnest = thickness.get((thickness.len() as f64 * THIN_SHARE) as usize);
+        Walls { thickness_m: thinnest.copied().filter(|t| t.is_finite()), spread_m }
+    }
+
+    fn cell(&self, p: &Point3<f64>, cell_m: f64) -> [i32; 3] {
+        [0, 1, 2].map(|k| ((p[k] - self.bounds.lo[k]) / cell_m).floor() as i32)
+    }
+
+    /// Patches, and which of them lie in a cell.
+    fn patches(&self, cell_m: f64) -> (Vec<Patch>, HashMap<[i32; 3], Vec<u32>>) {
+        const ENOUGH: usize = 8;
+        let facing = |n: &Vector3<f64>| {
+            let axis = n.iamax();
+            (2 * axis + usize::from(n[axis] < 0.0)) as u8
+        };
+        let mut keyed: Vec<([i32; 3], u8, u32)> = self
+            .samples
+            .iter()
+            .enumerate()
+            .map(|(i, s)| (self.cell(&s.point, cell_m), facing(&s.normal), i as u32))
+            .collect();
+        keyed.par_sort_unstable();
+        let mut patches = Vec::new();
+        let mut by_cell: HashMap<[i32; 3], Vec<u32>> = HashMap::new();
+        for group in keyed.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+            let members = || group.iter().map(|&(_, _, i)| &self.samples[i as usize]);
+            let n = group.len() as f64;
+            let Some(normal) = members().map(|s| s.normal).sum::<Vector3<f64>>().try_normalize(1e-9) else { continue };
+            let point = Point3::from(members().map(|s| s.point.coords).sum::<Vector3<f64>>() / n);
+            let variance = members().map(|s| (s.point - point).dot(&normal).powi(2)).sum::<f64>() / (n - 1.0);
+            by_cell.entry(group[0].0).or_default().push(patches.len() as u32);
+            patches.push(Patch { point, normal, spread: (group.len() >= ENOUGH).then(|| variance.sqrt()) });
+        }
+        (patches, by_cell)
+    }
+
+    fn thickness_at(
+        &self,
+        from: &Patch,
+        patches: &[Patch],
+        by_cell: &HashMap<[i32; 3], Vec<u32>>,
+        cell_m: f64,
+        deepest_m: f64,
+    ) -> Option<f64> {
+        let steps = (2.0 * deepest_m / cell_m).ceil() as usize;
+        let behind = |i: usize| from.point - from.normal * (0.5 * cell_m * i as f64);
+        let near = (0..=steps).filter_map(|i| by_cell.get(&self.cell(&behind(i), cell_m))).flatten();
+        near.map(|&j| &patches[j as usize])
+            .filter(|p| p.normal.dot(&from.normal) < OPPOSITE)
+            .filter_map(|p| {
+                let depth = (from.point - p.point).dot(&from.normal);
+                let aside = (p.point - from.point + from.normal * depth).norm();
+                (depth > 0.0 && aside < cell_m).then_some(depth)
+            })
+            .min_by(f64::total_cmp)
+    }
+}
