@@ -30,6 +30,8 @@ use crate::{Error, Result};
 
 /// Views that are prepared at once.
 const BATCH: usize = 8;
+/// Half-width of the band around the surface, in voxels, where noise and walls do not ask for another.
+const BAND_VOXELS: f64 = 1.75;
 /// A truncation of more than this share of a wall lets its two sides meet.
 const SHARE_OF_WALL: f64 = 0.7;
 
@@ -48,7 +50,7 @@ pub struct Support {
 pub struct FusionOptions {
     /// Distance of the samples, metres. `None`: two pixels on the surface, at least 1/256 of the object's diagonal.
     pub voxel_m: Option<f64>,
-    /// How far from a measured surface its distance counts, metres. `None`: two voxels or three times the noise, at most
+    /// How far from a measured surface its distance counts, metres. `None`: 1.75 voxels or three times the noise, at most
     /// 0.7 of the thinnest wall that was probed.
     pub truncation_m: Option<f64>,
     /// A pixel without depth means that nothing was hit (rendered depth), not that nothing was measured (RGB-D).
@@ -60,8 +62,8 @@ pub struct FusionOptions {
     pub support: Option<Support>,
     /// Move vertices near edges of the object onto the intersection of its planes.
     pub sharp_edges: bool,
-    /// How many views must see a place empty that no view measured. `None`: 2, of less than 10 views 1.
-    pub empty_votes: Option<u16>,
+    /// How many views must see a place empty that no view measured; more if single maps are wrong at many pixels.
+    pub empty_votes: u16,
     /// Parts with a smaller share of the volume of the largest one are dropped.
     pub smallest_volume_share: f64,
     /// Most memory that the volume may take, bytes.
@@ -77,7 +79,7 @@ impl Default for FusionOptions {
             region: None,
             support: None,
             sharp_edges: false,
-            empty_votes: None,
+            empty_votes: 1,
             smallest_volume_share: 0.01,
             memory_bytes: 2 << 30,
         }
@@ -268,14 +270,14 @@ impl Plan {
         // Patches of two voxels; walls that the largest truncation would spare need not be found.
         let cell = 2.0 * voxel_m;
         let walls = survey.walls(cell, 4.0 * voxel_m / SHARE_OF_WALL);
-        let wished = (2.0 * voxel_m).max(3.0 * walls.spread_m).min(4.0 * voxel_m);
+        let wished = (BAND_VOXELS * voxel_m).max(3.0 * walls.spread_m).min(4.0 * voxel_m);
         let spared = walls.thickness_m.map_or(wished, |t| wished.min(SHARE_OF_WALL * t));
-        let truncation = options.truncation_m.unwrap_or(spared.max(1.2 * voxel_m).max(2.0 * walls.spread_m));
+        let truncation = options.truncation_m.unwrap_or(spared.max(0.9 * voxel_m).max(2.0 * walls.spread_m));
         let band = Band {
             truncation: truncation as f32,
             trusted: (2.5 * walls.spread_m).clamp(0.25 * truncation, 0.7 * truncation) as f32,
             depth: survey.depth_m as f32,
-            votes: options.empty_votes.unwrap_or(if survey.used_views < 10 { 1 } else { 2 }),
+            votes: options.empty_votes,
         };
         // Noise spreads the points beyond the surface, and smoothed depths less so.
         let mut solid = survey.bounds.fattened(truncation + voxel_m);

@@ -14,6 +14,8 @@ const LARGEST_RADIUS: usize = 3;
 const NOISE_GOAL: f32 = 0.5;
 /// Second differences beyond this many standard deviations are no noise but an edge.
 const GATE: f32 = 3.5;
+/// Noise, in footprints of a pixel, up to which the difference of two neighbours tells the slope.
+const PRECISE: f32 = 0.1;
 /// A slope of more than this many footprints per pixel (84 degrees from frontal) is a jump.
 const STEEPEST: f32 = 10.0;
 /// Farthest distance from a silhouette that is told apart, pixels.
@@ -164,7 +166,8 @@ impl Hits {
             .collect();
         // Rounding and curvature look like a little noise even in a perfect map.
         let gate = GATE * 1.5_f32.sqrt() * self.noise_m.max(0.01 * footprint);
-        Smoother { pairs, gate, radius: radius as usize, per_z: 1.0 / camera.fx_px.max(camera.fy_px) as f32 }
+        let precise = self.noise_m < PRECISE * footprint;
+        Smoother { pairs, gate, precise, radius: radius as usize, per_z: 1.0 / camera.fx_px.max(camera.fy_px) as f32 }
     }
 
     /// Depth and slopes at a hit pixel, from the pairs of opposite neighbours that lie on a plane with it: such a mean is not
@@ -192,9 +195,11 @@ impl Hits {
         let det = xx * yy - xy * xy;
         let slope = if det > 0.5 {
             Some([(yy * xz - xy * yz) / det, (xx * yz - xy * xz) / det])
-        } else {
+        } else if smoother.precise {
             let [x, y] = [1, self.stride].map(|step| self.one_sided(at, step, jump));
             x.zip(y).map(|(x, y)| [x, y])
+        } else {
+            None
         };
         (smooth, slope)
     }
@@ -213,6 +218,8 @@ pub(super) struct Smoother {
     /// Offsets of one of each pair of opposite neighbours, and its shift in the array.
     pairs: Vec<(f32, f32, isize)>,
     gate: f32,
+    /// Whether the difference of two neighbours tells the slope.
+    precise: bool,
     pub radius: usize,
     per_z: f32,
 }

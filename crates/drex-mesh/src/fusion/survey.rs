@@ -15,6 +15,8 @@ use crate::{Error, Result};
 const SAMPLES: usize = 200_000;
 /// At least so many from each.
 const LEAST_PER_VIEW: usize = 400;
+/// Samples that make a patch.
+const ENOUGH: usize = 5;
 /// Patches whose thickness is probed.
 const PROBES: usize = 4000;
 /// Thinner walls than this share of the probed surface are not asked for.
@@ -41,8 +43,6 @@ pub(super) struct Survey {
     pub depth_m: f64,
     /// Median over the views of the noise of a single depth, metres.
     pub noise_m: f64,
-    /// Median over the views of the noise left after smoothing, metres.
-    pub smoothed_noise_m: f64,
     /// Views with depth of the object.
     pub used_views: usize,
     samples: Vec<Sample>,
@@ -54,7 +54,6 @@ struct Look {
     footprint_m: f64,
     depth_m: f64,
     noise_m: f64,
-    smoothed_noise_m: f64,
 }
 
 impl Survey {
@@ -87,7 +86,6 @@ impl Survey {
             footprint_m: median_of(|l| l.footprint_m),
             depth_m: median_of(|l| l.depth_m),
             noise_m: median_of(|l| l.noise_m),
-            smoothed_noise_m: median_of(|l| l.smoothed_noise_m),
             used_views: looks.len(),
             samples,
         })
@@ -135,7 +133,6 @@ impl Look {
             footprint_m: f64::from(hits.typical_z) / camera.fx_px.max(camera.fy_px),
             depth_m: f64::from(hits.typical_z),
             noise_m: f64::from(hits.noise_m),
-            smoothed_noise_m: f64::from(hits.noise_m) / (2 * smoother.radius + 1) as f64,
         })
     }
 }
@@ -174,8 +171,8 @@ fn hi_lo(b: &Aabb) -> Vector3<f64> {
 struct Patch {
     point: Point3<f64>,
     normal: Vector3<f64>,
-    /// Standard deviation of the samples from their plane; `None` if too few.
-    spread: Option<f64>,
+    /// Standard deviation of the samples from their plane.
+    spread: f64,
 }
 
 /// What the samples say at a given resolution.
@@ -192,12 +189,14 @@ impl Survey {
     /// patch along its inward normal for one that faces the other way.
     pub fn walls(&self, cell_m: f64, deepest_m: f64) -> Walls {
         let (patches, by_cell) = self.patches(cell_m);
-        let spread_m = median(patches.iter().filter_map(|p| p.spread).collect());
+        let spread_m = median(patches.iter().map(|p| p.spread).collect());
+        // Thinner ones cannot be told from noise or shown by the voxels.
+        let least = (4.0 * spread_m).max(0.25 * cell_m);
         let step = patches.len().div_ceil(PROBES).max(1);
         let mut thickness: Vec<f64> = patches
             .par_iter()
             .step_by(step)
-            .map(|p| self.thickness_at(p, &patches, &by_cell, cell_m, deepest_m).unwrap_or(f64::INFINITY))
+            .map(|p| self.thickness_at(p, &patches, &by_cell, cell_m, least..deepest_m).unwrap_or(f64::INFINITY))
             .collect();
         thickness.sort_by(f64::total_cmp);
         let thinnest = thickness.get((thickness.len() as f64 * THIN_SHARE) as usize);
@@ -210,7 +209,6 @@ impl Survey {
 
     /// Patches, and which of them lie in a cell.
     fn patches(&self, cell_m: f64) -> (Vec<Patch>, HashMap<[i32; 3], Vec<u32>>) {
-        const ENOUGH: usize = 8;
         let facing = |n: &Vector3<f64>| {
             let axis = n.iamax();
             (2 * axis + usize::from(n[axis] < 0.0)) as u8
@@ -230,8 +228,11 @@ impl Survey {
             let Some(normal) = members().map(|s| s.normal).sum::<Vector3<f64>>().try_normalize(1e-9) else { continue };
             let point = Point3::from(members().map(|s| s.point.coords).sum::<Vector3<f64>>() / n);
             let variance = members().map(|s| (s.point - point).dot(&normal).powi(2)).sum::<f64>() / (n - 1.0);
+            if group.len() < ENOUGH {
+                continue;
+            }
             by_cell.entry(group[0].0).or_default().push(patches.len() as u32);
-            patches.push(Patch { point, normal, spread: (group.len() >= ENOUGH).then(|| variance.sqrt()) });
+            patches.push(Patch { point, normal, spread: variance.sqrt() });
         }
         (patches, by_cell)
     }
@@ -242,9 +243,9 @@ impl Survey {
         patches: &[Patch],
         by_cell: &HashMap<[i32; 3], Vec<u32>>,
         cell_m: f64,
-        deepest_m: f64,
+        range: std::ops::Range<f64>,
     ) -> Option<f64> {
-        let steps = (2.0 * deepest_m / cell_m).ceil() as usize;
+        let steps = (2.0 * range.end / cell_m).ceil() as usize;
         let behind = |i: usize| from.point - from.normal * (0.5 * cell_m * i as f64);
         let near = (0..=steps).filter_map(|i| by_cell.get(&self.cell(&behind(i), cell_m))).flatten();
         near.map(|&j| &patches[j as usize])
@@ -252,7 +253,7 @@ impl Survey {
             .filter_map(|p| {
                 let depth = (from.point - p.point).dot(&from.normal);
                 let aside = (p.point - from.point + from.normal * depth).norm();
-                (depth > 0.0 && aside < cell_m).then_some(depth)
+                (range.contains(&depth) && aside < cell_m).then_some(depth)
             })
             .min_by(f64::total_cmp)
     }

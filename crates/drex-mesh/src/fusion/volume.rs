@@ -16,8 +16,10 @@ const LEAST_COSINE: f32 = 0.15;
 const SILHOUETTE_WEIGHT: f32 = 0.5;
 /// Distances from a silhouette below this many pixels are as uncertain as the silhouette.
 const LEAST_RIM_PX: f32 = 1.0;
-/// Weight of an observation at the truncation behind the surface.
+/// Square root of the weight of an observation at the truncation behind the surface.
 const WEIGHT_BEHIND: f32 = 0.1;
+/// Votes for empty, as a share of the weight behind the surface, that prove it wrong.
+const CONTRADICTION: f32 = 0.25;
 /// Weight from which the observed distance counts.
 const OBSERVED: f32 = 0.05;
 
@@ -302,7 +304,7 @@ impl Evidence {
         }
         let mean = (front + behind) / weight;
         // Behind a surface is inside only as far as nobody sees otherwise: rays that cut a corner say so behind it too.
-        if mean < 0.0 && empty >= band.votes && f32::from(empty) > 0.25 * behind_weight {
+        if mean < 0.0 && empty > band.votes && f32::from(empty) > CONTRADICTION * behind_weight {
             return (if front_weight > OBSERVED { front / front_weight } else { 0.5 * band.truncation }, true);
         }
         (mean, true)
@@ -313,7 +315,7 @@ impl Band {
     /// Weight of a distance behind the surface.
     fn falloff(&self, distance: f32) -> f32 {
         let past = (-distance - self.trusted) / (self.truncation - self.trusted);
-        1.0 - (1.0 - WEIGHT_BEHIND) * past.clamp(0.0, 1.0)
+        (1.0 - (1.0 - WEIGHT_BEHIND) * past.clamp(0.0, 1.0)).powi(2)
     }
 }
 
