@@ -4,12 +4,13 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use drex_core::Pose;
 use drex_core::pose::pose_from_wxyz;
 use drex_core::push::{ForceChoice, PoseChoice};
-use drex_mesh::LengthUnit;
+use drex_mesh::{KnownDistance, LengthUnit};
 use drex_splat::train::{DensityChoice, Preset};
 use drex_sysid::Parameter;
-use nalgebra::Similarity3;
+use nalgebra::{Point3, Similarity3};
 
 /// From a scan, a recorded push and human grasps to a weighed digital twin and a grasp with the right force.
 ///
@@ -47,8 +48,11 @@ pub struct Common {
 pub enum Command {
     /// Train Gaussians for looks and for geometry from photos, and write depth maps.
     Reconstruct(ReconstructArgs),
-    /// Make a sim-ready asset of a mesh: repaired, convex pieces, mass properties, MJCF.
+    /// Make a sim-ready asset of a mesh or a scan: closed, convex pieces, mass properties, MJCF.
     Asset(AssetArgs),
+    /// Check, convert or look at meshes.
+    #[command(subcommand)]
+    Mesh(MeshCommand),
     /// Weigh an object from recorded pushes, or say why they cannot.
     Identify(IdentifyArgs),
     /// Rank pushes of an object by how well they would weigh it.
@@ -186,23 +190,129 @@ impl From<DensityArg> for DensityChoice {
 /// `drex asset`.
 #[derive(Debug, Args)]
 pub struct AssetArgs {
-    /// STL, OBJ, PLY, GLTF or GLB file.
-    pub mesh: PathBuf,
-    /// Folder to write: mesh/, asset/object.xml.
+    /// STL, OBJ, PLY, GLTF or GLB file; a scan (a folder of photos with their cameras, as for `reconstruct`, or an RGB-D recording
+    /// with cam_K.txt and poses of the object); or a twin.toml whose object has parts and joints.
+    pub input: PathBuf,
+    /// Folder to write: mesh/, asset/object.xml; for scans also what `reconstruct` writes.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Mass of the object, kg; without it the density of water is assumed and said so.
-    #[arg(long, value_name = "KG", value_parser = positive)]
+    /// Mass of the object, kg; without it the density is assumed and said so.
+    #[arg(long, value_name = "KG", value_parser = positive, conflicts_with = "density")]
     pub mass: Option<f64>,
+    /// Density, kg/m³ [default: 1000].
+    #[arg(long, value_name = "KG_M3", value_parser = positive)]
+    pub density: Option<f64>,
+    /// Hollow inside, with walls of this thickness, metres.
+    #[arg(long, value_name = "M", value_parser = positive)]
+    pub wall: Option<f64>,
     /// Unit of the mesh's coordinates: m, cm, mm, in, or auto (told by the size).
     #[arg(long, value_name = "UNIT", default_value = "auto")]
     pub unit: LengthUnit,
-    /// Direction in the mesh that points up while the object stands on the table, as X,Y,Z [default: 0,0,1; glTF: 0,1,0].
+    /// Direction in the mesh or scan that points up while the object stands on the table, as X,Y,Z [default: 0,0,1; glTF:
+    /// 0,1,0; scans: away from the table].
     #[arg(long, value_name = "X,Y,Z", value_parser = direction, allow_hyphen_values = true)]
     pub up: Option<[f64; 3]>,
     /// Coulomb friction written into the MJCF.
     #[arg(long, default_value_t = 0.5, value_parser = positive)]
     pub friction: f64,
+    /// MJCF of a robot to put into asset/scene.xml, by reference.
+    #[arg(long, value_name = "FILE")]
+    pub robot: Option<PathBuf>,
+    /// Mesh of the static scene for asset/scene.xml.
+    #[arg(long, value_name = "FILE")]
+    pub background: Option<PathBuf>,
+    /// Measured pose of the mesh frame in the robot's world for asset/scene.xml: x,y,z in metres and a quaternion.
+    #[arg(long, value_name = "X,Y,Z,QW,QX,QY,QZ", value_parser = pose, allow_hyphen_values = true)]
+    pub pose: Option<Pose>,
+    /// What scans need.
+    #[command(flatten)]
+    pub scan: ScanArgs,
+}
+
+/// Options of `drex asset` for scans.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Scans")]
+pub struct ScanArgs {
+    /// Metres per unit of the scan.
+    #[arg(long, value_name = "M", value_parser = positive)]
+    pub scale: Option<f64>,
+    /// Known distance between two marks, metres, such as A-C=0.12; repeatable.
+    #[arg(long, value_name = "A-B=M", value_parser = known_distance, conflicts_with = "scale")]
+    pub distance: Vec<KnownDistance>,
+    /// Pixels of the marks in the photos: {"photo.jpg": {"A": [x, y]}} [default: SCAN/marks.json].
+    #[arg(long, value_name = "FILE")]
+    pub marks: Option<PathBuf>,
+    /// Folder of the object's poses in an RGB-D recording [default: annotated_poses, ob_in_cam or poses in it].
+    #[arg(long, value_name = "DIR")]
+    pub poses: Option<PathBuf>,
+    /// Folder of the masks (white is the object) [default: SCAN/masks].
+    #[arg(long, value_name = "DIR")]
+    pub masks: Option<PathBuf>,
+    /// How much time the Gaussians may take, where there are no depth maps yet.
+    #[arg(long, value_enum, default_value_t = PresetArg::Fast)]
+    pub preset: PresetArg,
+    /// Box of the object in the frame and unit of the scan, where it is not alone: lower and upper corner.
+    #[arg(long, value_name = "X,Y,Z,X,Y,Z", value_parser = region, allow_hyphen_values = true)]
+    pub region: Option<[Point3<f64>; 2]>,
+    /// Side of a voxel, metres [default: by the size of the object and of a pixel on it].
+    #[arg(long, value_name = "M", value_parser = positive)]
+    pub voxel: Option<f64>,
+}
+
+/// `drex mesh`.
+#[derive(Debug, Subcommand)]
+pub enum MeshCommand {
+    /// Judge a mesh file, or a written asset (its folder or MJCF), by the rules of simulation; exit status 1 if one fails.
+    Check(MeshCheckArgs),
+    /// Repair, simplify if asked, and write in another format (by the name's ending).
+    Convert(MeshConvertArgs),
+    /// Draw meshes into a PNG, each in a colour of its own.
+    Picture(MeshPictureArgs),
+}
+
+/// `drex mesh check`.
+#[derive(Debug, Args)]
+pub struct MeshCheckArgs {
+    /// Mesh file, folder of an asset, or its object.xml.
+    pub file: PathBuf,
+    /// Unit of a mesh file: m, cm, mm, in, or auto (told by the size).
+    #[arg(long, value_name = "UNIT", default_value = "auto")]
+    pub unit: LengthUnit,
+}
+
+/// `drex mesh convert`.
+#[derive(Debug, Args)]
+pub struct MeshConvertArgs {
+    /// STL, OBJ, PLY, GLTF or GLB file.
+    pub input: PathBuf,
+    /// File to write: .obj, .stl, .ply or .glb.
+    pub output: PathBuf,
+    /// Faces wanted.
+    #[arg(long, value_name = "N")]
+    pub faces: Option<usize>,
+    /// Largest distance between the simplified and the given surface, in the file's unit.
+    #[arg(long, value_name = "LENGTH", value_parser = positive)]
+    pub max_error: Option<f64>,
+}
+
+/// `drex mesh picture`.
+#[derive(Debug, Args)]
+pub struct MeshPictureArgs {
+    /// STL, OBJ, PLY, GLTF or GLB files.
+    #[arg(required = true)]
+    pub files: Vec<PathBuf>,
+    /// PNG file to write.
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// Pixels of each side.
+    #[arg(long, value_name = "PX", default_value_t = 640, value_parser = clap::value_parser!(u32).range(16..=8192))]
+    pub size: u32,
+    /// Direction of the eye from +x towards +y, degrees.
+    #[arg(long, value_name = "DEGREES", default_value_t = 35.0, allow_hyphen_values = true)]
+    pub azimuth: f64,
+    /// Height of the eye over the horizon, degrees.
+    #[arg(long, value_name = "DEGREES", default_value_t = 25.0, allow_hyphen_values = true)]
+    pub elevation: f64,
 }
 
 /// `drex identify`.
@@ -471,6 +581,28 @@ fn range(text: &str) -> Result<[f64; 2], String> {
     let (lo, hi) = text.split_once(',').ok_or("expected LOW,HIGH, such as 0.05,0.5")?;
     let (lo, hi) = (positive(lo.trim())?, positive(hi.trim())?);
     if lo <= hi { Ok([lo, hi]) } else { Err("expected the smaller number first".into()) }
+}
+
+fn known_distance(text: &str) -> Result<KnownDistance, String> {
+    let wrong = || "expected two marks and metres, such as A-C=0.12".to_owned();
+    let (marks, metres) = text.split_once('=').ok_or_else(wrong)?;
+    let (from, to) = marks.split_once('-').ok_or_else(wrong)?;
+    let distance_m = positive(metres.trim())?;
+    Ok(KnownDistance { from: from.trim().to_owned(), to: to.trim().to_owned(), distance_m })
+}
+
+fn region(text: &str) -> Result<[Point3<f64>; 2], String> {
+    let [x0, y0, z0, x1, y1, z1] = numbers(text)?;
+    if x0 < x1 && y0 < y1 && z0 < z1 {
+        Ok([Point3::new(x0, y0, z0), Point3::new(x1, y1, z1)])
+    } else {
+        Err("the second corner must be above the first along x, y and z".into())
+    }
+}
+
+fn pose(text: &str) -> Result<Pose, String> {
+    let [x, y, z, qw, qx, qy, qz] = numbers(text)?;
+    pose_from_wxyz([x, y, z], [qw, qx, qy, qz]).map_err(|e| e.to_string())
 }
 
 fn direction(text: &str) -> Result<[f64; 3], String> {

@@ -6,6 +6,7 @@ mod lock;
 mod object;
 mod picture;
 mod report;
+mod scan;
 mod twin;
 mod ui;
 
@@ -35,7 +36,8 @@ fn run(cli: &Cli, ui: &Ui) -> anyhow::Result<()> {
     let seed = cli.common.seed;
     match &cli.command {
         Command::Reconstruct(args) => commands::reconstruct::run(args, seed, ui),
-        Command::Asset(args) => commands::asset::run(args, ui),
+        Command::Asset(args) => commands::asset::run(args, seed, ui),
+        Command::Mesh(_) => Ok(()),
         Command::Identify(args) => commands::identify::run(args, seed, ui),
         Command::PlanPush(args) => commands::plan_push::run(args, ui),
         Command::CalibrateHand(args) => commands::calibrate_hand::run(args, ui),

@@ -29,7 +29,8 @@ fn main() -> Any<()> {
             _ => file = Some(PathBuf::from(a)),
         }
     }
-    let file = file.ok_or("usage: convex_pieces FILE [--pieces N] [--concavity SHARE] [--out DIR] [--vhacd] [--score DIR]")?;
+    let file =
+        file.ok_or("usage: convex_pieces FILE [--pieces N] [--concavity SHARE] [--out DIR] [--vhacd] [--score DIR]")?;
     let (mesh, _) = repair(&read_mesh(&file)?, &Default::default())?;
     let start = cpu_seconds();
     let pieces = match &score {

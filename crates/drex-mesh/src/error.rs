@@ -47,6 +47,9 @@ pub enum Error {
         /// Why no unit was assumed.
         why: &'static str,
     },
+    /// A depth map could not be had.
+    #[error(transparent)]
+    View(Box<dyn std::error::Error + Send + Sync>),
     /// A number handed in is outside what the function is defined for.
     #[error("{what}; {remedy}")]
     Value {

@@ -1,32 +1,170 @@
-//! `drex asset`: a mesh becomes a sim-ready asset.
+//! `drex asset`: a mesh or a scan becomes a sim-ready asset.
 
-use anyhow::Result;
-use drex_mesh::{AssetOptions, build_asset};
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use drex_core::fsutil;
+use drex_mesh::{
+    Asset, AssetOptions, AssetReport, DecimateOptions, FusionReport, LengthUnit, asset_from_mesh, build_asset,
+    decimate, fuse,
+};
+use drex_splat::ReconstructOptions;
+use drex_splat::capture::{Capture, CaptureOptions};
 use nalgebra::Vector3;
+use serde::Serialize;
 
 use crate::cli::AssetArgs;
+use crate::commands::reconstruct::{self, Programs};
+use crate::scan::{FrameOptions, FrameReport, Scan};
 use crate::ui::Ui;
 
+/// The visual mesh of a scan keeps to the fused one within this share of a voxel.
+const SIMPLIFIED_WITHIN: f64 = 0.1;
+/// What ffmpeg is asked to open.
+const VIDEOS: [&str; 6] = ["mp4", "mov", "mkv", "avi", "webm", "m4v"];
+
+/// The answer of `drex asset --json` for a scan; also written as `mesh/scan.json`, without the asset.
+#[derive(Serialize)]
+struct ScanAnswer<'a> {
+    scan: &'a FrameReport,
+    fusion: &'a FusionReport,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    asset: Option<&'a AssetReport>,
+}
+
 /// Builds the asset, writes it, answers with its report.
-pub fn run(args: &AssetArgs, ui: &Ui) -> Result<()> {
+pub fn run(args: &AssetArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
+    let video = args.input.extension().is_some_and(|e| VIDEOS.iter().any(|v| e.eq_ignore_ascii_case(v)));
+    if args.input.is_dir() || video {
+        return from_scan(args, seed.unwrap_or(0), ui);
+    }
+    let spinner = ui.spinner("asset");
+    let asset = build_asset(&args.input, &options(args))?;
+    asset.write(&args.out)?;
+    spinner.finish_and_clear();
+    ui.answer(&asset.report, describe(&asset, args))
+}
+
+fn options(args: &AssetArgs) -> AssetOptions {
     let mut options = AssetOptions::default();
     options.unit = args.unit;
     options.up_in_mesh = args.up.map(Vector3::from);
     options.friction = args.friction;
     options.mass_kg = args.mass;
-    let spinner = ui.spinner("asset");
-    let asset = build_asset(&args.mesh, &options)?;
+    options.density_kg_m3 = args.density.unwrap_or(options.density_kg_m3);
+    options
+}
+
+/// Photos to Gaussians to depth maps, or depth maps as they are, to a closed mesh to an asset.
+fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
+    let (cameras, depths, masked) = depth_maps(args, seed, ui)?;
+    let spinner = ui.spinner("fusion");
+    let frame = FrameOptions {
+        scale: args.scan.scale,
+        distances: args.scan.distance.clone(),
+        marks: args.scan.marks.clone(),
+        up: args.up.map(Vector3::from),
+        region: args.scan.region,
+        seed,
+    };
+    let scan = Scan::new(&cameras, &depths, masked, &frame)?;
+    let mut fusion = scan.fusion.clone();
+    fusion.voxel_m = args.scan.voxel;
+        fusion.truncation_m = t.parse().ok();
+    }
+
+    let fused = fuse(&scan, &fusion).with_context(|| format!("fusing the depth maps of {}", args.input.display()))?;
+        drex_mesh::write_ply(Path::new(&f), &fused.mesh)?;
+        println!("{}\n{}", serde_json::to_string_pretty(&scan.frame)?, serde_json::to_string_pretty(&fused.report)?);
+        return Ok(());
+    }
+    let mut simpler = DecimateOptions::default();
+    simpler.max_error_m = Some(SIMPLIFIED_WITHIN * fused.report.voxel_m);
+    let (mesh, _) = decimate(&fused.mesh, &simpler)?;
+
+    spinner.set_prefix("asset");
+    let mut options = options(args);
+    options.unit = LengthUnit::Metre;
+    options.up_in_mesh = Some(scan.frame.up_in_mesh.into());
+    let asset = asset_from_mesh(&mesh, &options)?;
     asset.write(&args.out)?;
+    let mut answer = ScanAnswer { scan: &scan.frame, fusion: &fused.report, asset: None };
+    let text = serde_json::to_string_pretty(&answer)? + "\n";
+    fsutil::write_atomic(&args.out.join("mesh/scan.json"), text.as_bytes())?;
     spinner.finish_and_clear();
+    answer.asset = Some(&asset.report);
+    ui.answer(&answer, describe_scan(&scan.frame, &fused.report) + &describe(&asset, args))
+}
+
+/// The scan's cameras and points, the capture with its depth maps, and whether these show the object alone.
+fn depth_maps(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<(Capture, Capture, bool)> {
+    let mut within = CaptureOptions::default();
+    within.masks.clone_from(&args.scan.masks);
+    within.poses.clone_from(&args.scan.poses);
+    let programs = Programs { colmap: Path::new("colmap"), ffmpeg: Path::new("ffmpeg") };
+    let cameras = reconstruct::open(&args.input, &args.out, &within, &programs, ui)?;
+    if cameras.views.iter().all(|v| v.depth.is_some()) {
+        let masked = cameras.views.iter().all(|v| v.mask.is_some());
+        return Ok((cameras.clone(), cameras, masked));
+    }
+    let folder = args.out.join("depth");
+    if folder.join("transforms.json").is_file() {
+        ui.note(format!("going on with the depth maps in {}", folder.display()));
+    } else {
+        let mut options = ReconstructOptions::default();
+        options.preset = args.scan.preset.into();
+        options.seed = seed;
+        reconstruct::train(&cameras, &args.out, &options, false, ui)?;
+    }
+    let report = args.out.join("splat/report.json");
+    let made: Made = fsutil::from_json(&report, &fsutil::read_text(&report)?)?;
+    Ok((cameras, Capture::load(&folder, &CaptureOptions::default())?, made.object_only))
+}
+
+/// What of `splat/report.json` is needed here.
+#[derive(serde::Deserialize)]
+struct Made {
+    object_only: bool,
+}
+
+fn describe_scan(frame: &FrameReport, fusion: &FusionReport) -> String {
+    let mut text = format!(
+        "{}\n  scale    {:.6} m per unit, from {}\n",
+        frame.scan.display(),
+        frame.metres_per_unit,
+        frame.scale_from
+    );
+    for d in frame.distances.iter().flat_map(|fit| &fit.distances) {
+        text += &format!(
+            "           {} to {}: {:.2} mm given, {:.2} mm in the scan\n",
+            d.from,
+            d.to,
+            1e3 * d.given_m,
+            1e3 * d.model_m
+        );
+    }
+    text += &match frame.table_rms_m {
+        Some(rms) => {
+            format!("  table    {} points, {:.2} mm off a plane\n", frame.table_points.unwrap_or(0), 1e3 * rms)
+        }
+        None => format!("  up       {}\n", frame.up_from),
+    };
+    text + &format!("  fusion   {} views, voxels of {:.2} mm\n", fusion.views, 1e3 * fusion.voxel_m)
+}
+
+fn describe(asset: &Asset, args: &AssetArgs) -> String {
     let r = &asset.report;
     let p = &asset.properties;
     let mut text = format!(
         "{}\n  volume   {:.2} cm3 ({})\n  mass     {:.1} g{}\n  centre   {:.2}, {:.2}, {:.2} mm\n  pieces   {} convex\n",
-        args.mesh.display(),
+        args.input.display(),
         1e6 * r.volume_m3,
         crate::report::closing_text(r),
         1e3 * p.mass_kg,
-        if args.mass.is_some() { "" } else { " at 1000 kg/m3: give --mass for the real one" },
+        match (args.mass, args.density) {
+            (None, None) => " at 1000 kg/m3: give --mass for the real one",
+            _ => "",
+        },
         1e3 * p.center_of_mass.x,
         1e3 * p.center_of_mass.y,
         1e3 * p.center_of_mass.z,
@@ -35,6 +173,5 @@ pub fn run(args: &AssetArgs, ui: &Ui) -> Result<()> {
     for warning in &r.warnings {
         text += &format!("  note     {warning}\n");
     }
-    text += &format!("  written  {}", args.out.join("asset").join("object.xml").display());
-    ui.answer(r, text)
+    text + &format!("  written  {}", args.out.join("asset").join("object.xml").display())
 }

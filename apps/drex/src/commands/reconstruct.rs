@@ -26,11 +26,9 @@ struct Answer<'a> {
 
 /// Finds the cameras where they are not given, trains both sets, writes them, answers with their scores.
 pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
-    let capture = open(args, ui)?;
-    let report = capture.report()?;
-    for line in report.to_string().lines() {
-        ui.note(line);
-    }
+    let mut within = CaptureOptions::default();
+    within.masks.clone_from(&args.masks);
+    let capture = open(&args.scan, &args.out, &within, &Programs { colmap: &args.colmap, ffmpeg: &args.ffmpeg }, ui)?;
     let mut options = ReconstructOptions::default();
     options.preset = args.preset.into();
     options.density = args.density.into();
@@ -45,7 +43,32 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     options.checkpoint_every = args.checkpoint_every;
     options.resume = args.resume;
     options.memory_bytes = args.memory_mb << 20;
+    let (report, reconstruction) = train(&capture, &args.out, &options, args.gpu, ui)?;
+    for format in &args.also {
+        let ending = match format {
+            SplatFormat::Spz => "spz",
+            SplatFormat::Splat => "splat",
+        };
+        for (set, kind) in [(&reconstruction.appearance, Kind::Ellipsoid), (&reconstruction.surface, Kind::Surfel)] {
+            write_gaussians(&set.file.with_extension(ending), &read_gaussians(&set.file, kind)?)?;
+        }
+    }
+    let text = describe(&reconstruction, &args.out);
+    ui.answer(&Answer { capture: &report, reconstruction }, text)
+}
 
+/// Says what to trust of the capture, trains both sets and writes them and the depth maps into `out`.
+pub fn train(
+    capture: &Capture,
+    out: &Path,
+    options: &ReconstructOptions,
+    on_gpu: bool,
+    ui: &Ui,
+) -> Result<(CaptureReport, Reconstruction)> {
+    let report = capture.report()?;
+    for line in report.to_string().lines() {
+        ui.note(line);
+    }
     let mut bar: Option<(Kind, ProgressBar)> = None;
     let mut psnr = 0.0;
     let mut first_step = 0;
@@ -66,23 +89,12 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
             }
         }
     };
-    let out = &args.out;
-    let reconstruction = if args.gpu {
-        reconstruct(&capture, &report, &gpu()?, out, &options, &mut on_progress)?
+    let reconstruction = if on_gpu {
+        reconstruct(capture, &report, &gpu()?, out, options, &mut on_progress)?
     } else {
-        reconstruct(&capture, &report, &Cpu, out, &options, &mut on_progress)?
+        reconstruct(capture, &report, &Cpu, out, options, &mut on_progress)?
     };
-    for format in &args.also {
-        let ending = match format {
-            SplatFormat::Spz => "spz",
-            SplatFormat::Splat => "splat",
-        };
-        for (set, kind) in [(&reconstruction.appearance, Kind::Ellipsoid), (&reconstruction.surface, Kind::Surfel)] {
-            write_gaussians(&set.file.with_extension(ending), &read_gaussians(&set.file, kind)?)?;
-        }
-    }
-    let text = describe(&reconstruction, &args.out);
-    ui.answer(&Answer { capture: &report, reconstruction }, text)
+    Ok((report, reconstruction))
 }
 
 /// The first GPU there is.
@@ -96,31 +108,38 @@ fn gpu() -> Result<Cpu> {
     anyhow::bail!("this drex was built without a GPU; build it with `--features wgpu`, or leave --gpu out")
 }
 
-/// The capture; cameras come from COLMAP where the folder has none, photos from ffmpeg where it is a video.
-fn open(args: &ReconstructArgs, ui: &Ui) -> Result<Capture> {
-    let mut within = CaptureOptions::default();
-    within.masks.clone_from(&args.masks);
+/// The programs that photos and videos may need.
+pub struct Programs<'a> {
+    /// COLMAP.
+    pub colmap: &'a Path,
+    /// ffmpeg.
+    pub ffmpeg: &'a Path,
+}
+
+/// The capture in `scan`; cameras come from COLMAP where the folder has none, photos from ffmpeg where it is a video.
+pub fn open(scan: &Path, out: &Path, within: &CaptureOptions, programs: &Programs<'_>, ui: &Ui) -> Result<Capture> {
     let mut colmap = ColmapOptions::default();
-    colmap.program.clone_from(&args.colmap);
+    colmap.program = programs.colmap.into();
     let spinner = ui.spinner("cameras");
     let mut show = |line: &str| spinner.set_message(line.to_owned());
-    let mut folder = args.scan.clone();
-    if args.scan.is_file() {
-        folder = args.out.join("scan");
-        if folder.join("images").exists() {
+    let mut folder = scan.to_path_buf();
+    if scan.is_file() {
+        folder = out.join("scan");
+        let images = folder.join("images");
+        if images.exists() {
             ui.note(format!(
                 "going on with the frames in {}; remove them to take those of {} anew",
-                folder.join("images").display(),
-                args.scan.display()
+                images.display(),
+                scan.display()
             ));
         } else {
             let mut video = VideoOptions::default();
-            video.program.clone_from(&args.ffmpeg);
-            let frames = capture::extract_frames(&args.scan, &folder, &video, &mut show)?;
-            ui.note(format!("{frames} frames of {}", args.scan.display()));
+            video.program = programs.ffmpeg.into();
+            let frames = capture::extract_frames(scan, &folder, &video, &mut show)?;
+            ui.note(format!("{frames} frames of {}", scan.display()));
         }
     }
-    let capture = Capture::open(&folder, &within, &colmap, &mut show)?;
+    let capture = Capture::open(&folder, within, &colmap, &mut show)?;
     spinner.finish_and_clear();
     Ok(capture)
 }

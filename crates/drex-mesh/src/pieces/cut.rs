@@ -78,12 +78,7 @@ impl<'a> Scene<'a> {
 
     /// The plane that leaves the least cost; `None` if no plane leaves less than the part has.
     pub fn best_cut(&self, leaf: &Leaf) -> Option<Cut> {
-        let judge = Judge {
-            scene: self,
-            leaf,
-            edges: edges(&leaf.part.surface),
-            cell_edges: edges(&leaf.part.cell),
-        };
+        let judge = Judge { scene: self, leaf, edges: edges(&leaf.part.surface), cell_edges: edges(&leaf.part.cell) };
         let (planes, steps) = self.candidates(leaf);
         let mut tried: Vec<(Cut, f64)> =
             planes.into_par_iter().zip(steps).map(|(plane, step)| (judge.cut(plane), step)).collect();

@@ -65,12 +65,8 @@ impl Part {
 
 /// The edges of a mesh, each once.
 pub(super) fn edges(mesh: &TriMesh) -> Vec<[u32; 2]> {
-    let mut all: Vec<[u32; 2]> = mesh
-        .faces
-        .iter()
-        .flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]])
-        .map(|[a, b]| [a.min(b), a.max(b)])
-        .collect();
+    let mut all: Vec<[u32; 2]> =
+        mesh.faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).map(|[a, b]| [a.min(b), a.max(b)]).collect();
     all.sort_unstable();
     all.dedup();
     all

@@ -58,7 +58,8 @@ impl Probes {
             .filter_map(|s| {
                 // Faces of scans that look into the solid say nothing about free space.
                 let start = s.point + s.normal * (1e-5 * size);
-                let hit = || solid.ray_cast(&start, &s.normal, size).map_or(f64::INFINITY, |h| (h.point - start).norm());
+                let hit =
+                    || solid.ray_cast(&start, &s.normal, size).map_or(f64::INFINITY, |h| (h.point - start).norm());
                 (!solid.contains(&start)).then(|| Probe { point: s.point, normal: s.normal, free: hit() })
             })
             .collect();

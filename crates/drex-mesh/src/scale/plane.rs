@@ -39,6 +39,13 @@ pub struct TablePlane {
     pub rms: f64,
 }
 
+impl TablePlane {
+    /// A plane that is known, not found among points.
+    pub fn new(point: Point3<f64>, up: Unit<Vector3<f64>>) -> Self {
+        Self { point, up, inliers: 0, rms: 0.0 }
+    }
+}
+
 /// Finds the plane that holds most points and has the cameras on one side: the table of a scan.
 ///
 /// RANSAC over three points (Fischler and Bolles 1981), then least squares over the points within 2.5 robust standard

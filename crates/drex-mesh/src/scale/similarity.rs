@@ -79,6 +79,15 @@ impl Similarity {
         TriMesh { vertices: mesh.vertices.iter().map(|v| self.point(v)).collect(), faces: mesh.faces.clone() }
     }
 
+    /// a_from_c = a_from_b · b_from_c, for `self` = a_from_b.
+    pub fn after(&self, b_from_c: &Self) -> Self {
+        Self {
+            scale: self.scale * b_from_c.scale,
+            rotation: self.rotation * b_from_c.rotation,
+            translation: self.point(&b_from_c.translation.into()).coords,
+        }
+    }
+
     /// b_from_a.
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.inverse();

@@ -1,0 +1,301 @@
+//! From a scan with depth maps to what fusion asks for: the maps in metres, in the frame of the mesh, the object's box and
+//! the table.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, bail};
+use drex_core::Pose;
+use drex_mesh::{
+    DepthCamera, DepthMap, DepthViews, FusionOptions, KnownDistance, PlaneOptions, ScaleFit, Similarity, Support,
+    TablePlane, object_on_table, point_looked_at, read_marks, scale_from_distances, table_plane, triangulate_marks,
+};
+use drex_splat::capture::{Capture, PhotoOptions, Photos};
+use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
+use serde::Serialize;
+
+/// Every n-th pixel of a depth map stands for the scene where there are no sparse points; both ways.
+const PIXEL_STEP: usize = 12;
+/// A table that a masked object stands on may be this much of the object's height off its lowest point.
+const STANDS_WITHIN: f64 = 0.1;
+
+/// What is known of the scan's frame besides its files.
+#[derive(Debug, Clone, Default)]
+pub struct FrameOptions {
+    /// Metres per unit of the scan.
+    pub scale: Option<f64>,
+    /// Known distances between marks.
+    pub distances: Vec<KnownDistance>,
+    /// File of the marks instead of `SCAN/marks.json`.
+    pub marks: Option<PathBuf>,
+    /// Up in the scan's frame.
+    pub up: Option<Vector3<f64>>,
+    /// Lower and upper corner of the object's box, in the frame and unit of the scan.
+    pub region: Option<[Point3<f64>; 2]>,
+    /// Seed of the search for the table.
+    pub seed: u64,
+}
+
+/// Depth maps of one object in metres, in the frame that its mesh will have.
+pub struct Scan {
+    depths: Photos,
+    silhouettes: bool,
+    mesh_from_scan: Similarity,
+    /// Box and table for the fusion.
+    pub fusion: FusionOptions,
+    /// How the frame was found.
+    pub frame: FrameReport,
+}
+
+/// How a scan's frame was found; written as `mesh/scan.json`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FrameReport {
+    /// The scan.
+    pub scan: PathBuf,
+    /// Metres per unit of the scan.
+    pub metres_per_unit: f64,
+    /// Where the scale is from.
+    pub scale_from: &'static str,
+    /// Known distances, as given and in the scaled scan.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub distances: Option<ScaleFit>,
+    /// Marks in the frame of the mesh, metres.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub marks_m: BTreeMap<String, [f64; 3]>,
+    /// Where up is from.
+    pub up_from: &'static str,
+    /// Points that show the table.
+    pub table_points: Option<usize>,
+    /// Their root mean square distance from it, metres.
+    pub table_rms_m: Option<f64>,
+    /// Up in the frame of the mesh.
+    pub up_in_mesh: [f64; 3],
+    /// Maps points of the scan to metres in the frame of the mesh; rows of a 4 x 4 matrix. Photos: the frame of the table,
+    /// z up, the table z = 0; RGB-D recordings: the frame of the recording's poses.
+    pub mesh_from_scan: [[f64; 4]; 4],
+    /// Box that was meshed, metres, frame of the mesh.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub region_m: Option<[[f64; 3]; 2]>,
+    /// Other things that stand on the table.
+    pub others_on_table: usize,
+}
+
+impl DepthViews for Scan {
+    fn len(&self) -> usize {
+        self.depths.len()
+    }
+
+    fn view(&self, i: usize) -> drex_mesh::Result<DepthMap> {
+        let map = depth_map(&self.depths, i, self.silhouettes)?;
+        let scale = self.mesh_from_scan.scale as f32;
+        Ok(DepthMap {
+            world_from_camera: self.mesh_from_scan.pose(&map.world_from_camera),
+            depth_m: map.depth_m.iter().map(|z| z * scale).collect(),
+            ..map
+        })
+    }
+}
+
+impl Scan {
+    /// `cameras` has lenses, sparse points and marks, `depths` the depth maps; both in one frame, and often the same.
+    /// `masked`: the maps show the object alone.
+    pub fn new(cameras: &Capture, depths: &Capture, masked: bool, options: &FrameOptions) -> Result<Self> {
+        // Depth in the scan's unit; 16-bit maps are millimetres.
+        let mut one_at_a_time = PhotoOptions::default();
+        one_at_a_time.memory_bytes = 0;
+        let depths = Photos::new(depths, one_at_a_time)?;
+        let eyes: Vec<Pose> = cameras.views.iter().map(|v| v.camera_from_world.inverse()).collect();
+        let centres = cameras.centres();
+        let points: Vec<Point3<f64>> = if cameras.points.is_empty() {
+            points_of(&depths)?
+        } else {
+            cameras.points.iter().map(|p| p.position.into()).collect()
+        };
+
+        let marks = marks_of(cameras, options)?;
+        let (metres_per_unit, scale_from, distances) = scale_of(cameras, &marks, options)?;
+        let near = |p: &Point3<f64>| options.region.is_none_or(|region| distance_from(&region, p) < size_of(&region));
+        let points: Vec<Point3<f64>> = points.into_iter().filter(near).collect();
+        let object = if masked { points_of(&depths)? } else { Vec::new() };
+        let mut plane = PlaneOptions::default();
+        plane.seed = options.seed;
+        let (table, up_from) = if let Some(up) = options.up {
+            (lowest_plane(if masked { &object } else { &points }, up), "given")
+        } else {
+            match table_plane(&points, &centres, &plane) {
+                Ok(table) if !masked || stands_on(&object, &table) => (table, "table"),
+                Err(e) if !masked => return Err(e.into()),
+                _ => (lowest_plane(&object, mean_up(&eyes)), "the cameras"),
+            }
+        };
+        let looked_at = point_looked_at(&eyes).unwrap_or_else(|| mean(&points));
+        let towards = centres.first().map_or(Vector3::x(), |c| c - looked_at);
+        let table_from_scan = Similarity::of_table(metres_per_unit, &table, &looked_at, &towards)?;
+        // Recorded poses are poses of the frame that the recording has already.
+        let mesh_from_scan = if scale_from == DEPTH_CAMERA { IDENTITY } else { table_from_scan };
+        let up_in_mesh = mesh_from_scan.rotation * table.up;
+
+        let mut fusion = FusionOptions::default();
+        fusion.background_is_empty = masked;
+        if up_from == "table" {
+            fusion.support = Some(Support { point: mesh_from_scan.point(&table.point), up: up_in_mesh });
+        }
+        let mut others_on_table = 0;
+        let region = match options.region {
+            Some(region) => Some((region, mesh_from_scan)),
+            None if masked => None,
+            None => {
+                let standing: Vec<_> = points.iter().map(|p| table_from_scan.point(p)).collect();
+                let eyes: Vec<_> = eyes.iter().map(|e| table_from_scan.pose(e)).collect();
+                let found = object_on_table(&standing, &eyes)?;
+                others_on_table = found.others;
+                Some(([found.lo, found.hi], mesh_from_scan.after(&table_from_scan.inverse())))
+            }
+        };
+        fusion.region = region.map(|(region, mesh_from)| box_around(&region, &mesh_from));
+        let matrix = mesh_from_scan.to_matrix();
+        let frame = FrameReport {
+            scan: cameras.folder.clone(),
+            metres_per_unit,
+            scale_from,
+            distances,
+            marks_m: marks.into_iter().map(|(name, p)| (name, mesh_from_scan.point(&p).into())).collect(),
+            up_from,
+            up_in_mesh: up_in_mesh.into_inner().into(),
+            table_points: (up_from == "table").then_some(table.inliers),
+            table_rms_m: (up_from == "table").then_some(table.rms * metres_per_unit),
+            mesh_from_scan: [0, 1, 2, 3].map(|r| [0, 1, 2, 3].map(|c| matrix[(r, c)])),
+            region_m: fusion.region.map(|(lo, hi)| [lo.into(), hi.into()]),
+            others_on_table,
+        };
+        Ok(Self { depths, silhouettes: masked, mesh_from_scan, fusion, frame })
+    }
+}
+
+const DEPTH_CAMERA: &str = "depth camera";
+
+const IDENTITY: Similarity = Similarity {
+    scale: 1.0,
+    rotation: UnitQuaternion::new_unchecked(nalgebra::Quaternion::new(1.0, 0.0, 0.0, 0.0)),
+    translation: Vector3::new(0.0, 0.0, 0.0),
+};
+
+/// Lower and upper corner of the box around a box that is mapped.
+fn box_around(region: &[Point3<f64>; 2], a_from_b: &Similarity) -> (Point3<f64>, Point3<f64>) {
+    let corner = |k: usize| Point3::new(region[k & 1].x, region[k >> 1 & 1].y, region[k >> 2].z);
+    let corners = (0..8).map(|k| a_from_b.point(&corner(k)));
+    let first = a_from_b.point(&region[0]);
+    corners.fold((first, first), |(lo, hi), p| (lo.inf(&p), hi.sup(&p)))
+}
+
+fn distance_from([lo, hi]: &[Point3<f64>; 2], p: &Point3<f64>) -> f64 {
+    (lo - p).sup(&(p - hi)).sup(&Vector3::zeros()).norm()
+}
+
+fn size_of([lo, hi]: &[Point3<f64>; 2]) -> f64 {
+    (hi - lo).norm()
+}
+
+/// Depth map `i` in the scan's frame and unit.
+fn depth_map(depths: &Photos, i: usize, silhouettes: bool) -> drex_mesh::Result<DepthMap> {
+    let photo = depths.get(i).map_err(|e| drex_mesh::Error::View(Box::new(e)))?;
+    let Some(depth) = &photo.depth else {
+        let why = format!("{} has no depth map", depths.name(i));
+        return Err(drex_mesh::Error::View(why.into()));
+    };
+    let c = &photo.camera;
+    Ok(DepthMap {
+        camera: DepthCamera {
+            width_px: c.width as u32,
+            height_px: c.height as u32,
+            fx_px: c.fx,
+            fy_px: c.fy,
+            cx_px: c.cx,
+            cy_px: c.cy,
+        },
+        world_from_camera: c.camera_from_world.inverse(),
+        depth_m: depth.clone(),
+        mask: photo.mask.as_ref().filter(|_| silhouettes).map(|m| m.iter().map(|&v| v >= 128).collect()),
+    })
+}
+
+/// Some of the points that the depth maps show, in the scan's frame.
+fn points_of(depths: &Photos) -> Result<Vec<Point3<f64>>> {
+    let mut points = Vec::new();
+    for i in 0..depths.len() {
+        let map = depth_map(depths, i, true)?;
+        let (width, height) = (map.camera.width_px as usize, map.camera.height_px as usize);
+        for row in (0..height).step_by(PIXEL_STEP) {
+            for column in (0..width).step_by(PIXEL_STEP) {
+                let z = map.depth_m[row * width + column];
+                if z > 0.0 && map.mask.as_ref().is_none_or(|m| m[row * width + column]) {
+                    let ray = map.camera.ray(column as u32, row as u32);
+                    points.push(map.world_from_camera * Point3::from(ray * f64::from(z)));
+                }
+            }
+        }
+    }
+    Ok(points)
+}
+
+/// Places of the marks in the scan's frame; none where no known distance asks for them.
+fn marks_of(cameras: &Capture, options: &FrameOptions) -> Result<BTreeMap<String, Point3<f64>>> {
+    if options.distances.is_empty() {
+        return Ok(BTreeMap::new());
+    }
+    let file = options.marks.clone().unwrap_or_else(|| cameras.folder.join("marks.json"));
+    let marks = read_marks(&file)?;
+    let view = |name: &str| cameras.views.iter().find(|v| v.name == name);
+    let found = triangulate_marks(&marks, |name| view(name).map(|v| (&v.lens, v.camera_from_world.inverse())))?;
+    Ok(found.into_iter().map(|(name, t)| (name, t.point)).collect())
+}
+
+/// Metres per unit of the scan, where from, and how well the known distances agree.
+fn scale_of(
+    cameras: &Capture,
+    marks: &BTreeMap<String, Point3<f64>>,
+    options: &FrameOptions,
+) -> Result<(f64, &'static str, Option<ScaleFit>)> {
+    if let Some(scale) = options.scale {
+        return Ok((scale, "given", None));
+    }
+    if !options.distances.is_empty() {
+        let fit = scale_from_distances(marks, &options.distances)?;
+        return Ok((fit.metres_per_unit, "known distances", Some(fit)));
+    }
+    let measured = |path: &Path| path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
+    if cameras.views.iter().all(|v| v.depth.as_deref().is_some_and(measured)) {
+        return Ok((1.0, DEPTH_CAMERA, None));
+    }
+    bail!(
+        "{} has no scale: photos alone do not tell how large things are; measure the distance of two marks and give \
+         --distance A-C=0.12 with the marks' pixels in marks.json, or give --scale in metres per unit",
+        cameras.folder.display()
+    )
+}
+
+/// Whether the lowest of the object's points are on the plane.
+fn stands_on(object: &[Point3<f64>], table: &TablePlane) -> bool {
+    let mut heights: Vec<f64> = object.iter().map(|p| table.up.dot(&(p - table.point))).collect();
+    heights.sort_by(f64::total_cmp);
+    let (Some(&lowest), Some(&highest)) = (heights.get(heights.len() / 100), heights.last()) else { return false };
+    lowest.abs() < STANDS_WITHIN * (highest - lowest)
+}
+
+/// The plane with this normal through the lowest of the points.
+fn lowest_plane(points: &[Point3<f64>], up: Vector3<f64>) -> TablePlane {
+    let up = Unit::new_normalize(up);
+    let mut heights: Vec<f64> = points.iter().map(|p| up.dot(&p.coords)).collect();
+    heights.sort_by(f64::total_cmp);
+    let lowest = heights.get(heights.len() / 500).copied().unwrap_or(0.0);
+    TablePlane::new(Point3::from(up.into_inner() * lowest), up)
+}
+
+/// Photos are mostly taken upright.
+fn mean_up(eyes: &[Pose]) -> Vector3<f64> {
+    eyes.iter().map(|e| e.rotation * -Vector3::y()).sum::<Vector3<f64>>().try_normalize(1e-9).unwrap_or(Vector3::z())
+}
+
+fn mean(points: &[Point3<f64>]) -> Point3<f64> {
+    Point3::from(points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len().max(1) as f64)
+}
