@@ -55,6 +55,11 @@ pub use colors::vertex_colors;
 pub use compare::{CompareOptions, SurfaceComparison, compare_surfaces};
 pub use decimate::{DecimateOptions, DecimateReport, decimate};
 pub use depth::{DepthCamera, DepthMap, DepthViews, cast_depth};
+pub use asset::{
+    ArticulatedAsset, ArticulatedReport, Asset, AssetOptions, AssetReport, ContactOptions, LengthUnit, Part, UpSource,
+    articulated_asset, asset_from_mesh, build_asset,
+};
+pub use caps::close_openings;
 pub use error::{Error, Result};
 pub use fill::close_openings;
 pub use fusion::{DroppedPart, Evidence, EvidenceKind, Fused, FusionOptions, FusionReport, Support, fuse};
@@ -65,6 +70,8 @@ pub use io::{parse_mesh, read_mesh, write_obj, write_ply, write_stl};
 pub use mass::{Hollow, HowHollow, check_mass_properties, principal, shell_properties};
 pub use pieces::{HowDivided, PieceOptions, UnionDistance, convex_pieces, union_distance};
 pub use region::{ObjectRegion, object_on_table, point_looked_at};
+pub use model::{Background, SceneOptions};
+pub use pieces::{HowDivided, PieceOptions, convex_pieces};
 pub use repair::{DroppedBit, RepairOptions, RepairReport, repair};
 pub use rest::{RestOptions, RestPose, settled_pose, stable_poses};
 pub use sample::{farthest_points, sample_surface};

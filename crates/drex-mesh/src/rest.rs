@@ -320,7 +320,7 @@ fn solid_angle([a, b, c]: &[Vector3<f64>; 3]) -> f64 {
 }
 
 /// The shortest turn from one direction to another; for opposite ones a half turn about a horizontal axis.
-fn turn(from: &Vector3<f64>, to: &Vector3<f64>) -> UnitQuaternion<f64> {
+pub(crate) fn turn(from: &Vector3<f64>, to: &Vector3<f64>) -> UnitQuaternion<f64> {
     UnitQuaternion::rotation_between(from, to).unwrap_or_else(|| {
         let sideways = to.cross(&Vector3::ith(to.iamin(), 1.0));
         UnitQuaternion::from_axis_angle(&Unit::new_normalize(sideways), std::f64::consts::PI)

@@ -1,47 +1,75 @@
-//! The asset on disk.
+//! Assets on disk.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use drex_core::Error as CoreError;
+use drex_core::{Error as CoreError, TriMesh};
+use serde::Serialize;
 
 use crate::Result;
-use crate::asset::Asset;
+use crate::asset::{ArticulatedAsset, Asset};
 use crate::io::obj_text;
-use crate::model::{mjcf, urdf};
+use crate::model;
+
+/// Names, relative to the folder, and contents.
+type Files = Vec<(String, Vec<u8>)>;
+
+pub(crate) fn write_asset(asset: &Asset, scene: Option<&model::SceneOptions>, out: &Path) -> Result<()> {
+    let mut files = part_files("", asset);
+    files.push(report(out, &asset.report)?);
+    files.push(("asset/object.glb".into(), model::glb(&[("object", &asset.visual)], &asset.world_from_mesh_at_rest)));
+    files.push(("asset/object.urdf".into(), model::urdf(asset).into()));
+    files.push(("asset/object.xml".into(), model::mjcf(asset).into()));
+    if let Some(scene) = scene {
+        files.splice(0..0, scene.background.iter().flat_map(model::background_files));
+        files.push(("asset/scene.xml".into(), model::scene(asset, scene, &out.join("asset"))?.into()));
+    }
+    write_files(out, &files)
+}
+
+pub(crate) fn write_articulated(asset: &ArticulatedAsset, out: &Path) -> Result<()> {
+    let mut files: Files = asset.parts.iter().flat_map(|(name, part)| part_files(&format!("{name}_"), part)).collect();
+    let meshes: Vec<(&str, &TriMesh)> = asset.parts.iter().map(|(name, part)| (name.as_str(), &part.visual)).collect();
+    files.push(report(out, &asset.report)?);
+    files.push(("asset/object.glb".into(), model::glb(&meshes, &asset.world_from_mesh_at_rest)));
+    files.push(("asset/object.urdf".into(), model::articulated_urdf(asset).into()));
+    files.push(("asset/object.xml".into(), model::articulated_mjcf(asset).into()));
+    write_files(out, &files)
+}
+
+fn part_files(prefix: &str, part: &Asset) -> Files {
+    let visual = (format!("mesh/{prefix}visual.obj"), obj_text(&part.visual).into_bytes());
+    let pieces = part.pieces.iter().enumerate();
+    let pieces = pieces.map(|(k, p)| (format!("mesh/{prefix}collision_{k:02}.obj"), obj_text(p).into_bytes()));
+    std::iter::once(visual).chain(pieces).collect()
+}
+
+fn report(out: &Path, report: &impl Serialize) -> Result<(String, Vec<u8>)> {
+    let name = "mesh/report.json";
+    let text = serde_json::to_string_pretty(report)
+        .map_err(|e| CoreError::io("write", out.join(name), std::io::Error::other(e)))?;
+    Ok((name.into(), (text + "\n").into()))
+}
 
 /// Writes all files into a temporary folder in `out`, then moves them into place.
-pub(crate) fn write_asset(asset: &Asset, out: &Path) -> Result<()> {
-    let pieces = (0..asset.pieces.len()).map(collision_name).zip(&asset.pieces);
-    let mut files = vec![("mesh/visual.obj".to_string(), obj_text(&asset.visual))];
-    files.extend(pieces.map(|(name, piece)| (format!("mesh/{name}"), obj_text(piece))));
-    let report = serde_json::to_string_pretty(&asset.report)
-        .map_err(|e| CoreError::io("write", out.join("mesh/report.json"), std::io::Error::other(e)))?;
-    files.push(("mesh/report.json".into(), report + "\n"));
-    files.push(("asset/object.urdf".into(), urdf(asset)));
-    files.push(("asset/object.xml".into(), mjcf(asset)));
-
+fn write_files(out: &Path, files: &Files) -> Result<()> {
     let existed = out.is_dir();
     let stage = out.join(format!(".asset.{}.tmp", std::process::id()));
-    let written = write_staged(&stage, &files).and_then(|()| move_into(out, &stage, &files));
+    let written = write_staged(&stage, files).and_then(|()| move_into(out, &stage, files));
     // Leftovers of our own; that they may be gone already is no second error.
     let _ = fs::remove_dir_all(&stage);
     if written.is_err() && !existed {
         let _ = fs::remove_dir(out);
     }
     written?;
-    Ok(remove_stale(&out.join("mesh"), asset.pieces.len())?)
+    Ok(remove_stale(&out.join("mesh"), files)?)
 }
 
-pub(crate) fn collision_name(piece: usize) -> String {
-    format!("collision_{piece:02}.obj")
+fn write_staged(stage: &Path, files: &Files) -> Result<(), CoreError> {
+    files.iter().try_for_each(|(name, bytes)| drex_core::fsutil::write_atomic(&stage.join(name), bytes))
 }
 
-fn write_staged(stage: &Path, files: &[(String, String)]) -> Result<(), CoreError> {
-    files.iter().try_for_each(|(name, text)| drex_core::fsutil::write_atomic(&stage.join(name), text.as_bytes()))
-}
-
-fn move_into(out: &Path, stage: &Path, files: &[(String, String)]) -> Result<(), CoreError> {
+fn move_into(out: &Path, stage: &Path, files: &Files) -> Result<(), CoreError> {
     for folder in ["mesh", "asset"].map(|f| out.join(f)) {
         fs::create_dir_all(&folder).map_err(|e| CoreError::io("create", &folder, e))?;
     }
@@ -52,15 +80,16 @@ fn move_into(out: &Path, stage: &Path, files: &[(String, String)]) -> Result<(),
     Ok(())
 }
 
-/// Removes `collision_NN.obj` files beyond the pieces of this asset.
-fn remove_stale(folder: &Path, pieces: usize) -> Result<(), CoreError> {
+/// Removes `…collision_NN.obj` files that are not among the files of this asset, and nothing else.
+fn remove_stale(folder: &Path, files: &Files) -> Result<(), CoreError> {
     let entries = fs::read_dir(folder).map_err(|e| CoreError::io("read", folder, e))?;
     let stale: Vec<PathBuf> = entries
         .filter_map(|e| e.ok().map(|e| e.path()))
         .filter(|path| {
             let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-            let number = name.strip_prefix("collision_").and_then(|n| n.strip_suffix(".obj"));
-            number.and_then(|n| n.parse::<usize>().ok()).is_some_and(|n| n >= pieces && name == collision_name(n))
+            let number = name.strip_suffix(".obj").and_then(|n| n.rsplit_once("collision_")).map(|(_, n)| n);
+            let ours = number.is_some_and(|n| n.len() >= 2 && n.bytes().all(|b| b.is_ascii_digit()));
+            ours && !files.iter().any(|(file, _)| file.strip_prefix("mesh/") == Some(&name))
         })
         .collect();
     stale.iter().try_for_each(|path| fs::remove_file(path).map_err(|e| CoreError::io("remove", path, e)))

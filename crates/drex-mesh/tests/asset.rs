@@ -119,7 +119,7 @@ fn the_same_bytes_every_time_and_nothing_stale() {
     fs::remove_file(first.join("mesh/collision_notes.obj")).unwrap();
     let (a, b) = (files(&first), files(&write(2, "two")));
     assert_eq!(a.keys().collect::<Vec<_>>(), b.keys().collect::<Vec<_>>());
-    assert_eq!(a.len(), 6);
+    assert_eq!(a.len(), 7);
     assert_eq!(a, b);
 }
 

@@ -3,10 +3,13 @@
 //! The manifest says what is given: the scan, the mass or the pushes that tell it, the grasps, and settings. What the
 //! stages make from it lies beside it in the folder and is never written into the manifest.
 
+mod articulated;
+
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+pub use self::articulated::{JointConfig, JointKind, PartConfig, joint_tree};
 use crate::{Error, Result, fsutil};
 
 /// Name of the manifest in a twin folder.
@@ -50,6 +53,12 @@ pub struct ObjectConfig {
     pub up_in_mesh: [f64; 3],
     /// Coulomb friction of the object against hand and table; [`ASSUMED_FRICTION`] if left out.
     pub friction: Option<f64>,
+    /// Parts of an articulated object, segmented from `mesh`; none for a rigid one.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub parts: Vec<PartConfig>,
+    /// Joints between the parts.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub joints: Vec<JointConfig>,
 }
 
 fn z_up() -> [f64; 3] {
@@ -133,7 +142,14 @@ pub struct TrainConfig {
 impl TwinManifest {
     /// A manifest with the given mesh and mass, defaults elsewhere.
     pub fn new(name: impl Into<String>, mesh: impl Into<PathBuf>, mass: MassConfig) -> Self {
-        let object = ObjectConfig { mesh: mesh.into(), unit: LengthUnit::M, up_in_mesh: z_up(), friction: None };
+        let object = ObjectConfig {
+            mesh: mesh.into(),
+            unit: LengthUnit::M,
+            up_in_mesh: z_up(),
+            friction: None,
+            parts: Vec::new(),
+            joints: Vec::new(),
+        };
         Self { schema: 1, name: name.into(), seed: 0, object, mass, grasps: None, train: None }
     }
 
@@ -208,6 +224,7 @@ impl TwinManifest {
                 "give a coefficient between 0 and 10, usually 0.2 to 1",
             );
         }
+        self.check_parts()?;
         let m = &self.mass;
         if m.identify.is_empty() && m.weighed_kg.is_none() && !m.has_prior() {
             return refuse(
@@ -250,6 +267,22 @@ impl TwinManifest {
         }
         Ok(())
     }
+
+    fn check_parts(&self) -> Result<()> {
+        let (parts, joints) = (&self.object.parts, &self.object.joints);
+        if parts.is_empty() && joints.is_empty() {
+            return Ok(());
+        }
+        let names: Vec<&str> = parts.iter().map(|p| p.name.as_str()).collect();
+        joint_tree(&names, joints)?;
+        if let Some(part) = parts.iter().find(|p| p.mass_kg.is_some_and(|m| !(m > 0.0 && m < 1e3))) {
+            return Err(Error::value(
+                format!("[[object.parts]] {}: mass_kg = {}", part.name, part.mass_kg.unwrap_or_default()),
+                "give kilograms of a part that a hand can lift, or leave it out",
+            ));
+        }
+        Ok(())
+    }
 }
 
 #[cfg(test)]
@@ -284,6 +317,42 @@ epochs = 200
         assert_eq!((m.seed, m.object.unit.in_metres(), m.object.up_in_mesh), (0, 1e-3, [1.0, 0.0, 0.0]));
         assert_eq!(m.friction(), (ASSUMED_FRICTION, true));
         assert_eq!(parse(&m.to_toml_string().unwrap()).unwrap(), m);
+    }
+
+    #[test]
+    fn an_articulated_object_is_read() {
+        let stapler = r#"
+[[object.parts]]
+name = "base"
+mesh = "scan/base.stl"
+mass_kg = 0.09
+[[object.parts]]
+name = "arm"
+mesh = "scan/arm.stl"
+[[object.joints]]
+name = "hinge"
+kind = "hinge"
+parent = "base"
+child = "arm"
+axis = [0, 1, 0]
+origin = [-0.05, 0, 0.02]
+range = [0, 1.2]
+damping = 0.001
+[mass]"#;
+        let text = FULL.replace("[mass]", stapler);
+        let m = parse(&text).unwrap();
+        assert_eq!((m.object.parts.len(), m.object.joints[0].kind), (2, JointKind::Hinge));
+        assert_eq!(parse(&m.to_toml_string().unwrap()).unwrap(), m);
+        for (from, to, expected) in [
+            ("parent = \"base\"", "parent = \"bass\"", "does not exist"),
+            ("kind = \"hinge\"", "kind = \"ball\"", "line 18"),
+            ("mass_kg = 0.09", "mass_kg = -1", "mass_kg = -1"),
+            ("range = [0, 1.2]", "range = [1.2, 0]", "range"),
+            ("damping = 0.001", "dumping = 0.001", "dumping"),
+        ] {
+            let message = parse(&text.replace(from, to)).unwrap_err().to_string();
+            assert!(message.contains(expected) && message.starts_with("twin.toml"), "{message}");
+        }
     }
 
     #[test]

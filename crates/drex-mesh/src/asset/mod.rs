@@ -1,116 +1,31 @@
 //! From a mesh file to a simulation asset: visual mesh, collision pieces, mass properties, MJCF and URDF.
 
+mod articulated;
+mod options;
+
 use std::path::Path;
 
-use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Point3, Unit, Vector3};
 use serde::Serialize;
 
 use drex_core::{MassProperties, Pose, TriMesh};
 
+pub use self::articulated::{ArticulatedAsset, ArticulatedReport, Part, articulated_asset};
+pub use self::options::{AssetOptions, ContactOptions, LengthUnit, UpSource};
+
 use crate::bvh::Aabb;
 use crate::hull::hull_volume;
 use crate::io::extension;
-use crate::pieces::{HowDivided, PieceOptions, divide};
-use crate::repair::{RepairOptions, RepairReport, repair};
+use crate::mass::{HowHollow, check_mass_properties, principal, shell_properties};
+use crate::model::SceneOptions;
+use crate::pieces::{HowDivided, divide};
+use crate::repair::{RepairReport, repair};
+use crate::rest::{RestOptions, RestPose, settled_pose, stable_poses, turn};
 use crate::solid::{Enclosed, HowClosed};
 use crate::{Error, Result, read_mesh, write};
 
-/// The unit of length of a mesh file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum LengthUnit {
-    /// Metres if the mesh is then 1 mm to 2 m across, millimetres if that makes it 20 mm to 3 m, else an error; glTF: metres.
-    #[default]
-    Auto,
-    /// Metres.
-    Metre,
-    /// Centimetres.
-    Centimetre,
-    /// Millimetres.
-    Millimetre,
-    /// Inches.
-    Inch,
-}
-
-impl LengthUnit {
-    /// Metres in one unit; `None` for [`LengthUnit::Auto`].
-    pub fn in_metres(self) -> Option<f64> {
-        match self {
-            Self::Auto => None,
-            Self::Metre => Some(1.0),
-            Self::Centimetre => Some(0.01),
-            Self::Millimetre => Some(0.001),
-            Self::Inch => Some(0.0254),
-        }
-    }
-}
-
-impl std::str::FromStr for LengthUnit {
-    type Err = Error;
-
-    fn from_str(name: &str) -> Result<Self> {
-        match name {
-            "auto" => Ok(Self::Auto),
-            "m" => Ok(Self::Metre),
-            "cm" => Ok(Self::Centimetre),
-            "mm" => Ok(Self::Millimetre),
-            "in" => Ok(Self::Inch),
-            _ => Err(Error::value(format!("{name:?} is no unit of length"), "give m, cm, mm, in or auto")),
-        }
-    }
-}
-
-/// Settings of [`build_asset`].
-#[derive(Debug, Clone, PartialEq)]
-#[non_exhaustive]
-pub struct AssetOptions {
-    /// Mass of the object, kg. `None`: density times volume.
-    pub mass_kg: Option<f64>,
-    /// Density where no mass is given, kg/m³.
-    pub density_kg_m3: f64,
-    /// Direction in the mesh's frame that points up when the object stands. `None`: +z, for glTF +y.
-    pub up_in_mesh: Option<Vector3<f64>>,
-    /// Coefficient of sliding friction of object and table.
-    pub friction: f64,
-    /// Unit of the mesh file.
-    pub unit: LengthUnit,
-    /// Settings of the repair.
-    pub repair: RepairOptions,
-    /// Settings of the convex pieces.
-    pub pieces: PieceOptions,
-}
-
-impl Default for AssetOptions {
-    fn default() -> Self {
-        Self {
-            mass_kg: None,
-            density_kg_m3: 1000.0,
-            up_in_mesh: None,
-            friction: 0.5,
-            unit: LengthUnit::Auto,
-            repair: RepairOptions::default(),
-            pieces: PieceOptions::default(),
-        }
-    }
-}
-
-impl AssetOptions {
-    fn check(&self) -> Result<()> {
-        let positive = |value: f64, name: &str| {
-            if value > 0.0 && value.is_finite() {
-                return Ok(());
-            }
-            Err(Error::value(format!("the {name} is {value}"), "give a positive number"))
-        };
-        positive(self.mass_kg.unwrap_or(1.0), "mass in kg")?;
-        positive(self.density_kg_m3, "density in kg/m³")?;
-        positive(self.friction, "friction coefficient")?;
-        if self.up_in_mesh.is_some_and(|u| !(u.norm() > 1e-9 && u.norm().is_finite())) {
-            return Err(Error::value("the up direction has no length", "give a direction such as 0 0 1"));
-        }
-        Ok(())
-    }
-}
+/// An object whose up direction is off by no more than this settles onto its foot, radians.
+const MOST_SETTLING: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
 /// A simulation asset. Everything is in the frame of the mesh file, in metres.
 #[derive(Debug, Clone)]
@@ -124,11 +39,15 @@ pub struct Asset {
     pub properties: MassProperties,
     /// Unit direction that points up when the object stands.
     pub up_in_mesh: Unit<Vector3<f64>>,
-    /// Where the object stands on the table z = 0: up is world +z, the lowest point at z = 0, the centre of mass above the
-    /// origin.
+    /// Where the object stands on the table z = 0: settled onto its foot if `up_in_mesh` is within 5 degrees of doing so, else
+    /// with `up_in_mesh` up. The lowest point is at z = 0, the centre of mass above the origin.
     pub world_from_mesh_at_rest: Pose,
+    /// Poses in which the collision pieces rest on a table, the most probable first.
+    pub stable_poses: Vec<RestPose>,
     /// Coefficient of sliding friction.
     pub friction: f64,
+    /// The other contact parameters.
+    pub contact: ContactOptions,
     /// What was found and done.
     pub report: AssetReport,
 }
@@ -139,6 +58,12 @@ pub struct Asset {
 pub struct AssetReport {
     /// Unit in which the mesh file was read.
     pub unit: LengthUnit,
+    /// Where the metric scale comes from.
+    pub scale_source: String,
+    /// Where the up direction comes from.
+    pub up_source: UpSource,
+    /// Up in the mesh's frame.
+    pub up_in_mesh: [f64; 3],
     /// Sides of the bounding box, metres.
     pub size_m: [f64; 3],
     /// What the repair found and did.
@@ -161,12 +86,18 @@ pub struct AssetReport {
     pub volume_m3: f64,
     /// Mass, kg.
     pub mass_kg: f64,
-    /// Density that follows, kg/m³.
+    /// Density that follows for a solid, kg/m³.
     pub density_kg_m3: f64,
+    /// How the mass properties of a hollow object were obtained; `None` for a solid one.
+    pub hollow: Option<HowHollow>,
     /// Centre of mass in the mesh's frame, metres.
     pub center_of_mass_m: [f64; 3],
     /// Inertia about the centre of mass along the mesh's axes, kg m², rows.
     pub inertia_kg_m2: [[f64; 3]; 3],
+    /// Principal moments of inertia, kg m², ascending.
+    pub principal_moments_kg_m2: [f64; 3],
+    /// Rotation whose columns are the principal axes in the mesh's frame, quaternion w, x, y, z.
+    pub mesh_from_principal_wxyz: [f64; 4],
     /// How the pieces were obtained.
     pub how_divided: HowDivided,
     /// Number of pieces.
@@ -179,6 +110,8 @@ pub struct AssetReport {
     pub rest_height_of_center_m: f64,
     /// How far the centre of mass can move sideways before the object tips, metres; negative if it does not stand.
     pub tipping_margin_m: f64,
+    /// Poses in which the object rests on a table, the most probable first.
+    pub stable_poses: Vec<RestPose>,
     /// What a person should look at.
     pub warnings: Vec<String>,
 }
@@ -193,13 +126,18 @@ pub fn build_asset(mesh_path: &Path, options: &AssetOptions) -> Result<Asset> {
     let mesh = read_mesh(mesh_path)?;
     let gltf = matches!(extension(mesh_path).as_str(), "gltf" | "glb");
     let mut options = options.clone();
+    let by_format = gltf && options.up_in_mesh.is_none();
     if gltf {
         options.up_in_mesh = options.up_in_mesh.or(Some(Vector3::y()));
         if options.unit == LengthUnit::Auto {
             options.unit = LengthUnit::Metre;
         }
     }
-    asset_from_mesh(&mesh, &options).map_err(|e| e.about(mesh_path))
+    let mut asset = asset_from_mesh(&mesh, &options).map_err(|e| e.about(mesh_path))?;
+    if by_format {
+        asset.report.up_source = UpSource::Format;
+    }
+    Ok(asset)
 }
 
 /// Makes an asset of a mesh in memory.
@@ -209,7 +147,8 @@ pub fn build_asset(mesh_path: &Path, options: &AssetOptions) -> Result<Asset> {
 pub fn asset_from_mesh(mesh: &TriMesh, options: &AssetOptions) -> Result<Asset> {
     options.check()?;
     let mut warnings = Vec::new();
-    let (unit, factor) = settle_unit(mesh, options.unit, &mut warnings)?;
+    let extent = mesh.bounds().map_or(0.0, |(lo, hi)| (hi - lo).max());
+    let (unit, factor) = options.unit.settle(extent, &mut warnings)?;
     let (visual, repaired) = repair(&mesh.scaled(factor), &options.repair)?;
     let enclosed = Enclosed::new(&visual)?;
     let solid = &enclosed.solid;
@@ -220,15 +159,32 @@ pub fn asset_from_mesh(mesh: &TriMesh, options: &AssetOptions) -> Result<Asset> 
             reason: "all its convex pieces are below 1e-12 m³".into(),
         });
     }
-    let properties = solid.properties.with_mass(options.mass_kg.unwrap_or(options.density_kg_m3 * solid.volume_m3));
+    let (unit_density, hollow) = match options.wall_m {
+        Some(wall_m) => shell_properties(&visual, wall_m).map(|h| (h.properties, Some(h.how)))?,
+        None => (solid.properties, None),
+    };
+    let properties = unit_density.with_mass(options.mass_kg.unwrap_or(options.density_kg_m3 * unit_density.mass_kg));
+    let center = &properties.center_of_mass;
+    check_mass_properties(&properties, &visual.vertices)?;
     let up_in_mesh = Unit::new_normalize(options.up_in_mesh.unwrap_or_else(Vector3::z));
-    let (world_from_mesh_at_rest, tipping_margin_m) = rest(&pieces, &properties.center_of_mass, &up_in_mesh);
-    let center = world_from_mesh_at_rest * properties.center_of_mass;
+    // What rests in a simulator is the pieces; should they miss the centre (a wafer), the mesh itself.
+    let of_pieces: Vec<Point3<f64>> = pieces.iter().flat_map(|p| &p.vertices).copied().collect();
+    let (corners, stable_poses) = match stable_poses(&of_pieces, center, &options.rest) {
+        Ok(poses) => (&of_pieces, poses),
+        Err(_) => (&visual.vertices, stable_poses(&visual.vertices, center, &options.rest)?),
+    };
+    let (world_from_mesh_at_rest, tipping_margin_m) = stand(corners, center, &up_in_mesh, &options.rest)?;
+    let center = world_from_mesh_at_rest * center;
     let bounds = Aabb::of(&visual.vertices);
     let density = properties.mass_kg / solid.volume_m3;
-    collect_warnings(&repaired, &enclosed, how_divided, density, tipping_margin_m, &mut warnings);
+    let material = properties.mass_kg / unit_density.mass_kg;
+    collect_warnings(&repaired, &enclosed, how_divided, material, tipping_margin_m, &mut warnings);
+    let (moments, axes) = principal(&properties);
     let report = AssetReport {
         unit,
+        scale_source: options.scale_source.clone().unwrap_or_else(|| "the unit of the file".into()),
+        up_source: if options.up_in_mesh.is_some() { UpSource::Given } else { UpSource::Assumed },
+        up_in_mesh: up_in_mesh.into_inner().into(),
         size_m: (bounds.hi - bounds.lo).into(),
         repair: repaired,
         how_closed: solid.how_closed,
@@ -241,26 +197,39 @@ pub fn asset_from_mesh(mesh: &TriMesh, options: &AssetOptions) -> Result<Asset> 
         volume_m3: solid.volume_m3,
         mass_kg: properties.mass_kg,
         density_kg_m3: density,
+        hollow,
         center_of_mass_m: properties.center_of_mass.into(),
         inertia_kg_m2: [0, 1, 2].map(|i| [0, 1, 2].map(|j| properties.inertia[(i, j)])),
+        principal_moments_kg_m2: moments.into(),
+        mesh_from_principal_wxyz: [axes.w, axes.i, axes.j, axes.k],
         how_divided,
         pieces: pieces.len(),
         most_corners: pieces.iter().map(|p| p.vertices.len()).max().unwrap_or(0),
         pieces_to_solid_volume: pieces.iter().map(hull_volume).sum::<f64>() / solid.volume_m3,
         rest_height_of_center_m: center.z,
         tipping_margin_m,
+        stable_poses: stable_poses.clone(),
         warnings,
     };
     for warning in &report.warnings {
         tracing::info!("{warning}");
     }
-    let friction = options.friction;
-    Ok(Asset { visual, pieces, properties, up_in_mesh, world_from_mesh_at_rest, friction, report })
+    Ok(Asset {
+        visual,
+        pieces,
+        properties,
+        up_in_mesh,
+        world_from_mesh_at_rest,
+        stable_poses,
+        friction: options.friction,
+        contact: options.contact.clone(),
+        report,
+    })
 }
 
 impl Asset {
-    /// Writes `mesh/visual.obj`, `mesh/collision_NN.obj`, `mesh/report.json`, `asset/object.xml` (MJCF) and
-    /// `asset/object.urdf` under `out`. Paths inside the models are relative.
+    /// Writes `mesh/visual.obj`, `mesh/collision_NN.obj`, `mesh/report.json`, `asset/object.xml` (MJCF),
+    /// `asset/object.urdf` and `asset/object.glb` under `out`. Paths inside the models are relative.
     ///
     /// Everything is written into a temporary folder first and moved at the end, the models last; collision pieces of
     /// an earlier asset that are no longer used are removed.
@@ -268,7 +237,15 @@ impl Asset {
     /// # Errors
     /// If a file cannot be written; what was there before stays.
     pub fn write(&self, out: &Path) -> Result<()> {
-        write::write_asset(self, out)
+        write::write_asset(self, None, out)
+    }
+
+    /// As [`Asset::write`], and `asset/scene.xml`: the object at its measured pose, with a background and a robot.
+    ///
+    /// # Errors
+    /// As [`Asset::write`]; also if the robot's file does not exist.
+    pub fn write_with_scene(&self, scene: &SceneOptions, out: &Path) -> Result<()> {
+        write::write_asset(self, Some(scene), out)
     }
 
     /// The body's mass at another value, as after weighing or identification; the inertia scales along.
@@ -277,58 +254,28 @@ impl Asset {
         self.report.mass_kg = mass_kg;
         self.report.density_kg_m3 = mass_kg / self.report.volume_m3;
         self.report.inertia_kg_m2 = [0, 1, 2].map(|i| [0, 1, 2].map(|j| self.properties.inertia[(i, j)]));
+        self.report.principal_moments_kg_m2 = principal(&self.properties).0.into();
         self
     }
 }
 
-fn settle_unit(mesh: &TriMesh, unit: LengthUnit, warnings: &mut Vec<String>) -> Result<(LengthUnit, f64)> {
-    if let Some(factor) = unit.in_metres() {
-        return Ok((unit, factor));
+/// How the object stands with `up` up on the table z = 0: settled onto the face below if that takes no more than a few
+/// degrees (the up of a scan is no better), else just put down, with a negative tipping margin.
+fn stand(
+    corners: &[Point3<f64>],
+    center: &Point3<f64>,
+    up: &Unit<Vector3<f64>>,
+    options: &RestOptions,
+) -> Result<(Pose, f64)> {
+    let settled = settled_pose(corners, center, up, options)?;
+    if settled.support_normal_in_mesh.angle(&-up.into_inner()) <= MOST_SETTLING {
+        return Ok((settled.world_from_mesh, settled.tipping_margin_m));
     }
-    let extent = mesh.bounds().map_or(0.0, |(lo, hi)| (hi - lo).max());
-    let refuse = |why| Err(Error::Unit { subject: "the mesh".into(), extent, why });
-    match extent {
-        e if !e.is_finite() => Ok((LengthUnit::Metre, 1.0)), // the repair names the vertex
-        e if e < 1e-3 => refuse("less than a millimetre if it is metres"),
-        e if e <= 2.0 => Ok((LengthUnit::Metre, 1.0)),
-        e if e < 20.0 => refuse("too large for metres and doubtful for millimetres"),
-        e if e <= 3000.0 => {
-            warnings.push(format!("the mesh is {e:.1} units across: taken as millimetres"));
-            Ok((LengthUnit::Millimetre, 1e-3))
-        }
-        _ => refuse("too large even for millimetres"),
-    }
-}
-
-/// The pose at rest and how far inside the support polygon the centre of mass is.
-fn rest(pieces: &[TriMesh], center: &Point3<f64>, up: &Unit<Vector3<f64>>) -> (Pose, f64) {
-    // Opposite directions have no unique turn between them; any half turn about a horizontal axis does.
-    let rotation = UnitQuaternion::rotation_between_axis(up, &Vector3::z_axis())
-        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
-    let points: Vec<Point3<f64>> = pieces.iter().flat_map(|p| &p.vertices).map(|v| rotation * v).collect();
-    let lowest = points.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
+    let rotation = turn(up, &Vector3::z());
     let c = rotation * center;
-    let pose = Pose::from_parts(Vector3::new(-c.x, -c.y, -lowest).into(), rotation);
-    let bounds = Aabb::of(&points);
-    // Scans are not flat: an object that settles by a degree or so stands.
-    let size = bounds.hi - bounds.lo;
-    let foot = lowest + 0.02 * size.x.hypot(size.y);
-    let feet: Vec<[f64; 2]> = points.iter().filter(|p| p.z <= foot).map(|p| [p.x - c.x, p.y - c.y]).collect();
-    (pose, margin_inside_hull(&feet))
-}
-
-/// Distance of the origin from the border of the convex hull of points in the plane, negative outside.
-fn margin_inside_hull(points: &[[f64; 2]]) -> f64 {
-    let nearest = points.iter().map(|p| p[0].hypot(p[1])).fold(f64::INFINITY, f64::min);
-    // Support in every direction: the least reach over directions is the margin (1/4 degree steps suffice here).
-    let steps = 1440;
-    let reach = (0..steps)
-        .map(|k| {
-            let a = std::f64::consts::TAU * f64::from(k) / f64::from(steps);
-            points.iter().map(|p| p[0] * a.cos() + p[1] * a.sin()).fold(f64::NEG_INFINITY, f64::max)
-        })
-        .fold(f64::INFINITY, f64::min);
-    if reach < 0.0 { -(-reach).min(nearest) } else { reach }
+    let lowest = corners.iter().map(|p| rotation * p).fold(c, |low, p| if p.z < low.z { p } else { low });
+    let pose = Pose::from_parts(Vector3::new(-c.x, -c.y, -lowest.z).into(), rotation);
+    Ok((pose, -(lowest - c).xy().norm()))
 }
 
 fn collect_warnings(

@@ -1,0 +1,58 @@
+//! Assets as text and bytes of other programs: MJCF, URDF, GLB.
+
+mod articulated;
+mod glb;
+mod mjcf;
+mod scene;
+mod urdf;
+
+use drex_core::{MassProperties, Pose};
+use nalgebra::Point3;
+
+pub(crate) use articulated::{mjcf as articulated_mjcf, urdf as articulated_urdf};
+pub(crate) use glb::glb;
+pub(crate) use mjcf::mjcf;
+pub use scene::{Background, SceneOptions};
+pub(crate) use scene::{background_files, scene};
+pub(crate) use urdf::urdf;
+
+/// A rigid part as the models see it: its files lie in `mesh/`, its frame is the mesh's.
+pub(crate) struct Link<'a> {
+    /// Name of the body.
+    pub name: &'a str,
+    /// What the names of its meshes and geoms start with: empty, or the name and `_`.
+    pub prefix: &'a str,
+    pub pieces: usize,
+    pub properties: &'a MassProperties,
+}
+
+impl Link<'_> {
+    /// Names of the collision meshes, without extension.
+    fn collisions(&self) -> impl Iterator<Item = String> + '_ {
+        (0..self.pieces).map(|k| format!("{}collision_{k:02}", self.prefix))
+    }
+
+    fn visual(&self) -> String {
+        format!("{}visual", self.prefix)
+    }
+}
+
+/// Numbers with spaces between them, in the shortest form that reads back to the same bits.
+fn numbers(values: &[f64]) -> String {
+    values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ")
+}
+
+fn place(p: &Point3<f64>) -> String {
+    numbers(p.coords.as_slice())
+}
+
+/// Position and quaternion of a pose as MJCF writes them.
+fn pos_quat(pose: &Pose) -> (String, String) {
+    let (t, q) = drex_core::pose::to_wxyz(pose);
+    (numbers(&t), numbers(&q))
+}
+
+/// Text as the value of an attribute.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}

@@ -1,0 +1,56 @@
+//! A rigid asset as URDF.
+
+use std::fmt::Write;
+
+use nalgebra::{Point3, Vector3};
+
+use super::{Link, numbers, place};
+use crate::asset::Asset;
+
+/// URDF: one link whose frame is the mesh's.
+pub(crate) fn urdf(asset: &Asset) -> String {
+    let link = Link { name: "object", prefix: "", pieces: asset.pieces.len(), properties: &asset.properties };
+    format!("<?xml version=\"1.0\"?>\n<robot name=\"object\">\n{}</robot>\n", link_element(&link, &Point3::origin()))
+}
+
+/// A link whose frame has the mesh's axes and lies at `origin` in it.
+pub(super) fn link_element(link: &Link<'_>, origin: &Point3<f64>) -> String {
+    let p = link.properties;
+    let i = &p.inertia;
+    let mesh_in_link = if *origin == Point3::origin() {
+        String::new()
+    } else {
+        format!("<origin xyz=\"{}\" rpy=\"0 0 0\"/>", numbers((Vector3::zeros() - origin.coords).as_slice()))
+    };
+    let mut collisions = String::new();
+    for name in link.collisions() {
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            collisions,
+            "    <collision name=\"{name}\">\n      {mesh_in_link}<geometry><mesh filename=\"../mesh/{name}.obj\"/></geometry>\n    </collision>",
+        );
+    }
+    format!(
+        r#"  <link name="{name}">
+    <inertial>
+      <origin xyz="{com}" rpy="0 0 0"/>
+      <mass value="{mass}"/>
+      <inertia ixx="{}" iyy="{}" izz="{}" ixy="{}" ixz="{}" iyz="{}"/>
+    </inertial>
+    <visual>
+      {mesh_in_link}<geometry><mesh filename="../mesh/{visual}.obj"/></geometry>
+    </visual>
+{collisions}  </link>
+"#,
+        i[(0, 0)],
+        i[(1, 1)],
+        i[(2, 2)],
+        i[(0, 1)],
+        i[(0, 2)],
+        i[(1, 2)],
+        name = link.name,
+        com = place(&(p.center_of_mass - origin.coords)),
+        mass = p.mass_kg,
+        visual = link.visual(),
+    )
+}
