@@ -25,11 +25,14 @@ pub struct RestOptions {
     /// Faces to stand on whose directions differ by no more than this are one pose, radians: the foot of a scan is
     /// ragged, and the object rocks between its bumps.
     pub same_pose_rad: f64,
+    /// An object rolls on from a face on which a slope of this would tip it, radians, if it sinks by that: soft contacts and
+    /// the corners of a tessellated round side are no better.
+    pub least_tipping_rad: f64,
 }
 
 impl Default for RestOptions {
     fn default() -> Self {
-        Self { flat_share: 1e-4, same_pose_rad: 2.0_f64.to_radians() }
+        Self { flat_share: 1e-4, same_pose_rad: 2.0_f64.to_radians(), least_tipping_rad: 0.5_f64.to_radians() }
     }
 }
 
@@ -71,7 +74,7 @@ pub fn stable_poses(
     center_of_mass: &Point3<f64>,
     options: &RestOptions,
 ) -> Result<Vec<RestPose>> {
-    let body = Body::new(points, center_of_mass, options.flat_share)?;
+    let body = Body::new(points, center_of_mass, options)?;
     let mut probability = vec![0.0; body.faces.len()];
     for (start, face) in body.faces.iter().enumerate() {
         probability[body.rolls_to(start)] += face.solid_angle / (4.0 * std::f64::consts::PI);
@@ -112,7 +115,7 @@ pub fn settled_pose(
     let up = Unit::try_new(*up_in_mesh, 1e-9)
         .filter(|u| u.iter().all(|c| c.is_finite()))
         .ok_or_else(|| Error::value("the up direction has no length", "give a direction such as 0 0 1"))?;
-    let body = Body::new(points, center_of_mass, options.flat_share)?;
+    let body = Body::new(points, center_of_mass, options)?;
     let last = body.rolls_to(body.met_by(&-up));
     Ok(body.pose(last, &up, 1.0, options.same_pose_rad))
 }
@@ -133,10 +136,11 @@ struct Body {
     hull: TriMesh,
     center: Point3<f64>,
     faces: Vec<Face>,
+    least_slope: f64,
 }
 
 impl Body {
-    fn new(points: &[Point3<f64>], center: &Point3<f64>, flat_share: f64) -> Result<Self> {
+    fn new(points: &[Point3<f64>], center: &Point3<f64>, options: &RestOptions) -> Result<Self> {
         let hull = convex_hull(points)?;
         let facets = hull.faces.len();
         let scaled: Vec<Vector3<f64>> = (0..facets)
@@ -147,7 +151,7 @@ impl Body {
             .collect();
         let topology = Topology::new(&hull);
         let diagonal = hull.bounds().map_or(0.0, |(lo, hi)| (hi - lo).norm());
-        let planes = group_by_plane(&hull, &scaled, &topology, flat_share.max(0.0) * diagonal);
+        let planes = group_by_plane(&hull, &scaled, &topology, options.flat_share.max(0.0) * diagonal);
 
         let mut faces: Vec<Face> = planes
             .seeds
@@ -176,7 +180,7 @@ impl Body {
                 "check the mass properties: the centre of a body lies inside its hull",
             ));
         }
-        Ok(Self { hull, center: *center, faces })
+        Ok(Self { hull, center: *center, faces, least_slope: options.least_tipping_rad.max(0.0).tan() })
     }
 
     /// Where the chain of rolls that starts on a face ends.
@@ -192,10 +196,10 @@ impl Body {
         at
     }
 
-    /// The face that the object rolls onto from this one, if its centre of mass is not above it.
+    /// The face that the object rolls onto from this one, if its centre of mass is not well above it.
     fn next(&self, at: usize) -> Option<usize> {
         let plane = self.plane(at);
-        if margin(&self.outline(&plane, &[at])) > 0.0 {
+        if margin(&self.outline(&plane, &[at])) > self.least_slope * self.faces[at].height {
             return None;
         }
         // Over the nearest edge; two edges that meet in the nearest corner: over the one it is farther beyond.

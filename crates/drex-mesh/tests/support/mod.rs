@@ -4,8 +4,10 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use drex_core::Pose;
 use drex_core::camera::{Camera, CameraModel};
+use drex_core::twin::{JointConfig, JointKind};
+use drex_core::{Pose, TriMesh};
+use drex_mesh::Part;
 use nalgebra::{Point3, Quaternion, Translation3, UnitQuaternion};
 
 /// The folder of shared data, if there is one.
@@ -19,6 +21,51 @@ pub fn shared() -> Option<PathBuf> {
 
 pub fn json(path: &Path) -> serde_json::Value {
     serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
+}
+
+/// Axis-aligned box between two corners.
+pub fn cuboid(lo: [f64; 3], hi: [f64; 3]) -> TriMesh {
+    let vertices = (0..8)
+        .map(|i| Point3::new([lo[0], hi[0]][i & 1], [lo[1], hi[1]][i >> 1 & 1], [lo[2], hi[2]][i >> 2]))
+        .collect();
+    let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    TriMesh { vertices, faces: quads.iter().flat_map(|&[a, b, c, d]: &[u32; 4]| [[a, b, c], [a, c, d]]).collect() }
+}
+
+pub fn hinge(name: &str, parent: &str, child: &str) -> JointConfig {
+    JointConfig {
+        name: name.into(),
+        kind: JointKind::Hinge,
+        parent: parent.into(),
+        child: child.into(),
+        axis: [0.0, -2.0, 0.0],
+        origin: [-0.05, 0.0, 0.022],
+        range: Some([0.0, 1.2]),
+        damping: 0.001,
+        friction_loss: 0.2,
+        stiffness: 0.0,
+    }
+}
+
+/// A stapler of boxes: base, arm on a hinge, tray that slides in the arm, foot fixed to the base. Metres.
+pub fn stapler() -> (Vec<Part>, Vec<JointConfig>) {
+    let part = |name: &str, lo, hi, mass_kg| Part { name: name.into(), mesh: cuboid(lo, hi), mass_kg };
+    let parts = vec![
+        part("base", [-0.06, -0.015, 0.0], [0.06, 0.015, 0.02], None),
+        part("arm", [-0.05, -0.01, 0.03], [0.06, 0.01, 0.045], None),
+        part("tray", [0.0, -0.005, 0.022], [0.05, 0.005, 0.027], None),
+        part("foot", [-0.06, -0.02, -0.005], [-0.04, 0.02, 0.0], Some(0.02)),
+    ];
+    let rail = JointConfig {
+        kind: JointKind::Slide,
+        axis: [1.0, 0.0, 0.0],
+        origin: [0.0, 0.0, 0.0245],
+        range: Some([0.0, 0.03]),
+        friction_loss: 1.0,
+        ..hinge("rail", "arm", "tray")
+    };
+    let weld = JointConfig { kind: JointKind::Fixed, range: None, ..hinge("weld", "base", "foot") };
+    (parts, vec![rail, hinge("hinge", "base", "arm"), weld])
 }
 
 /// As much of COLMAP's binary model as the tests need.
