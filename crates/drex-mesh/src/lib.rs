@@ -56,7 +56,7 @@ pub use compare::{CompareOptions, SurfaceComparison, compare_surfaces};
 pub use decimate::{DecimateOptions, DecimateReport, decimate};
 pub use depth::{DepthCamera, DepthMap, DepthViews, cast_depth};
 pub use asset::{
-    ArticulatedAsset, ArticulatedReport, Asset, AssetOptions, AssetReport, ContactOptions, LengthUnit, Part, UpSource,
+    ArticulatedAsset, ArticulatedReport, Asset, AssetOptions, AssetReport, LengthUnit, Part, UpSource,
     articulated_asset, asset_from_mesh, build_asset,
 };
 pub use caps::close_openings;

@@ -163,7 +163,8 @@ fn brick() -> Asset {
 #[test]
 fn a_scene_has_background_robot_and_object() {
     let (Some(python), Some(data)) = (python(), shared()) else { return };
-    for robot in ["leap_hand/mjcf/right_hand.xml", "allegro_hand/mjcf/right_hand.xml", "panda/mjcf/panda_collision.xml"] {
+    for robot in ["leap_hand/mjcf/right_hand.xml", "allegro_hand/mjcf/right_hand.xml", "panda/mjcf/panda_collision.xml"]
+    {
         let folder = tempfile::tempdir().unwrap();
         let mut scene = SceneOptions::default();
         let step = cuboid([0.2, -0.1, 0.0], [0.4, 0.1, 0.05]);

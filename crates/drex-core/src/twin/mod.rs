@@ -4,12 +4,14 @@
 //! stages make from it lies beside it in the folder and is never written into the manifest.
 
 mod articulated;
+mod contact;
 
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
 pub use self::articulated::{JointConfig, JointKind, PartConfig, joint_tree};
+pub use self::contact::ContactConfig;
 use crate::{Error, Result, fsutil};
 
 /// Name of the manifest in a twin folder.
@@ -53,6 +55,8 @@ pub struct ObjectConfig {
     pub up_in_mesh: [f64; 3],
     /// Coulomb friction of the object against hand and table; [`ASSUMED_FRICTION`] if left out.
     pub friction: Option<f64>,
+    /// The other contact parameters of the simulation asset; their defaults if left out.
+    pub contact: Option<ContactConfig>,
     /// Parts of an articulated object, segmented from `mesh`; none for a rigid one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub parts: Vec<PartConfig>,
@@ -147,6 +151,7 @@ impl TwinManifest {
             unit: LengthUnit::M,
             up_in_mesh: z_up(),
             friction: None,
+            contact: None,
             parts: Vec::new(),
             joints: Vec::new(),
         };
@@ -224,6 +229,7 @@ impl TwinManifest {
                 "give a coefficient between 0 and 10, usually 0.2 to 1",
             );
         }
+        self.object.contact.as_ref().map_or(Ok(()), ContactConfig::check)?;
         self.check_parts()?;
         let m = &self.mass;
         if m.identify.is_empty() && m.weighed_kg.is_none() && !m.has_prior() {
@@ -349,6 +355,8 @@ damping = 0.001
             ("mass_kg = 0.09", "mass_kg = -1", "mass_kg = -1"),
             ("range = [0, 1.2]", "range = [1.2, 0]", "range"),
             ("damping = 0.001", "dumping = 0.001", "dumping"),
+            ("[mass]", "[object.contact]\nimpedance = [0.9, 1.0]\n[mass]", "impedance = [0.9, 1]"),
+            ("[mass]", "[object.contact]\ntime_constant_s = 0\n[mass]", "time_constant_s = 0"),
         ] {
             let message = parse(&text.replace(from, to)).unwrap_err().to_string();
             assert!(message.contains(expected) && message.starts_with("twin.toml"), "{message}");

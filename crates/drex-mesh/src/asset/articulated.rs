@@ -5,10 +5,10 @@ use std::path::Path;
 use nalgebra::{Point3, Unit, Vector3};
 use serde::Serialize;
 
-use drex_core::twin::{JointConfig, joint_tree};
+use drex_core::twin::{ContactConfig, JointConfig, joint_tree};
 use drex_core::{MassProperties, Pose, TriMesh};
 
-use super::{Asset, AssetOptions, AssetReport, ContactOptions, asset_from_mesh, stand};
+use super::{Asset, AssetOptions, AssetReport, asset_from_mesh, rows, stand};
 use crate::bvh::Aabb;
 use crate::rest::{RestPose, stable_poses};
 use crate::{Error, Result, write};
@@ -43,7 +43,7 @@ pub struct ArticulatedAsset {
     /// Coefficient of sliding friction.
     pub friction: f64,
     /// The other contact parameters.
-    pub contact: ContactOptions,
+    pub contact: ContactConfig,
     /// What was found and done.
     pub report: ArticulatedReport,
 }
@@ -117,7 +117,7 @@ pub fn articulated_asset(parts: &[Part], joints: &[JointConfig], options: &Asset
         joints: joints.clone(),
         mass_kg: properties.mass_kg,
         center_of_mass_m: properties.center_of_mass.into(),
-        inertia_kg_m2: [0, 1, 2].map(|i| [0, 1, 2].map(|j| properties.inertia[(i, j)])),
+        inertia_kg_m2: rows(&properties.inertia),
         tipping_margin_m,
         stable_poses: stable_poses.clone(),
     };
@@ -158,6 +158,19 @@ fn share(whole_kg: f64, parts: &[Part], built: &mut [(String, Asset)]) -> Result
 }
 
 impl ArticulatedAsset {
+    /// The object with another mass of the whole, as after weighing or identification: every part scales along.
+    pub fn with_mass(mut self, mass_kg: f64) -> Self {
+        let factor = mass_kg / self.properties.mass_kg;
+        for ((_, part), (_, report)) in self.parts.iter_mut().zip(&mut self.report.parts) {
+            *part = part.clone().with_mass(factor * part.properties.mass_kg);
+            report.clone_from(&part.report);
+        }
+        self.properties = self.properties.with_mass(mass_kg);
+        self.report.mass_kg = mass_kg;
+        self.report.inertia_kg_m2 = rows(&self.properties.inertia);
+        self
+    }
+
     /// Writes `mesh/PART_visual.obj`, `mesh/PART_collision_NN.obj`, `mesh/report.json`, `asset/object.xml` (MJCF),
     /// `asset/object.urdf` and `asset/object.glb` under `out`, as [`Asset::write`] does.
     ///

@@ -5,13 +5,14 @@ mod options;
 
 use std::path::Path;
 
-use nalgebra::{Point3, Unit, Vector3};
+use nalgebra::{Matrix3, Point3, Unit, Vector3};
 use serde::Serialize;
 
+use drex_core::twin::ContactConfig;
 use drex_core::{MassProperties, Pose, TriMesh};
 
 pub use self::articulated::{ArticulatedAsset, ArticulatedReport, Part, articulated_asset};
-pub use self::options::{AssetOptions, ContactOptions, LengthUnit, UpSource};
+pub use self::options::{AssetOptions, LengthUnit, UpSource};
 
 use crate::bvh::Aabb;
 use crate::hull::hull_volume;
@@ -47,7 +48,7 @@ pub struct Asset {
     /// Coefficient of sliding friction.
     pub friction: f64,
     /// The other contact parameters.
-    pub contact: ContactOptions,
+    pub contact: ContactConfig,
     /// What was found and done.
     pub report: AssetReport,
 }
@@ -199,7 +200,7 @@ pub fn asset_from_mesh(mesh: &TriMesh, options: &AssetOptions) -> Result<Asset> 
         density_kg_m3: density,
         hollow,
         center_of_mass_m: properties.center_of_mass.into(),
-        inertia_kg_m2: [0, 1, 2].map(|i| [0, 1, 2].map(|j| properties.inertia[(i, j)])),
+        inertia_kg_m2: rows(&properties.inertia),
         principal_moments_kg_m2: moments.into(),
         mesh_from_principal_wxyz: [axes.w, axes.i, axes.j, axes.k],
         how_divided,
@@ -253,10 +254,14 @@ impl Asset {
         self.properties = self.properties.with_mass(mass_kg);
         self.report.mass_kg = mass_kg;
         self.report.density_kg_m3 = mass_kg / self.report.volume_m3;
-        self.report.inertia_kg_m2 = [0, 1, 2].map(|i| [0, 1, 2].map(|j| self.properties.inertia[(i, j)]));
+        self.report.inertia_kg_m2 = rows(&self.properties.inertia);
         self.report.principal_moments_kg_m2 = principal(&self.properties).0.into();
         self
     }
+}
+
+fn rows(m: &Matrix3<f64>) -> [[f64; 3]; 3] {
+    [0, 1, 2].map(|i| [0, 1, 2].map(|j| m[(i, j)]))
 }
 
 /// How the object stands with `up` up on the table z = 0: settled onto the face below if that takes no more than a few

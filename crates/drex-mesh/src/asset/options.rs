@@ -3,6 +3,8 @@
 use nalgebra::Vector3;
 use serde::Serialize;
 
+use drex_core::twin::ContactConfig;
+
 use crate::pieces::PieceOptions;
 use crate::repair::RepairOptions;
 use crate::rest::RestOptions;
@@ -85,39 +87,6 @@ pub enum UpSource {
     Assumed,
 }
 
-/// Contact parameters of an asset, in MuJoCo's terms.
-///
-/// A contact is a spring and damper on accelerations, scaled by the masses that meet, so that one set serves objects of 10 g
-/// as well as of 5 kg. The time constant must be at least two time steps (2 ms here) to be stable; the smaller, the
-/// less an object sinks in: with 4 ms and an impedance of 0.95 at no depth it is a few micrometres at rest and
-/// tens at the start, where MuJoCo's own 20 ms and 0.9 give a hundred.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[non_exhaustive]
-pub struct ContactOptions {
-    /// Time constant of the contact, seconds (`solref`, first).
-    pub time_constant_s: f64,
-    /// Damping ratio: 1 is critical, nothing bounces (`solref`, second).
-    pub damping_ratio: f64,
-    /// Share of the force a rigid contact would have, at no depth and at `width_m` (`solimp`, first and second).
-    pub impedance: [f64; 2],
-    /// Depth at which the contact is as stiff as it gets, metres (`solimp`, third).
-    pub width_m: f64,
-    /// Torsional friction, metres: the radius of the patch of contact.
-    pub torsional_friction_m: f64,
-}
-
-impl Default for ContactOptions {
-    fn default() -> Self {
-        Self {
-            time_constant_s: 0.004,
-            damping_ratio: 1.0,
-            impedance: [0.95, 0.99],
-            width_m: 0.001,
-            torsional_friction_m: 0.005,
-        }
-    }
-}
-
 /// Settings of [`crate::build_asset`].
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
@@ -133,7 +102,7 @@ pub struct AssetOptions {
     /// Coefficient of sliding friction of object and table.
     pub friction: f64,
     /// The other contact parameters.
-    pub contact: ContactOptions,
+    pub contact: ContactConfig,
     /// Unit of the mesh file.
     pub unit: LengthUnit,
     /// Where the metric scale comes from, for the report ("marks A-C, 0.12 m"). `None`: the unit.
@@ -154,7 +123,7 @@ impl Default for AssetOptions {
             wall_m: None,
             up_in_mesh: None,
             friction: 0.5,
-            contact: ContactOptions::default(),
+            contact: ContactConfig::default(),
             unit: LengthUnit::Auto,
             scale_source: None,
             repair: RepairOptions::default(),
@@ -176,17 +145,7 @@ impl AssetOptions {
         positive(self.density_kg_m3, "density in kg/m³")?;
         positive(self.wall_m.unwrap_or(1.0), "wall thickness in metres")?;
         positive(self.friction, "friction coefficient")?;
-        positive(self.contact.time_constant_s, "time constant of the contacts in seconds")?;
-        positive(self.contact.damping_ratio, "damping ratio of the contacts")?;
-        positive(self.contact.width_m, "width of the contacts in metres")?;
-        positive(self.contact.torsional_friction_m, "torsional friction in metres")?;
-        let [lo, hi] = self.contact.impedance;
-        if !(lo > 0.0 && lo <= hi && hi < 1.0) {
-            return Err(Error::value(
-                format!("the impedance of the contacts is {lo} to {hi}"),
-                "give two numbers between 0 and 1, the smaller first",
-            ));
-        }
+        self.contact.check()?;
         if self.up_in_mesh.is_some_and(|u| !(u.norm() > 1e-9 && u.norm().is_finite())) {
             return Err(Error::value("the up direction has no length", "give a direction such as 0 0 1"));
         }

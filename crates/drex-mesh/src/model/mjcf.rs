@@ -3,9 +3,10 @@
 use std::fmt::Write;
 
 use drex_core::Pose;
+use drex_core::twin::ContactConfig;
 
 use super::{Link, numbers, place, pos_quat};
-use crate::asset::{Asset, ContactOptions};
+use crate::asset::Asset;
 use crate::rest::RestPose;
 
 /// Stable poses that become keyframes: no more than this many, none less probable than one in two hundred.
@@ -50,7 +51,7 @@ pub(super) const TABLE: &str = r#"    <light pos="0 0 1.5" dir="0 0 -1" directio
     <geom name="table" class="contact" type="plane" size="0.5 0.5 0.05" rgba="0.5 0.45 0.4 1"/>
 "#;
 
-pub(super) fn defaults(friction: f64, c: &ContactOptions) -> String {
+pub(super) fn defaults(friction: f64, c: &ContactConfig) -> String {
     format!(
         r#"  <default>
     <default class="contact">
