@@ -102,6 +102,75 @@ fn the_mjcf_says_what_the_asset_is() {
 }
 
 #[test]
+fn stable_poses_are_keyframes_and_in_the_report() {
+    let folder = tempfile::tempdir().unwrap();
+    let asset = build_asset(&letter_t(folder.path()), &AssetOptions::default()).unwrap();
+    let out = folder.path().join("twin");
+    asset.write(&out).unwrap();
+    let xml = fs::read_to_string(out.join("asset/object.xml")).unwrap();
+    let document = roxmltree::Document::parse(&xml).unwrap();
+    let keys: Vec<_> = document.descendants().filter(|n| n.has_tag_name("key")).collect();
+    assert_eq!(keys.len(), asset.stable_poses.len());
+    for (key, pose) in keys.iter().zip(&asset.stable_poses) {
+        let q = numbers(key.attribute("qpos").unwrap());
+        let read = drex_core::pose::pose_from_wxyz([q[0], q[1], q[2]], [q[3], q[4], q[5], q[6]]).unwrap();
+        assert!(drex_core::pose::pose_difference(&read, &pose.world_from_mesh).norm() < 1e-12);
+        let lowest = asset.visual.vertices.iter().map(|v| (read * v).z).fold(f64::INFINITY, f64::min);
+        assert!(lowest.abs() < 1e-12, "{lowest}");
+    }
+    let report: serde_json::Value = serde_json::from_slice(&fs::read(out.join("mesh/report.json")).unwrap()).unwrap();
+    let sum: f64 = report["stable_poses"].as_array().unwrap().iter().map(|p| p["probability"].as_f64().unwrap()).sum();
+    assert!((sum - 1.0).abs() < 1e-9);
+    assert_eq!((&report["up_source"], &report["scale_source"]), (&"assumed".into(), &"the unit of the file".into()));
+    let moments = &report["principal_moments_kg_m2"];
+    assert!(moments[0].as_f64().unwrap() <= moments[1].as_f64().unwrap());
+}
+
+#[test]
+fn the_glb_stands_upright() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut options = AssetOptions::default();
+    options.up_in_mesh = Some(nalgebra::Vector3::y());
+    let asset = build_asset(&letter_t(folder.path()), &options).unwrap();
+    let out = folder.path().join("twin");
+    asset.write(&out).unwrap();
+    let glb = read_mesh(&out.join("asset/object.glb")).unwrap();
+    assert_eq!((glb.vertices.len(), glb.faces.len()), (asset.visual.vertices.len(), asset.visual.faces.len()));
+    for (a, b) in glb.vertices.iter().zip(&asset.visual.vertices) {
+        // World +z is glTF +y, world +y is glTF -z.
+        let w = asset.world_from_mesh_at_rest * b;
+        assert!((a - Point3::new(w.x, w.z, -w.y)).norm() < 1e-8, "{a} {w}");
+    }
+    // The asset of the GLB is the asset of the mesh: +y is up without being told.
+    let again = build_asset(&out.join("asset/object.glb"), &AssetOptions::default()).unwrap();
+    assert!((again.report.volume_m3 / asset.report.volume_m3 - 1.0).abs() < 1e-5);
+    assert!((again.report.rest_height_of_center_m - asset.report.rest_height_of_center_m).abs() < 1e-6);
+}
+
+#[test]
+fn a_hollow_object_weighs_its_wall() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("can.obj");
+    write_obj(&path, &cuboid([0.0; 3], [0.06, 0.06, 0.1])).unwrap();
+    let mut options = AssetOptions::default();
+    options.wall_m = Some(0.002);
+    options.density_kg_m3 = 2700.0;
+    let can = build_asset(&path, &options).unwrap();
+    let wall = 0.06 * 0.06 * 0.1 - 0.056 * 0.056 * 0.096;
+    assert!((can.report.mass_kg / (2700.0 * wall) - 1.0).abs() < 5e-3, "{}", can.report.mass_kg / (2700.0 * wall));
+    assert!(can.report.warnings.is_empty(), "{:?}", can.report.warnings);
+    // Of the same mass, the hollow one is harder to turn.
+    options.mass_kg = Some(0.1);
+    let hollow = build_asset(&path, &options).unwrap();
+    options.wall_m = None;
+    let solid = build_asset(&path, &options).unwrap();
+    assert!(hollow.properties.inertia[(2, 2)] > 1.3 * solid.properties.inertia[(2, 2)]);
+    assert_eq!(hollow.report.mass_kg, 0.1);
+    options.wall_m = Some(-0.001);
+    assert!(build_asset(&path, &options).unwrap_err().to_string().contains("wall thickness"));
+}
+
+#[test]
 fn the_same_bytes_every_time_and_nothing_stale() {
     let folder = tempfile::tempdir().unwrap();
     let mesh = letter_t(folder.path());

@@ -198,6 +198,29 @@ mod tests {
         assert_eq!(joint_tree(&["alone"], &[]).unwrap().0, 0);
     }
 
+    proptest::proptest! {
+        #[test]
+        fn trees_pass_and_what_passes_is_a_tree(
+            parents in (0..1usize, 0..2usize, 0..3usize, 0..4usize),
+            ends in proptest::collection::vec((0..5usize, 0..5usize), 0..6),
+        ) {
+            let parts = ["a", "b", "c", "d", "e"];
+            let joined = |ends: &[(usize, usize)]| -> Vec<JointConfig> {
+                ends.iter().enumerate().map(|(i, &(p, c))| hinge(&format!("j{i}"), parts[p], parts[c])).collect()
+            };
+            let tree = [(parents.3, 4), (parents.1, 2), (parents.0, 1), (parents.2, 3)];
+            proptest::prop_assert!(joint_tree(&parts, &joined(&tree)).is_ok());
+            if let Ok((root, ordered)) = joint_tree(&parts, &joined(&ends)) {
+                // Every joint starts at a part that was reached before, so all parts hang on the root.
+                let mut reached = BTreeSet::from([parts[root].to_string()]);
+                for joint in &ordered {
+                    proptest::prop_assert!(reached.contains(&joint.parent) && reached.insert(joint.child.clone()));
+                }
+                proptest::prop_assert_eq!(reached.len(), parts.len());
+            }
+        }
+    }
+
     #[test]
     fn what_is_no_tree_is_named() {
         let j = hinge;
