@@ -3,27 +3,35 @@
 use nalgebra::{Matrix3, Point3, SymmetricEigen, Unit, Vector3};
 use rayon::prelude::*;
 
-use drex_core::{Surface, TriMesh};
+use drex_core::{SignedDistance, Surface, TriMesh};
 
-use super::part::{Part, Plane, edges, points_behind};
+use super::part::{Part, Plane, cut_length, edges, points_behind};
 use super::probe::{Fill, Probes};
+use crate::grid::{GridOptions, GridSdf};
 use crate::hull::convex_hull;
 use crate::sdf::MeshSdf;
+use crate::Result;
 
 /// Positions tried along each direction.
 const POSITIONS: usize = 12;
 /// Planes through concave edges that are kept for the whole solid.
 const EDGE_PLANES: usize = 32;
+/// Nodes of the grid that tells inside from outside.
+const GRID_NODES: usize = 1 << 16;
+/// A cut this short is as good as a shorter one, as a share of the solid's diagonal.
+const SHORT: f64 = 0.05;
 /// Of the planes tried, so many are moved to their best position.
 const MOVED: usize = 4;
 
 /// What the search for cuts needs to know about the solid.
 #[derive(Debug)]
-pub(super) struct Scene<'a> {
-    pub solid: &'a MeshSdf,
+pub(super) struct Scene {
+    solid: GridSdf,
     pub probes: Probes,
     /// Neighbours reach over their common cut by this much, so that they touch without a gap, metres.
     pub overlap: f64,
+    /// A cut this short is as good as a shorter one, metres.
+    short: f64,
     /// A part that fills free space no deeper than this is not divided, metres.
     pub tolerance: f64,
     /// Planes of the faces at concave edges, those with the longest edges first.
@@ -40,23 +48,30 @@ pub(super) struct Leaf {
     probes: Vec<u32>,
 }
 
-/// A plane and the cost that the two sides have together.
+/// A plane that divides a part.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Cut {
     pub plane: Plane,
-    pub cost: f64,
+    /// By how much the two sides cost less than the part.
+    pub gain: f64,
+    /// The gain per length of the cut.
+    worth: f64,
 }
 
-impl<'a> Scene<'a> {
-    pub fn new(solid: &'a MeshSdf, surface: &TriMesh, probes: usize, tolerance: f64) -> Self {
+impl Scene {
+    pub fn new(solid: MeshSdf, surface: &TriMesh, probes: usize, tolerance: f64) -> Result<Self> {
         let (lo, hi) = solid.bounds();
         let size = (hi - lo).norm();
-        let probes = Probes::new(solid, probes, tolerance, 1);
-        Self { solid, probes, overlap: 5e-5 * size, tolerance, edge_planes: edge_planes(surface, size) }
+        let probes = Probes::new(&solid, probes, tolerance, 1);
+        let grid = GridOptions { nodes: GRID_NODES, margin_m: Some(0.01 * size) };
+        let solid = GridSdf::with_options(solid, &grid)?;
+        Ok(Self { solid, probes, overlap: 5e-5 * size, short: SHORT * size, tolerance, edge_planes: edge_planes(surface, size) })
     }
 
-    fn inside(&self, p: &Point3<f64>) -> bool {
-        self.solid.contains(p)
+    /// Whether a point is inside the solid: by the grid, and near the surface exactly.
+    pub fn inside(&self, p: &Point3<f64>) -> bool {
+        let near = self.solid.signed_distance(p).distance_m;
+        if near.abs() > self.solid.spacing_m() { near < 0.0 } else { self.solid.exact().contains(p) }
     }
 
     /// The two sides of a plane, each reaching over it by the overlap.
@@ -82,27 +97,23 @@ impl<'a> Scene<'a> {
         let (planes, steps) = self.candidates(leaf);
         let mut tried: Vec<(Cut, f64)> =
             planes.into_par_iter().zip(steps).map(|(plane, step)| (judge.cut(plane), step)).collect();
-        tried.sort_by(|a, b| a.0.cost.total_cmp(&b.0.cost)); // stable: the first of equals stays first
+        tried.sort_by(|a, b| b.0.worth.total_cmp(&a.0.worth)); // stable: the first of equals stays first
         tried.truncate(MOVED);
-        tried
-            .into_par_iter()
-            .map(|(mut best, mut step)| {
-                for _ in 0..3 {
-                    step /= 2.0;
-                    for by in [-step, step] {
-                        let moved = judge.cut(best.plane.moved(by));
-                        if moved.cost < best.cost {
-                            best = moved;
-                            break;
-                        }
+        let moved = |(mut best, mut step): (Cut, f64)| {
+            for _ in 0..3 {
+                step /= 2.0;
+                for by in [-step, step] {
+                    let moved = judge.cut(best.plane.moved(by));
+                    if moved.worth > best.worth {
+                        best = moved;
+                        break;
                     }
                 }
-                best
-            })
-            .collect::<Vec<_>>()
-            .into_iter()
-            .reduce(|a, b| if b.cost < a.cost { b } else { a })
-            .filter(|cut| cut.cost < leaf.fill.cost)
+            }
+            best
+        };
+        let best: Vec<Cut> = tried.into_par_iter().map(moved).collect();
+        best.into_iter().reduce(|a, b| if b.worth > a.worth { b } else { a }).filter(|cut| cut.gain > self.probes.negligible())
     }
 
     /// Planes across the axes, across the principal axes of the part's surface, and planes of faces at concave edges;
@@ -141,7 +152,7 @@ impl<'a> Scene<'a> {
 
 /// Judges the cuts of one part.
 struct Judge<'a> {
-    scene: &'a Scene<'a>,
+    scene: &'a Scene,
     leaf: &'a Leaf,
     edges: Vec<[u32; 2]>,
     cell_edges: Vec<[u32; 2]>,
@@ -154,7 +165,7 @@ impl Judge<'_> {
         for side in self.scene.sides(&plane) {
             let mut points = points_behind(&part.surface, &self.edges, &side);
             if points.is_empty() {
-                return Cut { plane, cost: f64::INFINITY };
+                return Cut { plane, gain: f64::NEG_INFINITY, worth: f64::NEG_INFINITY };
             }
             let corners = points_behind(&part.cell, &self.cell_edges, &side);
             points.extend(corners.iter().filter(|p| self.scene.inside(p)));
@@ -163,7 +174,8 @@ impl Judge<'_> {
                 cost += self.scene.probes.fill(&hull, &self.leaf.probes).cost;
             }
         }
-        Cut { plane, cost }
+        let gain = self.leaf.fill.cost - cost;
+        Cut { plane, gain, worth: gain / (cut_length(&part.surface, &plane) + self.scene.short) }
     }
 }
 

@@ -21,7 +21,7 @@ pub use score::{UnionDistance, union_distance};
 
 use cut::Scene;
 use part::Part;
-use tree::{Division, split};
+use tree::Division;
 
 /// Settings of [`convex_pieces`].
 #[derive(Debug, Clone, PartialEq)]
@@ -47,6 +47,9 @@ impl Default for PieceOptions {
 const SLIVER_M3: f64 = 1e-12;
 /// Points of the surface at which filled hollows are measured.
 const PROBES: usize = 4000;
+
+/// How often parts are cut and joined anew.
+const ROUNDS: usize = 5;
 
 /// How the pieces were obtained.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
@@ -158,17 +161,29 @@ fn decompose(mesh: &TriMesh, options: &PieceOptions, most: usize) -> Option<Vec<
     let (lo, hi) = solid.bounds();
     let size = (hi - lo).norm();
     let surface = weld(solid.boundary(), 1e-9 * size).0;
-    let scene = Scene::new(&solid, &surface, PROBES, options.concavity * size);
+    let t = std::time::Instant::now();
+    let scene = Scene::new(solid, &surface, PROBES, options.concavity * size).ok()?;
+    eprintln!("scene {:?}", t.elapsed());
     let whole = Part::whole(surface.clone())?;
     let t = std::time::Instant::now();
-    let (tree, leaves) = split(&scene, whole.clone(), 2 * most)?;
-    eprintln!("split {} {:?}", leaves.len(), t.elapsed());
-    let mut division = Division::new(&scene, whole, tree, leaves);
-    eprintln!("cost {} pieces {}", division.cost(), division.pieces());
+    let mut division = Division::new(&scene, whole);
+    division.split(2 * most - 1);
+    eprintln!("split cost {:e} pieces {} {:?}", division.cost(), division.pieces(), t.elapsed());
     division.merge(most);
-    eprintln!("merged cost {} pieces {} {:?}", division.cost(), division.pieces(), t.elapsed());
+    eprintln!("merge cost {:e} pieces {} {:?}", division.cost(), division.pieces(), t.elapsed());
     division.refine(6);
-    eprintln!("refined cost {} pieces {} {:?}", division.cost(), division.pieces(), t.elapsed());
+    eprintln!("refine cost {:e} pieces {} {:?}", division.cost(), division.pieces(), t.elapsed());
+    for _ in 0..ROUNDS {
+        let mut other = division.clone();
+        other.split(most / 4 + 1);
+        other.merge(most);
+        other.refine(4);
+        eprintln!("other cost {:e} pieces {} {:?}", other.cost(), other.pieces(), t.elapsed());
+        if other.cost() >= 0.99 * division.cost() {
+            break;
+        }
+        division = other;
+    }
     let hulls = division.hulls(surface);
     (!hulls.is_empty()).then_some(hulls)
 }

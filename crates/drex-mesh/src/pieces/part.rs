@@ -92,6 +92,23 @@ fn crossing(mesh: &TriMesh, height: &[f64], a: usize, b: usize) -> Point3<f64> {
     mesh.vertices[a].lerp(&mesh.vertices[b], height[a] / (height[a] - height[b]))
 }
 
+/// Length of the curve along which a plane cuts a surface.
+pub(super) fn cut_length(mesh: &TriMesh, plane: &Plane) -> f64 {
+    let height: Vec<f64> = mesh.vertices.iter().map(|p| plane.height(p)).collect();
+    let length = |face: &[u32; 3]| {
+        let v = face.map(|v| v as usize);
+        let side = v.map(|v| height[v] > 0.0);
+        // The corner that is alone on its side.
+        let k = (0..3).find(|&k| side[k] != side[(k + 1) % 3] && side[k] != side[(k + 2) % 3])?;
+        let end = |j: usize| {
+            let (a, b) = (v[k], v[(k + j) % 3]);
+            mesh.vertices[a].lerp(&mesh.vertices[b], height[a] / (height[a] - height[b]))
+        };
+        Some((end(1) - end(2)).norm())
+    };
+    mesh.faces.iter().filter_map(length).sum()
+}
+
 /// The triangles behind the plane, those that cross it cut off (Sutherland and Hodgman 1974). No lid is put on the cut.
 fn clip(mesh: &TriMesh, plane: &Plane) -> TriMesh {
     let height: Vec<f64> = mesh.vertices.iter().map(|p| plane.height(p)).collect();

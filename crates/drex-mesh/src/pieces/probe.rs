@@ -25,12 +25,12 @@ pub(super) struct Fill {
     /// hull and outside the solid, τ the tolerance. The first term is the volume filled (where it is thin), the second weighs
     /// what is deep.
     pub cost: f64,
-    /// The depth t that no more than [`DEEPEST_SHARE`] of the tested surface exceeds, metres.
+    /// Largest t, metres.
     pub depth: f64,
 }
 
-/// Scans have crumbs and folds; the deepest hundredth of the surface does not decide.
-const DEEPEST_SHARE: f64 = 0.01;
+/// A cost is negligible if so much of the surface with depths of the tolerance causes it.
+const NEGLIGIBLE_SHARE: f64 = 1e-3;
 
 impl Fill {
     pub const NONE: Self = Self { cost: 0.0, depth: 0.0 };
@@ -73,6 +73,11 @@ impl Probes {
         (0..self.all.len() as u32).filter(|&i| inside(&self.all[i as usize].point)).collect()
     }
 
+    /// A cost that says nothing: scans have crumbs and folds.
+    pub fn negligible(&self) -> f64 {
+        NEGLIGIBLE_SHARE * self.area * self.all.len() as f64 * self.tolerance
+    }
+
     /// Free space that a hull fills, as seen by some of the probes.
     pub fn fill(&self, hull: &TriMesh, probes: &[u32]) -> Fill {
         let planes = planes(hull);
@@ -93,14 +98,8 @@ impl Probes {
             // A probe in no facet's way is a hull without facets.
             depths.push(if depth.is_finite() { depth } else { 0.0 });
         }
-        if depths.is_empty() {
-            return Fill::NONE;
-        }
         let cost = depths.iter().map(|t| t + t * t / self.tolerance).sum::<f64>() * self.area;
-        let rank = ((1.0 - DEEPEST_SHARE) * depths.len() as f64) as usize;
-        let rank = rank.min(depths.len() - 1);
-        let (_, depth, _) = depths.select_nth_unstable_by(rank, f64::total_cmp);
-        Fill { cost, depth: *depth }
+        Fill { cost, depth: depths.into_iter().fold(0.0, f64::max) }
     }
 }
 

@@ -10,78 +10,40 @@ use super::part::{Part, Plane};
 use super::probe::Fill;
 use crate::hull::convex_hull;
 
-/// A node of the tree: a plane with the nodes on both sides, or a leaf.
+/// A node of the tree: a plane with the nodes on both sides, or a leaf with its number.
 #[derive(Debug, Clone)]
 enum Node {
     Cut(Plane, [usize; 2]),
-    /// Its group.
     Leaf(usize),
 }
 
-/// The tree of cuts, the first node on top.
-#[derive(Debug, Clone)]
-pub(super) struct Tree {
-    nodes: Vec<Node>,
-}
-
-/// A piece: the hull of some leaves.
+/// A piece: the hull of some leaves. None if it is flat or has become part of another group.
 #[derive(Debug, Clone)]
 struct Group {
     hull: Option<TriMesh>,
     fill: Fill,
 }
 
-/// Cuts where it gains most, until every part fills at most the tolerance or there are `most` parts.
-pub(super) fn split(scene: &Scene<'_>, whole: Part, most: usize) -> Option<(Tree, Vec<Leaf>)> {
-    let mut nodes = vec![Node::Leaf(0)];
-    let mut place = vec![0];
-    let mut leaves = vec![scene.leaf(whole)?];
-    let mut cuts: Vec<Option<Option<Cut>>> = vec![None];
-    while leaves.len() < most {
-        let mut best: Option<(f64, usize, Cut)> = None;
-        for (i, leaf) in leaves.iter().enumerate() {
-            let needed = leaf.fill.depth > scene.tolerance;
-            let Some(cut) = *cuts[i].get_or_insert_with(|| if needed { scene.best_cut(leaf) } else { None }) else {
-                continue;
-            };
-            let gain = leaf.fill.cost - cut.cost;
-            if best.is_none_or(|(g, ..)| gain > g) {
-                best = Some((gain, i, cut));
-            }
-        }
-        let Some((_, i, cut)) = best else { break };
-        let halves = scene.sides(&cut.plane).map(|side| leaves[i].part.behind(&side).and_then(|p| scene.leaf(p)));
-        let [Some(a), Some(b)] = halves else {
-            // One side is flat: nothing to gain here.
-            cuts[i] = Some(None);
-            continue;
-        };
-        let (left, right) = (nodes.len(), nodes.len() + 1);
-        nodes[place[i]] = Node::Cut(cut.plane, [left, right]);
-        nodes.extend([Node::Leaf(i), Node::Leaf(leaves.len())]);
-        place[i] = left;
-        place.push(right);
-        leaves[i] = a;
-        cuts[i] = None;
-        leaves.push(b);
-        cuts.push(None);
-    }
-    Some((Tree { nodes }, leaves))
-}
-
-/// Pieces under construction: groups of leaves.
-#[derive(Debug)]
+/// A solid cut into parts, and the parts grouped into pieces.
+#[derive(Debug, Clone)]
 pub(super) struct Division<'a> {
-    scene: &'a Scene<'a>,
-    tree: Tree,
+    scene: &'a Scene,
     whole: Part,
+    /// The tree of cuts, the first node on top.
+    nodes: Vec<Node>,
+    /// Points whose hull is that of each leaf.
+    leaves: Vec<Vec<Point3<f64>>>,
+    group_of: Vec<usize>,
     groups: Vec<Group>,
 }
 
 impl<'a> Division<'a> {
-    pub fn new(scene: &'a Scene<'a>, whole: Part, tree: Tree, leaves: Vec<Leaf>) -> Self {
-        let groups = leaves.into_iter().map(|l| Group { hull: Some(l.hull), fill: l.fill }).collect();
-        Self { scene, tree, whole, groups }
+    /// The undivided solid.
+    pub fn new(scene: &'a Scene, whole: Part) -> Self {
+        let leaves = vec![whole.points(|p| scene.inside(p))];
+        let mut division = Self { scene, whole, nodes: vec![Node::Leaf(0)], leaves, group_of: vec![0], groups: vec![] };
+        division.groups = vec![division.group(division.leaves[0].clone())];
+        division
     }
 
     pub fn cost(&self) -> f64 {
@@ -90,6 +52,78 @@ impl<'a> Division<'a> {
 
     pub fn pieces(&self) -> usize {
         self.groups.iter().filter(|g| g.hull.is_some()).count()
+    }
+
+    /// Breaks up the groups that fill more than the tolerance, and cuts their parts where it gains most, until every part
+    /// fills at most the tolerance or `more` cuts are made.
+    pub fn split(&mut self, more: usize) {
+        let mut open: Vec<(usize, usize, Leaf)> = Vec::new();
+        for (node, leaf, part) in self.parts() {
+            if self.groups[self.group_of[leaf]].fill.depth > self.scene.tolerance
+                && let Some(found) = self.scene.leaf(part)
+            {
+                open.push((node, leaf, found));
+            }
+        }
+        for &(_, leaf, ref found) in &open {
+            let old = self.group_of[leaf];
+            self.groups[old] = Group { hull: None, fill: Fill::NONE };
+            self.group_of[leaf] = self.groups.len();
+            self.groups.push(Group { hull: Some(found.hull.clone()), fill: found.fill });
+        }
+        let mut cuts: Vec<Option<Cut>> = open.iter().map(|(.., leaf)| self.cut_of(leaf)).collect();
+        for _ in 0..more {
+            let mut best: Option<(usize, Cut)> = None;
+            for (i, cut) in cuts.iter().enumerate() {
+                let Some(cut) = cut else { continue };
+                if best.is_none_or(|(_, b)| cut.gain > b.gain) {
+                    best = Some((i, *cut));
+                }
+            }
+            let Some((i, cut)) = best else { break };
+            let (node, leaf, ref found) = open[i];
+            let sides = self.scene.sides(&cut.plane);
+            let halves = sides.map(|side| found.part.behind(&side).and_then(|p| self.scene.leaf(p)));
+            let [Some(a), Some(b)] = halves else {
+                // One side is flat: nothing to gain here.
+                cuts[i] = None;
+                continue;
+            };
+            eprintln!("  cut {:?} {:.4} gain {:e} depths {:.2} -> {:.2} {:.2}", cut.plane.normal.as_slice(), cut.plane.offset, cut.gain, 1e3*found.fill.depth, 1e3*a.fill.depth, 1e3*b.fill.depth);
+            let (left, right, twin) = (self.nodes.len(), self.nodes.len() + 1, self.leaves.len());
+            self.nodes[node] = Node::Cut(cut.plane, [left, right]);
+            self.nodes.extend([Node::Leaf(leaf), Node::Leaf(twin)]);
+            self.leaves[leaf] = a.hull.vertices.clone();
+            self.leaves.push(b.hull.vertices.clone());
+            self.groups[self.group_of[leaf]] = Group { hull: Some(a.hull.clone()), fill: a.fill };
+            self.group_of.push(self.groups.len());
+            self.groups.push(Group { hull: Some(b.hull.clone()), fill: b.fill });
+            cuts[i] = self.cut_of(&a);
+            cuts.push(self.cut_of(&b));
+            open[i] = (left, leaf, a);
+            open.push((right, twin, b));
+        }
+    }
+
+    fn cut_of(&self, leaf: &Leaf) -> Option<Cut> {
+        if leaf.fill.depth > self.scene.tolerance { self.scene.best_cut(leaf) } else { None }
+    }
+
+    /// Node, number and part of every leaf that is not empty.
+    fn parts(&self) -> Vec<(usize, usize, Part)> {
+        let mut found = Vec::new();
+        let mut open = vec![(0, self.whole.clone())];
+        while let Some((node, part)) = open.pop() {
+            match &self.nodes[node] {
+                Node::Leaf(leaf) => found.push((node, *leaf, part)),
+                Node::Cut(plane, children) => {
+                    for (&child, side) in children.iter().zip(self.scene.sides(plane)) {
+                        open.extend(part.behind(&side).map(|p| (child, p)));
+                    }
+                }
+            }
+        }
+        found
     }
 
     /// Joins the groups whose common hull costs least: while there are more than `most`, and while the common hull stays
@@ -109,7 +143,7 @@ impl<'a> Division<'a> {
                 for j in 0..i {
                     let Some(group) = &joined[i][j] else { continue };
                     let more = group.fill.cost - self.groups[i].fill.cost - self.groups[j].fill.cost;
-                    let free = group.fill.depth <= self.scene.tolerance || more <= 0.0;
+                    let free = group.fill.depth <= self.scene.tolerance || more <= self.scene.probes.negligible();
                     if (full || free) && best.is_none_or(|(m, ..)| more < m) {
                         best = Some((more, i, j));
                     }
@@ -117,15 +151,10 @@ impl<'a> Division<'a> {
             }
             let Some((_, i, j)) = best else { return };
             let Some(group) = joined[i][j].take() else { return };
+            eprintln!("  join {i} {j} more {:e} depth {:.2} mm (from {:.2} {:.2}) full {full}", best.unwrap().0, 1e3*group.fill.depth, 1e3*self.groups[i].fill.depth, 1e3*self.groups[j].fill.depth);
             self.groups[j] = group;
             self.groups[i] = Group { hull: None, fill: Fill::NONE };
-            for node in &mut self.tree.nodes {
-                if let Node::Leaf(g) = node
-                    && *g == i
-                {
-                    *g = j;
-                }
-            }
+            self.group_of.iter_mut().filter(|g| **g == i).for_each(|g| *g = j);
             let fresh: Vec<_> = (0..n).into_par_iter().map(|k| self.join(k, j)).collect();
             for (k, group) in fresh.into_iter().enumerate() {
                 if k != j {
@@ -162,7 +191,7 @@ impl<'a> Division<'a> {
         for _ in 0..rounds {
             let before = self.cost();
             self.refine_below(0, &self.whole.clone(), shift, tilt);
-            if self.cost() > 0.98 * before {
+            if self.cost() > 0.97 * before {
                 shift /= 2.0;
                 tilt /= 2.0;
             }
@@ -171,34 +200,29 @@ impl<'a> Division<'a> {
 
     /// Moves the plane of a node, whose part is given, then those below it.
     fn refine_below(&mut self, node: usize, part: &Part, shift: f64, tilt: f64) {
-        let Node::Cut(plane, children) = self.tree.nodes[node].clone() else { return };
+        let Node::Cut(plane, children) = self.nodes[node].clone() else { return };
         let touched = self.groups_below(node);
         let current: f64 = touched.iter().map(|&g| self.groups[g].fill.cost).sum();
         if !(current > 0.0) {
             return;
         }
         let moves = moves(&plane, part, shift, tilt);
-        let outcomes: Vec<(f64, Vec<Group>)> = moves
-            .par_iter()
-            .map(|&plane| {
-                let mut tree = self.tree.clone();
-                tree.nodes[node] = Node::Cut(plane, children);
-                let groups = self.groups_of(&tree, &touched);
-                (groups.iter().map(|g| g.fill.cost).sum(), groups)
-            })
-            .collect();
+        let outcomes: Vec<_> = moves.par_iter().map(|plane| self.moved(plane, children, part, &touched)).collect();
         let mut best = (current, None);
-        for (k, (cost, _)) in outcomes.iter().enumerate() {
-            if *cost < best.0 {
-                best = (*cost, Some(k));
+        for (k, (groups, _)) in outcomes.iter().enumerate() {
+            let cost = groups.iter().map(|g| g.fill.cost).sum();
+            if cost < best.0 {
+                best = (cost, Some(k));
             }
         }
-        let mut plane = plane;
-        if let Some(k) = best.1 {
-            plane = moves[k];
-            self.tree.nodes[node] = Node::Cut(plane, children);
-            for (&g, group) in touched.iter().zip(&outcomes[k].1) {
-                self.groups[g] = group.clone();
+        let plane = best.1.map_or(plane, |k| moves[k]);
+        if let Some((groups, leaves)) = best.1.and_then(|k| outcomes.into_iter().nth(k)) {
+            self.nodes[node] = Node::Cut(plane, children);
+            for (g, group) in touched.into_iter().zip(groups) {
+                self.groups[g] = group;
+            }
+            for (leaf, points) in leaves {
+                self.leaves[leaf] = points;
             }
         }
         for (child, side) in children.into_iter().zip(self.scene.sides(&plane)) {
@@ -208,38 +232,52 @@ impl<'a> Division<'a> {
         }
     }
 
-    fn groups_below(&self, node: usize) -> Vec<usize> {
-        let mut found = Vec::new();
-        let mut open = vec![node];
-        while let Some(i) = open.pop() {
-            match &self.tree.nodes[i] {
-                Node::Cut(_, children) => open.extend(children),
-                Node::Leaf(g) => found.push(*g),
-            }
+    /// Leaves below a node.
+    fn leaves_below(&self, node: usize) -> Vec<usize> {
+        match &self.nodes[node] {
+            Node::Cut(_, children) => children.iter().flat_map(|&c| self.leaves_below(c)).collect(),
+            Node::Leaf(leaf) => vec![*leaf],
         }
-        found.sort_unstable();
-        found.dedup();
-        found
     }
 
-    /// Some groups, as another tree makes them.
-    fn groups_of(&self, tree: &Tree, wanted: &[usize]) -> Vec<Group> {
-        let mut points = vec![Vec::new(); self.groups.len()];
-        let mut keep = vec![false; self.groups.len()];
-        wanted.iter().for_each(|&g| keep[g] = true);
-        self.collect(tree, 0, &self.whole, &keep, &mut points);
-        wanted.iter().map(|&g| self.group(std::mem::take(&mut points[g]))).collect()
+    fn groups_below(&self, node: usize) -> Vec<usize> {
+        let mut groups: Vec<usize> = self.leaves_below(node).into_iter().map(|leaf| self.group_of[leaf]).collect();
+        groups.sort_unstable();
+        groups.dedup();
+        groups
     }
 
-    fn collect(&self, tree: &Tree, node: usize, part: &Part, keep: &[bool], points: &mut [Vec<Point3<f64>>]) {
-        match &tree.nodes[node] {
-            Node::Leaf(g) if keep[*g] => points[*g].extend(part.points(|p| self.scene.solid.contains(p))),
-            Node::Leaf(_) => {}
+    /// The groups in `touched` and the leaves' points if the cut of a part were another one.
+    #[allow(clippy::type_complexity)]
+    fn moved(
+        &self,
+        plane: &Plane,
+        children: [usize; 2],
+        part: &Part,
+        touched: &[usize],
+    ) -> (Vec<Group>, Vec<(usize, Vec<Point3<f64>>)>) {
+        let mut leaves = Vec::new();
+        for (child, side) in children.into_iter().zip(self.scene.sides(plane)) {
+            self.collect(child, part.behind(&side), &mut leaves);
+        }
+        let changed = |leaf: usize| leaves.iter().find(|(l, _)| *l == leaf).map(|(_, points)| points);
+        let groups = touched
+            .iter()
+            .map(|&g| {
+                let members = (0..self.leaves.len()).filter(|&leaf| self.group_of[leaf] == g);
+                self.group(members.flat_map(|l| changed(l).unwrap_or(&self.leaves[l])).copied().collect())
+            })
+            .collect();
+        (groups, leaves)
+    }
+
+    /// Points of the leaves below a node whose part is given.
+    fn collect(&self, node: usize, part: Option<Part>, leaves: &mut Vec<(usize, Vec<Point3<f64>>)>) {
+        match &self.nodes[node] {
+            Node::Leaf(leaf) => leaves.push((*leaf, part.map_or(Vec::new(), |p| p.points(|p| self.scene.inside(p))))),
             Node::Cut(plane, children) => {
                 for (&child, side) in children.iter().zip(self.scene.sides(plane)) {
-                    if let Some(part) = part.behind(&side) {
-                        self.collect(tree, child, &part, keep, points);
-                    }
+                    self.collect(child, part.as_ref().and_then(|p| p.behind(&side)), leaves);
                 }
             }
         }
@@ -247,9 +285,12 @@ impl<'a> Division<'a> {
 
     /// The hulls of the pieces, cut from the given surface of the same solid.
     pub fn hulls(&self, surface: TriMesh) -> Vec<TriMesh> {
-        let Some(whole) = Part::whole(surface) else { return Vec::new() };
+        let mut leaves = Vec::new();
+        self.collect(0, Part::whole(surface), &mut leaves);
         let mut points = vec![Vec::new(); self.groups.len()];
-        self.collect(&self.tree, 0, &whole, &vec![true; self.groups.len()], &mut points);
+        for (leaf, found) in leaves {
+            points[self.group_of[leaf]].extend(found);
+        }
         points.iter().filter_map(|p| convex_hull(p).ok()).collect()
     }
 }
