@@ -16,15 +16,17 @@ type Any<T> = Result<T, Box<dyn std::error::Error>>;
 
 fn main() -> Any<()> {
     let mut arguments = std::env::args().skip(1);
-    let (mut file, mut out, mut score, mut vhacd) = (None, None, None, false);
+    let (mut file, mut out, mut score, mut vhacd, mut samples) = (None, None, None, false, 100_000);
     let mut options = PieceOptions::default();
     while let Some(a) = arguments.next() {
         let mut value = || arguments.next().ok_or(format!("{a} needs a value"));
         match a.as_str() {
             "--pieces" => options.most_pieces = value()?.parse()?,
+            "--corners" => options.most_corners = value()?.parse()?,
             "--concavity" => options.concavity = value()?.parse()?,
             "--out" => out = Some(PathBuf::from(value()?)),
             "--score" => score = Some(PathBuf::from(value()?)),
+            "--samples" => samples = value()?.parse()?,
             "--vhacd" => vhacd = true,
             _ => file = Some(PathBuf::from(a)),
         }
@@ -45,7 +47,7 @@ fn main() -> Any<()> {
             write_obj(&out.join(format!("piece_{k:03}.obj")), piece)?;
         }
     }
-    let d = union_distance(&mesh, &pieces, 200_000, 1)?;
+    let d = union_distance(&mesh, &pieces, samples, 1)?;
     let round = |v: f64| (v * 1e4).round() / 1e4;
     let line = serde_json::json!({
         "file": file.file_name().map(|n| n.to_string_lossy().into_owned()),

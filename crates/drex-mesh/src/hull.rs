@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 
 use drex_core::TriMesh;
 
@@ -87,12 +87,7 @@ pub fn convex_hull_with_at_most(points: &[Point3<f64>], most: usize) -> Result<T
         let points: Vec<_> = chosen.iter().map(|&i| v[i]).collect();
         let next = match convex_hull(&points) {
             Ok(hull) => {
-                let planes: Vec<_> = (0..hull.faces.len())
-                    .filter_map(|f| {
-                        let [a, b, c] = hull.triangle(f);
-                        (b - a).cross(&(c - a)).try_normalize(0.0).map(|n| (n, n.dot(&a.coords)))
-                    })
-                    .collect();
+                let planes = planes(&hull);
                 let out = |p: &Point3<f64>| {
                     planes.iter().map(|(n, d)| n.dot(&p.coords) - d).fold(f64::NEG_INFINITY, f64::max)
                 };
@@ -115,6 +110,31 @@ pub fn convex_hull_with_at_most(points: &[Point3<f64>], most: usize) -> Result<T
         };
         chosen.push(next);
     }
+}
+
+/// Planes n·x = d of the facets, n outwards and of unit length.
+///
+/// The normal of a thin facet is at the mercy of rounding: its plane is moved out until no corner is in front of it.
+pub(crate) fn planes(hull: &TriMesh) -> Vec<(Vector3<f64>, f64)> {
+    let bounds = Aabb::of(&hull.vertices);
+    let size = (bounds.hi - bounds.lo).norm();
+    let mut planes = Vec::with_capacity(hull.faces.len());
+    for f in 0..hull.faces.len() {
+        let [a, b, c] = hull.triangle(f);
+        let n = (b - a).cross(&(c - a));
+        let height = n.norm() / (b - a).norm().max((c - b).norm()).max((a - c).norm());
+        if !(height > 1e-6 * size) {
+            continue;
+        }
+        let n = n.normalize();
+        let d = if height > 1e-3 * size {
+            n.dot(&a.coords)
+        } else {
+            hull.vertices.iter().map(|p| n.dot(&p.coords)).fold(f64::NEG_INFINITY, f64::max)
+        };
+        planes.push((n, d));
+    }
+    planes
 }
 
 /// Volume of a hull around its own middle, m³.

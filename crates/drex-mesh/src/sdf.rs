@@ -40,6 +40,13 @@ impl MeshSdf {
         Ok(Self { boundary_tree: Bvh::new(&boundary), boundary, tree, bounds })
     }
 
+    /// The same for a closed mesh of which every face is known to bound the solid.
+    pub(crate) fn of_whole(boundary: TriMesh) -> Result<Self> {
+        let tree = Bvh::new(&boundary);
+        let bounds = boundary.bounds().ok_or_else(|| crate::Error::Empty { subject: "the mesh".into() })?;
+        Ok(Self { boundary_tree: tree.clone(), boundary, tree, bounds })
+    }
+
     /// Whether the point is inside the solid.
     pub fn contains(&self, point: &Point3<f64>) -> bool {
         self.tree.winding(point) > 0.5

@@ -80,6 +80,8 @@ pub fn solid_properties(mesh: &TriMesh) -> Result<Solid> {
 pub(crate) struct Enclosed {
     pub solid: Solid,
     pub capped: Capped,
+    /// Whether the mesh is closed and every face of it bounds the solid once.
+    pub whole: bool,
 }
 
 impl Enclosed {
@@ -96,8 +98,10 @@ impl Enclosed {
                 100.0 * lid_area_share
             )));
         }
+        let mut whole = false;
         let (properties, how_closed, hidden_area_share, closing_spread) = if capped.openings == 0 {
             let boundary = boundary(&capped.mesh, &tree, false);
+            whole = boundary.whole;
             let (properties, how) = if boundary.whole || boundary.simple {
                 (capped.mesh.mass_properties(1.0).ok(), HowClosed::Exact)
             } else {
@@ -129,7 +133,7 @@ impl Enclosed {
             hidden_area_share,
             shells: topology.shells().1,
         };
-        Ok(Self { solid, capped })
+        Ok(Self { solid, capped, whole })
     }
 }
 

@@ -68,10 +68,15 @@ impl Scene {
         Ok(Self { solid, probes, overlap: 5e-5 * size, short: SHORT * size, tolerance, edge_planes: edge_planes(surface, size) })
     }
 
-    /// Whether a point is inside the solid: by the grid, and near the surface exactly.
+    /// Whether a point is inside the solid, as the grid knows it: that may be wrong near the surface, by a part of the grid's
+    /// spacing.
     pub fn inside(&self, p: &Point3<f64>) -> bool {
-        let near = self.solid.signed_distance(p).distance_m;
-        if near.abs() > self.solid.spacing_m() { near < 0.0 } else { self.solid.exact().contains(p) }
+        self.solid.signed_distance(p).distance_m < 0.0
+    }
+
+    /// Whether a point is inside the solid.
+    pub fn exactly_inside(&self, p: &Point3<f64>) -> bool {
+        self.solid.exact().contains(p)
     }
 
     /// The two sides of a plane, each reaching over it by the overlap.

@@ -123,7 +123,7 @@ pub(crate) fn divide(
             TriMesh { vertices: mesh.vertices.clone(), faces: rest.iter().map(|&f| mesh.faces[f as usize]).collect() }
         };
         let budget = options.most_pieces.saturating_sub(pieces.len()).max(1);
-        match decompose(&part, options, budget) {
+        match decompose(&part, enclosed.whole, options, budget) {
             Some(parts) => {
                 pieces.extend(parts);
                 how = HowDivided::Decomposed;
@@ -156,8 +156,8 @@ fn convex_shell(mesh: &TriMesh, shell: &Shell, convex_enough: f64) -> Option<Tri
 }
 
 /// Cuts the solid into parts and joins what fits together; `None` if it has no surface.
-fn decompose(mesh: &TriMesh, options: &PieceOptions, most: usize) -> Option<Vec<TriMesh>> {
-    let solid = MeshSdf::new(mesh).ok()?;
+fn decompose(mesh: &TriMesh, whole: bool, options: &PieceOptions, most: usize) -> Option<Vec<TriMesh>> {
+    let solid = if whole { MeshSdf::of_whole(mesh.clone()) } else { MeshSdf::new(mesh) }.ok()?;
     let (lo, hi) = solid.bounds();
     let size = (hi - lo).norm();
     let surface = weld(solid.boundary(), 1e-9 * size).0;

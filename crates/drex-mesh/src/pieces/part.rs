@@ -49,11 +49,10 @@ impl Part {
         Some(Self { surface, cell: convex_hull(&corners).ok()? })
     }
 
-    /// What lies behind the plane (where n·x ≤ d); `None` if that has no surface.
+    /// What lies behind the plane (where n·x ≤ d); `None` if nothing of the cell does.
     pub fn behind(&self, plane: &Plane) -> Option<Self> {
-        let surface = clip(&self.surface, plane);
         let cell = convex_hull(&points_behind(&self.cell, &edges(&self.cell), plane)).ok()?;
-        (!surface.faces.is_empty()).then_some(Self { surface, cell })
+        Some(Self { surface: clip(&self.surface, plane), cell })
     }
 
     /// Points whose hull is the part's: those of its surface, and the corners of the cell inside the solid.

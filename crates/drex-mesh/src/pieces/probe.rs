@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use drex_core::{Surface, TriMesh};
 
 use crate::bvh::Aabb;
+use crate::hull::planes;
 use crate::sample::sample_surface;
 use crate::sdf::MeshSdf;
 
@@ -101,29 +102,4 @@ impl Probes {
         let cost = depths.iter().map(|t| t + t * t / self.tolerance).sum::<f64>() * self.area;
         Fill { cost, depth: depths.into_iter().fold(0.0, f64::max) }
     }
-}
-
-/// Planes n·x = d of the facets, n outwards and of unit length.
-///
-/// The normal of a thin facet is at the mercy of rounding: its plane is moved out until no corner is in front of it.
-pub(super) fn planes(hull: &TriMesh) -> Vec<(Vector3<f64>, f64)> {
-    let bounds = Aabb::of(&hull.vertices);
-    let size = (bounds.hi - bounds.lo).norm();
-    let mut planes = Vec::with_capacity(hull.faces.len());
-    for f in 0..hull.faces.len() {
-        let [a, b, c] = hull.triangle(f);
-        let n = (b - a).cross(&(c - a));
-        let height = n.norm() / (b - a).norm().max((c - b).norm()).max((a - c).norm());
-        if !(height > 1e-6 * size) {
-            continue;
-        }
-        let n = n.normalize();
-        let d = if height > 1e-3 * size {
-            n.dot(&a.coords)
-        } else {
-            hull.vertices.iter().map(|p| n.dot(&p.coords)).fold(f64::NEG_INFINITY, f64::max)
-        };
-        planes.push((n, d));
-    }
-    planes
 }

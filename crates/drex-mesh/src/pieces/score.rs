@@ -6,8 +6,8 @@ use serde::Serialize;
 
 use drex_core::{Surface, TriMesh};
 
-use super::probe::planes;
 use crate::bvh::Aabb;
+use crate::hull::planes;
 use crate::sample::{sample_surface, unit_cube_point};
 use crate::sdf::MeshSdf;
 use crate::{Error, Result};

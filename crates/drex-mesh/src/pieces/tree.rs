@@ -208,10 +208,12 @@ impl<'a> Division<'a> {
         }
         let moves = moves(&plane, part, shift, tilt);
         let outcomes: Vec<_> = moves.par_iter().map(|plane| self.moved(plane, children, part, &touched)).collect();
+        let pieces = touched.iter().filter(|&&g| self.groups[g].hull.is_some()).count();
         let mut best = (current, None);
         for (k, (groups, _)) in outcomes.iter().enumerate() {
             let cost = groups.iter().map(|g| g.fill.cost).sum();
-            if cost < best.0 {
+            // A flat group that gets a volume would be a piece more.
+            if cost < best.0 && groups.iter().filter(|g| g.hull.is_some()).count() <= pieces {
                 best = (cost, Some(k));
             }
         }
@@ -258,7 +260,7 @@ impl<'a> Division<'a> {
     ) -> (Vec<Group>, Vec<(usize, Vec<Point3<f64>>)>) {
         let mut leaves = Vec::new();
         for (child, side) in children.into_iter().zip(self.scene.sides(plane)) {
-            self.collect(child, part.behind(&side), &mut leaves);
+            self.collect(child, part.behind(&side), &|p| self.scene.inside(p), &mut leaves);
         }
         let changed = |leaf: usize| leaves.iter().find(|(l, _)| *l == leaf).map(|(_, points)| points);
         let groups = touched
@@ -272,12 +274,18 @@ impl<'a> Division<'a> {
     }
 
     /// Points of the leaves below a node whose part is given.
-    fn collect(&self, node: usize, part: Option<Part>, leaves: &mut Vec<(usize, Vec<Point3<f64>>)>) {
+    fn collect(
+        &self,
+        node: usize,
+        part: Option<Part>,
+        inside: &impl Fn(&Point3<f64>) -> bool,
+        leaves: &mut Vec<(usize, Vec<Point3<f64>>)>,
+    ) {
         match &self.nodes[node] {
-            Node::Leaf(leaf) => leaves.push((*leaf, part.map_or(Vec::new(), |p| p.points(|p| self.scene.inside(p))))),
+            Node::Leaf(leaf) => leaves.push((*leaf, part.map_or(Vec::new(), |p| p.points(inside)))),
             Node::Cut(plane, children) => {
                 for (&child, side) in children.iter().zip(self.scene.sides(plane)) {
-                    self.collect(child, part.as_ref().and_then(|p| p.behind(&side)), leaves);
+                    self.collect(child, part.as_ref().and_then(|p| p.behind(&side)), inside, leaves);
                 }
             }
         }
@@ -286,10 +294,15 @@ impl<'a> Division<'a> {
     /// The hulls of the pieces, cut from the given surface of the same solid.
     pub fn hulls(&self, surface: TriMesh) -> Vec<TriMesh> {
         let mut leaves = Vec::new();
-        self.collect(0, Part::whole(surface), &mut leaves);
+        self.collect(0, Part::whole(surface), &|p| self.scene.exactly_inside(p), &mut leaves);
         let mut points = vec![Vec::new(); self.groups.len()];
         for (leaf, found) in leaves {
             points[self.group_of[leaf]].extend(found);
+        }
+        for (g, p) in points.iter().enumerate() {
+            let v = convex_hull(p).map_or(0.0, |h| crate::hull::hull_volume(&h));
+            let w = self.groups[g].hull.as_ref().map_or(0.0, |h| crate::hull::hull_volume(&h));
+            if v != w { eprintln!("group {g}: {v:e} was {w:e} with {} points", p.len()) }
         }
         points.iter().filter_map(|p| convex_hull(p).ok()).collect()
     }
