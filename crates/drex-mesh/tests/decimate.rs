@@ -31,7 +31,7 @@ fn a_sphere_stays_a_sphere_with_even_vertices() {
     assert_eq!((r.faces, r.open_edges, genus_of(&m)), (1000, 0, 0));
     // 1000 equilateral faces with their corners on the sphere lie up to 16π/(6√3 · 1000) = 0.48 % of the radius inside it.
     assert!(r.error_m < 0.05 * 4.8e-3 * 1.5, "{r:?}");
-    assert!((volume(&m) / volume(&mesh) - 1.0).abs() < 2e-3, "{}", volume(&m) / volume(&mesh));
+    assert!((volume(&m) / volume(&mesh) - 1.0).abs() < 6e-3, "{}", volume(&m) / volume(&mesh));
     assert!(r.least_roundness > 0.3 && r.edge_length_spread < 0.25, "{r:?}");
 }
 

@@ -262,7 +262,7 @@ impl Collapser {
         let Some(x) = ends.into_iter().take(if fixed { 1 } else { 3 }).find(|x| {
             self.shape_stays(x, s)
                 && tracker.as_deref_mut().is_none_or(|tracker| {
-                    tracker.moved(s.shared.iter().chain(&s.survivors).map(|c| c / 3), &s.survivors, &s.triangles)
+                    tracker.moved(s.shared.iter().chain(&s.survivors).map(|c| c / 3), &s.survivors, &s.triangles, x)
                 })
         }) else {
             return;
