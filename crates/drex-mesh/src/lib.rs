@@ -71,6 +71,10 @@ pub use mass::{Hollow, HowHollow, check_mass_properties, principal, shell_proper
 pub use pieces::{HowDivided, PieceOptions, UnionDistance, convex_pieces, union_distance};
 pub use region::{ObjectRegion, object_on_table, point_looked_at};
 pub use model::{Background, SceneOptions};
+pub use io::{
+    Material, Model, Part, PlyFormat, Texture, parse_mesh, read_mesh, read_model, write_glb, write_obj,
+    write_obj_model, write_ply, write_ply_as, write_stl, write_stl_text,
+};
 pub use pieces::{HowDivided, PieceOptions, convex_pieces};
 pub use repair::{DroppedBit, RepairOptions, RepairReport, repair};
 pub use rest::{RestOptions, RestPose, settled_pose, stable_poses};

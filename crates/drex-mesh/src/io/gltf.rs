@@ -1,4 +1,4 @@
-//! glTF 2.0 and GLB: the triangles of the default scene, node transforms applied.
+//! glTF 2.0 and GLB: the triangles of the default scene, node transforms applied, with their looks.
 
 use std::path::Path;
 
@@ -7,15 +7,18 @@ use gltf::accessor::{DataType, Dimensions};
 use gltf::buffer::Source;
 use nalgebra::{Matrix4, Point3};
 
-use drex_core::TriMesh;
 use drex_core::fsutil::read_bytes;
 
+use super::glb::srgb;
+use super::model::{Material, Model, Part, Texture, beside, picture};
 use crate::{Error, Result};
 
-/// Nodes nested deeper than this are a loop.
+/// Nodes nested deeper than this are refused: a scene does not need it, the stack would end.
 const DEEPEST: usize = 128;
+/// More corners than this are refused: a few bytes can name the same buffer over and over.
+const MOST_CORNERS: usize = 1 << 26;
 
-pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
+pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<Model> {
     // The validation of the glTF library indexes out of bounds on some damaged files.
     std::panic::catch_unwind(|| read(path, bytes)).unwrap_or_else(|_| {
         Err(bad(
@@ -26,7 +29,7 @@ pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
     })
 }
 
-fn read(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
+fn read(path: &Path, bytes: &[u8]) -> Result<Model> {
     // A GLB header whose lengths contradict the file would make the parser subtract below zero.
     let word = |at: usize| bytes.get(at..at + 4).map_or(0, |b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
     if bytes.starts_with(b"glTF") && (word(8) > bytes.len() || word(8) < 20 || word(12) > word(8) - 20) {
@@ -34,29 +37,32 @@ fn read(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
     }
     let file = gltf::Gltf::from_slice(bytes)
         .map_err(|e| bad(path, format!("no valid glTF: {e}"), "check it with the glTF validator or export it again"))?;
-    let mut reader = Reader { path, buffers: buffers(path, &file)?, mesh: TriMesh::default() };
+    let mut reader = Reader {
+        path,
+        buffers: buffers(path, &file)?,
+        visited: vec![false; file.nodes().len()],
+        corners: 0,
+        model: Model::default(),
+    };
+    reader.model.materials = file.materials().map(|m| reader.material(&m)).collect::<Result<_>>()?;
     let scene = file.default_scene().or_else(|| file.scenes().next());
     match scene {
         Some(scene) => scene.nodes().try_for_each(|n| reader.node(&n, &Matrix4::identity(), 0))?,
-        None => file.meshes().try_for_each(|m| reader.primitives(&m, &Matrix4::identity()))?,
+        None => file.meshes().try_for_each(|m| reader.primitives(&m, m.name(), &Matrix4::identity()))?,
     }
-    Ok(reader.mesh)
+    Ok(reader.model)
 }
 
 fn buffers(path: &Path, file: &gltf::Gltf) -> Result<Vec<Vec<u8>>> {
-    let folder = path.parent().unwrap_or_else(|| Path::new(""));
     file.buffers()
         .map(|buffer| {
             let data = match buffer.source() {
                 Source::Bin => file.blob.clone().unwrap_or_default(),
-                Source::Uri(uri) => match uri.strip_prefix("data:") {
-                    Some(data) => {
-                        let text = data.split_once(";base64,").map_or("", |(_, t)| t);
-                        base64::engine::general_purpose::STANDARD.decode(text).map_err(|e| {
-                            bad(path, format!("buffer {}: no base64 ({e})", buffer.index()), "export it again")
-                        })?
-                    }
-                    None => read_bytes(&folder.join(percent_decoded(uri)))?,
+                Source::Uri(uri) => match embedded(uri) {
+                    Some(data) => data.map_err(|e| {
+                        bad(path, format!("buffer {}: no base64 ({e})", buffer.index()), "export it again")
+                    })?,
+                    None => read_bytes(&beside(path, &percent_decoded(uri))?)?,
                 },
             };
             if data.len() < buffer.length() {
@@ -66,6 +72,12 @@ fn buffers(path: &Path, file: &gltf::Gltf) -> Result<Vec<Vec<u8>>> {
             Ok(data)
         })
         .collect()
+}
+
+/// The bytes of a `data:` URI.
+fn embedded(uri: &str) -> Option<Result<Vec<u8>, base64::DecodeError>> {
+    let text = uri.strip_prefix("data:")?.split_once(";base64,").map_or("", |(_, t)| t);
+    Some(base64::engine::general_purpose::STANDARD.decode(text))
 }
 
 /// `%20` and the like in the name of a file.
@@ -91,80 +103,138 @@ fn percent_decoded(uri: &str) -> String {
 struct Reader<'a> {
     path: &'a Path,
     buffers: Vec<Vec<u8>>,
-    mesh: TriMesh,
+    /// Nodes already met: in a tree each has one parent.
+    visited: Vec<bool>,
+    corners: usize,
+    model: Model,
 }
 
 impl Reader<'_> {
     fn node(&mut self, node: &gltf::Node<'_>, scene_from_parent: &Matrix4<f64>, depth: usize) -> Result<()> {
-        if depth > DEEPEST {
-            return Err(bad(self.path, format!("node {} is nested in itself", node.index()), "export the file again"));
+        let seen = self.visited.get_mut(node.index()).is_none_or(|v| std::mem::replace(v, true));
+        if seen || depth > DEEPEST {
+            let what = format!("node {} is nested in itself, twice in the scene or too deep", node.index());
+            return Err(bad(self.path, what, "export the file again"));
         }
         let scene_from_node = scene_from_parent * local_transform(node);
         if let Some(mesh) = node.mesh() {
-            self.primitives(&mesh, &scene_from_node)?;
+            self.primitives(&mesh, node.name().or(mesh.name()), &scene_from_node)?;
         }
         node.children().try_for_each(|child| self.node(&child, &scene_from_node, depth + 1))
     }
 
-    fn primitives(&mut self, mesh: &gltf::Mesh<'_>, scene_from_node: &Matrix4<f64>) -> Result<()> {
+    fn primitives(&mut self, mesh: &gltf::Mesh<'_>, name: Option<&str>, scene_from_node: &Matrix4<f64>) -> Result<()> {
         // A mirror turns the winding round.
         let mirrored = scene_from_node.fixed_view::<3, 3>(0, 0).determinant() < 0.0;
         for primitive in mesh.primitives() {
             let place = format!("mesh {}, primitive {}", mesh.index(), primitive.index());
             let Some(positions) = primitive.get(&gltf::Semantic::Positions) else { continue };
-            let base = self.mesh.vertices.len() as u32;
-            let rows = self.rows(&positions, &place)?;
-            for row in rows.chunks_exact(3) {
+            let mut part = Part { name: name.unwrap_or_default().into(), ..Part::default() };
+            for row in self.rows(&positions, &place, &[3])?.chunks_exact(3) {
                 let p = scene_from_node.transform_point(&Point3::new(row[0], row[1], row[2]));
                 if p.iter().any(|c| !c.is_finite()) {
-                    let n = self.mesh.vertices.len() as u32 - base;
+                    let n = part.mesh.vertices.len();
                     return Err(bad(self.path, format!("{place}: vertex {n} is not finite"), "export the file again"));
                 }
-                self.mesh.vertices.push(p);
+                part.mesh.vertices.push(p);
             }
-            let count = self.mesh.vertices.len() as u32 - base;
+            let count = part.mesh.vertices.len() as u32;
             let indices: Vec<u32> = match primitive.indices() {
-                Some(accessor) => self.rows(&accessor, &place)?.iter().map(|&i| i as u32).collect(),
+                Some(accessor) => self.rows(&accessor, &place, &[1])?.iter().map(|&i| i as u32).collect(),
                 None => (0..count).collect(),
             };
             if let Some(i) = indices.iter().find(|&&i| i >= count) {
                 let what = format!("{place}: index {i} is beyond its {count} vertices");
                 return Err(bad(self.path, what, "export the file again"));
             }
-            for [a, b, c] in triangles(primitive.mode(), &indices) {
-                let f = if mirrored { [a, c, b] } else { [a, b, c] };
-                self.mesh.faces.push(f.map(|v| base + v));
+            let order = if mirrored { [0, 2, 1] } else { [0, 1, 2] };
+            part.mesh.faces = triangles(primitive.mode(), &indices).into_iter().map(|f| order.map(|k| f[k])).collect();
+            if !part.mesh.faces.is_empty() {
+                self.looks(&primitive, &place, &mut part)?;
+                self.model.parts.push(part);
             }
         }
         Ok(())
     }
 
-    /// All numbers of an accessor, row after row.
-    fn rows(&self, accessor: &gltf::Accessor<'_>, place: &str) -> Result<Vec<f64>> {
+    /// Texture coordinates, colours and material of a primitive.
+    fn looks(&mut self, primitive: &gltf::Primitive<'_>, place: &str, part: &mut Part) -> Result<()> {
+        part.material = primitive.material().index();
+        let texture = primitive.material().pbr_metallic_roughness().base_color_texture();
+        let set = texture.map_or(0, |t| t.tex_coord());
+        let n = part.mesh.vertices.len();
+        if let Some(accessor) = primitive.get(&gltf::Semantic::TexCoords(set)) {
+            let rows = self.rows(&accessor, place, &[2])?;
+            part.uv = Some(rows.chunks_exact(2).map(|r| [r[0] as f32, r[1] as f32]).collect());
+        }
+        if let Some(accessor) = primitive.get(&gltf::Semantic::Colors(0)) {
+            let rows = self.rows(&accessor, place, &[3, 4])?;
+            let columns = accessor.dimensions().multiplicity();
+            let byte = |c: f64| (srgb(c.clamp(0.0, 1.0) as f32) * 255.0).round() as u8;
+            part.colors = Some(rows.chunks_exact(columns).map(|r| [byte(r[0]), byte(r[1]), byte(r[2])]).collect());
+        }
+        let lists = [part.uv.as_ref().map(Vec::len), part.colors.as_ref().map(Vec::len)];
+        if let Some(length) = lists.into_iter().flatten().find(|&l| l != n) {
+            let what = format!("{place}: {length} texture coordinates or colours for {n} vertices");
+            return Err(bad(self.path, what, "export the file again"));
+        }
+        Ok(())
+    }
+
+    fn material(&self, material: &gltf::Material<'_>) -> Result<Material> {
+        let surface = material.pbr_metallic_roughness();
+        let mut out = Material {
+            name: material.name().unwrap_or_default().into(),
+            base_color: surface.base_color_factor(),
+            texture: None,
+        };
+        let Some(info) = surface.base_color_texture() else { return Ok(out) };
+        let image = info.texture().source();
+        out.texture = match image.source() {
+            gltf::image::Source::View { view, mime_type } => {
+                let end = view.offset().checked_add(view.length());
+                let bytes = self.buffers.get(view.buffer().index()).zip(end).and_then(|(b, e)| b.get(view.offset()..e));
+                let Some(bytes) = bytes else {
+                    let what = format!("image {} reaches beyond its buffer", image.index());
+                    return Err(bad(self.path, what, "export the file again"));
+                };
+                Some(Texture { bytes: bytes.to_vec(), mime: mime_type.into() })
+            }
+            gltf::image::Source::Uri { uri, .. } => match embedded(uri) {
+                Some(bytes) => Some(Texture::new(bytes.map_err(|e| {
+                    bad(self.path, format!("image {}: no base64 ({e})", image.index()), "export it again")
+                })?)),
+                None => picture(self.path, &percent_decoded(uri))?,
+            },
+        };
+        Ok(out)
+    }
+
+    /// All numbers of an accessor with one of these numbers of columns, row after row; integers that stand for 0 to 1 as such.
+    fn rows(&mut self, accessor: &gltf::Accessor<'_>, place: &str, columns: &[usize]) -> Result<Vec<f64>> {
+        let path = self.path;
         let refuse = |what: &str| {
             let what = format!("{place}: accessor {} {what}", accessor.index());
-            Err(bad(self.path, what, "export the file again without compression or sparse data"))
+            Err(bad(path, what, "export the file again without compression or sparse data"))
         };
-        let columns = match accessor.dimensions() {
-            Dimensions::Scalar => 1,
-            Dimensions::Vec3 => 3,
-            _ => return refuse("is neither a list of indices nor of points"),
-        };
-        let (size, signed_integer) = match accessor.data_type() {
-            DataType::F32 => (4, false),
-            DataType::U8 => (1, false),
-            DataType::U16 => (2, false),
-            DataType::U32 => (4, false),
-            DataType::I8 => (1, true),
-            DataType::I16 => (2, true),
+        let n = accessor.dimensions().multiplicity();
+        if !columns.contains(&n) || matches!(accessor.dimensions(), Dimensions::Mat2) {
+            return refuse("has the wrong number of columns");
+        }
+        let (size, scale) = match (accessor.data_type(), accessor.normalized()) {
+            (DataType::F32, _) => (4, 1.0),
+            (DataType::U8, true) => (1, 1.0 / 255.0),
+            (DataType::U16, true) => (2, 1.0 / 65535.0),
+            // Plain integers are indices.
+            (DataType::U8, _) if n == 1 => (1, 1.0),
+            (DataType::U16, _) if n == 1 => (2, 1.0),
+            (DataType::U32, _) if n == 1 => (4, 1.0),
+            _ => return refuse("is compressed to integers"),
         };
         let Some(view) = accessor.view().filter(|_| accessor.sparse().is_none()) else {
             return refuse("is sparse or has no data");
         };
-        if signed_integer || (columns == 3 && accessor.data_type() != DataType::F32) {
-            return refuse("is compressed to integers");
-        }
-        let row = columns * size;
+        let row = n * size;
         let stride = view.stride().unwrap_or(row);
         let start = view.offset().checked_add(accessor.offset());
         let end = accessor
@@ -177,14 +247,18 @@ impl Reader<'_> {
         let Some(data) = self.buffers.get(view.buffer().index()).and_then(|b| b.get(start..end)) else {
             return refuse("reaches beyond its buffer");
         };
-        let mut out = Vec::with_capacity(accessor.count() * columns);
+        self.corners += accessor.count();
+        if stride < row || self.corners > MOST_CORNERS {
+            return refuse("overlaps itself or makes the scene larger than 67 million corners");
+        }
+        let mut out = Vec::with_capacity(accessor.count() * n);
         for i in 0..accessor.count() {
-            for k in 0..columns {
+            for k in 0..n {
                 let at = i * stride + k * size;
                 let b = &data[at..at + size];
                 out.push(match accessor.data_type() {
-                    DataType::U8 => f64::from(b[0]),
-                    DataType::U16 => f64::from(u16::from_le_bytes([b[0], b[1]])),
+                    DataType::U8 => f64::from(b[0]) * scale,
+                    DataType::U16 => f64::from(u16::from_le_bytes([b[0], b[1]])) * scale,
                     DataType::U32 => f64::from(u32::from_le_bytes([b[0], b[1], b[2], b[3]])),
                     _ => f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]])),
                 });

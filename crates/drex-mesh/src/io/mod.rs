@@ -1,6 +1,9 @@
 //! Mesh files in and out.
 
+mod glb;
 mod gltf;
+mod model;
+mod obj;
 mod ply;
 mod write;
 
@@ -9,15 +12,19 @@ use std::path::Path;
 use drex_core::TriMesh;
 use drex_core::fsutil::read_bytes;
 
+pub use glb::write_glb;
+pub use model::{Material, Model, Part, Texture, read_model};
+pub use obj::write_obj_model;
 pub(crate) use write::obj_text;
-pub use write::{write_obj, write_ply, write_stl};
+pub use write::{PlyFormat, write_obj, write_ply, write_ply_as, write_stl, write_stl_text};
 
 use crate::{Error, Result};
 
 /// Reads a mesh; the extension says the format (`.stl`, `.obj`, `.ply`, `.gltf`, `.glb`, in any case).
 ///
 /// Faces with more than three corners become fans. Coordinates come as the file has them, in the file's unit and axes
-/// (glTF: metres, +Y up, node transforms of the default scene applied). Normals, colours and textures are not read.
+/// (glTF: metres, +Y up, node transforms of the default scene applied). Looks are left
+/// to [`read_model`].
 ///
 /// # Errors
 /// If the extension is unknown, the file cannot be read, is damaged or cut off, has no triangles, or a vertex is
@@ -37,16 +44,33 @@ pub fn read_mesh(path: &Path) -> Result<TriMesh> {
 /// See [`read_mesh`].
 pub fn parse_mesh(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
     let mesh = match extension(path).as_str() {
-        "stl" => drex_core::mesh::parse_stl(path, bytes)?,
+        "stl" => {
+            refuse_cut_text(path, bytes)?;
+            drex_core::mesh::parse_stl(path, bytes)?
+        }
         "obj" => drex_core::mesh::parse_obj(path, bytes)?,
-        "ply" => ply::parse(path, bytes)?,
-        "gltf" | "glb" => gltf::parse(path, bytes)?,
+        "ply" => ply::parse(path, bytes)?.0,
+        "gltf" | "glb" => gltf::parse(path, bytes)?.mesh(),
         other => return Err(Error::UnknownExtension { path: path.to_path_buf(), extension: other.to_string() }),
     };
     if mesh.faces.is_empty() {
         return Err(Error::Empty { subject: path.display().to_string() });
     }
     TriMesh::new(mesh.vertices, mesh.faces).map_err(|e| Error::from(e).about(path))
+}
+
+/// A text STL that stops between two triangles can be told by its missing last line alone.
+fn refuse_cut_text(path: &Path, bytes: &[u8]) -> Result<()> {
+    let count = bytes.get(80..84).and_then(|b| b.try_into().ok()).map_or(0, u32::from_le_bytes);
+    let binary = bytes.len() as u64 == 84 + 50 * u64::from(count);
+    let text = !binary && bytes.trim_ascii_start().starts_with(b"solid") && bytes.is_ascii();
+    let tail = &bytes[bytes.len().saturating_sub(1024)..];
+    if text && !tail.windows(8).any(|w| w.eq_ignore_ascii_case(b"endsolid")) {
+        let line = bytes.iter().filter(|&&b| b == b'\n').count() + 1;
+        let what = "the file ends without \"endsolid\"";
+        return Err(drex_core::Error::content(path, line, what, "check that the file is complete").into());
+    }
+    Ok(())
 }
 
 pub(crate) fn extension(path: &Path) -> String {

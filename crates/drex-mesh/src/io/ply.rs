@@ -67,16 +67,23 @@ enum Format {
     Big,
 }
 
-pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
+/// The mesh, and the colours of its vertices if it has red, green and blue.
+pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<(TriMesh, Option<Vec<[u8; 3]>>)> {
     let (format, elements, body, line) = header(path, bytes)?;
     let mut source = match format {
         Format::Ascii => Source::Text { words: words(&bytes[body..], line + 1), line },
-        _ => Source::Binary { rest: &bytes[body..], big: format == Format::Big },
+        _ => Source::Binary { bytes, at: body, big: format == Format::Big },
     };
     let mut mesh = TriMesh::default();
+    let mut colors = Vec::new();
     let mut corners = Vec::new();
     for element in &elements {
         let axis = |p: &Property| ["x", "y", "z"].iter().position(|n| p.name == *n && element.name == "vertex");
+        let channel = |p: &Property| {
+            let found = ["red", "green", "blue"].iter().position(|n| p.name == *n || p.name == format!("diffuse_{n}"));
+            found.filter(|_| element.name == "vertex" && p.length.is_none())
+        };
+        let colored = element.properties.iter().filter_map(channel).count() == 3;
         let is_index = |p: &Property| {
             element.name == "face" && p.length.is_some() && matches!(p.name.as_str(), "vertex_indices" | "vertex_index")
         };
@@ -85,6 +92,7 @@ pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
         }
         for row in 0..element.count {
             let mut point = Point3::origin();
+            let mut color = [0; 3];
             corners.clear();
             for property in &element.properties {
                 let n = match property.length {
@@ -105,6 +113,8 @@ pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
                     };
                     if let Some(k) = axis(property) {
                         point[k] = value;
+                    } else if let Some(k) = channel(property) {
+                        color[k] = byte(value, property.value);
                     } else if is_index(property) {
                         corners.push(value);
                     }
@@ -116,6 +126,9 @@ pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
                     return Err(bad(path, source.line(), what, "remove it and its faces"));
                 }
                 mesh.vertices.push(point);
+                if colored {
+                    colors.push(color);
+                }
             }
             fan(path, &source, row, &corners, &mut mesh.faces)?;
         }
@@ -124,7 +137,18 @@ pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
         let what = format!("triangle {f} names a vertex beyond the {} there are", mesh.vertices.len());
         return Err(bad(path, None, what, "export the file again"));
     }
-    Ok(mesh)
+    let colors = (colors.len() == mesh.vertices.len()).then_some(colors);
+    Ok((mesh, colors))
+}
+
+/// A colour from a byte, from 16 bits, or from a number between 0 and 1.
+fn byte(value: f64, kind: Scalar) -> u8 {
+    let scaled = match kind {
+        Scalar::F32 | Scalar::F64 => value * 255.0,
+        Scalar::U16 => value / 257.0,
+        _ => value,
+    };
+    scaled.round().clamp(0.0, 255.0) as u8
 }
 
 fn fan(path: &Path, source: &Source<'_>, row: usize, corners: &[f64], faces: &mut Vec<[u32; 3]>) -> Result<()> {
@@ -200,7 +224,7 @@ fn header(path: &Path, bytes: &[u8]) -> Result<(Format, Vec<Element>, usize, usi
 /// Where the numbers come from.
 enum Source<'a> {
     Text { words: Words<'a>, line: usize },
-    Binary { rest: &'a [u8], big: bool },
+    Binary { bytes: &'a [u8], at: usize, big: bool },
 }
 
 type Words<'a> = Box<dyn Iterator<Item = (usize, &'a [u8])> + 'a>;
@@ -220,9 +244,9 @@ impl Source<'_> {
                 *line = at;
                 std::str::from_utf8(word).ok()?.parse().ok()
             }
-            Self::Binary { rest, big } => {
-                let (head, tail) = rest.split_at_checked(kind.size())?;
-                *rest = tail;
+            Self::Binary { bytes, at, big } => {
+                let head = bytes.get(*at..*at + kind.size())?;
+                *at += kind.size();
                 let mut raw = [0u8; 8];
                 for (k, r) in raw.iter_mut().take(head.len()).enumerate() {
                     *r = if *big { head[head.len() - 1 - k] } else { head[k] };
@@ -251,7 +275,11 @@ impl Source<'_> {
 }
 
 fn cut_off(path: &Path, source: &Source<'_>, element: &Element, row: usize) -> crate::Error {
-    let what = format!("{} {row} of {} is cut off or no number", element.name, element.count);
+    let place = match source {
+        Source::Text { .. } => String::new(),
+        Source::Binary { at, .. } => format!(" at byte {at}"),
+    };
+    let what = format!("{} {row} of {} is cut off or no number{place}", element.name, element.count);
     bad(path, source.line(), what, "check that the file is complete")
 }
 

@@ -6,7 +6,7 @@ use std::path::Path;
 use drex_core::TriMesh;
 use drex_core::fsutil::write_atomic;
 
-use crate::Result;
+use crate::{Error, Result};
 
 /// Writes a Wavefront OBJ with vertices and faces only; the numbers read back to the same bits.
 ///
@@ -35,24 +35,88 @@ pub fn write_stl(path: &Path, mesh: &TriMesh) -> Result<()> {
     Ok(write_atomic(path, &bytes)?)
 }
 
+/// Writes a text STL; the numbers read back to the same bits, but corners are not shared.
+///
+/// # Errors
+/// If the file cannot be written; an old one stays.
+pub fn write_stl_text(path: &Path, mesh: &TriMesh) -> Result<()> {
+    let mut text = String::from("solid mesh\n");
+    // Writing to a string cannot fail.
+    for f in 0..mesh.faces.len() {
+        let [a, b, c] = mesh.triangle(f);
+        let n = (b - a).cross(&(c - a)).try_normalize(0.0).unwrap_or_default();
+        let _ = writeln!(text, "facet normal {} {} {}\n outer loop", n.x, n.y, n.z);
+        for v in [a, b, c] {
+            let _ = writeln!(text, "  vertex {} {} {}", v.x, v.y, v.z);
+        }
+        text += " endloop\nendfacet\n";
+    }
+    text += "endsolid mesh\n";
+    Ok(write_atomic(path, text.as_bytes())?)
+}
+
+/// How the numbers of a PLY file are written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum PlyFormat {
+    /// As text, in the shortest form that reads back to the same bits.
+    Text,
+    /// Binary, least significant byte first.
+    #[default]
+    Little,
+    /// Binary, most significant byte first.
+    Big,
+}
+
 /// Writes a binary little-endian PLY with double-precision vertices.
 ///
 /// # Errors
 /// If the file cannot be written; an old one stays.
 pub fn write_ply(path: &Path, mesh: &TriMesh) -> Result<()> {
+    write_ply_as(path, mesh, None, PlyFormat::Little)
+}
+
+/// Writes a PLY with double-precision vertices and, where given, a colour per vertex.
+///
+/// # Errors
+/// If there is not one colour per vertex, or the file cannot be written; an old one stays.
+pub fn write_ply_as(path: &Path, mesh: &TriMesh, colors: Option<&[[u8; 3]]>, format: PlyFormat) -> Result<()> {
+    if let Some(colors) = colors.filter(|c| c.len() != mesh.vertices.len()) {
+        let what = format!("{} colours for {} vertices", colors.len(), mesh.vertices.len());
+        return Err(Error::value(what, "give one colour per vertex"));
+    }
+    let name = match format {
+        PlyFormat::Text => "ascii",
+        PlyFormat::Little => "binary_little_endian",
+        PlyFormat::Big => "binary_big_endian",
+    };
+    let channels = colors.map_or("", |_| "property uchar red\nproperty uchar green\nproperty uchar blue\n");
     let mut bytes = format!(
-        "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty double x\nproperty double y\n\
-         property double z\nelement face {}\nproperty list uchar uint vertex_indices\nend_header\n",
+        "ply\nformat {name} 1.0\nelement vertex {}\nproperty double x\nproperty double y\nproperty double z\n{channels}\
+         element face {}\nproperty list uchar uint vertex_indices\nend_header\n",
         mesh.vertices.len(),
         mesh.faces.len()
     )
     .into_bytes();
-    for number in mesh.vertices.iter().flat_map(|v| v.iter()) {
-        bytes.extend(number.to_le_bytes());
+    for (i, v) in mesh.vertices.iter().enumerate() {
+        let color = colors.map_or(&[][..], |c| &c[i][..]);
+        match format {
+            PlyFormat::Text => {
+                let channels: String = color.iter().map(|c| format!(" {c}")).collect();
+                bytes.extend(format!("{} {} {}{channels}\n", v.x, v.y, v.z).bytes());
+            }
+            PlyFormat::Little => v.iter().for_each(|c| bytes.extend(c.to_le_bytes())),
+            PlyFormat::Big => v.iter().for_each(|c| bytes.extend(c.to_be_bytes())),
+        }
+        if format != PlyFormat::Text {
+            bytes.extend(color);
+        }
     }
     for f in &mesh.faces {
-        bytes.push(3);
-        f.iter().for_each(|v| bytes.extend(v.to_le_bytes()));
+        match format {
+            PlyFormat::Text => bytes.extend(format!("3 {} {} {}\n", f[0], f[1], f[2]).bytes()),
+            PlyFormat::Little => bytes.extend(std::iter::once(3).chain(f.iter().flat_map(|v| v.to_le_bytes()))),
+            PlyFormat::Big => bytes.extend(std::iter::once(3).chain(f.iter().flat_map(|v| v.to_be_bytes()))),
+        }
     }
     Ok(write_atomic(path, &bytes)?)
 }
