@@ -25,6 +25,7 @@ mod bvh;
 mod caps;
 mod colors;
 mod compare;
+mod check;
 mod decimate;
 mod depth;
 mod error;
@@ -53,6 +54,7 @@ mod write;
 pub use asset::{Asset, AssetOptions, AssetReport, LengthUnit, asset_from_mesh, build_asset};
 pub use colors::vertex_colors;
 pub use compare::{CompareOptions, SurfaceComparison, compare_surfaces};
+pub use check::{CheckOptions, CheckReport, Outcome, RuleResult, check_asset, check_file, check_mesh};
 pub use decimate::{DecimateOptions, DecimateReport, decimate};
 pub use depth::{DepthCamera, DepthMap, DepthViews, cast_depth};
 pub use asset::{
