@@ -79,13 +79,19 @@ pub(crate) enum FieldBlock {
 }
 
 impl Field {
-    /// The sample at `at` (0 to 8 along each axis) from the first one of a block.
-    pub fn value_near(&self, block: usize, at: [usize; 3]) -> f32 {
-        let (block, voxel) = self.lattice.neighbour(block, at);
-        match &self.blocks[block] {
-            FieldBlock::Constant(value) => *value,
-            FieldBlock::Samples(values) => values[voxel],
+    /// The row of 9 samples along x at `y` and `z` (0 to 8) from the first sample of a block.
+    pub fn row_near(&self, block: usize, [y, z]: [usize; 2], out: &mut [f32]) {
+        let (row, last) = out.split_at_mut(SIDE);
+        let (home, first) = self.lattice.neighbour(block, [0, y, z]);
+        match &self.blocks[home] {
+            FieldBlock::Constant(value) => row.fill(*value),
+            FieldBlock::Samples(values) => row.copy_from_slice(&values[first..first + SIDE]),
         }
+        let (home, first) = self.lattice.neighbour(block, [SIDE, y, z]);
+        last.fill(match &self.blocks[home] {
+            FieldBlock::Constant(value) => *value,
+            FieldBlock::Samples(values) => values[first],
+        });
     }
 
     /// Whether the cells of a block can be cut: not if it and the blocks after it are constant with one sign.

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use drex_core::TriMesh;
 
-use super::lattice::{Field, SIDE, VOXELS};
+use super::lattice::{Field, SIDE};
 
 /// How close to a grid point a vertex may come, in voxels: vertices of different edges must not coincide.
 const CLEARANCE: f32 = 0.02;
@@ -93,25 +93,20 @@ impl Cut {
     fn new(field: &Field, block: usize) -> Self {
         let samples = Samples::new(field, block);
         let mut cut = Self { keys: Vec::new(), points: Vec::new(), middles: Vec::new() };
-        if !samples.mixed() {
-            return cut;
-        }
-        for v in 0..VOXELS {
-            let at = local(v);
-            for axis in 0..3 {
-                if let Some(p) = samples.crossing(at, axis) {
-                    cut.keys.push((3 * v + axis) as u16);
-                    cut.points.push(field.lattice.point(block, p));
+        for at in samples.mixed_rows() {
+            let v = (at[2] * SIDE + at[1]) * SIDE;
+            for x in 0..SIDE {
+                for axis in 0..3 {
+                    if let Some(p) = samples.crossing([x, at[1], at[2]], axis) {
+                        cut.keys.push((3 * (v + x) + axis) as u16);
+                        cut.points.push(field.lattice.point(block, p));
+                    }
                 }
-            }
-        }
-        for v in 0..VOXELS {
-            let at = local(v);
-            for polygon in &CASES[samples.case(at)].polygons {
-                if polygon.middle {
+                let at = [x, at[1], at[2]];
+                for polygon in CASES[samples.case(at)].polygons.iter().filter(|p| p.middle) {
                     let sum: Vector3<f64> = polygon.edges.iter().filter_map(|&e| samples.on_edge(at, e)).sum();
                     let point = field.lattice.point(block, sum / polygon.edges.len() as f64);
-                    cut.middles.push(Middle { key: 3 * v as u16, point });
+                    cut.middles.push(Middle { key: 3 * (v + x) as u16, point });
                 }
             }
         }
@@ -123,59 +118,79 @@ impl Cut {
 fn polygons(field: &Field, block: usize, own: &Cut, cuts: &[Cut], place: &[(u32, u32)]) -> Vec<[u32; 3]> {
     let samples = Samples::new(field, block);
     let mut faces = Vec::new();
-    if !samples.mixed() {
-        return faces;
-    }
     let mut middle = place[block].1 + own.keys.len() as u32;
-    for v in 0..VOXELS {
-        let at = local(v);
-        for polygon in &CASES[samples.case(at)].polygons {
-            let vertex = |i: usize| {
-                let (corner, axis) = EDGES[polygon.edges[i] as usize];
-                let (owner, voxel) = field.lattice.neighbour(block, offset(at, corner));
-                let (slot, first) = place[owner];
-                let key = (3 * voxel + axis) as u16;
-                // Both ends of the edge are samples of this cell, so its owner has found the crossing too.
-                let rank = cuts[slot as usize].keys.partition_point(|&k| k < key);
-                first + rank as u32
-            };
-            if polygon.middle {
-                let n = polygon.edges.len();
-                faces.extend((0..n).map(|i| [vertex(i), vertex((i + 1) % n), middle]));
-                middle += 1;
-            } else {
-                faces.extend(polygon.triangles.iter().map(|t| t.map(|i| vertex(i as usize))));
+    for at in samples.mixed_rows() {
+        for x in 0..SIDE {
+            let at = [x, at[1], at[2]];
+            for polygon in &CASES[samples.case(at)].polygons {
+                let mut vertices = [0; 12];
+                for (vertex, &edge) in vertices.iter_mut().zip(&polygon.edges) {
+                    let (corner, axis) = EDGES[edge as usize];
+                    let (owner, voxel) = field.lattice.neighbour(block, offset(at, corner));
+                    let (slot, first) = place[owner];
+                    // Both ends of the edge are samples of this cell, so its owner has found the crossing too.
+                    *vertex = first + cuts[slot as usize].rank((3 * voxel + axis) as u16);
+                }
+                if polygon.middle {
+                    let n = polygon.edges.len();
+                    faces.extend((0..n).map(|i| [vertices[i], vertices[(i + 1) % n], middle]));
+                    middle += 1;
+                } else {
+                    faces.extend(polygon.triangles.iter().map(|t| t.map(|i| vertices[i as usize])));
+                }
             }
         }
     }
     faces
 }
 
+impl Cut {
+    /// Place of an edge among the cut ones.
+    fn rank(&self, key: u16) -> u32 {
+        self.keys.partition_point(|&k| k < key) as u32
+    }
+}
+
 /// Samples of a block and of the first layers of the blocks after it.
-struct Samples([f32; REACH * REACH * REACH]);
+struct Samples {
+    values: [f32; REACH * REACH * REACH],
+    /// Which samples of each row along x are inside, as bits.
+    inside: [u16; REACH * REACH],
+}
 
 impl Samples {
     fn new(field: &Field, block: usize) -> Self {
-        let mut values = [0.0; REACH * REACH * REACH];
-        for (i, value) in values.iter_mut().enumerate() {
-            let at = [i % REACH, i / REACH % REACH, i / (REACH * REACH)];
-            *value = field.value_near(block, at);
+        let mut samples = Self { values: [0.0; REACH * REACH * REACH], inside: [0; REACH * REACH] };
+        for (i, (row, inside)) in samples.values.chunks_exact_mut(REACH).zip(&mut samples.inside).enumerate() {
+            field.row_near(block, [i % REACH, i / REACH], row);
+            *inside = row.iter().rev().fold(0, |bits, &v| bits << 1 | u16::from(v < 0.0));
         }
-        Self(values)
+        samples
     }
 
-    fn mixed(&self) -> bool {
-        let inside = self.0.iter().filter(|&&v| v < 0.0).count();
-        inside > 0 && inside < self.0.len()
+    /// The first cells of the rows of cells that have corners inside and outside.
+    fn mixed_rows(&self) -> impl Iterator<Item = [usize; 3]> {
+        const ALL: u16 = (1 << REACH) - 1;
+        (0..SIDE * SIDE).map(|i| [0, i % SIDE, i / SIDE]).filter(|&[_, y, z]| {
+            let rows = self.rows(y, z);
+            rows != [0; 4] && rows != [ALL; 4]
+        })
+    }
+
+    /// The rows at the four lengthwise edges of a row of cells.
+    fn rows(&self, y: usize, z: usize) -> [u16; 4] {
+        let row = z * REACH + y;
+        [row, row + 1, row + REACH, row + REACH + 1].map(|i| self.inside[i])
     }
 
     fn value(&self, at: [usize; 3]) -> f32 {
-        self.0[(at[2] * REACH + at[1]) * REACH + at[0]]
+        self.values[(at[2] * REACH + at[1]) * REACH + at[0]]
     }
 
     /// Which corners of a cell are inside, corner by corner as bits.
     fn case(&self, at: [usize; 3]) -> usize {
-        (0..8).fold(0, |bits, c| bits | usize::from(self.value(offset(at, c)) < 0.0) << c)
+        let [a, b, c, d] = self.rows(at[1], at[2]).map(|row| usize::from(row >> at[0] & 3));
+        a | b << 2 | c << 4 | d << 6
     }
 
     /// Where the surface cuts the edge from a sample along an axis, in voxels from the block's first one.

@@ -5,6 +5,7 @@
 //! surface is closed by construction. Two passes over the views: the first measures noise, pixel size and the thickness of
 //! walls, from which voxel and truncation follow; the second fuses.
 
+mod hits;
 mod lattice;
 mod marching;
 mod parts;
@@ -18,6 +19,7 @@ use serde::Serialize;
 
 use drex_core::{Pose, TriMesh};
 
+use self::hits::Sight;
 use self::lattice::{Lattice, SIDE};
 use self::marching::{GridEdge, extract};
 pub use self::parts::DroppedPart;
@@ -178,16 +180,25 @@ pub fn fuse(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> Resu
     let mut volume = Volume::new(plan.lattice.clone(), plan.band);
     let grid_from_world = Pose::translation(-plan.lattice.origin.x, -plan.lattice.origin.y, -plan.lattice.origin.z);
     for start in (0..views.len()).step_by(BATCH) {
-        let prepared: Vec<Option<Prepared>> = (start..views.len().min(start + BATCH))
+        let sighted: Vec<(usize, &Sight)> = (start..views.len().min(start + BATCH))
+            .filter_map(|i| survey.sights[i].as_ref().map(|sight| (i, sight)))
+            .collect();
+        let prepared: Vec<Prepared> = sighted
             .into_par_iter()
-            .map(|i| {
+            .map(|(i, sight)| {
                 let map = views.borrow_view(i)?;
-                map.check().map_err(|e| of_view(e, i))?;
+                if !sight.fits(&map) {
+                    return Err(of_view(
+                        Error::value("it is not the one it was before", "give the same view again"),
+                        i,
+                    ));
+                }
                 let camera_from_grid = map.world_from_camera.inverse() * grid_from_world.inverse();
-                Ok(Prepared::new(&map, &camera_from_grid, options.background_is_empty, plan.band.truncation.into()))
+                let reach = plan.band.truncation.into();
+                Ok(Prepared::new(&map, sight, &camera_from_grid, options.background_is_empty, reach))
             })
             .collect::<Result<_>>()?;
-        volume.integrate(&prepared.into_iter().flatten().collect::<Vec<_>>());
+        volume.integrate(&prepared);
         check_memory(volume.stored() * BLOCK_BYTES + volume.lattice.count() * ENTRY_BYTES, plan.voxel_m, options)?;
     }
     let mut extracted = extract(&volume.field(&plan.limits));
@@ -201,7 +212,7 @@ pub fn fuse(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> Resu
     let blocks = volume.stored();
     let report = FusionReport {
         views: views.len(),
-        used_views: survey.used_views,
+        used_views: survey.sights.iter().flatten().count(),
         voxel_m: plan.voxel_m,
         truncation_m: plan.band.truncation.into(),
         wall_m: plan.wall_m,

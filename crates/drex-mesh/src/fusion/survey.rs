@@ -1,20 +1,19 @@
 //! The first look at all views: where the object is, how fine it was seen, how noisy, and how thin its walls are.
 
-use std::collections::HashMap;
-
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
 use super::FusionOptions;
-use super::prepare::{Hits, plane_factor};
+use super::hits::{Hits, Sight};
+use super::prepare::plane_factor;
 use crate::bvh::Aabb;
 use crate::depth::{DepthMap, DepthViews};
 use crate::{Error, Result};
 
 /// Points taken from all views together.
-const SAMPLES: usize = 200_000;
+const SAMPLES: usize = 80_000;
 /// At least so many from each.
-const LEAST_PER_VIEW: usize = 400;
+const LEAST_PER_VIEW: usize = 200;
 /// Samples that make a patch.
 const ENOUGH: usize = 5;
 /// Patches whose thickness is probed.
@@ -43,17 +42,16 @@ pub(super) struct Survey {
     pub depth_m: f64,
     /// Median over the views of the noise of a single depth, metres.
     pub noise_m: f64,
-    /// Views with depth of the object.
-    pub used_views: usize,
+    /// Per view, where the object is in it; `None` for views without depth of the object.
+    pub sights: Vec<Option<Sight>>,
     samples: Vec<Sample>,
 }
 
 /// One view's part.
 struct Look {
-    samples: Vec<Sample>,
+    sight: Sight,
     footprint_m: f64,
-    depth_m: f64,
-    noise_m: f64,
+    samples: Vec<Sample>,
 }
 
 impl Survey {
@@ -72,21 +70,21 @@ impl Survey {
                 Ok(Look::new(&map, i, per_view, options))
             })
             .collect::<Result<_>>()?;
-        let looks: Vec<Look> = looks.into_iter().flatten().collect();
-        let samples: Vec<Sample> = looks.iter().flat_map(|l| &l.samples).copied().collect();
+        let seen = || looks.iter().flatten();
+        let samples: Vec<Sample> = seen().flat_map(|l| &l.samples).copied().collect();
         if samples.is_empty() {
             return Err(Error::value(
                 format!("none of the {n} views has a depth of the object"),
                 "check the unit (metres), the masks and the region",
             ));
         }
-        let median_of = |get: fn(&Look) -> f64| median(looks.iter().map(get).collect());
+        let median_of = |get: fn(&Look) -> f64| median(seen().map(get).collect());
         Ok(Self {
-            bounds: object_box(&samples, looks.len()),
+            bounds: object_box(&samples, seen().count()),
             footprint_m: median_of(|l| l.footprint_m),
-            depth_m: median_of(|l| l.depth_m),
-            noise_m: median_of(|l| l.noise_m),
-            used_views: looks.len(),
+            depth_m: median_of(|l| l.sight.depth_m.into()),
+            noise_m: median_of(|l| l.sight.noise_m.into()),
+            sights: looks.iter().map(|l| l.as_ref().map(|l| l.sight)).collect(),
             samples,
         })
     }
@@ -102,25 +100,20 @@ pub(super) fn of_view(e: Error, view: usize) -> Error {
 
 impl Look {
     fn new(map: &DepthMap, view: usize, wanted: usize, options: &FusionOptions) -> Option<Self> {
-        let hits = Hits::new(map)?;
+        let sight = Sight::new(map)?;
+        let hits = Hits::new(map, &sight);
         let camera = &map.camera;
-        let smoother = hits.smoother(camera);
-        let focal = [camera.fx_px as f32, camera.fy_px as f32];
-        // The window is not full: a part of its pixels are hits.
-        let filled = hits.depth.iter().filter(|&&z| z > 0.0).count();
-        let step = ((filled as f64 / wanted as f64).sqrt().ceil() as usize).max(1);
+        // The window is not full, so this is a little less than wanted.
+        let step = ((hits.window.width * hits.window.height) as f64 / wanted as f64).sqrt().ceil() as usize;
         let mut samples = Vec::new();
         for y in (step / 2..hits.window.height).step_by(step) {
             for x in (step / 2..hits.window.width).step_by(step) {
                 let at = hits.index(x, y);
-                if !(hits.depth[at] > 0.0) {
-                    continue;
-                }
-                let (z, Some(slope)) = hits.plane(at, &smoother) else { continue };
+                let (true, Some((z, slope))) = (hits.depth[at] > 0.0, hits.plane(at)) else { continue };
                 let ray = camera.ray((hits.window.x + x) as u32, (hits.window.y + y) as u32);
                 // The normal of z(u, v) is along (f_x z_u, f_y z_v, -(z + x f_x z_u + y f_y z_v)), towards the camera.
-                let factor = f64::from(plane_factor(z, slope, focal, [ray.x as f32, ray.y as f32]));
-                let (a, b) = (f64::from(focal[0] * slope[0]), f64::from(focal[1] * slope[1]));
+                let (a, b) = (camera.fx_px * f64::from(slope[0]), camera.fy_px * f64::from(slope[1]));
+                let factor = f64::from(plane_factor(z, [a as f32, b as f32], [ray.x as f32, ray.y as f32]));
                 let normal = Vector3::new(a, b, -(f64::from(z) + ray.x * a + ray.y * b)) * (factor / f64::from(z));
                 let point = map.world_from_camera * Point3::from(ray * f64::from(z));
                 if options.region.is_none_or(|(lo, hi)| (0..3).all(|k| (lo[k]..=hi[k]).contains(&point[k]))) {
@@ -128,12 +121,8 @@ impl Look {
                 }
             }
         }
-        (!samples.is_empty()).then(|| Self {
-            samples,
-            footprint_m: f64::from(hits.typical_z) / camera.fx_px.max(camera.fy_px),
-            depth_m: f64::from(hits.typical_z),
-            noise_m: f64::from(hits.noise_m),
-        })
+        let footprint_m = sight.footprint_m(camera).into();
+        (!samples.is_empty()).then_some(Self { sight, footprint_m, samples })
     }
 }
 
@@ -146,29 +135,31 @@ fn median(mut values: Vec<f64>) -> f64 {
 /// The box of the samples, without those that stand alone: a coarse cell counts if a second view saw it too (where there
 /// are enough views to ask for that).
 fn object_box(samples: &[Sample], views: usize) -> Aabb {
-    const CELLS_ACROSS: f64 = 64.0;
+    const ACROSS: usize = 64;
     const ENOUGH_VIEWS: usize = 5;
+    const SEVERAL: u32 = u32::MAX;
     let all = samples.iter().fold(Aabb::empty(), |b, s| b.grown(&s.point));
     if views < ENOUGH_VIEWS {
         return all;
     }
-    let size = (hi_lo(&all).max() / CELLS_ACROSS).max(f64::MIN_POSITIVE);
-    let cell = |s: &Sample| [0, 1, 2].map(|k| ((s.point[k] - all.lo[k]) / size) as u32);
-    let mut seen: HashMap<[u32; 3], (u32, bool)> = HashMap::new();
+    let size = ((all.hi - all.lo).max() / ACROSS as f64).max(f64::MIN_POSITIVE);
+    let cell = |s: &Sample| {
+        let at = [0, 1, 2].map(|k| (((s.point[k] - all.lo[k]) / size) as usize).min(ACROSS - 1));
+        (at[2] * ACROSS + at[1]) * ACROSS + at[0]
+    };
+    // The view that saw a cell, plus one.
+    let mut seen = vec![0u32; ACROSS * ACROSS * ACROSS];
     for s in samples {
-        let entry = seen.entry(cell(s)).or_insert((s.view, false));
-        entry.1 |= entry.0 != s.view;
+        let by = &mut seen[cell(s)];
+        *by = if *by == 0 || *by == s.view + 1 { s.view + 1 } else { SEVERAL };
     }
-    let kept = samples.iter().filter(|s| seen[&cell(s)].1).fold(Aabb::empty(), |b, s| b.grown(&s.point));
+    let kept = samples.iter().filter(|s| seen[cell(s)] == SEVERAL).fold(Aabb::empty(), |b, s| b.grown(&s.point));
     if kept.lo.x <= kept.hi.x { kept } else { all }
-}
-
-fn hi_lo(b: &Aabb) -> Vector3<f64> {
-    b.hi - b.lo
 }
 
 /// Averages of the samples that fell into one cell and face one way.
 struct Patch {
+    cell: [i32; 3],
     point: Point3<f64>,
     normal: Vector3<f64>,
     /// Standard deviation of the samples from their plane.
@@ -185,18 +176,18 @@ pub(super) struct Walls {
 }
 
 impl Survey {
-    /// Probes the thickness of walls up to `deepest`: averages the samples per cell and facing, then looks from each
+    /// Probes the thickness of walls up to `deepest_m`: averages the samples per cell and facing, then looks from each
     /// patch along its inward normal for one that faces the other way.
     pub fn walls(&self, cell_m: f64, deepest_m: f64) -> Walls {
-        let (patches, by_cell) = self.patches(cell_m);
+        let patches = self.patches(cell_m);
         let spread_m = median(patches.iter().map(|p| p.spread).collect());
         // Thinner ones cannot be told from noise or shown by the voxels.
-        let least = (4.0 * spread_m).max(0.25 * cell_m);
+        let range = (4.0 * spread_m).max(0.25 * cell_m)..deepest_m;
         let step = patches.len().div_ceil(PROBES).max(1);
         let mut thickness: Vec<f64> = patches
             .par_iter()
             .step_by(step)
-            .map(|p| self.thickness_at(p, &patches, &by_cell, cell_m, least..deepest_m).unwrap_or(f64::INFINITY))
+            .map(|p| self.thickness_at(p, &patches, cell_m, &range).unwrap_or(f64::INFINITY))
             .collect();
         thickness.sort_by(f64::total_cmp);
         let thinnest = thickness.get((thickness.len() as f64 * THIN_SHARE) as usize);
@@ -207,11 +198,11 @@ impl Survey {
         [0, 1, 2].map(|k| ((p[k] - self.bounds.lo[k]) / cell_m).floor() as i32)
     }
 
-    /// Patches, and which of them lie in a cell.
-    fn patches(&self, cell_m: f64) -> (Vec<Patch>, HashMap<[i32; 3], Vec<u32>>) {
+    /// Patches in the order of their cells.
+    fn patches(&self, cell_m: f64) -> Vec<Patch> {
         let facing = |n: &Vector3<f64>| {
             let axis = n.iamax();
-            (2 * axis + usize::from(n[axis] < 0.0)) as u8
+            2 * axis as u8 + u8::from(n[axis] < 0.0)
         };
         let mut keyed: Vec<([i32; 3], u8, u32)> = self
             .samples
@@ -220,35 +211,30 @@ impl Survey {
             .map(|(i, s)| (self.cell(&s.point, cell_m), facing(&s.normal), i as u32))
             .collect();
         keyed.par_sort_unstable();
-        let mut patches = Vec::new();
-        let mut by_cell: HashMap<[i32; 3], Vec<u32>> = HashMap::new();
-        for group in keyed.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+        let patch = |group: &[([i32; 3], u8, u32)]| {
             let members = || group.iter().map(|&(_, _, i)| &self.samples[i as usize]);
             let n = group.len() as f64;
-            let Some(normal) = members().map(|s| s.normal).sum::<Vector3<f64>>().try_normalize(1e-9) else { continue };
+            let normal = members().map(|s| s.normal).sum::<Vector3<f64>>().try_normalize(1e-9)?;
             let point = Point3::from(members().map(|s| s.point.coords).sum::<Vector3<f64>>() / n);
             let variance = members().map(|s| (s.point - point).dot(&normal).powi(2)).sum::<f64>() / (n - 1.0);
-            if group.len() < ENOUGH {
-                continue;
-            }
-            by_cell.entry(group[0].0).or_default().push(patches.len() as u32);
-            patches.push(Patch { point, normal, spread: variance.sqrt() });
-        }
-        (patches, by_cell)
+            Some(Patch { cell: group[0].0, point, normal, spread: variance.sqrt() })
+        };
+        let groups = keyed.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1));
+        groups.filter(|g| g.len() >= ENOUGH).filter_map(patch).collect()
     }
 
-    fn thickness_at(
-        &self,
-        from: &Patch,
-        patches: &[Patch],
-        by_cell: &HashMap<[i32; 3], Vec<u32>>,
-        cell_m: f64,
-        range: std::ops::Range<f64>,
-    ) -> Option<f64> {
+    fn thickness_at(&self, from: &Patch, patches: &[Patch], cell_m: f64, range: &std::ops::Range<f64>) -> Option<f64> {
         let steps = (2.0 * range.end / cell_m).ceil() as usize;
-        let behind = |i: usize| from.point - from.normal * (0.5 * cell_m * i as f64);
-        let near = (0..=steps).filter_map(|i| by_cell.get(&self.cell(&behind(i), cell_m))).flatten();
-        near.map(|&j| &patches[j as usize])
+        let in_cell = |cell: [i32; 3]| {
+            let first = patches.partition_point(|p| p.cell < cell);
+            patches[first..].iter().take_while(move |p| p.cell == cell)
+        };
+        let mut cells: Vec<[i32; 3]> =
+            (0..=steps).map(|i| self.cell(&(from.point - from.normal * (0.5 * cell_m * i as f64)), cell_m)).collect();
+        cells.dedup();
+        cells
+            .into_iter()
+            .flat_map(in_cell)
             .filter(|p| p.normal.dot(&from.normal) < OPPOSITE)
             .filter_map(|p| {
                 let depth = (from.point - p.point).dot(&from.normal);

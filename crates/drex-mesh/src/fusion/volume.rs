@@ -9,7 +9,7 @@ use super::prepare::{BACKGROUND, Prepared};
 use crate::bvh::Aabb;
 
 /// Depth differences beyond this many truncations count as far in front or far behind whatever the slope.
-const FAR: f32 = 3.0;
+const FAR: f32 = 2.0;
 /// Planes seen at a smaller cosine tell nothing about distances.
 const LEAST_COSINE: f32 = 0.15;
 /// Weight of a distance from a silhouette, beside 1 of a surface seen from the front.
@@ -35,14 +35,23 @@ pub(super) struct Band {
     pub votes: u16,
 }
 
-/// What was observed in a block: near-surface distances in front of and behind the surface, votes for empty.
-struct Evidence {
-    front: [[f32; 2]; VOXELS],
-    behind: [[f32; 2]; VOXELS],
-    empty: [u16; VOXELS],
-    views: [u16; VOXELS],
-    cosine: [f32; VOXELS],
+/// What was observed at a voxel.
+#[derive(Clone, Copy, Default)]
+struct Voxel {
+    /// Sums of weights and weighted distances of observations in front of the surface.
+    front: [f32; 2],
+    /// The same behind the surface.
+    behind: [f32; 2],
+    /// Best cosine of the observations.
+    cosine: f32,
+    /// Views that measured the surface near here.
+    views: u16,
+    /// Views that saw through.
+    empty: u16,
 }
+
+/// What was observed in a block.
+struct Evidence([Voxel; VOXELS]);
 
 /// A block is stored when the views begin to differ within it.
 #[derive(Default)]
@@ -106,14 +115,15 @@ impl Volume {
     pub fn integrate(&mut self, views: &[Prepared]) {
         let (lattice, band) = (&self.lattice, &self.band);
         self.blocks.par_iter_mut().enumerate().for_each(|(i, block)| {
-            let first = lattice.first_voxel(i).map(|x| (x as f64 * lattice.spacing) as f32);
+            let first = Vector3::from(lattice.first_voxel(i).map(|x| (x as f64 * lattice.spacing) as f32));
+            let spacing = lattice.spacing as f32;
             for view in views {
-                match view.relation(first, lattice.spacing as f32, band) {
+                match view.relation(first, (SIDE - 1) as f32 * spacing, band) {
                     Relation::Nothing => {}
                     Relation::Empty => block.empty = block.empty.saturating_add(1),
                     Relation::Mixed => {
                         let evidence = block.evidence.get_or_insert_with(Evidence::none);
-                        evidence.add(view, first, lattice.spacing as f32, band);
+                        evidence.add(view, first, spacing, band);
                     }
                 }
             }
@@ -139,7 +149,7 @@ impl Volume {
                 let mut values = Box::new([unobserved; VOXELS]);
                 for (v, value) in values.iter_mut().enumerate() {
                     let observed = block.evidence.as_ref().and_then(|e| {
-                        let (distance, observed) = e.value(v, block.empty, &self.band);
+                        let (distance, observed) = e.0[v].value(block.empty, &self.band);
                         *value = distance;
                         observed.then_some(())
                     });
@@ -163,11 +173,11 @@ impl Volume {
     /// How many views measured the surface near a voxel, and the best cosine.
     pub fn seen(&self, voxel: [u32; 3]) -> (u16, f32) {
         let (block, v) = self.lattice.locate(voxel);
-        self.blocks[block].evidence.as_ref().map_or((0, 0.0), |e| (e.views[v], e.cosine[v]))
+        self.blocks[block].evidence.as_ref().map_or((0, 0.0), |e| (e.0[v].views, e.0[v].cosine))
     }
 }
 
-/// What a view says about a whole block.
+/// What a view says about a cube of samples.
 enum Relation {
     Nothing,
     Empty,
@@ -175,12 +185,11 @@ enum Relation {
 }
 
 impl Prepared {
-    /// Compares the depths over the part of the image that a block covers with the depths of the block.
-    fn relation(&self, first: [f32; 3], spacing: f32, band: &Band) -> Relation {
+    /// Compares the depths over the part of the image that a cube covers with the depths of the cube.
+    fn relation(&self, first: Vector3<f32>, side: f32, band: &Band) -> Relation {
         let (rotation, translation) = &self.camera_from_grid;
-        let half = 0.5 * (SIDE - 1) as f32 * spacing;
-        let center = rotation * Vector3::from(first.map(|x| x + half)) + translation;
-        let radius = half * 3.0_f32.sqrt();
+        let center = rotation * first.add_scalar(0.5 * side) + translation;
+        let radius = 0.5 * side * 3.0_f32.sqrt();
         let (near, far) = (center.z - radius, center.z + radius);
         if far <= 0.0 {
             return Relation::Nothing;
@@ -188,19 +197,12 @@ impl Prepared {
         if near <= radius {
             return Relation::Mixed; // so close to the camera that its outline is not a small rectangle
         }
-        // Columns and rows of the sphere's box, from its nearest side, where it looks largest.
-        let mut lo = [0isize; 2];
-        let mut hi = [0isize; 2];
+        let (mut lo, mut hi) = ([0; 2], [0; 2]);
         for k in 0..2 {
-            let side = |s: f32| {
-                let x = center[k] + s * radius;
-                self.focal[k] * (x / near).max(x / far) + self.center[k]
-            };
-            let other = |s: f32| {
-                let x = center[k] + s * radius;
-                self.focal[k] * (x / near).min(x / far) + self.center[k]
-            };
-            (lo[k], hi[k]) = (other(-1.0).floor() as isize, side(1.0).floor() as isize);
+            // The box around the sphere around the cube looks largest at the end nearer to the axis or farther from it.
+            let (low, high) = (center[k] - radius, center[k] + radius);
+            lo[k] = (self.focal[k] * (low / near).min(low / far) + self.center[k]).floor() as isize;
+            hi[k] = (self.focal[k] * (high / near).max(high / far) + self.center[k]).floor() as isize;
             if hi[k] < 0 || lo[k] >= self.size[k] as isize {
                 return Relation::Nothing;
             }
@@ -218,86 +220,120 @@ impl Prepared {
     }
 }
 
+/// What is the same for the voxels of a small cube.
+struct Here<'a> {
+    view: &'a Prepared,
+    band: &'a Band,
+    /// Weight by the noise, which grows with the square of the depth.
+    weight: f32,
+    /// Inverse length of the ray with z = 1.
+    per_ray: f32,
+}
+
+/// Samples along a side of the cubes in which a block is compared with a view.
+const PART: usize = 4;
+
 impl Evidence {
     fn none() -> Box<Self> {
-        Box::new(Self {
-            front: [[0.0; 2]; VOXELS],
-            behind: [[0.0; 2]; VOXELS],
-            empty: [0; VOXELS],
-            views: [0; VOXELS],
-            cosine: [0.0; VOXELS],
-        })
+        Box::new(Self([Voxel::default(); VOXELS]))
     }
 
-    /// Adds what a view says about each voxel of the block whose first one is at `first`.
-    fn add(&mut self, view: &Prepared, first: [f32; 3], spacing: f32, band: &Band) {
+    /// Adds what a view says about the voxels of the block whose first one is at `first`.
+    fn add(&mut self, view: &Prepared, first: Vector3<f32>, spacing: f32, band: &Band) {
+        for part in 0..8 {
+            let at = [part & 1, part >> 1 & 1, part >> 2].map(|p| p * PART);
+            let corner = first + Vector3::from(at.map(|x| x as f32)) * spacing;
+            match view.relation(corner, (PART - 1) as f32 * spacing, band) {
+                Relation::Nothing => {}
+                Relation::Empty => self.rows(at).for_each(|row| row.iter_mut().for_each(|v| v.empty += 1)),
+                Relation::Mixed => self.add_part(view, at, corner, spacing, band),
+            }
+        }
+    }
+
+    /// The rows along x of a part.
+    fn rows(&mut self, at: [usize; 3]) -> impl Iterator<Item = &mut [Voxel]> {
+        let layers = self.0.chunks_exact_mut(SIDE * SIDE).skip(at[2]).take(PART);
+        let rows = layers.flat_map(move |layer| layer.chunks_exact_mut(SIDE).skip(at[1]).take(PART));
+        rows.map(move |row| &mut row[at[0]..at[0] + PART])
+    }
+
+    fn add_part(&mut self, view: &Prepared, at: [usize; 3], corner: Vector3<f32>, spacing: f32, band: &Band) {
         let (rotation, translation) = &view.camera_from_grid;
-        let start = rotation * Vector3::from(first) + translation;
+        let start = rotation * corner + translation;
         let step = rotation * spacing;
-        for row in 0..SIDE * SIDE {
-            let (j, k) = ((row % SIDE) as f32, (row / SIDE) as f32);
-            let at = start + step.column(1) * j + step.column(2) * k;
-            let (mut u, mut v, mut z) = ([0.0_f32; SIDE], [0.0_f32; SIDE], [0.0_f32; SIDE]);
-            for i in 0..SIDE {
+        let middle = start + step * Vector3::repeat(0.5 * (PART - 1) as f32);
+        let here = Here {
+            view,
+            band,
+            weight: (band.depth / middle.z).powi(2).clamp(0.1, 10.0),
+            per_ray: (middle.z / middle.norm()).clamp(0.1, 1.0),
+        };
+        for (i, row) in self.rows(at).enumerate() {
+            let at = start + step.column(1) * (i % PART) as f32 + step.column(2) * (i / PART) as f32;
+            let (mut u, mut v, mut z) = ([0.0_f32; PART], [0.0_f32; PART], [0.0_f32; PART]);
+            for i in 0..PART {
                 let x = i as f32;
                 z[i] = at.z + step[(2, 0)] * x;
                 let inverse = 1.0 / z[i];
                 u[i] = view.focal[0] * (at.x + step[(0, 0)] * x) * inverse + view.center[0];
                 v[i] = view.focal[1] * (at.y + step[(1, 0)] * x) * inverse + view.center[1];
             }
-            for i in 0..SIDE {
-                self.add_voxel(row * SIDE + i, view, [u[i], v[i]], z[i], band);
+            for (i, voxel) in row.iter_mut().enumerate() {
+                voxel.add(&here, [u[i], v[i]], z[i]);
             }
         }
     }
+}
 
-    fn add_voxel(&mut self, voxel: usize, view: &Prepared, [u, v]: [f32; 2], z: f32, band: &Band) {
+impl Voxel {
+    /// Adds what a view says about a voxel at these image coordinates and this depth.
+    #[inline]
+    fn add(&mut self, here: &Here<'_>, [u, v]: [f32; 2], z: f32) {
+        let (view, truncation) = (here.view, here.band.truncation);
         // Not so for NaN either.
         if !(z > 0.0 && u >= 0.0 && v >= 0.0 && u < view.size[0] as f32 && v < view.size[1] as f32) {
             return;
         }
         let (column, row) = (u as usize, v as usize);
         let Some(pixel) = view.pixel(column, row) else {
-            self.empty[voxel] += u16::from(view.beside_is_empty);
+            self.empty += u16::from(view.beside_is_empty);
             return;
         };
-        let truncation = band.truncation;
         if pixel.z > 0.0 {
-            let measured =
-                pixel.z + pixel.slope[0] * (u - column as f32 - 0.5) + pixel.slope[1] * (v - row as f32 - 0.5);
-            let in_front = measured - z;
+            let aside = [u - column as f32 - 0.5, v - row as f32 - 0.5];
+            let in_front = pixel.z + pixel.slope[0] * aside[0] + pixel.slope[1] * aside[1] - z;
             let distance = in_front * pixel.factor;
             if in_front > FAR * truncation || distance > truncation {
-                self.empty[voxel] += 1;
+                self.empty += 1;
             } else if in_front > -FAR * truncation && distance > -truncation {
-                let ray = [(u - view.center[0]) / view.focal[0], (v - view.center[1]) / view.focal[1]];
-                let cosine = pixel.factor / (1.0 + ray[0] * ray[0] + ray[1] * ray[1]).sqrt();
+                let cosine = pixel.factor * here.per_ray;
                 if cosine < LEAST_COSINE {
                     return;
                 }
-                let weight = cosine * (band.depth / z).powi(2).clamp(0.1, 10.0);
+                let weight = cosine * here.weight;
                 if distance >= 0.0 {
-                    accumulate(&mut self.front[voxel], weight, distance);
+                    accumulate(&mut self.front, weight, distance);
                 } else {
-                    accumulate(&mut self.behind[voxel], weight * band.falloff(distance), distance);
+                    accumulate(&mut self.behind, weight * here.band.falloff(distance), distance);
                 }
-                self.views[voxel] += 1;
-                self.cosine[voxel] = self.cosine[voxel].max(cosine);
+                self.views += 1;
+                self.cosine = if cosine > self.cosine { cosine } else { self.cosine };
             }
         } else if pixel.z == BACKGROUND {
             let aside = pixel.factor * z / view.focal[0].max(view.focal[1]);
             if aside >= truncation {
-                self.empty[voxel] += 1;
+                self.empty += 1;
             } else if pixel.factor >= LEAST_RIM_PX {
-                accumulate(&mut self.front[voxel], SILHOUETTE_WEIGHT, aside);
+                accumulate(&mut self.front, SILHOUETTE_WEIGHT, aside);
             }
         }
     }
 
     /// The signed distance of a voxel and whether it was observed. `empty_block`: votes for the whole block.
-    fn value(&self, voxel: usize, empty_block: u16, band: &Band) -> (f32, bool) {
-        let ([front_weight, front], [behind_weight, behind]) = (self.front[voxel], self.behind[voxel]);
-        let empty = self.empty[voxel].saturating_add(empty_block);
+    fn value(&self, empty_block: u16, band: &Band) -> (f32, bool) {
+        let ([front_weight, front], [behind_weight, behind]) = (self.front, self.behind);
+        let empty = self.empty.saturating_add(empty_block);
         let weight = front_weight + behind_weight;
         if weight < OBSERVED {
             return (if empty >= band.votes { band.truncation } else { -band.truncation }, false);

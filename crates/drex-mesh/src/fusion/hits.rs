@@ -1,0 +1,261 @@
+//! The depths of the object in one map: where they are, how noisy, smoothed, with slopes.
+
+use crate::depth::{DepthCamera, DepthMap};
+
+/// Largest half-width of the smoothing window, pixels.
+const LARGEST_RADIUS: usize = 3;
+/// Zeros around the window, so that neighbours can be read without asking.
+const BORDER: usize = LARGEST_RADIUS;
+/// Noise that smoothing aims at, in footprints of a pixel.
+const NOISE_GOAL: f32 = 0.5;
+/// Noise, in footprints of a pixel, up to which nothing is smoothed and the difference of two neighbours tells the slope.
+const PRECISE: f32 = 0.1;
+/// Second differences beyond this many standard deviations are no noise but an edge.
+const GATE: f32 = 3.5;
+/// A slope of more than this many footprints per pixel (84 degrees from frontal) is a jump.
+const STEEPEST: f32 = 10.0;
+/// Pixels looked at to learn about depth and noise.
+const PROBES: u64 = 4096;
+
+/// A rectangle of pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Window {
+    pub x: usize,
+    pub y: usize,
+    pub width: usize,
+    pub height: usize,
+}
+
+/// Where the object is in a map, and how it was measured.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sight {
+    /// The rectangle around the mask, or around the pixels with depth.
+    pub window: Window,
+    /// Median depth, metres.
+    pub depth_m: f32,
+    /// Standard deviation of the noise of a single depth, metres.
+    pub noise_m: f32,
+}
+
+fn is_depth(z: f32) -> bool {
+    // The bits of positive finite numbers are between 0 and those of infinity.
+    (z.to_bits().wrapping_sub(1)) < f32::INFINITY.to_bits() - 1
+}
+
+impl Sight {
+    /// Looks at a map that was checked; `None` if there is no depth of the object.
+    pub fn new(map: &DepthMap) -> Option<Self> {
+        const CHUNK: usize = 32;
+        let width = map.camera.width_px as usize;
+        let (mut x, mut y) = ((width, 0), (usize::MAX, 0));
+        let mut widen = |row: usize, first: Option<usize>, last: Option<usize>| {
+            if let (Some(first), Some(last)) = (first, last) {
+                x = (x.0.min(first), x.1.max(last));
+                y = (y.0.min(row), row);
+            }
+        };
+        match &map.mask {
+            Some(mask) => mask.chunks_exact(width).enumerate().for_each(|(row, line)| {
+                widen(row, line.iter().position(|m| *m), line.iter().rposition(|m| *m));
+            }),
+            None => map.depth_m.chunks_exact(width).enumerate().for_each(|(row, line)| {
+                // Whole chunks first: most of an image is background.
+                let any = |chunk: &[f32]| chunk.iter().fold(false, |any, &z| any | is_depth(z));
+                let mut chunks = line.chunks(CHUNK);
+                let (Some(left), Some(right)) = (chunks.clone().position(any), chunks.rposition(any)) else { return };
+                let first = line[left * CHUNK..].iter().position(|&z| is_depth(z)).map(|i| left * CHUNK + i);
+                let end = ((right + 1) * CHUNK).min(width);
+                widen(row, first, line[..end].iter().rposition(|&z| is_depth(z)));
+            }),
+        }
+        if x.0 > x.1 {
+            return None;
+        }
+        let window = Window { x: x.0, y: y.0, width: x.1 + 1 - x.0, height: y.1 + 1 - y.0 };
+        let (depth_m, noise_m) = measure(map, &window)?;
+        Some(Self { window, depth_m, noise_m })
+    }
+
+    /// Whether a map is as usable as the one that was looked at.
+    pub fn fits(&self, map: &DepthMap) -> bool {
+        let Window { x, y, width, height } = self.window;
+        map.check().is_ok() && x + width <= map.camera.width_px as usize && y + height <= map.camera.height_px as usize
+    }
+
+    /// Width of a pixel on the surface, metres.
+    pub fn footprint_m(&self, camera: &DepthCamera) -> f32 {
+        self.depth_m / camera.fx_px.max(camera.fy_px) as f32
+    }
+}
+
+/// Median depth and noise. The second difference of independent noise has 6 times its variance; the largest tenth (edges,
+/// jumps) is left out, which for a normal distribution keeps 0.6237 of the mean square.
+fn measure(map: &DepthMap, window: &Window) -> Option<(f32, f32)> {
+    const KEPT_SHARE: f32 = 0.6237;
+    let width = map.camera.width_px as usize;
+    let depth = |i: usize| {
+        let z = map.depth_m.get(i).copied().unwrap_or(0.0);
+        if is_depth(z) && map.mask.as_ref().is_none_or(|m| m[i]) { z } else { 0.0 }
+    };
+    let n = (window.width * window.height) as u64;
+    let (mut depths, mut squares) = (Vec::new(), Vec::new());
+    for k in 0..PROBES {
+        // All pixels of a small window, else places spread evenly (multiples of the golden ratio).
+        let i = if n <= PROBES { k } else { (k.wrapping_mul(0x9e37_79b9) & 0xffff_ffff) * n >> 32 } as usize;
+        if i as u64 >= n {
+            break;
+        }
+        let at = (window.y + i / window.width) * width + window.x + i % window.width;
+        let z = depth(at);
+        if z > 0.0 {
+            depths.push(z);
+            let (before, after) = (depth(at.wrapping_sub(1)), depth(at + 1));
+            if before > 0.0 && after > 0.0 {
+                squares.push((before - 2.0 * z + after).powi(2));
+            }
+        }
+    }
+    let middle = depths.len() / 2;
+    let typical = (middle < depths.len()).then(|| *depths.select_nth_unstable_by(middle, f32::total_cmp).1);
+    // A few pixels in a large window can all be missed.
+    let typical = typical.or_else(|| (0..map.depth_m.len()).map(depth).find(|&z| z > 0.0))?;
+    let kept = squares.len() * 9 / 10;
+    let mut noise = 0.0;
+    if kept > 0 {
+        squares.select_nth_unstable_by(kept, f32::total_cmp);
+        noise = (squares[..kept].iter().sum::<f32>() / kept as f32 / (6.0 * KEPT_SHARE)).sqrt();
+    }
+    Some((typical, noise))
+}
+
+/// The depths of a window with zeros where there is none.
+pub(super) struct Hits {
+    pub window: Window,
+    pub depth: Vec<f32>,
+    pub stride: usize,
+    /// Half-width of the smoothing window, pixels; 0 for none.
+    pub radius: usize,
+    gate: f32,
+    per_z: f32,
+}
+
+impl Hits {
+    /// The depths of the object that were sighted in a map.
+    pub fn new(map: &DepthMap, sight: &Sight) -> Self {
+        let (window, width) = (sight.window, map.camera.width_px as usize);
+        let stride = window.width + 2 * BORDER;
+        let mut depth = vec![0.0; stride * (window.height + 2 * BORDER)];
+        for row in 0..window.height {
+            let from = (window.y + row) * width + window.x;
+            let to = (row + BORDER) * stride + BORDER;
+            let (line, out) = (&map.depth_m[from..from + window.width], &mut depth[to..to + window.width]);
+            for (out, &z) in out.iter_mut().zip(line) {
+                *out = if is_depth(z) { z } else { 0.0 };
+            }
+            if let Some(mask) = &map.mask {
+                for (out, inside) in out.iter_mut().zip(&mask[from..from + window.width]) {
+                    *out = if *inside { *out } else { 0.0 };
+                }
+            }
+        }
+        let footprint = sight.footprint_m(&map.camera);
+        // The mean of (2 r + 1)² values has 1 / (2 r + 1) of the noise.
+        let wanted = 0.5 * (sight.noise_m / (NOISE_GOAL * footprint) - 1.0);
+        let radius =
+            if sight.noise_m < PRECISE * footprint { 0 } else { (wanted.ceil() as usize).clamp(1, LARGEST_RADIUS) };
+        // Rounding and curvature look like a little noise even in a perfect map.
+        let gate = GATE * 1.5_f32.sqrt() * sight.noise_m.max(0.01 * footprint);
+        Self { window, depth, stride, radius, gate, per_z: 1.0 / map.camera.fx_px.max(map.camera.fy_px) as f32 }
+    }
+
+    pub fn index(&self, x: usize, y: usize) -> usize {
+        (y + BORDER) * self.stride + x + BORDER
+    }
+
+    /// Every depth as the mean over the pairs of opposite neighbours that lie on a line with it: such a mean is not drawn to
+    /// either side, whatever the slope, and it stops at edges.
+    pub fn smooth(&self) -> Vec<f32> {
+        let mut out = self.depth.clone();
+        if self.radius == 0 {
+            return out;
+        }
+        let shifts: Vec<isize> =
+            half_window(self.radius as isize).map(|(dx, dy)| dy * self.stride as isize + dx).collect();
+        let n = self.window.width;
+        let (mut bend, mut count) = (vec![0.0_f32; n], vec![0.0_f32; n]);
+        for y in 0..self.window.height {
+            let at = self.index(0, y);
+            let line = |shift: isize| &self.depth[at.wrapping_add_signed(shift)..][..n];
+            let z = line(0);
+            bend.fill(0.0);
+            count.fill(0.0);
+            for &shift in &shifts {
+                let (a, b) = (line(shift), line(-shift));
+                for x in 0..n {
+                    let off = 0.5 * (a[x] + b[x]) - z[x];
+                    let flat = (a[x] > 0.0) & (b[x] > 0.0) & (off.abs() < self.gate);
+                    bend[x] += if flat { off } else { 0.0 };
+                    count[x] += if flat { 1.0 } else { 0.0 };
+                }
+            }
+            for (x, out) in out[at..at + n].iter_mut().enumerate() {
+                *out = if z[x] > 0.0 { z[x] + 2.0 * bend[x] / (1.0 + 2.0 * count[x]) } else { 0.0 };
+            }
+        }
+        out
+    }
+
+    /// Slope of smoothed depths along columns (`step` 1) or rows (`step` the stride) at `out.len()` pixels from `at`,
+    /// metres per pixel; NaN where there is none.
+    pub fn slopes(&self, smooth: &[f32], at: usize, step: usize, out: &mut [f32]) {
+        let (n, reach) = (out.len(), self.radius.max(1));
+        let line = |from: usize| &smooth[from..from + n];
+        let (before, here, after) = (line(at - reach * step), line(at), line(at + reach * step));
+        let per = 1.0 / reach as f32;
+        let precise = self.radius == 0;
+        for x in 0..n {
+            let (a, z, b) = (before[x], here[x], after[x]);
+            let steepest = STEEPEST * self.per_z * z;
+            let (left, right) = ((z - a) * per, (b - z) * per);
+            let left_ok = (a > 0.0) & (left.abs() < steepest);
+            let right_ok = (b > 0.0) & (right.abs() < steepest);
+            let flat = left_ok & right_ok & ((b - z - (z - a)).abs() < 2.0 * self.gate);
+            // At an edge, the side with the smaller difference: the other one may lie beyond it.
+            let smaller = if left_ok & (!right_ok | (left.abs() < right.abs())) { left } else { right };
+            let one_sided = if precise & (left_ok | right_ok) { smaller } else { f32::NAN };
+            out[x] = if flat { 0.5 * (left + right) } else { one_sided };
+        }
+    }
+
+    /// Depth and slopes at one hit pixel: the plane through the pairs of opposite neighbours that lie on a line with it.
+    pub fn plane(&self, at: usize) -> Option<(f32, [f32; 2])> {
+        let (z, radius) = (self.depth[at], self.radius.max(1) as isize);
+        let (mut bend, mut count) = (0.0_f32, 0.0_f32);
+        let (mut xx, mut xy, mut yy, mut xz, mut yz) = (0.0_f32, 0.0_f32, 0.0_f32, 0.0_f32, 0.0_f32);
+        for (dx, dy) in half_window(radius) {
+            let shift = dy * self.stride as isize + dx;
+            let (a, b) = (self.depth[at.wrapping_add_signed(shift)], self.depth[at.wrapping_add_signed(-shift)]);
+            let off = 0.5 * (a + b) - z;
+            if a > 0.0 && b > 0.0 && off.abs() < self.gate {
+                let (x, y, half) = (dx as f32, dy as f32, 0.5 * (a - b));
+                bend += off;
+                count += 1.0;
+                xx += x * x;
+                xy += x * y;
+                yy += y * y;
+                xz += x * half;
+                yz += y * half;
+            }
+        }
+        let det = xx * yy - xy * xy;
+        let slope = [(yy * xz - xy * yz) / det, (xx * yz - xy * xz) / det];
+        let steepest = STEEPEST * self.per_z * z;
+        let smooth = if self.radius == 0 { z } else { z + 2.0 * bend / (1.0 + 2.0 * count) };
+        (det > 0.5 && slope.iter().all(|s| s.abs() < steepest)).then_some((smooth, slope))
+    }
+}
+
+/// Half of the offsets of a square window: the other half are the opposite ones.
+fn half_window(radius: isize) -> impl Iterator<Item = (isize, isize)> {
+    (0..=radius).flat_map(move |dy| (-radius..=radius).map(move |dx| (dx, dy))).filter(|&(dx, dy)| dy > 0 || dx > 0)
+}
