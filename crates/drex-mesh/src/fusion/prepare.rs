@@ -8,7 +8,7 @@ use super::hits::{Hits, Sight, Window};
 use crate::depth::DepthMap;
 
 /// Side of a tile, pixels.
-const TILE: usize = 8;
+const TILE: usize = 4;
 /// Farthest distance from a silhouette that is told apart, pixels.
 const FARTHEST_PX: usize = 32;
 
@@ -32,15 +32,16 @@ pub(super) const UNKNOWN: f32 = -1.0;
 pub(super) struct Tile {
     pub nearest: f32,
     pub farthest: f32,
-    /// Pixels within reach of a silhouette, where the distance from it matters.
-    pub rim: bool,
-    /// Pixels whose rays meet nothing, far from any silhouette.
+    /// Smallest distance from a silhouette of pixels whose rays meet nothing, in pixels; infinite if there is none.
+    pub rim_px: f32,
+    /// Pixels whose rays meet nothing.
     pub empty: bool,
     /// Pixels of which nothing is known.
     pub unknown: bool,
 }
 
-const NO_PIXEL: Tile = Tile { nearest: f32::INFINITY, farthest: 0.0, rim: false, empty: false, unknown: false };
+const NO_PIXEL: Tile =
+    Tile { nearest: f32::INFINITY, farthest: 0.0, rim_px: f32::INFINITY, empty: false, unknown: false };
 
 /// A depth map ready for fusion. Beside the kept window there is background, or nothing is known.
 #[derive(Debug)]
@@ -195,11 +196,10 @@ impl Prepared {
             for (tile, pixels) in self.tiles[y / TILE * across..].iter_mut().zip(line.chunks(TILE)) {
                 for p in pixels {
                     let (hit, background) = (p.z > 0.0, p.z == BACKGROUND);
-                    let near = p.factor < f32::INFINITY;
+                    tile.rim_px = if background & (p.factor < tile.rim_px) { p.factor } else { tile.rim_px };
                     tile.nearest = if hit & (p.z < tile.nearest) { p.z } else { tile.nearest };
                     tile.farthest = if p.z > tile.farthest { p.z } else { tile.farthest };
-                    tile.rim |= background & near;
-                    tile.empty |= background & !near;
+                    tile.empty |= background;
                     tile.unknown |= !hit & !background;
                 }
             }
@@ -228,7 +228,7 @@ impl Prepared {
             for t in &self.tiles[ty * across + tile(lo[0], x)..=ty * across + tile(hi[0], x)] {
                 out.nearest = out.nearest.min(t.nearest);
                 out.farthest = out.farthest.max(t.farthest);
-                out.rim |= t.rim;
+                out.rim_px = out.rim_px.min(t.rim_px);
                 out.empty |= t.empty;
                 out.unknown |= t.unknown;
             }

@@ -8,8 +8,10 @@ use super::marching::GridEdge;
 use super::prepare::{BACKGROUND, Prepared};
 use crate::bvh::Aabb;
 
-/// Depth differences beyond this many truncations count as far in front or far behind whatever the slope.
-const FAR: f32 = 2.0;
+/// Depth differences beyond this many truncations count as far in front of the surface whatever the slope.
+const FAR_IN_FRONT: f32 = 2.0;
+/// The same behind the surface.
+const FAR_BEHIND: f32 = 1.5;
 /// Planes seen at a smaller cosine tell nothing about distances.
 const LEAST_COSINE: f32 = 0.15;
 /// Weight of a distance from a silhouette, beside 1 of a surface seen from the front.
@@ -189,31 +191,32 @@ impl Prepared {
     fn relation(&self, first: Vector3<f32>, side: f32, band: &Band) -> Relation {
         let (rotation, translation) = &self.camera_from_grid;
         let center = rotation * first.add_scalar(0.5 * side) + translation;
-        let radius = 0.5 * side * 3.0_f32.sqrt();
-        let (near, far) = (center.z - radius, center.z + radius);
+        // Half the sides of the box around the cube along the axes of the camera.
+        let half = rotation.abs() * Vector3::repeat(0.5 * side);
+        let (near, far) = (center.z - half.z, center.z + half.z);
         if far <= 0.0 {
             return Relation::Nothing;
         }
-        if near <= radius {
+        if near <= half.z {
             return Relation::Mixed; // so close to the camera that its outline is not a small rectangle
         }
         let (mut lo, mut hi) = ([0; 2], [0; 2]);
         for k in 0..2 {
-            // The box around the sphere around the cube looks largest at the end nearer to the axis or farther from it.
-            let (low, high) = (center[k] - radius, center[k] + radius);
-            lo[k] = (self.focal[k] * (low / near).min(low / far) + self.center[k]).floor() as isize;
-            hi[k] = (self.focal[k] * (high / near).max(high / far) + self.center[k]).floor() as isize;
+            // The box looks largest at its near end, and there also farthest from the axis.
+            let (low, high) = (center[k] - half[k], center[k] + half[k]);
+            lo[k] = (self.focal[k] * low / if low < 0.0 { near } else { far } + self.center[k]).floor() as isize;
+            hi[k] = (self.focal[k] * high / if high > 0.0 { near } else { far } + self.center[k]).floor() as isize;
             if hi[k] < 0 || lo[k] >= self.size[k] as isize {
                 return Relation::Nothing;
             }
         }
         let seen = self.extremes(lo, hi);
         let hit = seen.farthest > 0.0;
-        let margin = FAR * band.truncation;
-        if !seen.rim && !seen.unknown && (!hit || seen.nearest > far + margin) {
+        let aside = seen.rim_px * near / self.focal[0].max(self.focal[1]);
+        if !seen.unknown && aside >= band.truncation && (!hit || seen.nearest > far + FAR_IN_FRONT * band.truncation) {
             return if hit || seen.empty { Relation::Empty } else { Relation::Nothing };
         }
-        if !seen.rim && !seen.empty && (!hit || seen.farthest < near - margin) {
+        if !seen.empty && (!hit || seen.farthest < near - FAR_BEHIND * band.truncation) {
             return Relation::Nothing;
         }
         Relation::Mixed
@@ -304,9 +307,9 @@ impl Voxel {
             let aside = [u - column as f32 - 0.5, v - row as f32 - 0.5];
             let in_front = pixel.z + pixel.slope[0] * aside[0] + pixel.slope[1] * aside[1] - z;
             let distance = in_front * pixel.factor;
-            if in_front > FAR * truncation || distance > truncation {
+            if in_front > FAR_IN_FRONT * truncation || distance > truncation {
                 self.empty += 1;
-            } else if in_front > -FAR * truncation && distance > -truncation {
+            } else if in_front > -FAR_BEHIND * truncation && distance > -truncation {
                 let cosine = pixel.factor * here.per_ray;
                 if cosine < LEAST_COSINE {
                     return;
