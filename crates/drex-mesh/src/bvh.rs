@@ -59,7 +59,10 @@ impl Aabb {
         for k in 0..3 {
             let a = (self.lo[k] - origin[k]) * inverse[k];
             let b = (self.hi[k] - origin[k]) * inverse[k];
-            // A ray inside a slab's plane gives NaN (0 · ∞); `max` and `min` ignore it, which keeps the box.
+            // A ray inside a slab's plane gives NaN (0 · ∞) for that plane and says nothing about the other one.
+            if a.is_nan() || b.is_nan() {
+                continue;
+            }
             t0 = t0.max(a.min(b));
             t1 = t1.min(a.max(b));
         }
@@ -414,6 +417,16 @@ mod tests {
                 let w = bvh.winding(&Point3::from(d * r));
                 assert!((w - expected).abs() < 5e-3, "radius {r}: {w}");
             }
+        }
+    }
+
+    #[test]
+    fn rays_in_a_plane_of_box_sides_and_vertices_hit() {
+        let bvh = Bvh::new(&shapes::sphere(0.05, 3));
+        for i in 0..100 {
+            let x = -0.049 + 0.098 * f64::from(i) / 99.0;
+            let hit = bvh.ray(&Point3::new(x, 0.0, -1.0), &Vector3::z(), f64::INFINITY);
+            assert!(hit.is_some_and(|(_, t)| t < 1.0), "{x} {hit:?}");
         }
     }
 
