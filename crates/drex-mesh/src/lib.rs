@@ -23,9 +23,9 @@ mod asset;
 mod boundary;
 mod bvh;
 mod caps;
+mod check;
 mod colors;
 mod compare;
-mod check;
 mod decimate;
 mod depth;
 mod error;
@@ -51,33 +51,29 @@ mod solid;
 mod topology;
 mod write;
 
-pub use asset::{Asset, AssetOptions, AssetReport, LengthUnit, asset_from_mesh, build_asset};
-pub use colors::vertex_colors;
-pub use compare::{CompareOptions, SurfaceComparison, compare_surfaces};
-pub use check::{CheckOptions, CheckReport, Outcome, RuleResult, check_asset, check_file, check_mesh};
-pub use decimate::{DecimateOptions, DecimateReport, decimate};
-pub use depth::{DepthCamera, DepthMap, DepthViews, cast_depth};
 pub use asset::{
     ArticulatedAsset, ArticulatedReport, Asset, AssetOptions, AssetReport, LengthUnit, Part, UpSource,
     articulated_asset, asset_from_mesh, build_asset,
 };
-pub use caps::close_openings;
+pub use check::{CheckOptions, CheckReport, Outcome, RuleResult, check_asset, check_file, check_mesh};
+pub use colors::vertex_colors;
+pub use compare::{CompareOptions, SurfaceComparison, compare_surfaces};
+pub use decimate::{DecimateOptions, DecimateReport, decimate};
+pub use depth::{DepthCamera, DepthMap, DepthViews, cast_depth};
 pub use error::{Error, Result};
 pub use fill::close_openings;
 pub use fusion::{DroppedPart, Evidence, EvidenceKind, Fused, FusionOptions, FusionReport, Support, fuse};
 pub use grid::{GridOptions, GridSdf};
 pub use hull::{convex_hull, convex_hull_with_at_most};
 pub use intersect::self_intersections;
-pub use io::{parse_mesh, read_mesh, write_obj, write_ply, write_stl};
-pub use mass::{Hollow, HowHollow, check_mass_properties, principal, shell_properties};
-pub use pieces::{HowDivided, PieceOptions, UnionDistance, convex_pieces, union_distance};
-pub use region::{ObjectRegion, object_on_table, point_looked_at};
-pub use model::{Background, SceneOptions};
 pub use io::{
-    Material, Model, Part, PlyFormat, Texture, parse_mesh, read_mesh, read_model, write_glb, write_obj,
+    Material, Model, ModelPart, PlyFormat, Texture, parse_mesh, read_mesh, read_model, write_glb, write_obj,
     write_obj_model, write_ply, write_ply_as, write_stl, write_stl_text,
 };
-pub use pieces::{HowDivided, PieceOptions, convex_pieces};
+pub use mass::{Hollow, HowHollow, check_mass_properties, principal, shell_properties};
+pub use model::{Background, SceneOptions};
+pub use pieces::{HowDivided, PieceOptions, UnionDistance, convex_pieces, union_distance};
+pub use region::{ObjectRegion, object_on_table, point_looked_at};
 pub use repair::{DroppedBit, RepairOptions, RepairReport, repair};
 pub use rest::{RestOptions, RestPose, settled_pose, stable_poses};
 pub use sample::{farthest_points, sample_surface};

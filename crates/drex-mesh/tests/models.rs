@@ -8,8 +8,8 @@ use std::path::Path;
 
 use common::{cuboid, sphere, torus};
 use drex_mesh::{
-    Error, Material, Model, Part, PlyFormat, Texture, parse_mesh, read_mesh, read_model, write_glb, write_obj_model,
-    write_ply_as, write_stl, write_stl_text,
+    Error, Material, Model, ModelPart, PlyFormat, Texture, parse_mesh, read_mesh, read_model, write_glb,
+    write_obj_model, write_ply_as, write_stl, write_stl_text,
 };
 use nalgebra::Point3;
 use proptest::prelude::*;
@@ -35,15 +35,15 @@ fn painted() -> Model {
     let glass = Material { name: "glass".into(), base_color: [0.0, 0.5, 1.0, 0.25], texture: None };
     Model {
         parts: vec![
-            Part { name: "box".into(), mesh: cube, uv: Some(uv), colors: None, material: Some(0) },
-            Part { name: "ring".into(), mesh: ring, uv: None, colors: Some(colors), material: Some(1) },
+            ModelPart { name: "box".into(), mesh: cube, uv: Some(uv), colors: None, material: Some(0) },
+            ModelPart { name: "ring".into(), mesh: ring, uv: None, colors: Some(colors), material: Some(1) },
         ],
         materials: vec![wood, glass],
     }
 }
 
 /// The same as sets: OBJ numbers its corners in the order of the faces.
-fn corners(part: &Part) -> Vec<([f64; 3], Option<[f32; 2]>, Option<[u8; 3]>)> {
+fn corners(part: &ModelPart) -> Vec<([f64; 3], Option<[f32; 2]>, Option<[u8; 3]>)> {
     let of = |v: &u32| {
         let v = *v as usize;
         (part.mesh.vertices[v].into(), part.uv.as_ref().map(|t| t[v]), part.colors.as_ref().map(|c| c[v]))

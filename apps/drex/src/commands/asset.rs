@@ -70,14 +70,7 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
     let scan = Scan::new(&cameras, &depths, masked, &frame)?;
     let mut fusion = scan.fusion.clone();
     fusion.voxel_m = args.scan.voxel;
-        fusion.truncation_m = t.parse().ok();
-    }
-
     let fused = fuse(&scan, &fusion).with_context(|| format!("fusing the depth maps of {}", args.input.display()))?;
-        drex_mesh::write_ply(Path::new(&f), &fused.mesh)?;
-        println!("{}\n{}", serde_json::to_string_pretty(&scan.frame)?, serde_json::to_string_pretty(&fused.report)?);
-        return Ok(());
-    }
     let mut simpler = DecimateOptions::default();
     simpler.max_error_m = Some(SIMPLIFIED_WITHIN * fused.report.voxel_m);
     let (mesh, _) = decimate(&fused.mesh, &simpler)?;

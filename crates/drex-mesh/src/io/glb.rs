@@ -5,7 +5,7 @@ use std::path::Path;
 use drex_core::fsutil::write_atomic;
 use serde_json::{Value, json};
 
-use super::model::{Model, Part};
+use super::model::{Model, ModelPart};
 use crate::{Error, Result};
 
 /// Writes a binary glTF 2.0 file: one node, mesh and primitive per part, positions and indices, TEXCOORD_0 and COLOR_0 where there
@@ -90,7 +90,7 @@ impl Buffer {
     }
 }
 
-fn primitive(out: &mut Buffer, part: &Part) -> Value {
+fn primitive(out: &mut Buffer, part: &ModelPart) -> Value {
     const FLOAT: u32 = 5126;
     let n = part.mesh.vertices.len();
     let points: Vec<[f32; 3]> = part.mesh.vertices.iter().map(|v| [v.x as f32, v.y as f32, v.z as f32]).collect();

@@ -10,7 +10,7 @@ use nalgebra::{Matrix4, Point3};
 use drex_core::fsutil::read_bytes;
 
 use super::glb::srgb;
-use super::model::{Material, Model, Part, Texture, beside, picture};
+use super::model::{Material, Model, ModelPart, Texture, beside, picture};
 use crate::{Error, Result};
 
 /// Nodes nested deeper than this are refused: a scene does not need it, the stack would end.
@@ -129,7 +129,7 @@ impl Reader<'_> {
         for primitive in mesh.primitives() {
             let place = format!("mesh {}, primitive {}", mesh.index(), primitive.index());
             let Some(positions) = primitive.get(&gltf::Semantic::Positions) else { continue };
-            let mut part = Part { name: name.unwrap_or_default().into(), ..Part::default() };
+            let mut part = ModelPart { name: name.unwrap_or_default().into(), ..ModelPart::default() };
             for row in self.rows(&positions, &place, &[3])?.chunks_exact(3) {
                 let p = scene_from_node.transform_point(&Point3::new(row[0], row[1], row[2]));
                 if p.iter().any(|c| !c.is_finite()) {
@@ -158,7 +158,7 @@ impl Reader<'_> {
     }
 
     /// Texture coordinates, colours and material of a primitive.
-    fn looks(&mut self, primitive: &gltf::Primitive<'_>, place: &str, part: &mut Part) -> Result<()> {
+    fn looks(&mut self, primitive: &gltf::Primitive<'_>, place: &str, part: &mut ModelPart) -> Result<()> {
         part.material = primitive.material().index();
         let texture = primitive.material().pbr_metallic_roughness().base_color_texture();
         let set = texture.map_or(0, |t| t.tex_coord());

@@ -13,7 +13,7 @@ use drex_core::TriMesh;
 use drex_core::fsutil::read_bytes;
 
 pub use glb::write_glb;
-pub use model::{Material, Model, Part, Texture, read_model};
+pub use model::{Material, Model, ModelPart, Texture, read_model};
 pub use obj::write_obj_model;
 pub(crate) use write::obj_text;
 pub use write::{PlyFormat, write_obj, write_ply, write_ply_as, write_stl, write_stl_text};

@@ -12,14 +12,14 @@ use crate::{Error, Result, parse_mesh};
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Model {
     /// The surfaces; one material each.
-    pub parts: Vec<Part>,
+    pub parts: Vec<ModelPart>,
     /// The materials that the parts name by position.
     pub materials: Vec<Material>,
 }
 
 /// One surface of a [`Model`].
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Part {
+pub struct ModelPart {
     /// Name of the object or group, empty if the file has none.
     pub name: String,
     /// The surface in the frame of the file. Corners that differ in texture coordinate are separate vertices.
@@ -85,7 +85,7 @@ impl Texture {
 impl Model {
     /// A surface without looks.
     pub fn plain(mesh: TriMesh) -> Self {
-        Self { parts: vec![Part { mesh, ..Part::default() }], materials: Vec::new() }
+        Self { parts: vec![ModelPart { mesh, ..ModelPart::default() }], materials: Vec::new() }
     }
 
     /// All parts as one mesh; vertices are not merged.
@@ -147,7 +147,7 @@ pub fn read_model(path: &Path) -> Result<Model> {
         "obj" => obj::parse(path, &read_bytes(path)?)?,
         "ply" => {
             let (mesh, colors) = ply::parse(path, &read_bytes(path)?)?;
-            Model { parts: vec![Part { mesh, colors, ..Part::default() }], materials: Vec::new() }
+            Model { parts: vec![ModelPart { mesh, colors, ..ModelPart::default() }], materials: Vec::new() }
         }
         "gltf" | "glb" => gltf::parse(path, &read_bytes(path)?)?,
         "stl" => Model::plain(parse_mesh(path, &read_bytes(path)?)?),

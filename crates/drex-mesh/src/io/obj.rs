@@ -8,7 +8,7 @@ use nalgebra::Point3;
 
 use drex_core::fsutil::{read_bytes, write_atomic};
 
-use super::model::{Material, Model, Part, beside, picture};
+use super::model::{Material, Model, ModelPart, beside, picture};
 use crate::{Error, Result};
 
 /// Parses an OBJ; parts are the runs of faces between `o`, `g` and `usemtl`, equal ones joined.
@@ -200,11 +200,11 @@ impl Building {
         })
     }
 
-    fn finish(self, vertices: &[Point3<f64>], colors: &[[f64; 3]], uv: &[[f32; 2]]) -> Part {
+    fn finish(self, vertices: &[Point3<f64>], colors: &[[f64; 3]], uv: &[[f32; 2]]) -> ModelPart {
         // Some exporters write 0 to 255.
         let scale = if colors.iter().flatten().any(|&c| c > 1.0) { 1.0 } else { 255.0 };
         let byte = |c: f64| (c * scale).round().clamp(0.0, 255.0) as u8;
-        let mut part = Part { name: self.name, material: self.material, ..Part::default() };
+        let mut part = ModelPart { name: self.name, material: self.material, ..ModelPart::default() };
         part.mesh.vertices = self.order.iter().map(|c| vertices[c.0 as usize]).collect();
         part.mesh.faces = self.faces;
         if colors.len() == vertices.len() {

@@ -7,10 +7,10 @@ use drex_core::{SignedDistance, Surface, TriMesh};
 
 use super::part::{Part, Plane, cut_length, edges, points_behind};
 use super::probe::{Fill, Probes};
+use crate::Result;
 use crate::grid::{GridOptions, GridSdf};
 use crate::hull::convex_hull;
 use crate::sdf::MeshSdf;
-use crate::Result;
 
 /// Positions tried along each direction.
 const POSITIONS: usize = 12;
@@ -65,7 +65,14 @@ impl Scene {
         let probes = Probes::new(&solid, probes, tolerance, 1);
         let grid = GridOptions { nodes: GRID_NODES, margin_m: Some(0.01 * size) };
         let solid = GridSdf::with_options(solid, &grid)?;
-        Ok(Self { solid, probes, overlap: 5e-5 * size, short: SHORT * size, tolerance, edge_planes: edge_planes(surface, size) })
+        Ok(Self {
+            solid,
+            probes,
+            overlap: 5e-5 * size,
+            short: SHORT * size,
+            tolerance,
+            edge_planes: edge_planes(surface, size),
+        })
     }
 
     /// Whether a point is inside the solid, as the grid knows it: that may be wrong near the surface, by a part of the grid's
@@ -118,7 +125,9 @@ impl Scene {
             best
         };
         let best: Vec<Cut> = tried.into_par_iter().map(moved).collect();
-        best.into_iter().reduce(|a, b| if b.worth > a.worth { b } else { a }).filter(|cut| cut.gain > self.probes.negligible())
+        best.into_iter()
+            .reduce(|a, b| if b.worth > a.worth { b } else { a })
+            .filter(|cut| cut.gain > self.probes.negligible())
     }
 
     /// Planes across the axes, across the principal axes of the part's surface, and planes of faces at concave edges;
