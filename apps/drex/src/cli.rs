@@ -212,9 +212,9 @@ pub struct AssetArgs {
     /// 0,1,0; scans: away from the table].
     #[arg(long, value_name = "X,Y,Z", value_parser = direction, allow_hyphen_values = true)]
     pub up: Option<[f64; 3]>,
-    /// Coulomb friction written into the MJCF.
-    #[arg(long, default_value_t = 0.5, value_parser = positive)]
-    pub friction: f64,
+    /// Coulomb friction written into the MJCF [default: the manifest's, or 0.5].
+    #[arg(long, value_parser = positive)]
+    pub friction: Option<f64>,
     /// MJCF of a robot to put into asset/scene.xml, by reference.
     #[arg(long, value_name = "FILE")]
     pub robot: Option<PathBuf>,

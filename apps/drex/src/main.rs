@@ -37,7 +37,7 @@ fn run(cli: &Cli, ui: &Ui) -> anyhow::Result<()> {
     match &cli.command {
         Command::Reconstruct(args) => commands::reconstruct::run(args, seed, ui),
         Command::Asset(args) => commands::asset::run(args, seed, ui),
-        Command::Mesh(_) => Ok(()),
+        Command::Mesh(command) => commands::mesh::run(command, ui),
         Command::Identify(args) => commands::identify::run(args, seed, ui),
         Command::PlanPush(args) => commands::plan_push::run(args, ui),
         Command::CalibrateHand(args) => commands::calibrate_hand::run(args, ui),

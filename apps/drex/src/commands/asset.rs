@@ -15,6 +15,7 @@ use serde::Serialize;
 
 use crate::cli::AssetArgs;
 use crate::commands::reconstruct::{self, Programs};
+use crate::object::asset_options;
 use crate::scan::{FrameOptions, FrameReport, Scan};
 use crate::ui::Ui;
 
@@ -34,13 +35,17 @@ struct ScanAnswer<'a> {
 
 /// Builds the asset, writes it, answers with its report.
 pub fn run(args: &AssetArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
+    let manifest = if args.input.is_dir() { args.input.join(MANIFEST) } else { args.input.clone() };
+    if manifest.file_name().is_some_and(|name| name == MANIFEST) && manifest.is_file() {
+        return from_manifest(args, &manifest, ui);
+    }
     let video = args.input.extension().is_some_and(|e| VIDEOS.iter().any(|v| e.eq_ignore_ascii_case(v)));
     if args.input.is_dir() || video {
         return from_scan(args, seed.unwrap_or(0), ui);
     }
     let spinner = ui.spinner("asset");
     let asset = build_asset(&args.input, &options(args))?;
-    asset.write(&args.out)?;
+    write(&asset, args)?;
     spinner.finish_and_clear();
     ui.answer(&asset.report, describe(&asset, args))
 }
@@ -48,11 +53,66 @@ pub fn run(args: &AssetArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
 fn options(args: &AssetArgs) -> AssetOptions {
     let mut options = AssetOptions::default();
     options.unit = args.unit;
-    options.up_in_mesh = args.up.map(Vector3::from);
-    options.friction = args.friction;
-    options.mass_kg = args.mass;
+    with_arguments(options, args)
+}
+
+/// What the command line says goes before what a manifest says.
+fn with_arguments(mut options: AssetOptions, args: &AssetArgs) -> AssetOptions {
+    options.up_in_mesh = args.up.map(Vector3::from).or(options.up_in_mesh);
+    options.friction = args.friction.unwrap_or(options.friction);
+    options.mass_kg = args.mass.or(options.mass_kg);
     options.density_kg_m3 = args.density.unwrap_or(options.density_kg_m3);
+    options.wall_m = args.wall;
     options
+}
+
+/// Writes the asset, in a scene where one is asked for.
+fn write(asset: &Asset, args: &AssetArgs) -> Result<()> {
+    if args.robot.is_none() && args.background.is_none() && args.pose.is_none() {
+        return Ok(asset.write(&args.out)?);
+    }
+    let mut scene = SceneOptions::default();
+    scene.robot.clone_from(&args.robot);
+    scene.world_from_object = args.pose;
+    if let Some(file) = &args.background {
+        let (visual, _) = repair(&read_mesh(file)?, &RepairOptions::default())?;
+        // What cannot be divided, an open sheet such as a scanned table, is only looked at.
+        let pieces = convex_pieces(&visual, &PieceOptions::default()).unwrap_or_default();
+        scene.background = Some(Background { visual, pieces });
+    }
+    Ok(asset.write_with_scene(&scene, &args.out)?)
+}
+
+/// The object of a twin: parts and joints, or one mesh.
+fn from_manifest(args: &AssetArgs, manifest: &Path, ui: &Ui) -> Result<()> {
+    let twin = TwinManifest::load(manifest)?;
+    let folder = manifest.parent().unwrap_or(Path::new(""));
+    let mut options = asset_options(&twin.object, twin.friction().0);
+    options.mass_kg = twin.mass.weighed_kg;
+    let options = with_arguments(options, args);
+    let spinner = ui.spinner("asset");
+    if twin.object.parts.is_empty() {
+        let asset = build_asset(&folder.join(&twin.object.mesh), &options)?;
+        write(&asset, args)?;
+        spinner.finish_and_clear();
+        return ui.answer(&asset.report, describe(&asset, args));
+    }
+    let part = |p: &PartConfig| -> Result<Part> {
+        Ok(Part { name: p.name.clone(), mesh: read_mesh(&folder.join(&p.mesh))?, mass_kg: p.mass_kg })
+    };
+    let parts = twin.object.parts.iter().map(part).collect::<Result<Vec<_>>>()?;
+    let asset = articulated_asset(&parts, &twin.object.joints, &options)?;
+    asset.write(&args.out)?;
+    spinner.finish_and_clear();
+    let r = &asset.report;
+    let mut text = format!("{}\n  mass     {:.1} g\n", args.input.display(), 1e3 * r.mass_kg);
+    for (name, part) in &r.parts {
+        text += &format!("  {name}: {:.1} g, {:.2} cm3, {} convex pieces\n", 1e3 * part.mass_kg, 1e6 * part.volume_m3, part.pieces);
+    }
+    for joint in &r.joints {
+        text += &format!("  {}: {} to {}\n", joint.name, joint.parent, joint.child);
+    }
+    ui.answer(r, text + &written(args))
 }
 
 /// Photos to Gaussians to depth maps, or depth maps as they are, to a closed mesh to an asset.
@@ -79,8 +139,9 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
     let mut options = options(args);
     options.unit = LengthUnit::Metre;
     options.up_in_mesh = Some(scan.frame.up_in_mesh.into());
+    options.scale_source = Some(scan.frame.scale_from.into());
     let asset = asset_from_mesh(&mesh, &options)?;
-    asset.write(&args.out)?;
+    write(&asset, args)?;
     let mut answer = ScanAnswer { scan: &scan.frame, fusion: &fused.report, asset: None };
     let text = serde_json::to_string_pretty(&answer)? + "\n";
     fsutil::write_atomic(&args.out.join("mesh/scan.json"), text.as_bytes())?;
@@ -166,5 +227,9 @@ fn describe(asset: &Asset, args: &AssetArgs) -> String {
     for warning in &r.warnings {
         text += &format!("  note     {warning}\n");
     }
-    text + &format!("  written  {}", args.out.join("asset").join("object.xml").display())
+    text + &written(args)
+}
+
+fn written(args: &AssetArgs) -> String {
+    format!("  written  {}", args.out.join("asset").join("object.xml").display())
 }

@@ -35,7 +35,7 @@ pub fn run(command: &MeshCommand, ui: &Ui) -> Result<()> {
 /// The sixteen rules; fails where one is broken that `drex asset` does not mend.
 fn check(args: &MeshCheckArgs, ui: &Ui) -> Result<()> {
     let mut options = CheckOptions::default();
-    options.unit = args.unit;
+    options.asset.unit = args.unit;
     let asset = args.file.is_dir() || args.file.extension().is_some_and(|e| e == "xml");
     let report = if asset { check_asset(&args.file, &options)? } else { check_file(&args.file, &options)? };
     ui.answer(&report, report.to_string())?;

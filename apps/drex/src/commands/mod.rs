@@ -6,6 +6,7 @@ pub mod demo;
 pub mod doctor;
 pub mod identify;
 pub mod import;
+pub mod mesh;
 pub mod plan_push;
 pub mod reconstruct;
 pub mod render;

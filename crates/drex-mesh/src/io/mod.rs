@@ -16,7 +16,7 @@ pub use glb::write_glb;
 pub use model::{Material, Model, ModelPart, Texture, read_model};
 pub use obj::write_obj_model;
 pub(crate) use write::obj_text;
-pub use write::{PlyFormat, write_obj, write_ply, write_ply_as, write_stl, write_stl_text};
+pub use write::{PlyFormat, write_mesh, write_obj, write_ply, write_ply_as, write_stl, write_stl_text};
 
 use crate::{Error, Result};
 

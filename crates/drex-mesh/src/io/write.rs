@@ -6,7 +6,22 @@ use std::path::Path;
 use drex_core::TriMesh;
 use drex_core::fsutil::write_atomic;
 
+use super::{Model, extension, write_glb};
 use crate::{Error, Result};
+
+/// Writes a mesh in the format that the name ends in: `.obj`, `.stl` (binary), `.ply` (binary) or `.glb`.
+///
+/// # Errors
+/// If the ending is another or the file cannot be written; an old one stays.
+pub fn write_mesh(path: &Path, mesh: &TriMesh) -> Result<()> {
+    match extension(path).as_str() {
+        "obj" => write_obj(path, mesh),
+        "stl" => write_stl(path, mesh),
+        "ply" => write_ply(path, mesh),
+        "glb" => write_glb(path, &Model::plain(mesh.clone())),
+        other => Err(Error::UnknownExtension { path: path.to_path_buf(), extension: other.to_string() }),
+    }
+}
 
 /// Writes a Wavefront OBJ with vertices and faces only; the numbers read back to the same bits.
 ///
