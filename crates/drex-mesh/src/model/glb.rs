@@ -11,8 +11,8 @@ pub(crate) fn glb(meshes: &[(&str, &TriMesh)], world_from_mesh: &Pose) -> Vec<u8
     let turned = gltf_from_world * world_from_mesh;
     let q = turned.rotation;
     let mut out = Builder::default();
-    for (_, mesh) in meshes {
-        out.add(mesh);
+    for (name, mesh) in meshes {
+        out.add(name, mesh);
     }
     let children: Vec<usize> = (1..=meshes.len()).collect();
     let mut nodes = vec![json!({
@@ -45,7 +45,7 @@ struct Builder {
 }
 
 impl Builder {
-    fn add(&mut self, mesh: &TriMesh) {
+    fn add(&mut self, name: &str, mesh: &TriMesh) {
         let positions: Vec<[f32; 3]> = mesh.vertices.iter().map(|v| [v.x as f32, v.y as f32, v.z as f32]).collect();
         let bound = |pick: fn(f32, f32) -> f32| {
             positions.iter().copied().reduce(|a, b| [0, 1, 2].map(|k| pick(a[k], b[k]))).unwrap_or_default()
@@ -56,7 +56,7 @@ impl Builder {
         let start = self.bytes.len();
         mesh.faces.iter().flatten().for_each(|v| self.bytes.extend(v.to_le_bytes()));
         let indices = self.accessor(start, 34963, 5125, 3 * mesh.faces.len(), "SCALAR", json!({}));
-        self.meshes.push(json!({ "primitives": [{
+        self.meshes.push(json!({ "name": name, "primitives": [{
             "attributes": { "POSITION": position, "NORMAL": normal }, "indices": indices, "material": 0
         }] }));
     }
