@@ -1,5 +1,6 @@
 //! Convex pieces that together cover a solid, for collision.
 
+mod coarse;
 mod cut;
 mod part;
 mod probe;
@@ -19,6 +20,7 @@ use crate::{Error, Result};
 
 pub use score::{UnionDistance, union_distance};
 
+use coarse::coarse;
 use cut::Scene;
 use part::Part;
 use tree::Division;
@@ -49,7 +51,9 @@ const SLIVER_M3: f64 = 1e-12;
 const PROBES: usize = 4000;
 
 /// How often parts are cut and joined anew.
-const ROUNDS: usize = 5;
+const ROUNDS: usize = 2;
+/// Vertices of the surface at most while cuts are searched.
+const COARSE: usize = 2500;
 
 /// How the pieces were obtained.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
@@ -164,22 +168,23 @@ fn decompose(mesh: &TriMesh, whole: bool, options: &PieceOptions, most: usize) -
     let t = std::time::Instant::now();
     let scene = Scene::new(solid, &surface, PROBES, options.concavity * size).ok()?;
     eprintln!("scene {:?}", t.elapsed());
-    let whole = Part::whole(surface.clone())?;
+    let whole = Part::whole(coarse(&surface, COARSE))?;
+    eprintln!("surface {} {} coarse {} {}", surface.vertices.len(), surface.faces.len(), whole.surface.vertices.len(), whole.surface.faces.len());
     let t = std::time::Instant::now();
     let mut division = Division::new(&scene, whole);
     division.split(2 * most - 1);
     eprintln!("split cost {:e} pieces {} {:?}", division.cost(), division.pieces(), t.elapsed());
     division.merge(most);
     eprintln!("merge cost {:e} pieces {} {:?}", division.cost(), division.pieces(), t.elapsed());
-    division.refine(6);
+    division.refine(4);
     eprintln!("refine cost {:e} pieces {} {:?}", division.cost(), division.pieces(), t.elapsed());
     for _ in 0..ROUNDS {
         let mut other = division.clone();
         other.split(most / 4 + 1);
         other.merge(most);
-        other.refine(4);
+        other.refine(3);
         eprintln!("other cost {:e} pieces {} {:?}", other.cost(), other.pieces(), t.elapsed());
-        if other.cost() >= 0.99 * division.cost() {
+        if other.cost() >= 0.98 * division.cost() {
             break;
         }
         division = other;

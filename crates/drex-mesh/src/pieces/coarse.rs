@@ -1,0 +1,59 @@
+//! A coarse stand-in for a fine surface: the search for cuts needs no detail.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Point3, Vector3};
+
+use drex_core::TriMesh;
+
+/// The surface with at most `most` vertices: those in one cell of a grid that look in about the same direction become the
+/// one that sticks out farthest in it (after Rossignac and Borrel, "Multi-resolution 3D approximations for rendering
+/// complex scenes", 1993). The two sides of a wall thinner than a cell stay apart.
+pub(super) fn coarse(surface: &TriMesh, most: usize) -> TriMesh {
+    let Some((lo, hi)) = surface.bounds() else { return TriMesh::default() };
+    let normals = vertex_normals(surface);
+    let mut cell = (hi - lo).norm() / 200.0;
+    let mut out = surface.clone();
+    while out.vertices.len() > most {
+        out = cluster(surface, &normals, &lo, cell);
+        cell *= 1.25;
+    }
+    out
+}
+
+/// Sums of the faces' vector areas at each vertex, of unit length.
+fn vertex_normals(mesh: &TriMesh) -> Vec<Vector3<f64>> {
+    let mut normals = vec![Vector3::zeros(); mesh.vertices.len()];
+    for (f, face) in mesh.faces.iter().enumerate() {
+        let [a, b, c] = mesh.triangle(f);
+        let n = (b - a).cross(&(c - a));
+        face.iter().for_each(|&v| normals[v as usize] += n);
+    }
+    normals.iter().map(|n: &Vector3<f64>| n.try_normalize(0.0).unwrap_or_default()).collect()
+}
+
+fn cluster(mesh: &TriMesh, normals: &[Vector3<f64>], lo: &Point3<f64>, cell: f64) -> TriMesh {
+    // One of 26 directions: a component counts from 22.5 degrees on.
+    let direction = |n: &Vector3<f64>| [0, 1, 2].map(|k| i8::from(n[k] > 0.38) - i8::from(n[k] < -0.38));
+    let key = |v: usize| ([0, 1, 2].map(|k| ((mesh.vertices[v][k] - lo[k]) / cell) as u32), direction(&normals[v]));
+    let mut members: BTreeMap<_, Vec<usize>> = BTreeMap::new();
+    for v in 0..mesh.vertices.len() {
+        members.entry(key(v)).or_default().push(v);
+    }
+    let mut number = vec![0; mesh.vertices.len()];
+    let mut out = TriMesh::default();
+    for group in members.values() {
+        let normal: Vector3<f64> = group.iter().map(|&v| normals[v]).sum();
+        let height = |v: usize| normal.dot(&mesh.vertices[v].coords);
+        let farthest = group.iter().fold(group[0], |best, &v| if height(v) > height(best) { v } else { best });
+        group.iter().for_each(|&v| number[v] = out.vertices.len() as u32);
+        out.vertices.push(mesh.vertices[farthest]);
+    }
+    let faces = mesh.faces.iter().map(|f| f.map(|v| number[v as usize]));
+    out.faces = faces.filter(|[a, b, c]| a != b && b != c && c != a).collect();
+    // Where many thin faces became one, which way it is wound does not matter here.
+    out.faces.iter_mut().for_each(|f| f.sort_unstable());
+    out.faces.sort_unstable();
+    out.faces.dedup();
+    out
+}
