@@ -1,20 +1,23 @@
 //! The rules for convex pieces.
 
 use drex_core::TriMesh;
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
 
 use super::Outcome::{Fail, Pass};
 use super::{CheckOptions, CheckReport};
-use crate::bvh::Bvh;
+use crate::bvh::{Aabb, Bvh};
 use crate::hull::hull_volume;
-use crate::sample_surface;
+use crate::{convex_hull, sample_surface};
 
 /// Hulls with less volume are refused by engines, m³.
 const SLIVER_M3: f64 = 1e-12;
-/// A corner may stick out of the hull's planes by this share of the hull's size.
-const FLATNESS: f64 = 1e-6;
-/// Points per hull at which the distance to the visual mesh is measured.
-const PROBES: usize = 4000;
+/// A piece may miss this share of the volume of its convex hull.
+const DENT: f64 = 1e-3;
+/// Tolerance of containment, and the height below which a face is too narrow to have a plane, relative to the hull's size.
+const FLATNESS: f64 = 1e-5;
+/// Points at which hulls and visual mesh are compared, each way.
+const PROBES: usize = 16_000;
 
 /// Rule 12.
 pub(super) fn judge(pieces: &[TriMesh], options: &CheckOptions, report: &mut CheckReport) {
@@ -42,25 +45,37 @@ pub(super) fn judge(pieces: &[TriMesh], options: &CheckOptions, report: &mut Che
 }
 
 fn is_convex(piece: &TriMesh) -> bool {
-    let size = piece.bounds().map_or(0.0, |(lo, hi)| (hi - lo).norm());
     crate::topology::Topology::new(piece).open_edges == 0
-        && piece.vertices.iter().all(|v| height_over(piece, v) <= FLATNESS * size)
+        && convex_hull(&piece.vertices).is_ok_and(|hull| hull_volume(piece) >= (1.0 - DENT) * hull_volume(&hull))
 }
 
-/// Whether a point lies in a convex mesh, with a little tolerance.
-pub(super) fn contains(hull: &TriMesh, p: &Point3<f64>) -> bool {
-    let size = hull.bounds().map_or(0.0, |(lo, hi)| (hi - lo).norm());
-    height_over(hull, p) <= FLATNESS * size
+/// A convex mesh as the planes of its faces.
+pub(super) struct Planes {
+    planes: Vec<(Vector3<f64>, f64)>,
+    bounds: Aabb,
+    tolerance: f64,
 }
 
-/// Largest signed distance of a point from the planes of a convex mesh: negative inside.
-fn height_over(hull: &TriMesh, p: &Point3<f64>) -> f64 {
-    (0..hull.faces.len())
-        .filter_map(|f| {
+impl Planes {
+    pub fn new(hull: &TriMesh) -> Self {
+        let bounds = Aabb::of(&hull.vertices);
+        let tolerance = FLATNESS * (bounds.hi - bounds.lo).norm();
+        let planes = (0..hull.faces.len()).filter_map(|f| {
             let [a, b, c] = hull.triangle(f);
-            Some((p - a).dot(&(b - a).cross(&(c - a)).try_normalize(0.0)?))
-        })
-        .fold(f64::NEG_INFINITY, f64::max)
+            let n = (b - a).cross(&(c - a));
+            let longest = (b - a).norm().max((c - b).norm()).max((a - c).norm());
+            // The neighbours of a needle bound the hull just as well.
+            let normal = n.try_normalize(0.0).filter(|_| n.norm() > tolerance * longest)?;
+            Some((normal, normal.dot(&a.coords)))
+        });
+        Self { planes: planes.collect(), bounds: bounds.fattened(tolerance), tolerance }
+    }
+
+    /// Whether a point lies inside, with a little tolerance.
+    pub fn contain(&self, p: &Point3<f64>) -> bool {
+        self.bounds.contains(&Aabb::of(&[*p]))
+            && self.planes.iter().all(|(n, d)| n.dot(&p.coords) - d <= self.tolerance)
+    }
 }
 
 /// Rule 13: the surface of the union of the pieces against the closed visual mesh, both ways.
@@ -101,29 +116,33 @@ impl Spread {
 /// Distance of the surface of the union (what of each piece is in no other one) from the mesh.
 fn union_to_mesh(pieces: &[TriMesh], mesh: &TriMesh) -> Option<Spread> {
     let area: f64 = pieces.iter().map(TriMesh::area).sum();
-    let tree = Bvh::new(mesh);
-    let mut distances = Vec::new();
-    for (k, piece) in pieces.iter().enumerate() {
-        let n = (PROBES as f64 * pieces.len() as f64 * piece.area() / area).ceil() as usize;
-        for s in sample_surface(piece, n.min(PROBES * 4), k as u64) {
-            let hidden = pieces.iter().enumerate().any(|(i, p)| i != k && contains(p, &s.point));
-            if !hidden && let Some(near) = tree.nearest(&s.point, f64::INFINITY) {
-                distances.push(near.distance_squared.sqrt());
-            }
-        }
-    }
-    Spread::of(distances)
+    let (tree, planes) = (Bvh::new(mesh), pieces.iter().map(Planes::new).collect::<Vec<_>>());
+    let probes: Vec<(usize, Point3<f64>)> = pieces
+        .iter()
+        .enumerate()
+        .flat_map(|(k, piece)| {
+            let n = (PROBES as f64 * piece.area() / area).ceil() as usize;
+            sample_surface(piece, n.min(PROBES), k as u64).into_iter().map(move |s| (k, s.point))
+        })
+        .collect();
+    let distance = |(k, p): &(usize, Point3<f64>)| {
+        let hidden = planes.iter().enumerate().any(|(i, other)| i != *k && other.contain(p));
+        let near = if hidden { None } else { tree.nearest(p, f64::INFINITY) };
+        near.map(|n| n.distance_squared.sqrt())
+    };
+    Spread::of(probes.par_iter().filter_map(distance).collect())
 }
 
 /// How far the mesh sticks out of all pieces; 0 where a piece covers it.
 fn mesh_to_union(pieces: &[TriMesh], mesh: &TriMesh) -> Option<Spread> {
-    let trees: Vec<Bvh> = pieces.iter().map(Bvh::new).collect();
+    let trees: Vec<(Planes, Bvh)> = pieces.iter().map(|p| (Planes::new(p), Bvh::new(p))).collect();
     let outside = |p: &Point3<f64>| {
-        if pieces.iter().any(|piece| contains(piece, p)) {
+        if trees.iter().any(|(planes, _)| planes.contain(p)) {
             return 0.0;
         }
-        let near = trees.iter().filter_map(|t| t.nearest(p, f64::INFINITY)).map(|n| n.distance_squared);
+        let near = trees.iter().filter_map(|(_, t)| t.nearest(p, f64::INFINITY)).map(|n| n.distance_squared);
         near.fold(f64::INFINITY, f64::min).sqrt()
     };
-    Spread::of(sample_surface(mesh, 4 * PROBES, 0).iter().map(|s| outside(&s.point)).collect())
+    let probes = sample_surface(mesh, PROBES, 0);
+    Spread::of(probes.par_iter().map(|s| outside(&s.point)).collect())
 }

@@ -162,7 +162,7 @@ pub(super) fn inertia(p: &MassProperties, surface: &[Point3<f64>], report: &mut 
         moments.sum() - moments.min() - moments.max(),
         moments.max()
     );
-    let inside = convex_hull(surface).is_ok_and(|hull| hulls::contains(&hull, &p.center_of_mass));
+    let inside = convex_hull(surface).is_ok_and(|hull| hulls::Planes::new(&hull).contain(&p.center_of_mass));
     let fix = Some("check that the mesh is closed and wound outwards");
     match (p.is_physical(), inside) {
         (true, true) => report.set(7, Pass, shown, None),
