@@ -25,7 +25,12 @@ pub(super) struct Pixel {
 }
 
 pub(super) const BACKGROUND: f32 = 0.0;
-pub(super) const UNKNOWN: f32 = -1.0;
+const UNKNOWN: f32 = -1.0;
+
+/// A pixel whose ray meets nothing, far from any silhouette.
+const EMPTY: Pixel = Pixel { z: BACKGROUND, slope: [0.0; 2], factor: f32::INFINITY };
+/// A pixel of which nothing is known.
+pub(super) const NOTHING: Pixel = Pixel { z: UNKNOWN, slope: [0.0; 2], factor: 0.0 };
 
 /// Extremes of the pixels of a tile.
 #[derive(Debug, Clone, Copy)]
@@ -53,6 +58,8 @@ pub(super) struct Prepared {
     /// Whether rays beside the window are empty (else nothing is known of them).
     pub beside_is_empty: bool,
     window: Window,
+    /// The pixels beside the window.
+    beside: Pixel,
     pixels: Vec<Pixel>,
     tiles: Vec<Tile>,
 }
@@ -73,6 +80,7 @@ impl Prepared {
         let reach = (2.0 * reach_m as f32 / sight.footprint_m(camera)).ceil() as usize;
         let reach = reach.saturating_add(1).min(FARTHEST_PX);
         let window = grown(&sight.window, reach + 1, size);
+        let beside_is_empty = background_is_empty || map.mask.is_some();
         let mut prepared = Self {
             camera_from_grid: (
                 camera_from_grid.rotation.to_rotation_matrix().matrix().cast(),
@@ -81,8 +89,9 @@ impl Prepared {
             focal,
             center: [camera.cx_px as f32, camera.cy_px as f32],
             size,
-            beside_is_empty: background_is_empty || map.mask.is_some(),
+            beside_is_empty,
             window,
+            beside: if beside_is_empty { EMPTY } else { NOTHING },
             pixels: Vec::new(),
             tiles: Vec::new(),
         };
@@ -95,10 +104,15 @@ impl Prepared {
         prepared
     }
 
-    /// The pixel at a place of the image, if it is in the window.
-    pub fn pixel(&self, x: usize, y: usize) -> Option<&Pixel> {
-        let (x, y) = (x.wrapping_sub(self.window.x), y.wrapping_sub(self.window.y));
-        (x < self.window.width && y < self.window.height).then(|| &self.pixels[y * self.window.width + x])
+    /// The pixel at a column and row.
+    #[inline(always)]
+    pub fn pixel(&self, column: i32, row: i32) -> &Pixel {
+        let (x, y) = ((column as usize).wrapping_sub(self.window.x), (row as usize).wrapping_sub(self.window.y));
+        if x < self.window.width && y < self.window.height {
+            return &self.pixels[y * self.window.width + x];
+        }
+        let in_image = (column as usize) < self.size[0] && (row as usize) < self.size[1];
+        if in_image { &self.beside } else { &NOTHING }
     }
 
     fn read_background(&mut self, map: &DepthMap) {
@@ -109,7 +123,7 @@ impl Prepared {
             None => vec![pixel(self.beside_is_empty); width * height],
             Some(mask) => (y..y + height)
                 .flat_map(|row| &mask[row * self.size[0] + x..][..width])
-                .map(|inside| pixel(!inside))
+                .map(|inside| if *inside { NOTHING } else { EMPTY })
                 .collect(),
         };
     }

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::lattice::{Field, FieldBlock, Lattice, SIDE, VOXELS};
 use super::marching::GridEdge;
-use super::prepare::{BACKGROUND, Prepared};
+use super::prepare::{BACKGROUND, NOTHING, Prepared};
 use crate::bvh::Aabb;
 
 /// Depth differences beyond this many truncations count as far in front of the surface whatever the slope.
@@ -37,30 +37,49 @@ pub(super) struct Band {
     pub votes: u16,
 }
 
-/// What was observed at a voxel.
-#[derive(Clone, Copy, Default)]
-struct Voxel {
-    /// Sums of weights and weighted distances of observations in front of the surface.
-    front: [f32; 2],
+/// Samples along a side of the parts in which a block is compared with a view, and all samples of a part.
+const PART: usize = 4;
+const CELLS: usize = PART * PART * PART;
+
+/// What was observed at the samples of a part; x changes fastest.
+#[derive(Clone, Copy)]
+struct Evidence {
+    /// Sums of weights of observations in front of the surface, and of weights times distances.
+    front: [[f32; CELLS]; 2],
     /// The same behind the surface.
-    behind: [f32; 2],
+    behind: [[f32; CELLS]; 2],
     /// Best cosine of the observations.
-    cosine: f32,
+    cosine: [f32; CELLS],
     /// Views that measured the surface near here.
-    views: u16,
+    views: [f32; CELLS],
     /// Views that saw through.
-    empty: u16,
+    empty: [f32; CELLS],
 }
 
-/// What was observed in a block.
-struct Evidence([Voxel; VOXELS]);
+const NO_EVIDENCE: Evidence = Evidence {
+    front: [[0.0; CELLS]; 2],
+    behind: [[0.0; CELLS]; 2],
+    cosine: [0.0; CELLS],
+    views: [0.0; CELLS],
+    empty: [0.0; CELLS],
+};
+
+/// The parts of a block.
+type Parts = [Evidence; 8];
+
+/// Part of sample `v` of a block, and its place there.
+fn part_of(v: usize) -> (usize, usize) {
+    let at = [v % SIDE, v / SIDE % SIDE, v / (SIDE * SIDE)];
+    let join = |of: fn(usize) -> usize, base: usize| (of(at[2]) * base + of(at[1])) * base + of(at[0]);
+    (join(|x| x / PART, 2), join(|x| x % PART, PART))
+}
 
 /// A block is stored when the views begin to differ within it.
 #[derive(Default)]
 pub(super) struct Block {
     /// Views that see all of it empty.
     empty: u16,
-    evidence: Option<Box<Evidence>>,
+    evidence: Option<Box<Parts>>,
 }
 
 /// Where the solid may be.
@@ -98,7 +117,7 @@ pub(super) struct Volume {
 }
 
 /// Bytes of a stored block.
-pub(super) const BLOCK_BYTES: usize = size_of::<Evidence>() + VOXELS * size_of::<f32>();
+pub(super) const BLOCK_BYTES: usize = size_of::<Parts>() + VOXELS * size_of::<f32>();
 /// Bytes of a block that is not stored.
 pub(super) const ENTRY_BYTES: usize = size_of::<Block>() + size_of::<FieldBlock>() + 8;
 
@@ -124,8 +143,11 @@ impl Volume {
                     Relation::Nothing => {}
                     Relation::Empty => block.empty = block.empty.saturating_add(1),
                     Relation::Mixed => {
-                        let evidence = block.evidence.get_or_insert_with(Evidence::none);
-                        evidence.add(view, first, spacing, band);
+                        let parts = block.evidence.get_or_insert_with(|| Box::new([NO_EVIDENCE; 8]));
+                        for (i, part) in parts.iter_mut().enumerate() {
+                            let at = Vector3::from([i & 1, i >> 1 & 1, i >> 2].map(|p| (p * PART) as f32));
+                            part.add(view, first + at * spacing, spacing, band);
+                        }
                     }
                 }
             }
@@ -151,7 +173,8 @@ impl Volume {
                 let mut values = Box::new([unobserved; VOXELS]);
                 for (v, value) in values.iter_mut().enumerate() {
                     let observed = block.evidence.as_ref().and_then(|e| {
-                        let (distance, observed) = e.0[v].value(block.empty, &self.band);
+                        let (part, at) = part_of(v);
+                        let (distance, observed) = e[part].value(at, block.empty, &self.band);
                         *value = distance;
                         observed.then_some(())
                     });
@@ -175,7 +198,9 @@ impl Volume {
     /// How many views measured the surface near a voxel, and the best cosine.
     pub fn seen(&self, voxel: [u32; 3]) -> (u16, f32) {
         let (block, v) = self.lattice.locate(voxel);
-        self.blocks[block].evidence.as_ref().map_or((0, 0.0), |e| (e.0[v].views, e.0[v].cosine))
+        let (part, at) = part_of(v);
+        let evidence = self.blocks[block].evidence.as_ref().map(|parts| &parts[part]);
+        evidence.map_or((0, 0.0), |e| (e.views[at] as u16, e.cosine[at]))
     }
 }
 
@@ -223,142 +248,131 @@ impl Prepared {
     }
 }
 
-/// What is the same for the voxels of a small cube.
-struct Here<'a> {
-    view: &'a Prepared,
-    band: &'a Band,
-    /// Weight by the noise, which grows with the square of the depth.
-    weight: f32,
-    /// Inverse length of the ray with z = 1.
-    per_ray: f32,
-}
-
-/// Samples along a side of the cubes in which a block is compared with a view.
-const PART: usize = 4;
-
 impl Evidence {
-    fn none() -> Box<Self> {
-        Box::new(Self([Voxel::default(); VOXELS]))
-    }
-
-    /// Adds what a view says about the voxels of the block whose first one is at `first`.
+    /// Adds what a view says about the samples of the part whose first one is at `first`.
     fn add(&mut self, view: &Prepared, first: Vector3<f32>, spacing: f32, band: &Band) {
-        for part in 0..8 {
-            let at = [part & 1, part >> 1 & 1, part >> 2].map(|p| p * PART);
-            let corner = first + Vector3::from(at.map(|x| x as f32)) * spacing;
-            match view.relation(corner, (PART - 1) as f32 * spacing, band) {
-                Relation::Nothing => {}
-                Relation::Empty => self.rows(at).for_each(|row| row.iter_mut().for_each(|v| v.empty += 1)),
-                Relation::Mixed => self.add_part(view, at, corner, spacing, band),
-            }
+        match view.relation(first, (PART - 1) as f32 * spacing, band) {
+            Relation::Nothing => {}
+            Relation::Empty => self.empty.iter_mut().for_each(|n| *n += 1.0),
+            Relation::Mixed => self.add_each(&Glance::new(view, first, spacing), view, band),
         }
     }
 
-    /// The rows along x of a part.
-    fn rows(&mut self, at: [usize; 3]) -> impl Iterator<Item = &mut [Voxel]> {
-        let layers = self.0.chunks_exact_mut(SIDE * SIDE).skip(at[2]).take(PART);
-        let rows = layers.flat_map(move |layer| layer.chunks_exact_mut(SIDE).skip(at[1]).take(PART));
-        rows.map(move |row| &mut row[at[0]..at[0] + PART])
-    }
+    /// Adds what is known of each sample. All cases are computed for all samples and one is chosen: that is faster than to
+    /// ask, for the processor cannot guess the answers.
+    fn add_each(&mut self, at: &Glance, view: &Prepared, band: &Band) {
+        let truncation = band.truncation;
+        let middle = at.depth[CELLS / 2];
+        let per_focal = 1.0 / view.focal[0].max(view.focal[1]);
+        // The noise grows with the square of the depth.
+        let noise_weight = (band.depth / middle).powi(2).clamp(0.1, 10.0);
+        for i in 0..CELLS {
+            let (hit, background) = (at.measured[i] > 0.0, at.measured[i] == BACKGROUND);
+            let in_front = at.measured[i] - at.depth[i];
+            let distance = in_front * at.factor[i];
+            let cosine = at.factor[i] * at.per_ray;
+            let through = hit & ((in_front > FAR_IN_FRONT * truncation) | (distance > truncation));
+            let within = (in_front > -FAR_BEHIND * truncation) & (distance > -truncation) & (cosine >= LEAST_COSINE);
+            let near = hit & !through & within;
+            let (front, behind) = (near & (distance >= 0.0), near & (distance < 0.0));
 
-    fn add_part(&mut self, view: &Prepared, at: [usize; 3], corner: Vector3<f32>, spacing: f32, band: &Band) {
-        let (rotation, translation) = &view.camera_from_grid;
-        let start = rotation * corner + translation;
-        let step = rotation * spacing;
-        let middle = start + step * Vector3::repeat(0.5 * (PART - 1) as f32);
-        let here = Here {
-            view,
-            band,
-            weight: (band.depth / middle.z).powi(2).clamp(0.1, 10.0),
-            per_ray: (middle.z / middle.norm()).clamp(0.1, 1.0),
-        };
-        for (i, row) in self.rows(at).enumerate() {
-            let at = start + step.column(1) * (i % PART) as f32 + step.column(2) * (i / PART) as f32;
-            let (mut u, mut v, mut z) = ([0.0_f32; PART], [0.0_f32; PART], [0.0_f32; PART]);
-            for i in 0..PART {
-                let x = i as f32;
-                z[i] = at.z + step[(2, 0)] * x;
-                let inverse = 1.0 / z[i];
-                u[i] = view.focal[0] * (at.x + step[(0, 0)] * x) * inverse + view.center[0];
-                v[i] = view.focal[1] * (at.y + step[(1, 0)] * x) * inverse + view.center[1];
-            }
-            for (i, voxel) in row.iter_mut().enumerate() {
-                voxel.add(&here, [u[i], v[i]], z[i]);
-            }
-        }
-    }
-}
+            let aside = at.factor[i] * at.depth[i] * per_focal;
+            let beside = background & (aside >= truncation);
+            let rim = background & (aside < truncation) & (at.factor[i] >= LEAST_RIM_PX);
 
-impl Voxel {
-    /// Adds what a view says about a voxel at these image coordinates and this depth.
-    #[inline]
-    fn add(&mut self, here: &Here<'_>, [u, v]: [f32; 2], z: f32) {
-        let (view, truncation) = (here.view, here.band.truncation);
-        // Not so for NaN either.
-        if !(z > 0.0 && u >= 0.0 && v >= 0.0 && u < view.size[0] as f32 && v < view.size[1] as f32) {
-            return;
-        }
-        let (column, row) = (u as usize, v as usize);
-        let Some(pixel) = view.pixel(column, row) else {
-            self.empty += u16::from(view.beside_is_empty);
-            return;
-        };
-        if pixel.z > 0.0 {
-            let aside = [u - column as f32 - 0.5, v - row as f32 - 0.5];
-            let in_front = pixel.z + pixel.slope[0] * aside[0] + pixel.slope[1] * aside[1] - z;
-            let distance = in_front * pixel.factor;
-            if in_front > FAR_IN_FRONT * truncation || distance > truncation {
-                self.empty += 1;
-            } else if in_front > -FAR_BEHIND * truncation && distance > -truncation {
-                let cosine = pixel.factor * here.per_ray;
-                if cosine < LEAST_COSINE {
-                    return;
-                }
-                let weight = cosine * here.weight;
-                if distance >= 0.0 {
-                    accumulate(&mut self.front, weight, distance);
-                } else {
-                    accumulate(&mut self.behind, weight * here.band.falloff(distance), distance);
-                }
-                self.views += 1;
-                self.cosine = if cosine > self.cosine { cosine } else { self.cosine };
-            }
-        } else if pixel.z == BACKGROUND {
-            let aside = pixel.factor * z / view.focal[0].max(view.focal[1]);
-            if aside >= truncation {
-                self.empty += 1;
-            } else if pixel.factor >= LEAST_RIM_PX {
-                accumulate(&mut self.front, SILHOUETTE_WEIGHT, aside);
-            }
+            let weight = cosine * noise_weight;
+            self.front[0][i] += only_if(front, weight) + only_if(rim, SILHOUETTE_WEIGHT);
+            self.front[1][i] += only_if(front, weight * distance) + only_if(rim, SILHOUETTE_WEIGHT * aside);
+            let weight = weight * band.falloff(distance);
+            self.behind[0][i] += only_if(behind, weight);
+            self.behind[1][i] += only_if(behind, weight * distance);
+            let cosine = only_if(near, cosine);
+            self.cosine[i] = if cosine > self.cosine[i] { cosine } else { self.cosine[i] };
+            self.views[i] += only_if(near, 1.0);
+            self.empty[i] += only_if(through | beside, 1.0);
         }
     }
 
-    /// The signed distance of a voxel and whether it was observed. `empty_block`: votes for the whole block.
-    fn value(&self, empty_block: u16, band: &Band) -> (f32, bool) {
-        let ([front_weight, front], [behind_weight, behind]) = (self.front, self.behind);
-        let empty = self.empty.saturating_add(empty_block);
+    /// The signed distance of a sample and whether it was observed. `empty_block`: votes for the whole block.
+    fn value(&self, at: usize, empty_block: u16, band: &Band) -> (f32, bool) {
+        let (front_weight, front) = (self.front[0][at], self.front[1][at]);
+        let (behind_weight, behind) = (self.behind[0][at], self.behind[1][at]);
+        let (empty, votes) = (self.empty[at] + f32::from(empty_block), f32::from(band.votes));
         let weight = front_weight + behind_weight;
         if weight < OBSERVED {
-            return (if empty >= band.votes { band.truncation } else { -band.truncation }, false);
+            return (if empty >= votes { band.truncation } else { -band.truncation }, false);
         }
         let mean = (front + behind) / weight;
         // Behind a surface is inside only as far as nobody sees otherwise: rays that cut a corner say so behind it too.
-        if mean < 0.0 && empty > band.votes && f32::from(empty) > CONTRADICTION * behind_weight {
+        if mean < 0.0 && empty > votes && empty > CONTRADICTION * behind_weight {
             return (if front_weight > OBSERVED { front / front_weight } else { 0.5 * band.truncation }, true);
         }
         (mean, true)
     }
 }
 
-impl Band {
-    /// Weight of a distance behind the surface.
-    fn falloff(&self, distance: f32) -> f32 {
-        let past = (-distance - self.trusted) / (self.truncation - self.trusted);
-        (1.0 - (1.0 - WEIGHT_BEHIND) * past.clamp(0.0, 1.0)).powi(2)
+/// The samples of a part in a view: their depths, and what was measured on their rays.
+struct Glance {
+    depth: [f32; CELLS],
+    /// Depth of the surface on the ray, continued from the pixel's centre along its slope.
+    measured: [f32; CELLS],
+    factor: [f32; CELLS],
+    /// Inverse length of the ray to the middle with z = 1.
+    per_ray: f32,
+}
+
+impl Glance {
+    fn new(view: &Prepared, first: Vector3<f32>, spacing: f32) -> Self {
+        let (rotation, translation) = &view.camera_from_grid;
+        let start = rotation * first + translation;
+        let step = rotation * spacing;
+        let (mut u, mut v, mut depth) = ([0.0; CELLS], [0.0; CELLS], [0.0; CELLS]);
+        for i in 0..CELLS {
+            let [x, y, z] = [i % PART, i / PART % PART, i / (PART * PART)].map(|k| k as f32);
+            let at = |row: usize| start[row] + step[(row, 0)] * x + step[(row, 1)] * y + step[(row, 2)] * z;
+            depth[i] = at(2);
+            let inverse = 1.0 / depth[i];
+            // Centres of pixels are whole numbers here.
+            u[i] = view.focal[0] * at(0) * inverse + view.center[0] - 0.5;
+            v[i] = view.focal[1] * at(1) * inverse + view.center[1] - 0.5;
+        }
+        let (mut measured, mut factor) = ([0.0; CELLS], [0.0; CELLS]);
+        for i in 0..CELLS {
+            let ((column, aside), (row, below)) = (nearest(u[i]), nearest(v[i]));
+            let pixel = if depth[i] > 0.0 { view.pixel(column, row) } else { &NOTHING };
+            // Slopes are zero where there is no surface.
+            measured[i] = pixel.z + pixel.slope[0] * aside + pixel.slope[1] * below;
+            factor[i] = pixel.factor;
+        }
+        let middle = start + step * Vector3::repeat(0.5 * (PART - 1) as f32);
+        Self { depth, measured, factor, per_ray: (middle.z / middle.norm()).clamp(0.1, 1.0) }
     }
 }
 
-fn accumulate(sum: &mut [f32; 2], weight: f32, distance: f32) {
-    sum[0] += weight;
-    sum[1] += weight * distance;
+/// The nearest whole number and how far the number is beyond it; far outside any image for what is no coordinate.
+#[inline(always)]
+fn nearest(x: f32) -> (i32, f32) {
+    // Adding 1.5 · 2^23 leaves no bits for a fraction, so the sum is rounded, and its low bits are the whole number.
+    const ROUND: f32 = 12_582_912.0;
+    let rounded = x + ROUND;
+    let whole = (rounded.to_bits() as i32).wrapping_sub(ROUND.to_bits() as i32);
+    (if x.abs() < 4_194_304.0 { whole } else { i32::MIN }, x - (rounded - ROUND))
+}
+
+impl Band {
+    /// Weight of a distance behind the surface.
+    #[inline(always)]
+    fn falloff(&self, distance: f32) -> f32 {
+        let past = (-distance - self.trusted) * (1.0 / (self.truncation - self.trusted));
+        let past = if past > 0.0 { past } else { 0.0 };
+        let past = if past < 1.0 { past } else { 1.0 };
+        let root = 1.0 - (1.0 - WEIGHT_BEHIND) * past;
+        root * root
+    }
+}
+
+/// `x` or 0, without a branch.
+#[inline(always)]
+fn only_if(condition: bool, x: f32) -> f32 {
+    f32::from_bits(x.to_bits() & u32::from(condition).wrapping_neg())
 }
