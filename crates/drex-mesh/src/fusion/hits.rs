@@ -15,7 +15,7 @@ const GATE: f32 = 3.5;
 /// A slope of more than this many footprints per pixel (84 degrees from frontal) is a jump.
 const STEEPEST: f32 = 10.0;
 /// Pixels looked at to learn about depth and noise.
-const PROBES: u64 = 4096;
+const PROBES: u64 = 1024;
 
 /// A rectangle of pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]

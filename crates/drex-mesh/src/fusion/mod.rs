@@ -175,6 +175,11 @@ pub struct Fused {
 /// the volume would take more than `memory_bytes` (the message says which voxel would do), or no surface is left.
 pub fn fuse(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> Result<Fused> {
     options.check()?;
+    // Once inside the pool of threads, not again for each of many short loops.
+    rayon::scope(|_| fuse_in_pool(views, options))
+}
+
+fn fuse_in_pool(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> Result<Fused> {
     let survey = Survey::new(views, options)?;
     let plan = Plan::new(&survey, options)?;
     let mut volume = Volume::new(plan.lattice.clone(), plan.band);

@@ -225,12 +225,14 @@ impl Prepared {
         if near <= half.z {
             return Relation::Mixed; // so close to the camera that its outline is not a small rectangle
         }
+        // So far to the right that rounding towards zero rounds down.
+        const SHIFT: f32 = 32_768.0;
         let (mut lo, mut hi) = ([0; 2], [0; 2]);
         for k in 0..2 {
             // The box looks largest at its near end, and there also farthest from the axis.
             let (low, high) = (center[k] - half[k], center[k] + half[k]);
-            lo[k] = (self.focal[k] * low / if low < 0.0 { near } else { far } + self.center[k]).floor() as isize;
-            hi[k] = (self.focal[k] * high / if high > 0.0 { near } else { far } + self.center[k]).floor() as isize;
+            lo[k] = (self.focal[k] * low / if low < 0.0 { near } else { far } + self.center[k] + SHIFT) as isize - SHIFT as isize;
+            hi[k] = (self.focal[k] * high / if high > 0.0 { near } else { far } + self.center[k] + SHIFT) as isize - SHIFT as isize;
             if hi[k] < 0 || lo[k] >= self.size[k] as isize {
                 return Relation::Nothing;
             }
