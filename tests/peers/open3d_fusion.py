@@ -53,33 +53,41 @@ def compare(arguments, views, shape, noise, folder):
     command = [EXAMPLE, arguments.folder, "--shapes", shape, "--noise-mm", noise, "--voxel-mm", str(arguments.voxel_mm)]
     command += ["--rounds", str(arguments.rounds), "--step", "--write-views", folder]
     ours = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    ours_s, round_of_ours = [], lambda: take_turn(ours)
     # The first turn also casts the views and writes them.
-    ours_s.append(round_of_ours())
+    ours_s, ours_cpu = [take_turn(ours)], -cpu_seconds(ours.pid)
     frames = read_frames(np, o3d, views, shape, folder / f"{shape}_{noise}mm")
-    theirs_s = []
+    theirs_s, theirs_cpu = [], -time.process_time()
     for i in range(arguments.rounds):
         if i > 0:
-            ours_s.append(round_of_ours())
+            ours_s.append(take_turn(ours))
         start = time.perf_counter()
         mesh = fuse(o3d, frames, arguments.voxel_mm * 1e-3, arguments.truncation_voxels)
         theirs_s.append(time.perf_counter() - start)
+    ours_cpu = (ours_cpu + cpu_seconds(ours.pid)) / max(arguments.rounds - 1, 1)
+    theirs_cpu = (theirs_cpu + time.process_time()) / arguments.rounds
     result = json.loads(ours.stdout.readline())
     ours.wait()
     truth = o3d.io.read_triangle_mesh(str(arguments.folder / f"{shape}.obj"))
     peer = score(np, o3d, mesh, truth)
     keys = ["f_05", "f_1", "f_2", "chamfer_mm", "volume_error_pct", "closed", "components", "faces"]
     print(f"{shape}, noise {noise} mm", flush=True)
-    for name, values, seconds in [("drex", result, ours_s), ("open3d", peer, theirs_s)]:
+    for name, values, seconds, cpu in [("drex", result, ours_s, ours_cpu), ("open3d", peer, theirs_s, theirs_cpu)]:
         row = "  ".join(f"{k} {values[k]:.4g}" if isinstance(values[k], float) else f"{k} {values[k]}" for k in keys)
-        print(f"  {name:7s}{row}  median {np.median(seconds):.3f} s  least {min(seconds):.3f} s", flush=True)
-    print(f"  ratio of medians {np.median(ours_s) / np.median(theirs_s):.2f}", flush=True)
+        print(f"  {name:7s}{row}  median {np.median(seconds):.3f} s  least {min(seconds):.3f} s  CPU {cpu:.3f} s", flush=True)
+    wall = np.median(ours_s) / np.median(theirs_s)
+    print(f"  ratio of medians {wall:.2f}, of CPU {ours_cpu / theirs_cpu:.2f}", flush=True)
 
 
 def take_turn(ours):
     ours.stdin.write("\n")
     ours.stdin.flush()
     return json.loads(ours.stdout.readline())["round_s"]
+
+
+def cpu_seconds(pid):
+    """Of all threads of a process, in ticks of 10 ms."""
+    fields = pathlib.Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def read_frames(np, o3d, views, shape, folder):

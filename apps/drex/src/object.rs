@@ -23,6 +23,6 @@ pub fn asset_options(object: &ObjectConfig, friction: f64) -> AssetOptions {
     };
     options.up_in_mesh = Some(Vector3::from(object.up_in_mesh));
     options.friction = friction;
-    options.contact = object.contact.unwrap_or_default();
+    options.contact = object.contact.clone().unwrap_or_default();
     options
 }

@@ -67,8 +67,8 @@ pub use grid::{GridOptions, GridSdf};
 pub use hull::{convex_hull, convex_hull_with_at_most};
 pub use intersect::self_intersections;
 pub use io::{
-    Material, Model, ModelPart, PlyFormat, Texture, parse_mesh, read_mesh, read_model, write_glb, write_mesh, write_obj,
-    write_obj_model, write_ply, write_ply_as, write_stl, write_stl_text,
+    Material, Model, ModelPart, PlyFormat, Texture, parse_mesh, read_mesh, read_model, write_glb, write_mesh,
+    write_obj, write_obj_model, write_ply, write_ply_as, write_stl, write_stl_text,
 };
 pub use mass::{Hollow, HowHollow, check_mass_properties, principal, shell_properties};
 pub use model::{Background, SceneOptions};

@@ -4,9 +4,11 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use drex_core::fsutil;
+use drex_core::twin::{MANIFEST, PartConfig, TwinManifest};
 use drex_mesh::{
-    Asset, AssetOptions, AssetReport, DecimateOptions, FusionReport, LengthUnit, asset_from_mesh, build_asset,
-    decimate, fuse,
+    Asset, AssetOptions, AssetReport, Background, DecimateOptions, FusionReport, LengthUnit, Part, PieceOptions,
+    RepairOptions, SceneOptions, articulated_asset, asset_from_mesh, build_asset, convex_pieces, decimate, fuse,
+    read_mesh, repair,
 };
 use drex_splat::ReconstructOptions;
 use drex_splat::capture::{Capture, CaptureOptions};
@@ -107,7 +109,12 @@ fn from_manifest(args: &AssetArgs, manifest: &Path, ui: &Ui) -> Result<()> {
     let r = &asset.report;
     let mut text = format!("{}\n  mass     {:.1} g\n", args.input.display(), 1e3 * r.mass_kg);
     for (name, part) in &r.parts {
-        text += &format!("  {name}: {:.1} g, {:.2} cm3, {} convex pieces\n", 1e3 * part.mass_kg, 1e6 * part.volume_m3, part.pieces);
+        text += &format!(
+            "  {name}: {:.1} g, {:.2} cm3, {} convex pieces\n",
+            1e3 * part.mass_kg,
+            1e6 * part.volume_m3,
+            part.pieces
+        );
     }
     for joint in &r.joints {
         text += &format!("  {}: {} to {}\n", joint.name, joint.parent, joint.child);

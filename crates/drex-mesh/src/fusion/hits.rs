@@ -141,6 +141,7 @@ pub(super) struct Hits {
 
 impl Hits {
     /// The depths of the object that were sighted in a map.
+    #[inline(always)]
     pub fn new(map: &DepthMap, sight: &Sight) -> Self {
         let (window, width) = (sight.window, map.camera.width_px as usize);
         let stride = window.width + 2 * BORDER;
@@ -174,6 +175,7 @@ impl Hits {
 
     /// Every depth as the mean over the pairs of opposite neighbours that lie on a line with it: such a mean is not drawn to
     /// either side, whatever the slope, and it stops at edges.
+    #[inline(always)]
     pub fn smooth(&self) -> Vec<f32> {
         let mut out = self.depth.clone();
         if self.radius == 0 {
@@ -207,6 +209,7 @@ impl Hits {
 
     /// Slope of smoothed depths along columns (`step` 1) or rows (`step` the stride) at `out.len()` pixels from `at`,
     /// metres per pixel; NaN where there is none.
+    #[inline(always)]
     pub fn slopes(&self, smooth: &[f32], at: usize, step: usize, out: &mut [f32]) {
         let (n, reach) = (out.len(), self.radius.max(1));
         let line = |from: usize| &smooth[from..from + n];

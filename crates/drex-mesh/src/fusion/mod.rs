@@ -10,6 +10,7 @@ mod lattice;
 mod marching;
 mod parts;
 mod prepare;
+mod simd;
 mod survey;
 mod volume;
 

@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use drex_core::Pose;
 
 use super::hits::{Hits, Sight, Window};
+use super::simd::vectorised;
 use crate::depth::DepthMap;
 
 /// Side of a tile, pixels.
@@ -95,12 +96,17 @@ impl Prepared {
             pixels: Vec::new(),
             tiles: Vec::new(),
         };
-        prepared.read_background(map);
-        prepared.read_hits(&Hits::new(map, sight));
-        if prepared.beside_is_empty {
-            prepared.measure_silhouettes(reach);
-        }
-        prepared.tile();
+        vectorised(
+            #[inline(always)]
+            || {
+                prepared.read_background(map);
+                prepared.read_hits(&Hits::new(map, sight));
+                if prepared.beside_is_empty {
+                    prepared.measure_silhouettes(reach);
+                }
+                prepared.tile();
+            },
+        );
         prepared
     }
 
@@ -115,6 +121,7 @@ impl Prepared {
         if in_image { &self.beside } else { &NOTHING }
     }
 
+    #[inline(always)]
     fn read_background(&mut self, map: &DepthMap) {
         let Window { x, y, width, height } = self.window;
         let pixel =
@@ -128,6 +135,7 @@ impl Prepared {
         };
     }
 
+    #[inline(always)]
     fn read_hits(&mut self, hits: &Hits) {
         let smooth = hits.smooth();
         let n = hits.window.width;
@@ -159,6 +167,7 @@ impl Prepared {
 
     /// Distance of background pixels from the nearest other one, up to `reach`: first along columns, then across
     /// (Meijster, Roerdink and Hesselink 2000, with a search of bounded width).
+    #[inline(always)]
     fn measure_silhouettes(&mut self, reach: usize) {
         let Window { width, height, .. } = self.window;
         let far = reach as i16 + 1;
@@ -203,6 +212,7 @@ impl Prepared {
         }
     }
 
+    #[inline(always)]
     fn tile(&mut self) {
         let across = self.window.width.div_ceil(TILE);
         self.tiles = vec![NO_PIXEL; across * self.window.height.div_ceil(TILE)];
@@ -221,6 +231,7 @@ impl Prepared {
     }
 
     /// Extremes over a rectangle of the image, given by its inclusive corners in pixels.
+    #[inline(always)]
     pub fn extremes(&self, lo: [isize; 2], hi: [isize; 2]) -> Tile {
         let mut out = NO_PIXEL;
         if lo[0] < 0 || lo[1] < 0 || hi[0] >= self.size[0] as isize || hi[1] >= self.size[1] as isize {
@@ -254,6 +265,7 @@ impl Prepared {
 /// What turns a difference of depths on one ray into a distance from the tangent plane: with the ray r = (x, y, 1) and the
 /// unit normal n of the surface z(u, v), |n · r| = z / |(f_x z_u, f_y z_v, z + x f_x z_u + y f_y z_v)|.
 /// `rise` is (f_x z_u, f_y z_v).
+#[inline(always)]
 pub(super) fn plane_factor(z: f32, rise: [f32; 2], ray: [f32; 2]) -> f32 {
     let along = z + ray[0] * rise[0] + ray[1] * rise[1];
     z / (rise[0] * rise[0] + rise[1] * rise[1] + along * along).sqrt()

@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use super::lattice::{Field, FieldBlock, Lattice, SIDE, VOXELS};
 use super::marching::GridEdge;
 use super::prepare::{BACKGROUND, NOTHING, Prepared};
+use super::simd::vectorised;
 use crate::bvh::Aabb;
 
 /// Depth differences beyond this many truncations count as far in front of the surface whatever the slope.
@@ -109,6 +110,24 @@ impl Limits {
     }
 }
 
+impl Block {
+    /// Adds what a view says about the samples of the block whose first one is at `first`.
+    #[inline(always)]
+    fn add(&mut self, view: &Prepared, first: Vector3<f32>, spacing: f32, band: &Band) {
+        match view.relation(first, (SIDE - 1) as f32 * spacing, band) {
+            Relation::Nothing => {}
+            Relation::Empty => self.empty = self.empty.saturating_add(1),
+            Relation::Mixed => {
+                let parts = self.evidence.get_or_insert_with(|| Box::new([NO_EVIDENCE; 8]));
+                for (i, part) in parts.iter_mut().enumerate() {
+                    let at = Vector3::from([i & 1, i >> 1 & 1, i >> 2].map(|p| (p * PART) as f32));
+                    part.add(view, first + at * spacing, spacing, band);
+                }
+            }
+        }
+    }
+}
+
 /// The volume under construction.
 pub(super) struct Volume {
     pub lattice: Lattice,
@@ -137,20 +156,14 @@ impl Volume {
         let (lattice, band) = (&self.lattice, &self.band);
         self.blocks.par_iter_mut().enumerate().for_each(|(i, block)| {
             let first = Vector3::from(lattice.first_voxel(i).map(|x| (x as f64 * lattice.spacing) as f32));
-            let spacing = lattice.spacing as f32;
-            for view in views {
-                match view.relation(first, (SIDE - 1) as f32 * spacing, band) {
-                    Relation::Nothing => {}
-                    Relation::Empty => block.empty = block.empty.saturating_add(1),
-                    Relation::Mixed => {
-                        let parts = block.evidence.get_or_insert_with(|| Box::new([NO_EVIDENCE; 8]));
-                        for (i, part) in parts.iter_mut().enumerate() {
-                            let at = Vector3::from([i & 1, i >> 1 & 1, i >> 2].map(|p| (p * PART) as f32));
-                            part.add(view, first + at * spacing, spacing, band);
-                        }
+            vectorised(
+                #[inline(always)]
+                || {
+                    for view in views {
+                        block.add(view, first, lattice.spacing as f32, band);
                     }
-                }
-            }
+                },
+            );
         });
     }
 
@@ -213,6 +226,7 @@ enum Relation {
 
 impl Prepared {
     /// Compares the depths over the part of the image that a cube covers with the depths of the cube.
+    #[inline(always)]
     fn relation(&self, first: Vector3<f32>, side: f32, band: &Band) -> Relation {
         let (rotation, translation) = &self.camera_from_grid;
         let center = rotation * first.add_scalar(0.5 * side) + translation;
@@ -231,8 +245,10 @@ impl Prepared {
         for k in 0..2 {
             // The box looks largest at its near end, and there also farthest from the axis.
             let (low, high) = (center[k] - half[k], center[k] + half[k]);
-            lo[k] = (self.focal[k] * low / if low < 0.0 { near } else { far } + self.center[k] + SHIFT) as isize - SHIFT as isize;
-            hi[k] = (self.focal[k] * high / if high > 0.0 { near } else { far } + self.center[k] + SHIFT) as isize - SHIFT as isize;
+            lo[k] = (self.focal[k] * low / if low < 0.0 { near } else { far } + self.center[k] + SHIFT) as isize
+                - SHIFT as isize;
+            hi[k] = (self.focal[k] * high / if high > 0.0 { near } else { far } + self.center[k] + SHIFT) as isize
+                - SHIFT as isize;
             if hi[k] < 0 || lo[k] >= self.size[k] as isize {
                 return Relation::Nothing;
             }
@@ -252,6 +268,7 @@ impl Prepared {
 
 impl Evidence {
     /// Adds what a view says about the samples of the part whose first one is at `first`.
+    #[inline(always)]
     fn add(&mut self, view: &Prepared, first: Vector3<f32>, spacing: f32, band: &Band) {
         match view.relation(first, (PART - 1) as f32 * spacing, band) {
             Relation::Nothing => {}
@@ -262,6 +279,7 @@ impl Evidence {
 
     /// Adds what is known of each sample. All cases are computed for all samples and one is chosen: that is faster than to
     /// ask, for the processor cannot guess the answers.
+    #[inline(always)]
     fn add_each(&mut self, at: &Glance, view: &Prepared, band: &Band) {
         let truncation = band.truncation;
         let middle = at.depth[CELLS / 2];
@@ -324,6 +342,7 @@ struct Glance {
 }
 
 impl Glance {
+    #[inline(always)]
     fn new(view: &Prepared, first: Vector3<f32>, spacing: f32) -> Self {
         let (rotation, translation) = &view.camera_from_grid;
         let start = rotation * first + translation;

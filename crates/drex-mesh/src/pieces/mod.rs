@@ -169,7 +169,13 @@ fn decompose(mesh: &TriMesh, whole: bool, options: &PieceOptions, most: usize) -
     let scene = Scene::new(solid, &surface, PROBES, options.concavity * size).ok()?;
     eprintln!("scene {:?}", t.elapsed());
     let whole = Part::whole(coarse(&surface, COARSE))?;
-    eprintln!("surface {} {} coarse {} {}", surface.vertices.len(), surface.faces.len(), whole.surface.vertices.len(), whole.surface.faces.len());
+    eprintln!(
+        "surface {} {} coarse {} {}",
+        surface.vertices.len(),
+        surface.faces.len(),
+        whole.surface.vertices.len(),
+        whole.surface.faces.len()
+    );
     let t = std::time::Instant::now();
     let mut division = Division::new(&scene, whole);
     division.split(2 * most - 1);
