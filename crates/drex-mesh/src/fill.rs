@@ -35,7 +35,7 @@ pub(crate) fn fill_holes(mesh: &mut TriMesh, narrower_m: f64) -> Filled {
         return out;
     }
     let sizes = shell_sizes(mesh);
-    let mut known: BTreeSet<u64> = edges(mesh).into_iter().map(|e| e.0).collect();
+    let mut known = Edges::of(mesh);
     for rim in loops {
         let Some((middle, width)) = extent(mesh, &rim) else { continue };
         if width > narrower_m || width > 0.5 * sizes[rim[0] as usize] {
@@ -43,7 +43,7 @@ pub(crate) fn fill_holes(mesh: &mut TriMesh, narrower_m: f64) -> Filled {
         }
         let patch = close(mesh, &rim, &middle, &known);
         for f in &patch {
-            known.extend((0..3).map(|k| key(f[k], f[(k + 1) % 3])));
+            known.add(f);
             let [a, b, c] = f.map(|v| mesh.vertices[v as usize]);
             out.area_m2 += (b - a).cross(&(c - a)).norm() / 2.0;
         }
@@ -61,11 +61,11 @@ pub(crate) fn fill_holes(mesh: &mut TriMesh, narrower_m: f64) -> Filled {
 /// run along equally often in both directions; lids may cross the surface where a rim is ragged.
 pub fn close_openings(mesh: &TriMesh) -> TriMesh {
     let mut out = mesh.clone();
-    let mut known: BTreeSet<u64> = edges(mesh).into_iter().map(|e| e.0).collect();
+    let mut known = Edges::of(mesh);
     for rim in boundary_loops(mesh) {
         let Some((middle, _)) = extent(mesh, &rim) else { continue };
         let patch = close(&mut out, &rim, &middle, &known);
-        known.extend(patch.iter().flat_map(|f| [0, 1, 2].map(|k| key(f[k], f[(k + 1) % 3]))));
+        patch.iter().for_each(|f| known.add(f));
         out.faces.extend(patch);
     }
     out
@@ -103,7 +103,7 @@ fn extent(mesh: &TriMesh, rim: &[u32]) -> Option<(Point3<f64>, f64)> {
 }
 
 /// Triangles over a rim; a fan adds its hub to the vertices.
-fn close(mesh: &mut TriMesh, rim: &[u32], middle: &Point3<f64>, known: &BTreeSet<u64>) -> Vec<[u32; 3]> {
+fn close(mesh: &mut TriMesh, rim: &[u32], middle: &Point3<f64>, known: &Edges) -> Vec<[u32; 3]> {
     if rim.len() <= LONGEST_RIM
         && let Some(patch) = triangulated(mesh, rim, known)
     {
@@ -120,11 +120,11 @@ struct Weight(f64, f64);
 
 /// The best triangulation of a rim by dynamic programming over its sub-polygons i..=k; `None` if every one would need a
 /// chord that is an edge of the mesh already, or a triangle without area.
-fn triangulated(mesh: &TriMesh, rim: &[u32], known: &BTreeSet<u64>) -> Option<Vec<[u32; 3]>> {
+fn triangulated(mesh: &TriMesh, rim: &[u32], known: &Edges) -> Option<Vec<[u32; 3]>> {
     let n = rim.len();
     let p: Vec<Point3<f64>> = rim.iter().map(|&v| mesh.vertices[v as usize]).collect();
     let normal = |i: usize, j: usize, k: usize| (p[j] - p[i]).cross(&(p[k] - p[i]));
-    let chord = |i: usize, k: usize| k == i + 1 || (i == 0 && k == n - 1) || !known.contains(&key(rim[i], rim[k]));
+    let chord = |i: usize, k: usize| k == i + 1 || (i == 0 && k == n - 1) || !known.has(rim[i], rim[k]);
     let mut best = vec![None::<(Weight, usize)>; n * n];
     let fold = |a: &Vector3<f64>, b: &Vector3<f64>| 1.0 - a.dot(b) / (a.norm() * b.norm());
     for span in 2..n {
@@ -173,8 +173,29 @@ fn triangulated(mesh: &TriMesh, rim: &[u32], known: &BTreeSet<u64>) -> Option<Ve
     Some(faces)
 }
 
-fn key(a: u32, b: u32) -> u64 {
-    u64::from(a.min(b)) << 32 | u64::from(a.max(b))
+/// Edges that a mesh has, and those that were added since.
+struct Edges {
+    sorted: Vec<u64>,
+    added: BTreeSet<u64>,
+}
+
+impl Edges {
+    fn of(mesh: &TriMesh) -> Self {
+        Self { sorted: edges(mesh).into_iter().map(|e| e.0).collect(), added: BTreeSet::new() }
+    }
+
+    fn key(a: u32, b: u32) -> u64 {
+        u64::from(a.min(b)) << 32 | u64::from(a.max(b))
+    }
+
+    fn has(&self, a: u32, b: u32) -> bool {
+        let key = Self::key(a, b);
+        self.sorted.binary_search(&key).is_ok() || self.added.contains(&key)
+    }
+
+    fn add(&mut self, f: &[u32; 3]) {
+        self.added.extend((0..3).map(|k| Self::key(f[k], f[(k + 1) % 3])));
+    }
 }
 
 #[cfg(test)]

@@ -5,11 +5,12 @@ mod common;
 
 use std::fs;
 use std::path::Path;
+use std::sync::LazyLock;
 
 use common::{cuboid, sphere, torus};
 use drex_mesh::{
-    Error, Material, Model, ModelPart, PlyFormat, Texture, parse_mesh, read_mesh, read_model, write_glb,
-    write_obj_model, write_ply_as, write_stl, write_stl_text,
+    Error, Material, Model, ModelPart, PlyFormat, Texture, parse_mesh, read_mesh, read_model, write_glb, write_obj_model,
+    write_ply_as, write_stl, write_stl_text,
 };
 use nalgebra::Point3;
 use proptest::prelude::*;
@@ -42,8 +43,10 @@ fn painted() -> Model {
     }
 }
 
-/// The same as sets: OBJ numbers its corners in the order of the faces.
-fn corners(part: &ModelPart) -> Vec<([f64; 3], Option<[f32; 2]>, Option<[u8; 3]>)> {
+type Corner = ([f64; 3], Option<[f32; 2]>, Option<[u8; 3]>);
+
+/// Face corners in order: OBJ numbers its vertices anew.
+fn corners(part: &ModelPart) -> Vec<Corner> {
     let of = |v: &u32| {
         let v = *v as usize;
         (part.mesh.vertices[v].into(), part.uv.as_ref().map(|t| t[v]), part.colors.as_ref().map(|c| c[v]))
@@ -238,6 +241,8 @@ fn counts_beyond_the_file_are_refused_before_they_are_believed() {
 }
 
 /// One small file of every format.
+static SAMPLES: LazyLock<Vec<(&str, Vec<u8>)>> = LazyLock::new(samples);
+
 fn samples() -> Vec<(&'static str, Vec<u8>)> {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
@@ -265,8 +270,8 @@ proptest! {
         copy in prop::option::of((any::<u32>(), any::<u32>(), 1u32..64)),
     ) {
         let folder = tempfile::tempdir().unwrap();
-        for (name, whole) in samples() {
-            let mut bytes = whole;
+        for (name, whole) in SAMPLES.iter() {
+            let mut bytes = whole.clone();
             for (at, value) in &flips {
                 let n = bytes.len();
                 bytes[*at as usize % n] = *value;
