@@ -9,8 +9,8 @@ use std::sync::LazyLock;
 
 use common::{cuboid, sphere, torus};
 use drex_mesh::{
-    Error, Material, Model, ModelPart, PlyFormat, Texture, parse_mesh, read_mesh, read_model, write_glb, write_obj_model,
-    write_ply_as, write_stl, write_stl_text,
+    Error, Material, Model, ModelPart, PlyFormat, Texture, parse_mesh, read_mesh, read_model, write_glb,
+    write_obj_model, write_ply_as, write_stl, write_stl_text,
 };
 use nalgebra::Point3;
 use proptest::prelude::*;
