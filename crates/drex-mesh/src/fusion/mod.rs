@@ -10,6 +10,7 @@ mod lattice;
 mod marching;
 mod parts;
 mod prepare;
+mod sharp;
 mod simd;
 mod survey;
 mod volume;
@@ -149,7 +150,9 @@ pub struct FusionReport {
     pub support_share: f64,
     /// Separate parts that the mesh keeps.
     pub parts: usize,
-    /// Parts that were dropped, largest first.
+    /// Number of parts that were dropped.
+    pub dropped_parts: usize,
+    /// The largest of them, at most 16.
     pub dropped: Vec<DroppedPart>,
     /// Hollows without a way out, which were filled.
     pub filled_hollows: usize,
@@ -212,6 +215,9 @@ fn fuse_in_pool(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> 
     if extracted.mesh.faces.is_empty() {
         return Err(Error::Empty { subject: "the fused volume".into() });
     }
+    if options.sharp_edges {
+        sharp::snap_edges(&mut extracted.mesh, plan.voxel_m);
+    }
     let evidence: Vec<Evidence> =
         extracted.mesh.vertices.iter().zip(&extracted.edges).map(|(p, e)| plan.evidence(&volume, p, e)).collect();
     let share = area_shares(&extracted.mesh, &evidence);
@@ -228,11 +234,12 @@ fn fuse_in_pool(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> 
         spread_m: plan.spread_m,
         blocks,
         volume_bytes: blocks * BLOCK_BYTES + volume.lattice.count() * ENTRY_BYTES,
-        volume_m3: cleaned.volume_m3,
+        volume_m3: parts::volume(&extracted.mesh),
         seen_share: share[0],
         unseen_share: share[1],
         support_share: share[2],
         parts: cleaned.parts,
+        dropped_parts: cleaned.dropped_parts,
         dropped: cleaned.dropped,
         filled_hollows: cleaned.filled_hollows,
     };

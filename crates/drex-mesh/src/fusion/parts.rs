@@ -2,6 +2,8 @@
 
 use serde::Serialize;
 
+use drex_core::TriMesh;
+
 use super::marching::{Extracted, GridEdge};
 use crate::topology::{NONE, Sets};
 
@@ -19,10 +21,13 @@ pub struct DroppedPart {
     pub unseen: bool,
 }
 
+/// Dropped parts that are listed.
+const LISTED: usize = 16;
+
 /// What was done.
 pub(super) struct Cleaned {
     pub parts: usize,
-    pub volume_m3: f64,
+    pub dropped_parts: usize,
     pub dropped: Vec<DroppedPart>,
     pub filled_hollows: usize,
 }
@@ -48,12 +53,9 @@ pub(super) fn clean(extracted: &mut Extracted, share: f64, observed: impl Fn(&Gr
     }
     let (labels, count) = sets.labels();
     let mut parts = vec![Part::default(); count];
-    // Any point will do for the volume of a closed part; a near one keeps the digits.
-    let reference = mesh.vertices.first().copied().unwrap_or_default();
     for f in 0..mesh.faces.len() {
         let part = &mut parts[labels[mesh.faces[f][0] as usize] as usize];
-        let [a, b, c] = mesh.triangle(f).map(|p| p - reference);
-        part.volume += a.dot(&b.cross(&c)) / 6.0;
+        part.volume += cone(mesh, f);
         part.faces += 1;
     }
     for (v, &label) in labels.iter().enumerate() {
@@ -75,9 +77,11 @@ pub(super) fn clean(extracted: &mut Extracted, share: f64, observed: impl Fn(&Gr
         })
         .collect();
     dropped.sort_by(|a, b| b.volume_m3.total_cmp(&a.volume_m3));
+    let dropped_parts = dropped.len();
+    dropped.truncate(LISTED);
     let cleaned = Cleaned {
         parts: parts.iter().filter(|p| stays(p)).count(),
-        volume_m3: parts.iter().filter(|p| stays(p)).map(|p| p.volume).sum(),
+        dropped_parts,
         dropped,
         filled_hollows: parts.iter().filter(|p| p.volume <= 0.0).count(),
     };
@@ -86,6 +90,18 @@ pub(super) fn clean(extracted: &mut Extracted, share: f64, observed: impl Fn(&Gr
         retain(extracted, &keep);
     }
     cleaned
+}
+
+/// Volume enclosed by a closed mesh, m³.
+pub(super) fn volume(mesh: &TriMesh) -> f64 {
+    (0..mesh.faces.len()).map(|f| cone(mesh, f)).sum()
+}
+
+/// Signed volume of the tetrahedron of a face and the first vertex: any point will do for closed parts, a near one keeps
+/// the digits.
+fn cone(mesh: &TriMesh, face: usize) -> f64 {
+    let [a, b, c] = mesh.triangle(face).map(|p| p - mesh.vertices[0]);
+    a.dot(&b.cross(&c)) / 6.0
 }
 
 /// Keeps the vertices that are marked, with the faces between them.
