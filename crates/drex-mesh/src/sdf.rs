@@ -154,7 +154,8 @@ mod tests {
         m.faces.retain(|f| f.iter().all(|&v| m.vertices[v as usize].z < 0.03));
         let sdf = MeshSdf::new(&m).unwrap();
         let hit = sdf.ray_cast(&Point3::new(0.0, 0.0, 0.2), &-Vector3::z(), 1.0).unwrap();
-        assert!(hit.point.z < 0.03 && hit.point.z > 0.02 && hit.normal.z > 0.9, "{hit:?}");
+        // All triangles of the lid meet where the ray hits, and the rim zigzags: any of their normals is right.
+        assert!(hit.point.z < 0.03 && hit.point.z > 0.02 && hit.normal.z > 0.5, "{hit:?}");
         assert!(sdf.contains(&Point3::origin()) && !sdf.contains(&Point3::new(0.0, 0.0, 0.04)));
         assert!(sdf.ray_cast(&Point3::new(0.0, 0.0, 0.2), &-Vector3::z(), 0.1).is_none());
     }

@@ -4,7 +4,7 @@
 use std::path::PathBuf;
 
 use drex_core::pose::pose_from_matrix;
-use drex_core::{Pose, TriMesh};
+use drex_core::{Pose, Surface, TriMesh};
 use drex_mesh::{
     CompareOptions, DepthCamera, DepthMap, EvidenceKind, Fused, FusionOptions, Support, cast_depth, compare_surfaces,
     fuse,
@@ -232,6 +232,30 @@ fn a_side_nobody_saw_is_closed_and_marked() {
             assert!(e.kind == kind && e.best_cosine >= cosine && e.best_cosine <= 1.0, "{v} {e:?}");
         }
     }
+}
+
+#[test]
+fn sharp_edges_reach_the_edges_of_a_block() {
+    let block = cuboid([-0.03, -0.02, 0.0], [0.03, 0.02, 0.04]);
+    let maps = cast(&block, &camera(320, 240, 400.0), &around(Point3::new(0.0, 0.0, 0.02), 0.3, 30, -1.0));
+    let maps = noisy(&maps, 1e-3, 5);
+    // Mean distance from points of the edges to the mesh.
+    let at_edges = |sharp_edges: bool| {
+        let mut options = rendered();
+        options.voxel_m = Some(1.5e-3);
+        options.sharp_edges = sharp_edges;
+        let fused = fuse(&maps, &options).unwrap();
+        is_whole(&fused);
+        assert!((volume(&fused.mesh) / volume(&block) - 1.0).abs() < 0.01);
+        assert!(f_at_1_mm(&fused, &block) > 0.999);
+        let surface = drex_mesh::MeshSdf::new(&fused.mesh).unwrap();
+        let edges = (0..100).map(|i| f64::from(i) / 99.0).flat_map(|t| {
+            [[0.06 * t - 0.03, 0.02, 0.04], [0.03, 0.04 * t - 0.02, 0.0], [-0.03, -0.02, 0.04 * t]].map(Point3::from)
+        });
+        edges.map(|p| (surface.nearest(&p).point - p).norm()).sum::<f64>() / 300.0
+    };
+    let (round, sharp) = (at_edges(false), at_edges(true));
+    assert!(sharp < 0.7 * round && sharp < 0.4e-3, "{round} {sharp}");
 }
 
 #[test]

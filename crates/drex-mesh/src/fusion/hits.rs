@@ -101,7 +101,7 @@ fn measure(map: &DepthMap, window: &Window) -> Option<(f32, f32)> {
     let (mut depths, mut squares) = (Vec::new(), Vec::new());
     for k in 0..PROBES {
         // All pixels of a small window, else places spread evenly (multiples of the golden ratio).
-        let i = if n <= PROBES { k } else { (k.wrapping_mul(0x9e37_79b9) & 0xffff_ffff) * n >> 32 } as usize;
+        let i = if n <= PROBES { k } else { ((k.wrapping_mul(0x9e37_79b9) & 0xffff_ffff) * n) >> 32 } as usize;
         if i as u64 >= n {
             break;
         }

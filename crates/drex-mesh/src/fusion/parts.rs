@@ -107,10 +107,8 @@ fn cone(mesh: &TriMesh, face: usize) -> f64 {
 /// Keeps the vertices that are marked, with the faces between them.
 fn retain(extracted: &mut Extracted, keep: &[bool]) {
     let mut number = vec![NONE; keep.len()];
-    let mut next = 0;
-    for (v, _) in keep.iter().enumerate().filter(|k| *k.1) {
-        number[v] = next;
-        next += 1;
+    for (next, (v, _)) in keep.iter().enumerate().filter(|k| *k.1).enumerate() {
+        number[v] = next as u32;
     }
     let marked = |v: usize| number[v] != NONE;
     let mesh = &mut extracted.mesh;
