@@ -6,9 +6,13 @@ use nalgebra::{Point3, Vector3};
 
 use drex_core::TriMesh;
 
+/// Faces per vertex that are kept where a surface is folded over itself; a closed surface has 6 at a vertex on average.
+const FACES_AT_VERTEX: u8 = 6;
+
 /// The surface with at most `most` vertices: those in one cell of a grid that look in about the same direction become the
 /// one that sticks out farthest in it (after Rossignac and Borrel, "Multi-resolution 3D approximations for rendering
-/// complex scenes", 1993). The two sides of a wall thinner than a cell stay apart.
+/// complex scenes", 1993). The two sides of a wall thinner than a cell stay apart. Ragged scans have layers of faces between
+/// the same vertices: then the shortest are kept.
 pub(super) fn coarse(surface: &TriMesh, most: usize) -> TriMesh {
     let Some((lo, hi)) = surface.bounds() else { return TriMesh::default() };
     let normals = vertex_normals(surface);
@@ -18,7 +22,30 @@ pub(super) fn coarse(surface: &TriMesh, most: usize) -> TriMesh {
         out = cluster(surface, &normals, &lo, cell);
         cell *= 1.25;
     }
+    if out.faces.len() > 3 * out.vertices.len() {
+        out.faces = shortest(&out);
+    }
     out
+}
+
+/// Faces with a corner at which not enough shorter ones meet.
+fn shortest(mesh: &TriMesh) -> Vec<[u32; 3]> {
+    let longest = |f: usize| {
+        let [a, b, c] = mesh.triangle(f);
+        (b - a).norm().max((c - b).norm()).max((a - c).norm())
+    };
+    let mut order: Vec<(f64, usize)> = (0..mesh.faces.len()).map(|f| (longest(f), f)).collect();
+    order.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
+    let mut met = vec![0u8; mesh.vertices.len()];
+    let mut kept = Vec::new();
+    for (_, f) in order {
+        let face = mesh.faces[f];
+        if face.iter().any(|&v| met[v as usize] < FACES_AT_VERTEX) {
+            face.iter().for_each(|&v| met[v as usize] = met[v as usize].saturating_add(1));
+            kept.push(face);
+        }
+    }
+    kept
 }
 
 /// Sums of the faces' vector areas at each vertex, of unit length.

@@ -20,6 +20,8 @@ const EDGE_PLANES: usize = 32;
 const GRID_NODES: usize = 1 << 16;
 /// A cut this short is as good as a shorter one, as a share of the solid's diagonal.
 const SHORT: f64 = 0.05;
+/// How often the step of that search is halved.
+const HALVINGS: usize = 6;
 /// Of the planes tried, so many are moved to their best position.
 const MOVED: usize = 4;
 
@@ -112,11 +114,11 @@ impl Scene {
         tried.sort_by(|a, b| b.0.worth.total_cmp(&a.0.worth)); // stable: the first of equals stays first
         tried.truncate(MOVED);
         let moved = |(mut best, mut step): (Cut, f64)| {
-            for _ in 0..3 {
+            for _ in 0..HALVINGS {
                 step /= 2.0;
                 for by in [-step, step] {
                     let moved = judge.cut(best.plane.moved(by));
-                    if moved.worth > best.worth {
+                    if moved.gain > best.gain {
                         best = moved;
                         break;
                     }
@@ -189,7 +191,9 @@ impl Judge<'_> {
             }
         }
         let gain = self.leaf.fill.cost - cost;
-        Cut { plane, gain, worth: gain / (cut_length(&part.surface, &plane) + self.scene.short) }
+        // A plane in a face is as long as the shorter of the cuts beside it.
+        let length = self.scene.sides(&plane).map(|side| cut_length(&part.surface, &side));
+        Cut { plane, gain, worth: gain / (length[0].min(length[1]) + self.scene.short) }
     }
 }
 

@@ -1,6 +1,7 @@
 //! Convex pieces that together cover a solid, for collision.
 
 mod coarse;
+mod corners;
 mod cut;
 mod part;
 mod probe;
@@ -11,7 +12,7 @@ use nalgebra::Point3;
 
 use drex_core::{Surface, TriMesh};
 
-use crate::hull::{convex_hull, convex_hull_with_at_most, hull_volume};
+use crate::hull::{convex_hull, hull_volume};
 use crate::repair::{Shell, describe_shells, weld};
 use crate::sdf::MeshSdf;
 use crate::solid::Enclosed;
@@ -21,6 +22,7 @@ use crate::{Error, Result};
 pub use score::{UnionDistance, union_distance};
 
 use coarse::coarse;
+use corners::bounded_hull;
 use cut::Scene;
 use part::Part;
 use tree::Division;
@@ -95,7 +97,7 @@ pub(crate) fn divide(
         ));
     }
     let volume = enclosed.solid.volume_m3;
-    let bounded = |points: &[Point3<f64>]| convex_hull_with_at_most(points, options.most_corners);
+    let bounded = |points: &[Point3<f64>]| bounded_hull(points, options.most_corners);
     let whole = convex_hull(&mesh.vertices)?;
     if hull_volume(&whole) <= (1.0 + options.convex_enough) * volume {
         return Ok((vec![bounded(&whole.vertices)?], HowDivided::Hull));

@@ -22,7 +22,7 @@ pub(super) struct Probe {
 /// Free space inside a hull.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Fill {
-    /// ∫ t + t²/τ over the surface of the solid inside the hull, m³; t is the way along the normal that is inside the
+    /// ∫ t + t³/τ² over the surface of the solid inside the hull, m³; t is the way along the normal that is inside the
     /// hull and outside the solid, τ the tolerance. The first term is the volume filled (where it is thin), the second weighs
     /// what is deep.
     pub cost: f64,
@@ -99,7 +99,7 @@ impl Probes {
             // A probe in no facet's way is a hull without facets.
             depths.push(if depth.is_finite() { depth } else { 0.0 });
         }
-        let cost = depths.iter().map(|t| t + t * t / self.tolerance).sum::<f64>() * self.area;
+        let cost = depths.iter().map(|t| t + t.powi(3) / self.tolerance.powi(2)).sum::<f64>() * self.area;
         Fill { cost, depth: depths.into_iter().fold(0.0, f64::max) }
     }
 }
