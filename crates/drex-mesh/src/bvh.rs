@@ -275,6 +275,7 @@ impl Bvh {
     /// order (Barill et al., "Fast Winding Numbers for Soups and Clouds", 2018, section 3).
     pub fn winding(&self, q: &Point3<f64>) -> f64 {
         let mut sum = 0.0;
+        let mut near = AngleSum::new();
         let mut stack = [0u32; STACK];
         let mut top = usize::from(!self.nodes.is_empty());
         while top > 0 {
@@ -290,7 +291,8 @@ impl Bvh {
             }
             if node.count > 0 {
                 for t in node.first as usize..(node.first + node.count) as usize {
-                    sum += solid_angle(q, &self.triangles[t]);
+                    let (sine, cosine) = half_solid_angle(q, &self.triangles[t]);
+                    near.add(sine, cosine);
                 }
                 continue;
             }
@@ -298,7 +300,39 @@ impl Bvh {
             stack[top + 1] = id + 1;
             top += 2;
         }
-        sum / (4.0 * std::f64::consts::PI)
+        (sum + 2.0 * near.total()) / (4.0 * std::f64::consts::PI)
+    }
+}
+
+/// A sum of angles between -π and π, each given by multiples of its sine and cosine: one arc tangent for all of them.
+struct AngleSum {
+    /// The sum's sine and cosine, scaled, and how often it went round.
+    sine: f64,
+    cosine: f64,
+    turns: i32,
+}
+
+impl AngleSum {
+    fn new() -> Self {
+        Self { sine: 0.0, cosine: 1.0, turns: 0 }
+    }
+
+    fn add(&mut self, sine: f64, cosine: f64) {
+        let (s, c) = (self.sine * cosine + self.cosine * sine, self.cosine * cosine - self.sine * sine);
+        let scale = s.abs() + c.abs();
+        if !(scale > 0.0) {
+            return; // the query is a corner of the triangle
+        }
+        match (self.sine < 0.0, sine < 0.0, s < 0.0) {
+            (false, false, true) => self.turns += 1,
+            (true, true, false) => self.turns -= 1,
+            _ => {}
+        }
+        (self.sine, self.cosine) = (s / scale, c / scale);
+    }
+
+    fn total(&self) -> f64 {
+        self.sine.atan2(self.cosine) + 2.0 * std::f64::consts::PI * f64::from(self.turns)
     }
 }
 
@@ -348,12 +382,18 @@ fn describe(mesh: &TriMesh, faces: &[u32]) -> Node {
 }
 
 /// Solid angle of a triangle seen from `q` (van Oosterom and Strackee 1983), positive from behind.
-pub(crate) fn solid_angle(q: &Point3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> f64 {
+pub(crate) fn solid_angle(q: &Point3<f64>, triangle: &[Point3<f64>; 3]) -> f64 {
+    let (sine, cosine) = half_solid_angle(q, triangle);
+    2.0 * sine.atan2(cosine)
+}
+
+/// Sine and cosine of half that angle, both times the same factor.
+fn half_solid_angle(q: &Point3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> (f64, f64) {
     let (a, b, c) = (a - q, b - q, c - q);
     let (la, lb, lc) = (a.norm(), b.norm(), c.norm());
     let numerator = a.dot(&b.cross(&c));
     let denominator = la * lb * lc + a.dot(&b) * lc + b.dot(&c) * la + c.dot(&a) * lb;
-    2.0 * numerator.atan2(denominator)
+    (numerator, denominator)
 }
 
 /// Ray parameter where the ray meets the triangle (Möller and Trumbore 1997), both sides.

@@ -84,3 +84,20 @@ fn cluster(mesh: &TriMesh, normals: &[Vector3<f64>], lo: &Point3<f64>, cell: f64
     out.faces.dedup();
     out
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::shapes::{flipped, joined, sphere};
+
+    #[test]
+    fn both_sides_of_a_thin_wall_stay_where_they_are() {
+        let (outer, inner) = (sphere(0.05, 5), flipped(&sphere(0.048, 5)));
+        let few = coarse(&joined(&[outer, inner]), 1000);
+        assert!(few.vertices.len() <= 1000 && few.faces.len() > 1000, "{} {}", few.vertices.len(), few.faces.len());
+        let out = few.vertices.iter().filter(|p| p.coords.norm() > 0.0499).count();
+        let inside = few.vertices.iter().filter(|p| p.coords.norm() < 0.0481).count();
+        assert_eq!(out + inside, few.vertices.len());
+        assert!(out > few.vertices.len() / 3 && inside > few.vertices.len() / 3);
+    }
+}

@@ -74,3 +74,22 @@ fn fit(hull: &TriMesh, samples: &[Point3<f64>]) -> (f64, Vec<Vector3<f64>>) {
     }
     (sum, moves.into_iter().map(|(m, w)| if w > 0.0 { m / w } else { m }).collect())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hull::hull_volume;
+    use crate::shapes::sphere;
+
+    #[test]
+    fn few_corners_are_fitted_so_that_errors_balance() {
+        let ball = sphere(0.05, 4);
+        let inner = convex_hull_with_at_most(&ball.vertices, 64).unwrap();
+        let fitted = bounded_hull(&ball.vertices, 64).unwrap();
+        assert!(fitted.vertices.len() <= 64);
+        let error = |h: &TriMesh| (hull_volume(h) / hull_volume(&ball) - 1.0).abs();
+        assert!(error(&inner) > 0.05 && error(&fitted) < 0.02, "{} {}", error(&inner), error(&fitted));
+        let few = sphere(0.05, 1);
+        assert_eq!(bounded_hull(&few.vertices, 64).unwrap().vertices.len(), 18);
+    }
+}

@@ -231,7 +231,7 @@ fn edge_planes(surface: &TriMesh, size: f64) -> Vec<Plane> {
         let edge = surface.vertices[b] - surface.vertices[a];
         let beyond = surface.triangle(g).iter().map(|p| m.dot(&(p - surface.vertices[a]))).fold(0.0, f64::max);
         // Concave by more than about 20 degrees.
-        if !(beyond > 0.0 && m.cross(&n).norm() > 0.35 || m.dot(&n) < -0.9 && beyond > 0.0) {
+        if !(beyond > 0.0 && m.dot(&n) < 0.94) {
             continue;
         }
         for normal in [m, n] {

@@ -139,3 +139,36 @@ fn clip(mesh: &TriMesh, plane: &Plane) -> TriMesh {
     }
     out
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hull::hull_volume;
+    use crate::shapes::{cuboid, sphere};
+
+    #[test]
+    fn eight_parts_of_a_box_have_its_volume_although_their_common_corner_is_inside() {
+        let whole = Part::whole(cuboid([0.0; 3], [0.1, 0.2, 0.3])).unwrap();
+        let mut parts = vec![whole];
+        for (normal, offset) in [(Vector3::x_axis(), 0.03), (Vector3::y_axis(), 0.11), (Vector3::z_axis(), 0.07)] {
+            let plane = Plane { normal, offset };
+            parts = parts.iter().flat_map(|p| [p.behind(&plane), p.behind(&plane.flipped())]).flatten().collect();
+        }
+        assert_eq!(parts.len(), 8);
+        let inside = |p: &Point3<f64>| (0..3).all(|k| p[k] > 0.0 && p[k] < [0.1, 0.2, 0.3][k]);
+        let sum: f64 = parts.iter().map(|p| hull_volume(&convex_hull(&p.points(inside)).unwrap())).sum();
+        assert!((sum - 6e-3).abs() < 1e-14, "{sum}");
+    }
+
+    #[test]
+    fn a_clipped_surface_has_the_area_behind_the_plane() {
+        let ball = sphere(1.0, 5);
+        let plane = Plane { normal: Unit::new_normalize(Vector3::new(1.0, 2.0, 3.0)), offset: 0.3 };
+        let (front, back) = (clip(&ball, &plane), clip(&ball, &plane.flipped()));
+        assert!((front.area() + back.area() - ball.area()).abs() < 1e-12);
+        // A zone of a sphere: 2π r h.
+        assert!((front.area() / (std::f64::consts::TAU * 1.3) - 1.0).abs() < 2e-3, "{}", front.area());
+        let circle = std::f64::consts::TAU * (1.0_f64 - 0.09).sqrt();
+        assert!((cut_length(&ball, &plane) / circle - 1.0).abs() < 2e-3);
+    }
+}

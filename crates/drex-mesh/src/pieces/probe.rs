@@ -103,3 +103,28 @@ impl Probes {
         Fill { cost, depth: depths.into_iter().fold(0.0, f64::max) }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hull::convex_hull;
+    use crate::shapes::{cuboid, joined};
+
+    #[test]
+    fn a_hull_over_a_slot_fills_as_deep_as_the_slot_is_wide_or_deep() {
+        // Two blocks 2 cm apart: the rays go from one to the other.
+        let blocks = joined(&[cuboid([0.0; 3], [0.04, 0.1, 0.1]), cuboid([0.06, 0.0, 0.0], [0.1, 0.1, 0.1])]);
+        let solid = MeshSdf::new(&blocks).unwrap();
+        let probes = Probes::new(&solid, 2000, 0.02, 1);
+        let hull = convex_hull(&blocks.vertices).unwrap();
+        let fill = probes.fill(&hull, &probes.near(&hull));
+        assert!((fill.depth - 0.02).abs() < 1e-5, "{fill:?}");
+        // Both walls of 100 cm² see 2 cm: t + t³/τ² is 4 cm there.
+        let share = 0.02 / blocks.area();
+        let sampling = 3.0 * (share * (1.0 - share) / 2000.0_f64).sqrt() * blocks.area() * 0.04;
+        assert!((fill.cost - 0.02 * 0.04).abs() < sampling, "{fill:?} {sampling}");
+        // A block alone fills nothing.
+        let one = cuboid([0.0; 3], [0.04, 0.1, 0.1]);
+        assert!(probes.fill(&one, &probes.near(&one)).cost < 1e-12);
+    }
+}

@@ -103,3 +103,33 @@ impl Convex {
             && self.planes.iter().all(|(n, d)| n.dot(&p.coords) - d <= self.hair)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::shapes::cuboid;
+
+    #[test]
+    fn a_box_too_large_and_a_box_cut_in_two_have_known_scores() {
+        let mesh = cuboid([0.0; 3], [0.1; 3]);
+        let exact = [cuboid([0.0; 3], [0.04, 0.1, 0.1]), cuboid([0.04, 0.0, 0.0], [0.1; 3])];
+        let d = union_distance(&mesh, &exact, 20_000, 3).unwrap();
+        // The common face is no surface of the union.
+        assert!(d.max_m < 1e-9 && d.uncovered_share == 0.0 && (d.volume_ratio - 1.0).abs() < 1e-3, "{d:?}");
+        // One face 1 cm out, the frame around it on average half of that.
+        let long = [cuboid([0.0; 3], [0.11, 0.1, 0.1])];
+        let d = union_distance(&mesh, &long, 50_000, 3).unwrap();
+        let mean = (0.01 * 0.01 + 4.0 * 0.001 * 0.005) / (0.02 + 0.044);
+        assert!((d.mean_m / mean - 1.0).abs() < 0.03, "{} {mean}", d.mean_m);
+        assert!((d.max_m - 0.01).abs() < 1e-9 && (d.volume_ratio - 1.1).abs() < 0.01, "{d:?}");
+        let half = union_distance(&mesh, &exact[1..], 20_000, 3).unwrap();
+        assert!((half.uncovered_share - 0.4).abs() < 0.01 && (half.max_m - 0.04).abs() < 1e-3, "{half:?}");
+    }
+
+    #[test]
+    fn nothing_to_measure_is_refused() {
+        let mesh = cuboid([0.0; 3], [0.1; 3]);
+        assert!(union_distance(&mesh, &[], 100, 0).is_err());
+        assert!(union_distance(&mesh, std::slice::from_ref(&mesh), 0, 0).is_err());
+    }
+}

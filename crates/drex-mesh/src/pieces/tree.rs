@@ -89,7 +89,6 @@ impl<'a> Division<'a> {
                 cuts[i] = None;
                 continue;
             };
-            eprintln!("  cut {:?} {:.4} gain {:e} depths {:.2} -> {:.2} {:.2}", cut.plane.normal.as_slice(), cut.plane.offset, cut.gain, 1e3*found.fill.depth, 1e3*a.fill.depth, 1e3*b.fill.depth);
             let (left, right, twin) = (self.nodes.len(), self.nodes.len() + 1, self.leaves.len());
             self.nodes[node] = Node::Cut(cut.plane, [left, right]);
             self.nodes.extend([Node::Leaf(leaf), Node::Leaf(twin)]);
@@ -151,7 +150,6 @@ impl<'a> Division<'a> {
             }
             let Some((_, i, j)) = best else { return };
             let Some(group) = joined[i][j].take() else { return };
-            eprintln!("  join {i} {j} more {:e} depth {:.2} mm (from {:.2} {:.2}) full {full}", best.unwrap().0, 1e3*group.fill.depth, 1e3*self.groups[i].fill.depth, 1e3*self.groups[j].fill.depth);
             self.groups[j] = group;
             self.groups[i] = Group { hull: None, fill: Fill::NONE };
             self.group_of.iter_mut().filter(|g| **g == i).for_each(|g| *g = j);
@@ -298,13 +296,6 @@ impl<'a> Division<'a> {
         let mut points = vec![Vec::new(); self.groups.len()];
         for (leaf, found) in leaves {
             points[self.group_of[leaf]].extend(found);
-        }
-        for (g, group) in self.groups.iter().enumerate() {
-            if let Some(h) = &group.hull {
-                let b = h.bounds().unwrap();
-                let members: Vec<_> = (0..self.leaves.len()).filter(|&l| self.group_of[l] == g).collect();
-                eprintln!("group {g}: cost {:.2e} depth {:.2} mm leaves {members:?} lo {:?} hi {:?}", group.fill.cost, 1e3*group.fill.depth, (b.0*1e3).map(|v| v.round()).coords.as_slice(), (b.1*1e3).map(|v| v.round()).coords.as_slice());
-            }
         }
         points.iter().filter_map(|p| convex_hull(p).ok()).collect()
     }
