@@ -49,6 +49,7 @@ mod sdf;
 mod shapes;
 mod solid;
 mod topology;
+mod weld;
 mod write;
 
 pub use asset::{

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::Point3;
 use serde::Serialize;
 
 use drex_core::TriMesh;
@@ -12,6 +11,8 @@ use crate::fill::{Filled, fill_holes};
 use crate::intersect::self_intersections;
 use crate::orient::{align_patches, nesting, orient_shells};
 use crate::topology::{NONE, Sets, Topology, split_pinched};
+use crate::weld::drop_duplicates;
+use crate::weld::{compact, weld};
 use crate::{Error, Result};
 
 /// Settings of [`repair`].
@@ -180,97 +181,6 @@ pub fn repair(mesh: &TriMesh, options: &RepairOptions) -> Result<(TriMesh, Repai
     Ok((clean, report))
 }
 
-/// One vertex for all that lie within `tolerance_m` of each other (directly or through others); drops faces that
-/// lose a corner or have none. Returns the mesh and how many faces were dropped.
-pub(crate) fn weld(mesh: &TriMesh, tolerance_m: f64) -> (TriMesh, usize) {
-    let n = mesh.vertices.len();
-    let mut order: Vec<u32> = (0..n as u32).collect();
-    let key = |i: u32| mesh.vertices[i as usize];
-    order.sort_unstable_by(|&i, &j| {
-        let (p, q) = (key(i), key(j));
-        p.x.total_cmp(&q.x).then(p.y.total_cmp(&q.y)).then(p.z.total_cmp(&q.z)).then(i.cmp(&j))
-    });
-    let mut sets = Sets::new(n);
-    // Exact twins first: they are the bulk of a triangle soup and sit side by side.
-    for w in order.windows(2) {
-        if key(w[0]) == key(w[1]) {
-            sets.join(w[0], w[1]);
-        }
-    }
-    if tolerance_m > 0.0 {
-        let cell = |p: &Point3<f64>| [0, 1, 2].map(|k| (p[k] / (2.0 * tolerance_m)).floor());
-        let mut grid: BTreeMap<[u64; 3], Vec<u32>> = BTreeMap::new();
-        for &i in &order {
-            if sets.find(i) != i {
-                continue;
-            }
-            let c = cell(&key(i));
-            let near = |k: usize, s: f64| ((key(i)[k] + s * tolerance_m) / (2.0 * tolerance_m)).floor();
-            // Only cells that a ball of the tolerance reaches: at most two along each axis.
-            for x in [near(0, -1.0), near(0, 1.0)] {
-                for y in [near(1, -1.0), near(1, 1.0)] {
-                    for z in [near(2, -1.0), near(2, 1.0)] {
-                        for &j in grid.get(&[x, y, z].map(f64::to_bits)).map_or(&[][..], |v| v) {
-                            if (key(i) - key(j)).norm() <= tolerance_m {
-                                sets.join(i, j);
-                            }
-                        }
-                    }
-                }
-            }
-            grid.entry(c.map(f64::to_bits)).or_default().push(i);
-        }
-    }
-    let mut number = vec![NONE; n];
-    let mut vertices = Vec::new();
-    let mut faces = Vec::with_capacity(mesh.faces.len());
-    for f in &mesh.faces {
-        let roots = f.map(|v| sets.find(v));
-        let [a, b, c] = roots.map(|v| mesh.vertices[v as usize]);
-        let longest = (b - a).norm().max((c - b).norm()).max((a - c).norm());
-        let height = (b - a).cross(&(c - a)).norm() / longest;
-        if roots[0] == roots[1] || roots[1] == roots[2] || roots[2] == roots[0] || !(height > 0.0) {
-            continue;
-        }
-        faces.push(roots.map(|r| {
-            if number[r as usize] == NONE {
-                number[r as usize] = vertices.len() as u32;
-                vertices.push(mesh.vertices[r as usize]);
-            }
-            number[r as usize]
-        }));
-    }
-    let dropped = mesh.faces.len() - faces.len();
-    (TriMesh { vertices, faces }, dropped)
-}
-
-/// Drops faces that repeat another one; where most of the mesh is there facing both ways, also the second sides.
-fn drop_duplicates(mesh: &mut TriMesh) -> usize {
-    let before = mesh.faces.len();
-    let canonical = |f: &[u32; 3]| {
-        let k = (0..3).min_by_key(|&k| f[k]).unwrap_or(0);
-        [f[k], f[(k + 1) % 3], f[(k + 2) % 3]]
-    };
-    let mut seen = std::collections::BTreeSet::new();
-    mesh.faces.retain(|f| seen.insert(canonical(f)));
-    let both: Vec<bool> = mesh.faces.iter().map(|f| seen.contains(&canonical(&[f[0], f[2], f[1]]))).collect();
-    let area = |f: usize| {
-        let [a, b, c] = mesh.triangle(f);
-        (b - a).cross(&(c - a)).norm()
-    };
-    let total: f64 = (0..mesh.faces.len()).map(area).sum();
-    let doubled: f64 = (0..mesh.faces.len()).filter(|&f| both[f]).map(area).sum();
-    if doubled > 0.5 * total {
-        let mut sides = std::collections::BTreeSet::new();
-        mesh.faces.retain(|f| {
-            let mut key = *f;
-            key.sort_unstable();
-            sides.insert(key)
-        });
-    }
-    before - mesh.faces.len()
-}
-
 /// A piece of surface connected over edges.
 #[derive(Debug, Clone)]
 pub(crate) struct Shell {
@@ -387,22 +297,10 @@ fn drop_bits(
     ((0..shells.len()).filter(|&s| stays(bodies[s])).collect(), dropped)
 }
 
-/// Forgets vertices that no face uses.
-pub(crate) fn compact(mesh: &mut TriMesh) {
-    let mut number = vec![NONE; mesh.vertices.len()];
-    let mut vertices = Vec::new();
-    for v in mesh.faces.iter_mut().flatten() {
-        if number[*v as usize] == NONE {
-            number[*v as usize] = vertices.len() as u32;
-            vertices.push(mesh.vertices[*v as usize]);
-        }
-        *v = number[*v as usize];
-    }
-    mesh.vertices = vertices;
-}
-
 #[cfg(test)]
 mod tests {
+    use nalgebra::Point3;
+
     use super::*;
     use crate::shapes::{cuboid, flipped, joined, sphere};
 

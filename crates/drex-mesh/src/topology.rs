@@ -262,7 +262,7 @@ mod tests {
     #[test]
     fn stacked_boxes_with_a_common_face_stay_two_shells() {
         let two = joined(&[cuboid([0.0; 3], [1.0; 3]), cuboid([0.0, 0.0, 1.0], [1.0, 1.0, 2.0])]);
-        let welded = crate::repair::weld(&two, 1e-9).0;
+        let welded = crate::weld::weld(&two, 1e-9).0;
         assert_eq!(welded.vertices.len(), 12);
         let t = Topology::new(&welded);
         // The four edges of the common face and its diagonal.

@@ -13,8 +13,8 @@ use drex_core::TriMesh;
 use self::collapse::{Collapser, roundness};
 use self::track::{Allowance, Tracker};
 use crate::bvh::Bvh;
-use crate::repair::compact;
 use crate::topology::Topology;
+use crate::weld::compact;
 use crate::{Error, Result, sample_surface};
 
 /// Points per direction at which the distance between input and result is measured, besides all vertices.
