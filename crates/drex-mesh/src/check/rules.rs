@@ -212,7 +212,10 @@ fn body(asset: &Asset, options: &CheckOptions, repaired: &RepairReport, report: 
 
 /// Rule 14, by how far inside the support polygon the centre of mass is.
 pub(super) fn rest(margin_m: f64, report: &mut CheckReport) {
-    let reason = format!("by statics: the centre of mass is {:.1} mm inside the support polygon", 1e3 * margin_m);
+    let reason = format!(
+        "by statics, not simulation: the centre of mass is {:.1} mm inside the support polygon",
+        1e3 * margin_m
+    );
     match margin_m > 0.0 {
         true => report.set(14, Pass, reason, None),
         false => report.set(

@@ -105,15 +105,10 @@ fn primitive(out: &mut Buffer, part: &ModelPart) -> Value {
         attributes["TEXCOORD_0"] = json!(out.accessor(&floats(&mut uv.iter().flatten().copied()), ARRAY, n, about));
     }
     if let Some(colors) = &part.colors {
-        // Four bytes per vertex keep the alignment; glTF's vertex colours are linear.
-        let linear = |c: u8| (linear(f32::from(c) / 255.0) * 65535.0).round() as u16;
-        let words: Vec<u8> = colors
-            .iter()
-            .flat_map(|c| [linear(c[0]), linear(c[1]), linear(c[2]), u16::MAX])
-            .flat_map(u16::to_le_bytes)
-            .collect();
-        let about = json!({ "componentType": 5123, "normalized": true, "type": "VEC4" });
-        attributes["COLOR_0"] = json!(out.accessor(&words, ARRAY, n, about));
+        // Vertex colours of glTF are linear; bytes would lose the dark ones, and some readers cut 16 bits short.
+        let mut values = colors.iter().flatten().map(|&c| linear(f32::from(c) / 255.0));
+        let about = json!({ "componentType": FLOAT, "type": "VEC3" });
+        attributes["COLOR_0"] = json!(out.accessor(&floats(&mut values), ARRAY, n, about));
     }
     let indices: Vec<u8> = part.mesh.faces.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
     let about = json!({ "componentType": 5125, "type": "SCALAR" });
