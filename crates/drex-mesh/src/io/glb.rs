@@ -16,6 +16,10 @@ use crate::{Error, Result};
 /// # Errors
 /// If the model is not consistent ([`Model::check`]), is larger than the 4 GiB of the format, or the file cannot be written.
 pub fn write_glb(path: &Path, model: &Model) -> Result<()> {
+    Ok(write_atomic(path, &glb_bytes(model)?)?)
+}
+
+pub(crate) fn glb_bytes(model: &Model) -> Result<Vec<u8>> {
     model.check()?;
     let mut out = Buffer::default();
     let (mut meshes, mut nodes) = (Vec::new(), Vec::new());
@@ -56,7 +60,7 @@ pub fn write_glb(path: &Path, model: &Model) -> Result<()> {
             root[key] = Value::Array(list);
         }
     }
-    Ok(write_atomic(path, &framed(&root, &out.bytes)?)?)
+    framed(&root, &out.bytes)
 }
 
 #[derive(Default)]

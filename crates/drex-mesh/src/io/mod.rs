@@ -12,6 +12,7 @@ use std::path::Path;
 use drex_core::TriMesh;
 use drex_core::fsutil::read_bytes;
 
+pub(crate) use glb::glb_bytes;
 pub use glb::write_glb;
 pub use model::{Material, Model, ModelPart, Texture, read_model};
 pub use obj::write_obj_model;
