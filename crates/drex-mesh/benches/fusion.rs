@@ -19,13 +19,14 @@ fn directions(count: usize) -> Vec<Vector3<f64>> {
 }
 
 fn run(c: &mut Criterion) {
-    let ball: TriMesh = convex_hull(&directions(500).iter().map(|d| Point3::from(d * 0.04)).collect::<Vec<_>>()).unwrap();
-    let camera =
-        DepthCamera { width_px: 320, height_px: 240, fx_px: 400.0, fy_px: 400.0, cx_px: 160.0, cy_px: 120.0 };
+    let ball: TriMesh =
+        convex_hull(&directions(500).iter().map(|d| Point3::from(d * 0.04)).collect::<Vec<_>>()).unwrap();
+    let camera = DepthCamera { width_px: 320, height_px: 240, fx_px: 400.0, fy_px: 400.0, cx_px: 160.0, cy_px: 120.0 };
     let views: Vec<DepthMap> = directions(20)
         .iter()
         .map(|d| {
-            let pose = Isometry3::face_towards(&Point3::from(d * 0.3), &Point3::origin(), &Vector3::new(1e-3, 0.0, -1.0));
+            let pose =
+                Isometry3::face_towards(&Point3::from(d * 0.3), &Point3::origin(), &Vector3::new(1e-3, 0.0, -1.0));
             cast_depth(&ball, &camera, &pose)
         })
         .collect();

@@ -20,10 +20,11 @@ use rayon::prelude::*;
 use drex_core::{Surface, TriMesh};
 
 use crate::hull::{convex_hull, hull_volume};
-use crate::repair::{Shell, describe_shells, weld};
+use crate::repair::{Shell, describe_shells};
 use crate::sdf::MeshSdf;
 use crate::solid::Enclosed;
 use crate::topology::Topology;
+use crate::weld::weld;
 use crate::{Error, Result};
 
 pub use score::{UnionDistance, union_distance};
