@@ -5,7 +5,12 @@ mod common;
 
 use common::{cuboid, divided, shared, soup, sphere, torus};
 use drex_core::TriMesh;
-use drex_mesh::{Error, RepairOptions, RepairReport, close_openings, read_mesh, repair, solid_properties};
+use drex_mesh::{
+    CheckOptions, DecimateOptions, Error, RepairOptions, RepairReport, check_mesh, close_openings, decimate, read_mesh,
+    repair, self_intersections, solid_properties,
+};
+use nalgebra::Point3;
+use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -86,4 +91,33 @@ fn options_turn_filling_and_splitting_off() {
     options.fill_narrower_m = Some(0.0);
     let (_, report) = repair(&mesh, &options).unwrap();
     assert!(report.filled_holes == 0 && report.open_edges > 0 && report.open_edges == report.open_edges_before);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 48, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn coordinates_of_any_size_are_survived(
+        scale in prop::sample::select(vec![1e-310, 1e-200, 1e-30, 1e-9, 1.0, 1e9, 1e30, 1e150, 1e300]),
+        offset in prop::sample::select(vec![0.0, 1.0, 1e6, 1e17]),
+        vertices in prop::collection::vec(prop::array::uniform3(-1.0f64..1.0), 4..12),
+        faces in prop::collection::vec(prop::array::uniform3(0u32..12), 1..30),
+    ) {
+        let n = vertices.len() as u32;
+        let mesh = TriMesh {
+            vertices: vertices.iter().map(|v| Point3::from(v.map(|c| (c + offset) * scale))).collect(),
+            faces: faces.iter().map(|f| f.map(|v| v % n)).collect(),
+        };
+        let _ = self_intersections(&mesh);
+        let _ = close_openings(&mesh);
+        let mut options = DecimateOptions::default();
+        options.target_faces = Some(4);
+        if let Ok((simple, _)) = decimate(&mesh, &options) {
+            prop_assert!(simple.vertices.iter().all(|v| v.iter().all(|c| c.is_finite())));
+        }
+        if let Ok((fixed, _)) = repair(&mesh, &RepairOptions::default()) {
+            prop_assert!(fixed.faces.iter().flatten().all(|&v| (v as usize) < fixed.vertices.len()));
+        }
+        prop_assert_eq!(check_mesh(&mesh, &CheckOptions::default()).rules.len(), 16);
+    }
 }

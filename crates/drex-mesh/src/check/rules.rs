@@ -14,6 +14,8 @@ const CLOSING_SPREAD: f64 = 0.05;
 const HIDDEN_AREA: f64 = 0.01;
 /// Densities of solids, kg/m³: foam to the heaviest metals.
 pub(super) const DENSITIES: std::ops::RangeInclusive<f64> = 20.0..=20_000.0;
+/// Sizes beyond which volumes and inertias leave the range of numbers that can be compared, m.
+const ANY_SIZE: std::ops::RangeInclusive<f64> = 1e-5..=1e4;
 /// Sizes of things that a hand moves, m.
 pub(super) const SIZES: std::ops::RangeInclusive<f64> = 1e-3..=2.0;
 
@@ -36,6 +38,12 @@ pub(super) fn judge_mesh(mesh: &TriMesh, options: &CheckOptions, report: &mut Ch
     };
     scale(&visual, unit, options, &notes, report);
     surface(&visual, &repaired, report);
+    report.set(15, NotApplicable, "no textures; a mesh names no other files", None);
+    faces(visual.faces.len(), options, report);
+    let size = visual.bounds().map_or(0.0, |(lo, hi)| (hi - lo).max());
+    if !ANY_SIZE.contains(&size) {
+        return;
+    }
     let mut settled = options.asset.clone();
     settled.unit = LengthUnit::Metre;
     match asset_from_mesh(&visual, &settled) {
@@ -45,8 +53,6 @@ pub(super) fn judge_mesh(mesh: &TriMesh, options: &CheckOptions, report: &mut Ch
         }
         Err(e) => report.set(1, Fail, e.to_string(), Some("give a mesh of the whole surface of a solid")),
     }
-    report.set(15, NotApplicable, "no textures; a mesh names no other files", None);
-    faces(visual.faces.len(), options, report);
 }
 
 fn scale(visual: &TriMesh, unit: LengthUnit, options: &CheckOptions, notes: &[String], report: &mut CheckReport) {

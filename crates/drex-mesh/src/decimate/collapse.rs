@@ -140,16 +140,18 @@ impl Collapser {
         let mut star = Vec::new();
         for v in 0..self.vertices.len() as u32 {
             self.star(v, &mut star);
-            // Faces of one fan follow each other over spokes: the head of each face's far edge is the next one's tail.
-            let spokes: Vec<[u32; 2]> = star.iter().map(|&c| self.far_edge(c)).collect();
-            let Some(start) = spokes.iter().position(|s| !spokes.iter().any(|t| t[1] == s[0])).or(Some(0)) else {
-                continue;
-            };
+            // Faces of one fan follow each other over spokes: the head of each far edge is the tail of the next one.
+            let mut spokes: Vec<[u32; 2]> = star.iter().map(|&c| self.far_edge(c)).collect();
+            spokes.sort_unstable();
+            let mut heads: Vec<u32> = spokes.iter().map(|s| s[1]).collect();
+            heads.sort_unstable();
+            let start = spokes.iter().find(|s| heads.binary_search(&s[0]).is_err()).or(spokes.first());
             let mut reached = 0;
-            let mut at = spokes.get(start).copied();
-            while let Some(spoke) = at {
+            let mut at = start.copied();
+            while let Some([_, head]) = at.filter(|_| reached < spokes.len()) {
                 reached += 1;
-                at = spokes.iter().find(|s| s[0] == spoke[1] && reached < spokes.len()).copied();
+                let next = spokes.partition_point(|s| s[0] < head);
+                at = spokes.get(next).copied().filter(|s| s[0] == head && Some(s) != start);
             }
             self.fixed[v as usize] |= reached < spokes.len();
         }
@@ -169,8 +171,10 @@ impl Collapser {
                     self.collapse(a, b, tracker.as_deref_mut(), &mut scratch);
                 }
             }
-            // An edge that was refused may have become free when its surroundings changed.
-            if self.alive <= target || before == self.alive {
+            // An edge that was refused may have become free when its surroundings changed. With a tracker a test is dear, and
+            // the last percent is not worth another round.
+            let least = if tracker.is_some() { before / 100 } else { 0 };
+            if self.alive <= target || before - self.alive <= least {
                 return;
             }
         }
