@@ -77,8 +77,8 @@ impl Prepared {
         let camera = &map.camera;
         let focal = [camera.fx_px as f32, camera.fy_px as f32];
         let size = [camera.width_px as usize, camera.height_px as usize];
-        // At half the typical depth, a length covers twice the pixels; nearer than that, fewer distances are told apart.
-        let reach = (2.0 * reach_m as f32 / sight.footprint_m(camera)).ceil() as usize;
+        // Where the surface is nearer than usual, a length covers more pixels than there, and less of it is told apart.
+        let reach = (1.25 * reach_m as f32 / sight.footprint_m(camera)).ceil() as usize;
         let reach = reach.saturating_add(1).min(FARTHEST_PX);
         let window = grown(&sight.window, reach + 1, size);
         let beside_is_empty = background_is_empty || map.mask.is_some();

@@ -11,7 +11,7 @@ use crate::depth::{DepthMap, DepthViews};
 use crate::{Error, Result};
 
 /// Points taken from all views together.
-const SAMPLES: usize = 80_000;
+const SAMPLES: usize = 60_000;
 /// At least so many from each.
 const LEAST_PER_VIEW: usize = 200;
 /// Samples that make a patch.
@@ -159,7 +159,7 @@ fn object_box(samples: &[Sample], views: usize) -> Aabb {
 
 /// Averages of the samples that fell into one cell and face one way.
 struct Patch {
-    cell: [i32; 3],
+    cell: u64,
     point: Point3<f64>,
     normal: Vector3<f64>,
     /// Standard deviation of the samples from their plane.
@@ -194,42 +194,41 @@ impl Survey {
         Walls { thickness_m: thinnest.copied().filter(|t| t.is_finite()), spread_m }
     }
 
-    fn cell(&self, p: &Point3<f64>, cell_m: f64) -> [i32; 3] {
-        [0, 1, 2].map(|k| ((p[k] - self.bounds.lo[k]) / cell_m).floor() as i32)
+    /// A number for the cell that a point is in: 20 bits for each coordinate, with the box in the middle of their range.
+    fn cell(&self, p: &Point3<f64>, cell_m: f64) -> u64 {
+        let at =
+            |k: usize| ((p[k] - self.bounds.lo[k]) / cell_m + f64::from(1 << 19)).clamp(0.0, f64::from((1 << 20) - 1));
+        (at(2) as u64) << 40 | (at(1) as u64) << 20 | at(0) as u64
     }
 
     /// Patches in the order of their cells.
     fn patches(&self, cell_m: f64) -> Vec<Patch> {
         let facing = |n: &Vector3<f64>| {
             let axis = n.iamax();
-            2 * axis as u8 + u8::from(n[axis] < 0.0)
+            2 * axis as u64 + u64::from(n[axis] < 0.0)
         };
-        let mut keyed: Vec<([i32; 3], u8, u32)> = self
-            .samples
-            .iter()
-            .enumerate()
-            .map(|(i, s)| (self.cell(&s.point, cell_m), facing(&s.normal), i as u32))
-            .collect();
+        let key = |s: &Sample| self.cell(&s.point, cell_m) << 3 | facing(&s.normal);
+        let mut keyed: Vec<(u64, u32)> = self.samples.iter().enumerate().map(|(i, s)| (key(s), i as u32)).collect();
         keyed.par_sort_unstable();
-        let patch = |group: &[([i32; 3], u8, u32)]| {
-            let members = || group.iter().map(|&(_, _, i)| &self.samples[i as usize]);
+        let patch = |group: &[(u64, u32)]| {
+            let members = || group.iter().map(|&(_, i)| &self.samples[i as usize]);
             let n = group.len() as f64;
             let normal = members().map(|s| s.normal).sum::<Vector3<f64>>().try_normalize(1e-9)?;
             let point = Point3::from(members().map(|s| s.point.coords).sum::<Vector3<f64>>() / n);
             let variance = members().map(|s| (s.point - point).dot(&normal).powi(2)).sum::<f64>() / (n - 1.0);
-            Some(Patch { cell: group[0].0, point, normal, spread: variance.sqrt() })
+            Some(Patch { cell: group[0].0 >> 3, point, normal, spread: variance.sqrt() })
         };
-        let groups = keyed.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1));
+        let groups = keyed.chunk_by(|a, b| a.0 == b.0);
         groups.filter(|g| g.len() >= ENOUGH).filter_map(patch).collect()
     }
 
     fn thickness_at(&self, from: &Patch, patches: &[Patch], cell_m: f64, range: &std::ops::Range<f64>) -> Option<f64> {
         let steps = (2.0 * range.end / cell_m).ceil() as usize;
-        let in_cell = |cell: [i32; 3]| {
+        let in_cell = |cell: u64| {
             let first = patches.partition_point(|p| p.cell < cell);
             patches[first..].iter().take_while(move |p| p.cell == cell)
         };
-        let mut cells: Vec<[i32; 3]> =
+        let mut cells: Vec<u64> =
             (0..=steps).map(|i| self.cell(&(from.point - from.normal * (0.5 * cell_m * i as f64)), cell_m)).collect();
         cells.dedup();
         cells
