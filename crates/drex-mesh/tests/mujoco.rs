@@ -111,7 +111,6 @@ fn golden_shapes_and_scans_rest() {
     for file in [
         "golden/mesh/box.obj",
         "golden/mesh/bracket.obj",
-        "drex_real/objects/domino.stl",
         "drex_real/objects/bluelego_convex.stl",
         "objects/061_foam_brick.obj",
     ] {
