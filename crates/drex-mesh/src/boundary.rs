@@ -174,6 +174,17 @@ impl Probe<'_> {
 }
 
 impl Boundary {
+    /// All faces of a closed mesh, each once.
+    pub fn of_whole(mesh: &TriMesh) -> Self {
+        Self {
+            pieces: (0..mesh.faces.len()).map(|f| Piece { corners: mesh.triangle(f), weight: 1.0 }).collect(),
+            faces: (0..mesh.faces.len() as u32).collect(),
+            whole: true,
+            simple: true,
+            hidden_area_share: 0.0,
+        }
+    }
+
     /// Mass properties of the solid at density 1, by the divergence theorem over the pieces. `None` without volume.
     pub fn mass_properties(&self) -> Option<MassProperties> {
         let mut moments = Moments::about(self.pieces.first()?.corners[0]);

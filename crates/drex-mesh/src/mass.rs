@@ -5,8 +5,7 @@ use serde::Serialize;
 
 use drex_core::{MassProperties, SdfSample, SignedDistance, TriMesh};
 
-use crate::boundary::{Moments, boundary};
-use crate::bvh::Bvh;
+use crate::boundary::{Boundary, Moments, boundary};
 use crate::hull::convex_hull;
 use crate::sdf::MeshSdf;
 use crate::solid::{Enclosed, close};
@@ -108,7 +107,7 @@ const FINEST: f64 = 256.0;
 
 /// Mass properties of the object if it is hollow, with a wall of the given thickness inside its surface.
 ///
-/// The wall is the set of points of the solid no deeper than `wall_m` under its boundary. A wall thicker than 1/128 of the
+/// The wall is the set of points of the solid no deeper than `wall_m` under its boundary; openings are closed by fans. A wall thicker than 1/128 of the
 /// longest side is integrated over the distance field (an octree down to half the wall or 1/64 of the size, whichever
 /// is finer; about 1e-3 of the wall's volume); a thinner one by Steiner's formula over the surface: area times
 /// thickness, less t² tan(θ/2) per length of a convex edge with exterior angle θ, plus t² θ/2 per length of a concave
@@ -120,13 +119,18 @@ pub fn shell_properties(mesh: &TriMesh, wall_m: f64) -> Result<Hollow> {
     if !(wall_m > 0.0 && wall_m.is_finite()) {
         return Err(Error::value(format!("the wall thickness is {wall_m} m"), "give a positive thickness"));
     }
-    let solid = Enclosed::new(mesh)?.solid.properties;
+    let enclosed = Enclosed::new(mesh)?;
+    let open = enclosed.capped.openings > 0;
+    // The wall lies between two surfaces, so the outer one must be that of the distances: with fans for lids.
+    let closed = if open { enclosed.capped.mesh.mass_properties(1.0).ok() } else { None };
+    let solid = closed.unwrap_or(enclosed.solid.properties);
     let (lo, hi) = mesh.bounds().unwrap_or_default();
     let side = (hi - lo).max();
     if wall_m < 2.0 * side / FINEST {
         return thin_wall(mesh, wall_m);
     }
-    let sdf = MeshSdf::new(mesh)?;
+    // Lids are a guess: which parts of a ragged one bound the solid is not worth the search.
+    let sdf = if open { MeshSdf::of_whole(enclosed.capped.mesh)? } else { MeshSdf::new(mesh)? };
     let cell = (0.5 * wall_m).min(side / 64.0);
     let levels = (side / cell).log2().ceil() as u32;
     let mut core = Moments::about(nalgebra::center(&lo, &hi));
@@ -212,8 +216,11 @@ impl Depth<'_> {
 
 /// Steiner's formula for the inner parallel body, to second order in the thickness.
 fn thin_wall(mesh: &TriMesh, wall_m: f64) -> Result<Hollow> {
-    let (capped, tree): (_, Bvh) = close(mesh)?;
-    let boundary = boundary(&capped.mesh, &tree, capped.openings > 0);
+    let (capped, tree) = close(mesh)?;
+    let boundary = match capped.openings {
+        0 => boundary(&capped.mesh, &tree, false),
+        _ => Boundary::of_whole(&capped.mesh),
+    };
     let Some(first) = boundary.pieces.first() else {
         return Err(Error::NoVolume { subject: "the mesh".into(), reason: "no face bounds a solid".into() });
     };
@@ -333,6 +340,24 @@ mod tests {
         }
         assert_eq!(shell_properties(&mesh, 0.03).unwrap().how, HowHollow::Solid);
         assert!(shell_properties(&mesh, 0.0).is_err() && shell_properties(&mesh, f64::NAN).is_err());
+    }
+
+    #[test]
+    fn a_missing_side_is_part_of_the_wall() {
+        let size: [f64; 3] = [0.1, 0.06, 0.04];
+        let mut open = cuboid([0.0; 3], size);
+        open.faces.drain(2..4);
+        for t in [0.004, 0.0005] {
+            let (open, whole) =
+                (shell_properties(&open, t).unwrap(), shell_properties(&cuboid([0.0; 3], size), t).unwrap());
+            assert!(
+                (open.volume_m3 / whole.volume_m3 - 1.0).abs() < 1e-3,
+                "{t}: {} {}",
+                open.volume_m3,
+                whole.volume_m3
+            );
+            assert_eq!(open.how, whole.how);
+        }
     }
 
     #[test]
