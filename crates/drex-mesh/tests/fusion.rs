@@ -181,7 +181,10 @@ fn walls_of_any_thickness_survive() {
             let (f, error) = (f_at_1_mm(&fused, &truth), volume(&fused.mesh) / volume(&truth) - 1.0);
             println!("wall {wall} noise {sigma}: F {f:.4} volume {:+.2} % {:?}", 100.0 * error, fused.report);
             assert!(f >= 0.99, "{wall} {sigma} {f}");
-            assert!(error.abs() <= 0.02, "{wall} {sigma} {error}");
+            // A wall of 1.3 voxels is below the resolution, which the report says.
+            let allowed = if fused.report.wall_below_resolution { 0.03 } else { 0.01 };
+            assert!(error.abs() <= allowed, "{wall} {sigma} {error}");
+            assert_eq!(fused.report.wall_below_resolution, wall < 2.5e-3);
         }
     }
 }
