@@ -42,7 +42,7 @@ def vhacd_hulls(mesh, pieces):
 
     faces = np.hstack([np.full((len(mesh.faces), 1), 3), mesh.faces]).astype(np.uint32).ravel()
     parts = vhacdx.compute_vhacd(mesh.vertices, faces, maxConvexHulls=pieces)
-    return [trimesh.Trimesh(v, np.reshape(f, (-1, 4))[:, 1:]).convex_hull for v, f in parts]
+    return [trimesh.convex.convex_hull(v) for v, _ in parts]
 
 
 def peer(path, hulls, pieces):

@@ -59,7 +59,7 @@ impl Default for PieceOptions {
 /// Pieces smaller than this are slivers that engines refuse, m³.
 const SLIVER_M3: f64 = 1e-12;
 /// Points of the surface at which filled hollows are measured.
-const PROBES: usize = 4000;
+const PROBES: usize = 3000;
 
 /// How often parts are cut and joined anew.
 const ROUNDS: usize = 2;
