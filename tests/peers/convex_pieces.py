@@ -16,7 +16,6 @@ import subprocess
 import tempfile
 import time
 
-import numpy as np
 import trimesh
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
