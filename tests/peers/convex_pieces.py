@@ -39,8 +39,7 @@ def coacd_hulls(mesh, pieces):
 def vhacd_hulls(mesh, pieces):
     import vhacdx
 
-    faces = np.hstack([np.full((len(mesh.faces), 1), 3), mesh.faces]).astype(np.uint32).ravel()
-    parts = vhacdx.compute_vhacd(mesh.vertices, faces, maxConvexHulls=pieces)
+    parts = vhacdx.compute_vhacd(mesh.vertices, mesh.faces.astype("uint32"), maxConvexHulls=pieces)
     return [trimesh.convex.convex_hull(v) for v, _ in parts]
 
 
