@@ -16,6 +16,7 @@ import subprocess
 import tempfile
 import time
 
+import numpy as np
 import trimesh
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -39,7 +40,9 @@ def coacd_hulls(mesh, pieces):
 def vhacd_hulls(mesh, pieces):
     import vhacdx
 
-    parts = vhacdx.compute_vhacd(mesh.vertices, mesh.faces.astype("uint32"), maxConvexHulls=pieces)
+    # Each triangle with its number of corners in front.
+    faces = np.insert(mesh.faces, 0, 3, axis=1).astype(np.uint32).ravel()
+    parts = vhacdx.compute_vhacd(mesh.vertices, faces, maxConvexHulls=pieces)
     return [trimesh.convex.convex_hull(v) for v, _ in parts]
 
 
