@@ -94,6 +94,18 @@ impl Field {
         });
     }
 
+    /// The value at the sample nearest to a point; `None` outside the lattice.
+    pub fn nearest(&self, p: &Point3<f64>) -> Option<f32> {
+        let at = (p - self.lattice.origin) / self.lattice.spacing;
+        let voxel = [0, 1, 2].map(|k| at[k].round());
+        let inside = (0..3).all(|k| voxel[k] >= 0.0 && voxel[k] < (self.lattice.blocks[k] * SIDE) as f64);
+        let (block, sample) = inside.then(|| self.lattice.locate(voxel.map(|v| v as u32)))?;
+        Some(match &self.blocks[block] {
+            FieldBlock::Constant(value) => *value,
+            FieldBlock::Samples(values) => values[sample],
+        })
+    }
+
     /// Whether the cells of a block can be cut: not if it and the blocks after it are constant with one sign.
     pub fn may_have_surface(&self, block: usize) -> bool {
         let sign = |at: [usize; 3]| match &self.blocks[self.lattice.neighbour(block, at).0] {

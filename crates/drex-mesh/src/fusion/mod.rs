@@ -36,6 +36,15 @@ use crate::{Error, Result};
 const BATCH: usize = 8;
 /// Half-width of the band around the surface, in voxels, where noise and walls do not ask for another.
 const BAND_VOXELS: f64 = 1.75;
+/// Views whose points are farther than this share of the truncation from their common surface, one in ten or more,
+/// contradict each other: then the band is widened, and the voxels with it.
+const MOST_RESIDUAL: f64 = 0.35;
+/// By this factor at a time,
+const WIDENING: f64 = 1.5;
+/// up to this one.
+const MOST_WIDENING: f64 = 4.0;
+/// A band wider than this many voxels shows no more than one of larger voxels.
+const MOST_BAND_VOXELS: f64 = 3.0;
 /// A truncation of more than this share of a wall lets its two sides meet.
 const SHARE_OF_WALL: f64 = 0.7;
 
@@ -185,32 +194,20 @@ pub fn fuse(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> Resu
 
 fn fuse_in_pool(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> Result<Fused> {
     let survey = Survey::new(views, options)?;
-    let plan = Plan::new(&survey, options)?;
-    let mut volume = Volume::new(plan.lattice.clone(), plan.band);
-    let grid_from_world = Pose::translation(-plan.lattice.origin.x, -plan.lattice.origin.y, -plan.lattice.origin.z);
-    for start in (0..views.len()).step_by(BATCH) {
-        let sighted: Vec<(usize, &Sight)> = (start..views.len().min(start + BATCH))
-            .filter_map(|i| survey.sights[i].as_ref().map(|sight| (i, sight)))
-            .collect();
-        let prepared: Vec<Prepared> = sighted
-            .into_par_iter()
-            .map(|(i, sight)| {
-                let map = views.borrow_view(i)?;
-                if !sight.fits(&map) {
-                    return Err(of_view(
-                        Error::value("it is not the one it was before", "give the same view again"),
-                        i,
-                    ));
-                }
-                let camera_from_grid = map.world_from_camera.inverse() * grid_from_world.inverse();
-                let reach = plan.band.truncation.into();
-                Ok(Prepared::new(&map, sight, &camera_from_grid, options.background_is_empty, reach))
-            })
-            .collect::<Result<_>>()?;
-        volume.integrate(&prepared);
-        check_memory(volume.stored() * BLOCK_BYTES + volume.lattice.count() * ENTRY_BYTES, plan.voxel_m, options)?;
-    }
-    let mut extracted = extract(&volume.field(&plan.limits));
+    let mut plan = Plan::new(&survey, options, 1.0)?;
+    let (volume, field) = loop {
+        let volume = integrated(views, &survey, &plan, options)?;
+        let field = volume.field(&plan.limits);
+        let contradicted = survey.residual_m(&field) > MOST_RESIDUAL * f64::from(plan.band.truncation);
+        let wider = (contradicted && options.truncation_m.is_none() && plan.widening < MOST_WIDENING)
+            .then(|| Plan::new(&survey, options, WIDENING * plan.widening))
+            .transpose()?;
+        match wider.filter(|w| w.band.truncation > plan.band.truncation) {
+            Some(wider) => plan = wider,
+            None => break (volume, field),
+        }
+    };
+    let mut extracted = extract(&field);
     let cleaned = parts::clean(&mut extracted, options.smallest_volume_share, |e| volume.observed(e));
     if extracted.mesh.faces.is_empty() {
         return Err(Error::Empty { subject: "the fused volume".into() });
@@ -246,6 +243,40 @@ fn fuse_in_pool(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> 
     Ok(Fused { mesh: extracted.mesh, evidence, report })
 }
 
+/// The volume with all views in it.
+fn integrated(
+    views: &(impl DepthViews + ?Sized),
+    survey: &Survey,
+    plan: &Plan,
+    options: &FusionOptions,
+) -> Result<Volume> {
+    let mut volume = Volume::new(plan.lattice.clone(), plan.band);
+    let grid_from_world = Pose::translation(-plan.lattice.origin.x, -plan.lattice.origin.y, -plan.lattice.origin.z);
+    for start in (0..views.len()).step_by(BATCH) {
+        let sighted: Vec<(usize, &Sight)> = (start..views.len().min(start + BATCH))
+            .filter_map(|i| survey.sights[i].as_ref().map(|sight| (i, sight)))
+            .collect();
+        let prepared: Vec<Prepared> = sighted
+            .into_par_iter()
+            .map(|(i, sight)| {
+                let map = views.borrow_view(i)?;
+                if !sight.fits(&map) {
+                    return Err(of_view(
+                        Error::value("it is not the one it was before", "give the same view again"),
+                        i,
+                    ));
+                }
+                let camera_from_grid = map.world_from_camera.inverse() * grid_from_world.inverse();
+                let reach = plan.band.truncation.into();
+                Ok(Prepared::new(&map, sight, &camera_from_grid, options.background_is_empty, reach))
+            })
+            .collect::<Result<_>>()?;
+        volume.integrate(&prepared);
+        check_memory(volume.stored() * BLOCK_BYTES + volume.lattice.count() * ENTRY_BYTES, plan.voxel_m, options)?;
+    }
+    Ok(volume)
+}
+
 impl FusionOptions {
     fn check(&self) -> Result<()> {
         for (name, value) in [("voxel_m", self.voxel_m), ("truncation_m", self.truncation_m)] {
@@ -278,6 +309,7 @@ impl FusionOptions {
 
 /// What the survey and the options decide.
 struct Plan {
+    widening: f64,
     voxel_m: f64,
     wall_m: Option<f64>,
     spread_m: f64,
@@ -288,13 +320,16 @@ struct Plan {
 }
 
 impl Plan {
-    fn new(survey: &Survey, options: &FusionOptions) -> Result<Self> {
+    /// `widening`: how much wider the band is than the resolution asks for, because the views contradict each other.
+    fn new(survey: &Survey, options: &FusionOptions, widening: f64) -> Result<Self> {
         let diagonal = (survey.bounds.hi - survey.bounds.lo).norm();
-        let voxel_m = options.voxel_m.unwrap_or((2.0 * survey.footprint_m).max(diagonal / 256.0));
+        let finest = (2.0 * survey.footprint_m).max(diagonal / 256.0);
+        let widened = BAND_VOXELS * widening * options.voxel_m.unwrap_or(finest);
+        let voxel_m = options.voxel_m.unwrap_or(finest.max(widened / MOST_BAND_VOXELS));
         // Patches of two voxels; walls that the largest truncation would spare need not be found.
         let cell = 2.0 * voxel_m;
         let walls = survey.walls(cell, 4.0 * voxel_m / SHARE_OF_WALL);
-        let wished = (BAND_VOXELS * voxel_m).max(3.0 * walls.spread_m).min(4.0 * voxel_m);
+        let wished = widened.max(3.0 * walls.spread_m).min(4.0 * voxel_m);
         let spared = walls.thickness_m.map_or(wished, |t| wished.min(SHARE_OF_WALL * t));
         let truncation = options.truncation_m.unwrap_or(spared.max(0.9 * voxel_m).max(2.0 * walls.spread_m));
         let band = Band {
@@ -311,6 +346,7 @@ impl Plan {
         let limits = Limits { solid, unseen: survey.bounds, support: options.support.map(|s| (s.point, s.up)) };
         let lattice = lattice_over(&solid.fattened(1.5 * voxel_m), voxel_m, options)?;
         Ok(Self {
+            widening,
             voxel_m,
             wall_m: walls.thickness_m,
             spread_m: walls.spread_m,

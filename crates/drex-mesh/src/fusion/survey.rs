@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use super::FusionOptions;
 use super::hits::{Hits, Sight};
+use super::lattice::Field;
 use super::prepare::plane_factor;
 use crate::bvh::Aabb;
 use crate::depth::{DepthMap, DepthViews};
@@ -195,6 +196,18 @@ impl Survey {
     }
 
     /// A number for the cell that a point is in: 20 bits for each coordinate, with the box in the middle of their range.
+    /// The distance from the fused surface that nine of ten measured points keep, metres, at most the truncation: how far
+    /// the views contradict each other.
+    pub fn residual_m(&self, field: &Field) -> f64 {
+        let mut distances: Vec<f32> =
+            self.samples.iter().filter_map(|s| field.nearest(&s.point)).map(f32::abs).collect();
+        let place = 9 * distances.len() / 10;
+        if place >= distances.len() {
+            return 0.0;
+        }
+        f64::from(*distances.select_nth_unstable_by(place, f32::total_cmp).1)
+    }
+
     fn cell(&self, p: &Point3<f64>, cell_m: f64) -> u64 {
         let at =
             |k: usize| ((p[k] - self.bounds.lo[k]) / cell_m + f64::from(1 << 19)).clamp(0.0, f64::from((1 << 20) - 1));

@@ -52,7 +52,7 @@ pub struct PieceOptions {
 
 impl Default for PieceOptions {
     fn default() -> Self {
-        Self { convex_enough: 0.05, most_pieces: 32, most_corners: 64, concavity: 0.0075 }
+        Self { convex_enough: 0.05, most_pieces: 20, most_corners: 64, concavity: 0.0075 }
     }
 }
 
