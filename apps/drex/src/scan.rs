@@ -196,6 +196,13 @@ fn size_of([lo, hi]: &[Point3<f64>; 2]) -> f64 {
     (hi - lo).norm()
 }
 
+impl Scan {
+    /// The picture that goes with depth map `i`.
+    pub fn picture(&self, i: usize) -> drex_mesh::Result<Vec<[u8; 3]>> {
+        Ok(self.depths.get(i).map_err(|e| drex_mesh::Error::View(Box::new(e)))?.rgb.clone())
+    }
+}
+
 /// Depth map `i` in the scan's frame and unit.
 fn depth_map(depths: &Photos, i: usize, silhouettes: bool) -> drex_mesh::Result<DepthMap> {
     let photo = depths.get(i).map_err(|e| drex_mesh::Error::View(Box::new(e)))?;

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use drex_core::{Error as CoreError, TriMesh};
+use drex_core::Error as CoreError;
 use serde::Serialize;
 
 use crate::Result;
@@ -17,7 +17,8 @@ type Files = Vec<(String, Vec<u8>)>;
 pub(crate) fn write_asset(asset: &Asset, scene: Option<&model::SceneOptions>, out: &Path) -> Result<()> {
     let mut files = part_files("", asset);
     files.push(report(out, &asset.report)?);
-    files.push(("asset/object.glb".into(), model::glb(&[("object", &asset.visual)], &asset.world_from_mesh_at_rest)?));
+    let visual = [("object", &asset.visual, asset.colors.as_deref())];
+    files.push(("asset/object.glb".into(), model::glb(&visual, &asset.world_from_mesh_at_rest)?));
     files.push(("asset/object.urdf".into(), model::urdf(asset).into()));
     files.push(("asset/object.xml".into(), model::mjcf(asset).into()));
     if let Some(scene) = scene {
@@ -29,7 +30,8 @@ pub(crate) fn write_asset(asset: &Asset, scene: Option<&model::SceneOptions>, ou
 
 pub(crate) fn write_articulated(asset: &ArticulatedAsset, out: &Path) -> Result<()> {
     let mut files: Files = asset.parts.iter().flat_map(|(name, part)| part_files(&format!("{name}_"), part)).collect();
-    let meshes: Vec<(&str, &TriMesh)> = asset.parts.iter().map(|(name, part)| (name.as_str(), &part.visual)).collect();
+    let parts = asset.parts.iter();
+    let meshes: Vec<_> = parts.map(|(name, part)| (name.as_str(), &part.visual, part.colors.as_deref())).collect();
     files.push(report(out, &asset.report)?);
     files.push(("asset/object.glb".into(), model::glb(&meshes, &asset.world_from_mesh_at_rest)?));
     files.push(("asset/object.urdf".into(), model::articulated_urdf(asset).into()));

@@ -8,7 +8,7 @@ use drex_core::twin::{MANIFEST, PartConfig, TwinManifest};
 use drex_mesh::{
     Asset, AssetOptions, AssetReport, Background, DecimateOptions, FusionReport, LengthUnit, Part, PieceOptions,
     RepairOptions, SceneOptions, articulated_asset, asset_from_mesh, build_asset, convex_pieces, decimate, fuse,
-    read_mesh, repair,
+    read_mesh, repair, vertex_colors,
 };
 use drex_splat::ReconstructOptions;
 use drex_splat::capture::{Capture, CaptureOptions};
@@ -49,7 +49,7 @@ pub fn run(args: &AssetArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     let asset = build_asset(&args.input, &options(args))?;
     write(&asset, args)?;
     spinner.finish_and_clear();
-    ui.answer(&asset.report, describe(&asset, args))
+    ui.answer(&asset.report, format!("{}\n{}", args.input.display(), describe(&asset, args)))
 }
 
 fn options(args: &AssetArgs) -> AssetOptions {
@@ -97,7 +97,7 @@ fn from_manifest(args: &AssetArgs, manifest: &Path, ui: &Ui) -> Result<()> {
         let asset = build_asset(&folder.join(&twin.object.mesh), &options)?;
         write(&asset, args)?;
         spinner.finish_and_clear();
-        return ui.answer(&asset.report, describe(&asset, args));
+        return ui.answer(&asset.report, format!("{}\n{}", args.input.display(), describe(&asset, args)));
     }
     let part = |p: &PartConfig| -> Result<Part> {
         Ok(Part { name: p.name.clone(), mesh: read_mesh(&folder.join(&p.mesh))?, mass_kg: p.mass_kg })
@@ -147,7 +147,8 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
     options.unit = LengthUnit::Metre;
     options.up_in_mesh = Some(scan.frame.up_in_mesh.into());
     options.scale_source = Some(scan.frame.scale_from.into());
-    let asset = asset_from_mesh(&mesh, &options)?;
+    let mut asset = asset_from_mesh(&mesh, &options)?;
+    asset.colors = Some(vertex_colors(&asset.visual, &scan, |i| scan.picture(i), fused.report.truncation_m)?);
     write(&asset, args)?;
     let mut answer = ScanAnswer { scan: &scan.frame, fusion: &fused.report, asset: None };
     let text = serde_json::to_string_pretty(&answer)? + "\n";
@@ -217,8 +218,7 @@ fn describe(asset: &Asset, args: &AssetArgs) -> String {
     let r = &asset.report;
     let p = &asset.properties;
     let mut text = format!(
-        "{}\n  volume   {:.2} cm3 ({})\n  mass     {:.1} g{}\n  centre   {:.2}, {:.2}, {:.2} mm\n  pieces   {} convex\n",
-        args.input.display(),
+        "  volume   {:.2} cm3 ({})\n  mass     {:.1} g{}\n  centre   {:.2}, {:.2}, {:.2} mm\n  pieces   {} convex\n",
         1e6 * r.volume_m3,
         crate::report::closing_text(r),
         1e3 * p.mass_kg,

@@ -34,6 +34,8 @@ const MOST_SETTLING: f64 = 5.0 * std::f64::consts::PI / 180.0;
 pub struct Asset {
     /// The repaired mesh as the file had it: openings stay open.
     pub visual: TriMesh,
+    /// Colours of the visual mesh's vertices, for the GLB; as many as it has vertices. [`asset_from_mesh`] leaves them out.
+    pub colors: Option<Vec<[u8; 3]>>,
     /// Convex collision pieces.
     pub pieces: Vec<TriMesh>,
     /// Mass properties of the enclosed solid at uniform density.
@@ -217,6 +219,7 @@ pub fn asset_from_mesh(mesh: &TriMesh, options: &AssetOptions) -> Result<Asset> 
     }
     Ok(Asset {
         visual,
+        colors: None,
         pieces,
         properties,
         up_in_mesh,
