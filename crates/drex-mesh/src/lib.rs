@@ -1,7 +1,9 @@
-//! Sim-ready assets from meshes: repair, convex pieces, mass properties, signed distance, MJCF and URDF.
+//! From depth maps to closed meshes, and from meshes to sim-ready assets: fusion, repair, convex pieces, mass properties, stable
+//! poses, signed distance, MJCF and URDF.
 //!
 //! [`build_asset`] does the whole way from a file to an [`Asset`]; its steps can be used alone:
-//! [`read_mesh`], [`repair()`], [`solid_properties`], [`convex_pieces`], [`MeshSdf`] and its fast sibling [`GridSdf`].
+//! [`fuse`], [`read_mesh`], [`repair()`], [`decimate`], [`solid_properties`], [`convex_pieces`], [`stable_poses`], [`MeshSdf`] and its fast
+//! sibling [`GridSdf`]. [`check_mesh`] judges a mesh by sixteen rules.
 //!
 //! ```
 //! use drex_mesh::{RepairOptions, convex_hull, repair, solid_properties};
