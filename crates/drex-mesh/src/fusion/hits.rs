@@ -86,6 +86,23 @@ impl Sight {
     pub fn footprint_m(&self, camera: &DepthCamera) -> f32 {
         self.depth_m / camera.fx_px.max(camera.fy_px) as f32
     }
+
+    /// Half-width of the smoothing window, pixels; 0 for none.
+    fn radius(&self, camera: &DepthCamera) -> usize {
+        let footprint = self.footprint_m(camera);
+        if self.noise_m < PRECISE * footprint {
+            return 0;
+        }
+        // The mean of (2 r + 1)² values has 1 / (2 r + 1) of the noise.
+        let wanted = 0.5 * (self.noise_m / (NOISE_GOAL * footprint) - 1.0);
+        (wanted.ceil() as usize).clamp(1, LARGEST_RADIUS)
+    }
+
+    /// Mean of two depths minus the one in the middle, `step` pixels from both, beyond which they are on no line, metres.
+    fn gate(&self, camera: &DepthCamera, step: usize) -> f32 {
+        // Rounding and curvature look like a little noise even in a perfect map.
+        GATE * 1.5_f32.sqrt() * self.noise_m.max(0.01 * step as f32 * self.footprint_m(camera))
+    }
 }
 
 /// Median depth and noise. The second difference of independent noise has 6 times its variance; the largest tenth (edges,
@@ -134,7 +151,7 @@ pub(super) struct Hits {
     pub depth: Vec<f32>,
     pub stride: usize,
     /// Half-width of the smoothing window, pixels; 0 for none.
-    pub radius: usize,
+    radius: usize,
     gate: f32,
     per_z: f32,
 }
@@ -159,75 +176,12 @@ impl Hits {
                 }
             }
         }
-        let footprint = sight.footprint_m(&map.camera);
-        // The mean of (2 r + 1)² values has 1 / (2 r + 1) of the noise.
-        let wanted = 0.5 * (sight.noise_m / (NOISE_GOAL * footprint) - 1.0);
-        let radius =
-            if sight.noise_m < PRECISE * footprint { 0 } else { (wanted.ceil() as usize).clamp(1, LARGEST_RADIUS) };
-        // Rounding and curvature look like a little noise even in a perfect map.
-        let gate = GATE * 1.5_f32.sqrt() * sight.noise_m.max(0.01 * footprint);
-        Self { window, depth, stride, radius, gate, per_z: 1.0 / map.camera.fx_px.max(map.camera.fy_px) as f32 }
+        let per_z = 1.0 / map.camera.fx_px.max(map.camera.fy_px) as f32;
+        Self { window, depth, stride, radius: sight.radius(&map.camera), gate: sight.gate(&map.camera, 1), per_z }
     }
 
     pub fn index(&self, x: usize, y: usize) -> usize {
         (y + BORDER) * self.stride + x + BORDER
-    }
-
-    /// Every depth as the mean over the pairs of opposite neighbours that lie on a line with it: such a mean is not drawn to
-    /// either side, whatever the slope, and it stops at edges.
-    #[inline(always)]
-    pub fn smooth(&self) -> Vec<f32> {
-        let mut out = self.depth.clone();
-        if self.radius == 0 {
-            return out;
-        }
-        let shifts: Vec<isize> =
-            half_window(self.radius as isize).map(|(dx, dy)| dy * self.stride as isize + dx).collect();
-        let n = self.window.width;
-        let (mut bend, mut count) = (vec![0.0_f32; n], vec![0.0_f32; n]);
-        for y in 0..self.window.height {
-            let at = self.index(0, y);
-            let line = |shift: isize| &self.depth[at.wrapping_add_signed(shift)..][..n];
-            let z = line(0);
-            bend.fill(0.0);
-            count.fill(0.0);
-            for &shift in &shifts {
-                let (a, b) = (line(shift), line(-shift));
-                for x in 0..n {
-                    let off = 0.5 * (a[x] + b[x]) - z[x];
-                    let flat = (a[x] > 0.0) & (b[x] > 0.0) & (off.abs() < self.gate);
-                    bend[x] += if flat { off } else { 0.0 };
-                    count[x] += if flat { 1.0 } else { 0.0 };
-                }
-            }
-            for (x, out) in out[at..at + n].iter_mut().enumerate() {
-                *out = if z[x] > 0.0 { z[x] + 2.0 * bend[x] / (1.0 + 2.0 * count[x]) } else { 0.0 };
-            }
-        }
-        out
-    }
-
-    /// Slope of smoothed depths along columns (`step` 1) or rows (`step` the stride) at `out.len()` pixels from `at`,
-    /// metres per pixel; NaN where there is none.
-    #[inline(always)]
-    pub fn slopes(&self, smooth: &[f32], at: usize, step: usize, out: &mut [f32]) {
-        let (n, reach) = (out.len(), self.radius.max(1));
-        let line = |from: usize| &smooth[from..from + n];
-        let (before, here, after) = (line(at - reach * step), line(at), line(at + reach * step));
-        let per = 1.0 / reach as f32;
-        let precise = self.radius == 0;
-        for x in 0..n {
-            let (a, z, b) = (before[x], here[x], after[x]);
-            let steepest = STEEPEST * self.per_z * z;
-            let (left, right) = ((z - a) * per, (b - z) * per);
-            let left_ok = (a > 0.0) & (left.abs() < steepest);
-            let right_ok = (b > 0.0) & (right.abs() < steepest);
-            let flat = left_ok & right_ok & ((b - z - (z - a)).abs() < 2.0 * self.gate);
-            // At an edge, the side with the smaller difference: the other one may lie beyond it.
-            let smaller = if left_ok & (!right_ok | (left.abs() < right.abs())) { left } else { right };
-            let one_sided = if precise & (left_ok | right_ok) { smaller } else { f32::NAN };
-            out[x] = if flat { 0.5 * (left + right) } else { one_sided };
-        }
     }
 
     /// Depth and slopes at one hit pixel: the plane through the pairs of opposite neighbours that lie on a line with it.
@@ -255,6 +209,181 @@ impl Hits {
         let steepest = STEEPEST * self.per_z * z;
         let smooth = if self.radius == 0 { z } else { z + 2.0 * bend / (1.0 + 2.0 * count) };
         (det > 0.5 && slope.iter().all(|s| s.abs() < steepest)).then_some((smooth, slope))
+    }
+}
+
+/// Every `step`-th column and row of the pixels of a map: pixel `i` of the raster is pixel `step i + step / 2` of the map.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Raster {
+    pub step: usize,
+}
+
+impl Raster {
+    /// The pixel of the map.
+    pub fn pixel(self, i: usize) -> usize {
+        self.step * i + self.step / 2
+    }
+
+    /// How many pixels of the raster come before a pixel of the map.
+    pub fn before(self, pixel: usize) -> usize {
+        pixel.saturating_sub(self.step / 2).div_ceil(self.step)
+    }
+
+    /// The pixels of the raster in a window that is at least `step` pixels wide and high.
+    fn window(self, w: &Window) -> Window {
+        let (x, y) = (self.before(w.x), self.before(w.y));
+        Window { x, y, width: self.before(w.x + w.width) - x, height: self.before(w.y + w.height) - y }
+    }
+}
+
+/// Smoothed depths at the pixels of a raster, with zeros where there is none and around them.
+pub(super) struct Smooth {
+    /// In pixels of the raster.
+    pub window: Window,
+    pub depth: Vec<f32>,
+    pub stride: usize,
+    /// How far the neighbours are whose difference tells the slope, pixels of the raster.
+    reach: usize,
+    /// Whether the difference to one neighbour tells the slope.
+    precise: bool,
+    gate: f32,
+    per_z: f32,
+}
+
+impl Smooth {
+    /// The depths of the object that were sighted in a map; neighbours in the map smooth them, in the raster or not.
+    #[inline(always)]
+    pub fn new(map: &DepthMap, sight: &Sight, raster: Raster) -> Self {
+        let (window, radius) = (raster.window(&sight.window), sight.radius(&map.camera));
+        let stride = window.width + 2 * BORDER;
+        let mut out = Self {
+            window,
+            depth: vec![0.0; stride * (window.height + 2 * BORDER)],
+            stride,
+            reach: radius.div_ceil(raster.step).max(1),
+            precise: radius == 0,
+            gate: sight.gate(&map.camera, raster.step),
+            per_z: raster.step as f32 / map.camera.fx_px.max(map.camera.fy_px) as f32,
+        };
+        if radius == 0 {
+            for row in 0..window.height {
+                let at = out.index(0, row);
+                let line = &mut out.depth[at..at + window.width];
+                read(map, raster.pixel(window.y + row), raster.pixel(window.x), raster.step, line);
+            }
+        } else {
+            out.smooth(map, sight, raster, radius);
+        }
+        out
+    }
+
+    pub fn index(&self, x: usize, y: usize) -> usize {
+        (y + BORDER) * self.stride + x + BORDER
+    }
+
+    /// Every depth as the mean over the pairs of opposite neighbours that lie on a line with it: such a mean is not drawn to
+    /// either side, whatever the slope, and it stops at edges.
+    #[inline(always)]
+    fn smooth(&mut self, map: &DepthMap, sight: &Sight, raster: Raster, radius: usize) {
+        let (n, step, aside) = (self.window.width, raster.step, radius.div_ceil(raster.step));
+        let fine = Phases::new(map, sight, raster, &self.window, radius);
+        let shifts: Vec<(isize, isize)> = half_window(radius as isize).collect();
+        let (mut bend, mut count) = (vec![0.0_f32; n], vec![0.0_f32; n]);
+        for y in 0..self.window.height {
+            let line = |dx: isize, dy: isize| {
+                let row = (radius + step * y).wrapping_add_signed(dy);
+                let column = (step * aside).wrapping_add_signed(dx);
+                &fine.depth[(row * step + column % step) * fine.stride + column / step..][..n]
+            };
+            let z = line(0, 0);
+            bend.fill(0.0);
+            count.fill(0.0);
+            for &(dx, dy) in &shifts {
+                let (a, b) = (line(dx, dy), line(-dx, -dy));
+                for x in 0..n {
+                    let off = 0.5 * (a[x] + b[x]) - z[x];
+                    let flat = (a[x] > 0.0) & (b[x] > 0.0) & (off.abs() < self.gate);
+                    bend[x] += if flat { off } else { 0.0 };
+                    count[x] += if flat { 1.0 } else { 0.0 };
+                }
+            }
+            let at = self.index(0, y);
+            for (x, out) in self.depth[at..at + n].iter_mut().enumerate() {
+                *out = if z[x] > 0.0 { z[x] + 2.0 * bend[x] / (1.0 + 2.0 * count[x]) } else { 0.0 };
+            }
+        }
+    }
+
+    /// Slope of smoothed depths along columns (`step` 1) or rows (`step` the stride) at `out.len()` pixels from `at`,
+    /// metres per pixel of the raster; NaN where there is none.
+    #[inline(always)]
+    pub fn slopes(&self, at: usize, step: usize, out: &mut [f32]) {
+        let (n, reach) = (out.len(), self.reach);
+        let line = |from: usize| &self.depth[from..from + n];
+        let (before, here, after) = (line(at - reach * step), line(at), line(at + reach * step));
+        let per = 1.0 / reach as f32;
+        for x in 0..n {
+            let (a, z, b) = (before[x], here[x], after[x]);
+            let steepest = STEEPEST * self.per_z * z;
+            let (left, right) = ((z - a) * per, (b - z) * per);
+            let left_ok = (a > 0.0) & (left.abs() < steepest);
+            let right_ok = (b > 0.0) & (right.abs() < steepest);
+            let flat = left_ok & right_ok & ((b - z - (z - a)).abs() < 2.0 * self.gate);
+            // At an edge, the side with the smaller difference: the other one may lie beyond it.
+            let smaller = if left_ok & (!right_ok | (left.abs() < right.abs())) { left } else { right };
+            let one_sided = if self.precise & (left_ok | right_ok) { smaller } else { f32::NAN };
+            out[x] = if flat { 0.5 * (left + right) } else { one_sided };
+        }
+    }
+}
+
+/// All depths around the pixels of a raster. Each row is split into `step` lines, so that what is equally far from the
+/// pixels of the raster lies side by side.
+struct Phases {
+    depth: Vec<f32>,
+    /// Length of a line.
+    stride: usize,
+}
+
+impl Phases {
+    #[inline(always)]
+    fn new(map: &DepthMap, sight: &Sight, raster: Raster, window: &Window, radius: usize) -> Self {
+        let (step, aside) = (raster.step, radius.div_ceil(raster.step));
+        let stride = window.width + 2 * aside;
+        let rows = step * (window.height - 1) + 2 * radius + 1;
+        let mut depth = vec![0.0; rows * step * stride];
+        let inside = &sight.window;
+        // The first line of a row begins here, `right` pixels beside the image.
+        let (left, right) = (raster.pixel(window.x), step * aside);
+        for (row, lines) in depth.chunks_exact_mut(step * stride).enumerate() {
+            let y = (raster.pixel(window.y) + row).wrapping_sub(radius);
+            if y < inside.y || y >= inside.y + inside.height {
+                continue;
+            }
+            for (phase, line) in lines.chunks_exact_mut(stride).enumerate() {
+                // Columns of the line that are in the window: left - right + phase + step i.
+                let first = (inside.x + right).saturating_sub(left + phase).div_ceil(step);
+                let end = (inside.x + inside.width + right).saturating_sub(left + phase).div_ceil(step).min(stride);
+                if first < end {
+                    read(map, y, left + phase + step * first - right, step, &mut line[first..end]);
+                }
+            }
+        }
+        Self { depth, stride }
+    }
+}
+
+/// Reads every `step`-th depth of the object from a pixel on, 0 where there is none.
+#[inline(always)]
+fn read(map: &DepthMap, row: usize, column: usize, step: usize, out: &mut [f32]) {
+    let from = row * map.camera.width_px as usize + column;
+    for (out, &z) in out.iter_mut().zip(map.depth_m[from..].iter().step_by(step)) {
+        *out = if is_depth(z) { z } else { 0.0 };
+    }
+    if let Some(mask) = &map.mask {
+        for (out, inside) in out.iter_mut().zip(mask[from..].iter().step_by(step)) {
+            *out = if *inside { *out } else { 0.0 };
+        }
     }
 }
 

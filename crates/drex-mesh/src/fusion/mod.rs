@@ -268,7 +268,7 @@ fn integrated(
                 }
                 let camera_from_grid = map.world_from_camera.inverse() * grid_from_world.inverse();
                 let reach = plan.band.truncation.into();
-                Ok(Prepared::new(&map, sight, &camera_from_grid, options.background_is_empty, reach))
+                Ok(Prepared::new(&map, sight, &camera_from_grid, options.background_is_empty, plan.voxel_m, reach))
             })
             .collect::<Result<_>>()?;
         volume.integrate(&prepared);

@@ -4,12 +4,14 @@ use nalgebra::{Matrix3, Vector3};
 
 use drex_core::Pose;
 
-use super::hits::{Hits, Sight, Window};
+use super::hits::{Raster, Sight, Smooth, Window};
 use super::simd::vectorised;
 use crate::depth::DepthMap;
 
 /// Side of a tile, pixels.
 const TILE: usize = 4;
+/// Pixels need not be closer together on the surface than this share of a voxel.
+const SPACING: f32 = 0.7;
 /// Farthest distance from a silhouette that is told apart, pixels.
 const FARTHEST_PX: usize = 32;
 
@@ -49,7 +51,8 @@ pub(super) struct Tile {
 const NO_PIXEL: Tile =
     Tile { nearest: f32::INFINITY, farthest: 0.0, rim_px: f32::INFINITY, empty: false, unknown: false };
 
-/// A depth map ready for fusion. Beside the kept window there is background, or nothing is known.
+/// A depth map ready for fusion, at every pixel or, where those are much finer than the voxels, at those of a raster: then
+/// it is like the map of a camera with larger pixels, and they are meant below. Beside the kept window there is background, or nothing is known.
 #[derive(Debug)]
 pub(super) struct Prepared {
     pub camera_from_grid: (Matrix3<f32>, Vector3<f32>),
@@ -66,21 +69,33 @@ pub(super) struct Prepared {
 }
 
 impl Prepared {
-    /// Prepares a checked map. `reach_m`: how far from a silhouette distances are wanted.
+    /// Prepares a checked map for voxels of `voxel_m`. `reach_m`: how far from a silhouette distances are wanted.
     pub fn new(
         map: &DepthMap,
         sight: &Sight,
         camera_from_grid: &Pose,
         background_is_empty: bool,
+        voxel_m: f64,
         reach_m: f64,
     ) -> Self {
         let camera = &map.camera;
-        let focal = [camera.fx_px as f32, camera.fy_px as f32];
-        let size = [camera.width_px as usize, camera.height_px as usize];
+        let footprint = sight.footprint_m(camera);
+        let step = (SPACING * voxel_m as f32 / footprint) as usize;
+        let step = step.min(sight.window.width).min(sight.window.height).max(1);
+        let raster = Raster { step };
+        let coarser = 1.0 / step as f32;
+        let focal = [camera.fx_px as f32 * coarser, camera.fy_px as f32 * coarser];
+        let size = [raster.before(camera.width_px as usize), raster.before(camera.height_px as usize)];
+        // Centres of pixels are at halves.
+        let center = [camera.cx_px, camera.cy_px].map(|c| (c as f32 - raster.pixel(0) as f32 - 0.5) * coarser + 0.5);
         // Where the surface is nearer than usual, a length covers more pixels than there, and less of it is told apart.
-        let reach = (1.25 * reach_m as f32 / sight.footprint_m(camera)).ceil() as usize;
+        let reach = (1.25 * reach_m as f32 * coarser / footprint).ceil() as usize;
         let reach = reach.saturating_add(1).min(FARTHEST_PX);
-        let window = grown(&sight.window, reach + 1, size);
+        let smooth = vectorised(
+            #[inline(always)]
+            || Smooth::new(map, sight, raster),
+        );
+        let window = grown(&smooth.window, reach + 1, size);
         let beside_is_empty = background_is_empty || map.mask.is_some();
         let mut prepared = Self {
             camera_from_grid: (
@@ -88,7 +103,7 @@ impl Prepared {
                 camera_from_grid.translation.vector.cast(),
             ),
             focal,
-            center: [camera.cx_px as f32, camera.cy_px as f32],
+            center,
             size,
             beside_is_empty,
             window,
@@ -99,8 +114,8 @@ impl Prepared {
         vectorised(
             #[inline(always)]
             || {
-                prepared.read_background(map);
-                prepared.read_hits(&Hits::new(map, sight));
+                prepared.read_background(map, raster);
+                prepared.read_hits(&smooth);
                 if prepared.beside_is_empty {
                     prepared.measure_silhouettes(reach);
                 }
@@ -122,30 +137,32 @@ impl Prepared {
     }
 
     #[inline(always)]
-    fn read_background(&mut self, map: &DepthMap) {
+    fn read_background(&mut self, map: &DepthMap, raster: Raster) {
         let Window { x, y, width, height } = self.window;
         let pixel =
             |empty: bool| Pixel { z: if empty { BACKGROUND } else { UNKNOWN }, slope: [0.0; 2], factor: f32::INFINITY };
         self.pixels = match &map.mask {
             None => vec![pixel(self.beside_is_empty); width * height],
             Some(mask) => (y..y + height)
-                .flat_map(|row| &mask[row * self.size[0] + x..][..width])
+                .flat_map(|row| {
+                    let from = raster.pixel(row) * map.camera.width_px as usize + raster.pixel(x);
+                    mask[from..].iter().step_by(raster.step).take(width)
+                })
                 .map(|inside| if *inside { NOTHING } else { EMPTY })
                 .collect(),
         };
     }
 
     #[inline(always)]
-    fn read_hits(&mut self, hits: &Hits) {
-        let smooth = hits.smooth();
+    fn read_hits(&mut self, hits: &Smooth) {
         let n = hits.window.width;
         let (mut along, mut down, mut factor) = (vec![0.0_f32; n], vec![0.0_f32; n], vec![0.0_f32; n]);
         let [fx, fy] = self.focal;
         for row in 0..hits.window.height {
             let at = hits.index(0, row);
-            let z = &smooth[at..at + n];
-            hits.slopes(&smooth, at, 1, &mut along);
-            hits.slopes(&smooth, at, hits.stride, &mut down);
+            let z = &hits.depth[at..at + n];
+            hits.slopes(at, 1, &mut along);
+            hits.slopes(at, hits.stride, &mut down);
             let ray_y = ((hits.window.y + row) as f32 + 0.5 - self.center[1]) / fy;
             let first_x = (hits.window.x as f32 + 0.5 - self.center[0]) / fx;
             for x in 0..n {
