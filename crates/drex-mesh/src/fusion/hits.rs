@@ -1,5 +1,6 @@
 //! The depths of the object in one map: where they are, how noisy, smoothed, with slopes.
 
+use super::simd::vectorised;
 use crate::depth::{DepthCamera, DepthMap};
 
 /// Largest half-width of the smoothing window, pixels.
@@ -26,6 +27,39 @@ pub(super) struct Window {
     pub height: usize,
 }
 
+impl Window {
+    #[inline(always)]
+    fn around_object(map: &DepthMap) -> Option<Self> {
+        let width = map.camera.width_px as usize;
+        let (mut x, mut y) = ((width, 0), (usize::MAX, 0));
+        let depths = map.depth_m.chunks_exact(width).enumerate();
+        for (row, line) in depths {
+            let ends = match &map.mask {
+                Some(mask) => ends(&mask[row * width..][..width], |inside| inside),
+                None => ends(line, is_depth),
+            };
+            if let Some((first, last)) = ends {
+                x = (x.0.min(first), x.1.max(last));
+                y = (y.0.min(row), row);
+            }
+        }
+        (x.0 <= x.1).then(|| Self { x: x.0, y: y.0, width: x.1 + 1 - x.0, height: y.1 + 1 - y.0 })
+    }
+}
+
+/// The first and the last place in a row that is wanted.
+#[inline(always)]
+fn ends<T: Copy>(line: &[T], wanted: impl Fn(T) -> bool + Copy) -> Option<(usize, usize)> {
+    /// Whole chunks first: most of an image is background.
+    const CHUNK: usize = 128;
+    let any = |chunk: &[T]| chunk.iter().fold(false, |any, &z| any | wanted(z));
+    let mut chunks = line.chunks(CHUNK);
+    let (left, right) = (chunks.clone().position(any)?, chunks.rposition(any)?);
+    let first = left * CHUNK + line[left * CHUNK..].iter().position(|&z| wanted(z))?;
+    let end = ((right + 1) * CHUNK).min(line.len());
+    Some((first, line[..end].iter().rposition(|&z| wanted(z))?))
+}
+
 /// Where the object is in a map, and how it was measured.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sight {
@@ -37,6 +71,7 @@ pub(super) struct Sight {
     pub noise_m: f32,
 }
 
+#[inline(always)]
 fn is_depth(z: f32) -> bool {
     // The bits of positive finite numbers are between 0 and those of infinity.
     (z.to_bits().wrapping_sub(1)) < f32::INFINITY.to_bits() - 1
@@ -45,33 +80,10 @@ fn is_depth(z: f32) -> bool {
 impl Sight {
     /// Looks at a map that was checked; `None` if there is no depth of the object.
     pub fn new(map: &DepthMap) -> Option<Self> {
-        const CHUNK: usize = 32;
-        let width = map.camera.width_px as usize;
-        let (mut x, mut y) = ((width, 0), (usize::MAX, 0));
-        let mut widen = |row: usize, first: Option<usize>, last: Option<usize>| {
-            if let (Some(first), Some(last)) = (first, last) {
-                x = (x.0.min(first), x.1.max(last));
-                y = (y.0.min(row), row);
-            }
-        };
-        match &map.mask {
-            Some(mask) => mask.chunks_exact(width).enumerate().for_each(|(row, line)| {
-                widen(row, line.iter().position(|m| *m), line.iter().rposition(|m| *m));
-            }),
-            None => map.depth_m.chunks_exact(width).enumerate().for_each(|(row, line)| {
-                // Whole chunks first: most of an image is background.
-                let any = |chunk: &[f32]| chunk.iter().fold(false, |any, &z| any | is_depth(z));
-                let mut chunks = line.chunks(CHUNK);
-                let (Some(left), Some(right)) = (chunks.clone().position(any), chunks.rposition(any)) else { return };
-                let first = line[left * CHUNK..].iter().position(|&z| is_depth(z)).map(|i| left * CHUNK + i);
-                let end = ((right + 1) * CHUNK).min(width);
-                widen(row, first, line[..end].iter().rposition(|&z| is_depth(z)));
-            }),
-        }
-        if x.0 > x.1 {
-            return None;
-        }
-        let window = Window { x: x.0, y: y.0, width: x.1 + 1 - x.0, height: y.1 + 1 - y.0 };
+        let window = vectorised(
+            #[inline(always)]
+            || Window::around_object(map),
+        )?;
         let (depth_m, noise_m) = measure(map, &window)?;
         Some(Self { window, depth_m, noise_m })
     }

@@ -27,13 +27,21 @@ pub(super) struct Pixel {
     pub factor: f32,
 }
 
+impl Pixel {
+    /// Depth, slopes, factor.
+    #[inline(always)]
+    pub fn values(&self) -> [f32; 4] {
+        [self.z, self.slope[0], self.slope[1], self.factor]
+    }
+}
+
 pub(super) const BACKGROUND: f32 = 0.0;
 const UNKNOWN: f32 = -1.0;
 
 /// A pixel whose ray meets nothing, far from any silhouette.
 const EMPTY: Pixel = Pixel { z: BACKGROUND, slope: [0.0; 2], factor: f32::INFINITY };
 /// A pixel of which nothing is known.
-pub(super) const NOTHING: Pixel = Pixel { z: UNKNOWN, slope: [0.0; 2], factor: 0.0 };
+const NOTHING: Pixel = Pixel { z: UNKNOWN, slope: [0.0; 2], factor: 0.0 };
 
 /// Extremes of the pixels of a tile.
 #[derive(Debug, Clone, Copy)]
@@ -62,9 +70,8 @@ pub(super) struct Prepared {
     /// Whether rays beside the window are empty (else nothing is known of them).
     pub beside_is_empty: bool,
     window: Window,
-    /// The pixels beside the window.
-    beside: Pixel,
-    pixels: Vec<Pixel>,
+    /// The pixels of the window, one for those beside it and one for those outside the image.
+    pub pixels: Vec<Pixel>,
     tiles: Vec<Tile>,
 }
 
@@ -107,7 +114,6 @@ impl Prepared {
             size,
             beside_is_empty,
             window,
-            beside: if beside_is_empty { EMPTY } else { NOTHING },
             pixels: Vec::new(),
             tiles: Vec::new(),
         };
@@ -122,18 +128,20 @@ impl Prepared {
                 prepared.tile();
             },
         );
+        prepared.pixels.extend([if beside_is_empty { EMPTY } else { NOTHING }, NOTHING]);
         prepared
     }
 
-    /// The pixel at a column and row.
+    /// Where among the pixels that of a column and row is.
     #[inline(always)]
-    pub fn pixel(&self, column: i32, row: i32) -> &Pixel {
-        let (x, y) = ((column as usize).wrapping_sub(self.window.x), (row as usize).wrapping_sub(self.window.y));
-        if x < self.window.width && y < self.window.height {
-            return &self.pixels[y * self.window.width + x];
-        }
-        let in_image = (column as usize) < self.size[0] && (row as usize) < self.size[1];
-        if in_image { &self.beside } else { &NOTHING }
+    pub fn place(&self, column: i32, row: i32) -> u32 {
+        let [width, height] = self.size.map(|n| n as u32);
+        let in_image = ((column as u32) < width) & ((row as u32) < height);
+        let (x, y) =
+            ((column as u32).wrapping_sub(self.window.x as u32), (row as u32).wrapping_sub(self.window.y as u32));
+        let (width, height) = (self.window.width as u32, self.window.height as u32);
+        let beside = width * height + u32::from(!in_image);
+        if (x < width) & (y < height) { y * width + x } else { beside }
     }
 
     #[inline(always)]

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::lattice::{Field, FieldBlock, Lattice, SIDE, VOXELS};
 use super::marching::GridEdge;
-use super::prepare::{BACKGROUND, NOTHING, Prepared};
+use super::prepare::{BACKGROUND, Prepared};
 use super::simd::vectorised;
 use crate::bvh::Aabb;
 
@@ -357,13 +357,21 @@ impl Glance {
             u[i] = view.focal[0] * at(0) * inverse + view.center[0] - 0.5;
             v[i] = view.focal[1] * at(1) * inverse + view.center[1] - 0.5;
         }
+        // In three loops: only the second one cannot be done for many samples at once.
+        let (mut place, mut aside, mut below) = ([0; CELLS], [0.0; CELLS], [0.0; CELLS]);
+        for i in 0..CELLS {
+            let (column, row);
+            (column, aside[i]) = nearest(u[i]);
+            (row, below[i]) = nearest(v[i]);
+            place[i] = view.place(if depth[i] > 0.0 { column } else { OUTSIDE }, row);
+        }
+        let pixels = place.map(|p| view.pixels[p as usize].values());
         let (mut measured, mut factor) = ([0.0; CELLS], [0.0; CELLS]);
         for i in 0..CELLS {
-            let ((column, aside), (row, below)) = (nearest(u[i]), nearest(v[i]));
-            let pixel = if depth[i] > 0.0 { view.pixel(column, row) } else { &NOTHING };
+            let [z, along, down, f] = pixels[i];
             // Slopes are zero where there is no surface.
-            measured[i] = pixel.z + pixel.slope[0] * aside + pixel.slope[1] * below;
-            factor[i] = pixel.factor;
+            measured[i] = z + along * aside[i] + down * below[i];
+            factor[i] = f;
         }
         let middle = start + step * Vector3::repeat(0.5 * (PART - 1) as f32);
         Self { depth, measured, factor, per_ray: (middle.z / middle.norm()).clamp(0.1, 1.0) }
@@ -377,8 +385,11 @@ fn nearest(x: f32) -> (i32, f32) {
     const ROUND: f32 = 12_582_912.0;
     let rounded = x + ROUND;
     let whole = (rounded.to_bits() as i32).wrapping_sub(ROUND.to_bits() as i32);
-    (if x.abs() < 4_194_304.0 { whole } else { i32::MIN }, x - (rounded - ROUND))
+    (if x.abs() < 4_194_304.0 { whole } else { OUTSIDE }, x - (rounded - ROUND))
 }
+
+/// A column or row outside any image.
+const OUTSIDE: i32 = i32::MIN;
 
 impl Band {
     /// Weight of a distance behind the surface.
