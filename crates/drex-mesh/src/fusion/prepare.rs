@@ -243,14 +243,17 @@ impl Prepared {
         self.tiles = vec![NO_PIXEL; across * self.window.height.div_ceil(TILE)];
         for (y, line) in self.pixels.chunks_exact(self.window.width).enumerate() {
             for (tile, pixels) in self.tiles[y / TILE * across..].iter_mut().zip(line.chunks(TILE)) {
+                // A copy, so that it is written once and not after each pixel.
+                let mut t = *tile;
                 for p in pixels {
                     let (hit, background) = (p.z > 0.0, p.z == BACKGROUND);
-                    tile.rim_px = if background & (p.factor < tile.rim_px) { p.factor } else { tile.rim_px };
-                    tile.nearest = if hit & (p.z < tile.nearest) { p.z } else { tile.nearest };
-                    tile.farthest = if p.z > tile.farthest { p.z } else { tile.farthest };
-                    tile.empty |= background;
-                    tile.unknown |= !hit & !background;
+                    t.rim_px = if background & (p.factor < t.rim_px) { p.factor } else { t.rim_px };
+                    t.nearest = if hit & (p.z < t.nearest) { p.z } else { t.nearest };
+                    t.farthest = if p.z > t.farthest { p.z } else { t.farthest };
+                    t.empty |= background;
+                    t.unknown |= !hit & !background;
                 }
+                *tile = t;
             }
         }
     }

@@ -180,7 +180,8 @@ impl Volume {
                 let unobserved = if block.empty >= self.band.votes { truncation } else { -truncation };
                 let corners =
                     [lattice.point(i, Vector3::zeros()), lattice.point(i, Vector3::repeat((SIDE - 1) as f64))];
-                if block.evidence.is_none() && (unobserved > 0.0 || !limits.touch(corners, truncation)) {
+                let limited = limits.touch(corners, truncation);
+                if block.evidence.is_none() && (unobserved > 0.0 || !limited) {
                     return FieldBlock::Constant(unobserved);
                 }
                 let mut values = Box::new([unobserved; VOXELS]);
@@ -191,7 +192,7 @@ impl Volume {
                         *value = distance;
                         observed.then_some(())
                     });
-                    if *value < 0.0 {
+                    if limited && *value < 0.0 {
                         let local = [v % SIDE, v / SIDE % SIDE, v / (SIDE * SIDE)].map(|x| x as f64);
                         let outside = limits.distance(&lattice.point(i, local.into()), observed.is_some());
                         *value = value.max((outside as f32).min(truncation));
