@@ -45,6 +45,8 @@ struct Probe<'a> {
     coarse: f64,
     /// Faces of the mesh with shorter sides (the triangles of scans) are judged by one probe.
     small: f64,
+    /// So are longer ones that are narrower than this: a lid over a ragged rim is thousands of slices.
+    narrow: f64,
     /// Parts of larger faces are divided no further than this.
     fine: f64,
 }
@@ -63,13 +65,17 @@ pub(crate) fn boundary(mesh: &TriMesh, tree: &Bvh, has_lids: bool) -> Boundary {
     // Lids are a guess; finer parts would not make it better.
     let fine = diagonal / if has_lids { 60.0 } else { 1000.0 };
     let layered = AtomicBool::new(false);
-    let probe = Probe { tree, layered, step: 1e-6 * diagonal, coarse: diagonal / 24.0, small: diagonal / 100.0, fine };
+    let narrow = if has_lids { fine / 4.0 } else { 0.0 };
+    let (step, coarse, small) = (1e-6 * diagonal, diagonal / 24.0, diagonal / 100.0);
+    let probe = Probe { tree, layered, step, coarse, small, narrow, fine };
     let verdicts: Vec<Verdict> = (0..mesh.faces.len())
         .into_par_iter()
         .map(|f| {
             let t = mesh.triangle(f);
-            match (t[1] - t[0]).cross(&(t[2] - t[0])).try_normalize(0.0) {
-                Some(normal) if longest_side(&t) <= probe.small => Verdict::Uniform(probe.weight(&middle(&t), &normal)),
+            let (across, longest) = ((t[1] - t[0]).cross(&(t[2] - t[0])), longest_side(&t));
+            let small = longest <= probe.small || across.norm() < probe.narrow * longest;
+            match across.try_normalize(0.0) {
+                Some(normal) if small => Verdict::Uniform(probe.weight(&middle(&t), &normal)),
                 Some(normal) => probe.judge(&t, &normal),
                 None => Verdict::Uniform(0.0),
             }
