@@ -137,7 +137,7 @@ impl Scan {
 
         let mut fusion = FusionOptions::default();
         fusion.background_is_empty = masked;
-        if up_from == "table" {
+        if up_from == "table" || !masked {
             fusion.support = Some(Support { point: mesh_from_scan.point(&table.point), up: up_in_mesh });
         }
         let mut others_on_table = 0;
