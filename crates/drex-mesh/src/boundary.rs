@@ -59,13 +59,13 @@ enum Verdict {
 /// Finds the boundary of the solid bounded by `mesh`, whose openings are capped; `tree` is over all its faces.
 ///
 /// Faces longer than 1/100 of the mesh are divided until each part has one weight or is smaller than 1/1000 of the mesh (1/60
-/// where lids take part); faces with one weight stay whole.
+/// where lids take part, and slices narrower than that get one probe); faces with one weight stay whole.
 pub(crate) fn boundary(mesh: &TriMesh, tree: &Bvh, has_lids: bool) -> Boundary {
     let diagonal = mesh.bounds().map_or(0.0, |(lo, hi)| (hi - lo).norm());
     // Lids are a guess; finer parts would not make it better.
     let fine = diagonal / if has_lids { 60.0 } else { 1000.0 };
     let layered = AtomicBool::new(false);
-    let narrow = if has_lids { fine / 4.0 } else { 0.0 };
+    let narrow = if has_lids { fine } else { 0.0 };
     let (step, coarse, small) = (1e-6 * diagonal, diagonal / 24.0, diagonal / 100.0);
     let probe = Probe { tree, layered, step, coarse, small, narrow, fine };
     let verdicts: Vec<Verdict> = (0..mesh.faces.len())

@@ -15,6 +15,7 @@ mod probe;
 mod score;
 mod tree;
 
+use nalgebra::Point3;
 use rayon::prelude::*;
 
 use drex_core::{Surface, TriMesh};
@@ -183,8 +184,26 @@ fn decompose(mesh: &TriMesh, whole: bool, options: &PieceOptions, most: usize) -
         }
         division = other;
     }
-    let hulls = division.hulls(surface);
+    let hulls = at_most(division.hulls(surface), most);
     (!hulls.is_empty()).then_some(hulls)
+}
+
+/// Joins the smallest hull with the one to which it adds least while there are more than `most`: a part too flat to have a
+/// hull in the coarse stand-in may have one in the surface itself.
+fn at_most(mut hulls: Vec<TriMesh>, most: usize) -> Vec<TriMesh> {
+    while hulls.len() > most.max(1) {
+        let volumes: Vec<f64> = hulls.iter().map(hull_volume).collect();
+        let Some(i) = (0..hulls.len()).min_by(|&i, &j| volumes[i].total_cmp(&volumes[j])) else { break };
+        let small = hulls.swap_remove(i);
+        let joined = hulls.iter().enumerate().filter_map(|(k, hull)| {
+            let points: Vec<Point3<f64>> = hull.vertices.iter().chain(&small.vertices).copied().collect();
+            let both = convex_hull(&points).ok()?;
+            Some((hull_volume(&both) - hull_volume(hull), k, both))
+        });
+        let Some((_, k, both)) = joined.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
+        hulls[k] = both;
+    }
+    hulls
 }
 
 #[cfg(test)]
@@ -204,6 +223,17 @@ mod tests {
             joined(&[cuboid([-0.05, 0.0, 0.0], [0.05, 0.02, 0.03]), cuboid([-0.01, -0.06, 0.0], [0.01, 0.0, 0.03])]);
         let pieces = convex_pieces(&t, &PieceOptions::default()).unwrap();
         assert_eq!(pieces.iter().map(|p| p.vertices.len()).collect::<Vec<_>>(), [8, 8]);
+    }
+
+    #[test]
+    fn hulls_beyond_the_number_allowed_join_their_neighbours() {
+        let row = |x: f64| cuboid([x, 0.0, 0.0], [x + 0.02, 0.02, 0.02]);
+        let mut hulls = vec![row(0.0), row(0.02), row(0.3)];
+        hulls.push(cuboid([0.04, 0.0, 0.0], [0.041, 0.02, 0.02]));
+        let joined = at_most(hulls, 3);
+        assert_eq!(joined.len(), 3);
+        let volume: f64 = joined.iter().map(hull_volume).sum();
+        assert!((volume - (3.0 * 8e-6 + 0.4e-6)).abs() < 1e-12, "{volume}");
     }
 
     #[test]
