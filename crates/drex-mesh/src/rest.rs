@@ -32,7 +32,7 @@ pub struct RestOptions {
 
 impl Default for RestOptions {
     fn default() -> Self {
-        Self { flat_share: 1e-4, same_pose_rad: 2.0_f64.to_radians(), least_tipping_rad: 0.5_f64.to_radians() }
+        Self { flat_share: 1e-4, same_pose_rad: 2.0_f64.to_radians(), least_tipping_rad: 1.0_f64.to_radians() }
     }
 }
 
