@@ -36,6 +36,15 @@ pub struct FrameOptions {
     pub seed: u64,
 }
 
+/// How large a scan is.
+pub struct Scale {
+    metres_per_unit: f64,
+    from: &'static str,
+    distances: Option<ScaleFit>,
+    /// Places of the marks in the scan's frame, where known distances asked for them.
+    marks: BTreeMap<String, Point3<f64>>,
+}
+
 /// Depth maps of one object in metres, in the frame that its mesh will have.
 pub struct Scan {
     depths: Photos,
@@ -97,9 +106,15 @@ impl DepthViews for Scan {
 }
 
 impl Scan {
-    /// `cameras` has lenses, sparse points and marks, `depths` the depth maps; both in one frame, and often the same.
+    /// `cameras` has lenses and sparse points, `depths` the depth maps; both in one frame, and often the same.
     /// `masked`: the maps show the object alone.
-    pub fn new(cameras: &Capture, depths: &Capture, masked: bool, options: &FrameOptions) -> Result<Self> {
+    pub fn new(
+        cameras: &Capture,
+        depths: &Capture,
+        masked: bool,
+        scale: Scale,
+        options: &FrameOptions,
+    ) -> Result<Self> {
         // Depth in the scan's unit; 16-bit maps are millimetres.
         let mut one_at_a_time = PhotoOptions::default();
         one_at_a_time.memory_bytes = 0;
@@ -112,8 +127,7 @@ impl Scan {
             cameras.points.iter().map(|p| p.position.into()).collect()
         };
 
-        let marks = marks_of(cameras, options)?;
-        let (metres_per_unit, scale_from, distances) = scale_of(cameras, &marks, options)?;
+        let Scale { metres_per_unit, from: scale_from, distances, marks } = scale;
         let near = |p: &Point3<f64>| options.region.is_none_or(|region| distance_from(&region, p) < size_of(&region));
         let points: Vec<Point3<f64>> = points.into_iter().filter(near).collect();
         let object = if masked { points_of(&depths)? } else { Vec::new() };
@@ -245,40 +259,38 @@ fn points_of(depths: &Photos) -> Result<Vec<Point3<f64>>> {
     Ok(points)
 }
 
-/// Places of the marks in the scan's frame; none where no known distance asks for them.
-fn marks_of(cameras: &Capture, options: &FrameOptions) -> Result<BTreeMap<String, Point3<f64>>> {
-    if options.distances.is_empty() {
-        return Ok(BTreeMap::new());
+impl Scale {
+    /// From a number, known distances between marks, or a depth camera. Needs no depth map of photos, so that a scan that
+    /// cannot be metric is refused before hours go into it.
+    pub fn new(cameras: &Capture, options: &FrameOptions) -> Result<Self> {
+        if let Some(metres_per_unit) = options.scale {
+            return Ok(Self { metres_per_unit, from: "given", distances: None, marks: BTreeMap::new() });
+        }
+        if !options.distances.is_empty() {
+            let marks = marks_of(cameras, options)?;
+            let fit = scale_from_distances(&marks, &options.distances)?;
+            let metres_per_unit = fit.metres_per_unit;
+            return Ok(Self { metres_per_unit, from: "known distances", distances: Some(fit), marks });
+        }
+        let measured = |path: &Path| path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
+        if cameras.views.iter().all(|v| v.depth.as_deref().is_some_and(measured)) {
+            return Ok(Self { metres_per_unit: 1.0, from: DEPTH_CAMERA, distances: None, marks: BTreeMap::new() });
+        }
+        bail!(
+            "{} has no scale: photos alone do not tell how large things are; measure the distance of two marks and give \
+             --distance A-C=0.12 with the marks' pixels in marks.json, or give --scale in metres per unit",
+            cameras.folder.display()
+        )
     }
+}
+
+/// Places of the marks in the scan's frame.
+fn marks_of(cameras: &Capture, options: &FrameOptions) -> Result<BTreeMap<String, Point3<f64>>> {
     let file = options.marks.clone().unwrap_or_else(|| cameras.folder.join("marks.json"));
     let marks = read_marks(&file)?;
     let view = |name: &str| cameras.views.iter().find(|v| v.name == name);
     let found = triangulate_marks(&marks, |name| view(name).map(|v| (&v.lens, v.camera_from_world.inverse())))?;
     Ok(found.into_iter().map(|(name, t)| (name, t.point)).collect())
-}
-
-/// Metres per unit of the scan, where from, and how well the known distances agree.
-fn scale_of(
-    cameras: &Capture,
-    marks: &BTreeMap<String, Point3<f64>>,
-    options: &FrameOptions,
-) -> Result<(f64, &'static str, Option<ScaleFit>)> {
-    if let Some(scale) = options.scale {
-        return Ok((scale, "given", None));
-    }
-    if !options.distances.is_empty() {
-        let fit = scale_from_distances(marks, &options.distances)?;
-        return Ok((fit.metres_per_unit, "known distances", Some(fit)));
-    }
-    let measured = |path: &Path| path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
-    if cameras.views.iter().all(|v| v.depth.as_deref().is_some_and(measured)) {
-        return Ok((1.0, DEPTH_CAMERA, None));
-    }
-    bail!(
-        "{} has no scale: photos alone do not tell how large things are; measure the distance of two marks and give \
-         --distance A-C=0.12 with the marks' pixels in marks.json, or give --scale in metres per unit",
-        cameras.folder.display()
-    )
 }
 
 /// Whether the lowest of the object's points are on the plane.

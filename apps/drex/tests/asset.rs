@@ -108,12 +108,30 @@ fn a_recording_becomes_a_hollow_cup_that_stands() {
 }
 
 #[test]
-fn a_scan_without_scale_or_poses_is_refused() {
+fn a_recording_without_poses_is_refused() {
     let guard = tempfile::tempdir().unwrap();
     record(guard.path());
     std::fs::rename(guard.path().join("ob_in_cam"), guard.path().join("elsewhere")).unwrap();
     let out = guard.path().join("out");
     let arguments = ["asset", guard.path().to_str().unwrap(), "--out", out.to_str().unwrap()];
     drex(arguments).fails_with(&["no poses of the object", "ob_in_cam"]);
+    assert!(!out.exists());
+}
+
+#[test]
+fn photos_without_a_scale_are_refused_before_anything_is_trained() {
+    let guard = tempfile::tempdir().unwrap();
+    record(guard.path());
+    let frame = |i: usize| {
+        let file = format!("rgb/{i:06}.png");
+        let pose = [[1.0, 0.0, 0.0, i as f64], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+        serde_json::json!({ "file_path": file, "transform_matrix": pose, "fl_x": 300.0 })
+    };
+    let text = serde_json::json!({ "frames": (0..4).map(frame).collect::<Vec<_>>() }).to_string();
+    std::fs::write(guard.path().join("transforms.json"), text).unwrap();
+    let out = guard.path().join("out");
+    let (scan, written) = (guard.path().to_str().unwrap(), out.to_str().unwrap());
+    drex(["asset", scan, "--out", written]).fails_with(&["has no scale", "--distance", "--scale"]);
+    drex(["asset", scan, "--out", written, "--distance", "A-C=0.12"]).fails_with(&["marks.json"]);
     assert!(!out.exists());
 }

@@ -18,7 +18,7 @@ use serde::Serialize;
 use crate::cli::AssetArgs;
 use crate::commands::reconstruct::{self, Programs};
 use crate::object::asset_options;
-use crate::scan::{FrameOptions, FrameReport, Scan};
+use crate::scan::{FrameOptions, FrameReport, Scale, Scan};
 use crate::ui::Ui;
 
 /// The visual mesh of a scan keeps to the fused one within this share of a voxel.
@@ -124,8 +124,6 @@ fn from_manifest(args: &AssetArgs, manifest: &Path, ui: &Ui) -> Result<()> {
 
 /// Photos to Gaussians to depth maps, or depth maps as they are, to a closed mesh to an asset.
 fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
-    let (cameras, depths, masked) = depth_maps(args, seed, ui)?;
-    let spinner = ui.spinner("fusion");
     let frame = FrameOptions {
         scale: args.scan.scale,
         distances: args.scan.distance.clone(),
@@ -134,7 +132,11 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
         region: args.scan.region,
         seed,
     };
-    let scan = Scan::new(&cameras, &depths, masked, &frame)?;
+    let cameras = cameras(args, ui)?;
+    let scale = Scale::new(&cameras, &frame)?;
+    let (depths, masked) = depth_maps(&cameras, args, seed, ui)?;
+    let spinner = ui.spinner("fusion");
+    let scan = Scan::new(&cameras, &depths, masked, scale, &frame)?;
     let mut fusion = scan.fusion.clone();
     fusion.voxel_m = args.scan.voxel;
     let fused = fuse(&scan, &fusion).with_context(|| format!("fusing the depth maps of {}", args.input.display()))?;
@@ -158,16 +160,20 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
     ui.answer(&answer, describe_scan(&scan.frame, &fused.report) + &describe(&asset, args))
 }
 
-/// The scan's cameras and points, the capture with its depth maps, and whether these show the object alone.
-fn depth_maps(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<(Capture, Capture, bool)> {
+/// The scan's cameras and points.
+fn cameras(args: &AssetArgs, ui: &Ui) -> Result<Capture> {
     let mut within = CaptureOptions::default();
     within.masks.clone_from(&args.scan.masks);
     within.poses.clone_from(&args.scan.poses);
     let programs = Programs { colmap: Path::new("colmap"), ffmpeg: Path::new("ffmpeg") };
-    let cameras = reconstruct::open(&args.input, &args.out, &within, &programs, ui)?;
+    reconstruct::open(&args.input, &args.out, &within, &programs, ui)
+}
+
+/// The capture with the depth maps, made where there are none, and whether these show the object alone.
+fn depth_maps(cameras: &Capture, args: &AssetArgs, seed: u64, ui: &Ui) -> Result<(Capture, bool)> {
     if cameras.views.iter().all(|v| v.depth.is_some()) {
         let masked = cameras.views.iter().all(|v| v.mask.is_some());
-        return Ok((cameras.clone(), cameras, masked));
+        return Ok((cameras.clone(), masked));
     }
     let folder = args.out.join("depth");
     if folder.join("transforms.json").is_file() {
@@ -176,11 +182,11 @@ fn depth_maps(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<(Capture, Capture,
         let mut options = ReconstructOptions::default();
         options.preset = args.scan.preset.into();
         options.seed = seed;
-        reconstruct::train(&cameras, &args.out, &options, false, ui)?;
+        reconstruct::train(cameras, &args.out, &options, false, ui)?;
     }
     let report = args.out.join("splat/report.json");
     let made: Made = fsutil::from_json(&report, &fsutil::read_text(&report)?)?;
-    Ok((cameras, Capture::load(&folder, &CaptureOptions::default())?, made.object_only))
+    Ok((Capture::load(&folder, &CaptureOptions::default())?, made.object_only))
 }
 
 /// What of `splat/report.json` is needed here.
