@@ -137,3 +137,8 @@ pub(super) fn check_gradients(render: &Render, gradients: &RenderGradients) -> R
         }),
     }
 }
+
+/// No number where there was none, and no larger one than single precision holds: then sums over Gaussians stay finite.
+pub(crate) fn bounded(x: f64) -> f64 {
+    if x.is_nan() { 0.0 } else { x.clamp(f64::from(f32::MIN), f64::from(f32::MAX)) }
+}

@@ -15,7 +15,7 @@ use wgpu::{Buffer, ComputePipeline};
 
 use self::device::{Device, line};
 use self::sort::Sorter;
-use super::cpu::{check_geometry, check_gradients, check_options, check_shape};
+use super::cpu::{bounded, check_geometry, check_gradients, check_options, check_shape};
 use super::{GaussianGradients, Rasterizer, Render, RenderGradients, RenderOptions, TILE};
 use crate::{Gaussians, Kind, PinholeCamera, Result};
 
@@ -357,7 +357,7 @@ impl Gpu {
         let mut twist = [0.0; 6];
         for motion in motions.as_chunks::<6>().0 {
             for k in 0..6 {
-                twist[k] += f64::from(motion[k]);
+                twist[k] += bounded(f64::from(motion[k]));
             }
         }
         Ok(GaussianGradients {

@@ -7,7 +7,7 @@
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Point3, Quaternion, UnitQuaternion, Vector2, Vector3};
 
 use super::super::super::{MIN_ALPHA, RenderOptions, ScreenBox};
-use super::super::{lanes::FADE, sh};
+use super::super::{bounded, lanes::FADE, sh};
 use crate::{Gaussians, PinholeCamera};
 
 /// What the kernels need to know of a splat. With (u, v) = (a dx + b dy, c dy), opacity is 2^(log2_opacity - u² - v²).
@@ -257,7 +257,8 @@ impl<'a> View<'a> {
                 twist_rotation.x,
                 twist_rotation.y,
                 twist_rotation.z,
-            ],
+            ]
+            .map(bounded),
         }
     }
 

@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 
+use super::super::bounded;
 use super::super::lanes::least_exponent;
 use super::super::sh;
 use super::Saved;
@@ -164,14 +165,14 @@ impl<'a> View<'a> {
             mean2d: mean2d.map(single),
             abs_mean2d: sum.abs.map(single).into(),
             radius: saved.projected[i].footprint.radius,
-            twist: [rho.x, rho.y, rho.z, phi.x, phi.y, phi.z],
+            twist: [rho.x, rho.y, rho.z, phi.x, phi.y, phi.z].map(bounded),
         }
     }
 }
 
 /// In single precision; what is too large for it becomes its largest number.
 fn single(x: f64) -> f32 {
-    if x.is_nan() { 0.0 } else { x.clamp(f64::from(f32::MIN), f64::from(f32::MAX)) as f32 }
+    bounded(x) as f32
 }
 
 /// Derivatives by the parameters of one surfel.
