@@ -4,7 +4,7 @@
 pub type Result<T, E = RetargetError> = std::result::Result<T, E>;
 
 /// A request that cannot be worked on. A pose that makes no grasp is no error but a [`crate::Verdict`].
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RetargetError {
     /// The joint values are not those of this robot.
@@ -26,6 +26,12 @@ pub enum RetargetError {
     /// Contacts or forces could not be computed.
     #[error(transparent)]
     Grasp(#[from] drex_grasp::GraspError),
+    /// A file cannot be read or used.
+    #[error(transparent)]
+    File(#[from] drex_core::Error),
+    /// The robot model cannot be used.
+    #[error(transparent)]
+    Robot(#[from] drex_robot::Error),
 }
 
 impl RetargetError {

@@ -1,16 +1,25 @@
 //! Hand poses of people and other hands for a robot hand, aware of the object.
 //!
-//! Here so far: the wrist pose of grasps that were recorded as joint angles only ([`fit_wrist`], [`fit_wrists`]).
-//!
 //! # Conventions
-//! Poses are `object_from_base`: of the robot's base in the object's mesh frame, metres. Joint vectors are in the model's order,
-//! rad. The table is a plane in the object's frame that also says which way is up.
+//! Poses are `a_from_b`: of b in a, metres. Joint vectors are in the model's order, rad. Key points are in the order of
+//! MediaPipe. The table is a plane in the object's frame that also says which way is up.
 
+mod demo;
 mod error;
+mod hand;
+mod keypoints;
+mod kinematics;
+mod result;
 mod wrist_fit;
 
+pub use demo::{Demonstration, HandFrame};
 pub use drex_grasp::TablePlane;
 pub use error::{Result, RetargetError};
+pub use hand::{LinkPoint, TargetFinger, TargetHand};
+pub use keypoints::{
+    FrameError, HumanFinger, KEYPOINTS, KeyPoints, Side, hand_length_m, mirrored, operator_frame, transformed,
+};
+pub use result::{FingerResidual, Flag, Objective, RetargetedFrame, Retargeting, ScaleReport};
 pub use wrist_fit::{FingerGap, ObjectSurface, Rejection, Verdict, WristFit, WristFitOptions, fit_wrist, fit_wrists};
 
 #[cfg(doctest)]

@@ -1,0 +1,105 @@
+//! What retargeting gives back.
+
+use drex_core::Pose;
+use serde::{Deserialize, Serialize};
+
+use crate::HumanFinger;
+
+/// What is made small; the names are those of dex-retargeting.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[non_exhaustive]
+pub enum Objective {
+    /// Vectors from the wrist to the fingertips.
+    Vector,
+    /// The same and the vectors between fingertips, drawn together for a pinch.
+    DexPilot,
+    /// Positions of fingertips and middle joints; the robot's base floats.
+    Position,
+    /// Contacts with the object, over a whole clip.
+    Grasp,
+}
+
+/// A clip, retargeted.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct Retargeting {
+    /// Joint names in the order of every `q`.
+    pub joint_names: Vec<String>,
+    /// What was made small.
+    pub objective: Objective,
+    /// The scale of the person's hand.
+    pub scale: ScaleReport,
+    /// One per frame of the demonstration.
+    pub frames: Vec<RetargetedFrame>,
+}
+
+/// How the person's hand was scaled to the robot's.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct ScaleReport {
+    /// Factor on the person's vectors.
+    pub scale: f64,
+    /// Whether it was found automatically.
+    pub automatic: bool,
+    /// Length of the person's hand ([`crate::hand_length_m`]), m.
+    pub person_reach_m: f64,
+    /// Largest distance of the robot's middle fingertip (or the longest finger's) from its wrist, m.
+    pub hand_reach_m: f64,
+}
+
+/// One frame, retargeted.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct RetargetedFrame {
+    /// Seconds.
+    pub t_s: f64,
+    /// Joint vector in the model's order, rad, within the limits.
+    pub q: Vec<f64>,
+    /// The same after the low-pass filter.
+    pub q_filtered: Vec<f64>,
+    /// Pose of the robot's base in the source frame.
+    pub source_from_base: Option<Pose>,
+    /// Value of the objective at `q`, without regularisation.
+    pub objective: f64,
+    /// Residual of each finger.
+    pub fingers: Vec<FingerResidual>,
+    /// What is wrong with the frame.
+    pub flags: Vec<Flag>,
+}
+
+/// How far a fingertip is from where the person's is, scaled.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct FingerResidual {
+    /// The finger.
+    pub finger: HumanFinger,
+    /// Distance, mm; `None` where the person's fingertip was not seen.
+    pub residual_mm: Option<f64>,
+}
+
+/// Why a frame is not to be trusted.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+#[serde(tag = "flag", rename_all = "snake_case")]
+pub enum Flag {
+    /// The key points define no hand: the previous joint vector is repeated.
+    NoHand {
+        /// Why.
+        reason: String,
+    },
+    /// Key points are missing; the rest was used.
+    MissingPoints {
+        /// How many.
+        count: usize,
+    },
+    /// The hand jumped since the frame before.
+    Jump {
+        /// Largest movement of a wrist-centred key point, mm.
+        distance_mm: f64,
+    },
+    /// The lengths of the bones are not those of the rest of the clip.
+    BoneLength {
+        /// Hand length over the clip's median.
+        ratio: f64,
+    },
+}
