@@ -48,6 +48,7 @@ mod fingers;
 mod kinematics;
 mod load;
 mod meshfile;
+mod mirror;
 mod mjcf;
 mod samples;
 mod shape;
@@ -57,6 +58,7 @@ mod xml;
 
 pub use error::{Error, Place, Result};
 pub use fingers::Finger;
+pub use mirror::MirrorPlane;
 pub use model::{Actuator, ActuatorKind, Geom, GeomRole, Joint, JointKind, Link, Mimic, Robot, Shape};
 
 #[cfg(doctest)]

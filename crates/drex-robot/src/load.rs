@@ -1,4 +1,4 @@
-//! Where models come from: files, text, and the two that are bundled.
+//! Where models come from: files, text, and those that are bundled.
 
 use std::path::Path;
 
@@ -10,6 +10,9 @@ const BUNDLED: [(&str, &str); 2] = [
     ("leap_right", include_str!("../models/leap_right.xml")),
     ("allegro_right", include_str!("../models/allegro_right.xml")),
 ];
+
+/// Names of the bundled hands that are mirror images, and what of.
+const MIRRORED: [(&str, &str); 2] = [("leap_left", "leap_right"), ("allegro_left", "allegro_right")];
 
 impl Robot {
     /// Reads a URDF or MJCF file; the root element tells which.
@@ -51,18 +54,23 @@ impl Robot {
         mjcf::read(xml, Path::new("MJCF text"), folder)
     }
 
-    /// A bundled hand: `leap_right` or `allegro_right`.
+    /// A bundled hand: `leap_right`, `allegro_right`, or their mirror images `leap_left`, `allegro_left`
+    /// ([`Robot::mirrored`]). The vendors' left models have other signs and zeros; load them from their own files.
     ///
     /// # Errors
     /// If there is no bundled model of that name.
     pub fn bundled(name: &str) -> Result<Self> {
-        match Self::bundled_mjcf(name) {
-            Some(xml) => mjcf::read(xml, Path::new(name), None),
+        if let Some(xml) = Self::bundled_mjcf(name) {
+            return mjcf::read(xml, Path::new(name), None);
+        }
+        match MIRRORED.iter().find(|(left, _)| *left == name) {
+            Some((_, right)) => Ok(Self::bundled(right)?.mirrored()),
             None => Err(Error::UnknownModel { name: name.into(), tried: None, remedy: bundled_names() }),
         }
     }
 
-    /// The MJCF text of a bundled hand, to be written out or put into a scene.
+    /// The MJCF text of a bundled hand, to be written out or put into a scene. `None` for a name that is not bundled and
+    /// for the left hands: they are mirrored when they are loaded and have no text.
     pub fn bundled_mjcf(name: &str) -> Option<&'static str> {
         BUNDLED.iter().find(|(n, _)| *n == name).map(|(_, xml)| *xml)
     }
@@ -72,7 +80,7 @@ impl Robot {
     /// # Errors
     /// As [`Robot::load`], and if there is neither a bundled model nor a file of that name.
     pub fn resolve(name_or_path: &str, relative_to: &Path) -> Result<Self> {
-        if Self::bundled_mjcf(name_or_path).is_some() {
+        if bundled().any(|name| name == name_or_path) {
             return Self::bundled(name_or_path);
         }
         let path = relative_to.join(name_or_path);
@@ -83,7 +91,12 @@ impl Robot {
     }
 }
 
+/// Names of the bundled models.
+fn bundled() -> impl Iterator<Item = &'static str> {
+    BUNDLED.iter().chain(&MIRRORED).map(|(name, _)| *name)
+}
+
 fn bundled_names() -> String {
-    let names: Vec<&str> = BUNDLED.iter().map(|(n, _)| *n).collect();
+    let names: Vec<&str> = bundled().collect();
     format!("give the path of a URDF or MJCF file, or one of the bundled models {}", names.join(", "))
 }
