@@ -23,6 +23,18 @@ pub enum RetargetError {
         /// What to do about it.
         remedy: &'static str,
     },
+    /// A hand cannot be mapped: the mapping file, or what was derived from the model, does not fit.
+    #[error("{}, {key}: {what}; {remedy}", path.display())]
+    Mapping {
+        /// The mapping file, or the model where there is none.
+        path: std::path::PathBuf,
+        /// Which entry.
+        key: String,
+        /// What is wrong.
+        what: String,
+        /// What to do about it.
+        remedy: String,
+    },
     /// Contacts or forces could not be computed.
     #[error(transparent)]
     Grasp(#[from] drex_grasp::GraspError),
@@ -37,5 +49,14 @@ pub enum RetargetError {
 impl RetargetError {
     pub(crate) fn value(what: impl Into<String>, remedy: &'static str) -> Self {
         Self::Value { what: what.into(), remedy }
+    }
+
+    pub(crate) fn mapping(
+        path: &std::path::Path,
+        key: impl Into<String>,
+        what: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
+        Self::Mapping { path: path.into(), key: key.into(), what: what.into(), remedy: remedy.into() }
     }
 }
