@@ -22,6 +22,14 @@ pub enum Side {
 }
 
 impl Side {
+    /// The name as files write it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Right => "right",
+            Self::Left => "left",
+        }
+    }
+
     /// The other hand.
     pub fn other(self) -> Self {
         match self {

@@ -80,13 +80,18 @@ impl Chains {
 
     /// Places everything at joint vector `q` (model order), in the base frame.
     pub(crate) fn place(&self, q: &[f64], state: &mut ChainState) {
+        self.place_from(&Pose::identity(), q, state);
+    }
+
+    /// [`Chains::place`] with the base at `base`, in the frame that `base` leads to.
+    pub(crate) fn place_from(&self, base: &Pose, q: &[f64], state: &mut ChainState) {
         state.poses.clear();
         state.axes.clear();
         for step in &self.steps {
             let travel = q[step.joint] - step.reference;
             let at = match step.parent {
                 Some(parent) => state.poses[parent] * step.parent_from_link,
-                None => step.parent_from_link,
+                None => base * step.parent_from_link,
             };
             let motion = if step.turns {
                 let rotation = UnitQuaternion::from_axis_angle(&step.axis, travel);
@@ -98,7 +103,25 @@ impl Chains {
             state.poses.push(at * motion);
         }
         state.points.clear();
-        state.points.extend(self.points.iter().map(|(step, p)| step.map_or(*p, |s| state.poses[s] * p)));
+        state.points.extend(self.points.iter().map(|(step, p)| step.map_or(*base, |s| state.poses[s]) * p));
+    }
+
+    /// The joints that move point `point`, from the point to the base: joint, axis of its rotation (zero for a slide) and the
+    /// point's velocity per unit of joint velocity, in the frame of [`Chains::place_from`].
+    pub(crate) fn movers<'s>(
+        &'s self,
+        state: &'s ChainState,
+        point: usize,
+    ) -> impl Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)> + 's {
+        self.movers[point].iter().map(move |&s| {
+            let (axis, anchor) = &state.axes[s];
+            let step = &self.steps[s];
+            if step.turns {
+                (step.joint, *axis, axis.cross(&(state.points[point].coords - anchor)))
+            } else {
+                (step.joint, Vector3::zeros(), *axis)
+            }
+        })
     }
 
     /// The joints that move point `point`, each with the point's velocity per unit of joint velocity, base frame.
@@ -107,12 +130,7 @@ impl Chains {
         state: &'s ChainState,
         point: usize,
     ) -> impl Iterator<Item = (usize, Vector3<f64>)> + 's {
-        self.movers[point].iter().map(move |&s| {
-            let (axis, anchor) = &state.axes[s];
-            let step = &self.steps[s];
-            let velocity = if step.turns { axis.cross(&(state.points[point].coords - anchor)) } else { *axis };
-            (step.joint, velocity)
-        })
+        self.movers(state, point).map(|(joint, _, velocity)| (joint, velocity))
     }
 }
 

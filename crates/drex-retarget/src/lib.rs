@@ -6,10 +6,15 @@
 
 mod demo;
 mod error;
+mod flags;
 mod hand;
 mod keypoints;
 mod kinematics;
+mod objective;
 mod result;
+mod retarget;
+mod scale;
+mod solve;
 mod wrist_fit;
 
 pub use demo::{Demonstration, HandFrame};
@@ -20,6 +25,7 @@ pub use keypoints::{
     FrameError, HumanFinger, KEYPOINTS, KeyPoints, Side, hand_length_m, mirrored, operator_frame, transformed,
 };
 pub use result::{FingerResidual, Flag, Objective, RetargetedFrame, Retargeting, ScaleReport};
+pub use retarget::{RetargetOptions, Retargeter, Scale, retarget};
 pub use wrist_fit::{FingerGap, ObjectSurface, Rejection, Verdict, WristFit, WristFitOptions, fit_wrist, fit_wrists};
 
 #[cfg(doctest)]

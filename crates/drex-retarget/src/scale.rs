@@ -1,0 +1,143 @@
+//! How large the person's hand is against the robot's.
+
+use nalgebra::Vector3;
+
+use crate::hand::TargetHand;
+use crate::kinematics::Chains;
+use crate::objective::{FrameProblem, Loss, Term};
+use crate::solve::{Newton, Problem, State, Unknowns};
+use crate::{HandFrame, HumanFinger, KeyPoints, Result, Retargeter};
+
+/// Hand length to which a person is brought before `dexpilot` measures its pinches, where the scale is automatic, m: about that
+/// of an adult, so that its thresholds keep their meaning whatever the unit and size of the recording.
+pub(crate) const NOMINAL_LENGTH_M: f64 = 0.185;
+
+/// Lengths of a hand outside of this are no lengths of a hand in any unit, m.
+const LENGTHS_M: std::ops::Range<f64> = 1e-6..1e6;
+
+/// Largest distance of a fingertip from the wrist, thumb left out, m.
+pub(crate) fn hand_reach_m(hand: &TargetHand, chains: &Chains, unknowns: &Unknowns, start: &State) -> f64 {
+    let wrist = hand.base_from_operator.translation.vector;
+    let loss = Loss { delta: 1e-3, per_coordinate: false };
+    let mut problem = FrameProblem::new(chains.clone(), unknowns.clone(), loss, 0.0, start.clone());
+    let mut solver = Newton::default();
+    let mut reach = 0.0_f64;
+    for (task, finger) in hand.fingers.iter().enumerate() {
+        if finger.human == HumanFinger::Thumb && hand.fingers.len() > 1 {
+            continue;
+        }
+        let mut state = start.clone();
+        // The farthest point in a direction; the next direction is where that point is.
+        let mut direction = hand.base_from_operator.rotation * Vector3::z();
+        for _ in 0..FARTHEST_ROUNDS {
+            let target = wrist + direction * FAR_M;
+            problem.terms = vec![Term { task, origin: None, target, weight: 1.0 }];
+            problem.previous = state.clone();
+            problem.norm_delta = 1e-6;
+            solver.minimise(&mut problem, &mut state, 100);
+            problem.value(&state);
+            let arm = problem.error(&problem.terms[0]) + target - wrist;
+            reach = reach.max(arm.norm());
+            match arm.try_normalize(1e-9) {
+                Some(next) => direction = next,
+                None => break,
+            }
+        }
+    }
+    reach
+}
+
+/// A target that no hand reaches.
+const FAR_M: f64 = 10.0;
+const FARTHEST_ROUNDS: usize = 8;
+
+/// Running medians of the lengths of the bones from the wrist to the tips of the middle, index and ring finger.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct BoneLengths {
+    /// Per finger and bone, the lengths seen, in ascending order.
+    seen: [[Vec<f64>; 4]; 3],
+}
+
+/// In the order of preference.
+const MEASURED: [HumanFinger; 3] = [HumanFinger::Middle, HumanFinger::Index, HumanFinger::Ring];
+
+impl BoneLengths {
+    /// Of a clip.
+    pub(crate) fn of(frames: &[HandFrame]) -> Self {
+        let mut lengths = Self::default();
+        for frame in frames {
+            lengths.add(&crate::flags::clean(&frame.points).0);
+        }
+        lengths
+    }
+
+    /// Adds the bones of a frame.
+    pub(crate) fn add(&mut self, points: &KeyPoints) {
+        for (finger, bones) in MEASURED.iter().zip(&mut self.seen) {
+            let mut from = points[0];
+            for (bone, seen) in bones.iter_mut().enumerate() {
+                let to = points[finger.base() + bone];
+                if let (Some(a), Some(b)) = (from, to) {
+                    let length = (b - a).norm();
+                    seen.insert(seen.partition_point(|l| *l < length), length);
+                }
+                from = to;
+            }
+        }
+    }
+
+    /// Number of frames that the scarcest bone was seen in.
+    pub(crate) fn count(&self) -> usize {
+        self.seen.iter().map(|bones| bones.iter().map(Vec::len).min().unwrap_or(0)).max().unwrap_or(0)
+    }
+
+    /// Length of the hand: the medians of its bones, added up.
+    pub(crate) fn hand_length_m(&self) -> Option<f64> {
+        let length = self
+            .seen
+            .iter()
+            .find_map(|bones| bones.iter().map(|seen| seen.get(seen.len() / 2).copied()).sum::<Option<f64>>())?;
+        LENGTHS_M.contains(&length).then_some(length)
+    }
+}
+
+/// The factor on the scale of the reaches with which the fingertips' mean error, in units of the scale, is smallest on the clip;
+/// in steps of [`FINE`]. Found with `vector` on at most [`SAMPLES`] frames.
+pub(crate) fn refined(retargeter: &Retargeter, frames: &[HandFrame]) -> Result<f64> {
+    let samples: Vec<&HandFrame> = frames.iter().step_by(frames.len().div_ceil(SAMPLES).max(1)).collect();
+    let mut probe = retargeter.probe()?;
+    let mut error = |step: i32| {
+        probe.reset();
+        probe.refinement = 1.0 + FINE * f64::from(step);
+        let Some(report) = probe.scale() else { return f64::INFINITY };
+        let (mut sum, mut count) = (0.0, 0);
+        for frame in &samples {
+            for residual in probe.frame(frame).fingers.iter().filter_map(|f| f.residual_mm) {
+                sum += residual;
+                count += 1;
+            }
+        }
+        if count == 0 { f64::INFINITY } else { sum / f64::from(count) / report.scale }
+    };
+    let mut best = (0, error(0));
+    let mut try_step = |step: i32, best: &mut (i32, f64)| {
+        let e = error(step);
+        if e < best.1 {
+            *best = (step, e);
+        }
+    };
+    for step in (-COARSE_STEPS..=COARSE_STEPS).filter(|s| *s != 0) {
+        try_step(step * COARSE, &mut best);
+    }
+    let coarse = best.0;
+    for step in (1 - COARSE..COARSE).filter(|s| *s != 0) {
+        try_step(coarse + step, &mut best);
+    }
+    Ok(1.0 + FINE * f64::from(best.0))
+}
+
+const SAMPLES: usize = 40;
+/// A fine step of the factor, and fine steps to a coarse one.
+const FINE: f64 = 0.02;
+const COARSE: i32 = 5;
+const COARSE_STEPS: i32 = 5;

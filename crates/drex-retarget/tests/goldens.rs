@@ -1,0 +1,77 @@
+//! Recorded hands against the joint angles that dex-retargeting 0.5.0 found for them.
+#![allow(clippy::unwrap_used)]
+
+mod support;
+
+use drex_retarget::{Objective, RetargetOptions, Retargeting, Scale, TargetHand, retarget};
+use support::{HANDS, SEQUENCES, demonstration, golden, mean, shared};
+
+/// Largest part of the reference's mean objective.
+fn bar(objective: Objective) -> f64 {
+    if objective == Objective::DexPilot { 1.03 } else { 1.01 }
+}
+
+fn within_limits(clip: &Retargeting, hand: &TargetHand) -> bool {
+    clip.frames.iter().all(|f| {
+        [&f.q, &f.q_filtered].iter().all(|q| {
+            q.iter().zip(&hand.robot.joints).all(|(v, j)| j.limits.is_none_or(|(lo, hi)| *v >= lo && *v <= hi))
+        })
+    })
+}
+
+fn as_the_reference(objective: Objective) {
+    let Some(shared) = shared() else { return };
+    let mut worst = 0.0_f64;
+    for sequence in SEQUENCES {
+        let demonstration = demonstration(&shared, sequence);
+        for name in HANDS {
+            let Some(golden) = golden(&shared, sequence, name, objective) else { continue };
+            let hand = TargetHand::bundled(name).unwrap();
+            let mut options = RetargetOptions::new(objective);
+            if objective != Objective::Position {
+                options.scale = Scale::Fixed(1.6);
+            }
+            let clip = retarget(&demonstration, &hand, &options).unwrap();
+            let ours = mean(clip.frames.iter().map(|f| f.objective));
+            let theirs = mean(golden.objectives);
+            println!("{sequence} {name} {objective:?}: {ours:.5}, reference {theirs:.5}, ratio {:.4}", ours / theirs);
+            worst = worst.max(ours / theirs);
+            assert!(within_limits(&clip, &hand));
+        }
+    }
+    assert!(worst > 0.0 && worst <= bar(objective), "{worst}");
+}
+
+#[test]
+fn vector_is_as_good_as_the_reference() {
+    as_the_reference(Objective::Vector);
+}
+
+#[test]
+fn dexpilot_is_as_good_as_the_reference() {
+    as_the_reference(Objective::DexPilot);
+}
+
+#[test]
+fn position_is_as_good_as_the_reference() {
+    as_the_reference(Objective::Position);
+}
+
+/// The reference's scale is 1.6 for everyone, beyond the reach of either hand.
+#[test]
+fn an_automatic_scale_halves_the_error_of_the_fingertips() {
+    let Some(shared) = shared() else { return };
+    for sequence in SEQUENCES {
+        let demonstration = demonstration(&shared, sequence);
+        for name in HANDS {
+            let golden = golden(&shared, sequence, name, Objective::Vector).unwrap();
+            let hand = TargetHand::bundled(name).unwrap();
+            let clip = retarget(&demonstration, &hand, &RetargetOptions::default()).unwrap();
+            let residuals = clip.frames.iter().flat_map(|f| f.fingers.iter().filter_map(|r| r.residual_mm));
+            let (ours, theirs) = (mean(residuals) / clip.scale.scale, golden.error_mm.unwrap() / 1.6);
+            println!("{sequence} {name}: {:?}, {ours:.2} mm, reference {theirs:.2} mm", clip.scale);
+            assert!(ours <= 0.5 * theirs);
+            assert!((0.8..=1.6).contains(&clip.scale.scale));
+        }
+    }
+}
