@@ -4,6 +4,10 @@
 //! Poses are `a_from_b`: of b in a, metres. Joint vectors are in the model's order, rad. Key points are in the order of
 //! MediaPipe. The table is a plane in the object's frame that also says which way is up.
 
+// Tests within the crate share code with those outside.
+#[cfg(test)]
+extern crate self as drex_retarget;
+
 mod demo;
 mod error;
 mod flags;

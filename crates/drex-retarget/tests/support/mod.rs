@@ -29,11 +29,21 @@ fn numbers(value: &Value) -> Vec<f64> {
     value.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
 }
 
+/// A sequence in the frame of the camera.
 pub fn demonstration(shared: &Path, sequence: &str) -> Demonstration {
+    read(shared, sequence, "keypoints")
+}
+
+/// The same in the operator frames of its hands, with the digits that the reference saw.
+pub fn canonical(shared: &Path, sequence: &str) -> Demonstration {
+    read(shared, sequence, "canonical")
+}
+
+fn read(shared: &Path, sequence: &str, points_key: &str) -> Demonstration {
     let file = json(&shared.join("data/demos").join(sequence).join("hand.json"));
     let frames = file["frames"].as_array().unwrap().iter().map(|f| {
         let mut points = [None; KEYPOINTS];
-        for (point, p) in points.iter_mut().zip(f["keypoints"].as_array().unwrap()) {
+        for (point, p) in points.iter_mut().zip(f[points_key].as_array().unwrap()) {
             *point = Some(Point3::from_slice(&numbers(p)));
         }
         HandFrame::new(f["t"].as_f64().unwrap(), points)

@@ -1,0 +1,314 @@
+//! A stream of frames.
+
+use drex_core::Pose;
+use nalgebra::Point3;
+
+use super::{RetargetOptions, Scale};
+use crate::flags::{Watch, canonical, clean};
+use crate::kinematics::Chains;
+use crate::objective::{
+    FrameProblem, Projection, dexpilot, dexpilot_terms, position, position_terms, tip_target, vector, vector_terms,
+};
+use crate::scale::{BoneLengths, NOMINAL_LENGTH_M, hand_reach_m};
+use crate::solve::{Newton, Problem, State, Unknowns};
+use crate::{
+    FingerResidual, Flag, HandFrame, HumanFinger, KeyPoints, Objective, Result, RetargetError, RetargetedFrame,
+    ScaleReport, TargetHand, operator_frame,
+};
+
+/// Retargets frame by frame.
+#[derive(Debug, Clone)]
+pub struct Retargeter {
+    options: RetargetOptions,
+    hand: TargetHand,
+    fingers: Vec<HumanFinger>,
+    pub(super) problem: FrameProblem,
+    solver: Newton,
+    /// Joints in the middle of their ranges.
+    start: State,
+    hand_reach_m: f64,
+    /// Automatic scale over what the reaches alone give; found on a clip.
+    pub(crate) refinement: f64,
+    lengths: BoneLengths,
+    /// Whether more frames would change the person's length.
+    measured: bool,
+    memory: Memory,
+}
+
+/// What a frame leaves to the next.
+#[derive(Debug, Clone, Default)]
+struct Memory {
+    state: Option<State>,
+    base: Option<Pose>,
+    filtered: Option<Vec<f64>>,
+    projection: Projection,
+    watch: Watch,
+}
+
+/// A stream measures the person in this many frames.
+const MEASURED_FRAMES: usize = 30;
+
+impl Retargeter {
+    /// Prepares `hand`.
+    ///
+    /// # Errors
+    /// If an option makes no sense, the objective needs a whole clip, or the hand has no fingers that joints move, a finger
+    /// twice, or (`dexpilot`) no thumb first.
+    pub fn new(hand: &TargetHand, options: RetargetOptions) -> Result<Self> {
+        options.check()?;
+        let loss = match options.objective {
+            Objective::Vector => vector::LOSS,
+            Objective::DexPilot => dexpilot::LOSS,
+            Objective::Position => position::LOSS,
+            Objective::Grasp => {
+                return Err(RetargetError::value(
+                    "the objective \"grasp\" is no objective of single frames",
+                    "retarget the whole clip with it, or use vector, dexpilot or position",
+                ));
+            }
+        };
+        let fingers: Vec<_> = hand.fingers.iter().map(|f| f.human).collect();
+        check_fingers(&fingers, options.objective)?;
+        let floating = options.objective == Objective::Position;
+        let mut points: Vec<_> = hand.fingers.iter().map(|f| (f.tip.link, f.tip.point)).collect();
+        if floating {
+            points.extend(hand.fingers.iter().map(|f| (f.middle.link, f.middle.point)));
+        }
+        let unknowns = Unknowns::new(&hand.robot, &finger_joints(hand), floating);
+        if unknowns.joints.is_empty() {
+            return Err(RetargetError::value(
+                format!("no joint of robot \"{}\" moves a mapped fingertip", hand.robot.name),
+                "map the links at the ends of the fingers",
+            ));
+        }
+        let start = start(hand, &unknowns);
+        let chains = Chains::new(&hand.robot, &points);
+        let hand_reach_m = hand_reach_m(hand, &chains, &Unknowns { floating: false, ..unknowns.clone() }, &start);
+        let problem = FrameProblem::new(chains, unknowns, loss, options.norm_delta, start.clone());
+        Ok(Self {
+            options,
+            hand: hand.clone(),
+            fingers,
+            problem,
+            solver: Newton::default(),
+            start,
+            hand_reach_m,
+            refinement: 1.0,
+            lengths: BoneLengths::default(),
+            measured: false,
+            memory: Memory::default(),
+        })
+    }
+
+    /// Forgets the frames so far: the next one starts in the middle of the joints' ranges, without filter and pinches. The
+    /// person's size stays.
+    pub fn reset(&mut self) {
+        self.memory = Memory::default();
+    }
+
+    /// The scale that the next frame would use; `None` before the person was measured.
+    pub fn scale(&self) -> Option<ScaleReport> {
+        let person_reach_m = self.lengths.hand_length_m();
+        let (scale, automatic) = match self.options.scale {
+            Scale::Fixed(s) => (s, false),
+            Scale::Auto => (self.refinement * self.hand_reach_m / person_reach_m?, true),
+        };
+        Some(ScaleReport {
+            scale,
+            automatic,
+            person_reach_m: person_reach_m.unwrap_or(0.0),
+            hand_reach_m: self.hand_reach_m,
+        })
+    }
+
+    /// Retargets the next frame, the points of a hand of [`TargetHand::side`].
+    ///
+    /// A frame that is no hand repeats the joint vector before (flag [`Flag::NoHand`], objective NaN).
+    pub fn frame(&mut self, frame: &HandFrame) -> RetargetedFrame {
+        let (points, missing) = clean(&frame.points);
+        if !self.measured {
+            self.lengths.add(&points);
+            self.measured = self.lengths.count() >= MEASURED_FRAMES;
+        }
+        match self.solve(&points, missing) {
+            Ok(solved) => self.finish(frame.t_s, solved),
+            Err(reason) => self.repeat(frame.t_s, missing, reason),
+        }
+    }
+
+    /// The same for `vector` and the automatic scale, with the person's measures.
+    pub(crate) fn probe(&self) -> Result<Self> {
+        let mut probe = Self::new(&self.hand, RetargetOptions::new(Objective::Vector))?;
+        probe.measure(self.lengths.clone());
+        Ok(probe)
+    }
+
+    /// Takes the person's measures instead of measuring the first frames.
+    pub(crate) fn measure(&mut self, lengths: BoneLengths) {
+        self.lengths = lengths;
+        self.measured = true;
+    }
+
+    /// Sets the terms of a frame.
+    pub(super) fn aim(&mut self, points: &KeyPoints) -> Result<Aim, String> {
+        let source_from_operator = operator_frame(points, self.hand.side).map_err(|e| e.to_string())?;
+        let scale = self.scale().ok_or("the length of no finger from wrist to tip is known yet")?.scale;
+        let in_operator = canonical(points, &source_from_operator);
+        // Automatic: a person of nominal size, and the rest of the scale.
+        let to_nominal = match (self.options.scale, self.lengths.hand_length_m()) {
+            (Scale::Auto, Some(length)) => NOMINAL_LENGTH_M / length,
+            _ => 1.0,
+        };
+        let person = in_operator.map(|p| p.map(|p| p * to_nominal));
+        let rest = scale / to_nominal;
+        let base_from_operator = &self.hand.base_from_operator;
+        let terms = &mut self.problem.terms;
+        match self.options.objective {
+            Objective::DexPilot => {
+                let projection = &mut self.memory.projection;
+                dexpilot_terms(terms, projection, &self.fingers, &person, base_from_operator, rest);
+            }
+            Objective::Position => position_terms(terms, &self.fingers, points, scale),
+            _ => vector_terms(terms, &self.fingers, &person, base_from_operator, rest),
+        }
+        if terms.is_empty() {
+            return Err("no fingertip was seen".into());
+        }
+        let target = |finger: &HumanFinger| match self.problem.unknowns.floating {
+            true => Some(points[0]? + (points[finger.tip()]? - points[0]?) * scale),
+            false => Some(Point3::from(tip_target(&person[finger.tip()]?.coords, base_from_operator, rest))),
+        };
+        Ok(Aim {
+            tips: self.fingers.iter().map(target).collect(),
+            source_from_base: source_from_operator * base_from_operator.inverse(),
+            in_operator,
+        })
+    }
+
+    fn solve(&mut self, points: &KeyPoints, missing: usize) -> Result<Solved, String> {
+        let aim = self.aim(points)?;
+        let mut flags = Vec::new();
+        self.memory.watch.look(&aim.in_operator, missing, self.lengths.hand_length_m(), &mut flags);
+        let floating = self.problem.unknowns.floating;
+        let mut state = self.memory.state.take().unwrap_or_else(|| {
+            let base = if floating { aim.source_from_base } else { Pose::identity() };
+            State { base, q: self.start.q.clone() }
+        });
+        self.problem.previous.clone_from(&state);
+        self.solver.minimise(&mut self.problem, &mut state, self.options.iterations);
+        self.problem.value(&state);
+        let residual = |(i, (&finger, target)): (usize, (_, &Option<Point3<f64>>))| FingerResidual {
+            finger,
+            residual_mm: target.map(|t| 1e3 * (self.problem.point(i) - t).norm()),
+        };
+        Ok(Solved {
+            base: if floating { state.base } else { aim.source_from_base },
+            objective: self.problem.objective(),
+            residuals: self.fingers.iter().zip(&aim.tips).enumerate().map(residual).collect(),
+            state,
+            flags,
+        })
+    }
+
+    fn finish(&mut self, t_s: f64, solved: Solved) -> RetargetedFrame {
+        let q = solved.state.q.clone();
+        let alpha = self.options.low_pass_alpha;
+        let mut filtered = self.memory.filtered.take().unwrap_or_else(|| q.clone());
+        for (y, x) in filtered.iter_mut().zip(&q) {
+            *y += alpha * (x - *y);
+        }
+        self.hand.robot.clamp_to_limits(&mut filtered);
+        self.memory.filtered = Some(filtered.clone());
+        self.memory.state = Some(solved.state);
+        self.memory.base = Some(solved.base);
+        RetargetedFrame {
+            t_s,
+            q,
+            q_filtered: filtered,
+            source_from_base: Some(solved.base),
+            objective: solved.objective,
+            fingers: solved.residuals,
+            flags: solved.flags,
+        }
+    }
+
+    /// A frame that is no hand.
+    fn repeat(&mut self, t_s: f64, missing: usize, reason: String) -> RetargetedFrame {
+        let q = self.memory.state.as_ref().map_or_else(|| self.start.q.clone(), |s| s.q.clone());
+        let mut flags = vec![Flag::NoHand { reason }];
+        if missing > 0 {
+            flags.push(Flag::MissingPoints { count: missing });
+        }
+        RetargetedFrame {
+            t_s,
+            q_filtered: self.memory.filtered.clone().unwrap_or_else(|| q.clone()),
+            q,
+            source_from_base: self.memory.base,
+            objective: f64::NAN,
+            fingers: self.fingers.iter().map(|&finger| FingerResidual { finger, residual_mm: None }).collect(),
+            flags,
+        }
+    }
+}
+
+/// Where a frame wants the hand.
+pub(super) struct Aim {
+    /// The fingertips, in the frame of the robot's base, or in the source frame if the base floats.
+    tips: Vec<Option<Point3<f64>>>,
+    /// From the person's wrist.
+    source_from_base: Pose,
+    in_operator: KeyPoints,
+}
+
+/// A solved frame.
+struct Solved {
+    state: State,
+    base: Pose,
+    objective: f64,
+    residuals: Vec<FingerResidual>,
+    flags: Vec<Flag>,
+}
+
+fn check_fingers(fingers: &[HumanFinger], objective: Objective) -> Result<()> {
+    let twice = fingers.iter().enumerate().find(|(i, f)| fingers[..*i].contains(f));
+    if let Some((_, finger)) = twice {
+        return Err(RetargetError::value(
+            format!("two fingers of the robot follow the person's {} finger", finger.name()),
+            "map each of the person's fingers once",
+        ));
+    }
+    if objective == Objective::DexPilot && (fingers.len() < 2 || fingers[0] != HumanFinger::Thumb) {
+        return Err(RetargetError::value(
+            "the objective \"dexpilot\" needs a thumb, mapped first, and another finger",
+            "map a thumb, or use the objective \"vector\"",
+        ));
+    }
+    Ok(())
+}
+
+/// Joints that move some of the fingertips. Those that move all of several (an arm, a wrist) stay where they are: the operator
+/// frame is that of the hand behind them.
+fn finger_joints(hand: &TargetHand) -> Vec<bool> {
+    let robot = &hand.robot;
+    let mut movers = vec![0; robot.dof()];
+    for finger in &hand.fingers {
+        for link in robot.path_to(finger.tip.link) {
+            for &j in &robot.links[link].joints {
+                movers[j] += 1;
+            }
+        }
+    }
+    let fingers = hand.fingers.len();
+    movers.iter().map(|&n| n > 0 && (n < fingers || fingers == 1)).collect()
+}
+
+/// Joints that are solved for in the middle of their bounds, the others at their reference positions.
+fn start(hand: &TargetHand, unknowns: &Unknowns) -> State {
+    let mut q = hand.robot.reference_position();
+    hand.robot.clamp_to_limits(&mut q);
+    for (k, &(lo, hi)) in unknowns.bounds.iter().enumerate() {
+        let middle = 0.5 * (lo + hi);
+        unknowns.set(k, if middle.is_finite() { middle } else { q[unknowns.joints[k]] }, &mut q);
+    }
+    State { base: Pose::identity(), q }
+}
