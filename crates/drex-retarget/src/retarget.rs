@@ -32,6 +32,9 @@ pub struct RetargetOptions {
     pub low_pass_alpha: f64,
     /// Weight of the squared distance to the frame before (rad², m²).
     pub norm_delta: f64,
+    /// Other starts of the thumb, which has local minima: all are tried on the first frame, then one per frame in turn. 0 keeps to
+    /// the minimum that the first frame led to.
+    pub thumb_starts: usize,
     /// Most steps of the solver per frame and start.
     pub iterations: usize,
 }
@@ -44,7 +47,7 @@ impl RetargetOptions {
             Objective::Position => (Scale::Fixed(1.0), 1.0),
             _ => (Scale::Auto, 0.2),
         };
-        Self { objective, scale, low_pass_alpha, norm_delta: 4e-3, iterations: 100 }
+        Self { objective, scale, low_pass_alpha, norm_delta: 4e-3, thumb_starts: 4, iterations: 100 }
     }
 
     fn check(&self) -> Result<()> {

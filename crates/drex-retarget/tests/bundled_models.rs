@@ -1,5 +1,5 @@
 //! The bundled hands and their mappings against the URDF files that the reference reads.
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 mod support;
 

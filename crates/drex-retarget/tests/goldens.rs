@@ -1,5 +1,5 @@
 //! Recorded hands against the joint angles that dex-retargeting 0.5.0 found for them.
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 mod support;
 

@@ -26,6 +26,8 @@ pub struct Retargeter {
     solver: Newton,
     /// Joints in the middle of their ranges.
     start: State,
+    /// Unknowns that move the thumb.
+    thumb: Vec<usize>,
     hand_reach_m: f64,
     /// Automatic scale over what the reaches alone give; found on a clip.
     pub(crate) refinement: f64,
@@ -35,9 +37,14 @@ pub struct Retargeter {
     memory: Memory,
 }
 
+/// Another minimum is taken where its value is below this part of the warm start's: the thumb must not flicker.
+const CLEARLY_BETTER: f64 = 0.999;
+
 /// What a frame leaves to the next.
 #[derive(Debug, Clone, Default)]
 struct Memory {
+    /// Frames so far.
+    solved: usize,
     state: Option<State>,
     base: Option<Pose>,
     filtered: Option<Vec<f64>>,
@@ -84,6 +91,14 @@ impl Retargeter {
         let start = start(hand, &unknowns);
         let chains = Chains::new(&hand.robot, &points);
         let hand_reach_m = hand_reach_m(hand, &chains, &Unknowns { floating: false, ..unknowns.clone() }, &start);
+        let thumb = match hand.fingers.iter().find(|f| f.human == HumanFinger::Thumb) {
+            Some(thumb) => {
+                let path = hand.robot.path_to(thumb.tip.link);
+                let joints = path.iter().flat_map(|&l| &hand.robot.links[l].joints);
+                joints.filter_map(|&j| unknowns.joints.iter().position(|&u| u == j)).collect()
+            }
+            None => Vec::new(),
+        };
         let problem = FrameProblem::new(chains, unknowns, loss, options.norm_delta, start.clone());
         Ok(Self {
             options,
@@ -92,6 +107,7 @@ impl Retargeter {
             problem,
             solver: Newton::default(),
             start,
+            thumb,
             hand_reach_m,
             refinement: 1.0,
             lengths: BoneLengths::default(),
@@ -195,7 +211,20 @@ impl Retargeter {
             State { base, q: self.start.q.clone() }
         });
         self.problem.previous.clone_from(&state);
-        self.solver.minimise(&mut self.problem, &mut state, self.options.iterations);
+        let mut best = self.solver.minimise(&mut self.problem, &mut state, self.options.iterations);
+        let starts = self.options.thumb_starts;
+        // A first frame tries every other start, later ones one after the other.
+        let tried = if self.memory.solved == 0 { 0..starts } else { self.memory.solved..self.memory.solved + 1 };
+        for start in tried.filter(|_| starts > 0) {
+            let mut other = state.clone();
+            self.move_thumb(start % starts, &mut other.q);
+            let value = self.solver.minimise(&mut self.problem, &mut other, self.options.iterations);
+            if value < CLEARLY_BETTER * best {
+                best = value;
+                state = other;
+            }
+        }
+        self.memory.solved += 1;
         self.problem.value(&state);
         let residual = |(i, (&finger, target)): (usize, (_, &Option<Point3<f64>>))| FingerResidual {
             finger,
@@ -208,6 +237,18 @@ impl Retargeter {
             state,
             flags,
         })
+    }
+
+    /// Puts the thumb at start number `start`: first the middle of its joints' ranges, then places spread over them evenly
+    /// (Halton's sequence).
+    fn move_thumb(&self, start: usize, q: &mut [f64]) {
+        for (&k, base) in self.thumb.iter().zip([2, 3, 5, 7].into_iter().cycle()) {
+            let (lo, hi) = self.problem.unknowns.bounds[k];
+            if hi - lo <= f64::from(u16::MAX) {
+                let part = if start == 0 { 0.5 } else { radical_inverse(start + 1, base) };
+                self.problem.unknowns.set(k, lo + part * (hi - lo), q);
+            }
+        }
     }
 
     fn finish(&mut self, t_s: f64, solved: Solved) -> RetargetedFrame {
@@ -311,4 +352,15 @@ fn start(hand: &TargetHand, unknowns: &Unknowns) -> State {
         unknowns.set(k, if middle.is_finite() { middle } else { q[unknowns.joints[k]] }, &mut q);
     }
     State { base: Pose::identity(), q }
+}
+
+/// The digits of `n` in `base`, mirrored at the point.
+fn radical_inverse(mut n: usize, base: usize) -> f64 {
+    let (mut digit, mut value) = (1.0, 0.0);
+    while n > 0 {
+        digit /= base as f64;
+        value += digit * (n % base) as f64;
+        n /= base;
+    }
+    value
 }

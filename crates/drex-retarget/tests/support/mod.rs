@@ -1,5 +1,5 @@
 //! Recorded hands and what the reference made of them, from the shared folder.
-#![allow(clippy::unwrap_used, dead_code)]
+#![allow(clippy::unwrap_used, clippy::print_stdout, dead_code)]
 
 use std::path::{Path, PathBuf};
 
