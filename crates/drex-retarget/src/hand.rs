@@ -158,12 +158,13 @@ impl TargetHand {
         check::couplings(&robot, path, &mut notes)?;
         let mut fingers = derive::fingers(&robot, path, &mapping, &mut notes)?;
         let palm_joints = derive::hold_palm(&mut robot, &mut fingers, &mut notes);
-        let rest = frame::Rest::new(&robot, palm_joints);
-        let bends = frame::Bends::new(&robot, &rest, path, &fingers)?;
-        let fingers = derive::label(&robot, path, &rest, &bends, fingers, &mut notes)?;
-        let base_from_operator = derive::operator(&robot, path, &mapping, &rest, &bends, &fingers, &mut notes)?;
-        let side = check::side(&robot, path, &mapping, &rest, &base_from_operator, &fingers, &mut notes)?;
-        let hand = Self { robot, side, base_from_operator, fingers, notes };
-        check::hand(hand, path, &mapping, &rest, &bends)
+        let rest = frame::Rest::new(&robot, path, &mapping, palm_joints);
+        check::tips(&rest, &fingers)?;
+        let bends = frame::Bends::new(&rest, &fingers)?;
+        let fingers = derive::label(&rest, &bends, fingers, &mut notes)?;
+        let base_from_operator = derive::operator(&rest, &bends, &fingers, &mut notes)?;
+        check::frame(&rest, &bends, &base_from_operator, &fingers, &mut notes)?;
+        let side = check::side(&rest, &base_from_operator, &fingers, &mut notes)?;
+        Ok(Self { robot, side, base_from_operator, fingers, notes })
     }
 }

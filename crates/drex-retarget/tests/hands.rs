@@ -1,11 +1,13 @@
 //! Any hand: what is derived from a model, what a mapping file may say, and what is refused.
 #![allow(clippy::unwrap_used, missing_docs, reason = "a test that fails by panic is what tests are")]
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use drex_core::Pose;
 use drex_retarget::{HumanFinger, Side, TargetHand};
-use nalgebra::{Point3, Vector3};
+use drex_robot::Robot;
+use nalgebra::{Isometry3, Point3, Vector3};
+use proptest::prelude::*;
 
 fn shared() -> Option<PathBuf> {
     let folder = std::env::var_os("DREX_SHARED").map(|f| PathBuf::from(f).join("data/robots"));
@@ -15,37 +17,398 @@ fn shared() -> Option<PathBuf> {
     folder
 }
 
-#[test]
-fn probe() {
-    let Some(shared) = shared() else { return };
-    for (file, reference) in [
-        ("leap_hand/urdf/leap_hand_right.urdf", "leap_right"),
-        ("leap_hand/mjcf/right_hand_collision.xml", "leap_right"),
-        ("leap_hand/urdf/leap_hand_left.urdf", "leap_left"),
-        ("allegro_hand/urdf/allegro_hand_right.urdf", "allegro_right"),
-        ("allegro_hand/urdf/allegro_hand_left.urdf", "allegro_left"),
-        ("allegro_hand/mjcf/right_hand.xml", "allegro_right"),
-        ("allegro_hand/mjcf/left_hand.xml", "allegro_left"),
-    ] {
-        let hand = TargetHand::load(&shared.join(file), None).unwrap();
-        println!("== {file} {:?}", hand.side);
-        for n in &hand.notes {
-            println!("   {n}");
-        }
-        let bundled = TargetHand::bundled(reference).unwrap();
-        let poses = |h: &TargetHand| {
-            let p = h.robot.forward_kinematics(&vec![0.0; h.robot.dof()], &Pose::identity());
-            h.fingers
-                .iter()
-                .map(|f| {
-                    let to = h.base_from_operator.inverse();
-                    let palm = p[h.robot.palm_link().unwrap()];
-                    (f.human, to * p[f.tip.link] * f.tip.point, to * p[f.middle.link] * f.middle.point, palm)
-                })
-                .collect::<Vec<_>>()
-        };
-        for (a, b) in poses(&hand).iter().zip(&poses(&bundled)) {
-            println!("{:?} tip {:.4} mid {:.4}   {:.4?} {:.4?}", a.0, (a.1 - b.1).norm(), (a.2 - b.2).norm(), a.1, b.1);
+/// Tips and middle points of the fingers in the operator frame at joint vector `q`.
+fn points(hand: &TargetHand, q: &[f64]) -> Vec<(HumanFinger, Point3<f64>, Point3<f64>)> {
+    let poses = hand.robot.forward_kinematics(q, &Pose::identity());
+    let to = hand.base_from_operator.inverse();
+    let at = |p: &drex_retarget::LinkPoint| to * (poses[p.link] * p.point);
+    hand.fingers.iter().map(|f| (f.human, at(&f.tip), at(&f.middle))).collect()
+}
+
+fn zero(hand: &TargetHand) -> Vec<f64> {
+    let mut q = vec![0.0; hand.robot.dof()];
+    hand.robot.clamp_to_limits(&mut q);
+    q
+}
+
+/// A person-like hand as URDF text, its operator frame where `base_from_operator` says.
+struct Synthetic {
+    side: f64,
+    base_from_operator: Pose,
+    /// Names of thumb, index, middle, ring, little.
+    names: [&'static str; 5],
+    /// Joints turn about the other way, with limits turned around.
+    reversed: bool,
+    wrist_link: bool,
+    arm: bool,
+    coupled: bool,
+}
+
+impl Default for Synthetic {
+    fn default() -> Self {
+        Self {
+            side: 1.0,
+            base_from_operator: Pose::identity(),
+            names: ["thumb", "index", "middle", "ring", "pinky"],
+            reversed: false,
+            wrist_link: false,
+            arm: false,
+            coupled: true,
         }
     }
+}
+
+/// Lengths of the phalanges, m.
+const BONES: [f64; 3] = [0.045, 0.027, 0.022];
+
+impl Synthetic {
+    fn urdf(&self) -> String {
+        let t = self.base_from_operator.translation;
+        let (r, p, y) = self.base_from_operator.rotation.euler_angles();
+        let origin = format!("<origin xyz=\"{} {} {}\" rpy=\"{r} {p} {y}\"/>", t.x, t.y, t.z);
+        let mount = match self.arm {
+            true => {
+                "type=\"revolute\"><axis xyz=\"0 0 1\"/><limit lower=\"0.3\" upper=\"2\" effort=\"1\" velocity=\"1\"/>"
+            }
+            false => "type=\"fixed\">",
+        };
+        let mut text = format!(
+            "<robot name=\"synthetic\"><link name=\"mount\"/><link name=\"palm\"><collision><origin xyz=\"0 0 0.045\"/>\
+             <geometry><box size=\"0.03 0.08 0.09\"/></geometry></collision></link>\
+             <joint name=\"mounting\" {mount}<parent link=\"mount\"/><child link=\"palm\"/>{origin}</joint>"
+        );
+        if self.wrist_link {
+            text += "<link name=\"hand_wrist\"/><joint name=\"w\" type=\"fixed\"><parent link=\"palm\"/><child link=\"hand_wrist\"/></joint>";
+        }
+        for (i, name) in self.names.iter().enumerate() {
+            let across = self.side * (0.03 - 0.02 * (i as f64 - 1.0));
+            let place = match i {
+                0 => format!("xyz=\"0.01 {} 0.03\" rpy=\"{} 0 0\"", 0.04 * self.side, -0.9 * self.side),
+                _ => format!("xyz=\"0 {across} 0.09\""),
+            };
+            let limits = |lo: f64, hi: f64| match self.reversed {
+                true => format!("<limit lower=\"{}\" upper=\"{}\" effort=\"1\" velocity=\"1\"/>", -hi, -lo),
+                false => format!("<limit lower=\"{lo}\" upper=\"{hi}\" effort=\"1\" velocity=\"1\"/>"),
+            };
+            let sign = if self.reversed { -1 } else { 1 };
+            let mut joint = |k: usize, parent: &str, place: &str, axis: &str, rest: &str| {
+                text += &format!(
+                    "<link name=\"{name}_{k}\"/><joint name=\"{name}_j{k}\" type=\"revolute\"><parent link=\"{parent}\"/>\
+                     <child link=\"{name}_{k}\"/><origin {place}/><axis xyz=\"{axis}\"/>{rest}</joint>"
+                );
+            };
+            let flex = format!("0 {sign} 0");
+            joint(0, "palm", &place, &format!("{sign} 0 0"), &limits(-0.3, 0.3));
+            joint(1, &format!("{name}_0"), "xyz=\"0 0 0\"", &flex, &limits(-0.2, 1.5));
+            joint(2, &format!("{name}_1"), &format!("xyz=\"0 0 {}\"", BONES[0]), &flex, &limits(0.0, 1.6));
+            let mimic = format!("<mimic joint=\"{name}_j2\" multiplier=\"0.7\" offset=\"0\"/>");
+            let coupling = if self.coupled { mimic.as_str() } else { "" };
+            joint(3, &format!("{name}_2"), &format!("xyz=\"0 0 {}\"", BONES[1]), &flex, &(limits(0.0, 1.2) + coupling));
+            text += &format!(
+                "<link name=\"{name}_end\"/><joint name=\"{name}_tip\" type=\"fixed\"><parent link=\"{name}_3\"/>\
+                 <child link=\"{name}_end\"/><origin xyz=\"0 0 {}\"/></joint>",
+                BONES[2]
+            );
+        }
+        text + "</robot>"
+    }
+
+    /// The file, under a name of its own.
+    fn file(&self, name: &str) -> PathBuf {
+        let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("hands_{name}.urdf"));
+        std::fs::write(&path, self.urdf()).unwrap();
+        path
+    }
+}
+
+#[test]
+fn bundled_hands_derive_to_their_mappings() {
+    for name in ["leap_right", "allegro_right", "leap_left", "allegro_left"] {
+        let mapped = TargetHand::bundled(name).unwrap();
+        let derived = TargetHand::derive(Robot::bundled(name).unwrap()).unwrap();
+        assert_eq!(mapped.side, if name.ends_with("right") { Side::Right } else { Side::Left });
+        assert_eq!((derived.side, derived.fingers.len()), (mapped.side, 4));
+        for ((a, tip, middle), (b, mapped_tip, mapped_middle)) in
+            points(&derived, &zero(&derived)).iter().zip(&points(&mapped, &zero(&mapped)))
+        {
+            assert_eq!(a, b);
+            assert!((tip - mapped_tip).norm() < 1e-3 && (middle - mapped_middle).norm() < 1e-3, "{name} {a:?}");
+        }
+        assert!(derived.base_from_operator.rotation.angle_to(&mapped.base_from_operator.rotation) < 0.01, "{name}");
+        assert_eq!(mapped.finger(HumanFinger::Thumb).unwrap().joints.len(), 4);
+    }
+    assert_eq!(TargetHand::resolve("leap").unwrap().robot.name, TargetHand::bundled("leap_right").unwrap().robot.name);
+    assert!(TargetHand::resolve("shadow").unwrap_err().to_string().contains("leap_left"));
+    assert!(TargetHand::resolve("/nowhere/hand.urdf").unwrap_err().to_string().contains("/nowhere/hand.urdf"));
+}
+
+/// The reference takes LEAP's link `base` and Allegro's link `wrist` as its operator frame.
+#[test]
+fn vendors_models_derive_to_the_frame_of_the_reference() {
+    let Some(shared) = shared() else { return };
+    for (file, bundled, frame, tips) in [
+        (
+            "leap_hand/urdf/leap_hand_right.urdf",
+            "leap_right",
+            Some("base"),
+            ["thumb", "index", "middle", "ring"].map(|f| format!("{f}_tip_head")),
+        ),
+        (
+            "leap_hand/urdf/leap_hand_left.urdf",
+            "leap_left",
+            Some("base"),
+            ["thumb", "index", "middle", "ring"].map(|f| format!("{f}_tip_head")),
+        ),
+        (
+            "allegro_hand/urdf/allegro_hand_right.urdf",
+            "allegro_right",
+            Some("wrist"),
+            [15, 3, 7, 11].map(|n| format!("link_{n}.0_tip")),
+        ),
+        (
+            "allegro_hand/urdf/allegro_hand_left.urdf",
+            "allegro_left",
+            Some("wrist"),
+            [15, 11, 7, 3].map(|n| format!("link_{n}.0_tip")),
+        ),
+        (
+            "leap_hand/mjcf/right_hand_collision.xml",
+            "leap_right",
+            None,
+            ["th", "if", "mf", "rf"].map(|f| format!("{f}_ds")),
+        ),
+        (
+            "allegro_hand/mjcf/right_hand.xml",
+            "allegro_right",
+            None,
+            ["th", "ff", "mf", "rf"].map(|f| format!("{f}_tip")),
+        ),
+        ("allegro_hand/mjcf/left_hand.xml", "allegro_left", None, ["th", "ff", "mf", "rf"].map(|f| format!("{f}_tip"))),
+    ] {
+        let hand = TargetHand::load(&shared.join(file), None).unwrap();
+        let reference = TargetHand::bundled(bundled).unwrap();
+        assert_eq!(hand.side, reference.side, "{file}");
+        let found: Vec<&str> = hand.fingers.iter().map(|f| hand.robot.links[f.tip.link].name.as_str()).collect();
+        assert_eq!(found, tips, "{file}");
+        if let Some(frame) = frame {
+            let poses = hand.robot.forward_kinematics(&zero(&hand), &Pose::identity());
+            let expected = poses[hand.robot.require_link(frame).unwrap()];
+            assert!(hand.base_from_operator.rotation.angle_to(&expected.rotation) < 0.5_f64.to_radians(), "{file}");
+            assert!((hand.base_from_operator.translation.vector - expected.translation.vector).norm() < 1e-9, "{file}");
+        }
+        // LEAP's left model has a base elsewhere, and fingers that are not mirrored; the thumb of Allegro's left URDF is 10 mm
+        // aside of the one of its MJCF, which is the mirror image.
+        let tolerance = if file.ends_with("left.urdf") { 0.013 } else { 0.003 };
+        for ((human, tip, _), (_, expected, _)) in
+            points(&hand, &zero(&hand)).iter().zip(&points(&reference, &zero(&reference)))
+        {
+            let apart = (tip - expected).norm();
+            assert!(apart < tolerance, "{file}: {human:?} {apart}");
+            println!("{file} {human:?}: {:.2} mm", apart * 1e3);
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+    #[test]
+    fn a_hand_in_any_frame_and_with_any_names(
+        turn in prop::array::uniform3(-3.0..3.0f64),
+        shift in prop::array::uniform3(-0.2..0.2f64),
+        which in 0..4usize,
+        flags in prop::array::uniform5(any::<bool>()),
+    ) {
+        let names = [
+            ["thumb", "index", "middle", "ring", "pinky"],
+            ["0", "1", "2", "3", "4"],
+            ["rh_THJ", "rh_FFJ", "rh_MFJ", "rh_RFJ", "rh_LFJ"],
+            ["Thumb", "b", "c", "d", "e"],
+        ][which];
+        let [left, reversed, wrist_link, arm, coupled] = flags;
+        let side = if left { -1.0 } else { 1.0 };
+        let base_from_operator = Isometry3::new(Vector3::from(shift), Vector3::from(turn));
+        let synthetic = Synthetic { side, base_from_operator, names, reversed, wrist_link, arm, coupled };
+        let hand = TargetHand::load(&synthetic.file(&format!("any_{which}")), None).unwrap();
+        prop_assert_eq!(hand.side, if left { Side::Left } else { Side::Right });
+        let tips: Vec<String> = hand.fingers.iter().map(|f| hand.robot.links[f.tip.link].name.clone()).collect();
+        prop_assert_eq!(tips, names.map(|n| format!("{n}_end")));
+        prop_assert_eq!(hand.fingers.iter().map(|f| f.human).collect::<Vec<_>>(), HumanFinger::ALL);
+        // The arm's joint stands at the end of its range that is nearest to zero.
+        let held = Isometry3::rotation(Vector3::z() * if arm { 0.3 } else { 0.0 });
+        let expected = base_from_operator * held;
+        prop_assert!(hand.base_from_operator.rotation.angle_to(&expected.rotation) < 1e-6);
+        prop_assert!((hand.base_from_operator.translation.vector - expected.translation.vector).norm() < 1e-6, "{:?}", hand.notes);
+        for (human, tip, middle) in points(&hand, &zero(&hand)).iter().skip(1) {
+            let k = *human as usize as f64 - 1.0;
+            let knuckle = Point3::new(0.0, side * (0.03 - 0.02 * k), 0.09);
+            prop_assert!((tip - (knuckle + Vector3::z() * BONES.iter().sum::<f64>())).norm() < 1e-6);
+            prop_assert!((middle - (knuckle + Vector3::z() * BONES[0])).norm() < 1e-6);
+        }
+        let closed = hand.robot.joints.iter().filter(|j| j.limits.is_some_and(|(lo, hi)| lo == hi)).count();
+        prop_assert_eq!(closed, usize::from(arm));
+        prop_assert_eq!(hand.notes.iter().any(|n| n.contains("follows")), coupled);
+    }
+
+    #[test]
+    fn mirrored_hands_move_as_mirror_images(parts in prop::collection::vec(0.0..1.0f64, 16), which in 0..2usize) {
+        let right = TargetHand::bundled(["leap_right", "allegro_right"][which]).unwrap();
+        let left = TargetHand::bundled(["leap_left", "allegro_left"][which]).unwrap();
+        let limits = right.robot.joints.iter().map(|j| j.limits.unwrap());
+        let q: Vec<f64> = limits.zip(&parts).map(|((lo, hi), s)| lo + s * (hi - lo)).collect();
+        for ((a, tip, middle), (b, left_tip, left_middle)) in points(&right, &q).iter().zip(&points(&left, &q)) {
+            prop_assert_eq!(a, b);
+            prop_assert!((Point3::new(tip.x, -tip.y, tip.z) - left_tip).norm() < 1e-15);
+            prop_assert!((Point3::new(middle.x, -middle.y, middle.z) - left_middle).norm() < 1e-15);
+        }
+        let twice = left.mirrored();
+        prop_assert_eq!(twice.robot, right.robot.clone());
+        prop_assert_eq!((twice.fingers, twice.side), (right.fingers.clone(), right.side));
+        prop_assert_eq!(twice.base_from_operator, right.base_from_operator);
+        prop_assert_eq!(right.clone().for_side(Side::Right).base_from_operator, right.base_from_operator);
+        prop_assert_eq!(right.for_side(Side::Left).base_from_operator, left.base_from_operator);
+    }
+}
+
+/// A right mapping of the synthetic hand, as text; `change` is (what, instead).
+fn mapping(change: &[(&str, &str)]) -> String {
+    let mut text = r#"side = "right"
+[wrist]
+link = "palm"
+palm = [1, 0, 0]
+tips = [0, 0, 1]
+[fingers.thumb]
+tip = { link = "thumb_end" }
+[fingers.index]
+tip = { link = "index_end" }
+[fingers.middle]
+tip = { link = "middle_end" }
+middle = { link = "middle_2" }
+"#
+    .to_owned();
+    for (what, instead) in change {
+        assert!(text.contains(what), "{what}");
+        text = text.replace(what, instead);
+    }
+    text
+}
+
+#[test]
+fn a_mapping_that_does_not_fit_is_refused_with_the_remedy() {
+    let file = Synthetic::default().file("mapping");
+    let with = |text: &str| TargetHand::with_mapping(Robot::load(&file).unwrap(), Path::new("hand.toml"), text);
+    let hand = with(&mapping(&[])).unwrap();
+    assert_eq!(hand.fingers.len(), 3);
+    assert!((hand.base_from_operator.translation.vector).norm() < 1e-12);
+    for (what, instead, expected) in [
+        ("thumb_end", "thumb_ennd", &["[fingers.thumb] tip", "did you mean \"thumb_end\"", "index_2"][..]),
+        ("\"palm\"", "\"plam\"", &["[wrist] link", "did you mean \"palm\""]),
+        ("\"palm\"", "\"index_2\"", &["[wrist] link", "does not move with the palm"]),
+        ("\"right\"", "\"left\"", &["side", "right hand has it", "side = \"right\""]),
+        ("\"right\"", "\"both\"", &["hand.toml", "both"]),
+        ("[1, 0, 0]", "[-1, 0, 0]", &["out of the back of the hand", "palm = [1, 0, 0]"]),
+        ("[1, 0, 0]", "[0, 1, 0]", &["points aside", "curl the wrong way", "palm = [1, 0, 0]"]),
+        ("[0, 0, 1]", "[0, 1, 0]", &["[wrist] tips", "90 degrees", "tips = [0, 0, 1]"]),
+        ("[0, 0, 1]", "[1, 0, 0]", &["parallel"]),
+        ("[0, 0, 1]", "[0, 0, 0]", &["zero"]),
+        ("tips = [0, 0, 1]", "", &["one of palm and tips is missing"]),
+        ("link = \"palm\"", "", &["add link"]),
+        ("link = \"palm\"", "link = \"palm\"\npoint_m = [0, 0, 0.3]", &["behind the wrist"]),
+        ("link = \"palm\"", "lnk = \"palm\"", &["lnk", "line 3"]),
+        ("\"index_end\"", "\"palm\"", &["[fingers.index] tip", "no joint moves link \"palm\""]),
+        (
+            "\"index_end\"",
+            "\"index_2\"",
+            &["[fingers.index] tip", "\"index_j3\" moves links beyond it", "use \"index_end\""],
+        ),
+        (
+            "\"index_end\"",
+            "\"index_3\"",
+            &["the last joint, \"index_j3\"", "use link = \"index_end\", point_m = [0.0000"],
+        ),
+        ("\"index_end\"", "\"middle_end\"", &["[fingers.middle] tip", "index has its tip there"]),
+        ("\"middle_2\"", "\"index_2\"", &["[fingers.middle] middle", "belongs to another finger"]),
+        ("fingers.thumb", "fingers.ring", &["thumb", "[fingers.thumb]"]),
+        ("fingers.thumb", "fingers.pollex", &["pollex"]),
+    ] {
+        let message = with(&mapping(&[(what, instead)])).unwrap_err().to_string();
+        for part in expected {
+            assert!(message.contains(part), "{what} -> {instead}: {message}");
+        }
+        assert!(message.contains("hand.toml"), "{message}");
+    }
+    let swapped = mapping(&[
+        ("\"index_end\"", "\"x\""),
+        ("\"middle_end\"", "\"index_end\""),
+        ("\"x\"", "\"middle_end\""),
+        ("middle = { link = \"middle_2\" }", ""),
+    ]);
+    let message = with(&swapped).unwrap_err().to_string();
+    assert!(message.contains("farther from the thumb"), "{message}");
+    // Only a palm is given; everything else follows from the model.
+    let little = with("[wrist]\nlink = \"palm\"\npoint_m = [0.0, 0.0, -0.01]\n").unwrap();
+    assert_eq!(little.fingers.len(), 5);
+    assert!((little.base_from_operator.translation.vector - Vector3::new(0.0, 0.0, -0.01)).norm() < 1e-12);
+    // Twenty degrees off is used, with a remark.
+    let tilted = with(&mapping(&[("[1, 0, 0]", "[0.9, 0.45, 0]")])).unwrap();
+    assert!(tilted.notes.iter().any(|n| n.contains("27 degrees away from x")), "{:?}", tilted.notes);
+}
+
+#[test]
+fn a_mapping_file_may_name_its_model() {
+    let model = Synthetic::default().file("named");
+    let path = model.with_extension("toml");
+    let name = model.file_name().unwrap().to_str().unwrap();
+    std::fs::write(&path, format!("model = \"{name}\"\n{}", mapping(&[]))).unwrap();
+    assert_eq!(TargetHand::load(&path, None).unwrap().fingers.len(), 3);
+    assert_eq!(TargetHand::resolve(path.to_str().unwrap()).unwrap().fingers.len(), 3);
+    assert_eq!(TargetHand::load(&model, Some(&path)).unwrap().fingers.len(), 3);
+    std::fs::write(&path, mapping(&[])).unwrap();
+    assert!(TargetHand::load(&path, None).unwrap_err().to_string().contains("add model = "));
+    std::fs::write(&path, "model = \"leap_right\"\n").unwrap();
+    assert_eq!(TargetHand::load(&path, None).unwrap().robot.name, TargetHand::bundled("leap").unwrap().robot.name);
+}
+
+#[test]
+fn joints_that_follow_each_other_in_a_ring_are_refused() {
+    let text = Synthetic::default().urdf().replace("<mimic joint=\"index_j2\"", "<mimic joint=\"index_j3\"");
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("hands_ring.urdf");
+    std::fs::write(&path, text).unwrap();
+    let message = TargetHand::load(&path, None).unwrap_err().to_string();
+    assert!(message.contains("\"index_j3\""), "{message}");
+}
+
+#[test]
+fn grippers_and_arms_are_no_hands_but_can_be_mapped() {
+    let Some(shared) = shared() else { return };
+    let panda = shared.join("panda/urdf/panda_collision.urdf");
+    let message = TargetHand::load(&panda, None).unwrap_err().to_string();
+    assert!(message.contains("thumb") && message.contains("mapping file"), "{message}");
+    let text = r#"
+side = "right"
+[wrist]
+link = "panda_hand"
+point_m = [0, 0, -0.03]
+palm = [1, 0, 0]
+tips = [0, 0, 1]
+[fingers.thumb]
+tip = { link = "panda_leftfinger", point_m = [0, 0, 0.045] }
+[fingers.index]
+tip = { link = "panda_rightfinger", point_m = [0, 0, 0.045] }
+"#;
+    let with = |text: &str| TargetHand::with_mapping(Robot::load(&panda).unwrap(), Path::new("panda.toml"), text);
+    let hand = with(text).unwrap();
+    assert_eq!((hand.side, hand.fingers.len()), (Side::Right, 2));
+    assert!(hand.notes.iter().any(|n| n.contains("panda_joint7") && n.contains("held")), "{:?}", hand.notes);
+    assert!(hand.notes.iter().any(|n| n.contains("panda_finger_joint2") && n.contains("follows")));
+    // The open gripper: thumb and index finger 8 cm apart, thumb on its side.
+    let mut q = hand.robot.reference_position();
+    hand.fingers.iter().flat_map(|f| &f.joints).for_each(|&j| q[j] = 0.04);
+    hand.robot.clamp_to_limits(&mut q);
+    let tips = points(&hand, &q);
+    assert!((tips[0].1 - tips[1].1 - Vector3::new(0.0, 0.08, 0.0)).norm() < 1e-9, "{tips:?}");
+    // Without the palm nothing says which way it faces.
+    let message = with(&text.replace("palm = [1, 0, 0]", "").replace("tips = [0, 0, 1]", "")).unwrap_err().to_string();
+    assert!(message.contains("has no palm") && message.contains("wrist.link"), "{message}");
+    let message = with(&text.replace("point_m = [0, 0, 0.045]", "point_m = [0, 0, 0]")).unwrap_err().to_string();
+    assert!(message.contains("the last joint, \"panda_finger_joint1\""), "{message}");
 }

@@ -7,7 +7,7 @@ use drex_robot::{Robot, Shape};
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::frame::{Bends, Rest, joints_to, mean};
-use super::mapping::{Mapping, find_link};
+use super::mapping::Mapping;
 use super::{LinkPoint, TargetFinger, TargetHand, names};
 use crate::{HumanFinger, Result, RetargetError};
 
@@ -25,7 +25,7 @@ pub(super) struct Found {
     pub(super) human: Option<HumanFinger>,
     pub(super) thumb: bool,
     pub(super) tip: LinkPoint,
-    middle: Option<LinkPoint>,
+    pub(super) middle: Option<LinkPoint>,
     /// Joints between palm and tip.
     pub(super) joints: Vec<usize>,
 }
@@ -110,36 +110,28 @@ pub(super) fn hold_palm(robot: &mut Robot, fingers: &mut [Found], notes: &mut Ve
 
 /// Gives every finger its person's finger: by name if the names tell all of them apart, else by the order along the palm.
 pub(super) fn label(
-    robot: &Robot,
-    path: &Path,
-    rest: &Rest,
+    rest: &Rest<'_>,
     bends: &Bends,
     mut fingers: Vec<Found>,
     notes: &mut Vec<String>,
 ) -> Result<Vec<TargetFinger>> {
     fingers.sort_by_key(|f| !f.thumb);
     fingers[0].human = Some(HumanFinger::Thumb);
-    if let Some(f) = fingers.iter().find(|f| f.joints.is_empty()) {
-        let link = &robot.links[f.tip.link].name;
-        return Err(RetargetError::mapping(
-            path,
-            f.human.map_or_else(|| "fingers".to_owned(), |h| format!("[fingers.{}]", h.name())),
-            format!("no joint moves link \"{link}\" against the palm"),
-            "name the last link of the finger as its tip",
-        ));
-    }
     let told_apart =
         (0..fingers.len()).all(|i| fingers[i].human.is_some() && (0..i).all(|k| fingers[i].human != fingers[k].human));
     if !told_apart {
-        by_order(robot, path, rest, bends, &mut fingers)?;
-        let names = fingers.iter().filter_map(|f| Some((f.human?.name(), &robot.links[f.tip.link].name)));
+        by_order(rest, bends, &mut fingers)?;
+    }
+    if rest.mapping.fingers.is_empty() {
+        let how = if told_apart { "names" } else { "order along the palm" };
+        let names = fingers.iter().filter_map(|f| Some((f.human?.name(), &rest.robot.links[f.tip.link].name)));
         let names: Vec<String> = names.map(|(human, tip)| format!("{human} ends in \"{tip}\"")).collect();
-        notes.push(format!("fingers by their order along the palm: {}", names.join(", ")));
+        notes.push(format!("fingers by their {how}: {}", names.join(", ")));
     }
     let mut fingers: Vec<TargetFinger> = fingers
         .into_iter()
         .filter_map(|f| {
-            let middle = f.middle.unwrap_or_else(|| middle_point(robot, rest, &f));
+            let middle = f.middle.unwrap_or_else(|| middle_point(rest, &f));
             Some(TargetFinger { human: f.human?, tip: f.tip, middle, joints: f.joints })
         })
         .collect();
@@ -148,10 +140,8 @@ pub(super) fn label(
 }
 
 /// Index, middle, ring and little finger by their order along the palm, from the thumb on. The thumb is first in `fingers`.
-fn by_order(robot: &Robot, path: &Path, rest: &Rest, bends: &Bends, fingers: &mut [Found]) -> Result<()> {
-    let fail = |what: String| {
-        Err(RetargetError::mapping(path, "fingers", what, "write a mapping file that names the tip of each finger"))
-    };
+fn by_order(rest: &Rest<'_>, bends: &Bends, fingers: &mut [Found]) -> Result<()> {
+    let fail = |what: String| rest.fail("fingers", what, "write a mapping file that names the tip of each finger");
     let Some(across) = bends.across() else {
         return fail("names do not tell the fingers apart, and they do not bend to one side".to_owned());
     };
@@ -159,7 +149,7 @@ fn by_order(robot: &Robot, path: &Path, rest: &Rest, bends: &Bends, fingers: &mu
     if others.len() > 4 {
         return fail(format!("{} fingers beside the thumb", others.len()));
     }
-    let aside = |f: &Found| across.dot(&rest.middle_of(robot, &f.joints, &f.tip));
+    let aside = |f: &Found| across.dot(&rest.middle_of(&f.joints, &f.tip));
     let middle = others.iter().map(&aside).sum::<f64>() / others.len() as f64;
     let side = (aside(thumb) - middle).signum();
     others.sort_by(|a, b| (side * aside(b)).total_cmp(&(side * aside(a))));
@@ -171,12 +161,12 @@ fn by_order(robot: &Robot, path: &Path, rest: &Rest, bends: &Bends, fingers: &mu
 
 /// Where a finger's joint is that follows the person's [`HumanFinger::middle`]: the last but one, of two the last, of one half
 /// way to the tip.
-fn middle_point(robot: &Robot, rest: &Rest, finger: &Found) -> LinkPoint {
-    let at = |j: usize| LinkPoint { link: robot.joints[j].link, point: robot.joints[j].anchor };
+fn middle_point(rest: &Rest<'_>, finger: &Found) -> LinkPoint {
+    let at = |j: usize| LinkPoint { link: rest.robot.joints[j].link, point: rest.robot.joints[j].anchor };
     match finger.joints[..] {
         [.., middle, last] => at(if finger.joints.len() == 2 { last } else { middle }),
         [only] => {
-            let half = nalgebra::center(&rest.joint(robot, only), &rest.at(&finger.tip));
+            let half = nalgebra::center(&rest.joint(only), &rest.at(&finger.tip));
             let link = finger.tip.link;
             LinkPoint { link, point: rest.poses[link].inverse() * half }
         }
@@ -186,25 +176,21 @@ fn middle_point(robot: &Robot, rest: &Rest, finger: &Found) -> LinkPoint {
 
 /// The operator frame in the frame of the base.
 pub(super) fn operator(
-    robot: &Robot,
-    path: &Path,
-    mapping: &Mapping,
-    rest: &Rest,
+    rest: &Rest<'_>,
     bends: &Bends,
     fingers: &[TargetFinger],
     notes: &mut Vec<String>,
 ) -> Result<Pose> {
-    let wrist = &mapping.wrist;
-    let link = wrist.link.as_ref().map(|name| find_link(robot, path, "[wrist] link", name)).transpose()?;
+    let (robot, wrist) = (rest.robot, &rest.mapping.wrist);
+    let link = wrist.link.as_ref().map(|name| rest.find_link("[wrist] link", name)).transpose()?;
     if let Some(link) = link
-        && !rest.on_palm(robot, link)
+        && !rest.on_palm(link)
     {
-        return Err(RetargetError::mapping(
-            path,
+        return rest.fail(
             "[wrist] link",
             format!("link \"{}\" does not move with the palm", robot.links[link].name),
             "use the palm's link or one that is fixed to it",
-        ));
+        );
     }
     let (palm, tips) = match (link, wrist.palm, wrist.tips) {
         (Some(link), Some(palm), Some(tips)) => {
@@ -212,12 +198,11 @@ pub(super) fn operator(
         }
         _ => {
             let Some(palm) = bends.palm else {
-                return Err(RetargetError::mapping(
-                    path,
+                return rest.fail(
                     "[wrist]",
                     format!("the fingers of robot \"{}\" do not bend to one side, so that it has no palm", robot.name),
                     "give wrist.link, and in its frame palm (out of the palm) and tips (to the fingertips)",
-                ));
+                );
             };
             notes.push(format!(
                 "out of the palm is {}, to the fingertips {} in the frame of the base, from how the fingers bend",
@@ -228,17 +213,16 @@ pub(super) fn operator(
         }
     };
     let (Some(tips), Some(y)) = (tips.try_normalize(1e-9), tips.cross(&palm).try_normalize(1e-9)) else {
-        return Err(RetargetError::mapping(
-            path,
+        return rest.fail(
             "[wrist] palm, tips",
             "the two directions are parallel or zero",
             "give two directions at right angles",
-        ));
+        );
     };
     let x = y.cross(&tips);
     let origin = match link {
         Some(link) => rest.poses[link] * Point3::from(wrist.point_m.unwrap_or_default()),
-        None => wrist_point(robot, rest, &x, &tips, fingers, notes),
+        None => wrist_point(rest, &x, &tips, fingers, notes),
     };
     let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, y, tips]));
     let rotation = UnitQuaternion::from_rotation_matrix(&rotation);
@@ -248,15 +232,14 @@ pub(super) fn operator(
 /// A link called wrist or base, if it is where a wrist would be; else the wrist of the bundled hand with the same joints; else a
 /// point behind the fingers where the palm ends.
 fn wrist_point(
-    robot: &Robot,
-    rest: &Rest,
+    rest: &Rest<'_>,
     x: &Vector3<f64>,
     z: &Vector3<f64>,
     fingers: &[TargetFinger],
     notes: &mut Vec<String>,
 ) -> Point3<f64> {
     let others = || fingers.iter().filter(|f| f.human != HumanFinger::Thumb);
-    let knuckles = mean(others().map(|f| rest.joint(robot, f.joints[0]).coords));
+    let knuckles = mean(others().map(|f| rest.joint(f.joints[0]).coords));
     let ends = mean(others().map(|f| rest.at(&f.tip).coords));
     let length = z.dot(&(ends - knuckles));
     let fits = |p: &Vector3<f64>| {
@@ -264,7 +247,8 @@ fn wrist_point(
         let behind = z.dot(&off);
         WRIST_BEHIND.contains(&(behind / length)) && (off - z * behind).norm() < PALM_PER_FINGER * length
     };
-    let palm_links = || (0..robot.links.len()).filter(|&l| rest.on_palm(robot, l));
+    let robot = rest.robot;
+    let palm_links = || (0..robot.links.len()).filter(|&l| rest.on_palm(l));
     for word in ["wrist", "base"] {
         let mut called = palm_links().filter(|&l| names::has_word(&robot.links[l].name, word));
         if let Some(link) = called.find(|&l| fits(&rest.poses[l].translation.vector)) {
@@ -272,13 +256,13 @@ fn wrist_point(
             return Point3::from(rest.poses[link].translation.vector);
         }
     }
-    if let Some((point, name)) = like_bundled(robot, rest, x, z, fingers) {
+    if let Some((point, name)) = like_bundled(rest, x, z, fingers) {
         notes.push(format!("the wrist is that of the bundled hand \"{name}\", which has the same joints"));
         return point;
     }
     // Beside the fingertips and level with the last joints, which is where straight fingers lie.
     let y = z.cross(x);
-    let level = mean(others().filter_map(|f| Some(rest.joint(robot, *f.joints.last()?).coords)));
+    let level = mean(others().filter_map(|f| Some(rest.joint(*f.joints.last()?).coords)));
     let aside = others().map(|f| y.dot(&rest.at(&f.tip).coords));
     let (lo, hi) = aside.fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), v| (lo.min(v), hi.max(v)));
     let line = x * x.dot(&level) + y * (0.5 * (lo + hi));
@@ -305,21 +289,22 @@ fn wrist_point(
 
 /// The wrist of the bundled hand whose joints are where this hand's are, and its name.
 fn like_bundled(
-    robot: &Robot,
-    rest: &Rest,
+    rest: &Rest<'_>,
     x: &Vector3<f64>,
     z: &Vector3<f64>,
     fingers: &[TargetFinger],
 ) -> Option<(Point3<f64>, &'static str)> {
-    let joints = |robot: &Robot, rest: &Rest, fingers: &[TargetFinger]| -> Vec<Vec<Vector3<f64>>> {
-        fingers.iter().map(|f| f.joints.iter().map(|&j| rest.joint(robot, j).coords).collect()).collect()
+    let joints = |robot: &Robot, poses: &[Pose], fingers: &[TargetFinger]| -> Vec<Vec<Vector3<f64>>> {
+        let at = |&j: &usize| robot.joint_axis(poses, j).1.coords;
+        fingers.iter().map(|f| f.joints.iter().map(at).collect()).collect()
     };
     let axes = Matrix3::from_columns(&[*x, z.cross(x), *z]);
-    let ours = joints(robot, rest, fingers);
+    let ours = joints(rest.robot, &rest.poses, fingers);
     let center = mean(ours.iter().flatten().copied());
     ["leap_right", "leap_left", "allegro_right", "allegro_left"].into_iter().find_map(|name| {
         let hand = TargetHand::bundled(name).ok()?;
-        let its = joints(&hand.robot, &Rest::new(&hand.robot, Vec::new()), &hand.fingers);
+        let straight = hand.robot.forward_kinematics(&vec![0.0; hand.robot.dof()], &Pose::identity());
+        let its = joints(&hand.robot, &straight, &hand.fingers);
         let its_center = mean(its.iter().flatten().copied());
         let turn = axes * hand.base_from_operator.rotation.to_rotation_matrix().matrix().transpose();
         let place = |p: &Vector3<f64>| turn * (p - its_center) + center;

@@ -8,6 +8,7 @@ use nalgebra::{Point3, Vector3};
 
 use super::LinkPoint;
 use super::derive::Found;
+use super::mapping::{Mapping, find_link};
 use crate::{Result, RetargetError};
 
 /// Joints nearer to each other than this say nothing about a direction, m.
@@ -15,22 +16,26 @@ const SAME_PLACE: f64 = 5e-3;
 /// Fingers whose ranges are so even that they bend to both sides alike, rad, say nothing about where the palm is.
 const BOTH_WAYS: f64 = 0.05;
 
-/// The hand with all joints at zero (or as near as their limits allow): fingers straight.
-pub(super) struct Rest {
-    pub(super) q: Vec<f64>,
-    /// Of the links, in the frame of the base.
-    pub(super) poses: Vec<Pose>,
+/// A model and what its mapping file says, with all joints at zero (or as near as their limits allow): fingers straight.
+pub(super) struct Rest<'a> {
+    pub(super) robot: &'a Robot,
+    pub(super) mapping: &'a Mapping,
+    /// For messages.
+    path: &'a Path,
     /// Joints that move the palm.
     pub(super) palm_joints: Vec<usize>,
+    q: Vec<f64>,
+    /// Of the links, in the frame of the base.
+    pub(super) poses: Vec<Pose>,
 }
 
-impl Rest {
-    pub(super) fn new(robot: &Robot, palm_joints: Vec<usize>) -> Self {
+impl<'a> Rest<'a> {
+    pub(super) fn new(robot: &'a Robot, path: &'a Path, mapping: &'a Mapping, palm_joints: Vec<usize>) -> Self {
         let mut q = vec![0.0; robot.dof()];
         robot.clamp_to_limits(&mut q);
         robot.apply_mimic(&mut q);
         let poses = robot.forward_kinematics(&q, &Pose::identity());
-        Self { q, poses, palm_joints }
+        Self { robot, mapping, path, palm_joints, q, poses }
     }
 
     /// A point of a link.
@@ -39,19 +44,36 @@ impl Rest {
     }
 
     /// Where a joint is.
-    pub(super) fn joint(&self, robot: &Robot, j: usize) -> Point3<f64> {
-        robot.joint_axis(&self.poses, j).1
+    pub(super) fn joint(&self, j: usize) -> Point3<f64> {
+        self.robot.joint_axis(&self.poses, j).1
+    }
+
+    /// Every joint in the middle of its range.
+    pub(super) fn half_closed(&self) -> Vec<f64> {
+        let mut q = self.robot.mid_range();
+        self.robot.apply_mimic(&mut q);
+        q
     }
 
     /// Mean of the joints and the tip of a finger: which side of the hand it is on.
-    pub(super) fn middle_of(&self, robot: &Robot, joints: &[usize], tip: &LinkPoint) -> Vector3<f64> {
-        mean(joints.iter().map(|&j| self.joint(robot, j).coords).chain([self.at(tip).coords]))
+    pub(super) fn middle_of(&self, joints: &[usize], tip: &LinkPoint) -> Vector3<f64> {
+        mean(joints.iter().map(|&j| self.joint(j).coords).chain([self.at(tip).coords]))
     }
 
     /// Whether `link` is one piece with the palm.
-    pub(super) fn on_palm(&self, robot: &Robot, link: usize) -> bool {
-        let movers = joints_to(robot, link);
+    pub(super) fn on_palm(&self, link: usize) -> bool {
+        let movers = joints_to(self.robot, link);
         movers.len() == self.palm_joints.len() && movers.iter().all(|j| self.palm_joints.contains(j))
+    }
+
+    /// What is wrong with entry `key`, and what to do about it.
+    pub(super) fn fail<T>(&self, key: &str, what: impl Into<String>, remedy: impl Into<String>) -> Result<T> {
+        Err(RetargetError::mapping(self.path, key, what, remedy))
+    }
+
+    /// Index of the link that entry `key` names.
+    pub(super) fn find_link(&self, key: &str, name: &str) -> Result<usize> {
+        find_link(self.robot, self.path, key, name)
     }
 }
 
@@ -75,18 +97,17 @@ pub(super) struct Bends {
 }
 
 impl Bends {
-    pub(super) fn new(robot: &Robot, rest: &Rest, path: &Path, fingers: &[Found]) -> Result<Self> {
+    pub(super) fn new(rest: &Rest<'_>, fingers: &[Found]) -> Result<Self> {
         let others = || fingers.iter().filter(|f| !f.thumb);
-        let along: Vec<Vector3<f64>> = others().map(|f| direction(robot, rest, f)).collect();
+        let along: Vec<Vector3<f64>> = others().map(|f| direction(rest, f)).collect();
         let Some(tips) = mean(along.iter().copied()).try_normalize(0.1) else {
-            return Err(RetargetError::mapping(
-                path,
+            return rest.fail(
                 "fingers",
                 "the fingers beside the thumb point in no common direction when all joints are at zero",
                 "this is no hand as a person's; map only fingers that point the same way",
-            ));
+            );
         };
-        let curl = mean(others().zip(&along).map(|(f, along)| curl(robot, rest, f, along)));
+        let curl = mean(others().zip(&along).map(|(f, along)| curl(rest, f, along)));
         let palm = (curl - tips * tips.dot(&curl)).try_normalize(BOTH_WAYS);
         Ok(Self { tips, palm })
     }
@@ -98,41 +119,41 @@ impl Bends {
 }
 
 /// Unit vector along the straight finger: from its last joint but one to its last, across the axis of that one.
-fn direction(robot: &Robot, rest: &Rest, finger: &Found) -> Vector3<f64> {
+fn direction(rest: &Rest<'_>, finger: &Found) -> Vector3<f64> {
     let tip = rest.at(&finger.tip);
     let Some((&last, before)) = finger.joints.split_last() else { return Vector3::zeros() };
-    let (axis, end) = robot.joint_axis(&rest.poses, last);
-    let across = |v: Vector3<f64>| match robot.joints[last].kind {
+    let (axis, end) = rest.robot.joint_axis(&rest.poses, last);
+    let across = |v: Vector3<f64>| match rest.robot.joints[last].kind {
         JointKind::Revolute => v - axis * axis.dot(&v),
         _ => v,
     };
     before
         .last()
-        .and_then(|&j| across(end - rest.joint(robot, j)).try_normalize(SAME_PLACE))
+        .and_then(|&j| across(end - rest.joint(j)).try_normalize(SAME_PLACE))
         .or_else(|| across(tip - end).try_normalize(1e-6))
         .unwrap_or_else(Vector3::zeros)
 }
 
 /// How the last two joints turn a finger that points `along`, from zero to the middle of their ranges, rad.
-fn curl(robot: &Robot, rest: &Rest, finger: &Found, along: &Vector3<f64>) -> Vector3<f64> {
+fn curl(rest: &Rest<'_>, finger: &Found, along: &Vector3<f64>) -> Vector3<f64> {
     let mut curl = Vector3::zeros();
     for &j in finger.joints.iter().rev().take(2) {
-        let joint = &robot.joints[j];
+        let joint = &rest.robot.joints[j];
         if joint.kind == JointKind::Revolute {
-            curl += robot.joint_axis(&rest.poses, j).0.cross(along) * middle_of_range(robot, rest, j);
+            curl += rest.robot.joint_axis(&rest.poses, j).0.cross(along) * middle_of_range(rest, j);
         }
     }
     curl
 }
 
 /// Middle of a joint's range less its value at rest; of the joint that it follows, if it has no limits of its own.
-fn middle_of_range(robot: &Robot, rest: &Rest, j: usize) -> f64 {
-    let joint = &robot.joints[j];
+fn middle_of_range(rest: &Rest<'_>, j: usize) -> f64 {
+    let joint = &rest.robot.joints[j];
     match (joint.limits, joint.mimic) {
         (Some((lo, hi)), _) => 0.5 * (lo + hi) - rest.q[j],
-        (None, Some(m)) => {
-            robot.joints[m.joint].limits.map_or(0.0, |(lo, hi)| m.multiplier * 0.5 * (lo + hi) + m.offset - rest.q[j])
-        }
+        (None, Some(m)) => rest.robot.joints[m.joint]
+            .limits
+            .map_or(0.0, |(lo, hi)| m.multiplier * 0.5 * (lo + hi) + m.offset - rest.q[j]),
         (None, None) => 0.0,
     }
 }

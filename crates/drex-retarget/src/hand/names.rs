@@ -8,10 +8,10 @@ use crate::HumanFinger;
 /// followed by `j` for joint (`FFJ3`).
 const WORDS: [(HumanFinger, &[&str], &[&str]); 5] = [
     (HumanFinger::Thumb, &["thumb"], &["th"]),
-    (HumanFinger::Index, &["index", "forefinger", "pointer"], &["if", "ff", "fore"]),
-    (HumanFinger::Middle, &["middle"], &["mf", "mid", "long"]),
+    (HumanFinger::Index, &["index", "forefinger", "pointer"], &["if", "ff"]),
+    (HumanFinger::Middle, &["middle"], &["mf", "mid"]),
     (HumanFinger::Ring, &["ring"], &["rf"]),
-    (HumanFinger::Little, &["little", "pinky", "pinkie", "pinkyfinger"], &["lf"]),
+    (HumanFinger::Little, &["little", "pinky", "pinkie"], &["lf"]),
 ];
 
 /// The finger that the names of these links and joints speak of, if most of them that speak of any agree.
