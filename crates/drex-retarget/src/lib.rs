@@ -18,6 +18,7 @@ mod objective;
 mod result;
 mod retarget;
 mod scale;
+mod skeleton;
 mod solve;
 mod wrist_fit;
 
@@ -30,6 +31,7 @@ pub use keypoints::{
 };
 pub use result::{FingerResidual, Flag, Objective, RetargetedFrame, Retargeting, ScaleReport};
 pub use retarget::{RetargetOptions, Retargeter, Scale, retarget};
+pub use skeleton::{FingerAngles, HandSkeleton};
 pub use wrist_fit::{FingerGap, ObjectSurface, Rejection, Verdict, WristFit, WristFitOptions, fit_wrist, fit_wrists};
 
 #[cfg(doctest)]

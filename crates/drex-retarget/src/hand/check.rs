@@ -72,22 +72,21 @@ pub(super) fn side(
         }
         notes.push(what);
     }
-    let word = |side| if side == Side::Right { "right" } else { "left" };
     match rest.mapping.side {
         Some(said) if sure && said != seen => rest.fail(
             "side",
             format!(
                 "the mapping says {}, but seen with the palm in front and the fingertips up the thumb is {:.0} mm to the side \
                  where a {} hand has it",
-                word(said),
+                said.name(),
                 thumb.abs() * 1e3,
-                word(seen)
+                seen.name()
             ),
-            format!("write side = \"{}\", or load the model of the other hand", word(seen)),
+            format!("write side = \"{}\", or load the model of the other hand", seen.name()),
         ),
         Some(said) => Ok(said),
         None if sure => {
-            notes.push(format!("a {} hand: the thumb is {:.0} mm to that side", word(seen), thumb.abs() * 1e3));
+            notes.push(format!("a {} hand: the thumb is {:.0} mm to that side", seen.name(), thumb.abs() * 1e3));
             Ok(seen)
         }
         None => rest.fail(
