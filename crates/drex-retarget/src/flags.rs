@@ -1,7 +1,5 @@
 //! What is wrong with a frame, seen from the frame and those before it.
 
-use drex_core::Pose;
-
 use crate::{Flag, KEYPOINTS, KeyPoints, hand_length_m};
 
 /// Key points farther than this from the origin are no measurement, m.
@@ -61,9 +59,4 @@ impl Watch {
             }
         }
     }
-}
-
-/// `points` (source frame) in the operator frame.
-pub(crate) fn canonical(points: &KeyPoints, source_from_operator: &Pose) -> KeyPoints {
-    points.map(|p| p.map(|p| source_from_operator.inverse_transform_point(&p)))
 }

@@ -101,6 +101,24 @@ pub enum FrameError {
 /// # Errors
 /// If one of the three points is missing or they lie on a line.
 pub fn operator_frame(points: &KeyPoints, side: Side) -> Result<Pose, FrameError> {
+    let (wrist, axes) = operator_axes(points, side)?;
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
+    Ok(Isometry3::from_parts(Translation3::from(wrist.coords), rotation))
+}
+
+/// The points in their operator frame ([`operator_frame`]): the wrist is the origin. The mirror image of a hand ([`mirrored`]) as
+/// the other side gives the same numbers but for the sign of y, to the last bit.
+///
+/// # Errors
+/// As [`operator_frame`].
+pub fn canonical(points: &KeyPoints, side: Side) -> Result<KeyPoints, FrameError> {
+    let (wrist, axes) = operator_axes(points, side)?;
+    Ok(points.map(|p| p.map(|p| Point3::from(axes.tr_mul(&(p - wrist))))))
+}
+
+/// Wrist and axes (columns) of the operator frame. Nothing here depends on the handedness of the source frame, so that mirrored
+/// points are rounded alike.
+fn operator_axes(points: &KeyPoints, side: Side) -> Result<(Point3<f64>, Matrix3<f64>), FrameError> {
     let at = |i: usize| points[i].filter(|p| p.iter().all(|v| v.is_finite())).ok_or(FrameError::Missing(i));
     let (wrist, index, middle) = (at(0)?, at(5)?, at(9)?);
     let (along, across) = (middle - wrist, index - middle);
@@ -116,9 +134,7 @@ pub fn operator_frame(points: &KeyPoints, side: Side) -> Result<Pose, FrameError
         Side::Right => thumb_side,
         Side::Left => -thumb_side,
     };
-    let rotation = Matrix3::from_columns(&[y.cross(&tips), y, tips]);
-    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
-    Ok(Isometry3::from_parts(Translation3::from(wrist.coords), rotation))
+    Ok((wrist, Matrix3::from_columns(&[y.cross(&tips), y, tips])))
 }
 
 /// A triangle of wrist and knuckles this thin is a line.
@@ -181,6 +197,52 @@ mod tests {
         assert!((left * Vector3::x() - flip(right * Vector3::x())).norm() < 1e-12);
         assert!((left * Vector3::z() - flip(right * Vector3::z())).norm() < 1e-12);
         assert!((left * Vector3::y() + flip(right * Vector3::y())).norm() < 1e-12);
+    }
+
+    #[test]
+    fn canonical_points_are_mirrored_to_the_last_bit() {
+        let clip = crate::HandSkeleton::new(Side::Right).moving(30);
+        for frame in &clip.frames {
+            let right = canonical(&frame.points, Side::Right).unwrap();
+            let left = canonical(&mirrored(&frame.points), Side::Left).unwrap();
+            let to = operator_frame(&frame.points, Side::Right).unwrap().inverse();
+            for ((p, q), source) in right.iter().zip(&left).zip(&frame.points) {
+                let (p, q) = (p.unwrap(), q.unwrap());
+                assert_eq!(Point3::new(p.x, -p.y, p.z), q);
+                assert!((to * source.unwrap() - p).norm() < 1e-14);
+            }
+        }
+    }
+
+    /// Neither the frame nor the length depends on where the camera is.
+    #[test]
+    fn moved_points_have_the_same_place_in_the_hand() {
+        let frame = &crate::HandSkeleton { side: Side::Left, size: 0.9 }.moving(20).frames[19];
+        let camera = Isometry3::new(Vector3::new(0.3, -2.0, 1.0), Vector3::new(2.0, -0.3, 0.7));
+        let moved = transformed(&frame.points, &camera);
+        let (a, b) = (canonical(&frame.points, Side::Left).unwrap(), canonical(&moved, Side::Left).unwrap());
+        assert!(a.iter().zip(&b).all(|(a, b)| (a.unwrap() - b.unwrap()).norm() < 1e-14));
+        assert!((hand_length_m(&moved).unwrap() - hand_length_m(&frame.points).unwrap()).abs() < 1e-14);
+        // A hand that is taken for the other one faces the other way.
+        let wrong = canonical(&frame.points, Side::Right).unwrap();
+        assert!(a.iter().zip(&wrong).all(|(a, b)| (a.unwrap().x + b.unwrap().x).abs() < 1e-14));
+    }
+
+    #[test]
+    fn points_that_are_not_there() {
+        let mut points = crate::HandSkeleton::new(Side::Right).moving(1).frames[0].points;
+        points[11] = None;
+        let index = hand_length_m(&points).unwrap();
+        assert!((index - 0.1808).abs() < 1e-3, "of the index finger: {index}");
+        for finger in [HumanFinger::Index, HumanFinger::Ring] {
+            points[finger.tip()] = Some(Point3::new(f64::NAN, 0.0, 0.0));
+        }
+        assert_eq!(hand_length_m(&points), None);
+        assert!(canonical(&points, Side::Right).unwrap()[11].is_none());
+        points[0] = Some(Point3::new(f64::INFINITY, 0.0, 0.0));
+        assert_eq!(canonical(&points, Side::Right), Err(FrameError::Missing(0)));
+        points[0] = points[9];
+        assert_eq!(canonical(&points, Side::Right), Err(FrameError::Collinear));
     }
 
     #[test]

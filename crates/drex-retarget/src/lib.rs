@@ -27,7 +27,8 @@ pub use drex_grasp::TablePlane;
 pub use error::{Result, RetargetError};
 pub use hand::{LinkPoint, TargetFinger, TargetHand};
 pub use keypoints::{
-    FrameError, HumanFinger, KEYPOINTS, KeyPoints, Side, hand_length_m, mirrored, operator_frame, transformed,
+    FrameError, HumanFinger, KEYPOINTS, KeyPoints, Side, canonical, hand_length_m, mirrored, operator_frame,
+    transformed,
 };
 pub use result::{FingerResidual, Flag, Objective, RetargetedFrame, Retargeting, ScaleReport};
 pub use retarget::{RetargetOptions, Retargeter, Scale, retarget};

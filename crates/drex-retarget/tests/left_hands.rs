@@ -35,6 +35,7 @@ fn a_mirrored_hand_gives_the_same_joint_values_on_the_mirrored_robot() {
             let options = RetargetOptions::new(objective);
             let (a, b) = (retarget(&clip, &right, &options).unwrap(), retarget(&image, &left, &options).unwrap());
             let apart = farthest(&a, &b);
+            println!("{name} {objective:?}: largest difference {apart:e} rad");
             assert!(apart < 1e-9, "{name} {objective:?}: {apart}");
             // And not because nothing moves.
             let mut still = a.clone();

@@ -4,7 +4,7 @@ use drex_core::Pose;
 use nalgebra::Point3;
 
 use super::{RetargetOptions, Scale};
-use crate::flags::{Watch, canonical, clean};
+use crate::flags::{Watch, clean};
 use crate::kinematics::Chains;
 use crate::objective::{
     FrameProblem, Projection, dexpilot, dexpilot_terms, position, position_terms, tip_target, vector, vector_terms,
@@ -13,7 +13,7 @@ use crate::scale::{BoneLengths, NOMINAL_LENGTH_M, hand_reach_m};
 use crate::solve::{Newton, Problem, State, Unknowns};
 use crate::{
     FingerResidual, Flag, HandFrame, HumanFinger, KeyPoints, Objective, Result, RetargetError, RetargetedFrame,
-    ScaleReport, TargetHand, operator_frame,
+    ScaleReport, TargetHand, canonical, operator_frame,
 };
 
 /// Retargets frame by frame.
@@ -169,7 +169,7 @@ impl Retargeter {
     pub(super) fn aim(&mut self, points: &KeyPoints) -> Result<Aim, String> {
         let source_from_operator = operator_frame(points, self.hand.side).map_err(|e| e.to_string())?;
         let scale = self.scale().ok_or("the length of no finger from wrist to tip is known yet")?.scale;
-        let in_operator = canonical(points, &source_from_operator);
+        let in_operator = canonical(points, self.hand.side).map_err(|e| e.to_string())?;
         // Automatic: a person of nominal size, and the rest of the scale.
         let to_nominal = match (self.options.scale, self.lengths.hand_length_m()) {
             (Scale::Auto, Some(length)) => NOMINAL_LENGTH_M / length,
