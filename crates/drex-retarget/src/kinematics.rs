@@ -31,9 +31,9 @@ struct Step {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct ChainState {
     poses: Vec<Pose>,
-    /// Axis and a point on it, base frame.
+    /// Axis and a point on it.
     axes: Vec<(Vector3<f64>, Vector3<f64>)>,
-    /// The chosen points, base frame.
+    /// The chosen points.
     pub(crate) points: Vec<Point3<f64>>,
 }
 
@@ -78,13 +78,8 @@ impl Chains {
         Self { steps, points, movers }
     }
 
-    /// Places everything at joint vector `q` (model order), in the base frame.
-    pub(crate) fn place(&self, q: &[f64], state: &mut ChainState) {
-        self.place_from(&Pose::identity(), q, state);
-    }
-
-    /// [`Chains::place`] with the base at `base`, in the frame that `base` leads to.
-    pub(crate) fn place_from(&self, base: &Pose, q: &[f64], state: &mut ChainState) {
+    /// Places everything at joint vector `q` (model order) with the base at `base`, in the frame that `base` leads to.
+    pub(crate) fn place(&self, base: &Pose, q: &[f64], state: &mut ChainState) {
         state.poses.clear();
         state.axes.clear();
         for step in &self.steps {
@@ -107,7 +102,7 @@ impl Chains {
     }
 
     /// The joints that move point `point`, from the point to the base: joint, axis of its rotation (zero for a slide) and the
-    /// point's velocity per unit of joint velocity, in the frame of [`Chains::place_from`].
+    /// point's velocity per unit of joint velocity, in the frame of [`Chains::place`].
     pub(crate) fn movers<'s>(
         &'s self,
         state: &'s ChainState,
@@ -122,15 +117,6 @@ impl Chains {
                 (step.joint, Vector3::zeros(), *axis)
             }
         })
-    }
-
-    /// The joints that move point `point`, each with the point's velocity per unit of joint velocity, base frame.
-    pub(crate) fn columns<'s>(
-        &'s self,
-        state: &'s ChainState,
-        point: usize,
-    ) -> impl Iterator<Item = (usize, Vector3<f64>)> + 's {
-        self.movers(state, point).map(|(joint, _, velocity)| (joint, velocity))
     }
 }
 
@@ -148,14 +134,14 @@ mod tests {
             let chains = Chains::new(&robot, &points);
             let q: Vec<f64> = robot.mid_range().iter().enumerate().map(|(i, m)| m + 0.1 * (i as f64).sin()).collect();
             let mut state = ChainState::default();
-            chains.place(&q, &mut state);
+            chains.place(&Pose::identity(), &q, &mut state);
             let poses = robot.forward_kinematics(&q, &Pose::identity());
             for (i, (link, p)) in points.iter().enumerate() {
                 let expected = poses[*link] * p;
                 assert!((state.points[i] - expected).norm() < 1e-12);
                 let jacobian = robot.jacobian(&poses, *link, &expected).0;
                 let mut ours = jacobian.clone() * 0.0;
-                for (joint, velocity) in chains.columns(&state, i) {
+                for (joint, _, velocity) in chains.movers(&state, i) {
                     ours.set_column(joint, &velocity);
                 }
                 assert!((ours - jacobian).norm() < 1e-12);

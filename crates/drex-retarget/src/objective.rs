@@ -177,7 +177,7 @@ impl Problem for FrameProblem {
     }
 
     fn value(&mut self, at: &State) -> f64 {
-        self.chains.place_from(&at.base, &at.q, &mut self.placed);
+        self.chains.place(&at.base, &at.q, &mut self.placed);
         let mut travel = 0.0;
         for &j in &self.unknowns.joints {
             travel += (at.q[j] - self.previous.q[j]).powi(2);

@@ -184,6 +184,8 @@ pub(crate) struct Newton {
 const SMALLEST_STEP: f64 = 1e-9;
 /// Part of the decrease that the quadratic model promises which a step must keep.
 const KEPT: f64 = 1e-4;
+/// Changes of the value below this part of it are rounding.
+const ROUNDING: f64 = 1e-13;
 /// Longest step of one unknown, rad or m: the quadratic model holds no farther.
 const LONGEST_STEP: f64 = 0.7;
 
@@ -209,8 +211,9 @@ impl Newton {
                 problem.unknowns().step(state, &self.step, &mut trial);
                 let next = problem.value(&trial);
                 let last = longest < SMALLEST_STEP;
-                // Beyond the last digits of the value only the step itself tells.
-                if next <= value - KEPT * promised || (last && next <= value + 1e-14 * value.abs()) {
+                // Within the rounding of the value only the model knows which way is down.
+                let unseen = promised <= ROUNDING * value.abs();
+                if next <= value - KEPT * promised || (unseen && next <= value + ROUNDING * value.abs()) {
                     std::mem::swap(state, &mut trial);
                     value = next;
                     damping = less(damping);
@@ -219,7 +222,7 @@ impl Newton {
                     }
                     break;
                 }
-                if last || promised <= 1e-15 * value.abs() {
+                if last {
                     break 'steps;
                 }
                 damping = more(damping);

@@ -91,14 +91,8 @@ impl Retargeter {
         let start = start(hand, &unknowns);
         let chains = Chains::new(&hand.robot, &points);
         let hand_reach_m = hand_reach_m(hand, &chains, &Unknowns { floating: false, ..unknowns.clone() }, &start);
-        let thumb = match hand.fingers.iter().find(|f| f.human == HumanFinger::Thumb) {
-            Some(thumb) => {
-                let path = hand.robot.path_to(thumb.tip.link);
-                let joints = path.iter().flat_map(|&l| &hand.robot.links[l].joints);
-                joints.filter_map(|&j| unknowns.joints.iter().position(|&u| u == j)).collect()
-            }
-            None => Vec::new(),
-        };
+        let thumb = hand.fingers.iter().filter(|f| f.human == HumanFinger::Thumb).flat_map(|f| &f.joints);
+        let thumb = thumb.filter_map(|j| unknowns.joints.iter().position(|u| u == j)).collect();
         let problem = FrameProblem::new(chains, unknowns, loss, options.norm_delta, start.clone());
         Ok(Self {
             options,
@@ -244,7 +238,7 @@ impl Retargeter {
     fn move_thumb(&self, start: usize, q: &mut [f64]) {
         for (&k, base) in self.thumb.iter().zip([2, 3, 5, 7].into_iter().cycle()) {
             let (lo, hi) = self.problem.unknowns.bounds[k];
-            if hi - lo <= f64::from(u16::MAX) {
+            if (hi - lo).is_finite() {
                 let part = if start == 0 { 0.5 } else { radical_inverse(start + 1, base) };
                 self.problem.unknowns.set(k, lo + part * (hi - lo), q);
             }
@@ -327,20 +321,9 @@ fn check_fingers(fingers: &[HumanFinger], objective: Objective) -> Result<()> {
     Ok(())
 }
 
-/// Joints that move some of the fingertips. Those that move all of several (an arm, a wrist) stay where they are: the operator
-/// frame is that of the hand behind them.
+/// Joints between palm and fingertips.
 fn finger_joints(hand: &TargetHand) -> Vec<bool> {
-    let robot = &hand.robot;
-    let mut movers = vec![0; robot.dof()];
-    for finger in &hand.fingers {
-        for link in robot.path_to(finger.tip.link) {
-            for &j in &robot.links[link].joints {
-                movers[j] += 1;
-            }
-        }
-    }
-    let fingers = hand.fingers.len();
-    movers.iter().map(|&n| n > 0 && (n < fingers || fingers == 1)).collect()
+    (0..hand.robot.dof()).map(|j| hand.fingers.iter().any(|f| f.joints.contains(&j))).collect()
 }
 
 /// Joints that are solved for in the middle of their bounds, the others at their reference positions.
