@@ -15,6 +15,7 @@ mod hand;
 mod keypoints;
 mod kinematics;
 mod objective;
+mod person;
 mod result;
 mod retarget;
 mod scale;

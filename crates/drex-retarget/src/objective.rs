@@ -14,7 +14,7 @@ use crate::kinematics::{ChainState, Chains};
 use crate::solve::{BASE, Normal, Problem, State, Unknowns};
 
 pub(crate) use dexpilot::{Projection, dexpilot_terms};
-pub(crate) use position::position_terms;
+pub(crate) use position::{position_target, position_terms};
 pub(crate) use vector::{tip_target, vector_terms};
 
 /// One difference.

@@ -6,7 +6,8 @@ mod tests;
 
 pub use stream::Retargeter;
 
-use crate::scale::{BoneLengths, refined};
+use crate::person::Person;
+use crate::scale::refined;
 use crate::{Demonstration, Objective, Result, RetargetError, Retargeting, TargetHand};
 
 /// The factor on the person's vectors.
@@ -95,7 +96,7 @@ pub fn retarget(demonstration: &Demonstration, hand: &TargetHand, options: &Reta
         ));
     }
     let mut retargeter = Retargeter::new(hand, options.clone())?;
-    retargeter.measure(BoneLengths::of(&demonstration.frames));
+    retargeter.measure(Person::of(&demonstration.frames, demonstration.side));
     if options.scale == Scale::Auto {
         retargeter.refinement = refined(&retargeter, &demonstration.frames)?;
     }

@@ -6,14 +6,11 @@ use crate::hand::TargetHand;
 use crate::kinematics::Chains;
 use crate::objective::{FrameProblem, Loss, Term};
 use crate::solve::{Newton, Problem, State, Unknowns};
-use crate::{HandFrame, HumanFinger, KeyPoints, Result, Retargeter};
+use crate::{HandFrame, HumanFinger, Result, Retargeter};
 
 /// Hand length to which a person is brought before `dexpilot` measures its pinches, where the scale is automatic, m: about that
 /// of an adult, so that its thresholds keep their meaning whatever the unit and size of the recording.
 pub(crate) const NOMINAL_LENGTH_M: f64 = 0.185;
-
-/// Lengths of a hand outside of this are no lengths of a hand in any unit, m.
-const LENGTHS_M: std::ops::Range<f64> = 1e-6..1e6;
 
 /// Largest distance of a fingertip from the wrist, thumb left out, m.
 pub(crate) fn hand_reach_m(hand: &TargetHand, chains: &Chains, unknowns: &Unknowns, start: &State) -> f64 {
@@ -50,56 +47,6 @@ pub(crate) fn hand_reach_m(hand: &TargetHand, chains: &Chains, unknowns: &Unknow
 /// A target that no hand reaches.
 const FAR_M: f64 = 10.0;
 const FARTHEST_ROUNDS: usize = 8;
-
-/// Running medians of the lengths of the bones from the wrist to the tips of the middle, index and ring finger.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct BoneLengths {
-    /// Per finger and bone, the lengths seen, in ascending order.
-    seen: [[Vec<f64>; 4]; 3],
-}
-
-/// In the order of preference.
-const MEASURED: [HumanFinger; 3] = [HumanFinger::Middle, HumanFinger::Index, HumanFinger::Ring];
-
-impl BoneLengths {
-    /// Of a clip.
-    pub(crate) fn of(frames: &[HandFrame]) -> Self {
-        let mut lengths = Self::default();
-        for frame in frames {
-            lengths.add(&crate::flags::clean(&frame.points).0);
-        }
-        lengths
-    }
-
-    /// Adds the bones of a frame.
-    pub(crate) fn add(&mut self, points: &KeyPoints) {
-        for (finger, bones) in MEASURED.iter().zip(&mut self.seen) {
-            let mut from = points[0];
-            for (bone, seen) in bones.iter_mut().enumerate() {
-                let to = points[finger.base() + bone];
-                if let (Some(a), Some(b)) = (from, to) {
-                    let length = (b - a).norm();
-                    seen.insert(seen.partition_point(|l| *l < length), length);
-                }
-                from = to;
-            }
-        }
-    }
-
-    /// Number of frames that the scarcest bone was seen in.
-    pub(crate) fn count(&self) -> usize {
-        self.seen.iter().map(|bones| bones.iter().map(Vec::len).min().unwrap_or(0)).max().unwrap_or(0)
-    }
-
-    /// Length of the hand: the medians of its bones, added up.
-    pub(crate) fn hand_length_m(&self) -> Option<f64> {
-        let length = self
-            .seen
-            .iter()
-            .find_map(|bones| bones.iter().map(|seen| seen.get(seen.len() / 2).copied()).sum::<Option<f64>>())?;
-        LENGTHS_M.contains(&length).then_some(length)
-    }
-}
 
 /// The factor on the scale of the reaches with which the fingertips' mean error, in units of the scale, is smallest on the clip;
 /// in steps of [`FINE`]. Found with `vector` on at most [`SAMPLES`] frames.

@@ -7,13 +7,15 @@ use super::{RetargetOptions, Scale};
 use crate::flags::{Watch, clean};
 use crate::kinematics::Chains;
 use crate::objective::{
-    FrameProblem, Projection, dexpilot, dexpilot_terms, position, position_terms, tip_target, vector, vector_terms,
+    FrameProblem, Projection, dexpilot, dexpilot_terms, position, position_target, position_terms, tip_target, vector,
+    vector_terms,
 };
-use crate::scale::{BoneLengths, NOMINAL_LENGTH_M, hand_reach_m};
+use crate::person::Person;
+use crate::scale::{NOMINAL_LENGTH_M, hand_reach_m};
 use crate::solve::{Newton, Problem, State, Unknowns};
 use crate::{
     FingerResidual, Flag, HandFrame, HumanFinger, KeyPoints, Objective, Result, RetargetError, RetargetedFrame,
-    ScaleReport, TargetHand, canonical, operator_frame,
+    ScaleReport, TargetHand, canonical, transformed,
 };
 
 /// Retargets frame by frame.
@@ -31,7 +33,7 @@ pub struct Retargeter {
     hand_reach_m: f64,
     /// Automatic scale over what the reaches alone give; found on a clip.
     pub(crate) refinement: f64,
-    lengths: BoneLengths,
+    person: Person,
     /// Whether more frames would change the person's length.
     measured: bool,
     memory: Memory,
@@ -104,7 +106,7 @@ impl Retargeter {
             thumb,
             hand_reach_m,
             refinement: 1.0,
-            lengths: BoneLengths::default(),
+            person: Person::new(hand.side),
             measured: false,
             memory: Memory::default(),
         })
@@ -118,7 +120,7 @@ impl Retargeter {
 
     /// The scale that the next frame would use; `None` before the person was measured.
     pub fn scale(&self) -> Option<ScaleReport> {
-        let person_reach_m = self.lengths.hand_length_m();
+        let person_reach_m = self.person.hand_length_m();
         let (scale, automatic) = match self.options.scale {
             Scale::Fixed(s) => (s, false),
             Scale::Auto => (self.refinement * self.hand_reach_m / person_reach_m?, true),
@@ -137,8 +139,8 @@ impl Retargeter {
     pub fn frame(&mut self, frame: &HandFrame) -> RetargetedFrame {
         let (points, missing) = clean(&frame.points);
         if !self.measured {
-            self.lengths.add(&points);
-            self.measured = self.lengths.count() >= MEASURED_FRAMES;
+            self.person.add(&points);
+            self.measured = self.person.frames() >= MEASURED_FRAMES;
         }
         match self.solve(&points, missing) {
             Ok(solved) => self.finish(frame.t_s, solved),
@@ -149,23 +151,24 @@ impl Retargeter {
     /// The same for `vector` and the automatic scale, with the person's measures.
     pub(crate) fn probe(&self) -> Result<Self> {
         let mut probe = Self::new(&self.hand, RetargetOptions::new(Objective::Vector))?;
-        probe.measure(self.lengths.clone());
+        probe.measure(self.person.clone());
         Ok(probe)
     }
 
     /// Takes the person's measures instead of measuring the first frames.
-    pub(crate) fn measure(&mut self, lengths: BoneLengths) {
-        self.lengths = lengths;
+    pub(crate) fn measure(&mut self, person: Person) {
+        self.person = person;
         self.measured = true;
     }
 
     /// Sets the terms of a frame.
     pub(super) fn aim(&mut self, points: &KeyPoints) -> Result<Aim, String> {
-        let source_from_operator = operator_frame(points, self.hand.side).map_err(|e| e.to_string())?;
+        let source_from_operator = self.person.operator_frame(points).map_err(|e| e.to_string())?;
         let scale = self.scale().ok_or("the length of no finger from wrist to tip is known yet")?.scale;
-        let in_operator = canonical(points, self.hand.side).map_err(|e| e.to_string())?;
+        let in_operator = canonical(points, self.hand.side)
+            .unwrap_or_else(|_| transformed(points, &source_from_operator.inverse()));
         // Automatic: a person of nominal size, and the rest of the scale.
-        let to_nominal = match (self.options.scale, self.lengths.hand_length_m()) {
+        let to_nominal = match (self.options.scale, self.person.hand_length_m()) {
             (Scale::Auto, Some(length)) => NOMINAL_LENGTH_M / length,
             _ => 1.0,
         };
@@ -178,14 +181,16 @@ impl Retargeter {
                 let projection = &mut self.memory.projection;
                 dexpilot_terms(terms, projection, &self.fingers, &person, base_from_operator, rest);
             }
-            Objective::Position => position_terms(terms, &self.fingers, points, scale),
+            Objective::Position => {
+                position_terms(terms, &self.fingers, points, &source_from_operator.translation.vector, scale)
+            }
             _ => vector_terms(terms, &self.fingers, &person, base_from_operator, rest),
         }
         if terms.is_empty() {
             return Err("no fingertip was seen".into());
         }
         let target = |finger: &HumanFinger| match self.problem.unknowns.floating {
-            true => Some(points[0]? + (points[finger.tip()]? - points[0]?) * scale),
+            true => Some(position_target(&points[finger.tip()]?, &source_from_operator.translation.vector, scale)),
             false => Some(Point3::from(tip_target(&person[finger.tip()]?.coords, base_from_operator, rest))),
         };
         Ok(Aim {
@@ -198,7 +203,7 @@ impl Retargeter {
     fn solve(&mut self, points: &KeyPoints, missing: usize) -> Result<Solved, String> {
         let aim = self.aim(points)?;
         let mut flags = Vec::new();
-        self.memory.watch.look(&aim.in_operator, missing, self.lengths.hand_length_m(), &mut flags);
+        self.memory.watch.look(&aim.in_operator, missing, self.person.hand_length_m(), &mut flags);
         let floating = self.problem.unknowns.floating;
         let mut state = self.memory.state.take().unwrap_or_else(|| {
             let base = if floating { aim.source_from_base } else { Pose::identity() };
