@@ -103,6 +103,19 @@ pub fn alias(model: &str, foreign: &str) -> Option<&'static str> {
         .copied()
 }
 
+/// The joints of the bundled left hand `model` (`leap_left`, `allegro_left`) whose angles have the other sign in the vendor's left
+/// model and drivers. The bundled left hands are mirror images, so that a left hand has the angles of a right one; the vendors
+/// build left hands from the fingers of right ones, so that sideways stays the same way in space.
+///
+/// Allegro's URDF numbers the joints of a left hand from the ring finger on: `joint_0.0` is `rfj0`, `joint_8.0` is `ffj0`.
+pub fn reversed_in_left(model: &str) -> Option<&'static [&'static str]> {
+    match model {
+        "leap_left" => Some(&["if_rot", "mf_rot", "rf_rot", "th_cmc", "th_axl"]),
+        "allegro_left" => Some(&["ffj0", "mfj0", "rfj0"]),
+        _ => None,
+    }
+}
+
 /// Model angles of LEAP's joints from the angles of its drivers (any order): driver = model + π.
 pub fn leap_model_from_driver(driver_rad: &[f64]) -> Vec<f64> {
     driver_rad.iter().map(|a| a - LEAP_DRIVER_OFFSET_RAD).collect()

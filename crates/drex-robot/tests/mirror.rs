@@ -4,7 +4,7 @@
 use std::path::PathBuf;
 
 use drex_core::Pose;
-use drex_robot::{MirrorPlane, Robot};
+use drex_robot::{MirrorPlane, Robot, orders};
 use nalgebra::{Matrix3, Point3, Vector3};
 use proptest::prelude::*;
 
@@ -123,4 +123,75 @@ fn left_hands_by_name() {
         assert!((normals[0].component_mul(&Vector3::new(1.0, -1.0, 1.0)) - normals[1]).norm() < 1e-12);
     }
     assert!(Robot::bundled("panda_left").unwrap_err().to_string().contains("leap_left"));
+}
+
+/// The vendors' left models are the mirror images but for the signs that [`orders::reversed_in_left`] lists, where the base of
+/// LEAP's is, that LEAP's fingertips are half a millimetre aside of the middle of their fingers (which are not mirrored), and 10 mm
+/// at the thumb of Allegro's URDF.
+#[test]
+fn vendors_left_models() {
+    let Some(folder) = std::env::var_os("DREX_SHARED").map(|f| PathBuf::from(f).join("data/robots")) else {
+        eprintln!("skipped: DREX_SHARED is not set");
+        return;
+    };
+    let leap = ["index", "middle", "ring", "thumb"].map(|f| [format!("{f}_tip"), format!("{f}_tip_head")]);
+    let numbered = [("index", 11), ("middle", 7), ("ring", 3), ("thumb", 15)];
+    let allegro_urdf = numbered.map(|(f, n)| [format!("{f}_tip"), format!("link_{n}.0_tip")]);
+    let letters = [("index", "ff"), ("middle", "mf"), ("ring", "rf"), ("thumb", "th")];
+    let allegro_mjcf = letters.map(|(f, l)| [format!("{f}_distal"), format!("{l}_distal")]);
+    for (file, model, tips, tolerance) in [
+        ("leap_hand/urdf/leap_hand_left.urdf", "leap_left", leap, 3e-3),
+        ("allegro_hand/urdf/allegro_hand_left.urdf", "allegro_left", allegro_urdf, 2e-6),
+        ("allegro_hand/mjcf/left_hand.xml", "allegro_left", allegro_mjcf, 1e-6),
+    ] {
+        let ours = Robot::bundled(model).unwrap();
+        let vendor = Robot::load(&folder.join(file)).unwrap();
+        let reversed = orders::reversed_in_left(model).unwrap();
+        let known = |name: &str| orders::alias(&model.replace("left", "right"), name).unwrap();
+        let counterpart = |name: &str| match (file.ends_with("left.urdf"), known(name)) {
+            (true, joint) if joint.starts_with("ffj") => joint.replace("ff", "rf"),
+            (true, joint) if joint.starts_with("rfj") => joint.replace("rf", "ff"),
+            (_, joint) => joint.to_owned(),
+        };
+        // Where the tips are, less where they are at the first joint vector.
+        let mut start: Option<Vec<Vector3<f64>>> = None;
+        let mut worst = 0.0f64;
+        for k in 0..50_i32 {
+            let parts: Vec<f64> = (0..16).map(|j| (0.3 + f64::from(k) * (2.0 + f64::from(j)).sqrt()).fract()).collect();
+            let q = within(&ours, &parts);
+            let theirs = vendor.joints.iter().map(|joint| {
+                let name = counterpart(&joint.name);
+                let value = q[ours.require_joint(&name).unwrap()];
+                if reversed.contains(&name.as_str()) { -value } else { value }
+            });
+            let theirs: Vec<f64> = theirs.collect();
+            let outside = theirs
+                .iter()
+                .zip(&vendor.joints)
+                .any(|(v, j)| j.limits.is_some_and(|(lo, hi)| *v < lo - 1e-9 || *v > hi + 1e-9));
+            assert!(!outside, "{file}: the limits are those of the mirror image");
+            let a = ours.forward_kinematics(&q, &Pose::identity());
+            let b = vendor.forward_kinematics(&theirs, &Pose::identity());
+            let (a_palm, b_palm) = (a[ours.palm_link().unwrap()], b[vendor.palm_link().unwrap()]);
+            let apart: Vec<Vector3<f64>> = tips
+                .iter()
+                .map(|[mine, its]| {
+                    let mine = (a_palm.inverse() * a[ours.require_link(mine).unwrap()]).translation.vector;
+                    let its = (b_palm.inverse() * b[vendor.require_link(its).unwrap()]).translation.vector;
+                    mine - its
+                })
+                .collect();
+            let first = start.get_or_insert_with(|| apart.clone());
+            for ((now, then), [tip, _]) in apart.iter().zip(first).zip(&tips) {
+                let moved = match file.ends_with("allegro_hand_left.urdf") && tip.starts_with("thumb") {
+                    // Beyond the first joint, so that it turns with it.
+                    true => (now.norm() - 0.010).abs(),
+                    false => (*now - *then).norm(),
+                };
+                worst = worst.max(moved);
+                assert!(moved < tolerance, "{file} {tip}: {now} {then}");
+            }
+        }
+        println!("{file}: to {worst:.1e} m");
+    }
 }
