@@ -6,6 +6,8 @@
 
 pub(crate) mod dexpilot;
 pub(crate) mod position;
+#[cfg(test)]
+mod tests;
 pub(crate) mod vector;
 
 use nalgebra::{Matrix3, Point3, Vector3};

@@ -2,6 +2,9 @@
 
 mod stream;
 #[cfg(test)]
+#[path = "../tests/support/mod.rs"]
+pub(crate) mod support;
+#[cfg(test)]
 mod tests;
 
 pub use stream::Retargeter;

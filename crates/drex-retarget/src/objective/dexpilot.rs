@@ -94,3 +94,7 @@ pub(crate) fn dexpilot_terms(
         term.weight /= count;
     }
 }
+
+#[cfg(test)]
+#[path = "dexpilot_tests.rs"]
+mod tests;

@@ -24,7 +24,7 @@ pub struct Retargeter {
     options: RetargetOptions,
     hand: TargetHand,
     fingers: Vec<HumanFinger>,
-    pub(super) problem: FrameProblem,
+    pub(crate) problem: FrameProblem,
     solver: Newton,
     /// Joints in the middle of their ranges.
     start: State,
@@ -162,7 +162,7 @@ impl Retargeter {
     }
 
     /// Sets the terms of a frame.
-    pub(super) fn aim(&mut self, points: &KeyPoints) -> Result<Aim, String> {
+    pub(crate) fn aim(&mut self, points: &KeyPoints) -> Result<Aim, String> {
         let source_from_operator = self.person.operator_frame(points).map_err(|e| e.to_string())?;
         let scale = self.scale().ok_or("the length of no finger from wrist to tip is known yet")?.scale;
         let in_operator = canonical(points, self.hand.side)
@@ -292,11 +292,11 @@ impl Retargeter {
 }
 
 /// Where a frame wants the hand.
-pub(super) struct Aim {
+pub(crate) struct Aim {
     /// The fingertips, in the frame of the robot's base, or in the source frame if the base floats.
     tips: Vec<Option<Point3<f64>>>,
     /// From the person's wrist.
-    source_from_base: Pose,
+    pub(crate) source_from_base: Pose,
     in_operator: KeyPoints,
 }
 

@@ -1,11 +1,8 @@
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
-#[path = "../../tests/support/mod.rs"]
-mod support;
-
+use super::support::{HANDS, SEQUENCES, canonical, demonstration, golden, shared};
 use drex_core::Pose;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use support::{HANDS, SEQUENCES, canonical, demonstration, golden, shared};
 
 use super::*;
 use crate::solve::{Problem, State};
