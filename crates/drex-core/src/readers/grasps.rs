@@ -5,6 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::check_angle;
+use super::npy::parse_npy;
 use crate::joints::JointPoses;
 use crate::pose::pose_from_wxyz;
 use crate::{Error, Result, fsutil};
@@ -150,7 +151,7 @@ pub fn write_grasps_json(path: &Path, file: &GraspFile) -> Result<()> {
     fsutil::write_atomic(path, text.as_bytes())
 }
 
-/// Reads a two-dimensional npy array (f8 or f4, little endian, C order): one row per grasp, one column per name, radians.
+/// Reads a two-dimensional npy array of floats: one row per grasp, one column per name, radians.
 ///
 /// # Errors
 /// If the file cannot be read, is no such array, or its grasps fail the checks of [`read_grasps`].
@@ -164,23 +165,11 @@ pub fn read_grasps_npy(path: &Path, names: &[String]) -> Result<JointPoses> {
 /// As [`read_grasps_npy`].
 pub fn parse_grasps_npy(path: &Path, bytes: &[u8], names: &[String]) -> Result<JointPoses> {
     let refuse = |what: String| Error::content(path, None, what, "save a 2-D float array with numpy.save");
-    let (header, data) = split_npy(bytes).ok_or_else(|| refuse("the file is no npy array".into()))?;
-    let width = match field(header, "descr").map(|d| d.trim_matches(|c| matches!(c, '\'' | '"'))) {
-        Some("<f8") => 8,
-        Some("<f4") => 4,
-        other => {
-            return Err(refuse(format!("the numbers are of type {}, not f8 or f4", other.unwrap_or("unknown"))));
-        }
+    let array = parse_npy(path, bytes)?;
+    let Some(numbers) = array.numbers().filter(|_| array.descr.contains('f')) else {
+        return Err(refuse(format!("the numbers are of type {}, not f8 or f4", array.descr)));
     };
-    if field(header, "fortran_order") != Some("False") {
-        return Err(refuse("the array is in Fortran order".into()));
-    }
-    let shape: Vec<usize> = field(header, "shape")
-        .and_then(|s| {
-            let inner = s.strip_prefix('(')?.strip_suffix(')')?;
-            inner.split(',').map(str::trim).filter(|n| !n.is_empty()).map(|n| n.parse().ok()).collect()
-        })
-        .ok_or_else(|| refuse("the array has no readable shape".into()))?;
+    let shape = &array.shape;
     let &[rows, columns] = shape.as_slice() else {
         return Err(refuse(format!("the array has {} dimensions, not 2 (grasp, joint)", shape.len())));
     };
@@ -191,44 +180,8 @@ pub fn parse_grasps_npy(path: &Path, bytes: &[u8], names: &[String]) -> Result<J
         let what = format!("{columns} columns but {} joint names", names.len());
         return Err(Error::content(path, None, what, "name the joints of this table, one per column"));
     }
-    if rows.checked_mul(columns).and_then(|n| n.checked_mul(width)) != Some(data.len()) || columns == 0 {
-        return Err(refuse(format!("{} bytes of data do not make {rows} x {columns} numbers", data.len())));
-    }
-    let number = |chunk: &[u8]| match (<[u8; 8]>::try_from(chunk), <[u8; 4]>::try_from(chunk)) {
-        (Ok(b), _) => f64::from_le_bytes(b),
-        (_, Ok(b)) => f64::from(f32::from_le_bytes(b)),
-        _ => f64::NAN,
-    };
-    let grasps = data.chunks_exact(width * columns).map(|row| row.chunks_exact(width).map(number).collect()).collect();
+    let grasps = numbers.chunks_exact(columns.max(1)).map(<[f64]>::to_vec).collect();
     checked(path, names.to_vec(), grasps)
-}
-
-/// Header text and data of an npy file.
-fn split_npy(bytes: &[u8]) -> Option<(&str, &[u8])> {
-    let rest = bytes.strip_prefix(b"\x93NUMPY")?;
-    let (version, rest) = rest.split_at_checked(2)?;
-    let (length, rest) = match version[0] {
-        1 => {
-            let (n, rest) = rest.split_at_checked(2)?;
-            (usize::from(u16::from_le_bytes(n.try_into().ok()?)), rest)
-        }
-        2 | 3 => {
-            let (n, rest) = rest.split_at_checked(4)?;
-            (u32::from_le_bytes(n.try_into().ok()?) as usize, rest)
-        }
-        _ => return None,
-    };
-    let (header, data) = rest.split_at_checked(length)?;
-    Some((std::str::from_utf8(header).ok()?, data))
-}
-
-/// The value of `key` in a flat Python dict literal, as text.
-fn field<'a>(header: &'a str, key: &str) -> Option<&'a str> {
-    let after =
-        [format!("'{key}'"), format!("\"{key}\"")].iter().find_map(|k| Some(&header[header.find(k)? + k.len()..]))?;
-    let value = after.trim_start().strip_prefix(':')?.trim_start();
-    let end = if value.starts_with('(') { value.find(')')? + 1 } else { value.find([',', '}'])? };
-    Some(value[..end].trim())
 }
 
 fn no_grasps(path: &Path) -> Error {
@@ -274,16 +227,7 @@ mod tests {
     use super::*;
 
     fn npy(descr: &str, shape: &str, data: &[u8]) -> Vec<u8> {
-        let mut header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
-        while (10 + header.len() + 1) % 64 != 0 {
-            header.push(' ');
-        }
-        header.push('\n');
-        let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-        bytes.extend((header.len() as u16).to_le_bytes());
-        bytes.extend(header.as_bytes());
-        bytes.extend(data);
-        bytes
+        crate::readers::npy::tests::npy(descr, false, shape, data)
     }
 
     fn names() -> Vec<String> {

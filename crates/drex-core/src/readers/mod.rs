@@ -6,6 +6,7 @@ mod bop;
 mod foundation_pose;
 mod grasps;
 mod joint_log;
+mod npy;
 mod pose_csv;
 mod samples;
 mod table;
@@ -19,6 +20,7 @@ pub use grasps::{
     read_grasps_npy, write_grasps_json,
 };
 pub use joint_log::{parse_joint_log_csv, read_joint_log_csv};
+pub use npy::{NpyArray, NpyValues, parse_npy};
 pub use pose_csv::{parse_pose_csv, read_pose_csv};
 pub use samples::{
     PointSeries, parse_action_csv, parse_force_csv, parse_proprio_csv, read_action_csv, read_force_csv,
