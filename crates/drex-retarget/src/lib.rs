@@ -23,7 +23,10 @@ mod skeleton;
 mod solve;
 mod wrist_fit;
 
-pub use demo::{Demonstration, HandFrame};
+pub use demo::{
+    CropCamera, DemoUnit, Demonstration, FrameCheck, HandFrame, HandPose, InputReport, KeyPointOrder, LoadOptions,
+    ManoModel, ManoPose, crop_to_full,
+};
 pub use drex_grasp::TablePlane;
 pub use error::{Result, RetargetError};
 pub use hand::{LinkPoint, TargetFinger, TargetHand};

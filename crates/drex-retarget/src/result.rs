@@ -97,6 +97,16 @@ pub enum Flag {
         /// Largest movement of a wrist-centred key point, mm.
         distance_mm: f64,
     },
+    /// The frame does not come after the one before.
+    Time {
+        /// Time since the frame before, s.
+        step_s: f64,
+    },
+    /// The object is not where the hand is: another frame, or a lost track.
+    FarFromObject {
+        /// Distance from the wrist to the origin of the object's mesh, mm.
+        distance_mm: f64,
+    },
     /// The lengths of the bones are not those of the rest of the clip.
     BoneLength {
         /// Hand length over the clip's median.
