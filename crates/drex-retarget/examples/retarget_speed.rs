@@ -1,7 +1,7 @@
 //! Objective and time of the per-frame objectives on recorded clips of key points.
 //!
 //! ```text
-//! cargo run --release -p drex-retarget --example retarget_speed -- [--runs N] [--json] FOLDER...
+//! cargo run --release -p drex-retarget --example retarget_speed -- [--runs N] [--frames N] [--json] FOLDER...
 //! ```
 //! A folder holds `hand.json` (format "drex-hand-demo/1"); where the outputs of dex-retargeting are beside it
 //! (`golden_HAND_METHOD.json`), the ratio of the mean objectives is printed. The scale is 1.6, as there. A frame's time is the
@@ -21,18 +21,20 @@ const METHODS: [(&str, Objective); 3] =
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut folders = Vec::new();
-    let (mut runs, mut as_json) = (7, false);
+    let (mut runs, mut most_frames, mut as_json) = (7, usize::MAX, false);
     let mut args = std::env::args().skip(1);
     while let Some(arg) = args.next() {
         match arg.as_str() {
             "--runs" => runs = args.next().ok_or("--runs needs a number")?.parse()?,
+            "--frames" => most_frames = args.next().ok_or("--frames needs a number")?.parse()?,
             "--json" => as_json = true,
             _ => folders.push(arg),
         }
     }
     let mut rows = Vec::new();
     for folder in &folders {
-        let frames = read_frames(Path::new(folder))?;
+        let mut frames = read_frames(Path::new(folder))?;
+        frames.truncate(most_frames);
         for (hand_name, other_name) in HANDS {
             let hand = TargetHand::bundled(hand_name)?;
             for (method, objective) in METHODS {

@@ -42,10 +42,26 @@ pub struct ScaleReport {
     pub scale: f64,
     /// Whether it was found automatically.
     pub automatic: bool,
-    /// Length of the person's hand ([`crate::hand_length_m`]), m.
+    /// Length of the person's hand along the bones from the wrist to the tip of the middle finger (index or ring finger where it
+    /// was never seen), medians over the frames, m; 0 where no finger was ever seen whole.
     pub person_reach_m: f64,
     /// Largest distance of the robot's middle fingertip (or the longest finger's) from its wrist, m.
     pub hand_reach_m: f64,
+}
+
+impl ScaleReport {
+    /// A remark where an automatic scale is none of a person's hand in metres.
+    pub fn note(&self) -> Option<String> {
+        (self.automatic && !(0.8..=1.6).contains(&self.scale)).then(|| {
+            format!(
+                "the automatic scale is {:.3} (hand {:.0} mm, person {:.0} mm): a person's key points in metres have 0.8 to 1.6; \
+                 check their unit",
+                self.scale,
+                self.hand_reach_m * 1e3,
+                self.person_reach_m * 1e3
+            )
+        })
+    }
 }
 
 /// One frame, retargeted.
@@ -56,11 +72,12 @@ pub struct RetargetedFrame {
     pub t_s: f64,
     /// Joint vector in the model's order, rad, within the limits.
     pub q: Vec<f64>,
-    /// The same after the low-pass filter.
+    /// The same after the low-pass filter; also within the limits.
     pub q_filtered: Vec<f64>,
-    /// Pose of the robot's base in the source frame.
+    /// Pose of the robot's base in the source frame: solved for by `position`, else so that the wrists and palms coincide. A frame
+    /// that is no hand repeats the pose before, if there was one.
     pub source_from_base: Option<Pose>,
-    /// Value of the objective at `q`, without regularisation.
+    /// Value of the objective at `q`, without regularisation; NaN in a frame that is no hand.
     pub objective: f64,
     /// Residual of each finger.
     pub fingers: Vec<FingerResidual>,

@@ -72,6 +72,8 @@ fn with_automatic_scale_the_size_does_not_matter() {
                 let [a, b] = [&person, &other].map(|d| retarget(d, &hand, &options).unwrap());
                 assert!(apart(&a, &b) < 1e-9, "{objective:?}: {:.1e}", apart(&a, &b));
                 assert!((a.scale.scale / b.scale.scale / factor - 1.0).abs() < 1e-9);
+                assert!(a.scale.note().is_none());
+                assert!(b.scale.note().unwrap().contains("unit"));
             }
         }
     }
