@@ -7,9 +7,8 @@
 Sequences are folders of $DREX_SHARED/data/demos with a hand.json. The reference runs with the configurations that it ships (scale
 1.6 for vector and dexpilot; position, without scale, only where the recording has MANO's wrist rotation for its start) on the URDF
 files of $DREX_SHARED/data/robots; ours runs with the same scale on its bundled models. A frame's time is the reference's CPU time
-of the thread (time.thread_time_ns) in its call `retarget`; ours is the least of several runs of the same frame, which leaves out
-what other programs do to a wall clock. Ours starts at the operator frame of the key points. The objective of either is the
-reference's definition, without regularisation.
+of the thread (time.thread_time_ns) in its call `retarget`; for ours it is the wall clock, which is never less. Ours starts at the
+operator frame of the key points. The objective of either is the reference's definition, without regularisation.
 """
 
 import argparse

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use crate::hand::TargetHand;
 use crate::kinematics::Chains;
 use crate::objective::{FrameProblem, Loss, Term};
-use crate::solve::{Newton, Problem, State, Unknowns};
+use crate::solve::{EXACT, Newton, Problem, State, Unknowns};
 use crate::{HandFrame, HumanFinger, Result, Retargeter};
 
 /// Hand length to which a person is brought before `dexpilot` measures its pinches, where the scale is automatic, m: about that
@@ -31,7 +31,7 @@ pub(crate) fn hand_reach_m(hand: &TargetHand, chains: &Chains, unknowns: &Unknow
             problem.terms = vec![Term { task, origin: None, target, weight: 1.0 }];
             problem.previous = state.clone();
             problem.norm_delta = 1e-6;
-            solver.minimise(&mut problem, &mut state, 100);
+            solver.minimise(&mut problem, &mut state, EXACT, 100);
             problem.value(&state);
             let arm = problem.error(&problem.terms[0]) + target - wrist;
             reach = reach.max(arm.norm());

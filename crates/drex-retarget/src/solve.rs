@@ -180,8 +180,8 @@ pub(crate) struct Newton {
     trial: Option<State>,
 }
 
-/// A step this small (rad, m) is the last.
-const SMALLEST_STEP: f64 = 1e-9;
+/// The last step (rad, m) for a solution to the last digits: the next would be its square.
+pub(crate) const EXACT: f64 = 1e-9;
 /// Part of the decrease that the quadratic model promises which a step must keep.
 const KEPT: f64 = 1e-4;
 /// Changes of the value below this part of it are rounding.
@@ -190,8 +190,14 @@ const ROUNDING: f64 = 1e-13;
 const LONGEST_STEP: f64 = 0.7;
 
 impl Newton {
-    /// Moves `state` to a minimum of `problem`; returns the value there.
-    pub(crate) fn minimise(&mut self, problem: &mut impl Problem, state: &mut State, iterations: usize) -> f64 {
+    /// Moves `state` to a minimum of `problem`; returns the value there. A step shorter than `tolerance` (rad, m) is the last.
+    pub(crate) fn minimise(
+        &mut self,
+        problem: &mut impl Problem,
+        state: &mut State,
+        tolerance: f64,
+        iterations: usize,
+    ) -> f64 {
         let n = problem.unknowns().len();
         let mut trial = self.trial.take().filter(|t| t.q.len() == state.q.len()).unwrap_or_else(|| state.clone());
         let mut value = problem.value(state);
@@ -210,7 +216,7 @@ impl Newton {
                 let longest = self.step.iter().fold(0.0_f64, |a, s| a.max(s.abs()));
                 problem.unknowns().step(state, &self.step, &mut trial);
                 let next = problem.value(&trial);
-                let last = longest < SMALLEST_STEP;
+                let last = longest < tolerance;
                 // Within the rounding of the value only the model knows which way is down.
                 let unseen = promised <= ROUNDING * value.abs();
                 if next <= value - KEPT * promised || (unseen && next <= value + ROUNDING * value.abs()) {
@@ -371,7 +377,7 @@ mod tests {
 
         fn minimum(&mut self) -> Vec<f64> {
             let mut state = State { base: Pose::identity(), q: vec![0.0; self.centre.len()] };
-            Newton::default().minimise(self, &mut state, 50);
+            Newton::default().minimise(self, &mut state, EXACT, 50);
             state.q
         }
     }

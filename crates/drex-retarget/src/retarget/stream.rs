@@ -12,7 +12,7 @@ use crate::objective::{
 };
 use crate::person::Person;
 use crate::scale::{NOMINAL_LENGTH_M, hand_reach_m};
-use crate::solve::{Newton, Problem, State, Unknowns};
+use crate::solve::{EXACT, Newton, Problem, State, Unknowns};
 use crate::{
     FingerResidual, Flag, HandFrame, HumanFinger, KeyPoints, Objective, Result, RetargetError, RetargetedFrame,
     ScaleReport, TargetHand, canonical, transformed,
@@ -41,6 +41,8 @@ pub struct Retargeter {
 
 /// Another minimum is taken where its value is below this part of the warm start's: the thumb must not flicker.
 const CLEARLY_BETTER: f64 = 0.999;
+/// Last step (rad, m) of a solution that is only compared.
+const ROUGH: f64 = 1e-2;
 
 /// What a frame leaves to the next.
 #[derive(Debug, Clone, Default)]
@@ -210,18 +212,11 @@ impl Retargeter {
             State { base, q: self.start.q.clone() }
         });
         self.problem.previous.clone_from(&state);
-        let mut best = self.solver.minimise(&mut self.problem, &mut state, self.options.iterations);
-        let starts = self.options.thumb_starts;
-        // A first frame tries every other start, later ones one after the other.
-        let tried = if self.memory.solved == 0 { 0..starts } else { self.memory.solved..self.memory.solved + 1 };
-        for start in tried.filter(|_| starts > 0) {
-            let mut other = state.clone();
-            self.move_thumb(start % starts, &mut other.q);
-            let value = self.solver.minimise(&mut self.problem, &mut other, self.options.iterations);
-            if value < CLEARLY_BETTER * best {
-                best = value;
-                state = other;
-            }
+        let iterations = self.options.iterations;
+        let best = self.solver.minimise(&mut self.problem, &mut state, EXACT, iterations);
+        if let Some(mut other) = self.other_minimum(&state, best) {
+            self.solver.minimise(&mut self.problem, &mut other, EXACT, iterations);
+            state = other;
         }
         self.memory.solved += 1;
         self.problem.value(&state);
@@ -236,6 +231,24 @@ impl Retargeter {
             state,
             flags,
         })
+    }
+
+    /// A minimum of the frame, found from another place of the thumb, that is clearly better than `best`, roughly.
+    fn other_minimum(&mut self, state: &State, mut best: f64) -> Option<State> {
+        let (starts, solved) = (self.options.thumb_starts, self.memory.solved);
+        // A first frame tries every other start, later ones one after the other.
+        let tried = if solved == 0 { 0..starts } else { solved..solved + starts.min(1) };
+        let mut found = None;
+        for start in tried {
+            let mut other = state.clone();
+            self.move_thumb(start % starts, &mut other.q);
+            let value = self.solver.minimise(&mut self.problem, &mut other, ROUGH, self.options.iterations);
+            if value < CLEARLY_BETTER * best {
+                best = value;
+                found = Some(other);
+            }
+        }
+        found
     }
 
     /// Puts the thumb at start number `start`: first the middle of its joints' ranges, then places spread over them evenly
