@@ -6,7 +6,7 @@ use crate::{Flag, KEYPOINTS, KeyPoints, hand_length_m};
 const FARTHEST_M: f64 = 1e6;
 /// A point that moves by this part of the hand's length from one frame to the next, and by [`SUDDEN`] times the median of such
 /// movements, jumped.
-const JUMP: f64 = 0.25;
+const JUMP: f64 = 0.4;
 const SUDDEN: f64 = 5.0;
 /// Hand lengths over the median outside of this are not of the same hand.
 const SAME_HAND: std::ops::Range<f64> = 0.75..1.33;

@@ -83,8 +83,8 @@ pub(crate) fn refined(retargeter: &Retargeter, frames: &[HandFrame]) -> Result<f
     Ok(1.0 + FINE * f64::from(best.0))
 }
 
-const SAMPLES: usize = 40;
+const SAMPLES: usize = 24;
 /// A fine step of the factor, and fine steps to a coarse one.
-const FINE: f64 = 0.02;
-const COARSE: i32 = 5;
-const COARSE_STEPS: i32 = 5;
+const FINE: f64 = 0.03;
+const COARSE: i32 = 3;
+const COARSE_STEPS: i32 = 4;

@@ -152,7 +152,9 @@ impl Retargeter {
 
     /// The same for `vector` and the automatic scale, with the person's measures.
     pub(crate) fn probe(&self) -> Result<Self> {
-        let mut probe = Self::new(&self.hand, RetargetOptions::new(Objective::Vector))?;
+        let mut options = RetargetOptions::new(Objective::Vector);
+        options.thumb_starts = 0;
+        let mut probe = Self::new(&self.hand, options)?;
         probe.measure(self.person.clone());
         Ok(probe)
     }
