@@ -32,6 +32,8 @@ pub(crate) struct Unknowns {
     pub(crate) drive: Vec<Option<Drive>>,
     /// Whether the base is unknown too; its six come after the joints.
     pub(crate) floating: bool,
+    /// Unknowns that are left alone for now.
+    pub(crate) held: Vec<bool>,
 }
 
 /// coordinate = factor · unknown + offset; factor 1 and offset 0 but for coupled (`mimic`) joints.
@@ -46,7 +48,8 @@ impl Unknowns {
     /// The joints marked in `wanted`; a joint that follows another (`mimic`) stands for the one that it follows.
     pub(crate) fn new(robot: &Robot, wanted: &[bool], floating: bool) -> Self {
         let leaders: Vec<_> = (0..robot.dof()).map(|j| leader(robot, j)).collect();
-        let mut unknowns = Self { bounds: Vec::new(), joints: Vec::new(), drive: vec![None; robot.dof()], floating };
+        let mut unknowns =
+            Self { bounds: Vec::new(), joints: Vec::new(), drive: vec![None; robot.dof()], floating, held: Vec::new() };
         for j in 0..robot.dof() {
             if (0..robot.dof()).any(|k| wanted[k] && leaders[k].0 == j) {
                 unknowns.joints.push(j);
@@ -68,6 +71,7 @@ impl Unknowns {
                 }
             }
         }
+        unknowns.held = vec![false; unknowns.len()];
         unknowns
     }
 
@@ -260,7 +264,8 @@ impl Newton {
         self.free.clear();
         for k in 0..n {
             let (g, (lo, hi)) = (self.normal.gradient[k], room(k));
-            if !((lo >= 0.0 && g > 0.0) || (hi <= 0.0 && g < 0.0)) {
+            let at_wall = (lo >= 0.0 && g > 0.0) || (hi <= 0.0 && g < 0.0);
+            if !at_wall && !unknowns.held[k] {
                 self.free.push(k);
             }
         }
@@ -371,7 +376,13 @@ mod tests {
         fn new(centre: &[f64], coupling: f64, bounds: (f64, f64)) -> Self {
             let n = centre.len();
             let drive = (0..n).map(|unknown| Some(Drive { unknown, factor: 1.0, offset: 0.0 })).collect();
-            let unknowns = Unknowns { bounds: vec![bounds; n], joints: (0..n).collect(), drive, floating: false };
+            let unknowns = Unknowns {
+                bounds: vec![bounds; n],
+                joints: (0..n).collect(),
+                drive,
+                floating: false,
+                held: vec![false; n],
+            };
             Self { unknowns, centre: centre.to_vec(), coupling }
         }
 

@@ -241,6 +241,9 @@ impl Retargeter {
         // A first frame tries every other start, later ones one after the other.
         let tried = if solved == 0 { 0..starts } else { solved..solved + starts.min(1) };
         let mut found = None;
+        let thumb = &self.thumb;
+        let others = (0..self.problem.unknowns.len()).map(|k| !thumb.contains(&k)).collect();
+        let none = std::mem::replace(&mut self.problem.unknowns.held, others);
         for start in tried {
             let mut other = state.clone();
             self.move_thumb(start % starts, &mut other.q);
@@ -250,6 +253,7 @@ impl Retargeter {
                 found = Some(other);
             }
         }
+        self.problem.unknowns.held = none;
         found
     }
 
