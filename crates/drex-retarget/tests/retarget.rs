@@ -7,6 +7,7 @@ use drex_retarget::{
     Demonstration, Flag, HandFrame, KEYPOINTS, Objective, RetargetOptions, RetargetedFrame, Retargeter, Retargeting,
     Scale, Side, TargetHand, mirrored, retarget, transformed,
 };
+use drex_robot::Mimic;
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
@@ -158,6 +159,38 @@ fn broken_frames_are_flagged_and_the_rest_goes_on() {
         assert!(f[25].flags.iter().any(|f| matches!(f, Flag::BoneLength { ratio } if (ratio - 1.6).abs() < 1e-6)));
         let flagged = f.iter().filter(|f| !f.flags.is_empty()).count();
         assert_eq!(flagged, 7, "{objective:?}");
+    }
+}
+
+#[test]
+fn hands_with_fewer_fingers_and_coupled_joints_work_too() {
+    let person = synthetic(60);
+    for fingers in 2..=4 {
+        let mut hand = TargetHand::bundled("allegro_right").unwrap();
+        hand.fingers.truncate(fingers);
+        for finger in &hand.fingers {
+            let [.., middle, last] = finger.joints[..] else { panic!("{finger:?}") };
+            hand.robot.joints[last].mimic = Some(Mimic { joint: middle, multiplier: 0.7, offset: 0.05 });
+        }
+        for objective in PER_FRAME {
+            let clip = retarget(&person, &hand, &RetargetOptions::new(objective)).unwrap();
+            for frame in &clip.frames {
+                assert_eq!(frame.fingers.len(), fingers);
+                for q in [&frame.q, &frame.q_filtered] {
+                    assert!(hand.robot.joints.iter().zip(q).all(|(j, v)| {
+                        let (lo, hi) = j.limits.unwrap();
+                        *v >= lo && *v <= hi
+                    }));
+                    let mut coupled = q.clone();
+                    hand.robot.apply_mimic(&mut coupled);
+                    assert!(coupled.iter().zip(q).all(|(a, b)| (a - b).abs() < 1e-12));
+                }
+            }
+        }
+        let tips = retarget(&person, &hand, &RetargetOptions::default()).unwrap();
+        let mean = support::mean(tips.frames.iter().flat_map(|f| f.fingers.iter().filter_map(|r| r.residual_mm)));
+        println!("{fingers} fingers: {mean:.1} mm at scale {:.2}", tips.scale.scale);
+        assert!(mean < 20.0);
     }
 }
 

@@ -270,7 +270,9 @@ impl Retargeter {
     }
 
     fn finish(&mut self, t_s: f64, solved: Solved) -> RetargetedFrame {
-        let q = solved.state.q.clone();
+        let mut q = solved.state.q.clone();
+        // Coupled joints reach their limits but for rounding.
+        self.hand.robot.clamp_to_limits(&mut q);
         let alpha = self.options.low_pass_alpha;
         let mut filtered = self.memory.filtered.take().unwrap_or_else(|| q.clone());
         for (y, x) in filtered.iter_mut().zip(&q) {
