@@ -19,6 +19,26 @@ use crate::{
 };
 
 /// Retargets frame by frame.
+///
+/// ```
+/// use drex_retarget::{HandFrame, KEYPOINTS, Objective, RetargetOptions, Retargeter, TargetHand};
+/// use nalgebra::Point3;
+///
+/// let hand = TargetHand::bundled("leap_right")?;
+/// let mut retargeter = Retargeter::new(&hand, RetargetOptions::new(Objective::DexPilot))?;
+/// // A flat right hand: wrist at the origin, five fingers along z, the thumb's side along y, the palm towards x.
+/// let points = std::array::from_fn::<_, KEYPOINTS, _>(|i| {
+///     let (finger, joint) = ((i + 3) / 4, (i + 3) % 4);
+///     let along = if i == 0 { 0.0 } else { 0.09 + 0.03 * joint as f64 };
+///     Some(Point3::new(0.0, if i == 0 { 0.0 } else { 0.06 - 0.02 * finger as f64 }, along))
+/// });
+/// let frame = retargeter.frame(&HandFrame::new(0.0, points));
+/// assert!(frame.flags.is_empty());
+/// for (joint, angle) in hand.robot.joints.iter().zip(&frame.q_filtered) {
+///     println!("{} {angle:.3} rad", joint.name);
+/// }
+/// # Ok::<(), drex_retarget::RetargetError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Retargeter {
     options: RetargetOptions,
