@@ -16,6 +16,7 @@ mod keypoints;
 mod kinematics;
 mod objective;
 mod person;
+mod register;
 mod result;
 mod retarget;
 mod scale;
@@ -33,6 +34,9 @@ pub use hand::{LinkPoint, TargetFinger, TargetHand};
 pub use keypoints::{
     FrameError, HumanFinger, KEYPOINTS, KeyPoints, Side, canonical, hand_length_m, mirrored, operator_frame,
     transformed,
+};
+pub use register::{
+    Placement, RegisterOptions, Registration, RegistrationSummary, parse_points, read_points, register, register_clip,
 };
 pub use result::{FingerResidual, Flag, Objective, RetargetedFrame, Retargeting, ScaleReport};
 pub use retarget::{RetargetOptions, Retargeter, Scale, retarget};
