@@ -42,6 +42,9 @@ const MAD_TO_SIGMA: f64 = 1.4826;
 const LEAST_SIGMA: f64 = 2e-4;
 /// Part of the sliding along the surface that is held back in the first steps, and number of these.
 const STICKY: (f64, usize) = (0.3, 5);
+/// Weight of the surface-to-points residuals. Points end a little before an edge does, by chance, so that these residuals draw the edge
+/// inwards; they need only be strong enough to keep a surface from growing where nothing else does.
+const BACKWARD_WEIGHT: f64 = 0.2;
 /// Neighbours of a surface sample whose hull covers it.
 const NEIGHBOURS: usize = 12;
 /// Mean normal of the matched surface longer than this: only one side was seen. Half a sphere has 0.5, a whole object 0.
@@ -179,8 +182,8 @@ impl Problem<'_> {
         let mut b = SVector::<f64, 7>::zeros();
         // Lengths in units of the cloud's radius, so that turns and shifts weigh alike.
         let unit = self.points_moments.radius;
-        for residuals in [forward, backward] {
-            let total = residuals.len().max(1) as f64;
+        for (residuals, share) in [(forward, 1.0), (backward, BACKWARD_WEIGHT)] {
+            let total = residuals.len().max(1) as f64 / share;
             for r in residuals.iter().filter(|r| r.weight > 0.0) {
                 let at = r.at / unit;
                 let row = |d: &Vector3<f64>| {
