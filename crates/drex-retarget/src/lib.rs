@@ -9,6 +9,7 @@
 extern crate self as drex_retarget;
 
 mod demo;
+mod detect;
 mod error;
 mod flags;
 mod hand;
@@ -28,6 +29,7 @@ pub use demo::{
     CropCamera, DemoUnit, Demonstration, FrameCheck, HandFrame, HandPose, InputReport, KeyPointOrder, LoadOptions,
     ManoModel, ManoPose, crop_to_full,
 };
+pub use detect::{ExternalDetector, HAMER_SCRIPT, HandDetector, MEDIAPIPE_SCRIPT, MediaPipe};
 pub use drex_grasp::TablePlane;
 pub use error::{Result, RetargetError};
 pub use hand::{LinkPoint, TargetFinger, TargetHand};
