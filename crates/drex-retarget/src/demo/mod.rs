@@ -131,7 +131,8 @@ impl Demonstration {
 /// Opening a pickle runs whatever program it holds.
 fn refuse_pickle(path: &Path, extension: &str, bytes: &[u8]) -> Result<()> {
     let named = matches!(extension, "pkl" | "pickle" | "p" | "pt" | "pth");
-    if !named && !(bytes.first() == Some(&0x80) && bytes.get(1).is_some_and(|v| (2..=5).contains(v))) {
+    let marked = matches!(bytes, [0x80, 2..=5, ..]);
+    if !(named || marked) {
         return Ok(());
     }
     let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
