@@ -204,7 +204,7 @@ fn vendors_models_derive_to_the_frame_of_the_reference() {
         {
             let apart = (tip - expected).norm();
             assert!(apart < tolerance, "{file}: {human:?} {apart}");
-            println!("{file} {human:?}: {:.2} mm", apart * 1e3);
+            eprintln!("{file} {human:?}: {:.2} mm", apart * 1e3);
         }
     }
 }
@@ -247,6 +247,36 @@ proptest! {
         let closed = hand.robot.joints.iter().filter(|j| j.limits.is_some_and(|(lo, hi)| lo == hi)).count();
         prop_assert_eq!(closed, usize::from(arm));
         prop_assert_eq!(hand.notes.iter().any(|n| n.contains("follows")), coupled);
+    }
+
+    /// Trees of links that are no hands, or strange ones: an answer or a message, never a panic.
+    #[test]
+    fn any_tree_of_links(
+        links in prop::collection::vec((0..100usize, 0..4usize, 0..9usize, prop::array::uniform3(-0.05..0.05f64), any::<bool>()), 1..24),
+    ) {
+        let words = ["thumb", "index", "ring", "base", "wrist", "x", "tip", "ff", "rf"];
+        let mut text = "<robot name=\"tree\"><link name=\"l0\"/>".to_owned();
+        for (i, (parent, kind, word, p, zero)) in links.iter().enumerate() {
+            let (child, parent) = (format!("{}_{}", words[*word], i + 1), parent % (i + 1));
+            let parent = match parent {
+                0 => "l0".to_owned(),
+                k => format!("{}_{k}", words[links[k - 1].2]),
+            };
+            let kind = ["revolute", "prismatic", "fixed", "continuous"][*kind];
+            let p = if *zero { [0.0; 3] } else { *p };
+            text += &format!(
+                "<link name=\"{child}\"/><joint name=\"j{i}\" type=\"{kind}\"><parent link=\"{parent}\"/><child link=\"{child}\"/>\
+                 <origin xyz=\"{} {} {}\"/><axis xyz=\"{} 1 0\"/><limit lower=\"-1\" upper=\"0.3\" effort=\"1\" velocity=\"1\"/></joint>",
+                p[0], p[1], p[2], i % 3
+            );
+        }
+        let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("hands_tree.urdf");
+        std::fs::write(&path, text + "</robot>").unwrap();
+        let robot = Robot::load(&path).unwrap();
+        match TargetHand::derive(robot) {
+            Ok(hand) => prop_assert!(hand.fingers.len() >= 2 && hand.fingers.iter().all(|f| !f.joints.is_empty())),
+            Err(e) => prop_assert!(e.to_string().contains("; "), "{e}"),
+        }
     }
 
     #[test]
@@ -366,6 +396,40 @@ fn a_mapping_file_may_name_its_model() {
     assert!(TargetHand::load(&path, None).unwrap_err().to_string().contains("add model = "));
     std::fs::write(&path, "model = \"leap_right\"\n").unwrap();
     assert_eq!(TargetHand::load(&path, None).unwrap().robot.name, TargetHand::bundled("leap").unwrap().robot.name);
+}
+
+#[test]
+fn a_hand_that_bends_both_ways_has_its_palm_where_the_thumb_is() {
+    let even = |text: String| {
+        text.replace("lower=\"-0.2\" upper=\"1.5\"", "lower=\"-1.5\" upper=\"1.5\"")
+            .replace("lower=\"0\" upper=\"1.6\"", "lower=\"-1.6\" upper=\"1.6\"")
+            .replace("lower=\"0\" upper=\"1.2\"", "lower=\"-1.2\" upper=\"1.2\"")
+    };
+    let load = |name: &str, text: String| {
+        let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("hands_{name}.urdf"));
+        std::fs::write(&path, text).unwrap();
+        TargetHand::load(&path, None)
+    };
+    let hand = load("even", even(Synthetic::default().urdf())).unwrap();
+    assert!(hand.base_from_operator.rotation.angle() < 1e-6 && hand.side == Side::Right);
+    assert!(hand.notes.iter().any(|n| n.contains("the side on which the thumb is")), "{:?}", hand.notes);
+    // No joint limits at all.
+    let unlimited =
+        Synthetic { coupled: false, ..Synthetic::default() }.urdf().replace("type=\"revolute\"", "type=\"continuous\"");
+    let hand = load("unlimited", unlimited).unwrap();
+    assert!(hand.base_from_operator.rotation.angle() < 1e-6);
+    assert_eq!(hand.notes.iter().filter(|n| n.contains("no limits")).count(), 20);
+    // The thumb in the middle: index and little finger tell left from right, if names tell them.
+    let thumb = "xyz=\"0.01 0.04 0.03\" rpy=\"-0.9 0 0\"";
+    let middle = "xyz=\"0.02 0 0.03\" rpy=\"0 0.9 0\"";
+    let central = Synthetic::default().urdf().replace(thumb, middle);
+    assert!(central.contains(middle));
+    let hand = load("central", central).unwrap();
+    assert!(hand.side == Side::Right && hand.notes.iter().any(|n| n.contains("thumb in the middle")));
+    let names = ["thumb", "a", "b", "c", "d"];
+    let unnamed = Synthetic { names, ..Synthetic::default() }.urdf().replace(thumb, middle);
+    let message = load("unnamed", unnamed).unwrap_err().to_string();
+    assert!(message.contains("mapping file"), "{message}");
 }
 
 #[test]

@@ -192,6 +192,6 @@ fn vendors_left_models() {
                 assert!(moved < tolerance, "{file} {tip}: {now} {then}");
             }
         }
-        println!("{file}: to {worst:.1e} m");
+        eprintln!("{file}: to {worst:.1e} m");
     }
 }

@@ -7,12 +7,10 @@ use drex_robot::{Joint, JointKind, Robot};
 use nalgebra::Vector3;
 
 use super::TargetFinger;
-use super::derive::{Found, rounded};
+use super::derive::{Found, UNSURE_SIDE, rounded};
 use super::frame::{Bends, Rest, joints_to};
 use crate::{HumanFinger, Result, RetargetError, Side};
 
-/// A thumb less than this to one side of the other fingers does not tell left from right, m.
-const UNSURE_SIDE: f64 = 3e-3;
 /// A tip nearer to the axis of its last joint does not move with it, m.
 const ON_AXIS: f64 = 5e-3;
 /// Least cosine between what the mapping says and what the fingers do: beyond 45 degrees it is wrong, beyond 20 remarkable.
@@ -62,9 +60,10 @@ pub(super) fn side(
     let thumb = thumbs.first().map_or(0.0, |f| aside(f)) - middle;
     let seen = if thumb > 0.0 { Side::Right } else { Side::Left };
     let sure = thumb.abs() > UNSURE_SIDE;
-    if let (true, [first, .., last]) = (sure, &others[..])
-        && (aside(first) - aside(last)) * thumb < 0.0
-    {
+    // There is a finger beside the thumb: `derive::fingers` saw to it.
+    let (first, last) = (others[0], others[others.len() - 1]);
+    let row = aside(first) - aside(last);
+    if sure && row * thumb < 0.0 {
         let (near, far) = (first.human.name(), last.human.name());
         let what = format!("the {near} finger is farther from the thumb than the {far} finger");
         if !rest.mapping.fingers.is_empty() {
@@ -87,6 +86,11 @@ pub(super) fn side(
         Some(said) => Ok(said),
         None if sure => {
             notes.push(format!("a {} hand: the thumb is {:.0} mm to that side", seen.name(), thumb.abs() * 1e3));
+            Ok(seen)
+        }
+        None if row.abs() > UNSURE_SIDE => {
+            let seen = if row > 0.0 { Side::Right } else { Side::Left };
+            notes.push(format!("a {} hand: the index finger is on that side, the thumb in the middle", seen.name()));
             Ok(seen)
         }
         None => rest.fail(

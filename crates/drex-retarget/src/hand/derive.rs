@@ -16,6 +16,8 @@ const PALM_PER_FINGER: f64 = 0.7;
 /// A wrist is this many finger lengths behind the knuckles.
 const WRIST_BEHIND: std::ops::Range<f64> = 0.3..1.6;
 
+/// A thumb less than this to one side of the other fingers does not tell left from right, m.
+pub(super) const UNSURE_SIDE: f64 = 3e-3;
 /// Joints nearer to each other than this are the same, m: files round.
 const SAME_JOINT: f64 = 2e-3;
 
@@ -151,7 +153,10 @@ fn by_order(rest: &Rest<'_>, bends: &Bends, fingers: &mut [Found]) -> Result<()>
     }
     let aside = |f: &Found| across.dot(&rest.middle_of(&f.joints, &f.tip));
     let middle = others.iter().map(&aside).sum::<f64>() / others.len() as f64;
-    let side = (aside(thumb) - middle).signum();
+    let side = aside(thumb) - middle;
+    if side.abs() < UNSURE_SIDE {
+        return fail("names do not tell the fingers apart, and the thumb is in the middle of them".to_owned());
+    }
     others.sort_by(|a, b| (side * aside(b)).total_cmp(&(side * aside(a))));
     for (finger, human) in others.iter_mut().zip(&HumanFinger::ALL[1..]) {
         finger.human = Some(*human);
@@ -205,9 +210,13 @@ pub(super) fn operator(
                 );
             };
             notes.push(format!(
-                "out of the palm is {}, to the fingertips {} in the frame of the base, from how the fingers bend",
+                "out of the palm is {}, to the fingertips {} in the frame of the base, {}",
                 rounded(&palm),
-                rounded(&bends.tips)
+                rounded(&bends.tips),
+                match bends.by_thumb {
+                    true => "from their hinges and the side on which the thumb is",
+                    false => "from how the fingers bend",
+                }
             ));
             (palm, bends.tips)
         }
@@ -229,8 +238,8 @@ pub(super) fn operator(
     Ok(Isometry3::from_parts(Translation3::from(origin.coords), rotation))
 }
 
-/// A link called wrist or base, if it is where a wrist would be; else the wrist of the bundled hand with the same joints; else a
-/// point behind the fingers where the palm ends.
+/// A link called wrist or base, if it is where a wrist would be; else the wrist of the bundled hand with the same joints; else the
+/// last joint that moves the palm; else a point behind the fingers where the palm ends.
 fn wrist_point(
     rest: &Rest<'_>,
     x: &Vector3<f64>,
@@ -259,6 +268,12 @@ fn wrist_point(
     if let Some((point, name)) = like_bundled(rest, x, z, fingers) {
         notes.push(format!("the wrist is that of the bundled hand \"{name}\", which has the same joints"));
         return point;
+    }
+    if let Some(&j) = rest.palm_joints.last()
+        && fits(&rest.joint(j).coords)
+    {
+        notes.push(format!("the wrist is at joint \"{}\", the last that moves the palm", robot.joints[j].name));
+        return rest.joint(j);
     }
     // Beside the fingertips and level with the last joints, which is where straight fingers lie.
     let y = z.cross(x);

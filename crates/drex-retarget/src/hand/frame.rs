@@ -92,8 +92,10 @@ pub(super) struct Bends {
     /// Unit vector along the straight fingers.
     pub(super) tips: Vector3<f64>,
     /// Unit vector at right angles to `tips`, the way the fingers bend: out of the palm. `None` if they do not bend, or to both
-    /// sides alike.
+    /// sides alike and the thumb is on neither.
     pub(super) palm: Option<Vector3<f64>>,
+    /// Whether the thumb decided which side the palm is on.
+    pub(super) by_thumb: bool,
 }
 
 impl Bends {
@@ -108,8 +110,10 @@ impl Bends {
             );
         };
         let curl = mean(others().zip(&along).map(|(f, along)| curl(rest, f, along)));
-        let palm = (curl - tips * tips.dot(&curl)).try_normalize(BOTH_WAYS);
-        Ok(Self { tips, palm })
+        let across = |v: Vector3<f64>, least: f64| (v - tips * tips.dot(&v)).try_normalize(least);
+        let palm = across(curl, BOTH_WAYS);
+        let by_thumb = palm.is_none();
+        Ok(Self { tips, palm: palm.or_else(|| across(towards_thumb(rest, fingers, &tips)?, 1e-6)), by_thumb })
     }
 
     /// Towards the thumb in a right hand.
@@ -144,6 +148,21 @@ fn curl(rest: &Rest<'_>, finger: &Found, along: &Vector3<f64>) -> Vector3<f64> {
         }
     }
     curl
+}
+
+/// At right angles to the fingers and their last hinges, to the side on which the thumb is, if it is on one.
+fn towards_thumb(rest: &Rest<'_>, fingers: &[Found], tips: &Vector3<f64>) -> Option<Vector3<f64>> {
+    let (thumbs, others): (Vec<&Found>, Vec<&Found>) = fingers.iter().partition(|f| f.thumb);
+    let place = |f: &&Found| rest.middle_of(&f.joints, &f.tip);
+    let thumb = place(thumbs.first()?) - mean(others.iter().map(place));
+    let hinges =
+        others.iter().filter_map(|f| f.joints.last().filter(|&&j| rest.robot.joints[j].kind == JointKind::Revolute));
+    let sides = hinges.map(|&j| {
+        let side = rest.robot.joint_axis(&rest.poses, j).0.cross(tips);
+        side * side.dot(&thumb).signum()
+    });
+    let side = mean(sides).try_normalize(0.5)?;
+    (side.dot(&thumb) > SAME_PLACE).then_some(side)
 }
 
 /// Middle of a joint's range less its value at rest; of the joint that it follows, if it has no limits of its own.
