@@ -199,6 +199,39 @@ mod tests {
         assert!((left * Vector3::y() + flip(right * Vector3::y())).norm() < 1e-12);
     }
 
+    /// Neither the place in the hand nor the length depends on where the camera is.
+    #[test]
+    fn moved_points_have_the_same_place_in_the_hand() {
+        for side in [Side::Right, Side::Left] {
+            let frame = &crate::HandSkeleton { side, size: 0.9 }.moving(20).frames[19];
+            let camera = Isometry3::new(Vector3::new(0.3, -2.0, 1.0), Vector3::new(2.0, -0.3, 0.7));
+            let moved = transformed(&frame.points, &camera);
+            let own = |points: &KeyPoints, side| transformed(points, &operator_frame(points, side).unwrap().inverse());
+            let (a, b) = (own(&frame.points, side), own(&moved, side));
+            assert!(a.iter().zip(&b).all(|(a, b)| (a.unwrap() - b.unwrap()).norm() < 1e-14));
+            assert!((hand_length_m(&moved).unwrap() - hand_length_m(&frame.points).unwrap()).abs() < 1e-14);
+            // A hand that is taken for the other one faces the other way.
+            let wrong = own(&frame.points, side.other());
+            assert!(a.iter().zip(&wrong).all(|(a, b)| (a.unwrap().x + b.unwrap().x).abs() < 1e-14));
+        }
+    }
+
+    #[test]
+    fn points_that_are_not_there() {
+        let mut points = crate::HandSkeleton::new(Side::Right).moving(1).frames[0].points;
+        points[11] = None;
+        // Of the index finger: 95.1 mm from the wrist to its knuckle, and its bones.
+        assert!((hand_length_m(&points).unwrap() - (0.024_f64.hypot(0.092) + 0.086)).abs() < 1e-12);
+        for finger in [HumanFinger::Index, HumanFinger::Ring] {
+            points[finger.tip()] = Some(Point3::new(f64::NAN, 0.0, 0.0));
+        }
+        assert_eq!(hand_length_m(&points), None);
+        points[0] = Some(Point3::new(f64::INFINITY, 0.0, 0.0));
+        assert_eq!(operator_frame(&points, Side::Right), Err(FrameError::Missing(0)));
+        points[0] = points[9];
+        assert_eq!(operator_frame(&points, Side::Right), Err(FrameError::Collinear));
+    }
+
     #[test]
     fn canonical_points_are_mirrored_to_the_last_bit() {
         let clip = crate::HandSkeleton::new(Side::Right).moving(30);
