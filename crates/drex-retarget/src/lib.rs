@@ -1,8 +1,32 @@
 //! Hand poses of people and other hands for a robot hand, aware of the object.
 //!
+//! ```
+//! use drex_retarget::{HandSkeleton, RetargetOptions, Side, TargetHand, retarget};
+//!
+//! # fn main() -> drex_retarget::Result<()> {
+//! let person = HandSkeleton::new(Side::Left).moving(30);
+//! let hand = TargetHand::resolve("allegro")?.for_side(person.side);
+//! let clip = retarget(&person, &hand, &RetargetOptions::default())?;
+//! assert_eq!(clip.frames.len(), 30);
+//! # Ok(()) }
+//! ```
+//!
 //! # Conventions
 //! Poses are `a_from_b`: of b in a, metres. Joint vectors are in the model's order, rad. Key points are in the order of
-//! MediaPipe. The table is a plane in the object's frame that also says which way is up.
+//! MediaPipe. The operator frame of a hand ([`operator_frame`]) has its origin at the wrist, x out of the palm and z to the
+//! fingertips. The table is a plane in the object's frame that also says which way is up.
+//!
+//! # Mapping files
+//! What [`TargetHand::load`] cannot derive from a model, or should not, a TOML file says. Every key may be left out.
+//!
+//! | key | what |
+//! |---|---|
+//! | `model` | URDF or MJCF file, relative to the mapping file, or the name of a bundled robot |
+//! | `side` | `"right"` or `"left"`; derived from where the thumb is |
+//! | `wrist.link`, `wrist.point_m` | the wrist: a link that moves with the palm, and a point in its frame (its origin) |
+//! | `wrist.palm`, `wrist.tips` | directions in the frame of `wrist.link`: out of the palm, to the tips of the open hand; derived from how the fingers bend |
+//! | `fingers.NAME.tip` | `{ link = "…", point_m = [x, y, z] }` of `thumb`, `index`, `middle`, `ring` or `little`; with any of them, only these fingers are used |
+//! | `fingers.NAME.middle` | the same, what follows the person's middle joint in the `position` objective; the last joint but one (of two the last) |
 
 // Tests within the crate share code with those outside.
 #[cfg(test)]
