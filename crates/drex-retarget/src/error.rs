@@ -30,6 +30,11 @@ pub enum RetargetError {
         path: std::path::PathBuf,
         /// Which entry.
         key: String,
+        /// What is wrong.
+        what: String,
+        /// What to do about it.
+        remedy: String,
+    },
     /// A detector of hands is not there or failed.
     #[error("{detector}: {what}; {remedy}")]
     Detector {
