@@ -73,7 +73,7 @@ pub(crate) const EXACT: f64 = 1e-9;
 /// Part of the decrease that the quadratic model promises which a step must keep.
 const KEPT: f64 = 1e-4;
 /// Changes of the value below this part of it are rounding.
-const ROUNDING: f64 = 1e-13;
+const ROUNDING: f64 = 1e-11;
 /// Longest step of one unknown, rad or m: the quadratic model holds no farther.
 const LONGEST_STEP: f64 = 0.7;
 
@@ -104,7 +104,9 @@ impl Newton {
                 let longest = self.step.iter().fold(0.0_f64, |a, s| a.max(s.abs()));
                 problem.unknowns().step(state, &self.step, &mut trial);
                 let next = problem.value(&trial);
-                let last = longest < tolerance;
+                let short = longest < tolerance;
+                // A damped step is short of the minimum.
+                let last = short && damping == 0.0;
                 // Within the rounding of the value only the model knows which way is down.
                 let unseen = promised <= ROUNDING * value.abs();
                 if next <= value - KEPT * promised || (unseen && next <= value + ROUNDING * value.abs()) {
@@ -116,7 +118,7 @@ impl Newton {
                     }
                     break;
                 }
-                if last {
+                if short {
                     break 'steps;
                 }
                 damping = more(damping);

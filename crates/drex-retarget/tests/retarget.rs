@@ -33,10 +33,12 @@ fn is_no_hand(frame: &RetargetedFrame) -> bool {
     frame.flags.iter().any(|f| matches!(f, Flag::NoHand { .. }))
 }
 
-/// A made hand, and a recorded one where there is the shared folder.
+/// A made hand, and recorded ones where there is the shared folder.
 fn hands_of_people() -> Vec<Demonstration> {
     let mut all = vec![synthetic(90)];
-    all.extend(shared().map(|shared| demonstration(&shared, SEQUENCES[0])));
+    if let Some(shared) = shared() {
+        all.extend(SEQUENCES.map(|sequence| demonstration(&shared, sequence)));
+    }
     all
 }
 
