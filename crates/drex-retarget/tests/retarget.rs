@@ -116,6 +116,13 @@ fn a_stream_is_the_clip_and_both_are_the_same_every_time() {
             for (a, b) in clip.frames.iter().zip(&frames) {
                 assert_eq!((&a.q, &a.q_filtered, a.objective, &a.flags), (&b.q, &b.q_filtered, b.objective, &b.flags));
             }
+            // y ← y + α (x − y), from the first frame on.
+            for pair in frames.windows(2).filter(|_| objective != Objective::Position) {
+                for ((y, x), before) in pair[1].q_filtered.iter().zip(&pair[1].q).zip(&pair[0].q_filtered) {
+                    assert!((y - (before + 0.2 * (x - before))).abs() < 1e-15);
+                }
+            }
+            assert_eq!(frames[0].q, frames[0].q_filtered);
             stream.reset();
         }
     }
