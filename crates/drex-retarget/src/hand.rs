@@ -88,7 +88,7 @@ impl TargetHand {
     }
 
     /// A hand from files. `model` is a URDF or MJCF file; `mapping` says what the model does not (see the crate's
-    /// documentation), what it leaves out is derived. `model` may also be a mapping file that names its model
+    /// documentation), what it leaves out is derived; a model that the mapping names gives way to `model`. `model` may also be a mapping file that names its model
     /// (`model = "hand.urdf"`, relative to the mapping file, or the name of a bundled robot).
     ///
     /// # Errors

@@ -385,6 +385,27 @@ fn a_mapping_that_does_not_fit_is_refused_with_the_remedy() {
     assert!(tilted.notes.iter().any(|n| n.contains("27 degrees away from x")), "{:?}", tilted.notes);
 }
 
+/// Ring and little finger on a link of their own that folds the palm.
+#[test]
+fn fingers_that_share_a_part_of_the_palm() {
+    let names = ["Thumb", "Index", "Middle", "Ring", "Pinky"];
+    let mut text = Synthetic { names, ..Synthetic::default() }.urdf();
+    for name in ["Ring", "Pinky"] {
+        let joint = format!("<joint name=\"{name}_j0\" type=\"revolute\"><parent link=\"palm\"/>");
+        assert!(text.contains(&joint));
+        text = text.replace(&joint, &joint.replace("palm", "fold"));
+    }
+    let fold = "<link name=\"fold\"/><joint name=\"folding\" type=\"revolute\"><parent link=\"palm\"/><child link=\"fold\"/>\
+                <axis xyz=\"0 0 1\"/><limit lower=\"0\" upper=\"0.5\" effort=\"1\" velocity=\"1\"/></joint></robot>";
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("hands_fold.urdf");
+    std::fs::write(&path, text.replace("</robot>", fold)).unwrap();
+    let hand = TargetHand::load(&path, None).unwrap();
+    let tips: Vec<&str> = hand.fingers.iter().map(|f| hand.robot.links[f.tip.link].name.as_str()).collect();
+    assert_eq!(tips, names.map(|n| format!("{n}_end")));
+    assert_eq!(hand.fingers.iter().map(|f| f.joints.len()).collect::<Vec<_>>(), [4, 4, 4, 5, 5]);
+    assert!(hand.base_from_operator.rotation.angle() < 1e-6);
+}
+
 /// A coupled hand that nobody mapped follows a person, on either side.
 #[test]
 fn a_derived_hand_can_be_retargeted_to() {

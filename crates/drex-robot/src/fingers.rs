@@ -35,7 +35,7 @@ impl Robot {
     pub fn fingers(&self) -> Vec<Finger> {
         let Some(palm) = self.palm_link() else { return Vec::new() };
         let mut fingers: Vec<Finger> =
-            self.jointed_children(palm).into_iter().map(|first| self.finger(first)).collect();
+            self.jointed_children(palm).into_iter().flat_map(|first| self.fingers_from(vec![first], 0)).collect();
         if !fingers.iter().any(|f| f.is_thumb)
             && let Some(thumb) = self.thumb_by_direction(&fingers)
         {
@@ -124,12 +124,17 @@ impl Robot {
         self.links[link].joints.len() + below.max().unwrap_or(0)
     }
 
-    fn finger(&self, first: usize) -> Finger {
-        let mut links = vec![first];
-        let mut at = first;
-        loop {
+    /// The fingers that begin with `links`, of which the first `shared` are not theirs alone. Where they divide into parts with
+    /// several joints each (a link that carries ring and little finger), each part is a finger.
+    fn fingers_from(&self, mut links: Vec<usize>, shared: usize) -> Vec<Finger> {
+        while let Some(&at) = links.last() {
             let jointed = self.jointed_children(at);
-            // Where a finger divides, the part with more joints goes on; ties go to the earlier link.
+            let parts: Vec<usize> = jointed.iter().copied().filter(|&c| self.joints_below(c) >= 2).collect();
+            if parts.len() >= 2 {
+                let with = |part: usize| links.iter().copied().chain([part]).collect();
+                return parts.iter().flat_map(|&part| self.fingers_from(with(part), links.len())).collect();
+            }
+            // Of a side branch, the part with more joints goes on; ties go to the earlier link.
             let next = jointed
                 .iter()
                 .copied()
@@ -137,17 +142,17 @@ impl Robot {
                 .or_else(|| self.tip_frame(at));
             let Some(next) = next else { break };
             links.push(next);
-            at = next;
         }
+        let Some(&tip_link) = links.last() else { return Vec::new() };
         let joints: Vec<usize> = links.iter().flat_map(|&l| self.links[l].joints.iter().copied()).collect();
-        Finger {
-            name: self.finger_name(&links),
-            is_thumb: self.is_called_thumb(&links, &joints),
+        vec![Finger {
+            name: self.finger_name(&links[shared..]),
+            is_thumb: self.is_called_thumb(&links[shared..], &joints),
             tip_point: self.tip_point(&links, &joints),
-            tip_link: at,
+            tip_link,
             links,
             joints,
-        }
+        }]
     }
 
     /// The rigid child that reaches farthest beyond `link`.
