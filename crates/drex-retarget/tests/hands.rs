@@ -1,125 +1,16 @@
-//! Any hand: what is derived from a model, what a mapping file may say, and what is refused.
+//! Any hand: what is derived from a model.
 #![allow(clippy::unwrap_used, missing_docs, reason = "a test that fails by panic is what tests are")]
 
-use std::path::{Path, PathBuf};
+mod made_hand;
+
+use std::path::Path;
 
 use drex_core::Pose;
 use drex_retarget::{HandSkeleton, HumanFinger, Objective, RetargetOptions, Side, TargetHand, retarget};
 use drex_robot::Robot;
+use made_hand::{BONES, Synthetic, points, shared, zero};
 use nalgebra::{Isometry3, Point3, Vector3};
 use proptest::prelude::*;
-
-fn shared() -> Option<PathBuf> {
-    let folder = std::env::var_os("DREX_SHARED").map(|f| PathBuf::from(f).join("data/robots"));
-    if folder.is_none() {
-        eprintln!("skipped: DREX_SHARED is not set");
-    }
-    folder
-}
-
-/// Tips and middle points of the fingers in the operator frame at joint vector `q`.
-fn points(hand: &TargetHand, q: &[f64]) -> Vec<(HumanFinger, Point3<f64>, Point3<f64>)> {
-    let poses = hand.robot.forward_kinematics(q, &Pose::identity());
-    let to = hand.base_from_operator.inverse();
-    let at = |p: &drex_retarget::LinkPoint| to * (poses[p.link] * p.point);
-    hand.fingers.iter().map(|f| (f.human, at(&f.tip), at(&f.middle))).collect()
-}
-
-fn zero(hand: &TargetHand) -> Vec<f64> {
-    let mut q = vec![0.0; hand.robot.dof()];
-    hand.robot.clamp_to_limits(&mut q);
-    q
-}
-
-/// A person-like hand as URDF text, its operator frame where `base_from_operator` says.
-struct Synthetic {
-    side: f64,
-    base_from_operator: Pose,
-    /// Names of thumb, index, middle, ring, little.
-    names: [&'static str; 5],
-    /// Joints turn about the other way, with limits turned around.
-    reversed: bool,
-    wrist_link: bool,
-    arm: bool,
-    coupled: bool,
-}
-
-impl Default for Synthetic {
-    fn default() -> Self {
-        Self {
-            side: 1.0,
-            base_from_operator: Pose::identity(),
-            names: ["thumb", "index", "middle", "ring", "pinky"],
-            reversed: false,
-            wrist_link: false,
-            arm: false,
-            coupled: true,
-        }
-    }
-}
-
-/// Lengths of the phalanges, m.
-const BONES: [f64; 3] = [0.045, 0.027, 0.022];
-
-impl Synthetic {
-    fn urdf(&self) -> String {
-        let t = self.base_from_operator.translation;
-        let (r, p, y) = self.base_from_operator.rotation.euler_angles();
-        let origin = format!("<origin xyz=\"{} {} {}\" rpy=\"{r} {p} {y}\"/>", t.x, t.y, t.z);
-        let mount = match self.arm {
-            true => {
-                "type=\"revolute\"><axis xyz=\"0 0 1\"/><limit lower=\"0.3\" upper=\"2\" effort=\"1\" velocity=\"1\"/>"
-            }
-            false => "type=\"fixed\">",
-        };
-        let mut text = format!(
-            "<robot name=\"synthetic\"><link name=\"mount\"/><link name=\"palm\"><collision><origin xyz=\"0 0 0.045\"/>\
-             <geometry><box size=\"0.03 0.08 0.09\"/></geometry></collision></link>\
-             <joint name=\"mounting\" {mount}<parent link=\"mount\"/><child link=\"palm\"/>{origin}</joint>"
-        );
-        if self.wrist_link {
-            text += "<link name=\"hand_wrist\"/><joint name=\"w\" type=\"fixed\"><parent link=\"palm\"/><child link=\"hand_wrist\"/></joint>";
-        }
-        for (i, name) in self.names.iter().enumerate() {
-            let across = self.side * (0.03 - 0.02 * (i as f64 - 1.0));
-            let place = match i {
-                0 => format!("xyz=\"0.01 {} 0.03\" rpy=\"{} 0 0\"", 0.04 * self.side, -0.9 * self.side),
-                _ => format!("xyz=\"0 {across} 0.09\""),
-            };
-            let limits = |lo: f64, hi: f64| match self.reversed {
-                true => format!("<limit lower=\"{}\" upper=\"{}\" effort=\"1\" velocity=\"1\"/>", -hi, -lo),
-                false => format!("<limit lower=\"{lo}\" upper=\"{hi}\" effort=\"1\" velocity=\"1\"/>"),
-            };
-            let sign = if self.reversed { -1 } else { 1 };
-            let mut joint = |k: usize, parent: &str, place: &str, axis: &str, rest: &str| {
-                text += &format!(
-                    "<link name=\"{name}_{k}\"/><joint name=\"{name}_j{k}\" type=\"revolute\"><parent link=\"{parent}\"/>\
-                     <child link=\"{name}_{k}\"/><origin {place}/><axis xyz=\"{axis}\"/>{rest}</joint>"
-                );
-            };
-            let flex = format!("0 {sign} 0");
-            joint(0, "palm", &place, &format!("{sign} 0 0"), &limits(-0.3, 0.3));
-            joint(1, &format!("{name}_0"), "xyz=\"0 0 0\"", &flex, &limits(-0.2, 1.5));
-            joint(2, &format!("{name}_1"), &format!("xyz=\"0 0 {}\"", BONES[0]), &flex, &limits(0.0, 1.6));
-            let mimic = format!("<mimic joint=\"{name}_j2\" multiplier=\"0.7\" offset=\"0\"/>");
-            let coupling = if self.coupled { mimic.as_str() } else { "" };
-            joint(3, &format!("{name}_2"), &format!("xyz=\"0 0 {}\"", BONES[1]), &flex, &(limits(0.0, 1.2) + coupling));
-            text += &format!(
-                "<link name=\"{name}_end\"/><joint name=\"{name}_tip\" type=\"fixed\"><parent link=\"{name}_3\"/>\
-                 <child link=\"{name}_end\"/><origin xyz=\"0 0 {}\"/></joint>",
-                BONES[2]
-            );
-        }
-        text + "</robot>"
-    }
-
-    /// The file, under a name of its own.
-    fn file(&self, name: &str) -> PathBuf {
-        let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("hands_{name}.urdf"));
-        std::fs::write(&path, self.urdf()).unwrap();
-        path
-    }
-}
 
 #[test]
 fn bundled_hands_derive_to_their_mappings() {
@@ -300,91 +191,6 @@ proptest! {
         prop_assert_eq!(right.for_side(Side::Left).base_from_operator, left.base_from_operator);
     }
 }
-
-/// A right mapping of the synthetic hand, as text; `change` is (what, instead).
-fn mapping(change: &[(&str, &str)]) -> String {
-    let mut text = r#"side = "right"
-[wrist]
-link = "palm"
-palm = [1, 0, 0]
-tips = [0, 0, 1]
-[fingers.thumb]
-tip = { link = "thumb_end" }
-[fingers.index]
-tip = { link = "index_end" }
-[fingers.middle]
-tip = { link = "middle_end" }
-middle = { link = "middle_2" }
-"#
-    .to_owned();
-    for (what, instead) in change {
-        assert!(text.contains(what), "{what}");
-        text = text.replace(what, instead);
-    }
-    text
-}
-
-#[test]
-fn a_mapping_that_does_not_fit_is_refused_with_the_remedy() {
-    let file = Synthetic::default().file("mapping");
-    let with = |text: &str| TargetHand::with_mapping(Robot::load(&file).unwrap(), Path::new("hand.toml"), text);
-    let hand = with(&mapping(&[])).unwrap();
-    assert_eq!(hand.fingers.len(), 3);
-    assert!((hand.base_from_operator.translation.vector).norm() < 1e-12);
-    for (what, instead, expected) in [
-        ("thumb_end", "thumb_ennd", &["[fingers.thumb] tip", "did you mean \"thumb_end\"", "index_2"][..]),
-        ("\"palm\"", "\"plam\"", &["[wrist] link", "did you mean \"palm\""]),
-        ("\"palm\"", "\"index_2\"", &["[wrist] link", "does not move with the palm"]),
-        ("\"right\"", "\"left\"", &["side", "right hand has it", "side = \"right\""]),
-        ("\"right\"", "\"both\"", &["hand.toml", "both"]),
-        ("[1, 0, 0]", "[-1, 0, 0]", &["out of the back of the hand", "palm = [1, 0, 0]"]),
-        ("[1, 0, 0]", "[0, 1, 0]", &["points aside", "curl the wrong way", "palm = [1, 0, 0]"]),
-        ("[0, 0, 1]", "[0, 1, 0]", &["[wrist] tips", "90 degrees", "tips = [0, 0, 1]"]),
-        ("[0, 0, 1]", "[1, 0, 0]", &["parallel"]),
-        ("[0, 0, 1]", "[0, 0, 0]", &["zero"]),
-        ("tips = [0, 0, 1]", "", &["one of palm and tips is missing"]),
-        ("link = \"palm\"", "", &["add link"]),
-        ("link = \"palm\"", "link = \"palm\"\npoint_m = [0, 0, 0.3]", &["behind the wrist"]),
-        ("link = \"palm\"", "lnk = \"palm\"", &["lnk", "line 3"]),
-        ("\"index_end\"", "\"palm\"", &["[fingers.index] tip", "no joint moves link \"palm\""]),
-        (
-            "\"index_end\"",
-            "\"index_2\"",
-            &["[fingers.index] tip", "\"index_j3\" moves links beyond it", "use \"index_end\""],
-        ),
-        (
-            "\"index_end\"",
-            "\"index_3\"",
-            &["the last joint, \"index_j3\"", "use link = \"index_end\", point_m = [0.0000"],
-        ),
-        ("\"index_end\"", "\"middle_end\"", &["[fingers.middle] tip", "index has its tip there"]),
-        ("\"middle_2\"", "\"index_2\"", &["[fingers.middle] middle", "belongs to another finger"]),
-        ("fingers.thumb", "fingers.ring", &["thumb", "[fingers.thumb]"]),
-        ("fingers.thumb", "fingers.pollex", &["pollex"]),
-    ] {
-        let message = with(&mapping(&[(what, instead)])).unwrap_err().to_string();
-        for part in expected {
-            assert!(message.contains(part), "{what} -> {instead}: {message}");
-        }
-        assert!(message.contains("hand.toml"), "{message}");
-    }
-    let swapped = mapping(&[
-        ("\"index_end\"", "\"x\""),
-        ("\"middle_end\"", "\"index_end\""),
-        ("\"x\"", "\"middle_end\""),
-        ("middle = { link = \"middle_2\" }", ""),
-    ]);
-    let message = with(&swapped).unwrap_err().to_string();
-    assert!(message.contains("farther from the thumb"), "{message}");
-    // Only a palm is given; everything else follows from the model.
-    let little = with("[wrist]\nlink = \"palm\"\npoint_m = [0.0, 0.0, -0.01]\n").unwrap();
-    assert_eq!(little.fingers.len(), 5);
-    assert!((little.base_from_operator.translation.vector - Vector3::new(0.0, 0.0, -0.01)).norm() < 1e-12);
-    // Twenty degrees off is used, with a remark.
-    let tilted = with(&mapping(&[("[1, 0, 0]", "[0.9, 0.45, 0]")])).unwrap();
-    assert!(tilted.notes.iter().any(|n| n.contains("27 degrees away from x")), "{:?}", tilted.notes);
-}
-
 /// Ring and little finger on a link of their own that folds the palm.
 #[test]
 fn fingers_that_share_a_part_of_the_palm() {
@@ -438,21 +244,6 @@ fn a_derived_hand_can_be_retargeted_to() {
 }
 
 #[test]
-fn a_mapping_file_may_name_its_model() {
-    let model = Synthetic::default().file("named");
-    let path = model.with_extension("toml");
-    let name = model.file_name().unwrap().to_str().unwrap();
-    std::fs::write(&path, format!("model = \"{name}\"\n{}", mapping(&[]))).unwrap();
-    assert_eq!(TargetHand::load(&path, None).unwrap().fingers.len(), 3);
-    assert_eq!(TargetHand::resolve(path.to_str().unwrap()).unwrap().fingers.len(), 3);
-    assert_eq!(TargetHand::load(&model, Some(&path)).unwrap().fingers.len(), 3);
-    std::fs::write(&path, mapping(&[])).unwrap();
-    assert!(TargetHand::load(&path, None).unwrap_err().to_string().contains("add model = "));
-    std::fs::write(&path, "model = \"leap_right\"\n").unwrap();
-    assert_eq!(TargetHand::load(&path, None).unwrap().robot.name, TargetHand::bundled("leap").unwrap().robot.name);
-}
-
-#[test]
 fn a_hand_that_bends_both_ways_has_its_palm_where_the_thumb_is() {
     let even = |text: String| {
         text.replace("lower=\"-0.2\" upper=\"1.5\"", "lower=\"-1.5\" upper=\"1.5\"")
@@ -484,49 +275,4 @@ fn a_hand_that_bends_both_ways_has_its_palm_where_the_thumb_is() {
     let unnamed = Synthetic { names, ..Synthetic::default() }.urdf().replace(thumb, middle);
     let message = load("unnamed", unnamed).unwrap_err().to_string();
     assert!(message.contains("mapping file"), "{message}");
-}
-
-#[test]
-fn joints_that_follow_each_other_in_a_ring_are_refused() {
-    let text = Synthetic::default().urdf().replace("<mimic joint=\"index_j2\"", "<mimic joint=\"index_j3\"");
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("hands_ring.urdf");
-    std::fs::write(&path, text).unwrap();
-    let message = TargetHand::load(&path, None).unwrap_err().to_string();
-    assert!(message.contains("\"index_j3\""), "{message}");
-}
-
-#[test]
-fn grippers_and_arms_are_no_hands_but_can_be_mapped() {
-    let Some(shared) = shared() else { return };
-    let panda = shared.join("panda/urdf/panda_collision.urdf");
-    let message = TargetHand::load(&panda, None).unwrap_err().to_string();
-    assert!(message.contains("thumb") && message.contains("mapping file"), "{message}");
-    let text = r#"
-side = "right"
-[wrist]
-link = "panda_hand"
-point_m = [0, 0, -0.03]
-palm = [1, 0, 0]
-tips = [0, 0, 1]
-[fingers.thumb]
-tip = { link = "panda_leftfinger", point_m = [0, 0, 0.045] }
-[fingers.index]
-tip = { link = "panda_rightfinger", point_m = [0, 0, 0.045] }
-"#;
-    let with = |text: &str| TargetHand::with_mapping(Robot::load(&panda).unwrap(), Path::new("panda.toml"), text);
-    let hand = with(text).unwrap();
-    assert_eq!((hand.side, hand.fingers.len()), (Side::Right, 2));
-    assert!(hand.notes.iter().any(|n| n.contains("panda_joint7") && n.contains("held")), "{:?}", hand.notes);
-    assert!(hand.notes.iter().any(|n| n.contains("panda_finger_joint2") && n.contains("follows")));
-    // The open gripper: thumb and index finger 8 cm apart, thumb on its side.
-    let mut q = hand.robot.reference_position();
-    hand.fingers.iter().flat_map(|f| &f.joints).for_each(|&j| q[j] = 0.04);
-    hand.robot.clamp_to_limits(&mut q);
-    let tips = points(&hand, &q);
-    assert!((tips[0].1 - tips[1].1 - Vector3::new(0.0, 0.08, 0.0)).norm() < 1e-9, "{tips:?}");
-    // Without the palm nothing says which way it faces.
-    let message = with(&text.replace("palm = [1, 0, 0]", "").replace("tips = [0, 0, 1]", "")).unwrap_err().to_string();
-    assert!(message.contains("has no palm") && message.contains("wrist.link"), "{message}");
-    let message = with(&text.replace("point_m = [0, 0, 0.045]", "point_m = [0, 0, 0]")).unwrap_err().to_string();
-    assert!(message.contains("the last joint, \"panda_finger_joint1\""), "{message}");
 }
