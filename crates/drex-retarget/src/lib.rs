@@ -62,7 +62,8 @@ pub use keypoints::{
     transformed,
 };
 pub use register::{
-    Placement, RegisterOptions, Registration, RegistrationSummary, parse_points, read_points, register, register_clip,
+    Placement, RegisterOptions, Registration, RegistrationSummary, parse_points, read_point_frames, read_points,
+    register, register_clip,
 };
 pub use result::{FingerResidual, Flag, Objective, RetargetedFrame, Retargeting, ScaleReport};
 pub use retarget::{RetargetOptions, Retargeter, Scale, retarget};

@@ -5,7 +5,10 @@ use std::path::{Path, PathBuf};
 
 use drex_core::{Surface, TriMesh};
 use drex_mesh::{MeshSdf, RepairOptions, read_mesh, repair, sample_surface};
-use drex_retarget::{Placement, RegisterOptions, parse_points, read_points, register, register_clip};
+use drex_retarget::{
+    Demonstration, HandFrame, KeyPoints, Placement, RegisterOptions, Side, parse_points, read_point_frames,
+    read_points, register, register_clip,
+};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -184,6 +187,32 @@ fn a_clip_goes_on_from_the_frame_before() {
 }
 
 #[test]
+fn a_demonstration_becomes_metric_by_its_object() {
+    let scene = scene(&bracket(), 600, None, 0.0005, 0.0, 11);
+    let (scale, rotation, translation) = scene.truth;
+    // Hand points 0.2 m from the object's origin, in the reconstruction's units.
+    let hand: KeyPoints = std::array::from_fn(|i| {
+        let in_object = Point3::new(0.2, 0.01 * i as f64, 0.0);
+        Some(Point3::from(rotation * in_object.coords * scale + translation))
+    });
+    let mut frames: Vec<HandFrame> = (0..3).map(|i| HandFrame::new(i as f64, hand)).collect();
+    frames.iter_mut().enumerate().for_each(|(i, f)| f.index = 10 + i);
+    let mut demo = Demonstration::new("test", Side::Right, frames);
+    let clouds = vec![(10, scene.points.clone()), (12, scene.points.clone()), (13, vec![])];
+    let found = demo.register_object(&clouds, &scene.surface, &RegisterOptions::default()).unwrap();
+    assert!(found[0].is_ok() && found[2].is_err() && demo.frames[1].source_from_object.is_none());
+    for frame in [&demo.frames[0], &demo.frames[2]] {
+        let object_from_source = frame.source_from_object.unwrap().inverse();
+        for i in [0, 20] {
+            let p = object_from_source * frame.points[i].unwrap();
+            assert!((p - Point3::new(0.2, 0.01 * f64::from(i as u8), 0.0)).norm() < 0.003, "{p}");
+        }
+    }
+    assert!(demo.notes[0].contains("2 of 3 frames"), "{:?}", demo.notes);
+    assert!(demo.register_object(&clouds[2..], &scene.surface, &RegisterOptions::default()).is_err());
+}
+
+#[test]
 fn one_thread_or_two_give_the_same() {
     let scene = scene(&bracket(), 500, None, 0.001, 0.1, 9);
     let run = |threads: usize| {
@@ -246,6 +275,15 @@ fn points_are_read_from_what_reconstructions_write() {
     assert!(read("a.stl", b"").unwrap_err().to_string().contains(".stl"));
     assert!(read("a.ply", b"ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n").is_err());
     assert!(read_points(Path::new("/no/such/file.obj")).is_err());
+    let folder = tempfile::tempdir().unwrap();
+    for (name, x) in [("out_10_object.obj", 10), ("out_9_object.obj", 9)] {
+        std::fs::write(folder.path().join(name), format!("v {x} 0 0\n")).unwrap();
+    }
+    std::fs::write(folder.path().join("readme.md"), "points").unwrap();
+    let frames = read_point_frames(folder.path()).unwrap();
+    assert_eq!(frames.iter().map(|(n, p)| (*n, p[0].x)).collect::<Vec<_>>(), [(9, 9.0), (10, 10.0)]);
+    std::fs::write(folder.path().join("out_9_hand.obj"), "v 0 0 0\n").unwrap();
+    assert!(read_point_frames(folder.path()).unwrap_err().to_string().contains("two files of frame 9"));
 }
 
 proptest::proptest! {

@@ -5,6 +5,7 @@
 //! nearest place on the mesh, and each seen place of the mesh to the points around it. The second kind is what fixes the
 //! scale of an object seen from one side: without it the corner of a larger box fits as well.
 
+mod clip;
 mod fit;
 mod points;
 mod starts;
@@ -14,8 +15,9 @@ use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use serde::Serialize;
 
+pub use self::clip::register_clip;
 use self::fit::{Fit, Problem};
-pub use self::points::{parse_points, read_points};
+pub use self::points::{parse_points, read_point_frames, read_points};
 use self::starts::{Moments, surface_samples};
 use crate::{Result, RetargetError};
 
@@ -123,8 +125,6 @@ const AS_GOOD: (f64, f64) = (1.15, 0.01);
 const PROMISING: (f64, f64) = (2.0, 0.02);
 /// Turns (rad), changes of scale and shifts (of the object's size) below which two placements are one.
 const SAME: (f64, f64, f64) = (0.17, 0.05, 0.05);
-/// Between two frames of a clip the cost may grow by this factor before the object is looked for again everywhere.
-const LOST: f64 = 2.0;
 
 struct Stage {
     points: usize,
@@ -145,54 +145,6 @@ pub fn register(points: &[Point3<f64>], surface: &dyn Surface, options: &Registe
     let starts: Vec<Fit> = rotations.into_iter().map(|r| problem.start(r)).collect();
     let found = problem.refined(&problem.refined(&starts, &ROUGH), &MIDDLE);
     problem.registration(problem.finished(found))
-}
-
-/// Brings the object onto the points of each frame of a clip: the first as [`register`], each next from the frame before, and
-/// everywhere again where the object was lost. Frames without enough points have their own error.
-///
-/// Of placements that look the same the one nearest to the frame before is taken, so that a symmetric object does not jump.
-pub fn register_clip(
-    frames: &[Vec<Point3<f64>>],
-    surface: &dyn Surface,
-    options: &RegisterOptions,
-) -> Vec<Result<Registration>> {
-    let mut before: Option<Registration> = None;
-    let mut out = Vec::with_capacity(frames.len());
-    for points in frames {
-        let found = match &before {
-            Some(previous) => follow(points, surface, options, previous),
-            None => register(points, surface, options),
-        };
-        if let Ok(found) = &found {
-            before = Some(found.clone());
-        }
-        out.push(found);
-    }
-    out
-}
-
-/// The placement that goes on from `previous`.
-fn follow(
-    points: &[Point3<f64>],
-    surface: &dyn Surface,
-    options: &RegisterOptions,
-    previous: &Registration,
-) -> Result<Registration> {
-    let problem = Problem::new(points, surface, options)?;
-    let start = problem.start_at(&previous.placement);
-    let next = problem.registration(problem.finished(problem.refined(&[start], &MIDDLE)))?;
-    if next.rms_m <= LOST * previous.rms_m && next.inlier_share * LOST >= previous.inlier_share {
-        return Ok(next);
-    }
-    let mut anew = register(points, surface, options)?;
-    let turn = |p: &Placement| p.rotation.angle_to(&previous.placement.rotation);
-    if let Some(i) = (0..anew.alternatives.len())
-        .min_by(|&a, &b| turn(&anew.alternatives[a]).total_cmp(&turn(&anew.alternatives[b])))
-        && turn(&anew.alternatives[i]) < turn(&anew.placement)
-    {
-        std::mem::swap(&mut anew.placement, &mut anew.alternatives[i]);
-    }
-    Ok(anew)
 }
 
 impl<'a> Problem<'a> {

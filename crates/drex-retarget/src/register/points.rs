@@ -17,6 +17,39 @@ pub fn read_points(path: &Path) -> Result<Vec<Point3<f64>>> {
     parse_points(path, &fsutil::read_bytes(path)?)
 }
 
+/// Reads a folder of such files, one per frame: the frame is the last number in the file's name (`output_012.obj` is frame 12). Other files are
+/// passed over. In the order of the frames.
+///
+/// # Errors
+/// If the folder cannot be read, holds no file of points, two files have the same number, or one has none or is malformed.
+pub fn read_point_frames(folder: &Path) -> Result<Vec<(usize, Vec<Point3<f64>>)>> {
+    let entries = std::fs::read_dir(folder).and_then(Iterator::collect::<Result<Vec<_>, _>>);
+    let mut files = Vec::new();
+    for entry in entries.map_err(|e| Error::io("read", folder, e))? {
+        let path = entry.path();
+        let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+        if !matches!(extension.as_str(), "obj" | "ply" | "npy" | "xyz" | "txt") {
+            continue;
+        }
+        let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+        let head = stem.trim_end_matches(|c: char| !c.is_ascii_digit());
+        let digits = &head[head.trim_end_matches(|c: char| c.is_ascii_digit()).len()..];
+        let number: usize = digits
+            .parse()
+            .map_err(|_| Error::content(&path, None, "the name has no frame number", "name it like points_012.obj"))?;
+        files.push((number, path));
+    }
+    files.sort();
+    if let Some(pair) = files.windows(2).find(|w| w[0].0 == w[1].0) {
+        let what = format!("two files of frame {}: also {}", pair[0].0, pair[0].1.display());
+        return Err(Error::content(&pair[1].1, None, what, "keep the object's points only").into());
+    }
+    if files.is_empty() {
+        return Err(Error::content(folder, None, "no file of points", "give one .obj or .ply per frame").into());
+    }
+    files.into_iter().map(|(number, path)| Ok((number, read_points(&path)?))).collect()
+}
+
 /// As [`read_points`], from memory.
 ///
 /// # Errors

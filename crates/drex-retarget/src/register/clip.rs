@@ -1,0 +1,113 @@
+//! The object in every frame of a clip.
+
+use drex_core::Surface;
+use nalgebra::Point3;
+
+use super::fit::Problem;
+use super::{MIDDLE, Placement, RegisterOptions, Registration, register};
+use crate::{Demonstration, Result, RetargetError};
+
+/// Between two frames of a clip the distance may grow by this factor before the object is looked for again everywhere.
+const LOST: f64 = 2.0;
+
+/// Brings the object onto the points of each frame of a clip: the first as [`register`], each next from the frame before, and
+/// everywhere again where the object was lost. Frames without enough points have their own error.
+///
+/// Of placements that look the same the one nearest to the frame before is taken, so that a symmetric object does not jump.
+pub fn register_clip(
+    frames: &[Vec<Point3<f64>>],
+    surface: &dyn Surface,
+    options: &RegisterOptions,
+) -> Vec<Result<Registration>> {
+    let mut before: Option<Registration> = None;
+    let mut out = Vec::with_capacity(frames.len());
+    for points in frames {
+        let found = match &before {
+            Some(previous) => follow(points, surface, options, previous),
+            None => register(points, surface, options),
+        };
+        if let Ok(found) = &found {
+            before = Some(found.clone());
+        }
+        out.push(found);
+    }
+    out
+}
+
+/// The placement that goes on from `previous`.
+fn follow(
+    points: &[Point3<f64>],
+    surface: &dyn Surface,
+    options: &RegisterOptions,
+    previous: &Registration,
+) -> Result<Registration> {
+    let problem = Problem::new(points, surface, options)?;
+    let start = problem.start_at(&previous.placement);
+    let next = problem.registration(problem.finished(problem.refined(&[start], &MIDDLE)))?;
+    if next.rms_m <= LOST * previous.rms_m && next.inlier_share * LOST >= previous.inlier_share {
+        return Ok(next);
+    }
+    let mut anew = register(points, surface, options)?;
+    let turn = |p: &Placement| p.rotation.angle_to(&previous.placement.rotation);
+    if let Some(i) = (0..anew.alternatives.len())
+        .min_by(|&a, &b| turn(&anew.alternatives[a]).total_cmp(&turn(&anew.alternatives[b])))
+        && turn(&anew.alternatives[i]) < turn(&anew.placement)
+    {
+        std::mem::swap(&mut anew.placement, &mut anew.alternatives[i]);
+    }
+    Ok(anew)
+}
+
+impl Demonstration {
+    /// Gives frames their object pose from points of the object, `clouds` of frame number and points in the source frame of the key points, and
+    /// makes the demonstration metric: the reconstruction has one scale (the median of the frames', unless the options give it), the
+    /// mesh says what a metre is, and key points and poses are divided by it.
+    ///
+    /// The result has one entry per cloud: its registration at that scale, or why there is none; such frames have no object pose. A note says
+    /// how many frames were placed and at which scale.
+    ///
+    /// # Errors
+    /// If no cloud could be registered, or none belongs to a frame of the demonstration.
+    pub fn register_object(
+        &mut self,
+        clouds: &[(usize, Vec<Point3<f64>>)],
+        surface: &dyn Surface,
+        options: &RegisterOptions,
+    ) -> Result<Vec<Result<Registration>>> {
+        let points: Vec<Vec<Point3<f64>>> = clouds.iter().map(|(_, points)| points.clone()).collect();
+        let mut found = register_clip(&points, surface, options);
+        let mut scales: Vec<f64> = found.iter().flatten().map(|r| r.placement.scale).collect();
+        scales.sort_by(f64::total_cmp);
+        let Some(&scale) = scales.get(scales.len() / 2) else {
+            let why = found.into_iter().find_map(Result::err).map_or("no points".into(), |e| e.to_string());
+            return Err(RetargetError::value(
+                format!("the object was found in no frame: {why}"),
+                "check points and mesh",
+            ));
+        };
+        let one_scale = RegisterOptions { scale: Some(scale), ..options.clone() };
+        for (registration, points) in found.iter_mut().zip(&points) {
+            if let Ok(before) = registration {
+                *registration = follow(points, surface, &one_scale, before);
+            }
+        }
+        let mut placed = 0;
+        for frame in &mut self.frames {
+            frame.points = frame.points.map(|p| p.map(|p| p / scale));
+            let own = clouds.iter().zip(&found).find(|((number, _), _)| *number == frame.index);
+            frame.source_from_object = own.and_then(|(_, r)| Some(r.as_ref().ok()?.placement.metric_pose()));
+            placed += usize::from(frame.source_from_object.is_some());
+        }
+        if placed == 0 {
+            return Err(RetargetError::value(
+                "no cloud of points has the number of a frame of the demonstration",
+                "number the clouds as the frames, from 0",
+            ));
+        }
+        self.notes.push(format!(
+            "the object was registered in {placed} of {} frames; {scale:.4} units of the source were a metre",
+            self.frames.len()
+        ));
+        Ok(found)
+    }
+}
