@@ -4,7 +4,7 @@ use drex_core::Surface;
 use nalgebra::Point3;
 
 use super::fit::Problem;
-use super::{MIDDLE, Placement, RegisterOptions, Registration, register};
+use super::{MIDDLE, Placement, RegisterOptions, Registration, Symmetries, register};
 use crate::{Demonstration, Result, RetargetError};
 
 /// Between two frames of a clip the distance may grow by this factor before the object is looked for again everywhere.
@@ -34,7 +34,7 @@ pub fn register_clip(
     out
 }
 
-/// The placement that goes on from `previous`.
+/// The placement that goes on from `previous`; it and what looked the same then are all that is tried, unless the object is lost.
 fn follow(
     points: &[Point3<f64>],
     surface: &dyn Surface,
@@ -42,20 +42,20 @@ fn follow(
     previous: &Registration,
 ) -> Result<Registration> {
     let problem = Problem::new(points, surface, options)?;
-    let start = problem.start_at(&previous.placement);
-    let next = problem.registration(problem.finished(problem.refined(&[start], &MIDDLE)))?;
-    if next.rms_m <= LOST * previous.rms_m && next.inlier_share * LOST >= previous.inlier_share {
-        return Ok(next);
+    let starts: Vec<_> =
+        std::iter::once(&previous.placement).chain(&previous.alternatives).map(|p| problem.start_at(p)).collect();
+    let mut next = problem.registration(problem.finished(problem.refined(&starts, &MIDDLE)), Symmetries::Known)?;
+    let is_lost = next.rms_m > LOST * previous.rms_m || next.inlier_share * LOST < previous.inlier_share;
+    if is_lost {
+        next = register(points, surface, options)?;
     }
-    let mut anew = register(points, surface, options)?;
     let turn = |p: &Placement| p.rotation.angle_to(&previous.placement.rotation);
-    if let Some(i) = (0..anew.alternatives.len())
-        .min_by(|&a, &b| turn(&anew.alternatives[a]).total_cmp(&turn(&anew.alternatives[b])))
-        && turn(&anew.alternatives[i]) < turn(&anew.placement)
-    {
-        std::mem::swap(&mut anew.placement, &mut anew.alternatives[i]);
+    for alternative in &mut next.alternatives {
+        if turn(alternative) < turn(&next.placement) {
+            std::mem::swap(&mut next.placement, alternative);
+        }
     }
-    Ok(anew)
+    Ok(next)
 }
 
 impl Demonstration {

@@ -54,7 +54,7 @@ const GRAZING: f64 = 0.15;
 /// Largest turn (rad), growth and shift (of the radius) in one step.
 const LARGEST_STEP: (f64, f64, f64) = (0.4, 0.15, 0.5);
 /// A step smaller than this (of the cloud's radius, rad) is the end.
-const SMALL_STEP: f64 = 2e-5;
+const SMALL_STEP: f64 = 1e-4;
 /// Residuals count fully up to this part of the cloud's radius when placements are compared.
 const COMPARED_AT: f64 = 0.08;
 
@@ -113,11 +113,10 @@ impl Problem<'_> {
         let samples = &self.samples[..samples.min(self.samples.len())];
         let mut fit = *start;
         let mut seen = Vec::new();
-        let mut reach = f64::INFINITY;
         for i in 0..iterations {
             let (mut forward, normals) = self.forward(&fit, points);
             let sigma = self.sigma(&forward);
-            reach = TUKEY * sigma;
+            let reach = TUKEY * sigma;
             if i % 4 == 0 || i < 4 {
                 seen = self.seen(&fit, samples, &mean_normal(&forward, &normals, reach));
             }
@@ -135,7 +134,7 @@ impl Problem<'_> {
                 break;
             }
         }
-        fit.cost = if reach.is_finite() { self.cost(&fit, points, samples) } else { f64::INFINITY };
+        fit.cost = self.cost(&fit, points, samples);
         fit
     }
 

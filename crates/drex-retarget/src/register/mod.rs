@@ -38,7 +38,7 @@ pub struct RegisterOptions {
 
 impl Default for RegisterOptions {
     fn default() -> Self {
-        Self { scale: None, viewpoint: None, starts: 96, max_points: 1500 }
+        Self { scale: None, viewpoint: None, starts: 72, max_points: 1500 }
     }
 }
 
@@ -116,15 +116,24 @@ impl Registration {
 /// Fewer points are no object.
 const FEWEST_POINTS: usize = 30;
 /// Points, samples of the surface, iterations and survivors of the two rough stages; iterations of the last.
-const ROUGH: Stage = Stage { points: 150, samples: 100, iterations: 14, kept: 14 };
-const MIDDLE: Stage = Stage { points: 400, samples: 250, iterations: 20, kept: 5 };
+const ROUGH: Stage = Stage { points: 100, samples: 80, iterations: 12, kept: 12 };
+const MIDDLE: Stage = Stage { points: 300, samples: 200, iterations: 16, kept: 5 };
 const FINE: Stage = Stage { points: usize::MAX, samples: 600, iterations: 60, kept: usize::MAX };
+/// A look at turned placements, which need no improving to be compared.
+const LOOK: Stage = Stage { points: 300, samples: 200, iterations: 0, kept: 10 };
 /// A placement fits as well as the best up to this factor and this part of the largest cost.
 const AS_GOOD: (f64, f64) = (1.15, 0.01);
 /// Before its last steps a placement may be worse than the best by this factor and this part of the largest cost.
 const PROMISING: (f64, f64) = (2.0, 0.02);
 /// Turns (rad), changes of scale and shifts (of the object's size) below which two placements are one.
 const SAME: (f64, f64, f64) = (0.17, 0.05, 0.05);
+
+/// Whether placements that look the same are still to be found.
+#[derive(Clone, Copy)]
+enum Symmetries {
+    Sought,
+    Known,
+}
 
 struct Stage {
     points: usize,
@@ -144,7 +153,7 @@ pub fn register(points: &[Point3<f64>], surface: &dyn Surface, options: &Registe
     let rotations = starts::rotations(&problem.points_moments, &problem.surface_moments, options.starts);
     let starts: Vec<Fit> = rotations.into_iter().map(|r| problem.start(r)).collect();
     let found = problem.refined(&problem.refined(&starts, &ROUGH), &MIDDLE);
-    problem.registration(problem.finished(found))
+    problem.registration(problem.finished(found), Symmetries::Sought)
 }
 
 impl<'a> Problem<'a> {
@@ -201,19 +210,20 @@ impl<'a> Problem<'a> {
         self.refined(&fits, &FINE)
     }
 
-    /// The best of `fits` and what is as good, also among turns of the best by quarters about the object's axes.
-    fn registration(&self, fits: Vec<Fit>) -> Result<Registration> {
+    /// The best of `fits` and what is as good, if sought also among turns of the best by quarters about the object's axes.
+    fn registration(&self, fits: Vec<Fit>, symmetries: Symmetries) -> Result<Registration> {
         let Some(best) = fits.first().copied() else {
             return Err(RetargetError::value(
                 "no placement of the object fits the points",
                 "check the points and the mesh",
             ));
         };
-        let turned: Vec<Fit> = starts::quarter_turns(&self.surface_moments)
-            .into_iter()
-            .map(|turn| best.turned(&turn, &self.surface_moments.mean))
-            .collect();
-        let mut turned = self.refined(&self.refined(&turned, &ROUGH), &MIDDLE);
+        let turns = match symmetries {
+            Symmetries::Sought => starts::quarter_turns(&self.surface_moments),
+            Symmetries::Known => Vec::new(),
+        };
+        let turned: Vec<Fit> = turns.into_iter().map(|turn| best.turned(&turn, &self.surface_moments.mean)).collect();
+        let mut turned = self.refined(&self.refined(&turned, &LOOK), &MIDDLE);
         turned.retain(|t| !fits.iter().any(|f| self.same(f, t)) && t.cost <= PROMISING.0 * best.cost + PROMISING.1);
         let mut all = fits;
         for fit in self.refined(&turned, &FINE) {
