@@ -440,6 +440,27 @@ fn the_recordings_are_read_whole_and_found_good() {
 }
 
 #[test]
+fn distances_to_the_object_tell_good_tracking_from_bad() {
+    let Some(shared) = shared() else { return };
+    let report = |demo: &str, mesh: &str| {
+        let demo = Demonstration::load(&shared.join("data").join(demo), &LoadOptions::default()).unwrap();
+        let mesh = drex_mesh::read_mesh(&shared.join("data").join(mesh)).unwrap();
+        let mesh = drex_mesh::repair(&mesh, &drex_mesh::RepairOptions::default()).unwrap().0;
+        demo.check_with_object(&drex_mesh::MeshSdf::new(&mesh).unwrap())
+    };
+    let share_near = |r: &drex_retarget::InputReport, from: usize, to: usize| {
+        let near = r.frames[from..=to].iter().filter(|f| f.object_distance_mm.is_some_and(|d| d < 15.0)).count();
+        near as f64 / (to + 1 - from) as f64
+    };
+    let cracker = report("grasps/dexycb_cracker_box/demo.json", "grasps/dexycb_cracker_box/object.obj");
+    assert!(share_near(&cracker, 36, 73) > 0.99, "held");
+    // Occluded from frame 53 on: hand and object come from separate estimators.
+    let folder = "demos/dexmv_relocate_mustard";
+    let mustard = report(&format!("{folder}/hand.json"), &format!("{folder}/object_collision.obj"));
+    assert!(share_near(&mustard, 42, 52) > share_near(&mustard, 56, 70) + 0.3, "{mustard:?}");
+}
+
+#[test]
 fn a_hand_that_is_the_other_one_is_noticed() {
     let mut demo = Demonstration::new("test", Side::Left, (0..8).map(|i| HandFrame::new(i as f64, hand(i))).collect());
     assert!(demo.check().notes.iter().any(|n| n.contains("right hand")), "{:?}", demo.check().notes);

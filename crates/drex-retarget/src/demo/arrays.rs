@@ -55,7 +55,6 @@ pub(super) fn read_npz(path: &Path, bytes: &[u8], options: &LoadOptions) -> Resu
         Some(points) => points.len(),
         None => source.count_of_mano()?,
     };
-    let n = source.rows;
     let orient = source.per_frame(&["wrist_rotation", "wrist_rotations", "global_orient"], &[&[3, 3], &[3], &[4]])?;
     let orient = orient.map(|rows| rotations(path, &rows, "rotation of the wrist")).transpose()?;
     let points = match points {
@@ -79,7 +78,8 @@ pub(super) fn read_npz(path: &Path, bytes: &[u8], options: &LoadOptions) -> Resu
     if let Some(rows) = source.per_frame(&["t", "time", "times", "timestamp", "timestamps"], &[&[]])? {
         raw.frames.iter_mut().zip(&rows).for_each(|(f, row)| f.t_s = Some(row[0]));
     }
-    if let Some(rows) = source.per_frame(&["score", "scores", "confidence"], &[&[]])? {
+    // Some files have a confidence per point under these names: that is no score of the frame.
+    if let Ok(Some(rows)) = source.per_frame(&["score", "scores", "confidence"], &[&[]]) {
         raw.frames.iter_mut().zip(&rows).for_each(|(f, row)| f.score = Some(row[0]));
     }
     raw.fps = source.single(&["fps", "frame_rate"])?;
@@ -91,8 +91,12 @@ pub(super) fn read_npz(path: &Path, bytes: &[u8], options: &LoadOptions) -> Resu
     if let Some(right) = right {
         keep_one_side(&mut raw, &right, options);
     }
-    if let Some(rows) = source.per_frame(&["frame", "frame_index", "frame_id"], &[&[]])? {
-        spread(path, &mut raw, &rows, n)?;
+    // "frame" may also name the coordinate frame.
+    let is_text = source.text(&["frame"])?.is_some();
+    let numbers: &[&'static str] =
+        if is_text { &["frame_index", "frame_id"] } else { &["frame", "frame_index", "frame_id"] };
+    if let Some(rows) = source.per_frame(numbers, &[&[]])? {
+        spread(path, &mut raw, &rows)?;
     }
     Ok(raw)
 }
@@ -289,13 +293,13 @@ fn keep_one_side(raw: &mut Raw, right: &[bool], options: &LoadOptions) {
 }
 
 /// Puts detections at the numbers of their frames; frames without one are hands that were not seen.
-fn spread(path: &Path, raw: &mut Raw, numbers: &[Vec<f64>], n: usize) -> Result<()> {
+fn spread(path: &Path, raw: &mut Raw, numbers: &[Vec<f64>]) -> Result<()> {
     let refuse = |what: String| Error::content(path, None, what, "number the frames from 0");
     let last = numbers.iter().map(|r| r[0]).fold(0.0, f64::max);
     if numbers.iter().any(|r| !(r[0] >= 0.0 && r[0].fract() == 0.0)) || !(last < MOST_FRAMES as f64) {
         return Err(refuse(format!("frame numbers up to {last} that are not whole or not below {MOST_FRAMES}")).into());
     }
-    let count = if n == 0 { 0 } else { last as usize + 1 };
+    let count = if numbers.is_empty() { 0 } else { last as usize + 1 };
     let mut frames = vec![RawFrame::new(KeyPoints::default()); count];
     let mut doubled = 0;
     for (frame, number) in raw.frames.drain(..).zip(numbers) {

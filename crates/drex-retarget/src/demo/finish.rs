@@ -52,7 +52,10 @@ pub(super) fn finish(path: &Path, mut raw: Raw, options: &LoadOptions) -> Result
     }
     let frame = |(index, f): (usize, &RawFrame)| HandFrame {
         index,
-        t_s: f.t_s.filter(|_| options.fps.is_none()).unwrap_or(index as f64 / fps.unwrap_or(USUAL_FPS)),
+        t_s: f
+            .t_s
+            .filter(|t| t.is_finite() && options.fps.is_none())
+            .unwrap_or(index as f64 / fps.unwrap_or(USUAL_FPS)),
         points: f.points,
         source_from_mano_wrist: f.wrist,
         source_from_object: f.object,

@@ -10,7 +10,7 @@ use zip::ZipArchive;
 use crate::Result;
 
 /// No array of a demonstration is larger than this, bytes; a member that unpacks to more is no recording of a hand.
-const LARGEST_ARRAY: u64 = 1 << 30;
+const LARGEST_ARRAY: u64 = 1 << 27;
 
 /// An open archive.
 pub(crate) struct Npz<'b> {
@@ -61,7 +61,7 @@ impl<'b> Npz<'b> {
         let read = member.take(LARGEST_ARRAY + 1).read_to_end(&mut bytes);
         read.map_err(|e| refuse(format!("array {name} is damaged: {e}")))?;
         if bytes.len() as u64 > LARGEST_ARRAY {
-            return Err(refuse(format!("array {name} unpacks to more than a gigabyte")).into());
+            return Err(refuse(format!("array {name} unpacks to more than 128 MiB")).into());
         }
         Ok(parse_npy(&self.path.join(name), &bytes)?)
     }
