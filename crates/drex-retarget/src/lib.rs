@@ -32,10 +32,12 @@
 #[cfg(test)]
 extern crate self as drex_retarget;
 
+mod augment;
 mod demo;
 mod detect;
 mod error;
 mod flags;
+mod grasp;
 mod hand;
 mod keypoints;
 mod kinematics;
@@ -49,6 +51,7 @@ mod skeleton;
 mod solve;
 mod wrist_fit;
 
+pub use augment::{AugmentOptions, Augmentation, AugmentedGrasp, augment, symmetries};
 pub use demo::{
     CropCamera, DemoUnit, Demonstration, FrameCheck, HandFrame, HandPose, InputReport, KeyPointOrder, LoadOptions,
     ManoModel, ManoPose, crop_to_full,
@@ -56,6 +59,7 @@ pub use demo::{
 pub use detect::{ExternalDetector, HAMER_SCRIPT, HandDetector, MEDIAPIPE_SCRIPT, MediaPipe};
 pub use drex_grasp::TablePlane;
 pub use error::{Result, RetargetError};
+pub use grasp::{FingerContact, GraspFrame, GraspOptions, GraspRetargeting, SelfCollision, retarget_grasp};
 pub use hand::{LinkPoint, TargetFinger, TargetHand};
 pub use keypoints::{
     FrameError, HumanFinger, KEYPOINTS, KeyPoints, Side, canonical, hand_length_m, mirrored, operator_frame,

@@ -124,6 +124,23 @@ pub enum Rejection {
         /// Its depth, mm.
         depth_mm: f64,
     },
+    /// The hand hits itself.
+    SelfCollision {
+        /// Names of the links.
+        links: (String, String),
+        /// How deep they are inside each other, mm.
+        depth_mm: f64,
+    },
+    /// The joints are far from what the person's hand alone asks for.
+    FarFromPerson {
+        /// Mean distance of a joint, rad.
+        mean_joint_rad: f64,
+    },
+    /// The wrist is far from the person's.
+    WristMoved {
+        /// How far, mm.
+        distance_mm: f64,
+    },
     /// The hand reaches below the table.
     BelowTable {
         /// The lowest link.
@@ -140,6 +157,9 @@ impl Rejection {
             Self::ThumbMisses { .. } => "thumb misses",
             Self::FingersMiss { .. } => "fingers miss",
             Self::Penetrates { .. } => "penetrates",
+            Self::SelfCollision { .. } => "self-collision",
+            Self::FarFromPerson { .. } => "far from the person",
+            Self::WristMoved { .. } => "wrist moved",
             Self::BelowTable { .. } => "below the table",
         }
     }
@@ -154,6 +174,13 @@ impl std::fmt::Display for Rejection {
                 write!(f, "{touching} of at least {needed} fingers touch; {} miss the surface", list.join(", "))
             }
             Self::Penetrates { link, depth_mm } => write!(f, "link \"{link}\" is {depth_mm:.1} mm inside the object"),
+            Self::SelfCollision { links: (a, b), depth_mm } => {
+                write!(f, "links \"{a}\" and \"{b}\" are {depth_mm:.1} mm inside each other")
+            }
+            Self::FarFromPerson { mean_joint_rad } => {
+                write!(f, "the joints are {mean_joint_rad:.2} rad on average from the person's")
+            }
+            Self::WristMoved { distance_mm } => write!(f, "the wrist is {distance_mm:.0} mm from the person's"),
             Self::BelowTable { link, depth_mm } => write!(f, "link \"{link}\" is {depth_mm:.1} mm below the table"),
         }
     }

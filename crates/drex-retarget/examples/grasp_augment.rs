@@ -1,0 +1,49 @@
+//! Makes many grasps from one demonstration and prints how many, how fast and how varied.
+//!
+//! ```text
+//! grasp_augment DEMO MESH [leap_right|allegro_right] [COUNT] [--hull]
+//! ```
+#![allow(clippy::print_stdout)] // a program for the terminal
+
+use std::path::Path;
+use std::time::Instant;
+
+use drex_mesh::{GridOptions, GridSdf, MeshSdf, RepairOptions, convex_hull, read_mesh, repair, solid_properties};
+use drex_retarget::{
+    AugmentOptions, Demonstration, GraspOptions, LoadOptions, ObjectSurface, TargetHand, augment, retarget_grasp,
+};
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    let [demo, mesh] = [0, 1].map(|i| args.get(i).map(Path::new).ok_or("give DEMO and MESH"));
+    let demo = Demonstration::load(demo?, &LoadOptions::default())?;
+    let target = TargetHand::bundled(args.get(2).map_or("leap_right", String::as_str))?;
+    let count: usize = args.get(3).map_or(Ok(1000), |c| c.parse())?;
+    let mesh = read_mesh(mesh?)?;
+    let mesh = if args.iter().any(|a| a == "--hull") {
+        convex_hull(&mesh.vertices)?
+    } else {
+        repair(&mesh, &RepairOptions::default())?.0
+    };
+    let judge = MeshSdf::new(&mesh)?;
+    let mut grid = GridOptions::default();
+    grid.margin_m = Some(0.1);
+    let search = GridSdf::with_options(judge.clone(), &grid)?;
+    let bounds = mesh.bounds().ok_or("the mesh is empty")?;
+    let center_of_mass = solid_properties(&mesh)?.properties.center_of_mass;
+    let object = ObjectSurface { search: &search, judge: &judge, bounds, center_of_mass };
+    let clip = retarget_grasp(&demo, &target, &object, &GraspOptions::default())?;
+    let sources = clip.frames.iter().filter(|f| f.is_accepted() && f.force_closure).count();
+    let clock = Instant::now();
+    let many = augment(&clip, &target, &object, &AugmentOptions::default(), count)?;
+    let seconds = clock.elapsed().as_secs_f64();
+    println!(
+        "{} grasps from {sources} frames and {} symmetries: {} attempts, {:.0} % kept the rules, {seconds:.1} s, {:.0} per second",
+        many.grasps.len(),
+        many.symmetries.len(),
+        many.attempts,
+        100.0 * many.accepted as f64 / many.attempts.max(1) as f64,
+        many.grasps.len() as f64 / seconds
+    );
+    Ok(())
+}

@@ -1,0 +1,119 @@
+//! Retargets a clip with contacts and prints what came out, frame by frame.
+//!
+//! ```text
+//! grasp_clip DEMO MESH [leap_right|allegro_right] [--hull] [--frames A-B]...
+//! ```
+//! With `--hull` distances are to the convex hull of the mesh. The summary is over the frames that are named, or all.
+#![allow(clippy::print_stdout)] // a program for the terminal
+
+use std::path::Path;
+
+use drex_mesh::{GridOptions, GridSdf, MeshSdf, RepairOptions, convex_hull, read_mesh, repair, solid_properties};
+use drex_retarget::{
+    Demonstration, FingerContact, GraspFrame, GraspOptions, LoadOptions, ObjectSurface, TargetHand, Verdict,
+    retarget_grasp,
+};
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    let [demo, mesh] = [0, 1].map(|i| args.get(i).map(Path::new).ok_or("give DEMO and MESH"));
+    let demo = Demonstration::load(demo?, &LoadOptions::default())?;
+    let target = TargetHand::bundled(args.get(2).map_or("leap_right", String::as_str))?;
+    let mesh = read_mesh(mesh?)?;
+    let mesh = if args.iter().any(|a| a == "--hull") {
+        convex_hull(&mesh.vertices)?
+    } else {
+        repair(&mesh, &RepairOptions::default())?.0
+    };
+    let judge = MeshSdf::new(&mesh)?;
+    let mut grid = GridOptions::default();
+    grid.margin_m = Some(0.1);
+    let search = GridSdf::with_options(judge.clone(), &grid)?;
+    let bounds = mesh.bounds().ok_or("the mesh is empty")?;
+    let center_of_mass = solid_properties(&mesh)?.properties.center_of_mass;
+    let object = ObjectSurface { search: &search, judge: &judge, bounds, center_of_mass };
+
+    let before = cpu_ms();
+    let clip = retarget_grasp(&demo, &target, &object, &GraspOptions::default())?;
+    let ms = (cpu_ms() - before) / clip.frames.len() as f64;
+
+    let mut ranges = Vec::new();
+    for (i, _) in args.iter().enumerate().filter(|(_, a)| *a == "--frames") {
+        let (a, b) = args.get(i + 1).and_then(|r| r.split_once('-')).ok_or("--frames takes A-B")?;
+        ranges.push(a.parse::<usize>()?..=b.parse::<usize>()?);
+    }
+    println!("frame held  gap/tip gap of each finger, mm (* wanted)  then see the names");
+    for (i, frame) in clip.frames.iter().enumerate() {
+        print(i, frame);
+    }
+    let used: Vec<&GraspFrame> = clip
+        .frames
+        .iter()
+        .enumerate()
+        .filter(|(i, _)| ranges.is_empty() || ranges.iter().any(|r| r.contains(i)))
+        .map(|(_, f)| f)
+        .collect();
+    summary(&used);
+    println!("whole clip: fastest joint {:.2} rad/s, {ms:.2} ms CPU per frame", most(&clip.frames, |f| f.joint_speed));
+    Ok(())
+}
+
+fn print(i: usize, f: &GraspFrame) {
+    let finger =
+        |c: &FingerContact| format!("{}{:6.1}/{:5.1}", if c.wanted { '*' } else { ' ' }, c.gap_mm, c.tip_gap_mm);
+    let fingers: Vec<String> = f.fingers.iter().map(finger).collect();
+    let hit = f.self_collision.as_ref().map_or("-".into(), |c| format!("{:.1} mm {:?}", c.depth_mm, c.links));
+    let squeeze = f.squeeze_per_weight.map_or("-".into(), |s| format!("{s:.1}"));
+    let why = match &f.verdict {
+        Verdict::Accepted => String::new(),
+        Verdict::Rejected(reasons) => reasons.iter().map(|r| r.kind()).collect::<Vec<_>>().join(", "),
+    };
+    println!(
+        "{i:4} {} {} deep {:4.2} mm self {hit} joints {:.2} rad wrist {:3.0} mm {:.2} rad speed {:.1} closure {} squeeze {squeeze} {why}",
+        u8::from(f.held),
+        fingers.join(" "),
+        f.penetration_mm,
+        f.joint_distance_rad.0,
+        f.wrist_shift.0,
+        f.wrist_shift.1,
+        f.joint_speed,
+        u8::from(f.force_closure),
+    );
+}
+
+fn summary(used: &[&GraspFrame]) {
+    let n = used.len().max(1) as f64;
+    let share = |rule: &dyn Fn(&GraspFrame) -> bool| 100.0 * used.iter().filter(|f| rule(f)).count() as f64 / n;
+    let mean = |value: &dyn Fn(&GraspFrame) -> f64| used.iter().map(|f| value(f)).sum::<f64>() / n;
+    let three = |f: &GraspFrame, gap: &dyn Fn(&FingerContact) -> f64| {
+        let on = |c: &FingerContact| gap(c).abs() <= 5.0;
+        f.fingers.first().is_some_and(on) && f.fingers.iter().filter(|c| on(c)).count() >= 3
+    };
+    println!(
+        "{} frames; thumb and two fingers within 5 mm: pad {:.0} %, tip point {:.0} %",
+        used.len(),
+        share(&|f| three(f, &|c| c.gap_mm)),
+        share(&|f| three(f, &|c| c.tip_gap_mm))
+    );
+    println!(
+        "deepest {:.2} mm; self-collision in {:.0} %; joints {:.3} rad from the vector result; wrist moved {:.0} mm (most {:.0}), {:.2} rad; fastest joint {:.2} rad/s; force closure {:.0} %",
+        most(used.iter().copied(), |f| f.penetration_mm),
+        share(&|f| f.self_collision.is_some()),
+        mean(&|f| f.joint_distance_rad.0),
+        mean(&|f| f.wrist_shift.0),
+        most(used.iter().copied(), |f| f.wrist_shift.0),
+        mean(&|f| f.wrist_shift.1),
+        most(used.iter().copied(), |f| f.joint_speed),
+        share(&|f| f.force_closure),
+    );
+}
+
+fn most<'a>(frames: impl IntoIterator<Item = &'a GraspFrame>, value: impl Fn(&GraspFrame) -> f64) -> f64 {
+    frames.into_iter().map(value).fold(0.0, f64::max)
+}
+
+/// CPU time of this thread so far, ms; zero where the system does not say.
+fn cpu_ms() -> f64 {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
+    text.split(' ').next().and_then(|v| v.parse::<f64>().ok()).unwrap_or(0.0) / 1e6
+}

@@ -1,0 +1,192 @@
+//! From a person's grasp to the robot's, over a whole clip and aware of the object.
+//!
+//! Everything is in the object's frame. The plain `vector` result and the person's wrist are what the solution stays close to; from
+//! the recording follows when the object is held and with which fingers ([`wanted`]); where on the object they belong is a line
+//! through it that stands upright on the surface at both ends, near the person's ([`goals`]). Each frame is a nonlinear
+//! least-squares problem in wrist and joints ([`terms`], [`levenberg`]); frames are solved in turn within what the joints' speeds
+//! leave ([`plan`]) and measured on the exact surface and the true shapes ([`judge`]).
+
+mod collide;
+mod goals;
+mod hand;
+mod judge;
+mod levenberg;
+mod plan;
+mod skin;
+mod terms;
+mod wanted;
+
+use drex_core::Pose;
+use nalgebra::{Unit, Vector3};
+
+use crate::{
+    Demonstration, ObjectSurface, Result, RetargetError, RetargetOptions, Retargeting, ScaleReport, TargetHand,
+    Verdict, retarget,
+};
+pub(crate) use hand::GraspHand;
+pub use judge::{FingerContact, GraspFrame, SelfCollision};
+pub(crate) use judge::{Judged, judged};
+pub(crate) use plan::single;
+pub(crate) use terms::State;
+
+/// Rules and effort.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct GraspOptions {
+    /// The plain retargeting that the grasp stays close to.
+    pub vector: RetargetOptions,
+    /// Hand frames in which a fingertip comes this near to the object begin a hold, m.
+    pub touch_m: f64,
+    /// A hold goes on while a fingertip is this near, m.
+    pub release_m: f64,
+    /// An object that moves this fast is held, m/s,
+    pub carry_speed_m_s: f64,
+    /// if a fingertip is at most this far from it, m.
+    pub reach_m: f64,
+    /// Frames between two held ones at most this far apart are held, s.
+    pub bridge_s: f64,
+    /// Shorter holds are noise, frames.
+    pub min_frames: usize,
+    /// Fastest joint, rad/s (m/s).
+    pub max_joint_speed: f64,
+    /// A finger counts as on the surface up to this gap, m.
+    pub contact_gap_m: f64,
+    /// Fingers besides the thumb that have to be on the surface in a held frame.
+    pub min_fingers: usize,
+    /// Deepest penetration of an accepted frame, m.
+    pub max_penetration_m: f64,
+    /// Deepest self-collision of an accepted frame, m.
+    pub max_self_collision_m: f64,
+    /// Farthest that the wrist of an accepted frame is from the person's, m.
+    pub max_wrist_shift_m: f64,
+    /// Largest mean joint distance to the plain vector result of an accepted frame, rad.
+    pub max_joint_distance_rad: f64,
+    /// Coulomb friction for force closure.
+    pub friction: f64,
+    /// A link within this gap gives contacts for force closure, m.
+    pub force_gap_m: f64,
+}
+
+impl Default for GraspOptions {
+    fn default() -> Self {
+        Self {
+            vector: RetargetOptions::default(),
+            touch_m: 0.01,
+            release_m: 0.025,
+            carry_speed_m_s: 0.1,
+            reach_m: 0.12,
+            bridge_s: 1.0,
+            min_frames: 3,
+            max_joint_speed: 8.5,
+            contact_gap_m: 0.005,
+            min_fingers: 2,
+            max_penetration_m: 0.002,
+            max_self_collision_m: 0.001,
+            max_wrist_shift_m: 0.12,
+            max_joint_distance_rad: 0.35,
+            friction: 0.5,
+            force_gap_m: 0.002,
+        }
+    }
+}
+
+/// A clip, retargeted with contacts.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct GraspRetargeting {
+    /// Joint names in the order of every `q`.
+    pub joint_names: Vec<String>,
+    /// The scale of the person's hand in the plain result.
+    pub scale: ScaleReport,
+    /// One per frame of the demonstration.
+    pub frames: Vec<GraspFrame>,
+}
+
+/// Retargets a clip: wrist and joints such that the hand holds the object in the frames in which the person does.
+///
+/// Frames in which the person does not hold it follow the `vector` result, slowed to the largest joint speed and kept out of the
+/// object. The same bytes for the same input, on any number of threads.
+///
+/// # Errors
+/// If a frame has no pose of the object, the hand has no thumb or no shapes, an option makes no sense, and as [`retarget`].
+pub fn retarget_grasp(
+    demo: &Demonstration,
+    target: &TargetHand,
+    object: &ObjectSurface<'_>,
+    options: &GraspOptions,
+) -> Result<GraspRetargeting> {
+    check(options)?;
+    let poses = object_poses(demo)?;
+    let hand = GraspHand::new(target, options.friction, options.force_gap_m)?;
+    let vector = retarget(demo, target, &options.vector)?;
+    let wishes = wishes(&vector, &poses);
+    let holds = wanted::holds(demo, &poses, target, object.search, options);
+    let planned = plan::plan(&hand, object, demo, &poses, &wishes, &holds, options);
+    let up: Vec<Option<Unit<Vector3<f64>>>> =
+        poses.iter().map(|p| demo.up.map(|up| p.rotation.inverse() * up)).collect();
+    let mut frames = Vec::with_capacity(planned.len());
+    for (t, frame) in planned.iter().enumerate() {
+        let before = t.checked_sub(1).map(|b| (planned[b].state.q.as_slice(), demo.frames[t].t_s - demo.frames[b].t_s));
+        let judge = Judged { wish: &wishes[t], t_s: demo.frames[t].t_s, before, up: up[t] };
+        let mut frame = judged(&hand, object, frame, &judge, options)?;
+        frame.flags.clone_from(&vector.frames[t].flags);
+        frames.push(frame);
+    }
+    Ok(GraspRetargeting { joint_names: vector.joint_names, scale: vector.scale, frames })
+}
+
+fn check(options: &GraspOptions) -> Result<()> {
+    let lengths = [
+        ("touch_m", options.touch_m),
+        ("release_m", options.release_m),
+        ("reach_m", options.reach_m),
+        ("bridge_s", options.bridge_s),
+        ("contact_gap_m", options.contact_gap_m),
+        ("max_penetration_m", options.max_penetration_m),
+        ("max_self_collision_m", options.max_self_collision_m),
+        ("friction", options.friction),
+        ("force_gap_m", options.force_gap_m),
+    ];
+    if let Some((name, value)) = lengths.iter().find(|(_, v)| !(*v >= 0.0)) {
+        return Err(RetargetError::value(format!("{name} is {value}"), "give zero or more"));
+    }
+    if !(options.max_joint_speed > 0.0) {
+        return Err(RetargetError::value(
+            format!("max_joint_speed is {}", options.max_joint_speed),
+            "give the speed of the slowest motor, rad/s",
+        ));
+    }
+    Ok(())
+}
+
+/// The plain result in the object's frame. Frames before the first hand stand where that is.
+fn wishes(vector: &Retargeting, poses: &[Pose]) -> Vec<State> {
+    let first = vector.frames.iter().find_map(|f| f.source_from_base).unwrap_or_else(Pose::identity);
+    let frames = vector.frames.iter().zip(poses);
+    frames
+        .map(|(f, pose)| State { object_from_base: pose.inv_mul(&f.source_from_base.unwrap_or(first)), q: f.q.clone() })
+        .collect()
+}
+
+fn object_poses(demo: &Demonstration) -> Result<Vec<Pose>> {
+    demo.frames
+        .iter()
+        .enumerate()
+        .map(|(t, f)| {
+            let finite = |p: &Pose| p.to_homogeneous().iter().all(|v| v.is_finite());
+            f.source_from_object.filter(finite).ok_or_else(|| {
+                RetargetError::value(
+                    format!("frame {t} of {} has no pose of the object", demo.source),
+                    "the grasp objective needs one per frame: give object poses, or use the vector objective",
+                )
+            })
+        })
+        .collect()
+}
+
+impl GraspFrame {
+    /// Whether the frame was held and kept all rules.
+    pub fn is_accepted(&self) -> bool {
+        self.held && matches!(self.verdict, Verdict::Accepted)
+    }
+}

@@ -1,0 +1,215 @@
+//! Does the hand hit itself? Points on every collision shape against the exact distance of the others.
+
+use drex_core::Pose;
+use drex_robot::{Geom, Link, Robot, Shape};
+use nalgebra::{Point3, Translation3, Vector3};
+
+use super::hand::Posed;
+use super::skin::ball;
+
+/// Distance between the points on a shape, metres.
+const SPACING_M: f64 = 0.007;
+/// A round shape reaches at most this far beyond its points, m.
+const COVERED_M: f64 = 0.001;
+/// A box thinner than twice this is a plate, m.
+const PLATE_M: f64 = 0.004;
+/// Step of the numeric normal, metres.
+const NORMAL_STEP_M: f64 = 1e-5;
+
+/// The collision shapes of a robot.
+#[derive(Debug, Clone)]
+pub(crate) struct Pieces {
+    pieces: Vec<Piece>,
+    /// Ball around the pieces of each link: centre in the link, radius; and their range.
+    links: Vec<(Point3<f64>, f64, std::ops::Range<usize>)>,
+    /// Links that can hit each other.
+    pairs: Vec<(usize, usize)>,
+}
+
+#[derive(Debug, Clone)]
+struct Piece {
+    shape: Shape,
+    link_from_shape: Pose,
+    center: Point3<f64>,
+    radius_m: f64,
+    /// The shape is within these of the origin of its own frame, m.
+    half: Vector3<f64>,
+    /// In the link's frame.
+    points: Vec<Point3<f64>>,
+}
+
+/// Where two links are nearest to each other, or deepest in each other.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Close {
+    /// The link with the point and the link with the shape.
+    pub(crate) links: (usize, usize),
+    /// Object frame.
+    pub(crate) point: Point3<f64>,
+    /// Outward normal of the shape at the point, object frame.
+    pub(crate) normal: Vector3<f64>,
+    /// Negative inside.
+    pub(crate) distance_m: f64,
+}
+
+impl Pieces {
+    /// The shapes as they are.
+    pub(crate) fn new(robot: &Robot) -> Self {
+        Self::of(robot, |_, geom| (geom.shape.clone(), geom.link_from_geom))
+    }
+
+    /// The shapes for a search: thin plates reach to the middle of their link, so that there is one way out of them, outwards.
+    pub(crate) fn filled(robot: &Robot) -> Self {
+        Self::of(robot, |link, geom| filled(geom, link))
+    }
+
+    fn of(robot: &Robot, shape: impl Fn(&Link, &Geom) -> (Shape, Pose)) -> Self {
+        let mut pieces: Vec<Piece> = Vec::new();
+        let mut links = Vec::new();
+        for link in &robot.links {
+            let start = pieces.len();
+            let closed = link.geoms.iter().filter(|g| g.collides() && g.shape.is_closed());
+            pieces.extend(
+                closed.map(|g| shape(link, g)).map(|(shape, link_from_shape)| Piece::new(shape, link_from_shape)),
+            );
+            let all: Vec<Point3<f64>> = pieces[start..].iter().flat_map(|p| p.points.iter().copied()).collect();
+            let (center, radius_m) = ball(&all);
+            links.push((center, radius_m, start..pieces.len()));
+        }
+        let shaped: Vec<usize> = (0..links.len()).filter(|&l| !links[l].2.is_empty()).collect();
+        let mut pairs = Vec::new();
+        for (k, &a) in shaped.iter().enumerate() {
+            pairs.extend(shaped[k + 1..].iter().filter(|&&b| robot.may_collide(a, b)).map(|&b| (a, b)));
+        }
+        Self { pieces, links, pairs }
+    }
+
+    /// Pairs of links that come closer than `within_m`, each with its nearest point.
+    pub(crate) fn close(&self, posed: &Posed, within_m: f64, found: &mut Vec<Close>) {
+        found.clear();
+        let centers: Vec<Point3<f64>> = self.links.iter().zip(&posed.links).map(|(l, pose)| pose * l.0).collect();
+        // Placed when their link is first needed.
+        let mut placed: Vec<Option<Placed>> = vec![None; self.pieces.len()];
+        for &(a, b) in &self.pairs {
+            let ((_, ra, pa), (_, rb, pb)) = (&self.links[a], &self.links[b]);
+            if far(&centers[a], &centers[b], ra + rb + within_m) {
+                continue;
+            }
+            for (link, range) in [(a, pa), (b, pb)] {
+                if placed[range.start].is_none() {
+                    for i in range.clone() {
+                        placed[i] = Some(self.pieces[i].placed(&posed.links[link]));
+                    }
+                }
+            }
+            let mut best: Option<(f64, usize, bool, Point3<f64>)> = None;
+            for i in pa.clone() {
+                for k in pb.clone() {
+                    let (p, r) = (&self.pieces[i], &self.pieces[k]);
+                    let (Some(at), Some(rt)) = (&placed[i], &placed[k]) else { continue };
+                    let limit = best.map_or(within_m, |b| b.0);
+                    if far(&at.center, &rt.center, p.radius_m + r.radius_m + limit)
+                        || r.shape.signed_distance(&(rt.shape_from_object * at.center)) > p.radius_m + limit
+                        || p.shape.signed_distance(&(at.shape_from_object * rt.center)) > r.radius_m + limit
+                    {
+                        continue;
+                    }
+                    if let Some((d, point)) = p.nearest_to(r, &posed.links[a], rt, limit) {
+                        best = Some((d, k, true, point));
+                    }
+                    if let Some((d, point)) = r.nearest_to(p, &posed.links[b], at, best.map_or(within_m, |b| b.0)) {
+                        best = Some((d, i, false, point));
+                    }
+                }
+            }
+            if let Some((distance_m, shape, point_on_a, point)) = best
+                && let Some(at) = &placed[shape]
+            {
+                let links = if point_on_a { (a, b) } else { (b, a) };
+                found.push(Close { links, point, normal: self.pieces[shape].normal(at, &point), distance_m });
+            }
+        }
+    }
+}
+
+/// A piece in the object's frame.
+#[derive(Debug, Clone)]
+struct Placed {
+    center: Point3<f64>,
+    shape_from_object: Pose,
+}
+
+impl Piece {
+    fn new(shape: Shape, link_from_shape: Pose) -> Self {
+        let mut points: Vec<Point3<f64>> = shape.surface_samples(SPACING_M).into_iter().map(|s| s.0).collect();
+        if let (Shape::Box { .. }, Some(mesh)) = (&shape, shape.to_mesh(3)) {
+            points.extend(mesh.vertices);
+        }
+        let half =
+            points.iter().fold(Vector3::zeros(), |m: Vector3<f64>, p| m.sup(&p.coords.abs())).add_scalar(COVERED_M);
+        points.iter_mut().for_each(|p| *p = link_from_shape * *p);
+        let (center, radius_m) = ball(&points);
+        Self { shape, link_from_shape, center, radius_m, half, points }
+    }
+
+    fn placed(&self, link: &Pose) -> Placed {
+        Placed { center: link * self.center, shape_from_object: (link * self.link_from_shape).inverse() }
+    }
+
+    /// The point of this piece nearest to the shape of `other`, if nearer than `limit_m`.
+    fn nearest_to(&self, other: &Self, own: &Pose, placed: &Placed, limit_m: f64) -> Option<(f64, Point3<f64>)> {
+        let shape_from_own = placed.shape_from_object * own;
+        let mut best = (limit_m, None);
+        let (turn, shift) = (shape_from_own.rotation.to_rotation_matrix(), shape_from_own.translation.vector);
+        for p in &self.points {
+            let local = turn * p.coords + shift;
+            if (local.abs() - other.half).max() > best.0 {
+                continue;
+            }
+            let d = other.shape.signed_distance(&Point3::from(local));
+            if d < best.0 {
+                best = (d, Some(*p));
+            }
+        }
+        best.1.map(|p| (best.0, own * p))
+    }
+
+    /// Gradient of the shape's distance at a point of the object's frame.
+    fn normal(&self, placed: &Placed, point: &Point3<f64>) -> Vector3<f64> {
+        let local = placed.shape_from_object * point;
+        let slope = Vector3::from_fn(|k, _| {
+            let step = Vector3::ith(k, NORMAL_STEP_M);
+            self.shape.signed_distance(&(local + step)) - self.shape.signed_distance(&(local - step))
+        });
+        placed.shape_from_object.rotation.inverse() * slope.try_normalize(1e-12).unwrap_or_else(Vector3::z)
+    }
+}
+
+/// A plate drawn out to the middle of its link; other shapes as they are.
+fn filled(geom: &Geom, link: &Link) -> (Shape, Pose) {
+    let same = (geom.shape.clone(), geom.link_from_geom);
+    let Shape::Box { mut half } = geom.shape else { return same };
+    let thin = half.imin();
+    if half[thin] > PLATE_M {
+        return same;
+    }
+    let corners: Vec<Point3<f64>> = link
+        .geoms
+        .iter()
+        .filter(|g| g.collides())
+        .filter_map(|g| g.shape.to_mesh(8).map(|m| (g.link_from_geom, m.vertices)))
+        .flat_map(|(pose, vertices)| vertices.into_iter().map(move |v| pose * v))
+        .collect();
+    let middle = geom.link_from_geom.inverse_transform_point(&ball(&corners).0);
+    let inward = middle[thin];
+    if inward.abs() <= half[thin] {
+        return same;
+    }
+    let mut shift = Vector3::zeros();
+    shift[thin] = inward.signum() * 0.5 * (inward.abs() - half[thin]);
+    half[thin] = 0.5 * (inward.abs() + half[thin]);
+    (Shape::Box { half }, geom.link_from_geom * Translation3::from(shift))
+}
+
+fn far(a: &Point3<f64>, b: &Point3<f64>, limit: f64) -> bool {
+    (a - b).norm_squared() > limit * limit
+}

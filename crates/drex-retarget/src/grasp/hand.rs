@@ -1,0 +1,180 @@
+//! A hand prepared for contact: where its pads are, which joints move which link, what may hit what.
+
+use drex_core::{Pose, SdfSample, SignedDistance};
+use drex_grasp::{ContactOptions, HandSurface, LinkSurface};
+use drex_robot::{JointKind, Robot};
+use nalgebra::{Point3, Vector3};
+
+use super::collide::Pieces;
+use super::skin::Skin;
+use crate::{LinkPoint, Result, RetargetError, TargetHand};
+
+/// Distance between points on the hand, metres: search and verdict.
+const SPACINGS_M: (f64, f64) = (0.005, 0.003);
+/// A point of the last link belongs to the pad down to this cosine between its normal and the way the link bends: the palmar half
+/// and the very end.
+const FACING: f64 = -0.2;
+
+/// A robot hand prepared for [`super::retarget_grasp`].
+#[derive(Debug, Clone)]
+pub(crate) struct GraspHand<'a> {
+    pub(crate) target: &'a TargetHand,
+    /// Points per link, for the search.
+    pub(crate) search: Vec<Skin>,
+    /// Points per link, for the verdict.
+    pub(crate) fine: HandSurface,
+    pub(crate) fingers: Vec<Pad>,
+    /// Index of the thumb in `fingers`.
+    pub(crate) thumb: usize,
+    /// Per link, the joints that move it.
+    pub(crate) movers: Vec<Vec<usize>>,
+    /// Collision shapes as they are, and for the search.
+    pub(crate) pieces: Pieces,
+    pub(crate) filled: Pieces,
+    pub(crate) contact: ContactOptions,
+}
+
+/// The part of a finger that is meant to touch.
+#[derive(Debug, Clone)]
+pub(crate) struct Pad {
+    pub(crate) tip: LinkPoint,
+    /// Points behind the last joint, palmar side and end, by link.
+    parts: Vec<(usize, Skin)>,
+    /// The same, finer, for the verdict.
+    fine: Vec<(usize, LinkSurface)>,
+}
+
+/// Poses of a hand in the object's frame.
+#[derive(Debug, Clone)]
+pub(crate) struct Posed {
+    pub(crate) links: Vec<Pose>,
+    /// Axis and a point on it, per joint.
+    pub(crate) axes: Vec<(Vector3<f64>, Point3<f64>)>,
+}
+
+impl<'a> GraspHand<'a> {
+    pub(crate) fn new(target: &'a TargetHand, friction: f64, contact_gap_m: f64) -> Result<Self> {
+        let robot = &target.robot;
+        let fine = HandSurface::new(robot, SPACINGS_M.1)?;
+        let points = |l: usize| robot.surface_samples(l, SPACINGS_M.0).into_iter().map(|s| s.0);
+        let search: Vec<Skin> = (0..robot.links.len()).map(|l| Skin::new(points(l))).collect();
+        let Some(thumb) = target.fingers.iter().position(|f| f.human == crate::HumanFinger::Thumb) else {
+            return Err(RetargetError::value(
+                format!("hand \"{}\" has no thumb in its mapping", robot.name),
+                "a grasp needs one: add [fingers.thumb] to the mapping file",
+            ));
+        };
+        let poses = robot.forward_kinematics(&robot.reference_position(), &Pose::identity());
+        let pads = target.fingers.iter().map(|f| {
+            let points = |spacing_m| pad(robot, &poses, &f.tip, spacing_m);
+            let skin = |(l, part): (usize, LinkSurface)| (l, Skin::new(part.samples().iter().map(|s| s.0)));
+            let parts: Vec<_> = points(SPACINGS_M.0 / 2.0).into_iter().map(skin).collect();
+            if parts.iter().all(|(_, p)| p.is_empty()) {
+                return Err(RetargetError::value(
+                    format!(
+                        "finger \"{}\" of hand \"{}\" has no collision shapes at its tip",
+                        f.human.name(),
+                        robot.name
+                    ),
+                    "add shapes to the last link of the model",
+                ));
+            }
+            Ok(Pad { tip: f.tip, parts, fine: points(SPACINGS_M.1 / 2.0) })
+        });
+        let fingers = pads.collect::<Result<Vec<_>>>()?;
+        let movers = (0..robot.links.len())
+            .map(|l| robot.path_to(l).into_iter().flat_map(|i| robot.links[i].joints.iter().copied()).collect())
+            .collect();
+        let mut contact = ContactOptions::with_friction(friction);
+        contact.max_gap_m = contact_gap_m;
+        Ok(Self {
+            target,
+            search,
+            fine,
+            fingers,
+            thumb,
+            movers,
+            pieces: Pieces::new(robot),
+            filled: Pieces::filled(robot),
+            contact,
+        })
+    }
+
+    pub(crate) fn posed(&self, q: &[f64], object_from_base: &Pose) -> Posed {
+        let robot = &self.target.robot;
+        let links = robot.forward_kinematics(q, object_from_base);
+        let axes = (0..robot.dof()).map(|j| robot.joint_axis(&links, j)).collect();
+        Posed { links, axes }
+    }
+
+    /// Velocity of the point of a link per unit of joint `j`.
+    pub(crate) fn velocity(&self, posed: &Posed, j: usize, point: &Point3<f64>) -> Vector3<f64> {
+        let (axis, anchor) = &posed.axes[j];
+        match self.target.robot.joints[j].kind {
+            JointKind::Prismatic => *axis,
+            _ => axis.cross(&(point - anchor)),
+        }
+    }
+}
+
+impl Pad {
+    /// Link and point (object frame) of the pad nearest to the object, and what the object says there.
+    pub(crate) fn nearest(
+        &self,
+        posed: &Posed,
+        object: &dyn SignedDistance,
+    ) -> Option<(usize, Point3<f64>, SdfSample)> {
+        let found = self
+            .parts
+            .iter()
+            .filter_map(|(link, skin)| skin.nearest(&posed.links[*link], object).map(|(point, s)| (*link, point, s)));
+        found.min_by(|a, b| a.2.distance_m.total_cmp(&b.2.distance_m))
+    }
+
+    /// Link, point (object frame) and distance of the nearest among more points.
+    pub(crate) fn nearest_fine(&self, posed: &Posed, object: &dyn SignedDistance) -> (usize, Point3<f64>, f64) {
+        nearest(&self.fine, posed, object)
+    }
+
+    /// The fingertip in the object's frame.
+    pub(crate) fn tip(&self, posed: &Posed) -> Point3<f64> {
+        posed.links[self.tip.link] * self.tip.point
+    }
+}
+
+fn nearest(parts: &[(usize, LinkSurface)], posed: &Posed, object: &dyn SignedDistance) -> (usize, Point3<f64>, f64) {
+    let mut best = (0, Point3::origin(), f64::INFINITY);
+    for (link, part) in parts {
+        if let Some((i, distance)) = part.nearest(&posed.links[*link], object, best.2) {
+            best = (*link, posed.links[*link] * part.samples()[i].0, distance);
+        }
+    }
+    best
+}
+
+/// Points of the links that move with the tip, on the palmar side and the end. Palmar is where the tip goes when its last joint
+/// bends, that is towards the wider side of its range.
+fn pad(robot: &Robot, poses: &[Pose], tip: &LinkPoint, spacing_m: f64) -> Vec<(usize, LinkSurface)> {
+    let path = robot.path_to(tip.link);
+    let Some(&moved) = path.iter().rev().find(|&&l| !robot.links[l].joints.is_empty()) else { return Vec::new() };
+    let palmar = robot.links[moved].joints.last().and_then(|&j| {
+        let (axis, anchor) = robot.joint_axis(poses, j);
+        let bends = robot.joints[j].limits.map_or(1.0, |(lo, hi)| if hi >= -lo { 1.0 } else { -1.0 });
+        (axis * bends).cross(&(poses[tip.link] * tip.point - anchor)).try_normalize(1e-9)
+    });
+    let mut rigid = vec![moved];
+    for l in moved + 1..robot.links.len() {
+        if robot.links[l].joints.is_empty() && robot.links[l].parent.is_some_and(|p| rigid.contains(&p)) {
+            rigid.push(l);
+        }
+    }
+    let faces = |l: usize, n: &Vector3<f64>| palmar.is_none_or(|d| (poses[l] * n).dot(&d) > FACING);
+    rigid
+        .into_iter()
+        .map(|l| {
+            let kept: Vec<_> = robot.surface_samples(l, spacing_m).into_iter().filter(|s| faces(l, &s.1)).collect();
+            (l, LinkSurface::new(&kept))
+        })
+        .filter(|(_, s)| !s.samples().is_empty())
+        .collect()
+}

@@ -1,0 +1,224 @@
+//! A solved frame, measured on the exact surface and the true shapes.
+
+use drex_core::{Pose, SdfSample, SignedDistance};
+use drex_grasp::{Contact, GraspError, SqueezeError, SqueezeProblem, is_force_closed, smallest_forces};
+use nalgebra::{Point3, Unit, Vector3};
+use serde::Serialize;
+
+use super::GraspOptions;
+use super::hand::GraspHand;
+use super::plan::Planned;
+use super::terms::State;
+use crate::{Flag, HumanFinger, ObjectSurface, Rejection, Result, Verdict};
+
+/// One finger of a frame.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct FingerContact {
+    /// The finger.
+    pub finger: HumanFinger,
+    /// Whether the person's finger takes part in the hold.
+    pub wanted: bool,
+    /// Distance of its pad from the surface, mm; negative inside.
+    pub gap_mm: f64,
+    /// Distance of the point of the fingertip from the surface, mm.
+    pub tip_gap_mm: f64,
+    /// Whether the pad is within the contact gap.
+    pub touches: bool,
+}
+
+/// Two links inside each other.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SelfCollision {
+    /// Names of the links.
+    pub links: (String, String),
+    /// How deep, mm.
+    pub depth_mm: f64,
+}
+
+/// One frame, retargeted with contacts.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct GraspFrame {
+    /// Seconds.
+    pub t_s: f64,
+    /// Joint vector in the model's order, rad, within the limits.
+    pub q: Vec<f64>,
+    /// Pose of the robot's base in the object's frame.
+    #[serde(skip)]
+    pub object_from_base: Pose,
+    /// Whether the person holds the object.
+    pub held: bool,
+    /// The fingers, thumb first.
+    pub fingers: Vec<FingerContact>,
+    /// Deepest point inside the object, mm; zero or more.
+    pub penetration_mm: f64,
+    /// The link it is on.
+    pub deepest_link: Option<String>,
+    /// The deepest pair of links inside each other.
+    pub self_collision: Option<SelfCollision>,
+    /// Mean and largest distance of a joint to the plain vector result, rad.
+    pub joint_distance_rad: (f64, f64),
+    /// How far the wrist is from the person's: mm and rad.
+    pub wrist_shift: (f64, f64),
+    /// Fastest joint since the frame before, rad/s.
+    pub joint_speed: f64,
+    /// Whether the contacts are in force closure.
+    pub force_closure: bool,
+    /// Smallest sum of normal forces that carries the object, in units of its weight; `None` where it cannot be carried or up is not
+    /// known.
+    pub squeeze_per_weight: Option<f64>,
+    /// What is wrong with the person's hand in the frame.
+    pub flags: Vec<Flag>,
+    /// The rules.
+    pub verdict: Verdict,
+}
+
+/// What a frame is judged against.
+pub(crate) struct Judged<'a> {
+    /// The person's hand.
+    pub(crate) wish: &'a State,
+    pub(crate) t_s: f64,
+    /// Joints of the frame before and the time since.
+    pub(crate) before: Option<(&'a [f64], f64)>,
+    /// Up in the object's frame.
+    pub(crate) up: Option<Unit<Vector3<f64>>>,
+}
+
+pub(crate) fn judged(
+    hand: &GraspHand<'_>,
+    object: &ObjectSurface<'_>,
+    planned: &Planned,
+    judge: &Judged<'_>,
+    options: &GraspOptions,
+) -> Result<GraspFrame> {
+    let &Judged { wish, t_s, before, up } = judge;
+    let State { object_from_base, q } = &planned.state;
+    let posed = hand.posed(q, object_from_base);
+    let near = Near { search: object.search, exact: object.judge };
+    let robot = &hand.target.robot;
+    let fingers: Vec<FingerContact> = hand
+        .fingers
+        .iter()
+        .zip(&hand.target.fingers)
+        .zip(&planned.wanted)
+        .map(|((pad, finger), wanted)| {
+            let gap = object.judge.signed_distance(&pad.nearest_fine(&posed, object.search).1).distance_m;
+            let tip_gap = object.judge.signed_distance(&pad.tip(&posed)).distance_m;
+            FingerContact {
+                finger: finger.human,
+                wanted: *wanted > 0.0,
+                gap_mm: 1e3 * gap,
+                tip_gap_mm: 1e3 * tip_gap,
+                touches: gap <= options.contact_gap_m,
+            }
+        })
+        .collect();
+    let depths = hand.fine.depths(&posed.links, &near, 0.0);
+    let deepest = (0..depths.len()).max_by(|&a, &b| depths[a].total_cmp(&depths[b])).filter(|&l| depths[l] > 0.0);
+    let mut close = Vec::new();
+    hand.pieces.close(&posed, 0.0, &mut close);
+    let self_collision = close.iter().min_by(|a, b| a.distance_m.total_cmp(&b.distance_m)).map(|c| SelfCollision {
+        links: (robot.links[c.links.0].name.clone(), robot.links[c.links.1].name.clone()),
+        depth_mm: -1e3 * c.distance_m,
+    });
+    let apart: Vec<f64> = q.iter().zip(&wish.q).map(|(a, b)| (a - b).abs()).collect();
+    let shift = object_from_base.translation.vector - wish.object_from_base.translation.vector;
+    let turn = object_from_base.rotation.angle_to(&wish.object_from_base.rotation);
+    let joint_speed = before.map_or(0.0, |(b, dt)| {
+        let most = q.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        if dt > 0.0 { most / dt } else { 0.0 }
+    });
+    let (mut force_closure, mut squeeze_per_weight) = (false, None);
+    if planned.held {
+        let contacts = hand.fine.contacts(robot, q, object_from_base, &near, &hand.contact)?;
+        force_closure = solved(is_force_closed(&contacts, &object.center_of_mass, None).map_err(SqueezeError::from))?
+            .unwrap_or(false);
+        if let Some(up) = up {
+            squeeze_per_weight = squeeze(object, &contacts, up)?;
+        }
+    }
+    let mut reasons = Vec::new();
+    let penetration_mm = deepest.map_or(0.0, |l| 1e3 * depths[l]);
+    if let Some(l) = deepest
+        && depths[l] > options.max_penetration_m
+    {
+        reasons.push(Rejection::Penetrates { link: robot.links[l].name.clone(), depth_mm: penetration_mm });
+    }
+    if planned.held {
+        if !fingers[hand.thumb].touches {
+            reasons.push(Rejection::ThumbMisses { gap_mm: fingers[hand.thumb].gap_mm });
+        }
+        let missing: Vec<(String, f64)> = fingers
+            .iter()
+            .filter(|f| f.finger != HumanFinger::Thumb && !f.touches)
+            .map(|f| (f.finger.name().to_owned(), f.gap_mm))
+            .collect();
+        let touching = fingers.len() - 1 - missing.len();
+        if touching < options.min_fingers {
+            reasons.push(Rejection::FingersMiss { missing, touching, needed: options.min_fingers });
+        }
+    }
+    let n = apart.len().max(1) as f64;
+    let joint_distance_rad = (apart.iter().sum::<f64>() / n, apart.iter().copied().fold(0.0, f64::max));
+    if let Some(c) = &self_collision
+        && c.depth_mm > 1e3 * options.max_self_collision_m
+    {
+        reasons.push(Rejection::SelfCollision { links: c.links.clone(), depth_mm: c.depth_mm });
+    }
+    if joint_distance_rad.0 > options.max_joint_distance_rad {
+        reasons.push(Rejection::FarFromPerson { mean_joint_rad: joint_distance_rad.0 });
+    }
+    if shift.norm() > options.max_wrist_shift_m {
+        reasons.push(Rejection::WristMoved { distance_mm: 1e3 * shift.norm() });
+    }
+    Ok(GraspFrame {
+        t_s,
+        q: q.clone(),
+        object_from_base: *object_from_base,
+        held: planned.held,
+        fingers,
+        penetration_mm,
+        deepest_link: deepest.map(|l| robot.links[l].name.clone()),
+        self_collision,
+        joint_distance_rad,
+        wrist_shift: (1e3 * shift.norm(), turn),
+        joint_speed,
+        force_closure,
+        squeeze_per_weight,
+        flags: Vec::new(),
+        verdict: if reasons.is_empty() { Verdict::Accepted } else { Verdict::Rejected(reasons) },
+    })
+}
+
+/// The exact distance near the surface; farther out the fast one.
+struct Near<'a> {
+    search: &'a dyn SignedDistance,
+    exact: &'a dyn SignedDistance,
+}
+
+/// Farther out than this the fast distance is good enough, m.
+const NEAR_M: f64 = 0.001;
+
+impl SignedDistance for Near<'_> {
+    fn signed_distance(&self, point: &Point3<f64>) -> SdfSample {
+        let fast = self.search.signed_distance(point);
+        if fast.distance_m > NEAR_M { fast } else { self.exact.signed_distance(point) }
+    }
+}
+
+/// The squeeze for a unit weight; `None` if the contacts cannot carry it.
+fn squeeze(object: &ObjectSurface<'_>, contacts: &[Contact], up: Unit<Vector3<f64>>) -> Result<Option<f64>> {
+    let problem = SqueezeProblem::new(contacts.to_vec(), 1.0, object.center_of_mass, -up.into_inner());
+    Ok(solved(smallest_forces(&problem))?.map(|forces| forces.iter().map(|f| f.x).sum()))
+}
+
+/// `None` for a load that cannot be carried and for a solver that stops half-way (the edge of closure).
+fn solved<T>(answer: Result<T, SqueezeError>) -> Result<Option<T>> {
+    match answer {
+        Ok(value) => Ok(Some(value)),
+        Err(SqueezeError::Input(GraspError::Solver { .. })) => Ok(None),
+        Err(SqueezeError::Input(error)) => Err(error.into()),
+        Err(_) => Ok(None),
+    }
+}

@@ -1,0 +1,379 @@
+//! The order in which the frames of a clip are solved.
+//!
+//! Joint speeds bound how far apart two frames can be: every frame is solved within what the frames solved before it allow, on both
+//! sides (an interval per joint that is never empty), from its best frame outwards.
+
+use drex_core::{Pose, SignedDistance};
+use nalgebra::{Point3, Translation3, Vector3};
+
+use super::GraspOptions;
+use super::goals::{self, Goals};
+use super::hand::GraspHand;
+use super::levenberg::minimise;
+use super::terms::{Problem, State, View};
+use super::wanted::Hold;
+use crate::{Demonstration, HumanFinger, ObjectSurface};
+
+/// Effort: wrist alone, first solution, later solution.
+const STEPS: (usize, usize, usize) = (10, 25, 8);
+/// Nearly all of the allowed speed.
+const SPEED_SHARE: f64 = 0.98;
+/// One unit of distance of a pad from its goal, m: wrist alone, then all.
+const GOAL_UNITS_M: (f64, f64, f64) = (0.003, 0.006, 0.003);
+/// A finger with a larger gap than this after the first solution lets go, m.
+const LETS_GO_M: f64 = 0.006;
+/// Gap that is good enough not to try another start, m.
+const GOOD_M: f64 = 0.003;
+
+/// Contacts this upright (see [`View::upright`]) do not slip, and what others cost.
+const UPRIGHT: f64 = 0.93;
+const SLIP_COST: f64 = 200.0;
+
+/// A solved frame.
+#[derive(Debug, Clone)]
+pub(crate) struct Planned {
+    pub(crate) state: State,
+    pub(crate) held: bool,
+    /// Fingers that were drawn to the surface.
+    pub(crate) wanted: Vec<f64>,
+    goals: Vec<Point3<f64>>,
+}
+
+struct Clip<'a> {
+    hand: &'a GraspHand<'a>,
+    object: &'a dyn SignedDistance,
+    bounds: (Point3<f64>, Point3<f64>),
+    poses: &'a [Pose],
+    wishes: &'a [State],
+    /// Middle between the person's thumb and fingers, object frame.
+    centers: Vec<Point3<f64>>,
+    times: Vec<f64>,
+    limits: Vec<(f64, f64)>,
+    options: &'a GraspOptions,
+    solved: Vec<Option<Planned>>,
+}
+
+pub(crate) fn plan(
+    hand: &GraspHand<'_>,
+    object: &ObjectSurface<'_>,
+    demo: &Demonstration,
+    poses: &[Pose],
+    wishes: &[State],
+    holds: &[Hold],
+    options: &GraspOptions,
+) -> Vec<Planned> {
+    let limits = joint_limits(hand);
+    let times = demo.frames.iter().map(|f| f.t_s).collect();
+    let mut clip = Clip {
+        hand,
+        object: object.search,
+        bounds: object.bounds,
+        poses,
+        wishes,
+        centers: centers(demo, poses, hand),
+        times,
+        limits,
+        options,
+        solved: vec![None; wishes.len()],
+    };
+    for hold in holds {
+        clip.first(hold, hold.best, None);
+        for t in hold.best + 1..hold.frames.end {
+            clip.first(hold, t, Some(t - 1));
+        }
+        for t in (hold.frames.start..hold.best).rev() {
+            clip.first(hold, t, Some(t + 1));
+        }
+    }
+    for t in (0..wishes.len()).rev() {
+        clip.free(t);
+    }
+    for t in 0..wishes.len() {
+        clip.again(t);
+    }
+    clip.solved.into_iter().flatten().collect()
+}
+
+/// Solves a grasp on its own that begins at `start` and stays close to it.
+pub(crate) fn single(
+    hand: &GraspHand<'_>,
+    object: &ObjectSurface<'_>,
+    start: &State,
+    mut wanted: Vec<f64>,
+    options: &GraspOptions,
+) -> Planned {
+    let limits = joint_limits(hand);
+    let posed = hand.posed(&start.q, &start.object_from_base);
+    let tips: Vec<Point3<f64>> = hand.fingers.iter().map(|p| p.tip(&posed)).collect();
+    let middle = middle(&tips, hand.thumb);
+    let Goals { points: goals, reached, .. } = goals::goals(object.search, middle, &tips, hand.thumb);
+    leave(hand, options, &reached, &mut wanted);
+    let mut state = start.clone();
+    let problem = Problem {
+        hand,
+        object: object.search,
+        bounds: &object.bounds,
+        wish: start,
+        wanted: &wanted,
+        goals: &goals,
+        goal_unit_m: GOAL_UNITS_M.1,
+        fades: false,
+        beside: &[],
+        intervals: &limits,
+        joints_move: true,
+    };
+    minimise(&problem, &mut state, STEPS.1);
+    Planned { state, held: true, wanted, goals }
+}
+
+impl Clip<'_> {
+    /// What the solved frames nearest on both sides leave for each joint of frame `t`.
+    fn intervals(&self, t: usize) -> Vec<(f64, f64)> {
+        let before = (0..t).rev().find(|&s| self.solved[s].is_some());
+        let after = (t + 1..self.solved.len()).find(|&s| self.solved[s].is_some());
+        let mut intervals = self.limits.clone();
+        for s in [before, after].into_iter().flatten() {
+            let Some(planned) = &self.solved[s] else { continue };
+            let most = (self.times[t] - self.times[s]).abs() * self.options.max_joint_speed * SPEED_SHARE;
+            for (interval, q) in intervals.iter_mut().zip(&planned.state.q) {
+                interval.0 = interval.0.max(q - most);
+                interval.1 = interval.1.min(q + most);
+            }
+        }
+        intervals
+    }
+
+    /// Solves a held frame for the first time, beside frame `from` if that is solved.
+    fn first(&mut self, hold: &Hold, t: usize, from: Option<usize>) {
+        let intervals = self.intervals(t);
+        let mut wanted: Vec<f64> = hold.fingers.iter().map(|w| f64::from(u8::from(*w))).collect();
+        let beside: Vec<State> = from.and_then(|s| self.carried(s, t)).into_iter().collect();
+        let (enclosing, Goals { points: goals, reached, .. }) = self.enclosing(t);
+        leave(self.hand, self.options, &reached, &mut wanted);
+        let mut best: Option<(f64, State, View)> = None;
+        let mut starts: Vec<Option<State>> = Vec::new();
+        if let Some(s) = beside.first() {
+            starts.push(Some(s.clone()));
+        }
+        starts.push(None);
+        for start in starts {
+            let fresh = start.is_none();
+            let mut state = start.unwrap_or_else(|| enclosing.clone());
+            clamp(&mut state.q, &intervals);
+            let mut problem = Problem {
+                hand: self.hand,
+                object: self.object,
+                bounds: &self.bounds,
+                wish: &self.wishes[t],
+                wanted: &wanted,
+                fades: false,
+                goals: &goals,
+                goal_unit_m: GOAL_UNITS_M.0,
+                beside: &[],
+                intervals: &intervals,
+                joints_move: false,
+            };
+            if fresh {
+                minimise(&problem, &mut state, STEPS.0);
+            }
+            problem.goal_unit_m = GOAL_UNITS_M.1;
+            problem.joints_move = true;
+            problem.fades = true;
+            let view = minimise(&problem, &mut state, STEPS.1);
+            let good = self.good(&view) && self.close(t, &state);
+            let score = view.cost + SLIP_COST * (UPRIGHT - view.upright).max(0.0);
+            if best.as_ref().is_none_or(|b| score < b.0) {
+                best = Some((score, state, view));
+            }
+            if good {
+                break;
+            }
+        }
+        let Some((_, mut state, view)) = best else { return };
+        self.release(&view, &mut wanted);
+        let problem = Problem {
+            hand: self.hand,
+            object: self.object,
+            bounds: &self.bounds,
+            wish: &self.wishes[t],
+            wanted: &wanted,
+            fades: false,
+            goals: &goals,
+            goal_unit_m: GOAL_UNITS_M.1,
+            beside: &beside,
+            intervals: &intervals,
+            joints_move: true,
+        };
+        minimise(&problem, &mut state, STEPS.2);
+        self.solved[t] = Some(Planned { state, held: true, wanted, goals });
+    }
+
+    /// A frame without contact follows the person, kept out of the object.
+    fn free(&mut self, t: usize) {
+        if self.solved[t].is_some() {
+            return;
+        }
+        let intervals = self.intervals(t);
+        let wanted = vec![0.0; self.hand.fingers.len()];
+        let mut state = self.wishes[t].clone();
+        clamp(&mut state.q, &intervals);
+        let problem = Problem {
+            hand: self.hand,
+            object: self.object,
+            bounds: &self.bounds,
+            wish: &self.wishes[t],
+            wanted: &wanted,
+            fades: false,
+            goals: &[],
+            goal_unit_m: 1.0,
+            beside: &[],
+            intervals: &intervals,
+            joints_move: true,
+        };
+        minimise(&problem, &mut state, STEPS.2);
+        self.solved[t] = Some(Planned { state, held: false, wanted, goals: Vec::new() });
+    }
+
+    /// Solves a held frame again between its neighbours.
+    fn again(&mut self, t: usize) {
+        let Some(mut planned) = self.solved[t].take() else { return };
+        if planned.held {
+            let intervals = self.intervals(t);
+            let sides = [t.checked_sub(1), Some(t + 1).filter(|s| *s < self.solved.len())];
+            let beside: Vec<State> = sides
+                .into_iter()
+                .flatten()
+                .filter(|&s| self.solved[s].as_ref().is_some_and(|p| p.held))
+                .filter_map(|s| self.carried(s, t))
+                .collect();
+            let mut problem = Problem {
+                hand: self.hand,
+                object: self.object,
+                bounds: &self.bounds,
+                wish: &self.wishes[t],
+                wanted: &planned.wanted,
+                fades: false,
+                goals: &planned.goals,
+                goal_unit_m: GOAL_UNITS_M.1,
+                beside: &beside,
+                intervals: &intervals,
+                joints_move: true,
+            };
+            let view = minimise(&problem, &mut planned.state, STEPS.2);
+            if view.upright < UPRIGHT {
+                problem.goal_unit_m = GOAL_UNITS_M.2;
+                let mut firm = planned.state.clone();
+                if minimise(&problem, &mut firm, STEPS.2).upright > view.upright {
+                    planned.state = firm;
+                }
+            }
+        }
+        self.solved[t] = Some(planned);
+    }
+
+    /// The solution of frame `s` as frame `t` would have it: the same joints, and the wrist as far from the person's.
+    fn carried(&self, s: usize, t: usize) -> Option<State> {
+        let planned = self.solved[s].as_ref()?;
+        let (from, to) =
+            (self.poses[s] * self.wishes[s].object_from_base, self.poses[t] * self.wishes[t].object_from_base);
+        let there = self.poses[s] * planned.state.object_from_base;
+        let shift = there.translation.vector - from.translation.vector;
+        let turn = there.rotation * from.rotation.inverse();
+        let source_from_base = Pose::from_parts(Translation3::from(to.translation.vector + shift), turn * to.rotation);
+        Some(State { object_from_base: self.poses[t].inverse() * source_from_base, q: planned.state.q.clone() })
+    }
+
+    /// The person's pose, shifted so that the middle between thumb and fingers is inside the object, and where the fingers belong.
+    fn enclosing(&self, t: usize) -> (State, Goals) {
+        let mut state = self.wishes[t].clone();
+        let posed = self.hand.posed(&state.q, &state.object_from_base);
+        let tips: Vec<Point3<f64>> = self.hand.fingers.iter().map(|p| p.tip(&posed)).collect();
+        let middle = middle(&tips, self.hand.thumb);
+        let goals = goals::goals(self.object, self.centers[t], &tips, self.hand.thumb);
+        state.object_from_base.translation.vector += goals.middle - middle;
+        (state, goals)
+    }
+
+    /// Whether enough fingers are on the surface and do not slip.
+    fn good(&self, view: &View) -> bool {
+        let on = |f: usize| view.gaps[f] < GOOD_M && view.tip_gaps[f] < self.options.contact_gap_m;
+        let others = (0..view.gaps.len()).filter(|&f| f != self.hand.thumb && on(f)).count();
+        view.upright > UPRIGHT && on(self.hand.thumb) && others >= self.options.min_fingers
+    }
+
+    /// Whether the state is well within what an accepted frame may be away from the person.
+    fn close(&self, t: usize, state: &State) -> bool {
+        let wish = &self.wishes[t];
+        let apart: f64 = state.q.iter().zip(&wish.q).map(|(a, b)| (a - b).abs()).sum();
+        let shift = (state.object_from_base.translation.vector - wish.object_from_base.translation.vector).norm();
+        apart < 0.8 * self.options.max_joint_distance_rad * state.q.len() as f64
+            && shift < 0.9 * self.options.max_wrist_shift_m
+    }
+
+    /// Fingers that stay off the surface are no longer drawn to it, but for the thumb and the nearest others.
+    fn release(&self, view: &View, wanted: &mut [f64]) {
+        let miss = |f: usize| view.gaps[f].max(view.tip_gaps[f] - 0.003);
+        let mut others: Vec<usize> = (0..wanted.len()).filter(|&f| f != self.hand.thumb && wanted[f] > 0.0).collect();
+        others.sort_by(|&a, &b| miss(a).total_cmp(&miss(b)));
+        for (rank, f) in others.into_iter().enumerate() {
+            if rank >= self.options.min_fingers && miss(f) > LETS_GO_M {
+                wanted[f] = 0.0;
+            }
+        }
+    }
+}
+
+/// Fingers beyond the object do not take part, unless too few would be left.
+fn leave(hand: &GraspHand<'_>, options: &GraspOptions, reached: &[bool], wanted: &mut [f64]) {
+    let takes_part = |f: usize| f != hand.thumb && wanted[f] > 0.0;
+    let left = (0..wanted.len()).filter(|&f| takes_part(f) && reached[f]).count();
+    if left >= options.min_fingers {
+        for f in (0..wanted.len()).filter(|&f| f != hand.thumb && !reached[f]) {
+            wanted[f] = 0.0;
+        }
+    }
+}
+
+fn joint_limits(hand: &GraspHand<'_>) -> Vec<(f64, f64)> {
+    let joints = hand.target.robot.joints.iter();
+    joints.map(|j| j.limits.unwrap_or((f64::NEG_INFINITY, f64::INFINITY))).collect()
+}
+
+/// Middle between the thumb's tip and the others' mean.
+fn middle(tips: &[Point3<f64>], thumb: usize) -> Point3<f64> {
+    let others: Vector3<f64> = tips.iter().enumerate().filter(|(f, _)| *f != thumb).map(|(_, p)| p.coords).sum();
+    nalgebra::center(&tips[thumb], &Point3::from(others / (tips.len() - 1).max(1) as f64))
+}
+
+fn clamp(q: &mut [f64], intervals: &[(f64, f64)]) {
+    for (q, (lo, hi)) in q.iter_mut().zip(intervals) {
+        *q = q.max(*lo).min(*hi);
+    }
+}
+
+/// Middle between the person's thumb and the other fingers that the robot has, object frame; the object where none is seen.
+fn centers(demo: &Demonstration, poses: &[Pose], hand: &GraspHand<'_>) -> Vec<Point3<f64>> {
+    let frames = demo.frames.iter().zip(poses);
+    frames
+        .map(|(frame, pose)| {
+            let seen = |i: usize| frame.points[i].filter(|p| p.iter().all(|v| v.is_finite()));
+            let tips = hand.target.fingers.iter().map(|f| (f.human, seen(f.human.tip())));
+            let (mut thumb, mut fingers) = (None, Vec::new());
+            for (human, tip) in tips {
+                match (human, tip) {
+                    (HumanFinger::Thumb, tip) => thumb = tip,
+                    (_, Some(tip)) => fingers.push(tip.coords),
+                    _ => {}
+                }
+            }
+            let mean = Point3::from(fingers.iter().sum::<Vector3<f64>>() / fingers.len().max(1) as f64);
+            let middle = match (thumb, fingers.is_empty()) {
+                (Some(thumb), false) => nalgebra::center(&thumb, &mean),
+                (Some(thumb), true) => thumb,
+                (None, false) => mean,
+                (None, true) => return Point3::origin(),
+            };
+            pose.inverse_transform_point(&middle)
+        })
+        .collect()
+}

@@ -1,0 +1,114 @@
+//! Points on a link, searched in few look-ups of the object's distance.
+
+use drex_core::{Pose, SdfSample, SignedDistance};
+use nalgebra::{Point3, Vector3};
+
+/// Edge of the cells whose points are skipped together, m.
+const CELL_M: f64 = 0.014;
+/// Support points that are looked at.
+const SUPPORTS: usize = 4;
+
+/// Points on a link, link frame.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Skin {
+    points: Vec<Point3<f64>>,
+    cells: Vec<(Point3<f64>, f64, std::ops::Range<usize>)>,
+    /// Ball around all.
+    ball: (Point3<f64>, f64),
+}
+
+impl Skin {
+    pub(crate) fn new(points: impl IntoIterator<Item = Point3<f64>>) -> Self {
+        let mut cells: std::collections::BTreeMap<[i64; 3], Vec<Point3<f64>>> = std::collections::BTreeMap::new();
+        for p in points {
+            cells.entry([0, 1, 2].map(|k| (p[k] / CELL_M).floor() as i64)).or_default().push(p);
+        }
+        let mut skin = Self::default();
+        for members in cells.into_values() {
+            let (center, radius) = ball(&members);
+            let start = skin.points.len();
+            skin.points.extend(members);
+            skin.cells.push((center, radius, start..skin.points.len()));
+        }
+        skin.ball = ball(&skin.points);
+        skin
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.points.is_empty()
+    }
+
+    /// The deepest point inside the object: where, and what the object says there.
+    pub(crate) fn deepest(
+        &self,
+        pose: &Pose,
+        object: &dyn SignedDistance,
+        bounds: &(Point3<f64>, Point3<f64>),
+    ) -> Option<(Point3<f64>, SdfSample)> {
+        let mut best: Option<(Point3<f64>, SdfSample)> = None;
+        if self.points.is_empty() || box_distance(bounds, &(pose * self.ball.0)) > self.ball.1 {
+            return None;
+        }
+        for (center, radius, range) in &self.cells {
+            let center = pose * center;
+            let limit = best.as_ref().map_or(0.0, |b| b.1.distance_m);
+            if box_distance(bounds, &center) > *radius || object.signed_distance(&center).distance_m - radius > limit {
+                continue;
+            }
+            for p in &self.points[range.clone()] {
+                let at = pose * p;
+                let s = object.signed_distance(&at);
+                if s.distance_m < best.as_ref().map_or(0.0, |b| b.1.distance_m) {
+                    best = Some((at, s));
+                }
+            }
+        }
+        best
+    }
+
+    /// A point nearest to the object: the support point against the distance's gradient, again from there until it stays (Frank and
+    /// Wolfe's steps). Exact for a convex set of points and a flat object, a local minimum else.
+    pub(crate) fn nearest(&self, pose: &Pose, object: &dyn SignedDistance) -> Option<(Point3<f64>, SdfSample)> {
+        let mut gradient = object.signed_distance(&(pose * self.ball.0)).gradient;
+        let mut best: Option<(usize, Point3<f64>, SdfSample)> = None;
+        for _ in 0..SUPPORTS {
+            let i = self.support(&-pose.inverse_transform_vector(&gradient))?;
+            if best.as_ref().is_some_and(|b| b.0 == i) {
+                break;
+            }
+            let at = pose * self.points[i];
+            let s = object.signed_distance(&at);
+            gradient = s.gradient;
+            if best.as_ref().is_none_or(|b| s.distance_m < b.2.distance_m) {
+                best = Some((i, at, s));
+            } else {
+                break;
+            }
+        }
+        best.map(|b| (b.1, b.2))
+    }
+
+    fn support(&self, direction: &Vector3<f64>) -> Option<usize> {
+        let mut best = (f64::NEG_INFINITY, None);
+        for (i, p) in self.points.iter().enumerate() {
+            let reach = p.coords.dot(direction);
+            if reach > best.0 {
+                best = (reach, Some(i));
+            }
+        }
+        best.1
+    }
+}
+
+/// Centre of the bounding box and the furthest point from it.
+pub(crate) fn ball(points: &[Point3<f64>]) -> (Point3<f64>, f64) {
+    let Some(first) = points.first() else { return (Point3::origin(), 0.0) };
+    let (lo, hi) = points.iter().fold((*first, *first), |(lo, hi), p| (lo.inf(p), hi.sup(p)));
+    let center = nalgebra::center(&lo, &hi);
+    (center, points.iter().map(|p| (p - center).norm()).fold(0.0, f64::max))
+}
+
+/// Distance of a point from a box, a cheap lower bound of the distance from what is in it.
+fn box_distance((lo, hi): &(Point3<f64>, Point3<f64>), point: &Point3<f64>) -> f64 {
+    (lo - point).sup(&(point - hi)).sup(&Vector3::zeros()).norm()
+}
