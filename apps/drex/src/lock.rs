@@ -137,7 +137,8 @@ pub fn made_by() -> String {
     concat!("drex ", env!("CARGO_PKG_VERSION")).to_owned()
 }
 
-fn digest_of(bytes: &[u8]) -> String {
+/// SHA-256 in hexadecimal digits.
+pub fn digest_of(bytes: &[u8]) -> String {
     hex(&Sha256::digest(bytes))
 }
 

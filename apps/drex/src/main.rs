@@ -42,6 +42,8 @@ fn run(cli: &Cli, ui: &Ui) -> anyhow::Result<()> {
         Command::PlanPush(args) => commands::plan_push::run(args, ui),
         Command::CalibrateHand(args) => commands::calibrate_hand::run(args, ui),
         Command::Render(args) => commands::render::run(args, ui),
+        Command::Hands(args) => commands::hands::run(args, ui),
+        Command::Retarget(args) => commands::retarget::run(args, seed, ui),
         Command::Train(args) => commands::run::run(args, twin::Stage::Train, false, seed, ui),
         Command::Evaluate(args) => commands::run::run(args, twin::Stage::Evaluate, false, seed, ui),
         Command::Run(args) => commands::run::run(args, twin::Stage::Report, false, seed, ui),

@@ -48,8 +48,10 @@ pub fn run(ui: &Ui) -> Result<()> {
             "frames from a video of the object",
             "install it with your package manager, for example `apt-get install ffmpeg`",
         ),
-        python_module("mujoco", "comparison with MuJoCo and loading the asset there"),
-        python_module("dex_retargeting", "comparison with the reference retargeter"),
+        python_module("mujoco", "mujoco", "comparison with MuJoCo and loading the asset there"),
+        // Later ones come without their models.
+        python_module("mediapipe", "\"mediapipe==0.10.14\" opencv-python-headless", "hands in videos (`drex hands`)"),
+        python_module("dex_retargeting", "dex-retargeting", "comparison with the reference retargeter"),
         devices(
             "serial port",
             "/dev",
@@ -138,7 +140,7 @@ fn program(name: &'static str, arguments: &[&str], needed_for: &'static str, rem
     }
 }
 
-fn python_module(name: &'static str, needed_for: &'static str) -> Check {
+fn python_module(name: &'static str, package: &str, needed_for: &'static str) -> Check {
     let code = format!("import importlib.metadata as m; print(m.version('{}'))", name.replace('_', "-"));
     let version = Command::new("python3")
         .args(["-c", &code])
@@ -154,7 +156,7 @@ fn python_module(name: &'static str, needed_for: &'static str) -> Check {
         remedy: if version.is_some() {
             String::new()
         } else {
-            format!("`pip install {}` in a virtual environment", name.replace('_', "-"))
+            format!("`pip install {package}` in a virtual environment")
         },
     }
 }

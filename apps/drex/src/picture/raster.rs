@@ -12,6 +12,11 @@ const OVERSAMPLE: u32 = 2;
 /// Sky colour, matching the report's panels.
 const BACKGROUND: [f64; 3] = [0.957, 0.961, 0.969];
 
+/// The background as a pixel.
+pub(super) fn background() -> Rgb<u8> {
+    Rgb(BACKGROUND.map(|c| (255.0 * c).round() as u8))
+}
+
 /// A mesh in the scene with one colour (linear-ish sRGB in [0, 1]).
 pub struct Part<'a> {
     /// Geometry in its own frame.
@@ -39,7 +44,11 @@ pub struct View {
 
 /// Renders the parts, framed to fit, as a PNG file in memory.
 pub fn render_png(parts: &[Part<'_>], view: &View) -> Result<Vec<u8>> {
-    let picture = render(parts, view);
+    encode_png(&render(parts, view))
+}
+
+/// A picture as a PNG file in memory.
+pub(super) fn encode_png(picture: &RgbImage) -> Result<Vec<u8>> {
     let mut png = Cursor::new(Vec::new());
     picture.write_to(&mut png, ImageFormat::Png).context("cannot encode the picture as PNG")?;
     Ok(png.into_inner())
@@ -64,7 +73,7 @@ pub fn clearest_azimuth(parts: &[Part<'_>], subject: usize, view: &View) -> f64 
     best.1
 }
 
-fn render(parts: &[Part<'_>], view: &View) -> RgbImage {
+pub(super) fn render(parts: &[Part<'_>], view: &View) -> RgbImage {
     draw(parts, view).downsample(view.width, view.height)
 }
 
@@ -312,6 +321,6 @@ mod tests {
     #[test]
     fn an_empty_scene_is_background() {
         let seen = centre_color(&[]);
-        assert_eq!(seen, Rgb(BACKGROUND.map(|c| (255.0 * c).round() as u8)));
+        assert_eq!(seen, background());
     }
 }

@@ -3,19 +3,18 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
-use drex_core::{Pose, TriMesh};
+use drex_core::Pose;
 use drex_mesh::Asset;
 use drex_robot::Robot;
 
 use super::page::Page;
 use super::summary::median;
+use crate::picture::hand::HandShapes;
 use crate::picture::plot::{COLORS, Plot, Series};
 use crate::picture::raster::{Part, View, clearest_azimuth, render_png};
 use crate::twin::{Evaluation, FitFile, FitRecord, JudgedGrasp, Training, Twin};
 
 const OBJECT_COLOR: [f64; 3] = [0.86, 0.55, 0.30];
-const HAND_COLOR: [f64; 3] = [0.36, 0.42, 0.52];
-const TIP_COLOR: [f64; 3] = [0.20, 0.60, 0.62];
 /// Fits that push the object out of the hand by less than this hold it between the fingers.
 const PUSHED_OUT: f64 = 0.1;
 /// Pictures per row of grasps.
@@ -210,6 +209,7 @@ pub fn evaluation(page: &mut Page, twin: &Twin, asset: &Asset, e: &Evaluation) -
 /// The object on its table, ready for pictures with the hand.
 struct Stage<'a> {
     robot: Robot,
+    shapes: HandShapes,
     asset: &'a Asset,
     world_from_object: Pose,
 }
@@ -217,22 +217,13 @@ struct Stage<'a> {
 impl<'a> Stage<'a> {
     fn new(twin: &Twin, asset: &'a Asset) -> Result<Self> {
         let hand = twin.manifest.grasps.as_ref().map_or("leap_right", |g| g.hand.as_str());
-        Ok(Self { robot: Robot::resolve(hand, &twin.root)?, asset, world_from_object: asset.world_from_mesh_at_rest })
+        let robot = Robot::resolve(hand, &twin.root)?;
+        Ok(Self { shapes: HandShapes::new(&robot), robot, asset, world_from_object: asset.world_from_mesh_at_rest })
     }
 
     fn picture(&self, joints: &[f64], object_from_base: &Pose) -> Result<Vec<u8>> {
         let links = self.robot.forward_kinematics(joints, &(self.world_from_object * object_from_base));
-        let tips: Vec<usize> = self.robot.fingers().iter().map(|f| f.tip_link).collect();
-        let shapes: Vec<(TriMesh, Pose, [f64; 3])> = self
-            .robot
-            .collision_geoms()
-            .filter_map(|(link, geom)| {
-                let color = if tips.contains(&link) { TIP_COLOR } else { HAND_COLOR };
-                Some((geom.shape.to_mesh(20)?, links[link] * geom.link_from_geom, color))
-            })
-            .collect();
-        let mut parts: Vec<Part<'_>> =
-            shapes.iter().map(|(mesh, pose, color)| Part { mesh, world_from_mesh: *pose, color: *color }).collect();
+        let mut parts = self.shapes.parts(&links);
         parts.push(Part { mesh: &self.asset.visual, world_from_mesh: self.world_from_object, color: OBJECT_COLOR });
         let view = View { width: 420, height: 340, azimuth: 0.0, elevation: 0.45, table_height_m: Some(0.0) };
         let azimuth = clearest_azimuth(&parts, parts.len() - 1, &view);

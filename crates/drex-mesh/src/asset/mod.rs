@@ -20,7 +20,7 @@ use crate::io::extension;
 use crate::mass::{HowHollow, check_mass_properties, principal, shell_properties};
 use crate::model::SceneOptions;
 use crate::pieces::{HowDivided, divide};
-use crate::repair::{RepairReport, repair};
+use crate::repair::{RepairOptions, RepairReport, repair};
 use crate::rest::{RestOptions, RestPose, settled_pose, stable_poses, turn};
 use crate::solid::{Enclosed, HowClosed};
 use crate::{Error, Result, read_mesh, write};
@@ -141,6 +141,22 @@ pub fn build_asset(mesh_path: &Path, options: &AssetOptions) -> Result<Asset> {
         asset.report.up_source = UpSource::Format;
     }
     Ok(asset)
+}
+
+/// Reads a mesh file as the surface of an object in metres, repaired, without dividing or weighing it; with remarks, one
+/// sentence each.
+///
+/// # Errors
+/// If the file cannot be read or is damaged, or its unit cannot be told; the message names the file and the remedy.
+pub fn metric_mesh(mesh_path: &Path, unit: LengthUnit) -> Result<(TriMesh, Vec<String>)> {
+    let mesh = read_mesh(mesh_path)?;
+    let gltf = matches!(extension(mesh_path).as_str(), "gltf" | "glb");
+    let unit = if gltf && unit == LengthUnit::Auto { LengthUnit::Metre } else { unit };
+    let extent = mesh.bounds().map_or(0.0, |(lo, hi)| (hi - lo).max());
+    let mut warnings = Vec::new();
+    let (_, factor) = unit.settle(extent, &mut warnings).map_err(|e| e.about(mesh_path))?;
+    let (mesh, _) = repair(&mesh.scaled(factor), &RepairOptions::default()).map_err(|e| e.about(mesh_path))?;
+    Ok((mesh, warnings))
 }
 
 /// Makes an asset of a mesh in memory.

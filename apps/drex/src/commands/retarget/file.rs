@@ -1,0 +1,128 @@
+//! The JSON file of a retargeted clip.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use anyhow::Result;
+use drex_core::fsutil;
+use drex_retarget::{Demonstration, Flag, GraspFrame, RetargetedFrame, ScaleReport, Side, TargetHand};
+use serde::Serialize;
+
+use super::Object;
+use crate::cli::RetargetArgs;
+use crate::lock::digest_of;
+use crate::twin::PoseRecord;
+
+/// The file.
+#[derive(Serialize)]
+struct File<'a, F, G> {
+    format: &'static str,
+    /// Name of the model.
+    hand: &'a str,
+    /// What the command line called it.
+    model: &'a str,
+    side: Side,
+    objective: &'a str,
+    unit: &'static str,
+    joint_names: Vec<&'a str>,
+    demonstration: Given,
+    object: Option<GivenObject>,
+    scale: &'a ScaleReport,
+    notes: Vec<&'a str>,
+    frames: &'a [F],
+    #[serde(skip_serializing_if = "<[G]>::is_empty")]
+    grasps: &'a [G],
+}
+
+/// An input file.
+#[derive(Serialize)]
+struct Given {
+    file: String,
+    sha256: String,
+}
+
+#[derive(Serialize)]
+struct GivenObject {
+    #[serde(flatten)]
+    file: Given,
+    /// Whether its convex hull was taken instead.
+    hull: bool,
+}
+
+/// A frame of a plain objective.
+#[derive(Serialize)]
+pub struct FrameRecord<'a> {
+    /// Number in the demonstration, from 0.
+    frame: usize,
+    t_s: f64,
+    q: &'a [f64],
+    q_filtered: &'a [f64],
+    source_from_base: Option<PoseRecord>,
+    /// `null` where the frame is no hand.
+    objective: Option<f64>,
+    residual_mm: BTreeMap<&'static str, Option<f64>>,
+    flags: &'a [Flag],
+}
+
+impl<'a> FrameRecord<'a> {
+    pub fn new(frame: usize, f: &'a RetargetedFrame) -> Self {
+        Self {
+            frame,
+            t_s: f.t_s,
+            q: &f.q,
+            q_filtered: &f.q_filtered,
+            source_from_base: f.source_from_base.as_ref().map(PoseRecord::from),
+            objective: Some(f.objective).filter(|o| o.is_finite()),
+            residual_mm: f.fingers.iter().map(|r| (r.finger.name(), r.residual_mm)).collect(),
+            flags: &f.flags,
+        }
+    }
+}
+
+/// A frame of the grasp objective.
+#[derive(Serialize)]
+pub struct GraspRecord<'a> {
+    /// Number in the demonstration, from 0.
+    pub frame: usize,
+    pub accepted: bool,
+    /// Why not, one sentence each.
+    pub reasons: Vec<String>,
+    pub object_from_base: PoseRecord,
+    #[serde(flatten)]
+    pub measured: &'a GraspFrame,
+}
+
+/// Writes the file whole or not at all.
+#[allow(clippy::too_many_arguments)] // one per part of the file
+pub fn write(
+    out: &Path,
+    args: &RetargetArgs,
+    demo: &Demonstration,
+    hand: &TargetHand,
+    object: Option<&Object>,
+    scale: &ScaleReport,
+    frames: &[impl Serialize],
+    grasps: &[impl Serialize],
+) -> Result<()> {
+    let given = |path: &Path, sha256: String| Given { file: path.display().to_string(), sha256 };
+    let file = File {
+        format: "drex-retargeted/1",
+        hand: &hand.robot.name,
+        model: &args.hand,
+        side: hand.side,
+        objective: args.objective.name(),
+        unit: "rad",
+        joint_names: hand.robot.joint_names(),
+        demonstration: given(&args.demo, digest_of(&fsutil::read_bytes(&args.demo)?)),
+        object: object
+            .zip(args.object.as_ref())
+            .map(|(o, path)| GivenObject { file: given(path, o.sha256.clone()), hull: args.object_hull }),
+        scale,
+        notes: demo.notes.iter().chain(&hand.notes).map(String::as_str).collect(),
+        frames,
+        grasps,
+    };
+    let mut text = serde_json::to_vec(&file)?;
+    text.push(b'\n');
+    Ok(fsutil::write_atomic(out, &text)?)
+}

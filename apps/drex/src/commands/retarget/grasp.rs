@@ -1,0 +1,175 @@
+//! The grasp objective: contacts with the object over the whole clip.
+
+use std::time::Instant;
+
+use anyhow::Result;
+use drex_retarget::{Demonstration, GraspOptions, GraspRetargeting, TargetHand, Verdict, retarget_grasp};
+use serde_json::json;
+
+use super::file::{self, GraspRecord};
+use super::{Object, options, picture, up, upright};
+use crate::cli::RetargetArgs;
+use crate::ui::Ui;
+
+pub fn run(
+    args: &RetargetArgs,
+    demo: &Demonstration,
+    hand: &TargetHand,
+    object: &Object,
+    seed: Option<u64>,
+    ui: &Ui,
+) -> Result<()> {
+    let mut demo = demo.clone();
+    demo.up = up(args, &demo, ui);
+    let mut grasp = GraspOptions::default();
+    grasp.vector = options(args);
+    let begin = Instant::now();
+    let result = retarget_grasp(&demo, hand, &object.surface(), &grasp)?;
+    let ms = 1e3 * begin.elapsed().as_secs_f64() / result.frames.len().max(1) as f64;
+    let _ = seed;
+    if let Some(out) = &args.out {
+        file::write(out, args, &demo, hand, Some(object), &result.scale, &records(&demo, &result), &[(); 0])?;
+    }
+    if let Some(path) = &args.picture {
+        // The object stays where it is; the hand comes to it.
+        let first = demo.frames.iter().find_map(|f| f.source_from_object);
+        let world_from_object = upright(demo.up.zip(first).map(|(up, pose)| pose.rotation.inverse() * up));
+        let poses: Vec<_> = demo
+            .frames
+            .iter()
+            .zip(&result.frames)
+            .map(|(d, f)| picture::Posed {
+                frame: d.index,
+                q: &f.q,
+                world_from_base: world_from_object * f.object_from_base,
+                world_from_object: Some(world_from_object),
+            })
+            .collect();
+        picture::write(path, hand, Some(&object.mesh), &poses, args.every.get())?;
+    }
+    let summary = Summary::of(&result);
+    let value = json!({
+        "hand": hand.robot.name,
+        "objective": "grasp",
+        "frames": result.frames.len(),
+        "scale": result.scale,
+        "held_frames": summary.held,
+        "accepted_frames": summary.accepted,
+        "contact_share": summary.share(summary.contact),
+        "force_closure_share": summary.share(summary.closed),
+        "squeeze_per_weight_median": summary.squeeze,
+        "deepest_penetration_mm": summary.penetration_mm,
+        "deepest_self_collision_mm": summary.self_collision_mm,
+        "mean_joint_distance_rad": summary.joint_distance_rad,
+        "largest_wrist_shift_mm": summary.wrist_shift_mm,
+        "fastest_joint_rad_s": summary.joint_speed,
+        "ms_per_frame": ms,
+        "out": args.out,
+        "picture": args.picture,
+    });
+    ui.answer(&value, text(args, &demo, hand, &result, &summary, ms))
+}
+
+fn records<'a>(demo: &Demonstration, result: &'a GraspRetargeting) -> Vec<GraspRecord<'a>> {
+    let frames = demo.frames.iter().zip(&result.frames);
+    frames
+        .map(|(d, f)| GraspRecord {
+            frame: d.index,
+            accepted: f.is_accepted(),
+            reasons: reasons(&f.verdict),
+            object_from_base: (&f.object_from_base).into(),
+            measured: f,
+        })
+        .collect()
+}
+
+fn reasons(verdict: &Verdict) -> Vec<String> {
+    match verdict {
+        Verdict::Accepted => Vec::new(),
+        Verdict::Rejected(reasons) => reasons.iter().map(ToString::to_string).collect(),
+    }
+}
+
+/// Figures over the held frames.
+struct Summary {
+    held: usize,
+    accepted: usize,
+    contact: usize,
+    closed: usize,
+    squeeze: Option<f64>,
+    penetration_mm: f64,
+    self_collision_mm: f64,
+    joint_distance_rad: f64,
+    wrist_shift_mm: f64,
+    joint_speed: f64,
+}
+
+impl Summary {
+    fn of(result: &GraspRetargeting) -> Self {
+        let held: Vec<_> = result.frames.iter().filter(|f| f.held).collect();
+        let most = |v: &dyn Fn(&drex_retarget::GraspFrame) -> f64| result.frames.iter().map(v).fold(0.0, f64::max);
+        let touching = |f: &drex_retarget::GraspFrame| {
+            f.fingers.first().is_some_and(|thumb| thumb.touches) && f.fingers.iter().filter(|x| x.touches).count() >= 3
+        };
+        let mut squeezes: Vec<f64> = held.iter().filter_map(|f| f.squeeze_per_weight).collect();
+        squeezes.sort_by(f64::total_cmp);
+        Self {
+            held: held.len(),
+            accepted: result.frames.iter().filter(|f| f.is_accepted()).count(),
+            contact: held.iter().filter(|f| touching(f)).count(),
+            closed: held.iter().filter(|f| f.squeeze_per_weight.is_some()).count(),
+            squeeze: squeezes.get(squeezes.len() / 2).copied(),
+            penetration_mm: most(&|f| f.penetration_mm),
+            self_collision_mm: most(&|f| f.self_collision.as_ref().map_or(0.0, |c| c.depth_mm)),
+            joint_distance_rad: held.iter().map(|f| f.joint_distance_rad.0).sum::<f64>() / held.len().max(1) as f64,
+            wrist_shift_mm: most(&|f| f.wrist_shift.0),
+            joint_speed: most(&|f| f.joint_speed),
+        }
+    }
+
+    /// Share of the held frames; `None` without any.
+    fn share(&self, count: usize) -> Option<f64> {
+        (self.held > 0).then(|| count as f64 / self.held as f64)
+    }
+}
+
+fn text(
+    args: &RetargetArgs,
+    demo: &Demonstration,
+    hand: &TargetHand,
+    result: &GraspRetargeting,
+    s: &Summary,
+    ms: f64,
+) -> String {
+    let mut lines =
+        vec![format!("{} frames to {}, {ms:.2} ms a frame: {} held", result.frames.len(), hand.robot.name, s.held)];
+    lines.push("  frame  thumb  index middle   ring  mm from the surface   inside  joints  wrist  squeeze".into());
+    for (d, f) in demo.frames.iter().zip(&result.frames).filter(|(_, f)| f.held) {
+        let gaps: Vec<String> = f.fingers.iter().map(|g| format!("{:6.1}", g.gap_mm)).collect();
+        lines.push(format!(
+            "  {:5} {} {:>20.1} mm {:4.2} rad {:3.0} mm {}{}",
+            d.index,
+            gaps.join(" "),
+            f.penetration_mm,
+            f.joint_distance_rad.0,
+            f.wrist_shift.0,
+            f.squeeze_per_weight.map_or("cannot carry".into(), |w| format!("{w:.1} weights")),
+            reasons(&f.verdict).iter().map(|r| format!("; {r}")).collect::<String>()
+        ));
+    }
+    let percent = |n| s.share(n).map_or("-".into(), |v| format!("{:.0} %", 100.0 * v));
+    lines.push(format!(
+        "  accepted {} of {} held frames; thumb and two fingers touch in {}, the weight can be carried in {}",
+        s.accepted,
+        s.held,
+        percent(s.contact),
+        percent(s.closed)
+    ));
+    lines.push(format!(
+        "  at most  {:.1} mm inside the object, {:.1} mm inside itself, wrist {:.0} mm from the person's, {:.1} rad/s",
+        s.penetration_mm, s.self_collision_mm, s.wrist_shift_mm, s.joint_speed
+    ));
+    lines.push(format!("  mean     {:.2} rad from the plain result", s.joint_distance_rad));
+    lines.extend(args.out.iter().chain(&args.picture).map(|p| format!("  written  {}", p.display())));
+    lines.join("\n")
+}

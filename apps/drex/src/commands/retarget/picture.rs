@@ -1,0 +1,48 @@
+//! The contact sheet of a clip.
+
+use std::path::Path;
+
+use anyhow::Result;
+use drex_core::{Pose, TriMesh, fsutil};
+use drex_retarget::TargetHand;
+
+use crate::picture::hand::HandShapes;
+use crate::picture::raster::Part;
+use crate::picture::sheet::contact_sheet;
+
+const OBJECT_COLOR: [f64; 3] = [0.86, 0.55, 0.30];
+
+/// Hand and object in one frame.
+pub struct Posed<'a> {
+    /// Its number on the picture.
+    pub frame: usize,
+    pub q: &'a [f64],
+    pub world_from_base: Pose,
+    pub world_from_object: Option<Pose>,
+}
+
+/// Draws every `every`-th frame.
+pub fn write(
+    path: &Path,
+    hand: &TargetHand,
+    object: Option<&TriMesh>,
+    poses: &[Posed<'_>],
+    every: usize,
+) -> Result<()> {
+    let shapes = HandShapes::new(&hand.robot);
+    let links: Vec<_> =
+        poses.iter().step_by(every).map(|p| (p, hand.robot.forward_kinematics(p.q, &p.world_from_base))).collect();
+    let mut subject = None;
+    let scenes: Vec<_> = links
+        .iter()
+        .map(|(p, links)| {
+            let mut parts = shapes.parts(links);
+            if let Some((mesh, pose)) = object.zip(p.world_from_object) {
+                subject = Some(parts.len());
+                parts.push(Part { mesh, world_from_mesh: pose, color: OBJECT_COLOR });
+            }
+            (p.frame, parts)
+        })
+        .collect();
+    Ok(fsutil::write_atomic(path, &contact_sheet(&scenes, subject)?)?)
+}
