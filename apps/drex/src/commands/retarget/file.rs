@@ -92,6 +92,18 @@ pub struct GraspRecord<'a> {
     pub measured: &'a GraspFrame,
 }
 
+/// A grasp that was made of an accepted frame.
+#[derive(Serialize)]
+pub struct AugmentedRecord<'a> {
+    /// Number of that frame in the demonstration.
+    pub frame: usize,
+    /// Which of the object's symmetries it was turned by, 0 for none.
+    pub symmetry: usize,
+    /// How far the wrist was shifted and turned before it was solved again.
+    pub noise_mm_rad: [f64; 2],
+    pub grasp: GraspRecord<'a>,
+}
+
 /// Writes the file whole or not at all.
 #[allow(clippy::too_many_arguments)] // one per part of the file
 pub fn write(

@@ -3,10 +3,13 @@
 use std::time::Instant;
 
 use anyhow::Result;
-use drex_retarget::{Demonstration, GraspOptions, GraspRetargeting, TargetHand, Verdict, retarget_grasp};
+use drex_retarget::{
+    AugmentOptions, Augmentation, Demonstration, GraspFrame, GraspOptions, GraspRetargeting, TargetHand, Verdict,
+    augment, retarget_grasp,
+};
 use serde_json::json;
 
-use super::file::{self, GraspRecord};
+use super::file::{self, AugmentedRecord, GraspRecord};
 use super::{Object, options, picture, up, upright};
 use crate::cli::RetargetArgs;
 use crate::ui::Ui;
@@ -26,9 +29,10 @@ pub fn run(
     let begin = Instant::now();
     let result = retarget_grasp(&demo, hand, &object.surface(), &grasp)?;
     let ms = 1e3 * begin.elapsed().as_secs_f64() / result.frames.len().max(1) as f64;
-    let _ = seed;
+    let more = args.augment.map(|n| more(n, &result, hand, object, &grasp, seed)).transpose()?;
     if let Some(out) = &args.out {
-        file::write(out, args, &demo, hand, Some(object), &result.scale, &records(&demo, &result), &[(); 0])?;
+        let grasps = more.as_ref().map_or_else(Vec::new, |m| augmented(&demo, m));
+        file::write(out, args, &demo, hand, Some(object), &result.scale, &records(&demo, &result), &grasps)?;
     }
     if let Some(path) = &args.picture {
         // The object stays where it is; the hand comes to it.
@@ -64,23 +68,64 @@ pub fn run(
         "largest_wrist_shift_mm": summary.wrist_shift_mm,
         "fastest_joint_rad_s": summary.joint_speed,
         "ms_per_frame": ms,
+        "grasps": more.as_ref().map(|m| m.grasps.len()),
+        "grasp_attempts": more.as_ref().map(|m| m.attempts),
+        "symmetries": more.as_ref().map(|m| m.symmetries.len()),
         "out": args.out,
         "picture": args.picture,
     });
-    ui.answer(&value, text(args, &demo, hand, &result, &summary, ms))
+    let mut text = text(&demo, hand, &result, &summary, ms);
+    if let Some(m) = &more {
+        text += &format!(
+            "\n  grasps   {} of {} attempts, in {} symmetric places of the object",
+            m.grasps.len(),
+            m.attempts,
+            m.symmetries.len()
+        );
+    }
+    text.extend(args.out.iter().chain(&args.picture).map(|p| format!("\n  written  {}", p.display())));
+    ui.answer(&value, text)
+}
+
+/// Variants of the accepted frames.
+fn more(
+    count: usize,
+    result: &GraspRetargeting,
+    hand: &TargetHand,
+    object: &Object,
+    grasp: &GraspOptions,
+    seed: Option<u64>,
+) -> Result<Augmentation> {
+    let mut options = AugmentOptions::default();
+    options.grasp = grasp.clone();
+    options.seed = seed.unwrap_or(0);
+    Ok(augment(result, hand, &object.surface(), &options, count)?)
+}
+
+fn augmented<'a>(demo: &Demonstration, more: &'a Augmentation) -> Vec<AugmentedRecord<'a>> {
+    more.grasps
+        .iter()
+        .map(|g| AugmentedRecord {
+            frame: demo.frames[g.source_frame].index,
+            symmetry: g.symmetry,
+            noise_mm_rad: [g.noise.0, g.noise.1],
+            grasp: record(demo.frames[g.source_frame].index, &g.grasp),
+        })
+        .collect()
 }
 
 fn records<'a>(demo: &Demonstration, result: &'a GraspRetargeting) -> Vec<GraspRecord<'a>> {
-    let frames = demo.frames.iter().zip(&result.frames);
-    frames
-        .map(|(d, f)| GraspRecord {
-            frame: d.index,
-            accepted: f.is_accepted(),
-            reasons: reasons(&f.verdict),
-            object_from_base: (&f.object_from_base).into(),
-            measured: f,
-        })
-        .collect()
+    demo.frames.iter().zip(&result.frames).map(|(d, f)| record(d.index, f)).collect()
+}
+
+fn record(frame: usize, f: &GraspFrame) -> GraspRecord<'_> {
+    GraspRecord {
+        frame,
+        accepted: f.is_accepted(),
+        reasons: reasons(&f.verdict),
+        object_from_base: (&f.object_from_base).into(),
+        measured: f,
+    }
 }
 
 fn reasons(verdict: &Verdict) -> Vec<String> {
@@ -107,8 +152,8 @@ struct Summary {
 impl Summary {
     fn of(result: &GraspRetargeting) -> Self {
         let held: Vec<_> = result.frames.iter().filter(|f| f.held).collect();
-        let most = |v: &dyn Fn(&drex_retarget::GraspFrame) -> f64| result.frames.iter().map(v).fold(0.0, f64::max);
-        let touching = |f: &drex_retarget::GraspFrame| {
+        let most = |v: &dyn Fn(&GraspFrame) -> f64| result.frames.iter().map(v).fold(0.0, f64::max);
+        let touching = |f: &GraspFrame| {
             f.fingers.first().is_some_and(|thumb| thumb.touches) && f.fingers.iter().filter(|x| x.touches).count() >= 3
         };
         let mut squeezes: Vec<f64> = held.iter().filter_map(|f| f.squeeze_per_weight).collect();
@@ -133,14 +178,7 @@ impl Summary {
     }
 }
 
-fn text(
-    args: &RetargetArgs,
-    demo: &Demonstration,
-    hand: &TargetHand,
-    result: &GraspRetargeting,
-    s: &Summary,
-    ms: f64,
-) -> String {
+fn text(demo: &Demonstration, hand: &TargetHand, result: &GraspRetargeting, s: &Summary, ms: f64) -> String {
     let mut lines =
         vec![format!("{} frames to {}, {ms:.2} ms a frame: {} held", result.frames.len(), hand.robot.name, s.held)];
     lines.push("  frame  thumb  index middle   ring  mm from the surface   inside  joints  wrist  squeeze".into());
@@ -170,6 +208,5 @@ fn text(
         s.penetration_mm, s.self_collision_mm, s.wrist_shift_mm, s.joint_speed
     ));
     lines.push(format!("  mean     {:.2} rad from the plain result", s.joint_distance_rad));
-    lines.extend(args.out.iter().chain(&args.picture).map(|p| format!("  written  {}", p.display())));
     lines.join("\n")
 }
