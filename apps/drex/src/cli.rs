@@ -443,9 +443,9 @@ pub struct CalibrateHandArgs {
 /// `drex hands`.
 #[derive(Debug, Args)]
 pub struct HandsArgs {
-    /// Video, or what the command takes.
+    /// Video of one hand, or whatever the command of `--detector command` takes.
     pub video: PathBuf,
-    /// JSON file of key points to write.
+    /// JSON file of key points to write, for `drex retarget`.
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
     /// What finds the hand.
@@ -454,13 +454,13 @@ pub struct HandsArgs {
     /// The Python that has mediapipe: pip install "mediapipe==0.10.14" opencv-python-headless.
     #[arg(long, value_name = "PROGRAM", default_value = "python3")]
     pub python: String,
-    /// Least confidence of a detection, 0 to 1.
+    /// Least confidence of a detection, 0 to 1 (mediapipe).
     #[arg(long, default_value_t = 0.5)]
     pub confidence: f64,
-    /// Ending of the file that the command writes: json, npz, npy or csv.
+    /// Ending of the file that the command writes: json, jsonl, npz, npy or csv.
     #[arg(long, value_name = "ENDING", default_value = "json")]
     pub format: String,
-    /// End the detector after this time, seconds.
+    /// Stop the detector after this many seconds.
     #[arg(long, value_name = "S", default_value_t = 3600.0, value_parser = positive)]
     pub timeout: f64,
     /// Command of `--detector command`, after `--`; {video} and {out} stand for the video and for the file to write.
@@ -489,16 +489,16 @@ pub struct RetargetArgs {
     /// Robot hand: leap, allegro, leap_left, allegro_left, a URDF or MJCF file, or a mapping file that names one.
     #[arg(long, value_name = "NAME|FILE")]
     pub hand: String,
-    /// Mapping file for a hand from a file: fingertip links, wrist, operator frame [default: derived from the model].
+    /// Mapping file (TOML) that says where fingertips, wrist and palm of the model are [default: derived from the model].
     #[arg(long, value_name = "FILE")]
     pub mapping: Option<PathBuf>,
-    /// What is made small.
+    /// What the robot hand is to have in common with the person's.
     #[arg(long, value_enum, default_value_t = ObjectiveArg::Vector)]
     pub objective: ObjectiveArg,
-    /// Mesh of the object, for the grasp objective and for pictures.
+    /// Mesh of the object (STL, OBJ, PLY, GLTF, GLB), for the grasp objective and for pictures.
     #[arg(long, value_name = "MESH", required_if_eq("objective", "grasp"))]
     pub object: Option<PathBuf>,
-    /// Take the convex hull of that mesh.
+    /// Take the convex hull of that mesh, for a scan with holes in an object without hollows.
     #[arg(long, requires = "object")]
     pub object_hull: bool,
     /// Folder of reconstructed points of the object, a file per frame (OBJ, PLY, NPY, XYZ; the number in the name is the frame): the
@@ -511,22 +511,23 @@ pub struct RetargetArgs {
     /// Direction that points up in the frame of the recording [default: the file's, or the object's z axis in the first frame].
     #[arg(long, value_name = "X,Y,Z", value_parser = direction, allow_hyphen_values = true)]
     pub up: Option<[f64; 3]>,
-    /// Factor on the person's hand, or auto [default: auto; position: 1].
-    #[arg(long, value_name = "FACTOR|auto", value_parser = scale)]
+    /// Size of the robot hand over the person's: a factor, or auto [default: auto; position: 1].
+    #[arg(long, value_name = "FACTOR|auto", value_parser = scale, allow_hyphen_values = true)]
     pub scale: Option<ScaleArg>,
-    /// Part of the new joint vector in the filtered one, 1 for no filter [default: 0.2; position: 1].
-    #[arg(long, value_name = "ALPHA", value_parser = positive)]
+    /// Share of the new angles in the filtered ones (q_filtered), above 0 to 1; 1 for no filter [default: 0.2; position: 1].
+    #[arg(long, value_name = "ALPHA", value_parser = positive, allow_hyphen_values = true)]
     pub low_pass: Option<f64>,
-    /// Make this many grasps of the accepted ones: symmetric variants and noise, solved again (grasp objective).
+    /// Make at most this many grasps of the accepted frames: turned by the object's symmetries, with noise, solved again (grasp
+    /// objective).
     #[arg(long, value_name = "N")]
-    pub augment: Option<usize>,
+    pub augment: Option<NonZeroUsize>,
     /// JSON file to write.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// PNG to write: hand and object side by side.
+    /// PNG to write: robot hand and object, frames side by side.
     #[arg(long, value_name = "FILE")]
     pub picture: Option<PathBuf>,
-    /// The picture shows every N-th frame.
+    /// Show every N-th frame in the picture.
     #[arg(long, value_name = "N", default_value_t = NonZeroUsize::new(10).expect("10 is not 0"))]
     pub every: NonZeroUsize,
     /// How the demonstration is read.
@@ -562,7 +563,7 @@ pub struct ReadingArgs {
     /// Your MANO model as NPZ, for recordings that hold MANO parameters alone.
     #[arg(long, value_name = "FILE")]
     pub mano_model: Option<PathBuf>,
-    /// MANO angles are offsets from the flat hand.
+    /// MANO's axis angles are offsets from the flat hand, not from its mean pose.
     #[arg(long)]
     pub mano_flat_hand: bool,
     /// Focal length of the camera in pixels, for HaMeR.

@@ -10,7 +10,9 @@ use std::process::{Command, Stdio};
 
 use common::{drex, shared_data};
 use drex_core::Pose;
-use drex_retarget::{Demonstration, HandSkeleton, Objective, RetargetOptions, Scale, Side, TargetHand, retarget};
+use drex_retarget::{
+    Demonstration, FingerAngles, HandFrame, HandSkeleton, Objective, RetargetOptions, Scale, Side, TargetHand, retarget,
+};
 use serde_json::Value;
 
 fn made_up(folder: &Path, side: Side, frames: usize) -> (PathBuf, Demonstration) {
@@ -139,20 +141,45 @@ fn what_is_missing_is_said() {
     assert!(!out.exists());
     drex(["retarget", "-", "--hand", "leap", "--objective", "grasp", "--object", "x.obj"]).fails_with(&["whole clips"]);
     assert_eq!(run(&["--hand", "leap", "--frames", "7-3", "--out", out_text]).code, 2);
+    run(&["--hand", "leap", "--augment", "9", "--out", out_text]).fails_with(&["--augment", "--objective grasp"]);
+    run(&["--hand", "leap", "--picture", out_text]).fails_with(&["out.json", ".png"]);
+    run(&["--hand", "leap_right", "--mapping", "no.toml", "--out", out_text]).fails_with(&["no.toml"]);
+    drex(["retarget", "-", "--hand", "leap", "--frames", "1-2"]).fails_with(&["--frames", "stream"]);
+    assert!(!out.exists());
+}
+
+/// A hand that comes down to a box between thumb and middle finger and lifts it, and half the width of that box.
+fn holds_a_box() -> (Demonstration, f64) {
+    let skeleton = HandSkeleton::new(Side::Right);
+    let angles = std::array::from_fn(|i| match i {
+        0 => FingerAngles { spread: 1.0, flexion: [0.3, 0.3, 0.2] },
+        _ => FingerAngles { spread: 0.0, flexion: [0.9, 0.5, 0.3] },
+    });
+    let at_rest = skeleton.points(&angles, &Pose::identity());
+    let (thumb, finger) = (at_rest[4].unwrap(), at_rest[12].unwrap());
+    let across = nalgebra::UnitQuaternion::rotation_between(&nalgebra::Vector3::x(), &(finger - thumb)).unwrap();
+    let middle = nalgebra::center(&thumb, &finger);
+    let frames = (0..30).map(|k| {
+        // Away from the box along the palm's normal, then up with it.
+        let (away, up) = (0.012 * (10.0 - k as f64).max(0.0), 0.006 * (k as f64 - 14.0).max(0.0));
+        let lift = Pose::translation(0.0, 0.0, up);
+        let mut frame =
+            HandFrame::new(k as f64 / 30.0, skeleton.points(&angles, &(lift * Pose::translation(-away, 0.0, 0.0))));
+        frame.source_from_object = Some(lift * Pose::from_parts(middle.coords.into(), across));
+        frame
+    });
+    let mut person = Demonstration::new("a made-up lift", Side::Right, frames.collect());
+    person.up = Some(nalgebra::Vector3::z_axis());
+    (person, 0.5 * (finger - thumb).norm() - 0.002)
 }
 
 #[test]
 fn a_person_who_holds_a_box_becomes_a_robot_that_does() {
     let dir = tempfile::tempdir().unwrap();
-    // The hand closes and opens; the box is where its fingertips meet.
-    let mut person = HandSkeleton::new(Side::Right).moving(20);
-    let middle = person.frames[10].points;
-    let between = |a: usize, b: usize| nalgebra::center(&middle[a].unwrap(), &middle[b].unwrap());
-    let pose = Pose::translation(between(4, 12).x, between(4, 12).y, between(4, 12).z);
-    person.frames.iter_mut().for_each(|f| f.source_from_object = Some(pose));
+    let (person, half_m) = holds_a_box();
     let (demo, mesh, out) = (dir.path().join("d.json"), dir.path().join("box.obj"), dir.path().join("out.json"));
     person.save_json(&demo).unwrap();
-    write_box(&mesh, [0.025, 0.025, 0.025]);
+    write_box(&mesh, [half_m, 0.03, 0.06]);
     let paths = [&demo, &mesh, &out].map(|p| p.to_str().unwrap());
     let arguments = [
         "retarget",
@@ -172,7 +199,7 @@ fn a_person_who_holds_a_box_becomes_a_robot_that_does() {
     let file = read(&out);
     assert_eq!(file["object"]["sha256"].as_str().unwrap().len(), 64);
     let frames = file["frames"].as_array().unwrap();
-    assert_eq!(frames.len(), 20);
+    assert_eq!(frames.len(), 30);
     for frame in frames {
         let penetration = frame["penetration_mm"].as_f64().unwrap();
         assert!(
@@ -180,17 +207,76 @@ fn a_person_who_holds_a_box_becomes_a_robot_that_does() {
             "{frame}"
         );
     }
-    assert!(run.json()["held_frames"].as_u64().unwrap() > 0, "{}", run.stdout);
+    let answer = run.json();
+    assert!(
+        answer["held_frames"].as_u64().unwrap() > 15 && answer["accepted_frames"].as_u64().unwrap() > 0,
+        "{answer}"
+    );
+    assert_eq!(answer["contact_share"].as_f64(), Some(1.0), "{answer}");
     let again = dir.path().join("again.json");
     let one = ["--threads", "1", "--out", again.to_str().unwrap()];
     assert_eq!(drex(arguments[..8].iter().chain(&one)).code, 0);
     assert_eq!(fs::read(&out).unwrap(), fs::read(&again).unwrap());
 }
 
+/// A twin folder of the box and the lift, in a folder of demonstrations.
+fn box_twin(root: &Path) {
+    let (person, half_m) = holds_a_box();
+    fs::create_dir_all(root.join("demos")).unwrap();
+    person.save_json(&root.join("demos/lift.json")).unwrap();
+    fs::write(root.join("demos/notes.txt"), "not a demonstration").unwrap();
+    write_box(&root.join("box.obj"), [half_m, 0.03, 0.06]);
+    let manifest = "schema = 1\nname = \"box\"\n[object]\nmesh = \"box.obj\"\n[mass]\nweighed_kg = 0.2\n\
+                    [grasps]\nfile = \"demos\"\nrecorded = \"human\"\nhand = \"leap_right\"\naugment = 6\n[train]\nepochs = 3\n";
+    fs::write(root.join("twin.toml"), manifest).unwrap();
+}
+
+#[test]
+fn a_twin_learns_from_a_person() {
+    let dir = tempfile::tempdir().unwrap();
+    let (root, twin) = (dir.path(), dir.path().to_str().unwrap());
+    box_twin(root);
+    let run = drex(["run", twin, "--json"]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let fits = read(&root.join("grasps/wrist_fits.json"));
+    let (clip, grasps) = (&fits["clips"][0], fits["grasps"].as_array().unwrap());
+    assert_eq!((clip["file"].as_str(), clip["frames"].as_u64()), (Some("demos/lift.json"), Some(30)));
+    let (held, made) = (clip["held"].as_u64().unwrap() as usize, clip["augmented"].as_u64().unwrap() as usize);
+    assert!(held > 15 && made > 0 && grasps.len() == held + made, "{clip}");
+    assert!(clip["accepted"].as_u64().unwrap() > 15, "{clip}");
+    for (i, grasp) in grasps.iter().enumerate() {
+        assert_eq!(grasp["demonstration"].as_u64(), Some(i as u64));
+        assert_eq!(grasp["accepted"].as_bool().unwrap(), grasp["reasons"].as_array().unwrap().is_empty());
+        assert_eq!((grasp["source"]["symmetry"].is_u64(), grasp.get("pushed_out")), (i >= held, None), "{grasp}");
+    }
+    assert!(image::open(root.join("grasps/contact_sheet.png")).unwrap().width() >= 900);
+    let page = fs::read_to_string(root.join("report.html")).unwrap();
+    assert!(page.contains("every 10th frame") && page.contains("demos/lift.json"));
+    let again = drex(["run", twin, "--json"]);
+    assert_eq!(again.json()["stages_run"], serde_json::json!([]), "{}", again.stderr);
+    fs::remove_file(root.join("grasps/contact_sheet.png")).unwrap();
+    let again = drex(["run", twin, "--json"]);
+    assert_eq!(again.json()["stages_run"], serde_json::json!(["grasps"]), "{}", again.stderr);
+}
+
+#[test]
+fn what_a_twin_cannot_do_with_a_person_is_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let (root, twin) = (dir.path(), dir.path().to_str().unwrap());
+    box_twin(root);
+    common::edit(&root.join("twin.toml"), "leap_right", "leap_left");
+    drex(["train", twin]).fails_with(&["lift.json is of a right hand", "leap_right"]);
+    common::edit(&root.join("twin.toml"), "recorded = \"human\"\n", "");
+    drex(["train", twin]).fails_with(&["twin.toml", "[grasps] augment = 6", "recorded"]);
+    common::edit(&root.join("twin.toml"), "hand = \"leap_left\"", "recorded = \"human\"\nhand = \"leap_right\"");
+    fs::rename(root.join("demos/lift.json"), root.join("demos/lift.txt")).unwrap();
+    drex(["train", twin]).fails_with(&["no demonstration", ".json"]);
+}
+
 #[test]
 fn a_detector_is_any_command() {
     if !cfg!(unix) {
-        println!("skipped: the detector of this test is a shell script");
+        eprintln!("skipped: the detector of this test is a shell script");
         return;
     }
     let dir = tempfile::tempdir().unwrap();

@@ -8,7 +8,7 @@ use drex_core::mesh::{parse_obj, parse_stl};
 use drex_core::pose::{interpolate, pose_difference, pose_from_matrix, pose_from_wxyz, to_wxyz};
 use drex_core::push::PushConfig;
 use drex_core::readers::*;
-use drex_core::twin::{GraspsConfig, LengthUnit, MassConfig, TrainConfig, TwinManifest};
+use drex_core::twin::{GraspsConfig, LengthUnit, MassConfig, RecordedAs, TrainConfig, TwinManifest};
 use drex_core::{Pose, Trajectory};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
@@ -217,8 +217,19 @@ fn manifests() -> impl Strategy<Value = TwinManifest> {
             prior_kg: Some(prior),
             ..MassConfig::default()
         });
-    let grasps = prop::option::of((path.clone(), "[a-z_]{1,10}", prop::option::of("[a-z_]{1,10}")))
-        .prop_map(|g| g.map(|(file, hand, joint_order)| GraspsConfig { file, hand, joint_order }));
+    let recording = prop_oneof![
+        prop::option::of("[a-z_]{1,10}").prop_map(|order| (RecordedAs::Robot, order, None)),
+        prop::option::of(1..9999usize).prop_map(|augment| (RecordedAs::Human, None, augment)),
+    ];
+    let grasps = prop::option::of((path.clone(), "[a-z_]{1,10}", recording)).prop_map(|g| {
+        g.map(|(file, hand, (recorded, joint_order, augment))| GraspsConfig {
+            file,
+            recorded,
+            hand,
+            joint_order,
+            augment,
+        })
+    });
     let train = prop::option::of((prop::option::of(1..999usize), prop::option::of(1e-6..1.0f64)))
         .prop_map(|t| t.map(|(epochs, learning_rate)| TrainConfig { epochs, learning_rate, ..TrainConfig::default() }));
     let up = prop::array::uniform3(0.1..1.0f64);

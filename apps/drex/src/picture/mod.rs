@@ -1,5 +1,6 @@
 //! Pictures for the report: a small z-buffered renderer and SVG plots. No GPU, no fonts, no network.
 
+pub mod clip;
 pub mod hand;
 pub mod plot;
 pub mod raster;

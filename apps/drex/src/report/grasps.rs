@@ -8,6 +8,7 @@ use drex_mesh::Asset;
 use drex_robot::Robot;
 
 use super::page::Page;
+use super::people;
 use super::summary::median;
 use crate::picture::hand::HandShapes;
 use crate::picture::plot::{COLORS, Plot, Series};
@@ -23,25 +24,23 @@ const SHOWN: usize = 4;
 /// What became of the demonstrations.
 pub fn demonstrations(page: &mut Page, twin: &Twin, asset: &Asset, fits: &FitFile) -> Result<()> {
     page.section("Demonstrated grasps on the object");
-    let count = |holds: &dyn Fn(&FitRecord) -> bool| fits.grasps.iter().filter(|g| g.accepted && holds(g)).count();
-    page.paragraph(&format!(
-        "The recordings hold joint angles only. For each, the pose of the hand is solved so that the thumb and at least two \
-         fingers lie on the surface, the hand stays above the table and penetrates by at most 2 mm, with finger corrections of at \
-         most 0.15 rad. {} of {} demonstrations can be placed like this; the contacts of {} of these can carry the object at all, \
-         and in {} the object lies between the fingers rather than being pressed from one side.",
-        fits.accepted,
-        fits.demonstrations,
-        count(&|g| g.squeeze_per_weight.is_some()),
-        count(&|g| g.pushed_out < PUSHED_OUT),
-    ));
+    if fits.clips.is_empty() {
+        of_robot(page, fits);
+    } else {
+        people::section(page, twin, fits)?;
+    }
     let stage = Stage::new(twin, asset)?;
     let mut accepted: Vec<_> = fits.grasps.iter().filter(|g| g.accepted).collect();
     accepted.sort_by(|a, b| a.largest_correction_rad.total_cmp(&b.largest_correction_rad));
     let mut pictures = Vec::new();
     for grasp in accepted.iter().step_by((accepted.len() / SHOWN).max(1)).take(SHOWN) {
+        let from = match &grasp.source {
+            Some(s) if grasp.is_augmented() => format!("made of frame {} of {}", s.frame, s.file),
+            Some(s) => format!("frame {} of {}", s.frame, s.file),
+            None => format!("demonstration {}", grasp.demonstration),
+        };
         let caption = format!(
-            "demonstration {}: {} on the surface, corrected by up to {:.2} rad",
-            grasp.demonstration,
+            "{from}: {} on the surface, corrected by up to {:.2} rad",
             grasp.touching.join(", "),
             grasp.largest_correction_rad
         );
@@ -58,9 +57,24 @@ pub fn demonstrations(page: &mut Page, twin: &Twin, asset: &Asset, fits: &FitFil
         let mut rows: Vec<(String, usize)> = why.into_iter().collect();
         rows.sort_by(|a, b| b.1.cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
         let rows: Vec<Vec<String>> = rows.into_iter().take(8).map(|(k, n)| vec![k, n.to_string()]).collect();
-        page.table(&["why a demonstration was left out", "times"], &rows);
+        let what = if fits.clips.is_empty() { "a demonstration" } else { "a frame" };
+        page.table(&[&format!("why {what} was left out"), "times"], &rows);
     }
     Ok(())
+}
+
+fn of_robot(page: &mut Page, fits: &FitFile) {
+    let count = |holds: &dyn Fn(&FitRecord) -> bool| fits.grasps.iter().filter(|g| g.accepted && holds(g)).count();
+    page.paragraph(&format!(
+        "The recordings hold joint angles only. For each, the pose of the hand is solved so that the thumb and at least two \
+         fingers lie on the surface, the hand stays above the table and penetrates by at most 2 mm, with finger corrections of at \
+         most 0.15 rad. {} of {} demonstrations can be placed like this; the contacts of {} of these can carry the object at all, \
+         and in {} the object lies between the fingers rather than being pressed from one side.",
+        fits.accepted,
+        fits.demonstrations,
+        count(&|g| g.squeeze_per_weight.is_some()),
+        count(&|g| g.pushed_out.is_some_and(|p| p < PUSHED_OUT)),
+    ));
 }
 
 /// Curve and errors of the training.

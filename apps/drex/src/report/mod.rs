@@ -3,6 +3,7 @@
 mod grasps;
 mod object;
 mod page;
+mod people;
 mod push;
 mod summary;
 

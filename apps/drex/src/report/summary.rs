@@ -35,7 +35,8 @@ pub fn findings(twin: &Twin, last: Stage) -> Result<Findings> {
     let has_grasps = twin.manifest.grasps.is_some();
     if has_grasps && last >= Stage::Grasps {
         let fits: FitFile = files::read_json(&twin.path(files::FITS))?;
-        text += &format!("  grasps     {} of {} demonstrations fit the object\n", fits.accepted, fits.demonstrations);
+        let what = if fits.clips.is_empty() { "demonstrations" } else { "grasps of people" };
+        text += &format!("  grasps     {} of {} {what} fit the object\n", fits.accepted, fits.demonstrations);
         found.insert("grasps".into(), json!({ "demonstrations": fits.demonstrations, "accepted": fits.accepted }));
     }
     if has_grasps && last >= Stage::Evaluate {
@@ -95,7 +96,7 @@ pub fn figures(page: &mut Page, asset: &Asset, mass: &MassFile, learned: Option<
         let squeeze: Vec<f64> = evaluation.demonstrations.iter().filter_map(|g| g.check.squeeze_n).collect();
         all.push((
             format!("{} / {}", fits.accepted, fits.demonstrations),
-            "demonstrations that fit the object".to_owned(),
+            if fits.clips.is_empty() { "demonstrations" } else { "grasps" }.to_owned() + " that fit the object",
             "thumb and two fingers on the surface".to_owned(),
         ));
         all.push((

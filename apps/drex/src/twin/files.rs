@@ -14,6 +14,8 @@ use serde::{Deserialize, Serialize};
 pub const MASS: &str = "mass.json";
 /// Result of the grasps stage.
 pub const FITS: &str = "grasps/wrist_fits.json";
+/// Picture of the demonstrations of people on the hand.
+pub const SHEET: &str = "grasps/contact_sheet.png";
 /// Folder of the trained network.
 pub const POLICY: &str = "policy/network";
 /// Curve and baselines of the training.
@@ -72,14 +74,18 @@ pub struct FitFile {
     pub demonstrations: usize,
     /// Of those, how many the fit accepted.
     pub accepted: usize,
-    /// One record per demonstration, in the order of the file.
+    /// The demonstrations of people that the grasps come from; none for a robot's.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub clips: Vec<ClipRecord>,
+    /// A robot's: one record per demonstration, in the order of the file. People's: one per held frame of a clip, then one per
+    /// grasp that was made of them.
     pub grasps: Vec<FitRecord>,
 }
 
 /// One demonstration on the object.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct FitRecord {
-    /// Row in the file of demonstrations, from 0.
+    /// Row in the file of demonstrations, from 0; of people's clips a running number.
     pub demonstration: usize,
     /// Whether it holds the rules of the fit.
     pub accepted: bool,
@@ -89,7 +95,8 @@ pub struct FitRecord {
     pub joints_rad: Vec<f64>,
     /// Largest distance that a recorded angle was outside its joint's limits, rad.
     pub largest_clipping_rad: f64,
-    /// Change of each joint after clipping, rad.
+    /// Change of each joint after clipping, rad; for a frame of a clip from what the person's hand alone asks for, for a grasp
+    /// made of a frame from that frame.
     pub correction_rad: Vec<f64>,
     /// The largest of them.
     pub largest_correction_rad: f64,
@@ -102,10 +109,54 @@ pub struct FitRecord {
     /// Fingers on the surface, by name.
     pub touching: Vec<String>,
     /// How much the touching pads push the object out of the hand: 0 for an object between the fingers, towards 1 for a fist
-    /// that presses against its side.
-    pub pushed_out: f64,
+    /// that presses against its side. Not measured in clips of people.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pushed_out: Option<f64>,
     /// Smallest sum of normal forces that carries the object, in units of its weight; absent when the contacts cannot.
     pub squeeze_per_weight: Option<f64>,
+    /// Where it comes from, for demonstrations of people.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub source: Option<FitSource>,
+}
+
+impl FitRecord {
+    /// Whether it was made of a frame rather than recorded.
+    pub fn is_augmented(&self) -> bool {
+        self.source.as_ref().is_some_and(|s| s.symmetry.is_some())
+    }
+}
+
+/// The frame that a grasp comes from.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct FitSource {
+    /// The demonstration, relative to the twin folder.
+    pub file: String,
+    /// Number of the frame in it, from 0.
+    pub frame: usize,
+    /// For a grasp that was made of that frame: which of the object's symmetries it was turned by, 0 for none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub symmetry: Option<usize>,
+}
+
+/// One demonstration of a person.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct ClipRecord {
+    /// The file, relative to the twin folder.
+    pub file: String,
+    /// Its frames,
+    pub frames: usize,
+    /// those in which the person holds the object,
+    pub held: usize,
+    /// and those of them that were accepted.
+    pub accepted: usize,
+    /// Robot hand per person's hand.
+    pub scale: f64,
+    /// How many variants of accepted frames were tried,
+    pub attempts: usize,
+    /// and how many became grasps.
+    pub augmented: usize,
+    /// Remarks of the reader.
+    pub notes: Vec<String>,
 }
 
 /// A pose on disk.

@@ -5,38 +5,50 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use drex_core::joints::JointPoses;
 use drex_core::readers::read_grasps;
+use drex_core::twin::{GraspsConfig, RecordedAs};
 use drex_retarget::{Verdict, WristFit};
 use drex_robot::{Robot, orders};
 use rayon::prelude::*;
 
-use super::files::{FITS, write_json};
-use super::{FitFile, FitRecord, PoseRecord, Scene, Twin};
+use super::files::{FITS, SHEET, write_json};
+use super::{FitFile, FitRecord, PoseRecord, Scene, Twin, people};
 use crate::ui::Ui;
 
 pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     let scene = Scene::of(twin)?;
-    let demonstrations = read(twin, &scene.robot)?;
-    let bar = ui.bar("grasps", demonstrations.len() as u64);
-    let fits: Vec<WristFit> =
-        demonstrations.par_iter().map(|joints| scene.fit(joints).inspect(|_| bar.inc(1))).collect::<Result<_>>()?;
-    bar.finish_and_clear();
-    let grasps: Vec<FitRecord> = fits.iter().enumerate().map(|(i, fit)| record(i, fit)).collect();
+    let config = twin.manifest.grasps.as_ref().context("the manifest has no [grasps]")?;
+    let (grasps, clips) = match config.recorded {
+        RecordedAs::Robot => (of_robot(twin, config, &scene, ui)?, Vec::new()),
+        RecordedAs::Human => people::make(twin, config, &scene, ui)?,
+    };
     let file = FitFile {
         schema: 1,
         hand: scene.robot.name.clone(),
         joint_names: scene.robot.joint_names().into_iter().map(str::to_owned).collect(),
         demonstrations: grasps.len(),
         accepted: grasps.iter().filter(|g| g.accepted).count(),
+        clips,
         grasps,
     };
-    ui.note(format!("{:>10}  {} of {} demonstrations fit the object", "grasps", file.accepted, file.demonstrations));
+    let what = if file.clips.is_empty() { "demonstrations" } else { "grasps of people" };
+    ui.note(format!("{:>10}  {} of {} {what} fit the object", "grasps", file.accepted, file.demonstrations));
     write_json(&twin.path(FITS), &file)?;
-    Ok(vec![twin.path(FITS)])
+    let sheet = (!file.clips.is_empty()).then(|| twin.path(SHEET));
+    Ok(std::iter::once(twin.path(FITS)).chain(sheet).collect())
+}
+
+/// Recorded joint angles, each put onto the object.
+fn of_robot(twin: &Twin, config: &GraspsConfig, scene: &Scene, ui: &Ui) -> Result<Vec<FitRecord>> {
+    let demonstrations = read(twin, config, &scene.robot)?;
+    let bar = ui.bar("grasps", demonstrations.len() as u64);
+    let fits: Vec<WristFit> =
+        demonstrations.par_iter().map(|joints| scene.fit(joints).inspect(|_| bar.inc(1))).collect::<Result<_>>()?;
+    bar.finish_and_clear();
+    Ok(fits.iter().enumerate().map(|(i, fit)| record(i, fit)).collect())
 }
 
 /// The demonstrations as joint vectors in the model's order.
-fn read(twin: &Twin, robot: &Robot) -> Result<Vec<Vec<f64>>> {
-    let config = twin.manifest.grasps.as_ref().context("the manifest has no [grasps]")?;
+fn read(twin: &Twin, config: &GraspsConfig, robot: &Robot) -> Result<Vec<Vec<f64>>> {
     let path = twin.path(&config.file);
     let names: Option<Vec<String>> = match &config.joint_order {
         Some(order) => Some(orders::require(order)?.iter().map(|&n| n.to_owned()).collect()),
@@ -72,7 +84,8 @@ fn record(demonstration: usize, fit: &WristFit) -> FitRecord {
         penetration_mm: fit.penetration_mm,
         table_clearance_mm: fit.table_clearance_mm,
         touching: fit.fingers.iter().filter(|f| f.touches).map(|f| f.finger.clone()).collect(),
-        pushed_out: fit.pushed_out,
+        pushed_out: Some(fit.pushed_out),
         squeeze_per_weight: fit.squeeze_per_weight,
+        source: None,
     }
 }

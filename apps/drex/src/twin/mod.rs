@@ -5,6 +5,7 @@ mod evaluate;
 pub mod files;
 mod grasps;
 mod identify;
+mod people;
 mod report;
 mod scene;
 mod train;

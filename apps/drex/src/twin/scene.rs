@@ -61,12 +61,16 @@ impl Scene {
 
     /// Solves the wrist pose for joint angles.
     pub fn fit(&self, joints: &[f64]) -> Result<WristFit> {
-        let object = ObjectSurface {
+        Ok(fit_wrist(&self.robot, joints, &self.surface(), &self.table, &self.fit_options())?)
+    }
+
+    /// The object as the solvers take it.
+    pub fn surface(&self) -> ObjectSurface<'_> {
+        ObjectSurface {
             search: &self.sdf,
             judge: self.sdf.exact(),
             bounds: self.sdf.bounds(),
             center_of_mass: self.asset.properties.center_of_mass,
-        };
-        Ok(fit_wrist(&self.robot, joints, &object, &self.table, &self.fit_options())?)
+        }
     }
 }

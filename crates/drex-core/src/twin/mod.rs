@@ -5,6 +5,7 @@
 
 mod articulated;
 mod contact;
+mod grasps;
 
 use std::path::{Path, PathBuf};
 
@@ -12,6 +13,7 @@ use serde::{Deserialize, Serialize};
 
 pub use self::articulated::{JointConfig, JointKind, PartConfig, joint_tree};
 pub use self::contact::ContactConfig;
+pub use self::grasps::{GraspsConfig, RecordedAs};
 use crate::{Error, Result, fsutil};
 
 /// Name of the manifest in a twin folder.
@@ -115,18 +117,6 @@ impl MassConfig {
     pub fn has_prior(&self) -> bool {
         self.prior_kg.is_some() || self.prior_material.is_some() || self.prior_file.is_some()
     }
-}
-
-/// Recorded grasps.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct GraspsConfig {
-    /// JSON or npy, as [`crate::readers::read_grasps`] takes them.
-    pub file: PathBuf,
-    /// A bundled hand (`leap_right`) or the path of a URDF or MJCF file.
-    pub hand: String,
-    /// Order of the joints, such as `leap_sdk`, for files that name no joints.
-    pub joint_order: Option<String>,
 }
 
 /// Settings of the training; what is left out keeps its default.
@@ -252,14 +242,7 @@ impl TwinManifest {
                 return refuse(format!("[mass] {entry} = {value}"), "give kilograms of an object that a hand can lift");
             }
         }
-        if let Some(grasps) = &self.grasps
-            && grasps.hand.trim().is_empty()
-        {
-            return refuse(
-                "[grasps] hand is empty".into(),
-                "name a bundled hand such as leap_right, or a URDF or MJCF file",
-            );
-        }
+        self.grasps.as_ref().map_or(Ok(()), GraspsConfig::check)?;
         let train = self.train.clone().unwrap_or_default();
         for (entry, value) in [("epochs", train.epochs), ("modes", train.modes), ("hidden", train.hidden)] {
             if value == Some(0) {
@@ -364,6 +347,15 @@ damping = 0.001
     }
 
     #[test]
+    fn grasps_of_a_person_are_told_apart() {
+        assert_eq!(parse(FULL).unwrap().grasps.unwrap().recorded, RecordedAs::Robot);
+        let m = parse(&FULL.replace("joint_order = \"leap_sdk\"", "recorded = \"human\"\naugment = 200")).unwrap();
+        let grasps = m.grasps.clone().unwrap();
+        assert_eq!((grasps.recorded, grasps.augment), (RecordedAs::Human, Some(200)));
+        assert_eq!(parse(&m.to_toml_string().unwrap()).unwrap(), m);
+    }
+
+    #[test]
     fn mistakes_are_named_with_their_place() {
         for (from, to, expected) in [
             ("epochs = 200", "epoch = 200", "line 16: column 1: unknown field `epoch`"),
@@ -375,6 +367,10 @@ damping = 0.001
             ("name = \"cookie\"", "", "missing field `name`"),
             ("epochs = 200", "epochs = 0", "epochs = 0"),
             ("epochs = 200", "learning_rate = nan", "learning_rate"),
+            ("[train]", "augment = 9\n[train]", "[grasps] augment = 9"),
+            ("[train]", "recorded = \"human\"\n[train]", "[grasps] joint_order"),
+            ("joint_order = \"leap_sdk\"", "recorded = \"human\"\naugment = 0", "augment = 0"),
+            ("joint_order = \"leap_sdk\"", "recorded = \"glove\"", "line 14"),
         ] {
             let message = parse(&FULL.replace(from, to)).unwrap_err().to_string();
             assert!(message.contains(expected) && message.starts_with("twin.toml"), "{message}");

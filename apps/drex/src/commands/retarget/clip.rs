@@ -8,8 +8,9 @@ use drex_retarget::{Demonstration, Flag, Retargeting, TargetHand, retarget};
 use serde_json::json;
 
 use super::file::{self, FrameRecord};
-use super::{Object, options, picture, up, upright};
+use super::{Object, options, up, upright};
 use crate::cli::RetargetArgs;
+use crate::picture::clip as picture;
 use crate::ui::Ui;
 
 pub fn run(
@@ -21,6 +22,7 @@ pub fn run(
 ) -> Result<()> {
     let begin = Instant::now();
     let result = retarget(demo, hand, &options(args))?;
+    result.scale.note().iter().for_each(|note| ui.note(format!("  note     {note}")));
     let ms = 1e3 * begin.elapsed().as_secs_f64() / result.frames.len().max(1) as f64;
     if let Some(out) = &args.out {
         let frames: Vec<FrameRecord<'_>> =
@@ -48,7 +50,7 @@ pub fn run(
                 },
             })
             .collect();
-        picture::write(path, hand, object.map(|o| &o.mesh), &poses, args.every.get())?;
+        picture::write(path, &hand.robot, object.map(|o| &o.mesh), &poses, args.every.get())?;
     }
     let summary = Summary::of(&result);
     let value = json!({

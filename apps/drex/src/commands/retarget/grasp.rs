@@ -10,8 +10,9 @@ use drex_retarget::{
 use serde_json::json;
 
 use super::file::{self, AugmentedRecord, GraspRecord};
-use super::{Object, options, picture, up, upright};
+use super::{Object, options, up, upright};
 use crate::cli::RetargetArgs;
+use crate::picture::clip as picture;
 use crate::ui::Ui;
 
 pub fn run(
@@ -28,8 +29,9 @@ pub fn run(
     grasp.vector = options(args);
     let begin = Instant::now();
     let result = retarget_grasp(&demo, hand, &object.surface(), &grasp)?;
+    result.scale.note().iter().for_each(|note| ui.note(format!("  note     {note}")));
     let ms = 1e3 * begin.elapsed().as_secs_f64() / result.frames.len().max(1) as f64;
-    let more = args.augment.map(|n| more(n, &result, hand, object, &grasp, seed)).transpose()?;
+    let more = args.augment.map(|n| more(n.get(), &result, hand, object, &grasp, seed)).transpose()?;
     if let Some(out) = &args.out {
         let grasps = more.as_ref().map_or_else(Vec::new, |m| augmented(&demo, m));
         file::write(out, args, &demo, hand, Some(object), &result.scale, &records(&demo, &result), &grasps)?;
@@ -49,7 +51,7 @@ pub fn run(
                 world_from_object: Some(world_from_object),
             })
             .collect();
-        picture::write(path, hand, Some(&object.mesh), &poses, args.every.get())?;
+        picture::write(path, &hand.robot, Some(&object.mesh), &poses, args.every.get())?;
     }
     let summary = Summary::of(&result);
     let value = json!({

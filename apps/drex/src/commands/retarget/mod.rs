@@ -3,7 +3,6 @@
 mod clip;
 mod file;
 mod grasp;
-mod picture;
 mod stream;
 
 use std::path::Path;
@@ -28,6 +27,11 @@ pub fn run(args: &RetargetArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     if args.out.is_none() && args.picture.is_none() {
         bail!("there is nothing to write: give --out FILE (JSON), --picture FILE (PNG), or both");
     }
+    if let Some(picture) =
+        args.picture.as_ref().filter(|p| !p.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")))
+    {
+        bail!("--picture {}: pictures are PNG; give a name that ends in .png", picture.display());
+    }
     let mut demo = Demonstration::load(&args.demo, &load_options(&args.reading))?;
     let hand = hand(args, demo.side, ui)?;
     let object = args.object.as_ref().map(|path| Object::load(path, args, ui)).transpose()?;
@@ -40,6 +44,9 @@ pub fn run(args: &RetargetArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
         ObjectiveArg::Grasp => {
             let object = object.context("the grasp objective needs the object: give --object MESH")?;
             grasp::run(args, &demo, &hand, &object, seed, ui)
+        }
+        _ if args.augment.is_some() => {
+            bail!("--augment makes grasps, which only the grasp objective knows: add --objective grasp --object MESH")
         }
         _ => clip::run(args, &demo, &hand, object.as_ref(), ui),
     }
@@ -64,7 +71,11 @@ pub fn load_options(args: &ReadingArgs) -> LoadOptions {
 /// The hand that is asked for, mirrored if the person's is the other one.
 fn hand(args: &RetargetArgs, side: Side, ui: &Ui) -> Result<TargetHand> {
     let hand = match &args.mapping {
-        Some(mapping) => TargetHand::load(Path::new(&args.hand), Some(mapping))?,
+        Some(mapping) if Path::new(&args.hand).is_file() => TargetHand::load(Path::new(&args.hand), Some(mapping))?,
+        Some(mapping) => {
+            let robot = TargetHand::resolve(&args.hand)?.robot;
+            TargetHand::with_mapping(robot, mapping, &drex_core::fsutil::read_text(mapping)?)?
+        }
         None => TargetHand::resolve(&args.hand)?,
     };
     hand.notes.iter().for_each(|note| ui.note(format!("  note     {note}")));

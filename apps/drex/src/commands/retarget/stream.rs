@@ -20,6 +20,15 @@ pub fn run(args: &RetargetArgs, ui: &Ui) -> Result<()> {
     if args.out.is_some() || args.picture.is_some() {
         bail!("a stream is answered on stdout; leave out --out and --picture");
     }
+    let clip_only = [
+        ("--object", args.object.is_some()),
+        ("--augment", args.augment.is_some()),
+        ("--frames", args.reading.frames.is_some()),
+        ("--object-poses", args.reading.object_poses.is_some()),
+    ];
+    if let Some((name, _)) = clip_only.iter().find(|(_, given)| *given) {
+        bail!("{name} is for whole clips; leave it out for a stream");
+    }
     let side = args.reading.side.map_or(Side::Right, Into::into);
     let hand = hand(args, side, ui)?;
     let mut retargeter = Retargeter::new(&hand, options(args))?;

@@ -4,11 +4,11 @@ use std::path::Path;
 
 use anyhow::Result;
 use drex_core::{Pose, TriMesh, fsutil};
-use drex_retarget::TargetHand;
+use drex_robot::Robot;
 
-use crate::picture::hand::HandShapes;
-use crate::picture::raster::Part;
-use crate::picture::sheet::contact_sheet;
+use super::hand::HandShapes;
+use super::raster::Part;
+use super::sheet::contact_sheet;
 
 const OBJECT_COLOR: [f64; 3] = [0.86, 0.55, 0.30];
 
@@ -22,16 +22,10 @@ pub struct Posed<'a> {
 }
 
 /// Draws every `every`-th frame.
-pub fn write(
-    path: &Path,
-    hand: &TargetHand,
-    object: Option<&TriMesh>,
-    poses: &[Posed<'_>],
-    every: usize,
-) -> Result<()> {
-    let shapes = HandShapes::new(&hand.robot);
+pub fn write(path: &Path, robot: &Robot, object: Option<&TriMesh>, poses: &[Posed<'_>], every: usize) -> Result<()> {
+    let shapes = HandShapes::new(robot);
     let links: Vec<_> =
-        poses.iter().step_by(every).map(|p| (p, hand.robot.forward_kinematics(p.q, &p.world_from_base))).collect();
+        poses.iter().step_by(every).map(|p| (p, robot.forward_kinematics(p.q, &p.world_from_base))).collect();
     let mut subject = None;
     let scenes: Vec<_> = links
         .iter()
