@@ -21,10 +21,10 @@ pub fn section(page: &mut Page, twin: &Twin, fits: &FitFile) -> Result<()> {
     page.paragraph(&format!(
         "The recordings hold key points of a person\u{2019}s hand and poses of the object. The key points are mapped to the robot \
          hand, and in the frames in which the person holds the object, wrist and joints are solved so that thumb and fingers lie \
-         on the surface, without penetration, close to the person\u{2019}s pose. Of {} frames in {} recordings the object is held in \
+         on the surface, without penetration, close to the person\u{2019}s pose. Of {} frames in {} the object is held in \
          {}; {} of these keep the rules.{more} The contacts of {} of the {} accepted grasps can carry the object at friction {}.",
         total(&|c| c.frames),
-        fits.clips.len(),
+        if fits.clips.len() == 1 { "one recording".to_owned() } else { format!("{} recordings", fits.clips.len()) },
         total(&|c| c.held),
         total(&|c| c.accepted),
         count(&|g| g.accepted && g.squeeze_per_weight.is_some()),

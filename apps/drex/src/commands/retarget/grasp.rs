@@ -54,6 +54,11 @@ pub fn run(
         picture::write(path, &hand.robot, Some(&object.mesh), &poses, args.every.get())?;
     }
     let summary = Summary::of(&result);
+    if summary.held == 0 {
+        ui.note(
+            "  note     in no frame the object moves or a fingertip reaches it: if it is held, look at its poses and its unit (--unit)",
+        );
+    }
     let value = json!({
         "hand": hand.robot.name,
         "objective": "grasp",
@@ -146,7 +151,7 @@ struct Summary {
     squeeze: Option<f64>,
     penetration_mm: f64,
     self_collision_mm: f64,
-    joint_distance_rad: f64,
+    joint_distance_rad: Option<f64>,
     wrist_shift_mm: f64,
     joint_speed: f64,
 }
@@ -168,7 +173,8 @@ impl Summary {
             squeeze: squeezes.get(squeezes.len() / 2).copied(),
             penetration_mm: most(&|f| f.penetration_mm),
             self_collision_mm: most(&|f| f.self_collision.as_ref().map_or(0.0, |c| c.depth_mm)),
-            joint_distance_rad: held.iter().map(|f| f.joint_distance_rad.0).sum::<f64>() / held.len().max(1) as f64,
+            joint_distance_rad: (!held.is_empty())
+                .then(|| held.iter().map(|f| f.joint_distance_rad.0).sum::<f64>() / held.len() as f64),
             wrist_shift_mm: most(&|f| f.wrist_shift.0),
             joint_speed: most(&|f| f.joint_speed),
         }
@@ -206,9 +212,11 @@ fn text(demo: &Demonstration, hand: &TargetHand, result: &GraspRetargeting, s: &
         percent(s.closed)
     ));
     lines.push(format!(
-        "  at most  {:.1} mm inside the object, {:.1} mm inside itself, wrist {:.0} mm from the person's, {:.1} rad/s",
+        "  at most  in all frames {:.1} mm inside the object, {:.1} mm inside itself, wrist {:.0} mm from the person's, {:.1} rad/s",
         s.penetration_mm, s.self_collision_mm, s.wrist_shift_mm, s.joint_speed
     ));
-    lines.push(format!("  mean     {:.2} rad from the plain result", s.joint_distance_rad));
+    lines.extend(
+        s.joint_distance_rad.map(|d| format!("  mean     {d:.2} rad from the plain result, in the held frames")),
+    );
     lines.join("\n")
 }
