@@ -18,6 +18,7 @@ mod wanted;
 
 use drex_core::Pose;
 use nalgebra::{Unit, Vector3};
+use rayon::prelude::*;
 
 use crate::{
     Demonstration, ObjectSurface, Result, RetargetError, RetargetOptions, Retargeting, ScaleReport, TargetHand,
@@ -124,14 +125,17 @@ pub fn retarget_grasp(
     let planned = plan::plan(&hand, object, demo, &poses, &wishes, &holds, options);
     let up: Vec<Option<Unit<Vector3<f64>>>> =
         poses.iter().map(|p| demo.up.map(|up| p.rotation.inverse() * up)).collect();
-    let mut frames = Vec::with_capacity(planned.len());
-    for (t, frame) in planned.iter().enumerate() {
-        let before = t.checked_sub(1).map(|b| (planned[b].state.q.as_slice(), demo.frames[t].t_s - demo.frames[b].t_s));
-        let judge = Judged { wish: &wishes[t], t_s: demo.frames[t].t_s, before, up: up[t] };
-        let mut frame = judged(&hand, object, frame, &judge, options)?;
-        frame.flags.clone_from(&vector.frames[t].flags);
-        frames.push(frame);
-    }
+    let frames = (0..planned.len())
+        .into_par_iter()
+        .map(|t| {
+            let before =
+                t.checked_sub(1).map(|b| (planned[b].state.q.as_slice(), demo.frames[t].t_s - demo.frames[b].t_s));
+            let judge = Judged { wish: &wishes[t], t_s: demo.frames[t].t_s, before, up: up[t] };
+            let mut frame = judged(&hand, object, &planned[t], &judge, options)?;
+            frame.flags.clone_from(&vector.frames[t].flags);
+            Ok(frame)
+        })
+        .collect::<Result<Vec<_>>>()?;
     Ok(GraspRetargeting { joint_names: vector.joint_names, scale: vector.scale, frames })
 }
 

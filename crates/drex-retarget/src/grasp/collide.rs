@@ -36,6 +36,8 @@ struct Piece {
     half: Vector3<f64>,
     /// In the link's frame.
     points: Vec<Point3<f64>>,
+    /// Distance of each from the centre, m.
+    reach: Vec<f64>,
 }
 
 /// Where two links are nearest to each other, or deepest in each other.
@@ -107,16 +109,22 @@ impl Pieces {
                     let (p, r) = (&self.pieces[i], &self.pieces[k]);
                     let (Some(at), Some(rt)) = (&placed[i], &placed[k]) else { continue };
                     let limit = best.map_or(within_m, |b| b.0);
-                    if far(&at.center, &rt.center, p.radius_m + r.radius_m + limit)
-                        || r.shape.signed_distance(&(rt.shape_from_object * at.center)) > p.radius_m + limit
-                        || p.shape.signed_distance(&(at.shape_from_object * rt.center)) > r.radius_m + limit
-                    {
+                    if far(&at.center, &rt.center, p.radius_m + r.radius_m + limit) {
                         continue;
                     }
-                    if let Some((d, point)) = p.nearest_to(r, &posed.links[a], rt, limit) {
+                    let of_p = r.shape.signed_distance(&(rt.shape_from_object * at.center));
+                    if of_p > p.radius_m + limit {
+                        continue;
+                    }
+                    let of_r = p.shape.signed_distance(&(at.shape_from_object * rt.center));
+                    if of_r > r.radius_m + limit {
+                        continue;
+                    }
+                    if let Some((d, point)) = p.nearest_to(r, &posed.links[a], rt, of_p, limit) {
                         best = Some((d, k, true, point));
                     }
-                    if let Some((d, point)) = r.nearest_to(p, &posed.links[b], at, best.map_or(within_m, |b| b.0)) {
+                    let limit = best.map_or(within_m, |b| b.0);
+                    if let Some((d, point)) = r.nearest_to(p, &posed.links[b], at, of_r, limit) {
                         best = Some((d, i, false, point));
                     }
                 }
@@ -148,19 +156,30 @@ impl Piece {
             points.iter().fold(Vector3::zeros(), |m: Vector3<f64>, p| m.sup(&p.coords.abs())).add_scalar(COVERED_M);
         points.iter_mut().for_each(|p| *p = link_from_shape * *p);
         let (center, radius_m) = ball(&points);
-        Self { shape, link_from_shape, center, radius_m, half, points }
+        let reach = points.iter().map(|p| (p - center).norm()).collect();
+        Self { shape, link_from_shape, center, radius_m, half, points, reach }
     }
 
     fn placed(&self, link: &Pose) -> Placed {
         Placed { center: link * self.center, shape_from_object: (link * self.link_from_shape).inverse() }
     }
 
-    /// The point of this piece nearest to the shape of `other`, if nearer than `limit_m`.
-    fn nearest_to(&self, other: &Self, own: &Pose, placed: &Placed, limit_m: f64) -> Option<(f64, Point3<f64>)> {
+    /// The point of this piece nearest to the shape of `other`, if nearer than `limit_m`; `center_m` is how far this one's centre is.
+    fn nearest_to(
+        &self,
+        other: &Self,
+        own: &Pose,
+        placed: &Placed,
+        center_m: f64,
+        limit_m: f64,
+    ) -> Option<(f64, Point3<f64>)> {
         let shape_from_own = placed.shape_from_object * own;
         let mut best = (limit_m, None);
         let (turn, shift) = (shape_from_own.rotation.to_rotation_matrix(), shape_from_own.translation.vector);
-        for p in &self.points {
+        for (p, reach) in self.points.iter().zip(&self.reach) {
+            if center_m - reach > best.0 {
+                continue;
+            }
             let local = turn * p.coords + shift;
             if (local.abs() - other.half).max() > best.0 {
                 continue;

@@ -38,9 +38,9 @@ pub(crate) struct GraspHand<'a> {
 #[derive(Debug, Clone)]
 pub(crate) struct Pad {
     pub(crate) tip: LinkPoint,
-    /// Points behind the last joint, palmar side and end, by link.
-    parts: Vec<(usize, Skin)>,
-    /// The same, finer, for the verdict.
+    /// Outermost points behind the last joint, palmar side and end, and the link in whose frame they are.
+    skin: (usize, Skin),
+    /// All of them, finer and by link, for the verdict.
     fine: Vec<(usize, LinkSurface)>,
 }
 
@@ -67,9 +67,8 @@ impl<'a> GraspHand<'a> {
         let poses = robot.forward_kinematics(&robot.reference_position(), &Pose::identity());
         let pads = target.fingers.iter().map(|f| {
             let points = |spacing_m| pad(robot, &poses, &f.tip, spacing_m);
-            let skin = |(l, part): (usize, LinkSurface)| (l, Skin::new(part.samples().iter().map(|s| s.0)));
-            let parts: Vec<_> = points(SPACINGS_M.0 / 2.0).into_iter().map(skin).collect();
-            if parts.iter().all(|(_, p)| p.is_empty()) {
+            let fine = points(SPACINGS_M.1 / 2.0);
+            let Some(&(link, _)) = fine.first() else {
                 return Err(RetargetError::value(
                     format!(
                         "finger \"{}\" of hand \"{}\" has no collision shapes at its tip",
@@ -78,8 +77,14 @@ impl<'a> GraspHand<'a> {
                     ),
                     "add shapes to the last link of the model",
                 ));
-            }
-            Ok(Pad { tip: f.tip, parts, fine: points(SPACINGS_M.1 / 2.0) })
+            };
+            // These links are rigidly attached to one another.
+            let of_part = |(l, part): &(usize, LinkSurface)| -> Vec<Point3<f64>> {
+                let link_from_part = poses[link].inv_mul(&poses[*l]);
+                part.samples().iter().map(|s| link_from_part * s.0).collect()
+            };
+            let skin = Skin::outermost(points(SPACINGS_M.0 / 2.0).iter().flat_map(of_part).collect());
+            Ok(Pad { tip: f.tip, skin: (link, skin), fine })
         });
         let fingers = pads.collect::<Result<Vec<_>>>()?;
         let movers = (0..robot.links.len())
@@ -124,11 +129,8 @@ impl Pad {
         posed: &Posed,
         object: &dyn SignedDistance,
     ) -> Option<(usize, Point3<f64>, SdfSample)> {
-        let found = self
-            .parts
-            .iter()
-            .filter_map(|(link, skin)| skin.nearest(&posed.links[*link], object).map(|(point, s)| (*link, point, s)));
-        found.min_by(|a, b| a.2.distance_m.total_cmp(&b.2.distance_m))
+        let (link, skin) = &self.skin;
+        skin.nearest(&posed.links[*link], object).map(|(point, s)| (*link, point, s))
     }
 
     /// Link, point (object frame) and distance of the nearest among more points.

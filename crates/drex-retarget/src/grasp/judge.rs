@@ -1,5 +1,8 @@
 //! A solved frame, measured on the exact surface and the true shapes.
 
+use std::collections::HashMap;
+use std::sync::{Mutex, PoisonError};
+
 use drex_core::{Pose, SdfSample, SignedDistance};
 use drex_grasp::{Contact, GraspError, SqueezeError, SqueezeProblem, is_force_closed, smallest_forces};
 use nalgebra::{Point3, Unit, Vector3};
@@ -95,7 +98,7 @@ pub(crate) fn judged(
     let &Judged { wish, t_s, before, up } = judge;
     let State { object_from_base, q } = &planned.state;
     let posed = hand.posed(q, object_from_base);
-    let near = Near { search: object.search, exact: object.judge };
+    let near = Near { search: object.search, exact: object.judge, known: Mutex::default() };
     let robot = &hand.target.robot;
     let fingers: Vec<FingerContact> = hand
         .fingers
@@ -195,6 +198,8 @@ pub(crate) fn judged(
 struct Near<'a> {
     search: &'a dyn SignedDistance,
     exact: &'a dyn SignedDistance,
+    /// Exact answers so far: penetration and contacts ask for the same points.
+    known: Mutex<HashMap<[u64; 3], SdfSample>>,
 }
 
 /// Farther out than this the fast distance is good enough, m.
@@ -203,7 +208,13 @@ const NEAR_M: f64 = 0.001;
 impl SignedDistance for Near<'_> {
     fn signed_distance(&self, point: &Point3<f64>) -> SdfSample {
         let fast = self.search.signed_distance(point);
-        if fast.distance_m > NEAR_M { fast } else { self.exact.signed_distance(point) }
+        if fast.distance_m > NEAR_M {
+            return fast;
+        }
+        let exact = || self.exact.signed_distance(point);
+        // A thread that panicked while it looked something up has spoilt nothing.
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        *known.entry([0, 1, 2].map(|k| point[k].to_bits())).or_insert_with(exact)
     }
 }
 

@@ -15,7 +15,7 @@ use super::wanted::Hold;
 use crate::{Demonstration, HumanFinger, ObjectSurface};
 
 /// Effort: wrist alone, first solution, later solution.
-const STEPS: (usize, usize, usize) = (10, 25, 8);
+const STEPS: (usize, usize, usize) = (8, 15, 8);
 /// Nearly all of the allowed speed.
 const SPEED_SHARE: f64 = 0.98;
 /// One unit of distance of a pad from its goal, m: wrist alone, then all.
@@ -25,9 +25,12 @@ const LETS_GO_M: f64 = 0.006;
 /// Gap that is good enough not to try another start, m.
 const GOOD_M: f64 = 0.003;
 
+/// A frame without contact is out of every collision when it is no deeper than this, m.
+const CLEAN_M: f64 = 0.0005;
+
 /// Contacts this upright (see [`View::upright`]) do not slip, and what others cost.
 const UPRIGHT: f64 = 0.93;
-const SLIP_COST: f64 = 200.0;
+const SLIP_COST: f64 = 500.0;
 
 /// A solved frame.
 #[derive(Debug, Clone)]
@@ -90,6 +93,13 @@ pub(crate) fn plan(
     }
     for t in 0..wishes.len() {
         clip.again(t);
+    }
+    // Both ways, so that a good grasp spreads over the frames on both sides of it.
+    for t in (1..wishes.len()).rev() {
+        clip.steadier(t - 1, t);
+    }
+    for t in 1..wishes.len() {
+        clip.steadier(t, t - 1);
     }
     clip.solved.into_iter().flatten().collect()
 }
@@ -181,7 +191,7 @@ impl Clip<'_> {
             problem.fades = true;
             let view = minimise(&problem, &mut state, STEPS.1);
             let good = self.good(&view) && self.close(t, &state);
-            let score = view.cost + SLIP_COST * (UPRIGHT - view.upright).max(0.0);
+            let score = score(&view);
             if best.as_ref().is_none_or(|b| score < b.0) {
                 best = Some((score, state, view));
             }
@@ -215,8 +225,6 @@ impl Clip<'_> {
         }
         let intervals = self.intervals(t);
         let wanted = vec![0.0; self.hand.fingers.len()];
-        let mut state = self.wishes[t].clone();
-        clamp(&mut state.q, &intervals);
         let problem = Problem {
             hand: self.hand,
             object: self.object,
@@ -230,7 +238,22 @@ impl Clip<'_> {
             intervals: &intervals,
             joints_move: true,
         };
-        minimise(&problem, &mut state, STEPS.2);
+        // Where the person's pose does not lead out of a collision, those of the frames beside it may.
+        let beside = [Some(t + 1), t.checked_sub(1)].into_iter().flatten().filter_map(|s| self.carried(s, t));
+        let mut best: Option<(View, State)> = None;
+        for start in std::iter::once(self.wishes[t].clone()).chain(beside) {
+            let mut state = start;
+            clamp(&mut state.q, &intervals);
+            let view = minimise(&problem, &mut state, STEPS.1);
+            let clean = view.deepest_m <= CLEAN_M;
+            if best.as_ref().is_none_or(|b| view.cost < b.0.cost) {
+                best = Some((view, state));
+            }
+            if clean {
+                break;
+            }
+        }
+        let Some((_, state)) = best else { return };
         self.solved[t] = Some(Planned { state, held: false, wanted, goals: Vec::new() });
     }
 
@@ -269,6 +292,51 @@ impl Clip<'_> {
             }
         }
         self.solved[t] = Some(planned);
+    }
+
+    /// A held frame whose contacts would slip takes over the grasp of frame `from` beside it, on the object or with respect to the
+    /// person, if that is better here.
+    fn steadier(&mut self, t: usize, from: usize) {
+        let Some(planned) = self.solved[t].take() else { return };
+        let mut best = planned.clone();
+        if planned.held {
+            let intervals = self.intervals(t);
+            let sides = [t.checked_sub(1), Some(t + 1)].into_iter().flatten();
+            let held = |s: &usize| self.solved.get(*s).is_some_and(|p| p.as_ref().is_some_and(|p| p.held));
+            let beside: Vec<State> = sides.filter(held).filter_map(|s| self.carried(s, t)).collect();
+            let solve = |state: &mut State, wanted: &[f64], goals: &[Point3<f64>], steps: usize| {
+                let problem = Problem {
+                    hand: self.hand,
+                    object: self.object,
+                    bounds: &self.bounds,
+                    wish: &self.wishes[t],
+                    wanted,
+                    fades: false,
+                    goals,
+                    goal_unit_m: GOAL_UNITS_M.1,
+                    beside: &beside,
+                    intervals: &intervals,
+                    joints_move: true,
+                };
+                minimise(&problem, state, steps)
+            };
+            let view = solve(&mut best.state.clone(), &planned.wanted, &planned.goals, 0);
+            if view.upright < UPRIGHT
+                && let Some(other) = self.solved[from].as_ref().filter(|p| p.held)
+            {
+                let mut least = score(&view);
+                for start in [Some(other.state.clone()), self.carried(from, t)].into_iter().flatten() {
+                    let mut state = start;
+                    clamp(&mut state.q, &intervals);
+                    let view = solve(&mut state, &other.wanted, &other.goals, STEPS.2);
+                    if score(&view) < least {
+                        least = score(&view);
+                        best = Planned { state, ..other.clone() };
+                    }
+                }
+            }
+        }
+        self.solved[t] = Some(best);
     }
 
     /// The solution of frame `s` as frame `t` would have it: the same joints, and the wrist as far from the person's.
@@ -321,6 +389,11 @@ impl Clip<'_> {
             }
         }
     }
+}
+
+/// Cost of a held frame, with what contacts that slip cost.
+fn score(view: &View) -> f64 {
+    view.cost + SLIP_COST * (UPRIGHT - view.upright).max(0.0)
 }
 
 /// Fingers beyond the object do not take part, unless too few would be left.

@@ -1,10 +1,13 @@
 //! Points on a link, searched in few look-ups of the object's distance.
 
 use drex_core::{Pose, SdfSample, SignedDistance};
+use drex_robot::Shape;
 use nalgebra::{Point3, Vector3};
 
 /// Edge of the cells whose points are skipped together, m.
 const CELL_M: f64 = 0.014;
+/// Between the directions in which the outermost points are looked for: on a fingertip of 1 cm radius that is 0.03 mm, rad.
+const DIRECTIONS_RAD: f64 = 0.15;
 /// Support points that are looked at.
 const SUPPORTS: usize = 4;
 
@@ -12,10 +15,23 @@ const SUPPORTS: usize = 4;
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Skin {
     points: Vec<Point3<f64>>,
+    /// Distance of each point from the centre of its cell.
+    reach: Vec<f64>,
     cells: Vec<(Point3<f64>, f64, std::ops::Range<usize>)>,
     /// Ball around all.
     ball: (Point3<f64>, f64),
 }
+
+/// What an earlier look-up says of a cell: where its centre was, and how far from the object. A distance changes by no more than
+/// the way travelled.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Bound {
+    center: Point3<f64>,
+    distance_m: f64,
+}
+
+/// A distance that is interpolated may change by this much more, m.
+const INTERPOLATED_M: f64 = 0.0005;
 
 impl Skin {
     pub(crate) fn new(points: impl IntoIterator<Item = Point3<f64>>) -> Self {
@@ -27,6 +43,7 @@ impl Skin {
         for members in cells.into_values() {
             let (center, radius) = ball(&members);
             let start = skin.points.len();
+            skin.reach.extend(members.iter().map(|p| (p - center).norm()));
             skin.points.extend(members);
             skin.cells.push((center, radius, start..skin.points.len()));
         }
@@ -34,8 +51,14 @@ impl Skin {
         skin
     }
 
-    pub(crate) fn is_empty(&self) -> bool {
-        self.points.is_empty()
+    /// Only the points that are farthest in some direction, of many: what [`Skin::nearest`] can find.
+    pub(crate) fn outermost(points: Vec<Point3<f64>>) -> Self {
+        let all = Self::new(points);
+        let directions = Shape::Sphere { radius: 1.0 }.surface_samples(DIRECTIONS_RAD);
+        let mut kept: Vec<usize> = directions.iter().filter_map(|(_, n)| all.support(n)).collect();
+        kept.sort_unstable();
+        kept.dedup();
+        Self::new(kept.into_iter().map(|i| all.points[i]))
     }
 
     /// The deepest point inside the object: where, and what the object says there.
@@ -44,21 +67,33 @@ impl Skin {
         pose: &Pose,
         object: &dyn SignedDistance,
         bounds: &(Point3<f64>, Point3<f64>),
+        known: &mut Vec<Bound>,
     ) -> Option<(Point3<f64>, SdfSample)> {
+        known.resize(self.cells.len(), Bound { center: Point3::origin(), distance_m: f64::NEG_INFINITY });
         let mut best: Option<(Point3<f64>, SdfSample)> = None;
         if self.points.is_empty() || box_distance(bounds, &(pose * self.ball.0)) > self.ball.1 {
             return None;
         }
-        for (center, radius, range) in &self.cells {
+        for ((center, radius, range), known) in self.cells.iter().zip(known) {
             let center = pose * center;
             let limit = best.as_ref().map_or(0.0, |b| b.1.distance_m);
-            if box_distance(bounds, &center) > *radius || object.signed_distance(&center).distance_m - radius > limit {
+            if known.distance_m - (center - known.center).norm() - INTERPOLATED_M - radius > limit
+                || box_distance(bounds, &center) > *radius
+            {
                 continue;
             }
-            for p in &self.points[range.clone()] {
-                let at = pose * p;
+            *known = Bound { center, distance_m: object.signed_distance(&center).distance_m };
+            if known.distance_m - radius > limit {
+                continue;
+            }
+            for i in range.clone() {
+                let limit = best.as_ref().map_or(0.0, |b| b.1.distance_m);
+                if known.distance_m - self.reach[i] - INTERPOLATED_M > limit {
+                    continue;
+                }
+                let at = pose * self.points[i];
                 let s = object.signed_distance(&at);
-                if s.distance_m < best.as_ref().map_or(0.0, |b| b.1.distance_m) {
+                if s.distance_m < limit {
                     best = Some((at, s));
                 }
             }

@@ -5,6 +5,7 @@ use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
 use super::collide::Close;
 use super::hand::{GraspHand, Posed};
+use super::skin::Bound;
 
 /// One residual unit of each kind: metres, radians.
 const GAP_M: f64 = 0.001;
@@ -29,8 +30,8 @@ const OPPOSED: f64 = -0.2;
 const JOINT_UNIT_RAD: f64 = 0.3;
 const WRIST_UNIT: (f64, f64) = (0.06, 0.2);
 /// Farther from the person's wrist than this costs more, m, and by how much.
-const WRIST_FREE_M: f64 = 0.09;
-const WRIST_FAR_UNIT_M: f64 = 0.006;
+const WRIST_FREE_M: f64 = 0.10;
+const WRIST_FAR_UNIT_M: f64 = 0.003;
 /// Smoothness between frames.
 const STEP_UNIT_RAD: f64 = 0.1;
 const WRIST_STEP_UNIT: (f64, f64) = (0.03, 0.4);
@@ -79,9 +80,13 @@ pub(crate) struct View {
     rows: Vec<Row>,
     moves: Vec<(usize, Point3<f64>, Vector3<f64>)>,
     close: Vec<Close>,
+    /// Per link, what is known of the distances of its cells.
+    bounds: Vec<Vec<Bound>>,
     pub(crate) gaps: Vec<f64>,
     pub(crate) tip_gaps: Vec<f64>,
     pub(crate) cost: f64,
+    /// Deepest point inside the object or inside another link, m; zero or more.
+    pub(crate) deepest_m: f64,
     /// Least cosine between the line from the thumb to the middle of the other fingers and the normals at its ends.
     pub(crate) upright: f64,
     pivot: Point3<f64>,
@@ -94,6 +99,7 @@ impl Problem<'_> {
         let posed = hand.posed(&state.q, &state.object_from_base);
         view.rows.clear();
         view.upright = -1.0;
+        view.deepest_m = 0.0;
         view.moves.clear();
         view.gaps.clear();
         view.tip_gaps.clear();
@@ -128,16 +134,21 @@ impl Problem<'_> {
         if wants {
             self.oppose(&touch, view);
         }
+        let mut bounds = std::mem::take(&mut view.bounds);
+        bounds.resize_with(hand.search.len(), Vec::new);
         for (link, (part, pose)) in hand.search.iter().zip(&posed.links).enumerate() {
-            if let Some((point, s)) = part.deepest(pose, self.object, self.bounds) {
+            if let Some((point, s)) = part.deepest(pose, self.object, self.bounds, &mut bounds[link]) {
+                view.deepest_m = view.deepest_m.max(-s.distance_m);
                 view.push(s.distance_m / PENETRATION_M, [(link, point, s.gradient / PENETRATION_M)]);
             }
         }
+        view.bounds = bounds;
         if self.joints_move {
             let mut close = std::mem::take(&mut view.close);
             hand.filled.close(&posed, COLLISION_CLEARANCE_M, &mut close);
             for c in &close {
                 let n = c.normal / COLLISION_M;
+                view.deepest_m = view.deepest_m.max(-c.distance_m);
                 view.push(
                     (c.distance_m - COLLISION_CLEARANCE_M) / COLLISION_M,
                     [(c.links.0, c.point, n), (c.links.1, c.point, -n)],
@@ -259,8 +270,10 @@ impl Problem<'_> {
         let Some(posed) = &view.posed else { return };
         let n = g.len();
         let mut row = vec![0.0; n];
+        let mut filled: Vec<usize> = Vec::with_capacity(n);
         for Row { r, moves } in &view.rows {
-            row.fill(0.0);
+            filled.clear();
+            filled.extend(0..6);
             for (link, point, v) in &view.moves[moves.clone()] {
                 let turn = (point - view.pivot).cross(v);
                 for k in 0..3 {
@@ -268,17 +281,19 @@ impl Problem<'_> {
                     row[3 + k] += v[k];
                 }
                 for &j in &self.hand.movers[*link] {
+                    if row[6 + j] == 0.0 && !filled.contains(&(6 + j)) {
+                        filled.push(6 + j);
+                    }
                     row[6 + j] += v.dot(&self.hand.velocity(posed, j, point));
                 }
             }
-            for i in 0..n {
-                if row[i] != 0.0 {
-                    g[i] += row[i] * r;
-                    for k in 0..n {
-                        a[(k, i)] += row[i] * row[k];
-                    }
+            for &i in &filled {
+                g[i] += row[i] * r;
+                for &k in &filled {
+                    a[(k, i)] += row[i] * row[k];
                 }
             }
+            filled.iter().for_each(|&i| row[i] = 0.0);
         }
         self.closeness(state, view.pivot, Some((a, g)));
     }

@@ -189,8 +189,8 @@ impl Retargeter {
     pub(crate) fn aim(&mut self, points: &KeyPoints) -> Result<Aim, String> {
         let source_from_operator = self.person.operator_frame(points).map_err(|e| e.to_string())?;
         let scale = self.scale().ok_or("the length of no finger from wrist to tip is known yet")?.scale;
-        let in_operator = canonical(points, self.hand.side)
-            .unwrap_or_else(|_| transformed(points, &source_from_operator.inverse()));
+        let in_operator =
+            canonical(points, self.hand.side).unwrap_or_else(|_| transformed(points, &source_from_operator.inverse()));
         // Automatic: a person of nominal size, and the rest of the scale.
         let to_nominal = match (self.options.scale, self.person.hand_length_m()) {
             (Scale::Auto, Some(length)) => NOMINAL_LENGTH_M / length,
