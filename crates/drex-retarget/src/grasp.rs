@@ -21,7 +21,7 @@ use nalgebra::{Unit, Vector3};
 use rayon::prelude::*;
 
 use crate::{
-    Demonstration, ObjectSurface, Result, RetargetError, RetargetOptions, Retargeting, ScaleReport, TargetHand,
+    Demonstration, Flag, ObjectSurface, Result, RetargetError, RetargetOptions, Retargeting, ScaleReport, TargetHand,
     Verdict, retarget,
 };
 pub(crate) use hand::GraspHand;
@@ -109,7 +109,7 @@ pub struct GraspRetargeting {
 /// object. The same bytes for the same input, on any number of threads.
 ///
 /// # Errors
-/// If a frame has no pose of the object, the hand has no thumb or no shapes, an option makes no sense, and as [`retarget`].
+/// If no frame has a pose of the object, the hand has no thumb or no shapes, an option makes no sense, and as [`retarget`].
 pub fn retarget_grasp(
     demo: &Demonstration,
     target: &TargetHand,
@@ -117,7 +117,8 @@ pub fn retarget_grasp(
     options: &GraspOptions,
 ) -> Result<GraspRetargeting> {
     check(options)?;
-    let poses = object_poses(demo)?;
+    let mut flags = vec![Vec::new(); demo.frames.len()];
+    let poses = object_poses(demo, &mut flags)?;
     let hand = GraspHand::new(target, options.friction, options.force_gap_m)?;
     let vector = retarget(demo, target, &options.vector)?;
     let wishes = wishes(&vector, &poses);
@@ -133,6 +134,7 @@ pub fn retarget_grasp(
             let judge = Judged { wish: &wishes[t], t_s: demo.frames[t].t_s, before, up: up[t] };
             let mut frame = judged(&hand, object, &planned[t], &judge, options)?;
             frame.flags.clone_from(&vector.frames[t].flags);
+            frame.flags.extend_from_slice(&flags[t]);
             Ok(frame)
         })
         .collect::<Result<Vec<_>>>()?;
@@ -172,20 +174,31 @@ fn wishes(vector: &Retargeting, poses: &[Pose]) -> Vec<State> {
         .collect()
 }
 
-fn object_poses(demo: &Demonstration) -> Result<Vec<Pose>> {
-    demo.frames
-        .iter()
-        .enumerate()
-        .map(|(t, f)| {
-            let finite = |p: &Pose| p.to_homogeneous().iter().all(|v| v.is_finite());
-            f.source_from_object.filter(finite).ok_or_else(|| {
-                RetargetError::value(
-                    format!("frame {t} of {} has no pose of the object", demo.source),
-                    "the grasp objective needs one per frame: give object poses, or use the vector objective",
-                )
-            })
+/// The object's pose in every frame, `source_from_object`: where it was not seen, on the way between the frames around, which are
+/// flagged.
+fn object_poses(demo: &Demonstration, flags: &mut [Vec<Flag>]) -> Result<Vec<Pose>> {
+    let seen: Vec<(usize, Pose)> =
+        demo.frames.iter().enumerate().filter_map(|(t, f)| Some((t, f.source_from_object?))).collect();
+    let (Some(first), Some(last)) = (seen.first(), seen.last()) else {
+        return Err(RetargetError::value(
+            format!("no frame of {} has a pose of the object", demo.source),
+            "the grasp objective needs them: give object poses, or use the vector objective",
+        ));
+    };
+    Ok((0..demo.frames.len())
+        .map(|t| {
+            let after = seen.partition_point(|(s, _)| *s < t);
+            let (b, to) = seen.get(after).unwrap_or(last);
+            if *b == t {
+                return *to;
+            }
+            flags[t].push(Flag::ObjectNotSeen);
+            let (a, from) = if after > 0 { &seen[after - 1] } else { first };
+            let share = if a < b { (t as f64 - *a as f64) / (*b as f64 - *a as f64) } else { 0.0 };
+            // Half a turn apart there is no way between: stay.
+            from.try_lerp_slerp(to, share.clamp(0.0, 1.0), 1e-9).unwrap_or(*from)
         })
-        .collect()
+        .collect())
 }
 
 impl GraspFrame {

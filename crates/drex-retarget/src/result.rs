@@ -119,6 +119,8 @@ pub enum Flag {
         /// Time since the frame before, s.
         step_s: f64,
     },
+    /// The object's pose is missing: that on the way between the frames around was taken.
+    ObjectNotSeen,
     /// The object is not where the hand is: another frame, or a lost track.
     FarFromObject {
         /// Distance from the wrist to the origin of the object's mesh, mm.

@@ -180,9 +180,24 @@ fn what_is_missing_is_said() {
     options.max_joint_speed = 0.0;
     let error = retarget_grasp(&demo, &target, &thing.surface(), &options).unwrap_err().to_string();
     assert!(error.contains("max_joint_speed"), "{error}");
-    demo.frames[7].source_from_object = None;
-    let error = retarget_grasp(&demo, &target, &thing.surface(), &GraspOptions::default()).unwrap_err().to_string();
-    assert!(error.contains("frame 7") && error.contains("pose of the object"), "{error}");
+    demo.frames.iter_mut().for_each(|f| f.source_from_object = None);
+    let error = retarget_grasp(&demo, &target, &thing.surface(), &GraspOptions::default()).map(|_| ()).unwrap_err();
+    assert!(error.to_string().contains("pose of the object"), "{error}");
+}
+
+#[test]
+fn an_object_that_is_hidden_for_a_while_moves_on_between() {
+    let target = TargetHand::bundled("leap_right").unwrap();
+    let thing = Thing::new(&cuboid(0.03, 0.04, 0.05));
+    let mut demo = lift(&target, 0.75);
+    let whole = retarget_grasp(&demo, &target, &thing.surface(), &GraspOptions::default()).unwrap();
+    let hidden = [0, 7, demo.frames.len() - 1];
+    hidden.iter().for_each(|&t| demo.frames[t].source_from_object = None);
+    let clip = retarget_grasp(&demo, &target, &thing.surface(), &GraspOptions::default()).unwrap();
+    for (t, (a, b)) in clip.frames.iter().zip(&whole.frames).enumerate() {
+        assert_eq!(a.flags.contains(&drex_retarget::Flag::ObjectNotSeen), hidden.contains(&t));
+        assert_eq!(a.held, b.held, "frame {t}");
+    }
 }
 
 #[test]

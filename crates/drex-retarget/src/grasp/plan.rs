@@ -30,7 +30,7 @@ const CLEAN_M: f64 = 0.0005;
 
 /// Contacts this upright (see [`View::upright`]) do not slip, and what others cost.
 const UPRIGHT: f64 = 0.93;
-const SLIP_COST: f64 = 500.0;
+const SLIP_COST: f64 = 1200.0;
 
 /// A solved frame.
 #[derive(Debug, Clone)]

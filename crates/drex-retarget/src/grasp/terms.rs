@@ -9,9 +9,9 @@ use super::skin::Bound;
 
 /// One residual unit of each kind: metres, radians.
 const GAP_M: f64 = 0.001;
-const TIP_M: f64 = 0.0008;
-const THUMB_TIP_M: f64 = 0.0005;
-const PENETRATION_M: f64 = 0.00015;
+const TIP_M: f64 = 0.0004;
+const THUMB_TIP_M: f64 = 0.00025;
+const PENETRATION_M: f64 = 0.00012;
 const COLLISION_M: f64 = 0.0002;
 /// Links keep these distances from the object and from each other while searching, metres.
 const COLLISION_CLEARANCE_M: f64 = 0.0015;
