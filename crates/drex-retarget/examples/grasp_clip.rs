@@ -15,6 +15,8 @@ use drex_retarget::{
 };
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
+    // Everything on this thread, so that its processor time is all there is.
+    rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build_global()?;
     let args: Vec<String> = std::env::args().skip(1).collect();
     let [demo, mesh] = [0, 1].map(|i| args.get(i).map(Path::new).ok_or("give DEMO and MESH"));
     let demo = Demonstration::load(demo?, &LoadOptions::default())?;
