@@ -33,6 +33,7 @@
 extern crate self as drex_retarget;
 
 mod augment;
+mod carry;
 mod demo;
 mod detect;
 mod error;

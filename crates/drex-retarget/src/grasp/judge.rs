@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
 
 use drex_core::{Pose, SdfSample, SignedDistance};
-use drex_grasp::{Contact, GraspError, SqueezeError, SqueezeProblem, is_force_closed, smallest_forces};
+use drex_grasp::{SqueezeError, is_force_closed};
 use nalgebra::{Point3, Unit, Vector3};
 use serde::Serialize;
 
@@ -12,6 +12,7 @@ use super::GraspOptions;
 use super::hand::GraspHand;
 use super::plan::Planned;
 use super::terms::State;
+use crate::carry::{self, solved};
 use crate::{Flag, HumanFinger, ObjectSurface, Rejection, Result, Verdict};
 
 /// One finger of a frame.
@@ -138,7 +139,7 @@ pub(crate) fn judged(
         force_closure = solved(is_force_closed(&contacts, &object.center_of_mass, None).map_err(SqueezeError::from))?
             .unwrap_or(false);
         if let Some(up) = up {
-            squeeze_per_weight = squeeze(object, &contacts, up)?;
+            squeeze_per_weight = carry::squeeze_per_weight(&contacts, object.center_of_mass, up)?;
         }
     }
     let mut reasons = Vec::new();
@@ -215,21 +216,5 @@ impl SignedDistance for Near<'_> {
         // A thread that panicked while it looked something up has spoilt nothing.
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         *known.entry([0, 1, 2].map(|k| point[k].to_bits())).or_insert_with(exact)
-    }
-}
-
-/// The squeeze for a unit weight; `None` if the contacts cannot carry it.
-fn squeeze(object: &ObjectSurface<'_>, contacts: &[Contact], up: Unit<Vector3<f64>>) -> Result<Option<f64>> {
-    let problem = SqueezeProblem::new(contacts.to_vec(), 1.0, object.center_of_mass, -up.into_inner());
-    Ok(solved(smallest_forces(&problem))?.map(|forces| forces.iter().map(|f| f.x).sum()))
-}
-
-/// `None` for a load that cannot be carried and for a solver that stops half-way (the edge of closure).
-fn solved<T>(answer: Result<T, SqueezeError>) -> Result<Option<T>> {
-    match answer {
-        Ok(value) => Ok(Some(value)),
-        Err(SqueezeError::Input(GraspError::Solver { .. })) => Ok(None),
-        Err(SqueezeError::Input(error)) => Err(error.into()),
-        Err(_) => Ok(None),
     }
 }

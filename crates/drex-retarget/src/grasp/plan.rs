@@ -137,6 +137,30 @@ pub(crate) fn single(
 }
 
 impl Clip<'_> {
+    /// Frame `t` with everything moving.
+    fn problem<'s>(
+        &'s self,
+        t: usize,
+        wanted: &'s [f64],
+        goals: &'s [Point3<f64>],
+        beside: &'s [State],
+        intervals: &'s [(f64, f64)],
+    ) -> Problem<'s> {
+        Problem {
+            hand: self.hand,
+            object: self.object,
+            bounds: &self.bounds,
+            wish: &self.wishes[t],
+            wanted,
+            fades: false,
+            goals,
+            goal_unit_m: GOAL_UNITS_M.1,
+            beside,
+            intervals,
+            joints_move: true,
+        }
+    }
+
     /// What the solved frames nearest on both sides leave for each joint of frame `t`.
     fn intervals(&self, t: usize) -> Vec<(f64, f64)> {
         let before = (0..t).rev().find(|&s| self.solved[s].is_some());
@@ -170,24 +194,12 @@ impl Clip<'_> {
             let fresh = start.is_none();
             let mut state = start.unwrap_or_else(|| enclosing.clone());
             clamp(&mut state.q, &intervals);
-            let mut problem = Problem {
-                hand: self.hand,
-                object: self.object,
-                bounds: &self.bounds,
-                wish: &self.wishes[t],
-                wanted: &wanted,
-                fades: false,
-                goals: &goals,
-                goal_unit_m: GOAL_UNITS_M.0,
-                beside: &[],
-                intervals: &intervals,
-                joints_move: false,
-            };
+            let mut problem = self.problem(t, &wanted, &goals, &[], &intervals);
             if fresh {
+                (problem.goal_unit_m, problem.joints_move) = (GOAL_UNITS_M.0, false);
                 minimise(&problem, &mut state, STEPS.0);
+                (problem.goal_unit_m, problem.joints_move) = (GOAL_UNITS_M.1, true);
             }
-            problem.goal_unit_m = GOAL_UNITS_M.1;
-            problem.joints_move = true;
             problem.fades = true;
             let view = minimise(&problem, &mut state, STEPS.1);
             let good = self.good(&view) && self.close(t, &state);
@@ -201,19 +213,7 @@ impl Clip<'_> {
         }
         let Some((_, mut state, view)) = best else { return };
         self.release(&view, &mut wanted);
-        let problem = Problem {
-            hand: self.hand,
-            object: self.object,
-            bounds: &self.bounds,
-            wish: &self.wishes[t],
-            wanted: &wanted,
-            fades: false,
-            goals: &goals,
-            goal_unit_m: GOAL_UNITS_M.1,
-            beside: &beside,
-            intervals: &intervals,
-            joints_move: true,
-        };
+        let problem = self.problem(t, &wanted, &goals, &beside, &intervals);
         minimise(&problem, &mut state, STEPS.2);
         self.solved[t] = Some(Planned { state, held: true, wanted, goals });
     }
@@ -225,19 +225,7 @@ impl Clip<'_> {
         }
         let intervals = self.intervals(t);
         let wanted = vec![0.0; self.hand.fingers.len()];
-        let problem = Problem {
-            hand: self.hand,
-            object: self.object,
-            bounds: &self.bounds,
-            wish: &self.wishes[t],
-            wanted: &wanted,
-            fades: false,
-            goals: &[],
-            goal_unit_m: 1.0,
-            beside: &[],
-            intervals: &intervals,
-            joints_move: true,
-        };
+        let problem = self.problem(t, &wanted, &[], &[], &intervals);
         // Where the person's pose does not lead out of a collision, those of the frames beside it may.
         let beside = [Some(t + 1), t.checked_sub(1)].into_iter().flatten().filter_map(|s| self.carried(s, t));
         let mut best: Option<(View, State)> = None;
@@ -269,19 +257,7 @@ impl Clip<'_> {
                 .filter(|&s| self.solved[s].as_ref().is_some_and(|p| p.held))
                 .filter_map(|s| self.carried(s, t))
                 .collect();
-            let mut problem = Problem {
-                hand: self.hand,
-                object: self.object,
-                bounds: &self.bounds,
-                wish: &self.wishes[t],
-                wanted: &planned.wanted,
-                fades: false,
-                goals: &planned.goals,
-                goal_unit_m: GOAL_UNITS_M.1,
-                beside: &beside,
-                intervals: &intervals,
-                joints_move: true,
-            };
+            let mut problem = self.problem(t, &planned.wanted, &planned.goals, &beside, &intervals);
             let view = minimise(&problem, &mut planned.state, STEPS.2);
             if view.upright < UPRIGHT {
                 problem.goal_unit_m = GOAL_UNITS_M.2;
@@ -305,19 +281,7 @@ impl Clip<'_> {
             let held = |s: &usize| self.solved.get(*s).is_some_and(|p| p.as_ref().is_some_and(|p| p.held));
             let beside: Vec<State> = sides.filter(held).filter_map(|s| self.carried(s, t)).collect();
             let solve = |state: &mut State, wanted: &[f64], goals: &[Point3<f64>], steps: usize| {
-                let problem = Problem {
-                    hand: self.hand,
-                    object: self.object,
-                    bounds: &self.bounds,
-                    wish: &self.wishes[t],
-                    wanted,
-                    fades: false,
-                    goals,
-                    goal_unit_m: GOAL_UNITS_M.1,
-                    beside: &beside,
-                    intervals: &intervals,
-                    joints_move: true,
-                };
+                let problem = self.problem(t, wanted, goals, &beside, &intervals);
                 minimise(&problem, state, steps)
             };
             let view = solve(&mut best.state.clone(), &planned.wanted, &planned.goals, 0);

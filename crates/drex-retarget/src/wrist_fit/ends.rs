@@ -1,10 +1,11 @@
 //! Where a search ended, judged by the rules.
 
-use drex_grasp::{Contact, GraspError, SqueezeError, SqueezeProblem, is_force_closed, smallest_forces};
+use drex_grasp::{SqueezeError, is_force_closed};
 
 use super::residuals::{Scene, State, pushed_away};
 use super::{FingerGap, Rejection, Verdict, WristFit};
 use crate::Result;
+use crate::carry::{solved, squeeze_per_weight};
 
 /// A judged end.
 pub(crate) struct End {
@@ -128,27 +129,10 @@ impl Force {
         )?;
         let com = scene.object.center_of_mass;
         let closed = solved(is_force_closed(&contacts, &com, None).map_err(SqueezeError::from))?.unwrap_or(false);
-        let squeeze = squeeze_per_weight(scene, &contacts)?;
+        let squeeze = squeeze_per_weight(&contacts, com, scene.table.up)?;
         contacts.iter_mut().for_each(|c| c.friction *= SLIPPERY);
-        let slippery = squeeze_per_weight(scene, &contacts)?;
+        let slippery = squeeze_per_weight(&contacts, com, scene.table.up)?;
         Ok(Self { closed, squeeze, slippery })
-    }
-}
-
-/// The squeeze for a unit weight; `None` if the contacts cannot carry it.
-fn squeeze_per_weight(scene: &Scene<'_>, contacts: &[Contact]) -> Result<Option<f64>> {
-    let down = -scene.table.up.into_inner();
-    let problem = SqueezeProblem::new(contacts.to_vec(), 1.0, scene.object.center_of_mass, down);
-    Ok(solved(smallest_forces(&problem))?.map(|forces| forces.iter().map(|f| f.x).sum()))
-}
-
-/// `None` for a load that cannot be carried and for a solver that stops half-way (the edge of closure): neither is worth choosing.
-fn solved<T>(answer: Result<T, SqueezeError>) -> Result<Option<T>> {
-    match answer {
-        Ok(value) => Ok(Some(value)),
-        Err(SqueezeError::Input(GraspError::Solver { .. })) => Ok(None),
-        Err(SqueezeError::Input(error)) => Err(error.into()),
-        Err(_) => Ok(None),
     }
 }
 
