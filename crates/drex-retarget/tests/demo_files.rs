@@ -537,3 +537,14 @@ proptest! {
         let _ = parse(name, &bytes, &LoadOptions::default());
     }
 }
+
+#[test]
+fn json_that_is_no_recording_is_told_what_one_is() {
+    for (text, what) in
+        [("", "empty"), ("\n \n", "empty"), ("[]", "no JSON object"), ("7", "no JSON object"), ("{}", "neither")]
+    {
+        let path = Path::new("x.json");
+        let error = Demonstration::parse(path, text.as_bytes(), &LoadOptions::default()).unwrap_err().to_string();
+        assert!(error.contains(what) && error.contains("drex-hand-demo/1"), "{text}: {error}");
+    }
+}

@@ -76,6 +76,11 @@ pub(super) fn read(path: &Path, bytes: &[u8], options: &LoadOptions) -> Result<R
     if serde_json::from_str::<Probe>(first).is_ok_and(|p| p.keypoints.is_some() && p.frames.is_none()) {
         return read_lines(path, &text);
     }
+    let remedy = "write drex-hand-demo/1, or one frame with keypoints per line";
+    if !first.trim_start().starts_with('{') {
+        let what = if first.is_empty() { "the file is empty" } else { "the file is no JSON object" };
+        return Err(Error::content(path, None, what, remedy).into());
+    }
     let probe: Probe = fsutil::from_json(path, &text)?;
     if probe.hand_joints.is_some() {
         read_dexycb(path, &text)
@@ -83,7 +88,7 @@ pub(super) fn read(path: &Path, bytes: &[u8], options: &LoadOptions) -> Result<R
         read_demo(path, &text, options)
     } else {
         let what = "neither \"frames\" nor \"hand_joints\" nor \"keypoints\"";
-        Err(Error::content(path, None, what, "write drex-hand-demo/1, or one frame with keypoints per line").into())
+        Err(Error::content(path, None, what, remedy).into())
     }
 }
 
