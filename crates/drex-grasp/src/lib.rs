@@ -20,6 +20,7 @@
 #![allow(clippy::neg_cmp_op_on_partial_ord)] // `!(x >= 0.0)` refuses NaN, `x < 0.0` does not
 
 mod ball;
+mod carry;
 mod check;
 mod closure;
 mod cone;
@@ -30,6 +31,7 @@ mod hand;
 mod motors;
 mod squeeze;
 
+pub use carry::{holds_any_load, squeeze_per_weight};
 pub use check::{CheckOptions, FingerContacts, StaticCheck, StaticGrasp, TablePlane, static_check, static_check_with};
 pub use closure::{ClosureOptions, ForceClosure, force_closure, is_force_closed};
 pub use contact::{Contact, characteristic_length_m, grasp_map};

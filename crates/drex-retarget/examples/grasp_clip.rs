@@ -56,7 +56,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .map(|(_, f)| f)
         .collect();
     summary(&used);
-    println!("whole clip: fastest joint {:.2} rad/s, {ms:.2} ms CPU per frame", most(&clip.frames, |f| f.joint_speed));
+    println!(
+        "whole clip: fastest joint {:.2} rad/s, {ms:.2} ms CPU per frame",
+        most(&clip.frames, |f| f.joint_speed_rad_s)
+    );
     Ok(())
 }
 
@@ -75,10 +78,10 @@ fn print(i: usize, f: &GraspFrame) {
         u8::from(f.held),
         fingers.join(" "),
         f.penetration_mm,
-        f.joint_distance_rad.0,
-        f.wrist_shift.0,
-        f.wrist_shift.1,
-        f.joint_speed,
+        f.mean_joint_distance_rad,
+        f.wrist_shift_mm,
+        f.wrist_turn_rad,
+        f.joint_speed_rad_s,
         u8::from(f.force_closure),
     );
 }
@@ -101,11 +104,11 @@ fn summary(used: &[&GraspFrame]) {
         "deepest {:.2} mm; self-collision in {:.0} %; joints {:.3} rad from the vector result; wrist moved {:.0} mm (most {:.0}), {:.2} rad; fastest joint {:.2} rad/s; force closure {:.0} %",
         most(used.iter().copied(), |f| f.penetration_mm),
         share(&|f| f.self_collision.is_some()),
-        mean(&|f| f.joint_distance_rad.0),
-        mean(&|f| f.wrist_shift.0),
-        most(used.iter().copied(), |f| f.wrist_shift.0),
-        mean(&|f| f.wrist_shift.1),
-        most(used.iter().copied(), |f| f.joint_speed),
+        mean(&|f| f.mean_joint_distance_rad),
+        mean(&|f| f.wrist_shift_mm),
+        most(used.iter().copied(), |f| f.wrist_shift_mm),
+        mean(&|f| f.wrist_turn_rad),
+        most(used.iter().copied(), |f| f.joint_speed_rad_s),
         share(&|f| f.force_closure),
     );
 }

@@ -66,8 +66,10 @@ pub struct AugmentedGrasp {
     pub source_frame: usize,
     /// Index of the object's symmetry, 0 for none; see [`symmetries`].
     pub symmetry: usize,
-    /// What noise was added: shift of the wrist, mm, and turn, rad.
-    pub noise: (f64, f64),
+    /// By how much the wrist was shifted before it was solved again, mm.
+    pub noise_shift_mm: f64,
+    /// and turned, rad.
+    pub noise_turn_rad: f64,
 }
 
 /// Grasps and what they took.
@@ -125,12 +127,13 @@ pub fn augment(
                 let source = sources[attempt % sources.len()];
                 let symmetry = attempt / sources.len() % out.symmetries.len();
                 vary(&hand, object, &clip.frames[source], out.symmetries[symmetry], options, attempt).map(|found| {
-                    found.map(|(grasp, noise)| AugmentedGrasp {
+                    found.map(|(grasp, (noise_shift_mm, noise_turn_rad))| AugmentedGrasp {
                         hand: name.clone(),
                         grasp,
                         source_frame: source,
                         symmetry,
-                        noise,
+                        noise_shift_mm,
+                        noise_turn_rad,
                     })
                 })
             })

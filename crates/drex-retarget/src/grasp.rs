@@ -21,8 +21,8 @@ use nalgebra::{Unit, Vector3};
 use rayon::prelude::*;
 
 use crate::{
-    Demonstration, Flag, ObjectSurface, Result, RetargetError, RetargetOptions, Retargeting, ScaleReport, TargetHand,
-    Verdict, retarget,
+    Demonstration, Flag, ObjectSurface, Result, RetargetError, RetargetOptions, Retargeting, TargetHand, Verdict,
+    retarget,
 };
 pub(crate) use hand::GraspHand;
 pub use judge::{FingerContact, GraspFrame, SelfCollision};
@@ -95,10 +95,8 @@ impl Default for GraspOptions {
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct GraspRetargeting {
-    /// Joint names in the order of every `q`.
-    pub joint_names: Vec<String>,
-    /// The scale of the person's hand in the plain result.
-    pub scale: ScaleReport,
+    /// The plain vector result that the frames stay close to, with joint names and the scale of the person's hand.
+    pub plain: Retargeting,
     /// One per frame of the demonstration.
     pub frames: Vec<GraspFrame>,
 }
@@ -138,7 +136,7 @@ pub fn retarget_grasp(
             Ok(frame)
         })
         .collect::<Result<Vec<_>>>()?;
-    Ok(GraspRetargeting { joint_names: vector.joint_names, scale: vector.scale, frames })
+    Ok(GraspRetargeting { plain: vector, frames })
 }
 
 fn check(options: &GraspOptions) -> Result<()> {

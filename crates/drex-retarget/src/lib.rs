@@ -33,7 +33,6 @@
 extern crate self as drex_retarget;
 
 mod augment;
-mod carry;
 mod demo;
 mod detect;
 mod error;

@@ -115,7 +115,7 @@ fn holds(frame: &GraspFrame) -> bool {
 /// What holds for every clip, whatever the grasp.
 fn keeps_the_limits(target: &TargetHand, clip: &GraspRetargeting) {
     for (t, frame) in clip.frames.iter().enumerate() {
-        assert!(frame.joint_speed <= 8.5, "frame {t}: {} rad/s", frame.joint_speed);
+        assert!(frame.joint_speed_rad_s <= 8.5, "frame {t}: {} rad/s", frame.joint_speed_rad_s);
         for (q, joint) in frame.q.iter().zip(&target.robot.joints) {
             let (lo, hi) = joint.limits.unwrap();
             assert!((lo..=hi).contains(q), "frame {t}: {} is {q}", joint.name);
@@ -165,7 +165,7 @@ fn without_an_object_at_hand_it_is_the_vector_result() {
     for (a, b) in clip.frames.iter().zip(&plain.frames) {
         assert!(!a.held);
         let most = a.q.iter().zip(&b.q).map(|(x, y)| (x - y).abs()).fold(0.0, f64::max);
-        assert!(a.self_collision.is_some() || a.joint_speed > 8.0 || most < 0.02, "{most} rad away");
+        assert!(a.self_collision.is_some() || a.joint_speed_rad_s > 8.0 || most < 0.02, "{most} rad away");
         assert!(a.penetration_mm == 0.0);
     }
     keeps_the_limits(&target, &clip);
@@ -279,8 +279,8 @@ fn demands(demo: &Path, mesh: &Path, hand: &str, frames: &[std::ops::RangeInclus
     assert!(share(&holds) >= 0.8, "{hand}: held in {:.2}", share(&holds));
     assert!(share(&|f| f.penetration_mm <= 2.0) >= 0.95, "{hand}: penetration");
     assert!(share(&|f| f.self_collision.is_none()) >= 0.9, "{hand}: self-collision");
-    assert!(mean(&|f| f.joint_distance_rad.0) <= 0.35, "{hand}: {} rad", mean(&|f| f.joint_distance_rad.0));
-    assert!(mean(&|f| f.wrist_shift.0) <= 120.0, "{hand}: {} mm", mean(&|f| f.wrist_shift.0));
+    assert!(mean(&|f| f.mean_joint_distance_rad) <= 0.35, "{hand}: {} rad", mean(&|f| f.mean_joint_distance_rad));
+    assert!(mean(&|f| f.wrist_shift_mm) <= 120.0, "{hand}: {} mm", mean(&|f| f.wrist_shift_mm));
     assert!(share(&|f| f.force_closure) >= 0.4, "{hand}: force closure in {:.2}", share(&|f| f.force_closure));
 }
 

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use drex_core::Pose;
 use drex_core::twin::GraspsConfig;
-use drex_grasp::{GraspError, HandSurface, SqueezeError, SqueezeProblem, smallest_forces};
+use drex_grasp::{HandSurface, squeeze_per_weight};
 use drex_retarget::{
     AugmentOptions, Augmentation, Demonstration, GraspFrame, GraspOptions, GraspRetargeting, LoadOptions, Rejection,
-    Retargeting, TargetHand, Verdict, augment, retarget, retarget_grasp,
+    TargetHand, Verdict, augment, retarget_grasp,
 };
 use nalgebra::{Unit, Vector3};
 use rayon::prelude::*;
@@ -40,7 +40,7 @@ pub fn make(twin: &Twin, config: &GraspsConfig, scene: &Scene, ui: &Ui) -> Resul
             frames: clip.grasps.frames.len(),
             held: clip.grasps.frames.iter().filter(|f| f.held).count(),
             accepted: 0,
-            scale: clip.grasps.scale.scale,
+            scale: clip.grasps.plain.scale.scale,
             attempts: clip.more.as_ref().map_or(0, |m| m.attempts),
             augmented: clip.more.as_ref().map_or(0, |m| m.grasps.len()),
             notes: clip.demo.notes.clone(),
@@ -105,7 +105,6 @@ const TILTED_RAD: f64 = 0.5;
 /// One demonstration and what was made of it.
 struct Clip {
     demo: Demonstration,
-    plain: Retargeting,
     grasps: GraspRetargeting,
     more: Option<Augmentation>,
 }
@@ -149,7 +148,6 @@ impl Clip {
         demo.up = demo.up.or_else(|| first.zip(up).map(|(pose, up)| pose.rotation * up));
         let surface = scene.surface();
         let at = || format!("{}", file.display());
-        let plain = retarget(&demo, hand, &options.vector).with_context(at)?;
         let grasps = retarget_grasp(&demo, hand, &surface, options).with_context(at)?;
         // Without a frame that holds there is nothing to vary; its reasons say why.
         let holds = grasps.frames.iter().any(|f| f.is_accepted() && f.force_closure);
@@ -161,7 +159,7 @@ impl Clip {
             }
             None => None,
         };
-        Ok(Self { demo, plain, grasps, more })
+        Ok(Self { demo, grasps, more })
     }
 
     /// A record per held frame, then one per grasp made of them.
@@ -172,7 +170,7 @@ impl Clip {
             symmetry,
         };
         let held = (0..self.grasps.frames.len()).filter(|&i| self.grasps.frames[i].held);
-        let own = held.map(|i| (&self.grasps.frames[i], &self.plain.frames[i].q, source(i, None)));
+        let own = held.map(|i| (&self.grasps.frames[i], &self.grasps.plain.frames[i].q, source(i, None)));
         let made = self
             .more
             .iter()
@@ -244,13 +242,6 @@ impl<'a> Writer<'a> {
             scene.sdf.exact(),
             &scene.check_options().contact,
         )?;
-        let center = scene.asset.properties.center_of_mass;
-        match smallest_forces(&SqueezeProblem::new(contacts, 1.0, center, -scene.table.up.into_inner())) {
-            Ok(forces) => Ok(Some(forces.iter().map(|f| f.x).sum())),
-            // A solver that stops half-way is at the edge of what can be carried.
-            Err(SqueezeError::Input(GraspError::Solver { .. })) => Ok(None),
-            Err(SqueezeError::Input(error)) => Err(error.into()),
-            Err(_) => Ok(None),
-        }
+        Ok(squeeze_per_weight(&contacts, scene.asset.properties.center_of_mass, scene.table.up)?)
     }
 }

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
 
 use drex_core::{Pose, SdfSample, SignedDistance};
-use drex_grasp::{SqueezeError, is_force_closed};
+use drex_grasp::{holds_any_load, squeeze_per_weight};
 use nalgebra::{Point3, Unit, Vector3};
 use serde::Serialize;
 
@@ -12,7 +12,6 @@ use super::GraspOptions;
 use super::hand::GraspHand;
 use super::plan::Planned;
 use super::terms::State;
-use crate::carry::{self, solved};
 use crate::{Flag, HumanFinger, ObjectSurface, Rejection, Result, Verdict};
 
 /// One finger of a frame.
@@ -27,6 +26,8 @@ pub struct FingerContact {
     pub gap_mm: f64,
     /// Distance of the point of the fingertip from the surface, mm.
     pub tip_gap_mm: f64,
+    /// Distance of the point of the fingertip from where the plain vector result has it, mm.
+    pub residual_mm: f64,
     /// Whether the pad is within the contact gap.
     pub touches: bool,
 }
@@ -61,12 +62,16 @@ pub struct GraspFrame {
     pub deepest_link: Option<String>,
     /// The deepest pair of links inside each other.
     pub self_collision: Option<SelfCollision>,
-    /// Mean and largest distance of a joint to the plain vector result, rad.
-    pub joint_distance_rad: (f64, f64),
-    /// How far the wrist is from the person's: mm and rad.
-    pub wrist_shift: (f64, f64),
+    /// Mean distance of a joint to the plain vector result, rad.
+    pub mean_joint_distance_rad: f64,
+    /// The largest, rad.
+    pub largest_joint_distance_rad: f64,
+    /// How far the wrist is from the person's, mm.
+    pub wrist_shift_mm: f64,
+    /// How far it is turned from there, rad.
+    pub wrist_turn_rad: f64,
     /// Fastest joint since the frame before, rad/s.
-    pub joint_speed: f64,
+    pub joint_speed_rad_s: f64,
     /// Whether the contacts are in force closure.
     pub force_closure: bool,
     /// Smallest sum of normal forces that carries the object, in units of its weight; `None` where it cannot be carried or up is not
@@ -99,6 +104,7 @@ pub(crate) fn judged(
     let &Judged { wish, t_s, before, up } = judge;
     let State { object_from_base, q } = &planned.state;
     let posed = hand.posed(q, object_from_base);
+    let wished = hand.posed(&wish.q, &wish.object_from_base);
     let near = Near { search: object.search, exact: object.judge, known: Mutex::default() };
     let robot = &hand.target.robot;
     let fingers: Vec<FingerContact> = hand
@@ -108,12 +114,14 @@ pub(crate) fn judged(
         .zip(&planned.wanted)
         .map(|((pad, finger), wanted)| {
             let gap = object.judge.signed_distance(&pad.nearest_fine(&posed, object.search).1).distance_m;
-            let tip_gap = object.judge.signed_distance(&pad.tip(&posed)).distance_m;
+            let tip = pad.tip(&posed);
+            let tip_gap = object.judge.signed_distance(&tip).distance_m;
             FingerContact {
                 finger: finger.human,
                 wanted: *wanted > 0.0,
                 gap_mm: 1e3 * gap,
                 tip_gap_mm: 1e3 * tip_gap,
+                residual_mm: 1e3 * (tip - pad.tip(&wished)).norm(),
                 touches: gap <= options.contact_gap_m,
             }
         })
@@ -129,17 +137,16 @@ pub(crate) fn judged(
     let apart: Vec<f64> = q.iter().zip(&wish.q).map(|(a, b)| (a - b).abs()).collect();
     let shift = object_from_base.translation.vector - wish.object_from_base.translation.vector;
     let turn = object_from_base.rotation.angle_to(&wish.object_from_base.rotation);
-    let joint_speed = before.map_or(0.0, |(b, dt)| {
+    let joint_speed_rad_s = before.map_or(0.0, |(b, dt)| {
         let most = q.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         if dt > 0.0 { most / dt } else { 0.0 }
     });
-    let (mut force_closure, mut squeeze_per_weight) = (false, None);
+    let (mut force_closure, mut squeeze) = (false, None);
     if planned.held {
         let contacts = hand.fine.contacts(robot, q, object_from_base, &near, &hand.contact)?;
-        force_closure = solved(is_force_closed(&contacts, &object.center_of_mass, None).map_err(SqueezeError::from))?
-            .unwrap_or(false);
+        force_closure = holds_any_load(&contacts, &object.center_of_mass)?;
         if let Some(up) = up {
-            squeeze_per_weight = carry::squeeze_per_weight(&contacts, object.center_of_mass, up)?;
+            squeeze = squeeze_per_weight(&contacts, object.center_of_mass, up)?;
         }
     }
     let mut reasons = Vec::new();
@@ -164,14 +171,14 @@ pub(crate) fn judged(
         }
     }
     let n = apart.len().max(1) as f64;
-    let joint_distance_rad = (apart.iter().sum::<f64>() / n, apart.iter().copied().fold(0.0, f64::max));
+    let mean_joint_distance_rad = apart.iter().sum::<f64>() / n;
     if let Some(c) = &self_collision
         && c.depth_mm > 1e3 * options.max_self_collision_m
     {
         reasons.push(Rejection::SelfCollision { links: c.links.clone(), depth_mm: c.depth_mm });
     }
-    if joint_distance_rad.0 > options.max_joint_distance_rad {
-        reasons.push(Rejection::FarFromPerson { mean_joint_rad: joint_distance_rad.0 });
+    if mean_joint_distance_rad > options.max_joint_distance_rad {
+        reasons.push(Rejection::FarFromPerson { mean_joint_rad: mean_joint_distance_rad });
     }
     if shift.norm() > options.max_wrist_shift_m {
         reasons.push(Rejection::WristMoved { distance_mm: 1e3 * shift.norm() });
@@ -185,11 +192,13 @@ pub(crate) fn judged(
         penetration_mm,
         deepest_link: deepest.map(|l| robot.links[l].name.clone()),
         self_collision,
-        joint_distance_rad,
-        wrist_shift: (1e3 * shift.norm(), turn),
-        joint_speed,
+        mean_joint_distance_rad,
+        largest_joint_distance_rad: apart.iter().copied().fold(0.0, f64::max),
+        wrist_shift_mm: 1e3 * shift.norm(),
+        wrist_turn_rad: turn,
+        joint_speed_rad_s,
         force_closure,
-        squeeze_per_weight,
+        squeeze_per_weight: squeeze,
         flags: Vec::new(),
         verdict: if reasons.is_empty() { Verdict::Accepted } else { Verdict::Rejected(reasons) },
     })

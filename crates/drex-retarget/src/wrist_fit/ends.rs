@@ -1,11 +1,10 @@
 //! Where a search ended, judged by the rules.
 
-use drex_grasp::{SqueezeError, is_force_closed};
+use drex_grasp::{holds_any_load, squeeze_per_weight};
 
 use super::residuals::{Scene, State, pushed_away};
 use super::{FingerGap, Rejection, Verdict, WristFit};
 use crate::Result;
-use crate::carry::{solved, squeeze_per_weight};
 
 /// A judged end.
 pub(crate) struct End {
@@ -128,7 +127,7 @@ impl Force {
             &hand.contact,
         )?;
         let com = scene.object.center_of_mass;
-        let closed = solved(is_force_closed(&contacts, &com, None).map_err(SqueezeError::from))?.unwrap_or(false);
+        let closed = holds_any_load(&contacts, &com)?;
         let squeeze = squeeze_per_weight(&contacts, com, scene.table.up)?;
         contacts.iter_mut().for_each(|c| c.friction *= SLIPPERY);
         let slippery = squeeze_per_weight(&contacts, com, scene.table.up)?;

@@ -99,8 +99,10 @@ pub struct AugmentedRecord<'a> {
     pub frame: usize,
     /// Which of the object's symmetries it was turned by, 0 for none.
     pub symmetry: usize,
-    /// How far the wrist was shifted and turned before it was solved again.
-    pub noise_mm_rad: [f64; 2],
+    /// How far the wrist was shifted
+    pub noise_shift_mm: f64,
+    /// and turned before it was solved again.
+    pub noise_turn_rad: f64,
     pub grasp: GraspRecord<'a>,
 }
 

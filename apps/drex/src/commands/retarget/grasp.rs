@@ -3,9 +3,11 @@
 use std::time::Instant;
 
 use anyhow::Result;
+use drex_core::Surface;
+use drex_mesh::{GridOptions, GridSdf, solid_properties};
 use drex_retarget::{
-    AugmentOptions, Augmentation, Demonstration, GraspFrame, GraspOptions, GraspRetargeting, TargetHand, Verdict,
-    augment, retarget_grasp,
+    AugmentOptions, Augmentation, Demonstration, GraspFrame, GraspOptions, GraspRetargeting, ObjectSurface, TargetHand,
+    Verdict, augment, retarget_grasp,
 };
 use serde_json::json;
 
@@ -27,14 +29,24 @@ pub fn run(
     demo.up = up(args, &demo, ui);
     let mut grasp = GraspOptions::default();
     grasp.vector = options(args);
+    let mut grid = GridOptions::default();
+    // Most of a hand is nearer.
+    grid.margin_m = Some(0.1);
+    let search = GridSdf::with_options(object.solid.clone(), &grid)?;
+    let surface = ObjectSurface {
+        search: &search,
+        judge: &object.solid,
+        bounds: search.bounds(),
+        center_of_mass: solid_properties(&object.mesh)?.properties.center_of_mass,
+    };
     let begin = Instant::now();
-    let result = retarget_grasp(&demo, hand, &object.surface(), &grasp)?;
-    result.scale.note().iter().for_each(|note| ui.note(format!("  note     {note}")));
+    let result = retarget_grasp(&demo, hand, &surface, &grasp)?;
+    result.plain.scale.note().iter().for_each(|note| ui.note(format!("  note     {note}")));
     let ms = 1e3 * begin.elapsed().as_secs_f64() / result.frames.len().max(1) as f64;
-    let more = args.augment.map(|n| more(n.get(), &result, hand, object, &grasp, seed)).transpose()?;
+    let more = args.augment.map(|n| more(n.get(), &result, hand, &surface, &grasp, seed)).transpose()?;
     if let Some(out) = &args.out {
         let grasps = more.as_ref().map_or_else(Vec::new, |m| augmented(&demo, m));
-        file::write(out, args, &demo, hand, Some(object), &result.scale, &records(&demo, &result), &grasps)?;
+        file::write(out, args, &demo, hand, Some(object), &result.plain.scale, &records(&demo, &result), &grasps)?;
     }
     if let Some(path) = &args.picture {
         // The object stays where it is; the hand comes to it.
@@ -63,7 +75,7 @@ pub fn run(
         "hand": hand.robot.name,
         "objective": "grasp",
         "frames": result.frames.len(),
-        "scale": result.scale,
+        "scale": result.plain.scale,
         "held_frames": summary.held,
         "accepted_frames": summary.accepted,
         "contact_share": summary.share(summary.contact),
@@ -99,14 +111,14 @@ fn more(
     count: usize,
     result: &GraspRetargeting,
     hand: &TargetHand,
-    object: &Object,
+    object: &ObjectSurface<'_>,
     grasp: &GraspOptions,
     seed: Option<u64>,
 ) -> Result<Augmentation> {
     let mut options = AugmentOptions::default();
     options.grasp = grasp.clone();
     options.seed = seed.unwrap_or(0);
-    Ok(augment(result, hand, &object.surface(), &options, count)?)
+    Ok(augment(result, hand, object, &options, count)?)
 }
 
 fn augmented<'a>(demo: &Demonstration, more: &'a Augmentation) -> Vec<AugmentedRecord<'a>> {
@@ -115,7 +127,8 @@ fn augmented<'a>(demo: &Demonstration, more: &'a Augmentation) -> Vec<AugmentedR
         .map(|g| AugmentedRecord {
             frame: demo.frames[g.source_frame].index,
             symmetry: g.symmetry,
-            noise_mm_rad: [g.noise.0, g.noise.1],
+            noise_shift_mm: g.noise_shift_mm,
+            noise_turn_rad: g.noise_turn_rad,
             grasp: record(demo.frames[g.source_frame].index, &g.grasp),
         })
         .collect()
@@ -174,9 +187,9 @@ impl Summary {
             penetration_mm: most(&|f| f.penetration_mm),
             self_collision_mm: most(&|f| f.self_collision.as_ref().map_or(0.0, |c| c.depth_mm)),
             joint_distance_rad: (!held.is_empty())
-                .then(|| held.iter().map(|f| f.joint_distance_rad.0).sum::<f64>() / held.len() as f64),
-            wrist_shift_mm: most(&|f| f.wrist_shift.0),
-            joint_speed: most(&|f| f.joint_speed),
+                .then(|| held.iter().map(|f| f.mean_joint_distance_rad).sum::<f64>() / held.len() as f64),
+            wrist_shift_mm: most(&|f| f.wrist_shift_mm),
+            joint_speed: most(&|f| f.joint_speed_rad_s),
         }
     }
 
@@ -197,8 +210,8 @@ fn text(demo: &Demonstration, hand: &TargetHand, result: &GraspRetargeting, s: &
             d.index,
             gaps.join(" "),
             f.penetration_mm,
-            f.joint_distance_rad.0,
-            f.wrist_shift.0,
+            f.mean_joint_distance_rad,
+            f.wrist_shift_mm,
             f.squeeze_per_weight.map_or("cannot carry".into(), |w| format!("{w:.1} weights")),
             reasons(&f.verdict).iter().map(|r| format!("; {r}")).collect::<String>()
         ));

@@ -9,11 +9,11 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use drex_core::Pose;
-use drex_mesh::{GridOptions, GridSdf, MeshSdf, convex_hull, metric_mesh, solid_properties};
+use drex_mesh::{MeshSdf, convex_hull, metric_mesh};
 use drex_retarget::{
-    Demonstration, LoadOptions, RegisterOptions, RetargetOptions, Scale, Side, TargetHand, read_point_frames,
+    Demonstration, LoadOptions, RegisterOptions, RetargetOptions, Side, TargetHand, read_point_frames,
 };
-use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Unit, UnitQuaternion, Vector3};
 
 use crate::cli::{ObjectiveArg, ReadingArgs, RetargetArgs};
 use crate::lock::digest_of;
@@ -37,7 +37,7 @@ pub fn run(args: &RetargetArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     let object = args.object.as_ref().map(|path| Object::load(path, args, ui)).transpose()?;
     if let (Some(folder), Some(object)) = (&args.object_points, &object) {
         let points = read_point_frames(folder)?;
-        demo.register_object(&points, &object.judge, &RegisterOptions::default())?;
+        demo.register_object(&points, &object.solid, &RegisterOptions::default())?;
     }
     demo.notes.iter().for_each(|note| ui.note(format!("  note     {note}")));
     match args.objective {
@@ -101,10 +101,7 @@ fn options(args: &RetargetArgs) -> RetargetOptions {
 /// The object of a demonstration.
 struct Object {
     mesh: drex_core::TriMesh,
-    search: GridSdf,
-    judge: MeshSdf,
-    bounds: (Point3<f64>, Point3<f64>),
-    center_of_mass: Point3<f64>,
+    solid: MeshSdf,
     sha256: String,
 }
 
@@ -116,24 +113,9 @@ impl Object {
         if args.object_hull {
             mesh = convex_hull(&mesh.vertices)?;
         }
-        let judge = MeshSdf::new(&mesh)?;
-        let mut grid = GridOptions::default();
-        // Most of a hand is nearer.
-        grid.margin_m = Some(0.1);
-        let search = GridSdf::with_options(judge.clone(), &grid)?;
-        let bounds = mesh.bounds().context("the object has no surface")?;
-        let center_of_mass = solid_properties(&mesh)?.properties.center_of_mass;
+        let solid = MeshSdf::new(&mesh)?;
         let sha256 = digest_of(&drex_core::fsutil::read_bytes(path)?);
-        Ok(Self { mesh, search, judge, bounds, center_of_mass, sha256 })
-    }
-
-    fn surface(&self) -> drex_retarget::ObjectSurface<'_> {
-        drex_retarget::ObjectSurface {
-            search: &self.search,
-            judge: &self.judge,
-            bounds: self.bounds,
-            center_of_mass: self.center_of_mass,
-        }
+        Ok(Self { mesh, solid, sha256 })
     }
 }
 
@@ -159,7 +141,3 @@ fn upright(up: Option<Unit<Vector3<f64>>>) -> Pose {
     let turn = turn.unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
     Pose::from_parts(nalgebra::Translation3::identity(), turn)
 }
-
-/// `auto` or a factor.
-#[derive(Debug, Clone, Copy)]
-pub struct ScaleArg(pub Scale);
