@@ -7,11 +7,11 @@ mod support;
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use drex_retarget::{Objective, RetargetOptions, Retargeter, TargetHand, retarget};
-use support::{HANDS, synthetic};
+use drex_retarget::{HandSkeleton, Objective, RetargetOptions, Retargeter, Side, TargetHand, retarget};
+use support::HANDS;
 
 fn frames(c: &mut Criterion) {
-    let person = synthetic(300);
+    let person = HandSkeleton::new(Side::Right).moving(300);
     for name in HANDS {
         let hand = TargetHand::bundled(name).unwrap();
         for objective in [Objective::Vector, Objective::DexPilot, Objective::Position] {

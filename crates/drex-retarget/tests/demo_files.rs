@@ -1,7 +1,8 @@
 //! Recordings of hands in every layout that is read.
 #![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)] // a test: a panic is the report, a line that it was skipped
 
-use std::io::Write;
+mod numpy;
+
 use std::path::{Path, PathBuf};
 
 use drex_core::Pose;
@@ -10,6 +11,7 @@ use drex_retarget::{
     operator_frame,
 };
 use nalgebra::{Point3, UnitQuaternion, Vector3};
+use numpy::{npy, npz, raw_npy};
 use proptest::prelude::*;
 
 fn shared() -> Option<PathBuf> {
@@ -44,35 +46,6 @@ fn hand(i: usize) -> KeyPoints {
 fn numbers(frames: &[KeyPoints]) -> Vec<f64> {
     let nan = Point3::new(f64::NAN, 0.0, 0.0);
     frames.iter().flatten().flat_map(|p| p.unwrap_or(nan).coords.iter().copied().collect::<Vec<_>>()).collect()
-}
-
-fn npy(shape: &[usize], values: &[f64]) -> Vec<u8> {
-    let lengths: String = shape.iter().map(|d| format!("{d}, ")).collect();
-    raw_npy("<f8", &format!("({lengths})"), &values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<_>>())
-}
-
-fn raw_npy(descr: &str, shape: &str, data: &[u8]) -> Vec<u8> {
-    let mut header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
-    while !(10 + header.len() + 1).is_multiple_of(64) {
-        header.push(' ');
-    }
-    header.push('\n');
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend((header.len() as u16).to_le_bytes());
-    bytes.extend(header.as_bytes());
-    bytes.extend(data);
-    bytes
-}
-
-fn npz(arrays: &[(&str, Vec<u8>)], deflated: bool) -> Vec<u8> {
-    let mut archive = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
-    let method = if deflated { zip::CompressionMethod::Deflated } else { zip::CompressionMethod::Stored };
-    for (name, bytes) in arrays {
-        let options = zip::write::SimpleFileOptions::default().compression_method(method).large_file(true);
-        archive.start_file(format!("{name}.npy"), options).unwrap();
-        archive.write_all(bytes).unwrap();
-    }
-    archive.finish().unwrap().into_inner()
 }
 
 fn parse(name: &str, bytes: &[u8], options: &LoadOptions) -> drex_retarget::Result<Demonstration> {

@@ -17,12 +17,17 @@ struct Thing {
 }
 
 impl Thing {
+    /// On a coarse grid, which is quick to make.
     fn new(mesh: &TriMesh) -> Self {
-        let exact = MeshSdf::new(mesh).unwrap();
         let mut options = GridOptions::default();
         options.nodes = 40 * 40 * 40;
         options.margin_m = Some(0.05);
-        let grid = GridSdf::with_options(exact.clone(), &options).unwrap();
+        Self::on(mesh, &options)
+    }
+
+    fn on(mesh: &TriMesh, options: &GridOptions) -> Self {
+        let exact = MeshSdf::new(mesh).unwrap();
+        let grid = GridSdf::with_options(exact.clone(), options).unwrap();
         let com = solid_properties(mesh).unwrap().properties.center_of_mass;
         Self { grid, exact, bounds: mesh.bounds().unwrap(), com }
     }
@@ -267,9 +272,12 @@ fn shared() -> Option<PathBuf> {
 }
 
 /// The demands on a recording: share of frames held by pads, penetration, self-collision, closeness to the person, speed, closure.
-fn demands(demo: &Path, mesh: &Path, hand: &str, frames: &[std::ops::RangeInclusive<usize>]) {
+/// `clean` is the share of frames without penetration or self-collision.
+fn demands(demo: &Path, mesh: &Path, hand: &str, frames: &[std::ops::RangeInclusive<usize>], clean: f64) {
     let target = TargetHand::bundled(hand).unwrap();
-    let thing = Thing::new(&convex_hull(&read_mesh(mesh).unwrap().vertices).unwrap());
+    let mut grid = GridOptions::default();
+    grid.margin_m = Some(0.1);
+    let thing = Thing::on(&convex_hull(&read_mesh(mesh).unwrap().vertices).unwrap(), &grid);
     let demo = Demonstration::load(demo, &LoadOptions::default()).unwrap();
     let clip = retarget_grasp(&demo, &target, &thing.surface(), &GraspOptions::default()).unwrap();
     keeps_the_limits(&target, &clip);
@@ -277,11 +285,11 @@ fn demands(demo: &Path, mesh: &Path, hand: &str, frames: &[std::ops::RangeInclus
     let share = |rule: &dyn Fn(&GraspFrame) -> bool| used.iter().filter(|f| rule(f)).count() as f64 / used.len() as f64;
     let mean = |value: &dyn Fn(&GraspFrame) -> f64| used.iter().map(|f| value(f)).sum::<f64>() / used.len() as f64;
     assert!(share(&holds) >= 0.8, "{hand}: held in {:.2}", share(&holds));
-    assert!(share(&|f| f.penetration_mm <= 2.0) >= 0.95, "{hand}: penetration");
-    assert!(share(&|f| f.self_collision.is_none()) >= 0.9, "{hand}: self-collision");
+    assert!(share(&|f| f.penetration_mm <= 2.0) >= clean, "{hand}: penetration");
+    assert!(share(&|f| f.self_collision.is_none()) >= clean, "{hand}: self-collision");
     assert!(mean(&|f| f.mean_joint_distance_rad) <= 0.35, "{hand}: {} rad", mean(&|f| f.mean_joint_distance_rad));
     assert!(mean(&|f| f.wrist_shift_mm) <= 120.0, "{hand}: {} mm", mean(&|f| f.wrist_shift_mm));
-    assert!(share(&|f| f.force_closure) >= 0.4, "{hand}: force closure in {:.2}", share(&|f| f.force_closure));
+    assert!(share(&|f| f.force_closure) >= 0.6, "{hand}: force closure in {:.2}", share(&|f| f.force_closure));
 }
 
 #[test]
@@ -289,15 +297,16 @@ fn a_recorded_box_is_held() {
     let Some(shared) = shared() else { return };
     let folder = shared.join("data/grasps/dexycb_cracker_box");
     for hand in ["leap_right", "allegro_right"] {
-        demands(&folder.join("demo.json"), &folder.join("object.obj"), hand, &[24..=73]);
+        demands(&folder.join("demo.json"), &folder.join("object.obj"), hand, &[24..=73], 1.0);
     }
 }
 
 #[test]
 fn a_recorded_bottle_is_held() {
     let Some(shared) = shared() else { return };
+    // Tracked so badly that each frame is another grasp, in which rounding decides.
     let folder = shared.join("data/demos/dexmv_relocate_mustard");
     for hand in ["leap_right", "allegro_right"] {
-        demands(&folder.join("hand.json"), &folder.join("object_collision.obj"), hand, &[42..=52, 72..=88]);
+        demands(&folder.join("hand.json"), &folder.join("object_collision.obj"), hand, &[42..=52, 72..=88], 0.95);
     }
 }

@@ -1,12 +1,14 @@
 //! The MANO forward model on a small model made by hand, whose answers are known; the real model belongs to its owners.
 #![allow(clippy::unwrap_used, missing_docs)] // a test: a panic is the report
 
+mod numpy;
+
 use std::f64::consts::FRAC_PI_2;
-use std::io::Write;
 use std::path::Path;
 
 use drex_retarget::{Demonstration, KeyPoints, LoadOptions, ManoModel, ManoPose, Side, mirrored};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
+use numpy::{npy, npz};
 
 const VERTICES: usize = 778;
 const TIPS: [usize; 5] = [744, 320, 443, 554, 671];
@@ -24,29 +26,6 @@ fn joint(j: usize) -> Vector3<f64> {
 
 fn tip(finger: usize) -> Vector3<f64> {
     Vector3::new(0.15, 0.01 * finger as f64, 0.0)
-}
-
-fn npy(shape: &[usize], values: &[f64]) -> Vec<u8> {
-    let lengths: String = shape.iter().map(|d| format!("{d}, ")).collect();
-    let mut header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({lengths}), }}");
-    while !(10 + header.len() + 1).is_multiple_of(64) {
-        header.push(' ');
-    }
-    header.push('\n');
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend((header.len() as u16).to_le_bytes());
-    bytes.extend(header.as_bytes());
-    bytes.extend(values.iter().flat_map(|v| v.to_le_bytes()));
-    bytes
-}
-
-fn npz(arrays: &[(&str, Vec<u8>)]) -> Vec<u8> {
-    let mut archive = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
-    for (name, bytes) in arrays {
-        archive.start_file(format!("{name}.npy"), zip::write::SimpleFileOptions::default()).unwrap();
-        archive.write_all(bytes).unwrap();
-    }
-    archive.finish().unwrap().into_inner()
 }
 
 /// Vertex 0..16 are the joints; shape parameter 0 grows everything by itself, 1 moves the index tip by 1 m along z; the entry (0, 0) of
@@ -91,7 +70,7 @@ fn model_bytes(drop: Option<&str>) -> Vec<u8> {
         ("kintree_table", npy(&[2, 16], &tree)),
         ("hands_mean", npy(&[45], &mean)),
     ];
-    npz(&arrays.into_iter().filter(|(n, _)| Some(*n) != drop).collect::<Vec<_>>())
+    npz(&arrays.into_iter().filter(|(n, _)| Some(*n) != drop).collect::<Vec<_>>(), false)
 }
 
 fn model() -> ManoModel {
@@ -177,8 +156,10 @@ fn recordings_of_parameters_become_key_points() {
     let mut poses = vec![0.0; 96];
     poses[48 + 5] = FRAC_PI_2;
     let trans = [0.0, 0.0, 0.5, 0.0, 0.0, 0.6];
-    let bytes =
-        npz(&[("poses", npy(&[2, 48], &poses)), ("betas", npy(&[10], &[0.0; 10])), ("trans", npy(&[2, 3], &trans))]);
+    let bytes = npz(
+        &[("poses", npy(&[2, 48], &poses)), ("betas", npy(&[10], &[0.0; 10])), ("trans", npy(&[2, 3], &trans))],
+        false,
+    );
     let demo = Demonstration::parse(Path::new("m.npz"), &bytes, &options).unwrap();
     assert!((at(&demo.frames[0].points, 8) - (tip(1) + Vector3::z() * 0.5)).norm() < 1e-12);
     let expected = model().key_points(&pose(&[(5, FRAC_PI_2)], &[], Vector3::z() * 0.6), true);
@@ -205,13 +186,16 @@ fn hamer_s_left_parameters_are_those_of_the_mirrored_right_hand() {
     let mut fingers: Vec<f64> = (0..15).flat_map(|_| rows(&UnitQuaternion::identity())).collect();
     fingers[..9].copy_from_slice(&rows(&UnitQuaternion::from_scaled_axis(Vector3::z())));
     let bytes = |right: f64| {
-        npz(&[
-            ("global_orient", npy(&[1, 1, 3, 3], &rows(&turn))),
-            ("hand_pose", npy(&[1, 15, 3, 3], &fingers)),
-            ("betas", npy(&[1, 10], &[0.1; 10])),
-            ("pred_cam_t_full", npy(&[1, 3], &[0.0; 3])),
-            ("right", npy(&[1], &[right])),
-        ])
+        npz(
+            &[
+                ("global_orient", npy(&[1, 1, 3, 3], &rows(&turn))),
+                ("hand_pose", npy(&[1, 15, 3, 3], &fingers)),
+                ("betas", npy(&[1, 10], &[0.1; 10])),
+                ("pred_cam_t_full", npy(&[1, 3], &[0.0; 3])),
+                ("right", npy(&[1], &[right])),
+            ],
+            false,
+        )
     };
     let read = |right| Demonstration::parse(Path::new("h.npz"), &bytes(right), &options).unwrap();
     let (right, left) = (read(1.0), read(0.0));
@@ -226,7 +210,7 @@ fn a_model_that_is_none_is_refused() {
     let parse = |bytes: &[u8]| ManoModel::parse_npz(Path::new("m.npz"), bytes).unwrap_err().to_string();
     assert!(parse(&model_bytes(Some("weights"))).contains("weights"));
     assert!(parse(b"no zip").contains("zip"));
-    assert!(parse(&npz(&[("v_template", npy(&[3, 3], &[0.0; 9]))])).contains("3 vertices"));
+    assert!(parse(&npz(&[("v_template", npy(&[3, 3], &[0.0; 9]))], false)).contains("3 vertices"));
     let said = ManoPose::from_axis_angles(&[0.0; 33], &[], Vector3::zeros()).unwrap_err().to_string();
     assert!(said.contains("33") && said.contains("principal components"), "{said}");
     assert!(ManoPose::from_axis_angles(&[f64::NAN; 48], &[], Vector3::zeros()).is_err());

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::Objective;
-use crate::{RetargetOptions, Retargeter, Scale, TargetHand, retarget::support::synthetic};
+use crate::{HandSkeleton, RetargetOptions, Retargeter, Scale, Side, TargetHand};
 
 /// Joints away from their limits, the base away from its place.
 fn states(retargeter: &Retargeter) -> Vec<State> {
@@ -31,7 +31,7 @@ fn value(problem: &mut FrameProblem, at: &State, (i, a): (usize, f64), (j, b): (
 
 #[test]
 fn gradients_and_hessians_are_those_of_the_values() {
-    let person = synthetic(40);
+    let person = HandSkeleton::new(Side::Right).moving(40);
     for name in ["leap_right", "allegro_left"] {
         for objective in [Objective::Vector, Objective::DexPilot, Objective::Position] {
             let hand = TargetHand::bundled(name).unwrap();

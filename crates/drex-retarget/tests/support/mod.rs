@@ -98,36 +98,3 @@ pub fn mean(values: impl IntoIterator<Item = f64>) -> f64 {
     let (sum, n) = values.into_iter().fold((0.0, 0), |(s, n), v| (s + v, n + 1));
     sum / f64::from(n.max(1))
 }
-
-/// A made right hand (operator frame: palm along x, thumb along y, tips along z) that opens, closes and pinches.
-pub fn synthetic(frames: usize) -> Demonstration {
-    let frames = (0..frames).map(|i| {
-        let t = i as f64 / 30.0;
-        HandFrame::new(t, synthetic_points(0.6 - 0.6 * (1.7 * t).cos(), 0.3 * (0.9 * t).sin()))
-    });
-    Demonstration::new("synthetic", Side::Right, frames.collect())
-}
-
-fn synthetic_points(bend: f64, spread: f64) -> [Option<Point3<f64>>; KEYPOINTS] {
-    let mut points = [Some(Point3::origin()); KEYPOINTS];
-    // Knuckle, lengths of the bones, direction aside, how much of the bend.
-    let fingers = [
-        ([0.01, 0.03, 0.03], [0.04, 0.032, 0.026], 0.7, 0.6),
-        ([0.0, 0.024, 0.09], [0.04, 0.025, 0.02], 0.1 + spread, 1.0),
-        ([0.0, 0.0, 0.092], [0.045, 0.028, 0.021], 0.0, 0.9),
-        ([0.003, -0.021, 0.086], [0.041, 0.027, 0.02], -0.1 - 0.5 * spread, 1.1),
-        ([0.006, -0.04, 0.078], [0.032, 0.02, 0.018], -0.2 - spread, 1.0),
-    ];
-    for (f, (knuckle, bones, aside, part)) in fingers.into_iter().enumerate() {
-        let mut at = Point3::from(knuckle);
-        points[4 * f + 1] = Some(at);
-        let mut angle = 0.0_f64;
-        for (k, length) in bones.into_iter().enumerate() {
-            angle += bend * part;
-            let forward = length * angle.cos();
-            at += nalgebra::Vector3::new(length * angle.sin(), forward * f64::sin(aside), forward * f64::cos(aside));
-            points[4 * f + 2 + k] = Some(at);
-        }
-    }
-    points
-}
