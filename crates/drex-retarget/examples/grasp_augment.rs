@@ -5,13 +5,13 @@
 //! ```
 #![allow(clippy::print_stdout)] // a program for the terminal
 
+mod object;
+
 use std::path::Path;
 use std::time::Instant;
 
-use drex_mesh::{GridOptions, GridSdf, MeshSdf, RepairOptions, convex_hull, read_mesh, repair, solid_properties};
-use drex_retarget::{
-    AugmentOptions, Demonstration, GraspOptions, LoadOptions, ObjectSurface, TargetHand, augment, retarget_grasp,
-};
+use drex_retarget::{AugmentOptions, Demonstration, GraspOptions, LoadOptions, TargetHand, augment, retarget_grasp};
+use object::Object;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
@@ -19,23 +19,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let demo = Demonstration::load(demo?, &LoadOptions::default())?;
     let target = TargetHand::bundled(args.get(2).map_or("leap_right", String::as_str))?;
     let count: usize = args.get(3).map_or(Ok(1000), |c| c.parse())?;
-    let mesh = read_mesh(mesh?)?;
-    let mesh = if args.iter().any(|a| a == "--hull") {
-        convex_hull(&mesh.vertices)?
-    } else {
-        repair(&mesh, &RepairOptions::default())?.0
-    };
-    let judge = MeshSdf::new(&mesh)?;
-    let mut grid = GridOptions::default();
-    grid.margin_m = Some(0.1);
-    let search = GridSdf::with_options(judge.clone(), &grid)?;
-    let bounds = mesh.bounds().ok_or("the mesh is empty")?;
-    let center_of_mass = solid_properties(&mesh)?.properties.center_of_mass;
-    let object = ObjectSurface { search: &search, judge: &judge, bounds, center_of_mass };
-    let clip = retarget_grasp(&demo, &target, &object, &GraspOptions::default())?;
+    let object = Object::load(mesh?, args.iter().any(|a| a == "--hull"))?;
+    let clip = retarget_grasp(&demo, &target, &object.surface(), &GraspOptions::default())?;
     let sources = clip.frames.iter().filter(|f| f.is_accepted() && f.force_closure).count();
     let clock = Instant::now();
-    let many = augment(&clip, &target, &object, &AugmentOptions::default(), count)?;
+    let many = augment(&clip, &target, &object.surface(), &AugmentOptions::default(), count)?;
     let seconds = clock.elapsed().as_secs_f64();
     println!(
         "{} grasps from {sources} frames and {} symmetries: {} attempts, {:.0} % kept the rules, {seconds:.1} s, {:.0} per second",

@@ -6,13 +6,14 @@
 //! With `--hull` distances are to the convex hull of the mesh. The summary is over the frames that are named, or all.
 #![allow(clippy::print_stdout)] // a program for the terminal
 
+mod object;
+
 use std::path::Path;
 
-use drex_mesh::{GridOptions, GridSdf, MeshSdf, RepairOptions, convex_hull, read_mesh, repair, solid_properties};
 use drex_retarget::{
-    Demonstration, FingerContact, GraspFrame, GraspOptions, LoadOptions, ObjectSurface, TargetHand, Verdict,
-    retarget_grasp,
+    Demonstration, FingerContact, GraspFrame, GraspOptions, LoadOptions, TargetHand, Verdict, retarget_grasp,
 };
+use object::Object;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     // Everything on this thread, so that its processor time is all there is.
@@ -21,22 +22,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [demo, mesh] = [0, 1].map(|i| args.get(i).map(Path::new).ok_or("give DEMO and MESH"));
     let demo = Demonstration::load(demo?, &LoadOptions::default())?;
     let target = TargetHand::bundled(args.get(2).map_or("leap_right", String::as_str))?;
-    let mesh = read_mesh(mesh?)?;
-    let mesh = if args.iter().any(|a| a == "--hull") {
-        convex_hull(&mesh.vertices)?
-    } else {
-        repair(&mesh, &RepairOptions::default())?.0
-    };
-    let judge = MeshSdf::new(&mesh)?;
-    let mut grid = GridOptions::default();
-    grid.margin_m = Some(0.1);
-    let search = GridSdf::with_options(judge.clone(), &grid)?;
-    let bounds = mesh.bounds().ok_or("the mesh is empty")?;
-    let center_of_mass = solid_properties(&mesh)?.properties.center_of_mass;
-    let object = ObjectSurface { search: &search, judge: &judge, bounds, center_of_mass };
+    let object = Object::load(mesh?, args.iter().any(|a| a == "--hull"))?;
 
     let before = cpu_ms();
-    let clip = retarget_grasp(&demo, &target, &object, &GraspOptions::default())?;
+    let clip = retarget_grasp(&demo, &target, &object.surface(), &GraspOptions::default())?;
     let ms = (cpu_ms() - before) / clip.frames.len() as f64;
 
     let mut ranges = Vec::new();

@@ -2,7 +2,7 @@
 #![allow(dead_code, clippy::unwrap_used, clippy::missing_panics_doc, missing_docs, unreachable_pub)] // shared by several test files
 
 use drex_core::pose::pose_from_wxyz;
-use drex_splat::{Gaussians, Kind, Label, PinholeCamera};
+use drex_splat::{GaussianGradients, Gaussians, Kind, Label, PinholeCamera};
 use rand::{RngExt, SeedableRng};
 
 /// `n` ellipsoids of many sizes, most of them in front of [`camera`].
@@ -36,4 +36,19 @@ pub fn camera(width: usize, height: usize) -> PinholeCamera {
         width,
         height,
     }
+}
+
+/// Whether every number of the gradients is one.
+pub fn is_finite(g: &GaussianGradients) -> bool {
+    let parts = [
+        g.means.as_flattened(),
+        g.rotations.as_flattened(),
+        g.log_scales.as_flattened(),
+        &g.logit_opacities,
+        &g.sh,
+        g.mean2d.as_flattened(),
+        g.abs_mean2d.as_flattened(),
+        &g.radius,
+    ];
+    parts.iter().all(|part| part.iter().all(|v| v.is_finite())) && g.twist.iter().all(|v| v.is_finite())
 }

@@ -1,0 +1,39 @@
+//! The object of the grasp examples.
+
+use std::path::Path;
+
+use drex_mesh::{GridOptions, GridSdf, LengthUnit, MeshSdf, convex_hull, metric_mesh, solid_properties};
+use drex_retarget::ObjectSurface;
+use nalgebra::Point3;
+
+pub struct Object {
+    search: GridSdf,
+    judge: MeshSdf,
+    bounds: (Point3<f64>, Point3<f64>),
+    center_of_mass: Point3<f64>,
+}
+
+impl Object {
+    /// A mesh file, or its convex hull.
+    pub fn load(path: &Path, hull: bool) -> Result<Self, Box<dyn std::error::Error>> {
+        let (mut mesh, _) = metric_mesh(path, LengthUnit::Auto)?;
+        if hull {
+            mesh = convex_hull(&mesh.vertices)?;
+        }
+        let judge = MeshSdf::new(&mesh)?;
+        let mut grid = GridOptions::default();
+        grid.margin_m = Some(0.1);
+        let search = GridSdf::with_options(judge.clone(), &grid)?;
+        let bounds = mesh.bounds().ok_or("the mesh is empty")?;
+        Ok(Self { search, judge, bounds, center_of_mass: solid_properties(&mesh)?.properties.center_of_mass })
+    }
+
+    pub fn surface(&self) -> ObjectSurface<'_> {
+        ObjectSurface {
+            search: &self.search,
+            judge: &self.judge,
+            bounds: self.bounds,
+            center_of_mass: self.center_of_mass,
+        }
+    }
+}
