@@ -1,0 +1,246 @@
+//! Lift, hold, shake: the protocol by which a grasp is judged in a simulator.
+//!
+//! The object rests on the table. The open hand comes near, closes until the fingers touch, squeezes as commanded, lifts by
+//! 20 cm in 2 s, holds for 3 s and is shaken six times. [`Trial::run`] says whether the object stayed in the hand and, if not,
+//! what went wrong first.
+//!
+//! What the hand is told ([`Belief`]) and what is true ([`Truth`]) are kept apart: a command is made from the belief
+//! alone.
+
+use std::sync::Arc;
+
+use drex_core::{MassProperties, Pose, SignedDistance};
+use drex_diffsim::Collider;
+use drex_robot::Robot;
+use serde::{Deserialize, Serialize};
+
+use crate::Result;
+
+/// The engine that a trial runs in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Judge {
+    /// drex-diffsim: the engine that rollouts of the training use.
+    Diffsim,
+    /// MuJoCo, never used in training; only in builds with the feature `mujoco`.
+    Mujoco,
+}
+
+/// The object of a trial.
+#[derive(Clone)]
+pub struct TrialObject {
+    /// Convex pieces, mesh frame.
+    pub collider: Arc<Collider>,
+    /// Centre of mass and inertia, mesh frame; the mass is that of [`Truth`].
+    pub properties: MassProperties,
+    /// What the hand knows of its shape: signed distance, mesh frame.
+    pub surface: Arc<dyn SignedDistance + Send + Sync>,
+    /// Pose in which it rests on the table; the table is the plane z = 0 of the world.
+    pub world_from_object: Pose,
+    /// Largest normal force that one finger may put on it before it is damaged, N.
+    pub max_finger_n: Option<f64>,
+}
+
+/// What the hand is told before it grasps.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Belief {
+    /// Mass, kg.
+    pub mass_kg: f64,
+    /// Friction between hand and object.
+    pub friction: f64,
+}
+
+/// What is true in a trial.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Truth {
+    /// Mass, kg.
+    pub mass_kg: f64,
+    /// Friction between hand and object, and of the object on the table.
+    pub friction: f64,
+    /// Where the object is against where the hand believes it: the true resting pose is
+    /// `shift * TrialObject::world_from_object` with a shift in the plane and a turn about the vertical through the object.
+    pub shift_m: [f64; 2],
+    /// Turn about the vertical, rad.
+    pub turn_rad: f64,
+    /// Seed of the directions in which the hand is shaken.
+    pub seed: u64,
+}
+
+/// How much the hand squeezes: sum of normal forces over all contacts, N.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Squeeze {
+    /// What the cone programme says for the belief, times the margin of the options.
+    Needed,
+    /// This many newtons.
+    Total(f64),
+}
+
+/// What is sent to the hand.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Command {
+    /// Joint angles of the grasp, model order, rad.
+    pub joints: Vec<f64>,
+    /// Where the palm goes, given where the object is believed to be.
+    pub world_from_palm: Pose,
+    /// Joint torques of the squeeze, without those that hold the hand's own weight, N m.
+    pub torques_nm: Vec<f64>,
+    /// Sum of the normal forces, N.
+    pub squeeze_n: f64,
+    /// Sum of the normal forces per finger, N; the palm is not among them.
+    pub per_finger_n: Vec<f64>,
+}
+
+/// Why there is no command.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum NoCommand {
+    /// The grasp does not touch the believed object with two fingers.
+    #[error("{touching} fingers touch the object; a grasp needs two")]
+    NoContact {
+        /// Fingers that touch.
+        touching: usize,
+    },
+    /// The contacts cannot carry the believed weight.
+    #[error("the contacts cannot carry the object: {0}")]
+    CannotCarry(String),
+    /// The motors cannot give the torques.
+    #[error("the motors are too weak: {0}")]
+    TorqueLimit(String),
+    /// The object would be damaged.
+    #[error("the squeeze would damage the object: {0}")]
+    Crushes(String),
+}
+
+/// How a trial ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Verdict {
+    /// The object stayed in the hand through lift, hold and shakes.
+    Success,
+    /// Fewer than two fingers touched it when the lift began.
+    NoContact,
+    /// The hand hit the table.
+    Table,
+    /// It moved in the hand by more than allowed.
+    Slip,
+    /// It left the hand.
+    Drop,
+    /// A finger pressed harder than it stands.
+    Crushed,
+    /// Hand and object were inside each other by more than allowed.
+    Penetration,
+    /// The motors were asked for more than they have: no command was possible.
+    TorqueLimit,
+    /// The contacts cannot carry the load on paper: no command was possible.
+    CannotCarry,
+    /// The simulation did not come to an end.
+    Diverged,
+}
+
+/// What was measured in a trial.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Outcome {
+    /// How it ended.
+    pub verdict: Verdict,
+    /// When the first rule was broken, s; `None` for a success.
+    pub failed_at_s: Option<f64>,
+    /// Squeeze that was commanded, N.
+    pub squeeze_n: f64,
+    /// Largest normal force of one finger, N.
+    pub peak_finger_n: f64,
+    /// Longest way of the object in the palm's frame after the lift began, m.
+    pub slip_m: f64,
+    /// Largest turn of it in the palm's frame after the lift began, rad.
+    pub turn_rad: f64,
+    /// Deepest penetration of hand and object, m.
+    pub penetration_m: f64,
+    /// Fingers that touched at the end of the squeeze.
+    pub fingers_in_contact: Vec<bool>,
+    /// Share of the time from the start of the lift in which at least two fingers held it.
+    pub retained: f64,
+    /// Share of the friction cone that was used in the hold, weighed by normal force; 1 slips.
+    pub friction_used: Option<f64>,
+}
+
+impl Outcome {
+    /// Whether the object stayed in the hand.
+    pub fn succeeded(&self) -> bool {
+        self.verdict == Verdict::Success
+    }
+}
+
+/// The rules and times of the protocol.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct TrialOptions {
+    /// Largest torque of each joint, N m: what LEAP's motors give at 550 mA.
+    pub torque_cap_nm: f64,
+    /// Factor on the smallest squeeze.
+    pub margin: f64,
+    /// Share by which the true friction may be below the one told.
+    pub friction_uncertainty: f64,
+    /// Acceleration of the shakes, m/s².
+    pub shake_m_s2: f64,
+    /// Time step of both engines, s.
+    pub dt_s: f64,
+}
+
+impl Default for TrialOptions {
+    fn default() -> Self {
+        Self { torque_cap_nm: 0.29, margin: 1.1, friction_uncertainty: 0.1, shake_m_s2: 0.5 * 9.81, dt_s: 2e-3 }
+    }
+}
+
+/// A hand and an object, ready for trials.
+pub struct Trial {
+    hand: Arc<Robot>,
+    object: TrialObject,
+    options: TrialOptions,
+}
+
+impl Trial {
+    /// Prepares trials of `hand` with `object`.
+    ///
+    /// # Errors
+    /// If the hand has no collision shapes or an option is out of range.
+    pub fn new(hand: Arc<Robot>, object: TrialObject, options: TrialOptions) -> Result<Self> {
+        Ok(Self { hand, object, options })
+    }
+
+    /// The command for a grasp, given what the hand is told. The inner result says why there is none.
+    ///
+    /// # Errors
+    /// If the joint vector does not fit the hand or a solver gives up.
+    pub fn command(
+        &self,
+        joints: &[f64],
+        object_from_palm: &Pose,
+        belief: &Belief,
+        squeeze: Squeeze,
+    ) -> Result<Result<Command, NoCommand>> {
+        let _ = (joints, object_from_palm, belief, squeeze, &self.hand, &self.object, &self.options);
+        Ok(Err(NoCommand::NoContact { touching: 0 }))
+    }
+
+    /// Carries a command out under what is true.
+    ///
+    /// # Errors
+    /// If the model cannot be simulated; [`Error::NoBackend`](crate::Error::NoBackend) for a judge that this build lacks. A grasp that fails is no error.
+    pub fn run(&self, command: &Command, truth: &Truth, judge: Judge) -> Result<Outcome> {
+        let _ = (truth, judge);
+        Ok(Outcome {
+            verdict: Verdict::NoContact,
+            failed_at_s: None,
+            squeeze_n: command.squeeze_n,
+            peak_finger_n: 0.0,
+            slip_m: 0.0,
+            turn_rad: 0.0,
+            penetration_m: 0.0,
+            fingers_in_contact: Vec::new(),
+            retained: 0.0,
+            friction_used: None,
+        })
+    }
+}
