@@ -1,7 +1,6 @@
 //! From contacts and a mass to the force to command.
 
-use crate::distribute::largest;
-use crate::loads::required_forces;
+use crate::loads::{Required, required};
 use crate::{Distribution, GraspError, SqueezeError, SqueezeProblem, distribute, shake_loads};
 
 /// The force at which the paper's normalised number is one, N.
@@ -40,7 +39,7 @@ pub struct ForceCommand {
     pub required_n: f64,
     /// Which of [`shake_loads`] asks for it.
     pub binding_load: usize,
-    /// The largest sum within torque and damage limits when the object rests, N; infinite without limits.
+    /// The largest sum with which every load can be carried within torque and damage limits, N; infinite without limits.
     pub largest_n: f64,
     /// The margin there is: `total_n` over `required_n`. Less than [`ForceLaw::margin`] where the limits leave less, more
     /// where the floor asks for more.
@@ -52,6 +51,36 @@ pub struct ForceCommand {
 }
 
 impl ForceLaw {
+    /// The same with the factor `margin`.
+    pub fn with_margin(mut self, margin: f64) -> Self {
+        self.margin = margin;
+        self
+    }
+
+    /// The same with friction known to within the fraction `friction_uncertainty`.
+    pub fn with_friction_uncertainty(mut self, friction_uncertainty: f64) -> Self {
+        self.friction_uncertainty = friction_uncertainty;
+        self
+    }
+
+    /// The same for shakes of `shake_m_s2`, m/s².
+    pub fn with_shake_m_s2(mut self, shake_m_s2: f64) -> Self {
+        self.shake_m_s2 = shake_m_s2;
+        self
+    }
+
+    /// The same with at least `floor_n` newtons in all.
+    pub fn with_floor_n(mut self, floor_n: f64) -> Self {
+        self.floor_n = floor_n;
+        self
+    }
+
+    /// The same with at most `max_contact_n` newtons at each contact.
+    pub fn with_max_contact_n(mut self, max_contact_n: f64) -> Self {
+        self.max_contact_n = Some(max_contact_n);
+        self
+    }
+
     /// The force for the problem's contacts, mass and gravity: the smallest squeeze that survives rest and shakes at the lowest
     /// friction believed in, times the margin, at least the floor, at most what the limits allow; shared by [`distribute`]
     /// for the object at rest. The problem's `gamma` scales the mass in all loads, its `extra_wrench` acts in all of them.
@@ -68,9 +97,7 @@ impl ForceLaw {
         }
         let mut loads = shake_loads(problem.mass_kg * problem.gamma, self.shake_m_s2, &problem.gravity);
         loads.iter_mut().for_each(|l| *l += problem.extra_wrench);
-        let (binding_load, forces) = required_forces(&problem, &loads)?;
-        let required_n: f64 = forces.iter().map(|f| f.x).sum();
-        let largest_n = largest(&problem)?;
+        let Required { binding: binding_load, total_n: required_n, largest_n, .. } = required(&problem, &loads)?;
         let wanted = (self.margin * required_n).max(self.floor_n);
         // A hair inside the edge, where the programme still has room to solve.
         let total_n = if wanted > largest_n { required_n.max(largest_n * (1.0 - 1e-4)) } else { wanted };

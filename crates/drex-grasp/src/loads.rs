@@ -47,7 +47,7 @@ pub fn shake_loads(mass_kg: f64, acceleration_m_s2: f64, gravity: &Vector3<f64>)
 /// within the limits is below what another needs; [`SqueezeError::Input`] for an empty list and as
 /// [`crate::smallest_squeeze`].
 pub fn required_squeeze(problem: &SqueezeProblem, loads: &[Vector6<f64>]) -> Result<Squeeze, SqueezeError> {
-    let (binding, forces) = required_forces(problem, loads)?;
+    let Required { binding, forces, .. } = required(problem, loads)?;
     let under = problem.under(&loads[binding]);
     let mut squeeze = describe(&under, &forces);
     squeeze.friction_margin = friction_margin(&under)?;
@@ -55,44 +55,47 @@ pub fn required_squeeze(problem: &SqueezeProblem, loads: &[Vector6<f64>]) -> Res
     Ok(squeeze)
 }
 
-/// The binding load and the forces in contact axes under it.
-pub(crate) fn required_forces(
-    problem: &SqueezeProblem,
-    loads: &[Vector6<f64>],
-) -> Result<(usize, Vec<Vector3<f64>>), SqueezeError> {
+/// What [`required_squeeze`] finds before it is described.
+pub(crate) struct Required {
+    pub(crate) binding: usize,
+    /// In contact axes, under the binding load.
+    pub(crate) forces: Vec<Vector3<f64>>,
+    pub(crate) total_n: f64,
+    /// The largest sum with which every load can be carried; infinite without limits.
+    pub(crate) largest_n: f64,
+}
+
+pub(crate) fn required(problem: &SqueezeProblem, loads: &[Vector6<f64>]) -> Result<Required, SqueezeError> {
     check(problem)?;
     if loads.is_empty() || loads.iter().any(|l| l.iter().any(|v| !v.is_finite())) {
         let remedy = "give at least one wrench of finite numbers, such as those of shake_loads";
         return Err(GraspError::value(format!("{} loads, or one that is not finite", loads.len()), remedy).into());
     }
     let total = |f: &[Vector3<f64>]| f.iter().map(|f| f.x).sum::<f64>();
-    let mut binding: Option<(usize, Vec<Vector3<f64>>)> = None;
+    let mut most = Required { binding: 0, forces: Vec::new(), total_n: f64::NEG_INFINITY, largest_n: f64::INFINITY };
     for (index, load) in loads.iter().enumerate() {
         let forces = match balance(problem, load, 1.0, Limits::ALL, Goal::Smallest)? {
             Outcome::Forces { forces, .. } => forces,
             // Once more, to find the limit in the way.
-            _ => match smallest_forces(&problem.under(load)) {
-                Ok(forces) => forces,
-                Err(reason) => return Err(at_load(index, load, reason)),
-            },
+            _ => smallest_forces(&problem.under(load)).map_err(|reason| at_load(index, load, reason))?,
         };
-        if binding.as_ref().is_none_or(|(_, most)| total(&forces) > total(most)) {
-            binding = Some((index, forces));
+        if total(&forces) > most.total_n {
+            (most.total_n, most.binding, most.forces) = (total(&forces), index, forces);
         }
     }
-    // The list is not empty, so there is one.
-    let (binding, forces) = binding.unwrap_or_default();
     if problem.torques.is_some() || problem.max_normal_n.is_some() {
-        let total_n = total(&forces);
-        for (index, load) in loads.iter().enumerate().filter(|&(i, _)| i != binding) {
-            let largest_n = largest(&problem.under(load))?;
-            if total_n > largest_n * (1.0 + 1e-6) {
-                let smallest_n = total(&smallest_forces(&problem.under(load))?);
-                return Err(at_load(index, load, SqueezeError::Total { total_n, smallest_n, largest_n }));
+        for (index, load) in loads.iter().enumerate() {
+            let under = problem.under(load);
+            let largest_n = largest(&under).map_err(|reason| at_load(index, load, reason))?;
+            if index != most.binding && most.total_n > largest_n * (1.0 + 1e-6) {
+                let smallest_n = total(&smallest_forces(&under)?);
+                let reason = SqueezeError::Total { total_n: most.total_n, smallest_n, largest_n };
+                return Err(at_load(index, load, reason));
             }
+            most.largest_n = most.largest_n.min(largest_n);
         }
     }
-    Ok((binding, forces))
+    Ok(most)
 }
 
 fn at_load(load: usize, wrench: &Vector6<f64>, reason: SqueezeError) -> SqueezeError {
