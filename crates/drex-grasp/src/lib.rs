@@ -37,7 +37,7 @@ mod squeeze;
 
 pub use carry::{holds_any_load, squeeze_per_weight};
 pub use check::{CheckOptions, FingerContacts, StaticCheck, StaticGrasp, TablePlane, static_check, static_check_with};
-pub use closure::{ClosureOptions, ForceClosure, force_closure, is_force_closed};
+pub use closure::{ClosureOptions, ForceClosure, force_closure, is_force_closed, min_weight};
 pub use contact::{Contact, characteristic_length_m, grasp_map};
 pub use distribute::{Distribution, distribute, largest_squeeze};
 pub use error::{GraspError, Result};
