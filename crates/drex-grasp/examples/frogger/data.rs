@@ -20,10 +20,7 @@ const HAND_JOINTS: usize = 16;
 
 /// One object with its labelled grasps.
 pub struct Object {
-    pub name: String,
     pub sdf: MeshSdf,
-    /// Centroid of the mesh's volume, object frame.
-    pub centroid: Point3<f64>,
     /// Mass of their simulation, kg.
     pub mass_kg: f64,
     pub world_from_object: Isometry3<f64>,
@@ -92,11 +89,9 @@ pub fn load(folder: &Path) -> Outcome<(Kinematics, Vec<Object>)> {
         let Some(mesh) = candidates.iter().find(|f| f.is_file()) else { continue };
         let mesh = TriMesh::read(mesh)?;
         let object = Object {
-            centroid: mesh.mass_properties(1000.0)?.center_of_mass,
             sdf: MeshSdf::new(&mesh)?,
             mass_kg: value["sim_mass_kg"].as_f64().ok_or("no mass")?,
             world_from_object: transform(&value["X_WO"])?,
-            name: name.clone(),
             grasps,
         };
         objects.insert(name, object);

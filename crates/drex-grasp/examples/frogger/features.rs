@@ -17,14 +17,36 @@ pub const TANGENT: [f64; 3] = [1.2, 2.3, 3.4];
 const FACET_M: f64 = 0.001;
 const TORQUE_LIMIT_NM: f64 = 0.7;
 
+/// The first so many of [`NAMES`] are min-weights.
+pub const MIN_WEIGHTS: usize = 6;
+
 /// Names of [`features`].
 pub const NAMES: &[&str] = &[
-    "min-weight", "min-weight, normals over 5 mm", "min-weight, normals over 10 mm", "min-weight, sphere contacts",
-    "min-weight, fingertips off by 2 mm: mean", "the same: worst of 12", "epsilon", "squeeze per weight", "friction margin",
-    "squeeze for shakes per weight", "slack at the controller's squeeze", "largest squeeze", "worst gap", "mean gap",
-    "normals: worst change over 5 mm", "pad against sphere normal: worst", "controller: force left over",
-    "controller: torque left over", "controller: worst tangential share", "controller: the same at the sphere contacts",
-    "contacts over the centre", "contacts beside the centre", "mass", "palm facing down", "reach of the weakest finger",
+    "min-weight",
+    "min-weight, normals over 5 mm",
+    "min-weight, normals over 10 mm",
+    "min-weight, sphere contacts",
+    "min-weight, fingertips off by 2 mm: mean",
+    "the same: worst of 12",
+    "epsilon",
+    "squeeze per weight",
+    "friction margin",
+    "squeeze for shakes per weight",
+    "slack at the controller's squeeze",
+    "largest squeeze",
+    "worst gap",
+    "mean gap",
+    "normals: worst change over 5 mm",
+    "pad against sphere normal: worst",
+    "controller: force left over",
+    "controller: torque left over",
+    "controller: worst tangential share",
+    "controller: the same at the sphere contacts",
+    "contacts over the centre",
+    "contacts beside the centre",
+    "mass",
+    "palm facing down",
+    "reach of the weakest finger",
     "angular acceleration left over",
 ];
 
@@ -101,7 +123,7 @@ pub fn features(object: &Object, kinematics: &Kinematics, grasp: &Grasp, seed: u
         j.symmetric_eigenvalues().min().max(0.0).sqrt()
     });
     vec![
-        weight(&fine),
+        frogger_min_weight(object, &tips),
         weight(&wide),
         weight(&smoothed(object, &tips, 0.010)),
         weight(&spheres),
@@ -167,7 +189,10 @@ fn controller(contacts: &[Contact], mass_kg: f64, up: &Vector3<f64>) -> Vec<Vect
         let y = c.normal.cross(&x);
         for quarter in 0..4 {
             // The corners of the square inside the circle.
-            let around = UnitQuaternion::from_axis_angle(&Unit::new_unchecked(c.normal), f64::from(quarter) * 1.570_796_326_794_896_6);
+            let around = UnitQuaternion::from_axis_angle(
+                &Unit::new_unchecked(c.normal),
+                f64::from(quarter) * std::f64::consts::FRAC_PI_2,
+            );
             edges.push(c.normal + around * (x + y) * (FRICTION * 0.5_f64.sqrt()));
         }
     }

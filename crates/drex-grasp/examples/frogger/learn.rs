@@ -81,7 +81,8 @@ impl Logistic {
     }
 
     fn standardised(&self, row: &[f64]) -> Vec<f64> {
-        let mut x: Vec<f64> = (0..row.len()).map(|k| ((row[k] - self.mean[k]) / self.scale[k]).clamp(-4.0, 4.0)).collect();
+        let mut x: Vec<f64> =
+            (0..row.len()).map(|k| ((row[k] - self.mean[k]) / self.scale[k]).clamp(-4.0, 4.0)).collect();
         x.push(1.0);
         x
     }

@@ -41,11 +41,18 @@ fn main() -> data::Outcome<()> {
         let column: Vec<f64> = rows.iter().map(|r| r[k]).collect();
         println!("{:.3}  {name}", auc(&column, &labels));
     }
-    let all: Vec<usize> = (0..features::NAMES.len()).collect();
-    let scores = held_out(&rows, &labels, &of_object, objects.len(), &all);
-    println!("\nleave one object out, logistic regression on all features:");
-    report("all features", &scores, &labels, &of_object, objects.len());
-    report("min-weight alone", &own, &labels, &of_object, objects.len());
+    println!("\nleave one object out, logistic regression:");
+    let count = features::NAMES.len();
+    let sets = [
+        ("all features", 0..count),
+        ("min-weights only", 0..features::MIN_WEIGHTS),
+        ("no min-weights", features::MIN_WEIGHTS..count),
+    ];
+    for (name, columns) in sets {
+        let scores = held_out(&rows, &labels, &of_object, objects.len(), &columns.collect::<Vec<_>>());
+        report(name, &scores, &labels, &of_object, objects.len());
+    }
+    report("FRoGGeR's min-weight, computed, no regression", &own, &labels, &of_object, objects.len());
     let fit = Logistic::fit(&rows.iter().map(Vec::as_slice).collect::<Vec<_>>(), &labels, PENALTY);
     println!("\nweights of standardised features, fitted to all");
     for (name, w) in features::NAMES.iter().zip(&fit.weights) {

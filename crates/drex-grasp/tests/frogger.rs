@@ -1,0 +1,51 @@
+//! FRoGGeR's labelled Allegro grasps: the metric computed from kinematics and mesh against the stored one.
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // a test may stop at the first surprise and says why it is skipped
+
+#[allow(dead_code)] // the example uses more of it
+#[path = "../examples/frogger/data.rs"]
+mod data;
+#[allow(dead_code)]
+#[path = "../examples/frogger/features.rs"]
+mod features;
+#[allow(dead_code)]
+#[path = "../examples/frogger/learn.rs"]
+mod learn;
+
+#[test]
+fn min_weight_is_that_of_the_published_grasps() {
+    let Some(folder) = data::folder() else {
+        println!("skipped: DREX_SHARED does not lead to data/grasps/frogger_fr3_allegro");
+        return;
+    };
+    let (kinematics, objects) = data::load(&folder).unwrap();
+    let (mut own, mut stored, mut labels) = (Vec::new(), Vec::new(), Vec::new());
+    for object in &objects {
+        for grasp in &object.grasps {
+            let tips = kinematics.tips(&grasp.q, &object.world_from_object);
+            own.push(features::frogger_min_weight(object, &tips));
+            stored.push(grasp.stored_min_weight);
+            labels.push(grasp.succeeded);
+        }
+    }
+    assert_eq!((objects.len(), labels.len()), (39, 1108));
+    let rank = learn::spearman(&own, &stored);
+    assert!(rank >= 0.9, "rank correlation {rank}");
+    let (own, stored) = (learn::auc(&own, &labels), learn::auc(&stored, &labels));
+    assert!((stored - 0.695).abs() < 0.005, "the labels are those of the publication: {stored}");
+    assert!((own - stored).abs() <= 0.03, "{own} against {stored}");
+}
+
+#[test]
+fn rank_statistics_know_their_truths() {
+    let labels = [false, true, false, true];
+    assert_eq!(learn::auc(&[1.0, 4.0, 2.0, 3.0], &labels), 1.0);
+    assert_eq!(learn::auc(&[4.0, 1.0, 3.0, 2.0], &labels), 0.0);
+    assert_eq!(learn::auc(&[1.0; 4], &labels), 0.5);
+    assert!((learn::spearman(&[1.0, 2.0, 3.0], &[10.0, 20.0, 400.0]) - 1.0).abs() < 1e-12);
+    assert!((learn::spearman(&[1.0, 2.0, 3.0], &[3.0, 2.0, 1.0]) + 1.0).abs() < 1e-12);
+    // A line through two clouds: the weight points across, the bias follows the share.
+    let rows: Vec<Vec<f64>> = (0..40).map(|i| vec![f64::from(i % 7), f64::from(i)]).collect();
+    let labels: Vec<bool> = (0..40).map(|i| i >= 20).collect();
+    let fit = learn::Logistic::fit(&rows.iter().map(Vec::as_slice).collect::<Vec<_>>(), &labels, 1.0);
+    assert!(fit.weights[1] > 5.0 * fit.weights[0].abs() && fit.weights[2].abs() < 0.2, "{:?}", fit.weights);
+}
