@@ -158,6 +158,13 @@ fn motors_and_damage_limits_bound_the_squeeze() {
         assert!((own - 0.18).abs() < 1e-6 && (all - 0.24).abs() < 1e-6);
     }
     assert!((d.torque_margin - 0.2).abs() < 1e-5);
+    // At the edge itself, and not beyond it.
+    let edge = largest_squeeze(&limited).unwrap();
+    for total in [edge, edge * (1.0 - 1e-7), smallest_squeeze(&limited).unwrap().total_n] {
+        let d = distribute(&limited, total).unwrap();
+        assert!((d.normal_n.iter().sum::<f64>() - total).abs() < 3e-5 * total);
+    }
+    assert!(matches!(distribute(&limited, edge * 1.001), Err(SqueezeError::Total { .. })));
     let refused = distribute(&limited, 9.0);
     assert!(
         matches!(refused, Err(SqueezeError::Total { largest_n, .. }) if (largest_n - 8.0).abs() < 1e-4),

@@ -52,13 +52,18 @@ pub const NAMES: &[&str] = &[
 
 /// Min-weight the way FRoGGeR computes it.
 pub fn frogger_min_weight(object: &Object, tips: &Tips) -> f64 {
-    weight(&smoothed(object, tips, FACET_M))
+    weight(&fine_contacts(object, tips))
+}
+
+/// The contacts that their optimiser plans, without the facets of our meshes.
+pub fn fine_contacts(object: &Object, tips: &Tips) -> Vec<Contact> {
+    smoothed(object, tips, FACET_M)
 }
 
 /// One number per name in [`NAMES`]; `seed` draws the errors of the fingertips.
 pub fn features(object: &Object, kinematics: &Kinematics, grasp: &Grasp, seed: u64) -> Vec<f64> {
     let tips = kinematics.tips(&grasp.q, &object.world_from_object);
-    let fine = smoothed(object, &tips, FACET_M);
+    let fine = fine_contacts(object, &tips);
     let wide = smoothed(object, &tips, 0.005);
     let spheres = smoothed_at(object, &tips.centers, 0.003);
     let up = object.world_from_object.rotation.inverse() * Vector3::z();
