@@ -55,6 +55,11 @@ pub fn frogger_min_weight(object: &Object, tips: &Tips) -> f64 {
     weight(&fine_contacts(object, tips))
 }
 
+/// The same with normals averaged over a ring of `radius_m`.
+pub fn wide_min_weight(object: &Object, tips: &Tips, radius_m: f64) -> f64 {
+    weight(&smoothed(object, tips, radius_m))
+}
+
 /// The contacts that their optimiser plans, without the facets of our meshes.
 pub fn fine_contacts(object: &Object, tips: &Tips) -> Vec<Contact> {
     smoothed(object, tips, FACET_M)
@@ -130,7 +135,7 @@ pub fn features(object: &Object, kinematics: &Kinematics, grasp: &Grasp, seed: u
     vec![
         frogger_min_weight(object, &tips),
         weight(&wide),
-        weight(&smoothed(object, &tips, 0.010)),
+        wide_min_weight(object, &tips, 0.010),
         weight(&spheres),
         shifted.iter().sum::<f64>() / 12.0,
         shifted.iter().copied().fold(f64::INFINITY, f64::min),
