@@ -1,6 +1,6 @@
 //! Force closure: can the contacts resist a wrench in every direction, and how well?
 
-use nalgebra::{Matrix6xX, Point3};
+use nalgebra::{Matrix6xX, Point3, Vector3};
 use serde::Serialize;
 
 use crate::ball::largest_ball;
@@ -20,11 +20,14 @@ pub struct ClosureOptions {
     pub torsion_m: Option<f64>,
     /// Sides of the friction pyramids for `min_weight`; FRoGGeR uses 4.
     pub min_weight_sides: usize,
+    /// Where the pyramids' first edges lie: this direction (object frame) projected onto each contact's plane. `None` takes
+    /// the tangent of [`Contact::axes`]. A pyramid is not round, so min-weight depends on it; FRoGGeR uses (1.2, 2.3, 3.4).
+    pub tangent: Option<Vector3<f64>>,
 }
 
 impl Default for ClosureOptions {
     fn default() -> Self {
-        Self { origin: Point3::origin(), length_m: None, torsion_m: None, min_weight_sides: 4 }
+        Self { origin: Point3::origin(), length_m: None, torsion_m: None, min_weight_sides: 4, tangent: None }
     }
 }
 
@@ -37,6 +40,12 @@ impl ClosureOptions {
     /// The same with soft fingers of torsional friction `torsion_m`, metres.
     pub fn with_torsion_m(mut self, torsion_m: f64) -> Self {
         self.torsion_m = Some(torsion_m);
+        self
+    }
+
+    /// The same with pyramids turned towards `tangent`, object frame.
+    pub fn with_tangent(mut self, tangent: Vector3<f64>) -> Self {
+        self.tangent = Some(tangent);
         self
     }
 }
@@ -64,12 +73,7 @@ pub struct ForceClosure {
 /// If a contact or an option is invalid, or the solver gives up. No contacts at all is simply not closed.
 pub fn force_closure(contacts: &[Contact], options: &ClosureOptions) -> Result<ForceClosure> {
     validate(contacts)?;
-    if !(3..=64).contains(&options.min_weight_sides) {
-        return Err(GraspError::value(
-            format!("a friction pyramid with {} sides", options.min_weight_sides),
-            "give min_weight_sides of 3 to 64",
-        ));
-    }
+    check_pyramid(options)?;
     let length_m = options.length_m.unwrap_or_else(|| characteristic_length_m(contacts, &options.origin));
     if !(length_m > 0.0 && length_m.is_finite()) {
         return Err(GraspError::value(format!("the torque length is {length_m} m"), "give a positive length"));
@@ -84,7 +88,7 @@ pub fn force_closure(contacts: &[Contact], options: &ClosureOptions) -> Result<F
         return Ok(open);
     }
     let epsilon = largest_ball(contacts, &g, options.torsion_m.unwrap_or(0.0) / length_m)?;
-    let min_weight = min_weight(contacts, &g, options.min_weight_sides)?.max(0.0);
+    let min_weight = weight_of(contacts, &g, options)?.max(0.0);
     Ok(ForceClosure { closed, epsilon, min_weight, length_m })
 }
 
@@ -174,14 +178,53 @@ fn balance_margin(contacts: &[Contact], g: &Matrix6xX<f64>, torsion_m: Option<f6
     }
 }
 
+/// Only the min-weight of [`force_closure`], and with its sign: one linear programme. Negative if the edges balance only
+/// with a negative weight, minus infinity if they do not balance at all.
+///
+/// # Errors
+/// As [`force_closure`].
+pub fn min_weight(contacts: &[Contact], options: &ClosureOptions) -> Result<f64> {
+    validate(contacts)?;
+    check_pyramid(options)?;
+    if contacts.is_empty() {
+        return Ok(f64::NEG_INFINITY);
+    }
+    let length_m = characteristic_length_m(contacts, &options.origin);
+    weight_of(contacts, &scaled_map(contacts, options, length_m), options)
+}
+
+fn check_pyramid(options: &ClosureOptions) -> Result<()> {
+    if !(3..=64).contains(&options.min_weight_sides) {
+        return Err(GraspError::value(
+            format!("a friction pyramid with {} sides", options.min_weight_sides),
+            "give min_weight_sides of 3 to 64",
+        ));
+    }
+    if options.tangent.is_some_and(|t| !(t.norm() > 0.0 && t.norm().is_finite())) {
+        return Err(GraspError::value("the pyramids' tangent has no direction", "give a vector that is not zero"));
+    }
+    Ok(())
+}
+
+/// Angle from the first tangent of the contact's axes to the direction asked for, projected.
+fn pyramid_angle(contact: &Contact, tangent: Option<Vector3<f64>>) -> f64 {
+    let Some(wanted) = tangent else { return 0.0 };
+    let axes = contact.axes();
+    let (along, across) = (wanted.dot(&axes.column(1)), wanted.dot(&axes.column(2)));
+    // A direction along the normal leaves the contact's own tangent.
+    if along.hypot(across) > 1e-9 * wanted.norm() { across.atan2(along) } else { 0.0 }
+}
+
 /// FRoGGeR's linear programme (Li et al., 2023, eq. 6).
-fn min_weight(contacts: &[Contact], g: &Matrix6xX<f64>, sides: usize) -> Result<f64> {
+fn weight_of(contacts: &[Contact], g: &Matrix6xX<f64>, options: &ClosureOptions) -> Result<f64> {
+    let sides = options.min_weight_sides;
     let mut edges = Vec::new();
     for (i, c) in contacts.iter().enumerate() {
         // A frictionless contact has one edge, its normal.
         let count = if c.friction > 0.0 { sides } else { 1 };
+        let turn = pyramid_angle(c, options.tangent);
         for k in 0..count {
-            let (s, co) = (std::f64::consts::TAU * k as f64 / sides as f64).sin_cos();
+            let (s, co) = (turn + std::f64::consts::TAU * k as f64 / sides as f64).sin_cos();
             edges.push(g.column(3 * i) + (g.column(3 * i + 1) * co + g.column(3 * i + 2) * s) * c.friction);
         }
     }
@@ -197,6 +240,6 @@ fn min_weight(contacts: &[Contact], g: &Matrix6xX<f64>, sides: usize) -> Result<
     }
     match program.minimise()? {
         Answer::Solved { x } => Ok(x[l]),
-        Answer::Infeasible | Answer::Unbounded => Ok(0.0),
+        Answer::Infeasible | Answer::Unbounded => Ok(f64::NEG_INFINITY),
     }
 }

@@ -1,6 +1,6 @@
 //! From contacts and a mass to the force to command.
 
-use crate::loads::{Required, required};
+use crate::loads::{bounded, required};
 use crate::{Distribution, GraspError, SqueezeError, SqueezeProblem, distribute, shake_loads};
 
 /// The force at which the paper's normalised number is one, N.
@@ -39,8 +39,9 @@ pub struct ForceCommand {
     pub required_n: f64,
     /// Which of [`shake_loads`] asks for it.
     pub binding_load: usize,
-    /// The largest sum with which every load can be carried within torque and damage limits, N; infinite without limits.
-    pub largest_n: f64,
+    /// Where limits leave less than was wanted: the largest sum, N, with which every load can be carried within torque and
+    /// damage limits.
+    pub largest_n: Option<f64>,
     /// The margin there is: `total_n` over `required_n`. Less than [`ForceLaw::margin`] where the limits leave less, more
     /// where the floor asks for more.
     pub margin: f64,
@@ -97,10 +98,14 @@ impl ForceLaw {
         }
         let mut loads = shake_loads(problem.mass_kg * problem.gamma, self.shake_m_s2, &problem.gravity);
         loads.iter_mut().for_each(|l| *l += problem.extra_wrench);
-        let Required { binding: binding_load, total_n: required_n, largest_n, .. } = required(&problem, &loads)?;
+        // Rest is half-way between two shakes and so never asks for most.
+        let required = required(&problem, &loads[1..]).map_err(after_rest)?;
+        let (binding_load, required_n) = (required.binding + 1, required.total_n);
         let wanted = (self.margin * required_n).max(self.floor_n);
+        let largest_n =
+            bounded(&problem, &loads[1..], &required, wanted).map_err(after_rest)?.map(|(_, largest_n)| largest_n);
         // A hair inside the edge, where the programme still has room to solve.
-        let total_n = if wanted > largest_n { required_n.max(largest_n * (1.0 - 1e-4)) } else { wanted };
+        let total_n = largest_n.map_or(wanted, |l| required_n.max(l * (1.0 - 1e-4)));
         let distribution = distribute(&problem, total_n)?;
         Ok(ForceCommand {
             total_n,
@@ -134,6 +139,16 @@ impl ForceLaw {
             return bad(format!("a damage limit of {:?} N", self.max_contact_n), "give newtons above zero");
         }
         Ok(())
+    }
+}
+
+/// Counts the load of an error from rest on, as [`shake_loads`] does.
+fn after_rest(error: SqueezeError) -> SqueezeError {
+    match error {
+        SqueezeError::Load { load, force_n, torque_nm, reason } => {
+            SqueezeError::Load { load: load + 1, force_n, torque_nm, reason }
+        }
+        other => other,
     }
 }
 

@@ -33,12 +33,13 @@ mod hand;
 mod law;
 mod loads;
 mod motors;
+mod rolling;
 mod search;
 mod squeeze;
 
 pub use carry::{holds_any_load, squeeze_per_weight};
 pub use check::{CheckOptions, FingerContacts, StaticCheck, StaticGrasp, TablePlane, static_check, static_check_with};
-pub use closure::{ClosureOptions, ForceClosure, force_closure, is_force_closed};
+pub use closure::{ClosureOptions, ForceClosure, force_closure, is_force_closed, min_weight};
 pub use contact::{Contact, characteristic_length_m, grasp_map};
 pub use distribute::{Distribution, distribute, largest_squeeze};
 pub use error::{GraspError, Result};
@@ -46,6 +47,7 @@ pub use find::{ContactOptions, find_contacts};
 pub use hand::{HandSurface, LinkSurface};
 pub use law::{ForceCommand, ForceLaw, PAPER_FORCE_LIMIT_N, paper_force};
 pub use loads::{required_squeeze, shake_loads};
+pub use rolling::{Rolling, RollingError, RollingPath, RollingWaypoint, rolling_path};
 pub use search::{FoundGrasp, SearchOptions, search_grasps};
 pub use squeeze::{Squeeze, SqueezeError, SqueezeProblem, TorqueLimits, smallest_forces, smallest_squeeze};
 

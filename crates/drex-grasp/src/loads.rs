@@ -4,7 +4,7 @@ use nalgebra::{Vector3, Vector6};
 
 use crate::balance::{Goal, Limits, Outcome, balance};
 use crate::distribute::largest;
-use crate::squeeze::{check, describe, friction_margin};
+use crate::squeeze::{check, describe, friction_margin, torques};
 use crate::{GraspError, Squeeze, SqueezeError, SqueezeProblem, smallest_forces};
 
 /// The loads of an object of `mass_kg` at rest and shaken: m (g − a) for a = 0 and for an acceleration of
@@ -49,7 +49,7 @@ pub fn shake_loads(mass_kg: f64, acceleration_m_s2: f64, gravity: &Vector3<f64>)
 pub fn required_squeeze(problem: &SqueezeProblem, loads: &[Vector6<f64>]) -> Result<Squeeze, SqueezeError> {
     let Required { binding, forces, .. } = required(problem, loads)?;
     let under = problem.under(&loads[binding]);
-    let mut squeeze = describe(&under, &forces);
+    let mut squeeze = describe(&under, &forces[binding]);
     squeeze.friction_margin = friction_margin(&under)?;
     squeeze.binding_load = Some(binding);
     Ok(squeeze)
@@ -58,11 +58,9 @@ pub fn required_squeeze(problem: &SqueezeProblem, loads: &[Vector6<f64>]) -> Res
 /// What [`required_squeeze`] finds before it is described.
 pub(crate) struct Required {
     pub(crate) binding: usize,
-    /// In contact axes, under the binding load.
-    pub(crate) forces: Vec<Vector3<f64>>,
     pub(crate) total_n: f64,
-    /// The largest sum with which every load can be carried; infinite without limits.
-    pub(crate) largest_n: f64,
+    /// The smallest forces under each load, contact axes.
+    pub(crate) forces: Vec<Vec<Vector3<f64>>>,
 }
 
 pub(crate) fn required(problem: &SqueezeProblem, loads: &[Vector6<f64>]) -> Result<Required, SqueezeError> {
@@ -71,31 +69,74 @@ pub(crate) fn required(problem: &SqueezeProblem, loads: &[Vector6<f64>]) -> Resu
         let remedy = "give at least one wrench of finite numbers, such as those of shake_loads";
         return Err(GraspError::value(format!("{} loads, or one that is not finite", loads.len()), remedy).into());
     }
-    let total = |f: &[Vector3<f64>]| f.iter().map(|f| f.x).sum::<f64>();
-    let mut most = Required { binding: 0, forces: Vec::new(), total_n: f64::NEG_INFINITY, largest_n: f64::INFINITY };
+    let mut required = Required { binding: 0, total_n: f64::NEG_INFINITY, forces: Vec::with_capacity(loads.len()) };
     for (index, load) in loads.iter().enumerate() {
         let forces = match balance(problem, load, 1.0, Limits::ALL, Goal::Smallest)? {
             Outcome::Forces { forces, .. } => forces,
             // Once more, to find the limit in the way.
             _ => smallest_forces(&problem.under(load)).map_err(|reason| at_load(index, load, reason))?,
         };
-        if total(&forces) > most.total_n {
-            (most.total_n, most.binding, most.forces) = (total(&forces), index, forces);
+        if total(&forces) > required.total_n {
+            (required.total_n, required.binding) = (total(&forces), index);
         }
+        required.forces.push(forces);
     }
-    if problem.torques.is_some() || problem.max_normal_n.is_some() {
-        for (index, load) in loads.iter().enumerate() {
-            let under = problem.under(load);
-            let largest_n = largest(&under).map_err(|reason| at_load(index, load, reason))?;
-            if index != most.binding && most.total_n > largest_n * (1.0 + 1e-6) {
-                let smallest_n = total(&smallest_forces(&under)?);
-                let reason = SqueezeError::Total { total_n: most.total_n, smallest_n, largest_n };
-                return Err(at_load(index, load, reason));
+    let total_n = required.total_n;
+    if let Some((index, largest_n)) = bounded(problem, loads, &required, total_n * (1.0 - 1e-6))? {
+        let reason = SqueezeError::Total { total_n, smallest_n: total(&required.forces[index]), largest_n };
+        return Err(at_load(index, &loads[index], reason));
+    }
+    Ok(required)
+}
+
+/// The load that can be carried with the least sum of normal forces, and that sum, if it is below `total_n`.
+pub(crate) fn bounded(
+    problem: &SqueezeProblem,
+    loads: &[Vector6<f64>],
+    required: &Required,
+    total_n: f64,
+) -> Result<Option<(usize, f64)>, SqueezeError> {
+    if problem.torques.is_none() && problem.max_normal_n.is_none() {
+        return Ok(None);
+    }
+    let inner = inner_forces(problem);
+    let mut least: Option<(usize, f64)> = None;
+    for (index, load) in loads.iter().enumerate() {
+        // Balanced forces plus forces that balance among themselves are balanced and in the cones: most often they are
+        // within the limits as well, and no programme has to be solved.
+        let more = total_n - total(&required.forces[index]);
+        let within = more <= 0.0
+            || inner.as_ref().is_some_and(|inner| {
+                let sum: Vec<_> = required.forces[index].iter().zip(inner).map(|(f, z)| f + z * more).collect();
+                within_limits(problem, &sum)
+            });
+        if !within {
+            let largest_n = largest(&problem.under(load)).map_err(|reason| at_load(index, load, reason))?;
+            if largest_n < total_n && least.is_none_or(|(_, l)| largest_n < l) {
+                least = Some((index, largest_n));
             }
-            most.largest_n = most.largest_n.min(largest_n);
         }
     }
-    Ok(most)
+    Ok(least)
+}
+
+fn total(forces: &[Vector3<f64>]) -> f64 {
+    forces.iter().map(|f| f.x).sum()
+}
+
+/// Forces in the cones that balance among themselves, one newton in all; `None` if there are none or at the solver's edge.
+fn inner_forces(problem: &SqueezeProblem) -> Option<Vec<Vector3<f64>>> {
+    let free = Limits { normal: false, torque: false };
+    match balance(problem, &Vector6::zeros(), 1.0, free, Goal::Slack { total_n: 1.0 }) {
+        Ok(Outcome::Forces { forces, slack_n }) if slack_n >= 0.0 => Some(forces),
+        _ => None,
+    }
+}
+
+fn within_limits(problem: &SqueezeProblem, forces: &[Vector3<f64>]) -> bool {
+    let normal = problem.max_normal_n.is_none_or(|most| forces.iter().all(|f| f.x <= most));
+    let limits = problem.torques.iter().flat_map(|t| &t.limits_nm);
+    normal && limits.zip(torques(problem, forces)).all(|(&(lower, upper), t)| (lower..=upper).contains(&t))
 }
 
 fn at_load(load: usize, wrench: &Vector6<f64>, reason: SqueezeError) -> SqueezeError {

@@ -1,7 +1,7 @@
 //! Force closure and its measures on grasps whose answer is known.
 #![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
-use drex_grasp::{ClosureOptions, Contact, force_closure};
+use drex_grasp::{ClosureOptions, Contact, force_closure, min_weight};
 use nalgebra::{Point3, Rotation3, Vector3};
 use proptest::prelude::*;
 
@@ -29,6 +29,34 @@ fn two_soft_fingers_close_and_two_points_do_not() {
     // Soft or not, fingers on the same side do not.
     let same = [pinch[0].clone(), pinch[0].clone()];
     assert!(!force_closure(&same, &ClosureOptions::default().with_torsion_m(0.005)).unwrap().closed);
+}
+
+#[test]
+fn the_pyramids_turn_with_their_tangent() {
+    // No symmetry to hide behind.
+    let mut contacts = ring(4, 0.5);
+    contacts[0].point += Vector3::new(0.0, 0.01, 0.015);
+    contacts[1].normal = Vector3::new(0.2, -1.0, 0.15).normalize();
+    contacts[2].point += Vector3::new(0.0, -0.005, 0.01);
+    let with = |contacts: &[Contact], t: Vector3<f64>| {
+        min_weight(contacts, &ClosureOptions::default().with_tangent(t)).unwrap()
+    };
+    let tangent = Vector3::new(1.2, 2.3, 3.4);
+    let turn = Rotation3::from_euler_angles(0.3, -0.9, 1.4);
+    let turned: Vec<Contact> =
+        contacts.iter().map(|c| Contact::new(turn * c.point, turn * c.normal, c.friction)).collect();
+    // Turned together with the grasp nothing changes; a length, its sign and a quarter turn change nothing either.
+    let value = with(&contacts, tangent);
+    assert!(value > 0.01);
+    assert!((with(&turned, turn * tangent) - value).abs() < 1e-7);
+    assert!((with(&contacts, -2.0 * tangent) - value).abs() < 1e-7);
+    // The pyramid alone on the spot does change it.
+    assert!((with(&turned, tangent) - value).abs() > 1e-4);
+    // With the contact's own tangent it is the value of the whole judgement.
+    let own = min_weight(&contacts, &ClosureOptions::default()).unwrap();
+    assert!((own - closure(&contacts).min_weight).abs() < 1e-9);
+    assert_eq!(min_weight(&[], &ClosureOptions::default()).unwrap(), f64::NEG_INFINITY);
+    assert!(min_weight(&contacts, &ClosureOptions::default().with_tangent(Vector3::zeros())).is_err());
 }
 
 #[test]

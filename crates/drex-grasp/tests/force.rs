@@ -158,6 +158,13 @@ fn motors_and_damage_limits_bound_the_squeeze() {
         assert!((own - 0.18).abs() < 1e-6 && (all - 0.24).abs() < 1e-6);
     }
     assert!((d.torque_margin - 0.2).abs() < 1e-5);
+    // At the edge itself, and not beyond it.
+    let edge = largest_squeeze(&limited).unwrap();
+    for total in [edge, edge * (1.0 - 1e-7), smallest_squeeze(&limited).unwrap().total_n] {
+        let d = distribute(&limited, total).unwrap();
+        assert!((d.normal_n.iter().sum::<f64>() - total).abs() < 3e-5 * total);
+    }
+    assert!(matches!(distribute(&limited, edge * 1.001), Err(SqueezeError::Total { .. })));
     let refused = distribute(&limited, 9.0);
     assert!(
         matches!(refused, Err(SqueezeError::Total { largest_n, .. }) if (largest_n - 8.0).abs() < 1e-4),
@@ -175,7 +182,7 @@ fn the_law_is_required_times_margin_within_floor_and_limits() {
     // Shakes 1.5, friction 0.9 of 0.5, margin 1.25.
     let required = 1.5 * 0.2 * G / 0.45;
     assert!((c.required_n - required).abs() < 1e-5 && (c.total_n - 1.25 * required).abs() < 1e-5);
-    assert!((c.margin - 1.25).abs() < 1e-6 && c.largest_n.is_infinite() && c.binding_load == 1);
+    assert!((c.margin - 1.25).abs() < 1e-6 && c.largest_n.is_none() && c.binding_load == 1);
     assert!((c.paper_force - 0.2 * G * 2.0 / 5.0).abs() < 1e-12 && paper_force(2.0, G, 4) == 1.0);
     // Twice the mass, twice the force.
     assert!((law.command(&pinch(0.4)).unwrap().total_n - 2.0 * c.total_n).abs() < 1e-4);
@@ -187,6 +194,7 @@ fn the_law_is_required_times_margin_within_floor_and_limits() {
     // Under the sideways shake one contact bears m a more than the other: 2 F = total + m a.
     let fragile = law.with_max_contact_n(0.5 * (1.1 * required + 0.2 * 0.5 * G));
     let f = fragile.command(&pinch(0.2)).unwrap();
+    assert!((f.largest_n.unwrap() - 1.1 * required).abs() < 1e-3);
     assert!((f.margin - 1.1).abs() < 1e-3 && f.distribution.normal_n.iter().all(|n| *n <= 0.55 * required * 1.001));
     let fragile = law.with_max_contact_n(0.5 * 0.9 * required);
     assert!(matches!(fragile.command(&pinch(0.2)), Err(SqueezeError::Load { load: 1, .. })));

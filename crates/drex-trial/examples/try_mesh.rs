@@ -18,7 +18,8 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 /// lab
-static SH: std::sync::LazyLock<f64> = std::sync::LazyLock::new(|| std::env::var("SHIFT").ok().and_then(|v| v.parse().ok()).unwrap_or(0.005));
+static SH: std::sync::LazyLock<f64> =
+    std::sync::LazyLock::new(|| std::env::var("SHIFT").ok().and_then(|v| v.parse().ok()).unwrap_or(0.005));
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let mass_kg: f64 = args.get(1).ok_or("give a mesh and a mass in kg")?.parse()?;
@@ -76,7 +77,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     if std::env::var_os("PER").is_some() {
         for &(_, g) in &good {
             let f = &found[g];
-            let mut line = format!("{g:>4} fingers {:?}", f.contacts.iter().filter_map(|c| c.finger).collect::<Vec<_>>());
+            let mut line =
+                format!("{g:>4} fingers {:?}", f.contacts.iter().filter_map(|c| c.finger).collect::<Vec<_>>());
             for judge in [Judge::Diffsim, Judge::Mujoco] {
                 let outcomes: Vec<_> = (0..10u64)
                     .into_par_iter()
@@ -84,14 +86,23 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                         let mut random = ChaCha8Rng::seed_from_u64(i);
                         let friction = random.random_range(0.4..0.8);
                         let belief = Belief { mass_kg: mass_kg * part, friction };
-                        let truth = Truth { mass_kg, friction, shift_m: [random.random_range(-*SH..=*SH), random.random_range(-*SH..=*SH)], turn_rad: random.random_range(-*SH * 17.4..=*SH * 17.4), seed: i };
+                        let truth = Truth {
+                            mass_kg,
+                            friction,
+                            shift_m: [random.random_range(-*SH..=*SH), random.random_range(-*SH..=*SH)],
+                            turn_rad: random.random_range(-*SH * 17.4..=*SH * 17.4),
+                            seed: i,
+                        };
                         match trial.command(&f.joints, &f.object_from_base, &belief, Squeeze::Needed).ok()? {
                             Ok(command) => trial.run(&command, &truth, judge).ok(),
                             Err(_) => None,
                         }
                     })
                     .collect();
-                let text: String = outcomes.iter().map(|o| o.as_ref().map_or('-', |o| format!("{:?}", o.verdict).chars().next().unwrap_or('?'))).collect();
+                let text: String = outcomes
+                    .iter()
+                    .map(|o| o.as_ref().map_or('-', |o| format!("{:?}", o.verdict).chars().next().unwrap_or('?')))
+                    .collect();
                 line += &format!("  {judge:?} {text}");
             }
             println!("{line}");
@@ -110,7 +121,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                     mass_kg,
                     friction,
                     shift_m: [random.random_range(-*SH..=*SH), random.random_range(-*SH..=*SH)],
-                    turn_rad: random.random_range(-*SH*17.4..=*SH*17.4),
+                    turn_rad: random.random_range(-*SH * 17.4..=*SH * 17.4),
                     seed: i as u64,
                 };
                 for &(_, g) in good.iter().skip(i % 5).take(10) {

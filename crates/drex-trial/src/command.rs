@@ -55,7 +55,6 @@ pub(crate) fn plan(
         return Ok(Err(NoCommand::NoContact { touching: count }));
     }
     let problem = problem(trial, &closed, &command.world_from_palm, &touches, belief)?;
-    if std::env::var_os("DBG").is_some() {
         for c in &problem.contacts {
             eprintln!(
                 "{} {:?} p {:.4?} n {:.3?}",

@@ -70,7 +70,6 @@ pub(crate) fn plan(
         }
         q
     };
-    if std::env::var_os("DBG").is_some() {
         let poses = robot.forward_kinematics(joints, &(world_from_object * object_from_base));
         for n in near.iter().flatten() {
             eprintln!(
