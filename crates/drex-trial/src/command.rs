@@ -4,9 +4,9 @@ use drex_core::Pose;
 use drex_grasp::{Contact, Distribution, SqueezeError, SqueezeProblem, TorqueLimits, distribute};
 use nalgebra::{DVector, Point3, Vector3};
 
-use crate::control::{Controller, Push};
+use crate::control::{Controller, Push, squeeze_torques};
 use crate::engine::{Met, Touch};
-use crate::reach;
+use crate::reach::{self, Reach};
 use crate::trial::STEPS_PER_TICK;
 use crate::types::check_mass_and_friction;
 use crate::{Belief, Command, Error, Judge, NoCommand, Result, Squeeze, Trial, Truth, timeline};
@@ -14,14 +14,21 @@ use crate::{Belief, Command, Error, Judge, NoCommand, Result, Squeeze, Trial, Tr
 /// Contacts nearer to each other than this on one link count as one, m.
 const SAME_M: f64 = 0.004;
 
-/// See [`Trial::command`].
-pub(crate) fn plan(
-    trial: &Trial,
-    joints: &[f64],
-    object_from_palm: &Pose,
-    belief: &Belief,
-    squeeze: Squeeze,
-) -> Result<Result<Command, NoCommand>> {
+/// How the fingers close on the object where it is believed to be.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rehearsal {
+    joints: Vec<f64>,
+    world_from_palm: Pose,
+    reach: Reach,
+    /// Joint angles once the fingers touch, rad.
+    closed: Vec<f64>,
+    touches: Vec<Touch>,
+    /// Per finger, whether it touches the object.
+    pub fingers_in_contact: Vec<bool>,
+}
+
+/// See [`Trial::rehearse`].
+pub(crate) fn rehearse(trial: &Trial, joints: &[f64], object_from_palm: &Pose, belief: &Belief) -> Result<Rehearsal> {
     check_mass_and_friction(belief.mass_kg, belief.friction)?;
     if joints.len() != trial.hand.dof() || joints.iter().any(|q| !q.is_finite()) {
         return Err(Error::value(
@@ -30,6 +37,7 @@ pub(crate) fn plan(
         ));
     }
     let object = &trial.object;
+    let world_from_palm = object.world_from_object * object_from_palm;
     let reach = reach::plan(
         &trial.hand,
         &trial.surface,
@@ -38,41 +46,53 @@ pub(crate) fn plan(
         object.surface.as_ref(),
         &object.world_from_object,
     );
-    let mut command = Command {
-        joints: joints.to_vec(),
-        world_from_palm: object.world_from_object * object_from_palm,
-        torques_nm: vec![0.0; joints.len()],
-        squeeze_n: 0.0,
-        per_finger_n: vec![0.0; trial.surface.fingers.len()],
-        pushes: Vec::new(),
-        reach,
-    };
-    let (closed, touches) = rehearse(trial, &command, belief)?;
-    let mut touching = vec![false; trial.surface.fingers.len()];
-    touches.iter().filter_map(|t| trial.surface.finger_of_link[t.link]).for_each(|f| touching[f] = true);
-    let count = touching.iter().filter(|t| **t).count();
-    if count < 2 {
-        return Ok(Err(NoCommand::NoContact { touching: count }));
-    }
-    let problem = problem(trial, &closed, &command.world_from_palm, &touches, belief)?;
-        for c in &problem.contacts {
-            eprintln!(
-                "{} {:?} p {:.4?} n {:.3?}",
-                trial.hand.links[c.link].name,
-                c.finger,
-                c.point.coords.as_slice(),
-                c.normal.as_slice()
-            );
-        }
-        for t in &touches {
-            eprintln!("   {:.3} N depth {:.5}", t.normal_n, t.depth_m);
+    let truth = Truth::as_believed(belief, 0);
+    let (mut engine, drives) = trial.engine(&world_from_palm, &reach, &truth, timeline::CLOSED_S, Judge::Diffsim)?;
+    let mut controller = Controller::new(&trial.hand, &drives, &reach, &[], trial.options.torque_cap_nm);
+    let tick_s = trial.options.dt_s * STEPS_PER_TICK as f64;
+    for i in 0..(timeline::CLOSED_S / tick_s) as usize {
+        let told = controller.command(i as f64 * tick_s, &engine);
+        for _ in 0..STEPS_PER_TICK {
+            engine.step(&told)?;
         }
     }
+    let mut touches = Vec::new();
+    engine.touches(&mut touches);
+    touches.retain(|t| t.with == Met::Object);
+    let mut fingers_in_contact = vec![false; trial.surface.fingers.len()];
+    touches.iter().filter_map(|t| trial.surface.finger_of_link[t.link]).for_each(|f| fingers_in_contact[f] = true);
+    let closed = engine.joints().to_vec();
+    Ok(Rehearsal { joints: joints.to_vec(), world_from_palm, reach, closed, touches, fingers_in_contact })
+}
+
+/// See [`Trial::squeeze`].
+pub(crate) fn squeeze(
+    trial: &Trial,
+    rehearsal: &Rehearsal,
+    belief: &Belief,
+    squeeze: Squeeze,
+) -> Result<Result<Command, NoCommand>> {
+    check_mass_and_friction(belief.mass_kg, belief.friction)?;
+    let touching = rehearsal.fingers_in_contact.iter().filter(|t| **t).count();
+    if touching < 2 {
+        return Ok(Err(NoCommand::NoContact { touching }));
+    }
+    let Rehearsal { joints, world_from_palm, reach, closed, touches, .. } = rehearsal;
+    let problem = problem(trial, closed, world_from_palm, touches, belief);
     let forces = match squeeze_of(trial, &problem, squeeze) {
         Ok(share) => share.forces,
         Err(reason) => return no_command(reason).map(Err),
     };
-    let poses = trial.hand.forward_kinematics(&closed, &command.world_from_palm);
+    let mut command = Command {
+        joints: joints.clone(),
+        world_from_palm: *world_from_palm,
+        torques_nm: Vec::new(),
+        squeeze_n: 0.0,
+        per_finger_n: vec![0.0; trial.surface.fingers.len()],
+        pushes: Vec::new(),
+        reach: reach.clone(),
+    };
+    let poses = trial.hand.forward_kinematics(closed, world_from_palm);
     for (contact, force) in problem.contacts.iter().zip(&forces) {
         let normal_n = force.dot(&contact.normal);
         command.squeeze_n += normal_n;
@@ -82,8 +102,7 @@ pub(crate) fn plan(
         let point = poses[contact.link].inverse_transform_point(&contact.point);
         command.pushes.push(Push { link: contact.link, point, force: *force });
     }
-    command.torques_nm =
-        crate::control::squeeze_torques(&trial.hand, &closed, &command.world_from_palm, &command.pushes);
+    command.torques_nm = squeeze_torques(&trial.hand, closed, world_from_palm, &command.pushes);
     Ok(Ok(command))
 }
 
@@ -105,25 +124,6 @@ fn no_command(reason: SqueezeError) -> Result<NoCommand> {
     })
 }
 
-/// Joint angles and contacts after closing on the believed object.
-fn rehearse(trial: &Trial, command: &Command, belief: &Belief) -> Result<(Vec<f64>, Vec<Touch>)> {
-    let truth = Truth::as_believed(belief, 0);
-    let (mut engine, drives) = trial.engine(command, &truth, timeline::CLOSED_S, Judge::Diffsim)?;
-    let mut controller =
-        Controller::new(&trial.hand, &drives, &command.reach, &command.pushes, trial.options.torque_cap_nm);
-    let tick_s = trial.options.dt_s * STEPS_PER_TICK as f64;
-    let mut touches = Vec::new();
-    for i in 0..(timeline::CLOSED_S / tick_s) as usize {
-        let told = controller.command(i as f64 * tick_s, &engine);
-        for _ in 0..STEPS_PER_TICK {
-            engine.step(&told)?;
-        }
-    }
-    engine.touches(&mut touches);
-    touches.retain(|t| t.with == Met::Object);
-    Ok((engine.joints().to_vec(), touches))
-}
-
 /// The cone programme of a closed hand, in world axes about the world's origin.
 fn problem(
     trial: &Trial,
@@ -131,7 +131,7 @@ fn problem(
     world_from_palm: &Pose,
     touches: &[Touch],
     belief: &Belief,
-) -> Result<SqueezeProblem> {
+) -> SqueezeProblem {
     let mut contacts: Vec<Contact> = Vec::new();
     let mut by_force: Vec<&Touch> = touches.iter().collect();
     by_force.sort_by(|a, b| b.normal_n.total_cmp(&a.normal_n));
@@ -165,7 +165,7 @@ fn problem(
         gravity_nm: DVector::from_column_slice(own.as_slice()),
     });
     problem.max_normal_n = trial.object.max_finger_n;
-    Ok(problem)
+    problem
 }
 
 /// The squeeze as forces on the object, world, and its sum, N.

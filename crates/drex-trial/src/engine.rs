@@ -24,7 +24,7 @@ pub(crate) enum Met {
 }
 
 /// A contact of one link of the hand.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Touch {
     pub link: usize,
     pub with: Met,

@@ -18,6 +18,7 @@ mod trial;
 mod types;
 mod watch;
 
+pub use command::Rehearsal;
 pub use control::Push;
 pub use error::{Error, Result};
 pub use stats::{Interval, paired_difference, wilson};

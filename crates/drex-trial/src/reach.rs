@@ -70,16 +70,6 @@ pub(crate) fn plan(
         }
         q
     };
-        let poses = robot.forward_kinematics(joints, &(world_from_object * object_from_base));
-        for n in near.iter().flatten() {
-            eprintln!(
-                "near {} {:.4?} out {:.3?}",
-                robot.links[n.link].name,
-                (poses[n.link] * n.point).coords.as_slice(),
-                n.outward.as_slice()
-            );
-        }
-    }
     let open = moved(OPEN_M);
     let retreat = retreat(robot, surface, &open, object_from_base, object, world_from_object);
     Reach { closed: moved(-CLOSE_M), grasp: joints.to_vec(), open, retreat }

@@ -22,8 +22,6 @@ pub(crate) const LIFT_M: f64 = 0.2;
 /// Shakes and the duration of one, s.
 const SHAKES: usize = 6;
 const SHAKE_S: f64 = 0.5;
-/// Samples of a path, s: cubic pieces between them.
-const SAMPLE_S: f64 = 0.02;
 
 /// The way of the palm: from `retreat` away onto the grasp, up, and shaken along three axes, each both ways, in random order and
 /// with a random turn of the axes about the vertical.
@@ -33,13 +31,14 @@ pub(crate) fn palm_path(
     shake_m_s2: f64,
     seed: u64,
     last_s: f64,
+    dt_s: f64,
 ) -> Result<Path> {
     let shakes = directions(seed);
     let mut times = Vec::new();
     let mut poses = Vec::new();
-    let samples = (last_s / SAMPLE_S).ceil() as usize;
-    for i in 0..=samples {
-        let t = i as f64 * SAMPLE_S;
+    // A sample per step, straight between them: the velocity then changes by what the acceleration makes of it in a step.
+    for i in 0..=(last_s / dt_s).ceil() as usize {
+        let t = i as f64 * dt_s;
         let mut offset = retreat * (1.0 - smooth(t / APPROACHED_S));
         offset.z += LIFT_M * smooth((t - SQUEEZED_S) / (LIFTED_S - SQUEEZED_S));
         if t > HELD_S {
@@ -51,7 +50,7 @@ pub(crate) fn palm_path(
         times.push(t);
         poses.push(Translation3::from(offset) * world_from_palm);
     }
-    Path::smooth(&times, &poses).map_err(Error::from)
+    Path::linear(&times, &poses).map_err(Error::from)
 }
 
 /// The quintic from 0 to 1 with no velocity and no acceleration at its ends: a bounded jerk.
@@ -85,23 +84,23 @@ mod tests {
     #[test]
     fn the_palm_lifts_and_is_shaken_with_the_stated_acceleration() {
         let grasp = Pose::translation(0.1, 0.0, 0.2);
-        let path = palm_path(&grasp, &Vector3::new(0.0, 0.0, 0.1), 4.905, 3, SHAKEN_S).unwrap();
+        let path = palm_path(&grasp, &Vector3::new(0.0, 0.0, 0.1), 4.905, 3, SHAKEN_S, 2e-3).unwrap();
         let z = |t: f64| path.at(t).pose.translation.z;
         assert!((z(0.0) - 0.3).abs() < 1e-12 && (z(1.0) - 0.2).abs() < 1e-12);
         assert!((z(LIFTED_S) - 0.4).abs() < 1e-12 && (z(SHAKEN_S) - 0.4).abs() < 1e-9);
         let dt = 2e-3;
         let mut peaks = vec![0.0_f64; SHAKES];
-        let mut before = path.at(HELD_S).velocity;
+        let mut before = path.at(HELD_S + 0.5 * dt).velocity;
         for i in 1..=(SHAKES as f64 * SHAKE_S / dt) as usize {
             let t = HELD_S + i as f64 * dt;
-            let velocity = path.at(t).velocity;
+            let velocity = path.at(t + 0.5 * dt).velocity;
             let index = (((t - HELD_S) / SHAKE_S) as usize).min(SHAKES - 1);
             peaks[index] = peaks[index].max((velocity - before).norm() / dt);
             before = velocity;
         }
         assert!(peaks.iter().all(|p| (p / 4.905 - 1.0).abs() < 0.03), "{peaks:?}");
         // During the lift no more than the quintic has: 5.77 h / T².
-        let rise = |t: f64| (path.at(t + dt).velocity.z - path.at(t).velocity.z) / dt;
+        let rise = |t: f64| (path.at(t + 1.5 * dt).velocity.z - path.at(t + 0.5 * dt).velocity.z) / dt;
         let most = (0..1000).map(|i| rise(SQUEEZED_S + f64::from(i) * 2e-3).abs()).fold(0.0, f64::max);
         assert!((most - 5.7735 * LIFT_M / 4.0).abs() < 0.01, "{most}");
     }

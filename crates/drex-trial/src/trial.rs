@@ -9,8 +9,11 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 use crate::control::Controller;
 use crate::engine::{Drive, Engine, Setup};
+use crate::reach::Reach;
 use crate::watch::Watch;
-use crate::{Belief, Command, Error, Judge, NoCommand, Outcome, Result, Squeeze, TrialObject, TrialOptions, Truth};
+use crate::{
+    Belief, Command, Error, Judge, NoCommand, Outcome, Rehearsal, Result, Squeeze, TrialObject, TrialOptions, Truth,
+};
 use crate::{command, timeline};
 
 /// Distance of the points on the hand by which it is planned, m.
@@ -61,7 +64,30 @@ impl Trial {
         belief: &Belief,
         squeeze: Squeeze,
     ) -> Result<Result<Command, NoCommand>> {
-        command::plan(self, joints, object_from_palm, belief, squeeze)
+        let rehearsal = self.rehearse(joints, object_from_palm, belief)?;
+        self.squeeze(&rehearsal, belief, squeeze)
+    }
+
+    /// How the fingers close on the object where it is believed to be, in drex-diffsim: the first half of [`Trial::command`], which
+    /// depends on mass and friction so little that it may be done once for many of them.
+    ///
+    /// # Errors
+    /// If the joint vector does not fit the hand.
+    pub fn rehearse(&self, joints: &[f64], object_from_palm: &Pose, belief: &Belief) -> Result<Rehearsal> {
+        command::rehearse(self, joints, object_from_palm, belief)
+    }
+
+    /// The squeeze on the contacts of a rehearsal: the second half of [`Trial::command`].
+    ///
+    /// # Errors
+    /// If a solver gives up.
+    pub fn squeeze(
+        &self,
+        rehearsal: &Rehearsal,
+        belief: &Belief,
+        squeeze: Squeeze,
+    ) -> Result<Result<Command, NoCommand>> {
+        command::squeeze(self, rehearsal, belief, squeeze)
     }
 
     /// Carries a command out under what is true.
@@ -70,7 +96,8 @@ impl Trial {
     /// If the model cannot be simulated; [`Error::NoMujoco`] for a judge that this build lacks. A grasp that fails is no error.
     pub fn run(&self, command: &Command, truth: &Truth, judge: Judge) -> Result<Outcome> {
         truth.check()?;
-        let (mut engine, drives) = self.engine(command, truth, timeline::SHAKEN_S, judge)?;
+        let (mut engine, drives) =
+            self.engine(&command.world_from_palm, &command.reach, truth, timeline::SHAKEN_S, judge)?;
         let mut controller =
             Controller::new(&self.hand, &drives, &command.reach, &command.pushes, self.options.torque_cap_nm);
         let tick_s = self.options.dt_s * STEPS_PER_TICK as f64;
@@ -97,20 +124,21 @@ impl Trial {
     /// Everything at the start of a command, with the palm's path until `last_s`.
     pub(crate) fn engine(
         &self,
-        command: &Command,
+        world_from_palm: &Pose,
+        reach: &Reach,
         truth: &Truth,
         last_s: f64,
         judge: Judge,
     ) -> Result<(Engine, Vec<Drive>)> {
-        let base = command.world_from_palm;
-        let path = timeline::palm_path(&base, &command.reach.retreat, self.options.shake_m_s2, truth.seed, last_s)?;
+        let TrialOptions { shake_m_s2, dt_s, .. } = self.options;
+        let path = timeline::palm_path(world_from_palm, &reach.retreat, shake_m_s2, truth.seed, last_s, dt_s)?;
         let setup = Setup {
             hand: &self.hand,
             object: &self.object,
             world_from_object: self.true_pose(truth),
             truth,
             path,
-            joints: &command.reach.open,
+            joints: &reach.open,
             torque_cap_nm: self.options.torque_cap_nm,
             dt_s: self.options.dt_s,
         };

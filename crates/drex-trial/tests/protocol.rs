@@ -1,0 +1,136 @@
+//! The protocol on a box: what holds, what slips, and every way to fail.
+#![allow(clippy::unwrap_used)] // a test says what fails by failing
+
+mod support;
+
+use drex_trial::{Belief, Judge, NoCommand, Squeeze, Truth, Verdict};
+use rayon::prelude::*;
+use support::{grasps, trial_of};
+
+const TOLD: Belief = Belief { mass_kg: 0.15, friction: 0.5 };
+
+#[test]
+fn the_needed_squeeze_holds_and_a_third_of_it_does_not() {
+    let trial = trial_of(|_, _| {});
+    let found = grasps(&trial);
+    assert!(found.len() >= 8, "{} grasps", found.len());
+    let outcomes: Vec<_> = found[..8]
+        .par_iter()
+        .map(|g| {
+            let command = trial.command(&g.joints, &g.object_from_base, &TOLD, Squeeze::Needed).unwrap().unwrap();
+            let enough = trial.run(&command, &Truth::as_believed(&TOLD, 1), Judge::Diffsim).unwrap();
+            let third = Squeeze::Total(command.squeeze_n / 3.0);
+            let little = trial.command(&g.joints, &g.object_from_base, &TOLD, third).unwrap().unwrap();
+            assert!((little.squeeze_n - command.squeeze_n / 3.0).abs() < 1e-3 * command.squeeze_n);
+            let too_little = trial.run(&little, &Truth::as_believed(&TOLD, 1), Judge::Diffsim).unwrap();
+            (enough, too_little)
+        })
+        .collect();
+    for (enough, too_little) in &outcomes {
+        eprintln!("{:?} {:?}", enough, too_little.verdict);
+    }
+    let held = outcomes.iter().filter(|o| o.0.succeeded()).count();
+    let slipped = outcomes.iter().filter(|o| !o.1.succeeded()).count();
+    assert!(held >= 7 && slipped >= 7, "{held} of 8 held with the needed squeeze, {slipped} slipped with a third");
+    for (enough, _) in outcomes.iter().filter(|o| o.0.succeeded()) {
+        assert!(enough.retained > 0.99 && enough.slip_m < 0.005 && enough.failed_at_s.is_none());
+        let used = enough.friction_used.unwrap();
+        assert!(used > 0.2 && used < 1.0, "{used}");
+    }
+}
+
+#[test]
+fn every_failure_has_its_name() {
+    let trial = trial_of(|_, _| {});
+    let found = grasps(&trial);
+    let g = &found[0];
+    let command = trial.command(&g.joints, &g.object_from_base, &TOLD, Squeeze::Needed).unwrap().unwrap();
+    let truth = Truth::as_believed(&TOLD, 1);
+
+    let heavy = trial.run(&command, &Truth { mass_kg: 3.0, ..truth }, Judge::Diffsim).unwrap();
+    assert!(matches!(heavy.verdict, Verdict::Slip | Verdict::Drop), "{heavy:?}");
+    let away = trial.run(&command, &Truth { shift_m: [0.3, 0.0], ..truth }, Judge::Diffsim).unwrap();
+    assert_eq!(away.verdict, Verdict::NoContact);
+    assert!(away.failed_at_s.is_some());
+
+    let fragile = trial_of(|object, _| object.max_finger_n = Some(0.2));
+    let crushed = fragile.run(&command, &truth, Judge::Diffsim).unwrap();
+    assert_eq!(crushed.verdict, Verdict::Crushed);
+    let refused = fragile.command(&g.joints, &g.object_from_base, &TOLD, Squeeze::Needed).unwrap().unwrap_err();
+    assert!(matches!(refused, NoCommand::Crushes(_)), "{refused}");
+
+    let mut low = command.clone();
+    low.world_from_palm.translation.z -= 0.07;
+    let table = trial.run(&low, &truth, Judge::Diffsim).unwrap();
+    assert_eq!(table.verdict, Verdict::Table);
+
+    let heavy = Belief { mass_kg: 5.0, ..TOLD };
+    let weak = trial.command(&g.joints, &g.object_from_base, &heavy, Squeeze::Needed).unwrap().unwrap_err();
+    assert!(matches!(weak, NoCommand::TorqueLimit(_)), "{weak}");
+    let smooth = Belief { friction: 0.01, ..TOLD };
+    let cannot = trial.command(&g.joints, &g.object_from_base, &smooth, Squeeze::Needed).unwrap().unwrap_err();
+    assert!(matches!(cannot, NoCommand::CannotCarry(_) | NoCommand::TorqueLimit(_)), "{cannot}");
+    let far = drex_core::Pose::translation(0.0, 0.0, 1.0);
+    let nothing = trial.command(&g.joints, &far, &TOLD, Squeeze::Needed).unwrap().unwrap_err();
+    assert_eq!(nothing, NoCommand::NoContact { touching: 0 });
+}
+
+#[test]
+fn numbers_without_meaning_are_refused() {
+    let trial = trial_of(|_, _| {});
+    let pose = drex_core::Pose::identity();
+    let q = vec![0.0; 16];
+    for (mass_kg, friction) in [(0.0, 0.5), (1000.0, 0.5), (f64::NAN, 0.5), (0.2, 0.0), (0.2, f64::INFINITY)] {
+        let told = Belief { mass_kg, friction };
+        let message = trial.command(&q, &pose, &told, Squeeze::Needed).unwrap_err().to_string();
+        assert!(message.contains("mass") || message.contains("friction"), "{message}");
+    }
+    let message = trial.command(&q[..3], &pose, &TOLD, Squeeze::Needed).unwrap_err().to_string();
+    assert!(message.contains("3 joint angles") && message.contains("leap_right"), "{message}");
+}
+
+#[test]
+fn threads_change_nothing() {
+    let trial = trial_of(|_, _| {});
+    let g = &grasps(&trial)[0];
+    let command = trial.command(&g.joints, &g.object_from_base, &TOLD, Squeeze::Needed).unwrap().unwrap();
+    let all = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            (0..4u64)
+                .into_par_iter()
+                .map(|seed| trial.run(&command, &Truth::as_believed(&TOLD, seed), Judge::Diffsim).unwrap())
+                .collect::<Vec<_>>()
+        })
+    };
+    assert_eq!(all(1), all(2));
+}
+
+#[cfg(not(feature = "mujoco"))]
+#[test]
+fn a_build_without_mujoco_says_so() {
+    let trial = trial_of(|_, _| {});
+    let g = &grasps(&trial)[0];
+    let command = trial.command(&g.joints, &g.object_from_base, &TOLD, Squeeze::Needed).unwrap().unwrap();
+    let message = trial.run(&command, &Truth::as_believed(&TOLD, 1), Judge::Mujoco).unwrap_err().to_string();
+    assert!(message.contains("mujoco"), "{message}");
+}
+
+#[cfg(feature = "mujoco")]
+#[test]
+fn both_engines_say_the_same() {
+    let trial = trial_of(|_, _| {});
+    let found = grasps(&trial);
+    let agree = found[..6]
+        .par_iter()
+        .map(|g| {
+            let command = trial.command(&g.joints, &g.object_from_base, &TOLD, Squeeze::Needed).unwrap().unwrap();
+            let of = |judge| trial.run(&command, &Truth::as_believed(&TOLD, 1), judge).unwrap();
+            let (a, b) = (of(Judge::Diffsim), of(Judge::Mujoco));
+            eprintln!("{:?} {:?}", a.verdict, b.verdict);
+            a.succeeded() == b.succeeded()
+        })
+        .filter(|same| *same)
+        .count();
+    assert!(agree >= 5, "{agree} of 6");
+}

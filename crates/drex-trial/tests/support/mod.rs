@@ -1,0 +1,84 @@
+//! A box, the LEAP hand, and a grasp that was searched for.
+#![allow(clippy::unwrap_used, dead_code)] // a test says what fails by failing; not every test uses everything
+
+use std::sync::Arc;
+
+use drex_core::{MassProperties, Pose, SdfSample, SignedDistance, SurfacePoint};
+use drex_diffsim::{Collider, Geom, Shape};
+use drex_grasp::{FoundGrasp, HandSurface, SearchOptions, TablePlane, search_grasps};
+use drex_robot::Robot;
+use drex_trial::{Belief, Squeeze, Trial, TrialObject, TrialOptions};
+use nalgebra::{Matrix3, Point3, Vector3};
+
+/// Half extents of the box, m.
+pub const HALF: Vector3<f64> = Vector3::new(0.025, 0.035, 0.04);
+
+/// Signed distance of the box.
+pub struct Cuboid;
+
+impl SignedDistance for Cuboid {
+    fn signed_distance(&self, point: &Point3<f64>) -> SdfSample {
+        let q = point.coords.abs() - HALF;
+        let sign = point.coords.map(|x| if x < 0.0 { -1.0 } else { 1.0 });
+        let outside = q.map(|x| x.max(0.0));
+        if outside.norm() > 0.0 {
+            return SdfSample { distance_m: outside.norm(), gradient: outside.normalize().component_mul(&sign) };
+        }
+        let k = q.imax();
+        SdfSample { distance_m: q[k], gradient: Vector3::ith(k, sign[k]) }
+    }
+}
+
+/// Points on the four sides, outward normals.
+fn sides() -> Vec<SurfacePoint> {
+    let mut out = Vec::new();
+    for i in 0..15 {
+        for k in 0..15 {
+            let (u, v) = (f64::from(i) / 7.0 - 1.0, f64::from(k) / 7.0 - 1.0);
+            for (axis, other) in [(0, 1), (1, 0)] {
+                for sign in [-1.0, 1.0] {
+                    let mut point = Point3::new(0.0, 0.0, v * HALF.z * 0.9);
+                    point[axis] = sign * HALF[axis];
+                    point[other] = u * HALF[other] * 0.9;
+                    out.push(SurfacePoint { point, normal: Vector3::ith(axis, sign) });
+                }
+            }
+        }
+    }
+    out
+}
+
+pub fn trial_of(change: impl FnOnce(&mut TrialObject, &mut TrialOptions)) -> Trial {
+    let s = HALF.component_mul(&HALF) / 3.0;
+    let inertia = Matrix3::from_diagonal(&Vector3::new(s.y + s.z, s.z + s.x, s.x + s.y));
+    let mut object = TrialObject {
+        collider: Arc::new(Collider::new(&[Geom::new(Shape::Box { half_m: HALF })]).unwrap()),
+        properties: MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia },
+        surface: Arc::new(Cuboid),
+        world_from_object: Pose::translation(0.0, 0.0, HALF.z),
+        max_finger_n: None,
+    };
+    let mut options = TrialOptions::default();
+    change(&mut object, &mut options);
+    Trial::new(Arc::new(Robot::bundled("leap_right").unwrap()), object, options).unwrap()
+}
+
+/// Grasps of the box that the hand can carry 150 g with at friction 0.5, those that squeeze least first.
+pub fn grasps(trial: &Trial) -> Vec<FoundGrasp> {
+    let surface = HandSurface::new(trial.hand(), 0.004).unwrap();
+    let table = TablePlane { up: Vector3::z_axis(), height_m: -HALF.z };
+    let mut options = SearchOptions::default();
+    options.candidates = 6000;
+    let found = search_grasps(trial.hand(), &surface, &Cuboid, &sides(), &Point3::origin(), &table, &options).unwrap();
+    let belief = Belief { mass_kg: 0.15, friction: 0.5 };
+    let mut good: Vec<(f64, FoundGrasp)> = found
+        .into_iter()
+        .filter(|f| f.closed)
+        .filter_map(|f| {
+            let command = trial.command(&f.joints, &f.object_from_base, &belief, Squeeze::Needed).unwrap().ok()?;
+            Some((command.squeeze_n, f))
+        })
+        .collect();
+    good.sort_by(|a, b| a.0.total_cmp(&b.0));
+    good.into_iter().map(|g| g.1).collect()
+}
