@@ -6,7 +6,7 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use drex_core::Pose;
-use drex_policy::{Dataset, GRAVITY_M_S2, GraspPolicy, GraspSample, TrainOptions, TrainReport};
+use drex_policy::{Dataset, GRAVITY_M_S2, GraspPolicy, GraspSample, ObjectCloud, Query, TrainOptions, TrainReport};
 use nalgebra::{Matrix4, Point3, Vector3};
 
 /// The rows of a little-endian f64 `.npy` matrix in C order.
@@ -31,6 +31,10 @@ fn tin() -> Vec<Point3<f64>> {
         .collect()
 }
 
+fn fingers() -> Vec<String> {
+    ["thumb", "index", "middle", "ring"].map(String::from).to_vec()
+}
+
 /// The number that an environment variable gives, to lengthen a run from the outside.
 fn setting(name: &str, otherwise: usize) -> usize {
     std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(otherwise)
@@ -41,9 +45,13 @@ fn report(data: &Dataset) -> TrainReport {
     let options = TrainOptions::default().with_epochs(epochs).with_modes(setting("DREX_POLICY_MODES", 16));
     let (policy, report) = GraspPolicy::train(data, &options, &mut |_| ControlFlow::Continue(())).unwrap();
     let started = std::time::Instant::now();
-    policy.predict(&data.points, 0.2).unwrap();
+    policy.predict(&Query::new(&data.objects[0].points, 0.2, 0.5)).unwrap();
     eprintln!("predicted in {:.1} ms", 1e3 * started.elapsed().as_secs_f64());
     eprintln!("{epochs} epochs in {:.1} s, {} parameters", report.seconds, report.parameters);
+    eprintln!(
+        "log-likelihood held out {:?}, joints alone {:?}; {:?}",
+        report.held_out_log_likelihood, report.held_out_joint_log_likelihood, report.spread
+    );
     eprintln!("held out {:?}\n{:#?}\n{:#?}", report.held_out, report.baselines, report.modes);
     report
 }
@@ -66,12 +74,16 @@ fn modes_are_nearer_to_real_grasps_than_their_mean_is() {
         object_from_palm: Pose::translation(0.0, 0.0, 0.1),
         squeeze_n: 3.0 * mass_kg * GRAVITY_M_S2,
         mass_kg,
+        object: 0,
+        contacts: vec![true; 4],
+        friction: 0.5,
     };
     let data = Dataset {
         joint_names: (0..16).map(|j| format!("joint{j}")).collect(),
         joint_limits: limits.collect(),
         hand: "leap_right".into(),
-        points: tin(),
+        fingers: fingers(),
+        objects: vec![ObjectCloud::upright("tin", tin())],
         samples: rows.iter().flat_map(|r| [0.1, 0.2, 0.4].map(|m| sample(r, m))).collect(),
     };
     let report = report(&data);
@@ -121,6 +133,9 @@ fn wrists_are_learned_with_the_joints() {
             object_from_palm: world_from_object.inverse() * world_from_palm(&q),
             squeeze_n: 0.0,
             mass_kg: 0.0,
+            object: 0,
+            contacts: vec![true; 4],
+            friction: 0.5,
         };
         for mass_kg in [0.1, 0.2, 0.4] {
             samples.push(GraspSample { squeeze_n: 4.0 * mass_kg * GRAVITY_M_S2, mass_kg, ..sample.clone() });
@@ -136,7 +151,8 @@ fn wrists_are_learned_with_the_joints() {
         joint_names: hand.iter().map(|j| j["joint"].as_str().unwrap().to_owned()).collect(),
         joint_limits: hand.iter().map(|j| (limit(j, "lower"), limit(j, "upper"))).collect(),
         hand: "allegro_right".into(),
-        points: mesh.lines().filter_map(vertex).collect(),
+        fingers: fingers(),
+        objects: vec![ObjectCloud::upright("cracker box", mesh.lines().filter_map(vertex).collect())],
         samples,
     };
     let palm = data.samples.iter().map(|s| s.object_from_palm.translation.vector.norm());

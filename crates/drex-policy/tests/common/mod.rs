@@ -1,8 +1,15 @@
 //! Toy data: a box to grasp and two clearly different ways to grasp it.
+#![allow(dead_code)] // not every test file uses all of it
 
 use drex_core::Pose;
-use drex_policy::{Dataset, GRAVITY_M_S2, GraspSample, TrainOptions};
+use drex_policy::{Dataset, GRAVITY_M_S2, GraspSample, ObjectCloud, TrainOptions};
 use nalgebra::{Isometry3, Point3, Vector3};
+
+/// Friction of the toy.
+pub const FRICTION: f64 = 0.5;
+
+/// Which of the two fingers each way touches with.
+pub const TOUCHES: [[bool; 2]; 2] = [[true, true], [true, false]];
 
 /// The two ways: joint angles, wrist, squeeze per weight.
 pub fn ways() -> [(Vec<f64>, Pose, f64); 2] {
@@ -22,6 +29,9 @@ pub fn toy(grasps: usize, masses_kg: &[f64]) -> Dataset {
         let shift = Isometry3::translation(0.003 * wave(i, 4), 0.003 * wave(i, 5), 0.003 * wave(i, 6));
         for mass_kg in masses_kg {
             samples.push(GraspSample {
+                object: 0,
+                contacts: TOUCHES[usize::from(i % 3 == 2)].to_vec(),
+                friction: FRICTION,
                 joints: joints.clone(),
                 object_from_palm: shift * pose,
                 squeeze_n: ratio * (1.0 + 0.02 * wave(i, 7)) * mass_kg * GRAVITY_M_S2,
@@ -33,7 +43,8 @@ pub fn toy(grasps: usize, masses_kg: &[f64]) -> Dataset {
         joint_names: ["base", "middle", "tip"].map(String::from).to_vec(),
         joint_limits: vec![(-0.3, 2.0), (-0.6, 0.6), (0.0, 1.6)],
         hand: "toy_hand".into(),
-        points: box_points(),
+        fingers: ["thumb", "finger"].map(String::from).to_vec(),
+        objects: vec![ObjectCloud::upright("box", box_points())],
         samples,
     }
 }
@@ -55,7 +66,6 @@ pub fn box_points() -> Vec<Point3<f64>> {
 }
 
 /// Settings that train the toy in about a second.
-#[allow(dead_code)] // not every test file trains small
 pub fn small() -> TrainOptions {
     TrainOptions::default()
         .with_points(48)
