@@ -12,7 +12,7 @@
 use std::f64::consts::PI;
 
 /// ν: tails heavy enough that a grasp unlike all others does not pull a mode towards it, light enough to have a variance.
-pub(crate) const TAIL: f64 = 20.0;
+pub(crate) const TAIL: f64 = 5.0;
 
 /// ln of the constant Γ((ν + D) / 2) / (Γ(ν / 2) (ν π)^(D/2)).
 pub(crate) fn log_constant(dimensions: usize) -> f64 {

@@ -61,6 +61,7 @@ mod metric;
 mod net;
 mod norm;
 mod options;
+pub mod paper;
 mod policy;
 mod report;
 mod sample;

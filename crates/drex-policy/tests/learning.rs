@@ -48,7 +48,7 @@ fn two_ways_to_grasp_become_two_modes_with_their_force() {
                 nearest.squeeze_n
             );
             for (p, touches) in nearest.contacts.iter().zip(TOUCHES[i]) {
-                assert!((*p > 0.9) == touches && (*p < 0.1) != touches, "way {i}: contacts {:?}", nearest.contacts);
+                assert!((*p > 0.8) == touches && (*p < 0.2) != touches, "way {i}: contacts {:?}", nearest.contacts);
             }
             let share = [2.0 / 3.0, 1.0 / 3.0][i];
             assert!((nearest.weight - share).abs() < 0.1, "way {i} has weight {}", nearest.weight);
@@ -144,7 +144,7 @@ fn one_grasp_at_one_mass_is_enough() {
 
 #[test]
 fn a_turned_object_turns_the_grasp_when_trained_so() {
-    let mut options = small().with_epochs(250).with_hidden(48);
+    let mut options = small().with_epochs(400).with_hidden(48).with_points(150);
     options.yaw_range_rad = 0.6;
     let (policy, _) = GraspPolicy::train(&toy(18, &[0.2]), &options, &mut quiet).unwrap();
     for angle in [-0.4, 0.0, 0.4] {

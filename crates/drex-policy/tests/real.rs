@@ -2,34 +2,15 @@
 #![allow(clippy::unwrap_used, missing_docs)] // a test says what fails by failing
 #![cfg(feature = "flex")]
 
+mod common;
+
 use std::ops::ControlFlow;
 use std::path::Path;
 
+use common::{leap_grasps, tin};
 use drex_core::Pose;
 use drex_policy::{Dataset, GRAVITY_M_S2, GraspPolicy, GraspSample, ObjectCloud, Query, TrainOptions, TrainReport};
 use nalgebra::{Matrix4, Point3, Vector3};
-
-/// The rows of a little-endian f64 `.npy` matrix in C order.
-fn read_rows(path: &Path, columns: usize) -> Vec<Vec<f64>> {
-    let bytes = std::fs::read(path).unwrap();
-    let header = u16::from_le_bytes([bytes[8], bytes[9]]) as usize;
-    let text = String::from_utf8_lossy(&bytes[10..10 + header]).into_owned();
-    assert!(text.contains("<f8") && text.contains("'fortran_order': False"), "{text}");
-    let values: Vec<f64> = bytes[10 + header..].as_chunks().0.iter().map(|b| f64::from_le_bytes(*b)).collect();
-    values.chunks_exact(columns).map(<[f64]>::to_vec).collect()
-}
-
-/// A tin of 16 cm across and 6 cm high.
-fn tin() -> Vec<Point3<f64>> {
-    let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
-    (0..512)
-        .map(|i| {
-            let (part, angle) = (f64::from(i) / 512.0, golden * f64::from(i));
-            let (radius, z) = if i % 2 == 0 { (0.08, 0.06 * (part - 0.5)) } else { (0.08 * part.sqrt(), 0.03) };
-            Point3::new(radius * angle.cos(), radius * angle.sin(), z)
-        })
-        .collect()
-}
 
 fn fingers() -> Vec<String> {
     ["thumb", "index", "middle", "ring"].map(String::from).to_vec()
@@ -59,12 +40,7 @@ fn report(data: &Dataset) -> TrainReport {
 /// The wrists of these grasps are not recorded, so this looks at joints only.
 #[test]
 fn modes_are_nearer_to_real_grasps_than_their_mean_is() {
-    let Some(shared) = std::env::var_os("DREX_SHARED") else {
-        eprintln!("skipped: DREX_SHARED is not set");
-        return;
-    };
-    let rows = read_rows(&Path::new(&shared).join("data/drex_real/demos/cookie_leap_grasps.npy"), 16);
-    assert_eq!(rows.len(), 132);
+    let Some(rows) = leap_grasps() else { return };
     let limits = (0..16).map(|j| {
         let column = rows.iter().map(|r| r[j]);
         (column.clone().fold(f64::INFINITY, f64::min), column.fold(f64::NEG_INFINITY, f64::max))

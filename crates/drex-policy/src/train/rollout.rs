@@ -256,7 +256,7 @@ impl Trainer<'_> {
             format!("{} contacts for {fingers} fingers", feedback.fingers_in_contact.len())
         } else if !(0.0..=1.0).contains(&feedback.retained) {
             format!("retained is {}, not 0 .. 1", feedback.retained)
-        } else if feedback.friction_used.is_some_and(|u| !(u >= 0.0 && u <= 10.0)) {
+        } else if feedback.friction_used.is_some_and(|u| !(0.0..=10.0).contains(&u)) {
             format!("friction_used is {:?}, not 0 .. 1", feedback.friction_used)
         } else if feedback.needed_squeeze_n.is_some_and(|n| !(n >= 0.0 && n.is_finite())) {
             format!("needed_squeeze_n is {:?}, no force", feedback.needed_squeeze_n)
