@@ -190,7 +190,7 @@ impl Default for TrainOptions {
             tilt_rad: 0.0,
             shift_m: 0.0,
             share: 0.05,
-            nearest_weight: 20.0,
+            nearest_weight: 10.0,
             force_weight: 100.0,
             contact_weight: 1.0,
             hold_out_every: 8,

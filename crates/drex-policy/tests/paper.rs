@@ -58,9 +58,9 @@ fn the_mixture_explains_grasps_held_out_better_than_the_paper() {
     let every = |i: usize| i % 8 == 7;
     let block = |part: usize| move |i: usize| i / 22 == part;
     let mut blocks = (0.0, 0.0, 0.0);
-    for (name, held) in std::iter::once(("every eighth", &every as &dyn Fn(usize) -> bool))
-        .chain([0, 1, 2, 3, 4, 5].map(|part| ("block of 22", Box::leak(Box::new(block(part))) as &dyn Fn(usize) -> bool)))
-    {
+    for (name, held) in std::iter::once(("every eighth", &every as &dyn Fn(usize) -> bool)).chain(
+        [0, 1, 2, 3, 4, 5].map(|part| ("block of 22", Box::leak(Box::new(block(part))) as &dyn Fn(usize) -> bool)),
+    ) {
         let pick = |out: bool| -> Vec<Vec<f64>> {
             grasps.iter().enumerate().filter(|(i, _)| held(*i) == out).map(|(_, g)| g.clone()).collect()
         };
