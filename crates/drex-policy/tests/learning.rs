@@ -145,7 +145,8 @@ fn one_grasp_at_one_mass_is_enough() {
 #[test]
 fn a_turned_object_turns_the_grasp_when_trained_so() {
     let mut options = small().with_epochs(400).with_hidden(48).with_points(150);
-    options.yaw_range_rad = 0.6;
+    // With little share the modes may divide the headings among them instead of the ways.
+    (options.yaw_range_rad, options.share) = (0.6, 0.3);
     let (policy, _) = GraspPolicy::train(&toy(18, &[0.2]), &options, &mut quiet).unwrap();
     for angle in [-0.4, 0.0, 0.4] {
         let turn = nalgebra::Isometry3::rotation(nalgebra::Vector3::z() * angle);
