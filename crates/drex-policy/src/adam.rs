@@ -19,6 +19,16 @@ impl Adam {
         Self { first: zeros.clone(), second: zeros, steps: 0 }
     }
 
+    /// First and second moments and the number of steps, to be saved.
+    pub fn state(&self) -> (&[Vec<f32>], &[Vec<f32>], i32) {
+        (&self.first, &self.second, self.steps)
+    }
+
+    /// Goes on from [`state`](Self::state).
+    pub fn from_state(first: Vec<Vec<f32>>, second: Vec<Vec<f32>>, steps: i32) -> Self {
+        Self { first, second, steps }
+    }
+
     /// Moves `values` one step against `gradients`.
     pub fn step(&mut self, values: &mut [Vec<f32>], gradients: &[Vec<f32>], learning_rate: f64) {
         self.steps = self.steps.saturating_add(1);

@@ -58,9 +58,11 @@ pub(crate) fn encode(point: &Vector3<f64>, length_m: f64, frequencies: usize, ou
     for x in point.iter() {
         let x = x / length_m;
         out.push(x as f32);
-        for k in 0..frequencies {
-            let (sin, cos) = (f64::from(1u32 << k) * PI * x).sin_cos();
+        let (mut sin, mut cos) = (PI * x).sin_cos();
+        for _ in 0..frequencies {
             out.extend([sin as f32, cos as f32]);
+            // Twice the angle: ten doublings lose three of f64's sixteen digits, and f32 keeps seven.
+            (sin, cos) = (2.0 * sin * cos, (cos - sin) * (cos + sin));
         }
     }
 }

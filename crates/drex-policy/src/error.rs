@@ -42,6 +42,32 @@ pub enum Error {
         /// What to do about it.
         remedy: String,
     },
+    /// A policy, a checkpoint or demonstrations are of another hand.
+    #[error("policy of hand '{policy}', but '{given}' was given: {what}; {remedy}")]
+    Hand {
+        /// Hand of the policy or checkpoint.
+        policy: String,
+        /// Hand it was to be used with.
+        given: String,
+        /// What differs.
+        what: String,
+        /// What to do about it.
+        remedy: String,
+    },
+    /// A rollout failed, or what it told cannot be used.
+    #[error("rollout of object '{object}' at {mass_kg} kg and friction {friction}: {what}; {remedy}")]
+    Rollout {
+        /// Name of the object.
+        object: String,
+        /// Mass it was tried with, kg.
+        mass_kg: f64,
+        /// Friction it was tried with.
+        friction: f64,
+        /// What is wrong.
+        what: String,
+        /// What to do about it.
+        remedy: String,
+    },
     /// Training left the range of numbers.
     #[error("training diverged in epoch {epoch}: the loss is {loss}; lower the learning rate (it is {learning_rate})")]
     Diverged {

@@ -15,7 +15,7 @@ const MANIFEST: &str = "policy.json";
 /// Says what the file is.
 const FORMAT: &str = "drex-policy";
 /// Raised when the meaning of a field or of a weight changes.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// `policy.json`.
 #[derive(Serialize, Deserialize)]
@@ -38,6 +38,7 @@ struct Units {
     joints: String,
     length: String,
     mass: String,
+    friction: String,
     squeeze: String,
     wrist: String,
 }
@@ -48,6 +49,7 @@ impl Units {
             joints: "rad".into(),
             length: "m".into(),
             mass: "kg".into(),
+            friction: "coefficient between finger and object".into(),
             squeeze: "N, sum of normal forces".into(),
             wrist: "object_from_palm, in the frame of the object's points".into(),
         }
@@ -132,7 +134,7 @@ pub(crate) fn load(folder: &Path) -> Result<GraspPolicy> {
 }
 
 /// Whether the fields agree with each other, and sizes are sizes a policy has.
-fn check_card(card: &Card) -> Result<(), String> {
+pub(crate) fn check_card(card: &Card) -> Result<(), String> {
     card.training.validate().map_err(|e| format!("policy.training: {e}"))?;
     let network = card.network;
     let joints = card.joint_names.len();
@@ -145,6 +147,9 @@ fn check_card(card: &Card) -> Result<(), String> {
         if !(lower.is_finite() && upper.is_finite() && lower <= upper) {
             return Err(format!("joint '{name}': limits ({lower}, {upper}) rad are no interval"));
         }
+    }
+    if card.fingers.is_empty() || card.fingers.len() != network.fingers {
+        return Err(format!("{} finger names and a network for {} fingers", card.fingers.len(), network.fingers));
     }
     let t = &card.training;
     let as_trained = network.hidden == t.hidden && network.frequencies == t.frequencies && card.points == t.points;

@@ -4,8 +4,9 @@ use drex_core::Pose;
 use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
+use crate::GraspSample;
 use crate::data::GRAVITY_M_S2;
-use crate::{Dataset, GraspSample};
+use crate::weights::SCALARS;
 
 /// tanh reaches its ends only at infinity, but demonstrations often lie on a joint limit: the output interval is this much wider than
 /// the limits, and what exceeds them is clamped.
@@ -17,6 +18,9 @@ const FORCE_MARGIN: f64 = 2.0;
 /// Masses beyond this factor of those seen in training are refused.
 pub(crate) const MASS_MARGIN: f64 = 10.0;
 
+/// Coefficients of friction beyond this factor of those seen in training are refused.
+pub(crate) const FRICTION_MARGIN: f64 = 3.0;
+
 /// Numbers taken from the training samples (never from those held out).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -27,29 +31,36 @@ pub(crate) struct Normalisation {
     pub least_mass_kg: f64,
     /// Heaviest object seen, kg.
     pub most_mass_kg: f64,
-    /// Least squeeze per weight seen, N/N.
-    pub least_squeeze_per_weight: f64,
-    /// Largest squeeze per weight seen, N/N.
-    pub most_squeeze_per_weight: f64,
+    /// Least coefficient of friction seen.
+    pub least_friction: f64,
+    /// Largest coefficient of friction seen.
+    pub most_friction: f64,
+    /// Least squeeze seen, over weight and times friction.
+    pub least_squeeze: f64,
+    /// Largest squeeze seen, over weight and times friction.
+    pub most_squeeze: f64,
 }
 
 impl Normalisation {
     pub fn new<'a>(samples: impl Iterator<Item = &'a GraspSample>, length_m: f64) -> Self {
-        let mut norm = Self {
-            length_m,
-            least_mass_kg: f64::INFINITY,
-            most_mass_kg: 0.0,
-            least_squeeze_per_weight: f64::INFINITY,
-            most_squeeze_per_weight: 0.0,
-        };
+        let none = (f64::INFINITY, 0.0_f64);
+        let (mut mass, mut friction, mut squeeze) = (none, none, none);
         for s in samples {
-            let ratio = squeeze_per_weight(s);
-            norm.least_mass_kg = norm.least_mass_kg.min(s.mass_kg);
-            norm.most_mass_kg = norm.most_mass_kg.max(s.mass_kg);
-            norm.least_squeeze_per_weight = norm.least_squeeze_per_weight.min(ratio);
-            norm.most_squeeze_per_weight = norm.most_squeeze_per_weight.max(ratio);
+            for (range, value) in
+                [(&mut mass, s.mass_kg), (&mut friction, s.friction), (&mut squeeze, plain_squeeze(s))]
+            {
+                *range = (range.0.min(value), range.1.max(value));
+            }
         }
-        norm
+        Self {
+            length_m,
+            least_mass_kg: mass.0,
+            most_mass_kg: mass.1,
+            least_friction: friction.0,
+            most_friction: friction.1,
+            least_squeeze: squeeze.0,
+            most_squeeze: squeeze.1,
+        }
     }
 
     /// Whether numbers read from a file can be used.
@@ -57,36 +68,51 @@ impl Normalisation {
         let ordered = |least: f64, most: f64| least > 0.0 && least <= most && most.is_finite() && least.is_normal();
         (1e-3..=10.0).contains(&self.length_m)
             && ordered(self.least_mass_kg, self.most_mass_kg)
-            && ordered(self.least_squeeze_per_weight, self.most_squeeze_per_weight)
+            && ordered(self.least_friction, self.most_friction)
+            && ordered(self.least_squeeze, self.most_squeeze)
     }
 
-    /// The mass input: -1 at the lightest and 1 at the heaviest mass of the training data, linear in the logarithm, constant outside.
-    /// So outside the data the squeeze per weight keeps its last value and the force grows in proportion to the mass.
-    pub fn mass_input(&self, mass_kg: f64) -> f32 {
-        let (a, b) = (self.least_mass_kg.ln(), self.most_mass_kg.ln());
-        if b - a < 1e-9 {
-            return 0.0;
-        }
-        (2.0 * (mass_kg.ln() - a) / (b - a) - 1.0).clamp(-1.0, 1.0) as f32
+    /// What joins the points after pooling: mass, friction, and the height of the object's centre above the table over the length.
+    pub fn scalars(&self, mass_kg: f64, friction: f64, table_m: f64) -> [f32; SCALARS] {
+        let mass = within(mass_kg, self.least_mass_kg, self.most_mass_kg);
+        let friction = within(friction, self.least_friction, self.most_friction);
+        [mass as f32, friction as f32, (table_m / self.length_m) as f32]
     }
 
-    /// Centre and half width of the interval of ln(squeeze / weight) that the network can express.
+    /// Centre and half width of the interval of ln(squeeze · friction / weight) that the network can express.
     pub fn log_ratio_interval(&self) -> (f64, f64) {
-        let (a, b) = (self.least_squeeze_per_weight.ln(), self.most_squeeze_per_weight.ln());
+        let (a, b) = (self.least_squeeze.ln(), self.most_squeeze.ln());
         ((a + b) / 2.0, (b - a) / 2.0 + FORCE_MARGIN.ln())
     }
 
-    /// Squeeze in N from the network's output and the mass: m g exp(c + h tanh o).
-    pub fn squeeze_n(&self, output: f64, mass_kg: f64) -> f64 {
+    /// Squeeze in N from the network's output, mass and friction: m g / μ · exp(c + h tanh o).
+    pub fn squeeze_n(&self, output: f64, mass_kg: f64, friction: f64) -> f64 {
         let (centre, half) = self.log_ratio_interval();
-        mass_kg * GRAVITY_M_S2 * (centre + half * output.tanh()).exp()
+        mass_kg * GRAVITY_M_S2 / friction * (centre + half * output.tanh()).exp()
+    }
+
+    /// The logarithm that stands for a squeeze, kept inside what the network can express.
+    pub fn log_ratio(&self, squeeze_n: f64, mass_kg: f64, friction: f64) -> f64 {
+        let (centre, half) = self.log_ratio_interval();
+        let log = (squeeze_n * friction / (mass_kg * GRAVITY_M_S2)).ln();
+        log.clamp(centre - 0.98 * half, centre + 0.98 * half)
     }
 }
 
-/// Squeeze over weight of a demonstration, N/N. Friction and the geometry of the grasp fix it; the mass drops out
-/// as long as torque limits do not bind.
-pub(crate) fn squeeze_per_weight(sample: &GraspSample) -> f64 {
-    sample.squeeze_n / (sample.mass_kg * GRAVITY_M_S2)
+/// -1 at the least and 1 at the largest value of the training data, linear in the logarithm, constant outside. So outside the data the
+/// squeeze keeps its last ratio and goes on in proportion to the mass and to one over the friction.
+fn within(value: f64, least: f64, most: f64) -> f64 {
+    let (a, b) = (least.ln(), most.ln());
+    if b - a < 1e-9 {
+        return 0.0;
+    }
+    (2.0 * (value.ln() - a) / (b - a) - 1.0).clamp(-1.0, 1.0)
+}
+
+/// Squeeze times friction over weight of a demonstration, a number near one: two opposed contacts need m g / μ in sum. The geometry of
+/// the grasp fixes it; mass and friction drop out as long as torque limits do not bind.
+pub(crate) fn plain_squeeze(sample: &GraspSample) -> f64 {
+    sample.squeeze_n * sample.friction / (sample.mass_kg * GRAVITY_M_S2)
 }
 
 /// Centre and half width of each joint's interval, rad.
@@ -118,29 +144,20 @@ pub(crate) fn wrist_pose(numbers: &[f64; 9], length_m: f64) -> Pose {
 }
 
 /// What the last layer must say for its output to be this grasp: the inverse of the decoding, cut short of infinity.
-pub(crate) fn outputs_for(
-    data: &Dataset,
-    sample: &GraspSample,
-    centre: &Vector3<f64>,
-    norm: &Normalisation,
-) -> Vec<f32> {
+/// `pose` is the palm in the network's frame.
+pub(crate) fn outputs_for(limits: &[(f64, f64)], sample: &GraspSample, pose: &Pose, norm: &Normalisation) -> Vec<f32> {
     let inverse_tanh = |v: f64| v.clamp(-0.999, 0.999).atanh();
     let mut out = Vec::new();
-    for (&angle, (middle, half)) in sample.joints.iter().zip(joint_intervals(&data.joint_limits)) {
+    for (&angle, (middle, half)) in sample.joints.iter().zip(joint_intervals(limits)) {
         let part = if half > 0.0 { (angle - middle) / (half * STRETCH) } else { 0.0 };
         out.push(inverse_tanh(part) as f32);
     }
-    let pose = relative_to(&sample.object_from_palm, centre);
-    out.extend(wrist_numbers(&pose, norm.length_m).map(|v| v as f32));
+    out.extend(wrist_numbers(pose, norm.length_m).map(|v| v as f32));
     let (middle, half) = norm.log_ratio_interval();
-    out.push(inverse_tanh((squeeze_per_weight(sample).ln() - middle) / half) as f32);
+    out.push(inverse_tanh((plain_squeeze(sample).ln() - middle) / half) as f32);
     out.push(0.0);
+    out.extend(sample.contacts.iter().map(|c| if *c { 1.0 } else { -1.0 }));
     out
-}
-
-/// The pose with its translation measured from `centre`.
-pub(crate) fn relative_to(pose: &Pose, centre: &Vector3<f64>) -> Pose {
-    Isometry3::from_parts((pose.translation.vector - centre).into(), pose.rotation)
 }
 
 #[cfg(test)]
@@ -153,31 +170,36 @@ mod tests {
             length_m: 0.1,
             least_mass_kg: 0.1,
             most_mass_kg: 0.4,
-            least_squeeze_per_weight: 2.0,
-            most_squeeze_per_weight: 3.0,
+            least_friction: 0.25,
+            most_friction: 1.0,
+            least_squeeze: 2.0,
+            most_squeeze: 3.0,
         }
     }
 
     #[test]
-    fn force_is_proportional_to_mass_and_bounded() {
+    fn force_is_proportional_to_mass_over_friction_and_bounded() {
         let n = norm();
-        assert!((n.squeeze_n(0.3, 0.4) / n.squeeze_n(0.3, 0.1) - 4.0).abs() < 1e-12);
-        let weight = 0.2 * GRAVITY_M_S2;
+        assert!((n.squeeze_n(0.3, 0.4, 0.5) / n.squeeze_n(0.3, 0.1, 1.0) - 8.0).abs() < 1e-12);
+        let unit = 0.2 * GRAVITY_M_S2 / 0.5;
         for output in [-1e30, -3.0, 0.0, 3.0, 1e30] {
-            let ratio = n.squeeze_n(output, 0.2) / weight;
+            let ratio = n.squeeze_n(output, 0.2, 0.5) / unit;
             assert!((2.0 / 2.0 - 1e-9..=3.0 * 2.0 + 1e-9).contains(&ratio), "{ratio}");
         }
+        let log = n.log_ratio(2.4 * unit, 0.2, 0.5);
+        assert!((log - 2.4f64.ln()).abs() < 1e-12);
+        assert!(n.log_ratio(1e9, 0.2, 0.5).exp() < 6.0);
     }
 
     #[test]
-    fn mass_input_spans_the_data_and_stops_there() {
+    fn inputs_span_the_data_and_stop_there() {
         let n = norm();
-        assert_eq!(n.mass_input(0.1), -1.0);
-        assert!(n.mass_input(0.2).abs() < 1e-6);
-        assert_eq!(n.mass_input(0.4), 1.0);
-        assert_eq!(n.mass_input(4.0), 1.0);
+        let mass = |m: f64| n.scalars(m, 0.5, 0.0)[0];
+        assert_eq!(mass(0.1), -1.0);
+        assert!(mass(0.2).abs() < 1e-6);
+        assert_eq!((mass(0.4), mass(4.0)), (1.0, 1.0));
         let one = Normalisation { most_mass_kg: 0.1, ..n };
-        assert_eq!(one.mass_input(0.3), 0.0);
+        assert_eq!(one.scalars(0.3, 0.25, 0.05), [0.0, -1.0, 0.5]);
     }
 
     proptest! {

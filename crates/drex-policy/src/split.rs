@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use drex_core::Pose;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -15,11 +16,20 @@ pub(crate) enum Stream {
     Order = 3,
     Noise = 4,
     Baseline = 5,
+    Rollouts = 6,
+    Sample = 7,
 }
 
 pub(crate) fn random(seed: u64, stream: Stream) -> ChaCha8Rng {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     random.set_stream(stream as u64);
+    random
+}
+
+/// The random numbers of one epoch. They depend on nothing before it, so that training can go on from any epoch.
+pub(crate) fn random_of_epoch(seed: u64, stream: Stream, epoch: usize) -> ChaCha8Rng {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    random.set_stream((epoch as u64 + 1) << 8 | stream as u64);
     random
 }
 
@@ -56,7 +66,8 @@ fn distinct_grasps(samples: &[GraspSample]) -> Vec<Vec<usize>> {
     let mut grasps: Vec<Vec<usize>> = Vec::new();
     for (i, s) in samples.iter().enumerate() {
         let wrist = s.object_from_palm.translation.vector.iter().chain(s.object_from_palm.rotation.coords.iter());
-        let key: Vec<u64> = s.joints.iter().chain(wrist).map(|v| v.to_bits()).collect();
+        let numbers = s.joints.iter().chain(wrist).map(|v| v.to_bits());
+        let key: Vec<u64> = std::iter::once(s.object as u64).chain(numbers).collect();
         let at = *index.entry(key).or_insert(grasps.len());
         match grasps.get_mut(at) {
             Some(grasp) => grasp.push(i),
@@ -68,8 +79,10 @@ fn distinct_grasps(samples: &[GraspSample]) -> Vec<Vec<usize>> {
 
 /// `count` grasps to start the modes from (sample indices), spread over the training grasps: the first at random, each next one with
 /// probability proportional to the squared distance to the nearest one chosen (k-means++, Arthur and Vassilvitskii 2007).
+/// `poses` are the palms of all samples in the network's frame, so that grasps of several objects can be compared.
 pub(crate) fn spread_grasps(
     data: &Dataset,
+    poses: &[Pose],
     grasps: &[Vec<usize>],
     count: usize,
     length_m: f64,
@@ -83,11 +96,10 @@ pub(crate) fn spread_grasps(
     let mut chosen = vec![samples[random.random_range(0..samples.len())]];
     let mut gap = vec![f64::INFINITY; samples.len()];
     while chosen.len() < count.min(samples.len()) {
-        let last = &data.samples[chosen[chosen.len() - 1]];
+        let last = chosen[chosen.len() - 1];
         for (gap, &s) in gap.iter_mut().zip(&samples) {
-            let s = &data.samples[s];
-            let pair = ((&*s.joints, &s.object_from_palm), (&*last.joints, &last.object_from_palm));
-            *gap = gap.min(grasp_distance_m(pair.0, pair.1, length_m).powi(2));
+            let grasp = |s: usize| (&*data.samples[s].joints, &poses[s]);
+            *gap = gap.min(grasp_distance_m(grasp(s), grasp(last), length_m).powi(2));
         }
         let mut target = random.random_range(0.0..1.0) * gap.iter().sum::<f64>();
         // The last grasp with a gap stands in when rounding leaves a rest.
@@ -107,20 +119,23 @@ pub(crate) fn spread_grasps(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use drex_core::Pose;
 
     fn data(angles: &[f64], masses: &[f64]) -> Dataset {
         let sample = |angle: f64, mass_kg: f64| GraspSample {
+            object: 0,
             joints: vec![angle],
             object_from_palm: Pose::identity(),
+            contacts: vec![true],
             squeeze_n: 20.0 * mass_kg,
             mass_kg,
+            friction: 0.5,
         };
         Dataset {
             joint_names: vec!["j".into()],
             joint_limits: vec![(-10.0, 10.0)],
             hand: "toy".into(),
-            points: vec![],
+            fingers: vec!["f".into()],
+            objects: vec![],
             samples: angles.iter().flat_map(|a| masses.iter().map(move |m| sample(*a, *m))).collect(),
         }
     }
@@ -149,7 +164,7 @@ mod tests {
         let data = data(&angles, &[0.1]);
         let split = Split::new(&data, 0, 1);
         for seed in 0..10 {
-            let chosen = spread_grasps(&data, &split.train, 3, 0.1, seed);
+            let chosen = spread_grasps(&data, &vec![Pose::identity(); 50], &split.train, 3, 0.1, seed);
             let mut clusters: Vec<i32> = chosen.iter().map(|s| data.samples[*s].joints[0].round() as i32).collect();
             clusters.sort();
             assert_eq!(clusters, [-3, 0, 2]);

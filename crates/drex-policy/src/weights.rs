@@ -1,13 +1,13 @@
-//! The numbers a network consists of, by name: how many there are, where they start, and their file format.
-//!
-//! Files are in the safetensors format (eight bytes with the length of a JSON header, the header with type, shape and byte range
-//! of each tensor, then the raw little-endian values), so that other programs can read the weights.
-
-use std::collections::BTreeMap;
+//! The numbers the network consists of, by name: how many there are and where they start.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
+
+use crate::tensors;
+
+/// Numbers that join after pooling: mass, friction, height of the table below the object's centre.
+pub(crate) const SCALARS: usize = 3;
 
 /// Sizes that fix the shape of every weight array.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -21,12 +21,39 @@ pub(crate) struct Layout {
     pub hidden: usize,
     /// Frequencies of the positional encoding.
     pub frequencies: usize,
+    /// Fingers of the hand.
+    pub fingers: usize,
 }
 
 impl Layout {
-    /// Outputs per mode: joints, translation, two columns of a rotation, log squeeze per weight, logit.
+    /// Outputs per mode: joints, translation, two columns of a rotation, log squeeze per weight, logit, one contact logit per finger.
     pub fn mode_width(&self) -> usize {
-        self.joints + 3 + 6 + 2
+        self.joints + 3 + 6 + 2 + self.fingers
+    }
+
+    /// Where in a mode's outputs the nine numbers of the wrist begin.
+    pub fn wrist(&self) -> usize {
+        self.joints
+    }
+
+    /// Where in a mode's outputs the squeeze stands.
+    pub fn force(&self) -> usize {
+        self.joints + 9
+    }
+
+    /// Where in a mode's outputs its logit stands.
+    pub fn logit(&self) -> usize {
+        self.joints + 10
+    }
+
+    /// Where in a mode's outputs the contact logits begin.
+    pub fn contacts(&self) -> usize {
+        self.joints + 11
+    }
+
+    /// Logarithms of the spread: one per joint, one of the translation, one of the rotation.
+    pub fn spreads(&self) -> usize {
+        self.joints + 2
     }
 
     /// Name and shape of every array, in the order the network uses them. Matrices are (inputs, outputs).
@@ -41,13 +68,14 @@ impl Layout {
             ("point3.bias", [1, h]),
             ("trunk.from_max", [h, h]),
             ("trunk.from_mean", [h, h]),
-            ("trunk.from_mass", [1, h]),
+            ("trunk.from_scalars", [SCALARS, h]),
             ("trunk.bias", [1, h]),
             ("head1.weight", [h, h]),
             ("head1.bias", [1, h]),
             ("head2.weight", [h, self.modes * self.mode_width()]),
-            ("head2.from_mass", [1, self.modes * self.mode_width()]),
+            ("head2.from_scalars", [SCALARS, self.modes * self.mode_width()]),
             ("head2.bias", [1, self.modes * self.mode_width()]),
+            ("log_spread", [1, self.spreads()]),
         ]
     }
 
@@ -56,6 +84,11 @@ impl Layout {
         self.arrays().iter().map(|(_, [rows, columns])| rows * columns).sum()
     }
 }
+
+/// Places in [`Layout::arrays`].
+const HEAD2_BIAS: usize = 14;
+/// The array that the network's outputs do not depend on.
+pub(crate) const LOG_SPREAD: usize = 15;
 
 /// The values of every array of a [`Layout`], row-major.
 #[derive(Debug, Clone, PartialEq)]
@@ -67,18 +100,22 @@ pub(crate) struct Weights {
 
 impl Weights {
     /// Where training starts: matrices uniform in ±sqrt(6 / inputs) (He et al. 2015, equation 10, as a uniform distribution), biases zero.
-    /// The last layer is ten times smaller, and zero for the mass: at the start, modes come from its bias, which the caller sets.
+    /// The last layer is ten times smaller, and zero for the scalars: at the start, modes come from its bias, which the caller sets.
     pub fn initial(layout: Layout, seed: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let scale = |name| match name {
             "head2.weight" => 0.1,
-            "head2.from_mass" => 0.0,
+            "head2.from_scalars" => 0.0,
             _ => 1.0,
         };
         let arrays = layout.arrays().into_iter().map(|(name, [rows, columns])| {
             let bound = scale(name) * (6.0 / rows as f64).sqrt();
             let draw = |_| {
-                if bound == 0.0 || name.ends_with("bias") { 0.0 } else { random.random_range(-bound..bound) as f32 }
+                if bound == 0.0 || name.ends_with("bias") || name == "log_spread" {
+                    0.0
+                } else {
+                    random.random_range(-bound..bound) as f32
+                }
             };
             (0..rows * columns).map(draw).collect()
         });
@@ -88,30 +125,28 @@ impl Weights {
     /// The bias of the last layer: one row of [`Layout::mode_width`] numbers per mode.
     pub fn mode_bias(&mut self, mode: usize) -> &mut [f32] {
         let width = self.layout.mode_width();
-        // `arrays` is never empty: `initial` and `from_bytes` fill it by `Layout::arrays`, whose last entry is this bias.
-        let last = self.arrays.len() - 1;
-        &mut self.arrays[last][mode * width..(mode + 1) * width]
+        &mut self.arrays[HEAD2_BIAS][mode * width..(mode + 1) * width]
+    }
+
+    /// Logarithms of the spreads: joints in rad, translation in lengths, rotation in rad.
+    pub fn log_spread(&self) -> &[f32] {
+        &self.arrays[LOG_SPREAD]
+    }
+
+    /// The same, to be written.
+    pub fn log_spread_mut(&mut self) -> &mut [f32] {
+        &mut self.arrays[LOG_SPREAD]
     }
 
     /// The weights as a safetensors file. The same weights give the same bytes.
     pub fn to_bytes(&self) -> Vec<u8> {
-        let mut header = BTreeMap::new();
-        let mut data = Vec::with_capacity(4 * self.layout.parameters());
-        for ((name, shape), values) in self.layout.arrays().into_iter().zip(&self.arrays) {
-            let start = data.len();
-            data.extend(values.iter().flat_map(|v| v.to_le_bytes()));
-            header.insert(
-                name.to_owned(),
-                Entry { dtype: "F32".into(), shape: shape.to_vec(), data_offsets: [start, data.len()] },
-            );
-        }
-        let mut header = serde_json::to_vec(&header).unwrap_or_default();
-        // The format wants the values aligned to eight bytes and allows spaces after the header.
-        header.resize(header.len().next_multiple_of(8), b' ');
-        let mut bytes = (header.len() as u64).to_le_bytes().to_vec();
-        bytes.append(&mut header);
-        bytes.append(&mut data);
-        bytes
+        tensors::to_bytes(&self.named(""), None)
+    }
+
+    /// Every array with its name after `prefix`.
+    pub fn named(&self, prefix: &str) -> Vec<tensors::Array<'_>> {
+        let arrays = self.layout.arrays().into_iter().zip(&self.arrays);
+        arrays.map(|((name, shape), values)| (format!("{prefix}{name}"), shape, values.as_slice())).collect()
     }
 
     /// Reads [`Weights::to_bytes`], or any safetensors file with exactly these arrays as F32.
@@ -119,49 +154,9 @@ impl Weights {
     /// # Errors
     /// A sentence that says what is wrong. No input panics or allocates more than its own length.
     pub fn from_bytes(layout: Layout, bytes: &[u8]) -> Result<Self, String> {
-        let (length, rest) = bytes.split_first_chunk::<8>().ok_or("the file is shorter than its header")?;
-        let length = usize::try_from(u64::from_le_bytes(*length)).ok().filter(|&l| l <= rest.len());
-        let (header, data) = rest.split_at(length.ok_or("the header is longer than the file")?);
-        let mut header: BTreeMap<String, serde_json::Value> =
-            serde_json::from_slice(header).map_err(|e| format!("the header is no JSON object ({e})"))?;
-        header.remove("__metadata__"); // free text that the format allows
-        let mut arrays = Vec::new();
-        let mut used = 0;
-        for (name, shape) in layout.arrays() {
-            let entry = header.remove(name).ok_or_else(|| format!("array '{name}' is missing"))?;
-            let entry: Entry = serde_json::from_value(entry).map_err(|e| format!("array '{name}': {e}"))?;
-            if entry.dtype != "F32" || entry.shape != shape {
-                return Err(format!("array '{name}' is {} {:?}, not F32 {shape:?}", entry.dtype, entry.shape));
-            }
-            let [start, end] = entry.data_offsets;
-            let values = data.get(start..end).filter(|v| v.len() == 4 * shape[0] * shape[1]);
-            let values = values.ok_or_else(|| {
-                format!("array '{name}' has bytes {start} .. {end}, which do not hold {shape:?} numbers")
-            })?;
-            used += values.len();
-            let values: Vec<f32> = values.as_chunks().0.iter().map(|&b| f32::from_le_bytes(b)).collect();
-            if let Some(at) = values.iter().position(|v| !v.is_finite()) {
-                return Err(format!("array '{name}' holds {} at position {at}", values[at]));
-            }
-            arrays.push(values);
-        }
-        if let Some(name) = header.keys().next() {
-            return Err(format!("array '{name}' does not belong to this network"));
-        }
-        if used != data.len() {
-            return Err(format!("the arrays take {used} bytes but the file holds {}", data.len()));
-        }
-        Ok(Self { layout, arrays })
+        let expected: Vec<_> = layout.arrays().into_iter().map(|(name, shape)| (name.to_owned(), shape)).collect();
+        Ok(Self { layout, arrays: tensors::from_bytes(&expected, bytes)? })
     }
-}
-
-/// What the header of a safetensors file says about one array.
-#[derive(Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Entry {
-    dtype: String,
-    shape: Vec<usize>,
-    data_offsets: [usize; 2],
 }
 
 #[cfg(test)]
@@ -169,7 +164,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const SMALL: Layout = Layout { joints: 2, modes: 3, hidden: 4, frequencies: 1 };
+    const SMALL: Layout = Layout { joints: 2, modes: 3, hidden: 4, frequencies: 1, fingers: 2 };
 
     #[test]
     fn bytes_round_trip_and_are_stable() {
@@ -183,12 +178,14 @@ mod tests {
 
     #[test]
     fn initial_values_have_their_spread() {
-        let layout = Layout { joints: 16, modes: 8, hidden: 64, frequencies: 6 };
+        let layout = Layout { joints: 16, modes: 8, hidden: 64, frequencies: 6, fingers: 4 };
         let weights = Weights::initial(layout, 1);
         let matrix = &weights.arrays[2];
         let variance = matrix.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / matrix.len() as f64;
         assert!((variance * 64.0 / 2.0 - 1.0).abs() < 0.05, "He: variance 2 / inputs, found {variance}");
         assert!(weights.arrays[1].iter().all(|v| *v == 0.0));
+        assert_eq!(layout.arrays()[HEAD2_BIAS].0, "head2.bias");
+        assert_eq!(layout.arrays()[LOG_SPREAD].0, "log_spread");
         assert_eq!(layout.parameters(), weights.arrays.iter().map(Vec::len).sum::<usize>());
     }
 
@@ -225,7 +222,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn arbitrary_bytes_never_panic(noise in prop::collection::vec(any::<u8>(), 0..40), at in 0usize..2500, cut in any::<bool>()) {
+        fn arbitrary_bytes_never_panic(noise in prop::collection::vec(any::<u8>(), 0..40), at in 0usize..3000, cut in any::<bool>()) {
             let mut bytes = Weights::initial(SMALL, 5).to_bytes();
             let at = at.min(bytes.len());
             let end = if cut { bytes.len() } else { (at + noise.len()).min(bytes.len()) };

@@ -15,7 +15,7 @@ use nalgebra::{Point3, Vector3};
 fn bytes(threads: usize, seed: u64) -> (Vec<Vec<u8>>, TrainReport) {
     let mut data = toy(40, &[0.1, 0.2, 0.3]);
     let spread = |i: u32, k: f64| (f64::from(i) * k).sin() * 0.05;
-    data.points =
+    data.objects[0].points =
         (0..1024).map(|i| Point3::from(Vector3::new(spread(i, 1.1), spread(i, 2.3), spread(i, 3.7)))).collect();
     let options = TrainOptions::default().with_points(1024).with_hidden(128).with_epochs(2).with_seed(seed);
     let train = || GraspPolicy::train(&data, &options, &mut |_| ControlFlow::Continue(())).unwrap();

@@ -2,33 +2,18 @@
 #![allow(clippy::unwrap_used, missing_docs)] // a test says what fails by failing
 #![cfg(feature = "flex")]
 
+mod common;
+
 use std::ops::ControlFlow;
 use std::path::Path;
 
+use common::{leap_grasps, tin};
 use drex_core::Pose;
-use drex_policy::{Dataset, GRAVITY_M_S2, GraspPolicy, GraspSample, TrainOptions, TrainReport};
+use drex_policy::{Dataset, GRAVITY_M_S2, GraspPolicy, GraspSample, ObjectCloud, Query, TrainOptions, TrainReport};
 use nalgebra::{Matrix4, Point3, Vector3};
 
-/// The rows of a little-endian f64 `.npy` matrix in C order.
-fn read_rows(path: &Path, columns: usize) -> Vec<Vec<f64>> {
-    let bytes = std::fs::read(path).unwrap();
-    let header = u16::from_le_bytes([bytes[8], bytes[9]]) as usize;
-    let text = String::from_utf8_lossy(&bytes[10..10 + header]).into_owned();
-    assert!(text.contains("<f8") && text.contains("'fortran_order': False"), "{text}");
-    let values: Vec<f64> = bytes[10 + header..].as_chunks().0.iter().map(|b| f64::from_le_bytes(*b)).collect();
-    values.chunks_exact(columns).map(<[f64]>::to_vec).collect()
-}
-
-/// A tin of 16 cm across and 6 cm high.
-fn tin() -> Vec<Point3<f64>> {
-    let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
-    (0..512)
-        .map(|i| {
-            let (part, angle) = (f64::from(i) / 512.0, golden * f64::from(i));
-            let (radius, z) = if i % 2 == 0 { (0.08, 0.06 * (part - 0.5)) } else { (0.08 * part.sqrt(), 0.03) };
-            Point3::new(radius * angle.cos(), radius * angle.sin(), z)
-        })
-        .collect()
+fn fingers() -> Vec<String> {
+    ["thumb", "index", "middle", "ring"].map(String::from).to_vec()
 }
 
 /// The number that an environment variable gives, to lengthen a run from the outside.
@@ -41,9 +26,13 @@ fn report(data: &Dataset) -> TrainReport {
     let options = TrainOptions::default().with_epochs(epochs).with_modes(setting("DREX_POLICY_MODES", 16));
     let (policy, report) = GraspPolicy::train(data, &options, &mut |_| ControlFlow::Continue(())).unwrap();
     let started = std::time::Instant::now();
-    policy.predict(&data.points, 0.2).unwrap();
+    policy.predict(&Query::new(&data.objects[0].points, 0.2, 0.5)).unwrap();
     eprintln!("predicted in {:.1} ms", 1e3 * started.elapsed().as_secs_f64());
     eprintln!("{epochs} epochs in {:.1} s, {} parameters", report.seconds, report.parameters);
+    eprintln!(
+        "log-likelihood held out {:?}, joints alone {:?}; {:?}",
+        report.held_out_log_likelihood, report.held_out_joint_log_likelihood, report.spread
+    );
     eprintln!("held out {:?}\n{:#?}\n{:#?}", report.held_out, report.baselines, report.modes);
     report
 }
@@ -51,12 +40,7 @@ fn report(data: &Dataset) -> TrainReport {
 /// The wrists of these grasps are not recorded, so this looks at joints only.
 #[test]
 fn modes_are_nearer_to_real_grasps_than_their_mean_is() {
-    let Some(shared) = std::env::var_os("DREX_SHARED") else {
-        eprintln!("skipped: DREX_SHARED is not set");
-        return;
-    };
-    let rows = read_rows(&Path::new(&shared).join("data/drex_real/demos/cookie_leap_grasps.npy"), 16);
-    assert_eq!(rows.len(), 132);
+    let Some(rows) = leap_grasps() else { return };
     let limits = (0..16).map(|j| {
         let column = rows.iter().map(|r| r[j]);
         (column.clone().fold(f64::INFINITY, f64::min), column.fold(f64::NEG_INFINITY, f64::max))
@@ -66,12 +50,16 @@ fn modes_are_nearer_to_real_grasps_than_their_mean_is() {
         object_from_palm: Pose::translation(0.0, 0.0, 0.1),
         squeeze_n: 3.0 * mass_kg * GRAVITY_M_S2,
         mass_kg,
+        object: 0,
+        contacts: vec![true; 4],
+        friction: 0.5,
     };
     let data = Dataset {
         joint_names: (0..16).map(|j| format!("joint{j}")).collect(),
         joint_limits: limits.collect(),
         hand: "leap_right".into(),
-        points: tin(),
+        fingers: fingers(),
+        objects: vec![ObjectCloud::upright("tin", tin())],
         samples: rows.iter().flat_map(|r| [0.1, 0.2, 0.4].map(|m| sample(r, m))).collect(),
     };
     let report = report(&data);
@@ -121,6 +109,9 @@ fn wrists_are_learned_with_the_joints() {
             object_from_palm: world_from_object.inverse() * world_from_palm(&q),
             squeeze_n: 0.0,
             mass_kg: 0.0,
+            object: 0,
+            contacts: vec![true; 4],
+            friction: 0.5,
         };
         for mass_kg in [0.1, 0.2, 0.4] {
             samples.push(GraspSample { squeeze_n: 4.0 * mass_kg * GRAVITY_M_S2, mass_kg, ..sample.clone() });
@@ -136,7 +127,8 @@ fn wrists_are_learned_with_the_joints() {
         joint_names: hand.iter().map(|j| j["joint"].as_str().unwrap().to_owned()).collect(),
         joint_limits: hand.iter().map(|j| (limit(j, "lower"), limit(j, "upper"))).collect(),
         hand: "allegro_right".into(),
-        points: mesh.lines().filter_map(vertex).collect(),
+        fingers: fingers(),
+        objects: vec![ObjectCloud::upright("cracker box", mesh.lines().filter_map(vertex).collect())],
         samples,
     };
     let palm = data.samples.iter().map(|s| s.object_from_palm.translation.vector.norm());

@@ -1,0 +1,58 @@
+//! Grasps drawn from the density of a policy.
+
+use std::f64::consts::PI;
+
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+
+use crate::density::TAIL;
+use crate::split::{Stream, random};
+use crate::{GraspPolicy, PredictedGrasp};
+
+/// See [`GraspPolicy::sample`].
+pub(crate) fn draw(policy: &GraspPolicy, grasps: &[PredictedGrasp], count: usize, seed: u64) -> Vec<PredictedGrasp> {
+    let mut random = random(seed, Stream::Sample);
+    let spread = policy.spread();
+    let mut drawn = Vec::with_capacity(count);
+    while drawn.len() < count {
+        let mut rest = random.random_range(0.0..1.0);
+        let mode = grasps.iter().find(|g| {
+            rest -= g.weight;
+            rest < 0.0
+        });
+        // Rounding may leave a rest: the last one stands in.
+        let Some(mut grasp) = mode.or(grasps.last()).cloned() else { break };
+        // Student's t is a normal vector over the square root of χ²/ν, one for all coordinates.
+        let normals: Vec<f64> = (0..TAIL as usize).map(|_| normal(&mut random)).collect();
+        let stretch = (TAIL / normals.iter().map(|n| n * n).sum::<f64>()).sqrt();
+        for (j, q) in grasp.joints.iter_mut().enumerate() {
+            let (lower, upper) = policy.joint_limits()[j];
+            *q = (*q + stretch * spread.joints_rad[j] * normal(&mut random)).clamp(lower, upper);
+        }
+        let shift = normal_vector(&mut random) * (stretch * spread.wrist_m);
+        let turn = normal_vector(&mut random) * (stretch * spread.wrist_rad);
+        let pose = &mut grasp.object_from_palm;
+        pose.translation = Translation3::from(pose.translation.vector + shift);
+        pose.rotation = UnitQuaternion::from_scaled_axis(turn) * pose.rotation;
+        drawn.push(grasp);
+    }
+    drawn
+}
+
+/// A standard normal number (Box and Muller 1958).
+fn normal(random: &mut ChaCha8Rng) -> f64 {
+    let radius = (-2.0 * (1.0 - random.random_range(0.0..1.0_f64)).ln()).sqrt();
+    radius * random.random_range(0.0..2.0 * PI).cos()
+}
+
+/// Three independent standard normal numbers.
+pub(crate) fn normal_vector(random: &mut ChaCha8Rng) -> Vector3<f64> {
+    let mut pair = || {
+        let radius = (-2.0 * (1.0 - random.random_range(0.0..1.0_f64)).ln()).sqrt();
+        let angle = random.random_range(0.0..2.0 * PI);
+        (radius * angle.cos(), radius * angle.sin())
+    };
+    let ((x, y), (z, _)) = (pair(), pair());
+    Vector3::new(x, y, z)
+}
