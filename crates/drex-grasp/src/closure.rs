@@ -170,7 +170,7 @@ fn balance_margin(contacts: &[Contact], g: &Matrix6xX<f64>, torsion_m: Option<f6
     }
     match program.minimise()? {
         Answer::Solved { x } => Ok(x[t]),
-        Answer::Infeasible => Ok(f64::NEG_INFINITY),
+        Answer::Infeasible | Answer::Unbounded => Ok(f64::NEG_INFINITY),
     }
 }
 
@@ -197,6 +197,6 @@ fn min_weight(contacts: &[Contact], g: &Matrix6xX<f64>, sides: usize) -> Result<
     }
     match program.minimise()? {
         Answer::Solved { x } => Ok(x[l]),
-        Answer::Infeasible => Ok(0.0),
+        Answer::Infeasible | Answer::Unbounded => Ok(0.0),
     }
 }

@@ -1,6 +1,6 @@
 //! Small cone programmes, built row by row and handed to Clarabel (an interior-point solver).
 //!
-//! minimise cᵀx subject to affine expressions in x being zero, not negative, or in a second-order cone
+//! minimise cᵀx + ½ xᵀ diag(p) x subject to affine expressions in x being zero, not negative, or in a second-order cone
 //! {(t, v) : |v| <= t}. Everything is kept dense until the end: the problems here have tens of unknowns.
 
 use clarabel::algebra::CscMatrix;
@@ -29,14 +29,19 @@ impl Affine {
 /// The answer of [`ConeProgram::minimise`].
 #[derive(Debug, Clone)]
 pub(crate) enum Answer {
-    Solved { x: Vec<f64> },
+    Solved {
+        x: Vec<f64>,
+    },
     Infeasible,
+    /// The cost has no lower bound.
+    Unbounded,
 }
 
 /// A programme under construction.
 #[derive(Debug, Clone)]
 pub(crate) struct ConeProgram {
     cost: Vec<f64>,
+    quadratic: Vec<f64>,
     zero: Vec<Affine>,
     nonnegative: Vec<Affine>,
     second_order: Vec<Vec<Affine>>,
@@ -44,7 +49,13 @@ pub(crate) struct ConeProgram {
 
 impl ConeProgram {
     pub(crate) fn new(unknowns: usize) -> Self {
-        Self { cost: vec![0.0; unknowns], zero: Vec::new(), nonnegative: Vec::new(), second_order: Vec::new() }
+        Self {
+            cost: vec![0.0; unknowns],
+            quadratic: vec![0.0; unknowns],
+            zero: Vec::new(),
+            nonnegative: Vec::new(),
+            second_order: Vec::new(),
+        }
     }
 
     pub(crate) fn cost(&mut self, index: usize, coefficient: f64) {
@@ -53,6 +64,11 @@ impl ConeProgram {
 
     pub(crate) fn set_cost(&mut self, index: usize, coefficient: f64) {
         self.cost[index] = coefficient;
+    }
+
+    /// Adds weight/2 · x\[index\]² to the cost; the weight must not be negative.
+    pub(crate) fn quadratic(&mut self, index: usize, weight: f64) {
+        self.quadratic[index] += weight;
     }
 
     pub(crate) fn zero(&mut self, expression: Affine) {
@@ -92,6 +108,9 @@ impl ConeProgram {
             b.push(row.constant);
         }
         let a = CscMatrix::new_from_triplets(b.len(), n, i, j, v);
+        let diagonal: Vec<usize> = (0..n).filter(|&k| self.quadratic[k] > 0.0).collect();
+        let weights = diagonal.iter().map(|&k| self.quadratic[k]).collect();
+        let p = CscMatrix::new_from_triplets(n, n, diagonal.clone(), diagonal, weights);
         let settings = DefaultSettings {
             verbose: false,
             max_threads: 1,
@@ -100,12 +119,13 @@ impl ConeProgram {
             tol_feas: 1e-9,
             ..DefaultSettings::default()
         };
-        let mut solver = DefaultSolver::new(&CscMatrix::zeros((n, n)), &self.cost, &a, &b, &cones, settings)
+        let mut solver = DefaultSolver::new(&p, &self.cost, &a, &b, &cones, settings)
             .map_err(|e| GraspError::Solver { status: e.to_string(), iterations: 0 })?;
         solver.solve();
         match solver.solution.status {
             SolverStatus::Solved | SolverStatus::AlmostSolved => Ok(Answer::Solved { x: solver.solution.x.clone() }),
             SolverStatus::PrimalInfeasible | SolverStatus::AlmostPrimalInfeasible => Ok(Answer::Infeasible),
+            SolverStatus::DualInfeasible | SolverStatus::AlmostDualInfeasible => Ok(Answer::Unbounded),
             other => Err(GraspError::Solver { status: format!("{other:?}"), iterations: solver.solution.iterations }),
         }
     }

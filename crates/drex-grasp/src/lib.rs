@@ -19,15 +19,19 @@
 
 #![allow(clippy::neg_cmp_op_on_partial_ord)] // `!(x >= 0.0)` refuses NaN, `x < 0.0` does not
 
+mod balance;
 mod ball;
 mod carry;
 mod check;
 mod closure;
 mod cone;
 mod contact;
+mod distribute;
 mod error;
 mod find;
 mod hand;
+mod law;
+mod loads;
 mod motors;
 mod squeeze;
 
@@ -35,9 +39,12 @@ pub use carry::{holds_any_load, squeeze_per_weight};
 pub use check::{CheckOptions, FingerContacts, StaticCheck, StaticGrasp, TablePlane, static_check, static_check_with};
 pub use closure::{ClosureOptions, ForceClosure, force_closure, is_force_closed};
 pub use contact::{Contact, characteristic_length_m, grasp_map};
+pub use distribute::{Distribution, distribute, largest_squeeze};
 pub use error::{GraspError, Result};
 pub use find::{ContactOptions, find_contacts};
 pub use hand::{HandSurface, LinkSurface};
+pub use law::{ForceCommand, ForceLaw, PAPER_FORCE_LIMIT_N, paper_force};
+pub use loads::{required_squeeze, shake_loads};
 pub use squeeze::{Squeeze, SqueezeError, SqueezeProblem, TorqueLimits, smallest_forces, smallest_squeeze};
 
 #[cfg(doctest)]

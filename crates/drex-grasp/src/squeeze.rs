@@ -4,9 +4,9 @@
 
 use nalgebra::{DVector, Matrix3xX, Point3, Vector3, Vector6};
 
-use crate::cone::{Affine, Answer, ConeProgram};
+use crate::balance::{Goal, Limits, Outcome, balance};
 use crate::contact::validate;
-use crate::{Contact, GraspError, characteristic_length_m, grasp_map};
+use crate::{Contact, GraspError};
 
 /// Contacts, load and limits.
 #[derive(Debug, Clone, PartialEq)]
@@ -93,7 +93,7 @@ impl SqueezeProblem {
     }
 
     /// The wrench the contacts have to balance, about the centre of mass.
-    fn load(&self) -> Vector6<f64> {
+    pub(crate) fn load(&self) -> Vector6<f64> {
         let weight = self.gravity * (self.mass_kg * self.gamma);
         self.extra_wrench + Vector6::new(weight.x, weight.y, weight.z, 0.0, 0.0, 0.0)
     }
@@ -120,6 +120,8 @@ pub struct Squeeze {
     /// By which fraction all friction coefficients can fall before no squeeze within the limits carries the load:
     /// 0 at the edge, 1 if no friction is needed.
     pub friction_margin: f64,
+    /// Which load of the list asks for this squeeze; `None` from [`smallest_squeeze`], which has one load.
+    pub binding_load: Option<usize>,
 }
 
 /// Why there is no squeeze.
@@ -160,6 +162,30 @@ pub enum SqueezeError {
         /// The limit it breaks, N m.
         limit_nm: f64,
     },
+    /// One load of several cannot be carried.
+    #[error("load {load} ({force_n:.2} N, {torque_nm:.4} N m about the centre of mass): {reason}")]
+    Load {
+        /// Index into the list of loads.
+        load: usize,
+        /// Size of its force, N.
+        force_n: f64,
+        /// Size of its torque, N m.
+        torque_nm: f64,
+        /// Why.
+        reason: Box<SqueezeError>,
+    },
+    /// The load can be carried, but not with this sum of normal forces.
+    #[error(
+        "a total squeeze of {total_n:.2} N does not carry the load within the limits: it has to be {smallest_n:.2} to {largest_n:.2} N"
+    )]
+    Total {
+        /// The sum asked for, N.
+        total_n: f64,
+        /// The smallest that carries the load, N.
+        smallest_n: f64,
+        /// The largest within torque and damage limits, N; infinite if nothing limits it.
+        largest_n: f64,
+    },
     /// The problem is no problem: sizes or numbers.
     #[error(transparent)]
     Input(#[from] GraspError),
@@ -184,7 +210,7 @@ pub fn smallest_squeeze(problem: &SqueezeProblem) -> Result<Squeeze, SqueezeErro
 /// As [`smallest_squeeze`].
 pub fn smallest_forces(problem: &SqueezeProblem) -> Result<Vec<Vector3<f64>>, SqueezeError> {
     check(problem)?;
-    if let Some(f) = solve(problem, 1.0, Limits { normal: true, torque: true })? {
+    if let Some(f) = solve(problem, 1.0, Limits::ALL)? {
         return Ok(f);
     }
     // Drop the limits one by one to find the one in the way.
@@ -203,113 +229,24 @@ pub fn smallest_forces(problem: &SqueezeProblem) -> Result<Vec<Vector3<f64>>, Sq
     })
 }
 
-/// Which limits a programme keeps.
-#[derive(Clone, Copy)]
-struct Limits {
-    normal: bool,
-    torque: bool,
-}
-
-/// The programme with all friction coefficients times `friction_scale`. `None` if it is infeasible.
+/// The forces of the smallest squeeze with all friction coefficients times `friction_scale`; `None` if there is none.
 fn solve(
     problem: &SqueezeProblem,
     friction_scale: f64,
     limits: Limits,
 ) -> Result<Option<Vec<Vector3<f64>>>, GraspError> {
-    let contacts = &problem.contacts;
-    let n = contacts.len();
-    let load = problem.load();
-    let length = characteristic_length_m(contacts, &problem.center_of_mass);
-    // Forces in units of the load and torques in units of load times length, so that the solver's tolerances are relative.
-    let unit = load.fixed_rows::<3>(0).norm().max(load.fixed_rows::<3>(3).norm() / length);
-    if unit == 0.0 && problem.min_normal_n == 0.0 {
-        return Ok(within_limits_at_rest(problem).then(|| vec![Vector3::zeros(); n]));
-    }
-    let unit = if unit > 0.0 { unit } else { problem.min_normal_n };
-    let g = grasp_map(contacts, &problem.center_of_mass);
-    let torsion = problem.torsion_m.filter(|&t| t > 0.0);
-    let mut program = ConeProgram::new(3 * n + if torsion.is_some() { n } else { 0 });
-    for row in 0..6 {
-        let scale = if row < 3 { 1.0 } else { 1.0 / length };
-        let mut terms: Vec<(usize, f64)> = (0..3 * n).map(|j| (j, g[(row, j)] * scale)).collect();
-        if let (Some(t), true) = (torsion, row >= 3) {
-            // The torsional unknown is torque / torsion_m, a force, to keep the columns alike.
-            terms.extend(contacts.iter().enumerate().map(|(i, c)| (3 * n + i, c.normal[row - 3] * t * scale)));
-        }
-        program.zero(Affine::new(terms, load[row] * scale / unit));
-    }
-    for (i, c) in contacts.iter().enumerate() {
-        program.cost(3 * i, 1.0);
-        let floor = if limits.normal { problem.min_normal_n } else { 0.0 };
-        program.nonnegative(Affine::new(vec![(3 * i, 1.0)], -floor / unit));
-        if let (true, Some(most)) = (limits.normal, problem.max_normal_n) {
-            program.nonnegative(Affine::new(vec![(3 * i, -1.0)], most / unit));
-        }
-        let mu = c.friction * friction_scale;
-        if mu > 0.0 {
-            program.second_order(vec![
-                Affine::var(3 * i, mu),
-                Affine::var(3 * i + 1, 1.0),
-                Affine::var(3 * i + 2, 1.0),
-            ]);
-        } else {
-            program.zero(Affine::var(3 * i + 1, 1.0));
-            program.zero(Affine::var(3 * i + 2, 1.0));
-        }
-        if torsion.is_some() {
-            for sign in [1.0, -1.0] {
-                program.nonnegative(Affine::new(vec![(3 * i, friction_scale), (3 * n + i, sign)], 0.0));
-            }
-        }
-    }
-    if let (true, Some(torques)) = (limits.torque, &problem.torques) {
-        let rows: Vec<Matrix3xX<f64>> =
-            contacts.iter().zip(&torques.jacobians).map(|(c, j)| c.axes().transpose() * j).collect();
-        for (joint, &(lower, upper)) in torques.limits_nm.iter().enumerate() {
-            // Rows in units of load times length as well.
-            let row =
-                |sign: f64| (0..3 * n).map(|k| (k, sign * rows[k / 3][(k % 3, joint)] / length)).collect::<Vec<_>>();
-            let scale = 1.0 / (unit * length);
-            if upper.is_finite() {
-                program.nonnegative(Affine::new(row(-1.0), (upper - torques.gravity_nm[joint]) * scale));
-            }
-            if lower.is_finite() {
-                program.nonnegative(Affine::new(row(1.0), (torques.gravity_nm[joint] - lower) * scale));
-            }
-        }
-    }
-    Ok(match program.minimise()? {
-        Answer::Solved { x } => {
-            Some((0..n).map(|i| Vector3::new(x[3 * i], x[3 * i + 1], x[3 * i + 2]) * unit).collect())
-        }
-        Answer::Infeasible => None,
-    })
-}
-
-/// With no load at all the smallest squeeze is none, provided that the hand can hold itself.
-fn within_limits_at_rest(problem: &SqueezeProblem) -> bool {
-    problem.torques.as_ref().is_none_or(|t| {
-        t.limits_nm.iter().zip(t.gravity_nm.iter()).all(|(&(lower, upper), &own)| (lower..=upper).contains(&own))
+    Ok(match balance(problem, &problem.load(), friction_scale, limits, Goal::Smallest)? {
+        Outcome::Forces { forces, .. } => Some(forces),
+        Outcome::Infeasible | Outcome::Unbounded => None,
     })
 }
 
 /// Forces as the reader wants them.
-fn describe(problem: &SqueezeProblem, f: &[Vector3<f64>]) -> Squeeze {
+pub(crate) fn describe(problem: &SqueezeProblem, f: &[Vector3<f64>]) -> Squeeze {
     let normal_n: Vec<f64> = f.iter().map(|f| f.x).collect();
-    let fingers = problem.contacts.iter().filter_map(|c| c.finger).max().map_or(0, |m| m + 1);
-    let mut per_finger_n = vec![0.0; fingers];
-    let mut palm_n = 0.0;
-    for (contact, normal) in problem.contacts.iter().zip(&normal_n) {
-        match contact.finger {
-            Some(finger) => per_finger_n[finger] += normal,
-            None => palm_n += normal,
-        }
-    }
+    let (per_finger_n, palm_n) = by_finger(&problem.contacts, &normal_n);
     let joint_torques_nm = torques(problem, f);
-    let torque_margin =
-        problem.torques.iter().flat_map(|t| &t.limits_nm).zip(&joint_torques_nm).fold(1.0, |m, (l, t)| {
-            f64::min(m, 1.0 - t / if *t >= 0.0 { l.1.max(f64::MIN_POSITIVE) } else { l.0.min(-f64::MIN_POSITIVE) })
-        });
+    let torque_margin = torque_margin(problem, &joint_torques_nm);
     Squeeze {
         total_n: normal_n.iter().sum(),
         forces: problem.contacts.iter().zip(f).map(|(c, f)| c.axes() * f).collect(),
@@ -319,11 +256,33 @@ fn describe(problem: &SqueezeProblem, f: &[Vector3<f64>]) -> Squeeze {
         joint_torques_nm,
         torque_margin,
         friction_margin: 0.0,
+        binding_load: None,
     }
 }
 
+/// Sums of normal forces: per finger, and the palm.
+pub(crate) fn by_finger(contacts: &[Contact], normal_n: &[f64]) -> (Vec<f64>, f64) {
+    let fingers = contacts.iter().filter_map(|c| c.finger).max().map_or(0, |m| m + 1);
+    let mut per_finger_n = vec![0.0; fingers];
+    let mut palm_n = 0.0;
+    for (contact, normal) in contacts.iter().zip(normal_n) {
+        match contact.finger {
+            Some(finger) => per_finger_n[finger] += normal,
+            None => palm_n += normal,
+        }
+    }
+    (per_finger_n, palm_n)
+}
+
+/// Least 1 − |τ| / |limit| over the joints; one without limits.
+pub(crate) fn torque_margin(problem: &SqueezeProblem, joint_torques_nm: &[f64]) -> f64 {
+    problem.torques.iter().flat_map(|t| &t.limits_nm).zip(joint_torques_nm).fold(1.0, |m, (l, t)| {
+        f64::min(m, 1.0 - t / if *t >= 0.0 { l.1.max(f64::MIN_POSITIVE) } else { l.0.min(-f64::MIN_POSITIVE) })
+    })
+}
+
 /// τ = Jᵀ f + τ_gravity for forces in contact axes; empty without motors.
-fn torques(problem: &SqueezeProblem, f: &[Vector3<f64>]) -> Vec<f64> {
+pub(crate) fn torques(problem: &SqueezeProblem, f: &[Vector3<f64>]) -> Vec<f64> {
     problem
         .torques
         .iter()
@@ -338,9 +297,9 @@ fn torques(problem: &SqueezeProblem, f: &[Vector3<f64>]) -> Vec<f64> {
 }
 
 /// Bisection on a common factor of the friction coefficients; the feasible factors form an interval that ends at 1.
-fn friction_margin(problem: &SqueezeProblem) -> Result<f64, GraspError> {
+pub(crate) fn friction_margin(problem: &SqueezeProblem) -> Result<f64, GraspError> {
     let feasible = |scale: f64| -> Result<bool, GraspError> {
-        match solve(problem, scale, Limits { normal: true, torque: true }) {
+        match solve(problem, scale, Limits::ALL) {
             Ok(answer) => Ok(answer.is_some()),
             // Close to the edge the interior is thin and the solver may stop half-way: count it as the edge.
             Err(GraspError::Solver { .. }) => Ok(false),
@@ -373,7 +332,7 @@ fn worst_joint(problem: &SqueezeProblem, f: &[Vector3<f64>]) -> SqueezeError {
 }
 
 /// Sizes and numbers.
-fn check(problem: &SqueezeProblem) -> Result<(), GraspError> {
+pub(crate) fn check(problem: &SqueezeProblem) -> Result<(), GraspError> {
     validate(&problem.contacts)?;
     let bad = |what: String, remedy| Err(GraspError::value(what, remedy));
     if !(problem.mass_kg >= 0.0 && problem.mass_kg.is_finite()) {

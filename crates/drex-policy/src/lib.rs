@@ -56,9 +56,7 @@ mod options;
 mod policy;
 mod report;
 mod split;
-mod stats;
 mod train;
-pub mod trial;
 mod weights;
 
 pub use data::{Dataset, GRAVITY_M_S2, GraspSample, LIMIT_TOLERANCE_RAD};
@@ -67,7 +65,6 @@ pub use metric::grasp_distance_m;
 pub use options::TrainOptions;
 pub use policy::{GraspPolicy, PredictedGrasp};
 pub use report::{Baselines, EpochStats, GraspErrors, ModeReport, TrainReport};
-pub use stats::{Interval, paired_difference, wilson};
 
 /// The example of the README runs as a test.
 #[cfg(all(doctest, feature = "flex"))]

@@ -78,6 +78,11 @@ impl MujocoEngine {
         self.start_s + self.steps as f64 * self.dt_s
     }
 
+    /// Replaces the controls of the scene: one per articulation, from the coming step on.
+    pub fn set_controls(&mut self, controls: Vec<crate::Control>) {
+        self.scene.controls = controls;
+    }
+
     /// One step of MuJoCo under the scene's forces and controls, with what follows a path on its path.
     ///
     /// # Errors

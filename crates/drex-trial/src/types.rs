@@ -1,20 +1,13 @@
-//! Lift, hold, shake: the protocol by which a grasp is judged in a simulator.
-//!
-//! The object rests on the table. The open hand comes near, closes until the fingers touch, squeezes as commanded, lifts by
-//! 20 cm in 2 s, holds for 3 s and is shaken six times. [`Trial::run`] says whether the object stayed in the hand and, if not,
-//! what went wrong first.
-//!
-//! What the hand is told ([`Belief`]) and what is true ([`Truth`]) are kept apart: a command is made from the belief
-//! alone.
+//! What a trial is about, what the hand is told, and what came of it.
 
 use std::sync::Arc;
 
 use drex_core::{MassProperties, Pose, SignedDistance};
 use drex_diffsim::Collider;
-use drex_robot::Robot;
 use serde::{Deserialize, Serialize};
 
-use crate::Result;
+use crate::reach::Reach;
+use crate::{Error, Push, Result};
 
 /// The engine that a trial runs in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -88,6 +81,9 @@ pub struct Command {
     pub squeeze_n: f64,
     /// Sum of the normal forces per finger, N; the palm is not among them.
     pub per_finger_n: Vec<f64>,
+    /// The forces that make the squeeze, in the frame of the believed object at rest on the table.
+    pub pushes: Vec<Push>,
+    pub(crate) reach: Reach,
 }
 
 /// Why there is no command.
@@ -181,7 +177,7 @@ pub struct TrialOptions {
     pub margin: f64,
     /// Share by which the true friction may be below the one told.
     pub friction_uncertainty: f64,
-    /// Acceleration of the shakes, m/s².
+    /// Acceleration of the shakes, m/s²; a quarter of it is felt as the lift begins.
     pub shake_m_s2: f64,
     /// Time step of both engines, s.
     pub dt_s: f64,
@@ -193,54 +189,52 @@ impl Default for TrialOptions {
     }
 }
 
-/// A hand and an object, ready for trials.
-pub struct Trial {
-    hand: Arc<Robot>,
-    object: TrialObject,
-    options: TrialOptions,
+impl Truth {
+    /// What is believed is true.
+    pub fn as_believed(belief: &Belief, seed: u64) -> Self {
+        Self { mass_kg: belief.mass_kg, friction: belief.friction, shift_m: [0.0; 2], turn_rad: 0.0, seed }
+    }
+
+    pub(crate) fn check(&self) -> Result<()> {
+        check_mass_and_friction(self.mass_kg, self.friction)?;
+        if !(self.shift_m.iter().all(|x| x.abs() < 1.0) && self.turn_rad.is_finite()) {
+            return Err(Error::value(
+                format!(
+                    "the object is {:?} m and {} rad away from where it is believed to be",
+                    self.shift_m, self.turn_rad
+                ),
+                "give metres and radians",
+            ));
+        }
+        Ok(())
+    }
 }
 
-impl Trial {
-    /// Prepares trials of `hand` with `object`.
-    ///
-    /// # Errors
-    /// If the hand has no collision shapes or an option is out of range.
-    pub fn new(hand: Arc<Robot>, object: TrialObject, options: TrialOptions) -> Result<Self> {
-        Ok(Self { hand, object, options })
+impl TrialOptions {
+    pub(crate) fn check(&self) -> Result<()> {
+        let demands = [
+            ("torque_cap_nm", self.torque_cap_nm, self.torque_cap_nm > 0.0),
+            ("margin", self.margin, self.margin >= 0.0),
+            ("friction_uncertainty", self.friction_uncertainty, (0.0..1.0).contains(&self.friction_uncertainty)),
+            ("shake_m_s2", self.shake_m_s2, self.shake_m_s2 >= 0.0),
+            ("dt_s", self.dt_s, self.dt_s > 0.0 && self.dt_s <= 0.004),
+        ];
+        match demands.into_iter().find(|(_, value, met)| !(*met && value.is_finite())) {
+            Some((name, value, _)) => {
+                Err(Error::value(format!("option {name} is {value}"), "start from TrialOptions::default()"))
+            }
+            None => Ok(()),
+        }
     }
+}
 
-    /// The command for a grasp, given what the hand is told. The inner result says why there is none.
-    ///
-    /// # Errors
-    /// If the joint vector does not fit the hand or a solver gives up.
-    pub fn command(
-        &self,
-        joints: &[f64],
-        object_from_palm: &Pose,
-        belief: &Belief,
-        squeeze: Squeeze,
-    ) -> Result<Result<Command, NoCommand>> {
-        let _ = (joints, object_from_palm, belief, squeeze, &self.hand, &self.object, &self.options);
-        Ok(Err(NoCommand::NoContact { touching: 0 }))
+/// Masses from a gram to a hundred kilograms, frictions from nearly nothing to five.
+pub(crate) fn check_mass_and_friction(mass_kg: f64, friction: f64) -> Result<()> {
+    if !(1e-3..=100.0).contains(&mass_kg) {
+        return Err(Error::value(format!("a mass of {mass_kg} kg"), "give kilograms, 0.001 to 100"));
     }
-
-    /// Carries a command out under what is true.
-    ///
-    /// # Errors
-    /// If the model cannot be simulated; [`Error::NoBackend`](crate::Error::NoBackend) for a judge that this build lacks. A grasp that fails is no error.
-    pub fn run(&self, command: &Command, truth: &Truth, judge: Judge) -> Result<Outcome> {
-        let _ = (truth, judge);
-        Ok(Outcome {
-            verdict: Verdict::NoContact,
-            failed_at_s: None,
-            squeeze_n: command.squeeze_n,
-            peak_finger_n: 0.0,
-            slip_m: 0.0,
-            turn_rad: 0.0,
-            penetration_m: 0.0,
-            fingers_in_contact: Vec::new(),
-            retained: 0.0,
-            friction_used: None,
-        })
+    if !(1e-3..=5.0).contains(&friction) {
+        return Err(Error::value(format!("a friction of {friction}"), "give a Coulomb coefficient, 0.001 to 5"));
     }
+    Ok(())
 }

@@ -1,0 +1,117 @@
+//! What the drives are told, tick by tick.
+
+use drex_core::Pose;
+use drex_robot::Robot;
+use nalgebra::{Point3, Vector3};
+
+use crate::engine::{Drive, Engine};
+use crate::reach::Reach;
+use crate::timeline::{APPROACHED_S, CLOSED_S, SQUEEZED_S};
+
+/// Torque beyond a joint's own friction with which fingers close until they touch, N m.
+const CLOSING_NM: f64 = 0.03;
+/// Part of the time of closing after which the fingers have been told the whole way; the rest is for settling.
+const CLOSING_SHARE: f64 = 0.75;
+/// Torques of contact below this do not say which way a joint's friction acts, N m.
+const FRICTION_BLEND_NM: f64 = 0.01;
+
+/// A force that a link is to exert on the object.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Push {
+    /// Index of the link.
+    pub link: usize,
+    /// Where, link frame, m.
+    pub point: Point3<f64>,
+    /// On the object, world, N.
+    pub force: Vector3<f64>,
+}
+
+/// Position commands from what a hand can know: its joint angles and the command.
+pub(crate) struct Controller<'a> {
+    robot: &'a Robot,
+    drives: &'a [Drive],
+    reach: &'a Reach,
+    pushes: &'a [Push],
+    torque_cap_nm: f64,
+    /// Joint torques at the end of closing; angles that are held once the squeeze is complete, with its torques.
+    closing: Vec<f64>,
+    held: Option<(Vec<f64>, Vec<f64>)>,
+}
+
+impl<'a> Controller<'a> {
+    pub fn new(
+        robot: &'a Robot,
+        drives: &'a [Drive],
+        reach: &'a Reach,
+        pushes: &'a [Push],
+        torque_cap_nm: f64,
+    ) -> Self {
+        Self { robot, drives, reach, pushes, torque_cap_nm, closing: vec![0.0; robot.dof()], held: None }
+    }
+
+    /// The command at time `t`.
+    pub fn command(&mut self, t: f64, engine: &Engine) -> Vec<f64> {
+        let (q, base) = (engine.joints(), engine.world_from_base());
+        let down = base.rotation.inverse() * Vector3::new(0.0, 0.0, -9.81);
+        let own = self.robot.gravity_torque(q, &down);
+        if t < CLOSED_S {
+            let s = ((t - APPROACHED_S) / (CLOSING_SHARE * (CLOSED_S - APPROACHED_S))).clamp(0.0, 1.0);
+            let closing = t >= APPROACHED_S;
+            for d in self.drives {
+                let j = d.joint;
+                let target = self.reach.open[j] + s * (self.reach.closed[j] - self.reach.open[j]);
+                let wanted = d.stiffness * d.gear * d.gear * (target - q[j]);
+                let limit = if closing {
+                    (CLOSING_NM + self.robot.joints[j].friction_loss).min(self.torque_cap_nm)
+                } else {
+                    self.torque_cap_nm
+                };
+                self.closing[j] = wanted.clamp(-limit, limit);
+            }
+            return self.position(q, |j| own[j] + self.closing[j]);
+        }
+        if t < SQUEEZED_S || self.held.is_none() {
+            let s = ((t - CLOSED_S) / (SQUEEZED_S - CLOSED_S)).clamp(0.0, 1.0);
+            let squeeze = self.squeeze(q, &base);
+            let torque = |j: usize| own[j] + (1.0 - s) * self.closing[j] + s * squeeze[j];
+            let command = self.position(q, torque);
+            if t >= SQUEEZED_S {
+                self.held = Some((q.to_vec(), squeeze));
+            }
+            return command;
+        }
+        match &self.held {
+            Some((held, squeeze)) => self.position(held, |j| own[j] + squeeze[j]),
+            None => self.position(q, |j| own[j]),
+        }
+    }
+
+    /// Joint torques of the pushes, Jᵀ f, and what the joints' dry friction takes of them.
+    fn squeeze(&self, q: &[f64], base: &Pose) -> Vec<f64> {
+        squeeze_torques(self.robot, q, base, self.pushes)
+    }
+
+    /// Commands that give these joint torques at the angles `at`.
+    fn position(&self, at: &[f64], torque_nm: impl Fn(usize) -> f64) -> Vec<f64> {
+        let cap = self.torque_cap_nm;
+        self.drives
+            .iter()
+            .map(|d| d.gear * at[d.joint] + torque_nm(d.joint).clamp(-cap, cap) / (d.gear * d.stiffness))
+            .collect()
+    }
+}
+
+/// Jᵀ f of forces on the object (the reaction moves the joints the other way), plus the joints' dry friction in its direction.
+pub(crate) fn squeeze_torques(robot: &Robot, q: &[f64], base: &Pose, pushes: &[Push]) -> Vec<f64> {
+    let poses = robot.forward_kinematics(q, base);
+    let mut torque = vec![0.0; robot.dof()];
+    for push in pushes {
+        let (linear, _) = robot.jacobian(&poses, push.link, &(poses[push.link] * push.point));
+        let tau = linear.tr_mul(&push.force);
+        torque.iter_mut().zip(tau.iter()).for_each(|(t, x)| *t += x);
+    }
+    for (t, joint) in torque.iter_mut().zip(&robot.joints) {
+        *t += joint.friction_loss * (*t / FRICTION_BLEND_NM).tanh();
+    }
+    torque
+}

@@ -1,0 +1,221 @@
+//! One hand, one object and a table in either engine, step by step.
+
+use std::sync::Arc;
+
+use drex_core::Pose;
+use drex_diffsim::{
+    ActuatorKind, Articulation, Base, Body, ContactForce, Control, Model, Part, Path, Scene, State, Workspace, step,
+};
+use drex_robot::Robot;
+use nalgebra::Vector3;
+
+use crate::{Error, Result};
+use crate::{Judge, TrialObject, Truth};
+
+/// Stiffness and damping of drives of hands whose model has no position drives, N m/rad and N m s/rad.
+const STIFFNESS: f64 = 0.8;
+const DAMPING: f64 = 0.02;
+
+/// What the hand meets.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Met {
+    Object,
+    Table,
+}
+
+/// A contact of one link of the hand.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Touch {
+    pub link: usize,
+    pub with: Met,
+    /// World, m.
+    pub point: Vector3<f64>,
+    /// Unit vector from the link into what it meets, world.
+    pub inward: Vector3<f64>,
+    /// N.
+    pub normal_n: f64,
+    pub tangential_n: f64,
+    pub depth_m: f64,
+    /// Of the object over the skin, tangential, world, m/s.
+    pub slide: Vector3<f64>,
+}
+
+/// The numbers of a drive that the controller needs.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Drive {
+    pub joint: usize,
+    pub stiffness: f64,
+    /// Joint torque per unit of the drive's own.
+    pub gear: f64,
+}
+
+/// A hand, an object and a table that move.
+pub(crate) enum Engine {
+    Diffsim {
+        model: Box<Model<f64>>,
+        scene: Box<Scene<f64>>,
+        state: Box<State<f64>>,
+        work: Box<Workspace<f64>>,
+    },
+    #[cfg(feature = "mujoco")]
+    Mujoco {
+        engine: Box<drex_diffsim::mujoco::MujocoEngine>,
+        state: Box<State<f64>>,
+    },
+}
+
+/// What an engine is made of.
+pub(crate) struct Setup<'a> {
+    pub hand: &'a Arc<Robot>,
+    pub object: &'a TrialObject,
+    /// True pose of the object at the start.
+    pub world_from_object: Pose,
+    pub truth: &'a Truth,
+    pub path: Path,
+    /// Joint angles at the start, rad.
+    pub joints: &'a [f64],
+    pub torque_cap_nm: f64,
+    pub dt_s: f64,
+}
+
+/// The hand's drives as position drives with a cap, and their numbers.
+pub(crate) fn hand_of(
+    hand: &Arc<Robot>,
+    base: Base<f64>,
+    torque_cap_nm: f64,
+    friction: f64,
+) -> Result<(Articulation<f64>, Vec<Drive>)> {
+    let mut arm = Articulation::new(Arc::clone(hand), base)?.with_friction(friction);
+    let mut drives = Vec::new();
+    for drive in &mut arm.actuators {
+        let (kp, kv) = match drive.kind {
+            ActuatorKind::Position { kp, kv } if kp > 0.0 => (kp, kv),
+            _ => (STIFFNESS, DAMPING),
+        };
+        drive.kind = ActuatorKind::Position { kp, kv };
+        let gear = if drive.gear == 0.0 { 1.0 } else { drive.gear };
+        let own = drive.force_range.map_or(f64::INFINITY, |(lo, hi)| hi.abs().min(lo.abs()));
+        let cap = own.min(torque_cap_nm / gear.abs());
+        drive.force_range = Some((-cap, cap));
+        // Commands lie beyond a joint's end where the squeeze needs it; the force range is what bounds them.
+        drive.ctrl_range = None;
+        drives.push(Drive { joint: drive.joint, stiffness: kp, gear });
+    }
+    Ok((arm, drives))
+}
+
+impl Engine {
+    /// Everything at rest at time zero.
+    pub fn new(setup: Setup<'_>, judge: Judge) -> Result<(Self, Vec<Drive>)> {
+        let Setup { hand, object, world_from_object, truth, path, joints, torque_cap_nm, dt_s } = setup;
+        let (arm, drives) = hand_of(hand, Base::Path(path), torque_cap_nm, truth.friction)?;
+        let hold: Vec<f64> = drives.iter().map(|d| joints[d.joint] * d.gear).collect();
+        let mut state = State::at_rest(world_from_object);
+        state.arms.push(arm.at_rest(joints, 0.0)?);
+        let body = Body::new(&object.properties, truth.mass_kg, Arc::clone(&object.collider));
+        let mut model = Model::new(vec![body]).with_arm(arm);
+        model.dt_s = dt_s;
+        let mut scene = Scene::on_table(truth.friction);
+        scene.controls.push(Control::constant(&hold)?);
+        let engine = match judge {
+            Judge::Diffsim => {
+                model.check()?;
+                Self::Diffsim {
+                    model: Box::new(model),
+                    scene: Box::new(scene),
+                    state: Box::new(state),
+                    work: Box::default(),
+                }
+            }
+            #[cfg(feature = "mujoco")]
+            Judge::Mujoco => {
+                let options = drex_diffsim::mujoco::MjcfOptions::default();
+                let engine = drex_diffsim::mujoco::MujocoEngine::new(&model, &scene, &state, &options)?;
+                Self::Mujoco { engine: Box::new(engine), state: Box::new(state) }
+            }
+            #[cfg(not(feature = "mujoco"))]
+            Judge::Mujoco => return Err(Error::NoMujoco),
+        };
+        Ok((engine, drives))
+    }
+
+    /// One step under position commands, one per drive.
+    pub fn step(&mut self, command: &[f64]) -> Result<()> {
+        let control = Control::constant(command)?;
+        match self {
+            Self::Diffsim { model, scene, state, work } => {
+                scene.controls[0] = control;
+                step(model, scene, state, work).map_err(Error::from)
+            }
+            #[cfg(feature = "mujoco")]
+            Self::Mujoco { engine, state } => {
+                engine.set_controls(vec![control]);
+                engine.step()?;
+                **state = engine.state();
+                Ok(())
+            }
+        }
+    }
+
+    fn state(&self) -> &State<f64> {
+        match self {
+            Self::Diffsim { state, .. } => state,
+            #[cfg(feature = "mujoco")]
+            Self::Mujoco { state, .. } => state,
+        }
+    }
+
+    /// Joint angles, model order.
+    pub fn joints(&self) -> &[f64] {
+        &self.state().arms[0].q
+    }
+
+    pub fn world_from_object(&self) -> Pose {
+        self.state().bodies[0].world_from_body
+    }
+
+    pub fn world_from_base(&self) -> Pose {
+        self.state().arms[0].base.world_from_base
+    }
+
+    /// Contacts of the hand in the last step that carry something, and whether the object touches the table.
+    pub fn touches(&self, out: &mut Vec<Touch>) -> bool {
+        out.clear();
+        match self {
+            Self::Diffsim { work, .. } => collect(work.contacts(), out),
+            #[cfg(feature = "mujoco")]
+            Self::Mujoco { engine, .. } => collect(engine.contacts().iter(), out),
+        }
+    }
+}
+
+/// Sorts contacts; true if the object touches the table.
+fn collect<'a>(contacts: impl Iterator<Item = &'a ContactForce<f64>>, out: &mut Vec<Touch>) -> bool {
+    let mut on_table = false;
+    for c in contacts {
+        let normal_n = c.force.dot(&c.normal);
+        if normal_n <= 0.0 {
+            continue;
+        }
+        let (link, with, inward) = match (c.key.a, c.key.b) {
+            (Part::Body(_), Part::Link { link, .. }) => (link, Met::Object, c.normal),
+            (Part::Link { link, .. }, Part::Fixed(_)) => (link, Met::Table, -c.normal),
+            (Part::Body(_), Part::Fixed(_)) => {
+                on_table = true;
+                continue;
+            }
+            _ => continue,
+        };
+        out.push(Touch {
+            link: link as usize,
+            with,
+            point: c.point,
+            inward,
+            normal_n,
+            tangential_n: (c.force - c.normal * normal_n).norm(),
+            depth_m: c.depth,
+            slide: c.velocity - c.normal * c.velocity.dot(&c.normal),
+        });
+    }
+    on_table
+}

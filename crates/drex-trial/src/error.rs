@@ -1,0 +1,35 @@
+//! The error type of the crate: what was wrong, where, and what to do.
+
+/// Result of this crate.
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// What can go wrong when a grasp is tried. A grasp that fails is no error.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A number means nothing.
+    #[error("trial: {what}; {remedy}")]
+    Value {
+        /// What is wrong.
+        what: String,
+        /// What to do about it.
+        remedy: String,
+    },
+    /// The simulator refused the model.
+    #[error("the trial cannot be simulated: {0}")]
+    Simulation(#[from] drex_diffsim::SimError),
+    /// Contacts or forces could not be computed.
+    #[error("the grasp cannot be analysed: {0}")]
+    Grasp(#[from] drex_grasp::GraspError),
+    /// The judge is not part of this build.
+    #[error(
+        "this build has no MuJoCo; build with the feature `mujoco` (drex_diffsim::mujoco tells how) or judge with diffsim"
+    )]
+    NoMujoco,
+}
+
+impl Error {
+    pub(crate) fn value(what: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::Value { what: what.into(), remedy: remedy.into() }
+    }
+}

@@ -1,0 +1,128 @@
+//! A hand and an object, and what becomes of a command.
+
+use std::sync::Arc;
+
+use drex_core::Pose;
+use drex_grasp::HandSurface;
+use drex_robot::Robot;
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
+
+use crate::control::Controller;
+use crate::engine::{Drive, Engine, Setup};
+use crate::watch::Watch;
+use crate::{Belief, Command, Error, Judge, NoCommand, Outcome, Result, Squeeze, TrialObject, TrialOptions, Truth};
+use crate::{command, timeline};
+
+/// Distance of the points on the hand by which it is planned, m.
+const SPACING_M: f64 = 0.003;
+/// Steps of the engine per command.
+pub(crate) const STEPS_PER_TICK: usize = 2;
+
+/// A hand and an object, ready for trials.
+pub struct Trial {
+    pub(crate) hand: Arc<Robot>,
+    pub(crate) surface: HandSurface,
+    pub(crate) object: TrialObject,
+    pub(crate) options: TrialOptions,
+}
+
+impl Trial {
+    /// Prepares trials of `hand` with `object`.
+    ///
+    /// # Errors
+    /// If the hand has no collision shapes or an option is out of range.
+    pub fn new(hand: Arc<Robot>, object: TrialObject, options: TrialOptions) -> Result<Self> {
+        options.check()?;
+        let surface = HandSurface::new(&hand, SPACING_M)?;
+        Ok(Self { hand, surface, object, options })
+    }
+
+    /// The hand.
+    pub fn hand(&self) -> &Arc<Robot> {
+        &self.hand
+    }
+
+    /// The object.
+    pub fn object(&self) -> &TrialObject {
+        &self.object
+    }
+
+    /// The command for a grasp, given what the hand is told. The inner result says why there is none.
+    ///
+    /// The fingers' closing is rehearsed in drex-diffsim with the object where it is believed to be; the squeeze is planned on
+    /// the contacts that this gives.
+    ///
+    /// # Errors
+    /// If the joint vector does not fit the hand or a solver gives up.
+    pub fn command(
+        &self,
+        joints: &[f64],
+        object_from_palm: &Pose,
+        belief: &Belief,
+        squeeze: Squeeze,
+    ) -> Result<Result<Command, NoCommand>> {
+        command::plan(self, joints, object_from_palm, belief, squeeze)
+    }
+
+    /// Carries a command out under what is true.
+    ///
+    /// # Errors
+    /// If the model cannot be simulated; [`Error::NoMujoco`] for a judge that this build lacks. A grasp that fails is no error.
+    pub fn run(&self, command: &Command, truth: &Truth, judge: Judge) -> Result<Outcome> {
+        truth.check()?;
+        let (mut engine, drives) = self.engine(command, truth, timeline::SHAKEN_S, judge)?;
+        let mut controller =
+            Controller::new(&self.hand, &drives, &command.reach, &command.pushes, self.options.torque_cap_nm);
+        let tick_s = self.options.dt_s * STEPS_PER_TICK as f64;
+        let mut watch = Watch::new(&self.surface, self.object.max_finger_n, command.squeeze_n, tick_s);
+        let ticks = (timeline::SHAKEN_S / tick_s).round() as usize;
+        for i in 0..ticks {
+            let told = controller.command(i as f64 * tick_s, &engine);
+            for _ in 0..STEPS_PER_TICK {
+                match engine.step(&told) {
+                    Ok(()) => {}
+                    Err(Error::Simulation(drex_diffsim::SimError::Diverged { time_s, .. })) => {
+                        return Ok(watch.broke(time_s));
+                    }
+                    Err(other) => return Err(other),
+                }
+            }
+            if !watch.look((i + 1) as f64 * tick_s, truth.friction, &engine) {
+                break;
+            }
+        }
+        Ok(watch.finish())
+    }
+
+    /// Everything at the start of a command, with the palm's path until `last_s`.
+    pub(crate) fn engine(
+        &self,
+        command: &Command,
+        truth: &Truth,
+        last_s: f64,
+        judge: Judge,
+    ) -> Result<(Engine, Vec<Drive>)> {
+        let base = command.world_from_palm;
+        let path = timeline::palm_path(&base, &command.reach.retreat, self.options.shake_m_s2, truth.seed, last_s)?;
+        let setup = Setup {
+            hand: &self.hand,
+            object: &self.object,
+            world_from_object: self.true_pose(truth),
+            truth,
+            path,
+            joints: &command.reach.open,
+            torque_cap_nm: self.options.torque_cap_nm,
+            dt_s: self.options.dt_s,
+        };
+        Engine::new(setup, judge)
+    }
+
+    /// Where the object really is.
+    fn true_pose(&self, truth: &Truth) -> Pose {
+        let believed = self.object.world_from_object;
+        let centre = believed * self.object.properties.center_of_mass;
+        let about = Translation3::from(centre.coords);
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), truth.turn_rad);
+        Translation3::new(truth.shift_m[0], truth.shift_m[1], 0.0) * (about * turn * about.inverse()) * believed
+    }
+}
