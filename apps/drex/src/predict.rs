@@ -12,7 +12,7 @@ use drex_grasp::{
 use drex_mesh::{
     AssetOptions, GridSdf, LengthUnit, MeshSdf, asset_from_mesh, farthest_points, metric_mesh, sample_surface,
 };
-use drex_policy::trial::TrialOptions;
+use drex_trial::TrialOptions;
 use drex_policy::{GraspPolicy, PredictedGrasp};
 use drex_robot::Robot;
 use nalgebra::{Point3, Unit, Vector3, Vector6};

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
-use drex_policy::trial::{Belief, NoCommand, Squeeze, Verdict};
-use drex_policy::{Interval, wilson};
+use drex_trial::{Belief, NoCommand, Squeeze, Verdict};
+use drex_trial::{Interval, wilson};
 use nalgebra::Point3;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -111,7 +111,7 @@ impl<J: Judge> Cell<'_, J> {
         }
     }
 
-    /// The first proposal for which there is a command. Which it is depends on the true mass, so that cells that differ in what the
+    /// The first proposal that holds on paper. Which it is depends on the true mass, so that cells that differ in what the
     /// hand is told differ in force alone.
     fn plan(&self, condition: &Condition) -> Result<Result<J::Plan, NoCommand>> {
         let truth = condition.belief(self.mass_kg);
@@ -128,20 +128,17 @@ impl<J: Judge> Cell<'_, J> {
             }
             Actor::Always(proposals) => proposals.clone(),
         };
-        let mut first = NoCommand::NoContact { touching: 0 };
-        for (i, p) in proposals.iter().enumerate() {
-            if let Err(reason) = self.judge.plan(&p.joints, &p.object_from_palm, &truth, Squeeze::Needed)? {
-                if i == 0 {
-                    first = reason;
-                }
-                continue;
-            }
-            return self.command(p, &belief, condition);
-        }
         // None can hold on paper: the most probable has a try with the force that it was given.
-        match proposals.first() {
-            Some(p) if !matches!(first, NoCommand::NoContact { .. }) => self.command(p, &belief, condition),
-            _ => Ok(Err(first)),
+        let mut chosen = proposals.first();
+        for p in &proposals {
+            if self.judge.needed_n(&p.joints, &p.object_from_palm, &truth)?.is_some() {
+                chosen = Some(p);
+                break;
+            }
+        }
+        match chosen {
+            Some(p) => self.command(p, &belief, condition),
+            None => Ok(Err(NoCommand::NoContact { touching: 0 })),
         }
     }
 

@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result};
 use drex_core::Pose;
-use drex_policy::{TrainOptions, paired_difference};
+use drex_policy::TrainOptions;
+use drex_trial::paired_difference;
 use drex_retarget::TargetHand;
 use drex_robot::Robot;
 use nalgebra::{Point3, Quaternion, Translation3, UnitQuaternion, Vector3, Vector4};

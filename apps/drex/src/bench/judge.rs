@@ -4,8 +4,12 @@ use std::sync::Arc;
 
 use anyhow::Result;
 use drex_core::Pose;
-use drex_policy::trial::{Belief, Command, Judge as Engine, NoCommand, Squeeze, Trial, TrialOptions, Truth, Verdict};
+use drex_grasp::{ContactOptions, ForceLaw, GraspError, HandSurface, SqueezeError, SqueezeProblem, TorqueLimits};
 use drex_robot::Robot;
+use drex_trial::{
+    Belief, Command, Judge as Engine, NoCommand, Squeeze, Trial, TrialObject, TrialOptions, Truth, Verdict,
+};
+use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -121,8 +125,11 @@ pub trait Judge: Sync {
         squeeze: Squeeze,
     ) -> Result<Result<Self::Plan, NoCommand>>;
 
-    /// The squeeze of a plan, N.
-    fn squeeze_n(&self, plan: &Self::Plan) -> f64;
+    /// What the force law asks for on paper, at the contacts of the grasp as it is told, N; `None` if it cannot hold so.
+    ///
+    /// # Errors
+    /// If the grasp is none of this hand.
+    fn needed_n(&self, joints: &[f64], object_from_palm: &Pose, belief: &Belief) -> Result<Option<f64>>;
 
     /// Carries it out under what is true.
     ///
@@ -135,7 +142,16 @@ pub trait Judge: Sync {
 pub struct Rollouts {
     trial: Trial,
     engine: Engine,
+    robot: Arc<Robot>,
+    surface: HandSurface,
+    object: TrialObject,
+    options: TrialOptions,
 }
+
+/// A finger that is this near will touch when the hand closes, metres.
+const TOUCH_M: f64 = 0.006;
+/// A hand deeper in the object than this is no grasp, metres.
+const DEEPEST_M: f64 = 0.012;
 
 impl Rollouts {
     /// Of this object with this hand.
@@ -143,7 +159,15 @@ impl Rollouts {
     /// # Errors
     /// If the hand or the object cannot be simulated.
     pub fn new(thing: &Thing, robot: &Arc<Robot>, options: &TrialOptions, engine: Engine) -> Result<Self> {
-        Ok(Self { trial: Trial::new(robot.clone(), thing.trial_object(), options.clone())?, engine })
+        let object = thing.trial_object();
+        Ok(Self {
+            trial: Trial::new(robot.clone(), object.clone(), options.clone())?,
+            engine,
+            robot: robot.clone(),
+            surface: HandSurface::new(robot, ContactOptions::default().spacing_m)?,
+            object,
+            options: options.clone(),
+        })
     }
 }
 
@@ -160,8 +184,32 @@ impl Judge for Rollouts {
         Ok(self.trial.command(joints, object_from_palm, belief, squeeze)?)
     }
 
-    fn squeeze_n(&self, plan: &Command) -> f64 {
-        plan.squeeze_n
+    fn needed_n(&self, joints: &[f64], object_from_palm: &Pose, belief: &Belief) -> Result<Option<f64>> {
+        let Self { robot, surface, object, options, .. } = self;
+        let distance = object.surface.as_ref();
+        let links = robot.forward_kinematics(joints, object_from_palm);
+        if surface.depths(&links, distance, 0.0).into_iter().any(|d| d > DEEPEST_M) {
+            return Ok(None);
+        }
+        let mut contact = ContactOptions::with_friction(belief.friction);
+        contact.max_gap_m = TOUCH_M;
+        let contacts = surface.contacts(robot, joints, object_from_palm, distance, &contact)?;
+        let gravity = object.world_from_object.rotation.inverse() * Vector3::new(0.0, 0.0, -9.81);
+        let mut torques = TorqueLimits::of_robot(robot, joints, object_from_palm, &contacts, &gravity)?;
+        torques.limits_nm = vec![(-options.torque_cap_nm, options.torque_cap_nm); robot.dof()];
+        let center = object.properties.center_of_mass;
+        let mut problem = SqueezeProblem::new(contacts, belief.mass_kg, center, gravity).with_torques(torques);
+        problem.max_normal_n = object.max_finger_n;
+        let law = ForceLaw::default()
+            .with_margin(options.margin)
+            .with_friction_uncertainty(options.friction_uncertainty)
+            .with_shake_m_s2(options.shake_m_s2);
+        match law.command(&problem) {
+            Ok(command) => Ok(Some(command.total_n)),
+            Err(SqueezeError::Input(GraspError::Solver { .. })) => Ok(None),
+            Err(SqueezeError::Input(error)) => Err(error.into()),
+            Err(_) => Ok(None),
+        }
     }
 
     fn run(&self, plan: &Command, truth: &Truth) -> Result<Judged> {
@@ -211,8 +259,8 @@ pub mod fake {
             Ok(Ok(wanted))
         }
 
-        fn squeeze_n(&self, plan: &f64) -> f64 {
-            *plan
+        fn needed_n(&self, joints: &[f64], pose: &Pose, belief: &Belief) -> Result<Option<f64>> {
+            Ok(self.plan(joints, pose, belief, Squeeze::Needed)?.ok())
         }
 
         fn run(&self, plan: &f64, truth: &Truth) -> Result<Judged> {

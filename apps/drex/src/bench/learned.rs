@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use drex_core::Pose;
-use drex_policy::trial::{Belief, Squeeze};
+use drex_trial::Belief;
 use drex_policy::{Dataset, GraspPolicy, GraspSample, TrainOptions};
 use drex_robot::Robot;
 use nalgebra::Point3;
@@ -125,11 +125,11 @@ fn samples<J: Judge>(
     let mut out = Vec::new();
     for &mass_kg in masses {
         let belief = Belief { mass_kg, friction };
-        if let Ok(plan) = judge.plan(&grasp.joints_rad, &object_from_palm, &belief, Squeeze::Needed)? {
+        if let Some(squeeze_n) = judge.needed_n(&grasp.joints_rad, &object_from_palm, &belief)? {
             out.push(GraspSample {
                 joints: grasp.joints_rad.clone(),
                 object_from_palm,
-                squeeze_n: judge.squeeze_n(&plan),
+                squeeze_n,
                 mass_kg: told_kg.unwrap_or(mass_kg),
             });
         }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use drex_core::fsutil;
-use drex_policy::Interval;
+use drex_trial::Interval;
 use serde::Serialize;
 
 use super::cell::Row;

@@ -7,7 +7,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
 use drex_policy::TrainOptions;
-use drex_policy::trial::{Judge, TrialOptions};
+use drex_trial::{Judge, TrialOptions};
 use drex_retarget::TargetHand;
 use serde::Serialize;
 

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
-use drex_policy::trial::TrialOptions;
+use drex_trial::TrialOptions;
 use serde::Serialize;
 
 use crate::cli::DeployArgs;
