@@ -33,6 +33,7 @@ mod hand;
 mod law;
 mod loads;
 mod motors;
+mod search;
 mod squeeze;
 
 pub use carry::{holds_any_load, squeeze_per_weight};
@@ -45,6 +46,7 @@ pub use find::{ContactOptions, find_contacts};
 pub use hand::{HandSurface, LinkSurface};
 pub use law::{ForceCommand, ForceLaw, PAPER_FORCE_LIMIT_N, paper_force};
 pub use loads::{required_squeeze, shake_loads};
+pub use search::{FoundGrasp, SearchOptions, search_grasps};
 pub use squeeze::{Squeeze, SqueezeError, SqueezeProblem, TorqueLimits, smallest_forces, smallest_squeeze};
 
 #[cfg(doctest)]

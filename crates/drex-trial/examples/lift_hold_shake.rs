@@ -13,7 +13,7 @@ use drex_trial::{Belief, Judge, Squeeze, Trial, TrialObject, TrialOptions, Truth
 use nalgebra::{Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 
 /// Half extents of the box, m.
-const HALF: Vector3<f64> = Vector3::new(0.025, 0.04, 0.04);
+const HALF: Vector3<f64> = Vector3::new(0.025, 0.04, 0.03);
 /// A pinch of it: thumb against index and middle finger.
 const GRASP: [(&str, f64); 12] = [
     ("if_mcp", 0.323),
@@ -58,7 +58,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         max_finger_n: None,
     };
     let palm_from_object = Pose::from_parts(
-        Translation3::new(-0.00776, -0.02648, -0.10179 - 0.01),
+        Translation3::new(-0.00776, -0.02648, -0.10179),
         UnitQuaternion::from_euler_angles(0.0, 0.0, 0.393),
     );
     let joints = hand.joint_vector(GRASP)?;

@@ -1,7 +1,7 @@
 //! From a grasp to what the hand is told: rehearse the closing, then solve for the squeeze on the contacts that it gives.
 
 use drex_core::Pose;
-use drex_grasp::{Contact, SqueezeError, SqueezeProblem, TorqueLimits, smallest_forces};
+use drex_grasp::{Contact, Distribution, SqueezeError, SqueezeProblem, TorqueLimits, distribute};
 use nalgebra::{DVector, Point3, Vector3};
 
 use crate::control::{Controller, Push};
@@ -55,12 +55,23 @@ pub(crate) fn plan(
         return Ok(Err(NoCommand::NoContact { touching: count }));
     }
     let problem = problem(trial, &closed, &command.world_from_palm, &touches, belief)?;
-    let forces = match forces(trial, &problem, squeeze) {
-        Ok(forces) => forces,
-        Err(SqueezeError::Input(error)) => return Err(error.into()),
-        Err(reason @ SqueezeError::Torque { .. }) => return Ok(Err(NoCommand::TorqueLimit(reason.to_string()))),
-        Err(reason @ SqueezeError::NormalForce { .. }) => return Ok(Err(NoCommand::Crushes(reason.to_string()))),
-        Err(reason) => return Ok(Err(NoCommand::CannotCarry(reason.to_string()))),
+    if std::env::var_os("DBG").is_some() {
+        for c in &problem.contacts {
+            eprintln!(
+                "{} {:?} p {:.4?} n {:.3?}",
+                trial.hand.links[c.link].name,
+                c.finger,
+                c.point.coords.as_slice(),
+                c.normal.as_slice()
+            );
+        }
+        for t in &touches {
+            eprintln!("   {:.3} N depth {:.5}", t.normal_n, t.depth_m);
+        }
+    }
+    let forces = match squeeze_of(trial, &problem, squeeze) {
+        Ok(share) => share.forces,
+        Err(reason) => return no_command(reason).map(Err),
     };
     let poses = trial.hand.forward_kinematics(&closed, &command.world_from_palm);
     for (contact, force) in problem.contacts.iter().zip(&forces) {
@@ -75,6 +86,24 @@ pub(crate) fn plan(
     command.torques_nm =
         crate::control::squeeze_torques(&trial.hand, &closed, &command.world_from_palm, &command.pushes);
     Ok(Ok(command))
+}
+
+/// Sorts the reasons why there is no squeeze.
+fn no_command(reason: SqueezeError) -> Result<NoCommand> {
+    let text = reason.to_string();
+    let mut at = &reason;
+    while let SqueezeError::Load { reason, .. } = at {
+        at = reason;
+    }
+    Ok(match at {
+        SqueezeError::Input(_) => match reason {
+            SqueezeError::Input(error) => return Err(error.into()),
+            _ => NoCommand::CannotCarry(text),
+        },
+        SqueezeError::Torque { .. } | SqueezeError::Total { .. } => NoCommand::TorqueLimit(text),
+        SqueezeError::NormalForce { .. } => NoCommand::Crushes(text),
+        _ => NoCommand::CannotCarry(text),
+    })
 }
 
 /// Joint angles and contacts after closing on the believed object.
@@ -112,8 +141,7 @@ fn problem(
         if contacts.iter().any(|c| c.link == touch.link && (c.point - point).norm() < SAME_M) {
             continue;
         }
-        let friction = belief.friction * (1.0 - trial.options.friction_uncertainty);
-        let mut contact = Contact::new(point, touch.inward, friction);
+        let mut contact = Contact::new(point, touch.inward, belief.friction);
         contact.link = touch.link;
         contact.finger = trial.surface.finger_of_link[touch.link];
         contacts.push(contact);
@@ -141,12 +169,23 @@ fn problem(
     Ok(problem)
 }
 
-/// Forces of the squeeze on the object, world, N.
-fn forces(trial: &Trial, problem: &SqueezeProblem, squeeze: Squeeze) -> Result<Vec<Vector3<f64>>, SqueezeError> {
-    let _ = squeeze;
-    let mut narrowed = problem.clone();
-    let factor = trial.options.margin * (1.0 + trial.options.shake_m_s2 / 9.81);
-    narrowed.contacts.iter_mut().for_each(|c| c.friction /= factor);
-    let f = smallest_forces(&narrowed)?;
-    Ok(problem.contacts.iter().zip(&f).map(|(c, f)| c.axes() * f).collect())
+/// The squeeze as forces on the object, world, and its sum, N.
+fn squeeze_of(trial: &Trial, problem: &SqueezeProblem, squeeze: Squeeze) -> Result<Distribution, SqueezeError> {
+    match squeeze {
+        Squeeze::Needed => Ok(trial.options.law.command(problem)?.distribution),
+        Squeeze::Total(total_n) => {
+            let mut careful = problem.clone();
+            careful.contacts.iter_mut().for_each(|c| c.friction *= 1.0 - trial.options.law.friction_uncertainty);
+            match distribute(&careful, total_n) {
+                // Too little for the believed weight is a command all the same: the share of a squeeze that would do, scaled.
+                Err(SqueezeError::Total { smallest_n, .. }) if total_n < smallest_n => {
+                    let mut least = distribute(&careful, smallest_n * (1.0 + 1e-4))?;
+                    let scale = total_n / smallest_n;
+                    least.forces.iter_mut().for_each(|f| *f *= scale);
+                    Ok(least)
+                }
+                other => other,
+            }
+        }
+    }
 }

@@ -12,6 +12,8 @@ use crate::timeline::{APPROACHED_S, CLOSED_S, SQUEEZED_S};
 const CLOSING_NM: f64 = 0.03;
 /// Part of the time of closing after which the fingers have been told the whole way; the rest is for settling.
 const CLOSING_SHARE: f64 = 0.75;
+/// Errors of a joint below this do not say which way its friction acts, rad.
+const FRICTION_BLEND_RAD: f64 = 0.01;
 /// Torques of contact below this do not say which way a joint's friction acts, N m.
 const FRICTION_BLEND_NM: f64 = 0.01;
 
@@ -59,14 +61,10 @@ impl<'a> Controller<'a> {
             let closing = t >= APPROACHED_S;
             for d in self.drives {
                 let j = d.joint;
-                let target = self.reach.open[j] + s * (self.reach.closed[j] - self.reach.open[j]);
-                let wanted = d.stiffness * d.gear * d.gear * (target - q[j]);
-                let limit = if closing {
-                    (CLOSING_NM + self.robot.joints[j].friction_loss).min(self.torque_cap_nm)
-                } else {
-                    self.torque_cap_nm
-                };
-                self.closing[j] = wanted.clamp(-limit, limit);
+                let error = self.reach.at(j, s) - q[j];
+                let friction = self.robot.joints[j].friction_loss * (error / FRICTION_BLEND_RAD).tanh();
+                let limit = if closing { CLOSING_NM } else { self.torque_cap_nm };
+                self.closing[j] = (d.stiffness * d.gear * d.gear * error).clamp(-limit, limit) + friction;
             }
             return self.position(q, |j| own[j] + self.closing[j]);
         }

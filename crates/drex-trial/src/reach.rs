@@ -10,6 +10,8 @@ const TAKES_PART_M: f64 = 0.008;
 /// How far the fingertips open, and how far into the object they are told to close, m.
 const OPEN_M: f64 = 0.022;
 const CLOSE_M: f64 = 0.012;
+/// Part of the way from open to closed at which the grasp is passed: all at the same speed.
+const GRASP_AT: f64 = OPEN_M / (OPEN_M + CLOSE_M);
 /// Steps of a finger's way, and the damping of each, m.
 const STEPS: usize = 12;
 const REGULAR_M: f64 = 0.01;
@@ -21,6 +23,7 @@ const LOOKS: usize = 6;
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Reach {
     pub open: Vec<f64>,
+    pub grasp: Vec<f64>,
     pub closed: Vec<f64>,
     /// Where the hand comes from, relative to the grasp, world, m.
     pub retreat: Vector3<f64>,
@@ -33,6 +36,18 @@ struct Near {
     point: Point3<f64>,
     /// Out of the object, object frame.
     outward: Vector3<f64>,
+}
+
+impl Reach {
+    /// Angle of a joint on the way from open (0) through the grasp to closed (1).
+    pub fn at(&self, joint: usize, s: f64) -> f64 {
+        let (open, grasp, closed) = (self.open[joint], self.grasp[joint], self.closed[joint]);
+        if s < GRASP_AT {
+            open + (grasp - open) * s / GRASP_AT
+        } else {
+            grasp + (closed - grasp) * (s - GRASP_AT) / (1.0 - GRASP_AT)
+        }
+    }
 }
 
 /// Plans opening, closing and approach of a grasp.
@@ -55,9 +70,20 @@ pub(crate) fn plan(
         }
         q
     };
+    if std::env::var_os("DBG").is_some() {
+        let poses = robot.forward_kinematics(joints, &(world_from_object * object_from_base));
+        for n in near.iter().flatten() {
+            eprintln!(
+                "near {} {:.4?} out {:.3?}",
+                robot.links[n.link].name,
+                (poses[n.link] * n.point).coords.as_slice(),
+                n.outward.as_slice()
+            );
+        }
+    }
     let open = moved(OPEN_M);
     let retreat = retreat(robot, surface, &open, object_from_base, object, world_from_object);
-    Reach { closed: moved(-CLOSE_M), open, retreat }
+    Reach { closed: moved(-CLOSE_M), grasp: joints.to_vec(), open, retreat }
 }
 
 fn nearest(

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use drex_core::{MassProperties, Pose, SignedDistance};
 use drex_diffsim::Collider;
+use drex_grasp::ForceLaw;
 use serde::{Deserialize, Serialize};
 
 use crate::reach::Reach;
@@ -173,11 +174,9 @@ impl Outcome {
 pub struct TrialOptions {
     /// Largest torque of each joint, N m: what LEAP's motors give at 550 mA.
     pub torque_cap_nm: f64,
-    /// Factor on the smallest squeeze.
-    pub margin: f64,
-    /// Share by which the true friction may be below the one told.
-    pub friction_uncertainty: f64,
-    /// Acceleration of the shakes, m/s²; a quarter of it is felt as the lift begins.
+    /// How much harder than just enough it squeezes.
+    pub law: ForceLaw,
+    /// Acceleration of the shakes, m/s².
     pub shake_m_s2: f64,
     /// Time step of both engines, s.
     pub dt_s: f64,
@@ -185,7 +184,7 @@ pub struct TrialOptions {
 
 impl Default for TrialOptions {
     fn default() -> Self {
-        Self { torque_cap_nm: 0.29, margin: 1.1, friction_uncertainty: 0.1, shake_m_s2: 0.5 * 9.81, dt_s: 2e-3 }
+        Self { torque_cap_nm: 0.29, law: ForceLaw::default(), shake_m_s2: 0.5 * 9.81, dt_s: 2e-3 }
     }
 }
 
@@ -214,8 +213,6 @@ impl TrialOptions {
     pub(crate) fn check(&self) -> Result<()> {
         let demands = [
             ("torque_cap_nm", self.torque_cap_nm, self.torque_cap_nm > 0.0),
-            ("margin", self.margin, self.margin >= 0.0),
-            ("friction_uncertainty", self.friction_uncertainty, (0.0..1.0).contains(&self.friction_uncertainty)),
             ("shake_m_s2", self.shake_m_s2, self.shake_m_s2 >= 0.0),
             ("dt_s", self.dt_s, self.dt_s > 0.0 && self.dt_s <= 0.004),
         ];

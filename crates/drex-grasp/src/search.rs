@@ -1,0 +1,353 @@
+//! Grasps for an object nobody has shown how to hold: opposed points of its surface, postures in which the thumb faces the fingers, and
+//! fingers that close until they touch. Candidates are many and cheap; the static conditions at the end decide.
+
+use drex_core::{Pose, SignedDistance, SurfacePoint};
+use drex_robot::{Finger, Robot};
+use nalgebra::{Matrix3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use crate::{Contact, ContactOptions, GraspError, HandSurface, Result, TablePlane, holds_any_load, squeeze_per_weight};
+
+/// What is searched for.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct SearchOptions {
+    /// Candidates that are looked at.
+    pub candidates: usize,
+    /// Seed of the candidates.
+    pub seed: u64,
+    /// Coulomb friction of hand against object.
+    pub friction: f64,
+    /// Fingers that have to touch besides the thumb.
+    pub min_fingers: usize,
+    /// Deepest penetration of hand and object, m.
+    pub max_penetration_m: f64,
+    /// Least height of the hand over the table, m.
+    pub table_clearance_m: f64,
+}
+
+impl Default for SearchOptions {
+    /// 4000 candidates at friction 0.5, the thumb and two fingers, at most 1.5 mm inside, 3 mm over the table.
+    fn default() -> Self {
+        Self {
+            candidates: 4000,
+            seed: 0,
+            friction: 0.5,
+            min_fingers: 2,
+            max_penetration_m: 0.0015,
+            table_clearance_m: 0.003,
+        }
+    }
+}
+
+/// A grasp that was found.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct FoundGrasp {
+    /// Joint angles, model order, rad.
+    pub joints: Vec<f64>,
+    /// Pose of the robot's base in the object's frame.
+    pub object_from_base: Pose,
+    /// Where it touches.
+    pub contacts: Vec<Contact>,
+    /// Smallest sum of normal forces over the weight, no motors considered.
+    pub squeeze_per_weight: f64,
+    /// Whether the contacts are in force closure.
+    pub closed: bool,
+}
+
+/// Postures kept, and tried to find them.
+const POSTURES: usize = 400;
+const DRAWS: usize = 6000;
+/// Widths between thumb and fingers that a posture may have, m.
+const WIDTH_M: (f64, f64) = (0.02, 0.11);
+/// Least opposition of the closing directions of thumb and fingers: minus the cosine of their angle.
+const OPPOSITION: f64 = 0.6;
+/// Normals of opposed points may lean from the line between them by this much: the cosine.
+const ALIGNED: f64 = 0.8;
+/// How near a point's normal must come to the line back to find the other side of the object, and steps along it.
+const MARCH_STEPS: usize = 200;
+/// A finger further away than this after closing does not take part, m.
+const TOUCHES_M: f64 = 0.001;
+/// How far a finger may go to touch, m, and steps on the way.
+const REACH_M: f64 = 0.03;
+const STEPS: usize = 16;
+/// Damping of a step, m.
+const REGULAR_M: f64 = 0.01;
+/// How deep closing presses, m.
+const PRESS_M: f64 = 0.0003;
+
+/// A posture in which thumb and fingers face each other.
+struct Posture {
+    joints: Vec<f64>,
+    /// From the fingers' tips to the thumb's, base frame, unit, and its length.
+    axis: Unit<Vector3<f64>>,
+    width_m: f64,
+    middle: Point3<f64>,
+}
+
+/// Searches for grasps of an object on a table, in the order of the candidates.
+///
+/// `surface` are points of the object's surface with outward normals, object frame: the denser, the more opposed pairs.
+/// The same options give the same grasps with any number of threads.
+///
+/// # Errors
+/// If the hand has no thumb and finger, there is no surface, or an option is out of range.
+pub fn search_grasps(
+    robot: &Robot,
+    hand: &HandSurface,
+    object: &dyn SignedDistance,
+    surface: &[SurfacePoint],
+    center_of_mass: &Point3<f64>,
+    table: &TablePlane,
+    options: &SearchOptions,
+) -> Result<Vec<FoundGrasp>> {
+    if !(options.friction > 0.0 && options.friction.is_finite() && options.max_penetration_m >= 0.0) {
+        return Err(GraspError::value(
+            format!("friction {} and penetration {} m", options.friction, options.max_penetration_m),
+            "give positive numbers",
+        ));
+    }
+    let postures = postures(robot, hand, options.seed)?;
+    let pairs = pairs(object, surface, options);
+    let search = Search { robot, hand, object, center_of_mass, table, options };
+    let found: Vec<Result<Option<FoundGrasp>>> = (0..options.candidates)
+        .into_par_iter()
+        .map(|i| {
+            // One stream per candidate, so that threads do not matter.
+            let mut random = ChaCha8Rng::seed_from_u64(options.seed.wrapping_add(1 + i as u64));
+            random.set_stream(1);
+            match pairs.is_empty() {
+                true => Ok(None),
+                false => search.candidate(&pairs[random.random_range(0..pairs.len())], &postures, &mut random),
+            }
+        })
+        .collect();
+    found.into_iter().filter_map(Result::transpose).collect()
+}
+
+/// Two opposed points of the surface, object frame.
+struct Pair {
+    first: Point3<f64>,
+    second: Point3<f64>,
+}
+
+/// Pairs of points whose normals face away from each other, found by going straight through the object.
+fn pairs(object: &dyn SignedDistance, surface: &[SurfacePoint], options: &SearchOptions) -> Vec<Pair> {
+    let mut random = ChaCha8Rng::seed_from_u64(options.seed);
+    let mut out = Vec::new();
+    for sample in surface {
+        // A direction inside the friction cone.
+        let lean = (options.friction.atan() * 0.7) * random.random_range(0.0..1.0_f64).sqrt();
+        let heading = direction(&mut random);
+        let Some(axis) = sample.normal.cross(&heading).try_normalize(1e-6) else { continue };
+        let inward = UnitQuaternion::from_axis_angle(&Unit::new_unchecked(axis), lean) * -sample.normal;
+        let Some(second) = through(object, &sample.point, &inward) else { continue };
+        let there = object.signed_distance(&second).gradient;
+        let width = (second - sample.point).norm();
+        if there.dot(&inward) > ALIGNED && width < WIDTH_M.1 {
+            out.push(Pair { first: sample.point, second });
+        }
+    }
+    out
+}
+
+/// Where a ray that enters at `from` leaves the object.
+fn through(object: &dyn SignedDistance, from: &Point3<f64>, direction: &Vector3<f64>) -> Option<Point3<f64>> {
+    let mut way = 0.002;
+    for _ in 0..MARCH_STEPS {
+        let distance = object.signed_distance(&(from + direction * way)).distance_m;
+        if distance > -1e-5 {
+            return (way > 0.004).then(|| from + direction * way);
+        }
+        way += (-distance).max(2e-4);
+        if way > 2.0 * WIDTH_M.1 {
+            return None;
+        }
+    }
+    None
+}
+
+/// Postures in which thumb and fingers close towards each other.
+fn postures(robot: &Robot, hand: &HandSurface, seed: u64) -> Result<Vec<Posture>> {
+    let Some(thumb) = hand.thumb() else {
+        return Err(GraspError::Robot(format!("\"{}\" has no thumb; name one in the model", robot.name)));
+    };
+    let others: Vec<usize> = (0..hand.fingers.len()).filter(|&f| f != thumb).collect();
+    if others.is_empty() {
+        return Err(GraspError::Robot(format!("\"{}\" has no finger besides the thumb", robot.name)));
+    }
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    random.set_stream(2);
+    let mut out = Vec::new();
+    let mut rest = vec![0.0; robot.dof()];
+    robot.clamp_to_limits(&mut rest);
+    let middle = robot.mid_range();
+    for _ in 0..DRAWS {
+        let mut q = rest.clone();
+        // All fingers curl alike, with small differences; the thumb goes anywhere.
+        let curl: Vec<f64> = (0..4).map(|_| random.random_range(0.0..1.3)).collect();
+        for (index, finger) in hand.fingers.iter().enumerate() {
+            for (k, &j) in finger.joints.iter().enumerate() {
+                let (low, high) = robot.joints[j].limits.unwrap_or((rest[j] - 1.0, rest[j] + 1.0));
+                q[j] = if index == thumb {
+                    random.random_range(low..=high)
+                } else {
+                    let part = curl[k.min(3)] + random.random_range(-0.1..0.1);
+                    rest[j] + part * (middle[j] - rest[j])
+                };
+            }
+        }
+        robot.clamp_to_limits(&mut q);
+        let poses = robot.forward_kinematics(&q, &Pose::identity());
+        let tip = |f: &Finger| poses[f.tip_link] * f.tip_point;
+        let closing = |f: &Finger| {
+            let (linear, _) = robot.jacobian(&poses, f.tip_link, &tip(f));
+            let curl = nalgebra::DVector::from_fn(robot.dof(), |j, _| {
+                if f.joints.contains(&j) {
+                    (middle[j] - rest[j]).signum() * f64::from(u8::from(middle[j] != rest[j]))
+                } else {
+                    0.0
+                }
+            });
+            (linear * curl).try_normalize(1e-9)
+        };
+        let tips: Vector3<f64> =
+            others.iter().map(|&f| tip(&hand.fingers[f]).coords).sum::<Vector3<f64>>() / others.len() as f64;
+        let across = tip(&hand.fingers[thumb]).coords - tips;
+        let Some(axis) = Unit::try_new(across, 1e-6) else { continue };
+        let mean = others.iter().filter_map(|&f| closing(&hand.fingers[f])).sum::<Vector3<f64>>();
+        let Some(mean) = mean.try_normalize(1e-9) else { continue };
+        let width_m = across.norm();
+        if (WIDTH_M.0..WIDTH_M.1 + 0.04).contains(&width_m) && mean.dot(&axis) > OPPOSITION {
+            let thumb_tip = tip(&hand.fingers[thumb]);
+            out.push(Posture { joints: q, axis, width_m, middle: nalgebra::center(&thumb_tip, &Point3::from(tips)) });
+            if out.len() == POSTURES {
+                break;
+            }
+        }
+    }
+    Ok(out)
+}
+
+struct Search<'a> {
+    robot: &'a Robot,
+    hand: &'a HandSurface,
+    object: &'a dyn SignedDistance,
+    center_of_mass: &'a Point3<f64>,
+    table: &'a TablePlane,
+    options: &'a SearchOptions,
+}
+
+impl Search<'_> {
+    fn candidate(&self, pair: &Pair, postures: &[Posture], random: &mut ChaCha8Rng) -> Result<Option<FoundGrasp>> {
+        let across = pair.first - pair.second;
+        let width = across.norm();
+        // The skin is some millimetres thick, and the fingers have to close yet.
+        let fitting: Vec<&Posture> =
+            postures.iter().filter(|p| (width + 0.01..width + 0.05).contains(&p.width_m)).collect();
+        if fitting.is_empty() {
+            return Ok(None);
+        }
+        let posture = fitting[random.random_range(0..fitting.len())];
+        let (Some(to), Some(turn)) =
+            (Unit::try_new(across, 1e-9), UnitQuaternion::rotation_between(&posture.axis, &across))
+        else {
+            return Ok(None);
+        };
+        let roll = UnitQuaternion::from_axis_angle(&to, random.random_range(0.0..std::f64::consts::TAU));
+        let rotation = roll * turn;
+        let middle = nalgebra::center(&pair.first, &pair.second);
+        let object_from_base = Pose::from_parts(Translation3::from(middle - rotation * posture.middle), rotation);
+        // Nearly all of the hand over the table, before anything is solved.
+        let up = self.table.up.into_inner();
+        let mut q = posture.joints.clone();
+        let clear = |q: &[f64]| {
+            let poses = self.robot.forward_kinematics(q, &object_from_base);
+            let lowest = self.hand.lowest(&poses, &up).into_iter().fold(f64::INFINITY, f64::min);
+            (lowest - self.table.height_m, poses)
+        };
+        let (height, poses) = clear(&q);
+        if height < -0.01 || self.depth(&poses) > 0.01 {
+            return Ok(None);
+        }
+        for finger in &self.hand.fingers {
+            self.close(finger, &mut q, &object_from_base);
+        }
+        let (height, poses) = clear(&q);
+        if height < self.options.table_clearance_m || self.depth(&poses) > self.options.max_penetration_m {
+            return Ok(None);
+        }
+        self.judge(q, object_from_base)
+    }
+
+    /// Deepest point of the hand in the object, m; zero or less if there is none.
+    fn depth(&self, poses: &[Pose]) -> f64 {
+        self.hand.depths(poses, self.object, 0.0).into_iter().fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    /// Moves a finger's nearest point onto the surface, by damped least squares within the joint limits.
+    fn close(&self, finger: &Finger, q: &mut [f64], object_from_base: &Pose) {
+        for _ in 0..STEPS {
+            let poses = self.robot.forward_kinematics(q, object_from_base);
+            let mut nearest: Option<(usize, usize, f64)> = None;
+            for &link in &finger.links {
+                let limit = nearest.map_or(REACH_M, |n| n.2);
+                if let Some((index, distance)) = self.hand.links[link].nearest(&poses[link], self.object, limit) {
+                    nearest = Some((link, index, distance));
+                }
+            }
+            let Some((link, index, distance)) = nearest else { return };
+            if (-2.0 * PRESS_M..0.0).contains(&distance) {
+                return;
+            }
+            let point = poses[link] * self.hand.links[link].samples()[index].0;
+            let Some(outward) = self.object.signed_distance(&point).gradient.try_normalize(1e-9) else { return };
+            let (linear, _) = self.robot.jacobian(&poses, link, &point);
+            let j = linear.select_columns(&finger.joints);
+            let way = -(distance + PRESS_M).clamp(-0.005, 0.005);
+            let normal = &j * j.transpose() + Matrix3::identity() * (REGULAR_M * REGULAR_M);
+            let Some(solved) = normal.cholesky().map(|c| c.solve(&(outward * way))) else { return };
+            let change = j.transpose() * solved;
+            // Undo what the damping takes, so that the point arrives.
+            let moved = (&j * &change).dot(&outward) / way;
+            let scale = if moved > 0.2 { 1.0 / moved } else { 1.0 };
+            for (k, &joint) in finger.joints.iter().enumerate() {
+                q[joint] += scale * change[k];
+            }
+            self.robot.clamp_to_limits(q);
+        }
+    }
+
+    /// Contacts, and whether they carry.
+    fn judge(&self, joints: Vec<f64>, object_from_base: Pose) -> Result<Option<FoundGrasp>> {
+        let mut options = ContactOptions::with_friction(self.options.friction);
+        options.max_gap_m = TOUCHES_M;
+        options.max_per_link = 1;
+        let contacts = self.hand.contacts(self.robot, &joints, &object_from_base, self.object, &options)?;
+        let touches = |f: usize| contacts.iter().any(|c| c.finger == Some(f));
+        let thumb = self.hand.thumb();
+        let others = (0..self.hand.fingers.len()).filter(|&f| Some(f) != thumb && touches(f)).count();
+        if !thumb.is_some_and(touches) || others < self.options.min_fingers {
+            return Ok(None);
+        }
+        let Some(squeeze) = squeeze_per_weight(&contacts, *self.center_of_mass, self.table.up)? else {
+            return Ok(None);
+        };
+        let closed = holds_any_load(&contacts, self.center_of_mass)?;
+        Ok(Some(FoundGrasp { joints, object_from_base, contacts, squeeze_per_weight: squeeze, closed }))
+    }
+}
+
+/// A uniformly distributed direction (Marsaglia 1972).
+fn direction(random: &mut impl Rng) -> Vector3<f64> {
+    loop {
+        let v = Vector3::from_fn(|_, _| random.random_range(-1.0..1.0_f64));
+        let n = v.norm();
+        if (0.1..1.0).contains(&n) {
+            return v / n;
+        }
+    }
+}
