@@ -12,9 +12,9 @@ use drex_grasp::{
 use drex_mesh::{
     AssetOptions, GridSdf, LengthUnit, MeshSdf, asset_from_mesh, farthest_points, metric_mesh, sample_surface,
 };
-use drex_trial::TrialOptions;
 use drex_policy::{GraspPolicy, PredictedGrasp};
 use drex_robot::Robot;
+use drex_trial::TrialOptions;
 use nalgebra::{Point3, Unit, Vector3, Vector6};
 use serde::Serialize;
 

@@ -6,9 +6,9 @@ use std::sync::Arc;
 use anyhow::{Context, Result};
 use drex_core::Pose;
 use drex_policy::TrainOptions;
-use drex_trial::paired_difference;
 use drex_retarget::TargetHand;
 use drex_robot::Robot;
+use drex_trial::paired_difference;
 use nalgebra::{Point3, Quaternion, Translation3, UnitQuaternion, Vector3, Vector4};
 
 use super::bound::{self, Load};
@@ -352,4 +352,92 @@ fn nearest_grasp(grasps: &[Grasp]) -> Result<Proposal> {
     let far = |g: &Grasp| g.joints_rad.iter().zip(&mean.joints).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
     let g = grasps.iter().min_by(|a, b| far(a).total_cmp(&far(b))).context("there is no grasp")?;
     Ok(Proposal { joints: g.joints_rad.clone(), object_from_palm: g.pose()?, squeeze_n: 0.0 })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::super::judge::fake::Pinch;
+    use super::*;
+
+    /// A bench with few demonstrations of a box that the hand can hold, judged by a formula.
+    fn table(experiment: Experiment) -> Table {
+        let hand = TargetHand::bundled("leap_right").unwrap();
+        let mut library = LibraryOptions::default();
+        (library.people.clips, library.people.per_clip, library.wraps.tries) = (3, 3, 0);
+        let bench = Bench {
+            robot: Arc::new(hand.robot.clone()),
+            hand: &hand,
+            judge: &|_: &Thing| Ok(Pinch { strongest_n: 60.0 }),
+            rollouts: 120,
+            seed: 3,
+            library,
+            train: TrainOptions::default().with_epochs(60).with_hold_out_every(0),
+            friction: 0.5,
+            load: Load { torque_cap_nm: 0.29, shake_m_s2: 4.9 },
+            out: None,
+            note: &|_| {},
+        };
+        bench.run(experiment, Some(&[objects::named("spam_can").unwrap()])).unwrap()
+    }
+
+    fn rate(table: &Table, labels: &[(&str, &str)]) -> f64 {
+        let fits = |r: &&Row| labels.iter().all(|(k, v)| r.labels.get(k).is_some_and(|l| l == v));
+        table.rows.iter().find(fits).unwrap().interval.value
+    }
+
+    #[test]
+    fn the_force_for_another_mass_slips_where_the_formula_says() {
+        let table = table(Experiment::CrossMass);
+        assert_eq!(table.rows.len(), 12);
+        // Masses in the paper's proportions: 239, 365 and 637 g.
+        for mass in ["239 g", "365 g", "637 g"] {
+            assert!(rate(&table, &[("told", mass), ("true", mass)]) > 0.9, "{}", table.text());
+            assert!(rate(&table, &[("told", "half"), ("true", mass)]) < 0.05, "{}", table.text());
+        }
+        assert!(rate(&table, &[("told", "239 g"), ("true", "637 g")]) < 0.05);
+        assert!(rate(&table, &[("told", "637 g"), ("true", "239 g")]) > 0.9);
+        for row in &table.rows {
+            assert_eq!((row.n, row.failures.values().sum::<usize>()), (120, 120 - row.successes));
+            assert!((0.0..=1.0).contains(&row.bound));
+        }
+        // A heavier thing is not easier to hold at all.
+        let bounds: Vec<f64> = [0, 4, 8].iter().map(|i| table.rows[*i].bound).collect();
+        assert!(bounds[0] >= bounds[1] && bounds[1] >= bounds[2], "{bounds:?}");
+        let csv = table.csv();
+        assert!(csv.starts_with("object,told,true,successes,n,") && csv.lines().count() == 13, "{csv}");
+        assert!(table.svg("cross-mass").contains("bound"));
+    }
+
+    #[test]
+    fn an_identified_mass_is_nearly_as_good_as_the_true_one() {
+        let table = table(Experiment::MassSource);
+        let [difference] = &table.comparisons[..] else { panic!("{}", table.text()) };
+        assert!(difference.difference.value.abs() < 0.1, "{}", table.text());
+        assert!(
+            rate(&table, &[("mass", "-50 %")]) < 0.05 && rate(&table, &[("mass", "true")]) > 0.9,
+            "{}",
+            table.text()
+        );
+    }
+
+    #[test]
+    fn the_mean_of_turned_hands_is_between_them() {
+        let library = |angle: f64, q: f64| Grasp {
+            kind: Kind::Wrapped,
+            clip: 0,
+            joints_rad: vec![q; 2],
+            object_from_palm: crate::twin::PoseRecord::from(&Pose::rotation(Vector3::z() * angle)),
+            contacts: vec![],
+            squeeze_per_weight: 1.0,
+            clearance_mm: 3.0,
+            penetration_mm: 0.0,
+        };
+        let grasps = [library(0.2, 0.1), library(0.6, 0.5), library(0.4, 0.3)];
+        let mean = mean_grasp(&grasps).unwrap();
+        assert!((mean.joints[0] - 0.3).abs() < 1e-12);
+        assert!((mean.object_from_palm.rotation.angle() - 0.4).abs() < 1e-9);
+        assert_eq!(nearest_grasp(&grasps).unwrap().joints, vec![0.3; 2]);
+    }
 }

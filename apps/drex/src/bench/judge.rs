@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use anyhow::Result;
 use drex_core::Pose;
-use drex_grasp::{ContactOptions, ForceLaw, GraspError, HandSurface, SqueezeError, SqueezeProblem, TorqueLimits};
+use drex_grasp::{ContactOptions, GraspError, HandSurface, SqueezeError, SqueezeProblem, TorqueLimits};
 use drex_robot::Robot;
 use drex_trial::{
     Belief, Command, Judge as Engine, NoCommand, Squeeze, Trial, TrialObject, TrialOptions, Truth, Verdict,
@@ -200,11 +200,7 @@ impl Judge for Rollouts {
         let center = object.properties.center_of_mass;
         let mut problem = SqueezeProblem::new(contacts, belief.mass_kg, center, gravity).with_torques(torques);
         problem.max_normal_n = object.max_finger_n;
-        let law = ForceLaw::default()
-            .with_margin(options.margin)
-            .with_friction_uncertainty(options.friction_uncertainty)
-            .with_shake_m_s2(options.shake_m_s2);
-        match law.command(&problem) {
+        match options.law.command(&problem) {
             Ok(command) => Ok(Some(command.total_n)),
             Err(SqueezeError::Input(GraspError::Solver { .. })) => Ok(None),
             Err(SqueezeError::Input(error)) => Err(error.into()),

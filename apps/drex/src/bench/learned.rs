@@ -5,9 +5,9 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use drex_core::Pose;
-use drex_trial::Belief;
 use drex_policy::{Dataset, GraspPolicy, GraspSample, TrainOptions};
 use drex_robot::Robot;
+use drex_trial::Belief;
 use nalgebra::Point3;
 use rayon::prelude::*;
 

@@ -7,8 +7,8 @@ use drex_core::{Pose, Surface};
 use drex_diffsim::{Collider, ConvexPiece};
 use drex_grasp::TablePlane;
 use drex_mesh::{Asset, GridOptions, GridSdf, MeshSdf, asset_from_mesh, farthest_points, sample_surface};
-use drex_trial::TrialObject;
 use drex_retarget::ObjectSurface;
+use drex_trial::TrialObject;
 use nalgebra::{Point3, Unit, Vector3};
 
 use super::objects::ObjectSpec;

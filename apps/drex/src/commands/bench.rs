@@ -7,8 +7,8 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
 use drex_policy::TrainOptions;
-use drex_trial::{Judge, TrialOptions};
 use drex_retarget::TargetHand;
+use drex_trial::{Judge, TrialOptions};
 use serde::Serialize;
 
 use crate::bench::bound::Load;
@@ -21,6 +21,9 @@ use crate::bench::thing::{POINTS, Thing};
 use crate::cli::{BenchCommand, BenchCommon, DemosArgs, ExperimentArg, GraspBenchArgs, JudgeArg};
 use crate::picture::clip::{self, Posed};
 use crate::ui::Ui;
+
+/// Hands that are closed around the object for each demonstration, and how many of them are kept.
+const WRAPS_PER_CLIP: (usize, usize) = (40, 3);
 
 /// Runs one of the benches.
 pub fn run(command: &BenchCommand, seed: Option<u64>, ui: &Ui) -> Result<()> {
@@ -117,6 +120,8 @@ fn specs(common: &BenchCommon) -> Result<Vec<ObjectSpec>> {
 fn library_options(common: &BenchCommon, seed: u64) -> LibraryOptions {
     let mut options = LibraryOptions::default();
     options.people.clips = common.clips as usize;
+    (options.wraps.tries, options.wraps.keep) =
+        (WRAPS_PER_CLIP.0 * options.people.clips, WRAPS_PER_CLIP.1 * options.people.clips);
     (options.people.seed, options.wraps.seed) = (seed, seed);
     options
 }

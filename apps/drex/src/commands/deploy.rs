@@ -83,7 +83,7 @@ pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
         force_law: ForceLaw {
             what: "smallest sum of normal forces that carries the weight and a downward shake within the torque cap",
             torque_cap_nm: options.torque_cap_nm,
-            margin: options.margin,
+            margin: options.law.margin,
             shake_m_s2: options.shake_m_s2,
         },
         current_limits_ma: grasp.joint_torques_nm.iter().map(|t| 1e3 * t.abs() / TORQUE_PER_CURRENT).collect(),
