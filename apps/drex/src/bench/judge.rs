@@ -231,7 +231,7 @@ pub mod fake {
 
     use super::*;
 
-    /// Grasps work as a pinch would; those whose first joint is negative do not touch.
+    /// Every grasp works as a pinch would.
     pub struct Pinch {
         /// Largest squeeze of the motors, N.
         pub strongest_n: f64,
@@ -240,10 +240,7 @@ pub mod fake {
     impl Judge for Pinch {
         type Plan = f64;
 
-        fn plan(&self, joints: &[f64], _: &Pose, belief: &Belief, squeeze: Squeeze) -> Result<Result<f64, NoCommand>> {
-            if joints.first().is_some_and(|q| *q < 0.0) {
-                return Ok(Err(NoCommand::NoContact { touching: 0 }));
-            }
+        fn plan(&self, _: &[f64], _: &Pose, belief: &Belief, squeeze: Squeeze) -> Result<Result<f64, NoCommand>> {
             let needed = 1.5 * 1.1 * belief.mass_kg * 9.81 / (0.9 * belief.friction);
             let wanted = match squeeze {
                 Squeeze::Needed => needed,
