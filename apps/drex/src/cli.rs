@@ -1,5 +1,7 @@
 //! The command line.
 
+mod bench;
+mod grasp;
 mod retarget;
 
 use std::num::NonZeroUsize;
@@ -14,6 +16,8 @@ use drex_splat::train::{DensityChoice, Preset};
 use drex_sysid::Parameter;
 use nalgebra::{Point3, Similarity3};
 
+pub use bench::{BenchCommand, BenchCommon, DemosArgs, ExperimentArg, GraspBenchArgs, JudgeArg};
+pub use grasp::{DeployArgs, GraspArgs};
 pub use retarget::{DetectorArg, HandsArgs, ObjectiveArg, ReadingArgs, RetargetArgs};
 
 /// From a scan, a recorded push and human grasps to a weighed digital twin and a grasp with the right force.
@@ -73,6 +77,10 @@ pub enum Command {
     Train(TwinArgs),
     /// Judge the predicted grasps by the static check.
     Evaluate(TwinArgs),
+    /// Predict a grasp and its force for an object that stands somewhere.
+    Grasp(GraspArgs),
+    /// Write what driving the hand takes into one file.
+    Deploy(DeployArgs),
     /// Do every stage of a twin folder whose inputs changed, then write report.html.
     Run(TwinArgs),
     /// Write report.html again (and what it needs).
@@ -81,6 +89,9 @@ pub enum Command {
     Demo(DemoArgs),
     /// Make twin folders from recordings in other layouts.
     Import(ImportArgs),
+    /// Measure how well grasps hold.
+    #[command(subcommand)]
+    Bench(BenchCommand),
     /// Say what is on this machine and what is missing for which feature.
     Doctor,
 }

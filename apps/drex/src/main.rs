@@ -1,10 +1,12 @@
 //! `drex`: from a scan, a recorded push and human grasps to a weighed digital twin and a grasp with the right force.
 
+mod bench;
 mod cli;
 mod commands;
 mod lock;
 mod object;
 mod picture;
+mod predict;
 mod report;
 mod scan;
 mod twin;
@@ -50,6 +52,9 @@ fn run(cli: &Cli, ui: &Ui) -> anyhow::Result<()> {
         Command::Report(args) => commands::run::run(args, twin::Stage::Report, true, seed, ui),
         Command::Demo(args) => commands::demo::run(args, seed, ui),
         Command::Import(args) => commands::import::run(args, ui),
+        Command::Grasp(args) => commands::grasp::run(args, seed, ui),
+        Command::Deploy(args) => commands::deploy::run(args, seed, ui),
+        Command::Bench(command) => commands::bench::run(command, seed, ui),
         Command::Doctor => commands::doctor::run(ui),
     }
 }

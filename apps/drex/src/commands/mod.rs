@@ -1,9 +1,12 @@
 //! One file per subcommand.
 
 pub mod asset;
+pub mod bench;
 pub mod calibrate_hand;
 pub mod demo;
+pub mod deploy;
 pub mod doctor;
+pub mod grasp;
 pub mod hands;
 pub mod identify;
 pub mod import;

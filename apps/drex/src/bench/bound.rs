@@ -1,0 +1,107 @@
+//! What the hand can do at all: for each grasp the least friction at which its contacts carry the load within the motors' torques.
+//!
+//! The load is the weight, and the weight with the shake along each of six directions, each balanced by forces of its own: no way to
+//! command the hand can hold more. A rollout is within the bound if any grasp of the library carries the load at its friction.
+
+use anyhow::Result;
+use drex_grasp::{
+    ContactOptions, GraspError, HandSurface, SqueezeError, SqueezeProblem, TorqueLimits, smallest_forces,
+};
+use drex_robot::Robot;
+use nalgebra::{Vector3, Vector6};
+use rayon::prelude::*;
+
+use super::library::Grasp;
+use super::thing::Thing;
+
+/// Friction beyond which no finger pad is, and the step to which thresholds are found.
+const MOST_FRICTION: f64 = 1.5;
+const STEP: f64 = 0.005;
+
+/// The protocol's load and the motors.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Load {
+    pub torque_cap_nm: f64,
+    pub shake_m_s2: f64,
+}
+
+/// Least friction at which any of the grasps carries an object of `mass_kg`; `None` if none does at any. The same for any number of
+/// threads.
+///
+/// # Errors
+/// If a grasp is none of this hand.
+pub fn least_friction(
+    thing: &Thing,
+    robot: &Robot,
+    grasps: &[Grasp],
+    mass_kg: f64,
+    load: &Load,
+) -> Result<Option<f64>> {
+    let surface = HandSurface::new(robot, ContactOptions::default().spacing_m)?;
+    // Those that need the least squeeze first: they set a threshold that the others rarely beat.
+    let mut order: Vec<&Grasp> = grasps.iter().collect();
+    order.sort_by(|a, b| a.squeeze_per_weight.total_cmp(&b.squeeze_per_weight));
+    let problems: Vec<SqueezeProblem> =
+        order.par_iter().map(|g| problem(thing, robot, &surface, g, mass_kg, load)).collect::<Result<_>>()?;
+    let mut best: Option<f64> = None;
+    // One thread: each answer makes the next question cheaper, and the order is fixed.
+    let loads = shakes(thing, mass_kg, load.shake_m_s2);
+    for problem in &problems {
+        let start = best.map_or(MOST_FRICTION, |b| b - STEP);
+        if start <= 0.0 || !carries(problem, start, &loads)? {
+            continue;
+        }
+        let (mut no, mut yes) = (0.0, start);
+        while yes - no > STEP {
+            let middle = 0.5 * (no + yes);
+            if carries(problem, middle, &loads)? { yes = middle } else { no = middle }
+        }
+        best = Some(yes);
+    }
+    Ok(best)
+}
+
+fn problem(
+    thing: &Thing,
+    robot: &Robot,
+    surface: &HandSurface,
+    grasp: &Grasp,
+    mass_kg: f64,
+    load: &Load,
+) -> Result<SqueezeProblem> {
+    let pose = grasp.pose()?;
+    let options = ContactOptions::with_friction(MOST_FRICTION);
+    let contacts = surface.contacts(robot, &grasp.joints_rad, &pose, thing.sdf.exact(), &options)?;
+    let gravity = thing.table.gravity();
+    let mut torques = TorqueLimits::of_robot(robot, &grasp.joints_rad, &pose, &contacts, &gravity)?;
+    torques.limits_nm = vec![(-load.torque_cap_nm, load.torque_cap_nm); robot.dof()];
+    let problem = SqueezeProblem::new(contacts, mass_kg, thing.center_of_mass(), gravity).with_torques(torques);
+    Ok(match thing.spec.max_force_n {
+        Some(most) => problem.with_max_normal_n(most),
+        None => problem,
+    })
+}
+
+/// Forces on the object, object frame, N: none, and along both senses of the world's axes; the hardest first: downwards.
+fn shakes(thing: &Thing, mass_kg: f64, shake_m_s2: f64) -> Vec<Vector3<f64>> {
+    let object_from_world = thing.world_from_object.rotation.inverse();
+    let axis = |k: usize| object_from_world * Vector3::ith(k, mass_kg * shake_m_s2);
+    vec![-axis(2), axis(0), -axis(0), axis(1), -axis(1), axis(2), Vector3::zeros()]
+}
+
+/// Whether every load can be carried at this friction.
+fn carries(problem: &SqueezeProblem, friction: f64, loads: &[Vector3<f64>]) -> Result<bool> {
+    let mut problem = problem.clone();
+    problem.contacts.iter_mut().for_each(|c| c.friction = friction);
+    for force in loads {
+        problem.extra_wrench = Vector6::new(force.x, force.y, force.z, 0.0, 0.0, 0.0);
+        match smallest_forces(&problem) {
+            Ok(_) => {}
+            // The solver stops half-way at the very edge of what is possible.
+            Err(SqueezeError::Input(GraspError::Solver { .. })) => return Ok(false),
+            Err(SqueezeError::Input(error)) => return Err(error.into()),
+            Err(_) => return Ok(false),
+        }
+    }
+    Ok(true)
+}

@@ -1,0 +1,443 @@
+//! The experiments: which cells a table has. All cells of a table have the same rollouts.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use anyhow::{Context, Result};
+use drex_core::Pose;
+use drex_policy::TrainOptions;
+use drex_retarget::TargetHand;
+use drex_robot::Robot;
+use drex_trial::paired_difference;
+use nalgebra::{Point3, Quaternion, Translation3, UnitQuaternion, Vector3, Vector4};
+
+use super::bound::{self, Load};
+use super::cell::{Actor, Cell, Force, Row, Told};
+use super::judge::{Condition, Judge, Spread};
+use super::learned::{LearnOptions, Learned, Proposal};
+use super::library::{Grasp, Kind, Library, LibraryOptions};
+use super::objects::{self, ObjectSpec};
+use super::table::{Comparison, Table};
+use super::thing::Thing;
+
+/// What is compared.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Experiment {
+    CrossMass,
+    Objects,
+    MassSource,
+    Scaling,
+    Transfer,
+    Baselines,
+}
+
+/// Masses of the letter in the paper's cross-mass table, of the letter itself, kg.
+const LETTER_KG: [f64; 3] = [0.082, 0.125, 0.218];
+/// Masses of Symbol-Y in the paper's table, kg.
+const SYMBOL_Y_KG: [f64; 3] = [0.117, 0.206, 0.324];
+/// Standard deviation of an identified mass, as a share: what docs/mass-identification.md measures on pushes of a known object.
+pub const IDENTIFIED_SD: f64 = 0.03;
+/// A fixed force is the one for this mass, kg: in the middle of the eight objects, geometrically.
+const FIXED_FOR_KG: f64 = 0.2;
+/// Numbers of demonstrations.
+const CLIPS: [usize; 6] = [1, 2, 5, 10, 20, 40];
+
+/// What all experiments need.
+pub struct Bench<'a, J> {
+    pub hand: &'a TargetHand,
+    pub robot: Arc<Robot>,
+    /// A judge of grasps of this object.
+    pub judge: &'a (dyn Fn(&Thing) -> Result<J> + Sync),
+    pub rollouts: usize,
+    pub seed: u64,
+    pub library: LibraryOptions,
+    pub train: TrainOptions,
+    /// Friction of the force labels.
+    pub friction: f64,
+    pub load: Load,
+    /// Folder for grasps.
+    pub out: Option<PathBuf>,
+    /// Says what is going on.
+    pub note: &'a dyn Fn(&str),
+}
+
+/// An object with its grasps and its judge.
+struct Ready<J> {
+    thing: Thing,
+    grasps: Vec<Grasp>,
+    judge: J,
+    points: Vec<Point3<f64>>,
+}
+
+impl<J: Judge> Bench<'_, J> {
+    /// Runs an experiment on the objects given, or on its own.
+    ///
+    /// # Errors
+    /// If an object cannot be grasped at all, a training fails, or something cannot be simulated.
+    pub fn run(&self, experiment: Experiment, given: Option<&[ObjectSpec]>) -> Result<Table> {
+        let own = |names: &[&str]| names.iter().map(|n| objects::named(n)).collect::<Result<Vec<_>>>();
+        let specs = match (given, experiment) {
+            (Some(specs), _) => specs.to_vec(),
+            (None, Experiment::Objects) => objects::eight()?,
+            (None, Experiment::CrossMass) => own(&["letter_u"])?,
+            (None, Experiment::MassSource) => own(&["cube", "letter_a", "cookie_tin"])?,
+            (None, Experiment::Scaling) => own(&["screwdriver"])?,
+            (None, Experiment::Transfer) => own(&["screwdriver", "small_screwdriver"])?,
+            (None, Experiment::Baselines) => own(&["letter_y"])?,
+        };
+        let mut table = Table::default();
+        match experiment {
+            Experiment::CrossMass => self.cross_mass(&specs, &mut table)?,
+            Experiment::Objects => self.objects(&specs, &mut table)?,
+            Experiment::MassSource => self.mass_source(&specs, &mut table)?,
+            Experiment::Scaling => self.scaling(&specs, &mut table)?,
+            Experiment::Transfer => self.transfer(&specs, &mut table)?,
+            Experiment::Baselines => self.baselines(&specs, &mut table)?,
+        }
+        Ok(table)
+    }
+
+    /// One object at three masses: the force of each at each, and of half the mass.
+    fn cross_mass(&self, specs: &[ObjectSpec], table: &mut Table) -> Result<()> {
+        for spec in specs {
+            let masses = three_masses(spec, "letter_u", LETTER_KG);
+            let ready = self.ready(spec)?;
+            let policy = self.learn(&ready, &ready.grasps, masses.to_vec(), false)?;
+            let actor = Actor::Policy(&policy, &ready.points);
+            for mass_kg in masses {
+                let least = self.least_friction(&ready, mass_kg)?;
+                let told = masses.map(|m| (grams(m), Told::Always(m)));
+                for (name, told) in told.into_iter().chain([("half".to_owned(), Told::Times(0.5))]) {
+                    let labels = vec![("object", spec.name.clone()), ("told", name), ("true", grams(mass_kg))];
+                    self.add(&ready, &actor, labels, (mass_kg, told, Force::Actor), least, table)?;
+                }
+            }
+        }
+        table.notes.push("the row says what the force is set for, and what the object weighs; all cells of a weight have the same grasps".into());
+        Ok(())
+    }
+
+    fn objects(&self, specs: &[ObjectSpec], table: &mut Table) -> Result<()> {
+        for spec in specs {
+            let ready = self.ready(spec)?;
+            let policy = self.learn(&ready, &ready.grasps, Vec::new(), false)?;
+            let actor = Actor::Policy(&policy, &ready.points);
+            let labels = vec![("object", spec.name.clone()), ("true", grams(spec.mass_kg))];
+            let least = self.least_friction(&ready, spec.mass_kg)?;
+            self.add(
+                &ready,
+                &actor,
+                labels,
+                (spec.mass_kg, Told::Identified(IDENTIFIED_SD), Force::Actor),
+                least,
+                table,
+            )?;
+        }
+        let n = table.rows.len().max(1) as f64;
+        let rate = table.rows.iter().map(|r| r.interval.value).sum::<f64>() / n;
+        let bound = table.rows.iter().map(|r| r.bound).sum::<f64>() / n;
+        table.notes.push(format!("mean over objects: {:.1} % of rollouts, bound {:.1} %", 100.0 * rate, 100.0 * bound));
+        table.notes.push(identified_note());
+        Ok(())
+    }
+
+    fn mass_source(&self, specs: &[ObjectSpec], table: &mut Table) -> Result<()> {
+        for spec in specs {
+            let ready = self.ready(spec)?;
+            let policy = self.learn(&ready, &ready.grasps, Vec::new(), false)?;
+            let actor = Actor::Policy(&policy, &ready.points);
+            let least = self.least_friction(&ready, spec.mass_kg)?;
+            let sources = [
+                ("true", Told::Times(1.0)),
+                ("identified", Told::Identified(IDENTIFIED_SD)),
+                ("+50 %", Told::Times(1.5)),
+                ("-50 %", Told::Times(0.5)),
+                ("fixed force", Told::Always(FIXED_FOR_KG)),
+            ];
+            let first = table.rows.len();
+            for (name, told) in sources {
+                let labels =
+                    vec![("mass", name.to_owned()), ("object", spec.name.clone()), ("true", grams(spec.mass_kg))];
+                self.add(&ready, &actor, labels, (spec.mass_kg, told, Force::Actor), least, table)?;
+            }
+            let (weighed, identified) = (&table.rows[first].held, &table.rows[first + 1].held);
+            table.comparisons.push(Comparison {
+                what: format!("{}: identified minus true mass", spec.name),
+                difference: paired_difference(identified, weighed),
+            });
+        }
+        table.notes.push(identified_note());
+        table.notes.push(format!("the fixed force is the one for {}", grams(FIXED_FOR_KG)));
+        Ok(())
+    }
+
+    /// The first demonstrations only, more and more of them.
+    fn scaling(&self, specs: &[ObjectSpec], table: &mut Table) -> Result<()> {
+        for spec in specs {
+            let ready = self.ready(spec)?;
+            let least = self.least_friction(&ready, spec.mass_kg)?;
+            let mut clips: Vec<usize> =
+                ready.grasps.iter().filter(|g| g.kind == Kind::Retargeted).map(|g| g.clip).collect();
+            clips.dedup();
+            for count in CLIPS.into_iter().filter(|c| *c <= clips.len()) {
+                let among = &clips[..count];
+                let grasps: Vec<Grasp> = ready
+                    .grasps
+                    .iter()
+                    .filter(|g| g.kind == Kind::Retargeted && among.contains(&g.clip))
+                    .cloned()
+                    .collect();
+                let labels = vec![
+                    ("demonstrations", count.to_string()),
+                    ("grasps", grasps.len().to_string()),
+                    ("object", spec.name.clone()),
+                ];
+                let policy = match self.learn(&ready, &grasps, Vec::new(), false) {
+                    Ok(policy) => policy,
+                    // So few that none can carry it: that is a result, not an error.
+                    Err(error) => {
+                        table.notes.push(format!("{count} demonstrations of {}: {error}", spec.name));
+                        continue;
+                    }
+                };
+                let actor = Actor::Policy(&policy, &ready.points);
+                let told = Told::Identified(IDENTIFIED_SD);
+                self.add(&ready, &actor, labels, (spec.mass_kg, told, Force::Actor), least, table)?;
+            }
+        }
+        table.notes.push("demonstrations that hold, in the order in which they were made; a demonstration gives about a dozen grasps".into());
+        Ok(())
+    }
+
+    /// Trained on the first object, used on all.
+    fn transfer(&self, specs: &[ObjectSpec], table: &mut Table) -> Result<()> {
+        let first = self.ready(specs.first().context("there is no object")?)?;
+        let policy = self.learn(&first, &first.grasps, Vec::new(), false)?;
+        for spec in specs {
+            let ready = self.ready(spec)?;
+            let least = self.least_friction(&ready, spec.mass_kg)?;
+            let own = self.learn(&ready, &ready.grasps, Vec::new(), false)?;
+            let mut sources = vec![(first.thing.spec.name.clone(), &policy)];
+            if spec.name != first.thing.spec.name {
+                sources.push((spec.name.clone(), &own));
+            }
+            for (from, policy) in sources {
+                let actor = Actor::Policy(policy, &ready.points);
+                let labels = vec![("object", spec.name.clone()), ("trained on", from), ("true", grams(spec.mass_kg))];
+                // The force is not what is transferred: the law has the contacts of this object.
+                self.add(&ready, &actor, labels, (spec.mass_kg, Told::Times(1.0), Force::Law), least, table)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn baselines(&self, specs: &[ObjectSpec], table: &mut Table) -> Result<()> {
+        for spec in specs {
+            let masses = three_masses(spec, "letter_y", SYMBOL_Y_KG);
+            let ready = self.ready(spec)?;
+            let ours = self.learn(&ready, &ready.grasps, masses.to_vec(), false)?;
+            let random = self.learn(&ready, &ready.grasps, masses.to_vec(), true)?;
+            let policy = Actor::Policy(&ours, &ready.points);
+            let randomised = Actor::Policy(&random, &ready.points);
+            let mean = Actor::Always(vec![mean_grasp(&ready.grasps)?]);
+            let nearest = Actor::Always(vec![nearest_grasp(&ready.grasps)?]);
+            for mass_kg in masses {
+                let least = self.least_friction(&ready, mass_kg)?;
+                let methods = [
+                    ("mean demonstration", &mean, Told::Times(1.0), Force::Law),
+                    ("nearest demonstration", &nearest, Told::Times(1.0), Force::Law),
+                    ("fixed force", &policy, Told::Always(FIXED_FOR_KG), Force::Actor),
+                    ("random masses", &randomised, Told::Times(1.0), Force::Actor),
+                    ("ours", &policy, Told::Identified(IDENTIFIED_SD), Force::Actor),
+                    ("ours, true mass and friction", &policy, Told::Times(1.0), Force::Oracle),
+                ];
+                for (name, actor, told, force) in methods {
+                    let labels =
+                        vec![("method", name.to_owned()), ("object", spec.name.clone()), ("true", grams(mass_kg))];
+                    self.add(&ready, actor, labels, (mass_kg, told, force), least, table)?;
+                }
+            }
+        }
+        table.notes.push(identified_note());
+        table.notes.push(format!(
+            "the fixed force is the one for {}; random masses: trained at all of them, told none",
+            grams(FIXED_FOR_KG)
+        ));
+        Ok(())
+    }
+
+    fn add(
+        &self,
+        ready: &Ready<J>,
+        actor: &Actor<'_>,
+        labels: Vec<(&'static str, String)>,
+        (mass_kg, told, force): (f64, Told, Force),
+        least_friction: Option<f64>,
+        table: &mut Table,
+    ) -> Result<()> {
+        let cell = Cell { labels, judge: &ready.judge, actor, mass_kg, told, force, least_friction };
+        let row: Row = cell.run(&self.conditions(&ready.thing))?;
+        (self.note)(&row.text());
+        table.rows.push(row);
+        Ok(())
+    }
+
+    fn conditions(&self, thing: &Thing) -> Vec<Condition> {
+        Spread::around(thing.spec.friction).conditions(self.rollouts, self.seed)
+    }
+
+    fn ready(&self, spec: &ObjectSpec) -> Result<Ready<J>> {
+        let thing = Thing::new(spec)?;
+        let file = self.out.as_ref().map(|out| out.join(format!("grasps/{}.json", spec.name)));
+        let library = Library::of(&thing, self.hand, &self.library, file.as_deref())?;
+        (self.note)(&format!("{:>10}  {} grasps of {}", "grasps", library.grasps.len(), spec.name));
+        let (judge, points) = ((self.judge)(&thing)?, thing.cloud(self.seed));
+        Ok(Ready { thing, grasps: library.grasps, judge, points })
+    }
+
+    fn learn(&self, ready: &Ready<J>, grasps: &[Grasp], masses_kg: Vec<f64>, mass_hidden: bool) -> Result<Learned> {
+        let options = LearnOptions { train: self.train.clone(), friction: self.friction, masses_kg, mass_hidden };
+        let learned = Learned::train(&ready.thing, &self.robot, grasps, &ready.judge, &options)?;
+        (self.note)(&format!(
+            "{:>10}  on {} grasps of {}; {} cannot carry it at friction {}",
+            "trained",
+            grasps.len() - learned.left_out,
+            ready.thing.spec.name,
+            learned.left_out,
+            self.friction
+        ));
+        Ok(learned)
+    }
+
+    fn least_friction(&self, ready: &Ready<J>, mass_kg: f64) -> Result<Option<f64>> {
+        bound::least_friction(&ready.thing, &self.robot, &ready.grasps, mass_kg, &self.load)
+    }
+}
+
+/// The paper's masses for the paper's object; for others their own mass, as much lighter and heavier.
+fn three_masses(spec: &ObjectSpec, paper: &str, masses: [f64; 3]) -> [f64; 3] {
+    if spec.name == paper { masses } else { masses.map(|m| m / masses[1] * spec.mass_kg) }
+}
+
+fn grams(kg: f64) -> String {
+    format!("{:.0} g", 1e3 * kg)
+}
+
+fn identified_note() -> String {
+    format!("an identified mass is off by a normal error of {:.0} %", 100.0 * IDENTIFIED_SD)
+}
+
+/// The mean of joints and wrists.
+fn mean_grasp(grasps: &[Grasp]) -> Result<Proposal> {
+    let first = grasps.first().context("there is no grasp")?;
+    let n = grasps.len() as f64;
+    let mut joints = vec![0.0; first.joints_rad.len()];
+    let (mut at, mut turn) = (Vector3::zeros(), Vector4::zeros());
+    let reference = first.pose()?.rotation;
+    for g in grasps {
+        joints.iter_mut().zip(&g.joints_rad).for_each(|(m, q)| *m += q / n);
+        let pose = g.pose()?;
+        at += pose.translation.vector / n;
+        // Both signs are the same turn.
+        let sign = pose.rotation.coords.dot(&reference.coords).signum();
+        turn += pose.rotation.coords * sign / n;
+    }
+    let rotation = UnitQuaternion::try_new(Quaternion::from(turn), 1e-9).unwrap_or(reference);
+    Ok(Proposal { joints, object_from_palm: Pose::from_parts(Translation3::from(at), rotation), squeeze_n: 0.0 })
+}
+
+/// The demonstration nearest to the mean, by joints.
+fn nearest_grasp(grasps: &[Grasp]) -> Result<Proposal> {
+    let mean = mean_grasp(grasps)?;
+    let far = |g: &Grasp| g.joints_rad.iter().zip(&mean.joints).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
+    let g = grasps.iter().min_by(|a, b| far(a).total_cmp(&far(b))).context("there is no grasp")?;
+    Ok(Proposal { joints: g.joints_rad.clone(), object_from_palm: g.pose()?, squeeze_n: 0.0 })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::super::judge::fake::Pinch;
+    use super::*;
+
+    /// A bench with few demonstrations of a box that the hand can hold, judged by a formula.
+    fn table(experiment: Experiment) -> Table {
+        let hand = TargetHand::bundled("leap_right").unwrap();
+        let mut library = LibraryOptions::default();
+        (library.people.clips, library.people.per_clip, library.wraps.tries) = (3, 3, 0);
+        let bench = Bench {
+            robot: Arc::new(hand.robot.clone()),
+            hand: &hand,
+            judge: &|_: &Thing| Ok(Pinch { strongest_n: 60.0 }),
+            rollouts: 120,
+            seed: 3,
+            library,
+            train: TrainOptions::default().with_epochs(60).with_hold_out_every(0),
+            friction: 0.5,
+            load: Load { torque_cap_nm: 0.29, shake_m_s2: 4.9 },
+            out: None,
+            note: &|_| {},
+        };
+        bench.run(experiment, Some(&[objects::named("spam_can").unwrap()])).unwrap()
+    }
+
+    fn rate(table: &Table, labels: &[(&str, &str)]) -> f64 {
+        let fits = |r: &&Row| labels.iter().all(|(k, v)| r.labels.get(k).is_some_and(|l| l == v));
+        table.rows.iter().find(fits).unwrap().interval.value
+    }
+
+    #[test]
+    fn the_force_for_another_mass_slips_where_the_formula_says() {
+        let table = table(Experiment::CrossMass);
+        assert_eq!(table.rows.len(), 12);
+        // Masses in the paper's proportions: 239, 365 and 637 g.
+        for mass in ["239 g", "365 g", "637 g"] {
+            assert!(rate(&table, &[("told", mass), ("true", mass)]) > 0.9, "{}", table.text());
+            assert!(rate(&table, &[("told", "half"), ("true", mass)]) < 0.05, "{}", table.text());
+        }
+        assert!(rate(&table, &[("told", "239 g"), ("true", "637 g")]) < 0.05);
+        assert!(rate(&table, &[("told", "637 g"), ("true", "239 g")]) > 0.9);
+        for row in &table.rows {
+            assert_eq!((row.n, row.failures.values().sum::<usize>()), (120, 120 - row.successes));
+            assert!((0.0..=1.0).contains(&row.bound));
+        }
+        // A heavier thing is not easier to hold at all.
+        let bounds: Vec<f64> = [0, 4, 8].iter().map(|i| table.rows[*i].bound).collect();
+        assert!(bounds[0] >= bounds[1] && bounds[1] >= bounds[2], "{bounds:?}");
+        let csv = table.csv();
+        assert!(csv.starts_with("object,told,true,successes,n,") && csv.lines().count() == 13, "{csv}");
+        assert!(table.svg("cross-mass").contains("bound"));
+    }
+
+    #[test]
+    fn an_identified_mass_is_nearly_as_good_as_the_true_one() {
+        let table = table(Experiment::MassSource);
+        let [difference] = &table.comparisons[..] else { panic!("{}", table.text()) };
+        assert!(difference.difference.value.abs() < 0.1, "{}", table.text());
+        assert!(
+            rate(&table, &[("mass", "-50 %")]) < 0.05 && rate(&table, &[("mass", "true")]) > 0.9,
+            "{}",
+            table.text()
+        );
+    }
+
+    #[test]
+    fn the_mean_of_turned_hands_is_between_them() {
+        let library = |angle: f64, q: f64| Grasp {
+            kind: Kind::Wrapped,
+            clip: 0,
+            joints_rad: vec![q; 2],
+            object_from_palm: crate::twin::PoseRecord::from(&Pose::rotation(Vector3::z() * angle)),
+            contacts: vec![],
+            squeeze_per_weight: 1.0,
+            clearance_mm: 3.0,
+            penetration_mm: 0.0,
+        };
+        let grasps = [library(0.2, 0.1), library(0.6, 0.5), library(0.4, 0.3)];
+        let mean = mean_grasp(&grasps).unwrap();
+        assert!((mean.joints[0] - 0.3).abs() < 1e-12);
+        assert!((mean.object_from_palm.rotation.angle() - 0.4).abs() < 1e-9);
+        assert_eq!(nearest_grasp(&grasps).unwrap().joints, vec![0.3; 2]);
+    }
+}

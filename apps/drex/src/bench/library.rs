@@ -1,0 +1,165 @@
+//! Grasps of one object by one hand, measured and kept in a file.
+
+use std::path::Path;
+
+use anyhow::{Result, bail};
+use drex_core::{Pose, fsutil};
+use drex_grasp::{ContactOptions, HandSurface, holds_any_load, squeeze_per_weight};
+use drex_retarget::TargetHand;
+use drex_robot::Robot;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use super::people::{self, PeopleOptions};
+use super::postures::Postures;
+use super::thing::Thing;
+use super::wraps::{self, WrapOptions};
+use crate::twin::PoseRecord;
+
+/// Deepest that a hand may be inside the object, mm.
+const MAX_PENETRATION_MM: f64 = 2.0;
+
+/// Where a grasp comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// A made-up person, retargeted.
+    Retargeted,
+    /// The hand put against the object and closed around it.
+    Wrapped,
+}
+
+/// One grasp.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Grasp {
+    pub kind: Kind,
+    /// The demonstration that it comes from.
+    pub clip: usize,
+    /// Model order, rad.
+    pub joints_rad: Vec<f64>,
+    pub object_from_palm: PoseRecord,
+    /// Contacts of each finger, in the model's order, then of the palm.
+    pub contacts: Vec<usize>,
+    /// Smallest sum of normal forces that carries it at rest, in units of its weight, at the friction of the library.
+    pub squeeze_per_weight: f64,
+    /// Lowest point of the hand above the table, mm.
+    pub clearance_mm: f64,
+    /// Deepest point of the hand inside the object, mm.
+    pub penetration_mm: f64,
+}
+
+impl Grasp {
+    /// A grasp with its measures; `None` if it does not touch with the thumb and another finger, is too deep, or is not in force closure.
+    pub fn measured(
+        thing: &Thing,
+        robot: &Robot,
+        surface: &HandSurface,
+        joints: &[f64],
+        object_from_palm: &Pose,
+        friction: f64,
+    ) -> Result<Option<Self>> {
+        let links = robot.forward_kinematics(joints, object_from_palm);
+        let lowest = surface.lowest(&links, &thing.table.up).into_iter().fold(f64::INFINITY, f64::min);
+        let exact = thing.sdf.exact();
+        let depth = surface.depths(&links, exact, 0.0).into_iter().fold(0.0, f64::max);
+        let contacts =
+            surface.contacts(robot, joints, object_from_palm, exact, &ContactOptions::with_friction(friction))?;
+        let count = |f: Option<usize>| contacts.iter().filter(|c| c.finger == f).count();
+        let fingers: Vec<usize> =
+            (0..surface.fingers.len()).map(Some).chain(std::iter::once(None)).map(count).collect();
+        let thumb = surface.thumb().is_none_or(|t| fingers[t] > 0);
+        let touching = fingers[..surface.fingers.len()].iter().filter(|n| **n > 0).count();
+        let center = thing.center_of_mass();
+        if 1e3 * depth > MAX_PENETRATION_MM || !thumb || touching < 2 || !holds_any_load(&contacts, &center)? {
+            return Ok(None);
+        }
+        let squeeze = squeeze_per_weight(&contacts, center, thing.table.up)?;
+        Ok(squeeze.map(|squeeze_per_weight| Self {
+            kind: Kind::Retargeted,
+            clip: 0,
+            joints_rad: joints.to_vec(),
+            object_from_palm: PoseRecord::from(object_from_palm),
+            contacts: fingers,
+            squeeze_per_weight,
+            clearance_mm: 1e3 * (lowest - thing.table.height_m),
+            penetration_mm: 1e3 * depth,
+        }))
+    }
+
+    /// Where the palm is in the object's frame.
+    pub fn pose(&self) -> Result<Pose> {
+        self.object_from_palm.to_pose()
+    }
+}
+
+/// What a library is made with.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct LibraryOptions {
+    pub people: PeopleOptions,
+    pub wraps: WrapOptions,
+}
+
+/// `grasps/NAME.json`.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Library {
+    schema: u32,
+    /// Of object, hand, options and program: another digest, other grasps.
+    digest: String,
+    pub object: String,
+    pub hand: String,
+    pub joint_names: Vec<String>,
+    /// Friction at which they were measured.
+    pub friction: f64,
+    pub grasps: Vec<Grasp>,
+}
+
+/// Layout of the file; raised when grasps are made otherwise.
+const SCHEMA: u32 = 1;
+
+impl Library {
+    /// The library of the file if it was made of the same things, else a new one, which is written there.
+    ///
+    /// # Errors
+    /// If the hand cannot grasp at all, no grasp was found, or the file cannot be written.
+    pub fn of(thing: &Thing, hand: &TargetHand, options: &LibraryOptions, file: Option<&Path>) -> Result<Self> {
+        let digest = digest(thing, hand, options);
+        if let Some(file) = file
+            && let Ok(text) = fsutil::read_text(file)
+            && let Ok(library) = serde_json::from_str::<Self>(&text)
+            && library.digest == digest
+        {
+            return Ok(library);
+        }
+        let postures = Postures::of(hand, options.people.seed)?;
+        let mut grasps = people::grasps(thing, hand, &postures, &options.people)?;
+        grasps.extend(wraps::grasps(thing, hand, &postures, &options.wraps)?);
+        if grasps.is_empty() {
+            bail!(
+                "no grasp of \"{}\" was found for {}: it may be too large for the hand or too low over the table",
+                thing.spec.name,
+                hand.robot.name
+            );
+        }
+        let library = Self {
+            schema: SCHEMA,
+            digest,
+            object: thing.spec.name.clone(),
+            hand: hand.robot.name.clone(),
+            joint_names: hand.robot.joint_names().into_iter().map(str::to_owned).collect(),
+            friction: options.people.friction,
+            grasps,
+        };
+        if let Some(file) = file {
+            fsutil::write_atomic(file, &serde_json::to_vec(&library)?)?;
+        }
+        Ok(library)
+    }
+}
+
+fn digest(thing: &Thing, hand: &TargetHand, options: &LibraryOptions) -> String {
+    let mut hash = Sha256::new();
+    hash.update(format!("{SCHEMA} {} {options:?} {:?}", hand.robot.name, thing.table));
+    thing.asset.visual.vertices.iter().flat_map(|v| v.iter()).for_each(|c| hash.update(c.to_bits().to_le_bytes()));
+    thing.asset.visual.faces.iter().flatten().for_each(|i| hash.update(i.to_le_bytes()));
+    hash.finalize().iter().map(|b| format!("{b:02x}")).collect()
+}

@@ -1,0 +1,95 @@
+//! `drex bench`.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand, ValueEnum};
+
+use super::positive;
+
+/// `drex bench`.
+#[derive(Debug, Subcommand)]
+pub enum BenchCommand {
+    /// Make demonstrations for the objects of the bench and say how many grasps hold on paper.
+    Demos(DemosArgs),
+    /// Lift, hold and shake: how often the policy's grasps hold, against its rivals and against what the hand can do at all.
+    Grasp(GraspBenchArgs),
+}
+
+/// What the benches have in common.
+#[derive(Debug, Args)]
+pub struct BenchCommon {
+    /// TOML list of objects in place of the made ones: [[object]] with name, mesh, mass_kg and perhaps friction, max_force_n,
+    /// up, unit.
+    #[arg(long, value_name = "FILE.toml")]
+    pub objects: Option<PathBuf>,
+    /// Only the objects of these names; repeatable.
+    #[arg(long, value_name = "NAME")]
+    pub only: Vec<String>,
+    /// Robot hand: leap, allegro, or a file as `drex retarget` takes it.
+    #[arg(long, value_name = "NAME|FILE", default_value = "leap")]
+    pub hand: String,
+    /// Folder for grasps (kept for the next run), tables and plots.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Demonstrations per object.
+    #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..=400))]
+    pub clips: u32,
+}
+
+/// `drex bench demos`.
+#[derive(Debug, Args)]
+pub struct DemosArgs {
+    #[command(flatten)]
+    pub common: BenchCommon,
+    /// Pictures of this many grasps of each object, into --out.
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "out")]
+    pub pictures: usize,
+}
+
+/// What is compared.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ExperimentArg {
+    /// One object at three masses, the force set for each of them.
+    CrossMass,
+    /// Eight objects from 37 g to 726 g.
+    Objects,
+    /// True mass, identified mass, half and one and a half of it, a fixed force.
+    MassSource,
+    /// The number of demonstrations.
+    Scaling,
+    /// Trained on a larger object of one kind, used on a smaller.
+    Transfer,
+    /// Mean and nearest demonstration, fixed force, random masses, the true mass.
+    Baselines,
+}
+
+/// Which engine judges.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum JudgeArg {
+    /// MuJoCo; only in builds with that feature.
+    Mujoco,
+    /// The project's own simulator.
+    Diffsim,
+}
+
+/// `drex bench grasp`.
+#[derive(Debug, Args)]
+pub struct GraspBenchArgs {
+    #[command(flatten)]
+    pub common: BenchCommon,
+    /// What is compared.
+    #[arg(long, value_enum)]
+    pub experiment: ExperimentArg,
+    /// Rollouts of each cell of the table; all cells have the same ones.
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub rollouts: u32,
+    /// The engine.
+    #[arg(long, value_enum, default_value_t = JudgeArg::Diffsim)]
+    pub judge: JudgeArg,
+    /// Passes of the training over the demonstrations [default: the policy's].
+    #[arg(long, value_name = "N")]
+    pub epochs: Option<usize>,
+    /// Friction that the force is set for where nothing better is known.
+    #[arg(long, value_name = "MU", default_value_t = 0.5, value_parser = positive)]
+    pub nominal_friction: f64,
+}

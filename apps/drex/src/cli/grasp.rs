@@ -1,0 +1,41 @@
+//! `drex grasp` and `drex deploy`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use drex_core::Pose;
+
+use super::{pose, positive};
+
+/// `drex grasp`.
+#[derive(Debug, Args)]
+pub struct GraspArgs {
+    /// twin.toml or its folder, after `drex train`; or the folder of a policy, with --mesh.
+    pub twin_or_policy: PathBuf,
+    /// Mesh of the object, for the folder of a policy; metres, z up.
+    #[arg(long, value_name = "FILE")]
+    pub mesh: Option<PathBuf>,
+    /// Robot hand that will grasp [default: the one that the policy is for].
+    #[arg(long, value_name = "NAME|FILE")]
+    pub hand: Option<String>,
+    /// Pose of the object's mesh frame in the world: x,y,z in metres and a quaternion [default: at rest on the table z = 0].
+    #[arg(long, value_name = "X,Y,Z,QW,QX,QY,QZ", value_parser = pose, allow_hyphen_values = true)]
+    pub pose: Option<Pose>,
+    /// Mass of the object, kg [default: the twin's].
+    #[arg(long, value_name = "KG", value_parser = positive)]
+    pub mass: Option<f64>,
+    /// Friction between hand and object [default: the twin's, or 0.5].
+    #[arg(long, value_name = "MU", value_parser = positive)]
+    pub friction: Option<f64>,
+}
+
+/// `drex deploy`.
+#[derive(Debug, Args)]
+pub struct DeployArgs {
+    /// What is grasped, as for `drex grasp`.
+    #[command(flatten)]
+    pub grasp: GraspArgs,
+    /// File to write [default: policy/deploy.json of the twin, deploy.json of the policy].
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+}

@@ -1,0 +1,218 @@
+//! `drex bench`: made-up demonstrations, and rollouts of the policy.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+use drex_core::fsutil;
+use drex_policy::TrainOptions;
+use drex_retarget::TargetHand;
+use drex_trial::{Judge, TrialOptions};
+use serde::Serialize;
+
+use crate::bench::bound::Load;
+use crate::bench::experiments::{Bench, Experiment};
+use crate::bench::judge::Rollouts;
+use crate::bench::library::{Kind, Library, LibraryOptions};
+use crate::bench::objects::{self, ObjectSpec};
+use crate::bench::table::Table;
+use crate::bench::thing::{POINTS, Thing};
+use crate::cli::{BenchCommand, BenchCommon, DemosArgs, ExperimentArg, GraspBenchArgs, JudgeArg};
+use crate::picture::clip::{self, Posed};
+use crate::ui::Ui;
+
+/// Hands that are closed around the object for each demonstration, and how many of them are kept.
+const WRAPS_PER_CLIP: (usize, usize) = (40, 3);
+
+/// Runs one of the benches.
+pub fn run(command: &BenchCommand, seed: Option<u64>, ui: &Ui) -> Result<()> {
+    match command {
+        BenchCommand::Demos(args) => demos(args, seed.unwrap_or(0), ui),
+        BenchCommand::Grasp(args) => grasp(args, seed.unwrap_or(0), ui),
+    }
+}
+
+/// One line of `bench demos`.
+#[derive(Serialize)]
+struct DemosRow {
+    object: String,
+    mass_kg: f64,
+    size_mm: [f64; 3],
+    grasps: usize,
+    retargeted: usize,
+    clips_that_hold: usize,
+    wrapped: usize,
+    /// Median of the smallest squeeze at rest in units of the weight.
+    median_squeeze_per_weight: f64,
+    seconds: f64,
+}
+
+fn demos(args: &DemosArgs, seed: u64, ui: &Ui) -> Result<()> {
+    let hand = TargetHand::resolve(&args.common.hand)?;
+    let options = library_options(&args.common, seed);
+    let mut rows = Vec::new();
+    for spec in specs(&args.common)? {
+        let thing = Thing::new(&spec)?;
+        let start = Instant::now();
+        let library = Library::of(&thing, &hand, &options, grasp_file(&args.common, &spec.name).as_deref())?;
+        if let Some(out) = args.common.out.as_deref().filter(|_| args.pictures > 0) {
+            pictures(&out.join(format!("grasps/{}.png", spec.name)), &thing, &hand, &library, args.pictures)?;
+        }
+        rows.push(row(&thing, &library, start.elapsed().as_secs_f64()));
+        if let Some(r) = rows.last() {
+            ui.note(text(r));
+        }
+    }
+    let lines: Vec<String> = rows.iter().map(text).collect();
+    ui.answer(&rows, lines.join("\n"))
+}
+
+fn row(thing: &Thing, library: &Library, seconds: f64) -> DemosRow {
+    let of = |kind: Kind| library.grasps.iter().filter(move |g| g.kind == kind);
+    let mut clips: Vec<usize> = of(Kind::Retargeted).map(|g| g.clip).collect();
+    clips.dedup();
+    let mut squeezes: Vec<f64> = library.grasps.iter().map(|g| g.squeeze_per_weight).collect();
+    squeezes.sort_by(f64::total_cmp);
+    DemosRow {
+        object: thing.spec.name.clone(),
+        mass_kg: thing.spec.mass_kg,
+        size_mm: thing.asset.report.size_m.map(|v| 1e3 * v),
+        grasps: library.grasps.len(),
+        retargeted: of(Kind::Retargeted).count(),
+        clips_that_hold: clips.len(),
+        wrapped: of(Kind::Wrapped).count(),
+        median_squeeze_per_weight: squeezes[squeezes.len() / 2],
+        seconds,
+    }
+}
+
+fn text(r: &DemosRow) -> String {
+    let [x, y, z] = r.size_mm;
+    format!(
+        "{:18} {:4.0} g  {x:4.0} x {y:4.0} x {z:4.0} mm  {:4} grasps: {:3} of people ({:2} demonstrations), {:3} wrapped; squeeze {:4.1} weights; {:5.1} s",
+        r.object,
+        1e3 * r.mass_kg,
+        r.grasps,
+        r.retargeted,
+        r.clips_that_hold,
+        r.wrapped,
+        r.median_squeeze_per_weight,
+        r.seconds
+    )
+}
+
+/// The objects that were asked for.
+fn specs(common: &BenchCommon) -> Result<Vec<ObjectSpec>> {
+    let mut all = match &common.objects {
+        Some(file) => objects::read(file)?,
+        None if common.only.is_empty() => objects::eight()?,
+        None => return common.only.iter().map(|n| objects::named(n)).collect(),
+    };
+    if let Some(missing) = common.only.iter().find(|n| all.iter().all(|o| o.name != **n)) {
+        let names: Vec<&str> = all.iter().map(|o| o.name.as_str()).collect();
+        bail!("there is no object \"{missing}\" in the list; it has {}", names.join(", "));
+    }
+    all.retain(|o| common.only.is_empty() || common.only.contains(&o.name));
+    Ok(all)
+}
+
+fn library_options(common: &BenchCommon, seed: u64) -> LibraryOptions {
+    let mut options = LibraryOptions::default();
+    options.people.clips = common.clips as usize;
+    (options.wraps.tries, options.wraps.keep) =
+        (WRAPS_PER_CLIP.0 * options.people.clips, WRAPS_PER_CLIP.1 * options.people.clips);
+    (options.people.seed, options.wraps.seed) = (seed, seed);
+    options
+}
+
+fn grasp_file(common: &BenchCommon, name: &str) -> Option<std::path::PathBuf> {
+    common.out.as_ref().map(|out| out.join(format!("grasps/{name}.json")))
+}
+
+/// A contact sheet of grasps spread over the library.
+fn pictures(file: &Path, thing: &Thing, hand: &TargetHand, library: &Library, count: usize) -> Result<()> {
+    let step = library.grasps.len().div_ceil(count).max(1);
+    let posed = library.grasps.iter().enumerate().step_by(step).map(|(i, g)| {
+        Ok(Posed {
+            frame: i,
+            q: &g.joints_rad,
+            world_from_base: thing.world_from_object * g.pose()?,
+            world_from_object: Some(thing.world_from_object),
+        })
+    });
+    let posed: Vec<Posed<'_>> = posed.collect::<Result<_>>()?;
+    clip::write(file, &hand.robot, Some(&thing.asset.visual), &posed, 1).context("cannot draw the grasps")
+}
+
+/// What `bench grasp` answers.
+#[derive(Serialize)]
+struct BenchAnswer<'a> {
+    experiment: &'a str,
+    hand: &'a str,
+    judge: &'a str,
+    rollouts: u32,
+    seed: u64,
+    torque_cap_nm: f64,
+    #[serde(flatten)]
+    table: &'a Table,
+    seconds: f64,
+}
+
+fn grasp(args: &GraspBenchArgs, seed: u64, ui: &Ui) -> Result<()> {
+    let start = Instant::now();
+    let common = &args.common;
+    let hand = TargetHand::resolve(&common.hand)?;
+    let given = match common.objects.is_some() || !common.only.is_empty() {
+        true => Some(specs(common)?),
+        false => None,
+    };
+    let engine = match args.judge {
+        JudgeArg::Diffsim => Judge::Diffsim,
+        JudgeArg::Mujoco => Judge::Mujoco,
+    };
+    let (experiment, name) = match args.experiment {
+        ExperimentArg::CrossMass => (Experiment::CrossMass, "cross-mass"),
+        ExperimentArg::Objects => (Experiment::Objects, "objects"),
+        ExperimentArg::MassSource => (Experiment::MassSource, "mass-source"),
+        ExperimentArg::Scaling => (Experiment::Scaling, "scaling"),
+        ExperimentArg::Transfer => (Experiment::Transfer, "transfer"),
+        ExperimentArg::Baselines => (Experiment::Baselines, "baselines"),
+    };
+    let robot = Arc::new(hand.robot.clone());
+    let options = TrialOptions::default();
+    let mut train = TrainOptions::default().with_seed(seed).with_points(POINTS);
+    train.epochs = args.epochs.unwrap_or(train.epochs);
+    let bench = Bench {
+        hand: &hand,
+        robot: robot.clone(),
+        judge: &|thing: &Thing| Rollouts::new(thing, &robot, &options, engine),
+        rollouts: args.rollouts as usize,
+        seed,
+        library: library_options(common, seed),
+        train,
+        friction: args.nominal_friction,
+        load: Load { torque_cap_nm: options.torque_cap_nm, shake_m_s2: options.shake_m_s2 },
+        out: common.out.clone(),
+        note: &|text| ui.note(text),
+    };
+    let table = bench.run(experiment, given.as_deref())?;
+    if let Some(out) = &common.out {
+        table.write(out, name)?;
+    }
+    let judge = if engine == Judge::Mujoco { "mujoco" } else { "diffsim" };
+    let answer = BenchAnswer {
+        experiment: name,
+        hand: &hand.robot.name,
+        judge,
+        rollouts: args.rollouts,
+        seed,
+        torque_cap_nm: options.torque_cap_nm,
+        table: &table,
+        seconds: start.elapsed().as_secs_f64(),
+    };
+    if let Some(out) = &common.out {
+        fsutil::write_atomic(&out.join(format!("{name}.json")), &serde_json::to_vec_pretty(&answer)?)?;
+    }
+    ui.answer(&answer, table.text())
+}

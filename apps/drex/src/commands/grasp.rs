@@ -1,0 +1,45 @@
+//! `drex grasp`: where the hand goes and how hard it squeezes.
+
+use anyhow::Result;
+
+use crate::cli::GraspArgs;
+use crate::predict::{Prediction, Ready};
+use crate::ui::Ui;
+
+/// Predicts and answers.
+pub fn run(args: &GraspArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
+    let prediction = Ready::of(args, seed)?.predict()?;
+    ui.answer(&prediction, text(&prediction))
+}
+
+fn text(p: &Prediction) -> String {
+    let [x, y, z] = p.world_from_palm.translation_m;
+    let [qw, qx, qy, qz] = p.world_from_palm.quat_wxyz;
+    let mut lines = vec![
+        format!("{} for {:.0} g at friction {}", p.hand, 1e3 * p.mass_kg, p.friction),
+        format!("  palm     {x:.4} {y:.4} {z:.4} m, quaternion {qw:.4} {qx:.4} {qy:.4} {qz:.4} (world)"),
+    ];
+    let joints = p.joint_names.iter().zip(&p.joints_rad).map(|(name, q)| format!("{name} {q:.3}"));
+    lines.push(format!("  joints   {} rad", joints.collect::<Vec<_>>().join(", ")));
+    let fingers = p.contacts.iter().filter(|c| c.contacts > 0).map(|c| format!("{} {:.2} N", c.finger, c.normal_n));
+    lines.push(format!("  touches  {}", fingers.collect::<Vec<_>>().join(", ")));
+    lines.push(match p.needed_squeeze_n {
+        Some(needed) => format!(
+            "  squeeze  {:.2} N (network), {needed:.2} N (least by the cone programme); the paper's number {:.2}",
+            p.squeeze_n, p.paper_force
+        ),
+        None => format!("  squeeze  {:.2} N (network); the paper's number {:.2}", p.squeeze_n, p.paper_force),
+    });
+    let most = p.joint_torques_nm.iter().fold(0.0_f64, |m, t| m.max(t.abs()));
+    if !p.joint_torques_nm.is_empty() {
+        lines.push(format!("  torques  at most {most:.3} N m"));
+    }
+    if let Some(reason) = &p.cannot_hold {
+        lines.push(format!("  warning  none of the proposals can hold it on paper; the first: {reason}"));
+    }
+    lines.push(format!(
+        "  took     {:.1} ms for the network, {:.1} ms for contacts and force; proposal {}",
+        p.network_ms, p.force_ms, p.place
+    ));
+    lines.join("\n")
+}

@@ -1,0 +1,245 @@
+//! A grasp for an object that stands somewhere: the network's proposals, the one that the hand can hold, and its force.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+use drex_core::twin::ASSUMED_FRICTION;
+use drex_core::{MassProperties, Pose};
+use drex_grasp::{
+    ContactOptions, HandSurface, Squeeze, SqueezeError, SqueezeProblem, TablePlane, TorqueLimits, smallest_squeeze,
+};
+use drex_mesh::{
+    AssetOptions, GridSdf, LengthUnit, MeshSdf, asset_from_mesh, farthest_points, metric_mesh, sample_surface,
+};
+use drex_policy::{GraspPolicy, PredictedGrasp};
+use drex_robot::Robot;
+use drex_trial::TrialOptions;
+use nalgebra::{Point3, Unit, Vector3, Vector6};
+use serde::Serialize;
+
+use crate::cli::GraspArgs;
+use crate::twin::{MassFile, PoseRecord, Twin, files};
+
+/// What one newton stands for in the paper's force: its largest force, N.
+const PAPER_MOST_N: f64 = 5.0;
+/// A predicted hand touches what it is this near to, metres: nearer than the fingers move when they close.
+const TOUCH_M: f64 = 0.006;
+
+/// A policy, its hand and an object.
+pub struct Ready {
+    pub policy: GraspPolicy,
+    pub folder: PathBuf,
+    pub robot: Robot,
+    pub mass_kg: f64,
+    pub friction: f64,
+    /// The object's pose.
+    pub world_from_object: Pose,
+    sdf: GridSdf,
+    body: MassProperties,
+    points: Vec<Point3<f64>>,
+}
+
+/// The grasp that was chosen.
+#[derive(Debug, Clone, Serialize)]
+pub struct Prediction {
+    pub hand: String,
+    pub joint_names: Vec<String>,
+    pub joints_rad: Vec<f64>,
+    /// Where the palm goes.
+    pub world_from_palm: PoseRecord,
+    /// How probable the network thinks it is, and its place among the proposals, from 1.
+    pub weight: f64,
+    pub place: usize,
+    pub mass_kg: f64,
+    pub friction: f64,
+    /// What the network says, sum of normal forces, N.
+    pub squeeze_n: f64,
+    /// What the cone programme asks for at the contacts as predicted; absent where they cannot carry the object.
+    pub needed_squeeze_n: Option<f64>,
+    /// Contacts of each finger, the palm last.
+    pub contacts: Vec<FingerContact>,
+    /// Joint torques of the squeeze with the hand's own weight, N m; empty where there is no squeeze.
+    pub joint_torques_nm: Vec<f64>,
+    /// The paper's normalised force: m g n / 5 N, at most 1.
+    pub paper_force: f64,
+    /// Why the cone programme has no squeeze, where it has none.
+    pub cannot_hold: Option<String>,
+    /// Time of the network and of the cone programme, ms.
+    pub network_ms: f64,
+    pub force_ms: f64,
+}
+
+/// A finger that touches.
+#[derive(Debug, Clone, Serialize)]
+pub struct FingerContact {
+    pub finger: String,
+    pub contacts: usize,
+    pub normal_n: f64,
+}
+
+impl Ready {
+    /// Loads what a prediction takes.
+    ///
+    /// # Errors
+    /// If there is no policy yet, it is for another hand, or the object cannot be read.
+    pub fn of(args: &GraspArgs, seed: Option<u64>) -> Result<Self> {
+        let path = &args.twin_or_policy;
+        if path.join("policy.json").is_file() {
+            return Self::of_policy(args, path, seed.unwrap_or(0));
+        }
+        let twin = Twin::open(path, seed)?;
+        let folder = twin.path(files::POLICY);
+        if !folder.join("policy.json").is_file() {
+            bail!("{} has no policy yet: run `drex train {}` first", twin.root.display(), path.display());
+        }
+        let mass_kg = match args.mass {
+            Some(mass) => mass,
+            None => files::read_json::<MassFile>(&twin.path(files::MASS))?.mass_kg,
+        };
+        let asset = twin.asset()?.clone();
+        let friction = args.friction.unwrap_or_else(|| twin.friction());
+        let own = twin.manifest.grasps.as_ref().map(|g| g.hand.clone());
+        let policy = GraspPolicy::load(&folder)?;
+        let robot = hand(args, &policy, own.as_deref(), &twin.root)?;
+        let (mass, rest) = (asset.properties, asset.world_from_mesh_at_rest);
+        Self::new(policy, folder, robot, &asset.visual, mass, rest, (mass_kg, friction), args.pose, twin.seed)
+    }
+
+    fn of_policy(args: &GraspArgs, folder: &Path, seed: u64) -> Result<Self> {
+        let Some(mesh) = &args.mesh else {
+            bail!("{} is the folder of a policy: say what is grasped with --mesh FILE and --mass KG", folder.display());
+        };
+        let mass_kg = args.mass.context("say what the object weighs: --mass KG")?;
+        let (mesh, _) = metric_mesh(mesh, LengthUnit::Metre)?;
+        let mut options = AssetOptions::default();
+        (options.mass_kg, options.unit) = (Some(mass_kg), LengthUnit::Metre);
+        let asset = asset_from_mesh(&mesh, &options)?;
+        let policy = GraspPolicy::load(folder)?;
+        let robot = hand(args, &policy, None, folder)?;
+        let friction = args.friction.unwrap_or(ASSUMED_FRICTION);
+        let (mass, rest) = (asset.properties, asset.world_from_mesh_at_rest);
+        Self::new(policy, folder.into(), robot, &asset.visual, mass, rest, (mass_kg, friction), args.pose, seed)
+    }
+
+    #[allow(clippy::too_many_arguments)] // both callers have all of them at hand
+    fn new(
+        policy: GraspPolicy,
+        folder: PathBuf,
+        robot: Robot,
+        mesh: &drex_core::TriMesh,
+        body: MassProperties,
+        rest: Pose,
+        (mass_kg, friction): (f64, f64),
+        pose: Option<Pose>,
+        seed: u64,
+    ) -> Result<Self> {
+        let dense: Vec<_> = sample_surface(mesh, 8 * policy.points(), seed).into_iter().map(|s| s.point).collect();
+        let points = farthest_points(&dense, policy.points()).into_iter().map(|i| dense[i]).collect();
+        let sdf = GridSdf::new(MeshSdf::new(mesh)?)?;
+        let body = body.with_mass(mass_kg);
+        let world_from_object = pose.unwrap_or(rest);
+        Ok(Self { policy, folder, robot, mass_kg, friction, world_from_object, sdf, body, points })
+    }
+
+    /// The most probable grasp that the hand can hold; the most probable one, with the reason, if none can.
+    ///
+    /// # Errors
+    /// If the policy is not defined for this mass or object.
+    pub fn predict(&self) -> Result<Prediction> {
+        let start = Instant::now();
+        let grasps = self.policy.predict(&self.points, self.mass_kg)?;
+        let network_ms = 1e3 * start.elapsed().as_secs_f64();
+        let start = Instant::now();
+        let surface = HandSurface::new(&self.robot, ContactOptions::default().spacing_m)?;
+        let mut first = None;
+        for (place, grasp) in grasps.iter().enumerate() {
+            let prediction = self.judged(&surface, grasp, place + 1)?;
+            let holds = prediction.cannot_hold.is_none();
+            if holds || first.is_none() {
+                first = Some(prediction);
+            }
+            if holds {
+                break;
+            }
+        }
+        let mut prediction = first.context("the policy proposes no grasp")?;
+        (prediction.network_ms, prediction.force_ms) = (network_ms, 1e3 * start.elapsed().as_secs_f64());
+        Ok(prediction)
+    }
+
+    fn judged(&self, surface: &HandSurface, grasp: &PredictedGrasp, place: usize) -> Result<Prediction> {
+        let Self { robot, sdf, .. } = self;
+        let mut options = ContactOptions::with_friction(self.friction);
+        options.max_gap_m = TOUCH_M;
+        let contacts = surface.contacts(robot, &grasp.joints, &grasp.object_from_palm, sdf.exact(), &options)?;
+        let object_from_world = self.world_from_object.rotation.inverse();
+        let up = Unit::new_normalize(object_from_world * Vector3::z());
+        let gravity = TablePlane { up, height_m: 0.0 }.gravity();
+        let mut torques = TorqueLimits::of_robot(robot, &grasp.joints, &grasp.object_from_palm, &contacts, &gravity)?;
+        let cap = TrialOptions::default().torque_cap_nm;
+        torques.limits_nm = vec![(-cap, cap); robot.dof()];
+        let mut problem =
+            SqueezeProblem::new(contacts, self.mass_kg, self.body.center_of_mass, gravity).with_torques(torques);
+        // The hardest of the shakes: downwards while it is lifted.
+        let shake = -up.into_inner() * (self.mass_kg * TrialOptions::default().shake_m_s2);
+        problem.extra_wrench = Vector6::new(shake.x, shake.y, shake.z, 0.0, 0.0, 0.0);
+        let (squeeze, cannot_hold) = match smallest_squeeze(&problem) {
+            Ok(squeeze) => (Some(squeeze), None),
+            Err(SqueezeError::Input(error)) => (None, Some(error.to_string())),
+            Err(reason) => (None, Some(reason.to_string())),
+        };
+        let of = |f: Option<usize>| problem.contacts.iter().filter(move |c| c.finger == f).count();
+        let force = |f: Option<usize>| force_of(squeeze.as_ref(), f);
+        let mut fingers: Vec<FingerContact> = surface
+            .fingers
+            .iter()
+            .enumerate()
+            .map(|(i, f)| FingerContact { finger: f.name.clone(), contacts: of(Some(i)), normal_n: force(Some(i)) })
+            .collect();
+        fingers.push(FingerContact { finger: "palm".into(), contacts: of(None), normal_n: force(None) });
+        let touching = fingers.iter().filter(|f| f.contacts > 0).count();
+        Ok(Prediction {
+            hand: robot.name.clone(),
+            joint_names: robot.joint_names().into_iter().map(str::to_owned).collect(),
+            joints_rad: grasp.joints.clone(),
+            world_from_palm: PoseRecord::from(&(self.world_from_object * grasp.object_from_palm)),
+            weight: grasp.weight,
+            place,
+            mass_kg: self.mass_kg,
+            friction: self.friction,
+            squeeze_n: grasp.squeeze_n,
+            needed_squeeze_n: squeeze.as_ref().map(|s| s.total_n),
+            contacts: fingers,
+            joint_torques_nm: squeeze.map(|s| s.joint_torques_nm).unwrap_or_default(),
+            paper_force: (self.mass_kg * 9.81 * touching as f64 / PAPER_MOST_N).min(1.0),
+            cannot_hold,
+            network_ms: 0.0,
+            force_ms: 0.0,
+        })
+    }
+}
+
+fn force_of(squeeze: Option<&Squeeze>, finger: Option<usize>) -> f64 {
+    squeeze.map_or(0.0, |s| finger.map_or(s.palm_n, |f| s.per_finger_n.get(f).copied().unwrap_or(0.0)))
+}
+
+/// The hand that will grasp, which has to be the policy's.
+fn hand(args: &GraspArgs, policy: &GraspPolicy, own: Option<&str>, folder: &Path) -> Result<Robot> {
+    let (name, folder) = match (&args.hand, own) {
+        (Some(name), _) => (name.as_str(), Path::new(".")),
+        (None, Some(own)) => (own, folder),
+        (None, None) => (policy.hand(), folder),
+    };
+    let robot = Robot::resolve(name, folder)?;
+    if robot.name != policy.hand() || robot.joint_names() != policy.joint_names() {
+        bail!(
+            "the policy is for the hand \"{}\" with {} joints, not for \"{}\" with {}: train one for this hand, or name the other",
+            policy.hand(),
+            policy.joint_names().len(),
+            robot.name,
+            robot.dof()
+        );
+    }
+    Ok(robot)
+}

@@ -1,0 +1,112 @@
+//! `drex bench`, `drex grasp` and `drex deploy`.
+#![allow(clippy::unwrap_used, missing_docs)] // tests: a panic is the report
+
+mod common;
+
+use std::fs;
+
+use common::{demo_copy, drex, edit, keep_demonstrations, shared_data};
+
+#[test]
+fn a_small_bench_says_what_was_held_and_what_could_be() {
+    let out = tempfile::tempdir().unwrap();
+    let folder = out.path().to_str().unwrap();
+    let arguments = |threads: &'static str| {
+        let common =
+            ["bench", "grasp", "--experiment", "objects", "--only", "spam_can", "--clips", "2", "--rollouts", "3"];
+        common.into_iter().chain(["--epochs", "3", "--json", "--threads", threads, "--out"]).chain([folder])
+    };
+    let run = drex(arguments("1"));
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let answer = run.json();
+    let row = &answer["rows"][0];
+    assert_eq!((row["n"].as_u64(), row["labels"]["object"].as_str()), (Some(3), Some("spam_can")), "{answer}");
+    let failed: u64 = row["failures"].as_object().unwrap().values().map(|v| v.as_u64().unwrap()).sum();
+    assert_eq!(row["successes"].as_u64().unwrap() + failed, 3);
+    assert!(row["interval"]["low"].as_f64() <= row["interval"]["high"].as_f64());
+    for file in ["grasps/spam_can.json", "objects.csv", "objects.svg", "objects.txt", "objects.json"] {
+        assert!(out.path().join(file).is_file(), "{file}");
+    }
+    // The grasps are kept, and two threads give the same.
+    let made = fs::metadata(out.path().join("grasps/spam_can.json")).unwrap().modified().unwrap();
+    let again = drex(arguments("2"));
+    assert_eq!(again.json()["rows"], answer["rows"], "{}", again.stderr);
+    assert_eq!(fs::metadata(out.path().join("grasps/spam_can.json")).unwrap().modified().unwrap(), made);
+}
+
+#[test]
+fn lists_of_objects_are_checked() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("objects.toml");
+    let list = |text: &str| fs::write(&file, text).unwrap();
+    let bench = || drex(["bench", "demos", "--objects", file.to_str().unwrap()]);
+    for (text, words) in [
+        ("object = []", vec!["lists no object"]),
+        ("[[object]]\nname = \"a\"\nmesh = \"a.obj\"\nmass_kg = 0", vec!["\"a\"", "mass_kg = 0"]),
+        ("[[object]]\nname = \"a/b\"\nmesh = \"a.obj\"\nmass_kg = 1", vec!["file name"]),
+        ("[[object]]\nname = \"a\"\nmesh = \"a.obj\"\nmass_kg = 1", vec!["\"a\"", "a.obj"]),
+        ("[[object]]\nname = \"a\"\nmesh = \"a.obj\"\nmass_kg = 1\nfriction = -1", vec!["friction = -1"]),
+        ("[[object]]\nname = \"a\"\nmesh = \"a.obj\"\nmass = 1", vec!["mass"]),
+    ] {
+        list(text);
+        bench().fails_with(&words);
+    }
+    drex(["bench", "demos", "--only", "teapot"]).fails_with(&["teapot", "light_bulb"]);
+    drex(["bench", "demos", "--only", "cube", "--hand", "hook"]).fails_with(&["hook"]);
+}
+
+#[test]
+fn grasps_of_an_object_from_a_file() {
+    let Some(shared) = shared_data("grasps_of_an_object_from_a_file") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("objects.toml");
+    let mesh = shared.join("objects/010_potted_meat_can.obj");
+    let text = format!("[[object]]\nname = \"can\"\nmesh = \"{}\"\nmass_kg = 0.37\nfriction = 0.5", mesh.display());
+    fs::write(&file, text).unwrap();
+    let run = drex(["bench", "demos", "--json", "--clips", "3", "--objects", file.to_str().unwrap()]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    assert!(run.json()[0]["grasps"].as_u64().unwrap() >= 5, "{}", run.stdout);
+}
+
+#[test]
+fn a_trained_twin_grasps_and_deploys() {
+    let (_guard, twin) = demo_copy();
+    let at = twin.to_str().unwrap();
+    drex(["grasp", at]).fails_with(&["no policy yet", "drex train"]);
+    keep_demonstrations(&twin, 6);
+    edit(&twin.join("twin.toml"), "hand = \"leap_right\"", "hand = \"leap_right\"\n\n[train]\nepochs = 40");
+    assert_eq!(drex(["train", at]).code, 0);
+
+    let pose = "0.4,0.1,0.2,1,0,0,0";
+    let answer = drex(["grasp", at, "--json", "--mass", "0.2", "--pose", pose]).json();
+    assert_eq!(answer["joints_rad"].as_array().unwrap().len(), 16);
+    let palm: Vec<f64> =
+        answer["world_from_palm"]["translation_m"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
+    assert!((palm[0] - 0.4).abs() < 0.3 && (palm[2] - 0.2).abs() < 0.4, "{palm:?}");
+    assert!(answer["squeeze_n"].as_f64().unwrap() > 0.0 && answer["paper_force"].as_f64().unwrap() <= 1.0);
+    // Twice the mass is twice the paper's number, as long as the same fingers touch.
+    assert_eq!(answer["mass_kg"], 0.2);
+
+    drex(["grasp", at, "--hand", "allegro_right"]).fails_with(&["policy is for the hand \"leap_right\"", "allegro"]);
+    drex(["grasp", twin.join("policy/network").to_str().unwrap()]).fails_with(&["--mesh"]);
+    drex(["grasp", at, "--mass", "1000"]).fails_with(&["1000"]);
+    let policy = twin.join("policy/network/policy.json");
+    let version = fs::read_to_string(&policy).unwrap();
+
+    let deploy = drex(["deploy", at, "--json"]);
+    if deploy.code == 0 {
+        let file: serde_json::Value =
+            serde_json::from_slice(&fs::read(twin.join("policy/deploy.json")).unwrap()).unwrap();
+        let card: serde_json::Value = serde_json::from_str(&version).unwrap();
+        assert_eq!(file["weights"]["sha256"], card["weights_sha256"]);
+        assert_eq!(file["current_limits_ma"].as_array().unwrap().len(), 16);
+        assert_eq!(deploy.json()["driven"], false);
+    } else {
+        // Six demonstrations may teach no grasp that holds: then it says so and writes nothing.
+        deploy.fails_with(&["no grasp to deploy"]);
+        assert!(!twin.join("policy/deploy.json").exists());
+    }
+    let number = version.split("\"version\": ").nth(1).unwrap().split(',').next().unwrap().to_owned();
+    edit(&policy, &format!("\"version\": {number}"), "\"version\": 99");
+    drex(["grasp", at]).fails_with(&["version is 99"]);
+}
