@@ -6,23 +6,19 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use drex_core::twin::ASSUMED_FRICTION;
 use drex_core::{MassProperties, Pose};
-use drex_grasp::{
-    ContactOptions, HandSurface, Squeeze, SqueezeError, SqueezeProblem, TablePlane, TorqueLimits, smallest_squeeze,
-};
+use drex_grasp::{ContactOptions, ForceCommand, HandSurface, SqueezeProblem, TablePlane, TorqueLimits, paper_force};
 use drex_mesh::{
     AssetOptions, GridSdf, LengthUnit, MeshSdf, asset_from_mesh, farthest_points, metric_mesh, sample_surface,
 };
-use drex_policy::{GraspPolicy, PredictedGrasp};
+use drex_policy::{GraspPolicy, PredictedGrasp, Query};
 use drex_robot::Robot;
 use drex_trial::TrialOptions;
-use nalgebra::{Point3, Unit, Vector3, Vector6};
+use nalgebra::{Point3, Unit, Vector3};
 use serde::Serialize;
 
 use crate::cli::GraspArgs;
 use crate::twin::{MassFile, PoseRecord, Twin, files};
 
-/// What one newton stands for in the paper's force: its largest force, N.
-const PAPER_MOST_N: f64 = 5.0;
 /// A predicted hand touches what it is this near to, metres: nearer than the fingers move when they close.
 const TOUCH_M: f64 = 0.006;
 
@@ -55,7 +51,7 @@ pub struct Prediction {
     pub friction: f64,
     /// What the network says, sum of normal forces, N.
     pub squeeze_n: f64,
-    /// What the cone programme asks for at the contacts as predicted; absent where they cannot carry the object.
+    /// What the force law asks for at the contacts as predicted; absent where they cannot carry the object.
     pub needed_squeeze_n: Option<f64>,
     /// Contacts of each finger, the palm last.
     pub contacts: Vec<FingerContact>,
@@ -63,9 +59,9 @@ pub struct Prediction {
     pub joint_torques_nm: Vec<f64>,
     /// The paper's normalised force: m g n / 5 N, at most 1.
     pub paper_force: f64,
-    /// Why the cone programme has no squeeze, where it has none.
+    /// Why the force law has no squeeze, where it has none.
     pub cannot_hold: Option<String>,
-    /// Time of the network and of the cone programme, ms.
+    /// Time of the network and of the force law, ms.
     pub network_ms: f64,
     pub force_ms: f64,
 }
@@ -148,7 +144,9 @@ impl Ready {
     /// If the policy is not defined for this mass or object.
     pub fn predict(&self) -> Result<Prediction> {
         let start = Instant::now();
-        let grasps = self.policy.predict(&self.points, self.mass_kg)?;
+        let up = self.world_from_object.rotation.inverse() * Vector3::z();
+        let query = Query::new(&self.points, self.mass_kg, self.friction).with_up(up);
+        let grasps = self.policy.predict(&query)?;
         let network_ms = 1e3 * start.elapsed().as_secs_f64();
         let start = Instant::now();
         let surface = HandSurface::new(&self.robot, ContactOptions::default().spacing_m)?;
@@ -179,25 +177,21 @@ impl Ready {
         let mut torques = TorqueLimits::of_robot(robot, &grasp.joints, &grasp.object_from_palm, &contacts, &gravity)?;
         let cap = TrialOptions::default().torque_cap_nm;
         torques.limits_nm = vec![(-cap, cap); robot.dof()];
-        let mut problem =
+        let problem =
             SqueezeProblem::new(contacts, self.mass_kg, self.body.center_of_mass, gravity).with_torques(torques);
-        // The hardest of the shakes: downwards while it is lifted.
-        let shake = -up.into_inner() * (self.mass_kg * TrialOptions::default().shake_m_s2);
-        problem.extra_wrench = Vector6::new(shake.x, shake.y, shake.z, 0.0, 0.0, 0.0);
-        let (squeeze, cannot_hold) = match smallest_squeeze(&problem) {
-            Ok(squeeze) => (Some(squeeze), None),
-            Err(SqueezeError::Input(error)) => (None, Some(error.to_string())),
+        let (force, cannot_hold) = match TrialOptions::default().law.command(&problem) {
+            Ok(force) => (Some(force), None),
             Err(reason) => (None, Some(reason.to_string())),
         };
         let of = |f: Option<usize>| problem.contacts.iter().filter(move |c| c.finger == f).count();
-        let force = |f: Option<usize>| force_of(squeeze.as_ref(), f);
+        let share = |f: Option<usize>| share_of(force.as_ref(), f);
         let mut fingers: Vec<FingerContact> = surface
             .fingers
             .iter()
             .enumerate()
-            .map(|(i, f)| FingerContact { finger: f.name.clone(), contacts: of(Some(i)), normal_n: force(Some(i)) })
+            .map(|(i, f)| FingerContact { finger: f.name.clone(), contacts: of(Some(i)), normal_n: share(Some(i)) })
             .collect();
-        fingers.push(FingerContact { finger: "palm".into(), contacts: of(None), normal_n: force(None) });
+        fingers.push(FingerContact { finger: "palm".into(), contacts: of(None), normal_n: share(None) });
         let touching = fingers.iter().filter(|f| f.contacts > 0).count();
         Ok(Prediction {
             hand: robot.name.clone(),
@@ -209,10 +203,10 @@ impl Ready {
             mass_kg: self.mass_kg,
             friction: self.friction,
             squeeze_n: grasp.squeeze_n,
-            needed_squeeze_n: squeeze.as_ref().map(|s| s.total_n),
+            needed_squeeze_n: force.as_ref().map(|f| f.total_n),
             contacts: fingers,
-            joint_torques_nm: squeeze.map(|s| s.joint_torques_nm).unwrap_or_default(),
-            paper_force: (self.mass_kg * 9.81 * touching as f64 / PAPER_MOST_N).min(1.0),
+            joint_torques_nm: force.map(|f| f.distribution.joint_torques_nm).unwrap_or_default(),
+            paper_force: paper_force(self.mass_kg, 9.81, touching),
             cannot_hold,
             network_ms: 0.0,
             force_ms: 0.0,
@@ -220,8 +214,11 @@ impl Ready {
     }
 }
 
-fn force_of(squeeze: Option<&Squeeze>, finger: Option<usize>) -> f64 {
-    squeeze.map_or(0.0, |s| finger.map_or(s.palm_n, |f| s.per_finger_n.get(f).copied().unwrap_or(0.0)))
+fn share_of(force: Option<&ForceCommand>, finger: Option<usize>) -> f64 {
+    force.map_or(0.0, |f| {
+        let d = &f.distribution;
+        finger.map_or(d.palm_n, |i| d.per_finger_n.get(i).copied().unwrap_or(0.0))
+    })
 }
 
 /// The hand that will grasp, which has to be the policy's.

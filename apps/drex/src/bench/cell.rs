@@ -9,7 +9,7 @@ use nalgebra::Point3;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::judge::{Condition, Judge, Judged, verdict_of};
+use super::judge::{Condition, Judge, Judged};
 use super::learned::{Learned, Proposal};
 
 /// Who proposes grasps.
@@ -107,12 +107,12 @@ impl<J: Judge> Cell<'_, J> {
     fn rollout(&self, condition: &Condition) -> Result<Judged> {
         match self.plan(condition)? {
             Ok(plan) => self.judge.run(&plan, &condition.truth(self.mass_kg)),
-            Err(reason) => Ok(Judged { verdict: verdict_of(&reason), squeeze_n: 0.0 }),
+            Err(reason) => Ok(Judged::refused(&reason)),
         }
     }
 
-    /// The first proposal that holds on paper. Which it is depends on the true mass, so that cells that differ in what the
-    /// hand is told differ in force alone.
+    /// The first proposal that the hand can hold when it closes. Which it is depends on the true mass, so that cells that differ in
+    /// what the hand is told differ in force alone.
     fn plan(&self, condition: &Condition) -> Result<Result<J::Plan, NoCommand>> {
         let truth = condition.belief(self.mass_kg);
         let belief = condition.belief(self.told.mass_kg(self.mass_kg, condition));
@@ -128,28 +128,38 @@ impl<J: Judge> Cell<'_, J> {
             }
             Actor::Always(proposals) => proposals.clone(),
         };
-        // None can hold on paper: the most probable has a try with the force that it was given.
-        let mut chosen = proposals.first();
+        // None can be held: the most probable has a try with the force that it was given.
+        let mut chosen = None;
         for p in &proposals {
-            if self.judge.needed_n(&p.joints, &p.object_from_palm, &truth)?.is_some() {
-                chosen = Some(p);
+            let grip = self.judge.grip(&p.joints, &p.object_from_palm, &truth)?;
+            let holds = self.judge.plan(&grip, &truth, Squeeze::Needed)?.is_ok();
+            if holds || chosen.is_none() {
+                chosen = Some((p, grip));
+            }
+            if holds {
                 break;
             }
         }
         match chosen {
-            Some(p) => self.command(p, &belief, condition),
+            Some((p, grip)) => self.command(p, &grip, &belief, condition),
             None => Ok(Err(NoCommand::NoContact { touching: 0 })),
         }
     }
 
-    fn command(&self, p: &Proposal, belief: &Belief, condition: &Condition) -> Result<Result<J::Plan, NoCommand>> {
+    fn command(
+        &self,
+        p: &Proposal,
+        grip: &J::Grip,
+        belief: &Belief,
+        condition: &Condition,
+    ) -> Result<Result<J::Plan, NoCommand>> {
         let oracle = Belief { mass_kg: self.mass_kg, friction: condition.friction };
         let (belief, squeeze) = match self.force {
             Force::Actor => (belief, Squeeze::Total(p.squeeze_n)),
             Force::Law => (belief, Squeeze::Needed),
             Force::Oracle => (&oracle, Squeeze::Needed),
         };
-        self.judge.plan(&p.joints, &p.object_from_palm, belief, squeeze)
+        self.judge.plan(grip, belief, squeeze)
     }
 }
 

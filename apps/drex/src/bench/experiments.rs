@@ -52,8 +52,6 @@ pub struct Bench<'a, J> {
     pub seed: u64,
     pub library: LibraryOptions,
     pub train: TrainOptions,
-    /// Friction of the force labels.
-    pub friction: f64,
     pub load: Load,
     /// Folder for grasps.
     pub out: Option<PathBuf>,
@@ -296,15 +294,17 @@ impl<J: Judge> Bench<'_, J> {
     }
 
     fn learn(&self, ready: &Ready<J>, grasps: &[Grasp], masses_kg: Vec<f64>, mass_hidden: bool) -> Result<Learned> {
-        let options = LearnOptions { train: self.train.clone(), friction: self.friction, masses_kg, mass_hidden };
+        let spread = Spread::around(ready.thing.spec.friction);
+        let options = LearnOptions { train: self.train.clone(), spread, masses_kg, mass_hidden };
         let learned = Learned::train(&ready.thing, &self.robot, grasps, &ready.judge, &options)?;
         (self.note)(&format!(
-            "{:>10}  on {} grasps of {}; {} cannot carry it at friction {}",
+            "{:>10}  {}: {} of {} grasps can be commanded, {} held in practice, {} learned",
             "trained",
-            grasps.len() - learned.left_out,
             ready.thing.spec.name,
-            learned.left_out,
-            self.friction
+            learned.commanded,
+            grasps.len(),
+            learned.robust,
+            learned.learned
         ));
         Ok(learned)
     }
@@ -374,7 +374,6 @@ mod tests {
             seed: 3,
             library,
             train: TrainOptions::default().with_epochs(60).with_hold_out_every(0),
-            friction: 0.5,
             load: Load { torque_cap_nm: 0.29, shake_m_s2: 4.9 },
             out: None,
             note: &|_| {},

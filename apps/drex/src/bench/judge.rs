@@ -4,12 +4,10 @@ use std::sync::Arc;
 
 use anyhow::Result;
 use drex_core::Pose;
-use drex_grasp::{ContactOptions, GraspError, HandSurface, SqueezeError, SqueezeProblem, TorqueLimits};
 use drex_robot::Robot;
 use drex_trial::{
-    Belief, Command, Judge as Engine, NoCommand, Squeeze, Trial, TrialObject, TrialOptions, Truth, Verdict,
+    Belief, Command, Judge as Engine, NoCommand, Rehearsal, Squeeze, Trial, TrialOptions, Truth, Verdict,
 };
-use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -101,37 +99,64 @@ impl Condition {
 }
 
 /// What a judge says of a rollout.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Judged {
     pub verdict: Verdict,
     /// Squeeze that was commanded, N; zero without a command.
     pub squeeze_n: f64,
+    /// Per finger, whether it touched when the lift began.
+    pub fingers: Vec<bool>,
+    /// Share of the time from then on in which two fingers held.
+    pub retained: f64,
+    /// Share of the friction that was used.
+    pub friction_used: Option<f64>,
+}
+
+impl Judged {
+    /// There was no command.
+    pub fn refused(reason: &NoCommand) -> Self {
+        let verdict = verdict_of(reason);
+        Self { verdict, squeeze_n: 0.0, fingers: Vec::new(), retained: 0.0, friction_used: None }
+    }
+
+    /// Whether the object stayed in the hand.
+    pub fn held(&self) -> bool {
+        self.verdict == Verdict::Success
+    }
 }
 
 /// Plans grasps and carries them out.
 pub trait Judge: Sync {
-    /// A grasp ready to be carried out.
-    type Plan: Send;
+    /// A hand that has closed on the object where it is believed to be.
+    type Grip: Send + Sync;
+    /// A grip with its force, ready to be carried out.
+    type Plan: Send + Sync;
 
-    /// The command for a grasp given what the hand is told; the inner error says why there is none.
+    /// Closes the hand around the object as a rehearsal.
     ///
     /// # Errors
     /// If the grasp is none of this hand.
-    fn plan(
-        &self,
-        joints: &[f64],
-        object_from_palm: &Pose,
-        belief: &Belief,
-        squeeze: Squeeze,
-    ) -> Result<Result<Self::Plan, NoCommand>>;
+    fn grip(&self, joints: &[f64], object_from_palm: &Pose, belief: &Belief) -> Result<Self::Grip>;
 
-    /// What the force law asks for on paper, at the contacts of the grasp as it is told, N; `None` if it cannot hold so.
+    /// The command for a grip given what the hand is told; the inner error says why there is none.
     ///
     /// # Errors
-    /// If the grasp is none of this hand.
-    fn needed_n(&self, joints: &[f64], object_from_palm: &Pose, belief: &Belief) -> Result<Option<f64>>;
+    /// If a solver gives up.
+    fn plan(&self, grip: &Self::Grip, belief: &Belief, squeeze: Squeeze) -> Result<Result<Self::Plan, NoCommand>>;
 
-    /// Carries it out under what is true.
+    /// Sum of the normal forces of a command, N.
+    fn squeeze_n(&self, plan: &Self::Plan) -> f64;
+
+    /// Which fingers of a grip touch.
+    fn fingers(&self, grip: &Self::Grip) -> Vec<bool>;
+
+    /// Carries it out under what is true, in the engine that learning uses.
+    ///
+    /// # Errors
+    /// If it cannot be simulated at all.
+    fn practise(&self, plan: &Self::Plan, truth: &Truth) -> Result<Judged>;
+
+    /// Carries it out under what is true, in the engine that judges.
     ///
     /// # Errors
     /// If it cannot be simulated at all.
@@ -142,16 +167,7 @@ pub trait Judge: Sync {
 pub struct Rollouts {
     trial: Trial,
     engine: Engine,
-    robot: Arc<Robot>,
-    surface: HandSurface,
-    object: TrialObject,
-    options: TrialOptions,
 }
-
-/// A finger that is this near will touch when the hand closes, metres.
-const TOUCH_M: f64 = 0.006;
-/// A hand deeper in the object than this is no grasp, metres.
-const DEEPEST_M: f64 = 0.012;
 
 impl Rollouts {
     /// Of this object with this hand.
@@ -159,58 +175,47 @@ impl Rollouts {
     /// # Errors
     /// If the hand or the object cannot be simulated.
     pub fn new(thing: &Thing, robot: &Arc<Robot>, options: &TrialOptions, engine: Engine) -> Result<Self> {
-        let object = thing.trial_object();
-        Ok(Self {
-            trial: Trial::new(robot.clone(), object.clone(), options.clone())?,
-            engine,
-            robot: robot.clone(),
-            surface: HandSurface::new(robot, ContactOptions::default().spacing_m)?,
-            object,
-            options: options.clone(),
+        Ok(Self { trial: Trial::new(robot.clone(), thing.trial_object(), options.clone())?, engine })
+    }
+
+    fn judged(&self, plan: &Command, truth: &Truth, engine: Engine) -> Result<Judged> {
+        let outcome = self.trial.run(plan, truth, engine)?;
+        Ok(Judged {
+            verdict: outcome.verdict,
+            squeeze_n: outcome.squeeze_n,
+            fingers: outcome.fingers_in_contact,
+            retained: outcome.retained,
+            friction_used: outcome.friction_used,
         })
     }
 }
 
 impl Judge for Rollouts {
+    type Grip = Rehearsal;
     type Plan = Command;
 
-    fn plan(
-        &self,
-        joints: &[f64],
-        object_from_palm: &Pose,
-        belief: &Belief,
-        squeeze: Squeeze,
-    ) -> Result<Result<Command, NoCommand>> {
-        Ok(self.trial.command(joints, object_from_palm, belief, squeeze)?)
+    fn grip(&self, joints: &[f64], object_from_palm: &Pose, belief: &Belief) -> Result<Rehearsal> {
+        Ok(self.trial.rehearse(joints, object_from_palm, belief)?)
     }
 
-    fn needed_n(&self, joints: &[f64], object_from_palm: &Pose, belief: &Belief) -> Result<Option<f64>> {
-        let Self { robot, surface, object, options, .. } = self;
-        let distance = object.surface.as_ref();
-        let links = robot.forward_kinematics(joints, object_from_palm);
-        if surface.depths(&links, distance, 0.0).into_iter().any(|d| d > DEEPEST_M) {
-            return Ok(None);
-        }
-        let mut contact = ContactOptions::with_friction(belief.friction);
-        contact.max_gap_m = TOUCH_M;
-        let contacts = surface.contacts(robot, joints, object_from_palm, distance, &contact)?;
-        let gravity = object.world_from_object.rotation.inverse() * Vector3::new(0.0, 0.0, -9.81);
-        let mut torques = TorqueLimits::of_robot(robot, joints, object_from_palm, &contacts, &gravity)?;
-        torques.limits_nm = vec![(-options.torque_cap_nm, options.torque_cap_nm); robot.dof()];
-        let center = object.properties.center_of_mass;
-        let mut problem = SqueezeProblem::new(contacts, belief.mass_kg, center, gravity).with_torques(torques);
-        problem.max_normal_n = object.max_finger_n;
-        match options.law.command(&problem) {
-            Ok(command) => Ok(Some(command.total_n)),
-            Err(SqueezeError::Input(GraspError::Solver { .. })) => Ok(None),
-            Err(SqueezeError::Input(error)) => Err(error.into()),
-            Err(_) => Ok(None),
-        }
+    fn plan(&self, grip: &Rehearsal, belief: &Belief, squeeze: Squeeze) -> Result<Result<Command, NoCommand>> {
+        Ok(self.trial.squeeze(grip, belief, squeeze)?)
+    }
+
+    fn squeeze_n(&self, plan: &Command) -> f64 {
+        plan.squeeze_n
+    }
+
+    fn fingers(&self, grip: &Rehearsal) -> Vec<bool> {
+        grip.fingers_in_contact.clone()
+    }
+
+    fn practise(&self, plan: &Command, truth: &Truth) -> Result<Judged> {
+        self.judged(plan, truth, Engine::Diffsim)
     }
 
     fn run(&self, plan: &Command, truth: &Truth) -> Result<Judged> {
-        let outcome = self.trial.run(plan, truth, self.engine)?;
-        Ok(Judged { verdict: outcome.verdict, squeeze_n: outcome.squeeze_n })
+        self.judged(plan, truth, self.engine)
     }
 }
 
@@ -238,9 +243,14 @@ pub mod fake {
     }
 
     impl Judge for Pinch {
+        type Grip = ();
         type Plan = f64;
 
-        fn plan(&self, _: &[f64], _: &Pose, belief: &Belief, squeeze: Squeeze) -> Result<Result<f64, NoCommand>> {
+        fn grip(&self, _: &[f64], _: &Pose, _: &Belief) -> Result<()> {
+            Ok(())
+        }
+
+        fn plan(&self, (): &(), belief: &Belief, squeeze: Squeeze) -> Result<Result<f64, NoCommand>> {
             let needed = 1.5 * 1.1 * belief.mass_kg * 9.81 / (0.9 * belief.friction);
             let wanted = match squeeze {
                 Squeeze::Needed => needed,
@@ -252,13 +262,29 @@ pub mod fake {
             Ok(Ok(wanted))
         }
 
-        fn needed_n(&self, joints: &[f64], pose: &Pose, belief: &Belief) -> Result<Option<f64>> {
-            Ok(self.plan(joints, pose, belief, Squeeze::Needed)?.ok())
+        fn squeeze_n(&self, plan: &f64) -> f64 {
+            *plan
+        }
+
+        fn fingers(&self, (): &()) -> Vec<bool> {
+            vec![true; 4]
+        }
+
+        fn practise(&self, plan: &f64, truth: &Truth) -> Result<Judged> {
+            self.run(plan, truth)
         }
 
         fn run(&self, plan: &f64, truth: &Truth) -> Result<Judged> {
-            let holds = truth.friction * plan >= 1.5 * truth.mass_kg * 9.81;
-            Ok(Judged { verdict: if holds { Verdict::Success } else { Verdict::Slip }, squeeze_n: *plan })
+            let load = 1.5 * truth.mass_kg * 9.81;
+            let carries = truth.friction * plan;
+            let holds = carries >= load;
+            Ok(Judged {
+                verdict: if holds { Verdict::Success } else { Verdict::Slip },
+                squeeze_n: *plan,
+                fingers: vec![true; 4],
+                retained: if holds { 1.0 } else { 0.3 },
+                friction_used: holds.then(|| load / carries),
+            })
         }
     }
 }

@@ -1,22 +1,32 @@
-//! The network as the bench uses it: trained on libraries of grasps, asked at a mass and a friction.
+//! The network as the bench uses it: trained on the grasps of a library that hold in practice, then by rollouts of its own.
 
-use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use drex_core::Pose;
-use drex_policy::{Dataset, GraspPolicy, GraspSample, TrainOptions};
+use drex_policy::{
+    Dataset, Feedback, GraspPolicy, GraspSample, ObjectCloud, PredictedGrasp, Query, Rollouts, TrainOptions, Trainer,
+};
 use drex_robot::Robot;
-use drex_trial::Belief;
-use nalgebra::Point3;
+use drex_trial::{Belief, Squeeze};
+use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
-use super::judge::Judge;
+use super::judge::{Condition, Judge, Judged, Spread};
 use super::library::Grasp;
 use super::thing::Thing;
 
 /// The network learns the force at these multiples of the object's mass.
 const MASS_FACTORS: [f64; 3] = [0.4, 1.0, 2.0];
+/// Frictions of the force labels.
+const FRICTIONS: [f64; 3] = [0.35, 0.5, 0.75];
+/// Grasps that are practised: those that need least force. Each under so many conditions.
+const PRACTISED: usize = 90;
+const CONDITIONS: usize = 10;
+/// Grasps that the network learns, at most.
+const LEARNED: usize = 24;
+/// Set apart from the seeds of judged rollouts.
+const PRACTICE_SEED: u64 = 0x70_72_61_63;
 
 /// One grasp that was proposed.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,8 +42,8 @@ pub struct Proposal {
 #[derive(Debug, Clone, PartialEq)]
 pub struct LearnOptions {
     pub train: TrainOptions,
-    /// Friction of the force labels.
-    pub friction: f64,
+    /// Conditions under which grasps are practised.
+    pub spread: Spread,
     /// Masses of the labels, kg; empty: multiples of the object's own.
     pub masses_kg: Vec<f64>,
     /// The network is told the same mass whatever it was: what randomising masses in training amounts to.
@@ -43,15 +53,26 @@ pub struct LearnOptions {
 /// A trained policy.
 pub struct Learned {
     policy: GraspPolicy,
-    friction: f64,
+    up: Vector3<f64>,
     /// What it is told in place of the mass.
     told_kg: Option<f64>,
-    /// Grasps that could not carry the object at any mass of the labels.
-    pub left_out: usize,
+    /// Grasps of the library that can be commanded, that held in practice under most conditions, and that were learned.
+    pub commanded: usize,
+    pub robust: usize,
+    pub learned: usize,
+}
+
+/// A grasp of the library as it went in practice.
+struct Practised<'a> {
+    grasp: &'a Grasp,
+    fingers: Vec<bool>,
+    /// Per condition, whether it held.
+    held: Vec<bool>,
 }
 
 impl Learned {
-    /// Trains on grasps of an object; the force labels are what the judge's law needs for each.
+    /// Trains on grasps of an object: those that hold in practice, with the force that the cone programme asks for once the hand has
+    /// closed; then by rollouts of what the network proposes. All in drex-diffsim.
     ///
     /// # Errors
     /// If no grasp can carry the object at any of the masses, or the training fails.
@@ -66,18 +87,24 @@ impl Learned {
             true => MASS_FACTORS.map(|f| f * thing.spec.mass_kg).to_vec(),
             false => options.masses_kg.clone(),
         };
-        let hidden = (masses.iter().map(|m| m.ln()).sum::<f64>() / masses.len() as f64).exp();
-        let told_kg = options.mass_hidden.then_some(hidden);
-        let per_grasp: Vec<Vec<GraspSample>> =
-            grasps.par_iter().map(|g| samples(g, judge, &masses, options.friction, told_kg)).collect::<Result<_>>()?;
-        let left_out = per_grasp.iter().filter(|s| s.is_empty()).count();
-        let samples: Vec<GraspSample> = per_grasp.into_iter().flatten().collect();
+        let middle = (masses.iter().map(|m| m.ln()).sum::<f64>() / masses.len() as f64).exp();
+        let told_kg = options.mass_hidden.then_some(middle);
+        let (commanded, mut practised) = practise(grasps, judge, middle, &options.spread, options.train.seed)?;
+        let robust = practised.iter().filter(|p| 4 * count(p) >= 3 * CONDITIONS).count();
+        practised = chosen(practised);
+        let samples: Vec<GraspSample> = practised
+            .par_iter()
+            .map(|p| samples(p, judge, &masses, told_kg))
+            .collect::<Result<Vec<_>>>()?
+            .into_iter()
+            .flatten()
+            .collect();
         if samples.is_empty() {
             bail!(
-                "none of the {} grasps of \"{}\" can carry it at friction {} with the motors of {}: it may be too heavy for this hand",
+                "none of the {} grasps of \"{}\" can carry {:.0} g with the motors of {}: it may be too heavy or too smooth for this hand",
                 grasps.len(),
                 thing.spec.name,
-                options.friction,
+                1e3 * middle,
                 robot.name
             );
         }
@@ -85,15 +112,25 @@ impl Learned {
             j.limits
                 .with_context(|| format!("joint {} of {} has no limits; the network needs them", j.name, robot.name))
         });
+        let up = thing.table.up.into_inner();
         let data = Dataset {
             joint_names: robot.joint_names().into_iter().map(str::to_owned).collect(),
             joint_limits: limits.collect::<Result<_>>()?,
             hand: robot.name.clone(),
-            points: thing.cloud(options.train.seed),
+            fingers: robot.fingers().into_iter().map(|f| f.name).collect(),
+            objects: vec![ObjectCloud { name: thing.spec.name.clone(), points: thing.cloud(options.train.seed), up }],
             samples,
         };
-        let (policy, _) = GraspPolicy::train(&data, &options.train, &mut |_| ControlFlow::Continue(()))?;
-        Ok(Self { policy, friction: options.friction, told_kg, left_out })
+        let mut train = options.train.clone();
+        // Every grasp that held has a mode of its own; a mean of two may hold nothing.
+        train.modes = practised.len();
+        train.hold_out_every = 0;
+        let mut trainer = Trainer::new(&data, &train)?;
+        while trainer.learn()?.is_some() {}
+        let practice = Practice { judge, spread: options.spread };
+        while trainer.roll_out(&practice)?.is_some() {}
+        let (policy, _) = trainer.finish()?;
+        Ok(Self { policy, up, told_kg, commanded, robust, learned: practised.len() })
     }
 
     /// The grasps for an object with these points, the most probable first.
@@ -101,38 +138,154 @@ impl Learned {
     /// # Errors
     /// If the policy is not defined for what is asked.
     pub fn propose(&self, points: &[Point3<f64>], belief: &Belief) -> Result<Vec<Proposal>> {
-        let grasps = self.policy.predict(points, self.told_kg.unwrap_or(belief.mass_kg))?;
-        // The labels are for one friction; a squeeze holds by friction, so that less of it takes as much more force.
-        let scale = self.friction / belief.friction;
-        let proposals = grasps.into_iter().map(|g| Proposal {
+        let query = Query::new(points, self.told_kg.unwrap_or(belief.mass_kg), belief.friction).with_up(self.up);
+        let proposals = self.policy.predict(&query)?.into_iter().map(|g| Proposal {
             joints: g.joints,
             object_from_palm: g.object_from_palm,
-            squeeze_n: g.squeeze_n * scale,
+            squeeze_n: g.squeeze_n,
         });
         Ok(proposals.collect())
     }
 }
 
-/// The grasp with the force that it needs at each of the masses.
+/// Rehearses every grasp, and carries those that need least force out under conditions that no judged rollout has.
+fn practise<'a, J: Judge>(
+    grasps: &'a [Grasp],
+    judge: &J,
+    mass_kg: f64,
+    spread: &Spread,
+    seed: u64,
+) -> Result<(usize, Vec<Practised<'a>>)> {
+    let conditions = spread.conditions(CONDITIONS, seed ^ PRACTICE_SEED);
+    let middle = 0.5 * (spread.friction.0 + spread.friction.1);
+    // What can be held where friction is high counts as well: for some objects nothing else can.
+    let beliefs = [middle, spread.friction.1].map(|friction| Belief { mass_kg, friction });
+    let gripped: Vec<Option<(f64, &Grasp, J::Grip)>> = grasps
+        .par_iter()
+        .map(|g| {
+            let grip = judge.grip(&g.joints_rad, &g.pose()?, &beliefs[0])?;
+            for (place, belief) in beliefs.iter().enumerate() {
+                if let Ok(plan) = judge.plan(&grip, belief, Squeeze::Needed)? {
+                    return Ok(Some((judge.squeeze_n(&plan) + 1e3 * place as f64, g, grip)));
+                }
+            }
+            Ok(None)
+        })
+        .collect::<Result<_>>()?;
+    let mut gripped: Vec<(f64, &Grasp, J::Grip)> = gripped.into_iter().flatten().collect();
+    let commanded = gripped.len();
+    gripped.sort_by(|a, b| a.0.total_cmp(&b.0));
+    gripped.truncate(PRACTISED);
+    let practised = gripped
+        .par_iter()
+        .map(|(_, grasp, grip)| {
+            let held = conditions.iter().map(|c| Ok(attempt(judge, grip, c, mass_kg)?.held()));
+            Ok(Practised { grasp, fingers: judge.fingers(grip), held: held.collect::<Result<_>>()? })
+        })
+        .collect::<Result<_>>()?;
+    Ok((commanded, practised))
+}
+
+/// A grip with the force of the law, carried out.
+fn attempt<J: Judge>(judge: &J, grip: &J::Grip, condition: &Condition, mass_kg: f64) -> Result<Judged> {
+    match judge.plan(grip, &condition.belief(mass_kg), Squeeze::Needed)? {
+        Ok(plan) => judge.practise(&plan, &condition.truth(mass_kg)),
+        Err(reason) => Ok(Judged::refused(&reason)),
+    }
+}
+
+fn count(p: &Practised<'_>) -> usize {
+    p.held.iter().filter(|h| **h).count()
+}
+
+/// The best ones, and before them whatever holds under a condition that no better one stands.
+fn chosen(mut practised: Vec<Practised<'_>>) -> Vec<Practised<'_>> {
+    practised.sort_by_key(|p| std::cmp::Reverse(count(p)));
+    let mut out: Vec<Practised<'_>> = Vec::new();
+    let mut rest = Vec::new();
+    for p in practised {
+        let new = p.held.iter().enumerate().any(|(c, held)| *held && !out.iter().any(|o| o.held[c]));
+        if new { out.push(p) } else { rest.push(p) }
+    }
+    let best = out.first().map_or(0, count);
+    let room = LEARNED.saturating_sub(out.len());
+    // Those that often fail where others hold would only be in the way; where nothing holds, they are all there is.
+    out.extend(rest.into_iter().filter(|p| 10 * count(p) >= 7 * best).take(room));
+    out
+}
+
+/// The grasp with the force that it needs at each of the masses and frictions.
 fn samples<J: Judge>(
-    grasp: &Grasp,
+    practised: &Practised<'_>,
     judge: &J,
     masses: &[f64],
-    friction: f64,
     told_kg: Option<f64>,
 ) -> Result<Vec<GraspSample>> {
-    let object_from_palm = grasp.pose()?;
+    let (grasp, object_from_palm) = (practised.grasp, practised.grasp.pose()?);
     let mut out = Vec::new();
-    for &mass_kg in masses {
+    for (mass_kg, friction) in masses.iter().flat_map(|m| FRICTIONS.map(|f| (*m, f))) {
         let belief = Belief { mass_kg, friction };
-        if let Some(squeeze_n) = judge.needed_n(&grasp.joints_rad, &object_from_palm, &belief)? {
+        let grip = judge.grip(&grasp.joints_rad, &object_from_palm, &belief)?;
+        if let Ok(plan) = judge.plan(&grip, &belief, Squeeze::Needed)? {
             out.push(GraspSample {
+                object: 0,
                 joints: grasp.joints_rad.clone(),
                 object_from_palm,
-                squeeze_n,
+                contacts: practised.fingers.clone(),
+                squeeze_n: judge.squeeze_n(&plan),
                 mass_kg: told_kg.unwrap_or(mass_kg),
+                friction,
             });
         }
     }
     Ok(out)
+}
+
+/// Rollouts of what the network proposes, with its own force.
+struct Practice<'a, J> {
+    judge: &'a J,
+    spread: Spread,
+}
+
+impl<J: Judge> Rollouts for Practice<'_, J> {
+    fn rollout(
+        &self,
+        object: usize,
+        grasp: &PredictedGrasp,
+        mass_kg: f64,
+        friction: f64,
+        seed: u64,
+    ) -> drex_policy::Result<Feedback> {
+        self.feedback(grasp, mass_kg, friction, seed).map_err(|e| drex_policy::Error::Rollout {
+            object: format!("number {object}"),
+            mass_kg,
+            friction,
+            what: format!("{e:#}"),
+            remedy: "see what the simulator says".into(),
+        })
+    }
+}
+
+impl<J: Judge> Practice<'_, J> {
+    fn feedback(&self, grasp: &PredictedGrasp, mass_kg: f64, friction: f64, seed: u64) -> Result<Feedback> {
+        let belief = Belief { mass_kg, friction };
+        let grip = self.judge.grip(&grasp.joints, &grasp.object_from_palm, &belief)?;
+        let needed = self.judge.plan(&grip, &belief, Squeeze::Needed)?.ok().map(|plan| self.judge.squeeze_n(&plan));
+        let condition = Condition { friction, ..self.spread.conditions(1, seed ^ PRACTICE_SEED)[0] };
+        let judged = match self.judge.plan(&grip, &belief, Squeeze::Total(grasp.squeeze_n))? {
+            Ok(plan) => self.judge.practise(&plan, &condition.truth(mass_kg))?,
+            Err(reason) => Judged::refused(&reason),
+        };
+        let fingers_in_contact = match judged.fingers.is_empty() {
+            true => self.judge.fingers(&grip),
+            false => judged.fingers.clone(),
+        };
+        Ok(Feedback {
+            fingers_in_contact,
+            retained: judged.retained,
+            held: judged.held(),
+            friction_used: judged.friction_used,
+            needed_squeeze_n: needed,
+        })
+    }
 }

@@ -4,7 +4,8 @@ use std::path::Path;
 
 use anyhow::{Result, bail};
 use drex_core::{Pose, fsutil};
-use drex_grasp::{ContactOptions, HandSurface, holds_any_load, squeeze_per_weight};
+use drex_grasp::{ContactOptions, HandSurface, SearchOptions, holds_any_load, search_grasps, squeeze_per_weight};
+use drex_mesh::sample_surface;
 use drex_retarget::TargetHand;
 use drex_robot::Robot;
 use serde::{Deserialize, Serialize};
@@ -13,9 +14,11 @@ use sha2::{Digest, Sha256};
 use super::people::{self, PeopleOptions};
 use super::postures::Postures;
 use super::thing::Thing;
-use super::wraps::{self, WrapOptions};
+use super::wraps::{self, Closer, WrapOptions};
 use crate::twin::PoseRecord;
 
+/// Points of the surface from which opposite ones are searched.
+const SURFACE_POINTS: usize = 3000;
 /// Deepest that a hand may be inside the object, mm.
 const MAX_PENETRATION_MM: f64 = 2.0;
 
@@ -27,6 +30,8 @@ pub enum Kind {
     Retargeted,
     /// The hand put against the object and closed around it.
     Wrapped,
+    /// Searched for between opposite points of the surface.
+    Searched,
 }
 
 /// One grasp.
@@ -93,10 +98,18 @@ impl Grasp {
 }
 
 /// What a library is made with.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct LibraryOptions {
     pub people: PeopleOptions,
     pub wraps: WrapOptions,
+    /// Hands that the search between opposite points looks at.
+    pub candidates: usize,
+}
+
+impl Default for LibraryOptions {
+    fn default() -> Self {
+        Self { people: PeopleOptions::default(), wraps: WrapOptions::default(), candidates: 30_000 }
+    }
 }
 
 /// `grasps/NAME.json`.
@@ -114,7 +127,7 @@ pub struct Library {
 }
 
 /// Layout of the file; raised when grasps are made otherwise.
-const SCHEMA: u32 = 1;
+const SCHEMA: u32 = 2;
 
 impl Library {
     /// The library of the file if it was made of the same things, else a new one, which is written there.
@@ -133,6 +146,7 @@ impl Library {
         let postures = Postures::of(hand, options.people.seed)?;
         let mut grasps = people::grasps(thing, hand, &postures, &options.people)?;
         grasps.extend(wraps::grasps(thing, hand, &postures, &options.wraps)?);
+        grasps.extend(searched(thing, &hand.robot, options)?);
         if grasps.is_empty() {
             bail!(
                 "no grasp of \"{}\" was found for {}: it may be too large for the hand or too low over the table",
@@ -154,6 +168,24 @@ impl Library {
         }
         Ok(library)
     }
+}
+
+/// Grasps between opposite points of the surface.
+fn searched(thing: &Thing, robot: &Robot, options: &LibraryOptions) -> Result<Vec<Grasp>> {
+    let mut search = SearchOptions::default();
+    (search.candidates, search.seed) = (options.candidates, options.people.seed);
+    (search.friction, search.min_fingers) = (options.people.friction, 1);
+    let surface = HandSurface::new(robot, ContactOptions::default().spacing_m)?;
+    let points = sample_surface(&thing.asset.visual, SURFACE_POINTS, options.people.seed);
+    let closer = Closer::new(robot)?;
+    let found =
+        search_grasps(robot, &surface, thing.sdf.as_ref(), &points, &thing.center_of_mass(), &thing.table, &search)?;
+    let mut out = Vec::new();
+    for (clip, f) in found.into_iter().enumerate().filter(|(_, f)| f.closed && closer.keeps_off_itself(&f.joints)) {
+        let measured = Grasp::measured(thing, robot, &surface, &f.joints, &f.object_from_base, search.friction)?;
+        out.extend(measured.map(|g| Grasp { kind: Kind::Searched, clip, ..g }));
+    }
+    Ok(out)
 }
 
 fn digest(thing: &Thing, hand: &TargetHand, options: &LibraryOptions) -> String {

@@ -208,6 +208,11 @@ impl<'a> Closer<'a> {
         links.iter().any(inside)
     }
 
+    /// Whether the links are out of each other.
+    pub fn keeps_off_itself(&self, q: &[f64]) -> bool {
+        self.self_depth(q) <= MAX_SELF_M
+    }
+
     /// How deep links are inside each other, metres; zero or more.
     fn self_depth(&self, q: &[f64]) -> f64 {
         let poses = self.robot.forward_kinematics(q, &Pose::identity());

@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
 
-use super::positive;
 
 /// `drex bench`.
 #[derive(Debug, Subcommand)]
@@ -89,7 +88,4 @@ pub struct GraspBenchArgs {
     /// Passes of the training over the demonstrations [default: the policy's].
     #[arg(long, value_name = "N")]
     pub epochs: Option<usize>,
-    /// Friction that the force is set for where nothing better is known.
-    #[arg(long, value_name = "MU", default_value_t = 0.5, value_parser = positive)]
-    pub nominal_friction: f64,
 }

@@ -81,7 +81,7 @@ pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
         },
         units: Units { joints: "rad", length: "m", mass: "kg", force: "N", torque: "N m", current: "mA" },
         force_law: ForceLaw {
-            what: "smallest sum of normal forces that carries the weight and a downward shake within the torque cap",
+            what: "smallest sum of normal forces that carries the weight and shakes in every direction at the lowest friction believed in, times the margin, within the torque cap",
             torque_cap_nm: options.torque_cap_nm,
             margin: options.law.margin,
             shake_m_s2: options.shake_m_s2,

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use drex_core::Pose;
 use drex_grasp::{HandSurface, StaticCheck, static_check_with};
-use drex_policy::{GraspPolicy, PredictedGrasp};
+use drex_policy::{GraspPolicy, PredictedGrasp, Query};
 use rayon::prelude::*;
 
 use super::files::{EVALUATION, FITS, MASS, POLICY, read_json, write_json};
@@ -17,7 +17,9 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     let fits: FitFile = read_json(&twin.path(FITS))?;
     let mass: MassFile = read_json(&twin.path(MASS))?;
     let policy = GraspPolicy::load(&twin.path(POLICY))?;
-    let predictions = policy.predict(&train::cloud(&scene, twin.seed), mass.mass_kg)?;
+    let cloud = train::cloud(&scene, twin.seed);
+    let query = Query::new(&cloud, mass.mass_kg, twin.friction()).with_up(scene.table.up.into_inner());
+    let predictions = policy.predict(&query)?;
     let spinner = ui.spinner("evaluate");
 
     let judge = Judge::new(&scene, mass.mass_kg)?;

@@ -5,9 +5,9 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
-use drex_grasp::{HandSurface, static_check_with};
+use drex_grasp::{ForceLaw, GraspError, HandSurface, SqueezeError, SqueezeProblem};
 use drex_mesh::{farthest_points, sample_surface};
-use drex_policy::{Dataset, GraspPolicy, GraspSample, TrainOptions};
+use drex_policy::{Dataset, GraspPolicy, GraspSample, ObjectCloud, TrainOptions};
 use nalgebra::Point3;
 use rayon::prelude::*;
 
@@ -18,7 +18,9 @@ use crate::ui::Ui;
 /// Surface points that the network sees.
 const POINTS: usize = 512;
 /// The network learns the force at these multiples of the object's mass.
-const MASS_FACTORS: [f64; 5] = [0.25, 0.5, 1.0, 2.0, 4.0];
+const MASS_FACTORS: [f64; 4] = [0.25, 0.5, 1.0, 2.0];
+/// And at these multiples of its friction.
+const FRICTION_FACTORS: [f64; 3] = [0.7, 1.0, 1.4];
 
 pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     let scene = Scene::of(twin)?;
@@ -40,7 +42,7 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     let training =
         Training { grasps: report.train_grasps + report.held_out_grasps, samples: data.samples.len(), report };
     write_json(&twin.path(TRAINING), &training)?;
-    fsutil::write_atomic(&twin.path("policy/curve.csv"), curve_csv(&training.report).as_bytes())?;
+    fsutil::write_atomic(&twin.path("policy/curve.csv"), training.report.curve_csv().as_bytes())?;
     Ok(vec![folder, twin.path(TRAINING), twin.path("policy/curve.csv")])
 }
 
@@ -51,31 +53,47 @@ pub fn cloud(scene: &Scene, seed: u64) -> Vec<Point3<f64>> {
     farthest_points(&dense, POINTS).into_iter().map(|i| dense[i]).collect()
 }
 
-/// Each accepted grasp at several masses, with the smallest squeeze that carries that mass.
+/// Each accepted grasp at several masses and frictions, with the squeeze that the force law asks for there.
 fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Result<Dataset> {
-    let mut check = scene.check_options();
-    // The force of a heavy object may be beyond this hand's motors; the law that the network learns is not.
-    check.motors = false;
-    let surface = HandSurface::new(&scene.robot, check.contact.spacing_m)?;
+    let contact = scene.check_options().contact;
+    let surface = HandSurface::new(&scene.robot, contact.spacing_m)?;
+    let law = ForceLaw::default();
+    let object_friction = twin.friction();
     let accepted: Vec<_> = fits.grasps.iter().filter(|g| g.accepted).collect();
     let per_grasp: Vec<Vec<GraspSample>> = accepted
         .par_iter()
         .map(|fit| {
-            let object_from_base = fit.object_from_base.to_pose()?;
+            let object_from_palm = fit.object_from_base.to_pose()?;
+            let touching =
+                surface.contacts(&scene.robot, &fit.joints_rad, &object_from_palm, scene.sdf.exact(), &contact)?;
+            let contacts: Vec<bool> =
+                (0..surface.fingers.len()).map(|f| touching.iter().any(|c| c.finger == Some(f))).collect();
             let mut samples = Vec::new();
-            for factor in MASS_FACTORS {
-                let mass_kg = factor * mass.mass_kg;
-                let body = scene.asset.properties.with_mass(mass_kg);
-                let judged =
-                    static_check_with(&surface, &scene.grasp(&fit.joints_rad, object_from_base, &body), &check)?;
-                if let Some(squeeze_n) = judged.squeeze_n {
-                    samples.push(GraspSample {
-                        joints: fit.joints_rad.clone(),
-                        object_from_palm: object_from_base,
-                        squeeze_n,
-                        mass_kg,
-                    });
-                }
+            for (factor, part) in MASS_FACTORS.iter().flat_map(|m| FRICTION_FACTORS.map(|f| (*m, f))) {
+                let (mass_kg, friction) = (factor * mass.mass_kg, part * object_friction);
+                let mut problem = SqueezeProblem::new(
+                    touching.clone(),
+                    mass_kg,
+                    scene.asset.properties.center_of_mass,
+                    scene.table.gravity(),
+                );
+                problem.contacts.iter_mut().for_each(|c| c.friction = friction);
+                // The force of a heavy object may be beyond this hand's motors; the law that the network learns is not.
+                let squeeze_n = match law.command(&problem) {
+                    Ok(force) => force.total_n,
+                    Err(SqueezeError::Input(GraspError::Solver { .. })) => continue,
+                    Err(SqueezeError::Input(error)) => return Err(error.into()),
+                    Err(_) => continue,
+                };
+                samples.push(GraspSample {
+                    object: 0,
+                    joints: fit.joints_rad.clone(),
+                    object_from_palm,
+                    contacts: contacts.clone(),
+                    squeeze_n,
+                    mass_kg,
+                    friction,
+                });
             }
             Ok(samples)
         })
@@ -103,7 +121,12 @@ fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Resul
         joint_names: fits.joint_names.clone(),
         joint_limits,
         hand: fits.hand.clone(),
-        points: cloud(scene, twin.seed),
+        fingers: surface.fingers.iter().map(|f| f.name.clone()).collect(),
+        objects: vec![ObjectCloud {
+            name: twin.manifest.name.clone(),
+            points: cloud(scene, twin.seed),
+            up: scene.table.up.into_inner(),
+        }],
         samples,
     })
 }
@@ -117,12 +140,4 @@ fn options(twin: &Twin) -> TrainOptions {
         options.hidden = train.hidden.unwrap_or(options.hidden);
     }
     options
-}
-
-fn curve_csv(report: &drex_policy::TrainReport) -> String {
-    let mut csv = String::from("epoch,joint_loss,wrist_loss,force_loss,mode_loss,total\n");
-    for e in &report.curve {
-        csv += &format!("{},{},{},{},{},{}\n", e.epoch, e.joint_loss, e.wrist_loss, e.force_loss, e.mode_loss, e.total);
-    }
-    csv
 }
