@@ -14,6 +14,9 @@ use crate::{Belief, Command, Error, Judge, NoCommand, Result, Squeeze, Trial, Tr
 /// Contacts nearer to each other than this on one link count as one, m.
 const SAME_M: f64 = 0.004;
 
+/// How far inside the edge of what is possible a squeeze is asked for: there the programme has room to solve.
+const EDGE: f64 = 1e-4;
+
 /// How the fingers close on the object where it is believed to be.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rehearsal {
@@ -178,11 +181,13 @@ fn squeeze_of(trial: &Trial, problem: &SqueezeProblem, squeeze: Squeeze) -> Resu
             match distribute(&careful, total_n) {
                 // Too little for the believed weight is a command all the same: the share of a squeeze that would do, scaled.
                 Err(SqueezeError::Total { smallest_n, .. }) if total_n < smallest_n => {
-                    let mut least = distribute(&careful, smallest_n * (1.0 + 1e-4))?;
+                    let mut least = distribute(&careful, smallest_n * (1.0 + EDGE))?;
                     let scale = total_n / smallest_n;
                     least.forces.iter_mut().for_each(|f| *f *= scale);
                     Ok(least)
                 }
+                // More than the motors have: all that they have.
+                Err(SqueezeError::Total { largest_n, .. }) => distribute(&careful, largest_n * (1.0 - EDGE)),
                 other => other,
             }
         }

@@ -65,7 +65,7 @@ pub struct Truth {
 pub enum Squeeze {
     /// What the cone programme says for the belief, times the margin of the options.
     Needed,
-    /// This many newtons.
+    /// This many newtons, or as many as the motors can give.
     Total(f64),
 }
 

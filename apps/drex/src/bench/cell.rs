@@ -81,7 +81,8 @@ impl<J: Judge> Cell<'_, J> {
     /// # Errors
     /// If something cannot be simulated.
     pub fn run(&self, conditions: &[Condition]) -> Result<Row> {
-        let judged: Vec<Judged> = conditions.par_iter().map(|c| self.rollout(c)).collect::<Result<_>>()?;
+        let grips = self.grips(conditions)?;
+        let judged: Vec<Judged> = conditions.par_iter().map(|c| self.rollout(c, &grips)).collect::<Result<_>>()?;
         let held: Vec<bool> = judged.iter().map(|j| j.verdict == Verdict::Success).collect();
         let successes = held.iter().filter(|h| **h).count();
         let mut failures = BTreeMap::new();
@@ -104,58 +105,71 @@ impl<J: Judge> Cell<'_, J> {
         })
     }
 
-    fn rollout(&self, condition: &Condition) -> Result<Judged> {
-        match self.plan(condition)? {
+    /// The proposals at the true mass and the middle of the frictions, each with the hand closed on the object. Mass and friction
+    /// change what the network thinks of a grasp and how hard it squeezes; where the hand goes is told once for a cell.
+    fn grips(&self, conditions: &[Condition]) -> Result<Vec<(Proposal, J::Grip)>> {
+        let mean = conditions.iter().map(|c| c.friction).sum::<f64>() / conditions.len().max(1) as f64;
+        let belief = Belief { mass_kg: self.mass_kg, friction: mean };
+        let proposals = match self.actor {
+            Actor::Policy(policy, points) => policy.propose(points, &belief)?,
+            Actor::Always(proposals) => proposals.clone(),
+        };
+        let grip = |p: Proposal| Ok((p.clone(), self.judge.grip(&p.joints, &p.object_from_palm, &belief)?));
+        proposals.into_par_iter().map(grip).collect()
+    }
+
+    fn rollout(&self, condition: &Condition, grips: &[(Proposal, J::Grip)]) -> Result<Judged> {
+        match self.plan(condition, grips)? {
             Ok(plan) => self.judge.run(&plan, &condition.truth(self.mass_kg)),
             Err(reason) => Ok(Judged::refused(&reason)),
         }
     }
 
-    /// The first proposal that the hand can hold when it closes. Which it is depends on the true mass, so that cells that differ in
-    /// what the hand is told differ in force alone.
-    fn plan(&self, condition: &Condition) -> Result<Result<J::Plan, NoCommand>> {
+    /// The most probable grip that the hand can hold. Which it is depends on the true mass, so that cells that differ in what the
+    /// hand is told differ in force alone.
+    fn plan(&self, condition: &Condition, grips: &[(Proposal, J::Grip)]) -> Result<Result<J::Plan, NoCommand>> {
         let truth = condition.belief(self.mass_kg);
         let belief = condition.belief(self.told.mass_kg(self.mass_kg, condition));
-        let proposals = match self.actor {
+        // The order and the squeeze of each grip at this friction and what is told of the mass.
+        let mut order: Vec<(f64, f64, usize)> = match self.actor {
             Actor::Policy(policy, points) => {
-                let squeezes = policy.propose(points, &belief)?;
-                let mut proposals = policy.propose(points, &truth)?;
-                // Modes keep their order among the masses but for their weights: the force is that of the nearest in pose.
-                for p in &mut proposals {
-                    p.squeeze_n = nearest(&squeezes, p).map_or(p.squeeze_n, |s| s.squeeze_n);
-                }
-                proposals
+                let (at_truth, told) = (policy.propose(points, &truth)?, policy.propose(points, &belief)?);
+                let of = |among: &[Proposal], p: &Proposal| nearest(among, p).map(|n| (n.weight, n.squeeze_n));
+                let ask = |(i, (p, _)): (usize, &(Proposal, J::Grip))| {
+                    let weight = of(&at_truth, p).map_or(p.weight, |n| n.0);
+                    (weight, of(&told, p).map_or(p.squeeze_n, |n| n.1), i)
+                };
+                grips.iter().enumerate().map(ask).collect()
             }
-            Actor::Always(proposals) => proposals.clone(),
+            Actor::Always(_) => grips.iter().enumerate().map(|(i, (p, _))| (p.weight, p.squeeze_n, i)).collect(),
         };
-        // None can be held: the most probable has a try with the force that it was given.
-        let mut chosen = None;
-        for p in &proposals {
-            let grip = self.judge.grip(&p.joints, &p.object_from_palm, &truth)?;
-            let holds = self.judge.plan(&grip, &truth, Squeeze::Needed)?.is_ok();
-            if holds || chosen.is_none() {
-                chosen = Some((p, grip));
-            }
-            if holds {
-                break;
+        order.sort_by(|a, b| b.0.total_cmp(&a.0));
+        for &(_, squeeze_n, i) in &order {
+            if self.judge.plan(&grips[i].1, &truth, Squeeze::Needed)?.is_ok() {
+                return self.command(squeeze_n, &grips[i].1, &belief, condition);
             }
         }
-        match chosen {
-            Some((p, grip)) => self.command(p, &grip, &belief, condition),
-            None => Ok(Err(NoCommand::NoContact { touching: 0 })),
+        // None can be held for certain: the most probable that has a force at all has a try with it.
+        let mut reason = NoCommand::NoContact { touching: 0 };
+        for &(_, squeeze_n, i) in &order {
+            match self.command(squeeze_n, &grips[i].1, &belief, condition)? {
+                Ok(plan) => return Ok(Ok(plan)),
+                Err(why) => reason = why,
+            }
         }
+        Ok(Err(reason))
     }
 
     fn command(
         &self,
-        p: &Proposal,
+        squeeze_n: f64,
         grip: &J::Grip,
         belief: &Belief,
         condition: &Condition,
     ) -> Result<Result<J::Plan, NoCommand>> {
         let oracle = Belief { mass_kg: self.mass_kg, friction: condition.friction };
         let (belief, squeeze) = match self.force {
-            Force::Actor => (belief, Squeeze::Total(p.squeeze_n)),
+            Force::Actor => (belief, Squeeze::Total(squeeze_n)),
             Force::Law => (belief, Squeeze::Needed),
             Force::Oracle => (&oracle, Squeeze::Needed),
         };

@@ -343,7 +343,12 @@ fn mean_grasp(grasps: &[Grasp]) -> Result<Proposal> {
         turn += pose.rotation.coords * sign / n;
     }
     let rotation = UnitQuaternion::try_new(Quaternion::from(turn), 1e-9).unwrap_or(reference);
-    Ok(Proposal { joints, object_from_palm: Pose::from_parts(Translation3::from(at), rotation), squeeze_n: 0.0 })
+    Ok(Proposal {
+        joints,
+        object_from_palm: Pose::from_parts(Translation3::from(at), rotation),
+        squeeze_n: 0.0,
+        weight: 1.0,
+    })
 }
 
 /// The demonstration nearest to the mean, by joints.
@@ -351,7 +356,7 @@ fn nearest_grasp(grasps: &[Grasp]) -> Result<Proposal> {
     let mean = mean_grasp(grasps)?;
     let far = |g: &Grasp| g.joints_rad.iter().zip(&mean.joints).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
     let g = grasps.iter().min_by(|a, b| far(a).total_cmp(&far(b))).context("there is no grasp")?;
-    Ok(Proposal { joints: g.joints_rad.clone(), object_from_palm: g.pose()?, squeeze_n: 0.0 })
+    Ok(Proposal { joints: g.joints_rad.clone(), object_from_palm: g.pose()?, squeeze_n: 0.0, weight: 1.0 })
 }
 
 #[cfg(test)]

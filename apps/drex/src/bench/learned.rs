@@ -20,9 +20,12 @@ use super::thing::Thing;
 const MASS_FACTORS: [f64; 3] = [0.4, 1.0, 2.0];
 /// Frictions of the force labels.
 const FRICTIONS: [f64; 3] = [0.35, 0.5, 0.75];
-/// Grasps that are practised: those that need least force. Each under so many conditions.
-const PRACTISED: usize = 90;
+/// Grasps that are practised, those that need least force, and conditions of that; how many go on, and conditions in all.
+const PRACTISED: (usize, usize) = (64, 3);
+const GO_ON: usize = 28;
 const CONDITIONS: usize = 10;
+/// Rounds of rollouts of the network, views of a round, tries of a view.
+const ROUNDS: (usize, usize, usize) = (6, 4, 8);
 /// Grasps that the network learns, at most.
 const LEARNED: usize = 24;
 /// Set apart from the seeds of judged rollouts.
@@ -36,6 +39,8 @@ pub struct Proposal {
     pub object_from_palm: Pose,
     /// Sum of normal forces, N.
     pub squeeze_n: f64,
+    /// How probable it is among those proposed.
+    pub weight: f64,
 }
 
 /// How a policy is trained.
@@ -125,6 +130,7 @@ impl Learned {
         // Every grasp that held has a mode of its own; a mean of two may hold nothing.
         train.modes = practised.len();
         train.hold_out_every = 0;
+        (train.rollouts.epochs, train.rollouts.scenes, train.rollouts.tries) = ROUNDS;
         let mut trainer = Trainer::new(&data, &train)?;
         while trainer.learn()?.is_some() {}
         let practice = Practice { judge, spread: options.spread };
@@ -143,6 +149,7 @@ impl Learned {
             joints: g.joints,
             object_from_palm: g.object_from_palm,
             squeeze_n: g.squeeze_n,
+            weight: g.weight,
         });
         Ok(proposals.collect())
     }
@@ -175,14 +182,23 @@ fn practise<'a, J: Judge>(
     let mut gripped: Vec<(f64, &Grasp, J::Grip)> = gripped.into_iter().flatten().collect();
     let commanded = gripped.len();
     gripped.sort_by(|a, b| a.0.total_cmp(&b.0));
-    gripped.truncate(PRACTISED);
-    let practised = gripped
-        .par_iter()
-        .map(|(_, grasp, grip)| {
-            let held = conditions.iter().map(|c| Ok(attempt(judge, grip, c, mass_kg)?.held()));
-            Ok(Practised { grasp, fingers: judge.fingers(grip), held: held.collect::<Result<_>>()? })
-        })
-        .collect::<Result<_>>()?;
+    gripped.truncate(PRACTISED.0);
+    let mut practised: Vec<(Practised<'_>, &J::Grip)> = gripped
+        .iter()
+        .map(|(_, grasp, grip)| (Practised { grasp, fingers: judge.fingers(grip), held: Vec::new() }, grip))
+        .collect();
+    // Few conditions for all of them, the others for those that went best.
+    for conditions in [&conditions[..PRACTISED.1], &conditions[PRACTISED.1..]] {
+        practised.par_iter_mut().try_for_each(|(p, grip)| {
+            for c in conditions {
+                p.held.push(attempt(judge, grip, c, mass_kg)?.held());
+            }
+            anyhow::Ok(())
+        })?;
+        practised.sort_by_key(|(p, _)| std::cmp::Reverse(count(p)));
+        practised.truncate(GO_ON);
+    }
+    let practised = practised.into_iter().map(|p| p.0).collect();
     Ok((commanded, practised))
 }
 
@@ -198,9 +214,8 @@ fn count(p: &Practised<'_>) -> usize {
     p.held.iter().filter(|h| **h).count()
 }
 
-/// The best ones, and before them whatever holds under a condition that no better one stands.
-fn chosen(mut practised: Vec<Practised<'_>>) -> Vec<Practised<'_>> {
-    practised.sort_by_key(|p| std::cmp::Reverse(count(p)));
+/// Of those sorted by success the best ones, and before them whatever holds under a condition that no better one stands.
+fn chosen(practised: Vec<Practised<'_>>) -> Vec<Practised<'_>> {
     let mut out: Vec<Practised<'_>> = Vec::new();
     let mut rest = Vec::new();
     for p in practised {

@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
 
-
 /// `drex bench`.
 #[derive(Debug, Subcommand)]
 pub enum BenchCommand {
