@@ -24,3 +24,7 @@ pub use error::{Error, Result};
 pub use stats::{Interval, paired_difference, wilson};
 pub use trial::Trial;
 pub use types::{Belief, Command, Judge, NoCommand, Outcome, Squeeze, TrialObject, TrialOptions, Truth, Verdict};
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct ReadmeDoctests;

@@ -1,0 +1,109 @@
+//! Grasps searched for on shapes whose distance is a formula.
+#![allow(clippy::unwrap_used)] // a test says what fails by failing
+
+use drex_core::{SdfSample, SignedDistance, SurfacePoint};
+use drex_grasp::{FoundGrasp, HandSurface, SearchOptions, TablePlane, search_grasps};
+use drex_robot::Robot;
+use nalgebra::{Point3, Vector3};
+
+/// A ball of this radius, m.
+struct Ball(f64);
+
+impl SignedDistance for Ball {
+    fn signed_distance(&self, point: &Point3<f64>) -> SdfSample {
+        let r = point.coords.norm().max(1e-9);
+        SdfSample { distance_m: r - self.0, gradient: point.coords / r }
+    }
+}
+
+impl Ball {
+    /// Points spread evenly (a golden spiral).
+    fn surface(&self) -> Vec<SurfacePoint> {
+        (0..400)
+            .map(|i| {
+                let z = 1.0 - 2.0 * (f64::from(i) + 0.5) / 400.0;
+                let (sin, cos) = (2.399_963 * f64::from(i)).sin_cos();
+                let normal = Vector3::new(cos, sin, 0.0) * (1.0 - z * z).sqrt() + Vector3::z() * z;
+                SurfacePoint { point: Point3::from(normal * self.0), normal }
+            })
+            .collect()
+    }
+}
+
+fn found(hand: &str, radius: f64, change: impl FnOnce(&mut SearchOptions)) -> (Robot, Vec<FoundGrasp>) {
+    let robot = Robot::bundled(hand).unwrap();
+    let surface = HandSurface::new(&robot, 0.004).unwrap();
+    let ball = Ball(radius);
+    let table = TablePlane { up: Vector3::z_axis(), height_m: -radius };
+    let mut options = SearchOptions::default();
+    options.candidates = 3000;
+    change(&mut options);
+    let found = search_grasps(&robot, &surface, &ball, &ball.surface(), &Point3::origin(), &table, &options).unwrap();
+    (robot, found)
+}
+
+#[test]
+fn what_is_found_touches_is_not_inside_and_keeps_off_the_table() {
+    for hand in ["leap_right", "allegro_right"] {
+        let radius = 0.035;
+        let (robot, found) = found(hand, radius, |_| {});
+        assert!(found.len() > 30, "{hand}: {} grasps", found.len());
+        // A finer sampling than the search used judges.
+        let fine = HandSurface::new(&robot, 0.002).unwrap();
+        for f in &found {
+            let poses = robot.forward_kinematics(&f.joints, &f.object_from_base);
+            let depth = fine.depths(&poses, &Ball(radius), 0.0).into_iter().fold(0.0, f64::max);
+            let lowest = fine.lowest(&poses, &Vector3::z()).into_iter().fold(f64::INFINITY, f64::min);
+            assert!(depth < 0.002, "{hand}: {depth} m inside");
+            assert!(lowest > -radius + 0.002, "{hand}: {lowest} m");
+            let thumb = fine.thumb().unwrap();
+            assert!(f.contacts.iter().any(|c| c.finger == Some(thumb)));
+            assert!(f.contacts.iter().filter(|c| c.finger != Some(thumb)).count() >= 2);
+            for c in &f.contacts {
+                assert!((c.point.coords.norm() - radius).abs() < 1e-6 && c.normal.dot(&c.point.coords) < 0.0);
+            }
+            assert!(f.squeeze_per_weight > 0.5 && f.squeeze_per_weight.is_finite());
+            for (q, joint) in f.joints.iter().zip(&robot.joints) {
+                let (low, high) = joint.limits.unwrap();
+                assert!((low - 1e-12..=high + 1e-12).contains(q), "{hand}: {}", joint.name);
+            }
+        }
+        assert!(found.iter().filter(|f| f.closed).count() * 2 > found.len());
+    }
+}
+
+#[test]
+fn seeds_and_threads() {
+    let with = |seed: u64, threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            found("leap_right", 0.03, |o| {
+                o.seed = seed;
+                o.candidates = 600;
+            })
+            .1
+        })
+    };
+    let one = with(1, 1);
+    assert!(!one.is_empty());
+    assert_eq!(one, with(1, 2));
+    assert_ne!(one, with(2, 2));
+}
+
+#[test]
+fn what_is_too_wide_is_not_grasped_and_nonsense_is_refused() {
+    assert!(found("leap_right", 0.2, |o| o.candidates = 300).1.is_empty());
+    let robot = Robot::bundled("leap_right").unwrap();
+    let surface = HandSurface::new(&robot, 0.004).unwrap();
+    let table = TablePlane { up: Vector3::z_axis(), height_m: -0.03 };
+    let mut options = SearchOptions::default();
+    options.friction = f64::NAN;
+    let ball = Ball(0.03);
+    let refused = search_grasps(&robot, &surface, &ball, &ball.surface(), &Point3::origin(), &table, &options);
+    assert!(refused.unwrap_err().to_string().contains("friction"));
+    assert!(
+        search_grasps(&robot, &surface, &ball, &[], &Point3::origin(), &table, &SearchOptions::default())
+            .unwrap()
+            .is_empty()
+    );
+}
