@@ -14,7 +14,10 @@ fn a_small_bench_says_what_was_held_and_what_could_be() {
     let arguments = |threads: &'static str| {
         let common =
             ["bench", "grasp", "--experiment", "objects", "--only", "spam_can", "--clips", "2", "--rollouts", "3"];
-        common.into_iter().chain(["--epochs", "3", "--json", "--threads", threads, "--out"]).chain([folder])
+        common
+            .into_iter()
+            .chain(["--epochs", "3", "--practice", "2", "--json", "--threads", threads, "--out"])
+            .chain([folder])
     };
     let run = drex(arguments("1"));
     assert_eq!(run.code, 0, "{}", run.stderr);

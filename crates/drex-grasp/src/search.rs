@@ -65,9 +65,9 @@ const DRAWS: usize = 6000;
 const WIDTH_M: (f64, f64) = (0.02, 0.11);
 /// Least opposition of the closing directions of thumb and fingers: minus the cosine of their angle.
 const OPPOSITION: f64 = 0.6;
-/// Normals of opposed points may lean from the line between them by this much: the cosine.
+/// The surface at the other end of a line faces along it at least by this: the cosine.
 const ALIGNED: f64 = 0.8;
-/// How near a point's normal must come to the line back to find the other side of the object, and steps along it.
+/// Steps of the way through the object, at most.
 const MARCH_STEPS: usize = 200;
 /// A finger further away than this after closing does not take part, m.
 const TOUCHES_M: f64 = 0.001;

@@ -20,10 +20,10 @@ use super::thing::Thing;
 const MASS_FACTORS: [f64; 3] = [0.4, 1.0, 2.0];
 /// Frictions of the force labels.
 const FRICTIONS: [f64; 3] = [0.35, 0.5, 0.75];
-/// Grasps that are practised, those that need least force, and conditions of that; how many go on, and conditions in all.
-const PRACTISED: (usize, usize) = (64, 3);
-const GO_ON: usize = 28;
+/// Conditions of practice, and those of them that all practised grasps see; of every so many grasps one goes on to the others.
 const CONDITIONS: usize = 10;
+const FIRST_CONDITIONS: usize = 3;
+const ONE_GOES_ON: usize = 2;
 /// Rounds of rollouts of the network, views of a round, tries of a view.
 const ROUNDS: (usize, usize, usize) = (6, 4, 8);
 /// Grasps that the network learns, at most.
@@ -49,6 +49,8 @@ pub struct LearnOptions {
     pub train: TrainOptions,
     /// Conditions under which grasps are practised.
     pub spread: Spread,
+    /// Grasps that are practised in the simulator before one is learned, those that need least force; zero practises nothing.
+    pub practised: usize,
     /// Masses of the labels, kg; empty: multiples of the object's own.
     pub masses_kg: Vec<f64>,
     /// The network is told the same mass whatever it was: what randomising masses in training amounts to.
@@ -94,7 +96,7 @@ impl Learned {
         };
         let middle = (masses.iter().map(|m| m.ln()).sum::<f64>() / masses.len() as f64).exp();
         let told_kg = options.mass_hidden.then_some(middle);
-        let (commanded, mut practised) = practise(grasps, judge, middle, &options.spread, options.train.seed)?;
+        let (commanded, mut practised) = practise(grasps, judge, middle, options)?;
         let robust = practised.iter().filter(|p| 4 * count(p) >= 3 * CONDITIONS).count();
         practised = chosen(practised);
         let samples: Vec<GraspSample> = practised
@@ -131,6 +133,7 @@ impl Learned {
         train.modes = practised.len();
         train.hold_out_every = 0;
         (train.rollouts.epochs, train.rollouts.scenes, train.rollouts.tries) = ROUNDS;
+        train.rollouts.epochs = train.rollouts.epochs.min(options.practised / 10);
         let mut trainer = Trainer::new(&data, &train)?;
         while trainer.learn()?.is_some() {}
         let practice = Practice { judge, spread: options.spread };
@@ -160,10 +163,10 @@ fn practise<'a, J: Judge>(
     grasps: &'a [Grasp],
     judge: &J,
     mass_kg: f64,
-    spread: &Spread,
-    seed: u64,
+    options: &LearnOptions,
 ) -> Result<(usize, Vec<Practised<'a>>)> {
-    let conditions = spread.conditions(CONDITIONS, seed ^ PRACTICE_SEED);
+    let spread = &options.spread;
+    let conditions = spread.conditions(CONDITIONS, options.train.seed ^ PRACTICE_SEED);
     let middle = 0.5 * (spread.friction.0 + spread.friction.1);
     // What can be held where friction is high counts as well: for some objects nothing else can.
     let beliefs = [middle, spread.friction.1].map(|friction| Belief { mass_kg, friction });
@@ -182,13 +185,16 @@ fn practise<'a, J: Judge>(
     let mut gripped: Vec<(f64, &Grasp, J::Grip)> = gripped.into_iter().flatten().collect();
     let commanded = gripped.len();
     gripped.sort_by(|a, b| a.0.total_cmp(&b.0));
-    gripped.truncate(PRACTISED.0);
+    gripped.truncate(if options.practised == 0 { LEARNED } else { options.practised });
     let mut practised: Vec<(Practised<'_>, &J::Grip)> = gripped
         .iter()
         .map(|(_, grasp, grip)| (Practised { grasp, fingers: judge.fingers(grip), held: Vec::new() }, grip))
         .collect();
     // Few conditions for all of them, the others for those that went best.
-    for conditions in [&conditions[..PRACTISED.1], &conditions[PRACTISED.1..]] {
+    for conditions in [&conditions[..FIRST_CONDITIONS], &conditions[FIRST_CONDITIONS..]] {
+        if options.practised == 0 {
+            break;
+        }
         practised.par_iter_mut().try_for_each(|(p, grip)| {
             for c in conditions {
                 p.held.push(attempt(judge, grip, c, mass_kg)?.held());
@@ -196,7 +202,7 @@ fn practise<'a, J: Judge>(
             anyhow::Ok(())
         })?;
         practised.sort_by_key(|(p, _)| std::cmp::Reverse(count(p)));
-        practised.truncate(GO_ON);
+        practised.truncate(options.practised.div_ceil(ONE_GOES_ON));
     }
     let practised = practised.into_iter().map(|p| p.0).collect();
     Ok((commanded, practised))

@@ -87,4 +87,7 @@ pub struct GraspBenchArgs {
     /// Passes of the training over the demonstrations [default: the policy's].
     #[arg(long, value_name = "N")]
     pub epochs: Option<usize>,
+    /// Grasps that are practised in the simulator before they are learned, those that need least force; 0: none.
+    #[arg(long, value_name = "N", default_value_t = 56)]
+    pub practice: u32,
 }
