@@ -16,7 +16,7 @@ pub enum BenchCommand {
 /// What the benches have in common.
 #[derive(Debug, Args)]
 pub struct BenchCommon {
-    /// TOML list of objects in place of the made ones: [[object]] with name, mesh, mass_kg and perhaps friction, max_force_n,
+    /// TOML list of objects in place of the made ones: an `object` table for each, with name, mesh, mass_kg and perhaps friction, max_force_n,
     /// up, unit.
     #[arg(long, value_name = "FILE.toml")]
     pub objects: Option<PathBuf>,
