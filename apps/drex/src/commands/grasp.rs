@@ -25,7 +25,7 @@ fn text(p: &Prediction) -> String {
     lines.push(format!("  touches  {}", fingers.collect::<Vec<_>>().join(", ")));
     lines.push(match p.needed_squeeze_n {
         Some(needed) => format!(
-            "  squeeze  {:.2} N (network), {needed:.2} N (least by the cone programme); the paper's number {:.2}",
+            "  squeeze  {:.2} N (network), {needed:.2} N (by the force law); the paper's number {:.2}",
             p.squeeze_n, p.paper_force
         ),
         None => format!("  squeeze  {:.2} N (network); the paper's number {:.2}", p.squeeze_n, p.paper_force),
