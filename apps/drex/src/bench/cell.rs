@@ -53,6 +53,8 @@ pub struct Cell<'a, J: Judge> {
     pub force: Force,
     /// Least friction at which any grasp of the library carries the load.
     pub least_friction: Option<f64>,
+    /// Whether every command is carried out in the engine of the practice as well, to compare.
+    pub compare: bool,
 }
 
 /// A line of a table.
@@ -70,9 +72,22 @@ pub struct Row {
     pub bound: f64,
     /// Median commanded squeeze, N, over rollouts with a command.
     pub median_squeeze_n: Option<f64>,
+    /// The same commands under the same conditions in both engines, where that was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub agreement: Option<Agreement>,
     /// Whether each rollout succeeded, in order: for paired comparisons.
     #[serde(skip)]
     pub held: Vec<bool>,
+}
+
+/// How often two engines say the same of a command that was carried out.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Agreement {
+    /// Rollouts in which both held or both failed.
+    pub same: usize,
+    pub n: usize,
+    /// The others: verdict of the judge, then that of the practice.
+    pub disagreements: BTreeMap<String, usize>,
 }
 
 impl<J: Judge> Cell<'_, J> {
@@ -82,7 +97,10 @@ impl<J: Judge> Cell<'_, J> {
     /// If something cannot be simulated.
     pub fn run(&self, conditions: &[Condition]) -> Result<Row> {
         let grips = self.grips(conditions)?;
-        let judged: Vec<Judged> = conditions.par_iter().map(|c| self.rollout(c, &grips)).collect::<Result<_>>()?;
+        let both: Vec<(Judged, Option<Judged>)> =
+            conditions.par_iter().map(|c| self.rollout(c, &grips)).collect::<Result<_>>()?;
+        let agreement = self.compare.then(|| agreement(&both));
+        let judged: Vec<Judged> = both.into_iter().map(|b| b.0).collect();
         let held: Vec<bool> = judged.iter().map(|j| j.verdict == Verdict::Success).collect();
         let successes = held.iter().filter(|h| **h).count();
         let mut failures = BTreeMap::new();
@@ -101,6 +119,7 @@ impl<J: Judge> Cell<'_, J> {
             failures,
             bound: within as f64 / n.max(1) as f64,
             median_squeeze_n: squeezes.get(squeezes.len() / 2).copied(),
+            agreement,
             held,
         })
     }
@@ -118,10 +137,15 @@ impl<J: Judge> Cell<'_, J> {
         proposals.into_par_iter().map(grip).collect()
     }
 
-    fn rollout(&self, condition: &Condition, grips: &[(Proposal, J::Grip)]) -> Result<Judged> {
+    /// What the judge says, and what the engine of the practice says if that is compared and there was a command.
+    fn rollout(&self, condition: &Condition, grips: &[(Proposal, J::Grip)]) -> Result<(Judged, Option<Judged>)> {
+        let truth = condition.truth(self.mass_kg);
         match self.plan(condition, grips)? {
-            Ok(plan) => self.judge.run(&plan, &condition.truth(self.mass_kg)),
-            Err(reason) => Ok(Judged::refused(&reason)),
+            Ok(plan) => {
+                let other = self.compare.then(|| self.judge.practise(&plan, &truth)).transpose()?;
+                Ok((self.judge.run(&plan, &truth)?, other))
+            }
+            Err(reason) => Ok((Judged::refused(&reason), None)),
         }
     }
 
@@ -196,6 +220,20 @@ fn nearest<'a>(among: &'a [Proposal], to: &Proposal) -> Option<&'a Proposal> {
         joints + 100.0 * shift.norm_squared()
     };
     among.iter().min_by(|a, b| far(a).total_cmp(&far(b)))
+}
+
+/// Counts the rollouts that both engines carried out.
+fn agreement(both: &[(Judged, Option<Judged>)]) -> Agreement {
+    let mut out = Agreement { same: 0, n: 0, disagreements: BTreeMap::new() };
+    for (judged, other) in both.iter().filter_map(|(j, o)| Some((j, o.as_ref()?))) {
+        out.n += 1;
+        if judged.held() == other.held() {
+            out.same += 1;
+        } else {
+            *out.disagreements.entry(format!("{}/{}", name(judged.verdict), name(other.verdict))).or_insert(0) += 1;
+        }
+    }
+    out
 }
 
 /// The verdict as JSON and tables spell it.

@@ -55,6 +55,8 @@ pub struct Bench<'a, J> {
     pub train: TrainOptions,
     /// Grasps that are practised before one is learned.
     pub practised: usize,
+    /// Every command is carried out in both engines.
+    pub compare: bool,
     pub load: Load,
     /// Folder for grasps.
     pub out: Option<PathBuf>,
@@ -276,7 +278,8 @@ impl<J: Judge> Bench<'_, J> {
         least_friction: Option<f64>,
         table: &mut Table,
     ) -> Result<()> {
-        let cell = Cell { labels, judge: &ready.judge, actor, mass_kg, told, force, least_friction };
+        let compare = self.compare;
+        let cell = Cell { labels, judge: &ready.judge, actor, mass_kg, told, force, least_friction, compare };
         let row: Row = cell.run(&self.conditions(&ready.thing))?;
         (self.note)(&row.text());
         table.rows.push(row);
@@ -384,6 +387,7 @@ mod tests {
             library,
             train: TrainOptions::default().with_epochs(60).with_hold_out_every(0),
             practised: 20,
+            compare: true,
             load: Load { torque_cap_nm: 0.29, shake_m_s2: 4.9 },
             out: None,
             note: &|_| {},
@@ -410,6 +414,10 @@ mod tests {
         for row in &table.rows {
             assert_eq!((row.n, row.failures.values().sum::<usize>()), (120, 120 - row.successes));
             assert!((0.0..=1.0).contains(&row.bound));
+            // One formula says the same twice, of every command that there was.
+            let agreement = row.agreement.as_ref().unwrap();
+            let refused = row.failures.get("torque_limit").copied().unwrap_or(0);
+            assert_eq!((agreement.same, agreement.n), (120 - refused, 120 - refused));
         }
         // A heavier thing is not easier to hold at all.
         let bounds: Vec<f64> = [0, 4, 8].iter().map(|i| table.rows[*i].bound).collect();

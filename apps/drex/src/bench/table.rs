@@ -33,7 +33,7 @@ impl Row {
         let failures: Vec<String> = self.failures.iter().map(|(k, n)| format!("{k} {n}")).collect();
         let percent = |v: f64| 100.0 * v;
         format!(
-            "{:52} {:4}/{:<4} {:5.1} % [{:4.1}, {:5.1}]  bound {:5.1} %  {}{}",
+            "{:52} {:4}/{:<4} {:5.1} % [{:4.1}, {:5.1}]  bound {:5.1} %  {}{}{}",
             labels.join(", "),
             self.successes,
             self.n,
@@ -42,7 +42,11 @@ impl Row {
             percent(self.interval.high),
             percent(self.bound),
             self.median_squeeze_n.map_or(String::new(), |n| format!("{n:5.1} N  ")),
-            failures.join(", ")
+            failures.join(", "),
+            self.agreement.as_ref().map_or(String::new(), |a| {
+                let others: Vec<String> = a.disagreements.iter().map(|(k, n)| format!("; {k} {n}")).collect();
+                format!("  engines agree {}/{}{}", a.same, a.n, others.concat())
+            })
         )
     }
 }

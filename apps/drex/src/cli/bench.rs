@@ -90,4 +90,7 @@ pub struct GraspBenchArgs {
     /// Grasps that are practised in the simulator before they are learned, those that need least force; 0: none.
     #[arg(long, value_name = "N", default_value_t = 56)]
     pub practice: u32,
+    /// Carry every command out in drex-diffsim as well, and say how often the two engines agree.
+    #[arg(long)]
+    pub compare: bool,
 }

@@ -192,6 +192,7 @@ fn grasp(args: &GraspBenchArgs, seed: u64, ui: &Ui) -> Result<()> {
         library: library_options(common, seed),
         train,
         practised: args.practice as usize,
+        compare: args.compare,
         load: Load { torque_cap_nm: options.torque_cap_nm, shake_m_s2: options.shake_m_s2 },
         out: common.out.clone(),
         note: &|text| ui.note(text),
