@@ -16,7 +16,7 @@ use drex_splat::train::{DensityChoice, Preset};
 use drex_sysid::Parameter;
 use nalgebra::{Point3, Similarity3};
 
-pub use bench::{BenchCommand, BenchCommon, DemosArgs, ExperimentArg, GraspBenchArgs, JudgeArg};
+pub use bench::{BenchCommand, BenchCommon, DemosArgs, GraspBenchArgs};
 pub use grasp::{DeployArgs, GraspArgs};
 pub use retarget::{DetectorArg, HandsArgs, ObjectiveArg, ReadingArgs, RetargetArgs};
 

@@ -13,7 +13,7 @@ use drex_diffsim::{Collider, ConvexPiece};
 use drex_grasp::{FoundGrasp, HandSurface, SearchOptions, TablePlane, search_grasps};
 use drex_mesh::{AssetOptions, GridOptions, GridSdf, MeshSdf, build_asset, sample_surface};
 use drex_robot::Robot;
-use drex_trial::{Belief, Error, Judge, Squeeze, Trial, TrialObject, TrialOptions, Truth, Verdict, wilson};
+use drex_trial::{Belief, Error, Judge, Outcome, Squeeze, Trial, TrialObject, TrialOptions, Truth, Verdict, wilson};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -65,15 +65,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         |f: &&FoundGrasp| matches!(trial.command(&f.joints, &f.object_from_base, &belief, Squeeze::Needed), Ok(Ok(_)));
     let shown: Vec<&FoundGrasp> = found.iter().filter(commanded).take(SHOWN).collect();
     let mut tally = [(0, 0); 2];
+    let mut delivered = [Vec::new(), Vec::new()];
     for (index, grasp) in shown.iter().enumerate() {
         let mut line = format!("{index:>3}  {:4.1} weights", grasp.squeeze_per_weight);
-        for (judge, sum) in [Judge::Diffsim, Judge::Mujoco].into_iter().zip(&mut tally) {
-            let verdicts = (0..rollouts)
+        for ((judge, sum), ratios) in [Judge::Diffsim, Judge::Mujoco].into_iter().zip(&mut tally).zip(&mut delivered) {
+            let outcomes = (0..rollouts)
                 .into_par_iter()
                 .map(|seed| attempt(&trial, grasp, (mass_kg, told), seed, judge))
                 .collect::<Result<Vec<_>, _>>();
-            match verdicts {
-                Ok(verdicts) => {
+            match outcomes {
+                Ok(outcomes) => {
+                    ratios.extend(outcomes.iter().flatten().filter_map(|o| Some(o.held_n? / o.squeeze_n)));
+                    let verdicts: Vec<_> = outcomes.iter().map(|o| o.as_ref().map(|o| o.verdict)).collect();
                     sum.0 += verdicts.iter().filter(|v| **v == Some(Verdict::Success)).count();
                     sum.1 += verdicts.len();
                     line += &format!("  {judge:?} {}", verdicts.into_iter().map(letter).collect::<String>());
@@ -84,13 +87,20 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
         println!("{line}");
     }
-    for (judge, (successes, n)) in [Judge::Diffsim, Judge::Mujoco].into_iter().zip(tally).filter(|t| t.1.1 > 0) {
+    for ((judge, (successes, n)), mut ratios) in
+        [Judge::Diffsim, Judge::Mujoco].into_iter().zip(tally).zip(delivered).filter(|t| t.0.1.1 > 0)
+    {
+        ratios.sort_by(f64::total_cmp);
+        let at = |share: f64| ratios.get((share * ratios.len() as f64) as usize).copied().unwrap_or(f64::NAN);
         let rate = wilson(successes, n);
         println!(
-            "{judge:?}: {successes} of {n}, {:.0} % ({:.0} to {:.0})",
+            "{judge:?}: {successes} of {n}, {:.0} % ({:.0} to {:.0}); delivered over commanded squeeze {:.2} ({:.2} to {:.2})",
             100.0 * rate.value,
             100.0 * rate.low,
-            100.0 * rate.high
+            100.0 * rate.high,
+            at(0.5),
+            at(0.1),
+            at(0.9)
         );
     }
     Ok(())
@@ -103,7 +113,7 @@ fn attempt(
     (mass_kg, told): (f64, f64),
     seed: u64,
     judge: Judge,
-) -> Result<Option<Verdict>, Error> {
+) -> Result<Option<Outcome>, Error> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut even = |most: f64| random.random_range(-most..most);
     let friction = 0.6 + even(0.2);
@@ -111,7 +121,7 @@ fn attempt(
         Truth { mass_kg, friction, shift_m: [even(0.005), even(0.005)], turn_rad: even(5f64.to_radians()), seed };
     let belief = Belief { mass_kg: told * mass_kg, friction: friction * (1.0 + even(0.1)) };
     match trial.command(&grasp.joints, &grasp.object_from_base, &belief, Squeeze::Needed)? {
-        Ok(command) => trial.run(&command, &truth, judge).map(|o| Some(o.verdict)),
+        Ok(command) => trial.run(&command, &truth, judge).map(Some),
         Err(_) => Ok(None),
     }
 }

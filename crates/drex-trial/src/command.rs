@@ -1,6 +1,7 @@
 //! From a grasp to what the hand is told: rehearse the closing, then solve for the squeeze on the contacts that it gives.
 
 use drex_core::Pose;
+use drex_diffsim::SimError;
 use drex_grasp::{Contact, Distribution, SqueezeError, SqueezeProblem, TorqueLimits, distribute};
 use nalgebra::{DVector, Point3, Vector3};
 
@@ -53,15 +54,23 @@ pub(crate) fn rehearse(trial: &Trial, joints: &[f64], object_from_palm: &Pose, b
     let (mut engine, drives) = trial.engine(&world_from_palm, &reach, &truth, timeline::CLOSED_S, Judge::Diffsim)?;
     let mut controller = Controller::new(&trial.hand, &drives, &reach, &[], trial.options.torque_cap_nm);
     let tick_s = trial.options.dt_s * STEPS_PER_TICK as f64;
-    for i in 0..(timeline::CLOSED_S / tick_s) as usize {
-        let told = controller.command(i as f64 * tick_s, &engine);
-        for _ in 0..STEPS_PER_TICK {
-            engine.step(&told)?;
-        }
-    }
     let mut touches = Vec::new();
-    engine.touches(&mut touches);
-    touches.retain(|t| t.with == Met::Object);
+    let mut close = || {
+        for i in 0..(timeline::CLOSED_S / tick_s) as usize {
+            let told = controller.command(i as f64 * tick_s, &engine);
+            for _ in 0..STEPS_PER_TICK {
+                engine.step(&told)?;
+            }
+        }
+        engine.touches(&mut touches);
+        touches.retain(|t| t.with == Met::Object);
+        Ok(())
+    };
+    match close() {
+        // A hand that starts inside the object or the table can be thrown out of all bounds: it holds nothing.
+        Ok(()) | Err(Error::Simulation(SimError::Diverged { .. })) => {}
+        Err(other) => return Err(other),
+    }
     let mut fingers_in_contact = vec![false; trial.surface.fingers.len()];
     touches.iter().filter_map(|t| trial.surface.finger_of_link[t.link]).for_each(|f| fingers_in_contact[f] = true);
     let closed = engine.joints().to_vec();
@@ -167,7 +176,10 @@ fn problem(
         limits_nm,
         gravity_nm: DVector::from_column_slice(own.as_slice()),
     });
-    problem.max_normal_n = trial.object.max_finger_n;
+    // The programme limits contacts: those of a finger share what a finger may.
+    let of_finger = |f: usize| problem.contacts.iter().filter(|c| c.finger == Some(f)).count();
+    let most = (0..trial.surface.fingers.len()).map(of_finger).max().unwrap_or(1).max(1);
+    problem.max_normal_n = trial.object.max_finger_n.map(|n| n / most as f64);
     problem
 }
 
@@ -178,6 +190,10 @@ fn squeeze_of(trial: &Trial, problem: &SqueezeProblem, squeeze: Squeeze) -> Resu
         Squeeze::Total(total_n) => {
             let mut careful = problem.clone();
             careful.contacts.iter_mut().for_each(|c| c.friction *= 1.0 - trial.options.law.friction_uncertainty);
+            // What could not be carried if friction were lower may be carried with what is believed.
+            if matches!(distribute(&careful, total_n), Err(e) if !matches!(e, SqueezeError::Total { .. })) {
+                careful = problem.clone();
+            }
             match distribute(&careful, total_n) {
                 // Too little for the believed weight is a command all the same: the share of a squeeze that would do, scaled.
                 Err(SqueezeError::Total { smallest_n, .. }) if total_n < smallest_n => {

@@ -8,8 +8,13 @@ use crate::engine::{Drive, Engine};
 use crate::reach::Reach;
 use crate::timeline::{APPROACHED_S, CLOSED_S, SQUEEZED_S};
 
-/// Torque beyond a joint's own friction with which fingers close until they touch, N m.
-const CLOSING_NM: f64 = 0.03;
+/// Torque beyond a joint's own friction with which fingers close until they touch, N m: four fingers then press with about a newton in
+/// all, the least squeeze of the law; more would partly stay in the joints' friction. Joints that have no part in a squeeze hold their
+/// place with as much.
+const CLOSING_NM: f64 = 0.02;
+/// Share of a joint's dry friction that is made good for in the squeeze. A finger at rest delivers what it is told less this friction,
+/// or as much more as it was pressed before: with half of it made good for, the mean is what was commanded.
+const FRICTION_SHARE: f64 = 0.5;
 /// Part of the time of closing after which the fingers have been told the whole way; the rest is for settling.
 const CLOSING_SHARE: f64 = 0.75;
 /// Errors of a joint below this do not say which way its friction acts, rad.
@@ -35,8 +40,9 @@ pub(crate) struct Controller<'a> {
     reach: &'a Reach,
     pushes: &'a [Push],
     torque_cap_nm: f64,
-    /// Joint torques at the end of closing; angles that are held once the squeeze is complete, with its torques.
+    /// Joint torques at the end of closing.
     closing: Vec<f64>,
+    /// Angles and torques of the complete squeeze, from the end of the ramp on.
     held: Option<(Vec<f64>, Vec<f64>)>,
 }
 
@@ -68,38 +74,40 @@ impl<'a> Controller<'a> {
             }
             return self.position(q, |j| own[j] + self.closing[j]);
         }
-        if t < SQUEEZED_S || self.held.is_none() {
-            let s = ((t - CLOSED_S) / (SQUEEZED_S - CLOSED_S)).clamp(0.0, 1.0);
+        if t < SQUEEZED_S {
+            let s = (t - CLOSED_S) / (SQUEEZED_S - CLOSED_S);
             let squeeze = self.squeeze(q, &base);
-            let torque = |j: usize| own[j] + (1.0 - s) * self.closing[j] + s * squeeze[j];
-            let command = self.position(q, torque);
-            if t >= SQUEEZED_S {
-                self.held = Some((q.to_vec(), squeeze));
-            }
-            return command;
+            return self.position(q, |j| own[j] + (1.0 - s) * self.closing[j] + s * squeeze[j]);
         }
-        match &self.held {
-            Some((held, squeeze)) => self.position(held, |j| own[j] + squeeze[j]),
-            None => self.position(q, |j| own[j]),
+        // As a drive that holds its place with a limited current: what the object does to the fingers brings no more than was commanded.
+        let (held, squeeze) = self.held.take().unwrap_or_else(|| (q.to_vec(), self.squeeze(q, &base)));
+        let mut torque = own.as_slice().to_vec();
+        for d in self.drives {
+            let j = d.joint;
+            let most = squeeze[j].abs().max(CLOSING_NM);
+            torque[j] += (squeeze[j] + d.stiffness * d.gear * d.gear * (held[j] - q[j])).clamp(-most, most);
         }
+        self.held = Some((held, squeeze));
+        self.position(q, |j| torque[j])
     }
 
-    /// Joint torques of the pushes, Jᵀ f, and what the joints' dry friction takes of them.
+    /// Joint torques of the pushes.
     fn squeeze(&self, q: &[f64], base: &Pose) -> Vec<f64> {
         squeeze_torques(self.robot, q, base, self.pushes)
     }
 
-    /// Commands that give these joint torques at the angles `at`.
-    fn position(&self, at: &[f64], torque_nm: impl Fn(usize) -> f64) -> Vec<f64> {
+    /// Commands that give these joint torques at the angles `q`.
+    fn position(&self, q: &[f64], torque_nm: impl Fn(usize) -> f64) -> Vec<f64> {
         let cap = self.torque_cap_nm;
         self.drives
             .iter()
-            .map(|d| d.gear * at[d.joint] + torque_nm(d.joint).clamp(-cap, cap) / (d.gear * d.stiffness))
+            .map(|d| d.gear * q[d.joint] + torque_nm(d.joint).clamp(-cap, cap) / (d.gear * d.stiffness))
             .collect()
     }
 }
 
-/// Jᵀ f of forces on the object (the reaction moves the joints the other way), plus the joints' dry friction in its direction.
+/// Jᵀ f of forces on the object (the reaction moves the joints the other way), plus a share of the joints' dry friction in its
+/// direction.
 pub(crate) fn squeeze_torques(robot: &Robot, q: &[f64], base: &Pose, pushes: &[Push]) -> Vec<f64> {
     let poses = robot.forward_kinematics(q, base);
     let mut torque = vec![0.0; robot.dof()];
@@ -109,7 +117,7 @@ pub(crate) fn squeeze_torques(robot: &Robot, q: &[f64], base: &Pose, pushes: &[P
         torque.iter_mut().zip(tau.iter()).for_each(|(t, x)| *t += x);
     }
     for (t, joint) in torque.iter_mut().zip(&robot.joints) {
-        *t += joint.friction_loss * (*t / FRICTION_BLEND_NM).tanh();
+        *t += FRICTION_SHARE * joint.friction_loss * (*t / FRICTION_BLEND_NM).tanh();
     }
     torque
 }

@@ -79,7 +79,7 @@ pub(crate) struct Setup<'a> {
 }
 
 /// The hand's drives as position drives with a cap, and their numbers.
-pub(crate) fn hand_of(
+fn hand_of(
     hand: &Arc<Robot>,
     base: Base<f64>,
     torque_cap_nm: f64,

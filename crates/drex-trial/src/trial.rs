@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use drex_core::Pose;
+use drex_diffsim::SimError;
 use drex_grasp::HandSurface;
 use drex_robot::Robot;
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
@@ -69,7 +70,8 @@ impl Trial {
     }
 
     /// How the fingers close on the object where it is believed to be, in drex-diffsim: the first half of [`Trial::command`], which
-    /// depends on mass and friction so little that it may be done once for many of them.
+    /// depends on mass and friction so little that it may be done once for many of them. A grasp with which the simulation diverges
+    /// touches nothing.
     ///
     /// # Errors
     /// If the joint vector does not fit the hand.
@@ -108,7 +110,7 @@ impl Trial {
             for _ in 0..STEPS_PER_TICK {
                 match engine.step(&told) {
                     Ok(()) => {}
-                    Err(Error::Simulation(drex_diffsim::SimError::Diverged { time_s, .. })) => {
+                    Err(Error::Simulation(SimError::Diverged { time_s, .. })) => {
                         return Ok(watch.broke(time_s));
                     }
                     Err(other) => return Err(other),

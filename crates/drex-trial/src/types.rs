@@ -20,6 +20,19 @@ pub enum Judge {
     Mujoco,
 }
 
+impl Judge {
+    /// Whether this build has the engine.
+    ///
+    /// # Errors
+    /// [`Error::NoMujoco`].
+    pub fn check(self) -> Result<()> {
+        match self {
+            Self::Mujoco if !cfg!(feature = "mujoco") => Err(Error::NoMujoco),
+            _ => Ok(()),
+        }
+    }
+}
+
 /// The object of a trial.
 #[derive(Clone)]
 pub struct TrialObject {
@@ -76,13 +89,13 @@ pub struct Command {
     pub joints: Vec<f64>,
     /// Where the palm goes, given where the object is believed to be.
     pub world_from_palm: Pose,
-    /// Joint torques of the squeeze, without those that hold the hand's own weight, N m.
+    /// Joint torques of the squeeze, N m: Jᵀ f and what the joints' dry friction takes of it, without what holds the hand's own weight.
     pub torques_nm: Vec<f64>,
     /// Sum of the normal forces, N.
     pub squeeze_n: f64,
     /// Sum of the normal forces per finger, N; the palm is not among them.
     pub per_finger_n: Vec<f64>,
-    /// The forces that make the squeeze, in the frame of the believed object at rest on the table.
+    /// The forces that make the squeeze, with the believed object at rest on the table.
     pub pushes: Vec<Push>,
     pub(crate) reach: Reach,
 }
@@ -145,9 +158,11 @@ pub struct Outcome {
     pub failed_at_s: Option<f64>,
     /// Squeeze that was commanded, N.
     pub squeeze_n: f64,
+    /// Squeeze that was delivered: sum of the normal forces of hand and object, mean over the hold, N; `None` if the trial ended before.
+    pub held_n: Option<f64>,
     /// Largest normal force of one finger, N.
     pub peak_finger_n: f64,
-    /// Longest way of the object in the palm's frame after the lift began, m.
+    /// Longest way that the object slid over the skin of one finger after the lift began, m.
     pub slip_m: f64,
     /// Largest turn of it in the palm's frame after the lift began, rad.
     pub turn_rad: f64,
@@ -178,7 +193,7 @@ pub struct TrialOptions {
     pub law: ForceLaw,
     /// Acceleration of the shakes, m/s².
     pub shake_m_s2: f64,
-    /// Time step of both engines, s.
+    /// Time step of both engines, 1e-4 to 0.004 s.
     pub dt_s: f64,
 }
 
@@ -214,7 +229,7 @@ impl TrialOptions {
         let demands = [
             ("torque_cap_nm", self.torque_cap_nm, self.torque_cap_nm > 0.0),
             ("shake_m_s2", self.shake_m_s2, self.shake_m_s2 >= 0.0),
-            ("dt_s", self.dt_s, self.dt_s > 0.0 && self.dt_s <= 0.004),
+            ("dt_s", self.dt_s, (1e-4..=0.004).contains(&self.dt_s)),
         ];
         match demands.into_iter().find(|(_, value, met)| !(*met && value.is_finite())) {
             Some((name, value, _)) => {

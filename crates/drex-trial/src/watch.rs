@@ -5,7 +5,7 @@ use drex_grasp::HandSurface;
 use nalgebra::Vector3;
 
 use crate::engine::{Engine, Met, Touch};
-use crate::timeline::{CLOSED_S, LIFTED_S, SQUEEZED_S};
+use crate::timeline::{CLOSED_S, HELD_S, LIFTED_S, SQUEEZED_S};
 use crate::{Outcome, Verdict};
 
 /// The rules.
@@ -36,6 +36,8 @@ pub(crate) struct Watch<'a> {
     held_ticks: usize,
     lift_ticks: usize,
     used: (f64, f64),
+    /// Sum of the normal forces in the hold, summed over ticks, and the ticks.
+    hold: (f64, usize),
     outcome: Outcome,
 }
 
@@ -55,10 +57,12 @@ impl<'a> Watch<'a> {
             held_ticks: 0,
             lift_ticks: 0,
             used: (0.0, 0.0),
+            hold: (0.0, 0),
             outcome: Outcome {
                 verdict: Verdict::Success,
                 failed_at_s: None,
                 squeeze_n,
+                held_n: None,
                 peak_finger_n: 0.0,
                 slip_m: 0.0,
                 turn_rad: 0.0,
@@ -91,6 +95,10 @@ impl<'a> Watch<'a> {
         let sunk = (engine.world_from_base().rotation * (in_palm.translation.vector - start.translation.vector)).z;
         self.outcome.turn_rad = self.outcome.turn_rad.max(start.rotation.angle_to(&in_palm.rotation));
         self.slides(friction, t);
+        if (LIFTED_S..HELD_S).contains(&t) {
+            self.hold.0 += self.touches.iter().filter(|c| c.with == Met::Object).map(|c| c.normal_n).sum::<f64>();
+            self.hold.1 += 1;
+        }
         self.lost_s = if count == 0 { self.lost_s + self.dt_s } else { 0.0 };
         if self.lost_s > LOST_S {
             self.fail(Verdict::Drop, t);
@@ -111,6 +119,7 @@ impl<'a> Watch<'a> {
     /// What the trial came to.
     pub fn finish(mut self) -> Outcome {
         self.outcome.retained = self.held_ticks as f64 / self.lift_ticks.max(1) as f64;
+        self.outcome.held_n = (self.hold.1 > 0).then(|| self.hold.0 / self.hold.1 as f64);
         self.outcome.friction_used = (self.used.1 > 0.0).then(|| self.used.0 / self.used.1);
         self.outcome
     }
@@ -170,7 +179,7 @@ impl<'a> Watch<'a> {
             }
         }
         for f in 0..load.len() {
-            // A finger that lets go and touches again starts afresh; the pose in the palm tells how far the object went.
+            // Ways add up as vectors over all touches of a finger: one that slides forth and back has not lost the object.
             if load[f] > TOUCH_N {
                 self.slide[f] += slide[f] * (self.dt_s / load[f]);
                 self.outcome.slip_m = self.outcome.slip_m.max(self.slide[f].norm());

@@ -37,6 +37,11 @@ fn the_needed_squeeze_holds_and_a_third_of_it_does_not() {
         let used = enough.friction_used.unwrap();
         assert!(used > 0.2 && used < 1.0, "{used}");
     }
+    // What is delivered is what was commanded, but for the friction of the joints.
+    let mut ratios: Vec<f64> = outcomes.iter().filter_map(|(o, _)| Some(o.held_n? / o.squeeze_n)).collect();
+    ratios.sort_by(f64::total_cmp);
+    eprintln!("delivered over commanded: {ratios:.2?}");
+    assert!((0.8..1.25).contains(&ratios[ratios.len() / 2]), "{ratios:?}");
 }
 
 #[test]
@@ -109,6 +114,7 @@ fn threads_change_nothing() {
 #[cfg(not(feature = "mujoco"))]
 #[test]
 fn a_build_without_mujoco_says_so() {
+    assert!(Judge::Diffsim.check().is_ok() && Judge::Mujoco.check().is_err());
     let trial = trial_of(|_, _| {});
     let g = &grasps(&trial)[0];
     let command = trial.command(&g.joints, &g.object_from_base, &TOLD, Squeeze::Needed).unwrap().unwrap();

@@ -42,15 +42,32 @@ pub enum Force {
     Oracle,
 }
 
+/// By which mass a grip is chosen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Choice {
+    /// What the hand takes it for: all that a hand on a bench can do.
+    Told,
+    /// What it is: cells of a table that are told different masses then have the same grips and differ in force alone.
+    True,
+}
+
+/// What differs from cell to cell of a table.
+#[derive(Debug, Clone, Copy)]
+pub struct Setting {
+    /// True mass, kg.
+    pub mass_kg: f64,
+    pub told: Told,
+    pub force: Force,
+    /// By which mass a grip is chosen among those proposed.
+    pub choice: Choice,
+}
+
 /// One cell.
 pub struct Cell<'a, J: Judge> {
     pub labels: Vec<(&'static str, String)>,
     pub judge: &'a J,
     pub actor: &'a Actor<'a>,
-    /// True mass, kg.
-    pub mass_kg: f64,
-    pub told: Told,
-    pub force: Force,
+    pub setting: Setting,
     /// Least friction at which any grasp of the library carries the load.
     pub least_friction: Option<f64>,
     /// Whether every command is carried out in the engine of the practice as well, to compare.
@@ -72,6 +89,8 @@ pub struct Row {
     pub bound: f64,
     /// Median commanded squeeze, N, over rollouts with a command.
     pub median_squeeze_n: Option<f64>,
+    /// Median of the squeeze that was delivered in the hold, N, over rollouts that came so far.
+    pub median_delivered_n: Option<f64>,
     /// The same commands under the same conditions in both engines, where that was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub agreement: Option<Agreement>,
@@ -107,8 +126,6 @@ impl<J: Judge> Cell<'_, J> {
         for j in judged.iter().filter(|j| j.verdict != Verdict::Success) {
             *failures.entry(name(j.verdict)).or_insert(0) += 1;
         }
-        let mut squeezes: Vec<f64> = judged.iter().map(|j| j.squeeze_n).filter(|s| *s > 0.0).collect();
-        squeezes.sort_by(f64::total_cmp);
         let n = judged.len();
         let within = conditions.iter().filter(|c| self.least_friction.is_some_and(|mu| c.friction >= mu)).count();
         Ok(Row {
@@ -118,17 +135,22 @@ impl<J: Judge> Cell<'_, J> {
             interval: wilson(successes, n),
             failures,
             bound: within as f64 / n.max(1) as f64,
-            median_squeeze_n: squeezes.get(squeezes.len() / 2).copied(),
+            median_squeeze_n: median(judged.iter().map(|j| j.squeeze_n).filter(|s| *s > 0.0)),
+            median_delivered_n: median(judged.iter().filter_map(|j| j.held_n)),
             agreement,
             held,
         })
     }
 
-    /// The proposals at the true mass and the middle of the frictions, each with the hand closed on the object. Mass and friction
-    /// change what the network thinks of a grasp and how hard it squeezes; where the hand goes is told once for a cell.
+    /// The proposals at the mean of the masses and frictions, each with the hand closed on the object. Mass and friction change what the
+    /// network thinks of a grasp and how hard it squeezes; where the hand goes is asked once for a cell.
     fn grips(&self, conditions: &[Condition]) -> Result<Vec<(Proposal, J::Grip)>> {
         let mean = conditions.iter().map(|c| c.friction).sum::<f64>() / conditions.len().max(1) as f64;
-        let belief = Belief { mass_kg: self.mass_kg, friction: mean };
+        let mass_kg = match self.setting.choice {
+            Choice::Told => self.setting.told.mass_kg(self.setting.mass_kg, 0.0),
+            Choice::True => self.setting.mass_kg,
+        };
+        let belief = Belief { mass_kg, friction: mean };
         let proposals = match self.actor {
             Actor::Policy(policy, points) => policy.propose(points, &belief)?,
             Actor::Always(proposals) => proposals.clone(),
@@ -139,7 +161,7 @@ impl<J: Judge> Cell<'_, J> {
 
     /// What the judge says, and what the engine of the practice says if that is compared and there was a command.
     fn rollout(&self, condition: &Condition, grips: &[(Proposal, J::Grip)]) -> Result<(Judged, Option<Judged>)> {
-        let truth = condition.truth(self.mass_kg);
+        let truth = condition.truth(self.setting.mass_kg);
         match self.plan(condition, grips)? {
             Ok(plan) => {
                 let other = self.compare.then(|| self.judge.practise(&plan, &truth)).transpose()?;
@@ -149,18 +171,20 @@ impl<J: Judge> Cell<'_, J> {
         }
     }
 
-    /// The most probable grip that the hand can hold. Which it is depends on the true mass, so that cells that differ in what the
-    /// hand is told differ in force alone.
+    /// The most probable grip that the hand can hold.
     fn plan(&self, condition: &Condition, grips: &[(Proposal, J::Grip)]) -> Result<Result<J::Plan, NoCommand>> {
-        let truth = condition.belief(self.mass_kg);
-        let belief = condition.belief(self.told.mass_kg(self.mass_kg, condition));
+        let belief = condition.belief(self.setting.told.mass_kg(self.setting.mass_kg, condition.mass_error));
+        let chosen_for = match self.setting.choice {
+            Choice::Told => belief,
+            Choice::True => condition.belief(self.setting.mass_kg),
+        };
         // The order and the squeeze of each grip at this friction and what is told of the mass.
         let mut order: Vec<(f64, f64, usize)> = match self.actor {
             Actor::Policy(policy, points) => {
-                let (at_truth, told) = (policy.propose(points, &truth)?, policy.propose(points, &belief)?);
+                let (by, told) = (policy.propose(points, &chosen_for)?, policy.propose(points, &belief)?);
                 let of = |among: &[Proposal], p: &Proposal| nearest(among, p).map(|n| (n.weight, n.squeeze_n));
                 let ask = |(i, (p, _)): (usize, &(Proposal, J::Grip))| {
-                    let weight = of(&at_truth, p).map_or(p.weight, |n| n.0);
+                    let weight = of(&by, p).map_or(p.weight, |n| n.0);
                     (weight, of(&told, p).map_or(p.squeeze_n, |n| n.1), i)
                 };
                 grips.iter().enumerate().map(ask).collect()
@@ -169,7 +193,7 @@ impl<J: Judge> Cell<'_, J> {
         };
         order.sort_by(|a, b| b.0.total_cmp(&a.0));
         for &(_, squeeze_n, i) in &order {
-            if self.judge.plan(&grips[i].1, &truth, Squeeze::Needed)?.is_ok() {
+            if self.judge.plan(&grips[i].1, &chosen_for, Squeeze::Needed)?.is_ok() {
                 return self.command(squeeze_n, &grips[i].1, &belief, condition);
             }
         }
@@ -191,8 +215,8 @@ impl<J: Judge> Cell<'_, J> {
         belief: &Belief,
         condition: &Condition,
     ) -> Result<Result<J::Plan, NoCommand>> {
-        let oracle = Belief { mass_kg: self.mass_kg, friction: condition.friction };
-        let (belief, squeeze) = match self.force {
+        let oracle = Belief { mass_kg: self.setting.mass_kg, friction: condition.friction };
+        let (belief, squeeze) = match self.setting.force {
             Force::Actor => (belief, Squeeze::Total(squeeze_n)),
             Force::Law => (belief, Squeeze::Needed),
             Force::Oracle => (&oracle, Squeeze::Needed),
@@ -202,11 +226,12 @@ impl<J: Judge> Cell<'_, J> {
 }
 
 impl Told {
-    fn mass_kg(self, mass_kg: f64, condition: &Condition) -> f64 {
+    /// `mass_error` in standard deviations.
+    fn mass_kg(self, mass_kg: f64, mass_error: f64) -> f64 {
         match self {
             Self::Times(factor) => mass_kg * factor,
             // No scale says less than a tenth of what is on it.
-            Self::Identified(sd) => mass_kg * (1.0 + sd * condition.mass_error).max(0.1),
+            Self::Identified(sd) => mass_kg * (1.0 + sd * mass_error).max(0.1),
             Self::Always(kg) => kg,
         }
     }
@@ -234,6 +259,12 @@ fn agreement(both: &[(Judged, Option<Judged>)]) -> Agreement {
         }
     }
     out
+}
+
+fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
 }
 
 /// The verdict as JSON and tables spell it.

@@ -2,17 +2,20 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Instant;
 
 use anyhow::{Context, Result};
+use clap::ValueEnum;
 use drex_core::Pose;
 use drex_policy::TrainOptions;
 use drex_retarget::TargetHand;
 use drex_robot::Robot;
 use drex_trial::paired_difference;
 use nalgebra::{Point3, Quaternion, Translation3, UnitQuaternion, Vector3, Vector4};
+use serde::Serialize;
 
 use super::bound::{self, Load};
-use super::cell::{Actor, Cell, Force, Row, Told};
+use super::cell::{Actor, Cell, Choice, Force, Row, Setting, Told};
 use super::judge::{Condition, Judge, Spread};
 use super::learned::{LearnOptions, Learned, Proposal};
 use super::library::{Grasp, Kind, Library, LibraryOptions};
@@ -21,13 +24,20 @@ use super::table::{Comparison, Table};
 use super::thing::Thing;
 
 /// What is compared.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Experiment {
+    /// One object at three masses, the force set for each of them.
     CrossMass,
+    /// Eight objects from 37 g to 726 g.
     Objects,
+    /// True mass, identified mass, half and one and a half of it, a fixed force.
     MassSource,
+    /// The number of demonstrations.
     Scaling,
+    /// Trained on a larger object of one kind, used on a smaller.
     Transfer,
+    /// Mean and nearest demonstration, fixed force, random masses, the true mass.
     Baselines,
 }
 
@@ -42,6 +52,9 @@ pub const IDENTIFIED_SD: f64 = 0.03;
 const FIXED_FOR_KG: f64 = 0.2;
 /// Numbers of demonstrations.
 const CLIPS: [usize; 6] = [1, 2, 5, 10, 20, 40];
+
+/// Said of tables that compare forces.
+const SAME_GRASPS: &str = "of the grasps of a policy the one is taken that suits the true mass, whatever the hand is told: cells differ in force alone";
 
 /// What all experiments need.
 pub struct Bench<'a, J> {
@@ -112,11 +125,13 @@ impl<J: Judge> Bench<'_, J> {
                 let told = masses.map(|m| (grams(m), Told::Always(m)));
                 for (name, told) in told.into_iter().chain([("half".to_owned(), Told::Times(0.5))]) {
                     let labels = vec![("object", spec.name.clone()), ("told", name), ("true", grams(mass_kg))];
-                    self.add(&ready, &actor, labels, (mass_kg, told, Force::Actor), least, table)?;
+                    let setting = Setting { mass_kg, told, force: Force::Actor, choice: Choice::True };
+                    self.add(&ready, &actor, labels, setting, least, table)?;
                 }
             }
         }
-        table.notes.push("the row says what the force is set for, and what the object weighs; all cells of a weight have the same grasps".into());
+        table.notes.push("the row says what the force is set for, and what the object weighs".into());
+        table.notes.push(SAME_GRASPS.into());
         Ok(())
     }
 
@@ -127,14 +142,9 @@ impl<J: Judge> Bench<'_, J> {
             let actor = Actor::Policy(&policy, &ready.points);
             let labels = vec![("object", spec.name.clone()), ("true", grams(spec.mass_kg))];
             let least = self.least_friction(&ready, spec.mass_kg)?;
-            self.add(
-                &ready,
-                &actor,
-                labels,
-                (spec.mass_kg, Told::Identified(IDENTIFIED_SD), Force::Actor),
-                least,
-                table,
-            )?;
+            let told = Told::Identified(IDENTIFIED_SD);
+            let setting = Setting { mass_kg: spec.mass_kg, told, force: Force::Actor, choice: Choice::Told };
+            self.add(&ready, &actor, labels, setting, least, table)?;
         }
         let n = table.rows.len().max(1) as f64;
         let rate = table.rows.iter().map(|r| r.interval.value).sum::<f64>() / n;
@@ -161,7 +171,8 @@ impl<J: Judge> Bench<'_, J> {
             for (name, told) in sources {
                 let labels =
                     vec![("mass", name.to_owned()), ("object", spec.name.clone()), ("true", grams(spec.mass_kg))];
-                self.add(&ready, &actor, labels, (spec.mass_kg, told, Force::Actor), least, table)?;
+                let setting = Setting { mass_kg: spec.mass_kg, told, force: Force::Actor, choice: Choice::True };
+                self.add(&ready, &actor, labels, setting, least, table)?;
             }
             let (weighed, identified) = (&table.rows[first].held, &table.rows[first + 1].held);
             table.comparisons.push(Comparison {
@@ -171,6 +182,7 @@ impl<J: Judge> Bench<'_, J> {
         }
         table.notes.push(identified_note());
         table.notes.push(format!("the fixed force is the one for {}", grams(FIXED_FOR_KG)));
+        table.notes.push(SAME_GRASPS.into());
         Ok(())
     }
 
@@ -205,7 +217,8 @@ impl<J: Judge> Bench<'_, J> {
                 };
                 let actor = Actor::Policy(&policy, &ready.points);
                 let told = Told::Identified(IDENTIFIED_SD);
-                self.add(&ready, &actor, labels, (spec.mass_kg, told, Force::Actor), least, table)?;
+                let setting = Setting { mass_kg: spec.mass_kg, told, force: Force::Actor, choice: Choice::Told };
+                self.add(&ready, &actor, labels, setting, least, table)?;
             }
         }
         table.notes.push("demonstrations that hold, in the order in which they were made; a demonstration gives about a dozen grasps".into());
@@ -228,7 +241,9 @@ impl<J: Judge> Bench<'_, J> {
                 let actor = Actor::Policy(policy, &ready.points);
                 let labels = vec![("object", spec.name.clone()), ("trained on", from), ("true", grams(spec.mass_kg))];
                 // The force is not what is transferred: the law has the contacts of this object.
-                self.add(&ready, &actor, labels, (spec.mass_kg, Told::Times(1.0), Force::Law), least, table)?;
+                let told = Told::Times(1.0);
+                let setting = Setting { mass_kg: spec.mass_kg, told, force: Force::Law, choice: Choice::Told };
+                self.add(&ready, &actor, labels, setting, least, table)?;
             }
         }
         Ok(())
@@ -257,7 +272,8 @@ impl<J: Judge> Bench<'_, J> {
                 for (name, actor, told, force) in methods {
                     let labels =
                         vec![("method", name.to_owned()), ("object", spec.name.clone()), ("true", grams(mass_kg))];
-                    self.add(&ready, actor, labels, (mass_kg, told, force), least, table)?;
+                    let setting = Setting { mass_kg, told, force, choice: Choice::True };
+                    self.add(&ready, actor, labels, setting, least, table)?;
                 }
             }
         }
@@ -266,6 +282,7 @@ impl<J: Judge> Bench<'_, J> {
             "the fixed force is the one for {}; random masses: trained at all of them, told none",
             grams(FIXED_FOR_KG)
         ));
+        table.notes.push(SAME_GRASPS.into());
         Ok(())
     }
 
@@ -274,13 +291,15 @@ impl<J: Judge> Bench<'_, J> {
         ready: &Ready<J>,
         actor: &Actor<'_>,
         labels: Vec<(&'static str, String)>,
-        (mass_kg, told, force): (f64, Told, Force),
+        setting: Setting,
         least_friction: Option<f64>,
         table: &mut Table,
     ) -> Result<()> {
         let compare = self.compare;
-        let cell = Cell { labels, judge: &ready.judge, actor, mass_kg, told, force, least_friction, compare };
+        let cell = Cell { labels, judge: &ready.judge, actor, setting, least_friction, compare };
+        let start = Instant::now();
         let row: Row = cell.run(&self.conditions(&ready.thing))?;
+        table.judging_s += start.elapsed().as_secs_f64();
         (self.note)(&row.text());
         table.rows.push(row);
         Ok(())

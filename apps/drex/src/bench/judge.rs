@@ -104,6 +104,8 @@ pub struct Judged {
     pub verdict: Verdict,
     /// Squeeze that was commanded, N; zero without a command.
     pub squeeze_n: f64,
+    /// Squeeze that was delivered in the hold, N.
+    pub held_n: Option<f64>,
     /// Per finger, whether it touched when the lift began.
     pub fingers: Vec<bool>,
     /// Share of the time from then on in which two fingers held.
@@ -116,7 +118,7 @@ impl Judged {
     /// There was no command.
     pub fn refused(reason: &NoCommand) -> Self {
         let verdict = verdict_of(reason);
-        Self { verdict, squeeze_n: 0.0, fingers: Vec::new(), retained: 0.0, friction_used: None }
+        Self { verdict, squeeze_n: 0.0, held_n: None, fingers: Vec::new(), retained: 0.0, friction_used: None }
     }
 
     /// Whether the object stayed in the hand.
@@ -183,6 +185,7 @@ impl Rollouts {
         Ok(Judged {
             verdict: outcome.verdict,
             squeeze_n: outcome.squeeze_n,
+            held_n: outcome.held_n,
             fingers: outcome.fingers_in_contact,
             retained: outcome.retained,
             friction_used: outcome.friction_used,
@@ -281,6 +284,7 @@ pub mod fake {
             Ok(Judged {
                 verdict: if holds { Verdict::Success } else { Verdict::Slip },
                 squeeze_n: *plan,
+                held_n: holds.then_some(*plan),
                 fingers: vec![true; 4],
                 retained: if holds { 1.0 } else { 0.3 },
                 friction_used: holds.then(|| load / carries),

@@ -3,6 +3,9 @@
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
+use drex_trial::Judge;
+
+use crate::bench::experiments::Experiment;
 
 /// `drex bench`.
 #[derive(Debug, Subcommand)]
@@ -44,23 +47,6 @@ pub struct DemosArgs {
     pub pictures: usize,
 }
 
-/// What is compared.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum ExperimentArg {
-    /// One object at three masses, the force set for each of them.
-    CrossMass,
-    /// Eight objects from 37 g to 726 g.
-    Objects,
-    /// True mass, identified mass, half and one and a half of it, a fixed force.
-    MassSource,
-    /// The number of demonstrations.
-    Scaling,
-    /// Trained on a larger object of one kind, used on a smaller.
-    Transfer,
-    /// Mean and nearest demonstration, fixed force, random masses, the true mass.
-    Baselines,
-}
-
 /// Which engine judges.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum JudgeArg {
@@ -70,6 +56,15 @@ pub enum JudgeArg {
     Diffsim,
 }
 
+impl From<JudgeArg> for Judge {
+    fn from(arg: JudgeArg) -> Self {
+        match arg {
+            JudgeArg::Mujoco => Self::Mujoco,
+            JudgeArg::Diffsim => Self::Diffsim,
+        }
+    }
+}
+
 /// `drex bench grasp`.
 #[derive(Debug, Args)]
 pub struct GraspBenchArgs {
@@ -77,7 +72,7 @@ pub struct GraspBenchArgs {
     pub common: BenchCommon,
     /// What is compared.
     #[arg(long, value_enum)]
-    pub experiment: ExperimentArg,
+    pub experiment: Experiment,
     /// Rollouts of each cell of the table; all cells have the same ones.
     #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub rollouts: u32,

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
+use clap::ValueEnum as _;
 use drex_core::fsutil;
 use drex_policy::TrainOptions;
 use drex_retarget::TargetHand;
@@ -12,13 +13,13 @@ use drex_trial::{Judge, TrialOptions};
 use serde::Serialize;
 
 use crate::bench::bound::Load;
-use crate::bench::experiments::{Bench, Experiment};
+use crate::bench::experiments::Bench;
 use crate::bench::judge::Rollouts;
 use crate::bench::library::{Kind, Library, LibraryOptions};
 use crate::bench::objects::{self, ObjectSpec};
 use crate::bench::table::Table;
 use crate::bench::thing::{POINTS, Thing};
-use crate::cli::{BenchCommand, BenchCommon, DemosArgs, ExperimentArg, GraspBenchArgs, JudgeArg};
+use crate::cli::{BenchCommand, BenchCommon, DemosArgs, GraspBenchArgs};
 use crate::picture::clip::{self, Posed};
 use crate::ui::Ui;
 
@@ -150,12 +151,15 @@ fn pictures(file: &Path, thing: &Thing, hand: &TargetHand, library: &Library, co
 struct BenchAnswer<'a> {
     experiment: &'a str,
     hand: &'a str,
-    judge: &'a str,
+    judge: Judge,
     rollouts: u32,
     seed: u64,
     torque_cap_nm: f64,
     #[serde(flatten)]
     table: &'a Table,
+    /// Rollouts of the table per second of judging, plans and rehearsals with them.
+    rollouts_per_s: f64,
+    threads: usize,
     seconds: f64,
 }
 
@@ -167,18 +171,11 @@ fn grasp(args: &GraspBenchArgs, seed: u64, ui: &Ui) -> Result<()> {
         true => Some(specs(common)?),
         false => None,
     };
-    let engine = match args.judge {
-        JudgeArg::Diffsim => Judge::Diffsim,
-        JudgeArg::Mujoco => Judge::Mujoco,
-    };
-    let (experiment, name) = match args.experiment {
-        ExperimentArg::CrossMass => (Experiment::CrossMass, "cross-mass"),
-        ExperimentArg::Objects => (Experiment::Objects, "objects"),
-        ExperimentArg::MassSource => (Experiment::MassSource, "mass-source"),
-        ExperimentArg::Scaling => (Experiment::Scaling, "scaling"),
-        ExperimentArg::Transfer => (Experiment::Transfer, "transfer"),
-        ExperimentArg::Baselines => (Experiment::Baselines, "baselines"),
-    };
+    let engine = Judge::from(args.judge);
+    // Before minutes of practice.
+    engine.check()?;
+    let experiment = args.experiment.to_possible_value().context("the experiment has no name")?;
+    let name = experiment.get_name();
     let robot = Arc::new(hand.robot.clone());
     let options = TrialOptions::default();
     let mut train = TrainOptions::default().with_seed(seed).with_points(POINTS);
@@ -197,23 +194,25 @@ fn grasp(args: &GraspBenchArgs, seed: u64, ui: &Ui) -> Result<()> {
         out: common.out.clone(),
         note: &|text| ui.note(text),
     };
-    let table = bench.run(experiment, given.as_deref())?;
+    let table = bench.run(args.experiment, given.as_deref())?;
     if let Some(out) = &common.out {
         table.write(out, name)?;
     }
-    let judge = if engine == Judge::Mujoco { "mujoco" } else { "diffsim" };
     let answer = BenchAnswer {
         experiment: name,
         hand: &hand.robot.name,
-        judge,
+        judge: engine,
         rollouts: args.rollouts,
         seed,
         torque_cap_nm: options.torque_cap_nm,
         table: &table,
+        rollouts_per_s: table.rollouts_per_s(),
+        threads: rayon::current_num_threads(),
         seconds: start.elapsed().as_secs_f64(),
     };
     if let Some(out) = &common.out {
         fsutil::write_atomic(&out.join(format!("{name}.json")), &serde_json::to_vec_pretty(&answer)?)?;
     }
-    ui.answer(&answer, table.text())
+    let speed = format!("{:.1} rollouts per second on {} threads", answer.rollouts_per_s, answer.threads);
+    ui.answer(&answer, format!("{}\n{speed}", table.text()))
 }
