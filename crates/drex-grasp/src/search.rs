@@ -110,6 +110,13 @@ pub fn search_grasps(
             "give positive numbers",
         ));
     }
+    let within = |limits: Option<(f64, f64)>| limits.is_none_or(|(lo, hi)| lo <= hi && (hi - lo).is_finite());
+    if let Some(joint) = robot.joints.iter().find(|j| !within(j.limits)) {
+        return Err(GraspError::value(
+            format!("joint {} of {} has the limits {:?}", joint.name, robot.name, joint.limits),
+            "give a finite range in the hand's model, or none",
+        ));
+    }
     let postures = postures(robot, hand, options.seed)?;
     let pairs = pairs(object, surface, options);
     let search = Search { robot, hand, object, center_of_mass, table, options };

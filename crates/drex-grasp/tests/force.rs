@@ -1,28 +1,15 @@
 //! Loads, shares and the force law against closed forms and their own promises.
 #![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
+mod support;
+
 use drex_grasp::{
     Contact, ForceLaw, SqueezeError, SqueezeProblem, TorqueLimits, distribute, largest_squeeze, paper_force,
     required_squeeze, shake_loads, smallest_squeeze,
 };
 use nalgebra::{DVector, Matrix3xX, Point3, Rotation3, Vector3, Vector6};
 use proptest::prelude::*;
-
-const G: f64 = 9.81;
-
-fn down() -> Vector3<f64> {
-    Vector3::new(0.0, 0.0, -G)
-}
-
-/// A thumb on the left against `fingers` fingers on the right, spread along y.
-fn thumb_against(fingers: usize, mu: f64) -> Vec<Contact> {
-    let mut contacts = vec![Contact::new(Point3::new(-0.03, 0.0, 0.0), Vector3::x(), mu).by_finger(3)];
-    for i in 0..fingers {
-        let y = 0.02 * (i as f64 - 0.5 * (fingers as f64 - 1.0));
-        contacts.push(Contact::new(Point3::new(0.03, y, 0.0), -Vector3::x(), mu).by_finger(i));
-    }
-    contacts
-}
+use support::{G, down, grasp, thumb_against};
 
 fn pinch(mass: f64) -> SqueezeProblem {
     SqueezeProblem::new(thumb_against(1, 0.5), mass, Point3::origin(), down())
@@ -210,19 +197,6 @@ fn the_law_is_required_times_margin_within_floor_and_limits() {
         let mut strong = pinch(mass);
         strong.torques = Some(levers(&strong.contacts, 0.29, 0.0));
         assert!(law.command(&strong).is_err());
-    }
-}
-
-prop_compose! {
-    /// A thumb against two to four fingers, contact points and normals scattered.
-    fn grasp()(n in 2..5usize, mu in 0.3..1.0f64, jitter in prop::collection::vec(-1.0..1.0f64, 30)) -> Vec<Contact> {
-        let mut contacts = thumb_against(n, mu);
-        for (i, c) in contacts.iter_mut().enumerate() {
-            let j = &jitter[6 * i..6 * i + 6];
-            c.point += Vector3::new(j[0], j[1], j[2]) * 0.005;
-            c.normal = Rotation3::new(Vector3::new(j[3], j[4], j[5]) * 0.1) * c.normal;
-        }
-        contacts
     }
 }
 

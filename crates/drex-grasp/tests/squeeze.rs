@@ -1,31 +1,18 @@
 //! The cone programme against closed forms.
 #![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
+mod support;
+
 use drex_grasp::{Contact, SqueezeError, SqueezeProblem, TorqueLimits, smallest_squeeze};
-use nalgebra::{DVector, Isometry3, Matrix3xX, Point3, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{DVector, Isometry3, Matrix3xX, Point3, Translation3, UnitQuaternion, Vector3, Vector6};
 use proptest::prelude::*;
-
-const G: f64 = 9.81;
-
-fn down() -> Vector3<f64> {
-    Vector3::new(0.0, 0.0, -G)
-}
+use support::{G, down, grasp, thumb_against};
 
 fn pinch(mu: f64) -> Vec<Contact> {
     vec![
         Contact::new(Point3::new(-0.03, 0.0, 0.0), Vector3::x(), mu).by_finger(0),
         Contact::new(Point3::new(0.03, 0.0, 0.0), -Vector3::x(), mu).by_finger(3),
     ]
-}
-
-/// A thumb on the left against `fingers` fingers on the right, spread along y.
-fn thumb_against(fingers: usize, mu: f64) -> Vec<Contact> {
-    let mut contacts = vec![Contact::new(Point3::new(-0.03, 0.0, 0.0), Vector3::x(), mu).by_finger(3)];
-    for i in 0..fingers {
-        let y = 0.02 * (i as f64 - 0.5 * (fingers as f64 - 1.0));
-        contacts.push(Contact::new(Point3::new(0.03, y, 0.0), -Vector3::x(), mu).by_finger(i));
-    }
-    contacts
 }
 
 #[test]
@@ -198,19 +185,6 @@ prop_compose! {
     fn pose()(axis in prop::array::uniform3(-1.0..1.0f64), angle in 0.0..3.0f64, t in prop::array::uniform3(-0.5..0.5f64)) -> Isometry3<f64> {
         let axis = nalgebra::Unit::new_normalize(Vector3::from(axis) + Vector3::new(0.0, 0.0, 1e-3));
         Isometry3::from_parts(Translation3::from(Vector3::from(t)), UnitQuaternion::from_axis_angle(&axis, angle))
-    }
-}
-
-prop_compose! {
-    /// A thumb against two to four fingers, contact points and normals scattered.
-    fn grasp()(n in 2..5usize, mu in 0.3..1.0f64, jitter in prop::collection::vec(-1.0..1.0f64, 30)) -> Vec<Contact> {
-        let mut contacts = thumb_against(n, mu);
-        for (i, c) in contacts.iter_mut().enumerate() {
-            let j = &jitter[6 * i..6 * i + 6];
-            c.point += Vector3::new(j[0], j[1], j[2]) * 0.005;
-            c.normal = Rotation3::new(Vector3::new(j[3], j[4], j[5]) * 0.1) * c.normal;
-        }
-        contacts
     }
 }
 

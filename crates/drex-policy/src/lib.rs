@@ -75,7 +75,7 @@ pub use data::{Dataset, FRICTION_RANGE, GRAVITY_M_S2, GraspSample, LIMIT_TOLERAN
 pub use error::{Error, Result};
 pub use metric::grasp_distance_m;
 pub use options::{RolloutOptions, TrainOptions};
-pub use policy::{GraspPolicy, PAPER_FORCE_N, PredictedGrasp, Query, Spread, paper_force};
+pub use policy::{GraspPolicy, PAPER_FORCE_N, PredictedGrasp, Query, Spread, normalised_squeeze};
 pub use report::{Baselines, EpochStats, GraspErrors, ModeReport, RolloutStats, TrainReport};
 pub use train::{Feedback, Rollouts, Trainer};
 

@@ -19,7 +19,7 @@ use crate::{Dataset, EpochStats, Error, Result, TrainOptions, TrainReport, Train
 pub const PAPER_FORCE_N: f64 = 5.0;
 
 /// A squeeze as the normalised number of the D-REX paper: over 5 N, between 0 and 1 (its label m g n / f_max is such a sum of forces).
-pub fn paper_force(squeeze_n: f64) -> f64 {
+pub fn normalised_squeeze(squeeze_n: f64) -> f64 {
     (squeeze_n / PAPER_FORCE_N).clamp(0.0, 1.0)
 }
 

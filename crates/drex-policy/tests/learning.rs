@@ -8,7 +8,7 @@ use std::ops::ControlFlow;
 
 use common::{FRICTION, TOUCHES, box_points, small, toy, ways};
 use drex_policy::{
-    EpochStats, GRAVITY_M_S2, GraspPolicy, PredictedGrasp, Query, TrainReport, grasp_distance_m, paper_force,
+    EpochStats, GRAVITY_M_S2, GraspPolicy, PredictedGrasp, Query, TrainReport, grasp_distance_m, normalised_squeeze,
 };
 use nalgebra::Point3;
 
@@ -269,5 +269,5 @@ fn samples_scatter_as_the_spread_says_and_density_prefers_what_was_shown() {
     let off: Vec<f64> = joints.iter().map(|q| q + 0.2).collect();
     assert!(near > policy.log_density(&query, &off, Some(pose)).unwrap() + 5.0);
     assert!(report.held_out_log_likelihood.unwrap() > 0.0, "{:?}", report.held_out_log_likelihood);
-    assert_eq!((paper_force(2.5), paper_force(60.0)), (0.5, 1.0));
+    assert_eq!((normalised_squeeze(2.5), normalised_squeeze(60.0)), (0.5, 1.0));
 }

@@ -2,7 +2,7 @@
 
 use drex_core::Pose;
 use drex_diffsim::SimError;
-use drex_grasp::{Contact, Distribution, SqueezeError, SqueezeProblem, TorqueLimits, distribute};
+use drex_grasp::{Contact, Distribution, GraspError, SqueezeError, SqueezeProblem, TorqueLimits, distribute};
 use nalgebra::{DVector, Point3, Vector3};
 
 use crate::control::{Controller, Push, squeeze_torques};
@@ -126,10 +126,9 @@ fn no_command(reason: SqueezeError) -> Result<NoCommand> {
         at = reason;
     }
     Ok(match at {
-        SqueezeError::Input(_) => match reason {
-            SqueezeError::Input(error) => return Err(error.into()),
-            _ => NoCommand::CannotCarry(text),
-        },
+        // The solver stops half-way at the very edge of what is possible.
+        SqueezeError::Input(GraspError::Solver { .. }) => NoCommand::CannotCarry(text),
+        SqueezeError::Input(error) => return Err(error.clone().into()),
         SqueezeError::Torque { .. } | SqueezeError::Total { .. } => NoCommand::TorqueLimit(text),
         SqueezeError::NormalForce { .. } => NoCommand::Crushes(text),
         _ => NoCommand::CannotCarry(text),

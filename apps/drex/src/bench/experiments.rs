@@ -12,7 +12,6 @@ use drex_retarget::TargetHand;
 use drex_robot::Robot;
 use drex_trial::paired_difference;
 use nalgebra::{Point3, Quaternion, Translation3, UnitQuaternion, Vector3, Vector4};
-use serde::Serialize;
 
 use super::bound::{self, Load};
 use super::cell::{Actor, Cell, Choice, Force, Row, Setting, Told};
@@ -24,8 +23,7 @@ use super::table::{Comparison, Table};
 use super::thing::Thing;
 
 /// What is compared.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Experiment {
     /// One object at three masses, the force set for each of them.
     CrossMass,
@@ -324,13 +322,16 @@ impl<J: Judge> Bench<'_, J> {
             LearnOptions { train: self.train.clone(), spread, practised: self.practised, masses_kg, mass_hidden };
         let learned = Learned::train(&ready.thing, &self.robot, grasps, &ready.judge, &options)?;
         (self.note)(&format!(
-            "{:>10}  {}: {} of {} grasps can be commanded, {} held in practice, {} learned",
+            "{:>10}  {}: {} of {} grasps can be commanded, {} held in practice, {} learned; practice {:.0} s, demonstrations {:.0} s, rollouts {:.0} s",
             "trained",
             ready.thing.spec.name,
             learned.commanded,
             grasps.len(),
             learned.robust,
-            learned.learned
+            learned.learned,
+            learned.seconds[0],
+            learned.seconds[1],
+            learned.seconds[2]
         ));
         Ok(learned)
     }

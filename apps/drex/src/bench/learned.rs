@@ -1,6 +1,7 @@
 //! The network as the bench uses it: trained on the grasps of a library that hold in practice, then by rollouts of its own.
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use drex_core::Pose;
@@ -67,6 +68,8 @@ pub struct Learned {
     pub commanded: usize,
     pub robust: usize,
     pub learned: usize,
+    /// Time of the practice, of learning from demonstrations and of learning from rollouts, s.
+    pub seconds: [f64; 3],
 }
 
 /// A grasp of the library as it went in practice.
@@ -90,6 +93,7 @@ impl Learned {
         judge: &J,
         options: &LearnOptions,
     ) -> Result<Self> {
+        let start = Instant::now();
         let masses: Vec<f64> = match options.masses_kg.is_empty() {
             true => MASS_FACTORS.map(|f| f * thing.spec.mass_kg).to_vec(),
             false => options.masses_kg.clone(),
@@ -134,12 +138,15 @@ impl Learned {
         train.hold_out_every = 0;
         (train.rollouts.epochs, train.rollouts.scenes, train.rollouts.tries) = ROUNDS;
         train.rollouts.epochs = train.rollouts.epochs.min(options.practised / 10);
+        let practised_s = start.elapsed().as_secs_f64();
         let mut trainer = Trainer::new(&data, &train)?;
         while trainer.learn()?.is_some() {}
+        let learned_s = start.elapsed().as_secs_f64();
         let practice = Practice { judge, spread: options.spread };
         while trainer.roll_out(&practice)?.is_some() {}
         let (policy, _) = trainer.finish()?;
-        Ok(Self { policy, up, told_kg, commanded, robust, learned: practised.len() })
+        let seconds = [practised_s, learned_s - practised_s, start.elapsed().as_secs_f64() - learned_s];
+        Ok(Self { policy, up, told_kg, commanded, robust, learned: practised.len(), seconds })
     }
 
     /// The grasps for an object with these points, the most probable first.
@@ -244,9 +251,10 @@ fn samples<J: Judge>(
 ) -> Result<Vec<GraspSample>> {
     let (grasp, object_from_palm) = (practised.grasp, practised.grasp.pose()?);
     let mut out = Vec::new();
+    let grip =
+        judge.grip(&grasp.joints_rad, &object_from_palm, &Belief { mass_kg: masses[0], friction: FRICTIONS[1] })?;
     for (mass_kg, friction) in masses.iter().flat_map(|m| FRICTIONS.map(|f| (*m, f))) {
         let belief = Belief { mass_kg, friction };
-        let grip = judge.grip(&grasp.joints_rad, &object_from_palm, &belief)?;
         if let Ok(plan) = judge.plan(&grip, &belief, Squeeze::Needed)? {
             out.push(GraspSample {
                 object: 0,

@@ -102,10 +102,12 @@ impl PaperPolicy {
     /// [`Error::Query`] for demonstrations that are not 16 finite numbers, [`Error::Diverged`], [`Error::NoBackend`].
     pub fn train(&mut self, demos: &[Vec<f64>], epochs: usize, seed: u64) -> Result<Vec<PaperLoss>> {
         let labels = self.labels(demos)?;
-        self.descend(labels.len(), epochs, seed, |out, batch| {
+        let mut adam = Adam::new(&self.weights.0);
+        let loss = |out: &[f64], batch: &[usize]| {
             let batch: Vec<&[f64]> = batch.iter().map(|&i| labels[i].as_slice()).collect();
             demo_loss(out, &batch)
-        })
+        };
+        (0..epochs).map(|epoch| self.descend(&mut adam, labels.len(), epoch, seed, loss)).collect()
     }
 
     /// Phase 2 (algorithm 2): what the network answers is put into a scene, and `contacts` counts after one short step what touches. The
@@ -122,15 +124,13 @@ impl PaperPolicy {
         contacts: &dyn Fn(&[f64]) -> Result<PaperContacts>,
     ) -> Result<Vec<PaperLoss>> {
         // Every sample of an epoch resets to the same scene with the same answer: one count serves them all.
-        let mut curve = Vec::new();
-        for epoch in 0..epochs {
+        let mut adam = Adam::new(&self.weights.0);
+        let mut pass = |epoch: usize| {
             let found = contacts(&self.answer()?.joints)?;
             let (touching, force) = contact_labels(found, mass_kg);
-            let pass =
-                self.descend(demos, 1, seed.wrapping_add(epoch as u64), |out, _| contact_loss(out, touching, force));
-            curve.extend(pass?);
-        }
-        Ok(curve)
+            self.descend(&mut adam, demos, epoch, seed, |out, _| contact_loss(out, touching, force))
+        };
+        (0..epochs).map(&mut pass).collect()
     }
 
     /// What the network answers, the same for every mass.
@@ -174,35 +174,31 @@ impl PaperPolicy {
         Ok(demos.iter().map(clip).collect())
     }
 
-    /// Adam over `epochs` shuffled passes; `loss` gives the terms and the derivatives of the 19 outputs.
+    /// One shuffled pass; `loss` gives the terms and the derivatives of the 19 outputs. Returns the mean loss.
     fn descend(
         &mut self,
+        adam: &mut Adam,
         samples: usize,
-        epochs: usize,
+        epoch: usize,
         seed: u64,
         loss: impl Fn(&[f64], &[usize]) -> (PaperLoss, Vec<f64>),
-    ) -> Result<Vec<PaperLoss>> {
-        let mut adam = Adam::new(&self.weights.0);
-        let mut curve = Vec::new();
-        for epoch in 0..epochs {
-            let mut order: Vec<usize> = (0..samples).collect();
-            shuffle(&mut order, &mut random_of_epoch(seed, Stream::Order, epoch));
-            let mut mean = PaperLoss::default();
-            for batch in order.chunks(BATCH) {
-                let (parts, gradient) = net::gradients(&self.weights, &self.encoded, |out| loss(out, batch))?;
-                if !parts.total.is_finite() {
-                    return Err(Error::Diverged { epoch, loss: parts.total, learning_rate: RATE });
-                }
-                adam.step(&mut self.weights.0, &gradient, RATE);
-                let share = batch.len() as f64 / samples as f64;
-                mean.joints += share * parts.joints;
-                mean.contacts += share * parts.contacts;
-                mean.force += share * parts.force;
-                mean.total += share * parts.total;
+    ) -> Result<PaperLoss> {
+        let mut order: Vec<usize> = (0..samples).collect();
+        shuffle(&mut order, &mut random_of_epoch(seed, Stream::Order, epoch));
+        let mut mean = PaperLoss::default();
+        for batch in order.chunks(BATCH) {
+            let (parts, gradient) = net::gradients(&self.weights, &self.encoded, |out| loss(out, batch))?;
+            if !parts.total.is_finite() {
+                return Err(Error::Diverged { epoch, loss: parts.total, learning_rate: RATE });
             }
-            curve.push(mean);
+            adam.step(&mut self.weights.0, &gradient, RATE);
+            let share = batch.len() as f64 / samples as f64;
+            mean.joints += share * parts.joints;
+            mean.contacts += share * parts.contacts;
+            mean.force += share * parts.force;
+            mean.total += share * parts.total;
         }
-        Ok(curve)
+        Ok(mean)
     }
 }
 
