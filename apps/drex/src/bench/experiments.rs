@@ -444,7 +444,8 @@ mod tests {
         assert!(bounds[0] >= bounds[1] && bounds[1] >= bounds[2], "{bounds:?}");
         let csv = table.csv();
         assert!(csv.starts_with("object,told,true,successes,n,") && csv.lines().count() == 13, "{csv}");
-        assert!(table.svg("cross-mass").contains("bound"));
+        let svg = table.svg("cross-mass");
+        assert!(svg.matches("<rect").count() == 12 && svg.contains("told half"), "{svg}");
     }
 
     #[test]
