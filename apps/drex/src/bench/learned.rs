@@ -100,7 +100,10 @@ impl Learned {
         };
         let middle = (masses.iter().map(|m| m.ln()).sum::<f64>() / masses.len() as f64).exp();
         let told_kg = options.mass_hidden.then_some(middle);
-        let (commanded, mut practised) = practise(grasps, judge, middle, options)?;
+        // What is to hold at several masses is practised at all of them.
+        let own = [thing.spec.mass_kg];
+        let practice_kg = if options.masses_kg.is_empty() { &own[..] } else { &masses[..] };
+        let (commanded, mut practised) = practise(grasps, judge, practice_kg, options)?;
         let robust = practised.iter().filter(|p| 4 * count(p) >= 3 * CONDITIONS).count();
         practised = chosen(practised);
         let samples: Vec<GraspSample> = practised
@@ -165,15 +168,21 @@ impl Learned {
     }
 }
 
-/// Rehearses every grasp, and carries those that need least force out under conditions that no judged rollout has.
+/// Rehearses every grasp, and carries those that need least force out under conditions that no judged rollout has, at each mass
+/// in turn.
 fn practise<'a, J: Judge>(
     grasps: &'a [Grasp],
     judge: &J,
-    mass_kg: f64,
+    masses_kg: &[f64],
     options: &LearnOptions,
 ) -> Result<(usize, Vec<Practised<'a>>)> {
     let spread = &options.spread;
-    let conditions = spread.conditions(CONDITIONS, options.train.seed ^ PRACTICE_SEED);
+    let conditions: Vec<(Condition, f64)> = spread
+        .conditions(CONDITIONS, options.train.seed ^ PRACTICE_SEED)
+        .into_iter()
+        .zip(masses_kg.iter().copied().cycle())
+        .collect();
+    let mass_kg = masses_kg[masses_kg.len() / 2];
     let middle = 0.5 * (spread.friction.0 + spread.friction.1);
     // What can be held where friction is high counts as well: for some objects nothing else can.
     let beliefs = [middle, spread.friction.1].map(|friction| Belief { mass_kg, friction });
@@ -203,8 +212,8 @@ fn practise<'a, J: Judge>(
             break;
         }
         practised.par_iter_mut().try_for_each(|(p, grip)| {
-            for c in conditions {
-                p.held.push(attempt(judge, grip, c, mass_kg)?.held());
+            for (condition, mass_kg) in conditions {
+                p.held.push(attempt(judge, grip, condition, *mass_kg)?.held());
             }
             anyhow::Ok(())
         })?;
