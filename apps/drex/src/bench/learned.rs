@@ -21,10 +21,11 @@ use super::thing::Thing;
 const MASS_FACTORS: [f64; 3] = [0.4, 1.0, 2.0];
 /// Frictions of the force labels.
 const FRICTIONS: [f64; 3] = [0.35, 0.5, 0.75];
-/// Conditions of practice, and those of them that all practised grasps see; of every so many grasps one goes on to the others.
-const CONDITIONS: usize = 10;
-const FIRST_CONDITIONS: usize = 3;
-const ONE_GOES_ON: usize = 2;
+/// Stages of practice: conditions under which a grasp is tried, and of how many of the first stage one goes on to the next.
+const STAGES: [(usize, usize); 3] = [(3, 2), (5, 4), (16, 4)];
+/// Share of the best grasp's holds that another one needs to be learned: as it is, and if it holds where no better one does.
+const NEARLY_AS_GOOD: f64 = 0.9;
+const WHERE_OTHERS_FAIL: f64 = 0.7;
 /// Rounds of rollouts of the network, views of a round, tries of a view.
 const ROUNDS: (usize, usize, usize) = (6, 4, 8);
 /// Grasps that the network learns, at most.
@@ -104,7 +105,7 @@ impl Learned {
         let own = [thing.spec.mass_kg];
         let practice_kg = if options.masses_kg.is_empty() { &own[..] } else { &masses[..] };
         let (commanded, mut practised) = practise(grasps, judge, practice_kg, options)?;
-        let robust = practised.iter().filter(|p| 4 * count(p) >= 3 * CONDITIONS).count();
+        let robust = practised.iter().filter(|p| !p.held.is_empty() && 4 * count(p) >= 3 * p.held.len()).count();
         practised = chosen(practised);
         let samples: Vec<GraspSample> = practised
             .par_iter()
@@ -177,8 +178,9 @@ fn practise<'a, J: Judge>(
     options: &LearnOptions,
 ) -> Result<(usize, Vec<Practised<'a>>)> {
     let spread = &options.spread;
+    let all = STAGES.iter().map(|s| s.0).sum();
     let conditions: Vec<(Condition, f64)> = spread
-        .conditions(CONDITIONS, options.train.seed ^ PRACTICE_SEED)
+        .conditions(all, options.train.seed ^ PRACTICE_SEED)
         .into_iter()
         .zip(masses_kg.iter().copied().cycle())
         .collect();
@@ -207,18 +209,21 @@ fn practise<'a, J: Judge>(
         .map(|(_, grasp, grip)| (Practised { grasp, fingers: judge.fingers(grip), held: Vec::new() }, grip))
         .collect();
     // Few conditions for all of them, the others for those that went best.
-    for conditions in [&conditions[..FIRST_CONDITIONS], &conditions[FIRST_CONDITIONS..]] {
+    let mut conditions = &conditions[..];
+    for (count_of, one_of) in STAGES {
         if options.practised == 0 {
             break;
         }
+        let (now, later) = conditions.split_at(count_of);
+        conditions = later;
         practised.par_iter_mut().try_for_each(|(p, grip)| {
-            for (condition, mass_kg) in conditions {
+            for (condition, mass_kg) in now {
                 p.held.push(attempt(judge, grip, condition, *mass_kg)?.held());
             }
             anyhow::Ok(())
         })?;
         practised.sort_by_key(|(p, _)| std::cmp::Reverse(count(p)));
-        practised.truncate(options.practised.div_ceil(ONE_GOES_ON));
+        practised.truncate(options.practised.div_ceil(one_of));
     }
     let practised = practised.into_iter().map(|p| p.0).collect();
     Ok((commanded, practised))
@@ -238,16 +243,17 @@ fn count(p: &Practised<'_>) -> usize {
 
 /// Of those sorted by success the best ones, and before them whatever holds under a condition that no better one stands.
 fn chosen(practised: Vec<Practised<'_>>) -> Vec<Practised<'_>> {
+    let best = practised.first().map_or(0, count) as f64;
+    let holds = |p: &Practised<'_>, share: f64| count(p) as f64 >= share * best;
     let mut out: Vec<Practised<'_>> = Vec::new();
     let mut rest = Vec::new();
     for p in practised {
         let new = p.held.iter().enumerate().any(|(c, held)| *held && !out.iter().any(|o| o.held[c]));
-        if new { out.push(p) } else { rest.push(p) }
+        if new && holds(&p, WHERE_OTHERS_FAIL) { out.push(p) } else { rest.push(p) }
     }
-    let best = out.first().map_or(0, count);
     let room = LEARNED.saturating_sub(out.len());
     // Those that often fail where others hold would only be in the way; where nothing holds, they are all there is.
-    out.extend(rest.into_iter().filter(|p| 10 * count(p) >= 7 * best).take(room));
+    out.extend(rest.into_iter().filter(|p| holds(p, NEARLY_AS_GOOD)).take(room));
     out
 }
 

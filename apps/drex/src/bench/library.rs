@@ -108,7 +108,7 @@ pub struct LibraryOptions {
 
 impl Default for LibraryOptions {
     fn default() -> Self {
-        Self { people: PeopleOptions::default(), wraps: WrapOptions::default(), candidates: 30_000 }
+        Self { people: PeopleOptions::default(), wraps: WrapOptions::default(), candidates: 200_000 }
     }
 }
 
