@@ -1,4 +1,5 @@
 //! The torque law: both directions, fits to noisy pairs, refusals, files.
+#![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 use drex_hw::Error;
 use drex_hw::law::{Approach, Curve, Nominal, Provenance, Sample, TorqueLaw, fit};

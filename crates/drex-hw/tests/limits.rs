@@ -1,4 +1,5 @@
 //! From forces to current limits and back, against closed forms.
+#![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 use drex_hw::law::{
     ContactDirection, ContactForce, LimitMode, LimitOptions, LimitRamp, Nominal, RampOptions, TorqueLaw,
