@@ -1,5 +1,7 @@
 //! LEAP and Allegro hands under force control, safe by default, testable without a hand.
 
 mod error;
+mod hand;
 
 pub use error::{Error, Result};
+pub use hand::{EffortUnit, Hand, HandCommand, HandState, JointStatus};
