@@ -1,5 +1,7 @@
 //! LEAP and Allegro hands under force control, safe by default, testable without a hand.
 
+pub mod dynamixel;
+
 mod error;
 mod hand;
 
