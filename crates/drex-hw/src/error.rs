@@ -60,6 +60,34 @@ pub enum Error {
         /// What to do about it.
         remedy: String,
     },
+    /// A motor does not answer.
+    #[error("motor {id} does not answer; check its power, cable, id and baud rate")]
+    Silent {
+        /// Who.
+        id: u8,
+    },
+    /// A motor answers that it does not do what it was asked.
+    #[error("motor {id} refuses: {}", status_meaning(*.number))]
+    Refused {
+        /// Who.
+        id: u8,
+        /// Number in the status packet.
+        number: u8,
+    },
+}
+
+/// What the error number of a status packet means, and what to do.
+fn status_meaning(number: u8) -> &'static str {
+    match number {
+        1 => "it failed to do it (1); reboot it",
+        2 => "it does not know the instruction (2); update its firmware",
+        3 => "it got a damaged packet (3); check the cable",
+        4 => "the value is out of range (4), or its bus watchdog has run out; clear the watchdog first",
+        5 => "the value has the wrong length (5); check the control table of its model",
+        6 => "the value is beyond a limit set in the motor (6); stay within the current limit in register 38",
+        7 => "the register is locked or read-only (7); take its torque off first",
+        _ => "an error number that the protocol does not have; check its firmware",
+    }
 }
 
 impl Error {

@@ -1,7 +1,14 @@
 //! LEAP and Allegro hands under force control, safe by default, testable without a hand.
 
+pub mod allegro;
 pub mod can;
-mod error;
+pub mod dynamixel;
 pub mod law;
 
+mod clock;
+mod error;
+mod hand;
+
+pub use clock::{Clock, SystemClock};
 pub use error::{Error, Result};
+pub use hand::{EffortUnit, Hand, HandCommand, HandState, JointStatus};

@@ -9,7 +9,7 @@ mod socket;
 use std::time::Duration;
 
 pub use memory::MemoryCan;
-pub use slcan::{BytePort, Slcan};
+pub use slcan::{BytePort, SerialBytes, Slcan};
 pub use slcan_line::{SlcanEvent, SlcanParser, write_slcan};
 #[cfg(all(feature = "socketcan", target_os = "linux"))]
 pub use socket::SocketCan;

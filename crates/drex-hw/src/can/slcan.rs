@@ -22,9 +22,51 @@ pub trait BytePort: Read + Write + Send {
     fn set_wait(&mut self, wait: Duration) -> io::Result<()>;
 }
 
-impl BytePort for serial2::SerialPort {
+/// A serial port of the system that only this process uses.
+#[derive(Debug)]
+pub struct SerialBytes {
+    port: serial2::SerialPort,
+    #[cfg(unix)]
+    _lock: std::fs::File,
+}
+
+impl SerialBytes {
+    fn open(path: &Path) -> io::Result<Self> {
+        #[cfg(unix)]
+        let lock = crate::dynamixel::lock::lock_device(path)?;
+        // USB adapters ignore the rate; those with a UART use this one.
+        let mut port = serial2::SerialPort::open(path, 115_200)?;
+        port.set_write_timeout(WRITE)?;
+        port.discard_buffers()?;
+        Ok(Self {
+            port,
+            #[cfg(unix)]
+            _lock: lock,
+        })
+    }
+}
+
+impl Read for SerialBytes {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        self.port.read(buffer)
+    }
+}
+
+impl Write for SerialBytes {
+    fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
+        self.port.write(buffer)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.port.flush()
+    }
+}
+
+impl BytePort for SerialBytes {
     fn set_wait(&mut self, wait: Duration) -> io::Result<()> {
-        self.set_read_timeout(wait)
+        // The system counts in milliseconds; rounded up, so that a short wait is not none.
+        let ms = u64::try_from(wait.as_micros().div_ceil(1000)).unwrap_or(u64::MAX).min(60_000);
+        self.port.set_read_timeout(Duration::from_millis(ms))
     }
 }
 
@@ -49,22 +91,17 @@ pub struct Slcan<P: BytePort> {
     refused: u64,
 }
 
-impl Slcan<serial2::SerialPort> {
+impl Slcan<SerialBytes> {
     /// Opens the adapter at a serial port.
     ///
     /// # Errors
-    /// [`Error::Port`] if the port cannot be opened or the adapter refuses to open the bus.
+    /// [`Error::Port`] if the port cannot be opened, somebody else has it (the message says who), or the adapter refuses to open the bus.
     pub fn open(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
-        // USB adapters ignore the rate; those with a UART use this one.
-        let opened = serial2::SerialPort::open(path, 115_200).and_then(|mut port| {
-            port.set_write_timeout(WRITE)?;
-            Ok(port)
-        });
-        let port = opened.map_err(|source| Error::Port {
+        let port = SerialBytes::open(path).map_err(|source| Error::Port {
             port: name.clone(),
             source,
-            remedy: "check the path, that nobody else has it open, and your right to use it (group dialout)".into(),
+            remedy: "check the path, end other programs that use it, and join its group, mostly dialout".into(),
         })?;
         Self::over(port, name)
     }
