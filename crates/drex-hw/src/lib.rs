@@ -3,6 +3,7 @@
 pub mod allegro;
 pub mod can;
 pub mod dynamixel;
+pub mod emulator;
 pub mod law;
 
 mod clock;
