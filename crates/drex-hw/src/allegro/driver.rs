@@ -59,7 +59,7 @@ pub struct AllegroHand<B: CanBus> {
     effort_nm: [f64; 16],
     pub(super) sent: [i16; 16],
     pub(super) motor_errors: [u8; 16],
-    temperatures_c: [Option<f64>; 16],
+    pub(super) temperatures_c: [Option<f64>; 16],
     info: Option<AllegroInfo>,
     serial: Option<[u8; 8]>,
     stats: AllegroStats,
