@@ -62,6 +62,30 @@ impl HandState {
         }
     }
 
+    /// Refuses a state that nobody must act on: of the wrong length or not finite.
+    ///
+    /// # Errors
+    /// With the joint's name and the value.
+    pub fn check(&self, joints: &[String]) -> Result<()> {
+        let Self { position, velocity, effort, temperature_c, age, status, .. } = self;
+        let lengths = [position.len(), velocity.len(), effort.len(), temperature_c.len(), age.len(), status.len()];
+        if lengths != [joints.len(); 6] {
+            return Err(Error::value(
+                format!("a state with lists of {lengths:?} values for {} joints", joints.len()),
+                "have the driver fill every list",
+            ));
+        }
+        for ((name, q), (v, e)) in joints.iter().zip(position).zip(velocity.iter().zip(effort)) {
+            if !(q.is_finite() && v.is_finite() && e.is_finite()) {
+                return Err(Error::value(
+                    format!("joint {name} read at {q} rad, {v} rad/s, effort {e}"),
+                    "check the joint's encoder and calibration",
+                ));
+            }
+        }
+        Ok(())
+    }
+
     /// Takes over the values of `other` without allocating when the number of joints is the same.
     pub fn copy_from(&mut self, other: &Self) {
         self.clone_from(other);

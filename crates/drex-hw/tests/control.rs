@@ -8,7 +8,8 @@ use std::time::Duration;
 use drex_core::joints::JointLog;
 use drex_core::readers::read_joint_log_csv;
 use drex_hw::control::{
-    Behaviour, ControlLoop, ControlOptions, Derating, EStop, Ended, Joints, Trajectory, Waypoint, run, telemetry, write_csv,
+    Behaviour, ControlLoop, ControlOptions, Derating, EStop, Ended, Joints, Trajectory, Waypoint, run, telemetry,
+    write_csv,
 };
 use drex_hw::{Clock, EffortUnit, Error, Hand, HandCommand, HandState, JointStatus, Result};
 
@@ -27,6 +28,7 @@ struct World {
     slow_at: Option<u32>,
     deaf_to_off: bool,
     mute: bool,
+    reads: Option<f64>,
 }
 
 /// Two joints that are at once where they are told.
@@ -98,6 +100,7 @@ impl Hand for Fake {
             command.check(&self.names)?;
             world.told.clone_from(command);
             state.position.copy_from_slice(&command.position);
+            state.velocity[1] = world.reads.unwrap_or(0.0);
         }
         state.age.fill(if world.mute { u32::MAX } else { 0 });
         state.status.fill(JointStatus::Driven);
@@ -171,6 +174,8 @@ fn however_it_ends_the_torque_goes_off() {
     assert!(matches!(report.ended, Ended::Panicked(text) if text == "a bug in the driver") && !on);
     let (report, on) = ends(|w| w.fail_at = Some(1));
     assert!(matches!(report.ended, Ended::Failed(_)) && !on);
+    let (report, on) = ends(|w| w.reads = Some(f64::NAN));
+    assert!(matches!(report.ended, Ended::Failed(Error::Value { what, .. }) if what.contains("joint b")) && !on);
     let (report, on) = ends(|w| w.mute = true);
     let Ended::Failed(error) = report.ended else { panic!("{:?}", report.ended) };
     assert!(error.to_string().contains("read of a, b") && !on);
@@ -243,8 +248,7 @@ fn heat_and_the_limiter_take_and_never_add() {
         world.lock().unwrap().celsius = celsius;
         let report = run(&mut hand, &mut there(0.1, 0.1), &clock, options);
         assert!(matches!(report.ended, Ended::Done));
-        let limits = world.lock().unwrap().told.effort_limit.clone();
-        limits
+        world.lock().unwrap().told.effort_limit.clone()
     };
     let options = ControlOptions::default;
     assert_eq!(told(None, options()), [0.3; 2]);
@@ -264,8 +268,7 @@ fn dropping_the_handle_stops_the_thread_and_the_torque() {
     let (world, hand, _) = fake();
     world.lock().unwrap().exchange = Duration::ZERO;
     let estop = EStop::new();
-    let running =
-        ControlLoop::start(hand, there(1e6, 0.5), ControlOptions::default().with_estop(&estop)).unwrap();
+    let running = ControlLoop::start(hand, there(1e6, 0.5), ControlOptions::default().with_estop(&estop)).unwrap();
     while world.lock().unwrap().cycles < 3 {
         std::thread::sleep(Duration::from_millis(1));
     }
@@ -323,7 +326,9 @@ fn a_log_is_played_again_by_the_names_of_its_joints() {
 #[test]
 fn trajectories_that_mean_nothing_are_refused() {
     let at = |time_s, q| Waypoint { time_s, position: vec![q, 0.0] };
-    for bad in [vec![], vec![at(0.0, 0.1)], vec![at(1.0, 0.1), at(1.0, 0.2)], vec![at(f64::NAN, 0.0)], vec![at(1.0, f64::NAN)]] {
+    for bad in
+        [vec![], vec![at(0.0, 0.1)], vec![at(1.0, 0.1), at(1.0, 0.2)], vec![at(f64::NAN, 0.0)], vec![at(1.0, f64::NAN)]]
+    {
         assert!(Trajectory::new(bad, vec![0.1; 2]).is_err());
     }
     let ends = |waypoints, limits| {

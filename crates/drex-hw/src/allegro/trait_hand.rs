@@ -54,8 +54,7 @@ impl<B: CanBus> AllegroHand<B> {
     /// Efforts are the torques that were commanded: the hand measures none.
     fn report(&self, state: &mut HandState) {
         let HandState { position, velocity, effort, temperature_c, age, status, .. } = &*state;
-        let lengths =
-            [position.len(), velocity.len(), effort.len(), temperature_c.len(), age.len(), status.len()];
+        let lengths = [position.len(), velocity.len(), effort.len(), temperature_c.len(), age.len(), status.len()];
         if lengths != [16; 6] {
             *state = HandState::new(16);
         }

@@ -17,7 +17,12 @@ const WAIT: Duration = Duration::from_millis(200);
 ///
 /// # Errors
 /// As `out` says.
-pub fn write_csv(telemetry: &mut Telemetry, names: &[String], unit: EffortUnit, out: &mut impl Write) -> io::Result<u64> {
+pub fn write_csv(
+    telemetry: &mut Telemetry,
+    names: &[String],
+    unit: EffortUnit,
+    out: &mut impl Write,
+) -> io::Result<u64> {
     let effort = match unit {
         EffortUnit::NewtonMetre => "effort",
         EffortUnit::Milliampere => "current_ma",

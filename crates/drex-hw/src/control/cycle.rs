@@ -118,6 +118,7 @@ fn turns(
         let flow = behaviour.command((began - begin).as_secs_f64(), state, &mut command)?;
         lower(&mut command.effort_limit, &mut limits, hand.effort_caps(), state, options);
         hand.cycle(Some(&command), state)?;
+        state.check(hand.joints())?;
         let ended = clock.now();
         meter.cycle(due, began, ended);
         if let Some(recorder) = &mut options.recorder {
@@ -163,7 +164,8 @@ fn first_state(
         }
         let now = clock.now();
         hand.cycle(None, state)?;
-        if state.age.iter().all(|a| *a != u32::MAX) && state.age.len() == hand.joints().len() {
+        if state.age.iter().all(|a| *a != u32::MAX) {
+            state.check(hand.joints())?;
             return Ok(true);
         }
         if now.saturating_sub(begin) > options.first_state {
@@ -188,15 +190,13 @@ fn lower(wanted: &mut [f64], scratch: &mut [f64], caps: &[f64], state: &HandStat
             }
         }
     }
-    if let Some(limiter) = &mut options.limiter {
-        if scratch.len() == wanted.len() {
-            scratch.copy_from_slice(wanted);
-            limiter(state, scratch);
-            for (limit, lowered) in wanted.iter_mut().zip(scratch) {
-                if !(*lowered >= *limit) {
-                    // What is no number lowers to nothing.
-                    *limit = lowered.max(0.0);
-                }
+    if let Some(limiter) = options.limiter.as_mut().filter(|_| scratch.len() == wanted.len()) {
+        scratch.copy_from_slice(wanted);
+        limiter(state, scratch);
+        for (limit, lowered) in wanted.iter_mut().zip(scratch) {
+            if !(*lowered >= *limit) {
+                // What is no number lowers to nothing.
+                *limit = lowered.max(0.0);
             }
         }
     }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 
 use super::{Behaviour, GraspContact, GraspOutcome, GraspPhase, GraspPlan, Joints};
-use crate::{HandCommand, HandState, JointStatus, Result};
+use crate::{Error, HandCommand, HandState, JointStatus, Result};
 
 /// Longest step of time that goals and limits follow, s: after a gap they do not jump.
 const LONGEST_STEP_S: f64 = 0.05;
@@ -23,6 +23,7 @@ pub struct Grasp {
     phase: GraspPhase,
     began_s: f64,
     last_s: f64,
+    names: Vec<String>,
     limits: Vec<(f64, f64)>,
     goal: Vec<f64>,
     effort: Vec<f64>,
@@ -80,6 +81,7 @@ impl Grasp {
             phase: GraspPhase::Open,
             began_s: 0.0,
             last_s: 0.0,
+            names: Vec::new(),
             limits: Vec::new(),
             goal: Vec::new(),
             effort: Vec::new(),
@@ -151,8 +153,8 @@ impl Grasp {
         for j in 0..self.goal.len() {
             let (target, effort) = (self.target(j), self.target_effort(j));
             let (step, slew) = (speed * dt_s, self.plan.effort_rate * dt_s);
-            self.goal[j] = target.clamp(self.goal[j] - step, self.goal[j] + step);
-            self.effort[j] = effort.clamp(self.effort[j] - slew, self.effort[j] + slew);
+            self.goal[j] = target.max(self.goal[j] - step).min(self.goal[j] + step);
+            self.effort[j] = effort.max(self.effort[j] - slew).min(self.effort[j] + slew);
             arrived &= (self.goal[j] - self.target(j)).abs() < ARRIVED_RAD && self.effort[j] == effort;
         }
         arrived
@@ -163,8 +165,12 @@ impl Grasp {
         for j in 0..self.closing.len() {
             let Closing::Moving(since) = self.closing[j] else { continue };
             let (way, q) = (self.plan.way(j), state.position[j]);
-            if state.age[j] != 0 || matches!(state.status[j], JointStatus::Silent | JointStatus::Faulted(_)) {
+            if matches!(state.status[j], JointStatus::Silent | JointStatus::Faulted(_)) {
                 self.closing[j] = Closing::Moving(None);
+                continue;
+            }
+            if state.age[j] != 0 {
+                // A hand that reports more slowly than the loop runs has nothing new to say.
                 continue;
             }
             let presses = state.effort[j] * way >= self.plan.contact_share * self.plan.closing_effort[j];
@@ -247,19 +253,24 @@ impl Behaviour for Grasp {
     fn begin(&mut self, joints: &Joints<'_>, state: &HandState) -> Result<()> {
         self.plan.check(joints)?;
         let n = joints.names.len();
+        state.check(joints.names)?;
+        self.names = joints.names.to_vec();
         self.limits = joints.limits.to_vec();
         self.goal = state.position.iter().zip(joints.limits).map(|(q, (low, high))| q.max(*low).min(*high)).collect();
         // Torque comes with the slew of the limits.
         self.effort = vec![0.0; n];
-        self.closing = (0..n)
-            .map(|j| if self.plan.way(j) == 0.0 { Closing::Through } else { Closing::Moving(None) })
-            .collect();
+        self.closing =
+            (0..n).map(|j| if self.plan.way(j) == 0.0 { Closing::Through } else { Closing::Moving(None) }).collect();
         (self.held, self.last_s, self.outcome) = (0, 0.0, GraspOutcome::new(n));
         self.enter(GraspPhase::Open, 0.0);
         Ok(())
     }
 
     fn command(&mut self, time_s: f64, state: &HandState, command: &mut HandCommand) -> Result<ControlFlow<()>> {
+        if !time_s.is_finite() {
+            return Err(Error::value(format!("a cycle at {time_s} s"), "give the time since the first cycle"));
+        }
+        state.check(&self.names)?;
         let dt_s = (time_s - self.last_s).clamp(0.0, LONGEST_STEP_S);
         self.last_s = time_s;
         let arrived = self.advance(dt_s);

@@ -118,7 +118,10 @@ impl GraspPlan {
         let n = joints.names.len();
         let lists = [&self.open, &self.pre_grasp, &self.closed, &self.closing_effort, &self.force_effort];
         if let Some(list) = lists.iter().find(|l| l.len() != n) {
-            return Err(Error::value(format!("a grasp with {} values for {n} joints", list.len()), "give one per joint"));
+            return Err(Error::value(
+                format!("a grasp with {} values for {n} joints", list.len()),
+                "give one per joint",
+            ));
         }
         for (j, name) in joints.names.iter().enumerate() {
             let (low, high) = joints.limits[j];

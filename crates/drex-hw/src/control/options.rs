@@ -109,10 +109,9 @@ impl ControlOptions {
         if !(self.rate_hz >= 1.0 && self.rate_hz <= 10_000.0) {
             return Err(Error::value(format!("{} cycles per second", self.rate_hz), "give 1 to 10000"));
         }
-        if let Some(d) = &self.derating {
-            if !(d.to_c > d.from_c && (0.0..=1.0).contains(&d.floor_share)) {
-                return Err(Error::value(format!("{d:?}"), "start from Derating::default()"));
-            }
+        let means_something = |d: &Derating| d.to_c > d.from_c && (0.0..=1.0).contains(&d.floor_share);
+        if let Some(d) = self.derating.filter(|d| !means_something(d)) {
+            return Err(Error::value(format!("{d:?}"), "start from Derating::default()"));
         }
         Ok(Duration::from_secs_f64(1.0 / self.rate_hz))
     }

@@ -98,14 +98,7 @@ pub(super) struct Meter {
 
 impl Meter {
     pub fn new() -> Self {
-        Self {
-            cycles: 0,
-            missed: 0,
-            first: None,
-            last: Duration::ZERO,
-            late: Histogram::new(),
-            busy: Histogram::new(),
-        }
+        Self { cycles: 0, missed: 0, first: None, last: Duration::ZERO, late: Histogram::new(), busy: Histogram::new() }
     }
 
     /// Takes a cycle that was `due`, began, and ended.

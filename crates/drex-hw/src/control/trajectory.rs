@@ -62,9 +62,10 @@ impl Trajectory {
     /// As [`Self::new`], and if the log lacks a joint.
     pub fn from_log(log: &JointLog, names: &[String], effort_limit: Vec<f64>, approach_s: f64) -> Result<Self> {
         let column = |name: &String| {
-            log.names.iter().position(|n| n == name).ok_or_else(|| {
-                Error::value(format!("a log without joint {name}"), "give one of this hand")
-            })
+            log.names
+                .iter()
+                .position(|n| n == name)
+                .ok_or_else(|| Error::value(format!("a log without joint {name}"), "give one of this hand"))
         };
         let columns = names.iter().map(column).collect::<Result<Vec<_>>>()?;
         let first = log.times_s.first().copied().unwrap_or(0.0);
