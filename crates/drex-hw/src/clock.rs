@@ -28,3 +28,13 @@ impl Clock for SystemClock {
         self.0.elapsed()
     }
 }
+
+impl<C: Clock + ?Sized> Clock for Box<C> {
+    fn now(&self) -> Duration {
+        (**self).now()
+    }
+
+    fn wait_until(&self, then: Duration) {
+        (**self).wait_until(then);
+    }
+}

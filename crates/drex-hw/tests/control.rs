@@ -24,6 +24,7 @@ struct World {
     celsius: Option<f64>,
     exchange: Duration,
     fail_at: Option<u32>,
+    fail_for: u32,
     panic_at: Option<u32>,
     slow_at: Option<u32>,
     deaf_to_off: bool,
@@ -91,7 +92,7 @@ impl Hand for Fake {
             drop(world);
             panic!("a bug in the driver");
         }
-        if world.fail_at == n {
+        if world.fail_at.is_some_and(|at| (at..=at + world.fail_for).contains(&world.cycles)) {
             return Err(Error::Silent { id: 7 });
         }
         let took = world.exchange * if world.slow_at == n { 10 } else { 1 };
@@ -182,6 +183,33 @@ fn however_it_ends_the_torque_goes_off() {
     // A hand that cannot be reached is tried more than once, and the report says so.
     let (report, on) = ends(|w| w.deaf_to_off = true);
     assert!(matches!(report.ended, Ended::Done) && on && report.torque_off.is_err());
+}
+
+#[test]
+fn an_outage_is_borne_if_it_is_short_and_nothing_jumps_after_it() {
+    let run_with = |outage: Duration| {
+        let (world, mut hand, clock) = fake();
+        {
+            let mut world = world.lock().unwrap();
+            (world.fail_at, world.fail_for) = (Some(100), 39);
+        }
+        let (recorder, mut reader) = telemetry(2, 1000);
+        let options = ControlOptions::default().with_outage(outage).with_recorder(recorder);
+        let report = run(&mut hand, &mut there(1.0, 0.8), &clock, options);
+        let (mut last, mut jump, mut rows) = (0.0, 0.0_f64, 0);
+        while let Ok(Some(())) = reader.next(Duration::ZERO, |s| {
+            jump = jump.max((s.command.position[0] - last).abs());
+            (last, rows) = (s.command.position[0], rows + 1);
+        }) {}
+        (report, jump, rows)
+    };
+    let (report, jump, rows) = run_with(Duration::from_millis(200));
+    assert!(matches!(report.ended, Ended::Done) && report.torque_off.is_ok(), "{:?}", report.ended);
+    assert_eq!((report.stats.failed, report.state.position[0]), (40, 0.8));
+    // 0.8 rad/s at 400 Hz.
+    assert!(jump < 1.01 * 0.002 && rows == 401, "{jump} rad in {rows} rows");
+    let (report, ..) = run_with(Duration::from_millis(50));
+    assert!(matches!(report.ended, Ended::Failed(Error::Silent { .. })));
 }
 
 #[test]

@@ -109,19 +109,35 @@ fn turns(
 
     let begin = clock.now();
     let mut due = begin;
+    let mut flow = ControlFlow::Continue(());
+    // Since when the hand is out of reach, and for how long it was in all.
+    let (mut lost, mut outage) = (None, Duration::ZERO);
     loop {
         clock.wait_until(due);
         if options.is_stopped() {
             return Ok(Ended::Stopped);
         }
         let began = clock.now();
-        let flow = behaviour.command((began - begin).as_secs_f64(), state, &mut command)?;
-        lower(&mut command.effort_limit, &mut limits, hand.effort_caps(), state, options);
-        hand.cycle(Some(&command), state)?;
+        if lost.is_none() {
+            let time = began.saturating_sub(begin + outage);
+            flow = behaviour.command(time.as_secs_f64(), state, &mut command)?;
+            lower(&mut command.effort_limit, &mut limits, hand.effort_caps(), state, options);
+        }
+        match hand.cycle(Some(&command), state) {
+            Ok(()) => outage += lost.take().map_or(Duration::ZERO, |since| began.saturating_sub(since)),
+            // A command or state that means nothing does not become better by waiting.
+            Err(error @ Error::Value { .. }) => return Err(error),
+            Err(error) => {
+                meter.fail();
+                if began.saturating_sub(*lost.get_or_insert(began)) >= options.outage {
+                    return Err(error);
+                }
+            }
+        }
         state.check(hand.joints())?;
         let ended = clock.now();
         meter.cycle(due, began, ended);
-        if let Some(recorder) = &mut options.recorder {
+        if let Some(recorder) = options.recorder.as_mut().filter(|_| lost.is_none()) {
             recorder.record(|sample| {
                 sample.time_s = ended.saturating_sub(begin).as_secs_f64();
                 sample.late_s = began.saturating_sub(due).as_secs_f64();
@@ -130,7 +146,7 @@ fn turns(
                 sample.state.copy_from(state);
             });
         }
-        if flow == ControlFlow::Break(()) {
+        if flow.is_break() && lost.is_none() {
             return Ok(Ended::Done);
         }
         due += period;

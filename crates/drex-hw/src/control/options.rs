@@ -42,6 +42,9 @@ pub struct ControlOptions {
     pub rate_hz: f64,
     /// How long joints may take until all have told where they are.
     pub first_state: Duration,
+    /// How long the hand may be out of reach, its plug pulled for instance, before the loop gives up. Meanwhile the behaviour's time
+    /// stands still and its last command is tried again every cycle; zero gives up at the first failure.
+    pub outage: Duration,
     /// What heat takes from the limits, where the hand measures it; `None` leaves that to the motors.
     pub derating: Option<Derating>,
     /// Stops the loop.
@@ -53,11 +56,12 @@ pub struct ControlOptions {
 }
 
 impl Default for ControlOptions {
-    /// 400 cycles per second, two seconds until all joints have answered, derating.
+    /// 400 cycles per second, two seconds until all joints have answered, no outage, derating.
     fn default() -> Self {
         Self {
             rate_hz: 400.0,
             first_state: Duration::from_secs(2),
+            outage: Duration::ZERO,
             derating: Some(Derating::default()),
             estop: EStop::new(),
             cancel: EStop::new(),
@@ -77,6 +81,12 @@ impl ControlOptions {
     /// The same with this emergency stop.
     pub fn with_estop(mut self, estop: &EStop) -> Self {
         self.estop = estop.clone();
+        self
+    }
+
+    /// The same with a hand that may be out of reach for this long.
+    pub fn with_outage(mut self, outage: Duration) -> Self {
+        self.outage = outage;
         self
     }
 

@@ -26,6 +26,8 @@ pub struct LoopStats {
     pub cycles: u64,
     /// Cycles left out because the one before took too long.
     pub missed: u64,
+    /// Cycles in which the hand could not be reached.
+    pub failed: u64,
     /// Cycles per second, from the first to the last.
     pub rate_hz: f64,
     /// How much later than planned cycles began: the jitter.
@@ -90,6 +92,7 @@ fn upper_end(bucket: usize) -> u64 {
 pub(super) struct Meter {
     cycles: u64,
     missed: u64,
+    failed: u64,
     first: Option<Duration>,
     last: Duration,
     late: Histogram,
@@ -98,7 +101,15 @@ pub(super) struct Meter {
 
 impl Meter {
     pub fn new() -> Self {
-        Self { cycles: 0, missed: 0, first: None, last: Duration::ZERO, late: Histogram::new(), busy: Histogram::new() }
+        Self {
+            cycles: 0,
+            missed: 0,
+            failed: 0,
+            first: None,
+            last: Duration::ZERO,
+            late: Histogram::new(),
+            busy: Histogram::new(),
+        }
     }
 
     /// Takes a cycle that was `due`, began, and ended.
@@ -114,6 +125,10 @@ impl Meter {
         self.missed += cycles;
     }
 
+    pub fn fail(&mut self) {
+        self.failed += 1;
+    }
+
     /// Whether the number of cycles done is a multiple of `n`.
     pub fn is_nth(&self, n: u64) -> bool {
         self.cycles.is_multiple_of(n)
@@ -123,7 +138,7 @@ impl Meter {
         let span_s = self.last.saturating_sub(self.first.unwrap_or_default()).as_secs_f64();
         let rate_hz = if span_s > 0.0 { (self.cycles - 1) as f64 / span_s } else { 0.0 };
         let (late, busy) = (self.late.quantiles(), self.busy.quantiles());
-        LoopStats { cycles: self.cycles, missed: self.missed, rate_hz, late, busy }
+        LoopStats { cycles: self.cycles, missed: self.missed, failed: self.failed, rate_hz, late, busy }
     }
 }
 
