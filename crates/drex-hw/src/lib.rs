@@ -1,6 +1,8 @@
 //! LEAP and Allegro hands under force control, safe by default, testable without a hand.
 
 pub mod dynamixel;
+pub mod emulator;
+pub mod leap;
 
 mod error;
 mod hand;

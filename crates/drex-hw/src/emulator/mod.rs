@@ -1,0 +1,3 @@
+//! Hands that are not there: for tests, practice and demonstrations.
+
+pub mod leap;
