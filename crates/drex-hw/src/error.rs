@@ -15,6 +15,41 @@ pub enum Error {
         /// What to do about it.
         remedy: String,
     },
+    /// Too few pairs to fit a law.
+    #[error(
+        "torque law: {have} usable pairs at {distinct} different currents; measure at least {need} at {need} currents"
+    )]
+    TooFewPairs {
+        /// Pairs with a current above zero.
+        have: usize,
+        /// Different currents among them.
+        distinct: usize,
+        /// How many are needed.
+        need: usize,
+    },
+    /// More current does not mean more torque.
+    #[error("torque law: {what} is not monotone; {remedy}")]
+    NotMonotone {
+        /// What is not.
+        what: String,
+        /// What to do about it.
+        remedy: String,
+    },
+    /// A torque or current outside of what was calibrated.
+    #[error("torque law: {value} {unit} is outside of the calibrated 0 to {most} {unit}; {remedy}")]
+    OutOfRange {
+        /// What was asked for.
+        value: f64,
+        /// Its unit.
+        unit: &'static str,
+        /// The largest there is.
+        most: f64,
+        /// What to do about it.
+        remedy: &'static str,
+    },
+    /// The robot model refused.
+    #[error("hand model: {0}")]
+    Model(#[from] drex_robot::Error),
     /// The port failed.
     #[error("port {port}: {source}; {remedy}")]
     Port {

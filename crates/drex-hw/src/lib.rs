@@ -1,11 +1,16 @@
 //! LEAP and Allegro hands under force control, safe by default, testable without a hand.
 
+pub mod allegro;
+pub mod can;
 pub mod dynamixel;
 pub mod emulator;
+pub mod law;
 pub mod leap;
 
+mod clock;
 mod error;
 mod hand;
 
+pub use clock::{Clock, SystemClock};
 pub use error::{Error, Result};
 pub use hand::{EffortUnit, Hand, HandCommand, HandState, JointStatus};

@@ -11,7 +11,7 @@ use rustix::fs::{FlockOperation, Mode, OFlags, flock, open};
 ///
 /// # Errors
 /// If the device is not there or somebody else has it; then the message says who.
-pub(super) fn lock_device(device: &Path) -> io::Result<File> {
+pub(crate) fn lock_device(device: &Path) -> io::Result<File> {
     let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let file = File::from(open(device, flags, Mode::empty())?);
     match flock(&file, FlockOperation::NonBlockingLockExclusive) {

@@ -8,7 +8,7 @@ mod packet;
 mod parser;
 mod port;
 #[cfg(unix)]
-mod lock;
+pub(crate) mod lock;
 mod serial;
 mod sync;
 

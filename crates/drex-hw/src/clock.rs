@@ -1,0 +1,25 @@
+//! Time, as the drivers see it: the system's, or that of an emulator.
+
+use std::time::{Duration, Instant};
+
+/// A clock that never goes back.
+pub trait Clock: Send {
+    /// Time since some moment in the past.
+    fn now(&self) -> Duration;
+}
+
+/// The system's clock, from the moment it was made.
+#[derive(Debug, Clone, Copy)]
+pub struct SystemClock(Instant);
+
+impl Default for SystemClock {
+    fn default() -> Self {
+        Self(Instant::now())
+    }
+}
+
+impl Clock for SystemClock {
+    fn now(&self) -> Duration {
+        self.0.elapsed()
+    }
+}
