@@ -23,3 +23,9 @@ impl Clock for SystemClock {
         self.0.elapsed()
     }
 }
+
+impl<C: Clock + ?Sized> Clock for Box<C> {
+    fn now(&self) -> Duration {
+        (**self).now()
+    }
+}

@@ -19,7 +19,7 @@ mod pty;
 mod wire;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 pub use fault::Fault;
 pub use port::EmulatorPort;
@@ -28,6 +28,7 @@ pub use pty::LeapPty;
 pub use wire::WriteRecord;
 
 use crate::leap::table::{self, MotorModel, Register, Value};
+use crate::{Clock, SystemClock};
 use wire::Wire;
 
 /// An emulated LEAP hand. Clones are the same hand.
@@ -35,7 +36,7 @@ use wire::Wire;
 pub struct LeapEmulator {
     wire: Arc<Mutex<Wire>>,
     /// When a hand that lives in real time was made.
-    since: Option<Instant>,
+    since: Option<SystemClock>,
 }
 
 impl Default for LeapEmulator {
@@ -58,18 +59,13 @@ impl LeapEmulator {
 
     /// The same hand in real time.
     pub fn in_real_time(mut self) -> Self {
-        self.since = Some(Instant::now());
+        self.since = Some(SystemClock::default());
         self
     }
 
     fn wire(&self) -> MutexGuard<'_, Wire> {
         // A panic in a test must not hide behind another one.
         self.wire.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Time of the hand since it was made.
-    pub fn now(&self) -> Duration {
-        self.since.map_or_else(|| self.wire().now(), |since| since.elapsed())
     }
 
     /// Lets `time` pass; without effect on a hand in real time.
@@ -84,14 +80,14 @@ impl LeapEmulator {
         EmulatorPort::new(self.clone())
     }
 
-    /// Hands `request` to the motors; what they answer is appended to `reply`.
-    pub fn exchange(&self, request: &[u8], reply: &mut Vec<u8>) {
-        let now = self.since.map(|since| since.elapsed());
+    /// Hands `request` to the motors; what they answer is appended to `reply`. For how long they hesitated, by their return delays.
+    pub fn exchange(&self, request: &[u8], reply: &mut Vec<u8>) -> Duration {
+        let now = self.since.map(|since| since.now());
         let mut wire = self.wire();
         if let Some(now) = now {
             wire.advance_to(now);
         }
-        wire.receive(request, reply);
+        wire.receive(request, reply)
     }
 
     /// Lets `fault` happen in the next `times` questions that it concerns.
@@ -102,6 +98,12 @@ impl LeapEmulator {
     /// Raises hardware errors of motor `id`.
     pub fn fail(&self, id: u8, bits: u8) {
         self.with_motor(id, |m| m.fail(bits));
+    }
+
+    /// Takes the power of motor `id` for a moment: it forgets what is in RAM.
+    pub fn power_cycle(&self, id: u8) {
+        let now = self.now();
+        self.with_motor(id, |m| m.reboot(now));
     }
 
     /// Pulls the plug of the port; the motors keep their power.
@@ -167,5 +169,12 @@ impl LeapEmulator {
         if let Some(motor) = self.wire().motors.iter_mut().find(|m| m.id == id) {
             change(motor);
         }
+    }
+}
+
+impl Clock for LeapEmulator {
+    /// Time of the hand since it was made.
+    fn now(&self) -> Duration {
+        self.since.map_or_else(|| self.wire().now(), |since| since.now())
     }
 }

@@ -33,6 +33,8 @@ pub(super) struct Motor {
     booted_at: Duration,
     heard_at: Duration,
     frozen: bool,
+    /// A write that waits for an action.
+    pub registered: Option<(u16, Vec<u8>)>,
 }
 
 impl Motor {
@@ -45,6 +47,7 @@ impl Motor {
             booted_at: Duration::ZERO,
             heard_at: Duration::ZERO,
             frozen: false,
+            registered: None,
         };
         motor.set(table::MODEL_NUMBER, model.number());
         motor.set(table::FIRMWARE, 52);
@@ -85,6 +88,7 @@ impl Motor {
         }
         self.mode_changed();
         self.frozen = false;
+        self.registered = None;
         // A motor knows its angle within one turn only.
         self.body.forget_turns();
         self.body.stop();
@@ -120,6 +124,33 @@ impl Motor {
         if self.get(table::HARDWARE_ERROR) == 0 { 0 } else { 0x80 }
     }
 
+    /// How long it hesitates before an answer.
+    pub fn return_delay(&self) -> Duration {
+        Duration::from_micros(2 * u64::from(self.get(table::RETURN_DELAY)))
+    }
+
+    /// Keeps a write for later.
+    pub fn register(&mut self, address: u16, data: &[u8]) -> Result<(), u8> {
+        // Whether it may is found out by a motor that is thrown away.
+        self.clone().write(address, data)?;
+        self.registered = Some((address, data.to_vec()));
+        Ok(())
+    }
+
+    /// Forgets its turns, if that is what `params` ask for.
+    pub fn clear(&mut self, params: &[u8]) -> Result<(), u8> {
+        if params != [0x01, 0x44, 0x58, 0x4c, 0x22] {
+            return Err(refusal::RANGE);
+        }
+        if self.body.velocity != 0.0 {
+            return Err(refusal::FAILED);
+        }
+        self.body.forget_turns();
+        self.show();
+        self.set(table::GOAL_POSITION, self.get(table::PRESENT_POSITION));
+        Ok(())
+    }
+
     pub fn knows_fast_reads(&self) -> bool {
         self.get(table::FIRMWARE) >= 46
     }
@@ -137,7 +168,8 @@ impl Motor {
             self.set(table::BUS_WATCHDOG, 255);
             self.set(table::GOAL_POSITION, self.body.position.round() as i32);
         }
-        let on = self.get(table::TORQUE_ENABLE) != 0;
+        // The other modes are not for hands: such a motor does nothing.
+        let on = self.get(table::TORQUE_ENABLE) != 0 && matches!(self.get(table::MODE), 3..=5);
         let limit = match self.get(table::MODE) {
             table::CURRENT_BASED_POSITION => f64::from(self.get(table::GOAL_CURRENT).unsigned_abs()),
             _ => f64::from(self.get(table::CURRENT_LIMIT)),

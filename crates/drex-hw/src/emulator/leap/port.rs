@@ -5,6 +5,7 @@ use std::io;
 use std::time::Duration;
 
 use super::LeapEmulator;
+use crate::Clock;
 use crate::dynamixel::Port;
 
 /// Time of one byte on the bus at 4 Mbaud.
@@ -30,13 +31,15 @@ impl EmulatorPort {
     }
 }
 
+impl Clock for EmulatorPort {
+    fn now(&self) -> Duration {
+        self.hand.now()
+    }
+}
+
 impl Port for EmulatorPort {
     fn name(&self) -> &str {
         "emulated LEAP hand"
-    }
-
-    fn now(&self) -> Duration {
-        self.hand.now()
     }
 
     fn read(&mut self, buffer: &mut [u8], wait: Duration) -> io::Result<usize> {
@@ -54,7 +57,8 @@ impl Port for EmulatorPort {
     fn write_all(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.check()?;
         self.hand.pass(BYTE * bytes.len() as u32 + TURNAROUND);
-        self.hand.exchange(bytes, &mut self.reply);
+        let hesitated = self.hand.exchange(bytes, &mut self.reply);
+        self.hand.pass(hesitated);
         self.coming.extend(self.reply.drain(..));
         Ok(())
     }

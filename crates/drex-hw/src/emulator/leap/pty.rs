@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{Mode, OFlags};
@@ -34,6 +34,18 @@ impl LeapPty {
     /// # Errors
     /// If the system gives no terminal, or something that is no link stands in the place of `link`.
     pub fn serve(hand: &LeapEmulator, link: Option<&Path>) -> Result<Self> {
+        Self::start(hand, link, None)
+    }
+
+    /// As [`LeapPty::serve`], as slow as a bus of `baud`; otherwise answers come at once.
+    ///
+    /// # Errors
+    /// As [`LeapPty::serve`].
+    pub fn serve_paced(hand: &LeapEmulator, link: Option<&Path>, baud: u32) -> Result<Self> {
+        Self::start(hand, link, Some(baud.max(1)))
+    }
+
+    fn start(hand: &LeapEmulator, link: Option<&Path>, baud: Option<u32>) -> Result<Self> {
         let failed = |source| Error::Port {
             port: link.unwrap_or(Path::new("/dev/ptmx")).display().to_string(),
             source,
@@ -44,7 +56,7 @@ impl LeapPty {
         let path = link.clone().unwrap_or_else(|| terminal.path.clone());
         let stop = Arc::new(AtomicBool::new(false));
         let (hand, told) = (hand.clone(), stop.clone());
-        let server = std::thread::spawn(move || serve(&hand, terminal, link.as_deref(), &told));
+        let server = std::thread::spawn(move || serve(&hand, terminal, link.as_deref(), baud, &told));
         Ok(Self { path, stop, server: Some(server) })
     }
 
@@ -104,7 +116,7 @@ impl Drop for Terminal {
     }
 }
 
-fn serve(hand: &LeapEmulator, terminal: Terminal, link: Option<&Path>, stop: &AtomicBool) {
+fn serve(hand: &LeapEmulator, terminal: Terminal, link: Option<&Path>, baud: Option<u32>, stop: &AtomicBool) {
     let mut terminal = Some(terminal);
     let (mut bytes, mut reply) = ([0; 1024], Vec::new());
     while !stop.load(Ordering::Relaxed) {
@@ -124,7 +136,13 @@ fn serve(hand: &LeapEmulator, terminal: Terminal, link: Option<&Path>, stop: &At
             continue;
         }
         let Ok(n) = open.master.read(&mut bytes) else { continue };
-        hand.exchange(&bytes[..n], &mut reply);
+        let came = Instant::now();
+        let hesitated = hand.exchange(&bytes[..n], &mut reply);
+        if let Some(baud) = baud {
+            // Ten bits a byte, there and back.
+            let wire = Duration::from_secs_f64(10.0 * (n + reply.len()) as f64 / f64::from(baud));
+            std::thread::sleep((wire + hesitated).saturating_sub(came.elapsed()));
+        }
         // What a program does not read is lost, as on a wire.
         let _ = open.master.write(&reply);
         reply.clear();

@@ -34,6 +34,8 @@ pub(super) struct Wire {
     faults: Faults,
     now: Duration,
     stepped: Duration,
+    /// Sum of the return delays of the answers so far.
+    delay: Duration,
 }
 
 impl Wire {
@@ -46,6 +48,7 @@ impl Wire {
             faults: Faults::default(),
             now: Duration::ZERO,
             stepped: Duration::ZERO,
+            delay: Duration::ZERO,
         }
     }
 
@@ -70,15 +73,16 @@ impl Wire {
         self.faults.inject(fault, times);
     }
 
-    /// Takes bytes from the host; appends what the motors answer.
-    pub fn receive(&mut self, mut bytes: &[u8], reply: &mut Vec<u8>) {
+    /// Takes bytes from the host; appends what the motors answer. For how long they hesitated.
+    pub fn receive(&mut self, mut bytes: &[u8], reply: &mut Vec<u8>) -> Duration {
+        self.delay = Duration::ZERO;
         loop {
             while let Some(p) = self.parser.next_packet() {
                 let (id, number, params) = (p.id, p.instruction, p.params.to_vec());
                 self.instruction(id, number, &params, reply);
             }
             if bytes.is_empty() {
-                return;
+                return self.delay;
             }
             let taken = self.parser.push(bytes);
             bytes = &bytes[taken..];
@@ -95,20 +99,10 @@ impl Wire {
         match number {
             instruction::SYNC_WRITE => self.sync_write(params),
             instruction::BULK_WRITE => self.bulk_write(params),
-            instruction::SYNC_READ => {
-                let Some((address, len, ids)) = range(params) else { return };
-                let items: Vec<_> = ids.iter().map(|id| (*id, address, len)).collect();
-                self.chain(&items, reply);
-            }
-            instruction::BULK_READ => {
-                let items: Vec<_> = params.chunks_exact(5).filter_map(|c| Some((c[0], range(&c[1..])?))).collect();
-                let items: Vec<_> = items.into_iter().map(|(id, (address, len, _))| (id, address, len)).collect();
-                self.chain(&items, reply);
-            }
-            instruction::FAST_SYNC_READ => {
-                let Some((address, len, ids)) = range(params) else { return };
-                self.fast_chain(ids, address, len, reply);
-            }
+            instruction::SYNC_READ => self.chain(&of_sync(params), reply),
+            instruction::BULK_READ => self.chain(&of_bulk(params), reply),
+            instruction::FAST_SYNC_READ => self.fast_chain(&of_sync(params), reply),
+            instruction::FAST_BULK_READ => self.fast_chain(&of_bulk(params), reply),
             _ => {
                 for i in 0..self.motors.len() {
                     if id == BROADCAST || self.motors[i].id == id {
@@ -151,6 +145,15 @@ impl Wire {
                 Some((a, bytes)) => self.write(i, u16::from_le_bytes([a[0], a[1]]), bytes),
                 None => Err(refusal::LENGTH),
             },
+            instruction::REG_WRITE => match params.split_at_checked(2) {
+                Some((a, bytes)) => self.motors[i].register(u16::from_le_bytes([a[0], a[1]]), bytes),
+                None => Err(refusal::LENGTH),
+            },
+            instruction::ACTION => match self.motors[i].registered.take() {
+                Some((address, bytes)) => self.write(i, address, &bytes),
+                None => Err(refusal::FAILED),
+            },
+            instruction::CLEAR => self.motors[i].clear(params),
             instruction::REBOOT => Ok(()),
             _ => Err(refusal::INSTRUCTION),
         };
@@ -214,19 +217,24 @@ impl Wire {
     }
 
     /// Answers in one packet; each adds its block when it has heard the one before it.
-    fn fast_chain(&mut self, ids: &[u8], address: u16, len: u16, reply: &mut Vec<u8>) {
-        let hearing: Vec<_> = ids.iter().map(|id| self.hearing(*id)).collect();
-        let length = 1 + ids.len() * (usize::from(len) + 4);
+    fn fast_chain(&mut self, items: &[(u8, u16, u16)], reply: &mut Vec<u8>) {
+        let hearing: Vec<_> = items.iter().map(|(id, _, _)| self.hearing(*id)).collect();
+        let length = 1 + items.iter().map(|(_, _, len)| usize::from(*len) + 4).sum::<usize>();
         let mut clean = [&HEADER[..], &[BROADCAST], &(length as u16).to_le_bytes(), &[instruction::STATUS]].concat();
         let mut head = clean.clone();
-        for i in hearing {
+        let (begin, mut twice) = (reply.len(), false);
+        for (i, (_, address, len)) in hearing.into_iter().zip(items) {
             let Some(i) = i.filter(|i| self.motors[*i].knows_fast_reads()) else { return };
             let motor = &self.motors[i];
-            let mut data = vec![0; usize::from(len)];
+            let mut data = vec![0; usize::from(*len)];
             let (id, start) = (motor.id, clean.len());
-            let error = motor.read(address, &mut data).err().unwrap_or(0) | motor.alert();
+            let error = motor.read(*address, &mut data).err().unwrap_or(0) | motor.alert();
             if self.faults.happens(Fault::Mute(id)) {
                 return;
+            }
+            // Only the first has to hesitate.
+            if !head.is_empty() {
+                self.delay += motor.return_delay();
             }
             clean.extend([error, id]);
             clean.extend(data);
@@ -234,7 +242,12 @@ impl Wire {
             reply.append(&mut head);
             let sent = reply.len();
             reply.extend_from_slice(&clean[start..]);
+            // The answers are one packet: what comes twice is all of it.
+            twice |= self.faults.happens(Fault::Duplicate(id));
             self.faults.damage(id, reply, sent);
+        }
+        if twice {
+            reply.extend_from_within(begin..);
         }
     }
 
@@ -249,10 +262,22 @@ impl Wire {
         let params = [&[error | motor.alert()][..], data].concat();
         let Ok(length) = encode(&mut buffer, id, instruction::STATUS, &params) else { return false };
         let start = reply.len();
+        self.delay += motor.return_delay();
         reply.extend_from_slice(&buffer[..length]);
         self.faults.damage(id, reply, start);
         true
     }
+}
+
+/// Who is asked for what by a read of the same addresses of several: id, address, length.
+fn of_sync(params: &[u8]) -> Vec<(u8, u16, u16)> {
+    range(params).map_or_else(Vec::new, |(address, len, ids)| ids.iter().map(|id| (*id, address, len)).collect())
+}
+
+/// The same of a read of different addresses.
+fn of_bulk(params: &[u8]) -> Vec<(u8, u16, u16)> {
+    let items = params.chunks_exact(5).filter_map(|c| Some((c[0], range(&c[1..])?)));
+    items.map(|(id, (address, len, _))| (id, address, len)).collect()
 }
 
 /// Address, length and what follows.
