@@ -82,8 +82,12 @@ registers! {
     BAUD: u8 = 8;
     /// Time before an answer, 2 µs.
     RETURN_DELAY: u8 = 9;
+    /// Direction, profiles, and whether a goal switches the torque on; 0 is none of it.
+    DRIVE_MODE: u8 = 10;
     /// Operating mode; 5 is current-based position.
     MODE: u8 = 11;
+    /// Second id to which it listens; 253 and more is none.
+    SHADOW_ID: u8 = 12;
     /// Added to the position, ticks.
     HOMING_OFFSET: i32 = 20;
     /// Temperature at which it shuts down, °C.
@@ -96,6 +100,8 @@ registers! {
     PWM_LIMIT: u16 = 36;
     /// Largest current, mA.
     CURRENT_LIMIT: u16 = 38;
+    /// What it does when power comes: 1 is torque on, 2 is old values back.
+    STARTUP: u8 = 60;
     /// Hardware errors that take the torque off.
     SHUTDOWN: u8 = 63;
     /// Whether it is under torque.
@@ -110,12 +116,16 @@ registers! {
     POSITION_I: u16 = 82;
     /// Gain on the position error.
     POSITION_P: u16 = 84;
+    /// Feed-forward of acceleration; that of velocity follows.
+    FEEDFORWARD: u16 = 88;
     /// Time without instructions after which it freezes, 20 ms; 255 when it has.
     BUS_WATCHDOG: u8 = 98;
     /// Largest PWM of the moment.
     GOAL_PWM: i16 = 100;
     /// Largest current of the moment, mA.
     GOAL_CURRENT: i16 = 102;
+    /// Acceleration of moves; their velocity follows. 0 is no limit.
+    PROFILE_ACCELERATION: u32 = 108;
     /// Goal position, ticks.
     GOAL_POSITION: i32 = 116;
     /// Current, mA.

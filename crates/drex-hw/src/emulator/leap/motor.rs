@@ -55,6 +55,7 @@ impl Motor {
         motor.set(table::BAUD, 6);
         motor.set(table::RETURN_DELAY, 250);
         motor.set(table::MODE, 3);
+        motor.set(table::SHADOW_ID, 255);
         motor.set(table::TEMPERATURE_LIMIT, 70);
         motor.set(table::MAX_VOLTAGE, 70);
         motor.set(table::MIN_VOLTAGE, 35);
