@@ -15,7 +15,7 @@ use crate::{Error, Result};
 /// Patience with an adapter that does not tell its latency.
 const UNKNOWN_LATENCY: Duration = Duration::from_millis(4);
 /// How long a hand may take to be set up.
-pub(super) const SETUP_TIME: Duration = Duration::from_secs(5);
+pub(super) const SETUP_TIME: Duration = Duration::from_secs(2);
 /// How often what no motor confirms is said again.
 const TRIES: u32 = 3;
 /// Speeds at which motors may be, if not at the expected one.
@@ -292,6 +292,9 @@ impl<P: Port> LeapHand<P> {
                 Some(_) => {
                     let error = self.bus.get(self.joints[j].id, table::HARDWARE_ERROR)?;
                     let what = format!("torque does not go on: {}", table::hardware_error_text(error));
+                    self.note_error(j, error);
+                    // It is set up anew when somebody tries again.
+                    self.fault(j, what.clone());
                     return Err(self.wrong(j, what, "check its supply, reboot it"));
                 }
                 None => return Err(Error::Silent { id: self.joints[j].id }),

@@ -57,7 +57,7 @@ impl<P: Port> LeapHand<P> {
                 }
                 if let Life::Faulted { .. } = self.joints[j].life {
                     let what = self.joints[j].trouble.clone().unwrap_or_else(|| "cannot be set up".into());
-                    return Err(self.wrong(j, what, "check its cable and supply, connect again"));
+                    return Err(self.wrong(j, what, "then try again"));
                 }
                 if let Life::Booting { .. } = self.joints[j].life {
                     waiting = Some(j);
@@ -115,6 +115,8 @@ impl<P: Port> LeapHand<P> {
             }
             Err(Error::Silent { .. }) if now <= give_up => self.joints[j].life = again,
             Err(error @ Error::Port { .. }) => return Err(error),
+            // The joint is known.
+            Err(Error::Joint { what, remedy, .. }) => self.fault(j, format!("{what}; {remedy}")),
             Err(error) => self.fault(j, error.to_string()),
         }
         if was_booting && self.joints[j].is_asked() {

@@ -5,9 +5,9 @@ use crate::leap::table::{RAD_PER_TICK, TICKS_PER_TURN};
 /// Acceleration per current, ticks/s² per mA: 0.517 N m/A on 1.41e-3 kg m².
 const ACCELERATION: f64 = 0.517e-3 / 1.41e-3 / RAD_PER_TICK;
 /// Current that the gearbox's dry friction eats, mA.
-const FRICTION: f64 = 5.0;
+const FRICTION: f64 = 15.0;
 /// Drag, 1/s.
-const DRAG: f64 = 5.0;
+const DRAG: f64 = 20.0;
 /// No-load speed, ticks/s.
 const TOP_SPEED: f64 = 8.48 / RAD_PER_TICK;
 /// Current per gain P and tick, mA.

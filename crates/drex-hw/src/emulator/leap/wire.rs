@@ -5,7 +5,7 @@ use std::time::Duration;
 use super::fault::{Fault, Faults};
 use super::motor::{Motor, refusal};
 use crate::dynamixel::{BROADCAST, HEADER, Parser, crc16, encode, instruction};
-use crate::leap::table::MotorModel;
+use crate::leap::table::{self, MotorModel};
 
 /// Step of the physics.
 const STEP: Duration = Duration::from_millis(1);
@@ -128,6 +128,7 @@ impl Wire {
         let id = self.motors[i].id;
         let Some(i) = self.hearing(id) else { return };
         let mut data = Vec::new();
+        let told = self.motors[i].get(table::STATUS_LEVEL);
         let done = match number {
             instruction::PING => {
                 let pong = self.motors[i].pong();
@@ -157,7 +158,13 @@ impl Wire {
             instruction::REBOOT => Ok(()),
             _ => Err(refusal::INSTRUCTION),
         };
-        if !to_all || number == instruction::PING {
+        let level = match number {
+            instruction::PING => 0,
+            instruction::READ => 1,
+            _ => 2,
+        };
+        // What it is told to answer to holds from the next instruction on; pings are always answered.
+        if (!to_all && told >= level) || number == instruction::PING {
             if done.is_err() {
                 data.clear();
             }
