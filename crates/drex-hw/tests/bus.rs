@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
-use drex_hw::{Clock, Error};
 use drex_hw::dynamixel::{Answers, Bus, Timing};
 use drex_hw::emulator::leap::{EmulatorPort, Fault, LeapEmulator};
 use drex_hw::leap::table;
+use drex_hw::{Clock, Error};
 
 const PRESENT: u16 = 126;
 

@@ -58,9 +58,7 @@ fn torque_goes_on_last_of_all_for_every_motor() {
     assert_eq!(hand.under_torque(), 16);
     assert!(log.iter().all(|w| w.accepted), "{:?}", log.iter().find(|w| !w.accepted));
     for id in 0..16 {
-        let at = |address: u16, value: &[u8]| {
-            writes_to(&log, id).position(|w| w.address == address && w.data == value)
-        };
+        let at = |address: u16, value: &[u8]| writes_to(&log, id).position(|w| w.address == address && w.data == value);
         let order = [
             at(64, &[0]).expect("torque off first"),
             at(11, &[5]).expect("mode"),
@@ -166,7 +164,12 @@ fn contact_current_is_the_limit() {
         for limit in [100.0, 200.0, 300.0, 400.0] {
             let state = run(&mut leap, &hand, Some(&all(0.6, limit)), 600);
             for j in 0..16 {
-                assert!((state.effort[j] - limit).abs() <= 2.0, "{}: {} for {limit}", leap.joints()[j], state.effort[j]);
+                assert!(
+                    (state.effort[j] - limit).abs() <= 2.0,
+                    "{}: {} for {limit}",
+                    leap.joints()[j],
+                    state.effort[j]
+                );
                 assert!((state.position[j] - 100.0 * table::RAD_PER_TICK).abs() < 0.002);
             }
         }
@@ -394,6 +397,17 @@ fn hands_that_do_not_fit_are_refused_by_name() {
         assert!(matches!(LeapHand::connect(hand.port(), &robot(), bad), Err(Error::Value { .. })));
     }
     assert!(options().with_zero("if_nothing", 2048).is_err());
+}
+
+#[test]
+fn one_motor_with_old_firmware_is_heard_too() {
+    let hand = LeapEmulator::new();
+    hand.set(7, table::FIRMWARE, 45);
+    let mut leap = connect(&hand);
+    let follow_ups = leap.bus_stats().follow_ups;
+    let state = run(&mut leap, &hand, None, 20);
+    assert_eq!(state.age, [0; 16]);
+    assert_eq!(leap.bus_stats().follow_ups, follow_ups);
 }
 
 #[test]

@@ -281,7 +281,6 @@ impl<P: Port> Bus<P> {
         self.parser.filled(read);
         Ok(read > 0)
     }
-
 }
 
 fn pong(id: u8, error: u8, data: &[u8; 3]) -> Pong {

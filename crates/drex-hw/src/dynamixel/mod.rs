@@ -4,11 +4,11 @@ mod answers;
 mod bus;
 mod crc;
 mod fast;
+#[cfg(unix)]
+pub(crate) mod lock;
 mod packet;
 mod parser;
 mod port;
-#[cfg(unix)]
-pub(crate) mod lock;
 mod serial;
 mod sync;
 

@@ -98,11 +98,7 @@ impl Parser {
             };
             self.start += total;
             let body = &self.buffer[body.start..body.start + length];
-            return Some(Packet {
-                id: self.buffer[packet.start + 4],
-                instruction: body[0],
-                params: &body[1..],
-            });
+            return Some(Packet { id: self.buffer[packet.start + 4], instruction: body[0], params: &body[1..] });
         }
     }
 

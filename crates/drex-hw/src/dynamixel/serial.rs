@@ -83,7 +83,8 @@ impl Port for SerialPort {
     fn read(&mut self, buffer: &mut [u8], wait: Duration) -> io::Result<usize> {
         let port = &mut self.device()?.port;
         // The system counts in milliseconds; rounded up, so that a short wait is not none.
-        let wait = Duration::from_millis(u64::try_from(wait.as_micros().div_ceil(1000)).unwrap_or(u64::MAX).min(60_000));
+        let wait =
+            Duration::from_millis(u64::try_from(wait.as_micros().div_ceil(1000)).unwrap_or(u64::MAX).min(60_000));
         port.set_read_timeout(wait)?;
         match port.read(buffer) {
             // A device that is readable and has nothing was hung up.

@@ -88,8 +88,7 @@ impl<P: Port> LeapHand<P> {
     pub fn connect(port: P, robot: &Robot, options: LeapOptions) -> Result<Self> {
         options.check()?;
         let joints = joints(robot, &options)?;
-        let timing =
-            options.timing.unwrap_or_else(|| Timing::for_latency(port.latency().unwrap_or(UNKNOWN_LATENCY)));
+        let timing = options.timing.unwrap_or_else(|| Timing::for_latency(port.latency().unwrap_or(UNKNOWN_LATENCY)));
         // All joints have limits, or there would be no `joints`.
         let limits: Vec<_> = robot.joints.iter().filter_map(|j| j.limits).collect();
         let connected = port.now();

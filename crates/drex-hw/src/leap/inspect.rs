@@ -8,7 +8,7 @@ use crate::dynamixel::{Bus, Port};
 use crate::{Error, Result};
 
 /// Firmware from which on motors answer fast sync reads.
-const FAST_FIRMWARE: u8 = 46;
+pub(super) const FAST_FIRMWARE: u8 = 46;
 /// Largest latency of an adapter that a fast loop bears.
 const LATENCY: Duration = Duration::from_millis(1);
 /// Supply voltages at which the motors' numbers hold, 0.1 V.
@@ -80,7 +80,10 @@ pub(super) fn inspect_motors<P: Port>(bus: &mut Bus<P>, options: &LeapOptions) -
             old.push(id);
         }
         if table::DRIVE_MODE.in_block(0, &head) != 0 {
-            say("its drive mode is not 0, it may turn the other way or switch itself on".into(), "connecting sets it to 0");
+            say(
+                "its drive mode is not 0, it may turn the other way or switch itself on".into(),
+                "connecting sets it to 0",
+            );
         }
         if table::STARTUP.in_block(0, &head) != 0 {
             say("it does things by itself when power comes".into(), "connecting sets register 60 to 0");
@@ -91,7 +94,10 @@ pub(super) fn inspect_motors<P: Port>(bus: &mut Bus<P>, options: &LeapOptions) -
         }
         let offset = table::HOMING_OFFSET.in_block(0, &head);
         if offset != 0 {
-            say(format!("its homing offset is {offset} ticks"), "set register 20 to 0, or take it into LeapOptions::with_zero");
+            say(
+                format!("its homing offset is {offset} ticks"),
+                "set register 20 to 0, or take it into LeapOptions::with_zero",
+            );
         }
         let errors = table::HARDWARE_ERROR.in_block(0, &head);
         if errors != 0 {
@@ -123,7 +129,10 @@ fn common(delayed: &[(u8, u8)], old: &[u8], models: &[u16]) -> Vec<Finding> {
         say(what, "update it with the maker's program; until then the loop is slower".into());
     }
     if models.iter().any(|m| m != &models[0] || MotorModel::from_number(*m).is_none()) {
-        say(format!("motors of models {models:?}"), "build the hand with XC330-M288 (1240) or XL330-M288 (1200) alone".into());
+        say(
+            format!("motors of models {models:?}"),
+            "build the hand with XC330-M288 (1240) or XL330-M288 (1200) alone".into(),
+        );
     }
     findings
 }

@@ -70,7 +70,13 @@ impl LeapOptions {
     pub fn right() -> Self {
         let names = orders::order("leap_sdk").unwrap_or_default();
         let joint = |(id, name): (u8, &&str)| LeapJoint { id, name: (*name).into(), zero_ticks: 2048, reversed: false };
-        let gains = |id| if matches!(id, 0 | 4 | 8) { LeapGains { p: 450, i: 0, d: 150 } } else { LeapGains { p: 600, i: 0, d: 200 } };
+        let gains = |id| {
+            if matches!(id, 0 | 4 | 8) {
+                LeapGains { p: 450, i: 0, d: 150 }
+            } else {
+                LeapGains { p: 600, i: 0, d: 200 }
+            }
+        };
         Self {
             joints: (0..).zip(names).map(joint).collect(),
             gains: (0..names.len()).map(gains).collect(),
@@ -126,7 +132,8 @@ impl LeapOptions {
     /// If there is no such joint.
     pub fn with_zero(mut self, name: &str, zero_ticks: i32) -> Result<Self> {
         let joint = self.joints.iter_mut().find(|j| j.name == name);
-        joint.ok_or_else(|| Error::value(format!("no joint {name}"), "use a name of the robot model"))?.zero_ticks = zero_ticks;
+        joint.ok_or_else(|| Error::value(format!("no joint {name}"), "use a name of the robot model"))?.zero_ticks =
+            zero_ticks;
         Ok(self)
     }
 

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use super::driver::{COMMAND, HEALTH, LeapHand, SETUP_TIME};
+use super::inspect::FAST_FIRMWARE;
 use super::joint::Life;
 use super::table::{self, CURRENT_BASED_POSITION, MotorModel, Register, Value};
 use crate::dynamixel::Port;
@@ -94,11 +95,8 @@ impl<P: Port> LeapHand<P> {
             _ => return Ok(false),
         };
         let was_booting = matches!(again, Life::Booting { .. });
-        let outcome = outcome.and_then(|next| if let Next::Boot = next {
-            self.begin_reboot(j).map(|()| Next::Boot)
-        } else {
-            Ok(next)
-        });
+        let outcome = outcome
+            .and_then(|next| if let Next::Boot = next { self.begin_reboot(j).map(|()| Next::Boot) } else { Ok(next) });
         match outcome {
             Ok(Next::Step(step)) => self.joints[j].life = Life::Setup { step, give_up },
             Ok(Next::Boot) => {
@@ -140,6 +138,10 @@ impl<P: Port> LeapHand<P> {
                     let found = MotorModel::from_number(pong.model).map_or("something else", MotorModel::name);
                     let what = format!("is an {found} (model {}), others are {}", pong.model, self.model.name());
                     return Err(self.wrong(j, what, "build the hand with motors of one kind"));
+                }
+                if pong.firmware < FAST_FIRMWARE {
+                    // In a common answer it would be missing for ever.
+                    self.bus.set_fast(false);
                 }
                 let error = self.bus.get(id, table::HARDWARE_ERROR)?;
                 self.note_error(j, error);
@@ -218,7 +220,10 @@ impl<P: Port> LeapHand<P> {
             return Ok(());
         }
         let (low, high) = self.limits[j];
-        let what = format!("at {:.3} rad (tick {ticks}), where it cannot be ({low:.3} to {high:.3})", self.joints[j].angle(ticks));
+        let what = format!(
+            "at {:.3} rad (tick {ticks}), where it cannot be ({low:.3} to {high:.3})",
+            self.joints[j].angle(ticks)
+        );
         Err(self.wrong(j, what, "mount its horn again in the right place, or set LeapOptions::with_zero"))
     }
 }
