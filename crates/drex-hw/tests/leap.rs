@@ -42,7 +42,7 @@ fn motor(leap: &impl Hand, j: usize) -> u8 {
     wiring.iter().find(|w| w.name == leap.joints()[j]).expect("wired").id
 }
 
-fn writes_to<'a>(log: &'a [WriteRecord], id: u8) -> impl Iterator<Item = &'a WriteRecord> {
+fn writes_to(log: &[WriteRecord], id: u8) -> impl Iterator<Item = &WriteRecord> {
     log.iter().filter(move |w| w.id == id)
 }
 
@@ -268,6 +268,8 @@ fn a_loop_that_was_away_goes_on() {
     run(&mut leap, &hand, Some(&all(0.2, 300.0)), 100);
     hand.pass(Duration::from_millis(500));
     assert_eq!(hand.get(3, table::BUS_WATCHDOG), Some(255));
+    leap.cycle(Some(&all(0.4, 300.0)), &mut HandState::new(16)).expect("exchange");
+    assert_eq!(hand.get(3, table::BUS_WATCHDOG), Some(2), "at once, not when it is found frozen");
     let state = run(&mut leap, &hand, Some(&all(0.4, 300.0)), 1500);
     assert!(state.position.iter().all(|q| (q - 0.4).abs() < 0.03), "{:?}", state.position);
     assert_eq!(state.status, vec![JointStatus::Driven; 16]);

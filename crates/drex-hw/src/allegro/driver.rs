@@ -230,10 +230,7 @@ impl<B: CanBus> AllegroHand<B> {
                 .filter_map(|(name, f)| f.seen.is_none().then_some(name))
                 .collect();
             return Err(Error::value(
-                format!(
-                    "no fresh poses (never seen: {})",
-                    if silent.is_empty() { "none".into() } else { silent.join(", ") }
-                ),
+                format!("no fresh poses (never seen: {})", if silent.is_empty() { "none".into() } else { silent.join(", ") }),
                 "check the hand's power, the CAN cable and its termination, 1 Mbit/s, and the version",
             ));
         }
@@ -249,10 +246,7 @@ impl<B: CanBus> AllegroHand<B> {
         if let Some(info) = self.info.filter(|_| self.options.version == AllegroVersion::V4) {
             if info.hardware >> 8 != 4 && self.options.wire_per_nm > OLD_HARDWARE {
                 return Err(Error::value(
-                    format!(
-                        "a hand of hardware {:#06x}, driven with {} units per N m",
-                        info.hardware, self.options.wire_per_nm
-                    ),
+                    format!("a hand of hardware {:#06x}, driven with {} units per N m", info.hardware, self.options.wire_per_nm),
                     format!("use AllegroOptions::with_wire_per_nm({OLD_HARDWARE})"),
                 ));
             }
