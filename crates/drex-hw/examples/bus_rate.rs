@@ -21,7 +21,8 @@ mod unix {
     use std::time::{Duration, Instant};
 
     use drex_hw::dynamixel::{Answers, Bus, SerialPort, Timing};
-    use drex_hw::emulator::leap::{LeapEmulator, LeapPty};
+    use drex_hw::emulator::leap::LeapEmulator;
+    use drex_hw::emulator::pty::PtyServer;
     use drex_hw::leap::{LeapHand, LeapOptions, table};
     use drex_hw::{Hand, HandCommand, HandState};
     use drex_robot::Robot;
@@ -70,8 +71,8 @@ mod unix {
         let hand = LeapEmulator::new().in_real_time();
         (0..16).for_each(|id| hand.set(id, table::RETURN_DELAY, 0));
         let server = match paced {
-            Some(baud) => LeapPty::serve_paced(&hand, None, baud)?,
-            None => LeapPty::serve(&hand, None)?,
+            Some(baud) => PtyServer::serve(hand.paced(baud), None)?,
+            None => PtyServer::serve(hand.clone(), None)?,
         };
         let ids: Vec<u8> = (0..16).collect();
         let order = [100, 0, 0, 8, 0, 0];

@@ -7,15 +7,16 @@
 
 #[cfg(unix)]
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    use drex_hw::emulator::leap::{LeapEmulator, LeapPty};
+    use drex_hw::emulator::leap::LeapEmulator;
+    use drex_hw::emulator::pty::PtyServer;
 
     let mut arguments = std::env::args().skip(1);
     let link = arguments.next().ok_or("say where the link is to be: leap_emulator LINK [BAUD]")?;
     let hand = LeapEmulator::new().in_real_time();
     let link = std::path::Path::new(&link);
     let server = match arguments.next() {
-        Some(baud) => LeapPty::serve_paced(&hand, Some(link), baud.parse()?)?,
-        None => LeapPty::serve(&hand, Some(link))?,
+        Some(baud) => PtyServer::serve(hand.paced(baud.parse()?), Some(link))?,
+        None => PtyServer::serve(hand, Some(link))?,
     };
     println!("{}", server.path().display());
     std::io::stdin().read_line(&mut String::new())?;

@@ -6,6 +6,11 @@ use std::time::{Duration, Instant};
 pub trait Clock: Send {
     /// Time since some moment in the past.
     fn now(&self) -> Duration;
+
+    /// Waits until this clock shows `then`; at once if it is past.
+    fn wait_until(&self, then: Duration) {
+        std::thread::sleep(then.saturating_sub(self.now()));
+    }
 }
 
 /// The system's clock, from the moment it was made.
@@ -27,5 +32,9 @@ impl Clock for SystemClock {
 impl<C: Clock + ?Sized> Clock for Box<C> {
     fn now(&self) -> Duration {
         (**self).now()
+    }
+
+    fn wait_until(&self, then: Duration) {
+        (**self).wait_until(then);
     }
 }

@@ -80,6 +80,18 @@ pub enum Error {
         /// What to do about it.
         remedy: String,
     },
+    /// Joints that never told where they are.
+    #[error("hand: nothing was ever read of {joints}; check power and cables, and scan for the motors")]
+    NeverRead {
+        /// Their names.
+        joints: String,
+    },
+    /// The loop cannot have a thread.
+    #[error("no thread for the control loop: {0}; end other programs, or raise the limit on threads")]
+    Thread(std::io::Error),
+    /// Signals cannot be caught.
+    #[error("signals cannot stop the hand: {0}; stop it otherwise")]
+    Signals(std::io::Error),
     /// A motor does not answer.
     #[error("motor {id} does not answer; check its power, cable, id and baud rate")]
     Silent {

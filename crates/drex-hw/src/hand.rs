@@ -40,6 +40,8 @@ pub struct HandState {
     pub velocity: Vec<f64>,
     /// Efforts as measured, in the unit of [`Hand::effort_unit`], positive where they push the joint to larger angles.
     pub effort: Vec<f64>,
+    /// Temperatures, °C, where the hand measures them.
+    pub temperature_c: Vec<Option<f64>>,
     /// Cycles since the values of a joint were last read; 0 is fresh.
     pub age: Vec<u32>,
     /// How each joint is doing.
@@ -54,9 +56,34 @@ impl HandState {
             position: vec![0.0; joints],
             velocity: vec![0.0; joints],
             effort: vec![0.0; joints],
+            temperature_c: vec![None; joints],
             age: vec![u32::MAX; joints],
             status: vec![JointStatus::Limp; joints],
         }
+    }
+
+    /// Refuses a state that nobody must act on: of the wrong length or not finite.
+    ///
+    /// # Errors
+    /// With the joint's name and the value.
+    pub fn check(&self, joints: &[String]) -> Result<()> {
+        let Self { position, velocity, effort, temperature_c, age, status, .. } = self;
+        let lengths = [position.len(), velocity.len(), effort.len(), temperature_c.len(), age.len(), status.len()];
+        if lengths != [joints.len(); 6] {
+            return Err(Error::value(
+                format!("a state with lists of {lengths:?} values for {} joints", joints.len()),
+                "have the driver fill every list",
+            ));
+        }
+        for ((name, q), (v, e)) in joints.iter().zip(position).zip(velocity.iter().zip(effort)) {
+            if !(q.is_finite() && v.is_finite() && e.is_finite()) {
+                return Err(Error::value(
+                    format!("joint {name} read at {q} rad, {v} rad/s, effort {e}"),
+                    "check the joint's encoder and calibration",
+                ));
+            }
+        }
+        Ok(())
     }
 
     /// Takes over the values of `other` without allocating when the number of joints is the same.
@@ -146,4 +173,34 @@ pub trait Hand: Send {
     /// If the command must not be followed ([`HandCommand::check`]) or the hand cannot be reached. A single joint that
     /// does not answer is no error.
     fn cycle(&mut self, command: Option<&HandCommand>, state: &mut HandState) -> Result<()>;
+}
+
+impl<H: Hand + ?Sized> Hand for Box<H> {
+    fn joints(&self) -> &[String] {
+        (**self).joints()
+    }
+
+    fn limits(&self) -> &[(f64, f64)] {
+        (**self).limits()
+    }
+
+    fn effort_unit(&self) -> EffortUnit {
+        (**self).effort_unit()
+    }
+
+    fn effort_caps(&self) -> &[f64] {
+        (**self).effort_caps()
+    }
+
+    fn turn_on(&mut self) -> Result<()> {
+        (**self).turn_on()
+    }
+
+    fn turn_off(&mut self) -> Result<()> {
+        (**self).turn_off()
+    }
+
+    fn cycle(&mut self, command: Option<&HandCommand>, state: &mut HandState) -> Result<()> {
+        (**self).cycle(command, state)
+    }
 }

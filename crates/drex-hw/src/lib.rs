@@ -2,6 +2,7 @@
 
 pub mod allegro;
 pub mod can;
+pub mod control;
 pub mod dynamixel;
 pub mod emulator;
 pub mod law;

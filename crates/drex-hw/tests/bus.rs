@@ -165,14 +165,14 @@ fn a_pulled_plug_is_an_error_of_the_port() {
 mod pty {
     use super::*;
     use drex_hw::dynamixel::{Port, SerialPort};
-    use drex_hw::emulator::leap::LeapPty;
+    use drex_hw::emulator::pty::PtyServer;
 
     #[test]
     fn a_serial_port_works_and_has_one_user() {
         let folder = tempfile::tempdir().expect("folder");
         let link = folder.path().join("leap");
         let hand = LeapEmulator::new().in_real_time();
-        let server = LeapPty::serve(&hand, Some(&link)).expect("pty");
+        let server = PtyServer::serve(hand.clone(), Some(&link)).expect("pty");
         let port = SerialPort::open(server.path(), 4_000_000).expect("opens");
 
         let error = SerialPort::open(&link, 4_000_000).expect_err("in use").to_string();

@@ -168,11 +168,12 @@ fn a_hot_motor_is_not_started_again_by_itself() {
 #[test]
 fn temperature_and_voltage_are_known() {
     let mut rig = Rig::new(LeapOptions::right());
+    assert_eq!(rig.state.temperature_c, [Some(31.0); 16], "from the beginning");
     rig.hand.set(5, table::PRESENT_TEMPERATURE, 61);
     rig.hand.set(5, table::PRESENT_VOLTAGE, 47);
     (0..60).for_each(|_| rig.cycle().expect("exchange"));
     let j = rig.joint(5);
-    assert_eq!(rig.leap.temperatures_c()[j], Some(61.0));
+    assert_eq!((rig.leap.temperatures_c()[j], rig.state.temperature_c[j]), (Some(61.0), Some(61.0)));
     let health = rig.leap.health().nth(j).flatten().expect("known");
     assert_eq!((health.voltage_v, health.hardware_error), (4.7, 0));
 }

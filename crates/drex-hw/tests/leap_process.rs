@@ -6,7 +6,8 @@ use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
 use drex_hw::dynamixel::SerialPort;
-use drex_hw::emulator::leap::{LeapEmulator, LeapPty};
+use drex_hw::emulator::leap::LeapEmulator;
+use drex_hw::emulator::pty::PtyServer;
 use drex_hw::leap::{LeapHand, LeapOptions, table};
 use drex_hw::{Hand, HandCommand, HandState};
 use drex_robot::Robot;
@@ -58,7 +59,7 @@ fn the_hand_of_a_killed_program_freezes_and_is_free() {
     let folder = tempfile::tempdir().expect("folder");
     let link = folder.path().join("leap");
     let hand = LeapEmulator::new().in_real_time();
-    let server = LeapPty::serve(&hand, Some(&link)).expect("pty");
+    let server = PtyServer::serve(hand.clone(), Some(&link)).expect("pty");
     let mut driver = Killed(
         Command::new(std::env::current_exe().expect("this program"))
             .args(["--exact", "drives_until_it_is_killed", "--nocapture"])

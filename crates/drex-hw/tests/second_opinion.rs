@@ -4,7 +4,8 @@
 use std::time::Duration;
 
 use drex_hw::dynamixel::{Answers, Bus, SerialPort, Timing};
-use drex_hw::emulator::leap::{LeapEmulator, LeapPty};
+use drex_hw::emulator::leap::LeapEmulator;
+use drex_hw::emulator::pty::PtyServer;
 use drex_hw::leap::table;
 use dynamixel2::instructions::SyncWriteData;
 
@@ -17,7 +18,7 @@ fn dynamixel2_and_we_read_and_write_the_same() {
         hand.set(id, table::PRESENT_CURRENT, -1);
         hand.set(id, table::PRESENT_VELOCITY, 253);
     }
-    let server = LeapPty::serve(&hand, None).expect("pty");
+    let server = PtyServer::serve(hand.clone(), None).expect("pty");
     let ids: Vec<u8> = (0..16).collect();
 
     let mut theirs = Vec::new();

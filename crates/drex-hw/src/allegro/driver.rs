@@ -59,7 +59,7 @@ pub struct AllegroHand<B: CanBus> {
     effort_nm: [f64; 16],
     pub(super) sent: [i16; 16],
     pub(super) motor_errors: [u8; 16],
-    temperatures_c: [Option<f64>; 16],
+    pub(super) temperatures_c: [Option<f64>; 16],
     info: Option<AllegroInfo>,
     serial: Option<[u8; 8]>,
     stats: AllegroStats,
@@ -230,7 +230,10 @@ impl<B: CanBus> AllegroHand<B> {
                 .filter_map(|(name, f)| f.seen.is_none().then_some(name))
                 .collect();
             return Err(Error::value(
-                format!("no fresh poses (never seen: {})", if silent.is_empty() { "none".into() } else { silent.join(", ") }),
+                format!(
+                    "no fresh poses (never seen: {})",
+                    if silent.is_empty() { "none".into() } else { silent.join(", ") }
+                ),
                 "check the hand's power, the CAN cable and its termination, 1 Mbit/s, and the version",
             ));
         }
@@ -246,7 +249,10 @@ impl<B: CanBus> AllegroHand<B> {
         if let Some(info) = self.info.filter(|_| self.options.version == AllegroVersion::V4) {
             if info.hardware >> 8 != 4 && self.options.wire_per_nm > OLD_HARDWARE {
                 return Err(Error::value(
-                    format!("a hand of hardware {:#06x}, driven with {} units per N m", info.hardware, self.options.wire_per_nm),
+                    format!(
+                        "a hand of hardware {:#06x}, driven with {} units per N m",
+                        info.hardware, self.options.wire_per_nm
+                    ),
                     format!("use AllegroOptions::with_wire_per_nm({OLD_HARDWARE})"),
                 ));
             }

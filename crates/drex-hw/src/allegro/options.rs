@@ -12,8 +12,7 @@ pub const WIRE_JOINTS: [&str; 16] = [
 ];
 
 /// Largest duty of each joint, wire units of versions 3 and 4.
-const DUTY_CAPS: [i16; 16] =
-    [375, 675, 450, 285, 375, 675, 450, 285, 375, 675, 450, 285, 525, 405, 270, 270];
+const DUTY_CAPS: [i16; 16] = [375, 675, 450, 285, 375, 675, 450, 285, 375, 675, 450, 285, 525, 405, 270, 270];
 /// Largest duty of version 3 on 24 V, wire units.
 const DUTY_CAP_24V: i16 = 500;
 /// Largest current of version 5, mA.
@@ -186,13 +185,21 @@ impl AllegroOptions {
         }
         let allowed = Self::allowed(self.version);
         if let Some(j) = (0..16).find(|j| !(0..=allowed[*j]).contains(&self.wire_caps[*j])) {
-            return bad(format!("a cap of {} on the wire for {}, allowed are {}", self.wire_caps[j], self.names[j], allowed[j]));
+            return bad(format!(
+                "a cap of {} on the wire for {}, allowed are {}",
+                self.wire_caps[j], self.names[j], allowed[j]
+            ));
         }
         if let Some(c) = self.calibration.iter().find(|c| c.offset_counts.abs() > 1 << 20) {
             return bad(format!("an offset of {} counts", c.offset_counts));
         }
-        if self.pose_period_ms == 0 || self.stale.is_zero() || !(self.velocity_filter_s >= 0.0 && self.velocity_filter_s < 1.0) {
-            return bad("no pose period, no time until poses are stale, or a velocity filter that is not 0 to 1 s".into());
+        if self.pose_period_ms == 0
+            || self.stale.is_zero()
+            || !(self.velocity_filter_s >= 0.0 && self.velocity_filter_s < 1.0)
+        {
+            return bad(
+                "no pose period, no time until poses are stale, or a velocity filter that is not 0 to 1 s".into()
+            );
         }
         Ok(())
     }

@@ -53,9 +53,9 @@ impl<B: CanBus> Hand for AllegroHand<B> {
 impl<B: CanBus> AllegroHand<B> {
     /// Efforts are the torques that were commanded: the hand measures none.
     fn report(&self, state: &mut HandState) {
-        let lengths =
-            [state.position.len(), state.velocity.len(), state.effort.len(), state.age.len(), state.status.len()];
-        if lengths != [16; 5] {
+        let HandState { position, velocity, effort, temperature_c, age, status, .. } = &*state;
+        let lengths = [position.len(), velocity.len(), effort.len(), temperature_c.len(), age.len(), status.len()];
+        if lengths != [16; 6] {
             *state = HandState::new(16);
         }
         let time = self.time();
@@ -65,6 +65,7 @@ impl<B: CanBus> AllegroHand<B> {
             state.position[*model] = finger.q[wire % 4];
             state.velocity[*model] = finger.v[wire % 4];
             state.effort[*model] = if self.driven { self.options.torque(wire, self.sent[wire]) } else { 0.0 };
+            state.temperature_c[*model] = self.temperatures_c[wire];
             state.age[*model] = self.ages[wire / 4];
             state.status[*model] = match self.motor_errors[wire] {
                 0 if !self.driven => JointStatus::Limp,

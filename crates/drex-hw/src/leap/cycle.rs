@@ -147,8 +147,8 @@ impl<P: Port> LeapHand<P> {
     fn report(&mut self, state: &mut HandState) {
         let n = self.joints.len();
         let lengths =
-            [state.position.len(), state.velocity.len(), state.effort.len(), state.age.len(), state.status.len()];
-        if lengths != [n; 5] {
+            [&state.position, &state.velocity, &state.effort].map(Vec::len);
+        if lengths != [n; 3] || [state.temperature_c.len(), state.age.len(), state.status.len()] != [n; 3] {
             *state = HandState::new(n);
         }
         state.time_s = self.now().saturating_sub(self.connected).as_secs_f64();
@@ -156,6 +156,7 @@ impl<P: Port> LeapHand<P> {
             state.position[j] = joint.position;
             state.velocity[j] = joint.velocity;
             state.effort[j] = joint.current;
+            state.temperature_c[j] = joint.health.map(|h| h.temperature_c);
             state.age[j] = joint.missed;
             state.status[j] = joint.status();
         }

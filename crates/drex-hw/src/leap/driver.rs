@@ -120,6 +120,7 @@ impl<P: Port> LeapHand<P> {
         hand.findings.extend(inspect_motors(&mut hand.bus, &hand.options)?);
         hand.set_up_all()?;
         hand.regroup()?;
+        hand.read_health()?;
         Ok(hand)
     }
 

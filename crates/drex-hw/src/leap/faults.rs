@@ -19,7 +19,10 @@ impl<P: Port> LeapHand<P> {
     /// Notes the hardware errors of a motor, in words if there are any.
     pub(super) fn note_error(&mut self, j: usize, bits: u8) {
         let joint = &mut self.joints[j];
-        joint.health.get_or_insert_default().hardware_error = bits;
+        joint.errors = bits;
+        if let Some(health) = &mut joint.health {
+            health.hardware_error = bits;
+        }
         if bits != 0 {
             joint.trouble = Some(table::hardware_error_text(bits));
         }
@@ -53,6 +56,7 @@ impl<P: Port> LeapHand<P> {
             if (driven && (torque != 1 || watchdog == FROZEN)) || (limp && torque != 0) {
                 suspects |= 1 << j;
             } else if driven || limp {
+                joint.errors = error;
                 joint.health = Some(MotorHealth {
                     temperature_c: f64::from(celsius),
                     voltage_v: f64::from(decivolt) / 10.0,

@@ -53,6 +53,8 @@ pub(super) struct Joint {
     pub velocity: f64,
     pub current: f64,
     pub health: Option<MotorHealth>,
+    /// Its hardware errors when they were last read.
+    pub errors: u8,
     /// What was last wrong with it.
     pub trouble: Option<String>,
     zero: i64,
@@ -80,6 +82,7 @@ impl Joint {
             velocity: 0.0,
             current: 0.0,
             health: None,
+            errors: 0,
             trouble: None,
             zero: i64::from(wiring.zero_ticks),
             sign: if wiring.reversed { -1 } else { 1 },

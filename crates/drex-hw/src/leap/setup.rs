@@ -125,7 +125,7 @@ impl<P: Port> LeapHand<P> {
 
     pub(super) fn fault(&mut self, j: usize, trouble: String) {
         let joint = &mut self.joints[j];
-        joint.life = Life::Faulted { bits: joint.health.map_or(0, |h| h.hardware_error) };
+        joint.life = Life::Faulted { bits: joint.errors };
         joint.trouble = Some(trouble);
     }
 

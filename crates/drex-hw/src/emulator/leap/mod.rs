@@ -15,7 +15,7 @@ mod motor;
 mod physics;
 mod port;
 #[cfg(unix)]
-mod pty;
+mod serial;
 mod wire;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -24,7 +24,7 @@ use std::time::Duration;
 pub use fault::Fault;
 pub use port::EmulatorPort;
 #[cfg(unix)]
-pub use pty::LeapPty;
+pub use serial::PacedLeap;
 pub use wire::WriteRecord;
 
 use crate::leap::table::{self, MotorModel, Register, Value};
@@ -176,5 +176,12 @@ impl Clock for LeapEmulator {
     /// Time of the hand since it was made.
     fn now(&self) -> Duration {
         self.since.map_or_else(|| self.wire().now(), |since| since.now())
+    }
+
+    fn wait_until(&self, then: Duration) {
+        match &self.since {
+            Some(since) => since.wait_until(then),
+            None => self.pass(then.saturating_sub(self.now())),
+        }
     }
 }

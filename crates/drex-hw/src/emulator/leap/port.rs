@@ -35,6 +35,10 @@ impl Clock for EmulatorPort {
     fn now(&self) -> Duration {
         self.hand.now()
     }
+
+    fn wait_until(&self, then: Duration) {
+        self.hand.wait_until(then);
+    }
 }
 
 impl Port for EmulatorPort {

@@ -1,4 +1,4 @@
-//! An emulated hand behind a pseudo-terminal, for programs that open a serial port.
+//! Pseudo-terminals, for programs that open a serial port and shall meet an emulator there.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -6,46 +6,51 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{Mode, OFlags};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 
-use super::LeapEmulator;
 use crate::{Error, Result};
 
-/// How often the server looks whether it is to stop or the plug was pulled.
-const LOOK: Timespec = Timespec { tv_sec: 0, tv_nsec: 10_000_000 };
+/// How long a server whose plug was pulled waits before it looks again.
+const UNPLUGGED: Duration = Duration::from_millis(5);
+/// The server looks at least this often whether it is to stop.
+const LOOK: Duration = Duration::from_millis(10);
 
-/// A server that lets programs open an emulated hand as a serial port. It stops when it is dropped.
+/// What sits behind a serial port.
+pub trait SerialDevice: Send + 'static {
+    /// Takes bytes from the program, perhaps none, and appends what the device has to say.
+    fn exchange(&mut self, bytes: &[u8], reply: &mut Vec<u8>);
+
+    /// How long it may be left alone if the program is silent.
+    fn patience(&self) -> Duration {
+        LOOK
+    }
+
+    /// Whether its plug is in; while it is not, the port is gone.
+    fn plugged(&self) -> bool {
+        true
+    }
+}
+
+/// A server that lets programs open an emulated device as a serial port. It stops when it is dropped.
 #[derive(Debug)]
-pub struct LeapPty {
+pub struct PtyServer {
     path: PathBuf,
     stop: Arc<AtomicBool>,
     server: Option<JoinHandle<()>>,
 }
 
-impl LeapPty {
-    /// Serves `hand`, which should be in real time, at a new pseudo-terminal, and at `link` if one is given. A link is needed
-    /// when the plug is to be pulled and put back: the terminal has another name afterwards.
+impl PtyServer {
+    /// Serves `device`, which should be in real time, at a new pseudo-terminal, and at `link` if one is given. A link is needed when
+    /// the plug is to be pulled and put back: the terminal has another name afterwards.
     ///
     /// # Errors
-    /// If the system gives no terminal, or something that is no link stands in the place of `link`.
-    pub fn serve(hand: &LeapEmulator, link: Option<&Path>) -> Result<Self> {
-        Self::start(hand, link, None)
-    }
-
-    /// As [`LeapPty::serve`], as slow as a bus of `baud`; otherwise answers come at once.
-    ///
-    /// # Errors
-    /// As [`LeapPty::serve`].
-    pub fn serve_paced(hand: &LeapEmulator, link: Option<&Path>, baud: u32) -> Result<Self> {
-        Self::start(hand, link, Some(baud.max(1)))
-    }
-
-    fn start(hand: &LeapEmulator, link: Option<&Path>, baud: Option<u32>) -> Result<Self> {
+    /// [`Error::Port`] if the system gives no terminal, or something that is no link stands in the place of `link`.
+    pub fn serve(device: impl SerialDevice, link: Option<&Path>) -> Result<Self> {
         let failed = |source| Error::Port {
             port: link.unwrap_or(Path::new("/dev/ptmx")).display().to_string(),
             source,
@@ -55,8 +60,8 @@ impl LeapPty {
         let terminal = Terminal::open(link.as_deref()).map_err(failed)?;
         let path = link.clone().unwrap_or_else(|| terminal.path.clone());
         let stop = Arc::new(AtomicBool::new(false));
-        let (hand, told) = (hand.clone(), stop.clone());
-        let server = std::thread::spawn(move || serve(&hand, terminal, link.as_deref(), baud, &told));
+        let told = stop.clone();
+        let server = std::thread::spawn(move || serve(device, terminal, link.as_deref(), &told));
         Ok(Self { path, stop, server: Some(server) })
     }
 
@@ -66,7 +71,7 @@ impl LeapPty {
     }
 }
 
-impl Drop for LeapPty {
+impl Drop for PtyServer {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         if let Some(server) = self.server.take() {
@@ -116,33 +121,31 @@ impl Drop for Terminal {
     }
 }
 
-fn serve(hand: &LeapEmulator, terminal: Terminal, link: Option<&Path>, baud: Option<u32>, stop: &AtomicBool) {
+fn serve(mut device: impl SerialDevice, terminal: Terminal, link: Option<&Path>, stop: &AtomicBool) {
     let mut terminal = Some(terminal);
     let (mut bytes, mut reply) = ([0; 1024], Vec::new());
     while !stop.load(Ordering::Relaxed) {
-        if !hand.plugged() {
+        if !device.plugged() {
             // Closing our end hangs up on the program at the other.
             terminal = None;
-            std::thread::sleep(Duration::from_millis(5));
+            std::thread::sleep(UNPLUGGED);
             continue;
         }
         let Some(open) = &mut terminal else {
             terminal = Terminal::open(link).ok();
+            if terminal.is_none() {
+                std::thread::sleep(UNPLUGGED);
+            }
             continue;
         };
+        let wait = device.patience().min(LOOK);
+        let wait = Timespec { tv_sec: 0, tv_nsec: i64::from(wait.subsec_nanos()) as _ };
         let mut fds = [PollFd::new(&open.master, PollFlags::IN)];
-        if !matches!(poll(&mut fds, Some(&LOOK)), Ok(1..)) {
-            hand.exchange(&[], &mut reply);
-            continue;
-        }
-        let Ok(n) = open.master.read(&mut bytes) else { continue };
-        let came = Instant::now();
-        let hesitated = hand.exchange(&bytes[..n], &mut reply);
-        if let Some(baud) = baud {
-            // Ten bits a byte, there and back.
-            let wire = Duration::from_secs_f64(10.0 * (n + reply.len()) as f64 / f64::from(baud));
-            std::thread::sleep((wire + hesitated).saturating_sub(came.elapsed()));
-        }
+        let n = match poll(&mut fds, Some(&wait)) {
+            Ok(1..) => open.master.read(&mut bytes).unwrap_or(0),
+            _ => 0,
+        };
+        device.exchange(&bytes[..n], &mut reply);
         // What a program does not read is lost, as on a wire.
         let _ = open.master.write(&reply);
         reply.clear();
