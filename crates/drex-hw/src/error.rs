@@ -60,6 +60,26 @@ pub enum Error {
         /// What to do about it.
         remedy: String,
     },
+    /// A joint is not as it has to be.
+    #[error("joint {joint} (motor {id}): {what}; {remedy}")]
+    Joint {
+        /// Name of the joint.
+        joint: String,
+        /// Its motor.
+        id: u8,
+        /// What is wrong.
+        what: String,
+        /// What to do about it.
+        remedy: String,
+    },
+    /// No motor of a hand answers.
+    #[error("no motor answers on {port}; {remedy}")]
+    NoMotors {
+        /// Name of the port.
+        port: String,
+        /// What to do about it.
+        remedy: String,
+    },
     /// Joints that never told where they are.
     #[error("hand: nothing was ever read of {joints}; check power and cables, and scan for the motors")]
     NeverRead {

@@ -6,6 +6,7 @@ pub mod control;
 pub mod dynamixel;
 pub mod emulator;
 pub mod law;
+pub mod leap;
 
 mod clock;
 mod error;

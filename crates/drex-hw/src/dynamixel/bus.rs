@@ -219,6 +219,22 @@ impl<P: Port> Bus<P> {
         }
     }
 
+    /// Lets `time` pass on the port's clock; what arrives is thrown away.
+    ///
+    /// # Errors
+    /// If the port fails.
+    pub fn pause(&mut self, time: Duration) -> Result<()> {
+        let end = self.port.now() + time;
+        loop {
+            let left = end.saturating_sub(self.port.now());
+            if left.is_zero() {
+                return Ok(());
+            }
+            self.parser.reset(0);
+            self.receive(left)?;
+        }
+    }
+
     /// Adds a packet to those that go out next.
     pub(super) fn queue(&mut self, id: u8, instruction: u8, fill: impl FnOnce(&mut PacketWriter<'_>)) -> Result<()> {
         let mut packet = PacketWriter::new(&mut self.out[self.queued..], id, instruction);

@@ -24,6 +24,8 @@ pub mod instruction {
     pub const ACTION: u8 = 0x05;
     /// Start again.
     pub const REBOOT: u8 = 0x08;
+    /// Forget something; motors that forget their turns count from within one turn again.
+    pub const CLEAR: u8 = 0x10;
     /// A reply.
     pub const STATUS: u8 = 0x55;
     /// Read the same addresses of several motors.
@@ -36,6 +38,8 @@ pub mod instruction {
     pub const BULK_READ: u8 = 0x92;
     /// Write different addresses of several motors.
     pub const BULK_WRITE: u8 = 0x93;
+    /// As `BULK_READ`, answered by one packet.
+    pub const FAST_BULK_READ: u8 = 0x9a;
 }
 
 /// Finds where a stuffing byte is due: after ff ff fd.

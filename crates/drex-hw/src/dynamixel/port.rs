@@ -2,16 +2,16 @@
 
 use std::collections::VecDeque;
 use std::io;
+use std::path::PathBuf;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-/// A stream of bytes to motors and back.
-pub trait Port: Send {
+use crate::{Clock, SystemClock};
+
+/// A stream of bytes to motors and back, and the clock that its waits are counted by.
+pub trait Port: Clock {
     /// Name for messages.
     fn name(&self) -> &str;
-
-    /// Time on the clock that waits are counted by; starts anywhere, never goes back.
-    fn now(&self) -> Duration;
 
     /// Reads what there is, waiting at most `wait` for a first byte. 0 means that nothing came.
     ///
@@ -43,18 +43,22 @@ pub trait Port: Send {
     /// If it is not back yet, or somebody else has it.
     fn reopen(&mut self) -> io::Result<()>;
 
-    /// How long the adapter keeps received bytes back before it hands them on, if the system tells.
-    fn latency(&self) -> Option<Duration> {
+    /// File in which the system keeps how long the adapter holds received bytes back before it hands them on, ms; only FTDI
+    /// adapters have one.
+    fn latency_file(&self) -> Option<PathBuf> {
         None
+    }
+
+    /// How long the adapter holds received bytes back, if the system tells.
+    fn latency(&self) -> Option<Duration> {
+        let text = std::fs::read_to_string(self.latency_file()?).ok()?;
+        text.trim().parse().ok().map(Duration::from_millis)
     }
 }
 
 impl<P: Port + ?Sized> Port for Box<P> {
     fn name(&self) -> &str {
         (**self).name()
-    }
-    fn now(&self) -> Duration {
-        (**self).now()
     }
     fn read(&mut self, buffer: &mut [u8], wait: Duration) -> io::Result<usize> {
         (**self).read(buffer, wait)
@@ -70,6 +74,9 @@ impl<P: Port + ?Sized> Port for Box<P> {
     }
     fn reopen(&mut self) -> io::Result<()> {
         (**self).reopen()
+    }
+    fn latency_file(&self) -> Option<PathBuf> {
+        (**self).latency_file()
     }
     fn latency(&self) -> Option<Duration> {
         (**self).latency()
@@ -95,23 +102,25 @@ impl Pipe {
 pub struct MemoryPort {
     input: Arc<Pipe>,
     output: Arc<Pipe>,
-    opened: Instant,
+    clock: SystemClock,
 }
 
 /// Two ports, each of which reads what the other writes.
 pub fn memory_pair() -> (MemoryPort, MemoryPort) {
     let (a, b) = (Arc::new(Pipe::default()), Arc::new(Pipe::default()));
-    let opened = Instant::now();
-    (MemoryPort { input: a.clone(), output: b.clone(), opened }, MemoryPort { input: b, output: a, opened })
+    let clock = SystemClock::default();
+    (MemoryPort { input: a.clone(), output: b.clone(), clock }, MemoryPort { input: b, output: a, clock })
+}
+
+impl Clock for MemoryPort {
+    fn now(&self) -> Duration {
+        self.clock.now()
+    }
 }
 
 impl Port for MemoryPort {
     fn name(&self) -> &str {
         "memory"
-    }
-
-    fn now(&self) -> Duration {
-        self.opened.elapsed()
     }
 
     fn read(&mut self, buffer: &mut [u8], wait: Duration) -> io::Result<usize> {

@@ -2,10 +2,10 @@
 
 use std::io;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use super::Port;
-use crate::{Error, Result};
+use crate::{Clock, Error, Result, SystemClock};
 
 /// Longest time that a write may take before the port counts as stuck.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(200);
@@ -17,7 +17,7 @@ pub struct SerialPort {
     path: PathBuf,
     name: String,
     baud: u32,
-    opened: Instant,
+    clock: SystemClock,
     device: Option<Device>,
 }
 
@@ -61,14 +61,7 @@ impl SerialPort {
             };
             Error::Port { port: name.clone(), source, remedy: remedy.into() }
         })?;
-        Ok(Self { path, name, baud, opened: Instant::now(), device: Some(device) })
-    }
-
-    /// File in which the system keeps the latency timer of this port's USB adapter, ms; only FTDI adapters have one.
-    pub fn latency_timer_file(&self) -> Option<PathBuf> {
-        let device = std::fs::canonicalize(&self.path).ok()?;
-        let file = Path::new("/sys/bus/usb-serial/devices").join(device.file_name()?).join("latency_timer");
-        file.exists().then_some(file)
+        Ok(Self { path, name, baud, clock: SystemClock::default(), device: Some(device) })
     }
 
     fn device(&mut self) -> io::Result<&mut Device> {
@@ -76,13 +69,15 @@ impl SerialPort {
     }
 }
 
+impl Clock for SerialPort {
+    fn now(&self) -> Duration {
+        self.clock.now()
+    }
+}
+
 impl Port for SerialPort {
     fn name(&self) -> &str {
         &self.name
-    }
-
-    fn now(&self) -> Duration {
-        self.opened.elapsed()
     }
 
     fn read(&mut self, buffer: &mut [u8], wait: Duration) -> io::Result<usize> {
@@ -123,8 +118,33 @@ impl Port for SerialPort {
         Ok(())
     }
 
-    fn latency(&self) -> Option<Duration> {
-        let text = std::fs::read_to_string(self.latency_timer_file()?).ok()?;
-        text.trim().parse().ok().map(Duration::from_millis)
+    fn latency_file(&self) -> Option<PathBuf> {
+        latency_file(Path::new("/sys/bus/usb-serial/devices"), &self.path)
+    }
+}
+
+/// The latency timer of the device behind `path`, a link or not, among `devices` of the system.
+fn latency_file(devices: &Path, path: &Path) -> Option<PathBuf> {
+    let device = std::fs::canonicalize(path).ok()?;
+    let file = devices.join(device.file_name()?).join("latency_timer");
+    file.exists().then_some(file)
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_latency_timer_is_found_through_a_link() {
+        let root = tempfile::tempdir().expect("folder");
+        let at = |name: &str| root.path().join(name);
+        std::fs::create_dir_all(at("devices/ttyUSB3")).expect("folder");
+        std::fs::write(at("devices/ttyUSB3/latency_timer"), "16\n").expect("file");
+        std::fs::write(at("ttyUSB3"), "").expect("file");
+        std::os::unix::fs::symlink(at("ttyUSB3"), at("leap")).expect("link");
+        let found = latency_file(&at("devices"), &at("leap"));
+        assert_eq!(found, Some(at("devices/ttyUSB3/latency_timer")));
+        std::fs::write(at("ttyACM0"), "").expect("file");
+        assert_eq!(latency_file(&at("devices"), &at("ttyACM0")), None);
     }
 }

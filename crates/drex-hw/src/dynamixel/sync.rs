@@ -84,7 +84,8 @@ impl<P: Port> Bus<P> {
             }
             if answers.answered() > before {
                 self.fast_doubts = 0;
-            } else {
+            } else if round == 0 || !self.fast {
+                // Perhaps they do not know the fast way; asked once, so that a hand without power costs little time.
                 self.plain_round(address, answers, first)?;
                 if self.fast && answers.answered() > before {
                     self.fast_doubts += 1;
