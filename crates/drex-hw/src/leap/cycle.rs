@@ -146,8 +146,7 @@ impl<P: Port> LeapHand<P> {
 
     fn report(&mut self, state: &mut HandState) {
         let n = self.joints.len();
-        let lengths =
-            [&state.position, &state.velocity, &state.effort].map(Vec::len);
+        let lengths = [&state.position, &state.velocity, &state.effort].map(Vec::len);
         if lengths != [n; 3] || [state.temperature_c.len(), state.age.len(), state.status.len()] != [n; 3] {
             *state = HandState::new(n);
         }
