@@ -1,0 +1,422 @@
+//! The hand as the computer sees it: start, exchange, stop.
+
+use std::time::Duration;
+
+use drex_robot::Robot;
+
+use super::finger::Finger;
+use super::{AllegroCommand, AllegroInfo, AllegroOptions, AllegroReport, AllegroVersion};
+use crate::can::CanBus;
+use crate::{Clock, Error, Result, SystemClock};
+
+/// Most frames that one exchange reads, so that a babbling bus cannot hold it up.
+const MOST_FRAMES: usize = 256;
+/// How long a hand that was switched on may take until all fingers reported.
+const FIRST_POSES: Duration = Duration::from_millis(500);
+/// How far outside its limits a joint may be found when torque goes on, rad: gears give a little, a wrong zero much more.
+const OUTSIDE_RAD: f64 = 0.3;
+/// Wire units per N m of a version-4 frame on a hand with older hardware.
+const OLD_HARDWARE: f64 = 800.0;
+
+/// What went over the bus.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub struct AllegroStats {
+    /// Frames received.
+    pub frames: u64,
+    /// Frames that are none of this version's.
+    pub unknown: u64,
+    /// Exchanges under torque.
+    pub exchanges: u64,
+    /// Exchanges in which poses were too old, and torques zero.
+    pub stale: u64,
+}
+
+/// An Allegro hand on a CAN bus.
+///
+/// The position loop runs in [`Hand::cycle`](crate::Hand::cycle): the hand itself knows only torques and keeps the last ones, so that a program that stops
+/// calling it must drop it. Dropping it takes the torque off.
+pub struct AllegroHand<B: CanBus> {
+    bus: B,
+    clock: Box<dyn Clock>,
+    pub(super) options: AllegroOptions,
+    /// Model order.
+    pub(super) names: Vec<String>,
+    /// Model order, rad.
+    pub(super) limits: Vec<(f64, f64)>,
+    /// Model order, N m.
+    pub(super) caps: Vec<f64>,
+    /// Index in the model of each joint of the wire.
+    pub(super) model_of_wire: [usize; 16],
+    pub(super) fingers: [Finger; 4],
+    /// Exchanges since each finger reported.
+    pub(super) ages: [u32; 4],
+    started: bool,
+    pub(super) driven: bool,
+    /// Wire order, rad; none means where it is.
+    goal: Option<[f64; 16]>,
+    /// Wire order, N m.
+    effort_nm: [f64; 16],
+    pub(super) sent: [i16; 16],
+    pub(super) motor_errors: [u8; 16],
+    pub(super) temperatures_c: [Option<f64>; 16],
+    info: Option<AllegroInfo>,
+    serial: Option<[u8; 8]>,
+    stats: AllegroStats,
+    connected: Duration,
+}
+
+impl<B: CanBus> AllegroHand<B> {
+    /// Starts the hand's stream of poses, without torque.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for options that mean nothing or a model without the joints, [`Error::Port`] if the bus fails.
+    pub fn connect(bus: B, robot: &Robot, options: AllegroOptions) -> Result<Self> {
+        Self::connect_with_clock(bus, robot, options, SystemClock::default())
+    }
+
+    /// The same with another clock, such as an emulator's.
+    ///
+    /// # Errors
+    /// As [`Self::connect`].
+    pub fn connect_with_clock(
+        bus: B,
+        robot: &Robot,
+        options: AllegroOptions,
+        clock: impl Clock + 'static,
+    ) -> Result<Self> {
+        options.check()?;
+        let model_of_wire = wire_to_model(robot, &options)?;
+        let names = robot.joint_names().into_iter().map(String::from).collect();
+        let limits = robot.joints.iter().map(|j| {
+            j.limits.ok_or_else(|| Error::value(format!("joint {} without limits", j.name), "give it a range"))
+        });
+        let limits = limits.collect::<Result<Vec<_>>>()?;
+        let mut caps = vec![0.0; 16];
+        for (model, cap) in model_of_wire.iter().zip(options.torque_caps_nm()) {
+            caps[*model] = cap;
+        }
+        let connected = clock.now();
+        let mut hand = Self {
+            bus,
+            clock: Box::new(clock),
+            effort_nm: options.torque_caps_nm(),
+            options,
+            names,
+            limits,
+            caps,
+            model_of_wire,
+            fingers: [Finger::default(); 4],
+            ages: [u32::MAX; 4],
+            started: false,
+            driven: false,
+            goal: None,
+            sent: [0; 16],
+            motor_errors: [0; 16],
+            temperatures_c: [None; 16],
+            info: None,
+            serial: None,
+            stats: AllegroStats::default(),
+            connected,
+        };
+        hand.start()?;
+        Ok(hand)
+    }
+
+    /// What the hand said about itself, if it did.
+    pub fn info(&self) -> Option<AllegroInfo> {
+        self.info
+    }
+
+    /// Serial number, if the hand told it.
+    pub fn serial(&self) -> Option<String> {
+        self.serial.map(|s| String::from_utf8_lossy(&s).trim_matches(['\0', ' ']).to_string())
+    }
+
+    /// Temperatures, °C, order of the model; only with [`AllegroOptions::temperature_period_ms`].
+    pub fn temperatures_c(&self) -> [Option<f64>; 16] {
+        let mut model = [None; 16];
+        for (wire, t) in self.temperatures_c.iter().enumerate() {
+            model[self.model_of_wire[wire]] = *t;
+        }
+        model
+    }
+
+    /// What went over the bus so far.
+    pub fn stats(&self) -> AllegroStats {
+        self.stats
+    }
+
+    /// The bus, to look at.
+    pub fn bus(&self) -> &B {
+        &self.bus
+    }
+
+    /// Time since the hand was connected.
+    pub(super) fn time(&self) -> Duration {
+        self.clock.now().saturating_sub(self.connected)
+    }
+
+    fn send(&mut self, command: AllegroCommand) -> Result<()> {
+        match command.encode(self.options.version) {
+            Some(frame) => self.bus.send(&frame),
+            None => Ok(()),
+        }
+    }
+
+    /// Off, who are you, report, on: no torque is sent.
+    fn start(&mut self) -> Result<()> {
+        for _ in 0..MOST_FRAMES {
+            if self.bus.receive(Duration::ZERO)?.is_none() {
+                break;
+            }
+        }
+        self.fingers.iter_mut().for_each(Finger::forget);
+        self.ages = [u32::MAX; 4];
+        self.motor_errors = [0; 16];
+        self.sent = [0; 16];
+        self.started = true;
+        let o = &self.options;
+        let (pose_ms, temperature_ms) = (o.pose_period_ms, o.temperature_period_ms);
+        self.send(AllegroCommand::Off)?;
+        self.send(AllegroCommand::AskInfo)?;
+        self.send(AllegroCommand::AskSerial)?;
+        self.send(AllegroCommand::Period { pose_ms, imu_ms: 0, temperature_ms })?;
+        self.send(AllegroCommand::On)?;
+        self.send(AllegroCommand::AskState)
+    }
+
+    /// Torque off, motors off, silence; all of it is tried, the first failure is told.
+    pub(super) fn stop(&mut self) -> Result<()> {
+        self.driven = false;
+        self.goal = None;
+        if !self.started {
+            return Ok(());
+        }
+        let mut told = self.send_torques([0; 16]);
+        let silence = AllegroCommand::Period { pose_ms: 0, imu_ms: 0, temperature_ms: 0 };
+        for command in [AllegroCommand::Off, silence] {
+            let sent = self.send(command);
+            told = told.and(sent);
+        }
+        // What failed is tried again when the hand is dropped.
+        self.started = told.is_err();
+        if told.is_ok() {
+            self.fingers.iter_mut().for_each(Finger::forget);
+        }
+        told
+    }
+
+    /// Waits for all fingers, refuses a hand in a state that torque would make worse, and takes its pose as goal.
+    pub(super) fn drive(&mut self) -> Result<()> {
+        if self.driven {
+            return Ok(());
+        }
+        if !self.started {
+            self.start()?;
+        }
+        let begin = self.clock.now();
+        for _ in 0..MOST_FRAMES {
+            let now = self.clock.now();
+            if self.all_fresh(now) || now.saturating_sub(begin) > FIRST_POSES {
+                break;
+            }
+            self.gather(Duration::from_millis(u64::from(self.options.pose_period_ms) * 2))?;
+        }
+        if !self.all_fresh(self.clock.now()) {
+            let silent: Vec<&str> = ["index", "middle", "ring", "thumb"]
+                .into_iter()
+                .zip(&self.fingers)
+                .filter_map(|(name, f)| f.seen.is_none().then_some(name))
+                .collect();
+            return Err(Error::value(
+                format!(
+                    "no fresh poses (never seen: {})",
+                    if silent.is_empty() { "none".into() } else { silent.join(", ") }
+                ),
+                "check the hand's power, the CAN cable and its termination, 1 Mbit/s, and the version",
+            ));
+        }
+        self.check_hand()?;
+        self.effort_nm = self.options.torque_caps_nm();
+        self.goal = None;
+        self.driven = true;
+        Ok(())
+    }
+
+    /// What speaks against torque.
+    fn check_hand(&self) -> Result<()> {
+        if let Some(info) = self.info.filter(|_| self.options.version == AllegroVersion::V4) {
+            if info.hardware >> 8 != 4 && self.options.wire_per_nm > OLD_HARDWARE {
+                return Err(Error::value(
+                    format!(
+                        "a hand of hardware {:#06x}, driven with {} units per N m",
+                        info.hardware, self.options.wire_per_nm
+                    ),
+                    format!("use AllegroOptions::with_wire_per_nm({OLD_HARDWARE})"),
+                ));
+            }
+            if info.status & 6 != 0 {
+                return Err(Error::value(
+                    format!("the hand's status is {:#04x}: too hot, or a motor that does not answer", info.status),
+                    "let it cool, switch it off and on",
+                ));
+            }
+        }
+        for wire in 0..16 {
+            let name = &self.options.names[wire];
+            if self.motor_errors[wire] != 0 {
+                return Err(Error::value(
+                    format!("joint {name} reports error {:#04x}", self.motor_errors[wire]),
+                    "remove what blocks it, switch the hand off and on",
+                ));
+            }
+            let (low, high) = self.limits[self.model_of_wire[wire]];
+            let q = self.fingers[wire / 4].q[wire % 4];
+            if !(low - OUTSIDE_RAD..=high + OUTSIDE_RAD).contains(&q) {
+                return Err(Error::value(
+                    format!("joint {name} at {q:.3} rad, where it cannot be ({low:.3} to {high:.3})"),
+                    "set its zero and direction with AllegroOptions::with_calibration",
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads what has come, and waits up to `wait` for poses of all fingers.
+    pub(super) fn gather(&mut self, wait: Duration) -> Result<()> {
+        let begin = self.clock.now();
+        let mut fresh = [false; 4];
+        for _ in 0..MOST_FRAMES {
+            let left = wait.saturating_sub(self.clock.now().saturating_sub(begin));
+            let left = if fresh == [true; 4] { Duration::ZERO } else { left };
+            match self.bus.receive(left)? {
+                Some(frame) => {
+                    self.stats.frames += 1;
+                    match AllegroReport::decode(self.options.version, &frame) {
+                        Some(report) => self.take(report, &mut fresh),
+                        None => self.stats.unknown += 1,
+                    }
+                }
+                None if left.is_zero() => break,
+                None => {}
+            }
+        }
+        for (age, fresh) in self.ages.iter_mut().zip(fresh) {
+            *age = if fresh { 0 } else { age.saturating_add(1) };
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, report: AllegroReport, fresh: &mut [bool; 4]) {
+        let now = self.clock.now();
+        match report {
+            AllegroReport::Pose { finger, counts } => {
+                let finger = usize::from(finger & 3);
+                let q = std::array::from_fn(|k| self.options.angle(4 * finger + k, counts[k]));
+                self.fingers[finger].take(q, now, self.options.velocity_filter_s, self.options.stale);
+                fresh[finger] = true;
+            }
+            AllegroReport::Temperature { finger, celsius } => {
+                for (k, c) in celsius.iter().enumerate() {
+                    self.temperatures_c[4 * usize::from(finger & 3) + k] = Some(f64::from(*c));
+                }
+            }
+            AllegroReport::Info(info) => self.info = Some(info),
+            AllegroReport::Serial(serial) => self.serial = Some(serial),
+            AllegroReport::MotorError { motor, code } => {
+                if let Some(error) = self.motor_errors.get_mut(usize::from(motor)) {
+                    *error = code;
+                }
+            }
+            AllegroReport::Fingertips { .. } | AllegroReport::Imu => {}
+        }
+    }
+
+    pub(super) fn all_fresh(&self, now: Duration) -> bool {
+        self.fingers.iter().all(|f| f.is_fresh(now, self.options.stale))
+    }
+
+    pub(super) fn is_stale(&self, finger: usize) -> bool {
+        !self.fingers[finger].is_fresh(self.clock.now(), self.options.stale)
+    }
+
+    /// Takes a goal, rad, and effort limits, N m, model order, clipped to what the joints and motors may.
+    pub(super) fn aim(&mut self, position: &[f64], effort_nm: &[f64]) {
+        let mut goal = [0.0; 16];
+        for (wire, model) in self.model_of_wire.iter().enumerate() {
+            let (low, high) = self.limits[*model];
+            goal[wire] = position[*model].max(low).min(high);
+            self.effort_nm[wire] = effort_nm[*model].min(self.caps[*model]);
+        }
+        self.goal = Some(goal);
+    }
+
+    /// One step of the position loop; without fresh poses no torque, and the goal is forgotten.
+    pub(super) fn press(&mut self) -> Result<()> {
+        self.stats.exchanges += 1;
+        if !self.all_fresh(self.clock.now()) {
+            self.stats.stale += 1;
+            self.goal = None;
+            return self.send_torques([0; 16]);
+        }
+        let q = |j: usize| self.fingers[j / 4].q[j % 4];
+        let goal = self.goal.unwrap_or_else(|| {
+            std::array::from_fn(|j| {
+                let (low, high) = self.limits[self.model_of_wire[j]];
+                q(j).max(low).min(high)
+            })
+        });
+        let wire = std::array::from_fn(|j| {
+            let gains = self.options.gains[j];
+            let torque = gains.kp * (goal[j] - q(j)) - gains.kd * self.fingers[j / 4].v[j % 4];
+            match self.motor_errors[j] {
+                0 => self.options.wire(j, torque, self.effort_nm[j]),
+                _ => 0,
+            }
+        });
+        self.goal = Some(goal);
+        self.send_torques(wire)
+    }
+
+    /// All four fingers are tried; the first failure is told.
+    pub(super) fn send_torques(&mut self, wire: [i16; 16]) -> Result<()> {
+        // Before a hand has shown all its fingers it is sent no torques, not even none.
+        if self.fingers.iter().any(|f| f.seen.is_none()) {
+            return Ok(());
+        }
+        self.sent = wire;
+        let mut told = Ok(());
+        for finger in 0..4_u8 {
+            let at = 4 * usize::from(finger);
+            let sent = self.send(AllegroCommand::Torque { finger, wire: std::array::from_fn(|k| wire[at + k]) });
+            told = told.and(sent);
+        }
+        told
+    }
+}
+
+impl<B: CanBus> Drop for AllegroHand<B> {
+    fn drop(&mut self) {
+        // Nobody is left to be told that the bus failed.
+        let _ = self.stop();
+    }
+}
+
+/// Index in the model of each joint of the wire, by name.
+fn wire_to_model(robot: &Robot, options: &AllegroOptions) -> Result<[usize; 16]> {
+    if robot.dof() != 16 {
+        return Err(Error::value(
+            format!("a model with {} joints for an Allegro hand", robot.dof()),
+            "give one with 16, such as Robot::bundled(\"allegro_right\")",
+        ));
+    }
+    let mut model = [0; 16];
+    for (wire, name) in options.names.iter().enumerate() {
+        model[wire] = robot.require_joint(name)?;
+        if let Some(twice) = options.names[..wire].iter().find(|n| *n == name) {
+            return Err(Error::value(format!("joint {twice} twice in the names"), "name each joint once"));
+        }
+    }
+    Ok(model)
+}

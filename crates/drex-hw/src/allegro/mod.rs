@@ -1,0 +1,11 @@
+//! The Allegro hand over CAN, versions 3, 4 and 5: torques out, poses in, the position loop on the computer.
+
+mod driver;
+mod finger;
+mod frames;
+mod options;
+mod trait_hand;
+
+pub use driver::{AllegroHand, AllegroStats};
+pub use frames::{AllegroCommand, AllegroInfo, AllegroReport, AllegroVersion};
+pub use options::{AllegroOptions, Gains, JointCalibration, WIRE_JOINTS};

@@ -1,0 +1,65 @@
+//! What decides, cycle by cycle, what the joints are told.
+
+use std::ops::ControlFlow;
+
+use crate::{EffortUnit, Hand, HandCommand, HandState, Result};
+
+/// What a behaviour may know of the hand's joints.
+#[derive(Debug, Clone, Copy)]
+pub struct Joints<'a> {
+    /// Names, in the order of all lists.
+    pub names: &'a [String],
+    /// Lowest and highest angles, rad.
+    pub limits: &'a [(f64, f64)],
+    /// Largest efforts.
+    pub effort_caps: &'a [f64],
+    /// What efforts are counted in.
+    pub effort_unit: EffortUnit,
+}
+
+impl<'a> Joints<'a> {
+    /// Those of a hand.
+    pub fn of(hand: &'a (impl Hand + ?Sized)) -> Self {
+        Self {
+            names: hand.joints(),
+            limits: hand.limits(),
+            effort_caps: hand.effort_caps(),
+            effort_unit: hand.effort_unit(),
+        }
+    }
+}
+
+/// Decides what the joints are told. Runs in the loop: it must neither wait nor, after [`Behaviour::begin`], allocate.
+pub trait Behaviour: Send {
+    /// Checks what is to be done against the hand, and makes ready; `state` is where the hand is.
+    ///
+    /// # Errors
+    /// If it cannot be done with this hand: the loop ends.
+    fn begin(&mut self, joints: &Joints<'_>, state: &HandState) -> Result<()>;
+
+    /// Writes the command for this cycle over that of the last one; `time_s` counts from the first cycle. `Break` makes this cycle
+    /// the last.
+    ///
+    /// # Errors
+    /// If it cannot go on: the loop ends.
+    fn command(&mut self, time_s: f64, state: &HandState, command: &mut HandCommand) -> Result<ControlFlow<()>>;
+
+    /// What it is doing, for the telemetry.
+    fn phase(&self) -> &'static str {
+        ""
+    }
+}
+
+impl<B: Behaviour + ?Sized> Behaviour for Box<B> {
+    fn begin(&mut self, joints: &Joints<'_>, state: &HandState) -> Result<()> {
+        (**self).begin(joints, state)
+    }
+
+    fn command(&mut self, time_s: f64, state: &HandState, command: &mut HandCommand) -> Result<ControlFlow<()>> {
+        (**self).command(time_s, state, command)
+    }
+
+    fn phase(&self) -> &'static str {
+        (**self).phase()
+    }
+}

@@ -1,0 +1,224 @@
+//! The loop itself.
+
+use std::any::Any;
+use std::ops::ControlFlow;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Mutex;
+use std::time::Duration;
+
+use super::stats::Meter;
+use super::{Behaviour, ControlOptions, Joints, LoopStats};
+use crate::{Clock, Error, Hand, HandCommand, HandState, Result};
+
+/// How often a hand that does not take its torque off is told again.
+const TRIES: usize = 3;
+/// Cycles between two views of the statistics for others.
+const PUBLISH: u64 = 64;
+
+/// Why a loop ended.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum Ended {
+    /// The behaviour was done.
+    Done,
+    /// Somebody pressed the emergency stop.
+    Stopped,
+    /// The hand or the behaviour failed.
+    Failed(Error),
+    /// Something panicked; the text is what it said.
+    Panicked(String),
+}
+
+/// How a loop ended.
+#[derive(Debug)]
+#[non_exhaustive]
+pub struct LoopReport {
+    /// Why.
+    pub ended: Ended,
+    /// Whether the hand took its torque off; if not, its own watchdog has to, or the power switch.
+    pub torque_off: Result<()>,
+    /// Timing.
+    pub stats: LoopStats,
+    /// Cycles that the telemetry had no room for.
+    pub unrecorded: u64,
+    /// The last state that was read.
+    pub state: HandState,
+}
+
+/// Turns the hand on, runs `behaviour` at a fixed rate on this thread until it is done or something ends it, and turns the hand off.
+/// After the first cycle nothing is allocated.
+pub fn run(
+    hand: &mut (impl Hand + ?Sized),
+    behaviour: &mut (impl Behaviour + ?Sized),
+    clock: &dyn Clock,
+    options: ControlOptions,
+) -> LoopReport {
+    run_published(hand, behaviour, clock, options, &Mutex::default())
+}
+
+/// The same, with statistics for others to see while it runs.
+pub(super) fn run_published(
+    hand: &mut (impl Hand + ?Sized),
+    behaviour: &mut (impl Behaviour + ?Sized),
+    clock: &dyn Clock,
+    mut options: ControlOptions,
+    published: &Mutex<LoopStats>,
+) -> LoopReport {
+    let mut meter = Meter::new();
+    let mut state = HandState::new(hand.joints().len());
+    let turns = || turns(hand, behaviour, clock, &mut options, &mut meter, &mut state, published);
+    // Whatever a panic left half done is only switched off.
+    let ended = match catch_unwind(AssertUnwindSafe(turns)) {
+        Ok(Ok(ended)) => ended,
+        Ok(Err(error)) => Ended::Failed(error),
+        Err(panic) => Ended::Panicked(text(panic.as_ref())),
+    };
+    let mut torque_off = Ok(());
+    for _ in 0..TRIES {
+        torque_off = catch_unwind(AssertUnwindSafe(|| hand.turn_off()))
+            .unwrap_or_else(|panic| Err(Error::value(text(panic.as_ref()), "switch the hand's power off")));
+        if torque_off.is_ok() {
+            break;
+        }
+    }
+    let unrecorded = options.recorder.as_ref().map_or(0, |r| r.lost());
+    LoopReport { ended, torque_off, stats: meter.stats(), unrecorded, state }
+}
+
+/// From torque on to the reason to stop.
+fn turns(
+    hand: &mut (impl Hand + ?Sized),
+    behaviour: &mut (impl Behaviour + ?Sized),
+    clock: &dyn Clock,
+    options: &mut ControlOptions,
+    meter: &mut Meter,
+    state: &mut HandState,
+    published: &Mutex<LoopStats>,
+) -> Result<Ended> {
+    let period = options.period()?;
+    if options.is_stopped() {
+        return Ok(Ended::Stopped);
+    }
+    hand.turn_on()?;
+    if !first_state(hand, clock, options, period, state)? {
+        return Ok(Ended::Stopped);
+    }
+    behaviour.begin(&Joints::of(hand), state)?;
+    let mut command = HandCommand { position: state.position.clone(), effort_limit: hand.effort_caps().to_vec() };
+    let mut limits = command.effort_limit.clone();
+
+    let begin = clock.now();
+    let mut due = begin;
+    let mut flow = ControlFlow::Continue(());
+    // Since when the hand is out of reach, and for how long it was in all.
+    let (mut lost, mut outage) = (None, Duration::ZERO);
+    loop {
+        clock.wait_until(due);
+        if options.is_stopped() {
+            return Ok(Ended::Stopped);
+        }
+        let began = clock.now();
+        if lost.is_none() {
+            let time = began.saturating_sub(begin + outage);
+            flow = behaviour.command(time.as_secs_f64(), state, &mut command)?;
+            lower(&mut command.effort_limit, &mut limits, hand.effort_caps(), state, options);
+        }
+        match hand.cycle(Some(&command), state) {
+            Ok(()) => outage += lost.take().map_or(Duration::ZERO, |since| began.saturating_sub(since)),
+            // A command or state that means nothing does not become better by waiting.
+            Err(error @ Error::Value { .. }) => return Err(error),
+            Err(error) => {
+                meter.fail();
+                if began.saturating_sub(*lost.get_or_insert(began)) >= options.outage {
+                    return Err(error);
+                }
+            }
+        }
+        state.check(hand.joints())?;
+        let ended = clock.now();
+        meter.cycle(due, began, ended);
+        if let Some(recorder) = options.recorder.as_mut().filter(|_| lost.is_none()) {
+            recorder.record(|sample| {
+                sample.time_s = ended.saturating_sub(begin).as_secs_f64();
+                sample.late_s = began.saturating_sub(due).as_secs_f64();
+                sample.phase = behaviour.phase();
+                sample.command.clone_from(&command);
+                sample.state.copy_from(state);
+            });
+        }
+        if flow.is_break() && lost.is_none() {
+            return Ok(Ended::Done);
+        }
+        due += period;
+        let behind = ended.saturating_sub(due);
+        if behind >= period {
+            let left_out = (behind.as_nanos() / period.as_nanos()) as u32;
+            meter.miss(left_out.into());
+            due += period * left_out;
+        }
+        if meter.is_nth(PUBLISH) {
+            // Who looks must not hold up the loop: then the next time.
+            if let Ok(mut seen) = published.try_lock() {
+                *seen = meter.stats();
+            }
+        }
+    }
+}
+
+/// Reads until every joint has told where it is; false if the emergency stop was pressed.
+fn first_state(
+    hand: &mut (impl Hand + ?Sized),
+    clock: &dyn Clock,
+    options: &ControlOptions,
+    period: Duration,
+    state: &mut HandState,
+) -> Result<bool> {
+    let begin = clock.now();
+    loop {
+        if options.is_stopped() {
+            return Ok(false);
+        }
+        let now = clock.now();
+        hand.cycle(None, state)?;
+        if state.age.iter().all(|a| *a != u32::MAX) {
+            state.check(hand.joints())?;
+            return Ok(true);
+        }
+        if now.saturating_sub(begin) > options.first_state {
+            let silent = hand.joints().iter().zip(&state.age).filter(|(_, a)| **a == u32::MAX);
+            let names = silent.map(|(n, _)| n.as_str()).collect::<Vec<_>>().join(", ");
+            return Err(Error::NeverRead { joints: names });
+        }
+        clock.wait_until(now + period);
+    }
+}
+
+/// Takes from the limits what heat and the limiter take; never adds.
+fn lower(wanted: &mut [f64], scratch: &mut [f64], caps: &[f64], state: &HandState, options: &mut ControlOptions) {
+    if let Some(derating) = &options.derating {
+        for ((limit, cap), celsius) in wanted.iter_mut().zip(caps).zip(&state.temperature_c) {
+            if let Some(celsius) = celsius {
+                let most = derating.share(*celsius) * cap;
+                // A limit that is no number stays one, for the hand to refuse.
+                if *limit > most {
+                    *limit = most;
+                }
+            }
+        }
+    }
+    if let Some(limiter) = options.limiter.as_mut().filter(|_| scratch.len() == wanted.len()) {
+        scratch.copy_from_slice(wanted);
+        limiter(state, scratch);
+        for (limit, lowered) in wanted.iter_mut().zip(scratch) {
+            if !(*lowered >= *limit) {
+                // What is no number lowers to nothing.
+                *limit = lowered.max(0.0);
+            }
+        }
+    }
+}
+
+fn text(panic: &(dyn Any + Send)) -> String {
+    let said = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
+    said.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "a panic without words".into())
+}

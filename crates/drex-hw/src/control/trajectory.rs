@@ -1,0 +1,132 @@
+//! Waypoints in joint space.
+
+use std::ops::ControlFlow;
+
+use drex_core::joints::JointLog;
+
+use super::{Behaviour, Joints};
+use crate::{Error, HandCommand, HandState, Result};
+
+/// Where the joints shall be at a time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Waypoint {
+    /// Time since the first cycle, s, above zero.
+    pub time_s: f64,
+    /// Angles, rad, in the order of the hand's joints.
+    pub position: Vec<f64>,
+}
+
+/// From where the hand is through waypoints, in straight lines, with the same effort limits all the way; done at the last one.
+#[derive(Debug, Clone)]
+pub struct Trajectory {
+    waypoints: Vec<Waypoint>,
+    effort_limit: Vec<f64>,
+    speed_rad_per_s: f64,
+    start: Vec<f64>,
+    /// Index of the next waypoint.
+    next: usize,
+}
+
+impl Trajectory {
+    /// Fastest that a joint is sent by default, rad/s.
+    pub const SPEED_RAD_PER_S: f64 = 4.0;
+
+    /// Through these waypoints with these limits, in the hand's unit.
+    ///
+    /// # Errors
+    /// [`Error::Value`] if there are no waypoints, times do not rise from above zero, or a number is not finite.
+    pub fn new(waypoints: Vec<Waypoint>, effort_limit: Vec<f64>) -> Result<Self> {
+        let mut before = 0.0;
+        for (k, w) in waypoints.iter().enumerate() {
+            if !(w.time_s > before && w.time_s.is_finite()) {
+                return Err(Error::value(
+                    format!("waypoint {k} at {} s, the one before at {before} s", w.time_s),
+                    "give times that rise, the first above zero: the way there starts where the hand is",
+                ));
+            }
+            if let Some(q) = w.position.iter().find(|q| !q.is_finite()) {
+                return Err(Error::value(format!("waypoint {k} with an angle of {q} rad"), "give finite angles"));
+            }
+            before = w.time_s;
+        }
+        if waypoints.is_empty() {
+            return Err(Error::value("a trajectory without waypoints", "give one or more"));
+        }
+        let speed_rad_per_s = Self::SPEED_RAD_PER_S;
+        Ok(Self { waypoints, effort_limit, speed_rad_per_s, start: Vec::new(), next: 0 })
+    }
+
+    /// What was logged, played again after `approach_s` seconds for the way to its first pose. Joints are found by name.
+    ///
+    /// # Errors
+    /// As [`Self::new`], and if the log lacks a joint.
+    pub fn from_log(log: &JointLog, names: &[String], effort_limit: Vec<f64>, approach_s: f64) -> Result<Self> {
+        let column = |name: &String| {
+            log.names
+                .iter()
+                .position(|n| n == name)
+                .ok_or_else(|| Error::value(format!("a log without joint {name}"), "give one of this hand"))
+        };
+        let columns = names.iter().map(column).collect::<Result<Vec<_>>>()?;
+        let first = log.times_s.first().copied().unwrap_or(0.0);
+        let row = |(time, row): (&f64, &Vec<f64>)| Waypoint {
+            time_s: time - first + approach_s,
+            position: columns.iter().map(|c| row.get(*c).copied().unwrap_or(f64::NAN)).collect(),
+        };
+        Self::new(log.times_s.iter().zip(&log.positions).map(row).collect(), effort_limit)
+    }
+
+    /// The same with no joint sent faster than this, rad/s.
+    pub fn with_speed_rad_per_s(mut self, speed: f64) -> Self {
+        self.speed_rad_per_s = speed;
+        self
+    }
+}
+
+impl Behaviour for Trajectory {
+    fn begin(&mut self, joints: &Joints<'_>, state: &HandState) -> Result<()> {
+        let n = joints.names.len();
+        let wrong = self.waypoints.iter().map(|w| w.position.len()).find(|len| *len != n);
+        if let Some(len) = wrong.or((self.effort_limit.len() != n).then_some(self.effort_limit.len())) {
+            return Err(Error::value(format!("a trajectory with {len} values for {n} joints"), "give one per joint"));
+        }
+        self.next = 0;
+        self.start.clone_from(&state.position);
+        let (mut from, mut since) = (&self.start, 0.0);
+        for w in &self.waypoints {
+            for (j, name) in joints.names.iter().enumerate() {
+                let speed = (w.position[j] - from[j]).abs() / (w.time_s - since);
+                if !(speed <= self.speed_rad_per_s) {
+                    return Err(Error::value(
+                        format!("joint {name} sent at {speed:.2} rad/s until {} s", w.time_s),
+                        format!("allow more time, or more than {} rad/s", self.speed_rad_per_s),
+                    ));
+                }
+            }
+            (from, since) = (&w.position, w.time_s);
+        }
+        Ok(())
+    }
+
+    fn command(&mut self, time_s: f64, _: &HandState, command: &mut HandCommand) -> Result<ControlFlow<()>> {
+        while self.waypoints.get(self.next).is_some_and(|w| w.time_s <= time_s) {
+            self.next += 1;
+        }
+        let before = self.next.checked_sub(1).map(|k| &self.waypoints[k]);
+        let (from, since) = before.map_or((&self.start, 0.0), |w| (&w.position, w.time_s));
+        command.effort_limit.copy_from_slice(&self.effort_limit);
+        let Some(to) = self.waypoints.get(self.next) else {
+            command.position.copy_from_slice(from);
+            return Ok(ControlFlow::Break(()));
+        };
+        let share = ((time_s - since) / (to.time_s - since)).clamp(0.0, 1.0);
+        for ((goal, a), b) in command.position.iter_mut().zip(from).zip(&to.position) {
+            *goal = a + share * (b - a);
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+
+    fn phase(&self) -> &'static str {
+        "trajectory"
+    }
+}

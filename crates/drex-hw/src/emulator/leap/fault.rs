@@ -1,0 +1,63 @@
+//! What can go wrong on a bus.
+
+/// A fault on the way from motors to the host.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Fault {
+    /// The motor says nothing. Those that wait for it in a read of several say nothing either.
+    Mute(u8),
+    /// One byte of its answer is wrong.
+    Corrupt(u8),
+    /// The second half of its answer is missing.
+    Truncate(u8),
+    /// Its answer comes twice.
+    Duplicate(u8),
+    /// Bytes that nobody sent come before the answers.
+    Noise,
+}
+
+/// Faults that are still to happen.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Faults {
+    waiting: Vec<(Fault, u32)>,
+    dice: u32,
+}
+
+impl Faults {
+    pub fn inject(&mut self, fault: Fault, times: u32) {
+        self.waiting.push((fault, times));
+    }
+
+    /// Whether `fault` happens now; then it happens one time less.
+    pub fn happens(&mut self, fault: Fault) -> bool {
+        let Some(i) = self.waiting.iter().position(|(f, _)| *f == fault) else { return false };
+        self.waiting[i].1 = self.waiting[i].1.saturating_sub(1);
+        if self.waiting[i].1 == 0 {
+            self.waiting.swap_remove(i);
+        }
+        true
+    }
+
+    /// Some bytes of noise, among them the beginning of a header.
+    pub fn noise(&mut self, reply: &mut Vec<u8>) {
+        for _ in 0..9 {
+            self.dice = self.dice.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            reply.push((self.dice >> 24) as u8);
+        }
+        reply.extend([0xff, 0xff, 0xfd]);
+    }
+
+    /// Damages the answer of motor `id`, which is the end of `reply` from `start` on, if that is due.
+    pub fn damage(&mut self, id: u8, reply: &mut Vec<u8>, start: usize) {
+        let length = reply.len() - start;
+        if self.happens(Fault::Corrupt(id)) {
+            reply[start + length / 2] ^= 0x41;
+        }
+        if self.happens(Fault::Truncate(id)) {
+            reply.truncate(start + length / 2);
+        }
+        if self.happens(Fault::Duplicate(id)) {
+            reply.extend_from_within(start..);
+        }
+    }
+}

@@ -1,0 +1,406 @@
+//! The hand as the computer sees it: connecting, torque on and off.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use drex_robot::Robot;
+
+use super::inspect::{Finding, inspect_motors, inspect_port};
+use super::joint::{Joint, Life, MotorHealth};
+use super::options::LeapOptions;
+use super::table::{self, MotorModel};
+use crate::dynamixel::{Answers, Bus, BusStats, Port, SerialPort, Timing};
+use crate::{Error, Result};
+
+/// Patience with an adapter that does not tell its latency.
+const UNKNOWN_LATENCY: Duration = Duration::from_millis(4);
+/// How long a hand may take to be set up.
+pub(super) const SETUP_TIME: Duration = Duration::from_secs(2);
+/// How often what no motor confirms is said again.
+const TRIES: u32 = 3;
+/// Speeds at which motors may be, if not at the expected one.
+const SPEEDS: [u32; 7] = [57_600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115_200, 9_600];
+
+/// One turn, rad.
+const TURN: f64 = std::f64::consts::TAU;
+
+/// Bytes of a command: goal current and goal position, through the indirect addresses.
+pub(super) const COMMAND: usize = 6;
+/// Bytes of a reading: current, velocity, position.
+pub(super) const READING: usize = 10;
+/// Bytes of a motor's health: torque, hardware error, watchdog, voltage, temperature, through the indirect addresses.
+pub(super) const HEALTH: usize = 5;
+/// Where they are read.
+pub(super) const HEALTH_ADDRESS: u16 = table::INDIRECT_DATA.address + COMMAND as u16;
+
+/// A LEAP hand: 16 motors, each told a goal and the largest current to reach it with.
+///
+/// A motor that stops itself or falls silent costs only itself. When the program stops calling
+/// [`cycle`](crate::Hand::cycle), the motors freeze after [`LeapOptions::watchdog`]; dropping the hand takes the torque off.
+#[derive(Debug)]
+pub struct LeapHand<P: Port> {
+    pub(super) bus: Bus<P>,
+    pub(super) options: LeapOptions,
+    /// In the order of the robot model, as all that follows.
+    pub(super) joints: Vec<Joint>,
+    pub(super) names: Vec<String>,
+    pub(super) limits: Vec<(f64, f64)>,
+    pub(super) caps_ma: Vec<f64>,
+    pub(super) model: MotorModel,
+    /// Joints that are asked together, and room for their answers.
+    pub(super) asked: Vec<usize>,
+    pub(super) readings: Option<Answers>,
+    pub(super) healths: Option<Answers>,
+    pub(super) on: bool,
+    /// Whether the port failed and was not opened again.
+    pub(super) lost: bool,
+    pub(super) reconnects: u32,
+    pub(super) connected: Duration,
+    /// When the motors last heard something.
+    pub(super) spoken: Duration,
+    pub(super) next_probe: Duration,
+    pub(super) last_probed: usize,
+    /// Room for the commands of an exchange.
+    pub(super) orders: Vec<(u8, [u8; COMMAND])>,
+    pub(super) exchanges: u32,
+    /// Exchanges in a row in which nobody answered.
+    pub(super) unanswered: u32,
+    findings: Vec<Finding>,
+}
+
+impl LeapHand<SerialPort> {
+    /// Opens the hand at the serial port `path`, see [`LeapHand::connect`].
+    ///
+    /// # Errors
+    /// If the port cannot be opened, and those of [`LeapHand::connect`].
+    pub fn open(path: impl Into<PathBuf>, robot: &Robot, options: LeapOptions) -> Result<Self> {
+        let port = SerialPort::open(path, options.baud)?;
+        Self::connect(port, robot, options)
+    }
+}
+
+impl<P: Port> LeapHand<P> {
+    /// Finds the motors of `robot` behind `port` and sets them up, all torque off. Joints are found by name.
+    ///
+    /// # Errors
+    /// If options or model do not fit, a motor does not answer or is of another kind, or has a hardware error that a reboot does
+    /// not clear; then by name.
+    pub fn connect(port: P, robot: &Robot, options: LeapOptions) -> Result<Self> {
+        options.check()?;
+        let joints = joints(robot, &options)?;
+        let timing = options.timing.unwrap_or_else(|| Timing::for_latency(port.latency().unwrap_or(UNKNOWN_LATENCY)));
+        // All joints have limits, or there would be no `joints`.
+        let limits: Vec<_> = robot.joints.iter().filter_map(|j| j.limits).collect();
+        let connected = port.now();
+        let mut hand = Self {
+            bus: Bus::new(port, timing),
+            names: joints.iter().map(|j| j.name.clone()).collect(),
+            caps_ma: vec![0.0; joints.len()],
+            joints,
+            limits,
+            options,
+            model: MotorModel::Xc330M288,
+            asked: Vec::new(),
+            readings: None,
+            healths: None,
+            on: false,
+            lost: false,
+            reconnects: 0,
+            connected,
+            spoken: connected,
+            next_probe: connected,
+            last_probed: 0,
+            orders: Vec::new(),
+            exchanges: 0,
+            unanswered: 0,
+            findings: Vec::new(),
+        };
+        hand.find_model()?;
+        hand.findings = inspect_port(hand.bus.port());
+        hand.findings.extend(inspect_motors(&mut hand.bus, &hand.options)?);
+        hand.set_up_all()?;
+        hand.regroup()?;
+        hand.read_health()?;
+        Ok(hand)
+    }
+
+    /// What was not as it should be when the hand was connected, and how to mend it. What the driver mends itself is
+    /// mentioned too.
+    pub fn findings(&self) -> &[Finding] {
+        &self.findings
+    }
+
+    /// The motors of this hand.
+    pub fn model(&self) -> MotorModel {
+        self.model
+    }
+
+    /// What each motor said about itself when it was last asked, every [`LeapOptions::health_every`] exchanges.
+    pub fn health(&self) -> impl Iterator<Item = Option<MotorHealth>> + '_ {
+        self.joints.iter().map(|j| j.health)
+    }
+
+    /// Temperatures, °C, of motors that told them.
+    pub fn temperatures_c(&self) -> Vec<Option<f64>> {
+        self.health().map(|h| h.map(|h| h.temperature_c)).collect()
+    }
+
+    /// What is wrong with joints, by number and in words.
+    pub fn troubles(&self) -> impl Iterator<Item = (usize, &str)> {
+        self.joints.iter().enumerate().filter_map(|(j, joint)| Some((j, joint.trouble.as_deref()?)))
+    }
+
+    /// What went over the bus.
+    pub fn bus_stats(&self) -> BusStats {
+        self.bus.stats()
+    }
+
+    /// How often the port was opened again after it was gone.
+    pub fn reconnects(&self) -> u32 {
+        self.reconnects
+    }
+
+    /// Starts the motor of a joint again that stopped itself, in the exchanges to come. Overloads are dealt with like this without being
+    /// asked, see [`LeapOptions::recoveries`]; other errors want somebody to look first.
+    ///
+    /// # Errors
+    /// If there is no such joint or the port fails.
+    pub fn restart(&mut self, joint: usize) -> Result<()> {
+        if joint >= self.joints.len() {
+            return Err(Error::value(format!("joint number {joint}"), format!("the hand has {}", self.joints.len())));
+        }
+        self.joints[joint].recoveries = self.options.recoveries;
+        self.begin_reboot(joint)
+    }
+
+    /// The motors must all be of one kind, which gives the cap.
+    fn find_model(&mut self) -> Result<()> {
+        // Motors that were told to be quiet would look absent.
+        let ids = self.joints.iter().map(|j| (j.id, &[2_u8][..]));
+        self.bus.sync_write(table::STATUS_LEVEL.address, 1, ids)?;
+        let Some(pong) = self.joints.iter().find_map(|j| match self.bus.ping(j.id) {
+            Err(Error::Silent { .. }) => None,
+            other => Some(other),
+        }) else {
+            return Err(self.nobody());
+        };
+        let pong = pong?;
+        let model = MotorModel::from_number(pong.model).ok_or_else(|| Error::NoMotors {
+            port: self.bus.port().name().to_owned(),
+            remedy: format!("motor {} is of model {}, expected an XC330-M288 or XL330-M288", pong.id, pong.model),
+        })?;
+        let most = f64::from(model.current_limit_max_ma());
+        let cap = self.options.cap_ma.unwrap_or(model.recommended_cap_ma());
+        if cap > most {
+            return Err(Error::value(
+                format!("a cap of {cap} mA"),
+                format!("an {} takes at most {most} mA, its hand {} mA", model.name(), model.recommended_cap_ma()),
+            ));
+        }
+        self.model = model;
+        self.caps_ma.fill(cap);
+        Ok(())
+    }
+
+    /// Why nobody answers, as far as it can be found out.
+    fn nobody(&mut self) -> Error {
+        let expected = self.options.baud;
+        let ids = self.ids();
+        let heard = SPEEDS.into_iter().filter(|s| *s != expected).find(|speed| {
+            let set = self.bus.port().set_baud(*speed).is_ok();
+            set && ids.first().is_some_and(|id| self.bus.ping(*id).is_ok())
+        });
+        let remedy = match heard {
+            Some(speed) => format!(
+                "motor {} answers at {speed} baud: connect with LeapOptions::with_baud({speed}), or set the speed of all motors to {expected}",
+                ids[0]
+            ),
+            None => "switch on its 5 V supply, check the cable, and that no other program changed the ids".into(),
+        };
+        Error::NoMotors { port: self.bus.port().name().to_owned(), remedy }
+    }
+
+    /// Says anew who is asked together.
+    pub(super) fn regroup(&mut self) -> Result<()> {
+        self.asked.clear();
+        self.asked.extend((0..self.joints.len()).filter(|j| self.joints[*j].is_asked()));
+        let ids: Vec<u8> = self.asked.iter().map(|j| self.joints[*j].id).collect();
+        let room = |len| if ids.is_empty() { Ok(None) } else { Answers::new(&ids, len).map(Some) };
+        (self.readings, self.healths) = (room(READING)?, room(HEALTH)?);
+        Ok(())
+    }
+
+    pub(super) fn now(&mut self) -> Duration {
+        self.bus.port().now()
+    }
+
+    /// The error of a joint.
+    pub(super) fn wrong(&self, j: usize, what: impl Into<String>, remedy: impl Into<String>) -> Error {
+        let joint = &self.joints[j];
+        Error::Joint { joint: joint.name.clone(), id: joint.id, what: what.into(), remedy: remedy.into() }
+    }
+
+    /// Writes one byte to all motors; nobody confirms it.
+    pub(super) fn tell_all(&mut self, register: table::Register<u8>, value: u8) -> Result<()> {
+        let value = [value];
+        self.bus.sync_write(register.address, 1, self.joints.iter().map(|j| (j.id, &value[..])))
+    }
+
+    /// Torque on where the joints are: goals and a small current first, confirmed, then the watchdog, then torque, confirmed.
+    pub(super) fn energise(&mut self) -> Result<()> {
+        if self.on {
+            return Ok(());
+        }
+        self.joints.iter_mut().for_each(|j| (j.recoveries, j.absent) = (self.options.recoveries, false));
+        self.set_up_all()?;
+        self.regroup()?;
+        let done = self.hold_and_torque();
+        if done.is_err() {
+            // What was wrong is told; if this fails too, the watchdog is left.
+            let _ = self.relax();
+        }
+        done
+    }
+
+    fn hold_and_torque(&mut self) -> Result<()> {
+        // A frozen motor takes no goals.
+        self.tell_all(table::BUS_WATCHDOG, 0)?;
+        let mut tries = 0;
+        while let Some(j) = self.hold_here()? {
+            tries += 1;
+            if tries >= TRIES {
+                return Err(self.wrong(j, "does not take a goal position", "check cable and supply, connect again"));
+            }
+            // It may have been without power, and have forgotten the indirect addresses.
+            self.begin_setup(j);
+            self.set_up_all()?;
+        }
+        self.tell_all(table::BUS_WATCHDOG, self.options.watchdog_units())?;
+        self.tell_all(table::TORQUE_ENABLE, 1)?;
+        let since = self.now();
+        self.spoken = since;
+        let mut under = Answers::new(&self.ids(), 1)?;
+        for _ in 0..TRIES {
+            self.bus.sync_read(table::TORQUE_ENABLE.address, &mut under)?;
+            if (0..self.joints.len()).all(|j| under.get(j).is_some_and(|(_, data)| data == [1])) {
+                break;
+            }
+        }
+        for j in 0..self.joints.len() {
+            match under.get(j) {
+                Some((_, [1])) => self.joints[j].life = Life::Driven { since },
+                Some(_) => {
+                    let error = self.bus.get(self.joints[j].id, table::HARDWARE_ERROR)?;
+                    let what = format!("torque does not go on: {}", table::hardware_error_text(error));
+                    self.note_error(j, error);
+                    // It is set up anew when somebody tries again.
+                    self.fault(j, what.clone());
+                    return Err(self.wrong(j, what, "check its supply, reboot it"));
+                }
+                None => return Err(Error::Silent { id: self.joints[j].id }),
+            }
+        }
+        self.on = true;
+        Ok(())
+    }
+
+    pub(super) fn ids(&self) -> Vec<u8> {
+        self.joints.iter().map(|j| j.id).collect()
+    }
+
+    /// Sets all goals to where the joints are, with the first current; a joint that has not taken it.
+    fn hold_here(&mut self) -> Result<Option<usize>> {
+        let ids = self.ids();
+        let mut here = Answers::new(&ids, 4)?;
+        let mut goals = Answers::new(&ids, 18)?;
+        self.bus.sync_read(table::PRESENT_POSITION.address, &mut here)?;
+        let current = self.start_current();
+        let mut orders = Vec::with_capacity(ids.len());
+        for (j, id) in ids.iter().enumerate() {
+            let Some((_, data)) = here.get(j) else { return Err(Error::Silent { id: *id }) };
+            let ticks = table::PRESENT_POSITION.in_block(table::PRESENT_POSITION.address, data);
+            self.check_place(j, ticks)?;
+            orders.push((*id, command(current, ticks)));
+        }
+        let items = orders.iter().map(|(id, bytes)| (*id, &bytes[..]));
+        self.bus.sync_write(table::INDIRECT_DATA.address, COMMAND, items)?;
+        let start = table::GOAL_CURRENT.address;
+        self.bus.sync_read(start, &mut goals)?;
+        Ok((0..ids.len()).find(|j| {
+            let taken = goals.get(*j).map(|(_, data)| {
+                command(table::GOAL_CURRENT.in_block(start, data), table::GOAL_POSITION.in_block(start, data))
+            });
+            taken != Some(orders[*j].1)
+        }))
+    }
+
+    /// The current with which torque goes on, mA.
+    pub(super) fn start_current(&self) -> i16 {
+        let cap = self.caps_ma.iter().copied().fold(f64::INFINITY, f64::min);
+        self.options.start_ma.min(cap).max(0.0) as i16
+    }
+
+    /// Torque off, confirmed by all that answer at all.
+    pub(super) fn relax(&mut self) -> Result<()> {
+        self.on = false;
+        if self.lost {
+            self.reopen()?;
+        }
+        let mut silent = None;
+        for _ in 0..TRIES {
+            self.tell_all(table::TORQUE_ENABLE, 0)?;
+            self.tell_all(table::BUS_WATCHDOG, 0)?;
+            silent = None;
+            // A motor that is not there or starts again has no torque, or freezes by its watchdog.
+            for j in &self.asked {
+                let joint = &self.joints[*j];
+                match self.bus.get(joint.id, table::TORQUE_ENABLE) {
+                    Ok(0) => {}
+                    Ok(_) | Err(Error::Silent { .. }) => silent = Some(joint.id),
+                    Err(other) => return Err(other),
+                }
+            }
+            if silent.is_none() {
+                break;
+            }
+        }
+        for joint in &mut self.joints {
+            if matches!(joint.life, Life::Driven { .. }) {
+                joint.life = Life::Limp;
+            }
+        }
+        silent.map_or(Ok(()), |id| Err(Error::Silent { id }))
+    }
+}
+
+impl<P: Port> Drop for LeapHand<P> {
+    fn drop(&mut self) {
+        // Nobody is left to be told; the watchdog stops a hand that cannot be reached.
+        let _ = self.relax();
+    }
+}
+
+/// The bytes of a command: goal current, mA, and goal position, ticks.
+pub(super) fn command(current: i16, ticks: i32) -> [u8; COMMAND] {
+    let ([a, b], [c, d, e, f]) = (current.to_le_bytes(), ticks.to_le_bytes());
+    [a, b, c, d, e, f]
+}
+
+/// The joints of the model in its order, each with its motor.
+fn joints(robot: &Robot, options: &LeapOptions) -> Result<Vec<Joint>> {
+    let find = |name: &str| options.joints.iter().position(|j| j.name == name);
+    if let Some(extra) = options.joints.iter().find(|j| robot.joint_index(&j.name).is_none()) {
+        robot.require_joint(&extra.name)?;
+    }
+    let of = |joint: &drex_robot::Joint| {
+        let wiring = find(&joint.name).ok_or_else(|| {
+            Error::value(format!("no motor for joint {}", joint.name), "name its motor in LeapOptions::joints")
+        })?;
+        let Some((low, high)) = joint.limits.filter(|(low, high)| -TURN <= *low && low <= high && *high <= TURN) else {
+            let what = format!("joint {} with limits of {:?} rad", joint.name, joint.limits);
+            return Err(Error::value(what, "give it a range within one turn either way"));
+        };
+        Ok(Joint::new(&options.joints[wiring], options.gains[wiring], (low, high)))
+    };
+    robot.joints.iter().map(of).collect()
+}

@@ -1,0 +1,172 @@
+//! Motors that stop, fall silent or come back, and a port that does.
+
+use std::time::Duration;
+
+use super::driver::{HEALTH_ADDRESS, LeapHand};
+use super::joint::{Life, MotorHealth};
+use super::table::{self, hardware_error};
+use crate::dynamixel::Port;
+use crate::{Error, Result};
+
+/// Exchanges that a motor may miss before it is no longer asked with the others, whom it holds up.
+const MISSES: u32 = 10;
+/// How often one that is not asked is looked for.
+const PROBE: Duration = Duration::from_millis(100);
+/// What the watchdog register says when it has run out.
+const FROZEN: u8 = 255;
+
+impl<P: Port> LeapHand<P> {
+    /// Notes the hardware errors of a motor, in words if there are any.
+    pub(super) fn note_error(&mut self, j: usize, bits: u8) {
+        let joint = &mut self.joints[j];
+        joint.errors = bits;
+        if let Some(health) = &mut joint.health {
+            health.hardware_error = bits;
+        }
+        if bits != 0 {
+            joint.trouble = Some(table::hardware_error_text(bits));
+        }
+    }
+
+    /// Asks a motor whose alert bit has come on what it has.
+    pub(super) fn look_at_error(&mut self, j: usize) -> Result<()> {
+        let bits = match self.bus.get(self.joints[j].id, table::HARDWARE_ERROR) {
+            Err(Error::Silent { .. } | Error::Refused { .. }) => {
+                self.joints[j].alert = false;
+                return Ok(());
+            }
+            other => other?,
+        };
+        self.note_error(j, bits);
+        if bits & self.model.default_shutdown() != 0 {
+            self.joints[j].life = Life::Faulted { bits };
+        }
+        Ok(())
+    }
+
+    /// Reads torque, errors, watchdog, voltage and temperature of all motors that answer.
+    pub(super) fn read_health(&mut self) -> Result<()> {
+        let Some(mut healths) = self.healths.take() else { return Ok(()) };
+        let read = self.bus.sync_read(HEALTH_ADDRESS, &mut healths);
+        let mut suspects = 0_u64;
+        for (i, j) in self.asked.iter().enumerate() {
+            let Some((_, &[torque, error, watchdog, decivolt, celsius])) = healths.get(i) else { continue };
+            let joint = &mut self.joints[*j];
+            let (driven, limp) = (matches!(joint.life, Life::Driven { .. }), joint.life == Life::Limp);
+            if (driven && (torque != 1 || watchdog == FROZEN)) || (limp && torque != 0) {
+                suspects |= 1 << j;
+            } else if driven || limp {
+                joint.errors = error;
+                joint.health = Some(MotorHealth {
+                    temperature_c: f64::from(celsius),
+                    voltage_v: f64::from(decivolt) / 10.0,
+                    hardware_error: error,
+                });
+            }
+        }
+        self.healths = Some(healths);
+        read?;
+        let suspect = |j: &usize| suspects & 1 << j != 0;
+        (0..self.joints.len()).filter(suspect).try_for_each(|j| self.look_again(j))
+    }
+
+    /// Finds out how a motor is that was away, and brings it to where the others are.
+    pub(super) fn look_again(&mut self, j: usize) -> Result<()> {
+        let id = self.joints[j].id;
+        let mut block = [0; 35];
+        let start = table::TORQUE_ENABLE.address;
+        match self.bus.read(id, start, &mut block) {
+            Err(Error::Silent { .. } | Error::Refused { .. }) => return Ok(()),
+            other => other?,
+        };
+        let torque = table::TORQUE_ENABLE.in_block(start, &block) == 1;
+        let bits = table::HARDWARE_ERROR.in_block(start, &block);
+        self.note_error(j, bits);
+        let steps = match self.joints[j].life {
+            // Switched off without an error: it was without power and remembers nothing.
+            Life::Driven { .. } if !torque && bits == 0 => {
+                self.joints[j].trouble = Some("lost its torque, perhaps its supply".into());
+                self.begin_setup(j);
+                Ok(())
+            }
+            Life::Driven { .. } if !torque => {
+                self.joints[j].life = Life::Faulted { bits };
+                Ok(())
+            }
+            Life::Driven { .. } => self.rearm(j),
+            Life::Limp if torque => self.bus.set(id, table::TORQUE_ENABLE, 0),
+            _ => Ok(()),
+        };
+        match steps {
+            Err(Error::Silent { .. } | Error::Refused { .. }) => Ok(()),
+            other => other,
+        }
+    }
+
+    /// Lets a motor that froze take goals again.
+    fn rearm(&mut self, j: usize) -> Result<()> {
+        let id = self.joints[j].id;
+        self.bus.set(id, table::BUS_WATCHDOG, 0)?;
+        self.bus.set(id, table::BUS_WATCHDOG, self.options.watchdog_units())
+    }
+
+    /// Starts the watchdogs of all motors anew with the next question: the program was away for so long that they may have frozen.
+    pub(super) fn rearm_all(&mut self) -> Result<()> {
+        let units = [self.options.watchdog_units()];
+        for value in [&[0], &units] {
+            let ids = self.joints.iter().filter(|j| matches!(j.life, Life::Driven { .. }));
+            self.bus.queue_sync_write(table::BUS_WATCHDOG.address, 1, ids.map(|j| (j.id, &value[..])))?;
+        }
+        Ok(())
+    }
+
+    /// Goes on with at most one motor that needs care, so that the others wait little.
+    pub(super) fn care(&mut self) -> Result<()> {
+        for j in 0..self.joints.len() {
+            let joint = &mut self.joints[j];
+            match joint.life {
+                // Only an overload is over when the motor has let go.
+                Life::Faulted { bits } if self.on && bits == hardware_error::OVERLOAD && joint.recoveries > 0 => {
+                    joint.recoveries -= 1;
+                    return self.begin_reboot(j);
+                }
+                _ => {
+                    if self.advance(j)? {
+                        return Ok(());
+                    }
+                }
+            }
+        }
+        if self.joints.iter().any(|j| !j.absent && j.missed >= MISSES && j.is_asked()) {
+            for joint in self.joints.iter_mut().filter(|j| j.is_asked() && j.missed >= MISSES) {
+                joint.absent = true;
+                joint.trouble = Some("does not answer".into());
+            }
+            self.regroup()?;
+        }
+        self.probe()
+    }
+
+    /// Looks for one motor that is absent, now and then.
+    fn probe(&mut self) -> Result<()> {
+        let now = self.now();
+        if now < self.next_probe || !self.joints.iter().any(|j| j.absent) {
+            return Ok(());
+        }
+        self.next_probe = now + PROBE;
+        let count = self.joints.len();
+        let first = self.last_probed + 1;
+        let Some(j) = (first..first + count).map(|j| j % count).find(|j| self.joints[*j].absent) else { return Ok(()) };
+        self.last_probed = j;
+        match self.bus.ping(self.joints[j].id) {
+            Ok(_) => {}
+            Err(lost @ Error::Port { .. }) => return Err(lost),
+            Err(_) => return Ok(()),
+        }
+        // Where one is back, others may be.
+        self.next_probe = now;
+        (self.joints[j].absent, self.joints[j].missed) = (false, 0);
+        self.look_again(j)?;
+        self.regroup()
+    }
+}

@@ -1,0 +1,333 @@
+//! The Allegro driver with an emulated hand: start, stop, limits, faults.
+#![allow(clippy::unwrap_used)] // a test may stop at the first surprise
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use drex_hw::allegro::{AllegroCommand, AllegroHand, AllegroOptions, AllegroVersion, JointCalibration};
+use drex_hw::can::{CanBus, CanFrame, MemoryCan};
+use drex_hw::emulator::allegro::{AllegroEmulator, EmulatorBus};
+use drex_hw::{Clock, Hand, HandCommand, HandState, JointStatus, Result};
+use drex_robot::Robot;
+use proptest::prelude::*;
+
+const VERSIONS: [AllegroVersion; 3] = [AllegroVersion::V3, AllegroVersion::V4, AllegroVersion::V5];
+const CYCLE: Duration = Duration::from_millis(3);
+
+fn robot() -> Robot {
+    Robot::bundled("allegro_right").unwrap()
+}
+
+/// A hand at a pose inside its limits, and its driver.
+fn driven(options: AllegroOptions) -> (AllegroEmulator, AllegroHand<EmulatorBus>) {
+    let hand = placed(options.clone());
+    let driver = AllegroHand::connect_with_clock(hand.bus(), &robot(), options, hand.clock()).unwrap();
+    (hand, driver)
+}
+
+/// A hand at a pose inside its limits.
+fn placed(options: AllegroOptions) -> AllegroEmulator {
+    let (hand, robot) = (AllegroEmulator::with_options(options.clone()), robot());
+    for (wire, name) in options.names.iter().enumerate() {
+        let (low, high) = robot.joints[robot.require_joint(name).unwrap()].limits.unwrap();
+        hand.place(wire, 0.2_f64.clamp(low + 0.05, high - 0.05));
+    }
+    hand
+}
+
+/// Exchanges `n` times, one every [`CYCLE`].
+fn run(hand: &AllegroEmulator, driver: &mut impl Hand, command: Option<&HandCommand>, state: &mut HandState, n: usize) {
+    for _ in 0..n {
+        let next = hand.now() + CYCLE;
+        driver.cycle(command, state).unwrap();
+        hand.clock().wait_until(next);
+    }
+}
+
+fn torques_heard(hand: &AllegroEmulator) -> Vec<[i16; 4]> {
+    let torque = |h: drex_hw::emulator::allegro::Heard| match h.command {
+        AllegroCommand::Torque { wire, .. } => Some(wire),
+        _ => None,
+    };
+    hand.take_record().into_iter().filter_map(torque).collect()
+}
+
+#[test]
+fn no_torque_before_all_fingers_have_shown_themselves() {
+    for version in VERSIONS {
+        let hand = AllegroEmulator::new(version);
+        hand.mute(2, true);
+        hand.record();
+        let mut driver =
+            AllegroHand::connect_with_clock(hand.bus(), &robot(), AllegroOptions::new(version), hand.clock()).unwrap();
+        let error = driver.turn_on().unwrap_err().to_string();
+        assert!(error.contains("never seen: ring"), "{error}");
+        let mut state = HandState::new(16);
+        run(&hand, &mut driver, Some(&HandCommand::new(16)), &mut state, 5);
+        drop(driver);
+        assert_eq!(torques_heard(&hand), Vec::<[i16; 4]>::new(), "{version:?}");
+        assert!(!hand.is_on());
+    }
+}
+
+#[test]
+fn joints_go_where_they_are_told_and_stop_when_the_driver_is_dropped() {
+    for version in VERSIONS {
+        let (hand, mut driver) = driven(AllegroOptions::new(version));
+        hand.set_watchdog(None);
+        let before = hand.positions();
+        driver.turn_on().unwrap();
+        let mut state = HandState::new(16);
+        run(&hand, &mut driver, None, &mut state, 30);
+        let moved = before.iter().zip(hand.positions()).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(moved < 0.01, "{version:?}: moved by {moved} rad when torque went on");
+
+        let mut command = HandCommand::new(16);
+        command.position.copy_from_slice(&state.position);
+        command.position.iter_mut().zip(driver.limits()).for_each(|(q, l)| *q = (*q + 0.3).min(l.1));
+        command.effort_limit.copy_from_slice(driver.effort_caps());
+        run(&hand, &mut driver, Some(&command), &mut state, 400);
+        for (q, goal) in state.position.iter().zip(&command.position) {
+            assert!((q - goal).abs() < 0.01, "{version:?}: {q} instead of {goal} rad");
+        }
+        assert!(state.status.iter().all(|s| *s == JointStatus::Driven));
+        assert!(state.velocity.iter().all(|v| v.abs() < 0.05));
+
+        hand.set_wall(1, f64::NEG_INFINITY, 0.3);
+        run(&hand, &mut driver, Some(&command), &mut state, 50);
+        assert!(hand.torques_nm()[1] > 0.01);
+        drop(driver);
+        assert!(!hand.is_on() && hand.torques_nm() == [0.0; 16]);
+        while hand.say().is_some() {}
+        hand.pass(Duration::from_millis(50));
+        assert_eq!(hand.say(), None, "still reports");
+    }
+}
+
+#[test]
+fn on_a_wall_the_torque_is_the_limit() {
+    for version in VERSIONS {
+        let (hand, mut driver) = driven(AllegroOptions::new(version));
+        driver.turn_on().unwrap();
+        let names: Vec<String> = driver.joints().to_vec();
+        let (mut command, mut state) = (HandCommand::new(16), HandState::new(16));
+        for (j, name) in names.iter().enumerate() {
+            let wire = AllegroOptions::new(version).names.iter().position(|n| n == name).unwrap();
+            let wall = hand.positions()[wire] + 0.02;
+            hand.set_wall(wire, f64::NEG_INFINITY, wall);
+            command.position[j] = driver.limits()[j].1;
+        }
+        for limit in [0.02, 0.05, 0.1] {
+            command.effort_limit.fill(limit);
+            run(&hand, &mut driver, Some(&command), &mut state, 200);
+            for wire in 0..16 {
+                let joint = names.iter().position(|n| *n == AllegroOptions::new(version).names[wire]).unwrap();
+                // Where the end of the range is near, the position loop asks for less than the limit.
+                let room = driver.limits()[joint].1 - hand.positions()[wire];
+                if room * AllegroOptions::new(version).gains[wire].kp > limit {
+                    let contact = hand.contact_torques_nm()[wire];
+                    assert!((contact - limit).abs() < 1e-3, "{version:?} {wire}: {contact} instead of {limit} N m");
+                    assert!((state.effort[joint] - limit).abs() < 1e-3);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn old_poses_mean_no_torque_until_new_ones_come() {
+    let (hand, mut driver) = driven(AllegroOptions::new(AllegroVersion::V4));
+    hand.set_watchdog(None);
+    driver.turn_on().unwrap();
+    hand.set_wall(1, f64::NEG_INFINITY, 0.25);
+    let (mut command, mut state) = (HandCommand::new(16), HandState::new(16));
+    command.position.copy_from_slice(&[0.4; 16]);
+    command.effort_limit.fill(0.1);
+    run(&hand, &mut driver, Some(&command), &mut state, 100);
+    assert!(hand.torques_nm()[1] > 0.05);
+    hand.mute(3, true);
+    run(&hand, &mut driver, Some(&command), &mut state, 5);
+    assert!(hand.torques_nm()[1] > 0.05, "poses of 15 ms are still good");
+    run(&hand, &mut driver, Some(&command), &mut state, 4);
+    assert_eq!(hand.torques_nm(), [0.0; 16]);
+    assert!(state.status.contains(&JointStatus::Silent) && driver.stats().stale > 0);
+    hand.mute(3, false);
+    run(&hand, &mut driver, Some(&command), &mut state, 20);
+    assert!(hand.torques_nm()[1] > 0.05 && !state.status.contains(&JointStatus::Silent));
+}
+
+#[test]
+fn nonsense_is_refused_and_the_last_command_holds() {
+    let (hand, mut driver) = driven(AllegroOptions::new(AllegroVersion::V5));
+    driver.turn_on().unwrap();
+    let (mut good, mut state) = (HandCommand::new(16), HandState::new(16));
+    run(&hand, &mut driver, None, &mut state, 3);
+    good.position.copy_from_slice(&state.position);
+    good.effort_limit.fill(0.1);
+    run(&hand, &mut driver, Some(&good), &mut state, 100);
+    let before = hand.positions();
+    for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        let mut command = good.clone();
+        command.position[5] = bad;
+        assert!(driver.cycle(Some(&command), &mut state).is_err());
+        command = good.clone();
+        command.effort_limit[5] = bad;
+        assert!(driver.cycle(Some(&command), &mut state).is_err());
+    }
+    assert!(driver.cycle(Some(&HandCommand::new(15)), &mut state).is_err());
+    let mut negative = good.clone();
+    negative.effort_limit[0] = -0.1;
+    assert!(driver.cycle(Some(&negative), &mut state).is_err());
+    run(&hand, &mut driver, None, &mut state, 50);
+    let moved = before.iter().zip(hand.positions()).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    assert!(moved < 0.01, "moved by {moved} rad");
+}
+
+#[test]
+fn a_motor_that_reports_an_error_gets_no_torque() {
+    let (hand, mut driver) = driven(AllegroOptions::new(AllegroVersion::V5));
+    driver.turn_on().unwrap();
+    let (mut command, mut state) = (HandCommand::new(16), HandState::new(16));
+    command.position.fill(0.5);
+    command.effort_limit.fill(0.1);
+    hand.fail(5, 32);
+    run(&hand, &mut driver, Some(&command), &mut state, 5);
+    assert_eq!(hand.torques_nm()[5], 0.0);
+    assert!(hand.torques_nm().iter().any(|t| *t != 0.0));
+    assert_eq!(state.status.iter().filter(|s| **s == JointStatus::Faulted(32)).count(), 1);
+    drop(driver);
+
+    let (hand, mut driver) = driven(AllegroOptions::new(AllegroVersion::V5));
+    hand.fail(5, 32);
+    let error = driver.turn_on().unwrap_err().to_string();
+    assert!(error.contains("mfj1 reports error 0x20"), "{error}");
+}
+
+#[test]
+fn a_hand_that_is_not_where_it_can_be_gets_no_torque() {
+    let (hand, mut driver) = driven(AllegroOptions::new(AllegroVersion::V4));
+    hand.place(6, 3.0);
+    hand.record();
+    let error = driver.turn_on().unwrap_err().to_string();
+    assert!(error.contains("mfj2") && error.contains("with_calibration"), "{error}");
+    assert!(torques_heard(&hand).is_empty());
+}
+
+#[test]
+fn zeros_and_directions_of_a_certain_hand() {
+    let mut calibration = [JointCalibration::NONE; 16];
+    calibration[1] = JointCalibration { offset_counts: 1500, encoder_reversed: true, motor_reversed: true };
+    calibration[12] = JointCalibration { offset_counts: -4000, encoder_reversed: false, motor_reversed: true };
+    let options = AllegroOptions::new(AllegroVersion::V3).with_calibration(calibration);
+    let (hand, mut driver) = driven(options);
+    driver.turn_on().unwrap();
+    let (mut command, mut state) = (HandCommand::new(16), HandState::new(16));
+    command.position.copy_from_slice(&[0.4; 16]);
+    command.effort_limit.fill(0.2);
+    run(&hand, &mut driver, Some(&command), &mut state, 400);
+    assert!((hand.positions()[1] - 0.4).abs() < 0.01 && (hand.positions()[12] - 0.4).abs() < 0.01);
+}
+
+#[test]
+fn an_unplugged_bus_is_an_error_and_the_next_stop_still_works() {
+    let (hand, mut driver) = driven(AllegroOptions::new(AllegroVersion::V4));
+    driver.turn_on().unwrap();
+    let (mut command, mut state) = (HandCommand::new(16), HandState::new(16));
+    command.position.fill(0.5);
+    command.effort_limit.fill(0.1);
+    run(&hand, &mut driver, Some(&command), &mut state, 3);
+    hand.unplug();
+    assert!(driver.cycle(Some(&command), &mut state).is_err());
+    assert!(driver.turn_off().is_err());
+    assert!(hand.is_on());
+    hand.plug();
+    drop(driver);
+    assert!(!hand.is_on());
+}
+
+#[test]
+fn a_hand_serves_any_bus_until_told_to_stop() {
+    let (mut here, mut there) = MemoryCan::pair();
+    let hand = AllegroEmulator::new(AllegroVersion::V4).in_real_time();
+    let stop = Arc::new(AtomicBool::new(false));
+    let server = {
+        let (hand, stop) = (hand.clone(), stop.clone());
+        std::thread::spawn(move || hand.serve(&mut there, &stop))
+    };
+    here.send(&CanFrame::remote_frame(0x80 << 2, 0).unwrap()).unwrap();
+    let info = here.receive(Duration::from_secs(5)).unwrap().unwrap();
+    assert_eq!((info.id(), info.len()), (0x80 << 2, 7));
+    stop.store(true, Ordering::Relaxed);
+    server.join().unwrap().unwrap();
+}
+
+/// A bus that notes the largest number sent to each joint.
+struct Watched {
+    bus: EmulatorBus,
+    version: AllegroVersion,
+    largest: Arc<std::sync::Mutex<[u16; 16]>>,
+}
+
+impl CanBus for Watched {
+    fn name(&self) -> &str {
+        self.bus.name()
+    }
+
+    fn send(&mut self, frame: &CanFrame) -> Result<()> {
+        if let Some(AllegroCommand::Torque { finger, wire }) = AllegroCommand::decode(self.version, frame) {
+            let mut largest = self.largest.lock().unwrap();
+            for (k, w) in wire.iter().enumerate() {
+                let most = &mut largest[4 * usize::from(finger) + k];
+                *most = (*most).max(w.unsigned_abs());
+            }
+        }
+        self.bus.send(frame)
+    }
+
+    fn receive(&mut self, timeout: Duration) -> Result<Option<CanFrame>> {
+        self.bus.receive(timeout)
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    /// Whatever is commanded, no number on the wire is above what was asked or allowed, and no joint is driven out of its range.
+    #[test]
+    fn torques_and_angles_stay_in_their_limits(
+        which in 0..3_usize,
+        commands in prop::collection::vec((prop::num::f64::ANY, -20.0..20.0_f64, 0.0..2.0_f64), 1..12),
+    ) {
+        let version = VERSIONS[which];
+        let options = AllegroOptions::new(version);
+        let hand = placed(options.clone());
+        let largest = Arc::new(std::sync::Mutex::new([0; 16]));
+        let bus = Watched { bus: hand.bus(), version, largest: largest.clone() };
+        let robot = robot();
+        let mut driver = AllegroHand::connect_with_clock(bus, &robot, options.clone(), hand.clock()).unwrap();
+        driver.turn_on().unwrap();
+        let (mut command, mut state) = (HandCommand::new(16), HandState::new(16));
+        for (wild, position, limit) in commands {
+            command.position.fill(position);
+            command.position[3] = wild;
+            command.effort_limit.fill(limit);
+            *largest.lock().unwrap() = [0; 16];
+            for _ in 0..60 {
+                let next = hand.now() + CYCLE;
+                let told = driver.cycle(Some(&command), &mut state);
+                prop_assert_eq!(told.is_err(), !wild.is_finite());
+                hand.clock().wait_until(next);
+            }
+            for (wire, n) in largest.lock().unwrap().iter().enumerate() {
+                let cap = f64::from(options.wire_caps[wire]);
+                let asked = if wild.is_finite() { limit * options.wire_per_nm } else { f64::INFINITY };
+                prop_assert!(f64::from(*n) <= cap.min(asked + 1e-6), "{} on the wire, {} asked, {} allowed", n, asked, cap);
+            }
+            for (wire, q) in hand.positions().iter().enumerate() {
+                let (low, high) = driver.limits()[robot.require_joint(&options.names[wire]).unwrap()];
+                prop_assert!((low - 0.1..=high + 0.1).contains(q), "{} at {} of {} to {}", options.names[wire], q, low, high);
+            }
+        }
+    }
+}

@@ -1,0 +1,74 @@
+//! The Allegro driver over slcan at a pseudo-terminal, in real time.
+#![cfg(unix)]
+#![allow(clippy::unwrap_used)] // a test may stop at the first surprise
+
+use std::time::{Duration, Instant};
+
+use drex_hw::allegro::{AllegroHand, AllegroOptions, AllegroVersion};
+use drex_hw::can::Slcan;
+use drex_hw::emulator::allegro::{AllegroEmulator, SlcanAdapter};
+use drex_hw::emulator::pty::PtyServer;
+use drex_hw::{Hand, HandCommand, HandState};
+use drex_robot::Robot;
+
+#[test]
+fn a_joint_presses_with_its_limit_over_a_serial_port() {
+    let hand = AllegroEmulator::new(AllegroVersion::V5).in_real_time();
+    hand.place(12, 0.5);
+    hand.set_wall(1, f64::NEG_INFINITY, 0.1);
+    let folder = tempfile::tempdir().unwrap();
+    let link = folder.path().join("can");
+    let server = PtyServer::serve(SlcanAdapter::new(hand.clone()), Some(&link)).unwrap();
+    assert_eq!(server.path(), link);
+
+    let robot = Robot::bundled("allegro_right").unwrap();
+    let options = AllegroOptions::new(AllegroVersion::V5).with_pose_wait(Duration::from_millis(4));
+    let bus = Slcan::open(&link).unwrap();
+    assert!(Slcan::open(&link).is_err(), "two programs at one port");
+    let mut driver = AllegroHand::connect(bus, &robot, options).unwrap();
+    driver.turn_on().unwrap();
+    assert_eq!(driver.serial().as_deref(), Some("EMULATED"));
+    let (mut command, mut state) = (HandCommand::new(16), HandState::new(16));
+    let joint = robot.require_joint("ffj1").unwrap();
+    driver.cycle(None, &mut state).unwrap();
+    command.position.copy_from_slice(&state.position);
+    command.position[joint] = 0.9;
+    command.effort_limit.fill(0.08);
+    // Until it presses, or for as long as the slowest machine may take.
+    let begin = Instant::now();
+    let pressing = || (hand.contact_torques_nm()[1] - 0.08).abs() < 1e-3;
+    while !pressing() && begin.elapsed() < Duration::from_secs(10) {
+        driver.cycle(Some(&command), &mut state).unwrap();
+    }
+    assert!(pressing(), "{} N m", hand.contact_torques_nm()[1]);
+    drop(driver);
+    // The last commands are on their way through the terminal.
+    let begin = Instant::now();
+    while hand.is_on() && begin.elapsed() < Duration::from_secs(10) {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    assert!(!hand.is_on());
+    drop(server);
+    assert!(!link.exists());
+}
+
+#[test]
+fn an_adapter_refuses_what_it_does_not_know_and_is_deaf_while_closed() {
+    let hand = AllegroEmulator::new(AllegroVersion::V4);
+    let mut adapter = SlcanAdapter::new(hand.clone());
+    let mut answer = |text: &[u8]| {
+        let mut reply = Vec::new();
+        adapter.take(text, &mut reply);
+        reply
+    };
+    assert_eq!(answer(b"\rC\rO\rt1000\r"), b"\r\x07\x07\x07");
+    assert!(!hand.is_on());
+    assert_eq!(
+        answer(b"S8\rO\rO\rt1000\rr2000\r"),
+        [b"\r\r\x07\r\r".as_slice(), b"t200702040104000000\r"].concat()[..]
+    );
+    assert!(hand.is_on());
+    let noise: Vec<u8> = (0..4000_u32).map(|k| (k.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
+    answer(&noise);
+    assert_eq!(answer(b"\rV\r").last(), Some(&b'\r'));
+}
