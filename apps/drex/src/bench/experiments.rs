@@ -403,6 +403,7 @@ mod tests {
         let hand = TargetHand::bundled("leap_right").unwrap();
         let mut library = LibraryOptions::default();
         (library.people.clips, library.people.per_clip, library.wraps.tries) = (3, 3, 0);
+        library.candidates = 10_000;
         let bench = Bench {
             robot: Arc::new(hand.robot.clone()),
             hand: &hand,

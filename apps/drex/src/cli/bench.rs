@@ -83,7 +83,7 @@ pub struct GraspBenchArgs {
     #[arg(long, value_name = "N")]
     pub epochs: Option<usize>,
     /// Grasps that are practised in the simulator before they are learned, those that need least force; 0: none.
-    #[arg(long, value_name = "N", default_value_t = 56)]
+    #[arg(long, value_name = "N", default_value_t = 100)]
     pub practice: u32,
     /// Carry every command out in drex-diffsim as well, and say how often the two engines agree.
     #[arg(long)]
