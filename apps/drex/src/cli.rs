@@ -2,6 +2,7 @@
 
 mod bench;
 mod grasp;
+mod hw;
 mod retarget;
 
 use std::num::NonZeroUsize;
@@ -18,6 +19,7 @@ use nalgebra::{Point3, Similarity3};
 
 pub use bench::{BenchCommand, BenchCommon, DemosArgs, GraspBenchArgs};
 pub use grasp::{DeployArgs, GraspArgs};
+pub use hw::{AllegroArg, CalibrateArgs, EmulateArgs, HandArg, HandArgs, HwCommand, LinkArgs, MoveArgs, RecordArgs, RunArgs};
 pub use retarget::{DetectorArg, HandsArgs, ObjectiveArg, ReadingArgs, RetargetArgs};
 
 /// From a scan, a recorded push and human grasps to a weighed digital twin and a grasp with the right force.
@@ -79,8 +81,11 @@ pub enum Command {
     Evaluate(TwinArgs),
     /// Predict a grasp and its force for an object that stands somewhere.
     Grasp(GraspArgs),
-    /// Write what driving the hand takes into one file.
+    /// Write what driving the hand takes into one file, and grasp with a hand or an emulated one.
     Deploy(DeployArgs),
+    /// Look at, move, record, calibrate or emulate a hand.
+    #[command(subcommand)]
+    Hw(HwCommand),
     /// Do every stage of a twin folder whose inputs changed, then write report.html.
     Run(TwinArgs),
     /// Write report.html again (and what it needs).

@@ -54,6 +54,7 @@ fn run(cli: &Cli, ui: &Ui) -> anyhow::Result<()> {
         Command::Import(args) => commands::import::run(args, ui),
         Command::Grasp(args) => commands::grasp::run(args, seed, ui),
         Command::Deploy(args) => commands::deploy::run(args, seed, ui),
+        Command::Hw(command) => commands::hw::run(command, ui),
         Command::Bench(command) => commands::bench::run(command, seed, ui),
         Command::Doctor => commands::doctor::run(ui),
     }

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
+use clap::ValueEnum;
 use drex_core::twin::ASSUMED_FRICTION;
 use drex_core::{MassProperties, Pose};
 use drex_grasp::{ContactOptions, ForceCommand, HandSurface, SqueezeProblem, TablePlane, TorqueLimits, paper_force};
@@ -12,11 +13,11 @@ use drex_mesh::{
 };
 use drex_policy::{GraspPolicy, PredictedGrasp, Query};
 use drex_robot::Robot;
-use drex_trial::TrialOptions;
+use drex_trial::{Reach, TrialOptions, plan_reach};
 use nalgebra::{Point3, Unit, Vector3};
 use serde::Serialize;
 
-use crate::cli::GraspArgs;
+use crate::cli::{GraspArgs, HandArg};
 use crate::twin::{MassFile, PoseRecord, Twin, files};
 
 /// A predicted hand touches what it is this near to, metres: nearer than the fingers move when they close.
@@ -166,6 +167,17 @@ impl Ready {
         Ok(prediction)
     }
 
+    /// How the fingers open before the grasp and close onto the object.
+    ///
+    /// # Errors
+    /// If the hand has no shapes.
+    pub fn reach(&self, grasp: &Prediction) -> Result<Reach> {
+        let surface = HandSurface::new(&self.robot, ContactOptions::default().spacing_m)?;
+        let object_from_palm = self.world_from_object.inverse() * grasp.world_from_palm.to_pose()?;
+        let object = self.sdf.exact();
+        Ok(plan_reach(&self.robot, &surface, &grasp.joints_rad, &object_from_palm, object, &self.world_from_object))
+    }
+
     fn judged(&self, surface: &HandSurface, grasp: &PredictedGrasp, place: usize) -> Result<Prediction> {
         let Self { robot, sdf, .. } = self;
         let mut options = ContactOptions::with_friction(self.friction);
@@ -228,6 +240,8 @@ fn hand(args: &GraspArgs, policy: &GraspPolicy, own: Option<&str>, folder: &Path
         (None, Some(own)) => (own, folder),
         (None, None) => (policy.hand(), folder),
     };
+    // A hand by its family's name is its right one.
+    let name = HandArg::from_str(name, false).map_or(name, HandArg::robot);
     let robot = Robot::resolve(name, folder)?;
     if robot.name != policy.hand() || robot.joint_names() != policy.joint_names() {
         bail!(

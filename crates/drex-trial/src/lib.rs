@@ -21,6 +21,7 @@ mod watch;
 pub use command::Rehearsal;
 pub use control::Push;
 pub use error::{Error, Result};
+pub use reach::{Reach, plan as plan_reach};
 pub use stats::{Interval, paired_difference, wilson};
 pub use trial::Trial;
 pub use types::{Belief, Command, Judge, NoCommand, Outcome, Squeeze, TrialObject, TrialOptions, Truth, Verdict};

@@ -19,11 +19,14 @@ const REGULAR_M: f64 = 0.01;
 const RETREAT_M: f64 = 0.12;
 const LOOKS: usize = 6;
 
-/// Joint angles before and after a grasp, and the way to it.
+/// Joint angles before and after a grasp, rad, and the way to it.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Reach {
+pub struct Reach {
+    /// With the fingers off the object.
     pub open: Vec<f64>,
+    /// With the fingers at the object.
     pub grasp: Vec<f64>,
+    /// What closing fingers are told: inside the object.
     pub closed: Vec<f64>,
     /// Where the hand comes from, relative to the grasp, world, m.
     pub retreat: Vector3<f64>,
@@ -40,7 +43,7 @@ struct Near {
 
 impl Reach {
     /// Angle of a joint on the way from open (0) through the grasp to closed (1).
-    pub fn at(&self, joint: usize, s: f64) -> f64 {
+    pub(crate) fn at(&self, joint: usize, s: f64) -> f64 {
         let (open, grasp, closed) = (self.open[joint], self.grasp[joint], self.closed[joint]);
         if s < GRASP_AT {
             open + (grasp - open) * s / GRASP_AT
@@ -50,8 +53,9 @@ impl Reach {
     }
 }
 
-/// Plans opening, closing and approach of a grasp.
-pub(crate) fn plan(
+/// Plans opening, closing and approach of a grasp: `joints` in rad, model order, `object_from_base` where the hand's base is, `object` the
+/// distance to the object in its own frame, `world_from_object` with z up and the table at 0.
+pub fn plan(
     robot: &Robot,
     surface: &HandSurface,
     joints: &[f64],

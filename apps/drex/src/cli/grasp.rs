@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use drex_core::Pose;
 
-use super::{pose, positive};
+use super::{LinkArgs, RunArgs, pose, positive};
 
 /// `drex grasp`.
 #[derive(Debug, Args)]
@@ -38,4 +38,25 @@ pub struct DeployArgs {
     /// File to write [default: policy/deploy.json of the twin, deploy.json of the policy].
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
+    /// Grasp with the hand at this port: a serial port, of Allegro that of an slcan adapter, or a CAN interface.
+    #[arg(long, value_name = "PATH", conflicts_with = "emulate")]
+    pub port: Option<PathBuf>,
+    /// Grasp with an emulated hand.
+    #[arg(long)]
+    pub emulate: bool,
+    /// Law of current and torque of the motors, from `drex hw calibrate` [default: the data sheet's].
+    #[arg(long, value_name = "FILE")]
+    pub law: Option<PathBuf>,
+    /// All joints get the current that the joint needs that needs most, as in the paper.
+    #[arg(long)]
+    pub uniform: bool,
+    /// How long to hold, s.
+    #[arg(long, value_name = "S", default_value_t = 3.0, value_parser = positive)]
+    pub hold: f64,
+    /// How the hand is driven.
+    #[command(flatten)]
+    pub link: LinkArgs,
+    /// Rate and log.
+    #[command(flatten)]
+    pub run: RunArgs,
 }

@@ -1,18 +1,28 @@
-//! `drex deploy`: everything that driving the hand takes, in one file.
+//! `drex deploy`: everything that driving the hand takes, in one file; and the grasp itself, with a hand or an emulated one.
+
+use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
+use drex_hw::control::GraspPlan;
+use drex_hw::law::{LimitMode, LimitOptions, Nominal, TorqueLaw, torque_limits_nm};
 use drex_trial::TrialOptions;
 use serde::Serialize;
+use serde_json::json;
 
-use crate::cli::DeployArgs;
+use super::hw;
+use crate::cli::{DeployArgs, HandArg};
 use crate::predict::{Prediction, Ready};
 use crate::ui::Ui;
 
 /// Layout of the file.
-const SCHEMA: u32 = 1;
-/// Torque per current of the hand's motors that public models of LEAP use, N m/A. It is not calibrated.
-const TORQUE_PER_CURRENT: f64 = 0.53;
+const SCHEMA: u32 = 2;
+/// Current with which LEAP's fingers close, and least current of a joint that only keeps its place, mA.
+const CLOSING_MA: f64 = 60.0;
+const FLOOR_MA: f64 = 20.0;
+/// Torque with which Allegro's fingers close, and least torque of a joint that only keeps its place, N m.
+const CLOSING_NM: f64 = 0.04;
+const FLOOR_NM: f64 = 0.02;
 
 /// `deploy.json`.
 #[derive(Serialize)]
@@ -23,9 +33,23 @@ struct Deployment<'a> {
     units: Units,
     force_law: ForceLaw,
     grasp: &'a Prediction,
-    /// Per joint: what the torque of the squeeze takes, mA, at the motors' nominal constant.
-    current_limits_ma: Vec<f64>,
-    current_note: String,
+    /// Angles of the joints before the fingers close, and what closing fingers are told.
+    open_rad: Vec<f64>,
+    closed_rad: Vec<f64>,
+    limits: Limits,
+}
+
+/// How hard each joint may press, and why.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+struct Limits {
+    unit: &'static str,
+    /// While the fingers close, and with the force.
+    closing: Vec<f64>,
+    force: Vec<f64>,
+    /// Of current and torque; absent where the hand takes torques.
+    law: Option<TorqueLaw>,
+    /// Torque that the motors lack, N m.
+    short_nm: Vec<f64>,
 }
 
 /// Which network it is.
@@ -55,13 +79,105 @@ struct ForceLaw {
     shake_m_s2: f64,
 }
 
-/// Predicts, writes the file, and says what is still missing.
+/// Predicts, writes the file, and grasps if there is a hand.
 pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     let ready = Ready::of(&args.grasp, seed)?;
     let grasp = ready.predict()?;
     if let Some(reason) = &grasp.cannot_hold {
         bail!("there is no grasp to deploy: {reason}");
     }
+    let kind = kind(&grasp.hand)?;
+    let reach = ready.reach(&grasp)?;
+    let limits = limits(args, kind, &grasp.joint_torques_nm)?;
+    let file = write(args, &ready, &grasp, (&reach.open, &reach.closed), &limits)?;
+    let most = limits.force.iter().copied().fold(0.0, f64::max);
+    let short = limits.short_nm.iter().copied().fold(0.0, f64::max);
+    let mut text = format!(
+        "{}: {:.2} N on {:.0} g, at most {most:.3} {}\n  written  {}\n",
+        grasp.hand,
+        grasp.squeeze_n,
+        1e3 * grasp.mass_kg,
+        limits.unit,
+        file.display()
+    );
+    match &limits.law {
+        Some(law) if !law.is_calibrated() => {
+            text += "  note     the motors' law is the data sheet's; measured laws differ by a factor of two: drex hw calibrate\n";
+        }
+        _ => {}
+    }
+    if short > 0.0 {
+        text += &format!("  note     the limits leave a joint {short:.3} N m short of the squeeze\n");
+    }
+    let poses = [reach.open.clone(), reach.open.clone(), reach.closed.clone()];
+    let (closing, force) = (limits.closing.clone(), limits.force.clone());
+    let plan = match kind {
+        HandArg::Leap => GraspPlan::leap(poses, closing, force),
+        HandArg::Allegro => GraspPlan::allegro(poses, closing, force),
+    };
+    let plan = plan.with_hold_s(args.hold);
+    let how = hw::Run { rate_hz: args.run.rate, limp: false, log: args.run.log.as_deref() };
+    let done = match &args.port {
+        Some(port) => {
+            let mut driver = hw::Driver::open(kind, port, &args.link)?;
+            Some(hw::grasp(driver.hand(), &drex_hw::SystemClock::default(), plan, &how)?)
+        }
+        None if args.emulate => Some(hw::grasp_emulated(kind, &ready.robot, &args.link, plan, &reach.grasp, &how)?),
+        None => None,
+    };
+    match &done {
+        Some(done) => text += &done.text(&grasp.joint_names, limits.unit),
+        None => text += "  note     no hand moved: give --port PATH or --emulate",
+    }
+    let driven = done.as_ref().map(|d| d.json(&grasp.joint_names));
+    ui.answer(&json!({ "out": file, "hand": grasp.hand, "limits": limits, "driven": driven }), text)
+}
+
+/// Which driver a model takes.
+fn kind(robot: &str) -> Result<HandArg> {
+    [HandArg::Leap, HandArg::Allegro]
+        .into_iter()
+        .find(|k| k.robot() == robot)
+        .with_context(|| format!("no driver for the hand \"{robot}\": there are leap_right and allegro_right"))
+}
+
+/// Limits under which the joints give these torques, N m.
+fn limits(args: &DeployArgs, kind: HandArg, torques_nm: &[f64]) -> Result<Limits> {
+    let n = torques_nm.len();
+    if kind == HandArg::Allegro {
+        let options = hw::allegro_options(&args.link);
+        let caps = options.torque_caps_nm();
+        let force = torque_limits_nm(torques_nm, FLOOR_NM, &caps)?;
+        let short_nm = torques_nm.iter().zip(&force).map(|(t, f)| (t.abs() - f).max(0.0)).collect();
+        let closing = caps.iter().map(|c| CLOSING_NM.min(*c)).collect();
+        return Ok(Limits { unit: "N m", closing, force, law: None, short_nm });
+    }
+    let law: TorqueLaw = match &args.law {
+        Some(file) => fsutil::from_json(file, &fsutil::read_text(file)?)?,
+        None => TorqueLaw::nominal(Nominal::Xc330Linear)?,
+    };
+    let mode = if args.uniform { LimitMode::Uniform } else { LimitMode::Jacobian };
+    let cap = args.link.cap.unwrap_or(LimitOptions::default().cap_ma);
+    let options = LimitOptions::default().with_mode(mode).with_range_ma(FLOOR_MA.min(cap), cap);
+    let laws = vec![law.clone(); n];
+    let force = options.limits_ma(&laws, torques_nm)?;
+    let short_nm = options.short_nm(&laws, torques_nm, &force)?;
+    Ok(Limits {
+        unit: "mA",
+        closing: vec![CLOSING_MA.min(cap); n],
+        force,
+        law: Some(law),
+        short_nm,
+    })
+}
+
+fn write(
+    args: &DeployArgs,
+    ready: &Ready,
+    grasp: &Prediction,
+    (open_rad, closed_rad): (&[f64], &[f64]),
+    limits: &Limits,
+) -> Result<PathBuf> {
     let card = ready.folder.join("policy.json");
     let card: serde_json::Value = fsutil::from_json(&card, &fsutil::read_text(&card)?)?;
     let field = |name: &str| {
@@ -86,12 +202,10 @@ pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
             margin: options.law.margin,
             shake_m_s2: options.shake_m_s2,
         },
-        current_limits_ma: grasp.joint_torques_nm.iter().map(|t| 1e3 * t.abs() / TORQUE_PER_CURRENT).collect(),
-        current_note: format!(
-            "torque over {TORQUE_PER_CURRENT} N m/A, what public models of the hand use; measured laws differ by a factor of two and more, \
-             so calibrate before use"
-        ),
-        grasp: &grasp,
+        grasp,
+        open_rad: open_rad.to_vec(),
+        closed_rad: closed_rad.to_vec(),
+        limits: limits.clone(),
     };
     let out = match &args.out {
         Some(out) => out.clone(),
@@ -100,13 +214,5 @@ pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
         None => ready.folder.join("deploy.json"),
     };
     fsutil::write_atomic(&out, &serde_json::to_vec_pretty(&deployment)?)?;
-    let text = format!(
-        "{}: {:.2} N on {:.0} g, at most {:.0} mA\n  written  {}\n  note     driving a hand comes with drex-hw, which is not there yet: this file is what it will read",
-        grasp.hand,
-        grasp.squeeze_n,
-        1e3 * grasp.mass_kg,
-        deployment.current_limits_ma.iter().fold(0.0_f64, |m, c| m.max(*c)),
-        out.display()
-    );
-    ui.answer(&serde_json::json!({ "out": out, "deployment": deployment, "driven": false }), text)
+    Ok(out)
 }

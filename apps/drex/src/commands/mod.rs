@@ -8,6 +8,7 @@ pub mod deploy;
 pub mod doctor;
 pub mod grasp;
 pub mod hands;
+pub mod hw;
 pub mod identify;
 pub mod import;
 pub mod mesh;

@@ -2,7 +2,7 @@
 
 use std::ops::ControlFlow;
 
-use crate::{EffortUnit, Hand, HandCommand, HandState, Result};
+use crate::{EffortUnit, Error, Hand, HandCommand, HandState, Result};
 
 /// What a behaviour may know of the hand's joints.
 #[derive(Debug, Clone, Copy)]
@@ -61,5 +61,39 @@ impl<B: Behaviour + ?Sized> Behaviour for Box<B> {
 
     fn phase(&self) -> &'static str {
         (**self).phase()
+    }
+}
+
+/// Keeps the joints where they are at first; with a limp hand ([`ControlOptions::limp`](super::ControlOptions::limp)) it watches.
+#[derive(Debug, Clone)]
+pub struct Stay {
+    seconds: f64,
+    position: Vec<f64>,
+    effort_limit: Vec<f64>,
+}
+
+impl Stay {
+    /// For this long, s, with these limits, in the hand's unit.
+    pub fn new(seconds: f64, effort_limit: Vec<f64>) -> Self {
+        Self { seconds, position: Vec::new(), effort_limit }
+    }
+}
+
+impl Behaviour for Stay {
+    fn begin(&mut self, joints: &Joints<'_>, state: &HandState) -> Result<()> {
+        if !(self.seconds >= 0.0) || self.effort_limit.len() != joints.names.len() {
+            return Err(Error::value(
+                format!("to stay for {} s with {} limits", self.seconds, self.effort_limit.len()),
+                format!("give zero or more, and {}", joints.names.len()),
+            ));
+        }
+        self.position.clone_from(&state.position);
+        Ok(())
+    }
+
+    fn command(&mut self, time_s: f64, _: &HandState, command: &mut HandCommand) -> Result<ControlFlow<()>> {
+        command.position.copy_from_slice(&self.position);
+        command.effort_limit.copy_from_slice(&self.effort_limit);
+        Ok(if time_s >= self.seconds { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
     }
 }

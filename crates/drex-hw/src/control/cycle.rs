@@ -45,7 +45,7 @@ pub struct LoopReport {
     pub state: HandState,
 }
 
-/// Turns the hand on, runs `behaviour` at a fixed rate on this thread until it is done or something ends it, and turns the hand off.
+/// Turns the hand on, unless it is only watched, runs `behaviour` at a fixed rate on this thread until it is done or something ends it, and turns the hand off.
 /// After the first cycle nothing is allocated.
 pub fn run(
     hand: &mut (impl Hand + ?Sized),
@@ -99,7 +99,9 @@ fn turns(
     if options.is_stopped() {
         return Ok(Ended::Stopped);
     }
-    hand.turn_on()?;
+    if !options.limp {
+        hand.turn_on()?;
+    }
     if !first_state(hand, clock, options, period, state)? {
         return Ok(Ended::Stopped);
     }
@@ -123,7 +125,7 @@ fn turns(
             flow = behaviour.command(time.as_secs_f64(), state, &mut command)?;
             lower(&mut command.effort_limit, &mut limits, hand.effort_caps(), state, options);
         }
-        match hand.cycle(Some(&command), state) {
+        match hand.cycle((!options.limp).then_some(&command), state) {
             Ok(()) => outage += lost.take().map_or(Duration::ZERO, |since| began.saturating_sub(since)),
             // A command or state that means nothing does not become better by waiting.
             Err(error @ Error::Value { .. }) => return Err(error),

@@ -15,7 +15,7 @@ mod telemetry;
 mod thread;
 mod trajectory;
 
-pub use behaviour::{Behaviour, Joints};
+pub use behaviour::{Behaviour, Joints, Stay};
 pub use csv::write_csv;
 pub use cycle::{Ended, LoopReport, run};
 pub use grasp::{Grasp, GraspHandle};

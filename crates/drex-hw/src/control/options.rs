@@ -47,6 +47,8 @@ pub struct ControlOptions {
     pub outage: Duration,
     /// What heat takes from the limits, where the hand measures it; `None` leaves that to the motors.
     pub derating: Option<Derating>,
+    /// Whether the hand only is watched: no torque, no commands.
+    pub limp: bool,
     /// Stops the loop.
     pub estop: EStop,
     /// Stops this loop only: when its handle is dropped.
@@ -63,6 +65,7 @@ impl Default for ControlOptions {
             first_state: Duration::from_secs(2),
             outage: Duration::ZERO,
             derating: Some(Derating::default()),
+            limp: false,
             estop: EStop::new(),
             cancel: EStop::new(),
             limiter: None,
@@ -75,6 +78,12 @@ impl ControlOptions {
     /// The same with this many cycles per second.
     pub fn with_rate_hz(mut self, rate_hz: f64) -> Self {
         self.rate_hz = rate_hz;
+        self
+    }
+
+    /// The same with a hand that is only watched: its joints can be moved by hand.
+    pub fn limp(mut self) -> Self {
+        self.limp = true;
         self
     }
 

@@ -1,0 +1,173 @@
+//! `drex hw`.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand, ValueEnum};
+
+use super::positive;
+
+/// `drex hw`.
+#[derive(Debug, Subcommand)]
+pub enum HwCommand {
+    /// Say who answers.
+    Ping(HandArgs),
+    /// Read angles, currents, temperatures and voltages, and say what is not as it should be. No torque.
+    Status(HandArgs),
+    /// Move joints to angles, slowly, pressing no harder than allowed.
+    Move(MoveArgs),
+    /// Write angles and efforts to a joint log, the hand limp or playing a log.
+    Record(RecordArgs),
+    /// Find the law of current and torque from measured pairs.
+    Calibrate(CalibrateArgs),
+    /// Be a hand without hardware, at a pseudo-terminal, until Ctrl-C.
+    Emulate(EmulateArgs),
+}
+
+/// The hand and where it is.
+#[derive(Debug, Args)]
+pub struct HandArgs {
+    /// Which hand.
+    #[arg(long, value_enum)]
+    pub hand: HandArg,
+    /// Serial port of the hand, such as /dev/ttyUSB0; for Allegro that of an slcan adapter, or a CAN interface such as can0.
+    #[arg(long, value_name = "PATH")]
+    pub port: PathBuf,
+    /// How it is driven.
+    #[command(flatten)]
+    pub link: LinkArgs,
+}
+
+/// Speed and generation.
+#[derive(Debug, Args)]
+pub struct LinkArgs {
+    /// Speed of the LEAP bus, bits per second.
+    #[arg(long, value_name = "N", default_value_t = 4_000_000, value_parser = clap::value_parser!(u32).range(9_600..=10_500_000))]
+    pub baud: u32,
+    /// Generation of the Allegro hand.
+    #[arg(long, value_enum, default_value_t = AllegroArg::V4)]
+    pub allegro: AllegroArg,
+    /// No joint presses with more than this: mA for LEAP, N m for Allegro [default: what the hand's maker recommends].
+    #[arg(long, value_name = "EFFORT", value_parser = positive)]
+    pub cap: Option<f64>,
+}
+
+/// `drex hw move`.
+#[derive(Debug, Args)]
+pub struct MoveArgs {
+    /// The hand.
+    #[command(flatten)]
+    pub hand: HandArgs,
+    /// `rest`, or joints and angles in rad, as in if_mcp=0.5,th_cmc=0.2; the others stay.
+    #[arg(long, value_name = "JOINT=RAD,…", allow_hyphen_values = true)]
+    pub to: String,
+    /// Time of the way, s.
+    #[arg(long, value_name = "S", default_value_t = 2.0, value_parser = positive)]
+    pub seconds: f64,
+    /// How to run it.
+    #[command(flatten)]
+    pub run: RunArgs,
+}
+
+/// `drex hw record`.
+#[derive(Debug, Args)]
+pub struct RecordArgs {
+    /// The hand.
+    #[command(flatten)]
+    pub hand: HandArgs,
+    /// How long to watch the limp hand, s.
+    #[arg(long, value_name = "S", default_value_t = 10.0, value_parser = positive, conflicts_with = "play")]
+    pub seconds: f64,
+    /// Joint log to play while recording.
+    #[arg(long, value_name = "CSV")]
+    pub play: Option<PathBuf>,
+    /// Cycles per second.
+    #[arg(long, value_name = "HZ", default_value_t = 400.0, value_parser = positive)]
+    pub rate: f64,
+    /// File to write.
+    #[arg(long, value_name = "CSV")]
+    pub out: PathBuf,
+}
+
+/// Rate and log of a loop.
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    /// Cycles per second.
+    #[arg(long, value_name = "HZ", default_value_t = 400.0, value_parser = positive)]
+    pub rate: f64,
+    /// Joint log to write.
+    #[arg(long, value_name = "CSV")]
+    pub log: Option<PathBuf>,
+}
+
+/// `drex hw calibrate`.
+#[derive(Debug, Args)]
+pub struct CalibrateArgs {
+    /// Pairs at standstill: a CSV with the columns current_ma and torque_nm, or current_ma and force_n; a column approach says loading or
+    /// unloading.
+    pub pairs: PathBuf,
+    /// Lever arm of the forces, m.
+    #[arg(long, value_name = "M", value_parser = positive)]
+    pub lever: Option<f64>,
+    /// Who measured what, and how.
+    #[arg(long, value_name = "TEXT")]
+    pub source: String,
+    /// Day of the measurement.
+    #[arg(long, value_name = "YYYY-MM-DD")]
+    pub date: String,
+    /// File to write, for `drex deploy --law`.
+    #[arg(long, value_name = "FILE", default_value = "law.json")]
+    pub out: PathBuf,
+}
+
+/// `drex hw emulate`.
+#[derive(Debug, Args)]
+pub struct EmulateArgs {
+    /// Which hand.
+    #[arg(value_enum)]
+    pub hand: HandArg,
+    /// Link to make to the pseudo-terminal.
+    #[arg(long, value_name = "PATH")]
+    pub link: Option<PathBuf>,
+    /// Generation of the Allegro hand.
+    #[arg(long, value_enum, default_value_t = AllegroArg::V4)]
+    pub allegro: AllegroArg,
+    /// Speed of the LEAP bus; without it answers come at once.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(9_600..=10_500_000))]
+    pub baud: Option<u32>,
+    /// Something in the way of joints: angles that they cannot pass closing, rad, as in if_mcp=0.5.
+    #[arg(long, value_name = "JOINT=RAD,…")]
+    pub wall: Option<String>,
+    /// Stop by itself after this time, s.
+    #[arg(long, value_name = "S", value_parser = positive)]
+    pub seconds: Option<f64>,
+}
+
+/// Hands that can be driven.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum HandArg {
+    /// LEAP, right, over Dynamixel.
+    Leap,
+    /// Allegro, right, over CAN.
+    Allegro,
+}
+
+impl HandArg {
+    /// Name of the bundled model.
+    pub fn robot(self) -> &'static str {
+        match self {
+            Self::Leap => "leap_right",
+            Self::Allegro => "allegro_right",
+        }
+    }
+}
+
+/// Generations of the Allegro hand.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum AllegroArg {
+    /// Version 3.
+    V3,
+    /// Version 4.
+    V4,
+    /// Version 5.
+    V5,
+}

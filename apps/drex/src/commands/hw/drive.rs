@@ -1,0 +1,150 @@
+//! `drex hw move` and `drex hw record`: a loop over a hand, its log and how well it kept time.
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use drex_core::readers::read_joint_log_csv;
+use drex_hw::control::{
+    Behaviour, ControlOptions, Ended, LoopReport, LoopStats, Stay, Trajectory, Waypoint, run, telemetry, write_csv,
+};
+use drex_hw::{Clock, Hand, SystemClock};
+use serde_json::{Value, json};
+
+use super::{Driver, angles, stop_button};
+use crate::cli::{MoveArgs, RecordArgs};
+use crate::ui::Ui;
+
+/// Cycles of telemetry that may wait for the disk.
+const WAITING_CYCLES: usize = 4000;
+/// Time for the way to the first pose of a log that is played, s.
+const TO_THE_LOG_S: f64 = 2.0;
+
+/// How a loop is run.
+pub struct Run<'a> {
+    /// Cycles per second.
+    pub rate_hz: f64,
+    /// Without torque.
+    pub limp: bool,
+    /// Joint log.
+    pub log: Option<&'a Path>,
+}
+
+/// Moves joints.
+pub fn move_to(args: &MoveArgs, ui: &Ui) -> Result<()> {
+    let mut driver = Driver::open(args.hand.hand, &args.hand.port, &args.hand.link)?;
+    let mut goal = driver.read()?.position;
+    let hand = driver.hand();
+    if args.to == "rest" {
+        goal.fill(0.0);
+    } else {
+        for (joint, angle) in angles(&args.to, hand.joints())? {
+            let (low, high) = hand.limits()[joint];
+            if !(low..=high).contains(&angle) {
+                bail!("{} cannot be at {angle} rad: it goes from {low:.3} to {high:.3}", hand.joints()[joint]);
+            }
+            goal[joint] = angle;
+        }
+    }
+    for (q, (low, high)) in goal.iter_mut().zip(hand.limits()) {
+        *q = q.clamp(*low, *high);
+    }
+    let mut way =
+        Trajectory::new(vec![Waypoint { time_s: args.seconds, position: goal.clone() }], hand.effort_caps().to_vec())?;
+    let how = Run { rate_hz: args.run.rate, limp: false, log: args.run.log.as_deref() };
+    let report = drive(hand, &mut way, &SystemClock::default(), &how)?;
+    let far = goal.iter().zip(&report.state.position).map(|(g, q)| (g - q).abs()).fold(0.0, f64::max);
+    let text = format!("arrived to within {far:.3} rad\n{}", timing(&report.stats));
+    ui.answer(&json!({ "farthest_rad": far, "position_rad": report.state.position, "loop": stats(&report) }), text)
+}
+
+/// Watches the limp hand, or plays a log.
+pub fn record(args: &RecordArgs, ui: &Ui) -> Result<()> {
+    let mut driver = Driver::open(args.hand.hand, &args.hand.port, &args.hand.link)?;
+    let hand = driver.hand();
+    let caps = hand.effort_caps().to_vec();
+    let mut behaviour: Box<dyn Behaviour> = match &args.play {
+        Some(file) => {
+            let names = hand.joints().to_vec();
+            let log = read_joint_log_csv(file, Some(&names))?;
+            Box::new(Trajectory::from_log(&log, &names, caps, TO_THE_LOG_S)?)
+        }
+        None => Box::new(Stay::new(args.seconds, caps)),
+    };
+    let how = Run { rate_hz: args.rate, limp: args.play.is_none(), log: Some(&args.out) };
+    let report = drive(hand, &mut behaviour, &SystemClock::default(), &how)?;
+    let text = format!("{} cycles in {}\n{}", report.stats.cycles, args.out.display(), timing(&report.stats));
+    ui.answer(&json!({ "out": args.out, "loop": stats(&report) }), text)
+}
+
+/// Runs a behaviour to its end and writes the log beside it.
+///
+/// # Errors
+/// If the hand fails, somebody stops it, its torque cannot be taken off, or the log cannot be written.
+pub fn drive(
+    hand: &mut dyn Hand,
+    behaviour: &mut (impl Behaviour + ?Sized),
+    clock: &dyn Clock,
+    how: &Run<'_>,
+) -> Result<LoopReport> {
+    let stop = stop_button()?;
+    let mut options = ControlOptions::default().with_rate_hz(how.rate_hz).with_estop(&stop);
+    options.limp = how.limp;
+    let Some(log) = how.log else { return ended(run(hand, behaviour, clock, options)) };
+    let (names, unit) = (hand.joints().to_vec(), hand.effort_unit());
+    // Under its name only when it is whole.
+    let part = log.with_extension("csv.part");
+    let cannot = || format!("cannot write {}", part.display());
+    let mut out = BufWriter::new(File::create(&part).with_context(cannot)?);
+    let (recorder, mut cycles) = telemetry(names.len(), WAITING_CYCLES);
+    let report = std::thread::scope(|scope| {
+        let writer = scope.spawn(move || write_csv(&mut cycles, &names, unit, &mut out));
+        let report = run(hand, behaviour, clock, options.with_recorder(recorder));
+        match writer.join() {
+            Ok(written) => written.with_context(cannot).map(|_| report),
+            Err(_) => bail!("the writer of {} panicked", log.display()),
+        }
+    })?;
+    std::fs::rename(&part, log).with_context(|| format!("cannot rename {} to {}", part.display(), log.display()))?;
+    ended(report)
+}
+
+fn ended(report: LoopReport) -> Result<LoopReport> {
+    if let Err(error) = report.torque_off {
+        bail!("the torque may still be on: {error}. Switch the hand's power off");
+    }
+    match report.ended {
+        Ended::Done => Ok(report),
+        Ended::Stopped => bail!("stopped: torque off"),
+        Ended::Failed(error) => Err(error).context("torque off"),
+        Ended::Panicked(what) => bail!("torque off after a fault of this program: {what}"),
+        other => bail!("{other:?}: torque off"),
+    }
+}
+
+/// How well the loop kept time, in words, with what to do where it did not.
+pub fn timing(stats: &LoopStats) -> String {
+    let mut text = format!(
+        "  loop  {:.0} cycles per second, late by {:.2} ms (99 %: {:.2} ms), busy {:.2} ms, {} missed",
+        stats.rate_hz,
+        1e3 * stats.late.p50_s,
+        1e3 * stats.late.p99_s,
+        1e3 * stats.busy.p50_s,
+        stats.missed
+    );
+    if 20 * stats.missed > stats.cycles {
+        text += "\n  note  more than one cycle in twenty was missed: lower --rate, or see drex hw status for latency timer and return delay";
+    }
+    text
+}
+
+/// The same for programs.
+pub fn stats(report: &LoopReport) -> Value {
+    let s = &report.stats;
+    json!({
+        "cycles": s.cycles, "missed": s.missed, "failed": s.failed, "rate_hz": s.rate_hz,
+        "late_p50_s": s.late.p50_s, "late_p99_s": s.late.p99_s, "late_max_s": s.late.max_s,
+        "busy_p50_s": s.busy.p50_s, "busy_p99_s": s.busy.p99_s, "unrecorded": report.unrecorded,
+    })
+}

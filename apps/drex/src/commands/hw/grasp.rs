@@ -1,0 +1,122 @@
+//! A planned grasp, with a hand or an emulated one.
+
+use std::time::Duration;
+
+use anyhow::Result;
+use drex_hw::allegro::AllegroHand;
+use drex_hw::control::{Grasp, GraspOutcome, GraspPlan, LoopReport};
+use drex_hw::dynamixel::Timing;
+use drex_hw::emulator::allegro::AllegroEmulator;
+use drex_hw::emulator::leap::LeapEmulator;
+use drex_hw::leap::LeapHand;
+use drex_hw::{Clock, Hand};
+use drex_robot::Robot;
+use serde_json::{Value, json};
+
+use super::drive::{Run, drive, stats, timing};
+use super::scene::{allegro_scene, leap_scene};
+use super::{allegro_options, leap_options, version};
+use crate::cli::{HandArg, LinkArgs};
+
+/// What became of a grasp.
+pub struct Done {
+    outcome: GraspOutcome,
+    report: LoopReport,
+    force: Vec<f64>,
+}
+
+/// Opens, closes until the fingers touch, presses with the force, holds, opens.
+///
+/// # Errors
+/// If the plan does not fit the hand, the hand fails, or somebody stops it.
+pub fn grasp(hand: &mut dyn Hand, clock: &dyn Clock, plan: GraspPlan, how: &Run<'_>) -> Result<Done> {
+    let force = plan.force_effort.clone();
+    let mut grasp = Grasp::new(plan);
+    let report = drive(hand, &mut grasp, clock, how)?;
+    Ok(Done { outcome: grasp.outcome().clone(), report, force })
+}
+
+/// The same with an emulated hand in its own time; the object is in the way of every joint at `touching`, rad.
+///
+/// # Errors
+/// As [`grasp`].
+pub fn grasp_emulated(
+    kind: HandArg,
+    robot: &Robot,
+    link: &LinkArgs,
+    plan: GraspPlan,
+    touching: &[f64],
+    how: &Run<'_>,
+) -> Result<Done> {
+    let names = robot.joint_names();
+    // Open from the start: what is in the way must not be jumped over.
+    let start: Vec<(&str, f64)> = names.iter().copied().zip(plan.open.iter().copied()).collect();
+    let walls: Vec<(&str, f64, f64)> = names
+        .iter()
+        .copied()
+        .zip(touching)
+        .zip(plan.open.iter().zip(&plan.closed))
+        .map(|((name, at), (open, closed))| match closed > open {
+            true => (name, f64::NEG_INFINITY, *at),
+            false => (name, *at, f64::INFINITY),
+        })
+        .collect();
+    match kind {
+        HandArg::Leap => {
+            let emulator = LeapEmulator::new();
+            leap_scene(&emulator, &start, &walls);
+            let options = leap_options(link).with_timing(Timing::for_latency(Duration::ZERO));
+            let mut hand = LeapHand::connect(emulator.port(), robot, options)?;
+            grasp(&mut hand, &emulator, plan, how)
+        }
+        HandArg::Allegro => {
+            let emulator = AllegroEmulator::new(version(link.allegro));
+            allegro_scene(&emulator, &start, &walls);
+            let options = allegro_options(link);
+            let mut hand = AllegroHand::connect_with_clock(emulator.bus(), robot, options, emulator.clock())?;
+            grasp(&mut hand, &emulator.clock(), plan, how)
+        }
+    }
+}
+
+impl Done {
+    /// In words; efforts in `unit`.
+    pub fn text(&self, joints: &[String], unit: &str) -> String {
+        let touching = self.outcome.contacts.iter().flatten().count();
+        let mut text = match (self.outcome.missed, self.outcome.lost) {
+            (true, _) => format!("  grasp    missed: {touching} joints touched; the hand opened again\n"),
+            (_, true) => "  grasp    lost while it held; the hand opened\n".to_owned(),
+            _ => format!("  grasp    {touching} joints pressed, held, and opened again\n"),
+        };
+        for (j, name) in joints.iter().enumerate() {
+            if let Some(contact) = &self.outcome.contacts[j] {
+                let (held, force) = (self.outcome.held_effort.get(j).copied().unwrap_or(0.0), self.force[j]);
+                text += &format!(
+                    "    {name:<8} touched at {:.3} rad, held {held:.3} of {force:.3} {unit}\n",
+                    contact.position
+                );
+            }
+        }
+        text + &timing(&self.report.stats)
+    }
+
+    /// For programs.
+    pub fn json(&self, joints: &[String]) -> Value {
+        let contacts: Vec<Value> = joints
+            .iter()
+            .zip(&self.outcome.contacts)
+            .enumerate()
+            .filter_map(|(j, (name, contact))| {
+                let contact = contact.as_ref()?;
+                let held = self.outcome.held_effort.get(j);
+                Some(json!({
+                    "joint": name, "time_s": contact.time_s, "position_rad": contact.position, "effort_limit": self.force[j],
+                    "held_effort": held,
+                }))
+            })
+            .collect();
+        json!({
+            "missed": self.outcome.missed, "lost": self.outcome.lost, "contacts": contacts, "loop": stats(&self.report),
+        })
+    }
+}
