@@ -281,6 +281,9 @@ fn a_turn_too_many_is_counted_and_a_wrong_horn_is_refused() {
     hand.place(2, 2048.0 + 4096.0 + 50.0);
     hand.place(7, 2048.0 - 8192.0 - 50.0);
     let mut leap = connect(&hand);
+    let j = leap.joints().iter().position(|n| n == "if_pip").expect("motor 2");
+    let state = run(&mut leap, &hand, None, 4);
+    assert!((state.position[j] - 50.0 * table::RAD_PER_TICK).abs() < 1e-9, "also without torque");
     leap.turn_on().expect("whole turns are no matter");
     let state = run(&mut leap, &hand, Some(&all(0.2, 300.0)), 1500);
     assert!(state.position.iter().all(|q| (q - 0.2).abs() < 0.03), "{:?}", state.position);

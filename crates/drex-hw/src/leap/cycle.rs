@@ -58,6 +58,9 @@ impl<P: Port> LeapHand<P> {
     fn exchange(&mut self, command: Option<&HandCommand>) -> Result<()> {
         if self.lost {
             self.reopen()?;
+            if self.on {
+                self.rearm_all()?;
+            }
             // Who was without power meanwhile has forgotten everything.
             self.read_health()?;
         }
@@ -146,8 +149,7 @@ impl<P: Port> LeapHand<P> {
 
     fn report(&mut self, state: &mut HandState) {
         let n = self.joints.len();
-        let lengths =
-            [&state.position, &state.velocity, &state.effort].map(Vec::len);
+        let lengths = [&state.position, &state.velocity, &state.effort].map(Vec::len);
         if lengths != [n; 3] || [state.temperature_c.len(), state.age.len(), state.status.len()] != [n; 3] {
             *state = HandState::new(n);
         }
@@ -167,7 +169,12 @@ impl Joint {
     /// Takes a reading over.
     fn take(&mut self, data: &[u8]) {
         self.missed = 0;
-        self.position = self.angle(table::PRESENT_POSITION.in_block(PRESENT, data));
+        let ticks = table::PRESENT_POSITION.in_block(PRESENT, data);
+        if !matches!(self.life, Life::Driven { .. }) {
+            // It may have been without power, and have forgotten how many turns it had made.
+            self.count_turns(ticks, 0.0);
+        }
+        self.position = self.angle(ticks);
         let velocity = f64::from(table::PRESENT_VELOCITY.in_block(PRESENT, data));
         self.velocity = self.directed(velocity * RAD_S_PER_UNIT);
         self.current = self.directed(f64::from(table::PRESENT_CURRENT.in_block(PRESENT, data)));
