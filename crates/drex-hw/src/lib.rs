@@ -15,3 +15,7 @@ mod hand;
 pub use clock::{Clock, SystemClock};
 pub use error::{Error, Result};
 pub use hand::{EffortUnit, Hand, HandCommand, HandState, JointStatus};
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct ReadmeDoctests;

@@ -3,7 +3,7 @@
 
 use drex_hw::law::{
     ContactDirection, ContactForce, LimitMode, LimitOptions, LimitRamp, Nominal, RampOptions, TorqueLaw,
-    contact_torques, estimate_forces,
+    contact_torques, estimate_forces, torque_limits_nm,
 };
 use drex_robot::Robot;
 use nalgebra::{Point3, Vector3};
@@ -162,4 +162,16 @@ fn limits_move_without_steps_and_heat_takes_them_back() {
     }
     assert!(ramp.step(&[0.0], &cool, 0.1).is_err());
     assert_eq!(ramp.limits_ma(), before);
+}
+
+#[test]
+fn hands_that_are_told_torques_get_their_magnitudes() {
+    let limits = torque_limits_nm(&[0.1, -0.2, 0.0, 9.0], 0.03, &[0.3, 0.3, 0.3, 0.25]).unwrap();
+    assert_eq!(limits, [0.1, 0.2, 0.03, 0.25]);
+    for (torques, floor, caps) in
+        [([0.1, f64::NAN], 0.0, [0.3; 2]), ([0.1; 2], -0.1, [0.3; 2]), ([0.1; 2], 0.0, [0.3, f64::NAN])]
+    {
+        assert!(torque_limits_nm(&torques, floor, &caps).is_err());
+    }
+    assert!(torque_limits_nm(&[0.1], 0.0, &[]).is_err());
 }

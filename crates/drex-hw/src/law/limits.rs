@@ -69,6 +69,20 @@ pub fn contact_torques(robot: &Robot, q: &[f64], contacts: &[ContactForce]) -> R
     Ok(torques)
 }
 
+/// Limits, N m, under which the joints of a hand that is told torques give these torques, N m: their magnitudes, with a floor for
+/// joints that only hold their place, and never above `caps_nm`.
+///
+/// # Errors
+/// [`Error::Value`] for torques that are not finite, a floor or cap below zero, and lists of different lengths.
+pub fn torque_limits_nm(torques_nm: &[f64], floor_nm: f64, caps_nm: &[f64]) -> Result<Vec<f64>> {
+    same_length("torques", torques_nm.len(), "caps", caps_nm.len())?;
+    torques_nm.iter().try_for_each(|t| finite(*t, "N m"))?;
+    if let Some(bad) = caps_nm.iter().chain([&floor_nm]).find(|x| !(**x >= 0.0 && x.is_finite())) {
+        return Err(Error::value(format!("a floor or cap of {bad} N m"), "give zero or more"));
+    }
+    Ok(torques_nm.iter().zip(caps_nm).map(|(t, cap)| t.abs().max(floor_nm).min(*cap)).collect())
+}
+
 impl LimitOptions {
     /// The same with this mode.
     pub fn with_mode(mut self, mode: LimitMode) -> Self {

@@ -16,6 +16,6 @@ pub use curve::{Curve, Provenance, TorqueLaw};
 pub use estimate::{ContactDirection, ForceEstimate, estimate_forces};
 pub use fit::{Approach, Sample, fit};
 pub use hysteresis::Hysteresis;
-pub use limits::{ContactForce, LimitMode, LimitOptions, contact_torques};
+pub use limits::{ContactForce, LimitMode, LimitOptions, contact_torques, torque_limits_nm};
 pub use nominal::Nominal;
 pub use ramp::{LimitRamp, RampOptions};
