@@ -115,6 +115,27 @@ fn a_stale_goal_and_torque_that_is_already_on_do_not_make_it_jump() {
 }
 
 #[test]
+fn a_motor_without_power_since_it_was_set_up_is_set_up_again_first() {
+    let hand = LeapEmulator::new();
+    let mut leap = connect(&hand);
+    hand.power_cycle(3);
+    hand.pass(Duration::from_millis(300));
+    hand.set(3, table::GOAL_POSITION, 1200);
+    hand.inject(Fault::Deaf(6), 3);
+    hand.inject(Fault::Mute(11), 2);
+    hand.record_writes();
+    leap.turn_on().expect("on");
+    let log = hand.take_writes();
+    let on = writes_to(&log, 3).position(|w| w.address == 64 && w.data == [1]).expect("torque on");
+    assert!(writes_to(&log, 3).position(|w| w.address == 168).is_some_and(|map| map < on));
+    run(&mut leap, &hand, None, 200);
+    for id in 0..16 {
+        assert!((hand.position(id).expect("there") - 2048.0).abs() < 2.0, "motor {id}");
+        assert_eq!(hand.get(id, table::GOAL_CURRENT), Some(30));
+    }
+}
+
+#[test]
 fn joints_are_found_by_name_and_move_to_their_goals() {
     let hand = LeapEmulator::new();
     let mut leap = connect(&hand);
@@ -225,6 +246,7 @@ fn dropping_the_hand_takes_the_torque_off_also_when_answers_are_lost() {
     run(&mut leap, &hand, Some(&all(0.1, 300.0)), 20);
     assert_eq!(hand.under_torque(), 16);
     hand.inject(Fault::Mute(4), 1);
+    hand.inject(Fault::Deaf(5), 1);
     hand.inject(Fault::Noise, 2);
     drop(leap);
     assert_eq!(hand.under_torque(), 0);

@@ -37,7 +37,7 @@ enum Event {
 fn event() -> impl Strategy<Value = Event> {
     prop_oneof![
         12 => Just(Event::Nothing),
-        4 => (0..16_u8, 0..5_u8).prop_map(|(id, kind)| Event::Fault(id, kind)),
+        4 => (0..16_u8, 0..6_u8).prop_map(|(id, kind)| Event::Fault(id, kind)),
         1 => (0..16_u8, any::<u8>()).prop_map(|(id, bits)| Event::Fail(id, bits)),
         1 => (0..16_u8).prop_map(Event::Power),
         1 => (0..16_u8, prop_oneof![-4000.0..8000.0, any::<f64>()]).prop_map(|(id, at)| Event::Place(id, at)),
@@ -52,7 +52,14 @@ fn happen(event: &Event, hand: &LeapEmulator, leap: &mut impl Hand) {
     match *event {
         Event::Nothing => {}
         Event::Fault(id, kind) => {
-            let fault = [Fault::Mute(id), Fault::Corrupt(id), Fault::Truncate(id), Fault::Duplicate(id), Fault::Noise];
+            let fault = [
+                Fault::Mute(id),
+                Fault::Corrupt(id),
+                Fault::Truncate(id),
+                Fault::Duplicate(id),
+                Fault::Noise,
+                Fault::Deaf(id),
+            ];
             hand.inject(fault[usize::from(kind)], 1);
         }
         Event::Fail(id, bits) => hand.fail(id, bits),

@@ -34,7 +34,9 @@ impl<P: Port> Hand for LeapHand<P> {
         if self.lost {
             self.reopen()?;
         }
-        self.energise()
+        let done = self.energise();
+        self.lost |= matches!(done, Err(Error::Port { .. }));
+        done
     }
 
     fn turn_off(&mut self) -> Result<()> {
@@ -87,7 +89,11 @@ impl<P: Port> LeapHand<P> {
                 None => joint.miss(),
             }
         }
-        self.joints.iter_mut().filter(|j| !j.is_asked()).for_each(Joint::miss);
+        for (j, joint) in self.joints.iter_mut().enumerate() {
+            if !self.asked.contains(&j) {
+                joint.miss();
+            }
+        }
         self.readings = Some(readings);
         asked?;
         (0..self.joints.len()).filter(|j| alerts & 1 << j != 0).try_for_each(|j| self.look_at_error(j))?;

@@ -35,6 +35,7 @@ mod joint;
 mod options;
 mod setup;
 pub mod table;
+mod torque;
 
 pub use driver::LeapHand;
 pub use inspect::{Finding, inspect};

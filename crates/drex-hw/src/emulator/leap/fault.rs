@@ -1,11 +1,13 @@
 //! What can go wrong on a bus.
 
-/// A fault on the way from motors to the host.
+/// A fault on the way between motors and the host.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Fault {
     /// The motor says nothing. Those that wait for it in a read of several say nothing either.
     Mute(u8),
+    /// The motor does not hear the instruction.
+    Deaf(u8),
     /// One byte of its answer is wrong.
     Corrupt(u8),
     /// The second half of its answer is missing.

@@ -116,7 +116,7 @@ impl Wire {
     /// Motor with this id, if it hears.
     fn hearing(&mut self, id: u8) -> Option<usize> {
         let i = self.motors.iter().position(|m| m.id == id)?;
-        if self.motors[i].deaf(self.now) {
+        if self.motors[i].deaf(self.now) || self.faults.happens(Fault::Deaf(id)) {
             return None;
         }
         self.motors[i].heard(self.now);
