@@ -136,6 +136,29 @@ fn a_motor_without_power_since_it_was_set_up_is_set_up_again_first() {
 }
 
 #[test]
+fn whatever_a_motor_does_not_hear_it_is_guarded_or_without_torque() {
+    let mut on = 0;
+    for skipped in 0..14 {
+        let hand = LeapEmulator::new();
+        let mut leap = connect(&hand);
+        // Deaf once, to a later question each time.
+        hand.set(6, table::GOAL_POSITION, 1200);
+        hand.inject_later(Fault::Deaf(6), skipped);
+        if leap.turn_on().is_err() {
+            assert_eq!(hand.under_torque(), 0);
+            continue;
+        }
+        on += 1;
+        for id in 0..16 {
+            assert_eq!(hand.get(id, table::BUS_WATCHDOG), Some(2), "motor {id}, deaf to {skipped}");
+            assert_eq!(hand.get(id, table::GOAL_POSITION), Some(2048));
+            assert_eq!(hand.get(id, table::TORQUE_ENABLE), Some(1));
+        }
+    }
+    assert_eq!(on, 14, "one lost instruction is no matter");
+}
+
+#[test]
 fn joints_are_found_by_name_and_move_to_their_goals() {
     let hand = LeapEmulator::new();
     let mut leap = connect(&hand);
