@@ -3,14 +3,15 @@
 //! Prints the terminal's name. A line on stdin prints angles (rad) and contact torques (N m) as JSON; the end of stdin ends the program.
 #![allow(clippy::print_stdout, missing_docs)] // a program for the terminal
 
-use std::io::BufRead;
-use std::path::PathBuf;
-
-use drex_hw::allegro::AllegroVersion;
-use drex_hw::emulator::allegro::{AllegroEmulator, SlcanAdapter};
-use drex_hw::emulator::pty::PtyServer;
-
+#[cfg(unix)]
 fn main() -> Result<(), Box<dyn std::error::Error>> {
+    use std::io::BufRead;
+    use std::path::PathBuf;
+
+    use drex_hw::allegro::AllegroVersion;
+    use drex_hw::emulator::allegro::{AllegroEmulator, SlcanAdapter};
+    use drex_hw::emulator::pty::PtyServer;
+
     let mut arguments = std::env::args().skip(1);
     let version = match arguments.next().as_deref() {
         Some("v3") => AllegroVersion::V3,
@@ -32,4 +33,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         println!("{{\"q\": {:?}, \"contact_nm\": {:?}}}", hand.positions(), hand.contact_torques_nm());
     }
     Ok(())
+}
+
+#[cfg(not(unix))]
+fn main() {
+    eprintln!("there are no pseudo-terminals on this system");
 }

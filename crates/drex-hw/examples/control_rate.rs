@@ -5,12 +5,8 @@
 #![allow(clippy::print_stdout, missing_docs)] // a program for the terminal
 
 use drex_hw::allegro::{AllegroHand, AllegroOptions, AllegroVersion};
-use drex_hw::can::Slcan;
-use drex_hw::control::{
-    ControlLoop, ControlOptions, EStop, Quantiles, Trajectory, Waypoint, stop_on_signals, telemetry,
-};
-use drex_hw::emulator::allegro::{AllegroEmulator, SlcanAdapter};
-use drex_hw::emulator::pty::PtyServer;
+use drex_hw::control::{ControlLoop, ControlOptions, EStop, Quantiles, Trajectory, Waypoint, telemetry};
+use drex_hw::emulator::allegro::AllegroEmulator;
 use drex_hw::{Hand, HandState};
 use drex_robot::Robot;
 
@@ -21,17 +17,22 @@ fn main() -> Outcome<()> {
     let rate_hz = arguments.next().map_or(Ok(400.0), |a| a.parse())?;
     let seconds: f64 = arguments.next().map_or(Ok(5.0), |a| a.parse())?;
     let estop = EStop::new();
-    stop_on_signals(&estop)?;
-
     let robot = Robot::bundled("allegro_right")?;
     let options = || AllegroOptions::new(AllegroVersion::V5);
     let hand = emulated();
     let driver = AllegroHand::connect(hand.bus(), &robot, options())?;
     measure("in memory", driver, rate_hz, seconds, &estop)?;
+    #[cfg(unix)]
+    {
+        use drex_hw::can::Slcan;
+        use drex_hw::emulator::allegro::SlcanAdapter;
+        use drex_hw::emulator::pty::PtyServer;
 
-    let server = PtyServer::serve(SlcanAdapter::new(emulated()), None)?;
-    let driver = AllegroHand::connect(Slcan::open(server.path())?, &robot, options())?;
-    measure("slcan, pseudo-terminal", driver, rate_hz, seconds, &estop)
+        let server = PtyServer::serve(SlcanAdapter::new(emulated()), None)?;
+        let driver = AllegroHand::connect(Slcan::open(server.path())?, &robot, options())?;
+        measure("slcan, pseudo-terminal", driver, rate_hz, seconds, &estop)?;
+    }
+    Ok(())
 }
 
 fn emulated() -> AllegroEmulator {

@@ -262,9 +262,11 @@ fn a_hand_serves_any_bus_until_told_to_stop() {
     server.join().unwrap().unwrap();
 }
 
-/// A bus that notes the largest number sent to each joint.
+/// A bus that notes the largest number sent to each joint, and on which frames of strangers arrive between those of the hand.
 struct Watched {
     bus: EmulatorBus,
+    strangers: Vec<CanFrame>,
+    turn: u32,
     version: AllegroVersion,
     largest: Arc<std::sync::Mutex<[u16; 16]>>,
 }
@@ -286,12 +288,58 @@ impl CanBus for Watched {
     }
 
     fn receive(&mut self, timeout: Duration) -> Result<Option<CanFrame>> {
-        self.bus.receive(timeout)
+        // Every third frame is a stranger's.
+        self.turn += 1;
+        match self.strangers.is_empty() || !self.turn.is_multiple_of(3) {
+            true => self.bus.receive(timeout),
+            false => Ok(self.strangers.pop()),
+        }
     }
+}
+
+fn any_frame() -> impl Strategy<Value = CanFrame> {
+    let data = prop::collection::vec(any::<u8>(), 0..=8);
+    // Mostly such as a hand could send, in one of the versions.
+    let id = prop_oneof![0..0x800_u16, (0x20..0x24_u16).prop_map(|m| m << 2), (3..7_u16).prop_map(|s| 0x3d0 | s)];
+    (id, data, 0..20_u8).prop_map(|(id, data, remote)| match remote {
+        0 => CanFrame::remote_frame(id, data.len() as u8).unwrap(),
+        _ => CanFrame::data_frame(id, &data).unwrap(),
+    })
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
+
+    /// Whatever else is said on the bus: nobody panics, and no number on the wire is above what is allowed.
+    #[test]
+    fn strangers_on_the_bus_do_no_harm(
+        which in 0..3_usize,
+        strangers in prop::collection::vec(any_frame(), 0..400),
+        to_the_hand in prop::collection::vec(any_frame(), 0..40),
+    ) {
+        let version = VERSIONS[which];
+        let options = AllegroOptions::new(version);
+        let hand = placed(options.clone());
+        let largest = Arc::new(std::sync::Mutex::new([0; 16]));
+        let bus = Watched { bus: hand.bus(), strangers, turn: 0, version, largest: largest.clone() };
+        let mut driver = AllegroHand::connect_with_clock(bus, &robot(), options.clone(), hand.clock()).unwrap();
+        // A pose that somebody else made up may well be one that is refused.
+        let _ = driver.turn_on();
+        let (mut command, mut state) = (HandCommand::new(16), HandState::new(16));
+        command.effort_limit.copy_from_slice(driver.effort_caps());
+        for frame in &to_the_hand {
+            hand.hear(frame);
+            let next = hand.now() + CYCLE;
+            driver.cycle(Some(&command), &mut state).unwrap();
+            hand.clock().wait_until(next);
+        }
+        prop_assert!(state.position.iter().chain(&state.velocity).chain(&state.effort).all(|x| x.is_finite()));
+        drop(driver);
+        prop_assert!(!hand.is_on());
+        for (n, cap) in largest.lock().unwrap().iter().zip(options.wire_caps) {
+            prop_assert!(*n <= cap.unsigned_abs());
+        }
+    }
 
     /// Whatever is commanded, no number on the wire is above what was asked or allowed, and no joint is driven out of its range.
     #[test]
@@ -303,7 +351,7 @@ proptest! {
         let options = AllegroOptions::new(version);
         let hand = placed(options.clone());
         let largest = Arc::new(std::sync::Mutex::new([0; 16]));
-        let bus = Watched { bus: hand.bus(), version, largest: largest.clone() };
+        let bus = Watched { bus: hand.bus(), strangers: Vec::new(), turn: 0, version, largest: largest.clone() };
         let robot = robot();
         let mut driver = AllegroHand::connect_with_clock(bus, &robot, options.clone(), hand.clock()).unwrap();
         driver.turn_on().unwrap();

@@ -115,6 +115,50 @@ fn a_stale_goal_and_torque_that_is_already_on_do_not_make_it_jump() {
 }
 
 #[test]
+fn a_motor_without_power_since_it_was_set_up_is_set_up_again_first() {
+    let hand = LeapEmulator::new();
+    let mut leap = connect(&hand);
+    hand.power_cycle(3);
+    hand.pass(Duration::from_millis(300));
+    hand.set(3, table::GOAL_POSITION, 1200);
+    hand.inject(Fault::Deaf(6), 3);
+    hand.inject(Fault::Mute(11), 2);
+    hand.record_writes();
+    leap.turn_on().expect("on");
+    let log = hand.take_writes();
+    let on = writes_to(&log, 3).position(|w| w.address == 64 && w.data == [1]).expect("torque on");
+    assert!(writes_to(&log, 3).position(|w| w.address == 168).is_some_and(|map| map < on));
+    run(&mut leap, &hand, None, 200);
+    for id in 0..16 {
+        assert!((hand.position(id).expect("there") - 2048.0).abs() < 2.0, "motor {id}");
+        assert_eq!(hand.get(id, table::GOAL_CURRENT), Some(30));
+    }
+}
+
+#[test]
+fn whatever_a_motor_does_not_hear_it_is_guarded_or_without_torque() {
+    let mut on = 0;
+    for skipped in 0..14 {
+        let hand = LeapEmulator::new();
+        let mut leap = connect(&hand);
+        // Deaf once, to a later question each time.
+        hand.set(6, table::GOAL_POSITION, 1200);
+        hand.inject_later(Fault::Deaf(6), skipped);
+        if leap.turn_on().is_err() {
+            assert_eq!(hand.under_torque(), 0);
+            continue;
+        }
+        on += 1;
+        for id in 0..16 {
+            assert_eq!(hand.get(id, table::BUS_WATCHDOG), Some(2), "motor {id}, deaf to {skipped}");
+            assert_eq!(hand.get(id, table::GOAL_POSITION), Some(2048));
+            assert_eq!(hand.get(id, table::TORQUE_ENABLE), Some(1));
+        }
+    }
+    assert_eq!(on, 14, "one lost instruction is no matter");
+}
+
+#[test]
 fn joints_are_found_by_name_and_move_to_their_goals() {
     let hand = LeapEmulator::new();
     let mut leap = connect(&hand);
@@ -225,6 +269,7 @@ fn dropping_the_hand_takes_the_torque_off_also_when_answers_are_lost() {
     run(&mut leap, &hand, Some(&all(0.1, 300.0)), 20);
     assert_eq!(hand.under_torque(), 16);
     hand.inject(Fault::Mute(4), 1);
+    hand.inject(Fault::Deaf(5), 1);
     hand.inject(Fault::Noise, 2);
     drop(leap);
     assert_eq!(hand.under_torque(), 0);
@@ -281,6 +326,9 @@ fn a_turn_too_many_is_counted_and_a_wrong_horn_is_refused() {
     hand.place(2, 2048.0 + 4096.0 + 50.0);
     hand.place(7, 2048.0 - 8192.0 - 50.0);
     let mut leap = connect(&hand);
+    let j = leap.joints().iter().position(|n| n == "if_pip").expect("motor 2");
+    let state = run(&mut leap, &hand, None, 4);
+    assert!((state.position[j] - 50.0 * table::RAD_PER_TICK).abs() < 1e-9, "also without torque");
     leap.turn_on().expect("whole turns are no matter");
     let state = run(&mut leap, &hand, Some(&all(0.2, 300.0)), 1500);
     assert!(state.position.iter().all(|q| (q - 0.2).abs() < 0.03), "{:?}", state.position);

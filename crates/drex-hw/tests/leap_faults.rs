@@ -125,8 +125,25 @@ fn an_overloaded_motor_is_started_again_while_the_others_hold() {
     let at = |address| log.iter().position(|w| w.address == address);
     let on = log.iter().position(|w| w.address == 64 && w.data == [1]).expect("torque");
     assert!(at(102).expect("current") < on && at(116).expect("goal") < on && at(168).expect("map") < on);
+    assert_eq!(rig.hand.get(6, table::BUS_WATCHDOG), Some(2));
     rig.until("contact", |s| s.effort[j] == 200.0);
+    rig.command.effort_limit[j] = 150.0;
+    rig.until("it follows", |s| s.effort[j] == 150.0);
     assert!(took > Duration::from_millis(150), "it was deaf for so long: {took:?}");
+}
+
+#[test]
+fn one_motor_that_froze_is_found_and_freed() {
+    let mut rig = Rig::new(LeapOptions::right());
+    let j = rig.joint(5);
+    // It has heard nothing for a while, and nobody noticed: its answers came from before.
+    rig.hand.set(5, table::BUS_WATCHDOG, 255);
+    rig.command.effort_limit[j] = 150.0;
+    rig.cycle().expect("exchange");
+    rig.cycle().expect("exchange");
+    assert_eq!(rig.state.effort[j], 200.0, "it takes no orders");
+    rig.until("freed", |s| s.effort[j] == 150.0);
+    assert_eq!(rig.hand.get(5, table::BUS_WATCHDOG), Some(2));
 }
 
 #[test]
@@ -250,6 +267,18 @@ fn torque_goes_off_after_a_plug_was_pulled_if_the_hand_is_dropped_later() {
     rig.hand.plug();
     drop(rig.leap);
     assert_eq!(rig.hand.under_torque(), 0);
+}
+
+#[test]
+fn torque_that_could_not_be_taken_off_is_taken_off_when_the_plug_is_back() {
+    let mut rig = Rig::new(LeapOptions::right());
+    rig.hand.unplug();
+    assert!(matches!(rig.leap.turn_off(), Err(Error::Port { .. })));
+    rig.hand.plug();
+    assert_eq!(rig.hand.under_torque(), 16);
+    (0..60).for_each(|_| rig.cycle().expect("exchange"));
+    assert_eq!(rig.hand.under_torque(), 0);
+    assert_eq!(rig.state.status, [JointStatus::Limp; 16]);
 }
 
 #[test]

@@ -2,11 +2,11 @@
 
 use std::time::Duration;
 
-use drex_hw::dynamixel::Timing;
+use drex_hw::dynamixel::{Port, Timing, encode, instruction};
 use drex_hw::emulator::leap::{Fault, LeapEmulator};
 use drex_hw::leap::table::{self, RAD_PER_TICK};
 use drex_hw::leap::{LeapHand, LeapOptions};
-use drex_hw::{Hand, HandCommand, HandState};
+use drex_hw::{Clock, Hand, HandCommand, HandState};
 use drex_robot::Robot;
 use proptest::prelude::*;
 
@@ -37,7 +37,7 @@ enum Event {
 fn event() -> impl Strategy<Value = Event> {
     prop_oneof![
         12 => Just(Event::Nothing),
-        4 => (0..16_u8, 0..5_u8).prop_map(|(id, kind)| Event::Fault(id, kind)),
+        4 => (0..16_u8, 0..6_u8).prop_map(|(id, kind)| Event::Fault(id, kind)),
         1 => (0..16_u8, any::<u8>()).prop_map(|(id, bits)| Event::Fail(id, bits)),
         1 => (0..16_u8).prop_map(Event::Power),
         1 => (0..16_u8, prop_oneof![-4000.0..8000.0, any::<f64>()]).prop_map(|(id, at)| Event::Place(id, at)),
@@ -52,7 +52,14 @@ fn happen(event: &Event, hand: &LeapEmulator, leap: &mut impl Hand) {
     match *event {
         Event::Nothing => {}
         Event::Fault(id, kind) => {
-            let fault = [Fault::Mute(id), Fault::Corrupt(id), Fault::Truncate(id), Fault::Duplicate(id), Fault::Noise];
+            let fault = [
+                Fault::Mute(id),
+                Fault::Corrupt(id),
+                Fault::Truncate(id),
+                Fault::Duplicate(id),
+                Fault::Noise,
+                Fault::Deaf(id),
+            ];
             hand.inject(fault[usize::from(kind)], 1);
         }
         Event::Fail(id, bits) => hand.fail(id, bits),
@@ -64,6 +71,46 @@ fn happen(event: &Event, hand: &LeapEmulator, leap: &mut impl Hand) {
         // Both may fail while things are broken; the writes are what counts.
         Event::Off => drop(leap.turn_off()),
         Event::On => drop(leap.turn_on()),
+    }
+}
+
+/// A port on which somebody talks without end.
+struct Babble {
+    bytes: Vec<u8>,
+    at: usize,
+    time: std::cell::Cell<Duration>,
+}
+
+impl Clock for Babble {
+    fn now(&self) -> Duration {
+        self.time.set(self.time.get() + Duration::from_micros(20));
+        self.time.get()
+    }
+}
+
+impl Port for Babble {
+    fn name(&self) -> &str {
+        "babble"
+    }
+    fn read(&mut self, buffer: &mut [u8], _: Duration) -> std::io::Result<usize> {
+        let n = buffer.len().min(37);
+        for byte in &mut buffer[..n] {
+            *byte = self.bytes[self.at % self.bytes.len()];
+            self.at += 1;
+        }
+        Ok(n)
+    }
+    fn write_all(&mut self, _: &[u8]) -> std::io::Result<()> {
+        Ok(())
+    }
+    fn clear_input(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+    fn set_baud(&mut self, _: u32) -> std::io::Result<()> {
+        Ok(())
+    }
+    fn reopen(&mut self) -> std::io::Result<()> {
+        Ok(())
     }
 }
 
@@ -134,6 +181,23 @@ proptest! {
             // Injected faults may swallow every answer, but not what was said.
             prop_assert_eq!(hand.get(id, table::TORQUE_ENABLE), Some(0));
         }
+    }
+
+    #[test]
+    fn a_port_that_babbles_is_given_up(
+        noise in prop::collection::vec(any::<u8>(), 1..400),
+        answers in prop::collection::vec((0..16_u8, prop::collection::vec(any::<u8>(), 1..12)), 0..20),
+    ) {
+        let mut bytes = noise;
+        let mut packet = [0; 64];
+        for (id, params) in &answers {
+            let n = encode(&mut packet, *id, instruction::STATUS, params).expect("fits");
+            bytes.extend_from_slice(&packet[..n]);
+        }
+        let port = Babble { bytes, at: 0, time: std::cell::Cell::default() };
+        let robot = Robot::bundled("leap_right").expect("bundled");
+        let options = LeapOptions::right().with_timing(Timing::for_latency(Duration::ZERO));
+        prop_assert!(LeapHand::connect(port, &robot, options).is_err());
     }
 
     #[test]

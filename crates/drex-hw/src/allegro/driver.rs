@@ -5,18 +5,12 @@ use std::time::Duration;
 use drex_robot::Robot;
 
 use super::finger::Finger;
-use super::{AllegroCommand, AllegroInfo, AllegroOptions, AllegroReport, AllegroVersion};
+use super::{AllegroCommand, AllegroInfo, AllegroOptions, AllegroReport};
 use crate::can::CanBus;
 use crate::{Clock, Error, Result, SystemClock};
 
 /// Most frames that one exchange reads, so that a babbling bus cannot hold it up.
-const MOST_FRAMES: usize = 256;
-/// How long a hand that was switched on may take until all fingers reported.
-const FIRST_POSES: Duration = Duration::from_millis(500);
-/// How far outside its limits a joint may be found when torque goes on, rad: gears give a little, a wrong zero much more.
-const OUTSIDE_RAD: f64 = 0.3;
-/// Wire units per N m of a version-4 frame on a hand with older hardware.
-const OLD_HARDWARE: f64 = 800.0;
+pub(super) const MOST_FRAMES: usize = 256;
 
 /// What went over the bus.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -37,8 +31,8 @@ pub struct AllegroStats {
 /// The position loop runs in [`Hand::cycle`](crate::Hand::cycle): the hand itself knows only torques and keeps the last ones, so that a program that stops
 /// calling it must drop it. Dropping it takes the torque off.
 pub struct AllegroHand<B: CanBus> {
-    bus: B,
-    clock: Box<dyn Clock>,
+    pub(super) bus: B,
+    pub(super) clock: Box<dyn Clock>,
     pub(super) options: AllegroOptions,
     /// Model order.
     pub(super) names: Vec<String>,
@@ -51,16 +45,16 @@ pub struct AllegroHand<B: CanBus> {
     pub(super) fingers: [Finger; 4],
     /// Exchanges since each finger reported.
     pub(super) ages: [u32; 4],
-    started: bool,
+    pub(super) started: bool,
     pub(super) driven: bool,
     /// Wire order, rad; none means where it is.
-    goal: Option<[f64; 16]>,
+    pub(super) goal: Option<[f64; 16]>,
     /// Wire order, N m.
-    effort_nm: [f64; 16],
+    pub(super) effort_nm: [f64; 16],
     pub(super) sent: [i16; 16],
     pub(super) motor_errors: [u8; 16],
     pub(super) temperatures_c: [Option<f64>; 16],
-    info: Option<AllegroInfo>,
+    pub(super) info: Option<AllegroInfo>,
     serial: Option<[u8; 8]>,
     stats: AllegroStats,
     connected: Duration,
@@ -157,130 +151,11 @@ impl<B: CanBus> AllegroHand<B> {
         self.clock.now().saturating_sub(self.connected)
     }
 
-    fn send(&mut self, command: AllegroCommand) -> Result<()> {
+    pub(super) fn send(&mut self, command: AllegroCommand) -> Result<()> {
         match command.encode(self.options.version) {
             Some(frame) => self.bus.send(&frame),
             None => Ok(()),
         }
-    }
-
-    /// Off, who are you, report, on: no torque is sent.
-    fn start(&mut self) -> Result<()> {
-        for _ in 0..MOST_FRAMES {
-            if self.bus.receive(Duration::ZERO)?.is_none() {
-                break;
-            }
-        }
-        self.fingers.iter_mut().for_each(Finger::forget);
-        self.ages = [u32::MAX; 4];
-        self.motor_errors = [0; 16];
-        self.sent = [0; 16];
-        self.started = true;
-        let o = &self.options;
-        let (pose_ms, temperature_ms) = (o.pose_period_ms, o.temperature_period_ms);
-        self.send(AllegroCommand::Off)?;
-        self.send(AllegroCommand::AskInfo)?;
-        self.send(AllegroCommand::AskSerial)?;
-        self.send(AllegroCommand::Period { pose_ms, imu_ms: 0, temperature_ms })?;
-        self.send(AllegroCommand::On)?;
-        self.send(AllegroCommand::AskState)
-    }
-
-    /// Torque off, motors off, silence; all of it is tried, the first failure is told.
-    pub(super) fn stop(&mut self) -> Result<()> {
-        self.driven = false;
-        self.goal = None;
-        if !self.started {
-            return Ok(());
-        }
-        let mut told = self.send_torques([0; 16]);
-        let silence = AllegroCommand::Period { pose_ms: 0, imu_ms: 0, temperature_ms: 0 };
-        for command in [AllegroCommand::Off, silence] {
-            let sent = self.send(command);
-            told = told.and(sent);
-        }
-        // What failed is tried again when the hand is dropped.
-        self.started = told.is_err();
-        if told.is_ok() {
-            self.fingers.iter_mut().for_each(Finger::forget);
-        }
-        told
-    }
-
-    /// Waits for all fingers, refuses a hand in a state that torque would make worse, and takes its pose as goal.
-    pub(super) fn drive(&mut self) -> Result<()> {
-        if self.driven {
-            return Ok(());
-        }
-        if !self.started {
-            self.start()?;
-        }
-        let begin = self.clock.now();
-        for _ in 0..MOST_FRAMES {
-            let now = self.clock.now();
-            if self.all_fresh(now) || now.saturating_sub(begin) > FIRST_POSES {
-                break;
-            }
-            self.gather(Duration::from_millis(u64::from(self.options.pose_period_ms) * 2))?;
-        }
-        if !self.all_fresh(self.clock.now()) {
-            let silent: Vec<&str> = ["index", "middle", "ring", "thumb"]
-                .into_iter()
-                .zip(&self.fingers)
-                .filter_map(|(name, f)| f.seen.is_none().then_some(name))
-                .collect();
-            return Err(Error::value(
-                format!(
-                    "no fresh poses (never seen: {})",
-                    if silent.is_empty() { "none".into() } else { silent.join(", ") }
-                ),
-                "check the hand's power, the CAN cable and its termination, 1 Mbit/s, and the version",
-            ));
-        }
-        self.check_hand()?;
-        self.effort_nm = self.options.torque_caps_nm();
-        self.goal = None;
-        self.driven = true;
-        Ok(())
-    }
-
-    /// What speaks against torque.
-    fn check_hand(&self) -> Result<()> {
-        if let Some(info) = self.info.filter(|_| self.options.version == AllegroVersion::V4) {
-            if info.hardware >> 8 != 4 && self.options.wire_per_nm > OLD_HARDWARE {
-                return Err(Error::value(
-                    format!(
-                        "a hand of hardware {:#06x}, driven with {} units per N m",
-                        info.hardware, self.options.wire_per_nm
-                    ),
-                    format!("use AllegroOptions::with_wire_per_nm({OLD_HARDWARE})"),
-                ));
-            }
-            if info.status & 6 != 0 {
-                return Err(Error::value(
-                    format!("the hand's status is {:#04x}: too hot, or a motor that does not answer", info.status),
-                    "let it cool, switch it off and on",
-                ));
-            }
-        }
-        for wire in 0..16 {
-            let name = &self.options.names[wire];
-            if self.motor_errors[wire] != 0 {
-                return Err(Error::value(
-                    format!("joint {name} reports error {:#04x}", self.motor_errors[wire]),
-                    "remove what blocks it, switch the hand off and on",
-                ));
-            }
-            let (low, high) = self.limits[self.model_of_wire[wire]];
-            let q = self.fingers[wire / 4].q[wire % 4];
-            if !(low - OUTSIDE_RAD..=high + OUTSIDE_RAD).contains(&q) {
-                return Err(Error::value(
-                    format!("joint {name} at {q:.3} rad, where it cannot be ({low:.3} to {high:.3})"),
-                    "set its zero and direction with AllegroOptions::with_calibration",
-                ));
-            }
-        }
-        Ok(())
     }
 
     /// Reads what has come, and waits up to `wait` for poses of all fingers.

@@ -4,6 +4,7 @@ mod driver;
 mod finger;
 mod frames;
 mod options;
+mod power;
 mod trait_hand;
 
 pub use driver::{AllegroHand, AllegroStats};

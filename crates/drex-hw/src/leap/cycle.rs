@@ -34,7 +34,9 @@ impl<P: Port> Hand for LeapHand<P> {
         if self.lost {
             self.reopen()?;
         }
-        self.energise()
+        let done = self.energise();
+        self.lost |= matches!(done, Err(Error::Port { .. }));
+        done
     }
 
     fn turn_off(&mut self) -> Result<()> {
@@ -58,6 +60,9 @@ impl<P: Port> LeapHand<P> {
     fn exchange(&mut self, command: Option<&HandCommand>) -> Result<()> {
         if self.lost {
             self.reopen()?;
+            if self.on {
+                self.rearm_all()?;
+            }
             // Who was without power meanwhile has forgotten everything.
             self.read_health()?;
         }
@@ -84,7 +89,11 @@ impl<P: Port> LeapHand<P> {
                 None => joint.miss(),
             }
         }
-        self.joints.iter_mut().filter(|j| !j.is_asked()).for_each(Joint::miss);
+        for (j, joint) in self.joints.iter_mut().enumerate() {
+            if !self.asked.contains(&j) {
+                joint.miss();
+            }
+        }
         self.readings = Some(readings);
         asked?;
         (0..self.joints.len()).filter(|j| alerts & 1 << j != 0).try_for_each(|j| self.look_at_error(j))?;
@@ -166,7 +175,12 @@ impl Joint {
     /// Takes a reading over.
     fn take(&mut self, data: &[u8]) {
         self.missed = 0;
-        self.position = self.angle(table::PRESENT_POSITION.in_block(PRESENT, data));
+        let ticks = table::PRESENT_POSITION.in_block(PRESENT, data);
+        if !matches!(self.life, Life::Driven { .. }) {
+            // It may have been without power, and have forgotten how many turns it had made.
+            self.count_turns(ticks, 0.0);
+        }
+        self.position = self.angle(ticks);
         let velocity = f64::from(table::PRESENT_VELOCITY.in_block(PRESENT, data));
         self.velocity = self.directed(velocity * RAD_S_PER_UNIT);
         self.current = self.directed(f64::from(table::PRESENT_CURRENT.in_block(PRESENT, data)));

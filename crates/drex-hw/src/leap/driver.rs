@@ -1,4 +1,4 @@
-//! The hand as the computer sees it: connecting, torque on and off.
+//! The hand as the computer sees it: connecting, and what can be asked of it.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -6,7 +6,7 @@ use std::time::Duration;
 use drex_robot::Robot;
 
 use super::inspect::{Finding, inspect_motors, inspect_port};
-use super::joint::{Joint, Life, MotorHealth};
+use super::joint::{Joint, MotorHealth};
 use super::options::LeapOptions;
 use super::table::{self, MotorModel};
 use crate::dynamixel::{Answers, Bus, BusStats, Port, SerialPort, Timing};
@@ -16,8 +16,6 @@ use crate::{Error, Result};
 const UNKNOWN_LATENCY: Duration = Duration::from_millis(4);
 /// How long a hand may take to be set up.
 pub(super) const SETUP_TIME: Duration = Duration::from_secs(2);
-/// How often what no motor confirms is said again.
-const TRIES: u32 = 3;
 /// Speeds at which motors may be, if not at the expected one.
 const SPEEDS: [u32; 7] = [57_600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115_200, 9_600];
 
@@ -246,137 +244,8 @@ impl<P: Port> LeapHand<P> {
         self.bus.sync_write(register.address, 1, self.joints.iter().map(|j| (j.id, &value[..])))
     }
 
-    /// Torque on where the joints are: goals and a small current first, confirmed, then the watchdog, then torque, confirmed.
-    pub(super) fn energise(&mut self) -> Result<()> {
-        if self.on {
-            return Ok(());
-        }
-        self.joints.iter_mut().for_each(|j| (j.recoveries, j.absent) = (self.options.recoveries, false));
-        self.set_up_all()?;
-        self.regroup()?;
-        let done = self.hold_and_torque();
-        if done.is_err() {
-            // What was wrong is told; if this fails too, the watchdog is left.
-            let _ = self.relax();
-        }
-        done
-    }
-
-    fn hold_and_torque(&mut self) -> Result<()> {
-        // A frozen motor takes no goals.
-        self.tell_all(table::BUS_WATCHDOG, 0)?;
-        let mut tries = 0;
-        while let Some(j) = self.hold_here()? {
-            tries += 1;
-            if tries >= TRIES {
-                return Err(self.wrong(j, "does not take a goal position", "check cable and supply, connect again"));
-            }
-            // It may have been without power, and have forgotten the indirect addresses.
-            self.begin_setup(j);
-            self.set_up_all()?;
-        }
-        self.tell_all(table::BUS_WATCHDOG, self.options.watchdog_units())?;
-        self.tell_all(table::TORQUE_ENABLE, 1)?;
-        let since = self.now();
-        self.spoken = since;
-        let mut under = Answers::new(&self.ids(), 1)?;
-        for _ in 0..TRIES {
-            self.bus.sync_read(table::TORQUE_ENABLE.address, &mut under)?;
-            if (0..self.joints.len()).all(|j| under.get(j).is_some_and(|(_, data)| data == [1])) {
-                break;
-            }
-        }
-        for j in 0..self.joints.len() {
-            match under.get(j) {
-                Some((_, [1])) => self.joints[j].life = Life::Driven { since },
-                Some(_) => {
-                    let error = self.bus.get(self.joints[j].id, table::HARDWARE_ERROR)?;
-                    let what = format!("torque does not go on: {}", table::hardware_error_text(error));
-                    self.note_error(j, error);
-                    // It is set up anew when somebody tries again.
-                    self.fault(j, what.clone());
-                    return Err(self.wrong(j, what, "check its supply, reboot it"));
-                }
-                None => return Err(Error::Silent { id: self.joints[j].id }),
-            }
-        }
-        self.on = true;
-        Ok(())
-    }
-
     pub(super) fn ids(&self) -> Vec<u8> {
         self.joints.iter().map(|j| j.id).collect()
-    }
-
-    /// Sets all goals to where the joints are, with the first current; a joint that has not taken it.
-    fn hold_here(&mut self) -> Result<Option<usize>> {
-        let ids = self.ids();
-        let mut here = Answers::new(&ids, 4)?;
-        let mut goals = Answers::new(&ids, 18)?;
-        self.bus.sync_read(table::PRESENT_POSITION.address, &mut here)?;
-        let current = self.start_current();
-        let mut orders = Vec::with_capacity(ids.len());
-        for (j, id) in ids.iter().enumerate() {
-            let Some((_, data)) = here.get(j) else { return Err(Error::Silent { id: *id }) };
-            let ticks = table::PRESENT_POSITION.in_block(table::PRESENT_POSITION.address, data);
-            self.check_place(j, ticks)?;
-            orders.push((*id, command(current, ticks)));
-        }
-        let items = orders.iter().map(|(id, bytes)| (*id, &bytes[..]));
-        self.bus.sync_write(table::INDIRECT_DATA.address, COMMAND, items)?;
-        let start = table::GOAL_CURRENT.address;
-        self.bus.sync_read(start, &mut goals)?;
-        Ok((0..ids.len()).find(|j| {
-            let taken = goals.get(*j).map(|(_, data)| {
-                command(table::GOAL_CURRENT.in_block(start, data), table::GOAL_POSITION.in_block(start, data))
-            });
-            taken != Some(orders[*j].1)
-        }))
-    }
-
-    /// The current with which torque goes on, mA.
-    pub(super) fn start_current(&self) -> i16 {
-        let cap = self.caps_ma.iter().copied().fold(f64::INFINITY, f64::min);
-        self.options.start_ma.min(cap).max(0.0) as i16
-    }
-
-    /// Torque off, confirmed by all that answer at all.
-    pub(super) fn relax(&mut self) -> Result<()> {
-        self.on = false;
-        if self.lost {
-            self.reopen()?;
-        }
-        let mut silent = None;
-        for _ in 0..TRIES {
-            self.tell_all(table::TORQUE_ENABLE, 0)?;
-            self.tell_all(table::BUS_WATCHDOG, 0)?;
-            silent = None;
-            // A motor that is not there or starts again has no torque, or freezes by its watchdog.
-            for j in &self.asked {
-                let joint = &self.joints[*j];
-                match self.bus.get(joint.id, table::TORQUE_ENABLE) {
-                    Ok(0) => {}
-                    Ok(_) | Err(Error::Silent { .. }) => silent = Some(joint.id),
-                    Err(other) => return Err(other),
-                }
-            }
-            if silent.is_none() {
-                break;
-            }
-        }
-        for joint in &mut self.joints {
-            if matches!(joint.life, Life::Driven { .. }) {
-                joint.life = Life::Limp;
-            }
-        }
-        silent.map_or(Ok(()), |id| Err(Error::Silent { id }))
-    }
-}
-
-impl<P: Port> Drop for LeapHand<P> {
-    fn drop(&mut self) {
-        // Nobody is left to be told; the watchdog stops a hand that cannot be reached.
-        let _ = self.relax();
     }
 }
 

@@ -13,7 +13,7 @@ const MISSES: u32 = 10;
 /// How often one that is not asked is looked for.
 const PROBE: Duration = Duration::from_millis(100);
 /// What the watchdog register says when it has run out.
-const FROZEN: u8 = 255;
+pub(super) const FROZEN: u8 = 255;
 
 impl<P: Port> LeapHand<P> {
     /// Notes the hardware errors of a motor, in words if there are any.

@@ -105,7 +105,8 @@ impl<P: Port> LeapHand<P> {
                     self.joints[j].life = Life::Booting { next, give_up };
                 }
                 if now > give_up {
-                    self.fault(j, "its hardware error does not go away by a reboot".into());
+                    let what = table::hardware_error_text(self.joints[j].errors);
+                    self.fault(j, format!("{what}, also after a reboot"));
                 }
             }
             Ok(Next::Done) => {

@@ -1,11 +1,13 @@
 //! What can go wrong on a bus.
 
-/// A fault on the way from motors to the host.
+/// A fault on the way between motors and the host.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Fault {
     /// The motor says nothing. Those that wait for it in a read of several say nothing either.
     Mute(u8),
+    /// The motor does not hear the instruction.
+    Deaf(u8),
     /// One byte of its answer is wrong.
     Corrupt(u8),
     /// The second half of its answer is missing.
@@ -19,20 +21,26 @@ pub enum Fault {
 /// Faults that are still to happen.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Faults {
-    waiting: Vec<(Fault, u32)>,
+    /// What, how often it is let pass first, and how often it happens then.
+    waiting: Vec<(Fault, u32, u32)>,
     dice: u32,
 }
 
 impl Faults {
-    pub fn inject(&mut self, fault: Fault, times: u32) {
-        self.waiting.push((fault, times));
+    pub fn inject(&mut self, fault: Fault, skipped: u32, times: u32) {
+        self.waiting.push((fault, skipped, times));
     }
 
     /// Whether `fault` happens now; then it happens one time less.
     pub fn happens(&mut self, fault: Fault) -> bool {
-        let Some(i) = self.waiting.iter().position(|(f, _)| *f == fault) else { return false };
-        self.waiting[i].1 = self.waiting[i].1.saturating_sub(1);
-        if self.waiting[i].1 == 0 {
+        let Some(i) = self.waiting.iter().position(|(f, ..)| *f == fault) else { return false };
+        let (_, skipped, times) = &mut self.waiting[i];
+        if *skipped > 0 {
+            *skipped -= 1;
+            return false;
+        }
+        *times = times.saturating_sub(1);
+        if *times == 0 {
             self.waiting.swap_remove(i);
         }
         true

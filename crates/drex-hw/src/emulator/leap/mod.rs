@@ -95,6 +95,11 @@ impl LeapEmulator {
         self.wire().inject(fault, times);
     }
 
+    /// Lets `fault` happen once, after it could have happened `skipped` times.
+    pub fn inject_later(&self, fault: Fault, skipped: u32) {
+        self.wire().inject_later(fault, skipped);
+    }
+
     /// Raises hardware errors of motor `id`.
     pub fn fail(&self, id: u8, bits: u8) {
         self.with_motor(id, |m| m.fail(bits));

@@ -20,6 +20,8 @@ pub(super) mod refusal {
 const RAM: u16 = 64;
 /// First address behind the table.
 const END: usize = 228;
+/// What the watchdog register says when it has run out.
+const FROZEN: u8 = 255;
 /// How long a motor is deaf after a reboot.
 const BOOT: Duration = Duration::from_millis(150);
 
@@ -32,7 +34,6 @@ pub(super) struct Motor {
     pub body: Body,
     booted_at: Duration,
     heard_at: Duration,
-    frozen: bool,
     /// A write that waits for an action.
     pub registered: Option<(u16, Vec<u8>)>,
 }
@@ -46,7 +47,6 @@ impl Motor {
             body: Body::default(),
             booted_at: Duration::ZERO,
             heard_at: Duration::ZERO,
-            frozen: false,
             registered: None,
         };
         motor.set(table::MODEL_NUMBER, model.number());
@@ -88,7 +88,6 @@ impl Motor {
             self.memory[at..at + 2].copy_from_slice(&(224 + i).min(227).to_le_bytes());
         }
         self.mode_changed();
-        self.frozen = false;
         self.registered = None;
         // A motor knows its angle within one turn only.
         self.body.forget_turns();
@@ -165,8 +164,7 @@ impl Motor {
     pub fn step(&mut self, now: Duration, dt: f64) {
         let watchdog = self.get(table::BUS_WATCHDOG);
         if (1..=127).contains(&watchdog) && now > self.heard_at + Duration::from_millis(20 * u64::from(watchdog)) {
-            self.frozen = true;
-            self.set(table::BUS_WATCHDOG, 255);
+            self.set(table::BUS_WATCHDOG, FROZEN);
             self.set(table::GOAL_POSITION, self.body.position.round() as i32);
         }
         // The other modes are not for hands: such a motor does nothing.
@@ -233,7 +231,7 @@ impl Motor {
             if read_only {
                 return Err(refusal::ACCESS);
             }
-            if self.frozen && (100..120).contains(&target) {
+            if self.frozen() && (100..120).contains(&target) {
                 return Err(refusal::RANGE);
             }
             after.memory[target] = byte;
@@ -252,11 +250,20 @@ impl Motor {
         if wrote(table::MODE.address) {
             after.mode_changed();
         }
-        if wrote(table::BUS_WATCHDOG.address) {
-            after.frozen = self.frozen && after.get(table::BUS_WATCHDOG) != 0;
+        if wrote(table::BUS_WATCHDOG.address) && after.frozen() {
+            return Err(refusal::RANGE);
+        }
+        if self.frozen() && wrote(table::BUS_WATCHDOG.address) && after.get(table::BUS_WATCHDOG) != 0 {
+            // Only 0 ends it.
+            after.set(table::BUS_WATCHDOG, FROZEN);
         }
         *self = after;
         Ok(())
+    }
+
+    /// Whether its bus watchdog has run out.
+    fn frozen(&self) -> bool {
+        self.get(table::BUS_WATCHDOG) == FROZEN
     }
 
     fn shut_down(&self) -> bool {

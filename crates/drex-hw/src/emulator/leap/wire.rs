@@ -9,6 +9,8 @@ use crate::leap::table::{self, MotorModel};
 
 /// Step of the physics.
 const STEP: Duration = Duration::from_millis(1);
+/// Longest reply of several motors in one packet.
+const LONGEST: u16 = 4096;
 /// Most steps that are made up for after a pause.
 const MOST_STEPS: u32 = 2000;
 
@@ -70,7 +72,11 @@ impl Wire {
     }
 
     pub fn inject(&mut self, fault: Fault, times: u32) {
-        self.faults.inject(fault, times);
+        self.faults.inject(fault, 0, times);
+    }
+
+    pub fn inject_later(&mut self, fault: Fault, skipped: u32) {
+        self.faults.inject(fault, skipped, 1);
     }
 
     /// Takes bytes from the host; appends what the motors answer. For how long they hesitated.
@@ -116,7 +122,7 @@ impl Wire {
     /// Motor with this id, if it hears.
     fn hearing(&mut self, id: u8) -> Option<usize> {
         let i = self.motors.iter().position(|m| m.id == id)?;
-        if self.motors[i].deaf(self.now) {
+        if self.motors[i].deaf(self.now) || self.faults.happens(Fault::Deaf(id)) {
             return None;
         }
         self.motors[i].heard(self.now);
@@ -227,15 +233,17 @@ impl Wire {
     fn fast_chain(&mut self, items: &[(u8, u16, u16)], reply: &mut Vec<u8>) {
         let hearing: Vec<_> = items.iter().map(|(id, _, _)| self.hearing(*id)).collect();
         let length = 1 + items.iter().map(|(_, _, len)| usize::from(*len) + 4).sum::<usize>();
-        let mut clean = [&HEADER[..], &[BROADCAST], &(length as u16).to_le_bytes(), &[instruction::STATUS]].concat();
-        let mut head = clean.clone();
+        let Some(length) = u16::try_from(length).ok().filter(|l| *l <= LONGEST) else { return };
+        let mut head = [&HEADER[..], &[BROADCAST], &length.to_le_bytes(), &[instruction::STATUS]].concat();
+        let mut sum = crc16(0, &head);
         let (begin, mut twice) = (reply.len(), false);
         for (i, (_, address, len)) in hearing.into_iter().zip(items) {
             let Some(i) = i.filter(|i| self.motors[*i].knows_fast_reads()) else { return };
             let motor = &self.motors[i];
-            let mut data = vec![0; usize::from(*len)];
-            let (id, start) = (motor.id, clean.len());
-            let error = motor.read(*address, &mut data).err().unwrap_or(0) | motor.alert();
+            let id = motor.id;
+            let mut block = vec![0; usize::from(*len) + 2];
+            let error = motor.read(*address, &mut block[2..]).err().unwrap_or(0) | motor.alert();
+            (block[0], block[1]) = (error, id);
             if self.faults.happens(Fault::Mute(id)) {
                 return;
             }
@@ -243,12 +251,13 @@ impl Wire {
             if !head.is_empty() {
                 self.delay += motor.return_delay();
             }
-            clean.extend([error, id]);
-            clean.extend(data);
-            clean.extend(crc16(0, &clean).to_le_bytes());
+            // Each goes on with the sum of all that was said before, sums included.
+            let crc = crc16(sum, &block).to_le_bytes();
+            block.extend(crc);
+            sum = crc16(sum, &block);
             reply.append(&mut head);
             let sent = reply.len();
-            reply.extend_from_slice(&clean[start..]);
+            reply.append(&mut block);
             // The answers are one packet: what comes twice is all of it.
             twice |= self.faults.happens(Fault::Duplicate(id));
             self.faults.damage(id, reply, sent);

@@ -1,0 +1,137 @@
+//! Torque on and off: the order of the commands, and what speaks against torque.
+
+use std::time::Duration;
+
+use super::driver::MOST_FRAMES;
+use super::finger::Finger;
+use super::{AllegroCommand, AllegroHand, AllegroVersion};
+use crate::can::CanBus;
+use crate::{Error, Result};
+
+/// How long a hand that was switched on may take until all fingers reported.
+const FIRST_POSES: Duration = Duration::from_millis(500);
+/// How far outside its limits a joint may be found when torque goes on, rad: gears give a little, a wrong zero much more.
+const OUTSIDE_RAD: f64 = 0.3;
+/// Wire units per N m of a version-4 frame on a hand with older hardware.
+const OLD_HARDWARE: f64 = 800.0;
+
+impl<B: CanBus> AllegroHand<B> {
+    /// Off, who are you, report, on: no torque is sent.
+    pub(super) fn start(&mut self) -> Result<()> {
+        for _ in 0..MOST_FRAMES {
+            if self.bus.receive(Duration::ZERO)?.is_none() {
+                break;
+            }
+        }
+        self.fingers.iter_mut().for_each(Finger::forget);
+        self.ages = [u32::MAX; 4];
+        self.motor_errors = [0; 16];
+        self.sent = [0; 16];
+        self.started = true;
+        let o = &self.options;
+        let (pose_ms, temperature_ms) = (o.pose_period_ms, o.temperature_period_ms);
+        self.send(AllegroCommand::Off)?;
+        self.send(AllegroCommand::AskInfo)?;
+        self.send(AllegroCommand::AskSerial)?;
+        self.send(AllegroCommand::Period { pose_ms, imu_ms: 0, temperature_ms })?;
+        self.send(AllegroCommand::On)?;
+        self.send(AllegroCommand::AskState)
+    }
+
+    /// Torque off, motors off, silence; all of it is tried, the first failure is told.
+    pub(super) fn stop(&mut self) -> Result<()> {
+        self.driven = false;
+        self.goal = None;
+        if !self.started {
+            return Ok(());
+        }
+        let mut told = self.send_torques([0; 16]);
+        let silence = AllegroCommand::Period { pose_ms: 0, imu_ms: 0, temperature_ms: 0 };
+        for command in [AllegroCommand::Off, silence] {
+            let sent = self.send(command);
+            told = told.and(sent);
+        }
+        // What failed is tried again when the hand is dropped.
+        self.started = told.is_err();
+        if told.is_ok() {
+            self.fingers.iter_mut().for_each(Finger::forget);
+        }
+        told
+    }
+
+    /// Waits for all fingers, refuses a hand in a state that torque would make worse, and takes its pose as goal.
+    pub(super) fn drive(&mut self) -> Result<()> {
+        if self.driven {
+            return Ok(());
+        }
+        if !self.started {
+            self.start()?;
+        }
+        let begin = self.clock.now();
+        for _ in 0..MOST_FRAMES {
+            let now = self.clock.now();
+            if self.all_fresh(now) || now.saturating_sub(begin) > FIRST_POSES {
+                break;
+            }
+            self.gather(Duration::from_millis(u64::from(self.options.pose_period_ms) * 2))?;
+        }
+        if !self.all_fresh(self.clock.now()) {
+            let silent: Vec<&str> = ["index", "middle", "ring", "thumb"]
+                .into_iter()
+                .zip(&self.fingers)
+                .filter_map(|(name, f)| f.seen.is_none().then_some(name))
+                .collect();
+            return Err(Error::value(
+                format!(
+                    "no fresh poses (never seen: {})",
+                    if silent.is_empty() { "none".into() } else { silent.join(", ") }
+                ),
+                "check the hand's power, the CAN cable and its termination, 1 Mbit/s, and the version",
+            ));
+        }
+        self.check_hand()?;
+        self.effort_nm = self.options.torque_caps_nm();
+        self.goal = None;
+        self.driven = true;
+        Ok(())
+    }
+
+    /// What speaks against torque.
+    fn check_hand(&self) -> Result<()> {
+        if let Some(info) = self.info.filter(|_| self.options.version == AllegroVersion::V4) {
+            if info.hardware >> 8 != 4 && self.options.wire_per_nm > OLD_HARDWARE {
+                return Err(Error::value(
+                    format!(
+                        "a hand of hardware {:#06x}, driven with {} units per N m",
+                        info.hardware, self.options.wire_per_nm
+                    ),
+                    format!("use AllegroOptions::with_wire_per_nm({OLD_HARDWARE})"),
+                ));
+            }
+            if info.status & 6 != 0 {
+                return Err(Error::value(
+                    format!("the hand's status is {:#04x}: too hot, or a motor that does not answer", info.status),
+                    "let it cool, switch it off and on",
+                ));
+            }
+        }
+        for wire in 0..16 {
+            let name = &self.options.names[wire];
+            if self.motor_errors[wire] != 0 {
+                return Err(Error::value(
+                    format!("joint {name} reports error {:#04x}", self.motor_errors[wire]),
+                    "remove what blocks it, switch the hand off and on",
+                ));
+            }
+            let (low, high) = self.limits[self.model_of_wire[wire]];
+            let q = self.fingers[wire / 4].q[wire % 4];
+            if !(low - OUTSIDE_RAD..=high + OUTSIDE_RAD).contains(&q) {
+                return Err(Error::value(
+                    format!("joint {name} at {q:.3} rad, where it cannot be ({low:.3} to {high:.3})"),
+                    "set its zero and direction with AllegroOptions::with_calibration",
+                ));
+            }
+        }
+        Ok(())
+    }
+}
