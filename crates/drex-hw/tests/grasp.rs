@@ -148,11 +148,16 @@ fn an_object_that_is_taken_away_opens_the_hand() {
     bench.plan.hold_s = None;
     let mut grasp = Grasp::new(bench.plan.clone());
     let (handle, emulator, closing) = (grasp.handle(), bench.emulator.clone(), bench.closing.clone());
-    let mut cycles = 0;
-    let options = ControlOptions::default().with_limiter(move |_, _| {
+    let (mut cycles, estop) = (0, EStop::new());
+    let button = estop.clone();
+    let options = ControlOptions::default().with_estop(&estop).with_limiter(move |_, _| {
         cycles += u32::from(handle.phase() == GraspPhase::Hold);
         if cycles == 100 {
             closing.iter().for_each(|j| emulator.set_wall(*j, f64::NEG_INFINITY, f64::INFINITY));
+        }
+        if cycles == 2000 {
+            // It did not notice: the test fails, and ends.
+            button.stop();
         }
     });
     let report = bench.grasp(&mut grasp, options);
@@ -168,11 +173,15 @@ fn a_hold_ends_when_it_is_told_to() {
     bench.plan.hold_s = None;
     let mut grasp = Grasp::new(bench.plan.clone());
     let (handle, watch) = (grasp.handle(), grasp.handle());
-    let mut cycles = 0;
-    let options = ControlOptions::default().with_limiter(move |_, _| {
+    let (mut cycles, estop) = (0, EStop::new());
+    let button = estop.clone();
+    let options = ControlOptions::default().with_estop(&estop).with_limiter(move |_, _| {
         cycles += u32::from(watch.phase() == GraspPhase::Hold);
         if cycles == 200 {
             watch.release();
+        }
+        if cycles == 2000 {
+            button.stop();
         }
     });
     let report = bench.grasp(&mut grasp, options);
