@@ -65,7 +65,12 @@ impl LeapEmulator {
 
     fn wire(&self) -> MutexGuard<'_, Wire> {
         // A panic in a test must not hide behind another one.
-        self.wire.lock().unwrap_or_else(PoisonError::into_inner)
+        let mut wire = self.wire.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(since) = &self.since {
+            // Whoever looks sees the hand as it is now, also if nobody talks to it.
+            wire.advance_to(since.now());
+        }
+        wire
     }
 
     /// Lets `time` pass; without effect on a hand in real time.
@@ -82,12 +87,7 @@ impl LeapEmulator {
 
     /// Hands `request` to the motors; what they answer is appended to `reply`. For how long they hesitated, by their return delays.
     pub fn exchange(&self, request: &[u8], reply: &mut Vec<u8>) -> Duration {
-        let now = self.since.map(|since| since.now());
-        let mut wire = self.wire();
-        if let Some(now) = now {
-            wire.advance_to(now);
-        }
-        wire.receive(request, reply)
+        self.wire().receive(request, reply)
     }
 
     /// Lets `fault` happen in the next `times` questions that it concerns.

@@ -1,4 +1,5 @@
-//! Two processes and one hand: only one gets it, and when that is killed the hand freezes and is free.
+//! A LEAP hand at a serial port in real time: only one process gets it, when that is killed the hand freezes and is free, and a plug
+//! may be pulled.
 #![cfg(unix)]
 
 use std::path::Path;
@@ -9,7 +10,7 @@ use drex_hw::dynamixel::SerialPort;
 use drex_hw::emulator::leap::LeapEmulator;
 use drex_hw::emulator::pty::PtyServer;
 use drex_hw::leap::{LeapHand, LeapOptions, table};
-use drex_hw::{Hand, HandCommand, HandState};
+use drex_hw::{Error, Hand, HandCommand, HandState, JointStatus};
 use drex_robot::Robot;
 
 /// Where the process that is to be killed finds the hand.
@@ -81,4 +82,39 @@ fn the_hand_of_a_killed_program_freezes_and_is_free() {
     let leap = LeapHand::open(server.path(), &robot, options()).expect("the bus is free");
     assert_eq!(hand.under_torque(), 0, "the next program begins without torque");
     drop(leap);
+}
+
+#[test]
+fn a_plug_that_was_pulled_and_put_back_is_no_end() {
+    let folder = tempfile::tempdir().expect("folder");
+    let link = folder.path().join("leap");
+    let hand = LeapEmulator::new().in_real_time();
+    let server = PtyServer::serve(hand.clone(), Some(&link)).expect("pty");
+    let robot = Robot::bundled("leap_right").expect("bundled");
+    let mut leap = LeapHand::open(server.path(), &robot, options()).expect("opens");
+    leap.turn_on().expect("on");
+    let (command, mut state) =
+        (HandCommand { position: vec![0.3; 16], effort_limit: vec![100.0; 16] }, HandState::new(16));
+    let mut until = |what: &str, reached: &dyn Fn(&drex_hw::Result<()>, &HandState) -> bool| {
+        let begun = Instant::now();
+        loop {
+            let done = leap.cycle(Some(&command), &mut state);
+            if reached(&done, &state) {
+                return;
+            }
+            assert!(begun.elapsed() < Duration::from_secs(20), "{what}: {done:?} {:?}", state.status);
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    };
+    let driven = |done: &drex_hw::Result<()>, s: &HandState| done.is_ok() && s.status == [JointStatus::Driven; 16];
+    until("it drives", &driven);
+    hand.unplug();
+    until("it is missed", &|done, s| matches!(done, Err(Error::Port { .. })) && s.age.iter().all(|a| *a > 0));
+    wait("all motors freeze", || (0..16).all(|id| hand.get(id, table::BUS_WATCHDOG) == Some(255)));
+    hand.plug();
+    until("it is back", &driven);
+    until("it goes on", &|_, s| s.position.iter().all(|q| (q - 0.3).abs() < 0.05));
+    assert_eq!(leap.reconnects(), 1);
+    drop(leap);
+    assert_eq!(hand.under_torque(), 0);
 }
