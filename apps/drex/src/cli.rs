@@ -19,7 +19,9 @@ use nalgebra::{Point3, Similarity3};
 
 pub use bench::{BenchCommand, BenchCommon, DemosArgs, GraspBenchArgs};
 pub use grasp::{DeployArgs, GraspArgs};
-pub use hw::{AllegroArg, CalibrateArgs, EmulateArgs, HandArg, HandArgs, HwCommand, LinkArgs, MoveArgs, RecordArgs, RunArgs};
+pub use hw::{
+    AllegroArg, CalibrateArgs, EmulateArgs, HandArg, HandArgs, HwCommand, LinkArgs, MoveArgs, RecordArgs, RunArgs,
+};
 pub use retarget::{DetectorArg, HandsArgs, ObjectiveArg, ReadingArgs, RetargetArgs};
 
 /// From a scan, a recorded push and human grasps to a weighed digital twin and a grasp with the right force.

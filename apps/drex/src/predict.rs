@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use clap::ValueEnum;
 use drex_core::twin::ASSUMED_FRICTION;
 use drex_core::{MassProperties, Pose};
 use drex_grasp::{ContactOptions, ForceCommand, HandSurface, SqueezeProblem, TablePlane, TorqueLimits, paper_force};
@@ -241,7 +240,7 @@ fn hand(args: &GraspArgs, policy: &GraspPolicy, own: Option<&str>, folder: &Path
         (None, None) => (policy.hand(), folder),
     };
     // A hand by its family's name is its right one.
-    let name = HandArg::from_str(name, false).map_or(name, HandArg::robot);
+    let name = HandArg::of_family(name).map_or(name, |h| h.robot());
     let robot = Robot::resolve(name, folder)?;
     if robot.name != policy.hand() || robot.joint_names() != policy.joint_names() {
         bail!(

@@ -102,8 +102,21 @@ fn a_trained_twin_grasps_and_deploys() {
             serde_json::from_slice(&fs::read(twin.join("policy/deploy.json")).unwrap()).unwrap();
         let card: serde_json::Value = serde_json::from_str(&version).unwrap();
         assert_eq!(file["weights"]["sha256"], card["weights_sha256"]);
-        assert_eq!(file["current_limits_ma"].as_array().unwrap().len(), 16);
-        assert_eq!(deploy.json()["driven"], false);
+        assert_eq!(file["limits"]["force"].as_array().unwrap().len(), 16);
+        assert_eq!(file["limits"]["unit"], "mA");
+        assert!(deploy.json()["driven"].is_null());
+        let log = twin.join("grasp.csv");
+        let emulated = drex(["deploy", at, "--hand", "leap", "--emulate", "--hold", "1", "--log", log.to_str().unwrap(), "--json"]);
+        let driven = emulated.json()["driven"].clone();
+        assert!(driven["missed"] == false && driven["lost"] == false, "{driven}");
+        // What presses, presses as hard as its limit.
+        let contacts = driven["contacts"].as_array().unwrap();
+        assert!(contacts.len() >= 2, "{driven}");
+        for c in contacts {
+            let (held, limit) = (c["held_effort"].as_f64().unwrap(), c["effort_limit"].as_f64().unwrap());
+            assert!((held - limit).abs() < 2.0, "{c}");
+        }
+        assert!(log.is_file() && !log.with_extension("csv.part").exists());
     } else {
         // Six demonstrations may teach no grasp that holds: then it says so and writes nothing.
         deploy.fails_with(&["no grasp to deploy"]);

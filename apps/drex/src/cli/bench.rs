@@ -85,7 +85,15 @@ pub struct GraspBenchArgs {
     /// Grasps that are practised in the simulator before they are learned, those that need least force; 0: none.
     #[arg(long, value_name = "N", default_value_t = 100)]
     pub practice: u32,
+    /// Factor on the squeeze that just survives the shakes; 1 leaves nothing for errors of mass, contacts and motors.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.25, value_parser = margin)]
+    pub margin: f64,
     /// Carry every command out in drex-diffsim as well, and say how often the two engines agree.
     #[arg(long)]
     pub compare: bool,
+}
+
+fn margin(text: &str) -> Result<f64, String> {
+    let factor: f64 = text.parse().map_err(|_| format!("\"{text}\" is no number"))?;
+    if (1.0..=10.0).contains(&factor) { Ok(factor) } else { Err("give 1 to 10".into()) }
 }

@@ -152,6 +152,11 @@ pub enum HandArg {
 }
 
 impl HandArg {
+    /// The hand of this name on the command line.
+    pub fn of_family(name: &str) -> Option<Self> {
+        Self::from_str(name, false).ok()
+    }
+
     /// Name of the bundled model.
     pub fn robot(self) -> &'static str {
         match self {

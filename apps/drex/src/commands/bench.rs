@@ -25,6 +25,8 @@ use crate::ui::Ui;
 
 /// Hands that are closed around the object for each demonstration, and how many of them are kept.
 const WRAPS_PER_CLIP: (usize, usize) = (40, 3);
+/// Hands that the search between opposite points looks at, for each demonstration.
+const CANDIDATES_PER_CLIP: usize = 20_000;
 
 /// Runs one of the benches.
 pub fn run(command: &BenchCommand, seed: Option<u64>, ui: &Ui) -> Result<()> {
@@ -121,6 +123,7 @@ fn specs(common: &BenchCommon) -> Result<Vec<ObjectSpec>> {
 fn library_options(common: &BenchCommon, seed: u64) -> LibraryOptions {
     let mut options = LibraryOptions::default();
     options.people.clips = common.clips as usize;
+    options.candidates = CANDIDATES_PER_CLIP * options.people.clips;
     (options.wraps.tries, options.wraps.keep) =
         (WRAPS_PER_CLIP.0 * options.people.clips, WRAPS_PER_CLIP.1 * options.people.clips);
     (options.people.seed, options.wraps.seed) = (seed, seed);
@@ -155,6 +158,7 @@ struct BenchAnswer<'a> {
     rollouts: u32,
     seed: u64,
     torque_cap_nm: f64,
+    margin: f64,
     #[serde(flatten)]
     table: &'a Table,
     /// Rollouts of the table per second of judging, plans and rehearsals with them.
@@ -177,7 +181,8 @@ fn grasp(args: &GraspBenchArgs, seed: u64, ui: &Ui) -> Result<()> {
     let experiment = args.experiment.to_possible_value().context("the experiment has no name")?;
     let name = experiment.get_name();
     let robot = Arc::new(hand.robot.clone());
-    let options = TrialOptions::default();
+    let mut options = TrialOptions::default();
+    options.law = options.law.with_margin(args.margin);
     let mut train = TrainOptions::default().with_seed(seed).with_points(POINTS);
     train.epochs = args.epochs.unwrap_or(train.epochs);
     let bench = Bench {
@@ -205,6 +210,7 @@ fn grasp(args: &GraspBenchArgs, seed: u64, ui: &Ui) -> Result<()> {
         rollouts: args.rollouts,
         seed,
         torque_cap_nm: options.torque_cap_nm,
+        margin: args.margin,
         table: &table,
         rollouts_per_s: table.rollouts_per_s(),
         threads: rayon::current_num_threads(),

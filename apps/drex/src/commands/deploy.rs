@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
+use drex_hw::allegro::WIRE_JOINTS;
 use drex_hw::control::GraspPlan;
 use drex_hw::law::{LimitMode, LimitOptions, Nominal, TorqueLaw, torque_limits_nm};
 use drex_trial::TrialOptions;
@@ -88,7 +89,7 @@ pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     }
     let kind = kind(&grasp.hand)?;
     let reach = ready.reach(&grasp)?;
-    let limits = limits(args, kind, &grasp.joint_torques_nm)?;
+    let limits = limits(args, kind, &grasp)?;
     let file = write(args, &ready, &grasp, (&reach.open, &reach.closed), &limits)?;
     let most = limits.force.iter().copied().fold(0.0, f64::max);
     let short = limits.short_nm.iter().copied().fold(0.0, f64::max);
@@ -141,12 +142,14 @@ fn kind(robot: &str) -> Result<HandArg> {
         .with_context(|| format!("no driver for the hand \"{robot}\": there are leap_right and allegro_right"))
 }
 
-/// Limits under which the joints give these torques, N m.
-fn limits(args: &DeployArgs, kind: HandArg, torques_nm: &[f64]) -> Result<Limits> {
-    let n = torques_nm.len();
+/// Limits under which the joints give the torques of the squeeze.
+fn limits(args: &DeployArgs, kind: HandArg, grasp: &Prediction) -> Result<Limits> {
+    let torques_nm = &grasp.joint_torques_nm;
     if kind == HandArg::Allegro {
         let options = hw::allegro_options(&args.link);
-        let caps = options.torque_caps_nm();
+        let wire_caps = options.torque_caps_nm();
+        let cap = |name: &String| WIRE_JOINTS.iter().position(|n| n == name).map_or(0.0, |j| wire_caps[j]);
+        let caps: Vec<f64> = grasp.joint_names.iter().map(cap).collect();
         let force = torque_limits_nm(torques_nm, FLOOR_NM, &caps)?;
         let short_nm = torques_nm.iter().zip(&force).map(|(t, f)| (t.abs() - f).max(0.0)).collect();
         let closing = caps.iter().map(|c| CLOSING_NM.min(*c)).collect();
@@ -159,16 +162,10 @@ fn limits(args: &DeployArgs, kind: HandArg, torques_nm: &[f64]) -> Result<Limits
     let mode = if args.uniform { LimitMode::Uniform } else { LimitMode::Jacobian };
     let cap = args.link.cap.unwrap_or(LimitOptions::default().cap_ma);
     let options = LimitOptions::default().with_mode(mode).with_range_ma(FLOOR_MA.min(cap), cap);
-    let laws = vec![law.clone(); n];
+    let laws = vec![law.clone(); torques_nm.len()];
     let force = options.limits_ma(&laws, torques_nm)?;
     let short_nm = options.short_nm(&laws, torques_nm, &force)?;
-    Ok(Limits {
-        unit: "mA",
-        closing: vec![CLOSING_MA.min(cap); n],
-        force,
-        law: Some(law),
-        short_nm,
-    })
+    Ok(Limits { unit: "mA", closing: vec![CLOSING_MA.min(cap); torques_nm.len()], force, law: Some(law), short_nm })
 }
 
 fn write(

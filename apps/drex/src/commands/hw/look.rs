@@ -125,10 +125,8 @@ pub fn status(args: &HandArgs, ui: &Ui) -> Result<()> {
     for j in &joints {
         let celsius = j.temperature_c.map_or_else(|| "-".into(), |c| format!("{c:.0}"));
         let trouble = j.trouble.as_ref().map_or_else(String::new, |t| format!(": {t}"));
-        let line = format!(
-            "  {:<10} {:>9.4} {:>9.3} {celsius:>6}  {}{trouble}\n",
-            j.name, j.position_rad, j.effort, j.status
-        );
+        let line =
+            format!("  {:<10} {:>9.4} {:>9.3} {celsius:>6}  {}{trouble}\n", j.name, j.position_rad, j.effort, j.status);
         text += &line;
     }
     if let Some(volts) = volts {

@@ -141,7 +141,7 @@ fn can_bus(port: &Path) -> Result<Box<dyn CanBus>> {
 pub fn unit(hand: &dyn Hand) -> &'static str {
     match hand.effort_unit() {
         EffortUnit::Milliampere => "mA",
-        EffortUnit::NewtonMetre => "N m",
+        _ => "N m",
     }
 }
 

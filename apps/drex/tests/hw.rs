@@ -1,0 +1,120 @@
+//! `drex hw` with emulated hands of its own.
+#![cfg(unix)]
+#![allow(clippy::unwrap_used)] // a test may stop at the first surprise
+
+mod common;
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+use common::drex;
+
+/// `drex hw emulate`, told to stop when the test is over.
+struct Emulated {
+    process: Child,
+    _folder: tempfile::TempDir,
+    port: PathBuf,
+}
+
+impl Emulated {
+    fn new(arguments: &[&str]) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let port = folder.path().join("hand");
+        let mut process = Command::new(env!("CARGO_BIN_EXE_drex"))
+            .args(["hw", "emulate"])
+            .args(arguments)
+            .args(["--seconds", "120", "--link", port.to_str().unwrap()])
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        assert_eq!(Path::new(line.trim()), port);
+        Self { process, _folder: folder, port }
+    }
+
+    fn port(&self) -> &str {
+        self.port.to_str().unwrap()
+    }
+}
+
+impl Drop for Emulated {
+    fn drop(&mut self) {
+        // It may be gone already.
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+#[test]
+fn a_leap_hand_is_found_read_moved_and_recorded() {
+    let hand = Emulated::new(&["leap", "--wall", "if_mcp=0.4"]);
+    let at = ["--hand", "leap", "--port", hand.port(), "--json"];
+    let ping = drex(["hw", "ping"].iter().chain(&at)).json();
+    assert_eq!(ping["motors"].as_array().unwrap().len(), 16, "{ping}");
+    assert_eq!((ping["motors"][3]["id"].as_u64(), ping["motors"][3]["model"].as_u64()), (Some(3), Some(1240)));
+
+    // The object is in the way of one joint, the other arrives; the log is one that is read again.
+    let log = hand.port.with_file_name("move.csv");
+    let to = ["--to", "if_mcp=0.8,mf_mcp=0.5", "--seconds", "0.6", "--cap", "80", "--log", log.to_str().unwrap()];
+    let moved = drex(["hw", "move"].iter().chain(&at).chain(&to)).json();
+    let status = drex(["hw", "status"].iter().chain(&at)).json();
+    let joint = |name: &str| {
+        let found = status["joints"].as_array().unwrap().iter().find(|j| j["name"] == name).unwrap().clone();
+        assert_eq!(found["status"], "limp");
+        found["position_rad"].as_f64().unwrap()
+    };
+    assert!((joint("if_mcp") - 0.4).abs() < 0.01, "{status}");
+    assert!((joint("mf_mcp") - 0.5).abs() < 0.05, "{moved}\n{status}");
+    assert!((moved["farthest_rad"].as_f64().unwrap() - 0.4).abs() < 0.05, "{moved}");
+
+    let out = hand.port.with_file_name("again.csv");
+    let play = ["--play", log.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    let played = drex(["hw", "record"].iter().chain(&at).chain(&play)).json();
+    assert!(played["loop"]["cycles"].as_u64().unwrap() > 200, "{played}");
+    let text = std::fs::read_to_string(&out).unwrap();
+    assert!(text.starts_with("timestamp,position_if_mcp,") || text.contains(",position_if_mcp,"), "{}", &text[..200]);
+
+    let refuse = |to: &str, words: &[&str]| drex(["hw", "move"].iter().chain(&at).chain(&["--to", to])).fails_with(words);
+    refuse("if_mcp=9", &["if_mcp cannot be at 9 rad"]);
+    refuse("knee=0.1", &["no joint \"knee\"", "if_mcp"]);
+    refuse("if_mcp", &["JOINT=RAD"]);
+}
+
+#[test]
+fn an_allegro_hand_is_found_and_moved() {
+    let hand = Emulated::new(&["allegro", "--allegro", "v4"]);
+    let at = ["--hand", "allegro", "--port", hand.port(), "--json"];
+    let ping = drex(["hw", "ping"].iter().chain(&at)).json();
+    assert!(ping["frames"].as_u64().unwrap() > 0, "{ping}");
+    let moved = drex(["hw", "move"].iter().chain(&at).chain(&["--to", "ffj1=0.5", "--seconds", "1"])).json();
+    assert!(moved["farthest_rad"].as_f64().unwrap() < 0.2, "{moved}");
+}
+
+#[test]
+fn a_hand_that_is_not_there_is_named() {
+    let nobody = ["--hand", "leap", "--port", "/dev/no-such-hand"];
+    drex(["hw", "ping"].iter().chain(&nobody)).fails_with(&["/dev/no-such-hand"]);
+    drex(["hw", "status", "--hand", "allegro", "--port", "can9"]).fails_with(&["can9"]);
+}
+
+#[test]
+fn a_law_is_fitted_and_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let (pairs, law) = (folder.path().join("pairs.csv"), folder.path().join("law.json"));
+    // 0.45 N m/A after 16 mA, at a lever of 5 cm.
+    let row = |ma: f64| format!("{ma},{}\n", 0.45e-3 * (ma - 16.0) / 0.05);
+    let rows: String = (1..12).map(|k| row(30.0 * f64::from(k))).collect();
+    std::fs::write(&pairs, format!("current_ma,force_n\n{rows}")).unwrap();
+    let common = ["hw", "calibrate", pairs.to_str().unwrap(), "--out", law.to_str().unwrap(), "--source", "a scale"];
+    let day = ["--date", "2026-11-21", "--json"];
+    let fitted = drex(common.iter().chain(&day).chain(&["--lever", "0.05"])).json();
+    let text = fitted.to_string();
+    assert!(fitted["law"]["provenance"]["pairs"] == 11 && text.contains("a scale"), "{text}");
+    assert!(law.is_file());
+    drex(common.iter().chain(&day)).fails_with(&["--lever"]);
+    std::fs::write(&pairs, "current_ma,torque_nm\n10,nan\n20,0.1\n").unwrap();
+    assert_eq!(drex(common.iter().chain(&day)).code, 1);
+}
