@@ -2,8 +2,8 @@
 //!
 //!     cargo run --release -p drex-trial --example try_mesh [--features mujoco] -- MESH.obj KG [ROLLOUTS [TOLD]]
 //!
-//! TOLD is the mass that the hand is told, in parts of the true one. One line per grasp: ten rollouts in each engine, a letter for each
-//! verdict, `-` where there is no command. Then the rate over all grasps.
+//! TOLD is the mass that the hand is told, in parts of the true one. One line per grasp: ten rollouts in each engine, a star for each
+//! success, else the first letter of the verdict, `-` where there is no command. Then the rate over all grasps.
 #![allow(clippy::print_stdout)] // the output is the point of an example
 
 use std::path::Path;
@@ -126,6 +126,11 @@ fn attempt(
     }
 }
 
+/// A star for a success.
 fn letter(verdict: Option<Verdict>) -> char {
-    verdict.and_then(|v| format!("{v:?}").chars().next()).unwrap_or('-')
+    match verdict {
+        Some(Verdict::Success) => '*',
+        Some(other) => format!("{other:?}").chars().next().unwrap_or('?'),
+        None => '-',
+    }
 }

@@ -16,7 +16,7 @@ const PENETRATION_M: f64 = 0.002;
 const FINGERS: usize = 2;
 /// The hand may brush the table with this force, N.
 const TABLE_N: f64 = 1.0;
-/// A finger counts as touching from this force on, N.
+/// A finger counts as touching from this smoothed force on, N: a contact that is gone for one step of a simulator is none that a hand lost.
 const TOUCH_N: f64 = 0.01;
 /// Time constant with which forces of fingers are smoothed, s: shorter peaks are the simulator's.
 const SMOOTH_S: f64 = 0.01;
@@ -77,10 +77,10 @@ impl<'a> Watch<'a> {
     /// Looks at the state after a step; false once nothing more can be learned.
     pub fn look(&mut self, t: f64, friction: f64, engine: &Engine) -> bool {
         let on_table = engine.touches(&mut self.touches);
-        let fingers = self.forces(t);
-        let count = fingers.iter().filter(|f| **f > TOUCH_N).count();
+        self.forces(t);
+        let count = self.finger_n.iter().filter(|f| **f > TOUCH_N).count();
         if (CLOSED_S..=SQUEEZED_S).contains(&t) {
-            self.outcome.fingers_in_contact = fingers.iter().map(|f| *f > TOUCH_N).collect();
+            self.outcome.fingers_in_contact = self.finger_n.iter().map(|f| *f > TOUCH_N).collect();
         }
         if t < SQUEEZED_S {
             return true;
@@ -130,8 +130,8 @@ impl<'a> Watch<'a> {
         self.finish()
     }
 
-    /// Normal force of each finger; judges forces and depths on the way.
-    fn forces(&mut self, t: f64) -> Vec<f64> {
+    /// Smooths the normal force of each finger; judges forces and depths on the way.
+    fn forces(&mut self, t: f64) {
         let mut fingers = vec![0.0; self.finger_n.len()];
         let (mut table_n, mut depth) = (0.0, 0.0_f64);
         for touch in &self.touches {
@@ -161,7 +161,6 @@ impl<'a> Watch<'a> {
         if depth > PENETRATION_M {
             self.fail(Verdict::Penetration, t);
         }
-        fingers
     }
 
     /// How far the object has slid over each finger, and how much of the friction is used.
