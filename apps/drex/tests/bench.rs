@@ -106,7 +106,18 @@ fn a_trained_twin_grasps_and_deploys() {
         assert_eq!(file["limits"]["unit"], "mA");
         assert!(deploy.json()["driven"].is_null());
         let log = twin.join("grasp.csv");
-        let emulated = drex(["deploy", at, "--hand", "leap", "--emulate", "--hold", "1", "--log", log.to_str().unwrap(), "--json"]);
+        let emulated = drex([
+            "deploy",
+            at,
+            "--hand",
+            "leap",
+            "--emulate",
+            "--hold",
+            "1",
+            "--log",
+            log.to_str().unwrap(),
+            "--json",
+        ]);
         let driven = emulated.json()["driven"].clone();
         assert!(driven["missed"] == false && driven["lost"] == false, "{driven}");
         // What presses, presses as hard as its limit.

@@ -68,7 +68,9 @@ fn a_leap_hand_is_found_read_moved_and_recorded() {
     };
     assert!((joint("if_mcp") - 0.4).abs() < 0.01, "{status}");
     assert!((joint("mf_mcp") - 0.5).abs() < 0.05, "{moved}\n{status}");
-    assert!((moved["farthest_rad"].as_f64().unwrap() - 0.4).abs() < 0.05, "{moved}");
+    let short = moved["short"].as_array().unwrap();
+    assert!(short.len() == 1 && short[0]["joint"] == "if_mcp", "{moved}");
+    assert!((short[0]["rad"].as_f64().unwrap() - 0.4).abs() < 0.05, "{moved}");
 
     let out = hand.port.with_file_name("again.csv");
     let play = ["--play", log.to_str().unwrap(), "--out", out.to_str().unwrap()];
@@ -77,7 +79,8 @@ fn a_leap_hand_is_found_read_moved_and_recorded() {
     let text = std::fs::read_to_string(&out).unwrap();
     assert!(text.starts_with("timestamp,position_if_mcp,") || text.contains(",position_if_mcp,"), "{}", &text[..200]);
 
-    let refuse = |to: &str, words: &[&str]| drex(["hw", "move"].iter().chain(&at).chain(&["--to", to])).fails_with(words);
+    let refuse =
+        |to: &str, words: &[&str]| drex(["hw", "move"].iter().chain(&at).chain(&["--to", to])).fails_with(words);
     refuse("if_mcp=9", &["if_mcp cannot be at 9 rad"]);
     refuse("knee=0.1", &["no joint \"knee\"", "if_mcp"]);
     refuse("if_mcp", &["JOINT=RAD"]);

@@ -82,6 +82,8 @@ struct ForceLaw {
 
 /// Predicts, writes the file, and grasps if there is a hand.
 pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
+    // Before there is a hand that could be left with its torque on.
+    let stop = hw::stop_button()?;
     let ready = Ready::of(&args.grasp, seed)?;
     let grasp = ready.predict()?;
     if let Some(reason) = &grasp.cannot_hold {
@@ -117,7 +119,7 @@ pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
         HandArg::Allegro => GraspPlan::allegro(poses, closing, force),
     };
     let plan = plan.with_hold_s(args.hold);
-    let how = hw::Run { rate_hz: args.run.rate, limp: false, log: args.run.log.as_deref() };
+    let how = hw::Run { stop: &stop, rate_hz: args.run.rate, limp: false, log: args.run.log.as_deref() };
     let done = match &args.port {
         Some(port) => {
             let mut driver = hw::Driver::open(kind, port, &args.link)?;

@@ -7,9 +7,10 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use drex_core::readers::read_joint_log_csv;
 use drex_hw::control::{
-    Behaviour, ControlOptions, Ended, LoopReport, LoopStats, Stay, Trajectory, Waypoint, run, telemetry, write_csv,
+    Behaviour, ControlOptions, EStop, Ended, LoopReport, LoopStats, Stay, Trajectory, Waypoint, run, telemetry,
+    write_csv,
 };
-use drex_hw::{Clock, Hand, SystemClock};
+use drex_hw::{Clock, Hand, JointStatus, SystemClock};
 use serde_json::{Value, json};
 
 use super::{Driver, angles, stop_button};
@@ -18,11 +19,15 @@ use crate::ui::Ui;
 
 /// Cycles of telemetry that may wait for the disk.
 const WAITING_CYCLES: usize = 4000;
+/// A joint this far from where it was sent has not arrived, rad.
+const SHORT_RAD: f64 = 0.05;
 /// Time for the way to the first pose of a log that is played, s.
 const TO_THE_LOG_S: f64 = 2.0;
 
 /// How a loop is run.
 pub struct Run<'a> {
+    /// Ends it.
+    pub stop: &'a EStop,
     /// Cycles per second.
     pub rate_hz: f64,
     /// Without torque.
@@ -33,6 +38,8 @@ pub struct Run<'a> {
 
 /// Moves joints.
 pub fn move_to(args: &MoveArgs, ui: &Ui) -> Result<()> {
+    // Before there is a hand that could be left with its torque on.
+    let stop = stop_button()?;
     let mut driver = Driver::open(args.hand.hand, &args.hand.port, &args.hand.link)?;
     let mut goal = driver.read()?.position;
     let hand = driver.hand();
@@ -52,15 +59,27 @@ pub fn move_to(args: &MoveArgs, ui: &Ui) -> Result<()> {
     }
     let mut way =
         Trajectory::new(vec![Waypoint { time_s: args.seconds, position: goal.clone() }], hand.effort_caps().to_vec())?;
-    let how = Run { rate_hz: args.run.rate, limp: false, log: args.run.log.as_deref() };
+    let how = Run { stop: &stop, rate_hz: args.run.rate, limp: false, log: args.run.log.as_deref() };
     let report = drive(hand, &mut way, &SystemClock::default(), &how)?;
-    let far = goal.iter().zip(&report.state.position).map(|(g, q)| (g - q).abs()).fold(0.0, f64::max);
-    let text = format!("arrived to within {far:.3} rad\n{}", timing(&report.stats));
-    ui.answer(&json!({ "farthest_rad": far, "position_rad": report.state.position, "loop": stats(&report) }), text)
+    let off: Vec<f64> = goal.iter().zip(&report.state.position).map(|(g, q)| (g - q).abs()).collect();
+    let far = off.iter().copied().fold(0.0, f64::max);
+    let short: Vec<(&String, f64)> = hand.joints().iter().zip(off).filter(|(_, off)| *off > SHORT_RAD).collect();
+    let mut text = match short.is_empty() {
+        true => format!("arrived to within {far:.3} rad\n"),
+        false => "stopped short: something is in the way, or the cap is too low\n".to_owned(),
+    };
+    for (name, off) in &short {
+        text += &format!("  {name} by {off:.3} rad\n");
+    }
+    let short: Vec<Value> = short.iter().map(|(name, off)| json!({ "joint": name, "rad": off })).collect();
+    let position = &report.state.position;
+    let value = json!({ "farthest_rad": far, "short": short, "position_rad": position, "loop": stats(&report) });
+    ui.answer(&value, text + &timing(&report.stats))
 }
 
 /// Watches the limp hand, or plays a log.
 pub fn record(args: &RecordArgs, ui: &Ui) -> Result<()> {
+    let stop = stop_button()?;
     let mut driver = Driver::open(args.hand.hand, &args.hand.port, &args.hand.link)?;
     let hand = driver.hand();
     let caps = hand.effort_caps().to_vec();
@@ -72,7 +91,7 @@ pub fn record(args: &RecordArgs, ui: &Ui) -> Result<()> {
         }
         None => Box::new(Stay::new(args.seconds, caps)),
     };
-    let how = Run { rate_hz: args.rate, limp: args.play.is_none(), log: Some(&args.out) };
+    let how = Run { stop: &stop, rate_hz: args.rate, limp: args.play.is_none(), log: Some(&args.out) };
     let report = drive(hand, &mut behaviour, &SystemClock::default(), &how)?;
     let text = format!("{} cycles in {}\n{}", report.stats.cycles, args.out.display(), timing(&report.stats));
     ui.answer(&json!({ "out": args.out, "loop": stats(&report) }), text)
@@ -88,10 +107,12 @@ pub fn drive(
     clock: &dyn Clock,
     how: &Run<'_>,
 ) -> Result<LoopReport> {
-    let stop = stop_button()?;
-    let mut options = ControlOptions::default().with_rate_hz(how.rate_hz).with_estop(&stop);
+    let mut options = ControlOptions::default().with_rate_hz(how.rate_hz).with_estop(how.stop);
     options.limp = how.limp;
-    let Some(log) = how.log else { return ended(run(hand, behaviour, clock, options)) };
+    let Some(log) = how.log else {
+        let report = run(hand, behaviour, clock, options);
+        return ended(report, hand.joints());
+    };
     let (names, unit) = (hand.joints().to_vec(), hand.effort_unit());
     // Under its name only when it is whole.
     let part = log.with_extension("csv.part");
@@ -107,15 +128,29 @@ pub fn drive(
         }
     })?;
     std::fs::rename(&part, log).with_context(|| format!("cannot rename {} to {}", part.display(), log.display()))?;
-    ended(report)
+    ended(report, hand.joints())
 }
 
-fn ended(report: LoopReport) -> Result<LoopReport> {
+/// A loop that did what it should, with all joints at the end.
+fn ended(report: LoopReport, joints: &[String]) -> Result<LoopReport> {
     if let Err(error) = report.torque_off {
         bail!("the torque may still be on: {error}. Switch the hand's power off");
     }
     match report.ended {
-        Ended::Done => Ok(report),
+        Ended::Done => {
+            let ill =
+                |s: &JointStatus| matches!(s, JointStatus::Silent | JointStatus::Faulted(_) | JointStatus::Recovering);
+            let ill: Vec<String> = joints
+                .iter()
+                .zip(&report.state.status)
+                .filter(|(_, s)| ill(s))
+                .map(|(name, status)| format!("{name} ({status:?})").to_lowercase())
+                .collect();
+            if !ill.is_empty() {
+                bail!("torque off, but {} went wrong on the way: see drex hw status", ill.join(", "));
+            }
+            Ok(report)
+        }
         Ended::Stopped => bail!("stopped: torque off"),
         Ended::Failed(error) => Err(error).context("torque off"),
         Ended::Panicked(what) => bail!("torque off after a fault of this program: {what}"),

@@ -24,7 +24,10 @@ pub fn ping(args: &HandArgs, ui: &Ui) -> Result<()> {
     match args.hand {
         HandArg::Leap => ping_leap(args, ui),
         HandArg::Allegro => {
-            let Driver::Allegro(hand) = Driver::open(args.hand, &args.port, &args.link)? else { return Ok(()) };
+            let mut driver = Driver::open(args.hand, &args.port, &args.link)?;
+            // All fingers have told where they are, and what else the hand has to say has come before.
+            driver.read()?;
+            let Driver::Allegro(hand) = driver else { return Ok(()) };
             let info = hand.info();
             let value = serde_json::json!({
                 "hand": "allegro",

@@ -89,6 +89,9 @@ impl Driver {
         }
         let silent = hand.joints().iter().zip(&state.age).filter(|(_, a)| **a == u32::MAX);
         let names: Vec<&str> = silent.map(|(n, _)| n.as_str()).collect();
+        if names.len() == hand.joints().len() {
+            bail!("nothing was heard of the hand: check its power, the cable and which generation it is");
+        }
         bail!("{} never said where they are: check power and cables", names.join(", "));
     }
 }
