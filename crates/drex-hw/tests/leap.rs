@@ -472,3 +472,36 @@ fn motors_that_were_told_to_be_quiet_and_other_zeros() {
     assert_eq!(motor(&leap, j), 15);
     assert!((state.position[j] - 48.0 * table::RAD_PER_TICK).abs() < 1e-9);
 }
+
+#[test]
+fn a_hand_that_answers_late_is_driven_too() {
+    for ms in [10, 22, 35] {
+        let hand = LeapEmulator::new();
+        let port = hand.port().with_lateness(Duration::from_millis(ms));
+        let mut late = options().with_watchdog(Duration::from_millis(200));
+        late.timing = None;
+        let mut leap = LeapHand::connect(port, &robot(), late).expect("connects");
+        assert_eq!(leap.bus_stats().timeouts, 0);
+        leap.turn_on().expect("on");
+        let state = run(&mut leap, &hand, Some(&all(0.3, 400.0)), 1500);
+        assert!(state.position.iter().all(|q| (q - 0.3).abs() < 0.03), "{ms} ms: {:?}", state.position);
+        assert_eq!((state.age, state.status), (vec![0; 16], vec![JointStatus::Driven; 16]));
+        drop(leap);
+        assert_eq!(hand.under_torque(), 0);
+    }
+}
+
+#[test]
+fn a_silent_motor_holds_a_loop_up_for_a_bounded_time() {
+    let hand = LeapEmulator::new();
+    let mut late = options();
+    late.timing = None;
+    let port = hand.port().with_lateness(Duration::from_millis(1));
+    let mut leap = LeapHand::connect(port, &robot(), late).expect("connects");
+    let mut state = HandState::new(16);
+    hand.inject(Fault::Mute(7), 1);
+    let before = hand.now();
+    leap.cycle(None, &mut state).expect("exchange");
+    let took = hand.now() - before;
+    assert!(took < Duration::from_millis(20), "{took:?}");
+}

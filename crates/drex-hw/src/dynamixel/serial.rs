@@ -111,6 +111,10 @@ impl Port for SerialPort {
         Ok(())
     }
 
+    fn baud(&self) -> Option<u32> {
+        Some(self.baud)
+    }
+
     fn reopen(&mut self) -> io::Result<()> {
         // The lock of the old device goes first: it may be the same one.
         self.device = None;

@@ -31,6 +31,7 @@ impl<P: Port> Hand for LeapHand<P> {
     }
 
     fn turn_on(&mut self) -> Result<()> {
+        self.bus.set_timing(self.patient);
         if self.lost {
             self.reopen()?;
         }
@@ -45,6 +46,7 @@ impl<P: Port> Hand for LeapHand<P> {
 
     /// A command that must not be followed leaves the last one in force; the joints are read all the same.
     fn cycle(&mut self, command: Option<&HandCommand>, state: &mut HandState) -> Result<()> {
+        self.bus.set_timing(self.brisk);
         let refused = command.map_or(Ok(()), |c| c.check(&self.names));
         let done = self.exchange(command.filter(|_| refused.is_ok()));
         if let Err(Error::Port { .. }) = done {

@@ -12,8 +12,6 @@ use super::table::{self, MotorModel};
 use crate::dynamixel::{Answers, Bus, BusStats, Port, SerialPort, Timing};
 use crate::{Error, Result};
 
-/// Patience with an adapter that does not tell its latency.
-const UNKNOWN_LATENCY: Duration = Duration::from_millis(4);
 /// How long a hand may take to be set up.
 pub(super) const SETUP_TIME: Duration = Duration::from_secs(2);
 /// Speeds at which motors may be, if not at the expected one.
@@ -39,6 +37,9 @@ pub(super) const HEALTH_ADDRESS: u16 = table::INDIRECT_DATA.address + COMMAND as
 pub struct LeapHand<P: Port> {
     pub(super) bus: Bus<P>,
     pub(super) options: LeapOptions,
+    /// How long motors may take when nothing waits for them, and in an exchange.
+    pub(super) patient: Timing,
+    pub(super) brisk: Timing,
     /// In the order of the robot model, as all that follows.
     pub(super) joints: Vec<Joint>,
     pub(super) names: Vec<String>,
@@ -86,12 +87,15 @@ impl<P: Port> LeapHand<P> {
     pub fn connect(port: P, robot: &Robot, options: LeapOptions) -> Result<Self> {
         options.check()?;
         let joints = joints(robot, &options)?;
-        let timing = options.timing.unwrap_or_else(|| Timing::for_latency(port.latency().unwrap_or(UNKNOWN_LATENCY)));
+        let known = options.timing.or_else(|| port.latency().map(Timing::for_latency));
+        let timing = known.unwrap_or_default();
         // All joints have limits, or there would be no `joints`.
         let limits: Vec<_> = robot.joints.iter().filter_map(|j| j.limits).collect();
         let connected = port.now();
         let mut hand = Self {
             bus: Bus::new(port, timing),
+            patient: timing,
+            brisk: timing,
             names: joints.iter().map(|j| j.name.clone()).collect(),
             caps_ma: vec![0.0; joints.len()],
             joints,
@@ -119,6 +123,9 @@ impl<P: Port> LeapHand<P> {
         hand.set_up_all()?;
         hand.regroup()?;
         hand.read_health()?;
+        if known.is_none() {
+            hand.brisk = Timing::for_loop(hand.bus.slowest());
+        }
         Ok(hand)
     }
 

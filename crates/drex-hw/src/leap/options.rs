@@ -55,7 +55,7 @@ pub struct LeapOptions {
     pub recoveries: u32,
     /// Speed of the bus.
     pub baud: u32,
-    /// How long motors may take; `None` follows the adapter's latency timer.
+    /// How long motors may take; `None` follows the adapter's latency timer, or what is seen when connecting.
     pub timing: Option<Timing>,
 }
 
