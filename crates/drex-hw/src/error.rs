@@ -117,7 +117,9 @@ fn status_meaning(number: u8) -> &'static str {
         4 => "the value is out of range (4), or its bus watchdog has run out; clear the watchdog first",
         5 => "the value has the wrong length (5); check the control table of its model",
         6 => "the value is beyond a limit set in the motor (6); stay within the current limit in register 38",
-        7 => "the register is locked or read-only (7); take its torque off first",
+        7 => {
+            "the register is locked or read-only, or there is none at this address to read (7); take its torque off before a write, and read only addresses that its control table has"
+        }
         _ => "an error number that the protocol does not have; check its firmware",
     }
 }

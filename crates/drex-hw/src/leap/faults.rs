@@ -73,14 +73,18 @@ impl<P: Port> LeapHand<P> {
     /// Finds out how a motor is that was away, and brings it to where the others are.
     pub(super) fn look_again(&mut self, j: usize) -> Result<()> {
         let id = self.joints[j].id;
-        let mut block = [0; 35];
-        let start = table::TORQUE_ENABLE.address;
-        match self.bus.read(id, start, &mut block) {
-            Err(Error::Silent { .. } | Error::Refused { .. }) => return Ok(()),
+        // One by one: a motor refuses to read across the addresses between them.
+        let read =
+            self.bus.get(id, table::TORQUE_ENABLE).and_then(|t| Ok((t, self.bus.get(id, table::HARDWARE_ERROR)?)));
+        let (torque, bits) = match read {
+            Err(Error::Silent { .. }) => return Ok(()),
+            Err(refused @ Error::Refused { .. }) => {
+                self.joints[j].trouble = Some(refused.to_string());
+                return Ok(());
+            }
             other => other?,
         };
-        let torque = table::TORQUE_ENABLE.in_block(start, &block) == 1;
-        let bits = table::HARDWARE_ERROR.in_block(start, &block);
+        let torque = torque == 1;
         self.note_error(j, bits);
         let steps = match self.joints[j].life {
             // Switched off without an error: it was without power and remembers nothing.
@@ -98,7 +102,11 @@ impl<P: Port> LeapHand<P> {
             _ => Ok(()),
         };
         match steps {
-            Err(Error::Silent { .. } | Error::Refused { .. }) => Ok(()),
+            Err(Error::Silent { .. }) => Ok(()),
+            Err(refused @ Error::Refused { .. }) => {
+                self.joints[j].trouble = Some(refused.to_string());
+                Ok(())
+            }
             other => other,
         }
     }
