@@ -73,7 +73,7 @@ pub enum Error {
         remedy: String,
     },
     /// No motor of a hand answers.
-    #[error("no motor answers on {port}; {remedy}")]
+    #[error("no motor of the hand answers in time on {port}; {remedy}")]
     NoMotors {
         /// Name of the port.
         port: String,
@@ -93,7 +93,7 @@ pub enum Error {
     #[error("signals cannot stop the hand: {0}; stop it otherwise")]
     Signals(std::io::Error),
     /// A motor does not answer.
-    #[error("motor {id} does not answer; check its power, cable, id and baud rate")]
+    #[error("motor {id} does not answer; check its power, cable, id and speed (baud)")]
     Silent {
         /// Who.
         id: u8,

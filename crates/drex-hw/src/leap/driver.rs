@@ -14,6 +14,9 @@ use crate::{Error, Result};
 
 /// How long a hand may take to be set up.
 pub(super) const SETUP_TIME: Duration = Duration::from_secs(2);
+/// Patience with a hand that seems not to be there, at the speed that it should have and at others.
+const LATE: Duration = Duration::from_millis(250);
+const ELSEWHERE: Duration = Duration::from_millis(60);
 /// Speeds at which motors may be, if not at the expected one.
 const SPEEDS: [u32; 7] = [57_600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115_200, 9_600];
 
@@ -190,10 +193,12 @@ impl<P: Port> LeapHand<P> {
             return Err(self.nobody());
         };
         let pong = pong?;
-        let model = MotorModel::from_number(pong.model).ok_or_else(|| Error::NoMotors {
-            port: self.bus.port().name().to_owned(),
-            remedy: format!("motor {} is of model {}, expected an XC330-M288 or XL330-M288", pong.id, pong.model),
-        })?;
+        let Some(model) = MotorModel::from_number(pong.model) else {
+            // It is a motor of `joints` that was asked.
+            let j = self.joints.iter().position(|j| j.id == pong.id).unwrap_or(0);
+            let what = format!("is of model {}", pong.model);
+            return Err(self.wrong(j, what, "build the hand with XC330-M288 (1240) or XL330-M288 (1200) alone"));
+        };
         let most = f64::from(model.current_limit_max_ma());
         let cap = self.options.cap_ma.unwrap_or(model.recommended_cap_ma());
         if cap > most {
@@ -209,20 +214,44 @@ impl<P: Port> LeapHand<P> {
 
     /// Why nobody answers, as far as it can be found out.
     fn nobody(&mut self) -> Error {
-        let expected = self.options.baud;
-        let ids = self.ids();
-        let heard = SPEEDS.into_iter().filter(|s| *s != expected).find(|speed| {
-            let set = self.bus.port().set_baud(*speed).is_ok();
-            set && ids.first().is_some_and(|id| self.bus.ping(*id).is_ok())
-        });
-        let remedy = match heard {
-            Some(speed) => format!(
-                "motor {} answers at {speed} baud: connect with LeapOptions::with_baud({speed}), or set the speed of all motors to {expected}",
-                ids[0]
-            ),
-            None => "switch on its 5 V supply, check the cable, and that no other program changed the ids".into(),
+        let expected = self.bus.port().baud().unwrap_or(self.options.baud);
+        let (patience, ours) = (self.patient.first_byte.as_millis(), self.ids());
+        let heard = self.heard_at(expected, LATE);
+        let remedy = if heard.iter().any(|id| ours.contains(id)) {
+            format!(
+                "motors {heard:?} answer later than {patience} ms: end programs that keep the computer busy, or set the latency timer of the adapter to 1 ms"
+            )
+        } else if !heard.is_empty() {
+            format!("motors {heard:?} answer, but the hand has {ours:?}: set their ids")
+        } else {
+            let others = SPEEDS.into_iter().filter(|s| *s != expected);
+            let found =
+                others.map(|speed| (speed, self.heard_at(speed, ELSEWHERE))).find(|(_, heard)| !heard.is_empty());
+            match found {
+                Some((speed, heard)) => format!(
+                    "at a speed of {speed} baud motors {heard:?} do: connect at this speed, or set the speed of all motors to {expected} baud"
+                ),
+                None => "switch on its 5 V supply, check the cable, and that no other program changed the ids".into(),
+            }
         };
+        // Somebody may go on with the port.
+        let _ = self.bus.port().set_baud(expected);
         Error::NoMotors { port: self.bus.port().name().to_owned(), remedy }
+    }
+
+    /// Who answers twice at `speed`: what comes late from a question before it is not taken for an answer.
+    fn heard_at(&mut self, speed: u32, patience: Duration) -> Vec<u8> {
+        let mut listen = || {
+            self.bus.port().set_baud(speed).map_err(|_| Error::Silent { id: 0 })?;
+            self.bus.set_timing(Timing::default().with_patience(patience));
+            self.bus.pause(patience)?;
+            let _ = self.bus.port().clear_input();
+            let first = self.bus.scan()?;
+            if first.is_empty() { Ok(first) } else { self.bus.scan() }
+        };
+        // A port that fails here, or does not know the speed, hears nobody.
+        let pongs: Result<_> = listen();
+        pongs.map_or_else(|_| Vec::new(), |pongs| pongs.iter().map(|p| p.id).collect())
     }
 
     /// Says anew who is asked together.
@@ -270,7 +299,7 @@ fn joints(robot: &Robot, options: &LeapOptions) -> Result<Vec<Joint>> {
     }
     let of = |joint: &drex_robot::Joint| {
         let wiring = find(&joint.name).ok_or_else(|| {
-            Error::value(format!("no motor for joint {}", joint.name), "name its motor in LeapOptions::joints")
+            Error::value(format!("no motor for joint {}", joint.name), "name its motor among those of the hand")
         })?;
         let Some((low, high)) = joint.limits.filter(|(low, high)| -TURN <= *low && low <= high && *high <= TURN) else {
             let what = format!("joint {} with limits of {:?} rad", joint.name, joint.limits);

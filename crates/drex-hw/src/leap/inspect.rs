@@ -99,7 +99,7 @@ pub(super) fn inspect_motors<P: Port>(bus: &mut Bus<P>, options: &LeapOptions) -
         if offset != 0 {
             say(
                 format!("its homing offset is {offset} ticks"),
-                "set register 20 to 0, or take it into LeapOptions::with_zero",
+                "set register 20 to 0, or take it into the zero of this joint",
             );
         }
         let errors = table::HARDWARE_ERROR.in_block(0, &head);

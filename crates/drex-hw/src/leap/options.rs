@@ -156,7 +156,7 @@ impl LeapOptions {
     }
 
     pub(super) fn check(&self) -> Result<()> {
-        let bad = |what: String| Err(Error::value(what, "start from LeapOptions::right()"));
+        let bad = |what: String| Err(Error::value(what, "start from the options of a right or left hand"));
         for (i, joint) in self.joints.iter().enumerate() {
             if joint.id > 252 || self.joints[..i].iter().any(|j| j.id == joint.id || j.name == joint.name) {
                 return bad(format!("motor {} or joint {} twice, or an id above 252", joint.id, joint.name));

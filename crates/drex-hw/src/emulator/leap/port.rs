@@ -83,7 +83,9 @@ impl Port for EmulatorPort {
     fn write_all(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.check()?;
         self.hand.pass(self.wire(bytes.len()) + TURNAROUND);
-        let hesitated = self.hand.exchange(bytes, &mut self.reply);
+        // What is sent at another speed than theirs is noise to motors.
+        let heard = if self.baud == self.hand.baud() { bytes } else { &[] };
+        let hesitated = self.hand.exchange(heard, &mut self.reply);
         self.hand.pass(hesitated);
         if !self.reply.is_empty() {
             self.ready = self.now() + self.late;
