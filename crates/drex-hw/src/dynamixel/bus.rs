@@ -126,6 +126,11 @@ impl<P: Port> Bus<P> {
         BusStats { rejected: self.parser.rejected(), ..self.stats }
     }
 
+    /// How long motors may take.
+    pub fn timing(&self) -> Timing {
+        self.timing
+    }
+
     /// Says how long motors may take from now on.
     pub fn set_timing(&mut self, timing: Timing) {
         self.timing = timing;

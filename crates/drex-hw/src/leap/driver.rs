@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use drex_robot::Robot;
 
+use super::absent::nobody;
 use super::inspect::{Finding, inspect_motors, inspect_port};
 use super::joint::{Joint, MotorHealth};
 use super::options::LeapOptions;
@@ -14,12 +15,6 @@ use crate::{Error, Result};
 
 /// How long a hand may take to be set up.
 pub(super) const SETUP_TIME: Duration = Duration::from_secs(2);
-/// Patience with a hand that seems not to be there, at the speed that it should have and at others.
-const LATE: Duration = Duration::from_millis(250);
-const ELSEWHERE: Duration = Duration::from_millis(60);
-/// Speeds at which motors may be, if not at the expected one.
-const SPEEDS: [u32; 7] = [57_600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115_200, 9_600];
-
 /// One turn, rad.
 const TURN: f64 = std::f64::consts::TAU;
 
@@ -90,7 +85,7 @@ impl<P: Port> LeapHand<P> {
     pub fn connect(port: P, robot: &Robot, options: LeapOptions) -> Result<Self> {
         options.check()?;
         let joints = joints(robot, &options)?;
-        let known = options.timing.or_else(|| port.latency().map(Timing::for_latency));
+        let known = known_timing(&port, &options);
         let timing = known.unwrap_or_default();
         // All joints have limits, or there would be no `joints`.
         let limits: Vec<_> = robot.joints.iter().filter_map(|j| j.limits).collect();
@@ -190,7 +185,8 @@ impl<P: Port> LeapHand<P> {
             Err(Error::Silent { .. }) => None,
             other => Some(other),
         }) else {
-            return Err(self.nobody());
+            let ids = self.ids();
+            return Err(nobody(&mut self.bus, &ids, self.options.baud));
         };
         let pong = pong?;
         let Some(model) = MotorModel::from_number(pong.model) else {
@@ -210,48 +206,6 @@ impl<P: Port> LeapHand<P> {
         self.model = model;
         self.caps_ma.fill(cap);
         Ok(())
-    }
-
-    /// Why nobody answers, as far as it can be found out.
-    fn nobody(&mut self) -> Error {
-        let expected = self.bus.port().baud().unwrap_or(self.options.baud);
-        let (patience, ours) = (self.patient.first_byte.as_millis(), self.ids());
-        let heard = self.heard_at(expected, LATE);
-        let remedy = if heard.iter().any(|id| ours.contains(id)) {
-            format!(
-                "motors {heard:?} answer later than {patience} ms: end programs that keep the computer busy, or set the latency timer of the adapter to 1 ms"
-            )
-        } else if !heard.is_empty() {
-            format!("motors {heard:?} answer, but the hand has {ours:?}: set their ids")
-        } else {
-            let others = SPEEDS.into_iter().filter(|s| *s != expected);
-            let found =
-                others.map(|speed| (speed, self.heard_at(speed, ELSEWHERE))).find(|(_, heard)| !heard.is_empty());
-            match found {
-                Some((speed, heard)) => format!(
-                    "at a speed of {speed} baud motors {heard:?} do: connect at this speed, or set the speed of all motors to {expected} baud"
-                ),
-                None => "switch on its 5 V supply, check the cable, and that no other program changed the ids".into(),
-            }
-        };
-        // Somebody may go on with the port.
-        let _ = self.bus.port().set_baud(expected);
-        Error::NoMotors { port: self.bus.port().name().to_owned(), remedy }
-    }
-
-    /// Who answers twice at `speed`: what comes late from a question before it is not taken for an answer.
-    fn heard_at(&mut self, speed: u32, patience: Duration) -> Vec<u8> {
-        let mut listen = || {
-            self.bus.port().set_baud(speed).map_err(|_| Error::Silent { id: 0 })?;
-            self.bus.set_timing(Timing::default().with_patience(patience));
-            self.bus.pause(patience)?;
-            let _ = self.bus.port().clear_input();
-            let first = self.bus.scan()?;
-            if first.is_empty() { Ok(first) } else { self.bus.scan() }
-        };
-        // A port that fails here, or does not know the speed, hears nobody.
-        let pongs: Result<_> = listen();
-        pongs.map_or_else(|_| Vec::new(), |pongs| pongs.iter().map(|p| p.id).collect())
     }
 
     /// Says anew who is asked together.
@@ -291,8 +245,13 @@ pub(super) fn command(current: i16, ticks: i32) -> [u8; COMMAND] {
     [a, b, c, d, e, f]
 }
 
+/// How long motors may take, if somebody says so or the adapter tells.
+pub(super) fn known_timing<P: Port>(port: &P, options: &LeapOptions) -> Option<Timing> {
+    options.timing.or_else(|| port.latency().map(Timing::for_latency))
+}
+
 /// The joints of the model in its order, each with its motor.
-fn joints(robot: &Robot, options: &LeapOptions) -> Result<Vec<Joint>> {
+pub(super) fn joints(robot: &Robot, options: &LeapOptions) -> Result<Vec<Joint>> {
     let find = |name: &str| options.joints.iter().position(|j| j.name == name);
     if let Some(extra) = options.joints.iter().find(|j| robot.joint_index(&j.name).is_none()) {
         robot.require_joint(&extra.name)?;
