@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use super::driver::{HEALTH_ADDRESS, LeapHand};
+use super::driver::{HEALTH_ADDRESS, LeapHand, command};
 use super::joint::{Life, MotorHealth};
 use super::table::{self, hardware_error};
 use crate::dynamixel::Port;
@@ -111,21 +111,27 @@ impl<P: Port> LeapHand<P> {
         }
     }
 
-    /// Lets a motor that froze take goals again.
+    /// Lets a motor that froze take goals again: from where it is, with a current that rises anew.
     fn rearm(&mut self, j: usize) -> Result<()> {
         let id = self.joints[j].id;
         self.bus.set(id, table::BUS_WATCHDOG, 0)?;
-        self.bus.set(id, table::BUS_WATCHDOG, self.options.watchdog_units())
+        let here = self.bus.get(id, table::PRESENT_POSITION)?;
+        self.bus.write(id, table::INDIRECT_DATA.address, &command(self.start_current(), here))?;
+        self.bus.set(id, table::BUS_WATCHDOG, self.options.watchdog_units())?;
+        self.joints[j].life = Life::Driven { since: self.now() };
+        Ok(())
     }
 
-    /// Starts the watchdogs of all motors anew with the next question: the program was away for so long that they may have frozen.
+    /// Starts the watchdogs of all motors anew with the next question: they would run out soon.
     pub(super) fn rearm_all(&mut self) -> Result<()> {
-        let units = [self.options.watchdog_units()];
-        for value in [&[0], &units] {
-            let ids = self.joints.iter().filter(|j| matches!(j.life, Life::Driven { .. }));
-            self.bus.queue_sync_write(table::BUS_WATCHDOG.address, 1, ids.map(|j| (j.id, &value[..])))?;
-        }
-        Ok(())
+        self.tell_driven(0)?;
+        self.tell_driven(self.options.watchdog_units())
+    }
+
+    /// Queues a value of the watchdog for all motors under torque.
+    pub(super) fn tell_driven(&mut self, watchdog: u8) -> Result<()> {
+        let (driven, value) = (self.joints.iter().filter(|j| matches!(j.life, Life::Driven { .. })), [watchdog]);
+        self.bus.queue_sync_write(table::BUS_WATCHDOG.address, 1, driven.map(|j| (j.id, &value[..])))
     }
 
     /// Goes on with at most one motor that needs care, so that the others wait little.
