@@ -73,7 +73,7 @@ pub enum Error {
         remedy: String,
     },
     /// No motor of a hand answers.
-    #[error("no motor answers on {port}; {remedy}")]
+    #[error("no motor of the hand answers in time on {port}; {remedy}")]
     NoMotors {
         /// Name of the port.
         port: String,
@@ -93,7 +93,7 @@ pub enum Error {
     #[error("signals cannot stop the hand: {0}; stop it otherwise")]
     Signals(std::io::Error),
     /// A motor does not answer.
-    #[error("motor {id} does not answer; check its power, cable, id and baud rate")]
+    #[error("motor {id} does not answer; check its power, cable, id and speed (baud)")]
     Silent {
         /// Who.
         id: u8,
@@ -117,7 +117,9 @@ fn status_meaning(number: u8) -> &'static str {
         4 => "the value is out of range (4), or its bus watchdog has run out; clear the watchdog first",
         5 => "the value has the wrong length (5); check the control table of its model",
         6 => "the value is beyond a limit set in the motor (6); stay within the current limit in register 38",
-        7 => "the register is locked or read-only (7); take its torque off first",
+        7 => {
+            "the register is locked or read-only, or there is none at this address to read (7); take its torque off before a write, and read only addresses that its control table has"
+        }
         _ => "an error number that the protocol does not have; check its firmware",
     }
 }

@@ -81,8 +81,21 @@ fn a_refusal_says_what_and_why() {
     bus.set(0, table::TORQUE_ENABLE, 1).expect("on");
     let error = bus.set(0, table::MODE, 5).expect_err("locked");
     assert!(matches!(error, Error::Refused { id: 0, number: 7 }), "{error}");
-    assert!(error.to_string().contains("torque off first"), "{error}");
+    assert!(error.to_string().contains("torque off before a write"), "{error}");
     assert!(matches!(bus.ping(99), Err(Error::Silent { id: 99 })));
+}
+
+#[test]
+fn addresses_that_mean_nothing_are_not_read_across() {
+    let hand = LeapEmulator::new();
+    let mut bus = bus(&hand);
+    for (address, len) in [(0, 71), (64, 35), (13, 2), (147, 30), (60, 2)] {
+        let error = bus.read(0, address, &mut vec![0; len]).expect_err("there is nothing in between");
+        assert!(matches!(error, Error::Refused { number: 7, .. }) && error.to_string().contains("to read"), "{error}");
+    }
+    for (address, len) in [(0, 14), (31, 9), (62, 4), (68, 3), (98, 50), (168, 60)] {
+        bus.read(0, address, &mut vec![0; len]).expect("defined");
+    }
 }
 
 #[test]
@@ -168,6 +181,19 @@ mod pty {
     use drex_hw::emulator::pty::PtyServer;
 
     #[test]
+    fn a_slow_bus_is_given_the_time_that_its_bytes_need() {
+        let hand = LeapEmulator::new();
+        let server = PtyServer::serve(hand.paced(9600), None).expect("pty");
+        (0..16).for_each(|id| hand.set(id, table::RETURN_DELAY, 0));
+        let port = SerialPort::open(server.path(), 9600).expect("opens");
+        // The common answer alone takes 240 ms.
+        let mut bus = Bus::new(port, Timing::default().with_patience(Duration::from_millis(100)));
+        let mut answers = all();
+        bus.sync_read(PRESENT, &mut answers).expect("port");
+        assert_eq!((answers.answered(), bus.stats().questions), (16, 1));
+    }
+
+    #[test]
     fn a_serial_port_works_and_has_one_user() {
         let folder = tempfile::tempdir().expect("folder");
         let link = folder.path().join("leap");
@@ -200,5 +226,29 @@ mod pty {
         bus.ping(1).expect("answers again");
         drop(server);
         assert!(!link.exists());
+    }
+}
+
+#[test]
+fn answers_that_come_late_behind_an_adapter_that_does_not_tell() {
+    for ms in [10, 20, 35] {
+        let hand = LeapEmulator::new();
+        let port = hand.port().with_lateness(Duration::from_millis(ms));
+        let mut bus = Bus::new(port, Timing::default());
+        bus.ping(3).expect("ping");
+        bus.set(3, table::GOAL_CURRENT, 50).expect("write");
+        assert_eq!(bus.get(3, table::GOAL_CURRENT).expect("read"), 50);
+        assert_eq!(bus.scan().expect("scan").len(), 16);
+        assert_eq!((bus.slowest() + Duration::from_millis(1)).as_millis() as u64, ms, "without the bytes");
+        assert_eq!(bus.stats().timeouts, 0, "{ms} ms");
+    }
+}
+
+#[test]
+fn a_loop_waits_twice_as_long_as_answers_took_within_bounds() {
+    let ms = Duration::from_millis;
+    for (worst, patience) in [(0, 10), (1, 10), (12, 29), (35, 50), (500, 50)] {
+        let timing = Timing::for_loop(ms(worst));
+        assert_eq!((timing.first_byte, timing.gap), (ms(patience), ms(patience)), "{worst} ms");
     }
 }

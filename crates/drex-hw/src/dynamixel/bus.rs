@@ -8,10 +8,14 @@ use crate::{Error, Result};
 
 /// Bytes that a batch of packets may take.
 const OUT: usize = 1024;
+/// Patience with an adapter that does not tell its latency, or with a program on a busy machine.
+const UNKNOWN: Duration = Duration::from_millis(50);
+/// Least patience in a loop behind such an adapter.
+const LEAST: Duration = Duration::from_millis(10);
 /// Reads that are thrown away before a question; more is not left-over but noise without an end.
 const DRAINS: usize = 16;
 
-/// How long motors may take.
+/// How long motors may take, besides the time that the bytes themselves need at the speed of the port.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Timing {
@@ -25,7 +29,7 @@ pub struct Timing {
 
 impl Default for Timing {
     fn default() -> Self {
-        Self::for_latency(Duration::from_millis(16))
+        Self::for_latency(Duration::ZERO).with_patience(UNKNOWN)
     }
 }
 
@@ -33,6 +37,13 @@ impl Timing {
     /// For an adapter that keeps received bytes back for `latency`.
     pub fn for_latency(latency: Duration) -> Self {
         Self { first_byte: latency + Duration::from_millis(6), gap: latency + Duration::from_millis(4), follow_ups: 3 }
+    }
+
+    /// For a loop, where a silent motor holds the others up, after answers took `worst` to come: twice as long and a bit, from 10
+    /// to 50 ms.
+    pub fn for_loop(worst: Duration) -> Self {
+        let patience = (worst * 2 + Duration::from_millis(5)).clamp(LEAST, UNKNOWN);
+        Self::for_latency(Duration::ZERO).with_patience(patience)
     }
 
     /// The same with other times, for both the first byte and the next.
@@ -77,6 +88,10 @@ pub struct Bus<P> {
     out: [u8; OUT],
     queued: usize,
     pub(super) timing: Timing,
+    /// Time that the last question and its answer need on the wire.
+    wire: Duration,
+    /// Longest time beyond that which a single motor took to answer.
+    slowest: Duration,
     pub(super) stats: BusStats,
     /// Whether several motors are asked for one common answer.
     pub(super) fast: bool,
@@ -93,6 +108,8 @@ impl<P: Port> Bus<P> {
             out: [0; OUT],
             queued: 0,
             timing,
+            wire: Duration::ZERO,
+            slowest: Duration::ZERO,
             stats: BusStats::default(),
             fast: true,
             fast_doubts: 0,
@@ -107,6 +124,21 @@ impl<P: Port> Bus<P> {
     /// What was seen so far.
     pub fn stats(&self) -> BusStats {
         BusStats { rejected: self.parser.rejected(), ..self.stats }
+    }
+
+    /// How long motors may take.
+    pub fn timing(&self) -> Timing {
+        self.timing
+    }
+
+    /// Says how long motors may take from now on.
+    pub fn set_timing(&mut self, timing: Timing) {
+        self.timing = timing;
+    }
+
+    /// Longest time that a single motor took to answer so far, besides the time of the bytes.
+    pub fn slowest(&self) -> Duration {
+        self.slowest
     }
 
     /// Whether several motors are asked by fast sync read; turned off for good after motors did not know it.
@@ -138,7 +170,7 @@ impl<P: Port> Bus<P> {
         self.send(14)?;
         let mut found: Vec<Pong> = Vec::new();
         // A motor with a high id waits for its turn, so the first one may be late.
-        let mut wait = self.timing.first_byte + Duration::from_millis(40);
+        let mut wait = self.first_wait() + Duration::from_millis(40);
         let end = self.port.now() + Duration::from_secs(3);
         while self.port.now() < end {
             while let Some(p) = self.parser.next_packet() {
@@ -152,7 +184,7 @@ impl<P: Port> Bus<P> {
             if !self.receive(wait)? {
                 break;
             }
-            wait = self.timing.gap + Duration::from_millis(40);
+            wait = self.gap_wait() + Duration::from_millis(40);
         }
         found.sort_by_key(|p| p.id);
         Ok(found)
@@ -192,14 +224,17 @@ impl<P: Port> Bus<P> {
         self.queue(id, instruction, |packet| params.iter().for_each(|p| packet.push(p)))?;
         let length = 11 + data.len();
         self.send(length + length / 3)?;
-        let mut wait = self.timing.first_byte;
-        let end = self.port.now() + wait + self.timing.gap * 8;
+        let mut wait = self.first_wait();
+        let sent = self.port.now();
+        let end = sent + wait + self.gap_wait() * 8;
         loop {
             while let Some(p) = self.parser.next_packet() {
                 let (self::instruction::STATUS, Some((error, reply))) = (p.instruction, p.params.split_first()) else {
                     continue;
                 };
                 if p.id == id && reply.len() == data.len() {
+                    let took = self.port.now().saturating_sub(sent + self.wire);
+                    self.slowest = self.slowest.max(took);
                     data.copy_from_slice(reply);
                     return Ok(*error);
                 }
@@ -215,7 +250,7 @@ impl<P: Port> Bus<P> {
                 self.stats.timeouts += 1;
                 return Err(Error::Silent { id });
             }
-            wait = self.timing.gap;
+            wait = self.gap_wait();
         }
     }
 
@@ -261,7 +296,22 @@ impl<P: Port> Bus<P> {
             }
         }
         self.parser.reset(longest);
+        let bits = 10 * (queued + longest) as u64;
+        // A port without a speed has no wire.
+        self.wire = self.port.baud().map_or(Duration::ZERO, |baud| {
+            Duration::from_nanos((bits * 1_000_000_000).div_ceil(u64::from(baud.max(1))))
+        });
         self.port.write_all(&self.out[..queued]).map_err(|e| lost(&self.port, e))
+    }
+
+    /// How long to wait for the first byte of an answer: a write returns before its bytes are on the wire.
+    pub(super) fn first_wait(&self) -> Duration {
+        self.timing.first_byte + self.wire
+    }
+
+    /// How long to wait for more bytes: an adapter may keep all of an answer until it is complete.
+    pub(super) fn gap_wait(&self) -> Duration {
+        self.timing.gap + self.wire
     }
 
     /// Sends what is queued and waits for no answer.

@@ -37,6 +37,11 @@ pub trait Port: Clock {
     /// If the port cannot run at this speed.
     fn set_baud(&mut self, baud: u32) -> io::Result<()>;
 
+    /// The speed in baud; `None` for a port that has none.
+    fn baud(&self) -> Option<u32> {
+        None
+    }
+
     /// Opens the port again after it went away, at the same speed.
     ///
     /// # Errors
@@ -71,6 +76,9 @@ impl<P: Port + ?Sized> Port for Box<P> {
     }
     fn set_baud(&mut self, baud: u32) -> io::Result<()> {
         (**self).set_baud(baud)
+    }
+    fn baud(&self) -> Option<u32> {
+        (**self).baud()
     }
     fn reopen(&mut self) -> io::Result<()> {
         (**self).reopen()

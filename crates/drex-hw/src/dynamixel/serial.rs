@@ -81,12 +81,15 @@ impl Port for SerialPort {
     }
 
     fn read(&mut self, buffer: &mut [u8], wait: Duration) -> io::Result<usize> {
+        let clock = self.clock;
         let port = &mut self.device()?.port;
-        // The system counts in milliseconds; rounded up, so that a short wait is not none.
-        let wait =
-            Duration::from_millis(u64::try_from(wait.as_micros().div_ceil(1000)).unwrap_or(u64::MAX).min(60_000));
-        port.set_read_timeout(wait)?;
-        match port.read(buffer) {
+        let read = uninterrupted(&clock, wait, |wait| {
+            // The system counts in milliseconds; rounded up, so that a short wait is not none.
+            let ms = u64::try_from(wait.as_micros().div_ceil(1000)).unwrap_or(u64::MAX).min(60_000);
+            port.set_read_timeout(Duration::from_millis(ms))?;
+            port.read(buffer)
+        });
+        match read {
             // A device that is readable and has nothing was hung up.
             Ok(0) if !buffer.is_empty() => Err(io::ErrorKind::BrokenPipe.into()),
             Err(e) if matches!(e.kind(), io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock) => Ok(0),
@@ -111,6 +114,10 @@ impl Port for SerialPort {
         Ok(())
     }
 
+    fn baud(&self) -> Option<u32> {
+        Some(self.baud)
+    }
+
     fn reopen(&mut self) -> io::Result<()> {
         // The lock of the old device goes first: it may be the same one.
         self.device = None;
@@ -120,6 +127,22 @@ impl Port for SerialPort {
 
     fn latency_file(&self) -> Option<PathBuf> {
         latency_file(Path::new("/sys/bus/usb-serial/devices"), &self.path)
+    }
+}
+
+/// Does `read`, which is given how long to wait, again for the rest of `wait` when a signal interrupts it.
+fn uninterrupted(
+    clock: &impl Clock,
+    wait: Duration,
+    mut read: impl FnMut(Duration) -> io::Result<usize>,
+) -> io::Result<usize> {
+    let end = clock.now() + wait;
+    let mut left = wait;
+    loop {
+        match read(left) {
+            Err(e) if e.kind() == io::ErrorKind::Interrupted => left = end.saturating_sub(clock.now()),
+            other => return other,
+        }
     }
 }
 
@@ -133,6 +156,21 @@ fn latency_file(devices: &Path, path: &Path) -> Option<PathBuf> {
 #[cfg(all(test, unix))]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_signal_is_no_broken_port() {
+        let (clock, wait) = (SystemClock::default(), Duration::from_secs(5));
+        let mut waits = Vec::new();
+        let read = uninterrupted(&clock, wait, |left| {
+            waits.push(left);
+            std::thread::sleep(Duration::from_millis(1));
+            if waits.len() < 3 { Err(io::ErrorKind::Interrupted.into()) } else { Ok(7) }
+        });
+        assert_eq!(read.expect("goes on"), 7);
+        assert!(waits[0] == wait && waits.is_sorted_by(|a, b| a > b), "the wait does not begin anew: {waits:?}");
+        let gone = uninterrupted(&clock, wait, |_| Err(io::ErrorKind::BrokenPipe.into()));
+        assert_eq!(gone.expect_err("other errors stay").kind(), io::ErrorKind::BrokenPipe);
+    }
 
     #[test]
     fn the_latency_timer_is_found_through_a_link() {

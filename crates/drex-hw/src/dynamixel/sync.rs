@@ -108,8 +108,8 @@ impl<P: Port> Bus<P> {
         let length = answers.data_len() + 11;
         self.queue_read(instruction::SYNC_READ, address, answers, first)?;
         self.send(length + length / 3)?;
-        let mut wait = self.timing.first_byte;
-        let end = self.port.now() + wait + self.timing.gap * (count as u32 + 4);
+        let mut wait = self.first_wait();
+        let end = self.port.now() + wait + self.gap_wait() * (count as u32 + 4);
         loop {
             while let Some(p) = self.parser.next_packet() {
                 if let (instruction::STATUS, Some((&error, data))) = (p.instruction, p.params.split_first()) {
@@ -126,7 +126,7 @@ impl<P: Port> Bus<P> {
                 self.stats.timeouts += 1;
                 return Ok(());
             }
-            wait = self.timing.gap;
+            wait = self.gap_wait();
         }
     }
 
@@ -136,8 +136,8 @@ impl<P: Port> Bus<P> {
         let total = fast_reply_len(answers.ids().len() - first, len);
         self.queue_read(instruction::FAST_SYNC_READ, address, answers, first)?;
         self.send(total)?;
-        let mut wait = self.timing.first_byte;
-        let end = self.port.now() + wait + self.timing.gap * 8;
+        let mut wait = self.first_wait();
+        let end = self.port.now() + wait + self.gap_wait() * 8;
         loop {
             if self.parser.fast_reply(total).is_some_and(|reply| reply.len() == total) {
                 break;
@@ -146,7 +146,7 @@ impl<P: Port> Bus<P> {
                 self.stats.timeouts += 1;
                 break;
             }
-            wait = self.timing.gap;
+            wait = self.gap_wait();
         }
         if let Some(reply) = self.parser.fast_reply(total) {
             for block in fast_blocks(reply, len).flatten() {
@@ -197,8 +197,8 @@ impl<P: Port> Bus<P> {
         })?;
         let length = items.iter().map(|(_, _, len)| usize::from(*len)).max().unwrap_or(0) + 11;
         self.send(length + length / 3)?;
-        let (mut wait, mut last) = (self.timing.first_byte, None);
-        let end = self.port.now() + wait + self.timing.gap * (items.len() as u32 + 4);
+        let (mut wait, mut last) = (self.first_wait(), None);
+        let end = self.port.now() + wait + self.gap_wait() * (items.len() as u32 + 4);
         loop {
             while let Some(p) = self.parser.next_packet() {
                 let (instruction::STATUS, Some((&error, data))) = (p.instruction, p.params.split_first()) else {
@@ -221,7 +221,7 @@ impl<P: Port> Bus<P> {
                 self.stats.timeouts += 1;
                 return Ok(last);
             }
-            wait = self.timing.gap;
+            wait = self.gap_wait();
         }
     }
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 use super::driver::{COMMAND, LeapHand, command};
 use super::joint::{Joint, Life};
 use super::table::{self, RAD_S_PER_UNIT};
-use crate::dynamixel::Port;
+use crate::dynamixel::{Answers, Port};
 use crate::{EffortUnit, Error, Hand, HandCommand, HandState, JointStatus, Result};
 
 /// First address of a reading.
@@ -31,6 +31,7 @@ impl<P: Port> Hand for LeapHand<P> {
     }
 
     fn turn_on(&mut self) -> Result<()> {
+        self.bus.set_timing(self.patient);
         if self.lost {
             self.reopen()?;
         }
@@ -45,6 +46,7 @@ impl<P: Port> Hand for LeapHand<P> {
 
     /// A command that must not be followed leaves the last one in force; the joints are read all the same.
     fn cycle(&mut self, command: Option<&HandCommand>, state: &mut HandState) -> Result<()> {
+        self.bus.set_timing(self.brisk);
         let refused = command.map_or(Ok(()), |c| c.check(&self.names));
         let done = self.exchange(command.filter(|_| refused.is_ok()));
         if let Err(Error::Port { .. }) = done {
@@ -58,23 +60,17 @@ impl<P: Port> Hand for LeapHand<P> {
 
 impl<P: Port> LeapHand<P> {
     fn exchange(&mut self, command: Option<&HandCommand>) -> Result<()> {
-        if self.lost {
+        let back = self.lost;
+        if back {
             self.reopen()?;
-            if self.on {
-                self.rearm_all()?;
-            }
-            // Who was without power meanwhile has forgotten everything.
-            self.read_health()?;
         }
-        let now = self.now();
         self.exchanges = self.exchanges.wrapping_add(1);
         let Some(mut readings) = self.readings.take() else {
             self.joints.iter_mut().for_each(Joint::miss);
             self.care()?;
             return Err(self.unreachable());
         };
-        let asked = self.send_orders(command, now).and_then(|()| self.bus.sync_read(PRESENT, &mut readings));
-        self.spoken = self.now();
+        let asked = self.speak(command, &mut readings);
         let (mut answers, mut alerts) = (0, 0_u64);
         for (i, j) in self.asked.iter().enumerate() {
             let joint = &mut self.joints[*j];
@@ -97,7 +93,8 @@ impl<P: Port> LeapHand<P> {
         self.readings = Some(readings);
         asked?;
         (0..self.joints.len()).filter(|j| alerts & 1 << j != 0).try_for_each(|j| self.look_at_error(j))?;
-        if self.exchanges.is_multiple_of(self.options.health_every) {
+        // Who was without power while the port was gone has forgotten everything.
+        if back || self.exchanges.is_multiple_of(self.options.health_every) {
             self.read_health()?;
         }
         self.care()?;
@@ -105,16 +102,44 @@ impl<P: Port> LeapHand<P> {
         if self.unanswered >= UNANSWERED { Err(self.unreachable()) } else { Ok(()) }
     }
 
-    /// Queues the commands; they go out with the question that follows.
-    fn send_orders(&mut self, wanted: Option<&HandCommand>, now: Duration) -> Result<()> {
-        if !self.on {
-            return Ok(());
-        }
+    /// Sends commands and reads how the joints are.
+    fn speak(&mut self, command: Option<&HandCommand>, readings: &mut Answers) -> Result<()> {
+        let (watchdog, mut now) = (self.options.watchdog, self.now());
         let silence = now.saturating_sub(self.spoken);
-        if !self.options.watchdog.is_zero() && silence > self.options.watchdog * 3 / 4 {
+        if !self.on || watchdog.is_zero() || silence <= watchdog * 3 / 4 {
+            self.queue_orders(command, now)?;
+        } else if silence <= watchdog {
             self.rearm_all()?;
+            self.queue_orders(command, now)?;
+        } else {
+            // They froze. What is wanted now may be far from where they are: it is followed from the next exchange on.
+            self.bus.sync_read(PRESENT, readings)?;
+            now = self.now();
+            self.restart_here(readings, now)?;
         }
-        let Some(wanted) = wanted else { return Ok(()) };
+        // From before the question on: the wait for the answers may be what takes too long.
+        self.spoken = now;
+        self.bus.sync_read(PRESENT, readings)
+    }
+
+    /// Queues the end of a freeze for all motors under torque: each goes on where it is, with a current that rises anew.
+    fn restart_here(&mut self, readings: &Answers, now: Duration) -> Result<()> {
+        self.tell_driven(0)?;
+        let start = self.start_current();
+        self.orders.clear();
+        for (i, j) in self.asked.iter().enumerate() {
+            let joint = &mut self.joints[*j];
+            let (Life::Driven { .. }, Some((_, data))) = (joint.life, readings.get(i)) else { continue };
+            joint.life = Life::Driven { since: now };
+            self.orders.push((joint.id, command(start, table::PRESENT_POSITION.in_block(PRESENT, data))));
+        }
+        self.queue_commands()?;
+        self.tell_driven(self.options.watchdog_units())
+    }
+
+    /// Queues the commands; they go out with the question that follows.
+    fn queue_orders(&mut self, wanted: Option<&HandCommand>, now: Duration) -> Result<()> {
+        let Some(wanted) = wanted.filter(|_| self.on) else { return Ok(()) };
         self.orders.clear();
         for (j, joint) in self.joints.iter().enumerate() {
             let Life::Driven { since } = joint.life else { continue };
@@ -123,6 +148,10 @@ impl<P: Port> LeapHand<P> {
             let current = wanted.effort_limit[j].min(allowed).max(0.0) as i16;
             self.orders.push((joint.id, command(current, joint.goal(wanted.position[j]))));
         }
+        self.queue_commands()
+    }
+
+    fn queue_commands(&mut self) -> Result<()> {
         let items = self.orders.iter().map(|(id, bytes)| (*id, &bytes[..]));
         self.bus.queue_sync_write(table::INDIRECT_DATA.address, COMMAND, items)
     }

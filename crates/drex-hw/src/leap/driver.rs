@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use drex_robot::Robot;
 
+use super::absent::nobody;
 use super::inspect::{Finding, inspect_motors, inspect_port};
 use super::joint::{Joint, MotorHealth};
 use super::options::LeapOptions;
@@ -12,13 +13,8 @@ use super::table::{self, MotorModel};
 use crate::dynamixel::{Answers, Bus, BusStats, Port, SerialPort, Timing};
 use crate::{Error, Result};
 
-/// Patience with an adapter that does not tell its latency.
-const UNKNOWN_LATENCY: Duration = Duration::from_millis(4);
 /// How long a hand may take to be set up.
 pub(super) const SETUP_TIME: Duration = Duration::from_secs(2);
-/// Speeds at which motors may be, if not at the expected one.
-const SPEEDS: [u32; 7] = [57_600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115_200, 9_600];
-
 /// One turn, rad.
 const TURN: f64 = std::f64::consts::TAU;
 
@@ -39,6 +35,9 @@ pub(super) const HEALTH_ADDRESS: u16 = table::INDIRECT_DATA.address + COMMAND as
 pub struct LeapHand<P: Port> {
     pub(super) bus: Bus<P>,
     pub(super) options: LeapOptions,
+    /// How long motors may take when nothing waits for them, and in an exchange.
+    pub(super) patient: Timing,
+    pub(super) brisk: Timing,
     /// In the order of the robot model, as all that follows.
     pub(super) joints: Vec<Joint>,
     pub(super) names: Vec<String>,
@@ -86,12 +85,15 @@ impl<P: Port> LeapHand<P> {
     pub fn connect(port: P, robot: &Robot, options: LeapOptions) -> Result<Self> {
         options.check()?;
         let joints = joints(robot, &options)?;
-        let timing = options.timing.unwrap_or_else(|| Timing::for_latency(port.latency().unwrap_or(UNKNOWN_LATENCY)));
+        let known = known_timing(&port, &options);
+        let timing = known.unwrap_or_default();
         // All joints have limits, or there would be no `joints`.
         let limits: Vec<_> = robot.joints.iter().filter_map(|j| j.limits).collect();
         let connected = port.now();
         let mut hand = Self {
             bus: Bus::new(port, timing),
+            patient: timing,
+            brisk: timing,
             names: joints.iter().map(|j| j.name.clone()).collect(),
             caps_ma: vec![0.0; joints.len()],
             joints,
@@ -119,6 +121,9 @@ impl<P: Port> LeapHand<P> {
         hand.set_up_all()?;
         hand.regroup()?;
         hand.read_health()?;
+        if known.is_none() {
+            hand.brisk = Timing::for_loop(hand.bus.slowest());
+        }
         Ok(hand)
     }
 
@@ -180,13 +185,16 @@ impl<P: Port> LeapHand<P> {
             Err(Error::Silent { .. }) => None,
             other => Some(other),
         }) else {
-            return Err(self.nobody());
+            let ids = self.ids();
+            return Err(nobody(&mut self.bus, &ids, self.options.baud));
         };
         let pong = pong?;
-        let model = MotorModel::from_number(pong.model).ok_or_else(|| Error::NoMotors {
-            port: self.bus.port().name().to_owned(),
-            remedy: format!("motor {} is of model {}, expected an XC330-M288 or XL330-M288", pong.id, pong.model),
-        })?;
+        let Some(model) = MotorModel::from_number(pong.model) else {
+            // It is a motor of `joints` that was asked.
+            let j = self.joints.iter().position(|j| j.id == pong.id).unwrap_or(0);
+            let what = format!("is of model {}", pong.model);
+            return Err(self.wrong(j, what, "build the hand with XC330-M288 (1240) or XL330-M288 (1200) alone"));
+        };
         let most = f64::from(model.current_limit_max_ma());
         let cap = self.options.cap_ma.unwrap_or(model.recommended_cap_ma());
         if cap > most {
@@ -198,24 +206,6 @@ impl<P: Port> LeapHand<P> {
         self.model = model;
         self.caps_ma.fill(cap);
         Ok(())
-    }
-
-    /// Why nobody answers, as far as it can be found out.
-    fn nobody(&mut self) -> Error {
-        let expected = self.options.baud;
-        let ids = self.ids();
-        let heard = SPEEDS.into_iter().filter(|s| *s != expected).find(|speed| {
-            let set = self.bus.port().set_baud(*speed).is_ok();
-            set && ids.first().is_some_and(|id| self.bus.ping(*id).is_ok())
-        });
-        let remedy = match heard {
-            Some(speed) => format!(
-                "motor {} answers at {speed} baud: connect with LeapOptions::with_baud({speed}), or set the speed of all motors to {expected}",
-                ids[0]
-            ),
-            None => "switch on its 5 V supply, check the cable, and that no other program changed the ids".into(),
-        };
-        Error::NoMotors { port: self.bus.port().name().to_owned(), remedy }
     }
 
     /// Says anew who is asked together.
@@ -255,15 +245,20 @@ pub(super) fn command(current: i16, ticks: i32) -> [u8; COMMAND] {
     [a, b, c, d, e, f]
 }
 
+/// How long motors may take, if somebody says so or the adapter tells.
+pub(super) fn known_timing<P: Port>(port: &P, options: &LeapOptions) -> Option<Timing> {
+    options.timing.or_else(|| port.latency().map(Timing::for_latency))
+}
+
 /// The joints of the model in its order, each with its motor.
-fn joints(robot: &Robot, options: &LeapOptions) -> Result<Vec<Joint>> {
+pub(super) fn joints(robot: &Robot, options: &LeapOptions) -> Result<Vec<Joint>> {
     let find = |name: &str| options.joints.iter().position(|j| j.name == name);
     if let Some(extra) = options.joints.iter().find(|j| robot.joint_index(&j.name).is_none()) {
         robot.require_joint(&extra.name)?;
     }
     let of = |joint: &drex_robot::Joint| {
         let wiring = find(&joint.name).ok_or_else(|| {
-            Error::value(format!("no motor for joint {}", joint.name), "name its motor in LeapOptions::joints")
+            Error::value(format!("no motor for joint {}", joint.name), "name its motor among those of the hand")
         })?;
         let Some((low, high)) = joint.limits.filter(|(low, high)| -TURN <= *low && low <= high && *high <= TURN) else {
             let what = format!("joint {} with limits of {:?} rad", joint.name, joint.limits);

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use super::driver::{HEALTH_ADDRESS, LeapHand};
+use super::driver::{HEALTH_ADDRESS, LeapHand, command};
 use super::joint::{Life, MotorHealth};
 use super::table::{self, hardware_error};
 use crate::dynamixel::Port;
@@ -73,14 +73,18 @@ impl<P: Port> LeapHand<P> {
     /// Finds out how a motor is that was away, and brings it to where the others are.
     pub(super) fn look_again(&mut self, j: usize) -> Result<()> {
         let id = self.joints[j].id;
-        let mut block = [0; 35];
-        let start = table::TORQUE_ENABLE.address;
-        match self.bus.read(id, start, &mut block) {
-            Err(Error::Silent { .. } | Error::Refused { .. }) => return Ok(()),
+        // One by one: a motor refuses to read across the addresses between them.
+        let read =
+            self.bus.get(id, table::TORQUE_ENABLE).and_then(|t| Ok((t, self.bus.get(id, table::HARDWARE_ERROR)?)));
+        let (torque, bits) = match read {
+            Err(Error::Silent { .. }) => return Ok(()),
+            Err(refused @ Error::Refused { .. }) => {
+                self.joints[j].trouble = Some(refused.to_string());
+                return Ok(());
+            }
             other => other?,
         };
-        let torque = table::TORQUE_ENABLE.in_block(start, &block) == 1;
-        let bits = table::HARDWARE_ERROR.in_block(start, &block);
+        let torque = torque == 1;
         self.note_error(j, bits);
         let steps = match self.joints[j].life {
             // Switched off without an error: it was without power and remembers nothing.
@@ -98,26 +102,36 @@ impl<P: Port> LeapHand<P> {
             _ => Ok(()),
         };
         match steps {
-            Err(Error::Silent { .. } | Error::Refused { .. }) => Ok(()),
+            Err(Error::Silent { .. }) => Ok(()),
+            Err(refused @ Error::Refused { .. }) => {
+                self.joints[j].trouble = Some(refused.to_string());
+                Ok(())
+            }
             other => other,
         }
     }
 
-    /// Lets a motor that froze take goals again.
+    /// Lets a motor that froze take goals again: from where it is, with a current that rises anew.
     fn rearm(&mut self, j: usize) -> Result<()> {
         let id = self.joints[j].id;
         self.bus.set(id, table::BUS_WATCHDOG, 0)?;
-        self.bus.set(id, table::BUS_WATCHDOG, self.options.watchdog_units())
+        let here = self.bus.get(id, table::PRESENT_POSITION)?;
+        self.bus.write(id, table::INDIRECT_DATA.address, &command(self.start_current(), here))?;
+        self.bus.set(id, table::BUS_WATCHDOG, self.options.watchdog_units())?;
+        self.joints[j].life = Life::Driven { since: self.now() };
+        Ok(())
     }
 
-    /// Starts the watchdogs of all motors anew with the next question: the program was away for so long that they may have frozen.
+    /// Starts the watchdogs of all motors anew with the next question: they would run out soon.
     pub(super) fn rearm_all(&mut self) -> Result<()> {
-        let units = [self.options.watchdog_units()];
-        for value in [&[0], &units] {
-            let ids = self.joints.iter().filter(|j| matches!(j.life, Life::Driven { .. }));
-            self.bus.queue_sync_write(table::BUS_WATCHDOG.address, 1, ids.map(|j| (j.id, &value[..])))?;
-        }
-        Ok(())
+        self.tell_driven(0)?;
+        self.tell_driven(self.options.watchdog_units())
+    }
+
+    /// Queues a value of the watchdog for all motors under torque.
+    pub(super) fn tell_driven(&mut self, watchdog: u8) -> Result<()> {
+        let (driven, value) = (self.joints.iter().filter(|j| matches!(j.life, Life::Driven { .. })), [watchdog]);
+        self.bus.queue_sync_write(table::BUS_WATCHDOG.address, 1, driven.map(|j| (j.id, &value[..])))
     }
 
     /// Goes on with at most one motor that needs care, so that the others wait little.

@@ -16,6 +16,12 @@ const VOLTAGES: std::ops::RangeInclusive<u16> = 45..=55;
 /// From here on a motor is hot, °C.
 const HOT_C: u8 = 60;
 
+/// Bytes of the table up to the hardware errors, and the parts of them that are read.
+const HEAD: usize = 71;
+const DEFINED: [std::ops::Range<usize>; 4] = [0..14, 20..24, 60..61, 70..71];
+/// Where supply and temperature are.
+const TAIL: u16 = table::PRESENT_VOLTAGE.address;
+
 /// Something that is not as it should be.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
@@ -60,17 +66,14 @@ pub(super) fn inspect_motors<P: Port>(bus: &mut Bus<P>, options: &LeapOptions) -
     for joint in &options.joints {
         let id = joint.id;
         let mut say = |what: String, fix: &str| findings.push(Finding { motor: Some(id), what, fix: fix.into() });
-        let (mut head, mut tail) = ([0; 71], [0; 27]);
-        let tail_at = table::PRESENT_POSITION.address - 12;
-        let read = bus.read(id, 0, &mut head).and_then(|_| bus.read(id, tail_at, &mut tail));
-        match read {
+        let (head, tail) = match read_table(bus, id) {
             Err(lost @ Error::Port { .. }) => return Err(lost),
             Err(error) => {
                 say(error.to_string(), "nothing else is known of it");
                 continue;
             }
-            Ok(_) => {}
-        }
+            Ok(read) => read,
+        };
         models.push(table::MODEL_NUMBER.in_block(0, &head));
         let delay = table::RETURN_DELAY.in_block(0, &head);
         if delay != 0 {
@@ -96,24 +99,35 @@ pub(super) fn inspect_motors<P: Port>(bus: &mut Bus<P>, options: &LeapOptions) -
         if offset != 0 {
             say(
                 format!("its homing offset is {offset} ticks"),
-                "set register 20 to 0, or take it into LeapOptions::with_zero",
+                "set register 20 to 0, or take it into the zero of this joint",
             );
         }
         let errors = table::HARDWARE_ERROR.in_block(0, &head);
         if errors != 0 {
             say(table::hardware_error_text(errors), "connecting reboots it; find out why first");
         }
-        let voltage = table::PRESENT_VOLTAGE.in_block(tail_at, &tail);
+        let voltage = table::PRESENT_VOLTAGE.in_block(TAIL, &tail);
         if !VOLTAGES.contains(&voltage) {
             say(format!("its supply is {:.1} V", f64::from(voltage) / 10.0), "give 5 V that stay 5 V under load");
         }
-        let celsius = table::PRESENT_TEMPERATURE.in_block(tail_at, &tail);
+        let celsius = table::PRESENT_TEMPERATURE.in_block(TAIL, &tail);
         if celsius >= HOT_C {
             say(format!("it has {celsius} °C"), "let it cool; it switches off at its limit of 70 °C");
         }
     }
     findings.extend(common(&delayed, &old, &models));
     Ok(findings)
+}
+
+/// A motor's table up to its hardware errors, and its supply and temperature. Between them are addresses that mean nothing: a motor
+/// refuses to read across those.
+fn read_table<P: Port>(bus: &mut Bus<P>, id: u8) -> Result<([u8; HEAD], [u8; 3])> {
+    let (mut head, mut tail) = ([0; HEAD], [0; 3]);
+    for span in DEFINED {
+        bus.read(id, span.start as u16, &mut head[span])?;
+    }
+    bus.read(id, TAIL, &mut tail)?;
+    Ok((head, tail))
 }
 
 /// What concerns more than one motor.

@@ -27,11 +27,13 @@
 //! Dropping the hand takes the torque off. A motor that stops itself because of overload is started again while the others go on;
 //! one that does not answer keeps its old values in [`HandState`](crate::HandState) and grows older.
 
+mod absent;
 mod cycle;
 mod driver;
 mod faults;
 mod inspect;
 mod joint;
+mod look;
 mod options;
 mod setup;
 pub mod table;
@@ -40,4 +42,5 @@ mod torque;
 pub use driver::LeapHand;
 pub use inspect::{Finding, inspect};
 pub use joint::MotorHealth;
+pub use look::{HandLook, MotorLook, MotorReading, look};
 pub use options::{LeapGains, LeapJoint, LeapOptions};

@@ -55,7 +55,7 @@ pub struct LeapOptions {
     pub recoveries: u32,
     /// Speed of the bus.
     pub baud: u32,
-    /// How long motors may take; `None` follows the adapter's latency timer.
+    /// How long motors may take; `None` follows the adapter's latency timer, or what is seen when connecting.
     pub timing: Option<Timing>,
 }
 
@@ -156,7 +156,7 @@ impl LeapOptions {
     }
 
     pub(super) fn check(&self) -> Result<()> {
-        let bad = |what: String| Err(Error::value(what, "start from LeapOptions::right()"));
+        let bad = |what: String| Err(Error::value(what, "start from the options of a right or left hand"));
         for (i, joint) in self.joints.iter().enumerate() {
             if joint.id > 252 || self.joints[..i].iter().any(|j| j.id == joint.id || j.name == joint.name) {
                 return bad(format!("motor {} or joint {} twice, or an id above 252", joint.id, joint.name));

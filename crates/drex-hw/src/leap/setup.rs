@@ -47,15 +47,15 @@ impl<P: Port> LeapHand<P> {
     pub(super) fn set_up_all(&mut self) -> Result<()> {
         for j in 0..self.joints.len() {
             if let Life::Faulted { .. } = self.joints[j].life {
+                // Not all at once: behind a slow adapter the last ones would have no time left.
                 self.begin_setup(j);
+                self.settle(j)?;
             }
         }
         loop {
             let mut waiting = None;
             for j in 0..self.joints.len() {
-                while let Life::Setup { .. } = self.joints[j].life {
-                    self.advance(j)?;
-                }
+                self.settle(j)?;
                 if let Life::Faulted { .. } = self.joints[j].life {
                     let what = self.joints[j].trouble.clone().unwrap_or_else(|| "cannot be set up".into());
                     return Err(self.wrong(j, what, "then try again"));
@@ -68,6 +68,14 @@ impl<P: Port> LeapHand<P> {
             self.bus.pause(ASK)?;
             self.advance(j)?;
         }
+    }
+
+    /// Goes on with the setup of a motor until it is done, or has to wait.
+    fn settle(&mut self, j: usize) -> Result<()> {
+        while let Life::Setup { .. } = self.joints[j].life {
+            self.advance(j)?;
+        }
+        Ok(())
     }
 
     /// Starts a motor again; torque and errors go.
@@ -225,6 +233,6 @@ impl<P: Port> LeapHand<P> {
             "at {:.3} rad (tick {ticks}), where it cannot be ({low:.3} to {high:.3})",
             self.joints[j].angle(ticks)
         );
-        Err(self.wrong(j, what, "mount its horn again in the right place, or set LeapOptions::with_zero"))
+        Err(self.wrong(j, what, "mount its horn again in the right place, or set another zero for this joint"))
     }
 }

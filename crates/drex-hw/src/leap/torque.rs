@@ -121,6 +121,7 @@ impl<P: Port> LeapHand<P> {
     /// Torque off, confirmed by all that answer at all.
     pub(super) fn relax(&mut self) -> Result<()> {
         self.on = false;
+        self.bus.set_timing(self.patient);
         // Also if it cannot be told now: who is found under torque later is told then.
         for joint in self.joints.iter_mut().filter(|j| matches!(j.life, Life::Driven { .. })) {
             joint.life = Life::Limp;

@@ -150,6 +150,12 @@ impl LeapEmulator {
         self.with_motor(id, |m| m.set(register, value));
     }
 
+    /// Speed of the bus, which is that of the first motor.
+    fn baud(&self) -> u32 {
+        let code = self.get(0, table::BAUD).unwrap_or_default();
+        [9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000].get(usize::from(code)).copied().unwrap_or(4_000_000)
+    }
+
     /// Where motor `id` really is, ticks.
     pub fn position(&self, id: u8) -> Option<f64> {
         self.wire().motors.iter().find(|m| m.id == id).map(|m| m.body.position)

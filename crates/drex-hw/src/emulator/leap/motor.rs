@@ -18,6 +18,9 @@ pub(super) mod refusal {
 
 /// First address that is not kept without power.
 const RAM: u16 = 64;
+/// Addresses that mean something; a motor refuses to read across others.
+const DEFINED: [std::ops::Range<usize>; 11] =
+    [0..14, 20..28, 31..40, 44..56, 60..61, 62..66, 68..71, 76..86, 88..92, 98..148, 168..END];
 /// First address behind the table.
 const END: usize = 228;
 /// What the watchdog register says when it has run out.
@@ -211,7 +214,13 @@ impl Motor {
         if data.is_empty() || start + data.len() > END {
             return Err(refusal::LENGTH);
         }
-        data.iter_mut().enumerate().for_each(|(i, byte)| *byte = self.memory[self.target(start + i)]);
+        for (address, byte) in (start..).zip(data) {
+            let target = self.target(address);
+            if [address, target].iter().any(|a| !DEFINED.iter().any(|d| d.contains(a))) {
+                return Err(refusal::ACCESS);
+            }
+            *byte = self.memory[target];
+        }
         Ok(())
     }
 
