@@ -27,6 +27,7 @@ struct World {
     fail_for: u32,
     panic_at: Option<u32>,
     slow_at: Option<u32>,
+    sleep_at: Option<Duration>,
     deaf_to_off: bool,
     mute: bool,
     reads: Option<f64>,
@@ -49,6 +50,11 @@ impl Clock for FakeClock {
     fn wait_until(&self, then: Duration) {
         let mut world = self.0.lock().unwrap();
         world.now = world.now.max(then);
+        // The program is stopped for a second between two cycles.
+        if world.sleep_at.is_some_and(|at| at <= then) {
+            world.sleep_at = None;
+            world.now += Duration::from_secs(1);
+        }
     }
 }
 
@@ -210,6 +216,42 @@ fn an_outage_is_borne_if_it_is_short_and_nothing_jumps_after_it() {
     assert!(jump < 1.01 * 0.002 && rows == 401, "{jump} rad in {rows} rows");
     let (report, ..) = run_with(Duration::from_millis(50));
     assert!(matches!(report.ended, Ended::Failed(Error::Silent { .. })));
+}
+
+#[test]
+fn nothing_jumps_after_a_stall() {
+    let run_with = |change: fn(&mut World)| {
+        let (world, mut hand, clock) = fake();
+        change(&mut world.lock().unwrap());
+        let (recorder, mut reader) = telemetry(2, 1000);
+        let options = ControlOptions::default().with_recorder(recorder);
+        let report = run(&mut hand, &mut there(1.0, 0.8), &clock, options);
+        assert!(matches!(report.ended, Ended::Done) && report.state.position[0] == 0.8, "{:?}", report.ended);
+        let (mut last, mut jump) = (0.0, 0.0_f64);
+        while let Ok(Some(())) = reader.next(Duration::ZERO, |s| {
+            jump = jump.max((s.command.position[0] - last).abs());
+            last = s.command.position[0];
+        }) {}
+        (report.stats.stalls, jump)
+    };
+    // 0.8 rad/s at 400 Hz; the cycle after a stall may be one period ahead.
+    let (stalls, jump) = run_with(|w| w.sleep_at = Some(Duration::from_millis(500)));
+    assert!(stalls == 1 && jump < 2.01 * 0.002, "{stalls} stalls, {jump} rad");
+    // Within an exchange.
+    let (stalls, jump) = run_with(|w| (w.slow_at, w.exchange) = (Some(20), Duration::from_millis(20)));
+    assert!(stalls == 1 && jump < 0.8 * 0.0226, "{stalls} stalls, {jump} rad");
+    // A long outage is no stall, and is not counted twice.
+    let (world, mut hand, clock) = fake();
+    world.lock().unwrap().sleep_at = Some(Duration::from_millis(500));
+    {
+        let mut world = world.lock().unwrap();
+        (world.fail_at, world.fail_for) = (Some(195), 20);
+    }
+    let options = ControlOptions::default().with_outage(Duration::from_secs(2));
+    let report = run(&mut hand, &mut there(1.0, 0.8), &clock, options);
+    let now = world.lock().unwrap().now.as_secs_f64();
+    assert!(matches!(report.ended, Ended::Done) && report.stats.stalls == 1);
+    assert!((now - 2.05).abs() < 0.02, "{now} s for one second of trajectory, one asleep, and 21 lost cycles");
 }
 
 #[test]

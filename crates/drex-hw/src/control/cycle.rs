@@ -14,6 +14,8 @@ use crate::{Clock, Error, Hand, HandCommand, HandState, Result};
 const TRIES: usize = 3;
 /// Cycles between two views of the statistics for others.
 const PUBLISH: u64 = 64;
+/// A cycle that begins this much later than one period after the one before comes after a stall: the program was stopped or starved.
+const STALL: Duration = Duration::from_millis(50);
 
 /// Why a loop ended.
 #[derive(Debug)]
@@ -112,14 +114,21 @@ fn turns(
     let begin = clock.now();
     let mut due = begin;
     let mut flow = ControlFlow::Continue(());
-    // Since when the hand is out of reach, and for how long it was in all.
+    // Since when the hand is out of reach, and for how long the behaviour's time stood still in all.
     let (mut lost, mut outage) = (None, Duration::ZERO);
+    let mut last = begin;
     loop {
         clock.wait_until(due);
         if options.is_stopped() {
             return Ok(Ended::Stopped);
         }
         let began = clock.now();
+        let stall = began.saturating_sub(std::mem::replace(&mut last, began) + period);
+        if stall > STALL {
+            meter.stall();
+            // An outage is counted in full when it ends.
+            outage += if lost.is_none() { stall } else { Duration::ZERO };
+        }
         if lost.is_none() {
             let time = began.saturating_sub(begin + outage);
             flow = behaviour.command(time.as_secs_f64(), state, &mut command)?;
