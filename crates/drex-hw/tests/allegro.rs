@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use drex_hw::allegro::{AllegroCommand, AllegroHand, AllegroOptions, AllegroVersion, JointCalibration};
@@ -242,6 +242,66 @@ fn an_unplugged_bus_is_an_error_and_the_next_stop_still_works() {
     assert!(driver.turn_off().is_err());
     assert!(hand.is_on());
     hand.plug();
+    drop(driver);
+    assert!(!hand.is_on());
+}
+
+/// A bus whose adapter refuses the next so many frames.
+struct Refusing {
+    bus: EmulatorBus,
+    next: Arc<AtomicU64>,
+    refused: u64,
+}
+
+impl CanBus for Refusing {
+    fn name(&self) -> &str {
+        "refusing"
+    }
+
+    fn send(&mut self, frame: &CanFrame) -> Result<()> {
+        if self.next.load(Ordering::Relaxed) == 0 {
+            return self.bus.send(frame);
+        }
+        self.next.fetch_sub(1, Ordering::Relaxed);
+        self.refused += 1;
+        Ok(())
+    }
+
+    fn receive(&mut self, timeout: Duration) -> Result<Option<CanFrame>> {
+        self.bus.receive(timeout)
+    }
+
+    fn refused(&self) -> u64 {
+        self.refused
+    }
+}
+
+#[test]
+fn what_the_adapter_refuses_is_an_error_and_the_stop_is_repeated() {
+    let options = AllegroOptions::new(AllegroVersion::V4);
+    let hand = placed(options.clone());
+    hand.set_watchdog(None);
+    let next = Arc::new(AtomicU64::new(0));
+    let bus = Refusing { bus: hand.bus(), next: next.clone(), refused: 0 };
+    let mut driver = AllegroHand::connect_with_clock(bus, &robot(), options, hand.clock()).unwrap();
+    driver.turn_on().unwrap();
+    let mut state = HandState::new(16);
+    run(&hand, &mut driver, None, &mut state, 5);
+    next.store(4, Ordering::Relaxed);
+    driver.cycle(None, &mut state).unwrap();
+    let error = driver.cycle(None, &mut state).unwrap_err().to_string();
+    assert!(error.contains("refused 4 frames") && error.contains("termination"), "{error}");
+    run(&hand, &mut driver, None, &mut state, 5);
+    // The first stop, four torques and two commands, is lost.
+    next.store(6, Ordering::Relaxed);
+    driver.turn_off().unwrap();
+    assert!(!hand.is_on());
+    driver.turn_on().unwrap();
+    assert!(hand.is_on());
+    next.store(1000, Ordering::Relaxed);
+    assert!(driver.turn_off().unwrap_err().to_string().contains("refused 6 frames"));
+    next.store(0, Ordering::Relaxed);
+    assert!(hand.is_on());
     drop(driver);
     assert!(!hand.is_on());
 }

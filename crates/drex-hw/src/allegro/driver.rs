@@ -1,5 +1,6 @@
 //! The hand as the computer sees it: start, exchange, stop.
 
+use std::io;
 use std::time::Duration;
 
 use drex_robot::Robot;
@@ -57,6 +58,8 @@ pub struct AllegroHand<B: CanBus> {
     pub(super) info: Option<AllegroInfo>,
     serial: Option<[u8; 8]>,
     stats: AllegroStats,
+    /// Refusals of the bus that were told.
+    refused: u64,
     connected: Duration,
 }
 
@@ -111,6 +114,7 @@ impl<B: CanBus> AllegroHand<B> {
             info: None,
             serial: None,
             stats: AllegroStats::default(),
+            refused: 0,
             connected,
         };
         hand.start()?;
@@ -180,7 +184,21 @@ impl<B: CanBus> AllegroHand<B> {
         for (age, fresh) in self.ages.iter_mut().zip(fresh) {
             *age = if fresh { 0 } else { age.saturating_add(1) };
         }
-        Ok(())
+        self.check_refusals()
+    }
+
+    /// Tells once what the bus refused since the last time.
+    pub(super) fn check_refusals(&mut self) -> Result<()> {
+        let refused = self.bus.refused();
+        let new = refused - std::mem::replace(&mut self.refused, refused).min(refused);
+        if new == 0 {
+            return Ok(());
+        }
+        Err(Error::Port {
+            port: self.bus.name().into(),
+            source: io::Error::other(format!("the adapter refused {new} frames")),
+            remedy: "check the hand's power, the CAN cable and its termination, then connect again".into(),
+        })
     }
 
     fn take(&mut self, report: AllegroReport, fresh: &mut [bool; 4]) {

@@ -10,6 +10,10 @@ use crate::{Error, Result};
 
 /// How long a hand that was switched on may take until all fingers reported.
 const FIRST_POSES: Duration = Duration::from_millis(500);
+/// How long the last answers of an adapter may take.
+const LAST_ANSWERS: Duration = Duration::from_millis(30);
+/// How often a bus that refuses to stop the hand is asked.
+const STOP_TRIES: usize = 3;
 /// How far outside its limits a joint may be found when torque goes on, rad: gears give a little, a wrong zero much more.
 const OUTSIDE_RAD: f64 = 0.3;
 /// Wire units per N m of a version-4 frame on a hand with older hardware.
@@ -45,11 +49,14 @@ impl<B: CanBus> AllegroHand<B> {
         if !self.started {
             return Ok(());
         }
-        let mut told = self.send_torques([0; 16]);
-        let silence = AllegroCommand::Period { pose_ms: 0, imu_ms: 0, temperature_ms: 0 };
-        for command in [AllegroCommand::Off, silence] {
-            let sent = self.send(command);
-            told = told.and(sent);
+        let mut told = Ok(());
+        for _ in 0..STOP_TRIES {
+            let before = self.bus.refused();
+            told = self.send_stop();
+            // A port that fails does not get better at once; waiting for it only delays the news.
+            if told.is_ok() || self.bus.refused() == before {
+                break;
+            }
         }
         // What failed is tried again when the hand is dropped.
         self.started = told.is_err();
@@ -57,6 +64,16 @@ impl<B: CanBus> AllegroHand<B> {
             self.fingers.iter_mut().for_each(Finger::forget);
         }
         told
+    }
+
+    fn send_stop(&mut self) -> Result<()> {
+        let mut told = self.send_torques([0; 16]);
+        let silence = AllegroCommand::Period { pose_ms: 0, imu_ms: 0, temperature_ms: 0 };
+        for command in [AllegroCommand::Off, silence] {
+            let sent = self.send(command);
+            told = told.and(sent);
+        }
+        told.and_then(|()| self.bus.settle(LAST_ANSWERS)).and_then(|()| self.check_refusals())
     }
 
     /// Waits for all fingers, refuses a hand in a state that torque would make worse, and takes its pose as goal.
