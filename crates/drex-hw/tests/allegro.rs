@@ -158,6 +158,33 @@ fn old_poses_mean_no_torque_until_new_ones_come() {
 }
 
 #[test]
+fn poses_that_stay_away_are_an_error() {
+    let (hand, mut driver) = driven(AllegroOptions::new(AllegroVersion::V4));
+    driver.turn_on().unwrap();
+    let (mut command, mut state) = (HandCommand::new(16), HandState::new(16));
+    command.effort_limit.fill(0.1);
+    run(&hand, &mut driver, Some(&command), &mut state, 20);
+    hand.mute(2, true);
+    // 20 ms until they are old, and half a second.
+    run(&hand, &mut driver, Some(&command), &mut state, 170);
+    hand.pass(Duration::from_millis(30));
+    let error = driver.cycle(Some(&command), &mut state).unwrap_err().to_string();
+    assert!(error.contains("no poses of ring for 0.5 s"), "{error}");
+    assert_eq!(hand.torques_nm(), [0.0; 16]);
+    // It goes on when they come back, as after an outage.
+    hand.mute(2, false);
+    hand.pass(CYCLE);
+    run(&hand, &mut driver, Some(&command), &mut state, 20);
+    assert!(hand.torques_nm() != [0.0; 16]);
+    // A pause of the program is no failure of the hand.
+    hand.pass(Duration::from_secs(2));
+    run(&hand, &mut driver, Some(&command), &mut state, 20);
+    driver.turn_off().unwrap();
+    hand.pass(Duration::from_secs(2));
+    driver.cycle(None, &mut state).unwrap();
+}
+
+#[test]
 fn nonsense_is_refused_and_the_last_command_holds() {
     let (hand, mut driver) = driven(AllegroOptions::new(AllegroVersion::V5));
     driver.turn_on().unwrap();

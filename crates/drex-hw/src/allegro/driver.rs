@@ -13,6 +13,9 @@ use crate::{Clock, Error, Result, SystemClock};
 /// Most frames that one exchange reads, so that a babbling bus cannot hold it up.
 pub(super) const MOST_FRAMES: usize = 256;
 
+/// How long poses may stay away before an exchange is an error instead of one without torque.
+const BLIND: Duration = Duration::from_millis(500);
+
 /// What went over the bus.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
@@ -46,6 +49,8 @@ pub struct AllegroHand<B: CanBus> {
     pub(super) fingers: [Finger; 4],
     /// Exchanges since each finger reported.
     pub(super) ages: [u32; 4],
+    /// Since which exchange poses of a finger that was seen are too old.
+    pub(super) blind_since: Option<Duration>,
     pub(super) started: bool,
     pub(super) driven: bool,
     /// Wire order, rad; none means where it is.
@@ -56,7 +61,7 @@ pub struct AllegroHand<B: CanBus> {
     pub(super) motor_errors: [u8; 16],
     pub(super) temperatures_c: [Option<f64>; 16],
     pub(super) info: Option<AllegroInfo>,
-    serial: Option<[u8; 8]>,
+    pub(super) serial: Option<[u8; 8]>,
     stats: AllegroStats,
     /// Refusals of the bus that were told.
     refused: u64,
@@ -105,6 +110,7 @@ impl<B: CanBus> AllegroHand<B> {
             model_of_wire,
             fingers: [Finger::default(); 4],
             ages: [u32::MAX; 4],
+            blind_since: None,
             started: false,
             driven: false,
             goal: None,
@@ -184,7 +190,34 @@ impl<B: CanBus> AllegroHand<B> {
         for (age, fresh) in self.ages.iter_mut().zip(fresh) {
             *age = if fresh { 0 } else { age.saturating_add(1) };
         }
+        let now = self.clock.now();
+        let blind = self.fingers.iter().any(|f| f.seen.is_some() && !f.is_fresh(now, self.options.stale));
+        self.blind_since = blind.then(|| self.blind_since.unwrap_or(now));
         self.check_refusals()
+    }
+
+    /// Refuses to go on without poses for ever.
+    pub(super) fn check_sight(&self) -> Result<()> {
+        let now = self.clock.now();
+        if self.blind_since.is_none_or(|since| now.saturating_sub(since) <= BLIND) {
+            return Ok(());
+        }
+        let blind = self.fingers_that(|f| !f.is_fresh(now, self.options.stale));
+        Err(Error::Port {
+            port: self.bus.name().into(),
+            source: io::Error::new(
+                io::ErrorKind::TimedOut,
+                format!("no poses of {blind} for {} s", BLIND.as_secs_f64()),
+            ),
+            remedy: "check the hand's power, the CAN cable and its termination, then connect again".into(),
+        })
+    }
+
+    /// Names of fingers, or "no finger".
+    pub(super) fn fingers_that(&self, are: impl Fn(&Finger) -> bool) -> String {
+        let named = ["index", "middle", "ring", "thumb"].into_iter().zip(&self.fingers);
+        let names: Vec<&str> = named.filter_map(|(name, f)| are(f).then_some(name)).collect();
+        if names.is_empty() { "no finger".into() } else { names.join(", ") }
     }
 
     /// Tells once what the bus refused since the last time.

@@ -29,6 +29,7 @@ impl<B: CanBus> AllegroHand<B> {
         }
         self.fingers.iter_mut().for_each(Finger::forget);
         self.ages = [u32::MAX; 4];
+        self.blind_since = None;
         self.motor_errors = [0; 16];
         self.sent = [0; 16];
         self.started = true;
@@ -62,6 +63,7 @@ impl<B: CanBus> AllegroHand<B> {
         self.started = told.is_err();
         if told.is_ok() {
             self.fingers.iter_mut().for_each(Finger::forget);
+            self.blind_since = None;
         }
         told
     }
@@ -93,16 +95,8 @@ impl<B: CanBus> AllegroHand<B> {
             self.gather(Duration::from_millis(u64::from(self.options.pose_period_ms) * 2))?;
         }
         if !self.all_fresh(self.clock.now()) {
-            let silent: Vec<&str> = ["index", "middle", "ring", "thumb"]
-                .into_iter()
-                .zip(&self.fingers)
-                .filter_map(|(name, f)| f.seen.is_none().then_some(name))
-                .collect();
             return Err(Error::value(
-                format!(
-                    "no fresh poses (never seen: {})",
-                    if silent.is_empty() { "none".into() } else { silent.join(", ") }
-                ),
+                format!("no fresh poses (never seen: {})", self.fingers_that(|f| f.seen.is_none())),
                 "check the hand's power, the CAN cable and its termination, 1 Mbit/s, and the version",
             ));
         }
