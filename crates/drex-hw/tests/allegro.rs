@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use drex_hw::allegro::{AllegroCommand, AllegroHand, AllegroOptions, AllegroVersion, JointCalibration};
+use drex_hw::allegro::{AllegroCommand, AllegroHand, AllegroInfo, AllegroOptions, AllegroVersion, JointCalibration};
 use drex_hw::can::{CanBus, CanFrame, MemoryCan};
 use drex_hw::emulator::allegro::{AllegroEmulator, EmulatorBus};
 use drex_hw::{Clock, Hand, HandCommand, HandState, JointStatus, Result};
@@ -237,8 +237,41 @@ fn a_hand_that_is_not_where_it_can_be_gets_no_torque() {
     hand.place(6, 3.0);
     hand.record();
     let error = driver.turn_on().unwrap_err().to_string();
-    assert!(error.contains("mfj2") && error.contains("with_calibration"), "{error}");
+    assert!(error.contains("mfj2") && error.contains("calibration"), "{error}");
     assert!(torques_heard(&hand).is_empty());
+}
+
+#[test]
+fn a_hand_that_is_another_than_was_said_gets_no_torque() {
+    let refusal = |version, wire_per_nm, info| {
+        let options = AllegroOptions::new(version).with_wire_per_nm(wire_per_nm);
+        let hand = placed(options.clone());
+        hand.set_info(info);
+        let mut driver = AllegroHand::connect_with_clock(hand.bus(), &robot(), options, hand.clock()).unwrap();
+        hand.record();
+        let told = driver.turn_on();
+        assert!(torques_heard(&hand).is_empty());
+        assert_eq!(driver.info(), Some(info));
+        told.err().map(|e| e.to_string())
+    };
+    let info = |hardware, left, status| AllegroInfo { hardware, firmware: 0, left, status };
+    let (v3, v4, v5) = (AllegroVersion::V3, AllegroVersion::V4, AllegroVersion::V5);
+    assert!(refusal(v4, 1200.0, info(0x0500, false, 0)).unwrap().contains("choose version 5"));
+    assert!(refusal(v5, 1430.0, info(0x0402, false, 0)).unwrap().contains("choose version 4"));
+    assert!(refusal(v4, 1200.0, info(0x0300, false, 0)).unwrap().contains("set 800 wire units"));
+    for (version, hardware) in [(v3, 0x0300), (v4, 0x0402), (v5, 0x0500)] {
+        assert!(refusal(version, 800.0, info(hardware, true, 0)).unwrap().contains("left hand"));
+        assert_eq!(refusal(version, 800.0, info(hardware, false, 0)), None);
+    }
+    assert!(refusal(v4, 1200.0, info(0x0402, false, 5)).unwrap().contains("motors on, a motor does not answer"));
+    // With the model of a left hand it is no surprise.
+    let (left, hand) = (Robot::bundled("allegro_left").unwrap(), AllegroEmulator::new(v4));
+    hand.place(12, 0.5);
+    hand.set_info(info(0x0402, true, 0));
+    let mut driver = AllegroHand::connect_with_clock(hand.bus(), &left, AllegroOptions::new(v4), hand.clock()).unwrap();
+    driver.turn_on().unwrap();
+    // Firmware that leaves the version out is taken at the user's word.
+    assert_eq!(refusal(v5, 1430.0, info(0, false, 0)), None);
 }
 
 #[test]

@@ -61,6 +61,8 @@ pub struct AllegroHand<B: CanBus> {
     pub(super) motor_errors: [u8; 16],
     pub(super) temperatures_c: [Option<f64>; 16],
     pub(super) info: Option<AllegroInfo>,
+    /// Whether the model is one of a left hand, by its name.
+    pub(super) left_model: bool,
     pub(super) serial: Option<[u8; 8]>,
     stats: AllegroStats,
     /// Refusals of the bus that were told.
@@ -118,6 +120,7 @@ impl<B: CanBus> AllegroHand<B> {
             motor_errors: [0; 16],
             temperatures_c: [None; 16],
             info: None,
+            left_model: robot.name.to_lowercase().contains("left"),
             serial: None,
             stats: AllegroStats::default(),
             refused: 0,

@@ -4,12 +4,14 @@ use std::time::Duration;
 
 use super::driver::MOST_FRAMES;
 use super::finger::Finger;
-use super::{AllegroCommand, AllegroHand, AllegroVersion};
+use super::{AllegroCommand, AllegroHand, AllegroInfo, AllegroVersion};
 use crate::can::CanBus;
 use crate::{Error, Result};
 
 /// How long a hand that was switched on may take until all fingers reported.
 const FIRST_POSES: Duration = Duration::from_millis(500);
+/// How long a hand may take to say what it is; some never do.
+const INFO: Duration = Duration::from_millis(100);
 /// How long the last answers of an adapter may take.
 const LAST_ANSWERS: Duration = Duration::from_millis(30);
 /// How often a bus that refuses to stop the hand is asked.
@@ -89,7 +91,9 @@ impl<B: CanBus> AllegroHand<B> {
         let begin = self.clock.now();
         for _ in 0..MOST_FRAMES {
             let now = self.clock.now();
-            if self.all_fresh(now) || now.saturating_sub(begin) > FIRST_POSES {
+            let waited = now.saturating_sub(begin);
+            let told = self.info.is_some() || waited > INFO;
+            if self.all_fresh(now) && told || waited > FIRST_POSES {
                 break;
             }
             self.gather(Duration::from_millis(u64::from(self.options.pose_period_ms) * 2))?;
@@ -109,22 +113,8 @@ impl<B: CanBus> AllegroHand<B> {
 
     /// What speaks against torque.
     fn check_hand(&self) -> Result<()> {
-        if let Some(info) = self.info.filter(|_| self.options.version == AllegroVersion::V4) {
-            if info.hardware >> 8 != 4 && self.options.wire_per_nm > OLD_HARDWARE {
-                return Err(Error::value(
-                    format!(
-                        "a hand of hardware {:#06x}, driven with {} units per N m",
-                        info.hardware, self.options.wire_per_nm
-                    ),
-                    format!("use AllegroOptions::with_wire_per_nm({OLD_HARDWARE})"),
-                ));
-            }
-            if info.status & 6 != 0 {
-                return Err(Error::value(
-                    format!("the hand's status is {:#04x}: too hot, or a motor that does not answer", info.status),
-                    "let it cool, switch it off and on",
-                ));
-            }
+        if let Some(info) = self.info {
+            self.check_info(info)?;
         }
         for wire in 0..16 {
             let name = &self.options.names[wire];
@@ -139,9 +129,46 @@ impl<B: CanBus> AllegroHand<B> {
             if !(low - OUTSIDE_RAD..=high + OUTSIDE_RAD).contains(&q) {
                 return Err(Error::value(
                     format!("joint {name} at {q:.3} rad, where it cannot be ({low:.3} to {high:.3})"),
-                    "set its zero and direction with AllegroOptions::with_calibration",
+                    "check the version, and correct the joint's zero and direction in the hand's calibration table",
                 ));
             }
+        }
+        Ok(())
+    }
+
+    /// What the hand says about itself against torque. Not every firmware says anything.
+    fn check_info(&self, info: AllegroInfo) -> Result<()> {
+        let main = info.hardware >> 8;
+        let hardware = format!("a hand of hardware {main}.{:02x}", info.hardware & 0xff);
+        match (self.options.version, main) {
+            (AllegroVersion::V4, 5..) => {
+                return Err(Error::value(format!("{hardware}, driven as version 4"), "choose version 5"));
+            }
+            (AllegroVersion::V5, 1..=4) => {
+                return Err(Error::value(format!("{hardware}, driven as version 5"), "choose version 4"));
+            }
+            _ => {}
+        }
+        if info.left && !self.left_model {
+            return Err(Error::value(
+                "a left hand, driven with the model of a right one",
+                "connect a right hand, or give a model of the left one",
+            ));
+        }
+        if self.options.version != AllegroVersion::V4 {
+            return Ok(());
+        }
+        if main != 4 && self.options.wire_per_nm > OLD_HARDWARE {
+            return Err(Error::value(
+                format!("{hardware}, driven with {} wire units per N m", self.options.wire_per_nm),
+                format!("set {OLD_HARDWARE} wire units per N m"),
+            ));
+        }
+        if info.status & (AllegroInfo::TOO_HOT | AllegroInfo::MOTOR_SILENT) != 0 {
+            return Err(Error::value(
+                format!("the hand's status is {:#04x}: {}", info.status, info.status_names().join(", ")),
+                "let it cool, switch it off and on",
+            ));
         }
         Ok(())
     }
