@@ -8,8 +8,8 @@ use std::time::Duration;
 use drex_core::joints::JointLog;
 use drex_core::readers::read_joint_log_csv;
 use drex_hw::control::{
-    Behaviour, ControlLoop, ControlOptions, Derating, EStop, Ended, Joints, Trajectory, Waypoint, run, telemetry,
-    write_csv,
+    Behaviour, ControlLoop, ControlOptions, Derating, EStop, Ended, JointTrouble, Joints, Trajectory, Waypoint, run,
+    telemetry, write_csv,
 };
 use drex_hw::{Clock, EffortUnit, Error, Hand, HandCommand, HandState, JointStatus, Result};
 
@@ -30,6 +30,8 @@ struct World {
     sleep_at: Option<Duration>,
     deaf_to_off: bool,
     mute: bool,
+    /// Status of joint b in the cycles from the first to the last.
+    trouble: Option<(u32, u32, JointStatus)>,
     reads: Option<f64>,
 }
 
@@ -111,6 +113,9 @@ impl Hand for Fake {
         }
         state.age.fill(if world.mute { u32::MAX } else { 0 });
         state.status.fill(JointStatus::Driven);
+        if let Some((_, _, status)) = world.trouble.filter(|(a, b, _)| (*a..=*b).contains(&world.cycles)) {
+            state.status[1] = status;
+        }
         state.temperature_c.fill(world.celsius);
         Ok(())
     }
@@ -331,6 +336,30 @@ fn heat_and_the_limiter_take_and_never_add() {
     assert_eq!(told(Some(99.0), options().with_derating(None)), [0.3; 2]);
     assert_eq!(told(None, options().with_limiter(|_, l| l.copy_from_slice(&[0.2, 5.0]))), [0.2, 0.3]);
     assert_eq!(told(None, options().with_limiter(|_, l| l.copy_from_slice(&[f64::NAN, -1.0]))), [0.0, 0.0]);
+}
+
+#[test]
+fn joints_in_trouble_are_named_in_the_report() {
+    let troubles = |change: fn(&mut World)| {
+        let (world, mut hand, clock) = fake();
+        change(&mut world.lock().unwrap());
+        run(&mut hand, &mut there(0.1, 0.1), &clock, ControlOptions::default()).troubles
+    };
+    assert_eq!(troubles(|_| ()), []);
+    let faulted = JointStatus::Faulted(32);
+    let recovered = JointTrouble::Recovered { from: faulted, cycles: 5 };
+    assert_eq!(recovered.to_string(), "faulted (error 0x20) for 5 cycles, well again");
+    assert_eq!(troubles(|w| w.trouble = Some((10, 14, JointStatus::Faulted(32)))), [(1, recovered)]);
+    let ended = troubles(|w| w.trouble = Some((10, 1000, JointStatus::Silent)));
+    assert_eq!(ended, [(1, JointTrouble::Ended(JointStatus::Silent))]);
+    // A loop that ends by an error tells too.
+    let ended = troubles(|w| (w.trouble, w.fail_at) = (Some((10, 12, JointStatus::Faulted(32))), Some(13)));
+    assert_eq!(ended, [(1, JointTrouble::Ended(faulted))]);
+    let hot = troubles(|w| w.celsius = Some(68.0));
+    let [(0, JointTrouble::Derated { celsius: 68.0, share }), (1, _)] = hot[..] else { panic!("{hot:?}") };
+    assert!((share - 0.1).abs() < 1e-12);
+    // Warm, but not so that the limit asked for would have to fall.
+    assert_eq!(troubles(|w| w.celsius = Some(56.0)), []);
 }
 
 #[test]

@@ -7,7 +7,8 @@ use std::sync::Mutex;
 use std::time::Duration;
 
 use super::stats::Meter;
-use super::{Behaviour, ControlOptions, Joints, LoopStats};
+use super::troubles::Troubles;
+use super::{Behaviour, ControlOptions, JointTrouble, Joints, LoopStats};
 use crate::{Clock, Error, Hand, HandCommand, HandState, Result};
 
 /// How often a hand that does not take its torque off is told again.
@@ -45,6 +46,8 @@ pub struct LoopReport {
     pub unrecorded: u64,
     /// The last state that was read.
     pub state: HandState,
+    /// Joints that something was wrong with, by their index in [`Hand::joints`], and what; empty if all went well.
+    pub troubles: Vec<(usize, JointTrouble)>,
 }
 
 /// Turns the hand on, unless it is only watched, runs `behaviour` at a fixed rate on this thread until it is done or something ends it, and turns the hand off.
@@ -68,7 +71,8 @@ pub(super) fn run_published(
 ) -> LoopReport {
     let mut meter = Meter::new();
     let mut state = HandState::new(hand.joints().len());
-    let turns = || turns(hand, behaviour, clock, &mut options, &mut meter, &mut state, published);
+    let mut troubles = Troubles::new(hand.joints().len());
+    let turns = || turns(hand, behaviour, clock, &mut options, &mut meter, &mut troubles, &mut state, published);
     // Whatever a panic left half done is only switched off.
     let ended = match catch_unwind(AssertUnwindSafe(turns)) {
         Ok(Ok(ended)) => ended,
@@ -84,16 +88,18 @@ pub(super) fn run_published(
         }
     }
     let unrecorded = options.recorder.as_ref().map_or(0, |r| r.lost());
-    LoopReport { ended, torque_off, stats: meter.stats(), unrecorded, state }
+    LoopReport { ended, torque_off, stats: meter.stats(), unrecorded, state, troubles: troubles.list() }
 }
 
 /// From torque on to the reason to stop.
+#[expect(clippy::too_many_arguments, reason = "they outlive a panic, and so are the caller's")]
 fn turns(
     hand: &mut (impl Hand + ?Sized),
     behaviour: &mut (impl Behaviour + ?Sized),
     clock: &dyn Clock,
     options: &mut ControlOptions,
     meter: &mut Meter,
+    troubles: &mut Troubles,
     state: &mut HandState,
     published: &Mutex<LoopStats>,
 ) -> Result<Ended> {
@@ -132,14 +138,18 @@ fn turns(
         if lost.is_none() {
             let time = began.saturating_sub(begin + outage);
             flow = behaviour.command(time.as_secs_f64(), state, &mut command)?;
-            lower(&mut command.effort_limit, &mut limits, hand.effort_caps(), state, options);
+            lower(&mut command.effort_limit, &mut limits, hand.effort_caps(), state, options, troubles);
         }
         match hand.cycle((!options.limp).then_some(&command), state) {
-            Ok(()) => outage += lost.take().map_or(Duration::ZERO, |since| began.saturating_sub(since)),
+            Ok(()) => {
+                outage += lost.take().map_or(Duration::ZERO, |since| began.saturating_sub(since));
+                troubles.see(state);
+            }
             // A command or state that means nothing does not become better by waiting.
             Err(error @ Error::Value { .. }) => return Err(error),
             Err(error) => {
                 meter.fail();
+                troubles.see(state);
                 if began.saturating_sub(*lost.get_or_insert(began)) >= options.outage {
                     return Err(error);
                 }
@@ -205,14 +215,25 @@ fn first_state(
 }
 
 /// Takes from the limits what heat and the limiter take; never adds.
-fn lower(wanted: &mut [f64], scratch: &mut [f64], caps: &[f64], state: &HandState, options: &mut ControlOptions) {
+fn lower(
+    wanted: &mut [f64],
+    scratch: &mut [f64],
+    caps: &[f64],
+    state: &HandState,
+    options: &mut ControlOptions,
+    troubles: &mut Troubles,
+) {
     if let Some(derating) = &options.derating {
-        for ((limit, cap), celsius) in wanted.iter_mut().zip(caps).zip(&state.temperature_c) {
+        for (joint, ((limit, cap), celsius)) in wanted.iter_mut().zip(caps).zip(&state.temperature_c).enumerate() {
             if let Some(celsius) = celsius {
-                let most = derating.share(*celsius) * cap;
+                let share = derating.share(*celsius);
+                let most = share * cap;
                 // A limit that is no number stays one, for the hand to refuse.
                 if *limit > most {
                     *limit = most;
+                    if share < 1.0 {
+                        troubles.derate(joint, *celsius, share);
+                    }
                 }
             }
         }
