@@ -54,6 +54,36 @@ fn torques_heard(hand: &AllegroEmulator) -> Vec<[i16; 4]> {
 }
 
 #[test]
+fn what_the_hand_says_about_itself_can_be_waited_for() {
+    for version in VERSIONS {
+        let (hand, mut driver) = driven(AllegroOptions::new(version));
+        assert_eq!((driver.info(), driver.stats().frames), (None, 0));
+        let before = hand.now();
+        assert!(driver.wait_for_reports().unwrap());
+        assert!(hand.now() - before < Duration::from_millis(50));
+        assert_eq!(driver.info().map(|i| i.left), Some(false));
+        assert_eq!(driver.serial().is_some(), version != AllegroVersion::V3);
+        let mut state = HandState::new(16);
+        driver.cycle(None, &mut state).unwrap();
+        assert!(state.age.iter().all(|a| *a < 5));
+        // A finger is missing.
+        hand.mute(1, true);
+        hand.pass(Duration::from_millis(50));
+        let before = hand.now();
+        assert!(!driver.wait_for_reports().unwrap());
+        let waited = hand.now() - before;
+        assert!((Duration::from_millis(400)..Duration::from_millis(600)).contains(&waited), "{waited:?}");
+    }
+    // Nobody at the other end.
+    let (here, _there) = MemoryCan::pair();
+    let hand = AllegroEmulator::new(AllegroVersion::V4).in_real_time();
+    let options = AllegroOptions::new(AllegroVersion::V4);
+    let mut driver = AllegroHand::connect_with_clock(here, &robot(), options, hand.clock()).unwrap();
+    assert!(!driver.wait_for_reports().unwrap());
+    assert_eq!(driver.stats().frames, 0);
+}
+
+#[test]
 fn no_torque_before_all_fingers_have_shown_themselves() {
     for version in VERSIONS {
         let hand = AllegroEmulator::new(version);

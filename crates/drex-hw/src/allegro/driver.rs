@@ -71,7 +71,8 @@ pub struct AllegroHand<B: CanBus> {
 }
 
 impl<B: CanBus> AllegroHand<B> {
-    /// Starts the hand's stream of poses, without torque.
+    /// Starts the hand's stream of poses, without torque. Nothing has been heard yet when this returns: see
+    /// [`Self::wait_for_reports`].
     ///
     /// # Errors
     /// [`Error::Value`] for options that mean nothing or a model without the joints, [`Error::Port`] if the bus fails.

@@ -45,6 +45,28 @@ impl<B: CanBus> AllegroHand<B> {
         self.send(AllegroCommand::AskState)
     }
 
+    /// Waits, half a second at most, until the hand has said what it is and all fingers have reported; false if something is missing
+    /// then. Firmware may leave information and serial number out, but where [`AllegroStats::frames`](super::AllegroStats::frames) is
+    /// still zero nobody was heard at all.
+    ///
+    /// # Errors
+    /// [`Error::Port`] if the bus fails or refuses frames.
+    pub fn wait_for_reports(&mut self) -> Result<bool> {
+        let begin = self.clock.now();
+        for _ in 0..MOST_FRAMES {
+            let serial = self.serial.is_some() || self.options.version == AllegroVersion::V3;
+            if self.info.is_some() && serial && self.all_fresh(self.clock.now()) {
+                return Ok(true);
+            }
+            let left = FIRST_POSES.saturating_sub(self.clock.now().saturating_sub(begin));
+            if left.is_zero() {
+                break;
+            }
+            self.gather(left.min(Duration::from_millis(u64::from(self.options.pose_period_ms) * 2)))?;
+        }
+        Ok(false)
+    }
+
     /// Torque off, motors off, silence; all of it is tried, the first failure is told.
     pub(super) fn stop(&mut self) -> Result<()> {
         self.driven = false;
