@@ -305,6 +305,31 @@ fn a_hand_that_is_another_than_was_said_gets_no_torque() {
 }
 
 #[test]
+fn errors_say_what_to_change_and_name_nothing_of_the_source() {
+    type Change = fn(&mut AllegroOptions);
+    let changes: [(Change, &str); 6] = [
+        (|o| o.wire_per_nm = 0.0, "0 wire units per N m; give"),
+        (|o| o.gains[3].kd = f64::NAN, "NaN; give"),
+        (|o| o.wire_caps[0] = 500, "500 on the wire for ffj0; give 0 to 375"),
+        (|o| o.calibration[1].offset_counts = 1 << 21, "2097152 counts; give"),
+        (|o| o.stale = Duration::ZERO, "stale; give"),
+        (|o| o.velocity_filter_s = 2.0, "2 s; give 0 to 1 s"),
+    ];
+    for (change, text) in changes {
+        let mut options = AllegroOptions::new(AllegroVersion::V4);
+        change(&mut options);
+        let (bus, _there) = MemoryCan::pair();
+        let error = AllegroHand::connect(bus, &robot(), options).map(|_| ()).unwrap_err().to_string();
+        assert!(error.contains(text) && !error.contains("::"), "{error}");
+    }
+    let (hand, mut driver) = driven(AllegroOptions::new(AllegroVersion::V4));
+    hand.place(6, 3.0);
+    assert!(!driver.turn_on().unwrap_err().to_string().contains("::"));
+    let error = driver.cycle(Some(&HandCommand::new(15)), &mut HandState::new(16)).unwrap_err().to_string();
+    assert!(!error.contains("::"), "{error}");
+}
+
+#[test]
 fn zeros_and_directions_of_a_certain_hand() {
     let mut calibration = [JointCalibration::NONE; 16];
     calibration[1] = JointCalibration { offset_counts: 1500, encoder_reversed: true, motor_reversed: true };

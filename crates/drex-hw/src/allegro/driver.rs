@@ -338,7 +338,7 @@ fn wire_to_model(robot: &Robot, options: &AllegroOptions) -> Result<[usize; 16]>
     if robot.dof() != 16 {
         return Err(Error::value(
             format!("a model with {} joints for an Allegro hand", robot.dof()),
-            "give one with 16, such as Robot::bundled(\"allegro_right\")",
+            "give one with 16, such as allegro_right",
         ));
     }
     let mut model = [0; 16];
