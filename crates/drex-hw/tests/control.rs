@@ -23,6 +23,9 @@ struct World {
     told: HandCommand,
     celsius: Option<f64>,
     exchange: Duration,
+    /// Most that a joint moves in a cycle, rad, and where it cannot go on.
+    step: Option<f64>,
+    wall: Option<f64>,
     fail_at: Option<u32>,
     fail_for: u32,
     panic_at: Option<u32>,
@@ -108,7 +111,10 @@ impl Hand for Fake {
         if let Some(command) = command {
             command.check(&self.names)?;
             world.told.clone_from(command);
-            state.position.copy_from_slice(&command.position);
+            let step = world.step.unwrap_or(f64::INFINITY);
+            for (q, goal) in state.position.iter_mut().zip(&command.position) {
+                *q = goal.clamp(*q - step, *q + step).min(world.wall.unwrap_or(f64::INFINITY));
+            }
             state.velocity[1] = world.reads.unwrap_or(0.0);
         }
         state.age.fill(if world.mute { u32::MAX } else { 0 });
@@ -168,6 +174,33 @@ fn a_trajectory_is_followed_at_the_rate_and_ends_with_torque_off() {
     }) {}
     let (time, goal) = middle.unwrap();
     assert!((goal - 0.8 * time).abs() < 0.8 * 1e-3, "{goal} at {time} s");
+}
+
+#[test]
+fn a_trajectory_waits_for_joints_that_lag_but_not_for_those_that_stopped() {
+    let run_with = |change: fn(&mut World), settle_s: f64| {
+        let (world, mut hand, clock) = fake();
+        change(&mut world.lock().unwrap());
+        let report = run(&mut hand, &mut there(1.0, 0.8).with_settle_s(settle_s), &clock, ControlOptions::default());
+        assert!(matches!(report.ended, Ended::Done), "{:?}", report.ended);
+        (report.stats.cycles, report.state.position[0])
+    };
+    // 0.7 rad/s for 0.8 rad: 0.1 rad are missing after a second.
+    let slow: fn(&mut World) = |w| w.step = Some(0.7 / 400.0);
+    let (cycles, q) = run_with(slow, 0.5);
+    assert!((430..450).contains(&cycles) && (0.77..0.78).contains(&q), "{cycles} cycles to {q} rad");
+    assert_eq!(run_with(slow, 0.0).0, 401);
+    // Much too slow: half a second more, and no longer.
+    let (cycles, _) = run_with(|w| w.step = Some(0.3 / 400.0), 0.5);
+    assert!((600..603).contains(&cycles), "{cycles} cycles");
+    // One joint on a wall: a tenth of a second more.
+    let (cycles, q) = run_with(|w| w.wall = Some(0.4), 0.5);
+    assert!((440..445).contains(&cycles) && q == 0.4, "{cycles} cycles");
+    for bad in [f64::NAN, -1.0, f64::INFINITY] {
+        let (_, mut hand, clock) = fake();
+        let report = run(&mut hand, &mut there(1.0, 0.8).with_settle_s(bad), &clock, ControlOptions::default());
+        assert!(matches!(report.ended, Ended::Failed(Error::Value { .. })));
+    }
 }
 
 #[test]
