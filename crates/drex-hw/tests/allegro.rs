@@ -414,7 +414,8 @@ fn what_the_adapter_refuses_is_an_error_and_the_stop_is_repeated() {
     driver.turn_on().unwrap();
     assert!(hand.is_on());
     next.store(1000, Ordering::Relaxed);
-    assert!(driver.turn_off().unwrap_err().to_string().contains("refused 6 frames"));
+    let error = driver.turn_off().unwrap_err().to_string();
+    assert!(error.contains("refused 6 frames") && error.contains("switch its power off"), "{error}");
     next.store(0, Ordering::Relaxed);
     assert!(hand.is_on());
     drop(driver);

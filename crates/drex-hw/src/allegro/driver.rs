@@ -13,6 +13,8 @@ use crate::{Clock, Error, Result, SystemClock};
 /// Most frames that one exchange reads, so that a babbling bus cannot hold it up.
 pub(super) const MOST_FRAMES: usize = 256;
 
+/// What to do about a bus that is silent or refuses.
+const CABLE: &str = "check the hand's power, the CAN cable and its termination, then connect again";
 /// How long poses may stay away before an exchange is an error instead of one without torque.
 const BLIND: Duration = Duration::from_millis(500);
 
@@ -197,7 +199,7 @@ impl<B: CanBus> AllegroHand<B> {
         let now = self.clock.now();
         let blind = self.fingers.iter().any(|f| f.seen.is_some() && !f.is_fresh(now, self.options.stale));
         self.blind_since = blind.then(|| self.blind_since.unwrap_or(now));
-        self.check_refusals()
+        self.check_refusals(CABLE)
     }
 
     /// Refuses to go on without poses for ever.
@@ -213,7 +215,7 @@ impl<B: CanBus> AllegroHand<B> {
                 io::ErrorKind::TimedOut,
                 format!("no poses of {blind} for {} s", BLIND.as_secs_f64()),
             ),
-            remedy: "check the hand's power, the CAN cable and its termination, then connect again".into(),
+            remedy: CABLE.into(),
         })
     }
 
@@ -225,7 +227,7 @@ impl<B: CanBus> AllegroHand<B> {
     }
 
     /// Tells once what the bus refused since the last time.
-    pub(super) fn check_refusals(&mut self) -> Result<()> {
+    pub(super) fn check_refusals(&mut self, remedy: &str) -> Result<()> {
         let refused = self.bus.refused();
         let new = refused - std::mem::replace(&mut self.refused, refused).min(refused);
         if new == 0 {
@@ -234,7 +236,7 @@ impl<B: CanBus> AllegroHand<B> {
         Err(Error::Port {
             port: self.bus.name().into(),
             source: io::Error::other(format!("the adapter refused {new} frames")),
-            remedy: "check the hand's power, the CAN cable and its termination, then connect again".into(),
+            remedy: remedy.into(),
         })
     }
 

@@ -99,7 +99,8 @@ impl<B: CanBus> AllegroHand<B> {
             let sent = self.send(command);
             told = told.and(sent);
         }
-        told.and_then(|()| self.bus.settle(LAST_ANSWERS)).and_then(|()| self.check_refusals())
+        told.and_then(|()| self.bus.settle(LAST_ANSWERS))
+            .and_then(|()| self.check_refusals("the hand may still be on: switch its power off"))
     }
 
     /// Waits for all fingers, refuses a hand in a state that torque would make worse, and takes its pose as goal.
