@@ -120,7 +120,7 @@ impl HandCommand {
                     self.effort_limit.len(),
                     joints.len()
                 ),
-                "give one of each per joint, in the order of Hand::joints",
+                "give one of each per joint, in the order of the hand's joints",
             ));
         }
         for (j, name) in joints.iter().enumerate() {

@@ -2,10 +2,10 @@
 #![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use drex_hw::allegro::{AllegroCommand, AllegroHand, AllegroOptions, AllegroVersion, JointCalibration};
+use drex_hw::allegro::{AllegroCommand, AllegroHand, AllegroInfo, AllegroOptions, AllegroVersion, JointCalibration};
 use drex_hw::can::{CanBus, CanFrame, MemoryCan};
 use drex_hw::emulator::allegro::{AllegroEmulator, EmulatorBus};
 use drex_hw::{Clock, Hand, HandCommand, HandState, JointStatus, Result};
@@ -51,6 +51,36 @@ fn torques_heard(hand: &AllegroEmulator) -> Vec<[i16; 4]> {
         _ => None,
     };
     hand.take_record().into_iter().filter_map(torque).collect()
+}
+
+#[test]
+fn what_the_hand_says_about_itself_can_be_waited_for() {
+    for version in VERSIONS {
+        let (hand, mut driver) = driven(AllegroOptions::new(version));
+        assert_eq!((driver.info(), driver.stats().frames), (None, 0));
+        let before = hand.now();
+        assert!(driver.wait_for_reports().unwrap());
+        assert!(hand.now() - before < Duration::from_millis(50));
+        assert_eq!(driver.info().map(|i| i.left), Some(false));
+        assert_eq!(driver.serial().is_some(), version != AllegroVersion::V3);
+        let mut state = HandState::new(16);
+        driver.cycle(None, &mut state).unwrap();
+        assert!(state.age.iter().all(|a| *a < 5));
+        // A finger is missing.
+        hand.mute(1, true);
+        hand.pass(Duration::from_millis(50));
+        let before = hand.now();
+        assert!(!driver.wait_for_reports().unwrap());
+        let waited = hand.now() - before;
+        assert!((Duration::from_millis(400)..Duration::from_millis(600)).contains(&waited), "{waited:?}");
+    }
+    // Nobody at the other end.
+    let (here, _there) = MemoryCan::pair();
+    let hand = AllegroEmulator::new(AllegroVersion::V4).in_real_time();
+    let options = AllegroOptions::new(AllegroVersion::V4);
+    let mut driver = AllegroHand::connect_with_clock(here, &robot(), options, hand.clock()).unwrap();
+    assert!(!driver.wait_for_reports().unwrap());
+    assert_eq!(driver.stats().frames, 0);
 }
 
 #[test]
@@ -158,6 +188,33 @@ fn old_poses_mean_no_torque_until_new_ones_come() {
 }
 
 #[test]
+fn poses_that_stay_away_are_an_error() {
+    let (hand, mut driver) = driven(AllegroOptions::new(AllegroVersion::V4));
+    driver.turn_on().unwrap();
+    let (mut command, mut state) = (HandCommand::new(16), HandState::new(16));
+    command.effort_limit.fill(0.1);
+    run(&hand, &mut driver, Some(&command), &mut state, 20);
+    hand.mute(2, true);
+    // 20 ms until they are old, and half a second.
+    run(&hand, &mut driver, Some(&command), &mut state, 170);
+    hand.pass(Duration::from_millis(30));
+    let error = driver.cycle(Some(&command), &mut state).unwrap_err().to_string();
+    assert!(error.contains("no poses of ring for 0.5 s"), "{error}");
+    assert_eq!(hand.torques_nm(), [0.0; 16]);
+    // It goes on when they come back, as after an outage.
+    hand.mute(2, false);
+    hand.pass(CYCLE);
+    run(&hand, &mut driver, Some(&command), &mut state, 20);
+    assert!(hand.torques_nm() != [0.0; 16]);
+    // A pause of the program is no failure of the hand.
+    hand.pass(Duration::from_secs(2));
+    run(&hand, &mut driver, Some(&command), &mut state, 20);
+    driver.turn_off().unwrap();
+    hand.pass(Duration::from_secs(2));
+    driver.cycle(None, &mut state).unwrap();
+}
+
+#[test]
 fn nonsense_is_refused_and_the_last_command_holds() {
     let (hand, mut driver) = driven(AllegroOptions::new(AllegroVersion::V5));
     driver.turn_on().unwrap();
@@ -210,8 +267,66 @@ fn a_hand_that_is_not_where_it_can_be_gets_no_torque() {
     hand.place(6, 3.0);
     hand.record();
     let error = driver.turn_on().unwrap_err().to_string();
-    assert!(error.contains("mfj2") && error.contains("with_calibration"), "{error}");
+    assert!(error.contains("mfj2") && error.contains("calibration"), "{error}");
     assert!(torques_heard(&hand).is_empty());
+}
+
+#[test]
+fn a_hand_that_is_another_than_was_said_gets_no_torque() {
+    let refusal = |version, wire_per_nm, info| {
+        let options = AllegroOptions::new(version).with_wire_per_nm(wire_per_nm);
+        let hand = placed(options.clone());
+        hand.set_info(info);
+        let mut driver = AllegroHand::connect_with_clock(hand.bus(), &robot(), options, hand.clock()).unwrap();
+        hand.record();
+        let told = driver.turn_on();
+        assert!(torques_heard(&hand).is_empty());
+        assert_eq!(driver.info(), Some(info));
+        told.err().map(|e| e.to_string())
+    };
+    let info = |hardware, left, status| AllegroInfo { hardware, firmware: 0, left, status };
+    let (v3, v4, v5) = (AllegroVersion::V3, AllegroVersion::V4, AllegroVersion::V5);
+    assert!(refusal(v4, 1200.0, info(0x0500, false, 0)).unwrap().contains("choose version 5"));
+    assert!(refusal(v5, 1430.0, info(0x0402, false, 0)).unwrap().contains("choose version 4"));
+    assert!(refusal(v4, 1200.0, info(0x0300, false, 0)).unwrap().contains("set 800 wire units"));
+    for (version, hardware) in [(v3, 0x0300), (v4, 0x0402), (v5, 0x0500)] {
+        assert!(refusal(version, 800.0, info(hardware, true, 0)).unwrap().contains("left hand"));
+        assert_eq!(refusal(version, 800.0, info(hardware, false, 0)), None);
+    }
+    assert!(refusal(v4, 1200.0, info(0x0402, false, 5)).unwrap().contains("motors on, a motor does not answer"));
+    // With the model of a left hand it is no surprise.
+    let (left, hand) = (Robot::bundled("allegro_left").unwrap(), AllegroEmulator::new(v4));
+    hand.place(12, 0.5);
+    hand.set_info(info(0x0402, true, 0));
+    let mut driver = AllegroHand::connect_with_clock(hand.bus(), &left, AllegroOptions::new(v4), hand.clock()).unwrap();
+    driver.turn_on().unwrap();
+    // Firmware that leaves the version out is taken at the user's word.
+    assert_eq!(refusal(v5, 1430.0, info(0, false, 0)), None);
+}
+
+#[test]
+fn errors_say_what_to_change_and_name_nothing_of_the_source() {
+    type Change = fn(&mut AllegroOptions);
+    let changes: [(Change, &str); 6] = [
+        (|o| o.wire_per_nm = 0.0, "0 wire units per N m; give"),
+        (|o| o.gains[3].kd = f64::NAN, "NaN; give"),
+        (|o| o.wire_caps[0] = 500, "500 on the wire for ffj0; give 0 to 375"),
+        (|o| o.calibration[1].offset_counts = 1 << 21, "2097152 counts; give"),
+        (|o| o.stale = Duration::ZERO, "stale; give"),
+        (|o| o.velocity_filter_s = 2.0, "2 s; give 0 to 1 s"),
+    ];
+    for (change, text) in changes {
+        let mut options = AllegroOptions::new(AllegroVersion::V4);
+        change(&mut options);
+        let (bus, _there) = MemoryCan::pair();
+        let error = AllegroHand::connect(bus, &robot(), options).map(|_| ()).unwrap_err().to_string();
+        assert!(error.contains(text) && !error.contains("::"), "{error}");
+    }
+    let (hand, mut driver) = driven(AllegroOptions::new(AllegroVersion::V4));
+    hand.place(6, 3.0);
+    assert!(!driver.turn_on().unwrap_err().to_string().contains("::"));
+    let error = driver.cycle(Some(&HandCommand::new(15)), &mut HandState::new(16)).unwrap_err().to_string();
+    assert!(!error.contains("::"), "{error}");
 }
 
 #[test]
@@ -242,6 +357,67 @@ fn an_unplugged_bus_is_an_error_and_the_next_stop_still_works() {
     assert!(driver.turn_off().is_err());
     assert!(hand.is_on());
     hand.plug();
+    drop(driver);
+    assert!(!hand.is_on());
+}
+
+/// A bus whose adapter refuses the next so many frames.
+struct Refusing {
+    bus: EmulatorBus,
+    next: Arc<AtomicU64>,
+    refused: u64,
+}
+
+impl CanBus for Refusing {
+    fn name(&self) -> &str {
+        "refusing"
+    }
+
+    fn send(&mut self, frame: &CanFrame) -> Result<()> {
+        if self.next.load(Ordering::Relaxed) == 0 {
+            return self.bus.send(frame);
+        }
+        self.next.fetch_sub(1, Ordering::Relaxed);
+        self.refused += 1;
+        Ok(())
+    }
+
+    fn receive(&mut self, timeout: Duration) -> Result<Option<CanFrame>> {
+        self.bus.receive(timeout)
+    }
+
+    fn refused(&self) -> u64 {
+        self.refused
+    }
+}
+
+#[test]
+fn what_the_adapter_refuses_is_an_error_and_the_stop_is_repeated() {
+    let options = AllegroOptions::new(AllegroVersion::V4);
+    let hand = placed(options.clone());
+    hand.set_watchdog(None);
+    let next = Arc::new(AtomicU64::new(0));
+    let bus = Refusing { bus: hand.bus(), next: next.clone(), refused: 0 };
+    let mut driver = AllegroHand::connect_with_clock(bus, &robot(), options, hand.clock()).unwrap();
+    driver.turn_on().unwrap();
+    let mut state = HandState::new(16);
+    run(&hand, &mut driver, None, &mut state, 5);
+    next.store(4, Ordering::Relaxed);
+    driver.cycle(None, &mut state).unwrap();
+    let error = driver.cycle(None, &mut state).unwrap_err().to_string();
+    assert!(error.contains("refused 4 frames") && error.contains("termination"), "{error}");
+    run(&hand, &mut driver, None, &mut state, 5);
+    // The first stop, four torques and two commands, is lost.
+    next.store(6, Ordering::Relaxed);
+    driver.turn_off().unwrap();
+    assert!(!hand.is_on());
+    driver.turn_on().unwrap();
+    assert!(hand.is_on());
+    next.store(1000, Ordering::Relaxed);
+    let error = driver.turn_off().unwrap_err().to_string();
+    assert!(error.contains("refused 6 frames") && error.contains("switch its power off"), "{error}");
+    next.store(0, Ordering::Relaxed);
+    assert!(hand.is_on());
     drop(driver);
     assert!(!hand.is_on());
 }

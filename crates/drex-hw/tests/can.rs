@@ -135,6 +135,30 @@ fn slcan_opens_at_a_megabit_and_closes() {
 }
 
 #[test]
+fn settling_waits_for_the_last_answers_and_counts_what_was_refused() {
+    let (host, thread) = adapter(b"\r\x07\r\r");
+    let mut bus = Slcan::over(host, "test").unwrap();
+    let (mut device, _) = thread.join().unwrap();
+    let frame = CanFrame::data_frame(0x80, &[1]).unwrap();
+    bus.send(&frame).unwrap();
+    bus.send(&frame).unwrap();
+    device.write_all(b"z\rt0801FF\r").unwrap();
+    let late = std::thread::spawn(move || {
+        std::thread::sleep(Duration::from_millis(10));
+        device.write_all(b"\x07").unwrap();
+        device
+    });
+    bus.settle(Duration::from_secs(10)).unwrap();
+    assert_eq!(bus.refused(), 1);
+    let _device = late.join().unwrap();
+    // Nobody waits for an adapter that never answers.
+    let (host, _device) = UnixStream::pair().unwrap();
+    let mut bus = Slcan::over(host, "silent").unwrap();
+    bus.send(&frame).unwrap();
+    bus.settle(Duration::from_secs(600)).unwrap();
+}
+
+#[test]
 fn a_refused_bus_is_an_error_and_an_unplugged_adapter_too() {
     let (host, thread) = adapter(b"\r\r\r\x07");
     let error = Slcan::over(host, "test").unwrap_err().to_string();

@@ -8,8 +8,8 @@ use std::time::Duration;
 use drex_core::joints::JointLog;
 use drex_core::readers::read_joint_log_csv;
 use drex_hw::control::{
-    Behaviour, ControlLoop, ControlOptions, Derating, EStop, Ended, Joints, Trajectory, Waypoint, run, telemetry,
-    write_csv,
+    Behaviour, ControlLoop, ControlOptions, Derating, EStop, Ended, JointTrouble, Joints, Trajectory, Waypoint, run,
+    telemetry, write_csv,
 };
 use drex_hw::{Clock, EffortUnit, Error, Hand, HandCommand, HandState, JointStatus, Result};
 
@@ -23,12 +23,18 @@ struct World {
     told: HandCommand,
     celsius: Option<f64>,
     exchange: Duration,
+    /// Most that a joint moves in a cycle, rad, and where it cannot go on.
+    step: Option<f64>,
+    wall: Option<f64>,
     fail_at: Option<u32>,
     fail_for: u32,
     panic_at: Option<u32>,
     slow_at: Option<u32>,
+    sleep_at: Option<Duration>,
     deaf_to_off: bool,
     mute: bool,
+    /// Status of joint b in the cycles from the first to the last.
+    trouble: Option<(u32, u32, JointStatus)>,
     reads: Option<f64>,
 }
 
@@ -49,6 +55,11 @@ impl Clock for FakeClock {
     fn wait_until(&self, then: Duration) {
         let mut world = self.0.lock().unwrap();
         world.now = world.now.max(then);
+        // The program is stopped for a second between two cycles.
+        if world.sleep_at.is_some_and(|at| at <= then) {
+            world.sleep_at = None;
+            world.now += Duration::from_secs(1);
+        }
     }
 }
 
@@ -100,11 +111,17 @@ impl Hand for Fake {
         if let Some(command) = command {
             command.check(&self.names)?;
             world.told.clone_from(command);
-            state.position.copy_from_slice(&command.position);
+            let step = world.step.unwrap_or(f64::INFINITY);
+            for (q, goal) in state.position.iter_mut().zip(&command.position) {
+                *q = goal.clamp(*q - step, *q + step).min(world.wall.unwrap_or(f64::INFINITY));
+            }
             state.velocity[1] = world.reads.unwrap_or(0.0);
         }
         state.age.fill(if world.mute { u32::MAX } else { 0 });
         state.status.fill(JointStatus::Driven);
+        if let Some((_, _, status)) = world.trouble.filter(|(a, b, _)| (*a..=*b).contains(&world.cycles)) {
+            state.status[1] = status;
+        }
         state.temperature_c.fill(world.celsius);
         Ok(())
     }
@@ -160,6 +177,33 @@ fn a_trajectory_is_followed_at_the_rate_and_ends_with_torque_off() {
 }
 
 #[test]
+fn a_trajectory_waits_for_joints_that_lag_but_not_for_those_that_stopped() {
+    let run_with = |change: fn(&mut World), settle_s: f64| {
+        let (world, mut hand, clock) = fake();
+        change(&mut world.lock().unwrap());
+        let report = run(&mut hand, &mut there(1.0, 0.8).with_settle_s(settle_s), &clock, ControlOptions::default());
+        assert!(matches!(report.ended, Ended::Done), "{:?}", report.ended);
+        (report.stats.cycles, report.state.position[0])
+    };
+    // 0.7 rad/s for 0.8 rad: 0.1 rad are missing after a second.
+    let slow: fn(&mut World) = |w| w.step = Some(0.7 / 400.0);
+    let (cycles, q) = run_with(slow, 0.5);
+    assert!((430..450).contains(&cycles) && (0.77..0.78).contains(&q), "{cycles} cycles to {q} rad");
+    assert_eq!(run_with(slow, 0.0).0, 401);
+    // Much too slow: half a second more, and no longer.
+    let (cycles, _) = run_with(|w| w.step = Some(0.3 / 400.0), 0.5);
+    assert!((600..603).contains(&cycles), "{cycles} cycles");
+    // One joint on a wall: a tenth of a second more.
+    let (cycles, q) = run_with(|w| w.wall = Some(0.4), 0.5);
+    assert!((440..445).contains(&cycles) && q == 0.4, "{cycles} cycles");
+    for bad in [f64::NAN, -1.0, f64::INFINITY] {
+        let (_, mut hand, clock) = fake();
+        let report = run(&mut hand, &mut there(1.0, 0.8).with_settle_s(bad), &clock, ControlOptions::default());
+        assert!(matches!(report.ended, Ended::Failed(Error::Value { .. })));
+    }
+}
+
+#[test]
 fn however_it_ends_the_torque_goes_off() {
     let ends = |change: fn(&mut World)| {
         let (world, mut hand, clock) = fake();
@@ -210,6 +254,42 @@ fn an_outage_is_borne_if_it_is_short_and_nothing_jumps_after_it() {
     assert!(jump < 1.01 * 0.002 && rows == 401, "{jump} rad in {rows} rows");
     let (report, ..) = run_with(Duration::from_millis(50));
     assert!(matches!(report.ended, Ended::Failed(Error::Silent { .. })));
+}
+
+#[test]
+fn nothing_jumps_after_a_stall() {
+    let run_with = |change: fn(&mut World)| {
+        let (world, mut hand, clock) = fake();
+        change(&mut world.lock().unwrap());
+        let (recorder, mut reader) = telemetry(2, 1000);
+        let options = ControlOptions::default().with_recorder(recorder);
+        let report = run(&mut hand, &mut there(1.0, 0.8), &clock, options);
+        assert!(matches!(report.ended, Ended::Done) && report.state.position[0] == 0.8, "{:?}", report.ended);
+        let (mut last, mut jump) = (0.0, 0.0_f64);
+        while let Ok(Some(())) = reader.next(Duration::ZERO, |s| {
+            jump = jump.max((s.command.position[0] - last).abs());
+            last = s.command.position[0];
+        }) {}
+        (report.stats.stalls, jump)
+    };
+    // 0.8 rad/s at 400 Hz; the cycle after a stall may be one period ahead.
+    let (stalls, jump) = run_with(|w| w.sleep_at = Some(Duration::from_millis(500)));
+    assert!(stalls == 1 && jump < 2.01 * 0.002, "{stalls} stalls, {jump} rad");
+    // Within an exchange.
+    let (stalls, jump) = run_with(|w| (w.slow_at, w.exchange) = (Some(20), Duration::from_millis(20)));
+    assert!(stalls == 1 && jump < 0.8 * 0.0226, "{stalls} stalls, {jump} rad");
+    // A long outage is no stall, and is not counted twice.
+    let (world, mut hand, clock) = fake();
+    world.lock().unwrap().sleep_at = Some(Duration::from_millis(500));
+    {
+        let mut world = world.lock().unwrap();
+        (world.fail_at, world.fail_for) = (Some(195), 20);
+    }
+    let options = ControlOptions::default().with_outage(Duration::from_secs(2));
+    let report = run(&mut hand, &mut there(1.0, 0.8), &clock, options);
+    let now = world.lock().unwrap().now.as_secs_f64();
+    assert!(matches!(report.ended, Ended::Done) && report.stats.stalls == 1);
+    assert!((now - 2.05).abs() < 0.02, "{now} s for one second of trajectory, one asleep, and 21 lost cycles");
 }
 
 #[test]
@@ -289,6 +369,30 @@ fn heat_and_the_limiter_take_and_never_add() {
     assert_eq!(told(Some(99.0), options().with_derating(None)), [0.3; 2]);
     assert_eq!(told(None, options().with_limiter(|_, l| l.copy_from_slice(&[0.2, 5.0]))), [0.2, 0.3]);
     assert_eq!(told(None, options().with_limiter(|_, l| l.copy_from_slice(&[f64::NAN, -1.0]))), [0.0, 0.0]);
+}
+
+#[test]
+fn joints_in_trouble_are_named_in_the_report() {
+    let troubles = |change: fn(&mut World)| {
+        let (world, mut hand, clock) = fake();
+        change(&mut world.lock().unwrap());
+        run(&mut hand, &mut there(0.1, 0.1), &clock, ControlOptions::default()).troubles
+    };
+    assert_eq!(troubles(|_| ()), []);
+    let faulted = JointStatus::Faulted(32);
+    let recovered = JointTrouble::Recovered { from: faulted, cycles: 5 };
+    assert_eq!(recovered.to_string(), "faulted (error 0x20) for 5 cycles, well again");
+    assert_eq!(troubles(|w| w.trouble = Some((10, 14, JointStatus::Faulted(32)))), [(1, recovered)]);
+    let ended = troubles(|w| w.trouble = Some((10, 1000, JointStatus::Silent)));
+    assert_eq!(ended, [(1, JointTrouble::Ended(JointStatus::Silent))]);
+    // A loop that ends by an error tells too.
+    let ended = troubles(|w| (w.trouble, w.fail_at) = (Some((10, 12, JointStatus::Faulted(32))), Some(13)));
+    assert_eq!(ended, [(1, JointTrouble::Ended(faulted))]);
+    let hot = troubles(|w| w.celsius = Some(68.0));
+    let [(0, JointTrouble::Derated { celsius: 68.0, share }), (1, _)] = hot[..] else { panic!("{hot:?}") };
+    assert!((share - 0.1).abs() < 1e-12);
+    // Warm, but not so that the limit asked for would have to fall.
+    assert_eq!(troubles(|w| w.celsius = Some(56.0)), []);
 }
 
 #[test]

@@ -9,7 +9,8 @@ use drex_robot::Robot;
 
 #[test]
 fn signals_press_the_emergency_stop() {
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM};
+    for signal in [SIGINT, SIGTERM, SIGHUP, SIGQUIT] {
         let estop = EStop::new();
         stop_on_signals(&estop).unwrap();
         let emulator = AllegroEmulator::new(AllegroVersion::V4).in_real_time();

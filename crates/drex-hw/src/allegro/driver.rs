@@ -1,5 +1,6 @@
 //! The hand as the computer sees it: start, exchange, stop.
 
+use std::io;
 use std::time::Duration;
 
 use drex_robot::Robot;
@@ -11,6 +12,11 @@ use crate::{Clock, Error, Result, SystemClock};
 
 /// Most frames that one exchange reads, so that a babbling bus cannot hold it up.
 pub(super) const MOST_FRAMES: usize = 256;
+
+/// What to do about a bus that is silent or refuses.
+const CABLE: &str = "check the hand's power, the CAN cable and its termination, then connect again";
+/// How long poses may stay away before an exchange is an error instead of one without torque.
+const BLIND: Duration = Duration::from_millis(500);
 
 /// What went over the bus.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -45,6 +51,8 @@ pub struct AllegroHand<B: CanBus> {
     pub(super) fingers: [Finger; 4],
     /// Exchanges since each finger reported.
     pub(super) ages: [u32; 4],
+    /// Since which exchange poses of a finger that was seen are too old.
+    pub(super) blind_since: Option<Duration>,
     pub(super) started: bool,
     pub(super) driven: bool,
     /// Wire order, rad; none means where it is.
@@ -55,13 +63,18 @@ pub struct AllegroHand<B: CanBus> {
     pub(super) motor_errors: [u8; 16],
     pub(super) temperatures_c: [Option<f64>; 16],
     pub(super) info: Option<AllegroInfo>,
-    serial: Option<[u8; 8]>,
+    /// Whether the model is one of a left hand, by its name.
+    pub(super) left_model: bool,
+    pub(super) serial: Option<[u8; 8]>,
     stats: AllegroStats,
+    /// Refusals of the bus that were told.
+    refused: u64,
     connected: Duration,
 }
 
 impl<B: CanBus> AllegroHand<B> {
-    /// Starts the hand's stream of poses, without torque.
+    /// Starts the hand's stream of poses, without torque. Nothing has been heard yet when this returns: see
+    /// [`Self::wait_for_reports`].
     ///
     /// # Errors
     /// [`Error::Value`] for options that mean nothing or a model without the joints, [`Error::Port`] if the bus fails.
@@ -102,6 +115,7 @@ impl<B: CanBus> AllegroHand<B> {
             model_of_wire,
             fingers: [Finger::default(); 4],
             ages: [u32::MAX; 4],
+            blind_since: None,
             started: false,
             driven: false,
             goal: None,
@@ -109,8 +123,10 @@ impl<B: CanBus> AllegroHand<B> {
             motor_errors: [0; 16],
             temperatures_c: [None; 16],
             info: None,
+            left_model: robot.name.to_lowercase().contains("left"),
             serial: None,
             stats: AllegroStats::default(),
+            refused: 0,
             connected,
         };
         hand.start()?;
@@ -180,7 +196,48 @@ impl<B: CanBus> AllegroHand<B> {
         for (age, fresh) in self.ages.iter_mut().zip(fresh) {
             *age = if fresh { 0 } else { age.saturating_add(1) };
         }
-        Ok(())
+        let now = self.clock.now();
+        let blind = self.fingers.iter().any(|f| f.seen.is_some() && !f.is_fresh(now, self.options.stale));
+        self.blind_since = blind.then(|| self.blind_since.unwrap_or(now));
+        self.check_refusals(CABLE)
+    }
+
+    /// Refuses to go on without poses for ever.
+    pub(super) fn check_sight(&self) -> Result<()> {
+        let now = self.clock.now();
+        if self.blind_since.is_none_or(|since| now.saturating_sub(since) <= BLIND) {
+            return Ok(());
+        }
+        let blind = self.fingers_that(|f| !f.is_fresh(now, self.options.stale));
+        Err(Error::Port {
+            port: self.bus.name().into(),
+            source: io::Error::new(
+                io::ErrorKind::TimedOut,
+                format!("no poses of {blind} for {} s", BLIND.as_secs_f64()),
+            ),
+            remedy: CABLE.into(),
+        })
+    }
+
+    /// Names of fingers, or "no finger".
+    pub(super) fn fingers_that(&self, are: impl Fn(&Finger) -> bool) -> String {
+        let named = ["index", "middle", "ring", "thumb"].into_iter().zip(&self.fingers);
+        let names: Vec<&str> = named.filter_map(|(name, f)| are(f).then_some(name)).collect();
+        if names.is_empty() { "no finger".into() } else { names.join(", ") }
+    }
+
+    /// Tells once what the bus refused since the last time.
+    pub(super) fn check_refusals(&mut self, remedy: &str) -> Result<()> {
+        let refused = self.bus.refused();
+        let new = refused - std::mem::replace(&mut self.refused, refused).min(refused);
+        if new == 0 {
+            return Ok(());
+        }
+        Err(Error::Port {
+            port: self.bus.name().into(),
+            source: io::Error::other(format!("the adapter refused {new} frames")),
+            remedy: remedy.into(),
+        })
     }
 
     fn take(&mut self, report: AllegroReport, fresh: &mut [bool; 4]) {
@@ -283,7 +340,7 @@ fn wire_to_model(robot: &Robot, options: &AllegroOptions) -> Result<[usize; 16]>
     if robot.dof() != 16 {
         return Err(Error::value(
             format!("a model with {} joints for an Allegro hand", robot.dof()),
-            "give one with 16, such as Robot::bundled(\"allegro_right\")",
+            "give one with 16, such as allegro_right",
         ));
     }
     let mut model = [0; 16];

@@ -97,8 +97,27 @@ pub struct AllegroInfo {
     pub firmware: u16,
     /// Whether it is a left hand.
     pub left: bool,
-    /// Status bits of version 4: 1 motors on, 2 too hot, 4 a motor does not answer.
+    /// Status bits of version 4; see [`AllegroInfo::status_names`].
     pub status: u8,
+}
+
+impl AllegroInfo {
+    /// Status bit: the motors are on.
+    pub const MOTORS_ON: u8 = 1;
+    /// Status bit: too hot.
+    pub const TOO_HOT: u8 = 2;
+    /// Status bit: a motor does not answer.
+    pub const MOTOR_SILENT: u8 = 4;
+
+    /// What the status bits that are set mean.
+    pub fn status_names(&self) -> Vec<&'static str> {
+        let names = [
+            (Self::MOTORS_ON, "motors on"),
+            (Self::TOO_HOT, "too hot"),
+            (Self::MOTOR_SILENT, "a motor does not answer"),
+        ];
+        names.into_iter().filter_map(|(bit, name)| (self.status & bit != 0).then_some(name)).collect()
+    }
 }
 
 const V3_HAND: u16 = 1;

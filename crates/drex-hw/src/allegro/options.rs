@@ -176,30 +176,28 @@ impl AllegroOptions {
     }
 
     pub(crate) fn check(&self) -> Result<()> {
-        let bad = |what: String| Err(Error::value(what, "start from AllegroOptions::new"));
+        let bad = |what: String, remedy: &str| Err(Error::value(what, remedy));
         if !(self.wire_per_nm > 0.0 && self.wire_per_nm.is_finite()) {
-            return bad(format!("{} wire units per N m", self.wire_per_nm));
+            return bad(format!("{} wire units per N m", self.wire_per_nm), "give a finite number above zero");
         }
         if let Some(g) = self.gains.iter().find(|g| ![g.kp, g.kd].iter().all(|x| *x >= 0.0 && x.is_finite())) {
-            return bad(format!("gains of {} and {}", g.kp, g.kd));
+            return bad(format!("gains of {} and {}", g.kp, g.kd), "give finite numbers of at least 0");
         }
         let allowed = Self::allowed(self.version);
         if let Some(j) = (0..16).find(|j| !(0..=allowed[*j]).contains(&self.wire_caps[*j])) {
-            return bad(format!(
-                "a cap of {} on the wire for {}, allowed are {}",
-                self.wire_caps[j], self.names[j], allowed[j]
-            ));
+            return bad(
+                format!("a cap of {} on the wire for {}", self.wire_caps[j], self.names[j]),
+                &format!("give 0 to {}", allowed[j]),
+            );
         }
         if let Some(c) = self.calibration.iter().find(|c| c.offset_counts.abs() > 1 << 20) {
-            return bad(format!("an offset of {} counts", c.offset_counts));
+            return bad(format!("an offset of {} counts", c.offset_counts), "give one that an encoder can read");
         }
-        if self.pose_period_ms == 0
-            || self.stale.is_zero()
-            || !(self.velocity_filter_s >= 0.0 && self.velocity_filter_s < 1.0)
-        {
-            return bad(
-                "no pose period, no time until poses are stale, or a velocity filter that is not 0 to 1 s".into()
-            );
+        if self.pose_period_ms == 0 || self.stale.is_zero() {
+            return bad("no pose period, or no time until poses are stale".into(), "give times above zero");
+        }
+        if !(self.velocity_filter_s >= 0.0 && self.velocity_filter_s < 1.0) {
+            return bad(format!("a velocity filter of {} s", self.velocity_filter_s), "give 0 to 1 s");
         }
         Ok(())
     }

@@ -46,7 +46,7 @@ impl<B: CanBus> Hand for AllegroHand<B> {
             self.press()?;
         }
         self.report(state);
-        refused
+        refused.and_then(|()| self.check_sight())
     }
 }
 

@@ -111,6 +111,20 @@ pub trait CanBus: Send {
     /// # Errors
     /// [`Error::Port`] if the bus is gone.
     fn receive(&mut self, timeout: Duration) -> Result<Option<CanFrame>>;
+
+    /// Frames that the bus refused after [`CanBus::send`] took them, as far as answers have been read; zero where nobody answers.
+    fn refused(&self) -> u64 {
+        0
+    }
+
+    /// Waits up to `wait` until all that was sent is answered, dropping frames; at once where nobody answers.
+    ///
+    /// # Errors
+    /// [`Error::Port`] if the bus is gone.
+    fn settle(&mut self, wait: Duration) -> Result<()> {
+        let _ = wait;
+        Ok(())
+    }
 }
 
 impl<B: CanBus + ?Sized> CanBus for Box<B> {
@@ -124,5 +138,13 @@ impl<B: CanBus + ?Sized> CanBus for Box<B> {
 
     fn receive(&mut self, timeout: Duration) -> Result<Option<CanFrame>> {
         (**self).receive(timeout)
+    }
+
+    fn refused(&self) -> u64 {
+        (**self).refused()
+    }
+
+    fn settle(&mut self, wait: Duration) -> Result<()> {
+        (**self).settle(wait)
     }
 }

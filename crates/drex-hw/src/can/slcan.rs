@@ -89,6 +89,9 @@ pub struct Slcan<P: BytePort> {
     filled: usize,
     wait: Option<Duration>,
     refused: u64,
+    /// Frames sent, and answers to them, or to what the adapter took for a line.
+    sent: u64,
+    answered: u64,
 }
 
 impl Slcan<SerialBytes> {
@@ -114,8 +117,18 @@ impl<P: BytePort> Slcan<P> {
     /// [`Error::Port`] if the port fails or the adapter refuses to open the bus.
     pub fn over(port: P, name: impl Into<String>) -> Result<Self> {
         let parser = SlcanParser::default();
-        let mut bus =
-            Self { port, name: name.into(), parser, chunk: [0; 256], at: 0, filled: 0, wait: None, refused: 0 };
+        let mut bus = Self {
+            port,
+            name: name.into(),
+            parser,
+            chunk: [0; 256],
+            at: 0,
+            filled: 0,
+            wait: None,
+            refused: 0,
+            sent: 0,
+            answered: 0,
+        };
         // A closed channel refuses to be closed; it may also have been left open, with frames in flight.
         bus.command(b"\rC\r")?;
         let speed = bus.command(b"S8\r")?;
@@ -123,13 +136,8 @@ impl<P: BytePort> Slcan<P> {
         if speed == Some(SlcanEvent::Refused) || opened == Some(SlcanEvent::Refused) {
             return Err(bus.failed(io::Error::other("the adapter refused to open the bus at 1 Mbit/s")));
         }
-        bus.refused = 0;
+        (bus.refused, bus.answered) = (0, 0);
         Ok(bus)
-    }
-
-    /// Commands and frames that the adapter refused since it was opened.
-    pub fn refused(&self) -> u64 {
-        self.refused
     }
 
     /// Lines from the adapter that meant nothing.
@@ -167,6 +175,7 @@ impl<P: BytePort> Slcan<P> {
                 self.at += 1;
                 if let Some(event) = self.parser.push(byte) {
                     self.refused += u64::from(event == SlcanEvent::Refused);
+                    self.answered += u64::from(!matches!(event, SlcanEvent::Frame(_)));
                     return Ok(Some(event));
                 }
             }
@@ -196,7 +205,7 @@ impl<P: BytePort> Slcan<P> {
     }
 
     fn failed(&self, source: io::Error) -> Error {
-        Error::Port { port: self.name.clone(), source, remedy: "check the adapter's plug and open it again".into() }
+        Error::Port { port: self.name.clone(), source, remedy: "check the adapter's plug, then connect again".into() }
     }
 }
 
@@ -208,7 +217,24 @@ impl<P: BytePort> CanBus for Slcan<P> {
     fn send(&mut self, frame: &CanFrame) -> Result<()> {
         let mut line = [0; 32];
         let n = write_slcan(frame, &mut line);
+        self.sent += 1;
         self.write(&line[..n])
+    }
+
+    fn refused(&self) -> u64 {
+        self.refused
+    }
+
+    fn settle(&mut self, wait: Duration) -> Result<()> {
+        let deadline = Instant::now() + wait;
+        // What has come already shows whether the adapter answers frames at all.
+        while self.event(Instant::now())?.is_some() && Instant::now() < deadline {}
+        while self.answered > 0 && self.answered < self.sent {
+            if self.event(deadline)?.is_none() {
+                break;
+            }
+        }
+        Ok(())
     }
 
     fn receive(&mut self, timeout: Duration) -> Result<Option<CanFrame>> {

@@ -7,13 +7,16 @@ use std::sync::Mutex;
 use std::time::Duration;
 
 use super::stats::Meter;
-use super::{Behaviour, ControlOptions, Joints, LoopStats};
+use super::troubles::Troubles;
+use super::{Behaviour, ControlOptions, JointTrouble, Joints, LoopStats};
 use crate::{Clock, Error, Hand, HandCommand, HandState, Result};
 
 /// How often a hand that does not take its torque off is told again.
 const TRIES: usize = 3;
 /// Cycles between two views of the statistics for others.
 const PUBLISH: u64 = 64;
+/// A cycle that begins this much later than one period after the one before comes after a stall: the program was stopped or starved.
+const STALL: Duration = Duration::from_millis(50);
 
 /// Why a loop ended.
 #[derive(Debug)]
@@ -43,6 +46,8 @@ pub struct LoopReport {
     pub unrecorded: u64,
     /// The last state that was read.
     pub state: HandState,
+    /// Joints that something was wrong with, by their index in [`Hand::joints`], and what; empty if all went well.
+    pub troubles: Vec<(usize, JointTrouble)>,
 }
 
 /// Turns the hand on, unless it is only watched, runs `behaviour` at a fixed rate on this thread until it is done or something ends it, and turns the hand off.
@@ -66,7 +71,8 @@ pub(super) fn run_published(
 ) -> LoopReport {
     let mut meter = Meter::new();
     let mut state = HandState::new(hand.joints().len());
-    let turns = || turns(hand, behaviour, clock, &mut options, &mut meter, &mut state, published);
+    let mut troubles = Troubles::new(hand.joints().len());
+    let turns = || turns(hand, behaviour, clock, &mut options, &mut meter, &mut troubles, &mut state, published);
     // Whatever a panic left half done is only switched off.
     let ended = match catch_unwind(AssertUnwindSafe(turns)) {
         Ok(Ok(ended)) => ended,
@@ -82,16 +88,18 @@ pub(super) fn run_published(
         }
     }
     let unrecorded = options.recorder.as_ref().map_or(0, |r| r.lost());
-    LoopReport { ended, torque_off, stats: meter.stats(), unrecorded, state }
+    LoopReport { ended, torque_off, stats: meter.stats(), unrecorded, state, troubles: troubles.list() }
 }
 
 /// From torque on to the reason to stop.
+#[expect(clippy::too_many_arguments, reason = "they outlive a panic, and so are the caller's")]
 fn turns(
     hand: &mut (impl Hand + ?Sized),
     behaviour: &mut (impl Behaviour + ?Sized),
     clock: &dyn Clock,
     options: &mut ControlOptions,
     meter: &mut Meter,
+    troubles: &mut Troubles,
     state: &mut HandState,
     published: &Mutex<LoopStats>,
 ) -> Result<Ended> {
@@ -112,25 +120,36 @@ fn turns(
     let begin = clock.now();
     let mut due = begin;
     let mut flow = ControlFlow::Continue(());
-    // Since when the hand is out of reach, and for how long it was in all.
+    // Since when the hand is out of reach, and for how long the behaviour's time stood still in all.
     let (mut lost, mut outage) = (None, Duration::ZERO);
+    let mut last = begin;
     loop {
         clock.wait_until(due);
         if options.is_stopped() {
             return Ok(Ended::Stopped);
         }
         let began = clock.now();
+        let stall = began.saturating_sub(std::mem::replace(&mut last, began) + period);
+        if stall > STALL {
+            meter.stall();
+            // An outage is counted in full when it ends.
+            outage += if lost.is_none() { stall } else { Duration::ZERO };
+        }
         if lost.is_none() {
             let time = began.saturating_sub(begin + outage);
             flow = behaviour.command(time.as_secs_f64(), state, &mut command)?;
-            lower(&mut command.effort_limit, &mut limits, hand.effort_caps(), state, options);
+            lower(&mut command.effort_limit, &mut limits, hand.effort_caps(), state, options, troubles);
         }
         match hand.cycle((!options.limp).then_some(&command), state) {
-            Ok(()) => outage += lost.take().map_or(Duration::ZERO, |since| began.saturating_sub(since)),
+            Ok(()) => {
+                outage += lost.take().map_or(Duration::ZERO, |since| began.saturating_sub(since));
+                troubles.see(state);
+            }
             // A command or state that means nothing does not become better by waiting.
             Err(error @ Error::Value { .. }) => return Err(error),
             Err(error) => {
                 meter.fail();
+                troubles.see(state);
                 if began.saturating_sub(*lost.get_or_insert(began)) >= options.outage {
                     return Err(error);
                 }
@@ -196,14 +215,25 @@ fn first_state(
 }
 
 /// Takes from the limits what heat and the limiter take; never adds.
-fn lower(wanted: &mut [f64], scratch: &mut [f64], caps: &[f64], state: &HandState, options: &mut ControlOptions) {
+fn lower(
+    wanted: &mut [f64],
+    scratch: &mut [f64],
+    caps: &[f64],
+    state: &HandState,
+    options: &mut ControlOptions,
+    troubles: &mut Troubles,
+) {
     if let Some(derating) = &options.derating {
-        for ((limit, cap), celsius) in wanted.iter_mut().zip(caps).zip(&state.temperature_c) {
+        for (joint, ((limit, cap), celsius)) in wanted.iter_mut().zip(caps).zip(&state.temperature_c).enumerate() {
             if let Some(celsius) = celsius {
-                let most = derating.share(*celsius) * cap;
+                let share = derating.share(*celsius);
+                let most = share * cap;
                 // A limit that is no number stays one, for the hand to refuse.
                 if *limit > most {
                     *limit = most;
+                    if share < 1.0 {
+                        troubles.derate(joint, *celsius, share);
+                    }
                 }
             }
         }

@@ -160,7 +160,7 @@ impl GraspPlan {
             ("settle_s", self.settle_s),
         ];
         if let Some((name, value)) = above_zero.into_iter().find(|(_, v)| !(*v > 0.0 && v.is_finite())) {
-            return Err(Error::value(format!("a grasp with {name} {value}"), "start from GraspPlan::leap or allegro"));
+            return Err(Error::value(format!("a grasp with {name} {value}"), "give a finite number above zero"));
         }
         if let Some(hold) = self.hold_s.filter(|s| !(*s >= 0.0)) {
             return Err(Error::value(format!("a grasp held for {hold} s"), "give zero or more"));

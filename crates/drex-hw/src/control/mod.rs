@@ -14,6 +14,7 @@ mod stop;
 mod telemetry;
 mod thread;
 mod trajectory;
+mod troubles;
 
 pub use behaviour::{Behaviour, Joints, Stay};
 pub use csv::write_csv;
@@ -28,3 +29,4 @@ pub use stop::stop_on_signals;
 pub use telemetry::{Recorder, Sample, Telemetry, telemetry};
 pub use thread::ControlLoop;
 pub use trajectory::{Trajectory, Waypoint};
+pub use troubles::JointTrouble;

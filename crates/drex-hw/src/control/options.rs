@@ -130,7 +130,10 @@ impl ControlOptions {
         }
         let means_something = |d: &Derating| d.to_c > d.from_c && (0.0..=1.0).contains(&d.floor_share);
         if let Some(d) = self.derating.filter(|d| !means_something(d)) {
-            return Err(Error::value(format!("{d:?}"), "start from Derating::default()"));
+            return Err(Error::value(
+                format!("derating from {} to {} °C down to {} of the cap", d.from_c, d.to_c, d.floor_share),
+                "let it end hotter than it begins, at a share of 0 to 1",
+            ));
         }
         Ok(Duration::from_secs_f64(1.0 / self.rate_hz))
     }

@@ -28,6 +28,9 @@ pub struct LoopStats {
     pub missed: u64,
     /// Cycles in which the hand could not be reached.
     pub failed: u64,
+    /// Times that more than 50 ms were missing between two cycles, because the program was stopped or starved; the behaviour's time stood
+    /// still meanwhile.
+    pub stalls: u64,
     /// Cycles per second, from the first to the last.
     pub rate_hz: f64,
     /// How much later than planned cycles began: the jitter.
@@ -93,6 +96,7 @@ pub(super) struct Meter {
     cycles: u64,
     missed: u64,
     failed: u64,
+    stalls: u64,
     first: Option<Duration>,
     last: Duration,
     late: Histogram,
@@ -105,6 +109,7 @@ impl Meter {
             cycles: 0,
             missed: 0,
             failed: 0,
+            stalls: 0,
             first: None,
             last: Duration::ZERO,
             late: Histogram::new(),
@@ -129,6 +134,10 @@ impl Meter {
         self.failed += 1;
     }
 
+    pub fn stall(&mut self) {
+        self.stalls += 1;
+    }
+
     /// Whether the number of cycles done is a multiple of `n`.
     pub fn is_nth(&self, n: u64) -> bool {
         self.cycles.is_multiple_of(n)
@@ -138,7 +147,8 @@ impl Meter {
         let span_s = self.last.saturating_sub(self.first.unwrap_or_default()).as_secs_f64();
         let rate_hz = if span_s > 0.0 { (self.cycles - 1) as f64 / span_s } else { 0.0 };
         let (late, busy) = (self.late.quantiles(), self.busy.quantiles());
-        LoopStats { cycles: self.cycles, missed: self.missed, failed: self.failed, rate_hz, late, busy }
+        let Self { cycles, missed, failed, stalls, .. } = *self;
+        LoopStats { cycles, missed, failed, stalls, rate_hz, late, busy }
     }
 }
 

@@ -24,13 +24,15 @@ impl EStop {
     }
 }
 
-/// Lets SIGINT (Ctrl-C) and SIGTERM press `estop`, instead of ending the program with the torque on.
+/// Lets SIGINT (Ctrl-C), SIGTERM, SIGHUP (a closed terminal, a dropped ssh) and SIGQUIT (Ctrl-\) press `estop`, instead of ending the
+/// program with the torque on.
 ///
 /// # Errors
 /// [`crate::Error::Signals`] if the system refuses.
 #[cfg(unix)]
 pub fn stop_on_signals(estop: &EStop) -> crate::Result<()> {
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM};
+    for signal in [SIGINT, SIGTERM, SIGHUP, SIGQUIT] {
         signal_hook::flag::register(signal, estop.0.clone()).map_err(crate::Error::Signals)?;
     }
     Ok(())

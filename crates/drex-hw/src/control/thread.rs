@@ -88,5 +88,6 @@ fn lost_report() -> LoopReport {
         stats: LoopStats::default(),
         unrecorded: 0,
         state: HandState::default(),
+        troubles: Vec::new(),
     }
 }

@@ -16,7 +16,15 @@ pub struct Waypoint {
     pub position: Vec<f64>,
 }
 
-/// From where the hand is through waypoints, in straight lines, with the same effort limits all the way; done at the last one.
+/// A joint this close to its goal is there, rad.
+const THERE_RAD: f64 = 0.03;
+/// A joint that moved less than this, rad, for [`STILL_S`] has stopped: encoders wander by less.
+const STILL_RAD: f64 = 0.005;
+/// s.
+const STILL_S: f64 = 0.1;
+
+/// From where the hand is through waypoints, in straight lines, with the same effort limits all the way. It stays at the last one until all
+/// joints are within 0.03 rad of it or have stopped, for half a second at most unless [`Self::with_settle_s`] says otherwise.
 #[derive(Debug, Clone)]
 pub struct Trajectory {
     waypoints: Vec<Waypoint>,
@@ -25,11 +33,17 @@ pub struct Trajectory {
     start: Vec<f64>,
     /// Index of the next waypoint.
     next: usize,
+    settle_s: f64,
+    /// Where the joints were, and when, since they last moved while settling.
+    still: Vec<f64>,
+    still_since_s: Option<f64>,
 }
 
 impl Trajectory {
     /// Fastest that a joint is sent by default, rad/s.
     pub const SPEED_RAD_PER_S: f64 = 4.0;
+    /// Longest time by default that is left to the joints to arrive after the last waypoint, s.
+    pub const SETTLE_S: f64 = 0.5;
 
     /// Through these waypoints with these limits, in the hand's unit.
     ///
@@ -53,7 +67,16 @@ impl Trajectory {
             return Err(Error::value("a trajectory without waypoints", "give one or more"));
         }
         let speed_rad_per_s = Self::SPEED_RAD_PER_S;
-        Ok(Self { waypoints, effort_limit, speed_rad_per_s, start: Vec::new(), next: 0 })
+        Ok(Self {
+            waypoints,
+            effort_limit,
+            speed_rad_per_s,
+            start: Vec::new(),
+            next: 0,
+            settle_s: Self::SETTLE_S,
+            still: Vec::new(),
+            still_since_s: None,
+        })
     }
 
     /// What was logged, played again after `approach_s` seconds for the way to its first pose. Joints are found by name.
@@ -81,6 +104,30 @@ impl Trajectory {
         self.speed_rad_per_s = speed;
         self
     }
+
+    /// The same with this long, s, for the joints to arrive after the last waypoint; zero ends there.
+    pub fn with_settle_s(mut self, settle_s: f64) -> Self {
+        self.settle_s = settle_s;
+        self
+    }
+
+    /// Whether every joint is at its goal, or has stopped on its way, or it has taken too long.
+    fn is_settled(&mut self, time_s: f64, state: &HandState) -> bool {
+        let Some(last) = self.waypoints.last().filter(|w| time_s < w.time_s + self.settle_s) else { return true };
+        let there = |(q, goal): (&f64, &f64)| (q - goal).abs() <= THERE_RAD;
+        if state.position.iter().zip(&last.position).all(there) {
+            return true;
+        }
+        let moved = state.position.iter().zip(&self.still).any(|(q, then)| (q - then).abs() > STILL_RAD);
+        match self.still_since_s.filter(|_| !moved) {
+            Some(since) => time_s - since >= STILL_S,
+            None => {
+                self.still.copy_from_slice(&state.position);
+                self.still_since_s = Some(time_s);
+                false
+            }
+        }
+    }
 }
 
 impl Behaviour for Trajectory {
@@ -90,7 +137,12 @@ impl Behaviour for Trajectory {
         if let Some(len) = wrong.or((self.effort_limit.len() != n).then_some(self.effort_limit.len())) {
             return Err(Error::value(format!("a trajectory with {len} values for {n} joints"), "give one per joint"));
         }
+        if !(self.settle_s >= 0.0 && self.settle_s.is_finite()) {
+            return Err(Error::value(format!("{} s to settle", self.settle_s), "give zero or more"));
+        }
         self.next = 0;
+        self.still.clone_from(&state.position);
+        self.still_since_s = None;
         self.start.clone_from(&state.position);
         let (mut from, mut since) = (&self.start, 0.0);
         for w in &self.waypoints {
@@ -108,7 +160,7 @@ impl Behaviour for Trajectory {
         Ok(())
     }
 
-    fn command(&mut self, time_s: f64, _: &HandState, command: &mut HandCommand) -> Result<ControlFlow<()>> {
+    fn command(&mut self, time_s: f64, state: &HandState, command: &mut HandCommand) -> Result<ControlFlow<()>> {
         while self.waypoints.get(self.next).is_some_and(|w| w.time_s <= time_s) {
             self.next += 1;
         }
@@ -117,7 +169,7 @@ impl Behaviour for Trajectory {
         command.effort_limit.copy_from_slice(&self.effort_limit);
         let Some(to) = self.waypoints.get(self.next) else {
             command.position.copy_from_slice(from);
-            return Ok(ControlFlow::Break(()));
+            return Ok(if self.is_settled(time_s, state) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) });
         };
         let share = ((time_s - since) / (to.time_s - since)).clamp(0.0, 1.0);
         for ((goal, a), b) in command.position.iter_mut().zip(from).zip(&to.position) {

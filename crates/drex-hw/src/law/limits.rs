@@ -166,9 +166,10 @@ impl LimitOptions {
             ("friction_ma", self.friction_ma, self.friction_ma >= 0.0),
         ];
         match demands.into_iter().find(|(_, value, met)| !(*met && value.is_finite())) {
-            Some((name, value, _)) => {
-                Err(Error::value(format!("limit option {name} is {value}"), "start from LimitOptions::default()"))
-            }
+            Some((name, value, _)) => Err(Error::value(
+                format!("limit option {name} is {value}"),
+                "give finite numbers of at least 0, and a cap above the floor",
+            )),
             None => Ok(()),
         }
     }
@@ -200,7 +201,7 @@ pub(super) fn column(
     let Some(pose) = poses.get(link) else {
         return Err(Error::value(
             format!("a contact at link {link} of {}", poses.len()),
-            "find the link with Robot::link_index",
+            "give the index of one of the model's links",
         ));
     };
     let (linear, _) = robot.jacobian(poses, link, &(pose * point));

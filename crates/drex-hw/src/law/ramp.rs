@@ -59,7 +59,10 @@ impl LimitRamp {
             ("derate_to_c", o.derate_to_c, o.derate_to_c > o.derate_from_c),
         ];
         if let Some((name, value, _)) = demands.into_iter().find(|(_, value, met)| !(*met && value.is_finite())) {
-            return Err(Error::value(format!("ramp option {name} is {value}"), "start from RampOptions::default()"));
+            return Err(Error::value(
+                format!("ramp option {name} is {value}"),
+                "give speeds above zero, a floor of 0 to the cap, and an end of derating above its begin",
+            ));
         }
         let now_ma = vec![options.floor_ma; joints];
         Ok(Self { options, now_ma })

@@ -28,7 +28,7 @@ pub use bus::{EmulatorBus, EmulatorClock};
 pub use device::Heard;
 
 use crate::Result;
-use crate::allegro::{AllegroOptions, AllegroReport, AllegroVersion};
+use crate::allegro::{AllegroInfo, AllegroOptions, AllegroReport, AllegroVersion};
 use crate::can::{CanBus, CanFrame};
 use device::Device;
 
@@ -182,6 +182,11 @@ impl AllegroEmulator {
         if let Some(c) = self.device().celsius.get_mut(joint) {
             *c = celsius;
         }
+    }
+
+    /// Changes what the hand says about itself.
+    pub fn set_info(&self, info: AllegroInfo) {
+        self.device().info = info;
     }
 
     /// Lets a motor of version 5 report an error; 0 for none.

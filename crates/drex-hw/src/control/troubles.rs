@@ -1,0 +1,109 @@
+//! What went wrong with joints while the loop ran.
+
+use std::fmt;
+
+use crate::{HandState, JointStatus};
+
+/// What went wrong with a joint. A joint can have more than one of these.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum JointTrouble {
+    /// It was not well at the end: silent, faulted or being started again.
+    Ended(JointStatus),
+    /// It was not well for a while, and is again.
+    Recovered {
+        /// The last that was wrong.
+        from: JointStatus,
+        /// Cycles in all; a single one is a lost packet.
+        cycles: u64,
+    },
+    /// Heat took something from its limit.
+    Derated {
+        /// Hottest that it was, °C.
+        celsius: f64,
+        /// Smallest share of its cap that was left.
+        share: f64,
+    },
+}
+
+impl fmt::Display for JointTrouble {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Ended(status) => write!(f, "{} at the end", name(*status)),
+            Self::Recovered { from, cycles } => write!(f, "{} for {cycles} cycles, well again", name(*from)),
+            Self::Derated { celsius, share } => {
+                write!(f, "up to {celsius:.0} °C, its limit down to {:.0} % of the cap", share * 100.0)
+            }
+        }
+    }
+}
+
+fn name(status: JointStatus) -> String {
+    match status {
+        JointStatus::Limp => "without torque".into(),
+        JointStatus::Driven => "well".into(),
+        JointStatus::Silent => "silent".into(),
+        JointStatus::Faulted(code) => format!("faulted (error {code:#04x})"),
+        JointStatus::Recovering => "started again after a fault".into(),
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Seen {
+    now: JointStatus,
+    /// The last that was wrong.
+    wrong: JointStatus,
+    cycles: u64,
+    celsius: f64,
+    share: f64,
+}
+
+/// Collects them, without allocating after it was made.
+#[derive(Debug)]
+pub(super) struct Troubles(Vec<Seen>);
+
+impl Troubles {
+    pub fn new(joints: usize) -> Self {
+        let (now, wrong) = (JointStatus::Limp, JointStatus::Limp);
+        Self(vec![Seen { now, wrong, cycles: 0, celsius: f64::NEG_INFINITY, share: 1.0 }; joints])
+    }
+
+    /// Takes a state that was read.
+    pub fn see(&mut self, state: &HandState) {
+        for (seen, status) in self.0.iter_mut().zip(&state.status) {
+            seen.now = *status;
+            if is_wrong(*status) {
+                seen.wrong = *status;
+                seen.cycles += 1;
+            }
+        }
+    }
+
+    /// Takes a limit that heat lowered to a share of the cap.
+    pub fn derate(&mut self, joint: usize, celsius: f64, share: f64) {
+        if let Some(seen) = self.0.get_mut(joint) {
+            seen.celsius = seen.celsius.max(celsius);
+            seen.share = seen.share.min(share);
+        }
+    }
+
+    /// What there was, with the index of the joint, in the order of the joints.
+    pub fn list(&self) -> Vec<(usize, JointTrouble)> {
+        let mut list = Vec::new();
+        for (joint, seen) in self.0.iter().enumerate() {
+            if is_wrong(seen.now) {
+                list.push((joint, JointTrouble::Ended(seen.now)));
+            } else if seen.cycles > 0 {
+                list.push((joint, JointTrouble::Recovered { from: seen.wrong, cycles: seen.cycles }));
+            }
+            if seen.share < 1.0 {
+                list.push((joint, JointTrouble::Derated { celsius: seen.celsius, share: seen.share }));
+            }
+        }
+        list
+    }
+}
+
+fn is_wrong(status: JointStatus) -> bool {
+    matches!(status, JointStatus::Silent | JointStatus::Faulted(_) | JointStatus::Recovering)
+}
