@@ -11,7 +11,7 @@ use super::positive;
 pub enum HwCommand {
     /// Say who answers.
     Ping(HandArgs),
-    /// Read angles, currents, temperatures and voltages, and say what is not as it should be. No torque.
+    /// Read angles, currents, temperatures and voltages, and say what is not as it should be.
     Status(HandArgs),
     /// Move joints to angles, slowly, pressing no harder than allowed.
     Move(MoveArgs),

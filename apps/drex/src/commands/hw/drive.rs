@@ -7,10 +7,10 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use drex_core::readers::read_joint_log_csv;
 use drex_hw::control::{
-    Behaviour, ControlOptions, EStop, Ended, LoopReport, LoopStats, Stay, Trajectory, Waypoint, run, telemetry,
-    write_csv,
+    Behaviour, ControlOptions, EStop, Ended, JointTrouble, LoopReport, LoopStats, Stay, Trajectory, Waypoint, run,
+    telemetry, write_csv,
 };
-use drex_hw::{Clock, Hand, JointStatus, SystemClock};
+use drex_hw::{Clock, Hand, SystemClock};
 use serde_json::{Value, json};
 
 use super::{Driver, angles, stop_button};
@@ -74,7 +74,7 @@ pub fn move_to(args: &MoveArgs, ui: &Ui) -> Result<()> {
     let short: Vec<Value> = short.iter().map(|(name, off)| json!({ "joint": name, "rad": off })).collect();
     let position = &report.state.position;
     let value = json!({ "farthest_rad": far, "short": short, "position_rad": position, "loop": stats(&report) });
-    ui.answer(&value, text + &timing(&report.stats))
+    ui.answer(&value, text + &account(&report, hand.joints()))
 }
 
 /// Watches the limp hand, or plays a log.
@@ -93,7 +93,7 @@ pub fn record(args: &RecordArgs, ui: &Ui) -> Result<()> {
     };
     let how = Run { stop: &stop, rate_hz: args.rate, limp: args.play.is_none(), log: Some(&args.out) };
     let report = drive(hand, &mut behaviour, &SystemClock::default(), &how)?;
-    let text = format!("{} cycles in {}\n{}", report.stats.cycles, args.out.display(), timing(&report.stats));
+    let text = format!("{} cycles in {}\n{}", report.stats.cycles, args.out.display(), account(&report, hand.joints()));
     ui.answer(&json!({ "out": args.out, "loop": stats(&report) }), text)
 }
 
@@ -138,16 +138,10 @@ fn ended(report: LoopReport, joints: &[String]) -> Result<LoopReport> {
     }
     match report.ended {
         Ended::Done => {
-            let ill =
-                |s: &JointStatus| matches!(s, JointStatus::Silent | JointStatus::Faulted(_) | JointStatus::Recovering);
-            let ill: Vec<String> = joints
-                .iter()
-                .zip(&report.state.status)
-                .filter(|(_, s)| ill(s))
-                .map(|(name, status)| format!("{name} ({status:?})").to_lowercase())
-                .collect();
-            if !ill.is_empty() {
-                bail!("torque off, but {} went wrong on the way: see drex hw status", ill.join(", "));
+            let lasting = report.troubles.iter().filter(|(_, t)| matches!(t, JointTrouble::Ended(_)));
+            let lasting: Vec<String> = lasting.map(|(j, t)| format!("{} {t}", joints[*j])).collect();
+            if !lasting.is_empty() {
+                bail!("torque off, but {}: see drex hw status", lasting.join(", "));
             }
             Ok(report)
         }
@@ -158,8 +152,16 @@ fn ended(report: LoopReport, joints: &[String]) -> Result<LoopReport> {
     }
 }
 
-/// How well the loop kept time, in words, with what to do where it did not.
-pub fn timing(stats: &LoopStats) -> String {
+/// What went wrong with joints on the way and was mended, and how well the loop kept time; with what to do where it did not.
+pub fn account(report: &LoopReport, joints: &[String]) -> String {
+    let mut text = String::new();
+    for (j, trouble) in &report.troubles {
+        text += &format!("  note  {} {trouble}\n", joints[*j]);
+    }
+    text + &timing(&report.stats)
+}
+
+fn timing(stats: &LoopStats) -> String {
     let mut text = format!(
         "  loop  {:.0} cycles per second, late by {:.2} ms (99 %: {:.2} ms), busy {:.2} ms, {} missed",
         stats.rate_hz,
@@ -168,6 +170,9 @@ pub fn timing(stats: &LoopStats) -> String {
         1e3 * stats.busy.p50_s,
         stats.missed
     );
+    if stats.stalls > 0 {
+        text += &format!("\n  note  this program was held up {} times; the hand waited", stats.stalls);
+    }
     if 20 * stats.missed > stats.cycles {
         text += "\n  note  more than one cycle in twenty was missed: lower --rate, or see drex hw status for latency timer and return delay";
     }
@@ -178,7 +183,7 @@ pub fn timing(stats: &LoopStats) -> String {
 pub fn stats(report: &LoopReport) -> Value {
     let s = &report.stats;
     json!({
-        "cycles": s.cycles, "missed": s.missed, "failed": s.failed, "rate_hz": s.rate_hz,
+        "cycles": s.cycles, "missed": s.missed, "stalls": s.stalls, "failed": s.failed, "rate_hz": s.rate_hz,
         "late_p50_s": s.late.p50_s, "late_p99_s": s.late.p99_s, "late_max_s": s.late.max_s,
         "busy_p50_s": s.busy.p50_s, "busy_p99_s": s.busy.p99_s, "unrecorded": report.unrecorded,
     })

@@ -13,7 +13,7 @@ use drex_hw::{Clock, Hand};
 use drex_robot::Robot;
 use serde_json::{Value, json};
 
-use super::drive::{Run, drive, stats, timing};
+use super::drive::{Run, account, drive, stats};
 use super::scene::{allegro_scene, leap_scene};
 use super::{allegro_options, leap_options, version};
 use crate::cli::{HandArg, LinkArgs};
@@ -97,7 +97,7 @@ impl Done {
                 );
             }
         }
-        text + &timing(&self.report.stats)
+        text + &account(&self.report, joints)
     }
 
     /// For programs.

@@ -2,7 +2,9 @@
 
 use anyhow::{Result, bail};
 use drex_hw::dynamixel::{Bus, Port, SerialPort, Timing};
+use drex_hw::leap;
 use drex_hw::leap::table::MotorModel;
+use drex_robot::Robot;
 use serde::Serialize;
 
 use super::{Driver, leap_options, unit};
@@ -24,10 +26,11 @@ pub fn ping(args: &HandArgs, ui: &Ui) -> Result<()> {
     match args.hand {
         HandArg::Leap => ping_leap(args, ui),
         HandArg::Allegro => {
-            let mut driver = Driver::open(args.hand, &args.port, &args.link)?;
-            // All fingers have told where they are, and what else the hand has to say has come before.
-            driver.read()?;
-            let Driver::Allegro(hand) = driver else { return Ok(()) };
+            let Driver::Allegro(mut hand) = Driver::open(args.hand, &args.port, &args.link)? else { return Ok(()) };
+            hand.wait_for_reports()?;
+            if hand.stats().frames == 0 {
+                bail!("nothing was heard of the hand: check its power, the cable and its generation (--allegro)");
+            }
             let info = hand.info();
             let value = serde_json::json!({
                 "hand": "allegro",
@@ -86,60 +89,87 @@ fn ping_leap(args: &HandArgs, ui: &Ui) -> Result<()> {
 
 /// A joint in `status`.
 #[derive(Serialize)]
-struct JointStatus {
+struct JointLine {
     name: String,
-    position_rad: f64,
-    velocity_rad_s: f64,
-    effort: f64,
+    position_rad: Option<f64>,
+    velocity_rad_s: Option<f64>,
+    effort: Option<f64>,
     temperature_c: Option<f64>,
+    voltage_v: Option<f64>,
     status: String,
     trouble: Option<String>,
 }
 
 /// Angles, efforts, temperatures, findings.
 pub fn status(args: &HandArgs, ui: &Ui) -> Result<()> {
-    let mut driver = Driver::open(args.hand, &args.port, &args.link)?;
-    let state = driver.read()?;
-    let (mut findings, mut troubles, mut volts) = (Vec::new(), vec![None; state.position.len()], None);
-    if let Driver::Leap(hand) = &driver {
-        findings = hand.findings().iter().map(ToString::to_string).collect();
-        hand.troubles().for_each(|(j, text)| troubles[j] = Some(text.to_owned()));
-        volts = hand.health().flatten().map(|h| h.voltage_v).reduce(f64::min);
-    }
-    let hand = driver.hand();
-    let unit = unit(hand);
-    let joints: Vec<JointStatus> = hand
-        .joints()
-        .iter()
-        .zip(troubles)
-        .enumerate()
-        .map(|(j, (name, trouble))| JointStatus {
-            name: name.clone(),
-            position_rad: state.position[j],
-            velocity_rad_s: state.velocity[j],
-            effort: state.effort[j],
-            temperature_c: state.temperature_c[j],
-            status: format!("{:?}", state.status[j]).to_lowercase(),
-            trouble,
-        })
-        .collect();
-    let mut text = format!("{:?} at {}: no torque\n", args.hand, args.port.display());
-    text += &format!("  {:<10} {:>9} {:>9} {:>6}  state\n", "joint", "rad", unit, "°C");
+    let (joints, findings, unit) = match args.hand {
+        HandArg::Leap => look_at_leap(args)?,
+        HandArg::Allegro => look_at_allegro(args)?,
+    };
+    let mut text = format!("{:?} at {}\n", args.hand, args.port.display());
+    text += &format!("  {:<10} {:>9} {:>9} {:>6} {:>6}  state\n", "joint", "rad", unit, "°C", "V");
+    let number = |value: Option<f64>, digits: usize| value.map_or_else(|| "-".into(), |v| format!("{v:.digits$}"));
     for j in &joints {
-        let celsius = j.temperature_c.map_or_else(|| "-".into(), |c| format!("{c:.0}"));
         let trouble = j.trouble.as_ref().map_or_else(String::new, |t| format!(": {t}"));
-        let line =
-            format!("  {:<10} {:>9.4} {:>9.3} {celsius:>6}  {}{trouble}\n", j.name, j.position_rad, j.effort, j.status);
+        let line = format!(
+            "  {:<10} {:>9} {:>9} {:>6} {:>6}  {}{trouble}\n",
+            j.name,
+            number(j.position_rad, 4),
+            number(j.effort, 3),
+            number(j.temperature_c, 0),
+            number(j.voltage_v, 1),
+            j.status
+        );
         text += &line;
-    }
-    if let Some(volts) = volts {
-        text += &format!("  lowest supply {volts:.1} V\n");
     }
     for finding in &findings {
         text += &format!("  note  {finding}\n");
     }
     let value = serde_json::json!({
-        "hand": args.hand.robot(), "effort_unit": unit, "joints": joints, "lowest_supply_v": volts, "findings": findings,
+        "hand": args.hand.robot(), "effort_unit": unit, "joints": joints, "findings": findings,
     });
     ui.answer(&value, text)
+}
+
+/// Reads without writing: torque stays as it is, and one dead motor hides no other.
+fn look_at_leap(args: &HandArgs) -> Result<(Vec<JointLine>, Vec<String>, &'static str)> {
+    let robot = Robot::bundled(args.hand.robot())?;
+    let port = SerialPort::open(&args.port, args.link.baud)?;
+    let found = leap::look(port, &robot, &leap_options(&args.link))?;
+    let lines = found.motors.into_iter().map(|m| {
+        let reading = m.reading.as_ref();
+        let status = match reading.map(|r| r.torque) {
+            Some(true) => "driven",
+            Some(false) => "limp",
+            None => "silent",
+        };
+        JointLine {
+            name: m.joint,
+            position_rad: reading.map(|r| r.position),
+            velocity_rad_s: reading.map(|r| r.velocity),
+            effort: reading.map(|r| r.current_ma),
+            temperature_c: reading.map(|r| r.health.temperature_c),
+            voltage_v: reading.map(|r| r.health.voltage_v),
+            status: status.to_owned(),
+            trouble: m.trouble,
+        }
+    });
+    Ok((lines.collect(), found.findings.iter().map(ToString::to_string).collect(), "mA"))
+}
+
+fn look_at_allegro(args: &HandArgs) -> Result<(Vec<JointLine>, Vec<String>, &'static str)> {
+    let mut driver = Driver::open(args.hand, &args.port, &args.link)?;
+    let state = driver.read()?;
+    let hand = driver.hand();
+    let line = |(j, name): (usize, &String)| JointLine {
+        name: name.clone(),
+        position_rad: Some(state.position[j]),
+        velocity_rad_s: Some(state.velocity[j]),
+        effort: Some(state.effort[j]),
+        temperature_c: state.temperature_c[j],
+        voltage_v: None,
+        status: format!("{:?}", state.status[j]).to_lowercase(),
+        trouble: None,
+    };
+    Ok((hand.joints().iter().enumerate().map(line).collect(), Vec::new(), unit(hand)))
 }
