@@ -7,6 +7,7 @@ use drex_core::fsutil;
 use drex_hw::allegro::WIRE_JOINTS;
 use drex_hw::control::GraspPlan;
 use drex_hw::law::{LimitMode, LimitOptions, Nominal, TorqueLaw, torque_limits_nm};
+use drex_hw::leap::table::MotorModel;
 use drex_trial::TrialOptions;
 use serde::Serialize;
 use serde_json::json;
@@ -162,7 +163,7 @@ fn limits(args: &DeployArgs, kind: HandArg, grasp: &Prediction) -> Result<Limits
         None => TorqueLaw::nominal(Nominal::Xc330Linear)?,
     };
     let mode = if args.uniform { LimitMode::Uniform } else { LimitMode::Jacobian };
-    let cap = args.link.cap.unwrap_or(LimitOptions::default().cap_ma);
+    let cap = args.link.cap.unwrap_or(MotorModel::Xc330M288.recommended_cap_ma());
     let options = LimitOptions::default().with_mode(mode).with_range_ma(FLOOR_MA.min(cap), cap);
     let laws = vec![law.clone(); torques_nm.len()];
     let force = options.limits_ma(&laws, torques_nm)?;
