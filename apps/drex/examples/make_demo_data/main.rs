@@ -7,6 +7,8 @@
 //! The push is simulated with a softer contact and a shorter step than the estimator uses, and what it "records" is
 //! noisy. The true mass goes to `truth.json`, which no stage reads; `drex demo` prints it beside the estimate at the end.
 
+mod photos;
+
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 use std::fmt::Write as _;
@@ -50,6 +52,8 @@ fn main() -> Result<()> {
     let out = std::env::args().nth(1).map_or_else(|| PathBuf::from("data/demo"), PathBuf::from);
     let shells = [prism(TIN, 0.0)?, prism(LID, TIN.1)?];
     fsutil::write_atomic(&out.join("scan/tin.obj"), obj(&shells).as_bytes())?;
+    let tin = asset_from_mesh(&merged(&shells)?, &AssetOptions::default())?;
+    photos::make(&tin.visual, &out.join("scan"), SEED + 2)?;
     make_push(&shells, &out.join("push/tilt"))?;
     make_grasps(&shells, &out.join("demos/grasps.json"))?;
     let truth = format!("{{\"mass_kg\": {TRUE_MASS_KG}, \"friction\": {TRUE_FRICTION}}}\n");
