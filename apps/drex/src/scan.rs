@@ -1,19 +1,26 @@
-//! From a scan with depth maps to what fusion asks for: the maps in metres, in the frame of the mesh, the object's box and
-//! the table.
+//! From a scan to a closed mesh: what fusion asks for are depth maps in metres, in the frame of the mesh, the object's box and the
+//! table.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
-use drex_core::Pose;
+use anyhow::{Context, Result, bail};
+use drex_core::{Pose, TriMesh, fsutil};
 use drex_mesh::{
-    DepthCamera, DepthMap, DepthViews, FusionOptions, KnownDistance, PlaneOptions, ScaleFit, Similarity, Support,
-    TablePlane, object_on_table, point_looked_at, read_marks, scale_from_distances, table_plane, triangulate_marks,
+    DecimateOptions, DepthCamera, DepthMap, DepthViews, FusionOptions, FusionReport, KnownDistance, PlaneOptions,
+    ScaleFit, Similarity, Support, TablePlane, decimate, fuse, object_on_table, point_looked_at, read_marks,
+    scale_from_distances, table_plane, triangulate_marks,
 };
-use drex_splat::capture::{Capture, PhotoOptions, Photos};
+use drex_splat::ReconstructOptions;
+use drex_splat::capture::{Capture, CaptureOptions, PhotoOptions, Photos};
 use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 use serde::Serialize;
 
+use crate::commands::reconstruct::{self, Programs};
+use crate::ui::Ui;
+
+/// The mesh of a scan keeps to the fused one within this share of a voxel.
+const SIMPLIFIED_WITHIN: f64 = 0.1;
 /// Every n-th pixel of a depth map stands for the scene where there are no sparse points; both ways.
 const PIXEL_STEP: usize = 12;
 /// A table that a masked object stands on may be this much of the object's height off its lowest point.
@@ -43,6 +50,84 @@ pub struct Scale {
     distances: Option<ScaleFit>,
     /// Places of the marks in the scan's frame, where known distances asked for them.
     marks: BTreeMap<String, Point3<f64>>,
+}
+
+/// A scan that is to be meshed.
+pub struct Scanning<'a> {
+    /// Folder of photos or of an RGB-D recording, or a video.
+    pub input: &'a Path,
+    /// Folder for Gaussians and depth maps.
+    pub out: &'a Path,
+    /// Folder of the masks, where it is not the scan's own.
+    pub masks: Option<PathBuf>,
+    /// Folder of the object's poses in an RGB-D recording.
+    pub poses: Option<PathBuf>,
+    /// What is known of its frame.
+    pub frame: FrameOptions,
+    /// Side of a voxel, metres.
+    pub voxel_m: Option<f64>,
+    /// Of the Gaussians, where there are no depth maps yet.
+    pub reconstruct: ReconstructOptions,
+}
+
+/// The closed mesh of a scan, metres.
+pub struct Meshed {
+    /// The depth maps in the frame of the mesh.
+    pub scan: Scan,
+    /// How they were fused.
+    pub fusion: FusionReport,
+    /// The mesh.
+    pub mesh: TriMesh,
+}
+
+impl Scanning<'_> {
+    /// Photos to Gaussians to depth maps, or depth maps as they are, to a closed mesh.
+    ///
+    /// # Errors
+    /// If the scan cannot be read, has no scale or too little of the object is seen.
+    pub fn mesh(&self, ui: &Ui) -> Result<Meshed> {
+        let mut within = CaptureOptions::default();
+        within.masks.clone_from(&self.masks);
+        within.poses.clone_from(&self.poses);
+        let programs = Programs { colmap: Path::new("colmap"), ffmpeg: Path::new("ffmpeg") };
+        let cameras = reconstruct::open(self.input, self.out, &within, &programs, ui)?;
+        let scale = Scale::new(&cameras, &self.frame)?;
+        let (depths, masked) = self.depth_maps(&cameras, ui)?;
+        let spinner = ui.spinner("fusion");
+        let scan = Scan::new(&cameras, &depths, masked, scale, &self.frame)?;
+        let mut fusion = scan.fusion.clone();
+        fusion.voxel_m = self.voxel_m;
+        let fused =
+            fuse(&scan, &fusion).with_context(|| format!("fusing the depth maps of {}", self.input.display()))?;
+        let mut simpler = DecimateOptions::default();
+        simpler.max_error_m = Some(SIMPLIFIED_WITHIN * fused.report.voxel_m);
+        let (mesh, _) = decimate(&fused.mesh, &simpler)?;
+        spinner.finish_and_clear();
+        Ok(Meshed { scan, fusion: fused.report, mesh })
+    }
+
+    /// The capture with the depth maps, made where there are none, and whether these show the object alone.
+    fn depth_maps(&self, cameras: &Capture, ui: &Ui) -> Result<(Capture, bool)> {
+        if cameras.views.iter().all(|v| v.depth.is_some()) {
+            let masked = cameras.views.iter().all(|v| v.mask.is_some());
+            return Ok((cameras.clone(), masked));
+        }
+        let folder = self.out.join("depth");
+        if folder.join("transforms.json").is_file() {
+            ui.note(format!("going on with the depth maps in {}", folder.display()));
+        } else {
+            reconstruct::train(cameras, self.out, &self.reconstruct, false, ui)?;
+        }
+        let report = self.out.join("splat/report.json");
+        let made: Made = fsutil::from_json(&report, &fsutil::read_text(&report)?)?;
+        Ok((Capture::load(&folder, &CaptureOptions::default())?, made.object_only))
+    }
+}
+
+/// What of `splat/report.json` is needed here.
+#[derive(serde::Deserialize)]
+struct Made {
+    object_only: bool,
 }
 
 /// Depth maps of one object in metres, in the frame that its mesh will have.

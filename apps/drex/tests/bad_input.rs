@@ -6,7 +6,7 @@ mod common;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use common::{demo_copy, demo_data, drex, edit, shared_data};
+use common::{drex, edit, shared_data, tin_copy, tin_data};
 
 /// The names of everything below a folder.
 fn listing(folder: &Path) -> Vec<PathBuf> {
@@ -47,7 +47,7 @@ fn wrong_usage_exits_with_2() {
 
 #[test]
 fn a_wrong_column_is_named_with_those_there_are() {
-    let (_dir, twin) = demo_copy();
+    let (_dir, twin) = tin_copy();
     edit(&twin.join("push/tilt/poses.csv"), "t,x,y,z,qw", "t,x,y,height,qw");
     drex(["identify", twin.join("push/tilt").to_str().unwrap()]).fails_with(&[
         "poses.csv",
@@ -59,7 +59,7 @@ fn a_wrong_column_is_named_with_those_there_are() {
 
 #[test]
 fn millimetres_are_not_taken_for_metres() {
-    let (_dir, twin) = demo_copy();
+    let (_dir, twin) = tin_copy();
     let file = twin.join("push/tilt/poses.csv");
     let text = fs::read_to_string(&file).unwrap();
     let scaled: Vec<String> = text
@@ -81,7 +81,7 @@ fn millimetres_are_not_taken_for_metres() {
 
 #[test]
 fn a_number_that_is_none_is_refused_with_its_line() {
-    let (_dir, twin) = demo_copy();
+    let (_dir, twin) = tin_copy();
     let file = twin.join("push/tilt/poses.csv");
     let text = fs::read_to_string(&file).unwrap();
     let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
@@ -94,7 +94,7 @@ fn a_number_that_is_none_is_refused_with_its_line() {
 
 #[test]
 fn a_quaternion_that_is_no_rotation_is_refused_with_its_line() {
-    let (_dir, twin) = demo_copy();
+    let (_dir, twin) = tin_copy();
     let file = twin.join("push/tilt/poses.csv");
     let text = fs::read_to_string(&file).unwrap();
     let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
@@ -118,7 +118,7 @@ fn a_mesh_without_volume_is_refused_and_nothing_is_written() {
 
 #[test]
 fn a_joint_that_the_hand_does_not_have_is_named() {
-    let (_dir, twin) = demo_copy();
+    let (_dir, twin) = tin_copy();
     edit(&twin.join("demos/grasps.json"), "\"if_mcp\"", "\"index_knuckle\"");
     drex(["train", twin.to_str().unwrap()]).fails_with(&["index_knuckle", "leap_right"]);
     assert!(!twin.join("grasps").exists());
@@ -126,7 +126,7 @@ fn a_joint_that_the_hand_does_not_have_is_named() {
 
 #[test]
 fn an_empty_demo_set_is_refused() {
-    let (_dir, twin) = demo_copy();
+    let (_dir, twin) = tin_copy();
     fs::write(
         twin.join("demos/grasps.json"),
         "{\"schema\": 1, \"joint_names\": [\"if_mcp\"], \"unit\": \"rad\", \"grasps\": []}",
@@ -137,17 +137,17 @@ fn an_empty_demo_set_is_refused() {
 
 #[test]
 fn an_unknown_key_is_refused_with_line_and_column() {
-    let (_dir, twin) = demo_copy();
+    let (_dir, twin) = tin_copy();
     edit(&twin.join("twin.toml"), "prior_kg = 0.5", "prior_g = 500");
     drex(["run", twin.to_str().unwrap()]).fails_with(&["twin.toml", "prior_g", "line"]);
-    let (_dir, twin) = demo_copy();
+    let (_dir, twin) = tin_copy();
     edit(&twin.join("push/tilt/push.toml"), "mass_prior_kg", "mass_prior");
     drex(["identify", twin.join("push/tilt").to_str().unwrap()]).fails_with(&["push.toml", "mass_prior", "line"]);
 }
 
 #[test]
 fn a_pose_track_and_a_force_that_do_not_overlap_are_refused() {
-    let (_dir, twin) = demo_copy();
+    let (_dir, twin) = tin_copy();
     let file = twin.join("push/tilt/push.toml");
     let text = fs::read_to_string(&file).unwrap();
     let shifted =
@@ -176,7 +176,7 @@ fn an_output_that_cannot_be_written_is_named() {
     let file = dir.path().join("a_file");
     fs::write(&file, "in the way").unwrap();
     let below = file.join("out");
-    let mesh = demo_data().join("scan/tin.obj");
+    let mesh = tin_data().join("scan/tin.obj");
     drex(["asset", mesh.to_str().unwrap(), "--out", below.to_str().unwrap()]).fails_with(&["a_file"]);
     drex(["demo", "--out", below.to_str().unwrap()]).fails_with(&["a_file"]);
     assert_eq!(fs::read_to_string(&file).unwrap(), "in the way");
@@ -190,7 +190,7 @@ fn a_full_disk_is_an_error_and_leaves_the_old_file() {
         eprintln!("skipped a_full_disk_is_an_error_and_leaves_the_old_file: there is no /dev/full here");
         return;
     }
-    let push = demo_data().join("push/tilt");
+    let push = tin_data().join("push/tilt");
     drex(["identify", push.to_str().unwrap(), "--out", "/dev/full"]).fails_with(&["/dev/full", "space"]);
     assert!(!fs::metadata(full).unwrap().is_file());
 }

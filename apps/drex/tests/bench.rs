@@ -5,7 +5,7 @@ mod common;
 
 use std::fs;
 
-use common::{demo_copy, drex, edit, keep_demonstrations, shared_data};
+use common::{drex, edit, keep_demonstrations, shared_data, tin_copy};
 
 #[test]
 fn a_small_bench_says_what_was_held_and_what_could_be() {
@@ -73,7 +73,7 @@ fn grasps_of_an_object_from_a_file() {
 
 #[test]
 fn a_trained_twin_grasps_and_deploys() {
-    let (_guard, twin) = demo_copy();
+    let (_guard, twin) = tin_copy();
     let at = twin.to_str().unwrap();
     drex(["grasp", at]).fails_with(&["no policy yet", "drex train"]);
     keep_demonstrations(&twin, 6);

@@ -3,15 +3,15 @@
 
 mod common;
 
-use common::{demo_copy, demo_data, drex};
+use common::{drex, tin_copy, tin_data};
 
 fn tilt() -> String {
-    demo_data().join("push/tilt").to_str().unwrap().to_owned()
+    tin_data().join("push/tilt").to_str().unwrap().to_owned()
 }
 
 /// The mass that the demo's push was simulated with.
 fn truth() -> f64 {
-    let text = std::fs::read_to_string(demo_data().join("truth.json")).unwrap();
+    let text = std::fs::read_to_string(tin_data().join("truth.json")).unwrap();
     serde_json::from_str::<serde_json::Value>(&text).unwrap()["mass_kg"].as_f64().unwrap()
 }
 
@@ -38,7 +38,7 @@ fn what_is_stated_is_assumed_and_said() {
     assert_eq!(fixed["verdict"], "not_identifiable");
     assert!(fixed["reason"].as_str().unwrap().contains("fixed to 200.0 g"), "{}", fixed["reason"]);
     // push.toml may say it too.
-    let (_dir, twin) = demo_copy();
+    let (_dir, twin) = tin_copy();
     let toml = twin.join("push/tilt/push.toml");
     let text = std::fs::read_to_string(&toml).unwrap();
     std::fs::write(&toml, format!("{text}\n[parameters]\nmass = 0.2\n")).unwrap();

@@ -7,7 +7,7 @@ use std::fs;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use common::{demo_copy, drex, edit, keep_demonstrations, shared_data};
+use common::{drex, edit, keep_demonstrations, shared_data, tin_copy};
 
 #[test]
 fn the_demo_weighs_the_tin_and_the_second_run_has_nothing_to_do() {
@@ -17,7 +17,7 @@ fn the_demo_weighs_the_tin_and_the_second_run_has_nothing_to_do() {
     assert_eq!(run.code, 0, "{}", run.stderr);
     let answer = run.json();
     let truth: serde_json::Value =
-        serde_json::from_str(&fs::read_to_string(common::demo_data().join("truth.json")).unwrap()).unwrap();
+        serde_json::from_str(&fs::read_to_string(common::tin_data().join("truth.json")).unwrap()).unwrap();
     let truth_kg = truth["mass_kg"].as_f64().unwrap();
     assert_eq!(answer["mass"]["source"], "identified", "{answer}");
     let mass_kg = answer["mass"]["mass_kg"].as_f64().unwrap();
@@ -47,8 +47,8 @@ fn the_demo_weighs_the_tin_and_the_second_run_has_nothing_to_do() {
 
 #[test]
 fn the_same_seed_gives_the_same_bytes_with_one_thread_and_two() {
-    let (_a, one) = demo_copy();
-    let (_b, two) = demo_copy();
+    let (_a, one) = tin_copy();
+    let (_b, two) = tin_copy();
     for (twin, threads) in [(&one, "1"), (&two, "2")] {
         keep_demonstrations(twin, 6);
         edit(&twin.join("twin.toml"), "hand = \"leap_right\"", "hand = \"leap_right\"\n\n[train]\nepochs = 5");
@@ -71,7 +71,7 @@ fn the_same_seed_gives_the_same_bytes_with_one_thread_and_two() {
 
 #[test]
 fn a_killed_run_goes_on_where_it_stopped() {
-    let (_dir, twin) = demo_copy();
+    let (_dir, twin) = tin_copy();
     keep_demonstrations(&twin, 12);
     let mut first =
         Command::new(env!("CARGO_BIN_EXE_drex")).arg("run").arg(&twin).stderr(Stdio::null()).spawn().unwrap();

@@ -24,7 +24,9 @@ pub use error::{Error, Result};
 pub use reach::{Reach, plan as plan_reach};
 pub use stats::{Interval, paired_difference, wilson};
 pub use trial::Trial;
-pub use types::{Belief, Command, Judge, NoCommand, Outcome, Squeeze, TrialObject, TrialOptions, Truth, Verdict};
+pub use types::{
+    Belief, Command, Frame, Judge, NoCommand, Outcome, Squeeze, TrialObject, TrialOptions, Truth, Verdict,
+};
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

@@ -13,7 +13,8 @@ use crate::engine::{Drive, Engine, Setup};
 use crate::reach::Reach;
 use crate::watch::Watch;
 use crate::{
-    Belief, Command, Error, Judge, NoCommand, Outcome, Rehearsal, Result, Squeeze, TrialObject, TrialOptions, Truth,
+    Belief, Command, Error, Frame, Judge, NoCommand, Outcome, Rehearsal, Result, Squeeze, TrialObject, TrialOptions,
+    Truth,
 };
 use crate::{command, timeline};
 
@@ -97,6 +98,40 @@ impl Trial {
     /// # Errors
     /// If the model cannot be simulated; [`Error::NoMujoco`] for a judge that this build lacks. A grasp that fails is no error.
     pub fn run(&self, command: &Command, truth: &Truth, judge: Judge) -> Result<Outcome> {
+        self.carry_out(command, truth, judge, &mut |_, _, _| {})
+    }
+
+    /// [`Trial::run`], and what could be seen meanwhile: a frame every `every_s` seconds from the start on, until the trial ends.
+    ///
+    /// # Errors
+    /// As [`Trial::run`]; if `every_s` is not positive.
+    pub fn film(&self, command: &Command, truth: &Truth, judge: Judge, every_s: f64) -> Result<(Outcome, Vec<Frame>)> {
+        if !(every_s > 0.0) {
+            return Err(Error::value(format!("a frame every {every_s} s"), "give a positive time, such as 0.04"));
+        }
+        let mut frames: Vec<Frame> = Vec::new();
+        let outcome = self.carry_out(command, truth, judge, &mut |time_s, engine, finger_n| {
+            if time_s >= frames.len() as f64 * every_s {
+                frames.push(Frame {
+                    time_s,
+                    world_from_base: engine.world_from_base(),
+                    joints: engine.joints().to_vec(),
+                    world_from_object: engine.world_from_object(),
+                    finger_n: finger_n.to_vec(),
+                });
+            }
+        })?;
+        Ok((outcome, frames))
+    }
+
+    /// `seen` gets time, engine and smoothed forces of the fingers after every command.
+    fn carry_out(
+        &self,
+        command: &Command,
+        truth: &Truth,
+        judge: Judge,
+        seen: &mut dyn FnMut(f64, &Engine, &[f64]),
+    ) -> Result<Outcome> {
         truth.check()?;
         let (mut engine, drives) =
             self.engine(&command.world_from_palm, &command.reach, truth, timeline::SHAKEN_S, judge)?;
@@ -116,7 +151,10 @@ impl Trial {
                     Err(other) => return Err(other),
                 }
             }
-            if !watch.look((i + 1) as f64 * tick_s, truth.friction, &engine) {
+            let time_s = (i + 1) as f64 * tick_s;
+            let goes_on = watch.look(time_s, truth.friction, &engine);
+            seen(time_s, &engine, watch.finger_n());
+            if !goes_on {
                 break;
             }
         }

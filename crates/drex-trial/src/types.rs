@@ -183,6 +183,22 @@ impl Outcome {
     }
 }
 
+/// What can be seen of a trial at one time.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Frame {
+    /// From the start of the trial, s.
+    pub time_s: f64,
+    /// The hand's base.
+    pub world_from_base: Pose,
+    /// Joint angles, model order, rad.
+    pub joints: Vec<f64>,
+    /// The object.
+    pub world_from_object: Pose,
+    /// Normal force of each finger, smoothed over 10 ms, N.
+    pub finger_n: Vec<f64>,
+}
+
 /// The rules and times of the protocol.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]

@@ -74,6 +74,11 @@ impl<'a> Watch<'a> {
         }
     }
 
+    /// Normal force of each finger, smoothed, N.
+    pub fn finger_n(&self) -> &[f64] {
+        &self.finger_n
+    }
+
     /// Looks at the state after a step; false once nothing more can be learned.
     pub fn look(&mut self, t: f64, friction: f64, engine: &Engine) -> bool {
         let on_table = engine.touches(&mut self.touches);

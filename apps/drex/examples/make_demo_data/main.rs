@@ -1,12 +1,15 @@
-//! Makes the bundled demo data: a tea tin, a push of it that is simulated, and grasps of it with the LEAP hand.
+//! Makes the bundled data: two twins of a tea tin.
 //!
 //! ```sh
-//! cargo run --release -p drex --example make_demo_data -- data/demo
+//! cargo run --release -p drex --example make_demo_data -- data
 //! ```
 //!
-//! The push is simulated with a softer contact and a shorter step than the estimator uses, and what it "records" is
-//! noisy. The true mass goes to `truth.json`, which no stage reads; `drex demo` prints it beside the estimate at the end.
+//! `demo`: photos of it, a push that is simulated, clips of a person's hand; `drex demo` runs on it. `tin`: its mesh, a push, joint
+//! angles of the LEAP hand around it; small, for tests. A push is simulated with a softer contact and a shorter step than the
+//! estimator uses, and what it "records" is noisy. The true masses go to `truth.json`, which no stage reads; `drex demo`
+//! prints it beside the estimate at the end.
 
+mod people;
 mod photos;
 
 use std::collections::BTreeMap;
@@ -24,7 +27,7 @@ use drex_core::readers::{GraspFile, write_grasps_json};
 use drex_core::{MassProperties, Pose, Surface, TriMesh, fsutil, pose};
 use drex_diffsim::{AppliedForce, Body, Collider, ConvexPiece, Fixed, ForcePoint, Model, Part, Scene, State, rollout};
 use drex_grasp::TablePlane;
-use drex_mesh::{AssetOptions, GridOptions, GridSdf, MeshSdf, asset_from_mesh};
+use drex_mesh::{Asset, AssetOptions, GridOptions, GridSdf, MeshSdf, asset_from_mesh};
 use drex_retarget::{ObjectSurface, WristFitOptions, fit_wrists};
 use drex_robot::Robot;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
@@ -32,8 +35,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 const SEED: u64 = 2026;
-/// What the demo's estimator has to find.
-const TRUE_MASS_KG: f64 = 0.236;
+/// What the estimator has to find: of the twin with photos, and of the other.
+const TRUE_MASSES_KG: [f64; 2] = [0.168, 0.236];
 const TRUE_FRICTION: f64 = 0.6;
 /// Tin and lid: octagonal prisms, distance between opposite sides and height in metres.
 const TIN: (f64, f64) = (0.062, 0.070);
@@ -49,16 +52,26 @@ const GRASPS: usize = 40;
 const JOINT_SD_RAD: f64 = 0.03;
 
 fn main() -> Result<()> {
-    let out = std::env::args().nth(1).map_or_else(|| PathBuf::from("data/demo"), PathBuf::from);
+    let out = std::env::args().nth(1).map_or_else(|| PathBuf::from("data"), PathBuf::from);
     let shells = [prism(TIN, 0.0)?, prism(LID, TIN.1)?];
-    fsutil::write_atomic(&out.join("scan/tin.obj"), obj(&shells).as_bytes())?;
     let tin = asset_from_mesh(&merged(&shells)?, &AssetOptions::default())?;
-    photos::make(&tin.visual, &out.join("scan"), SEED + 2)?;
-    make_push(&shells, &out.join("push/tilt"))?;
-    make_grasps(&shells, &out.join("demos/grasps.json"))?;
-    let truth = format!("{{\"mass_kg\": {TRUE_MASS_KG}, \"friction\": {TRUE_FRICTION}}}\n");
-    fsutil::write_atomic(&out.join("truth.json"), truth.as_bytes())?;
-    Ok(())
+
+    let demo = out.join("demo");
+    photos::make(&tin.visual, &demo.join("scan"), SEED + 2)?;
+    make_push(&shells, TRUE_MASSES_KG[0], "../../splat/object.obj", &demo.join("push/tilt"))?;
+    people::make(&tin, &demo.join("demos"), SEED + 3)?;
+    truth(TRUE_MASSES_KG[0], &demo)?;
+
+    let small = out.join("tin");
+    fsutil::write_atomic(&small.join("scan/tin.obj"), obj(&shells).as_bytes())?;
+    make_push(&shells, TRUE_MASSES_KG[1], "../../scan/tin.obj", &small.join("push/tilt"))?;
+    make_grasps(&tin, &small.join("demos/grasps.json"))?;
+    truth(TRUE_MASSES_KG[1], &small)
+}
+
+fn truth(mass_kg: f64, folder: &Path) -> Result<()> {
+    let text = format!("{{\"mass_kg\": {mass_kg}, \"friction\": {TRUE_FRICTION}}}\n");
+    Ok(fsutil::write_atomic(&folder.join("truth.json"), text.as_bytes())?)
 }
 
 /// A closed octagonal prism standing on z = `bottom_m`.
@@ -103,17 +116,17 @@ fn obj(shells: &[TriMesh]) -> String {
 }
 
 /// Rocks the tin about its far edge with two pulses and writes what a tracker and a force gauge would have recorded.
-fn make_push(shells: &[TriMesh], folder: &Path) -> Result<()> {
+fn make_push(shells: &[TriMesh], mass_kg: f64, mesh: &str, folder: &Path) -> Result<()> {
     let parts = shells.iter().map(|s| s.mass_properties(1.0)).collect::<Result<Vec<_>, _>>()?;
-    let body = MassProperties::combined(&parts).context("the tin has no volume")?.with_mass(TRUE_MASS_KG);
+    let body = MassProperties::combined(&parts).context("the tin has no volume")?.with_mass(mass_kg);
     let pieces = shells.iter().map(|s| ConvexPiece::from_points(&s.vertices)).collect::<Result<Vec<_>, _>>()?;
 
-    let mut model = Model::new(vec![Body::new(&body, TRUE_MASS_KG, Arc::new(Collider::convex(pieces)))]);
+    let mut model = Model::new(vec![Body::new(&body, mass_kg, Arc::new(Collider::convex(pieces)))]);
     model.dt_s = 1e-4;
     model.contact.frequency_rad_s = 1400.0;
     let mut scene: Scene<f64> = Scene::empty();
     scene.fixed.push(Fixed::table(0.0, TRUE_FRICTION));
-    let tipping_n = TRUE_MASS_KG * 9.81 * (TIN.0 / 2.0) / PUSH_HEIGHT_M;
+    let tipping_n = mass_kg * 9.81 * (TIN.0 / 2.0) / PUSH_HEIGHT_M;
     let point = Point3::new(-TIN.0 / 2.0, 0.0, PUSH_HEIGHT_M);
     let times: Vec<f64> = (0..=160).map(|i| f64::from(i) / 100.0).collect();
     let forces: Vec<Vector3<f64>> = times
@@ -149,7 +162,7 @@ fn make_push(shells: &[TriMesh], folder: &Path) -> Result<()> {
     let config = PushConfig {
         schema: 1,
         name: Some("tilt".into()),
-        mesh: "../../scan/tin.obj".into(),
+        mesh: mesh.into(),
         gravity_m_s2: [0.0, 0.0, -9.81],
         mass_prior_kg: Some(0.5),
         track: TrackConfig {
@@ -190,9 +203,8 @@ fn make_push(shells: &[TriMesh], folder: &Path) -> Result<()> {
 
 /// Grasps of the tin: hands closed by random amounts, put onto the surface with large corrections allowed, then
 /// recorded as joint angles with noise and without the wrist, as a retargeted human demonstration would be.
-fn make_grasps(shells: &[TriMesh], file: &Path) -> Result<()> {
+fn make_grasps(tin: &Asset, file: &Path) -> Result<()> {
     let robot = Robot::bundled("leap_right")?;
-    let tin = asset_from_mesh(&merged(shells)?, &AssetOptions::default())?;
     let exact = MeshSdf::new(&tin.visual)?;
     let mut around = GridOptions::default();
     around.margin_m = Some(0.1);

@@ -198,7 +198,7 @@ fn hashed(corner: &Vector3<f64>) -> f64 {
 
 fn jpeg(photo: &RgbImage) -> Result<Vec<u8>> {
     let mut bytes = Cursor::new(Vec::new());
-    JpegEncoder::new_with_quality(&mut bytes, 84).encode_image(photo).context("cannot encode a photo")?;
+    JpegEncoder::new_with_quality(&mut bytes, 76).encode_image(photo).context("cannot encode a photo")?;
     Ok(bytes.into_inner())
 }
 

@@ -6,7 +6,7 @@ use anyhow::Result;
 use drex_core::Pose;
 use drex_robot::Robot;
 use drex_trial::{
-    Belief, Command, Judge as Engine, NoCommand, Rehearsal, Squeeze, Trial, TrialOptions, Truth, Verdict,
+    Belief, Command, Frame, Judge as Engine, NoCommand, Rehearsal, Squeeze, Trial, TrialOptions, Truth, Verdict,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -178,6 +178,14 @@ impl Rollouts {
     /// If the hand or the object cannot be simulated.
     pub fn new(thing: &Thing, robot: &Arc<Robot>, options: &TrialOptions, engine: Engine) -> Result<Self> {
         Ok(Self { trial: Trial::new(robot.clone(), thing.trial_object(), options.clone())?, engine })
+    }
+
+    /// Frames of a command that is carried out in the engine that judges.
+    ///
+    /// # Errors
+    /// If it cannot be simulated at all.
+    pub fn film(&self, plan: &Command, truth: &Truth, every_s: f64) -> Result<Vec<Frame>> {
+        Ok(self.trial.film(plan, truth, self.engine, every_s)?.1)
     }
 
     fn judged(&self, plan: &Command, truth: &Truth, engine: Engine) -> Result<Judged> {

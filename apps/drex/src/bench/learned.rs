@@ -6,7 +6,8 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use drex_core::Pose;
 use drex_policy::{
-    Dataset, Feedback, GraspPolicy, GraspSample, ObjectCloud, PredictedGrasp, Query, Rollouts, TrainOptions, Trainer,
+    Dataset, Feedback, GraspPolicy, GraspSample, ObjectCloud, PredictedGrasp, Query, Rollouts, TrainOptions,
+    TrainReport, Trainer,
 };
 use drex_robot::Robot;
 use drex_trial::{Belief, Squeeze};
@@ -14,7 +15,7 @@ use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
 use super::judge::{Condition, Judge, Judged, Spread};
-use super::library::Grasp;
+use super::library::{Grasp, Kind};
 use super::thing::Thing;
 
 /// The network learns the force at these multiples of the object's mass.
@@ -73,6 +74,12 @@ pub struct Learned {
     pub commanded: usize,
     pub robust: usize,
     pub learned: usize,
+    /// Those of them that were demonstrated rather than searched for.
+    pub demonstrated: usize,
+    /// How the training went.
+    pub report: TrainReport,
+    /// Grasps and forces that were learned from.
+    pub samples: usize,
     /// Time of the practice, of learning from demonstrations and of learning from rollouts, s.
     pub seconds: [f64; 3],
 }
@@ -152,9 +159,16 @@ impl Learned {
         let learned_s = start.elapsed().as_secs_f64();
         let practice = Practice { judge, spread: options.spread };
         while trainer.roll_out(&practice)?.is_some() {}
-        let (policy, _) = trainer.finish()?;
+        let (policy, report) = trainer.finish()?;
         let seconds = [practised_s, learned_s - practised_s, start.elapsed().as_secs_f64() - learned_s];
-        Ok(Self { policy, up, told_kg, commanded, robust, learned: practised.len(), seconds })
+        let demonstrated = practised.iter().filter(|p| p.grasp.kind == Kind::Retargeted).count();
+        let (learned, samples) = (practised.len(), data.samples.len());
+        Ok(Self { policy, up, told_kg, commanded, robust, learned, demonstrated, report, samples, seconds })
+    }
+
+    /// The network.
+    pub fn policy(&self) -> &GraspPolicy {
+        &self.policy
     }
 
     /// The grasps for an object with these points, the most probable first.

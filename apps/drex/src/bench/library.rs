@@ -146,7 +146,7 @@ impl Library {
         let postures = Postures::of(hand, options.people.seed)?;
         let mut grasps = people::grasps(thing, hand, &postures, &options.people)?;
         grasps.extend(wraps::grasps(thing, hand, &postures, &options.wraps)?);
-        grasps.extend(searched(thing, &hand.robot, options)?);
+        grasps.extend(searched(thing, &hand.robot, options.candidates, options.people.friction, options.people.seed)?);
         if grasps.is_empty() {
             bail!(
                 "no grasp of \"{}\" was found for {}: it may be too large for the hand or too low over the table",
@@ -170,13 +170,13 @@ impl Library {
     }
 }
 
-/// Grasps between opposite points of the surface.
-fn searched(thing: &Thing, robot: &Robot, options: &LibraryOptions) -> Result<Vec<Grasp>> {
+/// Grasps between opposite points of the surface, of so many hands that are looked at.
+pub fn searched(thing: &Thing, robot: &Robot, candidates: usize, friction: f64, seed: u64) -> Result<Vec<Grasp>> {
     let mut search = SearchOptions::default();
-    (search.candidates, search.seed) = (options.candidates, options.people.seed);
-    (search.friction, search.min_fingers) = (options.people.friction, 1);
+    (search.candidates, search.seed) = (candidates, seed);
+    (search.friction, search.min_fingers) = (friction, 1);
     let surface = HandSurface::new(robot, ContactOptions::default().spacing_m)?;
-    let points = sample_surface(&thing.asset.visual, SURFACE_POINTS, options.people.seed);
+    let points = sample_surface(&thing.asset.visual, SURFACE_POINTS, seed);
     let closer = Closer::new(robot)?;
     let found =
         search_grasps(robot, &surface, thing.sdf.as_ref(), &points, &thing.center_of_mass(), &thing.table, &search)?;

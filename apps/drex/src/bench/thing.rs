@@ -36,8 +36,14 @@ pub struct Thing {
 impl Thing {
     /// Pieces, mass properties, distances, resting pose.
     pub fn new(spec: &ObjectSpec) -> Result<Self> {
+        let asset =
+            asset_from_mesh(&spec.mesh, &spec.asset_options()).with_context(|| format!("object \"{}\"", spec.name))?;
+        Self::of_asset(spec, asset)
+    }
+
+    /// The same of an object that has been divided already.
+    pub fn of_asset(spec: &ObjectSpec, asset: Asset) -> Result<Self> {
         let at = || format!("object \"{}\"", spec.name);
-        let asset = asset_from_mesh(&spec.mesh, &spec.asset_options()).with_context(at)?;
         let mut grid = GridOptions::default();
         (grid.nodes, grid.margin_m) = (NODES, Some(SEARCH_MARGIN_M));
         let sdf = GridSdf::with_options(MeshSdf::new(&asset.visual)?, &grid).with_context(at)?;

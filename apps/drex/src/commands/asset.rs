@@ -2,27 +2,22 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use drex_core::fsutil;
 use drex_core::twin::{MANIFEST, PartConfig, TwinManifest};
 use drex_mesh::{
-    Asset, AssetOptions, AssetReport, Background, DecimateOptions, FusionReport, LengthUnit, Part, PieceOptions,
-    RepairOptions, SceneOptions, articulated_asset, asset_from_mesh, build_asset, convex_pieces, decimate, fuse,
-    read_mesh, repair, vertex_colors,
+    Asset, AssetOptions, AssetReport, Background, FusionReport, LengthUnit, Part, PieceOptions, RepairOptions,
+    SceneOptions, articulated_asset, asset_from_mesh, build_asset, convex_pieces, read_mesh, repair, vertex_colors,
 };
 use drex_splat::ReconstructOptions;
-use drex_splat::capture::{Capture, CaptureOptions};
 use nalgebra::Vector3;
 use serde::Serialize;
 
 use crate::cli::AssetArgs;
-use crate::commands::reconstruct::{self, Programs};
 use crate::object::asset_options;
-use crate::scan::{FrameOptions, FrameReport, Scale, Scan};
+use crate::scan::{FrameOptions, FrameReport, Meshed, Scanning};
 use crate::ui::Ui;
 
-/// The visual mesh of a scan keeps to the fused one within this share of a voxel.
-const SIMPLIFIED_WITHIN: f64 = 0.1;
 /// What ffmpeg is asked to open.
 const VIDEOS: [&str; 6] = ["mp4", "mov", "mkv", "avi", "webm", "m4v"];
 
@@ -132,67 +127,33 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
         region: args.scan.region,
         seed,
     };
-    let cameras = cameras(args, ui)?;
-    let scale = Scale::new(&cameras, &frame)?;
-    let (depths, masked) = depth_maps(&cameras, args, seed, ui)?;
-    let spinner = ui.spinner("fusion");
-    let scan = Scan::new(&cameras, &depths, masked, scale, &frame)?;
-    let mut fusion = scan.fusion.clone();
-    fusion.voxel_m = args.scan.voxel;
-    let fused = fuse(&scan, &fusion).with_context(|| format!("fusing the depth maps of {}", args.input.display()))?;
-    let mut simpler = DecimateOptions::default();
-    simpler.max_error_m = Some(SIMPLIFIED_WITHIN * fused.report.voxel_m);
-    let (mesh, _) = decimate(&fused.mesh, &simpler)?;
+    let mut reconstruct = ReconstructOptions::default();
+    (reconstruct.preset, reconstruct.seed) = (args.scan.preset.into(), seed);
+    let scanning = Scanning {
+        input: &args.input,
+        out: &args.out,
+        masks: args.scan.masks.clone(),
+        poses: args.scan.poses.clone(),
+        frame,
+        voxel_m: args.scan.voxel,
+        reconstruct,
+    };
+    let Meshed { scan, fusion, mesh } = scanning.mesh(ui)?;
 
-    spinner.set_prefix("asset");
+    let spinner = ui.spinner("asset");
     let mut options = options(args);
     options.unit = LengthUnit::Metre;
     options.up_in_mesh = Some(scan.frame.up_in_mesh.into());
     options.scale_source = Some(scan.frame.scale_from.into());
     let mut asset = asset_from_mesh(&mesh, &options)?;
-    asset.colors = Some(vertex_colors(&asset.visual, &scan, |i| scan.picture(i), fused.report.truncation_m)?);
+    asset.colors = Some(vertex_colors(&asset.visual, &scan, |i| scan.picture(i), fusion.truncation_m)?);
     write(&asset, args)?;
-    let mut answer = ScanAnswer { scan: &scan.frame, fusion: &fused.report, asset: None };
+    let mut answer = ScanAnswer { scan: &scan.frame, fusion: &fusion, asset: None };
     let text = serde_json::to_string_pretty(&answer)? + "\n";
     fsutil::write_atomic(&args.out.join("mesh/scan.json"), text.as_bytes())?;
     spinner.finish_and_clear();
     answer.asset = Some(&asset.report);
-    ui.answer(&answer, describe_scan(&scan.frame, &fused.report) + &describe(&asset, args))
-}
-
-/// The scan's cameras and points.
-fn cameras(args: &AssetArgs, ui: &Ui) -> Result<Capture> {
-    let mut within = CaptureOptions::default();
-    within.masks.clone_from(&args.scan.masks);
-    within.poses.clone_from(&args.scan.poses);
-    let programs = Programs { colmap: Path::new("colmap"), ffmpeg: Path::new("ffmpeg") };
-    reconstruct::open(&args.input, &args.out, &within, &programs, ui)
-}
-
-/// The capture with the depth maps, made where there are none, and whether these show the object alone.
-fn depth_maps(cameras: &Capture, args: &AssetArgs, seed: u64, ui: &Ui) -> Result<(Capture, bool)> {
-    if cameras.views.iter().all(|v| v.depth.is_some()) {
-        let masked = cameras.views.iter().all(|v| v.mask.is_some());
-        return Ok((cameras.clone(), masked));
-    }
-    let folder = args.out.join("depth");
-    if folder.join("transforms.json").is_file() {
-        ui.note(format!("going on with the depth maps in {}", folder.display()));
-    } else {
-        let mut options = ReconstructOptions::default();
-        options.preset = args.scan.preset.into();
-        options.seed = seed;
-        reconstruct::train(cameras, &args.out, &options, false, ui)?;
-    }
-    let report = args.out.join("splat/report.json");
-    let made: Made = fsutil::from_json(&report, &fsutil::read_text(&report)?)?;
-    Ok((Capture::load(&folder, &CaptureOptions::default())?, made.object_only))
-}
-
-/// What of `splat/report.json` is needed here.
-#[derive(serde::Deserialize)]
-struct Made {
-    object_only: bool,
+    ui.answer(&answer, describe_scan(&scan.frame, &fusion) + &describe(&asset, args))
 }
 
 fn describe_scan(frame: &FrameReport, fusion: &FusionReport) -> String {

@@ -10,23 +10,44 @@ use crate::cli::DemoArgs;
 use crate::twin::{Stage, Twin};
 use crate::ui::Ui;
 
+/// A bundled file.
+macro_rules! bundled {
+    ($name:expr) => {
+        ($name, include_bytes!(concat!("../../data/demo/", $name)).as_slice())
+    };
+}
+
+/// Bundled photos by their names.
+macro_rules! photos {
+    ($($name:literal)*) => { [$(bundled!(concat!("scan/images/", $name, ".jpg")),)*] };
+}
+
 /// The bundled twin folder, file by file.
-const FILES: [(&str, &str); 7] = [
-    ("README.md", include_str!("../../data/demo/README.md")),
-    ("scan/tin.obj", include_str!("../../data/demo/scan/tin.obj")),
-    ("push/tilt/push.toml", include_str!("../../data/demo/push/tilt/push.toml")),
-    ("push/tilt/poses.csv", include_str!("../../data/demo/push/tilt/poses.csv")),
-    ("push/tilt/force.csv", include_str!("../../data/demo/push/tilt/force.csv")),
-    ("demos/grasps.json", include_str!("../../data/demo/demos/grasps.json")),
+const FILES: [(&str, &[u8]); 12] = [
+    bundled!("README.md"),
+    bundled!("scan/transforms.json"),
+    bundled!("scan/points.ply"),
+    bundled!("scan/marks.json"),
+    bundled!("push/tilt/push.toml"),
+    bundled!("push/tilt/poses.csv"),
+    bundled!("push/tilt/force.csv"),
+    bundled!("demos/clip_0.json"),
+    bundled!("demos/clip_1.json"),
+    bundled!("demos/clip_2.json"),
+    bundled!("demos/clip_3.json"),
     // Last: a folder with a manifest has all that it names.
-    ("twin.toml", include_str!("../../data/demo/twin.toml")),
+    bundled!("twin.toml"),
 ];
+const PHOTOS: [(&str, &[u8]); 36] = photos!(
+    "00" "01" "02" "03" "04" "05" "06" "07" "08" "09" "10" "11" "12" "13" "14" "15" "16" "17"
+    "18" "19" "20" "21" "22" "23" "24" "25" "26" "27" "28" "29" "30" "31" "32" "33" "34" "35"
+);
 /// What was simulated. Only printed at the end, beside the estimate; never written into the twin folder.
 const TRUTH: &str = include_str!("../../data/demo/truth.json");
 
 /// Writes the bundled twin to the folder, runs it, and prints the estimate beside what was simulated.
 pub fn run(args: &DemoArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
-    for (name, content) in FILES {
+    for (name, content) in PHOTOS.into_iter().chain(FILES) {
         write_if_changed(&args.out.join(name), content)?;
     }
     let mut twin = Twin::open(&args.out, seed)?;
@@ -43,9 +64,9 @@ pub fn run(args: &DemoArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
 }
 
 /// Leaves a file alone that already has this content, so that a second run finds its inputs unchanged.
-fn write_if_changed(path: &Path, content: &str) -> Result<()> {
-    if std::fs::read(path).is_ok_and(|old| old == content.as_bytes()) {
+fn write_if_changed(path: &Path, content: &[u8]) -> Result<()> {
+    if std::fs::read(path).is_ok_and(|old| old == content) {
         return Ok(());
     }
-    Ok(fsutil::write_atomic(path, content.as_bytes())?)
+    Ok(fsutil::write_atomic(path, content)?)
 }

@@ -5,11 +5,16 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use drex_core::{Pose, fsutil, pose};
 use drex_grasp::StaticCheck;
+use drex_mesh::FusionReport;
 use drex_policy::TrainReport;
 use drex_sysid::{Identification, MassPrior};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use crate::scan::FrameReport;
+
+/// Result of the scan stage.
+pub const SCAN: &str = "splat/scan.json";
 /// Result of the identify stage.
 pub const MASS: &str = "mass.json";
 /// Result of the grasps stage.
@@ -22,6 +27,17 @@ pub const POLICY: &str = "policy/network";
 pub const TRAINING: &str = "policy/training.json";
 /// Result of the evaluate stage.
 pub const EVALUATION: &str = "policy/evaluation.json";
+/// Result of the trial stage.
+pub const TRIAL: &str = "policy/trial.json";
+
+/// Where the mesh of a scan is, and how it came about.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ScanFile {
+    /// Scale, table, box; maps the scan onto the mesh.
+    pub scan: FrameReport,
+    /// The depth maps as they were fused.
+    pub fusion: FusionReport,
+}
 
 /// Where a mass comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -221,6 +237,89 @@ pub struct Training {
     pub samples: usize,
     /// Curve, held-out errors, baselines.
     pub report: TrainReport,
+    /// What was practised before it was learned.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub practice: Option<PracticeRecord>,
+}
+
+/// How many grasps went into the practice and came out of it.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct PracticeRecord {
+    /// Demonstrated grasps that touch and hold on paper,
+    pub demonstrated: usize,
+    /// those that a search found,
+    pub searched: usize,
+    /// of both those that the motors can hold once the hand has closed,
+    pub commanded: usize,
+    /// those that held under most conditions of the practice,
+    pub robust: usize,
+    /// those that were learned,
+    pub learned: usize,
+    /// and those of them that were demonstrated.
+    pub learned_demonstrated: usize,
+}
+
+/// `policy/trial.json`: the grasp that `drex grasp` gives, lifted, held and shaken in simulation.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct TrialFile {
+    /// Layout: 1.
+    pub schema: u32,
+    /// The hand.
+    pub hand: String,
+    /// Its joints, in the order of [`FilmFrame::joints_rad`].
+    pub joint_names: Vec<String>,
+    /// Mass that the hand takes the object for, kg.
+    pub mass_kg: f64,
+    /// What is true is drawn around it with this standard deviation, kg.
+    pub mass_sd_kg: f64,
+    /// Friction: lowest and highest that is true.
+    pub friction: [f64; 2],
+    /// Rollouts that succeeded, all of them, and the interval at 95 % (Wilson).
+    pub held: usize,
+    /// See `held`.
+    pub n: usize,
+    /// See `held`.
+    pub interval: [f64; 2],
+    /// Each rollout.
+    pub rollouts: Vec<RolloutRecord>,
+    /// The first rollout that succeeded, or the first that could be carried out; empty if none could.
+    pub film: Vec<FilmFrame>,
+    /// Index of the rollout that the film shows.
+    pub filmed: Option<usize>,
+}
+
+/// One rollout.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct RolloutRecord {
+    /// What became of it.
+    pub verdict: drex_trial::Verdict,
+    /// True mass, kg, and friction.
+    pub mass_kg: f64,
+    /// See `mass_kg`.
+    pub friction: f64,
+    /// Which of the network's proposals was taken, from 1; 0 if none could be.
+    pub proposal: usize,
+    /// Squeeze that was commanded, and delivered in the hold, N.
+    pub squeeze_n: f64,
+    /// See `squeeze_n`.
+    pub held_n: Option<f64>,
+    /// Share of the friction that was used in the hold.
+    pub friction_used: Option<f64>,
+}
+
+/// What can be seen of a rollout at one time.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct FilmFrame {
+    /// From the start, s.
+    pub time_s: f64,
+    /// The hand's base in the world.
+    pub world_from_base: PoseRecord,
+    /// rad.
+    pub joints_rad: Vec<f64>,
+    /// The object's mesh frame in the world.
+    pub world_from_object: PoseRecord,
+    /// Normal force of each finger, N.
+    pub finger_n: Vec<f64>,
 }
 
 /// Writes a value as indented JSON.

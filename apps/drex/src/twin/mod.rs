@@ -6,9 +6,12 @@ pub mod files;
 mod grasps;
 mod identify;
 mod people;
+mod practice;
 mod report;
+mod scan;
 mod scene;
 mod train;
+mod trial;
 
 use std::cell::OnceCell;
 use std::path::{Path, PathBuf};
@@ -24,12 +27,14 @@ use crate::lock::{Inputs, Lock};
 use crate::object::asset_options;
 use crate::ui::Ui;
 
-pub use files::{Evaluation, FitFile, FitRecord, JudgedGrasp, MassFile, MassSource, PoseRecord, Training};
+pub use files::{Evaluation, FitFile, FitRecord, JudgedGrasp, MassFile, MassSource, PoseRecord, Training, TrialFile};
 pub use scene::Scene;
 
 /// The stages of a twin, in order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stage {
+    /// Photos to Gaussians and a mesh.
+    Scan,
     /// Pushes to a mass.
     Identify,
     /// Mesh and mass to a simulation asset.
@@ -40,28 +45,33 @@ pub enum Stage {
     Train,
     /// The network's grasps judged.
     Evaluate,
+    /// The grasp lifted, held and shaken in simulation.
+    Trial,
     /// The page about all of it.
     Report,
 }
 
 impl Stage {
-    const ALL: [Self; 6] = [Self::Identify, Self::Asset, Self::Grasps, Self::Train, Self::Evaluate, Self::Report];
+    const ALL: [Self; 8] =
+        [Self::Scan, Self::Identify, Self::Asset, Self::Grasps, Self::Train, Self::Evaluate, Self::Trial, Self::Report];
 
     /// The stage's name in the lock and in messages.
     pub fn name(self) -> &'static str {
         match self {
+            Self::Scan => "scan",
             Self::Asset => "asset",
             Self::Identify => "identify",
             Self::Grasps => "grasps",
             Self::Train => "train",
             Self::Evaluate => "evaluate",
+            Self::Trial => "trial",
             Self::Report => "report",
         }
     }
 
     /// Whether the stage needs demonstrated grasps.
     fn needs_grasps(self) -> bool {
-        matches!(self, Self::Grasps | Self::Train | Self::Evaluate)
+        matches!(self, Self::Grasps | Self::Train | Self::Evaluate | Self::Trial)
     }
 }
 
@@ -136,7 +146,9 @@ impl Twin {
         let mut summary =
             RunSummary { name: self.manifest.name.clone(), stages_run: vec![], stages_current: vec![], seconds: 0.0 };
         for stage in Stage::ALL.into_iter().filter(|s| *s <= last) {
-            if stage.needs_grasps() && self.manifest.grasps.is_none() {
+            if stage.needs_grasps() && self.manifest.grasps.is_none()
+                || stage == Stage::Scan && self.manifest.scan.is_none()
+            {
                 continue;
             }
             let inputs = self.inputs(stage).with_context(|| format!("stage {}", stage.name()))?;
@@ -159,11 +171,13 @@ impl Twin {
 
     fn make(&self, stage: Stage, ui: &Ui) -> Result<Vec<PathBuf>> {
         match stage {
+            Stage::Scan => scan::make(self, ui),
             Stage::Asset => asset::make(self),
             Stage::Identify => identify::make(self, ui),
             Stage::Grasps => grasps::make(self, ui),
             Stage::Train => train::make(self, ui),
             Stage::Evaluate => evaluate::make(self, ui),
+            Stage::Trial => trial::make(self, ui),
             Stage::Report => report::make(self),
         }
     }
@@ -174,6 +188,10 @@ impl Twin {
         let inputs = Inputs::new(self.seed);
         let mesh = self.path(&m.object.mesh);
         let inputs = match stage {
+            Stage::Scan => {
+                let inputs = inputs.setting("scan", &m.scan)?.setting("mesh", &m.object.mesh)?;
+                m.scan.iter().try_fold(inputs, |inputs, scan| inputs.file(&self.path(&scan.photos)))?
+            }
             Stage::Identify => {
                 let inputs = inputs.setting("mass", &m.mass)?.setting("object", &m.object)?.file(&mesh)?;
                 let inputs = m.mass.prior_file.iter().try_fold(inputs, |inputs, f| inputs.file(&self.path(f)))?;
@@ -188,6 +206,10 @@ impl Twin {
                 let inputs = inputs.setting("train", &m.train)?.setting("object", &m.object)?.file(&mesh)?;
                 inputs.file(&self.path(files::FITS))?.file(&self.path(files::MASS))?
             }
+            Stage::Trial => {
+                let inputs = inputs.setting("object", &m.object)?.setting("grasps", &m.grasps)?.file(&mesh)?;
+                inputs.file(&self.path(files::POLICY))?.file(&self.path(files::MASS))?
+            }
             Stage::Evaluate => {
                 let inputs = inputs.setting("object", &m.object)?.file(&mesh)?.file(&self.path(files::POLICY))?;
                 inputs.file(&self.path(files::FITS))?.file(&self.path(files::MASS))?
@@ -199,6 +221,7 @@ impl Twin {
                         .file(&self.path(files::FITS))?
                         .file(&self.path(files::POLICY))?
                         .file(&self.path(files::EVALUATION))?
+                        .file(&self.path(files::TRIAL))?
                 } else {
                     inputs
                 }

@@ -11,8 +11,12 @@ use drex_policy::{Dataset, GraspPolicy, GraspSample, ObjectCloud, TrainOptions};
 use nalgebra::Point3;
 use rayon::prelude::*;
 
-use super::files::{FITS, MASS, POLICY, TRAINING, read_json, write_json};
+use super::files::{FITS, MASS, POLICY, PracticeRecord, TRAINING, read_json, write_json};
+use super::practice::Ground;
 use super::{FitFile, MassFile, Scene, Training, Twin};
+use crate::bench::judge::Spread;
+use crate::bench::learned::{LearnOptions, Learned};
+use crate::bench::library::Kind;
 use crate::ui::Ui;
 
 /// Surface points that the network sees.
@@ -26,8 +30,11 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     let scene = Scene::of(twin)?;
     let fits: FitFile = read_json(&twin.path(FITS))?;
     let mass: MassFile = read_json(&twin.path(MASS))?;
-    let data = dataset(twin, &scene, &fits, &mass)?;
     let options = options(twin);
+    if let Some(practised) = twin.manifest.train.as_ref().and_then(|t| t.practice).filter(|p| *p > 0) {
+        return practise(twin, &scene, &fits, &mass, options, practised as usize, ui);
+    }
+    let data = dataset(twin, &scene, &fits, &mass)?;
     let bar = ui.bar("train", options.epochs as u64);
     let (policy, mut report) = GraspPolicy::train(&data, &options, &mut |epoch| {
         bar.set_position(epoch.epoch as u64);
@@ -37,13 +44,63 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     bar.finish_and_clear();
     // Wall times are in twin.lock; what a stage makes depends on its inputs only.
     report.seconds = 0.0;
+    let grasps = report.train_grasps + report.held_out_grasps;
+    write(twin, &policy, &Training { grasps, samples: data.samples.len(), report, practice: None })
+}
+
+fn write(twin: &Twin, policy: &GraspPolicy, training: &Training) -> Result<Vec<PathBuf>> {
     let folder = twin.path(POLICY);
     policy.save(&folder)?;
-    let training =
-        Training { grasps: report.train_grasps + report.held_out_grasps, samples: data.samples.len(), report };
-    write_json(&twin.path(TRAINING), &training)?;
+    write_json(&twin.path(TRAINING), training)?;
     fsutil::write_atomic(&twin.path("policy/curve.csv"), training.report.curve_csv().as_bytes())?;
     Ok(vec![folder, twin.path(TRAINING), twin.path("policy/curve.csv")])
+}
+
+/// Learns the grasps that hold when they are tried, of the demonstrations and of a search, then from rollouts of its own.
+fn practise(
+    twin: &Twin,
+    scene: &Scene,
+    fits: &FitFile,
+    mass: &MassFile,
+    train: TrainOptions,
+    practised: usize,
+    ui: &Ui,
+) -> Result<Vec<PathBuf>> {
+    let spinner = ui.spinner("search");
+    let ground = Ground::of(twin, &scene.robot, mass.mass_kg)?;
+    let search = twin.manifest.train.as_ref().and_then(|t| t.search).unwrap_or(0);
+    let grasps = ground.grasps(fits, search, twin.seed)?;
+    spinner.set_prefix("practice");
+    let options = LearnOptions {
+        train,
+        spread: Spread::around(Some(twin.friction())),
+        practised,
+        masses_kg: Vec::new(),
+        mass_hidden: false,
+    };
+    let mut learned = Learned::train(&ground.thing, &ground.robot, &grasps, &ground.judge, &options)?;
+    spinner.finish_and_clear();
+    let demonstrated = grasps.iter().filter(|g| g.kind == Kind::Retargeted).count();
+    ui.note(format!(
+        "{:>10}  {} of {} grasps hold in practice, {} learned ({} of them demonstrated)",
+        "practice", learned.robust, learned.commanded, learned.learned, learned.demonstrated
+    ));
+    learned.report.seconds = 0.0;
+    let practice = PracticeRecord {
+        demonstrated,
+        searched: grasps.len() - demonstrated,
+        commanded: learned.commanded,
+        robust: learned.robust,
+        learned: learned.learned,
+        learned_demonstrated: learned.demonstrated,
+    };
+    let training = Training {
+        grasps: learned.learned,
+        samples: learned.samples,
+        report: learned.report.clone(),
+        practice: Some(practice),
+    };
+    write(twin, learned.policy(), &training)
 }
 
 /// The object's points as the network sees them.

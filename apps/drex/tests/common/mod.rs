@@ -41,16 +41,16 @@ impl Run {
     }
 }
 
-/// The bundled demo data.
-pub fn demo_data() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("data/demo")
+/// The small bundled twin.
+pub fn tin_data() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("data/tin")
 }
 
-/// A copy of the demo data in a temporary folder.
-pub fn demo_copy() -> (tempfile::TempDir, PathBuf) {
+/// A copy of it in a temporary folder.
+pub fn tin_copy() -> (tempfile::TempDir, PathBuf) {
     let dir = tempfile::tempdir().unwrap();
     let to = dir.path().join("twin");
-    copy_tree(&demo_data(), &to);
+    copy_tree(&tin_data(), &to);
     (dir, to)
 }
 

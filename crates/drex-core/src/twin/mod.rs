@@ -6,6 +6,7 @@
 mod articulated;
 mod contact;
 mod grasps;
+mod scan;
 
 use std::path::{Path, PathBuf};
 
@@ -14,6 +15,7 @@ use serde::{Deserialize, Serialize};
 pub use self::articulated::{JointConfig, JointKind, PartConfig, joint_tree};
 pub use self::contact::ContactConfig;
 pub use self::grasps::{GraspsConfig, RecordedAs};
+pub use self::scan::{ScanConfig, ScanPreset};
 use crate::{Error, Result, fsutil};
 
 /// Name of the manifest in a twin folder.
@@ -33,6 +35,9 @@ pub struct TwinManifest {
     /// Seed of everything random.
     #[serde(default)]
     pub seed: u64,
+    /// Photos or a recording that the mesh is made of; none where the mesh is given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scan: Option<ScanConfig>,
     /// The object.
     pub object: ObjectConfig,
     /// What is known of its mass.
@@ -47,7 +52,7 @@ pub struct TwinManifest {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObjectConfig {
-    /// The scanned mesh.
+    /// The scanned mesh; where there is a `[scan]`, the file that is made of it.
     pub mesh: PathBuf,
     /// Unit of the mesh's coordinates.
     #[serde(default)]
@@ -131,6 +136,10 @@ pub struct TrainConfig {
     pub modes: Option<usize>,
     /// Width of the hidden layers.
     pub hidden: Option<usize>,
+    /// Grasps that are practised in simulation before the best of them are learned, those that need least force; none if left out.
+    pub practice: Option<u32>,
+    /// Hands that a search looks at to find more grasps for the practice; none if left out.
+    pub search: Option<usize>,
 }
 
 impl TwinManifest {
@@ -145,7 +154,7 @@ impl TwinManifest {
             parts: Vec::new(),
             joints: Vec::new(),
         };
-        Self { schema: 1, name: name.into(), seed: 0, object, mass, grasps: None, train: None }
+        Self { schema: 1, name: name.into(), seed: 0, scan: None, object, mass, grasps: None, train: None }
     }
 
     /// Reads and checks a manifest: a `twin.toml`, or the folder that holds one.
@@ -221,6 +230,16 @@ impl TwinManifest {
         }
         self.object.contact.as_ref().map_or(Ok(()), ContactConfig::check)?;
         self.check_parts()?;
+        if let Some(scan) = &self.scan {
+            scan.check()?;
+            let made = self.object.mesh.extension().is_some_and(|e| e.eq_ignore_ascii_case("obj"));
+            if !made || self.object.unit != LengthUnit::M {
+                return refuse(
+                    format!("[scan] makes an OBJ file in metres, and [object] mesh is {}", self.object.mesh.display()),
+                    "write mesh = \"splat/object.obj\" and leave unit out",
+                );
+            }
+        }
         let m = &self.mass;
         if m.identify.is_empty() && m.weighed_kg.is_none() && !m.has_prior() {
             return refuse(
@@ -248,6 +267,12 @@ impl TwinManifest {
             if value == Some(0) {
                 return refuse(format!("[train] {entry} = 0"), "give a positive number or leave it out");
             }
+        }
+        if train.search.is_some() && train.practice.unwrap_or(0) == 0 {
+            return refuse(
+                "[train] search without practice".into(),
+                "add practice = 40: what a search finds must be tried before it is learned",
+            );
         }
         if let Some(rate) = train.learning_rate
             && !(rate > 0.0 && rate.is_finite())
@@ -347,6 +372,29 @@ damping = 0.001
     }
 
     #[test]
+    fn a_mesh_may_be_made_of_a_scan() {
+        let scan = "[scan]\nphotos = \"scan\"\ndistances_m = { \"A-C\" = 0.12 }\n[object]";
+        let text =
+            FULL.replace("[object]", scan).replace("scan/cookie.stl", "splat/object.obj").replace("unit = \"mm\"", "");
+        let m = parse(&text).unwrap();
+        let scan = m.scan.clone().unwrap();
+        assert_eq!(scan.distances().collect::<Vec<_>>(), [("A", "C", 0.12)]);
+        assert_eq!((scan.preset, scan.iterations), (ScanPreset::Fast, None));
+        assert_eq!(parse(&m.to_toml_string().unwrap()).unwrap(), m);
+        for (from, to, expected) in [
+            ("\"A-C\" = 0.12", "\"AC\" = 0.12", "\"AC\" = 0.12"),
+            ("\"A-C\" = 0.12", "\"A-C\" = -1", "\"A-C\" = -1"),
+            ("photos = \"scan\"", "photos = \"scan\"\nscale = 2", "both"),
+            ("photos = \"scan\"", "photos = \"scan\"\npreset = \"slow\"", "line 6"),
+            ("photos = \"scan\"", "photos = \"scan\"\nregion = [[0, 0, 0], [1, 1, 0]]", "region"),
+            ("object.obj", "object.stl", "object.stl"),
+        ] {
+            let message = parse(&text.replace(from, to)).unwrap_err().to_string();
+            assert!(message.contains(expected) && message.starts_with("twin.toml"), "{message}");
+        }
+    }
+
+    #[test]
     fn grasps_of_a_person_are_told_apart() {
         assert_eq!(parse(FULL).unwrap().grasps.unwrap().recorded, RecordedAs::Robot);
         let m = parse(&FULL.replace("joint_order = \"leap_sdk\"", "recorded = \"human\"\naugment = 200")).unwrap();
@@ -367,6 +415,7 @@ damping = 0.001
             ("name = \"cookie\"", "", "missing field `name`"),
             ("epochs = 200", "epochs = 0", "epochs = 0"),
             ("epochs = 200", "learning_rate = nan", "learning_rate"),
+            ("epochs = 200", "search = 1000", "search without practice"),
             ("[train]", "augment = 9\n[train]", "[grasps] augment = 9"),
             ("[train]", "recorded = \"human\"\n[train]", "[grasps] joint_order"),
             ("joint_order = \"leap_sdk\"", "recorded = \"human\"\naugment = 0", "augment = 0"),

@@ -1,0 +1,59 @@
+//! Photos to Gaussians and the object's mesh.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use drex_core::twin::ScanPreset;
+use drex_mesh::{KnownDistance, write_mesh};
+use drex_splat::ReconstructOptions;
+use drex_splat::train::Preset;
+use nalgebra::Point3;
+
+use super::Twin;
+use super::files::{SCAN, ScanFile, write_json};
+use crate::scan::{FrameOptions, Meshed, Scanning};
+use crate::ui::Ui;
+
+/// Every so many photos one is not trained on but measured against.
+const HOLD_OUT: usize = 8;
+
+pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
+    let config = twin.manifest.scan.as_ref().context("the manifest has no [scan]")?;
+    // Depth maps of other photos must not be taken for these.
+    let depth = twin.path("depth");
+    if depth.exists() {
+        std::fs::remove_dir_all(&depth).with_context(|| format!("cannot remove {}", depth.display()))?;
+    }
+    let mut reconstruct = ReconstructOptions::default();
+    reconstruct.preset = match config.preset {
+        ScanPreset::Fast => Preset::Fast,
+        ScanPreset::Default => Preset::Default,
+        ScanPreset::Best => Preset::Best,
+    };
+    (reconstruct.iterations, reconstruct.seed) = (config.iterations, twin.seed);
+    reconstruct.hold_out = Some(HOLD_OUT);
+    let known =
+        |(from, to, distance_m): (&str, &str, f64)| KnownDistance { from: from.into(), to: to.into(), distance_m };
+    let input = twin.path(&config.photos);
+    let scanning = Scanning {
+        input: &input,
+        out: &twin.root,
+        masks: None,
+        poses: None,
+        frame: FrameOptions {
+            scale: config.scale,
+            distances: config.distances().map(known).collect(),
+            region: config.region.map(|corners| corners.map(Point3::from)),
+            seed: twin.seed,
+            ..FrameOptions::default()
+        },
+        voxel_m: None,
+        reconstruct,
+    };
+    let Meshed { scan, fusion, mesh } = scanning.mesh(ui)?;
+    let file = twin.path(&twin.manifest.object.mesh);
+    write_mesh(&file, &mesh)?;
+    write_json(&twin.path(SCAN), &ScanFile { scan: scan.frame, fusion })?;
+    let splat = twin.path("splat");
+    Ok([splat, depth, file].into_iter().filter(|f| f.exists()).collect())
+}

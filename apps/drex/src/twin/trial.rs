@@ -1,0 +1,128 @@
+//! The grasp that `drex grasp` gives, lifted, held and shaken in simulation.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use drex_policy::{GraspPolicy, PredictedGrasp, Query};
+use drex_robot::Robot;
+use drex_trial::{Command, Frame, NoCommand, Squeeze, Verdict, wilson};
+use rayon::prelude::*;
+
+use super::files::{FilmFrame, MASS, POLICY, RolloutRecord, TRIAL, TrialFile, read_json, write_json};
+use super::practice::Ground;
+use super::{MassFile, PoseRecord, Twin};
+use crate::bench::judge::{Condition, Judge, Rollouts, Spread, verdict_of};
+use crate::ui::Ui;
+
+/// Rollouts.
+const ROLLOUTS: usize = 24;
+/// Time between two frames of the film, s.
+const FRAME_S: f64 = 0.08;
+/// Set apart from the seeds of the practice.
+const TRIAL_SEED: u64 = 0x74_72_69_61;
+/// Half a 95 % interval in standard deviations.
+const HALF_INTERVAL: f64 = 1.96;
+
+pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
+    let grasps = twin.manifest.grasps.as_ref().context("the manifest has no [grasps]")?;
+    let mass: MassFile = read_json(&twin.path(MASS))?;
+    let robot = Robot::resolve(&grasps.hand, &twin.root)?;
+    let policy = GraspPolicy::load(&twin.path(POLICY))?;
+    let ground = Ground::of(twin, &robot, mass.mass_kg)?;
+    let spread = Spread::around(Some(twin.friction()));
+    let conditions = spread.conditions(ROLLOUTS, twin.seed ^ TRIAL_SEED);
+    let mass_sd_kg = mass.ci95_kg.map_or(0.0, |[lo, hi]| 0.5 * (hi - lo) / HALF_INTERVAL);
+    let cloud = ground.thing.cloud(twin.seed);
+    let up = ground.thing.table.up.into_inner();
+
+    let bar = ui.bar("trial", conditions.len() as u64);
+    let run = |condition: &Condition| -> Result<(RolloutRecord, Option<Command>)> {
+        let belief = condition.belief(mass.mass_kg);
+        let query = Query::new(&cloud, belief.mass_kg, belief.friction).with_up(up);
+        let planned = plan(&ground.judge, &policy.predict(&query)?, condition, mass.mass_kg)?;
+        // What is true of the mass is drawn from what the estimate says of itself; half of it is left at the least.
+        let true_kg = (mass.mass_kg + condition.mass_error * mass_sd_kg).max(0.5 * mass.mass_kg);
+        let mut record = RolloutRecord {
+            verdict: Verdict::NoContact,
+            mass_kg: true_kg,
+            friction: condition.friction,
+            proposal: 0,
+            squeeze_n: 0.0,
+            held_n: None,
+            friction_used: None,
+        };
+        let command = match planned {
+            Ok((proposal, command)) => {
+                let outcome = ground.judge.run(&command, &condition.truth(true_kg))?;
+                record.verdict = outcome.verdict;
+                (record.proposal, record.squeeze_n) = (proposal, outcome.squeeze_n);
+                (record.held_n, record.friction_used) = (outcome.held_n, outcome.friction_used);
+                Some(command)
+            }
+            Err(reason) => {
+                record.verdict = verdict_of(&reason);
+                None
+            }
+        };
+        bar.inc(1);
+        Ok((record, command))
+    };
+    let done: Vec<(RolloutRecord, Option<Command>)> = conditions.par_iter().map(run).collect::<Result<_>>()?;
+    bar.finish_and_clear();
+
+    let succeeded = |(r, _): &(RolloutRecord, _)| r.verdict == Verdict::Success;
+    let held = done.iter().filter(|d| succeeded(d)).count();
+    let filmed = done.iter().position(succeeded).or_else(|| done.iter().position(|d| d.1.is_some()));
+    let film = match filmed.map(|i| (&conditions[i], &done[i])) {
+        Some((condition, (record, Some(command)))) => {
+            ground.judge.film(command, &condition.truth(record.mass_kg), FRAME_S)?
+        }
+        _ => Vec::new(),
+    };
+    let interval = wilson(held, done.len());
+    let file = TrialFile {
+        schema: 1,
+        hand: robot.name.clone(),
+        joint_names: robot.joint_names().into_iter().map(str::to_owned).collect(),
+        mass_kg: mass.mass_kg,
+        mass_sd_kg,
+        friction: [spread.friction.0, spread.friction.1],
+        held,
+        n: done.len(),
+        interval: [interval.low, interval.high],
+        rollouts: done.into_iter().map(|d| d.0).collect(),
+        film: film.into_iter().map(frame).collect(),
+        filmed,
+    };
+    write_json(&twin.path(TRIAL), &file)?;
+    Ok(vec![twin.path(TRIAL)])
+}
+
+/// The most probable proposal that the hand can be commanded to, with its number from 1; else why the first one cannot.
+fn plan(
+    judge: &Rollouts,
+    proposals: &[PredictedGrasp],
+    condition: &Condition,
+    mass_kg: f64,
+) -> Result<Result<(usize, Command), NoCommand>> {
+    let belief = condition.belief(mass_kg);
+    let mut first = None;
+    for (i, proposal) in proposals.iter().enumerate() {
+        let grip = judge.grip(&proposal.joints, &proposal.object_from_palm, &belief)?;
+        match judge.plan(&grip, &belief, Squeeze::Needed)? {
+            Ok(command) => return Ok(Ok((i + 1, command))),
+            Err(reason) => first = first.or(Some(reason)),
+        }
+    }
+    Ok(Err(first.context("the policy proposes no grasp")?))
+}
+
+fn frame(f: Frame) -> FilmFrame {
+    FilmFrame {
+        time_s: f.time_s,
+        world_from_base: PoseRecord::from(&f.world_from_base),
+        joints_rad: f.joints,
+        world_from_object: PoseRecord::from(&f.world_from_object),
+        finger_n: f.finger_n,
+    }
+}
