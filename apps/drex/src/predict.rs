@@ -84,10 +84,17 @@ impl Ready {
         if path.join("policy.json").is_file() {
             return Self::of_policy(args, path, seed.unwrap_or(0));
         }
-        let twin = Twin::open(path, seed)?;
+        Self::of_twin(&Twin::open(path, seed)?, args)
+    }
+
+    /// The same of a twin that is open.
+    ///
+    /// # Errors
+    /// As [`Self::of`].
+    pub fn of_twin(twin: &Twin, args: &GraspArgs) -> Result<Self> {
         let folder = twin.path(files::POLICY);
         if !folder.join("policy.json").is_file() {
-            bail!("{} has no policy yet: run `drex train {}` first", twin.root.display(), path.display());
+            bail!("{} has no policy yet: run `drex train {0}` first", twin.root.display());
         }
         let mass_kg = match args.mass {
             Some(mass) => mass,

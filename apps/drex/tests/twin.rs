@@ -10,10 +10,9 @@ use std::time::{Duration, Instant};
 use common::{drex, edit, keep_demonstrations, shared_data, tin_copy};
 
 #[test]
-fn the_demo_weighs_the_tin_and_the_second_run_has_nothing_to_do() {
-    let dir = tempfile::tempdir().unwrap();
-    let out = dir.path().join("demo");
-    let run = drex(["demo", "--json", "--out", out.to_str().unwrap()]);
+fn the_tin_is_weighed_lifted_and_grasped_and_the_second_run_has_nothing_to_do() {
+    let (_dir, out) = tin_copy();
+    let run = drex(["run", "--json", out.to_str().unwrap()]);
     assert_eq!(run.code, 0, "{}", run.stderr);
     let answer = run.json();
     let truth: serde_json::Value =
@@ -24,6 +23,15 @@ fn the_demo_weighs_the_tin_and_the_second_run_has_nothing_to_do() {
     assert!((mass_kg / truth_kg - 1.0).abs() < 0.05, "{mass_kg} kg, simulated with {truth_kg} kg");
     let ci = &answer["mass"]["ci95_kg"];
     assert!(ci[0].as_f64().unwrap() < mass_kg && mass_kg < ci[1].as_f64().unwrap(), "{ci}");
+
+    // What the trial says is what its rollouts are.
+    let trial: serde_json::Value =
+        serde_json::from_str(&fs::read_to_string(out.join("policy/trial.json")).unwrap()).unwrap();
+    let held = trial["rollouts"].as_array().unwrap().iter().filter(|r| r["verdict"] == "success").count();
+    assert_eq!(answer["trial"]["held"], held, "{answer}");
+    assert_eq!(answer["trial"]["n"], trial["rollouts"].as_array().unwrap().len());
+    // The emulated hand either moved, and left a log of its joints, or it is said why not.
+    assert_eq!(answer["execution"]["not_driven"].is_null(), out.join("policy/execution.csv").is_file(), "{answer}");
 
     let html = fs::read_to_string(out.join("report.html")).unwrap();
     assert!(html.contains("<svg") && html.contains("data:image/png;base64,"));
@@ -40,7 +48,7 @@ fn the_demo_weighs_the_tin_and_the_second_run_has_nothing_to_do() {
     // A changed input makes its stage and those that build on it again, and only those.
     edit(&out.join("twin.toml"), "prior_kg = 0.5", "weighed_kg = 0.25");
     let weighed = drex(["run", "--json", out.to_str().unwrap()]);
-    let made: Vec<&str> = ["identify", "asset", "train", "evaluate", "report"].to_vec();
+    let made: Vec<&str> = ["identify", "asset", "train", "evaluate", "trial", "execute", "report"].to_vec();
     assert_eq!(weighed.json()["stages_run"], serde_json::json!(made), "{}", weighed.stderr);
     assert_eq!(weighed.json()["mass"]["source"], "weighed");
 }
@@ -62,6 +70,8 @@ fn the_same_seed_gives_the_same_bytes_with_one_thread_and_two() {
         "grasps/wrist_fits.json",
         "policy/training.json",
         "policy/evaluation.json",
+        "policy/trial.json",
+        "policy/execution.csv",
         "report.html",
     ];
     for file in made {

@@ -51,7 +51,7 @@ pub struct DeployArgs {
     #[arg(long)]
     pub uniform: bool,
     /// How long to hold, s.
-    #[arg(long, value_name = "S", default_value_t = 3.0, value_parser = positive)]
+    #[arg(long, value_name = "S", default_value_t = Self::HOLD_S, value_parser = positive)]
     pub hold: f64,
     /// How the hand is driven.
     #[command(flatten)]
@@ -59,4 +59,16 @@ pub struct DeployArgs {
     /// Rate and log.
     #[command(flatten)]
     pub run: RunArgs,
+}
+
+impl DeployArgs {
+    /// An emulated hand, driven as one at its port would be, with the joint log `log`.
+    pub fn emulated(twin: PathBuf, log: PathBuf) -> Self {
+        let grasp = GraspArgs { twin_or_policy: twin, mesh: None, hand: None, pose: None, mass: None, friction: None };
+        let run = RunArgs { rate: RunArgs::RATE_HZ, log: Some(log) };
+        let (link, hold) = (LinkArgs::default(), Self::HOLD_S);
+        Self { grasp, out: None, port: None, emulate: true, law: None, uniform: false, hold, link, run }
+    }
+
+    const HOLD_S: f64 = 3.0;
 }

@@ -41,7 +41,7 @@ pub struct HandArgs {
 #[derive(Debug, Args)]
 pub struct LinkArgs {
     /// Speed of the LEAP bus, bits per second.
-    #[arg(long, value_name = "N", default_value_t = 4_000_000, value_parser = clap::value_parser!(u32).range(9_600..=10_500_000))]
+    #[arg(long, value_name = "N", default_value_t = Self::BAUD, value_parser = clap::value_parser!(u32).range(9_600..=10_500_000))]
     pub baud: u32,
     /// Generation of the Allegro hand.
     #[arg(long, value_enum, default_value_t = AllegroArg::V4)]
@@ -49,6 +49,16 @@ pub struct LinkArgs {
     /// No joint presses with more than this: mA for LEAP, N m for Allegro [default: what the hand's maker recommends].
     #[arg(long, value_name = "EFFORT", value_parser = positive)]
     pub cap: Option<f64>,
+}
+
+impl LinkArgs {
+    const BAUD: u32 = 4_000_000;
+}
+
+impl Default for LinkArgs {
+    fn default() -> Self {
+        Self { baud: Self::BAUD, allegro: AllegroArg::V4, cap: None }
+    }
 }
 
 /// `drex hw move`.
@@ -92,11 +102,16 @@ pub struct RecordArgs {
 #[derive(Debug, Args)]
 pub struct RunArgs {
     /// Cycles per second.
-    #[arg(long, value_name = "HZ", default_value_t = 400.0, value_parser = positive)]
+    #[arg(long, value_name = "HZ", default_value_t = Self::RATE_HZ, value_parser = positive)]
     pub rate: f64,
     /// Joint log to write.
     #[arg(long, value_name = "CSV")]
     pub log: Option<PathBuf>,
+}
+
+impl RunArgs {
+    /// Cycles per second where nobody says otherwise.
+    pub const RATE_HZ: f64 = 400.0;
 }
 
 /// `drex hw calibrate`.

@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
 use drex_hw::allegro::WIRE_JOINTS;
-use drex_hw::control::GraspPlan;
+use drex_hw::control::{EStop, GraspPlan};
 use drex_hw::law::{LimitMode, LimitOptions, Nominal, TorqueLaw, torque_limits_nm};
 use drex_hw::leap::table::MotorModel;
-use drex_trial::TrialOptions;
+use drex_trial::{Reach, TrialOptions};
 use serde::Serialize;
 use serde_json::json;
 
@@ -43,11 +43,13 @@ struct Deployment<'a> {
 
 /// How hard each joint may press, and why.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-struct Limits {
-    unit: &'static str,
-    /// While the fingers close, and with the force.
-    closing: Vec<f64>,
-    force: Vec<f64>,
+pub struct Limits {
+    /// mA or N m.
+    pub unit: &'static str,
+    /// While the fingers close,
+    pub closing: Vec<f64>,
+    /// and with the force.
+    pub force: Vec<f64>,
     /// Of current and torque; absent where the hand takes torques.
     law: Option<TorqueLaw>,
     /// Torque that the motors lack, N m.
@@ -81,6 +83,18 @@ struct ForceLaw {
     shake_m_s2: f64,
 }
 
+/// What a hand was told, and what it did with it.
+pub struct Deployed {
+    /// `deploy.json`.
+    pub file: PathBuf,
+    /// How the fingers open and close.
+    pub reach: Reach,
+    /// How hard each joint may press.
+    pub limits: Limits,
+    /// What became of the grasp, if there was a hand.
+    pub done: Option<hw::Done>,
+}
+
 /// Predicts, writes the file, and grasps if there is a hand.
 pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     // Before there is a hand that could be left with its torque on.
@@ -90,10 +104,7 @@ pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     if let Some(reason) = &grasp.cannot_hold {
         bail!("there is no grasp to deploy: {reason}");
     }
-    let kind = kind(&grasp.hand)?;
-    let reach = ready.reach(&grasp)?;
-    let limits = limits(args, kind, &grasp)?;
-    let file = write(args, &ready, &grasp, (&reach.open, &reach.closed), &limits)?;
+    let Deployed { file, limits, done, .. } = deploy(args, &ready, &grasp, &stop)?;
     let most = limits.force.iter().copied().fold(0.0, f64::max);
     let short = limits.short_nm.iter().copied().fold(0.0, f64::max);
     let mut text = format!(
@@ -113,22 +124,6 @@ pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     if short > 0.0 {
         text += &format!("  note     the limits leave a joint {short:.3} N m short of the squeeze\n");
     }
-    let poses = [reach.open.clone(), reach.open.clone(), reach.closed.clone()];
-    let (closing, force) = (limits.closing.clone(), limits.force.clone());
-    let plan = match kind {
-        HandArg::Leap => GraspPlan::leap(poses, closing, force),
-        HandArg::Allegro => GraspPlan::allegro(poses, closing, force),
-    };
-    let plan = plan.with_hold_s(args.hold);
-    let how = hw::Run { stop: &stop, rate_hz: args.run.rate, limp: false, log: args.run.log.as_deref() };
-    let done = match &args.port {
-        Some(port) => {
-            let mut driver = hw::Driver::open(kind, port, &args.link)?;
-            Some(hw::grasp(driver.hand(), &drex_hw::SystemClock::default(), plan, &how)?)
-        }
-        None if args.emulate => Some(hw::grasp_emulated(kind, &ready.robot, &args.link, plan, &reach.grasp, &how)?),
-        None => None,
-    };
     match &done {
         Some(done) => text += &done.text(&grasp.joint_names, limits.unit),
         None => text += "  note     no hand moved: give --port PATH or --emulate",
@@ -137,8 +132,36 @@ pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     ui.answer(&json!({ "out": file, "hand": grasp.hand, "limits": limits, "driven": driven }), text)
 }
 
+/// Writes the file for a grasp that can hold, and grasps with the hand that the arguments name, if any.
+///
+/// # Errors
+/// If there is no driver for the hand, the file cannot be written, or the hand fails.
+pub fn deploy(args: &DeployArgs, ready: &Ready, grasp: &Prediction, stop: &EStop) -> Result<Deployed> {
+    let kind = kind(&grasp.hand)?;
+    let reach = ready.reach(grasp)?;
+    let limits = limits(args, kind, grasp)?;
+    let file = write(args, ready, grasp, (&reach.open, &reach.closed), &limits)?;
+    let poses = [reach.open.clone(), reach.open.clone(), reach.closed.clone()];
+    let (closing, force) = (limits.closing.clone(), limits.force.clone());
+    let plan = match kind {
+        HandArg::Leap => GraspPlan::leap(poses, closing, force),
+        HandArg::Allegro => GraspPlan::allegro(poses, closing, force),
+    };
+    let plan = plan.with_hold_s(args.hold);
+    let how = hw::Run { stop, rate_hz: args.run.rate, limp: false, log: args.run.log.as_deref() };
+    let done = match &args.port {
+        Some(port) => {
+            let mut driver = hw::Driver::open(kind, port, &args.link)?;
+            Some(hw::grasp(driver.hand(), &drex_hw::SystemClock::default(), plan, &how)?)
+        }
+        None if args.emulate => Some(hw::grasp_emulated(kind, &ready.robot, &args.link, plan, &reach.grasp, &how)?),
+        None => None,
+    };
+    Ok(Deployed { file, reach, limits, done })
+}
+
 /// Which driver a model takes.
-fn kind(robot: &str) -> Result<HandArg> {
+pub fn kind(robot: &str) -> Result<HandArg> {
     [HandArg::Leap, HandArg::Allegro]
         .into_iter()
         .find(|k| k.robot() == robot)

@@ -6,7 +6,9 @@ use serde_json::{Map, Value, json};
 
 use super::page::Page;
 use super::push::verdict_text;
-use crate::twin::{Evaluation, FitFile, JudgedGrasp, MassFile, MassSource, Stage, Twin, files};
+use crate::twin::{
+    Evaluation, ExecutionFile, FitFile, JudgedGrasp, MassFile, MassSource, Stage, TrialFile, Twin, files,
+};
 
 /// What a run found, as text and as JSON.
 pub struct Findings {
@@ -54,6 +56,24 @@ pub fn findings(twin: &Twin, last: Stage) -> Result<Findings> {
                     "refined": tally(&e.refined), "demonstrations": tally(&e.demonstrations) }),
         );
     }
+    if has_grasps && last >= Stage::Trial {
+        let trial: TrialFile = files::read_json(&twin.path(files::TRIAL))?;
+        text += &format!("  trial      {}\n", trial_line(&trial));
+        let (squeeze_n, held_n) = squeezes(&trial);
+        found.insert(
+            "trial".into(),
+            json!({ "held": trial.held, "n": trial.n, "interval": trial.interval,
+                    "squeeze_n": squeeze_n, "held_n": held_n }),
+        );
+    }
+    if has_grasps && last >= Stage::Execute {
+        let execution: ExecutionFile = files::read_json(&twin.path(files::EXECUTION))?;
+        text += &format!("  hand       {}\n", execution_line(&execution));
+        found.insert(
+            "execution".into(),
+            json!({ "hand": execution.hand, "held": execution.held, "not_driven": execution.not_driven }),
+        );
+    }
     if last >= Stage::Report {
         let path = twin.path("report.html");
         text += &format!("  report     {}", path.display());
@@ -74,6 +94,40 @@ fn tally(grasps: &[JudgedGrasp]) -> Value {
 fn mass_line(mass: &MassFile) -> String {
     let interval = mass.ci95_kg.map(|[lo, hi]| format!(" (95 %: {:.1} to {:.1} g)", 1e3 * lo, 1e3 * hi));
     format!("{:.1} g{}, {}", 1e3 * mass.mass_kg, interval.unwrap_or_default(), mass.source.text())
+}
+
+/// "23 of 24 lifted, held and shaken (95 %: 80 to 99 %) with 7.1 N".
+fn trial_line(trial: &TrialFile) -> String {
+    let [low, high] = trial.interval.map(|p| 100.0 * p);
+    let squeeze = squeezes(trial).0.map(|n| format!(" with {n:.1} N (median)"));
+    format!(
+        "{} of {} rollouts lifted, held and shaken (95 %: {low:.0} to {high:.0} %){}",
+        trial.held,
+        trial.n,
+        squeeze.unwrap_or_default()
+    )
+}
+
+/// Medians of the squeeze that was commanded and of the one that was delivered, N.
+pub fn squeezes(trial: &TrialFile) -> (Option<f64>, Option<f64>) {
+    let commanded = trial.rollouts.iter().filter(|r| r.proposal > 0).map(|r| r.squeeze_n);
+    (median(commanded.collect()), median(trial.rollouts.iter().filter_map(|r| r.held_n).collect()))
+}
+
+/// What the emulated hand did.
+fn execution_line(execution: &ExecutionFile) -> String {
+    match &execution.not_driven {
+        Some(reason) => format!("{} did not move: {reason}", execution.hand),
+        None => {
+            let touched = execution.driven["contacts"].as_array().map_or(0, Vec::len);
+            let most = execution.force_limits.iter().copied().fold(0.0, f64::max);
+            let became = if execution.held { "held" } else { "did not hold" };
+            format!(
+                "{}, emulated, {became}: {touched} joints touched, at most {most:.0} {}",
+                execution.hand, execution.unit
+            )
+        }
+    }
 }
 
 /// The row of figures at the head of the page.

@@ -30,6 +30,11 @@ pub const EVALUATION: &str = "policy/evaluation.json";
 /// Result of the trial stage.
 pub const TRIAL: &str = "policy/trial.json";
 
+/// Result of the execute stage,
+pub const EXECUTION: &str = "policy/execution.json";
+/// and the log of the hand's joints.
+pub const EXECUTION_LOG: &str = "policy/execution.csv";
+
 /// Where the mesh of a scan is, and how it came about.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ScanFile {
@@ -320,6 +325,36 @@ pub struct FilmFrame {
     pub world_from_object: PoseRecord,
     /// Normal force of each finger, N.
     pub finger_n: Vec<f64>,
+}
+
+/// `policy/execution.json`: the grasp of `drex deploy` carried out by an emulated hand.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct ExecutionFile {
+    /// Layout: 1.
+    pub schema: u32,
+    /// The hand.
+    pub hand: String,
+    /// Whether the motors are emulated; what stands in their way then are stops where the grasp touches.
+    pub emulated: bool,
+    /// Why no hand moved; absent if one did. All that follows is empty then.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub not_driven: Option<String>,
+    /// mA or N m.
+    pub unit: String,
+    /// Joints of what follows.
+    pub joint_names: Vec<String>,
+    /// Before the fingers close, and what closing fingers are told, rad.
+    pub open_rad: Vec<f64>,
+    /// See `open_rad`.
+    pub closed_rad: Vec<f64>,
+    /// Most that a joint may press with while the fingers close, and in the hold.
+    pub closing_limits: Vec<f64>,
+    /// See `closing_limits`.
+    pub force_limits: Vec<f64>,
+    /// Whether the fingers touched and the object was held to the end.
+    pub held: bool,
+    /// What the control loop says of it: contacts, efforts, timing.
+    pub driven: serde_json::Value,
 }
 
 /// Writes a value as indented JSON.

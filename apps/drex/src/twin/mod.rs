@@ -2,6 +2,7 @@
 
 mod asset;
 mod evaluate;
+mod execute;
 pub mod files;
 mod grasps;
 mod identify;
@@ -27,7 +28,9 @@ use crate::lock::{Inputs, Lock};
 use crate::object::asset_options;
 use crate::ui::Ui;
 
-pub use files::{Evaluation, FitFile, FitRecord, JudgedGrasp, MassFile, MassSource, PoseRecord, Training, TrialFile};
+pub use files::{
+    Evaluation, ExecutionFile, FitFile, FitRecord, JudgedGrasp, MassFile, MassSource, PoseRecord, Training, TrialFile,
+};
 pub use scene::Scene;
 
 /// The stages of a twin, in order.
@@ -47,13 +50,24 @@ pub enum Stage {
     Evaluate,
     /// The grasp lifted, held and shaken in simulation.
     Trial,
+    /// The grasp carried out by an emulated hand.
+    Execute,
     /// The page about all of it.
     Report,
 }
 
 impl Stage {
-    const ALL: [Self; 8] =
-        [Self::Scan, Self::Identify, Self::Asset, Self::Grasps, Self::Train, Self::Evaluate, Self::Trial, Self::Report];
+    const ALL: [Self; 9] = [
+        Self::Scan,
+        Self::Identify,
+        Self::Asset,
+        Self::Grasps,
+        Self::Train,
+        Self::Evaluate,
+        Self::Trial,
+        Self::Execute,
+        Self::Report,
+    ];
 
     /// The stage's name in the lock and in messages.
     pub fn name(self) -> &'static str {
@@ -65,13 +79,14 @@ impl Stage {
             Self::Train => "train",
             Self::Evaluate => "evaluate",
             Self::Trial => "trial",
+            Self::Execute => "execute",
             Self::Report => "report",
         }
     }
 
     /// Whether the stage needs demonstrated grasps.
     fn needs_grasps(self) -> bool {
-        matches!(self, Self::Grasps | Self::Train | Self::Evaluate | Self::Trial)
+        matches!(self, Self::Grasps | Self::Train | Self::Evaluate | Self::Trial | Self::Execute)
     }
 }
 
@@ -178,6 +193,7 @@ impl Twin {
             Stage::Train => train::make(self, ui),
             Stage::Evaluate => evaluate::make(self, ui),
             Stage::Trial => trial::make(self, ui),
+            Stage::Execute => execute::make(self),
             Stage::Report => report::make(self),
         }
     }
@@ -206,7 +222,7 @@ impl Twin {
                 let inputs = inputs.setting("train", &m.train)?.setting("object", &m.object)?.file(&mesh)?;
                 inputs.file(&self.path(files::FITS))?.file(&self.path(files::MASS))?
             }
-            Stage::Trial => {
+            Stage::Trial | Stage::Execute => {
                 let inputs = inputs.setting("object", &m.object)?.setting("grasps", &m.grasps)?.file(&mesh)?;
                 inputs.file(&self.path(files::POLICY))?.file(&self.path(files::MASS))?
             }
@@ -222,6 +238,7 @@ impl Twin {
                         .file(&self.path(files::POLICY))?
                         .file(&self.path(files::EVALUATION))?
                         .file(&self.path(files::TRIAL))?
+                        .file(&self.path(files::EXECUTION))?
                 } else {
                     inputs
                 }

@@ -80,9 +80,19 @@ pub fn grasp_emulated(
 }
 
 impl Done {
+    /// Whether the object was touched and held to the end.
+    pub fn held(&self) -> bool {
+        !self.outcome.missed && !self.outcome.lost
+    }
+
+    /// Joints that touched.
+    pub fn touching(&self) -> usize {
+        self.outcome.contacts.iter().flatten().count()
+    }
+
     /// In words; efforts in `unit`.
     pub fn text(&self, joints: &[String], unit: &str) -> String {
-        let touching = self.outcome.contacts.iter().flatten().count();
+        let touching = self.touching();
         let mut text = match (self.outcome.missed, self.outcome.lost) {
             (true, _) => format!("  grasp    missed: {touching} joints touched; the hand opened again\n"),
             (_, true) => "  grasp    lost while it held; the hand opened\n".to_owned(),

@@ -1,0 +1,46 @@
+//! The grasp of `drex deploy`, carried out by an emulated hand through the drivers and the control loop of a real one.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use drex_hw::control::EStop;
+
+use super::Twin;
+use super::files::{EXECUTION, EXECUTION_LOG, ExecutionFile, write_json};
+use crate::cli::DeployArgs;
+use crate::commands::deploy::{Deployed, deploy, kind};
+use crate::predict::Ready;
+
+pub fn make(twin: &Twin) -> Result<Vec<PathBuf>> {
+    let (file, log) = (twin.path(EXECUTION), twin.path(EXECUTION_LOG));
+    let args = DeployArgs::emulated(twin.root.clone(), log.clone());
+    let ready = Ready::of_twin(twin, &args.grasp)?;
+    let grasp = ready.predict()?;
+    let mut execution = ExecutionFile {
+        schema: 1,
+        hand: grasp.hand.clone(),
+        emulated: true,
+        not_driven: kind(&grasp.hand).err().map(|e| e.to_string()).or(grasp.cannot_hold.clone()),
+        unit: String::new(),
+        joint_names: Vec::new(),
+        open_rad: Vec::new(),
+        closed_rad: Vec::new(),
+        closing_limits: Vec::new(),
+        force_limits: Vec::new(),
+        held: false,
+        driven: serde_json::Value::Null,
+    };
+    if execution.not_driven.is_some() {
+        write_json(&file, &execution)?;
+        return Ok(vec![file]);
+    }
+    let Deployed { file: told, reach, limits, done } = deploy(&args, &ready, &grasp, &EStop::new())?;
+    (execution.unit, execution.joint_names) = (limits.unit.to_owned(), grasp.joint_names.clone());
+    (execution.open_rad, execution.closed_rad) = (reach.open, reach.closed);
+    (execution.closing_limits, execution.force_limits) = (limits.closing, limits.force);
+    if let Some(done) = done {
+        (execution.held, execution.driven) = (done.held(), done.json(&grasp.joint_names));
+    }
+    write_json(&file, &execution)?;
+    Ok(vec![told, file, log])
+}
