@@ -45,6 +45,31 @@ fn the_needed_squeeze_holds_and_a_third_of_it_does_not() {
 }
 
 #[test]
+fn a_film_shows_the_run_and_does_not_change_it() {
+    let trial = trial_of(|_, _| {});
+    let found = grasps(&trial);
+    let g = &found[0];
+    let command = trial.command(&g.joints, &g.object_from_base, &TOLD, Squeeze::Needed).unwrap().unwrap();
+    let truth = Truth::as_believed(&TOLD, 1);
+    let outcome = trial.run(&command, &truth, Judge::Diffsim).unwrap();
+    let (filmed, frames) = trial.film(&command, &truth, Judge::Diffsim, 0.1).unwrap();
+    assert_eq!(filmed, outcome);
+    assert!(outcome.succeeded(), "{outcome:?}");
+    for (i, frame) in frames.iter().enumerate() {
+        assert!((frame.time_s - 0.1 * i as f64).abs() < 0.005, "frame {i} at {} s", frame.time_s);
+    }
+    // A grasp that holds lifts the object with the hand, and presses while it does.
+    let height = |f: &drex_trial::Frame| f.world_from_object.translation.z;
+    let highest = frames.iter().map(height).fold(0.0, f64::max);
+    assert!((0.18..0.25).contains(&(highest - height(&frames[0]))), "lifted by {highest} m");
+    let top = frames.iter().max_by(|a, b| height(a).total_cmp(&height(b))).unwrap();
+    assert!(top.finger_n.iter().sum::<f64>() > 0.5 * command.squeeze_n, "{:?}", top.finger_n);
+    assert!(frames[0].finger_n.iter().all(|n| *n == 0.0), "{:?}", frames[0].finger_n);
+    let refused = trial.film(&command, &truth, Judge::Diffsim, f64::NAN).unwrap_err();
+    assert!(refused.to_string().contains("NaN"), "{refused}");
+}
+
+#[test]
 fn every_failure_has_its_name() {
     let trial = trial_of(|_, _| {});
     let found = grasps(&trial);

@@ -60,17 +60,18 @@ fn main() -> Result<()> {
     photos::make(&tin.visual, &demo.join("scan"), SEED + 2)?;
     make_push(&shells, TRUE_MASSES_KG[0], "../../splat/object.obj", &demo.join("push/tilt"))?;
     people::make(&tin, &demo.join("demos"), SEED + 3)?;
-    truth(TRUE_MASSES_KG[0], &demo)?;
+    truth(TRUE_MASSES_KG[0], &tin, &demo)?;
 
     let small = out.join("tin");
     fsutil::write_atomic(&small.join("scan/tin.obj"), obj(&shells).as_bytes())?;
     make_push(&shells, TRUE_MASSES_KG[1], "../../scan/tin.obj", &small.join("push/tilt"))?;
     make_grasps(&tin, &small.join("demos/grasps.json"))?;
-    truth(TRUE_MASSES_KG[1], &small)
+    truth(TRUE_MASSES_KG[1], &tin, &small)
 }
 
-fn truth(mass_kg: f64, folder: &Path) -> Result<()> {
-    let text = format!("{{\"mass_kg\": {mass_kg}, \"friction\": {TRUE_FRICTION}}}\n");
+fn truth(mass_kg: f64, tin: &Asset, folder: &Path) -> Result<()> {
+    let volume_cm3 = (1e8 * tin.report.volume_m3).round() / 100.0;
+    let text = format!("{{\"mass_kg\": {mass_kg}, \"friction\": {TRUE_FRICTION}, \"volume_cm3\": {volume_cm3}}}\n");
     Ok(fsutil::write_atomic(&folder.join("truth.json"), text.as_bytes())?)
 }
 

@@ -58,9 +58,12 @@ pub fn run(args: &DemoArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     if let Some(object) = answer.as_object_mut() {
         object.extend(findings.json);
         object.insert("simulated_mass_kg".into(), truth["mass_kg"].clone());
+        object.insert("true_volume_cm3".into(), truth["volume_cm3"].clone());
     }
-    let simulated_g = 1e3 * truth["mass_kg"].as_f64().context("the bundled truth.json has no mass")?;
-    ui.answer(&answer, format!("{}\n  simulated  with {simulated_g:.0} g, which no stage was told", findings.text))
+    let number = |name: &str| truth[name].as_f64().with_context(|| format!("the bundled truth.json has no {name}"));
+    let (mass_g, volume_cm3) = (1e3 * number("mass_kg")?, number("volume_cm3")?);
+    let simulated = format!("  truth      {mass_g:.0} g and {volume_cm3:.0} cm3 were simulated; no stage was told");
+    ui.answer(&answer, format!("{}\n{simulated}", findings.text))
 }
 
 /// Leaves a file alone that already has this content, so that a second run finds its inputs unchanged.

@@ -22,6 +22,18 @@ pub struct Findings {
 pub fn findings(twin: &Twin, last: Stage) -> Result<Findings> {
     let mut text = format!("{}\n", twin.manifest.name);
     let mut found = Map::new();
+    if twin.manifest.scan.is_some() {
+        let scan: Value = files::read_json(&twin.path(files::SPLAT_REPORT))?;
+        let volume_cm3 = 1e6 * twin.asset()?.report.volume_m3;
+        let db = psnr(&scan["appearance"]);
+        text += &format!(
+            "  scan       {} photos, {:.1} dB on {} others, closed mesh of {volume_cm3:.0} cm3\n",
+            scan["photos_trained"],
+            db.unwrap_or(f64::NAN),
+            scan["photos_held_out"]
+        );
+        found.insert("scan".into(), json!({ "psnr_db": db, "volume_cm3": volume_cm3 }));
+    }
     if last >= Stage::Identify {
         let mass: MassFile = files::read_json(&twin.path(files::MASS))?;
         text += &format!("  mass       {}\n", mass_line(&mass));
@@ -80,6 +92,13 @@ pub fn findings(twin: &Twin, last: Stage) -> Result<Findings> {
         found.insert("report".into(), json!(path));
     }
     Ok(Findings { text, json: found })
+}
+
+/// Mean over the photos that were held out, dB.
+fn psnr(set: &Value) -> Option<f64> {
+    let rows = set["held_out"]["rows"].as_array()?;
+    let scores: Vec<f64> = rows.iter().filter_map(|row| row["psnr"].as_f64()).collect();
+    (!scores.is_empty()).then(|| scores.iter().sum::<f64>() / scores.len() as f64)
 }
 
 /// "3 of 8".

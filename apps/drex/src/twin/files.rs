@@ -15,6 +15,8 @@ use crate::scan::FrameReport;
 
 /// Result of the scan stage.
 pub const SCAN: &str = "splat/scan.json";
+/// How well the Gaussians match photos that they have not seen.
+pub const SPLAT_REPORT: &str = "splat/report.json";
 /// Result of the identify stage.
 pub const MASS: &str = "mass.json";
 /// Result of the grasps stage.

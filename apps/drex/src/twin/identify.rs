@@ -4,16 +4,37 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
-use drex_core::push::{InputChoice, PushRecording};
-use drex_sysid::{Identification, IdentifyOptions, MassPrior, Verdict, identify_watched};
+use drex_core::push::{Drive, InputChoice, PushRecording, StatedParameter};
+use drex_sysid::{Identification, IdentifyOptions, MassPrior, Parameter, Verdict, identify_watched};
+use serde::Deserialize;
 
-use super::files::{MASS, write_json};
+use super::files::{MASS, SCAN, read_json, write_json};
 use super::{MassFile, MassSource, Twin};
 use crate::object::model_of;
 use crate::ui::Ui;
 
+/// What a push asks of the object's shape: where its weight acts, and how high the push does.
+const OF_THE_SHAPE: [Parameter; 4] =
+    [Parameter::CenterX, Parameter::CenterY, Parameter::CenterZ, Parameter::ContactHeight];
+
+/// Of [`super::files::ScanFile`], how well the mesh is known.
+#[derive(Deserialize)]
+struct Scanned {
+    fusion: Resolution,
+}
+
+/// See [`Scanned`].
+#[derive(Deserialize)]
+struct Resolution {
+    voxel_m: f64,
+}
+
 pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
-    let recordings = recordings(twin)?;
+    let mut recordings = recordings(twin)?;
+    if twin.manifest.scan.is_some() {
+        let sd = read_json::<Scanned>(&twin.path(SCAN))?.fusion.voxel_m;
+        recordings.iter_mut().for_each(|r| as_scanned(r, sd));
+    }
     let identification = if recordings.is_empty() {
         None
     } else {
@@ -31,6 +52,18 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     let mass = choose(twin, prior, identification.as_ref())?;
     write_json(&twin.path(MASS), &mass)?;
     Ok(vec![twin.path(MASS)])
+}
+
+/// A mesh that was made of photos is known to a voxel, `sd_m`, and an interval that takes it for exact is too narrow: what the push
+/// asks of the shape is expected within that of the mesh, where the recording does not say otherwise.
+fn as_scanned(recording: &mut PushRecording, sd_m: f64) {
+    if !matches!(recording.drive, Drive::Force(_) | Drive::Finger(_)) {
+        return;
+    }
+    for parameter in OF_THE_SHAPE {
+        let expected = StatedParameter::Expected { mean: 0.0, sd: sd_m };
+        recording.parameters.entry(parameter.as_str().to_owned()).or_insert(expected);
+    }
 }
 
 /// The manifest's pushes, loaded.

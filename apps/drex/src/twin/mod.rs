@@ -33,6 +33,9 @@ pub use files::{
 };
 pub use scene::Scene;
 
+/// Convex pieces of an object that was scanned, at most: more of them follow the roughness of the scan, and every contact pays.
+const SCANNED_PIECES: usize = 6;
+
 /// The stages of a twin, in order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stage {
@@ -137,7 +140,10 @@ impl Twin {
         if let Some(asset) = self.asset.get() {
             return Ok(asset);
         }
-        let options = asset_options(&self.manifest.object, self.friction());
+        let mut options = asset_options(&self.manifest.object, self.friction());
+        if self.manifest.scan.is_some() {
+            options.pieces.most_pieces = SCANNED_PIECES;
+        }
         let asset = build_asset(&self.path(&self.manifest.object.mesh), &options)?;
         Ok(self.asset.get_or_init(|| asset))
     }
