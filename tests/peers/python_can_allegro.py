@@ -1,7 +1,7 @@
 """A position loop in Python, with python-can, on the emulated Allegro hand: the frames are those that others read and write.
 
     pip install python-can pyserial
-    cargo build -p drex-hw --example allegro_emulator
+    cargo build --release -p drex-hw --example allegro_emulator
     python tests/peers/python_can_allegro.py [--seconds N]
 
 The loop knows the wire format from the vendor's drivers only, not from drex: identifiers, byte order, units. Each joint is sent
@@ -65,7 +65,7 @@ def send_torques(bus, version, torques):
 
 def run(version, seconds):
     hand = subprocess.Popen(
-        [ROOT / "target/debug/examples/allegro_emulator", version, ROOT / "target/allegro-peer", str(WALL)],
+        [ROOT / "target/release/examples/allegro_emulator", version, ROOT / "target/allegro-peer", str(WALL)],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         port = hand.stdout.readline().strip()

@@ -1,17 +1,18 @@
 //! The sixteen rules: each defect is named by its rule, and an asset on disk is judged by its files.
 #![allow(clippy::unwrap_used, missing_docs)] // a failed unwrap is a failed test
 
-mod common;
+mod support;
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use common::{cuboid, flipped, joined, shared, sphere};
 use drex_core::TriMesh;
 use drex_mesh::{
     AssetOptions, CheckOptions, CheckReport, Outcome, check_asset, check_file, check_mesh, read_mesh, write_obj,
 };
 use nalgebra::{Point3, Vector3};
+use support::shapes::{flipped, sphere};
+use support::{cuboid, joined, shared};
 
 fn judged(mesh: &TriMesh) -> CheckReport {
     check_mesh(mesh, &CheckOptions::default())

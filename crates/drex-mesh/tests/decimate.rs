@@ -1,12 +1,13 @@
 //! Decimation: fewer faces, the same surface and topology.
 #![allow(clippy::unwrap_used, missing_docs)] // a failed unwrap is a failed test
 
-mod common;
+mod support;
 
-use common::{cuboid, genus_of, shared, sphere, torus};
 use drex_core::TriMesh;
 use drex_mesh::{DecimateOptions, DecimateReport, RepairOptions, decimate, read_mesh, repair, self_intersections};
 use proptest::prelude::*;
+use support::shapes::{divided, genus_of, sphere, torus};
+use support::{cuboid, joined, shared};
 
 fn to_faces(mesh: &TriMesh, n: usize) -> (TriMesh, DecimateReport) {
     let mut options = DecimateOptions::default();
@@ -39,7 +40,7 @@ fn a_sphere_stays_a_sphere_with_even_vertices() {
 fn a_box_divided_finely_becomes_a_box_again() {
     let mut mesh = cuboid([0.0; 3], [0.06, 0.04, 0.02]);
     for _ in 0..4 {
-        mesh = common::divided(&mesh);
+        mesh = divided(&mesh);
     }
     assert_eq!(mesh.faces.len(), 12 * 256);
     let (m, r) = to_error(&mesh, 1e-6);
@@ -84,10 +85,10 @@ fn the_rim_of_an_open_mesh_stays() {
 
 #[test]
 fn edges_with_more_than_two_faces_stay() {
-    let two = common::joined(&[cuboid([0.0; 3], [1.0; 3]), cuboid([0.0, 0.0, 1.0], [1.0, 1.0, 2.0])]);
+    let two = joined(&[cuboid([0.0; 3], [1.0; 3]), cuboid([0.0, 0.0, 1.0], [1.0, 1.0, 2.0])]);
     let mut options = RepairOptions::default();
     options.split_pinched = false;
-    let (welded, report) = repair(&common::divided(&common::divided(&two)), &options).unwrap();
+    let (welded, report) = repair(&divided(&divided(&two)), &options).unwrap();
     assert!(report.crowded_edges > 0);
     let (m, r) = to_faces(&welded, 150);
     assert!(r.faces < welded.faces.len() && r.open_edges == 0 && (volume(&m) - 2.0).abs() < 0.02, "{r:?}");

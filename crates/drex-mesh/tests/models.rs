@@ -1,19 +1,20 @@
 //! Files with looks: materials, texture coordinates, colours; and hostile files of every format.
 #![allow(clippy::unwrap_used, missing_docs)] // a failed unwrap is a failed test
 
-mod common;
+mod support;
 
 use std::fs;
 use std::path::Path;
 use std::sync::LazyLock;
 
-use common::{cuboid, sphere, torus};
 use drex_mesh::{
     Error, Material, Model, ModelPart, PlyFormat, Texture, parse_mesh, read_mesh, read_model, write_glb,
     write_obj_model, write_ply_as, write_stl, write_stl_text,
 };
 use nalgebra::Point3;
 use proptest::prelude::*;
+use support::cuboid;
+use support::shapes::{sphere, torus};
 
 /// The first bytes of a picture are all that is looked at.
 fn picture(kind: &str) -> Texture {

@@ -11,7 +11,7 @@ use drex_mesh::{
     Asset, AssetOptions, Background, SceneOptions, articulated_asset, asset_from_mesh, build_asset, convex_hull,
 };
 use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
-use support::{cuboid, shared, stapler};
+use support::{cuboid, joined, shared, stapler};
 
 /// A Python that can import mujoco.
 fn python() -> Option<String> {
@@ -56,16 +56,6 @@ fn prism(sides: usize, radius: f64, height: f64) -> TriMesh {
         })
         .collect();
     convex_hull(&points).unwrap()
-}
-
-fn joined(parts: &[TriMesh]) -> TriMesh {
-    let mut out = TriMesh::default();
-    for part in parts {
-        let base = out.vertices.len() as u32;
-        out.vertices.extend(&part.vertices);
-        out.faces.extend(part.faces.iter().map(|f| f.map(|v| v + base)));
-    }
-    out
 }
 
 #[test]

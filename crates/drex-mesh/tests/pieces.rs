@@ -1,12 +1,13 @@
 //! Convex pieces: shapes with a known best answer, real objects through the environment variable DREX_SHARED.
 #![allow(clippy::unwrap_used, missing_docs)] // a failed unwrap is a failed test
 
-use std::path::PathBuf;
+mod support;
 
 use drex_core::TriMesh;
 use drex_mesh::{PieceOptions, UnionDistance, convex_pieces, read_mesh, repair, union_distance};
 use nalgebra::Point3;
 use proptest::prelude::*;
+use support::shared;
 
 /// A solid of revolution about z whose outline (r, z) runs counter-clockwise around the material.
 fn revolved(outline: &[[f64; 2]], sectors: usize) -> TriMesh {
@@ -90,14 +91,6 @@ fn more_shells_than_pieces_are_joined() {
     }
     assert_eq!(divided(&mesh, 5).0.len(), 5);
     assert!(divided(&mesh, 2).0.len() <= 2);
-}
-
-fn shared() -> Option<PathBuf> {
-    let found = std::env::var_os("DREX_SHARED").map(|d| PathBuf::from(d).join("data"));
-    if found.is_none() {
-        eprintln!("skipped: DREX_SHARED is not set");
-    }
-    found
 }
 
 #[test]

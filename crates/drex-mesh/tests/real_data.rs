@@ -1,25 +1,14 @@
 //! Exact shapes and real scans, found through the environment variable DREX_SHARED.
 #![allow(clippy::unwrap_used, missing_docs)] // a failed unwrap is a failed test
 
-use std::path::PathBuf;
+mod support;
 
 use drex_core::{SignedDistance, Surface};
 use drex_mesh::{
     AssetOptions, GridSdf, HowClosed, MeshSdf, RepairOptions, build_asset, read_mesh, repair, solid_properties,
 };
 use nalgebra::{Matrix3, Point3, Vector3};
-
-fn shared() -> Option<PathBuf> {
-    let found = std::env::var_os("DREX_SHARED").map(|d| PathBuf::from(d).join("data"));
-    if found.is_none() {
-        eprintln!("skipped: DREX_SHARED is not set");
-    }
-    found
-}
-
-fn json(path: PathBuf) -> serde_json::Value {
-    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
-}
+use support::{json, shared};
 
 fn vector(v: &serde_json::Value) -> Vector3<f64> {
     Vector3::from_iterator(v.as_array().unwrap().iter().map(|c| c.as_f64().unwrap()))
@@ -33,7 +22,7 @@ fn matrix(v: &serde_json::Value) -> Matrix3<f64> {
 fn exact_shapes_have_their_exact_inertia() {
     let Some(data) = shared() else { return };
     let golden = data.join("golden/mesh");
-    let truth = json(golden.join("inertia.json"));
+    let truth = json(&golden.join("inertia.json"));
     for (name, t) in truth["shapes"].as_object().unwrap() {
         let mesh = read_mesh(&golden.join(t["file"].as_str().unwrap())).unwrap();
         let (mesh, _) = repair(&mesh, &RepairOptions::default()).unwrap();
@@ -51,7 +40,7 @@ fn exact_shapes_have_their_exact_inertia() {
 fn real_scans_enclose_the_volume_of_the_reference() {
     let Some(data) = shared() else { return };
     let golden = data.join("golden/mesh");
-    let truth = json(golden.join("real_objects.json"));
+    let truth = json(&golden.join("real_objects.json"));
     for (name, t) in truth["objects"].as_object().unwrap() {
         let mesh = read_mesh(&golden.join(t["file"].as_str().unwrap())).unwrap();
         let (mesh, _) = repair(&mesh, &RepairOptions::default()).unwrap();

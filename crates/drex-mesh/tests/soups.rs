@@ -1,9 +1,8 @@
 //! Triangle soups with faces missing, flipped or doubled: the truth comes out, or a named error.
 #![allow(clippy::unwrap_used, missing_docs)] // a failed unwrap is a failed test
 
-mod common;
+mod support;
 
-use common::{cuboid, divided, shared, soup, sphere, torus};
 use drex_core::TriMesh;
 use drex_mesh::{
     CheckOptions, DecimateOptions, Error, RepairOptions, RepairReport, check_mesh, close_openings, decimate, read_mesh,
@@ -13,6 +12,8 @@ use nalgebra::Point3;
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use support::shapes::{divided, soup, sphere, torus};
+use support::{cuboid, shared};
 
 fn volume(mesh: &TriMesh) -> f64 {
     mesh.mass_properties(1.0).unwrap().mass_kg

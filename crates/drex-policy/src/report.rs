@@ -56,6 +56,7 @@ pub struct RolloutStats {
 ///
 /// Near is measured by [`grasp_distance_m`](crate::grasp_distance_m).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct GraspErrors {
     /// The grasp distance itself, m of fingertip displacement.
     pub distance_m: f64,
@@ -82,6 +83,7 @@ pub struct Baselines {
 
 /// One grasp the trained policy holds ready, seen from the training grasps.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct ModeReport {
     /// Probability that the policy gives it, mean over the training grasps.
     pub weight: f64,
@@ -94,6 +96,7 @@ pub struct ModeReport {
 
 /// The record of a training run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct TrainReport {
     /// One entry per finished epoch.
     pub curve: Vec<EpochStats>,

@@ -19,9 +19,9 @@ pub enum Error {
         action: &'static str,
         /// The file.
         path: PathBuf,
-        /// The codec's reason.
+        /// The codec's reason, in its words. Boxed, so that the library behind it can change.
         #[source]
-        source: image::ImageError,
+        source: Box<dyn std::error::Error + Send + Sync>,
     },
     /// A set of Gaussians that cannot be rendered or trained.
     #[error("{what}; {remedy}")]

@@ -1,5 +1,6 @@
 //! Weighs the object of one recorded push and prints the answer as JSON.
 //!
+//!     cargo run --release -p drex-sysid --example identify -- FOLDER [--poses KIND] [--force KIND] [--free-friction] [--full]
 //!
 //! The folder is a push as `drex_core::push::PushRecording::load` reads it; its mesh must consist of closed convex shells in OBJ.
 

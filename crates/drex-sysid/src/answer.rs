@@ -59,6 +59,7 @@ pub struct Identification {
 
 /// Standard deviations of the logarithm of the mass by source.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct ErrorBudget {
     /// Noise of the poses, from the curvature of the cost.
     pub poses: f64,

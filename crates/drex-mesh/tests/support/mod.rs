@@ -1,5 +1,7 @@
 //! What several tests share.
-#![allow(dead_code)] // not every test uses all of it
+#![allow(dead_code, clippy::unwrap_used)] // not every test uses all of it; a failed unwrap is a failed test
+
+pub mod shapes;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -30,6 +32,17 @@ pub fn cuboid(lo: [f64; 3], hi: [f64; 3]) -> TriMesh {
         .collect();
     let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
     TriMesh { vertices, faces: quads.iter().flat_map(|&[a, b, c, d]: &[u32; 4]| [[a, b, c], [a, c, d]]).collect() }
+}
+
+/// The parts as one mesh, vertices not shared.
+pub fn joined(parts: &[TriMesh]) -> TriMesh {
+    let mut out = TriMesh::default();
+    for part in parts {
+        let base = out.vertices.len() as u32;
+        out.vertices.extend(&part.vertices);
+        out.faces.extend(part.faces.iter().map(|f| f.map(|v| v + base)));
+    }
+    out
 }
 
 pub fn hinge(name: &str, parent: &str, child: &str) -> JointConfig {

@@ -87,7 +87,7 @@ fn open(path: &Path) -> Result<ImageReader<std::io::BufReader<std::fs::File>>> {
 }
 
 fn unreadable(path: &Path, source: image::ImageError) -> Error {
-    Error::Picture { action: "read", path: path.into(), source }
+    Error::Picture { action: "read", path: path.into(), source: source.into() }
 }
 
 /// A mask: width, height and values from 0 (background) to 255 (object). A transparent pixel is background; a picture of

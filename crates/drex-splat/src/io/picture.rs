@@ -127,7 +127,7 @@ fn write(path: &Path, width: usize, height: usize, bytes: &[u8], kind: ExtendedC
     PngEncoder::new(&mut png).write_image(bytes, w, h, kind).map_err(|source| Error::Picture {
         action: "write",
         path: path.to_path_buf(),
-        source,
+        source: source.into(),
     })?;
     Ok(fsutil::write_atomic(path, png.get_ref())?)
 }

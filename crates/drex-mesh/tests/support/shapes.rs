@@ -1,28 +1,9 @@
-//! Shapes with known answers and the place of the real data, for the tests of the mesh kit.
-#![allow(dead_code, clippy::unwrap_used)] // each test file uses a part; a failed unwrap is a failed test
+//! Shapes with known answers, for the tests of the mesh kit.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
 
 use drex_core::TriMesh;
 use nalgebra::Point3;
-
-/// The folder of real and golden data, if there is one.
-pub fn shared() -> Option<PathBuf> {
-    let found = std::env::var_os("DREX_SHARED").map(|d| PathBuf::from(d).join("data"));
-    if found.is_none() {
-        eprintln!("skipped: DREX_SHARED is not set");
-    }
-    found
-}
-
-pub fn cuboid(lo: [f64; 3], hi: [f64; 3]) -> TriMesh {
-    let vertices = (0..8)
-        .map(|i| Point3::new([lo[0], hi[0]][i & 1], [lo[1], hi[1]][i >> 1 & 1], [lo[2], hi[2]][i >> 2]))
-        .collect();
-    let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-    TriMesh { vertices, faces: quads.iter().flat_map(|&[a, b, c, d]: &[u32; 4]| [[a, b, c], [a, c, d]]).collect() }
-}
 
 /// Every face divided into four.
 pub fn divided(mesh: &TriMesh) -> TriMesh {
@@ -71,16 +52,6 @@ pub fn torus(radius: f64, tube: f64, around: u32, across: u32) -> TriMesh {
         }
     }
     mesh
-}
-
-pub fn joined(parts: &[TriMesh]) -> TriMesh {
-    let mut out = TriMesh::default();
-    for part in parts {
-        let base = out.vertices.len() as u32;
-        out.vertices.extend(&part.vertices);
-        out.faces.extend(part.faces.iter().map(|f| f.map(|v| v + base)));
-    }
-    out
 }
 
 pub fn flipped(mesh: &TriMesh) -> TriMesh {
