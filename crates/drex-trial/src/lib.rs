@@ -23,6 +23,7 @@ pub use control::Push;
 pub use error::{Error, Result};
 pub use reach::{Reach, plan as plan_reach};
 pub use stats::{Interval, paired_difference, wilson};
+pub use timeline::phases;
 pub use trial::Trial;
 pub use types::{
     Belief, Command, Frame, Judge, NoCommand, Outcome, Squeeze, TrialObject, TrialOptions, Truth, Verdict,

@@ -23,6 +23,18 @@ pub(crate) const LIFT_M: f64 = 0.2;
 const SHAKES: usize = 6;
 const SHAKE_S: f64 = 0.5;
 
+/// The phases of a trial with the time at which each begins, s; the last one lasts to the end.
+pub fn phases() -> [(f64, &'static str); 6] {
+    [
+        (0.0, "approach"),
+        (APPROACHED_S, "close"),
+        (CLOSED_S, "squeeze"),
+        (SQUEEZED_S, "lift"),
+        (LIFTED_S, "hold"),
+        (HELD_S, "shake"),
+    ]
+}
+
 /// The way of the palm: from `retreat` away onto the grasp, up, and shaken along three axes, each both ways, in random order and
 /// with a random turn of the axes about the vertical.
 pub(crate) fn palm_path(

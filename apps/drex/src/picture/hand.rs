@@ -33,6 +33,23 @@ impl HandShapes {
         Self { shapes }
     }
 
+    /// The shapes of each link and colour as one mesh in the link's frame: number of the link, mesh, colour.
+    pub fn by_link(&self) -> Vec<(usize, TriMesh, [f64; 3])> {
+        let mut merged: Vec<(usize, TriMesh, [f64; 3])> = Vec::new();
+        for s in &self.shapes {
+            let mesh = s.mesh.transformed(&s.link_from_mesh);
+            match merged.iter_mut().find(|(link, _, color)| *link == s.link && *color == s.color) {
+                Some((_, all, _)) => {
+                    let first = all.vertices.len() as u32;
+                    all.vertices.extend(mesh.vertices);
+                    all.faces.extend(mesh.faces.iter().map(|f| f.map(|v| v + first)));
+                }
+                None => merged.push((s.link, mesh, s.color)),
+            }
+        }
+        merged
+    }
+
     /// The shapes where the links are.
     pub fn parts(&self, world_from_link: &[Pose]) -> Vec<Part<'_>> {
         self.shapes

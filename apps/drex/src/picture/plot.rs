@@ -49,16 +49,22 @@ impl Plot<'_> {
     /// The plot as an `<svg>` element.
     pub fn to_svg(&self) -> String {
         let mut svg = format!(
-            "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\" font-family=\"system-ui,sans-serif\" font-size=\"11\" fill=\"currentColor\">",
+            "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\" font-family=\"system-ui,sans-serif\" font-size=\"11\" fill=\"currentColor\"",
             escape(self.title)
         );
         let finite = |v: &f64| v.is_finite();
         let xs = self.series.iter().flat_map(|s| s.x).copied().filter(finite).map(|x| self.map_x(x)).filter(finite);
         let ys = self.series.iter().flat_map(|s| s.y).copied().filter(finite);
         let (Some((x0, x1)), Some((y0, y1))) = (range(xs), range(ys)) else {
-            svg.push_str("<text x=\"20\" y=\"40\">no data</text></svg>");
+            svg.push_str("><text x=\"20\" y=\"40\">no data</text></svg>");
             return svg;
         };
+        if !self.log_x {
+            // Where a reader's time is in the plot: values and pixels of the left and right end, top and bottom.
+            let (right, bottom) = (WIDTH - RIGHT, HEIGHT - BOTTOM);
+            let _ = write!(svg, " data-range=\"{x0:.6} {x1:.6} {LEFT} {right} {TOP} {bottom}\"");
+        }
+        svg.push('>');
         let pad = 0.06 * (y1 - y0);
         let (y0, y1) = (y0 - pad, y1 + pad);
         let px = |x: f64| LEFT + (self.map_x(x) - x0) / (x1 - x0) * (WIDTH - LEFT - RIGHT);

@@ -7,6 +7,7 @@ use drex_core::Pose;
 use drex_mesh::Asset;
 use drex_robot::Robot;
 
+use super::object::OBJECT_COLOR;
 use super::page::Page;
 use super::people;
 use super::summary::median;
@@ -15,7 +16,6 @@ use crate::picture::plot::{COLORS, Plot, Series};
 use crate::picture::raster::{Part, View, clearest_azimuth, render_png};
 use crate::twin::{Evaluation, FitFile, FitRecord, JudgedGrasp, Training, Twin};
 
-const OBJECT_COLOR: [f64; 3] = [0.86, 0.55, 0.30];
 /// Fits that push the object out of the hand by less than this hold it between the fingers.
 const PUSHED_OUT: f64 = 0.1;
 /// Pictures per row of grasps.
@@ -130,8 +130,8 @@ pub fn evaluation(page: &mut Page, twin: &Twin, asset: &Asset, e: &Evaluation) -
     page.section("Predicted grasps, static check");
     page.paragraph(&format!(
         "Judged at {:.1} g and friction {}: contacts of thumb and at least two fingers, penetration, force closure, and the \
-         smallest squeeze that carries the weight within the motors' torque. This is a static check of geometry and forces; \
-         nothing was lifted, in simulation or on a robot.",
+         smallest squeeze that carries the weight within the motors' torque. This is a static check of geometry and forces: \
+         nothing was lifted for it, in simulation or on a robot.",
         1e3 * e.mass_kg,
         e.friction
     ));

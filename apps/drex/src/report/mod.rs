@@ -1,16 +1,21 @@
 //! `report.html`: what was made of the twin, with which inputs, and how far it can be trusted.
 
 mod grasps;
+mod hand;
 mod object;
 mod page;
 mod people;
 mod push;
+mod replay;
+mod scan;
 mod summary;
+mod trial;
+mod viewer;
 
 use anyhow::Result;
 
 use crate::lock::made_by;
-use crate::twin::{Evaluation, FitFile, MassFile, Training, Twin, files};
+use crate::twin::{Evaluation, FitFile, MassFile, Training, TrialFile, Twin, files};
 
 pub use object::{closing_text, pieces_text};
 pub use push::verdict_text;
@@ -32,12 +37,20 @@ pub fn page_of(twin: &Twin) -> Result<String> {
     };
     let mut page = Page::new(&format!("{}: digital twin", twin.manifest.name));
     summary::figures(&mut page, asset, &mass, learned.as_ref().map(|(fits, _, evaluation)| (fits, evaluation)));
+    if let Some(scan) = &twin.manifest.scan {
+        scan::section(&mut page, twin, asset, &scan.photos)?;
+    }
     object::section(&mut page, asset, &mass)?;
-    push::section(&mut page, &mass);
+    let replays = replay::of(twin, asset, &mass)?;
+    push::section(&mut page, &mass, &replays);
     if let Some((fits, training, evaluation)) = &learned {
         grasps::demonstrations(&mut page, twin, asset, fits)?;
         grasps::training(&mut page, training);
         grasps::evaluation(&mut page, twin, asset, evaluation)?;
+        if twin.path(files::TRIAL).exists() {
+            trial::section(&mut page, twin, asset, &files::read_json::<TrialFile>(&twin.path(files::TRIAL))?)?;
+        }
+        hand::section(&mut page, twin)?;
     }
     provenance(&mut page, twin);
     Ok(page.to_html())

@@ -1,13 +1,20 @@
 //! The object: pictures, pieces, mass properties, what was mended.
 
 use anyhow::Result;
+use drex_core::{Pose, TriMesh};
 use drex_mesh::{Asset, AssetReport, HowClosed};
 
 use super::page::Page;
+use super::viewer::{Look, Scene};
 use crate::picture::raster::{Part, View, render_png};
 use crate::twin::MassFile;
 
-const OBJECT_COLOR: [f64; 3] = [0.86, 0.55, 0.30];
+/// The object in every picture.
+pub const OBJECT_COLOR: [f64; 3] = [0.86, 0.55, 0.30];
+/// Faces of a mesh that can be turned.
+pub const MESH_FACES: usize = 12_000;
+/// Faces of one convex piece that can be turned.
+const PIECE_FACES: usize = 600;
 /// Colours of neighbouring pieces.
 const PIECE_COLORS: [[f64; 3]; 6] = [
     [0.86, 0.55, 0.30],
@@ -40,21 +47,28 @@ pub fn pieces_text(asset: &Asset) -> String {
 /// The section on the object.
 pub fn section(page: &mut Page, asset: &Asset, mass: &MassFile) -> Result<()> {
     page.section("Object");
-    let mut pictures = Vec::new();
-    for (azimuth, elevation, caption) in
-        [(-0.7, 0.35, "from the front"), (2.4, 0.35, "from behind"), (-0.7, 1.2, "from above")]
-    {
-        let part = Part { mesh: &asset.visual, world_from_mesh: asset.world_from_mesh_at_rest, color: OBJECT_COLOR };
-        pictures.push((render_png(&[part], &view(azimuth, elevation))?, caption.to_owned()));
+    let pose = asset.world_from_mesh_at_rest;
+    let (azimuth, elevation) = (-0.7, 0.35);
+    let mut whole = Scene::new(azimuth, elevation).linked("object").on_table(0.0);
+    if let Some(mesh) = whole.mesh(&asset.visual, MESH_FACES) {
+        whole.part(mesh, Look::Solid, OBJECT_COLOR, &[pose.into()])?;
+    }
+    let mut divided = Scene::new(azimuth, elevation).linked("object").on_table(0.0);
+    for (piece, color) in asset.pieces.iter().zip(PIECE_COLORS.iter().cycle()) {
+        if let Some(mesh) = divided.mesh(piece, PIECE_FACES) {
+            divided.part(mesh, Look::Solid, *color, &[pose.into()])?;
+        }
     }
     let pieces: Vec<Part<'_>> = asset
         .pieces
         .iter()
         .zip(PIECE_COLORS.iter().cycle())
-        .map(|(mesh, &color)| Part { mesh, world_from_mesh: asset.world_from_mesh_at_rest, color })
+        .map(|(mesh, &color)| Part { mesh, world_from_mesh: pose, color })
         .collect();
-    pictures.push((render_png(&pieces, &view(-0.7, 0.35))?, pieces_text(asset)));
-    page.pictures(&pictures);
+    page.viewers(&[
+        (whole, still(&asset.visual, &pose, azimuth, elevation)?, "the mesh".to_owned()),
+        (divided, render_png(&pieces, &view(azimuth, elevation))?, pieces_text(asset)),
+    ]);
 
     let r = &asset.report;
     let body = asset.properties.with_mass(mass.mass_kg);
@@ -86,6 +100,12 @@ pub fn section(page: &mut Page, asset: &Asset, mass: &MassFile) -> Result<()> {
     page.list(&r.warnings);
     page.paragraph("Simulation asset: asset/object.xml (MJCF) and asset/object.urdf, in the twin folder.");
     Ok(())
+}
+
+/// The object alone, on its table.
+pub fn still(mesh: &TriMesh, world_from_mesh: &Pose, azimuth: f64, elevation: f64) -> Result<Vec<u8>> {
+    let part = Part { mesh, world_from_mesh: *world_from_mesh, color: OBJECT_COLOR };
+    render_png(&[part], &view(azimuth, elevation))
 }
 
 fn view(azimuth: f64, elevation: f64) -> View {

@@ -5,23 +5,43 @@ use std::fmt::Write as _;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
+use super::viewer::Scene;
 use crate::picture::plot::escape;
+
+const STYLE: &str = include_str!("style.css");
+const VIEWER: &str = include_str!("viewer.js");
+/// The browser itself refuses whatever is not in the page.
+const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'";
 
 /// A page that is being written, top to bottom.
 pub struct Page {
     title: String,
     body: String,
+    headings: Vec<String>,
+    viewers: usize,
+}
+
+/// A picture that a browser knows by its first bytes.
+fn source(picture: &[u8]) -> String {
+    let kind = if picture.starts_with(&[0xff, 0xd8]) { "jpeg" } else { "png" };
+    format!("data:image/{kind};base64,{}", STANDARD.encode(picture))
 }
 
 impl Page {
     /// An empty page.
     pub fn new(title: &str) -> Self {
-        Self { title: title.to_owned(), body: String::new() }
+        Self { title: title.to_owned(), body: String::new(), headings: Vec::new(), viewers: 0 }
     }
 
     /// Starts a section.
     pub fn section(&mut self, heading: &str) {
-        let _ = write!(self.body, "<h2>{}</h2>", escape(heading));
+        self.headings.push(heading.to_owned());
+        let _ = write!(self.body, "<h2 id=\"s{}\">{}</h2>", self.headings.len(), escape(heading));
+    }
+
+    /// Starts a part of a section.
+    pub fn subsection(&mut self, heading: &str) {
+        let _ = write!(self.body, "<h3>{}</h3>", escape(heading));
     }
 
     /// A paragraph of plain text.
@@ -61,23 +81,57 @@ impl Page {
         self.body.push_str("</div>");
     }
 
-    /// PNG pictures side by side, each with a caption.
+    /// PNG or JPEG pictures side by side, each with a caption.
     pub fn pictures(&mut self, pictures: &[(Vec<u8>, String)]) {
+        if pictures.is_empty() {
+            return;
+        }
         self.body.push_str("<div class=\"grid\">");
-        for (png, caption) in pictures {
+        for (picture, caption) in pictures {
             let _ = write!(
                 self.body,
-                "<figure><img alt=\"{0}\" src=\"data:image/png;base64,{1}\"><figcaption>{0}</figcaption></figure>",
+                "<figure><img alt=\"{0}\" src=\"{1}\"><figcaption>{0}</figcaption></figure>",
                 escape(caption),
-                STANDARD.encode(png)
+                source(picture)
             );
         }
         self.body.push_str("</div>");
     }
 
+    /// Scenes side by side, each with the picture that stands for it where it cannot be drawn, and a caption. Gives the name of
+    /// the first one, for [`Page::plots_of`].
+    pub fn viewers(&mut self, scenes: &[(Scene, Vec<u8>, String)]) -> String {
+        let first = format!("v{}", self.viewers + 1);
+        let class = if scenes.len() == 1 { "views one" } else { "views" };
+        let _ = write!(self.body, "<div class=\"{class}\">");
+        for (scene, picture, caption) in scenes {
+            self.viewers += 1;
+            let (number, caption, picture) = (self.viewers, escape(caption), source(picture));
+            let image = format!("<img alt=\"{caption}\" src=\"{picture}\">");
+            let _ = match scene.to_json() {
+                Some(json) => write!(
+                    self.body,
+                    "<figure class=\"view\" id=\"v{number}\" data-label=\"{caption}\"><div class=\"stage\">{image}</div>\
+                     <figcaption>{caption}</figcaption><script type=\"application/json\">{json}</script></figure>"
+                ),
+                None => write!(self.body, "<figure>{image}<figcaption>{caption}</figcaption></figure>"),
+            };
+        }
+        self.body.push_str("</div>");
+        first
+    }
+
     /// SVG plots side by side.
     pub fn plots(&mut self, svgs: &[String]) {
-        self.body.push_str("<div class=\"grid wide\">");
+        self.plots_of("", svgs);
+    }
+
+    /// SVG plots side by side over the time of a scene: a line in them shows where it is.
+    pub fn plots_of(&mut self, viewer: &str, svgs: &[String]) {
+        if svgs.is_empty() {
+            return;
+        }
+        let _ = write!(self.body, "<div class=\"grid wide\" data-follows=\"{viewer}\">");
         for svg in svgs {
             let _ = write!(self.body, "<figure>{svg}</figure>");
         }
@@ -103,32 +157,73 @@ impl Page {
 
     /// The whole page.
     pub fn to_html(&self) -> String {
+        let mut contents = String::new();
+        for (i, heading) in self.headings.iter().enumerate() {
+            let _ = write!(contents, "<a href=\"#s{}\">{}</a>", i + 1, escape(heading));
+        }
+        let script = if self.viewers > 0 { format!("<script>{VIEWER}</script>") } else { String::new() };
         format!(
             "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\">\
              <meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\
-             <title>{0}</title><style>{STYLE}</style></head><body><main><h1>{0}</h1>{1}</main></body></html>\n",
+             <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\"><link rel=\"icon\" href=\"data:,\">\
+             <title>{0}</title><style>{STYLE}</style></head><body><main><h1>{0}</h1>\
+             <nav aria-label=\"Contents\">{contents}</nav>{1}</main>{script}</body></html>\n",
             escape(&self.title),
             self.body
         )
     }
 }
 
-const STYLE: &str = "\
-:root{color-scheme:light dark;--ink:#1c2430;--soft:#5b6675;--page:#fbfbfc;--panel:#f4f5f7;--line:#dfe3e8}\
-@media(prefers-color-scheme:dark){:root{--ink:#e6e9ee;--soft:#9aa6b5;--page:#14181e;--panel:#1d232b;--line:#303843}}\
-*{box-sizing:border-box}body{margin:0;background:var(--page);color:var(--ink);font:15px/1.55 system-ui,sans-serif}\
-main{max-width:1180px;margin:0 auto;padding:24px 18px 60px}h1{font-size:26px;margin:.2em 0 .6em}\
-h2{font-size:19px;margin:2em 0 .6em;padding-top:.7em;border-top:1px solid var(--line)}p{max-width:76ch;margin:.5em 0}\
-ul{max-width:90ch;padding-left:1.2em;color:var(--soft)}\
-.figures{display:grid;grid-template-columns:repeat(auto-fit,minmax(190px,1fr));gap:12px}\
-.figures div{background:var(--panel);border-radius:10px;padding:14px 16px;display:flex;flex-direction:column}\
-.figures b{font-size:24px;font-weight:650}.figures small{color:var(--soft)}\
-.grid{display:grid;grid-template-columns:repeat(auto-fit,minmax(230px,1fr));gap:12px;margin:14px 0}\
-.grid.wide{grid-template-columns:repeat(auto-fit,minmax(min(100%,430px),1fr))}.grid.wide figure{max-width:640px}\
-figure{margin:0;background:var(--panel);border-radius:10px;padding:10px;min-width:0}\
-figure img{width:100%;height:auto;border-radius:6px;display:block}figure svg{width:100%;height:auto;display:block}\
-figcaption{font-size:13px;color:var(--soft);padding-top:6px}\
-pre{background:var(--panel);border-radius:10px;padding:12px 14px;overflow-x:auto;font-size:13px}\
-.scroll{overflow-x:auto}table{border-collapse:collapse;margin:10px 0;font-variant-numeric:tabular-nums}\
-th,td{text-align:left;padding:5px 14px 5px 0;border-bottom:1px solid var(--line);vertical-align:top}\
-th{font-weight:600;color:var(--soft)}";
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use drex_core::{Pose, TriMesh};
+    use nalgebra::Point3;
+
+    use crate::report::viewer::Look;
+
+    fn triangle() -> TriMesh {
+        let corners = vec![Point3::origin(), Point3::new(1.0, 0.0, 0.0), Point3::new(0.0, 1.0, 0.0)];
+        TriMesh::new(corners, vec![[0, 1, 2]]).unwrap()
+    }
+
+    #[test]
+    fn every_section_is_in_the_contents_and_text_stays_text() {
+        let mut page = Page::new("a < b");
+        page.section("Mass & \"more\"");
+        page.section("Object");
+        page.paragraph("<script>alert(1)</script>");
+        let html = page.to_html();
+        assert!(html.contains("<a href=\"#s2\">Object</a>") && html.contains("<h2 id=\"s2\">Object</h2>"));
+        assert!(html.contains("<title>a &lt; b</title>") && !html.contains("<script>"));
+    }
+
+    #[test]
+    fn a_scene_has_its_picture_and_one_without_content_is_only_that() {
+        let mut full = Scene::new(0.0, 0.0);
+        let number = full.mesh(&triangle(), 10).unwrap();
+        full.part(number, Look::Solid, [0.5; 3], &[Pose::identity().into()]).unwrap();
+        let mut page = Page::new("scenes");
+        let picture = vec![0xff, 0xd8, 0xff];
+        let first = page.viewers(&[
+            (full, picture.clone(), "full".to_owned()),
+            (Scene::new(0.0, 0.0), picture, "empty".to_owned()),
+        ]);
+        assert_eq!(first, "v1");
+        let html = page.to_html();
+        assert_eq!(html.matches("<figure class=\"view\"").count(), 1);
+        assert_eq!(html.matches("src=\"data:image/jpeg;base64,").count(), 2);
+        assert_eq!(html.matches("type=\"application/json\"").count(), 1);
+    }
+
+    #[test]
+    fn nothing_in_the_frame_of_the_page_is_fetched() {
+        let mut page = Page::new("offline");
+        page.viewers(&[(Scene::new(0.0, 0.0), Vec::new(), String::new())]);
+        let html = page.to_html();
+        for word in ["http://", "https://", "src=\"/", "url(", "@import"] {
+            assert!(!html.contains(word), "{word}");
+        }
+        assert!(html.contains("default-src 'none'"));
+    }
+}

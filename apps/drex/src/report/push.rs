@@ -4,6 +4,7 @@ use drex_sysid::{Identification, ParameterEstimate, PushReport, Sensitivity, Ver
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::page::Page;
+use super::replay::Replay;
 use crate::picture::plot::{COLORS, Plot, Series};
 use crate::twin::{MassFile, MassSource};
 
@@ -54,8 +55,8 @@ fn sensitivity_text(s: &Sensitivity) -> String {
     }
 }
 
-/// The section on mass and pushes.
-pub fn section(page: &mut Page, mass: &MassFile) {
+/// The section on mass and pushes; the second is there if a push was simulated and tracked.
+pub fn section(page: &mut Page, mass: &MassFile, replays: &[Option<Replay>]) {
     page.section("Mass");
     match mass.source {
         MassSource::Weighed => page.paragraph(&format!("{:.1} g, weighed.", 1e3 * mass.mass_kg)),
@@ -77,14 +78,25 @@ pub fn section(page: &mut Page, mass: &MassFile) {
         "The pushes say: {}",
         verdict_text(result).lines().take(2).collect::<Vec<_>>().join(" — ").replace("—   ", "— ")
     ));
-    let mut plots = Vec::new();
     if result.profile.len() > 2 {
-        plots.extend(profile_plots(result));
+        page.plots(&profile_plots(result));
     }
-    for push in &result.pushes {
-        plots.extend(push_plots(push));
+    tables(page, result);
+    page.section(if result.pushes.len() == 1 { "Push" } else { "Pushes" });
+    residuals(page, result);
+    for (i, push) in result.pushes.iter().enumerate() {
+        page.subsection(&push.name);
+        let replay = replays.get(i).and_then(Option::as_ref);
+        let viewer = replay.map_or_else(String::new, |r| r.show(page));
+        let mut plots = push_plots(push);
+        plots.extend(replay.and_then(Replay::force_plot));
+        page.plots_of(&viewer, &plots);
+        page.list(&push.notes);
     }
-    page.plots(&plots);
+}
+
+/// How well each push is explained.
+fn residuals(page: &mut Page, result: &Identification) {
     let rows: Vec<Vec<String>> = result
         .pushes
         .iter()
@@ -103,6 +115,10 @@ pub fn section(page: &mut Page, mass: &MassFile) {
         &["push", "poses", "noise taken, mm / deg", "residual, mm (rms)", "residual, deg (rms)", "outliers"],
         &rows,
     );
+}
+
+/// Where the interval comes from, and what else was estimated and assumed.
+fn tables(page: &mut Page, result: &Identification) {
     if let Some(b) = &result.error_budget {
         let percent = |v: f64| format!("{:.2} %", 100.0 * v);
         page.table(
@@ -138,9 +154,6 @@ pub fn section(page: &mut Page, mass: &MassFile) {
         page.table(&["estimated along with the mass", "value", "standard deviation"], &rows);
     }
     page.list(&result.assumptions.iter().map(|a| format!("Assumed: {a}")).collect::<Vec<_>>());
-    for push in &result.pushes {
-        page.list(&push.notes);
-    }
 }
 
 /// The likelihood over all masses that were tried, and near the best one.

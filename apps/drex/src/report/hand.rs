@@ -1,0 +1,259 @@
+//! The grasp carried out by the hand's own control loop: where the joints went and how hard they pressed.
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use drex_core::fsutil;
+use drex_core::readers::Table;
+use serde::Deserialize;
+
+use super::page::Page;
+use crate::picture::plot::{COLORS, Plot, Series};
+use crate::twin::{Twin, files};
+
+/// What was sent to the hand and what came of it.
+const EXECUTION: &str = "policy/execution.json";
+/// The joint log, as `drex hw record` writes it.
+const LOG: &str = "policy/execution.csv";
+/// Most samples of a line: a plot has no more pixels.
+const SAMPLES: usize = 300;
+
+/// What of `policy/execution.json` is told.
+#[derive(Deserialize)]
+struct Execution {
+    hand: String,
+    emulated: bool,
+    /// Of the efforts: "mA" or "N m".
+    unit: String,
+    joint_names: Vec<String>,
+    #[serde(default)]
+    open_rad: Vec<f64>,
+    #[serde(default)]
+    closed_rad: Vec<f64>,
+    #[serde(default)]
+    limits: Limits,
+    #[serde(default)]
+    contacts: Vec<Contact>,
+    #[serde(default)]
+    missed: serde_json::Value,
+    #[serde(default)]
+    lost: serde_json::Value,
+}
+
+/// Effort limits of the joints while the hand closes, and under the force.
+#[derive(Deserialize, Default)]
+struct Limits {
+    #[serde(default)]
+    closing: Vec<f64>,
+    #[serde(default)]
+    force: Vec<f64>,
+}
+
+/// A joint that met something.
+#[derive(Deserialize)]
+struct Contact {
+    joint: serde_json::Value,
+    time_s: f64,
+    position_rad: f64,
+    effort_limit: Option<f64>,
+    held_effort: Option<f64>,
+}
+
+/// The section on the hand; nothing where the grasp was not carried out.
+pub fn section(page: &mut Page, twin: &Twin) -> Result<()> {
+    let file = twin.path(EXECUTION);
+    if !file.exists() {
+        return Ok(());
+    }
+    let execution: Execution = files::read_json(&file)?;
+    page.section("Hand");
+    page.paragraph(&if execution.emulated {
+        format!(
+            "The grasp sent to an emulated {} hand through the same driver and control loop as to a real one. What the emulated hand meets \
+             is a model of contact; no motor turned.",
+            execution.hand
+        )
+    } else {
+        format!("The grasp carried out by the {} hand.", execution.hand)
+    });
+    let log = twin.path(LOG);
+    if log.exists() {
+        page.plots(&plots(&log, &execution)?);
+    }
+    contacts(page, &execution);
+    joints(page, &execution);
+    for (what, names) in
+        [("Joints that met nothing", &execution.missed), ("Joints that lost what they had met", &execution.lost)]
+    {
+        if let Some(text) = named(names, &execution.joint_names) {
+            page.paragraph(&format!("{what}: {text}."));
+        }
+    }
+    Ok(())
+}
+
+/// A list of joints, by name or number, or a count; `None` if there are none.
+fn named(value: &serde_json::Value, names: &[String]) -> Option<String> {
+    match value {
+        serde_json::Value::Array(all) if !all.is_empty() => {
+            Some(all.iter().map(|joint| name_of(joint, names)).collect::<Vec<_>>().join(", "))
+        }
+        serde_json::Value::Number(n) if n.as_f64() != Some(0.0) => Some(n.to_string()),
+        _ => None,
+    }
+}
+
+fn name_of(joint: &serde_json::Value, names: &[String]) -> String {
+    match joint {
+        serde_json::Value::String(name) => name.clone(),
+        other => match other.as_u64().and_then(|i| names.get(usize::try_from(i).ok()?)) {
+            Some(name) => name.clone(),
+            None => other.to_string(),
+        },
+    }
+}
+
+fn effort(value: f64, unit: &str) -> String {
+    if unit == "mA" { format!("{value:.0}") } else { format!("{value:.3}") }
+}
+
+fn contacts(page: &mut Page, execution: &Execution) {
+    let unit = &execution.unit;
+    let optional = |value: Option<f64>| value.map_or("-".to_owned(), |v| effort(v, unit));
+    let rows: Vec<Vec<String>> = execution
+        .contacts
+        .iter()
+        .map(|c| {
+            vec![
+                name_of(&c.joint, &execution.joint_names),
+                format!("{:.2}", c.time_s),
+                format!("{:.3}", c.position_rad),
+                optional(c.effort_limit),
+                optional(c.held_effort),
+            ]
+        })
+        .collect();
+    if rows.is_empty() {
+        page.paragraph("No joint met anything.");
+        return;
+    }
+    let (limit, held) = (format!("effort limit, {unit}"), format!("effort held, {unit}"));
+    page.table(&["joint that met the object", "at, s", "angle, rad", &limit, &held], &rows);
+}
+
+/// What was sent.
+fn joints(page: &mut Page, execution: &Execution) {
+    let unit = &execution.unit;
+    let angle = |all: &[f64], i: usize| all.get(i).map_or("-".to_owned(), |v| format!("{v:.3}"));
+    let limit = |all: &[f64], i: usize| all.get(i).map_or("-".to_owned(), |v| effort(*v, unit));
+    let rows: Vec<Vec<String>> = execution
+        .joint_names
+        .iter()
+        .enumerate()
+        .map(|(i, name)| {
+            vec![
+                name.clone(),
+                angle(&execution.open_rad, i),
+                angle(&execution.closed_rad, i),
+                limit(&execution.limits.closing, i),
+                limit(&execution.limits.force, i),
+            ]
+        })
+        .collect();
+    let (closing, force) = (format!("limit while closing, {unit}"), format!("limit under force, {unit}"));
+    page.table(&["joint", "open, rad", "closed, rad", &closing, &force], &rows);
+}
+
+/// Angles, efforts and their limits over time.
+fn plots(path: &Path, execution: &Execution) -> Result<Vec<String>> {
+    let table = Table::parse(path, &fsutil::read_bytes(path)?)?;
+    let time = match table.find("timestamp") {
+        Some(column) => column,
+        None => table.columns(&["t"])?[0],
+    };
+    let rows = table.rows_by_time(time)?;
+    let step = rows.len().div_ceil(SAMPLES).max(1);
+    let mut rows: Vec<(usize, f64)> = rows.into_iter().step_by(step).collect();
+    let begun = rows.first().context("the joint log is empty")?.1;
+    rows.iter_mut().for_each(|r| r.1 -= begun);
+    let times: Vec<f64> = rows.iter().map(|r| r.1).collect();
+    let column = |prefix: &str, name: &str| -> Option<Vec<f64>> {
+        let column = table.find(&format!("{prefix}_{name}"))?;
+        Some(rows.iter().map(|(row, _)| table.number(*row, column).unwrap_or(f64::NAN)).collect())
+    };
+    // The joints that met the object are told apart, the others are one colour.
+    let met: Vec<String> = execution.contacts.iter().map(|c| name_of(&c.joint, &execution.joint_names)).collect();
+    let color = |name: &str| met.iter().position(|m| m == name).map_or("#9aa0a8", |i| COLORS[i % COLORS.len()]);
+    let lines = |prefix: &'static str| -> Vec<(&str, Vec<f64>)> {
+        let all = execution.joint_names.iter();
+        let mut lines: Vec<(&str, Vec<f64>)> = all.filter_map(|n| Some((n.as_str(), column(prefix, n)?))).collect();
+        // Those that met the object lie on top.
+        lines.sort_by_key(|(name, _)| met.iter().any(|m| m == name));
+        lines
+    };
+    let series = |lines: &'_ [(&'_ str, Vec<f64>)]| -> Vec<(String, Vec<f64>, &'static str)> {
+        lines.iter().map(|(name, y)| ((*name).to_owned(), y.clone(), color(name))).collect()
+    };
+    let measured = if table.header().iter().any(|h| h.starts_with("current_ma_")) { "current_ma" } else { "effort" };
+    let what = if execution.unit == "mA" { "current" } else { "torque" };
+    let legend = if met.is_empty() { "" } else { "; coloured: joints that met the object" };
+    let mut plots = Vec::new();
+    for (prefix, title, y_label) in [
+        ("position", format!("Joint angles{legend}"), "rad".to_owned()),
+        (measured, format!("Joint {what}s{legend}"), execution.unit.clone()),
+        ("limit", format!("Limits of the {what}{legend}"), execution.unit.clone()),
+    ] {
+        let all = series(&lines(prefix));
+        if all.is_empty() {
+            continue;
+        }
+        let series = all.iter().map(|(_, y, color)| Series { label: "", x: &times, y, color, dots: false }).collect();
+        let plot = Plot { title: &title, x_label: "time, s", y_label: &y_label, series, ..Plot::default() };
+        plots.push(plot.to_svg());
+    }
+    Ok(plots)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TEXT: &str = r#"{"schema":1,"hand":"leap_right","emulated":true,"unit":"mA","joint_names":["a","b"],
+        "open_rad":[0.1,0.2],"closed_rad":[0.9,1.0],"limits":{"closing":[150,150],"force":[310,150]},
+        "missed":["b"],"lost":[],"loop":{"cycles":3},
+        "contacts":[{"joint":0,"time_s":1.2,"position_rad":0.7,"effort_limit":310,"held_effort":304.5}]}"#;
+
+    #[test]
+    fn joints_are_named_and_counts_told() {
+        let execution: Execution = serde_json::from_str(TEXT).unwrap();
+        let mut page = Page::new("hand");
+        contacts(&mut page, &execution);
+        joints(&mut page, &execution);
+        let html = page.to_html();
+        assert!(html.contains("<td>a</td><td>1.20</td><td>0.700</td><td>310</td><td>304</td>"), "{html}");
+        assert!(html.contains("<td>b</td><td>0.200</td><td>1.000</td><td>150</td><td>150</td>"));
+        assert_eq!(named(&execution.missed, &execution.joint_names).as_deref(), Some("b"));
+        assert_eq!(named(&execution.lost, &execution.joint_names), None);
+        assert_eq!(named(&serde_json::json!(0), &execution.joint_names), None);
+    }
+
+    #[test]
+    fn the_log_becomes_three_plots() {
+        let execution: Execution = serde_json::from_str(TEXT).unwrap();
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("log.csv");
+        let mut log = "timestamp,position_a,position_b,current_ma_a,current_ma_b,limit_a,limit_b,phase\n".to_owned();
+        for i in 0..1000 {
+            log += &format!("{},{},0.2,{},4,310,150,2\n", 5.0 + 0.01 * f64::from(i), 1e-3 * f64::from(i), i % 300);
+        }
+        std::fs::write(&path, log).unwrap();
+        let all = plots(&path, &execution).unwrap();
+        assert_eq!(all.len(), 3);
+        assert!(all[1].contains("Joint currents") && all[1].contains(">mA<"));
+        // From the first sample on, and no more points than can be seen.
+        assert!(all[0].contains("data-range=\"0.000000 9.9"));
+        assert!(all[0].matches('L').count() < 2 * SAMPLES + 10);
+        std::fs::write(&path, "timestamp,position_a\n").unwrap();
+        assert!(plots(&path, &execution).is_err(), "a log without rows is refused");
+    }
+}
