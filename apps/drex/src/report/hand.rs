@@ -184,16 +184,6 @@ fn plots(path: &Path, execution: &Execution) -> Result<Vec<String>> {
     // The joints that met the object are told apart, the others are one colour.
     let met: Vec<String> = execution.contacts.iter().map(|c| name_of(&c.joint, &execution.joint_names)).collect();
     let color = |name: &str| met.iter().position(|m| m == name).map_or("#9aa0a8", |i| COLORS[i % COLORS.len()]);
-    let lines = |prefix: &'static str| -> Vec<(&str, Vec<f64>)> {
-        let all = execution.joint_names.iter();
-        let mut lines: Vec<(&str, Vec<f64>)> = all.filter_map(|n| Some((n.as_str(), column(prefix, n)?))).collect();
-        // Those that met the object lie on top.
-        lines.sort_by_key(|(name, _)| met.iter().any(|m| m == name));
-        lines
-    };
-    let series = |lines: &'_ [(&'_ str, Vec<f64>)]| -> Vec<(String, Vec<f64>, &'static str)> {
-        lines.iter().map(|(name, y)| ((*name).to_owned(), y.clone(), color(name))).collect()
-    };
     let measured = if table.header().iter().any(|h| h.starts_with("current_ma_")) { "current_ma" } else { "effort" };
     let what = if execution.unit == "mA" { "current" } else { "torque" };
     let legend = if met.is_empty() { "" } else { "; coloured: joints that met the object" };
@@ -203,11 +193,15 @@ fn plots(path: &Path, execution: &Execution) -> Result<Vec<String>> {
         (measured, format!("Joint {what}s{legend}"), execution.unit.clone()),
         ("limit", format!("Limits of the {what}{legend}"), execution.unit.clone()),
     ] {
-        let all = series(&lines(prefix));
-        if all.is_empty() {
+        let names = execution.joint_names.iter();
+        let mut lines: Vec<(&String, Vec<f64>)> = names.filter_map(|n| Some((n, column(prefix, n)?))).collect();
+        // Those that met the object lie on top.
+        lines.sort_by_key(|(name, _)| met.contains(*name));
+        if lines.is_empty() {
             continue;
         }
-        let series = all.iter().map(|(_, y, color)| Series { label: "", x: &times, y, color, dots: false }).collect();
+        let series =
+            lines.iter().map(|(name, y)| Series { label: "", x: &times, y, color: color(name), dots: false }).collect();
         let plot = Plot { title: &title, x_label: "time, s", y_label: &y_label, series, ..Plot::default() };
         plots.push(plot.to_svg());
     }
@@ -221,7 +215,7 @@ mod tests {
     const TEXT: &str = r#"{"schema":1,"hand":"leap_right","emulated":true,"unit":"mA","joint_names":["a","b"],
         "open_rad":[0.1,0.2],"closed_rad":[0.9,1.0],"limits":{"closing":[150,150],"force":[310,150]},
         "missed":["b"],"lost":[],"loop":{"cycles":3},
-        "contacts":[{"joint":0,"time_s":1.2,"position_rad":0.7,"effort_limit":310,"held_effort":304.5}]}"#;
+        "contacts":[{"joint":0,"time_s":1.2,"position_rad":0.7,"effort_limit":310,"held_effort":303.6}]}"#;
 
     #[test]
     fn joints_are_named_and_counts_told() {

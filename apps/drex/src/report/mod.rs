@@ -36,7 +36,11 @@ pub fn page_of(twin: &Twin) -> Result<String> {
         None => None,
     };
     let mut page = Page::new(&format!("{}: digital twin", twin.manifest.name));
-    summary::figures(&mut page, asset, &mass, learned.as_ref().map(|(fits, _, evaluation)| (fits, evaluation)));
+    let tried = twin.path(files::TRIAL);
+    let trial: Option<TrialFile> =
+        if learned.is_some() && tried.exists() { Some(files::read_json(&tried)?) } else { None };
+    let judged = learned.as_ref().map(|(fits, _, evaluation)| (fits, evaluation));
+    summary::figures(&mut page, asset, &mass, judged, trial.as_ref());
     if let Some(scan) = &twin.manifest.scan {
         scan::section(&mut page, twin, asset, &scan.photos)?;
     }
@@ -47,8 +51,8 @@ pub fn page_of(twin: &Twin) -> Result<String> {
         grasps::demonstrations(&mut page, twin, asset, fits)?;
         grasps::training(&mut page, training);
         grasps::evaluation(&mut page, twin, asset, evaluation)?;
-        if twin.path(files::TRIAL).exists() {
-            trial::section(&mut page, twin, asset, &files::read_json::<TrialFile>(&twin.path(files::TRIAL))?)?;
+        if let Some(trial) = &trial {
+            trial::section(&mut page, twin, asset, trial)?;
         }
         hand::section(&mut page, twin)?;
     }

@@ -16,7 +16,7 @@ use crate::twin::{MassFile, Twin};
 /// Faces of the simulated object.
 const FACES: usize = 4000;
 /// Faces of the tracked object, whose edges are drawn.
-const WIRE_FACES: usize = 900;
+const WIRE_FACES: usize = 300;
 const TRACKED_COLOR: [f64; 3] = [0.0, 0.45, 0.70];
 const FORCE_COLOR: [f64; 3] = [0.80, 0.20, 0.18];
 /// Length of the arrow of the largest force, as a share of the object's size.
@@ -76,11 +76,11 @@ fn replay(asset: &Asset, push: &PushReport, recording: Option<&PushRecording>) -
     if push.position_bias_m.is_some() {
         caption += ", less the constant error that was estimated";
     }
-    if let Some(arrows) = force.as_ref().and_then(|f| arrows(f, &push.times_s, &simulated)) {
-        if let Some(part) = scene.mesh(&arrow(ARROW * size), 400) {
-            scene.part(part, Look::Solid, FORCE_COLOR, &arrows)?;
-            caption += "; red: the force that was measured";
-        }
+    if let Some(arrows) = force.as_ref().and_then(|f| arrows(f, &push.times_s, &simulated))
+        && let Some(part) = scene.mesh(&arrow(ARROW * size), 400)
+    {
+        scene.part(part, Look::Solid, FORCE_COLOR, &arrows)?;
+        caption += "; red: the force that was measured";
     }
     let picture = still(mesh, &simulated[simulated.len() / 2], azimuth, elevation)?;
     Ok(Some(Replay { scene, picture, caption, force, name: push.name.clone() }))
@@ -88,7 +88,7 @@ fn replay(asset: &Asset, push: &PushReport, recording: Option<&PushRecording>) -
 
 impl Replay {
     /// Writes the scene, and gives its name.
-    pub fn show(self: &Replay, page: &mut Page) -> String {
+    pub fn show(&self, page: &mut Page) -> String {
         page.viewers(&[(self.scene.clone(), self.picture.clone(), self.caption.clone())])
     }
 
@@ -118,7 +118,7 @@ fn lowest(mesh: &TriMesh, world_from_mesh: &Pose) -> f64 {
 
 /// The arrow in each frame: its tip where the force acts, its length in proportion. `None` for a force that is always nil.
 fn arrows(force: &ForceProfile, times_s: &[f64], object: &[Pose]) -> Option<Vec<Placed>> {
-    let most = force.forces_n.iter().map(Vector3::norm).fold(0.0, f64::max);
+    let most = force.forces_n.iter().map(|f| f.norm()).fold(0.0, f64::max);
     if !(most > 0.0 && most.is_finite()) {
         return None;
     }
@@ -126,7 +126,7 @@ fn arrows(force: &ForceProfile, times_s: &[f64], object: &[Pose]) -> Option<Vec<
         // Held from each sample to the next, nil before the first and after the last.
         let next = force.times_s.partition_point(|s| *s <= t);
         let beyond = next == 0 || force.times_s.last().is_none_or(|end| t > *end);
-        if beyond { Vector3::zeros() } else { force.forces_n[next - 1] }
+        if beyond { Vector3::zeros() } else { force.forces_n.get(next - 1).copied().unwrap_or_else(Vector3::zeros) }
     };
     let one = |(t, pose): (&f64, &Pose)| {
         let f = at(*t);

@@ -8,7 +8,7 @@ use drex_splat::Kind;
 use drex_splat::capture::{Capture, CaptureOptions};
 use drex_splat::io::read_gaussians;
 use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
-use nalgebra::{Matrix4, Point3, Similarity3, Translation3, Vector3};
+use nalgebra::{Matrix4, Similarity3, Translation3, Vector3};
 use serde::Deserialize;
 
 use super::object::{MESH_FACES, OBJECT_COLOR, still};

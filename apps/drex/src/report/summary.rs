@@ -150,7 +150,13 @@ fn execution_line(execution: &ExecutionFile) -> String {
 }
 
 /// The row of figures at the head of the page.
-pub fn figures(page: &mut Page, asset: &Asset, mass: &MassFile, learned: Option<(&FitFile, &Evaluation)>) {
+pub fn figures(
+    page: &mut Page,
+    asset: &Asset,
+    mass: &MassFile,
+    learned: Option<(&FitFile, &Evaluation)>,
+    trial: Option<&TrialFile>,
+) {
     let remark = match (mass.source, mass.ci95_kg) {
         (MassSource::Identified, Some([lo, hi])) => {
             format!("identified; 95 % interval {:.1} to {:.1} g", 1e3 * lo, 1e3 * hi)
@@ -181,6 +187,14 @@ pub fn figures(page: &mut Page, asset: &Asset, mass: &MassFile, learned: Option<
             passed(&evaluation.refined),
             "predicted grasps pass the static check".to_owned(),
             format!("{} before refinement", passed(&evaluation.predicted)),
+        ));
+    }
+    if let Some(trial) = trial {
+        let [low, high] = trial.interval;
+        all.push((
+            format!("{} of {}", trial.held, trial.n),
+            "rollouts in which it stayed in the hand".to_owned(),
+            format!("lift, hold, shake in simulation; 95 % interval {:.0} to {:.0} %", 100.0 * low, 100.0 * high),
         ));
     }
     page.figures(&all);

@@ -190,11 +190,11 @@ impl Scene {
             let p = gaussians.means[i].map(f64::from);
             (0..3).all(|k| (lo[k]..=hi[k]).contains(&p[k]))
         };
-        let finite = |i: usize| {
+        let base = |i: usize| gaussians.sh.get(i * gaussians.sh_stride()..)?.first_chunk::<3>();
+        let usable = |i: usize| {
             let (q, s) = (gaussians.rotations[i], gaussians.log_scales[i]);
-            let numbers =
-                q.iter().chain(&s).chain(gaussians.sh.get(i * gaussians.sh_stride()..).unwrap_or(&[]).iter().take(3));
-            numbers.clone().all(|v| v.is_finite()) && q.iter().any(|v| *v != 0.0)
+            let mut numbers = q.iter().chain(&s).chain(base(i).into_iter().flatten());
+            base(i).is_some() && numbers.all(|v| v.is_finite()) && q.iter().any(|v| *v != 0.0)
         };
         // What covers most of the picture: opacity times the area of the two longest axes.
         let cover = |i: usize| {
@@ -203,7 +203,7 @@ impl Scene {
             gaussians.opacity(i) * (s[0] + s[1]).exp()
         };
         let mut chosen: Vec<(f32, usize)> = (0..gaussians.len())
-            .filter(|&i| inside(i) && finite(i) && gaussians.opacity(i) >= FAINT)
+            .filter(|&i| inside(i) && usable(i) && gaussians.opacity(i) >= FAINT)
             .filter(|&i| gaussians.log_scales[i].iter().all(|s| s.exp() <= widest))
             .map(|i| (cover(i), i))
             .collect();
@@ -235,8 +235,8 @@ impl Scene {
         });
         let byte = |v: f32| (255.0 * v.clamp(0.0, 1.0)).round() as u8;
         let colors = chosen.iter().flat_map(|&i| {
-            let sh = &gaussians.sh[i * gaussians.sh_stride()..];
-            [byte(0.5 + SH0 * sh[0]), byte(0.5 + SH0 * sh[1]), byte(0.5 + SH0 * sh[2]), byte(gaussians.opacity(i))]
+            let [r, g, b] = base(i).copied().unwrap_or_default().map(|c| byte(0.5 + SH0 * c));
+            [r, g, b, byte(gaussians.opacity(i))]
         });
         self.splats = Some(json!({
             "n": chosen.len(), "lo": grid.lo, "step": grid.step, "size_lo": least, "size_step": step,
