@@ -5,131 +5,49 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use drex_core::fsutil;
 use drex_core::readers::Table;
-use serde::Deserialize;
 
 use super::page::Page;
 use crate::picture::plot::{COLORS, Plot, Series};
-use crate::twin::{Twin, files};
+use crate::twin::{ExecutionFile, Twin, files};
 
-/// What was sent to the hand and what came of it.
-const EXECUTION: &str = "policy/execution.json";
-/// The joint log, as `drex hw record` writes it.
-const LOG: &str = "policy/execution.csv";
 /// Most samples of a line: a plot has no more pixels.
 const SAMPLES: usize = 300;
 
-/// What of `policy/execution.json` is told.
-#[derive(Deserialize)]
-struct Execution {
-    hand: String,
-    emulated: bool,
-    /// Of the efforts: "mA" or "N m".
-    unit: String,
-    joint_names: Vec<String>,
-    #[serde(default)]
-    open_rad: Vec<f64>,
-    #[serde(default)]
-    closed_rad: Vec<f64>,
-    #[serde(default)]
-    limits: Limits,
-    #[serde(default)]
-    contacts: Vec<Contact>,
-    #[serde(default)]
-    missed: serde_json::Value,
-    #[serde(default)]
-    lost: serde_json::Value,
-}
-
-/// Effort limits of the joints while the hand closes, and under the force.
-#[derive(Deserialize, Default)]
-struct Limits {
-    #[serde(default)]
-    closing: Vec<f64>,
-    #[serde(default)]
-    force: Vec<f64>,
-}
-
-/// A joint that met something.
-#[derive(Deserialize)]
-struct Contact {
-    joint: serde_json::Value,
-    time_s: f64,
-    position_rad: f64,
-    effort_limit: Option<f64>,
-    held_effort: Option<f64>,
-}
-
-/// The section on the hand; nothing where the grasp was not carried out.
-pub fn section(page: &mut Page, twin: &Twin) -> Result<()> {
-    let file = twin.path(EXECUTION);
-    if !file.exists() {
+/// The section on the hand.
+pub fn section(page: &mut Page, twin: &Twin, execution: &ExecutionFile) -> Result<()> {
+    page.section("Hand");
+    if let Some(reason) = &execution.not_driven {
+        page.paragraph(&format!("{} was not driven: {reason}.", execution.hand));
         return Ok(());
     }
-    let execution: Execution = files::read_json(&file)?;
-    page.section("Hand");
-    page.paragraph(&if execution.emulated {
-        format!(
-            "The grasp sent to an emulated {} hand through the same driver and control loop as to a real one. What the emulated hand meets \
-             is a model of contact; no motor turned.",
-            execution.hand
-        )
-    } else {
-        format!("The grasp carried out by the {} hand.", execution.hand)
-    });
-    let log = twin.path(LOG);
-    if log.exists() {
-        page.plots(&plots(&log, &execution)?);
-    }
-    contacts(page, &execution);
-    joints(page, &execution);
-    for (what, names) in
-        [("Joints that met nothing", &execution.missed), ("Joints that lost what they had met", &execution.lost)]
-    {
-        if let Some(text) = named(names, &execution.joint_names) {
-            page.paragraph(&format!("{what}: {text}."));
-        }
-    }
+    page.paragraph(&format!(
+        "The grasp of drex deploy, sent to an emulated {} through the drivers and the control loop of a real one. Where the object would be, \
+         each joint meets a stop; no motor turned. {}",
+        execution.hand,
+        if execution.held { "The fingers touched and held." } else { "The grasp did not hold." }
+    ));
+    page.plots(&plots(&twin.path(files::EXECUTION_LOG), execution)?);
+    contacts(page, execution);
+    joints(page, execution);
     Ok(())
-}
-
-/// A list of joints, by name or number, or a count; `None` if there are none.
-fn named(value: &serde_json::Value, names: &[String]) -> Option<String> {
-    match value {
-        serde_json::Value::Array(all) if !all.is_empty() => {
-            Some(all.iter().map(|joint| name_of(joint, names)).collect::<Vec<_>>().join(", "))
-        }
-        serde_json::Value::Number(n) if n.as_f64() != Some(0.0) => Some(n.to_string()),
-        _ => None,
-    }
-}
-
-fn name_of(joint: &serde_json::Value, names: &[String]) -> String {
-    match joint {
-        serde_json::Value::String(name) => name.clone(),
-        other => match other.as_u64().and_then(|i| names.get(usize::try_from(i).ok()?)) {
-            Some(name) => name.clone(),
-            None => other.to_string(),
-        },
-    }
 }
 
 fn effort(value: f64, unit: &str) -> String {
     if unit == "mA" { format!("{value:.0}") } else { format!("{value:.3}") }
 }
 
-fn contacts(page: &mut Page, execution: &Execution) {
+fn contacts(page: &mut Page, execution: &ExecutionFile) {
     let unit = &execution.unit;
-    let optional = |value: Option<f64>| value.map_or("-".to_owned(), |v| effort(v, unit));
     let rows: Vec<Vec<String>> = execution
         .contacts
         .iter()
         .map(|c| {
             vec![
-                name_of(&c.joint, &execution.joint_names),
+                c.joint.clone(),
                 format!("{:.2}", c.time_s),
                 format!("{:.3}", c.position_rad),
-                optional(c.effort_limit),
-                optional(c.held_effort),
+                effort(c.effort_limit, unit),
+                c.held_effort.map_or("-".to_owned(), |v| effort(v, unit)),
             ]
         })
         .collect();
@@ -142,7 +60,7 @@ fn contacts(page: &mut Page, execution: &Execution) {
 }
 
 /// What was sent.
-fn joints(page: &mut Page, execution: &Execution) {
+fn joints(page: &mut Page, execution: &ExecutionFile) {
     let unit = &execution.unit;
     let angle = |all: &[f64], i: usize| all.get(i).map_or("-".to_owned(), |v| format!("{v:.3}"));
     let limit = |all: &[f64], i: usize| all.get(i).map_or("-".to_owned(), |v| effort(*v, unit));
@@ -155,8 +73,8 @@ fn joints(page: &mut Page, execution: &Execution) {
                 name.clone(),
                 angle(&execution.open_rad, i),
                 angle(&execution.closed_rad, i),
-                limit(&execution.limits.closing, i),
-                limit(&execution.limits.force, i),
+                limit(&execution.closing_limits, i),
+                limit(&execution.force_limits, i),
             ]
         })
         .collect();
@@ -165,7 +83,7 @@ fn joints(page: &mut Page, execution: &Execution) {
 }
 
 /// Angles, efforts and their limits over time.
-fn plots(path: &Path, execution: &Execution) -> Result<Vec<String>> {
+fn plots(path: &Path, execution: &ExecutionFile) -> Result<Vec<String>> {
     let table = Table::parse(path, &fsutil::read_bytes(path)?)?;
     let time = match table.find("timestamp") {
         Some(column) => column,
@@ -182,8 +100,8 @@ fn plots(path: &Path, execution: &Execution) -> Result<Vec<String>> {
         Some(rows.iter().map(|(row, _)| table.number(*row, column).unwrap_or(f64::NAN)).collect())
     };
     // The joints that met the object are told apart, the others are one colour.
-    let met: Vec<String> = execution.contacts.iter().map(|c| name_of(&c.joint, &execution.joint_names)).collect();
-    let color = |name: &str| met.iter().position(|m| m == name).map_or("#9aa0a8", |i| COLORS[i % COLORS.len()]);
+    let met: Vec<&str> = execution.contacts.iter().map(|c| c.joint.as_str()).collect();
+    let color = |name: &str| met.iter().position(|m| *m == name).map_or("#9aa0a8", |i| COLORS[i % COLORS.len()]);
     let measured = if table.header().iter().any(|h| h.starts_with("current_ma_")) { "current_ma" } else { "effort" };
     let what = if execution.unit == "mA" { "current" } else { "torque" };
     let legend = if met.is_empty() { "" } else { "; coloured: joints that met the object" };
@@ -196,7 +114,7 @@ fn plots(path: &Path, execution: &Execution) -> Result<Vec<String>> {
         let names = execution.joint_names.iter();
         let mut lines: Vec<(&String, Vec<f64>)> = names.filter_map(|n| Some((n, column(prefix, n)?))).collect();
         // Those that met the object lie on top.
-        lines.sort_by_key(|(name, _)| met.contains(*name));
+        lines.sort_by_key(|(name, _)| met.contains(&name.as_str()));
         if lines.is_empty() {
             continue;
         }
@@ -213,27 +131,23 @@ mod tests {
     use super::*;
 
     const TEXT: &str = r#"{"schema":1,"hand":"leap_right","emulated":true,"unit":"mA","joint_names":["a","b"],
-        "open_rad":[0.1,0.2],"closed_rad":[0.9,1.0],"limits":{"closing":[150,150],"force":[310,150]},
-        "missed":["b"],"lost":[],"loop":{"cycles":3},
-        "contacts":[{"joint":0,"time_s":1.2,"position_rad":0.7,"effort_limit":310,"held_effort":303.6}]}"#;
+        "open_rad":[0.1,0.2],"closed_rad":[0.9,1.0],"closing_limits":[150,150],"force_limits":[310,150],"held":true,
+        "contacts":[{"joint":"a","time_s":1.2,"position_rad":0.7,"effort_limit":310,"held_effort":303.6}]}"#;
 
     #[test]
-    fn joints_are_named_and_counts_told() {
-        let execution: Execution = serde_json::from_str(TEXT).unwrap();
+    fn joints_have_their_limits_and_what_they_held() {
+        let execution: ExecutionFile = serde_json::from_str(TEXT).unwrap();
         let mut page = Page::new("hand");
         contacts(&mut page, &execution);
         joints(&mut page, &execution);
         let html = page.to_html();
         assert!(html.contains("<td>a</td><td>1.20</td><td>0.700</td><td>310</td><td>304</td>"), "{html}");
         assert!(html.contains("<td>b</td><td>0.200</td><td>1.000</td><td>150</td><td>150</td>"));
-        assert_eq!(named(&execution.missed, &execution.joint_names).as_deref(), Some("b"));
-        assert_eq!(named(&execution.lost, &execution.joint_names), None);
-        assert_eq!(named(&serde_json::json!(0), &execution.joint_names), None);
     }
 
     #[test]
     fn the_log_becomes_three_plots() {
-        let execution: Execution = serde_json::from_str(TEXT).unwrap();
+        let execution: ExecutionFile = serde_json::from_str(TEXT).unwrap();
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("log.csv");
         let mut log = "timestamp,position_a,position_b,current_ma_a,current_ma_b,limit_a,limit_b,phase\n".to_owned();

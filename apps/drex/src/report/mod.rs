@@ -15,7 +15,7 @@ mod viewer;
 use anyhow::Result;
 
 use crate::lock::made_by;
-use crate::twin::{Evaluation, FitFile, MassFile, Training, TrialFile, Twin, files};
+use crate::twin::{Evaluation, ExecutionFile, FitFile, MassFile, Training, TrialFile, Twin, files};
 
 pub use object::{closing_text, pieces_text};
 pub use push::verdict_text;
@@ -23,38 +23,43 @@ pub use summary::findings;
 
 use page::Page;
 
+/// What became of the grasps.
+struct Learned {
+    fits: FitFile,
+    training: Training,
+    evaluation: Evaluation,
+    trial: TrialFile,
+    execution: ExecutionFile,
+}
+
 /// The report as one HTML page.
 pub fn page_of(twin: &Twin) -> Result<String> {
     let asset = twin.asset()?;
     let mass: MassFile = files::read_json(&twin.path(files::MASS))?;
     let learned = match &twin.manifest.grasps {
-        Some(_) => Some((
-            files::read_json::<FitFile>(&twin.path(files::FITS))?,
-            files::read_json::<Training>(&twin.path(files::TRAINING))?,
-            files::read_json::<Evaluation>(&twin.path(files::EVALUATION))?,
-        )),
+        Some(_) => Some(Learned {
+            fits: files::read_json(&twin.path(files::FITS))?,
+            training: files::read_json(&twin.path(files::TRAINING))?,
+            evaluation: files::read_json(&twin.path(files::EVALUATION))?,
+            trial: files::read_json(&twin.path(files::TRIAL))?,
+            execution: files::read_json(&twin.path(files::EXECUTION))?,
+        }),
         None => None,
     };
     let mut page = Page::new(&format!("{}: digital twin", twin.manifest.name));
-    let tried = twin.path(files::TRIAL);
-    let trial: Option<TrialFile> =
-        if learned.is_some() && tried.exists() { Some(files::read_json(&tried)?) } else { None };
-    let judged = learned.as_ref().map(|(fits, _, evaluation)| (fits, evaluation));
-    summary::figures(&mut page, asset, &mass, judged, trial.as_ref());
+    summary::figures(&mut page, asset, &mass, learned.as_ref());
     if let Some(scan) = &twin.manifest.scan {
         scan::section(&mut page, twin, asset, &scan.photos)?;
     }
     object::section(&mut page, asset, &mass)?;
     let replays = replay::of(twin, asset, &mass)?;
     push::section(&mut page, &mass, &replays);
-    if let Some((fits, training, evaluation)) = &learned {
-        grasps::demonstrations(&mut page, twin, asset, fits)?;
-        grasps::training(&mut page, training);
-        grasps::evaluation(&mut page, twin, asset, evaluation)?;
-        if let Some(trial) = &trial {
-            trial::section(&mut page, twin, asset, trial)?;
-        }
-        hand::section(&mut page, twin)?;
+    if let Some(learned) = &learned {
+        grasps::demonstrations(&mut page, twin, asset, &learned.fits)?;
+        grasps::training(&mut page, &learned.training);
+        grasps::evaluation(&mut page, twin, asset, &learned.evaluation)?;
+        trial::section(&mut page, twin, asset, &learned.trial)?;
+        hand::section(&mut page, twin, &learned.execution)?;
     }
     provenance(&mut page, twin);
     Ok(page.to_html())

@@ -4,6 +4,7 @@ use anyhow::Result;
 use drex_mesh::Asset;
 use serde_json::{Map, Value, json};
 
+use super::Learned;
 use super::page::Page;
 use super::push::verdict_text;
 use crate::twin::{
@@ -138,7 +139,7 @@ fn execution_line(execution: &ExecutionFile) -> String {
     match &execution.not_driven {
         Some(reason) => format!("{} did not move: {reason}", execution.hand),
         None => {
-            let touched = execution.driven["contacts"].as_array().map_or(0, Vec::len);
+            let touched = execution.contacts.len();
             let most = execution.force_limits.iter().copied().fold(0.0, f64::max);
             let became = if execution.held { "held" } else { "did not hold" };
             format!(
@@ -150,13 +151,7 @@ fn execution_line(execution: &ExecutionFile) -> String {
 }
 
 /// The row of figures at the head of the page.
-pub fn figures(
-    page: &mut Page,
-    asset: &Asset,
-    mass: &MassFile,
-    learned: Option<(&FitFile, &Evaluation)>,
-    trial: Option<&TrialFile>,
-) {
+pub fn figures(page: &mut Page, asset: &Asset, mass: &MassFile, learned: Option<&Learned>) {
     let remark = match (mass.source, mass.ci95_kg) {
         (MassSource::Identified, Some([lo, hi])) => {
             format!("identified; 95 % interval {:.1} to {:.1} g", 1e3 * lo, 1e3 * hi)
@@ -171,25 +166,19 @@ pub fn figures(
             format!("{}; {}", super::closing_text(&asset.report), super::pieces_text(asset)),
         ),
     ];
-    if let Some((fits, evaluation)) = learned {
-        let squeeze: Vec<f64> = evaluation.demonstrations.iter().filter_map(|g| g.check.squeeze_n).collect();
+    if let Some(Learned { fits, trial, .. }) = learned {
         all.push((
             format!("{} / {}", fits.accepted, fits.demonstrations),
             if fits.clips.is_empty() { "demonstrations" } else { "grasps" }.to_owned() + " that fit the object",
             "thumb and two fingers on the surface".to_owned(),
         ));
+        let newtons = |n: Option<f64>| n.map_or("-".to_owned(), |n| format!("{n:.1} N"));
+        let (squeeze_n, held_n) = squeezes(trial);
         all.push((
-            median(squeeze).map_or("-".to_owned(), |n| format!("{n:.2} N")),
-            "smallest squeeze (median)".to_owned(),
-            format!("sum of normal forces, friction {}", evaluation.friction),
+            newtons(squeeze_n),
+            "squeeze (median)".to_owned(),
+            format!("commanded, sum of normal forces; {} delivered in the hold", newtons(held_n)),
         ));
-        all.push((
-            passed(&evaluation.refined),
-            "predicted grasps pass the static check".to_owned(),
-            format!("{} before refinement", passed(&evaluation.predicted)),
-        ));
-    }
-    if let Some(trial) = trial {
         let [low, high] = trial.interval;
         all.push((
             format!("{} of {}", trial.held, trial.n),

@@ -28,7 +28,7 @@ pub fn make(twin: &Twin) -> Result<Vec<PathBuf>> {
         closing_limits: Vec::new(),
         force_limits: Vec::new(),
         held: false,
-        driven: serde_json::Value::Null,
+        contacts: Vec::new(),
     };
     if execution.not_driven.is_some() {
         write_json(&file, &execution)?;
@@ -39,7 +39,7 @@ pub fn make(twin: &Twin) -> Result<Vec<PathBuf>> {
     (execution.open_rad, execution.closed_rad) = (reach.open, reach.closed);
     (execution.closing_limits, execution.force_limits) = (limits.closing, limits.force);
     if let Some(done) = done {
-        (execution.held, execution.driven) = (done.held(), done.json(&grasp.joint_names));
+        (execution.held, execution.contacts) = (done.held(), done.contacts(&grasp.joint_names));
     }
     write_json(&file, &execution)?;
     Ok(vec![told, file, log])

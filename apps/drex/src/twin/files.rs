@@ -11,6 +11,7 @@ use drex_sysid::{Identification, MassPrior};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use crate::commands::hw::ContactRecord;
 use crate::scan::FrameReport;
 
 /// Result of the scan stage.
@@ -355,8 +356,8 @@ pub struct ExecutionFile {
     pub force_limits: Vec<f64>,
     /// Whether the fingers touched and the object was held to the end.
     pub held: bool,
-    /// What the control loop says of it: contacts, efforts, timing.
-    pub driven: serde_json::Value,
+    /// The joints that touched.
+    pub contacts: Vec<ContactRecord>,
 }
 
 /// Writes a value as indented JSON.

@@ -11,6 +11,7 @@ use drex_hw::emulator::leap::LeapEmulator;
 use drex_hw::leap::LeapHand;
 use drex_hw::{Clock, Hand};
 use drex_robot::Robot;
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::drive::{Run, account, drive, stats};
@@ -23,6 +24,21 @@ pub struct Done {
     outcome: GraspOutcome,
     report: LoopReport,
     force: Vec<f64>,
+}
+
+/// A joint that touched.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct ContactRecord {
+    /// Its name.
+    pub joint: String,
+    /// When, from the start of the grasp, s.
+    pub time_s: f64,
+    /// Where, rad.
+    pub position_rad: f64,
+    /// How hard it may press: mA or N m.
+    pub effort_limit: f64,
+    /// How hard it pressed in the hold.
+    pub held_effort: Option<f64>,
 }
 
 /// Opens, closes until the fingers touch, presses with the force, holds, opens.
@@ -85,14 +101,9 @@ impl Done {
         !self.outcome.missed && !self.outcome.lost
     }
 
-    /// Joints that touched.
-    pub fn touching(&self) -> usize {
-        self.outcome.contacts.iter().flatten().count()
-    }
-
     /// In words; efforts in `unit`.
     pub fn text(&self, joints: &[String], unit: &str) -> String {
-        let touching = self.touching();
+        let touching = self.outcome.contacts.iter().flatten().count();
         let mut text = match (self.outcome.missed, self.outcome.lost) {
             (true, _) => format!("  grasp    missed: {touching} joints touched; the hand opened again\n"),
             (_, true) => "  grasp    lost while it held; the hand opened\n".to_owned(),
@@ -110,23 +121,30 @@ impl Done {
         text + &account(&self.report, joints)
     }
 
-    /// For programs.
-    pub fn json(&self, joints: &[String]) -> Value {
-        let contacts: Vec<Value> = joints
+    /// The joints that touched.
+    pub fn contacts(&self, joints: &[String]) -> Vec<ContactRecord> {
+        joints
             .iter()
             .zip(&self.outcome.contacts)
             .enumerate()
             .filter_map(|(j, (name, contact))| {
                 let contact = contact.as_ref()?;
-                let held = self.outcome.held_effort.get(j);
-                Some(json!({
-                    "joint": name, "time_s": contact.time_s, "position_rad": contact.position, "effort_limit": self.force[j],
-                    "held_effort": held,
-                }))
+                Some(ContactRecord {
+                    joint: name.clone(),
+                    time_s: contact.time_s,
+                    position_rad: contact.position,
+                    effort_limit: self.force[j],
+                    held_effort: self.outcome.held_effort.get(j).copied(),
+                })
             })
-            .collect();
+            .collect()
+    }
+
+    /// For programs.
+    pub fn json(&self, joints: &[String]) -> Value {
         json!({
-            "missed": self.outcome.missed, "lost": self.outcome.lost, "contacts": contacts, "loop": stats(&self.report),
+            "missed": self.outcome.missed, "lost": self.outcome.lost, "contacts": self.contacts(joints),
+            "loop": stats(&self.report),
         })
     }
 }

@@ -20,7 +20,7 @@ use drex_hw::{EffortUnit, Hand, HandState};
 use drex_robot::Robot;
 
 pub use drive::Run;
-pub use grasp::{Done, grasp, grasp_emulated};
+pub use grasp::{ContactRecord, Done, grasp, grasp_emulated};
 
 use crate::cli::{AllegroArg, HandArg, HwCommand, LinkArgs};
 use crate::ui::Ui;
