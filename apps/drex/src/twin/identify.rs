@@ -13,9 +13,18 @@ use super::{MassFile, MassSource, Twin};
 use crate::object::model_of;
 use crate::ui::Ui;
 
-/// What a push asks of the object's shape: where its weight acts, and how high the push does.
-const OF_THE_SHAPE: [Parameter; 4] =
-    [Parameter::CenterX, Parameter::CenterY, Parameter::CenterZ, Parameter::ContactHeight];
+/// What a push takes from the object's shape: where its weight acts, where it stands, how high the push acts; metres.
+const OF_THE_SHAPE: [Parameter; 7] = [
+    Parameter::CenterX,
+    Parameter::CenterY,
+    Parameter::CenterZ,
+    Parameter::StartX,
+    Parameter::StartY,
+    Parameter::StartZ,
+    Parameter::ContactHeight,
+];
+/// How it stands on a bottom that is as rough as the scan: known to a factor of e.
+const OF_THE_BOTTOM: [Parameter; 2] = [Parameter::ContactStiffness, Parameter::ContactDamping];
 
 /// Of [`super::files::ScanFile`], how well the mesh is known.
 #[derive(Deserialize)]
@@ -60,8 +69,9 @@ fn as_scanned(recording: &mut PushRecording, sd_m: f64) {
     if !matches!(recording.drive, Drive::Force(_) | Drive::Finger(_)) {
         return;
     }
-    for parameter in OF_THE_SHAPE {
-        let expected = StatedParameter::Expected { mean: 0.0, sd: sd_m };
+    let shape = OF_THE_SHAPE.map(|p| (p, StatedParameter::Expected { mean: 0.0, sd: sd_m }));
+    let bottom = OF_THE_BOTTOM.map(|p| (p, StatedParameter::Expected { mean: 1.0, sd: 1.0 }));
+    for (parameter, expected) in shape.into_iter().chain(bottom) {
         recording.parameters.entry(parameter.as_str().to_owned()).or_insert(expected);
     }
 }
