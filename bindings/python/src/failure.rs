@@ -1,0 +1,120 @@
+//! Errors of the libraries as Python exceptions.
+
+use std::io::ErrorKind;
+use std::path::PathBuf;
+
+use pyo3::PyErr;
+use pyo3::exceptions::{PyOSError, PyValueError};
+
+pyo3::create_exception!(
+    drex,
+    Error,
+    PyValueError,
+    "What drex refuses: a damaged file, an impossible number, arrays that do not fit. The message says what is wrong and what to do."
+);
+
+/// What ends a call.
+#[derive(Debug)]
+pub(crate) enum Failure {
+    /// A file could not be read or written: `OSError`, or its kind that fits.
+    File { errno: Option<i32>, what: String, path: PathBuf },
+    /// `drex.Error` with the library's message.
+    Refused(String),
+    /// An exception that Python itself raised, such as `KeyboardInterrupt`.
+    Python(PyErr),
+}
+
+/// Result of everything that Python calls.
+pub(crate) type Result<T, E = Failure> = std::result::Result<T, E>;
+
+/// POSIX's number for a file that is not there.
+const ENOENT: i32 = 2;
+
+/// A refusal of this package's own.
+pub(crate) fn refused<T>(what: impl Into<String>) -> Result<T> {
+    Err(Failure::Refused(what.into()))
+}
+
+impl From<Failure> for PyErr {
+    fn from(failure: Failure) -> Self {
+        match failure {
+            // From a number, Python makes FileNotFoundError, PermissionError and so on.
+            Failure::File { errno: Some(number), what, path } => PyOSError::new_err((number, what, path)),
+            Failure::File { errno: None, what, path } => PyOSError::new_err(format!("{}: {what}", path.display())),
+            Failure::Refused(what) => Error::new_err(what),
+            Failure::Python(error) => error,
+        }
+    }
+}
+
+impl From<PyErr> for Failure {
+    fn from(error: PyErr) -> Self {
+        Self::Python(error)
+    }
+}
+
+impl From<drex_core::Error> for Failure {
+    fn from(error: drex_core::Error) -> Self {
+        match error {
+            drex_core::Error::Io { action, path, source } => {
+                let missing = (source.kind() == ErrorKind::NotFound).then_some(ENOENT);
+                Self::File {
+                    errno: source.raw_os_error().or(missing),
+                    what: format!("cannot {action}: {source}"),
+                    path,
+                }
+            }
+            other => Self::Refused(other.to_string()),
+        }
+    }
+}
+
+impl From<drex_mesh::Error> for Failure {
+    fn from(error: drex_mesh::Error) -> Self {
+        match error {
+            drex_mesh::Error::Core(inner) => inner.into(),
+            other => Self::Refused(other.to_string()),
+        }
+    }
+}
+
+impl From<drex_robot::Error> for Failure {
+    fn from(error: drex_robot::Error) -> Self {
+        match error {
+            drex_robot::Error::Core(inner) => inner.into(),
+            other => Self::Refused(other.to_string()),
+        }
+    }
+}
+
+impl From<drex_retarget::RetargetError> for Failure {
+    fn from(error: drex_retarget::RetargetError) -> Self {
+        match error {
+            drex_retarget::RetargetError::File(inner) => inner.into(),
+            drex_retarget::RetargetError::Robot(inner) => inner.into(),
+            other => Self::Refused(other.to_string()),
+        }
+    }
+}
+
+impl From<drex_sysid::SysidError> for Failure {
+    fn from(error: drex_sysid::SysidError) -> Self {
+        match error {
+            drex_sysid::SysidError::Core(inner) => inner.into(),
+            drex_sysid::SysidError::Robot(inner) => inner.into(),
+            other => Self::Refused(other.to_string()),
+        }
+    }
+}
+
+impl From<drex_diffsim::SimError> for Failure {
+    fn from(error: drex_diffsim::SimError) -> Self {
+        Self::Refused(error.to_string())
+    }
+}
+
+impl From<serde_json::Error> for Failure {
+    fn from(error: serde_json::Error) -> Self {
+        Self::Refused(format!("the answer cannot be written as JSON: {error}"))
+    }
+}

@@ -1,0 +1,35 @@
+//! The Python package `drex`: masses from recorded pushes, hands of people on robot hands, sim-ready assets, simulation with
+//! derivatives, kinematics. What it offers is in `python/drex/_drex.pyi`, how to use it in `README.md`.
+
+mod arrays;
+mod failure;
+mod mesh;
+mod retarget;
+mod robot;
+mod simulate;
+mod sysid;
+mod watch;
+
+/// The compiled part of the package `drex`.
+#[pyo3::pymodule]
+mod _drex {
+    #[pymodule_export]
+    use crate::failure::Error;
+    #[pymodule_export]
+    use crate::mesh::{Asset, MeshCheck, mesh_asset, mesh_check};
+    #[pymodule_export]
+    use crate::retarget::{Retargeter, Retargeting, retarget};
+    #[pymodule_export]
+    use crate::robot::Robot;
+    #[pymodule_export]
+    use crate::simulate::{Motion, simulate};
+    #[pymodule_export]
+    use crate::sysid::{Identification, Push, PushReport, identify};
+
+    /// The version of the package, where Python looks for it.
+    #[pymodule_init]
+    fn init(module: &pyo3::Bound<'_, pyo3::types::PyModule>) -> pyo3::PyResult<()> {
+        use pyo3::types::PyModuleMethods;
+        module.add("__version__", env!("CARGO_PKG_VERSION"))
+    }
+}
