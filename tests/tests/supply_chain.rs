@@ -38,29 +38,38 @@ struct Skip {
     reason: String,
 }
 
-/// (name, version, licence expression) of every package in the normal and build dependency graph.
-fn packages() -> BTreeSet<(String, String, String)> {
+/// (name, version, licence expression) of a package.
+type Packages = BTreeSet<(String, String, String)>;
+
+/// Every package in the normal and build dependency graph of the workspace.
+fn packages() -> Packages {
+    // The features that bring in packages of their own; listing them needs no library.
+    graph(&["--workspace", "--features", "drex-diffsim/mujoco,drex-splat/wgpu"]).unwrap()
+}
+
+/// The same of the Python package, a workspace of its own; none if what it needs has not been fetched here.
+fn python_packages() -> Packages {
+    graph(&["--manifest-path", "bindings/python/Cargo.toml"]).unwrap_or_else(|reason| {
+        assert!(!reason.contains("--locked"), "bindings/python/Cargo.lock is out of date: {reason}");
+        println!("skipped the Python package, `cargo fetch` it first: {reason}");
+        Packages::new()
+    })
+}
+
+/// The packages that `cargo tree` lists with these arguments, from what is on this machine.
+fn graph(arguments: &[&str]) -> Result<Packages, String> {
     let output = Command::new(env!("CARGO"))
-        .args([
-            "tree",
-            "--workspace",
-            "--locked",
-            "--offline",
-            "--edges",
-            "normal,build",
-            // The features that bring in packages of their own; listing them needs no library.
-            "--features",
-            "drex-diffsim/mujoco,drex-splat/wgpu",
-            "--prefix",
-            "none",
-            "--no-dedupe",
-        ])
+        .arg("tree")
+        .args(arguments)
+        .args(["--locked", "--offline", "--edges", "normal,build", "--prefix", "none", "--no-dedupe"])
         .args(["--format", "{p}|{l}"])
         .current_dir(workspace_root())
         .output()
         .unwrap();
-    assert!(output.status.success(), "cargo tree: {}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout)
+    if !output.status.success() {
+        return Err(String::from_utf8_lossy(&output.stderr).into_owned());
+    }
+    Ok(String::from_utf8(output.stdout)
         .unwrap()
         .lines()
         .filter(|l| !l.trim().is_empty())
@@ -70,7 +79,7 @@ fn packages() -> BTreeSet<(String, String, String)> {
             let (name, version) = (words.next().unwrap(), words.next().unwrap());
             (name.to_owned(), version.trim_start_matches('v').to_owned(), license.trim().to_owned())
         })
-        .collect()
+        .collect())
 }
 
 fn deny() -> Deny {
@@ -137,7 +146,8 @@ fn licence_expressions_are_understood() {
 fn every_dependency_has_an_allowed_licence() {
     let deny = deny();
     let refused: Vec<String> = packages()
-        .into_iter()
+        .union(&python_packages())
+        .cloned()
         .filter(|(name, _, license)| {
             let excepted = deny.licenses.exceptions.iter().find(|e| e.name == *name);
             !satisfied(license, &|l| {
@@ -153,10 +163,14 @@ fn every_dependency_has_an_allowed_licence() {
 fn every_duplicate_version_has_a_reason() {
     let deny = deny();
     assert!(deny.bans.skip.iter().all(|s| !s.reason.is_empty()));
-    let mut versions: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
-    for (name, version, _) in packages() {
-        versions.entry(name).or_default().insert(version);
-    }
+    let by_name = |packages: Packages| {
+        let mut versions: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+        for (name, version, _) in packages {
+            versions.entry(name).or_default().insert(version);
+        }
+        versions
+    };
+    let (versions, python) = (by_name(packages()), by_name(python_packages()));
     let skipped = |name: &str, version: &str| {
         deny.bans.skip.iter().any(|s| {
             s.spec.split_once('@').is_some_and(|(n, v)| {
@@ -166,6 +180,7 @@ fn every_duplicate_version_has_a_reason() {
     };
     let unexplained: Vec<String> = versions
         .iter()
+        .chain(&python)
         .filter(|(name, all)| all.iter().filter(|v| !skipped(name, v)).count() > 1)
         .map(|(name, all)| format!("{name}: {all:?}"))
         .collect();

@@ -1,0 +1,84 @@
+"""The package as a whole: names, stubs, documentation, the examples of the README, Ctrl-C."""
+
+import inspect
+import os
+import pathlib
+import re
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+import unittest
+
+import drex
+from support import DATA, TIN_PUSH, Case
+
+README = pathlib.Path(__file__).resolve().parents[1] / "README.md"
+
+
+class Package(Case):
+    def test_everything_is_documented_and_typed(self):
+        folder = pathlib.Path(drex.__file__).parent
+        self.assertTrue((folder / "py.typed").is_file())
+        stubs = (folder / "_drex.pyi").read_text()
+        for name in drex.__all__:
+            thing = getattr(drex, name)
+            if name.startswith("__"):
+                continue
+            self.assertTrue(inspect.getdoc(thing), name)
+            self.assertRegex(stubs, rf"(class|def) {name}\b")
+            if inspect.isclass(thing) and thing is not drex.Error:
+                for member, value in vars(thing).items():
+                    if not member.startswith("_"):
+                        self.assertTrue(inspect.getdoc(value), f"{name}.{member}")
+                        self.assertRegex(stubs, rf"def {member}\b")
+        self.assertTrue(issubclass(drex.Error, ValueError))
+        self.assertRegex(drex.__version__, r"^\d+\.\d+\.\d+")
+
+    def test_the_examples_of_the_readme_run(self):
+        blocks = re.findall(r"^```python\n(.*?)^```", README.read_text(), re.S | re.M)
+        self.assertGreaterEqual(len(blocks), 6)
+        os.symlink(DATA, self.folder / "data")
+        # They run one after the other, as a reader would type them; the last lines check what the text promises.
+        checks = """
+            assert answer.verdict == "identified" and answer.ci95_kg[0] < 0.236 < answer.ci95_kg[1]
+            import pathlib
+            assert pathlib.Path("tin/asset/object.xml").is_file() and pathlib.Path("tin/asset/object.urdf").is_file()
+            assert again.ci95_kg[0] < asset.mass_kg < again.ci95_kg[1], (asset.mass_kg, again.ci95_kg)
+            assert hand.flags[0]["flag"] == "no_hand"
+        """
+        script = "\n".join(blocks) + textwrap.dedent(checks)
+        done = subprocess.run([sys.executable, "-c", script], cwd=self.folder, capture_output=True, text=True)
+        self.assertEqual(done.returncode, 0, done.stderr)
+
+    @unittest.skipIf(sys.platform == "win32", "signals of POSIX")
+    def test_ctrl_c_ends_a_long_call(self):
+        # A simulation of hours.
+        script = textwrap.dedent("""
+            import drex, sys
+            asset = drex.mesh_asset(([[0, 0, 0], [.1, 0, 0], [0, .1, 0], [0, 0, .1]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
+            print("ready", flush=True)
+            try:
+                drex.simulate(asset, times_s=[1e5])
+            except KeyboardInterrupt:
+                print("interrupted", flush=True)
+        """)
+        with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as process:
+            self.assertEqual(process.stdout.readline().strip(), "ready")
+            time.sleep(0.5)
+            begin = time.monotonic()
+            process.send_signal(signal.SIGINT)
+            self.assertEqual(process.stdout.readline().strip(), "interrupted")
+            process.wait(timeout=60)
+            self.assertLess(time.monotonic() - begin, 30)
+            self.assertEqual(process.returncode, 0)
+
+    def test_the_seed_decides(self):
+        one, two = drex.identify(TIN_PUSH, seed=1).to_dict(), drex.identify(TIN_PUSH, seed=1).to_dict()
+        one.pop("seconds"), two.pop("seconds")
+        self.assertEqual(one, two)
+
+
+if __name__ == "__main__":
+    unittest.main()
