@@ -121,6 +121,11 @@ pub(crate) enum Poses {
 
 /// A pose, or one per row.
 pub(crate) fn one_pose_or_several(what: &'static str, value: &Bound<'_, PyAny>) -> Result<Poses> {
+    poses_or(what, value, &format!("{ONE_POSE}, or {POSES}"))
+}
+
+/// A pose or several; for another shape, what is `wanted`.
+fn poses_or(what: &'static str, value: &Bound<'_, PyAny>, wanted: &str) -> Result<Poses> {
     let numbers = Numbers::of(what, value)?.finite()?;
     let about = |i: usize, e: drex_core::Error| Failure::Refused(format!("{what}, pose {i}: {e}"));
     Ok(match numbers.shape[..] {
@@ -142,13 +147,13 @@ pub(crate) fn one_pose_or_several(what: &'static str, value: &Bound<'_, PyAny>) 
                 .map(|(i, m)| of_matrix(m).map_err(|e| about(i, e)))
                 .collect::<Result<_>>()?,
         ),
-        _ => return numbers.wrong_shape(POSES),
+        _ => return numbers.wrong_shape(wanted),
     })
 }
 
 /// One pose.
 pub(crate) fn pose(what: &'static str, value: &Bound<'_, PyAny>) -> Result<Pose> {
-    match one_pose_or_several(what, value)? {
+    match poses_or(what, value, ONE_POSE)? {
         Poses::One(pose) => Ok(pose),
         Poses::Several(_) => Numbers::of(what, value)?.wrong_shape(ONE_POSE),
     }
@@ -156,7 +161,7 @@ pub(crate) fn pose(what: &'static str, value: &Bound<'_, PyAny>) -> Result<Pose>
 
 /// One pose per row.
 pub(crate) fn poses(what: &'static str, value: &Bound<'_, PyAny>) -> Result<Vec<Pose>> {
-    match one_pose_or_several(what, value)? {
+    match poses_or(what, value, POSES)? {
         Poses::Several(poses) => Ok(poses),
         Poses::One(_) => Numbers::of(what, value)?.wrong_shape(POSES),
     }

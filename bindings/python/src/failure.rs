@@ -39,7 +39,9 @@ impl From<Failure> for PyErr {
     fn from(failure: Failure) -> Self {
         match failure {
             // From a number, Python makes FileNotFoundError, PermissionError and so on.
-            Failure::File { errno: Some(number), what, path } => PyOSError::new_err((number, what, path)),
+            Failure::File { errno: Some(number), what, path } => {
+                PyOSError::new_err((number, what, path.display().to_string()))
+            }
             Failure::File { errno: None, what, path } => PyOSError::new_err(format!("{}: {what}", path.display())),
             Failure::Refused(what) => Error::new_err(what),
             Failure::Python(error) => error,

@@ -1,5 +1,6 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from os import PathLike
+from pathlib import Path
 from typing import Any, Literal, TypeAlias, final
 
 import numpy as np
@@ -115,7 +116,7 @@ class Push:
     @property
     def name(self) -> str: ...
     @property
-    def mesh(self) -> PathLike[str] | None: ...
+    def mesh(self) -> Path | None: ...
     @property
     def times_s(self) -> _Floats: ...
     @property
