@@ -23,9 +23,6 @@ const OF_THE_SHAPE: [Parameter; 7] = [
     Parameter::StartZ,
     Parameter::ContactHeight,
 ];
-/// How it stands on a bottom that is as rough as the scan: known to a factor of e.
-const OF_THE_BOTTOM: [Parameter; 2] = [Parameter::ContactStiffness, Parameter::ContactDamping];
-
 /// Of [`super::files::ScanFile`], how well the mesh is known.
 #[derive(Deserialize)]
 struct Scanned {
@@ -69,9 +66,8 @@ fn as_scanned(recording: &mut PushRecording, sd_m: f64) {
     if !matches!(recording.drive, Drive::Force(_) | Drive::Finger(_)) {
         return;
     }
-    let shape = OF_THE_SHAPE.map(|p| (p, StatedParameter::Expected { mean: 0.0, sd: sd_m }));
-    let bottom = OF_THE_BOTTOM.map(|p| (p, StatedParameter::Expected { mean: 1.0, sd: 1.0 }));
-    for (parameter, expected) in shape.into_iter().chain(bottom) {
+    for parameter in OF_THE_SHAPE {
+        let expected = StatedParameter::Expected { mean: 0.0, sd: sd_m };
         recording.parameters.entry(parameter.as_str().to_owned()).or_insert(expected);
     }
 }
