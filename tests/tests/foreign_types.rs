@@ -20,7 +20,7 @@ use syn::visit::{self, Visit};
 const EVERYWHERE: [&str; 2] = ["nalgebra", "serde"];
 
 /// What else a crate may show, and why.
-const HERE: [(&str, &str, &str); 4] = [
+const HERE: [(&str, &str, &str); 3] = [
     (
         "drex-diffsim",
         "simba",
@@ -28,7 +28,6 @@ const HERE: [(&str, &str, &str); 4] = [
     ),
     ("drex-diffsim", "num_traits", "the same"),
     ("drex-diffsim", "approx", "the same"),
-    ("drex-diffsim", "num_dual", "behind a feature of that name, whose only purpose it is"),
 ];
 
 /// Names to crates: what the `use` lines of a file bring in from dependencies.

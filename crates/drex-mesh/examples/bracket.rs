@@ -28,7 +28,7 @@ fn main() -> Result<(), drex_mesh::Error> {
     options.mass_kg = Some(0.14);
     let asset = asset_from_mesh(&foot, &options)?;
     let report = &asset.report;
-    println!("found: {} openings, {} faces wound the wrong way", report.openings, report.repair.flipped_faces);
+    println!("openings: {}; faces wound the wrong way: {}", report.openings, report.repair.flipped_faces);
     println!(
         "volume {:.3} cm³, in truth {:.3}; the openings can be closed in ways that differ by {:.2} % of it",
         1e6 * report.volume_m3,

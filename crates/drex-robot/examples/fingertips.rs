@@ -33,7 +33,7 @@ fn run() -> Result<()> {
         let (linear, _) = hand.jacobian(&base_from_link, finger.tip_link, &tip); // 3 x dof, m/rad
         let arm = |&j: &usize| linear.column(j).norm();
         let Some(&joint) = finger.joints.iter().max_by(|a, b| arm(a).total_cmp(&arm(b))) else { continue };
-        let thumb = if finger.is_thumb { " (thumb)" } else { "" };
+        let thumb = if finger.is_thumb && finger.name != "thumb" { " (thumb)" } else { "" };
         let mm = 1e3 * tip.coords;
         print!("{}{thumb}: tip at {:.0}, {:.0}, {:.0} mm; ", finger.name, mm.x, mm.y, mm.z);
         print!("{} moves it {:.0} mm per rad", hand.joints[joint].name, 1e3 * arm(&joint));
