@@ -2,6 +2,7 @@
 
 mod bench;
 mod grasp;
+mod help;
 mod hw;
 mod retarget;
 
@@ -19,16 +20,21 @@ use nalgebra::{Point3, Similarity3};
 
 pub use bench::{BenchCommand, BenchCommon, DemosArgs, GraspBenchArgs};
 pub use grasp::{DeployArgs, GraspArgs};
+pub use help::command;
 pub use hw::{
     AllegroArg, CalibrateArgs, EmulateArgs, HandArg, HandArgs, HwCommand, LinkArgs, MoveArgs, RecordArgs, RunArgs,
 };
 pub use retarget::{DetectorArg, HandsArgs, ObjectiveArg, ReadingArgs, RetargetArgs};
 
 /// From a scan, a recorded push and human grasps to a weighed digital twin and a grasp with the right force.
-///
-/// Exit status: 0 done (a verdict such as "not identifiable" is an answer), 1 failed, 2 wrong usage.
 #[derive(Debug, Parser)]
-#[command(name = "drex", version, max_term_width = 110)]
+#[command(
+    name = "drex",
+    version,
+    max_term_width = 110,
+    after_help = "drex SUBCOMMAND --help says more, with examples; drex doctor says what this machine has and lacks.\n\
+        Exit status: 0 done (a verdict such as \"not identifiable\" is an answer), 1 failed, 2 wrong usage."
+)]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]
@@ -40,6 +46,7 @@ pub struct Cli {
 
 /// Options that every subcommand takes.
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Everywhere")]
 pub struct Common {
     /// Print one JSON object on stdout; everything else goes to stderr.
     #[arg(long, global = true)]
@@ -101,6 +108,26 @@ pub enum Command {
     Bench(BenchCommand),
     /// Say what is on this machine and what is missing for which feature.
     Doctor,
+    /// Print the completions of a shell; where they belong is in the long help.
+    ///
+    /// bash: drex completions bash > ~/.local/share/bash-completion/completions/drex
+    /// zsh:  drex completions zsh > ~/.zfunc/_drex, with `fpath+=~/.zfunc` before `compinit` in ~/.zshrc
+    /// fish: drex completions fish > ~/.config/fish/completions/drex.fish
+    #[command(verbatim_doc_comment)]
+    Completions {
+        /// The shell.
+        shell: clap_complete::Shell,
+    },
+    /// Print the manual page of drex, or write those of all subcommands.
+    Man(ManArgs),
+}
+
+/// `drex man`.
+#[derive(Debug, Args)]
+pub struct ManArgs {
+    /// Folder for drex.1 and a page for each subcommand, such as ~/.local/share/man/man1.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
 }
 
 /// `drex reconstruct`.
@@ -239,7 +266,7 @@ pub struct AssetArgs {
     #[arg(long, value_name = "X,Y,Z", value_parser = direction, allow_hyphen_values = true)]
     pub up: Option<[f64; 3]>,
     /// Coulomb friction written into the MJCF [default: the manifest's, or 0.5].
-    #[arg(long, value_parser = positive)]
+    #[arg(long, value_name = "MU", value_parser = positive)]
     pub friction: Option<f64>,
     /// MJCF of a robot to put into asset/scene.xml, by reference.
     #[arg(long, value_name = "FILE")]
@@ -325,7 +352,7 @@ pub struct MeshConvertArgs {
 #[derive(Debug, Args)]
 pub struct MeshPictureArgs {
     /// STL, OBJ, PLY, GLTF or GLB files.
-    #[arg(required = true)]
+    #[arg(required = true, value_name = "FILE")]
     pub files: Vec<PathBuf>,
     /// PNG file to write.
     #[arg(long, value_name = "FILE")]
@@ -345,7 +372,7 @@ pub struct MeshPictureArgs {
 #[derive(Debug, Args)]
 pub struct IdentifyArgs {
     /// push.toml, or a folder with push.toml, meta.json or run.json; several pushes of one object are used together.
-    #[arg(required = true)]
+    #[arg(required = true, value_name = "PUSH")]
     pub pushes: Vec<PathBuf>,
     /// Which pose track of a simulated recording to use.
     #[arg(long, default_value = "noisy", value_name = "noisy|hard|clean")]
@@ -452,7 +479,7 @@ pub struct PlanPushArgs {
 #[derive(Debug, Args)]
 pub struct CalibrateHandArgs {
     /// Runs of one hand, each a push.toml or a folder as `identify` takes them, or a folder of such folders.
-    #[arg(required = true)]
+    #[arg(required = true, value_name = "RUN")]
     pub runs: Vec<PathBuf>,
     /// Where to write the calibration (JSON).
     #[arg(long, value_name = "FILE")]
@@ -573,7 +600,8 @@ pub struct ImportArgs {
 pub enum ImportSource {
     /// Recordings of the D-REX authors: a folder with runs/, objects/ and demos/, or one run's folder.
     DRex {
-        /// The folder.
+        /// The folder of the recordings; every run in it has a run.json.
+        #[arg(value_name = "RECORDINGS")]
         dir: PathBuf,
         /// Where to make one twin folder per object.
         #[arg(long, value_name = "DIR")]

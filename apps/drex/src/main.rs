@@ -14,13 +14,16 @@ mod ui;
 
 use std::process::ExitCode;
 
-use clap::Parser;
+use clap::FromArgMatches;
 
 use crate::cli::{Cli, Command};
 use crate::ui::Ui;
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = match Cli::from_arg_matches(&cli::command().get_matches()) {
+        Ok(cli) => cli,
+        Err(error) => error.exit(),
+    };
     let ui = Ui::new(cli.common.json, cli.common.verbose);
     match run(&cli, &ui) {
         Ok(()) => ExitCode::SUCCESS,
@@ -57,5 +60,7 @@ fn run(cli: &Cli, ui: &Ui) -> anyhow::Result<()> {
         Command::Hw(command) => commands::hw::run(command, ui),
         Command::Bench(command) => commands::bench::run(command, seed, ui),
         Command::Doctor => commands::doctor::run(ui),
+        Command::Completions { shell } => commands::shell::completions(*shell, ui),
+        Command::Man(args) => commands::shell::man(args, ui),
     }
 }

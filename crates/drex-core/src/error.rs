@@ -10,7 +10,7 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 #[non_exhaustive]
 pub enum Error {
     /// A file could not be read, created or replaced.
-    #[error("cannot {action} {}: {source}", path.display())]
+    #[error("cannot {action} {}: {source}{}", path.display(), remedy(source))]
     Io {
         /// "read", "write", "create"…
         action: &'static str,
@@ -40,6 +40,19 @@ pub enum Error {
         /// What to do about it.
         remedy: String,
     },
+}
+
+/// What to do about what the operating system says, where there is something to be done.
+fn remedy(source: &std::io::Error) -> &'static str {
+    use std::io::ErrorKind;
+    match source.kind() {
+        ErrorKind::NotFound => "; check the path",
+        ErrorKind::PermissionDenied => "; get the right to do so, or choose another place",
+        ErrorKind::NotADirectory => "; choose another place, a file is where a folder should be",
+        ErrorKind::IsADirectory => "; give a file, this is a folder",
+        ErrorKind::StorageFull => "; make room or choose another disk",
+        _ => "",
+    }
 }
 
 impl Error {

@@ -11,6 +11,7 @@ use super::{LinkArgs, RunArgs, pose, positive};
 #[derive(Debug, Args)]
 pub struct GraspArgs {
     /// twin.toml or its folder, after `drex train`; or the folder of a policy, with --mesh.
+    #[arg(value_name = "TWIN|POLICY")]
     pub twin_or_policy: PathBuf,
     /// Mesh of the object, for the folder of a policy; metres, z up.
     #[arg(long, value_name = "FILE")]

@@ -17,7 +17,7 @@ pub enum HwCommand {
     Move(MoveArgs),
     /// Write angles and efforts to a joint log, the hand limp or playing a log.
     Record(RecordArgs),
-    /// Find the law of current and torque from measured pairs.
+    /// Find the law of current and torque of a motor from measured pairs.
     Calibrate(CalibrateArgs),
     /// Be a hand without hardware, at a pseudo-terminal, until Ctrl-C.
     Emulate(EmulateArgs),
@@ -44,7 +44,7 @@ pub struct LinkArgs {
     #[arg(long, value_name = "N", default_value_t = Self::BAUD, value_parser = clap::value_parser!(u32).range(9_600..=10_500_000))]
     pub baud: u32,
     /// Generation of the Allegro hand.
-    #[arg(long, value_enum, default_value_t = AllegroArg::V4)]
+    #[arg(long, value_enum, value_name = "VERSION", default_value_t = AllegroArg::V4)]
     pub allegro: AllegroArg,
     /// No joint presses with more than this: mA for LEAP, N m for Allegro [default: what the hand's maker recommends].
     #[arg(long, value_name = "EFFORT", value_parser = positive)]
@@ -144,7 +144,7 @@ pub struct EmulateArgs {
     #[arg(long, value_name = "PATH")]
     pub link: Option<PathBuf>,
     /// Generation of the Allegro hand.
-    #[arg(long, value_enum, default_value_t = AllegroArg::V4)]
+    #[arg(long, value_enum, value_name = "VERSION", default_value_t = AllegroArg::V4)]
     pub allegro: AllegroArg,
     /// Speed of the LEAP bus; without it answers come at once.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(9_600..=10_500_000))]

@@ -24,7 +24,7 @@ pub struct HandsArgs {
     #[arg(long, value_name = "PROGRAM", default_value = "python3")]
     pub python: String,
     /// Least confidence of a detection, 0 to 1 (mediapipe).
-    #[arg(long, default_value_t = 0.5)]
+    #[arg(long, value_name = "P", default_value_t = 0.5)]
     pub confidence: f64,
     /// Ending of the file that the command writes: json, jsonl, npz, npy or csv.
     #[arg(long, value_name = "ENDING", default_value = "json")]
@@ -121,7 +121,7 @@ pub struct ReadingArgs {
     #[arg(long, value_enum, default_value_t = OrderArg::Openpose)]
     pub order: OrderArg,
     /// Frames per second [default: what the file says, or 30].
-    #[arg(long, value_parser = positive)]
+    #[arg(long, value_name = "HZ", value_parser = positive)]
     pub fps: Option<f64>,
     /// First and last frame to take, such as 24-73, counted from 0.
     #[arg(long, value_name = "A-B", value_parser = frames)]

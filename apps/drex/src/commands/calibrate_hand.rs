@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use drex_core::push::{Drive, InputChoice, PushRecording};
 use drex_robot::Robot;
 use drex_sysid::calibrate::{CalibrateOptions, HandCalibration, HandRun, hand};
@@ -21,7 +21,12 @@ pub fn run(args: &CalibrateHandArgs, ui: &Ui) -> Result<()> {
     }
     let mut model = None::<String>;
     for recording in &recordings {
-        let Drive::Hand(push) = &recording.drive else { bail!("{} was not pushed by a logged hand", recording.name) };
+        let Drive::Hand(push) = &recording.drive else {
+            bail!(
+                "{} was not pushed by a logged hand, so it says nothing about joints; give runs with a joint log ([hand] in push.toml)",
+                recording.name
+            )
+        };
         match &model {
             None => model = Some(push.robot.clone()),
             Some(first) if *first != push.robot => {
@@ -48,7 +53,7 @@ fn pushes(path: &Path) -> Result<Vec<PathBuf>> {
     if !path.is_dir() || is_push(path) {
         return Ok(vec![path.to_path_buf()]);
     }
-    let entries = std::fs::read_dir(path).with_context(|| format!("cannot list {}", path.display()))?;
+    let entries = std::fs::read_dir(path).map_err(|e| drex_core::Error::io("list", path, e))?;
     let mut below: Vec<PathBuf> = entries.filter_map(|e| Some(e.ok()?.path())).filter(|p| is_push(p)).collect();
     below.sort();
     if below.is_empty() {

@@ -62,7 +62,7 @@ fn find_runs(dir: &Path) -> Result<Vec<PathBuf>> {
         return Ok(vec![dir.to_path_buf()]);
     }
     let folder = if dir.join("runs").is_dir() { dir.join("runs") } else { dir.to_path_buf() };
-    let entries = std::fs::read_dir(&folder).with_context(|| format!("cannot list {}", folder.display()))?;
+    let entries = std::fs::read_dir(&folder).map_err(|e| drex_core::Error::io("list", &folder, e))?;
     let mut runs: Vec<PathBuf> =
         entries.filter_map(|e| Some(e.ok()?.path())).filter(|p| p.join("run.json").is_file()).collect();
     runs.sort();

@@ -1,6 +1,6 @@
 //! `drex mesh`: check, convert and look at meshes.
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use drex_core::{Pose, TriMesh, fsutil};
 use drex_mesh::{
     CheckOptions, DecimateOptions, RepairOptions, check_asset, check_file, decimate, read_mesh, repair, write_mesh,
@@ -77,6 +77,9 @@ fn convert(args: &MeshConvertArgs, ui: &Ui) -> Result<()> {
 
 /// A PNG of the meshes, each in a colour of its own.
 fn picture(args: &MeshPictureArgs, ui: &Ui) -> Result<()> {
+    if !args.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
+        bail!("--out {}: pictures are PNG; give a name that ends in .png", args.out.display());
+    }
     let meshes: Vec<TriMesh> = args.files.iter().map(|file| read_mesh(file)).collect::<Result<_, _>>()?;
     let parts: Vec<Part<'_>> = meshes
         .iter()

@@ -17,3 +17,4 @@ pub mod reconstruct;
 pub mod render;
 pub mod retarget;
 pub mod run;
+pub mod shell;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use drex_splat::capture::{self, Capture, CaptureOptions, CaptureReport, ColmapOptions, VideoOptions};
 use drex_splat::io::{read_gaussians, write_gaussians};
 use drex_splat::metrics::Table;
@@ -120,6 +120,9 @@ pub struct Programs<'a> {
 pub fn open(scan: &Path, out: &Path, within: &CaptureOptions, programs: &Programs<'_>, ui: &Ui) -> Result<Capture> {
     let mut colmap = ColmapOptions::default();
     colmap.program = programs.colmap.into();
+    if !scan.exists() {
+        bail!("there is no {}; give a folder with photos, or a video", scan.display());
+    }
     let spinner = ui.spinner("cameras");
     let mut show = |line: &str| spinner.set_message(line.to_owned());
     let mut folder = scan.to_path_buf();
@@ -135,7 +138,11 @@ pub fn open(scan: &Path, out: &Path, within: &CaptureOptions, programs: &Program
         } else {
             let mut video = VideoOptions::default();
             video.program = programs.ffmpeg.into();
-            let frames = capture::extract_frames(scan, &folder, &video, &mut show)?;
+            let made: Vec<&Path> = [folder.as_path(), out].into_iter().filter(|f| !f.exists()).collect();
+            let frames = capture::extract_frames(scan, &folder, &video, &mut show).inspect_err(|_| {
+                // Only empty folders go; one that stays is no error.
+                made.iter().for_each(|f| drop(std::fs::remove_dir(f)));
+            })?;
             ui.note(format!("{frames} frames of {}", scan.display()));
         }
     }

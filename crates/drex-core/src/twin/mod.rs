@@ -164,6 +164,10 @@ impl TwinManifest {
     /// [`TwinManifest::check`].
     pub fn load(path: &Path) -> Result<Self> {
         let file = if path.is_dir() { path.join(MANIFEST) } else { path.to_path_buf() };
+        if !file.exists() {
+            let remedy = "give a twin.toml or the folder that holds it; docs/formats.md says what is written into one";
+            return Err(Error::content(&file, None, "there is no such file", remedy));
+        }
         Self::parse(&file, &fsutil::read_text(&file)?)
     }
 

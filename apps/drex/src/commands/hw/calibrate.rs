@@ -32,12 +32,14 @@ fn pairs(text: &str, lever_m: Option<f64>) -> Result<Vec<Sample>> {
     let (_, head) = lines.next().context("the file is empty")?;
     let head: Vec<&str> = head.split(',').map(str::trim).collect();
     let find = |name: &str| head.iter().position(|h| *h == name);
-    let current = find("current_ma").context("there is no column current_ma")?;
+    let current = find("current_ma").context(
+        "there is no column current_ma; the first line names the columns: current_ma,torque_nm or current_ma,force_n",
+    )?;
     let (load, lever_m) = match (find("torque_nm"), find("force_n"), lever_m) {
         (Some(torque), _, _) => (torque, None),
         (None, Some(force), Some(lever)) => (force, Some(lever)),
         (None, Some(_), None) => bail!("a column of forces needs the lever arm: --lever M"),
-        (None, None, _) => bail!("there is neither a column torque_nm nor force_n"),
+        (None, None, _) => bail!("there is neither a column torque_nm nor force_n; add the one that was measured"),
     };
     let approach = find("approach");
     lines
