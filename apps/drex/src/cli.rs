@@ -67,7 +67,7 @@ pub struct Common {
 pub enum Command {
     /// Train Gaussians for looks and for geometry from photos, and write depth maps.
     Reconstruct(ReconstructArgs),
-    /// Make a sim-ready asset of a mesh or a scan: closed, convex pieces, mass properties, MJCF.
+    /// Make a sim-ready asset of a mesh or a scan: closed, in convex pieces, with mass properties, as MJCF.
     Asset(AssetArgs),
     /// Check, convert or look at meshes.
     #[command(subcommand)]
@@ -78,7 +78,9 @@ pub enum Command {
     PlanPush(PlanPushArgs),
     /// Find the joint friction of a hand in logs of its runs, for `identify --hand`.
     CalibrateHand(CalibrateHandArgs),
-    /// Draw Gaussians from cameras of a scan or on an orbit, with an object that moves if a trajectory is given.
+    /// Draw Gaussians from the cameras of a scan or on an orbit.
+    ///
+    /// With --object and --trajectory an object moves through the scene.
     Render(RenderArgs),
     /// Find a person's hand in a video, with a detector that is installed on this machine.
     Hands(HandsArgs),
@@ -108,12 +110,7 @@ pub enum Command {
     Bench(BenchCommand),
     /// Say what is on this machine and what is missing for which feature.
     Doctor,
-    /// Print the completions of a shell; where they belong is in the long help.
-    ///
-    /// bash: drex completions bash > ~/.local/share/bash-completion/completions/drex
-    /// zsh:  drex completions zsh > ~/.zfunc/_drex, with `fpath+=~/.zfunc` before `compinit` in ~/.zshrc
-    /// fish: drex completions fish > ~/.config/fish/completions/drex.fish
-    #[command(verbatim_doc_comment)]
+    /// Print the completions of a shell.
     Completions {
         /// The shell.
         shell: clap_complete::Shell,

@@ -35,7 +35,12 @@ const CASES: &[Case] = &[
     ("render", &["photos/points.ply", "--out", "new"], 1, &["points.ply", "may be a mesh or a point cloud"]),
     ("hands", &["nowhere.mp4", "--out", "new"], 1, &["nowhere.mp4 is no file", "give a video"]),
     ("hands", &["notes.txt", "--out", "new", "--python", "no-such-python"], 1, &["no-such-python", "install Python"]),
-    ("retarget", &["clip.json", "--hand", "leep", "--out", "new"], 1, &["\"leep\"", "one of the bundled models leap_right"]),
+    (
+        "retarget",
+        &["clip.json", "--hand", "leep", "--out", "new"],
+        1,
+        &["\"leep\"", "one of the bundled models leap_right"],
+    ),
     ("retarget", &["clip.json", "--hand", "leap"], 1, &["nothing to write", "give --out FILE"]),
     ("retarget", &["tin/truth.json", "--hand", "leap", "--out", "new"], 1, &["truth.json", "write drex-hand-demo/1"]),
     ("train", &["bare"], 1, &["bare/twin.toml has no [grasps] section", "name a file of demonstrated grasps"]),
@@ -44,9 +49,14 @@ const CASES: &[Case] = &[
     ("deploy", &["tin", "--emulate"], 1, &["tin has no policy yet", "run `drex train tin` first"]),
     ("deploy", &["tin", "--emulate", "--port", "here"], 2, &["--port <PATH>", "cannot be used with"]),
     ("hw ping", &["--hand", "leap", "--port", "nowhere"], 1, &["port nowhere", "plug the hand in"]),
-    ("hw status", &["--hand", "allegro", "--port", "nowhere"], 1, &["port nowhere", "check the path"]),
+    ("hw status", &["--hand", "allegro", "--port", "nowhere"], 1, &["nowhere is no file", "give the serial port"]),
     ("hw move", &["--hand", "leap", "--port", "notes.txt", "--to", "rest"], 1, &["port notes.txt", "is a serial port"]),
-    ("hw move", &["--hand", "shadow", "--port", "x", "--to", "rest"], 2, &["'shadow'", "possible values: leap, allegro"]),
+    (
+        "hw move",
+        &["--hand", "shadow", "--port", "x", "--to", "rest"],
+        2,
+        &["'shadow'", "possible values: leap, allegro"],
+    ),
     ("hw record", &["--hand", "leap", "--port", "nowhere", "--out", "new"], 1, &["port nowhere", "plug the hand in"]),
     (
         "hw calibrate",
@@ -66,7 +76,7 @@ const CASES: &[Case] = &[
     ("bench grasp", &["--experiment", "world"], 2, &["'world'", "possible values: cross-mass"]),
     ("doctor", &["please"], 2, &["unexpected argument 'please'"]),
     ("completions", &["tcsh"], 2, &["'tcsh'", "possible values: bash"]),
-    ("man", &["--out", "notes.txt"], 1, &["notes.txt", "cannot"]),
+    ("man", &["--out", "notes.txt"], 1, &["--out notes.txt", "give a folder"]),
 ];
 
 /// Runs the program in a folder.

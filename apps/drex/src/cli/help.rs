@@ -18,7 +18,7 @@ const GROUPS: [(&str, &[&str]); 6] = [
 ];
 
 /// Lines behind the help of a subcommand; words of a subcommand's name are separated by blanks.
-const EXAMPLES: [(&str, &str); 24] = [
+const EXAMPLES: [(&str, &str); 26] = [
     (
         "reconstruct",
         "drex reconstruct scan --out twin --hold-out 8     a folder with images/ and a COLMAP model or transforms.json
@@ -89,6 +89,13 @@ const EXAMPLES: [(&str, &str); 24] = [
     ("hw emulate", "drex hw emulate leap --link leap --wall if_mcp=0.6"),
     ("run", "drex run twin"),
     ("import d-rex", "drex import d-rex recordings --out twins --object cookie"),
+    (
+        "completions",
+        "drex completions bash  > ~/.local/share/bash-completion/completions/drex
+  drex completions zsh   > ~/.zfunc/_drex    with fpath+=~/.zfunc before compinit in ~/.zshrc
+  drex completions fish  > ~/.config/fish/completions/drex.fish",
+    ),
+    ("man", "drex man --out ~/.local/share/man/man1"),
     ("bench grasp", "drex bench grasp --experiment objects --rollouts 50 --out bench"),
 ];
 

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap_complete::Shell;
 use drex_core::fsutil;
 use serde_json::json;
@@ -28,6 +28,9 @@ pub fn man(args: &ManArgs, ui: &Ui) -> Result<()> {
         let page = page(&command)?;
         return ui.answer(&json!({ "page": page }), &page);
     };
+    if folder.is_file() {
+        bail!("--out {}: this is a file; give a folder for the pages", folder.display());
+    }
     let mut written = Vec::new();
     write(&command, folder, &mut written)?;
     ui.answer(
