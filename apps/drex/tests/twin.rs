@@ -36,6 +36,16 @@ fn the_tin_is_weighed_lifted_and_grasped_and_the_second_run_has_nothing_to_do() 
     let html = fs::read_to_string(out.join("report.html")).unwrap();
     assert!(html.contains("<svg") && html.contains("data:image/png;base64,"));
     assert!(!html.contains("http://") && !html.contains("https://"), "the report must not need the network");
+    assert!(html.len() < 6_000_000, "{} bytes", html.len());
+    // Scan: Gaussians and mesh; object: mesh and pieces; push; trial.
+    assert_eq!(html.matches("<figure class=\"view\"").count(), 6);
+    for heading in ["Scan", "Object", "Mass", "Push", "Trial: lift, hold, shake", "Hand", "How this was made"] {
+        assert!(html.contains(&format!("\">{heading}</h2>")), "{heading}");
+    }
+    let told = common::text_of(&html);
+    for word in ["NaN", "inf ", "null"] {
+        assert!(!told.contains(word), "{word}");
+    }
     assert!(fs::read_to_string(out.join("asset/object.xml")).unwrap().contains("<mujoco"));
 
     let again = drex(["run", "--json", out.to_str().unwrap()]);

@@ -91,3 +91,16 @@ pub fn shared_data(test: &str) -> Option<PathBuf> {
     };
     Some(PathBuf::from(root).join("data"))
 }
+
+/// A page without its scripts and what is embedded in base64.
+pub fn text_of(html: &str) -> String {
+    let mut text = String::new();
+    for (i, part) in html.split("<script").enumerate() {
+        text += if i == 0 { part } else { part.split_once("</script>").map_or("", |p| p.1) };
+    }
+    let mut told = String::new();
+    for (i, part) in text.split(";base64,").enumerate() {
+        told += if i == 0 { part } else { part.split_once('"').map_or("", |p| p.1) };
+    }
+    told
+}
