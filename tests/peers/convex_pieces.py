@@ -1,6 +1,6 @@
 """Convex pieces of meshes next to CoACD, V-HACD 4 and parry's V-HACD, all measured by the same program.
 
-    pip install coacd vhacdx trimesh
+    pip install coacd vhacdx trimesh scipy
     cargo build --release -p drex-mesh --example convex_pieces
     OMP_NUM_THREADS=1 RAYON_NUM_THREADS=1 python tests/peers/convex_pieces.py [--pieces N] [--skip coacd] MESH ...
 

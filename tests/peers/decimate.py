@@ -4,7 +4,7 @@ What: each mesh is reduced to the same number of faces by both; the distance to 
 (all vertices and 50,000 points by area of each mesh, exact point-to-triangle distances, both ways), and whether the result
 is still closed.
 
-    pip install open3d==0.19.0 trimesh
+    pip install open3d==0.19.0
     cargo build --release -p drex-mesh --example decimate
     python tests/peers/decimate.py FACES MESH.obj [MESH.obj ...]
 
