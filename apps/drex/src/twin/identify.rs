@@ -38,7 +38,8 @@ struct Resolution {
 pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     let mut recordings = recordings(twin)?;
     if twin.manifest.scan.is_some() {
-        let sd = read_json::<Scanned>(&twin.path(SCAN))?.fusion.voxel_m;
+        // To a tenth of a millimetre, as it is printed.
+        let sd = (1e4 * read_json::<Scanned>(&twin.path(SCAN))?.fusion.voxel_m).round() / 1e4;
         recordings.iter_mut().for_each(|r| as_scanned(r, sd));
     }
     let identification = if recordings.is_empty() {
