@@ -146,7 +146,7 @@ impl Plot<'_> {
     fn legend(&self, svg: &mut String) {
         let mut x = WIDTH - RIGHT;
         for s in self.series.iter().rev().filter(|s| !s.label.is_empty()) {
-            x -= 6.2 * s.label.chars().count() as f64 + 22.0;
+            x -= 6.6 * s.label.chars().count() as f64 + 24.0;
             let _ = write!(
                 svg,
                 "<rect x=\"{x:.1}\" y=\"9\" width=\"12\" height=\"4\" fill=\"{}\"/><text x=\"{:.1}\" y=\"15\">{}</text>",

@@ -16,7 +16,7 @@ use crate::twin::{MassFile, Twin};
 /// Faces of the simulated object.
 const FACES: usize = 4000;
 /// Faces of the tracked object, whose edges are drawn.
-const WIRE_FACES: usize = 300;
+const WIRE_FACES: usize = 400;
 const TRACKED_COLOR: [f64; 3] = [0.0, 0.45, 0.70];
 const FORCE_COLOR: [f64; 3] = [0.80, 0.20, 0.18];
 /// Length of the arrow of the largest force, as a share of the object's size.
@@ -60,23 +60,27 @@ fn replay(asset: &Asset, push: &PushReport, recording: Option<&PushRecording>) -
     let mesh = &asset.visual;
     let (azimuth, elevation) = (-0.9, 0.3);
     let table_m = lowest(mesh, &simulated[0]);
-    let mut scene = Scene::new(azimuth, elevation).on_table(table_m).timed(&push.times_s, None)?;
+    let force = match recording.map(|r| &r.drive) {
+        Some(Drive::Force(force)) => Some(force.clone()),
+        _ => None,
+    };
+    let arrows = force.as_ref().and_then(|f| arrows(f, &push.times_s, &simulated));
+    // Opened where the force is largest.
+    let hardest = arrows.as_ref().and_then(|all| (0..all.len()).max_by(|&a, &b| all[a].scale.total_cmp(&all[b].scale)));
+    let start_s = hardest.map(|i| push.times_s[i]);
+    let mut scene = Scene::new(azimuth, elevation).on_table(table_m).timed(&push.times_s, start_s)?;
     if let Some(part) = scene.mesh(mesh, FACES) {
         scene.part(part, Look::Solid, OBJECT_COLOR, &placed(&simulated))?;
     }
     if let Some(part) = scene.mesh(mesh, WIRE_FACES) {
         scene.part(part, Look::Wire, TRACKED_COLOR, &placed(&tracked))?;
     }
-    let force = match recording.map(|r| &r.drive) {
-        Some(Drive::Force(force)) => Some(force.clone()),
-        _ => None,
-    };
     let size = asset.report.size_m.iter().copied().fold(0.0, f64::max);
     let mut caption = "solid: simulated with the estimated mass; blue edges: tracked".to_owned();
     if push.position_bias_m.is_some() {
         caption += ", less the constant error that was estimated";
     }
-    if let Some(arrows) = force.as_ref().and_then(|f| arrows(f, &push.times_s, &simulated))
+    if let Some(arrows) = arrows
         && let Some(part) = scene.mesh(&arrow(ARROW * size), 400)
     {
         scene.part(part, Look::Solid, FORCE_COLOR, &arrows)?;

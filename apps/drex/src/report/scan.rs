@@ -121,7 +121,12 @@ pub fn section(page: &mut Page, twin: &Twin, asset: &Asset, photos: &Path) -> Re
 /// Photos spread over the capture.
 fn shown(views: &[(String, PathBuf)]) -> Vec<(Vec<u8>, String)> {
     let step = views.len().div_ceil(PHOTOS).max(1);
-    views.iter().step_by(step).filter_map(|(name, photo)| Some((small(photo)?, format!("photo {name}")))).collect()
+    views
+        .iter()
+        .skip(step / 2)
+        .step_by(step)
+        .filter_map(|(name, photo)| Some((small(photo)?, format!("photo {name}"))))
+        .collect()
 }
 
 /// A picture as JPEG, scaled down; `None` if it cannot be read. What is transparent shows what stands behind it.
