@@ -51,7 +51,7 @@ fn packages() -> Packages {
 fn python_packages() -> Packages {
     graph(&["--manifest-path", "bindings/python/Cargo.toml"]).unwrap_or_else(|reason| {
         assert!(!reason.contains("--locked"), "bindings/python/Cargo.lock is out of date: {reason}");
-        println!("skipped the Python package, `cargo fetch` it first: {reason}");
+        eprintln!("skipped the Python package, `cargo fetch` it first: {reason}");
         Packages::new()
     })
 }
@@ -147,7 +147,6 @@ fn every_dependency_has_an_allowed_licence() {
     let deny = deny();
     let refused: Vec<String> = packages()
         .union(&python_packages())
-        .cloned()
         .filter(|(name, _, license)| {
             let excepted = deny.licenses.exceptions.iter().find(|e| e.name == *name);
             !satisfied(license, &|l| {
