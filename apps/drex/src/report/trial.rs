@@ -22,6 +22,8 @@ use crate::twin::{TrialFile, Twin};
 const OBJECT_FACES: usize = 4000;
 /// Faces of one link.
 const LINK_FACES: usize = 1500;
+/// Room around the film, as a share of the size of hand and object: what is shaken and what comes near should be seen.
+const AROUND: f64 = 0.12;
 
 /// The outcome in words.
 fn outcome(verdict: Verdict) -> &'static str {
@@ -167,6 +169,12 @@ fn film(page: &mut Page, twin: &Twin, asset: &Asset, trial: &TrialFile) -> Resul
         .on_table(0.0)
         .timed(&times, Some(times[lifted]))?
         .phases(drex_trial::phases());
+    // As large as hand and object are; the camera rises with the object.
+    let boxes = parts_at(lifted).into_iter().filter_map(|p| p.mesh.transformed(&p.world_from_mesh).bounds());
+    if let Some((lo, hi)) = boxes.reduce(|a, b| (a.0.inf(&b.0), a.1.sup(&b.1))) {
+        let around = (hi - lo) * AROUND;
+        scene = scene.framed((lo - around, hi + around));
+    }
     for (link, mesh, color) in shapes.by_link() {
         if let Some(mesh) = scene.mesh(&mesh, LINK_FACES) {
             let placed: Vec<Placed> = links.iter().map(|l: &Vec<Pose>| l[link].into()).collect();
@@ -176,6 +184,7 @@ fn film(page: &mut Page, twin: &Twin, asset: &Asset, trial: &TrialFile) -> Resul
     if let Some(mesh) = scene.mesh(&asset.visual, OBJECT_FACES) {
         let placed: Vec<Placed> = object.iter().map(|p| (*p).into()).collect();
         scene.part(mesh, Look::Solid, OBJECT_COLOR, &placed)?;
+        scene.follow_last();
     }
     let caption = match trial.filmed.and_then(|i| Some((i, trial.rollouts.get(i)?))) {
         Some((i, r)) => format!(

@@ -258,12 +258,12 @@
     }
 
     /// Where in the frames the time is: 2.5 is half way between the third and the fourth.
-    place() {
+    place(time = this.time) {
       if (!this.times) return 0;
       let i = 0;
-      while (i < this.times.length - 2 && this.times[i + 1] <= this.time) i++;
+      while (i < this.times.length - 2 && this.times[i + 1] <= time) i++;
       const span = this.times[i + 1] - this.times[i];
-      return this.times.length < 2 ? 0 : i + Math.min(1, Math.max(0, (this.time - this.times[i]) / (span || 1)));
+      return this.times.length < 2 ? 0 : i + Math.min(1, Math.max(0, (time - this.times[i]) / (span || 1)));
     }
 
     touch() {
@@ -358,7 +358,8 @@
     }
 
     render(width, height) {
-      const { centre, radius } = this.scene, far = 4.2 * radius / this.zoom;
+      const { radius, follow } = this.scene, far = 4.2 * radius / this.zoom, place = this.place(), centre = [...this.scene.centre];
+      if (follow !== null) centre[2] += modelAt(this.parts[follow], place)[14] - modelAt(this.parts[follow], this.place(this.scene.start))[14];
       const [sa, ca, se, ce] = [Math.sin(this.azimuth), Math.cos(this.azimuth), Math.sin(this.elevation), Math.cos(this.elevation)];
       const back = [ce * ca, ce * sa, se], right = [-sa, ca, 0], up = cross(back, right);
       const eye = centre.map((c, k) => c + far * back[k]);
@@ -368,7 +369,6 @@
         -dot(right, eye), -dot(up, eye), -dot(back, eye), 1]);
       const look = product(new Float32Array([2 * focal / width, 0, 0, 0, 0, 2 * focal / height, 0, 0,
         0, 0, -(end + near) / (end - near), -1, 0, 0, -2 * end * near / (end - near), 0]), view);
-      const place = this.place();
       const use = ({ program, at }) => { gl.useProgram(program); gl.uniformMatrix4fv(at.look, false, look); return at; };
       const feed = (slot, b) => { gl.enableVertexAttribArray(slot); gl.bindBuffer(gl.ARRAY_BUFFER, b);
         gl.vertexAttribPointer(slot, 3, gl.FLOAT, false, 0, 0); };

@@ -65,6 +65,8 @@ pub struct Scene {
     /// Box around all that was placed.
     extent: Option<(Point3<f64>, Point3<f64>)>,
     fixed: bool,
+    /// The part that the camera rises with.
+    follow: Option<usize>,
 }
 
 impl Scene {
@@ -84,6 +86,7 @@ impl Scene {
             elevation,
             extent: None,
             fixed: false,
+            follow: None,
         }
     }
 
@@ -182,6 +185,11 @@ impl Scene {
         Ok(())
     }
 
+    /// The camera rises and sinks with the part that was placed last.
+    pub fn follow_last(&mut self) {
+        self.follow = self.parts.len().checked_sub(1);
+    }
+
     /// Embeds the strongest Gaussians whose centres are inside the box (lower and upper corner, m), in the world frame of the scene,
     /// with their mean colour over all directions. Gives how many there are in the box and how many of them were taken.
     pub fn splats(&mut self, gaussians: &Gaussians, (lo, hi): (Point3<f64>, Point3<f64>)) -> (usize, usize) {
@@ -264,7 +272,7 @@ impl Scene {
         let scene = json!({
             "centre": [centre.x, centre.y, centre.z], "radius": radius,
             "azimuth": self.azimuth, "elevation": self.elevation,
-            "table": self.table_m, "link": self.link, "start": self.start_s,
+            "table": self.table_m, "link": self.link, "start": self.start_s, "follow": self.follow,
             "times": times, "phases": self.phases,
             "meshes": self.meshes, "parts": self.parts, "splats": self.splats,
         });

@@ -86,7 +86,7 @@ fn a_mesh_comes_back_within_a_step_of_its_box() {
     assert_eq!(faces, mesh.faces.iter().flatten().copied().collect::<Vec<_>>());
     assert_eq!(m["wide"], false);
     assert_eq!(scene["table"], -0.05);
-    assert!(scene["times"].is_null() && scene["splats"].is_null());
+    assert!(scene["times"].is_null() && scene["splats"].is_null() && scene["follow"].is_null());
 }
 
 #[test]
@@ -112,6 +112,7 @@ fn poses_and_times_come_back_and_the_scene_frames_all_of_them() {
     let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.7);
     let places = [0.0, 1.0, 3.0].map(|x| Placed::from(Pose::from_parts(Translation3::new(x, 0.0, 0.0), turned)));
     scene.part(number, Look::Wire, [0.1, 0.2, 0.3], &places).unwrap();
+    scene.follow_last();
     let text = scene.to_json().unwrap();
     assert!(!text.contains("</script"), "text must not end the script it stands in");
     let scene: Value = serde_json::from_str(&text).unwrap();
@@ -119,7 +120,7 @@ fn poses_and_times_come_back_and_the_scene_frames_all_of_them() {
     assert_eq!(f32s(&scene["times"]), [0.0, 0.5, 2.0]);
     assert_eq!(scene["start"], 0.5);
     let part = &scene["parts"][0];
-    assert_eq!(part["look"], "wire");
+    assert_eq!((&part["look"], &scene["follow"]), (&json!("wire"), &json!(0)));
     let poses = f32s(&part["poses"]);
     assert_eq!(poses.len(), 24);
     assert_eq!((poses[16], poses[23]), (3.0, 1.0));
