@@ -238,8 +238,9 @@
     }
 
     play(on) {
-      const last = this.times[this.times.length - 1];
-      if (on && this.time >= last) this.show(this.times[0]);
+      const first = this.times[0], last = this.times[this.times.length - 1];
+      // The slider's steps may end a little before the last frame.
+      if (on && this.time > last - 0.002 * (last - first)) this.show(first);
       this.playing = on;
       this.button.textContent = on ? "Pause" : "Play";
       wake();
