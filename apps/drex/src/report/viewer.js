@@ -1,4 +1,4 @@
-// Draws the scenes of the report. Each <figure class="view"> holds a still picture, which stays where there is no WebGL 2, and a
+// Draws the scenes of the report. Each figure of the class "view" holds a still picture, which stays where there is no WebGL 2, and a
 // scene as JSON with typed arrays in base64 (viewer.rs writes it). One WebGL context draws all of them, one after the other,
 // because browsers allow only a few; each scene has a plain canvas that the picture is copied to. World: metres, z up.
 "use strict";
