@@ -33,7 +33,14 @@ struct Object {
     start: Pose,
     velocity: Vector3<f64>,
     angular_velocity: Vector3<f64>,
-    force: Option<(Vec<f64>, Vec<Vector3<f64>>, Point3<f64>)>,
+    force: Option<Force>,
+}
+
+/// A force in the world at a point of the object's mesh frame.
+struct Force {
+    times_s: Vec<f64>,
+    forces_n: Vec<Vector3<f64>>,
+    point: Point3<f64>,
 }
 
 struct Arm {
@@ -49,7 +56,7 @@ fn lifted<T: Scalar>(pose: &Pose) -> Pose<T> {
 }
 
 impl Setup {
-    /// Runs it with this logarithm of the mass and of the table's friction.
+    /// Runs it with this mass of the object and this friction of the table.
     fn run<T: Scalar>(&self, mass_kg: T, friction: T) -> Result<Record<T>> {
         let mut scene = Scene::empty();
         scene.gravity = self.gravity.map(T::lift);
@@ -65,9 +72,9 @@ impl Setup {
                 velocity: object.velocity.map(T::lift),
                 angular_velocity: object.angular_velocity.map(T::lift),
             });
-            if let Some((times_s, forces_n, point)) = &object.force {
-                let at = ForcePoint::Body(*point);
-                scene.forces.push(AppliedForce::new(Part::Body(0), times_s, forces_n, at)?);
+            if let Some(force) = &object.force {
+                let at = ForcePoint::Body(force.point);
+                scene.forces.push(AppliedForce::new(Part::Body(0), &force.times_s, &force.forces_n, at)?);
             }
         }
         let mut model = Model::new(bodies);
@@ -300,11 +307,11 @@ fn object_of(
     let at_rest = || Pose::translation(0.0, 0.0, table_height_m) * asset.world_from_mesh_at_rest;
     let force = match force {
         (None, None, None) => None,
-        (Some(times_s), Some(forces_n), Some(point)) => Some((
-            column("force_times_s", times_s)?,
-            vectors("forces_n", forces_n)?,
-            Point3::from(vector("point_in_object_m", point)?),
-        )),
+        (Some(times_s), Some(forces_n), Some(point)) => Some(Force {
+            times_s: column("force_times_s", times_s)?,
+            forces_n: vectors("forces_n", forces_n)?,
+            point: vector("point_in_object_m", point)?.into(),
+        }),
         _ => return refused("a force needs force_times_s, forces_n and point_in_object_m; give all three or none"),
     };
     let zero = |what, v: Given<'_, '_>| v.map_or(Ok(Vector3::zeros()), |v| vector(what, v));
