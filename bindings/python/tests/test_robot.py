@@ -90,7 +90,7 @@ class Robots(Case):
             (lambda: drex.Robot("paw"), "leap_right"),
             (lambda: drex.Robot(self.folder / "none.urdf"), "none.urdf"),
             (lambda: robot.fk([0.0]), r"\(16,\)"),
-            (lambda: robot.fk(np.full(16, np.nan)), "nan"),
+            (lambda: robot.fk(np.full(16, np.nan)), "NaN"),
             (lambda: robot.fk(robot.mid_range, base=[0, 0, 0]), r"\(7,\)"),
             (lambda: robot.fk(robot.mid_range, base=[0, 0, 0, 0, 0, 0, 0]), "norm"),
             (lambda: robot.fk(robot.mid_range, base=2 * np.eye(4)), "4 x 4|last row"),

@@ -83,8 +83,8 @@ class Simulate(Case):
     def test_a_hand_that_sweeps_by_takes_a_floating_box_along(self):
         robot = drex.Robot("leap_right")
         asset = drex.mesh_asset(box(0.1, 0.1, 0.1), mass_kg=0.2)
-        # The fingers of the hand point down from its base.
-        settings = dict(times_s=[0.0, 1.0], pose=[0, -0.03, -0.1, 1, 0, 0, 0], table_height_m=None, gravity_m_s2=[0, 0, 0],
+        # The straight fingers of the hand point along x.
+        settings = dict(times_s=[0.0, 1.0], pose=[0, -0.03, 0, 1, 0, 0, 0], table_height_m=None, gravity_m_s2=[0, 0, 0],
                         robot=robot, robot_base_times_s=[0.0, 1.0])
         at = lambda x: [x, 0, 0, 1, 0, 0, 0]
         away = drex.simulate(asset, **settings, robot_base=[at(-0.4), at(-0.6)])
@@ -112,7 +112,7 @@ class Simulate(Case):
             (lambda: drex.simulate(asset, **one, robot_q=[0]), "no robot"),
             (lambda: drex.simulate(robot=robot, **one, mass_kg=1), "give an asset"),
             (lambda: drex.simulate(robot=robot, **one, robot_q=[0]), "16 joints"),
-            (lambda: drex.simulate(robot=robot, **one, robot_controls=[0]), "16 drives"),
+            (lambda: drex.simulate(robot=robot, **one, robot_base=[0, 0, 1, 1, 0, 0, 0], robot_controls=[0]), "16 drives"),
             (lambda: drex.simulate(robot=robot, **one, robot_control_times_s=[0]), "without robot_controls"),
             (lambda: drex.simulate(robot=robot, **one, robot_base=np.tile(asset.rest_pose, (2, 1))), "robot_base_times_s"),
             (lambda: drex.simulate(robot=robot, **one, robot_base_times_s=[0]), "one pose per time"),

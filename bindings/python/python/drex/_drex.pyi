@@ -13,6 +13,25 @@ _Objective: TypeAlias = Literal["vector", "dexpilot", "position"]
 _Unit: TypeAlias = Literal["m", "cm", "mm", "in", "auto"]
 _Side: TypeAlias = Literal["right", "left"]
 
+__all__ = [
+    "Asset",
+    "Error",
+    "Identification",
+    "MeshCheck",
+    "Motion",
+    "Push",
+    "PushReport",
+    "Retargeter",
+    "Retargeting",
+    "Robot",
+    "__version__",
+    "identify",
+    "mesh_asset",
+    "mesh_check",
+    "retarget",
+    "simulate",
+]
+
 __version__: str
 
 class Error(ValueError): ...
