@@ -83,7 +83,7 @@ impl Hand {
         let links: Vec<Vec<Pose>> =
             q.iter().zip(held).map(|(q, h)| self.robot.forward_kinematics(q, &h.world_from_base)).collect();
         for (link, shape, rgba) in &self.links {
-            let entity = ["world", stage, "hand", &self.robot.links[*link].name];
+            let entity = ["world", stage, "hand", self.robot.links[*link].name.as_str()];
             let poses: Vec<Pose> = links.iter().map(|all| all[*link]).collect();
             recorder.poses(&entity, times, &poses)?;
             recorder.from_start(&entity, times, &mesh(shape, false, *rgba))?;

@@ -5,7 +5,7 @@ use drex_core::{Pose, TriMesh};
 use nalgebra::{Point3, Vector3};
 use re_sdk::log::TimeColumn;
 use re_sdk::sink::MemorySinkStorage;
-use re_sdk::time::TimeCell;
+use re_sdk::time::{TimeCell, TimelineName};
 use re_sdk::{
     AsComponents, EntityPath, EntityPathPart, RecordingStream, RecordingStreamBuilder, SerializedComponentColumn,
 };
@@ -28,11 +28,13 @@ pub enum Times<'a> {
 }
 
 impl Times<'_> {
-    fn column(&self) -> TimeColumn {
-        match *self {
-            Self::Seconds(name, s) => TimeColumn::new_duration_nanos(name.to_owned(), s.iter().map(|s| nanos(*s))),
-            Self::Numbers(name, n) => TimeColumn::new_sequence(name.to_owned(), n.iter().copied()),
-        }
+    fn column(&self) -> Result<TimeColumn> {
+        Ok(match *self {
+            Self::Seconds(name, s) => {
+                TimeColumn::new_duration_nanos(TimelineName::try_new(name)?, s.iter().map(|s| nanos(*s)))
+            }
+            Self::Numbers(name, n) => TimeColumn::new_sequence(TimelineName::try_new(name)?, n.iter().copied()),
+        })
     }
 
     /// How many rows there are.
@@ -80,7 +82,7 @@ impl Recorder {
             Times::Numbers(name, [first, ..]) => (name, TimeCell::from_sequence(*first)),
             _ => return Ok(()),
         };
-        self.stream.set_time(name.to_owned(), cell);
+        self.stream.set_time(TimelineName::try_new(name)?, cell);
         let logged = self.stream.log(path(parts), what);
         self.stream.reset_time();
         Ok(logged?)
@@ -103,7 +105,7 @@ impl Recorder {
         if rows == 0 {
             return Ok(());
         }
-        Ok(self.stream.send_columns(path(parts), [times.column()], columns)?)
+        Ok(self.stream.send_columns(path(parts), [times.column()?], columns)?)
     }
 
     /// A number over time.

@@ -89,7 +89,7 @@ fn cameras(recorder: &Recorder, capture: &Capture, world_from_scan: &Similarity3
         let pinhole = Pinhole::new(k)
             .with_resolution([camera.width as f32, camera.height as f32])
             .with_image_plane_distance(picture_at_m as f32);
-        let entity = ["world", "scan", "cameras", &number, "photo"];
+        let entity = ["world", "scan", "cameras", number.as_str(), "photo"];
         recorder.fixed(&entity, &pinhole)?;
         let jpeg = jpeg(&photo).with_context(|| format!("photo {}", photos.name(i)))?;
         recorder.fixed(&entity, &EncodedImage::new(jpeg).with_media_type(MediaType::JPEG))?;

@@ -52,8 +52,8 @@ fn tin() -> TempDir {
 /// How high the asset's file says that the mesh stands.
 const LIFTED_M: f64 = 0.25;
 const JOINTS: [&str; 16] = [
-    "if_mcp", "if_rot", "if_pip", "if_dip", "mf_mcp", "mf_rot", "mf_pip", "mf_dip", "rf_mcp", "rf_rot", "rf_pip", "rf_dip",
-    "th_cmc", "th_axl", "th_mcp", "th_ipl",
+    "if_mcp", "if_rot", "if_pip", "if_dip", "mf_mcp", "mf_rot", "mf_pip", "mf_dip", "rf_mcp", "rf_rot", "rf_pip",
+    "rf_dip", "th_cmc", "th_axl", "th_mcp", "th_ipl",
 ];
 
 fn pose(x: f64, z: f64) -> Value {
@@ -169,7 +169,11 @@ impl Recording {
 
     /// The rows of a component of three numbers, each row a list.
     fn vectors(&self, entity: &str, component: re_sdk::ComponentIdentifier) -> Vec<Vec<[f32; 3]>> {
-        self.of(entity, component).iter().flat_map(|c| c.iter_slices::<[f32; 3]>(component)).map(<[_]>::to_vec).collect()
+        self.of(entity, component)
+            .iter()
+            .flat_map(|c| c.iter_slices::<[f32; 3]>(component))
+            .map(<[_]>::to_vec)
+            .collect()
     }
 
     fn places(&self, entity: &str) -> Vec<[f32; 3]> {
@@ -250,7 +254,8 @@ fn every_stage_of_a_finished_twin_is_there() {
 fn what_no_stage_has_made_is_remarked_and_the_rest_recorded() {
     let twin = tin();
     let (said, seen) = recorded(twin.path());
-    for file in ["asset/object.xml", "mesh/visual.obj", "mass.json", "wrist_fits.json", "trial.json", "execution.json"] {
+    for file in ["asset/object.xml", "mesh/visual.obj", "mass.json", "wrist_fits.json", "trial.json", "execution.json"]
+    {
         assert!(said.lines().any(|l| l.starts_with("not recorded: ") && l.contains(file)), "{file}: {said}");
     }
     assert!(seen.timelines().is_empty());
