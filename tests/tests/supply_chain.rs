@@ -62,7 +62,7 @@ fn graph(arguments: &[&str]) -> Result<Packages, String> {
     let output = Command::new(env!("CARGO"))
         .arg("tree")
         .args(arguments)
-        .args(["--locked", "--offline", "--edges", "normal,build", "--prefix", "none", "--no-dedupe"])
+        .args(["--locked", "--offline", "--edges", "normal,build", "--prefix", "none"])
         .args(["--format", "{p}|{l}"])
         .current_dir(workspace_root())
         .output()
@@ -75,7 +75,8 @@ fn graph(arguments: &[&str]) -> Result<Packages, String> {
         .lines()
         .filter(|l| !l.trim().is_empty())
         .map(|line| {
-            let (package, license) = line.split_once('|').unwrap();
+            // A package that was listed before ends with a mark.
+            let (package, license) = line.trim_end_matches(" (*)").split_once('|').unwrap();
             let mut words = package.split_whitespace();
             let (name, version) = (words.next().unwrap(), words.next().unwrap());
             (name.to_owned(), version.trim_start_matches('v').to_owned(), license.trim().to_owned())
