@@ -56,13 +56,13 @@ fn record_clip(recorder: &Recorder, clip: &str, times_s: &[f64], hands: &[KeyPoi
     let entity = ["world", "demonstrations", clip, "key_points"];
     recorder.columns(&entity, times, hands.len(), points.columns(seen.iter().map(Vec::len))?)?;
     let look = Points3D::update_fields().with_radii([POINT_M]).with_colors([SKIN_RGB]);
-    recorder.from_start(&entity, times, &look)?;
+    recorder.starting(&entity, times, &look)?;
 
     let bones: Vec<Vec<LineStrip3D>> = hands.iter().map(bones).collect();
     let strips = LineStrips3D::new(bones.iter().flatten().cloned());
     let entity = ["world", "demonstrations", clip, "bones"];
     recorder.columns(&entity, times, hands.len(), strips.columns(bones.iter().map(Vec::len))?)?;
-    recorder.from_start(&entity, times, &LineStrips3D::update_fields().with_radii([BONE_M]).with_colors([SKIN_RGB]))
+    recorder.starting(&entity, times, &LineStrips3D::update_fields().with_radii([BONE_M]).with_colors([SKIN_RGB]))
 }
 
 /// Wrist to tip of each finger whose points were all seen.

@@ -86,7 +86,7 @@ impl Hand {
             let entity = ["world", stage, "hand", self.robot.links[*link].name.as_str()];
             let poses: Vec<Pose> = links.iter().map(|all| all[*link]).collect();
             recorder.poses(&entity, times, &poses)?;
-            recorder.from_start(&entity, times, &mesh(shape, false, *rgba))?;
+            recorder.starting(&entity, times, &mesh(shape, false, *rgba))?;
         }
         for (j, joint) in self.robot.joint_names().into_iter().enumerate() {
             let angle: Vec<f64> = q.iter().map(|q| q[j]).collect();
@@ -124,7 +124,7 @@ impl Hand {
         let all = Points3D::new(points.iter().flatten().copied());
         recorder.columns(&entity, times, points.len(), all.columns(points.iter().map(Vec::len))?)?;
         let look = Points3D::update_fields().with_radii([CONTACT_M]).with_colors([CONTACT_RGB]);
-        recorder.from_start(&entity, times, &look)?;
+        recorder.starting(&entity, times, &look)?;
         if held.iter().all(|h| h.finger_n.is_empty()) {
             return Ok(());
         }
@@ -132,7 +132,7 @@ impl Hand {
         let all = Arrows3D::from_vectors(arrows.iter().flatten().map(|(_, v)| *v))
             .with_origins(arrows.iter().flatten().map(|(tail, _)| *tail));
         recorder.columns(&entity, times, arrows.len(), all.columns(arrows.iter().map(Vec::len))?)?;
-        recorder.from_start(&entity, times, &Arrows3D::update_fields().with_colors([FORCE_RGB]))
+        recorder.starting(&entity, times, &Arrows3D::update_fields().with_colors([FORCE_RGB]))
     }
 }
 

@@ -96,7 +96,7 @@ fn record_push(recorder: &Recorder, twin: &Twin, push: &Push, recording: Option<
         }
         recorder.poses(&[space, "push", name, what], times, poses)?;
         if let Some(shape) = &twin.mesh {
-            recorder.from_start(&[space, "push", name, what, "mesh"], times, &mesh(shape, true, rgba))?;
+            recorder.starting(&[space, "push", name, what, "mesh"], times, &mesh(shape, true, rgba))?;
         }
     }
     if simulated.len() == observed.len() {
@@ -133,7 +133,7 @@ fn arrows(
     let tails = vectors.iter().zip(object).map(|(v, pose)| point(&(pose * force.point_in_object - v)));
     let arrows = Arrows3D::from_vectors(vectors.iter().map(vector)).with_origins(tails);
     recorder.columns(parts, times, object.len(), arrows.columns_of_unit_batches()?)?;
-    recorder.from_start(parts, times, &Arrows3D::update_fields().with_colors([FORCE_RGB]))
+    recorder.starting(parts, times, &Arrows3D::update_fields().with_colors([FORCE_RGB]))
 }
 
 /// Held from each sample to the next, nil before the first and after the last; newtons, world frame.

@@ -76,7 +76,7 @@ impl Recorder {
     }
 
     /// Something that is there from the first of `times` on, and only on that timeline; nothing if there are no times.
-    pub fn from_start(&self, parts: &[&str], times: Times<'_>, what: &impl AsComponents) -> Result<()> {
+    pub fn starting(&self, parts: &[&str], times: Times<'_>, what: &impl AsComponents) -> Result<()> {
         let (name, cell) = match times {
             Times::Seconds(name, [first, ..]) => (name, TimeCell::from_duration_nanos(nanos(*first))),
             Times::Numbers(name, [first, ..]) => (name, TimeCell::from_sequence(*first)),

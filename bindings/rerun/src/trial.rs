@@ -55,7 +55,7 @@ pub fn record(recorder: &Recorder, twin: &mut Twin, hand: &Hand) -> Result<()> {
     let object: Vec<Pose> = trial.film.iter().map(|f| f.world_from_object.0).collect();
     recorder.poses(&["world", "trial", "object"], times, &object).with_context(context)?;
     if let Some(shape) = &twin.mesh {
-        recorder.from_start(&["world", "trial", "object", "mesh"], times, &mesh(shape, true, OBJECT_RGBA))?;
+        recorder.starting(&["world", "trial", "object", "mesh"], times, &mesh(shape, true, OBJECT_RGBA))?;
     }
     let held: Vec<Held> = trial
         .film

@@ -223,6 +223,12 @@ fn every_stage_of_a_finished_twin_is_there() {
     let palm: Vec<_> = seen.0.keys().filter(|k| k.starts_with("/world/grasps/hand/")).collect();
     assert!(palm.len() > 10, "{palm:?}");
     assert!(seen.has("/world/grasps/contacts"));
+    let (grasped, lifted) = (seen.places("/world/grasps/hand/palm"), seen.places("/world/trial/hand/palm"));
+    for (a, expected) in [(grasped[0], [0.0, 0.0, LIFTED_M]), (grasped[1], [0.2, 0.0, LIFTED_M])] {
+        // The first frame of the trial has the same base, about an object at the origin.
+        let apart: Vec<f64> = a.iter().zip(lifted[0]).map(|(a, b)| f64::from(a - b)).collect();
+        assert!(apart.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{apart:?}");
+    }
     assert!(close(&seen.numbers("/predicted/finger_force_n/thumb"), &[2.5]));
     assert!(close(&seen.numbers("/predicted/squeeze_n"), &[5.0]));
 
@@ -329,16 +335,15 @@ fn a_scan_and_the_clips_of_a_person_have_their_place_in_the_world() {
 
 #[test]
 fn a_damaged_file_is_named_and_nothing_is_written() {
-    let spoil: [(&str, &dyn Fn(&Path), &str); 5] = [
-        ("mass.json", &|f| fs::write(f, "{\"mass_kg\": \"much\"}").unwrap(), "delete it and run drex run again"),
-        ("policy/trial.json", &|f| edit(f, "\"th_ipl\"", "\"th_ipx\""), "th_ipx"),
-        ("policy/trial.json", &|f| edit(f, "\"quat_wxyz\":[1.0,", "\"quat_wxyz\":[2.0,"), "norm 2"),
-        ("policy/execution.csv", &|f| edit(f, "0.15", "often"), "line 3"),
-        ("mass.json", &|f| edit(f, "\"times_s\":[0.0,0.5,1.0]", "\"times_s\":[0.0,0.5]"), "3 rows for 2 times"),
-    ];
-    for (file, damage, says) in spoil {
+    for (file, from, to, says) in [
+        ("mass.json", "\"mass_kg\":0.24", "\"mass_kg\":\"much\"", "delete it and run drex run again"),
+        ("mass.json", "\"times_s\":[0.0,0.5,1.0]", "\"times_s\":[0.0,0.5]", "3 rows for 2 times"),
+        ("policy/trial.json", "\"th_ipl\"", "\"th_ipx\"", "th_ipx"),
+        ("policy/trial.json", "\"quat_wxyz\":[1.0,", "\"quat_wxyz\":[2.0,", "norm 2"),
+        ("policy/execution.csv", "0.15", "often", "line 3"),
+    ] {
         let twin = finished_tin();
-        damage(&twin.path().join(file));
+        edit(&twin.path().join(file), from, to);
         let output = record(twin.path(), &[]);
         let said = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(1), "{file}: {said}");
