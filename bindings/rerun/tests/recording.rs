@@ -123,7 +123,10 @@ fn finished_tin() -> TempDir {
 }
 
 fn record(root: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_drex-rerun")).arg(root).args(arguments).env("RERUN", "off").output().unwrap()
+    // What the environment says to Rerun changes nothing.
+    let mut command = Command::new(env!("CARGO_BIN_EXE_drex-rerun"));
+    command.arg(root).args(arguments).env("RERUN", "off").env("RERUN_LOG_TICK", "1");
+    command.output().unwrap()
 }
 
 /// Records the twin, which must work, and gives what was said on the error stream with the chunks.
@@ -197,6 +200,8 @@ fn every_stage_of_a_finished_twin_is_there() {
     assert!(said.contains("the manifest has no [scan]"), "{said}");
     let timelines = ["execution", "grasp", "mass_mg", "predicted", "push_tilt", "rollout", "trial"];
     assert_eq!(seen.timelines(), timelines.map(str::to_owned).into());
+    let mixed: Vec<_> = seen.0.values().flatten().filter(|c| c.timelines().len() > 1).map(Chunk::entity_path).collect();
+    assert!(mixed.is_empty(), "on several timelines: {mixed:?}");
 
     // The object stands where the asset's file puts it.
     assert_eq!(seen.places("/world/object"), [[0.0, 0.0, LIFTED_M as f32]]);
