@@ -282,6 +282,15 @@ fn what_no_stage_has_made_is_remarked_and_the_rest_recorded() {
 }
 
 #[test]
+fn a_push_that_a_camera_of_unknown_place_tracked_is_not_put_into_the_world() {
+    let twin = finished_tin();
+    edit(&twin.path().join("mass.json"), "\"name\":\"tilt\"", "\"hand\":{\"fingers\":[]},\"name\":\"tilt\"");
+    let (_, seen) = recorded(twin.path());
+    assert_eq!(seen.places("/tracker/push/tilt/tracked").len(), 3);
+    assert!(!seen.0.keys().any(|k| k.starts_with("/world/push")));
+}
+
+#[test]
 fn a_scan_and_the_clips_of_a_person_have_their_place_in_the_world() {
     let dir = tempfile::tempdir().unwrap();
     let root = dir.path();
