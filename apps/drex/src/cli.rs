@@ -255,6 +255,9 @@ pub struct AssetArgs {
     /// Hollow inside, with walls of this thickness, metres.
     #[arg(long, value_name = "M", value_parser = positive)]
     pub wall: Option<f64>,
+    /// Convex pieces at most [default: the manifest's, or 20].
+    #[arg(long, value_name = "N")]
+    pub pieces: Option<NonZeroUsize>,
     /// Unit of the mesh's coordinates: m, cm, mm, in, or auto (told by the size).
     #[arg(long, value_name = "UNIT", default_value = "auto")]
     pub unit: LengthUnit,

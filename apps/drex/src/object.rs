@@ -23,6 +23,7 @@ pub fn asset_options(object: &ObjectConfig, friction: f64) -> AssetOptions {
     };
     options.up_in_mesh = Some(Vector3::from(object.up_in_mesh));
     options.friction = friction;
+    options.pieces.most_pieces = object.pieces.unwrap_or(options.pieces.most_pieces);
     options.contact = object.contact.clone().unwrap_or_default();
     options
 }

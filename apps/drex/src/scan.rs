@@ -14,7 +14,7 @@ use drex_mesh::{
 use drex_splat::ReconstructOptions;
 use drex_splat::capture::{Capture, CaptureOptions, PhotoOptions, Photos};
 use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::commands::reconstruct::{self, Programs};
 use crate::ui::Ui;
@@ -139,7 +139,7 @@ fn stand(mesh: &mut TriMesh, table: &Support, voxel_m: f64) {
 }
 
 /// What of `splat/report.json` is needed here.
-#[derive(serde::Deserialize)]
+#[derive(Deserialize)]
 struct Made {
     object_only: bool,
 }
@@ -156,22 +156,22 @@ pub struct Scan {
 }
 
 /// How a scan's frame was found; written as `mesh/scan.json`.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FrameReport {
     /// The scan.
     pub scan: PathBuf,
     /// Metres per unit of the scan.
     pub metres_per_unit: f64,
     /// Where the scale is from.
-    pub scale_from: &'static str,
+    pub scale_from: String,
     /// Known distances, as given and in the scaled scan.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub distances: Option<ScaleFit>,
     /// Marks in the frame of the mesh, metres.
-    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub marks_m: BTreeMap<String, [f64; 3]>,
     /// Where up is from.
-    pub up_from: &'static str,
+    pub up_from: String,
     /// Points that show the table.
     pub table_points: Option<usize>,
     /// Their root mean square distance from it, metres.
@@ -182,7 +182,7 @@ pub struct FrameReport {
     /// z up, the table z = 0; RGB-D recordings: the frame of the recording's poses.
     pub mesh_from_scan: [[f64; 4]; 4],
     /// Box that was meshed, metres, frame of the mesh.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub region_m: Option<[[f64; 3]; 2]>,
     /// Other things that stand on the table.
     pub others_on_table: usize,
@@ -270,10 +270,10 @@ impl Scan {
         let frame = FrameReport {
             scan: cameras.folder.clone(),
             metres_per_unit,
-            scale_from,
+            scale_from: scale_from.to_owned(),
             distances,
             marks_m: marks.into_iter().map(|(name, p)| (name, mesh_from_scan.point(&p).into())).collect(),
-            up_from,
+            up_from: up_from.to_owned(),
             up_in_mesh: up_in_mesh.into_inner().into(),
             table_points: (up_from == "table").then_some(table.inliers),
             table_rms_m: (up_from == "table").then_some(table.rms * metres_per_unit),

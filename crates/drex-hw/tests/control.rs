@@ -456,6 +456,31 @@ fn a_log_is_played_again_by_the_names_of_its_joints() {
 }
 
 #[test]
+fn a_log_with_jitter_in_its_times_is_played_at_the_speed_that_is_allowed() {
+    // 0.1 rad within a millisecond, 100 rad/s, between two ordinary steps.
+    let log = JointLog {
+        names: vec!["a".into(), "b".into()],
+        times_s: vec![0.0, 0.1, 0.101, 0.2],
+        positions: vec![vec![0.0, 0.0], vec![0.1, 0.0], vec![0.2, 0.0], vec![0.3, 0.0]],
+        ..JointLog::default()
+    };
+    let (_, mut hand, clock) = fake();
+    let (recorder, mut reader) = telemetry(2, 2000);
+    let mut play = Trajectory::from_log(&log, &hand.names, vec![0.1; 2], 0.5).unwrap();
+    let report = run(&mut hand, &mut play, &clock, ControlOptions::default().with_recorder(recorder));
+    assert!(matches!(report.ended, Ended::Done), "{:?}", report.ended);
+    assert_eq!(report.state.position, [0.3, 0.0]);
+    // 0.024 s more than the 0.7 s of approach and log, in cycles of 2.5 ms.
+    assert_eq!(report.stats.cycles, 291);
+    let (mut before, mut fastest) = (0.0, 0.0_f64);
+    while let Ok(Some(())) = reader.next(Duration::ZERO, |s| {
+        fastest = fastest.max((s.command.position[0] - before) / 0.0025);
+        before = s.command.position[0];
+    }) {}
+    assert!((3.9..4.001).contains(&fastest), "{fastest} rad/s");
+}
+
+#[test]
 fn trajectories_that_mean_nothing_are_refused() {
     let at = |time_s, q| Waypoint { time_s, position: vec![q, 0.0] };
     for bad in

@@ -1,5 +1,6 @@
 //! `drex asset`: a mesh or a scan becomes a sim-ready asset.
 
+use std::num::NonZeroUsize;
 use std::path::Path;
 
 use anyhow::Result;
@@ -60,6 +61,7 @@ fn with_arguments(mut options: AssetOptions, args: &AssetArgs) -> AssetOptions {
     options.mass_kg = args.mass.or(options.mass_kg);
     options.density_kg_m3 = args.density.unwrap_or(options.density_kg_m3);
     options.wall_m = args.wall;
+    options.pieces.most_pieces = args.pieces.map_or(options.pieces.most_pieces, NonZeroUsize::get);
     options
 }
 
@@ -144,7 +146,7 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
     let mut options = options(args);
     options.unit = LengthUnit::Metre;
     options.up_in_mesh = Some(scan.frame.up_in_mesh.into());
-    options.scale_source = Some(scan.frame.scale_from.into());
+    options.scale_source = Some(scan.frame.scale_from.clone());
     let mut asset = asset_from_mesh(&mesh, &options)?;
     asset.colors = Some(vertex_colors(&asset.visual, &scan, |i| scan.picture(i), fusion.truncation_m)?);
     write(&asset, args)?;

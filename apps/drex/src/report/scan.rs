@@ -9,11 +9,11 @@ use drex_splat::capture::{Capture, CaptureOptions};
 use drex_splat::io::read_gaussians;
 use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
 use nalgebra::{Matrix4, Similarity3, Translation3, Vector3};
-use serde::Deserialize;
 
 use super::object::{MESH_FACES, OBJECT_COLOR, still};
 use super::page::Page;
 use super::viewer::{Look, MOST_SPLATS, Scene};
+use crate::twin::files::{ScanFile, SplatReport};
 use crate::twin::{Twin, files};
 
 /// Photos that are shown; as many held-out ones beside what the Gaussians make of them.
@@ -25,84 +25,11 @@ const MARGIN: f64 = 0.2;
 /// What stands behind a rendered picture where nothing is.
 const BEHIND: [u8; 3] = [200, 204, 210];
 
-/// What of the scan stage's file is told.
-#[derive(Deserialize)]
-struct ScanFile {
-    scan: Frame,
-    fusion: Fusion,
-}
-
-#[derive(Deserialize)]
-struct Frame {
-    metres_per_unit: f64,
-    scale_from: String,
-    distances: Option<Distances>,
-    up_from: String,
-    table_rms_m: Option<f64>,
-    mesh_from_scan: [[f64; 4]; 4],
-    others_on_table: usize,
-}
-
-#[derive(Deserialize)]
-struct Distances {
-    distances: Vec<Distance>,
-}
-
-#[derive(Deserialize)]
-struct Distance {
-    from: String,
-    to: String,
-    given_m: f64,
-    model_m: f64,
-}
-
-#[derive(Deserialize)]
-struct Fusion {
-    views: usize,
-    used_views: usize,
-    voxel_m: f64,
-    spread_m: f64,
-    volume_m3: f64,
-    seen_share: f64,
-    unseen_share: f64,
-    support_share: f64,
-}
-
-/// What of `splat/report.json` is told.
-#[derive(Deserialize)]
-struct Trained {
-    photos_trained: usize,
-    photos_held_out: usize,
-    appearance: Set,
-    surface: Set,
-}
-
-#[derive(Deserialize)]
-struct Set {
-    gaussians: usize,
-    iterations: u32,
-    held_out: Table,
-}
-
-#[derive(Deserialize)]
-struct Table {
-    rows: Vec<Row>,
-}
-
-#[derive(Deserialize)]
-struct Row {
-    name: String,
-    /// Not a number in the file where two pictures are equal.
-    psnr: Option<f64>,
-    ssim: Option<f64>,
-}
-
 /// The section on the scan.
 pub fn section(page: &mut Page, twin: &Twin, asset: &Asset, photos: &Path) -> Result<()> {
     let file: ScanFile = files::read_json(&twin.path(files::SCAN))?;
     page.section("Scan");
-    let report = twin.path("splat/report.json");
-    let trained: Option<Trained> = if report.exists() { Some(files::read_json(&report)?) } else { None };
+    let trained: Option<SplatReport> = files::read_json_if_there(&twin.path(files::SPLAT_REPORT))?;
     // Frames of a video were written into the twin.
     let folder = if twin.path(photos).is_file() { twin.path("scan") } else { twin.path(photos) };
     let views: Vec<(String, PathBuf)> = match Capture::load(&folder, &CaptureOptions::default()) {
@@ -147,7 +74,7 @@ fn small(path: &Path) -> Option<Vec<u8>> {
     Some(jpeg.into_inner())
 }
 
-fn of_training(page: &mut Page, twin: &Twin, trained: &Trained, views: &[(String, PathBuf)]) {
+fn of_training(page: &mut Page, twin: &Twin, trained: &SplatReport, views: &[(String, PathBuf)]) {
     page.paragraph(&format!(
         "Of {} photos {} were trained on; {} were held out and are only compared with what the Gaussians show from there.",
         trained.photos_trained + trained.photos_held_out,
@@ -165,10 +92,7 @@ fn of_training(page: &mut Page, twin: &Twin, trained: &Trained, views: &[(String
         }
     }
     page.pictures(&pairs);
-    let mean = |values: Vec<f64>, digits: usize| match values.len() {
-        0 => "-".to_owned(),
-        n => format!("{:.digits$}", values.iter().sum::<f64>() / n as f64),
-    };
+    let told = |mean: Option<f64>, digits: usize| mean.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
     let rows: Vec<Vec<String>> = [("looks (ellipsoids)", &trained.appearance), ("surface (surfels)", &trained.surface)]
         .into_iter()
         .map(|(name, set)| {
@@ -176,8 +100,8 @@ fn of_training(page: &mut Page, twin: &Twin, trained: &Trained, views: &[(String
                 name.to_owned(),
                 set.gaussians.to_string(),
                 set.iterations.to_string(),
-                mean(set.held_out.rows.iter().filter_map(|r| r.psnr).collect(), 1),
-                mean(set.held_out.rows.iter().filter_map(|r| r.ssim).collect(), 3),
+                told(set.held_out.mean(|r| r.psnr), 1),
+                told(set.held_out.mean(|r| r.ssim), 3),
             ]
         })
         .collect();

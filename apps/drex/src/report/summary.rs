@@ -7,6 +7,7 @@ use serde_json::{Map, Value, json};
 use super::Learned;
 use super::page::Page;
 use super::push::verdict_text;
+use crate::twin::files::SplatReport;
 use crate::twin::{
     Evaluation, ExecutionFile, FitFile, JudgedGrasp, MassFile, MassSource, Stage, TrialFile, Twin, files,
 };
@@ -24,16 +25,18 @@ pub fn findings(twin: &Twin, last: Stage) -> Result<Findings> {
     let mut text = format!("{}\n", twin.manifest.name);
     let mut found = Map::new();
     if twin.manifest.scan.is_some() {
-        let scan: Value = files::read_json(&twin.path(files::SPLAT_REPORT))?;
         let volume_cm3 = 1e6 * twin.asset()?.report.volume_m3;
-        let db = psnr(&scan["appearance"]);
-        text += &format!(
-            "  scan       {} photos, {:.1} dB on {} others, closed mesh of {volume_cm3:.0} cm3\n",
-            scan["photos_trained"],
-            db.unwrap_or(f64::NAN),
-            scan["photos_held_out"]
-        );
-        found.insert("scan".into(), json!({ "psnr_db": db, "volume_cm3": volume_cm3 }));
+        let trained: Option<SplatReport> = files::read_json_if_there(&twin.path(files::SPLAT_REPORT))?;
+        let psnr_db = trained.as_ref().and_then(|t| t.appearance.held_out.mean(|r| r.psnr));
+        let photos = match (&trained, psnr_db) {
+            (Some(t), Some(db)) => {
+                format!("{} photos, {db:.1} dB on {} others, ", t.photos_trained, t.photos_held_out)
+            }
+            (Some(t), None) => format!("{} photos, ", t.photos_trained),
+            (None, _) => String::new(),
+        };
+        text += &format!("  scan       {photos}closed mesh of {volume_cm3:.0} cm3\n");
+        found.insert("scan".into(), json!({ "psnr_db": psnr_db, "volume_cm3": volume_cm3 }));
     }
     if last >= Stage::Identify {
         let mass: MassFile = files::read_json(&twin.path(files::MASS))?;
@@ -93,13 +96,6 @@ pub fn findings(twin: &Twin, last: Stage) -> Result<Findings> {
         found.insert("report".into(), json!(path));
     }
     Ok(Findings { text, json: found })
-}
-
-/// Mean over the photos that were held out, dB.
-fn psnr(set: &Value) -> Option<f64> {
-    let rows = set["held_out"]["rows"].as_array()?;
-    let scores: Vec<f64> = rows.iter().filter_map(|row| row["psnr"].as_f64()).collect();
-    (!scores.is_empty()).then(|| scores.iter().sum::<f64>() / scores.len() as f64)
 }
 
 /// "3 of 8".

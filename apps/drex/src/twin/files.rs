@@ -16,7 +16,7 @@ use crate::scan::FrameReport;
 
 /// Result of the scan stage.
 pub const SCAN: &str = "splat/scan.json";
-/// How well the Gaussians match photos that they have not seen.
+/// How well the Gaussians match photos that they have not seen; not there where the scan came with depth maps.
 pub const SPLAT_REPORT: &str = "splat/report.json";
 /// Result of the identify stage.
 pub const MASS: &str = "mass.json";
@@ -38,8 +38,58 @@ pub const EXECUTION: &str = "policy/execution.json";
 /// and the log of the hand's joints.
 pub const EXECUTION_LOG: &str = "policy/execution.csv";
 
+/// What of `splat/report.json` is told.
+#[derive(Debug, Clone, Deserialize)]
+pub struct SplatReport {
+    /// Photos that the Gaussians learned from,
+    pub photos_trained: usize,
+    /// and that they were compared with.
+    pub photos_held_out: usize,
+    /// Ellipsoids, for looks.
+    pub appearance: SplatSet,
+    /// Surfels, for the surface.
+    pub surface: SplatSet,
+}
+
+/// A set of Gaussians.
+#[derive(Debug, Clone, Deserialize)]
+pub struct SplatSet {
+    /// How many there are.
+    pub gaussians: usize,
+    /// Steps of the training.
+    pub iterations: u32,
+    /// Scores on the photos held out.
+    pub held_out: SplatScores,
+}
+
+/// See [`SplatSet::held_out`].
+#[derive(Debug, Clone, Deserialize)]
+pub struct SplatScores {
+    /// One per photo.
+    pub rows: Vec<SplatScore>,
+}
+
+/// How well a photo is matched.
+#[derive(Debug, Clone, Deserialize)]
+pub struct SplatScore {
+    /// The photo.
+    pub name: String,
+    /// dB; not a number in the file where two pictures are equal.
+    pub psnr: Option<f64>,
+    /// See [`SplatScore::psnr`].
+    pub ssim: Option<f64>,
+}
+
+impl SplatScores {
+    /// The mean over the photos that have a score.
+    pub fn mean(&self, score: impl Fn(&SplatScore) -> Option<f64>) -> Option<f64> {
+        let all: Vec<f64> = self.rows.iter().filter_map(score).collect();
+        (!all.is_empty()).then(|| all.iter().sum::<f64>() / all.len() as f64)
+    }
+}
+
 /// Where the mesh of a scan is, and how it came about.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ScanFile {
     /// Scale, table, box; maps the scan onto the mesh.
     pub scan: FrameReport,
@@ -366,6 +416,11 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
     text.push(b'\n');
     fsutil::write_atomic(path, &text)?;
     Ok(())
+}
+
+/// The same of a file that need not be there.
+pub fn read_json_if_there<T: DeserializeOwned>(path: &Path) -> Result<Option<T>> {
+    path.exists().then(|| read_json(path)).transpose()
 }
 
 /// Reads what [`write_json`] wrote.

@@ -6,9 +6,8 @@ use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
 use drex_core::push::{Drive, InputChoice, PushRecording, StatedParameter};
 use drex_sysid::{Identification, IdentifyOptions, MassPrior, Parameter, Verdict, identify_watched};
-use serde::Deserialize;
 
-use super::files::{MASS, SCAN, read_json, write_json};
+use super::files::{MASS, SCAN, ScanFile, read_json, write_json};
 use super::{MassFile, MassSource, Twin};
 use crate::object::model_of;
 use crate::ui::Ui;
@@ -23,23 +22,11 @@ const OF_THE_SHAPE: [Parameter; 7] = [
     Parameter::StartZ,
     Parameter::ContactHeight,
 ];
-/// Of [`super::files::ScanFile`], how well the mesh is known.
-#[derive(Deserialize)]
-struct Scanned {
-    fusion: Resolution,
-}
-
-/// See [`Scanned`].
-#[derive(Deserialize)]
-struct Resolution {
-    voxel_m: f64,
-}
-
 pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     let mut recordings = recordings(twin)?;
     if twin.manifest.scan.is_some() {
         // To a tenth of a millimetre, as it is printed.
-        let sd = (1e4 * read_json::<Scanned>(&twin.path(SCAN))?.fusion.voxel_m).round() / 1e4;
+        let sd = (1e4 * read_json::<ScanFile>(&twin.path(SCAN))?.fusion.voxel_m).round() / 1e4;
         recordings.iter_mut().for_each(|r| as_scanned(r, sd));
     }
     let identification = if recordings.is_empty() {
@@ -117,4 +104,31 @@ fn prior(twin: &Twin, recordings: &[PushRecording]) -> Result<Option<MassPrior>>
         }
         _ => recordings.iter().find_map(|r| r.mass_prior_kg).map(MassPrior::from_number).transpose()?,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    #[test]
+    fn a_scanned_shape_is_expected_where_the_recording_does_not_say_otherwise() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/tin/push/tilt");
+        let mut recording = PushRecording::load(&folder, &InputChoice::default()).unwrap();
+        let stated = StatedParameter::Value(0.001);
+        recording.parameters.insert("center_z".into(), stated);
+        let mut nothing = recording.clone();
+        nothing.drive = Drive::Nothing;
+
+        as_scanned(&mut recording, 0.002);
+        assert_eq!(recording.parameters["center_z"], stated);
+        let expected = StatedParameter::Expected { mean: 0.0, sd: 0.002 };
+        assert_eq!(recording.parameters.values().filter(|p| **p == expected).count(), OF_THE_SHAPE.len() - 1);
+        // The names are those that the estimate knows.
+        drex_sysid::ParameterSet::of_recording(&recording).unwrap();
+
+        as_scanned(&mut nothing, 0.002);
+        assert_eq!(nothing.parameters.len(), 1, "what nobody pushed has no height of the push");
+    }
 }

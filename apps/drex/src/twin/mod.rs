@@ -33,9 +33,6 @@ pub use files::{
 };
 pub use scene::Scene;
 
-/// Convex pieces of an object that was scanned, at most: more of them follow the roughness of the scan, and every contact pays.
-const SCANNED_PIECES: usize = 6;
-
 /// The stages of a twin, in order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stage {
@@ -140,10 +137,7 @@ impl Twin {
         if let Some(asset) = self.asset.get() {
             return Ok(asset);
         }
-        let mut options = asset_options(&self.manifest.object, self.friction());
-        if self.manifest.scan.is_some() {
-            options.pieces.most_pieces = SCANNED_PIECES;
-        }
+        let options = asset_options(&self.manifest.object, self.friction());
         let asset = build_asset(&self.path(&self.manifest.object.mesh), &options)?;
         Ok(self.asset.get_or_init(|| asset))
     }
@@ -216,6 +210,7 @@ impl Twin {
             }
             Stage::Identify => {
                 let inputs = inputs.setting("mass", &m.mass)?.setting("object", &m.object)?.file(&mesh)?;
+                let inputs = self.scanned(inputs)?;
                 let inputs = m.mass.prior_file.iter().try_fold(inputs, |inputs, f| inputs.file(&self.path(f)))?;
                 m.mass.identify.iter().try_fold(inputs, |inputs, push| push_files(&self.path(push), inputs))?
             }
@@ -238,6 +233,7 @@ impl Twin {
             }
             Stage::Report => {
                 let inputs = inputs.setting("manifest", m)?.file(&self.path("mesh"))?.file(&self.path(files::MASS))?;
+                let inputs = self.scanned(inputs)?;
                 if m.grasps.is_some() {
                     inputs
                         .file(&self.path(files::FITS))?
@@ -251,6 +247,14 @@ impl Twin {
             }
         };
         Ok(inputs.digest())
+    }
+
+    /// With what the scan stage says of itself, if there is one.
+    fn scanned(&self, inputs: Inputs) -> Result<Inputs> {
+        match &self.manifest.scan {
+            Some(_) => inputs.file(&self.path(files::SCAN)),
+            None => Ok(inputs),
+        }
     }
 }
 

@@ -19,9 +19,9 @@ const HOLD_OUT: usize = 8;
 
 pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     let config = twin.manifest.scan.as_ref().context("the manifest has no [scan]")?;
-    // Depth maps of other photos must not be taken for these.
+    // Depth maps that an earlier run made of other photos must not be taken for these; a folder of somebody else's stays.
     let depth = twin.path("depth");
-    if depth.exists() {
+    if depth.join("transforms.json").is_file() && !twin.path(&config.photos).starts_with(&depth) {
         std::fs::remove_dir_all(&depth).with_context(|| format!("cannot remove {}", depth.display()))?;
     }
     let mut reconstruct = ReconstructOptions::default();

@@ -64,6 +64,8 @@ pub struct ObjectConfig {
     pub friction: Option<f64>,
     /// The other contact parameters of the simulation asset; their defaults if left out.
     pub contact: Option<ContactConfig>,
+    /// Convex pieces at most; the default of the mesh kit if left out.
+    pub pieces: Option<usize>,
     /// Parts of an articulated object, segmented from `mesh`; none for a rigid one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub parts: Vec<PartConfig>,
@@ -151,6 +153,7 @@ impl TwinManifest {
             up_in_mesh: z_up(),
             friction: None,
             contact: None,
+            pieces: None,
             parts: Vec::new(),
             joints: Vec::new(),
         };
@@ -233,6 +236,9 @@ impl TwinManifest {
             );
         }
         self.object.contact.as_ref().map_or(Ok(()), ContactConfig::check)?;
+        if self.object.pieces == Some(0) {
+            return refuse("[object] pieces = 0".into(), "allow at least one convex piece, or leave it out");
+        }
         self.check_parts()?;
         if let Some(scan) = &self.scan {
             scan.check()?;
@@ -413,6 +419,7 @@ damping = 0.001
             ("epochs = 200", "epoch = 200", "line 16: column 1: unknown field `epoch`"),
             ("unit = \"mm\"", "unit = \"inch\"", "line 6"),
             ("prior_kg = 0.5", "prior_kg = -1", "prior_kg = -1"),
+            ("unit = \"mm\"", "pieces = 0", "[object] pieces = 0"),
             ("identify = [\"push/push1\"]\nprior_kg = 0.5", "", "[mass] says nothing"),
             ("schema = 1", "schema = 2", "schema 2"),
             ("[1, 0, 0]", "[0, 0, 0]", "up_in_mesh"),

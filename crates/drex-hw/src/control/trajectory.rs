@@ -79,7 +79,8 @@ impl Trajectory {
         })
     }
 
-    /// What was logged, played again after `approach_s` seconds for the way to its first pose. Joints are found by name.
+    /// What was logged, played again after `approach_s` seconds for the way to its first pose, and more slowly where the log is faster than
+    /// [`Self::SPEED_RAD_PER_S`]: times of a log jitter, and hands are moved faster by hand than they are sent. Joints are found by name.
     ///
     /// # Errors
     /// As [`Self::new`], and if the log lacks a joint.
@@ -92,11 +93,25 @@ impl Trajectory {
         };
         let columns = names.iter().map(column).collect::<Result<Vec<_>>>()?;
         let first = log.times_s.first().copied().unwrap_or(0.0);
-        let row = |(time, row): (&f64, &Vec<f64>)| Waypoint {
-            time_s: time - first + approach_s,
-            position: columns.iter().map(|c| row.get(*c).copied().unwrap_or(f64::NAN)).collect(),
-        };
-        Self::new(log.times_s.iter().zip(&log.positions).map(row).collect(), effort_limit)
+        let mut waypoints: Vec<Waypoint> = Vec::with_capacity(log.times_s.len());
+        // Time that the slower parts have added.
+        let mut behind_s = 0.0;
+        for (time_s, row) in log.times_s.iter().zip(&log.positions) {
+            let position: Vec<f64> = columns.iter().map(|c| row.get(*c).copied().unwrap_or(f64::NAN)).collect();
+            let mut time_s = time_s - first + approach_s + behind_s;
+            if let Some(last) = waypoints.last() {
+                let way = position.iter().zip(&last.position).map(|(q, p)| (q - p).abs()).fold(0.0, f64::max);
+                // A hair more, so that rounding does not make it too fast again.
+                let earliest_s = last.time_s + way * (1.0 + 1e-6) / Self::SPEED_RAD_PER_S;
+                // Only where time rises at all: `new` refuses the rest.
+                if time_s > last.time_s && time_s < earliest_s {
+                    behind_s += earliest_s - time_s;
+                    time_s = earliest_s;
+                }
+            }
+            waypoints.push(Waypoint { time_s, position });
+        }
+        Self::new(waypoints, effort_limit)
     }
 
     /// The same with no joint sent faster than this, rad/s.

@@ -17,7 +17,7 @@ mod volume;
 
 use nalgebra::{Point3, Unit, Vector3};
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use drex_core::{Pose, TriMesh};
 
@@ -124,7 +124,7 @@ pub struct Evidence {
 }
 
 /// What was found out and done. Lengths in metres.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct FusionReport {
     /// Views given.

@@ -1,6 +1,6 @@
 //! The parts of an extracted surface: which stay, which are dropped, which hollows are filled.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use drex_core::TriMesh;
 
@@ -8,7 +8,7 @@ use super::marching::{Extracted, GridEdge};
 use crate::topology::{NONE, Sets};
 
 /// A part of the surface that was dropped.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct DroppedPart {
     /// Its volume, m³.

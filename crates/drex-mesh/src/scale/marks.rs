@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use nalgebra::{Point2, Point3};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use drex_core::camera::Camera;
 use drex_core::{Pose, fsutil};
@@ -77,7 +77,7 @@ pub struct KnownDistance {
 }
 
 /// Scale of a model from known distances.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct ScaleFit {
     /// Metres per unit of the model.
@@ -87,7 +87,7 @@ pub struct ScaleFit {
 }
 
 /// A known distance and what the scaled model says.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct DistanceResidual {
     /// One mark.

@@ -1,0 +1,35 @@
+//! What came out of `drex demo`: the folder that DREX_DEMO names, since a run takes minutes.
+#![allow(clippy::unwrap_used)] // tests: a panic is the report
+
+use std::fs;
+use std::path::PathBuf;
+
+use serde_json::Value;
+
+#[test]
+fn the_demo_weighs_what_it_saw_and_holds_it() {
+    let Some(demo) = std::env::var_os("DREX_DEMO").map(PathBuf::from) else {
+        eprintln!("skipped the_demo_weighs_what_it_saw_and_holds_it: DREX_DEMO names no folder of a demo that has run");
+        return;
+    };
+    let read = |file: PathBuf| -> Value { serde_json::from_str(&fs::read_to_string(file).unwrap()).unwrap() };
+    let truth = read(PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("data/demo/truth.json"));
+    let number = |v: &Value| v.as_f64().unwrap();
+
+    let mass = read(demo.join("mass.json"));
+    assert_eq!(mass["source"], "identified", "{}", mass["source"]);
+    let ([low, high], truth_kg) = ([0, 1].map(|i| number(&mass["ci95_kg"][i])), number(&truth["mass_kg"]));
+    assert!(low < truth_kg && truth_kg < high, "{truth_kg} kg were simulated, {low} to {high} found");
+    assert!(high / low < 1.5, "{low} to {high} kg says little");
+
+    let volume_cm3 = 1e6 * number(&read(demo.join("mesh/report.json"))["volume_m3"]);
+    let share = volume_cm3 / number(&truth["volume_cm3"]);
+    assert!((0.88..1.12).contains(&share), "the mesh has {volume_cm3} cm3, {share} of the truth");
+
+    let trial = read(demo.join("policy/trial.json"));
+    let (held, n) = (trial["held"].as_u64().unwrap(), trial["n"].as_u64().unwrap());
+    assert!(4 * held >= 3 * n, "{held} of {n} rollouts held");
+    let execution = read(demo.join("policy/execution.json"));
+    assert_eq!(execution["held"], true, "the emulated hand: {execution}");
+    assert!(fs::read_to_string(demo.join("report.html")).unwrap().contains("Trial: lift, hold, shake"));
+}
