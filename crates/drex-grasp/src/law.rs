@@ -52,6 +52,12 @@ pub struct ForceCommand {
 }
 
 impl ForceLaw {
+    /// Share of the true friction cone, if friction is what was told, that this law's squeeze uses at the contact nearest to slipping under
+    /// the worst load: (1 − uncertainty) / margin. Forces learned from measured slip aim at it, so as to mean the same.
+    pub fn friction_share(&self) -> f64 {
+        (1.0 - self.friction_uncertainty) / self.margin
+    }
+
     /// The same with the factor `margin`.
     pub fn with_margin(mut self, margin: f64) -> Self {
         self.margin = margin;

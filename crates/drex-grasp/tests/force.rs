@@ -169,6 +169,8 @@ fn the_law_is_required_times_margin_within_floor_and_limits() {
     // Shakes 1.5, friction 0.9 of 0.5, margin 1.25.
     let required = 1.5 * 0.2 * G / 0.45;
     assert!((c.required_n - required).abs() < 1e-5 && (c.total_n - 1.25 * required).abs() < 1e-5);
+    // Of the true cone at 0.5 the worst shake uses as much as the law says of itself.
+    assert!((1.5 * 0.2 * G / (0.5 * c.total_n) - law.friction_share()).abs() < 1e-6);
     assert!((c.margin - 1.25).abs() < 1e-6 && c.largest_n.is_none() && c.binding_load == 1);
     assert!((c.paper_force - 0.2 * G * 2.0 / 5.0).abs() < 1e-12 && paper_force(2.0, G, 4) == 1.0);
     // Twice the mass, twice the force.

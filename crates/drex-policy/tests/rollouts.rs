@@ -90,6 +90,34 @@ fn logits_contacts_and_squeezes_learn_and_poses_stay() {
     assert!(report.curve_svg().starts_with("<svg") && report.curve_svg().matches("<path").count() == 4);
 }
 
+/// The first way carries what is light, the second what is heavy.
+struct ByMass;
+
+impl Rollouts for ByMass {
+    fn rollout(&self, _: usize, grasp: &PredictedGrasp, mass_kg: f64, _: f64, _: u64) -> Result<Feedback> {
+        let held = first_way(grasp) == (mass_kg < 0.2);
+        Ok(Feedback {
+            fingers_in_contact: vec![true, true],
+            retained: f64::from(u8::from(held)),
+            held,
+            friction_used: None,
+            needed_squeeze_n: None,
+        })
+    }
+}
+
+#[test]
+fn the_grasp_that_is_proposed_changes_with_the_mass() {
+    let data = toy(24, &MASSES);
+    let mut trainer = learned(&data, &options());
+    while trainer.roll_out(&ByMass).unwrap().is_some() {}
+    let points = box_points();
+    for (mass_kg, first) in [(0.11, true), (0.14, true), (0.28, false), (0.38, false)] {
+        let grasps = trainer.policy().predict(&Query::new(&points, mass_kg, FRICTION)).unwrap();
+        assert!(first_way(&grasps[0]) == first && grasps[0].weight > 0.8, "{mass_kg} kg: {:.2}", grasps[0].weight);
+    }
+}
+
 #[test]
 fn without_the_anchor_poses_drift_more() {
     let data = toy(24, &MASSES);

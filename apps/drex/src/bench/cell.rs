@@ -171,36 +171,33 @@ impl<J: Judge> Cell<'_, J> {
         }
     }
 
-    /// The most probable grip that the hand can hold.
+    /// The most probable grip for which the hand has a force.
     fn plan(&self, condition: &Condition, grips: &[(Proposal, J::Grip)]) -> Result<Result<J::Plan, NoCommand>> {
         let belief = condition.belief(self.setting.told.mass_kg(self.setting.mass_kg, condition.mass_error));
         let chosen_for = match self.setting.choice {
             Choice::Told => belief,
             Choice::True => condition.belief(self.setting.mass_kg),
         };
-        // The order and the squeeze of each grip at this friction and what is told of the mass.
-        let mut order: Vec<(f64, f64, usize)> = match self.actor {
+        // The grips at this friction: how probable each is and how hard it squeezes where it is chosen, and how hard for what is told.
+        let mut order: Vec<(f64, [f64; 2], &J::Grip)> = match self.actor {
             Actor::Policy(policy, points) => {
                 let (by, told) = (policy.propose(points, &chosen_for)?, policy.propose(points, &belief)?);
-                let of = |among: &[Proposal], p: &Proposal| nearest(among, p).map(|n| (n.weight, n.squeeze_n));
-                let ask = |(i, (p, _)): (usize, &(Proposal, J::Grip))| {
-                    let weight = of(&by, p).map_or(p.weight, |n| n.0);
-                    (weight, of(&told, p).map_or(p.squeeze_n, |n| n.1), i)
+                let ask = |(p, grip)| {
+                    let (by, told) = (nearest(&by, p).unwrap_or(p), nearest(&told, p).unwrap_or(p));
+                    (by.weight, [by.squeeze_n, told.squeeze_n], grip)
                 };
-                grips.iter().enumerate().map(ask).collect()
+                grips.iter().map(|(p, grip)| ask((p, grip))).collect()
             }
-            Actor::Always(_) => grips.iter().enumerate().map(|(i, (p, _))| (p.weight, p.squeeze_n, i)).collect(),
+            Actor::Always(_) => grips.iter().map(|(p, grip)| (p.weight, [p.squeeze_n; 2], grip)).collect(),
         };
         order.sort_by(|a, b| b.0.total_cmp(&a.0));
-        for &(_, squeeze_n, i) in &order {
-            if self.judge.plan(&grips[i].1, &chosen_for, Squeeze::Needed)?.is_ok() {
-                return self.command(squeeze_n, &grips[i].1, &belief, condition);
-            }
-        }
-        // None can be held for certain: the most probable that has a force at all has a try with it.
         let mut reason = NoCommand::NoContact { touching: 0 };
-        for &(_, squeeze_n, i) in &order {
-            match self.command(squeeze_n, &grips[i].1, &belief, condition)? {
+        for (_, [by_n, told_n], grip) in order {
+            let command = match self.command(by_n, grip, &chosen_for, condition)? {
+                Ok(_) => self.command(told_n, grip, &belief, condition)?,
+                Err(why) => Err(why),
+            };
+            match command {
                 Ok(plan) => return Ok(Ok(plan)),
                 Err(why) => reason = why,
             }

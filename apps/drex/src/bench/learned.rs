@@ -32,7 +32,7 @@ const PRACTICE_FORCE: f64 = 0.85;
 const NEARLY_AS_GOOD: f64 = 0.9;
 const WHERE_OTHERS_FAIL: f64 = 0.7;
 /// Rounds of rollouts of the network, views of a round, tries of a view.
-const ROUNDS: (usize, usize, usize) = (6, 4, 8);
+const ROUNDS: (usize, usize, usize) = (10, 6, 8);
 /// Grasps that the network learns, at most.
 const LEARNED: usize = 24;
 /// Set apart from the seeds of judged rollouts.
@@ -202,10 +202,14 @@ fn practise<'a, J: Judge>(
         .into_iter()
         .zip(masses_kg.iter().copied().cycle())
         .collect();
-    let mass_kg = masses_kg[masses_kg.len() / 2];
     let middle = 0.5 * (spread.friction.0 + spread.friction.1);
-    // What can be held where friction is high counts as well: for some objects nothing else can.
-    let beliefs = [middle, spread.friction.1].map(|friction| Belief { mass_kg, friction });
+    // What carries the heaviest carries the others. What can be held where friction is high counts as well, and what carries the lightest
+    // alone: for some objects nothing else can.
+    let (heaviest, lightest) =
+        masses_kg.iter().fold((0.0, f64::INFINITY), |(h, l): (f64, f64), m| (h.max(*m), l.min(*m)));
+    let beliefs =
+        [(heaviest, middle), (heaviest, spread.friction.1), (lightest, middle), (lightest, spread.friction.1)]
+            .map(|(mass_kg, friction)| Belief { mass_kg, friction });
     let mut easiest: Vec<&Grasp> = grasps.iter().collect();
     easiest.sort_by(|a, b| a.squeeze_per_weight.total_cmp(&b.squeeze_per_weight));
     easiest.truncate(REHEARSED_FOR_ONE * options.practised.max(LEARNED));

@@ -3,7 +3,7 @@
 use std::num::NonZeroUsize;
 use std::path::Path;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use drex_core::fsutil;
 use drex_core::twin::{MANIFEST, PartConfig, TwinManifest};
 use drex_mesh::{
@@ -86,12 +86,16 @@ fn write(asset: &Asset, args: &AssetArgs) -> Result<()> {
 fn from_manifest(args: &AssetArgs, manifest: &Path, ui: &Ui) -> Result<()> {
     let twin = TwinManifest::load(manifest)?;
     let folder = manifest.parent().unwrap_or(Path::new(""));
+    let mesh = folder.join(&twin.object.mesh);
+    if twin.scan.is_some() && !mesh.exists() {
+        bail!("{} is made from the [scan], which has not run yet: drex run {}", mesh.display(), manifest.display());
+    }
     let mut options = asset_options(&twin.object, twin.friction().0);
     options.mass_kg = twin.mass.weighed_kg;
     let options = with_arguments(options, args);
     let spinner = ui.spinner("asset");
     if twin.object.parts.is_empty() {
-        let asset = build_asset(&folder.join(&twin.object.mesh), &options)?;
+        let asset = build_asset(&mesh, &options)?;
         write(&asset, args)?;
         spinner.finish_and_clear();
         return ui.answer(&asset.report, format!("{}\n{}", args.input.display(), describe(&asset, args)));

@@ -185,6 +185,7 @@ fn grasp(args: &GraspBenchArgs, seed: u64, ui: &Ui) -> Result<()> {
     options.law = options.law.with_margin(args.margin);
     let mut train = TrainOptions::default().with_seed(seed).with_points(POINTS);
     train.epochs = args.epochs.unwrap_or(train.epochs);
+    train.rollouts.wanted_friction_share = options.law.friction_share();
     let bench = Bench {
         hand: &hand,
         robot: robot.clone(),

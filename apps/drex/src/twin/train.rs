@@ -71,13 +71,14 @@ fn practise(
     let search = twin.manifest.train.as_ref().and_then(|t| t.search).unwrap_or(0);
     let grasps = ground.grasps(fits, search, twin.seed)?;
     spinner.set_prefix("practice");
-    let options = LearnOptions {
+    let mut options = LearnOptions {
         train,
         spread: Spread::around(Some(twin.friction())),
         practised,
         masses_kg: Vec::new(),
         mass_hidden: false,
     };
+    options.train.rollouts.wanted_friction_share = ForceLaw::default().friction_share();
     let mut learned = Learned::train(&ground.thing, &ground.robot, &grasps, &ground.judge, &options)?;
     spinner.finish_and_clear();
     let demonstrated = grasps.iter().filter(|g| g.kind == Kind::Retargeted).count();

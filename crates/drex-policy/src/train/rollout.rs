@@ -4,8 +4,10 @@
 //! steps on, per try of mode k:
 //!
 //! - contacts: cross-entropy with the fingers that touched;
-//! - modes: cross-entropy with π* ∝ π⁰ exp(ρ / τ), where π⁰ are the probabilities of the first phase and ρ the mean reward of each mode on
-//!   this object. That is the distribution of the largest mean reward for its divergence from π⁰ (τ prices the divergence);
+//! - modes: cross-entropy with π* ∝ π⁰ exp(ρ / τ), where π⁰ are the probabilities of the first phase and ρ the reward to expect of each mode on
+//!   this object at this mass and friction: the mean over its tries, the nearer in load and the later the more they count (a kernel
+//!   regression after Nadaraya and Watson). That is the distribution of the largest mean reward for its divergence from π⁰ (τ prices the
+//!   divergence). A grasp that carries 80 g may not carry 200 g: the modes that are proposed change with the load;
 //! - squeeze: squared error of its logarithm to the larger of what the cone programme needs over the actual contacts and of the squeeze
 //!   at which the friction cone would be used by the wanted share;
 //! - anchor: squared distance, in spreads, of joints and wrist of all modes to what the first phase taught;
@@ -67,23 +69,31 @@ pub(super) struct Second {
     pub tallies: Vec<Vec<Tally>>,
 }
 
-/// Rewards of a mode on an object, older ones counting less.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Tally {
-    sum: f64,
-    count: f64,
-}
+/// What was tried of a mode on an object, the latest last: mass, kg, friction, and the reward.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Tally(Vec<((f64, f64), f64)>);
 
 /// What a reward counts for, one try later.
-const MEMORY: f64 = 0.95;
+const MEMORY: f64 = 0.98;
+
+/// A try at so different a load, as a difference of logarithms, counts a quarter of one at the same load.
+const OTHER_LOAD: f64 = 0.25;
 
 /// A demonstration counts at least this much, whatever the rewards of its modes.
 const LEAST_DEMO: f64 = 0.05;
 
 impl Tally {
-    fn add(&mut self, reward: f64) {
-        self.sum = MEMORY * self.sum + reward;
-        self.count = MEMORY * self.count + 1.0;
+    /// Sum of the rewards as far as they tell something about a load, and of what they count for.
+    fn near(&self, load: (f64, f64)) -> (f64, f64) {
+        let (mut sum, mut count, mut memory) = (0.0, 0.0, 1.0);
+        for ((mass_kg, friction), reward) in self.0.iter().rev() {
+            let far2 = (mass_kg / load.0).ln().powi(2) + (friction / load.1).ln().powi(2);
+            // Falls off slowly, so that a mode that was not tried near here is judged by where it was.
+            let weight = memory / (1.0 + far2 / OTHER_LOAD.powi(2)).powi(2);
+            (sum, count) = (sum + weight * reward, count + weight);
+            memory *= MEMORY;
+        }
+        (sum, count)
     }
 }
 
@@ -96,12 +106,13 @@ impl Second {
         self.anchor.is_some()
     }
 
-    /// Mean reward of each mode on an object; that of all tried ones, as one try, where a mode has not been tried often.
-    fn rewards(&self, object: usize) -> Vec<f64> {
-        let tallies = &self.tallies[object];
-        let count: f64 = tallies.iter().map(|t| t.count).sum();
-        let mean = if count > 0.0 { tallies.iter().map(|t| t.sum).sum::<f64>() / count } else { 0.5 };
-        tallies.iter().map(|t| (t.sum + mean) / (t.count + 1.0)).collect()
+    /// Reward to expect of each mode on an object at a mass and a friction; that of all tried ones, as one try, where a mode has not been
+    /// tried often near there.
+    fn rewards(&self, object: usize, load: (f64, f64)) -> Vec<f64> {
+        let near: Vec<(f64, f64)> = self.tallies[object].iter().map(|t| t.near(load)).collect();
+        let count: f64 = near.iter().map(|n| n.1).sum();
+        let mean = if count > 0.0 { near.iter().map(|n| n.0).sum::<f64>() / count } else { 0.5 };
+        near.iter().map(|(sum, count)| (sum + mean) / (count + 1.0)).collect()
     }
 }
 
@@ -119,7 +130,9 @@ struct Round {
     object: usize,
     scene: Scene,
     tries: Vec<Try>,
+    /// At the masses and frictions `demo_loads`.
     demos: Vec<Target>,
+    demo_loads: Vec<(f64, f64)>,
     /// Of tries, then demonstrations.
     scalars: Vec<f32>,
     /// Outputs at the start of the round, and of the first phase.
@@ -169,14 +182,15 @@ impl Trainer<'_> {
         self.try_all(&mut rounds, rollouts)?;
         for (round, t) in rounds.iter().flat_map(|r| r.tries.iter().map(move |t| (r, t))) {
             if let Some(feedback) = &t.feedback {
-                self.second.tallies[round.object][t.mode].add(reward(feedback));
+                self.second.tallies[round.object][t.mode].0.push((t.load, reward(feedback)));
             }
         }
         let mut stats = self.stats(epoch, options, &rounds);
-        let wanted: Vec<Vec<f64>> = (0..self.data.objects.len()).map(|o| self.second.rewards(o)).collect();
-        self.weigh_demos(&mut rounds, anchor, &wanted);
+        self.weigh_demos(&mut rounds, anchor);
+        let rewards = |r: &Round| r.tries.iter().map(|t| self.second.rewards(r.object, t.load)).collect();
+        let rewards: Vec<Vec<Vec<f64>>> = rounds.iter().map(rewards).collect();
         for _ in 0..options.passes {
-            for round in &rounds {
+            for (round, rewards) in rounds.iter().zip(&rewards) {
                 let scales = self.scales();
                 let weights = &self.policy.weights;
                 let (loss, gradient) = net::gradients(weights, &round.scene.encoded, &round.scalars, |outputs| {
@@ -187,7 +201,7 @@ impl Trainer<'_> {
                         scales: &scales,
                         norm: &self.policy.card.normalisation,
                         round,
-                        rewards: &wanted[round.object],
+                        rewards,
                     };
                     learner.loss(outputs)
                 })?;
@@ -211,6 +225,7 @@ impl Trainer<'_> {
         train.truncate(options.tries);
         let scene = self.shaken(object, random);
         let (demo_scalars, demos) = self.targets(&train, &scene);
+        let demo_loads = train.iter().map(|&s| (self.data.samples[s].mass_kg, self.data.samples[s].friction)).collect();
         let norm = self.policy.card.normalisation;
         let mut log_uniform = |(least, most): (f64, f64)| {
             let share: f64 = random.random_range(0.0..1.0);
@@ -231,7 +246,7 @@ impl Trainer<'_> {
             let grasp = self.policy.decode(row, &scene, load).swap_remove(mode);
             tries.push(Try { mode, load, seed: random.random(), grasp, feedback: None });
         }
-        Ok(Round { object, scene, tries, demos, scalars, before, anchor })
+        Ok(Round { object, scene, tries, demos, demo_loads, scalars, before, anchor })
     }
 
     /// Runs all tries in parallel; the answers are taken in order, so the number of threads changes nothing.
@@ -273,7 +288,7 @@ impl Trainer<'_> {
     }
 
     /// A demonstration counts by the rewards of the modes that stood for it, relative to the mean of its object.
-    fn weigh_demos(&self, rounds: &mut [Round], anchor: &Weights, rewards: &[Vec<f64>]) {
+    fn weigh_demos(&self, rounds: &mut [Round], anchor: &Weights) {
         let layout = self.policy.weights.layout;
         for round in rounds {
             let start = round.tries.len() * layout.modes * layout.mode_width();
@@ -282,7 +297,10 @@ impl Trainer<'_> {
             let earned: Vec<f64> = found
                 .responsible
                 .chunks_exact(layout.modes)
-                .map(|r| r.iter().zip(&rewards[round.object]).map(|(r, reward)| r * reward).sum())
+                .zip(&round.demo_loads)
+                .map(|(r, load)| {
+                    r.iter().zip(self.second.rewards(round.object, *load)).map(|(r, reward)| r * reward).sum()
+                })
                 .collect();
             let mean = earned.iter().sum::<f64>() / earned.len().max(1) as f64;
             for (demo, earned) in round.demos.iter_mut().zip(earned) {
@@ -307,7 +325,6 @@ impl Trainer<'_> {
         };
         let mut targets = 0.0;
         for round in rounds {
-            let rewards = self.second.rewards(round.object);
             let rows = round.before.chunks_exact(layout.modes * layout.mode_width());
             for (t, row) in round.tries.iter().zip(rows) {
                 let Some(feedback) = &t.feedback else { continue };
@@ -316,6 +333,7 @@ impl Trainer<'_> {
                 sum.reward += reward(feedback);
                 let logits = row.chunks_exact(layout.mode_width()).map(|m| f64::from(m[layout.logit()]));
                 let log_z = log_sum_exp(logits.clone());
+                let rewards = self.second.rewards(round.object, t.load);
                 sum.policy_reward += logits.zip(&rewards).map(|(l, r)| (l - log_z).exp() * r).sum::<f64>();
                 let width = layout.mode_width();
                 let mode = Mode::new(&layout, &scales, &row[t.mode * width..(t.mode + 1) * width]);
@@ -381,8 +399,8 @@ struct Learner<'a> {
     scales: &'a Scales,
     norm: &'a Normalisation,
     round: &'a Round,
-    /// Mean reward of each mode.
-    rewards: &'a [f64],
+    /// Reward to expect of each mode, per try.
+    rewards: &'a [Vec<f64>],
 }
 
 impl Learner<'_> {
@@ -394,7 +412,7 @@ impl Learner<'_> {
         let mut loss = 0.0;
         for (i, t) in self.round.tries.iter().enumerate() {
             let part = i * row..(i + 1) * row;
-            loss += self.of_try(t, &outputs[part.clone()], part.start, &mut slopes[part]);
+            loss += self.of_try(t, &self.rewards[i], &outputs[part.clone()], part.start, &mut slopes[part]);
         }
         for (i, out) in outputs.chunks_exact(row).enumerate() {
             loss += self.of_anchor(out, i * row, outputs.len() / row, &mut slopes[i * row..(i + 1) * row]);
@@ -410,7 +428,7 @@ impl Learner<'_> {
     }
 
     /// Contacts, squeeze and probability of the mode that was tried; the others keep what they had.
-    fn of_try(&self, t: &Try, out: &[f32], start: usize, slopes: &mut [f32]) -> f64 {
+    fn of_try(&self, t: &Try, rewards: &[f64], out: &[f32], start: usize, slopes: &mut [f32]) -> f64 {
         let layout = self.weights.layout;
         let width = layout.mode_width();
         let Some(feedback) = &t.feedback else { return 0.0 };
@@ -418,7 +436,7 @@ impl Learner<'_> {
         let (before, anchor) = (&self.round.before[start..], &self.round.anchor[start..]);
         let log = |out: &[f32], k: usize| f64::from(out[k * width + layout.logit()]);
         let log_z = log_sum_exp((0..layout.modes).map(|k| log(out, k)));
-        let wish = |k: usize| log(anchor, k) + self.rewards[k] / self.options.reward_temperature;
+        let wish = |k: usize| log(anchor, k) + rewards[k] / self.options.reward_temperature;
         let wish_z = log_sum_exp((0..layout.modes).map(wish));
         let mut loss = 0.0;
         for k in 0..layout.modes {
@@ -479,6 +497,24 @@ impl Learner<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_mode_is_judged_by_its_tries_at_similar_loads() {
+        let mut second = Second::new(1, 3);
+        // The first mode carries what is light, the second what is heavy; the third was tried once, on the light.
+        for _ in 0..20 {
+            for (mode, at_light, at_heavy) in [(0, 1.0, 0.0), (1, 0.0, 1.0)] {
+                second.tallies[0][mode].0.extend([((0.08, 0.5), at_light), ((0.22, 0.5), at_heavy)]);
+            }
+        }
+        second.tallies[0][2].0.push(((0.08, 0.5), 1.0));
+        let (light, heavy) = (second.rewards(0, (0.085, 0.5)), second.rewards(0, (0.2, 0.55)));
+        assert!(light[0] > 0.9 && light[1] < 0.1, "{light:?}");
+        assert!(heavy[0] < 0.1 && heavy[1] > 0.9, "{heavy:?}");
+        // One try moves it half of the way from what is usual there; far from it it says little.
+        assert!((light[2] - 0.75).abs() < 0.05 && (heavy[2] - 0.5).abs() < 0.05, "{light:?} {heavy:?}");
+        assert_eq!(Second::new(1, 2).rewards(0, (0.1, 0.5)), [0.5, 0.5]);
+    }
 
     #[test]
     fn the_wanted_squeeze_follows_what_was_measured() {
