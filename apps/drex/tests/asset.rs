@@ -8,7 +8,7 @@ use std::path::Path;
 
 use common::drex;
 use drex_core::{Pose, TriMesh};
-use drex_mesh::{DepthCamera, cast_depth};
+use drex_mesh::{DepthCamera, cast_depth, read_mesh};
 use image::{ImageBuffer, Luma, RgbImage};
 use nalgebra::{Point3, Vector3};
 
@@ -105,6 +105,33 @@ fn a_recording_becomes_a_hollow_cup_that_stands() {
     let pieces = answer["asset"]["pieces_to_solid_volume"].as_f64().unwrap();
     assert!(pieces * volume < 0.6 * hull, "the cup was filled: {pieces}");
     assert!(out.join("asset/object.xml").is_file() && out.join("mesh/scan.json").is_file());
+}
+
+#[test]
+fn a_recording_is_the_scan_of_a_twin() {
+    let guard = tempfile::tempdir().unwrap();
+    let twin = guard.path().join("cup");
+    record(&twin.join("recording"));
+    let manifest = |up: &str| {
+        let text = format!(
+            "schema = 1\nname = \"cup\"\n[scan]\nphotos = \"recording\"\n[object]\nmesh = \"splat/cup.obj\"\n\
+             up_in_mesh = {up}\n[mass]\nweighed_kg = 0.2\n"
+        );
+        std::fs::write(twin.join("twin.toml"), text).unwrap();
+    };
+    let folder = twin.to_str().unwrap();
+    manifest("[0, 0, 1]");
+    drex(["asset", &format!("{folder}/twin.toml"), "--out", folder]).fails_with(&["cup.obj", "[scan]", "drex run"]);
+    let run = drex(["run", folder, "--json"]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    // No Gaussians were made, and the report does not need them.
+    assert!(twin.join("report.html").is_file() && !twin.join("splat/report.json").exists());
+    let mesh = read_mesh(&twin.join("splat/cup.obj")).unwrap();
+    let truth = turned(&PROFILE, 64).mass_properties(1.0).unwrap().mass_kg;
+    let volume = mesh.mass_properties(1.0).unwrap().mass_kg;
+    assert!((volume / truth - 1.0).abs() < 0.1, "{volume} is not {truth}");
+    manifest("[1, 0, 0]");
+    drex(["run", folder]).fails_with(&["up is [", "90 degrees", "up_in_mesh under [object]"]);
 }
 
 #[test]
