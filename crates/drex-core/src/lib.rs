@@ -38,6 +38,7 @@ pub mod error;
 pub mod fsutil;
 pub mod joints;
 pub mod mesh;
+pub mod ply;
 pub mod pose;
 pub mod push;
 pub mod readers;

@@ -8,6 +8,7 @@ use drex_grasp::{
     ContactOptions, GraspError, HandSurface, SqueezeError, SqueezeProblem, TorqueLimits, smallest_forces,
 };
 use drex_robot::Robot;
+use drex_trial::TrialOptions;
 use nalgebra::{Vector3, Vector6};
 use rayon::prelude::*;
 
@@ -23,6 +24,13 @@ const STEP: f64 = 0.005;
 pub struct Load {
     pub torque_cap_nm: f64,
     pub shake_m_s2: f64,
+}
+
+impl Load {
+    /// That of trials with these options.
+    pub fn of(trial: &TrialOptions) -> Self {
+        Self { torque_cap_nm: trial.torque_cap_nm, shake_m_s2: trial.shake_m_s2 }
+    }
 }
 
 /// Least friction at which any of the grasps carries an object of `mass_kg`; `None` if none does at any. The same for any number of
@@ -59,6 +67,32 @@ pub fn least_friction(
         best = Some(yes);
     }
     Ok(best)
+}
+
+/// For each of the grasps the place of the first of these frictions at which it carries an object of `mass_kg`, if there is one.
+///
+/// # Errors
+/// If a grasp is none of this hand.
+pub fn carried(
+    thing: &Thing,
+    robot: &Robot,
+    grasps: &[Grasp],
+    mass_kg: f64,
+    frictions: &[f64],
+    load: &Load,
+) -> Result<Vec<Option<usize>>> {
+    let surface = HandSurface::new(robot, ContactOptions::default().spacing_m)?;
+    let loads = shakes(thing, mass_kg, load.shake_m_s2);
+    let first = |g: &Grasp| {
+        let problem = problem(thing, robot, &surface, g, mass_kg, load)?;
+        for (at, friction) in frictions.iter().enumerate() {
+            if carries(&problem, *friction, &loads)? {
+                return Ok(Some(at));
+            }
+        }
+        Ok(None)
+    };
+    grasps.par_iter().map(first).collect()
 }
 
 fn problem(

@@ -323,8 +323,14 @@ impl<J: Judge> Bench<'_, J> {
 
     fn learn(&self, ready: &Ready<J>, grasps: &[Grasp], masses_kg: Vec<f64>, mass_hidden: bool) -> Result<Learned> {
         let spread = Spread::around(ready.thing.spec.friction);
-        let options =
-            LearnOptions { train: self.train.clone(), spread, practised: self.practised, masses_kg, mass_hidden };
+        let options = LearnOptions {
+            train: self.train.clone(),
+            spread,
+            practised: self.practised,
+            load: self.load,
+            masses_kg,
+            mass_hidden,
+        };
         let learned = Learned::train(&ready.thing, &self.robot, grasps, &ready.judge, &options)?;
         (self.note)(&format!(
             "{:>10}  {}: {} of {} grasps can be commanded, {} held in practice, {} learned; practice {:.0} s, demonstrations {:.0} s, rollouts {:.0} s",

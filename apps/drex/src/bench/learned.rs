@@ -14,6 +14,7 @@ use drex_trial::{Belief, Squeeze};
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
+use super::bound::{self, Load};
 use super::judge::{Condition, Judge, Judged, Spread};
 use super::library::{Grasp, Kind};
 use super::thing::Thing;
@@ -58,6 +59,8 @@ pub struct LearnOptions {
     pub spread: Spread,
     /// Grasps that are practised in the simulator before one is learned, those that need least force; zero practises nothing.
     pub practised: usize,
+    /// What the motors and the protocol are on paper.
+    pub load: Load,
     /// Masses of the labels, kg; empty: multiples of the object's own.
     pub masses_kg: Vec<f64>,
     /// The network is told the same mass whatever it was: what randomising masses in training amounts to.
@@ -115,7 +118,7 @@ impl Learned {
         // What is to hold at several masses is practised at all of them.
         let own = [thing.spec.mass_kg];
         let practice_kg = if options.masses_kg.is_empty() { &own[..] } else { &masses[..] };
-        let (commanded, mut practised) = practise(grasps, judge, practice_kg, options)?;
+        let (commanded, mut practised) = practise(thing, robot, grasps, judge, practice_kg, options)?;
         let robust = practised.iter().filter(|p| !p.held.is_empty() && 4 * count(p) >= 3 * p.held.len()).count();
         practised = chosen(practised);
         let samples: Vec<GraspSample> = practised
@@ -190,6 +193,8 @@ impl Learned {
 /// Rehearses every grasp, and carries those that need least force out under conditions that no judged rollout has, at each mass
 /// in turn.
 fn practise<'a, J: Judge>(
+    thing: &Thing,
+    robot: &Robot,
     grasps: &'a [Grasp],
     judge: &J,
     masses_kg: &[f64],
@@ -203,20 +208,23 @@ fn practise<'a, J: Judge>(
         .zip(masses_kg.iter().copied().cycle())
         .collect();
     let middle = 0.5 * (spread.friction.0 + spread.friction.1);
-    // What carries the heaviest carries the others. What can be held where friction is high counts as well, and what carries the lightest
-    // alone: for some objects nothing else can.
-    let (heaviest, lightest) =
-        masses_kg.iter().fold((0.0, f64::INFINITY), |(h, l): (f64, f64), m| (h.max(*m), l.min(*m)));
-    let beliefs =
-        [(heaviest, middle), (heaviest, spread.friction.1), (lightest, middle), (lightest, spread.friction.1)]
-            .map(|(mass_kg, friction)| Belief { mass_kg, friction });
-    let mut easiest: Vec<&Grasp> = grasps.iter().collect();
-    easiest.sort_by(|a, b| a.squeeze_per_weight.total_cmp(&b.squeeze_per_weight));
+    // What carries the heaviest where it is smooth carries the others. What can be held where friction is higher counts as well, and what
+    // carries the lightest alone: for some objects nothing else can.
+    let frictions = [spread.friction.0, middle, spread.friction.1];
+    let heaviest = masses_kg.iter().copied().fold(0.0, f64::max);
+    let lightest = masses_kg.iter().copied().fold(f64::INFINITY, f64::min);
+    let at = |mass_kg: f64| frictions.map(|friction| Belief { mass_kg, friction });
+    let beliefs = [at(heaviest), at(lightest)].concat();
+    // On paper first.
+    let carried = bound::carried(thing, robot, grasps, heaviest, &frictions, &options.load)?;
+    let place = |at: Option<usize>| at.unwrap_or(frictions.len());
+    let mut easiest: Vec<(usize, &Grasp)> = carried.into_iter().map(place).zip(grasps).collect();
+    easiest.sort_by(|(i, a), (j, b)| i.cmp(j).then(a.squeeze_per_weight.total_cmp(&b.squeeze_per_weight)));
     easiest.truncate(REHEARSED_FOR_ONE * options.practised.max(LEARNED));
     let gripped: Vec<Option<(f64, &Grasp, J::Grip)>> = easiest
         .into_par_iter()
-        .map(|g| {
-            let grip = judge.grip(&g.joints_rad, &g.pose()?, &beliefs[0])?;
+        .map(|(_, g)| {
+            let grip = judge.grip(&g.joints_rad, &g.pose()?, &Belief { mass_kg: heaviest, friction: middle })?;
             for (place, belief) in beliefs.iter().enumerate() {
                 if let Ok(plan) = judge.plan(&grip, belief, Squeeze::Needed)? {
                     return Ok(Some((judge.squeeze_n(&plan) + 1e3 * place as f64, g, grip)));

@@ -196,7 +196,7 @@ fn grasp(args: &GraspBenchArgs, seed: u64, ui: &Ui) -> Result<()> {
         train,
         practised: args.practice as usize,
         compare: args.compare,
-        load: Load { torque_cap_nm: options.torque_cap_nm, shake_m_s2: options.shake_m_s2 },
+        load: Load::of(&options),
         out: common.out.clone(),
         note: &|text| ui.note(text),
     };

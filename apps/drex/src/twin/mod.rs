@@ -22,6 +22,7 @@ use anyhow::{Context, Result, bail};
 use drex_core::push::{InputChoice, PushRecording};
 use drex_core::twin::{ASSUMED_FRICTION, TwinManifest};
 use drex_mesh::{Asset, build_asset};
+use nalgebra::Vector3;
 use serde::Serialize;
 
 use crate::lock::{Inputs, Lock};
@@ -32,6 +33,9 @@ pub use files::{
     Evaluation, ExecutionFile, FitFile, FitRecord, JudgedGrasp, MassFile, MassSource, PoseRecord, Training, TrialFile,
 };
 pub use scene::Scene;
+
+/// Farthest that the manifest's up may be from the scan's: beyond it one of them is wrong.
+const MOST_TILT_RAD: f64 = 0.1;
 
 /// The stages of a twin, in order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -137,9 +141,27 @@ impl Twin {
         if let Some(asset) = self.asset.get() {
             return Ok(asset);
         }
+        if self.manifest.scan.is_some() {
+            self.check_up(&files::read_json(&self.path(files::SCAN))?)?;
+        }
         let options = asset_options(&self.manifest.object, self.friction());
         let asset = build_asset(&self.path(&self.manifest.object.mesh), &options)?;
         Ok(self.asset.get_or_init(|| asset))
+    }
+
+    /// The manifest's up has to be the scan's: that of an RGB-D recording is in the frame of its poses.
+    fn check_up(&self, file: &files::ScanFile) -> Result<()> {
+        let (found, said) = (Vector3::from(file.scan.up_in_mesh), Vector3::from(self.manifest.object.up_in_mesh));
+        if found.angle(&said) > MOST_TILT_RAD {
+            let [x, y, z] = file.scan.up_in_mesh;
+            bail!(
+                "{}: the scan's up is [{x:.4}, {y:.4}, {z:.4}] by {}, {:.0} degrees from that of the manifest: write it as up_in_mesh under [object]",
+                self.path("twin.toml").display(),
+                file.scan.up_from,
+                found.angle(&said).to_degrees()
+            );
+        }
+        Ok(())
     }
 
     /// Friction of the object against hand and table: the manifest's, or the stated assumption.

@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use drex_core::twin::ScanPreset;
 use drex_mesh::{KnownDistance, write_mesh};
 use drex_splat::ReconstructOptions;
 use drex_splat::train::Preset;
-use nalgebra::{Point3, Vector3};
+use nalgebra::Point3;
 
 use super::Twin;
 use super::files::{SCAN, ScanFile, write_json};
@@ -16,8 +16,6 @@ use crate::ui::Ui;
 
 /// Every so many photos one is not trained on but measured against.
 const HOLD_OUT: usize = 8;
-/// Farthest that the manifest's up may be from the scan's table: beyond it one of them is wrong.
-const MOST_TILT_RAD: f64 = 0.1;
 
 pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     let config = twin.manifest.scan.as_ref().context("the manifest has no [scan]")?;
@@ -53,16 +51,6 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
         reconstruct,
     };
     let Meshed { scan, fusion, mesh } = scanning.mesh(ui)?;
-    let (found, said) = (Vector3::from(scan.frame.up_in_mesh), Vector3::from(twin.manifest.object.up_in_mesh));
-    if found.angle(&said) > MOST_TILT_RAD {
-        let [x, y, z] = scan.frame.up_in_mesh;
-        bail!(
-            "{}: up is [{x:.4}, {y:.4}, {z:.4}] by {}, {:.0} degrees from what the manifest says: write it as up_in_mesh under [object]",
-            input.display(),
-            scan.frame.up_from,
-            found.angle(&said).to_degrees()
-        );
-    }
     let file = twin.path(&twin.manifest.object.mesh);
     write_mesh(&file, &mesh)?;
     write_json(&twin.path(SCAN), &ScanFile { scan: scan.frame, fusion })?;

@@ -8,12 +8,14 @@ use drex_core::fsutil;
 use drex_grasp::{ForceLaw, GraspError, HandSurface, SqueezeError, SqueezeProblem};
 use drex_mesh::{farthest_points, sample_surface};
 use drex_policy::{Dataset, GraspPolicy, GraspSample, ObjectCloud, TrainOptions};
+use drex_trial::TrialOptions;
 use nalgebra::Point3;
 use rayon::prelude::*;
 
 use super::files::{FITS, MASS, POLICY, PracticeRecord, TRAINING, read_json, write_json};
 use super::practice::Ground;
 use super::{FitFile, MassFile, Scene, Training, Twin};
+use crate::bench::bound::Load;
 use crate::bench::judge::Spread;
 use crate::bench::learned::{LearnOptions, Learned};
 use crate::bench::library::Kind;
@@ -75,6 +77,7 @@ fn practise(
         train,
         spread: Spread::around(Some(twin.friction())),
         practised,
+        load: Load::of(&TrialOptions::default()),
         masses_kg: Vec::new(),
         mass_hidden: false,
     };

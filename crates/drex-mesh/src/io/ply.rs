@@ -5,45 +5,9 @@ use std::path::Path;
 use nalgebra::Point3;
 
 use drex_core::TriMesh;
+use drex_core::ply::Scalar;
 
 use crate::Result;
-
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Scalar {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
-
-impl Scalar {
-    fn parse(name: &str) -> Option<Self> {
-        Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    fn size(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
-}
 
 #[derive(Debug, Clone)]
 struct Property {
@@ -245,23 +209,9 @@ impl Source<'_> {
                 std::str::from_utf8(word).ok()?.parse().ok()
             }
             Self::Binary { bytes, at, big } => {
-                let head = bytes.get(*at..*at + kind.size())?;
+                let value = kind.read(bytes.get(*at..)?, !*big)?;
                 *at += kind.size();
-                let mut raw = [0u8; 8];
-                for (k, r) in raw.iter_mut().take(head.len()).enumerate() {
-                    *r = if *big { head[head.len() - 1 - k] } else { head[k] };
-                }
-                let bits = u64::from_le_bytes(raw);
-                Some(match kind {
-                    Scalar::I8 => f64::from(bits as i8),
-                    Scalar::U8 => f64::from(bits as u8),
-                    Scalar::I16 => f64::from(bits as i16),
-                    Scalar::U16 => f64::from(bits as u16),
-                    Scalar::I32 => f64::from(bits as i32),
-                    Scalar::U32 => f64::from(bits as u32),
-                    Scalar::F32 => f64::from(f32::from_bits(bits as u32)),
-                    Scalar::F64 => f64::from_bits(bits),
-                })
+                Some(value)
             }
         }
     }

@@ -3,10 +3,11 @@
 use std::path::Path;
 
 use drex_core::fsutil::read_bytes;
+use drex_core::ply::Scalar;
 
 use super::SparsePoint;
 use crate::Result;
-use crate::io::ply_table::{Header, Scalar};
+use crate::io::ply_table::Header;
 
 /// Reads x, y, z and red, green, blue of the vertices; grey where there is no colour. Colours may be bytes, or numbers
 /// from 0 to 1.

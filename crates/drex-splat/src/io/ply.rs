@@ -12,8 +12,9 @@
 use std::path::Path;
 
 use drex_core::fsutil;
+use drex_core::ply::Scalar;
 
-use super::ply_table::{Header, Scalar};
+use super::ply_table::Header;
 use super::{checked, content, three_log_scales};
 use crate::{Gaussians, Kind, Label, Result};
 

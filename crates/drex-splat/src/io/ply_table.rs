@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use drex_core::ply::Scalar;
+
 use crate::Result;
 use crate::io::content;
 
@@ -14,18 +16,6 @@ enum Format {
     Ascii,
     LittleEndian,
     BigEndian,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Scalar {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
 }
 
 /// A property; `scalar` is `None` for a list.
@@ -138,7 +128,7 @@ impl Header {
         little_endian: bool,
         push: &mut impl FnMut(&[f64]),
     ) -> Result<()> {
-        let widths = |e: &Element| e.properties.iter().map(|p| p.scalar.map_or(0, Scalar::width)).collect::<Vec<_>>();
+        let widths = |e: &Element| e.properties.iter().map(|p| p.scalar.map_or(0, Scalar::size)).collect::<Vec<_>>();
         let vertices = &self.elements[self.vertices];
         let widths_of_vertex = widths(vertices);
         let stride: usize = widths_of_vertex.iter().sum();
@@ -167,7 +157,8 @@ impl Header {
         let mut row = vec![0.0; columns.len()];
         for bytes in body.chunks_exact(stride) {
             for (value, &(offset, scalar)) in row.iter_mut().zip(&readers) {
-                *value = scalar.read(&bytes[offset..offset + scalar.width()], little_endian);
+                // Every row has the bytes of all its columns.
+                *value = scalar.read(&bytes[offset..], little_endian).unwrap_or(f64::NAN);
             }
             push(&row);
         }
@@ -223,50 +214,5 @@ impl Format {
             "binary_big_endian" => Self::BigEndian,
             _ => return None,
         })
-    }
-}
-
-impl Scalar {
-    fn parse(name: &str) -> Option<Self> {
-        Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    fn width(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
-
-    /// The number in the first [`Scalar::width`] of `bytes`.
-    fn read(self, bytes: &[u8], little_endian: bool) -> f64 {
-        // The bits, least significant byte first.
-        let mut le = [0; 8];
-        for (k, to) in le[..self.width()].iter_mut().enumerate() {
-            *to = bytes[if little_endian { k } else { self.width() - 1 - k }];
-        }
-        let bits = u64::from_le_bytes(le);
-        match self {
-            Self::I8 => f64::from(bits as i8),
-            Self::U8 => f64::from(bits as u8),
-            Self::I16 => f64::from(bits as i16),
-            Self::U16 => f64::from(bits as u16),
-            Self::I32 => f64::from(bits as i32),
-            Self::U32 => f64::from(bits as u32),
-            Self::F32 => f64::from(f32::from_bits(bits as u32)),
-            Self::F64 => f64::from_bits(bits),
-        }
     }
 }
