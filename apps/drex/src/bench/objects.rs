@@ -118,9 +118,14 @@ impl ObjectSpec {
     pub fn asset_options(&self) -> AssetOptions {
         let mut options = AssetOptions::default();
         (options.mass_kg, options.up_in_mesh, options.unit) = (Some(self.mass_kg), self.up, LengthUnit::Metre);
+        options.pieces.most_corners = CORNERS;
         options
     }
 }
+
+/// Corners of a convex piece: what is round has to be round for fingers, whose hold depends on the normals. A jar of 64 corners has walls up to
+/// 20 degrees apart.
+const CORNERS: usize = 256;
 
 /// Strokes of 20 mm: two legs, a bar and a triangle above it.
 fn letter_a() -> Result<TriMesh> {
