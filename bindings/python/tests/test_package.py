@@ -56,7 +56,9 @@ class Package(Case):
     def test_ctrl_c_ends_a_long_call(self):
         # A simulation of hours.
         script = textwrap.dedent("""
-            import drex, sys
+            import drex, signal
+            # A job in the background of a shell is born with this signal ignored.
+            signal.signal(signal.SIGINT, signal.default_int_handler)
             asset = drex.mesh_asset(([[0, 0, 0], [.1, 0, 0], [0, .1, 0], [0, 0, .1]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
             print("ready", flush=True)
             try:
