@@ -193,12 +193,10 @@ impl<J: Judge> Cell<'_, J> {
         order.sort_by(|a, b| b.0.total_cmp(&a.0));
         let mut reason = NoCommand::NoContact { touching: 0 };
         for (_, [by_n, told_n], grip) in order {
-            let command = match self.command(by_n, grip, &chosen_for, condition)? {
-                Ok(_) => self.command(told_n, grip, &belief, condition)?,
-                Err(why) => Err(why),
-            };
-            match command {
-                Ok(plan) => return Ok(Ok(plan)),
+            match self.command(by_n, grip, &chosen_for, condition)? {
+                Ok(plan) if self.setting.choice == Choice::Told => return Ok(Ok(plan)),
+                // It is this grip, also where there is no force for what is told: cells differ in force alone.
+                Ok(_) => return self.command(told_n, grip, &belief, condition),
                 Err(why) => reason = why,
             }
         }
@@ -269,5 +267,71 @@ fn name(verdict: Verdict) -> String {
     match serde_json::to_value(verdict) {
         Ok(serde_json::Value::String(text)) => text,
         _ => format!("{verdict:?}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::super::judge::Spread;
+    use super::super::judge::fake::Pinch;
+    use super::*;
+    use drex_core::Pose;
+    use drex_trial::Truth;
+
+    /// Pinches as strong, N, as the first joint says.
+    struct ByHand;
+
+    impl Judge for ByHand {
+        type Grip = f64;
+        type Plan = f64;
+
+        fn grip(&self, joints: &[f64], _: &Pose, _: &Belief) -> Result<f64> {
+            Ok(joints[0])
+        }
+
+        fn plan(&self, grip: &f64, belief: &Belief, squeeze: Squeeze) -> Result<Result<f64, NoCommand>> {
+            Pinch { strongest_n: *grip }.plan(&(), belief, squeeze)
+        }
+
+        fn squeeze_n(&self, plan: &f64) -> f64 {
+            *plan
+        }
+
+        fn fingers(&self, _: &f64) -> Vec<bool> {
+            vec![true; 4]
+        }
+
+        fn practise(&self, plan: &f64, truth: &Truth) -> Result<Judged> {
+            self.run(plan, truth)
+        }
+
+        fn run(&self, plan: &f64, truth: &Truth) -> Result<Judged> {
+            Pinch { strongest_n: f64::INFINITY }.run(plan, truth)
+        }
+    }
+
+    #[test]
+    fn the_grip_does_not_change_with_what_is_told_where_it_is_chosen_by_what_is_true() {
+        let proposal = |strongest_n: f64, weight: f64| Proposal {
+            joints: vec![strongest_n],
+            object_from_palm: Pose::identity(),
+            squeeze_n: 0.0,
+            weight,
+        };
+        // 100 g take 4.5 N at the lowest friction that is told, 300 g 13.
+        let actor = Actor::Always(vec![proposal(7.0, 0.9), proposal(50.0, 0.1)]);
+        let conditions = Spread::around(Some(0.5)).conditions(30, 4);
+        let run = |told, choice| {
+            let setting = Setting { mass_kg: 0.1, told: Told::Times(told), force: Force::Law, choice };
+            let cell =
+                Cell { labels: vec![], judge: &ByHand, actor: &actor, setting, least_friction: None, compare: false };
+            cell.run(&conditions).unwrap()
+        };
+        assert_eq!(run(1.0, Choice::True).successes, 30);
+        let row = run(3.0, Choice::True);
+        assert_eq!((row.successes, row.failures["torque_limit"]), (0, 30), "the weak grip, refused");
+        assert_eq!(run(3.0, Choice::Told).successes, 30, "the strong one");
     }
 }

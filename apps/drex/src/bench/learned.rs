@@ -214,7 +214,10 @@ fn practise<'a, J: Judge>(
     let heaviest = masses_kg.iter().copied().fold(0.0, f64::max);
     let lightest = masses_kg.iter().copied().fold(f64::INFINITY, f64::min);
     let at = |mass_kg: f64| frictions.map(|friction| Belief { mass_kg, friction });
-    let beliefs = [at(heaviest), at(lightest)].concat();
+    let mut beliefs = at(heaviest).to_vec();
+    if lightest < heaviest {
+        beliefs.extend(at(lightest));
+    }
     // On paper first.
     let carried = bound::carried(thing, robot, grasps, heaviest, &frictions, &options.load)?;
     let place = |at: Option<usize>| at.unwrap_or(frictions.len());

@@ -15,7 +15,7 @@ use crate::policy::Card;
 use crate::{Dataset, EpochStats, Error, GraspPolicy, Result, RolloutStats, tensors};
 
 const FORMAT: &str = "drex-policy checkpoint";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// The text beside the arrays.
 #[derive(Serialize, Deserialize)]

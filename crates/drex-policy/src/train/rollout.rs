@@ -76,6 +76,9 @@ pub(super) struct Tally(Vec<((f64, f64), f64)>);
 /// What a reward counts for, one try later.
 const MEMORY: f64 = 0.98;
 
+/// Tries of a mode that are kept: the next older one would count 3e-5.
+const REMEMBERED: usize = 512;
+
 /// A try at so different a load, as a difference of logarithms, counts a quarter of one at the same load.
 const OTHER_LOAD: f64 = 0.25;
 
@@ -83,6 +86,13 @@ const OTHER_LOAD: f64 = 0.25;
 const LEAST_DEMO: f64 = 0.05;
 
 impl Tally {
+    fn add(&mut self, load: (f64, f64), reward: f64) {
+        if self.0.len() == REMEMBERED {
+            self.0.remove(0);
+        }
+        self.0.push((load, reward));
+    }
+
     /// Sum of the rewards as far as they tell something about a load, and of what they count for.
     fn near(&self, load: (f64, f64)) -> (f64, f64) {
         let (mut sum, mut count, mut memory) = (0.0, 0.0, 1.0);
@@ -182,7 +192,7 @@ impl Trainer<'_> {
         self.try_all(&mut rounds, rollouts)?;
         for (round, t) in rounds.iter().flat_map(|r| r.tries.iter().map(move |t| (r, t))) {
             if let Some(feedback) = &t.feedback {
-                self.second.tallies[round.object][t.mode].0.push((t.load, reward(feedback)));
+                self.second.tallies[round.object][t.mode].add(t.load, reward(feedback));
             }
         }
         let mut stats = self.stats(epoch, options, &rounds);
@@ -504,16 +514,22 @@ mod tests {
         // The first mode carries what is light, the second what is heavy; the third was tried once, on the light.
         for _ in 0..20 {
             for (mode, at_light, at_heavy) in [(0, 1.0, 0.0), (1, 0.0, 1.0)] {
-                second.tallies[0][mode].0.extend([((0.08, 0.5), at_light), ((0.22, 0.5), at_heavy)]);
+                second.tallies[0][mode].add((0.08, 0.5), at_light);
+                second.tallies[0][mode].add((0.22, 0.5), at_heavy);
             }
         }
-        second.tallies[0][2].0.push(((0.08, 0.5), 1.0));
+        second.tallies[0][2].add((0.08, 0.5), 1.0);
         let (light, heavy) = (second.rewards(0, (0.085, 0.5)), second.rewards(0, (0.2, 0.55)));
         assert!(light[0] > 0.9 && light[1] < 0.1, "{light:?}");
         assert!(heavy[0] < 0.1 && heavy[1] > 0.9, "{heavy:?}");
         // One try moves it half of the way from what is usual there; far from it it says little.
         assert!((light[2] - 0.75).abs() < 0.05 && (heavy[2] - 0.5).abs() < 0.05, "{light:?} {heavy:?}");
         assert_eq!(Second::new(1, 2).rewards(0, (0.1, 0.5)), [0.5, 0.5]);
+        // What is forgotten hardly counted.
+        let mut tally = Tally::default();
+        (0..2 * REMEMBERED).for_each(|i| tally.add((0.1, 0.5), f64::from(u8::from(i >= REMEMBERED))));
+        assert_eq!(tally.0.len(), REMEMBERED);
+        assert!((tally.near((0.1, 0.5)).1 * (1.0 - MEMORY) - 1.0).abs() < 1e-4);
     }
 
     #[test]
