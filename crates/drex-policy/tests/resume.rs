@@ -156,7 +156,7 @@ fn damage_is_named() {
         let header = header.replacen(from, to, 1);
         [&(header.len() as u64).to_le_bytes()[..], header.as_bytes(), &whole[start..]].concat()
     };
-    says(&text("\\\"version\\\":1", "\\\"version\\\":9"), "version is 9");
+    says(&text("\\\"version\\\":2", "\\\"version\\\":9"), "version is 9");
     says(&text("drex-policy checkpoint", "drex-policy chequepoint"), "not a checkpoint");
     says(&text("\\\"steps\\\":", "\\\"steps\\\":1"), "SHA-256");
     says(&text("\\\"fingers\\\":2", "\\\"fingers\\\":3"), "finger");
