@@ -14,31 +14,18 @@ use drex_trial::{Belief, Squeeze};
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
-use super::bound::{self, Load};
+use super::bound::Load;
 use super::judge::{Condition, Judge, Judged, Spread};
 use super::library::{Grasp, Kind};
+use super::practice::{PRACTICE_SEED, Practised, Sieved, practise};
 use super::thing::Thing;
 
 /// The network learns the force at these multiples of the object's mass.
 const MASS_FACTORS: [f64; 3] = [0.4, 1.0, 2.0];
 /// Frictions of the force labels.
 const FRICTIONS: [f64; 3] = [0.35, 0.5, 0.75];
-/// Stages of practice: conditions under which a grasp is tried, and of how many of the first stage one goes on to the next.
-const STAGES: [(usize, usize); 3] = [(3, 2), (5, 4), (16, 4)];
-/// Of so many grasps that look easiest on paper one is practised: closing on the object as a rehearsal says more, and takes longer.
-const REHEARSED_FOR_ONE: usize = 4;
-/// Share of the law's force with which grasps are practised: what holds with less does not hang on what one simulator gets wrong.
-const PRACTICE_FORCE: f64 = 0.85;
-/// Share of the best grasp's holds that another one needs to be learned: as it is, and if it holds where no better one does.
-const NEARLY_AS_GOOD: f64 = 0.9;
-const WHERE_OTHERS_FAIL: f64 = 0.7;
 /// Rounds of rollouts of the network, views of a round, tries of a view.
 const ROUNDS: (usize, usize, usize) = (10, 6, 8);
-/// Grasps that the network learns, at most.
-const LEARNED: usize = 24;
-/// Set apart from the seeds of judged rollouts.
-const PRACTICE_SEED: u64 = 0x70_72_61_63;
-
 /// One grasp that was proposed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Proposal {
@@ -87,14 +74,6 @@ pub struct Learned {
     pub seconds: [f64; 3],
 }
 
-/// A grasp of the library as it went in practice.
-struct Practised<'a> {
-    grasp: &'a Grasp,
-    fingers: Vec<bool>,
-    /// Per condition, whether it held.
-    held: Vec<bool>,
-}
-
 impl Learned {
     /// Trains on grasps of an object: those that hold in practice, with the force that the cone programme asks for once the hand has
     /// closed; then by rollouts of what the network proposes. All in drex-diffsim.
@@ -118,9 +97,8 @@ impl Learned {
         // What is to hold at several masses is practised at all of them.
         let own = [thing.spec.mass_kg];
         let practice_kg = if options.masses_kg.is_empty() { &own[..] } else { &masses[..] };
-        let (commanded, mut practised) = practise(thing, robot, grasps, judge, practice_kg, options)?;
-        let robust = practised.iter().filter(|p| !p.held.is_empty() && 4 * count(p) >= 3 * p.held.len()).count();
-        practised = chosen(practised);
+        let Sieved { grasps: practised, commanded, robust } =
+            practise(thing, robot, grasps, judge, practice_kg, options)?;
         let samples: Vec<GraspSample> = practised
             .par_iter()
             .map(|p| samples(p, judge, &masses, told_kg))
@@ -190,122 +168,14 @@ impl Learned {
     }
 }
 
-/// Rehearses every grasp, and carries those that need least force out under conditions that no judged rollout has, at each mass
-/// in turn.
-fn practise<'a, J: Judge>(
-    thing: &Thing,
-    robot: &Robot,
-    grasps: &'a [Grasp],
-    judge: &J,
-    masses_kg: &[f64],
-    options: &LearnOptions,
-) -> Result<(usize, Vec<Practised<'a>>)> {
-    let spread = &options.spread;
-    let all = STAGES.iter().map(|s| s.0).sum();
-    let conditions: Vec<(Condition, f64)> = spread
-        .conditions(all, options.train.seed ^ PRACTICE_SEED)
-        .into_iter()
-        .zip(masses_kg.iter().copied().cycle())
-        .collect();
-    let middle = 0.5 * (spread.friction.0 + spread.friction.1);
-    // What carries the heaviest where it is smooth carries the others. What can be held where friction is higher counts as well, and what
-    // carries the lightest alone: for some objects nothing else can.
-    let frictions = [spread.friction.0, middle, spread.friction.1];
-    let heaviest = masses_kg.iter().copied().fold(0.0, f64::max);
-    let lightest = masses_kg.iter().copied().fold(f64::INFINITY, f64::min);
-    let at = |mass_kg: f64| frictions.map(|friction| Belief { mass_kg, friction });
-    let mut beliefs = at(heaviest).to_vec();
-    if lightest < heaviest {
-        beliefs.extend(at(lightest));
-    }
-    // On paper first.
-    let carried = bound::carried(thing, robot, grasps, heaviest, &frictions, &options.load)?;
-    let place = |at: Option<usize>| at.unwrap_or(frictions.len());
-    let mut easiest: Vec<(usize, &Grasp)> = carried.into_iter().map(place).zip(grasps).collect();
-    easiest.sort_by(|(i, a), (j, b)| i.cmp(j).then(a.squeeze_per_weight.total_cmp(&b.squeeze_per_weight)));
-    easiest.truncate(REHEARSED_FOR_ONE * options.practised.max(LEARNED));
-    let gripped: Vec<Option<(f64, &Grasp, J::Grip)>> = easiest
-        .into_par_iter()
-        .map(|(_, g)| {
-            let grip = judge.grip(&g.joints_rad, &g.pose()?, &Belief { mass_kg: heaviest, friction: middle })?;
-            for (place, belief) in beliefs.iter().enumerate() {
-                if let Ok(plan) = judge.plan(&grip, belief, Squeeze::Needed)? {
-                    return Ok(Some((judge.squeeze_n(&plan) + 1e3 * place as f64, g, grip)));
-                }
-            }
-            Ok(None)
-        })
-        .collect::<Result<_>>()?;
-    let mut gripped: Vec<(f64, &Grasp, J::Grip)> = gripped.into_iter().flatten().collect();
-    let commanded = gripped.len();
-    gripped.sort_by(|a, b| a.0.total_cmp(&b.0));
-    gripped.truncate(if options.practised == 0 { LEARNED } else { options.practised });
-    let mut practised: Vec<(Practised<'_>, &J::Grip)> = gripped
-        .iter()
-        .map(|(_, grasp, grip)| (Practised { grasp, fingers: judge.fingers(grip), held: Vec::new() }, grip))
-        .collect();
-    // Few conditions for all of them, the others for those that went best.
-    let mut conditions = &conditions[..];
-    for (count_of, one_of) in STAGES {
-        if options.practised == 0 {
-            break;
-        }
-        let (now, later) = conditions.split_at(count_of);
-        conditions = later;
-        practised.par_iter_mut().try_for_each(|(p, grip)| {
-            for (condition, mass_kg) in now {
-                p.held.push(attempt(judge, grip, condition, *mass_kg)?.held());
-            }
-            anyhow::Ok(())
-        })?;
-        practised.sort_by_key(|(p, _)| std::cmp::Reverse(count(p)));
-        practised.truncate(options.practised.div_ceil(one_of));
-    }
-    let practised = practised.into_iter().map(|p| p.0).collect();
-    Ok((commanded, practised))
-}
-
-/// A grip with a little less than the force of the law, carried out.
-fn attempt<J: Judge>(judge: &J, grip: &J::Grip, condition: &Condition, mass_kg: f64) -> Result<Judged> {
-    let belief = condition.belief(mass_kg);
-    let needed = match judge.plan(grip, &belief, Squeeze::Needed)? {
-        Ok(plan) => judge.squeeze_n(&plan),
-        Err(reason) => return Ok(Judged::refused(&reason)),
-    };
-    match judge.plan(grip, &belief, Squeeze::Total(PRACTICE_FORCE * needed))? {
-        Ok(plan) => judge.practise(&plan, &condition.truth(mass_kg)),
-        Err(reason) => Ok(Judged::refused(&reason)),
-    }
-}
-
-fn count(p: &Practised<'_>) -> usize {
-    p.held.iter().filter(|h| **h).count()
-}
-
-/// Of those sorted by success the best ones, and before them whatever holds under a condition that no better one stands.
-fn chosen(practised: Vec<Practised<'_>>) -> Vec<Practised<'_>> {
-    let best = practised.first().map_or(0, count) as f64;
-    let holds = |p: &Practised<'_>, share: f64| count(p) as f64 >= share * best;
-    let mut out: Vec<Practised<'_>> = Vec::new();
-    let mut rest = Vec::new();
-    for p in practised {
-        let new = p.held.iter().enumerate().any(|(c, held)| *held && !out.iter().any(|o| o.held[c]));
-        if new && holds(&p, WHERE_OTHERS_FAIL) { out.push(p) } else { rest.push(p) }
-    }
-    let room = LEARNED.saturating_sub(out.len());
-    // Those that often fail where others hold would only be in the way; where nothing holds, they are all there is.
-    out.extend(rest.into_iter().filter(|p| holds(p, NEARLY_AS_GOOD)).take(room));
-    out
-}
-
 /// The grasp with the force that it needs at each of the masses and frictions.
 fn samples<J: Judge>(
-    practised: &Practised<'_>,
+    practised: &Practised,
     judge: &J,
     masses: &[f64],
     told_kg: Option<f64>,
 ) -> Result<Vec<GraspSample>> {
-    let (grasp, object_from_palm) = (practised.grasp, practised.grasp.pose()?);
+    let (grasp, object_from_palm) = (&practised.grasp, practised.grasp.pose()?);
     let mut out = Vec::new();
     let grip =
         judge.grip(&grasp.joints_rad, &object_from_palm, &Belief { mass_kg: masses[0], friction: FRICTIONS[1] })?;

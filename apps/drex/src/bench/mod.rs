@@ -9,6 +9,7 @@ pub mod library;
 pub mod objects;
 pub mod people;
 pub mod postures;
+pub mod practice;
 pub mod shapes;
 pub mod table;
 pub mod thing;

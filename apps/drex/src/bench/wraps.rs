@@ -53,6 +53,11 @@ const SPACING_M: f64 = 0.006;
 /// Farthest that the hand is over the pinch, metres, and how much wider than it, metres.
 const DEEPER_M: f64 = 0.06;
 const WIDER_M: f64 = 0.03;
+/// By how much a variation of a grasp differs from it at most: each joint and the turn of the palm, rad, and its shift, metres.
+const VARIED_RAD: f64 = 0.15;
+const VARIED_M: f64 = 0.008;
+/// Set apart from the seeds of tries.
+const VARIED_SEED: u64 = 0x76_61_72_79;
 /// Places of the hand that are looked at for each pinch.
 const PLACES: usize = 40;
 
@@ -124,9 +129,36 @@ impl<'a> Closer<'a> {
             }
             (self.lowest(thing, &q, &pose) >= options.clearance_m).then_some((q, pose))
         });
-        let Some((mut q, pose)) = start else { return Ok(None) };
-        self.close(thing, &pose, &mut q);
-        let grasp = Grasp::measured(thing, self.robot, &self.fine, &q, &pose, options.friction)?;
+        let Some((q, pose)) = start else { return Ok(None) };
+        self.closed(thing, q, &pose, options)
+    }
+
+    /// A grasp whose joints and palm are moved by at most `size` times [`VARIED_RAD`] and [`VARIED_M`], closed again; `None` if
+    /// that holds nothing.
+    ///
+    /// # Errors
+    /// If the grasp is none of this hand.
+    pub fn varied(&self, thing: &Thing, grasp: &Grasp, size: f64, seed: u64, stream: u64) -> Result<Option<Grasp>> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed ^ VARIED_SEED);
+        rng.set_stream(stream);
+        let mut error = |most: f64| size * rng.random_range(-most..=most);
+        let mut q: Vec<f64> = grasp.joints_rad.iter().map(|q| q + error(VARIED_RAD)).collect();
+        let shift = Vector3::from_fn(|_, _| error(VARIED_M));
+        let turn = Vector3::from_fn(|_, _| error(VARIED_RAD));
+        let pose = grasp.pose()? * Pose::new(shift, turn);
+        self.robot.clamp_to_limits(&mut q);
+        let options = WrapOptions::default();
+        if !self.opened(thing, &mut q, &pose) || self.lowest(thing, &q, &pose) < options.clearance_m {
+            return Ok(None);
+        }
+        let closed = self.closed(thing, q, &pose, &options)?;
+        Ok(closed.map(|g| Grasp { kind: grasp.kind, clip: grasp.clip, ..g }))
+    }
+
+    /// The grasp that closing from here gives.
+    fn closed(&self, thing: &Thing, mut q: Vec<f64>, pose: &Pose, options: &WrapOptions) -> Result<Option<Grasp>> {
+        self.close(thing, pose, &mut q);
+        let grasp = Grasp::measured(thing, self.robot, &self.fine, &q, pose, options.friction)?;
         Ok(grasp.filter(|g| g.clearance_mm >= 1e3 * options.clearance_m && self.self_depth(&q) <= MAX_SELF_M))
     }
 

@@ -1,0 +1,232 @@
+//! Which grasps of a library are learned: those that hold when they are carried out under conditions that no judged rollout has.
+//!
+//! Four sieves, each dearer than the one before: the motors on paper, a rehearsal of the closing and the force for its contacts, variations
+//! of what went best there, and practice in the simulator that learning uses.
+
+use std::cmp::Reverse;
+
+use anyhow::Result;
+use drex_robot::Robot;
+use drex_trial::{Belief, Squeeze};
+use rayon::prelude::*;
+
+use super::bound;
+use super::judge::{Condition, Judge, Judged};
+use super::learned::LearnOptions;
+use super::library::Grasp;
+use super::thing::Thing;
+use super::wraps::Closer;
+
+/// Stages of practice: conditions under which a grasp is tried, and of how many of the first stage one goes on to the next.
+const STAGES: [(usize, usize); 3] = [(3, 2), (5, 4), (16, 4)];
+/// Of so many grasps that look easiest on paper one is practised: closing on the object as a rehearsal says more, and takes longer.
+const REHEARSED_FOR_ONE: usize = 4;
+/// Generations of variations, of how many practised grasps one is varied, and how often in a generation.
+const GENERATIONS: usize = 4;
+const VARIED_ONE_OF: usize = 4;
+const VARIATIONS: usize = 4;
+/// Share of the law's force with which grasps are practised: what holds with less does not hang on what one simulator gets wrong.
+const PRACTICE_FORCE: f64 = 0.85;
+/// Share of the best grasp's holds that another one needs to be learned: as it is, and if it holds where no better one does.
+const NEARLY_AS_GOOD: f64 = 0.9;
+const WHERE_OTHERS_FAIL: f64 = 0.7;
+/// Grasps that the network learns, at most.
+const LEARNED: usize = 24;
+/// Set apart from the seeds of judged rollouts.
+pub const PRACTICE_SEED: u64 = 0x70_72_61_63;
+
+/// A grasp as it went in practice.
+pub struct Practised {
+    pub grasp: Grasp,
+    /// Which fingers touch once the hand has closed.
+    pub fingers: Vec<bool>,
+    /// Per condition, whether it held.
+    pub held: Vec<bool>,
+}
+
+/// What practice left.
+pub struct Sieved {
+    /// Those to learn.
+    pub grasps: Vec<Practised>,
+    /// Rehearsed grasps for which there is a force, and those that held under most conditions.
+    pub commanded: usize,
+    pub robust: usize,
+}
+
+/// A grasp with the hand closed.
+struct Gripped<G> {
+    grasp: Grasp,
+    grip: G,
+    /// What it asks for: less is better.
+    asks: f64,
+}
+
+/// What a closed hand is asked to carry.
+struct Task<'a, J> {
+    thing: &'a Thing,
+    robot: &'a Robot,
+    judge: &'a J,
+    /// The hand closes on this.
+    closes_on: Belief,
+    /// What it is to carry, the hardest first.
+    beliefs: Vec<Belief>,
+}
+
+/// The grasps to learn, at each mass in turn.
+///
+/// # Errors
+/// If a grasp is none of this hand, or cannot be simulated at all.
+pub fn practise<J: Judge>(
+    thing: &Thing,
+    robot: &Robot,
+    grasps: &[Grasp],
+    judge: &J,
+    masses_kg: &[f64],
+    options: &LearnOptions,
+) -> Result<Sieved> {
+    let spread = &options.spread;
+    let middle = 0.5 * (spread.friction.0 + spread.friction.1);
+    // What carries the heaviest where it is smooth carries the others. What can be held where friction is higher counts as well, and what
+    // carries the lightest alone: for some objects nothing else can.
+    let frictions = [spread.friction.0, middle, spread.friction.1];
+    let heaviest = masses_kg.iter().copied().fold(0.0, f64::max);
+    let lightest = masses_kg.iter().copied().fold(f64::INFINITY, f64::min);
+    let at = |mass_kg: f64| frictions.map(|friction| Belief { mass_kg, friction });
+    let mut beliefs = at(heaviest).to_vec();
+    if lightest < heaviest {
+        beliefs.extend(at(lightest));
+    }
+    let closes_on = Belief { mass_kg: heaviest, friction: middle };
+    let task = Task { thing, robot, judge, closes_on, beliefs };
+
+    let carried = bound::carried(thing, robot, grasps, heaviest, &frictions, &options.load)?;
+    let place = |at: Option<usize>| at.unwrap_or(frictions.len());
+    let mut easiest: Vec<(usize, &Grasp)> = carried.into_iter().map(place).zip(grasps).collect();
+    easiest.sort_by(|(i, a), (j, b)| i.cmp(j).then(a.squeeze_per_weight.total_cmp(&b.squeeze_per_weight)));
+    easiest.truncate(REHEARSED_FOR_ONE * options.practised.max(LEARNED));
+
+    let gripped: Vec<Option<Gripped<J::Grip>>> =
+        easiest.into_par_iter().map(|(_, g)| task.gripped(g.clone())).collect::<Result<_>>()?;
+    let mut gripped: Vec<Gripped<J::Grip>> = gripped.into_iter().flatten().collect();
+    let commanded = gripped.len();
+    sort(&mut gripped);
+    let varied = options.practised.div_ceil(VARIED_ONE_OF).min(gripped.len());
+    task.vary(&mut gripped[..varied], options.train.seed)?;
+    sort(&mut gripped);
+    gripped.truncate(if options.practised == 0 { LEARNED } else { options.practised });
+
+    let practised = task.try_out(gripped, masses_kg, options)?;
+    let robust = practised.iter().filter(|p| !p.held.is_empty() && 4 * count(p) >= 3 * p.held.len()).count();
+    Ok(Sieved { grasps: chosen(practised), commanded, robust })
+}
+
+impl<J: Judge> Task<'_, J> {
+    /// Closes the hand; `None` if there is no force for anything that it may be asked to carry.
+    fn gripped(&self, grasp: Grasp) -> Result<Option<Gripped<J::Grip>>> {
+        let grip = self.judge.grip(&grasp.joints_rad, &grasp.pose()?, &self.closes_on)?;
+        for (place, belief) in self.beliefs.iter().enumerate() {
+            if let Ok(plan) = self.judge.plan(&grip, belief, Squeeze::Needed)? {
+                let asks = self.judge.squeeze_n(&plan) + 1e3 * place as f64;
+                return Ok(Some(Gripped { grasp, grip, asks }));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Climbs from each grasp to neighbours that carry more, or the same with less force. The same for any number of threads.
+    fn vary(&self, gripped: &mut [Gripped<J::Grip>], seed: u64) -> Result<()> {
+        let closer = Closer::new(self.robot)?;
+        for generation in 0..GENERATIONS {
+            let size = 1.0 / (1 + generation) as f64;
+            let variations: Vec<(usize, u64)> = (0..gripped.len() * VARIATIONS)
+                .map(|i| (i / VARIATIONS, (generation * gripped.len() * VARIATIONS + i) as u64))
+                .collect();
+            let found: Vec<Option<(usize, Gripped<J::Grip>)>> = variations
+                .into_par_iter()
+                .map(|(of, stream)| {
+                    let Some(grasp) = closer.varied(self.thing, &gripped[of].grasp, size, seed, stream)? else {
+                        return Ok(None);
+                    };
+                    Ok(self.gripped(grasp)?.map(|g| (of, g)))
+                })
+                .collect::<Result<_>>()?;
+            for (of, better) in found.into_iter().flatten() {
+                if better.asks < gripped[of].asks {
+                    gripped[of] = better;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Carries them out: under few conditions all of them, under the others those that went best; these first.
+    fn try_out(
+        &self,
+        gripped: Vec<Gripped<J::Grip>>,
+        masses_kg: &[f64],
+        options: &LearnOptions,
+    ) -> Result<Vec<Practised>> {
+        let all = STAGES.iter().map(|s| s.0).sum();
+        let conditions = options.spread.conditions(all, options.train.seed ^ PRACTICE_SEED);
+        let conditions: Vec<(Condition, f64)> = conditions.into_iter().zip(masses_kg.iter().copied().cycle()).collect();
+        let practised = |g: Gripped<J::Grip>| {
+            let fingers = self.judge.fingers(&g.grip);
+            (Practised { grasp: g.grasp, fingers, held: Vec::new() }, g.grip)
+        };
+        let mut practised: Vec<(Practised, J::Grip)> = gripped.into_iter().map(practised).collect();
+        let mut conditions = &conditions[..];
+        for (count_of, one_of) in STAGES {
+            if options.practised == 0 {
+                break;
+            }
+            let (now, later) = conditions.split_at(count_of);
+            conditions = later;
+            practised.par_iter_mut().try_for_each(|(p, grip)| {
+                for (condition, mass_kg) in now {
+                    p.held.push(attempt(self.judge, grip, condition, *mass_kg)?.held());
+                }
+                anyhow::Ok(())
+            })?;
+            practised.sort_by_key(|(p, _)| Reverse(count(p)));
+            practised.truncate(options.practised.div_ceil(one_of));
+        }
+        Ok(practised.into_iter().map(|p| p.0).collect())
+    }
+}
+
+fn sort<G>(gripped: &mut [Gripped<G>]) {
+    gripped.sort_by(|a, b| a.asks.total_cmp(&b.asks));
+}
+
+/// A grip with a little less than the force of the law, carried out.
+fn attempt<J: Judge>(judge: &J, grip: &J::Grip, condition: &Condition, mass_kg: f64) -> Result<Judged> {
+    let belief = condition.belief(mass_kg);
+    let needed = match judge.plan(grip, &belief, Squeeze::Needed)? {
+        Ok(plan) => judge.squeeze_n(&plan),
+        Err(reason) => return Ok(Judged::refused(&reason)),
+    };
+    match judge.plan(grip, &belief, Squeeze::Total(PRACTICE_FORCE * needed))? {
+        Ok(plan) => judge.practise(&plan, &condition.truth(mass_kg)),
+        Err(reason) => Ok(Judged::refused(&reason)),
+    }
+}
+
+fn count(p: &Practised) -> usize {
+    p.held.iter().filter(|h| **h).count()
+}
+
+/// Of those sorted by success the best ones, and before them whatever holds under a condition that no better one stands.
+fn chosen(practised: Vec<Practised>) -> Vec<Practised> {
+    let best = practised.first().map_or(0, count) as f64;
+    let holds = |p: &Practised, share: f64| count(p) as f64 >= share * best;
+    let mut out: Vec<Practised> = Vec::new();
+    let mut rest = Vec::new();
+    for p in practised {
+        let new = p.held.iter().enumerate().any(|(c, held)| *held && !out.iter().any(|o| o.held[c]));
+        if new && holds(&p, WHERE_OTHERS_FAIL) { out.push(p) } else { rest.push(p) }
+    }
+    let room = LEARNED.saturating_sub(out.len());
+    // Those that often fail where others hold would only be in the way; where nothing holds, they are all there is.
+    out.extend(rest.into_iter().filter(|p| holds(p, NEARLY_AS_GOOD)).take(room));
+    out
+}
