@@ -2,7 +2,9 @@
 
 use drex_core::Pose;
 use drex_diffsim::SimError;
-use drex_grasp::{Contact, Distribution, GraspError, SqueezeError, SqueezeProblem, TorqueLimits, distribute};
+use drex_grasp::{
+    Contact, ContactOptions, Distribution, GraspError, SqueezeError, SqueezeProblem, TorqueLimits, distribute,
+};
 use nalgebra::{DVector, Point3, Vector3};
 
 use crate::control::{Controller, Push, squeeze_torques};
@@ -14,6 +16,8 @@ use crate::{Belief, Command, Error, Judge, NoCommand, Result, Squeeze, Trial, Tr
 
 /// Contacts nearer to each other than this on one link count as one, m.
 const SAME_M: f64 = 0.004;
+/// Points of a link that may come to bear on the object once the fingers press, at most.
+const MAY_BEAR: usize = 2;
 
 /// How far inside the edge of what is possible a squeeze is asked for: there the programme has room to solve.
 const EDGE: f64 = 1e-4;
@@ -26,7 +30,10 @@ pub struct Rehearsal {
     reach: Reach,
     /// Joint angles once the fingers touch, rad.
     closed: Vec<f64>,
-    touches: Vec<Touch>,
+    /// World, the most pressed first: one per place.
+    touching: Vec<Contact>,
+    /// Where other points of the hand, the palm for one, are so near to the object that pressing fingers bring them to bear on it.
+    near: Vec<Contact>,
     /// Per finger, whether it touches the object.
     pub fingers_in_contact: Vec<bool>,
 }
@@ -74,7 +81,50 @@ pub(crate) fn rehearse(trial: &Trial, joints: &[f64], object_from_palm: &Pose, b
     let mut fingers_in_contact = vec![false; trial.surface.fingers.len()];
     touches.iter().filter_map(|t| trial.surface.finger_of_link[t.link]).for_each(|f| fingers_in_contact[f] = true);
     let closed = engine.joints().to_vec();
-    Ok(Rehearsal { joints: joints.to_vec(), world_from_palm, reach, closed, touches, fingers_in_contact })
+    let touching = touching(trial, &mut touches);
+    let near = near(trial, &closed, &world_from_palm, &engine.world_from_object(), &touching)?;
+    Ok(Rehearsal { joints: joints.to_vec(), world_from_palm, reach, closed, touching, near, fingers_in_contact })
+}
+
+/// Contacts of the touches.
+fn touching(trial: &Trial, touches: &mut [Touch]) -> Vec<Contact> {
+    touches.sort_by(|a, b| b.normal_n.total_cmp(&a.normal_n));
+    let mut contacts: Vec<Contact> = Vec::new();
+    for touch in touches {
+        let mut contact = Contact::new(Point3::from(touch.point), touch.inward, 0.0);
+        contact.link = touch.link;
+        contact.finger = trial.surface.finger_of_link[touch.link];
+        if !among(&contacts, &contact) {
+            contacts.push(contact);
+        }
+    }
+    contacts
+}
+
+/// Where the hand is near an object that it does not touch there.
+fn near(
+    trial: &Trial,
+    closed: &[f64],
+    world_from_palm: &Pose,
+    world_from_object: &Pose,
+    touching: &[Contact],
+) -> Result<Vec<Contact>> {
+    let mut options = ContactOptions::default();
+    options.max_per_link = MAY_BEAR;
+    let object_from_palm = world_from_object.inverse() * world_from_palm;
+    let surface = trial.object.surface.as_ref();
+    let mut contacts = trial.surface.contacts(&trial.hand, closed, &object_from_palm, surface, &options)?;
+    for contact in &mut contacts {
+        contact.point = world_from_object * contact.point;
+        contact.normal = world_from_object * contact.normal;
+    }
+    contacts.retain(|c| !among(touching, c));
+    Ok(contacts)
+}
+
+/// Whether the same link has one of these at the same place.
+fn among(contacts: &[Contact], contact: &Contact) -> bool {
+    contacts.iter().any(|c| c.link == contact.link && (c.point - contact.point).norm() < SAME_M)
 }
 
 /// See [`Trial::squeeze`].
@@ -89,8 +139,16 @@ pub(crate) fn squeeze(
     if touching < 2 {
         return Ok(Err(NoCommand::NoContact { touching }));
     }
-    let Rehearsal { joints, world_from_palm, reach, closed, touches, .. } = rehearsal;
-    let problem = problem(trial, closed, world_from_palm, touches, belief);
+    let Rehearsal { joints, world_from_palm, reach, closed, touching, near, .. } = rehearsal;
+    let mut problem = problem(trial, closed, world_from_palm, touching.clone(), belief);
+    // Contacts that only pressing makes are less certain than those that are there: they are counted on where nothing else carries.
+    if !near.is_empty() && !carries(trial, &problem)? {
+        let all = touching.iter().chain(near).cloned().collect();
+        let pressed = self::problem(trial, closed, world_from_palm, all, belief);
+        if carries(trial, &pressed)? {
+            problem = pressed;
+        }
+    }
     let forces = match squeeze_of(trial, &problem, squeeze) {
         Ok(share) => share.forces,
         Err(reason) => return no_command(reason).map(Err),
@@ -118,6 +176,14 @@ pub(crate) fn squeeze(
     Ok(Ok(command))
 }
 
+/// Whether the law has a squeeze for what is believed.
+fn carries(trial: &Trial, problem: &SqueezeProblem) -> Result<bool> {
+    match trial.options.law.command(problem) {
+        Ok(_) => Ok(true),
+        Err(reason) => no_command(reason).map(|_| false),
+    }
+}
+
 /// Sorts the reasons why there is no squeeze.
 fn no_command(reason: SqueezeError) -> Result<NoCommand> {
     let text = reason.to_string();
@@ -140,22 +206,10 @@ fn problem(
     trial: &Trial,
     closed: &[f64],
     world_from_palm: &Pose,
-    touches: &[Touch],
+    mut contacts: Vec<Contact>,
     belief: &Belief,
 ) -> SqueezeProblem {
-    let mut contacts: Vec<Contact> = Vec::new();
-    let mut by_force: Vec<&Touch> = touches.iter().collect();
-    by_force.sort_by(|a, b| b.normal_n.total_cmp(&a.normal_n));
-    for touch in by_force {
-        let point = Point3::from(touch.point);
-        if contacts.iter().any(|c| c.link == touch.link && (c.point - point).norm() < SAME_M) {
-            continue;
-        }
-        let mut contact = Contact::new(point, touch.inward, belief.friction);
-        contact.link = touch.link;
-        contact.finger = trial.surface.finger_of_link[touch.link];
-        contacts.push(contact);
-    }
+    contacts.iter_mut().for_each(|c| c.friction = belief.friction);
     let poses = trial.hand.forward_kinematics(closed, world_from_palm);
     let jacobians = contacts.iter().map(|c| trial.hand.jacobian(&poses, c.link, &c.point).0).collect();
     let down = Vector3::new(0.0, 0.0, -9.81);

@@ -20,9 +20,9 @@ use super::wraps::Closer;
 /// Stages of practice: conditions under which a grasp is tried, and of how many of the first stage one goes on to the next.
 const STAGES: [(usize, usize); 3] = [(3, 2), (5, 4), (16, 4)];
 /// Of so many grasps that look easiest on paper one is practised: closing on the object as a rehearsal says more, and takes longer.
-const REHEARSED_FOR_ONE: usize = 4;
+const REHEARSED_FOR_ONE: usize = 12;
 /// Generations of variations, of how many practised grasps one is varied, and how often in a generation.
-const GENERATIONS: usize = 4;
+const GENERATIONS: usize = 6;
 const VARIED_ONE_OF: usize = 4;
 const VARIATIONS: usize = 4;
 /// Share of the law's force with which grasps are practised: what holds with less does not hang on what one simulator gets wrong.
@@ -111,7 +111,8 @@ pub fn practise<J: Judge>(
     let commanded = gripped.len();
     sort(&mut gripped);
     let varied = options.practised.div_ceil(VARIED_ONE_OF).min(gripped.len());
-    task.vary(&mut gripped[..varied], options.train.seed)?;
+    let better = task.varied(&gripped[..varied], options.train.seed)?;
+    gripped.extend(better);
     sort(&mut gripped);
     gripped.truncate(if options.practised == 0 { LEARNED } else { options.practised });
 
@@ -133,30 +134,33 @@ impl<J: Judge> Task<'_, J> {
         Ok(None)
     }
 
-    /// Climbs from each grasp to neighbours that carry more, or the same with less force. The same for any number of threads.
-    fn vary(&self, gripped: &mut [Gripped<J::Grip>], seed: u64) -> Result<()> {
+    /// Where climbing from each grasp leads, over neighbours that carry more, or the same with less force; nothing for a grasp that has no
+    /// better neighbour. The same for any number of threads.
+    fn varied(&self, gripped: &[Gripped<J::Grip>], seed: u64) -> Result<Vec<Gripped<J::Grip>>> {
         let closer = Closer::new(self.robot)?;
+        let mut best: Vec<Option<Gripped<J::Grip>>> = gripped.iter().map(|_| None).collect();
         for generation in 0..GENERATIONS {
-            let size = 1.0 / (1 + generation) as f64;
+            let size = 1.0 - generation as f64 / GENERATIONS as f64;
             let variations: Vec<(usize, u64)> = (0..gripped.len() * VARIATIONS)
                 .map(|i| (i / VARIATIONS, (generation * gripped.len() * VARIATIONS + i) as u64))
                 .collect();
             let found: Vec<Option<(usize, Gripped<J::Grip>)>> = variations
                 .into_par_iter()
                 .map(|(of, stream)| {
-                    let Some(grasp) = closer.varied(self.thing, &gripped[of].grasp, size, seed, stream)? else {
+                    let from = best[of].as_ref().unwrap_or(&gripped[of]);
+                    let Some(grasp) = closer.varied(self.thing, &from.grasp, size, seed, stream)? else {
                         return Ok(None);
                     };
                     Ok(self.gripped(grasp)?.map(|g| (of, g)))
                 })
                 .collect::<Result<_>>()?;
             for (of, better) in found.into_iter().flatten() {
-                if better.asks < gripped[of].asks {
-                    gripped[of] = better;
+                if better.asks < best[of].as_ref().unwrap_or(&gripped[of]).asks {
+                    best[of] = Some(better);
                 }
             }
         }
-        Ok(())
+        Ok(best.into_iter().flatten().collect())
     }
 
     /// Carries them out: under few conditions all of them, under the others those that went best; these first.
