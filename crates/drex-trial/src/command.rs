@@ -141,15 +141,21 @@ pub(crate) fn squeeze(
     }
     let Rehearsal { joints, world_from_palm, reach, closed, touching, near, .. } = rehearsal;
     let mut problem = problem(trial, closed, world_from_palm, touching.clone(), belief);
+    let mut needed = trial.options.law.command(&problem);
     // Contacts that only pressing makes are less certain than those that are there: they are counted on where nothing else carries.
-    if !near.is_empty() && !carries(trial, &problem)? {
+    if needed.is_err() && !near.is_empty() {
         let all = touching.iter().chain(near).cloned().collect();
         let pressed = self::problem(trial, closed, world_from_palm, all, belief);
-        if carries(trial, &pressed)? {
-            problem = pressed;
+        let by_pressing = trial.options.law.command(&pressed);
+        if by_pressing.is_ok() {
+            (problem, needed) = (pressed, by_pressing);
         }
     }
-    let forces = match squeeze_of(trial, &problem, squeeze) {
+    let share = match squeeze {
+        Squeeze::Needed => needed.map(|n| n.distribution),
+        Squeeze::Total(total_n) => shared(trial, &problem, total_n),
+    };
+    let forces = match share {
         Ok(share) => share.forces,
         Err(reason) => return no_command(reason).map(Err),
     };
@@ -174,14 +180,6 @@ pub(crate) fn squeeze(
     }
     command.torques_nm = squeeze_torques(&trial.hand, closed, world_from_palm, &command.pushes);
     Ok(Ok(command))
-}
-
-/// Whether the law has a squeeze for what is believed.
-fn carries(trial: &Trial, problem: &SqueezeProblem) -> Result<bool> {
-    match trial.options.law.command(problem) {
-        Ok(_) => Ok(true),
-        Err(reason) => no_command(reason).map(|_| false),
-    }
 }
 
 /// Sorts the reasons why there is no squeeze.
@@ -236,29 +234,24 @@ fn problem(
     problem
 }
 
-/// The squeeze as forces on the object, world, and its sum, N.
-fn squeeze_of(trial: &Trial, problem: &SqueezeProblem, squeeze: Squeeze) -> Result<Distribution, SqueezeError> {
-    match squeeze {
-        Squeeze::Needed => Ok(trial.options.law.command(problem)?.distribution),
-        Squeeze::Total(total_n) => {
-            let mut careful = problem.clone();
-            careful.contacts.iter_mut().for_each(|c| c.friction *= 1.0 - trial.options.law.friction_uncertainty);
-            // What could not be carried if friction were lower may be carried with what is believed.
-            if matches!(distribute(&careful, total_n), Err(e) if !matches!(e, SqueezeError::Total { .. })) {
-                careful = problem.clone();
-            }
-            match distribute(&careful, total_n) {
-                // Too little for the believed weight is a command all the same: the share of a squeeze that would do, scaled.
-                Err(SqueezeError::Total { smallest_n, .. }) if total_n < smallest_n => {
-                    let mut least = distribute(&careful, smallest_n * (1.0 + EDGE))?;
-                    let scale = total_n / smallest_n;
-                    least.forces.iter_mut().for_each(|f| *f *= scale);
-                    Ok(least)
-                }
-                // More than the motors have: all that they have.
-                Err(SqueezeError::Total { largest_n, .. }) => distribute(&careful, largest_n * (1.0 - EDGE)),
-                other => other,
-            }
+/// A squeeze as forces on the object, world, N.
+fn shared(trial: &Trial, problem: &SqueezeProblem, total_n: f64) -> Result<Distribution, SqueezeError> {
+    let mut careful = problem.clone();
+    careful.contacts.iter_mut().for_each(|c| c.friction *= 1.0 - trial.options.law.friction_uncertainty);
+    // What could not be carried if friction were lower may be carried with what is believed.
+    if matches!(distribute(&careful, total_n), Err(e) if !matches!(e, SqueezeError::Total { .. })) {
+        careful = problem.clone();
+    }
+    match distribute(&careful, total_n) {
+        // Too little for the believed weight is a command all the same: the share of a squeeze that would do, scaled.
+        Err(SqueezeError::Total { smallest_n, .. }) if total_n < smallest_n => {
+            let mut least = distribute(&careful, smallest_n * (1.0 + EDGE))?;
+            let scale = total_n / smallest_n;
+            least.forces.iter_mut().for_each(|f| *f *= scale);
+            Ok(least)
         }
+        // More than the motors have: all that they have.
+        Err(SqueezeError::Total { largest_n, .. }) => distribute(&careful, largest_n * (1.0 - EDGE)),
+        other => other,
     }
 }

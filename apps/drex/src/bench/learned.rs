@@ -26,6 +26,9 @@ const MASS_FACTORS: [f64; 3] = [0.4, 1.0, 2.0];
 const FRICTIONS: [f64; 3] = [0.35, 0.5, 0.75];
 /// Rounds of rollouts of the network, views of a round, tries of a view.
 const ROUNDS: (usize, usize, usize) = (10, 6, 8);
+/// More than the motors of any hand squeeze with, N.
+const MORE_THAN_ANY_N: f64 = 1e4;
+
 /// One grasp that was proposed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Proposal {
@@ -181,19 +184,30 @@ fn samples<J: Judge>(
         judge.grip(&grasp.joints_rad, &object_from_palm, &Belief { mass_kg: masses[0], friction: FRICTIONS[1] })?;
     for (mass_kg, friction) in masses.iter().flat_map(|m| FRICTIONS.map(|f| (*m, f))) {
         let belief = Belief { mass_kg, friction };
-        if let Ok(plan) = judge.plan(&grip, &belief, Squeeze::Needed)? {
+        if let Some(squeeze_n) = needed_n(judge, &grip, &belief)? {
             out.push(GraspSample {
                 object: 0,
                 joints: grasp.joints_rad.clone(),
                 object_from_palm,
                 contacts: practised.fingers.clone(),
-                squeeze_n: judge.squeeze_n(&plan),
+                squeeze_n,
                 mass_kg: told_kg.unwrap_or(mass_kg),
                 friction,
             });
         }
     }
     Ok(out)
+}
+
+/// The squeeze that the law asks for; all that the motors have where they have too little for it but may still carry. Without these
+/// the network would know heavy things only by the cases that are easy.
+fn needed_n<J: Judge>(judge: &J, grip: &J::Grip, belief: &Belief) -> Result<Option<f64>> {
+    for squeeze in [Squeeze::Needed, Squeeze::Total(MORE_THAN_ANY_N)] {
+        if let Ok(plan) = judge.plan(grip, belief, squeeze)? {
+            return Ok(Some(judge.squeeze_n(&plan)));
+        }
+    }
+    Ok(None)
 }
 
 /// Rollouts of what the network proposes, with its own force.
@@ -225,7 +239,7 @@ impl<J: Judge> Practice<'_, J> {
     fn feedback(&self, grasp: &PredictedGrasp, mass_kg: f64, friction: f64, seed: u64) -> Result<Feedback> {
         let belief = Belief { mass_kg, friction };
         let grip = self.judge.grip(&grasp.joints, &grasp.object_from_palm, &belief)?;
-        let needed = self.judge.plan(&grip, &belief, Squeeze::Needed)?.ok().map(|plan| self.judge.squeeze_n(&plan));
+        let needed = needed_n(self.judge, &grip, &belief)?;
         let condition = Condition { friction, ..self.spread.conditions(1, seed ^ PRACTICE_SEED)[0] };
         let judged = match self.judge.plan(&grip, &belief, Squeeze::Total(grasp.squeeze_n))? {
             Ok(plan) => self.judge.practise(&plan, &condition.truth(mass_kg))?,

@@ -21,10 +21,15 @@ use super::wraps::Closer;
 const STAGES: [(usize, usize); 3] = [(3, 2), (5, 4), (16, 4)];
 /// Of so many grasps that look easiest on paper one is practised: closing on the object as a rehearsal says more, and takes longer.
 const REHEARSED_FOR_ONE: usize = 12;
+/// Frictions, evenly from the lowest that a hand is told, at which a rehearsed grasp may have a force: the fewer it misses the better.
+const TOLD: usize = 6;
 /// Generations of variations, of how many practised grasps one is varied, and how often in a generation.
 const GENERATIONS: usize = 6;
 const VARIED_ONE_OF: usize = 4;
 const VARIATIONS: usize = 4;
+/// The stage of practice after which what is left is varied, and by how much.
+const OFFSPRING_AFTER: usize = 1;
+const OFFSPRING_SIZE: f64 = 0.5;
 /// Share of the law's force with which grasps are practised: what holds with less does not hang on what one simulator gets wrong.
 const PRACTICE_FORCE: f64 = 0.85;
 /// Share of the best grasp's holds that another one needs to be learned: as it is, and if it holds where no better one does.
@@ -68,8 +73,8 @@ struct Task<'a, J> {
     judge: &'a J,
     /// The hand closes on this.
     closes_on: Belief,
-    /// What it is to carry, the hardest first.
-    beliefs: Vec<Belief>,
+    /// What it is to carry, for each mass, the heaviest first: the lowest friction first.
+    beliefs: Vec<Vec<Belief>>,
 }
 
 /// The grasps to learn, at each mass in turn.
@@ -91,10 +96,14 @@ pub fn practise<J: Judge>(
     let frictions = [spread.friction.0, middle, spread.friction.1];
     let heaviest = masses_kg.iter().copied().fold(0.0, f64::max);
     let lightest = masses_kg.iter().copied().fold(f64::INFINITY, f64::min);
-    let at = |mass_kg: f64| frictions.map(|friction| Belief { mass_kg, friction });
-    let mut beliefs = at(heaviest).to_vec();
+    let smoothest = (1.0 - spread.friction_told) * spread.friction.0;
+    let at = |mass_kg: f64| -> Vec<Belief> {
+        let step = (spread.friction.1 - smoothest) / (TOLD - 1) as f64;
+        (0..TOLD).map(|i| Belief { mass_kg, friction: smoothest + step * i as f64 }).collect()
+    };
+    let mut beliefs = vec![at(heaviest)];
     if lightest < heaviest {
-        beliefs.extend(at(lightest));
+        beliefs.push(at(lightest));
     }
     let closes_on = Belief { mass_kg: heaviest, friction: middle };
     let task = Task { thing, robot, judge, closes_on, beliefs };
@@ -125,11 +134,22 @@ impl<J: Judge> Task<'_, J> {
     /// Closes the hand; `None` if there is no force for anything that it may be asked to carry.
     fn gripped(&self, grasp: Grasp) -> Result<Option<Gripped<J::Grip>>> {
         let grip = self.judge.grip(&grasp.joints_rad, &grasp.pose()?, &self.closes_on)?;
-        for (place, belief) in self.beliefs.iter().enumerate() {
-            if let Ok(plan) = self.judge.plan(&grip, belief, Squeeze::Needed)? {
-                let asks = self.judge.squeeze_n(&plan) + 1e3 * place as f64;
-                return Ok(Some(Gripped { grasp, grip, asks }));
+        let needed = |belief: &Belief| -> Result<Option<f64>> {
+            Ok(self.judge.plan(&grip, belief, Squeeze::Needed)?.ok().map(|plan| self.judge.squeeze_n(&plan)))
+        };
+        for (block, beliefs) in self.beliefs.iter().enumerate() {
+            // More friction is never worse: if the most is too little, all are.
+            let (mut at, mut from) = (beliefs.len() - 1, 0);
+            let Some(mut squeeze_n) = needed(&beliefs[at])? else { continue };
+            while from < at {
+                let middle = (from + at) / 2;
+                match needed(&beliefs[middle])? {
+                    Some(n) => (at, squeeze_n) = (middle, n),
+                    None => from = middle + 1,
+                }
             }
+            let asks = squeeze_n + 1e3 * (block * TOLD + at) as f64;
+            return Ok(Some(Gripped { grasp, grip, asks }));
         }
         Ok(None)
     }
@@ -178,23 +198,58 @@ impl<J: Judge> Task<'_, J> {
             (Practised { grasp: g.grasp, fingers, held: Vec::new() }, g.grip)
         };
         let mut practised: Vec<(Practised, J::Grip)> = gripped.into_iter().map(practised).collect();
-        let mut conditions = &conditions[..];
-        for (count_of, one_of) in STAGES {
-            if options.practised == 0 {
-                break;
+        if options.practised == 0 {
+            return Ok(practised.into_iter().map(|p| p.0).collect());
+        }
+        let mut until = 0;
+        for (stage, (count_of, one_of)) in STAGES.into_iter().enumerate() {
+            until += count_of;
+            practised.par_iter_mut().try_for_each(|p| self.go_on(p, &conditions[..until]))?;
+            best(&mut practised, options.practised.div_ceil(one_of));
+            if stage == OFFSPRING_AFTER {
+                practised.extend(self.offspring(&practised, &conditions[..until], options.train.seed)?);
+                best(&mut practised, options.practised.div_ceil(one_of));
             }
-            let (now, later) = conditions.split_at(count_of);
-            conditions = later;
-            practised.par_iter_mut().try_for_each(|(p, grip)| {
-                for (condition, mass_kg) in now {
-                    p.held.push(attempt(self.judge, grip, condition, *mass_kg)?.held());
-                }
-                anyhow::Ok(())
-            })?;
-            practised.sort_by_key(|(p, _)| Reverse(count(p)));
-            practised.truncate(options.practised.div_ceil(one_of));
         }
         Ok(practised.into_iter().map(|p| p.0).collect())
+    }
+
+    /// Carries a grasp out under those of the conditions that it has not seen.
+    fn go_on(&self, (p, grip): &mut (Practised, J::Grip), conditions: &[(Condition, f64)]) -> Result<()> {
+        for (condition, mass_kg) in &conditions[p.held.len()..] {
+            p.held.push(attempt(self.judge, grip, condition, *mass_kg)?.held());
+        }
+        Ok(())
+    }
+
+    /// Variations of grasps in practice, those that held no less often than what they come from.
+    fn offspring(
+        &self,
+        parents: &[(Practised, J::Grip)],
+        conditions: &[(Condition, f64)],
+        seed: u64,
+    ) -> Result<Vec<(Practised, J::Grip)>> {
+        let closer = Closer::new(self.robot)?;
+        let born = |i: usize| {
+            let parent = &parents[i / VARIATIONS].0;
+            let Some(grasp) = closer.varied(self.thing, &parent.grasp, OFFSPRING_SIZE, !seed, i as u64)? else {
+                return Ok(None);
+            };
+            let Some(Gripped { grasp, grip, .. }) = self.gripped(grasp)? else { return Ok(None) };
+            let fingers = self.judge.fingers(&grip);
+            let mut child = (Practised { grasp, fingers, held: Vec::new() }, grip);
+            // A few conditions say of most that they are no better.
+            for until in [STAGES[0].0, conditions.len()] {
+                self.go_on(&mut child, &conditions[..until])?;
+                if count(&child.0) < parent.held[..until].iter().filter(|h| **h).count() {
+                    return Ok(None);
+                }
+            }
+            Ok(Some(child))
+        };
+        let children: Vec<Option<_>> =
+            (0..parents.len() * VARIATIONS).into_par_iter().map(born).collect::<Result<_>>()?;
+        Ok(children.into_iter().flatten().collect())
     }
 }
 
@@ -213,6 +268,12 @@ fn attempt<J: Judge>(judge: &J, grip: &J::Grip, condition: &Condition, mass_kg: 
         Ok(plan) => judge.practise(&plan, &condition.truth(mass_kg)),
         Err(reason) => Ok(Judged::refused(&reason)),
     }
+}
+
+/// The first so many by success.
+fn best<G>(practised: &mut Vec<(Practised, G)>, most: usize) {
+    practised.sort_by_key(|(p, _)| Reverse(count(p)));
+    practised.truncate(most);
 }
 
 fn count(p: &Practised) -> usize {
