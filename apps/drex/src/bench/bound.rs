@@ -69,7 +69,7 @@ pub fn least_friction(
     Ok(best)
 }
 
-/// For each of the grasps the place of the first of these frictions at which it carries an object of `mass_kg`, if there is one.
+/// For each of the grasps the place of the first of these frictions, in ascending order, at which it carries an object of `mass_kg`, if there is one.
 ///
 /// # Errors
 /// If a grasp is none of this hand.
@@ -85,12 +85,15 @@ pub fn carried(
     let loads = shakes(thing, mass_kg, load.shake_m_s2);
     let first = |g: &Grasp| {
         let problem = problem(thing, robot, &surface, g, mass_kg, load)?;
-        for (at, friction) in frictions.iter().enumerate() {
-            if carries(&problem, *friction, &loads)? {
-                return Ok(Some(at));
+        // More friction is never worse: most grasps carry it at none of them.
+        let mut first = None;
+        for (at, friction) in frictions.iter().enumerate().rev() {
+            if !carries(&problem, *friction, &loads)? {
+                break;
             }
+            first = Some(at);
         }
-        Ok(None)
+        Ok(first)
     };
     grasps.par_iter().map(first).collect()
 }

@@ -22,9 +22,9 @@ const STAGES: [(usize, usize); 3] = [(3, 2), (5, 4), (16, 4)];
 /// Of so many grasps that look easiest on paper one is practised: closing on the object as a rehearsal says more, and takes longer.
 const REHEARSED_FOR_ONE: usize = 12;
 /// Frictions, evenly from the lowest that a hand is told, at which a rehearsed grasp may have a force: the fewer it misses the better.
-const TOLD: usize = 6;
+const TOLD: usize = 16;
 /// Generations of variations, of how many practised grasps one is varied, and how often in a generation.
-const GENERATIONS: usize = 6;
+const GENERATIONS: usize = 24;
 const VARIED_ONE_OF: usize = 4;
 const VARIATIONS: usize = 4;
 /// The stage of practice after which what is left is varied, and by how much.

@@ -54,8 +54,8 @@ const SPACING_M: f64 = 0.006;
 const DEEPER_M: f64 = 0.06;
 const WIDER_M: f64 = 0.03;
 /// By how much a variation of a grasp differs from it at most: each joint and the turn of the palm, rad, and its shift, metres.
-const VARIED_RAD: f64 = 0.15;
-const VARIED_M: f64 = 0.008;
+const VARIED_RAD: f64 = 0.05;
+const VARIED_M: f64 = 0.0025;
 /// Set apart from the seeds of tries.
 const VARIED_SEED: u64 = 0x76_61_72_79;
 /// Places of the hand that are looked at for each pinch.
