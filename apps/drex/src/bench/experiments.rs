@@ -332,8 +332,9 @@ impl<J: Judge> Bench<'_, J> {
             mass_hidden,
         };
         let learned = Learned::train(&ready.thing, &self.robot, grasps, &ready.judge, &options)?;
+        let from = learned.carries_from.map_or(String::new(), |mu| format!(" (from a friction of {mu:.2} on)"));
         (self.note)(&format!(
-            "{:>10}  {}: {} of {} grasps can be commanded, {} held in practice, {} learned; practice {:.0} s, demonstrations {:.0} s, rollouts {:.0} s",
+            "{:>10}  {}: {} of {} grasps can be commanded{from}, {} held in practice, {} learned; practice {:.0} s, demonstrations {:.0} s, rollouts {:.0} s",
             "trained",
             ready.thing.spec.name,
             learned.commanded,

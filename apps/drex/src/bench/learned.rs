@@ -67,7 +67,9 @@ pub struct Learned {
     pub commanded: usize,
     pub robust: usize,
     pub learned: usize,
-    /// Those of them that were demonstrated rather than searched for.
+    /// Lowest of the frictions that a hand may be told at which a rehearsed grasp has a force for the heaviest mass.
+    pub carries_from: Option<f64>,
+    /// Those of them that were demonstrated, or vary what was, rather than searched for.
     pub demonstrated: usize,
     /// How the training went.
     pub report: TrainReport,
@@ -100,7 +102,7 @@ impl Learned {
         // What is to hold at several masses is practised at all of them.
         let own = [thing.spec.mass_kg];
         let practice_kg = if options.masses_kg.is_empty() { &own[..] } else { &masses[..] };
-        let Sieved { grasps: practised, commanded, robust } =
+        let Sieved { grasps: practised, commanded, robust, carries_from } =
             practise(thing, robot, grasps, judge, practice_kg, options)?;
         let samples: Vec<GraspSample> = practised
             .par_iter()
@@ -147,7 +149,19 @@ impl Learned {
         let seconds = [practised_s, learned_s - practised_s, start.elapsed().as_secs_f64() - learned_s];
         let demonstrated = practised.iter().filter(|p| p.grasp.kind == Kind::Retargeted).count();
         let (learned, samples) = (practised.len(), data.samples.len());
-        Ok(Self { policy, up, told_kg, commanded, robust, learned, demonstrated, report, samples, seconds })
+        Ok(Self {
+            policy,
+            up,
+            told_kg,
+            commanded,
+            robust,
+            learned,
+            carries_from,
+            demonstrated,
+            report,
+            samples,
+            seconds,
+        })
     }
 
     /// The network.

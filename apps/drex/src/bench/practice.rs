@@ -3,7 +3,7 @@
 //! Four sieves, each dearer than the one before: the motors on paper, a rehearsal of the closing and the force for its contacts, variations
 //! of what went best there, and practice in the simulator that learning uses.
 
-use std::cmp::Reverse;
+use std::cmp::{Ordering, Reverse};
 
 use anyhow::Result;
 use drex_robot::Robot;
@@ -56,14 +56,17 @@ pub struct Sieved {
     /// Rehearsed grasps for which there is a force, and those that held under most conditions.
     pub commanded: usize,
     pub robust: usize,
+    /// Lowest of the frictions that a hand may be told at which any rehearsed grasp has a force for the heaviest mass.
+    pub carries_from: Option<f64>,
 }
 
 /// A grasp with the hand closed.
 struct Gripped<G> {
     grasp: Grasp,
     grip: G,
-    /// What it asks for: less is better.
-    asks: f64,
+    /// Place of the first of what it may be asked to carry for which there is a force, and that force, N: less is better.
+    place: usize,
+    squeeze_n: f64,
 }
 
 /// What a closed hand is asked to carry.
@@ -118,16 +121,17 @@ pub fn practise<J: Judge>(
         easiest.into_par_iter().map(|(_, g)| task.gripped(g.clone())).collect::<Result<_>>()?;
     let mut gripped: Vec<Gripped<J::Grip>> = gripped.into_iter().flatten().collect();
     let commanded = gripped.len();
-    sort(&mut gripped);
+    gripped.sort_by(Gripped::against);
     let varied = options.practised.div_ceil(VARIED_ONE_OF).min(gripped.len());
     let better = task.varied(&gripped[..varied], options.train.seed)?;
     gripped.extend(better);
-    sort(&mut gripped);
+    gripped.sort_by(Gripped::against);
+    let carries_from = gripped.first().and_then(|g| task.beliefs[0].get(g.place)).map(|b| b.friction);
     gripped.truncate(if options.practised == 0 { LEARNED } else { options.practised });
 
     let practised = task.try_out(gripped, masses_kg, options)?;
     let robust = practised.iter().filter(|p| !p.held.is_empty() && 4 * count(p) >= 3 * p.held.len()).count();
-    Ok(Sieved { grasps: chosen(practised), commanded, robust })
+    Ok(Sieved { grasps: chosen(practised), commanded, robust, carries_from })
 }
 
 impl<J: Judge> Task<'_, J> {
@@ -148,8 +152,7 @@ impl<J: Judge> Task<'_, J> {
                     None => from = middle + 1,
                 }
             }
-            let asks = squeeze_n + 1e3 * (block * TOLD + at) as f64;
-            return Ok(Some(Gripped { grasp, grip, asks }));
+            return Ok(Some(Gripped { grasp, grip, place: block * TOLD + at, squeeze_n }));
         }
         Ok(None)
     }
@@ -175,7 +178,7 @@ impl<J: Judge> Task<'_, J> {
                 })
                 .collect::<Result<_>>()?;
             for (of, better) in found.into_iter().flatten() {
-                if better.asks < best[of].as_ref().unwrap_or(&gripped[of]).asks {
+                if better.against(best[of].as_ref().unwrap_or(&gripped[of])).is_lt() {
                     best[of] = Some(better);
                 }
             }
@@ -253,8 +256,11 @@ impl<J: Judge> Task<'_, J> {
     }
 }
 
-fn sort<G>(gripped: &mut [Gripped<G>]) {
-    gripped.sort_by(|a, b| a.asks.total_cmp(&b.asks));
+impl<G> Gripped<G> {
+    /// Which asks for less.
+    fn against(&self, other: &Self) -> Ordering {
+        self.place.cmp(&other.place).then(self.squeeze_n.total_cmp(&other.squeeze_n))
+    }
 }
 
 /// A grip with a little less than the force of the law, carried out.
