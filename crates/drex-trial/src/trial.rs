@@ -55,7 +55,7 @@ impl Trial {
     /// The command for a grasp, given what the hand is told. The inner result says why there is none.
     ///
     /// The fingers' closing is rehearsed in drex-diffsim with the object where it is believed to be; the squeeze is planned on
-    /// the contacts that this gives.
+    /// the contacts that this gives; where they have none, also on those that pressing fingers bring to bear.
     ///
     /// # Errors
     /// If the joint vector does not fit the hand or a solver gives up.
