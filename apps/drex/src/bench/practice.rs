@@ -122,8 +122,10 @@ pub fn practise<J: Judge>(
     let mut gripped: Vec<Gripped<J::Grip>> = gripped.into_iter().flatten().collect();
     let commanded = gripped.len();
     gripped.sort_by(Gripped::against);
-    let varied = options.practised.div_ceil(VARIED_ONE_OF).min(gripped.len());
-    let better = task.varied(&gripped[..varied], options.train.seed)?;
+    // What carries the heaviest at all frictions needs no better neighbour.
+    let hard = gripped.partition_point(|g| g.place == 0);
+    let varied = options.practised.div_ceil(VARIED_ONE_OF).saturating_sub(hard).min(gripped.len() - hard);
+    let better = task.varied(&gripped[hard..hard + varied], options.train.seed)?;
     gripped.extend(better);
     gripped.sort_by(Gripped::against);
     let carries_from = gripped.first().and_then(|g| task.beliefs[0].get(g.place)).map(|b| b.friction);
