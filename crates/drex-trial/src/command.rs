@@ -255,3 +255,91 @@ fn shared(trial: &Trial, problem: &SqueezeProblem, total_n: f64) -> Result<Distr
         other => other,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)] // a test says what fails by failing
+
+    use std::sync::Arc;
+
+    use drex_core::{MassProperties, SdfSample, SignedDistance};
+    use drex_diffsim::{Collider, Geom, Shape};
+    use drex_robot::Robot;
+    use nalgebra::Matrix3;
+
+    use super::*;
+    use crate::{TrialObject, TrialOptions};
+
+    const RADIUS_M: f64 = 0.03;
+
+    struct Ball;
+
+    impl SignedDistance for Ball {
+        fn signed_distance(&self, point: &Point3<f64>) -> SdfSample {
+            let r = point.coords.norm().max(1e-9);
+            SdfSample { distance_m: r - RADIUS_M, gradient: point.coords / r }
+        }
+    }
+
+    /// The index finger and the thumb at opposite sides of a ball; the others touch nothing.
+    fn pinch() -> (Trial, Rehearsal) {
+        let ball = TrialObject {
+            collider: Arc::new(Collider::new(&[Geom::new(Shape::Sphere { radius_m: RADIUS_M })]).unwrap()),
+            properties: MassProperties {
+                mass_kg: 1.0,
+                center_of_mass: Point3::origin(),
+                inertia: Matrix3::identity() * 3.6e-4,
+            },
+            surface: Arc::new(Ball),
+            world_from_object: Pose::translation(0.0, 0.0, RADIUS_M),
+            max_finger_n: None,
+        };
+        let hand = Arc::new(Robot::bundled("leap_right").unwrap());
+        let joints = vec![0.0; hand.dof()];
+        let trial = Trial::new(hand, ball, TrialOptions::default()).unwrap();
+        // Where the palm is makes torques, not forces: beside the ball they are small.
+        let world_from_palm = Pose::translation(0.0, 0.0, RADIUS_M);
+        let touching = trial.surface.fingers[..2].iter().zip([1.0, -1.0]).map(|(finger, side)| {
+            let normal = -side * Vector3::x();
+            let mut contact = Contact::new(Point3::from(Vector3::z() * RADIUS_M - normal * RADIUS_M), normal, 0.0);
+            contact.link = finger.tip_link;
+            contact.finger = trial.surface.finger_of_link[finger.tip_link];
+            contact
+        });
+        let rehearsal = Rehearsal {
+            joints: joints.clone(),
+            world_from_palm,
+            reach: Reach { open: joints.clone(), grasp: joints.clone(), closed: joints.clone(), retreat: Vector3::z() },
+            closed: joints,
+            touching: touching.collect(),
+            near: Vec::new(),
+            fingers_in_contact: vec![true, true, false, false],
+        };
+        (trial, rehearsal)
+    }
+
+    #[test]
+    fn what_pressing_brings_to_bear_is_counted_on_where_nothing_else_carries() {
+        let told = Belief { mass_kg: 0.01, friction: 0.6 };
+        let (trial, pinch) = pinch();
+        let needed = |r: &Rehearsal| squeeze(&trial, r, &told, Squeeze::Needed).unwrap();
+        let both = needed(&pinch).unwrap();
+        assert_eq!(both.pushes.len(), 2);
+        // One side alone cannot carry.
+        let mut one = pinch.clone();
+        let other = one.touching.pop().unwrap();
+        assert!(matches!(needed(&one), Err(NoCommand::CannotCarry(_))));
+        // With the other one near it carries as before, and so does a number of newtons.
+        one.near = vec![other.clone()];
+        let pressed = needed(&one).unwrap();
+        assert!(pressed.pushes.len() == 2 && (pressed.squeeze_n / both.squeeze_n - 1.0).abs() < 1e-6);
+        let total = squeeze(&trial, &one, &told, Squeeze::Total(1.2 * both.squeeze_n)).unwrap().unwrap();
+        assert!(total.pushes.len() == 2 && (total.squeeze_n / both.squeeze_n - 1.2).abs() < 1e-3);
+        // Where the contacts of the closing carry, nothing else is counted on.
+        let mut more = pinch;
+        let mut palm = other;
+        (palm.point, palm.normal) = (Point3::origin(), Vector3::z());
+        more.near = vec![palm];
+        assert_eq!(needed(&more).unwrap().pushes, both.pushes);
+    }
+}
