@@ -82,7 +82,11 @@ pub(crate) fn rehearse(trial: &Trial, joints: &[f64], object_from_palm: &Pose, b
     touches.iter().filter_map(|t| trial.surface.finger_of_link[t.link]).for_each(|f| fingers_in_contact[f] = true);
     let closed = engine.joints().to_vec();
     let touching = touching(trial, &mut touches);
-    let near = near(trial, &closed, &world_from_palm, &engine.world_from_object(), &touching)?;
+    let near = match touching.is_empty() {
+        // Also where a hand was thrown out of all bounds.
+        true => Vec::new(),
+        false => near(trial, &closed, &world_from_palm, &engine.world_from_object(), &touching)?,
+    };
     Ok(Rehearsal { joints: joints.to_vec(), world_from_palm, reach, closed, touching, near, fingers_in_contact })
 }
 
