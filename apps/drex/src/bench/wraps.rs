@@ -133,7 +133,7 @@ impl<'a> Closer<'a> {
         self.closed(thing, q, &pose, options)
     }
 
-    /// A grasp whose joints and palm are moved by at most `size` times [`VARIED_RAD`] and [`VARIED_M`], closed again; `None` if
+    /// A grasp whose joints and palm are moved by at most `size` times `VARIED_RAD` and `VARIED_M`, closed again; `None` if
     /// that holds nothing.
     ///
     /// # Errors
