@@ -275,42 +275,9 @@ mod tests {
     #![allow(clippy::unwrap_used)]
 
     use super::super::judge::Spread;
-    use super::super::judge::fake::Pinch;
+    use super::super::judge::fake::ByHand;
     use super::*;
     use drex_core::Pose;
-    use drex_trial::Truth;
-
-    /// Pinches as strong, N, as the first joint says.
-    struct ByHand;
-
-    impl Judge for ByHand {
-        type Grip = f64;
-        type Plan = f64;
-
-        fn grip(&self, joints: &[f64], _: &Pose, _: &Belief) -> Result<f64> {
-            Ok(joints[0])
-        }
-
-        fn plan(&self, grip: &f64, belief: &Belief, squeeze: Squeeze) -> Result<Result<f64, NoCommand>> {
-            Pinch { strongest_n: *grip }.plan(&(), belief, squeeze)
-        }
-
-        fn squeeze_n(&self, plan: &f64) -> f64 {
-            *plan
-        }
-
-        fn fingers(&self, _: &f64) -> Vec<bool> {
-            vec![true; 4]
-        }
-
-        fn practise(&self, plan: &f64, truth: &Truth) -> Result<Judged> {
-            self.run(plan, truth)
-        }
-
-        fn run(&self, plan: &f64, truth: &Truth) -> Result<Judged> {
-            Pinch { strongest_n: f64::INFINITY }.run(plan, truth)
-        }
-    }
 
     #[test]
     fn the_grip_does_not_change_with_what_is_told_where_it_is_chosen_by_what_is_true() {

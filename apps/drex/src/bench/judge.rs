@@ -299,6 +299,38 @@ pub mod fake {
             })
         }
     }
+
+    /// Pinches as strong, N, as the first joint says.
+    pub struct ByHand;
+
+    impl Judge for ByHand {
+        type Grip = f64;
+        type Plan = f64;
+
+        fn grip(&self, joints: &[f64], _: &Pose, _: &Belief) -> Result<f64> {
+            Ok(joints[0])
+        }
+
+        fn plan(&self, grip: &f64, belief: &Belief, squeeze: Squeeze) -> Result<Result<f64, NoCommand>> {
+            Pinch { strongest_n: *grip }.plan(&(), belief, squeeze)
+        }
+
+        fn squeeze_n(&self, plan: &f64) -> f64 {
+            *plan
+        }
+
+        fn fingers(&self, _: &f64) -> Vec<bool> {
+            vec![true; 4]
+        }
+
+        fn practise(&self, plan: &f64, truth: &Truth) -> Result<Judged> {
+            self.run(plan, truth)
+        }
+
+        fn run(&self, plan: &f64, truth: &Truth) -> Result<Judged> {
+            Pinch { strongest_n: f64::INFINITY }.run(plan, truth)
+        }
+    }
 }
 
 #[cfg(test)]

@@ -303,3 +303,85 @@ fn chosen(practised: Vec<Practised>) -> Vec<Practised> {
     out.extend(rest.into_iter().filter(|p| holds(p, NEARLY_AS_GOOD)).take(room));
     out
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::super::judge::fake::ByHand;
+    use super::super::library::searched;
+    use super::super::objects;
+    use super::*;
+
+    /// 1 kg to 0.2 kg on a cube, whose grasps are as strong as their first joint says.
+    fn task<'a>(thing: &'a Thing, robot: &'a Robot, masses_kg: &[f64]) -> Task<'a, ByHand> {
+        let at = |mass_kg: &f64| -> Vec<Belief> {
+            (0..TOLD).map(|i| Belief { mass_kg: *mass_kg, friction: 0.3 + 0.03 * i as f64 }).collect()
+        };
+        let closes_on = Belief { mass_kg: masses_kg[0], friction: 0.5 };
+        Task { thing, robot, judge: &ByHand, closes_on, beliefs: masses_kg.iter().map(at).collect() }
+    }
+
+    fn cube() -> (Thing, Robot) {
+        (Thing::new(&objects::named("cube").unwrap()).unwrap(), Robot::bundled("leap_right").unwrap())
+    }
+
+    #[test]
+    fn the_first_load_that_is_carried_is_found_by_halving_as_by_looking_at_all() {
+        let (thing, robot) = cube();
+        let task = task(&thing, &robot, &[1.0, 0.2]);
+        let grasp = searched(&thing, &robot, 4000, 0.5, 0).unwrap().swap_remove(0);
+        let loads: Vec<&Belief> = task.beliefs.iter().flatten().collect();
+        let mut places = Vec::new();
+        for strongest in 0..70 {
+            let mut grasp = grasp.clone();
+            grasp.joints_rad[0] = f64::from(strongest);
+            let carries = |b: &&Belief| ByHand.plan(&grasp.joints_rad[0], b, Squeeze::Needed).unwrap().is_ok();
+            let expected = loads.iter().position(carries);
+            let found = task.gripped(grasp).unwrap();
+            assert_eq!(found.as_ref().map(|g| g.place), expected, "{strongest} N");
+            if let Some(g) = found {
+                assert_eq!(g.squeeze_n, ByHand.plan(&1e3, loads[g.place], Squeeze::Needed).unwrap().unwrap());
+            }
+            places.extend(expected);
+        }
+        assert!(places.contains(&0) && places.iter().any(|p| *p > TOLD), "{places:?}");
+    }
+
+    #[test]
+    fn climbing_leads_to_neighbours_that_carry_more() {
+        let (thing, robot) = cube();
+        // As strong, N, as the first joint says in rad: 20 g are at the edge of what that carries.
+        let task = task(&thing, &robot, &[0.02]);
+        let found = searched(&thing, &robot, 20_000, 0.5, 0).unwrap();
+        let start: Vec<_> =
+            found.into_iter().filter_map(|g| task.gripped(g).unwrap()).filter(|g| g.place > 0).collect();
+        assert!(start.len() >= 3, "{} to begin with", start.len());
+        let better = task.varied(&start[..3], 1).unwrap();
+        assert!(!better.is_empty());
+        for b in &better {
+            let parent = start.iter().find(|g| g.grasp.clip == b.grasp.clip).unwrap();
+            assert!(b.against(parent).is_lt() && b.grasp.joints_rad[0] > parent.grasp.joints_rad[0]);
+            assert_eq!(b.grasp.kind, parent.grasp.kind);
+        }
+        let again = task.varied(&start[..3], 1).unwrap();
+        assert!(again.iter().map(|g| &g.grasp).eq(better.iter().map(|g| &g.grasp)));
+    }
+
+    #[test]
+    fn what_holds_where_no_better_one_does_is_learned_too() {
+        let (thing, robot) = cube();
+        let grasp = searched(&thing, &robot, 4000, 0.5, 0).unwrap().swap_remove(0);
+        let practised = |held: &[u8]| Practised {
+            grasp: grasp.clone(),
+            fingers: vec![true; 4],
+            held: held.iter().map(|h| *h == 1).collect(),
+        };
+        let best = [1, 1, 1, 1, 1, 1, 1, 1, 1, 0];
+        let other = [1, 1, 1, 1, 1, 1, 0, 0, 0, 1];
+        let worse = [1, 1, 1, 1, 1, 1, 1, 0, 0, 0];
+        let kept = chosen(vec![practised(&best), practised(&other), practised(&worse)]);
+        assert_eq!(kept.len(), 2);
+        assert!(kept[1].held[9] && !kept[1].held[6]);
+    }
+}
