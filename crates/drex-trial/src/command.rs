@@ -12,6 +12,7 @@ use crate::engine::{Met, Touch};
 use crate::reach::{self, Reach};
 use crate::trial::STEPS_PER_TICK;
 use crate::types::check_mass_and_friction;
+use crate::watch::TABLE_N;
 use crate::{Belief, Command, Error, Judge, NoCommand, Result, Squeeze, Trial, Truth, timeline};
 
 /// Contacts nearer to each other than this on one link count as one, m.
@@ -19,6 +20,11 @@ const SAME_M: f64 = 0.004;
 /// Points of a link that may come to bear on the object once the fingers press, at most.
 const MAY_BEAR: usize = 2;
 
+/// Least squeeze in units of what the joints' dry friction withstands: half of that friction is made good for, so a finger delivers what it is told
+/// to within the other half, here at least two thirds.
+const FRICTIONS: f64 = 1.5;
+/// A push with less than this lever does not move a joint, m.
+const LEVER_M: f64 = 1e-3;
 /// How far inside the edge of what is possible a squeeze is asked for: there the programme has room to solve.
 const EDGE: f64 = 1e-4;
 
@@ -34,6 +40,8 @@ pub struct Rehearsal {
     touching: Vec<Contact>,
     /// Where other points of the hand, the palm for one, are so near to the object that pressing fingers bring them to bear on it.
     near: Vec<Contact>,
+    /// Largest force of the hand on the table, N.
+    table_n: f64,
     /// Per finger, whether it touches the object.
     pub fingers_in_contact: Vec<bool>,
 }
@@ -62,14 +70,16 @@ pub(crate) fn rehearse(trial: &Trial, joints: &[f64], object_from_palm: &Pose, b
     let mut controller = Controller::new(&trial.hand, &drives, &reach, &[], trial.options.torque_cap_nm);
     let tick_s = trial.options.dt_s * STEPS_PER_TICK as f64;
     let mut touches = Vec::new();
+    let mut table_n = 0.0_f64;
     let mut close = || {
         for i in 0..(timeline::CLOSED_S / tick_s) as usize {
             let told = controller.command(i as f64 * tick_s, &engine);
             for _ in 0..STEPS_PER_TICK {
                 engine.step(&told)?;
             }
+            engine.touches(&mut touches);
+            table_n = table_n.max(touches.iter().filter(|t| t.with == Met::Table).map(|t| t.normal_n).sum());
         }
-        engine.touches(&mut touches);
         touches.retain(|t| t.with == Met::Object);
         Ok(())
     };
@@ -87,7 +97,16 @@ pub(crate) fn rehearse(trial: &Trial, joints: &[f64], object_from_palm: &Pose, b
         true => Vec::new(),
         false => near(trial, &closed, &world_from_palm, &engine.world_from_object(), &touching)?,
     };
-    Ok(Rehearsal { joints: joints.to_vec(), world_from_palm, reach, closed, touching, near, fingers_in_contact })
+    Ok(Rehearsal {
+        joints: joints.to_vec(),
+        world_from_palm,
+        reach,
+        closed,
+        touching,
+        near,
+        table_n,
+        fingers_in_contact,
+    })
 }
 
 /// Contacts of the touches.
@@ -143,14 +162,19 @@ pub(crate) fn squeeze(
     if touching < 2 {
         return Ok(Err(NoCommand::NoContact { touching }));
     }
+    if rehearsal.table_n > TABLE_N {
+        return Ok(Err(NoCommand::Table { force_n: rehearsal.table_n }));
+    }
     let Rehearsal { joints, world_from_palm, reach, closed, touching, near, .. } = rehearsal;
     let mut problem = problem(trial, closed, world_from_palm, touching.clone(), belief);
-    let mut needed = trial.options.law.command(&problem);
+    let mut law = trial.options.law;
+    law.floor_n = law.floor_n.max(FRICTIONS * held_by_friction_n(trial, &problem));
+    let mut needed = law.command(&problem);
     // Contacts that only pressing makes are less certain than those that are there: they are counted on where nothing else carries.
     if needed.is_err() && !near.is_empty() {
         let all = touching.iter().chain(near).cloned().collect();
         let pressed = self::problem(trial, closed, world_from_palm, all, belief);
-        let by_pressing = trial.options.law.command(&pressed);
+        let by_pressing = law.command(&pressed);
         if by_pressing.is_ok() {
             (problem, needed) = (pressed, by_pressing);
         }
@@ -184,6 +208,22 @@ pub(crate) fn squeeze(
     }
     command.torques_nm = squeeze_torques(&trial.hand, closed, world_from_palm, &command.pushes);
     Ok(Ok(command))
+}
+
+/// What the touching fingers withstand by the dry friction of their joints alone, N in all: for each finger the smallest push on a contact
+/// that moves a joint.
+fn held_by_friction_n(trial: &Trial, problem: &SqueezeProblem) -> f64 {
+    let Some(torques) = &problem.torques else { return 0.0 };
+    let mut least: Vec<Option<f64>> = vec![None; trial.surface.fingers.len()];
+    for (contact, jacobian) in problem.contacts.iter().zip(&torques.jacobians) {
+        let Some(finger) = contact.finger else { continue };
+        let levers = jacobian.tr_mul(&contact.normal);
+        for (joint, lever) in trial.hand.joints.iter().zip(levers.iter()).filter(|(_, l)| l.abs() > LEVER_M) {
+            let moves = joint.friction_loss / lever.abs();
+            least[finger] = Some(least[finger].map_or(moves, |l| l.min(moves)));
+        }
+    }
+    least.into_iter().flatten().sum()
 }
 
 /// Sorts the reasons why there is no squeeze.
@@ -317,9 +357,38 @@ mod tests {
             closed: joints,
             touching: touching.collect(),
             near: Vec::new(),
+            table_n: 0.0,
             fingers_in_contact: vec![true, true, false, false],
         };
         (trial, rehearsal)
+    }
+
+    #[test]
+    fn what_weighs_nearly_nothing_is_pressed_with_more_than_friction_takes() {
+        let (trial, pinch) = pinch();
+        let told = |mass_kg: f64| {
+            let told = Belief { mass_kg, friction: 1.0 };
+            squeeze(&trial, &pinch, &told, Squeeze::Needed).unwrap().unwrap().squeeze_n
+        };
+        // The smallest push on each finger that turns a joint, by moving the joints a little.
+        let least = |contact: &Contact| {
+            let at = |q: &[f64]| {
+                let poses = trial.hand.forward_kinematics(q, &pinch.world_from_palm);
+                let start = trial.hand.forward_kinematics(&pinch.closed, &pinch.world_from_palm)[contact.link];
+                (poses[contact.link] * start.inverse_transform_point(&contact.point)).coords.dot(&contact.normal)
+            };
+            let moves = |j: usize| {
+                let (mut lo, mut hi) = (pinch.closed.clone(), pinch.closed.clone());
+                (lo[j], hi[j]) = (lo[j] - 1e-5, hi[j] + 1e-5);
+                trial.hand.joints[j].friction_loss / ((at(&hi) - at(&lo)) / 2e-5).abs()
+            };
+            (0..trial.hand.dof()).map(moves).fold(f64::INFINITY, f64::min)
+        };
+        let withstood: f64 = pinch.touching.iter().map(least).sum();
+        assert!(withstood > 0.1, "{withstood} N");
+        assert!((told(0.001) - (FRICTIONS * withstood).max(1.0)).abs() < 1e-3, "{} {withstood}", told(0.001));
+        // What is heavier needs more than that.
+        assert!(told(0.15) > 1.1 * told(0.001), "{} {}", told(0.15), told(0.001));
     }
 
     #[test]

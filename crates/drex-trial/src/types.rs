@@ -110,6 +110,12 @@ pub enum NoCommand {
         /// Fingers that touch.
         touching: usize,
     },
+    /// On its way to the object the hand would press on the table.
+    #[error("the closing hand presses on the table with {force_n:.1} N")]
+    Table {
+        /// Largest force, N.
+        force_n: f64,
+    },
     /// The contacts cannot carry the believed weight.
     #[error("the contacts cannot carry the object: {0}")]
     CannotCarry(String),

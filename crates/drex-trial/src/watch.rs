@@ -15,7 +15,7 @@ const SLIP_M: f64 = 0.005;
 const PENETRATION_M: f64 = 0.002;
 const FINGERS: usize = 2;
 /// The hand may brush the table with this force, N.
-const TABLE_N: f64 = 1.0;
+pub(crate) const TABLE_N: f64 = 1.0;
 /// A finger counts as touching from this smoothed force on, N: a contact that is gone for one step of a simulator is none that a hand lost.
 const TOUCH_N: f64 = 0.01;
 /// Time constant with which forces of fingers are smoothed, s: shorter peaks are the simulator's.

@@ -93,6 +93,10 @@ fn every_failure_has_its_name() {
     low.world_from_palm.translation.z -= 0.07;
     let table = trial.run(&low, &truth, Judge::Diffsim).unwrap();
     assert_eq!(table.verdict, Verdict::Table);
+    // A hand that knows where the table is does not begin.
+    let lower = drex_core::Pose::translation(0.0, 0.0, -0.02) * g.object_from_base;
+    let into_table = trial.command(&g.joints, &lower, &TOLD, Squeeze::Needed).unwrap().unwrap_err();
+    assert!(matches!(into_table, NoCommand::Table { force_n } if force_n > 1.0), "{into_table}");
 
     let heavy = Belief { mass_kg: 5.0, ..TOLD };
     let weak = trial.command(&g.joints, &g.object_from_base, &heavy, Squeeze::Needed).unwrap().unwrap_err();

@@ -234,6 +234,7 @@ impl Judge for Rollouts {
 pub fn verdict_of(reason: &NoCommand) -> Verdict {
     match reason {
         NoCommand::NoContact { .. } => Verdict::NoContact,
+        NoCommand::Table { .. } => Verdict::Table,
         NoCommand::TorqueLimit(_) => Verdict::TorqueLimit,
         NoCommand::Crushes(_) => Verdict::Crushed,
         // CannotCarry, and what may be added.
