@@ -1,6 +1,7 @@
 //! `drex`: from a scan, a recorded push and human grasps to a weighed digital twin and a grasp with the right force.
 
 mod bench;
+mod choice;
 mod cli;
 mod commands;
 mod lock;

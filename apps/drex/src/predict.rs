@@ -16,6 +16,7 @@ use drex_trial::{Reach, TrialOptions, plan_reach};
 use nalgebra::{Point3, Unit, Vector3};
 use serde::Serialize;
 
+use crate::choice;
 use crate::cli::{GraspArgs, HandArg};
 use crate::twin::{MassFile, PoseRecord, Twin, files};
 
@@ -44,7 +45,7 @@ pub struct Prediction {
     pub joints_rad: Vec<f64>,
     /// Where the palm goes.
     pub world_from_palm: PoseRecord,
-    /// How probable the network thinks it is, and its place among the proposals, from 1.
+    /// How probable the network thinks it is, and its place among the proposals as they are tried, from 1.
     pub weight: f64,
     pub place: usize,
     pub mass_kg: f64,
@@ -145,7 +146,7 @@ impl Ready {
         Ok(Self { policy, folder, robot, mass_kg, friction, world_from_object, sdf, body, points })
     }
 
-    /// The most probable grasp that the hand can hold; the most probable one, with the reason, if none can.
+    /// The first grasp, as [`choice::sort`] has them, that the hand can hold; the first one, with the reason, if none can.
     ///
     /// # Errors
     /// If the policy is not defined for this mass or object.
@@ -153,7 +154,8 @@ impl Ready {
         let start = Instant::now();
         let up = self.world_from_object.rotation.inverse() * Vector3::z();
         let query = Query::new(&self.points, self.mass_kg, self.friction).with_up(up);
-        let grasps = self.policy.predict(&query)?;
+        let mut grasps = self.policy.predict(&query)?;
+        choice::sort(&mut grasps, |g| g.weight, |g| g.squeeze_n);
         let network_ms = 1e3 * start.elapsed().as_secs_f64();
         let start = Instant::now();
         let surface = HandSurface::new(&self.robot, ContactOptions::default().spacing_m)?;

@@ -11,6 +11,7 @@ use serde::Serialize;
 
 use super::judge::{Condition, Judge, Judged};
 use super::learned::{Learned, Proposal};
+use crate::choice;
 
 /// Who proposes grasps.
 pub enum Actor<'a> {
@@ -171,7 +172,7 @@ impl<J: Judge> Cell<'_, J> {
         }
     }
 
-    /// The most probable grip for which the hand has a force.
+    /// The first grip, as [`choice::sort`] has them, for which the hand has a force.
     fn plan(&self, condition: &Condition, grips: &[(Proposal, J::Grip)]) -> Result<Result<J::Plan, NoCommand>> {
         let belief = condition.belief(self.setting.told.mass_kg(self.setting.mass_kg, condition.mass_error));
         let chosen_for = match self.setting.choice {
@@ -190,7 +191,7 @@ impl<J: Judge> Cell<'_, J> {
             }
             Actor::Always(_) => grips.iter().map(|(p, grip)| (p.weight, [p.squeeze_n; 2], grip)).collect(),
         };
-        order.sort_by(|a, b| b.0.total_cmp(&a.0));
+        choice::sort(&mut order, |o| o.0, |o| o.1[0]);
         let mut reason = NoCommand::NoContact { touching: 0 };
         for (_, [by_n, told_n], grip) in order {
             match self.command(by_n, grip, &chosen_for, condition)? {

@@ -12,6 +12,7 @@ use super::files::{FilmFrame, MASS, POLICY, RolloutRecord, TRIAL, TrialFile, rea
 use super::practice::Ground;
 use super::{MassFile, PoseRecord, Twin};
 use crate::bench::judge::{Condition, Judge, Rollouts, Spread, verdict_of};
+use crate::choice;
 use crate::ui::Ui;
 
 /// Rollouts.
@@ -39,7 +40,9 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     let run = |condition: &Condition| -> Result<(RolloutRecord, Option<Command>)> {
         let belief = condition.belief(mass.mass_kg);
         let query = Query::new(&cloud, belief.mass_kg, belief.friction).with_up(up);
-        let planned = plan(&ground.judge, &policy.predict(&query)?, condition, mass.mass_kg)?;
+        let mut proposals = policy.predict(&query)?;
+        choice::sort(&mut proposals, |g| g.weight, |g| g.squeeze_n);
+        let planned = plan(&ground.judge, &proposals, condition, mass.mass_kg)?;
         // What is true of the mass is drawn from what the estimate says of itself; half of it is left at the least.
         let true_kg = (mass.mass_kg + condition.mass_error * mass_sd_kg).max(0.5 * mass.mass_kg);
         let mut record = RolloutRecord {
@@ -98,7 +101,7 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     Ok(vec![twin.path(TRIAL)])
 }
 
-/// The most probable proposal that the hand can be commanded to, with its number from 1; else why the first one cannot.
+/// The first of the proposals that the hand can be commanded to, with its number from 1; else why the first one cannot.
 fn plan(
     judge: &Rollouts,
     proposals: &[PredictedGrasp],
