@@ -356,15 +356,16 @@ mod tests {
         let found = searched(&thing, &robot, 20_000, 0.5, 0).unwrap();
         let start: Vec<_> =
             found.into_iter().filter_map(|g| task.gripped(g).unwrap()).filter(|g| g.place > 0).collect();
-        assert!(start.len() >= 3, "{} to begin with", start.len());
-        let better = task.varied(&start[..3], 1).unwrap();
+        // Many of them have no neighbour that is better, or none that is out of the object and off the table.
+        assert!(start.len() >= 12, "{} to begin with", start.len());
+        let better = task.varied(&start[..12], 1).unwrap();
         assert!(!better.is_empty());
         for b in &better {
             let parent = start.iter().find(|g| g.grasp.clip == b.grasp.clip).unwrap();
             assert!(b.against(parent).is_lt() && b.grasp.joints_rad[0] > parent.grasp.joints_rad[0]);
             assert_eq!(b.grasp.kind, parent.grasp.kind);
         }
-        let again = task.varied(&start[..3], 1).unwrap();
+        let again = task.varied(&start[..12], 1).unwrap();
         assert!(again.iter().map(|g| &g.grasp).eq(better.iter().map(|g| &g.grasp)));
     }
 
