@@ -2,9 +2,22 @@
 
 use std::cmp::Ordering;
 
+use anyhow::Result;
+use drex_policy::{GraspPolicy, PredictedGrasp, Query};
+
 /// A grasp at least this many times as probable as the most probable one is as good as that: what a network thinks of grasps that all held
 /// differs by less.
 const AS_GOOD: f64 = 0.5;
+
+/// What the policy proposes, in the order of [`sort`].
+///
+/// # Errors
+/// If the policy is not defined for what is asked.
+pub fn proposals(policy: &GraspPolicy, query: &Query<'_>) -> Result<Vec<PredictedGrasp>> {
+    let mut grasps = policy.predict(query)?;
+    sort(&mut grasps, |g| g.weight, |g| g.squeeze_n);
+    Ok(grasps)
+}
 
 /// Sorts proposals: those as good as the most probable one by how little they squeeze, `squeeze_n`, then the others by how probable they are,
 /// `weight`. What needs less force leaves more of the motors, and presses less on the object.
@@ -29,6 +42,5 @@ mod tests {
         let mut proposals = [(0.1, 1.0), (0.3, 5.0), (0.4, 9.0), (0.15, 0.5), (0.25, 6.0)];
         sort(&mut proposals, |p| p.0, |p| p.1);
         assert_eq!(proposals, [(0.3, 5.0), (0.25, 6.0), (0.4, 9.0), (0.15, 0.5), (0.1, 1.0)]);
-        sort(&mut proposals[..0], |p| p.0, |p| p.1);
     }
 }

@@ -12,7 +12,7 @@ use drex_mesh::{
 };
 use drex_policy::{GraspPolicy, PredictedGrasp, Query};
 use drex_robot::Robot;
-use drex_trial::{Reach, TrialOptions, plan_reach};
+use drex_trial::{Reach, TrialOptions, needed_force, plan_reach};
 use nalgebra::{Point3, Unit, Vector3};
 use serde::Serialize;
 
@@ -154,8 +154,7 @@ impl Ready {
         let start = Instant::now();
         let up = self.world_from_object.rotation.inverse() * Vector3::z();
         let query = Query::new(&self.points, self.mass_kg, self.friction).with_up(up);
-        let mut grasps = self.policy.predict(&query)?;
-        choice::sort(&mut grasps, |g| g.weight, |g| g.squeeze_n);
+        let grasps = choice::proposals(&self.policy, &query)?;
         let network_ms = 1e3 * start.elapsed().as_secs_f64();
         let start = Instant::now();
         let surface = HandSurface::new(&self.robot, ContactOptions::default().spacing_m)?;
@@ -199,7 +198,7 @@ impl Ready {
         torques.limits_nm = vec![(-cap, cap); robot.dof()];
         let problem =
             SqueezeProblem::new(contacts, self.mass_kg, self.body.center_of_mass, gravity).with_torques(torques);
-        let (force, cannot_hold) = match TrialOptions::default().law.command(&problem) {
+        let (force, cannot_hold) = match needed_force(robot, &TrialOptions::default().law, &problem) {
             Ok(force) => (Some(force), None),
             Err(reason) => (None, Some(reason.to_string())),
         };

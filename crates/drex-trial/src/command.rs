@@ -1,11 +1,14 @@
 //! From a grasp to what the hand is told: rehearse the closing, then solve for the squeeze on the contacts that it gives.
 
+use std::collections::BTreeMap;
+
 use drex_core::Pose;
 use drex_diffsim::SimError;
 use drex_grasp::{
-    Contact, ContactOptions, Distribution, ForceCommand, GraspError, SqueezeError, SqueezeProblem, TorqueLimits,
-    distribute,
+    Contact, ContactOptions, Distribution, ForceCommand, ForceLaw, GraspError, SqueezeError, SqueezeProblem,
+    TorqueLimits, distribute,
 };
+use drex_robot::Robot;
 use nalgebra::{DVector, Point3, Vector3};
 
 use crate::control::{Controller, Push, squeeze_torques};
@@ -70,9 +73,9 @@ pub(crate) fn rehearse(trial: &Trial, joints: &[f64], object_from_palm: &Pose, b
     let (mut engine, drives) = trial.engine(&world_from_palm, &reach, &truth, timeline::CLOSED_S, Judge::Diffsim)?;
     let mut controller = Controller::new(&trial.hand, &drives, &reach, &[], trial.options.torque_cap_nm);
     let tick_s = trial.options.dt_s * STEPS_PER_TICK as f64;
-    let mut touches = Vec::new();
     let mut table_n = 0.0_f64;
     let mut close = || {
+        let mut touches = Vec::new();
         for i in 0..(timeline::CLOSED_S / tick_s) as usize {
             let told = controller.command(i as f64 * tick_s, &engine);
             for _ in 0..STEPS_PER_TICK {
@@ -82,13 +85,14 @@ pub(crate) fn rehearse(trial: &Trial, joints: &[f64], object_from_palm: &Pose, b
             table_n = table_n.max(touches.iter().filter(|t| t.with == Met::Table).map(|t| t.normal_n).sum());
         }
         touches.retain(|t| t.with == Met::Object);
-        Ok(())
+        Ok(touches)
     };
-    match close() {
+    let mut touches = match close() {
+        Ok(touches) => touches,
         // A hand that starts inside the object or the table can be thrown out of all bounds: it holds nothing.
-        Ok(()) | Err(Error::Simulation(SimError::Diverged { .. })) => {}
+        Err(Error::Simulation(SimError::Diverged { .. })) => Vec::new(),
         Err(other) => return Err(other),
-    }
+    };
     let mut fingers_in_contact = vec![false; trial.surface.fingers.len()];
     touches.iter().filter_map(|t| trial.surface.finger_of_link[t.link]).for_each(|f| fingers_in_contact[f] = true);
     let closed = engine.joints().to_vec();
@@ -168,18 +172,19 @@ pub(crate) fn squeeze(
     }
     let Rehearsal { joints, world_from_palm, reach, closed, touching, near, .. } = rehearsal;
     let mut problem = problem(trial, closed, world_from_palm, touching.clone(), belief);
-    let mut needed = needed(trial, &problem);
+    let needed = |problem: &SqueezeProblem| needed_force(&trial.hand, &trial.options.law, problem);
+    let mut force = needed(&problem);
     // Contacts that only pressing makes are less certain than those that are there: they are counted on where nothing else carries.
-    if needed.is_err() && !near.is_empty() {
+    if force.is_err() && !near.is_empty() {
         let all = touching.iter().chain(near).cloned().collect();
         let pressed = self::problem(trial, closed, world_from_palm, all, belief);
-        let by_pressing = self::needed(trial, &pressed);
+        let by_pressing = needed(&pressed);
         if by_pressing.is_ok() {
-            (problem, needed) = (pressed, by_pressing);
+            (problem, force) = (pressed, by_pressing);
         }
     }
     let share = match squeeze {
-        Squeeze::Needed => needed.map(|n| n.distribution),
+        Squeeze::Needed => force.map(|f| f.distribution),
         Squeeze::Total(total_n) => shared(trial, &problem, total_n),
     };
     let forces = match share {
@@ -209,26 +214,29 @@ pub(crate) fn squeeze(
     Ok(Ok(command))
 }
 
-/// The force that the law asks for, no less than the hand can tell from the friction of its joints.
-fn needed(trial: &Trial, problem: &SqueezeProblem) -> Result<ForceCommand, SqueezeError> {
-    let law = trial.options.law;
-    law.with_floor_n(law.floor_n.max(FRICTIONS * held_by_friction_n(trial, problem))).command(problem)
+/// The force of the law for contacts of a hand, no less than 1.5 times what the touching fingers withstand by the dry friction of their joints:
+/// below that it is friction, not the command, that says what a finger presses with. Without torque limits in the problem the law alone.
+///
+/// # Errors
+/// As [`ForceLaw::command`].
+pub fn needed_force(hand: &Robot, law: &ForceLaw, problem: &SqueezeProblem) -> Result<ForceCommand, SqueezeError> {
+    law.with_floor_n(law.floor_n.max(FRICTIONS * held_by_friction_n(hand, problem))).command(problem)
 }
 
 /// What the touching fingers withstand by the dry friction of their joints alone, N in all: for each finger the smallest push on a contact
 /// that moves a joint.
-fn held_by_friction_n(trial: &Trial, problem: &SqueezeProblem) -> f64 {
+fn held_by_friction_n(hand: &Robot, problem: &SqueezeProblem) -> f64 {
     let Some(torques) = &problem.torques else { return 0.0 };
-    let mut least: Vec<Option<f64>> = vec![None; trial.surface.fingers.len()];
+    let mut least: BTreeMap<usize, f64> = BTreeMap::new();
     for (contact, jacobian) in problem.contacts.iter().zip(&torques.jacobians) {
         let Some(finger) = contact.finger else { continue };
         let levers = jacobian.tr_mul(&contact.normal);
-        for (joint, lever) in trial.hand.joints.iter().zip(levers.iter()).filter(|(_, l)| l.abs() > LEVER_M) {
+        for (joint, lever) in hand.joints.iter().zip(levers.iter()).filter(|(_, l)| l.abs() > LEVER_M) {
             let moves = joint.friction_loss / lever.abs();
-            least[finger] = Some(least[finger].map_or(moves, |l| l.min(moves)));
+            least.entry(finger).and_modify(|l| *l = l.min(moves)).or_insert(moves);
         }
     }
-    least.into_iter().flatten().sum()
+    least.into_values().sum()
 }
 
 /// Sorts the reasons why there is no squeeze.
@@ -313,7 +321,6 @@ mod tests {
 
     use drex_core::{MassProperties, SdfSample, SignedDistance};
     use drex_diffsim::{Collider, Geom, Shape};
-    use drex_robot::Robot;
     use nalgebra::Matrix3;
 
     use super::*;

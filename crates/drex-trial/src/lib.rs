@@ -18,7 +18,7 @@ mod trial;
 mod types;
 mod watch;
 
-pub use command::Rehearsal;
+pub use command::{Rehearsal, needed_force};
 pub use control::Push;
 pub use error::{Error, Result};
 pub use reach::{Reach, plan as plan_reach};

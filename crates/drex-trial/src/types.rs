@@ -111,7 +111,7 @@ pub enum NoCommand {
         touching: usize,
     },
     /// On its way to the object the hand would press on the table.
-    #[error("the closing hand presses on the table with {force_n:.1} N")]
+    #[error("the closing hand presses on the table with {force_n:.1} N; take a grasp that is higher")]
     Table {
         /// Largest force, N.
         force_n: f64,

@@ -40,9 +40,7 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     let run = |condition: &Condition| -> Result<(RolloutRecord, Option<Command>)> {
         let belief = condition.belief(mass.mass_kg);
         let query = Query::new(&cloud, belief.mass_kg, belief.friction).with_up(up);
-        let mut proposals = policy.predict(&query)?;
-        choice::sort(&mut proposals, |g| g.weight, |g| g.squeeze_n);
-        let planned = plan(&ground.judge, &proposals, condition, mass.mass_kg)?;
+        let planned = plan(&ground.judge, &choice::proposals(&policy, &query)?, condition, mass.mass_kg)?;
         // What is true of the mass is drawn from what the estimate says of itself; half of it is left at the least.
         let true_kg = (mass.mass_kg + condition.mass_error * mass_sd_kg).max(0.5 * mass.mass_kg);
         let mut record = RolloutRecord {
