@@ -8,6 +8,7 @@ use drex_grasp::ForceLaw;
 use serde::{Deserialize, Serialize};
 
 use crate::reach::Reach;
+use crate::watch::{SLIP_M, TURN_RAD};
 use crate::{Error, Push, Result};
 
 /// The engine that a trial runs in.
@@ -187,6 +188,12 @@ impl Outcome {
     pub fn succeeded(&self) -> bool {
         self.verdict == Verdict::Success
     }
+
+    /// How far the trial stayed from breaking the rules of slip and turn: 1 if nothing moved in the hand, 0 at a limit and for every failure.
+    pub fn leeway(&self) -> f64 {
+        let used = (self.slip_m / SLIP_M).max(self.turn_rad / TURN_RAD);
+        if self.succeeded() { (1.0 - used).max(0.0) } else { 0.0 }
+    }
 }
 
 /// What can be seen of a trial at one time.
@@ -271,4 +278,34 @@ pub(crate) fn check_mass_and_friction(mass_kg: f64, friction: f64) -> Result<()>
         return Err(Error::value(format!("a friction of {friction}"), "give a Coulomb coefficient, 0.001 to 5"));
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn leeway_is_what_the_rules_of_slip_and_turn_leave() {
+        let of = |verdict, slip_mm: f64, turn_deg: f64| {
+            let outcome = Outcome {
+                verdict,
+                failed_at_s: None,
+                squeeze_n: 5.0,
+                held_n: None,
+                peak_finger_n: 0.0,
+                slip_m: 1e-3 * slip_mm,
+                turn_rad: turn_deg.to_radians(),
+                penetration_m: 0.0,
+                fingers_in_contact: Vec::new(),
+                retained: 1.0,
+                friction_used: None,
+            };
+            outcome.leeway()
+        };
+        // 5 mm and 15 degrees are the limits.
+        assert!((of(Verdict::Success, 2.0, 3.0) - 0.6).abs() < 1e-12);
+        assert!((of(Verdict::Success, 0.5, 12.0) - 0.2).abs() < 1e-12);
+        assert!((of(Verdict::Success, 0.0, 0.0) - 1.0).abs() < 1e-12);
+        assert!(of(Verdict::Drop, 2.0, 3.0) < 1e-12);
+    }
 }

@@ -10,8 +10,8 @@ use crate::{Outcome, Verdict};
 
 /// The rules.
 const HEIGHT_M: f64 = 0.02;
-const TURN_RAD: f64 = 15.0 * std::f64::consts::PI / 180.0;
-const SLIP_M: f64 = 0.005;
+pub(crate) const TURN_RAD: f64 = 15.0 * std::f64::consts::PI / 180.0;
+pub(crate) const SLIP_M: f64 = 0.005;
 const PENETRATION_M: f64 = 0.002;
 const FINGERS: usize = 2;
 /// The hand may brush the table with this force, N.

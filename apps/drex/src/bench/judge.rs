@@ -112,13 +112,23 @@ pub struct Judged {
     pub retained: f64,
     /// Share of the friction that was used.
     pub friction_used: Option<f64>,
+    /// How far it stayed from slipping or turning by more than the rules allow: 1 to 0; 0 if it failed.
+    pub leeway: f64,
 }
 
 impl Judged {
     /// There was no command.
     pub fn refused(reason: &NoCommand) -> Self {
         let verdict = verdict_of(reason);
-        Self { verdict, squeeze_n: 0.0, held_n: None, fingers: Vec::new(), retained: 0.0, friction_used: None }
+        Self {
+            verdict,
+            squeeze_n: 0.0,
+            held_n: None,
+            fingers: Vec::new(),
+            retained: 0.0,
+            friction_used: None,
+            leeway: 0.0,
+        }
     }
 
     /// Whether the object stayed in the hand.
@@ -191,6 +201,7 @@ impl Rollouts {
     fn judged(&self, plan: &Command, truth: &Truth, engine: Engine) -> Result<Judged> {
         let outcome = self.trial.run(plan, truth, engine)?;
         Ok(Judged {
+            leeway: outcome.leeway(),
             verdict: outcome.verdict,
             squeeze_n: outcome.squeeze_n,
             held_n: outcome.held_n,
@@ -297,6 +308,7 @@ pub mod fake {
                 fingers: vec![true; 4],
                 retained: if holds { 1.0 } else { 0.3 },
                 friction_used: holds.then(|| load / carries),
+                leeway: if holds { 1.0 - load / carries } else { 0.0 },
             })
         }
     }

@@ -3,7 +3,7 @@
 //! Four sieves, each dearer than the one before: the motors on paper, a rehearsal of the closing and the force for its contacts, variations
 //! of what went best there, and practice in the simulator that learning uses.
 
-use std::cmp::{Ordering, Reverse};
+use std::cmp::Ordering;
 
 use anyhow::Result;
 use drex_robot::Robot;
@@ -32,7 +32,9 @@ const OFFSPRING_AFTER: usize = 1;
 const OFFSPRING_SIZE: f64 = 0.5;
 /// Share of the law's force with which grasps are practised: what holds with less does not hang on what one simulator gets wrong.
 const PRACTICE_FORCE: f64 = 0.85;
-/// Share of the best grasp's holds that another one needs to be learned: as it is, and if it holds where no better one does.
+/// What leeway counts beside holding: two that hold with all of it are as good as three that hold with none.
+const LEEWAY: f64 = 0.5;
+/// Share of the best grasp's marks that another one needs to be learned: as it is, and if it holds where no better one does.
 const NEARLY_AS_GOOD: f64 = 0.9;
 const WHERE_OTHERS_FAIL: f64 = 0.7;
 /// Grasps that the network learns, at most.
@@ -45,8 +47,8 @@ pub struct Practised {
     pub grasp: Grasp,
     /// Which fingers touch once the hand has closed.
     pub fingers: Vec<bool>,
-    /// Per condition, whether it held.
-    pub held: Vec<bool>,
+    /// Per condition a mark: zero if it did not hold, else one and a part of the leeway that it had. What barely holds in one simulator slips in another.
+    pub marks: Vec<f64>,
 }
 
 /// What practice left.
@@ -132,7 +134,7 @@ pub fn practise<J: Judge>(
     gripped.truncate(if options.practised == 0 { LEARNED } else { options.practised });
 
     let practised = task.try_out(gripped, masses_kg, options)?;
-    let robust = practised.iter().filter(|p| !p.held.is_empty() && 4 * count(p) >= 3 * p.held.len()).count();
+    let robust = practised.iter().filter(|p| !p.marks.is_empty() && 4 * p.holds() >= 3 * p.marks.len()).count();
     Ok(Sieved { grasps: chosen(practised), commanded, robust, carries_from })
 }
 
@@ -200,7 +202,7 @@ impl<J: Judge> Task<'_, J> {
         let conditions: Vec<(Condition, f64)> = conditions.into_iter().zip(masses_kg.iter().copied().cycle()).collect();
         let practised = |g: Gripped<J::Grip>| {
             let fingers = self.judge.fingers(&g.grip);
-            (Practised { grasp: g.grasp, fingers, held: Vec::new() }, g.grip)
+            (Practised { grasp: g.grasp, fingers, marks: Vec::new() }, g.grip)
         };
         let mut practised: Vec<(Practised, J::Grip)> = gripped.into_iter().map(practised).collect();
         if options.practised == 0 {
@@ -221,13 +223,14 @@ impl<J: Judge> Task<'_, J> {
 
     /// Carries a grasp out under those of the conditions that it has not seen.
     fn go_on(&self, (p, grip): &mut (Practised, J::Grip), conditions: &[(Condition, f64)]) -> Result<()> {
-        for (condition, mass_kg) in &conditions[p.held.len()..] {
-            p.held.push(attempt(self.judge, grip, condition, *mass_kg)?.held());
+        for (condition, mass_kg) in &conditions[p.marks.len()..] {
+            let judged = attempt(self.judge, grip, condition, *mass_kg)?;
+            p.marks.push(if judged.held() { 1.0 + LEEWAY * judged.leeway } else { 0.0 });
         }
         Ok(())
     }
 
-    /// Variations of grasps in practice, those that held no less often than what they come from.
+    /// Variations of grasps in practice, those that went no worse than what they come from.
     fn offspring(
         &self,
         parents: &[(Practised, J::Grip)],
@@ -242,11 +245,11 @@ impl<J: Judge> Task<'_, J> {
             };
             let Some(Gripped { grasp, grip, .. }) = self.gripped(grasp)? else { return Ok(None) };
             let fingers = self.judge.fingers(&grip);
-            let mut child = (Practised { grasp, fingers, held: Vec::new() }, grip);
+            let mut child = (Practised { grasp, fingers, marks: Vec::new() }, grip);
             // A few conditions say of most that they are no better.
             for until in [STAGES[0].0, conditions.len()] {
                 self.go_on(&mut child, &conditions[..until])?;
-                if count(&child.0) < parent.held[..until].iter().filter(|h| **h).count() {
+                if child.0.mark() < parent.marks[..until].iter().sum::<f64>() {
                     return Ok(None);
                 }
             }
@@ -255,6 +258,18 @@ impl<J: Judge> Task<'_, J> {
         let children: Vec<Option<_>> =
             (0..parents.len() * VARIATIONS).into_par_iter().map(born).collect::<Result<_>>()?;
         Ok(children.into_iter().flatten().collect())
+    }
+}
+
+impl Practised {
+    /// All marks together.
+    fn mark(&self) -> f64 {
+        self.marks.iter().sum()
+    }
+
+    /// Under how many conditions it held.
+    fn holds(&self) -> usize {
+        self.marks.iter().filter(|m| **m > 0.0).count()
     }
 }
 
@@ -278,29 +293,25 @@ fn attempt<J: Judge>(judge: &J, grip: &J::Grip, condition: &Condition, mass_kg: 
     }
 }
 
-/// The first so many by success.
+/// The first so many by how they went.
 fn best<G>(practised: &mut Vec<(Practised, G)>, most: usize) {
-    practised.sort_by_key(|(p, _)| Reverse(count(p)));
+    practised.sort_by(|(a, _), (b, _)| b.mark().total_cmp(&a.mark()));
     practised.truncate(most);
 }
 
-fn count(p: &Practised) -> usize {
-    p.held.iter().filter(|h| **h).count()
-}
-
-/// Of those sorted by success the best ones, and before them whatever holds under a condition that no better one stands.
+/// Of those sorted by how they went the best ones, and before them whatever holds under a condition that no better one stands.
 fn chosen(practised: Vec<Practised>) -> Vec<Practised> {
-    let best = practised.first().map_or(0, count) as f64;
-    let holds = |p: &Practised, share: f64| count(p) as f64 >= share * best;
+    let best = practised.first().map_or(0.0, Practised::mark);
+    let as_good = |p: &Practised, share: f64| p.mark() >= share * best;
     let mut out: Vec<Practised> = Vec::new();
     let mut rest = Vec::new();
     for p in practised {
-        let new = p.held.iter().enumerate().any(|(c, held)| *held && !out.iter().any(|o| o.held[c]));
-        if new && holds(&p, WHERE_OTHERS_FAIL) { out.push(p) } else { rest.push(p) }
+        let new = p.marks.iter().enumerate().any(|(c, m)| *m > 0.0 && out.iter().all(|o| o.marks[c] == 0.0));
+        if new && as_good(&p, WHERE_OTHERS_FAIL) { out.push(p) } else { rest.push(p) }
     }
     let room = LEARNED.saturating_sub(out.len());
     // Those that often fail where others hold would only be in the way; where nothing holds, they are all there is.
-    out.extend(rest.into_iter().filter(|p| holds(p, NEARLY_AS_GOOD)).take(room));
+    out.extend(rest.into_iter().filter(|p| as_good(p, NEARLY_AS_GOOD)).take(room));
     out
 }
 
@@ -370,19 +381,31 @@ mod tests {
     }
 
     #[test]
+    fn of_grasps_that_hold_as_often_those_that_slip_least_come_first() {
+        let (thing, robot) = cube();
+        let grasp = searched(&thing, &robot, 4000, 0.5, 0).unwrap().swap_remove(0);
+        let practised =
+            |marks: &[f64]| (Practised { grasp: grasp.clone(), fingers: vec![true; 4], marks: marks.to_vec() }, ());
+        let mut all = vec![practised(&[1.1, 1.0, 1.0]), practised(&[1.5, 1.4, 0.0]), practised(&[1.4, 1.5, 1.25])];
+        best(&mut all, 2);
+        let marks: Vec<f64> = all.iter().map(|p| p.0.mark()).collect();
+        assert_eq!((marks, all[0].0.holds(), all[1].0.holds()), (vec![1.4 + 1.5 + 1.25, 1.1 + 1.0 + 1.0], 3, 3));
+    }
+
+    #[test]
     fn what_holds_where_no_better_one_does_is_learned_too() {
         let (thing, robot) = cube();
         let grasp = searched(&thing, &robot, 4000, 0.5, 0).unwrap().swap_remove(0);
         let practised = |held: &[u8]| Practised {
             grasp: grasp.clone(),
             fingers: vec![true; 4],
-            held: held.iter().map(|h| *h == 1).collect(),
+            marks: held.iter().map(|h| f64::from(*h)).collect(),
         };
         let best = [1, 1, 1, 1, 1, 1, 1, 1, 1, 0];
         let other = [1, 1, 1, 1, 1, 1, 0, 0, 0, 1];
         let worse = [1, 1, 1, 1, 1, 1, 1, 0, 0, 0];
         let kept = chosen(vec![practised(&best), practised(&other), practised(&worse)]);
         assert_eq!(kept.len(), 2);
-        assert!(kept[1].held[9] && !kept[1].held[6]);
+        assert!(kept[1].marks[9] > 0.0 && kept[1].marks[6] == 0.0);
     }
 }
