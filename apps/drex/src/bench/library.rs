@@ -28,7 +28,7 @@ const MAX_PENETRATION_MM: f64 = 2.0;
 pub enum Kind {
     /// A made-up person, retargeted.
     Retargeted,
-    /// The hand put against the object and closed around it.
+    /// The palm laid on the object and the fingers closed around it.
     Wrapped,
     /// Searched for between opposite points of the surface.
     Searched,
@@ -127,7 +127,7 @@ pub struct Library {
 }
 
 /// Layout of the file; raised when grasps are made otherwise.
-const SCHEMA: u32 = 2;
+const SCHEMA: u32 = 3;
 
 impl Library {
     /// The library of the file if it was made of the same things, else a new one, which is written there.
@@ -145,7 +145,7 @@ impl Library {
         }
         let postures = Postures::of(hand, options.people.seed)?;
         let mut grasps = people::grasps(thing, hand, &postures, &options.people)?;
-        grasps.extend(wraps::grasps(thing, hand, &postures, &options.wraps)?);
+        grasps.extend(wraps::grasps(thing, &hand.robot, &options.wraps)?);
         grasps.extend(searched(thing, &hand.robot, options.candidates, options.people.friction, options.people.seed)?);
         if grasps.is_empty() {
             bail!(

@@ -198,6 +198,7 @@ fn screwdriver(size: f64) -> TriMesh {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct List {
+    #[serde(default)]
     object: Vec<Entry>,
 }
 
@@ -295,6 +296,13 @@ mod tests {
             }
         }
         assert!(named("teapot").unwrap_err().to_string().contains("light_bulb"));
+    }
+
+    #[test]
+    fn a_list_without_objects_says_what_to_add() {
+        let file = tempfile::NamedTempFile::with_suffix(".toml").unwrap();
+        let error = read(file.path()).unwrap_err().to_string();
+        assert!(error.contains("add [[object]] with name, mesh and mass_kg"), "{error}");
     }
 
     #[test]

@@ -61,9 +61,9 @@ const BATCH: usize = 16;
 
 /// Two opposite points: the thumb's and the fingers'.
 #[derive(Debug, Clone, Copy)]
-pub struct Pinch {
-    pub thumb: Point3<f64>,
-    pub fingers: Point3<f64>,
+struct Pinch {
+    thumb: Point3<f64>,
+    fingers: Point3<f64>,
 }
 
 /// Grasps from made-up demonstrations, in the order of the demonstrations. The same for any number of threads.
@@ -130,7 +130,7 @@ fn of_demonstration(
 }
 
 /// Opposite points over the table, nearer to the centre of mass more often, in random order.
-pub fn pinches(thing: &Thing, options: &PeopleOptions) -> Vec<Pinch> {
+fn pinches(thing: &Thing, options: &PeopleOptions) -> Vec<Pinch> {
     let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
     let cosine = 1.0 / options.friction.hypot(1.0);
     let up = thing.table.up.into_inner();
@@ -171,7 +171,7 @@ fn demonstration(
     let (posture, object_from_base) = (0..POSTURES).find_map(|_| {
         let width = (pinch.fingers - pinch.thumb).norm();
         let posture = postures.any(width, WIDER_M, rng)?;
-        let pose = placed(thing, pinch, posture, rng.random_range(-1.8..1.8), 0.0)?;
+        let pose = placed(thing, pinch, posture, rng.random_range(-1.8..1.8))?;
         let links = target.robot.forward_kinematics(&posture.q, &pose);
         let lowest = surface.lowest(&links, &thing.table.up).into_iter().fold(f64::INFINITY, f64::min);
         if lowest - thing.table.height_m < 2.0 * options.clearance_m {
@@ -193,13 +193,13 @@ fn demonstration(
     Some(demo)
 }
 
-/// The base of a hand whose pinch is at `pinch`: at a `roll` of zero from above, at a quarter turn from a side; `deeper` metres farther
-/// over the object. `None` for a pinch that stands upright.
-pub fn placed(thing: &Thing, pinch: &Pinch, posture: &Posture, roll: f64, deeper: f64) -> Option<Pose> {
+/// The base of a hand whose pinch is at `pinch`: at a `roll` of zero from above, at a quarter turn from a side.
+/// `None` for a pinch that stands upright.
+fn placed(thing: &Thing, pinch: &Pinch, posture: &Posture, roll: f64) -> Option<Pose> {
     let up = thing.table.up.into_inner();
     let axis = (pinch.fingers - pinch.thumb).try_normalize(1e-6)?;
     let down = (axis * axis.dot(&up) - up).try_normalize(1e-6)?;
     let approach = Rotation3::new(axis * roll) * down;
-    let middle = nalgebra::center(&pinch.thumb, &pinch.fingers) + approach * deeper;
+    let middle = nalgebra::center(&pinch.thumb, &pinch.fingers);
     Some(frame(&middle, &axis, &approach)? * posture.base_from_pinch.inverse())
 }

@@ -1,31 +1,34 @@
-//! Grasps that enclose: the hand is put deep over the object, then its fingers close until their links touch.
+//! Grasps that enclose: the palm is laid on the object, then the fingers close until their links touch.
 //!
 //! People hold heavy things so. A link near the knuckle presses harder than a fingertip with the same motor, and the palm presses back
 //! without one. The closing is that of a simple gripper planner: every joint turns inwards until a link that it moves would enter
 //! the object.
 
+use std::f64::consts::TAU;
+
 use anyhow::Result;
-use drex_core::{Pose, SignedDistance};
+use drex_core::{Pose, SignedDistance, SurfacePoint};
 use drex_grasp::{ContactOptions, HandSurface, LinkSurface};
-use drex_retarget::TargetHand;
+use drex_mesh::sample_surface;
 use drex_robot::{Finger, Robot};
-use nalgebra::Vector3;
+use nalgebra::{Point3, Translation3, Unit, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use super::library::{Grasp, Kind};
-use super::people::{PeopleOptions, Pinch, pinches, placed};
-use super::postures::{Postures, moves_sideways};
+use super::postures::moves_sideways;
 use super::thing::Thing;
+
+/// Of so many hands that a search for pinches looks at, one is laid on the object where both are asked for: closing a hand takes longer, and more of
+/// those that are closed hold.
+pub const PINCHES_FOR_ONE: usize = 50;
 
 /// What is tried and asked.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WrapOptions {
     /// Hands that are tried.
     pub tries: usize,
-    /// Grasps that are kept, those that need the least squeeze.
-    pub keep: usize,
     /// Friction of force closure.
     pub friction: f64,
     /// The hand stays this far above the table, metres.
@@ -35,7 +38,7 @@ pub struct WrapOptions {
 
 impl Default for WrapOptions {
     fn default() -> Self {
-        Self { tries: 1500, keep: 120, friction: 0.5, clearance_m: 0.002, seed: 0 }
+        Self { tries: 4000, friction: 0.5, clearance_m: 0.002, seed: 0 }
     }
 }
 
@@ -50,16 +53,24 @@ const MAX_SELF_M: f64 = 0.001;
 /// Spacing of points on the hand while it closes, metres.
 const SPACING_M: f64 = 0.006;
 
-/// Farthest that the hand is over the pinch, metres, and how much wider than it, metres.
-const DEEPER_M: f64 = 0.06;
-const WIDER_M: f64 = 0.03;
+/// Places of the hand that are looked at for each site.
+const PLACES: usize = 40;
+/// From how far the palm comes, metres, steps of its way, and how near it is laid, metres.
+const FROM_M: f64 = 0.04;
+const APPROACHES: usize = 8;
+const LAID_M: f64 = 0.0003;
+/// The palm is laid on at most so askew, per axis, and a point of it may be askew to the way it comes by this cosine.
+const ASKEW: f64 = 0.15;
+const PALM_FACES: f64 = 0.8;
+/// Before they close the fingers are bent by at most this and spread to either side by at most this, rad.
+const BENT_RAD: f64 = 0.6;
+const SPREAD_RAD: f64 = 0.15;
 /// By how much a variation of a grasp differs from it at most: each joint and the turn of the palm, rad, and its shift, metres.
 const VARIED_RAD: f64 = 0.05;
 const VARIED_M: f64 = 0.0025;
-/// Set apart from the seeds of tries.
+/// Set apart from each other and from the seeds of other draws.
+const LAID_SEED: u64 = 0x6c61_6964;
 const VARIED_SEED: u64 = 0x76_61_72_79;
-/// Places of the hand that are looked at for each pinch.
-const PLACES: usize = 40;
 
 /// A hand prepared for closing.
 pub struct Closer<'a> {
@@ -68,31 +79,31 @@ pub struct Closer<'a> {
     fine: HandSurface,
     /// Per finger of the model, the joints that bend it, from the palm on.
     bends: Vec<Vec<usize>>,
+    /// Links of no finger.
+    fixed: Vec<usize>,
 }
 
-/// The grasps that were found, those that need the least squeeze first. The same for any number of threads.
+/// Grasps by hands that are laid on points all over the object. The same for any number of threads.
 ///
 /// # Errors
 /// If the hand has no shapes.
-pub fn grasps(thing: &Thing, target: &TargetHand, postures: &Postures, options: &WrapOptions) -> Result<Vec<Grasp>> {
-    let closer = Closer::new(&target.robot)?;
-    let mut people = PeopleOptions::default();
-    (people.seed, people.friction, people.widest_m) = (options.seed ^ 0x77, 1.0, 0.12);
-    let sites = pinches(thing, &people);
-    let found: Vec<Option<Grasp>> = (0..if sites.is_empty() { 0 } else { options.tries })
-        .into_par_iter()
-        .map(|i| {
-            let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
+pub fn grasps(thing: &Thing, robot: &Robot, options: &WrapOptions) -> Result<Vec<Grasp>> {
+    let closer = Closer::new(robot)?;
+    let sites = sample_surface(&thing.asset.visual, options.tries, options.seed);
+    let found: Vec<Option<Grasp>> = sites
+        .par_iter()
+        .enumerate()
+        .map(|(i, site)| {
+            let mut rng = ChaCha8Rng::seed_from_u64(options.seed ^ LAID_SEED);
             rng.set_stream(i as u64);
-            closer.attempt(thing, &sites[i % sites.len()], postures, options, &mut rng)
+            let laid = (0..PLACES).find_map(|_| closer.laid(thing, site, options, &mut rng));
+            let Some((q, pose)) = laid else { return Ok(None) };
+            let closed = closer.closed(thing, q, &pose, options)?;
+            Ok(closed.map(|g| Grasp { kind: Kind::Wrapped, clip: i, ..g }))
         })
         .collect::<Result<_>>()?;
-    let numbered = found.into_iter().enumerate();
-    let mut grasps: Vec<Grasp> =
-        numbered.filter_map(|(i, g)| g.map(|g| Grasp { kind: Kind::Wrapped, clip: i, ..g })).collect();
+    let grasps: Vec<Grasp> = found.into_iter().flatten().collect();
     tracing::info!("{}: {} of {} wraps hold", thing.spec.name, grasps.len(), options.tries);
-    grasps.sort_by(|a, b| a.squeeze_per_weight.total_cmp(&b.squeeze_per_weight));
-    grasps.truncate(options.keep);
     Ok(grasps)
 }
 
@@ -106,31 +117,65 @@ impl<'a> Closer<'a> {
             .iter()
             .map(|f| f.joints.iter().copied().filter(|&j| f.is_thumb || !moves_sideways(robot, f, j)).collect());
         let bends = bends.collect();
-        Ok(Self { robot, coarse: HandSurface::new(robot, SPACING_M)?, fine, bends })
+        let fixed = (0..fine.links.len()).filter(|&l| fine.finger_of_link[l].is_none()).collect();
+        Ok(Self { robot, coarse: HandSurface::new(robot, SPACING_M)?, fine, bends, fixed })
     }
 
-    fn attempt(
+    /// The hand with its palm on the object near `site` and its fingers open, turned and shifted at random; `None` if it has no palm, or there is no
+    /// room for it there.
+    fn laid(
         &self,
         thing: &Thing,
-        pinch: &Pinch,
-        postures: &Postures,
+        site: &SurfacePoint,
         options: &WrapOptions,
         rng: &mut ChaCha8Rng,
-    ) -> Result<Option<Grasp>> {
-        let width = (pinch.fingers - pinch.thumb).norm();
-        let start = (0..PLACES).find_map(|_| {
-            let posture = postures.any(width, WIDER_M, rng)?;
-            let (roll, deeper) = (rng.random_range(-1.9..1.9), rng.random_range(0.0..DEEPER_M));
-            let pose = placed(thing, pinch, posture, roll, deeper)?;
-            // Fingers open before they close: what matters is that nothing that cannot move is in the way.
-            let mut q = posture.q.clone();
-            if self.lowest(thing, &q, &pose) < options.clearance_m || !self.opened(thing, &mut q, &pose) {
-                return None;
+    ) -> Option<(Vec<f64>, Pose)> {
+        let (palm, facing) = (self.robot.palm_link()?, self.robot.palm_normal()?);
+        let samples = self.coarse.links[palm].samples().iter();
+        let on_palm: Vec<Point3<f64>> = samples.filter(|s| s.1.dot(&facing) > PALM_FACES).map(|s| s.0).collect();
+        let mut q = self.open(rng);
+        let askew = Vector3::from_fn(|_, _| rng.random_range(-ASKEW..ASKEW));
+        let along = Unit::new_normalize(askew - site.normal);
+        let roll = UnitQuaternion::from_axis_angle(&along, rng.random_range(0.0..TAU));
+        let rotation = roll * UnitQuaternion::rotation_between(&facing, &along)?;
+        let at = on_palm.get(rng.random_range(0..on_palm.len().max(1)))?;
+        let origin = site.point - along.into_inner() * FROM_M - rotation * at.coords;
+        let base_from_palm = self.robot.forward_kinematics(&q, &Pose::identity())[palm];
+        let mut pose = Pose::from_parts(origin.coords.into(), rotation) * base_from_palm.inverse();
+        // As far as what cannot bend is off the object it may come nearer.
+        for _ in 0..APPROACHES {
+            let links = self.robot.forward_kinematics(&q, &pose);
+            let gap = |l: &usize| self.coarse.links[*l].nearest(&links[*l], &*thing.sdf, 2.0 * FROM_M).map(|n| n.1);
+            let gap = self.fixed.iter().filter_map(gap).reduce(f64::min)?;
+            if gap < LAID_M {
+                break;
             }
-            (self.lowest(thing, &q, &pose) >= options.clearance_m).then_some((q, pose))
-        });
-        let Some((q, pose)) = start else { return Ok(None) };
-        self.closed(thing, q, &pose, options)
+            pose = Translation3::from(along.into_inner() * gap) * pose;
+        }
+        // What is in the way of the fingers opens them; what cannot move must be free.
+        let clear = |q: &[f64]| self.lowest(thing, q, &pose) >= options.clearance_m;
+        (clear(&q) && self.opened(thing, &mut q, &pose) && clear(&q)).then_some((q, pose))
+    }
+
+    /// Fingers nearly straight, the thumb anywhere.
+    fn open(&self, rng: &mut ChaCha8Rng) -> Vec<f64> {
+        let mut q = self.robot.reference_position();
+        let bent = rng.random_range(0.0..BENT_RAD);
+        for (finger, bends) in self.fine.fingers.iter().zip(&self.bends) {
+            for &j in &finger.joints {
+                let (lo, hi) = self.robot.joints[j].limits.unwrap_or((0.0, 0.0));
+                let share: f64 = rng.random();
+                q[j] = if finger.is_thumb {
+                    lo + share * (hi - lo)
+                } else if bends.contains(&j) {
+                    bent * share
+                } else {
+                    SPREAD_RAD * (2.0 * share - 1.0)
+                };
+            }
+        }
+        self.robot.clamp_to_limits(&mut q);
+        q
     }
 
     /// A grasp whose joints and palm are moved by at most `size` times `VARIED_RAD` and `VARIED_M`, closed again; `None` if
@@ -181,9 +226,7 @@ impl<'a> Closer<'a> {
                 }
             }
         }
-        let fixed = (0..self.coarse.links.len()).filter(|&l| self.coarse.finger_of_link[l].is_none());
-        let fixed: Vec<usize> = fixed.collect();
-        !self.enters(thing, q, pose, &fixed)
+        !self.enters(thing, q, pose, &self.fixed)
     }
 
     fn lowest(&self, thing: &Thing, q: &[f64], pose: &Pose) -> f64 {
@@ -262,5 +305,48 @@ impl<'a> Closer<'a> {
             }
         }
         deepest
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::super::objects;
+    use super::*;
+
+    /// Hands that are tried on the ketchup bottle, the heaviest of the objects.
+    fn bottle(tries: usize) -> (Thing, Robot, Vec<Grasp>) {
+        let thing = Thing::new(&objects::named("ketchup_bottle").unwrap()).unwrap();
+        let robot = Robot::bundled("leap_right").unwrap();
+        let grasps = grasps(&thing, &robot, &WrapOptions { tries, ..WrapOptions::default() }).unwrap();
+        (thing, robot, grasps)
+    }
+
+    #[test]
+    fn laid_hands_hold_with_the_palm_and_near_the_knuckles() {
+        let (thing, robot, grasps) = bottle(60);
+        assert!(grasps.len() >= 5, "{} of 60", grasps.len());
+        let closer = Closer::new(&robot).unwrap();
+        let surface = HandSurface::new(&robot, ContactOptions::default().spacing_m).unwrap();
+        let mut beside_the_tip = 0;
+        for g in &grasps {
+            assert!(g.contacts.last() > Some(&0), "no palm: {:?}", g.contacts);
+            assert!(g.clearance_mm >= 2.0 && closer.keeps_off_itself(&g.joints_rad));
+            let options = ContactOptions::with_friction(0.5);
+            let pose = g.pose().unwrap();
+            let contacts = surface.contacts(&robot, &g.joints_rad, &pose, thing.sdf.exact(), &options).unwrap();
+            let tips: Vec<usize> = surface.fingers.iter().map(|f| f.tip_link).collect();
+            beside_the_tip += usize::from(contacts.iter().any(|c| c.finger.is_some() && !tips.contains(&c.link)));
+        }
+        assert!(2 * beside_the_tip >= grasps.len(), "{beside_the_tip} of {} touch with more than tips", grasps.len());
+    }
+
+    #[test]
+    fn wraps_depend_on_the_seed_alone() {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        let (_, _, many) = bottle(12);
+        let (_, _, one) = pool.install(|| bottle(12));
+        assert_eq!(many, one);
     }
 }

@@ -19,12 +19,11 @@ use crate::bench::library::{Kind, Library, LibraryOptions};
 use crate::bench::objects::{self, ObjectSpec};
 use crate::bench::table::Table;
 use crate::bench::thing::{POINTS, Thing};
+use crate::bench::wraps::PINCHES_FOR_ONE;
 use crate::cli::{BenchCommand, BenchCommon, DemosArgs, GraspBenchArgs};
 use crate::picture::clip::{self, Posed};
 use crate::ui::Ui;
 
-/// Hands that are closed around the object for each demonstration, and how many of them are kept.
-const WRAPS_PER_CLIP: (usize, usize) = (40, 3);
 /// Hands that the search between opposite points looks at, for each demonstration.
 const CANDIDATES_PER_CLIP: usize = 20_000;
 
@@ -124,8 +123,7 @@ fn library_options(common: &BenchCommon, seed: u64) -> LibraryOptions {
     let mut options = LibraryOptions::default();
     options.people.clips = common.clips as usize;
     options.candidates = CANDIDATES_PER_CLIP * options.people.clips;
-    (options.wraps.tries, options.wraps.keep) =
-        (WRAPS_PER_CLIP.0 * options.people.clips, WRAPS_PER_CLIP.1 * options.people.clips);
+    options.wraps.tries = options.candidates / PINCHES_FOR_ONE;
     (options.people.seed, options.wraps.seed) = (seed, seed);
     options
 }

@@ -13,6 +13,7 @@ use crate::bench::judge::Rollouts;
 use crate::bench::library::{Grasp, searched};
 use crate::bench::objects::ObjectSpec;
 use crate::bench::thing::Thing;
+use crate::bench::wraps::{self, PINCHES_FOR_ONE, WrapOptions};
 
 /// Hand and object, ready to be simulated.
 pub struct Ground {
@@ -39,7 +40,8 @@ impl Ground {
         Ok(Self { robot, thing, judge })
     }
 
-    /// The demonstrated grasps that hold on paper, and behind them those that a search finds among so many hands.
+    /// The demonstrated grasps that hold on paper, and behind them those that hands laid on the object and a search among so many
+    /// pinches find.
     pub fn grasps(&self, fits: &FitFile, search: usize, seed: u64) -> Result<Vec<Grasp>> {
         let friction = self.thing.spec.friction.unwrap_or(drex_core::twin::ASSUMED_FRICTION);
         let surface = HandSurface::new(&self.robot, ContactOptions::default().spacing_m)?;
@@ -50,6 +52,9 @@ impl Ground {
             grasps.extend(measured.map(|g| Grasp { clip: fit.demonstration, ..g }));
         }
         if search > 0 {
+            let tries = search.div_ceil(PINCHES_FOR_ONE);
+            let wraps = WrapOptions { tries, friction, seed, ..WrapOptions::default() };
+            grasps.extend(wraps::grasps(&self.thing, &self.robot, &wraps)?);
             grasps.extend(searched(&self.thing, &self.robot, search, friction, seed)?);
         }
         Ok(grasps)

@@ -140,7 +140,8 @@ pub struct TrainConfig {
     pub hidden: Option<usize>,
     /// Grasps that are practised in simulation before the best of them are learned, those that need least force; none if left out.
     pub practice: Option<u32>,
-    /// Hands that a search looks at to find more grasps for the practice; none if left out.
+    /// Hands that a search looks at to find more grasps for the practice, and fifty times as many as are laid on the object palm first; none if
+    /// left out.
     pub search: Option<usize>,
 }
 
