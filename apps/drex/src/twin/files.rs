@@ -305,7 +305,7 @@ pub struct Training {
 pub struct PracticeRecord {
     /// Demonstrated grasps that touch and hold on paper,
     pub demonstrated: usize,
-    /// those that a search found,
+    /// those that hands laid on the object and a search found,
     pub searched: usize,
     /// of both those that the motors can hold once the hand has closed,
     pub commanded: usize,
