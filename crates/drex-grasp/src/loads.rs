@@ -152,8 +152,9 @@ fn at_load(load: usize, wrench: &Vector6<f64>, reason: SqueezeError) -> SqueezeE
 }
 
 impl SqueezeProblem {
-    /// The same contacts and limits under another load in place of the weight and the extra wrench.
-    pub(crate) fn under(&self, load: &Vector6<f64>) -> Self {
+    /// The same contacts and limits under another load in place of the weight and the extra wrench: force (N) and torque about the centre of
+    /// mass (N m), as in [`shake_loads`].
+    pub fn under(&self, load: &Vector6<f64>) -> Self {
         Self { gamma: 0.0, extra_wrench: *load, ..self.clone() }
     }
 }

@@ -6,7 +6,7 @@ use drex_core::Pose;
 use drex_diffsim::SimError;
 use drex_grasp::{
     Contact, ContactOptions, Distribution, ForceCommand, ForceLaw, GraspError, SqueezeError, SqueezeProblem,
-    TorqueLimits, distribute,
+    TorqueLimits, distribute, shake_loads,
 };
 use drex_robot::Robot;
 use nalgebra::{DVector, Point3, Vector3};
@@ -71,7 +71,7 @@ pub(crate) fn rehearse(trial: &Trial, joints: &[f64], object_from_palm: &Pose, b
     );
     let truth = Truth::as_believed(belief, 0);
     let (mut engine, drives) = trial.engine(&world_from_palm, &reach, &truth, timeline::CLOSED_S, Judge::Diffsim)?;
-    let mut controller = Controller::new(&trial.hand, &drives, &reach, &[], trial.options.torque_cap_nm);
+    let mut controller = Controller::new(&trial.hand, &drives, &reach, &[], &[], trial.options.torque_cap_nm);
     let tick_s = trial.options.dt_s * STEPS_PER_TICK as f64;
     let mut table_n = 0.0_f64;
     let mut close = || {
@@ -162,6 +162,75 @@ pub(crate) fn squeeze(
     belief: &Belief,
     squeeze: Squeeze,
 ) -> Result<Result<Command, NoCommand>> {
+    let Squeezed { problem, normal_n, forces } = match squeezed(trial, rehearsal, belief, squeeze)? {
+        Ok(squeezed) => squeezed,
+        Err(reason) => return Ok(Err(reason)),
+    };
+    let Rehearsal { joints, world_from_palm, reach, closed, .. } = rehearsal;
+    let poses = trial.hand.forward_kinematics(closed, world_from_palm);
+    let pushes = |forces: &[Vector3<f64>]| -> Vec<Push> {
+        let push = |(c, force): (&Contact, &Vector3<f64>)| Push {
+            link: c.link,
+            point: poses[c.link].inverse_transform_point(&c.point),
+            force: *force,
+        };
+        problem.contacts.iter().zip(forces).map(push).collect()
+    };
+    let torques = |pushes: &[Push]| squeeze_torques(&trial.hand, closed, world_from_palm, pushes);
+    let mut command = Command {
+        joints: joints.clone(),
+        world_from_palm: *world_from_palm,
+        torques_nm: Vec::new(),
+        limits_nm: Vec::new(),
+        squeeze_n: normal_n.iter().sum(),
+        per_finger_n: vec![0.0; trial.surface.fingers.len()],
+        pushes: pushes(&forces),
+        reach: reach.clone(),
+    };
+    for (contact, normal_n) in problem.contacts.iter().zip(&normal_n) {
+        if let Some(f) = contact.finger {
+            command.per_finger_n[f] += normal_n;
+        }
+    }
+    command.torques_nm = torques(&command.pushes);
+    command.limits_nm = command.torques_nm.iter().map(|t| t.abs()).collect();
+    for load in &shake_loads(belief.mass_kg, trial.options.law.shake_m_s2, &problem.gravity)[1..] {
+        let shaken = problem.under(load);
+        // Where a shake is beyond the squeeze or the motors, the other loads say what a joint may bring.
+        if let Ok(share) = shared(trial, &shaken, command.squeeze_n) {
+            let torques = torques(&pushes(&share.forces));
+            command.limits_nm.iter_mut().zip(torques).for_each(|(l, t)| *l = l.max(t.abs()));
+        }
+    }
+    Ok(Ok(command))
+}
+
+/// See [`Trial::squeeze_n`].
+pub(crate) fn squeeze_n(
+    trial: &Trial,
+    rehearsal: &Rehearsal,
+    belief: &Belief,
+    squeeze: Squeeze,
+) -> Result<Result<f64, NoCommand>> {
+    Ok(squeezed(trial, rehearsal, belief, squeeze)?.map(|s| s.normal_n.iter().sum()))
+}
+
+/// A squeeze on the contacts of a closed hand.
+struct Squeezed {
+    problem: SqueezeProblem,
+    /// Per contact, N.
+    normal_n: Vec<f64>,
+    /// On the object, world, N.
+    forces: Vec<Vector3<f64>>,
+}
+
+/// The squeeze with the object at rest.
+fn squeezed(
+    trial: &Trial,
+    rehearsal: &Rehearsal,
+    belief: &Belief,
+    squeeze: Squeeze,
+) -> Result<Result<Squeezed, NoCommand>> {
     check_mass_and_friction(belief.mass_kg, belief.friction)?;
     let touching = rehearsal.fingers_in_contact.iter().filter(|t| **t).count();
     if touching < 2 {
@@ -170,7 +239,7 @@ pub(crate) fn squeeze(
     if rehearsal.table_n > TABLE_N {
         return Ok(Err(NoCommand::Table { force_n: rehearsal.table_n }));
     }
-    let Rehearsal { joints, world_from_palm, reach, closed, touching, near, .. } = rehearsal;
+    let Rehearsal { closed, world_from_palm, touching, near, .. } = rehearsal;
     let mut problem = problem(trial, closed, world_from_palm, touching.clone(), belief);
     let needed = |problem: &SqueezeProblem| needed_force(&trial.hand, &trial.options.law, problem);
     let mut force = needed(&problem);
@@ -191,27 +260,8 @@ pub(crate) fn squeeze(
         Ok(share) => share.forces,
         Err(reason) => return no_command(reason).map(Err),
     };
-    let mut command = Command {
-        joints: joints.clone(),
-        world_from_palm: *world_from_palm,
-        torques_nm: Vec::new(),
-        squeeze_n: 0.0,
-        per_finger_n: vec![0.0; trial.surface.fingers.len()],
-        pushes: Vec::new(),
-        reach: reach.clone(),
-    };
-    let poses = trial.hand.forward_kinematics(closed, world_from_palm);
-    for (contact, force) in problem.contacts.iter().zip(&forces) {
-        let normal_n = force.dot(&contact.normal);
-        command.squeeze_n += normal_n;
-        if let Some(f) = contact.finger {
-            command.per_finger_n[f] += normal_n;
-        }
-        let point = poses[contact.link].inverse_transform_point(&contact.point);
-        command.pushes.push(Push { link: contact.link, point, force: *force });
-    }
-    command.torques_nm = squeeze_torques(&trial.hand, closed, world_from_palm, &command.pushes);
-    Ok(Ok(command))
+    let normal_n = problem.contacts.iter().zip(&forces).map(|(c, f)| f.dot(&c.normal)).collect();
+    Ok(Ok(Squeezed { problem, normal_n, forces }))
 }
 
 /// The force of the law for contacts of a hand, no less than 1.5 times what the touching fingers withstand by the dry friction of their joints:
@@ -401,6 +451,33 @@ mod tests {
         assert!((told(0.001) - (FRICTIONS * withstood).max(1.0)).abs() < 1e-3, "{} {withstood}", told(0.001));
         // What is heavier needs more than that.
         assert!(told(0.2) > 1.1 * told(0.001), "{} {}", told(0.2), told(0.001));
+    }
+
+    #[test]
+    fn a_joint_may_bring_what_the_shakes_ask_of_it() {
+        let (mut trial, pinch) = pinch();
+        let told = Belief { mass_kg: 0.1, friction: 1.0 };
+        let needed = |trial: &Trial| squeeze(trial, &pinch, &told, Squeeze::Needed).unwrap().unwrap();
+        let command = needed(&trial);
+        let only_n = squeeze_n(&trial, &pinch, &told, Squeeze::Needed).unwrap().unwrap();
+        assert!((only_n - command.squeeze_n).abs() < 1e-12);
+        // Two opposed fingers carry half of any vertical load each, whatever they press with: shaken upwards half as much again.
+        let torques = |weights: f64| {
+            let mut pushes = command.pushes.clone();
+            pushes.iter_mut().for_each(|p| p.force.z = 0.5 * weights * told.mass_kg * 9.81);
+            squeeze_torques(&trial.hand, &pinch.closed, &pinch.world_from_palm, &pushes)
+        };
+        let close = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4);
+        assert!(close(&torques(1.0), &command.torques_nm), "{:?} {:?}", torques(1.0), command.torques_nm);
+        let upwards = torques(1.5);
+        assert!(command.limits_nm.iter().zip(&upwards).all(|(l, t)| *l > t.abs() - 1e-4), "{upwards:?}");
+        let more = |c: &Command| {
+            c.limits_nm.iter().zip(&c.torques_nm).map(|(l, t)| l - t.abs()).fold(f64::NEG_INFINITY, f64::max)
+        };
+        assert!(more(&command) > 1e-3, "{}", more(&command));
+        // Without shakes they bring what they bring at rest.
+        trial.options.law = trial.options.law.with_shake_m_s2(0.0);
+        assert!(more(&needed(&trial)).abs() < 1e-6);
     }
 
     #[test]

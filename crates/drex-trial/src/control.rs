@@ -39,6 +39,8 @@ pub(crate) struct Controller<'a> {
     drives: &'a [Drive],
     reach: &'a Reach,
     pushes: &'a [Push],
+    /// See [`Command`](crate::Command).
+    limits_nm: &'a [f64],
     torque_cap_nm: f64,
     /// Joint torques at the end of closing.
     closing: Vec<f64>,
@@ -52,9 +54,10 @@ impl<'a> Controller<'a> {
         drives: &'a [Drive],
         reach: &'a Reach,
         pushes: &'a [Push],
+        limits_nm: &'a [f64],
         torque_cap_nm: f64,
     ) -> Self {
-        Self { robot, drives, reach, pushes, torque_cap_nm, closing: vec![0.0; robot.dof()], held: None }
+        Self { robot, drives, reach, pushes, limits_nm, torque_cap_nm, closing: vec![0.0; robot.dof()], held: None }
     }
 
     /// The command at time `t`.
@@ -79,12 +82,12 @@ impl<'a> Controller<'a> {
             let squeeze = self.squeeze(q, &base);
             return self.position(q, |j| own[j] + (1.0 - s) * self.closing[j] + s * squeeze[j]);
         }
-        // As a drive that holds its place with a limited current: what the object does to the fingers brings no more than was commanded.
+        // As a drive that holds its place with a limited current: what the object does to the fingers brings no more than the law reckoned with.
         let (held, squeeze) = self.held.take().unwrap_or_else(|| (q.to_vec(), self.squeeze(q, &base)));
         let mut torque = own.as_slice().to_vec();
         for d in self.drives {
             let j = d.joint;
-            let most = squeeze[j].abs().max(CLOSING_NM);
+            let most = self.limits_nm.get(j).copied().unwrap_or(0.0).max(squeeze[j].abs()).max(CLOSING_NM);
             torque[j] += (squeeze[j] + d.stiffness * d.gear * d.gear * (held[j] - q[j])).clamp(-most, most);
         }
         self.held = Some((held, squeeze));

@@ -16,6 +16,10 @@ use crate::{Judge, TrialObject, Truth};
 const STIFFNESS: f64 = 0.8;
 const DAMPING: f64 = 0.02;
 
+/// Steps of MuJoCo in one of ours: what is held slides there by a way in proportion to the step, with steps of ours by several millimetres.
+#[cfg(feature = "mujoco")]
+const MUJOCO_STEPS: usize = 2;
+
 /// What the hand meets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Met {
@@ -129,7 +133,8 @@ impl Engine {
             }
             #[cfg(feature = "mujoco")]
             Judge::Mujoco => {
-                let options = drex_diffsim::mujoco::MjcfOptions::default();
+                let mut options = drex_diffsim::mujoco::MjcfOptions::default();
+                options.dt_s = Some(dt_s / MUJOCO_STEPS as f64);
                 let engine = drex_diffsim::mujoco::MujocoEngine::new(&model, &scene, &state, &options)?;
                 Self::Mujoco { engine: Box::new(engine), state: Box::new(state) }
             }
@@ -150,7 +155,9 @@ impl Engine {
             #[cfg(feature = "mujoco")]
             Self::Mujoco { engine, state } => {
                 engine.set_controls(vec![control]);
-                engine.step()?;
+                for _ in 0..MUJOCO_STEPS {
+                    engine.step()?;
+                }
                 **state = engine.state();
                 Ok(())
             }

@@ -93,12 +93,33 @@ impl Trial {
         command::squeeze(self, rehearsal, belief, squeeze)
     }
 
+    /// Sum of the normal forces, N, of the command that [`Trial::squeeze`] gives: what it costs less to know than the command.
+    ///
+    /// # Errors
+    /// If a solver gives up.
+    pub fn squeeze_n(
+        &self,
+        rehearsal: &Rehearsal,
+        belief: &Belief,
+        squeeze: Squeeze,
+    ) -> Result<Result<f64, NoCommand>> {
+        command::squeeze_n(self, rehearsal, belief, squeeze)
+    }
+
     /// Carries a command out under what is true.
     ///
     /// # Errors
     /// If the model cannot be simulated; [`Error::NoMujoco`] for a judge that this build lacks. A grasp that fails is no error.
     pub fn run(&self, command: &Command, truth: &Truth, judge: Judge) -> Result<Outcome> {
-        self.carry_out(command, truth, judge, &mut |_, _, _| {})
+        self.carry_out(command, truth, judge, &mut |_, _, _, _| true)
+    }
+
+    /// [`Trial::run`] until the first rule is broken: of a failure only the verdict and its time say what they say there.
+    ///
+    /// # Errors
+    /// As [`Trial::run`].
+    pub fn try_out(&self, command: &Command, truth: &Truth, judge: Judge) -> Result<Outcome> {
+        self.carry_out(command, truth, judge, &mut |_, _, _, holds| holds)
     }
 
     /// [`Trial::run`], and what could be seen meanwhile: a frame every `every_s` seconds from the start on, until the trial ends.
@@ -110,7 +131,7 @@ impl Trial {
             return Err(Error::value(format!("a frame every {every_s} s"), "give a positive time, such as 0.04"));
         }
         let mut frames: Vec<Frame> = Vec::new();
-        let outcome = self.carry_out(command, truth, judge, &mut |time_s, engine, finger_n| {
+        let outcome = self.carry_out(command, truth, judge, &mut |time_s, engine, finger_n, _| {
             if time_s >= frames.len() as f64 * every_s {
                 frames.push(Frame {
                     time_s,
@@ -120,23 +141,24 @@ impl Trial {
                     finger_n: finger_n.to_vec(),
                 });
             }
+            true
         })?;
         Ok((outcome, frames))
     }
 
-    /// `seen` gets time, engine and smoothed forces of the fingers after every command.
+    /// `seen` gets time, engine, smoothed forces of the fingers and whether all rules are kept after every command, and says whether to go on.
     fn carry_out(
         &self,
         command: &Command,
         truth: &Truth,
         judge: Judge,
-        seen: &mut dyn FnMut(f64, &Engine, &[f64]),
+        seen: &mut dyn FnMut(f64, &Engine, &[f64], bool) -> bool,
     ) -> Result<Outcome> {
         truth.check()?;
         let (mut engine, drives) =
             self.engine(&command.world_from_palm, &command.reach, truth, timeline::SHAKEN_S, judge)?;
-        let mut controller =
-            Controller::new(&self.hand, &drives, &command.reach, &command.pushes, self.options.torque_cap_nm);
+        let Command { reach, pushes, limits_nm, .. } = command;
+        let mut controller = Controller::new(&self.hand, &drives, reach, pushes, limits_nm, self.options.torque_cap_nm);
         let tick_s = self.options.dt_s * STEPS_PER_TICK as f64;
         let mut watch = Watch::new(&self.surface, self.object.max_finger_n, command.squeeze_n, tick_s);
         let ticks = (timeline::SHAKEN_S / tick_s).round() as usize;
@@ -153,8 +175,7 @@ impl Trial {
             }
             let time_s = (i + 1) as f64 * tick_s;
             let goes_on = watch.look(time_s, truth.friction, &engine);
-            seen(time_s, &engine, watch.finger_n());
-            if !goes_on {
+            if !seen(time_s, &engine, watch.finger_n(), watch.holds()) || !goes_on {
                 break;
             }
         }

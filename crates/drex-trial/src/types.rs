@@ -92,6 +92,9 @@ pub struct Command {
     pub world_from_palm: Pose,
     /// Joint torques of the squeeze, N m: Jᵀ f and what the joints' dry friction takes of it, without what holds the hand's own weight.
     pub torques_nm: Vec<f64>,
+    /// Most that each joint brings to bear on the object, N m: the largest of its torques with this squeeze at rest and under the shakes that the
+    /// law reckons with. A joint that holds its place with no more than its torque at rest gives way when the object is shaken.
+    pub limits_nm: Vec<f64>,
     /// Sum of the normal forces, N.
     pub squeeze_n: f64,
     /// Sum of the normal forces per finger, N; the palm is not among them.

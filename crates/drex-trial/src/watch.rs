@@ -79,6 +79,11 @@ impl<'a> Watch<'a> {
         &self.finger_n
     }
 
+    /// Whether no rule is broken so far.
+    pub fn holds(&self) -> bool {
+        self.outcome.failed_at_s.is_none()
+    }
+
     /// Looks at the state after a step; false once nothing more can be learned.
     pub fn look(&mut self, t: f64, friction: f64, engine: &Engine) -> bool {
         let on_table = engine.touches(&mut self.touches);
@@ -118,7 +123,7 @@ impl<'a> Watch<'a> {
             }
         }
         // Once it has slipped by centimetres only the rest of the fall would be seen.
-        self.outcome.failed_at_s.is_none() || sunk.abs() < 2.0 * HEIGHT_M
+        self.holds() || sunk.abs() < 2.0 * HEIGHT_M
     }
 
     /// What the trial came to.

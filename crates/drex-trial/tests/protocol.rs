@@ -23,6 +23,9 @@ fn the_needed_squeeze_holds_and_a_third_of_it_does_not() {
             let little = trial.command(&g.joints, &g.object_from_base, &TOLD, third).unwrap().unwrap();
             assert!((little.squeeze_n - command.squeeze_n / 3.0).abs() < 1e-3 * command.squeeze_n);
             let too_little = trial.run(&little, &Truth::as_believed(&TOLD, 1), Judge::Diffsim).unwrap();
+            // Whoever asks only whether it holds gets the same answer.
+            let tried = trial.try_out(&little, &Truth::as_believed(&TOLD, 1), Judge::Diffsim).unwrap();
+            assert_eq!((tried.verdict, tried.failed_at_s), (too_little.verdict, too_little.failed_at_s));
             (enough, too_little)
         })
         .collect();
@@ -54,6 +57,7 @@ fn a_film_shows_the_run_and_does_not_change_it() {
     let outcome = trial.run(&command, &truth, Judge::Diffsim).unwrap();
     let (filmed, frames) = trial.film(&command, &truth, Judge::Diffsim, 0.1).unwrap();
     assert_eq!(filmed, outcome);
+    assert_eq!(trial.try_out(&command, &truth, Judge::Diffsim).unwrap(), outcome);
     assert!(outcome.succeeded(), "{outcome:?}");
     for (i, frame) in frames.iter().enumerate() {
         assert!((frame.time_s - 0.1 * i as f64).abs() < 0.005, "frame {i} at {} s", frame.time_s);

@@ -409,7 +409,7 @@ mod tests {
     fn table(experiment: Experiment) -> Table {
         let hand = TargetHand::bundled("leap_right").unwrap();
         let mut library = LibraryOptions::default();
-        (library.people.clips, library.people.per_clip, library.wraps.tries) = (3, 3, 0);
+        (library.people.clips, library.people.per_clip) = (3, 3);
         library.candidates = 10_000;
         let bench = Bench {
             robot: Arc::new(hand.robot.clone()),

@@ -6,7 +6,8 @@ use anyhow::Result;
 use drex_core::Pose;
 use drex_robot::Robot;
 use drex_trial::{
-    Belief, Command, Frame, Judge as Engine, NoCommand, Rehearsal, Squeeze, Trial, TrialOptions, Truth, Verdict,
+    Belief, Command, Frame, Judge as Engine, NoCommand, Outcome, Rehearsal, Squeeze, Trial, TrialOptions, Truth,
+    Verdict,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -156,8 +157,11 @@ pub trait Judge: Sync {
     /// If a solver gives up.
     fn plan(&self, grip: &Self::Grip, belief: &Belief, squeeze: Squeeze) -> Result<Result<Self::Plan, NoCommand>>;
 
-    /// Sum of the normal forces of a command, N.
-    fn squeeze_n(&self, plan: &Self::Plan) -> f64;
+    /// Sum of the normal forces of that command, N.
+    ///
+    /// # Errors
+    /// If a solver gives up.
+    fn squeeze_n(&self, grip: &Self::Grip, belief: &Belief, squeeze: Squeeze) -> Result<Result<f64, NoCommand>>;
 
     /// Which fingers of a grip touch.
     fn fingers(&self, grip: &Self::Grip) -> Vec<bool>;
@@ -167,6 +171,14 @@ pub trait Judge: Sync {
     /// # Errors
     /// If it cannot be simulated at all.
     fn practise(&self, plan: &Self::Plan, truth: &Truth) -> Result<Judged>;
+
+    /// The same, but it ends with the first rule that is broken: what is seen of a failure is its verdict alone.
+    ///
+    /// # Errors
+    /// If it cannot be simulated at all.
+    fn try_out(&self, plan: &Self::Plan, truth: &Truth) -> Result<Judged> {
+        self.practise(plan, truth)
+    }
 
     /// Carries it out under what is true, in the engine that judges.
     ///
@@ -197,10 +209,11 @@ impl Rollouts {
     pub fn film(&self, plan: &Command, truth: &Truth, every_s: f64) -> Result<Vec<Frame>> {
         Ok(self.trial.film(plan, truth, self.engine, every_s)?.1)
     }
+}
 
-    fn judged(&self, plan: &Command, truth: &Truth, engine: Engine) -> Result<Judged> {
-        let outcome = self.trial.run(plan, truth, engine)?;
-        Ok(Judged {
+impl From<Outcome> for Judged {
+    fn from(outcome: Outcome) -> Self {
+        Self {
             leeway: outcome.leeway(),
             verdict: outcome.verdict,
             squeeze_n: outcome.squeeze_n,
@@ -208,7 +221,7 @@ impl Rollouts {
             fingers: outcome.fingers_in_contact,
             retained: outcome.retained,
             friction_used: outcome.friction_used,
-        })
+        }
     }
 }
 
@@ -224,8 +237,8 @@ impl Judge for Rollouts {
         Ok(self.trial.squeeze(grip, belief, squeeze)?)
     }
 
-    fn squeeze_n(&self, plan: &Command) -> f64 {
-        plan.squeeze_n
+    fn squeeze_n(&self, grip: &Rehearsal, belief: &Belief, squeeze: Squeeze) -> Result<Result<f64, NoCommand>> {
+        Ok(self.trial.squeeze_n(grip, belief, squeeze)?)
     }
 
     fn fingers(&self, grip: &Rehearsal) -> Vec<bool> {
@@ -233,11 +246,15 @@ impl Judge for Rollouts {
     }
 
     fn practise(&self, plan: &Command, truth: &Truth) -> Result<Judged> {
-        self.judged(plan, truth, Engine::Diffsim)
+        Ok(self.trial.run(plan, truth, Engine::Diffsim)?.into())
+    }
+
+    fn try_out(&self, plan: &Command, truth: &Truth) -> Result<Judged> {
+        Ok(self.trial.try_out(plan, truth, Engine::Diffsim)?.into())
     }
 
     fn run(&self, plan: &Command, truth: &Truth) -> Result<Judged> {
-        self.judged(plan, truth, self.engine)
+        Ok(self.trial.run(plan, truth, self.engine)?.into())
     }
 }
 
@@ -285,8 +302,8 @@ pub mod fake {
             Ok(Ok(wanted))
         }
 
-        fn squeeze_n(&self, plan: &f64) -> f64 {
-            *plan
+        fn squeeze_n(&self, grip: &Self::Grip, belief: &Belief, squeeze: Squeeze) -> Result<Result<f64, NoCommand>> {
+            self.plan(grip, belief, squeeze)
         }
 
         fn fingers(&self, (): &()) -> Vec<bool> {
@@ -328,8 +345,8 @@ pub mod fake {
             Pinch { strongest_n: *grip }.plan(&(), belief, squeeze)
         }
 
-        fn squeeze_n(&self, plan: &f64) -> f64 {
-            *plan
+        fn squeeze_n(&self, grip: &Self::Grip, belief: &Belief, squeeze: Squeeze) -> Result<Result<f64, NoCommand>> {
+            self.plan(grip, belief, squeeze)
         }
 
         fn fingers(&self, _: &f64) -> Vec<bool> {

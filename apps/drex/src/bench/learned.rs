@@ -217,8 +217,8 @@ fn samples<J: Judge>(
 /// the network would know heavy things only by the cases that are easy.
 fn needed_n<J: Judge>(judge: &J, grip: &J::Grip, belief: &Belief) -> Result<Option<f64>> {
     for squeeze in [Squeeze::Needed, Squeeze::Total(MORE_THAN_ANY_N)] {
-        if let Ok(plan) = judge.plan(grip, belief, squeeze)? {
-            return Ok(Some(judge.squeeze_n(&plan)));
+        if let Ok(squeeze_n) = judge.squeeze_n(grip, belief, squeeze)? {
+            return Ok(Some(squeeze_n));
         }
     }
     Ok(None)

@@ -19,6 +19,8 @@ use crate::twin::PoseRecord;
 
 /// Points of the surface from which opposite ones are searched.
 const SURFACE_POINTS: usize = 3000;
+/// Of so many hands that a search for pinches looks at, one is laid on the object: closing a hand takes longer, and more of those that are closed hold.
+const PINCHES_FOR_ONE: usize = 50;
 /// Deepest that a hand may be inside the object, mm.
 const MAX_PENETRATION_MM: f64 = 2.0;
 
@@ -101,14 +103,13 @@ impl Grasp {
 #[derive(Debug, Clone, PartialEq)]
 pub struct LibraryOptions {
     pub people: PeopleOptions,
-    pub wraps: WrapOptions,
-    /// Hands that the search between opposite points looks at.
+    /// See [`found`].
     pub candidates: usize,
 }
 
 impl Default for LibraryOptions {
     fn default() -> Self {
-        Self { people: PeopleOptions::default(), wraps: WrapOptions::default(), candidates: 200_000 }
+        Self { people: PeopleOptions::default(), candidates: 200_000 }
     }
 }
 
@@ -145,8 +146,7 @@ impl Library {
         }
         let postures = Postures::of(hand, options.people.seed)?;
         let mut grasps = people::grasps(thing, hand, &postures, &options.people)?;
-        grasps.extend(wraps::grasps(thing, &hand.robot, &options.wraps)?);
-        grasps.extend(searched(thing, &hand.robot, options.candidates, options.people.friction, options.people.seed)?);
+        grasps.extend(found(thing, &hand.robot, options.candidates, options.people.friction, options.people.seed)?);
         if grasps.is_empty() {
             bail!(
                 "no grasp of \"{}\" was found for {}: it may be too large for the hand or too low over the table",
@@ -168,6 +168,14 @@ impl Library {
         }
         Ok(library)
     }
+}
+
+/// Grasps that nobody demonstrated: of hands laid on the object, and of `candidates` that pinch it.
+pub fn found(thing: &Thing, robot: &Robot, candidates: usize, friction: f64, seed: u64) -> Result<Vec<Grasp>> {
+    let tries = candidates.div_ceil(PINCHES_FOR_ONE);
+    let mut grasps = wraps::grasps(thing, robot, tries, seed, &WrapOptions { friction, ..WrapOptions::default() })?;
+    grasps.extend(searched(thing, robot, candidates, friction, seed)?);
+    Ok(grasps)
 }
 
 /// Grasps between opposite points of the surface, of so many hands that are looked at.

@@ -11,7 +11,7 @@ use drex_trial::{Belief, Squeeze};
 use rayon::prelude::*;
 
 use super::bound;
-use super::judge::{Condition, Judge, Judged};
+use super::judge::{Condition, Judge, Judged, Spread};
 use super::learned::LearnOptions;
 use super::library::Grasp;
 use super::thing::Thing;
@@ -24,12 +24,15 @@ const REHEARSED_FOR_ONE: usize = 12;
 /// Frictions, evenly from the lowest that a hand is told, at which a rehearsed grasp may have a force: the fewer it misses the better.
 const TOLD: usize = 16;
 /// Generations of variations, of how many practised grasps one is varied, and how often in a generation.
-const GENERATIONS: usize = 24;
+const GENERATIONS: usize = 12;
 const VARIED_ONE_OF: usize = 4;
 const VARIATIONS: usize = 4;
-/// The stage of practice after which what is left is varied, and by how much.
+/// The stage of practice after which what is left is varied, and by how much in each generation.
 const OFFSPRING_AFTER: usize = 1;
-const OFFSPRING_SIZE: f64 = 0.5;
+const OFFSPRING_SIZES: [f64; 3] = [0.5, 0.35, 0.25];
+/// Frictions of practice go around by the golden ratio: any few of them in a row cover the range evenly. The first is low: there most fails.
+const FRICTION_STEP: f64 = 0.618_033_988_749_895;
+const FIRST_FRICTION: f64 = 0.1;
 /// Share of the law's force with which grasps are practised: what holds with less does not hang on what one simulator gets wrong.
 const PRACTICE_FORCE: f64 = 0.85;
 /// What leeway counts beside holding: two that hold with all of it are as good as three that hold with none.
@@ -142,9 +145,8 @@ impl<J: Judge> Task<'_, J> {
     /// Closes the hand; `None` if there is no force for anything that it may be asked to carry.
     fn gripped(&self, grasp: Grasp) -> Result<Option<Gripped<J::Grip>>> {
         let grip = self.judge.grip(&grasp.joints_rad, &grasp.pose()?, &self.closes_on)?;
-        let needed = |belief: &Belief| -> Result<Option<f64>> {
-            Ok(self.judge.plan(&grip, belief, Squeeze::Needed)?.ok().map(|plan| self.judge.squeeze_n(&plan)))
-        };
+        let needed =
+            |belief: &Belief| -> Result<Option<f64>> { Ok(self.judge.squeeze_n(&grip, belief, Squeeze::Needed)?.ok()) };
         for (block, beliefs) in self.beliefs.iter().enumerate() {
             // More friction is never worse: if the most is too little, all are.
             let (mut at, mut from) = (beliefs.len() - 1, 0);
@@ -197,8 +199,7 @@ impl<J: Judge> Task<'_, J> {
         masses_kg: &[f64],
         options: &LearnOptions,
     ) -> Result<Vec<Practised>> {
-        let all = STAGES.iter().map(|s| s.0).sum();
-        let conditions = options.spread.conditions(all, options.train.seed ^ PRACTICE_SEED);
+        let conditions = conditions(&options.spread, options.train.seed);
         let conditions: Vec<(Condition, f64)> = conditions.into_iter().zip(masses_kg.iter().copied().cycle()).collect();
         let practised = |g: Gripped<J::Grip>| {
             let fingers = self.judge.fingers(&g.grip);
@@ -213,8 +214,12 @@ impl<J: Judge> Task<'_, J> {
             until += count_of;
             practised.par_iter_mut().try_for_each(|p| self.go_on(p, &conditions[..until]))?;
             best(&mut practised, options.practised.div_ceil(one_of));
-            if stage == OFFSPRING_AFTER {
-                practised.extend(self.offspring(&practised, &conditions[..until], options.train.seed)?);
+            if stage != OFFSPRING_AFTER {
+                continue;
+            }
+            for (generation, size) in OFFSPRING_SIZES.into_iter().enumerate() {
+                let seed = (!options.train.seed).wrapping_sub(generation as u64);
+                practised.extend(self.offspring(&practised, &conditions[..until], size, seed)?);
                 best(&mut practised, options.practised.div_ceil(one_of));
             }
         }
@@ -235,12 +240,13 @@ impl<J: Judge> Task<'_, J> {
         &self,
         parents: &[(Practised, J::Grip)],
         conditions: &[(Condition, f64)],
+        size: f64,
         seed: u64,
     ) -> Result<Vec<(Practised, J::Grip)>> {
         let closer = Closer::new(self.robot)?;
         let born = |i: usize| {
             let parent = &parents[i / VARIATIONS].0;
-            let Some(grasp) = closer.varied(self.thing, &parent.grasp, OFFSPRING_SIZE, !seed, i as u64)? else {
+            let Some(grasp) = closer.varied(self.thing, &parent.grasp, size, seed, i as u64)? else {
                 return Ok(None);
             };
             let Some(Gripped { grasp, grip, .. }) = self.gripped(grasp)? else { return Ok(None) };
@@ -280,15 +286,25 @@ impl<G> Gripped<G> {
     }
 }
 
+/// The conditions of all stages.
+fn conditions(spread: &Spread, seed: u64) -> Vec<Condition> {
+    let mut conditions = spread.conditions(STAGES.iter().map(|s| s.0).sum(), seed ^ PRACTICE_SEED);
+    let (lowest, highest) = spread.friction;
+    for (i, condition) in conditions.iter_mut().enumerate() {
+        condition.friction = lowest + (highest - lowest) * (FIRST_FRICTION + FRICTION_STEP * i as f64).fract();
+    }
+    conditions
+}
+
 /// A grip with a little less than the force of the law, carried out.
 fn attempt<J: Judge>(judge: &J, grip: &J::Grip, condition: &Condition, mass_kg: f64) -> Result<Judged> {
     let belief = condition.belief(mass_kg);
-    let needed = match judge.plan(grip, &belief, Squeeze::Needed)? {
-        Ok(plan) => judge.squeeze_n(&plan),
+    let needed = match judge.squeeze_n(grip, &belief, Squeeze::Needed)? {
+        Ok(needed) => needed,
         Err(reason) => return Ok(Judged::refused(&reason)),
     };
     match judge.plan(grip, &belief, Squeeze::Total(PRACTICE_FORCE * needed))? {
-        Ok(plan) => judge.practise(&plan, &condition.truth(mass_kg)),
+        Ok(plan) => judge.try_out(&plan, &condition.truth(mass_kg)),
         Err(reason) => Ok(Judged::refused(&reason)),
     }
 }
@@ -378,6 +394,14 @@ mod tests {
         }
         let again = task.varied(&start[..12], 1).unwrap();
         assert!(again.iter().map(|g| &g.grasp).eq(better.iter().map(|g| &g.grasp)));
+    }
+
+    #[test]
+    fn each_stage_sees_low_and_high_friction() {
+        let frictions = conditions(&Spread::default(), 3).into_iter().map(|c| c.friction);
+        let quarters: Vec<usize> = frictions.map(|f| ((f - 0.3) / 0.125) as usize).collect();
+        assert_eq!(quarters[..4], [0, 2, 1, 3]);
+        assert_eq!([0, 1, 2, 3].map(|q| quarters.iter().filter(|x| **x == q).count()), [6; 4]);
     }
 
     #[test]

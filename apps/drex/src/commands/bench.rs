@@ -19,7 +19,6 @@ use crate::bench::library::{Kind, Library, LibraryOptions};
 use crate::bench::objects::{self, ObjectSpec};
 use crate::bench::table::Table;
 use crate::bench::thing::{POINTS, Thing};
-use crate::bench::wraps::PINCHES_FOR_ONE;
 use crate::cli::{BenchCommand, BenchCommon, DemosArgs, GraspBenchArgs};
 use crate::picture::clip::{self, Posed};
 use crate::ui::Ui;
@@ -123,8 +122,7 @@ fn library_options(common: &BenchCommon, seed: u64) -> LibraryOptions {
     let mut options = LibraryOptions::default();
     options.people.clips = common.clips as usize;
     options.candidates = CANDIDATES_PER_CLIP * options.people.clips;
-    options.wraps.tries = options.candidates / PINCHES_FOR_ONE;
-    (options.people.seed, options.wraps.seed) = (seed, seed);
+    options.people.seed = seed;
     options
 }
 

@@ -10,10 +10,9 @@ use nalgebra::Vector3;
 
 use super::{FitFile, Twin};
 use crate::bench::judge::Rollouts;
-use crate::bench::library::{Grasp, searched};
+use crate::bench::library::{Grasp, found};
 use crate::bench::objects::ObjectSpec;
 use crate::bench::thing::Thing;
-use crate::bench::wraps::{self, PINCHES_FOR_ONE, WrapOptions};
 
 /// Hand and object, ready to be simulated.
 pub struct Ground {
@@ -52,10 +51,7 @@ impl Ground {
             grasps.extend(measured.map(|g| Grasp { clip: fit.demonstration, ..g }));
         }
         if search > 0 {
-            let tries = search.div_ceil(PINCHES_FOR_ONE);
-            let wraps = WrapOptions { tries, friction, seed, ..WrapOptions::default() };
-            grasps.extend(wraps::grasps(&self.thing, &self.robot, &wraps)?);
-            grasps.extend(searched(&self.thing, &self.robot, search, friction, seed)?);
+            grasps.extend(found(&self.thing, &self.robot, search, friction, seed)?);
         }
         Ok(grasps)
     }
