@@ -24,8 +24,8 @@ const SAME_M: f64 = 0.004;
 /// Points of a link that may come to bear on the object once the fingers press, at most.
 const MAY_BEAR: usize = 2;
 
-/// Least squeeze in units of what the joints' dry friction withstands: half of that friction is made good for, so a finger delivers what it is told
-/// to within the other half, here at least two thirds.
+/// Least squeeze in units of what the joints' dry friction withstands: once it is shaken a finger presses with what it is told to within that, here with at
+/// least a third.
 const FRICTIONS: f64 = 1.5;
 /// A push with less than this lever does not move a joint, m.
 const LEVER_M: f64 = 1e-3;

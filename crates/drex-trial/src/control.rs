@@ -12,9 +12,11 @@ use crate::timeline::{APPROACHED_S, CLOSED_S, SQUEEZED_S};
 /// all, the least squeeze of the law; more would partly stay in the joints' friction. Joints that have no part in a squeeze hold their
 /// place with as much.
 const CLOSING_NM: f64 = 0.02;
-/// Share of a joint's dry friction that is made good for in the squeeze. A finger at rest delivers what it is told less this friction,
-/// or as much more as it was pressed before: with half of it made good for, the mean is what was commanded.
-const FRICTION_SHARE: f64 = 0.5;
+/// Ends of the parts of the squeeze, as shares of its time. A finger at rest presses with what it pressed with before, as far as its joints' dry friction
+/// allows. So joints are told less than the squeeze by their friction, which lets go of what is too much, then more by as much, which makes good
+/// for what is too little, then the squeeze; from there on friction withstands as much one way as the other.
+const LET_GO: f64 = 0.5;
+const MADE_GOOD: f64 = 0.8;
 /// Part of the time of closing after which the fingers have been told the whole way; the rest is for settling.
 const CLOSING_SHARE: f64 = 0.75;
 /// Errors of a joint below this do not say which way its friction acts, rad.
@@ -80,7 +82,18 @@ impl<'a> Controller<'a> {
         if t < SQUEEZED_S {
             let s = (t - CLOSED_S) / (SQUEEZED_S - CLOSED_S);
             let squeeze = self.squeeze(q, &base);
-            return self.position(q, |j| own[j] + (1.0 - s) * self.closing[j] + s * squeeze[j]);
+            let told = |j: usize| {
+                let friction = self.robot.joints[j].friction_loss * (squeeze[j] / FRICTION_BLEND_NM).tanh();
+                let (less, more) = (squeeze[j] - friction, squeeze[j] + friction);
+                if s < LET_GO {
+                    between(self.closing[j], less, s / LET_GO)
+                } else if s < MADE_GOOD {
+                    between(less, more, (s - LET_GO) / (MADE_GOOD - LET_GO))
+                } else {
+                    between(more, squeeze[j], (s - MADE_GOOD) / (1.0 - MADE_GOOD))
+                }
+            };
+            return self.position(q, |j| own[j] + told(j));
         }
         // As a drive that holds its place with a limited current: what the object does to the fingers brings no more than the law reckoned with.
         let (held, squeeze) = self.held.take().unwrap_or_else(|| (q.to_vec(), self.squeeze(q, &base)));
@@ -109,8 +122,7 @@ impl<'a> Controller<'a> {
     }
 }
 
-/// Jᵀ f of forces on the object (the reaction moves the joints the other way), plus a share of the joints' dry friction in its
-/// direction.
+/// Jᵀ f of forces on the object (the reaction moves the joints the other way).
 pub(crate) fn squeeze_torques(robot: &Robot, q: &[f64], base: &Pose, pushes: &[Push]) -> Vec<f64> {
     let poses = robot.forward_kinematics(q, base);
     let mut torque = vec![0.0; robot.dof()];
@@ -119,8 +131,9 @@ pub(crate) fn squeeze_torques(robot: &Robot, q: &[f64], base: &Pose, pushes: &[P
         let tau = linear.tr_mul(&push.force);
         torque.iter_mut().zip(tau.iter()).for_each(|(t, x)| *t += x);
     }
-    for (t, joint) in torque.iter_mut().zip(&robot.joints) {
-        *t += FRICTION_SHARE * joint.friction_loss * (*t / FRICTION_BLEND_NM).tanh();
-    }
     torque
+}
+
+fn between(from: f64, to: f64, share: f64) -> f64 {
+    from + (to - from) * share
 }

@@ -90,7 +90,7 @@ pub struct Command {
     pub joints: Vec<f64>,
     /// Where the palm goes, given where the object is believed to be.
     pub world_from_palm: Pose,
-    /// Joint torques of the squeeze, N m: Jᵀ f and what the joints' dry friction takes of it, without what holds the hand's own weight.
+    /// Joint torques of the squeeze, Jᵀ f, N m, without what holds the hand's own weight.
     pub torques_nm: Vec<f64>,
     /// Most that each joint brings to bear on the object, N m: the largest of its torques with this squeeze at rest and under the shakes that the
     /// law reckons with. A joint that holds its place with no more than its torque at rest gives way when the object is shaken.
