@@ -14,9 +14,11 @@ use crate::timeline::{APPROACHED_S, CLOSED_S, SQUEEZED_S};
 const CLOSING_NM: f64 = 0.02;
 /// Ends of the parts of the squeeze, as shares of its time. A finger at rest presses with what it pressed with before, as far as its joints' dry friction
 /// allows. So joints are told less than the squeeze by their friction, which lets go of what is too much, then more by as much, which makes good
-/// for what is too little, then the squeeze; from there on friction withstands as much one way as the other.
+/// for what is too little, then the squeeze.
 const LET_GO: f64 = 0.5;
 const MADE_GOOD: f64 = 0.8;
+/// Share of a joint's dry friction that is made good for from there on: a shaken finger loses no more than half of that friction of what it presses with.
+const FRICTION_SHARE: f64 = 0.5;
 /// Part of the time of closing after which the fingers have been told the whole way; the rest is for settling.
 const CLOSING_SHARE: f64 = 0.75;
 /// Errors of a joint below this do not say which way its friction acts, rad.
@@ -83,28 +85,42 @@ impl<'a> Controller<'a> {
             let s = (t - CLOSED_S) / (SQUEEZED_S - CLOSED_S);
             let squeeze = self.squeeze(q, &base);
             let told = |j: usize| {
-                let friction = self.robot.joints[j].friction_loss * (squeeze[j] / FRICTION_BLEND_NM).tanh();
-                let (less, more) = (squeeze[j] - friction, squeeze[j] + friction);
+                let (less, more) =
+                    (squeeze[j] - self.friction(j, squeeze[j]), squeeze[j] + self.friction(j, squeeze[j]));
                 if s < LET_GO {
                     between(self.closing[j], less, s / LET_GO)
                 } else if s < MADE_GOOD {
                     between(less, more, (s - LET_GO) / (MADE_GOOD - LET_GO))
                 } else {
-                    between(more, squeeze[j], (s - MADE_GOOD) / (1.0 - MADE_GOOD))
+                    between(more, self.made_good(j, squeeze[j]), (s - MADE_GOOD) / (1.0 - MADE_GOOD))
                 }
             };
             return self.position(q, |j| own[j] + told(j));
         }
         // As a drive that holds its place with a limited current: what the object does to the fingers brings no more than the law reckoned with.
-        let (held, squeeze) = self.held.take().unwrap_or_else(|| (q.to_vec(), self.squeeze(q, &base)));
+        let (held, squeeze) = self.held.take().unwrap_or_else(|| {
+            let squeeze = self.squeeze(q, &base);
+            (q.to_vec(), squeeze.iter().enumerate().map(|(j, t)| self.made_good(j, *t)).collect())
+        });
         let mut torque = own.as_slice().to_vec();
         for d in self.drives {
             let j = d.joint;
-            let most = self.limits_nm.get(j).copied().unwrap_or(0.0).max(squeeze[j].abs()).max(CLOSING_NM);
+            let limit = self.limits_nm.get(j).copied().unwrap_or(0.0);
+            let most = self.made_good(j, limit).max(squeeze[j].abs()).max(CLOSING_NM);
             torque[j] += (squeeze[j] + d.stiffness * d.gear * d.gear * (held[j] - q[j])).clamp(-most, most);
         }
         self.held = Some((held, squeeze));
         self.position(q, |j| torque[j])
+    }
+
+    /// Dry friction of a joint in the direction of a torque.
+    fn friction(&self, joint: usize, torque_nm: f64) -> f64 {
+        self.robot.joints[joint].friction_loss * (torque_nm / FRICTION_BLEND_NM).tanh()
+    }
+
+    /// The torque with what is made good for.
+    fn made_good(&self, joint: usize, torque_nm: f64) -> f64 {
+        torque_nm + FRICTION_SHARE * self.friction(joint, torque_nm)
     }
 
     /// Joint torques of the pushes.
