@@ -111,7 +111,7 @@ impl Trial {
     /// # Errors
     /// If the model cannot be simulated; [`Error::NoMujoco`] for a judge that this build lacks. A grasp that fails is no error.
     pub fn run(&self, command: &Command, truth: &Truth, judge: Judge) -> Result<Outcome> {
-        self.carry_out(command, truth, judge, &mut |_, _, _, _| true)
+        self.carry_out(command, truth, judge, &mut |_, _, _| true)
     }
 
     /// [`Trial::run`] until the first rule is broken: of a failure only the verdict and its time say what they say there.
@@ -119,7 +119,7 @@ impl Trial {
     /// # Errors
     /// As [`Trial::run`].
     pub fn try_out(&self, command: &Command, truth: &Truth, judge: Judge) -> Result<Outcome> {
-        self.carry_out(command, truth, judge, &mut |_, _, _, holds| holds)
+        self.carry_out(command, truth, judge, &mut |_, _, watch| watch.holds())
     }
 
     /// [`Trial::run`], and what could be seen meanwhile: a frame every `every_s` seconds from the start on, until the trial ends.
@@ -131,14 +131,14 @@ impl Trial {
             return Err(Error::value(format!("a frame every {every_s} s"), "give a positive time, such as 0.04"));
         }
         let mut frames: Vec<Frame> = Vec::new();
-        let outcome = self.carry_out(command, truth, judge, &mut |time_s, engine, finger_n, _| {
+        let outcome = self.carry_out(command, truth, judge, &mut |time_s, engine, watch| {
             if time_s >= frames.len() as f64 * every_s {
                 frames.push(Frame {
                     time_s,
                     world_from_base: engine.world_from_base(),
                     joints: engine.joints().to_vec(),
                     world_from_object: engine.world_from_object(),
-                    finger_n: finger_n.to_vec(),
+                    finger_n: watch.finger_n().to_vec(),
                 });
             }
             true
@@ -146,13 +146,13 @@ impl Trial {
         Ok((outcome, frames))
     }
 
-    /// `seen` gets time, engine, smoothed forces of the fingers and whether all rules are kept after every command, and says whether to go on.
+    /// `seen` gets time, engine and what was measured after every command, and says whether to go on.
     fn carry_out(
         &self,
         command: &Command,
         truth: &Truth,
         judge: Judge,
-        seen: &mut dyn FnMut(f64, &Engine, &[f64], bool) -> bool,
+        seen: &mut dyn FnMut(f64, &Engine, &Watch<'_>) -> bool,
     ) -> Result<Outcome> {
         truth.check()?;
         let (mut engine, drives) =
@@ -175,7 +175,7 @@ impl Trial {
             }
             let time_s = (i + 1) as f64 * tick_s;
             let goes_on = watch.look(time_s, truth.friction, &engine);
-            if !seen(time_s, &engine, watch.finger_n(), watch.holds()) || !goes_on {
+            if !seen(time_s, &engine, &watch) || !goes_on {
                 break;
             }
         }
