@@ -66,6 +66,8 @@ joint_names = ["ffj0", "ffj1"]
 clock = { kind = "unix" }
 "#;
 
+const CAMERA_POSE: &str = "world_from_camera = { position_m = [0, 0, 1], quat_wxyz = [1, 0, 0, 0] }";
+
 const TOSS: &str =
     "schema = 1\nmesh = \"box.obj\"\n[track]\nfile = \"pose.csv\"\nformat = \"pose_csv\"\nframe = \"world\"\n";
 
@@ -127,6 +129,14 @@ fn all_four_kinds_of_push_can_be_said() {
     let bare = Push::new(&HAND.replace("up_in_mesh = [0, 0, 2]\npush_in_mesh = [1, 0, 0]\n", "")).load();
     assert_eq!(bare.track_frame, TrackFrame::Camera { of_mesh: false, up: None, push: None });
 
+    // A quarter turn about z, then a metre down: the tracked (0.1, 0, 0.8) is (0, 0.1, -0.2) in the world.
+    let pose = "world_from_camera = { position_m = [0, 0, -1], quat_wxyz = [0.5, 0, 0, 0.5] }\n";
+    let pose = pose.replace("0.5", &std::f64::consts::FRAC_1_SQRT_2.to_string());
+    let known = Push::new(&HAND.replace("up_in_mesh = [0, 0, 2]\npush_in_mesh = [1, 0, 0]\n", &pose)).load();
+    let at = known.track.poses()[0].translation.vector;
+    assert_eq!(known.track_frame, TrackFrame::World);
+    assert!((at - nalgebra::Vector3::new(0.0, 0.1, -0.2)).norm() < 1e-12, "{at}");
+
     let toss = Push::new(TOSS).load();
     assert!(matches!(toss.drive, Drive::Nothing) && toss.track.times_s()[0] == 0.0);
     for text in [FORCE, FINGER, HAND, TOSS] {
@@ -171,6 +181,13 @@ fn spoiled_push_files_are_named_with_the_place() {
         (FINGER, "quat_wxyz = [1, 0, 0, 0]", "quat_wxyz = [0, 0, 0, 0]", "norm 0.0000"),
         (FINGER, "offset_s = 10.0", "offset_s = 0.0", "do not overlap"),
         (HAND, "up_in_mesh = [0, 0, 2]", "up_in_mesh = [0, 0, 0]", "no direction"),
+        (HAND, "up_in_mesh = [0, 0, 2]", CAMERA_POSE, "already says what up_in_mesh and push_in_mesh would"),
+        (
+            TOSS,
+            "frame = \"world\"",
+            format!("frame = \"world\"\n{CAMERA_POSE}").as_str(),
+            "world_from_camera has no meaning",
+        ),
         (HAND, "-07:00", "soon", "names no UTC offset"),
         (HAND, "-07:00", "-06:00", "time zone"),
         (HAND, ", utc_offset = \"-07:00\"", "", "utc_offset"),

@@ -63,8 +63,8 @@ pub(crate) fn explain(
             "no known force acted on the object: gravity, friction and impact scale with its mass, so every mass moves \
                            the same way{shown}; push it with a known force, tip it, or lift it"
         ),
-        _ => "the poses are given in a camera of unknown pose, where neither gravity nor the force has a direction; record the \
-              camera's pose in the world"
+        _ => "the poses are given in a camera of unknown pose, where neither gravity nor the force has a direction; state the \
+              camera's pose in the world (world_from_camera in push.toml)"
             .into(),
     };
     Ok(finding)

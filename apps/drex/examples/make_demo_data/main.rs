@@ -174,6 +174,7 @@ fn make_push(shells: &[TriMesh], mass_kg: f64, mesh: &str, folder: &Path) -> Res
             obj_id: None,
             clock: ClockConfig::default(),
             frame: FrameKind::World,
+            world_from_camera: None,
             up_in_mesh: None,
             push_in_mesh: None,
             tracked_from_mesh: None,

@@ -40,12 +40,12 @@ impl PushConfig {
         });
         let unit = |v: [f64; 3]| Vector3::from(v).normalize();
         let track_frame = match self.track.frame {
-            FrameKind::Camera => TrackFrame::Camera {
+            FrameKind::Camera if self.track.world_from_camera.is_none() => TrackFrame::Camera {
                 of_mesh: self.track.tracked_from_mesh.is_some(),
                 up: self.track.up_in_mesh.map(unit),
                 push: self.track.push_in_mesh.map(unit),
             },
-            FrameKind::World => TrackFrame::World,
+            FrameKind::Camera | FrameKind::World => TrackFrame::World,
         };
         Ok(PushRecording {
             track_frame,
@@ -72,7 +72,7 @@ impl PushConfig {
         files
     }
 
-    /// The track of the mesh frame on the common clock, not yet shifted to the start.
+    /// The track of the mesh frame on the common clock, not yet shifted to the start; in the world where the camera's pose is known.
     fn read_track(&self, file: &Path) -> Result<Trajectory> {
         let t = &self.track;
         // `check` has made sure that the formats that need a rate have one.
@@ -85,6 +85,10 @@ impl PushConfig {
         };
         let track = match &t.tracked_from_mesh {
             Some(pose) => track.right_mul(&pose.pose("[track] tracked_from_mesh")?),
+            None => track,
+        };
+        let track = match &t.world_from_camera {
+            Some(pose) => track.left_mul(&pose.pose("[track] world_from_camera")?),
             None => track,
         };
         Ok(track.shifted(t.clock.offset_s.unwrap_or(0.0)))

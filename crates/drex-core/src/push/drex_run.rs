@@ -120,6 +120,7 @@ pub fn to_push_config(run_json: &Path, folder: &Path) -> Result<PushConfig> {
                 offset_s: None,
             },
             frame: FrameKind::Camera,
+            world_from_camera: None,
             up_in_mesh: up.map(|up| (rotation.inverse() * up).into()),
             push_in_mesh: push,
             tracked_from_mesh: tracked_from_mesh.as_ref().map(PoseConfig::from),

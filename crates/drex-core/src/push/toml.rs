@@ -26,7 +26,7 @@
 //! contact_height = { mean = 0.0, sd = 0.005 }            # known roughly
 //! ```
 //!
-//! A logged hand and a camera that nobody calibrated; two clocks:
+//! A logged hand and a camera that nobody calibrated (of one that is, say `world_from_camera = { position_m, quat_wxyz }`); two clocks:
 //!
 //! ```toml
 //! schema = 1
@@ -142,15 +142,17 @@ pub struct TrackConfig {
     /// What its stamps count.
     #[serde(default)]
     pub clock: ClockConfig,
-    /// Whether the poses are given in the world or in a camera whose pose is unknown.
+    /// Whether the poses are given in the world or in a camera.
     pub frame: FrameKind,
-    /// For a camera: up in the mesh frame while the object rests before the push, if known; in the tracked frame, where
+    /// For a camera: its pose in the world (x right, y down, z forward), which brings the poses to the world, if it is known.
+    pub world_from_camera: Option<PoseConfig>,
+    /// For a camera of unknown pose: up in the mesh frame while the object rests before the push, if known; in the tracked frame, where
     /// `tracked_from_mesh` is left out.
     pub up_in_mesh: Option<[f64; 3]>,
-    /// For a camera: horizontal direction of the push in the same frame, if known.
+    /// For a camera of unknown pose: horizontal direction of the push in the same frame, if known.
     pub push_in_mesh: Option<[f64; 3]>,
-    /// Pose of the mesh frame in the tracked frame. Left out, poses in the world are those of the mesh frame; for a camera the
-    /// two are taken to be the same unless the track contradicts it.
+    /// Pose of the mesh frame in the tracked frame. Left out, poses in the world are those of the mesh frame; for a camera of unknown pose
+    /// the two are taken to be the same unless the track contradicts it.
     pub tracked_from_mesh: Option<PoseConfig>,
     /// Standard deviations, if known.
     pub noise: Option<PoseNoise>,
@@ -177,7 +179,7 @@ pub enum TrackFormat {
 pub enum FrameKind {
     /// World: z up, the table known.
     World,
-    /// A camera whose own pose is unknown.
+    /// A camera; its own pose may be unknown.
     Camera,
 }
 
@@ -315,10 +317,17 @@ impl PushConfig {
             return refuse("mass_prior_kg is not positive".into(), "give kilograms, or leave it out");
         }
         let t = &self.track;
-        if t.frame == FrameKind::World && t.up_in_mesh.is_some() {
+        if t.frame == FrameKind::World && (t.up_in_mesh.is_some() || t.world_from_camera.is_some()) {
+            let name = if t.up_in_mesh.is_some() { "up_in_mesh" } else { "world_from_camera" };
             return refuse(
-                "[track] up_in_mesh has no meaning in the world".into(),
+                format!("[track] {name} has no meaning in the world"),
                 "remove it or set frame = \"camera\"",
+            );
+        }
+        if t.world_from_camera.is_some() && (t.up_in_mesh.is_some() || t.push_in_mesh.is_some()) {
+            return refuse(
+                "[track] world_from_camera already says what up_in_mesh and push_in_mesh would".into(),
+                "remove these two, or world_from_camera",
             );
         }
         for (name, vector) in [("up_in_mesh", &t.up_in_mesh), ("push_in_mesh", &t.push_in_mesh)] {
