@@ -12,7 +12,7 @@ use common::{drex, edit, keep_demonstrations, shared_data, tin_copy};
 #[test]
 fn the_tin_is_weighed_lifted_and_grasped_and_the_second_run_has_nothing_to_do() {
     let (_dir, out) = tin_copy();
-    // Enough for every stage to have something to do; what all of them teach is the business of the demo's test.
+    // Enough for every stage to have something to do; the demo's test has the whole path at full size.
     keep_demonstrations(&out, 12);
     let run = drex(["run", "--json", out.to_str().unwrap()]);
     assert_eq!(run.code, 0, "{}", run.stderr);

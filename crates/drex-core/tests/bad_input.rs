@@ -132,14 +132,15 @@ fn all_four_kinds_of_push_can_be_said() {
     // A quarter turn about z, then a metre down: the tracked (0.1, 0, 0.8) is (0, 0.1, -0.2) in the world.
     let pose = "world_from_camera = { position_m = [0, 0, -1], quat_wxyz = [0.5, 0, 0, 0.5] }\n";
     let pose = pose.replace("0.5", &std::f64::consts::FRAC_1_SQRT_2.to_string());
-    let known = Push::new(&HAND.replace("up_in_mesh = [0, 0, 2]\npush_in_mesh = [1, 0, 0]\n", &pose)).load();
+    let calibrated = HAND.replace("up_in_mesh = [0, 0, 2]\npush_in_mesh = [1, 0, 0]\n", &pose);
+    let known = Push::new(&calibrated).load();
     let at = known.track.poses()[0].translation.vector;
     assert_eq!(known.track_frame, TrackFrame::World);
     assert!((at - nalgebra::Vector3::new(0.0, 0.1, -0.2)).norm() < 1e-12, "{at}");
 
     let toss = Push::new(TOSS).load();
     assert!(matches!(toss.drive, Drive::Nothing) && toss.track.times_s()[0] == 0.0);
-    for text in [FORCE, FINGER, HAND, TOSS] {
+    for text in [FORCE, FINGER, HAND, TOSS, &calibrated] {
         let file = Push::new(text);
         let config = PushConfig::read(&file.path("push.toml")).unwrap();
         file.write("push.toml", &config.to_toml_string().unwrap());
@@ -187,6 +188,13 @@ fn spoiled_push_files_are_named_with_the_place() {
             "frame = \"world\"",
             format!("frame = \"world\"\n{CAMERA_POSE}").as_str(),
             "world_from_camera has no meaning",
+        ),
+        (TOSS, "frame = \"world\"", "frame = \"world\"\npush_in_mesh = [1, 0, 0]", "push_in_mesh has no meaning"),
+        (
+            HAND,
+            "up_in_mesh = [0, 0, 2]\npush_in_mesh = [1, 0, 0]",
+            "world_from_camera = { position_m = [0, 0, 1], quat_wxyz = [2, 0, 0, 0] }",
+            "[track] world_from_camera",
         ),
         (HAND, "-07:00", "soon", "names no UTC offset"),
         (HAND, "-07:00", "-06:00", "time zone"),

@@ -25,8 +25,8 @@ pub struct MeshSdf {
     bounds: (Point3<f64>, Point3<f64>),
 }
 
-/// How far inside a face a nearest point has to be, in barycentric coordinates, and how far off the face the point itself, in diagonals of the mesh, for the
-/// face's normal to say the sign.
+/// How far inside a face a nearest point has to be, in barycentric coordinates, and how far off the face the point itself,
+/// in diagonals of the mesh, for the face's normal to say the sign.
 const MIDDLE: f64 = 1e-6;
 
 impl MeshSdf {

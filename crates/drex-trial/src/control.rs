@@ -17,8 +17,9 @@ const CLOSING_NM: f64 = 0.02;
 /// for what is too little, then the squeeze.
 const LET_GO: f64 = 0.5;
 const MADE_GOOD: f64 = 0.8;
-/// Share of a joint's dry friction that is made good for from there on. With none, shaken fingers lose some of what they press with and drop what they are
-/// told to hold; with half, they press with so much more than a small squeeze that half of what is needed holds (docs/grasping.md).
+/// Share of a joint's dry friction that is made good for from there on. With none, shaken fingers lose some of what they
+/// press with and drop what they are told to hold; with half, they press with so much more than a small squeeze that half
+/// of what is needed holds (docs/grasping.md).
 const FRICTION_SHARE: f64 = 0.25;
 /// Part of the time of closing after which the fingers have been told the whole way; the rest is for settling.
 const CLOSING_SHARE: f64 = 0.75;

@@ -16,7 +16,8 @@ use crate::{Judge, TrialObject, Truth};
 const STIFFNESS: f64 = 0.8;
 const DAMPING: f64 = 0.02;
 
-/// Steps of MuJoCo in one of ours: the shorter its steps, the less slides there what is held (median 2.0 mm at 2 ms, 1.4 mm at 1 ms: docs/grasping.md).
+/// Steps of MuJoCo in one of ours: the shorter its steps, the less slides there what is held (median 2.0 mm at 2 ms, 1.4 mm
+/// at 1 ms: docs/grasping.md).
 #[cfg(feature = "mujoco")]
 const MUJOCO_STEPS: usize = 2;
 

@@ -62,7 +62,8 @@ fn a_small_squeeze_is_not_what_the_closing_left() {
         })
         .collect();
     ratios.sort_by(f64::total_cmp);
-    // Without letting go of what the closing left up to 1.44; with twice the share of friction made good for in the hold 1.33 in the middle.
+    // Without letting go of what the closing left up to 1.44; with twice the share of friction made good for in the hold
+    // 1.33 in the middle.
     assert!(ratios.len() >= 6, "{ratios:?}");
     assert!(ratios[ratios.len() / 2] < 1.25 && ratios[ratios.len() - 1] < 1.35, "{ratios:?}");
 }

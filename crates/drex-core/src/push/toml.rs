@@ -26,7 +26,8 @@
 //! contact_height = { mean = 0.0, sd = 0.005 }            # known roughly
 //! ```
 //!
-//! A logged hand and a camera that nobody calibrated (of one that is, say `world_from_camera = { position_m, quat_wxyz }`); two clocks:
+//! A logged hand and a camera that nobody calibrated (of one that is, say `world_from_camera = { position_m, quat_wxyz }`
+//! in place of what is found in the track); two clocks:
 //!
 //! ```toml
 //! schema = 1
@@ -144,15 +145,16 @@ pub struct TrackConfig {
     pub clock: ClockConfig,
     /// Whether the poses are given in the world or in a camera.
     pub frame: FrameKind,
-    /// For a camera: its pose in the world (x right, y down, z forward), which brings the poses to the world, if it is known.
+    /// For a camera: its pose in the world (x right, y down, z forward), if it is known; the poses are then brought to the
+    /// world.
     pub world_from_camera: Option<PoseConfig>,
-    /// For a camera of unknown pose: up in the mesh frame while the object rests before the push, if known; in the tracked frame, where
-    /// `tracked_from_mesh` is left out.
+    /// For a camera of unknown pose: up in the mesh frame while the object rests before the push, if known; in the tracked
+    /// frame, where `tracked_from_mesh` is left out.
     pub up_in_mesh: Option<[f64; 3]>,
     /// For a camera of unknown pose: horizontal direction of the push in the same frame, if known.
     pub push_in_mesh: Option<[f64; 3]>,
-    /// Pose of the mesh frame in the tracked frame. Left out, poses in the world are those of the mesh frame; for a camera of unknown pose
-    /// the two are taken to be the same unless the track contradicts it.
+    /// Pose of the mesh frame in the tracked frame. Left out, poses in the world are those of the mesh frame; for a camera of
+    /// unknown pose the two are taken to be the same unless the track contradicts it.
     pub tracked_from_mesh: Option<PoseConfig>,
     /// Standard deviations, if known.
     pub noise: Option<PoseNoise>,
@@ -317,8 +319,14 @@ impl PushConfig {
             return refuse("mass_prior_kg is not positive".into(), "give kilograms, or leave it out");
         }
         let t = &self.track;
-        if t.frame == FrameKind::World && (t.up_in_mesh.is_some() || t.world_from_camera.is_some()) {
-            let name = if t.up_in_mesh.is_some() { "up_in_mesh" } else { "world_from_camera" };
+        let of_camera = [
+            ("world_from_camera", t.world_from_camera.is_some()),
+            ("up_in_mesh", t.up_in_mesh.is_some()),
+            ("push_in_mesh", t.push_in_mesh.is_some()),
+        ];
+        if t.frame == FrameKind::World
+            && let Some((name, _)) = of_camera.iter().find(|(_, given)| *given)
+        {
             return refuse(
                 format!("[track] {name} has no meaning in the world"),
                 "remove it or set frame = \"camera\"",
