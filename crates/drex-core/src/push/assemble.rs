@@ -161,7 +161,7 @@ impl PushConfig {
 
 impl PoseConfig {
     /// The pose; `entry` names it in messages.
-    fn pose(&self, entry: &str) -> Result<Pose> {
+    pub(super) fn pose(&self, entry: &str) -> Result<Pose> {
         pose_from_wxyz(self.position_m, self.quat_wxyz).map_err(|e| match e {
             Error::Value { what, remedy } => Error::value(format!("{entry}: {what}"), remedy),
             other => other,

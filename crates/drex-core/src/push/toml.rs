@@ -338,6 +338,15 @@ impl PushConfig {
                 "remove these two, or world_from_camera",
             );
         }
+        let poses = [
+            ("[track] world_from_camera", t.world_from_camera.as_ref()),
+            ("[track] tracked_from_mesh", t.tracked_from_mesh.as_ref()),
+            ("[start] pose", self.start.pose.as_ref()),
+            ("[hand] world_from_base", self.hand.as_ref().map(|h| &h.world_from_base)),
+        ];
+        for (name, pose) in poses {
+            pose.map(|p| p.pose(name)).transpose()?;
+        }
         for (name, vector) in [("up_in_mesh", &t.up_in_mesh), ("push_in_mesh", &t.push_in_mesh)] {
             if vector
                 .is_some_and(|v| Vector3::from(v).try_normalize(1e-9).is_none_or(|u| !u.iter().all(|c| c.is_finite())))
