@@ -5,11 +5,12 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use drex_core::camera::point_looked_at;
 use drex_core::{Pose, TriMesh, fsutil};
 use drex_mesh::{
     DecimateOptions, DepthCamera, DepthMap, DepthViews, FusionOptions, FusionReport, KnownDistance, PlaneOptions,
-    ScaleFit, Similarity, Support, TablePlane, decimate, fuse, object_on_table, point_looked_at, read_marks,
-    scale_from_distances, table_plane, triangulate_marks,
+    ScaleFit, Similarity, Support, TablePlane, decimate, fuse, object_on_table, read_marks, scale_from_distances,
+    table_plane, triangulate_marks,
 };
 use drex_splat::ReconstructOptions;
 use drex_splat::capture::{Capture, CaptureOptions, PhotoOptions, Photos};

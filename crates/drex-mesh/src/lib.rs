@@ -76,7 +76,7 @@ pub use io::{
 pub use mass::{Hollow, HowHollow, check_mass_properties, principal, shell_properties};
 pub use model::{Background, SceneOptions};
 pub use pieces::{HowDivided, PieceOptions, UnionDistance, convex_pieces, union_distance};
-pub use region::{ObjectRegion, object_on_table, point_looked_at};
+pub use region::{ObjectRegion, object_on_table};
 pub use repair::{DroppedBit, RepairOptions, RepairReport, repair};
 pub use rest::{RestOptions, RestPose, settled_pose, stable_poses};
 pub use sample::{farthest_points, sample_surface};

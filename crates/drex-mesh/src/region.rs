@@ -2,9 +2,9 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use nalgebra::{Matrix3, Point3, Vector3};
-
 use drex_core::Pose;
+use drex_core::camera::point_looked_at;
+use nalgebra::{Point3, Vector3};
 
 use crate::{Error, Result};
 
@@ -31,22 +31,6 @@ pub struct ObjectRegion {
     pub points: usize,
     /// Groups of points that stand on the table and are not the object.
     pub others: usize,
-}
-
-/// The point that the cameras look at: nearest to all optical axes (least squares), world frame. `None` if the axes are
-/// parallel or there are fewer than two cameras (`world_from_camera`, z forward).
-pub fn point_looked_at(cameras: &[Pose]) -> Option<Point3<f64>> {
-    let (mut a, mut b) = (Matrix3::zeros(), Vector3::zeros());
-    for camera in cameras {
-        let d = camera.rotation * Vector3::z();
-        let across = Matrix3::identity() - d * d.transpose();
-        a += across;
-        b += across * camera.translation.vector;
-    }
-    if cameras.len() < 2 || a.symmetric_eigenvalues().min() < 1e-4 * cameras.len() as f64 {
-        return None;
-    }
-    a.try_inverse().map(|inverse| Point3::from(inverse * b))
 }
 
 /// The box of the object among the sparse points of a scan without masks, by grouping the points above the table:

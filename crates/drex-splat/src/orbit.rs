@@ -137,7 +137,7 @@ fn sideways(up: &Vector3<f64>) -> Vector3<f64> {
 }
 
 /// The value below which a `part` of the values lies; `None` of nothing.
-fn quantile(mut values: Vec<f64>, part: f64) -> Option<f64> {
+pub(crate) fn quantile(mut values: Vec<f64>, part: f64) -> Option<f64> {
     let k = ((values.len() as f64 - 1.0) * part).round() as usize;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(k, f64::total_cmp).1)
 }

@@ -3,13 +3,15 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use drex_core::fsutil;
+use drex_core::camera::point_looked_at;
+use drex_core::{Pose, fsutil};
 use serde::Serialize;
 
 use crate::capture::{Capture, CaptureReport, PhotoOptions, Photos};
 use crate::io::{npy, picture, ply};
 use crate::loss::{MaskMode, surface_depth};
 use crate::metrics::{Table, similarity};
+use crate::orbit::quantile;
 use crate::train::{DensityChoice, NEAR, Preset, Progress, TrainOptions, Trainer, VisualHull, from_points};
 use crate::{Error, Gaussians, Kind, Label, PinholeCamera, Rasterizer, RenderOptions, Result, usage};
 
@@ -142,7 +144,7 @@ pub fn reconstruct<R: Rasterizer + Clone>(
     let job = Job::new(capture, report, options)?;
     let appearance = job.train(Kind::Ellipsoid, rasterizer, out, on_progress)?;
     let surface = job.train(Kind::Surfel, rasterizer, out, on_progress)?;
-    let depth_maps = write_depth_maps(&out.join("depth"), capture, &job.photos, rasterizer, &appearance.0, &surface.0)?;
+    let depth_maps = write_depth_maps(&out.join("depth"), &job, rasterizer, &appearance.0, &surface.0)?;
     let reconstruction = Reconstruction {
         photos_trained: job.trained.len(),
         photos_held_out: job.held_out.len(),
@@ -215,6 +217,8 @@ struct Job<'a> {
     held_out: Vec<usize>,
     left_out: Vec<String>,
     masked: bool,
+    /// Of all photos, see [`near_depths`].
+    near: Vec<f32>,
     /// Silhouettes of the photos trained on, empty unless masks are used.
     hull: VisualHull,
     /// Silhouettes of all photos: cuts the finished sets, after they have been measured, or labels a whole scene.
@@ -275,7 +279,8 @@ impl<'a> Job<'a> {
                 remedy: "mend the masks or cameras, or train the whole scene without masks".into(),
             });
         }
-        Ok(Self { capture, options, photos, trained, held_out, left_out, masked, hull, whole_hull })
+        let near = near_depths(capture, &photos);
+        Ok(Self { capture, options, photos, trained, held_out, left_out, masked, near, hull, whole_hull })
     }
 
     /// Trains one set, measures it, cuts it to the hull and writes it.
@@ -304,7 +309,7 @@ impl<'a> Job<'a> {
                 remedy: "give the settings it was made with, or leave --resume out to start anew".into(),
             });
         }
-        trainer.set_hull(self.hull.clone());
+        trainer.set_hull(self.hull_of(kind));
         while !trainer.is_done() {
             let progress = trainer.step()?;
             let every = self.options.checkpoint_every;
@@ -330,6 +335,18 @@ impl<'a> Job<'a> {
         let summary =
             SetSummary { file, gaussians: gaussians.len(), outside_hull, iterations, core_seconds, seconds, held_out };
         Ok((gaussians, summary))
+    }
+
+    /// What Gaussians may not leave in training.
+    fn hull_of(&self, kind: Kind) -> VisualHull {
+        let mut hull = self.hull.clone();
+        // With masks nothing is left that could hang before a lens, and looks do not mind what hangs there.
+        if kind == Kind::Surfel && !self.masked {
+            for &i in &self.trained {
+                hull.keep_free(self.photos.camera(i), f64::from(self.near[i]));
+            }
+        }
+        hull
     }
 
     fn train_options(&self, kind: Kind) -> TrainOptions {
@@ -395,16 +412,15 @@ impl<'a> Job<'a> {
 /// `depth/`: depth of the surface for every photo's camera. Gives how many.
 fn write_depth_maps<R: Rasterizer>(
     folder: &Path,
-    capture: &Capture,
-    photos: &Photos,
+    job: &Job<'_>,
     rasterizer: &R,
     appearance: &Gaussians,
     surface: &Gaussians,
 ) -> Result<usize> {
-    let options = RenderOptions { near: NEAR * capture.extent() as f32, ..RenderOptions::default() };
     let mut frames = Vec::new();
-    for (i, view) in capture.views.iter().enumerate() {
-        let camera = &fitting(photos.camera(i), DEPTH_SIDE);
+    for (i, view) in job.capture.views.iter().enumerate() {
+        let camera = &fitting(job.photos.camera(i), DEPTH_SIDE);
+        let options = RenderOptions { near: job.near[i], ..RenderOptions::default() };
         let stem = Path::new(&view.name).with_extension("");
         let at = |extension: &str| folder.join(format!("{}.{extension}", stem.display()));
         let looks = rasterizer.forward(appearance, camera, &options)?.0;
@@ -420,6 +436,27 @@ fn write_depth_maps<R: Rasterizer>(
     let text = serde_json::json!({ "camera_model": "PINHOLE", "frames": frames }).to_string();
     fsutil::write_atomic(&folder.join("transforms.json"), text.as_bytes())?;
     Ok(frames.len())
+}
+
+/// Depth in front of which each photo's camera sees nothing, scene units: 0.7 of where the sparse points in its picture
+/// begin, but no more than half the way to what all cameras look at, which may have no points. Photos alone cannot tell a
+/// curtain before a lens from the background whose colour it has, and its depth hides the object's.
+fn near_depths(capture: &Capture, photos: &Photos) -> Vec<f32> {
+    let poses: Vec<Pose> = capture.views.iter().map(|v| v.camera_from_world.inverse()).collect();
+    let target = point_looked_at(&poses);
+    let least = NEAR * capture.extent() as f32;
+    let near = |i: usize| {
+        let camera = photos.camera(i);
+        let inside = |([u, v], z): ([f64; 2], f64)| {
+            ((0.0..camera.width as f64).contains(&u) && (0.0..camera.height as f64).contains(&v)).then_some(z)
+        };
+        let depths = capture.points.iter().filter_map(|p| camera.project(&p.position.into()).and_then(inside));
+        // Not the nearest of all: a few points of a sparse model are wrong.
+        let first = quantile(depths.collect(), 0.02)?;
+        let (_, to_target) = camera.project(&target?)?;
+        Some((0.7 * first).min(0.5 * to_target) as f32)
+    };
+    (0..capture.views.len()).map(|i| near(i).map_or(least, |z| z.max(least))).collect()
 }
 
 /// The camera with no side longer than `side` pixels.

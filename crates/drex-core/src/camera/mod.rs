@@ -9,11 +9,11 @@
 mod lens;
 mod model;
 
-use nalgebra::{Matrix2, Matrix2x3, Point2, Point3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x3, Matrix3, Point2, Point3, Vector2, Vector3};
 
 use self::lens::Lens;
 pub use self::model::CameraModel;
-use crate::{Error, Result};
+use crate::{Error, Pose, Result};
 
 /// A camera: image size and intrinsic parameters.
 #[derive(Debug, Clone, PartialEq)]
@@ -162,4 +162,20 @@ impl Camera {
     pub fn contains(&self, pixel: &Point2<f64>) -> bool {
         (0.0..f64::from(self.width_px)).contains(&pixel.x) && (0.0..f64::from(self.height_px)).contains(&pixel.y)
     }
+}
+
+/// The point that the cameras look at: nearest to all optical axes (least squares), world frame. `None` if the axes are
+/// parallel or there are fewer than two cameras (`world_from_camera`, z forward).
+pub fn point_looked_at(cameras: &[Pose]) -> Option<Point3<f64>> {
+    let (mut a, mut b) = (Matrix3::zeros(), Vector3::zeros());
+    for camera in cameras {
+        let d = camera.rotation * Vector3::z();
+        let across = Matrix3::identity() - d * d.transpose();
+        a += across;
+        b += across * camera.translation.vector;
+    }
+    if cameras.len() < 2 || a.symmetric_eigenvalues().min() < 1e-4 * cameras.len() as f64 {
+        return None;
+    }
+    a.try_inverse().map(|inverse| Point3::from(inverse * b))
 }
