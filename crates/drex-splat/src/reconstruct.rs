@@ -5,9 +5,10 @@ use std::time::Instant;
 
 use drex_core::camera::point_looked_at;
 use drex_core::{Pose, fsutil};
+use nalgebra::Point3;
 use serde::Serialize;
 
-use crate::capture::{Capture, CaptureReport, PhotoOptions, Photos};
+use crate::capture::{Capture, CaptureReport, PhotoOptions, Photos, SparsePoint};
 use crate::io::{npy, picture, ply};
 use crate::loss::{MaskMode, surface_depth};
 use crate::metrics::{Table, similarity};
@@ -217,7 +218,7 @@ struct Job<'a> {
     held_out: Vec<usize>,
     left_out: Vec<String>,
     masked: bool,
-    /// Of all photos, see [`near_depths`].
+    /// Of all photos: [`near_depth`], scene units.
     near: Vec<f32>,
     /// Silhouettes of the photos trained on, empty unless masks are used.
     hull: VisualHull,
@@ -279,7 +280,7 @@ impl<'a> Job<'a> {
                 remedy: "mend the masks or cameras, or train the whole scene without masks".into(),
             });
         }
-        let near = near_depths(capture, &photos);
+        let near = near_depths(capture, &photos, &trained);
         Ok(Self { capture, options, photos, trained, held_out, left_out, masked, near, hull, whole_hull })
     }
 
@@ -438,25 +439,28 @@ fn write_depth_maps<R: Rasterizer>(
     Ok(frames.len())
 }
 
-/// Depth in front of which each photo's camera sees nothing, scene units: 0.7 of where the sparse points in its picture
-/// begin, but no more than half the way to what all cameras look at, which may have no points. Photos alone cannot tell a
-/// curtain before a lens from the background whose colour it has, and its depth hides the object's.
-fn near_depths(capture: &Capture, photos: &Photos) -> Vec<f32> {
-    let poses: Vec<Pose> = capture.views.iter().map(|v| v.camera_from_world.inverse()).collect();
+/// [`near_depth`] of all photos. What cameras look at is asked of those trained on: others may stand wrong.
+fn near_depths(capture: &Capture, photos: &Photos, trained: &[usize]) -> Vec<f32> {
+    let poses: Vec<Pose> = trained.iter().map(|&i| capture.views[i].camera_from_world.inverse()).collect();
     let target = point_looked_at(&poses);
     let least = NEAR * capture.extent() as f32;
-    let near = |i: usize| {
-        let camera = photos.camera(i);
-        let inside = |([u, v], z): ([f64; 2], f64)| {
-            ((0.0..camera.width as f64).contains(&u) && (0.0..camera.height as f64).contains(&v)).then_some(z)
-        };
-        let depths = capture.points.iter().filter_map(|p| camera.project(&p.position.into()).and_then(inside));
-        // Not the nearest of all: a few points of a sparse model are wrong.
-        let first = quantile(depths.collect(), 0.02)?;
-        let (_, to_target) = camera.project(&target?)?;
-        Some((0.7 * first).min(0.5 * to_target) as f32)
+    let of = |i| near_depth(photos.camera(i), &capture.points, target.as_ref()).map_or(least, |z| z.max(least));
+    (0..capture.views.len()).map(of).collect()
+}
+
+/// Depth in front of which a camera sees nothing, scene units: 0.7 of where the sparse points in its picture begin, but no
+/// more than half the way to the `target` that all cameras look at, which may have no points. Photos alone cannot tell a
+/// curtain before a lens from the background whose colour it has, and its depth hides the object's. `None` where nothing
+/// can be said.
+fn near_depth(camera: &PinholeCamera, points: &[SparsePoint], target: Option<&Point3<f64>>) -> Option<f32> {
+    let inside = |([u, v], z): ([f64; 2], f64)| {
+        ((0.0..camera.width as f64).contains(&u) && (0.0..camera.height as f64).contains(&v)).then_some(z)
     };
-    (0..capture.views.len()).map(|i| near(i).map_or(least, |z| z.max(least))).collect()
+    let depths = points.iter().filter_map(|p| camera.project(&p.position.into()).and_then(inside));
+    // Not the nearest of all: a few points of a sparse model are wrong.
+    let first = quantile(depths.collect(), 0.02)?;
+    let (_, to_target) = camera.project(target?)?;
+    Some((0.7 * first).min(0.5 * to_target) as f32)
 }
 
 /// The camera with no side longer than `side` pixels.
@@ -491,4 +495,37 @@ fn frame(camera: &PinholeCamera, stem: &Path) -> serde_json::Value {
         "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy,
         "w": camera.width, "h": camera.height,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_view_is_free_up_to_the_points_but_not_up_to_an_object_without_any() {
+        let camera = PinholeCamera {
+            camera_from_world: Pose::identity(),
+            fx: 100.0,
+            fy: 100.0,
+            cx: 50.0,
+            cy: 50.0,
+            width: 100,
+            height: 100,
+        };
+        let point =
+            |x: f64, z: f64| SparsePoint { position: [x, 0.0, z], rgb: [0; 3], error_px: 0.0, track: Vec::new() };
+        let target = Point3::new(0.0, 0.0, 2.0);
+        let near = |points: &[SparsePoint]| near_depth(&camera, points, Some(&target));
+        let mut cloth: Vec<_> = (0..200).map(|k| point(0.0, 1.0 + 0.01 * f64::from(k))).collect();
+        let found = near(&cloth).unwrap();
+        assert!((found - 0.7 * 1.04).abs() < 0.01, "{found}");
+        // A wrong point, one beside the picture and one behind the camera change nothing.
+        cloth.extend([point(0.0, 0.1), point(5.0, 0.1), point(0.0, -1.0)]);
+        assert!((near(&cloth).unwrap() - found).abs() < 0.02);
+        // Points on the wall alone: the object is between.
+        let wall: Vec<_> = (0..50).map(|_| point(0.0, 9.0)).collect();
+        assert_eq!(near(&wall), Some(1.0));
+        assert_eq!(near(&[]), None);
+        assert_eq!(near_depth(&camera, &wall, None), None);
+    }
 }
