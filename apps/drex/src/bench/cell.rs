@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use anyhow::Result;
 use drex_trial::{Belief, NoCommand, Squeeze, Verdict};
 use drex_trial::{Interval, wilson};
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -15,8 +15,8 @@ use crate::choice;
 
 /// Who proposes grasps.
 pub enum Actor<'a> {
-    /// The network, for an object with these points.
-    Policy(&'a Learned, &'a [Point3<f64>]),
+    /// The network, for an object with these points and what is up for it.
+    Policy(&'a Learned, &'a [Point3<f64>], Vector3<f64>),
     /// Always these, best first.
     Always(Vec<Proposal>),
 }
@@ -153,7 +153,7 @@ impl<J: Judge> Cell<'_, J> {
         };
         let belief = Belief { mass_kg, friction: mean };
         let proposals = match self.actor {
-            Actor::Policy(policy, points) => policy.propose(points, &belief)?,
+            Actor::Policy(policy, points, up) => policy.propose(points, up, &belief)?,
             Actor::Always(proposals) => proposals.clone(),
         };
         let grip = |p: Proposal| Ok((p.clone(), self.judge.grip(&p.joints, &p.object_from_palm, &belief)?));
@@ -181,8 +181,8 @@ impl<J: Judge> Cell<'_, J> {
         };
         // The grips at this friction: how probable each is and how hard it squeezes where it is chosen, and how hard for what is told.
         let mut order: Vec<(f64, [f64; 2], &J::Grip)> = match self.actor {
-            Actor::Policy(policy, points) => {
-                let (by, told) = (policy.propose(points, &chosen_for)?, policy.propose(points, &belief)?);
+            Actor::Policy(policy, points, up) => {
+                let (by, told) = (policy.propose(points, up, &chosen_for)?, policy.propose(points, up, &belief)?);
                 let ask = |(p, grip)| {
                     let (by, told) = (nearest(&by, p).unwrap_or(p), nearest(&told, p).unwrap_or(p));
                     (by.weight, [by.squeeze_n, told.squeeze_n], grip)

@@ -85,6 +85,13 @@ struct Ready<J> {
     points: Vec<Point3<f64>>,
 }
 
+impl<J> Ready<J> {
+    /// A network, asked for this object.
+    fn policy<'a>(&'a self, learned: &'a Learned) -> Actor<'a> {
+        Actor::Policy(learned, &self.points, self.thing.table.up.into_inner())
+    }
+}
+
 impl<J: Judge> Bench<'_, J> {
     /// Runs an experiment on the objects given, or on its own.
     ///
@@ -121,7 +128,7 @@ impl<J: Judge> Bench<'_, J> {
             let spec = ObjectSpec { friction: spec.friction.or(Some(LETTER_FRICTION)), ..spec.clone() };
             let ready = self.ready(&spec)?;
             let policy = self.learn(&ready, &ready.grasps, masses.to_vec(), false)?;
-            let actor = Actor::Policy(&policy, &ready.points);
+            let actor = ready.policy(&policy);
             for mass_kg in masses {
                 let least = self.least_friction(&ready, mass_kg)?;
                 let told = masses.map(|m| (grams(m), Told::Always(m)));
@@ -142,7 +149,7 @@ impl<J: Judge> Bench<'_, J> {
         for spec in specs {
             let ready = self.ready(spec)?;
             let policy = self.learn(&ready, &ready.grasps, Vec::new(), false)?;
-            let actor = Actor::Policy(&policy, &ready.points);
+            let actor = ready.policy(&policy);
             let labels = vec![("object", spec.name.clone()), ("true", grams(spec.mass_kg))];
             let least = self.least_friction(&ready, spec.mass_kg)?;
             let told = Told::Identified(IDENTIFIED_SD);
@@ -161,7 +168,7 @@ impl<J: Judge> Bench<'_, J> {
         for spec in specs {
             let ready = self.ready(spec)?;
             let policy = self.learn(&ready, &ready.grasps, Vec::new(), false)?;
-            let actor = Actor::Policy(&policy, &ready.points);
+            let actor = ready.policy(&policy);
             let least = self.least_friction(&ready, spec.mass_kg)?;
             let sources = [
                 ("true", Told::Times(1.0)),
@@ -218,7 +225,7 @@ impl<J: Judge> Bench<'_, J> {
                         continue;
                     }
                 };
-                let actor = Actor::Policy(&policy, &ready.points);
+                let actor = ready.policy(&policy);
                 let told = Told::Identified(IDENTIFIED_SD);
                 let setting = Setting { mass_kg: spec.mass_kg, told, force: Force::Actor, choice: Choice::Told };
                 self.add(&ready, &actor, labels, setting, least, table)?;
@@ -235,13 +242,14 @@ impl<J: Judge> Bench<'_, J> {
         for spec in specs {
             let ready = self.ready(spec)?;
             let least = self.least_friction(&ready, spec.mass_kg)?;
-            let own = self.learn(&ready, &ready.grasps, Vec::new(), false)?;
-            let mut sources = vec![(first.thing.spec.name.clone(), &policy)];
-            if spec.name != first.thing.spec.name {
-                sources.push((spec.name.clone(), &own));
-            }
+            let own = match spec.name == first.thing.spec.name {
+                true => None,
+                false => Some(self.learn(&ready, &ready.grasps, Vec::new(), false)?),
+            };
+            let sources = [(&first.thing.spec, Some(&policy)), (spec, own.as_ref())];
+            let sources = sources.into_iter().filter_map(|(from, policy)| Some((from.name.clone(), policy?)));
             for (from, policy) in sources {
-                let actor = Actor::Policy(policy, &ready.points);
+                let actor = ready.policy(policy);
                 let labels = vec![("object", spec.name.clone()), ("trained on", from), ("true", grams(spec.mass_kg))];
                 // The force is not what is transferred: the law has the contacts of this object.
                 let told = Told::Times(1.0);
@@ -258,8 +266,8 @@ impl<J: Judge> Bench<'_, J> {
             let ready = self.ready(spec)?;
             let ours = self.learn(&ready, &ready.grasps, masses.to_vec(), false)?;
             let random = self.learn(&ready, &ready.grasps, masses.to_vec(), true)?;
-            let policy = Actor::Policy(&ours, &ready.points);
-            let randomised = Actor::Policy(&random, &ready.points);
+            let policy = ready.policy(&ours);
+            let randomised = ready.policy(&random);
             let mean = Actor::Always(vec![mean_grasp(&ready.grasps)?]);
             let nearest = Actor::Always(vec![nearest_grasp(&ready.grasps)?]);
             for mass_kg in masses {
@@ -402,18 +410,19 @@ fn nearest_grasp(grasps: &[Grasp]) -> Result<Proposal> {
 mod tests {
     #![allow(clippy::unwrap_used)]
 
+    use drex_trial::Belief;
+
     use super::super::judge::fake::Pinch;
     use super::*;
 
-    /// A bench with few demonstrations of a box that the hand can hold, judged by a formula.
-    fn table(experiment: Experiment) -> Table {
-        let hand = TargetHand::bundled("leap_right").unwrap();
+    /// A bench with few demonstrations, judged by a formula.
+    fn bench(hand: &TargetHand) -> Bench<'_, Pinch> {
         let mut library = LibraryOptions::default();
         (library.people.clips, library.people.per_clip) = (3, 3);
         library.candidates = 10_000;
-        let bench = Bench {
+        Bench {
             robot: Arc::new(hand.robot.clone()),
-            hand: &hand,
+            hand,
             judge: &|_: &Thing| Ok(Pinch { strongest_n: 60.0 }),
             rollouts: 120,
             seed: 3,
@@ -424,8 +433,13 @@ mod tests {
             load: Load { torque_cap_nm: 0.29, shake_m_s2: 4.9 },
             out: None,
             note: &|_| {},
-        };
-        bench.run(experiment, Some(&[objects::named("spam_can").unwrap()])).unwrap()
+        }
+    }
+
+    /// Of a box that the hand can hold.
+    fn table(experiment: Experiment) -> Table {
+        let hand = TargetHand::bundled("leap_right").unwrap();
+        bench(&hand).run(experiment, Some(&[objects::named("spam_can").unwrap()])).unwrap()
     }
 
     fn rate(table: &Table, labels: &[(&str, &str)]) -> f64 {
@@ -471,6 +485,38 @@ mod tests {
             "{}",
             table.text()
         );
+    }
+
+    #[test]
+    fn what_lies_on_another_side_in_its_frame_is_grasped_alike() {
+        let hand = TargetHand::bundled("leap_right").unwrap();
+        let mut bench = bench(&hand);
+        (bench.library.candidates, bench.practised) = (3000, 0);
+        bench.train = bench.train.with_epochs(2);
+        let can = objects::named("spam_can").unwrap();
+        // The same can on the same table in axes that are turned about y: up is x.
+        let turn = Pose::rotation(Vector3::y() * std::f64::consts::FRAC_PI_2);
+        let mut mesh = can.mesh.clone();
+        mesh.vertices.iter_mut().for_each(|v| *v = turn * *v);
+        let turned = ObjectSpec { mesh, up: Some(Vector3::x()), ..can.clone() };
+
+        let ready = bench.ready(&can).unwrap();
+        let learned = bench.learn(&ready, &ready.grasps, Vec::new(), false).unwrap();
+        let proposed = |ready: &Ready<Pinch>| match ready.policy(&learned) {
+            Actor::Policy(policy, points, up) => {
+                policy.propose(points, &up, &Belief { mass_kg: can.mass_kg, friction: 0.5 }).unwrap()
+            }
+            Actor::Always(_) => panic!("a network was asked for"),
+        };
+        let thing = Thing::new(&turned).unwrap();
+        let points = ready.points.iter().map(|p| turn * p).collect();
+        let other = Ready { thing, grasps: Vec::new(), judge: Pinch { strongest_n: 60.0 }, points };
+        let (here, there) = (proposed(&ready), proposed(&other));
+        assert!(!here.is_empty() && here.len() == there.len());
+        for (a, b) in here.iter().zip(&there) {
+            let off = (turn * a.object_from_palm).inverse() * b.object_from_palm;
+            assert!(off.translation.vector.norm() < 1e-4 && off.rotation.angle() < 1e-3, "{off}");
+        }
     }
 
     #[test]

@@ -60,7 +60,6 @@ pub struct LearnOptions {
 /// A trained policy.
 pub struct Learned {
     policy: GraspPolicy,
-    up: Vector3<f64>,
     /// What it is told in place of the mass.
     told_kg: Option<f64>,
     /// Grasps of the library that can be commanded, that held in practice under most conditions, and that were learned.
@@ -149,19 +148,7 @@ impl Learned {
         let seconds = [practised_s, learned_s - practised_s, start.elapsed().as_secs_f64() - learned_s];
         let demonstrated = practised.iter().filter(|p| p.grasp.kind == Kind::Retargeted).count();
         let (learned, samples) = (practised.len(), data.samples.len());
-        Ok(Self {
-            policy,
-            up,
-            told_kg,
-            commanded,
-            robust,
-            learned,
-            carries_from,
-            demonstrated,
-            report,
-            samples,
-            seconds,
-        })
+        Ok(Self { policy, told_kg, commanded, robust, learned, carries_from, demonstrated, report, samples, seconds })
     }
 
     /// The network.
@@ -169,12 +156,12 @@ impl Learned {
         &self.policy
     }
 
-    /// The grasps for an object with these points, the most probable first.
+    /// The grasps for an object with these points, `up` for it the way from the table, the most probable first.
     ///
     /// # Errors
     /// If the policy is not defined for what is asked.
-    pub fn propose(&self, points: &[Point3<f64>], belief: &Belief) -> Result<Vec<Proposal>> {
-        let query = Query::new(points, self.told_kg.unwrap_or(belief.mass_kg), belief.friction).with_up(self.up);
+    pub fn propose(&self, points: &[Point3<f64>], up: &Vector3<f64>, belief: &Belief) -> Result<Vec<Proposal>> {
+        let query = Query::new(points, self.told_kg.unwrap_or(belief.mass_kg), belief.friction).with_up(*up);
         let proposals = self.policy.predict(&query)?.into_iter().map(|g| Proposal {
             joints: g.joints,
             object_from_palm: g.object_from_palm,

@@ -10,7 +10,7 @@ use drex_mesh::{AssetOptions, LengthUnit, metric_mesh};
 use nalgebra::Vector3;
 use serde::Deserialize;
 
-use super::shapes::{extrusion, lathe, loft, rounded_box};
+use super::shapes::{extrusion, flat_side, lathe, loft, rounded_box};
 
 /// Thickness of the letters, metres.
 const LETTER_M: f64 = 0.045;
@@ -103,8 +103,8 @@ pub fn named(name: &str) -> Result<ObjectSpec> {
             0.726,
             z,
         ),
-        "screwdriver" => (screwdriver(1.0), 0.097, None),
-        "small_screwdriver" => (screwdriver(0.75), 0.041, None),
+        "screwdriver" => (screwdriver(1.0), 0.097, Some(flat_side())),
+        "small_screwdriver" => (screwdriver(0.75), 0.041, Some(flat_side())),
         _ => bail!(
             "there is no made object \"{name}\"; there are light_bulb, cube, letter_a, letter_u, letter_y, cookie_tin, spam_can, \
              nutella_jar, spray_bottle, ketchup_bottle, screwdriver and small_screwdriver"

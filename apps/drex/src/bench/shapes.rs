@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use anyhow::{Context, Result};
 use drex_core::TriMesh;
 use drex_mesh::convex_hull;
-use nalgebra::{Point2, Point3};
+use nalgebra::{Point2, Point3, Vector3};
 
 /// Corners of a ring of a loft.
 const RING: usize = 48;
@@ -48,6 +48,12 @@ pub fn loft(sections: &[Section]) -> TriMesh {
 pub fn lathe(profile: &[[f64; 2]]) -> TriMesh {
     let sections: Vec<Section> = profile.iter().map(|[r, z]| [*r, *r, *z]).collect();
     loft(&sections)
+}
+
+/// Up for a lathe that lies on one of its flat sides: of those, all as stable as each other, always the same one.
+pub fn flat_side() -> Vector3<f64> {
+    let (sin, cos) = (0.5 * TAU / RING as f64).sin_cos();
+    Vector3::new(cos, sin, 0.0)
 }
 
 /// A box that stands on z = 0, its upright edges rounded by `radius`.

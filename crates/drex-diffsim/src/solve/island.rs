@@ -69,6 +69,8 @@ impl<T: Scalar> Default for Island<T> {
 #[derive(Debug)]
 pub(crate) struct Solver<T: Scalar> {
     values: Island<f64>,
+    /// Row and column of the entries of the mass matrix that are not zero: few, one block per finger.
+    filled: Vec<(usize, usize)>,
     matrix: Vec<f64>,
     lu: Lu,
     u: Vec<f64>,
@@ -94,6 +96,7 @@ impl<T: Scalar> Default for Solver<T> {
     fn default() -> Self {
         Self {
             values: Island::default(),
+            filled: Vec::new(),
             matrix: Vec::new(),
             lu: Lu::default(),
             u: Vec::new(),
@@ -146,19 +149,14 @@ impl<T: Scalar> Island<T> {
         (v, spin)
     }
 
-    /// M (u - ũ) - g - h Σ Jᵀ f(u).
-    fn residual(&self, u: &[T], dt: f64, out: &mut Vec<T>) {
+    /// M (u - ũ) - g - h Σ Jᵀ f(u), of a mass matrix with these entries `filled`.
+    fn residual(&self, u: &[T], dt: f64, filled: &[(usize, usize)], out: &mut Vec<T>) {
         let n = self.n;
         let h = T::lift(dt);
         out.clear();
-        for i in 0..n {
-            let mut sum = -self.impulse[i];
-            for (j, m) in self.mass[i * n..(i + 1) * n].iter().enumerate() {
-                if m.value() != 0.0 {
-                    sum += *m * (u[j] - self.reference[j]);
-                }
-            }
-            out.push(sum);
+        out.extend(self.impulse.iter().map(|g| -*g));
+        for &(i, j) in filled {
+            out[i] += self.mass[i * n + j] * (u[j] - self.reference[j]);
         }
         for law in &self.scalars {
             out[law.dof] -= law.force(u[law.dof]) * h;
@@ -203,6 +201,10 @@ impl<T: Scalar> Solver<T> {
     /// Finds the velocities at the end of the step.
     pub(crate) fn solve(&mut self, island: &Island<T>, dt: f64) {
         island.values_into(&mut self.values);
+        self.filled.clear();
+        for (i, row) in self.values.mass.chunks_exact(island.n.max(1)).enumerate() {
+            self.filled.extend(row.iter().enumerate().filter(|(_, m)| **m != 0.0).map(|(j, _)| (i, j)));
+        }
         self.u.clear();
         self.u.extend(island.start.iter().map(Scalar::value));
         self.iterations = 0;
@@ -214,7 +216,7 @@ impl<T: Scalar> Solver<T> {
         if T::TANGENTS > 0 {
             self.assemble(dt);
             if self.lu.factor(island.n, &self.matrix) {
-                island.residual(&self.velocities, dt, &mut self.dual_r);
+                island.residual(&self.velocities, dt, &self.filled, &mut self.dual_r);
                 self.lu.solve_scalars(&mut self.dual_r);
                 for (u, r) in self.velocities.iter_mut().zip(&self.dual_r) {
                     *u -= *r;
@@ -228,7 +230,7 @@ impl<T: Scalar> Solver<T> {
     /// component along the direction is monotone and its zero can be bracketed. Without that, friction that changes
     /// sides never settles.
     fn newton(&mut self, dt: f64, iterations: usize) -> bool {
-        self.values.residual(&self.u, dt, &mut self.r);
+        self.values.residual(&self.u, dt, &self.filled, &mut self.r);
         for _ in 0..iterations {
             self.iterations += 1;
             let mut found = self.direction(dt);
@@ -246,7 +248,7 @@ impl<T: Scalar> Solver<T> {
                 }
                 length = self.line_search(dt);
                 self.free_bounds();
-                self.values.residual(&self.trial, dt, &mut self.trial_r);
+                self.values.residual(&self.trial, dt, &self.filled, &mut self.trial_r);
             }
             let size = norm(&self.step) * length.max(0.1);
             std::mem::swap(&mut self.u, &mut self.trial);
@@ -313,7 +315,7 @@ impl<T: Scalar> Solver<T> {
 
     /// Newton's method on the convex problem of held bounds, from `u`.
     fn convex(&mut self, dt: f64) {
-        self.values.residual(&self.u, dt, &mut self.r);
+        self.values.residual(&self.u, dt, &self.filled, &mut self.r);
         for _ in 0..ITERATIONS {
             self.iterations += 1;
             if !self.direction(dt) {
@@ -388,7 +390,7 @@ impl<T: Scalar> Solver<T> {
     fn try_step(&mut self, length: f64, dt: f64) {
         self.trial.clear();
         self.trial.extend(self.u.iter().zip(&self.step).map(|(u, s)| u - s * length));
-        self.values.residual(&self.trial, dt, &mut self.trial_r);
+        self.values.residual(&self.trial, dt, &self.filled, &mut self.trial_r);
     }
 
     /// Derivative of the residual at `u`.
