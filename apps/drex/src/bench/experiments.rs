@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use drex_core::Pose;
 use drex_policy::TrainOptions;
@@ -104,7 +104,7 @@ impl<J: Judge> Bench<'_, J> {
             (None, Experiment::Objects) => objects::eight()?,
             (None, Experiment::CrossMass) => own(&["letter_u"])?,
             (None, Experiment::MassSource) => own(&["cube", "letter_a", "cookie_tin"])?,
-            (None, Experiment::Scaling) => own(&["screwdriver"])?,
+            (None, Experiment::Scaling) => own(&["cube"])?,
             (None, Experiment::Transfer) => own(&["screwdriver", "small_screwdriver"])?,
             (None, Experiment::Baselines) => own(&["letter_y"])?,
         };
@@ -204,6 +204,13 @@ impl<J: Judge> Bench<'_, J> {
             let mut clips: Vec<usize> =
                 ready.grasps.iter().filter(|g| g.kind == Kind::Retargeted).map(|g| g.clip).collect();
             clips.dedup();
+            if clips.is_empty() {
+                bail!(
+                    "none of the {} demonstrations of \"{}\" gives a grasp: ask for more of them (--clips) or for another object (--only)",
+                    self.library.people.clips,
+                    spec.name
+                );
+            }
             for count in CLIPS.into_iter().filter(|c| *c <= clips.len()) {
                 let among = &clips[..count];
                 let grasps: Vec<Grasp> = ready
@@ -231,7 +238,9 @@ impl<J: Judge> Bench<'_, J> {
                 self.add(&ready, &actor, labels, setting, least, table)?;
             }
         }
-        table.notes.push("demonstrations that hold, in the order in which they were made; a demonstration gives about a dozen grasps".into());
+        table.notes.push(
+            "demonstrations that hold, in the order in which they were made, and the grasps that they give".into(),
+        );
         Ok(())
     }
 
