@@ -237,9 +237,17 @@ impl<J: Judge> Bench<'_, J> {
                 let setting = Setting { mass_kg: spec.mass_kg, told, force: Force::Actor, choice: Choice::Told };
                 self.add(&ready, &actor, labels, setting, least, table)?;
             }
+            if CLIPS.into_iter().any(|count| count > clips.len()) {
+                let (give, asked) = (clips.len(), self.library.people.clips);
+                table.notes.push(format!(
+                    "{give} of {asked} demonstrations of {} give a grasp; rows of more need more of them (--clips)",
+                    spec.name
+                ));
+            }
         }
         table.notes.push(
-            "demonstrations that hold, in the order in which they were made, and the grasps that they give".into(),
+            "demonstrations that give a grasp, in the order in which they were made, and the grasps that they give"
+                .into(),
         );
         Ok(())
     }

@@ -40,9 +40,11 @@ impl Postures {
     /// If thumb and fingers never face each other.
     pub fn of(target: &TargetHand, seed: u64) -> Result<Self> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let fingers = target.robot.fingers();
+        let robot = &target.robot;
+        let fingers = robot.fingers();
+        let sideways = sideways(robot, &fingers);
         let mut list: Vec<Posture> =
-            (0..DRAWN).filter_map(|_| posture(&target.robot, &fingers, draw(target, &fingers, &mut rng))).collect();
+            (0..DRAWN).filter_map(|_| posture(robot, &fingers, draw(robot, &fingers, &sideways, &mut rng))).collect();
         if list.is_empty() {
             bail!(
                 "thumb and fingers of \"{}\" never face each other: no pinch can be made up for it",
@@ -62,8 +64,7 @@ impl Postures {
 }
 
 /// Joint angles: fingers bent alike, the thumb anywhere.
-fn draw(target: &TargetHand, fingers: &[Finger], rng: &mut ChaCha8Rng) -> Vec<f64> {
-    let robot = &target.robot;
+fn draw(robot: &Robot, fingers: &[Finger], sideways: &[bool], rng: &mut ChaCha8Rng) -> Vec<f64> {
     let mut q = robot.reference_position();
     let bend: [f64; 3] = std::array::from_fn(|_| rng.random());
     for finger in fingers {
@@ -73,7 +74,7 @@ fn draw(target: &TargetHand, fingers: &[Finger], rng: &mut ChaCha8Rng) -> Vec<f6
             let share: f64 = rng.random();
             q[j] = if finger.is_thumb {
                 lo + share * (hi - lo)
-            } else if moves_sideways(robot, finger, j) {
+            } else if sideways[j] {
                 0.2 * (share - 0.5)
             } else {
                 let own = bend[next.min(2)] * 0.85;
@@ -87,14 +88,20 @@ fn draw(target: &TargetHand, fingers: &[Finger], rng: &mut ChaCha8Rng) -> Vec<f6
     q
 }
 
-/// Whether a joint swings the straight finger along the row of knuckles rather than towards the palm.
-pub fn moves_sideways(robot: &Robot, finger: &Finger, joint: usize) -> bool {
-    let (Some(normal), Some(palm)) = (robot.palm_normal(), robot.palm_link()) else { return false };
+/// Which joints, in model order, swing a straight finger along the row of knuckles rather than towards the palm; none of a hand without a palm.
+pub fn sideways(robot: &Robot, fingers: &[Finger]) -> Vec<bool> {
+    let mut out = vec![false; robot.joints.len()];
+    let (Some(normal), Some(palm)) = (robot.palm_normal(), robot.palm_link()) else { return out };
     let poses = robot.forward_kinematics(&robot.reference_position(), &Pose::identity());
     let normal = poses[palm].rotation * normal;
-    let (axis, at) = robot.joint_axis(&poses, joint);
-    let velocity = axis.cross(&(poses[finger.tip_link] * finger.tip_point - at));
-    velocity.norm() < 0.01 || velocity.normalize().dot(&normal).abs() < 0.35
+    for finger in fingers {
+        for &joint in &finger.joints {
+            let (axis, at) = robot.joint_axis(&poses, joint);
+            let velocity = axis.cross(&(poses[finger.tip_link] * finger.tip_point - at));
+            out[joint] = velocity.norm() < 0.01 || velocity.normalize().dot(&normal).abs() < 0.35;
+        }
+    }
+    out
 }
 
 fn posture(robot: &Robot, fingers: &[Finger], q: Vec<f64>) -> Option<Posture> {

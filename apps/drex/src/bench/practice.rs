@@ -120,7 +120,9 @@ pub fn practise<J: Judge>(
     let place = |at: Option<usize>| at.unwrap_or(frictions.len());
     let mut easiest: Vec<(usize, &Grasp)> = carried.into_iter().map(place).zip(grasps).collect();
     easiest.sort_by(|(i, a), (j, b)| i.cmp(j).then(a.squeeze_per_weight.total_cmp(&b.squeeze_per_weight)));
-    easiest.truncate(REHEARSED_FOR_ONE * options.practised.max(LEARNED));
+    // Without practice those that look best are learned as they are.
+    let tried = if options.practised == 0 { LEARNED } else { options.practised };
+    easiest.truncate(REHEARSED_FOR_ONE * tried);
 
     let gripped: Vec<Option<Gripped<J::Grip>>> =
         easiest.into_par_iter().map(|(_, g)| task.gripped(g.clone())).collect::<Result<_>>()?;
@@ -134,7 +136,7 @@ pub fn practise<J: Judge>(
     gripped.extend(better);
     gripped.sort_by(Gripped::against);
     let carries_from = gripped.first().and_then(|g| task.beliefs[0].get(g.place)).map(|b| b.friction);
-    gripped.truncate(if options.practised == 0 { LEARNED } else { options.practised });
+    gripped.truncate(tried);
 
     let practised = task.try_out(gripped, masses_kg, options)?;
     let robust = practised.iter().filter(|p| !p.marks.is_empty() && 4 * p.holds() >= 3 * p.marks.len()).count();

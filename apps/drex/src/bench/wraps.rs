@@ -17,7 +17,7 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use super::library::{Grasp, Kind};
-use super::postures::moves_sideways;
+use super::postures::sideways;
 use super::thing::Thing;
 
 /// What is asked of a grasp.
@@ -116,10 +116,9 @@ impl<'a> Closer<'a> {
     /// If the hand has no shapes.
     pub fn new(robot: &'a Robot) -> Result<Self> {
         let fine = HandSurface::new(robot, ContactOptions::default().spacing_m)?;
-        let bends = fine
-            .fingers
-            .iter()
-            .map(|f| f.joints.iter().copied().filter(|&j| f.is_thumb || !moves_sideways(robot, f, j)).collect());
+        let sideways = sideways(robot, &fine.fingers);
+        let bends =
+            fine.fingers.iter().map(|f| f.joints.iter().copied().filter(|&j| f.is_thumb || !sideways[j]).collect());
         let bends = bends.collect();
         let fixed = (0..fine.links.len()).filter(|&l| fine.finger_of_link[l].is_none()).collect();
         let coarse = HandSurface::new(robot, SPACING_M)?;

@@ -44,7 +44,7 @@ impl Lu {
                     }
                 }
             } else {
-                let below = (k + 1..n).map(|i| self.a[i * n + k].abs()).fold(0.0, |b, x| if x > b { x } else { b });
+                let below = (k + 1..n).map(|i| self.a[i * n + k].abs()).fold(0.0, f64::max);
                 if own <= WEAK * below {
                     return false;
                 }
