@@ -28,7 +28,7 @@ fn the_demo_push_is_weighed_and_the_guess_takes_no_part() {
         let mass = a["mass_kg"].as_f64().unwrap();
         let profile: Vec<(f64, f64)> = serde_json::from_value(a["profile"].clone()).unwrap();
         let inside = |x: &&(f64, f64)| ci[0] < x.0 && x.0 < ci[1];
-        let (below, above): (Vec<_>, Vec<_>) = profile.iter().filter(inside).partition(|p| p.0 <= mass);
+        let (below, above): (Vec<&(f64, f64)>, Vec<_>) = profile.iter().filter(inside).partition(|p| p.0 <= mass);
         assert!(below.len() > 2 && above.len() > 2, "{profile:?}");
         assert!(below.is_sorted_by(|p, q| p.1 >= q.1) && above.is_sorted_by(|p, q| p.1 <= q.1), "{profile:?}");
     }
