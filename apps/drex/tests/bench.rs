@@ -60,6 +60,12 @@ fn lists_of_objects_are_checked() {
 }
 
 #[test]
+fn demonstrations_without_a_grasp_are_an_error_with_a_remedy() {
+    let arguments = ["bench", "grasp", "--experiment", "scaling", "--only", "screwdriver", "--clips", "1"];
+    drex(arguments.into_iter().chain(["--rollouts", "1"])).fails_with(&["none of the 1", "screwdriver", "--clips"]);
+}
+
+#[test]
 fn grasps_of_an_object_from_a_file() {
     let Some(shared) = shared_data("grasps_of_an_object_from_a_file") else { return };
     let dir = tempfile::tempdir().unwrap();
