@@ -51,7 +51,8 @@ pub struct Identification {
     pub sensitivities: Vec<Sensitivity>,
     /// What was taken for granted.
     pub assumptions: Vec<String>,
-    /// Mass (kg) and cost (half the robust sum of squares, nuisances solved for), by mass: fitted around the estimate, beyond that of the scan.
+    /// Mass (kg) and cost (half the robust sum of squares, nuisances solved for), by mass: around the estimate those
+    /// that were fitted, farther away those of the scan.
     pub profile: Vec<(f64, f64)>,
     /// One per push.
     pub pushes: Vec<PushReport>,

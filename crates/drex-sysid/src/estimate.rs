@@ -172,12 +172,12 @@ impl Joint {
         let others = self.others(&best, &information);
         let mut points = profile.masses();
         points.push((best.point[0].exp(), best.cost));
+        points.retain(|(_, c)| c.is_finite());
         // Where masses were fitted, the coarser scan only bounds from above what they say.
         let least = points.iter().map(|p| p.0).fold(f64::INFINITY, f64::min);
         let most = points.iter().map(|p| p.0).fold(0.0, f64::max);
         let scanned = scan.iter().map(|(p, c)| (p[0].exp(), *c - lowest + best.cost));
-        points.extend(scanned.filter(|(mass, _)| !(least..=most).contains(mass)));
-        points.retain(|(_, c)| c.is_finite());
+        points.extend(scanned.filter(|(mass, cost)| cost.is_finite() && !(least..=most).contains(mass)));
         points.sort_by(|a, b| a.0.total_cmp(&b.0));
         Ok(Estimate {
             relief: relief(&scan),

@@ -88,7 +88,8 @@ fn draw(robot: &Robot, fingers: &[Finger], sideways: &[bool], rng: &mut ChaCha8R
     q
 }
 
-/// Which joints, in model order, swing a straight finger along the row of knuckles rather than towards the palm; none of a hand without a palm.
+/// Which joints, in model order, swing a straight finger along the row of knuckles rather than towards the palm; none of
+/// a hand without a palm.
 pub fn sideways(robot: &Robot, fingers: &[Finger]) -> Vec<bool> {
     let mut out = vec![false; robot.joints.len()];
     let (Some(normal), Some(palm)) = (robot.palm_normal(), robot.palm_link()) else { return out };
