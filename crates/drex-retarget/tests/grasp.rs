@@ -176,6 +176,36 @@ fn without_an_object_at_hand_it_is_the_vector_result() {
     keeps_the_limits(&target, &clip);
 }
 
+/// Frames `from..to` of a demonstration, as a clip of their own.
+fn cut(demo: &Demonstration, from: usize, to: usize) -> Demonstration {
+    let mut part = demo.clone();
+    part.frames = demo.frames[from..to].to_vec();
+    part
+}
+
+#[test]
+fn every_cut_of_a_clip_is_retargeted() {
+    // The larger box is one that the hand cannot get out of: there the frames beside a free one are asked for help.
+    for (hand, size) in [("leap_right", 1.0), ("leap_right", 2.5), ("allegro_right", 2.5)] {
+        let target = TargetHand::bundled(hand).unwrap();
+        let thing = Thing::new(&cuboid(0.03 * size, 0.08 * size, 0.06 * size));
+        let demo = lift(&target, 0.75);
+        let n = demo.frames.len();
+        let cuts = (1..=3).flat_map(|len| (0..=n - len).map(move |from| (from, from + len)));
+        for (from, to) in cuts.chain([(0, n - 1), (1, n), (5, 16), (9, 15)]) {
+            let part = cut(&demo, from, to);
+            let clip = retarget_grasp(&part, &target, &thing.surface(), &GraspOptions::default()).unwrap();
+            assert_eq!(clip.frames.len(), to - from, "{hand}, frames {from} to {to}");
+            keeps_the_limits(&target, &clip);
+        }
+    }
+    let target = TargetHand::bundled("leap_right").unwrap();
+    let thing = Thing::new(&cuboid(0.03, 0.08, 0.06));
+    let empty = cut(&lift(&target, 0.75), 0, 0);
+    let error = retarget_grasp(&empty, &target, &thing.surface(), &GraspOptions::default()).unwrap_err();
+    assert!(error.to_string().contains("pose of the object"), "{error}");
+}
+
 #[test]
 fn what_is_missing_is_said() {
     let target = TargetHand::bundled("leap_right").unwrap();
@@ -298,6 +328,21 @@ fn a_recorded_box_is_held() {
     let folder = shared.join("data/grasps/dexycb_cracker_box");
     for hand in ["leap_right", "allegro_right"] {
         demands(&folder.join("demo.json"), &folder.join("object.obj"), hand, &[24..=73], 1.0);
+    }
+}
+
+#[test]
+fn every_pair_of_frames_of_a_recorded_box_is_retargeted() {
+    let Some(shared) = shared() else { return };
+    let folder = shared.join("data/grasps/dexycb_cracker_box");
+    let thing = Thing::new(&convex_hull(&read_mesh(&folder.join("object.obj")).unwrap().vertices).unwrap());
+    let demo = Demonstration::load(&folder.join("demo.json"), &LoadOptions::default()).unwrap();
+    for hand in ["leap_right", "allegro_right"] {
+        let target = TargetHand::bundled(hand).unwrap();
+        for from in 0..demo.frames.len() - 1 {
+            let clip = retarget_grasp(&cut(&demo, from, from + 2), &target, &thing.surface(), &GraspOptions::default());
+            assert_eq!(clip.unwrap().frames.len(), 2, "{hand}, frames {from} and {}", from + 1);
+        }
     }
 }
 

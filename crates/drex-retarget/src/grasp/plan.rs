@@ -227,7 +227,7 @@ impl Clip<'_> {
         let wanted = vec![0.0; self.hand.fingers.len()];
         let problem = self.problem(t, &wanted, &[], &[], &intervals);
         // Where the person's pose does not lead out of a collision, those of the frames beside it may.
-        let beside = [Some(t + 1), t.checked_sub(1)].into_iter().flatten().filter_map(|s| self.carried(s, t));
+        let beside = self.beside(t).rev().filter_map(|s| self.carried(s, t));
         let mut best: Option<(View, State)> = None;
         for start in std::iter::once(self.wishes[t].clone()).chain(beside) {
             let mut state = start;
@@ -250,13 +250,7 @@ impl Clip<'_> {
         let Some(mut planned) = self.solved[t].take() else { return };
         if planned.held {
             let intervals = self.intervals(t);
-            let sides = [t.checked_sub(1), Some(t + 1).filter(|s| *s < self.solved.len())];
-            let beside: Vec<State> = sides
-                .into_iter()
-                .flatten()
-                .filter(|&s| self.solved[s].as_ref().is_some_and(|p| p.held))
-                .filter_map(|s| self.carried(s, t))
-                .collect();
+            let beside = self.held_beside(t);
             let mut problem = self.problem(t, &planned.wanted, &planned.goals, &beside, &intervals);
             let view = minimise(&problem, &mut planned.state, STEPS.2);
             if view.upright < UPRIGHT {
@@ -277,9 +271,7 @@ impl Clip<'_> {
         let mut best = planned.clone();
         if planned.held {
             let intervals = self.intervals(t);
-            let sides = [t.checked_sub(1), Some(t + 1)].into_iter().flatten();
-            let held = |s: &usize| self.solved.get(*s).is_some_and(|p| p.as_ref().is_some_and(|p| p.held));
-            let beside: Vec<State> = sides.filter(held).filter_map(|s| self.carried(s, t)).collect();
+            let beside = self.held_beside(t);
             let solve = |state: &mut State, wanted: &[f64], goals: &[Point3<f64>], steps: usize| {
                 let problem = self.problem(t, wanted, goals, &beside, &intervals);
                 minimise(&problem, state, steps)
@@ -301,6 +293,17 @@ impl Clip<'_> {
             }
         }
         self.solved[t] = Some(best);
+    }
+
+    /// The frames next to frame `t`: one at the ends of the clip, none in a clip of one frame.
+    fn beside(&self, t: usize) -> impl DoubleEndedIterator<Item = usize> {
+        [t.checked_sub(1), (t + 1 < self.solved.len()).then_some(t + 1)].into_iter().flatten()
+    }
+
+    /// The held ones of the frames next to frame `t`, as frame `t` would have them.
+    fn held_beside(&self, t: usize) -> Vec<State> {
+        let held = |s: &usize| self.solved[*s].as_ref().is_some_and(|p| p.held);
+        self.beside(t).filter(held).filter_map(|s| self.carried(s, t)).collect()
     }
 
     /// The solution of frame `s` as frame `t` would have it: the same joints, and the wrist as far from the person's.
