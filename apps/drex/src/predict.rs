@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use drex_core::twin::ASSUMED_FRICTION;
+use drex_core::twin::{ASSUMED_FRICTION, GraspsConfig};
 use drex_core::{MassProperties, Pose};
 use drex_grasp::{ContactOptions, ForceCommand, HandSurface, SqueezeProblem, TablePlane, TorqueLimits, paper_force};
 use drex_mesh::{
@@ -103,9 +103,8 @@ impl Ready {
         };
         let asset = twin.asset()?.clone();
         let friction = args.friction.unwrap_or_else(|| twin.friction());
-        let own = twin.manifest.grasps.as_ref().map(|g| g.hand.clone());
         let policy = GraspPolicy::load(&folder)?;
-        let robot = hand(args, &policy, own.as_deref(), &twin.root)?;
+        let robot = hand(args, &policy, twin.manifest.grasps.as_ref(), &twin.root)?;
         let (mass, rest) = (asset.properties, asset.world_from_mesh_at_rest);
         Self::new(policy, folder, robot, &asset.visual, mass, rest, (mass_kg, friction), args.pose, twin.seed)
     }
@@ -193,9 +192,7 @@ impl Ready {
         let object_from_world = self.world_from_object.rotation.inverse();
         let up = Unit::new_normalize(object_from_world * Vector3::z());
         let gravity = TablePlane { up, height_m: 0.0 }.gravity();
-        let mut torques = TorqueLimits::of_robot(robot, &grasp.joints, &grasp.object_from_palm, &contacts, &gravity)?;
-        let cap = TrialOptions::default().torque_cap_nm;
-        torques.limits_nm = vec![(-cap, cap); robot.dof()];
+        let torques = TorqueLimits::of_robot(robot, &grasp.joints, &grasp.object_from_palm, &contacts, &gravity)?;
         let problem =
             SqueezeProblem::new(contacts, self.mass_kg, self.body.center_of_mass, gravity).with_torques(torques);
         let (force, cannot_hold) = match needed_force(robot, &TrialOptions::default().law, &problem) {
@@ -240,11 +237,24 @@ fn share_of(force: Option<&ForceCommand>, finger: Option<usize>) -> f64 {
     })
 }
 
+/// The hand with its motors' torques known, none above the cap if there is one.
+///
+/// # Errors
+/// If its model does not say what its motors give, and there is no cap.
+pub fn with_torques(robot: Robot, cap_nm: Option<f64>) -> Result<Robot> {
+    let robot = match cap_nm {
+        Some(cap) => robot.with_effort_cap(cap)?,
+        None => robot,
+    };
+    robot.effort_limits()?;
+    Ok(robot)
+}
+
 /// The hand that will grasp, which has to be the policy's.
-fn hand(args: &GraspArgs, policy: &GraspPolicy, own: Option<&str>, folder: &Path) -> Result<Robot> {
+fn hand(args: &GraspArgs, policy: &GraspPolicy, own: Option<&GraspsConfig>, folder: &Path) -> Result<Robot> {
     let (name, folder) = match (&args.hand, own) {
         (Some(name), _) => (name.as_str(), Path::new(".")),
-        (None, Some(own)) => (own, folder),
+        (None, Some(own)) => (own.hand.as_str(), folder),
         (None, None) => (policy.hand(), folder),
     };
     // A hand by its family's name is its right one.
@@ -259,5 +269,5 @@ fn hand(args: &GraspArgs, policy: &GraspPolicy, own: Option<&str>, folder: &Path
             robot.dof()
         );
     }
-    Ok(robot)
+    with_torques(robot, args.torque_cap.or(own.and_then(|g| g.torque_cap_nm)))
 }

@@ -60,6 +60,27 @@ fn lists_of_objects_are_checked() {
 }
 
 #[test]
+fn a_hand_whose_model_names_no_torques_is_refused_by_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("quiet.xml");
+    let text = drex_robot::Robot::bundled_mjcf("leap_right").unwrap();
+    let text = text.replace(" forcerange=\"-0.95 0.95\"", "").replace(" actuatorfrcrange=\"-0.29 0.29\"", "");
+    fs::write(&file, text.replace("model=\"leap_right\"", "model=\"quiet_hand\"")).unwrap();
+    let hand = file.to_str().unwrap();
+    let bench = ["bench", "grasp", "--experiment", "scaling", "--only", "screwdriver", "--clips", "1", "--hand", hand];
+    drex(bench).fails_with(&["\"quiet_hand\"", "if_rot", "--torque-cap", "torque_cap_nm"]);
+    // With a cap the bench goes on to what it lacks next.
+    drex(bench.into_iter().chain(["--torque-cap", "0.3"])).fails_with(&["none of the 1", "screwdriver"]);
+
+    let (_guard, twin) = tin_copy();
+    fs::copy(&file, twin.join("quiet.xml")).unwrap();
+    keep_demonstrations(&twin, 1);
+    let manifest = twin.join("twin.toml");
+    edit(&manifest, "hand = \"leap_right\"", "hand = \"quiet.xml\"");
+    drex(["train", twin.to_str().unwrap()]).fails_with(&["\"quiet_hand\"", "torque_cap_nm"]);
+}
+
+#[test]
 fn demonstrations_without_a_grasp_are_an_error_with_a_remedy() {
     let arguments = ["bench", "grasp", "--experiment", "scaling", "--only", "screwdriver", "--clips", "1"];
     drex(arguments.into_iter().chain(["--rollouts", "1"])).fails_with(&["none of the 1", "screwdriver", "--clips"]);
@@ -97,6 +118,9 @@ fn a_trained_twin_grasps_and_deploys() {
     // Twice the mass is twice the paper's number, as long as the same fingers touch.
     assert_eq!(answer["mass_kg"], 0.2);
 
+    // Motors that give next to nothing carry nothing.
+    let weak = drex(["grasp", at, "--json", "--torque-cap", "1e-3"]).json();
+    assert!(weak["cannot_hold"].is_string() && weak["needed_squeeze_n"].is_null(), "{weak}");
     drex(["grasp", at, "--hand", "allegro_right"]).fails_with(&["policy is for the hand \"leap_right\"", "allegro"]);
     drex(["grasp", twin.join("policy/network").to_str().unwrap()]).fails_with(&["--mesh"]);
     drex(["grasp", at, "--mass", "1000"]).fails_with(&["1000"]);
@@ -111,6 +135,7 @@ fn a_trained_twin_grasps_and_deploys() {
         assert_eq!(file["weights"]["sha256"], card["weights_sha256"]);
         assert_eq!(file["limits"]["force"].as_array().unwrap().len(), 16);
         assert_eq!(file["limits"]["unit"], "mA");
+        assert_eq!(file["force_law"]["torque_limits_nm"], serde_json::json!([0.29; 16]));
         assert!(deploy.json()["driven"].is_null());
         let log = twin.join("grasp.csv");
         let emulated = drex([

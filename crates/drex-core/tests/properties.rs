@@ -221,13 +221,15 @@ fn manifests() -> impl Strategy<Value = TwinManifest> {
         prop::option::of("[a-z_]{1,10}").prop_map(|order| (RecordedAs::Robot, order, None)),
         prop::option::of(1..9999usize).prop_map(|augment| (RecordedAs::Human, None, augment)),
     ];
-    let grasps = prop::option::of((path.clone(), "[a-z_]{1,10}", recording)).prop_map(|g| {
-        g.map(|(file, hand, (recorded, joint_order, augment))| GraspsConfig {
+    let cap = prop::option::of(positive.clone());
+    let grasps = prop::option::of((path.clone(), "[a-z_]{1,10}", recording, cap)).prop_map(|g| {
+        g.map(|(file, hand, (recorded, joint_order, augment), torque_cap_nm)| GraspsConfig {
             file,
             recorded,
             hand,
             joint_order,
             augment,
+            torque_cap_nm,
         })
     });
     let train = prop::option::of((prop::option::of(1..999usize), prop::option::of(1e-6..1.0f64)))

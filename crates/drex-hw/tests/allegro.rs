@@ -5,9 +5,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use drex_hw::allegro::{AllegroCommand, AllegroHand, AllegroInfo, AllegroOptions, AllegroVersion, JointCalibration};
+use drex_hw::allegro::{
+    AllegroCommand, AllegroHand, AllegroInfo, AllegroOptions, AllegroVersion, JointCalibration, WIRE_JOINTS,
+};
 use drex_hw::can::{CanBus, CanFrame, MemoryCan};
 use drex_hw::emulator::allegro::{AllegroEmulator, EmulatorBus};
+use drex_hw::law::{Nominal, TorqueLaw};
 use drex_hw::{Clock, Hand, HandCommand, HandState, JointStatus, Result};
 use drex_robot::Robot;
 use proptest::prelude::*;
@@ -81,6 +84,21 @@ fn what_the_hand_says_about_itself_can_be_waited_for() {
     let mut driver = AllegroHand::connect_with_clock(here, &robot(), options, hand.clock()).unwrap();
     assert!(!driver.wait_for_reports().unwrap());
     assert_eq!(driver.stats().frames, 0);
+}
+
+#[test]
+fn the_model_and_the_drivers_agree_on_what_the_motors_give() {
+    let caps = |version| AllegroOptions::new(version).torque_caps_nm();
+    let robot = robot();
+    let effort = robot.effort_limits().unwrap();
+    for (name, cap) in WIRE_JOINTS.iter().zip(caps(AllegroVersion::V4)) {
+        assert!((effort[robot.require_joint(name).unwrap()] - cap).abs() < 1e-12, "{name}: {effort:?}");
+    }
+    assert!(caps(AllegroVersion::V5).iter().all(|c| (c - 0.240 / 1.43).abs() < 1e-12));
+    // LEAP's are those of 550 mA, by the law that public simulations of it use.
+    let law = TorqueLaw::nominal(Nominal::LeapSimulation).unwrap();
+    let leap = Robot::bundled("leap_right").unwrap().effort_limits().unwrap();
+    assert!(leap.iter().all(|l| (l - law.torque_nm(550.0).unwrap()).abs() < 0.005), "{leap:?}");
 }
 
 #[test]

@@ -44,6 +44,7 @@ pub mod orders;
 
 mod closed;
 mod dynamics;
+mod effort;
 mod fingers;
 mod kinematics;
 mod load;

@@ -51,6 +51,12 @@ fn joints_limits_and_masses() {
     let allegro = Robot::bundled("allegro_right").unwrap();
     assert_eq!(allegro.joint_names(), orders::order("allegro_ros").unwrap());
     assert!((allegro.total_mass_kg() - 0.9861).abs() < 1e-9);
+    assert_eq!(leap.effort_limits().unwrap(), [0.29; 16]);
+    // The version 4 driver's largest duty over its duty per N m.
+    let duty = [375.0, 675.0, 450.0, 285.0, 525.0, 405.0, 270.0, 270.0];
+    for (j, limit) in allegro.effort_limits().unwrap().into_iter().enumerate() {
+        assert!((limit - duty[if j < 12 { j % 4 } else { j - 8 }] / 1200.0).abs() < 1e-12, "joint {j}: {limit} N m");
+    }
     for robot in [&leap, &allegro] {
         assert_eq!((robot.dof(), robot.actuators.len()), (16, 16));
         assert!(robot.actuators.iter().enumerate().all(|(i, a)| {
@@ -60,7 +66,9 @@ fn joints_limits_and_masses() {
                     .zip(a.ctrl_range)
                     .is_some_and(|(l, c)| (l.0 - c.0).abs() + (l.1 - c.1).abs() < 1e-12)
         }));
-        assert!(robot.joints.iter().all(|j| j.effort_limit.is_some()));
+        // The mirror image has the same motors.
+        let left = Robot::bundled(&robot.name.replace("right", "left")).unwrap();
+        assert_eq!(left.effort_limits().unwrap(), robot.effort_limits().unwrap());
         assert!(robot.links.iter().all(|l| l.inertial.is_some()));
     }
 }

@@ -71,7 +71,7 @@ pub(crate) fn rehearse(trial: &Trial, joints: &[f64], object_from_palm: &Pose, b
     );
     let truth = Truth::as_believed(belief, 0);
     let (mut engine, drives) = trial.engine(&world_from_palm, &reach, &truth, timeline::CLOSED_S, Judge::Diffsim)?;
-    let mut controller = Controller::new(&trial.hand, &drives, &reach, &[], &[], trial.options.torque_cap_nm);
+    let mut controller = Controller::new(&trial.hand, &drives, &reach, &[], &[], &trial.effort_nm);
     let tick_s = trial.options.dt_s * STEPS_PER_TICK as f64;
     let mut table_n = 0.0_f64;
     let mut close = || {
@@ -323,8 +323,9 @@ fn problem(
         .hand
         .joints
         .iter()
-        .map(|j| {
-            let cap = (trial.options.torque_cap_nm - j.friction_loss).max(0.0);
+        .zip(&trial.effort_nm)
+        .map(|(j, effort)| {
+            let cap = (effort - j.friction_loss).max(0.0);
             (-cap, cap)
         })
         .collect();
@@ -389,6 +390,10 @@ mod tests {
 
     /// The index finger and the thumb at opposite sides of a ball; the others touch nothing.
     fn pinch() -> (Trial, Rehearsal) {
+        pinch_of(Robot::bundled("leap_right").unwrap())
+    }
+
+    fn pinch_of(hand: Robot) -> (Trial, Rehearsal) {
         let ball = TrialObject {
             collider: Arc::new(Collider::new(&[Geom::new(Shape::Sphere { radius_m: RADIUS_M })]).unwrap()),
             properties: MassProperties {
@@ -400,7 +405,7 @@ mod tests {
             world_from_object: Pose::translation(0.0, 0.0, RADIUS_M),
             max_finger_n: None,
         };
-        let hand = Arc::new(Robot::bundled("leap_right").unwrap());
+        let hand = Arc::new(hand);
         let joints = vec![0.0; hand.dof()];
         let trial = Trial::new(hand, ball, TrialOptions::default()).unwrap();
         // Where the palm is makes torques, not forces: beside the ball they are small.
@@ -451,6 +456,35 @@ mod tests {
         assert!((told(0.001) - (FRICTIONS * withstood).max(1.0)).abs() < 1e-3, "{} {withstood}", told(0.001));
         // What is heavier needs more than that.
         assert!(told(0.2) > 1.1 * told(0.001), "{} {}", told(0.2), told(0.001));
+    }
+
+    #[test]
+    fn each_hand_has_the_torques_of_its_own_motors() {
+        let told = Belief { mass_kg: 0.1, friction: 1.0 };
+        let strongest = |hand: Robot| -> (Vec<f64>, f64) {
+            let (trial, pinch) = pinch_of(hand);
+            let problem = problem(&trial, &pinch.closed, &pinch.world_from_palm, pinch.touching.clone(), &told);
+            let limits = problem.torques.unwrap().limits_nm;
+            assert!(limits.iter().all(|(lo, hi)| lo == &-hi));
+            let most = squeeze_n(&trial, &pinch, &told, Squeeze::Total(1e4)).unwrap().unwrap();
+            (limits.into_iter().map(|l| l.1).collect(), most)
+        };
+        let (leap, _) = strongest(Robot::bundled("leap_right").unwrap());
+        assert!(leap.iter().all(|l| (l - (0.29 - 0.029)).abs() < 1e-12), "{leap:?}");
+        // Duty of 375, 675, 450 and 285 at 1200 per N m, less the dry friction.
+        let allegro = Robot::bundled("allegro_right").unwrap();
+        let (own, most) = strongest(allegro.clone());
+        for (limit, (duty, friction)) in own.iter().zip([(375.0, 0.1), (675.0, 0.1), (450.0, 0.1), (285.0, 0.06)]) {
+            assert!((limit - (duty / 1200.0 - friction)).abs() < 1e-12, "{own:?}");
+        }
+        // Motors of half the torque squeeze less than half as hard: the dry friction stays.
+        let (_, half) = strongest(allegro.clone().with_effort_cap(0.2375 / 2.0).unwrap());
+        assert!(half > 0.0 && half < 0.5 * most, "{half} of {most} N");
+        let mut silent = allegro;
+        (silent.joints[3].effort_limit, silent.actuators[3].force_range) = (None, None);
+        let ball = pinch().0.object;
+        let Err(error) = Trial::new(Arc::new(silent), ball, TrialOptions::default()) else { panic!("taken") };
+        assert!(error.to_string().contains("\"allegro_right\"") && error.to_string().contains("ffj3"), "{error}");
     }
 
     #[test]

@@ -47,7 +47,8 @@ pub(crate) struct Controller<'a> {
     pushes: &'a [Push],
     /// See [`Command`](crate::Command).
     limits_nm: &'a [f64],
-    torque_cap_nm: f64,
+    /// Largest torque of each joint.
+    effort_nm: &'a [f64],
     /// Joint torques at the end of closing.
     closing: Vec<f64>,
     /// Angles and torques of the complete squeeze, from the end of the ramp on.
@@ -61,9 +62,9 @@ impl<'a> Controller<'a> {
         reach: &'a Reach,
         pushes: &'a [Push],
         limits_nm: &'a [f64],
-        torque_cap_nm: f64,
+        effort_nm: &'a [f64],
     ) -> Self {
-        Self { robot, drives, reach, pushes, limits_nm, torque_cap_nm, closing: vec![0.0; robot.dof()], held: None }
+        Self { robot, drives, reach, pushes, limits_nm, effort_nm, closing: vec![0.0; robot.dof()], held: None }
     }
 
     /// The command at time `t`.
@@ -78,7 +79,7 @@ impl<'a> Controller<'a> {
                 let j = d.joint;
                 let error = self.reach.at(j, s) - q[j];
                 let friction = self.robot.joints[j].friction_loss * (error / FRICTION_BLEND_RAD).tanh();
-                let limit = if closing { CLOSING_NM } else { self.torque_cap_nm };
+                let limit = if closing { CLOSING_NM } else { self.effort_nm[j] };
                 self.closing[j] = (d.stiffness * d.gear * d.gear * error).clamp(-limit, limit) + friction;
             }
             return self.position(q, |j| own[j] + self.closing[j]);
@@ -132,11 +133,11 @@ impl<'a> Controller<'a> {
 
     /// Commands that give these joint torques at the angles `q`.
     fn position(&self, q: &[f64], torque_nm: impl Fn(usize) -> f64) -> Vec<f64> {
-        let cap = self.torque_cap_nm;
-        self.drives
-            .iter()
-            .map(|d| d.gear * q[d.joint] + torque_nm(d.joint).clamp(-cap, cap) / (d.gear * d.stiffness))
-            .collect()
+        let command = |d: &Drive| {
+            let cap = self.effort_nm[d.joint];
+            d.gear * q[d.joint] + torque_nm(d.joint).clamp(-cap, cap) / (d.gear * d.stiffness)
+        };
+        self.drives.iter().map(command).collect()
     }
 }
 

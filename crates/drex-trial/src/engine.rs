@@ -79,15 +79,16 @@ pub(crate) struct Setup<'a> {
     pub path: Path,
     /// Joint angles at the start, rad.
     pub joints: &'a [f64],
-    pub torque_cap_nm: f64,
+    /// Largest torque of each joint, N m.
+    pub effort_nm: &'a [f64],
     pub dt_s: f64,
 }
 
-/// The hand's drives as position drives with a cap, and their numbers.
+/// The hand's drives as position drives within the joints' largest torques, and their numbers.
 fn hand_of(
     hand: &Arc<Robot>,
     base: Base<f64>,
-    torque_cap_nm: f64,
+    effort_nm: &[f64],
     friction: f64,
 ) -> Result<(Articulation<f64>, Vec<Drive>)> {
     let mut arm = Articulation::new(Arc::clone(hand), base)?.with_friction(friction);
@@ -99,8 +100,7 @@ fn hand_of(
         };
         drive.kind = ActuatorKind::Position { kp, kv };
         let gear = if drive.gear == 0.0 { 1.0 } else { drive.gear };
-        let own = drive.force_range.map_or(f64::INFINITY, |(lo, hi)| hi.abs().min(lo.abs()));
-        let cap = own.min(torque_cap_nm / gear.abs());
+        let cap = effort_nm[drive.joint] / gear.abs();
         drive.force_range = Some((-cap, cap));
         // Commands lie beyond a joint's end where the squeeze needs it; the force range is what bounds them.
         drive.ctrl_range = None;
@@ -112,8 +112,8 @@ fn hand_of(
 impl Engine {
     /// Everything at rest at time zero.
     pub fn new(setup: Setup<'_>, judge: Judge) -> Result<(Self, Vec<Drive>)> {
-        let Setup { hand, object, world_from_object, truth, path, joints, torque_cap_nm, dt_s } = setup;
-        let (arm, drives) = hand_of(hand, Base::Path(path), torque_cap_nm, truth.friction)?;
+        let Setup { hand, object, world_from_object, truth, path, joints, effort_nm, dt_s } = setup;
+        let (arm, drives) = hand_of(hand, Base::Path(path), effort_nm, truth.friction)?;
         let hold: Vec<f64> = drives.iter().map(|d| joints[d.joint] * d.gear).collect();
         let mut state = State::at_rest(world_from_object);
         state.arms.push(arm.at_rest(joints, 0.0)?);

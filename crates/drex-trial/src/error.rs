@@ -18,6 +18,9 @@ pub enum Error {
     /// The simulator refused the model.
     #[error("the trial cannot be simulated: {0}")]
     Simulation(#[from] drex_diffsim::SimError),
+    /// The hand's model lacks what a trial needs.
+    #[error("the hand cannot be tried: {0}")]
+    Hand(#[from] drex_robot::Error),
     /// Contacts or forces could not be computed.
     #[error("the grasp cannot be analysed: {0}")]
     Grasp(#[from] drex_grasp::GraspError),

@@ -29,17 +29,21 @@ pub struct Trial {
     pub(crate) surface: HandSurface,
     pub(crate) object: TrialObject,
     pub(crate) options: TrialOptions,
+    /// Largest torque of each joint, model order, N m.
+    pub(crate) effort_nm: Vec<f64>,
 }
 
 impl Trial {
     /// Prepares trials of `hand` with `object`.
     ///
     /// # Errors
-    /// If the hand has no collision shapes or an option is out of range.
+    /// If the hand has no collision shapes, its model does not say what its motors give ([`Robot::effort_limits`]), or an option is
+    /// out of range.
     pub fn new(hand: Arc<Robot>, object: TrialObject, options: TrialOptions) -> Result<Self> {
         options.check()?;
+        let effort_nm = hand.effort_limits()?;
         let surface = HandSurface::new(&hand, SPACING_M)?;
-        Ok(Self { hand, surface, object, options })
+        Ok(Self { hand, surface, object, options, effort_nm })
     }
 
     /// The hand.
@@ -158,7 +162,7 @@ impl Trial {
         let (mut engine, drives) =
             self.engine(&command.world_from_palm, &command.reach, truth, timeline::SHAKEN_S, judge)?;
         let Command { reach, pushes, limits_nm, .. } = command;
-        let mut controller = Controller::new(&self.hand, &drives, reach, pushes, limits_nm, self.options.torque_cap_nm);
+        let mut controller = Controller::new(&self.hand, &drives, reach, pushes, limits_nm, &self.effort_nm);
         let tick_s = self.options.dt_s * STEPS_PER_TICK as f64;
         let mut watch = Watch::new(&self.surface, self.object.max_finger_n, command.squeeze_n, tick_s);
         let ticks = (timeline::SHAKEN_S / tick_s).round() as usize;
@@ -200,7 +204,7 @@ impl Trial {
             truth,
             path,
             joints: &reach.open,
-            torque_cap_nm: self.options.torque_cap_nm,
+            effort_nm: &self.effort_nm,
             dt_s: self.options.dt_s,
         };
         Engine::new(setup, judge)

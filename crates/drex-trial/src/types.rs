@@ -219,8 +219,6 @@ pub struct Frame {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct TrialOptions {
-    /// Largest torque of each joint, N m: what LEAP's motors give at 550 mA.
-    pub torque_cap_nm: f64,
     /// How much harder than just enough it squeezes.
     pub law: ForceLaw,
     /// Acceleration of the shakes, m/s².
@@ -231,7 +229,7 @@ pub struct TrialOptions {
 
 impl Default for TrialOptions {
     fn default() -> Self {
-        Self { torque_cap_nm: 0.29, law: ForceLaw::default(), shake_m_s2: 0.5 * 9.81, dt_s: 2e-3 }
+        Self { law: ForceLaw::default(), shake_m_s2: 0.5 * 9.81, dt_s: 2e-3 }
     }
 }
 
@@ -259,7 +257,6 @@ impl Truth {
 impl TrialOptions {
     pub(crate) fn check(&self) -> Result<()> {
         let demands = [
-            ("torque_cap_nm", self.torque_cap_nm, self.torque_cap_nm > 0.0),
             ("shake_m_s2", self.shake_m_s2, self.shake_m_s2 >= 0.0),
             ("dt_s", self.dt_s, (1e-4..=0.004).contains(&self.dt_s)),
         ];

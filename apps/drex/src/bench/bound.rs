@@ -8,7 +8,6 @@ use drex_grasp::{
     ContactOptions, GraspError, HandSurface, SqueezeError, SqueezeProblem, TorqueLimits, smallest_forces,
 };
 use drex_robot::Robot;
-use drex_trial::TrialOptions;
 use nalgebra::{Vector3, Vector6};
 use rayon::prelude::*;
 
@@ -19,22 +18,8 @@ use super::thing::Thing;
 const MOST_FRICTION: f64 = 1.5;
 const STEP: f64 = 0.005;
 
-/// The protocol's load and the motors.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Load {
-    pub torque_cap_nm: f64,
-    pub shake_m_s2: f64,
-}
-
-impl Load {
-    /// That of trials with these options.
-    pub fn of(trial: &TrialOptions) -> Self {
-        Self { torque_cap_nm: trial.torque_cap_nm, shake_m_s2: trial.shake_m_s2 }
-    }
-}
-
-/// Least friction at which any of the grasps carries an object of `mass_kg`; `None` if none does at any. The same for any number of
-/// threads.
+/// Least friction at which any of the grasps carries an object of `mass_kg` that is shaken with `shake_m_s2`; `None` if none does at any.
+/// The same for any number of threads.
 ///
 /// # Errors
 /// If a grasp is none of this hand.
@@ -43,17 +28,17 @@ pub fn least_friction(
     robot: &Robot,
     grasps: &[Grasp],
     mass_kg: f64,
-    load: &Load,
+    shake_m_s2: f64,
 ) -> Result<Option<f64>> {
     let surface = HandSurface::new(robot, ContactOptions::default().spacing_m)?;
     // Those that need the least squeeze first: they set a threshold that the others rarely beat.
     let mut order: Vec<&Grasp> = grasps.iter().collect();
     order.sort_by(|a, b| a.squeeze_per_weight.total_cmp(&b.squeeze_per_weight));
     let problems: Vec<SqueezeProblem> =
-        order.par_iter().map(|g| problem(thing, robot, &surface, g, mass_kg, load)).collect::<Result<_>>()?;
+        order.par_iter().map(|g| problem(thing, robot, &surface, g, mass_kg)).collect::<Result<_>>()?;
     let mut best: Option<f64> = None;
     // One thread: each answer makes the next question cheaper, and the order is fixed.
-    let loads = shakes(thing, mass_kg, load.shake_m_s2);
+    let loads = shakes(thing, mass_kg, shake_m_s2);
     for problem in &problems {
         let start = best.map_or(MOST_FRICTION, |b| b - STEP);
         if start <= 0.0 || !carries(problem, start, &loads)? {
@@ -79,12 +64,12 @@ pub fn carried(
     grasps: &[Grasp],
     mass_kg: f64,
     frictions: &[f64],
-    load: &Load,
+    shake_m_s2: f64,
 ) -> Result<Vec<Option<usize>>> {
     let surface = HandSurface::new(robot, ContactOptions::default().spacing_m)?;
-    let loads = shakes(thing, mass_kg, load.shake_m_s2);
+    let loads = shakes(thing, mass_kg, shake_m_s2);
     let first = |g: &Grasp| {
-        let problem = problem(thing, robot, &surface, g, mass_kg, load)?;
+        let problem = problem(thing, robot, &surface, g, mass_kg)?;
         // More friction is never worse: most grasps carry it at none of them.
         let mut first = None;
         for (at, friction) in frictions.iter().enumerate().rev() {
@@ -98,20 +83,12 @@ pub fn carried(
     grasps.par_iter().map(first).collect()
 }
 
-fn problem(
-    thing: &Thing,
-    robot: &Robot,
-    surface: &HandSurface,
-    grasp: &Grasp,
-    mass_kg: f64,
-    load: &Load,
-) -> Result<SqueezeProblem> {
+fn problem(thing: &Thing, robot: &Robot, surface: &HandSurface, grasp: &Grasp, mass_kg: f64) -> Result<SqueezeProblem> {
     let pose = grasp.pose()?;
     let options = ContactOptions::with_friction(MOST_FRICTION);
     let contacts = surface.contacts(robot, &grasp.joints_rad, &pose, thing.sdf.exact(), &options)?;
     let gravity = thing.table.gravity();
-    let mut torques = TorqueLimits::of_robot(robot, &grasp.joints_rad, &pose, &contacts, &gravity)?;
-    torques.limits_nm = vec![(-load.torque_cap_nm, load.torque_cap_nm); robot.dof()];
+    let torques = TorqueLimits::of_robot(robot, &grasp.joints_rad, &pose, &contacts, &gravity)?;
     let problem = SqueezeProblem::new(contacts, mass_kg, thing.center_of_mass(), gravity).with_torques(torques);
     Ok(match thing.spec.max_force_n {
         Some(most) => problem.with_max_normal_n(most),

@@ -13,7 +13,7 @@ use drex_robot::Robot;
 use drex_trial::paired_difference;
 use nalgebra::{Point3, Quaternion, Translation3, UnitQuaternion, Vector3, Vector4};
 
-use super::bound::{self, Load};
+use super::bound;
 use super::cell::{Actor, Cell, Choice, Force, Row, Setting, Told};
 use super::judge::{Condition, Judge, Spread};
 use super::learned::{LearnOptions, Learned, Proposal};
@@ -70,7 +70,8 @@ pub struct Bench<'a, J> {
     pub practised: usize,
     /// Every command is carried out in both engines.
     pub compare: bool,
-    pub load: Load,
+    /// Acceleration of the shakes, m/s².
+    pub shake_m_s2: f64,
     /// Folder for grasps.
     pub out: Option<PathBuf>,
     /// Says what is going on.
@@ -352,7 +353,7 @@ impl<J: Judge> Bench<'_, J> {
             train: self.train.clone(),
             spread,
             practised: self.practised,
-            load: self.load,
+            shake_m_s2: self.shake_m_s2,
             masses_kg,
             mass_hidden,
         };
@@ -374,7 +375,7 @@ impl<J: Judge> Bench<'_, J> {
     }
 
     fn least_friction(&self, ready: &Ready<J>, mass_kg: f64) -> Result<Option<f64>> {
-        bound::least_friction(&ready.thing, &self.robot, &ready.grasps, mass_kg, &self.load)
+        bound::least_friction(&ready.thing, &self.robot, &ready.grasps, mass_kg, self.shake_m_s2)
     }
 }
 
@@ -447,7 +448,7 @@ mod tests {
             train: TrainOptions::default().with_epochs(60).with_hold_out_every(0),
             practised: 20,
             compare: true,
-            load: Load { torque_cap_nm: 0.29, shake_m_s2: 4.9 },
+            shake_m_s2: 4.9,
             out: None,
             note: &|_| {},
         }

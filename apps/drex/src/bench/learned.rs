@@ -14,7 +14,6 @@ use drex_trial::{Belief, Squeeze};
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
-use super::bound::Load;
 use super::judge::{Condition, Judge, Judged, Spread};
 use super::library::{Grasp, Kind};
 use super::practice::{PRACTICE_SEED, Practised, Sieved, practise};
@@ -49,8 +48,8 @@ pub struct LearnOptions {
     pub spread: Spread,
     /// Grasps that are practised in the simulator before one is learned, those that need least force; zero practises nothing.
     pub practised: usize,
-    /// What the motors and the protocol are on paper.
-    pub load: Load,
+    /// Acceleration of the shakes, m/s².
+    pub shake_m_s2: f64,
     /// Masses of the labels, kg; empty: multiples of the object's own.
     pub masses_kg: Vec<f64>,
     /// The network is told the same mass whatever it was: what randomising masses in training amounts to.

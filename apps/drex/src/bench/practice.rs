@@ -116,7 +116,7 @@ pub fn practise<J: Judge>(
     let closes_on = Belief { mass_kg: heaviest, friction: middle };
     let task = Task { thing, robot, judge, closes_on, beliefs };
 
-    let carried = bound::carried(thing, robot, grasps, heaviest, &frictions, &options.load)?;
+    let carried = bound::carried(thing, robot, grasps, heaviest, &frictions, options.shake_m_s2)?;
     let place = |at: Option<usize>| at.unwrap_or(frictions.len());
     let mut easiest: Vec<(usize, &Grasp)> = carried.into_iter().map(place).zip(grasps).collect();
     easiest.sort_by(|(i, a), (j, b)| i.cmp(j).then(a.squeeze_per_weight.total_cmp(&b.squeeze_per_weight)));

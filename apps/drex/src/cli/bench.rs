@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand, ValueEnum};
 use drex_trial::Judge;
 
+use super::positive;
 use crate::bench::experiments::Experiment;
 
 /// `drex bench`.
@@ -29,6 +30,9 @@ pub struct BenchCommon {
     /// Robot hand: leap, allegro, or a file as `drex retarget` takes it.
     #[arg(long, value_name = "NAME|FILE", default_value = "leap")]
     pub hand: String,
+    /// Most that any joint gives, N m [default: what the hand's model says].
+    #[arg(long, value_name = "N_M", value_parser = positive)]
+    pub torque_cap: Option<f64>,
     /// Folder for grasps (kept for the next run), tables and plots.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,

@@ -28,6 +28,9 @@ pub struct GraspArgs {
     /// Friction between hand and object [default: the twin's, or 0.5].
     #[arg(long, value_name = "MU", value_parser = positive)]
     pub friction: Option<f64>,
+    /// Most that any joint gives, N m [default: the twin's, or what the hand's model says].
+    #[arg(long, value_name = "N_M", value_parser = positive)]
+    pub torque_cap: Option<f64>,
 }
 
 /// `drex deploy`.
@@ -65,7 +68,15 @@ pub struct DeployArgs {
 impl DeployArgs {
     /// An emulated hand, driven as one at its port would be, with the joint log `log`.
     pub fn emulated(twin: PathBuf, log: PathBuf) -> Self {
-        let grasp = GraspArgs { twin_or_policy: twin, mesh: None, hand: None, pose: None, mass: None, friction: None };
+        let grasp = GraspArgs {
+            twin_or_policy: twin,
+            mesh: None,
+            hand: None,
+            pose: None,
+            mass: None,
+            friction: None,
+            torque_cap: None,
+        };
         let run = RunArgs { rate: RunArgs::RATE_HZ, log: Some(log) };
         let (link, hold) = (LinkArgs::default(), Self::HOLD_S);
         Self { grasp, out: None, port: None, emulate: true, law: None, uniform: false, hold, link, run }

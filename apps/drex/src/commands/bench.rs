@@ -12,7 +12,6 @@ use drex_retarget::TargetHand;
 use drex_trial::{Judge, TrialOptions};
 use serde::Serialize;
 
-use crate::bench::bound::Load;
 use crate::bench::experiments::Bench;
 use crate::bench::judge::Rollouts;
 use crate::bench::library::{Kind, Library, LibraryOptions};
@@ -21,6 +20,7 @@ use crate::bench::table::Table;
 use crate::bench::thing::{POINTS, Thing};
 use crate::cli::{BenchCommand, BenchCommon, DemosArgs, GraspBenchArgs};
 use crate::picture::clip::{self, Posed};
+use crate::predict::with_torques;
 use crate::ui::Ui;
 
 /// Hands that the search between opposite points looks at, for each demonstration.
@@ -153,7 +153,8 @@ struct BenchAnswer<'a> {
     judge: Judge,
     rollouts: u32,
     seed: u64,
-    torque_cap_nm: f64,
+    /// Largest torque of each joint, model order, N m.
+    torque_limits_nm: Vec<f64>,
     margin: f64,
     #[serde(flatten)]
     table: &'a Table,
@@ -166,13 +167,14 @@ struct BenchAnswer<'a> {
 fn grasp(args: &GraspBenchArgs, seed: u64, ui: &Ui) -> Result<()> {
     let start = Instant::now();
     let common = &args.common;
-    let hand = TargetHand::resolve(&common.hand)?;
+    let mut hand = TargetHand::resolve(&common.hand)?;
+    // Before minutes of practice.
+    hand.robot = with_torques(hand.robot, common.torque_cap)?;
     let given = match common.objects.is_some() || !common.only.is_empty() {
         true => Some(specs(common)?),
         false => None,
     };
     let engine = Judge::from(args.judge);
-    // Before minutes of practice.
     engine.check()?;
     let experiment = args.experiment.to_possible_value().context("the experiment has no name")?;
     let name = experiment.get_name();
@@ -192,7 +194,7 @@ fn grasp(args: &GraspBenchArgs, seed: u64, ui: &Ui) -> Result<()> {
         train,
         practised: args.practice as usize,
         compare: args.compare,
-        load: Load::of(&options),
+        shake_m_s2: options.shake_m_s2,
         out: common.out.clone(),
         note: &|text| ui.note(text),
     };
@@ -206,7 +208,7 @@ fn grasp(args: &GraspBenchArgs, seed: u64, ui: &Ui) -> Result<()> {
         judge: engine,
         rollouts: args.rollouts,
         seed,
-        torque_cap_nm: options.torque_cap_nm,
+        torque_limits_nm: robot.effort_limits()?,
         margin: args.margin,
         table: &table,
         rollouts_per_s: table.rollouts_per_s(),

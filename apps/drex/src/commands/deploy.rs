@@ -8,6 +8,7 @@ use drex_hw::allegro::WIRE_JOINTS;
 use drex_hw::control::{EStop, GraspPlan};
 use drex_hw::law::{LimitMode, LimitOptions, Nominal, TorqueLaw, torque_limits_nm};
 use drex_hw::leap::table::MotorModel;
+use drex_robot::Robot;
 use drex_trial::{Reach, TrialOptions};
 use serde::Serialize;
 use serde_json::json;
@@ -78,7 +79,8 @@ struct Units {
 #[derive(Serialize)]
 struct ForceLaw {
     what: &'static str,
-    torque_cap_nm: f64,
+    /// Largest torque of each joint, model order, N m.
+    torque_limits_nm: Vec<f64>,
     margin: f64,
     shake_m_s2: f64,
 }
@@ -99,7 +101,8 @@ pub struct Deployed {
 pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     // Before there is a hand that could be left with its torque on.
     let stop = hw::stop_button()?;
-    let ready = Ready::of(&args.grasp, seed)?;
+    let mut ready = Ready::of(&args.grasp, seed)?;
+    limit_to_driver(&mut ready.robot, args);
     let grasp = ready.predict()?;
     if let Some(reason) = &grasp.cannot_hold {
         bail!("there is no grasp to deploy: {reason}");
@@ -158,6 +161,18 @@ pub fn deploy(args: &DeployArgs, ready: &Ready, grasp: &Prediction, stop: &EStop
         None => None,
     };
     Ok(Deployed { file, reach, limits, done })
+}
+
+/// No joint is asked for more than the hand that is driven takes, where its version takes less than the model says.
+fn limit_to_driver(robot: &mut Robot, args: &DeployArgs) {
+    if !matches!(kind(&robot.name), Ok(HandArg::Allegro)) {
+        return;
+    }
+    for (name, cap) in WIRE_JOINTS.iter().zip(hw::allegro_options(&args.link).torque_caps_nm()) {
+        for joint in robot.joints.iter_mut().filter(|j| j.name == *name) {
+            joint.effort_limit = Some(joint.effort_limit.map_or(cap, |e| e.min(cap)));
+        }
+    }
 }
 
 /// Which driver a model takes.
@@ -220,8 +235,8 @@ fn write(
         },
         units: Units { joints: "rad", length: "m", mass: "kg", force: "N", torque: "N m", current: "mA" },
         force_law: ForceLaw {
-            what: "smallest sum of normal forces that carries the weight and shakes in every direction at the lowest friction believed in, times the margin, within the torque cap",
-            torque_cap_nm: options.torque_cap_nm,
+            what: "smallest sum of normal forces that carries the weight and shakes in every direction at the lowest friction believed in, times the margin, within the torques of the motors",
+            torque_limits_nm: ready.robot.effort_limits()?,
             margin: options.law.margin,
             shake_m_s2: options.shake_m_s2,
         },

@@ -22,11 +22,13 @@ use anyhow::{Context, Result, bail};
 use drex_core::push::{InputChoice, PushRecording};
 use drex_core::twin::{ASSUMED_FRICTION, TwinManifest};
 use drex_mesh::{Asset, build_asset};
+use drex_robot::Robot;
 use nalgebra::Vector3;
 use serde::Serialize;
 
 use crate::lock::{Inputs, Lock};
 use crate::object::asset_options;
+use crate::predict::with_torques;
 use crate::ui::Ui;
 
 pub use files::{
@@ -169,6 +171,15 @@ impl Twin {
         self.manifest.object.friction.unwrap_or(ASSUMED_FRICTION)
     }
 
+    /// The hand of the manifest, with its motors' torques known.
+    ///
+    /// # Errors
+    /// If there is none, it cannot be read, or neither its model nor the manifest says what its motors give.
+    pub fn hand(&self) -> Result<Robot> {
+        let grasps = self.manifest.grasps.as_ref().context("the manifest has no [grasps]")?;
+        with_torques(Robot::resolve(&grasps.hand, &self.root)?, grasps.torque_cap_nm)
+    }
+
     /// Does every stage up to and including `last` whose inputs changed, and skips the others. With `again` the last one is
     /// done in any case.
     pub fn run_until(&mut self, last: Stage, again: bool, ui: &Ui) -> Result<RunSummary> {
@@ -243,7 +254,7 @@ impl Twin {
             }
             Stage::Train => {
                 let inputs = inputs.setting("train", &m.train)?.setting("object", &m.object)?.file(&mesh)?;
-                inputs.file(&self.path(files::FITS))?.file(&self.path(files::MASS))?
+                self.capped(inputs)?.file(&self.path(files::FITS))?.file(&self.path(files::MASS))?
             }
             Stage::Trial | Stage::Execute => {
                 let inputs = inputs.setting("object", &m.object)?.setting("grasps", &m.grasps)?.file(&mesh)?;
@@ -251,7 +262,7 @@ impl Twin {
             }
             Stage::Evaluate => {
                 let inputs = inputs.setting("object", &m.object)?.file(&mesh)?.file(&self.path(files::POLICY))?;
-                inputs.file(&self.path(files::FITS))?.file(&self.path(files::MASS))?
+                self.capped(inputs)?.file(&self.path(files::FITS))?.file(&self.path(files::MASS))?
             }
             Stage::Report => {
                 let inputs = inputs.setting("manifest", m)?.file(&self.path("mesh"))?.file(&self.path(files::MASS))?;
@@ -269,6 +280,12 @@ impl Twin {
             }
         };
         Ok(inputs.digest())
+    }
+
+    /// With the torque cap of the hand, if there is one.
+    fn capped(&self, inputs: Inputs) -> Result<Inputs> {
+        let cap_nm = self.manifest.grasps.as_ref().and_then(|g| g.torque_cap_nm);
+        cap_nm.iter().try_fold(inputs, |inputs, cap| inputs.setting("torque_cap_nm", cap))
     }
 
     /// With what the scan stage says of itself, if there is one.

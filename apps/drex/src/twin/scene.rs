@@ -29,8 +29,7 @@ pub struct Scene {
 impl Scene {
     /// From the manifest.
     pub fn of(twin: &Twin) -> Result<Self> {
-        let grasps = twin.manifest.grasps.as_ref().context("the manifest has no [grasps]")?;
-        let robot = Robot::resolve(&grasps.hand, &twin.root)?;
+        let robot = twin.hand()?;
         let asset = twin.asset()?.clone();
         let mut grid = GridOptions::default();
         grid.margin_m = Some(SEARCH_MARGIN_M);

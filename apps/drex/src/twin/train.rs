@@ -15,7 +15,6 @@ use rayon::prelude::*;
 use super::files::{FITS, MASS, POLICY, PracticeRecord, TRAINING, read_json, write_json};
 use super::practice::Ground;
 use super::{FitFile, MassFile, Scene, Training, Twin};
-use crate::bench::bound::Load;
 use crate::bench::judge::Spread;
 use crate::bench::learned::{LearnOptions, Learned};
 use crate::bench::library::Kind;
@@ -77,7 +76,7 @@ fn practise(
         train,
         spread: Spread::around(Some(twin.friction())),
         practised,
-        load: Load::of(&TrialOptions::default()),
+        shake_m_s2: TrialOptions::default().shake_m_s2,
         masses_kg: Vec::new(),
         mass_hidden: false,
     };

@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use drex_policy::{GraspPolicy, PredictedGrasp, Query};
-use drex_robot::Robot;
 use drex_trial::{Command, Frame, NoCommand, Squeeze, Verdict, wilson};
 use rayon::prelude::*;
 
@@ -25,9 +24,8 @@ const TRIAL_SEED: u64 = 0x74_72_69_61;
 const HALF_INTERVAL: f64 = 1.96;
 
 pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
-    let grasps = twin.manifest.grasps.as_ref().context("the manifest has no [grasps]")?;
     let mass: MassFile = read_json(&twin.path(MASS))?;
-    let robot = Robot::resolve(&grasps.hand, &twin.root)?;
+    let robot = twin.hand()?;
     let policy = GraspPolicy::load(&twin.path(POLICY))?;
     let ground = Ground::of(twin, &robot, mass.mass_kg)?;
     let spread = Spread::around(Some(twin.friction()));

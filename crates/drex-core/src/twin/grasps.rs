@@ -23,6 +23,9 @@ pub struct GraspsConfig {
     /// Grasps to make of each demonstration of a person beside its own frames.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub augment: Option<usize>,
+    /// Most that any joint of the hand gives, N m: needed where its model names no torque, a limit where it does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub torque_cap_nm: Option<f64>,
 }
 
 impl GraspsConfig {
@@ -32,6 +35,14 @@ impl GraspsConfig {
             return refuse(
                 "[grasps] hand is empty".into(),
                 "name a bundled hand such as leap_right, or a URDF or MJCF file",
+            );
+        }
+        if let Some(cap) = self.torque_cap_nm
+            && !(cap > 0.0 && cap.is_finite())
+        {
+            return refuse(
+                format!("[grasps] torque_cap_nm = {cap}"),
+                "give what the motor of a joint gives, N m, or leave it out for what the hand's model says",
             );
         }
         if let Some(count) = self.augment {

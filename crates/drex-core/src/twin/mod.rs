@@ -411,6 +411,8 @@ damping = 0.001
         let m = parse(&FULL.replace("joint_order = \"leap_sdk\"", "recorded = \"human\"\naugment = 200")).unwrap();
         let grasps = m.grasps.clone().unwrap();
         assert_eq!((grasps.recorded, grasps.augment), (RecordedAs::Human, Some(200)));
+        let m = parse(&FULL.replace("joint_order = \"leap_sdk\"", "torque_cap_nm = 0.2")).unwrap();
+        assert_eq!(m.grasps.unwrap().torque_cap_nm, Some(0.2));
         assert_eq!(parse(&m.to_toml_string().unwrap()).unwrap(), m);
     }
 
@@ -431,6 +433,8 @@ damping = 0.001
             ("[train]", "augment = 9\n[train]", "[grasps] augment = 9"),
             ("[train]", "recorded = \"human\"\n[train]", "[grasps] joint_order"),
             ("joint_order = \"leap_sdk\"", "recorded = \"human\"\naugment = 0", "augment = 0"),
+            ("joint_order = \"leap_sdk\"", "torque_cap_nm = 0", "torque_cap_nm = 0"),
+            ("joint_order = \"leap_sdk\"", "torque_cap_nm = nan", "torque_cap_nm = NaN"),
             ("joint_order = \"leap_sdk\"", "recorded = \"glove\"", "line 14"),
         ] {
             let message = parse(&FULL.replace(from, to)).unwrap_err().to_string();

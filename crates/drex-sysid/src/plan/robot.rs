@@ -132,11 +132,8 @@ pub fn tip_force_limit(hand: &Robot, q: &[f64]) -> Result<Option<f64>> {
     if q.len() != hand.dof() {
         return refuse(&format!("has {} joints, but {} coordinates were given", hand.dof(), q.len()));
     }
-    let limit = |j: usize| {
-        let drives = hand.actuators.iter().filter(|a| a.joint == j);
-        let driven = drives.filter_map(|a| a.force_range.map(|(lo, hi)| a.gear.abs() * hi.min(-lo)));
-        driven.chain(hand.joints[j].effort_limit).filter(|x| *x > 0.0).reduce(f64::min)
-    };
+    let ranges = hand.effort_ranges();
+    let limit = |j: usize| Some(ranges[j].1.min(-ranges[j].0)).filter(|x| *x > 0.0 && x.is_finite());
     let poses = hand.forward_kinematics(q, &Isometry3::identity());
     let of_finger = |finger: Finger| {
         let tip = poses[finger.tip_link] * finger.tip_point;
