@@ -135,7 +135,7 @@ fn a_trained_twin_grasps_and_deploys() {
         assert_eq!(file["weights"]["sha256"], card["weights_sha256"]);
         assert_eq!(file["limits"]["force"].as_array().unwrap().len(), 16);
         assert_eq!(file["limits"]["unit"], "mA");
-        assert_eq!(file["force_law"]["torque_limits_nm"], serde_json::json!([0.29; 16]));
+        assert_eq!(file["force_law"]["torque_limits_nm"], serde_json::json!(vec![0.29; 16]));
         assert!(deploy.json()["driven"].is_null());
         let log = twin.join("grasp.csv");
         let emulated = drex([

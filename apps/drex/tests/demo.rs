@@ -33,10 +33,17 @@ fn the_demo_weighs_what_it_saw_and_holds_it() {
     let share = volume_cm3 / number(&truth["volume_cm3"]);
     assert!((0.88..1.12).contains(&share), "the mesh has {volume_cm3} cm3, {share} of the truth");
 
+    let training = read(demo.join("policy/training.json"));
+    let count = |of: &str| ["demonstrated", "refined", "searched"].map(|k| training[of][k].as_u64().unwrap());
+    let ([shown, _, searched], learned) = (count("tried"), count("learned"));
+    assert!(shown > 0 && searched > 0 && learned.iter().sum::<u64>() > 0, "{training}");
+    let page = fs::read_to_string(demo.join("report.html")).unwrap();
+    assert_eq!(page.contains("None of the grasps that the network learned was demonstrated"), learned[0] == 0);
+
     let trial = read(demo.join("policy/trial.json"));
     let (held, n) = (trial["held"].as_u64().unwrap(), trial["n"].as_u64().unwrap());
     assert!(4 * held >= 3 * n, "{held} of {n} rollouts held");
     let execution = read(demo.join("policy/execution.json"));
     assert_eq!(execution["held"], true, "the emulated hand: {execution}");
-    assert!(fs::read_to_string(demo.join("report.html")).unwrap().contains("Trial: lift, hold, shake"));
+    assert!(page.contains("Trial: lift, hold, shake"));
 }

@@ -26,6 +26,16 @@ fn the_tin_is_weighed_lifted_and_grasped_and_the_second_run_has_nothing_to_do() 
     let ci = &answer["mass"]["ci95_kg"];
     assert!(ci[0].as_f64().unwrap() < mass_kg && mass_kg < ci[1].as_f64().unwrap(), "{ci}");
 
+    // All that was learned was demonstrated; nothing was tried, so that nothing could be made of it.
+    let (learned, fits) = (&answer["learned"], &answer["grasps"]["accepted"]);
+    let none = serde_json::json!({ "demonstrated": fits, "refined": 0, "searched": 0 });
+    assert_eq!(
+        (&learned["tried"], &learned["refined"], &learned["searched"]),
+        (&none, &none["refined"], &none["searched"])
+    );
+    assert_eq!(learned["learned"], learned["demonstrated"], "{learned}");
+    assert!((1..=fits.as_u64().unwrap()).contains(&learned["learned"].as_u64().unwrap()), "{learned}");
+
     // What the trial says is what its rollouts are.
     let trial: serde_json::Value =
         serde_json::from_str(&fs::read_to_string(out.join("policy/trial.json")).unwrap()).unwrap();

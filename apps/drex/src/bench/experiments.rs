@@ -360,12 +360,13 @@ impl<J: Judge> Bench<'_, J> {
         let learned = Learned::train(&ready.thing, &self.robot, grasps, &ready.judge, &options)?;
         let from = learned.carries_from.map_or(String::new(), |mu| format!(" (from a friction of {mu:.2} on)"));
         (self.note)(&format!(
-            "{:>10}  {}: {} of {} grasps can be commanded{from}, {} held in practice, {} learned; practice {:.0} s, demonstrations {:.0} s, rollouts {:.0} s",
+            "{:>10}  {}: {} of {} grasps can be commanded{from}, {} held in practice, {} learned ({}); practice {:.0} s, demonstrations {:.0} s, rollouts {:.0} s",
             "trained",
             ready.thing.spec.name,
             learned.commanded,
             grasps.len(),
             learned.robust,
+            learned.learned.total(),
             learned.learned,
             learned.seconds[0],
             learned.seconds[1],

@@ -15,7 +15,7 @@ use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
 use super::judge::{Condition, Judge, Judged, Spread};
-use super::library::{Grasp, Kind};
+use super::library::{Grasp, Origins};
 use super::practice::{PRACTICE_SEED, Practised, Sieved, practise};
 use super::thing::Thing;
 
@@ -61,14 +61,13 @@ pub struct Learned {
     policy: GraspPolicy,
     /// What it is told in place of the mass.
     told_kg: Option<f64>,
-    /// Grasps of the library that can be commanded, that held in practice under most conditions, and that were learned.
+    /// Grasps of the library that can be commanded, and that held in practice under most conditions.
     pub commanded: usize,
     pub robust: usize,
-    pub learned: usize,
+    /// Those that were learned.
+    pub learned: Origins,
     /// Lowest of the frictions that a hand may be told at which a rehearsed grasp has a force for the heaviest mass.
     pub carries_from: Option<f64>,
-    /// Those of them that were demonstrated, or vary what was, rather than searched for.
-    pub demonstrated: usize,
     /// How the training went.
     pub report: TrainReport,
     /// Grasps and forces that were learned from.
@@ -145,9 +144,8 @@ impl Learned {
         while trainer.roll_out(&practice)?.is_some() {}
         let (policy, report) = trainer.finish()?;
         let seconds = [practised_s, learned_s - practised_s, start.elapsed().as_secs_f64() - learned_s];
-        let demonstrated = practised.iter().filter(|p| p.grasp.kind == Kind::Retargeted).count();
-        let (learned, samples) = (practised.len(), data.samples.len());
-        Ok(Self { policy, told_kg, commanded, robust, learned, carries_from, demonstrated, report, samples, seconds })
+        let (learned, samples) = (Origins::of(practised.iter().map(|p| p.grasp.kind)), data.samples.len());
+        Ok(Self { policy, told_kg, commanded, robust, learned, carries_from, report, samples, seconds })
     }
 
     /// The network.

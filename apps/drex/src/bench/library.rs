@@ -1,5 +1,6 @@
 //! Grasps of one object by one hand, measured and kept in a file.
 
+use std::fmt;
 use std::path::Path;
 
 use anyhow::{Result, bail};
@@ -28,12 +29,61 @@ const MAX_PENETRATION_MM: f64 = 2.0;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
-    /// A made-up person, retargeted.
+    /// As it was demonstrated, retargeted; in the bench by a made-up person.
     Retargeted,
+    /// Made of a demonstrated one: by the object's symmetries and noise, or by variations in practice.
+    Refined,
     /// The palm laid on the object and the fingers closed around it.
     Wrapped,
     /// Searched for between opposite points of the surface.
     Searched,
+}
+
+impl Kind {
+    /// The kind of a variation. One of a grasp that nobody demonstrated is still one that was found.
+    pub fn varied(self) -> Self {
+        match self {
+            Self::Retargeted | Self::Refined => Self::Refined,
+            Self::Wrapped | Self::Searched => self,
+        }
+    }
+}
+
+/// How many grasps come from where.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Origins {
+    /// As somebody showed them.
+    pub demonstrated: usize,
+    /// Made of demonstrated ones.
+    pub refined: usize,
+    /// Found without a demonstration: by laying the palm on the object, or between opposite points.
+    pub searched: usize,
+}
+
+impl Origins {
+    /// Of grasps of these kinds.
+    pub fn of(kinds: impl IntoIterator<Item = Kind>) -> Self {
+        let mut origins = Self::default();
+        for kind in kinds {
+            match kind {
+                Kind::Retargeted => origins.demonstrated += 1,
+                Kind::Refined => origins.refined += 1,
+                Kind::Wrapped | Kind::Searched => origins.searched += 1,
+            }
+        }
+        origins
+    }
+
+    /// All of them.
+    pub fn total(&self) -> usize {
+        self.demonstrated + self.refined + self.searched
+    }
+}
+
+impl fmt::Display for Origins {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} demonstrated, {} refined, {} searched", self.demonstrated, self.refined, self.searched)
+    }
 }
 
 /// One grasp.
@@ -202,4 +252,21 @@ fn digest(thing: &Thing, hand: &TargetHand, options: &LibraryOptions) -> String 
     thing.asset.visual.vertices.iter().flat_map(|v| v.iter()).for_each(|c| hash.update(c.to_bits().to_le_bytes()));
     thing.asset.visual.faces.iter().flatten().for_each(|i| hash.update(i.to_le_bytes()));
     hash.finalize().iter().map(|b| format!("{b:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_variation_of_a_demonstrated_grasp_was_not_demonstrated() {
+        let kinds = [Kind::Retargeted, Kind::Wrapped, Kind::Searched, Kind::Refined, Kind::Searched];
+        let tried = Origins::of(kinds);
+        assert_eq!(tried, Origins { demonstrated: 1, refined: 1, searched: 3 });
+        // Twice: what is varied again is still made of a demonstrated one, what was found is still found.
+        let varied = Origins::of(kinds.map(Kind::varied).map(Kind::varied));
+        assert_eq!(varied, Origins { demonstrated: 0, refined: 2, searched: 3 });
+        assert_eq!((tried.total(), varied.total()), (5, 5));
+        assert_eq!(varied.to_string(), "0 demonstrated, 2 refined, 3 searched");
+    }
 }

@@ -338,7 +338,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
 
     use super::super::judge::fake::ByHand;
-    use super::super::library::searched;
+    use super::super::library::{Kind, Origins, searched};
     use super::super::objects;
     use super::*;
 
@@ -383,17 +383,20 @@ mod tests {
         // As strong, N, as the first joint says in rad: 20 g are at the edge of what that carries.
         let task = task(&thing, &robot, &[0.02]);
         let found = searched(&thing, &robot, 20_000, 0.5, 0).unwrap();
-        let start: Vec<_> =
+        let mut start: Vec<_> =
             found.into_iter().filter_map(|g| task.gripped(g).unwrap()).filter(|g| g.place > 0).collect();
         // Many of them have no neighbour that is better, or none that is out of the object and off the table.
         assert!(start.len() >= 12, "{} to begin with", start.len());
+        start.iter_mut().step_by(2).for_each(|g| g.grasp.kind = Kind::Retargeted);
         let better = task.varied(&start[..12], 1).unwrap();
         assert!(!better.is_empty());
         for b in &better {
             let parent = start.iter().find(|g| g.grasp.clip == b.grasp.clip).unwrap();
             assert!(b.against(parent).is_lt() && b.grasp.joints_rad[0] > parent.grasp.joints_rad[0]);
-            assert_eq!(b.grasp.kind, parent.grasp.kind);
+            assert_eq!(b.grasp.kind, parent.grasp.kind.varied());
         }
+        let origins = Origins::of(better.iter().map(|b| b.grasp.kind));
+        assert!(origins.refined > 0 && origins.searched > 0 && origins.demonstrated == 0, "{origins}");
         let again = task.varied(&start[..12], 1).unwrap();
         assert!(again.iter().map(|g| &g.grasp).eq(better.iter().map(|g| &g.grasp)));
     }

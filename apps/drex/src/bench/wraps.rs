@@ -203,7 +203,7 @@ impl<'a> Closer<'a> {
             return Ok(None);
         }
         let closed = self.closed(thing, q, &pose, &options)?;
-        Ok(closed.map(|g| Grasp { kind: grasp.kind, clip: grasp.clip, ..g }))
+        Ok(closed.map(|g| Grasp { kind: grasp.kind.varied(), clip: grasp.clip, ..g }))
     }
 
     /// The grasp that closing from here gives.

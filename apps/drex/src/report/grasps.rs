@@ -11,6 +11,7 @@ use super::object::OBJECT_COLOR;
 use super::page::Page;
 use super::people;
 use super::summary::median;
+use crate::bench::library::Origins;
 use crate::picture::hand::HandShapes;
 use crate::picture::plot::{COLORS, Plot, Series};
 use crate::picture::raster::{Part, View, clearest_azimuth, render_png};
@@ -81,6 +82,29 @@ fn of_robot(page: &mut Page, fits: &FitFile) {
 pub fn training(page: &mut Page, training: &Training) {
     page.section("The network");
     let r = &training.report;
+    let row = |what: &str, o: &Origins| {
+        vec![
+            what.to_owned(),
+            o.demonstrated.to_string(),
+            o.refined.to_string(),
+            o.searched.to_string(),
+            o.total().to_string(),
+        ]
+    };
+    page.table(
+        &["grasps", "demonstrated", "refined", "searched", "all"],
+        &[row("tried", &training.tried), row("learned", &training.learned)],
+    );
+    page.paragraph(
+        "Demonstrated grasps are those of the recordings; refined ones were made of them, by the object's symmetries or by small changes \
+         that held better in simulation; searched ones were found without a demonstration.",
+    );
+    if training.learned.demonstrated == 0 {
+        page.paragraph(&format!(
+            "None of the grasps that the network learned was demonstrated{}.",
+            if training.learned.refined == 0 { ", nor made of one that was" } else { "" }
+        ));
+    }
     page.paragraph(&format!(
         "{} parameters, {} samples for training ({} grasps at several masses) and {} held out. From surface points and mass to \
          several modes of joint angles, wrist pose and squeeze.",

@@ -7,9 +7,10 @@ use serde_json::{Map, Value, json};
 use super::Learned;
 use super::page::Page;
 use super::push::verdict_text;
+use crate::bench::library::Origins;
 use crate::twin::files::SplatReport;
 use crate::twin::{
-    Evaluation, ExecutionFile, FitFile, JudgedGrasp, MassFile, MassSource, Stage, TrialFile, Twin, files,
+    Evaluation, ExecutionFile, FitFile, JudgedGrasp, MassFile, MassSource, Stage, Training, TrialFile, Twin, files,
 };
 
 /// What a run found, as text and as JSON.
@@ -56,6 +57,16 @@ pub fn findings(twin: &Twin, last: Stage) -> Result<Findings> {
         let what = if fits.clips.is_empty() { "demonstrations" } else { "grasps of people" };
         text += &format!("  grasps     {} of {} {what} fit the object\n", fits.accepted, fits.demonstrations);
         found.insert("grasps".into(), json!({ "demonstrations": fits.demonstrations, "accepted": fits.accepted }));
+    }
+    if has_grasps && last >= Stage::Train {
+        let training: Training = files::read_json(&twin.path(files::TRAINING))?;
+        let Training { learned, tried, .. } = &training;
+        text += &format!("  learned    {}\n", learned_line(learned, tried));
+        found.insert(
+            "learned".into(),
+            json!({ "learned": learned.total(), "demonstrated": learned.demonstrated, "refined": learned.refined,
+                    "searched": learned.searched, "tried": tried }),
+        );
     }
     if has_grasps && last >= Stage::Evaluate {
         let e: Evaluation = files::read_json(&twin.path(files::EVALUATION))?;
@@ -112,6 +123,11 @@ fn mass_line(mass: &MassFile) -> String {
     format!("{:.1} g{}, {}", 1e3 * mass.mass_kg, interval.unwrap_or_default(), mass.source.text())
 }
 
+/// "3 grasps: 0 demonstrated, 1 refined, 2 searched; tried were 42 demonstrated, 0 refined, 117 searched".
+fn learned_line(learned: &Origins, tried: &Origins) -> String {
+    format!("{} grasps: {learned}; tried were {tried}", learned.total())
+}
+
 /// "23 of 24 lifted, held and shaken (95 %: 80 to 99 %) with 7.1 N".
 fn trial_line(trial: &TrialFile) -> String {
     let [low, high] = trial.interval.map(|p| 100.0 * p);
@@ -162,12 +178,13 @@ pub fn figures(page: &mut Page, asset: &Asset, mass: &MassFile, learned: Option<
             format!("{}; {}", super::closing_text(&asset.report), super::pieces_text(asset)),
         ),
     ];
-    if let Some(Learned { fits, trial, .. }) = learned {
+    if let Some(Learned { fits, training, trial, .. }) = learned {
         all.push((
             format!("{} / {}", fits.accepted, fits.demonstrations),
             if fits.clips.is_empty() { "demonstrations" } else { "grasps" }.to_owned() + " that fit the object",
             "thumb and two fingers on the surface".to_owned(),
         ));
+        all.push((training.learned.total().to_string(), "grasps learned".to_owned(), training.learned.to_string()));
         let newtons = |n: Option<f64>| n.map_or("-".to_owned(), |n| format!("{n:.1} N"));
         let (squeeze_n, held_n) = squeezes(trial);
         all.push((
@@ -190,4 +207,19 @@ pub fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let n = values.len();
     if n == 0 { None } else { Some(0.5 * (values[(n - 1) / 2] + values[n / 2])) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_learned_is_told_with_where_it_comes_from() {
+        let learned = Origins { demonstrated: 1, refined: 2, searched: 3 };
+        let tried = Origins { demonstrated: 42, refined: 7, searched: 117 };
+        assert_eq!(
+            learned_line(&learned, &tried),
+            "6 grasps: 1 demonstrated, 2 refined, 3 searched; tried were 42 demonstrated, 7 refined, 117 searched"
+        );
+    }
 }

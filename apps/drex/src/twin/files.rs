@@ -11,6 +11,7 @@ use drex_sysid::{Identification, MassPrior};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use crate::bench::library::{Kind, Origins};
 use crate::commands::hw::ContactRecord;
 use crate::scan::FrameReport;
 
@@ -194,6 +195,11 @@ pub struct FitRecord {
 }
 
 impl FitRecord {
+    /// Where it comes from.
+    pub fn kind(&self) -> Kind {
+        if self.is_augmented() { Kind::Refined } else { Kind::Retargeted }
+    }
+
     /// Whether it was made of a frame rather than recorded.
     pub fn is_augmented(&self) -> bool {
         self.source.as_ref().is_some_and(|s| s.symmetry.is_some())
@@ -289,8 +295,10 @@ pub struct JudgedGrasp {
 /// `policy/training.json`.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Training {
-    /// Grasps that were learned from.
-    pub grasps: usize,
+    /// Grasps that were learned, those held out to measure errors with them,
+    pub learned: Origins,
+    /// of those that were tried: all that fit the object, and what a search found.
+    pub tried: Origins,
     /// Pairs of grasp and mass.
     pub samples: usize,
     /// Curve, held-out errors, baselines.
@@ -300,21 +308,13 @@ pub struct Training {
     pub practice: Option<PracticeRecord>,
 }
 
-/// How many grasps went into the practice and came out of it.
+/// What became of the grasps that were tried in practice.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct PracticeRecord {
-    /// Demonstrated grasps that touch and hold on paper,
-    pub demonstrated: usize,
-    /// those that hands laid on the object and a search found,
-    pub searched: usize,
-    /// of both those that the motors can hold once the hand has closed,
+    /// Those that the motors can hold once the hand has closed,
     pub commanded: usize,
-    /// those that held under most conditions of the practice,
+    /// and those that held under most conditions.
     pub robust: usize,
-    /// those that were learned,
-    pub learned: usize,
-    /// and those of them that were demonstrated.
-    pub learned_demonstrated: usize,
 }
 
 /// `policy/trial.json`: the grasp that `drex grasp` gives, lifted, held and shaken in simulation.

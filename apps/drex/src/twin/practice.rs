@@ -39,7 +39,7 @@ impl Ground {
         Ok(Self { robot, thing, judge })
     }
 
-    /// The demonstrated grasps that hold on paper, and behind them those that hands laid on the object and a search among so many
+    /// The demonstrated grasps and those made of them that hold on paper, and behind them those that hands laid on the object and a search among so many
     /// pinches find.
     pub fn grasps(&self, fits: &FitFile, search: usize, seed: u64) -> Result<Vec<Grasp>> {
         let friction = self.thing.spec.friction.unwrap_or(drex_core::twin::ASSUMED_FRICTION);
@@ -48,7 +48,7 @@ impl Ground {
         for fit in fits.grasps.iter().filter(|g| g.accepted) {
             let pose = fit.object_from_base.to_pose()?;
             let measured = Grasp::measured(&self.thing, &self.robot, &surface, &fit.joints_rad, &pose, friction)?;
-            grasps.extend(measured.map(|g| Grasp { clip: fit.demonstration, ..g }));
+            grasps.extend(measured.map(|g| Grasp { clip: fit.demonstration, kind: fit.kind(), ..g }));
         }
         if search > 0 {
             grasps.extend(found(&self.thing, &self.robot, search, friction, seed)?);

@@ -14,10 +14,10 @@ use rayon::prelude::*;
 
 use super::files::{FITS, MASS, POLICY, PracticeRecord, TRAINING, read_json, write_json};
 use super::practice::Ground;
-use super::{FitFile, MassFile, Scene, Training, Twin};
+use super::{FitFile, FitRecord, MassFile, Scene, Training, Twin};
 use crate::bench::judge::Spread;
 use crate::bench::learned::{LearnOptions, Learned};
-use crate::bench::library::Kind;
+use crate::bench::library::Origins;
 use crate::ui::Ui;
 
 /// Surface points that the network sees.
@@ -35,7 +35,7 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     if let Some(practised) = twin.manifest.train.as_ref().and_then(|t| t.practice).filter(|p| *p > 0) {
         return practise(twin, &scene, &fits, &mass, options, practised as usize, ui);
     }
-    let data = dataset(twin, &scene, &fits, &mass)?;
+    let (data, learned) = dataset(twin, &scene, &fits, &mass)?;
     let bar = ui.bar("train", options.epochs as u64);
     let (policy, mut report) = GraspPolicy::train(&data, &options, &mut |epoch| {
         bar.set_position(epoch.epoch as u64);
@@ -45,8 +45,8 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     bar.finish_and_clear();
     // Wall times are in twin.lock; what a stage makes depends on its inputs only.
     report.seconds = 0.0;
-    let grasps = report.train_grasps + report.held_out_grasps;
-    write(twin, &policy, &Training { grasps, samples: data.samples.len(), report, practice: None })
+    let tried = Origins::of(fits.grasps.iter().filter(|g| g.accepted).map(FitRecord::kind));
+    write(twin, &policy, &Training { learned, tried, samples: data.samples.len(), report, practice: None })
 }
 
 fn write(twin: &Twin, policy: &GraspPolicy, training: &Training) -> Result<Vec<PathBuf>> {
@@ -83,25 +83,20 @@ fn practise(
     options.train.rollouts.wanted_friction_share = ForceLaw::default().friction_share();
     let mut learned = Learned::train(&ground.thing, &ground.robot, &grasps, &ground.judge, &options)?;
     spinner.finish_and_clear();
-    let demonstrated = grasps.iter().filter(|g| g.kind == Kind::Retargeted).count();
     ui.note(format!(
-        "{:>10}  {} of {} grasps hold in practice, {} learned ({} of them demonstrated)",
-        "practice", learned.robust, learned.commanded, learned.learned, learned.demonstrated
+        "{:>10}  {} of {} grasps hold in practice, {} learned",
+        "practice",
+        learned.robust,
+        learned.commanded,
+        learned.learned.total()
     ));
     learned.report.seconds = 0.0;
-    let practice = PracticeRecord {
-        demonstrated,
-        searched: grasps.len() - demonstrated,
-        commanded: learned.commanded,
-        robust: learned.robust,
-        learned: learned.learned,
-        learned_demonstrated: learned.demonstrated,
-    };
     let training = Training {
-        grasps: learned.learned,
+        learned: learned.learned,
+        tried: Origins::of(grasps.iter().map(|g| g.kind)),
         samples: learned.samples,
         report: learned.report.clone(),
-        practice: Some(practice),
+        practice: Some(PracticeRecord { commanded: learned.commanded, robust: learned.robust }),
     };
     write(twin, learned.policy(), &training)
 }
@@ -113,8 +108,9 @@ pub fn cloud(scene: &Scene, seed: u64) -> Vec<Point3<f64>> {
     farthest_points(&dense, POINTS).into_iter().map(|i| dense[i]).collect()
 }
 
-/// Each accepted grasp at several masses and frictions, with the squeeze that the force law asks for there.
-fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Result<Dataset> {
+/// Each accepted grasp at several masses and frictions, with the squeeze that the force law asks for there, and where the grasps come
+/// from for which it has one.
+fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Result<(Dataset, Origins)> {
     let contact = scene.check_options().contact;
     let surface = HandSurface::new(&scene.robot, contact.spacing_m)?;
     let law = ForceLaw::default();
@@ -158,6 +154,8 @@ fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Resul
             Ok(samples)
         })
         .collect::<Result<_>>()?;
+    let learned =
+        Origins::of(accepted.iter().zip(&per_grasp).filter(|(_, s)| !s.is_empty()).map(|(fit, _)| fit.kind()));
     let samples: Vec<GraspSample> = per_grasp.into_iter().flatten().collect();
     if samples.is_empty() {
         bail!(
@@ -177,7 +175,7 @@ fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Resul
             })
         })
         .collect::<Result<_>>()?;
-    Ok(Dataset {
+    let data = Dataset {
         joint_names: fits.joint_names.clone(),
         joint_limits,
         hand: fits.hand.clone(),
@@ -188,7 +186,8 @@ fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Resul
             up: scene.table.up.into_inner(),
         }],
         samples,
-    })
+    };
+    Ok((data, learned))
 }
 
 fn options(twin: &Twin) -> TrainOptions {
