@@ -92,6 +92,22 @@ pub enum Error {
     /// Signals cannot be caught.
     #[error("signals cannot stop the hand: {0}; stop it otherwise")]
     Signals(std::io::Error),
+    /// The guard of a port cannot be started.
+    #[error("no guard for the port: {what}; {remedy}")]
+    Guard {
+        /// What is wrong.
+        what: String,
+        /// What to do about it.
+        remedy: String,
+    },
+    /// Nobody confirmed that the torque of these joints is off.
+    #[error(
+        "torque unknown: {joints} did not answer; a motor without power has no torque, otherwise switch its power off"
+    )]
+    TorqueUnknown {
+        /// Joints and motors.
+        joints: String,
+    },
     /// A motor does not answer.
     #[error("motor {id} does not answer; check its power, cable, id and speed (baud)")]
     Silent {
@@ -127,5 +143,26 @@ fn status_meaning(number: u8) -> &'static str {
 impl Error {
     pub(crate) fn value(what: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self::Value { what: what.into(), remedy: remedy.into() }
+    }
+
+    /// By whom and why the torque was taken off, if the guard of the port has done that, or its end: there is no way back for this
+    /// connection.
+    #[cfg(unix)]
+    pub fn taken_over(&self) -> Option<&crate::guard::TakenOver> {
+        let Self::Port { source, .. } = self else { return None };
+        source.get_ref()?.downcast_ref()
+    }
+
+    pub(crate) fn is_taken_over(&self) -> bool {
+        #[cfg(unix)]
+        return self.taken_over().is_some();
+        #[cfg(not(unix))]
+        false
+    }
+
+    /// Whether the same would come of another try.
+    pub(crate) fn is_final(&self) -> bool {
+        // A command or state that means nothing does not become better by waiting.
+        matches!(self, Self::Value { .. }) || self.is_taken_over()
     }
 }

@@ -5,6 +5,8 @@ pub mod can;
 pub mod control;
 pub mod dynamixel;
 pub mod emulator;
+#[cfg(unix)]
+pub mod guard;
 pub mod law;
 pub mod leap;
 

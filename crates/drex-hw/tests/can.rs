@@ -1,11 +1,10 @@
 //! CAN in memory and as slcan text: round trips, noise, pieces, refusals.
 #![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
-use std::io::{Read, Write};
-use std::os::unix::net::UnixStream;
 use std::time::Duration;
 
 use drex_hw::can::{CanBus, CanFrame, MemoryCan, Slcan, SlcanEvent, SlcanParser, write_slcan};
+use drex_hw::dynamixel::{MemoryPort, Port, memory_pair};
 use proptest::prelude::*;
 
 const SOON: Duration = Duration::from_millis(500);
@@ -93,12 +92,12 @@ fn both_ends_in_memory_hear_each_other() {
 }
 
 /// An adapter that answers each of the opening commands with the given byte, and then hands its port over.
-fn adapter(answers: &'static [u8; 4]) -> (UnixStream, std::thread::JoinHandle<(UnixStream, Vec<u8>)>) {
-    let (host, mut device) = UnixStream::pair().unwrap();
+fn adapter(answers: &'static [u8; 4]) -> (MemoryPort, std::thread::JoinHandle<(MemoryPort, Vec<u8>)>) {
+    let (host, mut device) = memory_pair();
     let thread = std::thread::spawn(move || {
         let (mut heard, mut answers) = (Vec::new(), answers.iter());
         let mut byte = [0];
-        while answers.len() > 0 && device.read(&mut byte).unwrap_or(0) == 1 {
+        while answers.len() > 0 && device.read(&mut byte, SOON).unwrap_or(0) == 1 {
             heard.push(byte[0]);
             if byte[0] == b'\r' {
                 device.write_all(&[*answers.next().unwrap()]).unwrap();
@@ -109,13 +108,22 @@ fn adapter(answers: &'static [u8; 4]) -> (UnixStream, std::thread::JoinHandle<(U
     (host, thread)
 }
 
+/// All that has come.
+fn rest(device: &mut MemoryPort) -> Vec<u8> {
+    let (mut all, mut bytes) = (Vec::new(), [0; 64]);
+    while let Ok(n @ 1..) = device.read(&mut bytes, Duration::ZERO) {
+        all.extend(&bytes[..n]);
+    }
+    all
+}
+
 #[test]
 fn slcan_opens_at_a_megabit_and_closes() {
     let (host, thread) = adapter(b"\r\x07\r\r");
-    let mut bus = Slcan::over(host, "test").unwrap();
+    let mut bus = Slcan::over(host).unwrap();
     let (mut device, heard) = thread.join().unwrap();
     assert_eq!(heard, b"\rC\rS8\rO\r");
-    assert_eq!((bus.refused(), bus.name()), (0, "test"));
+    assert_eq!((bus.refused(), bus.name()), (0, "memory"));
 
     let frame = CanFrame::data_frame(0x80, &[1, 2, 3, 4, 5, 6, 7, 8]).unwrap();
     bus.send(&frame).unwrap();
@@ -129,15 +137,13 @@ fn slcan_opens_at_a_megabit_and_closes() {
     assert_eq!(bus.refused(), 1);
 
     drop(bus);
-    let mut rest = Vec::new();
-    device.read_to_end(&mut rest).unwrap();
-    assert_eq!(rest, [line(&frame).as_slice(), b"C\r"].concat());
+    assert_eq!(rest(&mut device), [line(&frame).as_slice(), b"C\r"].concat());
 }
 
 #[test]
 fn settling_waits_for_the_last_answers_and_counts_what_was_refused() {
     let (host, thread) = adapter(b"\r\x07\r\r");
-    let mut bus = Slcan::over(host, "test").unwrap();
+    let mut bus = Slcan::over(host).unwrap();
     let (mut device, _) = thread.join().unwrap();
     let frame = CanFrame::data_frame(0x80, &[1]).unwrap();
     bus.send(&frame).unwrap();
@@ -152,8 +158,8 @@ fn settling_waits_for_the_last_answers_and_counts_what_was_refused() {
     assert_eq!(bus.refused(), 1);
     let _device = late.join().unwrap();
     // Nobody waits for an adapter that never answers.
-    let (host, _device) = UnixStream::pair().unwrap();
-    let mut bus = Slcan::over(host, "silent").unwrap();
+    let (host, _device) = memory_pair();
+    let mut bus = Slcan::over(host).unwrap();
     bus.send(&frame).unwrap();
     bus.settle(Duration::from_secs(600)).unwrap();
 }
@@ -161,12 +167,12 @@ fn settling_waits_for_the_last_answers_and_counts_what_was_refused() {
 #[test]
 fn a_refused_bus_is_an_error_and_an_unplugged_adapter_too() {
     let (host, thread) = adapter(b"\r\r\r\x07");
-    let error = Slcan::over(host, "test").unwrap_err().to_string();
+    let error = Slcan::over(host).unwrap_err().to_string();
     assert!(error.contains("refused"), "{error}");
     thread.join().unwrap();
 
     let (host, thread) = adapter(b"\r\r\r\r");
-    let mut bus = Slcan::over(host, "test").unwrap();
+    let mut bus = Slcan::over(host).unwrap();
     drop(thread.join().unwrap());
     assert!(bus.receive(SOON).is_err());
     assert!(bus.send(&CanFrame::remote_frame(1, 0).unwrap()).is_err());
@@ -174,8 +180,8 @@ fn a_refused_bus_is_an_error_and_an_unplugged_adapter_too() {
 
 #[test]
 fn an_adapter_that_never_answers_is_opened_too() {
-    let (host, mut device) = UnixStream::pair().unwrap();
-    let mut bus = Slcan::over(host, "silent").unwrap();
+    let (host, mut device) = memory_pair();
+    let mut bus = Slcan::over(host).unwrap();
     device.write_all(b"t0801FF\r").unwrap();
     assert_eq!(bus.receive(SOON).unwrap(), Some(CanFrame::data_frame(0x80, &[0xff]).unwrap()));
 }

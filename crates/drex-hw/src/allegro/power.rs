@@ -6,6 +6,7 @@ use super::driver::MOST_FRAMES;
 use super::finger::Finger;
 use super::{AllegroCommand, AllegroHand, AllegroInfo, AllegroVersion};
 use crate::can::CanBus;
+use crate::dynamixel::Torque;
 use crate::{Error, Result};
 
 /// How long a hand that was switched on may take until all fingers reported.
@@ -35,6 +36,7 @@ impl<B: CanBus> AllegroHand<B> {
         self.motor_errors = [0; 16];
         self.sent = [0; 16];
         self.started = true;
+        self.bus.torque(Torque::Ready)?;
         let o = &self.options;
         let (pose_ms, temperature_ms) = (o.pose_period_ms, o.temperature_period_ms);
         self.send(AllegroCommand::Off)?;
@@ -88,6 +90,8 @@ impl<B: CanBus> AllegroHand<B> {
         if told.is_ok() {
             self.fingers.iter_mut().for_each(Finger::forget);
             self.blind_since = None;
+            // A guard that does not hear it switches the hand off once more.
+            told = self.bus.torque(Torque::Off);
         }
         told
     }
@@ -128,6 +132,7 @@ impl<B: CanBus> AllegroHand<B> {
             ));
         }
         self.check_hand()?;
+        self.bus.torque(Torque::On)?;
         self.effort_nm = self.options.torque_caps_nm();
         self.goal = None;
         self.driven = true;

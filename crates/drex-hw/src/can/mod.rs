@@ -9,11 +9,12 @@ mod socket;
 use std::time::Duration;
 
 pub use memory::MemoryCan;
-pub use slcan::{BytePort, SerialBytes, Slcan};
+pub use slcan::Slcan;
 pub use slcan_line::{SlcanEvent, SlcanParser, write_slcan};
 #[cfg(all(feature = "socketcan", target_os = "linux"))]
 pub use socket::SocketCan;
 
+use crate::dynamixel::Torque;
 use crate::{Error, Result};
 
 /// A classic CAN frame with an 11-bit identifier.
@@ -125,6 +126,15 @@ pub trait CanBus: Send {
         let _ = wait;
         Ok(())
     }
+
+    /// Is told how much of the hand is on, see [`Port::torque`](crate::dynamixel::Port::torque).
+    ///
+    /// # Errors
+    /// [`Error::Port`] if the bus is gone.
+    fn torque(&mut self, torque: Torque) -> Result<()> {
+        let _ = torque;
+        Ok(())
+    }
 }
 
 impl<B: CanBus + ?Sized> CanBus for Box<B> {
@@ -146,5 +156,9 @@ impl<B: CanBus + ?Sized> CanBus for Box<B> {
 
     fn settle(&mut self, wait: Duration) -> Result<()> {
         (**self).settle(wait)
+    }
+
+    fn torque(&mut self, torque: Torque) -> Result<()> {
+        (**self).torque(torque)
     }
 }

@@ -1,143 +1,121 @@
 //! A CAN adapter that speaks slcan over a serial port.
 
-use std::io::{self, Read, Write};
+use std::io;
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use super::slcan_line::{SlcanEvent, SlcanParser, write_slcan};
 use super::{CanBus, CanFrame};
+use crate::dynamixel::{Port, SerialPort, Torque};
 use crate::{Error, Result};
 
 /// How long an adapter may take to answer a command; many never answer.
 const ANSWER: Duration = Duration::from_millis(50);
-/// How long a line may take to be written.
-const WRITE: Duration = Duration::from_millis(100);
+/// USB adapters ignore the speed of their serial port; those with a UART use this one.
+pub(crate) const BAUD: u32 = 115_200;
 
-/// Bytes in and out, with a limit on how long reading waits.
-pub trait BytePort: Read + Write + Send {
-    /// Reads that follow give up after this long; zero means at once.
-    ///
-    /// # Errors
-    /// As the system says.
-    fn set_wait(&mut self, wait: Duration) -> io::Result<()>;
-}
-
-/// A serial port of the system that only this process uses.
+/// A bus behind an slcan adapter: opened at 1 Mbit/s, closed when dropped. An adapter that was unplugged is opened again with the next frame
+/// that is sent or asked for.
 #[derive(Debug)]
-pub struct SerialBytes {
-    port: serial2::SerialPort,
-    #[cfg(unix)]
-    _lock: std::fs::File,
-}
-
-impl SerialBytes {
-    fn open(path: &Path) -> io::Result<Self> {
-        #[cfg(unix)]
-        let lock = crate::dynamixel::lock::lock_device(path)?;
-        // USB adapters ignore the rate; those with a UART use this one.
-        let mut port = serial2::SerialPort::open(path, 115_200)?;
-        port.set_write_timeout(WRITE)?;
-        port.discard_buffers()?;
-        Ok(Self {
-            port,
-            #[cfg(unix)]
-            _lock: lock,
-        })
-    }
-}
-
-impl Read for SerialBytes {
-    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        self.port.read(buffer)
-    }
-}
-
-impl Write for SerialBytes {
-    fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
-        self.port.write(buffer)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.port.flush()
-    }
-}
-
-impl BytePort for SerialBytes {
-    fn set_wait(&mut self, wait: Duration) -> io::Result<()> {
-        // The system counts in milliseconds; rounded up, so that a short wait is not none.
-        let ms = u64::try_from(wait.as_micros().div_ceil(1000)).unwrap_or(u64::MAX).min(60_000);
-        self.port.set_read_timeout(Duration::from_millis(ms))
-    }
-}
-
-#[cfg(unix)]
-impl BytePort for std::os::unix::net::UnixStream {
-    fn set_wait(&mut self, wait: Duration) -> io::Result<()> {
-        // A socket takes zero for ever.
-        self.set_read_timeout(Some(wait.max(Duration::from_micros(1))))
-    }
-}
-
-/// A bus behind an slcan adapter: opened at 1 Mbit/s, closed when dropped.
-#[derive(Debug)]
-pub struct Slcan<P: BytePort> {
+pub struct Slcan<P: Port> {
     port: P,
-    name: String,
     parser: SlcanParser,
     chunk: [u8; 256],
     at: usize,
     filled: usize,
-    wait: Option<Duration>,
+    /// Whether the port failed and was not opened again.
+    lost: bool,
     refused: u64,
     /// Frames sent, and answers to them, or to what the adapter took for a line.
     sent: u64,
     answered: u64,
 }
 
-impl Slcan<SerialBytes> {
+impl Slcan<SerialPort> {
     /// Opens the adapter at a serial port.
     ///
     /// # Errors
     /// [`Error::Port`] if the port cannot be opened, somebody else has it (the message says who), or the adapter refuses to open the bus.
     pub fn open(path: &Path) -> Result<Self> {
-        let name = path.display().to_string();
-        let port = SerialBytes::open(path).map_err(|source| Error::Port {
-            port: name.clone(),
-            source,
-            remedy: "check the path, end other programs that use it, and join its group, mostly dialout".into(),
-        })?;
-        Self::over(port, name)
+        Self::over(SerialPort::open(path, BAUD)?)
     }
 }
 
-impl<P: BytePort> Slcan<P> {
+#[cfg(unix)]
+impl Slcan<crate::guard::GuardedPort> {
+    /// Opens the adapter at a serial port behind a guard, which switches an Allegro hand of this version off whatever becomes of this
+    /// program.
+    ///
+    /// # Errors
+    /// If the guard cannot be started, and those of [`Slcan::open`].
+    pub fn open_guarded(
+        path: &Path,
+        version: crate::allegro::AllegroVersion,
+        guard: &crate::guard::GuardOptions,
+    ) -> Result<Self> {
+        let off = crate::guard::SwitchOff::Allegro { version };
+        Self::over(crate::guard::GuardedPort::open(path, BAUD, off, guard)?)
+    }
+
+    /// Process of the guard.
+    pub fn guard_id(&self) -> u32 {
+        self.port.guard_id()
+    }
+}
+
+impl<P: Port> Slcan<P> {
     /// Opens the adapter behind a port that is open.
     ///
     /// # Errors
     /// [`Error::Port`] if the port fails or the adapter refuses to open the bus.
-    pub fn over(port: P, name: impl Into<String>) -> Result<Self> {
-        let parser = SlcanParser::default();
-        let mut bus = Self {
+    pub fn over(port: P) -> Result<Self> {
+        let mut bus = Self::resumed(port);
+        bus.open_channel()?;
+        Ok(bus)
+    }
+
+    /// An adapter whose channel is open already.
+    pub(crate) fn resumed(port: P) -> Self {
+        Self {
             port,
-            name: name.into(),
-            parser,
+            parser: SlcanParser::default(),
             chunk: [0; 256],
             at: 0,
             filled: 0,
-            wait: None,
+            lost: false,
             refused: 0,
             sent: 0,
             answered: 0,
-        };
-        // A closed channel refuses to be closed; it may also have been left open, with frames in flight.
-        bus.command(b"\rC\r")?;
-        let speed = bus.command(b"S8\r")?;
-        let opened = bus.command(b"O\r")?;
-        if speed == Some(SlcanEvent::Refused) || opened == Some(SlcanEvent::Refused) {
-            return Err(bus.failed(io::Error::other("the adapter refused to open the bus at 1 Mbit/s")));
         }
-        (bus.refused, bus.answered) = (0, 0);
-        Ok(bus)
+    }
+
+    /// Closes the channel and opens it at 1 Mbit/s.
+    pub(crate) fn open_channel(&mut self) -> Result<()> {
+        // A closed channel refuses to be closed; it may also have been left open, with frames in flight.
+        self.command(b"\rC\r")?;
+        let speed = self.command(b"S8\r")?;
+        let opened = self.command(b"O\r")?;
+        if speed == Some(SlcanEvent::Refused) || opened == Some(SlcanEvent::Refused) {
+            return Err(self.failed(io::Error::other("the adapter refused to open the bus at 1 Mbit/s")));
+        }
+        (self.refused, self.sent, self.answered) = (0, 0, 0);
+        Ok(())
+    }
+
+    /// Opens a port again that failed.
+    fn restore(&mut self) -> Result<()> {
+        if self.lost {
+            self.port.reopen().map_err(|e| self.failed(e))?;
+            (self.parser, self.at, self.filled) = (SlcanParser::default(), 0, 0);
+            self.open_channel().inspect_err(|_| self.lost = true)?;
+            self.lost = false;
+        }
+        Ok(())
+    }
+
+    /// The port, to look at.
+    pub(crate) fn port(&self) -> &P {
+        &self.port
     }
 
     /// Lines from the adapter that meant nothing.
@@ -148,7 +126,7 @@ impl<P: BytePort> Slcan<P> {
     /// Sends a command and waits a little for the last of its answers, dropping frames.
     fn command(&mut self, text: &[u8]) -> Result<Option<SlcanEvent>> {
         self.write(text)?;
-        let deadline = Instant::now() + ANSWER;
+        let deadline = self.port.now() + ANSWER;
         let mut wanted = text.iter().filter(|b| **b == b'\r').count();
         let mut last = None;
         while let Some(event) = self.event(deadline)? {
@@ -164,11 +142,14 @@ impl<P: BytePort> Slcan<P> {
     }
 
     fn write(&mut self, bytes: &[u8]) -> Result<()> {
-        self.port.write_all(bytes).map_err(|e| self.failed(e))
+        self.port.write_all(bytes).map_err(|e| {
+            self.lost = true;
+            self.failed(e)
+        })
     }
 
     /// The next event; `None` if there is none before the deadline. What has already arrived is always looked at.
-    fn event(&mut self, deadline: Instant) -> Result<Option<SlcanEvent>> {
+    fn event(&mut self, deadline: Duration) -> Result<Option<SlcanEvent>> {
         loop {
             while self.at < self.filled {
                 let byte = self.chunk[self.at];
@@ -179,7 +160,7 @@ impl<P: BytePort> Slcan<P> {
                     return Ok(Some(event));
                 }
             }
-            let left = deadline.saturating_duration_since(Instant::now());
+            let left = deadline.saturating_sub(self.port.now());
             (self.at, self.filled) = (0, self.read(left)?);
             if self.filled == 0 && left.is_zero() {
                 return Ok(None);
@@ -189,32 +170,25 @@ impl<P: BytePort> Slcan<P> {
 
     /// Bytes that arrive within a time, none if there are none.
     fn read(&mut self, wait: Duration) -> Result<usize> {
-        if self.wait != Some(wait) {
-            self.port.set_wait(wait).map_err(|e| self.failed(e))?;
-            self.wait = Some(wait);
-        }
-        match self.port.read(&mut self.chunk) {
-            // The end of a stream: the adapter was unplugged.
-            Ok(0) => Err(self.failed(io::ErrorKind::UnexpectedEof.into())),
-            Ok(n) => Ok(n),
-            Err(e) => match e.kind() {
-                io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted => Ok(0),
-                _ => Err(self.failed(e)),
-            },
-        }
+        self.port.read(&mut self.chunk, wait).map_err(|e| {
+            self.lost = true;
+            self.failed(e)
+        })
     }
 
     fn failed(&self, source: io::Error) -> Error {
-        Error::Port { port: self.name.clone(), source, remedy: "check the adapter's plug, then connect again".into() }
+        let remedy = "check the adapter's plug; it is tried again with every frame".into();
+        Error::Port { port: self.port.name().to_owned(), source, remedy }
     }
 }
 
-impl<P: BytePort> CanBus for Slcan<P> {
+impl<P: Port> CanBus for Slcan<P> {
     fn name(&self) -> &str {
-        &self.name
+        self.port.name()
     }
 
     fn send(&mut self, frame: &CanFrame) -> Result<()> {
+        self.restore()?;
         let mut line = [0; 32];
         let n = write_slcan(frame, &mut line);
         self.sent += 1;
@@ -226,9 +200,9 @@ impl<P: BytePort> CanBus for Slcan<P> {
     }
 
     fn settle(&mut self, wait: Duration) -> Result<()> {
-        let deadline = Instant::now() + wait;
+        let deadline = self.port.now() + wait;
         // What has come already shows whether the adapter answers frames at all.
-        while self.event(Instant::now())?.is_some() && Instant::now() < deadline {}
+        while self.event(self.port.now())?.is_some() && self.port.now() < deadline {}
         while self.answered > 0 && self.answered < self.sent {
             if self.event(deadline)?.is_none() {
                 break;
@@ -237,8 +211,13 @@ impl<P: BytePort> CanBus for Slcan<P> {
         Ok(())
     }
 
+    fn torque(&mut self, torque: Torque) -> Result<()> {
+        self.port.torque(torque).map_err(|e| self.failed(e))
+    }
+
     fn receive(&mut self, timeout: Duration) -> Result<Option<CanFrame>> {
-        let deadline = Instant::now() + timeout;
+        self.restore()?;
+        let deadline = self.port.now() + timeout;
         loop {
             match self.event(deadline)? {
                 Some(SlcanEvent::Frame(frame)) => return Ok(Some(frame)),
@@ -249,10 +228,9 @@ impl<P: BytePort> CanBus for Slcan<P> {
     }
 }
 
-impl<P: BytePort> Drop for Slcan<P> {
+impl<P: Port> Drop for Slcan<P> {
     fn drop(&mut self) {
         // Nobody is left to be told that it failed.
         let _ = self.port.write_all(b"C\r");
-        let _ = self.port.flush();
     }
 }

@@ -11,8 +11,9 @@ use super::troubles::Troubles;
 use super::{Behaviour, ControlOptions, JointTrouble, Joints, LoopStats};
 use crate::{Clock, Error, Hand, HandCommand, HandState, Result};
 
-/// How often a hand that does not take its torque off is told again.
+/// How often a hand that does not take its torque off is told again at least, and the time between two tries after that.
 const TRIES: usize = 3;
+const RETRY: Duration = Duration::from_millis(5);
 /// Cycles between two views of the statistics for others.
 const PUBLISH: u64 = 64;
 /// A cycle that begins this much later than one period after the one before comes after a stall: the program was stopped or starved.
@@ -40,6 +41,8 @@ pub struct LoopReport {
     pub ended: Ended,
     /// Whether the hand took its torque off; if not, its own watchdog has to, or the power switch.
     pub torque_off: Result<()>,
+    /// How long that took from the end of the loop on, or until it was given up.
+    pub off_took: Duration,
     /// Timing.
     pub stats: LoopStats,
     /// Cycles that the telemetry had no room for.
@@ -79,16 +82,29 @@ pub(super) fn run_published(
         Ok(Err(error)) => Ended::Failed(error),
         Err(panic) => Ended::Panicked(text(panic.as_ref())),
     };
-    let mut torque_off = Ok(());
-    for _ in 0..TRIES {
-        torque_off = catch_unwind(AssertUnwindSafe(|| hand.turn_off()))
+    let begun = clock.now();
+    let torque_off = turn_off(hand, clock, options.off_patience);
+    let off_took = clock.now().saturating_sub(begun);
+    let unrecorded = options.recorder.as_ref().map_or(0, |r| r.lost());
+    LoopReport { ended, torque_off, off_took, stats: meter.stats(), unrecorded, state, troubles: troubles.list() }
+}
+
+/// Tells the hand that its torque goes off, until it confirms it or there is no use in trying.
+fn turn_off(hand: &mut (impl Hand + ?Sized), clock: &dyn Clock, patience: Duration) -> Result<()> {
+    let begun = clock.now();
+    let mut tries = 0;
+    loop {
+        let told = catch_unwind(AssertUnwindSafe(|| hand.turn_off()))
             .unwrap_or_else(|panic| Err(Error::value(text(panic.as_ref()), "switch the hand's power off")));
-        if torque_off.is_ok() {
-            break;
+        tries += 1;
+        let over = tries >= TRIES && clock.now().saturating_sub(begun) >= patience;
+        if told.is_ok() || over || told.as_ref().is_err_and(Error::is_taken_over) {
+            return told;
+        }
+        if tries >= TRIES {
+            clock.wait_until(clock.now() + RETRY);
         }
     }
-    let unrecorded = options.recorder.as_ref().map_or(0, |r| r.lost());
-    LoopReport { ended, torque_off, stats: meter.stats(), unrecorded, state, troubles: troubles.list() }
 }
 
 /// From torque on to the reason to stop.
@@ -142,11 +158,14 @@ fn turns(
         }
         match hand.cycle((!options.limp).then_some(&command), state) {
             Ok(()) => {
-                outage += lost.take().map_or(Duration::ZERO, |since| began.saturating_sub(since));
+                if let Some(since) = lost.take() {
+                    let out = began.saturating_sub(since);
+                    meter.outage(out);
+                    outage += out;
+                }
                 troubles.see(state);
             }
-            // A command or state that means nothing does not become better by waiting.
-            Err(error @ Error::Value { .. }) => return Err(error),
+            Err(error) if error.is_final() => return Err(error),
             Err(error) => {
                 meter.fail();
                 troubles.see(state);

@@ -45,6 +45,8 @@ pub struct ControlOptions {
     /// How long the hand may be out of reach, its plug pulled for instance, before the loop gives up. Meanwhile the behaviour's time
     /// stands still and its last command is tried again every cycle; zero gives up at the first failure.
     pub outage: Duration,
+    /// How long a hand that does not confirm that its torque is off is told again after the loop, three times at least.
+    pub off_patience: Duration,
     /// What heat takes from the limits, where the hand measures it; `None` leaves that to the motors.
     pub derating: Option<Derating>,
     /// Whether the hand only is watched: no torque, no commands.
@@ -64,6 +66,7 @@ impl Default for ControlOptions {
             rate_hz: 400.0,
             first_state: Duration::from_secs(2),
             outage: Duration::ZERO,
+            off_patience: Duration::ZERO,
             derating: Some(Derating::default()),
             limp: false,
             estop: EStop::new(),
@@ -96,6 +99,12 @@ impl ControlOptions {
     /// The same with a hand that may be out of reach for this long.
     pub fn with_outage(mut self, outage: Duration) -> Self {
         self.outage = outage;
+        self
+    }
+
+    /// The same with a hand that is told for this long that its torque goes off, until it confirms it.
+    pub fn with_off_patience(mut self, patience: Duration) -> Self {
+        self.off_patience = patience;
         self
     }
 

@@ -28,6 +28,10 @@ pub struct LoopStats {
     pub missed: u64,
     /// Cycles in which the hand could not be reached.
     pub failed: u64,
+    /// Times that the hand was out of reach and came back; the behaviour's time stood still meanwhile.
+    pub outages: u64,
+    /// How long it was out of reach in these, s.
+    pub outage_s: f64,
     /// Times that more than 50 ms were missing between two cycles, because the program was stopped or starved; the behaviour's time stood
     /// still meanwhile.
     pub stalls: u64,
@@ -97,6 +101,8 @@ pub(super) struct Meter {
     missed: u64,
     failed: u64,
     stalls: u64,
+    outages: u64,
+    outage: Duration,
     first: Option<Duration>,
     last: Duration,
     late: Histogram,
@@ -110,6 +116,8 @@ impl Meter {
             missed: 0,
             failed: 0,
             stalls: 0,
+            outages: 0,
+            outage: Duration::ZERO,
             first: None,
             last: Duration::ZERO,
             late: Histogram::new(),
@@ -138,6 +146,12 @@ impl Meter {
         self.stalls += 1;
     }
 
+    /// Takes a time for which the hand was out of reach, when it is back.
+    pub fn outage(&mut self, time: Duration) {
+        self.outages += 1;
+        self.outage += time;
+    }
+
     /// Whether the number of cycles done is a multiple of `n`.
     pub fn is_nth(&self, n: u64) -> bool {
         self.cycles.is_multiple_of(n)
@@ -147,8 +161,8 @@ impl Meter {
         let span_s = self.last.saturating_sub(self.first.unwrap_or_default()).as_secs_f64();
         let rate_hz = if span_s > 0.0 { (self.cycles - 1) as f64 / span_s } else { 0.0 };
         let (late, busy) = (self.late.quantiles(), self.busy.quantiles());
-        let Self { cycles, missed, failed, stalls, .. } = *self;
-        LoopStats { cycles, missed, failed, stalls, rate_hz, late, busy }
+        let Self { cycles, missed, failed, stalls, outages, outage, .. } = *self;
+        LoopStats { cycles, missed, failed, outages, outage_s: outage.as_secs_f64(), stalls, rate_hz, late, busy }
     }
 }
 

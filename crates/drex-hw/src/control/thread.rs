@@ -2,6 +2,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 use super::cycle::run_published;
 use super::{Behaviour, ControlOptions, EStop, Ended, LoopReport, LoopStats};
@@ -85,6 +86,7 @@ fn lost_report() -> LoopReport {
     LoopReport {
         ended: Ended::Panicked("the thread of the loop".into()),
         torque_off: Err(Error::value("nobody knows whether the torque is off", "switch the hand's power off")),
+        off_took: Duration::ZERO,
         stats: LoopStats::default(),
         unrecorded: 0,
         state: HandState::default(),

@@ -9,7 +9,7 @@ pub(crate) mod lock;
 mod packet;
 mod parser;
 mod port;
-mod serial;
+pub(crate) mod serial;
 mod sync;
 
 pub use answers::Answers;
@@ -18,7 +18,7 @@ pub use crc::crc16;
 pub use fast::{FastBlock, fast_blocks, fast_reply_len};
 pub use packet::{BROADCAST, HEADER, PacketWriter, encode, instruction};
 pub use parser::{Packet, Parser};
-pub use port::{MemoryPort, Port, memory_pair};
+pub use port::{MemoryPort, Port, Torque, memory_pair};
 pub use serial::SerialPort;
 
 #[cfg(test)]

@@ -8,6 +8,18 @@ use std::time::Duration;
 
 use crate::{Clock, SystemClock};
 
+/// How much of a hand is on, as its driver knows it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Torque {
+    /// The hand confirmed that its torque is off, or nobody has switched it on yet.
+    #[default]
+    Off,
+    /// Switched on without torque: to be switched off when the program ends.
+    Ready,
+    /// Torque is on, or is about to be: to be taken off also when the program falls silent.
+    On,
+}
+
 /// A stream of bytes to motors and back, and the clock that its waits are counted by.
 pub trait Port: Clock {
     /// Name for messages.
@@ -48,6 +60,16 @@ pub trait Port: Clock {
     /// If it is not back yet, or somebody else has it.
     fn reopen(&mut self) -> io::Result<()>;
 
+    /// Is told by the driver how much of the hand is on, before it switches more on and after less is confirmed: a
+    /// [guard](crate::guard) watches over it, other ports do nothing.
+    ///
+    /// # Errors
+    /// If the port is gone.
+    fn torque(&mut self, torque: Torque) -> io::Result<()> {
+        let _ = torque;
+        Ok(())
+    }
+
     /// File in which the system keeps how long the adapter holds received bytes back before it hands them on, ms; only FTDI
     /// adapters have one.
     fn latency_file(&self) -> Option<PathBuf> {
@@ -82,6 +104,9 @@ impl<P: Port + ?Sized> Port for Box<P> {
     }
     fn reopen(&mut self) -> io::Result<()> {
         (**self).reopen()
+    }
+    fn torque(&mut self, torque: Torque) -> io::Result<()> {
+        (**self).torque(torque)
     }
     fn latency_file(&self) -> Option<PathBuf> {
         (**self).latency_file()

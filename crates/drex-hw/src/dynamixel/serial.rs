@@ -52,21 +52,30 @@ impl SerialPort {
     pub fn open(path: impl Into<PathBuf>, baud: u32) -> Result<Self> {
         let path = path.into();
         let name = path.display().to_string();
-        let device = Device::open(&path, baud).map_err(|source| {
-            let remedy = match source.kind() {
-                io::ErrorKind::NotFound => "plug the hand in and look under /dev/serial/by-id",
-                io::ErrorKind::PermissionDenied => "add yourself to the group of the device, mostly dialout",
-                io::ErrorKind::ResourceBusy => "end the other program",
-                _ => "check that it is a serial port and knows this speed",
-            };
-            Error::Port { port: name.clone(), source, remedy: remedy.into() }
-        })?;
+        let device = Device::open(&path, baud).map_err(|source| cannot_open(&name, source))?;
         Ok(Self { path, name, baud, clock: SystemClock::default(), device: Some(device) })
     }
 
     fn device(&mut self) -> io::Result<&mut Device> {
         self.device.as_mut().ok_or_else(|| io::ErrorKind::NotConnected.into())
     }
+
+    /// The open device, to wait for.
+    #[cfg(unix)]
+    pub(crate) fn descriptor(&self) -> Option<std::os::fd::BorrowedFd<'_>> {
+        self.device.as_ref().map(|d| std::os::fd::AsFd::as_fd(&d.port))
+    }
+}
+
+/// The error of a serial port that cannot be opened, and what to do about it.
+pub(crate) fn cannot_open(name: &str, source: io::Error) -> Error {
+    let remedy = match source.kind() {
+        io::ErrorKind::NotFound => "plug the hand in and look under /dev/serial/by-id",
+        io::ErrorKind::PermissionDenied => "add yourself to the group of the device, mostly dialout",
+        io::ErrorKind::ResourceBusy => "end the other program",
+        _ => "check that it is a serial port and knows this speed",
+    };
+    Error::Port { port: name.into(), source, remedy: remedy.into() }
 }
 
 impl Clock for SerialPort {
@@ -126,7 +135,7 @@ impl Port for SerialPort {
     }
 
     fn latency_file(&self) -> Option<PathBuf> {
-        latency_file(Path::new("/sys/bus/usb-serial/devices"), &self.path)
+        latency_file_of(&self.path)
     }
 }
 
@@ -144,6 +153,11 @@ fn uninterrupted(
             other => return other,
         }
     }
+}
+
+/// The latency timer of the device behind `path`, if the system keeps one.
+pub(crate) fn latency_file_of(path: &Path) -> Option<PathBuf> {
+    latency_file(Path::new("/sys/bus/usb-serial/devices"), path)
 }
 
 /// The latency timer of the device behind `path`, a link or not, among `devices` of the system.

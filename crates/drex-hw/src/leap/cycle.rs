@@ -169,12 +169,16 @@ impl<P: Port> LeapHand<P> {
     /// Opens the port again.
     pub(super) fn reopen(&mut self) -> Result<()> {
         if let Err(source) = self.bus.port().reopen() {
-            let port = self.bus.port().name().to_owned();
-            return Err(Error::Port { port, source, remedy: "plug it in again; it is tried at every exchange".into() });
+            return Err(self.lost_port(source));
         }
         self.lost = false;
         self.reconnects = self.reconnects.saturating_add(1);
         Ok(())
+    }
+
+    pub(super) fn lost_port(&mut self, source: std::io::Error) -> Error {
+        let port = self.bus.port().name().to_owned();
+        Error::Port { port, source, remedy: "plug it in again; it is tried at every exchange".into() }
     }
 
     fn unreachable(&mut self) -> Error {

@@ -76,6 +76,30 @@ impl LeapHand<SerialPort> {
     }
 }
 
+#[cfg(unix)]
+impl LeapHand<crate::guard::GuardedPort> {
+    /// Opens the hand at the serial port `path` behind a guard, which takes the torque off whatever becomes of this program.
+    ///
+    /// # Errors
+    /// If the guard cannot be started, and those of [`LeapHand::open`].
+    pub fn open_guarded(
+        path: impl Into<PathBuf>,
+        robot: &Robot,
+        options: LeapOptions,
+        guard: &crate::guard::GuardOptions,
+    ) -> Result<Self> {
+        let ids = options.joints.iter().map(|j| j.id).collect();
+        let off = crate::guard::SwitchOff::Leap { ids };
+        let port = crate::guard::GuardedPort::open(path, options.baud, off, guard)?;
+        Self::connect(port, robot, options)
+    }
+
+    /// Process of the guard.
+    pub fn guard_id(&mut self) -> u32 {
+        self.bus.port().guard_id()
+    }
+}
+
 impl<P: Port> LeapHand<P> {
     /// Finds the motors of `robot` behind `port` and sets them up, all torque off. Joints are found by name.
     ///

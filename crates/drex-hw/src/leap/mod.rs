@@ -44,3 +44,5 @@ pub use inspect::{Finding, inspect};
 pub use joint::MotorHealth;
 pub use look::{HandLook, MotorLook, MotorReading, look};
 pub use options::{LeapGains, LeapJoint, LeapOptions};
+#[cfg(unix)]
+pub(crate) use torque::off_round;

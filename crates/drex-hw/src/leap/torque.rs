@@ -2,9 +2,9 @@
 
 use super::driver::{COMMAND, HEALTH, HEALTH_ADDRESS, LeapHand, command};
 use super::faults::FROZEN;
-use super::joint::Life;
+use super::joint::{Joint, Life};
 use super::table;
-use crate::dynamixel::{Answers, Port};
+use crate::dynamixel::{Answers, Bus, Port, Torque};
 use crate::{Error, Result};
 
 /// How often what is not confirmed is said again.
@@ -73,6 +73,7 @@ impl<P: Port> LeapHand<P> {
         let mut under = Answers::new(&self.ids(), HEALTH)?;
         // What a motor says that is under torque and guarded by its watchdog, or was: a slow bus is not an error.
         let guarded = |(_, data): (u8, &[u8])| data[0] == 1 && [units, FROZEN].contains(&data[2]);
+        self.bus.port().torque(Torque::On).map_err(|source| self.lost_port(source))?;
         let since = self.now();
         for _ in 0..TRIES {
             self.tell_all(table::BUS_WATCHDOG, units)?;
@@ -118,16 +119,15 @@ impl<P: Port> LeapHand<P> {
         self.options.start_ma.min(cap).max(0.0) as i16
     }
 
-    /// Torque off, confirmed by all that answer at all.
+    /// Torque off, confirmed by every motor.
     pub(super) fn relax(&mut self) -> Result<()> {
         self.on = false;
-        self.bus.set_timing(self.patient);
         // Also if it cannot be told now: who is found under torque later is told then.
         for joint in self.joints.iter_mut().filter(|j| matches!(j.life, Life::Driven { .. })) {
             joint.life = Life::Limp;
         }
         let told = self.say_off();
-        if matches!(told, Err(Error::Port { .. })) && !self.lost {
+        if matches!(&told, Err(error @ Error::Port { .. }) if !error.is_final()) && !self.lost {
             // It may be back already, under another handle.
             self.lost = true;
             return self.say_off();
@@ -139,27 +139,55 @@ impl<P: Port> LeapHand<P> {
         if self.lost {
             self.reopen()?;
         }
-        let mut told = Ok(());
-        for _ in 0..TRIES {
-            self.tell_all(table::TORQUE_ENABLE, 0)?;
-            self.tell_all(table::BUS_WATCHDOG, 0)?;
-            told = Ok(());
-            // A motor that is not there or starts again has no torque, or freezes by its watchdog.
-            for j in &self.asked {
-                let id = self.joints[*j].id;
-                match self.bus.get(id, table::TORQUE_ENABLE) {
-                    Ok(0) => {}
-                    Ok(_) => told = Err(self.wrong(*j, "torque does not go off", "take its power away")),
-                    Err(Error::Silent { .. }) => told = Err(Error::Silent { id }),
-                    Err(other) => return Err(other),
-                }
+        self.bus.set_timing(self.patient);
+        let (mut left, mut rounds) = (self.ids(), 0);
+        let disobedient = loop {
+            let disobedient = off_round(&mut self.bus, &mut left)?;
+            rounds += 1;
+            if left.is_empty() {
+                let told = self.bus.port().torque(Torque::Off);
+                return told.map_err(|source| self.lost_port(source));
             }
-            if told.is_ok() {
-                break;
+            let now = self.now();
+            // A motor that starts again has no torque, and says so when it is back.
+            let boots = |j: &Joint| matches!(j.life, Life::Booting { give_up, .. } if now < give_up);
+            let booting = self.joints.iter().any(|j| left.contains(&j.id) && boots(j));
+            if rounds >= TRIES && !booting {
+                break disobedient;
             }
+            // From now on only those are asked that are hard to reach: the order must not wait for them.
+            self.bus.set_timing(self.brisk);
+        };
+        let of = |id: u8| self.joints.iter().position(|j| j.id == id);
+        if let Some(j) = disobedient.and_then(of) {
+            return Err(self.wrong(j, "torque does not go off", "take its power away"));
         }
-        told
+        let unknown = self.joints.iter().filter(|j| left.contains(&j.id));
+        let unknown: Vec<String> = unknown.map(|j| format!("{} (motor {})", j.name, j.id)).collect();
+        Err(Error::TorqueUnknown { joints: unknown.join(", ") })
     }
+}
+
+/// Orders motors to take their torque off and asks each; who confirms it leaves `left`. The order goes out again with every question, so
+/// that a motor that could not be reached is off as soon as it can. A motor that answers that its torque is still on, if there is one.
+///
+/// # Errors
+/// If the port fails.
+pub(crate) fn off_round<P: Port>(bus: &mut Bus<P>, left: &mut Vec<u8>) -> Result<Option<u8>> {
+    let (asked, off, mut disobedient) = (left.clone(), [0], None);
+    for id in &asked {
+        bus.queue_sync_write(table::TORQUE_ENABLE.address, 1, left.iter().map(|id| (*id, &off[..])))?;
+        match bus.get(*id, table::TORQUE_ENABLE) {
+            Ok(0) => left.retain(|l| l != id),
+            Ok(_) => disobedient = Some(*id),
+            Err(lost @ Error::Port { .. }) => return Err(lost),
+            Err(_) => {}
+        }
+    }
+    // The others keep their watchdogs: whoever did not hear that its torque goes off stays frozen at least.
+    let done = asked.iter().filter(|id| !left.contains(id));
+    bus.sync_write(table::BUS_WATCHDOG.address, 1, done.map(|id| (*id, &off[..])))?;
+    Ok(disobedient)
 }
 
 impl<P: Port> Drop for LeapHand<P> {

@@ -111,6 +111,11 @@ impl LeapEmulator {
         self.with_motor(id, |m| m.reboot(now));
     }
 
+    /// Cuts the data line to motor `id`, which keeps its power and hears and says nothing, or mends it.
+    pub fn detach(&self, id: u8, cut: bool) {
+        self.with_motor(id, |m| m.detached = cut);
+    }
+
     /// Pulls the plug of the port; the motors keep their power.
     pub fn unplug(&self) {
         self.wire().plugged = false;

@@ -37,6 +37,8 @@ pub(super) struct Motor {
     pub body: Body,
     booted_at: Duration,
     heard_at: Duration,
+    /// Whether nothing reaches it, nor comes from it.
+    pub detached: bool,
     /// A write that waits for an action.
     pub registered: Option<(u16, Vec<u8>)>,
 }
@@ -50,6 +52,7 @@ impl Motor {
             body: Body::default(),
             booted_at: Duration::ZERO,
             heard_at: Duration::ZERO,
+            detached: false,
             registered: None,
         };
         motor.set(table::MODEL_NUMBER, model.number());
@@ -114,7 +117,7 @@ impl Motor {
     }
 
     pub fn deaf(&self, now: Duration) -> bool {
-        now < self.booted_at
+        self.detached || now < self.booted_at
     }
 
     pub fn pong(&self) -> Pong {
