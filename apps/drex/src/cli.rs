@@ -22,7 +22,8 @@ pub use bench::{BenchCommand, BenchCommon, DemosArgs, GraspBenchArgs};
 pub use grasp::{DeployArgs, GraspArgs};
 pub use help::command;
 pub use hw::{
-    AllegroArg, CalibrateArgs, EmulateArgs, HandArg, HandArgs, HwCommand, LinkArgs, MoveArgs, RecordArgs, RunArgs,
+    AllegroArg, CalibrateArgs, EmulateArgs, GuardArgs, HandArg, HandArgs, HwCommand, LinkArgs, MoveArgs, RecordArgs,
+    RunArgs,
 };
 pub use retarget::{DetectorArg, HandsArgs, ObjectiveArg, ReadingArgs, RetargetArgs};
 

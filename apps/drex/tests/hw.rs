@@ -4,11 +4,15 @@
 
 mod common;
 
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
 
 use common::drex;
+use drex_hw::emulator::leap::LeapEmulator;
+use drex_hw::emulator::pty::PtyServer;
+use drex_hw::leap::table;
 
 /// `drex hw emulate`, told to stop when the test is over.
 struct Emulated {
@@ -59,6 +63,7 @@ fn a_leap_hand_is_found_read_moved_and_recorded() {
     // The object is in the way of one joint, the other arrives; the log is one that is read again.
     let log = hand.port.with_file_name("move.csv");
     let to = ["--to", "if_mcp=0.8,mf_mcp=0.5", "--seconds", "0.6", "--cap", "80", "--log", log.to_str().unwrap()];
+    let to = [&to[..], &PATIENT].concat();
     let moved = drex(["hw", "move"].iter().chain(&at).chain(&to)).json();
     let status = drex(["hw", "status"].iter().chain(&at)).json();
     let joint = |name: &str| {
@@ -73,7 +78,7 @@ fn a_leap_hand_is_found_read_moved_and_recorded() {
     assert!((short[0]["rad"].as_f64().unwrap() - 0.4).abs() < 0.05, "{moved}");
 
     let out = hand.port.with_file_name("again.csv");
-    let play = ["--play", log.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    let play = ["--play", log.to_str().unwrap(), "--out", out.to_str().unwrap(), PATIENT[0], PATIENT[1]];
     let played = drex(["hw", "record"].iter().chain(&at).chain(&play)).json();
     assert!(played["loop"]["cycles"].as_u64().unwrap() > 200, "{played}");
     let text = std::fs::read_to_string(&out).unwrap();
@@ -92,8 +97,116 @@ fn an_allegro_hand_is_found_and_moved() {
     let at = ["--hand", "allegro", "--port", hand.port(), "--json"];
     let ping = drex(["hw", "ping"].iter().chain(&at)).json();
     assert!(ping["frames"].as_u64().unwrap() > 0, "{ping}");
-    let moved = drex(["hw", "move"].iter().chain(&at).chain(&["--to", "ffj1=0.5", "--seconds", "1"])).json();
+    let moved =
+        drex(["hw", "move"].iter().chain(&at).chain(&["--to", "ffj1=0.5", "--seconds", "1"]).chain(&PATIENT)).json();
     assert!(moved["farthest_rad"].as_f64().unwrap() < 0.2, "{moved}");
+}
+
+/// An emulated LEAP hand of this process, and `drex hw move` that drives it for a long time with these arguments besides.
+struct Moved {
+    hand: LeapEmulator,
+    process: Child,
+    _server: PtyServer,
+    _folder: tempfile::TempDir,
+}
+
+impl Moved {
+    fn new(arguments: &[&str]) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let port = folder.path().join("hand");
+        let hand = LeapEmulator::new().in_real_time();
+        let server = PtyServer::serve(hand.clone(), Some(&port)).unwrap();
+        let process = Command::new(env!("CARGO_BIN_EXE_drex"))
+            .args(["hw", "move", "--hand", "leap", "--to", "if_mcp=0.5", "--port", port.to_str().unwrap()])
+            .args(arguments)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let moved = Self { hand, process, _server: server, _folder: folder };
+        moved.until("it moves", |hand| hand.under_torque() == 16 && hand.position(1).unwrap() > 2055.0);
+        moved
+    }
+
+    fn until(&self, what: &str, reached: impl Fn(&LeapEmulator) -> bool) {
+        let begun = Instant::now();
+        while !reached(&self.hand) {
+            assert!(begun.elapsed() < Duration::from_secs(30), "{what}");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    /// Exit status, and what it said on both outputs.
+    fn end(mut self) -> (Option<i32>, String) {
+        let status = self.process.wait().unwrap();
+        let mut said = String::new();
+        self.process.stdout.take().unwrap().read_to_string(&mut said).unwrap();
+        self.process.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+        (status.code(), said)
+    }
+}
+
+/// So long that a starved program keeps it.
+const PATIENT: [&str; 2] = ["--heartbeat", "2000"];
+
+#[test]
+fn the_hand_of_a_killed_command_is_limp() {
+    let mut moved = Moved::new(&[PATIENT[0], PATIENT[1], "--seconds", "20"]);
+    moved.process.kill().unwrap();
+    moved.until("torque off", |hand| hand.under_torque() == 0);
+    // The guard holds the other end of this until it has said what it did.
+    let (_, said) = moved.end();
+    assert!(said.contains("the program has ended; torque off, confirmed by 16 motors"), "{said}");
+
+    // Without a guard the motors freeze, and that is all.
+    let mut moved = Moved::new(&["--no-guard", "--seconds", "20"]);
+    moved.process.kill().unwrap();
+    moved.process.wait().unwrap();
+    moved.until("frozen", |hand| (0..16).all(|id| hand.get(id, table::BUS_WATCHDOG) == Some(255)));
+    assert_eq!(moved.hand.under_torque(), 16);
+}
+
+#[test]
+fn a_plug_that_was_pulled_is_said_to_be_back_or_not() {
+    // It comes back in time.
+    for guard in [&PATIENT[..], &["--no-guard"]] {
+        let moved = Moved::new(&[guard, &["--seconds", "1.5", "--outage", "20"]].concat());
+        moved.hand.unplug();
+        std::thread::sleep(Duration::from_millis(300));
+        moved.hand.plug();
+        let hand = moved.hand.clone();
+        let (code, said) = moved.end();
+        assert!(code == Some(0) && said.contains("came back and went on") && said.contains("arrived"), "{said}");
+        assert_eq!(hand.under_torque(), 0);
+    }
+    // Too late to go on, in time to be switched off.
+    let moved = Moved::new(&[PATIENT[0], PATIENT[1], "--seconds", "20", "--outage", "0.1"]);
+    moved.hand.unplug();
+    std::thread::sleep(Duration::from_millis(700));
+    assert_eq!(moved.hand.under_torque(), 16);
+    moved.hand.plug();
+    moved.until("torque off", |hand| hand.under_torque() == 0);
+    let (code, said) = moved.end();
+    assert!(code == Some(1) && said.contains("torque off, ") && said.contains("could be reached again"), "{said}");
+}
+
+#[test]
+fn a_mute_motor_is_torque_unknown_and_the_guard_goes_on_trying() {
+    let mut moved = Moved::new(&[PATIENT[0], PATIENT[1], "--seconds", "0.5"]);
+    moved.hand.detach(7, true);
+    moved.until("the others are off", |hand| hand.under_torque() == 1);
+    let mut errors = BufReader::new(moved.process.stderr.take().unwrap());
+    let mut said = String::new();
+    while !said.contains("guard of") {
+        assert!(errors.read_line(&mut said).unwrap() > 0, "{said}");
+    }
+    assert!(said.contains("error: torque unknown: ") && said.contains("(motor 7)"), "{said}");
+    assert!(said.contains("the program has ended; torque unknown: no confirmation of motors [7]"), "{said}");
+    moved.hand.detach(7, false);
+    moved.until("it is off", |hand| hand.under_torque() == 0);
+    errors.read_to_string(&mut said).unwrap();
+    assert!(said.contains("torque off, confirmed by 16 motors"), "{said}");
+    assert_eq!(moved.process.wait().unwrap().code(), Some(1));
 }
 
 #[test]

@@ -54,6 +54,45 @@ fn a_joint_presses_with_its_limit_over_a_serial_port() {
 }
 
 #[test]
+fn an_adapter_that_was_pulled_and_put_back_is_opened_again() {
+    let hand = AllegroEmulator::new(AllegroVersion::V4).in_real_time();
+    hand.place(12, 0.5);
+    let folder = tempfile::tempdir().unwrap();
+    let link = folder.path().join("can");
+    let _server = PtyServer::serve(SlcanAdapter::new(hand.clone()), Some(&link)).unwrap();
+    let robot = Robot::bundled("allegro_right").unwrap();
+    let options = AllegroOptions::new(AllegroVersion::V4);
+    let mut driver = AllegroHand::connect(Slcan::open(&link).unwrap(), &robot, options).unwrap();
+    driver.turn_on().unwrap();
+    let (mut command, mut state) = (HandCommand::new(16), HandState::new(16));
+    command.effort_limit.fill(0.1);
+    let joint = robot.require_joint("ffj1").unwrap();
+    command.position[joint] = 0.4;
+    let mut until = |what: &str, reached: &dyn Fn(&drex_hw::Result<()>, &HandState) -> bool| {
+        let begin = Instant::now();
+        loop {
+            let done = driver.cycle(Some(&command), &mut state);
+            if reached(&done, &state) {
+                return;
+            }
+            assert!(begin.elapsed() < Duration::from_secs(20), "{what}: {done:?}");
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    };
+    until("it is driven", &|done, s| done.is_ok() && s.age == [0; 16]);
+    hand.unplug();
+    until("it is missed", &|done, _| matches!(done, Err(drex_hw::Error::Port { .. })));
+    hand.plug();
+    until("it arrives", &|done, s| done.is_ok() && (s.position[joint] - 0.4).abs() < 0.05);
+    driver.turn_off().unwrap();
+    let begin = Instant::now();
+    while hand.is_on() && begin.elapsed() < Duration::from_secs(10) {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    assert!(!hand.is_on());
+}
+
+#[test]
 fn an_adapter_refuses_what_it_does_not_know_and_is_deaf_while_closed() {
     let hand = AllegroEmulator::new(AllegroVersion::V4);
     let mut adapter = SlcanAdapter::new(hand.clone());

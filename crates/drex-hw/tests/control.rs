@@ -250,6 +250,7 @@ fn an_outage_is_borne_if_it_is_short_and_nothing_jumps_after_it() {
     let (report, jump, rows) = run_with(Duration::from_millis(200));
     assert!(matches!(report.ended, Ended::Done) && report.torque_off.is_ok(), "{:?}", report.ended);
     assert_eq!((report.stats.failed, report.state.position[0]), (40, 0.8));
+    assert!(report.stats.outages == 1 && (report.stats.outage_s - 0.1).abs() < 0.01, "{:?}", report.stats);
     // 0.8 rad/s at 400 Hz.
     assert!(jump < 1.01 * 0.002 && rows == 401, "{jump} rad in {rows} rows");
     let (report, ..) = run_with(Duration::from_millis(50));

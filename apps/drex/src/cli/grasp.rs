@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use drex_core::Pose;
 
-use super::{LinkArgs, RunArgs, pose, positive};
+use super::{GuardArgs, LinkArgs, RunArgs, pose, positive};
 
 /// `drex grasp`.
 #[derive(Debug, Args)]
@@ -63,6 +63,9 @@ pub struct DeployArgs {
     /// Rate and log.
     #[command(flatten)]
     pub run: RunArgs,
+    /// What can go wrong.
+    #[command(flatten)]
+    pub guard: GuardArgs,
 }
 
 impl DeployArgs {
@@ -78,8 +81,8 @@ impl DeployArgs {
             torque_cap: None,
         };
         let run = RunArgs { rate: RunArgs::RATE_HZ, log: Some(log) };
-        let (link, hold) = (LinkArgs::default(), Self::HOLD_S);
-        Self { grasp, out: None, port: None, emulate: true, law: None, uniform: false, hold, link, run }
+        let (link, guard, hold) = (LinkArgs::default(), GuardArgs::default(), Self::HOLD_S);
+        Self { grasp, out: None, port: None, emulate: true, law: None, uniform: false, hold, link, run, guard }
     }
 
     const HOLD_S: f64 = 3.0;

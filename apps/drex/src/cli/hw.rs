@@ -1,6 +1,7 @@
 //! `drex hw`.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::{Args, Subcommand, ValueEnum};
 
@@ -21,6 +22,9 @@ pub enum HwCommand {
     Calibrate(CalibrateArgs),
     /// Be a hand without hardware, at a pseudo-terminal, until Ctrl-C.
     Emulate(EmulateArgs),
+    /// Be the guard of the program at the standard input: started by the commands that drive a hand.
+    #[command(hide = true)]
+    Guard,
 }
 
 /// The hand and where it is.
@@ -61,6 +65,33 @@ impl Default for LinkArgs {
     }
 }
 
+/// What is done about a program that dies and a hand that is out of reach.
+#[derive(Debug, Args)]
+pub struct GuardArgs {
+    /// Drive the hand without a guard: when this program is killed or hangs, the torque stays on.
+    #[arg(long)]
+    pub no_guard: bool,
+    /// Silence of this program after which the guard takes the torque off, ms [default: 40, or three cycles where these take longer].
+    #[arg(long, value_name = "MS", value_parser = positive, conflicts_with = "no_guard")]
+    pub heartbeat: Option<f64>,
+    /// How long the hand may be out of reach, its plug pulled for instance, s: it goes on when it is back by then, else its torque goes
+    /// off when it is back.
+    #[arg(long, value_name = "S", default_value = "3", value_parser = seconds)]
+    pub outage: Duration,
+}
+
+impl Default for GuardArgs {
+    fn default() -> Self {
+        Self { no_guard: false, heartbeat: None, outage: Duration::from_secs(3) }
+    }
+}
+
+/// A time that is not negative, s.
+fn seconds(text: &str) -> Result<Duration, String> {
+    let seconds = text.parse().map_err(|_| "expected a number of seconds")?;
+    Duration::try_from_secs_f64(seconds).map_err(|_| "expected a number of seconds that is not negative".into())
+}
+
 /// `drex hw move`.
 #[derive(Debug, Args)]
 pub struct MoveArgs {
@@ -76,6 +107,9 @@ pub struct MoveArgs {
     /// How to run it.
     #[command(flatten)]
     pub run: RunArgs,
+    /// What can go wrong.
+    #[command(flatten)]
+    pub guard: GuardArgs,
 }
 
 /// `drex hw record`.
@@ -96,6 +130,9 @@ pub struct RecordArgs {
     /// File to write.
     #[arg(long, value_name = "CSV")]
     pub out: PathBuf,
+    /// What can go wrong.
+    #[command(flatten)]
+    pub guard: GuardArgs,
 }
 
 /// Rate and log of a loop.

@@ -151,10 +151,11 @@ pub fn deploy(args: &DeployArgs, ready: &Ready, grasp: &Prediction, stop: &EStop
         HandArg::Allegro => GraspPlan::allegro(poses, closing, force),
     };
     let plan = plan.with_hold_s(args.hold);
-    let how = hw::Run { stop, rate_hz: args.run.rate, limp: false, log: args.run.log.as_deref() };
+    let how =
+        hw::Run { stop, rate_hz: args.run.rate, outage: args.guard.outage, limp: false, log: args.run.log.as_deref() };
     let done = match &args.port {
         Some(port) => {
-            let mut driver = hw::Driver::open(kind, port, &args.link)?;
+            let mut driver = hw::Driver::open_guarded(kind, port, &args.link, &args.guard, args.run.rate)?;
             Some(hw::grasp(driver.hand(), &drex_hw::SystemClock::default(), plan, &how)?)
         }
         None if args.emulate => Some(hw::grasp_emulated(kind, &ready.robot, &args.link, plan, &reach.grasp, &how)?),

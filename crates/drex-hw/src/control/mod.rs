@@ -1,7 +1,8 @@
 //! A fixed-rate loop over any [`Hand`](crate::Hand), on a thread of its own: waypoints or a grasp in, telemetry and timing out.
 //!
 //! However the loop ends, the torque goes off: when the work is done, by the [`EStop`], by an error of the hand, by a panic, and when
-//! the [`ControlLoop`] is dropped. Only a program that is killed, or built to abort on panic, leaves the hand to its own watchdog.
+//! the [`ControlLoop`] is dropped. Only a program that is killed, hangs, or is built to abort on panic leaves the hand to its
+//! [guard](crate::guard), or without one to its own watchdog.
 
 mod behaviour;
 mod csv;

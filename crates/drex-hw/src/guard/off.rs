@@ -5,7 +5,7 @@ use std::time::Duration;
 use crate::allegro::{AllegroCommand, AllegroReport, AllegroVersion};
 use crate::can::{CanBus, Slcan};
 use crate::dynamixel::{Bus, Port, Timing};
-use crate::leap::off_round;
+use crate::leap::{LeapOptions, off_round};
 use crate::{Error, Result};
 
 /// How a hand is switched off.
@@ -22,6 +22,13 @@ pub enum SwitchOff {
         /// Generation of the hand.
         version: AllegroVersion,
     },
+}
+
+impl SwitchOff {
+    /// The motors of a LEAP hand.
+    pub fn leap(options: &LeapOptions) -> Self {
+        Self::Leap { ids: options.joints.iter().map(|j| j.id).collect() }
+    }
 }
 
 /// How it went.

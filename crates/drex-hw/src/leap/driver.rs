@@ -88,8 +88,7 @@ impl LeapHand<crate::guard::GuardedPort> {
         options: LeapOptions,
         guard: &crate::guard::GuardOptions,
     ) -> Result<Self> {
-        let ids = options.joints.iter().map(|j| j.id).collect();
-        let off = crate::guard::SwitchOff::Leap { ids };
+        let off = crate::guard::SwitchOff::leap(&options);
         let port = crate::guard::GuardedPort::open(path, options.baud, off, guard)?;
         Self::connect(port, robot, options)
     }

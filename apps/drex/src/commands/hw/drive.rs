@@ -3,6 +3,7 @@
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use drex_core::readers::read_joint_log_csv;
@@ -10,17 +11,19 @@ use drex_hw::control::{
     Behaviour, ControlOptions, EStop, Ended, JointTrouble, LoopReport, LoopStats, Stay, Trajectory, Waypoint, run,
     telemetry, write_csv,
 };
-use drex_hw::{Clock, Hand, SystemClock};
+use drex_hw::{Clock, Error, Hand, SystemClock};
 use serde_json::{Value, json};
 
 use super::{Driver, angles, stop_button};
-use crate::cli::{MoveArgs, RecordArgs};
+use crate::cli::{HandArgs, MoveArgs, RecordArgs};
 use crate::ui::Ui;
 
 /// Cycles of telemetry that may wait for the disk.
 const WAITING_CYCLES: usize = 4000;
 /// A joint this far from where it was sent has not arrived, rad.
 const SHORT_RAD: f64 = 0.05;
+/// How long a hand that does not confirm that its torque is off is told again; its guard goes on after that.
+const OFF_PATIENCE: Duration = Duration::from_secs(5);
 /// Time for the way to the first pose of a log that is played, s.
 const TO_THE_LOG_S: f64 = 2.0;
 
@@ -30,6 +33,8 @@ pub struct Run<'a> {
     pub stop: &'a EStop,
     /// Cycles per second.
     pub rate_hz: f64,
+    /// How long the hand may be out of reach.
+    pub outage: Duration,
     /// Without torque.
     pub limp: bool,
     /// Joint log.
@@ -40,7 +45,8 @@ pub struct Run<'a> {
 pub fn move_to(args: &MoveArgs, ui: &Ui) -> Result<()> {
     // Before there is a hand that could be left with its torque on.
     let stop = stop_button()?;
-    let mut driver = Driver::open(args.hand.hand, &args.hand.port, &args.hand.link)?;
+    let mut driver =
+        Driver::open_guarded(args.hand.hand, &args.hand.port, &args.hand.link, &args.guard, args.run.rate)?;
     let mut goal = driver.read()?.position;
     let hand = driver.hand();
     if args.to == "rest" {
@@ -59,7 +65,13 @@ pub fn move_to(args: &MoveArgs, ui: &Ui) -> Result<()> {
     }
     let mut way =
         Trajectory::new(vec![Waypoint { time_s: args.seconds, position: goal.clone() }], hand.effort_caps().to_vec())?;
-    let how = Run { stop: &stop, rate_hz: args.run.rate, limp: false, log: args.run.log.as_deref() };
+    let how = Run {
+        stop: &stop,
+        rate_hz: args.run.rate,
+        outage: args.guard.outage,
+        limp: false,
+        log: args.run.log.as_deref(),
+    };
     let report = drive(hand, &mut way, &SystemClock::default(), &how)?;
     let off: Vec<f64> = goal.iter().zip(&report.state.position).map(|(g, q)| (g - q).abs()).collect();
     let far = off.iter().copied().fold(0.0, f64::max);
@@ -80,7 +92,11 @@ pub fn move_to(args: &MoveArgs, ui: &Ui) -> Result<()> {
 /// Watches the limp hand, or plays a log.
 pub fn record(args: &RecordArgs, ui: &Ui) -> Result<()> {
     let stop = stop_button()?;
-    let mut driver = Driver::open(args.hand.hand, &args.hand.port, &args.hand.link)?;
+    let HandArgs { hand, port, link } = &args.hand;
+    let mut driver = match args.play {
+        Some(_) => Driver::open_guarded(*hand, port, link, &args.guard, args.rate)?,
+        None => Driver::open(*hand, port, link)?,
+    };
     let hand = driver.hand();
     let caps = hand.effort_caps().to_vec();
     let mut behaviour: Box<dyn Behaviour> = match &args.play {
@@ -91,7 +107,13 @@ pub fn record(args: &RecordArgs, ui: &Ui) -> Result<()> {
         }
         None => Box::new(Stay::new(args.seconds, caps)),
     };
-    let how = Run { stop: &stop, rate_hz: args.rate, limp: args.play.is_none(), log: Some(&args.out) };
+    let how = Run {
+        stop: &stop,
+        rate_hz: args.rate,
+        outage: args.guard.outage,
+        limp: args.play.is_none(),
+        log: Some(&args.out),
+    };
     let report = drive(hand, &mut behaviour, &SystemClock::default(), &how)?;
     let text = format!("{} cycles in {}\n{}", report.stats.cycles, args.out.display(), account(&report, hand.joints()));
     ui.answer(&json!({ "out": args.out, "loop": stats(&report) }), text)
@@ -107,7 +129,11 @@ pub fn drive(
     clock: &dyn Clock,
     how: &Run<'_>,
 ) -> Result<LoopReport> {
-    let mut options = ControlOptions::default().with_rate_hz(how.rate_hz).with_estop(how.stop);
+    let mut options = ControlOptions::default()
+        .with_rate_hz(how.rate_hz)
+        .with_estop(how.stop)
+        .with_outage(how.outage)
+        .with_off_patience(OFF_PATIENCE);
     options.limp = how.limp;
     let Some(log) = how.log else {
         let report = run(hand, behaviour, clock, options);
@@ -133,22 +159,44 @@ pub fn drive(
 
 /// A loop that did what it should, with all joints at the end.
 fn ended(report: LoopReport, joints: &[String]) -> Result<LoopReport> {
-    if let Err(error) = report.torque_off {
-        bail!("the torque may still be on: {error}. Switch the hand's power off");
+    let off = off(&report);
+    if report.torque_off.is_err() {
+        bail!("{off}");
     }
     match report.ended {
         Ended::Done => {
             let lasting = report.troubles.iter().filter(|(_, t)| matches!(t, JointTrouble::Ended(_)));
             let lasting: Vec<String> = lasting.map(|(j, t)| format!("{} {t}", joints[*j])).collect();
             if !lasting.is_empty() {
-                bail!("torque off, but {}: see drex hw status", lasting.join(", "));
+                bail!("{off}, but {}: see drex hw status", lasting.join(", "));
             }
             Ok(report)
         }
-        Ended::Stopped => bail!("stopped: torque off"),
-        Ended::Failed(error) => Err(error).context("torque off"),
-        Ended::Panicked(what) => bail!("torque off after a fault of this program: {what}"),
-        other => bail!("{other:?}: torque off"),
+        Ended::Stopped => bail!("stopped: {off}"),
+        Ended::Failed(error) => Err(error).context(off),
+        Ended::Panicked(what) => bail!("{off} after a fault of this program: {what}"),
+        other => bail!("{other:?}: {off}"),
+    }
+}
+
+/// What became of the torque.
+fn off(report: &LoopReport) -> String {
+    let why = match &report.ended {
+        Ended::Failed(error) => format!(" The hand was left because of this: {error}"),
+        _ => String::new(),
+    };
+    match &report.torque_off {
+        Ok(()) if matches!(report.ended, Ended::Failed(Error::Port { .. })) => {
+            format!(
+                "torque off, {:.2} s after the hand was given up: it could be reached again",
+                report.off_took.as_secs_f64()
+            )
+        }
+        Ok(()) => "torque off".into(),
+        #[cfg(unix)]
+        Err(error) if error.taken_over().is_some() => error.taken_over().map_or_else(String::new, ToString::to_string),
+        Err(unknown @ Error::TorqueUnknown { .. }) => format!("{unknown}.{why}"),
+        Err(error) => format!("torque unknown: {error}. Switch the hand's power off.{why}"),
     }
 }
 
@@ -157,6 +205,12 @@ pub fn account(report: &LoopReport, joints: &[String]) -> String {
     let mut text = String::new();
     for (j, trouble) in &report.troubles {
         text += &format!("  note  {} {trouble}\n", joints[*j]);
+    }
+    if report.stats.outages > 0 {
+        let (times, seconds) = (report.stats.outages, report.stats.outage_s);
+        text += &format!(
+            "  note  the hand was out of reach {times} times, {seconds:.2} s in all: it came back and went on\n"
+        );
     }
     text + &timing(&report.stats)
 }
@@ -183,7 +237,7 @@ fn timing(stats: &LoopStats) -> String {
 pub fn stats(report: &LoopReport) -> Value {
     let s = &report.stats;
     json!({
-        "cycles": s.cycles, "missed": s.missed, "stalls": s.stalls, "failed": s.failed, "rate_hz": s.rate_hz,
+        "cycles": s.cycles, "missed": s.missed, "stalls": s.stalls, "failed": s.failed, "outages": s.outages, "outage_s": s.outage_s, "rate_hz": s.rate_hz,
         "late_p50_s": s.late.p50_s, "late_p99_s": s.late.p99_s, "late_max_s": s.late.max_s,
         "busy_p50_s": s.busy.p50_s, "busy_p99_s": s.busy.p99_s, "unrecorded": report.unrecorded,
     })

@@ -4,6 +4,7 @@ mod calibrate;
 mod drive;
 mod emulate;
 mod grasp;
+mod guarded;
 mod look;
 mod scene;
 
@@ -14,7 +15,7 @@ use anyhow::{Context, Result, bail};
 use drex_hw::allegro::{AllegroHand, AllegroOptions, AllegroVersion};
 use drex_hw::can::{CanBus, Slcan};
 use drex_hw::control::EStop;
-use drex_hw::dynamixel::SerialPort;
+use drex_hw::dynamixel::{Port, SerialPort};
 use drex_hw::leap::{LeapHand, LeapOptions};
 use drex_hw::{EffortUnit, Hand, HandState};
 use drex_robot::Robot;
@@ -39,13 +40,14 @@ pub fn run(command: &HwCommand, ui: &Ui) -> Result<()> {
         HwCommand::Record(args) => drive::record(args, ui),
         HwCommand::Calibrate(args) => calibrate::run(args, ui),
         HwCommand::Emulate(args) => emulate::run(args, ui),
+        HwCommand::Guard => guarded::serve(),
     }
 }
 
 /// A hand that is connected, without torque.
 pub enum Driver {
     /// LEAP.
-    Leap(Box<LeapHand<SerialPort>>),
+    Leap(Box<LeapHand<Box<dyn Port>>>),
     /// Allegro.
     Allegro(Box<AllegroHand<Box<dyn CanBus>>>),
 }
@@ -58,7 +60,10 @@ impl Driver {
     pub fn open(hand: HandArg, port: &Path, link: &LinkArgs) -> Result<Self> {
         let robot = Robot::bundled(hand.robot())?;
         Ok(match hand {
-            HandArg::Leap => Self::Leap(Box::new(LeapHand::open(port, &robot, leap_options(link))?)),
+            HandArg::Leap => {
+                let port: Box<dyn Port> = Box::new(SerialPort::open(port, link.baud)?);
+                Self::Leap(Box::new(LeapHand::connect(port, &robot, leap_options(link))?))
+            }
             HandArg::Allegro => {
                 Self::Allegro(Box::new(AllegroHand::connect(can_bus(port)?, &robot, allegro_options(link))?))
             }
@@ -125,10 +130,14 @@ fn version(allegro: AllegroArg) -> AllegroVersion {
     }
 }
 
+/// Whether what is given as a port is no file, and so perhaps a CAN interface of the kernel.
+fn is_interface(port: &Path) -> bool {
+    port.components().count() == 1 && !port.exists()
+}
+
 /// An slcan adapter at a serial port, or an interface of the kernel.
 fn can_bus(port: &Path) -> Result<Box<dyn CanBus>> {
-    let is_interface = port.components().count() == 1 && !port.exists();
-    if !is_interface {
+    if !is_interface(port) {
         return Ok(Box::new(Slcan::open(port)?));
     }
     #[cfg(feature = "socketcan")]
