@@ -30,20 +30,24 @@ fn guard() {
     }
 }
 
+const EVENTS: [Event; 6] =
+    [Event::Kill, Event::Stop, Event::HangUp, Event::GuardKilled, Event::GuardStopped, Event::GuardTold];
+
 /// A few moments of each event; `LONGEST` of the bench is their deadline, a heartbeat that a starved program keeps their start.
 fn torque_goes_off(model: Model, events: &[Event]) {
     let bench = Bench::new(model).unwrap();
     for (k, event) in events.iter().enumerate() {
         let moment = Duration::from_millis(30 + 17 * k as u64);
-        let took = bench.trial(*event, moment, Duration::from_millis(1000), role).unwrap();
-        let took = took.unwrap_or_else(|| panic!("{model:?} {event:?}: the torque was off before"));
+        // A machine so busy that a program is starved for a second gets another chance.
+        let mut trials = (0..5).filter_map(|_| bench.trial(*event, moment, Duration::from_millis(1000), role).unwrap());
+        let took = trials.next().unwrap_or_else(|| panic!("{model:?} {event:?}: the torque was off before"));
         assert!(took < Duration::from_secs(15), "{model:?} {event:?}: {took:?}");
     }
 }
 
 #[test]
 fn a_leap_hand_is_limp_whatever_dies() {
-    torque_goes_off(Model::Leap, &[Event::Kill, Event::Stop, Event::HangUp, Event::GuardKilled]);
+    torque_goes_off(Model::Leap, &EVENTS);
 }
 
 #[test]
@@ -53,7 +57,6 @@ fn a_mute_motor_is_off_when_it_is_back() {
 
 #[test]
 fn an_allegro_hand_is_limp_whatever_dies() {
-    let events = [Event::Kill, Event::Stop, Event::HangUp, Event::GuardKilled];
-    torque_goes_off(Model::AllegroV4, &events);
-    torque_goes_off(Model::AllegroV5, &events);
+    torque_goes_off(Model::AllegroV4, &EVENTS);
+    torque_goes_off(Model::AllegroV5, &EVENTS);
 }

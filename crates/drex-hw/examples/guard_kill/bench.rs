@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use drex_hw::allegro::{AllegroHand, AllegroOptions, AllegroVersion};
+use drex_hw::allegro::{AllegroHand, AllegroOptions, AllegroVersion, WIRE_JOINTS};
 use drex_hw::can::Slcan;
 use drex_hw::control::{Behaviour, ControlOptions, EStop, Ended, Joints, run, stop_on_signals};
 use drex_hw::dynamixel::SerialPort;
@@ -45,6 +45,10 @@ pub enum Event {
     HangUp,
     /// The guard is killed.
     GuardKilled,
+    /// The guard is stopped for ever.
+    GuardStopped,
+    /// The guard is told to end.
+    GuardTold,
     /// A motor falls silent and the program is killed; what counts is when the motor is off after it can be reached again.
     MuteKill,
     /// The same with a program that is hung up, so that it is the first to try.
@@ -81,7 +85,12 @@ impl Bench {
                 // Real hands are not known to stop by themselves.
                 hand.set_watchdog(None);
                 hand.place(12, 0.5);
-                (0..8).for_each(|joint| hand.set_wall(joint, f64::NEG_INFINITY, 0.1));
+                let robot = Robot::bundled("allegro_right")?;
+                for (joint, name) in WIRE_JOINTS.iter().enumerate() {
+                    // Torques stay while the program is stopped: a real joint ends at its stop.
+                    let (low, high) = robot.joints[robot.require_joint(name)?].limits.ok_or("no limits")?;
+                    hand.set_wall(joint, low, if joint < 8 { 0.1 } else { high });
+                }
                 (Emulated::Allegro(hand.clone()), PtyServer::serve(SlcanAdapter::new(hand), Some(&link))?)
             }
         };
@@ -150,12 +159,24 @@ impl Bench {
             }
         };
         let pid = program.0.id();
-        self.until("it presses", Instant::now(), Self::presses)?;
+        let begun = Instant::now();
+        while !self.presses() {
+            if program.0.try_wait()?.is_some() {
+                let said = program.end()?;
+                // So busy is this machine.
+                let starved = ["no sign of life", "no fresh poses"].iter().any(|text| said.contains(text));
+                return if starved { Ok(None) } else { Err(said.into()) };
+            }
+            if begun.elapsed() > LONGEST {
+                return Err(format!("{:?} does not press", self.model).into());
+            }
+            std::thread::sleep(LOOK);
+        }
         std::thread::sleep(moment);
         if matches!(event, Event::MuteKill | Event::MuteHangUp) {
             self.detach(5, true);
         }
-        if !self.presses() {
+        if self.under_torque() == 0 {
             self.detach(5, false);
             return Ok(None);
         }
@@ -165,6 +186,8 @@ impl Bench {
             Event::Stop => signal("STOP", pid)?,
             Event::HangUp | Event::MuteHangUp => signal("HUP", pid)?,
             Event::GuardKilled => signal("KILL", guard)?,
+            Event::GuardStopped => signal("STOP", guard)?,
+            Event::GuardTold => signal("TERM", guard)?,
         }
         let mute = usize::from(matches!(event, Event::MuteKill | Event::MuteHangUp));
         let mut took = self.until("torque off", begun, |bench| bench.under_torque() == mute)?;
@@ -184,6 +207,8 @@ impl Bench {
             Event::Stop => "the guard took over: no sign of life",
             Event::HangUp => "stopped, torque off",
             Event::GuardKilled => "this program took the hand over: its guard has ended: torque off",
+            Event::GuardStopped => "this program took the hand over: its guard does not answer: torque off",
+            Event::GuardTold => "the guard took over: the guard was told to end by a signal: torque off",
             // Either it was reached while the program tried, or the program said that nobody knows.
             Event::MuteHangUp if ended.contains("stopped, torque off") => "",
             Event::MuteHangUp => "torque unknown: ",

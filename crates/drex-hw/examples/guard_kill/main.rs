@@ -48,6 +48,8 @@ fn main() -> Result<(), bench::Fault> {
             (Event::Stop, "program stopped (SIGSTOP), later continued"),
             (Event::HangUp, "program hung up (SIGHUP)"),
             (Event::GuardKilled, "guard killed (SIGKILL)"),
+            (Event::GuardStopped, "guard stopped (SIGSTOP)"),
+            (Event::GuardTold, "guard told to end (SIGTERM)"),
         ];
         if model == Model::Leap {
             events.push((Event::MuteKill, "mute motor is back, program killed before"));

@@ -14,8 +14,8 @@ pub struct GuardOptions {
     pub program: PathBuf,
     /// What it is told on its command line.
     pub arguments: Vec<OsString>,
-    /// Silence of a program with torque on after which the guard takes the torque off. Every packet, and every wait for an answer,
-    /// counts as a sign of life.
+    /// Silence of a program with torque on after which the guard takes the torque off, and of a guard after which the program does.
+    /// Every packet, and every wait for an answer, counts as a sign of life.
     pub heartbeat: Duration,
     /// How long the guard goes on trying to switch off a hand that cannot be reached or does not confirm it.
     pub patience: Duration,

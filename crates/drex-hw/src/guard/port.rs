@@ -21,9 +21,8 @@ use crate::{Clock, Error, Result, SystemClock};
 const START: Duration = Duration::from_secs(10);
 /// How long a guard may take to do what it is asked for.
 const ANSWER: Duration = Duration::from_secs(1);
-/// How long a guard may take a message, and a guard that says nothing at all is waited for in heartbeats and at least.
+/// How long a guard may take until it takes a message.
 const TAKE: Duration = Duration::from_millis(200);
-const HUNG_BEATS: u32 = 4;
 /// Time between two attempts to open the port of a guard that has died, or to see whether one has ended.
 const RETRY: Duration = Duration::from_millis(2);
 /// Time that a guard gets to end beyond its patience.
@@ -137,7 +136,10 @@ impl GuardedPort {
         match message.send(&self.link, &mut self.scratch) {
             Ok(()) => Ok(()),
             // What it last said may be why.
-            Err(error) => self.listen().and_then(|()| self.take_over(&format!("its guard takes nothing: {error}"))),
+            Err(error) => self.listen().and_then(|()| match error.kind() {
+                io::ErrorKind::WouldBlock => self.take_over("its guard does not answer"),
+                _ => self.take_over("its guard has ended"),
+            }),
         }
     }
 
@@ -253,8 +255,7 @@ impl GuardedPort {
     /// Shows the guard that the program lives, and looks whether the guard does.
     fn beat(&mut self) -> io::Result<()> {
         let now = self.clock.now();
-        let hung = (self.options.heartbeat * HUNG_BEATS).max(TAKE);
-        if self.owes.is_some_and(|since| now.saturating_sub(since) > hung) {
+        if self.owes.is_some_and(|since| now.saturating_sub(since) > self.options.heartbeat) {
             return self.take_over("its guard does not answer");
         }
         self.owes.get_or_insert(now);
