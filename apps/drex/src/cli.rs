@@ -8,6 +8,7 @@ mod retarget;
 
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use drex_core::Pose;
@@ -188,6 +189,24 @@ pub struct ReconstructArgs {
     /// The ffmpeg program.
     #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg")]
     pub ffmpeg: PathBuf,
+    /// How long they may take.
+    #[command(flatten)]
+    pub tools: ToolArgs,
+}
+
+/// How long other programs may take.
+#[derive(Debug, Clone, Args)]
+pub struct ToolArgs {
+    /// Stop ffmpeg, or a step of COLMAP, that has not ended after this many minutes.
+    #[arg(long, value_name = "MINUTES", default_value_t = 720.0, value_parser = positive)]
+    pub tool_limit: f64,
+}
+
+impl ToolArgs {
+    /// As a duration.
+    pub fn limit(&self) -> Duration {
+        Duration::try_from_secs_f64(60.0 * self.tool_limit).unwrap_or(Duration::MAX)
+    }
 }
 
 /// Formats of Gaussians beside PLY; both lose precision.
@@ -311,6 +330,9 @@ pub struct ScanArgs {
     /// Side of a voxel, metres [default: by the size of the object and of a pixel on it].
     #[arg(long, value_name = "M", value_parser = positive)]
     pub voxel: Option<f64>,
+    /// How long other programs may take.
+    #[command(flatten)]
+    pub tools: ToolArgs,
 }
 
 /// `drex mesh`.
@@ -578,6 +600,9 @@ pub struct TwinArgs {
     /// twin.toml, or the folder that holds it.
     #[arg(default_value = "twin.toml")]
     pub twin: PathBuf,
+    /// How long other programs may take.
+    #[command(flatten)]
+    pub tools: ToolArgs,
 }
 
 /// `drex demo`.

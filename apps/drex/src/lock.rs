@@ -13,7 +13,9 @@ use sha2::{Digest, Sha256};
 pub struct Lock {
     #[serde(skip)]
     root: PathBuf,
-    #[serde(default, rename = "stage")]
+    #[serde(skip)]
+    damage: Vec<String>,
+    #[serde(rename = "stage")]
     stages: BTreeMap<String, StageRecord>,
 }
 
@@ -26,8 +28,6 @@ pub struct StageRecord {
     pub made_by: String,
     /// Seed it was made with.
     pub seed: u64,
-    /// Wall time, seconds.
-    pub seconds: f64,
     /// Files made, relative to the twin folder, with their content digests.
     pub outputs_sha256: BTreeMap<String, String>,
 }
@@ -72,10 +72,51 @@ impl Inputs {
 }
 
 impl Lock {
-    /// The lock of the twin folder `root`; empty when there is none. A lock that cannot be read makes every stage run again.
+    /// The lock of the twin folder `root`; empty when there is none. Of a lock that is damaged the stages that can be read
+    /// are kept, and [`Lock::damage`] tells of the others.
     pub fn open(root: &Path) -> Self {
-        let stored = std::fs::read_to_string(root.join(FILE)).ok().and_then(|text| toml::from_str::<Self>(&text).ok());
-        Self { root: root.to_path_buf(), stages: stored.unwrap_or_default().stages }
+        let mut lock = Self { root: root.to_path_buf(), ..Self::default() };
+        let path = root.join(FILE);
+        if std::fs::symlink_metadata(&path).is_err() {
+            return lock;
+        }
+        let all =
+            |why: String| format!("{why}: it does not say any more what is up to date, so every stage is made again");
+        let table = fsutil::read_text(&path).and_then(|text| fsutil::from_toml::<toml::Table>(&path, &text));
+        let stages = match table.map(|mut table| table.remove("stage")) {
+            Ok(Some(toml::Value::Table(stages))) => stages,
+            Ok(_) => {
+                lock.damage.push(all(format!("{} has no table [stage]", path.display())));
+                return lock;
+            }
+            Err(drex_core::Error::Content { line, what, .. }) => {
+                let line = line.map_or(String::new(), |line| format!(", line {line}"));
+                lock.damage.push(all(format!("{}{line} is damaged ({what})", path.display())));
+                return lock;
+            }
+            Err(e) => {
+                lock.damage.push(all(e.to_string()));
+                return lock;
+            }
+        };
+        for (name, value) in stages {
+            match value.try_into::<StageRecord>() {
+                Ok(record) => drop(lock.stages.insert(name, record)),
+                Err(e) => {
+                    let why = e.message();
+                    lock.damage.push(format!(
+                        "{} is damaged at [stage.{name}] ({why}): that stage is made again",
+                        path.display()
+                    ));
+                }
+            }
+        }
+        lock
+    }
+
+    /// What was wrong with the file, one sentence each, with what is made again.
+    pub fn damage(&self) -> &[String] {
+        &self.damage
     }
 
     /// Whether `stage` was made from exactly these inputs and its files are still as they were written.
@@ -90,25 +131,17 @@ impl Lock {
     }
 
     /// Records a finished stage and writes the lock. `outputs` are files or folders below the root.
-    pub fn record(
-        &mut self,
-        stage: &str,
-        inputs_sha256: String,
-        seed: u64,
-        seconds: f64,
-        outputs: &[PathBuf],
-    ) -> Result<()> {
+    pub fn record(&mut self, stage: &str, inputs_sha256: String, seed: u64, outputs: &[PathBuf]) -> Result<()> {
         let mut outputs_sha256 = BTreeMap::new();
         for path in outputs {
             self.digest_outputs(path, &mut outputs_sha256)?;
         }
-        self.stages
-            .insert(stage.to_owned(), StageRecord { inputs_sha256, made_by: made_by(), seed, seconds, outputs_sha256 });
+        self.stages.insert(stage.to_owned(), StageRecord { inputs_sha256, made_by: made_by(), seed, outputs_sha256 });
         let text = format!(
             "# Written by drex: how each stage was made. Delete it to make everything again.\n{}",
             toml::to_string(self)?
         );
-        fsutil::write_atomic(&self.root.join(FILE), text.as_bytes())?;
+        fsutil::write_atomic(&fsutil::output_path(&self.root, FILE)?, text.as_bytes())?;
         Ok(())
     }
 
@@ -162,7 +195,7 @@ mod tests {
         std::fs::write(&output, "made").unwrap();
         let mut lock = Lock::open(dir.path());
         assert!(!lock.is_current("s", &inputs(&input)));
-        lock.record("s", inputs(&input), 7, 0.1, std::slice::from_ref(&output)).unwrap();
+        lock.record("s", inputs(&input), 7, std::slice::from_ref(&output)).unwrap();
 
         let reopened = Lock::open(dir.path());
         assert!(reopened.is_current("s", &inputs(&input)));
@@ -174,9 +207,30 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_lock_makes_everything_run_again() {
+    fn a_damaged_lock_says_what_is_made_again() {
         let dir = tempfile::tempdir().unwrap();
-        std::fs::write(dir.path().join(FILE), "not toml [").unwrap();
-        assert!(Lock::open(dir.path()).stages().is_empty());
+        assert!(Lock::open(dir.path()).damage().is_empty(), "none is no damage");
+        let record = "inputs_sha256 = \"1\"\nmade_by = \"drex\"\nseed = 1\noutputs_sha256 = {}\n";
+        let whole = format!("[stage.asset]\n{record}\n[stage.trial]\n{record}");
+        let cut = &whole[..whole.len() - 5];
+        let unlike = whole.replacen("seed = 1", "seed = \"one\"", 1);
+        for (text, kept, words) in [
+            (whole.as_bytes(), vec!["asset", "trial"], vec![]),
+            (b"not toml [", vec![], vec!["line 1", "every stage is made again"]),
+            (cut.as_bytes(), vec![], vec!["line 11", "every stage is made again"]),
+            (b"", vec![], vec!["no table [stage]", "every stage is made again"]),
+            (b"\xff\xfe", vec![], vec!["not text", "every stage is made again"]),
+            (unlike.as_bytes(), vec!["trial"], vec!["[stage.asset]", "that stage is made again"]),
+        ] {
+            std::fs::write(dir.path().join(FILE), text).unwrap();
+            let lock = Lock::open(dir.path());
+            assert_eq!(lock.stages().keys().collect::<Vec<_>>(), kept);
+            let damage = lock.damage().join("\n");
+            assert_eq!(damage.is_empty(), words.is_empty(), "{damage}");
+            assert!(words.iter().all(|word| damage.contains(word)), "{words:?}: {damage}");
+        }
+        std::fs::remove_file(dir.path().join(FILE)).unwrap();
+        std::fs::create_dir(dir.path().join(FILE)).unwrap();
+        assert!(Lock::open(dir.path()).damage()[0].contains("every stage is made again"));
     }
 }

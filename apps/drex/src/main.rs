@@ -10,6 +10,7 @@ mod picture;
 mod predict;
 mod report;
 mod scan;
+mod timings;
 mod twin;
 mod ui;
 

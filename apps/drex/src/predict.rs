@@ -26,7 +26,10 @@ const TOUCH_M: f64 = 0.006;
 /// A policy, its hand and an object.
 pub struct Ready {
     pub policy: GraspPolicy,
+    /// Folder of the policy.
     pub folder: PathBuf,
+    /// Folder of the twin, or that of a policy that has none.
+    pub root: PathBuf,
     pub robot: Robot,
     pub mass_kg: f64,
     pub friction: f64,
@@ -62,8 +65,10 @@ pub struct Prediction {
     pub paper_force: f64,
     /// Why the force law has no squeeze, where it has none.
     pub cannot_hold: Option<String>,
-    /// Time of the network and of the force law, ms.
+    /// Time of the network and of the force law, ms; not in files, as it is another in every run.
+    #[serde(skip)]
     pub network_ms: f64,
+    #[serde(skip)]
     pub force_ms: f64,
 }
 
@@ -106,7 +111,8 @@ impl Ready {
         let policy = GraspPolicy::load(&folder)?;
         let robot = hand(args, &policy, twin.manifest.grasps.as_ref(), &twin.root)?;
         let (mass, rest) = (asset.properties, asset.world_from_mesh_at_rest);
-        Self::new(policy, folder, robot, &asset.visual, mass, rest, (mass_kg, friction), args.pose, twin.seed)
+        let folders = (folder, twin.root.clone());
+        Self::new(policy, folders, robot, &asset.visual, mass, rest, (mass_kg, friction), args.pose, twin.seed)
     }
 
     fn of_policy(args: &GraspArgs, folder: &Path, seed: u64) -> Result<Self> {
@@ -122,13 +128,14 @@ impl Ready {
         let robot = hand(args, &policy, None, folder)?;
         let friction = args.friction.unwrap_or(ASSUMED_FRICTION);
         let (mass, rest) = (asset.properties, asset.world_from_mesh_at_rest);
-        Self::new(policy, folder.into(), robot, &asset.visual, mass, rest, (mass_kg, friction), args.pose, seed)
+        let folders = (folder.to_path_buf(), folder.to_path_buf());
+        Self::new(policy, folders, robot, &asset.visual, mass, rest, (mass_kg, friction), args.pose, seed)
     }
 
     #[allow(clippy::too_many_arguments)] // both callers have all of them at hand
     fn new(
         policy: GraspPolicy,
-        folder: PathBuf,
+        (folder, root): (PathBuf, PathBuf),
         robot: Robot,
         mesh: &drex_core::TriMesh,
         body: MassProperties,
@@ -142,7 +149,7 @@ impl Ready {
         let sdf = GridSdf::new(MeshSdf::new(mesh)?)?;
         let body = body.with_mass(mass_kg);
         let world_from_object = pose.unwrap_or(rest);
-        Ok(Self { policy, folder, robot, mass_kg, friction, world_from_object, sdf, body, points })
+        Ok(Self { policy, folder, root, robot, mass_kg, friction, world_from_object, sdf, body, points })
     }
 
     /// The first grasp, as [`choice::sort`] has them, that the hand can hold; the first one, with the reason, if none can.

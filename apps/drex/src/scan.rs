@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use drex_core::camera::point_looked_at;
@@ -12,8 +13,8 @@ use drex_mesh::{
     ScaleFit, Similarity, Support, TablePlane, decimate, fuse, object_on_table, read_marks, scale_from_distances,
     table_plane, triangulate_marks,
 };
-use drex_splat::ReconstructOptions;
 use drex_splat::capture::{Capture, CaptureOptions, PhotoOptions, Photos};
+use drex_splat::{ReconstructOptions, Reconstruction};
 use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -69,6 +70,8 @@ pub struct Scanning<'a> {
     pub voxel_m: Option<f64>,
     /// Of the Gaussians, where there are no depth maps yet.
     pub reconstruct: ReconstructOptions,
+    /// ffmpeg, or a step of COLMAP, is stopped after this time.
+    pub tool_limit: Duration,
 }
 
 /// The closed mesh of a scan, metres.
@@ -79,6 +82,8 @@ pub struct Meshed {
     pub fusion: FusionReport,
     /// The mesh.
     pub mesh: TriMesh,
+    /// How the Gaussians were made, where there were no depth maps yet.
+    pub made: Option<Reconstruction>,
 }
 
 impl Scanning<'_> {
@@ -90,10 +95,11 @@ impl Scanning<'_> {
         let mut within = CaptureOptions::default();
         within.masks.clone_from(&self.masks);
         within.poses.clone_from(&self.poses);
-        let programs = Programs { colmap: Path::new("colmap"), ffmpeg: Path::new("ffmpeg") };
+        let limit = self.tool_limit;
+        let programs = Programs { colmap: Path::new("colmap"), ffmpeg: Path::new("ffmpeg"), limit };
         let cameras = reconstruct::open(self.input, self.out, &within, &programs, ui)?;
         let scale = Scale::new(&cameras, &self.frame)?;
-        let (depths, masked) = self.depth_maps(&cameras, ui)?;
+        let (depths, masked, made) = self.depth_maps(&cameras, ui)?;
         let spinner = ui.spinner("fusion");
         let scan = Scan::new(&cameras, &depths, masked, scale, &self.frame)?;
         let mut fusion = scan.fusion.clone();
@@ -107,24 +113,26 @@ impl Scanning<'_> {
             stand(&mut mesh, support, fused.report.voxel_m);
         }
         spinner.finish_and_clear();
-        Ok(Meshed { scan, fusion: fused.report, mesh })
+        Ok(Meshed { scan, fusion: fused.report, mesh, made })
     }
 
-    /// The capture with the depth maps, made where there are none, and whether these show the object alone.
-    fn depth_maps(&self, cameras: &Capture, ui: &Ui) -> Result<(Capture, bool)> {
+    /// The capture with the depth maps, made where there are none, whether these show the object alone, and how they were
+    /// made, if it was now.
+    fn depth_maps(&self, cameras: &Capture, ui: &Ui) -> Result<(Capture, bool, Option<Reconstruction>)> {
         if cameras.views.iter().all(|v| v.depth.is_some()) {
             let masked = cameras.views.iter().all(|v| v.mask.is_some());
-            return Ok((cameras.clone(), masked));
+            return Ok((cameras.clone(), masked, None));
         }
         let folder = self.out.join("depth");
-        if folder.join("transforms.json").is_file() {
+        let trained = if folder.join("transforms.json").is_file() {
             ui.note(format!("going on with the depth maps in {}", folder.display()));
+            None
         } else {
-            reconstruct::train(cameras, self.out, &self.reconstruct, false, ui)?;
-        }
+            Some(reconstruct::train(cameras, self.out, &self.reconstruct, false, ui)?.1)
+        };
         let report = self.out.join("splat/report.json");
         let made: Made = fsutil::from_json(&report, &fsutil::read_text(&report)?)?;
-        Ok((Capture::load(&folder, &CaptureOptions::default())?, made.object_only))
+        Ok((Capture::load(&folder, &CaptureOptions::default())?, made.object_only, trained))
     }
 }
 
@@ -159,8 +167,8 @@ pub struct Scan {
 /// How a scan's frame was found; written as `mesh/scan.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FrameReport {
-    /// The scan.
-    pub scan: PathBuf,
+    /// Name of the folder of the scan.
+    pub scan: String,
     /// Metres per unit of the scan.
     pub metres_per_unit: f64,
     /// Where the scale is from.
@@ -269,7 +277,7 @@ impl Scan {
         fusion.region = region.map(|(region, mesh_from)| box_around(&region, &mesh_from));
         let matrix = mesh_from_scan.to_matrix();
         let frame = FrameReport {
-            scan: cameras.folder.clone(),
+            scan: fsutil::absolute(&cameras.folder).file_name().unwrap_or_default().to_string_lossy().into_owned(),
             metres_per_unit,
             scale_from: scale_from.to_owned(),
             distances,

@@ -40,6 +40,7 @@ pub mod joints;
 pub mod mesh;
 pub mod ply;
 pub mod pose;
+pub mod program;
 pub mod push;
 pub mod readers;
 pub mod surface;

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use drex_core::Error as CoreError;
+use drex_core::fsutil::{output_path, temporary_path, write_atomic};
 use serde::Serialize;
 
 use crate::Result;
@@ -42,8 +43,13 @@ pub(crate) fn write_articulated(asset: &ArticulatedAsset, out: &Path) -> Result<
 fn part_files(prefix: &str, part: &Asset) -> Files {
     let visual = (format!("mesh/{prefix}visual.obj"), obj_text(&part.visual).into_bytes());
     let pieces = part.pieces.iter().enumerate();
-    let pieces = pieces.map(|(k, p)| (format!("mesh/{prefix}collision_{k:02}.obj"), obj_text(p).into_bytes()));
+    let pieces = pieces.map(|(k, p)| (piece_file(prefix, k), obj_text(p).into_bytes()));
     std::iter::once(visual).chain(pieces).collect()
+}
+
+/// Name of the file of piece `k`, from 0.
+pub(crate) fn piece_file(prefix: &str, k: usize) -> String {
+    format!("mesh/{prefix}collision_{k:02}.obj")
 }
 
 fn report(out: &Path, report: &impl Serialize) -> Result<(String, Vec<u8>)> {
@@ -55,8 +61,10 @@ fn report(out: &Path, report: &impl Serialize) -> Result<(String, Vec<u8>)> {
 
 /// Writes all files into a temporary folder in `out`, then moves them into place.
 fn write_files(out: &Path, files: &Files) -> Result<()> {
+    // Before anything is written: a folder that is a link is no place for an asset.
+    files.iter().try_for_each(|(name, _)| output_path(out, name).map(drop))?;
     let existed = out.is_dir();
-    let stage = out.join(format!(".asset.{}.tmp", std::process::id()));
+    let stage = temporary_path(&out.join(".asset"));
     let written = write_staged(&stage, files).and_then(|()| move_into(out, &stage, files));
     // Leftovers of our own; that they may be gone already is no second error.
     let _ = fs::remove_dir_all(&stage);
@@ -68,7 +76,7 @@ fn write_files(out: &Path, files: &Files) -> Result<()> {
 }
 
 fn write_staged(stage: &Path, files: &Files) -> Result<(), CoreError> {
-    files.iter().try_for_each(|(name, bytes)| drex_core::fsutil::write_atomic(&stage.join(name), bytes))
+    files.iter().try_for_each(|(name, bytes)| write_atomic(&stage.join(name), bytes))
 }
 
 fn move_into(out: &Path, stage: &Path, files: &Files) -> Result<(), CoreError> {

@@ -126,7 +126,9 @@ pub struct TrainReport {
     pub baselines: Option<Baselines>,
     /// Whether the caller stopped before the last epoch.
     pub stopped_early: bool,
-    /// Wall time spent learning, s. The only field that differs between runs with the same data, options and seed.
+    /// Wall time spent learning, s. The only field that differs between runs with the same data, options and seed; it is not
+    /// serialised.
+    #[serde(skip)]
     pub seconds: f64,
     /// The settings.
     pub options: TrainOptions,

@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use drex_core::Pose;
 use drex_core::camera::point_looked_at;
-use drex_core::{Pose, fsutil};
+use drex_core::fsutil::{self, OutputFolder, output_path};
 use nalgebra::Point3;
 use serde::Serialize;
 
@@ -91,24 +92,27 @@ pub struct Reconstruction {
     pub surface: SetSummary,
     /// Depth maps written.
     pub depth_maps: usize,
-    /// Peak memory of the process, bytes, where the system tells.
+    /// Peak memory of the process, bytes, where the system tells; not in the file, as it is another in every run.
+    #[serde(skip)]
     pub peak_memory_bytes: Option<u64>,
 }
 
 /// One set.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SetSummary {
-    /// Its file.
-    pub file: PathBuf,
+    /// Its file, relative to the output folder.
+    pub file: String,
     /// Gaussians in it.
     pub gaussians: usize,
     /// Removed at the end because a silhouette excludes their centre.
     pub outside_hull: usize,
     /// Steps of training.
     pub iterations: u32,
-    /// Processor seconds of all threads, where the system tells.
+    /// Processor seconds of all threads, where the system tells; not in the file.
+    #[serde(skip)]
     pub core_seconds: Option<f64>,
-    /// Seconds on the clock.
+    /// Seconds on the clock; not in the file.
+    #[serde(skip)]
     pub seconds: f64,
     /// Scores on the photos held out, as they are: no exposure is fitted to them.
     pub held_out: Table,
@@ -131,9 +135,11 @@ const HULL_MARGIN_PX: usize = 2;
 /// side longer than 1024 pixels, and `transforms.json`, with which [`Capture::load`] reads it as a scan.
 ///
 /// Photos whose camera `report` calls far are left out, and where masks are used those whose mask it calls misplaced.
+/// The files depend on capture and options alone.
 ///
 /// # Errors
-/// If there are no sparse points, too few photos, a photo or mask cannot be read, or a file cannot be written.
+/// If there are no sparse points, too few photos, a photo or mask cannot be read, a view's name leads out of `depth/` or
+/// to the file of another view, or a file cannot be written.
 pub fn reconstruct<R: Rasterizer + Clone>(
     capture: &Capture,
     report: &CaptureReport,
@@ -142,10 +148,13 @@ pub fn reconstruct<R: Rasterizer + Clone>(
     options: &ReconstructOptions,
     on_progress: &mut OnProgress<'_>,
 ) -> Result<Reconstruction> {
+    // Before hours of training.
+    let report_file = output_path(out, "splat/report.json")?;
+    let maps = map_files(&out.join("depth"), capture)?;
     let job = Job::new(capture, report, options)?;
     let appearance = job.train(Kind::Ellipsoid, rasterizer, out, on_progress)?;
     let surface = job.train(Kind::Surfel, rasterizer, out, on_progress)?;
-    let depth_maps = write_depth_maps(&out.join("depth"), &job, rasterizer, &appearance.0, &surface.0)?;
+    write_depth_maps(&maps, &job, rasterizer, &appearance.0, &surface.0)?;
     let reconstruction = Reconstruction {
         photos_trained: job.trained.len(),
         photos_held_out: job.held_out.len(),
@@ -153,14 +162,14 @@ pub fn reconstruct<R: Rasterizer + Clone>(
         object_only: job.masked,
         appearance: appearance.1,
         surface: surface.1,
-        depth_maps,
+        depth_maps: maps.views.len(),
         peak_memory_bytes: usage::peak_memory_bytes(),
     };
     let text = serde_json::to_string_pretty(&reconstruction).map_err(|e| Error::Option {
         what: format!("the report cannot be written: {e}"),
         remedy: "look for numbers that are not finite".into(),
     })?;
-    fsutil::write_atomic(&out.join("splat/report.json"), text.as_bytes())?;
+    fsutil::write_atomic(&report_file, text.as_bytes())?;
     for checkpoint in [Kind::Ellipsoid, Kind::Surfel].map(|kind| checkpoint_of(out, kind)).iter().filter(|c| c.exists())
     {
         std::fs::remove_file(checkpoint).map_err(|e| drex_core::Error::io("remove", checkpoint, e))?;
@@ -330,8 +339,8 @@ impl<'a> Job<'a> {
             let object = self.masked || (self.whole_hull.seen_by(mean) >= 2 && self.whole_hull.contains(mean));
             *label = if object { Label::OBJECT } else { Label::BACKGROUND };
         }
-        let file = out.join(format!("splat/{}.ply", name_of(kind)));
-        ply::write(&file, &gaussians)?;
+        let file = format!("splat/{}.ply", name_of(kind));
+        ply::write(&out.join(&file), &gaussians)?;
         let iterations = trainer.steps_done();
         let summary =
             SetSummary { file, gaussians: gaussians.len(), outside_hull, iterations, core_seconds, seconds, held_out };
@@ -410,33 +419,63 @@ impl<'a> Job<'a> {
     }
 }
 
-/// `depth/`: depth of the surface for every photo's camera. Gives how many.
+/// The files of `depth/`.
+struct MapFiles {
+    transforms: PathBuf,
+    /// One per view of the capture.
+    views: Vec<ViewFiles>,
+}
+
+/// What is written of one view: names relative to the folder as transforms.json has them, and paths.
+struct ViewFiles {
+    stem: String,
+    depth: PathBuf,
+    appearance: PathBuf,
+    normals: PathBuf,
+}
+
+/// Names of views come with the capture, and no file may lie outside of `folder` or be two views'.
+fn map_files(folder: &Path, capture: &Capture) -> Result<MapFiles> {
+    let mut files = OutputFolder::new(folder);
+    let transforms = files.file("transforms.json")?;
+    let mut of = |name: &str| {
+        let stem = Path::new(name).with_extension("").to_string_lossy().replace('\\', "/");
+        Ok(ViewFiles {
+            depth: files.file(&format!("{stem}.npy"))?,
+            appearance: files.file(&format!("{stem}.png"))?,
+            normals: files.file(&format!("normals/{stem}.png"))?,
+            stem,
+        })
+    };
+    let views = capture.views.iter().map(|view| {
+        of(&view.name).map_err(|e: drex_core::Error| drex_core::Error::at(capture.folder.join(&view.name), None, e))
+    });
+    Ok(MapFiles { transforms, views: views.collect::<Result<_, _>>()? })
+}
+
+/// `depth/`: depth of the surface for every photo's camera.
 fn write_depth_maps<R: Rasterizer>(
-    folder: &Path,
+    files: &MapFiles,
     job: &Job<'_>,
     rasterizer: &R,
     appearance: &Gaussians,
     surface: &Gaussians,
-) -> Result<usize> {
+) -> Result<()> {
     let mut frames = Vec::new();
-    for (i, view) in job.capture.views.iter().enumerate() {
+    for (i, file) in files.views.iter().enumerate() {
         let camera = &fitting(job.photos.camera(i), DEPTH_SIDE);
         let options = RenderOptions { near: job.near[i], ..RenderOptions::default() };
-        let stem = Path::new(&view.name).with_extension("");
-        let at = |extension: &str| folder.join(format!("{}.{extension}", stem.display()));
         let looks = rasterizer.forward(appearance, camera, &options)?.0;
         let shape = rasterizer.forward(surface, camera, &options)?.0;
         let depth = surface_depth(&shape, 1.0, 0.5)?;
         let normal: Vec<[f32; 3]> = shape.normal.iter().zip(&depth).map(|(n, &z)| normal_colour(*n, z)).collect();
-        npy::write(&at("npy"), &[camera.height, camera.width], &depth)?;
-        let normals = folder.join("normals").join(format!("{}.png", stem.display()));
-        picture::write_rgb(&normals, camera.width, camera.height, &normal)?;
-        picture::write_rgba(&at("png"), camera.width, camera.height, &looks.rgb, &looks.alpha)?;
-        frames.push(frame(camera, &stem));
+        npy::write(&file.depth, &[camera.height, camera.width], &depth)?;
+        picture::write_rgb(&file.normals, camera.width, camera.height, &normal)?;
+        picture::write_rgba(&file.appearance, camera.width, camera.height, &looks.rgb, &looks.alpha)?;
+        frames.push(frame(camera, &file.stem));
     }
     let text = serde_json::json!({ "camera_model": "PINHOLE", "frames": frames }).to_string();
-    fsutil::write_atomic(&folder.join("transforms.json"), text.as_bytes())?;
-    Ok(frames.len())
+    Ok(fsutil::write_atomic(&files.transforms, text.as_bytes())?)
 }
 
 /// [`near_depth`] of all photos. What cameras look at is asked of those trained on: others may stand wrong.
@@ -480,7 +519,7 @@ fn normal_colour(n: [f32; 3], depth: f32) -> [f32; 3] {
 }
 
 /// One frame of transforms.json: camera to world, OpenGL axes (x right, y up, z back).
-fn frame(camera: &PinholeCamera, stem: &Path) -> serde_json::Value {
+fn frame(camera: &PinholeCamera, stem: &str) -> serde_json::Value {
     let mut m = camera.camera_from_world.inverse().to_homogeneous();
     for column in [1, 2] {
         for row in 0..3 {
@@ -489,8 +528,8 @@ fn frame(camera: &PinholeCamera, stem: &Path) -> serde_json::Value {
     }
     let rows: Vec<Vec<f64>> = (0..4).map(|r| (0..4).map(|c| m[(r, c)]).collect()).collect();
     serde_json::json!({
-        "file_path": format!("{}.png", stem.display()),
-        "depth_file_path": format!("{}.npy", stem.display()),
+        "file_path": format!("{stem}.png"),
+        "depth_file_path": format!("{stem}.npy"),
         "transform_matrix": rows,
         "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy,
         "w": camera.width, "h": camera.height,

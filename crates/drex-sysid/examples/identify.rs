@@ -40,6 +40,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             push.simulated.clear();
         }
     }
-    writeln!(std::io::stdout(), "{}", serde_json::to_string(&answer)?)?;
+    let mut value = serde_json::to_value(&answer)?;
+    value["seconds"] = answer.seconds.into();
+    writeln!(std::io::stdout(), "{value}")?;
     Ok(())
 }

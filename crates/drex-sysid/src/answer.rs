@@ -32,7 +32,8 @@ pub struct Identification {
     pub mu_m_kg: Option<f64>,
     /// The verdict in words.
     pub reason: String,
-    /// Wall time, seconds.
+    /// Wall time, seconds; not in the serialised answer, which is the same in every run.
+    #[serde(skip)]
     pub seconds: f64,
     /// Simulated pushes, those with derivatives included.
     pub simulations: usize,

@@ -17,7 +17,7 @@ use super::bound;
 use super::cell::{Actor, Cell, Choice, Force, Row, Setting, Told};
 use super::judge::{Condition, Judge, Spread};
 use super::learned::{LearnOptions, Learned, Proposal};
-use super::library::{Grasp, Kind, Library, LibraryOptions};
+use super::library::{self, Grasp, Kind, Library, LibraryOptions};
 use super::objects::{self, ObjectSpec};
 use super::table::{Comparison, Table};
 use super::thing::Thing;
@@ -340,7 +340,7 @@ impl<J: Judge> Bench<'_, J> {
 
     fn ready(&self, spec: &ObjectSpec) -> Result<Ready<J>> {
         let thing = Thing::new(spec)?;
-        let file = self.out.as_ref().map(|out| out.join(format!("grasps/{}.json", spec.name)));
+        let file = library::file(self.out.as_deref(), &spec.name)?;
         let library = Library::of(&thing, self.hand, &self.library, file.as_deref())?;
         (self.note)(&format!("{:>10}  {} grasps of {}", "grasps", library.grasps.len(), spec.name));
         let (judge, points) = ((self.judge)(&thing)?, thing.cloud(self.seed));

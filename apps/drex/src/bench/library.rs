@@ -1,7 +1,7 @@
 //! Grasps of one object by one hand, measured and kept in a file.
 
 use std::fmt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use drex_core::{Pose, fsutil};
@@ -175,6 +175,14 @@ pub struct Library {
     /// Friction at which they were measured.
     pub friction: f64,
     pub grasps: Vec<Grasp>,
+}
+
+/// The file of an object's library in the folder of the results, if there is one.
+///
+/// # Errors
+/// If the object's name leads out of the folder.
+pub fn file(out: Option<&Path>, object: &str) -> Result<Option<PathBuf>> {
+    Ok(out.map(|out| fsutil::output_path(out, &format!("grasps/{object}.json"))).transpose()?)
 }
 
 /// Layout of the file; raised when grasps are made otherwise.

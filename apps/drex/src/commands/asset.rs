@@ -2,6 +2,7 @@
 
 use std::num::NonZeroUsize;
 use std::path::Path;
+use std::time::Instant;
 
 use anyhow::{Result, bail};
 use drex_core::fsutil;
@@ -17,6 +18,7 @@ use serde::Serialize;
 use crate::cli::AssetArgs;
 use crate::object::asset_options;
 use crate::scan::{FrameOptions, FrameReport, Meshed, Scanning};
+use crate::timings::{self, Timing};
 use crate::ui::Ui;
 
 /// What ffmpeg is asked to open.
@@ -143,8 +145,10 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
         frame,
         voxel_m: args.scan.voxel,
         reconstruct,
+        tool_limit: args.scan.tools.limit(),
     };
-    let Meshed { scan, fusion, mesh } = scanning.mesh(ui)?;
+    let begun = Instant::now();
+    let Meshed { scan, fusion, mesh, .. } = scanning.mesh(ui)?;
 
     let spinner = ui.spinner("asset");
     let mut options = options(args);
@@ -156,19 +160,17 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
     write(&asset, args)?;
     let mut answer = ScanAnswer { scan: &scan.frame, fusion: &fusion, asset: None };
     let text = serde_json::to_string_pretty(&answer)? + "\n";
-    fsutil::write_atomic(&args.out.join("mesh/scan.json"), text.as_bytes())?;
+    fsutil::write_atomic(&fsutil::output_path(&args.out, "mesh/scan.json")?, text.as_bytes())?;
+    let input = Some(args.input.clone());
+    timings::record(&args.out, "asset", Timing { input, ..Timing::of(begun.elapsed().as_secs_f64()) })?;
     spinner.finish_and_clear();
     answer.asset = Some(&asset.report);
     ui.answer(&answer, describe_scan(&scan.frame, &fusion) + &describe(&asset, args))
 }
 
 fn describe_scan(frame: &FrameReport, fusion: &FusionReport) -> String {
-    let mut text = format!(
-        "{}\n  scale    {:.6} m per unit, from {}\n",
-        frame.scan.display(),
-        frame.metres_per_unit,
-        frame.scale_from
-    );
+    let mut text =
+        format!("{}\n  scale    {:.6} m per unit, from {}\n", frame.scan, frame.metres_per_unit, frame.scale_from);
     for d in frame.distances.iter().flat_map(|fit| &fit.distances) {
         text += &format!(
             "           {} to {}: {:.2} mm given, {:.2} mm in the scan\n",

@@ -14,13 +14,14 @@ use serde::Serialize;
 
 use crate::bench::experiments::Bench;
 use crate::bench::judge::Rollouts;
-use crate::bench::library::{Kind, Library, LibraryOptions};
+use crate::bench::library::{self, Kind, Library, LibraryOptions};
 use crate::bench::objects::{self, ObjectSpec};
 use crate::bench::table::Table;
 use crate::bench::thing::{POINTS, Thing};
 use crate::cli::{BenchCommand, BenchCommon, DemosArgs, GraspBenchArgs};
 use crate::picture::clip::{self, Posed};
 use crate::predict::with_torques;
+use crate::timings::{self, Timing};
 use crate::ui::Ui;
 
 /// Hands that the search between opposite points looks at, for each demonstration.
@@ -56,9 +57,16 @@ fn demos(args: &DemosArgs, seed: u64, ui: &Ui) -> Result<()> {
     for spec in specs(&args.common)? {
         let thing = Thing::new(&spec)?;
         let start = Instant::now();
-        let library = Library::of(&thing, &hand, &options, grasp_file(&args.common, &spec.name).as_deref())?;
+        let file = library::file(args.common.out.as_deref(), &spec.name)?;
+        let library = Library::of(&thing, &hand, &options, file.as_deref())?;
         if let Some(out) = args.common.out.as_deref().filter(|_| args.pictures > 0) {
-            pictures(&out.join(format!("grasps/{}.png", spec.name)), &thing, &hand, &library, args.pictures)?;
+            pictures(
+                &fsutil::output_path(out, &format!("grasps/{}.png", spec.name))?,
+                &thing,
+                &hand,
+                &library,
+                args.pictures,
+            )?;
         }
         rows.push(row(&thing, &library, start.elapsed().as_secs_f64()));
         if let Some(r) = rows.last() {
@@ -126,10 +134,6 @@ fn library_options(common: &BenchCommon, seed: u64) -> LibraryOptions {
     options
 }
 
-fn grasp_file(common: &BenchCommon, name: &str) -> Option<std::path::PathBuf> {
-    common.out.as_ref().map(|out| out.join(format!("grasps/{name}.json")))
-}
-
 /// A contact sheet of grasps spread over the library.
 fn pictures(file: &Path, thing: &Thing, hand: &TargetHand, library: &Library, count: usize) -> Result<()> {
     let step = library.grasps.len().div_ceil(count).max(1);
@@ -158,6 +162,13 @@ struct BenchAnswer<'a> {
     margin: f64,
     #[serde(flatten)]
     table: &'a Table,
+}
+
+/// The same with its cost, on stdout alone: the file is the same in every run.
+#[derive(Serialize)]
+struct Timed<'a> {
+    #[serde(flatten)]
+    answer: BenchAnswer<'a>,
     /// Rollouts of the table per second of judging, plans and rehearsals with them.
     rollouts_per_s: f64,
     threads: usize,
@@ -211,13 +222,14 @@ fn grasp(args: &GraspBenchArgs, seed: u64, ui: &Ui) -> Result<()> {
         torque_limits_nm: robot.effort_limits()?,
         margin: args.margin,
         table: &table,
-        rollouts_per_s: table.rollouts_per_s(),
-        threads: rayon::current_num_threads(),
-        seconds: start.elapsed().as_secs_f64(),
     };
+    let seconds = start.elapsed().as_secs_f64();
     if let Some(out) = &common.out {
         fsutil::write_atomic(&out.join(format!("{name}.json")), &serde_json::to_vec_pretty(&answer)?)?;
+        timings::record(out, name, Timing::of(seconds))?;
     }
+    let threads = rayon::current_num_threads();
+    let answer = Timed { answer, rollouts_per_s: table.rollouts_per_s(), threads, seconds };
     let speed = format!("{:.1} rollouts per second on {} threads", answer.rollouts_per_s, answer.threads);
     ui.answer(&answer, format!("{}\n{speed}", table.text()))
 }

@@ -1,6 +1,7 @@
 //! `drex deploy`: everything that driving the hand takes, in one file; and the grasp itself, with a hand or an emulated one.
 
 use std::path::PathBuf;
+use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
@@ -16,6 +17,7 @@ use serde_json::json;
 use super::hw;
 use crate::cli::{DeployArgs, HandArg};
 use crate::predict::{Prediction, Ready};
+use crate::timings::{self, Timing};
 use crate::ui::Ui;
 
 /// Layout of the file.
@@ -107,7 +109,14 @@ pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     if let Some(reason) = &grasp.cannot_hold {
         bail!("there is no grasp to deploy: {reason}");
     }
+    let begun = Instant::now();
     let Deployed { file, limits, done, .. } = deploy(args, &ready, &grasp, &stop)?;
+    let mut timing = Timing::of(begun.elapsed().as_secs_f64());
+    timing.input = Some(args.grasp.twin_or_policy.clone());
+    timing.parts = [("network", grasp.network_ms), ("force", grasp.force_ms)]
+        .map(|(part, ms)| (part.to_owned(), 1e-3 * ms))
+        .into();
+    timings::record(&ready.root, "deploy", timing)?;
     let most = limits.force.iter().copied().fold(0.0, f64::max);
     let short = limits.short_nm.iter().copied().fold(0.0, f64::max);
     let mut text = format!(

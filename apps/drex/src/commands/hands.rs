@@ -13,7 +13,7 @@ use crate::ui::Ui;
 
 /// Detects, looks the key points over, writes them.
 pub fn run(args: &HandsArgs, ui: &Ui) -> Result<()> {
-    let timeout = Duration::from_secs_f64(args.timeout);
+    let timeout = Duration::try_from_secs_f64(args.timeout).unwrap_or(Duration::MAX);
     let detector: Box<dyn HandDetector> = match (&args.detector, args.command.split_first()) {
         (DetectorArg::Mediapipe, None) => {
             let mut detector = MediaPipe::default();

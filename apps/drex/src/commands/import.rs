@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use drex_core::TriMesh;
-use drex_core::fsutil;
+use drex_core::fsutil::{self, OutputFolder};
 use drex_core::push::{InputChoice, PushConfig, PushRecording, TrackFrame, drex_run};
 use drex_core::twin::TwinManifest;
 use drex_sysid::frames::{self, FrameOptions, Standing};
@@ -41,9 +41,10 @@ pub fn run(args: &ImportArgs, ui: &Ui) -> Result<()> {
             bail!("no run of an object named `{wanted}` in {}", dir.display());
         }
     }
-    let mut imported = Vec::new();
+    let (mut imported, mut twins) = (Vec::new(), OutputFolder::new(out));
     for (name, runs) in by_object {
-        let root = out.join(&name);
+        // The name becomes that of a folder.
+        let root = twins.file(&name).with_context(|| format!("importing {name}"))?;
         imported.push(import_object(&name, &runs, dir, &root).with_context(|| format!("importing {name}"))?);
     }
     let lines: Vec<String> = imported
@@ -80,14 +81,14 @@ fn object_of(run: &Path) -> Result<String> {
     let value: serde_json::Value = serde_json::from_slice(&fsutil::read_bytes(&file)?)
         .with_context(|| format!("{} is no JSON", file.display()))?;
     match value.get("object").and_then(|v| v.as_str()) {
-        // The name becomes a folder name.
-        Some(name) if !name.is_empty() && !name.contains(['/', '\\']) && name != ".." => Ok(name.to_owned()),
+        Some(name) if !name.contains(['/', '\\']) => Ok(name.to_owned()),
         _ => bail!("{} does not name its object; add \"object\": \"NAME\"", file.display()),
     }
 }
 
 /// Copies the object's mesh, runs and grasps into `root` and writes its manifest last.
 fn import_object(name: &str, runs: &[PathBuf], dir: &Path, root: &Path) -> Result<Imported> {
+    let mut files = OutputFolder::new(root);
     let mut mesh = None;
     let mut up_in_mesh = None;
     let mut pushes = Vec::new();
@@ -99,25 +100,25 @@ fn import_object(name: &str, runs: &[PathBuf], dir: &Path, root: &Path) -> Resul
             up_in_mesh = up_of(&recording)?.map(|up| [up.x, up.y, up.z].map(|c| (c * 1e6).round() / 1e6));
         }
         let mesh = mesh.get_or_insert_with(|| recording.mesh.clone());
-        let place = Path::new("push").join(run_name(run));
-        pushes.push(place.clone());
-        copy_run(run, mesh, &root.join(&place), root)?;
+        let place = format!("push/{}", run_name(run));
+        copy_run(run, mesh, &place, root, &mut files)?;
+        pushes.push(place);
     }
     let (Some(mesh), Some(up_in_mesh)) = (mesh, up_in_mesh) else {
         bail!("the runs of {name} do not say which way is up");
     };
-    copy(&mesh, &root.join(scan_name(&mesh)))?;
+    copy(&mesh, &files.file(&scan_name(&mesh))?)?;
     let grasps = grasp_file(name, dir, runs);
     if let Some(file) = &grasps {
-        copy(file, &root.join("demos").join(file_name(file)))?;
+        copy(file, &files.file(&format!("demos/{}", file_name(file)))?)?;
         // A JSON file may only describe the array beside it.
         let array = file.with_extension("npy");
         if array.is_file() {
-            copy(&array, &root.join("demos").join(file_name(&array)))?;
+            copy(&array, &files.file(&format!("demos/{}", file_name(&array)))?)?;
         }
     }
     let manifest = manifest(name, &mesh, up_in_mesh, &pushes, grasps.as_deref())?;
-    let twin = root.join("twin.toml");
+    let twin = files.file("twin.toml")?;
     fsutil::write_atomic(&twin, manifest.as_bytes())?;
     TwinManifest::load(&twin)?;
     Ok(Imported { object: name.to_owned(), twin, pushes: pushes.len(), grasps: grasps.is_some() })
@@ -135,36 +136,36 @@ fn up_of(recording: &PushRecording) -> Result<Option<Vector3<f64>>> {
     })
 }
 
-/// Copies the logs of a run and writes a push.toml that stands alone.
-fn copy_run(run: &Path, mesh: &Path, to: &Path, root: &Path) -> Result<()> {
+/// Copies the logs of a run to the folder `place` of the twin `root`, and writes a push.toml there that stands alone.
+fn copy_run(run: &Path, mesh: &Path, place: &str, root: &Path, files: &mut OutputFolder) -> Result<()> {
     let mut config: PushConfig = drex_run::to_push_config(&run.join("run.json"), run)?;
-    copy(&run.join(&config.track.file), &to.join(file_name(&config.track.file)))?;
-    config.track.file = file_name(&config.track.file);
-    if let Some(hand) = &mut config.hand {
-        copy(&run.join(&hand.joints), &to.join(file_name(&hand.joints)))?;
-        hand.joints = file_name(&hand.joints);
+    let mut logs = vec![&mut config.track.file];
+    logs.extend(config.hand.as_mut().map(|hand| &mut hand.joints));
+    for log in logs {
+        let name = file_name(log);
+        copy(&run.join(&log), &files.file(&format!("{place}/{name}"))?)?;
+        *log = name.into();
     }
-    config.mesh = fsutil::relative_path(&root.join(scan_name(mesh)), to);
-    fsutil::write_atomic(&to.join("push.toml"), config.to_toml_string()?.as_bytes())?;
+    config.mesh = fsutil::relative_path(&root.join(scan_name(mesh)), &root.join(place));
+    fsutil::write_atomic(&files.file(&format!("{place}/push.toml"))?, config.to_toml_string()?.as_bytes())?;
     Ok(())
 }
 
 /// The manifest as a person would write it.
-fn manifest(name: &str, mesh: &Path, up: [f64; 3], pushes: &[PathBuf], grasps: Option<&Path>) -> Result<String> {
-    let slashes = |p: &Path| p.to_string_lossy().replace('\\', "/");
+fn manifest(name: &str, mesh: &Path, up: [f64; 3], pushes: &[String], grasps: Option<&Path>) -> Result<String> {
     let text = |s: &str| toml::Value::String(s.to_owned()).to_string();
-    let list: Vec<String> = pushes.iter().map(|p| text(&slashes(p))).collect();
+    let list: Vec<String> = pushes.iter().map(|p| text(p)).collect();
     let mut out = format!(
         "schema = 1\nname = {}\n\n[object]\nmesh = {}\nup_in_mesh = [{}, {}, {}]\n\n[mass]\nidentify = [{}]\n",
         text(name),
-        text(&slashes(&scan_name(mesh))),
+        text(&scan_name(mesh)),
         up[0],
         up[1],
         up[2],
         list.join(", ")
     );
     if let Some(file) = grasps {
-        let file = text(&slashes(&Path::new("demos").join(file_name(file))));
+        let file = text(&format!("demos/{}", file_name(file)));
         out += &format!("\n[grasps]\nfile = {file}\nhand = \"leap_right\"\njoint_order = \"{GRASP_ORDER}\"\n");
     }
     Ok(out)
@@ -181,7 +182,7 @@ fn grasp_file(object: &str, dir: &Path, runs: &[PathBuf]) -> Option<PathBuf> {
         .flatten()
         .filter_map(|e| Some(e.ok()?.path()))
         .filter(|p| p.extension().is_some_and(|e| e == "json"))
-        .filter(|p| file_name(p).to_string_lossy().starts_with(&format!("{object}_")))
+        .filter(|p| file_name(p).starts_with(&format!("{object}_")))
         .collect();
     found.sort();
     found.into_iter().next()
@@ -191,14 +192,14 @@ fn copy(from: &Path, to: &Path) -> Result<()> {
     Ok(fsutil::write_atomic(to, &fsutil::read_bytes(from)?)?)
 }
 
-fn file_name(path: &Path) -> PathBuf {
-    path.file_name().map(PathBuf::from).unwrap_or_default()
+fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-fn run_name(run: &Path) -> PathBuf {
+fn run_name(run: &Path) -> String {
     std::fs::canonicalize(run).ok().map(|p| file_name(&p)).unwrap_or_else(|| file_name(run))
 }
 
-fn scan_name(mesh: &Path) -> PathBuf {
-    Path::new("scan").join(file_name(mesh))
+fn scan_name(mesh: &Path) -> String {
+    format!("scan/{}", file_name(mesh))
 }

@@ -1,6 +1,7 @@
 //! `drex reconstruct`: photos become Gaussians and depth maps.
 
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use drex_splat::capture::{self, Capture, CaptureOptions, CaptureReport, ColmapOptions, VideoOptions};
@@ -14,6 +15,7 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 use crate::cli::{ReconstructArgs, SplatFormat};
+use crate::timings::{self, Timing};
 use crate::ui::Ui;
 
 /// The answer of `drex reconstruct --json`.
@@ -28,7 +30,9 @@ struct Answer<'a> {
 pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     let mut within = CaptureOptions::default();
     within.masks.clone_from(&args.masks);
-    let capture = open(&args.scan, &args.out, &within, &Programs { colmap: &args.colmap, ffmpeg: &args.ffmpeg }, ui)?;
+    let begun = Instant::now();
+    let programs = Programs { colmap: &args.colmap, ffmpeg: &args.ffmpeg, limit: args.tools.limit() };
+    let capture = open(&args.scan, &args.out, &within, &programs, ui)?;
     let mut options = ReconstructOptions::default();
     options.preset = args.preset.into();
     options.density = args.density.into();
@@ -50,11 +54,24 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
             SplatFormat::Splat => "splat",
         };
         for (set, kind) in [(&reconstruction.appearance, Kind::Ellipsoid), (&reconstruction.surface, Kind::Surfel)] {
-            write_gaussians(&set.file.with_extension(ending), &read_gaussians(&set.file, kind)?)?;
+            let file = args.out.join(&set.file);
+            write_gaussians(&file.with_extension(ending), &read_gaussians(&file, kind)?)?;
         }
     }
+    record(args, &reconstruction, begun.elapsed().as_secs_f64())?;
     let text = describe(&reconstruction, &args.out);
     ui.answer(&Answer { capture: &report, reconstruction }, text)
+}
+
+/// What it took, into `timings.json`.
+fn record(args: &ReconstructArgs, r: &Reconstruction, seconds: f64) -> Result<()> {
+    let sets = [("appearance", &r.appearance), ("surface", &r.surface)];
+    let mut timing = Timing::of(seconds);
+    timing.core_seconds = sets.iter().map(|(_, set)| set.core_seconds).sum();
+    timing.peak_memory_bytes = r.peak_memory_bytes;
+    timing.input = Some(args.scan.clone());
+    timing.parts = sets.iter().map(|(part, set)| (String::from(*part), set.seconds)).collect();
+    timings::record(&args.out, "reconstruct", timing)
 }
 
 /// Says what to trust of the capture, trains both sets and writes them and the depth maps into `out`.
@@ -114,12 +131,14 @@ pub struct Programs<'a> {
     pub colmap: &'a Path,
     /// ffmpeg.
     pub ffmpeg: &'a Path,
+    /// ffmpeg, or a step of COLMAP, is stopped after this time.
+    pub limit: Duration,
 }
 
 /// The capture in `scan`; cameras come from COLMAP where the folder has none, photos from ffmpeg where it is a video.
 pub fn open(scan: &Path, out: &Path, within: &CaptureOptions, programs: &Programs<'_>, ui: &Ui) -> Result<Capture> {
     let mut colmap = ColmapOptions::default();
-    colmap.program = programs.colmap.into();
+    (colmap.program, colmap.time_limit) = (programs.colmap.into(), programs.limit);
     if !scan.exists() {
         bail!("there is no {}; give a folder with photos, or a video", scan.display());
     }
@@ -137,7 +156,7 @@ pub fn open(scan: &Path, out: &Path, within: &CaptureOptions, programs: &Program
             ));
         } else {
             let mut video = VideoOptions::default();
-            video.program = programs.ffmpeg.into();
+            (video.program, video.time_limit) = (programs.ffmpeg.into(), programs.limit);
             let made: Vec<&Path> = [folder.as_path(), out].into_iter().filter(|f| !f.exists()).collect();
             let frames = capture::extract_frames(scan, &folder, &video, &mut show).inspect_err(|_| {
                 // Only empty folders go; one that stays is no error.
@@ -162,7 +181,7 @@ fn describe(r: &Reconstruction, out: &Path) -> String {
         text += &format!("  left out  {left_out}\n");
     }
     for (name, set) in [("appearance", &r.appearance), ("surface", &r.surface)] {
-        text += &describe_set(name, set);
+        text += &describe_set(name, set, out);
     }
     text += &format!("  depth     {} maps in {}\n", r.depth_maps, out.join("depth").display());
     if let Some(bytes) = r.peak_memory_bytes {
@@ -171,14 +190,14 @@ fn describe(r: &Reconstruction, out: &Path) -> String {
     text
 }
 
-fn describe_set(name: &str, set: &SetSummary) -> String {
+fn describe_set(name: &str, set: &SetSummary, out: &Path) -> String {
     let cost = set.core_seconds.map_or(String::new(), |s| format!(", {:.1} core-minutes", s / 60.0));
     let mut text = format!(
         "  {name}: {} Gaussians after {} steps, {:.0} s{cost}, {}\n",
         set.gaussians,
         set.iterations,
         set.seconds,
-        set.file.display()
+        out.join(&set.file).display()
     );
     if !set.held_out.rows.is_empty() {
         text += &indented(&set.held_out);

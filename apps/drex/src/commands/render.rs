@@ -1,10 +1,10 @@
 //! `drex render`: Gaussians become pictures.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
+use drex_core::fsutil::OutputFolder;
 use drex_core::readers::read_pose_csv;
 use drex_splat::capture::{Capture, CaptureOptions};
 use drex_splat::io::{exr, npy, picture, read_gaussians};
@@ -60,13 +60,14 @@ pub fn run(args: &RenderArgs, ui: &Ui) -> Result<()> {
         bail!("--normal needs surfels, {} holds ellipsoids; give a surface, or --surfels", args.splat.display());
     }
     let shots = shots(args, &scene)?;
+    let files = files(args, &shots)?;
     let mut options = RenderOptions::default();
     options.background = args.background.map(|c| c as f32);
     options.antialias = args.antialias;
     options.geometry = args.normal.is_some();
     let bar = ui.bar("render", shots.len() as u64);
     let (mut frames, mut drawing, mut gaussians) = (Vec::with_capacity(shots.len()), Duration::ZERO, 0);
-    for shot in shots {
+    for (shot, files) in shots.iter().zip(files) {
         let begin = Instant::now();
         let posed;
         let all = match shot.time_s {
@@ -80,7 +81,7 @@ pub fn run(args: &RenderArgs, ui: &Ui) -> Result<()> {
         gaussians = all.len();
         let (render, _) = Cpu.forward(all, &shot.camera, &options)?;
         drawing += begin.elapsed();
-        frames.push(write(args, &shot, &render)?);
+        frames.push(write(args, files, shot.time_s, &render)?);
         bar.inc(1);
     }
     bar.finish_and_clear();
@@ -183,16 +184,35 @@ fn frame_name(k: usize) -> String {
     format!("frame_{k:04}")
 }
 
-/// Writes what was drawn and says where.
-fn write(args: &RenderArgs, shot: &Shot, render: &Render) -> Result<Frame> {
-    let (width, height) = (render.width, render.height);
-    let map = |folder: &str, format: MapFormat| {
-        let ending = if format == MapFormat::Npy { "npy" } else { "exr" };
-        args.out.join(folder).join(format!("{}.{ending}", shot.name))
+/// Where a shot is written.
+struct ShotFiles {
+    picture: PathBuf,
+    depth: Option<PathBuf>,
+    normal: Option<PathBuf>,
+}
+
+/// The files of all shots, before any is drawn: names of views come with the scan.
+fn files(args: &RenderArgs, shots: &[Shot]) -> Result<Vec<ShotFiles>> {
+    let mut out = OutputFolder::new(&args.out);
+    let map = |out: &mut OutputFolder, folder: &str, name: &str, format: Option<MapFormat>| {
+        let ending = if format? == MapFormat::Npy { "npy" } else { "exr" };
+        Some(out.file(&format!("{folder}/{name}.{ending}")))
     };
-    let picture = args.out.join(format!("{}.png", shot.name));
+    let files = shots.iter().map(|Shot { name, .. }| {
+        Ok(ShotFiles {
+            picture: out.file(&format!("{name}.png"))?,
+            depth: map(&mut out, "depth", name, args.depth).transpose()?,
+            normal: map(&mut out, "normal", name, args.normal).transpose()?,
+        })
+    });
+    files.collect()
+}
+
+/// Writes what was drawn and says where.
+fn write(args: &RenderArgs, files: ShotFiles, time_s: Option<f64>, render: &Render) -> Result<Frame> {
+    let (width, height) = (render.width, render.height);
+    let ShotFiles { picture, depth, normal } = files;
     picture::write_rgb(&picture, width, height, &render.rgb)?;
-    let depth = args.depth.map(|format| map("depth", format));
     if let Some(path) = &depth {
         let values = render.expected_depth();
         match args.depth {
@@ -200,7 +220,6 @@ fn write(args: &RenderArgs, shot: &Shot, render: &Render) -> Result<Frame> {
             _ => npy::write(path, &[height, width], &values)?,
         }
     }
-    let normal = args.normal.map(|format| map("normal", format));
     if let Some(path) = &normal {
         let values = render.unit_normals();
         match args.normal {
@@ -208,7 +227,7 @@ fn write(args: &RenderArgs, shot: &Shot, render: &Render) -> Result<Frame> {
             _ => npy::write(path, &[height, width, 3], values.as_flattened())?,
         }
     }
-    Ok(Frame { picture, depth, normal, width, height, time_s: shot.time_s })
+    Ok(Frame { picture, depth, normal, width, height, time_s })
 }
 
 fn text(args: &RenderArgs, summary: &Summary, drawing: Duration) -> String {
@@ -233,12 +252,6 @@ fn text(args: &RenderArgs, summary: &Summary, drawing: Duration) -> String {
 }
 
 fn has_ffmpeg() -> bool {
-    let quiet = || Stdio::null();
-    Command::new("ffmpeg")
-        .arg("-version")
-        .stdin(quiet())
-        .stdout(quiet())
-        .stderr(quiet())
-        .status()
-        .is_ok_and(|s| s.success())
+    let name = format!("ffmpeg{}", std::env::consts::EXE_SUFFIX);
+    std::env::var_os("PATH").is_some_and(|path| std::env::split_paths(&path).any(|folder| folder.join(&name).is_file()))
 }

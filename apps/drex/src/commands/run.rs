@@ -10,6 +10,7 @@ use crate::ui::Ui;
 /// Runs the twin's stages up to `last` (that one in any case if `again`) and answers with what was done and found.
 pub fn run(args: &TwinArgs, last: Stage, again: bool, seed: Option<u64>, ui: &Ui) -> Result<()> {
     let mut twin = Twin::open(&args.twin, seed)?;
+    twin.tool_limit = args.tools.limit();
     let summary = twin.run_until(last, again, ui)?;
     let findings = crate::report::findings(&twin, last)?;
     let mut answer = json!(summary);

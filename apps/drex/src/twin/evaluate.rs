@@ -34,7 +34,7 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
         .collect::<Result<_>>()?;
     let evaluation =
         Evaluation { mass_kg: mass.mass_kg, friction: twin.friction(), predicted, refined, demonstrations };
-    write_json(&twin.path(EVALUATION), &evaluation)?;
+    write_json(&twin.output(EVALUATION)?, &evaluation)?;
     spinner.finish_and_clear();
     Ok(vec![twin.path(EVALUATION)])
 }

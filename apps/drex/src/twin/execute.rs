@@ -12,10 +12,12 @@ use crate::commands::deploy::{Deployed, deploy, kind};
 use crate::predict::Ready;
 
 pub fn make(twin: &Twin) -> Result<Vec<PathBuf>> {
-    let (file, log) = (twin.path(EXECUTION), twin.path(EXECUTION_LOG));
+    let (file, log) = (twin.output(EXECUTION)?, twin.output(EXECUTION_LOG)?);
     let args = DeployArgs::emulated(twin.root.clone(), log.clone());
     let ready = Ready::of_twin(twin, &args.grasp)?;
     let grasp = ready.predict()?;
+    twin.took("network", 1e-3 * grasp.network_ms);
+    twin.took("force", 1e-3 * grasp.force_ms);
     let mut execution = ExecutionFile {
         schema: 1,
         hand: grasp.hand.clone(),

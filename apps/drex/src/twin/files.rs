@@ -29,6 +29,8 @@ pub const SHEET: &str = "grasps/contact_sheet.png";
 pub const POLICY: &str = "policy/network";
 /// Curve and baselines of the training.
 pub const TRAINING: &str = "policy/training.json";
+/// Losses of each epoch of the training.
+pub const CURVE: &str = "policy/curve.csv";
 /// Result of the evaluate stage.
 pub const EVALUATION: &str = "policy/evaluation.json";
 /// Result of the trial stage.

@@ -32,7 +32,7 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     };
     let what = if file.clips.is_empty() { "demonstrations" } else { "grasps of people" };
     ui.note(format!("{:>10}  {} of {} {what} fit the object", "grasps", file.accepted, file.demonstrations));
-    write_json(&twin.path(FITS), &file)?;
+    write_json(&twin.output(FITS)?, &file)?;
     let sheet = (!file.clips.is_empty()).then(|| twin.path(SHEET));
     Ok(std::iter::once(twin.path(FITS)).chain(sheet).collect())
 }

@@ -36,15 +36,14 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
         let mut options = IdentifyOptions::default();
         options.seed = twin.seed;
         let object = model_of(twin.asset()?);
-        let mut result = identify_watched(&recordings, &object, &options, &|part| bar.show(part))?;
+        let result = identify_watched(&recordings, &object, &options, &|part| bar.show(part))?;
         bar.clear();
-        // Wall times are in twin.lock; what a stage makes depends on its inputs only.
-        result.seconds = 0.0;
+        twin.took("identification", result.seconds);
         Some(result)
     };
     let prior = prior(twin, &recordings)?;
     let mass = choose(twin, prior, identification.as_ref())?;
-    write_json(&twin.path(MASS), &mass)?;
+    write_json(&twin.output(MASS)?, &mass)?;
     Ok(vec![twin.path(MASS)])
 }
 

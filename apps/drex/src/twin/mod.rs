@@ -14,21 +14,26 @@ mod scene;
 mod train;
 mod trial;
 
-use std::cell::OnceCell;
+use std::cell::{OnceCell, RefCell};
+use std::collections::BTreeMap;
+use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
+use drex_core::fsutil;
 use drex_core::push::{InputChoice, PushRecording};
 use drex_core::twin::{ASSUMED_FRICTION, TwinManifest};
-use drex_mesh::{Asset, build_asset};
+use drex_mesh::{Asset, build_asset, rebuild_asset};
 use drex_robot::Robot;
+use drex_splat::capture::ColmapOptions;
 use nalgebra::Vector3;
 use serde::Serialize;
 
 use crate::lock::{Inputs, Lock};
 use crate::object::asset_options;
 use crate::predict::with_torques;
+use crate::timings::{self, Timing};
 use crate::ui::Ui;
 
 pub use files::{
@@ -106,7 +111,12 @@ pub struct Twin {
     pub seed: u64,
     /// What has been made.
     pub lock: Lock,
+    /// ffmpeg, or a step of COLMAP, is stopped after this time.
+    pub tool_limit: Duration,
+    file: PathBuf,
     asset: OnceCell<Asset>,
+    /// Seconds that parts of the stage at work took.
+    parts: RefCell<BTreeMap<String, f64>>,
 }
 
 /// What a run did.
@@ -130,7 +140,8 @@ impl Twin {
         let root = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf();
         let seed = seed.unwrap_or(manifest.seed);
         let lock = Lock::open(&root);
-        Ok(Self { root, manifest, seed, lock, asset: OnceCell::new() })
+        let tool_limit = ColmapOptions::default().time_limit;
+        Ok(Self { root, manifest, seed, lock, tool_limit, file, asset: OnceCell::new(), parts: RefCell::default() })
     }
 
     /// A file of the twin folder.
@@ -138,7 +149,19 @@ impl Twin {
         self.root.join(relative)
     }
 
-    /// The object, made of its mesh when it is first asked for.
+    /// A file or folder of the twin folder that is written: a name from the manifest may not lead out of it, nor a link.
+    pub fn output(&self, relative: impl AsRef<Path>) -> Result<PathBuf> {
+        let name = relative.as_ref().to_str().context("a path in the manifest is not Unicode; rename it")?;
+        Ok(fsutil::output_path(&self.root, name)?)
+    }
+
+    /// Notes for `timings.json` how many seconds a part of the stage at work took.
+    pub fn took(&self, part: &str, seconds: f64) {
+        self.parts.borrow_mut().insert(part.to_owned(), seconds);
+    }
+
+    /// The object, made of its mesh when it is first asked for; its pieces are those of an earlier run, where they still
+    /// are what that run made of the same mesh and settings.
     pub fn asset(&self) -> Result<&Asset> {
         if let Some(asset) = self.asset.get() {
             return Ok(asset);
@@ -147,7 +170,9 @@ impl Twin {
             self.check_up(&files::read_json(&self.path(files::SCAN))?)?;
         }
         let options = asset_options(&self.manifest.object, self.friction());
-        let asset = build_asset(&self.path(&self.manifest.object.mesh), &options)?;
+        let mesh = self.path(&self.manifest.object.mesh);
+        let made = self.inputs(Stage::Asset).is_ok_and(|inputs| self.lock.is_current(Stage::Asset.name(), &inputs));
+        let asset = if made { rebuild_asset(&mesh, &options, &self.root)? } else { build_asset(&mesh, &options)? };
         Ok(self.asset.get_or_init(|| asset))
     }
 
@@ -190,6 +215,7 @@ impl Twin {
                 last.name()
             );
         }
+        let _alone = self.begin(ui)?;
         let started = Instant::now();
         let mut summary =
             RunSummary { name: self.manifest.name.clone(), stages_run: vec![], stages_current: vec![], seconds: 0.0 };
@@ -209,12 +235,39 @@ impl Twin {
             let outputs =
                 self.make(stage, ui).with_context(|| format!("stage {} of {}", stage.name(), self.root.display()))?;
             let seconds = begun.elapsed().as_secs_f64();
-            self.lock.record(stage.name(), inputs, self.seed, seconds, &outputs)?;
+            self.lock.record(stage.name(), inputs, self.seed, &outputs)?;
+            let parts = self.parts.take();
+            timings::record(&self.root, stage.name(), Timing { parts, ..Timing::of(seconds) })?;
             ui.note(format!("{:>10}  done in {seconds:.1} s", stage.name()));
             summary.stages_run.push(stage.name());
         }
         summary.seconds = started.elapsed().as_secs_f64();
         Ok(summary)
+    }
+
+    /// Says what is not as the last run left it, and removes what a run that did not end left half-written. Until the value
+    /// is dropped no other process works on this folder.
+    fn begin(&self, ui: &Ui) -> Result<Option<File>> {
+        self.lock.damage().iter().for_each(|damage| ui.note(format!("{:>10}  {damage}", "note")));
+        let file = File::open(&self.file).with_context(|| format!("cannot read {}", self.file.display()))?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                bail!("another drex is at work on {}: wait until it is done", self.root.display())
+            }
+            // A file system without locks: somebody else's half-written file could be one that is being written.
+            Err(TryLockError::Error(_)) => return Ok(None),
+        }
+        let folders = ["scan", "splat", "depth", "mesh", "asset", "grasps", "policy"];
+        let mut removed = fsutil::remove_unfinished(&self.root, false)?;
+        for folder in folders {
+            removed.extend(fsutil::remove_unfinished(&self.path(folder), true)?);
+        }
+        for path in removed {
+            let what = path.strip_prefix(&self.root).unwrap_or(&path).display();
+            ui.note(format!("{:>10}  removed {what}: a run that was stopped, or found the disk full, left it", "note"));
+        }
+        Ok(Some(file))
     }
 
     fn make(&self, stage: Stage, ui: &Ui) -> Result<Vec<PathBuf>> {

@@ -73,7 +73,7 @@ pub fn make(twin: &Twin, config: &GraspsConfig, scene: &Scene, ui: &Ui) -> Resul
             world_from_object: Some(rest),
         })
         .collect();
-    clip::write(&twin.path(SHEET), &scene.robot, Some(&scene.asset.visual), &posed, 1)?;
+    clip::write(&twin.output(SHEET)?, &scene.robot, Some(&scene.asset.visual), &posed, 1)?;
     Ok((records, clips))
 }
 

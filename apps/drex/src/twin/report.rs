@@ -9,7 +9,7 @@ use super::Twin;
 
 pub fn make(twin: &Twin) -> Result<Vec<PathBuf>> {
     let html = crate::report::page_of(twin)?;
-    let path = twin.path("report.html");
+    let path = twin.output("report.html")?;
     fsutil::write_atomic(&path, html.as_bytes())?;
     Ok(vec![path])
 }

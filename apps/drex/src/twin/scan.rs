@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use drex_core::twin::ScanPreset;
 use drex_mesh::{KnownDistance, write_mesh};
 use drex_splat::ReconstructOptions;
@@ -14,13 +14,21 @@ use super::files::{SCAN, ScanFile, write_json};
 use crate::scan::{FrameOptions, Meshed, Scanning};
 use crate::ui::Ui;
 
+/// Endings of the files that a mesh can be written to.
+const MESH_FORMATS: [&str; 4] = ["obj", "stl", "ply", "glb"];
 /// Every so many photos one is not trained on but measured against.
 const HOLD_OUT: usize = 8;
 
 pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     let config = twin.manifest.scan.as_ref().context("the manifest has no [scan]")?;
+    let manifest = twin.path("twin.toml");
+    let wrong = || format!("{}: mesh under [object], which the scan is written to", manifest.display());
+    let file = twin.output(&twin.manifest.object.mesh).with_context(wrong)?;
+    if !MESH_FORMATS.iter().any(|f| file.extension().is_some_and(|e| e.eq_ignore_ascii_case(f))) {
+        bail!("{}: {} does not end in .{}", wrong(), file.display(), MESH_FORMATS.join(", ."));
+    }
     // Depth maps that an earlier run made of other photos must not be taken for these; a folder of somebody else's stays.
-    let depth = twin.path("depth");
+    let (depth, splat) = (twin.output("depth")?, twin.output("splat")?);
     if depth.join("transforms.json").is_file() && !twin.path(&config.photos).starts_with(&depth) {
         std::fs::remove_dir_all(&depth).with_context(|| format!("cannot remove {}", depth.display()))?;
     }
@@ -49,11 +57,13 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
         },
         voxel_m: None,
         reconstruct,
+        tool_limit: twin.tool_limit,
     };
-    let Meshed { scan, fusion, mesh } = scanning.mesh(ui)?;
-    let file = twin.path(&twin.manifest.object.mesh);
+    let Meshed { scan, fusion, mesh, made } = scanning.mesh(ui)?;
+    for (part, set) in made.iter().flat_map(|made| [("appearance", &made.appearance), ("surface", &made.surface)]) {
+        twin.took(part, set.seconds);
+    }
     write_mesh(&file, &mesh)?;
-    write_json(&twin.path(SCAN), &ScanFile { scan: scan.frame, fusion })?;
-    let splat = twin.path("splat");
+    write_json(&twin.output(SCAN)?, &ScanFile { scan: scan.frame, fusion })?;
     Ok([splat, depth, file].into_iter().filter(|f| f.exists()).collect())
 }

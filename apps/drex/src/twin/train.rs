@@ -12,7 +12,7 @@ use drex_trial::TrialOptions;
 use nalgebra::Point3;
 use rayon::prelude::*;
 
-use super::files::{FITS, MASS, POLICY, PracticeRecord, TRAINING, read_json, write_json};
+use super::files::{CURVE, FITS, MASS, POLICY, PracticeRecord, TRAINING, read_json, write_json};
 use super::practice::Ground;
 use super::{FitFile, FitRecord, MassFile, Scene, Training, Twin};
 use crate::bench::judge::Spread;
@@ -37,24 +37,23 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     }
     let (data, learned) = dataset(twin, &scene, &fits, &mass)?;
     let bar = ui.bar("train", options.epochs as u64);
-    let (policy, mut report) = GraspPolicy::train(&data, &options, &mut |epoch| {
+    let (policy, report) = GraspPolicy::train(&data, &options, &mut |epoch| {
         bar.set_position(epoch.epoch as u64);
         bar.set_message(format!("loss {:.4}", epoch.total));
         ControlFlow::Continue(())
     })?;
     bar.finish_and_clear();
-    // Wall times are in twin.lock; what a stage makes depends on its inputs only.
-    report.seconds = 0.0;
+    twin.took("training", report.seconds);
     let tried = Origins::of(fits.grasps.iter().filter(|g| g.accepted).map(FitRecord::kind));
     write(twin, &policy, &Training { learned, tried, samples: data.samples.len(), report, practice: None })
 }
 
 fn write(twin: &Twin, policy: &GraspPolicy, training: &Training) -> Result<Vec<PathBuf>> {
-    let folder = twin.path(POLICY);
+    let (folder, curve) = (twin.output(POLICY)?, twin.output(CURVE)?);
     policy.save(&folder)?;
-    write_json(&twin.path(TRAINING), training)?;
-    fsutil::write_atomic(&twin.path("policy/curve.csv"), training.report.curve_csv().as_bytes())?;
-    Ok(vec![folder, twin.path(TRAINING), twin.path("policy/curve.csv")])
+    write_json(&twin.output(TRAINING)?, training)?;
+    fsutil::write_atomic(&curve, training.report.curve_csv().as_bytes())?;
+    Ok(vec![folder, twin.path(TRAINING), curve])
 }
 
 /// Learns the grasps that hold when they are tried, of the demonstrations and of a search, then from rollouts of its own.
@@ -81,7 +80,7 @@ fn practise(
         mass_hidden: false,
     };
     options.train.rollouts.wanted_friction_share = ForceLaw::default().friction_share();
-    let mut learned = Learned::train(&ground.thing, &ground.robot, &grasps, &ground.judge, &options)?;
+    let learned = Learned::train(&ground.thing, &ground.robot, &grasps, &ground.judge, &options)?;
     spinner.finish_and_clear();
     ui.note(format!(
         "{:>10}  {} of {} grasps hold in practice, {} learned",
@@ -90,7 +89,9 @@ fn practise(
         learned.commanded,
         learned.learned.total()
     ));
-    learned.report.seconds = 0.0;
+    for (part, seconds) in ["practice", "demonstrations", "rollouts"].into_iter().zip(learned.seconds) {
+        twin.took(part, seconds);
+    }
     let training = Training {
         learned: learned.learned,
         tried: Origins::of(grasps.iter().map(|g| g.kind)),

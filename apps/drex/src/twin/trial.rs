@@ -93,7 +93,7 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
         film: film.into_iter().map(frame).collect(),
         filmed,
     };
-    write_json(&twin.path(TRIAL), &file)?;
+    write_json(&twin.output(TRIAL)?, &file)?;
     Ok(vec![twin.path(TRIAL)])
 }
 

@@ -1,6 +1,7 @@
 //! Runs the built command line.
 #![allow(dead_code, clippy::unwrap_used)] // a test helper: not every test uses all of it, and a panic is the report
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -66,6 +67,40 @@ pub fn copy_tree(from: &Path, to: &Path) {
             std::fs::copy(entry.path(), target).unwrap();
         }
     }
+}
+
+/// Every file below a folder by its name there, with its content; links are not followed.
+pub fn tree(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    fn walk(folder: &Path, root: &Path, into: &mut BTreeMap<String, Vec<u8>>) {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let entry = entry.unwrap();
+            let (path, kind) = (entry.path(), entry.file_type().unwrap());
+            if kind.is_dir() {
+                walk(&path, root, into);
+            } else if kind.is_file() {
+                into.insert(
+                    path.strip_prefix(root).unwrap().to_str().unwrap().to_owned(),
+                    std::fs::read(&path).unwrap(),
+                );
+            }
+        }
+    }
+    let mut all = BTreeMap::new();
+    walk(folder, folder, &mut all);
+    all
+}
+
+/// Asserts that two folders have the same files with the same bytes, but for `timings.json`.
+pub fn assert_same_folder(a: &Path, b: &Path) {
+    let [a, b] = [a, b].map(|folder| {
+        let mut files = tree(folder);
+        files.remove("timings.json");
+        files
+    });
+    let names = |files: &BTreeMap<String, Vec<u8>>| files.keys().cloned().collect::<Vec<_>>();
+    assert_eq!(names(&a), names(&b));
+    let differ: Vec<&String> = a.keys().filter(|name| a[*name] != b[*name]).collect();
+    assert!(differ.is_empty(), "these differ: {differ:?}");
 }
 
 /// Keeps the first `n` demonstrations of a twin, for tests that do not need all.

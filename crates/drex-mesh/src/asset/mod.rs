@@ -6,8 +6,9 @@ mod options;
 use std::path::Path;
 
 use nalgebra::{Matrix3, Point3, Unit, Vector3};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
+use drex_core::fsutil::{from_json, read_text};
 use drex_core::twin::ContactConfig;
 use drex_core::{MassProperties, Pose, TriMesh};
 
@@ -125,6 +126,27 @@ pub struct AssetReport {
 /// If an option is out of range, the file cannot be read or is damaged, its unit cannot be told, or it encloses no volume;
 /// the message names the file and the remedy.
 pub fn build_asset(mesh_path: &Path, options: &AssetOptions) -> Result<Asset> {
+    of_file(mesh_path, options, None)
+}
+
+/// As [`build_asset`] of the same mesh and options, but with the convex pieces that [`Asset::write`] wrote into the folder
+/// `out`, to the same bits: they take most of the time.
+///
+/// # Errors
+/// As [`build_asset`], and if `out` holds no whole asset.
+pub fn rebuild_asset(mesh_path: &Path, options: &AssetOptions, out: &Path) -> Result<Asset> {
+    #[derive(Deserialize)]
+    struct Divided {
+        how_divided: HowDivided,
+        pieces: usize,
+    }
+    let report = out.join("mesh/report.json");
+    let Divided { how_divided, pieces } = from_json(&report, &read_text(&report)?)?;
+    let pieces = (0..pieces).map(|k| read_mesh(&out.join(write::piece_file("", k)))).collect::<Result<_>>()?;
+    of_file(mesh_path, options, Some((pieces, how_divided)))
+}
+
+fn of_file(mesh_path: &Path, options: &AssetOptions, divided: Option<(Vec<TriMesh>, HowDivided)>) -> Result<Asset> {
     options.check()?;
     let mesh = read_mesh(mesh_path)?;
     let gltf = matches!(extension(mesh_path).as_str(), "gltf" | "glb");
@@ -136,7 +158,7 @@ pub fn build_asset(mesh_path: &Path, options: &AssetOptions) -> Result<Asset> {
             options.unit = LengthUnit::Metre;
         }
     }
-    let mut asset = asset_from_mesh(&mesh, &options).map_err(|e| e.about(mesh_path))?;
+    let mut asset = of_mesh(&mesh, &options, divided).map_err(|e| e.about(mesh_path))?;
     if by_format {
         asset.report.up_source = UpSource::Format;
     }
@@ -165,13 +187,21 @@ pub fn metric_mesh(mesh_path: &Path, unit: LengthUnit) -> Result<(TriMesh, Vec<S
 /// As [`build_asset`], without the file.
 pub fn asset_from_mesh(mesh: &TriMesh, options: &AssetOptions) -> Result<Asset> {
     options.check()?;
+    of_mesh(mesh, options, None)
+}
+
+/// The asset, with these pieces where they are known.
+fn of_mesh(mesh: &TriMesh, options: &AssetOptions, divided: Option<(Vec<TriMesh>, HowDivided)>) -> Result<Asset> {
     let mut warnings = Vec::new();
     let extent = mesh.bounds().map_or(0.0, |(lo, hi)| (hi - lo).max());
     let (unit, factor) = options.unit.settle(extent, &mut warnings)?;
     let (visual, repaired) = repair(&mesh.scaled(factor), &options.repair)?;
     let enclosed = Enclosed::new(&visual)?;
     let solid = &enclosed.solid;
-    let (pieces, how_divided) = divide(&visual, &enclosed, &options.pieces)?;
+    let (pieces, how_divided) = match divided {
+        Some(divided) => divided,
+        None => divide(&visual, &enclosed, &options.pieces)?,
+    };
     if pieces.is_empty() {
         return Err(Error::NoVolume {
             subject: "the mesh".into(),
@@ -362,6 +392,27 @@ mod tests {
         );
         let cm = AssetOptions { unit: LengthUnit::Centimetre, ..AssetOptions::default() };
         assert!((asset_from_mesh(&doubtful, &cm).unwrap().properties.mass_kg - 0.064).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_rebuilt_asset_is_the_same_to_the_last_bit() {
+        let dir = tempfile::tempdir().unwrap();
+        let (file, out) = (dir.path().join("cup.obj"), dir.path().join("out"));
+        // Two boxes that meet at a corner of an L are no hull.
+        let mut mesh = cuboid([0.0; 3], [0.1, 0.03, 0.02]);
+        let other = cuboid([0.0, 0.0, 0.02], [0.03, 0.03, 0.1 / 3.0]);
+        let n = mesh.vertices.len() as u32;
+        mesh.vertices.extend(other.vertices);
+        mesh.faces.extend(other.faces.iter().map(|f| f.map(|v| v + n)));
+        crate::io::write_obj(&file, &mesh).unwrap();
+        let built = build_asset(&file, &AssetOptions::default()).unwrap();
+        built.clone().with_mass(0.3).write(&out).unwrap();
+        let again = rebuild_asset(&file, &AssetOptions::default(), &out).unwrap();
+        assert!(built.pieces.len() > 1);
+        assert_eq!(format!("{built:?}"), format!("{again:?}"));
+        std::fs::remove_file(out.join("mesh/collision_01.obj")).unwrap();
+        let message = rebuild_asset(&file, &AssetOptions::default(), &out).unwrap_err().to_string();
+        assert!(message.contains("collision_01.obj"), "{message}");
     }
 
     #[test]

@@ -70,7 +70,7 @@ const REFINEMENTS: usize = 3;
 const COARSE: usize = 2500;
 
 /// How the pieces were obtained.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum HowDivided {

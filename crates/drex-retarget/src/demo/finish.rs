@@ -73,7 +73,8 @@ pub(super) fn finish(path: &Path, mut raw: Raw, options: &LoadOptions) -> Result
         let what = format!("frames {first} to {last} of {count} frames are none");
         return Err(Error::content(path, None, what, "give numbers of frames that are there").into());
     }
-    let source = raw.source.unwrap_or_else(|| path.display().to_string());
+    let of_file = || path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let source = raw.source.unwrap_or_else(of_file);
     let up = raw.up.and_then(|u| Unit::try_new(u, 1e-6));
     Ok(Demonstration { source, side, frames, up, notes })
 }

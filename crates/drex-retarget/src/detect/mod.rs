@@ -4,13 +4,17 @@
 //! file which [`Demonstration::load`] reads ([`ExternalDetector`]). A detector inside this program would be one more
 //! implementation of [`HandDetector`].
 
-mod process;
+mod temporary;
 
+use std::collections::VecDeque;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use self::process::{Outcome, run};
+use drex_core::fsutil::argument;
+use drex_core::program::{self, Outcome};
+
 use crate::{Demonstration, LoadOptions, Result, RetargetError, Side};
 
 /// Finds a hand in a video.
@@ -44,7 +48,8 @@ pub struct ExternalDetector {
     pub name: String,
     /// Program.
     pub program: OsString,
-    /// Arguments; `{video}` and `{out}` stand for the video and for the file to write.
+    /// Arguments; `{video}` and `{out}` stand for the video and for the file to write, both absolute, so that no name is
+    /// taken for an option.
     pub args: Vec<String>,
     /// Written to the program's standard input.
     pub stdin: Option<String>,
@@ -88,41 +93,50 @@ impl ExternalDetector {
         if !video.is_file() {
             return Err(self.error(format!("{} is no file", video.display()), "give a video"));
         }
-        let folder = process::temporary_folder().map_err(|e| self.error(e.to_string(), "check the disk"))?;
+        let folder = temporary::temporary_folder().map_err(|e| self.error(e.to_string(), "check the disk"))?;
         let out = folder.path().join(format!("hand.{}", self.format));
+        let video = argument(video);
         let fill = |arg: &String| -> OsString {
             match arg.as_str() {
-                "{video}" => video.into(),
+                "{video}" => video.clone().into(),
                 "{out}" => out.clone().into(),
                 other => {
                     other.replace("{video}", &video.to_string_lossy()).replace("{out}", &out.to_string_lossy()).into()
                 }
             }
         };
-        let args: Vec<OsString> = self.args.iter().map(fill).collect();
-        let (outcome, messages) = run(&self.program, &args, self.stdin.as_deref(), self.timeout);
-        let shown = last_lines(&messages, SHOWN_LINES);
+        let mut command = Command::new(&self.program);
+        command.args(self.args.iter().map(fill)).stdout(Stdio::null()).stderr(Stdio::piped());
+        let mut last = VecDeque::new();
+        let outcome = program::run(command, self.stdin.as_deref(), self.timeout, &mut |line| {
+            if last.len() == SHOWN_LINES {
+                last.pop_front();
+            }
+            last.push_back(line.trim_end().to_owned());
+        });
+        let lines = last.make_contiguous();
+        let shown = if lines.is_empty() { String::new() } else { format!(":\n  {}\n", lines.join("\n  ")) };
         match outcome {
-            Outcome::Done => {}
-            Outcome::NotStarted(e) if e.kind() == std::io::ErrorKind::NotFound => {
+            Ok(Outcome::Ended(status)) if status.success() => {}
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
                 let what = format!("the program {} is not there", self.program.to_string_lossy());
                 return Err(self.error(what, self.install.clone()));
             }
-            Outcome::NotStarted(e) => {
-                return Err(self.error(format!("it cannot be started: {e}"), self.install.clone()));
-            }
-            Outcome::TimedOut => {
+            Err(e) => return Err(self.error(format!("it cannot be started: {e}"), self.install.clone())),
+            Ok(Outcome::TimedOut) => {
                 let what = format!("no end after {:.0} s, stopped{shown}", self.timeout.as_secs_f64());
                 return Err(self.error(what, "give a shorter video or more time"));
             }
-            Outcome::Failed(Some(status)) if EXPLAINED.contains(&status) && self.stdin.is_some() => {
+            Ok(Outcome::Ended(status))
+                if status.code().is_some_and(|s| EXPLAINED.contains(&s)) && self.stdin.is_some() =>
+            {
                 // "what; what to do", written by our own script.
-                let line = messages.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("no message");
+                let line = lines.last().map_or("no message", String::as_str);
                 let (what, remedy) = line.split_once("; ").unwrap_or((line, "check the video"));
                 return Err(self.error(what, remedy));
             }
-            Outcome::Failed(status) => {
-                let status = status.map_or("a signal".into(), |s| format!("status {s}"));
+            Ok(Outcome::Ended(status)) => {
+                let status = status.code().map_or("a signal".into(), |s| format!("status {s}"));
                 return Err(self.error(format!("it ended with {status}{shown}"), "run the command by hand to see why"));
             }
         }
@@ -149,7 +163,8 @@ impl HandDetector for ExternalDetector {
             let what = format!("{}: no hand found in {} frames", video.display(), demo.frames.len());
             return Err(self.error(what, "film one hand, whole, well lit and sharp"));
         }
-        demo.source = format!("{} of {}", self.name, video.display());
+        let name = video.file_name().unwrap_or_default();
+        demo.source = format!("{} of {}", self.name, name.display());
         Ok(demo)
     }
 }
@@ -208,11 +223,4 @@ impl HandDetector for MediaPipe {
         let load = LoadOptions { mirrored: false, ..options.clone() };
         self.command(options).detect(video, &load)
     }
-}
-
-/// The last lines of a command's messages, after a colon.
-fn last_lines(messages: &str, most: usize) -> String {
-    let lines: Vec<&str> = messages.lines().map(str::trim_end).filter(|l| !l.is_empty()).collect();
-    let tail = &lines[lines.len().saturating_sub(most)..];
-    if tail.is_empty() { String::new() } else { format!(":\n  {}\n", tail.join("\n  ")) }
 }

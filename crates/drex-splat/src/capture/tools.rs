@@ -1,12 +1,14 @@
 //! Other programs: COLMAP for the cameras of photos, ffmpeg for the frames of a video.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::io::{BufRead, BufReader, Read};
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::sync::mpsc;
+use std::time::Duration;
 
 use drex_core::camera::CameraModel;
+use drex_core::fsutil::{argument, output_path, temporary_path};
+use drex_core::program::{self, Outcome};
 
 use super::assemble::{self, count};
 use super::companions::{photos_under, size_of};
@@ -35,7 +37,12 @@ pub struct ColmapOptions {
     pub gpu: bool,
     /// Share of the photos, 0 to 1, that must get a camera that is no outlier.
     pub least_registered: f64,
+    /// Each of COLMAP's steps is stopped after this time.
+    pub time_limit: Duration,
 }
+
+/// Time for a step of COLMAP or for a video, where nobody says otherwise.
+const TIME_LIMIT: Duration = Duration::from_secs(12 * 3600);
 
 impl Default for ColmapOptions {
     fn default() -> Self {
@@ -49,6 +56,7 @@ impl Default for ColmapOptions {
             threads: 0,
             gpu: false,
             least_registered: 0.6,
+            time_limit: TIME_LIMIT,
         }
     }
 }
@@ -63,11 +71,13 @@ pub struct VideoOptions {
     pub frames_per_s: f64,
     /// Longest side, pixels; larger frames are scaled down.
     pub max_side: usize,
+    /// It is stopped after this time.
+    pub time_limit: Duration,
 }
 
 impl Default for VideoOptions {
     fn default() -> Self {
-        Self { program: "ffmpeg".into(), frames_per_s: 2.0, max_side: 1920 }
+        Self { program: "ffmpeg".into(), frames_per_s: 2.0, max_side: 1920, time_limit: TIME_LIMIT }
     }
 }
 
@@ -78,7 +88,8 @@ impl Default for VideoOptions {
 /// `progress` gets each line that COLMAP prints.
 ///
 /// # Errors
-/// If COLMAP is not installed or fails, or if it finds cameras for too few photos; the message names those without.
+/// If COLMAP is not installed, fails or takes too long, or if it finds cameras for too few photos; the message names those
+/// without.
 pub fn find_cameras(
     folder: &Path,
     capture: &CaptureOptions,
@@ -92,7 +103,7 @@ pub fn find_cameras(
         let what = format!("{} has only {}", root.display(), count(photos.len(), "photo"));
         return refuse(what, "take photos all round the object, each showing most of what the one before showed");
     }
-    let (attempt, sparse) = (folder.join("colmap/attempt"), folder.join("colmap/sparse"));
+    let (attempt, sparse) = (output_path(folder, "colmap/attempt")?, output_path(folder, "colmap/sparse")?);
     clear(&attempt)?;
     let found = attempt.join("sparse");
     std::fs::create_dir_all(&found).map_err(|e| drex_core::Error::io("create", &found, e))?;
@@ -144,7 +155,7 @@ fn clear(folder: &Path) -> Result<()> {
 /// The frames of a video as `images/frame_00001.jpg`… in `folder`; returns how many.
 ///
 /// # Errors
-/// If ffmpeg is not installed or fails, or there are frames in the folder already.
+/// If ffmpeg is not installed, fails or takes too long, or there are frames in the folder already.
 pub fn extract_frames(
     video: &Path,
     folder: &Path,
@@ -157,28 +168,33 @@ pub fn extract_frames(
     if !(options.frames_per_s.is_finite() && options.frames_per_s > 0.0) {
         return refuse(format!("{} frames per second", options.frames_per_s), "give a positive number");
     }
-    let images = folder.join("images");
-    std::fs::create_dir_all(&images).map_err(|e| drex_core::Error::io("create", &images, e))?;
-    if let Some((name, _)) = photos_under(&images).first() {
+    let images = output_path(folder, "images")?;
+    let there = std::fs::read_dir(&images).into_iter().flatten().filter_map(|e| Some(e.ok()?.file_name()));
+    if let Some(name) = there.min() {
         return refuse(
-            format!("{} has {name} already", images.display()),
+            format!("{} has {} already", images.display(), name.display()),
             "give an empty folder, so that no frames of two videos are mixed",
         );
     }
+    // Half of a video's frames would look like a whole scan to the next run: they get their name when all are there.
+    let part = temporary_path(&images);
+    std::fs::create_dir_all(&part).map_err(|e| drex_core::Error::io("create", &part, e))?;
     let side = options.max_side;
     let filter = format!(
         "fps={},scale='min({side},iw)':'min({side},ih)':force_original_aspect_ratio=decrease",
         options.frames_per_s
     );
     let mut command = Command::new(&options.program);
-    command.args(["-nostdin", "-hide_banner", "-y", "-i"]).arg(video);
-    command.args(["-vf", &filter, "-qscale:v", "2"]).arg(images.join("frame_%05d.jpg"));
+    // With its protocol named, no part of the video's name is taken for one.
+    let mut input = OsString::from("file:");
+    input.push(argument(video));
+    command.args(["-nostdin", "-hide_banner", "-y", "-i"]).arg(input);
+    command.args(["-vf", &filter, "-qscale:v", "2"]).arg(frame_pattern(&part));
     let install = "install ffmpeg (Debian, Ubuntu: apt install ffmpeg; macOS: brew install ffmpeg) or take photos";
-    let ran = run(command, "ffmpeg", install, progress);
-    let frames = photos_under(&images).len();
+    let ran = run(command, "ffmpeg", install, options.time_limit, progress);
+    let frames = photos_under(&part).len();
     if ran.is_err() || frames == 0 {
-        // Half of a video's frames would look like a whole scan to the next run.
-        std::fs::remove_dir_all(&images).map_err(|e| drex_core::Error::io("remove", &images, e))?;
+        clear(&part)?;
     }
     ran?;
     if frames == 0 {
@@ -187,7 +203,16 @@ pub fn extract_frames(
             "give another video, or more frames per second",
         );
     }
+    // An empty one may be there; not every system replaces it.
+    let _ = std::fs::remove_dir(&images);
+    std::fs::rename(&part, &images).map_err(|e| drex_core::Error::io("move", &part, e))?;
     Ok(frames)
+}
+
+/// What ffmpeg makes names of frames in `folder` from; a `%` in the folder's own name is doubled.
+fn frame_pattern(folder: &Path) -> PathBuf {
+    let folder = argument(folder);
+    folder.to_str().map_or_else(|| folder.clone(), |name| name.replace('%', "%%").into()).join("frame_%05d.jpg")
 }
 
 /// The folder of the photos and the photos in it.
@@ -211,12 +236,16 @@ fn run_all(
     work: &Path,
     progress: &mut dyn FnMut(&str),
 ) -> Result<()> {
+    let (root, work) = (&argument(root), &argument(work));
     let threads = if options.threads == 0 { "-1".to_owned() } else { options.threads.to_string() };
     let gpu = if options.gpu { "1" } else { "0" };
 
     // Photos of one folder and size share a camera; COLMAP is run once for each such group.
     for group in groups(photos)? {
         let list = work.join("photos.txt");
+        if let Some(name) = group.iter().find(|name| name.contains(['\n', '\r'])) {
+            return refuse(format!("the photo {name:?} has a line break in its name"), "rename it");
+        }
         drex_core::fsutil::write_atomic(&list, group.join("\n").as_bytes())?;
         let mut extract = Step::new(options, "feature_extractor", work)?;
         extract.command.arg("--image_path").arg(root).arg("--image_list_path").arg(list);
@@ -247,6 +276,7 @@ struct Step {
     name: String,
     command: Command,
     help: String,
+    limit: Duration,
 }
 
 impl Step {
@@ -261,13 +291,13 @@ impl Step {
         let mut ask = start();
         ask.arg("--help");
         let mut help = String::new();
-        run(ask, &name, INSTALL, &mut |line| {
+        run(ask, &name, INSTALL, options.time_limit, &mut |line| {
             help.push_str(line);
             help.push('\n');
         })?;
         let mut command = start();
         command.arg("--database_path").arg(work.join("database.db"));
-        Ok(Self { name, command, help })
+        Ok(Self { name, command, help, limit: options.time_limit })
     }
 
     /// Sets an option under the first of its prefixes that this version knows; one that it does not know keeps its default.
@@ -280,7 +310,7 @@ impl Step {
 
     fn run(self, progress: &mut dyn FnMut(&str)) -> Result<()> {
         progress(&format!("{} starts.", self.name));
-        run(self.command, &self.name, INSTALL, progress)
+        run(self.command, &self.name, INSTALL, self.limit, progress)
     }
 }
 
@@ -295,57 +325,36 @@ fn groups(photos: &[(String, PathBuf)]) -> Result<Vec<Vec<&str>>> {
 }
 
 /// Runs a program to its end; each line it prints goes to `progress`.
-fn run(mut command: Command, name: &str, install: &str, progress: &mut dyn FnMut(&str)) -> Result<()> {
-    let fail = |what: String, remedy: &str| Err(Error::Tool { what, remedy: remedy.into() });
-    let spawned = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
-    let mut child = match spawned {
-        Ok(child) => child,
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
-            return fail(
-                format!("{name} is not installed ({} was not found)", command.get_program().display()),
-                install,
-            );
-        }
-        Err(e) => return fail(format!("{name} cannot be started: {e}"), install),
-    };
+fn run(mut command: Command, name: &str, install: &str, limit: Duration, progress: &mut dyn FnMut(&str)) -> Result<()> {
     const LAST_LINES: usize = 12;
+    let program = command.get_program().to_owned();
+    command.stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut last = VecDeque::new();
-    let (sender, lines) = mpsc::channel();
-    let pipes: [Option<Box<dyn Read + Send>>; 2] =
-        [child.stdout.take().map(|p| Box::new(p) as _), child.stderr.take().map(|p| Box::new(p) as _)];
-    std::thread::scope(|scope| {
-        for pipe in pipes.into_iter().flatten() {
-            let sender = sender.clone();
-            scope.spawn(move || send_lines(pipe, &sender));
+    let outcome = program::run(command, None, limit, &mut |line| {
+        progress(line);
+        if last.len() == LAST_LINES {
+            last.pop_front();
         }
-        drop(sender);
-        for line in lines {
-            progress(&line);
-            if last.len() == LAST_LINES {
-                last.pop_front();
-            }
-            last.push_back(line);
-        }
+        last.push_back(line.to_owned());
     });
-    match child.wait() {
-        Ok(status) if status.success() => Ok(()),
-        Ok(status) => {
-            let said = last.make_contiguous().join("\n");
-            fail(format!("{name} failed ({status}); it said last:\n{said}\n"), "read these lines for the reason")
+    let fail = |what: String, remedy: &str| Err(Error::Tool { what, remedy: remedy.into() });
+    let mut said = || match last.make_contiguous() {
+        [] => String::new(),
+        lines => format!("; it said last:\n{}\n", lines.join("\n")),
+    };
+    match outcome {
+        Ok(Outcome::Ended(status)) if status.success() => Ok(()),
+        Ok(Outcome::Ended(status)) => {
+            fail(format!("{name} failed ({status}){}", said()), "read these lines for the reason")
         }
-        Err(e) => fail(format!("{name} was lost: {e}"), "start again"),
-    }
-}
-
-/// Lines end with a newline or, in progress bars, a carriage return.
-fn send_lines(pipe: Box<dyn Read + Send>, to: &mpsc::Sender<String>) {
-    let mut reader = BufReader::new(pipe);
-    let mut bytes = Vec::new();
-    while let Ok(1..) = reader.read_until(b'\n', &mut bytes) {
-        for line in String::from_utf8_lossy(&bytes).split(['\n', '\r']).filter(|l| !l.trim().is_empty()) {
-            // The receiver is gone only when the program is being given up.
-            let _ = to.send(line.to_owned());
+        Ok(Outcome::TimedOut) => {
+            let minutes = limit.as_secs_f64() / 60.0;
+            let what = format!("{name} had not ended after {minutes:.2} minutes and was stopped{}", said());
+            fail(what, "give it less to do, or more time (drex: --tool-limit MINUTES)")
         }
-        bytes.clear();
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
+            fail(format!("{name} is not installed ({} was not found)", program.display()), install)
+        }
+        Err(e) => fail(format!("{name} cannot be run: {e}"), install),
     }
 }

@@ -19,8 +19,8 @@ struct File<'a, F, G> {
     format: &'static str,
     /// Name of the model.
     hand: &'a str,
-    /// What the command line called it.
-    model: &'a str,
+    /// What the command line called it; of a file its name.
+    model: String,
     side: Side,
     objective: &'a str,
     unit: &'static str,
@@ -37,6 +37,7 @@ struct File<'a, F, G> {
 /// An input file.
 #[derive(Serialize)]
 struct Given {
+    /// Its name.
     file: String,
     sha256: String,
 }
@@ -118,11 +119,13 @@ pub fn write(
     frames: &[impl Serialize],
     grasps: &[impl Serialize],
 ) -> Result<()> {
-    let given = |path: &Path, sha256: String| Given { file: path.display().to_string(), sha256 };
+    // Not the path as it was typed: the same inputs give the same file from wherever they are named.
+    let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let given = |path: &Path, sha256: String| Given { file: name(path), sha256 };
     let file = File {
         format: "drex-retargeted/1",
         hand: &hand.robot.name,
-        model: &args.hand,
+        model: name(Path::new(&args.hand)),
         side: hand.side,
         objective: args.objective.name(),
         unit: "rad",

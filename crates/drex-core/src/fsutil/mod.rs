@@ -1,11 +1,14 @@
 //! Reading with a message that names the file, and writing that leaves the old file or the new one, never half of one.
 
+mod output;
+
 use std::fs;
 use std::io::Write;
 use std::path::{Component, Path, PathBuf};
 
 use serde::de::DeserializeOwned;
 
+pub use self::output::{OutputFolder, argument, output_path, remove_unfinished, temporary_path};
 use crate::{Error, Result};
 
 /// The whole file as bytes.
@@ -38,9 +41,7 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<()> {
     if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
         fs::create_dir_all(folder).map_err(|e| Error::io("create", folder, e))?;
     }
-    let mut name = path.file_name().map(|n| n.to_os_string()).unwrap_or_default();
-    name.push(format!(".{}.tmp", std::process::id()));
-    let temporary = path.with_file_name(name);
+    let temporary = temporary_path(path);
     let written = fs::File::create(&temporary).and_then(|mut f| f.write_all(bytes).and_then(|()| f.sync_all()));
     if let Err(e) = written.and_then(|()| fs::rename(&temporary, path)) {
         // The temporary file is ours and useless now; that it may not exist is no second error.
