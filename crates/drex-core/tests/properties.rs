@@ -215,6 +215,7 @@ fn manifests() -> impl Strategy<Value = TwinManifest> {
             identify,
             weighed_kg,
             prior_kg: Some(prior),
+            prior_sd_log: Some(0.1 + prior.min(1.0)),
             ..MassConfig::default()
         });
     let recording = prop_oneof![

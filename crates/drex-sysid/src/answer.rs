@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::MassDistribution;
 use crate::bound::Bound;
 use crate::frames::{FoundFrames, HandPlacement};
 
@@ -37,7 +38,7 @@ pub struct Identification {
     pub seconds: f64,
     /// Simulated pushes, those with derivatives included.
     pub simulations: usize,
-    /// A first guess that came with the recordings, kg. It is no result and took no part in one.
+    /// A first guess that came with the recordings, kg. It took no part in this: [`crate::MassPosterior`] is where the two meet.
     pub prior_kg: Option<f64>,
     /// Friction of the support that was estimated along with the mass, if it was.
     pub friction: Option<f64>,
@@ -57,6 +58,21 @@ pub struct Identification {
     pub profile: Vec<(f64, f64)>,
     /// One per push.
     pub pushes: Vec<PushReport>,
+}
+
+impl Identification {
+    /// What the pushes alone say of the mass, as a distribution; absent where no interval is stated, since they say nothing then.
+    ///
+    /// Pushes that were simulated give the normal law of ln m that has the stated interval, with all sources of error; those of a hand
+    /// their [`Identification::profile`]. A bound from one side lacks one of its [bounds](MassDistribution::bounds_kg).
+    pub fn likelihood(&self) -> Option<MassDistribution> {
+        self.ci95_kg?;
+        let likelihood = match (self.error_budget, self.mass_kg, self.sd_log_mass) {
+            (Some(_), Some(mass_kg), Some(sd_log)) => MassDistribution::log_normal(mass_kg, sd_log),
+            _ => MassDistribution::from_costs(&self.profile),
+        };
+        likelihood.ok()
+    }
 }
 
 /// Standard deviations of the logarithm of the mass by source.

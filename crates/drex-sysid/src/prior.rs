@@ -1,16 +1,27 @@
-//! First guesses of a mass: a number, a material and a volume, or somebody else's answer in a file.
+//! What is known of a mass before a push: a guess, a material and a volume, somebody else's answer in a file, or a scale.
 //!
-//! A guess is printed as a guess. It takes part in an estimate only where [`crate::Knowledge::Prior`] says so.
+//! What a push says does not depend on it: the two meet in [`crate::MassPosterior`].
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Result, SysidError};
+use crate::{MassDistribution, Result, SysidError};
 
-/// A first guess of a mass and where it comes from.
+/// Standard deviation of the logarithm of a mass that is a guess: right to a factor of 2.
+pub const GUESS_SD_LOG: f64 = std::f64::consts::LN_2;
+/// The same of a mass that was put on a scale: right to 1 %.
+pub const WEIGHED_SD_LOG: f64 = 0.01;
+/// Half a 95 % interval of a normal law, in standard deviations.
+const HALF_INTERVAL: f64 = 1.96;
+
+/// What is known of a mass before a push: a normal law of its logarithm, and where it comes from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MassPrior {
-    /// The guess, kg.
+    /// Median, kg.
     pub mass_kg: f64,
+    /// Standard deviation of the logarithm of the mass.
+    pub sd_log: f64,
+    /// Whether it was put on a scale.
+    pub weighed: bool,
     /// The range that its source allows, kg; absent where the source names none.
     pub range_kg: Option<[f64; 2]>,
     /// Where it comes from, in words.
@@ -58,16 +69,56 @@ struct Answer {
     material: Option<String>,
 }
 
+/// The standard deviation of the logarithm for which a range is a 95 % interval.
+fn sd_log_of([low, high]: [f64; 2]) -> f64 {
+    (high / low).ln() / (2.0 * HALF_INTERVAL)
+}
+
 impl MassPrior {
-    /// A number that somebody states.
+    /// A number that somebody guesses, with a standard deviation of [`GUESS_SD_LOG`].
     ///
     /// # Errors
     /// If it is no mass.
     pub fn from_number(mass_kg: f64) -> Result<Self> {
-        Self { mass_kg, range_kg: None, source: "stated".into() }.checked()
+        Self::guess(mass_kg, None, "stated".into()).checked()
     }
 
-    /// A solid of a material: the geometric mean of its densities times the volume, m³.
+    /// A number that a scale shows, with a standard deviation of [`WEIGHED_SD_LOG`].
+    ///
+    /// # Errors
+    /// If it is no mass.
+    pub fn from_scale(mass_kg: f64) -> Result<Self> {
+        let sd_log = WEIGHED_SD_LOG;
+        Self { mass_kg, sd_log, weighed: true, range_kg: None, source: "weighed".into() }.checked()
+    }
+
+    fn guess(mass_kg: f64, range_kg: Option<[f64; 2]>, source: String) -> Self {
+        Self { mass_kg, sd_log: GUESS_SD_LOG, weighed: false, range_kg, source }
+    }
+
+    /// The same median with another standard deviation of the logarithm.
+    ///
+    /// # Errors
+    /// If `sd_log` is not positive and finite.
+    pub fn with_sd_log(self, sd_log: f64) -> Result<Self> {
+        Self { sd_log, ..self }.checked()
+    }
+
+    /// The normal law of the logarithm of the mass.
+    ///
+    /// # Errors
+    /// If the numbers are none that a constructor gives.
+    pub fn distribution(&self) -> Result<MassDistribution> {
+        MassDistribution::log_normal(self.mass_kg, self.sd_log)
+    }
+
+    /// Its 95 % interval, kg.
+    pub fn interval95_kg(&self) -> [f64; 2] {
+        [-HALF_INTERVAL, HALF_INTERVAL].map(|z| self.mass_kg * (z * self.sd_log).exp())
+    }
+
+    /// A solid of a material: the geometric mean of its densities times the volume, m³. The standard deviation is that of a guess, since
+    /// nobody says that the object is solid, or what makes the densities a 95 % interval where that is larger.
     ///
     /// # Errors
     /// For a material that is not in the table (the message lists it), and for no volume.
@@ -80,19 +131,17 @@ impl MassPrior {
                 format!("choose one of {}, or give a number", DENSITIES.map(|d| d.0).join(", ")),
             )
         })?;
-        Self {
-            mass_kg: (low * high).sqrt() * volume_m3,
-            range_kg: Some([low * volume_m3, high * volume_m3]),
-            source: format!("{:.0} cm³ of solid {name} at {low} to {high} kg/m³", 1e6 * volume_m3),
-        }
-        .checked()
+        let source = format!("{:.0} cm³ of solid {name} at {low} to {high} kg/m³", 1e6 * volume_m3);
+        let range_kg = [low * volume_m3, high * volume_m3];
+        let guess = Self::guess((low * high).sqrt() * volume_m3, Some(range_kg), source);
+        Self { sd_log: GUESS_SD_LOG.max(sd_log_of([low, high])), ..guess }.checked()
     }
 
     /// The answer of a person or of a vision-language model as a JSON object: `mass_kg` or `mass_g`, with `range_kg` if it likes,
-    /// or else `density_kg_m3` or `material`, which need the volume, m³.
+    /// or else `density_kg_m3` or `material`, which need the volume, m³. A range is taken as a 95 % interval.
     ///
     /// # Errors
-    /// If the text is no such object, or nothing in it gives a mass.
+    /// If the text is no such object, nothing in it gives a mass, or the range does not hold the mass.
     pub fn from_json(text: &str, volume_m3: Option<f64>) -> Result<Self> {
         const REMEDY: &str = "give an object such as {\"mass_kg\": 0.5}, {\"mass_g\": 500}, {\"density_kg_m3\": 950} or {\"material\": \"wood\"}";
         let answer: Answer =
@@ -104,11 +153,21 @@ impl MassPrior {
         };
         let mass_kg = answer.mass_kg.or(answer.mass_g.map(|g| 1e-3 * g));
         let out = match (mass_kg, answer.density_kg_m3, &answer.material) {
-            (Some(mass_kg), ..) => Self { mass_kg, range_kg: answer.range_kg, source: "a file says so".into() },
+            (Some(mass_kg), ..) => {
+                let guess = Self::guess(mass_kg, answer.range_kg, "a file says so".into());
+                let outside = |[low, high]: &[f64; 2]| !(*low < mass_kg && mass_kg < *high);
+                if let Some([low, high]) = answer.range_kg.filter(outside) {
+                    return Err(refuse(
+                        format!("is {mass_kg} kg and its range {low} to {high} kg"),
+                        "give a range in kilograms that holds the mass, the lower end first".into(),
+                    ));
+                }
+                Self { sd_log: answer.range_kg.map_or(guess.sd_log, sd_log_of), ..guess }
+            }
             (None, Some(density), _) => {
                 let volume = volume()?;
                 let source = format!("{:.0} cm³ at {density} kg/m³, as a file says", 1e6 * volume);
-                Self { mass_kg: density * volume, range_kg: None, source }
+                Self::guess(density * volume, None, source)
             }
             (None, None, Some(material)) => Self::from_material(material, volume()?)?,
             (None, None, None) => return Err(refuse("is not in the file".into(), REMEDY.into())),
@@ -120,6 +179,12 @@ impl MassPrior {
         let numbers = std::iter::once(self.mass_kg).chain(self.range_kg.into_iter().flatten());
         if let Some(bad) = numbers.into_iter().find(|m| !(*m > 0.0 && m.is_finite())) {
             return Err(refuse(format!("is {bad} kg"), "give a positive number of kilograms".into()));
+        }
+        if !(self.sd_log > 0.0 && self.sd_log.is_finite()) {
+            return Err(refuse(
+                format!("has the standard deviation {} of its logarithm", self.sd_log),
+                "give a positive number: 0.69 is a factor of 2 either way".into(),
+            ));
         }
         Ok(self)
     }
@@ -140,7 +205,7 @@ mod tests {
         for (name, low, high) in DENSITIES {
             let m = MassPrior::from_material(name, 1e-4).unwrap();
             let [a, b] = m.range_kg.unwrap();
-            assert!(low < high && a < m.mass_kg && m.mass_kg < b);
+            assert!(low < high && a < m.mass_kg && m.mass_kg < b && m.sd_log >= GUESS_SD_LOG);
         }
         let message = MassPrior::from_material("unobtainium", 1e-4).unwrap_err().to_string();
         assert!(message.contains("unobtainium") && message.contains("hardwood"), "{message}");
@@ -150,17 +215,34 @@ mod tests {
     fn answers_in_files_are_read_and_nonsense_is_named() {
         let of = |text: &str, volume| MassPrior::from_json(text, volume);
         assert_eq!(of(r#"{"mass_g": 500, "why": "it looks heavy"}"#, None).unwrap().mass_kg, 0.5);
-        assert_eq!(of(r#"{"mass_kg": 0.5, "range_kg": [0.2, 1]}"#, None).unwrap().range_kg, Some([0.2, 1.0]));
+        let ranged = of(r#"{"mass_kg": 0.5, "range_kg": [0.25, 1]}"#, None).unwrap();
+        assert_eq!(ranged.range_kg, Some([0.25, 1.0]));
+        // A stated range is the prior's 95 % interval.
+        assert!(ranged.interval95_kg().iter().zip([0.25, 1.0]).all(|(a, b)| (a / b - 1.0).abs() < 1e-12));
         assert_eq!(of(r#"{"density_kg_m3": 500}"#, Some(1e-3)).unwrap().mass_kg, 0.5);
         assert!(of(r#"{"material": "glass"}"#, Some(1e-4)).unwrap().source.contains("glass"));
         for (text, what) in [
             (r#"{"material": "glass"}"#, "volume"),
             (r#"{"mass_kg": -1}"#, "-1 kg"),
+            (r#"{"mass_kg": 0.5, "range_kg": [0.6, 1]}"#, "holds the mass"),
+            (r#"{"mass_kg": 0.5, "range_kg": [1, 0.2]}"#, "holds the mass"),
             (r#"{"weight": 3}"#, "not in the file"),
             ("500 g", "cannot be read"),
         ] {
             let message = of(text, None).unwrap_err().to_string();
             assert!(message.contains(what), "{message}");
+        }
+    }
+
+    #[test]
+    fn a_guess_is_right_to_a_factor_of_two_and_a_scale_to_a_percent() {
+        let guess = MassPrior::from_number(0.5).unwrap();
+        assert_eq!((guess.sd_log, guess.weighed), (2.0_f64.ln(), false));
+        let scale = MassPrior::from_scale(0.5).unwrap();
+        assert_eq!((scale.sd_log, scale.weighed), (0.01, true));
+        for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            let message = guess.clone().with_sd_log(bad).unwrap_err().to_string();
+            assert!(message.contains("standard deviation") && message.contains("factor of 2"), "{message}");
         }
     }
 }

@@ -7,8 +7,8 @@ use crate::Result;
 use crate::information::Information;
 use crate::joint::{Candidate, Joint, Point, Slopes};
 
-/// Half the 95 % point of chi-square with one degree of freedom: what the likelihood must lose to exclude a mass.
-pub(crate) const BOUND: f64 = 1.92;
+/// What the likelihood must lose to exclude a mass.
+pub(crate) const BOUND: f64 = crate::distribution::EXCLUDES;
 
 /// Points along the valley around an estimate, by mass.
 #[derive(Default)]

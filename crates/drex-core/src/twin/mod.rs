@@ -102,14 +102,14 @@ impl LengthUnit {
     }
 }
 
-/// Where the mass comes from: a weighed value wins over identification, a prior is never an answer.
+/// What is known of the mass: a prior (weighed or guessed) and the pushes, whose product later stages use.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MassConfig {
     /// Pushes that tell the mass: folders or files as [`crate::push::PushRecording::load`] takes them.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub identify: Vec<PathBuf>,
-    /// Weighed mass, kg.
+    /// Weighed mass, kg: a prior that is right to 1 %, in place of a guess.
     pub weighed_kg: Option<f64>,
     /// First guess, kg.
     pub prior_kg: Option<f64>,
@@ -117,6 +117,9 @@ pub struct MassConfig {
     pub prior_material: Option<String>,
     /// First guess: a JSON file with somebody's answer, such as a vision-language model's.
     pub prior_file: Option<PathBuf>,
+    /// Standard deviation of the logarithm of the mass about the first guess; where it is left out, that of the guess's source, mostly ln 2.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub prior_sd_log: Option<f64>,
 }
 
 impl MassConfig {
@@ -264,6 +267,20 @@ impl TwinManifest {
                 "[mass] has several first guesses".into(),
                 "keep one of prior_kg, prior_material and prior_file",
             );
+        }
+        if let Some(sd) = m.prior_sd_log {
+            if !(sd > 0.0 && sd < 10.0) {
+                return refuse(
+                    format!("[mass] prior_sd_log = {sd}"),
+                    "give the standard deviation of the logarithm of the mass: 0.69 is a factor of 2 either way",
+                );
+            }
+            if !m.has_prior() && m.identify.is_empty() {
+                return refuse(
+                    format!("[mass] prior_sd_log = {sd} without a first guess"),
+                    "add prior_kg, or leave it out",
+                );
+            }
         }
         for (entry, value) in [("weighed_kg", m.weighed_kg), ("prior_kg", m.prior_kg)] {
             if let Some(value) = value
@@ -422,6 +439,12 @@ damping = 0.001
             ("epochs = 200", "epoch = 200", "line 16: column 1: unknown field `epoch`"),
             ("unit = \"mm\"", "unit = \"inch\"", "line 6"),
             ("prior_kg = 0.5", "prior_kg = -1", "prior_kg = -1"),
+            ("prior_kg = 0.5", "prior_kg = 0.5\nprior_sd_log = 0", "prior_sd_log = 0"),
+            (
+                "identify = [\"push/push1\"]\nprior_kg = 0.5",
+                "weighed_kg = 1\nprior_sd_log = 1",
+                "without a first guess",
+            ),
             ("unit = \"mm\"", "pieces = 0", "[object] pieces = 0"),
             ("identify = [\"push/push1\"]\nprior_kg = 0.5", "", "[mass] says nothing"),
             ("schema = 1", "schema = 2", "schema 2"),

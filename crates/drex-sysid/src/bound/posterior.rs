@@ -9,13 +9,12 @@
 use nalgebra::{Cholesky, DVector};
 
 use super::fit::Scene;
+use crate::MassDistribution;
 
 /// Masses per factor of e.
 const PER_E: f64 = 12.0;
 /// Gauss-Newton steps per mass.
 const STEPS: usize = 12;
-/// Loss of log likelihood that excludes a mass.
-const EXCLUDES: f64 = 1.92;
 
 /// Masses (kg, increasing, evenly in the logarithm) with negative log likelihoods.
 pub(super) type Profile = Vec<(f64, f64)>;
@@ -111,32 +110,20 @@ pub(crate) struct Posterior {
 pub(super) fn combine(profiles: &[(f64, Profile)]) -> Option<Posterior> {
     let least = profiles.iter().flat_map(|p| p.1.iter().map(|x| x.1)).fold(f64::INFINITY, f64::min);
     let weight = |cost: f64| (least - cost).exp();
-    let masses: Vec<f64> = profiles.first()?.1.iter().map(|x| x.0).collect();
+    let first = &profiles.first()?.1;
     let density: Vec<f64> =
-        (0..masses.len()).map(|k| profiles.iter().map(|(odds, p)| odds * weight(p[k].1)).sum()).collect();
-    // The trapezoidal rule; the steps in log m are all alike.
-    let mut below = vec![0.0];
-    for w in density.windows(2) {
-        below.push(below[below.len() - 1] + 0.5 * (w[0] + w[1]));
-    }
-    let total = below[below.len() - 1];
-    let quantile = |p: f64| {
-        let k = below.partition_point(|b| *b < p * total).clamp(1, masses.len() - 1);
-        let s = (p * total - below[k - 1]) / (below[k] - below[k - 1]).max(f64::MIN_POSITIVE);
-        masses[k - 1] * (masses[k] / masses[k - 1]).powf(s.clamp(0.0, 1.0))
-    };
+        (0..first.len()).map(|k| profiles.iter().map(|(odds, p)| odds * weight(p[k].1)).sum()).collect();
     let peak = density.iter().copied().fold(0.0, f64::max);
-    let (first, last) = (0, masses.len() - 1);
-    let excluded = [first, last].map(|k| density[k] < peak * (-EXCLUDES).exp());
-    let mean = masses.iter().zip(&density).map(|(m, d)| d * m.ln()).sum::<f64>() / density.iter().sum::<f64>();
-    let square = masses.iter().zip(&density).map(|(m, d)| d * (m.ln() - mean).powi(2)).sum::<f64>();
-    let ends = [(0.025, first), (0.975, last)];
+    let cost = |d: &f64| -(d / peak).max(1e-300).ln();
+    let profile: Profile = first.iter().zip(&density).map(|(x, d)| (x.0, cost(d))).collect();
+    let mass = MassDistribution::from_costs(&profile).ok()?;
+    let [low, high] = mass.bounds_kg();
     Some(Posterior {
-        median_kg: quantile(0.5),
-        interval_kg: std::array::from_fn(|i| if excluded[i] { quantile(ends[i].0) } else { masses[ends[i].1] }),
-        excluded,
-        sd_log: (square / density.iter().sum::<f64>()).sqrt(),
-        profile: masses.iter().zip(&density).map(|(m, d)| (*m, -(d / peak).max(1e-300).ln())).collect(),
+        median_kg: mass.median_kg(),
+        interval_kg: [low.unwrap_or(profile.first()?.0), high.unwrap_or(profile.last()?.0)],
+        excluded: [low.is_some(), high.is_some()],
+        sd_log: mass.sd_log(),
+        profile,
     })
 }
 
