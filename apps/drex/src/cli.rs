@@ -394,7 +394,8 @@ pub struct MeshPictureArgs {
 /// `drex identify`.
 #[derive(Debug, Args)]
 pub struct IdentifyArgs {
-    /// push.toml, or a folder with push.toml, meta.json or run.json; several pushes of one object are used together.
+    /// push.toml, or a folder with push.toml, meta.json or run.json; several pushes of one object are used together. Or a twin folder: its
+    /// pushes and its prior.
     #[arg(required = true, value_name = "PUSH")]
     pub pushes: Vec<PathBuf>,
     /// Which pose track of a simulated recording to use.
@@ -415,8 +416,8 @@ pub struct IdentifyArgs {
     /// Expect this value with this standard deviation (of the logarithm, for a number that is positive by nature); repeatable.
     #[arg(long, value_name = "NAME=MEAN,SD", value_parser = named_prior)]
     pub prior: Vec<(Parameter, [f64; 2])>,
-    /// First guess of the mass to print beside the answer: kilograms, a material ("wood"), or a JSON file with somebody's answer.
-    /// It takes no part in the estimate; --prior mass=MEAN,SD does.
+    /// First guess of the mass: kilograms, a material ("wood"), or a JSON file with somebody's answer. What the push alone says does not
+    /// depend on it; the posterior of both is printed apart. --prior mass=MEAN,SD takes part in the estimate itself.
     #[arg(long, value_name = "KG|MATERIAL|FILE")]
     pub guess: Option<String>,
     /// How to look for the mass; adam is the D-REX paper's way, for comparison: it gives no interval.
@@ -429,6 +430,16 @@ pub struct IdentifyArgs {
     /// Write the result to this file as well, with likelihood profile and trajectories.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
+}
+
+impl IdentifyArgs {
+    /// Whether an option says something about the estimate.
+    pub fn states_something(&self) -> bool {
+        let stated = [self.free.is_empty(), self.fix.is_empty(), self.prior.is_empty(), self.guess.is_none()];
+        let plain = [self.hand.is_none(), self.out.is_none(), self.method == MethodArg::Lm, self.encoder == OnOff::On];
+        let recorded = self.poses == PoseChoice::default() && self.force == ForceChoice::default();
+        !(recorded && stated.into_iter().chain(plain).all(|left_out| left_out))
+    }
 }
 
 /// How the mass is looked for.

@@ -104,7 +104,7 @@ impl Ready {
         }
         let mass_kg = match args.mass {
             Some(mass) => mass,
-            None => files::read_json::<MassFile>(&twin.path(files::MASS))?.mass_kg,
+            None => files::read_json::<MassFile>(&twin.path(files::MASS))?.grip_kg,
         };
         let asset = twin.asset()?.clone();
         let friction = args.friction.unwrap_or_else(|| twin.friction());

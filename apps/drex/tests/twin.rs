@@ -237,7 +237,8 @@ fn real_recordings_become_twins_with_a_report() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("twins");
     let source = data.join("drex_real");
-    for (object, from, words) in [("ketchup", "identified", "efforts"), ("domino", "prior", "not a measurement")] {
+    for (object, from, words) in [("ketchup", "identified", "efforts"), ("domino", "bounded", "mass by the push alone")]
+    {
         let into = ["--out", out.to_str().unwrap(), "--object", object];
         let run = drex(["import", "d-rex", source.to_str().unwrap()].into_iter().chain(into));
         assert_eq!(run.code, 0, "{}", run.stderr);

@@ -86,11 +86,6 @@ impl MassPosterior {
         Ok(Self { prior, push, distribution, source, contradiction_sd })
     }
 
-    /// Whether prior and pushes contradict each other by more than [`CONTRADICTS_SD`].
-    pub fn is_contradictory(&self) -> bool {
-        self.contradiction_sd.is_some_and(|sd| sd > CONTRADICTS_SD)
-    }
-
     /// The mass to grasp for, kg, with a force law whose `margin` (at least 1) also covers errors of the mass: the median, or more
     /// where the margin on top of that would not carry the 95 % quantile.
     pub fn grip_kg(&self, margin: f64) -> f64 {
@@ -101,6 +96,10 @@ impl MassPosterior {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn contradicts(posterior: &MassPosterior) -> bool {
+        posterior.contradiction_sd.is_some_and(|sd| sd > CONTRADICTS_SD)
+    }
 
     /// An answer of pushes of a hand: a normal law of ln m, or that law as a bound from above.
     fn hand(median_kg: f64, sd_log: f64, from_above: bool) -> Identification {
@@ -133,16 +132,16 @@ mod tests {
         let [low, high] = push.ci95_kg.unwrap();
         let median_kg = both.distribution.median_kg();
         assert!(low < median_kg && median_kg < high && median_kg > 0.147, "{median_kg}");
-        assert_eq!((both.source, both.is_contradictory()), (MassSource::Bounded, false));
+        assert_eq!((both.source, contradicts(&both)), (MassSource::Bounded, false));
         // The 95 % quantile is carried, by the margin or beyond it.
         let carried = both.distribution.quantile_kg(0.95);
         assert!((1.25 * both.grip_kg(1.25) / carried - 1.0).abs() < 1e-12 && both.grip_kg(3.0) == median_kg);
 
         let heavy = MassPosterior::of(Some(MassPrior::from_number(5.0).unwrap()), Some(&push)).unwrap();
-        assert!(heavy.is_contradictory(), "{:?}", heavy.contradiction_sd);
+        assert!(contradicts(&heavy), "{:?}", heavy.contradiction_sd);
         let bound = hand(0.12, 0.1, true);
         let light = MassPosterior::of(Some(guess), Some(&bound)).unwrap();
-        assert!(light.is_contradictory() && light.distribution.median_kg() < 0.13, "{:?}", light.contradiction_sd);
+        assert!(contradicts(&light) && light.distribution.median_kg() < 0.13, "{:?}", light.contradiction_sd);
         assert!(light.push.unwrap().bounds_kg()[0].is_none());
     }
 
@@ -176,7 +175,7 @@ mod tests {
         assert!((guessed.distribution.sd_log() / 0.05 - 1.0).abs() < 0.01);
         assert!((guessed.distribution.median_kg() / 0.2 - 1.0).abs() < 0.01);
         let weighed = MassPosterior::of(Some(MassPrior::from_scale(0.3).unwrap()), Some(&push)).unwrap();
-        assert_eq!((weighed.source, weighed.is_contradictory()), (MassSource::Weighed, true));
+        assert_eq!((weighed.source, contradicts(&weighed)), (MassSource::Weighed, true));
         assert!((0.27..0.3).contains(&weighed.distribution.median_kg()));
     }
 }

@@ -1,22 +1,38 @@
-//! `drex identify`: weigh an object from recorded pushes, or say why they cannot.
+//! `drex identify`: weigh an object from recorded pushes, or say why they cannot; the posterior where a prior is stated.
 
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
 use drex_core::push::{InputChoice, PushRecording};
+use drex_core::twin::MANIFEST;
 use drex_mesh::{AssetOptions, LengthUnit, build_asset};
 use drex_sysid::calibrate::HandCalibration;
-use drex_sysid::{Identification, IdentifyOptions, Knowledge, MassPrior, Method, ParameterSet, identify_watched};
-use serde_json::Value;
+use drex_sysid::{
+    Identification, IdentifyOptions, Knowledge, MassPosterior, MassPrior, Method, Parameter, ParameterSet,
+    identify_watched,
+};
+use serde_json::{Value, json};
 
-use crate::cli::{IdentifyArgs, MethodArg, OnOff};
+use crate::cli::{IdentifyArgs, MethodArg, OnOff, TwinArgs};
 use crate::object::model_of;
-use crate::report::verdict_text;
+use crate::report::{contradiction_text, posterior_text, prior_text, verdict_text};
+use crate::twin::{MassFile, Stage};
 use crate::ui::Ui;
 
-/// Loads the pushes, builds the object from their mesh, identifies, answers.
+/// Loads the pushes, builds the object from their mesh, identifies, answers. For a twin it is the stage of that name.
 pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
+    if let [twin] = &args.pushes[..]
+        && (twin.join(MANIFEST).is_file() || twin.file_name().is_some_and(|n| n == MANIFEST))
+    {
+        if args.states_something() {
+            bail!(
+                "{} is a twin, whose pushes are identified with what twin.toml and each push.toml say; name one of its pushes to try options",
+                twin.display()
+            );
+        }
+        return super::run::run(&TwinArgs { twin: twin.clone() }, Stage::Identify, false, seed, ui);
+    }
     let choice = InputChoice { poses: args.poses, force: args.force, encoder: args.encoder == OnOff::On };
     let mut recordings: Vec<PushRecording> =
         args.pushes.iter().map(|path| PushRecording::load(path, &choice)).collect::<Result<_, _>>()?;
@@ -40,13 +56,11 @@ pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     metres.unit = LengthUnit::Metre;
     let asset = build_asset(&first.mesh, &metres)?;
     let object = model_of(&asset);
-    if let Some(guess) = &args.guess {
-        let prior = guessed(guess, asset.report.volume_m3)?;
-        ui.note(format!(
-            "first guess: {:.1} g ({}); it takes no part in the answer",
-            1e3 * prior.mass_kg,
-            prior.source
-        ));
+    let prior = match &args.guess {
+        Some(guess) => Some(guessed(guess, asset.report.volume_m3)?),
+        None => recordings.iter().find_map(|r| r.mass_prior_kg).map(MassPrior::from_number).transpose()?,
+    };
+    if let Some(prior) = &prior {
         recordings.iter_mut().for_each(|r| r.mass_prior_kg = Some(prior.mass_kg));
     }
     let mut options = IdentifyOptions::default();
@@ -63,7 +77,24 @@ pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     if let Some(out) = &args.out {
         fsutil::write_atomic(out, serde_json::to_string_pretty(&result)?.as_bytes())?;
     }
-    ui.answer(&without_series(&result)?, verdict_text(&result))
+    let mut answer = without_series(&result)?;
+    let mut text = verdict_text(&result);
+    // A prior that took part in the estimate does not count twice, and Adam gives nothing that could be multiplied.
+    let counted = recordings.iter().any(|r| r.parameters.contains_key(Parameter::Mass.as_str()))
+        || options.parameters.get(Parameter::Mass).is_some();
+    if let Some(prior) = prior.filter(|_| !counted && options.method == Method::Lm) {
+        let mass = MassFile::new(MassPosterior::of(Some(prior.clone()), Some(&result))?, None);
+        answer["posterior"] = json!({ "mass_kg": mass.mass_kg, "ci95_kg": mass.ci95_kg, "sd_kg": mass.sd_kg, "source": mass.source,
+                                      "prior": mass.prior, "contradiction_sd": mass.contradiction_sd });
+        text = match mass.push_ci95_kg {
+            Some(_) => format!("{text}\nwith the prior of {}: {}", prior_text(&prior), posterior_text(&mass)),
+            None => format!("{text}\nthe prior stays as it is: {}", prior_text(&prior)),
+        };
+        if let Some(contradiction) = contradiction_text(&mass) {
+            text = format!("warning: {contradiction}\n{text}");
+        }
+    }
+    ui.answer(&answer, text)
 }
 
 /// A guess as the command line gives it.

@@ -153,7 +153,7 @@ pub fn training(page: &mut Page, training: &Training) {
 pub fn evaluation(page: &mut Page, twin: &Twin, asset: &Asset, e: &Evaluation) -> Result<()> {
     page.section("Predicted grasps, static check");
     page.paragraph(&format!(
-        "Judged at {:.1} g and friction {}: contacts of thumb and at least two fingers, penetration, force closure, and the \
+        "Judged at {:.1} g, which grasps are made for, and friction {}: contacts of thumb and at least two fingers, penetration, force closure, and the \
          smallest squeeze that carries the weight within the motors' torque. This is a static check of geometry and forces: \
          nothing was lifted for it, in simulation or on a robot.",
         1e3 * e.mass_kg,

@@ -2,6 +2,7 @@
 
 mod grasps;
 mod hand;
+mod mass;
 mod object;
 mod page;
 mod people;
@@ -17,6 +18,7 @@ use anyhow::Result;
 use crate::lock::made_by;
 use crate::twin::{Evaluation, ExecutionFile, FitFile, MassFile, Training, TrialFile, Twin, files};
 
+pub use mass::{contradiction_text, posterior_text, prior_text};
 pub use object::{closing_text, pieces_text};
 pub use push::verdict_text;
 pub use summary::findings;
@@ -47,6 +49,9 @@ pub fn page_of(twin: &Twin) -> Result<String> {
         None => None,
     };
     let mut page = Page::new(&format!("{}: digital twin", twin.manifest.name));
+    if let Some(text) = contradiction_text(&mass) {
+        page.warning(&text);
+    }
     summary::figures(&mut page, asset, &mass, learned.as_ref());
     if let Some(scan) = &twin.manifest.scan {
         scan::section(&mut page, twin, asset, &scan.photos)?;

@@ -49,6 +49,11 @@ impl Page {
         let _ = write!(self.body, "<p>{}</p>", escape(text));
     }
 
+    /// A paragraph of plain text that nobody should miss.
+    pub fn warning(&mut self, text: &str) {
+        let _ = write!(self.body, "<p class=\"warning\" role=\"alert\">{}</p>", escape(text));
+    }
+
     /// Preformatted text.
     pub fn code(&mut self, text: &str) {
         let _ = write!(self.body, "<pre>{}</pre>", escape(text));

@@ -1,12 +1,13 @@
 //! The push: what was tracked, what the simulation makes of it, how likely each mass is.
 
-use drex_sysid::{Identification, ParameterEstimate, PushReport, Sensitivity, Verdict};
+use drex_sysid::{Identification, MassDistribution, ParameterEstimate, PushReport, Sensitivity, Verdict};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
+use super::mass::{bounds_text, deviation_text, grip_text, posterior_text, prior_text};
 use super::page::Page;
 use super::replay::Replay;
 use crate::picture::plot::{COLORS, Plot, Series};
-use crate::twin::{MassFile, MassSource};
+use crate::twin::MassFile;
 
 /// The verdict as a person reads it.
 pub fn verdict_text(r: &Identification) -> String {
@@ -25,9 +26,15 @@ pub fn verdict_text(r: &Identification) -> String {
             Some(mu_m) => format!("only friction times mass: mu m = {:.1} g", 1e3 * mu_m),
             None => "only friction times mass".to_owned(),
         },
-        (_, _, Some([lo, hi])) => {
-            format!("not identifiable; 95 % interval {:.1} to {:.1} g (upper/lower {:.2})", 1e3 * lo, 1e3 * hi, hi / lo)
-        }
+        (_, _, Some([lo, hi])) => match r.likelihood().map(|l| l.bounds_kg()) {
+            Some(bounds) if bounds.contains(&None) => format!("not identifiable; {} (95 %)", bounds_text(bounds)),
+            _ => format!(
+                "not identifiable; 95 % interval {:.1} to {:.1} g (upper/lower {:.2})",
+                1e3 * lo,
+                1e3 * hi,
+                hi / lo
+            ),
+        },
         _ => "not identifiable".to_owned(),
     };
     text += &format!("\n  {}", r.reason);
@@ -38,7 +45,7 @@ pub fn verdict_text(r: &Identification) -> String {
 }
 
 /// How well a parameter is known, in words where it is not.
-fn deviation_text(e: &ParameterEstimate) -> String {
+fn parameter_deviation_text(e: &ParameterEstimate) -> String {
     if e.parameter.is_logarithmic() && e.sd > e.value {
         "this push does not tell it".to_owned()
     } else {
@@ -58,21 +65,18 @@ fn sensitivity_text(s: &Sensitivity) -> String {
 /// The section on mass and pushes; the second is there if a push was simulated and tracked.
 pub fn section(page: &mut Page, mass: &MassFile, replays: &[Option<Replay>]) {
     page.section("Mass");
-    match mass.source {
-        MassSource::Weighed => page.paragraph(&format!("{:.1} g, weighed.", 1e3 * mass.mass_kg)),
-        MassSource::Identified => {}
-        MassSource::Prior => page.paragraph(&format!(
-            "Later stages use {:.0} g. This is a first guess and not a measurement: no recording confirmed it.",
-            1e3 * mass.mass_kg
-        )),
+    page.paragraph(&format!("{}; standard deviation {}.", posterior_text(mass), deviation_text(mass.sd_kg)));
+    let mut parts = Vec::new();
+    parts.extend(mass.prior.as_ref().map(|prior| format!("Before the push: {}.", prior_text(prior))));
+    if mass.identification.is_some() {
+        parts.push(match mass.push_ci95_kg {
+            Some(bounds) => format!("The push alone, whatever the prior: {} (95 %).", bounds_text(bounds)),
+            None => "The push alone says nothing of the mass: the prior stays as it is.".to_owned(),
+        });
     }
-    if let (Some(prior), true) = (&mass.prior, mass.source != MassSource::Prior) {
-        page.paragraph(&format!(
-            "A first guess was {:.0} g ({}). It took no part in this.",
-            1e3 * prior.mass_kg,
-            prior.source
-        ));
-    }
+    parts.extend(grip_text(mass).map(|grip| format!("Grasps are made {grip}.")));
+    page.list(&parts);
+    page.plots(&[posterior_plot(mass)]);
     let Some(result) = &mass.identification else { return };
     page.paragraph(&format!(
         "The pushes say: {}",
@@ -149,11 +153,36 @@ fn tables(page: &mut Page, result: &Identification) {
         let rows: Vec<Vec<String>> = result
             .estimates
             .iter()
-            .map(|e| vec![e.parameter.as_str().to_owned(), format!("{:.4}", e.value), deviation_text(e)])
+            .map(|e| vec![e.parameter.as_str().to_owned(), format!("{:.4}", e.value), parameter_deviation_text(e)])
             .collect();
         page.table(&["estimated along with the mass", "value", "standard deviation"], &rows);
     }
     page.list(&result.assumptions.iter().map(|a| format!("Assumed: {a}")).collect::<Vec<_>>());
+}
+
+/// Prior, push and posterior over the mass.
+fn posterior_plot(mass: &MassFile) -> String {
+    // Below e^-8 of its maximum a density is nothing to the eye.
+    let curve = |d: MassDistribution| -> (Vec<f64>, Vec<f64>) {
+        d.costs().filter(|p| p.1 < 8.0).map(|(kg, cost)| (1e3 * kg, (-cost).exp())).unzip()
+    };
+    let prior = mass.prior.as_ref().and_then(|p| p.distribution().ok());
+    let push = mass.identification.as_ref().and_then(Identification::likelihood);
+    let all = [("prior", prior), ("push", push), ("posterior", Some(mass.posterior.clone()))];
+    let curves: Vec<(&str, (Vec<f64>, Vec<f64>))> =
+        all.into_iter().filter_map(|(label, d)| Some((label, curve(d?)))).collect();
+    let series =
+        curves.iter().zip(COLORS).map(|((label, (x, y)), color)| Series { label, x, y, color, dots: false }).collect();
+    Plot {
+        title: "What is known of the mass; shaded: 95 % interval of the posterior",
+        x_label: "mass, g",
+        y_label: "density over log mass, maximum 1",
+        series,
+        log_x: true,
+        marks: vec![(1e3 * mass.mass_kg, format!("{:.1} g", 1e3 * mass.mass_kg))],
+        band: Some((1e3 * mass.ci95_kg[0], 1e3 * mass.ci95_kg[1])),
+    }
+    .to_svg()
 }
 
 /// The likelihood over all masses that were tried, and near the best one.

@@ -5,13 +5,12 @@ use drex_mesh::Asset;
 use serde_json::{Map, Value, json};
 
 use super::Learned;
+use super::mass::{bounds_text, contradiction_text, grip_text, posterior_text, prior_text};
 use super::page::Page;
 use super::push::verdict_text;
 use crate::bench::library::Origins;
 use crate::twin::files::SplatReport;
-use crate::twin::{
-    Evaluation, ExecutionFile, FitFile, JudgedGrasp, MassFile, MassSource, Stage, Training, TrialFile, Twin, files,
-};
+use crate::twin::{Evaluation, ExecutionFile, FitFile, JudgedGrasp, MassFile, Stage, Training, TrialFile, Twin, files};
 
 /// What a run found, as text and as JSON.
 pub struct Findings {
@@ -25,6 +24,13 @@ pub struct Findings {
 pub fn findings(twin: &Twin, last: Stage) -> Result<Findings> {
     let mut text = format!("{}\n", twin.manifest.name);
     let mut found = Map::new();
+    let mass: Option<MassFile> = match last >= Stage::Identify {
+        true => Some(files::read_json(&twin.path(files::MASS))?),
+        false => None,
+    };
+    if let Some(contradiction) = mass.as_ref().and_then(contradiction_text) {
+        text += &format!("  warning    {contradiction}\n");
+    }
     if twin.manifest.scan.is_some() {
         let volume_cm3 = 1e6 * twin.asset()?.report.volume_m3;
         let trained: Option<SplatReport> = files::read_json_if_there(&twin.path(files::SPLAT_REPORT))?;
@@ -39,19 +45,27 @@ pub fn findings(twin: &Twin, last: Stage) -> Result<Findings> {
         text += &format!("  scan       {photos}closed mesh of {volume_cm3:.0} cm3\n");
         found.insert("scan".into(), json!({ "psnr_db": psnr_db, "volume_cm3": volume_cm3 }));
     }
-    if last >= Stage::Identify {
-        let mass: MassFile = files::read_json(&twin.path(files::MASS))?;
-        text += &format!("  mass       {}\n", mass_line(&mass));
+    let has_grasps = twin.manifest.grasps.is_some();
+    if let Some(mass) = &mass {
+        text += &format!("  mass       {}\n", posterior_text(mass));
         if let Some(result) = &mass.identification {
-            text += &format!("  pushes     {}\n", verdict_text(result).lines().next().unwrap_or_default());
+            let stays = if mass.push_ci95_kg.is_none() { ": the prior stays as it is" } else { "" };
+            text += &format!("  push alone {}{stays}\n", verdict_text(result).lines().next().unwrap_or_default());
+        }
+        if let Some(prior) = mass.prior.as_ref().filter(|p| !p.weighed) {
+            text += &format!("  prior      {}\n", prior_text(prior));
+        }
+        if let Some(grip) = grip_text(mass).filter(|_| has_grasps) {
+            text += &format!("  grip       {grip}\n");
         }
         found.insert(
             "mass".into(),
-            json!({ "mass_kg": mass.mass_kg, "source": mass.source, "ci95_kg": mass.ci95_kg,
+            json!({ "mass_kg": mass.mass_kg, "source": mass.source, "ci95_kg": mass.ci95_kg, "sd_kg": mass.sd_kg,
+                    "grip_kg": mass.grip_kg, "push_ci95_kg": mass.push_ci95_kg, "prior": mass.prior,
+                    "contradiction_sd": mass.contradiction_sd, "contradiction": contradiction_text(mass),
                     "verdict": mass.identification.as_ref().map(|i| i.verdict) }),
         );
     }
-    let has_grasps = twin.manifest.grasps.is_some();
     if has_grasps && last >= Stage::Grasps {
         let fits: FitFile = files::read_json(&twin.path(files::FITS))?;
         let what = if fits.clips.is_empty() { "demonstrations" } else { "grasps of people" };
@@ -118,11 +132,6 @@ fn tally(grasps: &[JudgedGrasp]) -> Value {
     json!({ "passed": grasps.iter().filter(|g| g.check.passed).count(), "of": grasps.len() })
 }
 
-fn mass_line(mass: &MassFile) -> String {
-    let interval = mass.ci95_kg.map(|[lo, hi]| format!(" (95 %: {:.1} to {:.1} g)", 1e3 * lo, 1e3 * hi));
-    format!("{:.1} g{}, {}", 1e3 * mass.mass_kg, interval.unwrap_or_default(), mass.source.text())
-}
-
 /// "3 grasps: 0 demonstrated, 1 refined, 2 searched; tried were 42 demonstrated, 0 refined, 117 searched".
 fn learned_line(learned: &Origins, tried: &Origins) -> String {
     format!("{} grasps: {learned}; tried were {tried}", learned.total())
@@ -164,20 +173,19 @@ fn execution_line(execution: &ExecutionFile) -> String {
 
 /// The row of figures at the head of the page.
 pub fn figures(page: &mut Page, asset: &Asset, mass: &MassFile, learned: Option<&Learned>) {
-    let remark = match (mass.source, mass.ci95_kg) {
-        (MassSource::Identified, Some([lo, hi])) => {
-            format!("identified; 95 % interval {:.1} to {:.1} g", 1e3 * lo, 1e3 * hi)
-        }
-        (source, _) => source.text().to_owned(),
-    };
-    let mut all = vec![
-        (format!("{:.1} g", 1e3 * mass.mass_kg), "mass".to_owned(), remark),
-        (
-            format!("{:.1} cm³", 1e6 * asset.report.volume_m3),
-            "volume".to_owned(),
-            format!("{}; {}", super::closing_text(&asset.report), super::pieces_text(asset)),
-        ),
-    ];
+    let [low, high] = mass.ci95_kg.map(|m| 1e3 * m);
+    let remark = format!("{}; 95 % interval {low:.1} to {high:.1} g", mass.source.text());
+    let mut all = vec![(format!("{:.1} g", 1e3 * mass.mass_kg), "mass".to_owned(), remark)];
+    if let Some(result) = &mass.identification {
+        let said = mass.push_ci95_kg.map_or("nothing".to_owned(), bounds_text);
+        let verdict = if result.mass_kg.is_some() { "identified" } else { "not identifiable" };
+        all.push((said, "mass by the push alone".to_owned(), format!("95 % interval without any prior; {verdict}")));
+    }
+    all.extend([(
+        format!("{:.1} cm³", 1e6 * asset.report.volume_m3),
+        "volume".to_owned(),
+        format!("{}; {}", super::closing_text(&asset.report), super::pieces_text(asset)),
+    )]);
     if let Some(Learned { fits, training, trial, .. }) = learned {
         all.push((
             format!("{} / {}", fits.accepted, fits.demonstrations),

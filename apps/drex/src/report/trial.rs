@@ -8,6 +8,7 @@ use drex_mesh::Asset;
 use drex_robot::Robot;
 use drex_trial::Verdict;
 
+use super::mass::deviation_text;
 use super::object::OBJECT_COLOR;
 use super::page::Page;
 use super::summary::median;
@@ -57,10 +58,14 @@ pub fn section(page: &mut Page, twin: &Twin, asset: &Asset, trial: &TrialFile) -
         100.0 * high
     ));
     page.paragraph(&format!(
-        "The hand takes the object for {:.1} g. In each rollout the true mass is drawn around this with a standard deviation of {:.1} g, \
-         the friction is between {:.2} and {:.2} and told to within a tenth, and the object stands a little aside of where the hand believes it.",
+        "The hand takes the object for {:.1} g. In each rollout the true mass is drawn from the posterior of the mass: median {:.1} g, 95 % \
+         interval {:.1} to {:.1} g, standard deviation {}. The friction is between {:.2} and {:.2} and told to within a tenth, and the \
+         object stands a little aside of where the hand believes it.",
         1e3 * trial.mass_kg,
-        1e3 * trial.mass_sd_kg,
+        1e3 * trial.mass_median_kg,
+        1e3 * trial.mass_ci95_kg[0],
+        1e3 * trial.mass_ci95_kg[1],
+        deviation_text(trial.mass_sd_kg),
         trial.friction[0],
         trial.friction[1]
     ));

@@ -18,11 +18,11 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     let mass: MassFile = read_json(&twin.path(MASS))?;
     let policy = GraspPolicy::load(&twin.path(POLICY))?;
     let cloud = train::cloud(&scene, twin.seed);
-    let query = Query::new(&cloud, mass.mass_kg, twin.friction()).with_up(scene.table.up.into_inner());
+    let query = Query::new(&cloud, mass.grip_kg, twin.friction()).with_up(scene.table.up.into_inner());
     let predictions = policy.predict(&query)?;
     let spinner = ui.spinner("evaluate");
 
-    let judge = Judge::new(&scene, mass.mass_kg)?;
+    let judge = Judge::new(&scene, mass.grip_kg)?;
     let predicted =
         predictions.par_iter().map(|p| judge.predicted(&p.joints, p.object_from_palm, p)).collect::<Result<_>>()?;
     let refined = predictions.par_iter().map(|p| judge.refined(p)).collect::<Result<_>>()?;
@@ -33,7 +33,7 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
         .map(|g| judge.judge(&g.joints_rad, g.object_from_base.to_pose()?))
         .collect::<Result<_>>()?;
     let evaluation =
-        Evaluation { mass_kg: mass.mass_kg, friction: twin.friction(), predicted, refined, demonstrations };
+        Evaluation { mass_kg: mass.grip_kg, friction: twin.friction(), predicted, refined, demonstrations };
     write_json(&twin.output(EVALUATION)?, &evaluation)?;
     spinner.finish_and_clear();
     Ok(vec![twin.path(EVALUATION)])

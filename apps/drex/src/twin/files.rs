@@ -4,10 +4,10 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use drex_core::{Pose, fsutil, pose};
-use drex_grasp::StaticCheck;
+use drex_grasp::{ForceLaw, StaticCheck};
 use drex_mesh::FusionReport;
 use drex_policy::TrainReport;
-use drex_sysid::{Identification, MassPrior};
+use drex_sysid::{Identification, MassDistribution, MassPosterior, MassPrior, MassSource};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -100,42 +100,49 @@ pub struct ScanFile {
     pub fusion: FusionReport,
 }
 
-/// Where a mass comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum MassSource {
-    /// Put on a scale; given in the manifest.
-    Weighed,
-    /// Identified from the pushes.
-    Identified,
-    /// A first guess that nothing has confirmed.
-    Prior,
-}
-
-impl MassSource {
-    /// For tables and sentences.
-    pub fn text(self) -> &'static str {
-        match self {
-            Self::Weighed => "weighed",
-            Self::Identified => "identified from the push",
-            Self::Prior => "a prior, not confirmed by any recording",
-        }
-    }
-}
-
-/// `mass.json`.
+/// `mass.json`: the posterior of the mass and what it is made of.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct MassFile {
-    /// The mass that later stages use, kg.
+    /// Median of the posterior, kg: the mass of the simulation asset.
     pub mass_kg: f64,
-    /// What kind of number it is.
+    /// Where it comes from.
     pub source: MassSource,
-    /// 95 % interval, kg; only for an identified mass.
-    pub ci95_kg: Option<[f64; 2]>,
-    /// The first guess, if there was one.
+    /// 95 % interval of the posterior, kg.
+    pub ci95_kg: [f64; 2],
+    /// Standard deviation of the posterior, kg.
+    pub sd_kg: f64,
+    /// Mass that grasps are made for, kg ([`MassPosterior::grip_kg`] with the margin of the force law).
+    pub grip_kg: f64,
+    /// What was known before the pushes.
     pub prior: Option<MassPrior>,
+    /// Ends of the 95 % interval of what the pushes alone say, kg, each absent where they leave that side open; absent where they say
+    /// nothing.
+    pub push_ci95_kg: Option<[Option<f64>; 2]>,
+    /// How far prior and pushes contradict each other, in standard deviations; absent without both.
+    pub contradiction_sd: Option<f64>,
+    /// The posterior, from which trials draw.
+    pub posterior: MassDistribution,
     /// What the pushes said; absent when there were none.
     pub identification: Option<Identification>,
+}
+
+impl MassFile {
+    /// The file of a posterior, with the answer of the pushes that are part of it.
+    pub fn new(posterior: MassPosterior, identification: Option<Identification>) -> Self {
+        let of = &posterior.distribution;
+        Self {
+            mass_kg: of.median_kg(),
+            source: posterior.source,
+            ci95_kg: of.interval95_kg(),
+            sd_kg: of.sd_kg(),
+            grip_kg: posterior.grip_kg(ForceLaw::default().margin),
+            push_ci95_kg: posterior.push.as_ref().map(MassDistribution::bounds_kg),
+            contradiction_sd: posterior.contradiction_sd,
+            prior: posterior.prior,
+            posterior: posterior.distribution,
+            identification,
+        }
+    }
 }
 
 /// `grasps/wrist_fits.json`.
@@ -330,7 +337,11 @@ pub struct TrialFile {
     pub joint_names: Vec<String>,
     /// Mass that the hand takes the object for, kg.
     pub mass_kg: f64,
-    /// What is true is drawn around it with this standard deviation, kg.
+    /// Median, 95 % interval and standard deviation of the posterior that true masses are drawn from, kg.
+    pub mass_median_kg: f64,
+    /// See `mass_median_kg`.
+    pub mass_ci95_kg: [f64; 2],
+    /// See `mass_median_kg`.
     pub mass_sd_kg: f64,
     /// Friction: lowest and highest that is true.
     pub friction: [f64; 2],

@@ -2,13 +2,13 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use drex_core::fsutil;
 use drex_core::push::{Drive, InputChoice, PushRecording, StatedParameter};
-use drex_sysid::{Identification, IdentifyOptions, MassPrior, Parameter, Verdict, identify_watched};
+use drex_sysid::{IdentifyOptions, MassPosterior, MassPrior, Parameter, identify_watched};
 
 use super::files::{MASS, SCAN, ScanFile, read_json, write_json};
-use super::{MassFile, MassSource, Twin};
+use super::{MassFile, Twin};
 use crate::object::model_of;
 use crate::ui::Ui;
 
@@ -42,8 +42,9 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
         Some(result)
     };
     let prior = prior(twin, &recordings)?;
-    let mass = choose(twin, prior, identification.as_ref())?;
-    write_json(&twin.output(MASS)?, &mass)?;
+    let posterior = MassPosterior::of(prior, identification.as_ref())
+        .with_context(|| format!("[mass] of {}", twin.path("twin.toml").display()))?;
+    write_json(&twin.output(MASS)?, &MassFile::new(posterior, identification))?;
     Ok(vec![twin.path(MASS)])
 }
 
@@ -71,29 +72,14 @@ pub fn recordings(twin: &Twin) -> Result<Vec<PushRecording>> {
         .collect::<Result<_, _>>()?)
 }
 
-/// A weighed value wins, then an identified one; a prior is the last resort and stays marked as one.
-fn choose(twin: &Twin, prior: Option<MassPrior>, identification: Option<&Identification>) -> Result<MassFile> {
-    let config = &twin.manifest.mass;
-    let identified = identification.filter(|i| i.verdict == Verdict::Identified).and_then(|i| i.mass_kg);
-    let (mass_kg, source) = match (config.weighed_kg, identified, &prior) {
-        (Some(kg), _, _) => (kg, MassSource::Weighed),
-        (None, Some(kg), _) => (kg, MassSource::Identified),
-        (None, None, Some(guess)) => (guess.mass_kg, MassSource::Prior),
-        (None, None, None) => bail!(
-            "the pushes do not tell the mass ({}) and nobody guessed one; put weighed_kg or a first guess into [mass] of {}",
-            identification.map_or("there are none", |i| i.reason.as_str()),
-            twin.path("twin.toml").display()
-        ),
-    };
-    let ci95_kg = identification.filter(|_| source == MassSource::Identified).and_then(|i| i.ci95_kg);
-    Ok(MassFile { mass_kg, source, ci95_kg, prior, identification: identification.cloned() })
-}
-
-/// The first guess: the manifest's, else one that came with a push.
+/// What is known before the pushes: the scale's number, else the manifest's first guess, else one that came with a push.
 fn prior(twin: &Twin, recordings: &[PushRecording]) -> Result<Option<MassPrior>> {
     let config = &twin.manifest.mass;
+    if let Some(kg) = config.weighed_kg {
+        return Ok(Some(MassPrior::from_scale(kg)?));
+    }
     let volume_m3 = twin.asset()?.report.volume_m3;
-    Ok(match (config.prior_kg, &config.prior_material, &config.prior_file) {
+    let guess = match (config.prior_kg, &config.prior_material, &config.prior_file) {
         (Some(kg), ..) => Some(MassPrior::from_number(kg)?),
         (_, Some(material), _) => Some(MassPrior::from_material(material, volume_m3)?),
         (.., Some(file)) => {
@@ -102,6 +88,10 @@ fn prior(twin: &Twin, recordings: &[PushRecording]) -> Result<Option<MassPrior>>
             Some(read.with_context(|| path.display().to_string())?)
         }
         _ => recordings.iter().find_map(|r| r.mass_prior_kg).map(MassPrior::from_number).transpose()?,
+    };
+    Ok(match (guess, config.prior_sd_log) {
+        (Some(guess), Some(sd_log)) => Some(guess.with_sd_log(sd_log)?),
+        (guess, _) => guess,
     })
 }
 

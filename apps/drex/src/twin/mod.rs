@@ -37,7 +37,7 @@ use crate::timings::{self, Timing};
 use crate::ui::Ui;
 
 pub use files::{
-    Evaluation, ExecutionFile, FitFile, FitRecord, JudgedGrasp, MassFile, MassSource, PoseRecord, Training, TrialFile,
+    Evaluation, ExecutionFile, FitFile, FitRecord, JudgedGrasp, MassFile, PoseRecord, Training, TrialFile,
 };
 pub use scene::Scene;
 

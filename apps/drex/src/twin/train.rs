@@ -22,7 +22,7 @@ use crate::ui::Ui;
 
 /// Surface points that the network sees.
 const POINTS: usize = 512;
-/// The network learns the force at these multiples of the object's mass.
+/// The network learns the force at these multiples of the mass that grasps are made for.
 const MASS_FACTORS: [f64; 4] = [0.25, 0.5, 1.0, 2.0];
 /// And at these multiples of its friction.
 const FRICTION_FACTORS: [f64; 3] = [0.7, 1.0, 1.4];
@@ -67,7 +67,7 @@ fn practise(
     ui: &Ui,
 ) -> Result<Vec<PathBuf>> {
     let spinner = ui.spinner("search");
-    let ground = Ground::of(twin, &scene.robot, mass.mass_kg)?;
+    let ground = Ground::of(twin, &scene.robot, mass.grip_kg)?;
     let search = twin.manifest.train.as_ref().and_then(|t| t.search).unwrap_or(0);
     let grasps = ground.grasps(fits, search, twin.seed)?;
     spinner.set_prefix("practice");
@@ -127,7 +127,7 @@ fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Resul
                 (0..surface.fingers.len()).map(|f| touching.iter().any(|c| c.finger == Some(f))).collect();
             let mut samples = Vec::new();
             for (factor, part) in MASS_FACTORS.iter().flat_map(|m| FRICTION_FACTORS.map(|f| (*m, f))) {
-                let (mass_kg, friction) = (factor * mass.mass_kg, part * object_friction);
+                let (mass_kg, friction) = (factor * mass.grip_kg, part * object_friction);
                 let mut problem = SqueezeProblem::new(
                     touching.clone(),
                     mass_kg,

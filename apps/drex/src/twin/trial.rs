@@ -20,30 +20,28 @@ const ROLLOUTS: usize = 24;
 const FRAME_S: f64 = 0.08;
 /// Set apart from the seeds of the practice.
 const TRIAL_SEED: u64 = 0x74_72_69_61;
-/// Half a 95 % interval in standard deviations.
-const HALF_INTERVAL: f64 = 1.96;
+/// Set apart from the seed of the conditions.
+const MASS_SEED: u64 = 0x6d_61_73_73;
 
 pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     let mass: MassFile = read_json(&twin.path(MASS))?;
     let robot = twin.hand()?;
     let policy = GraspPolicy::load(&twin.path(POLICY))?;
-    let ground = Ground::of(twin, &robot, mass.mass_kg)?;
+    let ground = Ground::of(twin, &robot, mass.grip_kg)?;
     let spread = Spread::around(Some(twin.friction()));
     let conditions = spread.conditions(ROLLOUTS, twin.seed ^ TRIAL_SEED);
-    let mass_sd_kg = mass.ci95_kg.map_or(0.0, |[lo, hi]| 0.5 * (hi - lo) / HALF_INTERVAL);
+    let true_masses_kg = mass.posterior.sample_kg(ROLLOUTS, twin.seed ^ TRIAL_SEED ^ MASS_SEED);
     let cloud = ground.thing.cloud(twin.seed);
     let up = ground.thing.table.up.into_inner();
 
     let bar = ui.bar("trial", conditions.len() as u64);
-    let run = |condition: &Condition| -> Result<(RolloutRecord, Option<Command>)> {
-        let belief = condition.belief(mass.mass_kg);
+    let run = |(condition, true_kg): (&Condition, &f64)| -> Result<(RolloutRecord, Option<Command>)> {
+        let belief = condition.belief(mass.grip_kg);
         let query = Query::new(&cloud, belief.mass_kg, belief.friction).with_up(up);
-        let planned = plan(&ground.judge, &choice::proposals(&policy, &query)?, condition, mass.mass_kg)?;
-        // What is true of the mass is drawn from what the estimate says of itself; half of it is left at the least.
-        let true_kg = (mass.mass_kg + condition.mass_error * mass_sd_kg).max(0.5 * mass.mass_kg);
+        let planned = plan(&ground.judge, &choice::proposals(&policy, &query)?, condition, mass.grip_kg)?;
         let mut record = RolloutRecord {
             verdict: Verdict::NoContact,
-            mass_kg: true_kg,
+            mass_kg: *true_kg,
             friction: condition.friction,
             proposal: 0,
             squeeze_n: 0.0,
@@ -52,7 +50,7 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
         };
         let command = match planned {
             Ok((proposal, command)) => {
-                let outcome = ground.judge.run(&command, &condition.truth(true_kg))?;
+                let outcome = ground.judge.run(&command, &condition.truth(*true_kg))?;
                 record.verdict = outcome.verdict;
                 (record.proposal, record.squeeze_n) = (proposal, outcome.squeeze_n);
                 (record.held_n, record.friction_used) = (outcome.held_n, outcome.friction_used);
@@ -66,7 +64,8 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
         bar.inc(1);
         Ok((record, command))
     };
-    let done: Vec<(RolloutRecord, Option<Command>)> = conditions.par_iter().map(run).collect::<Result<_>>()?;
+    let done: Vec<(RolloutRecord, Option<Command>)> =
+        conditions.par_iter().zip(&true_masses_kg).map(run).collect::<Result<_>>()?;
     bar.finish_and_clear();
 
     let succeeded = |(r, _): &(RolloutRecord, _)| r.verdict == Verdict::Success;
@@ -83,8 +82,10 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
         schema: 1,
         hand: robot.name.clone(),
         joint_names: robot.joint_names().into_iter().map(str::to_owned).collect(),
-        mass_kg: mass.mass_kg,
-        mass_sd_kg,
+        mass_kg: mass.grip_kg,
+        mass_median_kg: mass.mass_kg,
+        mass_ci95_kg: mass.ci95_kg,
+        mass_sd_kg: mass.sd_kg,
         friction: [spread.friction.0, spread.friction.1],
         held,
         n: done.len(),
