@@ -9,7 +9,7 @@ pub fn posterior_text(mass: &MassFile) -> String {
     format!("{:.1} g (95 %: {}), {}", 1e3 * mass.mass_kg, grams(mass.ci95_kg), mass.source.text())
 }
 
-/// "500.0 g (95 %: 128.5 to 1945.5 g), stated".
+/// "500.0 g (95 %: 128.5 to 1945.3 g), stated".
 pub fn prior_text(prior: &MassPrior) -> String {
     format!("{:.1} g (95 %: {}), {}", 1e3 * prior.mass_kg, grams(prior.interval95_kg()), prior.source)
 }
