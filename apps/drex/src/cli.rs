@@ -56,9 +56,15 @@ pub struct Common {
     /// Seed of everything random; overrides the manifest's.
     #[arg(long, global = true, value_name = "N")]
     pub seed: Option<u64>,
-    /// Number of worker threads; results do not depend on it.
-    #[arg(long, global = true, value_name = "N")]
-    pub threads: Option<NonZeroUsize>,
+    /// Number of worker threads, at most 1024; results do not depend on it.
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+    /// Memory that a file may take; also of the whole command, but for those that train, simulate or move a hand [default: 4].
+    #[arg(long, global = true, value_name = "GB", value_parser = positive)]
+    pub max_memory: Option<f64>,
+    /// Time that the command may take [default: 60 for `drex mesh`, none for others].
+    #[arg(long, global = true, value_name = "S", value_parser = positive)]
+    pub max_seconds: Option<f64>,
     /// Log more to stderr (repeat for more).
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     pub verbose: u8,

@@ -4,6 +4,7 @@ mod bench;
 mod choice;
 mod cli;
 mod commands;
+mod limits;
 mod lock;
 mod object;
 mod picture;
@@ -38,8 +39,9 @@ fn main() -> ExitCode {
 
 fn run(cli: &Cli, ui: &Ui) -> anyhow::Result<()> {
     if let Some(threads) = cli.common.threads {
-        rayon::ThreadPoolBuilder::new().num_threads(threads.get()).build_global()?;
+        rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
     }
+    limits::watch(&cli.command, &cli.common, ui)?;
     let seed = cli.common.seed;
     match &cli.command {
         Command::Reconstruct(args) => commands::reconstruct::run(args, seed, ui),

@@ -8,6 +8,7 @@ use serde::Serialize;
 use tracing_subscriber::filter::LevelFilter;
 
 /// Output settings of one invocation.
+#[derive(Debug, Clone)]
 pub struct Ui {
     json: bool,
     bars: bool,

@@ -68,7 +68,8 @@ impl Error {
         what: impl Into<String>,
         remedy: impl Into<String>,
     ) -> Self {
-        Self::Content { path: path.as_ref().to_path_buf(), line: line.into(), what: what.into(), remedy: remedy.into() }
+        let (what, remedy) = (short(what.into()), remedy.into());
+        Self::Content { path: path.as_ref().to_path_buf(), line: line.into(), what, remedy }
     }
 
     /// `error` with the place it was found at: a value that is wrong becomes content of `path` that is wrong.
@@ -82,6 +83,28 @@ impl Error {
 
     /// An [`Error::Value`].
     pub fn value(what: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self::Value { what: what.into(), remedy: remedy.into() }
+        Self::Value { what: short(what.into()), remedy: remedy.into() }
+    }
+}
+
+/// A message that quotes a file, cut where the quote is longer than anybody reads: a line can be as long as the file.
+fn short(mut text: String) -> String {
+    const MOST: usize = 2000;
+    if let Some((end, _)) = text.char_indices().nth(MOST) {
+        text.truncate(end);
+        text.push('…');
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn long_quotes_are_cut() {
+        let line = "ä".repeat(1 << 20);
+        let message = Error::content("a.csv", 3, format!("`{line}` is no number"), "repair it").to_string();
+        assert!(message.len() < 5000 && message.starts_with("a.csv, line 3: `ä") && message.ends_with("ä…; repair it"));
     }
 }

@@ -32,6 +32,7 @@
 //!
 //! Errors ([`Error`]) say what was wrong, in which file and line, and what to do. No input makes the crate panic.
 
+pub mod budget;
 pub mod camera;
 pub mod clock;
 pub mod error;

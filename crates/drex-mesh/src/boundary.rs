@@ -8,6 +8,8 @@ use rayon::prelude::*;
 use drex_core::{MassProperties, TriMesh};
 
 use crate::bvh::Bvh;
+use crate::intersect::meeting_faces;
+use crate::topology::{Sets, edges, ends};
 
 /// A triangle that bounds the solid, and how often it counts.
 ///
@@ -68,9 +70,13 @@ pub(crate) fn boundary(mesh: &TriMesh, tree: &Bvh, has_lids: bool) -> Boundary {
     let narrow = if has_lids { fine } else { 0.0 };
     let (step, coarse, small) = (1e-6 * diagonal, diagonal / 24.0, diagonal / 100.0);
     let probe = Probe { tree, layered, step, coarse, small, narrow, fine };
+    let known = probe.weights_of_patches(mesh);
     let verdicts: Vec<Verdict> = (0..mesh.faces.len())
         .into_par_iter()
         .map(|f| {
+            if let Some(weight) = known[f] {
+                return Verdict::Uniform(weight);
+            }
             let t = mesh.triangle(f);
             let (across, longest) = ((t[1] - t[0]).cross(&(t[2] - t[0])), longest_side(&t));
             let small = longest <= probe.small || across.norm() < probe.narrow * longest;
@@ -130,7 +136,51 @@ fn longest_side(t: &[Point3<f64>; 3]) -> f64 {
     (0..3).map(|k| length(t, k)).fold(0.0, f64::max)
 }
 
+/// Faces of a patch that are asked for its weight.
+const ASKED: usize = 8;
+
 impl Probe<'_> {
+    /// The weights of faces that follow from their neighbours'.
+    ///
+    /// Beside a face that meets no other one, the winding numbers change nowhere; nor do they across an edge with two such
+    /// faces. So all faces of a patch of them have one weight, that of a few of its faces. `None` for faces that meet others
+    /// and for patches whose faces disagree: something is nearer to one of them than the step.
+    fn weights_of_patches(&self, mesh: &TriMesh) -> Vec<Option<f64>> {
+        let (_, meets) = meeting_faces(mesh);
+        let mut sets = Sets::new(mesh.faces.len());
+        for group in edges(mesh).chunk_by(|a, b| a.0 == b.0) {
+            if let &[(_, g), (_, h)] = group
+                && ends(mesh, g).0 != ends(mesh, h).0
+                && !meets[g as usize / 3]
+                && !meets[h as usize / 3]
+            {
+                sets.join(g / 3, h / 3);
+            }
+        }
+        let (labels, count) = sets.labels();
+        let mut patches = vec![Vec::new(); count];
+        labels.iter().zip(0..).for_each(|(&label, f)| patches[label as usize].push(f));
+        let mut weights = vec![None; mesh.faces.len()];
+        let of_patches: Vec<Option<f64>> = patches
+            .par_iter()
+            .map(|patch| {
+                // Faces without area have no sides, and those of the largest patches are spread over them.
+                let normals = patch.iter().filter_map(|&f: &usize| {
+                    let t = mesh.triangle(f);
+                    Some((t, (t[1] - t[0]).cross(&(t[2] - t[0])).try_normalize(0.0)?))
+                });
+                let asked = normals.step_by(patch.len().div_ceil(ASKED));
+                let mut found = asked.map(|(t, normal)| self.weight(&middle(&t), &normal));
+                let first = found.next().filter(|_| !meets[patch[0]])?;
+                found.all(|weight| weight == first).then_some(first)
+            })
+            .collect();
+        for (patch, weight) in patches.iter().zip(of_patches) {
+            patch.iter().for_each(|&f| weights[f] = weight);
+        }
+        weights
+    }
+
     /// Weight of a triangle as seen at one point of it.
     fn weight(&self, at: &Point3<f64>, normal: &Vector3<f64>) -> f64 {
         let inside = self.tree.winding(&(at - normal * self.step)).round();

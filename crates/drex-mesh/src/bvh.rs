@@ -9,6 +9,11 @@ use drex_core::mesh::nearest_on_triangle;
 const LEAF: usize = 4;
 /// A subtree is replaced by its moments when the query is farther than this many of its radii.
 const FAR: f64 = 2.0;
+/// Meshes with fewer faces are searched quickly enough as they are.
+const FEW: usize = 256;
+/// Slivers, longer than this many times their height, are cut where they are longer than this part of the mesh.
+const SLENDER: f64 = 8.0;
+const LONG: f64 = 1.0 / 32.0;
 /// Median splits halve the triangle count, so 2^64 triangles would be needed to go deeper.
 const STACK: usize = 64;
 
@@ -150,7 +155,7 @@ pub(crate) struct Nearest {
     pub distance_squared: f64,
 }
 
-/// Triangles of one mesh in a tree. Faces keep their numbers in the mesh.
+/// Triangles of one mesh in a tree. Faces keep their numbers in the mesh; one that was cut is there several times.
 #[derive(Debug, Clone)]
 pub(crate) struct Bvh {
     nodes: Vec<Node>,
@@ -166,13 +171,62 @@ impl Bvh {
     }
 
     /// Builds the tree over some faces of `mesh`.
-    pub fn over(mesh: &TriMesh, mut faces: Vec<u32>) -> Self {
-        let mut nodes = Vec::with_capacity(2 * faces.len() / LEAF + 1);
-        if !faces.is_empty() {
-            build(mesh, &mut faces, 0, &mut nodes);
-        }
+    pub fn over(mesh: &TriMesh, faces: Vec<u32>) -> Self {
         let triangles = faces.iter().map(|&f| mesh.triangle(f as usize)).collect();
-        Self { nodes, triangles, faces }
+        Self::of_triangles(triangles, &faces)
+    }
+
+    /// As [`Bvh::new`], with slivers cut across.
+    ///
+    /// The slivers of a fan all reach from its hub to its rim, so that no box holds few of them: a query near the fan would
+    /// have to look at each. For nearest points, rays and winding numbers the parts of a face do as well as the face.
+    pub fn cut(mesh: &TriMesh) -> Self {
+        Self::cut_over(mesh, (0..mesh.faces.len() as u32).collect())
+    }
+
+    /// As [`Bvh::over`], with slivers cut across.
+    pub fn cut_over(mesh: &TriMesh, faces: Vec<u32>) -> Self {
+        if faces.len() < FEW {
+            return Self::over(mesh, faces);
+        }
+        let sliver = |t: &[Point3<f64>; 3]| {
+            let (_, longest) = longest_side(t);
+            let height = (t[1] - t[0]).cross(&(t[2] - t[0])).norm() / longest;
+            (longest > SLENDER * height).then_some(longest)
+        };
+        let of_faces = || faces.iter().map(|&f| mesh.triangle(f as usize));
+        let bounds = of_faces().fold(Aabb::empty(), |b, t| b.union(&Aabb::of(&t)));
+        let total: f64 = of_faces().filter_map(|t| sliver(&t)).sum();
+        // No more parts than some per face, whatever the mesh.
+        let long = (LONG * (bounds.hi - bounds.lo).norm()).max(total / (4 * faces.len()) as f64);
+        let (mut triangles, mut numbers) = (Vec::with_capacity(faces.len()), Vec::with_capacity(faces.len()));
+        let mut open = Vec::new();
+        for &f in &faces {
+            open.push(mesh.triangle(f as usize));
+            while let Some(t) = open.pop() {
+                if sliver(&t).is_some_and(|longest| longest > long) {
+                    let (k, _) = longest_side(&t);
+                    let (p, q, apex) = (t[k], t[(k + 1) % 3], t[(k + 2) % 3]);
+                    let middle = nalgebra::center(&p, &q);
+                    open.extend([[middle, q, apex], [p, middle, apex]]);
+                } else {
+                    triangles.push(t);
+                    numbers.push(f);
+                }
+            }
+        }
+        Self::of_triangles(triangles, &numbers)
+    }
+
+    /// Builds the tree; `numbers` says of which face each triangle is.
+    fn of_triangles(triangles: Vec<[Point3<f64>; 3]>, numbers: &[u32]) -> Self {
+        let mut order: Vec<u32> = (0..triangles.len() as u32).collect();
+        let mut nodes = Vec::with_capacity(2 * order.len() / LEAF + 1);
+        if !order.is_empty() {
+            build(&triangles, &mut order, 0, &mut nodes);
+        }
+        let faces = order.iter().map(|&t| numbers[t as usize]).collect();
+        Self { nodes, triangles: order.iter().map(|&t| triangles[t as usize]).collect(), faces }
     }
 
     /// The nearest point of the mesh closer than `within` (use infinity for "anywhere").
@@ -336,17 +390,23 @@ impl AngleSum {
     }
 }
 
-/// Builds the subtree over `faces` (reordered), whose first triangle has number `offset`.
-fn build(mesh: &TriMesh, faces: &mut [u32], offset: usize, nodes: &mut Vec<Node>) -> usize {
+/// The side of a triangle that is longest, counted by the corner where it begins, and its length.
+fn longest_side(t: &[Point3<f64>; 3]) -> (usize, f64) {
+    let length = |k: usize| (t[(k + 1) % 3] - t[k]).norm();
+    (1..3).fold((0, length(0)), |best, k| if length(k) > best.1 { (k, length(k)) } else { best })
+}
+
+/// Builds the subtree over some triangles (reordered), the first of which is in place `offset`.
+fn build(triangles: &[[Point3<f64>; 3]], faces: &mut [u32], offset: usize, nodes: &mut Vec<Node>) -> usize {
     let id = nodes.len();
-    nodes.push(describe(mesh, faces));
+    nodes.push(describe(triangles, faces));
     if faces.len() <= LEAF {
         nodes[id].first = offset as u32;
         nodes[id].count = faces.len() as u32;
         return id;
     }
     let centroid = |f: u32| {
-        let [a, b, c] = mesh.triangle(f as usize);
+        let [a, b, c] = triangles[f as usize];
         (a.coords + b.coords + c.coords) / 3.0
     };
     let spread = faces.iter().fold(Aabb::empty(), |b, &f| b.grown(&centroid(f).into()));
@@ -355,17 +415,17 @@ fn build(mesh: &TriMesh, faces: &mut [u32], offset: usize, nodes: &mut Vec<Node>
     // The face number breaks ties, so that the tree does not depend on the sort.
     faces.select_nth_unstable_by(middle, |&f, &g| centroid(f)[axis].total_cmp(&centroid(g)[axis]).then(f.cmp(&g)));
     let (left, right) = faces.split_at_mut(middle);
-    build(mesh, left, offset, nodes);
-    let second = build(mesh, right, offset + middle, nodes);
+    build(triangles, left, offset, nodes);
+    let second = build(triangles, right, offset + middle, nodes);
     nodes[id].first = second as u32;
     id
 }
 
-fn describe(mesh: &TriMesh, faces: &[u32]) -> Node {
+fn describe(triangles: &[[Point3<f64>; 3]], faces: &[u32]) -> Node {
     let mut bounds = Aabb::empty();
     let (mut area, mut weighted) = (0.0, Vector3::zeros());
     for &f in faces {
-        let [a, b, c] = mesh.triangle(f as usize);
+        let [a, b, c] = triangles[f as usize];
         bounds = bounds.union(&Aabb::of(&[a, b, c]));
         let s = (b - a).cross(&(c - a)).norm();
         area += s;
@@ -374,7 +434,7 @@ fn describe(mesh: &TriMesh, faces: &[u32]) -> Node {
     let center = if area > 0.0 { Point3::from(weighted / area) } else { nalgebra::center(&bounds.lo, &bounds.hi) };
     let (mut far, mut radius) = (Far::none(), 0.0_f64);
     for &f in faces {
-        let corners = mesh.triangle(f as usize).map(|p| p - center);
+        let corners = triangles[f as usize].map(|p| p - center);
         far.add(corners);
         radius = corners.iter().fold(radius, |r, c| r.max(c.norm()));
     }

@@ -1,12 +1,14 @@
 //! Faces of a mesh that cross or touch each other where they should not.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use rayon::prelude::*;
 
 use drex_core::TriMesh;
 
 use crate::bvh::{Aabb, Bvh};
 
-/// Steps of the lattice across the largest side: differences have 31 bits, their triple products fit into 96.
+/// Steps of the lattice across the largest side: differences are below 2³¹, products of two into 64 bits, of three into 96.
 const STEPS: f64 = (1u64 << 30) as f64;
 
 type Lattice = [i64; 3];
@@ -17,68 +19,124 @@ type Lattice = [i64; 3];
 /// faces that only touch count too. Neighbours count when they are folded onto each other. Faces without area do not
 /// count; vertices must be welded, or every pair of neighbours touches.
 pub fn self_intersections(mesh: &TriMesh) -> Vec<[u32; 2]> {
-    let Ok(mesh) = TriMesh::new(mesh.vertices.clone(), mesh.faces.clone()) else { return Vec::new() };
-    let Some((lo, hi)) = mesh.bounds() else { return Vec::new() };
-    let side = (hi - lo).max();
-    if !(side > 0.0) {
-        return Vec::new();
-    }
-    let lattice: Vec<Lattice> =
-        mesh.vertices.iter().map(|p| [0, 1, 2].map(|k| ((p[k] - lo[k]) / side * STEPS).round() as i64)).collect();
-    let tree = Bvh::new(&mesh);
-    let has_area: Vec<bool> =
-        mesh.faces.par_iter().map(|f| normal(&f.map(|v| lattice[v as usize])) != [0; 3]).collect();
+    let Some(search) = Search::new(mesh) else { return Vec::new() };
     let of_face = |f: u32| {
         let mut pairs = Vec::new();
-        if !has_area[f as usize] {
-            return pairs;
-        }
-        tree.any_in(&Aabb::of(&mesh.triangle(f as usize)), |g, _| {
-            let cross = g > f && has_area[g as usize] && meet(&lattice, mesh.faces[f as usize], mesh.faces[g as usize]);
-            if cross {
-                pairs.push([f, g]);
-            }
-            false
-        });
+        search.partners_above(f, |g| pairs.push([f, g]));
         pairs.sort_unstable();
         pairs
     };
     (0..mesh.faces.len() as u32).into_par_iter().flat_map_iter(of_face).collect()
 }
 
+/// The number of pairs of [`self_intersections`], and which faces are in one, without a list of them: in a heap of faces
+/// there are as many pairs as the square of their number.
+pub(crate) fn meeting_faces(mesh: &TriMesh) -> (usize, Vec<bool>) {
+    let Some(search) = Search::new(mesh) else { return (0, vec![false; mesh.faces.len()]) };
+    let meets: Vec<AtomicBool> = mesh.faces.iter().map(|_| AtomicBool::new(false)).collect();
+    let of_face = |f: u32| {
+        let mut count = 0;
+        search.partners_above(f, |g| {
+            count += 1;
+            meets[g as usize].store(true, Ordering::Relaxed);
+        });
+        if count > 0 {
+            meets[f as usize].store(true, Ordering::Relaxed);
+        }
+        count
+    };
+    let count = (0..mesh.faces.len() as u32).into_par_iter().map(of_face).sum();
+    (count, meets.into_iter().map(AtomicBool::into_inner).collect())
+}
+
+/// A mesh prepared for the search.
+struct Search<'a> {
+    mesh: &'a TriMesh,
+    lattice: Vec<Lattice>,
+    has_area: Vec<bool>,
+    tree: Bvh,
+}
+
+impl<'a> Search<'a> {
+    /// `None` for a mesh that is damaged or without extent.
+    fn new(mesh: &'a TriMesh) -> Option<Self> {
+        TriMesh::new(mesh.vertices.clone(), mesh.faces.clone()).ok()?;
+        let (lo, hi) = mesh.bounds()?;
+        let side = (hi - lo).max();
+        if !(side > 0.0) {
+            return None;
+        }
+        let lattice: Vec<Lattice> =
+            mesh.vertices.iter().map(|p| [0, 1, 2].map(|k| ((p[k] - lo[k]) / side * STEPS).round() as i64)).collect();
+        let has_area = mesh.faces.par_iter().map(|f| normal(&f.map(|v| lattice[v as usize])) != [0; 3]).collect();
+        Some(Self { mesh, lattice, has_area, tree: Bvh::new(mesh) })
+    }
+
+    /// Calls `found` with every face of a larger number that meets face `f`.
+    fn partners_above(&self, f: u32, mut found: impl FnMut(u32)) {
+        if !self.has_area[f as usize] {
+            return;
+        }
+        let faces = &self.mesh.faces;
+        self.tree.any_in(&Aabb::of(&self.mesh.triangle(f as usize)), |g, _| {
+            if g > f && self.has_area[g as usize] && meet(&self.lattice, faces[f as usize], faces[g as usize]) {
+                found(g);
+            }
+            false
+        });
+    }
+}
+
 /// Whether two faces have more in common than their common corners.
 fn meet(p: &[Lattice], f: [u32; 3], g: [u32; 3]) -> bool {
     let at = |v: u32| p[v as usize];
     let (tf, tg) = (f.map(at), g.map(at));
-    let shared: Vec<u32> = f.into_iter().filter(|v| g.contains(v)).collect();
-    let others = |t: [u32; 3]| t.into_iter().filter(|v| !shared.contains(v)).map(at).collect::<Vec<_>>();
-    match (&shared[..], &others(f)[..], &others(g)[..]) {
-        ([], _, _) => {
+    // The corners of a face from the first that the other face has, or from the first that it has not.
+    let from = |t: [u32; 3], o: [u32; 3], common: bool| {
+        let k = t.iter().position(|v| o.contains(v) == common).unwrap_or(0);
+        [0, 1, 2].map(|j| at(t[(k + j) % 3]))
+    };
+    match f.iter().filter(|v| g.contains(v)).count() {
+        0 => {
             (0..3).any(|k| segment_meets(&tf[k], &tf[(k + 1) % 3], &tg))
                 || (0..3).any(|k| segment_meets(&tg[k], &tg[(k + 1) % 3], &tf))
         }
         // Beyond the common corner, one far edge must meet the other face.
-        ([_], [a, b], [c, d]) => segment_meets(a, b, &tg) || segment_meets(c, d, &tf),
+        1 => {
+            let ([_, a, b], [_, c, d]) = (from(f, g, true), from(g, f, true));
+            let meets = |p: Lattice, q: Lattice, t: &[Lattice; 3]| !apart(&[p, q], t) && segment_meets(&p, &q, t);
+            meets(a, b, &tg) || meets(c, d, &tf)
+        }
         // Folded along the common edge: in one plane, on one side.
-        ([a, b], [c], [d]) => {
-            let (a, b) = (at(*a), at(*b));
-            volume(&a, &b, c, d) == 0 && dot(&normal(&[a, b, *c]), &normal(&[a, b, *d])) > 0
+        2 => {
+            let ([c, a, b], [d, _, _]) = (from(f, g, false), from(g, f, false));
+            side(&a, &b, &c, &d) == 0 && dot(&normal(&[a, b, c]), &normal(&[a, b, d])) > 0
         }
         _ => true,
     }
 }
 
+/// Whether the boxes of two sets of points have no point in common: most slivers of a fan are told apart by that.
+fn apart(p: &[Lattice], q: &[Lattice]) -> bool {
+    let range =
+        |set: &[Lattice], k: usize| set.iter().fold((i64::MAX, i64::MIN), |(lo, hi), v| (lo.min(v[k]), hi.max(v[k])));
+    (0..3).any(|k| {
+        let (p, q) = (range(p, k), range(q, k));
+        p.1 < q.0 || q.1 < p.0
+    })
+}
+
 /// Whether a closed segment meets a closed triangle.
 fn segment_meets(p: &Lattice, q: &Lattice, t: &[Lattice; 3]) -> bool {
     let [a, b, c] = t;
-    let (side_p, side_q) = (volume(a, b, c, p).signum(), volume(a, b, c, q).signum());
+    let (side_p, side_q) = (side(a, b, c, p), side(a, b, c, q));
     if side_p * side_q > 0 {
         return false;
     }
     if side_p == 0 && side_q == 0 {
         return segment_meets_in_plane(p, q, t);
     }
-    let s = [(a, b), (b, c), (c, a)].map(|(u, v)| volume(p, q, u, v).signum());
+    let s = [(a, b), (b, c), (c, a)].map(|(u, v)| side(p, q, u, v));
     s.iter().all(|&s| s >= 0) || s.iter().all(|&s| s <= 0)
 }
 
@@ -97,37 +155,36 @@ fn segment_meets_in_plane(p: &Lattice, q: &Lattice, t: &[Lattice; 3]) -> bool {
 
 /// Whether two segments in the plane cross, their ends not on one line.
 fn segments_cross(p: &[i64; 2], q: &[i64; 2], a: &[i64; 2], b: &[i64; 2]) -> bool {
-    let apart = |x: i128, y: i128| x.signum() * y.signum() <= 0;
+    let apart = |x: i64, y: i64| x.signum() * y.signum() <= 0;
     let (s, t) = ((turn(p, q, a), turn(p, q, b)), (turn(a, b, p), turn(a, b, q)));
     // All on one line: then an end of one lies on the other, which the test of the ends has seen, or they are apart.
     (s.0 != 0 || s.1 != 0) && apart(s.0, s.1) && apart(t.0, t.1)
 }
 
 /// Twice the area of a triangle in the plane.
-fn turn(a: &[i64; 2], b: &[i64; 2], c: &[i64; 2]) -> i128 {
-    let d = |u: i64, v: i64| i128::from(u - v);
-    d(b[0], a[0]) * d(c[1], a[1]) - d(b[1], a[1]) * d(c[0], a[0])
+fn turn(a: &[i64; 2], b: &[i64; 2], c: &[i64; 2]) -> i64 {
+    (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 }
 
-/// Six times the volume of a tetrahedron.
-fn volume(a: &Lattice, b: &Lattice, c: &Lattice, d: &Lattice) -> i128 {
+/// On which side of the plane of a triangle a point lies: the sign of the volume of the tetrahedron.
+fn side(a: &Lattice, b: &Lattice, c: &Lattice, d: &Lattice) -> i32 {
     let n = normal(&[*a, *b, *c]);
     // Floating point settles all but the close calls: each component of n is below 2⁶³, each difference below 2³¹.
     let quick: f64 = (0..3).map(|k| n[k] as f64 * (d[k] - a[k]) as f64).sum();
     if quick.abs() > 2.0_f64.powi(96 - 50) {
-        return quick as i128;
+        return if quick > 0.0 { 1 } else { -1 };
     }
-    (0..3).map(|k| n[k] * i128::from(d[k] - a[k])).sum()
+    (0..3).map(|k| i128::from(n[k]) * i128::from(d[k] - a[k])).sum::<i128>().signum() as i32
 }
 
-fn normal([a, b, c]: &[Lattice; 3]) -> [i128; 3] {
-    let (u, v) = ([0, 1, 2].map(|k| i128::from(b[k] - a[k])), [0, 1, 2].map(|k| i128::from(c[k] - a[k])));
+fn normal([a, b, c]: &[Lattice; 3]) -> [i64; 3] {
+    let (u, v) = ([0, 1, 2].map(|k| b[k] - a[k]), [0, 1, 2].map(|k| c[k] - a[k]));
     [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
 }
 
-fn dot(u: &[i128; 3], v: &[i128; 3]) -> i128 {
+fn dot(u: &[i64; 3], v: &[i64; 3]) -> i128 {
     // The products of two 63-bit components need 126 bits, their sum is below 2¹²⁷ for coordinates of 30 bits.
-    (0..3).map(|k| u[k] * v[k]).sum()
+    (0..3).map(|k| i128::from(u[k]) * i128::from(v[k])).sum()
 }
 
 #[cfg(test)]
@@ -183,7 +240,7 @@ mod tests {
     fn the_filter_never_changes_the_answer() {
         let exact = |a: &Lattice, b: &Lattice, c: &Lattice, d: &Lattice| -> i128 {
             let n = normal(&[*a, *b, *c]);
-            (0..3).map(|k| n[k] * i128::from(d[k] - a[k])).sum()
+            (0..3).map(|k| i128::from(n[k]) * i128::from(d[k] - a[k])).sum()
         };
         let big = 1i64 << 30;
         let point = |i: usize| crate::shapes::low_discrepancy(i).map(|c| (c * big as f64) as i64);
@@ -191,7 +248,7 @@ mod tests {
             let (a, b, c) = (point(i), point(i + 7), point(i + 31));
             // Close to the plane: an integer combination of the corners, off by a few steps.
             let d = [0, 1, 2].map(|k| a[k] + (b[k] - a[k]) / 3 + (c[k] - a[k]) / 4 + (i % 3) as i64 - 1);
-            assert_eq!(volume(&a, &b, &c, &d).signum(), exact(&a, &b, &c, &d).signum());
+            assert_eq!(i128::from(side(&a, &b, &c, &d)), exact(&a, &b, &c, &d).signum());
         }
     }
 }

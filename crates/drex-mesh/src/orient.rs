@@ -26,7 +26,7 @@ pub(crate) fn align_patches(mesh: &mut TriMesh, turned: &mut [bool]) {
             neighbours[*h as usize / 3][*h as usize % 3] = (g / 3, same);
         }
     }
-    let tree = Bvh::new(mesh);
+    let tree = Bvh::cut(mesh);
     let mut state: Vec<Option<bool>> = vec![None; mesh.faces.len()];
     for seed in 0..mesh.faces.len() {
         if state[seed].is_some() {

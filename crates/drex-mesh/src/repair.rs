@@ -8,7 +8,7 @@ use drex_core::TriMesh;
 
 use crate::bvh::{Aabb, Bvh, segment_triangle_distance};
 use crate::fill::{Filled, fill_holes};
-use crate::intersect::self_intersections;
+use crate::intersect::meeting_faces;
 use crate::orient::{align_patches, nesting, orient_shells};
 use crate::topology::{NONE, Sets, Topology, split_pinched};
 use crate::weld::drop_duplicates;
@@ -175,7 +175,7 @@ pub fn repair(mesh: &TriMesh, options: &RepairOptions) -> Result<(TriMesh, Repai
         open_edges: topology.open_edges,
         crowded_edges,
         split_vertices,
-        self_intersections: self_intersections(&clean).len(),
+        self_intersections: meeting_faces(&clean).0,
         dropped,
     };
     Ok((clean, report))

@@ -44,12 +44,12 @@ impl MeshSdf {
                 subject: "the mesh".into(),
                 reason: "none of its faces has an inside and an outside".into(),
             })?;
-        Ok(Self { boundary_tree: Bvh::new(&boundary), boundary, tree, outwards, bounds })
+        Ok(Self { boundary_tree: Bvh::cut(&boundary), boundary, tree, outwards, bounds })
     }
 
     /// The same for a closed mesh of which every face is known to bound the solid.
     pub(crate) fn of_whole(boundary: TriMesh) -> Result<Self> {
-        let tree = Bvh::new(&boundary);
+        let tree = Bvh::cut(&boundary);
         let bounds = boundary.bounds().ok_or_else(|| crate::Error::Empty { subject: "the mesh".into() })?;
         Ok(Self { boundary_tree: tree.clone(), boundary, tree, outwards: false, bounds })
     }

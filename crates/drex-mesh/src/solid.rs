@@ -144,7 +144,7 @@ pub(crate) fn close(mesh: &TriMesh) -> Result<(Capped, Bvh)> {
     }
     let mesh = TriMesh::new(mesh.vertices.clone(), mesh.faces.clone())?;
     let capped = cap(&mesh);
-    let tree = Bvh::new(&capped.mesh);
+    let tree = Bvh::cut(&capped.mesh);
     Ok((capped, tree))
 }
 
@@ -154,7 +154,7 @@ pub(crate) fn close(mesh: &TriMesh) -> Result<(Capped, Bvh)> {
 /// With v the winding number of the closed surface, an integer, ∫ f v dV is exact by the divergence theorem, and only
 /// ∫ f (H(w - 1/2) - v) dV is sampled: nothing but a film between lid and level set, and folds of the surface.
 fn integrate_open(capped: &Capped, tree: &Bvh) -> (Option<MassProperties>, f64) {
-    let lids = Bvh::over(&capped.mesh, (capped.surface_faces as u32..capped.mesh.faces.len() as u32).collect());
+    let lids = Bvh::cut_over(&capped.mesh, (capped.surface_faces as u32..capped.mesh.faces.len() as u32).collect());
     let Some((lo, hi)) = capped.mesh.bounds() else { return (None, 0.0) };
     let size = hi - lo;
     let cell = size.product() / SAMPLES as f64;

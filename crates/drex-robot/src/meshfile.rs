@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use drex_core::TriMesh;
+use drex_core::mesh::polygon_triangles;
 use nalgebra::{Point3, Vector3};
 
 use crate::{Error, Result};
@@ -103,10 +104,7 @@ fn read_obj(bytes: &[u8], path: &Path) -> Result<TriMesh> {
                             "export the mesh again",
                         )
                     })?;
-                // A polygon becomes a fan of triangles.
-                for k in 2..corners.len() {
-                    mesh.faces.push([corners[0], corners[k - 1], corners[k]]);
-                }
+                mesh.faces.extend(polygon_triangles(corners.len()).iter().map(|t| t.map(|k| corners[k])));
             }
             _ => {}
         }

@@ -9,6 +9,7 @@ use crate::xml::Node;
 #[derive(Debug, Default)]
 pub(crate) struct Unread {
     notes: Vec<String>,
+    noted: BTreeSet<String>,
     missing_visuals: Vec<String>,
     open_meshes: BTreeSet<String>,
     elements: BTreeMap<String, (usize, u32)>,
@@ -19,7 +20,7 @@ impl Unread {
     /// A remark in words.
     pub fn note(&mut self, sentence: impl Into<String>) {
         let sentence = sentence.into();
-        if !self.notes.contains(&sentence) {
+        if self.noted.insert(sentence.clone()) {
             self.notes.push(sentence);
         }
     }

@@ -61,9 +61,10 @@ pub(crate) fn read(root: &Node, path: &Path) -> Result<Robot> {
         }
         links.push(link);
     }
+    let number_of: BTreeMap<String, usize> = joints.iter().zip(0..).map(|(j, k)| (j.name.clone(), k)).collect();
     for (follower, node) in followers {
         let name = node.require("joint")?;
-        let Some(lead) = joints.iter().position(|j| j.name == name) else {
+        let Some(&lead) = number_of.get(name) else {
             return Err(node.fault("joint", "there is no such movable joint", "name a joint of the model"));
         };
         let a = node.with_defaults(None);

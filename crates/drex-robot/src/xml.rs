@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::Arc;
 
+use drex_core::budget;
 use nalgebra::Vector3;
 
 use crate::error::Place;
@@ -12,6 +13,15 @@ use crate::{Error, Result};
 
 /// Deeper files are refused, so that recursion over the tree cannot exhaust the stack.
 const MAX_DEPTH: usize = 200;
+
+/// Most files that a model may include, each counted as often as it is included.
+const MAX_INCLUDES: usize = 1000;
+/// Memory of an element in the parser's tree and in ours, and of its attributes, bytes.
+const ELEMENT_BYTES: u64 = 256;
+const ATTRIBUTE_BYTES: u64 = 640;
+
+/// Characters of an attribute that a message quotes.
+const MOST_QUOTED: usize = 200;
 
 /// Products of a few numbers up to this size stay finite.
 const LARGEST: f64 = 1e50;
@@ -29,6 +39,7 @@ pub(crate) struct Node {
 impl Node {
     /// Parses `text`, which came from `path`.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
+        budget::allow(path, "its elements", memory_of(text))?;
         let document = roxmltree::Document::parse(text)
             .map_err(|e| Error::document(path, e.pos().row, format!("no well-formed XML ({e})"), "repair the file"))?;
         let line_starts: Vec<usize> = std::iter::once(0)
@@ -69,15 +80,14 @@ impl Node {
     ///
     /// Files are looked for beside the main file (in `folder`) first, then beside the file that includes them.
     pub fn expand_includes(&mut self, folder: Option<&Path>) -> Result<()> {
-        let mut budget = 1000;
-        self.expand(folder, &mut Vec::new(), &mut budget)
+        self.expand(folder, &mut Includes::default())
     }
 
-    fn expand(&mut self, folder: Option<&Path>, open: &mut Vec<PathBuf>, budget: &mut usize) -> Result<()> {
+    fn expand(&mut self, folder: Option<&Path>, includes: &mut Includes) -> Result<()> {
         let mut children = Vec::with_capacity(self.children.len());
         for mut child in std::mem::take(&mut self.children) {
             if child.tag != "include" {
-                child.expand(folder, open, budget)?;
+                child.expand(folder, includes)?;
                 children.push(child);
                 continue;
             }
@@ -94,19 +104,21 @@ impl Node {
                 Some(other) if !beside.is_file() => other,
                 _ => beside,
             };
-            if open.contains(&path) {
+            if includes.open.contains(&path) {
                 return Err(child.fault("file", "the file includes itself", "remove the circle"));
             }
-            if *budget == 0 || open.len() > 50 {
+            if includes.files >= MAX_INCLUDES || includes.open.len() > 50 {
                 return Err(child.fault("file", "too many included files", "include each file once"));
             }
-            *budget -= 1;
+            includes.files += 1;
             let text = drex_core::fsutil::read_text(&path)
                 .map_err(|e| child.fault("file", e.to_string(), "give a path relative to the main file"))?;
+            includes.taken += memory_of(&text);
+            budget::allow(&path, "all included elements", includes.taken)?;
             let mut root = Self::parse(&text, &path)?;
-            open.push(path);
-            root.expand(Some(folder), open, budget)?;
-            open.pop();
+            includes.open.push(path);
+            root.expand(Some(folder), includes)?;
+            includes.open.pop();
             children.append(&mut root.children);
         }
         self.children = children;
@@ -159,7 +171,7 @@ impl Node {
         Error::Attribute {
             place: self.place(),
             attribute: attribute.into(),
-            value: value.into(),
+            value: value.chars().take(MOST_QUOTED).collect(),
             what: what.into(),
             remedy: remedy.into(),
         }
@@ -169,6 +181,22 @@ impl Node {
     pub fn with_defaults<'a>(&'a self, inherited: Option<&'a BTreeMap<String, String>>) -> Attributes<'a> {
         Attributes { node: self, inherited }
     }
+}
+
+/// Files included so far.
+#[derive(Default)]
+struct Includes {
+    files: usize,
+    /// Those inside which the reader stands.
+    open: Vec<PathBuf>,
+    /// Memory of the elements of all of them, bytes.
+    taken: u64,
+}
+
+/// An upper bound of the memory that the tree of an XML text takes, bytes.
+fn memory_of(text: &str) -> u64 {
+    let count = |mark: u8| text.bytes().filter(|&b| b == mark).count() as u64;
+    text.len() as u64 + count(b'<') * ELEMENT_BYTES + count(b'=') * ATTRIBUTE_BYTES
 }
 
 /// The attributes that describe an orientation in MJCF; giving one of them replaces an inherited one.

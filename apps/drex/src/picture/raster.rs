@@ -1,6 +1,7 @@
 //! A z-buffered triangle renderer on the CPU: enough to see a mesh, its pieces, and a hand around it.
 
 use std::io::Cursor;
+use std::ops::Range;
 
 use anyhow::{Context, Result};
 use drex_core::{Pose, TriMesh};
@@ -9,6 +10,8 @@ use nalgebra::{Point3, Vector3};
 
 /// Supersampling per axis: edges are averaged over this many samples squared.
 const OVERSAMPLE: u32 = 2;
+/// Samples that are drawn at a time, 48 bytes each: larger pictures are drawn band by band.
+const BAND_SAMPLES: u32 = 1 << 22;
 /// Sky colour, matching the report's panels.
 const BACKGROUND: [f64; 3] = [0.957, 0.961, 0.969];
 
@@ -62,7 +65,7 @@ pub fn clearest_azimuth(parts: &[Part<'_>], subject: usize, view: &View) -> f64 
     let mut best = (0.0, view.azimuth);
     for k in 0..VIEWS {
         let azimuth = std::f64::consts::TAU * f64::from(k) / f64::from(VIEWS);
-        let canvas = draw(parts, &View { azimuth, ..small });
+        let canvas = Scene::new(parts, &View { azimuth, ..small }).draw(0..small.height);
         let seen =
             |wanted: bool| canvas.part.iter().filter(|p| p.is_some_and(|p| (p == subject) == wanted)).count() as f64;
         let score = seen(true) * seen(false);
@@ -74,22 +77,46 @@ pub fn clearest_azimuth(parts: &[Part<'_>], subject: usize, view: &View) -> f64 
 }
 
 pub(super) fn render(parts: &[Part<'_>], view: &View) -> RgbImage {
-    draw(parts, view).downsample(view.width, view.height)
+    let scene = Scene::new(parts, view);
+    let mut picture = RgbImage::new(view.width, view.height);
+    let band = (BAND_SAMPLES / (view.width * OVERSAMPLE * OVERSAMPLE).max(1)).max(1);
+    for first in (0..view.height).step_by(band as usize) {
+        let rows = first..view.height.min(first + band);
+        scene.draw(rows.clone()).downsample(&mut picture, rows);
+    }
+    picture
 }
 
-fn draw(parts: &[Part<'_>], view: &View) -> Canvas {
-    let (width, height) = (view.width * OVERSAMPLE, view.height * OVERSAMPLE);
-    let mut canvas = Canvas::new(width as usize, height as usize);
-    let world: Vec<TriMesh> = parts.iter().map(|p| p.mesh.transformed(&p.world_from_mesh)).collect();
-    if let Some(camera) = Camera::framing(&world, view, width as f64, height as f64) {
-        if let Some(z) = view.table_height_m {
-            canvas.draw_table(&camera, z);
-        }
-        for (index, (mesh, part)) in world.iter().zip(parts).enumerate() {
-            canvas.draw_mesh(&camera, mesh, part.color, index);
-        }
+/// The parts in the world, and the camera that sees all of them.
+struct Scene<'a> {
+    view: &'a View,
+    /// Meshes with their colours.
+    parts: Vec<(TriMesh, [f64; 3])>,
+    camera: Option<Camera>,
+}
+
+impl<'a> Scene<'a> {
+    fn new(parts: &[Part<'_>], view: &'a View) -> Self {
+        let parts: Vec<_> = parts.iter().map(|p| (p.mesh.transformed(&p.world_from_mesh), p.color)).collect();
+        let (width, height) = (view.width * OVERSAMPLE, view.height * OVERSAMPLE);
+        let camera = Camera::framing(&parts, view, f64::from(width), f64::from(height));
+        Self { view, parts, camera }
     }
-    canvas
+
+    /// The samples of these rows of the picture.
+    fn draw(&self, rows: Range<u32>) -> Canvas {
+        let samples = |n: u32| (n * OVERSAMPLE) as usize;
+        let mut canvas = Canvas::new(samples(self.view.width), samples(rows.start)..samples(rows.end));
+        if let Some(camera) = &self.camera {
+            if let Some(z) = self.view.table_height_m {
+                canvas.draw_table(camera, z);
+            }
+            for (index, (mesh, color)) in self.parts.iter().enumerate() {
+                canvas.draw_mesh(camera, mesh, *color, index);
+            }
+        }
+        canvas
+    }
 }
 
 struct Camera {
@@ -105,10 +132,11 @@ struct Camera {
 
 impl Camera {
     /// A camera that sees the bounding sphere of all meshes; `None` if there is nothing to see.
-    fn framing(meshes: &[TriMesh], view: &View, width: f64, height: f64) -> Option<Self> {
-        let (lo, hi) = meshes.iter().filter_map(TriMesh::bounds).reduce(|a, b| (a.0.inf(&b.0), a.1.sup(&b.1)))?;
+    fn framing(parts: &[(TriMesh, [f64; 3])], view: &View, width: f64, height: f64) -> Option<Self> {
+        let meshes = || parts.iter().map(|p| &p.0);
+        let (lo, hi) = meshes().filter_map(TriMesh::bounds).reduce(|a, b| (a.0.inf(&b.0), a.1.sup(&b.1)))?;
         let target = nalgebra::center(&lo, &hi);
-        let radius = meshes.iter().flat_map(|m| &m.vertices).map(|v| (v - target).norm()).fold(1e-6, f64::max);
+        let radius = meshes().flat_map(|m| &m.vertices).map(|v| (v - target).norm()).fold(1e-6, f64::max);
         let (sa, ca) = view.azimuth.sin_cos();
         let (se, ce) = view.elevation.sin_cos();
         let back = Vector3::new(ce * ca, ce * sa, se);
@@ -143,9 +171,10 @@ impl Camera {
     }
 }
 
+/// Some rows of the samples of a picture.
 struct Canvas {
     width: usize,
-    height: usize,
+    rows: Range<usize>,
     depth: Vec<f64>,
     color: Vec<[f64; 3]>,
     /// Which part is seen in each sample.
@@ -153,14 +182,20 @@ struct Canvas {
 }
 
 impl Canvas {
-    fn new(width: usize, height: usize) -> Self {
+    fn new(width: usize, rows: Range<usize>) -> Self {
+        let samples = width * rows.len();
         Self {
             width,
-            height,
-            depth: vec![f64::INFINITY; width * height],
-            color: vec![BACKGROUND; width * height],
-            part: vec![None; width * height],
+            rows,
+            depth: vec![f64::INFINITY; samples],
+            color: vec![BACKGROUND; samples],
+            part: vec![None; samples],
         }
+    }
+
+    /// Where the sample of a column and a row of the whole picture is kept.
+    fn index(&self, x: usize, y: usize) -> usize {
+        (y - self.rows.start) * self.width + x
     }
 
     fn draw_mesh(&mut self, camera: &Camera, mesh: &TriMesh, color: [f64; 3], part: usize) {
@@ -180,7 +215,7 @@ impl Canvas {
     fn draw_table(&mut self, camera: &Camera, z: f64) {
         let square = nice_length(camera.radius / 4.0);
         let reach = 2.2 * camera.radius;
-        for y in 0..self.height {
+        for y in self.rows.clone() {
             for x in 0..self.width {
                 let ray = camera.forward
                     + camera.right * ((x as f64 + 0.5 - camera.center.0) / camera.focal)
@@ -196,7 +231,7 @@ impl Canvas {
                 }
                 let dark = ((p.x / square).floor() + (p.y / square).floor()).rem_euclid(2.0) < 0.5;
                 let tone = if dark { 0.80 } else { 0.87 };
-                let i = y * self.width + x;
+                let i = self.index(x, y);
                 self.depth[i] = t;
                 self.color[i] = std::array::from_fn(|k| BACKGROUND[k] + (tone - BACKGROUND[k]) * fade);
             }
@@ -209,11 +244,11 @@ impl Canvas {
         if area.abs() < 1e-12 {
             return;
         }
-        let clamp = |v: f64, n: usize| v.clamp(0.0, n as f64) as usize;
-        let (x0, x1) =
-            (clamp(a.x.min(b.x).min(c.x).floor(), self.width), clamp(a.x.max(b.x).max(c.x).ceil(), self.width));
+        let clamp = |v: f64, to: &Range<usize>| v.clamp(to.start as f64, to.end as f64) as usize;
+        let columns = 0..self.width;
+        let (x0, x1) = (clamp(a.x.min(b.x).min(c.x).floor(), &columns), clamp(a.x.max(b.x).max(c.x).ceil(), &columns));
         let (y0, y1) =
-            (clamp(a.y.min(b.y).min(c.y).floor(), self.height), clamp(a.y.max(b.y).max(c.y).ceil(), self.height));
+            (clamp(a.y.min(b.y).min(c.y).floor(), &self.rows), clamp(a.y.max(b.y).max(c.y).ceil(), &self.rows));
         for y in y0..y1 {
             for x in x0..x1 {
                 let (px, py) = (x as f64 + 0.5, y as f64 + 0.5);
@@ -225,7 +260,7 @@ impl Canvas {
                 }
                 // 1/z is linear on the screen.
                 let z = 1.0 / (wa / a.z + wb / b.z + wc / c.z);
-                let i = y * self.width + x;
+                let i = self.index(x, y);
                 if z < self.depth[i] {
                     self.depth[i] = z;
                     self.color[i] = color;
@@ -235,20 +270,22 @@ impl Canvas {
         }
     }
 
-    fn downsample(&self, width: u32, height: u32) -> RgbImage {
+    /// Averages the samples of these rows of the picture.
+    fn downsample(&self, picture: &mut RgbImage, rows: Range<u32>) {
         let n = OVERSAMPLE as usize;
-        RgbImage::from_fn(width, height, |x, y| {
+        let width = picture.width();
+        for (x, y) in rows.flat_map(|y| (0..width).map(move |x| (x, y))) {
             let mut sum = [0.0; 3];
             for dy in 0..n {
                 for dx in 0..n {
-                    let c = self.color[(y as usize * n + dy) * self.width + x as usize * n + dx];
+                    let c = self.color[self.index(x as usize * n + dx, y as usize * n + dy)];
                     for k in 0..3 {
                         sum[k] += c[k];
                     }
                 }
             }
-            Rgb(sum.map(|s| (255.0 * s / (n * n) as f64).round().clamp(0.0, 255.0) as u8))
-        })
+            picture.put_pixel(x, y, Rgb(sum.map(|s| (255.0 * s / (n * n) as f64).round().clamp(0.0, 255.0) as u8)));
+        }
     }
 }
 
@@ -316,6 +353,25 @@ mod tests {
         let view = View { width: 120, height: 120, azimuth: 0.0, elevation: 0.2, table_height_m: None };
         let azimuth = clearest_azimuth(&[part(&wall), part(&subject)], 1, &view);
         assert!(azimuth.cos() < 0.0, "the subject is hidden from azimuth 0 and seen from behind: {azimuth}");
+    }
+
+    #[test]
+    fn a_large_picture_is_drawn_band_by_band_and_is_the_same() {
+        let (low, high) = (triangle(0.0), triangle(0.4));
+        let part = |mesh, color| Part { mesh, world_from_mesh: Pose::identity(), color };
+        let parts = [part(&high, [1.0, 0.0, 0.0]), part(&low, [0.0, 0.0, 1.0])];
+        let view = View { width: 33, height: 40, azimuth: 0.3, elevation: 0.4, table_height_m: Some(-0.1) };
+        let scene = Scene::new(&parts, &view);
+        let mut bands = RgbImage::new(view.width, view.height);
+        for rows in [0..7, 7..8, 8..40] {
+            scene.draw(rows.clone()).downsample(&mut bands, rows);
+        }
+        assert_eq!(bands, render(&parts, &view));
+        // Memory: a band, and the picture with the bytes of its file.
+        let large = View { width: 4000, height: 3000, ..view };
+        let mut bytes = 0;
+        let used = allocation_counter::measure(|| bytes = render_png(&parts, &large).unwrap().len());
+        assert!(bytes > 0 && used.bytes_max < 300_000_000, "{} bytes", used.bytes_max);
     }
 
     #[test]

@@ -3,20 +3,27 @@
 mod output;
 
 use std::fs;
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::{Component, Path, PathBuf};
 
 use serde::de::DeserializeOwned;
 
 pub use self::output::{OutputFolder, argument, output_path, remove_unfinished, temporary_path};
-use crate::{Error, Result};
+use crate::{Error, Result, budget};
 
 /// The whole file as bytes.
 ///
 /// # Errors
-/// If it cannot be read.
+/// If it cannot be read, or is larger than [`budget::max_memory`]; a device or a pipe is read up to that limit.
 pub fn read_bytes(path: &Path) -> Result<Vec<u8>> {
-    fs::read(path).map_err(|e| Error::io("read", path, e))
+    let failed = |e| Error::io("read", path, e);
+    let file = fs::File::open(path).map_err(failed)?;
+    let announced = file.metadata().map_err(failed)?.len();
+    budget::allow(path, "the file", announced)?;
+    let mut bytes = Vec::with_capacity(announced as usize);
+    file.take(budget::max_memory() + 1).read_to_end(&mut bytes).map_err(failed)?;
+    budget::allow(path, "the file", bytes.len() as u64)?;
+    Ok(bytes)
 }
 
 /// The whole file as UTF-8 text.
@@ -51,10 +58,16 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
+/// Most memory of a parsed text per byte of it: `1,` can become a value of 32 bytes in a list that is growing.
+const TOML_BYTES: u64 = 128;
+const JSON_BYTES: u64 = 16;
+/// Most memory of a JSON object apart from its values.
+const JSON_OBJECT_BYTES: u64 = 640;
+
 /// A value from the TOML `text` of `path`.
 ///
 /// # Errors
-/// If the text is no TOML of this shape, with line and column, or has a number that is not finite, with the entry.
+/// If the text is too large for [`budget::max_memory`], is no TOML of this shape, with line and column, or has a number that is not finite, with the entry.
 pub fn from_toml<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T> {
     let refuse = |e: &toml::de::Error| {
         let (line, what) = match e.span() {
@@ -67,6 +80,7 @@ pub fn from_toml<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T> {
         };
         Error::content(path, line, what, "correct the entry as documented")
     };
+    budget::allow(path, "its entries", text.len() as u64 * TOML_BYTES)?;
     let table: toml::Table = toml::from_str(text).map_err(|e| refuse(&e))?;
     if let Some(entry) = table.iter().find_map(|(key, value)| not_finite(key, value)) {
         return Err(Error::content(path, None, format!("{entry} is not finite"), "give a number"));
@@ -87,8 +101,10 @@ fn not_finite(name: &str, value: &toml::Value) -> Option<String> {
 /// A value from the JSON `text` of `path`.
 ///
 /// # Errors
-/// If the text is no JSON of this shape; the message gives line and column.
+/// If the text is too large for [`budget::max_memory`], or no JSON of this shape; the message gives line and column.
 pub fn from_json<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T> {
+    let objects = text.bytes().filter(|&b| b == b'{').count() as u64;
+    budget::allow(path, "its entries", text.len() as u64 * JSON_BYTES + objects * JSON_OBJECT_BYTES)?;
     serde_json::from_str(text).map_err(|e| {
         // serde_json appends " at line 3 column 7", which the error says in its own way.
         let message = e.to_string();

@@ -136,6 +136,37 @@ impl TriMesh {
     }
 }
 
+/// Largest polygon that becomes a fan round its first corner.
+const LARGEST_FAN: usize = 8;
+
+/// The n - 2 triangles of a polygon with `corners` corners, wound like it, as positions in the polygon; none for fewer than
+/// three.
+///
+/// Up to eight corners make a fan round the first one. Of larger ones every second corner is cut off, again and again:
+/// as right for convex polygons as a fan is, and its triangles are small and round where those of a fan are thousands of slivers
+/// that all meet in one corner.
+pub fn polygon_triangles(corners: usize) -> Vec<[usize; 3]> {
+    if corners <= LARGEST_FAN {
+        return (2..corners).map(|k| [0, k - 1, k]).collect();
+    }
+    let mut out = Vec::with_capacity(corners - 2);
+    let mut left: Vec<usize> = (0..corners).collect();
+    while left.len() > LARGEST_FAN {
+        let mut kept = Vec::with_capacity(left.len() / 2 + 1);
+        for pair in left.chunks(2) {
+            kept.push(pair[0]);
+            if let [from, off] = *pair {
+                // The corner after the last one is the first.
+                let to = left.get(2 * kept.len()).copied().unwrap_or(left[0]);
+                out.push([from, off, to]);
+            }
+        }
+        left = kept;
+    }
+    out.extend(left.windows(2).skip(1).map(|w| [left[0], w[0], w[1]]));
+    out
+}
+
 /// The point of the triangle nearest to `p` (Ericson, *Real-Time Collision Detection*, 2004, section 5.1.5).
 pub fn nearest_on_triangle(p: &Point3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> Point3<f64> {
     let (ab, ac, ap) = (b - a, c - a, p - a);
@@ -209,5 +240,35 @@ impl MassProperties {
         let mut e: Vec<f64> = self.inertia.symmetric_eigenvalues().iter().copied().collect();
         e.sort_by(f64::total_cmp);
         self.mass_kg > 0.0 && e[0] > 0.0 && e[0] + e[1] >= e[2] * (1.0 - 1e-9)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_polygon_of_any_size_is_covered_once_by_triangles_without_slivers() {
+        assert_eq!(polygon_triangles(5), [[0, 1, 2], [0, 2, 3], [0, 3, 4]]);
+        assert!((0..3).all(|n| polygon_triangles(n).is_empty()));
+        for n in [9, 10, 17, 100, 2001] {
+            let angle = |k: usize| std::f64::consts::TAU * k as f64 / n as f64;
+            let at = |k: usize| [angle(k).cos(), angle(k).sin()];
+            let triangles = polygon_triangles(n);
+            assert_eq!(triangles.len(), n - 2, "{n}");
+            let areas: Vec<f64> = triangles
+                .iter()
+                .map(|t| {
+                    let [a, b, c] = t.map(at);
+                    0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+                })
+                .collect();
+            assert!(areas.iter().all(|&a| a > 0.0), "{n}: all wound like the polygon");
+            let whole = 0.5 * n as f64 * angle(1).sin();
+            assert!((areas.iter().sum::<f64>() - whole).abs() < 1e-9, "{n}");
+            // Half of all triangles span two edges, a quarter four: their lengths add up to a few rounds.
+            let span = |t: &[usize; 3]| (at(t[2])[0] - at(t[0])[0]).hypot(at(t[2])[1] - at(t[0])[1]);
+            assert!(triangles.iter().map(span).sum::<f64>() < 7.0 * (n as f64).log2(), "{n}");
+        }
     }
 }

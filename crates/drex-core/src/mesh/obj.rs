@@ -4,11 +4,11 @@ use std::path::Path;
 
 use nalgebra::Point3;
 
-use super::TriMesh;
+use super::{TriMesh, polygon_triangles};
 use crate::{Error, Result, fsutil};
 
-/// Reads the vertices (in full f64 precision) and faces of an OBJ file. Polygons become fans of triangles around their
-/// first corner, which is right for convex ones; objects and groups become one mesh.
+/// Reads the vertices (in full f64 precision) and faces of an OBJ file. Polygons become triangles as by
+/// [`polygon_triangles`], which is right for convex ones; objects and groups become one mesh.
 ///
 /// # Errors
 /// If it cannot be read; with the line if a vertex or face is malformed, not finite, or names a vertex that is not there;
@@ -51,7 +51,7 @@ pub fn parse_obj(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
                 if corners.len() < 3 {
                     return Err(refuse("a face needs three corners"));
                 }
-                faces.extend(corners[1..].windows(2).map(|w| [corners[0], w[0], w[1]]));
+                faces.extend(polygon_triangles(corners.len()).iter().map(|t| t.map(|k| corners[k])));
             }
             _ => {}
         }

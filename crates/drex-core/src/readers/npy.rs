@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::{Error, Result};
+use crate::{Error, Result, budget};
 
 /// An array as it stood in the file, in C order (the last index runs fastest).
 #[derive(Debug, Clone, PartialEq)]
@@ -44,7 +44,7 @@ impl NpyArray {
     }
 }
 
-/// Reads an array from the bytes of `path`. Nothing is allocated beyond what the bytes hold. Complex numbers, records and
+/// Reads an array from the bytes of `path`. What a shape announces is never allocated unless the bytes are there. Complex numbers, records and
 /// pickled objects are refused.
 ///
 /// # Errors
@@ -79,6 +79,13 @@ pub fn parse_npy(path: &Path, bytes: &[u8]) -> Result<NpyArray> {
         Some("False") => false,
         _ => return Err(refuse("the memory order of the array is not stated".into())),
     };
+    // As read, and once more where the order of memory is turned; a text has a list of its own.
+    let each = if matches!(kind.class, b'U' | b'S') { 56 } else { 16 };
+    budget::allow(
+        path,
+        format_args!("{} items", data.len() / kind.size.max(1)),
+        (data.len() / kind.size.max(1)) as u64 * each,
+    )?;
     // Items without bytes (empty texts) would have any number of items in no data.
     let items = data.chunks_exact(kind.size.max(1));
     let values = match kind.class {

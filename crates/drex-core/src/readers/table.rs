@@ -2,7 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::{Error, Result};
+use crate::{Error, Result, budget};
+
+/// Memory of a row and of a field apart from the text, bytes.
+const ROW_BYTES: u64 = 256;
+const FIELD_BYTES: u64 = 16;
+/// No recording has more columns.
+const MOST_COLUMNS: usize = 4096;
 
 /// A csv file with a header line. Blank lines and lines that start with `#` are skipped.
 ///
@@ -23,6 +29,10 @@ impl Table {
     /// # Errors
     /// If it is not text, has no header or no rows, names a column twice, or a row has another number of fields than the header.
     pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self> {
+        let count = |mark: u8| bytes.iter().filter(|&&b| b == mark).count() as u64;
+        let rows = count(b'\n') + 1;
+        let memory = rows * ROW_BYTES + count(b',') * FIELD_BYTES + 2 * bytes.len() as u64;
+        budget::allow(path, format_args!("{rows} rows"), memory)?;
         let mut reader = csv::ReaderBuilder::new()
             .has_headers(false)
             .flexible(true)
@@ -47,6 +57,10 @@ impl Table {
         let Some((_, head)) = records.next() else {
             return Err(Error::content(path, None, "the file is empty", "give a csv file with a header line"));
         };
+        if head.len() > MOST_COLUMNS {
+            let what = format!("{} columns, more than {MOST_COLUMNS}", head.len());
+            return Err(Error::content(path, 1, what, "give a csv file with one row per time"));
+        }
         let header: Vec<String> = head.iter().map(str::to_owned).collect();
         let mut rows: Vec<_> = records.collect();
         let mut cut_rows = 0;

@@ -116,7 +116,7 @@ impl Spread {
 /// Distance of the surface of the union (what of each piece is in no other one) from the mesh.
 fn union_to_mesh(pieces: &[TriMesh], mesh: &TriMesh) -> Option<Spread> {
     let area: f64 = pieces.iter().map(TriMesh::area).sum();
-    let (tree, planes) = (Bvh::new(mesh), pieces.iter().map(Planes::new).collect::<Vec<_>>());
+    let (tree, planes) = (Bvh::cut(mesh), pieces.iter().map(Planes::new).collect::<Vec<_>>());
     let probes: Vec<(usize, Point3<f64>)> = pieces
         .iter()
         .enumerate()

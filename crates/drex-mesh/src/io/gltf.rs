@@ -1,5 +1,7 @@
 //! glTF 2.0 and GLB: the triangles of the default scene, node transforms applied, with their looks.
 
+use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use base64::Engine;
@@ -7,6 +9,7 @@ use gltf::accessor::{DataType, Dimensions};
 use gltf::buffer::Source;
 use nalgebra::{Matrix4, Point3};
 
+use drex_core::budget;
 use drex_core::fsutil::read_bytes;
 
 use super::glb::srgb;
@@ -15,8 +18,10 @@ use crate::{Error, Result};
 
 /// Nodes nested deeper than this are refused: a scene does not need it, the stack would end.
 const DEEPEST: usize = 128;
-/// More corners than this are refused: a few bytes can name the same buffer over and over.
-const MOST_CORNERS: usize = 1 << 26;
+/// Memory of one JSON object (a node, an accessor, a material), bytes; the largest are a little smaller.
+const OBJECT_BYTES: u64 = 512;
+/// Memory of one number of an accessor, bytes: as read, in a part of the model, and in the mesh made of all parts.
+const NUMBER_BYTES: u64 = 24;
 
 pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<Model> {
     // The validation of the glTF library indexes out of bounds on some damaged files.
@@ -35,15 +40,23 @@ fn read(path: &Path, bytes: &[u8]) -> Result<Model> {
     if bytes.starts_with(b"glTF") && (word(8) > bytes.len() || word(8) < 20 || word(12) > word(8) - 20) {
         return Err(bad(path, "the binary header names more bytes than there are", "check that the file is complete"));
     }
+    let json = if bytes.starts_with(b"glTF") { bytes.get(20..20 + word(12)).unwrap_or_default() } else { bytes };
+    let objects = json.iter().filter(|&&b| b == b'{').count() as u64;
+    budget::allow(path, format_args!("{objects} objects"), objects * OBJECT_BYTES)?;
     let file = gltf::Gltf::from_slice(bytes)
         .map_err(|e| bad(path, format!("no valid glTF: {e}"), "check it with the glTF validator or export it again"))?;
     let mut reader = Reader {
         path,
-        buffers: buffers(path, &file)?,
+        buffers: Vec::new(),
+        images: BTreeMap::new(),
         visited: vec![false; file.nodes().len()],
-        corners: 0,
+        taken: 0,
         model: Model::default(),
     };
+    for buffer in file.buffers() {
+        let data = reader.buffer(&buffer, file.blob.as_deref())?;
+        reader.buffers.push(data);
+    }
     reader.model.materials = file.materials().map(|m| reader.material(&m)).collect::<Result<_>>()?;
     let scene = file.default_scene().or_else(|| file.scenes().next());
     match scene {
@@ -51,27 +64,6 @@ fn read(path: &Path, bytes: &[u8]) -> Result<Model> {
         None => file.meshes().try_for_each(|m| reader.primitives(&m, m.name(), &Matrix4::identity()))?,
     }
     Ok(reader.model)
-}
-
-fn buffers(path: &Path, file: &gltf::Gltf) -> Result<Vec<Vec<u8>>> {
-    file.buffers()
-        .map(|buffer| {
-            let data = match buffer.source() {
-                Source::Bin => file.blob.clone().unwrap_or_default(),
-                Source::Uri(uri) => match embedded(uri) {
-                    Some(data) => data.map_err(|e| {
-                        bad(path, format!("buffer {}: no base64 ({e})", buffer.index()), "export it again")
-                    })?,
-                    None => read_bytes(&beside(path, &percent_decoded(uri))?)?,
-                },
-            };
-            if data.len() < buffer.length() {
-                let what = format!("buffer {} has {} bytes, not {}", buffer.index(), data.len(), buffer.length());
-                return Err(bad(path, what, "check that the file and its buffers are complete"));
-            }
-            Ok(data)
-        })
-        .collect()
 }
 
 /// The bytes of a `data:` URI.
@@ -102,14 +94,45 @@ fn percent_decoded(uri: &str) -> String {
 
 struct Reader<'a> {
     path: &'a Path,
-    buffers: Vec<Vec<u8>>,
+    buffers: Vec<Cow<'a, [u8]>>,
+    /// Pictures by their position in the file; materials share them.
+    images: BTreeMap<usize, Option<Texture>>,
     /// Nodes already met: in a tree each has one parent.
     visited: Vec<bool>,
-    corners: usize,
+    /// Memory taken so far, bytes: a few bytes can name the same buffer over and over.
+    taken: u64,
     model: Model,
 }
 
-impl Reader<'_> {
+impl<'a> Reader<'a> {
+    /// Counts memory that is about to be taken.
+    fn take(&mut self, what: &str, bytes: u64) -> Result<()> {
+        self.taken = self.taken.saturating_add(bytes);
+        Ok(budget::allow(self.path, format_args!("what the scene has up to {what}"), self.taken)?)
+    }
+
+    fn buffer(&mut self, buffer: &gltf::Buffer<'_>, blob: Option<&'a [u8]>) -> Result<Cow<'a, [u8]>> {
+        let (path, place) = (self.path, format!("buffer {}", buffer.index()));
+        let data = match buffer.source() {
+            Source::Bin => Cow::Borrowed(blob.unwrap_or_default()),
+            Source::Uri(uri) => {
+                let data = match embedded(uri) {
+                    Some(data) => {
+                        data.map_err(|e| bad(path, format!("{place}: no base64 ({e})"), "export it again"))?
+                    }
+                    None => read_bytes(&beside(path, &percent_decoded(uri))?)?,
+                };
+                self.take(&place, data.len() as u64)?;
+                Cow::Owned(data)
+            }
+        };
+        if data.len() < buffer.length() {
+            let what = format!("{place} has {} bytes, not {}", data.len(), buffer.length());
+            return Err(bad(path, what, "check that the file and its buffers are complete"));
+        }
+        Ok(data)
+    }
+
     fn node(&mut self, node: &gltf::Node<'_>, scene_from_parent: &Matrix4<f64>, depth: usize) -> Result<()> {
         let seen = self.visited.get_mut(node.index()).is_none_or(|v| std::mem::replace(v, true));
         if seen || depth > DEEPEST {
@@ -129,7 +152,9 @@ impl Reader<'_> {
         for primitive in mesh.primitives() {
             let place = format!("mesh {}, primitive {}", mesh.index(), primitive.index());
             let Some(positions) = primitive.get(&gltf::Semantic::Positions) else { continue };
-            let mut part = ModelPart { name: name.unwrap_or_default().into(), ..ModelPart::default() };
+            let name = name.unwrap_or_default();
+            self.take(&place, (size_of::<ModelPart>() + name.len()) as u64)?;
+            let mut part = ModelPart { name: name.into(), ..ModelPart::default() };
             for row in self.rows(&positions, &place, &[3])?.chunks_exact(3) {
                 let p = scene_from_node.transform_point(&Point3::new(row[0], row[1], row[2]));
                 if p.iter().any(|c| !c.is_finite()) {
@@ -181,33 +206,45 @@ impl Reader<'_> {
         Ok(())
     }
 
-    fn material(&self, material: &gltf::Material<'_>) -> Result<Material> {
+    fn material(&mut self, material: &gltf::Material<'_>) -> Result<Material> {
         let surface = material.pbr_metallic_roughness();
-        let mut out = Material {
+        let texture = match surface.base_color_texture() {
+            Some(info) => self.image(&info.texture().source())?,
+            None => None,
+        };
+        Ok(Material {
             name: material.name().unwrap_or_default().into(),
             base_color: surface.base_color_factor(),
-            texture: None,
-        };
-        let Some(info) = surface.base_color_texture() else { return Ok(out) };
-        let image = info.texture().source();
-        out.texture = match image.source() {
+            texture,
+        })
+    }
+
+    /// A picture, read once however many materials show it.
+    fn image(&mut self, image: &gltf::Image<'_>) -> Result<Option<Texture>> {
+        if let Some(known) = self.images.get(&image.index()) {
+            return Ok(known.clone());
+        }
+        let place = format!("image {}", image.index());
+        let texture = match image.source() {
             gltf::image::Source::View { view, mime_type } => {
                 let end = view.offset().checked_add(view.length());
                 let bytes = self.buffers.get(view.buffer().index()).zip(end).and_then(|(b, e)| b.get(view.offset()..e));
                 let Some(bytes) = bytes else {
-                    let what = format!("image {} reaches beyond its buffer", image.index());
+                    let what = format!("{place} reaches beyond its buffer");
                     return Err(bad(self.path, what, "export the file again"));
                 };
-                Some(Texture { bytes: bytes.to_vec(), mime: mime_type.into() })
+                Some(Texture { bytes: bytes.into(), mime: mime_type.into() })
             }
             gltf::image::Source::Uri { uri, .. } => match embedded(uri) {
-                Some(bytes) => Some(Texture::new(bytes.map_err(|e| {
-                    bad(self.path, format!("image {}: no base64 ({e})", image.index()), "export it again")
-                })?)),
+                Some(bytes) => Some(Texture::new(
+                    bytes.map_err(|e| bad(self.path, format!("{place}: no base64 ({e})"), "export it again"))?,
+                )),
                 None => picture(self.path, &percent_decoded(uri))?,
             },
         };
-        Ok(out)
+        self.take(&place, texture.as_ref().map_or(0, |t| t.bytes.len() as u64))?;
+        self.images.insert(image.index(), texture.clone());
+        Ok(texture)
     }
 
     /// All numbers of an accessor with one of these numbers of columns, row after row; integers that stand for 0 to 1 as such.
@@ -247,12 +284,14 @@ impl Reader<'_> {
         let Some(data) = self.buffers.get(view.buffer().index()).and_then(|b| b.get(start..end)) else {
             return refuse("reaches beyond its buffer");
         };
-        self.corners += accessor.count();
-        if stride < row || self.corners > MOST_CORNERS {
-            return refuse("overlaps itself or makes the scene larger than 67 million corners");
+        if stride < row {
+            return refuse("overlaps itself");
         }
-        let mut out = Vec::with_capacity(accessor.count() * n);
-        for i in 0..accessor.count() {
+        let count = accessor.count();
+        self.taken = self.taken.saturating_add((count * n) as u64 * NUMBER_BYTES);
+        budget::allow(path, format_args!("what the scene has up to {place}"), self.taken)?;
+        let mut out = Vec::with_capacity(count * n);
+        for i in 0..count {
             for k in 0..n {
                 let at = i * stride + k * size;
                 let b = &data[at..at + size];

@@ -23,7 +23,7 @@ use crate::{Error, Result};
 
 /// Reads a mesh; the extension says the format (`.stl`, `.obj`, `.ply`, `.gltf`, `.glb`, in any case).
 ///
-/// Faces with more than three corners become fans. Coordinates come as the file has them, in the file's unit and axes
+/// Faces with more corners become triangles ([`drex_core::mesh::polygon_triangles`]). Coordinates come as the file has them, in the file's unit and axes
 /// (glTF: metres, +Y up, node transforms of the default scene applied). Looks are left
 /// to [`read_model`].
 ///

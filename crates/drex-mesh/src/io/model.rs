@@ -1,6 +1,7 @@
 //! What a renderer needs of a file: parts with texture coordinates and colours, materials, textures.
 
 use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
 
 use drex_core::TriMesh;
 use drex_core::fsutil::read_bytes;
@@ -53,15 +54,16 @@ impl Default for Material {
 /// A picture file in memory, not decoded.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Texture {
-    /// The bytes of the file.
-    pub bytes: Vec<u8>,
+    /// The bytes of the file; materials with the same picture share them.
+    pub bytes: Arc<[u8]>,
     /// `image/png`, `image/jpeg` or what the file calls it.
     pub mime: String,
 }
 
 impl Texture {
     /// A picture whose type is told by its first bytes.
-    pub fn new(bytes: Vec<u8>) -> Self {
+    pub fn new(bytes: impl Into<Arc<[u8]>>) -> Self {
+        let bytes = bytes.into();
         let mime = match &bytes[..] {
             [0x89, b'P', b'N', b'G', ..] => "image/png",
             [0xff, 0xd8, 0xff, ..] => "image/jpeg",

@@ -1,14 +1,15 @@
 //! Wavefront OBJ with materials, texture coordinates and vertex colours.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use std::path::Path;
 
 use nalgebra::Point3;
 
 use drex_core::fsutil::{read_bytes, write_atomic};
+use drex_core::mesh::polygon_triangles;
 
-use super::model::{Material, Model, ModelPart, beside, picture};
+use super::model::{Material, Model, ModelPart, Texture, beside, picture};
 use crate::{Error, Result};
 
 /// Parses an OBJ; parts are the runs of faces between `o`, `g` and `usemtl`, equal ones joined.
@@ -34,9 +35,16 @@ struct Reader<'a> {
     colors: Vec<[f64; 3]>,
     uv: Vec<[f32; 2]>,
     materials: Vec<Material>,
+    /// Materials by name; of several with one name the first.
+    named: BTreeMap<String, usize>,
+    /// Libraries and pictures, each read once however often it is named.
+    libraries: BTreeSet<String>,
+    pictures: BTreeMap<String, Option<Texture>>,
     parts: Vec<Building>,
     /// Parts by name and material.
     known: BTreeMap<(String, Option<usize>), usize>,
+    /// The part that faces go to, until a line names another.
+    part: Option<usize>,
     name: String,
     material: Option<usize>,
 }
@@ -59,8 +67,12 @@ impl<'a> Reader<'a> {
             colors: Vec::new(),
             uv: Vec::new(),
             materials: Vec::new(),
+            named: BTreeMap::new(),
+            libraries: BTreeSet::new(),
+            pictures: BTreeMap::new(),
             parts: Vec::new(),
             known: BTreeMap::new(),
+            part: None,
             name: String::new(),
             material: None,
         }
@@ -107,18 +119,23 @@ impl<'a> Reader<'a> {
                 }
                 let part = self.part();
                 let corners: Vec<u32> = corners.into_iter().map(|c| part.corner(c)).collect();
-                part.faces.extend(corners[1..].windows(2).map(|w| [corners[0], w[0], w[1]]));
+                part.faces.extend(polygon_triangles(corners.len()).iter().map(|t| t.map(|k| corners[k])));
             }
-            "o" | "g" => self.name = rest.trim().to_string(),
+            "o" | "g" => {
+                self.name = rest.trim().to_string();
+                self.part = None;
+            }
             "usemtl" => {
                 let name = rest.trim();
-                let found = self.materials.iter().position(|m| m.name == name);
-                self.material = Some(found.unwrap_or_else(|| {
-                    self.materials.push(Material { name: name.into(), ..Material::default() });
-                    self.materials.len() - 1
-                }));
+                let found = self.named.get(name).copied();
+                self.material = Some(found.unwrap_or_else(|| self.add_material(name)));
+                self.part = None;
             }
-            "mtllib" => self.library(rest)?,
+            "mtllib" => {
+                if self.libraries.insert(rest.trim().to_owned()) {
+                    self.library(rest)?;
+                }
+            }
             _ => {}
         }
         Ok(())
@@ -141,12 +158,22 @@ impl<'a> Reader<'a> {
     }
 
     fn part(&mut self) -> &mut Building {
-        let key = (self.name.clone(), self.material);
-        let k = *self.known.entry(key).or_insert_with(|| {
-            self.parts.push(Building { name: self.name.clone(), material: self.material, ..Building::default() });
-            self.parts.len() - 1
+        let k = self.part.unwrap_or_else(|| {
+            *self.known.entry((self.name.clone(), self.material)).or_insert_with(|| {
+                self.parts.push(Building { name: self.name.clone(), material: self.material, ..Building::default() });
+                self.parts.len() - 1
+            })
         });
+        self.part = Some(k);
         &mut self.parts[k]
+    }
+
+    /// A material without looks; its position.
+    fn add_material(&mut self, name: &str) -> usize {
+        let k = self.materials.len();
+        self.materials.push(Material { name: name.into(), ..Material::default() });
+        self.named.entry(name.to_owned()).or_insert(k);
+        k
     }
 
     fn library(&mut self, name: &str) -> Result<()> {
@@ -162,7 +189,7 @@ impl<'a> Reader<'a> {
             let line = line.split('#').next().unwrap_or_default().trim();
             let (key, rest) = line.split_once(char::is_whitespace).unwrap_or((line, ""));
             if key == "newmtl" {
-                self.materials.push(Material { name: rest.trim().into(), ..Material::default() });
+                self.add_material(rest.trim());
                 continue;
             }
             let Some(material) = self.materials.last_mut() else { continue };
@@ -183,7 +210,10 @@ impl<'a> Reader<'a> {
                     } else {
                         rest
                     };
-                    material.texture = picture(&path, name)?;
+                    material.texture = match self.pictures.get(name) {
+                        Some(known) => known.clone(),
+                        None => self.pictures.entry(name.to_owned()).or_insert(picture(&path, name)?).clone(),
+                    };
                 }
                 _ => {}
             }
@@ -226,13 +256,14 @@ impl Building {
 pub fn write_obj_model(path: &Path, model: &Model) -> Result<()> {
     model.check()?;
     let stem = path.file_stem().map(|s| word(&s.to_string_lossy())).unwrap_or_else(|| "model".into());
+    let names = material_names(model);
     let mut text = String::new();
     // Writing to a string cannot fail.
     if !model.materials.is_empty() {
         let mut library = String::new();
         for (k, m) in model.materials.iter().enumerate() {
             let [r, g, b, a] = m.base_color;
-            let _ = writeln!(library, "newmtl {}\nKd {r} {g} {b}\nd {a}", material_name(model, k));
+            let _ = writeln!(library, "newmtl {}\nKd {r} {g} {b}\nd {a}", names[k]);
             if let Some(texture) = &m.texture {
                 let name = format!("{stem}_{k}.{}", texture.extension());
                 write_atomic(&path.with_file_name(&name), &texture.bytes)?;
@@ -259,7 +290,7 @@ pub fn write_obj_model(path: &Path, model: &Model) -> Result<()> {
             let _ = writeln!(text, "vt {u} {}", 1.0 - v);
         }
         if let Some(k) = part.material {
-            let _ = writeln!(text, "usemtl {}", material_name(model, k));
+            let _ = writeln!(text, "usemtl {}", names[k]);
         }
         for f in &part.mesh.faces {
             text.push('f');
@@ -278,11 +309,13 @@ pub fn write_obj_model(path: &Path, model: &Model) -> Result<()> {
     Ok(write_atomic(path, text.as_bytes())?)
 }
 
-/// The name of a material, made unique by its number where needed.
-fn material_name(model: &Model, k: usize) -> String {
-    let name = word(&model.materials[k].name);
-    let unique = model.materials.iter().enumerate().all(|(i, m)| i == k || word(&m.name) != name);
-    if unique && !name.is_empty() { name } else { format!("{name}_{k}") }
+/// The names of the materials, those that are empty or there twice made unique by their number.
+fn material_names(model: &Model) -> Vec<String> {
+    let names: Vec<String> = model.materials.iter().map(|m| word(&m.name)).collect();
+    let mut uses: BTreeMap<&str, usize> = BTreeMap::new();
+    names.iter().for_each(|n| *uses.entry(n).or_default() += 1);
+    let unique = |n: &String| !n.is_empty() && uses[n.as_str()] == 1;
+    names.iter().enumerate().map(|(k, n)| if unique(n) { n.clone() } else { format!("{n}_{k}") }).collect()
 }
 
 /// A name without spaces, separators and control characters.

@@ -5,6 +5,7 @@ use std::path::Path;
 use nalgebra::Point3;
 
 use drex_core::TriMesh;
+use drex_core::mesh::polygon_triangles;
 use drex_core::ply::Scalar;
 
 use crate::Result;
@@ -22,6 +23,33 @@ struct Element {
     name: String,
     count: usize,
     properties: Vec<Property>,
+}
+
+/// What a property is for.
+#[derive(Debug, Clone, Copy)]
+enum Role {
+    Axis(usize),
+    Channel(usize),
+    Corner,
+    Other,
+}
+
+impl Role {
+    fn of(element: &Element, property: &Property) -> Self {
+        let name = property.name.as_str();
+        let find = |names: [&str; 3]| names.iter().position(|n| *n == name);
+        match (element.name.as_str(), property.length) {
+            ("face", Some(_)) if matches!(name, "vertex_indices" | "vertex_index") => Self::Corner,
+            ("vertex", length) => match find(["x", "y", "z"]) {
+                Some(k) => Self::Axis(k),
+                None if length.is_some() => Self::Other,
+                None => find(["red", "green", "blue"])
+                    .or_else(|| find(["diffuse_red", "diffuse_green", "diffuse_blue"]))
+                    .map_or(Self::Other, Self::Channel),
+            },
+            _ => Self::Other,
+        }
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,23 +70,17 @@ pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<(TriMesh, Option<Vec<[u
     let mut colors = Vec::new();
     let mut corners = Vec::new();
     for element in &elements {
-        let axis = |p: &Property| ["x", "y", "z"].iter().position(|n| p.name == *n && element.name == "vertex");
-        let channel = |p: &Property| {
-            let found = ["red", "green", "blue"].iter().position(|n| p.name == *n || p.name == format!("diffuse_{n}"));
-            found.filter(|_| element.name == "vertex" && p.length.is_none())
-        };
-        let colored = element.properties.iter().filter_map(channel).count() == 3;
-        let is_index = |p: &Property| {
-            element.name == "face" && p.length.is_some() && matches!(p.name.as_str(), "vertex_indices" | "vertex_index")
-        };
-        if element.name == "vertex" && element.properties.iter().filter_map(axis).count() != 3 {
+        let roles: Vec<Role> = element.properties.iter().map(|p| Role::of(element, p)).collect();
+        let count = |wanted: fn(&Role) -> bool| roles.iter().filter(|r| wanted(r)).count();
+        let colored = count(|r| matches!(r, Role::Channel(_))) == 3;
+        if element.name == "vertex" && count(|r| matches!(r, Role::Axis(_))) != 3 {
             return Err(bad(path, None, "the vertices have no x, y, z", "write the vertices with x, y and z"));
         }
         for row in 0..element.count {
             let mut point = Point3::origin();
             let mut color = [0; 3];
             corners.clear();
-            for property in &element.properties {
+            for (property, role) in element.properties.iter().zip(&roles) {
                 let n = match property.length {
                     None => 1,
                     Some(kind) => match source.number(kind) {
@@ -75,12 +97,11 @@ pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<(TriMesh, Option<Vec<[u
                     let Some(value) = source.number(property.value) else {
                         return Err(cut_off(path, &source, element, row));
                     };
-                    if let Some(k) = axis(property) {
-                        point[k] = value;
-                    } else if let Some(k) = channel(property) {
-                        color[k] = byte(value, property.value);
-                    } else if is_index(property) {
-                        corners.push(value);
+                    match *role {
+                        Role::Axis(k) => point[k] = value,
+                        Role::Channel(k) => color[k] = byte(value, property.value),
+                        Role::Corner => corners.push(value),
+                        Role::Other => {}
                     }
                 }
             }
@@ -94,7 +115,7 @@ pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<(TriMesh, Option<Vec<[u
                     colors.push(color);
                 }
             }
-            fan(path, &source, row, &corners, &mut mesh.faces)?;
+            polygon(path, &source, row, &corners, &mut mesh.faces)?;
         }
     }
     if let Some(f) = mesh.faces.iter().position(|f| f.iter().any(|&v| v as usize >= mesh.vertices.len())) {
@@ -115,13 +136,11 @@ fn byte(value: f64, kind: Scalar) -> u8 {
     scaled.round().clamp(0.0, 255.0) as u8
 }
 
-fn fan(path: &Path, source: &Source<'_>, row: usize, corners: &[f64], faces: &mut Vec<[u32; 3]>) -> Result<()> {
+fn polygon(path: &Path, source: &Source<'_>, row: usize, corners: &[f64], faces: &mut Vec<[u32; 3]>) -> Result<()> {
     if let Some(c) = corners.iter().find(|c| !(**c >= 0.0 && **c < f64::from(u32::MAX) && c.fract() == 0.0)) {
         return Err(bad(path, source.line(), format!("face {row} names vertex {c}"), "export the file again"));
     }
-    for k in 2..corners.len() {
-        faces.push([corners[0] as u32, corners[k - 1] as u32, corners[k] as u32]);
-    }
+    faces.extend(polygon_triangles(corners.len()).iter().map(|t| t.map(|k| corners[k] as u32)));
     Ok(())
 }
 

@@ -3,19 +3,18 @@
 use std::io::{Cursor, Read};
 use std::path::{Path, PathBuf};
 
-use drex_core::Error;
 use drex_core::readers::{NpyArray, NpyValues, parse_npy};
+use drex_core::{Error, budget};
 use zip::ZipArchive;
 
 use crate::Result;
-
-/// No array of a demonstration is larger than this, bytes; a member that unpacks to more is no recording of a hand.
-const LARGEST_ARRAY: u64 = 1 << 27;
 
 /// An open archive.
 pub(crate) struct Npz<'b> {
     path: PathBuf,
     archive: ZipArchive<Cursor<&'b [u8]>>,
+    /// Bytes of the whole archive: a member can have no more.
+    packed: u64,
     names: Vec<String>,
 }
 
@@ -28,7 +27,7 @@ impl<'b> Npz<'b> {
         let stem = |n: &str| n.strip_suffix(".npy").map(str::to_owned);
         let mut names: Vec<String> = archive.file_names().flatten().filter_map(|n| stem(&n)).collect();
         names.sort();
-        Ok(Self { path: path.to_path_buf(), archive, names })
+        Ok(Self { path: path.to_path_buf(), archive, packed: bytes.len() as u64, names })
     }
 
     /// Names of the arrays, sorted.
@@ -58,11 +57,9 @@ impl<'b> Npz<'b> {
         let member = self.archive.by_name(&format!("{name}.npy")).map_err(|e| refuse(format!("array {name}: {e}")))?;
         let mut bytes = Vec::new();
         // What the archive says of the size may be a lie: the size is what comes out.
-        let read = member.take(LARGEST_ARRAY + 1).read_to_end(&mut bytes);
+        let read = member.take(budget::unpacked_limit(self.packed) + 1).read_to_end(&mut bytes);
         read.map_err(|e| refuse(format!("array {name} is damaged: {e}")))?;
-        if bytes.len() as u64 > LARGEST_ARRAY {
-            return Err(refuse(format!("array {name} unpacks to more than 128 MiB")).into());
-        }
+        budget::allow_unpacked(&self.path.join(name), self.packed, bytes.len() as u64)?;
         Ok(parse_npy(&self.path.join(name), &bytes)?)
     }
 

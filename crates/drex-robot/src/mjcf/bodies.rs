@@ -9,9 +9,9 @@ use crate::shape::is_finite;
 use crate::unread::Unread;
 use crate::xml::Node;
 
+use super::Builder;
 use super::compiler::InertiaSource;
 use super::geoms::ReadGeom;
-use super::{Builder, unique_name};
 
 const BODY_ATTRIBUTES: [&str; 9] =
     ["name", "pos", "quat", "axisangle", "xyaxes", "zaxis", "euler", "childclass", "user"];
@@ -115,6 +115,7 @@ impl Builder {
                 let mut link = bare_link("world", None, Pose::identity());
                 let geoms = self.read_geoms(&parts)?;
                 link.geoms = geoms.into_iter().map(|g| g.geom).collect();
+                self.link_names.insert("world", 0);
                 self.links.push(link);
                 for part in robots {
                     if let Some(joint) = joints_of(part.node).find(|j| is_free(j)) {
@@ -160,11 +161,7 @@ impl Builder {
         let node = part.node;
         note_unread_attributes(node, &mut self.unread);
         let childclass = node.get("childclass").or(part.childclass);
-        let name = unique_name(
-            node,
-            |n| self.links.iter().any(|l| l.name == n),
-            |i| format!("body_{}", self.links.len() + i),
-        )?;
+        let name = self.link_names.unique(node, "body_", self.links.len(), |i| format!("body_{i}"))?;
         let mut pose = part.body_from_frame * self.compiler.pose(&node.with_defaults(None))?;
         let mut parent = parent;
         if parent.is_none() {
@@ -188,11 +185,14 @@ impl Builder {
             let link_name = if last { name.clone() } else { format!("{name}:{}", joint.name) };
             let mut new = bare_link(&link_name, parent, pose);
             new.joints.push(self.joints.len());
+            self.joint_names.insert(&joint.name, self.joints.len());
             self.joints.push(joint);
+            self.link_names.insert(&link_name, link);
             self.links.push(new);
             (parent, pose) = (Some(link), Pose::identity());
         }
         if joints.is_empty() {
+            self.link_names.insert(&name, self.links.len());
             self.links.push(bare_link(&name, parent, pose));
         }
         let link = self.links.len() - 1;
@@ -219,6 +219,8 @@ impl Builder {
     fn read_joint(&mut self, part: &Part<'_>, link: usize, body: &str) -> Result<Joint> {
         let node = part.node;
         note_unread_attributes(node, &mut self.unread);
+        let fallback = |i: usize| if i == 0 { format!("{body}_joint") } else { format!("{body}_joint_{i}") };
+        let name = self.joint_names.unique(node, body, 0, fallback)?;
         let a = self.defaults.resolve(node, part.childclass)?;
         let kind = match a.get("type").unwrap_or("hinge") {
             "hinge" => JointKind::Revolute,
@@ -234,10 +236,8 @@ impl Builder {
         let limited = a.truth("limited")?.unwrap_or(self.compiler.auto_limits);
         let effort_limited = a.truth("actuatorfrclimited")?.unwrap_or(self.compiler.auto_limits);
         let effort = a.range("actuatorfrcrange")?.filter(|_| effort_limited).map(|(lo, hi)| lo.abs().max(hi.abs()));
-        let taken = |n: &str| self.joints.iter().any(|j| j.name == n);
-        let fallback = |i: usize| if i == 0 { format!("{body}_joint") } else { format!("{body}_joint_{i}") };
         Ok(Joint {
-            name: unique_name(node, taken, fallback)?,
+            name,
             kind,
             link,
             axis,

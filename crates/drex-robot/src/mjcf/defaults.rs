@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use drex_core::budget;
+
 use crate::Result;
 use crate::unread::Unread;
 use crate::xml::{Attributes, Node, ORIENTATION};
@@ -23,11 +25,13 @@ pub(super) struct Class {
 #[derive(Debug, Clone)]
 pub(super) struct Defaults {
     classes: BTreeMap<String, Class>,
+    /// Memory of the attributes of all classes, bytes: each has a copy of what it inherits.
+    taken: u64,
 }
 
 impl Defaults {
     pub fn read(root: &Node, unread: &mut Unread) -> Result<Self> {
-        let mut defaults = Self { classes: BTreeMap::from([(MAIN.to_owned(), Class::default())]) };
+        let mut defaults = Self { classes: BTreeMap::from([(MAIN.to_owned(), Class::default())]), taken: 0 };
         for node in root.children_called("default") {
             // The outermost class is the main one whatever it is called; later sections add to it.
             let name = node.get("class").unwrap_or(MAIN);
@@ -59,6 +63,9 @@ impl Defaults {
             slot.extend(child.attributes.iter().map(|(k, v)| (k.clone(), v.clone())));
             super::bodies::note_unread_attributes(child, unread);
         }
+        let attributes = || class.attributes.values().flatten();
+        self.taken += attributes().map(|(k, v)| (k.len() + v.len() + 2 * size_of::<String>()) as u64).sum::<u64>();
+        budget::allow(&node.path, "the attributes of all default classes", self.taken)?;
         self.classes.insert(name.to_owned(), class.clone());
         for child in node.children_called("default") {
             let name = child.require("class")?;

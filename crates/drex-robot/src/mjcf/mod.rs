@@ -7,6 +7,7 @@ mod compiler;
 mod defaults;
 mod geoms;
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use drex_core::Pose;
@@ -64,7 +65,9 @@ pub(crate) fn read(xml: &str, path: &Path, folder: Option<&Path>) -> Result<Robo
         assets,
         unread,
         links: Vec::new(),
+        link_names: Names::default(),
         joints: Vec::new(),
+        joint_names: Names::default(),
         file_world_from_base: Pose::identity(),
     };
     builder.read_bodies(&root)?;
@@ -78,7 +81,9 @@ struct Builder {
     assets: Assets,
     unread: Unread,
     links: Vec<Link>,
+    link_names: Names,
     joints: Vec<Joint>,
+    joint_names: Names,
     file_world_from_base: Pose,
 }
 
@@ -130,7 +135,7 @@ impl Builder {
         let mut pair = [0; 2];
         for (slot, attribute) in pair.iter_mut().zip(["body1", "body2"]) {
             let name = node.require(attribute)?;
-            match self.links.iter().position(|l| l.name == name) {
+            match self.link_names.get(name) {
                 Some(i) => *slot = i,
                 None if name == "world" => {
                     self.unread.note("contact exclusions with the world are not read".to_owned());
@@ -153,26 +158,54 @@ impl Builder {
     }
 
     fn joint_by_name(&self, node: &Node, attribute: &str, name: &str) -> Result<usize> {
-        self.joints.iter().position(|j| j.name == name).ok_or_else(|| {
-            let known: Vec<&str> = self.joints.iter().map(|j| j.name.as_str()).collect();
+        self.joint_names.get(name).ok_or_else(|| {
+            const MOST: usize = 40;
+            let known = self.joints.iter().map(|j| j.name.as_str());
+            let more = (self.joints.len() > MOST).then_some("…");
+            let known: Vec<&str> = known.take(MOST).chain(more).collect();
             node.fault(attribute, "there is no such joint", format!("the model's joints are {}", known.join(", ")))
         })
     }
 }
 
-/// A name for an element that has none, or an error where a name is used twice.
-fn unique_name(node: &Node, taken: impl Fn(&str) -> bool, fallback: impl Fn(usize) -> String) -> Result<String> {
-    match node.get("name").filter(|n| !n.is_empty()) {
-        Some(name) if taken(name) => Err(node.fault("name", "the name is used twice", "names are unique")),
-        Some(name) => Ok(name.to_owned()),
-        None => {
-            let mut i = 0;
-            let mut name = fallback(i);
-            while taken(&name) {
-                i += 1;
-                name = fallback(i);
+/// The names of links or of joints, each with its number.
+#[derive(Default)]
+struct Names {
+    number_of: BTreeMap<String, usize>,
+    /// For elements without a name: where the search for a free one goes on, by what the name begins with.
+    free_from: BTreeMap<String, usize>,
+}
+
+impl Names {
+    fn get(&self, name: &str) -> Option<usize> {
+        self.number_of.get(name).copied()
+    }
+
+    /// Notes a name; of equal ones the first counts.
+    fn insert(&mut self, name: &str, number: usize) {
+        self.number_of.entry(name.to_owned()).or_insert(number);
+    }
+
+    /// The name of `node`, an error where it is used twice. An element without one is called by the first free name that
+    /// `fallback` gives for the numbers from `from` on; names with one `base` are searched with ascending `from`.
+    fn unique(&mut self, node: &Node, base: &str, from: usize, fallback: impl Fn(usize) -> String) -> Result<String> {
+        match node.get("name").filter(|n| !n.is_empty()) {
+            Some(name) if self.number_of.contains_key(name) => {
+                Err(node.fault("name", "the name is used twice", "names are unique"))
             }
-            Ok(name)
+            Some(name) => Ok(name.to_owned()),
+            None => {
+                // Names are never given back: what was taken once need not be tried again.
+                let free_from = self.free_from.entry(base.to_owned()).or_default();
+                let mut i = from.max(*free_from);
+                let mut name = fallback(i);
+                while self.number_of.contains_key(&name) {
+                    i += 1;
+                    name = fallback(i);
+                }
+                *free_from = i;
+                Ok(name)
+            }
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use std::path::{Component, Path, PathBuf};
 
+use drex_core::budget;
 use drex_core::fsutil::read_bytes;
 use image::{DynamicImage, ImageDecoder, ImageReader};
 
@@ -83,10 +84,24 @@ pub(super) fn picture(path: &Path) -> Result<DynamicImage> {
 
 fn open(path: &Path) -> Result<ImageReader<std::io::BufReader<std::fs::File>>> {
     let io = |e| drex_core::Error::io("read", path, e);
-    Ok(ImageReader::open(path).map_err(io)?.with_guessed_format().map_err(io)?)
+    let mut reader = ImageReader::open(path).map_err(io)?.with_guessed_format().map_err(io)?;
+    let mut limits = image::Limits::default();
+    limits.max_alloc = Some(picture_bytes());
+    reader.limits(limits);
+    Ok(reader)
+}
+
+/// Most memory of a decoded picture: it is turned into wider pixels afterwards.
+fn picture_bytes() -> u64 {
+    budget::max_memory() / 8
 }
 
 fn unreadable(path: &Path, source: image::ImageError) -> Error {
+    if let image::ImageError::Limits(_) = source {
+        let what = format!("the picture takes more than {} MB when it is decoded", picture_bytes() / 1_000_000);
+        let remedy = "scale it down, or raise the limit, an eighth of --max-memory GB";
+        return drex_core::Error::content(path, None, what, remedy).into();
+    }
     Error::Picture { action: "read", path: path.into(), source: source.into() }
 }
 

@@ -9,6 +9,8 @@ use crate::io::content;
 
 /// Longest line of a header, bytes.
 const LONGEST_LINE: usize = 4096;
+/// Most lines of a header; a set of Gaussians has some seventy.
+const MOST_LINES: usize = 4096;
 
 /// How the rows are stored.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -56,6 +58,9 @@ impl Header {
         let (mut at, mut line) = (0, 0);
         loop {
             line += 1;
+            if line > MOST_LINES {
+                return Err(refuse(line, format!("the header has more than {MOST_LINES} lines")));
+            }
             let tail = &bytes[at..];
             let text = tail[..tail.len().min(LONGEST_LINE)]
                 .iter()

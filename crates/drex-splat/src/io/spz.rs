@@ -14,7 +14,7 @@
 use std::io::{Read, Write};
 use std::path::Path;
 
-use drex_core::fsutil;
+use drex_core::{budget, fsutil};
 
 use super::{byte, checked, content, logit, three_log_scales, unit_quaternion};
 use crate::{Error, Gaussians, Kind, Label, Result};
@@ -176,6 +176,9 @@ pub fn parse(path: &Path, bytes: &[u8], kind: Kind) -> Result<Gaussians> {
     let rest = 3 * ((usize::from(sh_degree) + 1).pow(2) - 1);
     let rotation = if version == 2 { 3 } else { 4 };
     let size = n * (9 + 1 + 3 + 3 + rotation + rest);
+    budget::allow_unpacked(path, bytes.len() as u64, size as u64)?;
+    let unpacked = size_of::<[f32; 3]>() * 2 + size_of::<[f32; 5]>() + size_of::<Label>() + 4 * (3 + rest);
+    budget::allow(path, format_args!("{n} Gaussians"), (size + n * unpacked) as u64)?;
     let mut body = Vec::new();
     gzip.take(size as u64).read_to_end(&mut body).map_err(|e| drex_core::Error::io("read", path, e))?;
     if body.len() != size {

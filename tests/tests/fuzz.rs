@@ -1,0 +1,157 @@
+//! Every reader on damaged inputs: the seeds, then mutations of them in an order that a seed fixes. None may panic, hang or take memory out
+//! of proportion, and what they refuse they refuse with an error.
+//!
+//! A plain `cargo test` takes some hundred inputs per reader. `DREX_FUZZ_SECONDS=3` goes on for so many seconds per reader,
+//! `DREX_FUZZ_SEED=7` begins elsewhere, `DREX_FUZZ_TARGET=glb` takes one reader alone. An input that fails is written to the folder
+//! for temporary files, and the message names it. The same readers under libFuzzer: `fuzz/all`.
+#![allow(clippy::unwrap_used, missing_docs)] // a failed unwrap is a failed test
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::PathBuf;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use drex_tests::mutate::mutated;
+use drex_tests::targets::{TARGETS, Target};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+/// Inputs per reader without `DREX_FUZZ_SECONDS`.
+const INPUTS: usize = 300;
+/// An input that is read for longer hangs, s.
+const LONGEST_S: u64 = 60;
+/// Most memory for an input of at most 64 kB, bytes.
+const MOST_BYTES: u64 = 256 << 20;
+
+/// The input that is being read, and since when, so that a hang can be told.
+static CURRENT: Mutex<(&'static str, Vec<u8>)> = Mutex::new(("", Vec::new()));
+static BEGAN_S: AtomicU64 = AtomicU64::new(u64::MAX);
+
+fn number(name: &str) -> Option<u64> {
+    std::env::var(name).ok().map(|v| v.parse().unwrap_or_else(|_| panic!("{name}={v} is no whole number")))
+}
+
+/// Writes an input that failed.
+fn keep(name: &str, input: &[u8]) -> PathBuf {
+    let path = std::env::temp_dir().join(format!("drex-fuzz-{name}-{}", std::process::id()));
+    std::fs::write(&path, input).unwrap();
+    path
+}
+
+fn read(target: &'static Target, input: &[u8], begin: Instant) {
+    *CURRENT.lock().unwrap() = (target.name, input.to_vec());
+    BEGAN_S.store(begin.elapsed().as_secs(), Ordering::Relaxed);
+    let mut panicked = None;
+    let used = allocation_counter::measure(|| panicked = catch_unwind(AssertUnwindSafe(|| (target.run)(input))).err());
+    BEGAN_S.store(u64::MAX, Ordering::Relaxed);
+    if panicked.is_some() {
+        panic!("{} panics on {}", target.name, keep(target.name, input).display());
+    }
+    let most = used.bytes_max;
+    assert!(most < MOST_BYTES, "{} takes {most} bytes for {}", target.name, keep(target.name, input).display());
+}
+
+/// Ends the test program when one input takes too long.
+fn watch(begin: Instant) {
+    std::thread::spawn(move || {
+        loop {
+            std::thread::sleep(Duration::from_secs(1));
+            let began = BEGAN_S.load(Ordering::Relaxed);
+            if begin.elapsed().as_secs().saturating_sub(began) > LONGEST_S && began != u64::MAX {
+                let (name, input) = CURRENT.lock().unwrap().clone();
+                eprintln!("{name} takes more than {LONGEST_S} s for {}", keep(name, &input).display());
+                std::process::exit(1);
+            }
+        }
+    });
+}
+
+#[test]
+fn no_reader_panics_hangs_or_takes_memory_out_of_proportion() {
+    let seconds = number("DREX_FUZZ_SECONDS");
+    let seed = number("DREX_FUZZ_SEED").unwrap_or(1);
+    let only = std::env::var("DREX_FUZZ_TARGET").ok();
+    let begin = Instant::now();
+    watch(begin);
+    // The glTF library panics on some files, inside the reader, which catches it: no news on stderr.
+    let loud = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |info| {
+        if !info.location().is_some_and(|l| l.file().contains("gltf")) {
+            loud(info);
+        }
+    }));
+    let mut total = 0;
+    for target in TARGETS.iter().filter(|t| only.as_ref().is_none_or(|o| o == t.name)) {
+        let seeds = (target.seeds)();
+        assert!(!seeds.is_empty(), "{} has no seeds", target.name);
+        seeds.iter().for_each(|s| read(target, s, begin));
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let (since, mut inputs) = (Instant::now(), 0);
+        let more = |inputs| match seconds {
+            Some(s) => since.elapsed().as_secs() < s,
+            None => inputs < INPUTS,
+        };
+        while more(inputs) {
+            read(target, &mutated(&seeds, &mut rng), begin);
+            inputs += 1;
+        }
+        println!("{:<18} {inputs} inputs, {:.1} s", target.name, since.elapsed().as_secs_f64());
+        total += inputs;
+    }
+    assert!(total > 0, "DREX_FUZZ_TARGET names no reader");
+    println!("{total} inputs");
+}
+
+/// A seed that its own reader refuses would only test the first lines of it.
+#[test]
+fn seeds_are_read() {
+    use std::path::Path;
+    let first = |seeds: Vec<Vec<u8>>| seeds.into_iter().next().unwrap();
+    use drex_tests::seeds;
+    for (name, bytes) in [
+        ("a.stl", first(seeds::stl())),
+        ("a.stl", seeds::stl().remove(1)),
+        ("a.obj", first(seeds::obj())),
+        ("a.ply", first(seeds::ply())),
+        ("a.ply", seeds::ply().remove(1)),
+        ("a.gltf", first(seeds::gltf())),
+        ("a.glb", first(seeds::glb())),
+    ] {
+        drex_mesh::parse_mesh(Path::new(name), &bytes).unwrap();
+    }
+    for (i, bytes) in seeds::demo_json().iter().chain(&seeds::demo_npz()).enumerate() {
+        let name = if i < 3 { "d.json" } else { "d.npz" };
+        drex_retarget::Demonstration::parse(Path::new(name), bytes, &Default::default()).unwrap();
+    }
+    drex_retarget::Demonstration::parse(Path::new("d.csv"), &first(seeds::demo_csv()), &Default::default()).unwrap();
+    drex_retarget::ManoModel::parse_npz(Path::new("m.npz"), &first(seeds::mano_npz())).unwrap();
+    for bytes in seeds::spz() {
+        assert_eq!(drex_splat::io::spz::parse(Path::new("a.spz"), &bytes, drex_splat::Kind::Surfel).unwrap().len(), 3);
+    }
+    for text in seeds::twin_toml() {
+        drex_core::twin::TwinManifest::parse(Path::new("twin.toml"), std::str::from_utf8(&text).unwrap()).unwrap();
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str, bytes: &[u8]| {
+        let path = folder.path().join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(&path, bytes).unwrap();
+        path
+    };
+    for text in seeds::push_toml() {
+        drex_core::push::PushConfig::read(&at("push.toml", &text)).unwrap();
+    }
+    drex_robot::Robot::from_urdf(&at("a.urdf", &first(seeds::urdf()))).unwrap();
+    for text in seeds::mjcf() {
+        drex_robot::Robot::from_mjcf_str(std::str::from_utf8(&text).unwrap(), None).unwrap();
+    }
+    let model = seeds::colmap();
+    for (name, bytes) in [("cameras", &model.cameras), ("images", &model.images), ("points3D", &model.points)] {
+        at(&format!("colmap/sparse/0/{name}.bin"), bytes);
+    }
+    (0..3).for_each(|i| drop(at(&format!("colmap/images/{i}.png"), &seeds::picture(32, 24))));
+    let capture = drex_splat::Capture::load(&folder.path().join("colmap"), &Default::default()).unwrap();
+    assert_eq!((capture.views.len(), capture.points.len()), (3, 2));
+    drex_splat::io::ply::parse(Path::new("a.ply"), &first(seeds::gaussians_ply()), drex_splat::Kind::Surfel).unwrap();
+}
