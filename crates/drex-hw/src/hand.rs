@@ -42,6 +42,10 @@ pub struct HandState {
     pub effort: Vec<f64>,
     /// Temperatures, °C, where the hand measures them.
     pub temperature_c: Vec<Option<f64>>,
+    /// Supply voltages, V, where the hand measures them.
+    pub voltage_v: Vec<Option<f64>>,
+    /// Hardware errors as the device codes them, 0 for none; also those with which a joint goes on.
+    pub hardware_error: Vec<u8>,
     /// Cycles since the values of a joint were last read; 0 is fresh.
     pub age: Vec<u32>,
     /// How each joint is doing.
@@ -57,6 +61,8 @@ impl HandState {
             velocity: vec![0.0; joints],
             effort: vec![0.0; joints],
             temperature_c: vec![None; joints],
+            voltage_v: vec![None; joints],
+            hardware_error: vec![0; joints],
             age: vec![u32::MAX; joints],
             status: vec![JointStatus::Limp; joints],
         }
@@ -67,9 +73,9 @@ impl HandState {
     /// # Errors
     /// With the joint's name and the value.
     pub fn check(&self, joints: &[String]) -> Result<()> {
-        let Self { position, velocity, effort, temperature_c, age, status, .. } = self;
-        let lengths = [position.len(), velocity.len(), effort.len(), temperature_c.len(), age.len(), status.len()];
-        if lengths != [joints.len(); 6] {
+        let Self { position, velocity, effort, .. } = self;
+        let lengths = self.lengths();
+        if lengths != [joints.len(); 8] {
             return Err(Error::value(
                 format!("a state with lists of {lengths:?} values for {} joints", joints.len()),
                 "have the driver fill every list",
@@ -84,6 +90,21 @@ impl HandState {
             }
         }
         Ok(())
+    }
+
+    /// Lengths of the lists.
+    pub(crate) fn lengths(&self) -> [usize; 8] {
+        let Self { time_s: _, position, velocity, effort, temperature_c, voltage_v, hardware_error, age, status } = self;
+        [
+            position.len(),
+            velocity.len(),
+            effort.len(),
+            temperature_c.len(),
+            voltage_v.len(),
+            hardware_error.len(),
+            age.len(),
+            status.len(),
+        ]
     }
 
     /// Takes over the values of `other` without allocating when the number of joints is the same.
@@ -154,6 +175,11 @@ pub trait Hand: Send {
     /// Largest effort each joint may be told.
     fn effort_caps(&self) -> &[f64];
 
+    /// Words for a hardware error of a joint ([`HandState::hardware_error`], [`JointStatus::Faulted`]).
+    fn error_text(&self, code: u8) -> String {
+        format!("error {code:#04x}")
+    }
+
     /// Puts the joints under torque where they are.
     ///
     /// # Errors
@@ -190,6 +216,10 @@ impl<H: Hand + ?Sized> Hand for Box<H> {
 
     fn effort_caps(&self) -> &[f64] {
         (**self).effort_caps()
+    }
+
+    fn error_text(&self, code: u8) -> String {
+        (**self).error_text(code)
     }
 
     fn turn_on(&mut self) -> Result<()> {

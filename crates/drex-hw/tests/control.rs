@@ -362,7 +362,7 @@ fn heat_and_the_limiter_take_and_never_add() {
     let options = ControlOptions::default;
     assert_eq!(told(None, options()), [0.3; 2]);
     assert_eq!(told(Some(40.0), options()), [0.3; 2]);
-    let warm = Derating { from_c: 50.0, to_c: 60.0, floor_share: 0.1 };
+    let warm = Derating { from_c: 50.0, to_c: 60.0, ..Derating::default() };
     let half = told(Some(55.0), options().with_derating(Some(warm)));
     assert!(half.iter().all(|l| (l - 0.55 * 0.4).abs() < 1e-12), "{half:?}");
     let hot = told(Some(99.0), options().with_derating(Some(warm)));

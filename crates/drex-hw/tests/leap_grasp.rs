@@ -95,7 +95,7 @@ fn a_hot_motor_holds_with_less() {
     let mut bench = bench();
     (0..16).for_each(|id| bench.emulator.set(id, table::PRESENT_TEMPERATURE, 60));
     let cap = bench.hand.effort_caps()[0];
-    let warm = Derating { from_c: 55.0, to_c: 65.0, floor_share: 0.1 };
+    let warm = Derating { from_c: 55.0, to_c: 65.0, ..Derating::default() };
     let allowed = warm.share(60.0) * cap;
     bench.plan.force_effort.iter_mut().filter(|f| **f > 200.0).for_each(|f| *f = 0.9 * cap);
     let mut grasp = Grasp::new(bench.plan.clone());

@@ -3,10 +3,12 @@
 mod driver;
 mod finger;
 mod frames;
+mod off;
 mod options;
 mod power;
 mod trait_hand;
 
 pub use driver::{AllegroHand, AllegroStats};
 pub use frames::{AllegroCommand, AllegroInfo, AllegroReport, AllegroVersion};
+pub use off::{AllegroOff, reports_poses, switch_off};
 pub use options::{AllegroOptions, Gains, JointCalibration, WIRE_JOINTS};

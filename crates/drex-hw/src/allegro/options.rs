@@ -57,8 +57,11 @@ pub struct AllegroOptions {
     pub calibration: [JointCalibration; 16],
     /// Gains of the position loop.
     pub gains: [Gains; 16],
-    /// Wire units per N m: duty of versions 3 and 4, mA of version 5.
+    /// Wire units per N m: duty of versions 3 and 4, mA of version 5; for a joint with the plain gear.
     pub wire_per_nm: f64,
+    /// Reduction of each joint's gear over the plain one: 2 for joints 1, 5 and 9 of a V5 Plus (576.7:1 instead of 288.35:1). Such a joint
+    /// turns by less per encoder count and gives more torque per wire unit.
+    pub gear_ratios: [f64; 16],
     /// Largest number on the wire; never more than the version allows.
     pub wire_caps: [i16; 16],
     /// How often the hand reports poses, ms.
@@ -88,6 +91,7 @@ impl AllegroOptions {
                 AllegroVersion::V3 | AllegroVersion::V4 => 1200.0,
                 AllegroVersion::V5 => 1430.0,
             },
+            gear_ratios: [1.0; 16],
             wire_caps: Self::allowed(version),
             pose_period_ms: if version == AllegroVersion::V5 { 2 } else { 3 },
             temperature_period_ms: 0,
@@ -106,6 +110,29 @@ impl AllegroOptions {
     /// The same with no number on the wire above `cap`.
     pub fn with_wire_cap(mut self, cap: i16) -> Self {
         self.wire_caps = self.wire_caps.map(|c| c.min(cap));
+        self
+    }
+
+    /// The same with gears of other reductions.
+    pub fn with_gear_ratios(mut self, gear_ratios: [f64; 16]) -> Self {
+        self.gear_ratios = gear_ratios;
+        self
+    }
+
+    /// The same with no joint above `cap_nm` N m, or above what the version allows.
+    pub fn with_cap_nm(mut self, cap_nm: f64) -> Self {
+        for j in 0..16 {
+            // A conversion of floats ends at the ends of the range.
+            let wire = (cap_nm * self.wire_per_nm_of(j)).floor().max(1.0) as i16;
+            self.wire_caps[j] = self.wire_caps[j].min(wire);
+        }
+        self
+    }
+
+    /// The same with half of the torques that the vendor's driver clips at: 120 mA for version 5. Our choice to start with; the vendor names
+    /// no continuous torque.
+    pub fn with_gentle_caps(mut self) -> Self {
+        self.wire_caps = self.wire_caps.map(|c| c / 2);
         self
     }
 
@@ -143,13 +170,18 @@ impl AllegroOptions {
 
     /// Largest torque of each joint, N m, order of the wire.
     pub fn torque_caps_nm(&self) -> [f64; 16] {
-        self.wire_caps.map(|c| f64::from(c) / self.wire_per_nm)
+        std::array::from_fn(|j| f64::from(self.wire_caps[j]) / self.wire_per_nm_of(j))
+    }
+
+    /// Wire units per N m of a joint, with its gear.
+    pub fn wire_per_nm_of(&self, joint: usize) -> f64 {
+        self.wire_per_nm / self.gear_ratios[joint]
     }
 
     /// Angle, rad, at an encoder reading.
     pub(crate) fn angle(&self, joint: usize, counts: i16) -> f64 {
         let c = &self.calibration[joint];
-        let angle = f64::from(i32::from(counts) - c.offset_counts) * self.rad_per_count();
+        let angle = f64::from(i32::from(counts) - c.offset_counts) * self.rad_per_count() / self.gear_ratios[joint];
         if c.encoder_reversed { -angle } else { angle }
     }
 
@@ -158,13 +190,14 @@ impl AllegroOptions {
         let c = &self.calibration[joint];
         let angle = if c.encoder_reversed { -angle } else { angle };
         // A conversion of floats ends at the ends of the range.
-        (angle / self.rad_per_count() + f64::from(c.offset_counts)).round() as i16
+        (angle * self.gear_ratios[joint] / self.rad_per_count() + f64::from(c.offset_counts)).round() as i16
     }
 
     /// Number on the wire for a torque, N m, of at most `limit_nm` either way; zero for what is no number.
     pub(crate) fn wire(&self, joint: usize, torque_nm: f64, limit_nm: f64) -> i16 {
-        let most = f64::from(self.wire_caps[joint]).min((limit_nm * self.wire_per_nm + 1e-9).floor()).max(0.0);
-        let wire = (torque_nm * self.wire_per_nm).round().clamp(-most, most);
+        let per_nm = self.wire_per_nm_of(joint);
+        let most = f64::from(self.wire_caps[joint]).min((limit_nm * per_nm + 1e-9).floor()).max(0.0);
+        let wire = (torque_nm * per_nm).round().clamp(-most, most);
         let wire = if torque_nm.is_finite() && limit_nm >= 0.0 { wire as i16 } else { 0 };
         if self.calibration[joint].motor_reversed { -wire } else { wire }
     }
@@ -179,6 +212,9 @@ impl AllegroOptions {
         let bad = |what: String, remedy: &str| Err(Error::value(what, remedy));
         if !(self.wire_per_nm > 0.0 && self.wire_per_nm.is_finite()) {
             return bad(format!("{} wire units per N m", self.wire_per_nm), "give a finite number above zero");
+        }
+        if let Some(g) = self.gear_ratios.iter().find(|g| !(0.1..=10.0).contains(*g)) {
+            return bad(format!("a gear ratio of {g}"), "give 0.1 to 10: 2 for the geared joints of a V5 Plus");
         }
         if let Some(g) = self.gains.iter().find(|g| ![g.kp, g.kd].iter().all(|x| *x >= 0.0 && x.is_finite())) {
             return bad(format!("gains of {} and {}", g.kp, g.kd), "give finite numbers of at least 0");

@@ -157,7 +157,7 @@ impl<B: CanBus> AllegroHand<B> {
             if !(low - OUTSIDE_RAD..=high + OUTSIDE_RAD).contains(&q) {
                 return Err(Error::value(
                     format!("joint {name} at {q:.3} rad, where it cannot be ({low:.3} to {high:.3})"),
-                    "check the version, and correct the joint's zero and direction in the hand's calibration table",
+                    "check the version, and correct the joint's zero and direction in the hand file (drex hw calibrate-zero)",
                 ));
             }
         }
@@ -180,7 +180,7 @@ impl<B: CanBus> AllegroHand<B> {
         if info.left && !self.left_model {
             return Err(Error::value(
                 "a left hand, driven with the model of a right one",
-                "connect a right hand, or give a model of the left one",
+                "connect a right hand, or give a model of the left one (side of the hand file)",
             ));
         }
         if self.options.version != AllegroVersion::V4 {
@@ -189,7 +189,7 @@ impl<B: CanBus> AllegroHand<B> {
         if main != 4 && self.options.wire_per_nm > OLD_HARDWARE {
             return Err(Error::value(
                 format!("{hardware}, driven with {} wire units per N m", self.options.wire_per_nm),
-                format!("set {OLD_HARDWARE} wire units per N m"),
+                format!("set {OLD_HARDWARE} wire units per N m (wire_per_nm of the hand file)"),
             ));
         }
         if info.status & (AllegroInfo::TOO_HOT | AllegroInfo::MOTOR_SILENT) != 0 {

@@ -53,9 +53,7 @@ impl<B: CanBus> Hand for AllegroHand<B> {
 impl<B: CanBus> AllegroHand<B> {
     /// Efforts are the torques that were commanded: the hand measures none.
     fn report(&self, state: &mut HandState) {
-        let HandState { position, velocity, effort, temperature_c, age, status, .. } = &*state;
-        let lengths = [position.len(), velocity.len(), effort.len(), temperature_c.len(), age.len(), status.len()];
-        if lengths != [16; 6] {
+        if state.lengths() != [16; 8] {
             *state = HandState::new(16);
         }
         let time = self.time();
@@ -66,6 +64,7 @@ impl<B: CanBus> AllegroHand<B> {
             state.velocity[*model] = finger.v[wire % 4];
             state.effort[*model] = if self.driven { self.options.torque(wire, self.sent[wire]) } else { 0.0 };
             state.temperature_c[*model] = self.temperatures_c[wire];
+            state.hardware_error[*model] = self.motor_errors[wire];
             state.age[*model] = self.ages[wire / 4];
             state.status[*model] = match self.motor_errors[wire] {
                 0 if !self.driven => JointStatus::Limp,

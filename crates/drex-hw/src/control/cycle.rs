@@ -131,7 +131,7 @@ fn turns(
     }
     behaviour.begin(&Joints::of(hand), state)?;
     let mut command = HandCommand { position: state.position.clone(), effort_limit: hand.effort_caps().to_vec() };
-    let mut limits = command.effort_limit.clone();
+    let mut lowering = Lowering::new(hand.effort_caps(), period);
 
     let begin = clock.now();
     let mut due = begin;
@@ -154,7 +154,7 @@ fn turns(
         if lost.is_none() {
             let time = began.saturating_sub(begin + outage);
             flow = behaviour.command(time.as_secs_f64(), state, &mut command)?;
-            lower(&mut command.effort_limit, &mut limits, hand.effort_caps(), state, options, troubles);
+            lowering.apply(&mut command.effort_limit, hand.effort_caps(), state, options, troubles);
         }
         match hand.cycle((!options.limp).then_some(&command), state) {
             Ok(()) => {
@@ -233,37 +233,60 @@ fn first_state(
     }
 }
 
-/// Takes from the limits what heat and the limiter take; never adds.
-fn lower(
-    wanted: &mut [f64],
-    scratch: &mut [f64],
-    caps: &[f64],
-    state: &HandState,
-    options: &mut ControlOptions,
-    troubles: &mut Troubles,
-) {
-    if let Some(derating) = &options.derating {
-        for (joint, ((limit, cap), celsius)) in wanted.iter_mut().zip(caps).zip(&state.temperature_c).enumerate() {
-            if let Some(celsius) = celsius {
-                let share = derating.share(*celsius);
-                let most = share * cap;
+/// What heat, a low supply and the limiter take from the limits; nothing adds.
+struct Lowering {
+    /// Share of the cap that the supply leaves each joint.
+    supply: Vec<f64>,
+    /// Limits for the limiter.
+    scratch: Vec<f64>,
+    period_s: f64,
+}
+
+impl Lowering {
+    fn new(caps: &[f64], period: Duration) -> Self {
+        Self { supply: vec![1.0; caps.len()], scratch: caps.to_vec(), period_s: period.as_secs_f64() }
+    }
+
+    fn apply(
+        &mut self,
+        wanted: &mut [f64],
+        caps: &[f64],
+        state: &HandState,
+        options: &mut ControlOptions,
+        troubles: &mut Troubles,
+    ) {
+        if let Some(derating) = &options.derating {
+            for (joint, (limit, cap)) in wanted.iter_mut().zip(caps).enumerate() {
                 // A limit that is no number stays one, for the hand to refuse.
-                if *limit > most {
-                    *limit = most;
-                    if share < 1.0 {
-                        troubles.derate(joint, *celsius, share);
+                if let Some(celsius) = state.temperature_c[joint] {
+                    let share = derating.share(celsius);
+                    if *limit > share * cap {
+                        *limit = share * cap;
+                        if share < 1.0 {
+                            troubles.derate(joint, celsius, share);
+                        }
+                    }
+                }
+                if let Some(volts) = state.voltage_v[joint] {
+                    let left = &mut self.supply[joint];
+                    *left = derating.share_at_supply(volts).min(*left + derating.recovery_per_s * self.period_s);
+                    if *limit > *left * cap {
+                        *limit = *left * cap;
+                        if *left < 1.0 {
+                            troubles.sag(joint, volts, *left);
+                        }
                     }
                 }
             }
         }
-    }
-    if let Some(limiter) = options.limiter.as_mut().filter(|_| scratch.len() == wanted.len()) {
-        scratch.copy_from_slice(wanted);
-        limiter(state, scratch);
-        for (limit, lowered) in wanted.iter_mut().zip(scratch) {
-            if !(*lowered >= *limit) {
-                // What is no number lowers to nothing.
-                *limit = lowered.max(0.0);
+        if let Some(limiter) = options.limiter.as_mut().filter(|_| self.scratch.len() == wanted.len()) {
+            self.scratch.copy_from_slice(wanted);
+            limiter(state, &mut self.scratch);
+            for (limit, lowered) in wanted.iter_mut().zip(&self.scratch) {
+                if !(*lowered >= *limit) {
+                    // What is no number lowers to nothing.
+                    *limit = lowered.max(0.0);
+                }
             }
         }
     }

@@ -5,7 +5,7 @@ use std::time::Duration;
 use super::{EStop, Recorder};
 use crate::{Error, HandState, Result};
 
-/// What heat takes from a joint's largest effort.
+/// What heat and a low supply take from a joint's largest effort.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Derating {
     /// Up to this temperature a joint may use its whole cap, °C.
@@ -14,20 +14,36 @@ pub struct Derating {
     pub to_c: f64,
     /// Share of the cap that a hot joint keeps, 0 to 1: enough to hold its place.
     pub floor_share: f64,
+    /// Down to this supply a joint may use its whole cap, V.
+    pub from_v: f64,
+    /// From this supply down only [`Derating::floor_share`] of it, V; in between it falls in a line.
+    pub to_v: f64,
+    /// How fast a limit that a low supply took comes back, share of the cap per second: at once it would pull the supply down again.
+    pub recovery_per_s: f64,
 }
 
 impl Default for Derating {
-    /// From 55 to 68 °C down to a tenth: LEAP's motors switch off at 70 °C.
+    /// From 55 to 68 °C and from 4.5 to 3.7 V down to a tenth: LEAP's motors switch off at 70 °C, and have the input-voltage error at
+    /// 3.5 V. A quarter of the cap comes back each second.
     fn default() -> Self {
-        Self { from_c: 55.0, to_c: 68.0, floor_share: 0.1 }
+        Self { from_c: 55.0, to_c: 68.0, floor_share: 0.1, from_v: 4.5, to_v: 3.7, recovery_per_s: 0.25 }
     }
 }
 
 impl Derating {
     /// Share of the cap that is left at a temperature, °C; the floor for what is no temperature.
     pub fn share(&self, celsius: f64) -> f64 {
-        let cool = ((self.to_c - celsius) / (self.to_c - self.from_c)).clamp(0.0, 1.0);
-        let share = self.floor_share + cool * (1.0 - self.floor_share);
+        self.between((self.to_c - celsius) / (self.to_c - self.from_c))
+    }
+
+    /// Share of the cap that is left at a supply, V; the floor for what is no voltage.
+    pub fn share_at_supply(&self, volts: f64) -> f64 {
+        self.between((volts - self.to_v) / (self.from_v - self.to_v))
+    }
+
+    /// Share of the cap from the floor, at 0 and below, to all of it, at 1 and above.
+    fn between(&self, well: f64) -> f64 {
+        let share = self.floor_share + well.clamp(0.0, 1.0) * (1.0 - self.floor_share);
         if share.is_nan() { self.floor_share } else { share }
     }
 }
@@ -47,7 +63,7 @@ pub struct ControlOptions {
     pub outage: Duration,
     /// How long a hand that does not confirm that its torque is off is told again after the loop, three times at least.
     pub off_patience: Duration,
-    /// What heat takes from the limits, where the hand measures it; `None` leaves that to the motors.
+    /// What heat and a low supply take from the limits, where the hand measures it; `None` leaves that to the motors.
     pub derating: Option<Derating>,
     /// Whether the hand only is watched: no torque, no commands.
     pub limp: bool,
@@ -137,11 +153,17 @@ impl ControlOptions {
         if !(self.rate_hz >= 1.0 && self.rate_hz <= 10_000.0) {
             return Err(Error::value(format!("{} cycles per second", self.rate_hz), "give 1 to 10000"));
         }
-        let means_something = |d: &Derating| d.to_c > d.from_c && (0.0..=1.0).contains(&d.floor_share);
+        let means_something = |d: &Derating| {
+            let ranges = d.to_c > d.from_c && d.to_v < d.from_v && d.recovery_per_s > 0.0;
+            ranges && (0.0..=1.0).contains(&d.floor_share)
+        };
         if let Some(d) = self.derating.filter(|d| !means_something(d)) {
             return Err(Error::value(
-                format!("derating from {} to {} °C down to {} of the cap", d.from_c, d.to_c, d.floor_share),
-                "let it end hotter than it begins, at a share of 0 to 1",
+                format!(
+                    "derating from {} to {} °C and from {} to {} V down to {} of the cap, {} of it back each second",
+                    d.from_c, d.to_c, d.from_v, d.to_v, d.floor_share, d.recovery_per_s
+                ),
+                "let it end hotter and at less supply than it begins, at a share of 0 to 1, and come back",
             ));
         }
         Ok(Duration::from_secs_f64(1.0 / self.rate_hz))

@@ -17,10 +17,19 @@ pub enum JointTrouble {
         /// Cycles in all; a single one is a lost packet.
         cycles: u64,
     },
+    /// It had a hardware error; the number is the device's own, several are or-ed. It may be well again.
+    HardwareError(u8),
     /// Heat took something from its limit.
     Derated {
         /// Hottest that it was, °C.
         celsius: f64,
+        /// Smallest share of its cap that was left.
+        share: f64,
+    },
+    /// Too little supply voltage took something from its limit.
+    LowVoltage {
+        /// Least supply that it had, V.
+        volts: f64,
         /// Smallest share of its cap that was left.
         share: f64,
     },
@@ -31,6 +40,10 @@ impl fmt::Display for JointTrouble {
         match self {
             Self::Ended(status) => write!(f, "{} at the end", name(*status)),
             Self::Recovered { from, cycles } => write!(f, "{} for {cycles} cycles, well again", name(*from)),
+            Self::HardwareError(code) => write!(f, "had a hardware error ({code:#04x})"),
+            Self::LowVoltage { volts, share } => {
+                write!(f, "down to {volts:.1} V of supply, its limit down to {:.0} % of the cap", share * 100.0)
+            }
             Self::Derated { celsius, share } => {
                 write!(f, "up to {celsius:.0} °C, its limit down to {:.0} % of the cap", share * 100.0)
             }
@@ -54,8 +67,11 @@ struct Seen {
     /// The last that was wrong.
     wrong: JointStatus,
     cycles: u64,
+    errors: u8,
     celsius: f64,
     share: f64,
+    volts: f64,
+    volt_share: f64,
 }
 
 /// Collects them, without allocating after it was made.
@@ -64,14 +80,24 @@ pub(super) struct Troubles(Vec<Seen>);
 
 impl Troubles {
     pub fn new(joints: usize) -> Self {
-        let (now, wrong) = (JointStatus::Limp, JointStatus::Limp);
-        Self(vec![Seen { now, wrong, cycles: 0, celsius: f64::NEG_INFINITY, share: 1.0 }; joints])
+        let well = Seen {
+            now: JointStatus::Limp,
+            wrong: JointStatus::Limp,
+            cycles: 0,
+            errors: 0,
+            celsius: f64::NEG_INFINITY,
+            share: 1.0,
+            volts: f64::INFINITY,
+            volt_share: 1.0,
+        };
+        Self(vec![well; joints])
     }
 
     /// Takes a state that was read.
     pub fn see(&mut self, state: &HandState) {
-        for (seen, status) in self.0.iter_mut().zip(&state.status) {
+        for ((seen, status), errors) in self.0.iter_mut().zip(&state.status).zip(&state.hardware_error) {
             seen.now = *status;
+            seen.errors |= errors;
             if is_wrong(*status) {
                 seen.wrong = *status;
                 seen.cycles += 1;
@@ -87,6 +113,14 @@ impl Troubles {
         }
     }
 
+    /// Takes a limit that a low supply lowered to a share of the cap.
+    pub fn sag(&mut self, joint: usize, volts: f64, share: f64) {
+        if let Some(seen) = self.0.get_mut(joint) {
+            seen.volts = seen.volts.min(volts);
+            seen.volt_share = seen.volt_share.min(share);
+        }
+    }
+
     /// What there was, with the index of the joint, in the order of the joints.
     pub fn list(&self) -> Vec<(usize, JointTrouble)> {
         let mut list = Vec::new();
@@ -95,6 +129,12 @@ impl Troubles {
                 list.push((joint, JointTrouble::Ended(seen.now)));
             } else if seen.cycles > 0 {
                 list.push((joint, JointTrouble::Recovered { from: seen.wrong, cycles: seen.cycles }));
+            }
+            if seen.errors != 0 {
+                list.push((joint, JointTrouble::HardwareError(seen.errors)));
+            }
+            if seen.volt_share < 1.0 {
+                list.push((joint, JointTrouble::LowVoltage { volts: seen.volts, share: seen.volt_share }));
             }
             if seen.share < 1.0 {
                 list.push((joint, JointTrouble::Derated { celsius: seen.celsius, share: seen.share }));

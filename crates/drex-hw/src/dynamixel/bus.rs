@@ -12,6 +12,8 @@ const OUT: usize = 1024;
 const UNKNOWN: Duration = Duration::from_millis(50);
 /// Least patience in a loop behind such an adapter.
 const LEAST: Duration = Duration::from_millis(10);
+/// Longest time that a scan of all ids takes.
+const SCAN: Duration = Duration::from_secs(3);
 /// Reads that are thrown away before a question; more is not left-over but noise without an end.
 const DRAINS: usize = 16;
 
@@ -97,6 +99,9 @@ pub struct Bus<P> {
     pub(super) fast: bool,
     /// Times in a row that a plain read was answered and a fast one was not.
     pub(super) fast_doubts: u32,
+    /// How long nobody may answer before single questions are no longer asked, and since when nobody has.
+    silence: Option<Duration>,
+    silent_since: Duration,
 }
 
 impl<P: Port> Bus<P> {
@@ -113,7 +118,15 @@ impl<P: Port> Bus<P> {
             stats: BusStats::default(),
             fast: true,
             fast_doubts: 0,
+            silence: None,
+            silent_since: Duration::ZERO,
         }
+    }
+
+    /// From now on single questions are refused as [`Error::Silent`] without being asked once nobody has answered one for `silence`;
+    /// `None` asks for ever. A bus that is dead, or on which somebody babbles, is given up in time by this.
+    pub(crate) fn limit_silence(&mut self, silence: Option<Duration>) {
+        (self.silence, self.silent_since) = (silence, self.port.now());
     }
 
     /// The port.
@@ -166,12 +179,17 @@ impl<P: Port> Bus<P> {
     /// # Errors
     /// If the port fails; nobody there is an empty list.
     pub fn scan(&mut self) -> Result<Vec<Pong>> {
+        self.scan_within(SCAN)
+    }
+
+    /// The same within `limit`, where a bus that babbles would take all the time there is.
+    pub(crate) fn scan_within(&mut self, limit: Duration) -> Result<Vec<Pong>> {
         self.queue(BROADCAST, instruction::PING, |_| {})?;
         self.send(14)?;
         let mut found: Vec<Pong> = Vec::new();
         // A motor with a high id waits for its turn, so the first one may be late.
         let mut wait = self.first_wait() + Duration::from_millis(40);
-        let end = self.port.now() + Duration::from_secs(3);
+        let end = self.port.now() + limit;
         while self.port.now() < end {
             while let Some(p) = self.parser.next_packet() {
                 if let (instruction::STATUS, &[error, a, b, c]) = (p.instruction, p.params) {
@@ -221,25 +239,32 @@ impl<P: Port> Bus<P> {
 
     /// One question to one motor; its error byte.
     fn ask(&mut self, id: u8, instruction: u8, params: &[&[u8]], data: &mut [u8]) -> Result<u8> {
+        let given_up = self.silence.map(|s| self.silent_since + s);
+        if given_up.is_some_and(|then| self.port.now() >= then) {
+            return Err(Error::Silent { id });
+        }
         self.queue(id, instruction, |packet| params.iter().for_each(|p| packet.push(p)))?;
         let length = 11 + data.len();
         self.send(length + length / 3)?;
         let mut wait = self.first_wait();
         let sent = self.port.now();
         let end = sent + wait + self.gap_wait() * 8;
+        let end = given_up.map_or(end, |then| then.min(end));
         loop {
             while let Some(p) = self.parser.next_packet() {
                 let (self::instruction::STATUS, Some((error, reply))) = (p.instruction, p.params.split_first()) else {
                     continue;
                 };
                 if p.id == id && reply.len() == data.len() {
-                    let took = self.port.now().saturating_sub(sent + self.wire);
+                    self.silent_since = self.port.now();
+                    let took = self.silent_since.saturating_sub(sent + self.wire);
                     self.slowest = self.slowest.max(took);
                     data.copy_from_slice(reply);
                     return Ok(*error);
                 }
                 // Who refuses sends no data.
                 if p.id == id && reply.is_empty() && error & 0x7f != 0 {
+                    self.silent_since = self.port.now();
                     return Ok(*error);
                 }
             }

@@ -1,7 +1,7 @@
 //! Published numbers, for want of a calibration.
 
 use super::{Curve, Provenance, TorqueLaw};
-use crate::Result;
+use crate::{Error, Result};
 
 /// Which published law.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -21,6 +21,27 @@ pub enum Nominal {
     LeapSimulation,
     /// Allegro V5: the vendor driver's 1430 mA per N m.
     AllegroV5,
+}
+
+impl Nominal {
+    /// Published models of an XC330-M288; the first is the data sheet's.
+    pub const XC330: &[Self] = &[Self::Xc330Linear, Self::Xc330Sqrt, Self::Xc330Affine, Self::LeapSimulation];
+    /// Published models of an XL330-M288; the first is the data sheet's.
+    pub const XL330: &[Self] = &[Self::Xl330Linear, Self::Xl330Sqrt];
+    /// Published models of a joint of an Allegro V5: the vendor's driver, and the data sheet of the servo that it seems to be.
+    pub const V5: &[Self] = &[Self::AllegroV5, Self::Xc330Linear];
+
+    /// Least and largest torque, N m, that some published models give at one current, mA.
+    ///
+    /// # Errors
+    /// As [`TorqueLaw::torque_nm`], and for no models.
+    pub fn spread_nm(models: &[Self], current_ma: f64) -> Result<(f64, f64)> {
+        let torques: Result<Vec<f64>> =
+            models.iter().map(|m| TorqueLaw::nominal(*m)?.torque_nm(current_ma)).collect();
+        let torques = torques?;
+        let ends = torques.iter().copied().reduce(f64::min).zip(torques.iter().copied().reduce(f64::max));
+        ends.ok_or_else(|| Error::value("the spread of no torque-current model", "name some"))
+    }
 }
 
 impl TorqueLaw {

@@ -30,6 +30,10 @@ impl<P: Port> Hand for LeapHand<P> {
         &self.caps_ma
     }
 
+    fn error_text(&self, code: u8) -> String {
+        table::hardware_error_text(code)
+    }
+
     fn turn_on(&mut self) -> Result<()> {
         self.bus.set_timing(self.patient);
         if self.lost {
@@ -188,8 +192,7 @@ impl<P: Port> LeapHand<P> {
 
     fn report(&mut self, state: &mut HandState) {
         let n = self.joints.len();
-        let lengths = [&state.position, &state.velocity, &state.effort].map(Vec::len);
-        if lengths != [n; 3] || [state.temperature_c.len(), state.age.len(), state.status.len()] != [n; 3] {
+        if state.lengths() != [n; 8] {
             *state = HandState::new(n);
         }
         state.time_s = self.now().saturating_sub(self.connected).as_secs_f64();
@@ -198,6 +201,8 @@ impl<P: Port> LeapHand<P> {
             state.velocity[j] = joint.velocity;
             state.effort[j] = joint.current;
             state.temperature_c[j] = joint.health.map(|h| h.temperature_c);
+            state.voltage_v[j] = joint.health.map(|h| h.voltage_v);
+            state.hardware_error[j] = joint.errors;
             state.age[j] = joint.missed;
             state.status[j] = joint.status();
         }

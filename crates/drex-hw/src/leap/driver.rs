@@ -5,8 +5,9 @@ use std::time::Duration;
 
 use drex_robot::Robot;
 
-use super::absent::nobody;
-use super::inspect::{Finding, inspect_motors, inspect_port};
+use super::absent::{SILENCE, nobody};
+use super::finding::{Finding, FindingKind};
+use super::inspect::{inspect_motors, inspect_port};
 use super::joint::{Joint, MotorHealth};
 use super::options::LeapOptions;
 use super::table::{self, MotorModel};
@@ -138,9 +139,13 @@ impl<P: Port> LeapHand<P> {
             unanswered: 0,
             findings: Vec::new(),
         };
+        hand.bus.limit_silence(Some(SILENCE));
         hand.find_model()?;
         hand.findings = inspect_port(hand.bus.port());
         hand.findings.extend(inspect_motors(&mut hand.bus, &hand.options)?);
+        // A motor that is started again is silent for a while.
+        hand.bus.limit_silence(None);
+        hand.await_silent()?;
         hand.set_up_all()?;
         hand.regroup()?;
         hand.read_health()?;
@@ -218,16 +223,37 @@ impl<P: Port> LeapHand<P> {
             let what = format!("is of model {}", pong.model);
             return Err(self.wrong(j, what, "build the hand with XC330-M288 (1240) or XL330-M288 (1200) alone"));
         };
-        let most = f64::from(model.current_limit_max_ma());
-        let cap = self.options.cap_ma.unwrap_or(model.recommended_cap_ma());
-        if cap > most {
-            return Err(Error::value(
-                format!("a cap of {cap} mA"),
-                format!("an {} takes at most {most} mA, its hand {} mA", model.name(), model.recommended_cap_ma()),
-            ));
-        }
+        let cap = self.options.cap_ma.unwrap_or(model.gentle_cap_ma());
+        model.check_cap_ma(cap)?;
         self.model = model;
         self.caps_ma.fill(cap);
+        Ok(())
+    }
+
+    /// Waits for motors that did not answer when they were looked at, all together: they may just have got their power.
+    fn await_silent(&mut self) -> Result<()> {
+        let silent = |f: &Finding| (f.kind == FindingKind::Silent).then_some(f.motor).flatten();
+        let mut silent: Vec<u8> = self.findings.iter().filter_map(silent).collect();
+        let give_up = self.now() + SETUP_TIME;
+        while !silent.is_empty() {
+            let mut still = Vec::new();
+            for id in silent {
+                match self.bus.ping(id) {
+                    Ok(_) => {}
+                    Err(lost @ Error::Port { .. }) => return Err(lost),
+                    Err(_) => still.push(id),
+                }
+            }
+            if let Some(first) = still.first().filter(|_| self.now() >= give_up) {
+                let j = self.joints.iter().position(|j| j.id == *first).unwrap_or(0);
+                let what = match still.len() {
+                    1 => "does not answer".to_owned(),
+                    n => format!("does not answer, and neither do {} more of motors {still:?}", n - 1),
+                };
+                return Err(self.wrong(j, what, "check its power, cable, id and speed (baud), then try again"));
+            }
+            silent = still;
+        }
         Ok(())
     }
 

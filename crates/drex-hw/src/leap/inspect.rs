@@ -2,8 +2,9 @@
 
 use std::time::Duration;
 
+use super::finding::{Finding, FindingKind};
 use super::options::LeapOptions;
-use super::table::{self, MotorModel};
+use super::table::{self, MotorModel, RAD_PER_TICK};
 use crate::dynamixel::{Bus, Port};
 use crate::{Error, Result};
 
@@ -22,27 +23,6 @@ const DEFINED: [std::ops::Range<usize>; 4] = [0..14, 20..24, 60..61, 70..71];
 /// Where supply and temperature are.
 const TAIL: u16 = table::PRESENT_VOLTAGE.address;
 
-/// Something that is not as it should be.
-#[derive(Debug, Clone, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct Finding {
-    /// The motor; `None` concerns all.
-    pub motor: Option<u8>,
-    /// What was found.
-    pub what: String,
-    /// How to mend it.
-    pub fix: String,
-}
-
-impl std::fmt::Display for Finding {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self.motor {
-            Some(id) => write!(f, "motor {id}: {}; {}", self.what, self.fix),
-            None => write!(f, "{}; {}", self.what, self.fix),
-        }
-    }
-}
-
 /// Looks at the adapter and the motors of a hand without changing anything.
 ///
 /// # Errors
@@ -57,7 +37,8 @@ pub(super) fn inspect_port<P: Port>(port: &P) -> Vec<Finding> {
     let Some(latency) = port.latency().filter(|l| *l > LATENCY) else { return Vec::new() };
     let file = port.latency_file().map_or_else(|| "its latency_timer".into(), |f| f.display().to_string());
     let what = format!("the USB adapter holds every answer back for {} ms", latency.as_millis());
-    vec![Finding { motor: None, what, fix: format!("echo 1 | sudo tee {file}") }]
+    let fix = format!("echo 1 | sudo tee {file}");
+    vec![Finding { kind: FindingKind::UsbLatency, motor: None, what, fix }]
 }
 
 pub(super) fn inspect_motors<P: Port>(bus: &mut Bus<P>, options: &LeapOptions) -> Result<Vec<Finding>> {
@@ -65,11 +46,13 @@ pub(super) fn inspect_motors<P: Port>(bus: &mut Bus<P>, options: &LeapOptions) -
     let (mut delayed, mut old, mut models) = (Vec::new(), Vec::new(), Vec::new());
     for joint in &options.joints {
         let id = joint.id;
-        let mut say = |what: String, fix: &str| findings.push(Finding { motor: Some(id), what, fix: fix.into() });
+        let mut say = |kind, what: String, fix: &str| {
+            findings.push(Finding { kind, motor: Some(id), what, fix: fix.into() });
+        };
         let (head, tail) = match read_table(bus, id) {
             Err(lost @ Error::Port { .. }) => return Err(lost),
             Err(error) => {
-                say(error.to_string(), "nothing else is known of it");
+                say(FindingKind::Silent, error.to_string(), "nothing else is known of it");
                 continue;
             }
             Ok(read) => read,
@@ -83,36 +66,42 @@ pub(super) fn inspect_motors<P: Port>(bus: &mut Bus<P>, options: &LeapOptions) -
             old.push(id);
         }
         if table::DRIVE_MODE.in_block(0, &head) != 0 {
-            say(
-                "its drive mode is not 0, it may turn the other way or switch itself on".into(),
-                "connecting sets it to 0",
-            );
+            let what = "its drive mode is not 0, it may turn the other way or switch itself on".into();
+            say(FindingKind::DriveMode, what, "connecting sets it to 0");
         }
         if table::STARTUP.in_block(0, &head) != 0 {
-            say("it does things by itself when power comes".into(), "connecting sets register 60 to 0");
+            let what = "it does things by itself when power comes".into();
+            say(FindingKind::Startup, what, "connecting sets register 60 to 0");
         }
         let shadow = table::SHADOW_ID.in_block(0, &head);
         if shadow < 253 {
-            say(format!("it also listens to id {shadow}"), "set register 12 to 255");
+            let what = format!("it also listens to id {shadow}");
+            say(FindingKind::SecondId, what, "set register 12 to 255 with the maker's program");
         }
-        let offset = table::HOMING_OFFSET.in_block(0, &head);
-        if offset != 0 {
-            say(
-                format!("its homing offset is {offset} ticks"),
-                "set register 20 to 0, or take it into the zero of this joint",
-            );
+        let (offset, known) = (table::HOMING_OFFSET.in_block(0, &head), joint.homing_offset_ticks);
+        if offset != known {
+            let degrees = (f64::from(offset) - f64::from(known)) * RAD_PER_TICK.to_degrees();
+            let expected = if known == 0 { String::new() } else { format!(" instead of the {known} of its zero") };
+            let what = format!("its homing offset is {offset} ticks{expected}: {} is {degrees:.0} degrees off", joint.name);
+            let fix = "take it into the zero of this joint (drex hw calibrate-zero), or set register 20 back with the maker's program";
+            say(FindingKind::HomingOffset, what, fix);
         }
         let errors = table::HARDWARE_ERROR.in_block(0, &head);
         if errors != 0 {
-            say(table::hardware_error_text(errors), "connecting reboots it; find out why first");
+            let fix = "find out why first; connecting has rebooted it, or will";
+            say(FindingKind::HardwareError, table::hardware_error_text(errors), fix);
         }
         let voltage = table::PRESENT_VOLTAGE.in_block(TAIL, &tail);
         if !VOLTAGES.contains(&voltage) {
-            say(format!("its supply is {:.1} V", f64::from(voltage) / 10.0), "give 5 V that stay 5 V under load");
+            let low = voltage < *VOLTAGES.start();
+            let kind = if low { FindingKind::LowVoltage } else { FindingKind::HighVoltage };
+            let what = format!("its supply is {:.1} V", f64::from(voltage) / 10.0);
+            say(kind, what, "give 5 V that stay 5 V under load");
         }
         let celsius = table::PRESENT_TEMPERATURE.in_block(TAIL, &tail);
         if celsius >= HOT_C {
-            say(format!("it has {celsius} °C"), "let it cool; it switches off at its limit of 70 °C");
+            let what = format!("it has {celsius} °C");
+            say(FindingKind::Hot, what, "let it cool; it switches off at its limit of 70 °C");
         }
     }
     findings.extend(common(&delayed, &old, &models));
@@ -133,17 +122,19 @@ fn read_table<P: Port>(bus: &mut Bus<P>, id: u8) -> Result<([u8; HEAD], [u8; 3])
 /// What concerns more than one motor.
 fn common(delayed: &[(u8, u8)], old: &[u8], models: &[u16]) -> Vec<Finding> {
     let mut findings = Vec::new();
-    let mut say = |what: String, fix: String| findings.push(Finding { motor: None, what, fix });
+    let mut say = |kind, what: String, fix: String| findings.push(Finding { kind, motor: None, what, fix });
     if let Some(longest) = delayed.iter().map(|(_, delay)| *delay).max() {
         let (count, us) = (delayed.len(), 2 * u32::from(longest));
-        say(format!("{count} motors wait up to {us} µs before they answer"), "connecting sets register 9 to 0".into());
+        let what = format!("{count} motors wait up to {us} µs before they answer");
+        say(FindingKind::ReturnDelay, what, "connecting sets register 9 to 0".into());
     }
     if !old.is_empty() {
         let what = format!("motors {old:?} have firmware below {FAST_FIRMWARE} and cannot answer together");
-        say(what, "update it with the maker's program; until then the loop is slower".into());
+        say(FindingKind::OldFirmware, what, "update it with the maker's program; until then the loop is slower".into());
     }
     if models.iter().any(|m| m != &models[0] || MotorModel::from_number(*m).is_none()) {
         say(
+            FindingKind::MixedModels,
             format!("motors of models {models:?}"),
             "build the hand with XC330-M288 (1240) or XL330-M288 (1200) alone".into(),
         );

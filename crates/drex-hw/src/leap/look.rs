@@ -2,9 +2,11 @@
 
 use drex_robot::Robot;
 
-use super::absent::nobody;
+use super::absent::{SILENCE, nobody};
 use super::driver::{READING, joints, known_timing};
-use super::inspect::{Finding, inspect};
+use super::faults::FROZEN;
+use super::finding::Finding;
+use super::inspect::inspect;
 use super::joint::{Joint, MotorHealth};
 use super::options::LeapOptions;
 use super::table::{self, MotorModel, RAD_S_PER_UNIT};
@@ -21,6 +23,12 @@ pub struct MotorReading {
     pub firmware: u8,
     /// Whether it is under torque.
     pub torque: bool,
+    /// Bus watchdog, register 98: 0 is off, 1 to 127 the silence in 20 ms after which it freezes, 255 that it has.
+    pub watchdog: u8,
+    /// Homing offset, register 20, ticks.
+    pub homing_offset: i32,
+    /// Position as the motor has it, ticks.
+    pub ticks: i32,
     /// Angle of the joint, rad.
     pub position: f64,
     /// Its velocity, rad/s.
@@ -29,6 +37,13 @@ pub struct MotorReading {
     pub current_ma: f64,
     /// Temperature, voltage and hardware errors.
     pub health: MotorHealth,
+}
+
+impl MotorReading {
+    /// Whether its bus watchdog has run out: it stays where it is, under torque if that was on, and takes no goals.
+    pub fn is_frozen(&self) -> bool {
+        self.watchdog == FROZEN
+    }
 }
 
 /// How a motor was found.
@@ -63,6 +78,7 @@ pub fn look<P: Port>(port: P, robot: &Robot, options: &LeapOptions) -> Result<Ha
     options.check()?;
     let timing = known_timing(&port, options).unwrap_or_default();
     let mut bus = Bus::new(port, timing);
+    bus.limit_silence(Some(SILENCE));
     let mut motors = Vec::new();
     for mut joint in joints(robot, options)? {
         let (reading, trouble) = match read(&mut bus, &mut joint) {
@@ -79,6 +95,7 @@ pub fn look<P: Port>(port: P, robot: &Robot, options: &LeapOptions) -> Result<Ha
         let ids: Vec<u8> = motors.iter().map(|m| m.id).collect();
         return Err(nobody(&mut bus, &ids, options.baud));
     }
+    bus.limit_silence(Some(SILENCE));
     let findings = inspect(&mut bus, options)?;
     Ok(HandLook { motors, findings })
 }
@@ -88,6 +105,8 @@ fn read<P: Port>(bus: &mut Bus<P>, joint: &mut Joint) -> Result<MotorReading> {
     let pong = bus.ping(id)?;
     let torque = bus.get(id, table::TORQUE_ENABLE)? != 0;
     let hardware_error = bus.get(id, table::HARDWARE_ERROR)?;
+    let watchdog = bus.get(id, table::BUS_WATCHDOG)?;
+    let homing_offset = bus.get(id, table::HOMING_OFFSET)?;
     let (start, mut data) = (table::PRESENT_CURRENT.address, [0; READING]);
     bus.read(id, start, &mut data)?;
     let decivolt = bus.get(id, table::PRESENT_VOLTAGE)?;
@@ -99,6 +118,9 @@ fn read<P: Port>(bus: &mut Bus<P>, joint: &mut Joint) -> Result<MotorReading> {
         model: pong.model,
         firmware: pong.firmware,
         torque,
+        watchdog,
+        homing_offset,
+        ticks,
         position: joint.angle(ticks),
         velocity: joint.directed(f64::from(table::PRESENT_VELOCITY.in_block(start, &data)) * RAD_S_PER_UNIT),
         current_ma: joint.directed(f64::from(table::PRESENT_CURRENT.in_block(start, &data))),

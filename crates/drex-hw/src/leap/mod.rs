@@ -31,18 +31,22 @@ mod absent;
 mod cycle;
 mod driver;
 mod faults;
+mod finding;
 mod inspect;
 mod joint;
 mod look;
+mod off;
 mod options;
 mod setup;
 pub mod table;
 mod torque;
 
 pub use driver::LeapHand;
-pub use inspect::{Finding, inspect};
+pub use finding::{Finding, FindingKind, refuse_motion};
+pub use inspect::inspect;
 pub use joint::MotorHealth;
 pub use look::{HandLook, MotorLook, MotorReading, look};
+pub use off::{MotorOff, TorqueState, release, switch_off};
 pub use options::{LeapGains, LeapJoint, LeapOptions};
 #[cfg(unix)]
 pub(crate) use torque::off_round;

@@ -18,6 +18,8 @@ pub struct LeapJoint {
     pub zero_ticks: i32,
     /// Whether the motor counts down as the model's angle grows.
     pub reversed: bool,
+    /// Homing offset (register 20) with which `zero_ticks` was read, ticks; another one in the motor is a finding.
+    pub homing_offset_ticks: i32,
 }
 
 /// Gains of a motor's position loop, in the units of its control table.
@@ -39,7 +41,8 @@ pub struct LeapOptions {
     pub joints: Vec<LeapJoint>,
     /// Gains, in the order of `joints`.
     pub gains: Vec<LeapGains>,
-    /// Largest current of every motor, mA; `None` is what the maker of the hand recommends for the motors found.
+    /// Largest current of every motor, mA; `None` is [`MotorModel::gentle_cap_ma`](super::table::MotorModel::gentle_cap_ma) of the motors
+    /// found.
     pub cap_ma: Option<f64>,
     /// Current with which torque goes on, mA.
     pub start_ma: f64,
@@ -69,7 +72,13 @@ impl LeapOptions {
     /// A right hand as its maker wires it: ids 0 to 15, 4 Mbaud, zero at half a turn.
     pub fn right() -> Self {
         let names = orders::order("leap_sdk").unwrap_or_default();
-        let joint = |(id, name): (u8, &&str)| LeapJoint { id, name: (*name).into(), zero_ticks: 2048, reversed: false };
+        let joint = |(id, name): (u8, &&str)| LeapJoint {
+            id,
+            name: (*name).into(),
+            zero_ticks: 2048,
+            reversed: false,
+            homing_offset_ticks: 0,
+        };
         let gains = |id| {
             if matches!(id, 0 | 4 | 8) {
                 LeapGains { p: 450, i: 0, d: 150 }

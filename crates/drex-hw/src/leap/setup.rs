@@ -50,16 +50,15 @@ impl<P: Port> LeapHand<P> {
                 // Not all at once: behind a slow adapter the last ones would have no time left.
                 self.begin_setup(j);
                 self.settle(j)?;
+                // Waiting for all of a hand without power would take half a minute.
+                self.check_set_up(j)?;
             }
         }
         loop {
             let mut waiting = None;
             for j in 0..self.joints.len() {
                 self.settle(j)?;
-                if let Life::Faulted { .. } = self.joints[j].life {
-                    let what = self.joints[j].trouble.clone().unwrap_or_else(|| "cannot be set up".into());
-                    return Err(self.wrong(j, what, "then try again"));
-                }
+                self.check_set_up(j)?;
                 if let Life::Booting { .. } = self.joints[j].life {
                     waiting = Some(j);
                 }
@@ -68,6 +67,12 @@ impl<P: Port> LeapHand<P> {
             self.bus.pause(ASK)?;
             self.advance(j)?;
         }
+    }
+
+    fn check_set_up(&self, j: usize) -> Result<()> {
+        let Life::Faulted { .. } = self.joints[j].life else { return Ok(()) };
+        let what = self.joints[j].trouble.clone().unwrap_or_else(|| "cannot be set up".into());
+        Err(self.wrong(j, what, "then try again"))
     }
 
     /// Goes on with the setup of a motor until it is done, or has to wait.
@@ -233,6 +238,6 @@ impl<P: Port> LeapHand<P> {
             "at {:.3} rad (tick {ticks}), where it cannot be ({low:.3} to {high:.3})",
             self.joints[j].angle(ticks)
         );
-        Err(self.wrong(j, what, "mount its horn again in the right place, or set another zero for this joint"))
+        Err(self.wrong(j, what, "mount its horn again in the right place, or set another zero for this joint (drex hw calibrate-zero)"))
     }
 }

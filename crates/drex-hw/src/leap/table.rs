@@ -4,6 +4,7 @@ use std::marker::PhantomData;
 
 use crate::Result;
 use crate::dynamixel::{Bus, Port};
+use crate::law::Nominal;
 
 /// A number in a control table.
 pub trait Value: Copy {
@@ -221,11 +222,52 @@ impl MotorModel {
         }
     }
 
-    /// Current that the maker of the hand recommends not to exceed, mA.
+    /// Current to start with, mA: our choice, about a tenth of the stall torque by the data sheet's constant, half of what the motor's
+    /// maker asks not to exceed for smooth motion.
+    pub fn gentle_cap_ma(self) -> f64 {
+        match self {
+            Self::Xc330M288 => 200.0,
+            Self::Xl330M288 => 150.0,
+        }
+    }
+
+    /// Current that the authors of the LEAP hand recommend not to exceed, mA.
     pub fn recommended_cap_ma(self) -> f64 {
         match self {
             Self::Xc330M288 => 550.0,
             Self::Xl330M288 => 300.0,
+        }
+    }
+
+    /// Stall current at 5 V as the motor's maker states it, mA: more cannot be meant.
+    pub fn peak_ma(self) -> f64 {
+        match self {
+            Self::Xc330M288 => 1800.0,
+            Self::Xl330M288 => 1470.0,
+        }
+    }
+
+    /// Refuses a cap above the motor's peak.
+    ///
+    /// # Errors
+    /// [`Error::Value`](crate::Error::Value) with the peak and what is recommended.
+    pub fn check_cap_ma(self, cap_ma: f64) -> Result<()> {
+        if cap_ma <= self.peak_ma() {
+            return Ok(());
+        }
+        let (name, peak, recommended, gentle) =
+            (self.name(), self.peak_ma(), self.recommended_cap_ma(), self.gentle_cap_ma());
+        Err(crate::Error::value(
+            format!("a cap of {cap_ma} mA, above the {peak} mA at which an {name} stalls"),
+            format!("start with {gentle} mA; the authors of the LEAP hand recommend at most {recommended} mA"),
+        ))
+    }
+
+    /// Published torque-current models of this motor; the first is the data sheet's.
+    pub fn torque_current_models(self) -> &'static [Nominal] {
+        match self {
+            Self::Xc330M288 => Nominal::XC330,
+            Self::Xl330M288 => Nominal::XL330,
         }
     }
 

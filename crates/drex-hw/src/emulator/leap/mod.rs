@@ -14,6 +14,7 @@ mod fault;
 mod motor;
 mod physics;
 mod port;
+mod registers;
 #[cfg(unix)]
 mod serial;
 mod wire;
@@ -29,7 +30,7 @@ pub use wire::WriteRecord;
 
 use crate::leap::table::{self, MotorModel, Register, Value};
 use crate::{Clock, SystemClock};
-use wire::Wire;
+use wire::{Supply, Wire};
 
 /// An emulated LEAP hand. Clones are the same hand.
 #[derive(Debug, Clone)]
@@ -114,6 +115,24 @@ impl LeapEmulator {
     /// Cuts the data line to motor `id`, which keeps its power and hears and says nothing, or mends it.
     pub fn detach(&self, id: u8, cut: bool) {
         self.with_motor(id, |m| m.detached = cut);
+    }
+
+    /// Supplies all motors with `volts`, less `ohms` times the sum of their currents. Below 3.5 V (register 34) a motor has the
+    /// input-voltage error, below 3 V it goes without power and forgets what is in RAM.
+    pub fn set_supply(&self, volts: f64, ohms: f64) {
+        let mut wire = self.wire();
+        wire.supply = Some(Supply { volts, ohms });
+        wire.feed();
+    }
+
+    /// Lets the position sensor of motor `id` stay at what it reads now, whatever the joint does, or frees it.
+    pub fn stick_encoder(&self, id: u8, stuck: bool) {
+        self.with_motor(id, |m| m.body.stuck = stuck.then_some(m.body.position));
+    }
+
+    /// Lets the current sensor of motor `id` read `factor` (above zero) times the current that flows; the motor limits what it reads.
+    pub fn set_current_sensor(&self, id: u8, factor: f64) {
+        self.with_motor(id, |m| m.body.sensor = if factor > 0.0 { factor } else { 1.0 });
     }
 
     /// Pulls the plug of the port; the motors keep their power.

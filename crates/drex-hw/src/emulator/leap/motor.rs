@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use super::physics::Body;
+use super::registers::{END, check_write, is_defined, is_writable};
 use crate::dynamixel::Pong;
 use crate::leap::table::{self, MotorModel, Register, Value};
 
@@ -18,11 +19,8 @@ pub(super) mod refusal {
 
 /// First address that is not kept without power.
 const RAM: u16 = 64;
-/// Addresses that mean something; a motor refuses to read across others.
-const DEFINED: [std::ops::Range<usize>; 11] =
-    [0..14, 20..28, 31..40, 44..56, 60..61, 62..66, 68..71, 76..86, 88..92, 98..148, 168..END];
-/// First address behind the table.
-const END: usize = 228;
+/// Supply below which a motor loses what is in RAM, V; our choice, the manual gives none.
+const BROWN_OUT_V: f64 = 3.0;
 /// What the watchdog register says when it has run out.
 const FROZEN: u8 = 255;
 /// How long a motor is deaf after a reboot.
@@ -171,7 +169,7 @@ impl Motor {
         let watchdog = self.get(table::BUS_WATCHDOG);
         if (1..=127).contains(&watchdog) && now > self.heard_at + Duration::from_millis(20 * u64::from(watchdog)) {
             self.set(table::BUS_WATCHDOG, FROZEN);
-            self.set(table::GOAL_POSITION, self.body.position.round() as i32);
+            self.set(table::GOAL_POSITION, self.body.seen().0.round() as i32);
         }
         // The other modes are not for hands: such a motor does nothing.
         let on = self.get(table::TORQUE_ENABLE) != 0 && matches!(self.get(table::MODE), 3..=5);
@@ -187,8 +185,9 @@ impl Motor {
 
     /// Puts what is measured into the table.
     pub fn show(&mut self) {
-        self.set(table::PRESENT_POSITION, self.body.position.round() as i32);
-        let units = self.body.velocity * table::RAD_PER_TICK / table::RAD_S_PER_UNIT;
+        let (position, velocity) = self.body.seen();
+        self.set(table::PRESENT_POSITION, position.round() as i32);
+        let units = velocity * table::RAD_PER_TICK / table::RAD_S_PER_UNIT;
         self.set(table::PRESENT_VELOCITY, units.round() as i32);
         self.set(table::PRESENT_CURRENT, self.body.current.round() as i16);
     }
@@ -200,6 +199,17 @@ impl Motor {
         if all & self.get(table::SHUTDOWN) != 0 {
             self.set(table::TORQUE_ENABLE, 0);
         }
+    }
+
+    /// Sets the supply: too little of it is a hardware error, still less takes what is in RAM.
+    pub fn supply(&mut self, volts: f64, now: Duration) {
+        let decivolt = (10.0 * volts).round().clamp(0.0, 255.0) as u16;
+        if volts < BROWN_OUT_V {
+            self.reboot(now);
+        } else if decivolt < self.get(table::MIN_VOLTAGE) {
+            self.fail(table::hardware_error::VOLTAGE);
+        }
+        self.set(table::PRESENT_VOLTAGE, decivolt);
     }
 
     /// Where `address` really lies.
@@ -219,7 +229,7 @@ impl Motor {
         }
         for (address, byte) in (start..).zip(data) {
             let target = self.target(address);
-            if [address, target].iter().any(|a| !DEFINED.iter().any(|d| d.contains(a))) {
+            if !(is_defined(address) && is_defined(target)) {
                 return Err(refusal::ACCESS);
             }
             *byte = self.memory[target];
@@ -230,17 +240,14 @@ impl Motor {
     /// Writes `data` at `address`, and does what that causes.
     pub fn write(&mut self, address: u16, data: &[u8]) -> Result<(), u8> {
         let start = usize::from(address);
-        if data.is_empty() || start + data.len() > END {
-            return Err(refusal::LENGTH);
-        }
+        check_write(start, data.len())?;
         let targets: Vec<usize> = (start..start + data.len()).map(|a| self.target(a)).collect();
         let mut after = self.clone();
         for (&target, &byte) in targets.iter().zip(data) {
             if target < usize::from(RAM) && self.get(table::TORQUE_ENABLE) != 0 {
                 return Err(refusal::ACCESS);
             }
-            let read_only = matches!(target, 0..=6 | 70 | 120..=147);
-            if read_only {
+            if !is_writable(target) {
                 return Err(refusal::ACCESS);
             }
             if self.frozen() && (100..120).contains(&target) {

@@ -22,21 +22,36 @@ pub(super) struct Body {
     pub position: f64,
     /// Ticks/s.
     pub velocity: f64,
-    /// mA, signed.
+    /// Measured current, mA, signed.
     pub current: f64,
+    /// Measured current over the one that flows.
+    pub sensor: f64,
+    /// Where the position sensor is stuck, ticks.
+    pub stuck: Option<f64>,
     /// Lowest and highest angle that something in the way leaves, ticks.
     pub wall: (f64, f64),
 }
 
 impl Default for Body {
     fn default() -> Self {
-        Self { position: 2048.0, velocity: 0.0, current: 0.0, wall: (f64::NEG_INFINITY, f64::INFINITY) }
+        let wall = (f64::NEG_INFINITY, f64::INFINITY);
+        Self { position: 2048.0, velocity: 0.0, current: 0.0, sensor: 1.0, stuck: None, wall }
     }
 }
 
 impl Body {
     pub fn stop(&mut self) {
         (self.velocity, self.current) = (0.0, 0.0);
+    }
+
+    /// Position, ticks, and velocity, ticks/s, as the sensor has them.
+    pub fn seen(&self) -> (f64, f64) {
+        self.stuck.map_or((self.position, self.velocity), |at| (at, 0.0))
+    }
+
+    /// Current that flows, mA, signed.
+    pub fn flowing(&self) -> f64 {
+        self.current / self.sensor
     }
 
     pub fn forget_turns(&mut self) {
@@ -47,10 +62,11 @@ impl Body {
 
     /// One step of `dt` seconds; `drive` is goal (ticks), gains P and D, and the largest current (mA), or nothing without torque.
     pub fn step(&mut self, dt: f64, drive: Option<(f64, f64, f64, f64)>) {
+        let (position, velocity) = self.seen();
         self.current = drive.map_or(0.0, |(goal, p, d, limit)| {
-            (P_SCALE * p * (goal - self.position) - D_SCALE * d * self.velocity).clamp(-limit, limit)
+            (P_SCALE * p * (goal - position) - D_SCALE * d * velocity).clamp(-limit, limit)
         });
-        let pushed = self.velocity + ACCELERATION * self.current * dt;
+        let pushed = self.velocity + ACCELERATION * self.flowing() * dt;
         let friction = (ACCELERATION * FRICTION * dt).min(pushed.abs());
         self.velocity = ((pushed - friction * pushed.signum()) / (1.0 + DRAG * dt)).clamp(-TOP_SPEED, TOP_SPEED);
         let next = self.position + self.velocity * dt;

@@ -27,9 +27,20 @@ pub struct WriteRecord {
     pub accepted: bool,
 }
 
+/// A supply and what its cables take from it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Supply {
+    /// Without load, V.
+    pub volts: f64,
+    /// Resistance on the way to the motors, Ω.
+    pub ohms: f64,
+}
+
 #[derive(Debug)]
 pub(super) struct Wire {
     pub motors: Vec<Motor>,
+    /// What they are supplied with; `None` is 5 V under any load.
+    pub supply: Option<Supply>,
     pub plugged: bool,
     pub record: Option<Vec<WriteRecord>>,
     parser: Parser,
@@ -44,6 +55,7 @@ impl Wire {
     pub fn new(model: MotorModel) -> Self {
         Self {
             motors: (0..16).map(|id| Motor::new(id, model)).collect(),
+            supply: None,
             plugged: true,
             record: None,
             parser: Parser::new(),
@@ -68,7 +80,16 @@ impl Wire {
         while self.stepped + STEP <= self.now {
             self.stepped += STEP;
             self.motors.iter_mut().for_each(|m| m.step(self.stepped, STEP.as_secs_f64()));
+            self.feed();
         }
+    }
+
+    /// Gives the motors the voltage that their currents leave of the supply.
+    pub fn feed(&mut self) {
+        let Some(Supply { volts, ohms }) = self.supply else { return };
+        let load_a: f64 = self.motors.iter().map(|m| m.body.flowing().abs() * 1e-3).sum();
+        let (volts, now) = ((volts - ohms * load_a).max(0.0), self.stepped);
+        self.motors.iter_mut().for_each(|m| m.supply(volts, now));
     }
 
     pub fn inject(&mut self, fault: Fault, times: u32) {
