@@ -4,8 +4,8 @@
     cargo build --release -p drex-hw --example leap_emulator
     python tests/peers/dynamixel_sdk_client.py [--seconds N] [--program FILE]
 
-Ping, read, write, registered write and action, reboot, sync, bulk, fast sync and fast bulk read, in current-based position mode: all
-joints go to a goal. Then exchanges per second are measured,
+Ping, read, write (whole registers, and the refusal of parts of them), registered write and action, reboot, sync, bulk, fast sync and
+fast bulk read, in current-based position mode: all joints go to a goal. Then exchanges per second are measured,
 as this client does them. Ends with an error if an answer is not the expected one.
 """
 
@@ -19,7 +19,7 @@ import dynamixel_sdk as dxl
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 IDS = range(16)
-MODEL, LOCKED = 1240, 7
+MODEL, WRONG_LENGTH, LOCKED = 1240, 5, 7
 MODE, TORQUE, GAIN_P, GOAL_CURRENT, GOAL, PRESENT, POSITION, TEMPERATURE = 11, 64, 84, 102, 116, 126, 132, 146
 
 
@@ -98,6 +98,15 @@ def talk(client):
     answer, result = packets.rxPacket(port, False)
     check("answer to the action", (result, answer[4], answer[8]), (dxl.COMM_SUCCESS, 3, 0))  # its motor, its error
     check("now", client.done("read", packets.read2ByteTxRx(port, 3, GAIN_P)), 600)
+
+    # Only whole registers are taken: half of a goal position, a goal current and half of what follows it, the second byte of a gain.
+    client.done("goal", client.write(3, GOAL, 2048, 4))
+    for address, count in ((GOAL, 2), (GOAL, 1), (GOAL + 2, 2), (GOAL_CURRENT, 4), (GAIN_P + 1, 1)):
+        check(f"{count} bytes at {address}", client.write(3, address, 0, count), (dxl.COMM_SUCCESS, WRONG_LENGTH))
+    check("nothing was written", client.done("read", packets.read4ByteTxRx(port, 3, GOAL)), 2048)
+    result, error = packets.regWriteTxRx(port, 3, GOAL, 2, little(0, 2))
+    check("half a registered write", (result, error), (dxl.COMM_SUCCESS, WRONG_LENGTH))
+    client.done("two registers", packets.writeTxRx(port, 3, GOAL_CURRENT, 6, little(0, 6)))
 
     client.done("torque on", client.write(5, TORQUE, 1, 1))
     check("a mode under torque", client.write(5, MODE, 5, 1)[1], LOCKED)

@@ -23,8 +23,8 @@ pub use bench::{BenchCommand, BenchCommon, DemosArgs, GraspBenchArgs};
 pub use grasp::{DeployArgs, GraspArgs};
 pub use help::command;
 pub use hw::{
-    AllegroArg, CalibrateArgs, EmulateArgs, GuardArgs, HandArg, HandArgs, HwCommand, LinkArgs, MoveArgs, RecordArgs,
-    RunArgs,
+    AllegroArg, AllowArgs, CalibrateArgs, CalibrateZeroArgs, EmulateArgs, GuardArgs, HandArg, HandArgs, HwCommand,
+    LinkArgs, MotorArg, MoveArgs, RecordArgs, ReleaseArgs, RunArgs,
 };
 pub use retarget::{DetectorArg, HandsArgs, ObjectiveArg, ReadingArgs, RetargetArgs};
 

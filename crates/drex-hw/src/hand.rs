@@ -94,7 +94,8 @@ impl HandState {
 
     /// Lengths of the lists.
     pub(crate) fn lengths(&self) -> [usize; 8] {
-        let Self { time_s: _, position, velocity, effort, temperature_c, voltage_v, hardware_error, age, status } = self;
+        let Self { time_s: _, position, velocity, effort, temperature_c, voltage_v, hardware_error, age, status } =
+            self;
         [
             position.len(),
             velocity.len(),

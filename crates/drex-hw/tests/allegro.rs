@@ -573,3 +573,53 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_hand_without_a_driver_is_switched_off_or_said_not_to_be() {
+    use drex_hw::allegro::{AllegroOff, reports_poses, switch_off};
+    for version in VERSIONS {
+        let options = AllegroOptions::new(version);
+        let (hand, mut driver) = driven(options.clone());
+        hand.set_watchdog(None);
+        driver.turn_on().expect("on");
+        let command = HandCommand { position: vec![0.5; 16], effort_limit: vec![0.1; 16] };
+        let mut state = HandState::new(16);
+        for _ in 0..50 {
+            driver.cycle(Some(&command), &mut state).expect("exchange");
+            hand.pass(Duration::from_millis(2));
+        }
+        // A driver that was killed: the hand goes on pressing.
+        std::mem::forget(driver);
+        hand.pass(Duration::from_secs(1));
+        assert!(hand.torques_nm().iter().any(|t| *t != 0.0));
+        assert!(reports_poses(&mut hand.bus(), &options, &hand.clock()).expect("bus"));
+        assert_eq!(switch_off(&mut hand.bus(), &options, &hand.clock()).expect("bus"), AllegroOff::Off);
+        assert!(!hand.is_on() && hand.torques_nm() == [0.0; 16]);
+        assert!(!reports_poses(&mut hand.bus(), &options, &hand.clock()).expect("bus"));
+        assert_eq!(switch_off(&mut hand.bus(), &options, &hand.clock()).expect("bus"), AllegroOff::Off, "again");
+    }
+}
+
+#[test]
+fn a_geared_joint_turns_less_and_presses_harder() {
+    let mut ratios = [1.0; 16];
+    ratios[1] = 2.0;
+    let (plain, geared) =
+        (AllegroOptions::new(AllegroVersion::V5), AllegroOptions::new(AllegroVersion::V5).with_gear_ratios(ratios));
+    assert_eq!(geared.torque_caps_nm()[1], 2.0 * plain.torque_caps_nm()[1]);
+    assert_eq!(geared.torque_caps_nm()[0], plain.torque_caps_nm()[0]);
+    let (hand, robot) = (AllegroEmulator::with_options(geared.clone()), robot());
+    hand.place(1, 0.4);
+    let seen = |options: AllegroOptions| {
+        let mut driver = AllegroHand::connect_with_clock(hand.bus(), &robot, options, hand.clock()).expect("connects");
+        driver.wait_for_reports().expect("bus");
+        let mut state = HandState::new(16);
+        driver.cycle(None, &mut state).expect("exchange");
+        state.position[robot.require_joint("ffj1").unwrap()]
+    };
+    // Who does not know of the gear reads twice the angle.
+    assert!((seen(geared) - 0.4).abs() < 2e-3 && (seen(plain) - 0.8).abs() < 2e-3);
+    let capped = AllegroOptions::new(AllegroVersion::V5).with_gear_ratios(ratios).with_cap_nm(0.1);
+    assert!(capped.torque_caps_nm().iter().all(|c| (0.098..=0.1).contains(c)), "{:?}", capped.torque_caps_nm());
+    assert_eq!(AllegroOptions::new(AllegroVersion::V5).with_gentle_caps().wire_caps, [120; 16]);
+}

@@ -124,7 +124,11 @@ fn a_release_lets_the_force_fall_slowly() {
     hand.record_writes();
     let motors = release(hand.port(), &robot(), &options(), Duration::from_secs(1)).expect("answers");
     assert_eq!(states(&motors, TorqueState::Off).len(), 16);
-    assert!((Duration::from_secs(1)..Duration::from_secs(2)).contains(&(hand.now() - until)), "{:?}", hand.now() - until);
+    assert!(
+        (Duration::from_secs(1)..Duration::from_secs(2)).contains(&(hand.now() - until)),
+        "{:?}",
+        hand.now() - until
+    );
     let writes = watched.take_writes();
     let falling: Vec<i16> = writes
         .iter()

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use drex_core::Pose;
 
-use super::{GuardArgs, LinkArgs, RunArgs, pose, positive};
+use super::{AllowArgs, GuardArgs, LinkArgs, RunArgs, pose, positive};
 
 /// `drex grasp`.
 #[derive(Debug, Args)]
@@ -48,7 +48,7 @@ pub struct DeployArgs {
     /// Grasp with an emulated hand.
     #[arg(long)]
     pub emulate: bool,
-    /// Law of current and torque of the motors, from `drex hw calibrate` [default: the data sheet's].
+    /// Law of current and torque of the motors, from `drex hw calibrate` [default: the data sheet's of the motors found].
     #[arg(long, value_name = "FILE")]
     pub law: Option<PathBuf>,
     /// All joints get the current that the joint needs that needs most, as in the paper.
@@ -66,6 +66,9 @@ pub struct DeployArgs {
     /// What can go wrong.
     #[command(flatten)]
     pub guard: GuardArgs,
+    /// In spite of what.
+    #[command(flatten)]
+    pub allow: AllowArgs,
 }
 
 impl DeployArgs {
@@ -81,8 +84,9 @@ impl DeployArgs {
             torque_cap: None,
         };
         let run = RunArgs { rate: RunArgs::RATE_HZ, log: Some(log) };
-        let (link, guard, hold) = (LinkArgs::default(), GuardArgs::default(), Self::HOLD_S);
-        Self { grasp, out: None, port: None, emulate: true, law: None, uniform: false, hold, link, run, guard }
+        let (link, guard, allow) = (LinkArgs::default(), GuardArgs::default(), AllowArgs::default());
+        let (out, port, law, hold) = (None, None, None, Self::HOLD_S);
+        Self { grasp, out, port, emulate: true, law, uniform: false, hold, link, run, guard, allow }
     }
 
     const HOLD_S: f64 = 3.0;

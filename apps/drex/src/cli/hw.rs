@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Subcommand, ValueEnum};
+use drex_hw::leap::FindingKind;
 
 use super::positive;
 
@@ -14,12 +15,18 @@ pub enum HwCommand {
     Ping(HandArgs),
     /// Read angles, currents, temperatures and voltages, and say what is not as it should be.
     Status(HandArgs),
+    /// Take the torque off all joints of a hand in any state, and say of each motor what is known.
+    Off(HandArgs),
+    /// Let go gently: the force of all joints falls to nothing where they are, then the torque goes off.
+    Release(ReleaseArgs),
     /// Move joints to angles, slowly, pressing no harder than allowed.
     Move(MoveArgs),
     /// Write angles and efforts to a joint log, the hand limp or playing a log.
     Record(RecordArgs),
     /// Find the law of current and torque of a motor from measured pairs.
     Calibrate(CalibrateArgs),
+    /// Write a hand file with the zeros of a hand that somebody holds in a known pose.
+    CalibrateZero(CalibrateZeroArgs),
     /// Be a hand without hardware, at a pseudo-terminal, until Ctrl-C.
     Emulate(EmulateArgs),
     /// Be the guard of the program at the standard input: started by the commands that drive a hand.
@@ -41,27 +48,58 @@ pub struct HandArgs {
     pub link: LinkArgs,
 }
 
-/// Speed and generation.
-#[derive(Debug, Args)]
+/// Speed, generation, cap and hand file.
+#[derive(Debug, Default, Args)]
 pub struct LinkArgs {
-    /// Speed of the LEAP bus, bits per second.
-    #[arg(long, value_name = "N", default_value_t = Self::BAUD, value_parser = clap::value_parser!(u32).range(9_600..=10_500_000))]
-    pub baud: u32,
-    /// Generation of the Allegro hand.
-    #[arg(long, value_enum, value_name = "VERSION", default_value_t = AllegroArg::V4)]
-    pub allegro: AllegroArg,
-    /// No joint presses with more than this: mA for LEAP, N m for Allegro [default: what the hand's maker recommends].
+    /// Speed of the LEAP bus, bits per second [default: 4000000].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(9_600..=10_500_000))]
+    pub baud: Option<u32>,
+    /// Generation of the Allegro hand [default: v4].
+    #[arg(long, value_enum, value_name = "VERSION")]
+    pub allegro: Option<AllegroArg>,
+    /// No joint presses with more than this: mA for LEAP, N m for Allegro [default: a gentle one for the motors].
     #[arg(long, value_name = "EFFORT", value_parser = positive)]
     pub cap: Option<f64>,
+    /// Zeros, signs, side, cap and gears of this one hand, as `drex hw calibrate-zero` writes them.
+    #[arg(long, value_name = "TOML")]
+    pub hand_file: Option<PathBuf>,
 }
 
-impl LinkArgs {
-    const BAUD: u32 = 4_000_000;
+/// Findings in spite of which a hand moves.
+#[derive(Debug, Default, Args)]
+pub struct AllowArgs {
+    /// Move in spite of these findings, which otherwise stop the hand before it moves.
+    #[arg(long, value_enum, value_name = "FINDING,…", value_delimiter = ',')]
+    pub allow: Vec<AllowArg>,
 }
 
-impl Default for LinkArgs {
-    fn default() -> Self {
-        Self { baud: Self::BAUD, allegro: AllegroArg::V4, cap: None }
+/// Findings that stop motion.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum AllowArg {
+    /// A motor adds an offset that its zero does not know.
+    HomingOffset,
+    /// A motor listens to a second id.
+    SecondId,
+    /// A motor had a hardware error when it was looked at.
+    HardwareError,
+    /// Less than 4.5 V.
+    LowVoltage,
+    /// More than 5.5 V.
+    HighVoltage,
+    /// A motor of 60 °C or more.
+    Hot,
+}
+
+impl From<AllowArg> for FindingKind {
+    fn from(allow: AllowArg) -> Self {
+        match allow {
+            AllowArg::HomingOffset => Self::HomingOffset,
+            AllowArg::SecondId => Self::SecondId,
+            AllowArg::HardwareError => Self::HardwareError,
+            AllowArg::LowVoltage => Self::LowVoltage,
+            AllowArg::HighVoltage => Self::HighVoltage,
+            AllowArg::Hot => Self::Hot,
+        }
     }
 }
 
@@ -92,6 +130,39 @@ fn seconds(text: &str) -> Result<Duration, String> {
     Duration::try_from_secs_f64(seconds).map_err(|_| "expected a number of seconds that is not negative".into())
 }
 
+/// `drex hw release`.
+#[derive(Debug, Args)]
+pub struct ReleaseArgs {
+    /// The hand.
+    #[command(flatten)]
+    pub hand: HandArgs,
+    /// Time in which the force falls, s.
+    #[arg(long, value_name = "S", default_value_t = 1.0, value_parser = release_time)]
+    pub seconds: f64,
+}
+
+/// A time in which a force may fall, s.
+fn release_time(text: &str) -> Result<f64, String> {
+    positive(text).and_then(|s| if s <= 10.0 { Ok(s) } else { Err("give at most 10 s".into()) })
+}
+
+/// `drex hw calibrate-zero`.
+#[derive(Debug, Args)]
+pub struct CalibrateZeroArgs {
+    /// The hand; what its hand file says beside the zeros is kept.
+    #[command(flatten)]
+    pub hand: HandArgs,
+    /// Pose in which it is held: `rest`, all joints at 0, or joints and angles in rad, as in if_mcp=0.5,th_cmc=0.2; the others at 0.
+    #[arg(long, value_name = "JOINT=RAD,…", default_value = "rest", allow_hyphen_values = true)]
+    pub pose: String,
+    /// How long it is read, s.
+    #[arg(long, value_name = "S", default_value_t = 2.0, value_parser = positive)]
+    pub seconds: f64,
+    /// File to write.
+    #[arg(long, value_name = "TOML", default_value = "hand.toml")]
+    pub out: PathBuf,
+}
+
 /// `drex hw move`.
 #[derive(Debug, Args)]
 pub struct MoveArgs {
@@ -110,6 +181,9 @@ pub struct MoveArgs {
     /// What can go wrong.
     #[command(flatten)]
     pub guard: GuardArgs,
+    /// In spite of what.
+    #[command(flatten)]
+    pub allow: AllowArgs,
 }
 
 /// `drex hw record`.
@@ -133,6 +207,9 @@ pub struct RecordArgs {
     /// What can go wrong.
     #[command(flatten)]
     pub guard: GuardArgs,
+    /// In spite of what.
+    #[command(flatten)]
+    pub allow: AllowArgs,
 }
 
 /// Rate and log of a loop.
@@ -189,6 +266,13 @@ pub struct EmulateArgs {
     /// Something in the way of joints: angles that they cannot pass closing, rad, as in if_mcp=0.5.
     #[arg(long, value_name = "JOINT=RAD,…")]
     pub wall: Option<String>,
+    /// Motors of the LEAP hand.
+    #[arg(long, value_enum, value_name = "MOTOR", default_value_t = MotorArg::Xc330)]
+    pub motors: MotorArg,
+    /// A fault of the LEAP hand, once or more: supply=V, supply-resistance=OHM (a brown-out under load), latency=MS (of the USB adapter),
+    /// stuck-encoder=JOINT, current-sensor=JOINT:FACTOR, homing-offset=JOINT:TICKS, hardware-error=JOINT:BITS, mute=JOINT.
+    #[arg(long, value_name = "FAULT=VALUE")]
+    pub fault: Vec<String>,
     /// Stop by itself after this time, s.
     #[arg(long, value_name = "S", value_parser = positive)]
     pub seconds: Option<f64>,
@@ -197,9 +281,9 @@ pub struct EmulateArgs {
 /// Hands that can be driven.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum HandArg {
-    /// LEAP, right, over Dynamixel.
+    /// LEAP, over Dynamixel.
     Leap,
-    /// Allegro, right, over CAN.
+    /// Allegro, over CAN.
     Allegro,
 }
 
@@ -209,13 +293,30 @@ impl HandArg {
         Self::from_str(name, false).ok()
     }
 
-    /// Name of the bundled model.
+    /// Name of the bundled model of a left hand.
+    pub fn left_robot(self) -> &'static str {
+        match self {
+            Self::Leap => "leap_left",
+            Self::Allegro => "allegro_left",
+        }
+    }
+
+    /// Name of the bundled model of a right hand.
     pub fn robot(self) -> &'static str {
         match self {
             Self::Leap => "leap_right",
             Self::Allegro => "allegro_right",
         }
     }
+}
+
+/// Motors of LEAP hands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum MotorArg {
+    /// XC330-M288, of the full hand.
+    Xc330,
+    /// XL330-M288, of the lite hand.
+    Xl330,
 }
 
 /// Generations of the Allegro hand.

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
-use drex_hw::allegro::WIRE_JOINTS;
+use drex_hw::allegro::AllegroVersion;
 use drex_hw::control::{EStop, GraspPlan};
 use drex_hw::law::{LimitMode, LimitOptions, Nominal, TorqueLaw, torque_limits_nm};
 use drex_hw::leap::table::MotorModel;
@@ -55,8 +55,18 @@ pub struct Limits {
     pub force: Vec<f64>,
     /// Of current and torque; absent where the hand takes torques.
     law: Option<TorqueLaw>,
+    /// Motors that the law is of, and whether they were found or assumed; absent where the hand takes torques.
+    motor: Option<&'static str>,
+    motor_assumed: bool,
+    /// Largest limit that a joint may get.
+    cap: f64,
+    /// Least and largest torque that published torque-current models give at the largest limit, N m.
+    published_nm: Option<(f64, f64)>,
     /// Torque that the motors lack, N m.
     short_nm: Vec<f64>,
+    /// What is to be said of the cap.
+    #[serde(skip)]
+    warning: Option<String>,
 }
 
 /// Which network it is.
@@ -104,13 +114,13 @@ pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     // Before there is a hand that could be left with its torque on.
     let stop = hw::stop_button()?;
     let mut ready = Ready::of(&args.grasp, seed)?;
-    limit_to_driver(&mut ready.robot, args);
+    limit_to_driver(&mut ready.robot, args)?;
     let grasp = ready.predict()?;
     if let Some(reason) = &grasp.cannot_hold {
         bail!("there is no grasp to deploy: {reason}");
     }
     let begun = Instant::now();
-    let Deployed { file, limits, done, .. } = deploy(args, &ready, &grasp, &stop)?;
+    let Deployed { file, limits, done, .. } = deploy(args, &ready, &grasp, &stop, ui)?;
     let mut timing = Timing::of(begun.elapsed().as_secs_f64());
     timing.input = Some(args.grasp.twin_or_policy.clone());
     timing.parts = [("network", grasp.network_ms), ("force", grasp.force_ms)]
@@ -127,14 +137,12 @@ pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
         limits.unit,
         file.display()
     );
-    match &limits.law {
-        Some(law) if !law.is_calibrated() => {
-            text += "  note     the motors' law is the data sheet's; measured laws differ by a factor of two: drex hw calibrate\n";
-        }
-        _ => {}
-    }
+    text += &limits.text();
     if short > 0.0 {
-        text += &format!("  note     the limits leave a joint {short:.3} N m short of the squeeze\n");
+        text += &format!(
+            "  note     the limits leave a joint {short:.3} N m short of the grip force: the cap is {:.3} {}, --cap raises it\n",
+            limits.cap, limits.unit
+        );
     }
     match &done {
         Some(done) => text += &done.text(&grasp.joint_names, limits.unit),
@@ -148,75 +156,128 @@ pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
 ///
 /// # Errors
 /// If there is no driver for the hand, the file cannot be written, or the hand fails.
-pub fn deploy(args: &DeployArgs, ready: &Ready, grasp: &Prediction, stop: &EStop) -> Result<Deployed> {
-    let kind = kind(&grasp.hand)?;
+pub fn deploy(args: &DeployArgs, ready: &Ready, grasp: &Prediction, stop: &EStop, ui: &Ui) -> Result<Deployed> {
+    let setup = hw::Setup::for_model(&grasp.hand, &args.link)?;
     let reach = ready.reach(grasp)?;
-    let limits = limits(args, kind, grasp)?;
+    // The motors decide what a current gives.
+    let guarded = |port| hw::Driver::guarded(&setup, port, &args.guard, args.run.rate);
+    let mut driver = args.port.as_deref().map(guarded).transpose()?;
+    if let Some(driver) = &mut driver {
+        driver.ready_to_move(&args.allow, ui)?;
+    }
+    let found = driver.as_ref().and_then(hw::Driver::model);
+    let limits = limits(args, &setup, found, grasp)?;
+    if let Some(warning) = limits.warning.as_ref().filter(|_| driver.is_none()) {
+        ui.note(warning);
+    }
     let file = write(args, ready, grasp, (&reach.open, &reach.closed), &limits)?;
     let poses = [reach.open.clone(), reach.open.clone(), reach.closed.clone()];
     let (closing, force) = (limits.closing.clone(), limits.force.clone());
-    let plan = match kind {
+    let plan = match setup.hand {
         HandArg::Leap => GraspPlan::leap(poses, closing, force),
         HandArg::Allegro => GraspPlan::allegro(poses, closing, force),
     };
     let plan = plan.with_hold_s(args.hold);
     let how =
         hw::Run { stop, rate_hz: args.run.rate, outage: args.guard.outage, limp: false, log: args.run.log.as_deref() };
-    let done = match &args.port {
-        Some(port) => {
-            let mut driver = hw::Driver::open_guarded(kind, port, &args.link, &args.guard, args.run.rate)?;
-            Some(hw::grasp(driver.hand(), &drex_hw::SystemClock::default(), plan, &how)?)
-        }
-        None if args.emulate => Some(hw::grasp_emulated(kind, &ready.robot, &args.link, plan, &reach.grasp, &how)?),
+    let done = match &mut driver {
+        Some(driver) => Some(hw::grasp(driver.hand(), &drex_hw::SystemClock::default(), plan, &how)?),
+        None if args.emulate => Some(hw::grasp_emulated(&setup, plan, &reach.grasp, &how)?),
         None => None,
     };
     Ok(Deployed { file, reach, limits, done })
 }
 
 /// No joint is asked for more than the hand that is driven takes, where its version takes less than the model says.
-fn limit_to_driver(robot: &mut Robot, args: &DeployArgs) {
-    if !matches!(kind(&robot.name), Ok(HandArg::Allegro)) {
-        return;
+fn limit_to_driver(robot: &mut Robot, args: &DeployArgs) -> Result<()> {
+    if !matches!(hw::kind(&robot.name), Ok((HandArg::Allegro, _))) {
+        return Ok(());
     }
-    for (name, cap) in WIRE_JOINTS.iter().zip(hw::allegro_options(&args.link).torque_caps_nm()) {
+    let setup = hw::Setup::for_model(&robot.name, &args.link)?;
+    for (name, cap) in setup.allegro.names.iter().zip(setup.most_nm) {
         for joint in robot.joints.iter_mut().filter(|j| j.name == *name) {
             joint.effort_limit = Some(joint.effort_limit.map_or(cap, |e| e.min(cap)));
         }
     }
+    Ok(())
 }
 
-/// Which driver a model takes.
-pub fn kind(robot: &str) -> Result<HandArg> {
-    [HandArg::Leap, HandArg::Allegro]
-        .into_iter()
-        .find(|k| k.robot() == robot)
-        .with_context(|| format!("no driver for the hand \"{robot}\": there are leap_right and allegro_right"))
-}
-
-/// Limits under which the joints give the torques of the squeeze.
-fn limits(args: &DeployArgs, kind: HandArg, grasp: &Prediction) -> Result<Limits> {
+/// Limits under which the joints give the torques of the grip force, with motors that were `found` at a port.
+fn limits(args: &DeployArgs, setup: &hw::Setup, found: Option<MotorModel>, grasp: &Prediction) -> Result<Limits> {
     let torques_nm = &grasp.joint_torques_nm;
-    if kind == HandArg::Allegro {
-        let options = hw::allegro_options(&args.link);
+    if setup.hand == HandArg::Allegro {
+        let options = &setup.allegro;
         let wire_caps = options.torque_caps_nm();
-        let cap = |name: &String| WIRE_JOINTS.iter().position(|n| n == name).map_or(0.0, |j| wire_caps[j]);
-        let caps: Vec<f64> = grasp.joint_names.iter().map(cap).collect();
+        let wire = |name: &String| options.names.iter().position(|n| n == name);
+        let caps: Vec<f64> = grasp.joint_names.iter().map(|n| wire(n).map_or(0.0, |j| wire_caps[j])).collect();
         let force = torque_limits_nm(torques_nm, FLOOR_NM, &caps)?;
         let short_nm = torques_nm.iter().zip(&force).map(|(t, f)| (t.abs() - f).max(0.0)).collect();
         let closing = caps.iter().map(|c| CLOSING_NM.min(*c)).collect();
-        return Ok(Limits { unit: "N m", closing, force, law: None, short_nm });
+        // A V5 is sent currents: what they give is as uncertain as with LEAP.
+        let most_ma = force.iter().copied().fold(0.0, f64::max) * options.wire_per_nm;
+        let spread = (options.version == AllegroVersion::V5).then(|| Nominal::spread_nm(Nominal::V5, most_ma));
+        let limits = Limits {
+            unit: "N m",
+            closing,
+            force,
+            law: None,
+            motor: None,
+            motor_assumed: false,
+            cap: caps.iter().copied().fold(0.0, f64::max),
+            published_nm: spread.transpose()?,
+            short_nm,
+            warning: None,
+        };
+        return Ok(limits);
     }
+    let model = found.unwrap_or_else(|| setup.expected_motors());
+    let models = model.torque_current_models();
     let law: TorqueLaw = match &args.law {
         Some(file) => fsutil::from_json(file, &fsutil::read_text(file)?)?,
-        None => TorqueLaw::nominal(Nominal::Xc330Linear)?,
+        None => TorqueLaw::nominal(models[0])?,
     };
     let mode = if args.uniform { LimitMode::Uniform } else { LimitMode::Jacobian };
-    let cap = args.link.cap.unwrap_or(MotorModel::Xc330M288.recommended_cap_ma());
+    let cap = setup.leap.cap_ma.unwrap_or(model.gentle_cap_ma());
+    model.check_cap_ma(cap)?;
     let options = LimitOptions::default().with_mode(mode).with_range_ma(FLOOR_MA.min(cap), cap);
     let laws = vec![law.clone(); torques_nm.len()];
     let force = options.limits_ma(&laws, torques_nm)?;
+    let most_ma = force.iter().copied().fold(0.0, f64::max);
     let short_nm = options.short_nm(&laws, torques_nm, &force)?;
-    Ok(Limits { unit: "mA", closing: vec![CLOSING_MA.min(cap); torques_nm.len()], force, law: Some(law), short_nm })
+    Ok(Limits {
+        unit: "mA",
+        closing: vec![CLOSING_MA.min(cap); torques_nm.len()],
+        force,
+        law: Some(law),
+        motor: Some(model.name()),
+        motor_assumed: found.is_none(),
+        cap,
+        published_nm: Some(Nominal::spread_nm(models, most_ma)?),
+        short_nm,
+        warning: hw::above_recommended(model, cap),
+    })
+}
+
+impl Limits {
+    /// The cap in force, the motors, and what is not known of them.
+    fn text(&self) -> String {
+        let mut text = match self.motor {
+            Some(motor) => {
+                let known = if self.motor_assumed { " (assumed: no hand was asked)" } else { "" };
+                format!("  motors   {motor}{known}, cap {} mA per joint\n", self.cap)
+            }
+            None => format!("  cap      {:.3} N m at most per joint\n", self.cap),
+        };
+        let uncalibrated = self.law.as_ref().is_none_or(|law| !law.is_calibrated());
+        if let Some((low, high)) = self.published_nm.filter(|_| uncalibrated) {
+            let most = self.force.iter().copied().fold(0.0, f64::max);
+            text += &format!(
+                "  note     nobody has calibrated these motors: at {most:.3} {} published torque-current models give {low:.3} to {high:.3} N m; drex hw calibrate\n",
+                self.unit
+            );
+        }
+        text
+    }
 }
 
 fn write(

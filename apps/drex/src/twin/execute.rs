@@ -8,10 +8,12 @@ use drex_hw::control::EStop;
 use super::Twin;
 use super::files::{EXECUTION, EXECUTION_LOG, ExecutionFile, write_json};
 use crate::cli::DeployArgs;
-use crate::commands::deploy::{Deployed, deploy, kind};
+use crate::commands::deploy::{Deployed, deploy};
+use crate::commands::hw::kind;
 use crate::predict::Ready;
+use crate::ui::Ui;
 
-pub fn make(twin: &Twin) -> Result<Vec<PathBuf>> {
+pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     let (file, log) = (twin.output(EXECUTION)?, twin.output(EXECUTION_LOG)?);
     let args = DeployArgs::emulated(twin.root.clone(), log.clone());
     let ready = Ready::of_twin(twin, &args.grasp)?;
@@ -36,7 +38,7 @@ pub fn make(twin: &Twin) -> Result<Vec<PathBuf>> {
         write_json(&file, &execution)?;
         return Ok(vec![file]);
     }
-    let Deployed { file: told, reach, limits, done } = deploy(&args, &ready, &grasp, &EStop::new())?;
+    let Deployed { file: told, reach, limits, done } = deploy(&args, &ready, &grasp, &EStop::new(), ui)?;
     (execution.unit, execution.joint_names) = (limits.unit.to_owned(), grasp.joint_names.clone());
     (execution.open_rad, execution.closed_rad) = (reach.open, reach.closed);
     (execution.closing_limits, execution.force_limits) = (limits.closing, limits.force);

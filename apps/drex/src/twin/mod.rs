@@ -279,7 +279,7 @@ impl Twin {
             Stage::Train => train::make(self, ui),
             Stage::Evaluate => evaluate::make(self, ui),
             Stage::Trial => trial::make(self, ui),
-            Stage::Execute => execute::make(self),
+            Stage::Execute => execute::make(self, ui),
             Stage::Report => report::make(self),
         }
     }

@@ -123,7 +123,7 @@ impl AllegroOptions {
     pub fn with_cap_nm(mut self, cap_nm: f64) -> Self {
         for j in 0..16 {
             // A conversion of floats ends at the ends of the range.
-            let wire = (cap_nm * self.wire_per_nm_of(j)).floor().max(1.0) as i16;
+            let wire = (cap_nm * self.wire_per_nm_of(j) + 1e-9).floor().max(1.0) as i16;
             self.wire_caps[j] = self.wire_caps[j].min(wire);
         }
         self
@@ -204,7 +204,7 @@ impl AllegroOptions {
 
     /// Torque, N m, of a number on the wire.
     pub(crate) fn torque(&self, joint: usize, wire: i16) -> f64 {
-        let torque = f64::from(wire) / self.wire_per_nm;
+        let torque = f64::from(wire) / self.wire_per_nm_of(joint);
         if self.calibration[joint].motor_reversed { -torque } else { torque }
     }
 

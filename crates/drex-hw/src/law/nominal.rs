@@ -36,8 +36,7 @@ impl Nominal {
     /// # Errors
     /// As [`TorqueLaw::torque_nm`], and for no models.
     pub fn spread_nm(models: &[Self], current_ma: f64) -> Result<(f64, f64)> {
-        let torques: Result<Vec<f64>> =
-            models.iter().map(|m| TorqueLaw::nominal(*m)?.torque_nm(current_ma)).collect();
+        let torques: Result<Vec<f64>> = models.iter().map(|m| TorqueLaw::nominal(*m)?.torque_nm(current_ma)).collect();
         let torques = torques?;
         let ends = torques.iter().copied().reduce(f64::min).zip(torques.iter().copied().reduce(f64::max));
         ends.ok_or_else(|| Error::value("the spread of no torque-current model", "name some"))

@@ -30,7 +30,9 @@ pub(super) fn nobody<P: Port>(bus: &mut Bus<P>, ours: &[u8], expected: u32) -> E
         format!("motors {heard:?} answer, but the hand has {ours:?}: set their ids")
     } else {
         let others = SPEEDS.into_iter().filter(|s| *s != expected);
-        let found = others.map(|speed| (speed, heard_at(bus, speed, ELSEWHERE, ELSEWHERE_SCAN))).find(|(_, heard)| !heard.is_empty());
+        let found = others
+            .map(|speed| (speed, heard_at(bus, speed, ELSEWHERE, ELSEWHERE_SCAN)))
+            .find(|(_, heard)| !heard.is_empty());
         match found {
             Some((speed, heard)) => format!(
                 "at a speed of {speed} baud motors {heard:?} do: connect at this speed, or set the speed of all motors to {expected} baud"

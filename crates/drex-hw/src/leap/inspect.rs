@@ -82,7 +82,8 @@ pub(super) fn inspect_motors<P: Port>(bus: &mut Bus<P>, options: &LeapOptions) -
         if offset != known {
             let degrees = (f64::from(offset) - f64::from(known)) * RAD_PER_TICK.to_degrees();
             let expected = if known == 0 { String::new() } else { format!(" instead of the {known} of its zero") };
-            let what = format!("its homing offset is {offset} ticks{expected}: {} is {degrees:.0} degrees off", joint.name);
+            let what =
+                format!("its homing offset is {offset} ticks{expected}: {} is {degrees:.0} degrees off", joint.name);
             let fix = "take it into the zero of this joint (drex hw calibrate-zero), or set register 20 back with the maker's program";
             say(FindingKind::HomingOffset, what, fix);
         }

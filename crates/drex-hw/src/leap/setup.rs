@@ -238,6 +238,10 @@ impl<P: Port> LeapHand<P> {
             "at {:.3} rad (tick {ticks}), where it cannot be ({low:.3} to {high:.3})",
             self.joints[j].angle(ticks)
         );
-        Err(self.wrong(j, what, "mount its horn again in the right place, or set another zero for this joint (drex hw calibrate-zero)"))
+        Err(self.wrong(
+            j,
+            what,
+            "mount its horn again in the right place, or set another zero for this joint (drex hw calibrate-zero)",
+        ))
     }
 }

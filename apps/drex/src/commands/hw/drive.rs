@@ -45,8 +45,10 @@ pub struct Run<'a> {
 pub fn move_to(args: &MoveArgs, ui: &Ui) -> Result<()> {
     // Before there is a hand that could be left with its torque on.
     let stop = stop_button()?;
-    let mut driver =
-        Driver::open_guarded(args.hand.hand, &args.hand.port, &args.hand.link, &args.guard, args.run.rate)?;
+    let setup = Setup::of(args.hand.hand, &args.hand.link)?;
+    let mut driver = Driver::guarded(&setup, &args.hand.port, &args.guard, args.run.rate)?;
+    driver.ready_to_move(&args.allow, ui)?;
+    let (cap, cap_json) = (driver.cap_text(), driver.cap_json());
     let mut goal = driver.read()?.position;
     let hand = driver.hand();
     if args.to == "rest" {
@@ -83,20 +85,28 @@ pub fn move_to(args: &MoveArgs, ui: &Ui) -> Result<()> {
     for (name, off) in &short {
         text += &format!("  {name} by {off:.3} rad\n");
     }
+    text += &format!("  cap   {cap}\n");
     let short: Vec<Value> = short.iter().map(|(name, off)| json!({ "joint": name, "rad": off })).collect();
     let position = &report.state.position;
-    let value = json!({ "farthest_rad": far, "short": short, "position_rad": position, "loop": stats(&report) });
+    let value = json!({
+        "farthest_rad": far, "short": short, "position_rad": position, "cap": cap_json, "loop": stats(&report),
+    });
     ui.answer(&value, text + &account(&report, hand.joints()))
 }
 
 /// Watches the limp hand, or plays a log.
 pub fn record(args: &RecordArgs, ui: &Ui) -> Result<()> {
     let stop = stop_button()?;
-    let HandArgs { hand, port, link } = &args.hand;
+    let setup = Setup::of(args.hand.hand, &args.hand.link)?;
     let mut driver = match args.play {
-        Some(_) => Driver::open_guarded(*hand, port, link, &args.guard, args.rate)?,
-        None => Driver::open(*hand, port, link)?,
+        Some(_) => Driver::guarded(&setup, &args.hand.port, &args.guard, args.rate)?,
+        None => Driver::with(&setup, &args.hand.port)?,
     };
+    let (mut cap, cap_json) = (String::new(), driver.cap_json());
+    if args.play.is_some() {
+        driver.ready_to_move(&args.allow, ui)?;
+        cap = format!("  cap   {}\n", driver.cap_text());
+    }
     let hand = driver.hand();
     let caps = hand.effort_caps().to_vec();
     let mut behaviour: Box<dyn Behaviour> = match &args.play {
@@ -115,8 +125,9 @@ pub fn record(args: &RecordArgs, ui: &Ui) -> Result<()> {
         log: Some(&args.out),
     };
     let report = drive(hand, &mut behaviour, &SystemClock::default(), &how)?;
-    let text = format!("{} cycles in {}\n{}", report.stats.cycles, args.out.display(), account(&report, hand.joints()));
-    ui.answer(&json!({ "out": args.out, "loop": stats(&report) }), text)
+    let (cycles, told) = (report.stats.cycles, account(&report, hand.joints()));
+    let text = format!("{cycles} cycles in {}\n{cap}{told}", args.out.display());
+    ui.answer(&json!({ "out": args.out, "cap": cap_json, "loop": stats(&report) }), text)
 }
 
 /// Runs a behaviour to its end and writes the log beside it.
@@ -137,7 +148,7 @@ pub fn drive(
     options.limp = how.limp;
     let Some(log) = how.log else {
         let report = run(hand, behaviour, clock, options);
-        return ended(report, hand.joints());
+        return ended(report, hand);
     };
     let (names, unit) = (hand.joints().to_vec(), hand.effort_unit());
     // Under its name only when it is whole.
@@ -154,19 +165,26 @@ pub fn drive(
         }
     })?;
     std::fs::rename(&part, log).with_context(|| format!("cannot rename {} to {}", part.display(), log.display()))?;
-    ended(report, hand.joints())
+    ended(report, hand)
 }
 
-/// A loop that did what it should, with all joints at the end.
-fn ended(report: LoopReport, joints: &[String]) -> Result<LoopReport> {
+/// A loop that did what it should, with all joints at the end and no hardware error on the way.
+fn ended(report: LoopReport, hand: &dyn Hand) -> Result<LoopReport> {
+    let joints = hand.joints();
     let off = off(&report);
     if report.torque_off.is_err() {
         bail!("{off}");
     }
     match report.ended {
         Ended::Done => {
-            let lasting = report.troubles.iter().filter(|(_, t)| matches!(t, JointTrouble::Ended(_)));
-            let lasting: Vec<String> = lasting.map(|(j, t)| format!("{} {t}", joints[*j])).collect();
+            let lasting = report.troubles.iter().filter_map(|(j, t)| match t {
+                JointTrouble::Ended(_) => Some(format!("{} {t}", joints[*j])),
+                JointTrouble::HardwareError(code) => {
+                    Some(format!("{} had a hardware error on the way: {}", joints[*j], hand.error_text(*code)))
+                }
+                _ => None,
+            });
+            let lasting: Vec<String> = lasting.collect();
             if !lasting.is_empty() {
                 bail!("{off}, but {}: see drex hw status", lasting.join(", "));
             }

@@ -17,31 +17,40 @@ pub fn run(args: &EmulateArgs, ui: &Ui) -> Result<()> {
     use drex_hw::emulator::allegro::{AllegroEmulator, SlcanAdapter};
     use drex_hw::emulator::leap::LeapEmulator;
     use drex_hw::emulator::pty::PtyServer;
-    use drex_robot::Robot;
 
     use super::scene::{allegro_scene, leap_scene};
-    use super::{angles, stop_button, version};
-    use crate::cli::HandArg;
+    use super::{Setup, angles, fault, stop_button};
+    use crate::cli::{HandArg, LinkArgs, MotorArg};
+    use drex_hw::leap::table::MotorModel;
 
     let stop = stop_button()?;
-    let robot = Robot::bundled(args.hand.robot())?;
-    let names: Vec<String> = robot.joint_names().into_iter().map(str::to_owned).collect();
+    let setup = Setup::of(args.hand, &LinkArgs { allegro: Some(args.allegro), ..LinkArgs::default() })?;
+    let names: Vec<String> = setup.robot.joint_names().into_iter().map(str::to_owned).collect();
     let walls = args.wall.as_deref().map_or_else(|| Ok(Vec::new()), |w| angles(w, &names))?;
     let closing = |(j, rad): &(usize, f64)| (names[*j].as_str(), f64::NEG_INFINITY, *rad);
     let walls: Vec<(&str, f64, f64)> = walls.iter().map(closing).collect();
     let link = args.link.as_deref();
     let server = match args.hand {
         HandArg::Leap => {
-            let hand = LeapEmulator::new().in_real_time();
-            leap_scene(&hand, &[], &walls);
-            match args.baud {
-                Some(baud) => PtyServer::serve(hand.paced(baud), link)?,
-                None => PtyServer::serve(hand, link)?,
+            let model = match args.motors {
+                MotorArg::Xc330 => MotorModel::Xc330M288,
+                MotorArg::Xl330 => MotorModel::Xl330M288,
+            };
+            let hand = LeapEmulator::with_model(model).in_real_time();
+            leap_scene(&hand, &setup.leap, &[], &walls);
+            let latency = fault::play(&hand, &setup.leap, &args.fault)?;
+            match (args.baud, latency.is_zero()) {
+                (Some(baud), _) => PtyServer::serve(hand.paced(baud).with_latency(latency), link)?,
+                (None, false) => PtyServer::serve(hand.behind_adapter(latency), link)?,
+                (None, true) => PtyServer::serve(hand, link)?,
             }
         }
         HandArg::Allegro => {
-            let hand = AllegroEmulator::new(version(args.allegro)).in_real_time();
-            allegro_scene(&hand, &[], &walls);
+            if let Some(fault) = args.fault.first() {
+                anyhow::bail!("--fault {fault}: faults are played by the LEAP hand alone");
+            }
+            let hand = AllegroEmulator::with_options(setup.allegro.clone()).in_real_time();
+            allegro_scene(&hand, &setup.allegro, &[], &walls);
             PtyServer::serve(SlcanAdapter::new(hand), link)?
         }
     };

@@ -10,14 +10,13 @@ use drex_hw::emulator::allegro::AllegroEmulator;
 use drex_hw::emulator::leap::LeapEmulator;
 use drex_hw::leap::LeapHand;
 use drex_hw::{Clock, Hand};
-use drex_robot::Robot;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use super::Setup;
 use super::drive::{Run, account, drive, stats};
 use super::scene::{allegro_scene, leap_scene};
-use super::{allegro_options, leap_options, version};
-use crate::cli::{HandArg, LinkArgs};
+use crate::cli::HandArg;
 
 /// What became of a grasp.
 pub struct Done {
@@ -56,15 +55,8 @@ pub fn grasp(hand: &mut dyn Hand, clock: &dyn Clock, plan: GraspPlan, how: &Run<
 ///
 /// # Errors
 /// As [`grasp`].
-pub fn grasp_emulated(
-    kind: HandArg,
-    robot: &Robot,
-    link: &LinkArgs,
-    plan: GraspPlan,
-    touching: &[f64],
-    how: &Run<'_>,
-) -> Result<Done> {
-    let names = robot.joint_names();
+pub fn grasp_emulated(setup: &Setup, plan: GraspPlan, touching: &[f64], how: &Run<'_>) -> Result<Done> {
+    let names = setup.robot.joint_names();
     // Open from the start: what is in the way must not be jumped over.
     let start: Vec<(&str, f64)> = names.iter().copied().zip(plan.open.iter().copied()).collect();
     let walls: Vec<(&str, f64, f64)> = names
@@ -77,19 +69,19 @@ pub fn grasp_emulated(
             false => (name, *at, f64::INFINITY),
         })
         .collect();
-    match kind {
+    match setup.hand {
         HandArg::Leap => {
-            let emulator = LeapEmulator::new();
-            leap_scene(&emulator, &start, &walls);
-            let options = leap_options(link).with_timing(Timing::for_latency(Duration::ZERO));
-            let mut hand = LeapHand::connect(emulator.port(), robot, options)?;
+            let emulator = LeapEmulator::with_model(setup.expected_motors());
+            leap_scene(&emulator, &setup.leap, &start, &walls);
+            let options = setup.leap.clone().with_timing(Timing::for_latency(Duration::ZERO));
+            let mut hand = LeapHand::connect(emulator.port(), &setup.robot, options)?;
             grasp(&mut hand, &emulator, plan, how)
         }
         HandArg::Allegro => {
-            let emulator = AllegroEmulator::new(version(link.allegro));
-            allegro_scene(&emulator, &start, &walls);
-            let options = allegro_options(link);
-            let mut hand = AllegroHand::connect_with_clock(emulator.bus(), robot, options, emulator.clock())?;
+            let options = setup.allegro.clone();
+            let emulator = AllegroEmulator::with_options(options.clone());
+            allegro_scene(&emulator, &options, &start, &walls);
+            let mut hand = AllegroHand::connect_with_clock(emulator.bus(), &setup.robot, options, emulator.clock())?;
             grasp(&mut hand, &emulator.clock(), plan, how)
         }
     }

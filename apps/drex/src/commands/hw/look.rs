@@ -1,13 +1,14 @@
 //! `drex hw ping` and `drex hw status`: who is there, and how it is doing.
 
 use anyhow::{Result, bail};
+use drex_hw::allegro::{AllegroVersion, reports_poses};
 use drex_hw::dynamixel::{Bus, Port, SerialPort, Timing};
-use drex_hw::leap;
 use drex_hw::leap::table::MotorModel;
-use drex_robot::Robot;
+use drex_hw::leap::{self, MotorReading};
+use drex_hw::{JointStatus, SystemClock};
 use serde::Serialize;
 
-use super::{Driver, leap_options, unit};
+use super::{Driver, Setup, can_bus, unit};
 use crate::cli::{HandArg, HandArgs};
 use crate::ui::Ui;
 
@@ -54,7 +55,8 @@ pub fn ping(args: &HandArgs, ui: &Ui) -> Result<()> {
 }
 
 fn ping_leap(args: &HandArgs, ui: &Ui) -> Result<()> {
-    let port = SerialPort::open(&args.port, args.link.baud)?;
+    let setup = Setup::of(args.hand, &args.link)?;
+    let port = SerialPort::open(&args.port, setup.leap.baud)?;
     let timing = port.latency().map_or_else(Timing::default, Timing::for_latency);
     let motors: Vec<Motor> = Bus::new(port, timing)
         .scan()?
@@ -67,13 +69,13 @@ fn ping_leap(args: &HandArgs, ui: &Ui) -> Result<()> {
             alert: p.alert,
         })
         .collect();
-    let wanted: Vec<u8> = leap_options(&args.link).joints.iter().map(|j| j.id).collect();
+    let wanted: Vec<u8> = setup.leap.joints.iter().map(|j| j.id).collect();
     let missing: Vec<u8> = wanted.into_iter().filter(|id| motors.iter().all(|m| m.id != *id)).collect();
     if motors.is_empty() {
         bail!(
             "no motor answers at {} with {} baud: check the hand's power and cable, and --baud (motors leave the factory at 57600)",
             args.port.display(),
-            args.link.baud
+            setup.leap.baud
         );
     }
     let mut text = format!("{} motors at {}", motors.len(), args.port.display());
@@ -96,28 +98,51 @@ struct JointLine {
     effort: Option<f64>,
     temperature_c: Option<f64>,
     voltage_v: Option<f64>,
+    /// `None` where the hand does not tell.
+    torque: Option<bool>,
+    /// Register 98: 0 is off, 1 to 127 the silence in 20 ms after which the motor freezes, 255 that it has.
+    watchdog: Option<u8>,
+    homing_offset_ticks: Option<i32>,
     status: String,
     trouble: Option<String>,
 }
 
-/// Angles, efforts, temperatures, findings.
+/// A hand as it was found.
+struct Found {
+    joints: Vec<JointLine>,
+    findings: Vec<String>,
+    unit: &'static str,
+    /// What somebody has to do something about.
+    alarms: Vec<String>,
+}
+
+/// Angles, efforts, temperatures, watchdogs, findings.
+///
+/// # Errors
+/// If the hand cannot be read; and, after the answer, if torque is on and nobody drives, a joint is silent or has a hardware error.
 pub fn status(args: &HandArgs, ui: &Ui) -> Result<()> {
-    let (joints, findings, unit) = match args.hand {
-        HandArg::Leap => look_at_leap(args)?,
-        HandArg::Allegro => look_at_allegro(args)?,
+    let setup = Setup::of(args.hand, &args.link)?;
+    let Found { joints, findings, unit, alarms } = match args.hand {
+        HandArg::Leap => look_at_leap(&setup, args)?,
+        HandArg::Allegro => look_at_allegro(&setup, args)?,
     };
     let mut text = format!("{:?} at {}\n", args.hand, args.port.display());
-    text += &format!("  {:<10} {:>9} {:>9} {:>6} {:>6}  state\n", "joint", "rad", unit, "°C", "V");
+    text += &format!(
+        "  {:<10} {:>9} {:>9} {:>6} {:>6} {:>7} {:>9}  state\n",
+        "joint", "rad", unit, "°C", "V", "offset", "watchdog"
+    );
     let number = |value: Option<f64>, digits: usize| value.map_or_else(|| "-".into(), |v| format!("{v:.digits$}"));
     for j in &joints {
         let trouble = j.trouble.as_ref().map_or_else(String::new, |t| format!(": {t}"));
         let line = format!(
-            "  {:<10} {:>9} {:>9} {:>6} {:>6}  {}{trouble}\n",
+            "  {:<10} {:>9} {:>9} {:>6} {:>6} {:>7} {:>9}  {}{trouble}\n",
             j.name,
             number(j.position_rad, 4),
             number(j.effort, 3),
             number(j.temperature_c, 0),
             number(j.voltage_v, 1),
+            number(j.homing_offset_ticks.map(f64::from), 0),
+            watchdog(j.watchdog),
             j.status
         );
         text += &line;
@@ -126,23 +151,40 @@ pub fn status(args: &HandArgs, ui: &Ui) -> Result<()> {
         text += &format!("  note  {finding}\n");
     }
     let value = serde_json::json!({
-        "hand": args.hand.robot(), "effort_unit": unit, "joints": joints, "findings": findings,
+        "hand": setup.robot.name, "effort_unit": unit, "joints": joints, "findings": findings, "alarms": alarms,
     });
-    ui.answer(&value, text)
+    ui.answer(&value, text)?;
+    if !alarms.is_empty() {
+        bail!("{}", alarms.join("; "));
+    }
+    Ok(())
+}
+
+/// The watchdog's register in words.
+fn watchdog(register: Option<u8>) -> String {
+    match register {
+        None => "-".into(),
+        Some(0) => "off".into(),
+        Some(255) => "TRIPPED".into(),
+        Some(units) => format!("{} ms", 20 * u32::from(units)),
+    }
 }
 
 /// Reads without writing: torque stays as it is, and one dead motor hides no other.
-fn look_at_leap(args: &HandArgs) -> Result<(Vec<JointLine>, Vec<String>, &'static str)> {
-    let robot = Robot::bundled(args.hand.robot())?;
-    let port = SerialPort::open(&args.port, args.link.baud)?;
-    let found = leap::look(port, &robot, &leap_options(&args.link))?;
-    let lines = found.motors.into_iter().map(|m| {
+fn look_at_leap(setup: &Setup, args: &HandArgs) -> Result<Found> {
+    // Whoever opens the port has its lock: no other process holds it, and torque that is on is driven by nobody.
+    let port = SerialPort::open(&args.port, setup.leap.baud)?;
+    let found = leap::look(port, &setup.robot, &setup.leap)?;
+    let findings = found.findings.iter().map(ToString::to_string).collect();
+    let state = |reading: Option<&MotorReading>| match reading {
+        Some(r) if r.torque && r.is_frozen() => "torque on, frozen by its watchdog, driven by nobody",
+        Some(r) if r.torque => "torque on, driven by nobody",
+        Some(r) if r.is_frozen() => "torque off, watchdog tripped",
+        Some(_) => "torque off",
+        None => "silent",
+    };
+    let line = |m: leap::MotorLook| {
         let reading = m.reading.as_ref();
-        let status = match reading.map(|r| r.torque) {
-            Some(true) => "driven",
-            Some(false) => "limp",
-            None => "silent",
-        };
         JointLine {
             name: m.joint,
             position_rad: reading.map(|r| r.position),
@@ -150,15 +192,27 @@ fn look_at_leap(args: &HandArgs) -> Result<(Vec<JointLine>, Vec<String>, &'stati
             effort: reading.map(|r| r.current_ma),
             temperature_c: reading.map(|r| r.health.temperature_c),
             voltage_v: reading.map(|r| r.health.voltage_v),
-            status: status.to_owned(),
+            torque: reading.map(|r| r.torque),
+            watchdog: reading.map(|r| r.watchdog),
+            homing_offset_ticks: reading.map(|r| r.homing_offset),
+            status: state(reading).to_owned(),
             trouble: m.trouble,
         }
-    });
-    Ok((lines.collect(), found.findings.iter().map(ToString::to_string).collect(), "mA"))
+    };
+    let joints: Vec<JointLine> = found.motors.into_iter().map(line).collect();
+    let mut alarms = Vec::new();
+    let on = joints.iter().filter(|j| j.torque == Some(true)).count();
+    if on > 0 {
+        alarms.push(format!("torque is on in {on} joints and nobody drives them: drex hw off, or drex hw release"));
+    }
+    alarms.extend(joints.iter().filter_map(|j| Some(format!("{}: {}", j.name, j.trouble.as_deref()?))));
+    Ok(Found { joints, findings, unit: "mA", alarms })
 }
 
-fn look_at_allegro(args: &HandArgs) -> Result<(Vec<JointLine>, Vec<String>, &'static str)> {
-    let mut driver = Driver::open(args.hand, &args.port, &args.link)?;
+/// Reading an Allegro hand takes its torques off: it reports only to who has switched it on anew.
+fn look_at_allegro(setup: &Setup, args: &HandArgs) -> Result<Found> {
+    let left_on = reports_poses(&mut *can_bus(&args.port)?, &setup.allegro, &SystemClock::default())?;
+    let mut driver = Driver::with(setup, &args.port)?;
     let state = driver.read()?;
     let hand = driver.hand();
     let line = |(j, name): (usize, &String)| JointLine {
@@ -167,9 +221,30 @@ fn look_at_allegro(args: &HandArgs) -> Result<(Vec<JointLine>, Vec<String>, &'st
         velocity_rad_s: Some(state.velocity[j]),
         effort: Some(state.effort[j]),
         temperature_c: state.temperature_c[j],
-        voltage_v: None,
-        status: format!("{:?}", state.status[j]).to_lowercase(),
-        trouble: None,
+        voltage_v: state.voltage_v[j],
+        torque: None,
+        watchdog: None,
+        homing_offset_ticks: None,
+        status: match state.status[j] {
+            JointStatus::Limp => "torque off".into(),
+            other => format!("{other:?}").to_lowercase(),
+        },
+        trouble: (state.hardware_error[j] != 0).then(|| hand.error_text(state.hardware_error[j])),
     };
-    Ok((hand.joints().iter().enumerate().map(line).collect(), Vec::new(), unit(hand)))
+    let joints: Vec<JointLine> = hand.joints().iter().enumerate().map(line).collect();
+    let mut alarms: Vec<String> = Vec::new();
+    if left_on {
+        alarms.push("the hand was on and nobody drove it; reading it has taken its torques off".into());
+    }
+    alarms.extend(joints.iter().filter_map(|j| Some(format!("{}: {}", j.name, j.trouble.as_deref()?))));
+    let mut findings = Vec::new();
+    if setup.allegro.version == AllegroVersion::V5 && setup.allegro.gear_ratios == [1.0; 16] {
+        findings.push(
+            "a V5 Plus has geared joints 1, 5 and 9 (ffj1, mfj1, rfj1); which serial numbers are of one, sources disagree on: if this is one, \
+             give these joints gear_ratio = 2.0 in its hand file"
+                .into(),
+        );
+    }
+    let unit = unit(hand);
+    Ok(Found { joints, findings, unit, alarms })
 }

@@ -1,29 +1,37 @@
 //! `drex hw`: hands on the bench.
 
 mod calibrate;
+mod calibrate_zero;
+mod caps;
 mod drive;
 mod emulate;
+#[cfg(unix)]
+mod fault;
 mod grasp;
 mod guarded;
+mod hand_file;
 mod look;
+mod off;
 mod scene;
+mod setup;
 
 use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use drex_hw::allegro::{AllegroHand, AllegroOptions, AllegroVersion};
+use drex_hw::allegro::AllegroHand;
 use drex_hw::can::{CanBus, Slcan};
 use drex_hw::control::EStop;
 use drex_hw::dynamixel::{Port, SerialPort};
-use drex_hw::leap::{LeapHand, LeapOptions};
+use drex_hw::leap::{FindingKind, LeapHand, refuse_motion};
 use drex_hw::{EffortUnit, Hand, HandState};
-use drex_robot::Robot;
 
+pub use caps::above_recommended;
 pub use drive::Run;
 pub use grasp::{ContactRecord, Done, grasp, grasp_emulated};
+pub use setup::{Setup, kind};
 
-use crate::cli::{AllegroArg, HandArg, HwCommand, LinkArgs};
+use crate::cli::{AllowArgs, HandArg, HwCommand, LinkArgs};
 use crate::ui::Ui;
 
 /// How often a hand is asked until all its joints have told where they are.
@@ -36,9 +44,12 @@ pub fn run(command: &HwCommand, ui: &Ui) -> Result<()> {
     match command {
         HwCommand::Ping(args) => look::ping(args, ui),
         HwCommand::Status(args) => look::status(args, ui),
+        HwCommand::Off(args) => off::off(args, ui),
+        HwCommand::Release(args) => off::release(args, ui),
         HwCommand::Move(args) => drive::move_to(args, ui),
         HwCommand::Record(args) => drive::record(args, ui),
         HwCommand::Calibrate(args) => calibrate::run(args, ui),
+        HwCommand::CalibrateZero(args) => calibrate_zero::run(args, ui),
         HwCommand::Emulate(args) => emulate::run(args, ui),
         HwCommand::Guard => guarded::serve(),
     }
@@ -58,16 +69,52 @@ impl Driver {
     /// # Errors
     /// If the port cannot be opened or the hand is not as it should be.
     pub fn open(hand: HandArg, port: &Path, link: &LinkArgs) -> Result<Self> {
-        let robot = Robot::bundled(hand.robot())?;
-        Ok(match hand {
-            HandArg::Leap => {
-                let port: Box<dyn Port> = Box::new(SerialPort::open(port, link.baud)?);
-                Self::Leap(Box::new(LeapHand::connect(port, &robot, leap_options(link))?))
+        Self::with(&Setup::of(hand, link)?, port)
+    }
+
+    /// Connects to a hand that is set up as `setup` says, without a guard, and refuses another one than its file is of.
+    ///
+    /// # Errors
+    /// As [`Driver::open`].
+    pub fn with(setup: &Setup, port: &Path) -> Result<Self> {
+        match setup.hand {
+            HandArg::Leap => Self::leap(setup, Box::new(SerialPort::open(port, setup.leap.baud)?)),
+            HandArg::Allegro => Self::allegro(setup, can_bus(port)?),
+        }
+    }
+
+    fn leap(setup: &Setup, port: Box<dyn Port>) -> Result<Self> {
+        let hand = LeapHand::connect(port, &setup.robot, setup.leap.clone())?;
+        if let Some(model) = setup.file.as_ref().and_then(|f| f.motor_model()).filter(|m| *m != hand.model()) {
+            bail!("the hand has {} motors, its hand file says {}", hand.model().name(), model.name());
+        }
+        Ok(Self::Leap(Box::new(hand)))
+    }
+
+    fn allegro(setup: &Setup, bus: Box<dyn CanBus>) -> Result<Self> {
+        let mut hand = AllegroHand::connect(bus, &setup.robot, setup.allegro.clone())?;
+        if let Some(serial) = setup.file.as_ref().and_then(|f| f.serial.as_deref()) {
+            hand.wait_for_reports()?;
+            if let Some(other) = hand.serial().filter(|s| s != serial) {
+                bail!("the hand has the serial number {other}, its hand file is of {serial}");
             }
-            HandArg::Allegro => {
-                Self::Allegro(Box::new(AllegroHand::connect(can_bus(port)?, &robot, allegro_options(link))?))
-            }
-        })
+        }
+        Ok(Self::Allegro(Box::new(hand)))
+    }
+
+    /// Refuses to move a hand that is not as it should be, unless that is allowed by name, and says how hard it may press.
+    ///
+    /// # Errors
+    /// With every finding that stops the motion.
+    pub fn ready_to_move(&mut self, allow: &AllowArgs, ui: &Ui) -> Result<()> {
+        if let Self::Leap(hand) = self {
+            let allowed: Vec<FindingKind> = allow.allow.iter().map(|a| FindingKind::from(*a)).collect();
+            refuse_motion(hand.findings(), &allowed).map_err(|e| anyhow::anyhow!("{e} (--allow)"))?;
+        }
+        if let Some(warning) = self.cap_warning() {
+            ui.note(warning);
+        }
+        Ok(())
     }
 
     /// What a control loop drives.
@@ -98,35 +145,6 @@ impl Driver {
             bail!("nothing was heard of the hand: check its power, the cable and which generation it is");
         }
         bail!("{} never said where they are: check power and cables", names.join(", "));
-    }
-}
-
-/// The options of a LEAP hand.
-pub fn leap_options(link: &LinkArgs) -> LeapOptions {
-    let options = LeapOptions::right().with_baud(link.baud);
-    match link.cap {
-        Some(cap) => options.with_cap_ma(cap),
-        None => options,
-    }
-}
-
-/// The options of an Allegro hand.
-pub fn allegro_options(link: &LinkArgs) -> AllegroOptions {
-    let options = AllegroOptions::new(version(link.allegro));
-    match link.cap {
-        Some(cap) => {
-            let wire = (cap * options.wire_per_nm).clamp(1.0, f64::from(i16::MAX));
-            options.with_wire_cap(wire as i16)
-        }
-        None => options,
-    }
-}
-
-fn version(allegro: AllegroArg) -> AllegroVersion {
-    match allegro {
-        AllegroArg::V3 => AllegroVersion::V3,
-        AllegroArg::V4 => AllegroVersion::V4,
-        AllegroArg::V5 => AllegroVersion::V5,
     }
 }
 
