@@ -285,7 +285,7 @@ fn a_hand_that_is_not_where_it_can_be_gets_no_torque() {
     hand.place(6, 3.0);
     hand.record();
     let error = driver.turn_on().unwrap_err().to_string();
-    assert!(error.contains("mfj2") && error.contains("calibration"), "{error}");
+    assert!(error.contains("mfj2") && error.contains("calibrate-zero"), "{error}");
     assert!(torques_heard(&hand).is_empty());
 }
 

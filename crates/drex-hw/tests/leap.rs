@@ -62,7 +62,7 @@ fn torque_goes_on_last_of_all_for_every_motor() {
         let order = [
             at(64, &[0]).expect("torque off first"),
             at(11, &[5]).expect("mode"),
-            at(38, &550_u16.to_le_bytes()).expect("cap"),
+            at(38, &200_u16.to_le_bytes()).expect("cap"),
             writes_to(&log, id).position(|w| w.address == 80).expect("gains"),
             at(102, &30_i16.to_le_bytes()).expect("small current"),
             at(116, &(2048 + 7 * i32::from(id)).to_le_bytes()).expect("goal is where it is"),
@@ -223,7 +223,7 @@ fn contact_current_is_the_limit() {
 #[test]
 fn current_rises_softly() {
     let hand = LeapEmulator::new();
-    let soft = options().with_soft_start(Duration::from_millis(200));
+    let soft = options().with_cap_ma(550.0).with_soft_start(Duration::from_millis(200));
     let mut leap = LeapHand::connect(hand.port(), &robot(), soft).expect("connects");
     leap.turn_on().expect("on");
     let mut highest = Vec::new();
@@ -423,7 +423,7 @@ fn hands_that_do_not_fit_are_refused_by_name() {
     let hand = LeapEmulator::new();
     hand.inject(Fault::Mute(11), 100_000);
     let error = LeapHand::connect(hand.port(), &robot(), options()).expect_err("a motor is missing");
-    assert!(error.to_string().contains("motor 11 does not answer"), "{error}");
+    assert!(error.to_string().contains("(motor 11): does not answer"), "{error}");
 
     let hand = LeapEmulator::new();
     (0..16).for_each(|id| hand.inject(Fault::Mute(id), 100_000));

@@ -49,7 +49,7 @@ struct Bench {
 fn bench() -> Bench {
     let robot = Robot::bundled("leap_right").unwrap();
     let emulator = LeapEmulator::new();
-    let options = LeapOptions::right().with_timing(Timing::for_latency(Duration::ZERO));
+    let options = LeapOptions::right().with_cap_ma(550.0).with_timing(Timing::for_latency(Duration::ZERO));
     let mut open = vec![0.0; 16];
     let mut closed = vec![0.0; 16];
     let mut force = vec![100.0; 16];

@@ -50,6 +50,7 @@ fn all(position: f64) -> HandCommand {
 fn restarts_softly(hold_up: impl Fn(&mut dyn Hand, &LeapEmulator, &AtomicU64)) {
     let (hand, stall) = (LeapEmulator::new(), Arc::new(AtomicU64::new(0)));
     let options = LeapOptions::right()
+        .with_cap_ma(550.0)
         .with_soft_start(Duration::from_millis(200))
         .with_timing(Timing::for_latency(Duration::ZERO));
     let robot = Robot::bundled("leap_right").expect("bundled");
@@ -102,6 +103,7 @@ fn after_a_stall_while_answers_were_awaited() {
 fn one_motor_that_froze_alone_goes_on_softly_too() {
     let hand = LeapEmulator::new();
     let options = LeapOptions::right()
+        .with_cap_ma(550.0)
         .with_soft_start(Duration::from_millis(200))
         .with_timing(Timing::for_latency(Duration::ZERO));
     let robot = Robot::bundled("leap_right").expect("bundled");

@@ -14,8 +14,8 @@ use drex_hw::control::{
 use drex_hw::{Clock, Error, Hand, SystemClock};
 use serde_json::{Value, json};
 
-use super::{Driver, angles, stop_button};
-use crate::cli::{HandArgs, MoveArgs, RecordArgs};
+use super::{Driver, Setup, angles, stop_button};
+use crate::cli::{MoveArgs, RecordArgs};
 use crate::ui::Ui;
 
 /// Cycles of telemetry that may wait for the disk.

@@ -48,10 +48,10 @@ impl Driver {
         match setup.hand {
             HandArg::Leap => {
                 let off = SwitchOff::leap(&setup.leap);
-                Self::leap(setup, Box::new(GuardedPort::open(port, setup.leap.baud, off, &options)?))
+                Self::over_serial(setup, Box::new(GuardedPort::open(port, setup.leap.baud, off, &options)?))
             }
             HandArg::Allegro => {
-                Self::allegro(setup, Box::new(Slcan::open_guarded(port, setup.allegro.version, &options)?))
+                Self::over_can(setup, Box::new(Slcan::open_guarded(port, setup.allegro.version, &options)?))
             }
         }
     }

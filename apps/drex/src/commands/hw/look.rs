@@ -211,8 +211,9 @@ fn look_at_leap(setup: &Setup, args: &HandArgs) -> Result<Found> {
 
 /// Reading an Allegro hand takes its torques off: it reports only to who has switched it on anew.
 fn look_at_allegro(setup: &Setup, args: &HandArgs) -> Result<Found> {
-    let left_on = reports_poses(&mut *can_bus(&args.port)?, &setup.allegro, &SystemClock::default())?;
-    let mut driver = Driver::with(setup, &args.port)?;
+    let mut bus = can_bus(&args.port)?;
+    let left_on = reports_poses(&mut *bus, &setup.allegro, &SystemClock::default())?;
+    let mut driver = Driver::over_can(setup, bus)?;
     let state = driver.read()?;
     let hand = driver.hand();
     let line = |(j, name): (usize, &String)| JointLine {

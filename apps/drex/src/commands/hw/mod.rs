@@ -78,20 +78,23 @@ impl Driver {
     /// As [`Driver::open`].
     pub fn with(setup: &Setup, port: &Path) -> Result<Self> {
         match setup.hand {
-            HandArg::Leap => Self::leap(setup, Box::new(SerialPort::open(port, setup.leap.baud)?)),
-            HandArg::Allegro => Self::allegro(setup, can_bus(port)?),
+            HandArg::Leap => Self::over_serial(setup, Box::new(SerialPort::open(port, setup.leap.baud)?)),
+            HandArg::Allegro => Self::over_can(setup, can_bus(port)?),
         }
     }
 
-    fn leap(setup: &Setup, port: Box<dyn Port>) -> Result<Self> {
+    /// The same with a LEAP hand on a port that is open.
+    fn over_serial(setup: &Setup, port: Box<dyn Port>) -> Result<Self> {
         let hand = LeapHand::connect(port, &setup.robot, setup.leap.clone())?;
-        if let Some(model) = setup.file.as_ref().and_then(|f| f.motor_model()).filter(|m| *m != hand.model()) {
+        let named = setup.file.as_ref().and_then(hand_file::HandFile::motor_model);
+        if let Some(model) = named.filter(|m| *m != hand.model()) {
             bail!("the hand has {} motors, its hand file says {}", hand.model().name(), model.name());
         }
         Ok(Self::Leap(Box::new(hand)))
     }
 
-    fn allegro(setup: &Setup, bus: Box<dyn CanBus>) -> Result<Self> {
+    /// The same with an Allegro hand on a bus that is open.
+    fn over_can(setup: &Setup, bus: Box<dyn CanBus>) -> Result<Self> {
         let mut hand = AllegroHand::connect(bus, &setup.robot, setup.allegro.clone())?;
         if let Some(serial) = setup.file.as_ref().and_then(|f| f.serial.as_deref()) {
             hand.wait_for_reports()?;
