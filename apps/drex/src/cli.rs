@@ -208,6 +208,12 @@ pub struct ToolArgs {
     pub tool_limit: f64,
 }
 
+impl Default for ToolArgs {
+    fn default() -> Self {
+        Self { tool_limit: 720.0 }
+    }
+}
+
 impl ToolArgs {
     /// As a duration.
     pub fn limit(&self) -> Duration {

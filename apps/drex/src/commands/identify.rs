@@ -14,7 +14,7 @@ use drex_sysid::{
 };
 use serde_json::{Value, json};
 
-use crate::cli::{IdentifyArgs, MethodArg, OnOff, TwinArgs};
+use crate::cli::{IdentifyArgs, MethodArg, OnOff, ToolArgs, TwinArgs};
 use crate::object::model_of;
 use crate::report::{contradiction_text, posterior_text, prior_text, verdict_text};
 use crate::twin::{MassFile, Stage};
@@ -31,7 +31,8 @@ pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
                 twin.display()
             );
         }
-        return super::run::run(&TwinArgs { twin: twin.clone() }, Stage::Identify, false, seed, ui);
+        let args = TwinArgs { twin: twin.clone(), tools: ToolArgs::default() };
+        return super::run::run(&args, Stage::Identify, false, seed, ui);
     }
     let choice = InputChoice { poses: args.poses, force: args.force, encoder: args.encoder == OnOff::On };
     let mut recordings: Vec<PushRecording> =
