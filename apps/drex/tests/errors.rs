@@ -57,6 +57,7 @@ const CASES: &[Case] = &[
         2,
         &["'shadow'", "possible values: leap, allegro"],
     ),
+    ("hw guard", &[], 1, &["no guard for the port", "started by the program that drives the hand"]),
     ("hw record", &["--hand", "leap", "--port", "nowhere", "--out", "new"], 1, &["port nowhere", "plug the hand in"]),
     (
         "hw calibrate",

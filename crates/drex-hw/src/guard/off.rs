@@ -79,10 +79,8 @@ impl<'a> Attempt<'a> {
     fn goes_on(&mut self, now: Duration, found: impl FnOnce() -> String) -> bool {
         let took = now.saturating_sub(self.begun);
         let left = self.patience.saturating_sub(took);
-        if took >= NEWS && !left.is_zero() {
-            if let Some(news) = self.news.take() {
-                news(&format!("torque unknown: {}; trying for {:.0} s more", found(), left.as_secs_f64()));
-            }
+        if let Some(news) = self.news.take_if(|_| took >= NEWS && !left.is_zero()) {
+            news(&format!("torque unknown: {}; trying for {:.0} s more", found(), left.as_secs_f64()));
         }
         !left.is_zero()
     }

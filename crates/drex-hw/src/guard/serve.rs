@@ -162,11 +162,9 @@ impl Relay {
         while let Some(message) = self.inbox.next()? {
             let done = match message {
                 Message::Write(bytes) => {
-                    if !self.lost {
-                        if let Err(error) = self.port.write_all(bytes) {
-                            self.lost = true;
-                            Message::Lost(&error.to_string()).put(&mut self.out);
-                        }
+                    if let Some(Err(error)) = (!self.lost).then(|| self.port.write_all(bytes)) {
+                        self.lost = true;
+                        Message::Lost(&error.to_string()).put(&mut self.out);
                     }
                     continue;
                 }
