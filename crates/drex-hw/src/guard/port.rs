@@ -5,7 +5,7 @@ use std::io;
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
 use std::os::unix::process::CommandExt;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, SystemTime};
 
@@ -71,8 +71,7 @@ impl GuardedPort {
         };
         let command = options.program.display();
         let (link, theirs) = UnixStream::pair().map_err(|e| cannot(e.to_string()))?;
-        let set = link.set_nonblocking(false).and_then(|()| link.set_write_timeout(Some(TAKE)));
-        set.map_err(|e| cannot(e.to_string()))?;
+        link.set_write_timeout(Some(TAKE)).map_err(|e| cannot(e.to_string()))?;
         let guard = Command::new(&options.program)
             .args(&options.arguments)
             .stdin(Stdio::from(OwnedFd::from(theirs)))
@@ -255,7 +254,9 @@ impl GuardedPort {
     /// Shows the guard that the program lives, and looks whether the guard does.
     fn beat(&mut self) -> io::Result<()> {
         let now = self.clock.now();
-        if self.owes.is_some_and(|since| now.saturating_sub(since) > self.options.heartbeat) {
+        // It had been silent for a slice before it was asked.
+        let hung = self.options.heartbeat.saturating_sub(self.slice());
+        if self.owes.is_some_and(|since| now.saturating_sub(since) >= hung) {
             return self.take_over("its guard does not answer");
         }
         self.owes.get_or_insert(now);
@@ -350,7 +351,7 @@ impl Port for GuardedPort {
     }
 
     fn latency_file(&self) -> Option<PathBuf> {
-        latency_file_of(Path::new(&self.path))
+        latency_file_of(&self.path)
     }
 }
 
