@@ -61,7 +61,7 @@ pub(crate) fn balance(
     let Some(unit) = force_unit(problem, load, length, goal) else {
         // With no load and no floor the smallest squeeze is none, provided that the hand can hold itself.
         let none = Outcome::Forces { forces: vec![Vector3::zeros(); n], slack_n: 0.0 };
-        return Ok(if holds_itself(problem) { none } else { Outcome::Infeasible });
+        return Ok(if !limits.torque || holds_itself(problem) { none } else { Outcome::Infeasible });
     };
     let g = grasp_map(contacts, &problem.center_of_mass);
     let torsion = problem.torsion_m.filter(|&t| t > 0.0);

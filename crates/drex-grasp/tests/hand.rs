@@ -151,6 +151,24 @@ fn the_static_check_names_what_is_wrong() {
         assert!(check.failures.iter().any(|f| f.contains(word)), "{word}: {:?}", check.failures);
     }
     assert!((check.penetration_mm - 4.0).abs() < 0.5, "{}", check.penetration_mm);
+    // How deep in object and table, and that the rules end there.
+    let surface = HandSurface::new(&robot, 0.003).unwrap();
+    let poses = robot.forward_kinematics(&q, &Isometry3::identity());
+    let lowest = surface.lowest(&poses, &table.up).into_iter().fold(f64::INFINITY, f64::min);
+    assert!(lowest < 0.0 && (check.table_penetration_mm + 1e3 * lowest).abs() < 1e-9, "{lowest}");
+    for (beyond, says) in [(-1e-6, true), (1e-6, false)] {
+        let mut options = CheckOptions::default();
+        options.max_table_penetration_m = beyond - lowest;
+        options.max_penetration_m = 1e-3 * check.penetration_mm + beyond;
+        let failures = static_check(&grasp, &options).unwrap().failures;
+        for words in ["below the table", "inside the object"] {
+            assert_eq!(failures.iter().any(|f| f.contains(words)), says, "{words}: {failures:?}");
+        }
+    }
+    let mut easy = CheckOptions::default();
+    (easy.thumb, easy.min_fingers) = (false, 1);
+    let failures = static_check(&grasp, &easy).unwrap().failures;
+    assert!(!failures.iter().any(|f| f.contains("thumb") || f.contains("fingers touch")), "{failures:?}");
     let contacts: usize = check.contacts.iter().map(|c| c.contacts).sum();
     assert!(contacts > 0 && check.contacts.last().unwrap().finger == "palm");
     let refused = static_check(&StaticGrasp { joints: &[0.0; 3], ..grasp }, &CheckOptions::default());

@@ -1,10 +1,13 @@
 //! Grasps searched for on shapes whose distance is a formula.
 #![allow(clippy::unwrap_used)] // a test says what fails by failing
 
-use drex_core::{SdfSample, SignedDistance, SurfacePoint};
-use drex_grasp::{FoundGrasp, HandSurface, SearchOptions, TablePlane, search_grasps};
+use drex_core::{MassProperties, SdfSample, SignedDistance, SurfacePoint};
+use drex_grasp::{
+    CheckOptions, ClosureOptions, FoundGrasp, HandSurface, SearchOptions, SqueezeProblem, StaticGrasp, TablePlane,
+    TorqueLimits, force_closure, search_grasps, smallest_squeeze, static_check_with,
+};
 use drex_robot::Robot;
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 
 /// A ball of this radius, m.
 struct Ball(f64);
@@ -70,6 +73,75 @@ fn what_is_found_touches_is_not_inside_and_keeps_off_the_table() {
         }
         assert!(found.iter().filter(|f| f.closed).count() * 2 > found.len());
     }
+}
+
+#[test]
+fn the_static_check_of_a_found_grasp_is_the_cone_programme_on_its_contacts() {
+    let radius = 0.035;
+    let (robot, found) = found("leap_right", radius, |o| o.candidates = 2000);
+    let surface = HandSurface::new(&robot, 0.003).unwrap();
+    let (ball, table) = (Ball(radius), TablePlane { up: Vector3::z_axis(), height_m: -radius });
+    let body =
+        MassProperties { mass_kg: 0.1, center_of_mass: Point3::new(0.0, 0.002, 0.0), inertia: Matrix3::identity() };
+    let mut options = CheckOptions::default();
+    options.gamma = 1.3;
+    let mut carried = 0;
+    for f in found.iter().filter(|f| f.closed).take(8) {
+        let (robot, joints, object_from_base) = (&robot, &f.joints[..], f.object_from_base);
+        let grasp = StaticGrasp { robot, joints, object_from_base, object: &ball, body: &body, table };
+        let check = static_check_with(&surface, &grasp, &options).unwrap();
+        let contacts = surface.contacts(robot, joints, &object_from_base, &ball, &options.contact).unwrap();
+        let motors = TorqueLimits::of_robot(robot, joints, &object_from_base, &contacts, &table.gravity()).unwrap();
+        let closure = force_closure(&contacts, &ClosureOptions::about(body.center_of_mass)).unwrap();
+        assert_eq!(
+            (check.force_closure, check.epsilon, check.min_weight),
+            (closure.closed, closure.epsilon, closure.min_weight)
+        );
+        assert_eq!((check.mass_kg, check.friction, check.gamma), (0.1, 0.5, 1.3));
+        for (i, row) in check.contacts.iter().enumerate() {
+            let finger = (i < surface.fingers.len()).then_some(i);
+            assert_eq!(row.contacts, contacts.iter().filter(|c| c.finger == finger).count(), "{}", row.finger);
+        }
+        let free = SqueezeProblem::new(contacts, 0.1, body.center_of_mass, table.gravity()).with_gamma(1.3);
+        let Ok(s) = smallest_squeeze(&free.clone().with_torques(motors)) else {
+            assert!(check.squeeze_n.is_none() && !check.passed && check.torque_margin.is_none());
+            continue;
+        };
+        carried += 1;
+        assert_eq!((check.squeeze_n, check.torque_margin), (Some(s.total_n), Some(s.torque_margin)));
+        assert_eq!(check.friction_margin, Some(s.friction_margin));
+        for (row, n) in check.contacts.iter().zip(&s.per_finger_n) {
+            assert_eq!(row.normal_n, *n, "{}", row.finger);
+        }
+        assert_eq!(check.contacts.last().unwrap().normal_n, s.palm_n);
+        assert_eq!(check.passed, check.failures.is_empty());
+        // Without motors, and with a damage limit just above and just below what that needs at one contact.
+        let mut other = options.clone();
+        other.motors = false;
+        let without = static_check_with(&surface, &grasp, &other).unwrap();
+        let s = smallest_squeeze(&free).unwrap();
+        assert_eq!((without.squeeze_n, without.torque_margin), (Some(s.total_n), Some(1.0)));
+        other.max_normal_n = Some(0.01);
+        let fragile = static_check_with(&surface, &grasp, &other).unwrap();
+        assert!(fragile.squeeze_n.is_none() && fragile.failures.iter().any(|f| f.contains("limits")), "{fragile:?}");
+        assert!(fragile.contacts.iter().all(|row| row.normal_n == 0.0));
+    }
+    assert!(carried > 0);
+}
+
+#[test]
+fn a_thumb_without_limits_goes_both_ways() {
+    let mut robot = Robot::bundled("leap_right").unwrap();
+    let free = robot.require_joint("th_axl").unwrap();
+    robot.joints[free].limits = None;
+    let surface = HandSurface::new(&robot, 0.004).unwrap();
+    let (ball, table) = (Ball(0.035), TablePlane { up: Vector3::z_axis(), height_m: -0.035 });
+    let mut options = SearchOptions::default();
+    options.candidates = 2000;
+    let points = ball.surface();
+    let found = search_grasps(&robot, &surface, &ball, &points, &Point3::origin(), &table, &options).unwrap();
+    let (low, high) = found.iter().fold((0.0_f64, 0.0_f64), |(l, h), f| (l.min(f.joints[free]), h.max(f.joints[free])));
+    assert!(low < -0.1 && high > 0.1, "{low} to {high} rad");
 }
 
 #[test]
