@@ -43,6 +43,8 @@ pub struct MassPosterior {
     pub prior: Option<MassPrior>,
     /// What the pushes alone say; absent where they say nothing.
     pub push: Option<MassDistribution>,
+    /// Ends of the pushes' own 95 % interval, kg, each absent where they leave that side open; absent where they say nothing.
+    pub push_ci95_kg: Option<[Option<f64>; 2]>,
     /// Both together.
     pub distribution: MassDistribution,
     /// Where it comes from.
@@ -67,6 +69,11 @@ impl MassPosterior {
             Some(_) => MassSource::Bounded,
             None => MassSource::Prior,
         };
+        // As the pushes' answer states it, where that side is bounded at all.
+        let push_ci95_kg = push.as_ref().zip(pushes.and_then(|p| p.ci95_kg)).map(|(push, stated)| {
+            let bounds = push.bounds_kg();
+            std::array::from_fn(|i| bounds[i].and(Some(stated[i])))
+        });
         let contradiction_sd = before.as_ref().zip(push.as_ref()).map(|(prior, push)| prior.contradiction_sd(push));
         let distribution = match (before, &push) {
             (Some(before), Some(push)) => before.times(push),
@@ -83,7 +90,7 @@ impl MassPosterior {
                 });
             }
         };
-        Ok(Self { prior, push, distribution, source, contradiction_sd })
+        Ok(Self { prior, push, push_ci95_kg, distribution, source, contradiction_sd })
     }
 
     /// The mass to grasp for, kg, with a force law whose `margin` (at least 1) also covers errors of the mass: the median, or more
@@ -142,7 +149,7 @@ mod tests {
         let bound = hand(0.12, 0.1, true);
         let light = MassPosterior::of(Some(guess), Some(&bound)).unwrap();
         assert!(contradicts(&light) && light.distribution.median_kg() < 0.13, "{:?}", light.contradiction_sd);
-        assert!(light.push.unwrap().bounds_kg()[0].is_none());
+        assert_eq!(light.push_ci95_kg, bound.ci95_kg.map(|[_, high]| [None, Some(high)]));
     }
 
     #[test]
@@ -172,6 +179,7 @@ mod tests {
         }));
         let guessed = MassPosterior::of(Some(MassPrior::from_number(0.5).unwrap()), Some(&push)).unwrap();
         assert_eq!(guessed.source, MassSource::Identified);
+        assert_eq!(guessed.push_ci95_kg, Some([Some(0.181), Some(0.2206)]), "as the answer states it");
         assert!((guessed.distribution.sd_log() / 0.05 - 1.0).abs() < 0.01);
         assert!((guessed.distribution.median_kg() / 0.2 - 1.0).abs() < 0.01);
         let weighed = MassPosterior::of(Some(MassPrior::from_scale(0.3).unwrap()), Some(&push)).unwrap();

@@ -136,7 +136,7 @@ impl MassFile {
             ci95_kg: of.interval95_kg(),
             sd_kg: of.sd_kg(),
             grip_kg: posterior.grip_kg(ForceLaw::default().margin),
-            push_ci95_kg: posterior.push.as_ref().map(MassDistribution::bounds_kg),
+            push_ci95_kg: posterior.push_ci95_kg,
             contradiction_sd: posterior.contradiction_sd,
             prior: posterior.prior,
             posterior: posterior.distribution,
