@@ -114,7 +114,7 @@ fn the_mesh_of_a_scan_stays_in_the_twin() {
         ("../../victim/notes.obj", "leads upwards"),
         ("ABSOLUTE/victim/notes.obj", "is absolute"),
         ("linked/notes.obj", "is a link"),
-        ("twin.toml", "does not end in"),
+        ("twin.toml", "makes an OBJ file"),
     ] {
         let (dir, root) = sandbox();
         let twin = root.join("twin");

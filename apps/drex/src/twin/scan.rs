@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use drex_core::twin::ScanPreset;
 use drex_mesh::{KnownDistance, write_mesh};
 use drex_splat::ReconstructOptions;
@@ -14,19 +14,15 @@ use super::files::{SCAN, ScanFile, write_json};
 use crate::scan::{FrameOptions, Meshed, Scanning};
 use crate::ui::Ui;
 
-/// Endings of the files that a mesh can be written to.
-const MESH_FORMATS: [&str; 4] = ["obj", "stl", "ply", "glb"];
 /// Every so many photos one is not trained on but measured against.
 const HOLD_OUT: usize = 8;
 
 pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     let config = twin.manifest.scan.as_ref().context("the manifest has no [scan]")?;
-    let manifest = twin.path("twin.toml");
-    let wrong = || format!("{}: mesh under [object], which the scan is written to", manifest.display());
-    let file = twin.output(&twin.manifest.object.mesh).with_context(wrong)?;
-    if !MESH_FORMATS.iter().any(|f| file.extension().is_some_and(|e| e.eq_ignore_ascii_case(f))) {
-        bail!("{}: {} does not end in .{}", wrong(), file.display(), MESH_FORMATS.join(", ."));
-    }
+    // Before hours of work; the manifest may name a place outside.
+    let file = twin.output(&twin.manifest.object.mesh).with_context(|| {
+        format!("{}: mesh under [object], to which the scan is written", twin.path("twin.toml").display())
+    })?;
     // Depth maps that an earlier run made of other photos must not be taken for these; a folder of somebody else's stays.
     let (depth, splat) = (twin.output("depth")?, twin.output("splat")?);
     if depth.join("transforms.json").is_file() && !twin.path(&config.photos).starts_with(&depth) {
