@@ -85,27 +85,48 @@ pub fn cases() -> Vec<fn() -> Case> {
                 "render a.splat --out out --orbit 1 --size 64x64",
             )
         },
-        || one("npy header, 4e9 frames", "d.npy", npy("<f8", "(4000000000, 21, 3)", &[]), "retarget d.npy --hand leap"),
+        || {
+            one(
+                "npy header, 4e9 frames",
+                "d.npy",
+                npy("<f8", "(4000000000, 21, 3)", &[]),
+                "retarget d.npy --hand leap --out o.json",
+            )
+        },
         || {
             one(
                 "npy, 90 MB of bytes",
                 "d.npy",
                 npy("|u1", "(1428571, 21, 3)", &vec![1; 89_999_973]),
-                "retarget d.npy --hand leap",
+                "retarget d.npy --hand leap --out o.json",
             )
         },
-        || one("npz, 1 GB of zeros in 1 MB", "d.npz", zip_bomb(1 << 30), "retarget d.npz --hand leap"),
-        || one("JSON, arrays nested 50 million deep", "d.json", vec![b'['; 50_000_000], "retarget d.json --hand leap"),
-        || one("JSON, 100 MB of small objects", "d.json", small_objects(14_000_000), "retarget d.json --hand leap"),
+        || one("npz, 1 GB of zeros in 1 MB", "d.npz", zip_bomb(1 << 30), "retarget d.npz --hand leap --out o.json"),
+        || {
+            one(
+                "JSON, arrays nested 50 million deep",
+                "d.json",
+                vec![b'['; 50_000_000],
+                "retarget d.json --hand leap --out o.json",
+            )
+        },
+        || {
+            one(
+                "JSON, 100 MB of small objects",
+                "d.json",
+                small_objects(14_000_000),
+                "retarget d.json --hand leap --out o.json",
+            )
+        },
         || {
             one(
                 "CSV, 40 million rows",
                 "d.csv",
                 [b"t\n".as_slice(), &b"1\n".repeat(40_000_000)].concat(),
-                "retarget d.csv --hand leap",
+                "retarget d.csv --hand leap --out o.json",
             )
         },
-        || one("CSV, 2 million columns", "d.csv", wide_csv(2_000_000), "retarget d.csv --hand leap"),
+        || one("CSV, 2 million columns", "d.csv", wide_csv(2_000_000), "retarget d.csv --hand leap --out o.json"),
         || demo_with("URDF, a chain of 40,000 links", "h.urdf", urdf(40_000, true)),
         || demo_with("URDF, a star of 40,000 links", "h.urdf", urdf(40_000, false)),
         || demo_with("MJCF, 40,000 bodies side by side", "h.xml", mjcf(40_000)),
@@ -338,13 +359,15 @@ fn tetrahedra(n: usize) -> Vec<u8> {
     text.into_bytes()
 }
 
-fn spz(n: u32) -> Vec<u8> {
+/// An SPZ of so many Gaussians, all zero.
+pub fn spz(n: u32) -> Vec<u8> {
     let mut body = spz_header(3, n, 3, 12);
     body.resize(16 + n as usize * 65, 0);
     gzip(&body)
 }
 
-fn zip_bomb(bytes: usize) -> Vec<u8> {
+/// An archive of key points, all zero, that unpacks to so many bytes.
+pub fn zip_bomb(bytes: usize) -> Vec<u8> {
     let frames = bytes / (63 * 8);
     npz(&[("keypoints", &npy("<f8", &format!("({frames}, 21, 3)"), &vec![0; frames * 63 * 8]))])
 }
@@ -359,12 +382,16 @@ fn wide_csv(n: usize) -> Vec<u8> {
 }
 
 fn demo_with(name: &'static str, file: &'static str, model: Vec<u8>) -> Case {
-    let command = if file == "h.urdf" { "retarget d.json --hand h.urdf" } else { "retarget d.json --hand h.xml" };
+    let command = if file == "h.urdf" {
+        "retarget d.json --hand h.urdf --out o.json"
+    } else {
+        "retarget d.json --hand h.xml --out o.json"
+    };
     Case { name, files: vec![("d.json", seeds::demo_json().remove(0)), (file, model)], command }
 }
 
 /// Links without mass but with a shape, one below the other or all below the first.
-fn urdf(n: usize, chain: bool) -> Vec<u8> {
+pub fn urdf(n: usize, chain: bool) -> Vec<u8> {
     let mut text = "<robot name=\"r\">".to_owned();
     for k in 0..n {
         let _ = write!(
@@ -384,7 +411,8 @@ fn urdf(n: usize, chain: bool) -> Vec<u8> {
     text.into_bytes()
 }
 
-fn mjcf(n: usize) -> Vec<u8> {
+/// A robot of so many bodies side by side, each with a drive.
+pub fn mjcf(n: usize) -> Vec<u8> {
     let mut text = "<mujoco><worldbody><body name=\"base\">".to_owned();
     (0..n).for_each(|_| text += "<body><joint/><geom size=\"0.01\"/></body>");
     text += "</body></worldbody><actuator>";
@@ -395,7 +423,8 @@ fn mjcf(n: usize) -> Vec<u8> {
     text.into_bytes()
 }
 
-fn classes(attributes: usize, n: usize) -> Vec<u8> {
+/// Default classes that each inherit all attributes.
+pub fn classes(attributes: usize, n: usize) -> Vec<u8> {
     let mut text = "<mujoco><default><geom".to_owned();
     for k in 0..attributes {
         let _ = write!(text, " a{k}=\"\"");
@@ -408,7 +437,8 @@ fn classes(attributes: usize, n: usize) -> Vec<u8> {
     text.into_bytes()
 }
 
-fn laughs() -> Vec<u8> {
+/// Entities that are each ten of the one before.
+pub fn laughs() -> Vec<u8> {
     let mut text = "<!DOCTYPE robot [<!ENTITY a0 \"ha\">".to_owned();
     for k in 1..10 {
         let _ = write!(text, "<!ENTITY a{k} \"{}\">", format!("&a{};", k - 1).repeat(10));

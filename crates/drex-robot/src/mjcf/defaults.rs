@@ -13,6 +13,9 @@ use super::actuators::{self, Settings};
 /// Name of the class that holds for elements without one.
 const MAIN: &str = "main";
 
+/// Most memory of an attribute in a map apart from its text, bytes.
+const ENTRY_BYTES: u64 = 160;
+
 /// One class with everything inherited already in it.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Class {
@@ -64,7 +67,7 @@ impl Defaults {
             super::bodies::note_unread_attributes(child, unread);
         }
         let attributes = || class.attributes.values().flatten();
-        self.taken += attributes().map(|(k, v)| (k.len() + v.len() + 2 * size_of::<String>()) as u64).sum::<u64>();
+        self.taken += attributes().map(|(k, v)| (k.len() + v.len()) as u64 + ENTRY_BYTES).sum::<u64>();
         budget::allow(&node.path, "the attributes of all default classes", self.taken)?;
         self.classes.insert(name.to_owned(), class.clone());
         for child in node.children_called("default") {
