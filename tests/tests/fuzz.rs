@@ -4,7 +4,7 @@
 //! A plain `cargo test` takes some hundred inputs per reader. `DREX_FUZZ_SECONDS=3` goes on for so many seconds per reader,
 //! `DREX_FUZZ_SEED=7` begins elsewhere, `DREX_FUZZ_TARGET=glb` takes one reader alone. An input that fails is written to the folder
 //! for temporary files, and the message names it. The same readers under libFuzzer: `fuzz/all`.
-#![allow(clippy::unwrap_used, missing_docs)] // a failed unwrap is a failed test
+#![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)] // a failed unwrap is a failed test; what was read is told
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
