@@ -137,6 +137,10 @@ fn a_trained_twin_grasps_and_deploys() {
         assert_eq!(file["limits"]["unit"], "mA");
         assert_eq!(file["force_law"]["torque_limits_nm"], serde_json::json!(vec![0.29; 16]));
         assert!(deploy.json()["driven"].is_null());
+        assert_eq!((&file["limits"]["motor"], &file["limits"]["motor_assumed"]), (&"XC330-M288".into(), &true.into()));
+        assert_eq!(file["limits"]["cap"], 200.0);
+        #[cfg(unix)]
+        deploys_by_the_motors_that_it_finds(at, &twin, &file);
         let log = twin.join("grasp.csv");
         let emulated = drex([
             "deploy",
@@ -168,4 +172,33 @@ fn a_trained_twin_grasps_and_deploys() {
     let number = version.split("\"version\": ").nth(1).unwrap().split(',').next().unwrap().to_owned();
     edit(&policy, &format!("\"version\": {number}"), "\"version\": 99");
     drex(["grasp", at]).fails_with(&["version is 99"]);
+}
+
+/// A hand with XL330 motors: their own torque-current model and cap, and what speaks against it stops it.
+#[cfg(unix)]
+fn deploys_by_the_motors_that_it_finds(at: &str, twin: &std::path::Path, full: &serde_json::Value) {
+    use drex_hw::emulator::leap::LeapEmulator;
+    use drex_hw::emulator::pty::PtyServer;
+    use drex_hw::leap::table::{self, MotorModel};
+
+    let hand = LeapEmulator::with_model(MotorModel::Xl330M288).in_real_time();
+    hand.set(6, table::HOMING_OFFSET, 1000);
+    let link = twin.join("leap");
+    let _server = PtyServer::serve(hand.clone(), Some(&link)).unwrap();
+    let port = ["deploy", at, "--port", link.to_str().unwrap(), "--hold", "0.1", "--json"];
+    drex(port).fails_with(&["homing-offset", "--allow"]);
+    drex(port.into_iter().chain(["--allow", "homing-offset", "--cap", "1740"])).fails_with(&["stalls", "1470 mA"]);
+    // Nothing is in its way: whether it then misses is no matter here, the file is.
+    drex(port.into_iter().chain(["--allow", "homing-offset", "--cap", "200"]));
+    let lite: serde_json::Value = serde_json::from_slice(&fs::read(twin.join("policy/deploy.json")).unwrap()).unwrap();
+    assert_eq!((&lite["limits"]["motor"], &lite["limits"]["motor_assumed"]), (&"XL330-M288".into(), &false.into()));
+    let most = |f: &serde_json::Value| {
+        let force = f["limits"]["force"].as_array().unwrap();
+        force.iter().map(|v| v.as_f64().unwrap()).fold(0.0, f64::max)
+    };
+    // The same torque takes more current of a weaker motor, as far as the cap lets it.
+    assert!(most(&lite) > most(full) || most(full) == 200.0, "{} and {} mA", most(&lite), most(full));
+    let spread = lite["limits"]["published_nm"].as_array().unwrap();
+    assert!(spread[0].as_f64().unwrap() < spread[1].as_f64().unwrap(), "{spread:?}");
+    assert_eq!(hand.under_torque(), 0);
 }
