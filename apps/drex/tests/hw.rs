@@ -68,7 +68,7 @@ fn a_leap_hand_is_found_read_moved_and_recorded() {
     let status = drex(["hw", "status"].iter().chain(&at)).json();
     let joint = |name: &str| {
         let found = status["joints"].as_array().unwrap().iter().find(|j| j["name"] == name).unwrap().clone();
-        assert_eq!(found["status"], "limp");
+        assert_eq!(found["status"], "torque off");
         found["position_rad"].as_f64().unwrap()
     };
     assert!((joint("if_mcp") - 0.4).abs() < 0.01, "{status}");
