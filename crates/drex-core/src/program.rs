@@ -97,7 +97,7 @@ mod tests {
         command.args(["-c", script]).stdout(Stdio::piped()).stderr(Stdio::piped());
         let (begun, mut lines) = (Instant::now(), Vec::new());
         let limit = Duration::from_secs_f64(limit_s);
-        let outcome = run(command, Some("given"), limit, &mut |line| lines.push(line.to_owned())).unwrap();
+        let outcome = run(command, Some("given"), limit, &mut |line| lines.push(line.to_owned())).expect("starts");
         (outcome, lines, begun.elapsed())
     }
 

@@ -169,8 +169,7 @@ fn posterior_plot(mass: &MassFile) -> String {
     let prior = mass.prior.as_ref().and_then(|p| p.distribution().ok());
     let push = mass.identification.as_ref().and_then(Identification::likelihood);
     let all = [("prior", prior), ("push", push), ("posterior", Some(mass.posterior.clone()))];
-    let curves: Vec<(&str, (Vec<f64>, Vec<f64>))> =
-        all.into_iter().filter_map(|(label, d)| Some((label, curve(d?)))).collect();
+    let curves: Vec<_> = all.into_iter().filter_map(|(label, d)| Some((label, curve(d?)))).collect();
     let series =
         curves.iter().zip(COLORS).map(|((label, (x, y)), color)| Series { label, x, y, color, dots: false }).collect();
     Plot {

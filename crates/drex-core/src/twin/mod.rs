@@ -429,7 +429,7 @@ damping = 0.001
         let grasps = m.grasps.clone().unwrap();
         assert_eq!((grasps.recorded, grasps.augment), (RecordedAs::Human, Some(200)));
         let m = parse(&FULL.replace("joint_order = \"leap_sdk\"", "torque_cap_nm = 0.2")).unwrap();
-        assert_eq!(m.grasps.unwrap().torque_cap_nm, Some(0.2));
+        assert_eq!(m.grasps.as_ref().unwrap().torque_cap_nm, Some(0.2));
         assert_eq!(parse(&m.to_toml_string().unwrap()).unwrap(), m);
     }
 

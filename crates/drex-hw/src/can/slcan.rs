@@ -11,6 +11,8 @@ use crate::{Error, Result};
 
 /// How long an adapter may take to answer a command; many never answer.
 const ANSWER: Duration = Duration::from_millis(50);
+/// An adapter that was silent for so long has no answer left from before.
+const QUIET: Duration = Duration::from_millis(10);
 /// USB adapters ignore the speed of their serial port; those with a UART use this one.
 pub(crate) const BAUD: u32 = 115_200;
 
@@ -93,6 +95,7 @@ impl<P: Port> Slcan<P> {
     pub(crate) fn open_channel(&mut self) -> Result<()> {
         // A closed channel refuses to be closed; it may also have been left open, with frames in flight.
         self.command(b"\rC\r")?;
+        self.settle()?;
         let speed = self.command(b"S8\r")?;
         let opened = self.command(b"O\r")?;
         if speed == Some(SlcanEvent::Refused) || opened == Some(SlcanEvent::Refused) {
@@ -121,6 +124,18 @@ impl<P: Port> Slcan<P> {
     /// Lines from the adapter that meant nothing.
     pub fn ignored(&self) -> u64 {
         self.parser.ignored()
+    }
+
+    /// Drops what an adapter whose channel is closed still has to say, to another program perhaps, for [`ANSWER`] at most.
+    fn settle(&mut self) -> Result<()> {
+        let end = self.port.now() + ANSWER;
+        while self.port.now() < end {
+            let quiet = self.port.now() + QUIET;
+            if self.event(quiet.min(end))?.is_none() {
+                break;
+            }
+        }
+        Ok(())
     }
 
     /// Sends a command and waits a little for the last of its answers, dropping frames.

@@ -131,11 +131,7 @@ impl<'a> Reader<'a> {
                 self.material = Some(found.unwrap_or_else(|| self.add_material(name)));
                 self.part = None;
             }
-            "mtllib" => {
-                if self.libraries.insert(rest.trim().to_owned()) {
-                    self.library(rest)?;
-                }
-            }
+            "mtllib" if self.libraries.insert(rest.trim().to_owned()) => self.library(rest)?,
             _ => {}
         }
         Ok(())

@@ -50,10 +50,10 @@ impl Setup {
     }
 
     fn with(hand: HandArg, side: Side, file: Option<HandFile>, link: &LinkArgs) -> Result<Self> {
-        if let (Some(f), Some(path)) = (&file, &link.hand_file) {
-            if HandArg::from(f.hand) != hand {
-                bail!("{} is of a hand {:?}, not {hand:?}", path.display(), HandArg::from(f.hand));
-            }
+        if let (Some(f), Some(path)) = (&file, &link.hand_file)
+            && HandArg::from(f.hand) != hand
+        {
+            bail!("{} is of a hand {:?}, not {hand:?}", path.display(), HandArg::from(f.hand));
         }
         let named = || link.hand_file.as_ref().map_or_else(String::new, |p| format!("cannot use {}", p.display()));
         let robot = Robot::bundled(match side {
