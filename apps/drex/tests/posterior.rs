@@ -181,6 +181,15 @@ fn a_contradiction_is_said_first_with_what_to_do() {
 }
 
 #[test]
+fn a_mass_that_is_stated_twice_does_not_count_twice() {
+    let (_dir, twin) = tin_copy();
+    let push = twin.join("push/tilt/push.toml");
+    let text = fs::read_to_string(&push).unwrap();
+    fs::write(&push, format!("{text}\n[parameters]\nmass = {{ mean = 0.5, sd = 0.3 }}\n")).unwrap();
+    drex(["run", twin.to_str().unwrap()]).fails_with(&["stated twice", "[parameters]", "keep the one in twin.toml"]);
+}
+
+#[test]
 fn a_push_that_says_nothing_leaves_the_prior_and_that_is_said() {
     let (_dir, twin) = tin_copy();
     without_grasps(&twin);

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
 use drex_core::push::{Drive, InputChoice, PushRecording, StatedParameter};
 use drex_sysid::{IdentifyOptions, MassPosterior, MassPrior, Parameter, identify_watched};
@@ -22,12 +22,18 @@ const OF_THE_SHAPE: [Parameter; 7] = [
     Parameter::StartZ,
     Parameter::ContactHeight,
 ];
+
+/// Identifies and multiplies with the prior.
 pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
     let mut recordings = recordings(twin)?;
     if twin.manifest.scan.is_some() {
         // To a tenth of a millimetre, as it is printed.
         let sd = (1e4 * read_json::<ScanFile>(&twin.path(SCAN))?.fusion.voxel_m).round() / 1e4;
         recordings.iter_mut().for_each(|r| as_scanned(r, sd));
+    }
+    let prior = prior(twin, &recordings)?;
+    if prior.is_some() {
+        stated_once(&recordings)?;
     }
     let identification = if recordings.is_empty() {
         None
@@ -41,11 +47,23 @@ pub fn make(twin: &Twin, ui: &Ui) -> Result<Vec<PathBuf>> {
         twin.took("identification", result.seconds);
         Some(result)
     };
-    let prior = prior(twin, &recordings)?;
     let posterior = MassPosterior::of(prior, identification.as_ref())
         .with_context(|| format!("[mass] of {}", twin.path("twin.toml").display()))?;
     write_json(&twin.output(MASS)?, &MassFile::new(posterior, identification))?;
     Ok(vec![twin.path(MASS)])
+}
+
+/// What the estimate has taken for granted is no evidence beside the same prior of the twin.
+fn stated_once(recordings: &[PushRecording]) -> Result<()> {
+    let mass = Parameter::Mass.as_str();
+    let stated = |r: &&PushRecording| !matches!(r.parameters.get(mass), None | Some(StatedParameter::Free(_)));
+    if let Some(push) = recordings.iter().find(stated) {
+        bail!(
+            "the mass is stated twice, by [mass] in twin.toml and by [parameters] of the push {}, and would count twice: keep the one in twin.toml",
+            push.name
+        );
+    }
+    Ok(())
 }
 
 /// A mesh that was made of photos is known to a voxel, `sd_m`, and an interval that takes it for exact is too narrow: what the push
