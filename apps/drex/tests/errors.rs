@@ -25,7 +25,8 @@ const CASES: &[Case] = &[
     ("mesh check", &["empty"], 1, &["empty", "make the asset first"]),
     ("mesh convert", &["tin/scan/tin.obj", "tin.fbx"], 1, &["tin.fbx", "give a .stl, .obj"]),
     ("mesh picture", &["tin/scan/tin.obj", "--out", "tin.jpg"], 1, &["tin.jpg", "ends in .png"]),
-    ("identify", &["tin"], 1, &["tin: ", "none of push.toml", "write a push.toml there"]),
+    ("identify", &["tin/push"], 1, &["tin/push: ", "none of push.toml", "write a push.toml there"]),
+    ("identify", &["tin", "--free", "friction"], 1, &["tin is a twin", "name one of its pushes"]),
     ("identify", &["tin/push/tilt", "--guess", "unobtainium"], 1, &["unobtainium", "choose one of", "cork"]),
     ("identify", &["tin/push/tilt", "--free", "speed"], 2, &["speed", "choose one of mass, friction"]),
     ("plan-push", &["tin/scan/tin.obj"], 1, &["state what the robot pushes with", "--max-force"]),
@@ -65,6 +66,14 @@ const CASES: &[Case] = &[
         1,
         &["notes.txt", "no column current_ma", "the first line names the columns"],
     ),
+    ("hw off", &["--hand", "leap", "--port", "nowhere"], 1, &["port nowhere", "plug the hand in"]),
+    ("hw release", &["--hand", "leap", "--port", "nowhere", "--seconds", "99"], 2, &["give at most 10 s"]),
+    (
+        "hw calibrate-zero",
+        &["--hand", "leap", "--port", "nowhere", "--pose", "knee=1", "--out", "new"],
+        1,
+        &["no joint \"knee\"", "there are if_mcp"],
+    ),
     ("hw emulate", &["leap", "--wall", "knee=1", "--seconds", "1"], 1, &["no joint \"knee\"", "there are if_mcp"]),
     ("hw emulate", &["leap", "--link", "notes.txt", "--seconds", "1"], 1, &["notes.txt", "check that"]),
     ("run", &["nowhere"], 1, &["nowhere", "give a twin.toml or the folder that holds it"]),
@@ -98,13 +107,12 @@ fn subcommands(folder: &Path) -> BTreeSet<String> {
         .map(|page| page.unwrap().file_name().into_string().unwrap())
         .map(|name| name.strip_suffix(".1").unwrap().to_owned())
         .collect();
-    fs::remove_dir_all(folder.join("pages")).unwrap();
-    let is_group = |name: &String| {
-        let inside = format!("{name}-");
-        // `drex-import-d-rex` is inside of `drex-import`.
-        names.iter().any(|other| other.starts_with(&inside))
+    // `drex-hw-calibrate-zero` is not inside of `drex-hw-calibrate`.
+    let is_group = |name: &str| {
+        fs::read_to_string(folder.join("pages").join(format!("{name}.1"))).unwrap().contains(".SH SUBCOMMANDS")
     };
     let leaves: BTreeSet<String> = names.iter().filter(|name| !is_group(name)).cloned().collect();
+    fs::remove_dir_all(folder.join("pages")).unwrap();
     let listed = drex_in(folder, &["--help"]).1;
     for name in names.iter().filter_map(|n| n.strip_prefix("drex-")).filter(|n| !n.contains("-")) {
         assert!(listed.lines().any(|l| l.trim_start().starts_with(name)), "{name} is not in drex --help");

@@ -457,7 +457,7 @@ damping = 0.001
             ("[train]", "recorded = \"human\"\n[train]", "[grasps] joint_order"),
             ("joint_order = \"leap_sdk\"", "recorded = \"human\"\naugment = 0", "augment = 0"),
             ("joint_order = \"leap_sdk\"", "torque_cap_nm = 0", "torque_cap_nm = 0"),
-            ("joint_order = \"leap_sdk\"", "torque_cap_nm = nan", "torque_cap_nm = NaN"),
+            ("joint_order = \"leap_sdk\"", "torque_cap_nm = nan", "grasps.torque_cap_nm is not finite"),
             ("joint_order = \"leap_sdk\"", "recorded = \"glove\"", "line 14"),
         ] {
             let message = parse(&FULL.replace(from, to)).unwrap_err().to_string();

@@ -145,14 +145,21 @@ impl<P: Port> LeapHand<P> {
         hand.findings.extend(inspect_motors(&mut hand.bus, &hand.options)?);
         // A motor that is started again is silent for a while.
         hand.bus.limit_silence(None);
+        // Before anything can fail: a hand with dead motors is let go of without a long wait for each.
+        hand.learn_timing(known);
         hand.await_silent()?;
         hand.set_up_all()?;
         hand.regroup()?;
         hand.read_health()?;
-        if known.is_none() {
-            hand.brisk = Timing::for_loop(hand.bus.slowest());
-        }
+        hand.learn_timing(known);
         Ok(hand)
+    }
+
+    /// How long a loop waits for an answer: twice the slowest until now, where nobody has said it.
+    fn learn_timing(&mut self, known: Option<Timing>) {
+        if known.is_none() {
+            self.brisk = Timing::for_loop(self.bus.slowest());
+        }
     }
 
     /// What was not as it should be when the hand was connected, and how to mend it. What the driver mends itself is

@@ -132,6 +132,9 @@ mod tests {
     #[test]
     fn entries_follow_one_another_without_overlap() {
         assert!(TABLE.windows(2).all(|w| w[0].start + w[0].len <= w[1].start));
-        assert!((0..END).filter(|a| is_defined(*a)).count() > 180);
+        // The gaps of the manual's table.
+        let gaps = [14..20, 28..31, 40..44, 56..60, 61..62, 66..68, 71..76, 86..88, 92..98, 99..100, 148..168];
+        let undefined: Vec<usize> = (0..END).filter(|a| !is_defined(*a)).collect();
+        assert_eq!(undefined, gaps.into_iter().flatten().collect::<Vec<_>>());
     }
 }
