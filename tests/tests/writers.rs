@@ -49,7 +49,6 @@ const WRITERS: &[(&str, Why)] = &[
     ("apps/drex/src/commands/hw/calibrate.rs", Caller),
     ("apps/drex/src/commands/hw/calibrate_zero.rs", Caller),
     ("apps/drex/src/commands/hw/drive.rs", Caller),
-    ("apps/drex/src/commands/hw/hand_file.rs", Caller),
     ("apps/drex/src/commands/identify.rs", Caller),
     ("apps/drex/src/commands/import.rs", Checked),
     ("apps/drex/src/commands/mesh.rs", Caller),

@@ -279,7 +279,7 @@ fn hostile_spz_is_a_named_error() {
         (4, 4, len, "version 4"),
         (4, 1, len, "version 1"),
         (11, 255, len, "Gaussians of degree"),
-        (10, 100, len, "ends before"),
+        (10, 100, len, "would take"),
         (12, 4, len, "degree 4"),
         (13, 64, len, "64 fractional"),
         (14, 2, len, "extensions"),
