@@ -145,14 +145,22 @@ impl<P: Port> LeapHand<P> {
         hand.findings.extend(inspect_motors(&mut hand.bus, &hand.options)?);
         // A motor that is started again is silent for a while.
         hand.bus.limit_silence(None);
-        // Before anything can fail: a hand with dead motors is let go of without a long wait for each.
         hand.learn_timing(known);
-        hand.await_silent()?;
-        hand.set_up_all()?;
-        hand.regroup()?;
-        hand.read_health()?;
+        let ready = hand.make_ready();
+        if ready.is_err() {
+            // Whoever is dead was waited for already, and need not be once more when the hand is dropped.
+            hand.patient = hand.brisk;
+        }
+        ready?;
         hand.learn_timing(known);
         Ok(hand)
+    }
+
+    fn make_ready(&mut self) -> Result<()> {
+        self.await_silent()?;
+        self.set_up_all()?;
+        self.regroup()?;
+        self.read_health()
     }
 
     /// How long a loop waits for an answer: twice the slowest until now, where nobody has said it.
