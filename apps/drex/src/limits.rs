@@ -97,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_exceeds_a_limit_is_told_with_the_limit_and_the_option() {
+    fn exceeding_a_limit_names_the_limit_and_the_option() {
         let limits = Limits { bytes: Some(1 << 30), seconds: Some(5.0) };
         assert_eq!(exceeded(&limits, Some(1 << 29), 4.9), None);
         assert_eq!(exceeded(&Limits { bytes: None, seconds: None }, Some(u64::MAX), 1e9), None);

@@ -150,7 +150,7 @@ impl Moved {
 const PATIENT: [&str; 2] = ["--heartbeat", "2000"];
 
 #[test]
-fn the_hand_of_a_killed_command_is_limp() {
+fn the_hand_of_a_killed_command_has_its_torque_off() {
     let mut moved = Moved::new(&[PATIENT[0], PATIENT[1], "--seconds", "20"]);
     moved.process.kill().unwrap();
     moved.until("torque off", |hand| hand.under_torque() == 0);

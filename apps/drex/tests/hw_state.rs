@@ -171,7 +171,7 @@ fn findings_stop_a_hand_before_it_moves_unless_they_are_allowed() {
 }
 
 #[test]
-fn a_hardware_error_on_the_way_is_told_at_the_end() {
+fn a_hardware_error_during_motion_is_reported_at_the_end() {
     // One that takes the torque off and is mended on the way, and one that the motor goes on with.
     for (bits, words) in [(hardware_error::OVERLOAD, "overload"), (hardware_error::VOLTAGE, "supply voltage")] {
         let bench = Bench::leap(MotorModel::Xc330M288);

@@ -167,7 +167,7 @@ fn each_joint_has_a_limit_either_way_and_carries_its_own_weight() {
 }
 
 #[test]
-fn the_largest_squeeze_is_where_the_first_joint_or_the_skin_gives_out() {
+fn the_largest_grip_force_is_where_the_first_joint_or_the_skin_gives_out() {
     // Joint 0: 0.05 F + 0.01 <= 0.3; joint 1: −0.02 F + 0.003 >= −0.1. The first ends at 5.8 N, the second at 5.15 N.
     let problem = carrying(0.2).with_torques(two_joints([(-1.0, 0.3), (-0.1, 1.0)], [0.01, 0.003]));
     assert!((largest_squeeze(&problem).unwrap() - 2.0 * 0.103 / 0.02).abs() < 1e-5);

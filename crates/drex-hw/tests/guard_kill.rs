@@ -46,7 +46,7 @@ fn torque_goes_off(model: Model, events: &[Event]) {
 }
 
 #[test]
-fn a_leap_hand_is_limp_whatever_dies() {
+fn a_leap_hand_has_its_torque_off_whatever_dies() {
     torque_goes_off(Model::Leap, &EVENTS);
 }
 
@@ -56,7 +56,7 @@ fn a_mute_motor_is_off_when_it_is_back() {
 }
 
 #[test]
-fn an_allegro_hand_is_limp_whatever_dies() {
+fn an_allegro_hand_has_its_torque_off_whatever_dies() {
     torque_goes_off(Model::AllegroV4, &EVENTS);
     torque_goes_off(Model::AllegroV5, &EVENTS);
 }

@@ -108,7 +108,7 @@ proptest! {
 }
 
 #[test]
-fn an_error_with_which_a_motor_goes_on_is_told_too() {
+fn an_error_with_which_a_motor_keeps_running_is_reported_too() {
     let hand = LeapEmulator::new();
     let mut leap = connect(&hand, LeapOptions::right());
     let j = leap.joints().iter().position(|n| n == "if_mcp").expect("there");

@@ -222,7 +222,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_learned_is_told_with_where_it_comes_from() {
+    fn the_report_says_where_learned_grasps_come_from() {
         let learned = Origins { demonstrated: 1, refined: 2, searched: 3 };
         let tried = Origins { demonstrated: 42, refined: 7, searched: 117 };
         assert_eq!(

@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn no_argument_looks_like_an_option() {
+    fn no_argument_is_taken_for_an_option() {
         for name in ["-i", "--help", "a/-b", ""] {
             assert!(!argument(Path::new(name)).to_string_lossy().starts_with('-'), "{name}");
         }
