@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use drex_core::budget;
 
 use crate::cli::{Command, Common};
+use crate::commands::asset::is_scan;
 use crate::ui::Ui;
 
 /// How often memory and time are looked at.
@@ -34,6 +35,8 @@ impl Limits {
             | Command::Report(_)
             | Command::Demo(_)
             | Command::Bench(_) => Self { bytes, seconds: common.max_seconds },
+            // The asset of photos is trained.
+            Command::Asset(args) if is_scan(&args.input) => Self { bytes, seconds: common.max_seconds },
             Command::Mesh(_) => {
                 Self { bytes: bytes.or(usual), seconds: common.max_seconds.or(Some(SECONDS_OF_ONE_FILE)) }
             }

@@ -15,6 +15,11 @@ const PER_SD: i32 = 20;
 const WORST: f64 = 60.0;
 /// Knots of two densities that are nearer than this in ln m are one.
 const SAME: f64 = 1e-12;
+/// Least extent of a distribution in ln m.
+const LEAST_EXTENT: f64 = 1e-10;
+/// Medians, kg, and standard deviations of ln m that a normal law may have: beyond them its ends are no numbers.
+const MEDIANS_KG: [f64; 2] = [1e-9, 1e9];
+const SDS_LOG: [f64; 2] = [1e-6, 10.0];
 
 /// A distribution of a mass m > 0.
 ///
@@ -43,7 +48,8 @@ impl MassDistribution {
     /// mass, linear in ln m between them and nothing outside.
     ///
     /// # Errors
-    /// For fewer than two pairs, masses that do not increase or are not positive, and costs that are not finite.
+    /// For fewer than two pairs, masses that do not increase, are not positive or all the same, and costs that are not
+    /// finite.
     pub fn from_costs(costs: &[(f64, f64)]) -> Result<Self> {
         let refuse = |what: String| SysidError::Parameter {
             name: "mass: the distribution".into(),
@@ -57,19 +63,23 @@ impl MassDistribution {
         if knots.len() < 2 || !knots.is_sorted_by(|a, b| a.0 < b.0) {
             return Err(refuse(format!("has {} masses that do not increase", knots.len())));
         }
+        if knots[knots.len() - 1].0 - knots[0].0 < LEAST_EXTENT {
+            return Err(refuse("has masses that are all the same".into()));
+        }
         Ok(Self::of_knots(knots).0)
     }
 
     /// The normal law of ln m with the median `median_kg` and the standard deviation `sd_log` of ln m.
     ///
     /// # Errors
-    /// If one of them is not positive and finite.
+    /// If the median is not between 1e-9 and 1e9 kg, or the standard deviation not between 1e-6 and 10.
     pub fn log_normal(median_kg: f64, sd_log: f64) -> Result<Self> {
-        if !(median_kg > 0.0 && median_kg.is_finite() && sd_log > 0.0 && sd_log.is_finite()) {
+        let within = |x: f64, [low, high]: [f64; 2]| (low..=high).contains(&x);
+        if !(within(median_kg, MEDIANS_KG) && within(sd_log, SDS_LOG)) {
             return Err(SysidError::Parameter {
                 name: "mass: the distribution".into(),
                 what: format!("has the median {median_kg} kg and the standard deviation {sd_log} of the logarithm"),
-                remedy: "give positive numbers".into(),
+                remedy: "give a median of 1e-9 to 1e9 kg and a standard deviation of 1e-6 to 10".into(),
             });
         }
         let knot = |k: i32| {

@@ -129,10 +129,18 @@ fn a_file_gives_the_same_distribution_and_nonsense_is_refused() {
         r#"{"mass_kg": [0.2, 0.1], "cost": [0.0, 1.0]}"#,
         r#"{"mass_kg": [-0.1, 0.1], "cost": [0.0, 1.0]}"#,
         r#"{"mass_kg": [0.1, 0.2], "cost": [0.0, 1e999]}"#,
+        r#"{"mass_kg": [0.1, 0.10000000000000002], "cost": [0.0, 1.0]}"#,
     ] {
         assert!(serde_json::from_str::<MassDistribution>(text).is_err(), "{text}");
     }
-    for (m, s) in [(0.0, 1.0), (1.0, 0.0), (f64::NAN, 1.0), (1.0, f64::INFINITY)] {
-        assert!(MassDistribution::log_normal(m, s).is_err());
+    for (m, s) in [(0.0, 1.0), (1.0, 0.0), (f64::NAN, 1.0), (1.0, f64::INFINITY), (1.0, 1e-13), (1e300, 1.0)] {
+        assert!(MassDistribution::log_normal(m, s).is_err(), "{m} kg, {s}");
     }
+    // The narrowest laws, far apart: still numbers. Beyond 8 standard deviations the cost is linear: sqrt(16 ln 1.5 / 1e-6) = 2547.
+    let narrow = |m: f64| MassDistribution::log_normal(m, 1e-6).unwrap();
+    let (both, far) = (narrow(0.2).times(&narrow(0.3)), narrow(0.2).contradiction_sd(&narrow(0.3)));
+    assert!(
+        (0.19..0.31).contains(&both.median_kg()) && both.sd_kg() >= 0.0 && (2400.0..2600.0).contains(&far),
+        "{far}"
+    );
 }

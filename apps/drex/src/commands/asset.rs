@@ -39,8 +39,7 @@ pub fn run(args: &AssetArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     if manifest.file_name().is_some_and(|name| name == MANIFEST) && manifest.is_file() {
         return from_manifest(args, &manifest, ui);
     }
-    let video = args.input.extension().is_some_and(|e| VIDEOS.iter().any(|v| e.eq_ignore_ascii_case(v)));
-    if args.input.is_dir() || video {
+    if is_scan(&args.input) {
         return from_scan(args, seed.unwrap_or(0), ui);
     }
     let spinner = ui.spinner("asset");
@@ -48,6 +47,11 @@ pub fn run(args: &AssetArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     write(&asset, args)?;
     spinner.finish_and_clear();
     ui.answer(&asset.report, format!("{}\n{}", args.input.display(), describe(&asset, args)))
+}
+
+/// Whether an input is photos or a video, and no mesh.
+pub fn is_scan(input: &Path) -> bool {
+    input.is_dir() || input.extension().is_some_and(|e| VIDEOS.iter().any(|v| e.eq_ignore_ascii_case(v)))
 }
 
 fn options(args: &AssetArgs) -> AssetOptions {
