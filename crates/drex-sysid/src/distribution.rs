@@ -11,8 +11,8 @@ pub(crate) const EXCLUDES: f64 = 1.92;
 /// Standard deviations on either side of the median for which a normal law has knots, and knots per standard deviation.
 const REACH: i32 = 8;
 const PER_SD: i32 = 20;
-/// Knots that cost more than this above the best carry nothing: e^-60 is 1e-26.
-const WORST: f64 = 60.0;
+/// Largest cost that is taken: with it slopes, and what is continued with them, stay numbers.
+const LARGEST_COST: f64 = 1e12;
 /// Knots of two densities that are nearer than this in ln m are one.
 const SAME: f64 = 1e-12;
 /// Least extent of a distribution in ln m.
@@ -49,14 +49,14 @@ impl MassDistribution {
     ///
     /// # Errors
     /// For fewer than two pairs, masses that do not increase, are not positive or all the same, and costs that are not
-    /// finite.
+    /// between -1e12 and 1e12.
     pub fn from_costs(costs: &[(f64, f64)]) -> Result<Self> {
         let refuse = |what: String| SysidError::Parameter {
             name: "mass: the distribution".into(),
             what,
-            remedy: "give at least two masses in kilograms, increasing, each with a finite cost".into(),
+            remedy: "give at least two masses in kilograms, increasing, each with a cost between -1e12 and 1e12".into(),
         };
-        if let Some((m, c)) = costs.iter().find(|(m, c)| !(*m > 0.0 && m.is_finite() && c.is_finite())) {
+        if let Some((m, c)) = costs.iter().find(|(m, c)| !(*m > 0.0 && m.is_finite() && c.abs() <= LARGEST_COST)) {
             return Err(refuse(format!("has the cost {c} at {m} kg")));
         }
         let knots: Vec<(f64, f64)> = costs.iter().map(|(m, c)| (m.ln(), *c)).collect();
@@ -89,14 +89,12 @@ impl MassDistribution {
         Ok(Self::of_knots((-REACH * PER_SD..=REACH * PER_SD).map(knot).collect()).0)
     }
 
-    /// From at least two knots by increasing ln m; also the logarithm of the integral of exp(-cost).
+    /// From at least two knots by increasing ln m; also the logarithm of the integral of exp(-cost). Knots that carry nothing stay: a
+    /// further factor may leave nothing but them.
     fn of_knots(mut knots: Vec<(f64, f64)>) -> (Self, f64) {
         let least = knots.iter().map(|k| k.1).fold(f64::INFINITY, f64::min);
         knots.iter_mut().for_each(|k| k.1 -= least);
-        // A worthless knot stays where its neighbour is worth something: the density falls towards it.
-        let first = knots.iter().position(|k| k.1 < WORST).unwrap_or(0).saturating_sub(1);
-        let last = knots.iter().rposition(|k| k.1 < WORST).map_or(knots.len(), |k| k + 2).min(knots.len());
-        let (log_mass, cost): (Vec<f64>, Vec<f64>) = knots.drain(first..last).unzip();
+        let (log_mass, cost): (Vec<f64>, Vec<f64>) = knots.into_iter().unzip();
         let mut out = Self { log_mass, cost, below: vec![0.0] };
         let mut sum = 0.0;
         for k in 1..out.log_mass.len() {
