@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 
 use common::{Run, drex};
 use drex_hw::allegro::{AllegroCommand, AllegroOptions, AllegroVersion, JointCalibration};
-use drex_hw::emulator::allegro::{AllegroEmulator, SlcanAdapter};
+use drex_hw::can::SlcanAdapter;
+use drex_hw::emulator::allegro::AllegroEmulator;
 use drex_hw::emulator::leap::{Fault, LeapEmulator};
 use drex_hw::emulator::pty::PtyServer;
 use drex_hw::leap::table::{self, MotorModel, hardware_error};
@@ -45,7 +46,7 @@ impl Bench<AllegroEmulator> {
     fn allegro(options: AllegroOptions) -> Self {
         let (hand, folder) = (AllegroEmulator::with_options(options).in_real_time(), tempfile::tempdir().unwrap());
         let port = folder.path().join("allegro");
-        let server = PtyServer::serve(SlcanAdapter::new(hand.clone()), Some(&port)).unwrap();
+        let server = PtyServer::serve(SlcanAdapter::new(hand.bus()), Some(&port)).unwrap();
         Self { hand, port, family: "allegro", _server: server, folder }
     }
 }

@@ -9,7 +9,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     use std::path::PathBuf;
 
     use drex_hw::allegro::AllegroVersion;
-    use drex_hw::emulator::allegro::{AllegroEmulator, SlcanAdapter};
+    use drex_hw::can::SlcanAdapter;
+    use drex_hw::emulator::allegro::AllegroEmulator;
     use drex_hw::emulator::pty::PtyServer;
 
     let mut arguments = std::env::args().skip(1);
@@ -26,7 +27,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     if let Some(wall) = wall {
         (0..16).for_each(|joint| hand.set_wall(joint, f64::NEG_INFINITY, wall));
     }
-    let server = PtyServer::serve(SlcanAdapter::new(hand.clone()), link.as_deref())?;
+    let server = PtyServer::serve(SlcanAdapter::new(hand.bus()), link.as_deref())?;
     println!("{}", server.path().display());
     for line in std::io::stdin().lock().lines() {
         line?;

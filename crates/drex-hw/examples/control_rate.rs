@@ -24,11 +24,10 @@ fn main() -> Outcome<()> {
     measure("in memory", driver, rate_hz, seconds, &estop)?;
     #[cfg(unix)]
     {
-        use drex_hw::can::Slcan;
-        use drex_hw::emulator::allegro::SlcanAdapter;
+        use drex_hw::can::{Slcan, SlcanAdapter};
         use drex_hw::emulator::pty::PtyServer;
 
-        let server = PtyServer::serve(SlcanAdapter::new(emulated()), None)?;
+        let server = PtyServer::serve(SlcanAdapter::new(emulated().bus()), None)?;
         let driver = AllegroHand::connect(Slcan::open(server.path())?, &robot, options())?;
         measure("slcan, pseudo-terminal", driver, rate_hz, seconds, &estop)?;
     }

@@ -5,8 +5,8 @@
 use std::time::{Duration, Instant};
 
 use drex_hw::allegro::{AllegroHand, AllegroOptions, AllegroVersion};
-use drex_hw::can::Slcan;
-use drex_hw::emulator::allegro::{AllegroEmulator, SlcanAdapter};
+use drex_hw::can::{Slcan, SlcanAdapter};
+use drex_hw::emulator::allegro::AllegroEmulator;
 use drex_hw::emulator::pty::PtyServer;
 use drex_hw::{Hand, HandCommand, HandState};
 use drex_robot::Robot;
@@ -19,7 +19,7 @@ fn a_joint_presses_with_its_limit_over_a_serial_port() {
     hand.set_wall(1, f64::NEG_INFINITY, 0.1);
     let folder = tempfile::tempdir().unwrap();
     let link = folder.path().join("can");
-    let server = PtyServer::serve(SlcanAdapter::new(hand.clone()), Some(&link)).unwrap();
+    let server = PtyServer::serve(SlcanAdapter::new(hand.bus()), Some(&link)).unwrap();
     assert_eq!(server.path(), link);
 
     let robot = Robot::bundled("allegro_right").unwrap();
@@ -59,7 +59,7 @@ fn an_adapter_that_was_pulled_and_put_back_is_opened_again() {
     hand.place(12, 0.5);
     let folder = tempfile::tempdir().unwrap();
     let link = folder.path().join("can");
-    let _server = PtyServer::serve(SlcanAdapter::new(hand.clone()), Some(&link)).unwrap();
+    let _server = PtyServer::serve(SlcanAdapter::new(hand.bus()), Some(&link)).unwrap();
     let robot = Robot::bundled("allegro_right").unwrap();
     let options = AllegroOptions::new(AllegroVersion::V4);
     let mut driver = AllegroHand::connect(Slcan::open(&link).unwrap(), &robot, options).unwrap();
@@ -95,10 +95,10 @@ fn an_adapter_that_was_pulled_and_put_back_is_opened_again() {
 #[test]
 fn an_adapter_refuses_what_it_does_not_know_and_is_deaf_while_closed() {
     let hand = AllegroEmulator::new(AllegroVersion::V4);
-    let mut adapter = SlcanAdapter::new(hand.clone());
+    let mut adapter = SlcanAdapter::new(hand.bus());
     let mut answer = |text: &[u8]| {
         let mut reply = Vec::new();
-        adapter.take(text, &mut reply);
+        adapter.take(text, &mut reply).unwrap();
         reply
     };
     assert_eq!(answer(b"\rC\rO\rt1000\r"), b"\r\x07\x07\x07");
@@ -113,11 +113,11 @@ fn an_adapter_refuses_what_it_does_not_know_and_is_deaf_while_closed() {
 proptest! {
     #[test]
     fn noise_costs_an_adapter_nothing_but_its_line(noise in prop::collection::vec(any::<u8>(), 0..2000)) {
-        let mut adapter = SlcanAdapter::new(AllegroEmulator::new(AllegroVersion::V4));
+        let mut adapter = SlcanAdapter::new(AllegroEmulator::new(AllegroVersion::V4).bus());
         let mut reply = Vec::new();
-        adapter.take(&noise, &mut reply);
+        adapter.take(&noise, &mut reply).unwrap();
         reply.clear();
-        adapter.take(b"\rV\r", &mut reply);
+        adapter.take(b"\rV\r", &mut reply).unwrap();
         prop_assert_eq!(reply.last(), Some(&b'\r'));
     }
 }

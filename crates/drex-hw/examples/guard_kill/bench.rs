@@ -6,10 +6,10 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use drex_hw::allegro::{AllegroHand, AllegroOptions, AllegroVersion, WIRE_JOINTS};
-use drex_hw::can::Slcan;
+use drex_hw::can::{Slcan, SlcanAdapter};
 use drex_hw::control::{Behaviour, ControlOptions, EStop, Ended, Joints, run, stop_on_signals};
 use drex_hw::dynamixel::SerialPort;
-use drex_hw::emulator::allegro::{AllegroEmulator, SlcanAdapter};
+use drex_hw::emulator::allegro::AllegroEmulator;
 use drex_hw::emulator::leap::LeapEmulator;
 use drex_hw::emulator::pty::PtyServer;
 use drex_hw::guard::GuardOptions;
@@ -91,7 +91,7 @@ impl Bench {
                     let (low, high) = robot.joints[robot.require_joint(name)?].limits.ok_or("no limits")?;
                     hand.set_wall(joint, low, if joint < 8 { 0.1 } else { high });
                 }
-                (Emulated::Allegro(hand.clone()), PtyServer::serve(SlcanAdapter::new(hand), Some(&link))?)
+                (Emulated::Allegro(hand.clone()), PtyServer::serve(SlcanAdapter::new(hand.bus()), Some(&link))?)
             }
         };
         Ok(Self { model, hand, link, _server: server, _folder: folder })

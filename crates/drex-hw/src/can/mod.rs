@@ -1,13 +1,18 @@
 //! CAN frames, and the buses they travel on: in memory, slcan over a serial port, SocketCAN.
 
+mod adapter;
 mod memory;
 mod slcan;
 mod slcan_line;
 #[cfg(all(feature = "socketcan", target_os = "linux"))]
 mod socket;
 
+use std::path::Path;
 use std::time::Duration;
 
+pub use adapter::SlcanAdapter;
+#[cfg(all(feature = "socketcan", target_os = "linux"))]
+pub(crate) use adapter::SlcanPort;
 pub use memory::MemoryCan;
 pub use slcan::Slcan;
 pub use slcan_line::{SlcanEvent, SlcanParser, write_slcan};
@@ -84,6 +89,11 @@ impl CanFrame {
     pub fn data(&self) -> &[u8] {
         if self.remote { &[] } else { &self.data[..usize::from(self.len)] }
     }
+}
+
+/// Whether a port of this name is no file, and so perhaps a CAN interface of the kernel, such as `can0`.
+pub fn is_interface(port: &Path) -> bool {
+    port.components().count() == 1 && !port.exists()
 }
 
 fn check(id: u16, len: usize) -> Result<()> {

@@ -45,7 +45,7 @@ impl Slcan<SerialPort> {
 
 #[cfg(unix)]
 impl Slcan<crate::guard::GuardedPort> {
-    /// Opens the adapter at a serial port behind a guard, which switches an Allegro hand of this version off whatever becomes of this
+    /// Opens the adapter at a serial port, or a CAN interface of the kernel, behind a guard, which switches an Allegro hand of this version off whatever becomes of this
     /// program.
     ///
     /// # Errors

@@ -8,6 +8,9 @@ use socketcan::{CanFrame as Raw, CanSocket, EmbeddedFrame, Id, Socket, StandardI
 use super::{CanBus, CanFrame};
 use crate::{Error, Result};
 
+/// Longest time that a frame waits for room on the bus.
+const WRITE: Duration = Duration::from_millis(20);
+
 /// A CAN interface such as `can0`; bit rate and state are set with `ip link` beforehand.
 #[derive(Debug)]
 pub struct SocketCan {
@@ -22,7 +25,7 @@ impl SocketCan {
     /// [`Error::Port`] if there is no such interface.
     pub fn open(interface: &str) -> Result<Self> {
         let name = interface.to_string();
-        match CanSocket::open(interface) {
+        match CanSocket::open(interface).and_then(|socket| socket.set_write_timeout(WRITE).map(|()| socket)) {
             Ok(socket) => Ok(Self { socket, name }),
             Err(source) => Err(Error::Port {
                 remedy: format!("set it up: ip link set {name} up type can bitrate 1000000"),
@@ -30,6 +33,11 @@ impl SocketCan {
                 source,
             }),
         }
+    }
+
+    /// The open socket, to wait for.
+    pub(crate) fn descriptor(&self) -> std::os::fd::BorrowedFd<'_> {
+        std::os::fd::AsFd::as_fd(&self.socket)
     }
 
     fn failed(&self, source: io::Error) -> Error {

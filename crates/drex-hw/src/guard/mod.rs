@@ -25,6 +25,7 @@
 //! # }
 //! ```
 
+mod device;
 mod message;
 mod off;
 mod options;

@@ -11,10 +11,11 @@ use std::time::{Duration, SystemTime};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
+use super::device;
 use super::message::{Inbox, MOST_BYTES, Message, Opening};
 use super::{GuardOptions, SwitchOff, TakenOver, switch_off};
-use crate::dynamixel::serial::{cannot_open, latency_file_of};
-use crate::dynamixel::{Port, SerialPort, Torque};
+use crate::dynamixel::serial::latency_file_of;
+use crate::dynamixel::{Port, Torque};
 use crate::{Clock, Error, Result, SystemClock};
 
 /// How long a guard may take to start and open the port, on a busy machine.
@@ -28,7 +29,7 @@ const RETRY: Duration = Duration::from_millis(2);
 /// Time that a guard gets to end beyond its patience.
 const LAST: Duration = Duration::from_secs(2);
 
-/// A serial port that a guard owns.
+/// A port that a guard owns; a CAN interface is seen as an slcan adapter.
 #[derive(Debug)]
 pub struct GuardedPort {
     path: PathBuf,
@@ -57,7 +58,7 @@ pub struct GuardedPort {
 }
 
 impl GuardedPort {
-    /// Starts a guard that opens the serial port `path` at `baud`, and switches the hand there off as `off` says.
+    /// Starts a guard that opens the serial port `path` at `baud`, or the CAN interface of that name, and switches the hand there off as `off` says.
     ///
     /// # Errors
     /// [`Error::Guard`] if it cannot be started, [`Error::Port`] if it cannot open the port.
@@ -114,7 +115,7 @@ impl GuardedPort {
             Err(_) if port.taken_over.is_some() => {
                 Err(cannot(format!("{command} ended before it had opened {}", port.name)))
             }
-            Err(source) => Err(cannot_open(&port.name, source)),
+            Err(source) => Err(device::cannot_open(&port.path, &port.off, source)),
         }
     }
 
@@ -176,6 +177,8 @@ impl GuardedPort {
             self.understand()?;
             match open {
                 Ok(true) => {}
+                // Its last word is heard first.
+                Ok(false) if self.answer.is_some() => return Ok(()),
                 Ok(false) => return self.take_over("its guard has ended"),
                 Err(error) => return self.take_over(&format!("its guard cannot be heard: {error}")),
             }
@@ -234,7 +237,7 @@ impl GuardedPort {
             Torque::Ready | Torque::On => {
                 let end = self.clock.now() + self.options.patience;
                 loop {
-                    match SerialPort::open(&self.path, self.baud) {
+                    match device::open(&self.path, self.baud, &self.off) {
                         Ok(port) => {
                             let left = end.saturating_sub(self.clock.now());
                             let off = switch_off(port, &self.off, left, &mut |_| {});
@@ -366,5 +369,25 @@ impl Drop for GuardedPort {
         // One that has ended is not there to be killed.
         let _ = self.guard.kill();
         let _ = self.guard.wait();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_word_of_a_guard_counts_though_it_has_ended() {
+        // "In use" by another, the third of the kinds of errors, and nothing more.
+        let guard = GuardOptions::new(
+            "sh",
+            ["-c", r"dd bs=4096 count=1 2>/dev/null >/dev/null; printf '\006\000N\003used' >&0"],
+        );
+        for _ in 0..60 {
+            let off = SwitchOff::Leap { ids: vec![1] };
+            let error = GuardedPort::open("/dev/no-such-port", 1_000_000, off, &guard).unwrap_err();
+            let said = matches!(&error, Error::Port { source, .. } if source.kind() == io::ErrorKind::ResourceBusy);
+            assert!(said && error.to_string().contains("used"), "{error}");
+        }
     }
 }

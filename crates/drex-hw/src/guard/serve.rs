@@ -7,9 +7,10 @@ use std::time::{Duration, Instant, SystemTime};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
+use super::device::{self, Device};
 use super::message::{Inbox, MOST_BYTES, Message, Opening};
 use super::{SwitchOff, switch_off};
-use crate::dynamixel::{Port, SerialPort, Torque};
+use crate::dynamixel::Torque;
 use crate::{Error, Result};
 
 /// How long a program may take to say what the guard is to do.
@@ -40,7 +41,7 @@ pub fn serve() -> Result<()> {
             let Message::Open(Opening { path, baud, heartbeat, patience, off }) = message else {
                 return Err(failed(io::Error::other("the program did not say which port to open")));
             };
-            break (SerialPort::open(path, baud), off, heartbeat, patience);
+            break (device::open(path, baud, &off), off, heartbeat, patience);
         }
         if !inbox.fill(&link).map_err(failed)? {
             return Ok(());
@@ -90,7 +91,7 @@ struct Relay {
     inbox: Inbox,
     /// Messages on their way to the program.
     out: Vec<u8>,
-    port: SerialPort,
+    port: Box<dyn Device>,
     /// Whether the port failed and was not opened again.
     lost: bool,
     torque: Torque,
@@ -124,7 +125,7 @@ impl Relay {
                 let ms = self.heartbeat.as_millis();
                 return Some(format!("no sign of life of the program for {ms} ms"));
             }
-            if port {
+            if port || self.port.waits() {
                 self.relay_back();
             }
             self.flush();

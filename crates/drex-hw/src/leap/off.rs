@@ -8,6 +8,7 @@ use super::absent::{SILENCE, nobody};
 use super::driver::{joints, known_timing};
 use super::options::LeapOptions;
 use super::table;
+use super::torque::off_round;
 use crate::dynamixel::{Bus, Port};
 use crate::{Error, Result};
 
@@ -119,43 +120,19 @@ impl<P: Port> Switch<P> {
         Ok(self.motors)
     }
 
-    /// Tells all at once, then asks each that has not confirmed.
+    /// Tells and asks those that have not confirmed.
     fn round(&mut self) -> Result<()> {
-        self.tell_all(table::TORQUE_ENABLE, 0)?;
         // Motors that were told to be quiet would look mute.
         self.tell_all(table::STATUS_LEVEL, 2)?;
-        for j in 0..self.motors.len() {
-            if self.motors[j].torque == TorqueState::Off {
-                continue;
-            }
-            let id = self.motors[j].id;
-            let (torque, trouble) = match self.one(id) {
-                Ok(0) => (TorqueState::Off, None),
-                Ok(_) => (TorqueState::On, Some("says that its torque is still on".into())),
-                Err(Error::Silent { .. }) => (TorqueState::Unknown, Some("did not answer".into())),
-                Err(lost @ Error::Port { .. }) => return Err(lost),
-                Err(other) => (TorqueState::Unknown, Some(other.to_string())),
-            };
-            (self.motors[j].torque, self.motors[j].trouble) = (torque, trouble);
+        let open = |m: &MotorOff| m.torque != TorqueState::Off;
+        let mut left = self.motors.iter().filter(|m| open(m)).map(|m| m.id).collect();
+        let mut not_off = off_round(&mut self.bus, &mut left)?;
+        for motor in self.motors.iter_mut().filter(|m| open(m)) {
+            let found = not_off.iter().position(|n| n.id == motor.id).map(|k| not_off.swap_remove(k));
+            (motor.torque, motor.trouble) =
+                found.map_or((TorqueState::Off, None), |found| (found.torque, Some(found.trouble)));
         }
         Ok(())
-    }
-
-    /// Torque of one motor, told again by name if the common instruction did not reach it.
-    fn one(&mut self, id: u8) -> Result<u8> {
-        let mut torque = self.bus.get(id, table::TORQUE_ENABLE)?;
-        if torque != 0 {
-            self.bus.set(id, table::TORQUE_ENABLE, 0)?;
-            torque = self.bus.get(id, table::TORQUE_ENABLE)?;
-        }
-        if torque == 0 {
-            // So that the next program finds it ready; without torque nothing depends on it.
-            match self.bus.set(id, table::BUS_WATCHDOG, 0) {
-                Err(lost @ Error::Port { .. }) => return Err(lost),
-                _ => return Ok(0),
-            }
-        }
-        Ok(torque)
     }
 
     /// Opens a port that failed again, for a while.

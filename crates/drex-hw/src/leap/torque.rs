@@ -3,6 +3,7 @@
 use super::driver::{COMMAND, HEALTH, HEALTH_ADDRESS, LeapHand, command};
 use super::faults::FROZEN;
 use super::joint::{Joint, Life};
+use super::off::TorqueState;
 use super::table;
 use crate::dynamixel::{Answers, Bus, Port, Torque};
 use crate::{Error, Result};
@@ -141,8 +142,8 @@ impl<P: Port> LeapHand<P> {
         }
         self.bus.set_timing(self.patient);
         let (mut left, mut rounds) = (self.ids(), 0);
-        let disobedient = loop {
-            let disobedient = off_round(&mut self.bus, &mut left)?;
+        let not_off = loop {
+            let not_off = off_round(&mut self.bus, &mut left)?;
             rounds += 1;
             if left.is_empty() {
                 let told = self.bus.port().torque(Torque::Off);
@@ -153,13 +154,14 @@ impl<P: Port> LeapHand<P> {
             let boots = |j: &Joint| matches!(j.life, Life::Booting { give_up, .. } if now < give_up);
             let booting = self.joints.iter().any(|j| left.contains(&j.id) && boots(j));
             if rounds >= TRIES && !booting {
-                break disobedient;
+                break not_off;
             }
             // From now on only those are asked that are hard to reach: the order must not wait for them.
             self.bus.set_timing(self.brisk);
         };
         let of = |id: u8| self.joints.iter().position(|j| j.id == id);
-        if let Some(j) = disobedient.and_then(of) {
+        let disobedient = not_off.iter().find(|n| n.torque == TorqueState::On);
+        if let Some(j) = disobedient.and_then(|n| of(n.id)) {
             return Err(self.wrong(j, "torque does not go off", "take its power away"));
         }
         let unknown = self.joints.iter().filter(|j| left.contains(&j.id));
@@ -168,26 +170,40 @@ impl<P: Port> LeapHand<P> {
     }
 }
 
-/// Orders motors to take their torque off and asks each; who confirms it leaves `left`. The order goes out again with every question, so
-/// that a motor that could not be reached is off as soon as it can. A motor that answers that its torque is still on, if there is one.
+/// A motor that did not confirm that its torque is off.
+pub(crate) struct NotOff {
+    pub(crate) id: u8,
+    /// On or unknown.
+    pub(crate) torque: TorqueState,
+    /// Reason, in words.
+    pub(crate) trouble: String,
+}
+
+/// Orders motors to take their torque off and asks each; who confirms it leaves `left`, the others are returned. The order goes out again
+/// with every question, so that a motor that could not be reached is off as soon as it can.
 ///
 /// # Errors
 /// If the port fails.
-pub(crate) fn off_round<P: Port>(bus: &mut Bus<P>, left: &mut Vec<u8>) -> Result<Option<u8>> {
-    let (asked, off, mut disobedient) = (left.clone(), [0], None);
+pub(crate) fn off_round<P: Port>(bus: &mut Bus<P>, left: &mut Vec<u8>) -> Result<Vec<NotOff>> {
+    let (asked, off, mut not_off) = (left.clone(), [0], Vec::new());
     for id in &asked {
         bus.queue_sync_write(table::TORQUE_ENABLE.address, 1, left.iter().map(|id| (*id, &off[..])))?;
-        match bus.get(*id, table::TORQUE_ENABLE) {
-            Ok(0) => left.retain(|l| l != id),
-            Ok(_) => disobedient = Some(*id),
+        let (torque, trouble) = match bus.get(*id, table::TORQUE_ENABLE) {
+            Ok(0) => {
+                left.retain(|l| l != id);
+                continue;
+            }
+            Ok(_) => (TorqueState::On, "says that its torque is still on".into()),
             Err(lost @ Error::Port { .. }) => return Err(lost),
-            Err(_) => {}
-        }
+            Err(Error::Silent { .. }) => (TorqueState::Unknown, "did not answer".into()),
+            Err(other) => (TorqueState::Unknown, other.to_string()),
+        };
+        not_off.push(NotOff { id: *id, torque, trouble });
     }
     // The others keep their watchdogs: whoever did not hear that its torque goes off stays frozen at least.
     let done = asked.iter().filter(|id| !left.contains(id));
     bus.sync_write(table::BUS_WATCHDOG.address, 1, done.map(|id| (*id, &off[..])))?;
-    Ok(disobedient)
+    Ok(not_off)
 }
 
 impl<P: Port> Drop for LeapHand<P> {

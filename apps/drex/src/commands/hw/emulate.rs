@@ -14,7 +14,8 @@ const LOOK: Duration = Duration::from_millis(50);
 /// Serves until somebody stops it.
 #[cfg(unix)]
 pub fn run(args: &EmulateArgs, ui: &Ui) -> Result<()> {
-    use drex_hw::emulator::allegro::{AllegroEmulator, SlcanAdapter};
+    use drex_hw::can::SlcanAdapter;
+    use drex_hw::emulator::allegro::AllegroEmulator;
     use drex_hw::emulator::leap::LeapEmulator;
     use drex_hw::emulator::pty::PtyServer;
 
@@ -51,7 +52,7 @@ pub fn run(args: &EmulateArgs, ui: &Ui) -> Result<()> {
             }
             let hand = AllegroEmulator::with_options(setup.allegro.clone()).in_real_time();
             allegro_scene(&hand, &setup.allegro, &[], &walls);
-            PtyServer::serve(SlcanAdapter::new(hand), link)?
+            PtyServer::serve(SlcanAdapter::new(hand.bus()), link)?
         }
     };
     let path = server.path().display().to_string();

@@ -24,16 +24,9 @@ impl Driver {
         use drex_hw::can::Slcan;
         use drex_hw::guard::{GuardOptions, GuardedPort, SwitchOff};
 
-        use super::is_interface;
         use crate::cli::HandArg;
 
         if guard.no_guard {
-            return Self::with(setup, port);
-        }
-        if setup.hand == HandArg::Allegro && is_interface(port) {
-            tracing::warn!(
-                "a CAN interface has no guard: if this program is killed or hangs, the hand may go on pressing"
-            );
             return Self::with(setup, port);
         }
         let options = GuardOptions::this_program(["hw", "guard"])?;

@@ -245,7 +245,9 @@ impl HandFile {
             return bad(key, format!("is no key of a hand {:?}: remove it", HandArg::from(self.hand)));
         }
         let positive = [("cap_ma", self.cap_ma), ("cap_nm", self.cap_nm), ("wire_per_nm", self.wire_per_nm)];
-        if let Some((key, Some(value))) = positive.into_iter().find(|(_, v)| v.is_some_and(|v| v <= 0.0)) {
+        if let Some((key, Some(value))) =
+            positive.into_iter().find(|(_, v)| v.is_some_and(|v| !(v > 0.0 && v.is_finite())))
+        {
             return bad(key, format!("is {value}: give a number above zero"));
         }
         if let Some(baud) = self.baud.filter(|b| !(9_600..=10_500_000).contains(b)) {
@@ -374,6 +376,7 @@ mod tests {
             &["line 6", "joints.if_pip.gear_ratio"],
         );
         refused(&format!("{head}cap_ma = -3.0\n"), &["line 3", "cap_ma is -3"]);
+        refused(&format!("{head}cap_ma = nan\n"), &["line 3", "cap_ma is NaN"]);
         refused(&format!("{head}joints.if_mcp = {{ zero = 5000 }}\n"), &["line 3", "joints.if_mcp.zero is 5000"]);
         refused("schema = 7\nhand = \"leap\"\n", &["line 1", "schema is 7"]);
         let unknown = read(&format!("{head}[joints.knee]\nzero = 9\n")).unwrap();

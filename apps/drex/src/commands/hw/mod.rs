@@ -20,7 +20,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use drex_hw::allegro::AllegroHand;
-use drex_hw::can::{CanBus, Slcan};
+use drex_hw::can::{CanBus, Slcan, is_interface};
 use drex_hw::control::EStop;
 use drex_hw::dynamixel::{Port, SerialPort};
 use drex_hw::leap::{FindingKind, LeapHand, refuse_motion};
@@ -149,11 +149,6 @@ impl Driver {
         }
         bail!("{} never said where they are: check power and cables", names.join(", "));
     }
-}
-
-/// Whether what is given as a port is no file, and so perhaps a CAN interface of the kernel.
-fn is_interface(port: &Path) -> bool {
-    port.components().count() == 1 && !port.exists()
 }
 
 /// An slcan adapter at a serial port, or an interface of the kernel.

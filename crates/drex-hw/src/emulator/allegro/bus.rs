@@ -4,7 +4,7 @@ use std::io;
 use std::time::Duration;
 
 use super::AllegroEmulator;
-use crate::can::{CanBus, CanFrame};
+use crate::can::{CanBus, CanFrame, SlcanAdapter};
 use crate::{Clock, Error, Result};
 
 /// Time of a frame with eight bytes at 1 Mbit/s.
@@ -78,5 +78,22 @@ impl Clock for EmulatorClock {
 
     fn wait_until(&self, then: Duration) {
         self.wait(then.saturating_sub(self.0.now()));
+    }
+}
+
+#[cfg(unix)]
+impl crate::emulator::pty::SerialDevice for SlcanAdapter<EmulatorBus> {
+    fn exchange(&mut self, bytes: &[u8], reply: &mut Vec<u8>) {
+        // A plug that was pulled is seen below.
+        let _ = self.take(bytes, reply);
+    }
+
+    fn patience(&self) -> Duration {
+        let due = self.bus().0.until_next_report();
+        due.unwrap_or(Duration::from_millis(10)).max(Duration::from_micros(100))
+    }
+
+    fn plugged(&self) -> bool {
+        self.bus().0.device().plugged
     }
 }

@@ -15,7 +15,6 @@
 //! # Ok::<(), drex_hw::Error>(())
 //! ```
 
-mod adapter;
 mod bus;
 mod device;
 
@@ -23,7 +22,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-pub use adapter::SlcanAdapter;
 pub use bus::{EmulatorBus, EmulatorClock};
 pub use device::Heard;
 
