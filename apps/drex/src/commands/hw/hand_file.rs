@@ -376,7 +376,7 @@ mod tests {
             &["line 6", "joints.if_pip.gear_ratio"],
         );
         refused(&format!("{head}cap_ma = -3.0\n"), &["line 3", "cap_ma is -3"]);
-        refused(&format!("{head}cap_ma = nan\n"), &["line 3", "cap_ma is NaN"]);
+        refused(&format!("{head}cap_ma = nan\n"), &["cap_ma is not finite"]);
         refused(&format!("{head}joints.if_mcp = {{ zero = 5000 }}\n"), &["line 3", "joints.if_mcp.zero is 5000"]);
         refused("schema = 7\nhand = \"leap\"\n", &["line 1", "schema is 7"]);
         let unknown = read(&format!("{head}[joints.knee]\nzero = 9\n")).unwrap();
