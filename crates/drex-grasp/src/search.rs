@@ -358,3 +358,87 @@ fn direction(random: &mut impl Rng) -> Vector3<f64> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A ball around the origin, radius in metres.
+    struct Ball(f64);
+
+    impl SignedDistance for Ball {
+        fn signed_distance(&self, point: &Point3<f64>) -> drex_core::SdfSample {
+            let r = point.coords.norm();
+            let gradient = point.coords.try_normalize(1e-12).unwrap_or_else(Vector3::x);
+            drex_core::SdfSample { distance_m: r - self.0, gradient }
+        }
+    }
+
+    #[test]
+    fn pairs_lie_across_the_object_within_the_friction_cone() {
+        let ball = Ball(0.03);
+        let surface: Vec<SurfacePoint> = (0..500)
+            .map(|i| {
+                let (sin, cos) = f64::from(i).sin_cos();
+                let normal = Vector3::new(cos, sin, 0.0);
+                SurfacePoint { point: Point3::from(normal * ball.0), normal }
+            })
+            .collect();
+        let mut options = SearchOptions::default();
+        options.friction = 0.5;
+        let leans: Vec<f64> = pairs(&ball, &surface, &options)
+            .iter()
+            .map(|p| {
+                assert!((p.second.coords.norm() - ball.0).abs() < 2e-4);
+                (p.second - p.first).angle(&-p.first.coords)
+            })
+            .collect();
+        let widest = leans.iter().copied().fold(0.0, f64::max);
+        // Within 0.7 of the cone, and over all of that.
+        assert!(leans.len() > 400 && widest <= 0.7 * 0.5_f64.atan() + 1e-9, "{} pairs, {widest}", leans.len());
+        assert!(widest > 0.6 * 0.5_f64.atan());
+    }
+
+    #[test]
+    fn fingers_of_postures_curl_and_close_towards_the_thumb() {
+        for name in ["leap_right", "allegro_right"] {
+            let robot = Robot::bundled(name).unwrap();
+            let hand = HandSurface::new(&robot, 0.006).unwrap();
+            let (thumb, middle) = (hand.thumb().unwrap(), robot.mid_range());
+            let mut rest = vec![0.0; robot.dof()];
+            robot.clamp_to_limits(&mut rest);
+            let postures = postures(&robot, &hand, 3).unwrap();
+            assert!(postures.len() > 50, "{name}: {}", postures.len());
+            for p in &postures {
+                let mut moved = Vector3::zeros();
+                for (_, finger) in hand.fingers.iter().enumerate().filter(|(f, _)| *f != thumb) {
+                    let mut curled = p.joints.clone();
+                    for &j in &finger.joints {
+                        let way = middle[j] - rest[j];
+                        if way != 0.0 {
+                            let part = (p.joints[j] - rest[j]) / way;
+                            assert!((-0.1..1.4).contains(&part), "{name}: {part} of the way to the middle");
+                            curled[j] += 1e-6 * way.signum();
+                        }
+                    }
+                    let tip =
+                        |q: &[f64]| robot.forward_kinematics(q, &Pose::identity())[finger.tip_link] * finger.tip_point;
+                    moved += (tip(&curled) - tip(&p.joints)).normalize();
+                }
+                assert!(moved.normalize().dot(&p.axis) > OPPOSITION - 1e-3, "{name}");
+                assert!((WIDTH_M.0..WIDTH_M.1 + 0.04).contains(&p.width_m));
+            }
+        }
+    }
+
+    #[test]
+    fn a_joint_without_limits_is_drawn_a_radian_either_way() {
+        let mut robot = Robot::bundled("leap_right").unwrap();
+        let free = robot.require_joint("th_axl").unwrap();
+        robot.joints[free].limits = None;
+        let hand = HandSurface::new(&robot, 0.006).unwrap();
+        let drawn: Vec<f64> = postures(&robot, &hand, 1).unwrap().iter().map(|p| p.joints[free]).collect();
+        let (low, high) = drawn.iter().fold((0.0_f64, 0.0_f64), |(l, h), q| (l.min(*q), h.max(*q)));
+        assert!((-1.0..-0.5).contains(&low) && (0.5..1.0).contains(&high), "{low} to {high} rad");
+    }
+}

@@ -29,6 +29,21 @@ fn two_soft_fingers_close_and_two_points_do_not() {
     // Soft or not, fingers on the same side do not.
     let same = [pinch[0].clone(), pinch[0].clone()];
     assert!(!force_closure(&same, &ClosureOptions::default().with_torsion_m(0.005)).unwrap().closed);
+    // Nothing but torsion turns about their common line: epsilon is the torsion over the length.
+    assert!((soft.epsilon - 0.005 / 0.04).abs() < 1e-6, "{}", soft.epsilon);
+}
+
+#[test]
+fn soft_fingers_whose_line_leaves_the_friction_cones_do_not_close() {
+    for (slope, closes) in [(0.3, true), (0.7, false), (0.9, false)] {
+        let lean = Vector3::new(0.0, 0.0, slope);
+        let mut pinch = ring(2, 0.5);
+        for c in &mut pinch {
+            c.normal = (c.normal + lean).normalize();
+        }
+        let soft = force_closure(&pinch, &ClosureOptions::default().with_torsion_m(0.005)).unwrap();
+        assert_eq!(soft.closed, closes, "{slope}");
+    }
 }
 
 #[test]

@@ -91,6 +91,8 @@ fn the_load_that_cannot_be_carried_is_named() {
         "{refused:?}"
     );
     assert!(refused.unwrap_err().to_string().contains("load 1"));
+    // Of equal loads the first.
+    assert_eq!(required_squeeze(&pinch(0.1), &[rest, rest]).unwrap().binding_load, Some(0));
     assert!(matches!(required_squeeze(&pinch(0.1), &[]), Err(SqueezeError::Input(_))));
     assert!(matches!(required_squeeze(&pinch(0.1), &[rest * f64::NAN]), Err(SqueezeError::Input(_))));
 }
@@ -157,6 +159,9 @@ fn motors_and_damage_limits_bound_the_squeeze() {
         matches!(refused, Err(SqueezeError::Total { largest_n, .. }) if (largest_n - 8.0).abs() < 1e-4),
         "{refused:?}"
     );
+    // A limit that leaves one sum and no other.
+    let only = problem.clone().with_max_normal_n(0.5 * smallest_squeeze(&problem).unwrap().total_n);
+    assert!(matches!(distribute(&only, 6.0), Err(SqueezeError::Total { .. })));
     let weak = problem.with_torques(levers(&limited.contacts, 0.1, 0.06));
     assert!(matches!(distribute(&weak, 6.0), Err(SqueezeError::Torque { .. })));
     assert!(matches!(largest_squeeze(&weak), Err(SqueezeError::Torque { .. })));

@@ -165,6 +165,12 @@ fn the_static_check_names_what_is_wrong() {
             assert_eq!(failures.iter().any(|f| f.contains(words)), says, "{words}: {failures:?}");
         }
     }
+    // Above a table nothing is below it, also for those who allow nothing.
+    let above = StaticGrasp { table: TablePlane { height_m: lowest - 0.01, ..table }, ..grasp };
+    let mut strict = CheckOptions::default();
+    strict.max_table_penetration_m = 0.0;
+    let failures = static_check(&above, &strict).unwrap().failures;
+    assert!(!failures.iter().any(|f| f.contains("below the table")), "{failures:?}");
     let mut easy = CheckOptions::default();
     (easy.thumb, easy.min_fingers) = (false, 1);
     let failures = static_check(&grasp, &easy).unwrap().failures;
@@ -197,5 +203,18 @@ fn squeeze_with_motors_is_never_smaller_than_without() {
         assert!(bound.torque_margin >= -1e-6);
     } else {
         panic!("four contacts around a ball carry 300 g");
+    }
+}
+
+#[test]
+fn a_link_has_no_more_contacts_than_it_may() {
+    let robot = Robot::bundled("leap_right").unwrap();
+    let q = robot.mid_range();
+    let (ball, link) = ball_at_the_fingertip(&robot, &q, 0.004);
+    for most in 1..=4 {
+        let mut options = ContactOptions::default();
+        (options.max_per_link, options.separation_m) = (most, 0.0005);
+        let found = find_contacts(&robot, &q, &Isometry3::identity(), &ball, &options).unwrap();
+        assert_eq!(found.iter().filter(|c| c.link == link).count(), most);
     }
 }
