@@ -384,8 +384,7 @@ mod tests {
                 SurfacePoint { point: Point3::from(normal * ball.0), normal }
             })
             .collect();
-        let mut options = SearchOptions::default();
-        options.friction = 0.5;
+        let options = SearchOptions { friction: 0.5, ..SearchOptions::default() };
         let leans: Vec<f64> = pairs(&ball, &surface, &options)
             .iter()
             .map(|p| {
