@@ -156,7 +156,8 @@ mod tests {
         };
         let forces: Vec<_> = (0..200).map(force).collect();
         let out = shapes(&times, &forces, 0.1);
-        assert!(out.len() <= MOST && out.len() >= MOST / 2, "{}", out.len());
+        // Six for the run of 63 samples, two for that of 7; the factor on the force may be one of them.
+        assert!((7..=8).contains(&out.len()), "{}", out.len());
         let dot = |a: &[Vector3<f64>], b: &[Vector3<f64>]| a.iter().zip(b).map(|(a, b)| a.dot(b)).sum::<f64>();
         for (i, a) in out.iter().enumerate() {
             assert!(dot(&a.forces_n, &forces).abs() < 1e-9);

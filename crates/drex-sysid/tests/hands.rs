@@ -13,7 +13,7 @@ use drex_robot::Robot;
 use drex_sysid::bound::{Bound, BoundOptions, Topple, of_topple};
 use drex_sysid::calibrate::{CalibrateOptions, ExtraTorque, HandCalibration, HandRun, hand};
 use drex_sysid::frames::{FrameOptions, HandPlacement, Standing, against_hand, find, tip_paths};
-use drex_sysid::{Identification, IdentifyOptions, ObjectModel, Verdict, identify};
+use drex_sysid::{Identification, IdentifyOptions, ObjectModel, Parameter, Verdict, identify};
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 const DOWN: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
@@ -476,6 +476,10 @@ fn intervals_of_real_objects_hold_the_weighed_mass() {
             "lego" => assert!(report.fingers == ["thumb"] && report.touch_s.is_none() && lo < 0.006, "{report:?}"),
             _ => assert!(report.clock_offset_s.is_some_and(|c| (0.0..0.2).contains(&c[0])), "{report:?}"),
         }
+        let of = |p: Parameter| answer.sensitivities.iter().find(|s| s.parameter == p).map(|s| s.log_mass);
+        // More torque, more mass: by the same factor where nothing else decides.
+        assert_eq!(of(Parameter::ForceGain).is_some_and(|gain| (0.0..1.2).contains(&gain)), object != "lego", "{name}");
+        assert_eq!(of(Parameter::ContactHeight).is_some_and(f64::is_finite), object != "lego", "{name}");
         // A guess of the mass takes no part.
         let mut other = recording.clone();
         other.mass_prior_kg = recording.mass_prior_kg.map(|m| 10.0 * m);

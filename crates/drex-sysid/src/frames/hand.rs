@@ -305,3 +305,25 @@ impl<'a> View<'a> {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tip_moves_linearly_between_samples_and_stays_beyond_them() {
+        let centers = [0.0, 2.0, 1.0].map(|x| Point3::new(x, -x, 0.5)).to_vec();
+        let path = |times_s: Vec<f64>, centers| TipPath {
+            name: "index".into(),
+            times_s,
+            centers,
+            radius_m: 0.01,
+            touch_s: None,
+        };
+        let tip = path(vec![1.0, 3.0, 4.0], centers);
+        for (t, x) in [(0.0, 0.0), (1.0, 0.0), (1.5, 0.5), (3.0, 2.0), (3.25, 1.75), (4.0, 1.0), (9.0, 1.0)] {
+            assert!((tip.at(t) - Point3::new(x, -x, 0.5)).norm() < 1e-12, "{t}: {}", tip.at(t));
+        }
+        assert_eq!(path(vec![2.0], vec![Point3::new(1.0, 2.0, 3.0)]).at(7.0), Point3::new(1.0, 2.0, 3.0));
+    }
+}
