@@ -5,7 +5,7 @@ mod common;
 
 use std::fs;
 
-use common::{drex, edit, keep_demonstrations, shared_data, tin_copy};
+use common::{PATIENT, drex, edit, keep_demonstrations, shared_data, tin_copy};
 
 #[test]
 fn a_small_bench_says_what_was_held_and_what_could_be() {
@@ -185,7 +185,7 @@ fn deploys_by_the_motors_that_it_finds(at: &str, twin: &std::path::Path, full: &
     hand.set(6, table::HOMING_OFFSET, 1000);
     let link = twin.join("leap");
     let _server = PtyServer::serve(hand.clone(), Some(&link)).unwrap();
-    let port = ["deploy", at, "--port", link.to_str().unwrap(), "--hold", "0.1", "--json"];
+    let port = ["deploy", at, "--port", link.to_str().unwrap(), "--hold", "0.1", "--json", PATIENT[0], PATIENT[1]];
     drex(port).fails_with(&["homing-offset", "--allow"]);
     drex(port.into_iter().chain(["--allow", "homing-offset", "--cap", "1740"])).fails_with(&["stalls", "1470 mA"]);
     // Nothing is in its way: whether it then misses is no matter here, the file is.

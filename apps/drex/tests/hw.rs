@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use common::drex;
+use common::{PATIENT, drex};
 use drex_hw::emulator::leap::LeapEmulator;
 use drex_hw::emulator::pty::PtyServer;
 use drex_hw::leap::table;
@@ -145,9 +145,6 @@ impl Moved {
         (status.code(), said)
     }
 }
-
-/// So long that a starved program keeps it.
-const PATIENT: [&str; 2] = ["--heartbeat", "2000"];
 
 #[test]
 fn the_hand_of_a_killed_command_has_its_torque_off() {

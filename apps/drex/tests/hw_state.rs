@@ -7,7 +7,7 @@ mod common;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use common::{Run, drex};
+use common::{PATIENT, Run, drex};
 use drex_hw::allegro::{AllegroCommand, AllegroOptions, AllegroVersion, JointCalibration};
 use drex_hw::can::SlcanAdapter;
 use drex_hw::emulator::allegro::AllegroEmulator;
@@ -54,7 +54,8 @@ impl Bench<AllegroEmulator> {
 impl<H> Bench<H> {
     fn hw(&self, command: &str, more: &[&str]) -> Run {
         let at = ["hw", command, "--hand", self.family, "--port", self.port.to_str().unwrap(), "--json"];
-        drex(at.iter().chain(more))
+        let patient: &[&str] = if ["move", "record"].contains(&command) { &PATIENT } else { &[] };
+        drex(at.iter().chain(more).chain(patient))
     }
 
     fn file(&self, name: &str, text: &str) -> String {
@@ -330,6 +331,6 @@ fn a_hand_behind_a_slow_adapter_moves_all_the_same() {
     let _server = PtyServer::serve(hand.behind_adapter(Duration::from_millis(16)), Some(&port)).unwrap();
     let at = ["--hand", "leap", "--port", port.to_str().unwrap(), "--json"];
     let to = ["--to", "if_mcp=0.3", "--seconds", "1", "--rate", "40"];
-    let moved = drex(["hw", "move"].iter().chain(&at).chain(&to)).json();
+    let moved = drex(["hw", "move"].iter().chain(&at).chain(&to).chain(&PATIENT)).json();
     assert!(moved["farthest_rad"].as_f64().unwrap() < 0.05, "{moved}");
 }

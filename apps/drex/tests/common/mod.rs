@@ -15,6 +15,9 @@ pub struct Run {
     pub stderr: String,
 }
 
+/// A heartbeat so long that a starved program keeps it.
+pub const PATIENT: [&str; 2] = ["--heartbeat", "5000"];
+
 /// Runs `drex` with these arguments.
 pub fn drex<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Run {
     let output: Output =
