@@ -97,6 +97,12 @@ fn moments_are_those_of_the_lognormal_law() {
     assert!((d.mean_kg() / mean - 1.0).abs() < 1e-3, "{}", d.mean_kg());
     assert!((d.sd_kg() / (mean * ((s * s).exp() - 1.0).sqrt()) - 1.0).abs() < 5e-3, "{}", d.sd_kg());
     assert!((d.sd_log() / s - 1.0).abs() < 1e-3, "{}", d.sd_log());
+    // An even density whose knots are uneven: (b - a) / sqrt 12.
+    let even = MassDistribution::from_costs(&[0.0, 1.0, 4.0].map(|x: f64| (x.exp(), 3.0))).unwrap();
+    assert!((even.sd_log() - 4.0 / 12.0_f64.sqrt()).abs() < 1e-9, "{}", even.sd_log());
+    // A density that falls as an exponential law of ln m does, cut after 30 of its standard deviations: mean and deviation are one.
+    let falling = MassDistribution::from_costs(&[(1.0, 0.0), (30.0_f64.exp(), 30.0)]).unwrap();
+    assert!((falling.sd_log() - 1.0).abs() < 1e-6 && (falling.quantile_kg(0.5).ln() - 2.0_f64.ln()).abs() < 1e-6);
     for (p, z) in [(0.025, -1.95996), (0.16, -0.99446), (0.5, 0.0), (0.95, 1.64485)] {
         assert!(((d.quantile_kg(p) / m).ln() / s - z).abs() < 2e-3, "{p}");
     }
@@ -127,6 +133,8 @@ fn a_file_gives_the_same_distribution_and_nonsense_is_refused() {
         r#"{"mass_kg": [0.1], "cost": [0.0]}"#,
         r#"{"mass_kg": [0.1, 0.2], "cost": [0.0]}"#,
         r#"{"mass_kg": [0.2, 0.1], "cost": [0.0, 1.0]}"#,
+        r#"{"mass_kg": [0.1, 0.1, 0.2], "cost": [0.0, 1.0, 2.0]}"#,
+        r#"{"mass_kg": [0.1, 0.2], "cost": [0.0, 1e13]}"#,
         r#"{"mass_kg": [-0.1, 0.1], "cost": [0.0, 1.0]}"#,
         r#"{"mass_kg": [0.1, 0.2], "cost": [0.0, 1e999]}"#,
         r#"{"mass_kg": [0.1, 0.10000000000000002], "cost": [0.0, 1.0]}"#,
