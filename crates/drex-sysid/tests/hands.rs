@@ -109,6 +109,8 @@ fn friction_load_factor_and_touches_come_out_of_logs_that_name_none() {
     assert!(ff.load_factor_seen && (ff.load_factor[0] / FRICTION.1 - 1.0).abs() < 0.15, "{:?}", ff.load_factor);
     assert!((ff.load_factor[0] - FRICTION.1).abs() < 3.0 * ff.load_factor[1] + 0.1);
     assert!((ff.inertia_kg_m2[0] - FRICTION.2).abs() < 0.002, "{:?}", ff.inertia_kg_m2);
+    // At rest there is no friction in these logs, and the noise is 10 mN m.
+    assert!((0.015..0.08).contains(&ff.holds_nm), "{}", ff.holds_nm);
     let (curve, at) = (ff.friction_nm(0.5, 0.05)[0], FRICTION.0 + (FRICTION.1 - 1.0) * 0.05);
     assert!((curve - at).abs() < 0.015, "{curve} for {at}");
 

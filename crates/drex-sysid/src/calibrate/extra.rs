@@ -219,3 +219,38 @@ impl ExtraTorque {
         Some(TipForce { force_n: covariance * right, covariance, point })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_torque_of_a_contact_is_what_friction_weight_and_inertia_leave_of_the_effort() {
+        let c = JointCalibration {
+            joint: "j".into(),
+            alike: vec!["j".into()],
+            coulomb_nm: [0.08, 0.0],
+            load_factor: [1.6, 0.0],
+            load_factor_seen: true,
+            viscous_nms: [0.03, 0.0],
+            inertia_kg_m2: [0.004, 0.0],
+            armature_kg_m2: None,
+            noise_nm: 0.01,
+            repeatability_nm: 0.012,
+            start_error: 0.5,
+            holds_nm: 0.2,
+            covariance: [[0.01_f64.powi(2), 0.0, 0.0, 0.0], [0.0; 4], [0.0; 4], [0.0; 4]],
+            spans: Vec::new(),
+        };
+        for (contact, gravity, a, v) in [(-0.05, 0.03, 2.0, 0.9), (0.07, -0.02, -3.0, -1.4), (0.0, 0.04, 0.0, 0.5)] {
+            let effort = 0.08 * f64::signum(v) + 0.03 * v + 0.004 * a + 1.6 * (gravity + contact);
+            let (torque, sd) = c.torque((effort, gravity, a, v));
+            assert!((torque - contact).abs() < 1e-12, "{torque} for {contact}");
+            let expected = (0.012_f64.powi(2) + 0.01_f64.powi(2) + (0.5 * 0.004 * a).powi(2)).sqrt() / 1.6;
+            assert!((sd - expected).abs() < 1e-12, "{sd} for {expected}");
+            // At rest friction is anything up to what the joint holds.
+            let (torque, sd) = c.torque((0.004 * a + 1.6 * (gravity + contact), gravity, a, 0.0));
+            assert!((torque - contact).abs() < 1e-12 && (sd - 0.2 / 1.6).abs() < 1e-12, "{torque} {sd}");
+        }
+    }
+}
