@@ -72,3 +72,28 @@ impl Collider {
         if self.geoms.is_empty() { 0.0 } else { (self.center - p.coords).norm() + self.radius }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_point_of_the_shapes_is_farther_than_the_reach() {
+        let at = |x: f64, y: f64| Pose::translation(x, y, 0.02);
+        let cuboid = Shape::Box { half_m: Vector3::new(0.03, 0.01, 0.02) };
+        let geoms = [(at(0.1, 0.0), cuboid), (at(0.14, 0.03), Shape::Sphere { radius_m: 0.02 })]
+            .map(|(body_from_shape, shape)| Geom { shape, body_from_shape });
+        let collider = Collider::new(&geoms).unwrap();
+        for p in [[0.0; 3], [-0.1, 0.02, 0.0], [0.12, 0.0, 0.01], [0.5, -0.3, 0.2]].map(Point3::from) {
+            // The farthest corner, and the far side of the ball.
+            let corner = |k: u32| {
+                let sign = |axis: u32| if k >> axis & 1 == 0 { 1.0 } else { -1.0 };
+                (at(0.1, 0.0) * Point3::new(0.03 * sign(0), 0.01 * sign(1), 0.02 * sign(2)) - p).norm()
+            };
+            let far = (0..8).map(corner).fold((at(0.14, 0.03) * Point3::origin() - p).norm() + 0.02, f64::max);
+            let reach = collider.reach_from(&p);
+            assert!((far..far + 0.1).contains(&reach), "{reach} for {far}");
+        }
+        assert_eq!(Collider::none().reach_from(&Point3::new(1.0, 2.0, 3.0)), 0.0);
+    }
+}
