@@ -93,6 +93,10 @@ mod tests {
             let far = (0..8).map(corner).fold((at(0.14, 0.03) * Point3::origin() - p).norm() + 0.02, f64::max);
             let reach = collider.reach_from(&p);
             assert!((far..far + 0.1).contains(&reach), "{reach} for {far}");
+            // A body turns about its centre of mass.
+            let properties =
+                drex_core::MassProperties { mass_kg: 1.0, center_of_mass: p, inertia: nalgebra::Matrix3::identity() };
+            assert_eq!(crate::Body::new(&properties, 0.2, collider.clone().into()).reach(), reach);
         }
         assert_eq!(Collider::none().reach_from(&Point3::new(1.0, 2.0, 3.0)), 0.0);
     }

@@ -87,3 +87,27 @@ fn ellipsoid(radii: &nalgebra::Vector3<f64>) -> Vec<Point3<f64>> {
     }
     out
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_points_of_an_ellipsoid_are_on_it_and_all_around() {
+        let radii = nalgebra::Vector3::new(0.01, 0.03, 0.02);
+        let points = ellipsoid(&radii);
+        for p in &points {
+            assert!((p.coords.component_div(&radii).norm() - 1.0).abs() < 1e-12, "{p}");
+        }
+        // No direction is farther than the spacing from all of them, and the mean is the centre.
+        for k in 0..200_u32 {
+            let z = 1.0 - (2.0 * f64::from(k) + 1.0) / 200.0;
+            let (sin, cos) = (2.399_963 * f64::from(k)).sin_cos();
+            let d = nalgebra::Vector3::new(cos, sin, 0.0) * (1.0 - z * z).sqrt() + nalgebra::Vector3::z() * z;
+            let nearest = points.iter().map(|p| p.coords.component_div(&radii).angle(&d)).fold(f64::INFINITY, f64::min);
+            assert!(nearest < 0.71 * std::f64::consts::PI / ELLIPSOID_ROWS as f64, "{nearest} rad from {d}");
+        }
+        let mean = points.iter().map(|p| p.coords).sum::<nalgebra::Vector3<f64>>() / points.len() as f64;
+        assert!(mean.norm() < 1e-9);
+    }
+}

@@ -127,3 +127,16 @@ outputs! {
         [v.norm(), n.x, n.y, n.z]
     };
 }
+
+#[test]
+fn comparisons_and_bounds_are_those_of_the_value() {
+    use drex_diffsim::Dual;
+    use nalgebra::RealField;
+    let x = parameter::<2>(0.3, 0);
+    let near = Dual::<2>::from_re(0.3 + f64::EPSILON / 4.0);
+    assert!(approx::ulps_eq!(x, near) && approx::relative_eq!(x, near) && approx::abs_diff_eq!(x, near));
+    let far = Dual::<2>::from_re(0.3001);
+    assert!(!approx::ulps_eq!(x, far) && !approx::relative_eq!(x, far) && !approx::abs_diff_eq!(x, far));
+    assert_eq!(<Dual<2> as RealField>::min_value().map(|m| m.re), <f64 as RealField>::min_value());
+    assert_eq!(<Dual<2> as RealField>::max_value().map(|m| m.re), <f64 as RealField>::max_value());
+}
