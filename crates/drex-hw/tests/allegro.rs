@@ -6,7 +6,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use drex_hw::allegro::{
-    AllegroCommand, AllegroHand, AllegroInfo, AllegroOptions, AllegroVersion, JointCalibration, WIRE_JOINTS,
+    AllegroCommand, AllegroHand, AllegroInfo, AllegroOptions, AllegroReport, AllegroVersion, JointCalibration,
+    WIRE_JOINTS,
 };
 use drex_hw::can::{CanBus, CanFrame, MemoryCan};
 use drex_hw::emulator::allegro::{AllegroEmulator, EmulatorBus};
@@ -345,6 +346,50 @@ fn errors_say_what_to_change_and_name_nothing_of_the_source() {
     assert!(!driver.turn_on().unwrap_err().to_string().contains("::"));
     let error = driver.cycle(Some(&HandCommand::new(15)), &mut HandState::new(16)).unwrap_err().to_string();
     assert!(!error.contains("::"), "{error}");
+}
+
+#[test]
+fn each_joint_has_its_own_temperature() {
+    let mut options = AllegroOptions::new(AllegroVersion::V4);
+    options.temperature_period_ms = 10;
+    let (hand, driver) = driven(options.clone());
+    (0..16).for_each(|wire| hand.heat(wire, 30 + wire as u8));
+    // In a box a hand is the same hand.
+    let mut driver: Box<dyn Hand> = Box::new(driver);
+    driver.turn_on().unwrap();
+    assert_eq!(driver.joints(), robot().joint_names());
+    let (begin, mut state) = (hand.clock().now(), HandState::new(16));
+    while hand.clock().now() < begin + Duration::from_millis(50) {
+        driver.cycle(None, &mut state).unwrap();
+        Box::new(hand.clock()).wait_until(hand.clock().now() + CYCLE);
+    }
+    for (wire, name) in options.names.iter().enumerate() {
+        let joint = driver.joints().iter().position(|n| n == name).unwrap();
+        assert_eq!(state.temperature_c[joint], Some(30.0 + wire as f64), "{name}");
+    }
+}
+
+#[test]
+fn reports_come_back_as_they_were_said() {
+    let info = AllegroInfo { hardware: 0x0405, firmware: 0x0102, left: true, status: 5 };
+    for version in VERSIONS {
+        let v5 = version == AllegroVersion::V5;
+        for finger in 0..4 {
+            let pose = AllegroReport::Pose { finger, counts: [-300, 0, 1, 32767] };
+            let frame = pose.encode(version).unwrap();
+            assert_eq!(AllegroReport::decode(version, &frame), Some(pose), "{version:?}");
+        }
+        let mut reports = vec![AllegroReport::Info(info), AllegroReport::Serial(*b"SAHB0123")];
+        reports.extend((0..4).map(|finger| AllegroReport::Temperature { finger, celsius: [20, 31, 42, 255] }));
+        for (finger, motor) in [(0, 0), (2, 15)].into_iter().filter(|_| v5) {
+            reports.push(AllegroReport::Fingertips { finger, pascal: [-70_000, 123_456] });
+            reports.push(AllegroReport::MotorError { motor, code: 9 });
+        }
+        for report in reports.into_iter().filter(|_| version != AllegroVersion::V3) {
+            let frame = report.encode(version).unwrap();
+            assert_eq!(AllegroReport::decode(version, &frame), Some(report), "{version:?}");
+        }
+    }
 }
 
 #[test]
