@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use drex_hw::allegro::{
     AllegroCommand, AllegroHand, AllegroInfo, AllegroOptions, AllegroReport, AllegroVersion, JointCalibration,
-    WIRE_JOINTS,
+    WIRE_JOINTS, switch_off,
 };
 use drex_hw::can::{CanBus, CanFrame, MemoryCan};
 use drex_hw::emulator::allegro::{AllegroEmulator, EmulatorBus};
@@ -308,6 +308,7 @@ fn a_hand_that_is_another_than_was_said_gets_no_torque() {
     assert!(refusal(v4, 1200.0, info(0x0500, false, 0)).unwrap().contains("choose version 5"));
     assert!(refusal(v5, 1430.0, info(0x0402, false, 0)).unwrap().contains("choose version 4"));
     assert!(refusal(v4, 1200.0, info(0x0300, false, 0)).unwrap().contains("set 800 wire units"));
+    assert_eq!(refusal(v4, 800.0, info(0x0300, false, 0)), None);
     for (version, hardware) in [(v3, 0x0300), (v4, 0x0402), (v5, 0x0500)] {
         assert!(refusal(version, 800.0, info(hardware, true, 0)).unwrap().contains("left hand"));
         assert_eq!(refusal(version, 800.0, info(hardware, false, 0)), None);
@@ -667,4 +668,20 @@ fn a_geared_joint_turns_less_and_presses_harder() {
     let capped = AllegroOptions::new(AllegroVersion::V5).with_gear_ratios(ratios).with_cap_nm(0.1);
     assert!(capped.torque_caps_nm().iter().all(|c| (0.098..=0.1).contains(c)), "{:?}", capped.torque_caps_nm());
     assert_eq!(AllegroOptions::new(AllegroVersion::V5).with_gentle_caps().wire_caps, [120; 16]);
+    // A cap that is a whole number on the wire is that number, however it was rounded on the way.
+    for k in 1..200_i16 {
+        let options = AllegroOptions::new(AllegroVersion::V5);
+        let cap_nm = f64::from(k) / options.wire_per_nm;
+        assert_eq!(options.with_cap_nm(cap_nm).wire_caps[0], k);
+    }
+}
+
+#[test]
+fn a_hand_whose_adapter_refuses_frames_is_not_said_to_be_off() {
+    let options = AllegroOptions::new(AllegroVersion::V4);
+    let hand = placed(options.clone());
+    // What it refused before does not count.
+    let mut bus = Refusing { bus: hand.bus(), next: Arc::new(AtomicU64::new(4)), refused: 3 };
+    let error = switch_off(&mut bus, &options, &hand.clock()).unwrap_err().to_string();
+    assert!(error.contains("refused 4 frames") && error.contains("switch its power off"), "{error}");
 }

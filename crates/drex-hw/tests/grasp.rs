@@ -5,10 +5,11 @@ use std::sync::{Arc, Mutex};
 
 use drex_hw::allegro::{AllegroHand, AllegroOptions, AllegroVersion};
 use drex_hw::control::{
-    Behaviour, ControlOptions, EStop, Ended, Grasp, GraspPhase, GraspPlan, Joints, LoopReport, run,
+    Behaviour, ControlOptions, EStop, Ended, Grasp, GraspPhase, GraspPlan, Joints, LoopReport, Trajectory, Waypoint,
+    run,
 };
 use drex_hw::emulator::allegro::{AllegroEmulator, EmulatorBus};
-use drex_hw::{Hand, HandCommand, HandState};
+use drex_hw::{Clock, Hand, HandCommand, HandState};
 use drex_robot::Robot;
 use proptest::prelude::*;
 
@@ -79,6 +80,10 @@ fn it_closes_feels_the_object_presses_with_the_force_and_lets_go() {
 
         let outcome = grasp.outcome();
         assert!(!outcome.missed && !outcome.lost && outcome.began_s.iter().all(Option::is_some));
+        // Who is at the goal does not wait for the hand to settle.
+        let began = |phase: GraspPhase| outcome.began_s[phase as usize].unwrap();
+        let opened = began(GraspPhase::PreGrasp) - began(GraspPhase::Open);
+        assert!(opened < 0.5 * bench.plan.settle_s, "{opened} s");
         let touched: Vec<&str> =
             (0..16).filter(|j| outcome.contacts[*j].is_some()).map(|j| bench.hand.joints()[j].as_str()).collect();
         assert_eq!(touched.len(), 4, "{touched:?}");
@@ -271,4 +276,21 @@ proptest! {
             last = Some(command.clone());
         }
     }
+}
+
+#[test]
+fn a_trajectory_ends_when_all_joints_are_there_or_after_its_time_to_settle() {
+    let took = |goal: f64| {
+        let mut bench = bench(AllegroVersion::V4);
+        let mut position = bench.plan.open.clone();
+        let j = bench.hand.joints().iter().position(|n| n == CLOSING[0]).unwrap();
+        position[j] = goal;
+        let way = vec![Waypoint { time_s: 1.0, position }];
+        let mut trajectory = Trajectory::new(way, vec![0.1; 16]).unwrap().with_settle_s(5.0);
+        let report = run(&mut bench.hand, &mut trajectory, &bench.emulator.clock(), ControlOptions::default());
+        assert!(matches!(report.ended, Ended::Done), "{:?}", report.ended);
+        bench.emulator.clock().now().as_secs_f64()
+    };
+    let (there, blocked) = (took(0.4), took(0.8));
+    assert!(there < 1.5 && blocked < 3.0, "{there} s, {blocked} s");
 }
