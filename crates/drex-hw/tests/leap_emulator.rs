@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use drex_hw::dynamixel::{Bus, Timing};
-use drex_hw::emulator::leap::{EmulatorPort, LeapEmulator};
+use drex_hw::dynamixel::{Bus, Port, Timing};
+use drex_hw::emulator::leap::{EmulatorPort, Fault, LeapEmulator};
 use drex_hw::leap::table::{self, hardware_error};
 use drex_hw::leap::{LeapHand, LeapOptions};
 use drex_hw::{Clock, Error, Hand, HandCommand, HandState, JointStatus};
@@ -133,4 +133,32 @@ fn a_current_sensor_that_is_off_lets_more_flow_than_it_says() {
     assert_eq!(state.effort, vec![200.0; 16]);
     let volts = hand.get(5, table::PRESENT_VOLTAGE).expect("there");
     assert!((41..=42).contains(&volts), "{volts}");
+}
+
+#[test]
+fn a_fault_can_be_put_off() {
+    let hand = LeapEmulator::new();
+    assert_eq!(hand.port().name(), "emulated LEAP hand");
+    let mut bus = bus(&hand);
+    hand.inject_later(Fault::Mute(3), 2);
+    let answers: Vec<bool> = (0..5).map(|_| bus.get(3, table::PRESENT_TEMPERATURE).is_ok()).collect();
+    assert_eq!(answers, [true, true, false, true, true]);
+}
+
+#[test]
+fn a_motor_that_starts_again_forgets_its_turns_and_its_wall_stays_where_it_is() {
+    let hand = LeapEmulator::new();
+    // One turn and a bit; the wall is 200 ticks farther.
+    hand.place(3, 4096.0 + 1000.0);
+    hand.set_wall(3, 4096.0, 4096.0 + 1200.0);
+    hand.power_cycle(3);
+    hand.pass(Duration::from_secs(2));
+    assert_eq!(hand.position(3), Some(1000.0));
+    hand.set(3, table::TORQUE_ENABLE, 1);
+    hand.set(3, table::GOAL_CURRENT, 100);
+    hand.set(3, table::GOAL_PWM, 885);
+    hand.set(3, table::GOAL_POSITION, 2000);
+    hand.pass(Duration::from_secs(2));
+    let stopped = hand.position(3).expect("there");
+    assert!((1195.0..1230.0).contains(&stopped), "{stopped}");
 }
