@@ -362,7 +362,9 @@ fn each_joint_has_its_own_temperature() {
     let (begin, mut state) = (hand.clock().now(), HandState::new(16));
     while hand.clock().now() < begin + Duration::from_millis(50) {
         driver.cycle(None, &mut state).unwrap();
-        Box::new(hand.clock()).wait_until(hand.clock().now() + CYCLE);
+        let then = hand.clock().now() + CYCLE;
+        Box::new(hand.clock()).wait_until(then);
+        assert!(hand.clock().now() >= then);
     }
     for (wire, name) in options.names.iter().enumerate() {
         let joint = driver.joints().iter().position(|n| n == name).unwrap();

@@ -150,7 +150,7 @@ fn a_motor_that_starts_again_forgets_its_turns_and_its_wall_stays_where_it_is() 
     let hand = LeapEmulator::new();
     // One turn and a bit; the wall is 200 ticks farther.
     hand.place(3, 4096.0 + 1000.0);
-    hand.set_wall(3, 4096.0, 4096.0 + 1200.0);
+    hand.set_wall(3, 4096.0 + 900.0, 4096.0 + 1200.0);
     hand.power_cycle(3);
     hand.pass(Duration::from_secs(2));
     assert_eq!(hand.position(3), Some(1000.0));
@@ -161,4 +161,8 @@ fn a_motor_that_starts_again_forgets_its_turns_and_its_wall_stays_where_it_is() 
     hand.pass(Duration::from_secs(2));
     let stopped = hand.position(3).expect("there");
     assert!((1195.0..1230.0).contains(&stopped), "{stopped}");
+    hand.set(3, table::GOAL_POSITION, 100);
+    hand.pass(Duration::from_secs(2));
+    let stopped = hand.position(3).expect("there");
+    assert!((870.0..905.0).contains(&stopped), "{stopped}");
 }
