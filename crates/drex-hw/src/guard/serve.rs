@@ -125,7 +125,10 @@ impl Relay {
                 let ms = self.heartbeat.as_millis();
                 return Some(format!("no sign of life of the program for {ms} ms"));
             }
-            if port || self.port.waits() {
+            if port {
+                self.relay_back();
+            }
+            while self.port.waits() {
                 self.relay_back();
             }
             self.flush();
