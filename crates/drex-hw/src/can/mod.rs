@@ -4,6 +4,8 @@ mod adapter;
 mod memory;
 mod slcan;
 mod slcan_line;
+#[cfg(any(test, all(feature = "socketcan", target_os = "linux")))]
+mod slcan_port;
 #[cfg(all(feature = "socketcan", target_os = "linux"))]
 mod socket;
 
@@ -11,11 +13,11 @@ use std::path::Path;
 use std::time::Duration;
 
 pub use adapter::SlcanAdapter;
-#[cfg(all(feature = "socketcan", target_os = "linux"))]
-pub(crate) use adapter::SlcanPort;
 pub use memory::MemoryCan;
 pub use slcan::Slcan;
 pub use slcan_line::{SlcanEvent, SlcanParser, write_slcan};
+#[cfg(all(feature = "socketcan", target_os = "linux"))]
+pub(crate) use slcan_port::SlcanPort;
 #[cfg(all(feature = "socketcan", target_os = "linux"))]
 pub use socket::SocketCan;
 

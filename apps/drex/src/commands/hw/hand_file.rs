@@ -245,9 +245,7 @@ impl HandFile {
             return bad(key, format!("is no key of a hand {:?}: remove it", HandArg::from(self.hand)));
         }
         let positive = [("cap_ma", self.cap_ma), ("cap_nm", self.cap_nm), ("wire_per_nm", self.wire_per_nm)];
-        if let Some((key, Some(value))) =
-            positive.into_iter().find(|(_, v)| v.is_some_and(|v| !(v > 0.0 && v.is_finite())))
-        {
+        if let Some((key, Some(value))) = positive.into_iter().find(|(_, v)| v.is_some_and(|v| v <= 0.0)) {
             return bad(key, format!("is {value}: give a number above zero"));
         }
         if let Some(baud) = self.baud.filter(|b| !(9_600..=10_500_000).contains(b)) {
