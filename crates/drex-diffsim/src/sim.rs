@@ -612,3 +612,40 @@ pub(crate) fn check_speeds<T: Scalar>(state: &State<T>) -> Result<()> {
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)] // a test may panic
+    use std::sync::Arc;
+
+    use drex_core::MassProperties;
+    use nalgebra::Point3;
+
+    use super::*;
+    use crate::{Collider, Geom, Shape};
+
+    #[test]
+    fn two_bodies_share_the_reduced_mass_and_one_has_its_own() {
+        let ball = Arc::new(Collider::new(&[Geom::new(Shape::Sphere { radius_m: 0.01 })]).unwrap());
+        let unit =
+            MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia: Matrix3::identity() * 4e-5 };
+        let body = |mass_kg| Body::new(&unit, mass_kg, Arc::clone(&ball));
+        let model = Model::<f64>::new(vec![body(2.0), body(6.0)]);
+        let mass = |a, b| patch_mass(&model, a, b);
+        assert_eq!(mass(Part::Body(0), Part::Body(1)), 1.5);
+        assert_eq!([mass(Part::Body(1), Part::Fixed(0)), mass(Part::Mover(0), Part::Body(0))], [6.0, 2.0]);
+    }
+
+    #[test]
+    fn speeds_along_and_about_add_up_to_the_limit() {
+        let state = |speed: f64| {
+            let mut state = State::<f64>::at_rest(Pose::identity());
+            state.bodies[0].velocity.x = -speed;
+            state.bodies[0].angular_velocity.z = speed;
+            state
+        };
+        check_speeds(&state(0.4 * SPEED_LIMIT)).unwrap();
+        let error = check_speeds(&state(0.6 * SPEED_LIMIT)).unwrap_err();
+        assert!(matches!(error, SimError::Diverged { speed, .. } if speed == 1.2 * SPEED_LIMIT), "{error}");
+    }
+}

@@ -70,8 +70,67 @@ fn numbers_keep_every_bit_and_what_has_no_counterpart_is_named() {
     // The body stands at its centre of mass.
     assert!(text.contains(&format!("{:?}", 1.0_f64 / 3.0 + 0.002)), "{text}");
     assert!(text.contains("<mesh name=\"body_0/0\" vertex=") && text.contains("type=\"plane\""));
-    let mut options = MjcfOptions::default();
-    options.contact_time_s = Some(1e-4);
-    let error = to_mjcf(&model, &scene, &start, &options).unwrap_err();
-    assert!(matches!(error, SimError::Engine { .. }) && error.to_string().contains("contact_time_s"), "{error}");
+}
+
+#[test]
+fn what_mujoco_would_change_without_a_word_is_refused() {
+    let refused = |change: &dyn Fn(&mut MjcfOptions), part: &str| {
+        let mut options = MjcfOptions::default();
+        change(&mut options);
+        let start = State::at_rest(Pose::translation(0.0, 0.0, 1.0));
+        let error = to_mjcf(&prism(), &Scene::on_table(0.4), &start, &options).unwrap_err();
+        assert!(matches!(error, SimError::Engine { .. }) && error.to_string().contains(part), "{error}");
+    };
+    refused(&|o| o.contact_time_s = Some(1e-4), "contact_time_s");
+    refused(&|o| o.dt_s = Some(0.0), "time step");
+    refused(&|o| o.impratio = f64::INFINITY, "impratio");
+    refused(&|o| o.damping_ratio = -1.0, "damping_ratio");
+    refused(&|o| o.impedance = [0.0, 0.95, 1e-3], "impedance");
+    refused(&|o| o.impedance = [0.9, 0.8, 1e-3], "impedance");
+    refused(&|o| o.impedance = [0.9, 1.0, 1e-3], "impedance");
+    refused(&|o| o.impedance = [0.9, 0.95, 0.0], "depth of full impedance");
+    refused(&|o| o.tolerance = f64::NAN, "tolerance");
+}
+
+/// Numbers of the first attribute of this name after `from`.
+fn numbers(text: &str, from: &str, name: &str) -> Vec<f64> {
+    let after = &text[text.find(from).unwrap_or_else(|| panic!("no {from} in {text}"))..];
+    let value = after.split_once(&format!("{name}=\"")).unwrap().1.split_once('"').unwrap().0;
+    value.split(' ').map(|x| x.parse().unwrap()).collect()
+}
+
+#[test]
+fn a_box_beside_its_origin_is_written_as_a_box_around_its_centre() {
+    let corner = |k: u32| {
+        let side = |bit: u32, lo: f64, hi: f64| if k >> bit & 1 == 0 { lo } else { hi };
+        Point3::new(side(0, 0.01, 0.05), side(1, -0.02, 0.04), side(2, 0.1, 0.12))
+    };
+    let piece = ConvexPiece::from_points(&(0..8).map(corner).collect::<Vec<_>>()).unwrap();
+    let unit = MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia: Matrix3::identity() * 0.01 };
+    let model = Model::new(vec![Body::new(&unit, 0.2, Arc::new(Collider::convex(vec![piece])))]);
+    let start = State::at_rest(Pose::identity());
+    let text = to_mjcf(&model, &Scene::empty(), &start, &MjcfOptions::default()).unwrap();
+    let near = |name: &str, expected: [f64; 3]| {
+        let found = numbers(&text, "type=\"box\"", name);
+        assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{name} {found:?}");
+    };
+    near("pos", [0.03, 0.01, 0.11]);
+    near("size", [0.02, 0.03, 0.01]);
+}
+
+/// As heavy as nothing can push it, and as hard to turn as a ball of 16 cm.
+#[test]
+fn what_follows_a_path_is_heavy_and_hard_to_turn() {
+    let model = prism();
+    let mut scene = Scene::empty();
+    let path = drex_diffsim::Path::linear(&[0.0, 1.0], &[Pose::identity(), Pose::translation(0.1, 0.0, 0.0)]).unwrap();
+    scene.movers.push(drex_diffsim::Mover::new(path, Arc::clone(&model.bodies[0].collider), 0.5));
+    let start = State::at_rest(Pose::translation(0.0, 0.0, 1.0));
+    let text = to_mjcf(&model, &scene, &start, &MjcfOptions::default()).unwrap();
+    let (mass, inertia) = (numbers(&text, "mover_0", "mass"), numbers(&text, "mover_0", "fullinertia"));
+    assert!(mass[0] > 100.0 * 0.2, "{mass:?}");
+    for (k, j) in inertia.iter().enumerate() {
+        let expected = if k < 3 { 0.01 * mass[0] } else { 0.0 };
+        assert!((j - expected).abs() < 1e-9 * mass[0], "{inertia:?}");
+    }
 }

@@ -198,3 +198,19 @@ fn body_rate(r: &Vector3<f64>, r1: &Vector3<f64>, r2: &Vector3<f64>) -> (Vector3
 pub(crate) fn mean_rate(a: &UnitQuaternion<f64>, b: &UnitQuaternion<f64>, h: f64) -> Vector3<f64> {
     (b * a.inverse()).scaled_axis() / h
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// At the border between series and closed form the two agree but for what a step from one to the other makes.
+    #[test]
+    fn the_series_of_the_jacobian_meets_its_closed_form() {
+        let step = 1e-9;
+        let ([b, c], [b1, c1]) = jacobian_factors(1e-2 - step);
+        let ([bb, cc], [bb1, cc1]) = jacobian_factors(1e-2);
+        for (series, closed, slope) in [(b, bb, b1), (c, cc, c1), (b1, bb1, 0.0), (c1, cc1, 0.0)] {
+            assert!((series + slope * step - closed).abs() < 1e-11, "{series} {closed}");
+        }
+    }
+}

@@ -191,3 +191,83 @@ impl Law<f64> {
         Some(Stiffness { force, torque, coupling })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)] // a test may panic
+    use super::*;
+
+    const DT_S: f64 = 0.01;
+
+    /// A contact under way along `u` and about its normal, springs stretched.
+    fn law(lagged: Option<f64>) -> Law<f64> {
+        let normal = Vector3::new(0.2, -0.3, 0.9).normalize();
+        let stretch = Vector3::new(1e-4, 2e-4, -1e-4);
+        Law {
+            normal,
+            friction: 0.6,
+            share: 1.0,
+            preload: 2.0,
+            kappa_n: 30.0,
+            stretch: stretch - normal * stretch.dot(&normal),
+            k_t: 800.0,
+            kappa_t: 25.0,
+            lever: 0.004,
+            twist: 0.01,
+            k_r: 0.03,
+            kappa_r: 0.001,
+            lagged,
+            soft: None,
+        }
+    }
+
+    /// Slow and fast along and about the normal: sticks and slips, turns and does not, pressed and let go.
+    fn motions() -> impl Iterator<Item = (Vector3<f64>, f64)> {
+        let slides = [Vector3::new(1e-4, -2e-4, 1e-4), Vector3::new(0.3, 0.2, -0.02), Vector3::new(-0.2, 0.1, 0.03)];
+        slides.into_iter().flat_map(|u| [-20.0, -0.1, 0.2, 25.0].map(|spin| (u, spin)))
+    }
+
+    #[test]
+    fn stiffness_is_minus_the_derivative_of_the_reaction() {
+        let (mut slips, mut turns) = ([0, 0], [0, 0]);
+        for law in [law(None), law(Some(1.5))] {
+            for (u, spin) in motions() {
+                let stiffness = law.stiffness(&u, spin).unwrap();
+                let there = law.reaction(&u, spin);
+                slips[usize::from(there.mode == Mode::Slips)] += 1;
+                turns[usize::from(there.turns)] += 1;
+                let h = 1e-7;
+                for k in 0..3 {
+                    let step = Vector3::ith(k, h);
+                    let (more, less) = (law.reaction(&(u + step), spin), law.reaction(&(u - step), spin));
+                    let force = (more.force - less.force) / (2.0 * h);
+                    assert!((force + stiffness.force.column(k)).norm() < 1e-5, "{force} {}", stiffness.force);
+                    let torque = (more.torque - less.torque) / (2.0 * h);
+                    assert!((torque + stiffness.coupling[k]).abs() < 1e-7, "{torque} {}", stiffness.coupling);
+                }
+                let torque = (law.reaction(&u, spin + h).torque - law.reaction(&u, spin - h).torque) / (2.0 * h);
+                assert!((torque + stiffness.torque).abs() < 1e-9, "{torque} {}", stiffness.torque);
+            }
+        }
+        assert!(slips.iter().chain(&turns).all(|&n| n >= 4), "{slips:?} {turns:?}");
+    }
+
+    /// What slipped holds, at rest, with the force that it slipped with.
+    #[test]
+    fn springs_keep_the_reaction() {
+        for (u, spin) in motions() {
+            let law = law(None);
+            let r = law.reaction(&u, spin);
+            let (stretch, twist) = law.springs(&r, &u, spin, DT_S);
+            if r.mode == Mode::Slips {
+                assert!((r.force - law.normal * r.force.dot(&law.normal) + stretch * law.k_t).norm() < 1e-12);
+            } else {
+                assert!(
+                    (stretch - law.stretch).dot(&law.normal).abs() < 1e-12 && (stretch - law.stretch).norm() > 1e-7
+                );
+            }
+            let kept = if r.turns { -r.torque / law.k_r } else { law.twist + spin * DT_S };
+            assert!((twist - kept).abs() < 1e-12, "{twist} {kept}");
+        }
+    }
+}

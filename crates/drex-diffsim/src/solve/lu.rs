@@ -155,6 +155,8 @@ mod tests {
         check(3, &[1e-14, 1.0, 0.5, 1.0, 0.0, 2.0, 3.0, -1.0, 0.0]);
         // A weak pivot in the second column: without an exchange nine digits are lost.
         check(3, &[1.0, 0.0, 0.0, 0.0, 1e-20, 1e-13, 0.0, 1.0, 1.0]);
+        // The same where all that stands beside what is below the pivot is zero.
+        check(4, &[2.0, 0.0, 0.0, 0.0, 0.0, 1e-20, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
         assert!(!Lu::default().factor(2, &[1.0, 2.0, 2.0, 4.0]));
         assert!(!Lu::default().factor(1, &[f64::NAN]));
     }

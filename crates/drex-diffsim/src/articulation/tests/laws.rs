@@ -226,6 +226,20 @@ fn what_cannot_be_simulated_is_refused_by_name() {
         }
     };
     refused(&weightless, &["if_dip", "moves no inertia", "armature"]);
+    // The middle joint turns about the axis of the last one, with nothing between them.
+    let arm = mjcf(
+        r#"<body name="base"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+        <body name="first"><joint name="first" axis="0 0 1"/><inertial pos="0.1 0 0" mass="0.3" diaginertia="1e-3 1e-3 1e-3"/>
+        <body name="middle" pos="0.2 0 0"><joint name="middle" axis="0 1 0"/><inertial pos="0 0 0" mass="0.1" diaginertia="1e-9 1e-9 1e-9"/>
+        <body name="last"><joint name="last" axis="0 1 0"/><inertial pos="0.1 0 0" mass="0.2" diaginertia="1e-4 1e-4 1e-4"/>
+        </body></body></body></body>"#,
+    );
+    let mut arm = fixed(arm, Pose::identity());
+    arm.check().unwrap();
+    arm.links[2].mass_kg = 0.0;
+    arm.links[2].inertia = nalgebra::Matrix3::zeros();
+    let message = arm.check().unwrap_err().to_string();
+    assert!(message.contains("middle") && message.contains("moves no inertia"), "{message}");
 
     let mut state = good.at_rest(&leap.mid_range(), 0.0).unwrap();
     state.velocities[4] = f64::NAN;
