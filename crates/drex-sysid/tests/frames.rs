@@ -106,6 +106,19 @@ fn a_tracker_with_other_axes_than_the_mesh_is_noticed() {
     assert!(find(&track, &mesh, &told).unwrap().remarks.is_empty());
 }
 
+/// Its mesh has its origin some millimetres beside the middle of its bounding box, which is what the tracker reports.
+#[test]
+fn a_tracker_of_the_middle_of_the_bounding_box_is_noticed() {
+    let h = [0.02, 0.035, 0.06];
+    for middle in [Vector3::new(0.0, 0.0, 0.005), Vector3::new(0.005, 0.0, 0.0), Vector3::new(0.0, 0.0, -0.3)] {
+        let mesh = box_mesh(h.into(), middle);
+        let track = spoilt(&topple(h, 2.0).left_mul(&camera(2)), 4, 0.0002, 0.002, false);
+        let f = find(&track, &mesh, &FrameOptions::default()).unwrap();
+        let apart = (f.tracked_from_mesh.translation.vector + middle).norm();
+        assert!(apart < 1e-6, "{apart} m beside the middle {middle:?}");
+    }
+}
+
 #[test]
 fn what_is_known_is_used() {
     let h = [0.03, 0.03, 0.05];

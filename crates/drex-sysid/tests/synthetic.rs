@@ -48,6 +48,22 @@ fn a_torque_weighs_as_a_force_does() {
     assert!((heavier.mass_kg.unwrap() / (1.5 * m) - 1.0).abs() < 2e-3, "{:?}", heavier.mass_kg);
 }
 
+/// Lifted, the mass is proportional to the force: it is as uncertain as the gain of the sensor, and off by what the gain is off.
+#[test]
+fn an_uncertain_force_makes_the_mass_as_uncertain() {
+    let m = 0.137;
+    let push = simulated(m, 0.4, Vector3::z() * m * G * 1.6, Point3::origin());
+    for (mean, sd) in [(1.0, 0.02), (1.1, 0.08)] {
+        let mut options = IdentifyOptions::default();
+        options.parameters.set(Parameter::ForceGain, Knowledge::Prior { mean, sd }).unwrap();
+        let a = identify(std::slice::from_ref(&push), &block(), &options).unwrap();
+        assert!((a.mass_kg.unwrap() / (mean * m)).ln().abs() < 0.01, "{:?}", a.mass_kg);
+        let ci = a.ci95_kg.unwrap();
+        let found = (ci[1] / ci[0]).ln() / (2.0 * 1.96);
+        assert!((found / sd - 1.0).abs() < 0.15, "sd {found} of the mass with {sd} of the force");
+    }
+}
+
 #[test]
 fn masses_beyond_the_first_scan_are_found() {
     for m in [0.008, 4.0] {

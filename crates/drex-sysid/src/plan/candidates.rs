@@ -176,3 +176,18 @@ fn lean(falling: f64) -> f64 {
 fn horizontal() -> [Vector3<f64>; 4] {
     [Vector3::x(), -Vector3::x(), Vector3::y(), -Vector3::y()]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_is_pushed_from_four_sides() {
+        let sides = horizontal();
+        for (i, a) in sides.iter().enumerate() {
+            let along: Vec<f64> = sides.iter().map(|b| a.dot(b)).collect();
+            assert_eq!(along.iter().filter(|x| **x == 0.0).count(), 2);
+            assert!(along[i] == 1.0 && along.contains(&-1.0));
+        }
+    }
+}
