@@ -60,6 +60,7 @@ pub fn cases() -> Vec<fn() -> Case> {
             )
         },
         || one("OBJ, 20,000 separate tetrahedra", "a.obj", tetrahedra(20_000), "mesh check a.obj"),
+        || one("OBJ, 2000 crumbs inside of a ball of 160,000 faces", "a.obj", crumbs(400, 2000), "mesh check a.obj"),
         || {
             one(
                 "a picture of 8192 pixels a side",
@@ -350,11 +351,43 @@ fn bowl(rim: usize, ragged: f64, inner: Option<f64>) -> Vec<u8> {
 fn tetrahedra(n: usize) -> Vec<u8> {
     let mut text = String::new();
     for k in 0..n {
-        let (x, y) = ((k % 200) as f64 * 0.01, (k / 200) as f64 * 0.01);
-        for [dx, dy, dz] in [[0.0, 0.0, 0.0], [0.005, 0.0, 0.0], [0.0, 0.005, 0.0], [0.0, 0.0, 0.005]] {
-            let _ = writeln!(text, "v {} {} {dz}", x + dx, y + dy);
+        tetrahedron(&mut text, [(k % 200) as f64 * 0.01, (k / 200) as f64 * 0.01, 0.0], 0.005);
+    }
+    text.into_bytes()
+}
+
+fn tetrahedron(text: &mut String, [x, y, z]: [f64; 3], side: f64) {
+    for [dx, dy, dz] in [[0.0, 0.0, 0.0], [side, 0.0, 0.0], [0.0, side, 0.0], [0.0, 0.0, side]] {
+        let _ = writeln!(text, "v {} {} {}", x + dx, y + dy, z + dz);
+    }
+    *text += "f -4 -2 -3\nf -4 -3 -1\nf -3 -2 -1\nf -4 -1 -2\n";
+}
+
+/// A ball whose equator has `around` corners, and crumbs in it as a fusion of depth maps leaves them.
+fn crumbs(around: usize, count: usize) -> Vec<u8> {
+    const RADIUS: f64 = 0.05; // as that of `circle`
+    let mut text = format!("v 0 0 {RADIUS}\nv 0 0 -{RADIUS}\n");
+    let rings = around / 2 - 1;
+    for ring in 1..=rings {
+        let (sin, cos) = (std::f64::consts::PI * ring as f64 / (rings + 1) as f64).sin_cos();
+        for k in 0..around {
+            let [x, y] = circle(around, k);
+            let _ = writeln!(text, "v {} {} {}", sin * x, sin * y, RADIUS * cos);
         }
-        text += "f -4 -2 -3\nf -4 -3 -1\nf -3 -2 -1\nf -4 -1 -2\n";
+    }
+    let at = |ring: usize, k: usize| 3 + (ring - 1) * around + k % around;
+    for k in 0..around {
+        let _ = writeln!(text, "f 1 {} {}", at(1, k), at(1, k + 1));
+        let _ = writeln!(text, "f 2 {} {}", at(rings, k + 1), at(rings, k));
+        for ring in 1..rings {
+            let (a, b, c, d) = (at(ring, k), at(ring + 1, k), at(ring + 1, k + 1), at(ring, k + 1));
+            let _ = writeln!(text, "f {a} {b} {c}\nf {a} {c} {d}");
+        }
+    }
+    for k in 0..count {
+        // A lattice that fills a cube within.
+        let place = [0.754_877_666, 0.569_840_291, 0.430_159_709].map(|g| ((k as f64 * g).fract() - 0.5) * RADIUS);
+        tetrahedron(&mut text, place, 0.01 * RADIUS);
     }
     text.into_bytes()
 }

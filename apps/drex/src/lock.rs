@@ -130,19 +130,38 @@ impl Lock {
         })
     }
 
-    /// Records a finished stage and writes the lock. `outputs` are files or folders below the root.
-    pub fn record(&mut self, stage: &str, inputs_sha256: String, seed: u64, outputs: &[PathBuf]) -> Result<()> {
+    /// Records a finished stage and writes the lock. `outputs` are files or folders below the root. Files that the stage had
+    /// made before and has not made this time are removed if they are still as they were made; their names are returned.
+    pub fn record(
+        &mut self,
+        stage: &str,
+        inputs_sha256: String,
+        seed: u64,
+        outputs: &[PathBuf],
+    ) -> Result<Vec<String>> {
         let mut outputs_sha256 = BTreeMap::new();
         for path in outputs {
             self.digest_outputs(path, &mut outputs_sha256)?;
         }
-        self.stages.insert(stage.to_owned(), StageRecord { inputs_sha256, made_by: made_by(), seed, outputs_sha256 });
+        let record = StageRecord { inputs_sha256, made_by: made_by(), seed, outputs_sha256 };
+        let before = self.stages.insert(stage.to_owned(), record).map_or_else(BTreeMap::new, |r| r.outputs_sha256);
+        let made = |file: &String| self.stages.values().any(|r| r.outputs_sha256.contains_key(file));
+        let mut removed = Vec::new();
+        for (file, digest) in before.into_iter().filter(|(file, _)| !made(file)) {
+            // A name out of a file may not lead out of the folder.
+            let Ok(path) = fsutil::output_path(&self.root, &file) else { continue };
+            if std::fs::read(&path).is_ok_and(|bytes| digest_of(&bytes) == digest) {
+                std::fs::remove_file(&path).with_context(|| format!("cannot remove {}", path.display()))?;
+                removed.push(file);
+            }
+        }
+        // After the removal: a run that is killed in between makes the stage again.
         let text = format!(
             "# Written by drex: how each stage was made. Delete it to make everything again.\n{}",
             toml::to_string(self)?
         );
         fsutil::write_atomic(&fsutil::output_path(&self.root, FILE)?, text.as_bytes())?;
-        Ok(())
+        Ok(removed)
     }
 
     /// The records by stage name.
@@ -204,6 +223,35 @@ mod tests {
         std::fs::write(&output, "made").unwrap();
         std::fs::write(&input, "b").unwrap();
         assert!(!reopened.is_current("s", &inputs(&input)), "a changed input must be used");
+    }
+
+    #[test]
+    fn what_a_stage_no_longer_makes_is_removed_unless_it_was_edited() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("twin");
+        std::fs::create_dir(&root).unwrap();
+        let file = |name: &str| root.join(name);
+        let write = |name: &str| std::fs::write(file(name), name).unwrap();
+        ["kept", "gone", "edited", "shared", "../outside"].map(write);
+        let mut lock = Lock::open(&root);
+        let mut record = |stage: &str, names: &[&str]| {
+            let outputs: Vec<PathBuf> = names.iter().map(|name| file(name)).collect();
+            lock.record(stage, "inputs".into(), 7, &outputs).unwrap()
+        };
+        assert!(record("other", &["shared"]).is_empty());
+        assert!(record("stage", &["kept", "gone", "edited", "shared"]).is_empty());
+        std::fs::write(file("edited"), "by hand").unwrap();
+        assert_eq!(record("stage", &["kept"]), ["gone"]);
+        assert_eq!(["kept", "gone", "edited", "shared"].map(|name| file(name).exists()), [true, false, true, true]);
+
+        let digest = digest_of(b"../outside");
+        let text = std::fs::read_to_string(file(FILE)).unwrap().replacen("kept = ", "\"../outside\" = ", 1);
+        let own = digest_of(b"kept");
+        std::fs::write(file(FILE), text.replace(&own, &digest)).unwrap();
+        let mut lock = Lock::open(&root);
+        assert!(lock.damage().is_empty() && lock.is_current("stage", "inputs"));
+        assert!(lock.record("stage", "inputs".into(), 7, &[]).unwrap().is_empty());
+        assert!(dir.path().join("outside").exists(), "a lock does not remove what lies outside of its folder");
     }
 
     #[test]

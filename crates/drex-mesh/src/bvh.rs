@@ -441,13 +441,8 @@ fn describe(triangles: &[[Point3<f64>; 3]], faces: &[u32]) -> Node {
     Node { bounds, first: 0, count: 0, center, radius, far }
 }
 
-/// Solid angle of a triangle seen from `q` (van Oosterom and Strackee 1983), positive from behind.
-pub(crate) fn solid_angle(q: &Point3<f64>, triangle: &[Point3<f64>; 3]) -> f64 {
-    let (sine, cosine) = half_solid_angle(q, triangle);
-    2.0 * sine.atan2(cosine)
-}
-
-/// Sine and cosine of half that angle, both times the same factor.
+/// Sine and cosine of half the solid angle of a triangle seen from `q` (van Oosterom and Strackee 1983), positive from behind, both
+/// times the same factor.
 fn half_solid_angle(q: &Point3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> (f64, f64) {
     let (a, b, c) = (a - q, b - q, c - q);
     let (la, lb, lc) = (a.norm(), b.norm(), c.norm());
@@ -538,8 +533,11 @@ mod tests {
         let mut worst = 0.0_f64;
         for i in 0..500 {
             let p = Point3::from(shapes::low_discrepancy(i).map(|c| (c - 0.5) * 0.15));
-            let exact: f64 = (0..mesh.faces.len()).map(|f| solid_angle(&p, &mesh.triangle(f))).sum::<f64>()
-                / (4.0 * std::f64::consts::PI);
+            let half = |f: usize| {
+                let (sine, cosine) = half_solid_angle(&p, &mesh.triangle(f));
+                sine.atan2(cosine)
+            };
+            let exact = (0..mesh.faces.len()).map(half).sum::<f64>() / (2.0 * std::f64::consts::PI);
             worst = worst.max((bvh.winding(&p) - exact).abs());
         }
         assert!(worst < 5e-3, "{worst}");

@@ -1,10 +1,13 @@
 //! Which way faces and shells look.
 
+use std::sync::OnceLock;
+
 use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
 
 use drex_core::TriMesh;
 
-use crate::bvh::{Bvh, solid_angle};
+use crate::bvh::Bvh;
 use crate::repair::Shell;
 use crate::topology::{NONE, Topology, ends};
 
@@ -121,26 +124,30 @@ fn bulge(mesh: &TriMesh, faces: &[usize], sign: impl Fn(usize) -> f64) -> f64 {
 
 /// For each shell the smallest closed shell that contains it.
 pub(crate) fn nesting(mesh: &TriMesh, shells: &[Shell]) -> Vec<Option<usize>> {
+    let trees: Vec<OnceLock<Bvh>> = shells.iter().map(|_| OnceLock::new()).collect();
     (0..shells.len())
+        .into_par_iter()
         .map(|i| {
             (0..shells.len())
                 .filter(|&j| j != i && shells[j].closed && shells[j].bounds.contains(&shells[i].bounds))
                 .filter(|&j| shells[j].volume_m3.abs() > shells[i].volume_m3.abs() || !shells[i].closed)
-                .filter(|&j| lies_inside(mesh, &shells[i], &shells[j]))
+                .filter(|&j| {
+                    let tree = trees[j].get_or_init(|| Bvh::cut_over(mesh, shells[j].faces.clone()));
+                    lies_inside(mesh, &shells[i], tree)
+                })
                 .min_by(|&j, &k| shells[j].volume_m3.abs().total_cmp(&shells[k].volume_m3.abs()).then(j.cmp(&k)))
         })
         .collect()
 }
 
-/// Whether up to 16 points of shell `a`, spread over its faces, all lie inside the closed shell `b`.
-fn lies_inside(mesh: &TriMesh, a: &Shell, b: &Shell) -> bool {
+/// Whether up to 16 points of shell `a`, spread over its faces, all lie inside the closed shell of the tree.
+fn lies_inside(mesh: &TriMesh, a: &Shell, tree: &Bvh) -> bool {
     let step = a.faces.len().div_ceil(16).max(1);
     a.faces.iter().step_by(step).all(|&f| {
         let [p, q, r] = mesh.triangle(f as usize);
         let middle = Point3::from((p.coords + q.coords + r.coords) / 3.0);
-        let angle: f64 = b.faces.iter().map(|&g| solid_angle(&middle, &mesh.triangle(g as usize))).sum();
-        // 0.75: a face that lies in a face of `b` sees half of it and is not inside.
-        (angle / (4.0 * std::f64::consts::PI)).abs() > 0.75
+        // 0.75: a face that lies in a face of the shell sees half of it and is not inside.
+        tree.winding(&middle).abs() > 0.75
     })
 }
 

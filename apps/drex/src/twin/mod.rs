@@ -235,7 +235,9 @@ impl Twin {
             let outputs =
                 self.make(stage, ui).with_context(|| format!("stage {} of {}", stage.name(), self.root.display()))?;
             let seconds = begun.elapsed().as_secs_f64();
-            self.lock.record(stage.name(), inputs, self.seed, &outputs)?;
+            for file in self.lock.record(stage.name(), inputs, self.seed, &outputs)? {
+                ui.note(format!("{:>10}  removed {file}: an earlier run made it, this one does not", "note"));
+            }
             let parts = self.parts.take();
             timings::record(&self.root, stage.name(), Timing { parts, ..Timing::of(seconds) })?;
             ui.note(format!("{:>10}  done in {seconds:.1} s", stage.name()));
