@@ -232,7 +232,7 @@ mod tests {
         std::fs::create_dir(&root).unwrap();
         let file = |name: &str| root.join(name);
         let write = |name: &str| std::fs::write(file(name), name).unwrap();
-        ["kept", "gone", "edited", "shared", "../outside"].map(write);
+        ["kept", "gone", "edited", "shared", "../outside"].into_iter().for_each(write);
         let mut lock = Lock::open(&root);
         let mut record = |stage: &str, names: &[&str]| {
             let outputs: Vec<PathBuf> = names.iter().map(|name| file(name)).collect();

@@ -136,6 +136,23 @@ fn gltf_embedded_beside_and_binary() {
     assert!(parse_mesh(Path::new("t.gltf"), beyond.as_bytes()).is_err());
 }
 
+/// Without a panic on the way: the library that reads glTF indexes out of bounds here.
+#[test]
+fn a_mesh_without_its_accessor_is_named() {
+    let text = gltf_json(None, 72).replace("\"POSITION\":0", "\"POSITION\":7");
+    let hook = std::panic::take_hook();
+    let panics = std::sync::Arc::new(std::sync::atomic::AtomicUsize::new(0));
+    let count = panics.clone();
+    let own = std::thread::current().id();
+    std::panic::set_hook(Box::new(move |info| {
+        count.fetch_add(usize::from(std::thread::current().id() == own), std::sync::atomic::Ordering::Relaxed);
+        hook(info);
+    }));
+    let message = parse_mesh(Path::new("a.gltf"), text.as_bytes()).unwrap_err().to_string();
+    assert!(message.contains("a.gltf: mesh 0 refers to accessor 7, there are 2"), "{message}");
+    assert_eq!(panics.load(std::sync::atomic::Ordering::Relaxed), 0);
+}
+
 #[test]
 fn damaged_files_are_named_with_a_remedy() {
     let folder = tempfile::tempdir().unwrap();

@@ -151,6 +151,21 @@ fn an_overhang_is_used_where_there_is_a_step() {
     assert!(beyond > 0.01, "{beyond}");
 }
 
+/// The residuals of an encoder are its noise; a fingertip that yields weighs.
+#[test]
+fn a_rehearsed_fingertip_leaves_the_noise_of_its_encoder() {
+    let limits = robot(None, Some(finger(150.0)));
+    let m = 0.17;
+    let pushes = plan(&limits, &rough(), [m; 2], 1);
+    let push = pushes.iter().find(|p| p.refused.is_none() && p.push.kind == PushKind::Tilt).unwrap();
+    let mut options = PlanOptions::default();
+    options.friction = 0.5;
+    let done = push.push.rehearse(&block(), &rough(), &limits, &options, m, 3).unwrap();
+    let found = identify(&[done], &block(), &IdentifyOptions::default()).unwrap();
+    let rms = found.pushes[0].rms_encoder_m.unwrap();
+    assert!((0.5e-4..2e-4).contains(&rms), "{rms} m of an encoder with 1e-4 m");
+}
+
 #[test]
 fn the_plan_does_not_depend_on_threads() {
     let robot = robot(Some(force()), Some(finger(150.0)));

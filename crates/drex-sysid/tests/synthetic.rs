@@ -109,6 +109,7 @@ fn nothing_pushed_nothing_known() {
     push.starts_at_rest = false;
     let a = identify(&[push], &block(), &IdentifyOptions::default()).unwrap();
     assert_eq!(a.verdict, Verdict::NotIdentifiable);
+    assert!(a.reason.contains("no known force acted on the object"), "{}", a.reason);
     // The profile was computed and is flat.
     assert_eq!(a.profile.len(), 7);
     assert!(a.profile.iter().all(|p| (p.1 - a.profile[0].1).abs() < 1e-6 * (1.0 + a.profile[0].1)));
@@ -207,6 +208,10 @@ fn touching_shells_are_told_apart() {
     let (va, vb) = (a.product(), b.product());
     let z = (va * 0.032 - vb * 0.012) / (va + vb);
     assert!((object.unit.center_of_mass - Point3::new(0.0, 0.0, z)).norm() < 1e-12);
+    // What has two corners in one is no face.
+    let mut degenerate = both.clone();
+    degenerate.faces.extend([[0, 0, 1], [2, 3, 3], [4, 5, 4]]);
+    assert_eq!(ObjectModel::from_mesh(&degenerate).unwrap().pieces.len(), 2);
     both.faces.pop();
     assert!(matches!(ObjectModel::from_mesh(&both), Err(SysidError::Object { .. })));
 }
