@@ -191,7 +191,50 @@ fn mjcf(i: &FingerImpedance, axes: &Matrix3<f64>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use drex_core::push::EncoderTrack;
     use drex_diffsim::{Model, Scene, State, rollout};
+
+    /// The servos across the push exert where the tip was read what they exerted in the push.
+    #[test]
+    fn what_is_pulled_across_exerts_the_same_force() {
+        let home = Point3::origin();
+        let impedance = FingerImpedance {
+            radius_m: 0.01,
+            mass_kg: 0.04,
+            armature_kg: 0.02,
+            damping_ns_m: 0.5,
+            kp_n_m: 120.0,
+            kv_ns_m: 2.3,
+            friction: 0.6,
+            home_m: [0.0; 3],
+        };
+        let times: Vec<f64> = (0..40).map(|k| 0.01 * f64::from(k)).collect();
+        let speed = nalgebra::Vector3::new(0.1, 0.02, -0.01);
+        let push = FingerPush {
+            command_times_s: times.clone(),
+            commands: times.iter().map(|t| home + nalgebra::Vector3::new(0.1 * t, 0.01, 0.002)).collect(),
+            encoder: Some(EncoderTrack {
+                times_s: times.clone(),
+                positions: times.iter().map(|t| home + speed * *t).collect(),
+                velocities: vec![speed; times.len()],
+            }),
+            impedance,
+        };
+        let mut finger = Finger::new(&push).unwrap();
+        let share = 0.3;
+        finger.pull_across(share).unwrap();
+        let Reading { positions, velocities, commands, .. } = finger.reading.as_ref().unwrap();
+        for axis in [1, 2] {
+            let ActuatorKind::Position { kp, kv } = finger.arm.actuators[axis].kind else { panic!("no servo") };
+            assert!((kp / 120.0 - share).abs() < 1e-12 && (kv / 2.3 - share).abs() < 1e-12, "{kp} {kv}");
+            for k in 0..39 {
+                let (q, v) = ((positions[k][axis] + positions[k + 1][axis]) / 2.0, velocities[k][axis]);
+                let before = 120.0 * (commands[k][axis] - q) - (2.3 + 0.5) * v;
+                let after = kp * (finger.control.at(times[k])[axis] - q) - kv * v;
+                assert!((before - after).abs() < 1e-9, "axis {axis}, sample {k}: {before} {after}");
+            }
+        }
+    }
 
     /// A finger that follows a step of its command alone is a damped oscillator: x = c (1 - e^(-at) (cos wt + a/w sin wt)).
     #[test]

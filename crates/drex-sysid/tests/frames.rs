@@ -85,6 +85,7 @@ fn a_toppled_box_shows_up_lean_table_and_start_despite_faults() {
         let world = f.world_from_camera * view;
         assert!(world.translation.vector.norm() < 0.006 && world.rotation.angle() < 0.15, "seed {seed}: {world}");
         assert!(f.runner_up_odds < 0.05);
+        assert!(f.weights.iter().all(|w| (0.0..=1.0).contains(w)));
         let outliers =
             track.times_s().iter().zip(&f.weights).filter(|(t, _)| **t < start).filter(|(_, w)| **w < 0.2).count();
         assert!((1..=4).contains(&outliers), "seed {seed}: {outliers} outliers at rest");

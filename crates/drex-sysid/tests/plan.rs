@@ -106,6 +106,13 @@ fn a_push_by_a_known_force_scales_with_the_mass() {
         let p = over.iter().find(|p| p.push.kind == kind && p.refused.is_none()).unwrap();
         let (light, heavy) = (&p.outcomes[0], &p.outcomes[1]);
         assert!((heavy.peak_force_n / light.peak_force_n - 4.0).abs() < 1e-9);
+        let words = match kind {
+            PushKind::Lift => "lift at the centre of mass with a force that doubles every",
+            PushKind::Slide => "slide ",
+            _ => "tilt about the far edge ",
+        };
+        let peaks = format!("({:.2} N at 50 g to {:.2} N at 200 g)", light.peak_force_n, heavy.peak_force_n);
+        assert!(p.text.starts_with(words) && p.text.contains(&peaks), "{}", p.text);
         // The same push done with the heavy mass indeed has this peak, up to a sample of the force.
         let mut options = PlanOptions::default();
         options.friction = 0.5;

@@ -224,12 +224,14 @@ fn unusable_input_is_refused() {
     let mut short = push.clone();
     short.track = Trajectory::from_samples(&[0.0, 0.1], &[Pose::identity(); 2]).unwrap();
     assert!(matches!(identify(&[short], &block(), &options), Err(SysidError::TooFewPoses { poses: 2, .. })));
-    let mut bad = IdentifyOptions::default();
-    bad.scan_kg = [2.0, 0.02];
-    assert!(matches!(
-        identify(std::slice::from_ref(&push), &block(), &bad),
-        Err(SysidError::Option { option: "scan_kg", .. })
-    ));
+    for scan_kg in [[2.0, 0.02], [0.1, 0.1], [0.0, 1.0]] {
+        let mut bad = IdentifyOptions::default();
+        bad.scan_kg = scan_kg;
+        assert!(matches!(
+            identify(std::slice::from_ref(&push), &block(), &bad),
+            Err(SysidError::Option { option: "scan_kg", .. })
+        ));
+    }
     // A mesh in millimetres: it would start deep inside the table.
     let huge = ObjectModel::from_mesh(&box_mesh(Vector3::new(25.0, 30.0, 40.0), Vector3::zeros())).unwrap();
     assert!(identify(&[push], &huge, &options).is_err());
