@@ -336,5 +336,7 @@ mod tests {
         let held: Vec<f64> = white.iter().flat_map(|x| [*x; 5]).collect();
         let ratio = correlated_square(&held) / (5.0 * plain);
         assert!((3.5..6.5).contains(&ratio), "{ratio}");
+        // Lags 1 to 4 of eight numbers that are all alike.
+        assert_eq!(correlated_square(&[1.0; 8]), 8.0 + 2.0 * (7.0 + 6.0 + 5.0 + 4.0));
     }
 }

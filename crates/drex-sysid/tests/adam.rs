@@ -19,6 +19,9 @@ fn adam_finds_a_mass_from_its_guess_and_has_no_interval() {
     assert!((a.mass_kg.unwrap() / m - 1.0).abs() < 0.01, "{:?}", a.mass_kg);
     assert_eq!((a.verdict, a.ci95_kg, a.simulations), (Verdict::Identified, None, 401));
     assert!(a.reason.contains("No interval") && a.reason.contains("200 epochs"), "{}", a.reason);
+    let losses = a.reason.split("residuals from ").nth(1).unwrap().split(" (").next().unwrap();
+    let losses: Vec<f64> = losses.split(" to ").map(|x| x.parse().unwrap()).collect();
+    assert!(losses[0] > 10.0 * losses[1] && losses[1] < 0.5, "{}", a.reason);
     // The guess is where it starts: with five times the mass it is on its way for longer, and ends in the same place.
     push.mass_prior_kg = Some(5.0 * m);
     let a = identify(&[push], &block(), &options).unwrap();

@@ -121,6 +121,23 @@ fn a_tracker_of_the_middle_of_the_bounding_box_is_noticed() {
 }
 
 #[test]
+fn a_box_that_leaves_the_table_is_trusted_until_then() {
+    let h = [0.02, 0.035, 0.06];
+    let toppled = topple(h, 2.0);
+    let lifted = |(t, p): (&f64, &Pose)| Pose::translation(0.0, 0.0, (0.2 * (t - 2.3)).max(0.0)) * p;
+    let poses: Vec<Pose> = toppled.times_s().iter().zip(toppled.poses()).map(lifted).collect();
+    for (poses, leaves) in [(toppled.poses().to_vec(), false), (poses, true)] {
+        let track = Trajectory::from_samples(toppled.times_s(), &poses).unwrap().left_mul(&camera(3));
+        let track = spoilt(&track, 6, 0.0003, 0.003, false);
+        let mut options = FrameOptions::default();
+        options.world_from_camera = Some(camera(3).inverse());
+        let f = find(&track, &box_mesh(h.into(), Vector3::zeros()), &options).unwrap();
+        let off = f.remarks.iter().filter(|r| r.contains("mm off the table")).count();
+        assert_eq!(off, usize::from(leaves), "{:?}", f.remarks);
+    }
+}
+
+#[test]
 fn what_is_known_is_used() {
     let h = [0.03, 0.03, 0.05];
     let mesh = box_mesh(h.into(), Vector3::zeros());

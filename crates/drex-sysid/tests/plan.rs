@@ -168,6 +168,13 @@ fn a_rehearsed_fingertip_leaves_the_noise_of_its_encoder() {
     let mut options = PlanOptions::default();
     options.friction = 0.5;
     let done = push.push.rehearse(&block(), &rough(), &limits, &options, m, 3).unwrap();
+    let Drive::Finger(finger) = &done.drive else { panic!("no fingertip") };
+    let speed = push.push.speed_m_s.unwrap();
+    let steps = finger.commands.windows(2).zip(finger.command_times_s.windows(2));
+    let speeds: Vec<f64> = steps.map(|(c, t)| (c[1] - c[0]).norm() / (t[1] - t[0])).collect();
+    assert!(speeds[0] == 0.0, "it rests before it pushes");
+    let whole = speeds.iter().filter(|v| (*v / speed - 1.0).abs() < 1e-6).count();
+    assert!(whole > 10, "{whole} of {} steps at {speed} m/s", speeds.len());
     let found = identify(&[done], &block(), &IdentifyOptions::default()).unwrap();
     let rms = found.pushes[0].rms_encoder_m.unwrap();
     assert!((0.5e-4..2e-4).contains(&rms), "{rms} m of an encoder with 1e-4 m");

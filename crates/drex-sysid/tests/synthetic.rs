@@ -61,6 +61,7 @@ fn an_uncertain_force_makes_the_mass_as_uncertain() {
         let ci = a.ci95_kg.unwrap();
         let found = (ci[1] / ci[0]).ln() / (2.0 * 1.96);
         assert!((found / sd - 1.0).abs() < 0.15, "sd {found} of the mass with {sd} of the force");
+        assert!(!a.assumptions.iter().any(|s| s.contains("plays no part")), "{:?}", a.assumptions);
     }
 }
 
