@@ -175,7 +175,12 @@ fn a_rehearsed_fingertip_leaves_the_noise_of_its_encoder() {
     assert!(speeds[0] == 0.0, "it rests before it pushes");
     let whole = speeds.iter().filter(|v| (*v / speed - 1.0).abs() < 1e-6).count();
     assert!(whole > 10, "{whole} of {} steps at {speed} m/s", speeds.len());
-    let found = identify(&[done], &block(), &IdentifyOptions::default()).unwrap();
+    let found = identify(std::slice::from_ref(&done), &block(), &IdentifyOptions::default()).unwrap();
+    let (rms, noise) = (found.pushes[0].rms_position_m.unwrap(), done.noise.unwrap().position_m);
+    assert!(
+        (0.5..2.0).contains(&(rms / (3.0_f64.sqrt() * noise))),
+        "{rms} m of poses with {noise} m in each direction"
+    );
     let rms = found.pushes[0].rms_encoder_m.unwrap();
     assert!((0.5e-4..2e-4).contains(&rms), "{rms} m of an encoder with 1e-4 m");
 }
