@@ -175,6 +175,10 @@ fn a_rehearsed_fingertip_leaves_the_noise_of_its_encoder() {
     assert!(speeds[0] == 0.0, "it rests before it pushes");
     let whole = speeds.iter().filter(|v| (*v / speed - 1.0).abs() < 1e-6).count();
     assert!(whole > 10, "{whole} of {} steps at {speed} m/s", speeds.len());
+    // Once it leans far enough, the tip stays for a while and goes back half as fast again.
+    let back = speeds.iter().position(|v| (v / (1.5 * speed) - 1.0).abs() < 1e-6).unwrap();
+    let stays = speeds[..back].iter().rev().skip(1).take_while(|v| **v == 0.0).count();
+    assert!(stays > 3, "{stays} steps before it goes back");
     let found = identify(std::slice::from_ref(&done), &block(), &IdentifyOptions::default()).unwrap();
     let (rms, noise) = (found.pushes[0].rms_position_m.unwrap(), done.noise.unwrap().position_m);
     assert!(
