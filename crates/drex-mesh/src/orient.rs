@@ -1,7 +1,5 @@
 //! Which way faces and shells look.
 
-use std::sync::OnceLock;
-
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
@@ -124,20 +122,26 @@ fn bulge(mesh: &TriMesh, faces: &[usize], sign: impl Fn(usize) -> f64) -> f64 {
 
 /// For each shell the smallest closed shell that contains it.
 pub(crate) fn nesting(mesh: &TriMesh, shells: &[Shell]) -> Vec<Option<usize>> {
-    let trees: Vec<OnceLock<Bvh>> = shells.iter().map(|_| OnceLock::new()).collect();
-    (0..shells.len())
-        .into_par_iter()
-        .map(|i| {
-            (0..shells.len())
-                .filter(|&j| j != i && shells[j].closed && shells[j].bounds.contains(&shells[i].bounds))
-                .filter(|&j| shells[j].volume_m3.abs() > shells[i].volume_m3.abs() || !shells[i].closed)
-                .filter(|&j| {
-                    let tree = trees[j].get_or_init(|| Bvh::cut_over(mesh, shells[j].faces.clone()));
-                    lies_inside(mesh, &shells[i], tree)
-                })
-                .min_by(|&j, &k| shells[j].volume_m3.abs().total_cmp(&shells[k].volume_m3.abs()).then(j.cmp(&k)))
-        })
-        .collect()
+    let volume = |i: usize| shells[i].volume_m3.abs();
+    let mut closed: Vec<usize> = (0..shells.len()).filter(|&j| shells[j].closed).collect();
+    closed.sort_by(|&j, &k| volume(j).total_cmp(&volume(k)));
+    let mut parents = vec![None; shells.len()];
+    for j in closed {
+        let may_lie_inside = |&i: &usize| {
+            i != j
+                && parents[i].is_none()
+                && shells[j].bounds.contains(&shells[i].bounds)
+                && (volume(j) > volume(i) || !shells[i].closed)
+        };
+        let within: Vec<usize> = (0..shells.len()).into_par_iter().filter(may_lie_inside).collect();
+        if within.is_empty() {
+            continue;
+        }
+        let tree = Bvh::cut_over(mesh, shells[j].faces.clone());
+        let inside: Vec<usize> = within.into_par_iter().filter(|&i| lies_inside(mesh, &shells[i], &tree)).collect();
+        inside.into_iter().for_each(|i| parents[i] = Some(j));
+    }
+    parents
 }
 
 /// Whether up to 16 points of shell `a`, spread over its faces, all lie inside the closed shell of the tree.

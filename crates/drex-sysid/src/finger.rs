@@ -194,11 +194,8 @@ mod tests {
     use drex_core::push::EncoderTrack;
     use drex_diffsim::{Model, Scene, State, rollout};
 
-    /// The servos across the push exert where the tip was read what they exerted in the push.
-    #[test]
-    fn what_is_pulled_across_exerts_the_same_force() {
-        let home = Point3::origin();
-        let impedance = FingerImpedance {
+    fn impedance(home_m: [f64; 3]) -> FingerImpedance {
+        FingerImpedance {
             radius_m: 0.01,
             mass_kg: 0.04,
             armature_kg: 0.02,
@@ -206,8 +203,15 @@ mod tests {
             kp_n_m: 120.0,
             kv_ns_m: 2.3,
             friction: 0.6,
-            home_m: [0.0; 3],
-        };
+            home_m,
+        }
+    }
+
+    /// The servos across the push exert where the tip was read what they exerted in the push.
+    #[test]
+    fn what_is_pulled_across_exerts_the_same_force() {
+        let home = Point3::origin();
+        let impedance = impedance([0.0; 3]);
         let times: Vec<f64> = (0..40).map(|k| 0.01 * f64::from(k)).collect();
         let speed = nalgebra::Vector3::new(0.1, 0.02, -0.01);
         let push = FingerPush {
@@ -239,16 +243,7 @@ mod tests {
     /// A finger that follows a step of its command alone is a damped oscillator: x = c (1 - e^(-at) (cos wt + a/w sin wt)).
     #[test]
     fn alone_it_is_a_damped_oscillator_that_gravity_does_not_see() {
-        let impedance = FingerImpedance {
-            radius_m: 0.01,
-            mass_kg: 0.04,
-            armature_kg: 0.02,
-            damping_ns_m: 0.5,
-            kp_n_m: 120.0,
-            kv_ns_m: 2.3,
-            friction: 0.6,
-            home_m: [0.1, -0.2, 0.3],
-        };
+        let impedance = impedance([0.1, -0.2, 0.3]);
         let home = Point3::from(impedance.home_m);
         let push = FingerPush {
             command_times_s: vec![0.0, 0.05],

@@ -158,9 +158,9 @@ fn an_overhang_is_used_where_there_is_a_step() {
     assert!(beyond > 0.01, "{beyond}");
 }
 
-/// The residuals of an encoder are its noise; a fingertip that yields weighs.
+/// The residuals of poses and encoder are their noise, and the commands are those of the plan.
 #[test]
-fn a_rehearsed_fingertip_leaves_the_noise_of_its_encoder() {
+fn a_simulated_push_of_a_fingertip_leaves_the_noise_of_its_encoder() {
     let limits = robot(None, Some(finger(150.0)));
     let m = 0.17;
     let pushes = plan(&limits, &rough(), [m; 2], 1);

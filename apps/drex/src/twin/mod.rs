@@ -235,8 +235,13 @@ impl Twin {
             let outputs =
                 self.make(stage, ui).with_context(|| format!("stage {} of {}", stage.name(), self.root.display()))?;
             let seconds = begun.elapsed().as_secs_f64();
-            for file in self.lock.record(stage.name(), inputs, self.seed, &outputs)? {
-                ui.note(format!("{:>10}  removed {file}: an earlier run made it, this one does not", "note"));
+            let removed = self.lock.record(stage.name(), inputs, self.seed, &outputs)?;
+            if !removed.is_empty() {
+                ui.note(format!(
+                    "{:>10}  removed what an earlier run made and this one did not: {}",
+                    "note",
+                    some_of(&removed)
+                ));
             }
             let parts = self.parts.take();
             timings::record(&self.root, stage.name(), Timing { parts, ..Timing::of(seconds) })?;
@@ -350,6 +355,14 @@ impl Twin {
             None => Ok(inputs),
         }
     }
+}
+
+/// The first names of a list, and how many more there are.
+fn some_of(names: &[String]) -> String {
+    const SHOWN: usize = 3;
+    let more = names.len().saturating_sub(SHOWN);
+    let shown = names.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
+    if more > 0 { format!("{shown} and {more} more") } else { shown }
 }
 
 /// Every file that a push is read from.
