@@ -13,7 +13,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+mod sources;
+
 use drex_tests::workspace_root;
+use sources::{is_test, leaves, parse, plain};
 use syn::visit::{self, Visit};
 
 /// Crates whose types anybody may meet in our interfaces.
@@ -44,7 +47,7 @@ struct Module {
 /// Reads the modules of a crate from `src/lib.rs` on, those of tests left out.
 fn modules(src: &Path) -> Vec<Module> {
     let mut out = Vec::new();
-    let root = syn::parse_file(&std::fs::read_to_string(src.join("lib.rs")).unwrap()).unwrap();
+    let root = parse(&src.join("lib.rs"));
     collect(root.items, String::new(), src.to_path_buf(), true, &mut out);
     out
 }
@@ -68,7 +71,7 @@ fn collect(items: Vec<syn::Item>, path: String, folder: PathBuf, public: bool, o
             None => {
                 let file = [folder.join(format!("{name}.rs")), below.join("mod.rs")].into_iter().find(|f| f.is_file());
                 let file = file.unwrap_or_else(|| panic!("no file for module {inner} in {}", folder.display()));
-                syn::parse_file(&std::fs::read_to_string(&file).unwrap()).unwrap().items
+                parse(&file).items
             }
         };
         collect(items, inner, below, public, out);
@@ -76,36 +79,8 @@ fn collect(items: Vec<syn::Item>, path: String, folder: PathBuf, public: bool, o
     out.push(Module { path, public, items: own });
 }
 
-/// An identifier without the `r#` of a keyword.
-fn plain(ident: &syn::Ident) -> String {
-    ident.to_string().trim_start_matches("r#").to_owned()
-}
-
 fn is_public(vis: &syn::Visibility) -> bool {
     matches!(vis, syn::Visibility::Public(_))
-}
-
-/// `#[cfg(test)]` and `#[cfg(doctest)]`.
-fn is_test(attributes: &[syn::Attribute]) -> bool {
-    attributes.iter().any(|a| {
-        a.path().is_ident("cfg")
-            && a.parse_args::<syn::Path>().is_ok_and(|p| p.is_ident("test") || p.is_ident("doctest"))
-    })
-}
-
-/// The leaves of a `use`: the name it gives and the path it leads to; a glob gives `*`.
-fn leaves(tree: &syn::UseTree, before: &[String], out: &mut Vec<(String, Vec<String>)>) {
-    let with = |ident: &syn::Ident| before.iter().cloned().chain([plain(ident)]).collect::<Vec<_>>();
-    match tree {
-        syn::UseTree::Path(p) => leaves(&p.tree, &with(&p.ident), out),
-        syn::UseTree::Name(n) if n.ident == "self" => {
-            out.push((before.last().cloned().unwrap_or_default(), before.to_vec()));
-        }
-        syn::UseTree::Name(n) => out.push((plain(&n.ident), with(&n.ident))),
-        syn::UseTree::Rename(r) => out.push((plain(&r.rename), with(&r.ident))),
-        syn::UseTree::Glob(_) => out.push(("*".into(), before.to_vec())),
-        syn::UseTree::Group(g) => g.items.iter().for_each(|t| leaves(t, before, out)),
-    }
 }
 
 /// Looks for foreign names in whatever it is shown.
