@@ -3,17 +3,25 @@
 
 use std::path::{Path, PathBuf};
 
+use syn::punctuated::Punctuated;
+
 /// An identifier without the `r#` of a keyword.
 pub fn plain(ident: &syn::Ident) -> String {
     ident.to_string().trim_start_matches("r#").to_owned()
 }
 
-/// `#[cfg(test)]`, `#[cfg(doctest)]` and `#[test]`.
+/// `#[cfg(test)]`, `#[cfg(all(test, …))]`, `#[cfg(doctest)]` and `#[test]`.
 pub fn is_test(attributes: &[syn::Attribute]) -> bool {
+    let only_tests = |condition: &syn::Meta| {
+        let is = |m: &syn::Meta| m.path().is_ident("test") || m.path().is_ident("doctest");
+        is(condition)
+            || matches!(condition, syn::Meta::List(list) if list.path.is_ident("all")
+                && list.parse_args_with(Punctuated::<syn::Meta, syn::Token![,]>::parse_terminated)
+                    .is_ok_and(|all| all.iter().any(is)))
+    };
     attributes.iter().any(|a| {
         a.path().is_ident("test")
-            || a.path().is_ident("cfg")
-                && a.parse_args::<syn::Path>().is_ok_and(|p| p.is_ident("test") || p.is_ident("doctest"))
+            || a.path().is_ident("cfg") && a.parse_args::<syn::Meta>().is_ok_and(|condition| only_tests(&condition))
     })
 }
 
