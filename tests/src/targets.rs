@@ -8,9 +8,10 @@ use drex_core::clock::Clock;
 use drex_core::push::PushConfig;
 use drex_core::readers::BopSelection;
 use drex_core::{fsutil, mesh, readers, twin};
+use drex_demo::{Demonstration, LoadOptions, ManoModel};
 use drex_hw::allegro::{self, AllegroVersion};
 use drex_hw::{can, dynamixel};
-use drex_retarget::{Demonstration, LoadOptions, ManoModel, TargetHand};
+use drex_retarget::TargetHand;
 use drex_robot::Robot;
 use drex_splat::{Capture, CaptureOptions, Kind};
 use nalgebra::Point3;
@@ -206,7 +207,7 @@ fn demo(name: &str, data: &[u8]) {
 
 fn points(data: &[u8]) {
     for name in ["p.obj", "p.ply", "p.npy", "p.xyz"] {
-        let _ = black_box(drex_retarget::parse_points(Path::new(name), data));
+        let _ = black_box(drex_demo::parse_points(Path::new(name), data));
     }
 }
 

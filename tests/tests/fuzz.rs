@@ -122,10 +122,10 @@ fn seeds_are_read() {
     }
     for (i, bytes) in seeds::demo_json().iter().chain(&seeds::demo_npz()).enumerate() {
         let name = if i < 3 { "d.json" } else { "d.npz" };
-        drex_retarget::Demonstration::parse(Path::new(name), bytes, &Default::default()).unwrap();
+        drex_demo::Demonstration::parse(Path::new(name), bytes, &Default::default()).unwrap();
     }
-    drex_retarget::Demonstration::parse(Path::new("d.csv"), &first(seeds::demo_csv()), &Default::default()).unwrap();
-    drex_retarget::ManoModel::parse_npz(Path::new("m.npz"), &first(seeds::mano_npz())).unwrap();
+    drex_demo::Demonstration::parse(Path::new("d.csv"), &first(seeds::demo_csv()), &Default::default()).unwrap();
+    drex_demo::ManoModel::parse_npz(Path::new("m.npz"), &first(seeds::mano_npz())).unwrap();
     for bytes in seeds::spz() {
         assert_eq!(drex_splat::io::spz::parse(Path::new("a.spz"), &bytes, drex_splat::Kind::Surfel).unwrap().len(), 3);
     }

@@ -34,8 +34,7 @@ fn what_unpacks_to_a_thousand_times_its_size_is_refused() {
     assert!(most < 1 << 20, "{most}");
 
     let bomb = hostile::zip_bomb(200 << 20);
-    let (message, most) =
-        refused(|| drex_retarget::Demonstration::parse(Path::new("d.npz"), &bomb, &Default::default()));
+    let (message, most) = refused(|| drex_demo::Demonstration::parse(Path::new("d.npz"), &bomb, &Default::default()));
     assert!(message.contains("compressed bytes") && message.contains("--max-memory"), "{message}");
     assert!(most < 200 << 20, "{most}");
 }

@@ -10,9 +10,8 @@ use std::process::{Command, Stdio};
 
 use common::{drex, shared_data};
 use drex_core::Pose;
-use drex_retarget::{
-    Demonstration, FingerAngles, HandFrame, HandSkeleton, Objective, RetargetOptions, Scale, Side, TargetHand, retarget,
-};
+use drex_demo::{Demonstration, FingerAngles, HandFrame, HandSkeleton, Side};
+use drex_retarget::{Objective, RetargetOptions, Scale, TargetHand, retarget};
 use serde_json::Value;
 
 fn made_up(folder: &Path, side: Side, frames: usize) -> (PathBuf, Demonstration) {

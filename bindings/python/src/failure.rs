@@ -89,11 +89,11 @@ impl From<drex_robot::Error> for Failure {
     }
 }
 
-impl From<drex_retarget::RetargetError> for Failure {
-    fn from(error: drex_retarget::RetargetError) -> Self {
+impl From<drex_retarget::Error> for Failure {
+    fn from(error: drex_retarget::Error) -> Self {
         match error {
-            drex_retarget::RetargetError::File(inner) => inner.into(),
-            drex_retarget::RetargetError::Robot(inner) => inner.into(),
+            drex_retarget::Error::Core(inner) => inner.into(),
+            drex_retarget::Error::Robot(inner) => inner.into(),
             other => Self::Refused(other.to_string()),
         }
     }

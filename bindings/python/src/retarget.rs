@@ -2,10 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use drex_retarget::{
-    DemoUnit, Demonstration, HandFrame, HumanFinger, KEYPOINTS, KeyPointOrder, KeyPoints, LoadOptions, Objective,
-    RetargetOptions, RetargetedFrame, Scale, Side, TargetHand,
-};
+use drex_demo::{DemoUnit, Demonstration, HandFrame, HumanFinger, KEYPOINTS, KeyPointOrder, KeyPoints, LoadOptions, Side};
+use drex_retarget::{Objective, RetargetOptions, RetargetedFrame, Scale, TargetHand};
 use nalgebra::Point3;
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;

@@ -7,7 +7,8 @@ mod support;
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use drex_retarget::{HandSkeleton, Objective, RetargetOptions, Retargeter, Side, TargetHand, retarget};
+use drex_demo::{HandSkeleton, Side};
+use drex_retarget::{Objective, RetargetOptions, Retargeter, TargetHand, retarget};
 use support::HANDS;
 
 fn frames(c: &mut Criterion) {

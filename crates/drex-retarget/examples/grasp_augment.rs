@@ -10,7 +10,8 @@ mod object;
 use std::path::Path;
 use std::time::Instant;
 
-use drex_retarget::{AugmentOptions, Demonstration, GraspOptions, LoadOptions, TargetHand, augment, retarget_grasp};
+use drex_demo::{Demonstration, LoadOptions};
+use drex_retarget::{AugmentOptions, GraspOptions, TargetHand, augment, retarget_grasp};
 use object::Object;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

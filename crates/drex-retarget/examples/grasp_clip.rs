@@ -10,9 +10,8 @@ mod object;
 
 use std::path::Path;
 
-use drex_retarget::{
-    Demonstration, FingerContact, GraspFrame, GraspOptions, LoadOptions, TargetHand, Verdict, retarget_grasp,
-};
+use drex_demo::{Demonstration, LoadOptions};
+use drex_retarget::{FingerContact, GraspFrame, GraspOptions, TargetHand, Verdict, retarget_grasp};
 use object::Object;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

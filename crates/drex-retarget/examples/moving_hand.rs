@@ -8,7 +8,8 @@
 
 use std::time::Instant;
 
-use drex_retarget::{HandSkeleton, Objective, RetargetOptions, Side, TargetHand, retarget};
+use drex_demo::{HandSkeleton, Side};
+use drex_retarget::{Objective, RetargetOptions, TargetHand, retarget};
 
 fn main() {
     if let Err(e) = run() {

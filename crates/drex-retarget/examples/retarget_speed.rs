@@ -11,7 +11,8 @@
 use std::path::Path;
 use std::time::Instant;
 
-use drex_retarget::{HandFrame, KEYPOINTS, Objective, RetargetOptions, Retargeter, Scale, TargetHand};
+use drex_demo::{HandFrame, KEYPOINTS};
+use drex_retarget::{Objective, RetargetOptions, Retargeter, Scale, TargetHand};
 use nalgebra::Point3;
 use serde_json::{Value, json};
 

@@ -9,7 +9,8 @@
 
 use std::io::BufRead;
 
-use drex_retarget::{HandFrame, Objective, RetargetOptions, Retargeter, TargetHand};
+use drex_demo::HandFrame;
+use drex_retarget::{Objective, RetargetOptions, Retargeter, TargetHand};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut args = std::env::args().skip(1);

@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use crate::grasp::{GraspHand, GraspOptions, GraspRetargeting, Judged, State, judged, single};
-use crate::{GraspFrame, ObjectSurface, Result, RetargetError, TargetHand};
+use crate::{Error, GraspFrame, ObjectSurface, Result, TargetHand};
 pub use symmetry::symmetries;
 
 /// How grasps are varied.
@@ -108,7 +108,7 @@ pub fn augment(
         .filter(|&i| clip.frames[i].is_accepted() && (clip.frames[i].force_closure || !options.force_closure))
         .collect();
     if sources.is_empty() {
-        return Err(RetargetError::value(
+        return Err(Error::value(
             "no frame of the clip holds the object by the rules",
             "look at the verdicts of its frames, or loosen the limits",
         ));
@@ -194,7 +194,7 @@ fn check(options: &AugmentOptions) -> Result<()> {
     if all.iter().all(|v| *v >= 0.0 && v.is_finite()) {
         return Ok(());
     }
-    Err(RetargetError::value(
+    Err(Error::value(
         format!("noise and tolerance of the augmentation are {all:?}"),
         "give lengths and angles of zero or more",
     ))

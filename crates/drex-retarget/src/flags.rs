@@ -1,6 +1,6 @@
 //! What is wrong with a frame, seen from the frame and those before it.
 
-use crate::{Flag, KEYPOINTS, KeyPoints, hand_length_m};
+use drex_demo::{Flag, KEYPOINTS, KeyPoints, hand_length_m};
 
 /// Key points farther than this from the origin are no measurement, m.
 const FARTHEST_M: f64 = 1e6;

@@ -20,10 +20,8 @@ use drex_core::Pose;
 use nalgebra::{Unit, Vector3};
 use rayon::prelude::*;
 
-use crate::{
-    Demonstration, Flag, ObjectSurface, Result, RetargetError, RetargetOptions, Retargeting, TargetHand, Verdict,
-    retarget,
-};
+use crate::{Error, ObjectSurface, Result, RetargetOptions, Retargeting, TargetHand, Verdict, retarget};
+use drex_demo::{Demonstration, Flag};
 pub(crate) use hand::GraspHand;
 pub use judge::{FingerContact, GraspFrame, SelfCollision};
 pub(crate) use judge::{Judged, judged};
@@ -152,10 +150,10 @@ fn check(options: &GraspOptions) -> Result<()> {
         ("force_gap_m", options.force_gap_m),
     ];
     if let Some((name, value)) = lengths.iter().find(|(_, v)| !(*v >= 0.0)) {
-        return Err(RetargetError::value(format!("{name} is {value}"), "give zero or more"));
+        return Err(Error::value(format!("{name} is {value}"), "give zero or more"));
     }
     if !(options.max_joint_speed > 0.0) {
-        return Err(RetargetError::value(
+        return Err(Error::value(
             format!("max_joint_speed is {}", options.max_joint_speed),
             "give the speed of the slowest motor, rad/s",
         ));
@@ -178,7 +176,7 @@ fn object_poses(demo: &Demonstration, flags: &mut [Vec<Flag>]) -> Result<Vec<Pos
     let seen: Vec<(usize, Pose)> =
         demo.frames.iter().enumerate().filter_map(|(t, f)| Some((t, f.source_from_object?))).collect();
     let (Some(first), Some(last)) = (seen.first(), seen.last()) else {
-        return Err(RetargetError::value(
+        return Err(Error::value(
             format!("no frame of {} has a pose of the object", demo.source),
             "the grasp objective needs them: give object poses, or use the vector objective",
         ));

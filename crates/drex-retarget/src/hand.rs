@@ -12,7 +12,8 @@ use drex_core::Pose;
 use drex_robot::{MirrorPlane, Robot};
 use nalgebra::Point3;
 
-use crate::{HumanFinger, Result, Side};
+use crate::Result;
+use drex_demo::{HumanFinger, Side};
 use mapping::Mapping;
 
 /// A robot with a person's hand mapped onto it.
@@ -23,7 +24,7 @@ pub struct TargetHand {
     pub robot: Robot,
     /// Which hand the model is.
     pub side: Side,
-    /// Operator frame of the hand (see [`crate::operator_frame`]) in the frame of the robot's base, m.
+    /// Operator frame of the hand (see [`drex_demo::operator_frame`]) in the frame of the robot's base, m.
     pub base_from_operator: Pose,
     /// The fingers that have a human counterpart, thumb first.
     pub fingers: Vec<TargetFinger>,

@@ -1,7 +1,8 @@
 //! Hand poses of people and other hands for a robot hand, aware of the object.
 //!
 //! ```
-//! use drex_retarget::{HandSkeleton, RetargetOptions, Side, TargetHand, retarget};
+//! use drex_demo::{HandSkeleton, Side};
+//! use drex_retarget::{RetargetOptions, TargetHand, retarget};
 //!
 //! # fn main() -> drex_retarget::Result<()> {
 //! let person = HandSkeleton::new(Side::Left).moving(30);
@@ -13,7 +14,7 @@
 //!
 //! # Conventions
 //! Poses are `a_from_b`: of b in a, metres. Joint vectors are in the model's order, rad. Key points are in the order of
-//! MediaPipe. The operator frame of a hand ([`operator_frame`]) has its origin at the wrist, x out of the palm and z to the
+//! MediaPipe. The operator frame of a hand ([`drex_demo::operator_frame`]) has its origin at the wrist, x out of the palm and z to the
 //! fingertips. The table is a plane in the object's frame that also says which way is up.
 //!
 //! # Mapping files
@@ -33,45 +34,25 @@
 extern crate self as drex_retarget;
 
 mod augment;
-mod demo;
-mod detect;
 mod error;
 mod flags;
 mod grasp;
 mod hand;
-mod keypoints;
 mod kinematics;
 mod objective;
 mod person;
-mod register;
 mod result;
 mod retarget;
 mod scale;
-mod skeleton;
 mod solve;
 mod wrist_fit;
 
 pub use augment::{AugmentOptions, Augmentation, AugmentedGrasp, augment, symmetries};
-pub use demo::{
-    CropCamera, DemoUnit, Demonstration, FrameCheck, HandFrame, HandPose, InputReport, KeyPointOrder, LoadOptions,
-    ManoModel, ManoPose, crop_to_full,
-};
-pub use detect::{ExternalDetector, HAMER_SCRIPT, HandDetector, MEDIAPIPE_SCRIPT, MediaPipe};
-pub use drex_grasp::TablePlane;
-pub use error::{Result, RetargetError};
+pub use error::{Error, Result};
 pub use grasp::{FingerContact, GraspFrame, GraspOptions, GraspRetargeting, SelfCollision, retarget_grasp};
 pub use hand::{LinkPoint, TargetFinger, TargetHand};
-pub use keypoints::{
-    FrameError, HumanFinger, KEYPOINTS, KeyPoints, Side, canonical, hand_length_m, mirrored, operator_frame,
-    transformed,
-};
-pub use register::{
-    Placement, RegisterOptions, Registration, RegistrationSummary, parse_points, read_point_frames, read_points,
-    register, register_clip,
-};
-pub use result::{FingerResidual, Flag, Objective, RetargetedFrame, Retargeting, ScaleReport};
+pub use result::{FingerResidual, Objective, RetargetedFrame, Retargeting, ScaleReport};
 pub use retarget::{RetargetOptions, Retargeter, Scale, retarget};
-pub use skeleton::{FingerAngles, HandSkeleton};
 pub use wrist_fit::{FingerGap, ObjectSurface, Rejection, Verdict, WristFit, WristFitOptions, fit_wrist, fit_wrists};
 
 #[cfg(doctest)]

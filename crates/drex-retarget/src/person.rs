@@ -4,7 +4,7 @@ use drex_core::Pose;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use crate::flags::clean;
-use crate::{FrameError, HandFrame, HumanFinger, KeyPoints, Side, canonical, operator_frame};
+use drex_demo::{FrameError, HandFrame, HumanFinger, KeyPoints, Side, canonical, operator_frame};
 
 /// Medians over the frames seen so far.
 #[derive(Debug, Clone)]

@@ -3,7 +3,7 @@
 use drex_core::Pose;
 use serde::{Deserialize, Serialize};
 
-use crate::HumanFinger;
+use drex_demo::{Flag, HumanFinger};
 
 /// What is made small; the names are those of dex-retargeting.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -92,43 +92,4 @@ pub struct FingerResidual {
     pub finger: HumanFinger,
     /// Distance, mm; `None` where the person's fingertip was not seen.
     pub residual_mm: Option<f64>,
-}
-
-/// Why a frame is not to be trusted.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[non_exhaustive]
-#[serde(tag = "flag", rename_all = "snake_case")]
-pub enum Flag {
-    /// The key points define no hand: the previous joint vector is repeated.
-    NoHand {
-        /// Why.
-        reason: String,
-    },
-    /// Key points are missing; the rest was used.
-    MissingPoints {
-        /// How many.
-        count: usize,
-    },
-    /// The hand jumped since the frame before.
-    Jump {
-        /// Largest movement of a wrist-centred key point, mm.
-        distance_mm: f64,
-    },
-    /// The frame does not come after the one before.
-    Time {
-        /// Time since the frame before, s.
-        step_s: f64,
-    },
-    /// The object's pose is missing: that on the way between the frames around was taken.
-    ObjectNotSeen,
-    /// The object is not where the hand is: another frame, or a lost track.
-    FarFromObject {
-        /// Distance from the wrist to the origin of the object's mesh, mm.
-        distance_mm: f64,
-    },
-    /// The lengths of the bones are not those of the rest of the clip.
-    BoneLength {
-        /// Hand length over the clip's median.
-        ratio: f64,
-    },
 }

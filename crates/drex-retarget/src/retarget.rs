@@ -11,7 +11,8 @@ pub use stream::Retargeter;
 
 use crate::person::Person;
 use crate::scale::refined;
-use crate::{Demonstration, Objective, Result, RetargetError, Retargeting, TargetHand};
+use crate::{Error, Objective, Result, Retargeting, TargetHand};
+use drex_demo::Demonstration;
 
 /// The factor on the person's vectors.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -55,7 +56,7 @@ impl RetargetOptions {
     }
 
     fn check(&self) -> Result<()> {
-        let wrong = |what: String, remedy| Err(RetargetError::value(what, remedy));
+        let wrong = |what: String, remedy| Err(Error::value(what, remedy));
         if let Scale::Fixed(s) = self.scale
             && !(s > 0.0 && s.is_finite())
         {
@@ -87,7 +88,7 @@ impl Default for RetargetOptions {
 /// As [`Retargeter::new`]; if the demonstration is of the other hand; if the automatic scale finds no frame to measure.
 pub fn retarget(demonstration: &Demonstration, hand: &TargetHand, options: &RetargetOptions) -> Result<Retargeting> {
     if demonstration.side != hand.side {
-        return Err(RetargetError::value(
+        return Err(Error::value(
             format!(
                 "{}: a {} hand cannot be retargeted to \"{}\", a {} hand",
                 demonstration.source,
@@ -104,7 +105,7 @@ pub fn retarget(demonstration: &Demonstration, hand: &TargetHand, options: &Reta
         retargeter.refinement = refined(&retargeter, &demonstration.frames)?;
     }
     let Some(scale) = retargeter.scale() else {
-        return Err(RetargetError::value(
+        return Err(Error::value(
             format!("{}: no frame shows a finger from wrist to tip", demonstration.source),
             "give the scale as a number, or repair the key points",
         ));

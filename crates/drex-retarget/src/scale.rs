@@ -6,7 +6,8 @@ use crate::hand::TargetHand;
 use crate::kinematics::Chains;
 use crate::objective::{FrameProblem, Loss, Term};
 use crate::solve::{EXACT, Newton, Problem, State, Unknowns};
-use crate::{HandFrame, HumanFinger, Result, Retargeter};
+use crate::{Result, Retargeter};
+use drex_demo::{HandFrame, HumanFinger};
 
 /// Hand length to which a person is brought before `dexpilot` measures its pinches, where the scale is automatic, m: about that
 /// of an adult, so that its thresholds keep their meaning whatever the unit and size of the recording.

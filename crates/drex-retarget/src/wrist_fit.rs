@@ -20,7 +20,7 @@ use nalgebra::Point3;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::{Result, RetargetError};
+use crate::{Error, Result};
 pub(crate) use hand::HandModel;
 
 /// The object, in its own frame.
@@ -272,9 +272,7 @@ pub fn fit_wrists(
         .enumerate()
         .map(|(row, joints)| {
             fit_one(&hand, joints, object, table, options).map_err(|e| match e {
-                RetargetError::Joints { what, remedy } => {
-                    RetargetError::Joints { what: format!("row {row}: {what}"), remedy }
-                }
+                Error::Joints { what, remedy } => Error::Joints { what: format!("row {row}: {what}"), remedy },
                 other => other,
             })
         })
@@ -307,7 +305,7 @@ fn fit_one(
         }
     }
     // There is a start whenever options are valid, and they were checked when the hand was made.
-    best.map(|b| b.fit).ok_or_else(|| RetargetError::value("no start was tried", "give starts and kept of one or more"))
+    best.map(|b| b.fit).ok_or_else(|| Error::value("no start was tried", "give starts and kept of one or more"))
 }
 
 /// Sorts by cost, ties by order, and keeps the first `n`.

@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use drex_core::{Pose, TriMesh};
+use drex_demo::{Demonstration, HandFrame, KEYPOINTS, KeyPoints, LoadOptions, transformed};
 use drex_mesh::{GridOptions, GridSdf, MeshSdf, convex_hull, read_mesh, solid_properties};
 use drex_retarget::*;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -230,7 +231,7 @@ fn an_object_that_is_hidden_for_a_while_moves_on_between() {
     hidden.iter().for_each(|&t| demo.frames[t].source_from_object = None);
     let clip = retarget_grasp(&demo, &target, &thing.surface(), &GraspOptions::default()).unwrap();
     for (t, (a, b)) in clip.frames.iter().zip(&whole.frames).enumerate() {
-        assert_eq!(a.flags.contains(&drex_retarget::Flag::ObjectNotSeen), hidden.contains(&t));
+        assert_eq!(a.flags.contains(&drex_demo::Flag::ObjectNotSeen), hidden.contains(&t));
         assert_eq!(a.held, b.held, "frame {t}");
     }
 }

@@ -6,7 +6,8 @@ mod made_hand;
 use std::path::Path;
 
 use drex_core::Pose;
-use drex_retarget::{HandSkeleton, HumanFinger, Objective, RetargetOptions, Side, TargetHand, retarget};
+use drex_demo::{HandSkeleton, HumanFinger, Side};
+use drex_retarget::{Objective, RetargetOptions, TargetHand, retarget};
 use drex_robot::Robot;
 use made_hand::{BONES, Synthetic, points, shared, zero};
 use nalgebra::{Isometry3, Point3, Vector3};

@@ -5,7 +5,8 @@ mod made_hand;
 
 use std::path::Path;
 
-use drex_retarget::{Side, TargetHand};
+use drex_demo::Side;
+use drex_retarget::TargetHand;
 use drex_robot::Robot;
 use made_hand::{Synthetic, points, shared};
 use nalgebra::Vector3;

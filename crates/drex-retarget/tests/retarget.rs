@@ -3,9 +3,9 @@
 
 mod support;
 
+use drex_demo::{Demonstration, Flag, HandFrame, HandSkeleton, KEYPOINTS, Side, mirrored, transformed};
 use drex_retarget::{
-    Demonstration, Flag, HandFrame, HandSkeleton, KEYPOINTS, Objective, RetargetOptions, RetargetedFrame, Retargeter,
-    Retargeting, Scale, Side, TargetHand, mirrored, retarget, transformed,
+    Objective, RetargetOptions, RetargetedFrame, Retargeter, Retargeting, Scale, TargetHand, retarget,
 };
 use drex_robot::Mimic;
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};

@@ -2,9 +2,8 @@
 #![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 use drex_core::{SdfSample, SignedDistance};
-use drex_retarget::{
-    ObjectSurface, Rejection, RetargetError, TablePlane, Verdict, WristFit, WristFitOptions, fit_wrist, fit_wrists,
-};
+use drex_grasp::TablePlane;
+use drex_retarget::{Error, ObjectSurface, Rejection, Verdict, WristFit, WristFitOptions, fit_wrist, fit_wrists};
 use drex_robot::Robot;
 use nalgebra::{Point3, Vector3};
 
@@ -188,10 +187,10 @@ fn bad_input_is_refused_by_name() {
     nan[3] = f64::NAN;
     let message = fit(&[half_closed(&robot), nan], &quick()).unwrap_err().to_string();
     assert!(message.contains("row 1") && message.contains(&robot.joints[3].name), "{message}");
-    assert!(matches!(fit(&[vec![0.0; 3]], &quick()), Err(RetargetError::Joints { .. })));
+    assert!(matches!(fit(&[vec![0.0; 3]], &quick()), Err(Error::Joints { .. })));
     let mut options = quick();
     options.starts = 0;
-    assert!(matches!(fit(&[half_closed(&robot)], &options), Err(RetargetError::Value { .. })));
+    assert!(matches!(fit(&[half_closed(&robot)], &options), Err(Error::Core(_))));
     options = quick();
     options.min_fingers = 9;
     assert!(fit(&[], &options).is_err());

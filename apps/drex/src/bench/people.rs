@@ -7,11 +7,10 @@
 
 use anyhow::{Context, Result};
 use drex_core::{Pose, Surface};
+use drex_demo::{Demonstration, HandFrame};
 use drex_grasp::{ContactOptions, HandSurface};
 use drex_mesh::sample_surface;
-use drex_retarget::{
-    AugmentOptions, Demonstration, GraspFrame, GraspOptions, HandFrame, TargetHand, augment, retarget_grasp,
-};
+use drex_retarget::{AugmentOptions, GraspFrame, GraspOptions, TargetHand, augment, retarget_grasp};
 use nalgebra::{Point3, Rotation3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -2,7 +2,8 @@
 
 use anyhow::{Result, bail};
 use drex_core::Pose;
-use drex_retarget::{HumanFinger, KEYPOINTS, KeyPoints, TargetHand};
+use drex_demo::{HumanFinger, KEYPOINTS, KeyPoints};
+use drex_retarget::TargetHand;
 use drex_robot::{Finger, Robot};
 use nalgebra::{Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};

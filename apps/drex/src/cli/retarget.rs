@@ -4,8 +4,9 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use drex_demo::{DemoUnit, KeyPointOrder, Side};
 use drex_mesh::LengthUnit;
-use drex_retarget::{DemoUnit, KeyPointOrder, Objective, Scale, Side};
+use drex_retarget::{Objective, Scale};
 
 use super::{direction, positive};
 

@@ -4,7 +4,7 @@ use std::ffi::OsString;
 use std::time::Duration;
 
 use anyhow::{Result, bail};
-use drex_retarget::{ExternalDetector, HandDetector, MediaPipe};
+use drex_demo::{ExternalDetector, HandDetector, MediaPipe};
 use serde_json::json;
 
 use super::retarget::load_options;

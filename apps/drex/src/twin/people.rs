@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use drex_core::Pose;
 use drex_core::twin::GraspsConfig;
+use drex_demo::{Demonstration, LoadOptions};
 use drex_grasp::{HandSurface, squeeze_per_weight};
 use drex_retarget::{
-    AugmentOptions, Augmentation, Demonstration, GraspFrame, GraspOptions, GraspRetargeting, LoadOptions, Rejection,
-    TargetHand, Verdict, augment, retarget_grasp,
+    AugmentOptions, Augmentation, GraspFrame, GraspOptions, GraspRetargeting, Rejection, TargetHand, Verdict, augment,
+    retarget_grasp,
 };
 use nalgebra::{Unit, Vector3};
 use rayon::prelude::*;

@@ -1,13 +1,14 @@
 //! A hand prepared for contact: where its pads are, which joints move which link, what may hit what.
 
 use drex_core::{Pose, SdfSample, SignedDistance};
+use drex_demo::HumanFinger;
 use drex_grasp::{ContactOptions, HandSurface, LinkSurface};
 use drex_robot::{JointKind, Robot};
 use nalgebra::{Point3, Vector3};
 
 use super::collide::Pieces;
 use super::skin::Skin;
-use crate::{LinkPoint, Result, RetargetError, TargetHand};
+use crate::{Error, LinkPoint, Result, TargetHand};
 
 /// Distance between points on the hand, metres: search and verdict.
 const SPACINGS_M: (f64, f64) = (0.005, 0.003);
@@ -58,8 +59,8 @@ impl<'a> GraspHand<'a> {
         let fine = HandSurface::new(robot, SPACINGS_M.1)?;
         let points = |l: usize| robot.surface_samples(l, SPACINGS_M.0).into_iter().map(|s| s.0);
         let search: Vec<Skin> = (0..robot.links.len()).map(|l| Skin::new(points(l))).collect();
-        let Some(thumb) = target.fingers.iter().position(|f| f.human == crate::HumanFinger::Thumb) else {
-            return Err(RetargetError::value(
+        let Some(thumb) = target.fingers.iter().position(|f| f.human == HumanFinger::Thumb) else {
+            return Err(Error::value(
                 format!("hand \"{}\" has no thumb in its mapping", robot.name),
                 "a grasp needs one: add [fingers.thumb] to the mapping file",
             ));
@@ -69,7 +70,7 @@ impl<'a> GraspHand<'a> {
             let points = |spacing_m| pad(robot, &poses, &f.tip, spacing_m);
             let fine = points(SPACINGS_M.1 / 2.0);
             let Some(&(link, _)) = fine.first() else {
-                return Err(RetargetError::value(
+                return Err(Error::value(
                     format!(
                         "finger \"{}\" of hand \"{}\" has no collision shapes at its tip",
                         f.human.name(),

@@ -12,7 +12,8 @@ use super::GraspOptions;
 use super::hand::GraspHand;
 use super::plan::Planned;
 use super::terms::State;
-use crate::{Flag, HumanFinger, ObjectSurface, Rejection, Result, Verdict};
+use crate::{ObjectSurface, Rejection, Result, Verdict};
+use drex_demo::{Flag, HumanFinger};
 
 /// One finger of a frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]

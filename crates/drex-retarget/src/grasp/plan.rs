@@ -12,7 +12,8 @@ use super::hand::GraspHand;
 use super::levenberg::minimise;
 use super::terms::{Problem, State, View};
 use super::wanted::Hold;
-use crate::{Demonstration, HumanFinger, ObjectSurface};
+use crate::ObjectSurface;
+use drex_demo::{Demonstration, HumanFinger};
 
 /// Effort: wrist alone, first solution, later solution.
 const STEPS: (usize, usize, usize) = (8, 15, 8);

@@ -7,7 +7,8 @@
 use drex_core::{Pose, SignedDistance};
 
 use super::GraspOptions;
-use crate::{Demonstration, HumanFinger, TargetHand};
+use crate::TargetHand;
+use drex_demo::{Demonstration, HumanFinger};
 
 /// A run of frames in which the object is held.
 #[derive(Debug, Clone, PartialEq)]

@@ -9,7 +9,8 @@ use nalgebra::Vector3;
 use super::TargetFinger;
 use super::derive::{Found, UNSURE_SIDE, rounded};
 use super::frame::{Bends, Rest, joints_to};
-use crate::{HumanFinger, Result, RetargetError, Side};
+use crate::{Error, Result};
+use drex_demo::{HumanFinger, Side};
 
 /// A tip nearer to the axis of its last joint does not move with it, m.
 const ON_AXIS: f64 = 5e-3;
@@ -30,7 +31,7 @@ pub(super) fn couplings(robot: &Robot, path: &Path, notes: &mut Vec<String>) -> 
             }
         }
         if leader.mimic.is_some() {
-            return Err(RetargetError::mapping(
+            return Err(Error::mapping(
                 path,
                 "mimic",
                 format!("joint \"{}\" follows itself", joint.name),

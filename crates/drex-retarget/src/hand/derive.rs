@@ -9,7 +9,8 @@ use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaterni
 use super::frame::{Bends, Rest, joints_to, mean};
 use super::mapping::Mapping;
 use super::{LinkPoint, TargetFinger, TargetHand, names};
-use crate::{HumanFinger, Result, RetargetError};
+use crate::{Error, Result};
+use drex_demo::HumanFinger;
 
 /// Length of a robot's palm over that of its fingers, where the model does not show where the palm ends.
 const PALM_PER_FINGER: f64 = 0.7;
@@ -47,7 +48,7 @@ pub(super) fn fingers(robot: &Robot, path: &Path, mapping: &Mapping, notes: &mut
     };
     let remedy = "write a mapping file with [fingers.thumb] and at least one of index, middle, ring, little; of a gripper with \
                   two fingers, one can be the thumb and one the index finger";
-    Err(RetargetError::mapping(path, "fingers", what, remedy))
+    Err(Error::mapping(path, "fingers", what, remedy))
 }
 
 fn of_mapping(robot: &Robot, path: &Path, mapping: &Mapping) -> Result<Vec<Found>> {

@@ -9,7 +9,7 @@ use nalgebra::{Point3, Vector3};
 use super::LinkPoint;
 use super::derive::Found;
 use super::mapping::{Mapping, find_link};
-use crate::{Result, RetargetError};
+use crate::{Error, Result};
 
 /// Joints nearer to each other than this say nothing about a direction, m.
 const SAME_PLACE: f64 = 5e-3;
@@ -68,7 +68,7 @@ impl<'a> Rest<'a> {
 
     /// What is wrong with entry `key`, and what to do about it.
     pub(super) fn fail<T>(&self, key: &str, what: impl Into<String>, remedy: impl Into<String>) -> Result<T> {
-        Err(RetargetError::mapping(self.path, key, what, remedy))
+        Err(Error::mapping(self.path, key, what, remedy))
     }
 
     /// Index of the link that entry `key` names.

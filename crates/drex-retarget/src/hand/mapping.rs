@@ -9,7 +9,8 @@ use nalgebra::Point3;
 use serde::Deserialize;
 
 use super::{LinkPoint, names};
-use crate::{HumanFinger, Result, RetargetError, Side};
+use crate::{Error, Result};
+use drex_demo::{HumanFinger, Side};
 
 /// What a mapping file may say; what it leaves out is derived from the model.
 #[derive(Debug, Clone, Default, Deserialize)]
@@ -56,7 +57,7 @@ impl Mapping {
         let mapping: Self = fsutil::from_toml(path, text)?;
         let wrist = &mapping.wrist;
         if wrist.link.is_none() && (wrist.point_m.is_some() || wrist.palm.is_some() || wrist.tips.is_some()) {
-            return Err(RetargetError::mapping(
+            return Err(Error::mapping(
                 path,
                 "wrist",
                 "point_m, palm and tips are in the frame of no link",
@@ -64,12 +65,7 @@ impl Mapping {
             ));
         }
         if wrist.palm.is_some() != wrist.tips.is_some() {
-            return Err(RetargetError::mapping(
-                path,
-                "wrist",
-                "one of palm and tips is missing",
-                "give both or neither",
-            ));
+            return Err(Error::mapping(path, "wrist", "one of palm and tips is missing", "give both or neither"));
         }
         Ok(mapping)
     }
@@ -77,7 +73,7 @@ impl Mapping {
     /// The robot model that the file names.
     pub(super) fn require_model(&self, path: &Path) -> Result<&str> {
         let remedy = "add model = \"hand.urdf\" or give the model beside the mapping";
-        self.model.as_deref().ok_or_else(|| RetargetError::mapping(path, "model", "no model is named", remedy))
+        self.model.as_deref().ok_or_else(|| Error::mapping(path, "model", "no model is named", remedy))
     }
 }
 
@@ -96,6 +92,6 @@ pub(super) fn find_link(robot: &Robot, path: &Path, key: &str, name: &str) -> Re
             Some(similar) => format!("did you mean \"{similar}\"? The links are {}", known.join(", ")),
             None => format!("use one of {}", known.join(", ")),
         };
-        RetargetError::mapping(path, key, format!("robot \"{}\" has no link \"{name}\"", robot.name), remedy)
+        Error::mapping(path, key, format!("robot \"{}\" has no link \"{name}\"", robot.name), remedy)
     })
 }

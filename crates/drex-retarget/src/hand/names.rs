@@ -2,7 +2,7 @@
 
 use drex_robot::Robot;
 
-use crate::HumanFinger;
+use drex_demo::HumanFinger;
 
 /// Words for the fingers. A long word may be the beginning of a longer one (`ringfinger`), a short one stands alone, perhaps
 /// followed by `j` for joint (`FFJ3`).

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 
 use super::vector::tip_target;
 use super::{Loss, Term};
-use crate::{HumanFinger, KeyPoints};
+use drex_demo::{HumanFinger, KeyPoints};
 
 /// Where Huber's function turns, m; dex-retargeting does not read it from its configuration.
 pub(crate) const LOSS: Loss = Loss { delta: 0.03, per_coordinate: false };

@@ -8,7 +8,7 @@ const FINGERS: [HumanFinger; 4] = [HumanFinger::Thumb, HumanFinger::Index, Human
 
 /// Fingertips on a line, this far from the thumb's.
 fn tips(index: f64, middle: f64, ring: f64) -> KeyPoints {
-    let mut points = [None; crate::KEYPOINTS];
+    let mut points = [None; drex_demo::KEYPOINTS];
     for (finger, x) in FINGERS.iter().zip([0.0, index, middle, ring]) {
         points[finger.tip()] = Some(Point3::new(x, 0.0, 0.1));
     }

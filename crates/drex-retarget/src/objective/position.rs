@@ -3,7 +3,7 @@
 use nalgebra::{Point3, Vector3};
 
 use super::{Loss, Term};
-use crate::{HumanFinger, KeyPoints};
+use drex_demo::{HumanFinger, KeyPoints};
 
 /// Where Huber's function turns, m.
 pub(crate) const LOSS: Loss = Loss { delta: 0.02, per_coordinate: true };

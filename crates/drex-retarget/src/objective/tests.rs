@@ -2,7 +2,8 @@
 
 use super::*;
 use crate::Objective;
-use crate::{HandSkeleton, RetargetOptions, Retargeter, Scale, Side, TargetHand};
+use crate::{RetargetOptions, Retargeter, Scale, TargetHand};
+use drex_demo::{HandSkeleton, Side};
 
 /// Joints away from their limits, the base away from its place.
 fn states(retargeter: &Retargeter) -> Vec<State> {

@@ -13,15 +13,14 @@ use crate::objective::{
 use crate::person::Person;
 use crate::scale::{NOMINAL_LENGTH_M, hand_reach_m};
 use crate::solve::{EXACT, Newton, Problem, State, Unknowns};
-use crate::{
-    FingerResidual, Flag, HandFrame, HumanFinger, KeyPoints, Objective, Result, RetargetError, RetargetedFrame,
-    ScaleReport, TargetHand, canonical, transformed,
-};
+use crate::{Error, FingerResidual, Objective, Result, RetargetedFrame, ScaleReport, TargetHand};
+use drex_demo::{Flag, HandFrame, HumanFinger, KeyPoints, canonical, transformed};
 
 /// Retargets frame by frame.
 ///
 /// ```
-/// use drex_retarget::{HandFrame, KEYPOINTS, Objective, RetargetOptions, Retargeter, TargetHand};
+/// use drex_demo::{HandFrame, KEYPOINTS};
+/// use drex_retarget::{Objective, RetargetOptions, Retargeter, TargetHand};
 /// use nalgebra::Point3;
 ///
 /// let hand = TargetHand::bundled("leap_right")?;
@@ -37,7 +36,7 @@ use crate::{
 /// for (joint, angle) in hand.robot.joints.iter().zip(&frame.q_filtered) {
 ///     println!("{} {angle:.3} rad", joint.name);
 /// }
-/// # Ok::<(), drex_retarget::RetargetError>(())
+/// # Ok::<(), drex_retarget::Error>(())
 /// ```
 #[derive(Debug, Clone)]
 pub struct Retargeter {
@@ -92,7 +91,7 @@ impl Retargeter {
             Objective::DexPilot => dexpilot::LOSS,
             Objective::Position => position::LOSS,
             Objective::Grasp => {
-                return Err(RetargetError::value(
+                return Err(Error::value(
                     "the objective \"grasp\" is no objective of single frames",
                     "retarget the whole clip with it, or use vector, dexpilot or position",
                 ));
@@ -107,7 +106,7 @@ impl Retargeter {
         }
         let unknowns = Unknowns::new(&hand.robot, &finger_joints(hand), floating);
         if unknowns.joints.is_empty() {
-            return Err(RetargetError::value(
+            return Err(Error::value(
                 format!("no joint of robot \"{}\" moves a mapped fingertip", hand.robot.name),
                 "map the links at the ends of the fingers",
             ));
@@ -353,13 +352,13 @@ struct Solved {
 fn check_fingers(fingers: &[HumanFinger], objective: Objective) -> Result<()> {
     let twice = fingers.iter().enumerate().find(|(i, f)| fingers[..*i].contains(f));
     if let Some((_, finger)) = twice {
-        return Err(RetargetError::value(
+        return Err(Error::value(
             format!("two fingers of the robot follow the person's {} finger", finger.name()),
             "map each of the person's fingers once",
         ));
     }
     if objective == Objective::DexPilot && (fingers.len() < 2 || fingers[0] != HumanFinger::Thumb) {
-        return Err(RetargetError::value(
+        return Err(Error::value(
             "the objective \"dexpilot\" needs a thumb, mapped first, and another finger",
             "map a thumb, or use the objective \"vector\"",
         ));

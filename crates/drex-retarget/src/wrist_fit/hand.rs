@@ -6,7 +6,7 @@ use drex_robot::Robot;
 use nalgebra::{Point3, Vector3};
 
 use super::WristFitOptions;
-use crate::{Result, RetargetError};
+use crate::{Error, Result};
 
 /// A hand prepared for fitting.
 pub(crate) struct HandModel<'a> {
@@ -58,13 +58,13 @@ impl<'a> HandModel<'a> {
         let rough = HandSurface::new(robot, options.spacings_m.0)?;
         let fine = HandSurface::new(robot, options.spacings_m.1)?;
         let Some(thumb) = fine.thumb() else {
-            return Err(RetargetError::value(
+            return Err(Error::value(
                 format!("robot \"{}\" has no thumb", robot.name),
                 "use the model of a hand; name the thumb's links thumb_*",
             ));
         };
         if fine.fingers.len() <= options.min_fingers {
-            return Err(RetargetError::value(
+            return Err(Error::value(
                 format!("robot \"{}\" has {} fingers beside the thumb", robot.name, fine.fingers.len() - 1),
                 "lower min_fingers",
             ));
@@ -72,7 +72,7 @@ impl<'a> HandModel<'a> {
         let pads = [&rough, &fine].map(|surface| pads(robot, surface));
         for (finger, pad) in fine.fingers.iter().zip(&pads[1]) {
             if pad.parts.iter().all(|(_, p)| p.samples().is_empty()) {
-                return Err(RetargetError::value(
+                return Err(Error::value(
                     format!(
                         "finger \"{}\" of robot \"{}\" has no collision shapes on its last links",
                         finger.name, robot.name
@@ -89,7 +89,7 @@ impl<'a> HandModel<'a> {
 
     /// Clips a recorded grasp to the joint limits.
     pub(crate) fn recorded_within(&self, joints: &[f64], correction_rad: f64) -> Result<Recorded> {
-        let fail = |what, remedy| Err(RetargetError::Joints { what, remedy });
+        let fail = |what, remedy| Err(Error::Joints { what, remedy });
         if joints.len() != self.robot.dof() {
             return fail(
                 format!("{} values for the {} joints of \"{}\"", joints.len(), self.robot.dof(), self.robot.name),
@@ -129,7 +129,7 @@ fn check(options: &WristFitOptions) -> Result<()> {
     if ok {
         Ok(())
     } else {
-        Err(RetargetError::value(
+        Err(Error::value(
             format!("the options of the wrist fit make no sense: {options:?}"),
             "give lengths and angles of zero or more, and at least one finger, start and kept start",
         ))

@@ -4,7 +4,8 @@
 use std::path::{Path, PathBuf};
 
 use drex_core::Pose;
-use drex_retarget::{HumanFinger, LinkPoint, TargetHand};
+use drex_demo::HumanFinger;
+use drex_retarget::{LinkPoint, TargetHand};
 use nalgebra::Point3;
 
 pub fn shared() -> Option<PathBuf> {

@@ -3,7 +3,8 @@
 
 use std::path::{Path, PathBuf};
 
-use drex_retarget::{Demonstration, HandFrame, KEYPOINTS, Objective, Side};
+use drex_demo::{Demonstration, HandFrame, KEYPOINTS, Side};
+use drex_retarget::Objective;
 use drex_robot::orders;
 use nalgebra::Point3;
 use serde_json::Value;

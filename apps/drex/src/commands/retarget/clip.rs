@@ -4,7 +4,8 @@ use std::time::Instant;
 
 use anyhow::Result;
 use drex_core::Pose;
-use drex_retarget::{Demonstration, Flag, Retargeting, TargetHand, retarget};
+use drex_demo::{Demonstration, Flag};
+use drex_retarget::{Retargeting, TargetHand, retarget};
 use serde_json::json;
 
 use super::file::{self, FrameRecord};

@@ -5,7 +5,8 @@ use std::path::Path;
 
 use anyhow::Result;
 use drex_core::fsutil;
-use drex_retarget::{Demonstration, Flag, GraspFrame, RetargetedFrame, ScaleReport, Side, TargetHand};
+use drex_demo::{Demonstration, Flag, Side};
+use drex_retarget::{GraspFrame, RetargetedFrame, ScaleReport, TargetHand};
 use serde::Serialize;
 
 use super::Object;

@@ -4,10 +4,11 @@ use std::time::Instant;
 
 use anyhow::Result;
 use drex_core::Surface;
+use drex_demo::Demonstration;
 use drex_mesh::{GridOptions, GridSdf, solid_properties};
 use drex_retarget::{
-    AugmentOptions, Augmentation, Demonstration, GraspFrame, GraspOptions, GraspRetargeting, ObjectSurface, TargetHand,
-    Verdict, augment, retarget_grasp,
+    AugmentOptions, Augmentation, GraspFrame, GraspOptions, GraspRetargeting, ObjectSurface, TargetHand, Verdict,
+    augment, retarget_grasp,
 };
 use serde_json::json;
 

@@ -9,10 +9,9 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use drex_core::Pose;
+use drex_demo::{Demonstration, LoadOptions, RegisterOptions, Side, read_point_frames};
 use drex_mesh::{MeshSdf, convex_hull, metric_mesh};
-use drex_retarget::{
-    Demonstration, LoadOptions, RegisterOptions, RetargetOptions, Side, TargetHand, read_point_frames,
-};
+use drex_retarget::{RetargetOptions, TargetHand};
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 
 use crate::cli::{ObjectiveArg, ReadingArgs, RetargetArgs};

@@ -3,7 +3,8 @@
 use std::io::{BufRead, Write};
 
 use anyhow::{Result, bail};
-use drex_retarget::{HandFrame, Retargeter, Side};
+use drex_demo::{HandFrame, Side};
+use drex_retarget::Retargeter;
 use serde_json::json;
 
 use super::file::FrameRecord;

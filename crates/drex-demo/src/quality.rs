@@ -2,12 +2,10 @@
 
 use drex_core::{Surface, readers::FARTHEST_M};
 use nalgebra::Point3;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
-use super::Demonstration;
-use super::finish::median;
-use super::order::PARENT;
-use crate::{Flag, HumanFinger, KEYPOINTS, KeyPoints, Side, hand_length_m, operator_frame};
+use crate::keypoints::PARENT;
+use crate::{Demonstration, HumanFinger, KEYPOINTS, KeyPoints, Side, hand_length_m, median, operator_frame};
 
 /// Quality of a demonstration.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -40,6 +38,45 @@ pub struct FrameCheck {
     pub flags: Vec<Flag>,
     /// Distance of the nearest fingertip to the object's surface, mm, where both are known.
     pub object_distance_mm: Option<f64>,
+}
+
+/// Why a frame is not to be trusted.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+#[serde(tag = "flag", rename_all = "snake_case")]
+pub enum Flag {
+    /// The key points define no hand: the previous joint vector is repeated.
+    NoHand {
+        /// Why.
+        reason: String,
+    },
+    /// Key points are missing; the rest was used.
+    MissingPoints {
+        /// How many.
+        count: usize,
+    },
+    /// The hand jumped since the frame before.
+    Jump {
+        /// Largest movement of a wrist-centred key point, mm.
+        distance_mm: f64,
+    },
+    /// The frame does not come after the one before.
+    Time {
+        /// Time since the frame before, s.
+        step_s: f64,
+    },
+    /// The object's pose is missing: that on the way between the frames around was taken.
+    ObjectNotSeen,
+    /// The object is not where the hand is: another frame, or a lost track.
+    FarFromObject {
+        /// Distance from the wrist to the origin of the object's mesh, mm.
+        distance_mm: f64,
+    },
+    /// The lengths of the bones are not those of the rest of the clip.
+    BoneLength {
+        /// Hand length over the clip's median.
+        ratio: f64,
+    },
 }
 
 /// A frame lies this far off the course of its neighbours before it is a jump, at least: metres, and in robust standard deviations of the clip.

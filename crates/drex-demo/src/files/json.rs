@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use drex_core::{Error, Pose, fsutil};
+use drex_core::{Error, Pose, Result, fsutil};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -11,7 +11,7 @@ use serde_json::Value;
 use super::objects::{at_frame, pose_of, rotation_of};
 use super::order::{MANUS_NODES, key_point_named};
 use super::{DemoUnit, HandFrame, LoadOptions, ManoModel, ManoPose, Raw, RawFrame, finish};
-use crate::{KEYPOINTS, KeyPoints, Result, Side};
+use crate::{KEYPOINTS, KeyPoints, Side};
 
 /// One hand as files have it; `null`, a coordinate that is `null` and NaN are points that were not seen.
 type PointsFile = Vec<Option<Vec<Option<f64>>>>;
@@ -79,7 +79,7 @@ pub(super) fn read(path: &Path, bytes: &[u8], options: &LoadOptions) -> Result<R
     let remedy = "write drex-hand-demo/1, or one frame with keypoints per line";
     if !first.trim_start().starts_with('{') {
         let what = if first.is_empty() { "the file is empty" } else { "the file is no JSON object" };
-        return Err(Error::content(path, None, what, remedy).into());
+        return Err(Error::content(path, None, what, remedy));
     }
     let probe: Probe = fsutil::from_json(path, &text)?;
     if probe.hand_joints.is_some() {
@@ -88,7 +88,7 @@ pub(super) fn read(path: &Path, bytes: &[u8], options: &LoadOptions) -> Result<R
         read_demo(path, &text, options)
     } else {
         let what = "neither \"frames\" nor \"hand_joints\" nor \"keypoints\"";
-        Err(Error::content(path, None, what, remedy).into())
+        Err(Error::content(path, None, what, remedy))
     }
 }
 
@@ -116,9 +116,9 @@ fn raw_frame_of_line(path: &Path, line: &str, line_no: usize) -> Result<RawFrame
         refuse(format!("column {}: {message}", e.column()))
     })?;
     if frame.keypoints.is_none() {
-        return Err(refuse("no \"keypoints\"".into()).into());
+        return Err(refuse("no \"keypoints\"".into()));
     }
-    Ok(raw_frame(&frame, None).map_err(|e| Error::at(path, line_no, e))?)
+    raw_frame(&frame, None).map_err(|e| Error::at(path, line_no, e))
 }
 
 fn read_lines(path: &Path, text: &str) -> Result<Raw> {
@@ -133,7 +133,7 @@ fn read_demo(path: &Path, text: &str, options: &LoadOptions) -> Result<Raw> {
     let file: DemoFile = fsutil::from_json(path, text)?;
     if let Some(format) = file.format.as_ref().filter(|f| *f != FORMAT) {
         let what = format!("the format is `{format}`");
-        return Err(Error::content(path, None, what, format!("write {FORMAT} or use a newer drex")).into());
+        return Err(Error::content(path, None, what, format!("write {FORMAT} or use a newer drex")));
     }
     let places = file.joint_names.as_ref().map(|names| places(path, names)).transpose()?;
     let mut raw = Raw {
@@ -183,7 +183,7 @@ fn read_dexycb(path: &Path, text: &str) -> Result<Raw> {
     for (name, count) in [("object_poses", file.object_poses.len()), ("world2wrist", file.world2wrist.len())] {
         if count != 0 && count != n {
             let what = format!("{count} {name} for {n} hand_joints");
-            return Err(Error::content(path, None, what, "give one per frame, or none").into());
+            return Err(Error::content(path, None, what, "give one per frame, or none"));
         }
     }
     let mut raw = Raw {
@@ -207,7 +207,7 @@ fn read_dexycb(path: &Path, text: &str) -> Result<Raw> {
 /// Name of the format that [`crate::Demonstration::save_json`] writes.
 pub(super) const FORMAT: &str = "drex-hand-demo/1";
 
-fn raw_frame(frame: &FrameFile, places: Option<&[usize]>) -> drex_core::Result<RawFrame> {
+fn raw_frame(frame: &FrameFile, places: Option<&[usize]>) -> Result<RawFrame> {
     let points = frame.keypoints.as_ref().or(frame.canonical.as_ref());
     let points = points.map(|p| key_points(p, places)).transpose()?.unwrap_or_default();
     let object = [&frame.object_pose, &frame.object_pose_3x4, &frame.object_pose_4x4].into_iter().flatten().next();
@@ -222,8 +222,8 @@ fn raw_frame(frame: &FrameFile, places: Option<&[usize]>) -> drex_core::Result<R
 
 /// 21 points, or the 25 nodes of a glove; `places` gives the key point of each item where the file names its points. An empty
 /// list is a hand that was not seen.
-fn key_points(points: &PointsFile, places: Option<&[usize]>) -> drex_core::Result<KeyPoints> {
-    let point = |i: usize| -> drex_core::Result<Option<Point3<f64>>> {
+fn key_points(points: &PointsFile, places: Option<&[usize]>) -> Result<KeyPoints> {
+    let point = |i: usize| -> Result<Option<Point3<f64>>> {
         match points[i].as_deref() {
             None => Ok(None),
             Some([x, y, z]) => Ok((*x).zip(*y).zip(*z).map(|((x, y), z)| Point3::new(x, y, z))),
@@ -264,18 +264,18 @@ fn places(path: &Path, names: &[String]) -> Result<Vec<usize>> {
     for name in names {
         let place = key_point_named(name).ok_or_else(|| refuse(format!("the joint name `{name}` is not known")))?;
         if std::mem::replace(&mut seen[place], true) {
-            return Err(refuse(format!("the joint name `{name}` is there twice")).into());
+            return Err(refuse(format!("the joint name `{name}` is there twice")));
         }
         out.push(place);
     }
     if out.len() != KEYPOINTS {
-        return Err(refuse(format!("{} joint names", out.len())).into());
+        return Err(refuse(format!("{} joint names", out.len())));
     }
     Ok(out)
 }
 
 /// Every number in nested lists, in order; `null` is NaN.
-fn flat(value: &Value, out: &mut Vec<f64>) -> drex_core::Result<()> {
+fn flat(value: &Value, out: &mut Vec<f64>) -> Result<()> {
     match value {
         Value::Null => out.push(f64::NAN),
         Value::Number(n) => out.push(n.as_f64().unwrap_or(f64::NAN)),
@@ -285,13 +285,13 @@ fn flat(value: &Value, out: &mut Vec<f64>) -> drex_core::Result<()> {
     Ok(())
 }
 
-fn pose(value: &Value) -> drex_core::Result<Option<Pose>> {
+fn pose(value: &Value) -> Result<Option<Pose>> {
     let mut numbers = Vec::new();
     flat(value, &mut numbers)?;
     if value.is_null() { Ok(None) } else { pose_of(&numbers) }
 }
 
-fn rotation(value: &Value) -> drex_core::Result<Option<UnitQuaternion<f64>>> {
+fn rotation(value: &Value) -> Result<Option<UnitQuaternion<f64>>> {
     let mut numbers = Vec::new();
     flat(value, &mut numbers)?;
     if value.is_null() { Ok(None) } else { rotation_of(&numbers) }
@@ -303,17 +303,14 @@ pub(super) fn side_named(path: &Path, name: Option<&str>) -> Result<Option<Side>
         None => Ok(None),
         Some("right" | "r") => Ok(Some(Side::Right)),
         Some("left" | "l") => Ok(Some(Side::Left)),
-        Some(other) => {
-            Err(Error::content(path, None, format!("the hand is `{other}`"), "write \"right\" or \"left\"").into())
-        }
+        Some(other) => Err(Error::content(path, None, format!("the hand is `{other}`"), "write \"right\" or \"left\"")),
     }
 }
 
 /// The unit that a file names.
 pub(super) fn unit_named(path: &Path, name: Option<&str>) -> Result<Option<DemoUnit>> {
     name.map(|n| {
-        DemoUnit::parse(n)
-            .ok_or_else(|| Error::content(path, None, format!("the unit is `{n}`"), "write m, cm or mm").into())
+        DemoUnit::parse(n).ok_or_else(|| Error::content(path, None, format!("the unit is `{n}`"), "write m, cm or mm"))
     })
     .transpose()
 }

@@ -1,13 +1,11 @@
 //! Which order the key points are in, and how a hand is told from a jumble.
 
-use drex_core::Error;
+use drex_core::{Error, Result};
 
 use super::RawFrame;
 use super::options::{KeyPointOrder, MANO_INDEX};
-use crate::{KEYPOINTS, KeyPoints, Result};
-
-/// Key point from which each key point's bone comes; the wrist's is the wrist itself.
-pub(super) const PARENT: [usize; KEYPOINTS] = [0, 0, 1, 2, 3, 0, 5, 6, 7, 0, 9, 10, 11, 0, 13, 14, 15, 0, 17, 18, 19];
+use crate::keypoints::PARENT;
+use crate::{KEYPOINTS, KeyPoints};
 
 /// A hand read in the wrong order has longer bones by at least this factor (measured on five recordings: 1.33 and more over a clip,
 /// 1.07 in the worst single frame, a fist).
@@ -33,8 +31,7 @@ pub(super) fn put_in_order(path: &std::path::Path, frames: &mut [RawFrame], orde
             None,
             format!("the bones of the hand are {:.0} % longer than in {name}'s order", 100.0 * (stated / other - 1.0)),
             format!("the key points seem to be in the order of {name}: state the order \"{option}\""),
-        )
-        .into());
+        ));
     }
     if order == KeyPointOrder::Mano {
         frames.iter_mut().for_each(|f| f.points = openpose_from_mano(&f.points));
@@ -94,7 +91,7 @@ mod tests {
     use std::path::Path;
 
     use super::*;
-    use crate::demo::finish::tests::open_hand;
+    use crate::files::finish::tests::open_hand;
 
     /// The inverse of [`openpose_from_mano`].
     pub(crate) fn mano_from_openpose(points: &KeyPoints) -> KeyPoints {

@@ -1,11 +1,11 @@
 //! The object in every frame of a clip.
 
-use drex_core::Surface;
+use drex_core::{Error, Result, Surface};
 use nalgebra::Point3;
 
 use super::fit::Problem;
 use super::{MIDDLE, Placement, RegisterOptions, Registration, Symmetries, register};
-use crate::{Demonstration, Result, RetargetError};
+use crate::{Demonstration, median};
 
 /// Between two frames of a clip the distance may grow by this factor before the object is looked for again everywhere.
 const LOST: f64 = 2.0;
@@ -77,13 +77,9 @@ impl Demonstration {
         let points: Vec<Vec<Point3<f64>>> = clouds.iter().map(|(_, points)| points.clone()).collect();
         let mut found = register_clip(&points, surface, options);
         let mut scales: Vec<f64> = found.iter().flatten().map(|r| r.placement.scale).collect();
-        scales.sort_by(f64::total_cmp);
-        let Some(&scale) = scales.get(scales.len() / 2) else {
+        let Some(scale) = median(&mut scales) else {
             let why = found.into_iter().find_map(Result::err).map_or("no points".into(), |e| e.to_string());
-            return Err(RetargetError::value(
-                format!("the object was found in no frame: {why}"),
-                "check points and mesh",
-            ));
+            return Err(Error::value(format!("the object was found in no frame: {why}"), "check points and mesh"));
         };
         let one_scale = RegisterOptions { scale: Some(scale), ..options.clone() };
         for (registration, points) in found.iter_mut().zip(&points) {
@@ -99,7 +95,7 @@ impl Demonstration {
             placed += usize::from(frame.source_from_object.is_some());
         }
         if placed == 0 {
-            return Err(RetargetError::value(
+            return Err(Error::value(
                 "no cloud of points has the number of a frame of the demonstration",
                 "number the clouds as the frames, from 0",
             ));

@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
-use drex_core::{Error, fsutil};
+use drex_core::{Error, Result, fsutil};
 use nalgebra::{DMatrix, DVector, Matrix3, Point3, UnitQuaternion, Vector3};
 
 use super::LoadOptions;
 use super::npz::Npz;
 use super::order::openpose_from_mano;
-use crate::{KEYPOINTS, KeyPoints, Result};
+use crate::{KEYPOINTS, KeyPoints};
 
 /// Joints of the model: wrist and three for each finger.
 const JOINTS: usize = 16;
@@ -61,7 +61,7 @@ impl ManoPose {
     ///
     /// # Errors
     /// If there are not 48, all finite: principal components cannot be told from angles.
-    pub fn from_axis_angles(pose: &[f64], betas: &[f64], translation: Vector3<f64>) -> drex_core::Result<Self> {
+    pub fn from_axis_angles(pose: &[f64], betas: &[f64], translation: Vector3<f64>) -> Result<Self> {
         let Some((wrist, fingers)) = pose.split_at_checked(3) else { return Err(not_48(pose.len())) };
         let fingers: [f64; 45] = fingers.try_into().map_err(|_| not_48(pose.len()))?;
         if pose.iter().chain(betas).chain(&translation).any(|v| !v.is_finite()) {
@@ -122,14 +122,14 @@ impl ManoModel {
             let fits = table.shape.len() == shape.len()
                 && table.shape.iter().zip(shape).all(|(d, want)| want.is_none_or(|w| w == *d));
             if !fits {
-                return Err(refuse(format!("{name} of shape {:?}", table.shape)).into());
+                return Err(refuse(format!("{name} of shape {:?}", table.shape)));
             }
             Ok((table.numbers, table.shape))
         };
         let (template, shape) = get("v_template", &[None, Some(3)])?;
         let vertices = shape[0];
         if vertices <= TIP_VERTICES[0] {
-            return Err(refuse(format!("{vertices} vertices are no MANO model")).into());
+            return Err(refuse(format!("{vertices} vertices are no MANO model")));
         }
         let (shapedirs, shape) = get("shapedirs", &[Some(vertices), Some(3), None])?;
         let betas = shape[2];
@@ -140,14 +140,14 @@ impl ManoModel {
         let (mean, _) = get("hands_mean", &[Some(45)])?;
         let all = [&template, &shapedirs, &posedirs, &regressor, &weights, &mean];
         if all.iter().any(|a| a.iter().any(|v| !v.is_finite())) {
-            return Err(refuse("a number of the model is not finite".into()).into());
+            return Err(refuse("a number of the model is not finite".into()));
         }
         // A joint's parent comes before it; the wrist's is a number that is none.
         let mut parents = [None; JOINTS];
         for (j, parent) in parents.iter_mut().enumerate().skip(1) {
             let p = kintree[j];
             if !(p >= 0.0 && p < j as f64) {
-                return Err(refuse(format!("kintree_table gives joint {j} the parent {p}")).into());
+                return Err(refuse(format!("kintree_table gives joint {j} the parent {p}")));
             }
             *parent = Some(p as usize);
         }

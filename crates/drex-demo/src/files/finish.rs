@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use drex_core::Error;
+use drex_core::{Error, Result};
 use nalgebra::{Matrix3, Rotation3, Unit, UnitQuaternion};
 
 use super::{DemoUnit, Demonstration, HandFrame, LoadOptions, Raw, RawFrame, objects, order};
-use crate::{KeyPointOrder, KeyPoints, Result, Side, hand_length_m, mirrored};
+use crate::{KeyPointOrder, KeyPoints, Side, hand_length_m, median, mirrored};
 
 /// Frames per second where nothing says.
 pub(super) const USUAL_FPS: f64 = 30.0;
@@ -20,9 +20,7 @@ const FARTHEST_POINT_M: f64 = 1000.0;
 /// The demonstration in `raw`, read from `path`.
 pub(super) fn finish(path: &Path, mut raw: Raw, options: &LoadOptions) -> Result<Demonstration> {
     if raw.frames.is_empty() {
-        return Err(
-            Error::content(path, None, "the recording holds no frames", "record again or give another file").into()
-        );
+        return Err(Error::content(path, None, "the recording holds no frames", "record again or give another file"));
     }
     let mut notes = std::mem::take(&mut raw.notes);
     let collapsed =
@@ -45,7 +43,7 @@ pub(super) fn finish(path: &Path, mut raw: Raw, options: &LoadOptions) -> Result
     let side = side(&raw, options, &mut notes);
     let fps = options.fps.or(raw.fps);
     if fps.is_some_and(|fps| !(fps > 0.0 && fps.is_finite())) {
-        return Err(Error::content(path, None, "the frame rate is not positive", "give frames per second").into());
+        return Err(Error::content(path, None, "the frame rate is not positive", "give frames per second"));
     }
     if fps.is_none() && raw.frames.iter().any(|f| f.t_s.is_none()) {
         notes.push(format!("no times and no frame rate: {USUAL_FPS} frames per second are assumed"));
@@ -71,7 +69,7 @@ pub(super) fn finish(path: &Path, mut raw: Raw, options: &LoadOptions) -> Result
     frames.retain(|f| (first..=last).contains(&f.index));
     if frames.is_empty() {
         let what = format!("frames {first} to {last} of {count} frames are none");
-        return Err(Error::content(path, None, what, "give numbers of frames that are there").into());
+        return Err(Error::content(path, None, what, "give numbers of frames that are there"));
     }
     let of_file = || path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let source = raw.source.unwrap_or_else(of_file);
@@ -156,7 +154,7 @@ fn check_length(path: &Path, frames: &[RawFrame], unit_is_told: bool, notes: &mu
         return Ok(());
     }
     let remedy = "state the unit (mm, cm or m); picture coordinates and normalised points have none and cannot be used";
-    Err(Error::content(path, None, what, remedy).into())
+    Err(Error::content(path, None, what, remedy))
 }
 
 fn drop_far_points(frames: &mut [RawFrame], notes: &mut Vec<String>) {
@@ -170,12 +168,6 @@ fn drop_far_points(frames: &mut [RawFrame], notes: &mut Vec<String>) {
     if dropped > 0 {
         notes.push(format!("{dropped} key points are farther than a kilometre away and are taken as not seen"));
     }
-}
-
-/// The median; sorts the values.
-pub(super) fn median(values: &mut [f64]) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 #[cfg(test)]

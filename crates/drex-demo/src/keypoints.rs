@@ -11,6 +11,9 @@ pub const KEYPOINTS: usize = 21;
 /// little finger, four each. `None` is a point that was not seen.
 pub type KeyPoints = [Option<Point3<f64>>; KEYPOINTS];
 
+/// Key point from which each key point's bone comes; the wrist's is the wrist itself.
+pub(crate) const PARENT: [usize; KEYPOINTS] = [0, 0, 1, 2, 3, 0, 5, 6, 7, 0, 9, 10, 11, 0, 13, 14, 15, 0, 17, 18, 19];
+
 /// Which hand.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]

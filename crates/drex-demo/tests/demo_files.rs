@@ -1,4 +1,5 @@
 //! Recordings of hands in every layout that is read.
+#![cfg(feature = "files")]
 #![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)] // a test: a panic is the report, a line that it was skipped
 
 mod numpy;
@@ -6,7 +7,7 @@ mod numpy;
 use std::path::{Path, PathBuf};
 
 use drex_core::Pose;
-use drex_retarget::{
+use drex_demo::{
     DemoUnit, Demonstration, HandFrame, KEYPOINTS, KeyPointOrder, KeyPoints, LoadOptions, Side, hand_length_m,
     operator_frame,
 };
@@ -48,7 +49,7 @@ fn numbers(frames: &[KeyPoints]) -> Vec<f64> {
     frames.iter().flatten().flat_map(|p| p.unwrap_or(nan).coords.iter().copied().collect::<Vec<_>>()).collect()
 }
 
-fn parse(name: &str, bytes: &[u8], options: &LoadOptions) -> drex_retarget::Result<Demonstration> {
+fn parse(name: &str, bytes: &[u8], options: &LoadOptions) -> drex_core::Result<Demonstration> {
     Demonstration::parse(Path::new(name), bytes, options)
 }
 
@@ -421,7 +422,7 @@ fn distances_to_the_object_tell_good_tracking_from_bad() {
         let mesh = drex_mesh::repair(&mesh, &drex_mesh::RepairOptions::default()).unwrap().0;
         demo.check_with_object(&drex_mesh::MeshSdf::new(&mesh).unwrap())
     };
-    let share_near = |r: &drex_retarget::InputReport, from: usize, to: usize| {
+    let share_near = |r: &drex_demo::InputReport, from: usize, to: usize| {
         let near = r.frames[from..=to].iter().filter(|f| f.object_distance_mm.is_some_and(|d| d < 15.0)).count();
         near as f64 / (to + 1 - from) as f64
     };

@@ -4,12 +4,11 @@ use std::path::Path;
 
 use drex_core::pose::{pose_from_matrix, pose_from_wxyz, rotation_from_matrix};
 use drex_core::readers::{FARTHEST_M, FrameTimes, read_foundation_pose_folder, read_pose_csv};
-use drex_core::{Error, Pose, fsutil};
+use drex_core::{Error, Pose, Result, fsutil};
 use nalgebra::{Matrix3, Matrix4, UnitQuaternion};
 
 use super::npz::{Npz, Table};
 use super::{DemoUnit, HandFrame};
-use crate::Result;
 
 /// Names under which arrays of object poses are found.
 pub(super) const POSE_NAMES: [&str; 9] = [
@@ -26,7 +25,7 @@ pub(super) const POSE_NAMES: [&str; 9] = [
 
 /// A pose from 12 (3 x 4), 16 (4 x 4, row by row) or 7 numbers (x, y, z, qw, qx, qy, qz). `None` if one is not finite: the
 /// object was not seen.
-pub(super) fn pose_of(numbers: &[f64]) -> drex_core::Result<Option<Pose>> {
+pub(super) fn pose_of(numbers: &[f64]) -> Result<Option<Pose>> {
     if !matches!(numbers.len(), 7 | 12 | 16) {
         return Err(Error::value(
             format!("{} numbers are no pose", numbers.len()),
@@ -47,7 +46,7 @@ pub(super) fn pose_of(numbers: &[f64]) -> drex_core::Result<Option<Pose>> {
 }
 
 /// A rotation from 9 numbers (3 x 3, row by row), 3 (axis times angle) or 4 (w, x, y, z); `None` if one is not finite.
-pub(super) fn rotation_of(numbers: &[f64]) -> drex_core::Result<Option<UnitQuaternion<f64>>> {
+pub(super) fn rotation_of(numbers: &[f64]) -> Result<Option<UnitQuaternion<f64>>> {
     if numbers.iter().any(|v| !v.is_finite()) {
         return Ok(None);
     }
@@ -100,14 +99,13 @@ pub(super) fn attach(path: &Path, unit: DemoUnit, fps: Option<f64>, frames: &mut
                     None,
                     "object poses are read from .npy, .npz, .csv and folders of FoundationPose",
                     "convert the file",
-                )
-                .into());
+                ));
             }
         };
         let poses = poses_of(path, &array)?;
         if frames.iter().any(|f| f.index >= poses.len()) {
             let what = format!("{} object poses for {} frames", poses.len(), frames.len());
-            return Err(Error::content(path, None, what, "give one per frame of the recording").into());
+            return Err(Error::content(path, None, what, "give one per frame of the recording"));
         }
         for frame in frames.iter_mut() {
             frame.source_from_object = poses[frame.index].map(in_metres);
@@ -115,7 +113,7 @@ pub(super) fn attach(path: &Path, unit: DemoUnit, fps: Option<f64>, frames: &mut
     }
     if frames.iter().all(|f| f.source_from_object.is_none()) {
         let what = "no object pose falls on a frame of the demonstration";
-        return Err(Error::content(path, None, what, "check that both have the same clock or frame numbers").into());
+        return Err(Error::content(path, None, what, "check that both have the same clock or frame numbers"));
     }
     Ok(())
 }
@@ -127,7 +125,7 @@ pub(super) fn poses_of(path: &Path, array: &Table) -> Result<Vec<Option<Pose>>> 
         let refuse = |e| Error::at(path, None, at_frame(i, "object pose", e));
         pose_of(row).map_err(refuse)
     };
-    Ok(rows.enumerate().map(pose).collect::<drex_core::Result<_>>()?)
+    rows.enumerate().map(pose).collect()
 }
 
 /// Refuses object positions that must be in another unit.
@@ -136,7 +134,7 @@ pub(super) fn check_positions(path: &Path, frames: &[HandFrame]) -> Result<()> {
         if let Some(pose) = frame.source_from_object.filter(|p| p.translation.vector.amax() > FARTHEST_M) {
             let far = pose.translation.vector.amax();
             let what = format!("frame {}: the object is {far:.0} m from the origin", frame.index);
-            return Err(Error::content(path, None, what, "state the unit: mm or cm").into());
+            return Err(Error::content(path, None, what, "state the unit: mm or cm"));
         }
     }
     Ok(())

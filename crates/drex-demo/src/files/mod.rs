@@ -1,7 +1,6 @@
-//! A person's hand over time, and the object it handled.
+//! Demonstrations from and to files.
 
 mod arrays;
-mod check;
 mod finish;
 mod hamer;
 mod json;
@@ -15,55 +14,15 @@ mod write;
 
 use std::path::Path;
 
-use drex_core::{Error, Pose, fsutil};
-use nalgebra::{Unit, UnitQuaternion, Vector3};
+use drex_core::{Error, Pose, Result, fsutil};
+use nalgebra::{UnitQuaternion, Vector3};
 
-pub use self::check::{FrameCheck, InputReport};
 pub use self::hamer::{CropCamera, crop_to_full};
 pub use self::mano::{HandPose, ManoModel, ManoPose};
 pub use self::options::{DemoUnit, KeyPointOrder, LoadOptions};
-use crate::{KeyPoints, Result, Side};
-
-/// A recorded demonstration.
-#[derive(Debug, Clone)]
-#[non_exhaustive]
-pub struct Demonstration {
-    /// Where it came from.
-    pub source: String,
-    /// Which hand; every frame's key points are that hand's.
-    pub side: Side,
-    /// The frames in the order of time.
-    pub frames: Vec<HandFrame>,
-    /// Up, against gravity, in the source frame, if the recording says.
-    pub up: Option<Unit<Vector3<f64>>>,
-    /// Remarks of the reader, one sentence each.
-    pub notes: Vec<String>,
-}
-
-/// One frame.
-#[derive(Debug, Clone, PartialEq)]
-#[non_exhaustive]
-pub struct HandFrame {
-    /// Number of the frame in the recording, from 0.
-    pub index: usize,
-    /// Seconds.
-    pub t_s: f64,
-    /// Key points in the source frame (camera, world), m.
-    pub points: KeyPoints,
-    /// Orientation of MANO's wrist, `source_from_wrist`, where the recording has it.
-    pub source_from_mano_wrist: Option<UnitQuaternion<f64>>,
-    /// Pose of the object's mesh frame in the source frame, where the recording has it.
-    pub source_from_object: Option<Pose>,
-    /// How sure the detector was that this is a hand, 0 to 1, where it says.
-    pub score: Option<f64>,
-}
+use crate::{Demonstration, HandFrame, KeyPoints, Side};
 
 impl HandFrame {
-    /// A frame of key points only.
-    pub fn new(t_s: f64, points: KeyPoints) -> Self {
-        Self { index: 0, t_s, points, source_from_mano_wrist: None, source_from_object: None, score: None }
-    }
-
     /// A frame from one line of JSON, as teleoperation sends them:
     /// `{"t": 0.033, "keypoints": [[x, y, z], null, …]}` with 21 points in OpenPose's order, metres. `null` and numbers that are
     /// not finite are points that were not seen. Also read: `wrist_rotation` (3 x 3, `source_from_wrist` of MANO), `object_pose`
@@ -77,11 +36,6 @@ impl HandFrame {
 }
 
 impl Demonstration {
-    /// A demonstration of these frames.
-    pub fn new(source: impl Into<String>, side: Side, frames: Vec<HandFrame>) -> Self {
-        Self { source: source.into(), side, frames, up: None, notes: Vec::new() }
-    }
-
     /// Reads a recording by the ending of its name:
     ///
     /// - `.json`: `drex-hand-demo/1`; `hand_joints` with `object_poses` (DexYCB excerpts); one frame per line, as
@@ -97,7 +51,7 @@ impl Demonstration {
     /// order or unit than stated.
     pub fn load(path: &Path, options: &LoadOptions) -> Result<Self> {
         if path.is_dir() {
-            return Err(Error::content(path, None, "this is a folder", "give one file of a demonstration").into());
+            return Err(Error::content(path, None, "this is a folder", "give one file of a demonstration"));
         }
         Self::parse(path, &fsutil::read_bytes(path)?, options)
     }
@@ -115,13 +69,8 @@ impl Demonstration {
             "npz" => arrays::read_npz(path, bytes, options)?,
             "csv" => table::read(path, bytes)?,
             other => {
-                return Err(Error::content(
-                    path,
-                    None,
-                    format!("demonstrations are not read from .{other}"),
-                    "give .json, .jsonl, .npy, .npz or .csv",
-                )
-                .into());
+                let what = format!("demonstrations are not read from .{other}");
+                return Err(Error::content(path, None, what, "give .json, .jsonl, .npy, .npz or .csv"));
             }
         };
         finish::finish(path, raw, options)
@@ -141,7 +90,7 @@ fn refuse_pickle(path: &Path, extension: &str, bytes: &[u8]) -> Result<()> {
          d = d if isinstance(d, dict) else {{'keypoints': d}}; \
          numpy.savez('{name}.npz', **{{k: numpy.asarray(v, dtype=float) for k, v in d.items()}})\""
     );
-    Err(Error::content(path, None, "a pickled file can run any program and is never opened", remedy).into())
+    Err(Error::content(path, None, "a pickled file can run any program and is never opened", remedy))
 }
 
 /// What a reader found, before the options and the common checks.

@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Point2, Point3, SMatrix, SVector, UnitQuaternion, Vector
 
 use super::starts::{Moments, across};
 use super::{Placement, RegisterOptions};
+use crate::median;
 
 /// Points, surface, and what is the same for all starts.
 pub(super) struct Problem<'a> {
@@ -155,9 +156,7 @@ impl Problem<'_> {
 
     fn sigma(&self, residuals: &[Residual]) -> f64 {
         let mut values: Vec<f64> = residuals.iter().map(|r| r.value).collect();
-        values.sort_by(f64::total_cmp);
-        let median = values.get(values.len() / 2).copied().unwrap_or(0.0);
-        (MAD_TO_SIGMA * median).max(LEAST_SIGMA * self.points_moments.radius)
+        (MAD_TO_SIGMA * median(&mut values).unwrap_or(0.0)).max(LEAST_SIGMA * self.points_moments.radius)
     }
 
     /// The samples that should have points: all of them, or those that face the viewer with nothing in between.

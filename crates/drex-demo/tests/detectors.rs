@@ -1,11 +1,12 @@
 //! Detectors: small shell scripts stand in for them, MediaPipe is used where it is.
+#![cfg(feature = "files")]
 #![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)] // a test: a panic is the report, a line that it was skipped
 #![cfg(unix)]
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use drex_retarget::{ExternalDetector, HAMER_SCRIPT, HandDetector, LoadOptions, MEDIAPIPE_SCRIPT, MediaPipe, Side};
+use drex_demo::{ExternalDetector, HAMER_SCRIPT, HandDetector, LoadOptions, MEDIAPIPE_SCRIPT, MediaPipe, Side};
 
 /// A video of nothing in a new folder, if this machine has a shell.
 fn video() -> Option<(tempfile::TempDir, PathBuf)> {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use drex_core::Error;
+use drex_core::{Error, Result};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use super::finish::mirrored_rotation;
@@ -12,7 +12,7 @@ use super::npz::{Npz, Table};
 use super::objects::{POSE_NAMES, at_frame, pose_of, rotation_of};
 use super::order::MANUS_NODES;
 use super::{LoadOptions, ManoModel, ManoPose, Raw, RawFrame};
-use crate::{KEYPOINTS, KeyPoints, Result, Side, mirrored};
+use crate::{KEYPOINTS, KeyPoints, Side, mirrored};
 
 /// Names under which key points are found. The first is HaMeR's.
 const POINT_NAMES: [&str; 12] = [
@@ -127,7 +127,7 @@ impl Source<'_> {
             (hit, _) => {
                 let what = if hit.is_some() { "several arrays could be" } else { "no array holds" };
                 let what = format!("{what} key points (n x 21 x 3): {}", self.npz.listing());
-                Err(Error::content(self.path, None, what, "name them keypoints").into())
+                Err(Error::content(self.path, None, what, "name them keypoints"))
             }
         }
     }
@@ -142,7 +142,7 @@ impl Source<'_> {
             1 => Ok(Some(vec![rows[0].clone(); self.rows])),
             n => {
                 let what = format!("{n} rows of {name} for {} frames", self.rows);
-                Err(Error::content(self.path, None, what, "save one per frame").into())
+                Err(Error::content(self.path, None, what, "save one per frame"))
             }
         }
     }
@@ -161,7 +161,7 @@ impl Source<'_> {
     fn count_of_mano(&mut self) -> Result<usize> {
         let Some(name) = self.npz.first_of(&MANO_POSES).or(self.npz.first_of(&["hand_pose"])) else {
             let what = format!("MANO parameters without the fingers (hand_pose or pose): {}", self.npz.listing());
-            return Err(Error::content(self.path, None, what, "save them all").into());
+            return Err(Error::content(self.path, None, what, "save them all"));
         };
         let table = self.npz.table(name)?;
         Ok(table.rows(self.path, &[&[48], &[15, 3, 3], &[45], &[15, 3]], name)?.len())
@@ -297,7 +297,7 @@ fn spread(path: &Path, raw: &mut Raw, numbers: &[Vec<f64>]) -> Result<()> {
     let refuse = |what: String| Error::content(path, None, what, "number the frames from 0");
     let last = numbers.iter().map(|r| r[0]).fold(0.0, f64::max);
     if numbers.iter().any(|r| !(r[0] >= 0.0 && r[0].fract() == 0.0)) || !(last < MOST_FRAMES as f64) {
-        return Err(refuse(format!("frame numbers up to {last} that are not whole or not below {MOST_FRAMES}")).into());
+        return Err(refuse(format!("frame numbers up to {last} that are not whole or not below {MOST_FRAMES}")));
     }
     let count = if numbers.is_empty() { 0 } else { last as usize + 1 };
     let mut frames = vec![RawFrame::new(KeyPoints::default()); count];
@@ -337,5 +337,5 @@ fn points_of(path: &Path, table: &Table) -> Result<Vec<KeyPoints>> {
 
 fn rotations(path: &Path, rows: &[Vec<f64>], what: &str) -> Result<Vec<Option<UnitQuaternion<f64>>>> {
     let one = |(i, row): (usize, &Vec<f64>)| rotation_of(row).map_err(|e| Error::at(path, None, at_frame(i, what, e)));
-    Ok(rows.iter().enumerate().map(one).collect::<drex_core::Result<_>>()?)
+    rows.iter().enumerate().map(one).collect()
 }

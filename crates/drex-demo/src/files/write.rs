@@ -2,14 +2,13 @@
 
 use std::path::Path;
 
-use drex_core::{Error, fsutil};
+use drex_core::{Error, Result, fsutil};
 use nalgebra::Point3;
 use serde::Serialize;
 
-use super::Demonstration;
 use super::json::FORMAT;
 use super::order::NAMES;
-use crate::{Result, Side};
+use crate::{Demonstration, Side};
 
 #[derive(Serialize)]
 struct DemoFile<'d> {
@@ -66,6 +65,6 @@ impl Demonstration {
         let mut text = serde_json::to_string(&file)
             .map_err(|e| Error::value(format!("the demonstration cannot be written: {e}"), "check its numbers"))?;
         text.push('\n');
-        Ok(fsutil::write_atomic(path, text.as_bytes())?)
+        fsutil::write_atomic(path, text.as_bytes())
     }
 }

@@ -10,7 +10,7 @@ mod fit;
 mod points;
 mod starts;
 
-use drex_core::{Pose, Surface};
+use drex_core::{Error, Pose, Result, Surface};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -19,7 +19,6 @@ pub use self::clip::register_clip;
 use self::fit::{Fit, Problem};
 pub use self::points::{parse_points, read_point_frames, read_points};
 use self::starts::{Moments, surface_samples};
-use crate::{Result, RetargetError};
 
 /// How [`register`] searches.
 #[derive(Debug, Clone)]
@@ -158,7 +157,7 @@ pub fn register(points: &[Point3<f64>], surface: &dyn Surface, options: &Registe
 
 impl<'a> Problem<'a> {
     fn new(points: &[Point3<f64>], surface: &'a dyn Surface, options: &'a RegisterOptions) -> Result<Self> {
-        let refuse = |what: String, remedy| Err(RetargetError::value(what, remedy));
+        let refuse = |what: String, remedy| Err(Error::value(what, remedy));
         if options.scale.is_some_and(|s| !(s > 0.0 && s.is_finite())) {
             return refuse("the scale is not positive".into(), "give units of the points per metre, or none");
         }
@@ -213,10 +212,7 @@ impl<'a> Problem<'a> {
     /// The best of `fits` and what is as good, if sought also among turns of the best by quarters about the object's axes.
     fn registration(&self, fits: Vec<Fit>, symmetries: Symmetries) -> Result<Registration> {
         let Some(best) = fits.first().copied() else {
-            return Err(RetargetError::value(
-                "no placement of the object fits the points",
-                "check the points and the mesh",
-            ));
+            return Err(Error::value("no placement of the object fits the points", "check the points and the mesh"));
         };
         let turns = match symmetries {
             Symmetries::Sought => starts::quarter_turns(&self.surface_moments),

@@ -1,13 +1,13 @@
 //! Brings a mesh onto reconstructed points of the object and prints where it is.
 //!
-//! `cargo run --release -p drex-retarget --example register_points -- MESH.obj POINTS.ply [MORE_POINTS ...]`
+//! `cargo run --release -p drex-demo --example register_points -- MESH.obj POINTS.ply [MORE_POINTS ...]`
 //! Several files are frames of a clip. Time is processor time of all threads, where the system tells it.
 #![allow(clippy::print_stdout)] // the program's output
 
 use std::path::Path;
 
+use drex_demo::{RegisterOptions, read_points, register_clip};
 use drex_mesh::{MeshSdf, RepairOptions, read_mesh, repair};
-use drex_retarget::{RegisterOptions, read_points, register_clip};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();

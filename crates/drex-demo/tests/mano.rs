@@ -1,4 +1,5 @@
 //! The MANO forward model on a small model made by hand, whose answers are known; the real model belongs to its owners.
+#![cfg(feature = "files")]
 #![allow(clippy::unwrap_used, missing_docs)] // a test: a panic is the report
 
 mod numpy;
@@ -6,7 +7,7 @@ mod numpy;
 use std::f64::consts::FRAC_PI_2;
 use std::path::Path;
 
-use drex_retarget::{Demonstration, KeyPoints, LoadOptions, ManoModel, ManoPose, Side, mirrored};
+use drex_demo::{Demonstration, KeyPoints, LoadOptions, ManoModel, ManoPose, Side, mirrored};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use numpy::{npy, npz};
 

@@ -2,14 +2,14 @@
 
 use std::path::Path;
 
-use drex_core::Error;
 use drex_core::readers::Table;
+use drex_core::{Error, Result};
 use nalgebra::Point3;
 
 use super::objects::pose_of;
 use super::order::{MANUS_NODES, key_point_named};
 use super::{Raw, RawFrame};
-use crate::{KEYPOINTS, Result};
+use crate::KEYPOINTS;
 
 /// Columns of the object's pose.
 const OBJECT: [&str; 7] = ["object_x", "object_y", "object_z", "object_qw", "object_qx", "object_qy", "object_qz"];
@@ -26,7 +26,7 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Raw> {
             "" | "nan" | "null" | "none" | "na" => Ok(f64::NAN),
             _ => text.parse().map_err(|_| {
                 let what = format!("column {}: `{text}` is not a number", table.header()[column]);
-                Error::content(path, table.line(row), what, "leave the cell empty where nothing was seen").into()
+                Error::content(path, table.line(row), what, "leave the cell empty where nothing was seen")
             }),
         }
     };
@@ -72,7 +72,7 @@ impl Columns {
             };
             if slot.replace(column).is_some() {
                 let what = format!("two columns are `{header}`");
-                return Err(Error::content(path, 1, what, "keep one").into());
+                return Err(Error::content(path, 1, what, "keep one"));
             }
         }
         let whole = |slots: &[[Option<usize>; 3]]| -> Option<Vec<[usize; 3]>> {
@@ -91,8 +91,7 @@ impl Columns {
                 1,
                 format!("the columns ({head}, …) do not name x, y and z of 21 key points"),
                 "name them wrist_x, wrist_y, wrist_z, thumb_cmc_x, … or p0_x, p0_y, p0_z, … p20_z",
-            )
-            .into());
+            ));
         };
         let mut out = [[0; 3]; KEYPOINTS];
         out.copy_from_slice(&points);

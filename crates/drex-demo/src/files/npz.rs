@@ -4,10 +4,8 @@ use std::io::{Cursor, Read};
 use std::path::{Path, PathBuf};
 
 use drex_core::readers::{NpyArray, NpyValues, parse_npy};
-use drex_core::{Error, budget};
+use drex_core::{Error, Result, budget};
 use zip::ZipArchive;
-
-use crate::Result;
 
 /// An open archive.
 pub(crate) struct Npz<'b> {
@@ -60,7 +58,7 @@ impl<'b> Npz<'b> {
         let read = member.take(budget::unpacked_limit(self.packed) + 1).read_to_end(&mut bytes);
         read.map_err(|e| refuse(format!("array {name} is damaged: {e}")))?;
         budget::allow_unpacked(&self.path.join(name), self.packed, bytes.len() as u64)?;
-        Ok(parse_npy(&self.path.join(name), &bytes)?)
+        parse_npy(&self.path.join(name), &bytes)
     }
 
     /// The numbers of the array `name`.
@@ -84,7 +82,7 @@ impl Table {
     fn new(path: &Path, array: NpyArray) -> Result<Self> {
         match array.values {
             NpyValues::Numbers(numbers) => Ok(Self { shape: array.shape, numbers }),
-            _ => Err(Error::content(path, None, "texts where numbers are needed", "save numbers").into()),
+            _ => Err(Error::content(path, None, "texts where numbers are needed", "save numbers")),
         }
     }
 
@@ -106,7 +104,7 @@ impl Table {
             let wanted = forms.iter().map(|f| format!("n{}", text(f))).collect::<Vec<_>>().join(" or ");
             let found = self.shape.iter().map(usize::to_string).collect::<Vec<_>>().join(" x ");
             let message = format!("{what} of shape {found} where {wanted} is needed");
-            return Err(Error::content(path, None, message, "save one row per frame").into());
+            return Err(Error::content(path, None, message, "save one row per frame"));
         };
         Ok(self.numbers.chunks_exact(row))
     }

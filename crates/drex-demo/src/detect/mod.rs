@@ -14,8 +14,9 @@ use std::time::Duration;
 
 use drex_core::fsutil::argument;
 use drex_core::program::{self, Outcome};
+use drex_core::{Error, Result};
 
-use crate::{Demonstration, LoadOptions, Result, RetargetError, Side};
+use crate::{Demonstration, LoadOptions, Side};
 
 /// Finds a hand in a video.
 pub trait HandDetector {
@@ -65,7 +66,7 @@ impl ExternalDetector {
     /// A detector that runs `program` with `args`, writes `.json`, and may take an hour.
     ///
     /// ```
-    /// use drex_retarget::ExternalDetector;
+    /// use drex_demo::ExternalDetector;
     ///
     /// let mut hamer = ExternalDetector::new("hamer", "/opt/hamer/venv/bin/python", &["hamer_export.py", "{video}", "{out}"]);
     /// hamer.format = "npz".into();
@@ -84,8 +85,8 @@ impl ExternalDetector {
         }
     }
 
-    fn error(&self, what: impl Into<String>, remedy: impl Into<String>) -> RetargetError {
-        RetargetError::Detector { detector: self.name.clone(), what: what.into(), remedy: remedy.into() }
+    fn error(&self, what: impl Into<String>, remedy: impl Into<String>) -> Error {
+        Error::value(format!("{}: {}", self.name, what.into()), remedy)
     }
 
     /// Runs the command and gives the bytes that it wrote and the path it was told.
@@ -217,7 +218,7 @@ impl HandDetector for MediaPipe {
 
     fn detect(&self, video: &Path, options: &LoadOptions) -> Result<Demonstration> {
         if !(0.0..=1.0).contains(&self.confidence) {
-            return Err(RetargetError::value(format!("a confidence of {}", self.confidence), "give 0 to 1"));
+            return Err(Error::value(format!("a confidence of {}", self.confidence), "give 0 to 1"));
         }
         // The script turns mirrored pictures back before it looks at them.
         let load = LoadOptions { mirrored: false, ..options.clone() };

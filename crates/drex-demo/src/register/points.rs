@@ -3,10 +3,8 @@
 use std::path::Path;
 
 use drex_core::readers::{NpyValues, parse_npy};
-use drex_core::{Error, fsutil};
+use drex_core::{Error, Result, fsutil};
 use nalgebra::Point3;
-
-use crate::Result;
 
 /// Reads the points of `.obj` (lines `v x y z`, colours behind them are passed over), `.ply` (text, or binary of either byte order), `.npy`
 /// (n x 3 and wider) or `.xyz`/`.txt` (one point per line). Units are the file's; points that are not finite are left out.
@@ -42,10 +40,10 @@ pub fn read_point_frames(folder: &Path) -> Result<Vec<(usize, Vec<Point3<f64>>)>
     files.sort();
     if let Some(pair) = files.windows(2).find(|w| w[0].0 == w[1].0) {
         let what = format!("two files of frame {}: also {}", pair[0].0, pair[0].1.display());
-        return Err(Error::content(&pair[1].1, None, what, "keep the object's points only").into());
+        return Err(Error::content(&pair[1].1, None, what, "keep the object's points only"));
     }
     if files.is_empty() {
-        return Err(Error::content(folder, None, "no file of points", "give one .obj or .ply per frame").into());
+        return Err(Error::content(folder, None, "no file of points", "give one .obj or .ply per frame"));
     }
     files.into_iter().map(|(number, path)| Ok((number, read_points(&path)?))).collect()
 }
@@ -63,12 +61,12 @@ pub fn parse_points(path: &Path, bytes: &[u8]) -> Result<Vec<Point3<f64>>> {
         "npy" => npy_points(path, bytes)?,
         _ => {
             let what = format!("points are not read from .{extension}");
-            return Err(Error::content(path, None, what, "give .obj, .ply, .npy or .xyz").into());
+            return Err(Error::content(path, None, what, "give .obj, .ply, .npy or .xyz"));
         }
     };
     points.retain(|p| p.iter().all(|v| v.is_finite()));
     if points.is_empty() {
-        return Err(Error::content(path, None, "the file holds no points", "check the reconstruction").into());
+        return Err(Error::content(path, None, "the file holds no points", "check the reconstruction"));
     }
     Ok(points)
 }
@@ -90,7 +88,7 @@ fn text_points(path: &Path, bytes: &[u8], word: Option<&str>) -> Result<Vec<Poin
         }
         let numbers: Vec<f64> = words.map_while(|w| w.parse().ok()).take(3).collect();
         let &[x, y, z] = numbers.as_slice() else {
-            return Err(Error::content(path, i + 1, "a point needs three numbers", "export the points again").into());
+            return Err(Error::content(path, i + 1, "a point needs three numbers", "export the points again"));
         };
         out.push(Point3::new(x, y, z));
     }
@@ -103,7 +101,7 @@ fn npy_points(path: &Path, bytes: &[u8]) -> Result<Vec<Point3<f64>>> {
         (NpyValues::Numbers(numbers), &[_, columns]) if columns >= 3 => {
             Ok(numbers.chunks_exact(columns).map(|row| Point3::new(row[0], row[1], row[2])).collect())
         }
-        _ => Err(Error::content(path, None, "the array is not n x 3", "save one point per row").into()),
+        _ => Err(Error::content(path, None, "the array is not n x 3", "save one point per row")),
     }
 }
 
@@ -121,7 +119,7 @@ fn ply_points(path: &Path, bytes: &[u8]) -> Result<Vec<Point3<f64>>> {
     let end = b"end_header";
     let header_end = bytes.windows(end.len()).position(|w| w == end);
     let Some((header, rest)) = header_end.filter(|_| bytes.starts_with(b"ply")).map(|i| bytes.split_at(i)) else {
-        return Err(refuse("the file has no PLY header".into()).into());
+        return Err(refuse("the file has no PLY header".into()));
     };
     let body = rest.iter().position(|b| *b == b'\n').map_or(&[][..], |i| &rest[i + 1..]);
     let header = String::from_utf8_lossy(header);
@@ -140,10 +138,10 @@ fn ply_points(path: &Path, bytes: &[u8]) -> Result<Vec<Point3<f64>>> {
                 if *name == "vertex" && elements == 1 {
                     count = n.parse().map_err(|_| refuse(format!("`{line}` is no count")))?;
                 } else if elements == 1 {
-                    return Err(refuse("the vertices do not come first".into()).into());
+                    return Err(refuse("the vertices do not come first".into()));
                 }
             }
-            ["property", "list", ..] if elements == 1 => return Err(refuse("vertices with lists".into()).into()),
+            ["property", "list", ..] if elements == 1 => return Err(refuse("vertices with lists".into())),
             ["property", kind, name] if elements == 1 => {
                 if let Some(axis) = ["x", "y", "z"].iter().position(|a| a == name) {
                     axes[axis] = Some(widths.len());
@@ -154,7 +152,7 @@ fn ply_points(path: &Path, bytes: &[u8]) -> Result<Vec<Point3<f64>>> {
         }
     }
     let (Some(form), [Some(x), Some(y), Some(z)]) = (form, axes) else {
-        return Err(refuse("no format, or vertices without x, y and z".into()).into());
+        return Err(refuse("no format, or vertices without x, y and z".into()));
     };
     let mut out = Vec::new();
     if form == Form::Text {
@@ -163,7 +161,7 @@ fn ply_points(path: &Path, bytes: &[u8]) -> Result<Vec<Point3<f64>>> {
             let numbers: Vec<Option<f64>> = line.split_ascii_whitespace().map(|w| w.parse().ok()).collect();
             let at = |i: usize| numbers.get(i).copied().flatten();
             let (Some(x), Some(y), Some(z)) = (at(x), at(y), at(z)) else {
-                return Err(refuse(format!("`{}` is no vertex", line.chars().take(60).collect::<String>())).into());
+                return Err(refuse(format!("`{}` is no vertex", line.chars().take(60).collect::<String>())));
             };
             out.push(Point3::new(x, y, z));
         }
@@ -171,7 +169,7 @@ fn ply_points(path: &Path, bytes: &[u8]) -> Result<Vec<Point3<f64>>> {
         let row: usize = widths.iter().map(|(w, _)| w).sum();
         let offset = |i: usize| widths[..i].iter().map(|(w, _)| w).sum::<usize>();
         if ![x, y, z].iter().all(|&i| widths[i].1) {
-            return Err(refuse("x, y and z are not floats".into()).into());
+            return Err(refuse("x, y and z are not floats".into()));
         }
         let number = |row: &[u8], i: usize| {
             let bytes = &row[offset(i)..offset(i) + widths[i].0];
@@ -190,7 +188,7 @@ fn ply_points(path: &Path, bytes: &[u8]) -> Result<Vec<Point3<f64>>> {
         out.extend(body.chunks_exact(row).take(count).map(|r| Point3::new(number(r, x), number(r, y), number(r, z))));
     }
     if out.len() != count {
-        return Err(refuse(format!("{} vertices where the header says {count}", out.len())).into());
+        return Err(refuse(format!("{} vertices where the header says {count}", out.len())));
     }
     Ok(out)
 }
