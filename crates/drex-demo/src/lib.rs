@@ -1,4 +1,3 @@
-//! Human demonstrations: key points of a hand over time, and the object that it handled.
 #![doc = include_str!("../README.md")]
 
 mod demonstration;
