@@ -4,13 +4,13 @@
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
 
-use drex_core::clock::Clock;
-use drex_core::push::PushConfig;
-use drex_core::readers::BopSelection;
-use drex_core::{fsutil, mesh, readers, twin};
+use drex_core::{fsutil, mesh, npy, pose, twin};
 use drex_demo::{Demonstration, LoadOptions, ManoModel};
 use drex_hw::allegro::{self, AllegroVersion};
 use drex_hw::{can, dynamixel};
+use drex_recording::clock::Clock;
+use drex_recording::push::PushConfig;
+use drex_recording::readers::{self, BopSelection};
 use drex_retarget::TargetHand;
 use drex_robot::Robot;
 use drex_splat::{Capture, CaptureOptions, Kind};
@@ -43,7 +43,7 @@ pub const TARGETS: &[Target] = &[
     target("glb", |b| drop(black_box(drex_mesh::parse_mesh(Path::new("a.glb"), b))), seeds::glb),
     target("marks", |b| drop(black_box(drex_mesh::read_marks(&file("marks.json", b)))), seeds::marks),
     target("asset_xml", asset_xml, seeds::mjcf),
-    target("npy", npy, seeds::npy_arrays),
+    target("npy", npy_arrays, seeds::npy_arrays),
     target("csv", csv, seeds::csv),
     target("pose_log", pose_log, seeds::pose_log),
     target("grasps_json", |b| drop(black_box(readers::parse_grasp_file(Path::new("g.json"), b))), seeds::grasps_json),
@@ -124,9 +124,9 @@ fn asset_xml(data: &[u8]) {
     let _ = black_box(drex_mesh::check_asset(&path, &drex_mesh::CheckOptions::default()));
 }
 
-fn npy(data: &[u8]) {
+fn npy_arrays(data: &[u8]) {
     let path = Path::new("a.npy");
-    let _ = black_box(readers::parse_npy(path, data));
+    let _ = black_box(npy::parse_npy(path, data));
     let _ = black_box(drex_splat::io::npy::parse(path, data));
     let _ = black_box(readers::parse_grasps_npy(path, data, &["a".into(), "b".into(), "c".into()]));
 }
@@ -145,7 +145,7 @@ fn csv(data: &[u8]) {
 fn pose_log(data: &[u8]) {
     let path = Path::new("poses.txt");
     let _ = black_box(readers::parse_foundation_pose_log(path, data, &Clock::LocalIso { utc_offset_minutes: -420 }));
-    let _ = black_box(readers::parse_matrix_text(path, data));
+    let _ = black_box(pose::parse_pose_matrix(path, 1, &String::from_utf8_lossy(data)));
 }
 
 fn twin_toml(data: &[u8]) {

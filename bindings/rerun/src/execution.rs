@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 use drex_core::fsutil;
-use drex_core::readers::Table;
+use drex_recording::readers::Table;
 use serde::Deserialize;
 
 use crate::recorder::{Recorder, Times};

@@ -1,8 +1,8 @@
 //! The mass: how likely each one is, and the pushes that say so.
 
 use anyhow::{Context, Result};
-use drex_core::push::{Drive, ForceProfile, InputChoice, PushRecording};
 use drex_core::{Pose, pose};
+use drex_recording::push::{Drive, ForceProfile, InputChoice, PushRecording};
 use nalgebra::Vector3;
 use re_sdk_types::archetypes::Arrows3D;
 use serde::Deserialize;

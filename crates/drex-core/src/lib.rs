@@ -1,17 +1,4 @@
-//! Poses, trajectories, clocks, cameras, meshes, recorded data and the twin folder: what every drex crate shares.
-//!
-//! A recorded push, whatever layout it came in, is one value on one clock:
-//!
-//! ```no_run
-//! use drex_core::push::{Drive, InputChoice, PushRecording};
-//!
-//! let push = PushRecording::load("twin/push/push1".as_ref(), &InputChoice::default())?;
-//! println!("{}: {}", push.name, push.notes.join("; "));
-//! if let Drive::Hand(hand) = &push.drive {
-//!     println!("{} moved it; joints {}", hand.robot, hand.joints.names.join(", "));
-//! }
-//! # Ok::<(), drex_core::Error>(())
-//! ```
+//! Poses, trajectories, cameras, meshes, files and the twin folder: what every drex crate shares.
 //!
 //! Meshes know what the solid weighs and how it turns:
 //!
@@ -34,16 +21,13 @@
 
 pub mod budget;
 pub mod camera;
-pub mod clock;
 pub mod error;
 pub mod fsutil;
-pub mod joints;
 pub mod mesh;
+pub mod npy;
 pub mod ply;
 pub mod pose;
 pub mod program;
-pub mod push;
-pub mod readers;
 pub mod surface;
 pub mod trajectory;
 pub mod twin;

@@ -1,5 +1,7 @@
 //! Rigid poses. A pose is named `a_from_b`: it maps coordinates in frame b to coordinates in frame a.
 
+use std::path::Path;
+
 use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
 
 use crate::{Error, Result};
@@ -14,6 +16,9 @@ pub type Pose<T = f64> = Isometry3<T>;
 /// How far the norm of a quaternion, or R Rᵀ, may be from one before a pose is refused.
 /// Files print four decimals at the least (1.5e-4 seen in real logs).
 pub const UNIT_TOLERANCE: f64 = 1e-2;
+
+/// Largest coordinate of a position on a tabletop, metres: larger numbers in a file are taken for millimetres and refused.
+pub const MAX_POSITION_M: f64 = 20.0;
 
 /// A pose from a translation in metres and a quaternion in the order w, x, y, z.
 ///
@@ -54,6 +59,50 @@ pub fn pose_from_matrix(m: &Matrix4<f64>) -> Result<Pose> {
     let r: Matrix3<f64> = m.fixed_view::<3, 3>(0, 0).into_owned();
     let rotation = rotation_from_matrix(&r)?;
     Ok(Isometry3::from_parts(Translation3::new(m[(0, 3)], m[(1, 3)], m[(2, 3)]), rotation))
+}
+
+/// Refuses a position in `line` of `path` that cannot be in metres.
+///
+/// # Errors
+/// If a coordinate is larger than [`MAX_POSITION_M`].
+pub fn check_position(path: &Path, line: usize, position: &Vector3<f64>) -> Result<()> {
+    if position.amax() > MAX_POSITION_M {
+        return Err(Error::content(
+            path,
+            line,
+            format!("a position of {:.3} m, farther than {MAX_POSITION_M} m from the origin", position.amax()),
+            "positions are metres; if these are millimetres, divide them by 1000",
+        ));
+    }
+    Ok(())
+}
+
+/// A pose from the text of a homogeneous 4 x 4 matrix, one row per line or all sixteen numbers in a row, with or without
+/// brackets and commas. The text starts at `line` of `path`, which are for messages only.
+///
+/// # Errors
+/// If there are not sixteen finite numbers, they are no rigid transform, or the position cannot be in metres.
+pub fn parse_pose_matrix(path: &Path, line: usize, text: &str) -> Result<Pose> {
+    let separators = |c: char| c.is_whitespace() || matches!(c, ',' | '[' | ']' | '(' | ')');
+    let mut numbers = Vec::with_capacity(16);
+    for (i, row) in text.lines().enumerate() {
+        for token in row.split(separators).filter(|t| !t.is_empty()) {
+            match token.parse::<f64>() {
+                Ok(v) if v.is_finite() => numbers.push(v),
+                _ => {
+                    let what = format!("`{token}` is not a finite number");
+                    return Err(Error::content(path, line + i, what, "remove the frame or repair the track"));
+                }
+            }
+        }
+    }
+    if numbers.len() != 16 {
+        let what = format!("{} numbers where a 4 x 4 matrix has 16", numbers.len());
+        return Err(Error::content(path, line, what, "give one camera_from_object matrix, row by row"));
+    }
+    let pose = pose_from_matrix(&Matrix4::from_row_slice(&numbers)).map_err(|e| Error::at(path, line, e))?;
+    check_position(path, line, &pose.translation.vector)?;
+    Ok(pose)
 }
 
 /// The proper rotation nearest to `r` (polar decomposition by SVD).

@@ -1,6 +1,7 @@
 //! Is the recording any good? What a person should know before it is retargeted.
 
-use drex_core::{Surface, readers::FARTHEST_M};
+use drex_core::Surface;
+use drex_core::pose::MAX_POSITION_M;
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
@@ -266,7 +267,7 @@ impl Demonstration {
             let distance = (wrist.coords - pose.translation.vector).norm();
             if !(distance < OTHER_FRAME_M) {
                 away += 1;
-                check.flags.push(Flag::FarFromObject { distance_mm: 1e3 * distance.min(FARTHEST_M) });
+                check.flags.push(Flag::FarFromObject { distance_mm: 1e3 * distance.min(MAX_POSITION_M) });
             } else if let Some(surface) = object {
                 let near = HumanFinger::ALL.iter().filter_map(|f| {
                     let p = pose.inverse_transform_point(&frame.points[f.tip()]?);

@@ -5,13 +5,13 @@ use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use drex_core::joints::JointLog;
-use drex_core::readers::read_joint_log_csv;
 use drex_hw::control::{
     Behaviour, ControlLoop, ControlOptions, Derating, EStop, Ended, JointTrouble, Joints, Trajectory, Waypoint, run,
     telemetry, write_csv,
 };
 use drex_hw::{Clock, EffortUnit, Error, Hand, HandCommand, HandState, JointStatus, Result};
+use drex_recording::joints::JointLog;
+use drex_recording::readers::read_joint_log_csv;
 
 /// What the tests see and change of a hand.
 #[derive(Default)]

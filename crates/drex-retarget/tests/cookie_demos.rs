@@ -3,9 +3,9 @@
 
 use std::path::PathBuf;
 
-use drex_core::readers::read_grasps;
 use drex_grasp::TablePlane;
 use drex_mesh::{GridOptions, GridSdf, MeshSdf, RepairOptions, read_mesh, repair, solid_properties};
+use drex_recording::readers::read_grasps;
 use drex_retarget::{ObjectSurface, WristFitOptions, fit_wrists};
 use drex_robot::{Robot, orders};
 use nalgebra::Vector3;

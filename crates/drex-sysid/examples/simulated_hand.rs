@@ -11,13 +11,13 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use drex_core::joints::JointLog;
-use drex_core::push::{Drive, HandPush, InputChoice, PushRecording};
 use drex_core::{Pose, Trajectory, TriMesh};
 use drex_diffsim::{
     ActuatorKind, Articulation, Base, Body, BodyState, Collider, Control, ConvexPiece, Fixed, Model, Part, Scene,
     State, Workspace, step,
 };
+use drex_recording::joints::JointLog;
+use drex_recording::push::{Drive, HandPush, InputChoice, PushRecording};
 use drex_robot::Robot;
 use drex_sysid::bound::{BoundOptions, Topple, of_topple};
 use drex_sysid::calibrate::{CalibrateOptions, HandCalibration, HandRun, hand};

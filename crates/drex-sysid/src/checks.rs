@@ -1,7 +1,8 @@
 //! What a recording must be before it is worth simulating.
 
 use drex_core::pose::pose_difference;
-use drex_core::push::{Drive, PoseNoise, PushRecording, Support, SupportBox, TrackFrame};
+use drex_core::trajectory::PoseNoise;
+use drex_recording::push::{Drive, PushRecording, Support, SupportBox, TrackFrame};
 use nalgebra::{Point3, Vector3};
 
 use crate::{ObjectModel, Result, SysidError};

@@ -7,7 +7,8 @@
 //! contact: a start for the estimate and a check of it.
 
 use drex_core::Pose;
-use drex_core::push::{Drive, ForceProfile, PoseNoise, PushRecording, SupportBox, TrackFrame};
+use drex_core::trajectory::PoseNoise;
+use drex_recording::push::{Drive, ForceProfile, PushRecording, SupportBox, TrackFrame};
 use nalgebra::{DMatrix, DVector, Point3, Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
 

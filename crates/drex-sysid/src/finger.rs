@@ -12,8 +12,8 @@
 use std::sync::Arc;
 
 use drex_core::Pose;
-use drex_core::push::{FingerImpedance, FingerPush};
 use drex_diffsim::{ActuatorKind, Articulation, Base, Control, Scalar, SimError};
+use drex_recording::push::{FingerImpedance, FingerPush};
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -191,8 +191,8 @@ fn mjcf(i: &FingerImpedance, axes: &Matrix3<f64>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use drex_core::push::EncoderTrack;
     use drex_diffsim::{Model, Scene, State, rollout};
+    use drex_recording::push::EncoderTrack;
 
     fn impedance(home_m: [f64; 3]) -> FingerImpedance {
         FingerImpedance {

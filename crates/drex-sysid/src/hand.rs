@@ -6,7 +6,7 @@
 
 use std::path::Path;
 
-use drex_core::push::{Drive, HandPush, PushRecording};
+use drex_recording::push::{Drive, HandPush, PushRecording};
 use drex_robot::Robot;
 
 use crate::answer::{HandReport, Identification, Sensitivity, Verdict};

@@ -5,8 +5,8 @@
 
 use drex_core::Pose;
 use drex_core::pose::pose_difference;
-use drex_core::push::{Drive, PushRecording, TrackFrame};
 use drex_diffsim::ConvexPiece;
+use drex_recording::push::{Drive, PushRecording, TrackFrame};
 use nalgebra::{SMatrix, SVector, Vector3};
 
 use crate::parameters::Parameter;

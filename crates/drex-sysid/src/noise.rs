@@ -2,7 +2,7 @@
 
 use drex_core::Trajectory;
 use drex_core::pose::pose_difference;
-use drex_core::push::PoseNoise;
+use drex_core::trajectory::PoseNoise;
 use nalgebra::{Vector3, Vector6};
 
 /// Two correct simulators of rigid contact differ by about this much where objects slide and rock; a cleaner track is

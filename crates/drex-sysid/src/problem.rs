@@ -4,11 +4,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use drex_core::Pose;
-use drex_core::push::{Drive, PoseNoise, PushRecording, SupportBox};
+use drex_core::trajectory::PoseNoise;
 use drex_diffsim::{
     AppliedForce, Body, Collider, ContactOptions, ConvexPiece, Fixed, ForcePoint, Model, Part, Record, Scalar, Scene,
     State, rollout,
 };
+use drex_recording::push::{Drive, PushRecording, SupportBox};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use crate::closed_form::{ClosedForm, closed_form};

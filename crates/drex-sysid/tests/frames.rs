@@ -6,10 +6,10 @@ mod common;
 use std::path::{Path, PathBuf};
 
 use common::{box_mesh, normals, shared};
-use drex_core::clock::{Clock, parse_utc_offset};
-use drex_core::push::{InputChoice, PushRecording};
-use drex_core::readers::read_foundation_pose_log;
 use drex_core::{Pose, Trajectory, TriMesh};
+use drex_recording::clock::{Clock, parse_utc_offset};
+use drex_recording::push::{InputChoice, PushRecording};
+use drex_recording::readers::read_foundation_pose_log;
 use drex_sysid::frames::{self, FoundFrames, FrameOptions, Standing};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde_json::Value;

@@ -6,9 +6,9 @@ mod common;
 use std::path::PathBuf;
 
 use common::{box_mesh, normals, shared};
-use drex_core::joints::JointLog;
-use drex_core::push::{Drive, HandPush, InputChoice, PushRecording};
 use drex_core::{Pose, Trajectory, TriMesh};
+use drex_recording::joints::JointLog;
+use drex_recording::push::{Drive, HandPush, InputChoice, PushRecording};
 use drex_robot::Robot;
 use drex_sysid::bound::{Bound, BoundOptions, Topple, of_topple};
 use drex_sysid::calibrate::{CalibrateOptions, ExtraTorque, HandCalibration, HandRun, hand};

@@ -14,7 +14,8 @@ use std::path::{Path, PathBuf};
 use common::{block, shared, simulated};
 use drex_core::Trajectory;
 use drex_core::TriMesh;
-use drex_core::push::{Drive, ForceChoice, ForceProfile, InputChoice, PoseChoice, PoseNoise, PushRecording};
+use drex_core::trajectory::PoseNoise;
+use drex_recording::push::{Drive, ForceChoice, ForceProfile, InputChoice, PoseChoice, PushRecording};
 use drex_sysid::{Identification, IdentifyOptions, ObjectModel, Verdict, identify};
 use nalgebra::{Point3, Vector3};
 

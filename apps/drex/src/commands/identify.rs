@@ -4,9 +4,9 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
-use drex_core::push::{InputChoice, PushRecording};
 use drex_core::twin::MANIFEST;
 use drex_mesh::{AssetOptions, LengthUnit, build_asset};
+use drex_recording::push::{InputChoice, PushRecording};
 use drex_sysid::calibrate::HandCalibration;
 use drex_sysid::{
     Identification, IdentifyOptions, Knowledge, MassPosterior, MassPrior, Method, Parameter, ParameterSet,

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use drex_core::fsutil::OutputFolder;
-use drex_core::readers::read_pose_csv;
+use drex_recording::readers::read_pose_csv;
 use drex_splat::capture::{Capture, CaptureOptions};
 use drex_splat::io::{exr, npy, picture, read_gaussians};
 use drex_splat::{Bound, Cpu, Gaussians, Kind, Orbit, PinholeCamera, Rasterizer, Render, RenderOptions, Scene};

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use drex_core::fsutil;
-use drex_core::readers::Table;
+use drex_recording::readers::Table;
 
 use super::page::Page;
 use crate::picture::plot::{COLORS, Plot, Series};

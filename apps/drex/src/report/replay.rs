@@ -1,9 +1,9 @@
 //! A push again: the simulated object and the tracked one, and what pushed it.
 
 use anyhow::Result;
-use drex_core::push::{Drive, ForceProfile, InputChoice, PushRecording};
 use drex_core::{Pose, TriMesh, pose};
 use drex_mesh::Asset;
+use drex_recording::push::{Drive, ForceProfile, InputChoice, PushRecording};
 use drex_sysid::PushReport;
 use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 

@@ -3,7 +3,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::{Trajectory, Twist};
-use crate::push::PoseNoise;
+use serde::{Deserialize, Serialize};
 
 /// MAD of a normal distribution of unit standard deviation.
 const MAD_OF_NORMAL: f64 = 0.674_489_750_196_081_7;
@@ -33,6 +33,16 @@ pub struct TrackNoise {
     pub position_m: Vector3<f64>,
     /// Of the orientation, per axis of the body's rotation vector, radians.
     pub rotation_rad: Vector3<f64>,
+}
+
+/// Standard deviations of a pose track.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PoseNoise {
+    /// Per axis, metres.
+    pub position_m: f64,
+    /// Per axis of the rotation vector, radians.
+    pub rotation_rad: f64,
 }
 
 impl TrackNoise {

@@ -4,7 +4,7 @@ mod analysis;
 
 use nalgebra::Vector3;
 
-pub use self::analysis::{Gap, Speeds, TrackNoise, make_signs_continuous};
+pub use self::analysis::{Gap, PoseNoise, Speeds, TrackNoise, make_signs_continuous};
 use crate::pose::interpolate;
 use crate::{Error, Pose, Result};
 

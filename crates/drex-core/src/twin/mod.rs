@@ -106,7 +106,7 @@ impl LengthUnit {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MassConfig {
-    /// Pushes that tell the mass: folders or files as [`crate::push::PushRecording::load`] takes them.
+    /// Pushes that tell the mass: folders that hold a `push.toml`, or such files.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub identify: Vec<PathBuf>,
     /// Weighed mass, kg: a prior that is right to 1 %, in place of a guess.

@@ -3,7 +3,7 @@
 use std::io::{Cursor, Read};
 use std::path::{Path, PathBuf};
 
-use drex_core::readers::{NpyArray, NpyValues, parse_npy};
+use drex_core::npy::{NpyArray, NpyValues, parse_npy};
 use drex_core::{Error, Result, budget};
 use zip::ZipArchive;
 

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use drex_core::pose::{pose_from_matrix, pose_from_wxyz, rotation_from_matrix};
-use drex_core::readers::{FARTHEST_M, FrameTimes, read_foundation_pose_folder, read_pose_csv};
+use drex_core::pose::{MAX_POSITION_M, pose_from_matrix, pose_from_wxyz, rotation_from_matrix};
 use drex_core::{Error, Pose, Result, fsutil};
+use drex_recording::readers::{FrameTimes, read_foundation_pose_folder, read_pose_csv};
 use nalgebra::{Matrix3, Matrix4, UnitQuaternion};
 
 use super::npz::{Npz, Table};
@@ -131,7 +131,7 @@ pub(super) fn poses_of(path: &Path, array: &Table) -> Result<Vec<Option<Pose>>> 
 /// Refuses object positions that must be in another unit.
 pub(super) fn check_positions(path: &Path, frames: &[HandFrame]) -> Result<()> {
     for frame in frames {
-        if let Some(pose) = frame.source_from_object.filter(|p| p.translation.vector.amax() > FARTHEST_M) {
+        if let Some(pose) = frame.source_from_object.filter(|p| p.translation.vector.amax() > MAX_POSITION_M) {
             let far = pose.translation.vector.amax();
             let what = format!("frame {}: the object is {far:.0} m from the origin", frame.index);
             return Err(Error::content(path, None, what, "state the unit: mm or cm"));

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use drex_core::readers::Table;
 use drex_core::{Error, Result};
+use drex_recording::readers::Table;
 use nalgebra::Point3;
 
 use super::objects::pose_of;

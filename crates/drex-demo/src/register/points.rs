@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use drex_core::readers::{NpyValues, parse_npy};
+use drex_core::npy::{NpyValues, parse_npy};
 use drex_core::{Error, Result, fsutil};
 use nalgebra::Point3;
 

@@ -8,9 +8,9 @@ pub mod shapes;
 
 use std::path::{Path, PathBuf};
 
-use drex_core::push::{Drive, ForceChoice, InputChoice, PoseChoice, PushRecording, SupportBox};
 use drex_core::{MassProperties, Pose};
 use drex_diffsim::Geom;
+use drex_recording::push::{Drive, ForceChoice, InputChoice, PoseChoice, PushRecording, SupportBox};
 use nalgebra::{Matrix3, Point3, Quaternion, UnitQuaternion, Vector3};
 use serde_json::Value;
 

@@ -11,7 +11,7 @@ const WAIT: Duration = Duration::from_millis(200);
 
 /// Writes cycles as CSV until the loop has ended, and returns how many; for a thread of its own.
 ///
-/// The layout is that of `drex_core::readers::read_joint_log_csv`: `timestamp` (s), then per joint `position_*` (rad), `velocity_*`
+/// The layout is that of `drex_recording::readers::read_joint_log_csv`: `timestamp` (s), then per joint `position_*` (rad), `velocity_*`
 /// (rad/s) and, of hands that count in N m, `effort_*`; currents are `current_ma_*`. Columns that the reader leaves alone follow:
 /// `goal_*` (rad), `limit_*` (unit of the effort), `age_*` (cycles), `temperature_c_*` (empty where not known), `late_s`, `phase`.
 ///

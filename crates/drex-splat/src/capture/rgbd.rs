@@ -5,8 +5,8 @@ use std::path::Path;
 
 use drex_core::Error;
 use drex_core::camera::{Camera, CameraModel};
-use drex_core::fsutil::{read_bytes, read_text};
-use drex_core::readers::parse_matrix_text;
+use drex_core::fsutil::read_text;
+use drex_core::pose::parse_pose_matrix;
 
 use super::assemble::{Posed, count, finish};
 use super::companions::{Companions, photos_under, size_of};
@@ -43,7 +43,7 @@ pub(super) fn load(folder: &Path, options: &CaptureOptions) -> Result<Capture> {
         let [width, height] = size_of(&photo)?;
         // K counts from the centre of the first pixel, our cameras from its corner.
         let lens = Camera::new(CameraModel::Pinhole, width as u32, height as u32, &[fx, fy, cx + 0.5, cy + 0.5])?;
-        let camera_from_world = parse_matrix_text(&pose, &read_bytes(&pose)?)?;
+        let camera_from_world = parse_pose_matrix(&pose, 1, &read_text(&pose)?)?;
         posed.push(Posed { name, photo, given: Companions::default(), lens, camera_from_world, keypoints: Vec::new() });
     }
     if posed.is_empty() {

@@ -9,8 +9,8 @@
 //! which is linear in the unknown start x₀ of each finger and in the error δ of the stated height of the hand: a hand that is
 //! higher than stated moves farther for the same lean. τ (the delay of the tracker) is scanned.
 
-use drex_core::clock::{Span, overlap};
 use drex_core::{Pose, Trajectory};
+use drex_recording::clock::{Span, overlap};
 use drex_robot::{Finger, Robot, Shape};
 use nalgebra::{DMatrix, DVector, Point3, Translation3, UnitQuaternion, Vector3};
 

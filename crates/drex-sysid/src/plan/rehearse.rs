@@ -1,8 +1,8 @@
 //! A planned push done in simulation: with feedback, until the object has moved enough.
 
-use drex_core::push::{Drive, EncoderTrack, FingerPush, ForceProfile, PushRecording, Support};
 use drex_core::{Pose, Trajectory};
 use drex_diffsim::ConvexPiece;
+use drex_recording::push::{Drive, EncoderTrack, FingerPush, ForceProfile, PushRecording, Support};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -6,12 +6,12 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use drex_core::readers::read_joint_log_csv;
 use drex_hw::control::{
     Behaviour, ControlOptions, EStop, Ended, JointTrouble, LoopReport, LoopStats, Stay, Trajectory, Waypoint, run,
     telemetry, write_csv,
 };
 use drex_hw::{Clock, Error, Hand, SystemClock};
+use drex_recording::readers::read_joint_log_csv;
 use serde_json::{Value, json};
 
 use super::{Driver, Setup, angles, stop_button};

@@ -4,7 +4,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Error, Result};
+use drex_core::{Error, Result};
 
 /// Inputs of a push that comes in several qualities, as in a simulated set. Other pushes only heed `encoder`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

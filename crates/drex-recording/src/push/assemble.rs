@@ -6,13 +6,13 @@ use nalgebra::Vector3;
 
 use super::*;
 use crate::clock::{Clock, parse_utc_offset};
-use crate::fsutil;
 use crate::joints::JointLog;
-use crate::pose::pose_from_wxyz;
 use crate::readers::{
     BopSelection, FrameTimes, read_action_csv, read_bop_csv, read_force_csv, read_foundation_pose_folder,
     read_foundation_pose_log, read_joint_log_csv, read_pose_csv, read_proprio_csv,
 };
+use drex_core::fsutil;
+use drex_core::pose::pose_from_wxyz;
 
 impl PushConfig {
     /// Reads everything that the configuration names; relative paths start at `folder`.

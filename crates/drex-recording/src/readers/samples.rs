@@ -4,9 +4,10 @@ use std::path::Path;
 
 use nalgebra::{Point3, Vector3};
 
-use super::{Table, check_position};
+use super::Table;
 use crate::push::{EncoderTrack, ForceProfile};
-use crate::{Error, Result, fsutil};
+use drex_core::pose::check_position;
+use drex_core::{Error, Result, fsutil};
 
 /// No robot finger pushes a tabletop object harder, newtons.
 const LARGEST_FORCE_N: f64 = 1e4;

@@ -59,8 +59,9 @@ use std::path::{Path, PathBuf};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::{FingerImpedance, PoseNoise, Support};
-use crate::{Error, Result, fsutil};
+use super::{FingerImpedance, Support};
+use drex_core::trajectory::PoseNoise;
+use drex_core::{Error, Result, fsutil};
 
 /// `push.toml`. Paths are relative to the folder of the file. At most one of `force`, `finger`, `hand` is there; with
 /// none of them nothing but gravity and the support acted on the object.

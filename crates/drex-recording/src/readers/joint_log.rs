@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::{Table, check_angle};
 use crate::joints::JointLog;
-use crate::{Error, Result, fsutil};
+use drex_core::{Error, Result, fsutil};
 
 /// Reads a joint log: one time column (`timestamp` or `t`, s) and per joint `position_*` (rad) and, if logged,
 /// `velocity_*` (rad/s) and `effort_*` (N m). Other columns are ignored.

@@ -2,12 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use nalgebra::Matrix4;
-
-use super::check_position;
 use crate::clock::Clock;
-use crate::pose::pose_from_matrix;
-use crate::{Error, Pose, Result, Trajectory, fsutil};
+use drex_core::pose::parse_pose_matrix;
+use drex_core::{Error, Result, Trajectory, fsutil};
 
 /// When the frames of a folder were taken.
 #[derive(Debug, Clone, PartialEq)]
@@ -51,7 +48,7 @@ pub fn read_foundation_pose_folder(folder: &Path, times: &FrameTimes) -> Result<
     };
     let poses = files
         .iter()
-        .map(|(_, file)| parse_matrix_text(file, &fsutil::read_bytes(file)?))
+        .map(|(_, file)| parse_pose_matrix(file, 1, &fsutil::read_text(file)?))
         .collect::<Result<Vec<_>>>()?;
     Trajectory::from_samples(&times_s, &poses)
 }
@@ -86,40 +83,6 @@ fn pose_files(folder: &Path) -> Result<Vec<(u64, PathBuf)>> {
         return Err(Error::content(&pair[1].1, None, what, "keep one file per frame"));
     }
     Ok(files)
-}
-
-/// A pose from the text of a 4 x 4 matrix, one row per line or all sixteen numbers in a row.
-///
-/// # Errors
-/// If there are not sixteen finite numbers, they are no rigid transform, or the position cannot be in metres.
-pub fn parse_matrix_text(path: &Path, bytes: &[u8]) -> Result<Pose> {
-    let text = std::str::from_utf8(bytes)
-        .map_err(|_| Error::content(path, None, "the file is not text", "check that this is the right file"))?;
-    matrix_pose(path, 1, text)
-}
-
-/// The pose in `text`, which starts at `line` of `path`.
-fn matrix_pose(path: &Path, line: usize, text: &str) -> Result<Pose> {
-    let separators = |c: char| c.is_whitespace() || matches!(c, ',' | '[' | ']' | '(' | ')');
-    let mut numbers = Vec::with_capacity(16);
-    for (i, row) in text.lines().enumerate() {
-        for token in row.split(separators).filter(|t| !t.is_empty()) {
-            match token.parse::<f64>() {
-                Ok(v) if v.is_finite() => numbers.push(v),
-                _ => {
-                    let what = format!("`{token}` is not a finite number");
-                    return Err(Error::content(path, line + i, what, "remove the frame or repair the track"));
-                }
-            }
-        }
-    }
-    if numbers.len() != 16 {
-        let what = format!("{} numbers where a 4 x 4 matrix has 16", numbers.len());
-        return Err(Error::content(path, line, what, "give one camera_from_object matrix, row by row"));
-    }
-    let pose = pose_from_matrix(&Matrix4::from_row_slice(&numbers)).map_err(|e| Error::at(path, line, e))?;
-    check_position(path, line, &pose.translation.vector)?;
-    Ok(pose)
 }
 
 /// Reads the printed log: blocks `<ISO time> - Pose:` followed by a 4 x 4 `camera_from_object` in brackets. Other
@@ -162,7 +125,7 @@ pub fn parse_foundation_pose_log(path: &Path, bytes: &[u8], clock: &Clock) -> Re
             return Err(Error::content(path, at + 1, what, "remove the block or record again"));
         };
         times_s.push(clock.parse(stamp).map_err(|e| Error::at(path, at + 1, e))?);
-        poses.push(matrix_pose(path, at + 2, matrix)?);
+        poses.push(parse_pose_matrix(path, at + 2, matrix)?);
     }
     if poses.is_empty() {
         let what = "no complete `<ISO time> - Pose:` block";

@@ -7,8 +7,8 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::Table;
 use super::foundation_pose::check_fps;
-use crate::pose::rotation_from_matrix;
-use crate::{Error, Pose, Result, Trajectory, fsutil};
+use drex_core::pose::{check_position, rotation_from_matrix};
+use drex_core::{Error, Pose, Result, Trajectory, fsutil};
 
 /// Nearest that an object is tracked in front of a camera, millimetres: smaller numbers are metres.
 const NEAREST_MM: f64 = 10.0;
@@ -75,7 +75,7 @@ pub fn parse_bop_csv(path: &Path, bytes: &[u8], selection: &BopSelection) -> Res
         let rotation = rotation_from_matrix(&r).map_err(|e| Error::at(path, line, e))?;
         farthest_mm = farthest_mm.max(t.norm());
         let t = t * 1e-3;
-        super::check_position(path, line, &t)?;
+        check_position(path, line, &t)?;
         times_s.push(image as f64 / fps);
         poses.push(Pose::from_parts(t.into(), rotation));
     }

@@ -21,8 +21,9 @@ pub use self::toml::{
     StartConfig, StatedParameter, TrackConfig, TrackFormat,
 };
 use crate::clock::{Span, overlap};
-use crate::readers::FARTHEST_M;
-use crate::{Error, Pose, Result, Trajectory};
+use drex_core::pose::MAX_POSITION_M;
+use drex_core::trajectory::PoseNoise;
+use drex_core::{Error, Pose, Result, Trajectory};
 
 /// A push, ready for identification. Times are seconds of one clock whose zero is the start: the moment at which
 /// `initial_pose` and `starts_at_rest` hold (the first pose, where nothing else is known).
@@ -133,7 +134,7 @@ impl PushRecording {
         facts.extend(self.support.friction.map(|f| ("the friction of object and support", f, 0.0, 10.0)));
         facts.extend(self.mass_prior_kg.map(|m| ("the first guess of the mass (kg)", m, 1e-6, 1e3)));
         for b in &self.support.boxes {
-            facts.extend(b.half_m.map(|h| ("half an edge of a support box (m)", h, 1e-6, FARTHEST_M)));
+            facts.extend(b.half_m.map(|h| ("half an edge of a support box (m)", h, 1e-6, MAX_POSITION_M)));
         }
         if let Some(noise) = self.noise {
             facts.push(("the noise of positions (m)", noise.position_m, 1e-9, 1.0));
@@ -204,16 +205,6 @@ pub enum TrackFrame {
         /// Horizontal direction of the push, unit vector in that frame at rest, if it is known.
         push: Option<Vector3<f64>>,
     },
-}
-
-/// Standard deviations of a pose track.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct PoseNoise {
-    /// Per axis, metres.
-    pub position_m: f64,
-    /// Per axis of the rotation vector, radians.
-    pub rotation_rad: f64,
 }
 
 /// What the object stands on: a table plane and boxes fixed to it.

@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use drex_core::push::{Drive, Free, InputChoice, PushConfig, PushRecording, StatedParameter, TrackFrame};
+use drex_recording::push::{Drive, Free, InputChoice, PushConfig, PushRecording, StatedParameter, TrackFrame};
 use tempfile::TempDir;
 
 /// A small push of each kind on disk, sound until a test spoils it.
@@ -258,8 +258,10 @@ fn folders_without_a_push_are_refused() {
     let message = |p: &Path| PushRecording::load(p, &InputChoice::default()).unwrap_err().to_string();
     assert!(message(folder.path()).contains("push.toml, meta.json, run.json"));
     assert!(message(&folder.path().join("push.toml")).contains("cannot read"));
-    assert!("loud".parse::<drex_core::push::PoseChoice>().unwrap_err().to_string().contains("noisy, hard or clean"));
-    assert_eq!("exact".parse::<drex_core::push::ForceChoice>().unwrap(), drex_core::push::ForceChoice::Exact);
+    assert!(
+        "loud".parse::<drex_recording::push::PoseChoice>().unwrap_err().to_string().contains("noisy, hard or clean")
+    );
+    assert_eq!("exact".parse::<drex_recording::push::ForceChoice>().unwrap(), drex_recording::push::ForceChoice::Exact);
 }
 
 /// The examples in the documentation of the format are of the format.

@@ -8,9 +8,9 @@ use nalgebra::Vector3;
 use serde::Deserialize;
 
 use super::*;
-use crate::fsutil;
-use crate::pose::pose_from_wxyz;
 use crate::readers::{read_action_csv, read_force_csv, read_pose_csv, read_proprio_csv};
+use drex_core::fsutil;
+use drex_core::pose::pose_from_wxyz;
 
 /// `meta.json`, as far as it is used.
 #[derive(Deserialize)]

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::{Error, Result, budget};
+use drex_core::{Error, Result, budget};
 
 /// Memory of a row and of a field apart from the text, bytes.
 const ROW_BYTES: u64 = 256;

@@ -4,9 +4,9 @@ use std::path::Path;
 
 use nalgebra::Vector3;
 
-use super::{Table, check_position};
-use crate::pose::pose_from_wxyz;
-use crate::{Error, Result, Trajectory, fsutil};
+use super::Table;
+use drex_core::pose::{check_position, pose_from_wxyz};
+use drex_core::{Error, Result, Trajectory, fsutil};
 
 /// Reads a csv of poses `a_from_b` with the columns `t,x,y,z,qw,qx,qy,qz` (s, m, unit quaternion); other columns are ignored.
 ///

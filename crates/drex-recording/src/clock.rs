@@ -8,7 +8,7 @@ use jiff::civil::DateTime;
 use jiff::tz::Offset;
 use serde::{Deserialize, Serialize};
 
-use crate::{Error, Result};
+use drex_core::{Error, Result};
 
 /// What the stamps of a file count.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

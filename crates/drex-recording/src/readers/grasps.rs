@@ -5,10 +5,10 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::check_angle;
-use super::npy::parse_npy;
 use crate::joints::JointPoses;
-use crate::pose::pose_from_wxyz;
-use crate::{Error, Result, fsutil};
+use drex_core::npy::parse_npy;
+use drex_core::pose::pose_from_wxyz;
+use drex_core::{Error, Result, fsutil};
 
 /// A grasp file as it stands on disk (JSON, `schema` 1).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -227,7 +227,12 @@ mod tests {
     use super::*;
 
     fn npy(descr: &str, shape: &str, data: &[u8]) -> Vec<u8> {
-        crate::readers::npy::tests::npy(descr, false, shape, data)
+        let mut header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
+        while !(10 + header.len() + 1).is_multiple_of(64) {
+            header.push(' ');
+        }
+        header.push('\n');
+        [b"\x93NUMPY\x01\x00", &(header.len() as u16).to_le_bytes()[..], header.as_bytes(), data].concat()
     }
 
     fn names() -> Vec<String> {

@@ -12,8 +12,8 @@ use serde::Deserialize;
 
 use super::*;
 use crate::clock::{format_utc_offset, parse_utc_offset};
-use crate::fsutil;
-use crate::pose::{rotation_from_matrix, to_wxyz};
+use drex_core::fsutil;
+use drex_core::pose::{rotation_from_matrix, to_wxyz};
 
 /// `run.json`.
 #[derive(Deserialize)]

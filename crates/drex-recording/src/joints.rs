@@ -1,6 +1,6 @@
 //! Logged joint values, keyed by joint name.
 
-use crate::{Error, Result};
+use drex_core::{Error, Result};
 
 /// Time series of named joints; row i of each table belongs to `times_s[i]`, column j to `names[j]`.
 #[derive(Debug, Clone, PartialEq, Default)]

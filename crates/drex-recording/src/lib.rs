@@ -1,0 +1,27 @@
+//! What a lab records of an object and a robot: pose tracks, joint logs, forces, clocks, grasps, and the push that they make.
+//!
+//! A recorded push is one value on one clock, whatever files it came in:
+//!
+//! ```no_run
+//! use drex_recording::push::{Drive, InputChoice, PushRecording};
+//!
+//! let push = PushRecording::load("twin/push/push1".as_ref(), &InputChoice::default())?;
+//! println!("{}: {}", push.name, push.notes.join("; "));
+//! if let Drive::Hand(hand) = &push.drive {
+//!     println!("{} moved it; joints {}", hand.robot, hand.joints.names.join(", "));
+//! }
+//! # Ok::<(), drex_core::Error>(())
+//! ```
+//!
+//! The conventions of frames, units and quaternions are those of [`drex_core`]; errors are [`drex_core::Error`]: what was wrong,
+//! in which file and line, and what to do. No input makes the crate panic.
+
+pub mod clock;
+pub mod joints;
+pub mod push;
+pub mod readers;
+
+/// Runs the examples of the README as tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct ReadmeDoctests;
