@@ -140,7 +140,7 @@ fn seeds_are_read() {
         path
     };
     for text in seeds::push_toml() {
-        drex_recording::push::PushConfig::read(&at("push.toml", &text)).unwrap();
+        drex_recording::PushConfig::read(&at("push.toml", &text)).unwrap();
     }
     drex_robot::Robot::from_urdf(&at("a.urdf", &first(seeds::urdf()))).unwrap();
     for text in seeds::mjcf() {

@@ -14,7 +14,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use drex_core::Pose;
 use drex_core::pose::pose_from_wxyz;
 use drex_mesh::{KnownDistance, LengthUnit};
-use drex_recording::push::{ForceChoice, PoseChoice};
+use drex_recording::{ForceChoice, PoseChoice};
 use drex_splat::train::{DensityChoice, Preset};
 use drex_sysid::Parameter;
 use nalgebra::{Point3, Similarity3};

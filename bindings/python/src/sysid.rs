@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use drex_core::Trajectory;
 use drex_core::trajectory::PoseNoise;
 use drex_mesh::{AssetOptions, LengthUnit, build_asset};
-use drex_recording::push::{Drive, ForceProfile, InputChoice, PushRecording};
+use drex_recording::{Drive, ForceProfile, InputChoice, PushRecording};
 use drex_sysid::calibrate::HandCalibration;
 use drex_sysid::{IdentifyOptions, Knowledge, Method, ObjectModel, identify_watched};
 use nalgebra::{Point3, Vector3};

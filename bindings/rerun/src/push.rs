@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 use drex_core::{Pose, pose};
-use drex_recording::push::{Drive, ForceProfile, InputChoice, PushRecording};
+use drex_recording::{Drive, ForceProfile, InputChoice, PushRecording};
 use nalgebra::Vector3;
 use re_sdk_types::archetypes::Arrows3D;
 use serde::Deserialize;

@@ -10,7 +10,7 @@ use drex_hw::control::{
     telemetry, write_csv,
 };
 use drex_hw::{Clock, EffortUnit, Error, Hand, HandCommand, HandState, JointStatus, Result};
-use drex_recording::joints::JointLog;
+use drex_recording::JointLog;
 use drex_recording::readers::read_joint_log_csv;
 
 /// What the tests see and change of a hand.

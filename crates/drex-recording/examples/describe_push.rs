@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 use drex_core::fsutil::write_atomic;
 use drex_core::{Result, TriMesh};
-use drex_recording::push::{Drive, InputChoice, PushRecording};
+use drex_recording::{Drive, InputChoice, PushRecording};
 
 /// A block of 60 x 40 x 30 mm, the origin of its mesh in the middle, m.
 const BLOCK: &str = "v -0.03 -0.02 -0.015\nv 0.03 -0.02 -0.015\nv 0.03 0.02 -0.015\nv -0.03 0.02 -0.015\n\

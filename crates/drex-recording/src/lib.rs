@@ -3,7 +3,7 @@
 //! A recorded push is one value on one clock, whatever files it came in:
 //!
 //! ```no_run
-//! use drex_recording::push::{Drive, InputChoice, PushRecording};
+//! use drex_recording::{Drive, InputChoice, PushRecording};
 //!
 //! let push = PushRecording::load("twin/push/push1".as_ref(), &InputChoice::default())?;
 //! println!("{}: {}", push.name, push.notes.join("; "));
@@ -17,9 +17,16 @@
 //! in which file and line, and what to do. No input makes the crate panic.
 
 pub mod clock;
-pub mod joints;
-pub mod push;
+mod push;
 pub mod readers;
+mod series;
+
+pub use push::{
+    ClockConfig, ClockKind, Drive, FingerConfig, FingerImpedance, FingerPush, ForceChoice, ForceConfig, FrameKind,
+    Free, HandConfig, HandPush, InputChoice, PoseChoice, PoseConfig, PushConfig, PushRecording, StartConfig,
+    StatedParameter, Support, SupportBox, TrackConfig, TrackFormat, TrackFrame, drex_run,
+};
+pub use series::{EncoderTrack, ForceProfile, JointLog, JointPoses, PointSeries};
 
 /// Runs the examples of the README as tests.
 #[cfg(doctest)]

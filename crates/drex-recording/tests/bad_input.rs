@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use drex_recording::push::{Drive, Free, InputChoice, PushConfig, PushRecording, StatedParameter, TrackFrame};
+use drex_recording::{Drive, Free, InputChoice, PushConfig, PushRecording, StatedParameter, TrackFrame};
 use tempfile::TempDir;
 
 /// A small push of each kind on disk, sound until a test spoils it.
@@ -258,10 +258,8 @@ fn folders_without_a_push_are_refused() {
     let message = |p: &Path| PushRecording::load(p, &InputChoice::default()).unwrap_err().to_string();
     assert!(message(folder.path()).contains("push.toml, meta.json, run.json"));
     assert!(message(&folder.path().join("push.toml")).contains("cannot read"));
-    assert!(
-        "loud".parse::<drex_recording::push::PoseChoice>().unwrap_err().to_string().contains("noisy, hard or clean")
-    );
-    assert_eq!("exact".parse::<drex_recording::push::ForceChoice>().unwrap(), drex_recording::push::ForceChoice::Exact);
+    assert!("loud".parse::<drex_recording::PoseChoice>().unwrap_err().to_string().contains("noisy, hard or clean"));
+    assert_eq!("exact".parse::<drex_recording::ForceChoice>().unwrap(), drex_recording::ForceChoice::Exact);
 }
 
 /// The examples in the documentation of the format are of the format.
@@ -269,8 +267,8 @@ fn folders_without_a_push_are_refused() {
 fn documented_examples_are_read() {
     let source = include_str!("../src/push/toml.rs");
     let mut examples = 0;
-    for block in source.split("//! ```toml\n").skip(1) {
-        let text = block.split("//! ```").next().unwrap().replace("//! ", "").replace("//!", "");
+    for block in source.split("/// ```toml\n").skip(1) {
+        let text = block.split("/// ```").next().unwrap().replace("/// ", "").replace("///", "");
         let config: PushConfig = drex_core::fsutil::from_toml(Path::new("example"), &text).unwrap();
         assert!(config.force.is_some() != config.hand.is_some());
         examples += 1;

@@ -3,8 +3,8 @@
 
 use std::path::Path;
 
+use drex_recording::PushConfig;
 use drex_recording::clock::{self, Clock};
-use drex_recording::push::PushConfig;
 use drex_recording::readers::*;
 use nalgebra::Point3;
 use proptest::prelude::*;

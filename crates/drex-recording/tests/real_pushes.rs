@@ -4,8 +4,8 @@
 use std::path::{Path, PathBuf};
 
 use drex_core::TriMesh;
-use drex_recording::push::{Drive, InputChoice, PoseChoice, PushConfig, PushRecording, TrackFrame, drex_run};
 use drex_recording::readers::{FrameTimes, read_foundation_pose_folder, read_grasps, read_pose_csv};
+use drex_recording::{Drive, InputChoice, PoseChoice, PushConfig, PushRecording, TrackFrame, drex_run};
 
 fn shared(part: &str) -> Option<PathBuf> {
     let Some(root) = std::env::var_os("DREX_SHARED") else {

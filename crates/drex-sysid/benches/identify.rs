@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use drex_core::MassProperties;
-use drex_recording::push::{PushRecording, Support};
+use drex_recording::{PushRecording, Support};
 use drex_sysid::plan::{ForceLimits, PlanOptions, PlannedPush, PushKind, RobotLimits, plan_push};
 use drex_sysid::{IdentifyOptions, ObjectModel, identify};
 use nalgebra::{Matrix3, Point3, Vector3};

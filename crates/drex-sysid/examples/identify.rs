@@ -2,14 +2,14 @@
 //!
 //!     cargo run --release -p drex-sysid --example identify -- FOLDER [--poses KIND] [--force KIND] [--free-friction] [--full]
 //!
-//! The folder is a push as `drex_recording::push::PushRecording::load` reads it; its mesh must consist of closed convex shells in OBJ.
+//! The folder is a push as `drex_recording::PushRecording::load` reads it; its mesh must consist of closed convex shells in OBJ.
 
 use std::error::Error;
 use std::io::Write;
 use std::path::Path;
 
 use drex_core::TriMesh;
-use drex_recording::push::{InputChoice, PushRecording};
+use drex_recording::{InputChoice, PushRecording};
 use drex_sysid::{IdentifyOptions, Knowledge, ObjectModel, Parameter, identify};
 
 fn main() -> Result<(), Box<dyn Error>> {

@@ -10,7 +10,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use drex_core::TriMesh;
-use drex_recording::push::{Support, SupportBox};
+use drex_recording::{Support, SupportBox};
 use drex_sysid::plan::{FingerLimits, ForceLimits, PlanOptions, RobotLimits, plan_push};
 use drex_sysid::{IdentifyOptions, ObjectModel, identify};
 

@@ -7,7 +7,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use drex_core::{Pose, Trajectory, TriMesh};
-use drex_recording::push::{Drive, HandPush, InputChoice, PushRecording};
+use drex_recording::{Drive, HandPush, InputChoice, PushRecording};
 use drex_robot::Robot;
 use drex_sysid::bound::{Bound, BoundOptions, Topple, of_topple};
 use drex_sysid::calibrate::{CalibrateOptions, ExtraTorque, HandCalibration, HandRun, Touch, hand};

@@ -16,8 +16,8 @@ use drex_diffsim::{
     ActuatorKind, Articulation, Base, Body, BodyState, Collider, Control, ConvexPiece, Fixed, Model, Part, Scene,
     State, Workspace, step,
 };
-use drex_recording::joints::JointLog;
-use drex_recording::push::{Drive, HandPush, InputChoice, PushRecording};
+use drex_recording::JointLog;
+use drex_recording::{Drive, HandPush, InputChoice, PushRecording};
 use drex_robot::Robot;
 use drex_sysid::bound::{BoundOptions, Topple, of_topple};
 use drex_sysid::calibrate::{CalibrateOptions, HandCalibration, HandRun, hand};

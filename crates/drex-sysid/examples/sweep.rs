@@ -14,7 +14,7 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use drex_core::TriMesh;
-use drex_recording::push::{InputChoice, PushRecording};
+use drex_recording::{InputChoice, PushRecording};
 use drex_sysid::{Identification, IdentifyOptions, Knowledge, ObjectModel, Parameter, Verdict, identify};
 use serde_json::Value;
 
@@ -119,7 +119,7 @@ fn cpu_seconds() -> Option<f64> {
 
 /// The largest error of a mass that counts as weighed, by the kind of push and the quality of its inputs.
 fn allowed_error(scenario: &str, arguments: &Arguments) -> Option<f64> {
-    let hard = arguments.choice.poses == drex_recording::push::PoseChoice::Hard;
+    let hard = arguments.choice.poses == drex_recording::PoseChoice::Hard;
     match scenario {
         "lift_force" | "tilt_force" | "overhang_press" => Some(if hard { 0.04 } else { 0.02 }),
         "slide_force" => Some(0.05),

@@ -12,7 +12,7 @@ use std::sync::Arc;
 use drex_core::trajectory::PoseNoise;
 use drex_core::{MassProperties, Pose, Trajectory};
 use drex_diffsim::{AppliedForce, Body, Collider, ConvexPiece, ForcePoint, Model, Part, Scene, State, rollout};
-use drex_recording::push::{Drive, ForceProfile, PushRecording};
+use drex_recording::{Drive, ForceProfile, PushRecording};
 use drex_sysid::{IdentifyOptions, Knowledge, ObjectModel, Parameter, identify};
 use nalgebra::{Matrix3, Point3, Vector3};
 

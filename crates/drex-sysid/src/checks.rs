@@ -2,7 +2,7 @@
 
 use drex_core::pose::pose_difference;
 use drex_core::trajectory::PoseNoise;
-use drex_recording::push::{Drive, PushRecording, Support, SupportBox, TrackFrame};
+use drex_recording::{Drive, PushRecording, Support, SupportBox, TrackFrame};
 use nalgebra::{Point3, Vector3};
 
 use crate::{ObjectModel, Result, SysidError};

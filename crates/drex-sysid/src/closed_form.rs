@@ -8,7 +8,7 @@
 
 use drex_core::Pose;
 use drex_core::trajectory::PoseNoise;
-use drex_recording::push::{Drive, ForceProfile, PushRecording, SupportBox, TrackFrame};
+use drex_recording::{Drive, ForceProfile, PushRecording, SupportBox, TrackFrame};
 use nalgebra::{DMatrix, DVector, Point3, Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
 

@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 use drex_core::Pose;
 use drex_diffsim::{ActuatorKind, Articulation, Base, Control, Scalar, SimError};
-use drex_recording::push::{FingerImpedance, FingerPush};
+use drex_recording::{FingerImpedance, FingerPush};
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -192,7 +192,7 @@ fn mjcf(i: &FingerImpedance, axes: &Matrix3<f64>) -> String {
 mod tests {
     use super::*;
     use drex_diffsim::{Model, Scene, State, rollout};
-    use drex_recording::push::EncoderTrack;
+    use drex_recording::EncoderTrack;
 
     fn impedance(home_m: [f64; 3]) -> FingerImpedance {
         FingerImpedance {

@@ -6,7 +6,7 @@
 //! everything as the same factor on the mass does. Noise of deviation s on samples u has such a part, of the relative size
 //! s / |u|; it goes straight into the interval.
 
-use drex_recording::push::ForceProfile;
+use drex_recording::ForceProfile;
 use nalgebra::{Point3, Vector3};
 
 use crate::noise;

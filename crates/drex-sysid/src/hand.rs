@@ -6,7 +6,7 @@
 
 use std::path::Path;
 
-use drex_recording::push::{Drive, HandPush, PushRecording};
+use drex_recording::{Drive, HandPush, PushRecording};
 use drex_robot::Robot;
 
 use crate::answer::{HandReport, Identification, Sensitivity, Verdict};

@@ -5,7 +5,7 @@ use std::time::Instant;
 use drex_core::Pose;
 use drex_core::pose::to_wxyz;
 use drex_core::trajectory::PoseNoise;
-use drex_recording::push::{Drive, PushRecording, TrackFrame};
+use drex_recording::{Drive, PushRecording, TrackFrame};
 
 use crate::answer::{Identification, PushReport, Sensitivity, Verdict};
 use crate::closed_form::closed_form;

@@ -6,7 +6,7 @@
 use drex_core::Pose;
 use drex_core::pose::pose_difference;
 use drex_diffsim::ConvexPiece;
-use drex_recording::push::{Drive, PushRecording, TrackFrame};
+use drex_recording::{Drive, PushRecording, TrackFrame};
 use nalgebra::{SMatrix, SVector, Vector3};
 
 use crate::parameters::Parameter;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::str::FromStr;
 
-use drex_recording::push::{PushRecording, StatedParameter};
+use drex_recording::{PushRecording, StatedParameter};
 use serde::{Deserialize, Serialize};
 
 use crate::{Result, SysidError};

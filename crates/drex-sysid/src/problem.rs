@@ -9,7 +9,7 @@ use drex_diffsim::{
     AppliedForce, Body, Collider, ContactOptions, ConvexPiece, Fixed, ForcePoint, Model, Part, Record, Scalar, Scene,
     State, rollout,
 };
-use drex_recording::push::{Drive, PushRecording, SupportBox};
+use drex_recording::{Drive, PushRecording, SupportBox};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use crate::closed_form::{ClosedForm, closed_form};

@@ -7,8 +7,8 @@ use std::path::PathBuf;
 
 use common::{box_mesh, normals, shared};
 use drex_core::{Pose, Trajectory, TriMesh};
-use drex_recording::joints::JointLog;
-use drex_recording::push::{Drive, HandPush, InputChoice, PushRecording};
+use drex_recording::JointLog;
+use drex_recording::{Drive, HandPush, InputChoice, PushRecording};
 use drex_robot::Robot;
 use drex_sysid::bound::{Bound, BoundOptions, Topple, of_topple};
 use drex_sysid::calibrate::{CalibrateOptions, ExtraTorque, HandCalibration, HandRun, hand};

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use common::{block, normals, shared, simulated};
 use drex_core::TriMesh;
-use drex_recording::push::{Drive, ForceChoice, InputChoice, PoseChoice, PushRecording};
+use drex_recording::{Drive, ForceChoice, InputChoice, PoseChoice, PushRecording};
 use drex_sysid::{Identification, IdentifyOptions, Knowledge, ObjectModel, Parameter, identify};
 use nalgebra::{Point3, Vector3};
 

@@ -15,7 +15,7 @@ use common::{block, shared, simulated};
 use drex_core::Trajectory;
 use drex_core::TriMesh;
 use drex_core::trajectory::PoseNoise;
-use drex_recording::push::{Drive, ForceChoice, ForceProfile, InputChoice, PoseChoice, PushRecording};
+use drex_recording::{Drive, ForceChoice, ForceProfile, InputChoice, PoseChoice, PushRecording};
 use drex_sysid::{Identification, IdentifyOptions, ObjectModel, Verdict, identify};
 use nalgebra::{Point3, Vector3};
 

@@ -4,7 +4,7 @@
 mod common;
 
 use common::{block, box_mesh};
-use drex_recording::push::{Drive, Support, SupportBox};
+use drex_recording::{Drive, Support, SupportBox};
 use drex_sysid::plan::{
     FingerLimits, ForceLimits, PlanOptions, PlannedPush, PushDrive, PushKind, RobotLimits, plan_push, tip_force_limit,
 };

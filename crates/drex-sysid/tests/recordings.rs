@@ -7,7 +7,7 @@ use std::path::Path;
 
 use common::shared;
 use drex_core::TriMesh;
-use drex_recording::push::{Drive, ForceChoice, InputChoice, PoseChoice, PushRecording};
+use drex_recording::{Drive, ForceChoice, InputChoice, PoseChoice, PushRecording};
 use drex_sysid::{Identification, IdentifyOptions, ObjectModel, Parameter, Verdict, identify};
 
 fn weigh(folder: &Path, choice: &InputChoice) -> Identification {

@@ -5,7 +5,7 @@ mod common;
 
 use common::{block, box_mesh, normals, simulated};
 use drex_core::{Pose, Trajectory};
-use drex_recording::push::{Drive, PushRecording};
+use drex_recording::{Drive, PushRecording};
 use drex_sysid::{IdentifyOptions, ObjectModel, identify};
 use nalgebra::{Point3, Vector3};
 

@@ -6,7 +6,7 @@ mod common;
 use common::{block, box_mesh, pushed_by, pushed_until, simulated};
 use drex_core::TriMesh;
 use drex_core::{Pose, Trajectory};
-use drex_recording::push::Drive;
+use drex_recording::Drive;
 use drex_sysid::{
     ClosedFormKind, IdentifyOptions, Knowledge, ObjectModel, Parameter, SysidError, Verdict, identify, identify_watched,
 };

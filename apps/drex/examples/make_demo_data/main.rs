@@ -23,11 +23,11 @@ use drex_core::{MassProperties, Pose, Surface, TriMesh, fsutil, pose};
 use drex_diffsim::{AppliedForce, Body, Collider, ConvexPiece, Fixed, ForcePoint, Model, Part, Scene, State, rollout};
 use drex_grasp::TablePlane;
 use drex_mesh::{Asset, AssetOptions, GridOptions, GridSdf, MeshSdf, asset_from_mesh};
-use drex_recording::joints::JointPoses;
-use drex_recording::push::{
+use drex_recording::JointPoses;
+use drex_recording::readers::{GraspFile, write_grasps_json};
+use drex_recording::{
     ClockConfig, ForceConfig, FrameKind, PoseConfig, PushConfig, StartConfig, Support, TrackConfig, TrackFormat,
 };
-use drex_recording::readers::{GraspFile, write_grasps_json};
 use drex_retarget::{ObjectSurface, WristFitOptions, fit_wrists};
 use drex_robot::Robot;
 use nalgebra::{Point3, UnitQuaternion, Vector3};

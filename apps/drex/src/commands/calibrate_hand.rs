@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
-use drex_recording::push::{Drive, InputChoice, PushRecording};
+use drex_recording::{Drive, InputChoice, PushRecording};
 use drex_robot::Robot;
 use drex_sysid::calibrate::{CalibrateOptions, HandCalibration, HandRun, hand};
 

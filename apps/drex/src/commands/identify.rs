@@ -6,7 +6,7 @@ use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
 use drex_core::twin::MANIFEST;
 use drex_mesh::{AssetOptions, LengthUnit, build_asset};
-use drex_recording::push::{InputChoice, PushRecording};
+use drex_recording::{InputChoice, PushRecording};
 use drex_sysid::calibrate::HandCalibration;
 use drex_sysid::{
     Identification, IdentifyOptions, Knowledge, MassPosterior, MassPrior, Method, Parameter, ParameterSet,

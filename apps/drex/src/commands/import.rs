@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 use drex_core::TriMesh;
 use drex_core::fsutil::{self, OutputFolder};
 use drex_core::twin::TwinManifest;
-use drex_recording::push::{InputChoice, PushConfig, PushRecording, TrackFrame, drex_run};
+use drex_recording::{InputChoice, PushConfig, PushRecording, TrackFrame, drex_run};
 use drex_sysid::frames::{self, FrameOptions, Standing};
 use nalgebra::Vector3;
 use serde::Serialize;

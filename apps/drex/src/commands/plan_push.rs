@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
 use drex_mesh::{AssetOptions, build_asset};
-use drex_recording::push::{Support, SupportBox};
+use drex_recording::{Support, SupportBox};
 use drex_robot::Robot;
 use drex_sysid::plan::{FingerLimits, ForceLimits, PlanOptions, PlannedPush, RobotLimits, plan_push, tip_force_limit};
 use nalgebra::Vector3;

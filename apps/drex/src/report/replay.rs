@@ -3,7 +3,7 @@
 use anyhow::Result;
 use drex_core::{Pose, TriMesh, pose};
 use drex_mesh::Asset;
-use drex_recording::push::{Drive, ForceProfile, InputChoice, PushRecording};
+use drex_recording::{Drive, ForceProfile, InputChoice, PushRecording};
 use drex_sysid::PushReport;
 use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 

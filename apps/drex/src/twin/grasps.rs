@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use drex_core::twin::{GraspsConfig, RecordedAs};
-use drex_recording::joints::JointPoses;
+use drex_recording::JointPoses;
 use drex_recording::readers::read_grasps;
 use drex_retarget::{Verdict, WristFit};
 use drex_robot::{Robot, orders};

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
-use drex_recording::push::{Drive, InputChoice, PushRecording, StatedParameter};
+use drex_recording::{Drive, InputChoice, PushRecording, StatedParameter};
 use drex_sysid::{IdentifyOptions, MassPosterior, MassPrior, Parameter, identify_watched};
 
 use super::files::{MASS, SCAN, ScanFile, read_json, write_json};

@@ -24,7 +24,7 @@ use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
 use drex_core::twin::{ASSUMED_FRICTION, TwinManifest};
 use drex_mesh::{Asset, build_asset, rebuild_asset};
-use drex_recording::push::{InputChoice, PushRecording};
+use drex_recording::{InputChoice, PushRecording};
 use drex_robot::Robot;
 use drex_splat::capture::ColmapOptions;
 use nalgebra::Vector3;

@@ -7,7 +7,7 @@ use drex_diffsim::{
     AppliedForce, ArmState, Articulation, Base, Body, BodyState, Collider, ContactOptions, Control, Fixed, ForcePoint,
     Geom, Model, Part, Result, Scene, SoftContact, State, rollout,
 };
-use drex_recording::push::{Drive, FingerImpedance, FingerPush};
+use drex_recording::{Drive, FingerImpedance, FingerPush};
 use drex_robot::Robot;
 use nalgebra::{Point3, Vector3};
 

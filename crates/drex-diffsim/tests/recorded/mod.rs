@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use drex_core::{MassProperties, Pose};
 use drex_diffsim::Geom;
-use drex_recording::push::{Drive, ForceChoice, InputChoice, PoseChoice, PushRecording, SupportBox};
+use drex_recording::{Drive, ForceChoice, InputChoice, PoseChoice, PushRecording, SupportBox};
 use nalgebra::{Matrix3, Point3, Quaternion, UnitQuaternion, Vector3};
 use serde_json::Value;
 

@@ -2,7 +2,7 @@
 
 use std::ops::ControlFlow;
 
-use drex_recording::joints::JointLog;
+use drex_recording::JointLog;
 
 use super::{Behaviour, Joints};
 use crate::{Error, HandCommand, HandState, Result};

@@ -6,7 +6,6 @@ use nalgebra::Vector3;
 
 use super::*;
 use crate::clock::{Clock, parse_utc_offset};
-use crate::joints::JointLog;
 use crate::readers::{
     BopSelection, FrameTimes, read_action_csv, read_bop_csv, read_force_csv, read_foundation_pose_folder,
     read_foundation_pose_log, read_joint_log_csv, read_pose_csv, read_proprio_csv,

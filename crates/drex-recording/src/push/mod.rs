@@ -7,7 +7,7 @@ mod assemble;
 mod choice;
 pub mod drex_run;
 mod mujoco;
-pub mod toml;
+mod toml;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -21,6 +21,7 @@ pub use self::toml::{
     StartConfig, StatedParameter, TrackConfig, TrackFormat,
 };
 use crate::clock::{Span, overlap};
+use crate::series::{EncoderTrack, ForceProfile, JointLog};
 use drex_core::pose::MAX_POSITION_M;
 use drex_core::trajectory::PoseNoise;
 use drex_core::{Error, Pose, Result, Trajectory};
@@ -246,19 +247,6 @@ pub enum Drive {
     Nothing,
 }
 
-/// A force or wrench over time, held constant from each sample to the next (zero-order hold), zero outside.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ForceProfile {
-    /// Sample times, seconds, increasing.
-    pub times_s: Vec<f64>,
-    /// Force in the world frame, newtons, per sample.
-    pub forces_n: Vec<Vector3<f64>>,
-    /// Torque about the point where the force acts, world frame, N m, per sample; empty for a force without one.
-    pub torques_nm: Vec<Vector3<f64>>,
-    /// Where it acts, in the object's mesh frame, metres.
-    pub point_in_object: Point3<f64>,
-}
-
 /// A commanded compliant fingertip: force = kp (command − q) − (kv + damping) q̇.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FingerPush {
@@ -270,17 +258,6 @@ pub struct FingerPush {
     pub encoder: Option<EncoderTrack>,
     /// Impedance and shape.
     pub impedance: FingerImpedance,
-}
-
-/// Measured fingertip motion.
-#[derive(Debug, Clone, PartialEq)]
-pub struct EncoderTrack {
-    /// Seconds.
-    pub times_s: Vec<f64>,
-    /// Tip positions in the world, metres.
-    pub positions: Vec<Point3<f64>>,
-    /// Tip velocities in the world, m/s.
-    pub velocities: Vec<Vector3<f64>>,
 }
 
 /// The fingertip: a sphere on three slides with a position servo.
@@ -313,5 +290,5 @@ pub struct HandPush {
     /// Pose of the hand's base in the world.
     pub world_from_base: Pose,
     /// Joint log on the same clock as the track.
-    pub joints: crate::joints::JointLog,
+    pub joints: JointLog,
 }

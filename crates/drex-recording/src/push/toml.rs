@@ -1,57 +1,4 @@
 //! `push.toml`: which files make a push, in which formats, frames and clocks, and what is known.
-//!
-//! A force of known size and direction, poses in the world:
-//!
-//! ```toml
-//! schema = 1
-//! mesh = "../../scan/brick.obj"
-//! mass_prior_kg = 0.5                # a guess; never an answer
-//! [track]
-//! file = "pose.csv"
-//! format = "pose_csv"
-//! frame = "world"
-//! noise = { position_m = 0.002, rotation_rad = 0.017 }   # left out: estimated from the track
-//! [support]
-//! friction = 0.45
-//! boxes = [{ center_m = [-0.15, 0, 0.037], half_m = [0.15, 0.2, 0.037] }]
-//! [start]
-//! at_rest = true
-//! pose = { position_m = [0, 0, 0.044], quat_wxyz = [1, 0, 0, 0] }
-//! [force]
-//! file = "force.csv"
-//! point_in_object_m = [0.008, 0, -0.044]
-//! [parameters]                                           # by the names that the identification gives them
-//! friction = "free"                                      # to be estimated
-//! force_gain = 1.02                                      # known
-//! contact_height = { mean = 0.0, sd = 0.005 }            # known roughly
-//! ```
-//!
-//! A logged hand and a camera that nobody calibrated (of one that is, say `world_from_camera = { position_m, quat_wxyz }`
-//! in place of what is found in the track); two clocks:
-//!
-//! ```toml
-//! schema = 1
-//! mesh = "../../scan/ketchup.stl"
-//! [track]
-//! file = "object_poses.txt"
-//! format = "foundation_pose_log"
-//! clock = { kind = "local_iso", utc_offset = "-07:00" }
-//! frame = "camera"
-//! up_in_mesh = [0, 0, -1]            # this and the next two may be left out: they are then found in the track
-//! push_in_mesh = [0, 1, 0]
-//! tracked_from_mesh = { position_m = [0.001, -0.006, -0.041], quat_wxyz = [1, 0, 0, 0] }
-//! [support]
-//! table_height_m = 0.062
-//! [hand]
-//! robot = "allegro_right"
-//! world_from_base = { position_m = [0.14, -0.08, 0.25], quat_wxyz = [0, 0, -1, 0] }
-//! joints = "joint_states.csv"
-//! joint_names = ["ffj0", "ffj1"]     # one per column position_0, position_1, …
-//! clock = { kind = "unix" }
-//! ```
-//!
-//! A compliant fingertip has `[finger]` with `commands`, `encoder` (optional) and `impedance`; without `[force]`, `[finger]`
-//! and `[hand]` nothing but gravity and the support acted (a toss).
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -65,6 +12,59 @@ use drex_core::{Error, Result, fsutil};
 
 /// `push.toml`. Paths are relative to the folder of the file. At most one of `force`, `finger`, `hand` is there; with
 /// none of them nothing but gravity and the support acted on the object.
+///
+/// A force of known size and direction, poses in the world:
+///
+/// ```toml
+/// schema = 1
+/// mesh = "../../scan/brick.obj"
+/// mass_prior_kg = 0.5                # a guess; never an answer
+/// [track]
+/// file = "pose.csv"
+/// format = "pose_csv"
+/// frame = "world"
+/// noise = { position_m = 0.002, rotation_rad = 0.017 }   # left out: estimated from the track
+/// [support]
+/// friction = 0.45
+/// boxes = [{ center_m = [-0.15, 0, 0.037], half_m = [0.15, 0.2, 0.037] }]
+/// [start]
+/// at_rest = true
+/// pose = { position_m = [0, 0, 0.044], quat_wxyz = [1, 0, 0, 0] }
+/// [force]
+/// file = "force.csv"
+/// point_in_object_m = [0.008, 0, -0.044]
+/// [parameters]                                           # by the names that the identification gives them
+/// friction = "free"                                      # to be estimated
+/// force_gain = 1.02                                      # known
+/// contact_height = { mean = 0.0, sd = 0.005 }            # known roughly
+/// ```
+///
+/// A logged hand and a camera that nobody calibrated (of one that is, say `world_from_camera = { position_m, quat_wxyz }`
+/// in place of what is found in the track); two clocks:
+///
+/// ```toml
+/// schema = 1
+/// mesh = "../../scan/ketchup.stl"
+/// [track]
+/// file = "object_poses.txt"
+/// format = "foundation_pose_log"
+/// clock = { kind = "local_iso", utc_offset = "-07:00" }
+/// frame = "camera"
+/// up_in_mesh = [0, 0, -1]            # this and the next two may be left out: they are then found in the track
+/// push_in_mesh = [0, 1, 0]
+/// tracked_from_mesh = { position_m = [0.001, -0.006, -0.041], quat_wxyz = [1, 0, 0, 0] }
+/// [support]
+/// table_height_m = 0.062
+/// [hand]
+/// robot = "allegro_right"
+/// world_from_base = { position_m = [0.14, -0.08, 0.25], quat_wxyz = [0, 0, -1, 0] }
+/// joints = "joint_states.csv"
+/// joint_names = ["ffj0", "ffj1"]     # one per column position_0, position_1, …
+/// clock = { kind = "unix" }
+/// ```
+///
+/// A compliant fingertip has `[finger]` with `commands`, `encoder` (optional) and `impedance`; without `[force]`, `[finger]`
+/// and `[hand]` nothing but gravity and the support acted (a toss).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PushConfig {

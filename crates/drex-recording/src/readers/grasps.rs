@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::check_angle;
-use crate::joints::JointPoses;
+use crate::series::JointPoses;
 use drex_core::npy::parse_npy;
 use drex_core::pose::pose_from_wxyz;
 use drex_core::{Error, Result, fsutil};

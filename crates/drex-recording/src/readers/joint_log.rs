@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::{Table, check_angle};
-use crate::joints::JointLog;
+use crate::series::JointLog;
 use drex_core::{Error, Result, fsutil};
 
 /// Reads a joint log: one time column (`timestamp` or `t`, s) and per joint `position_*` (rad) and, if logged,

@@ -21,8 +21,7 @@ pub use grasps::{
 pub use joint_log::{parse_joint_log_csv, read_joint_log_csv};
 pub use pose_csv::{parse_pose_csv, read_pose_csv};
 pub use samples::{
-    PointSeries, parse_action_csv, parse_force_csv, parse_proprio_csv, read_action_csv, read_force_csv,
-    read_proprio_csv,
+    parse_action_csv, parse_force_csv, parse_proprio_csv, read_action_csv, read_force_csv, read_proprio_csv,
 };
 pub use table::Table;
 

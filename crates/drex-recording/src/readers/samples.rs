@@ -5,21 +5,12 @@ use std::path::Path;
 use nalgebra::{Point3, Vector3};
 
 use super::Table;
-use crate::push::{EncoderTrack, ForceProfile};
+use crate::series::{EncoderTrack, ForceProfile, PointSeries};
 use drex_core::pose::check_position;
 use drex_core::{Error, Result, fsutil};
 
 /// No robot finger pushes a tabletop object harder, newtons.
 const LARGEST_FORCE_N: f64 = 1e4;
-
-/// Points over time, held from each sample to the next.
-#[derive(Debug, Clone, PartialEq)]
-pub struct PointSeries {
-    /// Seconds, increasing.
-    pub times_s: Vec<f64>,
-    /// Metres, one per time.
-    pub points: Vec<Point3<f64>>,
-}
 
 /// Reads `t,fx,fy,fz` (s, N, world frame), a force that acts at `point_in_object` (m, mesh frame); with the columns `tx,ty,tz`
 /// (N m, world frame) a wrench, its torque about that point.

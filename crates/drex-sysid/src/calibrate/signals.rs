@@ -2,8 +2,8 @@
 //! links, each from the same stretch of samples, so that relations between them survive the smoothing.
 
 use drex_core::Pose;
-use drex_recording::joints::JointLog;
-use drex_recording::push::{Drive, PushRecording};
+use drex_recording::JointLog;
+use drex_recording::{Drive, PushRecording};
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Vector3};
 

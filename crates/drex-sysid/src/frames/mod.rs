@@ -16,7 +16,7 @@ mod standing;
 
 use drex_core::trajectory::TrackNoise;
 use drex_core::{Pose, Trajectory};
-use drex_recording::push::{PushRecording, TrackFrame};
+use drex_recording::{PushRecording, TrackFrame};
 use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 pub use self::hand::{HandPlacement, TipPath, against_hand, tip_paths};

@@ -1,6 +1,6 @@
 //! The pushes that are tried.
 
-use drex_recording::push::{PoseConfig, Support, SupportBox};
+use drex_recording::{PoseConfig, Support, SupportBox};
 use nalgebra::{Point3, Vector3};
 
 use super::{G, GuardedPush, PlanOptions, PushDrive, PushKind, RobotLimits, Standing};

@@ -21,7 +21,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use drex_core::Pose;
 use drex_core::pose::pose_from_wxyz;
 use drex_core::trajectory::PoseNoise;
-use drex_recording::push::{PoseConfig, PushRecording, Support};
+use drex_recording::{PoseConfig, PushRecording, Support};
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};

@@ -2,7 +2,7 @@
 
 use drex_core::{Pose, Trajectory};
 use drex_diffsim::ConvexPiece;
-use drex_recording::push::{Drive, EncoderTrack, FingerPush, ForceProfile, PushRecording, Support};
+use drex_recording::{Drive, EncoderTrack, FingerPush, ForceProfile, PushRecording, Support};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

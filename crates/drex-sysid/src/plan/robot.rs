@@ -1,6 +1,6 @@
 //! What a robot can do.
 
-use drex_recording::push::FingerImpedance;
+use drex_recording::FingerImpedance;
 use drex_robot::{Finger, Robot};
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};

@@ -1,6 +1,6 @@
 //! What a rehearsed push would tell about the mass.
 
-use drex_recording::push::PushRecording;
+use drex_recording::PushRecording;
 use rayon::prelude::*;
 
 use super::rehearse::{Rehearsal, Stage};

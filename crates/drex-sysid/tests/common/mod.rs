@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use drex_core::trajectory::PoseNoise;
 use drex_core::{MassProperties, Pose, Trajectory, TriMesh};
 use drex_diffsim::{AppliedForce, Body, Collider, ConvexPiece, ForcePoint, Model, Part, Scene, State, rollout};
-use drex_recording::push::{Drive, ForceProfile, PushRecording};
+use drex_recording::{Drive, ForceProfile, PushRecording};
 use drex_sysid::ObjectModel;
 use nalgebra::{Matrix3, Point3, Vector3};
 use std::sync::Arc;

@@ -1,4 +1,6 @@
-//! Logged joint values, keyed by joint name.
+//! Recorded series: joint values keyed by joint name, forces, points and fingertip motion over time.
+
+use nalgebra::{Point3, Vector3};
 
 use drex_core::{Error, Result};
 
@@ -24,6 +26,39 @@ pub struct JointPoses {
     pub names: Vec<String>,
     /// One row per pose, rad.
     pub rows: Vec<Vec<f64>>,
+}
+
+/// A force or wrench over time, held constant from each sample to the next (zero-order hold), zero outside.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ForceProfile {
+    /// Sample times, seconds, increasing.
+    pub times_s: Vec<f64>,
+    /// Force in the world frame, newtons, per sample.
+    pub forces_n: Vec<Vector3<f64>>,
+    /// Torque about the point where the force acts, world frame, N m, per sample; empty for a force without one.
+    pub torques_nm: Vec<Vector3<f64>>,
+    /// Where it acts, in the object's mesh frame, metres.
+    pub point_in_object: Point3<f64>,
+}
+
+/// Points over time, held from each sample to the next.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PointSeries {
+    /// Seconds, increasing.
+    pub times_s: Vec<f64>,
+    /// Metres, one per time.
+    pub points: Vec<Point3<f64>>,
+}
+
+/// Measured fingertip motion.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EncoderTrack {
+    /// Seconds.
+    pub times_s: Vec<f64>,
+    /// Tip positions in the world, metres.
+    pub positions: Vec<Point3<f64>>,
+    /// Tip velocities in the world, m/s.
+    pub velocities: Vec<Vector3<f64>>,
 }
 
 impl JointLog {
