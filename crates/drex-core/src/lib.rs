@@ -28,6 +28,10 @@ pub mod npy;
 pub mod ply;
 pub mod pose;
 pub mod program;
+pub mod sets;
+#[cfg(feature = "simd")]
+pub mod simd;
+pub mod stats;
 pub mod surface;
 pub mod trajectory;
 pub mod twin;

@@ -3,7 +3,8 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use drex_core::TriMesh;
-use drex_mesh::{DepthCamera, DepthMap, FusionOptions, cast_depth, convex_hull, fuse};
+use drex_core::mesh::convex_hull;
+use drex_mesh::{DepthCamera, DepthMap, FusionOptions, cast_depth, fuse};
 use nalgebra::{Isometry3, Point3, Vector3};
 
 /// Points spread evenly over the unit sphere (Fibonacci).

@@ -9,7 +9,8 @@
 use std::path::Path;
 
 use drex_core::TriMesh;
-use drex_mesh::{AssetOptions, LengthUnit, asset_from_mesh, convex_hull};
+use drex_core::mesh::convex_hull;
+use drex_mesh::{AssetOptions, LengthUnit, asset_from_mesh};
 use nalgebra::Point3;
 
 fn main() -> Result<(), drex_mesh::Error> {
@@ -57,7 +58,7 @@ fn main() -> Result<(), drex_mesh::Error> {
     Ok(())
 }
 
-fn cuboid(lo: [f64; 3], hi: [f64; 3]) -> Result<TriMesh, drex_mesh::Error> {
+fn cuboid(lo: [f64; 3], hi: [f64; 3]) -> Result<TriMesh, drex_core::Error> {
     let corner = |i: usize| Point3::from([0, 1, 2].map(|k| if i >> k & 1 == 0 { lo[k] } else { hi[k] }));
     convex_hull(&(0..8).map(corner).collect::<Vec<_>>())
 }

@@ -7,7 +7,8 @@
 use std::path::{Path, PathBuf};
 
 use drex_core::TriMesh;
-use drex_mesh::{PieceOptions, convex_hull, convex_pieces, read_mesh, repair, union_distance, write_obj};
+use drex_core::mesh::convex_hull;
+use drex_mesh::{PieceOptions, convex_pieces, read_mesh, repair, union_distance, write_obj};
 use nalgebra::Point3;
 use parry3d_f64::math::Vector;
 use parry3d_f64::transformation::vhacd::{VHACD, VHACDParameters};

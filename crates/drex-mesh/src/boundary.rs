@@ -1,5 +1,6 @@
 //! The boundary of the solid {winding number > 1/2}: which parts of which faces of a closed mesh belong to it.
 
+use drex_core::sets::DisjointSets;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::{Point3, Vector3};
@@ -9,7 +10,7 @@ use drex_core::{MassProperties, TriMesh};
 
 use crate::bvh::Bvh;
 use crate::intersect::meeting_faces;
-use crate::topology::{Sets, edges, ends};
+use crate::topology::{edges, ends};
 
 /// A triangle that bounds the solid, and how often it counts.
 ///
@@ -147,7 +148,7 @@ impl Probe<'_> {
     /// and for patches whose faces disagree: something is nearer to one of them than the step.
     fn weights_of_patches(&self, mesh: &TriMesh) -> Vec<Option<f64>> {
         let (_, meets) = meeting_faces(mesh);
-        let mut sets = Sets::new(mesh.faces.len());
+        let mut sets = DisjointSets::new(mesh.faces.len());
         for group in edges(mesh).chunk_by(|a, b| a.0 == b.0) {
             if let &[(_, g), (_, h)] = group
                 && ends(mesh, g).0 != ends(mesh, h).0

@@ -6,7 +6,8 @@
 //! sibling [`GridSdf`]. [`check_mesh`] judges a mesh by sixteen rules.
 //!
 //! ```
-//! use drex_mesh::{RepairOptions, convex_hull, repair, solid_properties};
+//! use drex_core::mesh::convex_hull;
+//! use drex_mesh::{RepairOptions, repair, solid_properties};
 //! use nalgebra::Point3;
 //!
 //! let tip = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]].map(Point3::from);
@@ -67,7 +68,7 @@ pub use error::{Error, Result};
 pub use fill::close_openings;
 pub use fusion::{DroppedPart, Evidence, EvidenceKind, Fused, FusionOptions, FusionReport, Support, fuse};
 pub use grid::{GridOptions, GridSdf};
-pub use hull::{convex_hull, convex_hull_with_at_most};
+pub use hull::convex_hull_with_at_most;
 pub use intersect::self_intersections;
 pub use io::{
     Material, Model, ModelPart, PlyFormat, Texture, parse_mesh, read_mesh, read_model, write_glb, write_mesh,

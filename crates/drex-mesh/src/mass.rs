@@ -6,11 +6,11 @@ use serde::Serialize;
 use drex_core::{MassProperties, SdfSample, SignedDistance, TriMesh};
 
 use crate::boundary::{Boundary, Moments, boundary};
-use crate::hull::convex_hull;
 use crate::sdf::MeshSdf;
 use crate::solid::{Enclosed, close};
 use crate::topology::{NONE, Topology, ends};
 use crate::{Error, Result};
+use drex_core::mesh::convex_hull;
 
 /// Principal moments of inertia, kg m², ascending, and `body_from_principal`: the rotation whose columns are the axes.
 ///

@@ -5,12 +5,13 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use drex_core::TriMesh;
+use drex_core::sets::DisjointSets;
 
 use crate::bvh::{Aabb, Bvh, segment_triangle_distance};
 use crate::fill::{Filled, fill_holes};
 use crate::intersect::meeting_faces;
 use crate::orient::{align_patches, nesting, orient_shells};
-use crate::topology::{NONE, Sets, Topology, split_pinched};
+use crate::topology::{NONE, Topology, split_pinched};
 use crate::weld::drop_duplicates;
 use crate::weld::{compact, weld};
 use crate::{Error, Result};
@@ -214,7 +215,7 @@ pub(crate) fn describe_shells(mesh: &TriMesh, topology: &Topology, labels: &[u32
 
 /// The body (group of touching, overlapping or nested shells) of each shell.
 fn group_bodies(mesh: &TriMesh, shells: &[Shell], parents: &[Option<usize>], touching_m: f64) -> Vec<u32> {
-    let mut sets = Sets::new(shells.len());
+    let mut sets = DisjointSets::new(shells.len());
     for (i, parent) in parents.iter().enumerate() {
         if let Some(j) = parent {
             sets.join(i as u32, *j as u32);

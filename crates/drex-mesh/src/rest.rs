@@ -11,9 +11,9 @@ use serde::Serialize;
 
 use drex_core::{Pose, TriMesh};
 
-use crate::hull::convex_hull;
 use crate::topology::{NONE, Topology, ends};
 use crate::{Error, Result};
+use drex_core::mesh::convex_hull;
 
 /// Settings of [`stable_poses`].
 #[derive(Debug, Clone, PartialEq)]

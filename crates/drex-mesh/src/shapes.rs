@@ -41,11 +41,7 @@ pub(crate) fn sphere(radius: f64, level: usize) -> TriMesh {
 /// Several meshes as one.
 pub(crate) fn joined(parts: &[TriMesh]) -> TriMesh {
     let mut out = TriMesh::default();
-    for part in parts {
-        let base = out.vertices.len() as u32;
-        out.vertices.extend(&part.vertices);
-        out.faces.extend(part.faces.iter().map(|f| f.map(|v| v + base)));
-    }
+    parts.iter().for_each(|part| out.append(part));
     out
 }
 

@@ -3,49 +3,10 @@
 use nalgebra::Vector3;
 
 use drex_core::TriMesh;
+use drex_core::sets::DisjointSets;
 
 /// No partner.
 pub(crate) const NONE: u32 = u32::MAX;
-
-/// Disjoint sets of numbers, the smallest member as the name of each.
-#[derive(Debug, Clone)]
-pub(crate) struct Sets(Vec<u32>);
-
-impl Sets {
-    pub fn new(n: usize) -> Self {
-        Self((0..n as u32).collect())
-    }
-
-    pub fn find(&mut self, mut i: u32) -> u32 {
-        while self.0[i as usize] != i {
-            self.0[i as usize] = self.0[self.0[i as usize] as usize];
-            i = self.0[i as usize];
-        }
-        i
-    }
-
-    pub fn join(&mut self, i: u32, j: u32) {
-        let (i, j) = (self.find(i), self.find(j));
-        self.0[i.max(j) as usize] = i.min(j);
-    }
-
-    /// A label 0, 1, 2… per member, in the order in which sets first appear, and how many there are.
-    pub fn labels(&mut self) -> (Vec<u32>, usize) {
-        let mut name = vec![NONE; self.0.len()];
-        let mut count = 0;
-        let labels = (0..self.0.len() as u32)
-            .map(|i| {
-                let root = self.find(i) as usize;
-                if name[root] == NONE {
-                    name[root] = count;
-                    count += 1;
-                }
-                name[root]
-            })
-            .collect();
-        (labels, count as usize)
-    }
-}
 
 /// Half-edge `3 f + k` of face f runs from its corner k to its corner k + 1.
 #[derive(Debug, Clone)]
@@ -152,7 +113,7 @@ impl Topology {
 
     /// Shell of each face (faces connected over paired edges) and the number of shells.
     pub fn shells(&self) -> (Vec<u32>, usize) {
-        let mut sets = Sets::new(self.partner.len() / 3);
+        let mut sets = DisjointSets::new(self.partner.len() / 3);
         for (h, &p) in self.partner.iter().enumerate() {
             if p != NONE {
                 sets.join(h as u32 / 3, p / 3);
@@ -165,7 +126,7 @@ impl Topology {
 /// Gives every fan of faces at a vertex (faces connected over paired edges) a vertex of its own. Returns how many vertices
 /// were added; afterwards no vertex and no edge joins more than one sheet.
 pub(crate) fn split_pinched(mesh: &mut TriMesh, topology: &Topology) -> usize {
-    let mut fans = Sets::new(topology.partner.len());
+    let mut fans = DisjointSets::new(topology.partner.len());
     for (h, &p) in topology.partner.iter().enumerate() {
         if p == NONE {
             continue;

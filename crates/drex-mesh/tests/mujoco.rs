@@ -6,10 +6,9 @@ mod support;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use drex_core::mesh::convex_hull;
 use drex_core::{Pose, TriMesh};
-use drex_mesh::{
-    Asset, AssetOptions, Background, SceneOptions, articulated_asset, asset_from_mesh, build_asset, convex_hull,
-};
+use drex_mesh::{Asset, AssetOptions, Background, SceneOptions, articulated_asset, asset_from_mesh, build_asset};
 use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 use support::{cuboid, joined, shared, stapler};
 

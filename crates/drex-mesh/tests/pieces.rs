@@ -80,7 +80,7 @@ fn more_shells_than_pieces_are_joined() {
     let bar = |k: usize| {
         let x = 0.02 * k as f64;
         let corner = |i: usize| Point3::new(x + [0.0, 0.01][i & 1], [0.0, 0.05][i >> 1 & 1], [0.0, 0.01][i >> 2]);
-        drex_mesh::convex_hull(&(0..8).map(corner).collect::<Vec<_>>()).unwrap()
+        drex_core::mesh::convex_hull(&(0..8).map(corner).collect::<Vec<_>>()).unwrap()
     };
     let mut mesh = TriMesh::default();
     for k in 0..5 {

@@ -2,7 +2,8 @@
 #![allow(clippy::unwrap_used, missing_docs)] // a failed unwrap is a failed test
 
 use drex_core::TriMesh;
-use drex_mesh::{RepairOptions, convex_hull, repair, solid_properties};
+use drex_core::mesh::convex_hull;
+use drex_mesh::{RepairOptions, repair, solid_properties};
 use nalgebra::Point3;
 use proptest::prelude::*;
 

@@ -3,7 +3,9 @@
 
 use std::f64::consts::{PI, TAU};
 
-use drex_mesh::{RestOptions, RestPose, convex_hull, settled_pose, stable_poses};
+use drex_core::mesh::convex_hull;
+
+use drex_mesh::{RestOptions, RestPose, settled_pose, stable_poses};
 use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 

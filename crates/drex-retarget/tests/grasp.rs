@@ -3,9 +3,10 @@
 
 use std::path::{Path, PathBuf};
 
+use drex_core::mesh::convex_hull;
 use drex_core::{Pose, TriMesh};
 use drex_demo::{Demonstration, HandFrame, KEYPOINTS, KeyPoints, LoadOptions, transformed};
-use drex_mesh::{GridOptions, GridSdf, MeshSdf, convex_hull, read_mesh, solid_properties};
+use drex_mesh::{GridOptions, GridSdf, MeshSdf, read_mesh, solid_properties};
 use drex_retarget::*;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 

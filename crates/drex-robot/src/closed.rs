@@ -4,6 +4,7 @@ use std::collections::{BTreeSet, HashMap};
 use std::f64::consts::PI;
 
 use drex_core::TriMesh;
+use drex_core::mesh::coincident;
 use nalgebra::Point3;
 
 /// Vertices nearer than this fraction of the mesh's extent are one point: files round, and split vertices at seams.
@@ -32,10 +33,10 @@ fn volume(mesh: &TriMesh, reference: &Point3<f64>) -> f64 {
 
 /// Total length of the edges that are not used equally often both ways.
 fn open_rim(mesh: &TriMesh, tolerance: f64) -> f64 {
-    let welded = weld(&mesh.vertices, tolerance);
+    let mut places = coincident(&mesh.vertices, tolerance);
     let mut balance: HashMap<(u32, u32), i32> = HashMap::with_capacity(mesh.faces.len() * 2);
     for face in &mesh.faces {
-        let f = face.map(|v| welded[v as usize]);
+        let f = face.map(|v| places.find(v));
         for (a, b) in [(f[0], f[1]), (f[1], f[2]), (f[2], f[0])] {
             if a != b {
                 *balance.entry((a.min(b), a.max(b))).or_default() += if a < b { 1 } else { -1 };
@@ -45,34 +46,6 @@ fn open_rim(mesh: &TriMesh, tolerance: f64) -> f64 {
     // Sorted, so that the sum does not depend on the map's order.
     let open: BTreeSet<(u32, u32)> = balance.into_iter().filter(|(_, n)| *n != 0).map(|(edge, _)| edge).collect();
     open.iter().map(|&(a, b)| (mesh.vertices[a as usize] - mesh.vertices[b as usize]).norm()).sum()
-}
-
-/// For each vertex, the first vertex within `tolerance` of it.
-fn weld(vertices: &[Point3<f64>], tolerance: f64) -> Vec<u32> {
-    let cell = |p: &Point3<f64>| [p.x, p.y, p.z].map(|c| (c / tolerance.max(f64::MIN_POSITIVE)).floor() as i64);
-    let mut grid: HashMap<[i64; 3], Vec<u32>> = HashMap::with_capacity(vertices.len());
-    let mut welded = Vec::with_capacity(vertices.len());
-    for (i, p) in vertices.iter().enumerate() {
-        let at = cell(p);
-        let mut found = None;
-        'search: for dx in -1..=1i64 {
-            for dy in -1..=1i64 {
-                for dz in -1..=1i64 {
-                    let key = [at[0].saturating_add(dx), at[1].saturating_add(dy), at[2].saturating_add(dz)];
-                    let near = |k: &&u32| (vertices[**k as usize] - p).norm() <= tolerance;
-                    found = grid.get(&key).and_then(|ks| ks.iter().find(near)).copied();
-                    if found.is_some() {
-                        break 'search;
-                    }
-                }
-            }
-        }
-        welded.push(found.unwrap_or_else(|| {
-            grid.entry(at).or_default().push(i as u32);
-            i as u32
-        }));
-    }
-    welded
 }
 
 #[cfg(test)]
@@ -93,7 +66,7 @@ mod tests {
 
     #[test]
     fn cracks_from_rounding_do_not_open_a_mesh_but_holes_do() {
-        let hull = TriMesh::convex_hull(&ball(200)).unwrap();
+        let hull = drex_core::mesh::convex_hull(&ball(200)).unwrap();
         // Every face with vertices of its own, rounded apart.
         let mut cracked = TriMesh::default();
         for f in 0..hull.faces.len() {

@@ -48,16 +48,6 @@ pub enum Error {
         /// What to do about it.
         remedy: String,
     },
-    /// A mesh file was read but cannot be used.
-    #[error("{}: {what}; {remedy}", path.display())]
-    Mesh {
-        /// The mesh file.
-        path: PathBuf,
-        /// What is wrong.
-        what: String,
-        /// What to do about it.
-        remedy: String,
-    },
     /// A joint was asked for that the model does not have.
     #[error("robot \"{robot}\" has no joint \"{joint}\"; its joints are {known}")]
     UnknownJoint {
@@ -124,10 +114,6 @@ impl Error {
         remedy: impl Into<String>,
     ) -> Self {
         Self::Document { path: path.into(), line: line.into(), what: what.into(), remedy: remedy.into() }
-    }
-
-    pub(crate) fn mesh(path: &Path, what: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self::Mesh { path: path.into(), what: what.into(), remedy: remedy.into() }
     }
 
     pub(crate) fn value(what: impl Into<String>, remedy: impl Into<String>) -> Self {

@@ -51,7 +51,7 @@ impl Shape {
                 if self.is_closed() {
                     solid(mesh, density_kg_m3)
                 } else {
-                    solid(&TriMesh::convex_hull(&mesh.vertices)?, density_kg_m3)
+                    solid(&drex_core::mesh::convex_hull(&mesh.vertices).ok()?, density_kg_m3)
                 }
             }
         }

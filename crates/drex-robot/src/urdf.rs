@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use drex_core::{MassProperties, Pose};
+use drex_core::{MassProperties, Pose, TriMesh};
 use nalgebra::{Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 
 use crate::model::{Geom, GeomRole, Joint, JointKind, Link, Mimic, Robot, Shape};
@@ -265,8 +265,8 @@ impl Reader {
                 "put the mesh where the model names it",
             )
         })?;
-        let mesh = meshfile::read_mesh(&path)
-            .map_err(|e| node.fault("filename", e.to_string(), "repair or replace the file"))?;
+        let mesh =
+            TriMesh::read(&path).map_err(|e| node.fault("filename", e.to_string(), "repair or replace the file"))?;
         let shape = Shape::Mesh(Arc::new(meshfile::scaled(mesh, &scale)));
         self.meshes.insert(key, shape.clone());
         Ok(shape)

@@ -43,8 +43,6 @@ pub mod train;
 pub mod transform;
 pub mod usage;
 
-mod simd;
-
 pub use camera::PinholeCamera;
 pub use capture::{Capture, CaptureOptions, Photo, PhotoOptions, Photos};
 pub use error::{Error, Result};

@@ -1,6 +1,7 @@
 //! Cameras on a circle round something.
 
 use drex_core::Pose;
+use drex_core::stats::{quantile, upper_median};
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use crate::{Error, Gaussians, PinholeCamera, Result};
@@ -41,7 +42,7 @@ impl Orbit {
         let all: Vec<usize> = (0..gaussians.len()).collect();
         let solid: Vec<usize> = all.iter().copied().filter(|&i| gaussians.logit_opacities[i] >= 0.0).collect();
         let seen = if solid.is_empty() { all } else { solid };
-        let axis = |k: usize| quantile(seen.iter().map(|&i| f64::from(gaussians.means[i][k])).collect(), 0.5);
+        let axis = |k: usize| upper_median(seen.iter().map(|&i| f64::from(gaussians.means[i][k])));
         let (Some(x), Some(y), Some(z)) = (axis(0), axis(1), axis(2)) else {
             return Err(Error::Gaussians {
                 what: "there are no Gaussians to look at".into(),
@@ -50,7 +51,7 @@ impl Orbit {
         };
         let centre = Point3::new(x, y, z);
         let distance = |i: &usize| (Point3::from(gaussians.means[*i].map(f64::from)) - centre).norm();
-        let extent = quantile(seen.iter().map(distance).collect(), 0.9).unwrap_or(0.0);
+        let extent = quantile(seen.iter().map(distance), 0.9).unwrap_or(0.0);
         let narrow = (0.5 * field_of_view).tan() * (height as f64 / width as f64).min(1.0);
         // A ball of radius e is seen whole from e / sin(half the angle of view); a single point from anywhere.
         let radius = if extent > 0.0 { 1.1 * extent / narrow.atan().sin() } else { 1.0 };
@@ -134,10 +135,4 @@ pub fn look_at(eye: &Point3<f64>, target: &Point3<f64>, up: &Vector3<f64>) -> Re
 fn sideways(up: &Vector3<f64>) -> Vector3<f64> {
     let x = if up.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
     (x - up * up.dot(&x)).normalize()
-}
-
-/// The value below which a `part` of the values lies; `None` of nothing.
-pub(crate) fn quantile(mut values: Vec<f64>, part: f64) -> Option<f64> {
-    let k = ((values.len() as f64 - 1.0) * part).round() as usize;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(k, f64::total_cmp).1)
 }

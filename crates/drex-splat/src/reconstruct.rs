@@ -13,9 +13,9 @@ use crate::capture::{Capture, CaptureReport, PhotoOptions, Photos, SparsePoint};
 use crate::io::{npy, picture, ply};
 use crate::loss::{MaskMode, surface_depth};
 use crate::metrics::{Table, similarity};
-use crate::orbit::quantile;
 use crate::train::{DensityChoice, NEAR, Preset, Progress, TrainOptions, Trainer, VisualHull, from_points};
 use crate::{Error, Gaussians, Kind, Label, PinholeCamera, Rasterizer, RenderOptions, Result, usage};
+use drex_core::stats::quantile;
 
 /// What to reconstruct, and how carefully.
 #[derive(Debug, Clone, PartialEq)]
@@ -497,7 +497,7 @@ fn near_depth(camera: &PinholeCamera, points: &[SparsePoint], target: Option<&Po
     };
     let depths = points.iter().filter_map(|p| camera.project(&p.position.into()).and_then(inside));
     // Not the nearest of all: a few points of a sparse model are wrong.
-    let first = quantile(depths.collect(), 0.02)?;
+    let first = quantile(depths, 0.02)?;
     let (_, to_target) = camera.project(target?)?;
     Some((0.7 * first).min(0.5 * to_target) as f32)
 }

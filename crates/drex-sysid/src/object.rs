@@ -1,5 +1,7 @@
 //! The pushed object: convex pieces for contact, mass properties at one kilogram.
 
+use drex_core::mesh::coincident;
+use drex_core::sets::DisjointSets;
 use drex_core::{MassProperties, Pose, TriMesh};
 use drex_diffsim::ConvexPiece;
 use nalgebra::Point3;
@@ -72,29 +74,12 @@ fn closed_shells(mesh: &TriMesh) -> Result<Vec<TriMesh>> {
     let Some((lo, hi)) = mesh.bounds() else {
         return Err(SysidError::Object { what: "has no vertices".into(), remedy: "check the file".into() });
     };
-    let cell = WELD * (hi - lo).norm().max(f64::MIN_POSITIVE);
-    // Rounding to a grid separates points on two sides of a cell border; two grids, half a cell apart, catch both cases.
-    let weld = |ids: &[usize], shift: f64| -> Vec<usize> {
-        let mut seen = BTreeMap::new();
-        let key = |p: &Point3<f64>| [p.x, p.y, p.z].map(|c| (c / cell + shift).floor() as i64);
-        let mut of: Vec<usize> = (0..mesh.vertices.len()).collect();
-        for (i, p) in mesh.vertices.iter().enumerate() {
-            of[i] = *seen.entry(key(p)).or_insert(ids[i]);
-        }
-        of
-    };
-    let mut group = Groups::new(mesh.vertices.len());
-    let identity: Vec<usize> = (0..mesh.vertices.len()).collect();
-    for shift in [0.0, 0.5] {
-        for (i, j) in weld(&identity, shift).into_iter().enumerate() {
-            group.join(i, j);
-        }
-    }
-    let vertex: Vec<usize> = (0..mesh.vertices.len()).map(|i| group.root(i)).collect();
-    let faces: Vec<[usize; 3]> = mesh
+    let tolerance_m = WELD * (hi - lo).norm().max(f64::MIN_POSITIVE);
+    let mut places = coincident(&mesh.vertices, tolerance_m);
+    let faces: Vec<[u32; 3]> = mesh
         .faces
         .iter()
-        .map(|f| f.map(|v| vertex[v as usize]))
+        .map(|f| f.map(|v| places.find(v)))
         .filter(|f| f[0] != f[1] && f[1] != f[2] && f[2] != f[0])
         .collect();
     split_by_shared_edges(mesh, &faces)
@@ -102,10 +87,10 @@ fn closed_shells(mesh: &TriMesh) -> Result<Vec<TriMesh>> {
 
 /// Faces that share an edge in opposite directions belong to one shell. Where more than two faces meet in an edge (two
 /// touching parts with welded vertices), the file's order of faces decides: parts are written one after the other.
-fn split_by_shared_edges(mesh: &TriMesh, faces: &[[usize; 3]]) -> Result<Vec<TriMesh>> {
-    let mut open: BTreeMap<(usize, usize), Vec<usize>> = BTreeMap::new();
-    let mut group = Groups::new(faces.len());
-    for (i, f) in faces.iter().enumerate() {
+fn split_by_shared_edges(mesh: &TriMesh, faces: &[[u32; 3]]) -> Result<Vec<TriMesh>> {
+    let mut open: BTreeMap<(u32, u32), Vec<u32>> = BTreeMap::new();
+    let mut group = DisjointSets::new(faces.len());
+    for (i, f) in (0..).zip(faces) {
         for k in 0..3 {
             let (a, b) = (f[k], f[(k + 1) % 3]);
             match open.get_mut(&(b, a)).and_then(Vec::pop) {
@@ -121,47 +106,13 @@ fn split_by_shared_edges(mesh: &TriMesh, faces: &[[usize; 3]]) -> Result<Vec<Tri
             remedy: "close it (drex asset repairs scans), or give convex pieces and mass properties".into(),
         });
     }
-    let mut shells: BTreeMap<usize, Vec<[usize; 3]>> = BTreeMap::new();
-    for (i, f) in faces.iter().enumerate() {
-        shells.entry(group.root(i)).or_default().push(*f);
+    let mut shells: BTreeMap<u32, Vec<[u32; 3]>> = BTreeMap::new();
+    for (i, f) in (0..).zip(faces) {
+        shells.entry(group.find(i)).or_default().push(*f);
     }
-    shells
-        .into_values()
-        .map(|faces| {
-            let mut index = BTreeMap::new();
-            let mut vertices = Vec::new();
-            let faces = faces
-                .iter()
-                .map(|f| {
-                    f.map(|v| {
-                        *index.entry(v).or_insert_with(|| {
-                            vertices.push(mesh.vertices[v]);
-                            (vertices.len() - 1) as u32
-                        })
-                    })
-                })
-                .collect();
-            TriMesh::new(vertices, faces).map_err(SysidError::from)
-        })
-        .collect()
-}
-
-/// Disjoint sets.
-struct Groups(Vec<usize>);
-
-impl Groups {
-    fn new(n: usize) -> Self {
-        Self((0..n).collect())
-    }
-    fn root(&mut self, mut i: usize) -> usize {
-        while self.0[i] != i {
-            self.0[i] = self.0[self.0[i]];
-            i = self.0[i];
-        }
-        i
-    }
-    fn join(&mut self, i: usize, j: usize) {
-        let (a, b) = (self.root(i), self.root(j));
-        self.0[a.max(b)] = a.min(b);
-    }
+    let mesh_of = |faces: Vec<[u32; 3]>| {
+        let TriMesh { vertices, faces } = TriMesh::of_faces(&mesh.vertices, faces);
+        Ok(TriMesh::new(vertices, faces)?)
+    };
+    shells.into_values().map(mesh_of).collect()
 }

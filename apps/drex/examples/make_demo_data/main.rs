@@ -254,9 +254,7 @@ fn closed_hand(robot: &Robot, rng: &mut ChaCha8Rng) -> Vec<f64> {
 fn merged(shells: &[TriMesh]) -> Result<TriMesh> {
     let mut all = TriMesh::default();
     for shell in shells {
-        let first = all.vertices.len() as u32;
-        all.vertices.extend(&shell.vertices);
-        all.faces.extend(shell.faces.iter().map(|f| f.map(|v| v + first)));
+        all.append(shell);
     }
     Ok(TriMesh::new(all.vertices, all.faces)?)
 }

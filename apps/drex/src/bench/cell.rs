@@ -1,5 +1,6 @@
 //! One cell of a table: who grasps, what the hand is told, how hard it squeezes; and the rollouts of it.
 
+use drex_core::stats::upper_median;
 use std::collections::BTreeMap;
 
 use anyhow::Result;
@@ -136,8 +137,8 @@ impl<J: Judge> Cell<'_, J> {
             interval: wilson(successes, n),
             failures,
             bound: within as f64 / n.max(1) as f64,
-            median_squeeze_n: median(judged.iter().map(|j| j.squeeze_n).filter(|s| *s > 0.0)),
-            median_delivered_n: median(judged.iter().filter_map(|j| j.held_n)),
+            median_squeeze_n: upper_median(judged.iter().map(|j| j.squeeze_n).filter(|s| *s > 0.0)),
+            median_delivered_n: upper_median(judged.iter().filter_map(|j| j.held_n)),
             agreement,
             held,
         })
@@ -255,12 +256,6 @@ fn agreement(both: &[(Judged, Option<Judged>)]) -> Agreement {
         }
     }
     out
-}
-
-fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 /// The verdict as JSON and tables spell it.

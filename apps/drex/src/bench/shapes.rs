@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use anyhow::{Context, Result};
 use drex_core::TriMesh;
-use drex_mesh::convex_hull;
+use drex_core::mesh::convex_hull;
 use nalgebra::{Point2, Point3, Vector3};
 
 /// Corners of a ring of a loft.

@@ -39,11 +39,7 @@ impl HandShapes {
         for s in &self.shapes {
             let mesh = s.mesh.transformed(&s.link_from_mesh);
             match merged.iter_mut().find(|(link, _, color)| *link == s.link && *color == s.color) {
-                Some((_, all, _)) => {
-                    let first = all.vertices.len() as u32;
-                    all.vertices.extend(mesh.vertices);
-                    all.faces.extend(mesh.faces.iter().map(|f| f.map(|v| v + first)));
-                }
+                Some((_, all, _)) => all.append(&mesh),
                 None => merged.push((s.link, mesh, s.color)),
             }
         }

@@ -10,12 +10,12 @@ use drex_robot::Robot;
 use super::object::OBJECT_COLOR;
 use super::page::Page;
 use super::people;
-use super::summary::median;
 use crate::bench::library::Origins;
 use crate::picture::hand::HandShapes;
 use crate::picture::plot::{COLORS, Plot, Series};
 use crate::picture::raster::{Part, View, clearest_azimuth, render_png};
 use crate::twin::{Evaluation, FitFile, FitRecord, JudgedGrasp, Training, Twin};
+use drex_core::stats::median;
 
 /// Fits that push the object out of the hand by less than this hold it between the fingers.
 const PUSHED_OUT: f64 = 0.1;
@@ -181,7 +181,7 @@ pub fn evaluation(page: &mut Page, twin: &Twin, asset: &Asset, e: &Evaluation) -
             .into_iter()
             .map(|(name, grasps)| {
                 let of = |f: &dyn Fn(&JudgedGrasp) -> Option<f64>| {
-                    median(grasps.iter().filter_map(f).collect()).map_or("-".to_owned(), |v| format!("{v:.2}"))
+                    median(grasps.iter().filter_map(f)).map_or("-".to_owned(), |v| format!("{v:.2}"))
                 };
                 vec![
                     name.to_owned(),

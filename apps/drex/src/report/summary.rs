@@ -1,6 +1,7 @@
 //! The numbers that matter, for the head of the page and for the terminal.
 
 use anyhow::Result;
+use drex_core::stats::median;
 use drex_mesh::Asset;
 use serde_json::{Map, Value, json};
 
@@ -152,7 +153,7 @@ fn trial_line(trial: &TrialFile) -> String {
 /// Medians of the squeeze that was commanded and of the one that was delivered, N.
 pub fn squeezes(trial: &TrialFile) -> (Option<f64>, Option<f64>) {
     let commanded = trial.rollouts.iter().filter(|r| r.proposal > 0).map(|r| r.squeeze_n);
-    (median(commanded.collect()), median(trial.rollouts.iter().filter_map(|r| r.held_n).collect()))
+    (median(commanded), median(trial.rollouts.iter().filter_map(|r| r.held_n)))
 }
 
 /// What the emulated hand did.
@@ -208,13 +209,6 @@ pub fn figures(page: &mut Page, asset: &Asset, mass: &MassFile, learned: Option<
         ));
     }
     page.figures(&all);
-}
-
-/// The middle value, or the mean of the two in the middle.
-pub fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    let n = values.len();
-    if n == 0 { None } else { Some(0.5 * (values[(n - 1) / 2] + values[n / 2])) }
 }
 
 #[cfg(test)]

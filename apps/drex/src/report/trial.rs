@@ -11,13 +11,13 @@ use drex_trial::Verdict;
 use super::mass::deviation_text;
 use super::object::OBJECT_COLOR;
 use super::page::Page;
-use super::summary::median;
 use super::viewer::{Look, Placed, Scene};
 use crate::picture::hand::HandShapes;
 use crate::picture::plot::{COLORS, Plot, Series};
 use crate::picture::raster::{Part, View, clearest_azimuth, render_png};
 use crate::twin::files::{FilmFrame, RolloutRecord};
 use crate::twin::{TrialFile, Twin};
+use drex_core::stats::median;
 
 /// Faces of the object in the film.
 const OBJECT_FACES: usize = 4000;

@@ -3,12 +3,14 @@
 mod hull;
 mod obj;
 mod stl;
+mod weld;
 
 use std::path::Path;
 
-pub use self::hull::convex_hull_faces;
+pub use self::hull::{convex_hull, convex_hull_faces};
 pub use self::obj::{parse_obj, read_obj};
 pub use self::stl::{parse_stl, read_stl};
+pub use self::weld::coincident;
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::{Error, Pose, Result};

@@ -1,11 +1,10 @@
 //! STL, binary and text.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use nalgebra::Point3;
 
-use super::TriMesh;
+use super::{TriMesh, coincident};
 use crate::{Error, Result, fsutil};
 
 const HEADER: usize = 84;
@@ -29,7 +28,9 @@ pub fn parse_stl(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
     let binary = count.is_some_and(|n| n.checked_mul(RECORD).and_then(|n| n.checked_add(HEADER)) == Some(bytes.len()));
     let corners = if binary {
         bytes[HEADER..].chunks_exact(RECORD).flat_map(binary_corners).collect()
-    } else if bytes.trim_ascii_start().starts_with(b"solid") && bytes.is_ascii() {
+    } else if bytes.trim_ascii_start().starts_with(b"solid")
+        && (bytes.is_ascii() || bytes.windows(5).any(|w| w == b"facet"))
+    {
         text_corners(path, bytes)?
     } else {
         let what = match count {
@@ -75,18 +76,8 @@ fn weld(path: &Path, corners: &[Point3<f64>]) -> Result<TriMesh> {
         let what = format!("{} corners do not make triangles", corners.len());
         return Err(Error::content(path, None, what, "export the mesh again"));
     }
-    let mut vertices = Vec::new();
-    let mut index_of = BTreeMap::new();
-    let mut indices = Vec::with_capacity(corners.len());
-    for corner in corners {
-        // +0.0 and -0.0 are one place.
-        let key = [corner.x, corner.y, corner.z].map(|c| (c + 0.0).to_bits());
-        let next = vertices.len() as u32;
-        indices.push(*index_of.entry(key).or_insert_with(|| {
-            vertices.push(*corner);
-            next
-        }));
-    }
-    let faces = indices.as_chunks::<3>().0.to_vec();
+    let mut places = coincident(corners, 0.0);
+    let faces = (0..corners.len() as u32).step_by(3).map(|i| [i, i + 1, i + 2].map(|v| places.find(v)));
+    let TriMesh { vertices, faces } = TriMesh::of_faces(corners, faces);
     TriMesh::new(vertices, faces).map_err(|e| Error::at(path, None, e))
 }

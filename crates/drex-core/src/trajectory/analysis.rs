@@ -3,6 +3,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::{Trajectory, Twist};
+use crate::stats::median;
 use serde::{Deserialize, Serialize};
 
 /// MAD of a normal distribution of unit standard deviation.
@@ -58,7 +59,7 @@ impl TrackNoise {
 impl Trajectory {
     /// Median time between samples, seconds; `None` with fewer than two.
     pub fn median_step_s(&self) -> Option<f64> {
-        median(self.times_s.windows(2).map(|w| w[1] - w[0]).collect())
+        median(self.times_s.windows(2).map(|w| w[1] - w[0]))
     }
 
     /// The stretches between samples that are longer than `factor` times the median step.
@@ -147,7 +148,7 @@ impl Trajectory {
         let coordinates: Vec<[f64; 6]> =
             self.poses.iter().map(|p| crate::pose::pose_difference(first, p).into()).collect();
         let sd: Vec<f64> = noise.position_m.iter().chain(&noise.rotation_rad).copied().collect();
-        let middle = |range: &[[f64; 6]], k: usize| median(range.iter().map(|c| c[k]).collect()).unwrap_or(0.0);
+        let middle = |range: &[[f64; 6]], k: usize| median(range.iter().map(|c| c[k])).unwrap_or(0.0);
         for i in WINDOW..self.len().saturating_sub(WINDOW - 1) {
             let spread = (MEDIAN_OVER_MEAN * (1.0 / WINDOW as f64 + 1.0 / i as f64)).sqrt();
             let moved = (0..6).any(|k| {
@@ -192,18 +193,6 @@ fn robust_sd(deviations: Vec<f64>) -> f64 {
     sd
 }
 
-/// The median; the mean of the two middle values of an even number. `None` of nothing.
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    if values.is_empty() {
-        return None;
-    }
-    let mid = values.len() / 2;
-    let odd = values.len() % 2 == 1;
-    let (below, upper, _) = values.select_nth_unstable_by(mid, f64::total_cmp);
-    let upper = *upper;
-    Some(if odd { upper } else { 0.5 * (upper + below.iter().copied().fold(f64::NEG_INFINITY, f64::max)) })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -244,7 +233,6 @@ mod tests {
         let track = screw(&[0.0, 0.1, 0.2, 0.5, 0.6]);
         assert!((track.median_step_s().unwrap() - 0.1).abs() < 1e-12);
         assert_eq!(track.gaps(2.0), [Gap { start_s: 0.2, end_s: 0.5 }]);
-        assert_eq!(median(vec![3.0, 1.0, 2.0, 10.0]), Some(2.5));
         assert!(Trajectory::default().gaps(1.0).is_empty() && Trajectory::default().velocities().is_empty());
     }
 

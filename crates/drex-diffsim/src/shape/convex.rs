@@ -45,9 +45,7 @@ impl ConvexPiece {
             return Err(SimError::NotFinite { what: "a vertex of a convex piece".into() });
         }
         let vertices = spread_out(extreme_points(points), MAX_VERTICES);
-        let size = vertices.iter().map(|p| (p - vertices[0]).norm()).fold(0.0, f64::max);
-        let triangles =
-            convex_hull_faces(&vertices, FLAT * size).ok_or(SimError::FlatPiece { points: points.len() })?;
+        let triangles = convex_hull_faces(&vertices).map_err(|_| SimError::FlatPiece { points: points.len() })?;
         Ok(Self::from_hull(vertices, &triangles))
     }
 

@@ -401,9 +401,7 @@ mod tests {
         // Two boxes that meet at a corner of an L are no hull.
         let mut mesh = cuboid([0.0; 3], [0.1, 0.03, 0.02]);
         let other = cuboid([0.0, 0.0, 0.02], [0.03, 0.03, 0.1 / 3.0]);
-        let n = mesh.vertices.len() as u32;
-        mesh.vertices.extend(other.vertices);
-        mesh.faces.extend(other.faces.iter().map(|f| f.map(|v| v + n)));
+        mesh.append(&other);
         crate::io::write_obj(&file, &mesh).unwrap();
         let built = build_asset(&file, &AssetOptions::default()).unwrap();
         built.clone().with_mass(0.3).write(&out).unwrap();

@@ -217,10 +217,7 @@ fn pieces(model: &Mjcf) -> Result<Vec<TriMesh>> {
 fn visual_mesh(model: &Mjcf) -> Result<TriMesh> {
     let mut out = TriMesh::default();
     for geom in model.geoms.iter().filter(|g| !g.collides) {
-        let mesh = read(model, geom)?;
-        let base = out.vertices.len() as u32;
-        out.vertices.extend(&mesh.vertices);
-        out.faces.extend(mesh.faces.iter().map(|f| f.map(|v| v + base)));
+        out.append(&read(model, geom)?);
     }
     Ok(out)
 }

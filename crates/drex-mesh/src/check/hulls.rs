@@ -8,7 +8,8 @@ use super::Outcome::{Fail, Pass};
 use super::{CheckOptions, CheckReport};
 use crate::bvh::{Aabb, Bvh};
 use crate::hull::hull_volume;
-use crate::{convex_hull, sample_surface};
+use crate::sample_surface;
+use drex_core::mesh::convex_hull;
 
 /// Hulls with less volume are refused by engines, m³.
 const SLIVER_M3: f64 = 1e-12;

@@ -6,7 +6,8 @@ use nalgebra::{Point3, Vector3};
 use super::Outcome::{Fail, NotApplicable, Pass, Repaired};
 use super::{CheckOptions, CheckReport, hulls};
 use crate::topology::Topology;
-use crate::{Asset, HowClosed, LengthUnit, RepairReport, asset_from_mesh, convex_hull, repair};
+use crate::{Asset, HowClosed, LengthUnit, RepairReport, asset_from_mesh, repair};
+use drex_core::mesh::convex_hull;
 
 /// An opening is harmless while two ways of closing it differ by less than this share of the volume.
 const CLOSING_SPREAD: f64 = 0.05;

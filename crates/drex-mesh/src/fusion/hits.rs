@@ -1,7 +1,7 @@
 //! The depths of the object in one map: where they are, how noisy, smoothed, with slopes.
 
-use super::simd::vectorised;
 use crate::depth::{DepthCamera, DepthMap};
+use drex_core::simd::vectorised;
 
 /// Largest half-width of the smoothing window, pixels.
 const LARGEST_RADIUS: usize = 3;

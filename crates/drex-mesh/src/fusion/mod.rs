@@ -11,7 +11,6 @@ mod marching;
 mod parts;
 mod prepare;
 mod sharp;
-mod simd;
 mod survey;
 mod volume;
 

@@ -3,9 +3,10 @@
 use serde::{Deserialize, Serialize};
 
 use drex_core::TriMesh;
+use drex_core::sets::DisjointSets;
 
 use super::marching::{Extracted, GridEdge};
-use crate::topology::{NONE, Sets};
+use crate::topology::NONE;
 
 /// A part of the surface that was dropped.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -46,7 +47,7 @@ struct Part {
 /// Every part is closed, so a part with negative volume is the wall of a hollow.
 pub(super) fn clean(extracted: &mut Extracted, share: f64, observed: impl Fn(&GridEdge) -> bool) -> Cleaned {
     let mesh = &mut extracted.mesh;
-    let mut sets = Sets::new(mesh.vertices.len());
+    let mut sets = DisjointSets::new(mesh.vertices.len());
     for f in &mesh.faces {
         sets.join(f[0], f[1]);
         sets.join(f[0], f[2]);

@@ -5,8 +5,8 @@ use nalgebra::{Matrix3, Vector3};
 use drex_core::Pose;
 
 use super::hits::{Raster, Sight, Smooth, Window};
-use super::simd::vectorised;
 use crate::depth::DepthMap;
+use drex_core::simd::vectorised;
 
 /// Side of a tile, pixels.
 const TILE: usize = 4;

@@ -1,5 +1,6 @@
 //! The first look at all views: where the object is, how fine it was seen, how noisy, and how thin its walls are.
 
+use drex_core::stats::upper_median;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
@@ -79,7 +80,7 @@ impl Survey {
                 "check the unit (metres), the masks and the region",
             ));
         }
-        let median_of = |get: fn(&Look) -> f64| median(seen().map(get).collect());
+        let median_of = |get: fn(&Look) -> f64| upper_median(seen().map(get)).unwrap_or(0.0);
         Ok(Self {
             bounds: object_box(&samples, seen().count()),
             footprint_m: median_of(|l| l.footprint_m),
@@ -125,12 +126,6 @@ impl Look {
         let footprint_m = sight.footprint_m(camera).into();
         (!samples.is_empty()).then_some(Self { sight, footprint_m, samples })
     }
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    values.sort_by(f64::total_cmp);
-    values.get(middle).copied().unwrap_or(0.0)
 }
 
 /// The box of the samples, without those that stand alone: a coarse cell counts if a second view saw it too (where there
@@ -181,7 +176,7 @@ impl Survey {
     /// patch along its inward normal for one that faces the other way.
     pub fn walls(&self, cell_m: f64, deepest_m: f64) -> Walls {
         let patches = self.patches(cell_m);
-        let spread_m = median(patches.iter().map(|p| p.spread).collect());
+        let spread_m = upper_median(patches.iter().map(|p| p.spread)).unwrap_or(0.0);
         // Thinner ones cannot be told from noise or shown by the voxels.
         let range = (4.0 * spread_m).max(0.25 * cell_m)..deepest_m;
         let step = patches.len().div_ceil(PROBES).max(1);

@@ -6,8 +6,8 @@ use rayon::prelude::*;
 use super::lattice::{Field, FieldBlock, Lattice, SIDE, VOXELS};
 use super::marching::GridEdge;
 use super::prepare::{BACKGROUND, Prepared};
-use super::simd::vectorised;
 use crate::bvh::Aabb;
+use drex_core::simd::vectorised;
 
 /// Depth differences beyond this many truncations count as far in front of the surface whatever the slope.
 const FAR_IN_FRONT: f32 = 2.0;

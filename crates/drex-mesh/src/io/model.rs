@@ -94,9 +94,7 @@ impl Model {
     pub fn mesh(&self) -> TriMesh {
         let mut out = TriMesh::default();
         for part in &self.parts {
-            let base = out.vertices.len() as u32;
-            out.vertices.extend(&part.mesh.vertices);
-            out.faces.extend(part.mesh.faces.iter().map(|f| f.map(|v| v + base)));
+            out.append(&part.mesh);
         }
         out
     }

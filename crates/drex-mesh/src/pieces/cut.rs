@@ -9,8 +9,8 @@ use super::part::{Part, Plane, cut_length, edges, points_behind};
 use super::probe::{Fill, Probes};
 use crate::Result;
 use crate::grid::{GridOptions, GridSdf};
-use crate::hull::convex_hull;
 use crate::sdf::MeshSdf;
+use drex_core::mesh::convex_hull;
 
 /// Positions tried along each direction.
 const POSITIONS: usize = 12;

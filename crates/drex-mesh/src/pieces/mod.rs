@@ -20,13 +20,14 @@ use rayon::prelude::*;
 
 use drex_core::{Surface, TriMesh};
 
-use crate::hull::{convex_hull, hull_volume};
+use crate::hull::hull_volume;
 use crate::repair::{Shell, describe_shells};
 use crate::sdf::MeshSdf;
 use crate::solid::Enclosed;
 use crate::topology::Topology;
 use crate::weld::weld;
 use crate::{Error, Result};
+use drex_core::mesh::convex_hull;
 
 pub use score::{UnionDistance, union_distance};
 

@@ -6,7 +6,7 @@ use nalgebra::{Point3, Unit, Vector3};
 
 use drex_core::TriMesh;
 
-use crate::hull::convex_hull;
+use drex_core::mesh::convex_hull;
 
 /// The plane n·x = d.
 #[derive(Debug, Clone, Copy, PartialEq)]

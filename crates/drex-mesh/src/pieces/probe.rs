@@ -107,8 +107,8 @@ impl Probes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::hull::convex_hull;
     use crate::shapes::{cuboid, joined};
+    use drex_core::mesh::convex_hull;
 
     #[test]
     fn a_hull_over_a_slot_fills_as_deep_as_the_slot_is_wide_or_deep() {

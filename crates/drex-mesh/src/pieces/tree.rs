@@ -8,7 +8,7 @@ use drex_core::TriMesh;
 use super::cut::{Cut, Leaf, Scene};
 use super::part::{Part, Plane};
 use super::probe::Fill;
-use crate::hull::convex_hull;
+use drex_core::mesh::convex_hull;
 
 /// A node of the tree: a plane with the nodes on both sides, or a leaf with its number.
 #[derive(Debug, Clone)]

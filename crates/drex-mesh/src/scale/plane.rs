@@ -1,5 +1,6 @@
 //! The table in a cloud of points.
 
+use drex_core::stats::upper_median;
 use nalgebra::{Matrix3, Point3, Unit, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -61,8 +62,10 @@ pub fn table_plane(points: &[Point3<f64>], cameras: &[Point3<f64>], options: &Pl
             "give the sparse points and the camera positions of the scan",
         ));
     }
-    let middle = Point3::from([0, 1, 2].map(|k| median(points.iter().map(|p| p[k]).collect())));
-    let within = options.within.unwrap_or_else(|| median(points.iter().map(|p| (p - middle).norm()).collect()) / 200.0);
+    let middle = Point3::from([0, 1, 2].map(|k| upper_median(points.iter().map(|p| p[k])).unwrap_or(0.0)));
+    let within = options
+        .within
+        .unwrap_or_else(|| upper_median(points.iter().map(|p| (p - middle).norm())).unwrap_or(0.0) / 200.0);
     let mut random = ChaCha8Rng::seed_from_u64(options.seed);
     let mut best: Option<(usize, Plane)> = None;
     for _ in 0..options.tries {
@@ -86,7 +89,7 @@ pub fn table_plane(points: &[Point3<f64>], cameras: &[Point3<f64>], options: &Pl
         let near: Vec<Point3<f64>> = points.iter().filter(|p| plane.height(p).abs() <= reach).copied().collect();
         let Some(fitted) = Plane::through(&near).and_then(|p| p.with_above(cameras)) else { break };
         // A wider net than the search's would take in what stands on the table.
-        let spread = 1.4826 * median(near.iter().map(|p| fitted.height(p).abs()).collect());
+        let spread = 1.4826 * upper_median(near.iter().map(|p| fitted.height(p).abs())).unwrap_or(0.0);
         let next = (2.5 * spread).min(within);
         let same = fitted.up.angle(&plane.up) < 1e-9 && (next - reach).abs() <= 1e-6 * reach;
         (plane, reach) = (fitted, next);
@@ -134,9 +137,4 @@ impl Plane {
         let up = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned();
         Some(Self { point: mean.into(), up })
     }
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
 }

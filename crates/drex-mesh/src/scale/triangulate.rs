@@ -1,5 +1,6 @@
 //! A point seen in several photos.
 
+use drex_core::stats::upper_median;
 use nalgebra::{Matrix3, Point2, Point3, Vector2, Vector3};
 
 use drex_core::Pose;
@@ -69,7 +70,7 @@ pub fn triangulate(sightings: &[Sighting<'_>]) -> Result<Triangulated> {
 
     let start = best_pair(sightings, &rays)?;
     let error = |p: &Point3<f64>, i: usize| residual(&sightings[i], p).map_or(f64::INFINITY, |r| r.norm());
-    let spread = 1.4826 * median((0..sightings.len()).map(|i| error(&start, i)).collect());
+    let spread = 1.4826 * upper_median((0..sightings.len()).map(|i| error(&start, i))).unwrap_or(0.0);
     let within = (3.0 * spread).max(ALWAYS_GOOD_PX);
     let (used, left_out): (Vec<usize>, Vec<usize>) = (0..sightings.len()).partition(|&i| error(&start, i) <= within);
     if used.len() < 2 || !parallax(&used.iter().map(|&i| rays[i].1).collect::<Vec<_>>()) {
@@ -94,8 +95,8 @@ fn best_pair(sightings: &[Sighting<'_>], rays: &[(Point3<f64>, Vector3<f64>)]) -
             }
             any_parallax = true;
             let Some(p) = nearest_to_rays(&[rays[i], rays[j]]) else { continue };
-            let errors = sightings.iter().map(|s| residual(s, &p).map_or(f64::INFINITY, |r| r.norm())).collect();
-            let m = median(errors);
+            let errors = sightings.iter().map(|s| residual(s, &p).map_or(f64::INFINITY, |r| r.norm()));
+            let m = upper_median(errors).unwrap_or(0.0);
             if m.is_finite() && best.is_none_or(|(b, _)| m < b) {
                 best = Some((m, p));
             }
@@ -168,9 +169,4 @@ fn refine(sightings: &[Sighting<'_>], used: &[usize], start: Point3<f64>) -> Poi
         }
     }
     p
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
 }

@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use drex_mesh::{GridOptions, GridSdf, LengthUnit, MeshSdf, convex_hull, metric_mesh, solid_properties};
+use drex_core::mesh::convex_hull;
+
+use drex_mesh::{GridOptions, GridSdf, LengthUnit, MeshSdf, metric_mesh, solid_properties};
 use drex_retarget::ObjectSurface;
 use nalgebra::Point3;
 

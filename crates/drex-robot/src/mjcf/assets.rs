@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use drex_core::TriMesh;
+use drex_core::mesh::convex_hull;
 use nalgebra::{Point3, Quaternion, Unit, UnitQuaternion, Vector3};
 
 use crate::model::Shape;
@@ -137,7 +138,8 @@ impl Assets {
                 return Err(asset.node.error(why.clone(), "load the model from a file, or use a primitive shape"));
             }
             Source::Inline(mesh) => mesh.clone(),
-            Source::File(path) => meshfile::read_mesh(path).map_err(|e| super::in_element(&asset.node, &e))?,
+            Source::File(path) => TriMesh::read(path)
+                .map_err(|e| asset.node.fault("file", e.to_string(), "repair or replace the file"))?,
         };
         let (shift, rotation) = asset.reference;
         let moved = TriMesh {
@@ -162,7 +164,7 @@ impl Assets {
         let wants_hull = self.meshes.get(name).is_some_and(|m| m.solid == Solid::Hull);
         match shape {
             Shape::Mesh(mesh) if wants_hull => {
-                TriMesh::convex_hull(&mesh.vertices).map_or_else(|| shape.clone(), |h| Shape::Mesh(Arc::new(h)))
+                convex_hull(&mesh.vertices).map_or_else(|_| shape.clone(), |h| Shape::Mesh(Arc::new(h)))
             }
             _ => shape.clone(),
         }
@@ -183,5 +185,5 @@ fn inline_mesh(node: &Node) -> Result<Option<TriMesh>> {
     let vertices = v.chunks_exact(3).map(|c| Point3::new(c[0], c[1], c[2])).collect();
     let faces: Vec<[u32; 3]> = f.chunks_exact(3).map(|c| [c[0] as u32, c[1] as u32, c[2] as u32]).collect();
     let mesh = TriMesh { vertices, faces };
-    Ok(if mesh.faces.is_empty() { TriMesh::convex_hull(&mesh.vertices) } else { Some(mesh) })
+    Ok(if mesh.faces.is_empty() { convex_hull(&mesh.vertices).ok() } else { Some(mesh) })
 }

@@ -12,10 +12,10 @@ use std::path::Path;
 
 use drex_core::Pose;
 
+use crate::Result;
 use crate::model::{Joint, Link, Robot};
 use crate::unread::Unread;
 use crate::xml::Node;
-use crate::{Error, Result};
 
 use assets::Assets;
 use compiler::Compiler;
@@ -208,9 +208,4 @@ impl Names {
             }
         }
     }
-}
-
-/// An error of the mesh reader, seen from the element that names the file.
-fn in_element(node: &Node, error: &Error) -> Error {
-    node.fault("file", error.to_string(), "repair or replace the file")
 }

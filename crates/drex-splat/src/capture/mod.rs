@@ -25,6 +25,7 @@ mod tools;
 mod transforms;
 mod undistort;
 
+use drex_core::stats::upper_median;
 use std::path::{Path, PathBuf};
 
 use drex_core::Pose;
@@ -199,7 +200,7 @@ impl Capture {
             return 1.1 * radius;
         }
         let distances = self.points.iter().map(|p| (nalgebra::Vector3::from(p.position) - mean).norm());
-        report::median(distances.collect()).filter(|d| *d > 0.0).unwrap_or(1.0)
+        upper_median(distances).filter(|d| *d > 0.0).unwrap_or(1.0)
     }
 
     /// What to trust of this capture; reads the masks.

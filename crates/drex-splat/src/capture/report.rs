@@ -4,6 +4,7 @@
 mod coverage;
 mod masks;
 
+use drex_core::stats::upper_median;
 use std::fmt;
 
 use nalgebra::Point3;
@@ -81,7 +82,7 @@ impl CaptureReport {
         let (_, distances) = distances_from_median(&centres);
         let far = outliers_by_place(&centres);
         let focal = |v: &View| v.lens.focal_px().mean() / f64::from(v.lens.width_px().max(v.lens.height_px()));
-        let usual = median(capture.views.iter().map(focal).collect()).unwrap_or(1.0);
+        let usual = upper_median(capture.views.iter().map(focal)).unwrap_or(1.0);
         let masks = masks::check(capture)?;
         let errors: Vec<_> = capture.views.iter().map(|v| reprojection_errors(capture, v)).collect();
         let has_points = !capture.points.is_empty() && errors.iter().any(|e| !e.is_empty());
@@ -128,7 +129,7 @@ impl ReprojectionError {
     fn of(errors: Vec<f64>) -> Option<Self> {
         let sightings = errors.len();
         let mean_px = errors.iter().sum::<f64>() / sightings as f64;
-        Some(Self { mean_px, median_px: median(errors)?, sightings })
+        Some(Self { mean_px, median_px: upper_median(errors)?, sightings })
     }
 }
 
@@ -150,23 +151,14 @@ pub(super) fn outliers_by_place(centres: &[Point3<f64>]) -> Vec<bool> {
 fn distances_from_median(positions: &[Point3<f64>]) -> (Point3<f64>, Vec<f64>) {
     let centre = median_point(positions.iter().copied());
     let distances: Vec<_> = positions.iter().map(|p| (p - centre).norm()).collect();
-    let usual = median(distances.clone()).filter(|d| *d > 0.0).unwrap_or(1.0);
+    let usual = upper_median(distances.iter().copied()).filter(|d| *d > 0.0).unwrap_or(1.0);
     (centre, distances.into_iter().map(|d| d / usual).collect())
 }
 
 /// The median by coordinate; the origin of nothing.
 fn median_point(positions: impl Iterator<Item = Point3<f64>> + Clone) -> Point3<f64> {
-    let along = |k: usize| median(positions.clone().map(|p| p[k]).collect()).unwrap_or(0.0);
+    let along = |k: usize| upper_median(positions.clone().map(|p| p[k])).unwrap_or(0.0);
     Point3::new(along(0), along(1), along(2))
-}
-
-/// The middle value, the upper one of two.
-pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
-    let middle = values.len() / 2;
-    if values.is_empty() {
-        return None;
-    }
-    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 impl fmt::Display for CaptureReport {

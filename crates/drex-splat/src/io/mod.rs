@@ -7,11 +7,12 @@ pub mod exr;
 pub mod npy;
 pub mod picture;
 pub mod ply;
-pub(crate) mod ply_table;
 pub mod splat;
 pub mod spz;
 
 use std::path::Path;
+
+use drex_core::ply::{Element, PlyFile};
 
 use crate::{Error, Gaussians, Kind, Result};
 
@@ -56,6 +57,17 @@ fn unknown(path: &Path) -> Error {
 /// An error about the content of a file.
 fn content(path: &Path, line: impl Into<Option<usize>>, what: impl Into<String>, remedy: impl Into<String>) -> Error {
     drex_core::Error::content(path, line, what, remedy).into()
+}
+
+/// The vertices of a PLY file, whose rows are plain numbers.
+pub(crate) fn vertices<'a>(path: &Path, file: &'a PlyFile<'_>) -> Result<&'a Element> {
+    let remedy = "give a file of Gaussians or of points";
+    let element =
+        file.element("vertex").ok_or_else(|| content(path, None, "the header has no element vertex", remedy))?;
+    match element.properties.iter().all(|p| p.length.is_none()) {
+        true => Ok(element),
+        false => Err(content(path, element.line, "the vertices have lists", remedy)),
+    }
 }
 
 /// Refuses a set that was read and cannot be drawn, naming the file.

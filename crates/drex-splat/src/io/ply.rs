@@ -12,10 +12,9 @@
 use std::path::Path;
 
 use drex_core::fsutil;
-use drex_core::ply::Scalar;
+use drex_core::ply::{PlyFile, Scalar};
 
-use super::ply_table::Header;
-use super::{checked, content, three_log_scales};
+use super::{checked, content, three_log_scales, vertices};
 use crate::{Gaussians, Kind, Label, Result};
 
 /// What tells surfels from ellipsoids in a file with three scales.
@@ -99,8 +98,8 @@ pub fn read(path: &Path, otherwise: Kind) -> Result<Gaussians> {
 /// # Errors
 /// As [`read`].
 pub fn parse(path: &Path, bytes: &[u8], otherwise: Kind) -> Result<Gaussians> {
-    let header = Header::parse(path, bytes, "Gaussians")?;
-    let vertices = header.vertices();
+    let file = PlyFile::parse(path, bytes, "Gaussians")?;
+    let vertices = vertices(path, &file)?;
     let has = |name: &str| vertices.properties.iter().any(|p| p.name == name);
     let rest = vertices.properties.iter().filter(|p| p.name.starts_with("f_rest_")).count();
     let sh_degree = match rest {
@@ -114,9 +113,8 @@ pub fn parse(path: &Path, bytes: &[u8], otherwise: Kind) -> Result<Gaussians> {
         }
     };
     let scales = if has("scale_2") { 3 } else { 2 };
-    let labelled = vertices.properties.iter().any(|p| p.name == "label" && p.scalar == Some(Scalar::U8));
-    let kind =
-        if header.comments.iter().any(|c| c == SURFEL_COMMENT) || scales == 2 { Kind::Surfel } else { otherwise };
+    let labelled = vertices.properties.iter().any(|p| p.name == "label" && p.scalar == Scalar::U8);
+    let kind = if file.comments.iter().any(|c| c == SURFEL_COMMENT) || scales == 2 { Kind::Surfel } else { otherwise };
     let columns = ["x", "y", "z"]
         .map(String::from)
         .into_iter()
@@ -131,9 +129,11 @@ pub fn parse(path: &Path, bytes: &[u8], otherwise: Kind) -> Result<Gaussians> {
         .collect::<Result<Vec<_>>>()?;
 
     let mut gaussians = Gaussians::new(kind, sh_degree);
-    let mut push = |row: &[f64]| {
-        let row: Vec<f32> = row.iter().map(|&v| v as f32).collect();
-        let (geometry, row) = row.split_at(3);
+    let mut values = Vec::with_capacity(columns.len());
+    file.rows(vertices, |row| -> Result<()> {
+        values.clear();
+        values.extend(columns.iter().map(|&c| row.values[c] as f32));
+        let (geometry, row) = values.split_at(3);
         let (colour, row) = row.split_at(3 + rest);
         let (shape, row) = row.split_at(1 + scales);
         gaussians.means.push([geometry[0], geometry[1], geometry[2]]);
@@ -145,7 +145,7 @@ pub fn parse(path: &Path, bytes: &[u8], otherwise: Kind) -> Result<Gaussians> {
         gaussians.log_scales.push([shape[1], shape[2], shape.get(3).copied().unwrap_or(f32::NEG_INFINITY)]);
         gaussians.rotations.push([row[0], row[1], row[2], row[3]]);
         gaussians.labels.push(Label(row.get(4).map_or(0, |&l| l as u8)));
-    };
-    header.each_row(path, bytes, &columns, &mut push)?;
+        Ok(())
+    })?;
     checked(path, gaussians)
 }

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::simd::vectorised;
+use drex_core::simd::vectorised;
 
 /// Pixels that one task of a parallel loop does.
 const CHUNK: usize = 1 << 13;

@@ -19,7 +19,7 @@ use rayon::prelude::*;
 
 use super::{check_image, strip_rows, sum, unit};
 use crate::Result;
-use crate::simd::vectorised;
+use drex_core::simd::vectorised;
 
 /// Taps of the window to either side of its centre.
 const REACH: usize = 5;

@@ -3,8 +3,8 @@
 
 use rayon::prelude::*;
 
-use crate::simd::vectorised;
 use crate::{Error, Result};
+use drex_core::simd::vectorised;
 
 /// Decay of the first moment.
 pub const BETA1: f32 = 0.9;

@@ -1,5 +1,6 @@
 //! On which faces a solid can stand: the faces of its convex hull with the centre of mass above them.
 
+use drex_core::mesh::convex_hull;
 use drex_core::{MassProperties, TriMesh};
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -44,7 +45,7 @@ impl Standing {
             what: "is flat or empty".into(),
             remedy: "give the surface of a solid, in metres".into(),
         };
-        let hull = TriMesh::convex_hull(&mesh.vertices).ok_or_else(flat)?;
+        let hull = convex_hull(&mesh.vertices).map_err(|_| flat())?;
         let of_hull = hull.mass_properties(1.0).map_err(|_| flat())?;
         let solid = closed(mesh)
             .then(|| mesh.mass_properties(1.0).ok())
@@ -61,7 +62,7 @@ impl Standing {
     /// If it is flat or empty.
     pub fn of_object(object: &ObjectModel) -> Result<Self> {
         let points: Vec<Point3<f64>> = object.pieces.iter().flatten().copied().collect();
-        let hull = TriMesh::convex_hull(&points).ok_or_else(|| SysidError::Object {
+        let hull = convex_hull(&points).map_err(|_| SysidError::Object {
             what: "is flat or empty".into(),
             remedy: "give the surface of a solid, in metres".into(),
         })?;
@@ -250,7 +251,7 @@ mod tests {
     fn cuboid(h: [f64; 3], c: [f64; 3]) -> TriMesh {
         let corner =
             |i: usize| Point3::from(Vector3::from_fn(|k, _| c[k] + if i >> k & 1 == 0 { -h[k] } else { h[k] }));
-        TriMesh::convex_hull(&(0..8).map(corner).collect::<Vec<_>>()).unwrap()
+        convex_hull(&(0..8).map(corner).collect::<Vec<_>>()).unwrap()
     }
 
     #[test]

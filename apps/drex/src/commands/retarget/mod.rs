@@ -9,8 +9,9 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use drex_core::Pose;
+use drex_core::mesh::convex_hull;
 use drex_demo::{Demonstration, LoadOptions, RegisterOptions, Side, read_point_frames};
-use drex_mesh::{MeshSdf, convex_hull, metric_mesh};
+use drex_mesh::{MeshSdf, metric_mesh};
 use drex_retarget::{RetargetOptions, TargetHand};
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 

@@ -1,5 +1,6 @@
 //! From which directions an object was seen.
 
+use drex_core::stats::upper_median;
 use std::fmt;
 
 use nalgebra::{Matrix3, Point3, Unit, Vector3};
@@ -115,7 +116,7 @@ fn focus(capture: &Capture) -> Option<Point3<f64>> {
         }
         let x = a.try_inverse()? * b;
         let distances: Vec<_> = axes.iter().map(|(c, d)| (x - c.coords).cross(d).norm()).collect();
-        let floor = 1e-3 * super::median(distances.clone())?.max(1e-9);
+        let floor = 1e-3 * upper_median(distances.iter().copied())?.max(1e-9);
         weights = distances.iter().map(|r| 1.0 / r.max(floor)).collect();
         focus = Some(Point3::from(x));
     }

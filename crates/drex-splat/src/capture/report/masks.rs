@@ -5,6 +5,7 @@
 //! margin, so that a rim drawn a little tight or wide does no harm. A mask that is moved towards a side where the object
 //! has hardly any points is not found.
 
+use drex_core::stats::upper_median;
 use std::fmt;
 
 use nalgebra::Point3;
@@ -88,7 +89,7 @@ pub(super) fn check(capture: &Capture) -> Result<Masks> {
         checks.push(seen.as_ref().zip(mask).and_then(|(seen, mask)| check_view(capture, view, &mask, seen, &votes)));
     }
     let enough = checks.iter().flatten().filter(|c| c.object_points >= ENOUGH);
-    let usual = super::median(enough.map(|c| c.object_inside).collect()).unwrap_or(1.0);
+    let usual = upper_median(enough.map(|c| c.object_inside)).unwrap_or(1.0);
     for check in checks.iter_mut().flatten() {
         check.misplaced = check.object_points >= ENOUGH && check.object_inside < INSIDE * usual
             || check.background_points >= ENOUGH && check.background_inside > BACKGROUND_INSIDE;

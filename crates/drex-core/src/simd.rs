@@ -2,12 +2,10 @@
 
 /// Runs `work` as if it were compiled for the widest vectors this machine has.
 ///
-/// No instruction set fuses a product with a sum unasked, so all give the same bits.
-///
-/// The widest vectors are used only in code that is inlined into it: mark the closure, closures within it and the functions they call
+/// That holds only for code that is inlined into it: mark the closure, closures within it and the functions they call
 /// `#[inline(always)]`. It is `FnMut` because for `FnOnce` the compiler may put a call in between that is not inlined.
 #[inline(always)]
-pub(crate) fn vectorised<R>(work: impl FnMut() -> R) -> R {
+pub fn vectorised<R>(work: impl FnMut() -> R) -> R {
     struct Work<F>(F);
 
     impl<R, F: FnMut() -> R> pulp::WithSimd for Work<F> {
