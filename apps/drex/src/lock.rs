@@ -67,7 +67,7 @@ impl Inputs {
 
     /// The digest.
     pub fn digest(self) -> String {
-        hex(&self.0.finalize())
+        fsutil::hex(&self.0.finalize())
     }
 }
 
@@ -191,11 +191,7 @@ pub fn made_by() -> String {
 
 /// SHA-256 in hexadecimal digits.
 pub fn digest_of(bytes: &[u8]) -> String {
-    hex(&Sha256::digest(bytes))
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|b| format!("{b:02x}")).collect()
+    fsutil::hex(&Sha256::digest(bytes))
 }
 
 #[cfg(test)]

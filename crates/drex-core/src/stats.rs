@@ -1,4 +1,6 @@
-//! Order statistics of small samples.
+//! Order statistics of small samples, and normal numbers.
+
+use nalgebra::RealField;
 
 /// Median of `values`: the middle one, or the mean of the two in the middle. `None` of nothing.
 pub fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
@@ -20,6 +22,13 @@ pub fn quantile(values: impl IntoIterator<Item = f64>, share: f64) -> Option<f64
     let mut values: Vec<f64> = values.into_iter().collect();
     let rank = ((values.len() as f64 - 1.0) * share).round() as usize;
     nth(&mut values, rank)
+}
+
+/// Two independent standard normal numbers (Box and Muller 1958) from `uniform` in 0 to 1, 1 left out, and an angle of the whole turn, rad.
+pub fn normal_pair<T: RealField + Copy>(uniform: T, angle_rad: T) -> [T; 2] {
+    let radius = (-(T::one() + T::one()) * (T::one() - uniform).ln()).sqrt();
+    let (sin, cos) = angle_rad.sin_cos();
+    [radius * cos, radius * sin]
 }
 
 /// The value with `n` values below it.

@@ -237,7 +237,7 @@ impl Dataset {
             s.contacts.iter().for_each(|c| number(f64::from(u8::from(*c))));
             [s.squeeze_n, s.mass_kg, s.friction].into_iter().for_each(&mut number);
         }
-        crate::files::hex(&hash.finalize())
+        drex_core::fsutil::hex(&hash.finalize())
     }
 
     pub(crate) fn wrong(

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use drex_core::fsutil::{read_bytes, read_text, write_atomic};
+use drex_core::fsutil::{hex, read_bytes, read_text, write_atomic};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -164,8 +164,4 @@ pub(crate) fn check_card(card: &Card) -> Result<(), String> {
 
 pub(crate) fn sha256_hex(bytes: &[u8]) -> String {
     hex(&Sha256::digest(bytes))
-}
-
-pub(crate) fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|b| format!("{b:02x}")).collect()
 }

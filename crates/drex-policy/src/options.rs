@@ -132,13 +132,6 @@ impl RolloutOptions {
         self
     }
 
-    /// Sets [`min_fingers`](Self::min_fingers).
-    #[must_use]
-    pub fn with_min_fingers(mut self, min_fingers: usize) -> Self {
-        self.min_fingers = min_fingers;
-        self
-    }
-
     fn validate(&self) -> Result<()> {
         let counts = [
             ("rollouts.epochs", self.epochs, 0, 100_000),
@@ -255,13 +248,6 @@ impl TrainOptions {
     #[must_use]
     pub fn with_seed(mut self, seed: u64) -> Self {
         self.seed = seed;
-        self
-    }
-
-    /// Sets [`yaw_range_rad`](Self::yaw_range_rad).
-    #[must_use]
-    pub fn with_yaw_range_rad(mut self, yaw_range_rad: f64) -> Self {
-        self.yaw_range_rad = yaw_range_rad;
         self
     }
 

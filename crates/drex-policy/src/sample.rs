@@ -1,5 +1,6 @@
 //! Grasps drawn from the density of a policy.
 
+use drex_core::stats::normal_pair;
 use std::f64::consts::PI;
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
@@ -40,19 +41,14 @@ pub(crate) fn draw(policy: &GraspPolicy, grasps: &[PredictedGrasp], count: usize
     drawn
 }
 
-/// A standard normal number (Box and Muller 1958).
+/// A standard normal number.
 fn normal(random: &mut ChaCha8Rng) -> f64 {
-    let radius = (-2.0 * (1.0 - random.random_range(0.0..1.0_f64)).ln()).sqrt();
-    radius * random.random_range(0.0..2.0 * PI).cos()
+    normal_pair(random.random_range(0.0..1.0), random.random_range(0.0..2.0 * PI))[0]
 }
 
 /// Three independent standard normal numbers.
 pub(crate) fn normal_vector(random: &mut ChaCha8Rng) -> Vector3<f64> {
-    let mut pair = || {
-        let radius = (-2.0 * (1.0 - random.random_range(0.0..1.0_f64)).ln()).sqrt();
-        let angle = random.random_range(0.0..2.0 * PI);
-        (radius * angle.cos(), radius * angle.sin())
-    };
-    let ((x, y), (z, _)) = (pair(), pair());
+    let mut pair = || normal_pair(random.random_range(0.0..1.0), random.random_range(0.0..2.0 * PI));
+    let ([x, y], [z, _]) = (pair(), pair());
     Vector3::new(x, y, z)
 }

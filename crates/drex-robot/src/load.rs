@@ -38,14 +38,6 @@ impl Robot {
         urdf::read(&Node::parse(&text, path)?, path)
     }
 
-    /// Reads an MJCF file.
-    ///
-    /// # Errors
-    /// As [`Robot::load`].
-    pub fn from_mjcf(path: &Path) -> Result<Self> {
-        mjcf::read(&drex_core::fsutil::read_text(path)?, path, path.parent())
-    }
-
     /// Reads MJCF text. Files that it names are looked for in `folder`; without one, naming a file is an error.
     ///
     /// # Errors

@@ -120,8 +120,3 @@ pub fn reversed_in_left(model: &str) -> Option<&'static [&'static str]> {
 pub fn leap_model_from_driver(driver_rad: &[f64]) -> Vec<f64> {
     driver_rad.iter().map(|a| a - LEAP_DRIVER_OFFSET_RAD).collect()
 }
-
-/// Angles of LEAP's drivers from model angles (any order): driver = model + π.
-pub fn leap_driver_from_model(model_rad: &[f64]) -> Vec<f64> {
-    model_rad.iter().map(|a| a + LEAP_DRIVER_OFFSET_RAD).collect()
-}

@@ -265,10 +265,7 @@ fn pulse(t: f64, start_s: f64, length_s: f64) -> f64 {
     if (0.0..=1.0).contains(&s) { (PI * s).sin() } else { 0.0 }
 }
 
-/// Three independent standard normal numbers (Box and Muller).
+/// Three independent standard normal numbers.
 fn normal3(rng: &mut ChaCha8Rng) -> Vector3<f64> {
-    Vector3::from_fn(|_, _| {
-        let (u, v): (f64, f64) = (rng.random(), rng.random());
-        (-2.0 * (1.0 - u).ln()).sqrt() * (2.0 * PI * v).cos()
-    })
+    Vector3::from_fn(|_, _| drex_core::stats::normal_pair(rng.random(), 2.0 * PI * rng.random::<f64>())[0])
 }

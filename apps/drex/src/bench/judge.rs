@@ -1,5 +1,6 @@
 //! Who says whether a grasp holds: a simulator, or in tests a formula.
 
+use drex_core::stats::normal_pair;
 use std::sync::Arc;
 
 use anyhow::Result;
@@ -70,9 +71,7 @@ impl Spread {
                 let friction_told = 1.0 + even(-self.friction_told, self.friction_told);
                 let (radius, angle) = (self.shift_m * even(0.0, 1.0).sqrt(), even(0.0, std::f64::consts::TAU));
                 let turn_rad = even(-self.turn_rad, self.turn_rad);
-                // Box and Muller.
-                let (u, v) = (even(0.0, 1.0), even(0.0, 1.0));
-                let mass_error = (-2.0 * (1.0 - u).ln()).sqrt() * (std::f64::consts::TAU * v).cos();
+                let [mass_error, _] = normal_pair(even(0.0, 1.0), std::f64::consts::TAU * even(0.0, 1.0));
                 Condition {
                     friction,
                     friction_told,

@@ -259,7 +259,7 @@ fn digest(thing: &Thing, hand: &TargetHand, options: &LibraryOptions) -> String 
     hash.update(format!("{SCHEMA} {} {options:?} {:?}", hand.robot.name, thing.table));
     thing.asset.visual.vertices.iter().flat_map(|v| v.iter()).for_each(|c| hash.update(c.to_bits().to_le_bytes()));
     thing.asset.visual.faces.iter().flatten().for_each(|i| hash.update(i.to_le_bytes()));
-    hash.finalize().iter().map(|b| format!("{b:02x}")).collect()
+    drex_core::fsutil::hex(&hash.finalize())
 }
 
 #[cfg(test)]

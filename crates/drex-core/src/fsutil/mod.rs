@@ -58,6 +58,11 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
+/// `bytes` in hexadecimal digits, as check sums are written.
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|b| format!("{b:02x}")).collect()
+}
+
 /// Most memory of a parsed text per byte of it: `1,` can become a value of 32 bytes in a list that is growing.
 const TOML_BYTES: u64 = 128;
 const JSON_BYTES: u64 = 16;

@@ -107,12 +107,6 @@ impl AllegroOptions {
         self
     }
 
-    /// The same with no number on the wire above `cap`.
-    pub fn with_wire_cap(mut self, cap: i16) -> Self {
-        self.wire_caps = self.wire_caps.map(|c| c.min(cap));
-        self
-    }
-
     /// The same with gears of other reductions.
     pub fn with_gear_ratios(mut self, gear_ratios: [f64; 16]) -> Self {
         self.gear_ratios = gear_ratios;
@@ -151,12 +145,6 @@ impl AllegroOptions {
     /// The same with exchanges that wait up to `wait` for new poses.
     pub fn with_pose_wait(mut self, wait: Duration) -> Self {
         self.pose_wait = wait;
-        self
-    }
-
-    /// The same with temperatures every `ms` milliseconds.
-    pub fn with_temperature_period_ms(mut self, ms: u16) -> Self {
-        self.temperature_period_ms = ms;
         self
     }
 

@@ -90,12 +90,6 @@ impl GraspPlan {
         self
     }
 
-    /// The same with joints that give at least this effort per rad of error, from which the lead over a contact follows.
-    pub fn with_stiffness(mut self, stiffness: f64) -> Self {
-        self.stiffness = stiffness;
-        self
-    }
-
     /// The same with this number of joints that have to touch.
     pub fn with_least_contacts(mut self, joints: usize) -> Self {
         self.least_contacts = joints;

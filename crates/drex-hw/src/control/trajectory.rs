@@ -114,12 +114,6 @@ impl Trajectory {
         Self::new(waypoints, effort_limit)
     }
 
-    /// The same with no joint sent faster than this, rad/s.
-    pub fn with_speed_rad_per_s(mut self, speed: f64) -> Self {
-        self.speed_rad_per_s = speed;
-        self
-    }
-
     /// The same with this long, s, for the joints to arrive after the last waypoint; zero ends there.
     pub fn with_settle_s(mut self, settle_s: f64) -> Self {
         self.settle_s = settle_s;

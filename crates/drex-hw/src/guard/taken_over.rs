@@ -17,11 +17,6 @@ impl TakenOver {
         Self { why, how, confirmed, since }
     }
 
-    /// Whether the hand confirmed that its torque is off.
-    pub fn is_confirmed(&self) -> bool {
-        self.confirmed
-    }
-
     /// How long ago the torque was taken off, by the clock of the system.
     pub fn age(&self) -> Duration {
         self.since.elapsed().unwrap_or_default()

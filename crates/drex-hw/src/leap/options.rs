@@ -146,12 +146,6 @@ impl LeapOptions {
         Ok(self)
     }
 
-    /// The same with a bus of another speed.
-    pub fn with_baud(mut self, baud: u32) -> Self {
-        self.baud = baud;
-        self
-    }
-
     /// The same with other patience.
     pub fn with_timing(mut self, timing: Timing) -> Self {
         self.timing = Some(timing);

@@ -218,15 +218,10 @@ fn covariance_times(model: &Model, i: usize, x: Vector3<f32>) -> Vector3<f32> {
     axes_times(model, i, |s| s * s, rotation.inverse() * x)
 }
 
-/// Three independent standard normal numbers (Box and Muller).
+/// Three independent standard normal numbers.
 fn normal3(rng: &mut impl Rng) -> Vector3<f32> {
-    let mut pair = || {
-        let (u, v) = (1.0 - rng.random::<f32>(), rng.random::<f32>()); // u > 0
-        let r = (-2.0 * u.ln()).sqrt();
-        let (sin, cos) = (std::f32::consts::TAU * v).sin_cos();
-        (r * cos, r * sin)
-    };
-    let ((x, y), (z, _)) = (pair(), pair());
+    let mut pair = || drex_core::stats::normal_pair(rng.random(), std::f32::consts::TAU * rng.random::<f32>());
+    let ([x, y], [z, _]) = (pair(), pair());
     Vector3::new(x, y, z)
 }
 

@@ -262,8 +262,7 @@ fn ticks(end_s: f64) -> Vec<f64> {
     (0..=(end_s / TICK_S).round() as usize).map(|k| k as f64 * TICK_S).collect()
 }
 
-/// A standard normal number (Box and Muller).
+/// A standard normal number.
 fn normal(rng: &mut ChaCha8Rng) -> f64 {
-    let (a, b): (f64, f64) = (rng.random(), rng.random());
-    (-2.0 * (1.0 - a).ln()).sqrt() * (std::f64::consts::TAU * b).cos()
+    drex_core::stats::normal_pair(rng.random(), std::f64::consts::TAU * rng.random::<f64>())[0]
 }
