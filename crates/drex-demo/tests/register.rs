@@ -268,7 +268,12 @@ fn points_are_read_from_what_reconstructions_write() {
         }
         assert_eq!(read("a.ply", &bytes).unwrap(), expected);
         bytes.pop();
-        assert!(read("a.ply", &bytes).unwrap_err().to_string().contains("1 vertices where the header says 2"));
+        assert!(
+            read("a.ply", &bytes)
+                .unwrap_err()
+                .to_string()
+                .contains("2 rows of vertex are announced, but the file ends before number 1")
+        );
     }
     assert!(read("a.obj", b"v 1 2\n").unwrap_err().to_string().contains("line 1"));
     assert!(read("a.obj", b"").unwrap_err().to_string().contains("no points"));

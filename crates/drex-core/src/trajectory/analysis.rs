@@ -1,10 +1,10 @@
 //! What a track tells about itself: gaps, velocities, noise, and how long the object rested.
 
 use nalgebra::{UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
 
 use super::{Trajectory, Twist};
 use crate::stats::median;
-use serde::{Deserialize, Serialize};
 
 /// MAD of a normal distribution of unit standard deviation.
 const MAD_OF_NORMAL: f64 = 0.674_489_750_196_081_7;

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use drex_core::npy::{NpyValues, parse_npy};
+use drex_core::ply::PlyFile;
 use drex_core::{Error, Result, fsutil};
 use nalgebra::Point3;
 
@@ -105,102 +106,18 @@ fn npy_points(path: &Path, bytes: &[u8]) -> Result<Vec<Point3<f64>>> {
     }
 }
 
-/// How the numbers of a PLY file are written.
-#[derive(Clone, Copy, PartialEq)]
-enum Form {
-    Text,
-    Little,
-    Big,
-}
-
-/// The vertices of a PLY file. They must come first, as they do in every file of points.
+/// The vertices of a PLY file.
 fn ply_points(path: &Path, bytes: &[u8]) -> Result<Vec<Point3<f64>>> {
-    let refuse = |what: String| Error::content(path, None, what, "export the points again as PLY");
-    let end = b"end_header";
-    let header_end = bytes.windows(end.len()).position(|w| w == end);
-    let Some((header, rest)) = header_end.filter(|_| bytes.starts_with(b"ply")).map(|i| bytes.split_at(i)) else {
-        return Err(refuse("the file has no PLY header".into()));
-    };
-    let body = rest.iter().position(|b| *b == b'\n').map_or(&[][..], |i| &rest[i + 1..]);
-    let header = String::from_utf8_lossy(header);
-    let (mut form, mut count, mut elements) = (None, 0, 0);
-    // Byte width of each property of a vertex, and whether it is a float; its place.
-    let mut widths: Vec<(usize, bool)> = Vec::new();
-    let mut axes = [None; 3];
-    for line in header.lines() {
-        let words: Vec<&str> = line.split_ascii_whitespace().collect();
-        match words.as_slice() {
-            ["format", "ascii", ..] => form = Some(Form::Text),
-            ["format", "binary_little_endian", ..] => form = Some(Form::Little),
-            ["format", "binary_big_endian", ..] => form = Some(Form::Big),
-            ["element", name, n] => {
-                elements += 1;
-                if *name == "vertex" && elements == 1 {
-                    count = n.parse().map_err(|_| refuse(format!("`{line}` is no count")))?;
-                } else if elements == 1 {
-                    return Err(refuse("the vertices do not come first".into()));
-                }
-            }
-            ["property", "list", ..] if elements == 1 => return Err(refuse("vertices with lists".into())),
-            ["property", kind, name] if elements == 1 => {
-                if let Some(axis) = ["x", "y", "z"].iter().position(|a| a == name) {
-                    axes[axis] = Some(widths.len());
-                }
-                widths.push(width_of(kind).ok_or_else(|| refuse(format!("the type {kind} is not known")))?);
-            }
-            _ => {}
-        }
-    }
-    let (Some(form), [Some(x), Some(y), Some(z)]) = (form, axes) else {
-        return Err(refuse("no format, or vertices without x, y and z".into()));
+    let refuse = |what: &str| Error::content(path, None, what, "export the points again as PLY");
+    let file = PlyFile::parse(path, bytes, "points")?;
+    let element = file.element("vertex").ok_or_else(|| refuse("the file has no element vertex"))?;
+    let [Some(x), Some(y), Some(z)] = ["x", "y", "z"].map(|name| element.column(&[name])) else {
+        return Err(refuse("vertices without x, y and z"));
     };
     let mut out = Vec::new();
-    if form == Form::Text {
-        let text = String::from_utf8_lossy(body);
-        for line in text.lines().filter(|l| !l.trim().is_empty()).take(count) {
-            let numbers: Vec<Option<f64>> = line.split_ascii_whitespace().map(|w| w.parse().ok()).collect();
-            let at = |i: usize| numbers.get(i).copied().flatten();
-            let (Some(x), Some(y), Some(z)) = (at(x), at(y), at(z)) else {
-                return Err(refuse(format!("`{}` is no vertex", line.chars().take(60).collect::<String>())));
-            };
-            out.push(Point3::new(x, y, z));
-        }
-    } else {
-        let row: usize = widths.iter().map(|(w, _)| w).sum();
-        let offset = |i: usize| widths[..i].iter().map(|(w, _)| w).sum::<usize>();
-        if ![x, y, z].iter().all(|&i| widths[i].1) {
-            return Err(refuse("x, y and z are not floats".into()));
-        }
-        let number = |row: &[u8], i: usize| {
-            let bytes = &row[offset(i)..offset(i) + widths[i].0];
-            match (<[u8; 8]>::try_from(bytes), <[u8; 4]>::try_from(bytes)) {
-                (Ok(b), _) => {
-                    if form == Form::Big {
-                        f64::from_be_bytes(b)
-                    } else {
-                        f64::from_le_bytes(b)
-                    }
-                }
-                (_, Ok(b)) => f64::from(if form == Form::Big { f32::from_be_bytes(b) } else { f32::from_le_bytes(b) }),
-                _ => f64::NAN,
-            }
-        };
-        out.extend(body.chunks_exact(row).take(count).map(|r| Point3::new(number(r, x), number(r, y), number(r, z))));
-    }
-    if out.len() != count {
-        return Err(refuse(format!("{} vertices where the header says {count}", out.len())));
-    }
+    file.rows::<Error>(element, |row| {
+        out.push(Point3::from([x, y, z].map(|k| row.list(k)[0])));
+        Ok(())
+    })?;
     Ok(out)
-}
-
-/// Width in bytes of a PLY type, and whether it is a float.
-fn width_of(kind: &str) -> Option<(usize, bool)> {
-    Some(match kind {
-        "char" | "int8" | "uchar" | "uint8" => (1, false),
-        "short" | "int16" | "ushort" | "uint16" => (2, false),
-        "int" | "int32" | "uint" | "uint32" => (4, false),
-        "float" | "float32" => (4, true),
-        "double" | "float64" => (8, true),
-        _ => return None,
-    })
 }
