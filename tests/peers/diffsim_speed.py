@@ -3,7 +3,7 @@
     pip install mujoco numpy
     python tests/peers/diffsim_speed.py [--rounds 7] [--seconds 0.5]
 
-The cases are those of `cargo run --release -p drex-diffsim --example speed`, which also writes them as MJCF. Each engine
+The cases are those of `cargo run --release -p drex-mujoco --example speed`, which also writes them as MJCF. Each engine
 is tried at several settings; a setting counts if its error meets the demand of the case (DEMANDS below), and of those
 that count the fastest of each engine are run against each other, one after the other, as often as --rounds says. Printed
 are medians, and the ratio ours / MuJoCo's as the median and the range over the rounds.
@@ -107,7 +107,7 @@ def ours(binary, case, seconds, dt=None, extra=()):
 
 
 def build():
-    command = ["cargo", "build", "--release", "--quiet", "-p", "drex-diffsim", "--example", "speed"]
+    command = ["cargo", "build", "--release", "--quiet", "-p", "drex-mujoco", "--example", "speed"]
     subprocess.run(command, check=True, cwd=ROOT)
     target = os.environ.get("CARGO_TARGET_DIR", ROOT / "target")
     return str(pathlib.Path(target) / "release" / "examples" / "speed")

@@ -1,7 +1,7 @@
 //! Semi-implicit against explicit Euler, and against the two other solvers: error and stability over the step size for
 //! objects of 20 g to 700 g, and the mass that a fit with each of them finds.
 //!
-//!     cargo run --release -p drex-diffsim --example ablation
+//!     cargo run --release -p drex-diffsim --features ablation --example ablation
 //!
 //! All methods simulate the same law of contact, with the fixed stiffness of a penalty method, and take one substep per
 //! step. "refused" is a step for which a motion on the contact springs is certain to grow; "none" a fit that would have to

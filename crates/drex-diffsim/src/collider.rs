@@ -9,8 +9,8 @@ use crate::{ConvexPiece, Geom, Result, Shape};
 /// Shapes in the frame of a body, with what contact search needs. Made once, shared by all models of the same body.
 #[derive(Debug, Clone)]
 pub struct Collider {
-    geoms: Vec<CollisionGeom>,
-    shapes: Vec<Shape>,
+    geoms: Vec<Geom>,
+    prepared: Vec<CollisionGeom>,
     /// A ball that holds all shapes; infinite for a plane.
     center: Vector3<f64>,
     radius: f64,
@@ -23,21 +23,21 @@ impl Collider {
     /// If a shape has a size that is not a positive number.
     pub fn new(geoms: &[Geom]) -> Result<Self> {
         let prepared = geoms.iter().map(|g| CollisionGeom::new(&g.shape, &g.body_from_shape));
-        Ok(Self::from_prepared(prepared.collect::<Result<_>>()?, geoms.iter().map(|g| g.shape.clone()).collect()))
+        Ok(Self::from_prepared(prepared.collect::<Result<_>>()?, geoms.to_vec()))
     }
 
     /// Convex pieces in the body's own frame.
     pub fn convex(pieces: Vec<ConvexPiece>) -> Self {
-        let shapes: Vec<Shape> = pieces.into_iter().map(|p| Shape::Convex(p.into())).collect();
+        let geoms: Vec<Geom> = pieces.into_iter().map(|p| Geom::new(Shape::Convex(p.into()))).collect();
         // A piece was checked when it was made, and the identity is a pose.
-        let geoms = shapes.iter().filter_map(|s| CollisionGeom::new(s, &Pose::identity()).ok()).collect();
-        Self::from_prepared(geoms, shapes)
+        let prepared = geoms.iter().filter_map(|g| CollisionGeom::new(&g.shape, &g.body_from_shape).ok()).collect();
+        Self::from_prepared(prepared, geoms)
     }
 
     /// The plane z = 0.
     pub fn plane() -> Self {
         let geom = CollisionGeom::new(&Shape::Plane, &Pose::identity());
-        Self::from_prepared(geom.into_iter().collect(), vec![Shape::Plane])
+        Self::from_prepared(geom.into_iter().collect(), vec![Geom::new(Shape::Plane)])
     }
 
     /// Nothing that touches.
@@ -45,21 +45,21 @@ impl Collider {
         Self::from_prepared(Vec::new(), Vec::new())
     }
 
-    fn from_prepared(geoms: Vec<CollisionGeom>, shapes: Vec<Shape>) -> Self {
-        let count = geoms.len().max(1) as f64;
-        let center = geoms.iter().map(|g| g.center).sum::<Vector3<f64>>() / count;
-        let radius = geoms.iter().map(|g| (g.center - center).norm() + g.radius).fold(0.0, f64::max);
-        Self { geoms, shapes, center, radius }
+    fn from_prepared(prepared: Vec<CollisionGeom>, geoms: Vec<Geom>) -> Self {
+        let count = prepared.len().max(1) as f64;
+        let center = prepared.iter().map(|g| g.center).sum::<Vector3<f64>>() / count;
+        let radius = prepared.iter().map(|g| (g.center - center).norm() + g.radius).fold(0.0, f64::max);
+        Self { geoms, prepared, center, radius }
     }
 
-    /// The prepared shapes.
-    pub(crate) fn geoms(&self) -> &[CollisionGeom] {
+    /// The shapes in the form that contact search takes, in the same order.
+    pub(crate) fn prepared(&self) -> &[CollisionGeom] {
+        &self.prepared
+    }
+
+    /// The shapes and where they are on the body, in the order in which [`crate::ContactKey`] counts them.
+    pub fn geoms(&self) -> &[Geom] {
         &self.geoms
-    }
-
-    /// The shapes, in the order in which [`crate::ContactKey`] counts them.
-    pub fn shapes(&self) -> &[Shape] {
-        &self.shapes
     }
 
     /// Centre and radius of a ball that holds all shapes.

@@ -6,7 +6,6 @@ use crate::Scalar;
 
 /// Something that can touch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[non_exhaustive]
 pub enum Part {
     /// `scene.fixed[i]`.
     Fixed(u32),
@@ -58,7 +57,6 @@ pub(crate) struct Contact<T: Scalar> {
 
 /// A contact of the last step.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[non_exhaustive]
 pub struct ContactForce<T: Scalar> {
     /// The pair of parts, shapes and features.
     pub key: ContactKey,

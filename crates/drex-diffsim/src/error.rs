@@ -48,6 +48,7 @@ pub enum SimError {
         /// The longest accepted one.
         limit_s: f64,
     },
+    #[cfg(feature = "ablation")]
     /// The contact is too stiff for the penalty scheme at this step.
     #[error(
         "a step of {dt_s} s needs {substeps:.0} substeps at this contact stiffness; take softer contact or a step near {limit_s:.1e} s"
@@ -60,11 +61,13 @@ pub enum SimError {
         /// A step that is stable by itself.
         limit_s: f64,
     },
+    #[cfg(feature = "ablation")]
     /// Explicit Euler has no damping of its own.
     #[error(
         "explicit Euler grows on contact without damping; give relaxation_s and tangential_relaxation_s above zero"
     )]
     Undamped,
+    #[cfg(feature = "ablation")]
     /// The method does not simulate articulations.
     #[error("this method steps free bodies only; use Method::SemiImplicit for models with articulations")]
     Method,
@@ -157,14 +160,6 @@ pub enum SimError {
     /// A shape that no body can have.
     #[error("{what}; {remedy}")]
     Shape {
-        /// What is wrong.
-        what: String,
-        /// What to do.
-        remedy: String,
-    },
-    /// The second engine cannot run what it was given.
-    #[error("{what}; {remedy}")]
-    Engine {
         /// What is wrong.
         what: String,
         /// What to do.

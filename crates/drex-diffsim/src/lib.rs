@@ -39,6 +39,8 @@
 //!
 #![doc = include_str!("docs/derivatives.md")]
 
+#[cfg(feature = "ablation")]
+mod ablation;
 mod articulation;
 mod collide;
 mod collider;
@@ -46,10 +48,7 @@ mod contact;
 mod error;
 mod math;
 mod model;
-pub mod mujoco;
 mod pairs;
-mod penalty;
-mod position_based;
 mod rollout;
 mod scalar;
 mod scene;
@@ -58,14 +57,16 @@ mod sim;
 mod solve;
 mod state;
 
+#[cfg(feature = "ablation")]
+pub use ablation::Scheme;
 pub use articulation::{
     ActuatorKind, ActuatorParams, ArmState, Articulation, Base, BaseState, JointParams, LinkInertia,
 };
 pub use collider::Collider;
 pub use contact::{ContactForce, ContactKey, Part};
 pub use error::{Result, SimError};
-pub use model::{Body, ContactOptions, Material, Method, Model, Scheme};
-pub use rollout::{Job, Record, Track, rollout, rollout_batch};
+pub use model::{Body, ContactOptions, Material, Method, Model};
+pub use rollout::{Job, Record, Track, check, record, rollout, rollout_batch};
 pub use scalar::{Dual, Scalar, parameter, tangents};
 pub use scene::{AppliedForce, Control, Fixed, ForcePoint, Motion, Mover, Path, Scene};
 pub use shape::{ConvexPiece, Geom, SdfShape, Shape, SurfacePoints};

@@ -21,32 +21,11 @@ pub(crate) fn exp<T: Scalar>(r: &Vector3<T>) -> UnitQuaternion<T> {
     UnitQuaternion::new_unchecked(Quaternion::from_parts(c, v))
 }
 
-/// The rotation vector of a unit quaternion whose real part is positive (a turn of less than half a circle).
-pub(crate) fn log<T: Scalar>(q: &UnitQuaternion<T>) -> Vector3<T> {
-    let v = Vector3::new(q.i, q.j, q.k);
-    let x = v.norm_squared();
-    let k = if x.value() < 1e-4 {
-        // 2 asin(√x) / √x as a series; the first term left out is below 1e-17.
-        T::lift(2.0) + x * (T::lift(1.0 / 3.0) + x * (T::lift(3.0 / 20.0) + x * T::lift(5.0 / 56.0)))
-    } else {
-        let s = x.sqrt();
-        s.atan2(q.w) / s * T::lift(2.0)
-    };
-    v * k
-}
-
 /// `q` with its norm brought back to one (one Newton step: the drift is of rounding size).
 pub(crate) fn renormalized<T: Scalar>(q: UnitQuaternion<T>) -> UnitQuaternion<T> {
     let q = q.into_inner();
     let k = T::lift(1.5) - q.norm_squared() * T::lift(0.5);
     UnitQuaternion::new_unchecked(q * k)
-}
-
-/// A pose without derivatives.
-pub(crate) fn value_of<T: Scalar>(pose: &Pose<T>) -> Pose {
-    let q = pose.rotation.quaternion();
-    let q = Quaternion::new(q.w.value(), q.i.value(), q.j.value(), q.k.value());
-    Pose::from_parts(pose.translation.vector.map(|x| x.value()).into(), UnitQuaternion::new_unchecked(q))
 }
 
 /// A rotation as a constant of the scalar `T`.

@@ -107,7 +107,7 @@ pub struct ContactOptions<T = f64> {
     pub tangential_relaxation_s: T,
     /// Stiffness k of a patch, N/m, in place of m ω².
     pub stiffness_n_m: Option<T>,
-    /// Contact as MuJoCo has it, in place of all the above. [`Method::Penalty`] knows nothing of it.
+    /// Contact as MuJoCo has it, in place of all the above. Penalty forces do not have it.
     pub soft: Option<SoftContact>,
 }
 
@@ -174,28 +174,21 @@ pub enum Method {
     /// actuators are taken at the end of the step. Stable at any stiffness.
     #[default]
     SemiImplicit,
+    #[cfg(feature = "ablation")]
     /// Penalty forces at the old state, as in the D-REX paper and its ablation. Free bodies only.
     Penalty {
         /// Which velocity moves the poses.
-        scheme: Scheme,
+        scheme: crate::Scheme,
         /// Substeps per step; `None`: as many as the contact stiffness needs to be stable.
         substeps: Option<u32>,
     },
+    #[cfg(feature = "ablation")]
     /// Position-based dynamics (rigid XPBD): contacts move poses, and velocities follow from the poses. Stable at any
     /// stiffness; the shorter the substeps, the smaller its damping. Free bodies only.
     PositionBased {
         /// Substeps per step.
         substeps: u32,
     },
-}
-
-/// Which velocity moves the poses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Scheme {
-    /// The new one.
-    SemiImplicit,
-    /// The old one.
-    Explicit,
 }
 
 /// Bodies, articulations, contact constants and the time step.
@@ -235,14 +228,13 @@ impl<T: Scalar> Model<T> {
         self.bodies.iter().enumerate().try_for_each(|(i, b)| b.check(i))?;
         self.arms.iter().try_for_each(Articulation::check)?;
         self.contact.check()?;
-        if self.method != Method::SemiImplicit && !self.arms.is_empty() {
-            return Err(SimError::Method);
-        }
         self.check_step()
     }
 
-    /// Checks the time step.
+    /// Checks the time step and the method.
     pub(crate) fn check_step(&self) -> Result<()> {
+        #[cfg(feature = "ablation")]
+        crate::ablation::check(self)?;
         if !(self.dt_s > 0.0 && self.dt_s <= LONGEST_STEP_S) {
             return Err(SimError::TimeStep { dt_s: self.dt_s, limit_s: LONGEST_STEP_S });
         }

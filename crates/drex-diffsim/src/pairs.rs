@@ -38,6 +38,7 @@ pub(crate) fn find<T: Scalar>(model: &Model<T>, scene: &Scene<T>, work: &mut Wor
     (work.contacts, work.collide, work.touches) = (contacts, search, touches);
 }
 
+#[cfg(feature = "ablation")]
 /// As [`find`], and the features of each contact, by which it is followed while its parts move.
 pub(crate) fn find_features<T: Scalar>(
     model: &Model<T>,
@@ -80,9 +81,9 @@ pub(crate) fn check_start<T: Scalar>(model: &Model<T>, scene: &Scene<T>, work: &
 pub(crate) fn check_shapes<T: Scalar>(model: &Model<T>, scene: &Scene<T>, work: &Workspace<T>) -> Result<()> {
     let mut result = Ok(());
     visit_all(model, scene, work, |a, b| {
-        for (i, x) in a.collider.shapes().iter().enumerate() {
-            for (j, y) in b.collider.shapes().iter().enumerate() {
-                if !collide::supported(x, y) && result.is_ok() {
+        for (i, x) in a.collider.geoms().iter().enumerate() {
+            for (j, y) in b.collider.geoms().iter().enumerate() {
+                if !collide::supported(&x.shape, &y.shape) && result.is_ok() {
                     result = Err(SimError::Unsupported {
                         what: format!(
                             "shape {i} of {} against shape {j} of {}",
@@ -208,9 +209,9 @@ fn touch<T: Scalar>(
     mut features: Option<&mut Vec<Touch>>,
 ) {
     let material = a.material.paired(&b.material);
-    for (i, x) in a.collider.geoms().iter().enumerate() {
-        for (j, y) in b.collider.geoms().iter().enumerate() {
-            let (corners, sampled) = carriage(&a.collider.shapes()[i], &b.collider.shapes()[j]);
+    for (i, x) in a.collider.prepared().iter().enumerate() {
+        for (j, y) in b.collider.prepared().iter().enumerate() {
+            let (corners, sampled) = carriage(&a.collider.geoms()[i].shape, &b.collider.geoms()[j].shape);
             touches.clear();
             collide::find(x, &a.frame, y, &b.frame, margin, search, touches);
             for t in touches.iter() {

@@ -1,10 +1,10 @@
 //! Many steps: motions recorded at chosen times.
 
 use drex_core::Pose;
-use nalgebra::{Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Translation3, Vector3};
 use rayon::prelude::*;
 
-use crate::math::{exp, log};
+use crate::math::exp;
 use crate::{Body, BodyState, Method, Model, Result, Scalar, Scene, SimError, State, Workspace, pairs, step};
 
 /// The motion of everything at chosen times.
@@ -40,18 +40,23 @@ pub struct Track<T: Scalar> {
 /// For a model, scene or start that cannot be simulated, times that decrease, and motion that diverges.
 pub fn rollout<T: Scalar>(model: &Model<T>, scene: &Scene<T>, start: &State<T>, times_s: &[f64]) -> Result<Record<T>> {
     let mut work = Workspace::default();
-    check(model, scene, start, times_s, &mut work)?;
+    check_with(model, scene, start, &mut work)?;
     record(model, start, times_s, model.dt_s, |state| step(model, scene, state, &mut work))
 }
 
-/// Records at `times_s` what `step` makes of `start` in steps of `dt_s`.
-pub(crate) fn record<T: Scalar>(
+/// Records the motion that `step` makes of `start` by `dt_s` seconds per call, at `times_s` as [`rollout`] does: for
+/// another simulator of the same model.
+///
+/// # Errors
+/// [`SimError::Series`] for times that decrease or are not finite, and the errors of `step`.
+pub fn record<T: Scalar, E: From<SimError>>(
     model: &Model<T>,
     start: &State<T>,
     times_s: &[f64],
     dt_s: f64,
-    mut step: impl FnMut(&mut State<T>) -> Result<()>,
-) -> Result<Record<T>> {
+    mut step: impl FnMut(&mut State<T>) -> Result<(), E>,
+) -> Result<Record<T>, E> {
+    check_times(times_s)?;
     let mut state = start.clone();
     let n = times_s.len();
     let track = || Track {
@@ -77,8 +82,9 @@ pub(crate) fn record<T: Scalar>(
         {
             let moved = match model.method {
                 Method::SemiImplicit => between(body, a, b, since),
+                #[cfg(feature = "ablation")]
                 Method::Penalty { .. } | Method::PositionBased { .. } => {
-                    on_the_way(body, a, b, since / T::lift(model.dt_s))
+                    crate::ablation::on_the_way(body, a, b, since / T::lift(model.dt_s))
                 }
             };
             let arm = moved.rotation * body.center_of_mass.coords;
@@ -117,34 +123,27 @@ fn between<T: Scalar>(body: &Body<T>, a: &BodyState<T>, b: &BodyState<T>, since:
     Pose::from_parts(Translation3::from(com.coords - rotation * body.center_of_mass.coords), rotation)
 }
 
-/// The pose at the part `s` of the way from `a` to `b`, for methods whose last velocity is not that of the whole step.
-fn on_the_way<T: Scalar>(body: &Body<T>, a: &BodyState<T>, b: &BodyState<T>, s: T) -> Pose<T> {
-    let (from, to) = (&a.world_from_body, &b.world_from_body);
-    let mut turn = to.rotation * from.rotation.inverse();
-    if turn.w.value() < 0.0 {
-        turn = UnitQuaternion::new_unchecked(-turn.into_inner());
-    }
-    let rotation = exp(&(log(&turn) * s)) * from.rotation;
-    let (start, end) = (from * body.center_of_mass, to * body.center_of_mass);
-    let com = start.coords + (end - start) * s;
-    Pose::from_parts(Translation3::from(com - rotation * body.center_of_mass.coords), rotation)
-}
-
-pub(crate) fn check<T: Scalar>(
-    model: &Model<T>,
-    scene: &Scene<T>,
-    start: &State<T>,
-    times_s: &[f64],
-    work: &mut Workspace<T>,
-) -> Result<()> {
-    model.check()?;
-    scene.check()?;
-    if let Some(i) = (0..times_s.len()).find(|&i| !times_s[i].is_finite() || (i > 0 && times_s[i] < times_s[i - 1])) {
-        return Err(SimError::Series {
+fn check_times(times_s: &[f64]) -> Result<()> {
+    match (0..times_s.len()).find(|&i| !times_s[i].is_finite() || (i > 0 && times_s[i] < times_s[i - 1])) {
+        Some(i) => Err(SimError::Series {
             what: format!("record time {i} ({} s) is not finite or before its predecessor", times_s[i]),
             remedy: "sort the times".into(),
-        });
+        }),
+        None => Ok(()),
     }
+}
+
+/// Checks that a model, a scene and a start can be simulated together.
+///
+/// # Errors
+/// Those of [`rollout`] that show before the first step.
+pub fn check<T: Scalar>(model: &Model<T>, scene: &Scene<T>, start: &State<T>) -> Result<()> {
+    check_with(model, scene, start, &mut Workspace::default())
+}
+
+fn check_with<T: Scalar>(model: &Model<T>, scene: &Scene<T>, start: &State<T>, work: &mut Workspace<T>) -> Result<()> {
+    model.check()?;
+    scene.check()?;
     start.check(model)?;
     for (i, force) in scene.forces.iter().enumerate() {
         pairs::check_part(model, force.on, || format!("force {i}"))?;

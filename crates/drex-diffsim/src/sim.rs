@@ -3,17 +3,19 @@
 use drex_core::Pose;
 use nalgebra::{Matrix3, Translation3, UnitQuaternion, Vector3};
 
+#[cfg(feature = "ablation")]
+use crate::ablation::{penalty, position_based};
 use crate::articulation::{Column, LinkForce, ScalarLaw, TreeWork};
 use crate::collide::{CollideWork, Frame, Touch};
 use crate::contact::{Contact, ContactForce};
 use crate::math::{apply, apply_constant, congruent, cross_columns, exp, lift_rotation, renormalized, skew, solve3};
+use crate::pairs;
 use crate::solve::free::{self, Lever};
 use crate::solve::island::{Island, Solver};
 use crate::solve::law::{Law, Mode};
 use crate::solve::prepare_patch;
 use crate::state::{Anchor, BodyState};
 use crate::{Body, Method, Model, Motion, Part, Result, Scalar, Scene, SimError, State};
-use crate::{pairs, penalty, position_based};
 
 /// Speed beyond which a rollout is called diverged, m/s or rad/s.
 const SPEED_LIMIT: f64 = 1e4;
@@ -44,8 +46,8 @@ pub struct Workspace<T: Scalar> {
     joint_laws: Vec<Vec<ScalarLaw<T>>>,
     /// First velocity of each unit in its island.
     offsets: Vec<usize>,
-    pub(crate) penalty: penalty::Buffers<T>,
-    pub(crate) position: position_based::Buffers<T>,
+    #[cfg(feature = "ablation")]
+    pub(crate) ablation: crate::ablation::Buffers<T>,
     unconverged: usize,
 }
 
@@ -71,8 +73,8 @@ impl<T: Scalar> Default for Workspace<T> {
             external: Vec::new(),
             joint_laws: Vec::new(),
             offsets: Vec::new(),
-            penalty: penalty::Buffers::default(),
-            position: position_based::Buffers::default(),
+            #[cfg(feature = "ablation")]
+            ablation: crate::ablation::Buffers::default(),
             unconverged: 0,
         }
     }
@@ -123,14 +125,13 @@ pub fn step<T: Scalar>(
     state: &mut State<T>,
     work: &mut Workspace<T>,
 ) -> Result<()> {
-    if model.method != Method::SemiImplicit && !model.arms.is_empty() {
-        return Err(SimError::Method);
-    }
     model.check_step()?;
     state.check(model)?;
     match model.method {
         Method::SemiImplicit => semi_implicit(model, scene, state, work)?,
+        #[cfg(feature = "ablation")]
         Method::Penalty { scheme, substeps } => penalty::step(model, scene, state, work, scheme, substeps)?,
+        #[cfg(feature = "ablation")]
         Method::PositionBased { substeps } => position_based::step(model, scene, state, work, substeps)?,
     }
     state.time_s += model.dt_s;

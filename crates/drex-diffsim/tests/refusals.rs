@@ -5,8 +5,8 @@ mod common;
 
 use drex_core::Pose;
 use drex_diffsim::{
-    AppliedForce, Articulation, Base, Body, Control, Fixed, ForcePoint, Geom, Method, Model, Mover, Part, Path, Result,
-    Scene, Scheme, Shape, State, Workspace, rollout, step,
+    AppliedForce, Articulation, Base, Body, Control, Fixed, ForcePoint, Geom, Model, Mover, Part, Path, Result, Scene,
+    Shape, State, Workspace, rollout, step,
 };
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -163,7 +163,13 @@ fn time_steps_name_the_step_and_the_limit() {
         let mut stepped = state.clone();
         refused(step(&model, &Scene::on_table(0.5), &mut stepped, &mut Workspace::default()), &[said, "0.02"]);
     }
-    // The penalty scheme is stable only for short steps.
+}
+
+#[cfg(feature = "ablation")]
+#[test]
+fn penalty_forces_are_stable_for_short_steps_only() {
+    use drex_diffsim::{Method, Scheme};
+    let (mut model, state) = cubes(1);
     model.dt_s = 1e-3;
     model.method = Method::Penalty { scheme: Scheme::Explicit, substeps: Some(1) };
     refused(run(&model, &state), &["0.001 s", "substeps"]);

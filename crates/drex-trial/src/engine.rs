@@ -64,7 +64,7 @@ pub(crate) enum Engine {
     },
     #[cfg(feature = "mujoco")]
     Mujoco {
-        engine: Box<drex_diffsim::mujoco::MujocoEngine>,
+        engine: Box<drex_mujoco::MujocoEngine>,
         state: Box<State<f64>>,
     },
 }
@@ -134,9 +134,9 @@ impl Engine {
             }
             #[cfg(feature = "mujoco")]
             Judge::Mujoco => {
-                let mut options = drex_diffsim::mujoco::MjcfOptions::default();
+                let mut options = drex_mujoco::MjcfOptions::default();
                 options.dt_s = Some(dt_s / MUJOCO_STEPS as f64);
-                let engine = drex_diffsim::mujoco::MujocoEngine::new(&model, &scene, &state, &options)?;
+                let engine = drex_mujoco::MujocoEngine::new(&model, &scene, &state, &options)?;
                 Self::Mujoco { engine: Box::new(engine), state: Box::new(state) }
             }
             #[cfg(not(feature = "mujoco"))]

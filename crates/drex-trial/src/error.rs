@@ -18,6 +18,10 @@ pub enum Error {
     /// The simulator refused the model.
     #[error("the trial cannot be simulated: {0}")]
     Simulation(#[from] drex_diffsim::SimError),
+    /// MuJoCo refused the model.
+    #[cfg(feature = "mujoco")]
+    #[error("the trial cannot be simulated: {0}")]
+    Mujoco(drex_mujoco::Error),
     /// The hand's model lacks what a trial needs.
     #[error("the hand cannot be tried: {0}")]
     Hand(#[from] drex_robot::Error),
@@ -26,9 +30,19 @@ pub enum Error {
     Grasp(#[from] drex_grasp::GraspError),
     /// The judge is not part of this build.
     #[error(
-        "this build has no MuJoCo; build with the feature `mujoco` (drex_diffsim::mujoco tells how) or judge with diffsim"
+        "this build has no MuJoCo; build with the feature `mujoco` (the README of drex-mujoco tells how) or judge with diffsim"
     )]
     NoMujoco,
+}
+
+#[cfg(feature = "mujoco")]
+impl From<drex_mujoco::Error> for Error {
+    fn from(error: drex_mujoco::Error) -> Self {
+        match error {
+            drex_mujoco::Error::Simulation(error) => Self::Simulation(error), // a divergence reads alike in both engines
+            error => Self::Mujoco(error),
+        }
+    }
 }
 
 impl Error {

@@ -287,8 +287,8 @@ impl<T: Scalar> Articulation<T> {
         Ok(state)
     }
 
-    /// What a fixed base or a base on a path does at time t; rest at the origin for a free one.
-    pub(crate) fn prescribed_base(&self, t: f64) -> BaseState<T> {
+    /// Pose and velocity of a fixed base, or of a base on a path, at time t in seconds; rest at the origin for a free base.
+    pub fn prescribed_base(&self, t: f64) -> BaseState<T> {
         match &self.base {
             Base::Fixed(pose) => BaseState::at_rest(*pose),
             Base::Free => BaseState::at_rest(Pose::identity()),

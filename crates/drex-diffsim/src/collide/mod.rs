@@ -19,7 +19,7 @@ mod tests;
 use feature::Place;
 pub(crate) use feature::{Frame, Side, Touch};
 use geom::Cylinder;
-pub(crate) use geom::{CollisionGeom, Kind, Poly};
+pub(crate) use geom::{CollisionGeom, Kind};
 
 use crate::Shape;
 

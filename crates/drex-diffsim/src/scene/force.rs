@@ -69,12 +69,12 @@ impl<T: Scalar> AppliedForce<T> {
     }
 
     /// Mean force over [t, t + dt], newtons, before the gain.
-    pub(crate) fn mean(&self, t: f64, dt: f64) -> Vector3<f64> {
+    pub fn mean(&self, t: f64, dt: f64) -> Vector3<f64> {
         (self.impulse_until(t + dt) - self.impulse_until(t)) / dt
     }
 
     /// Where the force acts in the world at time t on something at `pose`; `None` for a couple.
-    pub(crate) fn world_point(&self, t: f64, pose: &Pose<T>) -> Option<Vector3<T>> {
+    pub fn world_point(&self, t: f64, pose: &Pose<T>) -> Option<Vector3<T>> {
         match &self.point {
             ForcePoint::Body(p) => Some(pose.translation.vector + pose.rotation * p.coords.map(T::lift)),
             ForcePoint::World(p) => Some(interpolate(&self.times_s, p, t).coords.map(T::lift)),

@@ -74,26 +74,6 @@ fn methods_without_robots_say_so() {
     }
 }
 
-#[test]
-fn runs_repeat_to_the_bit() {
-    for method in ALL {
-        let model = block(Vector3::new(0.02, 0.03, 0.04), 0.2, method);
-        let mut scene = Scene::on_table(0.4);
-        scene.forces.push(force(Vector3::new(1.0, 0.3, 0.0), 0.02, 0.15, Point3::new(-0.02, 0.01, 0.02)));
-        let run = |start: &State<f64>| rollout(&model, &scene, start, &[0.1, 0.25]).unwrap();
-        let start = State::at_rest(at(0.0, 0.0, 0.041));
-        assert_eq!(run(&start), run(&start), "{method:?}");
-        // And go on from a saved state with a workspace that has seen nothing.
-        let (mut state, mut work) = (start.clone(), Workspace::default());
-        let mut again = start;
-        for _ in 0..300 {
-            step(&model, &scene, &mut state, &mut work).unwrap();
-            step(&model, &scene, &mut again, &mut Workspace::default()).unwrap();
-        }
-        assert_eq!(state, again, "{method:?}");
-    }
-}
-
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
     #[test]

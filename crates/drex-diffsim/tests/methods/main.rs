@@ -1,6 +1,7 @@
-//! The same cases with every method of stepping.
+//! The same cases with every method of stepping: the default one, and with the feature `ablation` all of them.
 #![allow(clippy::unwrap_used, missing_docs)] // a test may panic
 
+#[cfg(feature = "ablation")]
 mod limits;
 mod mass;
 mod motion;
@@ -8,9 +9,9 @@ mod motion;
 use std::sync::Arc;
 
 use drex_core::{MassProperties, Pose};
-use drex_diffsim::{
-    AppliedForce, Body, Collider, ForcePoint, Geom, Method, Model, Part, Record, Scalar, Scheme, Shape,
-};
+#[cfg(feature = "ablation")]
+use drex_diffsim::Scheme;
+use drex_diffsim::{AppliedForce, Body, Collider, ForcePoint, Geom, Method, Model, Part, Record, Scalar, Shape};
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
 
 const G: f64 = 9.81;
@@ -20,19 +21,36 @@ const FREQUENCY_RAD_S: f64 = 3e3;
 const RELAXATION_S: f64 = 1e-3;
 
 const IMPLICIT: Method = Method::SemiImplicit;
+#[cfg(feature = "ablation")]
 const PENALTY: Method = Method::Penalty { scheme: Scheme::SemiImplicit, substeps: None };
+#[cfg(feature = "ablation")]
 const EXPLICIT: Method = Method::Penalty { scheme: Scheme::Explicit, substeps: None };
+#[cfg(feature = "ablation")]
 const POSITIONS: Method = Method::PositionBased { substeps: 4 };
-const ALL: [Method; 4] = [IMPLICIT, PENALTY, EXPLICIT, POSITIONS];
+const ALL: &[Method] = &[
+    IMPLICIT,
+    #[cfg(feature = "ablation")]
+    PENALTY,
+    #[cfg(feature = "ablation")]
+    EXPLICIT,
+    #[cfg(feature = "ablation")]
+    POSITIONS,
+];
 
 /// The longest substep of a method at the model's step. All are of first order: errors in time are proportional to it.
 fn substep_s(method: Method, dt_s: f64) -> f64 {
     match method {
         Method::SemiImplicit => dt_s,
+        #[cfg(feature = "ablation")]
         Method::PositionBased { substeps } => dt_s / f64::from(substeps),
+        #[cfg(feature = "ablation")]
         Method::Penalty { substeps, .. } => dt_s / f64::from(substeps.unwrap_or(9)),
         _ => unreachable!("no other method"),
     }
+}
+
+fn is_explicit(method: Method) -> bool {
+    ALL.get(2) == Some(&method)
 }
 
 /// A box of half extents `half` and mass `mass_kg`, stepped by `method`.

@@ -19,7 +19,7 @@ fn toss<T: Scalar>(mass_kg: T, method: Method) -> Record<T> {
 
 #[test]
 fn a_toss_looks_the_same_for_every_mass() {
-    for method in ALL {
+    for &method in ALL {
         let (light, heavy) = (toss(0.01, method), toss(3.0, method));
         let gap = (0..4).map(|k| (place(&light, k) - place(&heavy, k)).norm()).fold(0.0, f64::max);
         let dual = toss(parameter::<1>(0.3_f64.ln(), 0).exp(), method);
@@ -34,7 +34,7 @@ fn a_toss_looks_the_same_for_every_mass() {
 #[test]
 fn a_prescribed_sphere_moves_every_mass_alike() {
     let path = [Point3::new(-0.06, 0.0, 0.03), Point3::new(0.04, 0.0, 0.03)];
-    for method in ALL {
+    for &method in ALL {
         let ends = [0.01, 3.0].map(|m| {
             let model = block(Vector3::repeat(0.03), m, method);
             let mut scene = Scene::on_table(0.4);
@@ -66,7 +66,7 @@ fn derivatives_by_the_logarithm_of_the_mass_are_those_of_finite_differences() {
         ("lift", Vector3::new(0.3, 0.0, 3.0), 0.0, 0.18),
         ("tilt", Vector3::x() * 0.75, 0.03, 0.15),
     ];
-    for method in ALL {
+    for &method in ALL {
         for (name, f, height, until) in cases {
             let x = 0.2_f64.ln();
             let exact = push(parameter::<1>(x, 0), method, f, height, until);

@@ -1,7 +1,7 @@
 //! How much simulated time goes by per second, and how well each case is simulated.
 //!
 //! ```text
-//! cargo run --release -p drex-diffsim --example speed -- [--case NAME] [--dt STEP] [--seconds S] [--mjcf DIR]
+//! cargo run --release -p drex-mujoco --example speed -- [--case NAME] [--dt STEP] [--seconds S] [--mjcf DIR]
 //! ```
 //!
 //! Prints one line of JSON per case and step: `case`, `dt_s`, `rate` (simulated seconds per second of wall time, at
@@ -15,8 +15,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use drex_core::{MassProperties, Pose};
-use drex_diffsim::mujoco::{MjcfOptions, to_mjcf};
 use drex_diffsim::{Base, Body, Collider, Geom, Model, Scene, Shape, State, Workspace, rollout, step};
+use drex_mujoco::{MjcfOptions, to_mjcf};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 const G: f64 = 9.81;
@@ -27,7 +27,7 @@ const LIFTED_S: f64 = 2.5;
 /// What is held has settled by then.
 const SETTLED_S: f64 = 0.5;
 
-#[path = "pick.rs"]
+#[path = "../../drex-diffsim/examples/pick.rs"]
 #[allow(dead_code)] // it has a main of its own
 mod pick;
 

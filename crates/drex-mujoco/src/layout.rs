@@ -1,13 +1,14 @@
 //! Where what is ours lies in MuJoCo's arrays.
 
+use drex_diffsim::{Base, Model, Part, Scene};
 use mujoco_rs::wrappers::{MjModel, MjtObjBase};
 
-use super::arm::name_in;
-use crate::{Base, Model, Part, Result, Scene, SimError};
+use crate::articulation::name_in;
+use crate::{Error, Result};
 
 /// A body with a free joint.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct FreeSlots {
+pub(crate) struct FreeSlots {
     pub body: usize,
     /// First of seven coordinates and of six velocities.
     pub qpos: usize,
@@ -16,7 +17,7 @@ pub(super) struct FreeSlots {
 
 /// An articulation.
 #[derive(Debug, Clone)]
-pub(super) struct ArmSlots {
+pub(crate) struct ArmSlots {
     /// Its base, unless that is fixed.
     pub base: Option<FreeSlots>,
     /// Coordinate and velocity of each joint.
@@ -29,7 +30,7 @@ pub(super) struct ArmSlots {
 
 /// Everything.
 #[derive(Debug)]
-pub(super) struct Layout {
+pub(crate) struct Layout {
     pub bodies: Vec<FreeSlots>,
     pub movers: Vec<FreeSlots>,
     pub arms: Vec<ArmSlots>,
@@ -106,7 +107,7 @@ fn at(addresses: &[i32], joint: usize) -> usize {
 }
 
 fn id(compiled: &MjModel, kind: MjtObjBase, name: &str) -> Result<usize> {
-    compiled.name_to_id(kind, name).ok_or_else(|| SimError::Engine {
+    compiled.name_to_id(kind, name).ok_or_else(|| Error::Unsupported {
         what: format!("MuJoCo's model has no {name}"),
         remedy: "give links and joints names without control characters".into(),
     })

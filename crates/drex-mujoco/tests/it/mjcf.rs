@@ -1,11 +1,10 @@
 //! The text that is written for MuJoCo, read again by the reader of robots: needs no library.
-#![allow(clippy::unwrap_used, missing_docs)] // a test may panic
 
 use std::sync::Arc;
 
 use drex_core::{MassProperties, Pose};
-use drex_diffsim::mujoco::{MjcfOptions, to_mjcf};
-use drex_diffsim::{Articulation, Base, Body, Collider, ConvexPiece, Model, Scene, SimError, State};
+use drex_diffsim::{Articulation, Base, Body, Collider, ConvexPiece, Model, Scene, State};
+use drex_mujoco::{Error, MjcfOptions, to_mjcf};
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
 
@@ -79,7 +78,7 @@ fn what_mujoco_would_change_without_a_word_is_refused() {
         change(&mut options);
         let start = State::at_rest(Pose::translation(0.0, 0.0, 1.0));
         let error = to_mjcf(&prism(), &Scene::on_table(0.4), &start, &options).unwrap_err();
-        assert!(matches!(error, SimError::Engine { .. }) && error.to_string().contains(part), "{error}");
+        assert!(matches!(error, Error::Options { .. }) && error.to_string().contains(part), "{error}");
     };
     refused(&|o| o.contact_time_s = Some(1e-4), "contact_time_s");
     refused(&|o| o.dt_s = Some(0.0), "time step");

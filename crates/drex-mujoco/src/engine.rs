@@ -1,15 +1,16 @@
 //! MuJoCo behind the same calls.
 
 use drex_core::Pose;
+use drex_diffsim::{
+    ArmState, Base, BaseState, BodyState, ContactForce, ContactKey, Control, Model, Part, Record, Scene, SimError,
+    State,
+};
 use mujoco_rs::wrappers::{MjData, MjModel};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
 
-use super::MjcfOptions;
-use super::layout::{FreeSlots, Layout};
-use super::mjcf::{PRESCRIBED_GYRATION_M2, write};
-use crate::{
-    ArmState, Base, BaseState, BodyState, ContactForce, ContactKey, Model, Part, Record, Result, Scene, SimError, State,
-};
+use crate::layout::{FreeSlots, Layout};
+use crate::mjcf::{PRESCRIBED_GYRATION_M2, write};
+use crate::{Error, MjcfOptions, Result};
 
 /// The version whose structures the bindings know.
 const VERSION: &str = "3.17.0";
@@ -43,16 +44,19 @@ impl MujocoEngine {
     /// MuJoCo has none.
     ///
     /// # Errors
-    /// As [`to_mjcf`](super::to_mjcf); if the library that was loaded is not the version that the bindings are for; if
+    /// As [`to_mjcf`](crate::to_mjcf); if the library that was loaded is not the version that the bindings are for; if
     /// MuJoCo refuses the model.
     pub fn new(model: &Model<f64>, scene: &Scene<f64>, start: &State<f64>, options: &MjcfOptions) -> Result<Self> {
         let linked = mujoco_rs::mujoco_version();
         if linked != VERSION {
             let what = format!("the MuJoCo library that was loaded is version {linked}");
-            return Err(SimError::Engine { what, remedy: format!("put version {VERSION} first on the library path") });
+            return Err(Error::Unsupported {
+                what,
+                remedy: format!("put version {VERSION} first on the library path"),
+            });
         }
         let written = write(model, scene, start, options)?;
-        let refused = |e: &dyn std::fmt::Display| SimError::Engine {
+        let refused = |e: &dyn std::fmt::Display| Error::Unsupported {
             what: format!("MuJoCo does not take the model: {e}"),
             remedy: "check shapes and inertias; to_mjcf gives the text that it was given".into(),
         };
@@ -79,7 +83,7 @@ impl MujocoEngine {
     }
 
     /// Replaces the controls of the scene: one per articulation, from the coming step on.
-    pub fn set_controls(&mut self, controls: Vec<crate::Control>) {
+    pub fn set_controls(&mut self, controls: Vec<Control>) {
         self.scene.controls = controls;
     }
 
@@ -94,7 +98,7 @@ impl MujocoEngine {
         self.data.step();
         if let Some(i) = self.data.qvel().iter().position(|v| v.is_nan() || v.abs() >= SPEED_LIMIT) {
             let (body, speed) = (self.layout.name_of_velocity(i), self.data.qvel()[i].abs());
-            return Err(SimError::Diverged { body, time_s: self.time_s(), speed });
+            return Err(SimError::Diverged { body, time_s: self.time_s(), speed }.into());
         }
         self.steps += 1;
         Ok(())
@@ -102,7 +106,7 @@ impl MujocoEngine {
 
     /// State of all bodies and articulations; friction springs are those of a new state.
     pub fn state(&self) -> State<f64> {
-        let body = |(slots, body): (&FreeSlots, &crate::Body<f64>)| {
+        let body = |(slots, body): (&FreeSlots, &drex_diffsim::Body<f64>)| {
             let it = self.free(slots);
             let mut pose = it.pose;
             pose.translation.vector -= pose.rotation * body.center_of_mass.coords;
@@ -281,7 +285,7 @@ impl std::fmt::Debug for MujocoEngine {
     }
 }
 
-/// [`crate::rollout`] in MuJoCo. Between two steps everything moves at the constant velocity of that step.
+/// Does in MuJoCo what [`drex_diffsim::rollout`] does. Between two steps everything moves at the constant velocity of that step.
 ///
 /// # Errors
 /// As [`MujocoEngine::new`] and [`MujocoEngine::step`]; for times that decrease.
@@ -292,9 +296,8 @@ pub fn rollout(
     times_s: &[f64],
     options: &MjcfOptions,
 ) -> Result<Record<f64>> {
-    crate::rollout::check(model, scene, start, times_s, &mut crate::Workspace::default())?;
     let mut engine = MujocoEngine::new(model, scene, start, options)?;
-    crate::rollout::record(model, start, times_s, engine.dt_s, |state| {
+    drex_diffsim::record(model, start, times_s, engine.dt_s, |state| {
         engine.step()?;
         *state = engine.state();
         Ok(())

@@ -4,11 +4,11 @@ use drex_core::Pose;
 use nalgebra::Vector3;
 
 /// Name and value.
-pub(super) type Attribute = (&'static str, String);
+pub(crate) type Attribute = (&'static str, String);
 
 /// Text under construction and the tags that are open.
 #[derive(Debug, Default)]
-pub(super) struct Text {
+pub(crate) struct Text {
     out: String,
     open: Vec<&'static str>,
 }
@@ -73,17 +73,17 @@ impl Text {
 }
 
 /// Numbers with spaces between them, each as short as it can be without losing a bit; adding zero takes signs off zeros.
-pub(super) fn list(numbers: &[f64]) -> String {
+pub(crate) fn list(numbers: &[f64]) -> String {
     numbers.iter().map(|x| format!("{:?}", x + 0.0)).collect::<Vec<_>>().join(" ")
 }
 
 /// A vector as an attribute.
-pub(super) fn vector(v: &Vector3<f64>) -> String {
+pub(crate) fn vector(v: &Vector3<f64>) -> String {
     list(v.as_slice())
 }
 
 /// Position and orientation as attributes, quaternion scalar first.
-pub(super) fn placed(pose: &Pose) -> [Attribute; 2] {
+pub(crate) fn placed(pose: &Pose) -> [Attribute; 2] {
     let q = &pose.rotation;
     [("pos", vector(&pose.translation.vector)), ("quat", list(&[q.w, q.i, q.j, q.k]))]
 }

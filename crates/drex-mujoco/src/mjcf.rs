@@ -1,21 +1,19 @@
 //! A model, its scene and a state as MJCF.
 
-use nalgebra::{Matrix3, Vector3};
+use drex_core::Pose;
+use drex_diffsim::{Body, BodyState, Material, Model, Part, Scalar, Scene, State};
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
-use super::MjcfOptions;
-use super::arm;
-use super::geoms::{Geoms, Masks};
-use super::text::{Attribute, Text, list, placed, vector};
-use crate::math::value_of;
-use crate::model::Material;
-use crate::{Body, BodyState, Model, Part, Result, Scalar, Scene, SimError, State, Workspace};
+use crate::geoms::{Geoms, Masks};
+use crate::text::{Attribute, Text, list, placed, vector};
+use crate::{Error, MjcfOptions, Result, articulation};
 
 /// How much heavier than everything else together a prescribed thing is: forces on it must not show.
 const PRESCRIBED_MASS_RATIO: f64 = 1e6;
 /// Square of the radius of gyration of a prescribed thing, m².
-pub(super) const PRESCRIBED_GYRATION_M2: f64 = 0.01;
+pub(crate) const PRESCRIBED_GYRATION_M2: f64 = 0.01;
 
-/// A model, a scene and a state as MJCF text, for [`MujocoEngine`](crate::mujoco) or any MuJoCo.
+/// A model, a scene and a state as MJCF text, for `MujocoEngine` or any MuJoCo.
 ///
 /// Bodies are called `body_i`, with their centre of mass as origin; the site `body_i/frame` is the body's own frame.
 /// Links are called `arm_i/name` with the names of the robot, and so are joints; geoms `body_i/k`, `arm_i/name/k`,
@@ -35,8 +33,8 @@ pub fn to_mjcf<T: Scalar>(
 
 /// MJCF, and what of it the engine has to know.
 #[derive(Debug)]
-#[cfg_attr(not(feature = "mujoco"), expect(dead_code, reason = "without the engine only the text is used"))]
-pub(super) struct Written {
+#[cfg_attr(not(feature = "engine"), expect(dead_code, reason = "without the engine only the text is used"))]
+pub(crate) struct Written {
     pub text: String,
     /// Name, part and index in its collider of every geom.
     pub owners: Vec<(String, Part, u16)>,
@@ -46,7 +44,7 @@ pub(super) struct Written {
 
 /// Coordinates in MuJoCo's order: that of the text.
 #[derive(Debug, Default)]
-pub(super) struct Start {
+pub(crate) struct Start {
     pub qpos: Vec<f64>,
     pub qvel: Vec<f64>,
     pub ctrl: Vec<f64>,
@@ -54,7 +52,7 @@ pub(super) struct Start {
 
 /// What is written at the same time into different sections.
 #[derive(Debug, Default)]
-pub(super) struct Sections {
+pub(crate) struct Sections {
     pub world: Text,
     pub contact: Text,
     pub actuator: Text,
@@ -63,13 +61,13 @@ pub(super) struct Sections {
     pub prescribed_kg: f64,
 }
 
-pub(super) fn write<T: Scalar>(
+pub(crate) fn write<T: Scalar>(
     model: &Model<T>,
     scene: &Scene<T>,
     state: &State<T>,
     options: &MjcfOptions,
 ) -> Result<Written> {
-    crate::rollout::check(model, scene, state, &[], &mut Workspace::default())?;
+    drex_diffsim::check(model, scene, state)?;
     options.check(model.dt_s)?;
     let surfaces = surfaces(model, scene);
     let mut s = Sections::default();
@@ -99,11 +97,11 @@ pub(super) fn write<T: Scalar>(
     }
     if model.arms.len() > Masks::ARMS {
         let what = format!("{} articulations are more than MuJoCo's collision masks tell apart", model.arms.len());
-        return Err(SimError::Engine { what, remedy: format!("simulate at most {} at a time", Masks::ARMS) });
+        return Err(Error::Unsupported { what, remedy: format!("simulate at most {} at a time", Masks::ARMS) });
     }
     for (i, (robot, r)) in model.arms.iter().zip(&state.arms).enumerate() {
         let control = scene.controls.get(i).map_or(&[][..], |c| c.at(state.time_s));
-        arm::write(&mut s, i, &robot.map(|x| x.value()), r, control)?;
+        articulation::write(&mut s, i, &robot.map(|x| x.value()), r, control)?;
     }
     let condim = if surfaces.iter().any(|m| m.torsion_radius_m > 0.0) { 4 } else { 3 };
     let mut text = Text::default();
@@ -122,13 +120,7 @@ pub(super) fn write<T: Scalar>(
 
 impl Sections {
     /// A free joint called `name`; what it moves is at `pose` and moves as said, in the world.
-    pub fn free_joint(
-        &mut self,
-        name: &str,
-        pose: &drex_core::Pose,
-        velocity: &Vector3<f64>,
-        angular_velocity: &Vector3<f64>,
-    ) {
+    pub fn free_joint(&mut self, name: &str, pose: &Pose, velocity: &Vector3<f64>, angular_velocity: &Vector3<f64>) {
         self.world.leaf("freejoint", &[("name", name.to_owned())]);
         let (x, q) = (&pose.translation.vector, &pose.rotation);
         self.start.qpos.extend([x.x, x.y, x.z, q.w, q.i, q.j, q.k]);
@@ -152,7 +144,7 @@ impl Sections {
 }
 
 /// Name, position and orientation of a body.
-pub(super) fn named(name: &str, pose: &drex_core::Pose) -> Vec<Attribute> {
+pub(crate) fn named(name: &str, pose: &Pose) -> Vec<Attribute> {
     [("name", name.to_owned())].into_iter().chain(placed(pose)).collect()
 }
 
@@ -208,4 +200,10 @@ fn surfaces<'a, T: Scalar>(model: &'a Model<T>, scene: &'a Scene<T>) -> Vec<&'a 
     let surroundings = scene.fixed.iter().map(|f| &f.material).chain(scene.movers.iter().map(|m| &m.material));
     let moving = model.bodies.iter().map(|b| &b.material).chain(model.arms.iter().flat_map(|a| &a.materials));
     surroundings.chain(moving).collect()
+}
+
+/// A pose without derivatives.
+pub(crate) fn value_of<T: Scalar>(pose: &Pose<T>) -> Pose {
+    let q = pose.rotation.coords.map(|x| x.value());
+    Pose::from_parts(pose.translation.vector.map(|x| x.value()).into(), UnitQuaternion::new_unchecked(q.into()))
 }

@@ -1,6 +1,6 @@
 //! Settings of MuJoCo that a model of ours does not have.
 
-use crate::{Result, SimError};
+use crate::{Error, Result};
 
 /// How MuJoCo moves velocities forward.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -74,17 +74,17 @@ impl Default for MjcfOptions {
 
 impl MjcfOptions {
     /// The time step for a model whose own is `model_dt_s`.
-    pub(super) fn step_s(&self, model_dt_s: f64) -> f64 {
+    pub(crate) fn step_s(&self, model_dt_s: f64) -> f64 {
         self.dt_s.unwrap_or(model_dt_s)
     }
 
     /// The time constant of contact at a step.
-    pub(super) fn contact_s(&self, dt_s: f64) -> f64 {
+    pub(crate) fn contact_s(&self, dt_s: f64) -> f64 {
         self.contact_time_s.unwrap_or(4.0 * dt_s)
     }
 
     /// Refuses what MuJoCo would change without a word.
-    pub(super) fn check(&self, model_dt_s: f64) -> Result<()> {
+    pub(crate) fn check(&self, model_dt_s: f64) -> Result<()> {
         let dt_s = self.step_s(model_dt_s);
         let positive = |x: f64| x > 0.0 && x.is_finite();
         let [lowest, highest, width] = self.impedance;
@@ -98,10 +98,7 @@ impl MjcfOptions {
             (self.tolerance >= 0.0, "tolerance is negative or no number"),
         ];
         match demands.iter().find(|(met, _)| !met) {
-            Some((_, what)) => Err(SimError::Engine {
-                what: format!("options of MuJoCo: {what}"),
-                remedy: "start from MjcfOptions::default()".into(),
-            }),
+            Some((_, what)) => Err(Error::Options { what }),
             None => Ok(()),
         }
     }

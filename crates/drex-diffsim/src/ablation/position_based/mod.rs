@@ -18,10 +18,11 @@ mod row;
 
 use nalgebra::Vector3;
 
+use crate::ablation::log;
+use crate::ablation::penalty::relative;
 use crate::collide::Touch;
 use crate::contact::{Contact, ContactForce};
-use crate::math::{exp, lift_rotation, log, renormalized};
-use crate::penalty::relative;
+use crate::math::{exp, lift_rotation, renormalized};
 use crate::sim::{begin, check_speeds, patch_mass, rotation_of};
 use crate::solve::{law::Law, prepare_patch};
 use crate::state::Anchor;
@@ -56,7 +57,7 @@ pub(crate) fn step<T: Scalar>(
     let count = substeps.max(1);
     let h = model.dt_s / f64::from(count);
     let start = state.time_s;
-    let mut buffers = std::mem::take(&mut work.position);
+    let mut buffers = std::mem::take(&mut work.ablation.position);
     let mut result = Ok(());
     for k in 0..count {
         state.time_s = start + h * f64::from(k);
@@ -65,7 +66,7 @@ pub(crate) fn step<T: Scalar>(
             break;
         }
     }
-    work.position = buffers;
+    work.ablation.position = buffers;
     state.time_s = start;
     result
 }

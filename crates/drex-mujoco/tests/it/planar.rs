@@ -1,5 +1,4 @@
 //! A box that slides and turns, against the plane problem integrated on its own.
-#![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)] // a test may panic, and shows what it measured
 
 use std::sync::Arc;
 
@@ -106,11 +105,11 @@ fn a_box_pushed_off_its_centre_slides_and_turns_as_the_plane_problem_says() {
     assert!(distance < 1e-4 && angle < 4e-3, "{distance} m, {angle} rad off");
 }
 
-/// What the second engine makes of it; see the documentation of the module `mujoco`.
-#[cfg(feature = "mujoco")]
+/// What the second engine makes of it; see the README.
+#[cfg(feature = "engine")]
 #[test]
 fn mujoco_is_within_a_side_of_the_plane_problem() {
-    use drex_diffsim::mujoco::{self, MjcfOptions};
+    use drex_mujoco::MjcfOptions;
     let truth = plane_problem(&TIMES_S);
     let (model, scene, start) = box_on_table();
     for (dt_s, steps, impratio) in [
@@ -127,7 +126,7 @@ fn mujoco_is_within_a_side_of_the_plane_problem() {
     ] {
         let mut options = MjcfOptions::default();
         (options.dt_s, options.contact_time_s, options.impratio) = (Some(dt_s), Some(steps * dt_s), impratio);
-        let record = mujoco::rollout(&model, &scene, &start, &TIMES_S, &options).unwrap();
+        let record = drex_mujoco::rollout(&model, &scene, &start, &TIMES_S, &options).unwrap();
         let (distance, angle) = apart(&record, &truth);
         println!(
             "MuJoCo, step {:.2} ms, time constant {:.1} ms, impratio {impratio}: {:.1} mm, {:.1} degrees",

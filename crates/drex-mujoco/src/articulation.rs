@@ -1,20 +1,20 @@
 //! A robot as a tree of MuJoCo's bodies.
 
+use drex_diffsim::{ActuatorKind, ActuatorParams, ArmState, Articulation, Base, Part, Scalar};
+use drex_robot::JointKind;
 use nalgebra::{Matrix3, Vector3};
 
-use super::geoms::Masks;
-use super::mjcf::{Sections, named};
-use super::text::{Attribute, list, vector};
-use crate::math::value_of;
-use crate::{ActuatorKind, ActuatorParams, ArmState, Articulation, Base, Part, Result, Scalar};
-use drex_robot::JointKind;
+use crate::geoms::Masks;
+use crate::mjcf::{Sections, named, value_of};
+use crate::text::{Attribute, list, vector};
+use crate::{Error, Result};
 
 /// Mass and inertia of a link that a joint moves and that has none: MuJoCo wants some.
 const LEAST_MASS_KG: f64 = 1e-9;
 const LEAST_INERTIA: f64 = 1e-13;
 
 /// Number `index` of the articulations at `state`.
-pub(super) fn write<T: Scalar>(
+pub(crate) fn write<T: Scalar>(
     s: &mut Sections,
     index: usize,
     arm: &Articulation<f64>,
@@ -48,6 +48,7 @@ pub(super) fn write<T: Scalar>(
             s.free_joint(&format!("arm_{index}"), &pose, &v, &w);
             tree.inertia(s, 0, true);
         }
+        _ => return Err(unknown(format!("the base of robot \"{}\"", robot.name))),
     }
     tree.inside(s, 0, state)?;
     s.world.close();
@@ -55,15 +56,22 @@ pub(super) fn write<T: Scalar>(
         tree.exclusions(s);
     }
     for (i, (a, &c)) in arm.actuators.iter().zip(control).enumerate() {
-        tree.actuator(s, i, a);
+        tree.actuator(s, i, a)?;
         s.start.ctrl.push(c);
     }
     Ok(())
 }
 
 /// Name of a link or joint of articulation `arm`.
-pub(super) fn name_in(arm: usize, name: &str) -> String {
+pub(crate) fn name_in(arm: usize, name: &str) -> String {
     format!("arm_{arm}/{name}")
+}
+
+fn unknown(what: String) -> Error {
+    Error::Unsupported {
+        what: format!("{what} is of a kind without counterpart in MuJoCo"),
+        remedy: "give another kind".into(),
+    }
 }
 
 struct Tree<'a> {
@@ -136,12 +144,13 @@ impl Tree<'_> {
         }
     }
 
-    fn actuator(&self, s: &mut Sections, index: usize, a: &ActuatorParams<f64>) {
+    fn actuator(&self, s: &mut Sections, index: usize, a: &ActuatorParams<f64>) -> Result<()> {
         let (gain, bias) = match a.kind {
             ActuatorKind::Motor { gain } => (gain, [0.0; 3]),
             ActuatorKind::Position { kp, kv } => (kp, [0.0, -kp, -kv]),
             ActuatorKind::Velocity { kv } => (kv, [0.0, 0.0, -kv]),
             ActuatorKind::Affine { gain, bias } => (gain, bias),
+            _ => return Err(unknown(format!("drive \"{}\"", a.name))),
         };
         let mut attributes = vec![
             ("name", name_in(self.index, &format!("drive_{index}"))),
@@ -155,5 +164,6 @@ impl Tree<'_> {
         attributes.extend(a.ctrl_range.map(|(lo, hi)| ("ctrlrange", list(&[lo, hi]))));
         attributes.extend(a.force_range.map(|(lo, hi)| ("forcerange", list(&[lo, hi]))));
         s.actuator.leaf("general", &attributes);
+        Ok(())
     }
 }

@@ -95,7 +95,7 @@ fn run<T: Scalar>(
 ) -> Result<()> {
     let h = model.dt_s / f64::from(count);
     let start = state.time_s;
-    let mut buffers = std::mem::take(&mut work.penalty);
+    let mut buffers = std::mem::take(&mut work.ablation.penalty);
     let mut result = Ok(());
     for k in 0..count {
         state.time_s = start + h * f64::from(k);
@@ -104,7 +104,7 @@ fn run<T: Scalar>(
             break;
         }
     }
-    work.penalty = buffers;
+    work.ablation.penalty = buffers;
     state.time_s = start;
     result
 }

@@ -1,15 +1,14 @@
 //! The same robots in both engines.
-#![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)] // a test may panic, and shows what it measured
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use drex_core::Pose;
-use drex_diffsim::mujoco::{self, MjcfOptions, MujocoEngine};
 use drex_diffsim::{
     AppliedForce, Articulation, Base, ContactForce, Control, ForcePoint, Model, Part, Path, Scene, State, Workspace,
     rollout, step,
 };
+use drex_mujoco::{MjcfOptions, MujocoEngine};
 use drex_robot::Robot;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
@@ -35,7 +34,7 @@ fn hand(base: Base<f64>) -> (Articulation<f64>, Vec<f64>) {
 fn joints_agree(model: &Model<f64>, scene: &Scene<f64>, start: &State<f64>, until_s: f64, rad: f64, moved_rad: f64) {
     let times: Vec<f64> = (1..=50).map(|i| f64::from(i) * until_s / 50.0).collect();
     let ours = rollout(model, scene, start, &times).unwrap();
-    let theirs = mujoco::rollout(model, scene, start, &times, &MjcfOptions::default()).unwrap();
+    let theirs = drex_mujoco::rollout(model, scene, start, &times, &MjcfOptions::default()).unwrap();
     let (mut worst, mut moved) = (0.0_f64, 0.0_f64);
     for (a, b) in ours.joints[0].iter().zip(&theirs.joints[0]) {
         for ((x, y), z) in a.iter().zip(b).zip(&start.arms[0].q) {
@@ -106,8 +105,9 @@ fn a_free_hand_pushed_at_a_fingertip() {
     let model = Model::new(Vec::new()).with_arm(arm);
     joints_agree(&model, &scene, &start, 0.4, 0.002, 0.05);
     let ours = rollout(&model, &scene, &start, &[0.4]).unwrap().last.arms[0].base.clone();
-    let theirs =
-        mujoco::rollout(&model, &scene, &start, &[0.4], &MjcfOptions::default()).unwrap().last.arms[0].base.clone();
+    let theirs = drex_mujoco::rollout(&model, &scene, &start, &[0.4], &MjcfOptions::default()).unwrap().last.arms[0]
+        .base
+        .clone();
     let way = ours.world_from_base.translation.vector.norm();
     let apart = (ours.world_from_base.translation.vector - theirs.world_from_base.translation.vector).norm();
     let turned = ours.world_from_base.rotation.angle_to(&theirs.world_from_base.rotation);
@@ -120,7 +120,7 @@ fn a_free_hand_pushed_at_a_fingertip() {
     assert!(way > 0.5 && apart < 5e-5 && turned < 1e-3);
 }
 
-#[path = "../examples/pick.rs"]
+#[path = "../../../drex-diffsim/examples/pick.rs"]
 #[allow(dead_code)] // it has a main of its own
 mod pick;
 
@@ -132,7 +132,7 @@ fn a_hand_that_picks_a_box_or_cannot() {
         // Before the lift, after it, and after a hold of three seconds.
         let times = [0.5, 2.5, 5.5];
         let ours = rollout(&model, &scene, &start, &times).unwrap();
-        let theirs = mujoco::rollout(&model, &scene, &start, &times, &MjcfOptions::default()).unwrap();
+        let theirs = drex_mujoco::rollout(&model, &scene, &start, &times, &MjcfOptions::default()).unwrap();
         for (engine, record) in [("ours", &ours), ("MuJoCo", &theirs)] {
             let [before, lifted, held] = [0, 1, 2].map(|i| record.bodies[0].poses[i].translation.vector);
             let (rise, drift) = (lifted.z - before.z, (held - lifted).norm());
@@ -198,7 +198,7 @@ fn links_of_a_hand_touch_each_other_only_where_they_should() {
         let joint = arm.robot.joint_index("if_rot").unwrap();
         let model = Model::new(Vec::new()).with_arm(arm);
         let ours = rollout(&model, &scene, &start, &[1.0]).unwrap();
-        let theirs = mujoco::rollout(&model, &scene, &start, &[1.0], &MjcfOptions::default()).unwrap();
+        let theirs = drex_mujoco::rollout(&model, &scene, &start, &[1.0], &MjcfOptions::default()).unwrap();
         let (a, b) = (ours.joints[0][0][joint], theirs.joints[0][0][joint]);
         println!("self-collision {self_collision}: {a:.3} rad, {b:.3} rad");
         assert!((a - b).abs() < 0.02 && (a.abs() < 0.7) == self_collision);

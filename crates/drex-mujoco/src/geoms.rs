@@ -1,17 +1,15 @@
 //! Shapes as geoms.
 
 use drex_core::Pose;
-use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use drex_diffsim::{Collider, ConvexPiece, Geom, Material, Part, Scalar, Shape};
+use nalgebra::{Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
-use super::text::{Attribute, Text, list, placed, vector};
-use crate::collide::{Kind, Poly};
-use crate::collider::Collider;
-use crate::model::Material;
-use crate::{Part, Result, Scalar, SimError};
+use crate::text::{Attribute, Text, list, placed, vector};
+use crate::{Error, Result};
 
 /// Which geoms touch which: two do if a bit of one's `contype` is in the other's `conaffinity`.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Masks {
+pub(crate) struct Masks {
     contype: u32,
     conaffinity: u32,
 }
@@ -33,7 +31,7 @@ impl Masks {
 
 /// Writer of geoms, and what it wrote.
 #[derive(Debug, Default)]
-pub(super) struct Geoms {
+pub(crate) struct Geoms {
     /// Meshes of the convex pieces.
     pub assets: Text,
     /// Name, part and index in its collider.
@@ -56,7 +54,7 @@ impl Geoms {
         for (k, geom) in collider.geoms().iter().enumerate() {
             let name = format!("{prefix}/{k}");
             let mut attributes = vec![("name", name.clone())];
-            attributes.extend(self.shape(&geom.kind, &name, offset)?);
+            attributes.extend(self.shape(geom, &name, offset)?);
             // Between two geoms the larger coefficients count, as in ours; that of turning is a length in both.
             let sliding = material.friction.value();
             let turning = material.torsion_radius_m * if sliding > 0.0 { sliding } else { self.friction };
@@ -69,39 +67,44 @@ impl Geoms {
         Ok(())
     }
 
-    fn shape(&mut self, kind: &Kind, name: &str, offset: &Vector3<f64>) -> Result<Vec<Attribute>> {
-        let along = |a: Vector3<f64>, b: Vector3<f64>| {
-            let (a, b) = (a + offset, b + offset);
+    fn shape(&mut self, geom: &Geom, name: &str, offset: &Vector3<f64>) -> Result<Vec<Attribute>> {
+        let (pose, of) = (&geom.body_from_shape, |kind: &str| ("type", kind.to_owned()));
+        let (origin, z) = (pose.translation.vector, pose.rotation * Vector3::z());
+        let along = |half_length: f64| {
+            let (a, b) = (origin - z * half_length + offset, origin + z * half_length + offset);
             ("fromto", list(&[a.x, a.y, a.z, b.x, b.y, b.z]))
         };
-        let of = |kind: &str| ("type", kind.to_owned());
-        Ok(match kind {
-            Kind::Plane((normal, distance)) => {
-                let pos = vector(&(normal * *distance + offset));
-                vec![of("plane"), ("size", "0 0 1".into()), ("pos", pos), ("zaxis", vector(normal))]
+        let cuboid = |body_from_box: &Pose, half: &Vector3<f64>| {
+            let placed = placed(&(Translation3::from(*offset) * body_from_box));
+            [of("box"), ("size", vector(half))].into_iter().chain(placed).collect()
+        };
+        Ok(match &geom.shape {
+            Shape::Plane => {
+                let pos = vector(&(z * z.dot(&origin) + offset));
+                vec![of("plane"), ("size", "0 0 1".into()), ("pos", pos), ("zaxis", vector(&z))]
             }
-            Kind::Sphere { center, radius } => {
-                vec![of("sphere"), ("size", list(&[*radius])), ("pos", vector(&(center + offset)))]
+            Shape::Sphere { radius_m } => {
+                vec![of("sphere"), ("size", list(&[*radius_m])), ("pos", vector(&(origin + offset)))]
             }
-            Kind::Capsule { ends: [a, b], radius } => vec![of("capsule"), ("size", list(&[*radius])), along(*a, *b)],
-            Kind::Cylinder(c) => {
-                let half = c.axis * c.half_length;
-                vec![of("cylinder"), ("size", list(&[c.radius])), along(c.center - half, c.center + half)]
+            Shape::Capsule { radius_m, half_length_m } => {
+                vec![of("capsule"), ("size", list(&[*radius_m])), along(*half_length_m)]
             }
-            Kind::Poly(poly) => match as_box(poly) {
-                Some((pose, half)) => {
-                    let pose = Translation3::from(*offset) * pose;
-                    [of("box"), ("size", vector(&half))].into_iter().chain(placed(&pose)).collect()
-                }
+            Shape::Cylinder { radius_m, half_length_m } => {
+                vec![of("cylinder"), ("size", list(&[*radius_m])), along(*half_length_m)]
+            }
+            Shape::Box { half_m } => cuboid(pose, half_m),
+            Shape::Convex(piece) => match as_box(piece) {
+                Some((shape_from_box, half)) => cuboid(&(pose * shape_from_box), &half),
                 None => {
-                    let vertices: Vec<f64> = poly.vertices.iter().flat_map(|v| [v.x, v.y, v.z]).collect();
+                    let vertices: Vec<f64> =
+                        piece.vertices().iter().map(|v| pose * v).flat_map(|v| [v.x, v.y, v.z]).collect();
                     let mesh = [("name", name.to_owned()), ("vertex", list(&vertices)), ("inertia", "convex".into())];
                     self.assets.leaf("mesh", &mesh);
                     vec![of("mesh"), ("mesh", name.to_owned()), ("pos", vector(offset))]
                 }
             },
-            Kind::Sdf { .. } | Kind::Points { .. } => {
-                return Err(SimError::Engine {
+            _ => {
+                return Err(Error::Unsupported {
                     what: format!("{name}: MuJoCo has no counterpart of a signed distance or of surface points"),
                     remedy: "give convex pieces or primitive shapes".into(),
                 });
@@ -111,10 +114,10 @@ impl Geoms {
 }
 
 /// Frame and half extents of a polyhedron that is a box. MuJoCo is better at boxes than at hulls with eight corners.
-fn as_box(poly: &Poly) -> Option<(Pose, Vector3<f64>)> {
+fn as_box(piece: &ConvexPiece) -> Option<(Pose, Vector3<f64>)> {
     const EPS: f64 = 1e-6;
-    let normals = || poly.planes.iter().map(|p| p.0);
-    if poly.vertices.len() != 8 || poly.planes.len() != 6 {
+    let normals = || piece.planes().iter().map(|p| p.0);
+    if piece.vertices().len() != 8 || piece.planes().len() != 6 {
         return None;
     }
     // For each axis of the body the normal nearest to it, so that an aligned box is not turned.
@@ -130,8 +133,8 @@ fn as_box(poly: &Poly) -> Option<(Pose, Vector3<f64>)> {
         axes[2] = -axes[2];
     }
     let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(Matrix3::from_columns(&axes)));
-    let local = |v: &Vector3<f64>| turn.inverse_transform_vector(v);
-    let first = local(&poly.vertices[0]);
-    let (lo, hi) = poly.vertices.iter().map(local).fold((first, first), |(lo, hi), v| (lo.inf(&v), hi.sup(&v)));
+    let local = |v: &Point3<f64>| turn.inverse_transform_vector(&v.coords);
+    let first = local(&piece.vertices()[0]);
+    let (lo, hi) = piece.vertices().iter().map(local).fold((first, first), |(lo, hi), v| (lo.inf(&v), hi.sup(&v)));
     Some((Pose::from_parts(Translation3::from(turn * ((lo + hi) * 0.5)), turn), (hi - lo) * 0.5))
 }
