@@ -39,40 +39,43 @@
 //!
 #![doc = include_str!("docs/derivatives.md")]
 
-#[cfg(feature = "ablation")]
-mod ablation;
 mod articulation;
 mod collide;
 mod collider;
 mod contact;
+mod contact_options;
 mod error;
+mod material;
 mod math;
 mod model;
-mod pairs;
+mod path;
 mod rollout;
 mod scalar;
 mod scene;
+mod series;
 mod shape;
-mod sim;
 mod solve;
 mod state;
+mod step;
 
-#[cfg(feature = "ablation")]
-pub use ablation::Scheme;
 pub use articulation::{
     ActuatorKind, ActuatorParams, ArmState, Articulation, Base, BaseState, JointParams, LinkInertia,
 };
 pub use collider::Collider;
 pub use contact::{ContactForce, ContactKey, Part};
+pub use contact_options::{ContactOptions, SoftContact};
 pub use error::{Result, SimError};
-pub use model::{Body, ContactOptions, Material, Method, Model};
+pub use material::Material;
+#[cfg(feature = "ablation")]
+pub use model::Scheme;
+pub use model::{Body, Method, Model};
+pub use path::{Motion, Path};
 pub use rollout::{Job, Record, Track, check, record, rollout, rollout_batch};
 pub use scalar::{Dual, Scalar, parameter, tangents};
-pub use scene::{AppliedForce, Control, Fixed, ForcePoint, Motion, Mover, Path, Scene};
+pub use scene::{AppliedForce, Control, Fixed, ForcePoint, Mover, Scene};
 pub use shape::{ConvexPiece, Geom, SdfShape, Shape, SurfacePoints};
-pub use sim::{Workspace, step};
-pub use solve::soft::SoftContact;
 pub use state::{Anchor, BodyState, State};
+pub use step::{Workspace, step};
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

@@ -5,7 +5,7 @@ use nalgebra::{Translation3, Vector3};
 use rayon::prelude::*;
 
 use crate::math::exp;
-use crate::{Body, BodyState, Method, Model, Result, Scalar, Scene, SimError, State, Workspace, pairs, step};
+use crate::{Body, BodyState, Method, Model, Result, Scalar, Scene, SimError, State, Workspace, step};
 
 /// The motion of everything at chosen times.
 #[derive(Debug, Clone, PartialEq)]
@@ -84,7 +84,7 @@ pub fn record<T: Scalar, E: From<SimError>>(
                 Method::SemiImplicit => between(body, a, b, since),
                 #[cfg(feature = "ablation")]
                 Method::Penalty { .. } | Method::PositionBased { .. } => {
-                    crate::ablation::on_the_way(body, a, b, since / T::lift(model.dt_s))
+                    crate::step::ablation::on_the_way(body, a, b, since / T::lift(model.dt_s))
                 }
             };
             let arm = moved.rotation * body.center_of_mass.coords;
@@ -146,9 +146,9 @@ fn check_with<T: Scalar>(model: &Model<T>, scene: &Scene<T>, start: &State<T>, w
     scene.check()?;
     start.check(model)?;
     for (i, force) in scene.forces.iter().enumerate() {
-        pairs::check_part(model, force.on, || format!("force {i}"))?;
+        crate::step::pairs::check_part(model, force.on, || format!("force {i}"))?;
     }
-    crate::sim::begin(model, scene, start, work, model.dt_s)?;
-    pairs::check_shapes(model, scene, work)?;
-    pairs::check_start(model, scene, work)
+    crate::step::begin(model, scene, start, work, model.dt_s)?;
+    crate::step::pairs::check_shapes(model, scene, work)?;
+    crate::step::pairs::check_start(model, scene, work)
 }

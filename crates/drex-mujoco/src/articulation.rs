@@ -5,7 +5,7 @@ use drex_robot::JointKind;
 use nalgebra::{Matrix3, Vector3};
 
 use crate::geoms::Masks;
-use crate::mjcf::{Sections, named, value_of};
+use crate::sections::{Sections, named, value_of};
 use crate::text::{Attribute, list, vector};
 use crate::{Error, Result};
 

@@ -9,7 +9,8 @@ use mujoco_rs::wrappers::{MjData, MjModel};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
 
 use crate::layout::{FreeSlots, Layout};
-use crate::mjcf::{PRESCRIBED_GYRATION_M2, write};
+use crate::mjcf::write;
+use crate::sections::PRESCRIBED_GYRATION_M2;
 use crate::{Error, MjcfOptions, Result};
 
 /// The version whose structures the bindings know.

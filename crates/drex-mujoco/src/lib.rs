@@ -9,6 +9,7 @@ mod geoms;
 mod layout;
 mod mjcf;
 mod options;
+mod sections;
 mod text;
 
 #[cfg(feature = "engine")]

@@ -1,18 +1,15 @@
 //! A model, its scene and a state as MJCF.
 
-use drex_core::Pose;
 use drex_diffsim::{Body, BodyState, Material, Model, Part, Scalar, Scene, State};
-use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 
-use crate::geoms::{Geoms, Masks};
-use crate::text::{Attribute, Text, list, placed, vector};
+use crate::geoms::Masks;
+use crate::sections::{Sections, Start, named, value_of};
+use crate::text::{Text, list, vector};
 use crate::{Error, MjcfOptions, Result, articulation};
 
 /// How much heavier than everything else together a prescribed thing is: forces on it must not show.
 const PRESCRIBED_MASS_RATIO: f64 = 1e6;
-/// Square of the radius of gyration of a prescribed thing, m².
-pub(crate) const PRESCRIBED_GYRATION_M2: f64 = 0.01;
-
 /// A model, a scene and a state as MJCF text, for `MujocoEngine` or any MuJoCo.
 ///
 /// Bodies are called `body_i`, with their centre of mass as origin; the site `body_i/frame` is the body's own frame.
@@ -39,25 +36,6 @@ pub(crate) struct Written {
     /// Name, part and index in its collider of every geom.
     pub owners: Vec<(String, Part, u16)>,
     /// Mass of everything that follows a path, kg.
-    pub prescribed_kg: f64,
-}
-
-/// Coordinates in MuJoCo's order: that of the text.
-#[derive(Debug, Default)]
-pub(crate) struct Start {
-    pub qpos: Vec<f64>,
-    pub qvel: Vec<f64>,
-    pub ctrl: Vec<f64>,
-}
-
-/// What is written at the same time into different sections.
-#[derive(Debug, Default)]
-pub(crate) struct Sections {
-    pub world: Text,
-    pub contact: Text,
-    pub actuator: Text,
-    pub geoms: Geoms,
-    pub start: Start,
     pub prescribed_kg: f64,
 }
 
@@ -118,36 +96,6 @@ pub(crate) fn write<T: Scalar>(
     Ok(Written { text: text.finish(), owners: s.geoms.owners, prescribed_kg: s.prescribed_kg })
 }
 
-impl Sections {
-    /// A free joint called `name`; what it moves is at `pose` and moves as said, in the world.
-    pub fn free_joint(&mut self, name: &str, pose: &Pose, velocity: &Vector3<f64>, angular_velocity: &Vector3<f64>) {
-        self.world.leaf("freejoint", &[("name", name.to_owned())]);
-        let (x, q) = (&pose.translation.vector, &pose.rotation);
-        self.start.qpos.extend([x.x, x.y, x.z, q.w, q.i, q.j, q.k]);
-        // MuJoCo keeps angular velocities in the body's axes.
-        let local = q.inverse_transform_vector(angular_velocity);
-        self.start.qvel.extend(velocity.iter().chain(local.iter()));
-    }
-
-    /// The inertia of something that forces must not move.
-    pub fn prescribed_inertia(&mut self) {
-        let j = Matrix3::identity() * (self.prescribed_kg * PRESCRIBED_GYRATION_M2);
-        self.inertial(self.prescribed_kg, &Vector3::zeros(), &j);
-    }
-
-    /// Mass, centre of mass and inertia about it.
-    pub fn inertial(&mut self, mass_kg: f64, center: &Vector3<f64>, j: &Matrix3<f64>) {
-        let full = [j[(0, 0)], j[(1, 1)], j[(2, 2)], j[(0, 1)], j[(0, 2)], j[(1, 2)]];
-        let attributes = [("pos", vector(center)), ("mass", list(&[mass_kg])), ("fullinertia", list(&full))];
-        self.world.leaf("inertial", &attributes);
-    }
-}
-
-/// Name, position and orientation of a body.
-pub(crate) fn named(name: &str, pose: &Pose) -> Vec<Attribute> {
-    [("name", name.to_owned())].into_iter().chain(placed(pose)).collect()
-}
-
 fn settings(text: &mut Text, model_dt_s: f64, gravity: &Vector3<f64>, condim: u32, options: &MjcfOptions) {
     let dt_s = options.step_s(model_dt_s);
     text.leaf("compiler", &[("angle", "radian".into()), ("autolimits", "true".into())]);
@@ -200,10 +148,4 @@ fn surfaces<'a, T: Scalar>(model: &'a Model<T>, scene: &'a Scene<T>) -> Vec<&'a 
     let surroundings = scene.fixed.iter().map(|f| &f.material).chain(scene.movers.iter().map(|m| &m.material));
     let moving = model.bodies.iter().map(|b| &b.material).chain(model.arms.iter().flat_map(|a| &a.materials));
     surroundings.chain(moving).collect()
-}
-
-/// A pose without derivatives.
-pub(crate) fn value_of<T: Scalar>(pose: &Pose<T>) -> Pose {
-    let q = pose.rotation.coords.map(|x| x.value());
-    Pose::from_parts(pose.translation.vector.map(|x| x.value()).into(), UnitQuaternion::new_unchecked(q.into()))
 }

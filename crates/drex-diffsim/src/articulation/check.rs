@@ -1,9 +1,8 @@
 //! What a robot, its state and its controls must be to be simulated; names instead of indices.
 
-use drex_robot::Robot;
 use nalgebra::{Matrix3, SymmetricEigen};
 
-use super::{ActuatorKind, ArmState, Articulation, TreeWork};
+use super::{ActuatorKind, ArmState, Articulation, TreeWork, joint_error};
 use crate::{Result, Scalar, SimError};
 
 /// Share of a diagonal entry of the mass matrix below which its pivot counts as zero.
@@ -35,7 +34,7 @@ impl<T: Scalar> Articulation<T> {
             let numbers = [("armature", &p.armature), ("damping", &p.damping), ("friction_loss", &p.friction_loss)];
             for (what, x) in numbers.map(|(what, x)| (what, x.value())) {
                 if !(x.is_finite() && x >= 0.0) {
-                    return Err(joint(
+                    return Err(joint_error(
                         &self.robot,
                         &j.name,
                         format!("{what} is {x}"),
@@ -45,10 +44,15 @@ impl<T: Scalar> Articulation<T> {
             }
             if !(p.presliding.is_finite() && p.presliding > 0.0) {
                 let what = format!("presliding is {}", p.presliding);
-                return Err(joint(&self.robot, &j.name, what, "give a small positive number"));
+                return Err(joint_error(&self.robot, &j.name, what, "give a small positive number"));
             }
             if let Some((lo, hi)) = p.limits.filter(|(lo, hi)| !(lo <= hi)) {
-                return Err(joint(&self.robot, &j.name, format!("limits {lo} to {hi}"), "give the lower one first"));
+                return Err(joint_error(
+                    &self.robot,
+                    &j.name,
+                    format!("limits {lo} to {hi}"),
+                    "give the lower one first",
+                ));
             }
         }
         for a in &self.actuators {
@@ -60,7 +64,7 @@ impl<T: Scalar> Articulation<T> {
     fn check_actuator(&self, a: &super::ActuatorParams<T>) -> Result<()> {
         let fail = |what: String, remedy: &str| {
             let name = self.robot.joints.get(a.joint).map_or("", |j| j.name.as_str());
-            Err(joint(&self.robot, name, format!("drive \"{}\": {what}", a.name), remedy))
+            Err(joint_error(&self.robot, name, format!("drive \"{}\": {what}", a.name), remedy))
         };
         if a.joint >= self.joints.len() {
             return fail(format!("there is no joint {}", a.joint), "give the index of a joint");
@@ -101,7 +105,7 @@ impl<T: Scalar> Articulation<T> {
             }
             if let Some(i) = values.iter().position(|x| !x.value().is_finite()) {
                 let what = format!("its {what} is {}", values[i].value());
-                return Err(joint(&self.robot, &self.robot.joints[i].name, what, "give a finite number"));
+                return Err(joint_error(&self.robot, &self.robot.joints[i].name, what, "give a finite number"));
             }
         }
         let b = &state.base;
@@ -168,7 +172,7 @@ impl<T: Scalar> Articulation<T> {
     pub fn joint_index(&self, name: &str) -> Result<usize> {
         self.robot.joint_index(name).ok_or_else(|| {
             let known = format!("its joints are {}", self.robot.joint_names().join(", "));
-            joint(&self.robot, name, "there is no such joint".into(), &known)
+            joint_error(&self.robot, name, "there is no such joint".into(), &known)
         })
     }
 
@@ -195,7 +199,7 @@ impl<T: Scalar> Articulation<T> {
             if !(pivot > SINGULAR * whole[k] && pivot > 0.0) {
                 let base = plain.base_dof();
                 let name = k.checked_sub(base).map_or("the free base", |j| plain.robot.joints[j].name.as_str());
-                return Err(joint(
+                return Err(joint_error(
                     &plain.robot,
                     name,
                     format!("it moves no inertia ({:.3e}, and {pivot:.3e} if the joints beyond it give way)", whole[k]),
@@ -221,9 +225,4 @@ fn exists(inertia: &Matrix3<f64>) -> bool {
     (inertia - inertia.transpose()).amax() <= slack
         && moments.min() >= -slack
         && 2.0 * moments.max() <= moments.sum() * (1.0 + 1e-6) + slack
-}
-
-/// An error about a joint.
-pub(super) fn joint(robot: &Robot, joint: &str, what: String, remedy: &str) -> SimError {
-    SimError::Joint { robot: robot.name.clone(), joint: joint.into(), what, remedy: remedy.into() }
 }

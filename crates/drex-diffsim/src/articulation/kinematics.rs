@@ -7,7 +7,7 @@ use super::model::map_pose;
 use super::spatial::{Sym3, mul};
 use super::{ArmState, Articulation, Base, LinkInertia};
 use crate::Scalar;
-use crate::scene::mean_rate;
+use crate::path::mean_rate;
 
 /// What one configuration of a robot needs; filled by [`Articulation::kinematics`], reused from step to step.
 #[derive(Debug, Clone)]

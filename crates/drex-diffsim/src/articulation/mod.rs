@@ -28,3 +28,12 @@ pub(crate) use joints::{LawKind, ScalarLaw};
 pub(crate) use kinematics::{Column, TreeWork};
 pub use model::{ActuatorKind, ActuatorParams, Articulation, Base, JointParams, LinkInertia};
 pub use state::{ArmState, BaseState};
+
+use drex_robot::Robot;
+
+use crate::SimError;
+
+/// An error about a joint.
+fn joint_error(robot: &Robot, joint: &str, what: String, remedy: &str) -> SimError {
+    SimError::Joint { robot: robot.name.clone(), joint: joint.into(), what, remedy: remedy.into() }
+}

@@ -7,10 +7,10 @@ use drex_robot::{ActuatorKind as Drive, Robot};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::state::{ArmState, BaseState};
-use super::{check, surface};
+use super::{joint_error, surface};
 use crate::collider::Collider;
-use crate::model::Material;
-use crate::scene::Path;
+use crate::material::Material;
+use crate::path::Path;
 use crate::{Result, Scalar, SimError};
 
 /// How far a joint gives before its dry friction slips, rad.
@@ -185,7 +185,7 @@ impl Articulation<f64> {
                 Drive::Affine { gain, bias } => ActuatorKind::Affine { gain, bias },
                 _ => {
                     let joint = robot.joints.get(a.joint).map_or("", |j| j.name.as_str());
-                    return Err(check::joint(
+                    return Err(joint_error(
                         &robot,
                         joint,
                         format!("drive \"{}\" is of an unknown kind", a.name),
@@ -301,6 +301,36 @@ impl<T: Scalar> Articulation<T> {
                 }
             }
         }
+    }
+}
+
+impl<T: Scalar> Articulation<T> {
+    /// The same friction on all links.
+    pub fn with_friction(mut self, friction: T) -> Self {
+        self.materials.iter_mut().for_each(|m| m.friction = friction);
+        self
+    }
+
+    /// Soft skin on all links: the radius of the ring on which a point of contact spreads, metres. See
+    /// [`Material::torsion_radius_m`].
+    pub fn with_torsion_radius(mut self, radius_m: f64) -> Self {
+        self.materials.iter_mut().for_each(|m| m.torsion_radius_m = radius_m);
+        self
+    }
+
+    /// The mass that scales the contact stiffness of a link where no free body takes part: its own, or the mean of all
+    /// links for a link without mass.
+    pub(crate) fn contact_mass(&self, link: usize) -> T {
+        let own = self.links[link].mass_kg;
+        if own.value() > 0.0 {
+            return own;
+        }
+        let (mut sum, mut count) = (T::zero(), 0.0);
+        for m in self.links.iter().map(|l| l.mass_kg).filter(|m| m.value() > 0.0) {
+            sum += m;
+            count += 1.0;
+        }
+        if count > 0.0 { sum * T::lift(1.0 / count) } else { T::one() }
     }
 }
 

@@ -4,43 +4,11 @@ use drex_robot::{Link, Robot, Shape as RobotShape};
 use nalgebra::Point3;
 
 use crate::collider::Collider;
-use crate::model::Material;
-use crate::{ConvexPiece, Geom, Result, Scalar, Shape};
-
-use super::Articulation;
+use crate::material::Material;
+use crate::{ConvexPiece, Geom, Result, Shape};
 
 /// Points per half turn on an ellipsoid.
 const ELLIPSOID_ROWS: usize = 16;
-
-impl<T: Scalar> Articulation<T> {
-    /// The same friction on all links.
-    pub fn with_friction(mut self, friction: T) -> Self {
-        self.materials.iter_mut().for_each(|m| m.friction = friction);
-        self
-    }
-
-    /// Soft skin on all links: the radius of the ring on which a point of contact spreads, metres. See
-    /// [`Material::torsion_radius_m`].
-    pub fn with_torsion_radius(mut self, radius_m: f64) -> Self {
-        self.materials.iter_mut().for_each(|m| m.torsion_radius_m = radius_m);
-        self
-    }
-
-    /// The mass that scales the contact stiffness of a link where no free body takes part: its own, or the mean of all
-    /// links for a link without mass.
-    pub(crate) fn contact_mass(&self, link: usize) -> T {
-        let own = self.links[link].mass_kg;
-        if own.value() > 0.0 {
-            return own;
-        }
-        let (mut sum, mut count) = (T::zero(), 0.0);
-        for m in self.links.iter().map(|l| l.mass_kg).filter(|m| m.value() > 0.0) {
-            sum += m;
-            count += 1.0;
-        }
-        if count > 0.0 { sum * T::lift(1.0 / count) } else { T::one() }
-    }
-}
 
 /// Collision shapes of every link; meshes stand for their convex hulls.
 pub(super) fn colliders(robot: &Robot) -> Result<Vec<Collider>> {

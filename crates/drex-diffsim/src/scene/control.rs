@@ -1,6 +1,6 @@
 //! Controls of actuators over time.
 
-use super::check_series;
+use crate::series::check_series;
 use crate::{Result, SimError};
 
 /// Controls of the actuators of one articulation, in the order of its actuators; each row holds until the next.

@@ -3,7 +3,7 @@
 use drex_core::Pose;
 use nalgebra::{Point3, Vector3};
 
-use super::check_series;
+use crate::series::check_series;
 use crate::{Part, Result, Scalar, SimError};
 
 /// Where a force acts.

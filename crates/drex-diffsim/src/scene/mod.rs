@@ -2,7 +2,6 @@
 
 mod control;
 mod force;
-mod path;
 
 use std::sync::Arc;
 
@@ -11,11 +10,10 @@ use nalgebra::{Point3, Translation3, Vector3};
 
 pub use control::Control;
 pub use force::{AppliedForce, ForcePoint};
-pub(crate) use path::mean_rate;
-pub use path::{Motion, Path};
 
 use crate::collider::Collider;
-use crate::model::{Material, check_friction};
+use crate::material::{Material, check_friction};
+use crate::path::Path;
 use crate::{Geom, Result, Scalar, Shape, SimError};
 
 /// The surroundings of the bodies.
@@ -127,24 +125,4 @@ impl<T: Scalar> Scene<T> {
         }
         self.movers.iter().enumerate().try_for_each(|(i, m)| check_friction(&m.material, || format!("mover {i}")))
     }
-}
-
-/// One value per time, times that increase.
-pub(crate) fn check_series(what: &str, times_s: &[f64], values: usize) -> Result<()> {
-    if times_s.is_empty() || times_s.len() != values {
-        return Err(SimError::Series {
-            what: format!("{what}: {} times but {values} values", times_s.len()),
-            remedy: "give one value per time, at least one".into(),
-        });
-    }
-    if let Some(i) = (1..times_s.len()).find(|&i| times_s[i].is_nan() || times_s[i] <= times_s[i - 1]) {
-        return Err(SimError::Series {
-            what: format!("{what}: time {i} ({} s) is not after the one before", times_s[i]),
-            remedy: "sort the samples by time and drop repeated ones".into(),
-        });
-    }
-    if !(times_s[0].is_finite() && times_s[times_s.len() - 1].is_finite()) {
-        return Err(SimError::NotFinite { what: format!("a time of the {what}") });
-    }
-    Ok(())
 }

@@ -3,7 +3,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::law::Law;
+use super::contact_model::Law;
 use super::six::{Lu6, Matrix6, Vector6};
 use crate::Scalar;
 use crate::math::{apply, cross_columns, skew};

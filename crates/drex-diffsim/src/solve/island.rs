@@ -5,7 +5,7 @@
 
 use nalgebra::Vector3;
 
-use super::law::Law;
+use super::contact_model::Law;
 use super::lu::Lu;
 use crate::Scalar;
 use crate::articulation::{Column, ScalarLaw};
@@ -164,7 +164,7 @@ impl<T: Scalar> Island<T> {
         for (k, law) in self.laws.iter().enumerate() {
             let (v, spin) = self.relative(k, u);
             let f = law.reaction(&v, spin);
-            if f.mode == super::law::Mode::Open {
+            if f.mode == super::Mode::Open {
                 continue;
             }
             let (force, torque) = (f.force * h, f.torque * h);

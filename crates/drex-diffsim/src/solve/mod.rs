@@ -3,9 +3,9 @@
 //! The equations are solved by Newton's method on plain numbers; derivatives follow from one more step on dual numbers
 //! with the converged matrix (implicit function theorem).
 
+pub(crate) mod contact_model;
 pub(crate) mod free;
 pub(crate) mod island;
-pub(crate) mod law;
 pub(crate) mod lu;
 pub(crate) mod six;
 pub(crate) mod soft;
@@ -15,10 +15,18 @@ use nalgebra::{UnitQuaternion, Vector3};
 use crate::contact::Contact;
 use crate::state::Anchor;
 use crate::{ContactOptions, Scalar};
-use law::Law;
+use contact_model::Law;
 
 /// Number of corners that carry a flat face at full stiffness.
 const FACE_CORNERS: f64 = 4.0;
+
+/// What a contact does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Mode {
+    Open,
+    Sticks,
+    Slips,
+}
 
 /// Appends the laws of the contacts of one patch (one pair of parts), given the stiffness of the whole patch.
 ///

@@ -17,32 +17,8 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::law::Mode;
-use crate::{Result, Scalar, SimError};
-
-/// Constants of MuJoCo's soft contact.
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[non_exhaustive]
-pub struct SoftContact {
-    /// Time constant of the spring, seconds (first number of `solref`).
-    pub time_constant_s: f64,
-    /// Damping ratio (second number of `solref`).
-    pub damping_ratio: f64,
-    /// Impedance at the surface and from the depth `width_m` on, between 0 and 1 (first numbers of `solimp`). Between the
-    /// two it follows a parabola to half the width and from there another (midpoint 0.5, power 2).
-    pub impedance: [f64; 2],
-    /// Depth at which the impedance is at its end, metres (third number of `solimp`).
-    pub width_m: f64,
-    /// Impedance of friction over that of the normal direction (`impratio`).
-    pub friction_ratio: f64,
-}
-
-impl Default for SoftContact {
-    /// What MuJoCo takes when a model says nothing.
-    fn default() -> Self {
-        Self { time_constant_s: 0.02, damping_ratio: 1.0, impedance: [0.9, 0.95], width_m: 1e-3, friction_ratio: 1.0 }
-    }
-}
+use super::Mode;
+use crate::{Scalar, SoftContact};
 
 /// The soft law of one contact in one step.
 #[derive(Debug, Clone, Copy)]
@@ -56,24 +32,6 @@ pub(crate) struct SoftLaw<T: Scalar> {
 }
 
 impl SoftContact {
-    pub(crate) fn check(&self) -> Result<()> {
-        let [d0, d1] = self.impedance;
-        let positive = |x: f64| x > 0.0 && x.is_finite();
-        for (name, value, good) in [
-            ("soft.time_constant_s", self.time_constant_s, positive(self.time_constant_s)),
-            ("soft.damping_ratio", self.damping_ratio, positive(self.damping_ratio)),
-            ("soft.impedance[0]", d0, positive(d0) && d0 < 1.0),
-            ("soft.impedance[1]", d1, positive(d1) && d1 < 1.0),
-            ("soft.width_m", self.width_m, positive(self.width_m)),
-            ("soft.friction_ratio", self.friction_ratio, positive(self.friction_ratio)),
-        ] {
-            if !good {
-                return Err(SimError::Option { name, value });
-            }
-        }
-        Ok(())
-    }
-
     /// The law of a contact of this depth that moves at `velocity` at the start of a step of `dt` and carries `mass`.
     pub(crate) fn law<T: Scalar>(
         &self,

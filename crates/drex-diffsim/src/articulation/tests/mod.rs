@@ -12,7 +12,7 @@ use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector3};
 
 use super::*;
 use crate::Scalar;
-use crate::scene::{Path, mean_rate};
+use crate::path::{Path, mean_rate};
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 

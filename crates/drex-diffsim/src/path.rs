@@ -3,8 +3,8 @@
 use drex_core::Pose;
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
-use super::check_series;
 use crate::math::exp;
+use crate::series::check_series;
 use crate::{Result, SimError};
 
 /// Poses over time; the first holds before, the last from its time on.

@@ -9,11 +9,13 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::contact::{Contact, ContactForce};
 use crate::math::solve3;
-use crate::sim::{advanced, begin, carried, check_speeds, mover, patch_mass, record, rotation_of};
-use crate::solve::law::{Law, Mode};
+use crate::solve::Mode;
+use crate::solve::contact_model::Law;
 use crate::solve::prepare_patch;
 use crate::state::Anchor;
-use crate::{Model, Part, Result, Scalar, Scene, Scheme, SimError, State, Workspace, pairs};
+use crate::step::frames::{advanced, begin, carried, check_speeds, mover, patch_mass, record, rotation_of};
+use crate::step::pairs;
+use crate::{Model, Part, Result, Scalar, Scene, Scheme, SimError, State, Workspace};
 
 /// h √(K/m) and h D/m of a body on its patch stay below this where the substeps are chosen here; rocking is up to three
 /// times as stiff.

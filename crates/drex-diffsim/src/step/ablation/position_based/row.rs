@@ -2,10 +2,10 @@
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
-use crate::ablation::log;
 use crate::collide::Frame;
 use crate::contact::Contact;
 use crate::math::{exp, lift_pose, lift_rotation, solve3};
+use crate::step::ablation::log;
 use crate::{Motion, Part, Scalar, Scene, State, Workspace};
 
 /// A body on its way through a substep. The way is kept by itself: velocities from it lose no digits.

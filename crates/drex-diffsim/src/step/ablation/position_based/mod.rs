@@ -18,15 +18,17 @@ mod row;
 
 use nalgebra::Vector3;
 
-use crate::ablation::log;
-use crate::ablation::penalty::relative;
 use crate::collide::Touch;
 use crate::contact::{Contact, ContactForce};
 use crate::math::{exp, lift_rotation, renormalized};
-use crate::sim::{begin, check_speeds, patch_mass, rotation_of};
-use crate::solve::{law::Law, prepare_patch};
+use crate::solve::contact_model::Law;
+use crate::solve::prepare_patch;
 use crate::state::Anchor;
-use crate::{Model, Part, Result, Scalar, Scene, State, Workspace, pairs};
+use crate::step::ablation::log;
+use crate::step::ablation::penalty::relative;
+use crate::step::frames::{begin, check_speeds, patch_mass, rotation_of};
+use crate::step::pairs;
+use crate::{Model, Part, Result, Scalar, Scene, State, Workspace};
 use row::{Against, Grip, Moving, Row, bounded, clamped, inverse, push, scaled, support};
 
 /// Sweeps over all contacts per substep. For the same work more substeps are more exact than more sweeps.

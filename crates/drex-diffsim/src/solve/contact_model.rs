@@ -7,6 +7,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::Mode;
 use super::soft::SoftLaw;
 use crate::contact::Contact;
 use crate::{Scalar, SoftContact};
@@ -38,14 +39,6 @@ pub(crate) struct Law<T: Scalar> {
     pub lagged: Option<f64>,
     /// The soft law in place of all others.
     pub soft: Option<SoftLaw<T>>,
-}
-
-/// What a contact does.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Mode {
-    Open,
-    Sticks,
-    Slips,
 }
 
 /// Force and torque of a contact on the body that the normal points into.

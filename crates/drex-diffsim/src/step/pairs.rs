@@ -2,13 +2,14 @@
 
 use nalgebra::{Point3, Vector3};
 
+use super::Workspace;
 use crate::articulation::Articulation;
 use crate::collide::{self, Frame, Touch};
 use crate::collider::Collider;
 use crate::contact::{Contact, ContactKey};
+use crate::material::Material;
 use crate::math::lift_pose;
-use crate::model::Material;
-use crate::{Model, Part, Result, Scalar, Scene, Shape, SimError, Workspace};
+use crate::{Model, Part, Result, Scalar, Scene, Shape, SimError};
 
 /// Gap that always counts as closing, metres.
 const NEAR_M: f64 = 1e-6;

@@ -8,16 +8,7 @@ use drex_core::Pose;
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 use crate::math::exp;
-use crate::{Body, BodyState, Method, Model, Result, Scalar, SimError};
-
-/// Which velocity moves the poses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Scheme {
-    /// The new velocity.
-    SemiImplicit,
-    /// The old velocity.
-    Explicit,
-}
+use crate::{Body, BodyState, Scalar};
 
 /// Buffers of the methods that a step reuses.
 #[derive(Debug)]
@@ -30,14 +21,6 @@ impl<T: Scalar> Default for Buffers<T> {
     fn default() -> Self {
         Self { penalty: penalty::Buffers::default(), position: position_based::Buffers::default() }
     }
-}
-
-/// Refuses articulations for methods that step free bodies only.
-pub(crate) fn check<T: Scalar>(model: &Model<T>) -> Result<()> {
-    if model.method != Method::SemiImplicit && !model.arms.is_empty() {
-        return Err(SimError::Method);
-    }
-    Ok(())
 }
 
 /// The pose at the part `s` of the way from `a` to `b`, for methods whose last velocity is not that of the whole step.
