@@ -2,7 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use drex_demo::{DemoUnit, Demonstration, HandFrame, HumanFinger, KEYPOINTS, KeyPointOrder, KeyPoints, LoadOptions, Side};
+use drex_demo::{
+    DemoUnit, Demonstration, HandFrame, HumanFinger, KEYPOINTS, KeyPointOrder, KeyPoints, LoadOptions, Side,
+};
 use drex_retarget::{Objective, RetargetOptions, RetargetedFrame, Scale, TargetHand};
 use nalgebra::Point3;
 use numpy::{PyArray1, PyArray2};
