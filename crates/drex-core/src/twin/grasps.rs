@@ -10,7 +10,7 @@ use crate::{Error, Result};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GraspsConfig {
-    /// Of a robot: JSON or npy, as [`crate::readers::read_grasps`] takes them. Of a person: a demonstration (key points of the hand
+    /// Of a robot: JSON or npy, as `drex_recording::readers::read_grasps` takes them. Of a person: a demonstration (key points of the hand
     /// and poses of the object), or a folder of them.
     pub file: PathBuf,
     /// Who was recorded.
