@@ -178,6 +178,17 @@ fn ply_in_every_format_with_colours_and_stl_as_text() {
 }
 
 #[test]
+fn a_ply_that_was_cut_off_behind_its_faces_is_noticed() {
+    let header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+                  element face 1\nproperty list uchar int vertex_indices\nelement edge 2\nproperty int vertex1\n\
+                  property int vertex2\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n0 1\n";
+    let parse = |text: &str| parse_mesh(Path::new("a.ply"), text.as_bytes());
+    let message = parse(header).unwrap_err().to_string();
+    assert!(message.contains("a.ply") && message.contains("2 rows of edge"), "{message}");
+    assert_eq!(parse(&format!("{header}1 2\n")).unwrap().faces, [[0, 1, 2]]);
+}
+
+#[test]
 fn writers_refuse_what_no_reader_could_use() {
     let folder = tempfile::tempdir().unwrap();
     let good = painted();

@@ -48,6 +48,10 @@ pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<(TriMesh, Option<Vec<[u
             Ok(())
         })?;
     }
+    // What is behind the faces is not used, but a file that ends within it was cut off.
+    if let Some(last) = file.elements.last().filter(|e| e.name != "vertex" && e.name != "face") {
+        file.rows::<crate::Error>(last, |_| Ok(()))?;
+    }
     if let Some(f) = mesh.faces.iter().position(|f| f.iter().any(|&v| v as usize >= mesh.vertices.len())) {
         let what = format!("triangle {f} names a vertex beyond the {} there are", mesh.vertices.len());
         return Err(refuse(None, what).into());
