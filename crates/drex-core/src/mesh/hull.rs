@@ -222,6 +222,10 @@ mod tests {
     /// Closed, and no point sticks out.
     fn check(points: &[Point3<f64>], hull: &TriMesh) {
         assert_eq!(hull.vertices.len() + hull.faces.len(), 2 + hull.faces.len() * 3 / 2);
+        // Closed and wound one way: each side of a face is, the other way round, that of one other face.
+        let sides: Vec<_> = hull.faces.iter().flat_map(|f| [(f[0], f[1]), (f[1], f[2]), (f[2], f[0])]).collect();
+        let set: std::collections::BTreeSet<_> = sides.iter().copied().collect();
+        assert!(set.len() == sides.len() && set.iter().all(|(a, b)| set.contains(&(*b, *a))));
         for f in 0..hull.faces.len() {
             let [a, b, c] = hull.triangle(f);
             let n = (b - a).cross(&(c - a));
