@@ -1,7 +1,7 @@
 //! How a push of your own is written down: makes a folder with a mesh, a track, a force and their `push.toml`, reads it as `drex identify`
 //! does, and says what is in it.
 //!
-//!     cargo run -p drex-core --example describe_push -- [FOLDER]
+//!     cargo run -p drex-recording --example describe_push -- [FOLDER]
 //!
 //! Without FOLDER the files go to the folder for temporary files. Change one of them and name the folder of a push that is there already:
 //! it is read as it is, and what is wrong is said with file, line and remedy.
