@@ -4,7 +4,7 @@
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
 
-use drex_core::{fsutil, mesh, npy, pose, twin};
+use drex_core::{fsutil, mesh, npy, pose};
 use drex_demo::{Demonstration, LoadOptions, ManoModel};
 use drex_hw::allegro::{self, AllegroVersion};
 use drex_hw::{can, dynamixel};
@@ -48,6 +48,7 @@ pub const TARGETS: &[Target] = &[
     target("pose_log", pose_log, seeds::pose_log),
     target("grasps_json", |b| drop(black_box(readers::parse_grasp_file(Path::new("g.json"), b))), seeds::grasps_json),
     target("push_toml", |b| drop(black_box(PushConfig::read(&file("push.toml", b)))), seeds::push_toml),
+    #[cfg(feature = "twin")]
     target("twin_toml", twin_toml, seeds::twin_toml),
     target("urdf", |b| drop(black_box(Robot::from_urdf(&file("a.urdf", b)))), seeds::urdf),
     target("mjcf", |b| drop(black_box(Robot::from_mjcf_str(&String::from_utf8_lossy(b), None))), seeds::mjcf),
@@ -148,8 +149,9 @@ fn pose_log(data: &[u8]) {
     let _ = black_box(pose::parse_pose_matrix(path, 1, &String::from_utf8_lossy(data)));
 }
 
+#[cfg(feature = "twin")]
 fn twin_toml(data: &[u8]) {
-    let _ = black_box(twin::TwinManifest::parse(Path::new("twin.toml"), &String::from_utf8_lossy(data)));
+    let _ = black_box(drex_twin::manifest::TwinManifest::parse(Path::new("twin.toml"), &String::from_utf8_lossy(data)));
 }
 
 /// A capture of three photos in which one file of the model is `data`.

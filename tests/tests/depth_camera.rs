@@ -3,8 +3,9 @@
 
 use std::path::PathBuf;
 
+use drex_core::mesh::sample_surface;
 use drex_core::{Surface, SurfacePoint};
-use drex_mesh::{DepthCamera, DepthMap, FusionOptions, MeshSdf, Support, cast_depth, fuse, read_mesh, sample_surface};
+use drex_mesh::{DepthCamera, DepthMap, FusionOptions, MeshSdf, Support, cast_depth, fuse, read_mesh};
 use drex_splat::capture::{Capture, CaptureOptions, PhotoOptions, Photos};
 use nalgebra::{Point3, Unit, Vector3};
 

@@ -130,7 +130,7 @@ fn seeds_are_read() {
         assert_eq!(drex_splat::io::spz::parse(Path::new("a.spz"), &bytes, drex_splat::Kind::Surfel).unwrap().len(), 3);
     }
     for text in seeds::twin_toml() {
-        drex_core::twin::TwinManifest::parse(Path::new("twin.toml"), std::str::from_utf8(&text).unwrap()).unwrap();
+        drex_twin::manifest::TwinManifest::parse(Path::new("twin.toml"), std::str::from_utf8(&text).unwrap()).unwrap();
     }
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str, bytes: &[u8]| {

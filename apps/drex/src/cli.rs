@@ -1,6 +1,5 @@
 //! The command line.
 
-mod bench;
 mod grasp;
 mod help;
 mod hw;
@@ -19,7 +18,6 @@ use drex_splat::train::{DensityChoice, Preset};
 use drex_sysid::Parameter;
 use nalgebra::{Point3, Similarity3};
 
-pub use bench::{BenchCommand, BenchCommon, DemosArgs, GraspBenchArgs};
 pub use grasp::{DeployArgs, GraspArgs};
 pub use help::command;
 pub use hw::{
@@ -113,9 +111,6 @@ pub enum Command {
     Demo(DemoArgs),
     /// Make twin folders from recordings in other layouts.
     Import(ImportArgs),
-    /// Measure how well grasps hold.
-    #[command(subcommand)]
-    Bench(BenchCommand),
     /// Say what is on this machine and what is missing for which feature.
     Doctor,
     /// Print the completions of a shell.

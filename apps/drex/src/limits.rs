@@ -33,8 +33,7 @@ impl Limits {
             | Command::Evaluate(_)
             | Command::Run(_)
             | Command::Report(_)
-            | Command::Demo(_)
-            | Command::Bench(_) => Self { bytes, seconds: common.max_seconds },
+            | Command::Demo(_) => Self { bytes, seconds: common.max_seconds },
             // The asset of photos is trained.
             Command::Asset(args) if is_scan(&args.input) => Self { bytes, seconds: common.max_seconds },
             Command::Mesh(_) => {

@@ -1,18 +1,8 @@
 //! `drex`: from a scan, a recorded push and human grasps to a weighed digital twin and a grasp with the right force.
 
-mod bench;
-mod choice;
 mod cli;
 mod commands;
 mod limits;
-mod lock;
-mod object;
-mod picture;
-mod predict;
-mod report;
-mod scan;
-mod timings;
-mod twin;
 mod ui;
 
 use std::process::ExitCode;
@@ -21,6 +11,7 @@ use clap::FromArgMatches;
 
 use crate::cli::{Cli, Command};
 use crate::ui::Ui;
+use drex_twin::Stage;
 
 fn main() -> ExitCode {
     let cli = match Cli::from_arg_matches(&cli::command().get_matches()) {
@@ -53,16 +44,15 @@ fn run(cli: &Cli, ui: &Ui) -> anyhow::Result<()> {
         Command::Render(args) => commands::render::run(args, ui),
         Command::Hands(args) => commands::hands::run(args, ui),
         Command::Retarget(args) => commands::retarget::run(args, seed, ui),
-        Command::Train(args) => commands::run::run(args, twin::Stage::Train, false, seed, ui),
-        Command::Evaluate(args) => commands::run::run(args, twin::Stage::Evaluate, false, seed, ui),
-        Command::Run(args) => commands::run::run(args, twin::Stage::Report, false, seed, ui),
-        Command::Report(args) => commands::run::run(args, twin::Stage::Report, true, seed, ui),
+        Command::Train(args) => commands::run::run(args, Stage::Train, false, seed, ui),
+        Command::Evaluate(args) => commands::run::run(args, Stage::Evaluate, false, seed, ui),
+        Command::Run(args) => commands::run::run(args, Stage::Report, false, seed, ui),
+        Command::Report(args) => commands::run::run(args, Stage::Report, true, seed, ui),
         Command::Demo(args) => commands::demo::run(args, seed, ui),
         Command::Import(args) => commands::import::run(args, ui),
         Command::Grasp(args) => commands::grasp::run(args, seed, ui),
         Command::Deploy(args) => commands::deploy::run(args, seed, ui),
         Command::Hw(command) => commands::hw::run(command, ui),
-        Command::Bench(command) => commands::bench::run(command, seed, ui),
         Command::Doctor => commands::doctor::run(ui),
         Command::Completions { shell } => commands::shell::completions(*shell, ui),
         Command::Man(args) => commands::shell::man(args, ui),

@@ -1,8 +1,10 @@
 //! What the user sees: progress and notes on stderr, the answer on stdout.
 
 use std::io::{IsTerminal, Write};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use drex_twin::Progress;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
 use tracing_subscriber::filter::LevelFilter;
@@ -12,6 +14,8 @@ use tracing_subscriber::filter::LevelFilter;
 pub struct Ui {
     json: bool,
     bars: bool,
+    /// The bar of the work at hand.
+    bar: Arc<Mutex<Option<ProgressBar>>>,
 }
 
 impl Ui {
@@ -29,7 +33,7 @@ impl Ui {
             .without_time()
             .with_writer(std::io::stderr)
             .init();
-        Self { json, bars: std::io::stderr().is_terminal() }
+        Self { json, bars: std::io::stderr().is_terminal(), bar: Arc::default() }
     }
 
     /// A line about what is going on, on stderr.
@@ -79,8 +83,51 @@ impl Ui {
         SlowBar { bar: self.bar(label, 100), begin: Instant::now() }
     }
 
+    /// Shows this bar in place of the one before.
+    fn replace(&self, bar: Option<ProgressBar>) {
+        let before = std::mem::replace(&mut *self.bar.lock().unwrap_or_else(PoisonError::into_inner), bar);
+        if let Some(before) = before {
+            before.finish_and_clear();
+        }
+    }
+
+    fn with_bar(&self, change: impl FnOnce(&ProgressBar)) {
+        if let Some(bar) = &*self.bar.lock().unwrap_or_else(PoisonError::into_inner) {
+            change(bar);
+        }
+    }
+
     fn target(&self) -> ProgressDrawTarget {
         if self.bars { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() }
+    }
+}
+
+impl Progress for Ui {
+    fn note(&self, text: &str) {
+        Self::note(self, text);
+    }
+
+    fn begin(&self, label: &str, steps: Option<u64>) {
+        let bar = match steps {
+            Some(steps) => self.bar(label, steps),
+            None => self.spinner(label),
+        };
+        self.replace(Some(bar));
+    }
+
+    fn at(&self, done: u64, message: &str) {
+        self.with_bar(|bar| {
+            bar.set_position(done);
+            bar.set_message(message.to_owned());
+        });
+    }
+
+    fn step(&self) {
+        self.with_bar(|bar| bar.inc(1));
+    }
+
+    fn end(&self) {
+        self.replace(None);
     }
 }
 

@@ -1,4 +1,4 @@
-//! Poses, trajectories, cameras, meshes, files and the twin folder: what every drex crate shares.
+//! Poses, trajectories, cameras, meshes, objects and files: what every drex crate shares.
 //!
 //! Meshes know what the solid weighs and how it turns:
 //!
@@ -25,6 +25,7 @@ pub mod error;
 pub mod fsutil;
 pub mod mesh;
 pub mod npy;
+pub mod object;
 pub mod ply;
 pub mod pose;
 pub mod program;
@@ -34,11 +35,11 @@ pub mod simd;
 pub mod stats;
 pub mod surface;
 pub mod trajectory;
-pub mod twin;
 
 pub use error::{Error, Result};
 pub use mesh::{MassProperties, TriMesh};
-pub use pose::{Pose, Real};
+pub use object::{ASSUMED_FRICTION, Object, SolidGeometry, TablePlane};
+pub use pose::{Pose, PoseRecord, Real};
 pub use surface::{SdfSample, SignedDistance, Surface, SurfacePoint};
 pub use trajectory::Trajectory;
 

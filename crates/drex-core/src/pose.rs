@@ -4,6 +4,8 @@ use std::path::Path;
 
 use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
 
+use serde::{Deserialize, Serialize};
+
 use crate::{Error, Result};
 
 /// The scalar that generic mathematics in the workspace runs on: `f64` or a dual number over it.
@@ -38,6 +40,32 @@ pub fn pose_from_wxyz(translation_m: [f64; 3], quat_wxyz: [f64; 4]) -> Result<Po
         ));
     }
     Ok(Isometry3::from_parts(Translation3::from(translation_m), UnitQuaternion::from_quaternion(q)))
+}
+
+/// A pose as files hold it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct PoseRecord {
+    /// Translation, metres.
+    pub translation_m: [f64; 3],
+    /// Unit quaternion in the order w, x, y, z.
+    pub quat_wxyz: [f64; 4],
+}
+
+impl From<&Pose> for PoseRecord {
+    fn from(pose: &Pose) -> Self {
+        let (translation_m, quat_wxyz) = to_wxyz(pose);
+        Self { translation_m, quat_wxyz }
+    }
+}
+
+impl PoseRecord {
+    /// The pose.
+    ///
+    /// # Errors
+    /// As [`pose_from_wxyz`].
+    pub fn to_pose(self) -> Result<Pose> {
+        pose_from_wxyz(self.translation_m, self.quat_wxyz)
+    }
 }
 
 /// A pose from a homogeneous 4 x 4 matrix; the rotation is replaced by the nearest proper one.

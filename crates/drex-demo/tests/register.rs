@@ -3,12 +3,13 @@
 
 use std::path::{Path, PathBuf};
 
+use drex_core::mesh::sample_surface;
 use drex_core::{Surface, TriMesh};
 use drex_demo::{
     Demonstration, HandFrame, KeyPoints, Placement, RegisterOptions, Side, parse_points, read_point_frames,
     read_points, register, register_clip,
 };
-use drex_mesh::{MeshSdf, RepairOptions, read_mesh, repair, sample_surface};
+use drex_mesh::{MeshSdf, RepairOptions, read_mesh, repair};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -1,37 +1,13 @@
 //! The static check of a grasp: would it hold, on paper? It is a calculation at rest, not a success rate.
 
-use drex_core::{MassProperties, Pose, SignedDistance};
+use drex_core::{MassProperties, Pose, SignedDistance, TablePlane};
 use drex_robot::Robot;
-use nalgebra::{Unit, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::{
     ClosureOptions, ContactOptions, HandSurface, Result, SqueezeError, SqueezeProblem, TorqueLimits, force_closure,
     smallest_squeeze,
 };
-
-/// The table: points x with up · x = height, in the object's frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TablePlane {
-    /// Up, against gravity, object frame.
-    pub up: Unit<Vector3<f64>>,
-    /// Height of the table top along `up` from the object's origin, metres.
-    pub height_m: f64,
-}
-
-impl TablePlane {
-    /// The table that a body with these `points` (object frame) stands on when `up` is up. `None` without points.
-    pub fn under<'a>(points: impl IntoIterator<Item = &'a nalgebra::Point3<f64>>, up: Vector3<f64>) -> Option<Self> {
-        let up = Unit::try_new(up, 1e-9)?;
-        let height_m = points.into_iter().map(|p| p.coords.dot(&up)).min_by(f64::total_cmp)?;
-        Some(Self { up, height_m })
-    }
-
-    /// Gravity in the object's frame, m/s².
-    pub fn gravity(&self) -> Vector3<f64> {
-        self.up.into_inner() * -9.81
-    }
-}
 
 /// A grasp to be checked.
 #[derive(Clone, Copy)]

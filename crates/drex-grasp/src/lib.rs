@@ -29,27 +29,35 @@ mod contact;
 mod distribute;
 mod error;
 mod find;
+mod grasp;
 mod hand;
 mod law;
+mod load_bound;
 mod loads;
 mod motors;
+mod power;
 mod rolling;
 mod search;
 mod squeeze;
+mod synthesis;
 
 pub use carry::{holds_any_load, squeeze_per_weight};
-pub use check::{CheckOptions, FingerContacts, StaticCheck, StaticGrasp, TablePlane, static_check, static_check_with};
+pub use check::{CheckOptions, FingerContacts, StaticCheck, StaticGrasp, static_check, static_check_with};
 pub use closure::{ClosureOptions, ForceClosure, force_closure, is_force_closed, min_weight};
 pub use contact::{Contact, characteristic_length_m, grasp_map};
 pub use distribute::{Distribution, distribute, largest_squeeze};
 pub use error::{GraspError, Result};
 pub use find::{ContactOptions, find_contacts};
+pub use grasp::{Grasp, GraspOrigin, OriginCounts};
 pub use hand::{HandSurface, LinkSurface};
 pub use law::{ForceCommand, ForceLaw, PAPER_FORCE_LIMIT_N, paper_force};
+pub use load_bound::{least_friction, least_friction_index};
 pub use loads::{required_squeeze, shake_loads};
+pub use power::{FingerClosing, PowerGraspOptions, abduction_joints, power_grasps};
 pub use rolling::{Rolling, RollingError, RollingPath, RollingWaypoint, rolling_path};
 pub use search::{FoundGrasp, SearchOptions, search_grasps};
 pub use squeeze::{Squeeze, SqueezeError, SqueezeProblem, TorqueLimits, smallest_forces, smallest_squeeze};
+pub use synthesis::{pinch_grasps, synthesize_grasps};
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

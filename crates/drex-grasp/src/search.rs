@@ -1,14 +1,14 @@
 //! Grasps for an object nobody has shown how to hold: opposed points of its surface, postures in which the thumb faces the fingers, and
 //! fingers that close until they touch. Candidates are many and cheap; the static conditions at the end decide.
 
-use drex_core::{Pose, SignedDistance, SurfacePoint};
+use drex_core::{Pose, SignedDistance, SurfacePoint, TablePlane};
 use drex_robot::{Finger, Robot};
 use nalgebra::{Matrix3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use crate::{Contact, ContactOptions, GraspError, HandSurface, Result, TablePlane, holds_any_load, squeeze_per_weight};
+use crate::{Contact, ContactOptions, GraspError, HandSurface, Result, holds_any_load, squeeze_per_weight};
 
 /// What is searched for.
 #[derive(Debug, Clone, PartialEq)]

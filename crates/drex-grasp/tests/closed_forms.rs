@@ -3,8 +3,9 @@
 
 mod support;
 
+use drex_core::TablePlane;
 use drex_grasp::{
-    ClosureOptions, Contact, ForceLaw, Rolling, RollingError, SqueezeError, SqueezeProblem, TablePlane, TorqueLimits,
+    ClosureOptions, Contact, ForceLaw, Rolling, RollingError, SqueezeError, SqueezeProblem, TorqueLimits,
     characteristic_length_m, distribute, force_closure, grasp_map, largest_squeeze, min_weight, paper_force,
     required_squeeze, rolling_path, shake_loads, smallest_forces, smallest_squeeze,
 };

@@ -1,10 +1,10 @@
 //! Contacts and the static check of the bundled hands on shapes with exact distances.
 #![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
-use drex_core::{MassProperties, SdfSample, SignedDistance};
+use drex_core::{MassProperties, SdfSample, SignedDistance, TablePlane};
 use drex_grasp::{
-    CheckOptions, ContactOptions, GraspError, HandSurface, SqueezeProblem, StaticGrasp, TablePlane, TorqueLimits,
-    find_contacts, smallest_squeeze, static_check,
+    CheckOptions, ContactOptions, GraspError, HandSurface, SqueezeProblem, StaticGrasp, TorqueLimits, find_contacts,
+    smallest_squeeze, static_check,
 };
 use drex_robot::Robot;
 use nalgebra::{Isometry3, Matrix3, Point3, Translation3, Vector3};

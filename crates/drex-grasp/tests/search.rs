@@ -1,10 +1,10 @@
 //! Grasps searched for on shapes whose distance is a formula.
 #![allow(clippy::unwrap_used)] // a test says what fails by failing
 
-use drex_core::{MassProperties, SdfSample, SignedDistance, SurfacePoint};
+use drex_core::{MassProperties, SdfSample, SignedDistance, SurfacePoint, TablePlane};
 use drex_grasp::{
-    CheckOptions, ClosureOptions, FoundGrasp, HandSurface, SearchOptions, SqueezeProblem, StaticGrasp, TablePlane,
-    TorqueLimits, force_closure, search_grasps, smallest_squeeze, static_check_with,
+    CheckOptions, ClosureOptions, FoundGrasp, HandSurface, SearchOptions, SqueezeProblem, StaticGrasp, TorqueLimits,
+    force_closure, search_grasps, smallest_squeeze, static_check_with,
 };
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Point3, Vector3};

@@ -15,6 +15,21 @@ pub enum Error {
         /// What to do about it.
         remedy: String,
     },
+    /// A hand, its file or its settings are not as they have to be; the message says what to do.
+    #[error("{0}")]
+    NotAllowed(String),
+    /// A run ended because of a failure; the message says what became of the torque.
+    #[error("{off}")]
+    RunEnded {
+        /// What became of the torque.
+        off: String,
+        /// Why the run ended.
+        #[source]
+        source: Box<Error>,
+    },
+    /// A file could not be read or written.
+    #[error(transparent)]
+    File(#[from] drex_core::Error),
     /// Too few pairs to fit a law.
     #[error(
         "torque law: {have} usable pairs at {distinct} different currents; measure at least {need} at {need} currents"

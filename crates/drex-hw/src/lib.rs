@@ -3,6 +3,7 @@
 pub mod allegro;
 pub mod can;
 pub mod control;
+pub mod driver;
 pub mod dynamixel;
 pub mod emulator;
 #[cfg(unix)]

@@ -7,8 +7,8 @@ use serde::Serialize;
 use drex_core::TriMesh;
 
 use crate::bvh::Bvh;
-use crate::sample::sample_surface;
 use crate::{Error, Result};
+use drex_core::mesh::sample_surface;
 
 /// Settings of [`compare_surfaces`].
 #[derive(Debug, Clone, PartialEq)]

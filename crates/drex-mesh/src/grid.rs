@@ -3,7 +3,7 @@
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
-use drex_core::{SdfSample, SignedDistance, Surface, SurfacePoint};
+use drex_core::{SdfSample, SignedDistance, SolidGeometry, Surface, SurfacePoint};
 
 use crate::sdf::MeshSdf;
 use crate::{Error, Result};
@@ -142,6 +142,16 @@ impl SignedDistance for GridSdf {
     }
 }
 
+impl SolidGeometry for GridSdf {
+    fn exact(&self) -> &dyn SignedDistance {
+        &self.exact
+    }
+
+    fn bounding_box(&self) -> (Point3<f64>, Point3<f64>) {
+        self.bounds()
+    }
+}
+
 impl Surface for GridSdf {
     fn nearest(&self, point: &Point3<f64>) -> SurfacePoint {
         self.exact.nearest(point)
@@ -167,7 +177,7 @@ mod tests {
         let grid = GridSdf::new(exact.clone()).unwrap();
         let h = grid.spacing_m();
         for i in 0..2000 {
-            let p = Point3::from(crate::sample::unit_cube_point(i).map(|c| 0.4 * (c - 0.5)));
+            let p = Point3::from(crate::sequence::unit_cube_point(i).map(|c| 0.4 * (c - 0.5)));
             let (a, b) = (exact.signed_distance(&p), grid.signed_distance(&p));
             assert!((a.distance_m - b.distance_m).abs() < 0.3 * h, "{p}: {} {}", a.distance_m, b.distance_m);
             if p.coords.norm() > 0.02 {

@@ -45,9 +45,9 @@ mod pieces;
 mod region;
 mod repair;
 mod rest;
-mod sample;
 mod scale;
 mod sdf;
+mod sequence;
 #[cfg(test)]
 mod shapes;
 mod solid;
@@ -75,12 +75,11 @@ pub use io::{
     write_obj, write_obj_model, write_ply, write_ply_as, write_stl, write_stl_text,
 };
 pub use mass::{Hollow, HowHollow, check_mass_properties, principal, shell_properties};
-pub use model::{Background, SceneOptions};
+pub use model::{Background, ContactConfig, JointConfig, JointKind, PartConfig, SceneOptions, joint_tree};
 pub use pieces::{HowDivided, PieceOptions, UnionDistance, convex_pieces, union_distance};
 pub use region::{ObjectRegion, object_on_table};
 pub use repair::{DroppedBit, RepairOptions, RepairReport, repair};
 pub use rest::{RestOptions, RestPose, settled_pose, stable_poses};
-pub use sample::{farthest_points, sample_surface};
 pub use scale::{
     DistanceResidual, KnownDistance, Marks, PlaneOptions, ScaleFit, Sighting, Similarity, TablePlane, Triangulated,
     read_marks, scale_from_distances, sheet_from_marks, table_plane, triangulate, triangulate_marks,

@@ -2,7 +2,7 @@
 
 use nalgebra::{Point3, Vector3};
 
-use drex_core::{SdfSample, SignedDistance, Surface, SurfacePoint, TriMesh};
+use drex_core::{SdfSample, SignedDistance, SolidGeometry, Surface, SurfacePoint, TriMesh};
 
 use crate::Result;
 use crate::boundary::boundary;
@@ -116,6 +116,16 @@ impl MeshSdf {
     }
 }
 
+impl SolidGeometry for MeshSdf {
+    fn exact(&self) -> &dyn SignedDistance {
+        self
+    }
+
+    fn bounding_box(&self) -> (Point3<f64>, Point3<f64>) {
+        self.bounds()
+    }
+}
+
 impl Surface for MeshSdf {
     fn nearest(&self, point: &Point3<f64>) -> SurfacePoint {
         match self.boundary_tree.nearest(point, f64::INFINITY) {
@@ -155,7 +165,7 @@ mod tests {
         for mesh in [ball, pair] {
             let sdf = MeshSdf::new(&mesh).unwrap();
             for i in 0..2000 {
-                let p = Point3::from(crate::sample::unit_cube_point(i).map(|c| 3.0 * (c - 0.5)));
+                let p = Point3::from(crate::sequence::unit_cube_point(i).map(|c| 3.0 * (c - 0.5)));
                 let n = sdf.boundary_tree.nearest(&p, f64::INFINITY).unwrap();
                 if let Some(behind) = sdf.behind(&p, &n) {
                     by_face += 1;
@@ -173,7 +183,7 @@ mod tests {
     fn distance_to_a_box_is_exact() {
         let sdf = MeshSdf::new(&cuboid([-1.0, -2.0, -3.0], [1.0, 2.0, 3.0])).unwrap();
         for i in 0..500 {
-            let p = Point3::from(crate::sample::unit_cube_point(i).map(|c| 8.0 * (c - 0.5)));
+            let p = Point3::from(crate::sequence::unit_cube_point(i).map(|c| 8.0 * (c - 0.5)));
             let q = p.coords.abs() - Vector3::new(1.0, 2.0, 3.0);
             let truth = q.sup(&Vector3::zeros()).norm() + q.max().min(0.0);
             let s = sdf.signed_distance(&p);

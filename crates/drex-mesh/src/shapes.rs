@@ -52,5 +52,5 @@ pub(crate) fn flipped(mesh: &TriMesh) -> TriMesh {
 
 /// Point `i` of an additive sequence that fills the unit cube evenly.
 pub(crate) fn low_discrepancy(i: usize) -> [f64; 3] {
-    crate::sample::unit_cube_point(i)
+    crate::sequence::unit_cube_point(i)
 }

@@ -9,7 +9,7 @@ use drex_core::{MassProperties, TriMesh};
 use crate::boundary::{Moments, boundary};
 use crate::bvh::Bvh;
 use crate::caps::{Capped, cap};
-use crate::sample::unit_cube_point;
+use crate::sequence::unit_cube_point;
 use crate::topology::Topology;
 use crate::{Error, Result};
 

@@ -6,7 +6,7 @@ mod support;
 use std::fs;
 
 use drex_core::TriMesh;
-use drex_core::twin::JointConfig;
+use drex_mesh::JointConfig;
 use drex_mesh::{AssetOptions, Error, Part, articulated_asset, read_mesh};
 use nalgebra::Vector3;
 use support::{hinge, stapler};

@@ -81,7 +81,7 @@ fn the_distance_grid_of_a_scan_is_close_to_the_exact_distance() {
     let exact = MeshSdf::new(&mesh).unwrap();
     let grid = GridSdf::new(exact.clone()).unwrap();
     let (lo, hi) = exact.bounds();
-    let mut errors: Vec<f64> = drex_mesh::sample_surface(exact.boundary(), 1500, 3)
+    let mut errors: Vec<f64> = drex_core::mesh::sample_surface(exact.boundary(), 1500, 3)
         .iter()
         .enumerate()
         .map(|(k, s)| s.point + s.normal * ((k % 21) as f64 - 10.0) * 1e-3)

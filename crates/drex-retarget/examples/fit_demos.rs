@@ -10,8 +10,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use drex_core::{Pose, TriMesh};
-use drex_grasp::{CheckOptions, HandSurface, StaticGrasp, TablePlane, static_check_with};
+use drex_core::{Pose, TablePlane, TriMesh};
+use drex_grasp::{CheckOptions, HandSurface, StaticGrasp, static_check_with};
 use drex_mesh::{GridOptions, GridSdf, MeshSdf, RepairOptions, read_mesh, repair, solid_properties};
 use drex_recording::readers::read_grasps;
 use drex_retarget::{ObjectSurface, Verdict, WristFit, WristFitOptions, fit_wrists};

@@ -13,8 +13,7 @@ mod starts;
 #[cfg(test)]
 mod tests;
 
-use drex_core::{Pose, SignedDistance};
-use drex_grasp::TablePlane;
+use drex_core::{Pose, SignedDistance, TablePlane};
 use drex_robot::Robot;
 use nalgebra::Point3;
 use rayon::prelude::*;

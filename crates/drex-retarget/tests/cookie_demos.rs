@@ -1,9 +1,9 @@
 //! Recorded grasps of a real object; needs DREX_SHARED.
 #![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
+use drex_core::TablePlane;
 use std::path::PathBuf;
 
-use drex_grasp::TablePlane;
 use drex_mesh::{GridOptions, GridSdf, MeshSdf, RepairOptions, read_mesh, repair, solid_properties};
 use drex_recording::readers::read_grasps;
 use drex_retarget::{ObjectSurface, WristFitOptions, fit_wrists};

@@ -1,8 +1,7 @@
 //! Wrist fits on shapes with exact distances: what must be found, what must be refused, and that threads do not matter.
 #![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
-use drex_core::{SdfSample, SignedDistance};
-use drex_grasp::TablePlane;
+use drex_core::{SdfSample, SignedDistance, TablePlane};
 use drex_retarget::{Error, ObjectSurface, Rejection, Verdict, WristFit, WristFitOptions, fit_wrist, fit_wrists};
 use drex_robot::Robot;
 use nalgebra::{Point3, Vector3};

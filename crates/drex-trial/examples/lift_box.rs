@@ -7,11 +7,12 @@
 
 use std::sync::Arc;
 
-use drex_core::{MassProperties, Pose, SdfSample, SignedDistance, SurfacePoint};
+use drex_core::mesh::convex_hull;
+use drex_core::{MassProperties, Object, Pose, SdfSample, SignedDistance, SolidGeometry, SurfacePoint, TablePlane};
 use drex_diffsim::{Collider, Geom, Shape};
-use drex_grasp::{HandSurface, SearchOptions, TablePlane, search_grasps};
+use drex_grasp::{HandSurface, SearchOptions, search_grasps};
 use drex_robot::Robot;
-use drex_trial::{Belief, Judge, Squeeze, Trial, TrialObject, TrialOptions, Truth};
+use drex_trial::{Assumed, Engine, GripForce, Trial, TrialOptions, Truth};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// Half extents of the box, m.
@@ -34,17 +35,24 @@ impl SignedDistance for Cuboid {
     }
 }
 
+impl SolidGeometry for Cuboid {
+    fn exact(&self) -> &dyn SignedDistance {
+        self
+    }
+
+    fn bounding_box(&self) -> (Point3<f64>, Point3<f64>) {
+        (Point3::from(-HALF), Point3::from(HALF))
+    }
+}
+
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let wanted = std::env::args().nth(1).and_then(|n| n.parse().ok()).unwrap_or(8);
     let s = HALF.component_mul(&HALF) / 3.0;
     let inertia = Matrix3::from_diagonal(&Vector3::new(s.y + s.z, s.z + s.x, s.x + s.y));
-    let object = TrialObject {
-        collider: Arc::new(Collider::new(&[Geom::new(Shape::Box { half_m: HALF })])?),
-        properties: MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia },
-        surface: Arc::new(Cuboid),
-        world_from_object: Pose::translation(0.0, 0.0, HALF.z),
-        max_finger_n: None,
-    };
+    let corner = |k: usize| Point3::from(Vector3::from_fn(|a, _| if k >> a & 1 == 1 { HALF[a] } else { -HALF[a] }));
+    let mesh = convex_hull(&(0..8).map(corner).collect::<Vec<_>>())?;
+    let properties = MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia };
+    let object = Object::convex(mesh, Arc::new(Cuboid), properties, Pose::translation(0.0, 0.0, HALF.z));
     let hand = Arc::new(Robot::bundled("leap_right")?);
     let surface = HandSurface::new(&hand, 0.004)?;
     let table = TablePlane { up: Vector3::z_axis(), height_m: -HALF.z };
@@ -55,23 +63,28 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     found.retain(|g| g.closed);
     found.sort_by(|a, b| a.squeeze_per_weight.total_cmp(&b.squeeze_per_weight));
 
-    let trial = Trial::new(hand, object, TrialOptions::default())?;
-    let told = Belief { mass_kg: 0.15, friction: 0.5 };
-    let truth = Truth::as_believed(&told, 1);
+    let trial = Trial::with_collider(
+        hand,
+        object,
+        Collider::new(&[Geom::new(Shape::Box { half_m: HALF })])?,
+        TrialOptions::default(),
+    )?;
+    let told = Assumed { mass_kg: 0.15, friction: 0.5 };
+    let truth = Truth::as_assumed(&told, 1);
     let mut tried = 0;
     for grasp in &found {
         if tried == wanted {
             break;
         }
         // Some grasps that were found cannot be closed, or the motors are too weak for them: that is no error, but a reason.
-        let Ok(command) = trial.command(&grasp.joints, &grasp.object_from_base, &told, Squeeze::Needed)? else {
+        let Ok(command) = trial.command(&grasp.joints, &grasp.object_from_base, &told, GripForce::Required)? else {
             continue;
         };
         tried += 1;
-        let enough = trial.run(&command, &truth, Judge::Diffsim)?;
-        let third = Squeeze::Total(command.squeeze_n / 3.0);
+        let enough = trial.run(&command, &truth, Engine::Diffsim)?;
+        let third = GripForce::Total(command.squeeze_n / 3.0);
         let little = match trial.command(&grasp.joints, &grasp.object_from_base, &told, third)? {
-            Ok(little) => format!("{:?}", trial.run(&little, &truth, Judge::Diffsim)?.verdict),
+            Ok(little) => format!("{:?}", trial.run(&little, &truth, Engine::Diffsim)?.verdict),
             Err(reason) => reason.to_string(),
         };
         let held = enough.held_n.map_or("nothing".into(), |n| format!("{n:.1} N"));

@@ -9,12 +9,10 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use drex_diffsim::{Collider, ConvexPiece};
-use drex_grasp::{FoundGrasp, HandSurface, SearchOptions, TablePlane, search_grasps};
-use drex_mesh::{AssetOptions, GridOptions, GridSdf, MeshSdf, build_asset, sample_surface};
+use drex_grasp::{FoundGrasp, HandSurface, SearchOptions, search_grasps};
+use drex_mesh::{AssetOptions, build_asset};
 use drex_robot::Robot;
-use drex_trial::{Belief, Error, Judge, Outcome, Squeeze, Trial, TrialObject, TrialOptions, Truth, Verdict, wilson};
-use nalgebra::Vector3;
+use drex_trial::{Assumed, Engine, Error, GripForce, Outcome, Trial, TrialOptions, Truth, Verdict, wilson};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -29,20 +27,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let told: f64 = args.get(3).map_or(Ok(1.0), |a| a.parse())?;
 
     let asset = build_asset(Path::new(&args[0]), &AssetOptions::default())?;
-    let mut grid = GridOptions::default();
-    grid.margin_m = Some(0.1);
-    let sdf = Arc::new(GridSdf::with_options(MeshSdf::new(&asset.visual)?, &grid)?);
-    let pieces = asset.pieces.iter().map(|p| ConvexPiece::from_points(&p.vertices)).collect::<Result<Vec<_>, _>>()?;
-    let world_from_object = asset.world_from_mesh_at_rest;
-    let up = world_from_object.rotation.inverse() * Vector3::z();
-    let table = TablePlane::under(&asset.visual.vertices, up).ok_or("the mesh has no points")?;
+    let object = asset.to_object("object")?;
     let hand = Arc::new(Robot::bundled("leap_right")?);
-    let points = sample_surface(&asset.visual, 2000, 0);
+    let points = object.surface_points(2000, 0);
     let mut options = SearchOptions::default();
     options.candidates = 20_000;
-    let com = asset.properties.center_of_mass;
+    let com = object.center_of_mass();
     let surface = HandSurface::new(&hand, 0.004)?;
-    let mut found = search_grasps(&hand, &surface, sdf.as_ref(), &points, &com, &table, &options)?;
+    let mut found = search_grasps(&hand, &surface, &*object.geometry, &points, &com, &object.table(), &options)?;
     println!(
         "{} grasps of {} candidates, {} closed",
         found.len(),
@@ -52,26 +44,21 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     found.retain(|f| f.closed);
     found.sort_by(|a, b| a.squeeze_per_weight.total_cmp(&b.squeeze_per_weight));
 
-    let object = TrialObject {
-        collider: Arc::new(Collider::convex(pieces)),
-        properties: asset.properties,
-        surface: sdf,
-        world_from_object,
-        max_finger_n: None,
-    };
     let trial = Trial::new(hand, object, TrialOptions::default())?;
-    let belief = Belief { mass_kg: told * mass_kg, friction: 0.55 };
-    let commanded =
-        |f: &&FoundGrasp| matches!(trial.command(&f.joints, &f.object_from_base, &belief, Squeeze::Needed), Ok(Ok(_)));
+    let assumed = Assumed { mass_kg: told * mass_kg, friction: 0.55 };
+    let commanded = |f: &&FoundGrasp| {
+        matches!(trial.command(&f.joints, &f.object_from_base, &assumed, GripForce::Required), Ok(Ok(_)))
+    };
     let shown: Vec<&FoundGrasp> = found.iter().filter(commanded).take(SHOWN).collect();
     let mut tally = [(0, 0); 2];
     let mut delivered = [Vec::new(), Vec::new()];
     for (index, grasp) in shown.iter().enumerate() {
         let mut line = format!("{index:>3}  {:4.1} weights", grasp.squeeze_per_weight);
-        for ((judge, sum), ratios) in [Judge::Diffsim, Judge::Mujoco].into_iter().zip(&mut tally).zip(&mut delivered) {
+        for ((engine, sum), ratios) in [Engine::Diffsim, Engine::Mujoco].into_iter().zip(&mut tally).zip(&mut delivered)
+        {
             let outcomes = (0..rollouts)
                 .into_par_iter()
-                .map(|seed| attempt(&trial, grasp, (mass_kg, told), seed, judge))
+                .map(|seed| attempt(&trial, grasp, (mass_kg, told), seed, engine))
                 .collect::<Result<Vec<_>, _>>();
             match outcomes {
                 Ok(outcomes) => {
@@ -79,7 +66,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                     let verdicts: Vec<_> = outcomes.iter().map(|o| o.as_ref().map(|o| o.verdict)).collect();
                     sum.0 += verdicts.iter().filter(|v| **v == Some(Verdict::Success)).count();
                     sum.1 += verdicts.len();
-                    line += &format!("  {judge:?} {}", verdicts.into_iter().map(letter).collect::<String>());
+                    line += &format!("  {engine:?} {}", verdicts.into_iter().map(letter).collect::<String>());
                 }
                 Err(Error::NoMujoco) => {}
                 Err(other) => return Err(other.into()),
@@ -87,14 +74,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
         println!("{line}");
     }
-    for ((judge, (successes, n)), mut ratios) in
-        [Judge::Diffsim, Judge::Mujoco].into_iter().zip(tally).zip(delivered).filter(|t| t.0.1.1 > 0)
+    for ((engine, (successes, n)), mut ratios) in
+        [Engine::Diffsim, Engine::Mujoco].into_iter().zip(tally).zip(delivered).filter(|t| t.0.1.1 > 0)
     {
         ratios.sort_by(f64::total_cmp);
         let at = |share: f64| ratios.get((share * ratios.len() as f64) as usize).copied().unwrap_or(f64::NAN);
         let rate = wilson(successes, n);
         println!(
-            "{judge:?}: {successes} of {n}, {:.0} % ({:.0} to {:.0}); delivered over commanded squeeze {:.2} ({:.2} to {:.2})",
+            "{engine:?}: {successes} of {n}, {:.0} % ({:.0} to {:.0}); delivered over commanded squeeze {:.2} ({:.2} to {:.2})",
             100.0 * rate.value,
             100.0 * rate.low,
             100.0 * rate.high,
@@ -112,16 +99,16 @@ fn attempt(
     grasp: &FoundGrasp,
     (mass_kg, told): (f64, f64),
     seed: u64,
-    judge: Judge,
+    engine: Engine,
 ) -> Result<Option<Outcome>, Error> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut even = |most: f64| random.random_range(-most..most);
     let friction = 0.6 + even(0.2);
     let truth =
         Truth { mass_kg, friction, shift_m: [even(0.005), even(0.005)], turn_rad: even(5f64.to_radians()), seed };
-    let belief = Belief { mass_kg: told * mass_kg, friction: friction * (1.0 + even(0.1)) };
-    match trial.command(&grasp.joints, &grasp.object_from_base, &belief, Squeeze::Needed)? {
-        Ok(command) => trial.run(&command, &truth, judge).map(Some),
+    let assumed = Assumed { mass_kg: told * mass_kg, friction: friction * (1.0 + even(0.1)) };
+    match trial.command(&grasp.joints, &grasp.object_from_base, &assumed, GripForce::Required)? {
+        Ok(command) => trial.run(&command, &truth, engine).map(Some),
         Err(_) => Ok(None),
     }
 }

@@ -1,4 +1,4 @@
-//! From a grasp to what the hand is told: rehearse the closing, then solve for the squeeze on the contacts that it gives.
+//! From a grasp to what the hand is told: plan_closing the closing, then solve for the squeeze on the contacts that it gives.
 
 use std::collections::BTreeMap;
 
@@ -11,13 +11,13 @@ use drex_grasp::{
 use drex_robot::Robot;
 use nalgebra::{DVector, Point3, Vector3};
 
-use crate::control::{Controller, Push, squeeze_torques};
+use crate::control::{ContactForce, Controller, squeeze_torques};
 use crate::engine::{Met, Touch};
 use crate::reach::{self, Reach};
 use crate::trial::STEPS_PER_TICK;
 use crate::types::check_mass_and_friction;
 use crate::watch::TABLE_N;
-use crate::{Belief, Command, Error, Judge, NoCommand, Result, Squeeze, Trial, Truth, timeline};
+use crate::{Assumed, Command, Engine, Error, GripForce, NoCommand, Result, Trial, Truth, timeline};
 
 /// Contacts nearer to each other than this on one link count as one, m.
 const SAME_M: f64 = 0.004;
@@ -34,7 +34,7 @@ const EDGE: f64 = 1e-4;
 
 /// How the fingers close on the object where it is believed to be.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Rehearsal {
+pub struct ClosingPlan {
     joints: Vec<f64>,
     world_from_palm: Pose,
     reach: Reach,
@@ -50,9 +50,14 @@ pub struct Rehearsal {
     pub fingers_in_contact: Vec<bool>,
 }
 
-/// See [`Trial::rehearse`].
-pub(crate) fn rehearse(trial: &Trial, joints: &[f64], object_from_palm: &Pose, belief: &Belief) -> Result<Rehearsal> {
-    check_mass_and_friction(belief.mass_kg, belief.friction)?;
+/// See [`Trial::plan_closing`].
+pub(crate) fn plan_closing(
+    trial: &Trial,
+    joints: &[f64],
+    object_from_palm: &Pose,
+    assumed: &Assumed,
+) -> Result<ClosingPlan> {
+    check_mass_and_friction(assumed.mass_kg, assumed.friction)?;
     if joints.len() != trial.hand.dof() || joints.iter().any(|q| !q.is_finite()) {
         return Err(Error::value(
             format!("{} joint angles for the {} joints of {}", joints.len(), trial.hand.dof(), trial.hand.name),
@@ -66,22 +71,23 @@ pub(crate) fn rehearse(trial: &Trial, joints: &[f64], object_from_palm: &Pose, b
         &trial.surface,
         joints,
         object_from_palm,
-        object.surface.as_ref(),
+        object.geometry.as_ref(),
         &object.world_from_object,
     );
-    let truth = Truth::as_believed(belief, 0);
-    let (mut engine, drives) = trial.engine(&world_from_palm, &reach, &truth, timeline::CLOSED_S, Judge::Diffsim)?;
+    let truth = Truth::as_assumed(assumed, 0);
+    let (mut simulation, drives) =
+        trial.simulation(&world_from_palm, &reach, &truth, timeline::CLOSED_S, Engine::Diffsim)?;
     let mut controller = Controller::new(&trial.hand, &drives, &reach, &[], &[], &trial.effort_nm);
     let tick_s = trial.options.dt_s * STEPS_PER_TICK as f64;
     let mut table_n = 0.0_f64;
     let mut close = || {
         let mut touches = Vec::new();
         for i in 0..(timeline::CLOSED_S / tick_s) as usize {
-            let told = controller.command(i as f64 * tick_s, &engine);
+            let told = controller.command(i as f64 * tick_s, &simulation);
             for _ in 0..STEPS_PER_TICK {
-                engine.step(&told)?;
+                simulation.step(&told)?;
             }
-            engine.touches(&mut touches);
+            simulation.touches(&mut touches);
             table_n = table_n.max(touches.iter().filter(|t| t.with == Met::Table).map(|t| t.normal_n).sum());
         }
         touches.retain(|t| t.with == Met::Object);
@@ -95,14 +101,14 @@ pub(crate) fn rehearse(trial: &Trial, joints: &[f64], object_from_palm: &Pose, b
     };
     let mut fingers_in_contact = vec![false; trial.surface.fingers.len()];
     touches.iter().filter_map(|t| trial.surface.finger_of_link[t.link]).for_each(|f| fingers_in_contact[f] = true);
-    let closed = engine.joints().to_vec();
+    let closed = simulation.joints().to_vec();
     let touching = touching(trial, &mut touches);
     let near = match touching.is_empty() {
         // Also where a hand was thrown out of all bounds.
         true => Vec::new(),
-        false => near(trial, &closed, &world_from_palm, &engine.world_from_object(), &touching)?,
+        false => near(trial, &closed, &world_from_palm, &simulation.world_from_object(), &touching)?,
     };
-    Ok(Rehearsal {
+    Ok(ClosingPlan {
         joints: joints.to_vec(),
         world_from_palm,
         reach,
@@ -140,7 +146,7 @@ fn near(
     let mut options = ContactOptions::default();
     options.max_per_link = MAY_BEAR;
     let object_from_palm = world_from_object.inverse() * world_from_palm;
-    let surface = trial.object.surface.as_ref();
+    let surface = trial.object.geometry.as_ref();
     let mut contacts = trial.surface.contacts(&trial.hand, closed, &object_from_palm, surface, &options)?;
     for contact in &mut contacts {
         contact.point = world_from_object * contact.point;
@@ -158,25 +164,26 @@ fn among(contacts: &[Contact], contact: &Contact) -> bool {
 /// See [`Trial::squeeze`].
 pub(crate) fn squeeze(
     trial: &Trial,
-    rehearsal: &Rehearsal,
-    belief: &Belief,
-    squeeze: Squeeze,
+    closing: &ClosingPlan,
+    assumed: &Assumed,
+    squeeze: GripForce,
 ) -> Result<Result<Command, NoCommand>> {
-    let Squeezed { problem, normal_n, forces } = match squeezed(trial, rehearsal, belief, squeeze)? {
+    let Squeezed { problem, normal_n, forces } = match squeezed(trial, closing, assumed, squeeze)? {
         Ok(squeezed) => squeezed,
         Err(reason) => return Ok(Err(reason)),
     };
-    let Rehearsal { joints, world_from_palm, reach, closed, .. } = rehearsal;
+    let ClosingPlan { joints, world_from_palm, reach, closed, .. } = closing;
     let poses = trial.hand.forward_kinematics(closed, world_from_palm);
-    let pushes = |forces: &[Vector3<f64>]| -> Vec<Push> {
-        let push = |(c, force): (&Contact, &Vector3<f64>)| Push {
+    let contact_forces = |forces: &[Vector3<f64>]| -> Vec<ContactForce> {
+        let push = |(c, force): (&Contact, &Vector3<f64>)| ContactForce {
             link: c.link,
             point: poses[c.link].inverse_transform_point(&c.point),
             force: *force,
         };
         problem.contacts.iter().zip(forces).map(push).collect()
     };
-    let torques = |pushes: &[Push]| squeeze_torques(&trial.hand, closed, world_from_palm, pushes);
+    let torques =
+        |contact_forces: &[ContactForce]| squeeze_torques(&trial.hand, closed, world_from_palm, contact_forces);
     let mut command = Command {
         joints: joints.clone(),
         world_from_palm: *world_from_palm,
@@ -184,7 +191,7 @@ pub(crate) fn squeeze(
         limits_nm: Vec::new(),
         squeeze_n: normal_n.iter().sum(),
         per_finger_n: vec![0.0; trial.surface.fingers.len()],
-        pushes: pushes(&forces),
+        contact_forces: contact_forces(&forces),
         reach: reach.clone(),
     };
     for (contact, normal_n) in problem.contacts.iter().zip(&normal_n) {
@@ -192,13 +199,13 @@ pub(crate) fn squeeze(
             command.per_finger_n[f] += normal_n;
         }
     }
-    command.torques_nm = torques(&command.pushes);
+    command.torques_nm = torques(&command.contact_forces);
     command.limits_nm = command.torques_nm.iter().map(|t| t.abs()).collect();
-    for load in &shake_loads(belief.mass_kg, trial.options.law.shake_m_s2, &problem.gravity)[1..] {
+    for load in &shake_loads(assumed.mass_kg, trial.options.law.shake_m_s2, &problem.gravity)[1..] {
         let shaken = problem.under(load);
         // Where a shake is beyond the squeeze or the motors, the other loads say what a joint may bring.
         if let Ok(share) = shared(trial, &shaken, command.squeeze_n) {
-            let torques = torques(&pushes(&share.forces));
+            let torques = torques(&contact_forces(&share.forces));
             command.limits_nm.iter_mut().zip(torques).for_each(|(l, t)| *l = l.max(t.abs()));
         }
     }
@@ -208,11 +215,11 @@ pub(crate) fn squeeze(
 /// See [`Trial::squeeze_n`].
 pub(crate) fn squeeze_n(
     trial: &Trial,
-    rehearsal: &Rehearsal,
-    belief: &Belief,
-    squeeze: Squeeze,
+    closing: &ClosingPlan,
+    assumed: &Assumed,
+    squeeze: GripForce,
 ) -> Result<Result<f64, NoCommand>> {
-    Ok(squeezed(trial, rehearsal, belief, squeeze)?.map(|s| s.normal_n.iter().sum()))
+    Ok(squeezed(trial, closing, assumed, squeeze)?.map(|s| s.normal_n.iter().sum()))
 }
 
 /// A squeeze on the contacts of a closed hand.
@@ -227,34 +234,34 @@ struct Squeezed {
 /// The squeeze with the object at rest.
 fn squeezed(
     trial: &Trial,
-    rehearsal: &Rehearsal,
-    belief: &Belief,
-    squeeze: Squeeze,
+    closing: &ClosingPlan,
+    assumed: &Assumed,
+    squeeze: GripForce,
 ) -> Result<Result<Squeezed, NoCommand>> {
-    check_mass_and_friction(belief.mass_kg, belief.friction)?;
-    let touching = rehearsal.fingers_in_contact.iter().filter(|t| **t).count();
+    check_mass_and_friction(assumed.mass_kg, assumed.friction)?;
+    let touching = closing.fingers_in_contact.iter().filter(|t| **t).count();
     if touching < 2 {
         return Ok(Err(NoCommand::NoContact { touching }));
     }
-    if rehearsal.table_n > TABLE_N {
-        return Ok(Err(NoCommand::Table { force_n: rehearsal.table_n }));
+    if closing.table_n > TABLE_N {
+        return Ok(Err(NoCommand::Table { force_n: closing.table_n }));
     }
-    let Rehearsal { closed, world_from_palm, touching, near, .. } = rehearsal;
-    let mut problem = problem(trial, closed, world_from_palm, touching.clone(), belief);
+    let ClosingPlan { closed, world_from_palm, touching, near, .. } = closing;
+    let mut problem = problem(trial, closed, world_from_palm, touching.clone(), assumed);
     let needed = |problem: &SqueezeProblem| needed_force(&trial.hand, &trial.options.law, problem);
     let mut force = needed(&problem);
     // Contacts that only pressing makes are less certain than those that are there: they are counted on where nothing else carries.
     if force.is_err() && !near.is_empty() {
         let all = touching.iter().chain(near).cloned().collect();
-        let pressed = self::problem(trial, closed, world_from_palm, all, belief);
+        let pressed = self::problem(trial, closed, world_from_palm, all, assumed);
         let by_pressing = needed(&pressed);
         if by_pressing.is_ok() {
             (problem, force) = (pressed, by_pressing);
         }
     }
     let share = match squeeze {
-        Squeeze::Needed => force.map(|f| f.distribution),
-        Squeeze::Total(total_n) => shared(trial, &problem, total_n),
+        GripForce::Required => force.map(|f| f.distribution),
+        GripForce::Total(total_n) => shared(trial, &problem, total_n),
     };
     let forces = match share {
         Ok(share) => share.forces,
@@ -312,9 +319,9 @@ fn problem(
     closed: &[f64],
     world_from_palm: &Pose,
     mut contacts: Vec<Contact>,
-    belief: &Belief,
+    assumed: &Assumed,
 ) -> SqueezeProblem {
-    contacts.iter_mut().for_each(|c| c.friction = belief.friction);
+    contacts.iter_mut().for_each(|c| c.friction = assumed.friction);
     let poses = trial.hand.forward_kinematics(closed, world_from_palm);
     let jacobians = contacts.iter().map(|c| trial.hand.jacobian(&poses, c.link, &c.point).0).collect();
     let down = Vector3::new(0.0, 0.0, -9.81);
@@ -329,8 +336,8 @@ fn problem(
             (-cap, cap)
         })
         .collect();
-    let centre = trial.object.world_from_object * trial.object.properties.center_of_mass;
-    let mut problem = SqueezeProblem::new(contacts, belief.mass_kg, centre, down).with_torques(TorqueLimits {
+    let centre = trial.object.world_from_object * trial.object.mass_properties.center_of_mass;
+    let mut problem = SqueezeProblem::new(contacts, assumed.mass_kg, centre, down).with_torques(TorqueLimits {
         jacobians,
         limits_nm,
         gravity_nm: DVector::from_column_slice(own.as_slice()),
@@ -370,12 +377,12 @@ mod tests {
 
     use std::sync::Arc;
 
-    use drex_core::{MassProperties, SdfSample, SignedDistance};
+    use drex_core::{MassProperties, Object, SdfSample, SignedDistance, SolidGeometry, TriMesh};
     use drex_diffsim::{Collider, Geom, Shape};
     use nalgebra::Matrix3;
 
     use super::*;
-    use crate::{TrialObject, TrialOptions};
+    use crate::TrialOptions;
 
     const RADIUS_M: f64 = 0.03;
 
@@ -388,26 +395,31 @@ mod tests {
         }
     }
 
+    impl SolidGeometry for Ball {
+        fn exact(&self) -> &dyn SignedDistance {
+            self
+        }
+
+        fn bounding_box(&self) -> (Point3<f64>, Point3<f64>) {
+            let corner = Point3::new(RADIUS_M, RADIUS_M, RADIUS_M);
+            (-corner, corner)
+        }
+    }
+
     /// The index finger and the thumb at opposite sides of a ball; the others touch nothing.
-    fn pinch() -> (Trial, Rehearsal) {
+    fn pinch() -> (Trial, ClosingPlan) {
         pinch_of(Robot::bundled("leap_right").unwrap())
     }
 
-    fn pinch_of(hand: Robot) -> (Trial, Rehearsal) {
-        let ball = TrialObject {
-            collider: Arc::new(Collider::new(&[Geom::new(Shape::Sphere { radius_m: RADIUS_M })]).unwrap()),
-            properties: MassProperties {
-                mass_kg: 1.0,
-                center_of_mass: Point3::origin(),
-                inertia: Matrix3::identity() * 3.6e-4,
-            },
-            surface: Arc::new(Ball),
-            world_from_object: Pose::translation(0.0, 0.0, RADIUS_M),
-            max_finger_n: None,
-        };
+    fn pinch_of(hand: Robot) -> (Trial, ClosingPlan) {
+        let properties =
+            MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia: Matrix3::identity() * 3.6e-4 };
+        let rest = Pose::translation(0.0, 0.0, RADIUS_M);
+        let ball = Object::convex(TriMesh::default(), Arc::new(Ball), properties, rest);
+        let sphere = Collider::new(&[Geom::new(Shape::Sphere { radius_m: RADIUS_M })]).unwrap();
         let hand = Arc::new(hand);
         let joints = vec![0.0; hand.dof()];
-        let trial = Trial::new(hand, ball, TrialOptions::default()).unwrap();
+        let trial = Trial::with_collider(hand, ball, sphere, TrialOptions::default()).unwrap();
         // Where the palm is makes torques, not forces: beside the ball they are small.
         let world_from_palm = Pose::translation(0.0, 0.0, RADIUS_M);
         let touching = trial.surface.fingers[..2].iter().zip([1.0, -1.0]).map(|(finger, side)| {
@@ -417,7 +429,7 @@ mod tests {
             contact.finger = trial.surface.finger_of_link[finger.tip_link];
             contact
         });
-        let rehearsal = Rehearsal {
+        let closing = ClosingPlan {
             joints: joints.clone(),
             world_from_palm,
             reach: Reach { open: joints.clone(), grasp: joints.clone(), closed: joints.clone(), retreat: Vector3::z() },
@@ -427,15 +439,15 @@ mod tests {
             table_n: 0.0,
             fingers_in_contact: vec![true, true, false, false],
         };
-        (trial, rehearsal)
+        (trial, closing)
     }
 
     #[test]
     fn what_weighs_nearly_nothing_is_pressed_with_more_than_friction_takes() {
         let (trial, pinch) = pinch();
         let told = |mass_kg: f64| {
-            let told = Belief { mass_kg, friction: 1.0 };
-            squeeze(&trial, &pinch, &told, Squeeze::Needed).unwrap().unwrap().squeeze_n
+            let told = Assumed { mass_kg, friction: 1.0 };
+            squeeze(&trial, &pinch, &told, GripForce::Required).unwrap().unwrap().squeeze_n
         };
         // The smallest push on each finger that turns a joint, by moving the joints a little.
         let least = |contact: &Contact| {
@@ -460,13 +472,13 @@ mod tests {
 
     #[test]
     fn each_hand_has_the_torques_of_its_own_motors() {
-        let told = Belief { mass_kg: 0.1, friction: 1.0 };
+        let told = Assumed { mass_kg: 0.1, friction: 1.0 };
         let strongest = |hand: Robot| -> (Vec<f64>, f64) {
             let (trial, pinch) = pinch_of(hand);
             let problem = problem(&trial, &pinch.closed, &pinch.world_from_palm, pinch.touching.clone(), &told);
             let limits = problem.torques.unwrap().limits_nm;
             assert!(limits.iter().all(|(lo, hi)| lo == &-hi));
-            let most = squeeze_n(&trial, &pinch, &told, Squeeze::Total(1e4)).unwrap().unwrap();
+            let most = squeeze_n(&trial, &pinch, &told, GripForce::Total(1e4)).unwrap().unwrap();
             (limits.into_iter().map(|l| l.1).collect(), most)
         };
         let (leap, _) = strongest(Robot::bundled("leap_right").unwrap());
@@ -490,16 +502,16 @@ mod tests {
     #[test]
     fn a_joint_may_bring_what_the_shakes_ask_of_it() {
         let (mut trial, pinch) = pinch();
-        let told = Belief { mass_kg: 0.1, friction: 1.0 };
-        let needed = |trial: &Trial| squeeze(trial, &pinch, &told, Squeeze::Needed).unwrap().unwrap();
+        let told = Assumed { mass_kg: 0.1, friction: 1.0 };
+        let needed = |trial: &Trial| squeeze(trial, &pinch, &told, GripForce::Required).unwrap().unwrap();
         let command = needed(&trial);
-        let only_n = squeeze_n(&trial, &pinch, &told, Squeeze::Needed).unwrap().unwrap();
+        let only_n = squeeze_n(&trial, &pinch, &told, GripForce::Required).unwrap().unwrap();
         assert!((only_n - command.squeeze_n).abs() < 1e-12);
         // Two opposed fingers carry half of any vertical load each, whatever they press with: shaken upwards half as much again.
         let torques = |weights: f64| {
-            let mut pushes = command.pushes.clone();
-            pushes.iter_mut().for_each(|p| p.force.z = 0.5 * weights * told.mass_kg * 9.81);
-            squeeze_torques(&trial.hand, &pinch.closed, &pinch.world_from_palm, &pushes)
+            let mut contact_forces = command.contact_forces.clone();
+            contact_forces.iter_mut().for_each(|p| p.force.z = 0.5 * weights * told.mass_kg * 9.81);
+            squeeze_torques(&trial.hand, &pinch.closed, &pinch.world_from_palm, &contact_forces)
         };
         let close = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4);
         assert!(close(&torques(1.0), &command.torques_nm), "{:?} {:?}", torques(1.0), command.torques_nm);
@@ -516,11 +528,11 @@ mod tests {
 
     #[test]
     fn what_pressing_brings_to_bear_is_counted_on_where_nothing_else_carries() {
-        let told = Belief { mass_kg: 0.01, friction: 0.6 };
+        let told = Assumed { mass_kg: 0.01, friction: 0.6 };
         let (trial, pinch) = pinch();
-        let needed = |r: &Rehearsal| squeeze(&trial, r, &told, Squeeze::Needed).unwrap();
+        let needed = |r: &ClosingPlan| squeeze(&trial, r, &told, GripForce::Required).unwrap();
         let both = needed(&pinch).unwrap();
-        assert_eq!(both.pushes.len(), 2);
+        assert_eq!(both.contact_forces.len(), 2);
         // One side alone cannot carry.
         let mut one = pinch.clone();
         let other = one.touching.pop().unwrap();
@@ -528,14 +540,14 @@ mod tests {
         // With the other one near it carries as before, and so does a number of newtons.
         one.near = vec![other.clone()];
         let pressed = needed(&one).unwrap();
-        assert!(pressed.pushes.len() == 2 && (pressed.squeeze_n / both.squeeze_n - 1.0).abs() < 1e-6);
-        let total = squeeze(&trial, &one, &told, Squeeze::Total(1.2 * both.squeeze_n)).unwrap().unwrap();
-        assert!(total.pushes.len() == 2 && (total.squeeze_n / both.squeeze_n - 1.2).abs() < 1e-3);
+        assert!(pressed.contact_forces.len() == 2 && (pressed.squeeze_n / both.squeeze_n - 1.0).abs() < 1e-6);
+        let total = squeeze(&trial, &one, &told, GripForce::Total(1.2 * both.squeeze_n)).unwrap().unwrap();
+        assert!(total.contact_forces.len() == 2 && (total.squeeze_n / both.squeeze_n - 1.2).abs() < 1e-3);
         // Where the contacts of the closing carry, nothing else is counted on.
         let mut more = pinch;
         let mut palm = other;
         (palm.point, palm.normal) = (Point3::origin(), Vector3::z());
         more.near = vec![palm];
-        assert_eq!(needed(&more).unwrap().pushes, both.pushes);
+        assert_eq!(needed(&more).unwrap().contact_forces, both.contact_forces);
     }
 }

@@ -4,7 +4,7 @@ use drex_core::Pose;
 use drex_robot::Robot;
 use nalgebra::{Point3, Vector3};
 
-use crate::engine::{Drive, Engine};
+use crate::engine::{Drive, Simulation};
 use crate::reach::Reach;
 use crate::timeline::{APPROACHED_S, CLOSED_S, SQUEEZED_S};
 
@@ -30,7 +30,7 @@ const FRICTION_BLEND_NM: f64 = 0.01;
 
 /// A force that a link is to exert on the object.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Push {
+pub struct ContactForce {
     /// Index of the link.
     pub link: usize,
     /// Where, link frame, m.
@@ -44,7 +44,7 @@ pub(crate) struct Controller<'a> {
     robot: &'a Robot,
     drives: &'a [Drive],
     reach: &'a Reach,
-    pushes: &'a [Push],
+    contact_forces: &'a [ContactForce],
     /// See [`Command`](crate::Command).
     limits_nm: &'a [f64],
     /// Largest torque of each joint.
@@ -60,16 +60,16 @@ impl<'a> Controller<'a> {
         robot: &'a Robot,
         drives: &'a [Drive],
         reach: &'a Reach,
-        pushes: &'a [Push],
+        contact_forces: &'a [ContactForce],
         limits_nm: &'a [f64],
         effort_nm: &'a [f64],
     ) -> Self {
-        Self { robot, drives, reach, pushes, limits_nm, effort_nm, closing: vec![0.0; robot.dof()], held: None }
+        Self { robot, drives, reach, contact_forces, limits_nm, effort_nm, closing: vec![0.0; robot.dof()], held: None }
     }
 
     /// The command at time `t`.
-    pub fn command(&mut self, t: f64, engine: &Engine) -> Vec<f64> {
-        let (q, base) = (engine.joints(), engine.world_from_base());
+    pub fn command(&mut self, t: f64, simulation: &Simulation) -> Vec<f64> {
+        let (q, base) = (simulation.joints(), simulation.world_from_base());
         let down = base.rotation.inverse() * Vector3::new(0.0, 0.0, -9.81);
         let own = self.robot.gravity_torque(q, &down);
         if t < CLOSED_S {
@@ -126,9 +126,9 @@ impl<'a> Controller<'a> {
         torque_nm + FRICTION_SHARE * self.friction(joint, torque_nm)
     }
 
-    /// Joint torques of the pushes.
+    /// Joint torques of the contact_forces.
     fn squeeze(&self, q: &[f64], base: &Pose) -> Vec<f64> {
-        squeeze_torques(self.robot, q, base, self.pushes)
+        squeeze_torques(self.robot, q, base, self.contact_forces)
     }
 
     /// Commands that give these joint torques at the angles `q`.
@@ -142,10 +142,10 @@ impl<'a> Controller<'a> {
 }
 
 /// Jᵀ f of forces on the object (the reaction moves the joints the other way).
-pub(crate) fn squeeze_torques(robot: &Robot, q: &[f64], base: &Pose, pushes: &[Push]) -> Vec<f64> {
+pub(crate) fn squeeze_torques(robot: &Robot, q: &[f64], base: &Pose, contact_forces: &[ContactForce]) -> Vec<f64> {
     let poses = robot.forward_kinematics(q, base);
     let mut torque = vec![0.0; robot.dof()];
-    for push in pushes {
+    for push in contact_forces {
         let (linear, _) = robot.jacobian(&poses, push.link, &(poses[push.link] * push.point));
         let tau = linear.tr_mul(&push.force);
         torque.iter_mut().zip(tau.iter()).for_each(|(t, x)| *t += x);

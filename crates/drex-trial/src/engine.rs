@@ -2,15 +2,16 @@
 
 use std::sync::Arc;
 
-use drex_core::Pose;
+use drex_core::{Object, Pose};
 use drex_diffsim::{
-    ActuatorKind, Articulation, Base, Body, ContactForce, Control, Model, Part, Path, Scene, State, Workspace, step,
+    ActuatorKind, Articulation, Base, Body, Collider, ContactForce, Control, Model, Part, Path, Scene, State,
+    Workspace, step,
 };
 use drex_robot::Robot;
 use nalgebra::Vector3;
 
+use crate::{Engine, Truth};
 use crate::{Error, Result};
-use crate::{Judge, TrialObject, Truth};
 
 /// Stiffness and damping of drives of hands whose model has no position drives, N m/rad and N m s/rad.
 const STIFFNESS: f64 = 0.8;
@@ -55,7 +56,7 @@ pub(crate) struct Drive {
 }
 
 /// A hand, an object and a table that move.
-pub(crate) enum Engine {
+pub(crate) enum Simulation {
     Diffsim {
         model: Box<Model<f64>>,
         scene: Box<Scene<f64>>,
@@ -64,7 +65,7 @@ pub(crate) enum Engine {
     },
     #[cfg(feature = "mujoco")]
     Mujoco {
-        engine: Box<drex_mujoco::MujocoEngine>,
+        simulation: Box<drex_mujoco::MujocoEngine>,
         state: Box<State<f64>>,
     },
 }
@@ -72,7 +73,8 @@ pub(crate) enum Engine {
 /// What an engine is made of.
 pub(crate) struct Setup<'a> {
     pub hand: &'a Arc<Robot>,
-    pub object: &'a TrialObject,
+    pub object: &'a Object,
+    pub collider: &'a Arc<Collider>,
     /// True pose of the object at the start.
     pub world_from_object: Pose,
     pub truth: &'a Truth,
@@ -109,21 +111,21 @@ fn hand_of(
     Ok((arm, drives))
 }
 
-impl Engine {
+impl Simulation {
     /// Everything at rest at time zero.
-    pub fn new(setup: Setup<'_>, judge: Judge) -> Result<(Self, Vec<Drive>)> {
-        let Setup { hand, object, world_from_object, truth, path, joints, effort_nm, dt_s } = setup;
+    pub fn new(setup: Setup<'_>, engine: Engine) -> Result<(Self, Vec<Drive>)> {
+        let Setup { hand, object, collider, world_from_object, truth, path, joints, effort_nm, dt_s } = setup;
         let (arm, drives) = hand_of(hand, Base::Path(path), effort_nm, truth.friction)?;
         let hold: Vec<f64> = drives.iter().map(|d| joints[d.joint] * d.gear).collect();
         let mut state = State::at_rest(world_from_object);
         state.arms.push(arm.at_rest(joints, 0.0)?);
-        let body = Body::new(&object.properties, truth.mass_kg, Arc::clone(&object.collider));
+        let body = Body::new(&object.mass_properties, truth.mass_kg, Arc::clone(collider));
         let mut model = Model::new(vec![body]).with_arm(arm);
         model.dt_s = dt_s;
         let mut scene = Scene::on_table(truth.friction);
         scene.controls.push(Control::constant(&hold)?);
-        let engine = match judge {
-            Judge::Diffsim => {
+        let simulation = match engine {
+            Engine::Diffsim => {
                 model.check()?;
                 Self::Diffsim {
                     model: Box::new(model),
@@ -133,16 +135,16 @@ impl Engine {
                 }
             }
             #[cfg(feature = "mujoco")]
-            Judge::Mujoco => {
+            Engine::Mujoco => {
                 let mut options = drex_mujoco::MjcfOptions::default();
                 options.dt_s = Some(dt_s / MUJOCO_STEPS as f64);
-                let engine = drex_mujoco::MujocoEngine::new(&model, &scene, &state, &options)?;
-                Self::Mujoco { engine: Box::new(engine), state: Box::new(state) }
+                let simulation = drex_mujoco::MujocoEngine::new(&model, &scene, &state, &options)?;
+                Self::Mujoco { simulation: Box::new(simulation), state: Box::new(state) }
             }
             #[cfg(not(feature = "mujoco"))]
-            Judge::Mujoco => return Err(Error::NoMujoco),
+            Engine::Mujoco => return Err(Error::NoMujoco),
         };
-        Ok((engine, drives))
+        Ok((simulation, drives))
     }
 
     /// One step under position commands, one per drive.
@@ -154,12 +156,12 @@ impl Engine {
                 step(model, scene, state, work).map_err(Error::from)
             }
             #[cfg(feature = "mujoco")]
-            Self::Mujoco { engine, state } => {
-                engine.set_controls(vec![control]);
+            Self::Mujoco { simulation, state } => {
+                simulation.set_controls(vec![control]);
                 for _ in 0..MUJOCO_STEPS {
-                    engine.step()?;
+                    simulation.step()?;
                 }
-                **state = engine.state();
+                **state = simulation.state();
                 Ok(())
             }
         }
@@ -192,7 +194,7 @@ impl Engine {
         match self {
             Self::Diffsim { work, .. } => collect(work.contacts(), out),
             #[cfg(feature = "mujoco")]
-            Self::Mujoco { engine, .. } => collect(engine.contacts().iter(), out),
+            Self::Mujoco { simulation, .. } => collect(simulation.contacts().iter(), out),
         }
     }
 }

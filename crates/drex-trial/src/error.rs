@@ -28,9 +28,9 @@ pub enum Error {
     /// Contacts or forces could not be computed.
     #[error("the grasp cannot be analysed: {0}")]
     Grasp(#[from] drex_grasp::GraspError),
-    /// The judge is not part of this build.
+    /// The engine is not part of this build.
     #[error(
-        "this build has no MuJoCo; build with the feature `mujoco` (the README of drex-mujoco tells how) or judge with diffsim"
+        "this build has no MuJoCo; build with the feature `mujoco` (the README of drex-mujoco tells how) or simulate with diffsim"
     )]
     NoMujoco,
 }

@@ -4,30 +4,33 @@
 //! 20 cm in 2 s, holds for 3 s and is shaken six times. [`Trial::run`] says whether the object stayed in the hand and, if not,
 //! what went wrong first.
 //!
-//! What the hand is told ([`Belief`]) and what is true ([`Truth`]) are kept apart: a command is made from the belief
+//! What the hand is told ([`Assumed`]) and what is true ([`Truth`]) are kept apart: a command is made from the assumed
 //! alone.
 
 mod command;
 mod control;
 mod engine;
 mod error;
+mod evaluator;
+pub mod formula;
 mod reach;
+mod selection;
 mod stats;
 mod timeline;
 mod trial;
 mod types;
 mod watch;
 
-pub use command::{Rehearsal, needed_force};
-pub use control::Push;
+pub use command::{ClosingPlan, needed_force};
+pub use control::ContactForce;
 pub use error::{Error, Result};
+pub use evaluator::{Condition, ConditionSpread, Evaluation, Evaluator, TrialEvaluator};
 pub use reach::{Reach, plan as plan_reach};
+pub use selection::{Selection, SelectionOptions, VALIDATION_SEED, ValidatedGrasp, select_grasps};
 pub use stats::{Interval, paired_difference, wilson};
 pub use timeline::phases;
 pub use trial::Trial;
-pub use types::{
-    Belief, Command, Frame, Judge, NoCommand, Outcome, Squeeze, TrialObject, TrialOptions, Truth, Verdict,
-};
+pub use types::{Assumed, Command, Engine, Frame, GripForce, NoCommand, Outcome, TrialOptions, Truth, Verdict};
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

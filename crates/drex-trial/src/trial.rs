@@ -2,19 +2,18 @@
 
 use std::sync::Arc;
 
-use drex_core::Pose;
-use drex_diffsim::SimError;
+use drex_core::{Object, Pose};
+use drex_diffsim::{Collider, ConvexPiece, SimError};
 use drex_grasp::HandSurface;
 use drex_robot::Robot;
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 use crate::control::Controller;
-use crate::engine::{Drive, Engine, Setup};
+use crate::engine::{Drive, Setup, Simulation};
 use crate::reach::Reach;
 use crate::watch::Watch;
 use crate::{
-    Belief, Command, Error, Frame, Judge, NoCommand, Outcome, Rehearsal, Result, Squeeze, TrialObject, TrialOptions,
-    Truth,
+    Assumed, ClosingPlan, Command, Engine, Error, Frame, GripForce, NoCommand, Outcome, Result, TrialOptions, Truth,
 };
 use crate::{command, timeline};
 
@@ -27,7 +26,8 @@ pub(crate) const STEPS_PER_TICK: usize = 2;
 pub struct Trial {
     pub(crate) hand: Arc<Robot>,
     pub(crate) surface: HandSurface,
-    pub(crate) object: TrialObject,
+    pub(crate) object: Object,
+    pub(crate) collider: Arc<Collider>,
     pub(crate) options: TrialOptions,
     /// Largest torque of each joint, model order, N m.
     pub(crate) effort_nm: Vec<f64>,
@@ -39,11 +39,21 @@ impl Trial {
     /// # Errors
     /// If the hand has no collision shapes, its model does not say what its motors give ([`Robot::effort_limits`]), or an option is
     /// out of range.
-    pub fn new(hand: Arc<Robot>, object: TrialObject, options: TrialOptions) -> Result<Self> {
+    pub fn new(hand: Arc<Robot>, object: Object, options: TrialOptions) -> Result<Self> {
+        let parts = object.convex_parts.iter().map(|corners| ConvexPiece::from_points(corners));
+        let collider = Collider::convex(parts.collect::<Result<_, _>>()?);
+        Self::with_collider(hand, object, collider, options)
+    }
+
+    /// The same with collision shapes other than the object's convex parts, such as a sphere.
+    ///
+    /// # Errors
+    /// As [`Trial::new`].
+    pub fn with_collider(hand: Arc<Robot>, object: Object, collider: Collider, options: TrialOptions) -> Result<Self> {
         options.check()?;
         let effort_nm = hand.effort_limits()?;
         let surface = HandSurface::new(&hand, SPACING_M)?;
-        Ok(Self { hand, surface, object, options, effort_nm })
+        Ok(Self { hand, surface, object, collider: Arc::new(collider), options, effort_nm })
     }
 
     /// The hand.
@@ -52,7 +62,7 @@ impl Trial {
     }
 
     /// The object.
-    pub fn object(&self) -> &TrialObject {
+    pub fn object(&self) -> &Object {
         &self.object
     }
 
@@ -67,11 +77,11 @@ impl Trial {
         &self,
         joints: &[f64],
         object_from_palm: &Pose,
-        belief: &Belief,
-        squeeze: Squeeze,
+        assumed: &Assumed,
+        squeeze: GripForce,
     ) -> Result<Result<Command, NoCommand>> {
-        let rehearsal = self.rehearse(joints, object_from_palm, belief)?;
-        self.squeeze(&rehearsal, belief, squeeze)
+        let closing = self.plan_closing(joints, object_from_palm, assumed)?;
+        self.command_closed(&closing, assumed, squeeze)
     }
 
     /// How the fingers close on the object where it is believed to be, in drex-diffsim: the first half of [`Trial::command`], which
@@ -80,68 +90,74 @@ impl Trial {
     ///
     /// # Errors
     /// If the joint vector does not fit the hand.
-    pub fn rehearse(&self, joints: &[f64], object_from_palm: &Pose, belief: &Belief) -> Result<Rehearsal> {
-        command::rehearse(self, joints, object_from_palm, belief)
+    pub fn plan_closing(&self, joints: &[f64], object_from_palm: &Pose, assumed: &Assumed) -> Result<ClosingPlan> {
+        command::plan_closing(self, joints, object_from_palm, assumed)
     }
 
-    /// The squeeze on the contacts of a rehearsal: the second half of [`Trial::command`].
+    /// The squeeze on the contacts of a closing: the second half of [`Trial::command`].
     ///
     /// # Errors
     /// If a solver gives up.
-    pub fn squeeze(
+    pub fn command_closed(
         &self,
-        rehearsal: &Rehearsal,
-        belief: &Belief,
-        squeeze: Squeeze,
+        closing: &ClosingPlan,
+        assumed: &Assumed,
+        squeeze: GripForce,
     ) -> Result<Result<Command, NoCommand>> {
-        command::squeeze(self, rehearsal, belief, squeeze)
+        command::squeeze(self, closing, assumed, squeeze)
     }
 
-    /// Sum of the normal forces, N, of the command that [`Trial::squeeze`] gives: what it costs less to know than the command.
+    /// Sum of the normal forces, N, of the command that [`Trial::command_closed`] gives: what it costs less to know than the command.
     ///
     /// # Errors
     /// If a solver gives up.
-    pub fn squeeze_n(
+    pub fn grip_force_n(
         &self,
-        rehearsal: &Rehearsal,
-        belief: &Belief,
-        squeeze: Squeeze,
+        closing: &ClosingPlan,
+        assumed: &Assumed,
+        squeeze: GripForce,
     ) -> Result<Result<f64, NoCommand>> {
-        command::squeeze_n(self, rehearsal, belief, squeeze)
+        command::squeeze_n(self, closing, assumed, squeeze)
     }
 
     /// Carries a command out under what is true.
     ///
     /// # Errors
-    /// If the model cannot be simulated; [`Error::NoMujoco`] for a judge that this build lacks. A grasp that fails is no error.
-    pub fn run(&self, command: &Command, truth: &Truth, judge: Judge) -> Result<Outcome> {
-        self.carry_out(command, truth, judge, &mut |_, _, _| true)
+    /// If the model cannot be simulated; [`Error::NoMujoco`] for an engine that this build lacks. A grasp that fails is no error.
+    pub fn run(&self, command: &Command, truth: &Truth, engine: Engine) -> Result<Outcome> {
+        self.carry_out(command, truth, engine, &mut |_, _, _| true)
     }
 
     /// [`Trial::run`] until the first rule is broken: of a failure only the verdict and its time say what they say there.
     ///
     /// # Errors
     /// As [`Trial::run`].
-    pub fn try_out(&self, command: &Command, truth: &Truth, judge: Judge) -> Result<Outcome> {
-        self.carry_out(command, truth, judge, &mut |_, _, watch| watch.holds())
+    pub fn run_until_failure(&self, command: &Command, truth: &Truth, engine: Engine) -> Result<Outcome> {
+        self.carry_out(command, truth, engine, &mut |_, _, watch| watch.holds())
     }
 
     /// [`Trial::run`], and what could be seen meanwhile: a frame every `every_s` seconds from the start on, until the trial ends.
     ///
     /// # Errors
     /// As [`Trial::run`]; if `every_s` is not positive.
-    pub fn film(&self, command: &Command, truth: &Truth, judge: Judge, every_s: f64) -> Result<(Outcome, Vec<Frame>)> {
+    pub fn record(
+        &self,
+        command: &Command,
+        truth: &Truth,
+        engine: Engine,
+        every_s: f64,
+    ) -> Result<(Outcome, Vec<Frame>)> {
         if !(every_s > 0.0) {
             return Err(Error::value(format!("a frame every {every_s} s"), "give a positive time, such as 0.04"));
         }
         let mut frames: Vec<Frame> = Vec::new();
-        let outcome = self.carry_out(command, truth, judge, &mut |time_s, engine, watch| {
+        let outcome = self.carry_out(command, truth, engine, &mut |time_s, simulation, watch| {
             if time_s >= frames.len() as f64 * every_s {
                 frames.push(Frame {
                     time_s,
-                    world_from_base: engine.world_from_base(),
-                    joints: engine.joints().to_vec(),
-                    world_from_object: engine.world_from_object(),
+                    world_from_base: simulation.world_from_base(),
+                    joints: simulation.joints().to_vec(),
+                    world_from_object: simulation.world_from_object(),
                     finger_n: watch.finger_n().to_vec(),
                 });
             }
@@ -155,21 +171,21 @@ impl Trial {
         &self,
         command: &Command,
         truth: &Truth,
-        judge: Judge,
-        seen: &mut dyn FnMut(f64, &Engine, &Watch<'_>) -> bool,
+        engine: Engine,
+        seen: &mut dyn FnMut(f64, &Simulation, &Watch<'_>) -> bool,
     ) -> Result<Outcome> {
         truth.check()?;
-        let (mut engine, drives) =
-            self.engine(&command.world_from_palm, &command.reach, truth, timeline::SHAKEN_S, judge)?;
-        let Command { reach, pushes, limits_nm, .. } = command;
-        let mut controller = Controller::new(&self.hand, &drives, reach, pushes, limits_nm, &self.effort_nm);
+        let (mut simulation, drives) =
+            self.simulation(&command.world_from_palm, &command.reach, truth, timeline::SHAKEN_S, engine)?;
+        let Command { reach, contact_forces, limits_nm, .. } = command;
+        let mut controller = Controller::new(&self.hand, &drives, reach, contact_forces, limits_nm, &self.effort_nm);
         let tick_s = self.options.dt_s * STEPS_PER_TICK as f64;
         let mut watch = Watch::new(&self.surface, self.object.max_finger_n, command.squeeze_n, tick_s);
         let ticks = (timeline::SHAKEN_S / tick_s).round() as usize;
         for i in 0..ticks {
-            let told = controller.command(i as f64 * tick_s, &engine);
+            let told = controller.command(i as f64 * tick_s, &simulation);
             for _ in 0..STEPS_PER_TICK {
-                match engine.step(&told) {
+                match simulation.step(&told) {
                     Ok(()) => {}
                     Err(Error::Simulation(SimError::Diverged { time_s, .. })) => {
                         return Ok(watch.broke(time_s));
@@ -178,8 +194,8 @@ impl Trial {
                 }
             }
             let time_s = (i + 1) as f64 * tick_s;
-            let goes_on = watch.look(time_s, truth.friction, &engine);
-            if !seen(time_s, &engine, &watch) || !goes_on {
+            let goes_on = watch.look(time_s, truth.friction, &simulation);
+            if !seen(time_s, &simulation, &watch) || !goes_on {
                 break;
             }
         }
@@ -187,19 +203,20 @@ impl Trial {
     }
 
     /// Everything at the start of a command, with the palm's path until `last_s`.
-    pub(crate) fn engine(
+    pub(crate) fn simulation(
         &self,
         world_from_palm: &Pose,
         reach: &Reach,
         truth: &Truth,
         last_s: f64,
-        judge: Judge,
-    ) -> Result<(Engine, Vec<Drive>)> {
+        engine: Engine,
+    ) -> Result<(Simulation, Vec<Drive>)> {
         let TrialOptions { shake_m_s2, dt_s, .. } = self.options;
         let path = timeline::palm_path(world_from_palm, &reach.retreat, shake_m_s2, truth.seed, last_s, dt_s)?;
         let setup = Setup {
             hand: &self.hand,
             object: &self.object,
+            collider: &self.collider,
             world_from_object: self.true_pose(truth),
             truth,
             path,
@@ -207,13 +224,13 @@ impl Trial {
             effort_nm: &self.effort_nm,
             dt_s: self.options.dt_s,
         };
-        Engine::new(setup, judge)
+        Simulation::new(setup, engine)
     }
 
     /// Where the object really is.
     fn true_pose(&self, truth: &Truth) -> Pose {
         let believed = self.object.world_from_object;
-        let centre = believed * self.object.properties.center_of_mass;
+        let centre = believed * self.object.mass_properties.center_of_mass;
         let about = Translation3::from(centre.coords);
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), truth.turn_rad);
         Translation3::new(truth.shift_m[0], truth.shift_m[1], 0.0) * (about * turn * about.inverse()) * believed

@@ -1,27 +1,24 @@
 //! What a trial is about, what the hand is told, and what came of it.
 
-use std::sync::Arc;
-
-use drex_core::{MassProperties, Pose, SignedDistance};
-use drex_diffsim::Collider;
+use drex_core::Pose;
 use drex_grasp::ForceLaw;
 use serde::{Deserialize, Serialize};
 
 use crate::reach::Reach;
 use crate::watch::{SLIP_M, TURN_RAD};
-use crate::{Error, Push, Result};
+use crate::{ContactForce, Error, Result};
 
 /// The engine that a trial runs in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Judge {
+pub enum Engine {
     /// drex-diffsim: the engine that rollouts of the training use.
     Diffsim,
     /// MuJoCo, never used in training; only in builds with the feature `mujoco`.
     Mujoco,
 }
 
-impl Judge {
+impl Engine {
     /// Whether this build has the engine.
     ///
     /// # Errors
@@ -34,24 +31,9 @@ impl Judge {
     }
 }
 
-/// The object of a trial.
-#[derive(Clone)]
-pub struct TrialObject {
-    /// Convex pieces, mesh frame.
-    pub collider: Arc<Collider>,
-    /// Centre of mass and inertia, mesh frame; the mass is that of [`Truth`].
-    pub properties: MassProperties,
-    /// What the hand knows of its shape: signed distance, mesh frame.
-    pub surface: Arc<dyn SignedDistance + Send + Sync>,
-    /// Pose in which it rests on the table; the table is the plane z = 0 of the world.
-    pub world_from_object: Pose,
-    /// Largest normal force that one finger may put on it before it is damaged, N.
-    pub max_finger_n: Option<f64>,
-}
-
-/// What the hand is told before it grasps.
+/// What the hand assumes of the object before it grasps.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Belief {
+pub struct Assumed {
     /// Mass, kg.
     pub mass_kg: f64,
     /// Friction between hand and object.
@@ -66,7 +48,7 @@ pub struct Truth {
     /// Friction between hand and object, and of the object on the table.
     pub friction: f64,
     /// Where the object is against where the hand believes it: the true resting pose is
-    /// `shift * TrialObject::world_from_object` with a shift in the plane and a turn about the vertical through the object.
+    /// `shift * Object::world_from_object` with a shift in the plane and a turn about the vertical through the object.
     pub shift_m: [f64; 2],
     /// Turn about the vertical, rad.
     pub turn_rad: f64,
@@ -76,9 +58,9 @@ pub struct Truth {
 
 /// How much the hand squeezes: sum of normal forces over all contacts, N.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Squeeze {
-    /// What the cone programme says for the belief, times the margin of the options.
-    Needed,
+pub enum GripForce {
+    /// What the cone programme says for the assumed, times the margin of the options.
+    Required,
     /// This many newtons, or as many as the motors can give.
     Total(f64),
 }
@@ -100,7 +82,7 @@ pub struct Command {
     /// Sum of the normal forces per finger, N; the palm is not among them.
     pub per_finger_n: Vec<f64>,
     /// The forces that make the squeeze, with the believed object at rest on the table.
-    pub pushes: Vec<Push>,
+    pub contact_forces: Vec<ContactForce>,
     pub(crate) reach: Reach,
 }
 
@@ -129,6 +111,19 @@ pub enum NoCommand {
     /// The object would be damaged.
     #[error("the squeeze would damage the object: {0}")]
     Crushes(String),
+}
+
+impl NoCommand {
+    /// The verdict on a grasp for which there is no command.
+    pub fn verdict(&self) -> Verdict {
+        match self {
+            Self::NoContact { .. } => Verdict::NoContact,
+            Self::Table { .. } => Verdict::Table,
+            Self::TorqueLimit(_) => Verdict::TorqueLimit,
+            Self::Crushes(_) => Verdict::Crushed,
+            Self::CannotCarry(_) => Verdict::CannotCarry,
+        }
+    }
 }
 
 /// How a trial ended.
@@ -166,9 +161,9 @@ pub struct Outcome {
     pub verdict: Verdict,
     /// When the first rule was broken, s; `None` for a success.
     pub failed_at_s: Option<f64>,
-    /// Squeeze that was commanded, N.
+    /// Grip force that was commanded, N.
     pub squeeze_n: f64,
-    /// Squeeze that was delivered: sum of the normal forces of hand and object, mean over the hold, N; `None` if the trial ended before.
+    /// Grip force that was delivered: sum of the normal forces of hand and object, mean over the hold, N; `None` if the trial ended before.
     pub held_n: Option<f64>,
     /// Largest normal force of one finger, N.
     pub peak_finger_n: f64,
@@ -193,7 +188,7 @@ impl Outcome {
     }
 
     /// How far the trial stayed from breaking the rules of slip and turn: 1 if nothing moved in the hand, 0 at a limit and for every failure.
-    pub fn leeway(&self) -> f64 {
+    pub fn safety_margin(&self) -> f64 {
         let used = (self.slip_m / SLIP_M).max(self.turn_rad / TURN_RAD);
         if self.succeeded() { (1.0 - used).max(0.0) } else { 0.0 }
     }
@@ -235,8 +230,8 @@ impl Default for TrialOptions {
 
 impl Truth {
     /// What is believed is true.
-    pub fn as_believed(belief: &Belief, seed: u64) -> Self {
-        Self { mass_kg: belief.mass_kg, friction: belief.friction, shift_m: [0.0; 2], turn_rad: 0.0, seed }
+    pub fn as_assumed(assumed: &Assumed, seed: u64) -> Self {
+        Self { mass_kg: assumed.mass_kg, friction: assumed.friction, shift_m: [0.0; 2], turn_rad: 0.0, seed }
     }
 
     pub(crate) fn check(&self) -> Result<()> {
@@ -300,7 +295,7 @@ mod tests {
                 retained: 1.0,
                 friction_used: None,
             };
-            outcome.leeway()
+            outcome.safety_margin()
         };
         // 5 mm and 15 degrees are the limits.
         assert!((of(Verdict::Success, 2.0, 3.0) - 0.6).abs() < 1e-12);

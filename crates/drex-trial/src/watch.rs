@@ -4,7 +4,7 @@ use drex_core::Pose;
 use drex_grasp::HandSurface;
 use nalgebra::Vector3;
 
-use crate::engine::{Engine, Met, Touch};
+use crate::engine::{Met, Simulation, Touch};
 use crate::timeline::{CLOSED_S, HELD_S, LIFTED_S, SQUEEZED_S};
 use crate::{Outcome, Verdict};
 
@@ -85,8 +85,8 @@ impl<'a> Watch<'a> {
     }
 
     /// Looks at the state after a step; false once nothing more can be learned.
-    pub fn look(&mut self, t: f64, friction: f64, engine: &Engine) -> bool {
-        let on_table = engine.touches(&mut self.touches);
+    pub fn look(&mut self, t: f64, friction: f64, simulation: &Simulation) -> bool {
+        let on_table = simulation.touches(&mut self.touches);
         self.forces(t);
         let count = self.finger_n.iter().filter(|f| **f > TOUCH_N).count();
         if (CLOSED_S..=SQUEEZED_S).contains(&t) {
@@ -95,14 +95,14 @@ impl<'a> Watch<'a> {
         if t < SQUEEZED_S {
             return true;
         }
-        let in_palm = engine.world_from_base().inverse() * engine.world_from_object();
+        let in_palm = simulation.world_from_base().inverse() * simulation.world_from_object();
         let start = *self.in_palm.get_or_insert(in_palm);
         if self.lift_ticks == 0 && count < FINGERS {
             self.fail(Verdict::NoContact, t);
         }
         self.lift_ticks += 1;
         self.held_ticks += usize::from(count >= FINGERS);
-        let sunk = (engine.world_from_base().rotation * (in_palm.translation.vector - start.translation.vector)).z;
+        let sunk = (simulation.world_from_base().rotation * (in_palm.translation.vector - start.translation.vector)).z;
         self.outcome.turn_rad = self.outcome.turn_rad.max(start.rotation.angle_to(&in_palm.rotation));
         self.slides(friction, t);
         if (LIFTED_S..HELD_S).contains(&t) {

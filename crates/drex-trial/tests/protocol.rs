@@ -3,11 +3,11 @@
 
 mod support;
 
-use drex_trial::{Belief, Judge, NoCommand, Squeeze, Truth, Verdict};
+use drex_trial::{Assumed, Engine, GripForce, NoCommand, Truth, Verdict};
 use rayon::prelude::*;
 use support::{grasps, trial_of};
 
-const TOLD: Belief = Belief { mass_kg: 0.15, friction: 0.5 };
+const TOLD: Assumed = Assumed { mass_kg: 0.15, friction: 0.5 };
 
 #[test]
 fn the_needed_squeeze_holds_and_a_third_of_it_does_not() {
@@ -17,14 +17,14 @@ fn the_needed_squeeze_holds_and_a_third_of_it_does_not() {
     let outcomes: Vec<_> = found[..8]
         .par_iter()
         .map(|g| {
-            let command = trial.command(&g.joints, &g.object_from_base, &TOLD, Squeeze::Needed).unwrap().unwrap();
-            let enough = trial.run(&command, &Truth::as_believed(&TOLD, 1), Judge::Diffsim).unwrap();
-            let third = Squeeze::Total(command.squeeze_n / 3.0);
+            let command = trial.command(&g.joints, &g.object_from_base, &TOLD, GripForce::Required).unwrap().unwrap();
+            let enough = trial.run(&command, &Truth::as_assumed(&TOLD, 1), Engine::Diffsim).unwrap();
+            let third = GripForce::Total(command.squeeze_n / 3.0);
             let little = trial.command(&g.joints, &g.object_from_base, &TOLD, third).unwrap().unwrap();
             assert!((little.squeeze_n - command.squeeze_n / 3.0).abs() < 1e-3 * command.squeeze_n);
-            let too_little = trial.run(&little, &Truth::as_believed(&TOLD, 1), Judge::Diffsim).unwrap();
+            let too_little = trial.run(&little, &Truth::as_assumed(&TOLD, 1), Engine::Diffsim).unwrap();
             // Whoever asks only whether it holds gets the same answer.
-            let tried = trial.try_out(&little, &Truth::as_believed(&TOLD, 1), Judge::Diffsim).unwrap();
+            let tried = trial.run_until_failure(&little, &Truth::as_assumed(&TOLD, 1), Engine::Diffsim).unwrap();
             assert_eq!((tried.verdict, tried.failed_at_s), (too_little.verdict, too_little.failed_at_s));
             (enough, too_little)
         })
@@ -51,14 +51,14 @@ fn the_needed_squeeze_holds_and_a_third_of_it_does_not() {
 fn a_small_squeeze_is_not_what_the_closing_left() {
     // Rough enough for a third of the squeeze to hold, so that what is delivered can be seen.
     let trial = trial_of(|_, _| {});
-    let rough = Truth { friction: 1.2, ..Truth::as_believed(&TOLD, 1) };
+    let rough = Truth { friction: 1.2, ..Truth::as_assumed(&TOLD, 1) };
     let mut ratios: Vec<f64> = grasps(&trial)[..8]
         .par_iter()
         .filter_map(|g| {
-            let needed = trial.command(&g.joints, &g.object_from_base, &TOLD, Squeeze::Needed).unwrap().unwrap();
-            let third = Squeeze::Total(needed.squeeze_n / 3.0);
+            let needed = trial.command(&g.joints, &g.object_from_base, &TOLD, GripForce::Required).unwrap().unwrap();
+            let third = GripForce::Total(needed.squeeze_n / 3.0);
             let little = trial.command(&g.joints, &g.object_from_base, &TOLD, third).unwrap().unwrap();
-            Some(trial.run(&little, &rough, Judge::Diffsim).unwrap().held_n? / little.squeeze_n)
+            Some(trial.run(&little, &rough, Engine::Diffsim).unwrap().held_n? / little.squeeze_n)
         })
         .collect();
     ratios.sort_by(f64::total_cmp);
@@ -73,12 +73,12 @@ fn a_film_shows_the_run_and_does_not_change_it() {
     let trial = trial_of(|_, _| {});
     let found = grasps(&trial);
     let g = &found[0];
-    let command = trial.command(&g.joints, &g.object_from_base, &TOLD, Squeeze::Needed).unwrap().unwrap();
-    let truth = Truth::as_believed(&TOLD, 1);
-    let outcome = trial.run(&command, &truth, Judge::Diffsim).unwrap();
-    let (filmed, frames) = trial.film(&command, &truth, Judge::Diffsim, 0.1).unwrap();
+    let command = trial.command(&g.joints, &g.object_from_base, &TOLD, GripForce::Required).unwrap().unwrap();
+    let truth = Truth::as_assumed(&TOLD, 1);
+    let outcome = trial.run(&command, &truth, Engine::Diffsim).unwrap();
+    let (filmed, frames) = trial.record(&command, &truth, Engine::Diffsim, 0.1).unwrap();
     assert_eq!(filmed, outcome);
-    assert_eq!(trial.try_out(&command, &truth, Judge::Diffsim).unwrap(), outcome);
+    assert_eq!(trial.run_until_failure(&command, &truth, Engine::Diffsim).unwrap(), outcome);
     assert!(outcome.succeeded(), "{outcome:?}");
     for (i, frame) in frames.iter().enumerate() {
         assert!((frame.time_s - 0.1 * i as f64).abs() < 0.005, "frame {i} at {} s", frame.time_s);
@@ -90,7 +90,7 @@ fn a_film_shows_the_run_and_does_not_change_it() {
     let top = frames.iter().max_by(|a, b| height(a).total_cmp(&height(b))).unwrap();
     assert!(top.finger_n.iter().sum::<f64>() > 0.5 * command.squeeze_n, "{:?}", top.finger_n);
     assert!(frames[0].finger_n.iter().all(|n| *n == 0.0), "{:?}", frames[0].finger_n);
-    let refused = trial.film(&command, &truth, Judge::Diffsim, f64::NAN).unwrap_err();
+    let refused = trial.record(&command, &truth, Engine::Diffsim, f64::NAN).unwrap_err();
     assert!(refused.to_string().contains("NaN"), "{refused}");
 }
 
@@ -99,38 +99,38 @@ fn every_failure_has_its_name() {
     let trial = trial_of(|_, _| {});
     let found = grasps(&trial);
     let g = &found[0];
-    let command = trial.command(&g.joints, &g.object_from_base, &TOLD, Squeeze::Needed).unwrap().unwrap();
-    let truth = Truth::as_believed(&TOLD, 1);
+    let command = trial.command(&g.joints, &g.object_from_base, &TOLD, GripForce::Required).unwrap().unwrap();
+    let truth = Truth::as_assumed(&TOLD, 1);
 
-    let heavy = trial.run(&command, &Truth { mass_kg: 3.0, ..truth }, Judge::Diffsim).unwrap();
+    let heavy = trial.run(&command, &Truth { mass_kg: 3.0, ..truth }, Engine::Diffsim).unwrap();
     assert!(matches!(heavy.verdict, Verdict::Slip | Verdict::Drop), "{heavy:?}");
-    let away = trial.run(&command, &Truth { shift_m: [0.3, 0.0], ..truth }, Judge::Diffsim).unwrap();
+    let away = trial.run(&command, &Truth { shift_m: [0.3, 0.0], ..truth }, Engine::Diffsim).unwrap();
     assert_eq!(away.verdict, Verdict::NoContact);
     assert!(away.failed_at_s.is_some());
 
     let fragile = trial_of(|object, _| object.max_finger_n = Some(0.2));
-    let crushed = fragile.run(&command, &truth, Judge::Diffsim).unwrap();
+    let crushed = fragile.run(&command, &truth, Engine::Diffsim).unwrap();
     assert_eq!(crushed.verdict, Verdict::Crushed);
-    let refused = fragile.command(&g.joints, &g.object_from_base, &TOLD, Squeeze::Needed).unwrap().unwrap_err();
+    let refused = fragile.command(&g.joints, &g.object_from_base, &TOLD, GripForce::Required).unwrap().unwrap_err();
     assert!(matches!(refused, NoCommand::Crushes(_)), "{refused}");
 
     let mut low = command.clone();
     low.world_from_palm.translation.z -= 0.07;
-    let table = trial.run(&low, &truth, Judge::Diffsim).unwrap();
+    let table = trial.run(&low, &truth, Engine::Diffsim).unwrap();
     assert_eq!(table.verdict, Verdict::Table);
     // A hand that knows where the table is does not begin.
     let lower = drex_core::Pose::translation(0.0, 0.0, -0.02) * g.object_from_base;
-    let into_table = trial.command(&g.joints, &lower, &TOLD, Squeeze::Needed).unwrap().unwrap_err();
+    let into_table = trial.command(&g.joints, &lower, &TOLD, GripForce::Required).unwrap().unwrap_err();
     assert!(matches!(into_table, NoCommand::Table { force_n } if force_n > 1.0), "{into_table}");
 
-    let heavy = Belief { mass_kg: 5.0, ..TOLD };
-    let weak = trial.command(&g.joints, &g.object_from_base, &heavy, Squeeze::Needed).unwrap().unwrap_err();
+    let heavy = Assumed { mass_kg: 5.0, ..TOLD };
+    let weak = trial.command(&g.joints, &g.object_from_base, &heavy, GripForce::Required).unwrap().unwrap_err();
     assert!(matches!(weak, NoCommand::TorqueLimit(_)), "{weak}");
-    let smooth = Belief { friction: 0.01, ..TOLD };
-    let cannot = trial.command(&g.joints, &g.object_from_base, &smooth, Squeeze::Needed).unwrap().unwrap_err();
+    let smooth = Assumed { friction: 0.01, ..TOLD };
+    let cannot = trial.command(&g.joints, &g.object_from_base, &smooth, GripForce::Required).unwrap().unwrap_err();
     assert!(matches!(cannot, NoCommand::CannotCarry(_) | NoCommand::TorqueLimit(_)), "{cannot}");
     let far = drex_core::Pose::translation(0.0, 0.0, 1.0);
-    let nothing = trial.command(&g.joints, &far, &TOLD, Squeeze::Needed).unwrap().unwrap_err();
+    let nothing = trial.command(&g.joints, &far, &TOLD, GripForce::Required).unwrap().unwrap_err();
     assert_eq!(nothing, NoCommand::NoContact { touching: 0 });
 }
 
@@ -140,11 +140,11 @@ fn numbers_without_meaning_are_refused() {
     let pose = drex_core::Pose::identity();
     let q = vec![0.0; 16];
     for (mass_kg, friction) in [(0.0, 0.5), (1000.0, 0.5), (f64::NAN, 0.5), (0.2, 0.0), (0.2, f64::INFINITY)] {
-        let told = Belief { mass_kg, friction };
-        let message = trial.command(&q, &pose, &told, Squeeze::Needed).unwrap_err().to_string();
+        let told = Assumed { mass_kg, friction };
+        let message = trial.command(&q, &pose, &told, GripForce::Required).unwrap_err().to_string();
         assert!(message.contains("mass") || message.contains("friction"), "{message}");
     }
-    let message = trial.command(&q[..3], &pose, &TOLD, Squeeze::Needed).unwrap_err().to_string();
+    let message = trial.command(&q[..3], &pose, &TOLD, GripForce::Required).unwrap_err().to_string();
     assert!(message.contains("3 joint angles") && message.contains("leap_right"), "{message}");
 }
 
@@ -152,13 +152,13 @@ fn numbers_without_meaning_are_refused() {
 fn threads_change_nothing() {
     let trial = trial_of(|_, _| {});
     let g = &grasps(&trial)[0];
-    let command = trial.command(&g.joints, &g.object_from_base, &TOLD, Squeeze::Needed).unwrap().unwrap();
+    let command = trial.command(&g.joints, &g.object_from_base, &TOLD, GripForce::Required).unwrap().unwrap();
     let all = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             (0..4u64)
                 .into_par_iter()
-                .map(|seed| trial.run(&command, &Truth::as_believed(&TOLD, seed), Judge::Diffsim).unwrap())
+                .map(|seed| trial.run(&command, &Truth::as_assumed(&TOLD, seed), Engine::Diffsim).unwrap())
                 .collect::<Vec<_>>()
         })
     };
@@ -168,11 +168,11 @@ fn threads_change_nothing() {
 #[cfg(not(feature = "mujoco"))]
 #[test]
 fn a_build_without_mujoco_says_so() {
-    assert!(Judge::Diffsim.check().is_ok() && Judge::Mujoco.check().is_err());
+    assert!(Engine::Diffsim.check().is_ok() && Engine::Mujoco.check().is_err());
     let trial = trial_of(|_, _| {});
     let g = &grasps(&trial)[0];
-    let command = trial.command(&g.joints, &g.object_from_base, &TOLD, Squeeze::Needed).unwrap().unwrap();
-    let message = trial.run(&command, &Truth::as_believed(&TOLD, 1), Judge::Mujoco).unwrap_err().to_string();
+    let command = trial.command(&g.joints, &g.object_from_base, &TOLD, GripForce::Required).unwrap().unwrap();
+    let message = trial.run(&command, &Truth::as_assumed(&TOLD, 1), Engine::Mujoco).unwrap_err().to_string();
     assert!(message.contains("mujoco"), "{message}");
 }
 
@@ -184,9 +184,9 @@ fn both_engines_say_the_same() {
     let agree = found[..6]
         .par_iter()
         .map(|g| {
-            let command = trial.command(&g.joints, &g.object_from_base, &TOLD, Squeeze::Needed).unwrap().unwrap();
-            let of = |judge| trial.run(&command, &Truth::as_believed(&TOLD, 1), judge).unwrap();
-            let (a, b) = (of(Judge::Diffsim), of(Judge::Mujoco));
+            let command = trial.command(&g.joints, &g.object_from_base, &TOLD, GripForce::Required).unwrap().unwrap();
+            let of = |engine| trial.run(&command, &Truth::as_assumed(&TOLD, 1), engine).unwrap();
+            let (a, b) = (of(Engine::Diffsim), of(Engine::Mujoco));
             eprintln!("{:?} {:?}", a.verdict, b.verdict);
             a.succeeded() == b.succeeded()
         })

@@ -19,9 +19,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
-use drex_core::{MassProperties, Pose, Surface, TriMesh, fsutil, pose};
+use drex_core::{MassProperties, Pose, Surface, TablePlane, TriMesh, fsutil, pose};
 use drex_diffsim::{AppliedForce, Body, Collider, ConvexPiece, Fixed, ForcePoint, Model, Part, Scene, State, rollout};
-use drex_grasp::TablePlane;
 use drex_mesh::{Asset, AssetOptions, GridOptions, GridSdf, MeshSdf, asset_from_mesh};
 use drex_recording::JointPoses;
 use drex_recording::readers::{GraspFile, write_grasps_json};

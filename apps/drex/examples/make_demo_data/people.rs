@@ -6,10 +6,11 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use drex_core::Pose;
+use drex_core::mesh::sample_surface;
+use drex_core::{Pose, TablePlane};
 use drex_demo::{Demonstration, HandFrame, HumanFinger, KEYPOINTS, KeyPoints};
-use drex_grasp::{ContactOptions, FoundGrasp, HandSurface, SearchOptions, TablePlane, search_grasps};
-use drex_mesh::{Asset, GridOptions, GridSdf, MeshSdf, sample_surface};
+use drex_grasp::{ContactOptions, FoundGrasp, HandSurface, SearchOptions, search_grasps};
+use drex_mesh::{Asset, GridOptions, GridSdf, MeshSdf};
 use drex_retarget::TargetHand;
 use nalgebra::{Point3, Translation3, Vector3};
 use rand::{RngExt, SeedableRng};

@@ -7,8 +7,9 @@ use std::io::Cursor;
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use drex_core::mesh::sample_surface;
 use drex_core::{Surface, TriMesh, fsutil};
-use drex_mesh::{MeshSdf, sample_surface};
+use drex_mesh::MeshSdf;
 use image::codecs::jpeg::JpegEncoder;
 use image::{Rgb, RgbImage};
 use nalgebra::{Matrix3, Point3, Vector3};

@@ -4,8 +4,10 @@ use std::path::PathBuf;
 
 use clap::Args;
 use drex_core::Pose;
+use drex_twin::PredictOptions;
+use drex_twin::deploy::{DeployOptions, DeployTo};
 
-use super::{AllowArgs, GuardArgs, LinkArgs, RunArgs, pose, positive};
+use super::{AllowArgs, GuardArgs, HandArg, LinkArgs, RunArgs, pose, positive};
 
 /// `drex grasp`.
 #[derive(Debug, Args)]
@@ -72,22 +74,38 @@ pub struct DeployArgs {
 }
 
 impl DeployArgs {
-    /// An emulated hand, driven as one at its port would be, with the joint log `log`.
-    pub fn emulated(twin: PathBuf, log: PathBuf) -> Self {
-        let grasp = GraspArgs {
-            twin_or_policy: twin,
-            mesh: None,
-            hand: None,
-            pose: None,
-            mass: None,
-            friction: None,
-            torque_cap: None,
-        };
-        let run = RunArgs { rate: RunArgs::RATE_HZ, log: Some(log) };
-        let (link, guard, allow) = (LinkArgs::default(), GuardArgs::default(), AllowArgs::default());
-        let (out, port, law, hold) = (None, None, None, Self::HOLD_S);
-        Self { grasp, out, port, emulate: true, law, uniform: false, hold, link, run, guard, allow }
-    }
-
     const HOLD_S: f64 = 3.0;
+
+    /// The same as a library takes it.
+    pub fn options(&self) -> DeployOptions {
+        let mut options = DeployOptions::default();
+        options.to = match &self.port {
+            Some(port) => {
+                DeployTo::Port { port: port.clone(), guard: self.guard.settings(), allowed: self.allow.kinds() }
+            }
+            None if self.emulate => DeployTo::Emulated,
+            None => DeployTo::Nothing,
+        };
+        options.setup = self.link.options();
+        options.out.clone_from(&self.out);
+        options.torque_model.clone_from(&self.law);
+        (options.uniform, options.hold_s, options.rate_hz) = (self.uniform, self.hold, self.run.rate);
+        options.outage = self.guard.outage;
+        options.log.clone_from(&self.run.log);
+        options
+    }
+}
+
+impl GraspArgs {
+    /// The same as a library takes it.
+    pub fn options(&self) -> PredictOptions {
+        PredictOptions {
+            // A hand by its family's name is its right one.
+            hand: self.hand.as_ref().map(|h| HandArg::of_family(h).map_or(h.clone(), |f| f.robot().to_owned())),
+            world_from_object: self.pose,
+            mass_kg: self.mass,
+            friction: self.friction,
+            torque_cap_nm: self.torque_cap,
+        }
+    }
 }

@@ -13,12 +13,12 @@ const GROUPS: [(&str, &[&str]); 6] = [
     ("The object", &["reconstruct", "asset", "mesh", "render"]),
     ("Its mass", &["identify", "plan-push", "calibrate-hand"]),
     ("People's hands", &["hands", "retarget"]),
-    ("The grasp", &["train", "evaluate", "grasp", "deploy", "hw", "bench"]),
+    ("The grasp", &["train", "evaluate", "grasp", "deploy", "hw"]),
     ("This program", &["doctor", "completions", "man", "help"]),
 ];
 
 /// Lines behind the help of a subcommand; words of a subcommand's name are separated by blanks.
-const EXAMPLES: [(&str, &str); 26] = [
+const EXAMPLES: [(&str, &str); 25] = [
     (
         "reconstruct",
         "drex reconstruct scan --out twin --hold-out 8     a folder with images/ and a COLMAP model or transforms.json
@@ -96,7 +96,6 @@ const EXAMPLES: [(&str, &str); 26] = [
   drex completions fish  > ~/.config/fish/completions/drex.fish",
     ),
     ("man", "drex man --out ~/.local/share/man/man1"),
-    ("bench grasp", "drex bench grasp --experiment objects --rollouts 50 --out bench"),
 ];
 
 /// The command line with its groups and examples.

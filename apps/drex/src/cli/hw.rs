@@ -4,6 +4,8 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Subcommand, ValueEnum};
+use drex_hw::allegro::AllegroVersion;
+use drex_hw::driver::{GuardSettings, HandKind, SetupOptions};
 use drex_hw::leap::FindingKind;
 
 use super::positive;
@@ -116,6 +118,52 @@ pub struct GuardArgs {
     /// off when it is back.
     #[arg(long, value_name = "S", default_value = "3", value_parser = seconds)]
     pub outage: Duration,
+}
+
+impl GuardArgs {
+    /// How the guard is started; `None` where there is to be none.
+    pub fn settings(&self) -> Option<GuardSettings> {
+        let heartbeat = self.heartbeat.map(|ms| Duration::try_from_secs_f64(1e-3 * ms).unwrap_or(Duration::MAX));
+        (!self.no_guard).then_some(GuardSettings { arguments: &["hw", "guard"], heartbeat })
+    }
+}
+
+impl LinkArgs {
+    /// The same as a library takes it.
+    pub fn options(&self) -> SetupOptions {
+        SetupOptions {
+            baud: self.baud,
+            version: self.allegro.map(Into::into),
+            cap: self.cap,
+            hand_file: self.hand_file.clone(),
+        }
+    }
+}
+
+impl AllowArgs {
+    /// The findings in spite of which a hand moves.
+    pub fn kinds(&self) -> Vec<FindingKind> {
+        self.allow.iter().map(|a| FindingKind::from(*a)).collect()
+    }
+}
+
+impl From<HandArg> for HandKind {
+    fn from(arg: HandArg) -> Self {
+        match arg {
+            HandArg::Leap => Self::Leap,
+            HandArg::Allegro => Self::Allegro,
+        }
+    }
+}
+
+impl From<AllegroArg> for AllegroVersion {
+    fn from(arg: AllegroArg) -> Self {
+        match arg {
+            AllegroArg::V3 => Self::V3,
+            AllegroArg::V4 => Self::V4,
+            AllegroArg::V5 => Self::V5,
+        }
+    }
 }
 
 impl Default for GuardArgs {

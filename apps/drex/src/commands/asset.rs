@@ -6,20 +6,20 @@ use std::time::Instant;
 
 use anyhow::{Result, bail};
 use drex_core::fsutil;
-use drex_core::twin::{MANIFEST, PartConfig, TwinManifest};
+use drex_mesh::PartConfig;
 use drex_mesh::{
     Asset, AssetOptions, AssetReport, Background, FusionReport, LengthUnit, Part, PieceOptions, RepairOptions,
     SceneOptions, articulated_asset, asset_from_mesh, build_asset, convex_pieces, read_mesh, repair, vertex_colors,
 };
 use drex_splat::ReconstructOptions;
+use drex_twin::manifest::{MANIFEST, TwinManifest};
 use nalgebra::Vector3;
 use serde::Serialize;
 
 use crate::cli::AssetArgs;
-use crate::object::asset_options;
-use crate::scan::{FrameOptions, FrameReport, Meshed, Scanning};
-use crate::timings::{self, Timing};
 use crate::ui::Ui;
+use drex_twin::scan::{FrameOptions, FrameReport, Meshed, Scanning};
+use drex_twin::timings::{self, Timing};
 
 /// What ffmpeg is asked to open.
 const VIDEOS: [&str; 6] = ["mp4", "mov", "mkv", "avi", "webm", "m4v"];
@@ -96,7 +96,7 @@ fn from_manifest(args: &AssetArgs, manifest: &Path, ui: &Ui) -> Result<()> {
     if twin.scan.is_some() && !mesh.exists() {
         bail!("{} is made from the [scan], which has not run yet: drex run {}", mesh.display(), manifest.display());
     }
-    let mut options = asset_options(&twin.object, twin.friction().0);
+    let mut options = twin.object.asset_options(twin.friction().0);
     options.mass_kg = twin.mass.weighed_kg;
     let options = with_arguments(options, args);
     let spinner = ui.spinner("asset");
@@ -199,7 +199,7 @@ fn describe(asset: &Asset, args: &AssetArgs) -> String {
     let mut text = format!(
         "  volume   {:.2} cm3 ({})\n  mass     {:.1} g{}\n  centre   {:.2}, {:.2}, {:.2} mm\n  pieces   {} convex\n",
         1e6 * r.volume_m3,
-        crate::report::closing_text(r),
+        drex_report::closing_text(r),
         1e3 * p.mass_kg,
         match (args.mass, args.density) {
             (None, None) => " at 1000 kg/m3: give --mass for the real one",

@@ -7,8 +7,8 @@ use drex_core::fsutil;
 use serde_json::{Value, json};
 
 use crate::cli::DemoArgs;
-use crate::twin::{Stage, Twin};
 use crate::ui::Ui;
+use drex_twin::{RunOptions, Stage, Twin};
 
 /// A bundled file.
 macro_rules! bundled {
@@ -50,9 +50,9 @@ pub fn run(args: &DemoArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     for (name, content) in PHOTOS.into_iter().chain(FILES) {
         write_if_changed(&args.out.join(name), content)?;
     }
-    let mut twin = Twin::open(&args.out, seed)?;
-    let summary = twin.run_until(Stage::Report, false, ui)?;
-    let findings = crate::report::findings(&twin, Stage::Report)?;
+    let mut twin = Twin::open(&args.out)?.with_seed(seed);
+    let summary = twin.run(&RunOptions::default().with_report(drex_report::write), ui)?;
+    let findings = drex_report::findings(&twin, Stage::Report)?;
     let truth: Value = serde_json::from_str(TRUTH).context("the bundled truth.json is damaged")?;
     let mut answer = json!(summary);
     if let Some(object) = answer.as_object_mut() {

@@ -3,12 +3,12 @@
 use anyhow::Result;
 
 use crate::cli::GraspArgs;
-use crate::predict::{Prediction, Ready};
 use crate::ui::Ui;
+use drex_twin::{Prediction, Predictor};
 
 /// Predicts and answers.
 pub fn run(args: &GraspArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
-    let prediction = Ready::of(args, seed)?.predict()?;
+    let prediction = Predictor::open(&args.twin_or_policy, args.mesh.as_deref(), &args.options(), seed)?.predict()?;
     ui.answer(&prediction, text(&prediction))
 }
 

@@ -4,7 +4,6 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
-use drex_core::twin::MANIFEST;
 use drex_mesh::{AssetOptions, LengthUnit, build_asset};
 use drex_recording::{InputChoice, PushRecording};
 use drex_sysid::calibrate::HandCalibration;
@@ -12,13 +11,14 @@ use drex_sysid::{
     Identification, IdentifyOptions, Knowledge, MassPosterior, MassPrior, Method, Parameter, ParameterSet,
     identify_watched,
 };
+use drex_twin::manifest::MANIFEST;
 use serde_json::{Value, json};
 
 use crate::cli::{IdentifyArgs, MethodArg, OnOff, ToolArgs, TwinArgs};
-use crate::object::model_of;
-use crate::report::{contradiction_text, posterior_text, prior_text, verdict_text};
-use crate::twin::{MassFile, Stage};
 use crate::ui::Ui;
+use drex_report::{contradiction_text, posterior_text, prior_text, verdict_text};
+use drex_twin::records::MassFile;
+use drex_twin::{Stage, object_model};
 
 /// Loads the pushes, builds the object from their mesh, identifies, answers. For a twin it is the stage of that name.
 pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
@@ -56,7 +56,7 @@ pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     let mut metres = AssetOptions::default();
     metres.unit = LengthUnit::Metre;
     let asset = build_asset(&first.mesh, &metres)?;
-    let object = model_of(&asset);
+    let object = object_model(&asset);
     let prior = match &args.guess {
         Some(guess) => Some(guessed(guess, asset.report.volume_m3)?),
         None => recordings.iter().find_map(|r| r.mass_prior_kg).map(MassPrior::from_number).transpose()?,

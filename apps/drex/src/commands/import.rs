@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use drex_core::TriMesh;
 use drex_core::fsutil::{self, OutputFolder};
-use drex_core::twin::TwinManifest;
 use drex_recording::{InputChoice, PushConfig, PushRecording, TrackFrame, drex_run};
 use drex_sysid::frames::{self, FrameOptions, Standing};
+use drex_twin::manifest::TwinManifest;
 use nalgebra::Vector3;
 use serde::Serialize;
 

@@ -8,8 +8,8 @@ use drex_mesh::{
 use serde_json::json;
 
 use crate::cli::{MeshCheckArgs, MeshCommand, MeshConvertArgs, MeshPictureArgs};
-use crate::picture::raster::{Part, View, render_png};
 use crate::ui::Ui;
+use drex_report::picture::raster::{Part, View, render_png};
 
 /// Colours of the pieces in a picture, in turn.
 const COLOURS: [[f64; 3]; 8] = [

@@ -1,7 +1,6 @@
 //! One file per subcommand.
 
 pub mod asset;
-pub mod bench;
 pub mod calibrate_hand;
 pub mod demo;
 pub mod deploy;

@@ -1,21 +1,19 @@
 //! `drex reconstruct`: photos become Gaussians and depth maps.
 
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use anyhow::{Result, bail};
-use drex_splat::capture::{self, Capture, CaptureOptions, CaptureReport, ColmapOptions, VideoOptions};
+use anyhow::Result;
+use drex_splat::capture::{CaptureOptions, CaptureReport};
 use drex_splat::io::{read_gaussians, write_gaussians};
 use drex_splat::metrics::Table;
-use drex_splat::raster::Cpu;
-use drex_splat::reconstruct::{Reconstruction, SetSummary, reconstruct};
-use drex_splat::train::Progress;
+use drex_splat::reconstruct::{Reconstruction, SetSummary};
 use drex_splat::{Kind, ReconstructOptions};
-use indicatif::ProgressBar;
+use drex_twin::reconstruct::{Programs, open_capture, train_gaussians};
+use drex_twin::timings::{self, Timing};
 use serde::Serialize;
 
 use crate::cli::{ReconstructArgs, SplatFormat};
-use crate::timings::{self, Timing};
 use crate::ui::Ui;
 
 /// The answer of `drex reconstruct --json`.
@@ -32,7 +30,7 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     within.masks.clone_from(&args.masks);
     let begun = Instant::now();
     let programs = Programs { colmap: &args.colmap, ffmpeg: &args.ffmpeg, limit: args.tools.limit() };
-    let capture = open(&args.scan, &args.out, &within, &programs, ui)?;
+    let capture = open_capture(&args.scan, &args.out, &within, &programs, ui)?;
     let mut options = ReconstructOptions::default();
     options.preset = args.preset.into();
     options.density = args.density.into();
@@ -47,7 +45,7 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     options.checkpoint_every = args.checkpoint_every;
     options.resume = args.resume;
     options.memory_bytes = args.memory_mb << 20;
-    let (report, reconstruction) = train(&capture, &args.out, &options, args.gpu, ui)?;
+    let (report, reconstruction) = train_gaussians(&capture, &args.out, &options, args.gpu, ui)?;
     for format in &args.also {
         let ending = match format {
             SplatFormat::Spz => "spz",
@@ -71,103 +69,7 @@ fn record(args: &ReconstructArgs, r: &Reconstruction, seconds: f64) -> Result<()
     timing.peak_memory_bytes = r.peak_memory_bytes;
     timing.input = Some(args.scan.clone());
     timing.parts = sets.iter().map(|(part, set)| (String::from(*part), set.seconds)).collect();
-    timings::record(&args.out, "reconstruct", timing)
-}
-
-/// Says what to trust of the capture, trains both sets and writes them and the depth maps into `out`.
-pub fn train(
-    capture: &Capture,
-    out: &Path,
-    options: &ReconstructOptions,
-    on_gpu: bool,
-    ui: &Ui,
-) -> Result<(CaptureReport, Reconstruction)> {
-    let report = capture.report()?;
-    for line in report.to_string().lines() {
-        ui.note(line);
-    }
-    let mut bar: Option<(Kind, ProgressBar)> = None;
-    let mut psnr = 0.0;
-    let mut first_step = 0;
-    let mut on_progress = |kind: Kind, p: &Progress, steps: u32, seconds: f64| {
-        if bar.as_ref().is_none_or(|(of, _)| *of != kind) {
-            let label = if kind == Kind::Ellipsoid { "appearance" } else { "surface" };
-            bar = Some((kind, ui.bar(label, u64::from(steps))));
-            psnr = p.psnr;
-            first_step = p.step - 1; // more than 0 after --resume
-        }
-        psnr += 0.02 * (p.psnr - psnr); // a mean over about fifty photos
-        if let Some((_, bar)) = &bar {
-            bar.set_position(u64::from(p.step));
-            let speed = f64::from(p.step - first_step) / seconds.max(1e-9);
-            bar.set_message(format!("{psnr:.1} dB, {speed:.0} it/s, {} Gaussians", p.gaussians));
-            if p.step == steps {
-                bar.finish_and_clear();
-            }
-        }
-    };
-    let reconstruction = if on_gpu {
-        reconstruct(capture, &report, &gpu()?, out, options, &mut on_progress)?
-    } else {
-        reconstruct(capture, &report, &Cpu, out, options, &mut on_progress)?
-    };
-    Ok((report, reconstruction))
-}
-
-/// The first GPU there is.
-#[cfg(feature = "wgpu")]
-fn gpu() -> Result<drex_splat::raster::Gpu> {
-    Ok(drex_splat::raster::Gpu::new()?)
-}
-
-#[cfg(not(feature = "wgpu"))]
-fn gpu() -> Result<Cpu> {
-    anyhow::bail!("this drex was built without a GPU; build it with `--features wgpu`, or leave --gpu out")
-}
-
-/// The programs that photos and videos may need.
-pub struct Programs<'a> {
-    /// COLMAP.
-    pub colmap: &'a Path,
-    /// ffmpeg.
-    pub ffmpeg: &'a Path,
-    /// ffmpeg, or a step of COLMAP, is stopped after this time.
-    pub limit: Duration,
-}
-
-/// The capture in `scan`; cameras come from COLMAP where the folder has none, photos from ffmpeg where it is a video.
-pub fn open(scan: &Path, out: &Path, within: &CaptureOptions, programs: &Programs<'_>, ui: &Ui) -> Result<Capture> {
-    let mut colmap = ColmapOptions::default();
-    (colmap.program, colmap.time_limit) = (programs.colmap.into(), programs.limit);
-    if !scan.exists() {
-        bail!("there is no {}; give a folder with photos, or a video", scan.display());
-    }
-    let spinner = ui.spinner("cameras");
-    let mut show = |line: &str| spinner.set_message(line.to_owned());
-    let mut folder = scan.to_path_buf();
-    if scan.is_file() {
-        folder = out.join("scan");
-        let images = folder.join("images");
-        if images.exists() {
-            ui.note(format!(
-                "going on with the frames in {}; remove them to take those of {} anew",
-                images.display(),
-                scan.display()
-            ));
-        } else {
-            let mut video = VideoOptions::default();
-            (video.program, video.time_limit) = (programs.ffmpeg.into(), programs.limit);
-            let made: Vec<&Path> = [folder.as_path(), out].into_iter().filter(|f| !f.exists()).collect();
-            let frames = capture::extract_frames(scan, &folder, &video, &mut show).inspect_err(|_| {
-                // Only empty folders go; one that stays is no error.
-                made.iter().for_each(|f| drop(std::fs::remove_dir(f)));
-            })?;
-            ui.note(format!("{frames} frames of {}", scan.display()));
-        }
-    }
-    let capture = Capture::open(&folder, within, &colmap, &mut show)?;
-    spinner.finish_and_clear();
-    Ok(capture)
+    Ok(timings::record(&args.out, "reconstruct", timing)?)
 }
 
 fn describe(r: &Reconstruction, out: &Path) -> String {

@@ -4,15 +4,15 @@ use anyhow::Result;
 use serde_json::json;
 
 use crate::cli::TwinArgs;
-use crate::twin::{Stage, Twin};
 use crate::ui::Ui;
+use drex_twin::{RunOptions, Stage, Twin};
 
 /// Runs the twin's stages up to `last` (that one in any case if `again`) and answers with what was done and found.
 pub fn run(args: &TwinArgs, last: Stage, again: bool, seed: Option<u64>, ui: &Ui) -> Result<()> {
-    let mut twin = Twin::open(&args.twin, seed)?;
+    let mut twin = Twin::open(&args.twin)?.with_seed(seed);
     twin.tool_limit = args.tools.limit();
-    let summary = twin.run_until(last, again, ui)?;
-    let findings = crate::report::findings(&twin, last)?;
+    let summary = twin.run(&RunOptions::default().until(last).with_again(again).with_report(drex_report::write), ui)?;
+    let findings = drex_report::findings(&twin, last)?;
     let mut answer = json!(summary);
     if let Some(object) = answer.as_object_mut() {
         object.extend(findings.json);

@@ -2,6 +2,7 @@
 
 mod hull;
 mod obj;
+mod sample;
 mod stl;
 mod weld;
 
@@ -9,6 +10,7 @@ use std::path::Path;
 
 pub use self::hull::{convex_hull, convex_hull_faces};
 pub use self::obj::{parse_obj, read_obj};
+pub use self::sample::{farthest_points, sample_surface};
 pub use self::stl::{parse_stl, read_stl};
 pub use self::weld::coincident;
 use nalgebra::{Matrix3, Point3, Vector3};

@@ -3,10 +3,13 @@
 //! Version 3 has identifiers `command << 6 | destination << 3 | source` and big-endian torques that begin with the joint at the tip.
 //! Versions 4 and 5 have identifiers `message << 2 | device` and little-endian numbers.
 
+use serde::{Deserialize, Serialize};
+
 use crate::can::CanFrame;
 
 /// Generation of the hand, which decides how its frames look.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum AllegroVersion {
     /// Firmware 2 and 3.
     V3,

@@ -5,7 +5,7 @@ use std::path::Path;
 use nalgebra::{Point3, Unit, Vector3};
 use serde::Serialize;
 
-use drex_core::twin::{ContactConfig, JointConfig, joint_tree};
+use crate::model::{ContactConfig, JointConfig, joint_tree};
 use drex_core::{MassProperties, Pose, TriMesh};
 
 use super::{Asset, AssetOptions, AssetReport, asset_from_mesh, rows, stand};

@@ -1,6 +1,7 @@
 //! From a mesh file to a simulation asset: visual mesh, collision pieces, mass properties, MJCF and URDF.
 
 mod articulated;
+mod object;
 mod options;
 
 use std::path::Path;
@@ -8,8 +9,8 @@ use std::path::Path;
 use nalgebra::{Matrix3, Point3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
 
+use crate::model::ContactConfig;
 use drex_core::fsutil::{from_json, read_text};
-use drex_core::twin::ContactConfig;
 use drex_core::{MassProperties, Pose, TriMesh};
 
 pub use self::articulated::{ArticulatedAsset, ArticulatedReport, Part, articulated_asset};

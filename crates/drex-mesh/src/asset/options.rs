@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use drex_core::twin::ContactConfig;
+use crate::model::ContactConfig;
 
 use crate::pieces::PieceOptions;
 use crate::repair::RepairOptions;

@@ -8,8 +8,7 @@ use super::Outcome::{Fail, Pass};
 use super::{CheckOptions, CheckReport};
 use crate::bvh::{Aabb, Bvh};
 use crate::hull::hull_volume;
-use crate::sample_surface;
-use drex_core::mesh::convex_hull;
+use drex_core::mesh::{convex_hull, sample_surface};
 
 /// Hulls with less volume are refused by engines, m³.
 const SLIVER_M3: f64 = 1e-12;

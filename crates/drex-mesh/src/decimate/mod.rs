@@ -15,7 +15,9 @@ use self::track::{Allowance, Tracker};
 use crate::bvh::Bvh;
 use crate::topology::Topology;
 use crate::weld::compact;
-use crate::{Error, Result, sample_surface};
+use drex_core::mesh::sample_surface;
+
+use crate::{Error, Result};
 
 /// Points per direction at which the distance between input and result is measured, besides all vertices.
 const PROBES: usize = 50_000;

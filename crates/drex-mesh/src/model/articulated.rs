@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use drex_core::twin::{JointConfig, JointKind};
+use crate::model::{JointConfig, JointKind};
 use nalgebra::{Point3, Vector3};
 
 use super::mjcf::{TABLE, defaults, free_body, header, keyframes, link_content, meshes};

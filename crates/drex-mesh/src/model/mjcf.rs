@@ -2,8 +2,8 @@
 
 use std::fmt::Write;
 
+use crate::model::ContactConfig;
 use drex_core::Pose;
-use drex_core::twin::ContactConfig;
 
 use super::{Link, numbers, place, pos_quat};
 use crate::asset::Asset;

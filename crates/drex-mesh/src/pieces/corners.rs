@@ -7,8 +7,7 @@ use drex_core::mesh::nearest_on_triangle;
 
 use crate::Result;
 use crate::hull::convex_hull_with_at_most;
-use crate::sample::sample_surface;
-use drex_core::mesh::convex_hull;
+use drex_core::mesh::{convex_hull, sample_surface};
 
 /// Points of the full hull to which a hull of few corners is fitted.
 const SAMPLES: usize = 1500;

@@ -7,8 +7,8 @@ use drex_core::{Surface, TriMesh};
 
 use crate::bvh::Aabb;
 use crate::hull::planes;
-use crate::sample::sample_surface;
 use crate::sdf::MeshSdf;
+use drex_core::mesh::sample_surface;
 
 /// A point of the solid's surface that looks outwards.
 #[derive(Debug, Clone)]

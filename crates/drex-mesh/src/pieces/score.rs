@@ -8,9 +8,10 @@ use drex_core::{Surface, TriMesh};
 
 use crate::bvh::Aabb;
 use crate::hull::planes;
-use crate::sample::{sample_surface, unit_cube_point};
 use crate::sdf::MeshSdf;
+use crate::sequence::unit_cube_point;
 use crate::{Error, Result};
+use drex_core::mesh::sample_surface;
 
 /// What [`union_distance`] measures.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]

@@ -7,9 +7,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use drex_core::camera::{Camera, CameraModel};
-use drex_core::twin::{JointConfig, JointKind};
 use drex_core::{Pose, TriMesh};
 use drex_mesh::Part;
+use drex_mesh::{JointConfig, JointKind};
 use nalgebra::{Point3, Quaternion, Translation3, UnitQuaternion};
 
 /// The folder of shared data, if there is one.

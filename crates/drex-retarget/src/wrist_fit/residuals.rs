@@ -3,8 +3,8 @@
 //! Every residual is in units of "a millimetre of gap". Points are chosen anew at each evaluation (the nearest point of a pad,
 //! the deepest of a link, the lowest of a link): minima over fixed points, hence piecewise smooth.
 
-use drex_core::Pose;
-use drex_grasp::{HandSurface, TablePlane};
+use drex_core::{Pose, TablePlane};
+use drex_grasp::HandSurface;
 use nalgebra::{DMatrix, DVector, Matrix3, Point3, Vector3};
 
 use super::hand::Recorded;

@@ -1,7 +1,6 @@
 //! Derivatives of the residuals against finite differences, and where the pads are.
 
-use drex_core::{SdfSample, SignedDistance};
-use drex_grasp::TablePlane;
+use drex_core::{SdfSample, SignedDistance, TablePlane};
 use drex_robot::Robot;
 use nalgebra::{DVector, Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 

@@ -3,11 +3,12 @@
 
 use std::sync::Arc;
 
-use drex_core::{MassProperties, Pose, SdfSample, SignedDistance, SurfacePoint};
+use drex_core::mesh::convex_hull;
+use drex_core::{MassProperties, Object, Pose, SdfSample, SignedDistance, SolidGeometry, SurfacePoint, TablePlane};
 use drex_diffsim::{Collider, Geom, Shape};
-use drex_grasp::{FoundGrasp, HandSurface, SearchOptions, TablePlane, search_grasps};
+use drex_grasp::{FoundGrasp, HandSurface, SearchOptions, search_grasps};
 use drex_robot::Robot;
-use drex_trial::{Belief, Squeeze, Trial, TrialObject, TrialOptions};
+use drex_trial::{Assumed, GripForce, Trial, TrialOptions};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// Half extents of the box, m.
@@ -26,6 +27,16 @@ impl SignedDistance for Cuboid {
         }
         let k = q.imax();
         SdfSample { distance_m: q[k], gradient: Vector3::ith(k, sign[k]) }
+    }
+}
+
+impl SolidGeometry for Cuboid {
+    fn exact(&self) -> &dyn SignedDistance {
+        self
+    }
+
+    fn bounding_box(&self) -> (Point3<f64>, Point3<f64>) {
+        (Point3::from(-HALF), Point3::from(HALF))
     }
 }
 
@@ -48,19 +59,17 @@ fn sides() -> Vec<SurfacePoint> {
     out
 }
 
-pub fn trial_of(change: impl FnOnce(&mut TrialObject, &mut TrialOptions)) -> Trial {
+pub fn trial_of(change: impl FnOnce(&mut Object, &mut TrialOptions)) -> Trial {
     let s = HALF.component_mul(&HALF) / 3.0;
     let inertia = Matrix3::from_diagonal(&Vector3::new(s.y + s.z, s.z + s.x, s.x + s.y));
-    let mut object = TrialObject {
-        collider: Arc::new(Collider::new(&[Geom::new(Shape::Box { half_m: HALF })]).unwrap()),
-        properties: MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia },
-        surface: Arc::new(Cuboid),
-        world_from_object: Pose::translation(0.0, 0.0, HALF.z),
-        max_finger_n: None,
-    };
+    let corner = |k: usize| Point3::from(Vector3::from_fn(|a, _| if k >> a & 1 == 1 { HALF[a] } else { -HALF[a] }));
+    let mesh = convex_hull(&(0..8).map(corner).collect::<Vec<_>>()).unwrap();
+    let properties = MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia };
+    let mut object = Object::convex(mesh, Arc::new(Cuboid), properties, Pose::translation(0.0, 0.0, HALF.z));
     let mut options = TrialOptions::default();
     change(&mut object, &mut options);
-    Trial::new(Arc::new(Robot::bundled("leap_right").unwrap()), object, options).unwrap()
+    let collider = Collider::new(&[Geom::new(Shape::Box { half_m: HALF })]).unwrap();
+    Trial::with_collider(Arc::new(Robot::bundled("leap_right").unwrap()), object, collider, options).unwrap()
 }
 
 /// Grasps of the box that the hand can carry 150 g with at friction 0.5, those that squeeze least first.
@@ -70,12 +79,12 @@ pub fn grasps(trial: &Trial) -> Vec<FoundGrasp> {
     let mut options = SearchOptions::default();
     options.candidates = 6000;
     let found = search_grasps(trial.hand(), &surface, &Cuboid, &sides(), &Point3::origin(), &table, &options).unwrap();
-    let belief = Belief { mass_kg: 0.15, friction: 0.5 };
+    let assumed = Assumed { mass_kg: 0.15, friction: 0.5 };
     let mut good: Vec<(f64, FoundGrasp)> = found
         .into_iter()
         .filter(|f| f.closed)
         .filter_map(|f| {
-            let command = trial.command(&f.joints, &f.object_from_base, &belief, Squeeze::Needed).unwrap().ok()?;
+            let command = trial.command(&f.joints, &f.object_from_base, &assumed, GripForce::Required).unwrap().ok()?;
             Some((command.squeeze_n, f))
         })
         .collect();

@@ -10,10 +10,10 @@ use drex_hw::leap::{self, LeapOptions, table};
 use drex_hw::{Hand, HandState};
 use serde_json::json;
 
-use super::hand_file::HandFile;
-use super::{Driver, Setup, angles};
-use crate::cli::{AllegroArg, CalibrateZeroArgs, HandArg};
+use super::{angles, setup};
+use crate::cli::{AllegroArg, CalibrateZeroArgs};
 use crate::ui::Ui;
+use drex_hw::driver::{Driver, HandFile, HandKind, Setup};
 
 /// A joint that moves by more than this while it is read is not held, rad.
 const STILL_RAD: f64 = 0.03;
@@ -26,7 +26,7 @@ const LEAST: usize = 10;
 
 /// Reads, checks, writes.
 pub fn run(args: &CalibrateZeroArgs, ui: &Ui) -> Result<()> {
-    let setup = Setup::of(args.hand.hand, &args.hand.link)?;
+    let setup = setup(&args.hand)?;
     let names: Vec<String> = setup.robot.joint_names().into_iter().map(str::to_owned).collect();
     // At rest a joint that cannot be at 0 is at the end of its range that is nearest.
     let limits: Vec<(f64, f64)> = setup.robot.joints.iter().map(|j| j.limits.unwrap_or((-PI, PI))).collect();
@@ -40,8 +40,8 @@ pub fn run(args: &CalibrateZeroArgs, ui: &Ui) -> Result<()> {
         }
     }
     let mut file = setup.file.clone().unwrap_or_else(|| HandFile::new(setup.hand));
-    let offsets = if setup.hand == HandArg::Leap { homing_offsets(&setup, args)? } else { Vec::new() };
-    let mut driver = Driver::with(&setup, &args.hand.port)?;
+    let offsets = if setup.hand == HandKind::Leap { homing_offsets(&setup, args)? } else { Vec::new() };
+    let mut driver = Driver::connect(&setup, &args.hand.port)?;
     let held = read(driver.hand(), args.seconds, &names)?;
     let mut text = format!("zeros of {} joints in {}\n", names.len(), args.out.display());
     let mut zeros = Vec::new();
@@ -49,12 +49,12 @@ pub fn run(args: &CalibrateZeroArgs, ui: &Ui) -> Result<()> {
         let off_rad = held[j] - pose[j];
         let entry = file.joints.entry(name.clone()).or_default();
         let zero = match setup.hand {
-            HandArg::Leap => {
+            HandKind::Leap => {
                 let offset = offsets.iter().find(|(n, _)| n == name).map_or(0, |(_, o)| *o);
                 entry.homing_offset = (offset != 0).then_some(offset);
                 leap_zero(&setup.leap, name, off_rad, offset)?
             }
-            HandArg::Allegro => allegro_zero(&setup, name, off_rad)?,
+            HandKind::Allegro => allegro_zero(&setup, name, off_rad)?,
         };
         entry.zero = Some(zero);
         text += &format!("  {name:<10} {zero:>7}   moved by {off_rad:+.3} rad\n");

@@ -19,13 +19,14 @@ pub fn run(args: &EmulateArgs, ui: &Ui) -> Result<()> {
     use drex_hw::emulator::leap::LeapEmulator;
     use drex_hw::emulator::pty::PtyServer;
 
-    use super::scene::{allegro_scene, leap_scene};
-    use super::{Setup, angles, fault, stop_button};
+    use super::{angles, fault, stop_button};
     use crate::cli::{HandArg, LinkArgs, MotorArg};
+    use drex_hw::driver::{Setup, allegro_scene, leap_scene};
     use drex_hw::leap::table::MotorModel;
 
     let stop = stop_button()?;
-    let setup = Setup::of(args.hand, &LinkArgs { allegro: Some(args.allegro), ..LinkArgs::default() })?;
+    let setup =
+        Setup::of(args.hand.into(), &LinkArgs { allegro: Some(args.allegro), ..LinkArgs::default() }.options())?;
     let names: Vec<String> = setup.robot.joint_names().into_iter().map(str::to_owned).collect();
     let walls = args.wall.as_deref().map_or_else(|| Ok(Vec::new()), |w| angles(w, &names))?;
     let closing = |(j, rad): &(usize, f64)| (names[*j].as_str(), f64::NEG_INFINITY, *rad);

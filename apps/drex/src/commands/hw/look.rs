@@ -8,9 +8,10 @@ use drex_hw::leap::{self, MotorReading};
 use drex_hw::{JointStatus, SystemClock};
 use serde::Serialize;
 
-use super::{Driver, Setup, can_bus, unit};
+use super::{setup, unit};
 use crate::cli::{HandArg, HandArgs};
 use crate::ui::Ui;
+use drex_hw::driver::{Driver, Setup, open_can};
 
 /// A motor that answered.
 #[derive(Serialize)]
@@ -27,7 +28,7 @@ pub fn ping(args: &HandArgs, ui: &Ui) -> Result<()> {
     match args.hand {
         HandArg::Leap => ping_leap(args, ui),
         HandArg::Allegro => {
-            let Driver::Allegro(mut hand) = Driver::open(args.hand, &args.port, &args.link)? else { return Ok(()) };
+            let Driver::Allegro(mut hand) = Driver::connect(&setup(args)?, &args.port)? else { return Ok(()) };
             hand.wait_for_reports()?;
             if hand.stats().frames == 0 {
                 bail!("nothing was heard of the hand: check its power, the cable and its generation (--allegro)");
@@ -55,7 +56,7 @@ pub fn ping(args: &HandArgs, ui: &Ui) -> Result<()> {
 }
 
 fn ping_leap(args: &HandArgs, ui: &Ui) -> Result<()> {
-    let setup = Setup::of(args.hand, &args.link)?;
+    let setup = setup(args)?;
     let port = SerialPort::open(&args.port, setup.leap.baud)?;
     let timing = port.latency().map_or_else(Timing::default, Timing::for_latency);
     let motors: Vec<Motor> = Bus::new(port, timing)
@@ -121,7 +122,7 @@ struct Found {
 /// # Errors
 /// If the hand cannot be read; and, after the answer, if torque is on and nobody drives, a joint is silent or has a hardware error.
 pub fn status(args: &HandArgs, ui: &Ui) -> Result<()> {
-    let setup = Setup::of(args.hand, &args.link)?;
+    let setup = setup(args)?;
     let Found { joints, findings, unit, alarms } = match args.hand {
         HandArg::Leap => look_at_leap(&setup, args)?,
         HandArg::Allegro => look_at_allegro(&setup, args)?,
@@ -211,7 +212,7 @@ fn look_at_leap(setup: &Setup, args: &HandArgs) -> Result<Found> {
 
 /// Reading an Allegro hand takes its torques off: it reports only to who has switched it on anew.
 fn look_at_allegro(setup: &Setup, args: &HandArgs) -> Result<Found> {
-    let mut bus = can_bus(&args.port)?;
+    let mut bus = open_can(&args.port)?;
     let left_on = reports_poses(&mut *bus, &setup.allegro, &SystemClock::default())?;
     let mut driver = Driver::over_can(setup, bus)?;
     let state = driver.read()?;

@@ -9,13 +9,14 @@ use drex_hw::dynamixel::SerialPort;
 use drex_hw::leap::{self, MotorOff, TorqueState};
 use serde_json::{Value, json};
 
-use super::{Setup, can_bus};
+use super::setup;
 use crate::cli::{HandArg, HandArgs, ReleaseArgs};
 use crate::ui::Ui;
+use drex_hw::driver::{Setup, open_can};
 
 /// Takes the torque off.
 pub fn off(args: &HandArgs, ui: &Ui) -> Result<()> {
-    let setup = Setup::of(args.hand, &args.link)?;
+    let setup = setup(args)?;
     match args.hand {
         HandArg::Leap => {
             let motors = SerialPort::open(&args.port, setup.leap.baud)
@@ -30,7 +31,7 @@ pub fn off(args: &HandArgs, ui: &Ui) -> Result<()> {
 /// Lets the force fall, then takes the torque off.
 pub fn release(args: &ReleaseArgs, ui: &Ui) -> Result<()> {
     let (args, time) = (&args.hand, Duration::from_secs_f64(args.seconds));
-    let setup = Setup::of(args.hand, &args.link)?;
+    let setup = setup(args)?;
     match args.hand {
         HandArg::Leap => {
             let motors = SerialPort::open(&args.port, setup.leap.baud)
@@ -46,7 +47,7 @@ pub fn release(args: &ReleaseArgs, ui: &Ui) -> Result<()> {
 }
 
 fn off_allegro(setup: &Setup, args: &HandArgs, ui: &Ui) -> Result<()> {
-    let mut bus = can_bus(&args.port).context("torque unknown")?;
+    let mut bus = open_can(&args.port).context("torque unknown")?;
     let state = allegro::switch_off(&mut *bus, &setup.allegro, &SystemClock::default())
         .context("torque unknown: the hand may still be on")?;
     let (name, text) = match state {

@@ -11,8 +11,8 @@ use serde_json::json;
 use super::file::{self, FrameRecord};
 use super::{Object, options, up, upright};
 use crate::cli::RetargetArgs;
-use crate::picture::clip as picture;
 use crate::ui::Ui;
+use drex_report::picture::clip as picture;
 
 pub fn run(
     args: &RetargetArgs,

@@ -11,8 +11,8 @@ use serde::Serialize;
 
 use super::Object;
 use crate::cli::RetargetArgs;
-use crate::lock::digest_of;
-use crate::twin::PoseRecord;
+use drex_core::PoseRecord;
+use drex_twin::lock::digest_of;
 
 /// The file.
 #[derive(Serialize)]

@@ -16,8 +16,8 @@ use drex_retarget::{RetargetOptions, TargetHand};
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 
 use crate::cli::{ObjectiveArg, ReadingArgs, RetargetArgs};
-use crate::lock::digest_of;
 use crate::ui::Ui;
+use drex_twin::lock::digest_of;
 
 /// Runs the subcommand.
 pub fn run(args: &RetargetArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {

@@ -1,0 +1,90 @@
+//! An object of the bench with everything that grasping it takes.
+
+use anyhow::{Context, Result};
+use drex_core::Object;
+use drex_mesh::asset_from_mesh;
+use drex_retarget::ObjectSurface;
+
+use crate::objects::ObjectSpec;
+
+/// An object at rest on its table.
+pub struct BenchObject {
+    pub spec: ObjectSpec,
+    /// Sides of the bounding box, metres.
+    pub size_m: [f64; 3],
+    pub object: Object,
+}
+
+impl BenchObject {
+    /// Convex parts, mass properties, distances, rest pose.
+    pub fn new(spec: &ObjectSpec) -> Result<Self> {
+        let at = || format!("object \"{}\"", spec.name);
+        let asset = asset_from_mesh(&spec.mesh, &spec.asset_options()).with_context(at)?;
+        let mut object = asset.to_object(&spec.name).with_context(at)?;
+        object.friction = spec.friction.unwrap_or(object.friction);
+        object.max_finger_n = spec.max_force_n;
+        // Without a direction that is up it stands in its most probable rest pose.
+        if let Some(rest) = asset.stable_poses.first().filter(|_| spec.up.is_none()) {
+            object = object.with_rest_pose(rest.world_from_mesh);
+        }
+        Ok(Self { spec: spec.clone(), size_m: asset.report.size_m, object })
+    }
+
+    /// The object as retargeting takes it.
+    pub fn surface(&self) -> ObjectSurface<'_> {
+        let geometry = &*self.object.geometry;
+        ObjectSurface {
+            search: geometry,
+            judge: geometry.exact(),
+            bounds: geometry.bounding_box(),
+            center_of_mass: self.object.center_of_mass(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use drex_grasp::{ContactOptions, FingerClosing, Grasp, HandSurface, PowerGraspOptions, power_grasps};
+    use drex_robot::Robot;
+
+    use super::*;
+    use crate::objects;
+
+    /// What so many hands make of the ketchup bottle, the heaviest of the objects.
+    fn bottle(tries: usize, seed: u64) -> (Object, Robot, Vec<Grasp>) {
+        let object = BenchObject::new(&objects::named("ketchup_bottle").unwrap()).unwrap().object;
+        let robot = Robot::bundled("leap_right").unwrap();
+        let grasps = power_grasps(&object, &robot, tries, seed, &PowerGraspOptions::default()).unwrap();
+        (object, robot, grasps)
+    }
+
+    #[test]
+    fn power_grasps_hold_with_the_palm_and_near_the_knuckles() {
+        let (object, robot, grasps) = bottle(60, 0);
+        assert!(grasps.len() >= 5, "{} of 60", grasps.len());
+        let closing = FingerClosing::new(&robot).unwrap();
+        let surface = HandSurface::new(&robot, ContactOptions::default().spacing_m).unwrap();
+        let mut beside_the_tip = 0;
+        for g in &grasps {
+            assert!(g.contacts.last() > Some(&0), "no palm: {:?}", g.contacts);
+            assert!(g.table_clearance_m >= 0.002 && closing.is_clear_of_itself(&g.joints_rad));
+            let options = ContactOptions::with_friction(0.5);
+            let pose = g.object_from_base;
+            let contacts = surface.contacts(&robot, &g.joints_rad, &pose, object.geometry.exact(), &options).unwrap();
+            let tips: Vec<usize> = surface.fingers.iter().map(|f| f.tip_link).collect();
+            beside_the_tip += usize::from(contacts.iter().any(|c| c.finger.is_some() && !tips.contains(&c.link)));
+        }
+        assert!(2 * beside_the_tip >= grasps.len(), "{beside_the_tip} of {} touch with more than tips", grasps.len());
+    }
+
+    #[test]
+    fn power_grasps_depend_on_the_seed_alone() {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        let (_, _, many) = bottle(20, 0);
+        let (_, _, one) = pool.install(|| bottle(20, 0));
+        assert!(!many.is_empty() && many == one);
+        assert_ne!(many, bottle(20, 1).2);
+    }
+}

@@ -1,0 +1,233 @@
+//! The commands: synthetic demonstrations, and rollouts of the policy.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+use clap::ValueEnum as _;
+use drex_core::fsutil;
+use drex_grasp::GraspOrigin;
+use drex_policy::TrainOptions;
+use drex_report::picture::clip::{self, Posed};
+use drex_retarget::TargetHand;
+use drex_trial::{Engine, TrialEvaluator, TrialOptions};
+use drex_twin::learn::POINTS;
+use drex_twin::timings::{self, Timing};
+use drex_twin::with_torque_cap;
+use serde::Serialize;
+
+use crate::cli::{Command, Common, DemosArgs, GraspArgs, Output};
+use crate::experiments::Bench;
+use crate::library::{self, Library, LibraryOptions};
+use crate::object::BenchObject;
+use crate::objects::{self, ObjectSpec};
+use crate::table::Table;
+
+/// Hands that the search between opposite points looks at, for each demonstration.
+const CANDIDATES_PER_CLIP: usize = 20_000;
+
+/// Runs one of the benches.
+pub fn run(command: &Command, seed: u64, output: Output) -> Result<()> {
+    match command {
+        Command::Demos(args) => demos(args, seed, output),
+        Command::Grasp(args) => grasp(args, seed, output),
+    }
+}
+
+/// One line of `bench demos`.
+#[derive(Serialize)]
+struct DemosRow {
+    object: String,
+    mass_kg: f64,
+    size_mm: [f64; 3],
+    grasps: usize,
+    retargeted: usize,
+    clips_that_hold: usize,
+    wrapped: usize,
+    /// Median of the smallest squeeze at rest in units of the weight.
+    median_squeeze_per_weight: f64,
+    seconds: f64,
+}
+
+fn demos(args: &DemosArgs, seed: u64, output: Output) -> Result<()> {
+    let hand = TargetHand::resolve(&args.common.hand)?;
+    let options = library_options(&args.common, seed);
+    let mut rows = Vec::new();
+    for spec in specs(&args.common)? {
+        let object = BenchObject::new(&spec)?;
+        let start = Instant::now();
+        let file = library::file(args.common.out.as_deref(), &spec.name)?;
+        let library = Library::of(&object, &hand, &options, file.as_deref())?;
+        if let Some(out) = args.common.out.as_deref().filter(|_| args.pictures > 0) {
+            pictures(
+                &fsutil::output_path(out, &format!("grasps/{}.png", spec.name))?,
+                &object,
+                &hand,
+                &library,
+                args.pictures,
+            )?;
+        }
+        rows.push(row(&object, &library, start.elapsed().as_secs_f64()));
+        if let Some(r) = rows.last() {
+            eprintln!("{}", text(r));
+        }
+    }
+    let lines: Vec<String> = rows.iter().map(text).collect();
+    output.answer(&rows, lines.join("\n"))
+}
+
+fn row(object: &BenchObject, library: &Library, seconds: f64) -> DemosRow {
+    let of = |kind: GraspOrigin| library.grasps.iter().filter(move |g| g.origin == kind);
+    let mut clips: Vec<usize> = of(GraspOrigin::Retargeted).map(|g| g.source).collect();
+    clips.dedup();
+    let mut squeezes: Vec<f64> = library.grasps.iter().map(|g| g.grip_per_weight).collect();
+    squeezes.sort_by(f64::total_cmp);
+    DemosRow {
+        object: object.spec.name.clone(),
+        mass_kg: object.spec.mass_kg,
+        size_mm: object.size_m.map(|v| 1e3 * v),
+        grasps: library.grasps.len(),
+        retargeted: of(GraspOrigin::Retargeted).count(),
+        clips_that_hold: clips.len(),
+        wrapped: of(GraspOrigin::Power).count(),
+        median_squeeze_per_weight: squeezes[squeezes.len() / 2],
+        seconds,
+    }
+}
+
+fn text(r: &DemosRow) -> String {
+    let [x, y, z] = r.size_mm;
+    format!(
+        "{:18} {:4.0} g  {x:4.0} x {y:4.0} x {z:4.0} mm  {:4} grasps: {:3} of people ({:2} demonstrations), {:3} wrapped; squeeze {:4.1} weights; {:5.1} s",
+        r.object,
+        1e3 * r.mass_kg,
+        r.grasps,
+        r.retargeted,
+        r.clips_that_hold,
+        r.wrapped,
+        r.median_squeeze_per_weight,
+        r.seconds
+    )
+}
+
+/// The objects that were asked for.
+fn specs(common: &Common) -> Result<Vec<ObjectSpec>> {
+    let mut all = match &common.objects {
+        Some(file) => objects::read(file)?,
+        None if common.only.is_empty() => objects::eight()?,
+        None => return common.only.iter().map(|n| objects::named(n)).collect(),
+    };
+    if let Some(missing) = common.only.iter().find(|n| all.iter().all(|o| o.name != **n)) {
+        let names: Vec<&str> = all.iter().map(|o| o.name.as_str()).collect();
+        bail!("there is no object \"{missing}\" in the list; it has {}", names.join(", "));
+    }
+    all.retain(|o| common.only.is_empty() || common.only.contains(&o.name));
+    Ok(all)
+}
+
+fn library_options(common: &Common, seed: u64) -> LibraryOptions {
+    let mut options = LibraryOptions::default();
+    options.demonstrations.clips = common.clips as usize;
+    options.candidates = CANDIDATES_PER_CLIP * options.demonstrations.clips;
+    options.demonstrations.seed = seed;
+    options
+}
+
+/// A contact sheet of grasps spread over the library.
+fn pictures(file: &Path, object: &BenchObject, hand: &TargetHand, library: &Library, count: usize) -> Result<()> {
+    let step = library.grasps.len().div_ceil(count).max(1);
+    let posed = library.grasps.iter().enumerate().step_by(step).map(|(i, g)| Posed {
+        frame: i,
+        q: &g.joints_rad,
+        world_from_base: object.object.world_from_object * g.object_from_base,
+        world_from_object: Some(object.object.world_from_object),
+    });
+    let posed: Vec<Posed<'_>> = posed.collect();
+    clip::write(file, &hand.robot, Some(&object.object.mesh), &posed, 1).context("cannot draw the grasps")
+}
+
+/// What `bench grasp` answers.
+#[derive(Serialize)]
+struct BenchAnswer<'a> {
+    experiment: &'a str,
+    hand: &'a str,
+    judge: Engine,
+    rollouts: u32,
+    seed: u64,
+    /// Largest torque of each joint, model order, N m.
+    torque_limits_nm: Vec<f64>,
+    margin: f64,
+    #[serde(flatten)]
+    table: &'a Table,
+}
+
+/// The same with its cost, on stdout alone: the file is the same in every run.
+#[derive(Serialize)]
+struct Timed<'a> {
+    #[serde(flatten)]
+    answer: BenchAnswer<'a>,
+    /// Rollouts of the table per second of judging, plans and rehearsals with them.
+    rollouts_per_s: f64,
+    threads: usize,
+    seconds: f64,
+}
+
+fn grasp(args: &GraspArgs, seed: u64, output: Output) -> Result<()> {
+    let start = Instant::now();
+    let common = &args.common;
+    let mut hand = TargetHand::resolve(&common.hand)?;
+    // Before minutes of practice.
+    hand.robot = with_torque_cap(hand.robot, common.torque_cap)?;
+    let given = match common.objects.is_some() || !common.only.is_empty() {
+        true => Some(specs(common)?),
+        false => None,
+    };
+    let engine = Engine::from(args.engine);
+    engine.check()?;
+    let experiment = args.experiment.to_possible_value().context("the experiment has no name")?;
+    let name = experiment.get_name();
+    let robot = Arc::new(hand.robot.clone());
+    let mut options = TrialOptions::default();
+    options.law = options.law.with_margin(args.margin);
+    let mut train = TrainOptions::default().with_seed(seed).with_points(POINTS);
+    train.epochs = args.epochs.unwrap_or(train.epochs);
+    train.rollouts.wanted_friction_share = options.law.friction_share();
+    let bench = Bench {
+        hand: &hand,
+        robot: robot.clone(),
+        evaluator: &|object: &BenchObject| Ok(TrialEvaluator::new(&object.object, &robot, &options, engine)?),
+        rollouts: args.rollouts as usize,
+        seed,
+        library: library_options(common, seed),
+        train,
+        simulated: args.practice as usize,
+        compare: args.compare,
+        shake_m_s2: options.shake_m_s2,
+        out: common.out.clone(),
+        note: &|text| eprintln!("{text}"),
+    };
+    let table = bench.run(args.experiment, given.as_deref())?;
+    if let Some(out) = &common.out {
+        table.write(out, name)?;
+    }
+    let answer = BenchAnswer {
+        experiment: name,
+        hand: &hand.robot.name,
+        judge: engine,
+        rollouts: args.rollouts,
+        seed,
+        torque_limits_nm: robot.effort_limits()?,
+        margin: args.margin,
+        table: &table,
+    };
+    let seconds = start.elapsed().as_secs_f64();
+    if let Some(out) = &common.out {
+        fsutil::write_atomic(&out.join(format!("{name}.json")), &serde_json::to_vec_pretty(&answer)?)?;
+        timings::record(out, name, Timing::of(seconds))?;
+    }
+    let threads = rayon::current_num_threads();
+    let answer = Timed { answer, rollouts_per_s: table.rollouts_per_s(), threads, seconds };
+    let speed = format!("{:.1} rollouts per second on {} threads", answer.rollouts_per_s, answer.threads);
+    output.answer(&answer, format!("{}\n{speed}", table.text()))
+}

@@ -1,0 +1,136 @@
+//! The object that is grasped, pushed and simulated: one type for all crates.
+
+use std::sync::Arc;
+
+use nalgebra::{Point3, Unit, Vector3};
+
+use crate::mesh::{farthest_points, sample_surface};
+use crate::{MassProperties, Pose, SignedDistance, SurfacePoint, TriMesh};
+
+/// Coefficient of friction of an object against hand and table where nobody states one; reports list it as an assumption.
+pub const ASSUMED_FRICTION: f64 = 0.5;
+
+/// Standard gravity, m/s².
+const GRAVITY_M_S2: f64 = 9.81;
+
+/// The geometry of a solid in two speeds.
+///
+/// Its own [`SignedDistance::signed_distance`] may interpolate a grid, which is what a search asks for; [`SolidGeometry::exact`]
+/// is what an evaluation asks for.
+pub trait SolidGeometry: SignedDistance {
+    /// The exact signed distance to the boundary; often slower.
+    fn exact(&self) -> &dyn SignedDistance;
+
+    /// Lower and upper corner of the axis-aligned bounding box, metres.
+    fn bounding_box(&self) -> (Point3<f64>, Point3<f64>);
+}
+
+/// A rigid object that rests on a table.
+///
+/// Everything is in metres and in the frame of its mesh unless a name says otherwise. It is made once, by
+/// `drex_mesh::Asset::to_object` or by hand, and is cheap to clone: geometry is shared.
+#[derive(Clone)]
+pub struct Object {
+    /// Name in reports and messages.
+    pub name: String,
+    /// Surface that is seen and drawn.
+    pub mesh: Arc<TriMesh>,
+    /// Corners of each convex part of the solid, as collision shapes.
+    pub convex_parts: Arc<Vec<Vec<Point3<f64>>>>,
+    /// Mass, centre of mass and inertia.
+    pub mass_properties: MassProperties,
+    /// Signed distances.
+    pub geometry: Arc<dyn SolidGeometry>,
+    /// Coefficient of friction against hand and table.
+    pub friction: f64,
+    /// Largest normal force of one finger before the object is damaged, N; `None` if it bears any.
+    pub max_finger_n: Option<f64>,
+    /// Rest pose: where the object stands on the table z = 0 of the world.
+    pub world_from_object: Pose,
+}
+
+impl Object {
+    /// A convex object with the corners of `mesh` (metres, mesh frame), without a name, at [`ASSUMED_FRICTION`]. Other fields may
+    /// be set afterwards.
+    pub fn convex(
+        mesh: TriMesh,
+        geometry: Arc<dyn SolidGeometry>,
+        mass_properties: MassProperties,
+        world_from_object: Pose,
+    ) -> Self {
+        Self {
+            name: String::new(),
+            convex_parts: Arc::new(vec![mesh.vertices.clone()]),
+            mesh: Arc::new(mesh),
+            mass_properties,
+            geometry,
+            friction: ASSUMED_FRICTION,
+            max_finger_n: None,
+            world_from_object,
+        }
+    }
+
+    /// The same object at another mass, uniformly denser or lighter.
+    #[must_use]
+    pub fn with_mass(mut self, mass_kg: f64) -> Self {
+        self.mass_properties = self.mass_properties.with_mass(mass_kg);
+        self
+    }
+
+    /// The same object in another rest pose on the table z = 0.
+    #[must_use]
+    pub fn with_rest_pose(mut self, world_from_object: Pose) -> Self {
+        self.world_from_object = world_from_object;
+        self
+    }
+
+    /// The table top in the object's frame, while the object rests on it.
+    pub fn table(&self) -> TablePlane {
+        let up = Unit::new_normalize(self.world_from_object.rotation.inverse() * Vector3::z());
+        TablePlane { up, height_m: -self.world_from_object.translation.z }
+    }
+
+    /// Mass, kg.
+    pub fn mass_kg(&self) -> f64 {
+        self.mass_properties.mass_kg
+    }
+
+    /// Centre of mass, metres.
+    pub fn center_of_mass(&self) -> Point3<f64> {
+        self.mass_properties.center_of_mass
+    }
+
+    /// `count` points spread over the mesh uniformly by area, with outward normals. The same seed gives the same points.
+    pub fn surface_points(&self, count: usize, seed: u64) -> Vec<SurfacePoint> {
+        sample_surface(&self.mesh, count, seed)
+    }
+
+    /// `count` points that cover the mesh evenly: the farthest of eight times as many random ones.
+    pub fn point_cloud(&self, count: usize, seed: u64) -> Vec<Point3<f64>> {
+        let dense: Vec<_> = self.surface_points(8 * count, seed).into_iter().map(|s| s.point).collect();
+        farthest_points(&dense, count).into_iter().map(|i| dense[i]).collect()
+    }
+}
+
+/// The table: the points x with up · x = height, in the object's frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TablePlane {
+    /// Direction against gravity.
+    pub up: Unit<Vector3<f64>>,
+    /// Height of the table top along `up` from the object's origin, metres.
+    pub height_m: f64,
+}
+
+impl TablePlane {
+    /// The table that a body with these `points` (object frame) stands on when `up` is up. `None` without points or direction.
+    pub fn under<'a>(points: impl IntoIterator<Item = &'a Point3<f64>>, up: Vector3<f64>) -> Option<Self> {
+        let up = Unit::try_new(up, 1e-9)?;
+        let height_m = points.into_iter().map(|p| p.coords.dot(&up)).min_by(f64::total_cmp)?;
+        Some(Self { up, height_m })
+    }
+
+    /// Gravity in the object's frame, m/s².
+    pub fn gravity(&self) -> Vector3<f64> {
+        self.up.into_inner() * -GRAVITY_M_S2
+    }
+}

@@ -1,0 +1,351 @@
+//! Power grasps: the palm is placed on the object, then the fingers close until their links touch.
+//!
+//! A link near the knuckle presses harder than a fingertip with the same motor, and the palm presses back without one. The
+//! closing is that of a simple gripper planner: every joint turns inwards until a link that it moves would penetrate the object.
+
+use std::f64::consts::TAU;
+
+use drex_core::{Object, Pose, SurfacePoint};
+use drex_robot::{Finger, Robot};
+use nalgebra::{Point3, Translation3, Unit, UnitQuaternion, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use crate::{ContactOptions, Grasp, GraspOrigin, HandSurface, LinkSurface, Result};
+
+/// What is asked of a power grasp.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct PowerGraspOptions {
+    /// Coefficient of friction for force closure.
+    pub friction: f64,
+    /// Least height of the hand above the table, metres.
+    pub clearance_m: f64,
+}
+
+impl Default for PowerGraspOptions {
+    fn default() -> Self {
+        Self { friction: 0.5, clearance_m: 0.002 }
+    }
+}
+
+/// Turns of a joint at first and at last, rad.
+const CLOSING_STEPS_RAD: [f64; 3] = [0.2, 0.06, 0.015];
+/// Most turns of one size.
+const MAX_STEPS: usize = 14;
+/// A link may enter the object by this while it closes, metres.
+const MAX_CLOSING_PENETRATION_M: f64 = 0.0005;
+/// Deepest that links may be inside each other, metres.
+const MAX_SELF_PENETRATION_M: f64 = 0.001;
+/// Spacing of points on the hand while it closes, metres.
+const SPACING_M: f64 = 0.006;
+
+/// Places of the hand that are looked at for each site.
+const PLACEMENTS: usize = 40;
+/// From how far the palm comes, metres, steps of its way, and how near it is laid, metres.
+const APPROACH_M: f64 = 0.04;
+const APPROACHES: usize = 8;
+const PALM_GAP_M: f64 = 0.0003;
+/// The palm is laid on at most so misaligned, per axis, and a point of it may be misaligned to the way it comes by this cosine.
+const MAX_MISALIGNMENT: f64 = 0.15;
+const PALM_FACES: f64 = 0.8;
+/// Before they close the fingers are bent by at most this and spread to either side by at most this, rad.
+const BENT_RAD: f64 = 0.6;
+const SPREAD_RAD: f64 = 0.15;
+/// By how much a variation of a grasp differs from it at most: each joint and the turn of the palm, rad, and its shift, metres.
+const PERTURBATION_RAD: f64 = 0.05;
+const PERTURBATION_M: f64 = 0.0025;
+/// Set apart from each other and from the seeds of other draws.
+const PLACEMENT_SEED: u64 = 0x6c61_6964;
+const PERTURBATION_SEED: u64 = 0x76_61_72_79;
+
+/// A hand prepared for closing its fingers on objects.
+pub struct FingerClosing<'a> {
+    robot: &'a Robot,
+    coarse: HandSurface,
+    fine: HandSurface,
+    /// Per finger of the model, the joints that bend it, from the palm on.
+    bends: Vec<Vec<usize>>,
+    /// Links of no finger.
+    fixed: Vec<usize>,
+    /// Where the hand has one.
+    palm: Option<Palm>,
+}
+
+/// What is laid on an object, in the frame of its link.
+struct Palm {
+    link: usize,
+    /// Out of the palm.
+    facing: Vector3<f64>,
+    /// On its surface, where that faces the same way.
+    points: Vec<Point3<f64>>,
+}
+
+/// Power grasps from `tries` points all over the object's surface. The same for any number of threads.
+///
+/// # Errors
+/// If the hand has no collision shapes.
+pub fn power_grasps(
+    object: &Object,
+    robot: &Robot,
+    tries: usize,
+    seed: u64,
+    options: &PowerGraspOptions,
+) -> Result<Vec<Grasp>> {
+    let closing = FingerClosing::new(robot)?;
+    let sites = object.surface_points(tries, seed);
+    let found: Vec<Option<Grasp>> = sites
+        .par_iter()
+        .enumerate()
+        .map(|(i, site)| {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed ^ PLACEMENT_SEED);
+            rng.set_stream(i as u64);
+            let placed = (0..PLACEMENTS).find_map(|_| closing.place_palm(object, site, options, &mut rng));
+            let Some((q, pose)) = placed else { return Ok(None) };
+            let closed = closing.closed(object, q, &pose, options)?;
+            Ok(closed.map(|g| Grasp { origin: GraspOrigin::Power, source: i, ..g }))
+        })
+        .collect::<Result<_>>()?;
+    let grasps: Vec<Grasp> = found.into_iter().flatten().collect();
+    tracing::info!("{}: {} of {tries} power grasps hold", object.name, grasps.len());
+    Ok(grasps)
+}
+
+impl<'a> FingerClosing<'a> {
+    /// Prepares a hand.
+    ///
+    /// # Errors
+    /// If the hand has no collision shapes.
+    pub fn new(robot: &'a Robot) -> Result<Self> {
+        let fine = HandSurface::new(robot, ContactOptions::default().spacing_m)?;
+        let sideways = abduction_joints(robot, &fine.fingers);
+        let bends =
+            fine.fingers.iter().map(|f| f.joints.iter().copied().filter(|&j| f.is_thumb || !sideways[j]).collect());
+        let bends = bends.collect();
+        let fixed = (0..fine.links.len()).filter(|&l| fine.finger_of_link[l].is_none()).collect();
+        let coarse = HandSurface::new(robot, SPACING_M)?;
+        let palm = robot.palm_link().zip(robot.palm_normal()).map(|(link, facing)| {
+            let samples = coarse.links[link].samples().iter();
+            Palm { link, facing, points: samples.filter(|s| s.1.dot(&facing) > PALM_FACES).map(|s| s.0).collect() }
+        });
+        Ok(Self { robot, coarse, fine, bends, fixed, palm })
+    }
+
+    /// The hand with its palm on the object near `site` and its fingers open, turned and shifted at random; `None` if it has no palm, or there is no
+    /// room for it there.
+    fn place_palm(
+        &self,
+        object: &Object,
+        site: &SurfacePoint,
+        options: &PowerGraspOptions,
+        rng: &mut ChaCha8Rng,
+    ) -> Option<(Vec<f64>, Pose)> {
+        let palm = self.palm.as_ref()?;
+        let mut q = self.open(rng);
+        let misaligned = Vector3::from_fn(|_, _| rng.random_range(-MAX_MISALIGNMENT..MAX_MISALIGNMENT));
+        let along = Unit::new_normalize(misaligned - site.normal);
+        let roll = UnitQuaternion::from_axis_angle(&along, rng.random_range(0.0..TAU));
+        let rotation = roll * UnitQuaternion::rotation_between(&palm.facing, &along)?;
+        let at = palm.points.get(rng.random_range(0..palm.points.len().max(1)))?;
+        let origin = site.point - along.into_inner() * APPROACH_M - rotation * at.coords;
+        let base_from_palm = self.robot.forward_kinematics(&q, &Pose::identity())[palm.link];
+        let mut pose = Pose::from_parts(origin.coords.into(), rotation) * base_from_palm.inverse();
+        // As far as what cannot bend is off the object it may come nearer.
+        for _ in 0..APPROACHES {
+            let links = self.robot.forward_kinematics(&q, &pose);
+            let gap =
+                |l: &usize| self.coarse.links[*l].nearest(&links[*l], &*object.geometry, 2.0 * APPROACH_M).map(|n| n.1);
+            let gap = self.fixed.iter().filter_map(gap).reduce(f64::min)?;
+            if gap < PALM_GAP_M {
+                break;
+            }
+            pose = Translation3::from(along.into_inner() * gap) * pose;
+        }
+        // What is in the way of the fingers opens them; what cannot move must be free.
+        let clear = |q: &[f64]| self.lowest(object, q, &pose) >= options.clearance_m;
+        (clear(&q) && self.open_fingers(object, &mut q, &pose) && clear(&q)).then_some((q, pose))
+    }
+
+    /// Fingers nearly straight, the thumb anywhere.
+    fn open(&self, rng: &mut ChaCha8Rng) -> Vec<f64> {
+        let mut q = self.robot.reference_position();
+        let bent = rng.random_range(0.0..BENT_RAD);
+        for (finger, bends) in self.fine.fingers.iter().zip(&self.bends) {
+            for &j in &finger.joints {
+                let (lo, hi) = self.robot.joints[j].limits.unwrap_or((0.0, 0.0));
+                let share: f64 = rng.random();
+                q[j] = if finger.is_thumb {
+                    lo + share * (hi - lo)
+                } else if bends.contains(&j) {
+                    bent * share
+                } else {
+                    SPREAD_RAD * (2.0 * share - 1.0)
+                };
+            }
+        }
+        self.robot.clamp_to_limits(&mut q);
+        q
+    }
+
+    /// A grasp whose joints and palm are moved by at most `size` times `PERTURBATION_RAD` and `PERTURBATION_M`, closed again; `None` if
+    /// that holds noobject.
+    ///
+    /// # Errors
+    /// If the grasp is none of this hand.
+    pub fn perturbed(
+        &self,
+        object: &Object,
+        grasp: &Grasp,
+        size: f64,
+        seed: u64,
+        stream: u64,
+    ) -> Result<Option<Grasp>> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed ^ PERTURBATION_SEED);
+        rng.set_stream(stream);
+        let mut error = |most: f64| size * rng.random_range(-most..=most);
+        let mut q: Vec<f64> = grasp.joints_rad.iter().map(|q| q + error(PERTURBATION_RAD)).collect();
+        let shift = Vector3::from_fn(|_, _| error(PERTURBATION_M));
+        let turn = Vector3::from_fn(|_, _| error(PERTURBATION_RAD));
+        let pose = grasp.object_from_base * Pose::new(shift, turn);
+        self.robot.clamp_to_limits(&mut q);
+        let options = PowerGraspOptions::default();
+        if !self.open_fingers(object, &mut q, &pose) || self.lowest(object, &q, &pose) < options.clearance_m {
+            return Ok(None);
+        }
+        let closed = self.closed(object, q, &pose, &options)?;
+        Ok(closed.map(|g| Grasp { origin: grasp.origin.perturbed(), source: grasp.source, ..g }))
+    }
+
+    /// The grasp that closing from here gives.
+    fn closed(
+        &self,
+        object: &Object,
+        mut q: Vec<f64>,
+        pose: &Pose,
+        options: &PowerGraspOptions,
+    ) -> Result<Option<Grasp>> {
+        self.close(object, pose, &mut q);
+        let grasp = Grasp::screened(object, self.robot, &self.fine, &q, pose, options.friction)?;
+        Ok(grasp.filter(|g| {
+            g.table_clearance_m >= options.clearance_m && self.self_penetration_m(&q) <= MAX_SELF_PENETRATION_M
+        }))
+    }
+
+    /// Opens fingers that are inside the object; `false` if the palm is, or a finger stays.
+    fn open_fingers(&self, object: &Object, q: &mut [f64], pose: &Pose) -> bool {
+        for (finger, bends) in self.fine.fingers.iter().zip(&self.bends) {
+            let mut steps = 0;
+            while self.penetrates(object, q, pose, &finger.links) {
+                if steps == MAX_STEPS {
+                    return false;
+                }
+                steps += 1;
+                for &j in bends {
+                    let (lo, hi) = self.robot.joints[j].limits.unwrap_or((f64::NEG_INFINITY, f64::INFINITY));
+                    // The thumb's first joints turn it about; the others bend.
+                    let bent = !finger.is_thumb || bends.iter().rev().take(2).any(|b| *b == j);
+                    if bent {
+                        q[j] = (q[j] - 0.1).clamp(lo, hi);
+                    }
+                }
+            }
+        }
+        !self.penetrates(object, q, pose, &self.fixed)
+    }
+
+    fn lowest(&self, object: &Object, q: &[f64], pose: &Pose) -> f64 {
+        let links = self.robot.forward_kinematics(q, pose);
+        let lowest = self.coarse.lowest(&links, &object.table().up).into_iter().fold(f64::INFINITY, f64::min);
+        lowest - object.table().height_m
+    }
+
+    /// Turns every joint inwards until a link that it moves would enter the object or the table.
+    pub fn close(&self, object: &Object, pose: &Pose, q: &mut [f64]) {
+        for turn in CLOSING_STEPS_RAD {
+            for (finger, bends) in self.fine.fingers.iter().zip(&self.bends) {
+                let mut free = vec![true; bends.len()];
+                for _ in 0..MAX_STEPS {
+                    for (k, &j) in bends.iter().enumerate() {
+                        if !free[k] {
+                            continue;
+                        }
+                        let before = q[j];
+                        let (lo, hi) = self.robot.joints[j].limits.unwrap_or((f64::NEG_INFINITY, f64::INFINITY));
+                        let sense = if finger.is_thumb { self.sense(object, q, pose, finger, j) } else { 1.0 };
+                        q[j] = (before + turn * sense).clamp(lo, hi);
+                        if q[j] == before || self.penetrates(object, q, pose, &finger.links) {
+                            q[j] = before;
+                            free[k] = false;
+                        }
+                    }
+                    if free.iter().all(|f| !f) {
+                        break;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Which way a joint brings the fingertip nearer to the object; zero if it hardly does.
+    fn sense(&self, object: &Object, q: &[f64], pose: &Pose, finger: &Finger, joint: usize) -> f64 {
+        let links = self.robot.forward_kinematics(q, pose);
+        let tip = links[finger.tip_link] * finger.tip_point;
+        let (axis, at) = self.robot.joint_axis(&links, joint);
+        let inwards: Vector3<f64> = -object.geometry.signed_distance(&tip).gradient;
+        let velocity = axis.cross(&(tip - at));
+        let sense = velocity.dot(&inwards);
+        if sense.abs() < 0.3 * velocity.norm() { 0.0 } else { sense.signum() }
+    }
+
+    /// Whether a link of the finger is inside the object.
+    fn penetrates(&self, object: &Object, q: &[f64], pose: &Pose, links: &[usize]) -> bool {
+        let poses = self.robot.forward_kinematics(q, pose);
+        let inside = |l: &usize| {
+            let surface: &LinkSurface = &self.coarse.links[*l];
+            surface.nearest(&poses[*l], &*object.geometry, -MAX_CLOSING_PENETRATION_M).is_some()
+        };
+        links.iter().any(inside)
+    }
+
+    /// Whether the links are out of each other.
+    pub fn is_clear_of_itself(&self, q: &[f64]) -> bool {
+        self.self_penetration_m(q) <= MAX_SELF_PENETRATION_M
+    }
+
+    /// How deep links are inside each other, metres; zero or more.
+    fn self_penetration_m(&self, q: &[f64]) -> f64 {
+        let poses = self.robot.forward_kinematics(q, &Pose::identity());
+        let mut deepest: f64 = 0.0;
+        for (link, geom) in self.robot.collision_geoms() {
+            let geom_from_base = (poses[link] * geom.link_from_geom).inverse();
+            for (other, surface) in self.coarse.links.iter().enumerate() {
+                if other == link || !self.robot.may_collide(link, other) {
+                    continue;
+                }
+                let there = geom_from_base * poses[other];
+                for (point, _) in surface.samples() {
+                    deepest = deepest.max(-geom.shape.signed_distance(&(there * point)));
+                }
+            }
+        }
+        deepest
+    }
+}
+
+/// For each joint in the model's order whether it abducts: whether it swings a straight finger along the row of knuckles rather
+/// than towards the palm. None does of a hand without a palm.
+pub fn abduction_joints(robot: &Robot, fingers: &[Finger]) -> Vec<bool> {
+    let mut out = vec![false; robot.joints.len()];
+    let (Some(normal), Some(palm)) = (robot.palm_normal(), robot.palm_link()) else { return out };
+    let poses = robot.forward_kinematics(&robot.reference_position(), &Pose::identity());
+    let normal = poses[palm].rotation * normal;
+    for finger in fingers {
+        for &joint in &finger.joints {
+            let (axis, at) = robot.joint_axis(&poses, joint);
+            let velocity = axis.cross(&(poses[finger.tip_link] * finger.tip_point - at));
+            out[joint] = velocity.norm() < 0.01 || velocity.normalize().dot(&normal).abs() < 0.35;
+        }
+    }
+    out
+}

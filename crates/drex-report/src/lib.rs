@@ -1,0 +1,28 @@
+//! The report of a twin: one page with plots, pictures and a viewer, and the same findings for a terminal.
+//!
+//! [`write`] is the last stage of a pipeline, [`findings`] what a run found in words and as JSON. [`picture`] draws meshes, hands
+//! and plots without a GPU, fonts or a network.
+
+mod error;
+mod grasps;
+mod hand;
+mod learned;
+mod mass;
+mod object;
+mod page;
+mod people;
+pub mod picture;
+mod push;
+mod replay;
+mod report;
+mod scan;
+mod summary;
+mod trial;
+mod viewer;
+
+pub use error::{Error, Result};
+pub use mass::{contradiction_text, posterior_text, prior_text};
+pub use object::{closing_text, pieces_text};
+pub use push::verdict_text;
+pub use report::{page, write};
+pub use summary::{Findings, findings};

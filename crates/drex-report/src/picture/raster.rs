@@ -1,0 +1,382 @@
+//! A z-buffered triangle renderer on the CPU: enough to see a mesh, its pieces, and a hand around it.
+
+use std::io::Cursor;
+use std::ops::Range;
+
+use crate::{Error, Result};
+use drex_core::{Pose, TriMesh};
+use image::{ImageFormat, Rgb, RgbImage};
+use nalgebra::{Point3, Vector3};
+
+/// Supersampling per axis: edges are averaged over this many samples squared.
+const OVERSAMPLE: u32 = 2;
+/// Samples that are drawn at a time, 48 bytes each: larger pictures are drawn band by band.
+const BAND_SAMPLES: u32 = 1 << 22;
+/// Sky colour, matching the report's panels.
+const BACKGROUND: [f64; 3] = [0.957, 0.961, 0.969];
+
+/// The background as a pixel.
+pub(super) fn background() -> Rgb<u8> {
+    Rgb(BACKGROUND.map(|c| (255.0 * c).round() as u8))
+}
+
+/// A mesh in the scene with one colour (linear-ish sRGB in [0, 1]).
+pub struct Part<'a> {
+    /// Geometry in its own frame.
+    pub mesh: &'a TriMesh,
+    /// Where it stands.
+    pub world_from_mesh: Pose,
+    /// Red, green, blue in [0, 1].
+    pub color: [f64; 3],
+}
+
+/// An orbiting pinhole view of the scene: z is up.
+#[derive(Clone, Copy)]
+pub struct View {
+    /// Picture width, pixels.
+    pub width: u32,
+    /// Picture height, pixels.
+    pub height: u32,
+    /// Direction from the target to the eye: azimuth from +x, radians.
+    pub azimuth: f64,
+    /// Elevation above the horizon, radians.
+    pub elevation: f64,
+    /// World height of the table to draw under the scene; none when absent.
+    pub table_height_m: Option<f64>,
+}
+
+/// Renders the parts, framed to fit, as a PNG file in memory.
+pub fn render_png(parts: &[Part<'_>], view: &View) -> Result<Vec<u8>> {
+    encode_png(&render(parts, view))
+}
+
+/// A picture as a PNG file in memory.
+pub(super) fn encode_png(picture: &RgbImage) -> Result<Vec<u8>> {
+    let mut png = Cursor::new(Vec::new());
+    picture.write_to(&mut png, ImageFormat::Png).map_err(Error::Png)?;
+    Ok(png.into_inner())
+}
+
+/// The azimuth from which most pixels show part `subject` or, where it is large, its surroundings too: both the object and
+/// the hand around it should be seen.
+pub fn clearest_azimuth(parts: &[Part<'_>], subject: usize, view: &View) -> f64 {
+    const VIEWS: u32 = 24;
+    let small = View { width: view.width / 6, height: view.height / 6, table_height_m: None, ..*view };
+    let mut best = (0.0, view.azimuth);
+    for k in 0..VIEWS {
+        let azimuth = std::f64::consts::TAU * f64::from(k) / f64::from(VIEWS);
+        let canvas = Scene::new(parts, &View { azimuth, ..small }).draw(0..small.height);
+        let seen =
+            |wanted: bool| canvas.part.iter().filter(|p| p.is_some_and(|p| (p == subject) == wanted)).count() as f64;
+        let score = seen(true) * seen(false);
+        if score > best.0 {
+            best = (score, azimuth);
+        }
+    }
+    best.1
+}
+
+pub(super) fn render(parts: &[Part<'_>], view: &View) -> RgbImage {
+    let scene = Scene::new(parts, view);
+    let mut picture = RgbImage::new(view.width, view.height);
+    let band = (BAND_SAMPLES / (view.width * OVERSAMPLE * OVERSAMPLE).max(1)).max(1);
+    for first in (0..view.height).step_by(band as usize) {
+        let rows = first..view.height.min(first + band);
+        scene.draw(rows.clone()).downsample(&mut picture, rows);
+    }
+    picture
+}
+
+/// The parts in the world, and the camera that sees all of them.
+struct Scene<'a> {
+    view: &'a View,
+    /// Meshes with their colours.
+    parts: Vec<(TriMesh, [f64; 3])>,
+    camera: Option<Camera>,
+}
+
+impl<'a> Scene<'a> {
+    fn new(parts: &[Part<'_>], view: &'a View) -> Self {
+        let parts: Vec<_> = parts.iter().map(|p| (p.mesh.transformed(&p.world_from_mesh), p.color)).collect();
+        let (width, height) = (view.width * OVERSAMPLE, view.height * OVERSAMPLE);
+        let camera = Camera::framing(&parts, view, f64::from(width), f64::from(height));
+        Self { view, parts, camera }
+    }
+
+    /// The samples of these rows of the picture.
+    fn draw(&self, rows: Range<u32>) -> Canvas {
+        let samples = |n: u32| (n * OVERSAMPLE) as usize;
+        let mut canvas = Canvas::new(samples(self.view.width), samples(rows.start)..samples(rows.end));
+        if let Some(camera) = &self.camera {
+            if let Some(z) = self.view.table_height_m {
+                canvas.draw_table(camera, z);
+            }
+            for (index, (mesh, color)) in self.parts.iter().enumerate() {
+                canvas.draw_mesh(camera, mesh, *color, index);
+            }
+        }
+        canvas
+    }
+}
+
+struct Camera {
+    eye: Point3<f64>,
+    right: Vector3<f64>,
+    up: Vector3<f64>,
+    forward: Vector3<f64>,
+    focal: f64,
+    center: (f64, f64),
+    target: Point3<f64>,
+    radius: f64,
+}
+
+impl Camera {
+    /// A camera that sees the bounding sphere of all meshes; `None` if there is nothing to see.
+    fn framing(parts: &[(TriMesh, [f64; 3])], view: &View, width: f64, height: f64) -> Option<Self> {
+        let meshes = || parts.iter().map(|p| &p.0);
+        let (lo, hi) = meshes().filter_map(TriMesh::bounds).reduce(|a, b| (a.0.inf(&b.0), a.1.sup(&b.1)))?;
+        let target = nalgebra::center(&lo, &hi);
+        let radius = meshes().flat_map(|m| &m.vertices).map(|v| (v - target).norm()).fold(1e-6, f64::max);
+        let (sa, ca) = view.azimuth.sin_cos();
+        let (se, ce) = view.elevation.sin_cos();
+        let back = Vector3::new(ce * ca, ce * sa, se);
+        let distance = radius * 4.2;
+        let forward = -back;
+        let right = forward.cross(&Vector3::z()).normalize();
+        let up = right.cross(&forward);
+        let focal = 0.92 * 0.5 * width.min(height) * (distance * distance - radius * radius).sqrt() / radius;
+        Some(Self {
+            eye: target + back * distance,
+            right,
+            up,
+            forward,
+            focal,
+            center: (width / 2.0, height / 2.0),
+            target,
+            radius,
+        })
+    }
+
+    /// Pixel coordinates and depth along the optical axis; `None` behind the eye.
+    fn project(&self, p: &Point3<f64>) -> Option<Vector3<f64>> {
+        let d = p - self.eye;
+        let z = d.dot(&self.forward);
+        (z > 1e-6).then(|| {
+            Vector3::new(
+                self.center.0 + self.focal * d.dot(&self.right) / z,
+                self.center.1 - self.focal * d.dot(&self.up) / z,
+                z,
+            )
+        })
+    }
+}
+
+/// Some rows of the samples of a picture.
+struct Canvas {
+    width: usize,
+    rows: Range<usize>,
+    depth: Vec<f64>,
+    color: Vec<[f64; 3]>,
+    /// Which part is seen in each sample.
+    part: Vec<Option<usize>>,
+}
+
+impl Canvas {
+    fn new(width: usize, rows: Range<usize>) -> Self {
+        let samples = width * rows.len();
+        Self {
+            width,
+            rows,
+            depth: vec![f64::INFINITY; samples],
+            color: vec![BACKGROUND; samples],
+            part: vec![None; samples],
+        }
+    }
+
+    /// Where the sample of a column and a row of the whole picture is kept.
+    fn index(&self, x: usize, y: usize) -> usize {
+        (y - self.rows.start) * self.width + x
+    }
+
+    fn draw_mesh(&mut self, camera: &Camera, mesh: &TriMesh, color: [f64; 3], part: usize) {
+        for f in 0..mesh.faces.len() {
+            let corners = mesh.triangle(f);
+            let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
+            let Some(normal) = normal.try_normalize(0.0) else { continue };
+            let to_eye = (camera.eye - corners[0]).normalize();
+            // Scans can be wound either way: light the side that is seen.
+            let normal = if normal.dot(&to_eye) < 0.0 { -normal } else { normal };
+            let shade = shade(&normal, &to_eye, camera);
+            self.draw_triangle(camera, &corners, color.map(|c| (c * shade).min(1.0)), part);
+        }
+    }
+
+    /// A checked disc under the scene that fades into the background.
+    fn draw_table(&mut self, camera: &Camera, z: f64) {
+        let square = nice_length(camera.radius / 4.0);
+        let reach = 2.2 * camera.radius;
+        for y in self.rows.clone() {
+            for x in 0..self.width {
+                let ray = camera.forward
+                    + camera.right * ((x as f64 + 0.5 - camera.center.0) / camera.focal)
+                    + camera.up * ((camera.center.1 - y as f64 - 0.5) / camera.focal);
+                if ray.z >= -1e-9 {
+                    continue;
+                }
+                let t = (z - camera.eye.z) / ray.z;
+                let p = camera.eye + ray * t;
+                let fade = 1.0 - ((p.xy() - camera.target.xy()).norm() / reach).powi(2);
+                if t <= 0.0 || fade <= 0.0 {
+                    continue;
+                }
+                let dark = ((p.x / square).floor() + (p.y / square).floor()).rem_euclid(2.0) < 0.5;
+                let tone = if dark { 0.80 } else { 0.87 };
+                let i = self.index(x, y);
+                self.depth[i] = t;
+                self.color[i] = std::array::from_fn(|k| BACKGROUND[k] + (tone - BACKGROUND[k]) * fade);
+            }
+        }
+    }
+
+    fn draw_triangle(&mut self, camera: &Camera, corners: &[Point3<f64>; 3], color: [f64; 3], part: usize) {
+        let [Some(a), Some(b), Some(c)] = [0, 1, 2].map(|i| camera.project(&corners[i])) else { return };
+        let area = (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x);
+        if area.abs() < 1e-12 {
+            return;
+        }
+        let clamp = |v: f64, to: &Range<usize>| v.clamp(to.start as f64, to.end as f64) as usize;
+        let columns = 0..self.width;
+        let (x0, x1) = (clamp(a.x.min(b.x).min(c.x).floor(), &columns), clamp(a.x.max(b.x).max(c.x).ceil(), &columns));
+        let (y0, y1) =
+            (clamp(a.y.min(b.y).min(c.y).floor(), &self.rows), clamp(a.y.max(b.y).max(c.y).ceil(), &self.rows));
+        for y in y0..y1 {
+            for x in x0..x1 {
+                let (px, py) = (x as f64 + 0.5, y as f64 + 0.5);
+                let wa = ((b.x - px) * (c.y - py) - (b.y - py) * (c.x - px)) / area;
+                let wb = ((c.x - px) * (a.y - py) - (c.y - py) * (a.x - px)) / area;
+                let wc = 1.0 - wa - wb;
+                if wa < 0.0 || wb < 0.0 || wc < 0.0 {
+                    continue;
+                }
+                // 1/z is linear on the screen.
+                let z = 1.0 / (wa / a.z + wb / b.z + wc / c.z);
+                let i = self.index(x, y);
+                if z < self.depth[i] {
+                    self.depth[i] = z;
+                    self.color[i] = color;
+                    self.part[i] = Some(part);
+                }
+            }
+        }
+    }
+
+    /// Averages the samples of these rows of the picture.
+    fn downsample(&self, picture: &mut RgbImage, rows: Range<u32>) {
+        let n = OVERSAMPLE as usize;
+        let width = picture.width();
+        for (x, y) in rows.flat_map(|y| (0..width).map(move |x| (x, y))) {
+            let mut sum = [0.0; 3];
+            for dy in 0..n {
+                for dx in 0..n {
+                    let c = self.color[self.index(x as usize * n + dx, y as usize * n + dy)];
+                    for k in 0..3 {
+                        sum[k] += c[k];
+                    }
+                }
+            }
+            picture.put_pixel(x, y, Rgb(sum.map(|s| (255.0 * s / (n * n) as f64).round().clamp(0.0, 255.0) as u8)));
+        }
+    }
+}
+
+/// Two lights (over the left shoulder, and a weak one from the right) and an ambient term.
+fn shade(normal: &Vector3<f64>, to_eye: &Vector3<f64>, camera: &Camera) -> f64 {
+    let key = (to_eye - camera.right * 0.6 + Vector3::z() * 0.9).normalize();
+    let fill = (to_eye + camera.right * 1.2).normalize();
+    0.34 + 0.60 * normal.dot(&key).max(0.0) + 0.16 * normal.dot(&fill).max(0.0)
+}
+
+/// The largest of 1, 2, 5 times a power of ten that is at most `length`.
+fn nice_length(length: f64) -> f64 {
+    let power = 10f64.powf(length.log10().floor());
+    [5.0, 2.0, 1.0].into_iter().map(|k| k * power).find(|&l| l <= length).unwrap_or(power)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn triangle(z: f64) -> TriMesh {
+        TriMesh::new(
+            vec![Point3::new(-1.0, -1.0, z), Point3::new(1.0, -1.0, z), Point3::new(0.0, 1.0, z)],
+            vec![[0, 1, 2]],
+        )
+        .unwrap()
+    }
+
+    fn centre_color(parts: &[Part<'_>]) -> Rgb<u8> {
+        let view = View { width: 65, height: 65, azimuth: 0.3, elevation: 1.5, table_height_m: None };
+        *render(parts, &view).get_pixel(32, 32)
+    }
+
+    #[test]
+    fn the_nearer_triangle_hides_the_farther_whatever_the_order() {
+        let (low, high) = (triangle(0.0), triangle(0.4));
+        let red = Part { mesh: &high, world_from_mesh: Pose::identity(), color: [1.0, 0.0, 0.0] };
+        let blue = Part { mesh: &low, world_from_mesh: Pose::identity(), color: [0.0, 0.0, 1.0] };
+        let red_after = Part { mesh: &high, world_from_mesh: Pose::identity(), color: [1.0, 0.0, 0.0] };
+        let seen = centre_color(&[red, blue]);
+        assert!(seen[0] > 100 && seen[2] < 50, "the upper, red triangle must be seen from above: {seen:?}");
+        let blue = Part { mesh: &low, world_from_mesh: Pose::identity(), color: [0.0, 0.0, 1.0] };
+        assert_eq!(seen, centre_color(&[blue, red_after]));
+    }
+
+    #[test]
+    fn the_clearest_view_shows_what_the_other_part_hides() {
+        // A wall between the eye at azimuth 0 and a small subject behind it.
+        let wall = TriMesh::new(
+            vec![
+                Point3::new(0.3, -1.0, -1.0),
+                Point3::new(0.3, 1.0, -1.0),
+                Point3::new(0.3, 1.0, 1.0),
+                Point3::new(0.3, -1.0, 1.0),
+            ],
+            vec![[0, 1, 2], [0, 2, 3]],
+        )
+        .unwrap();
+        let subject = TriMesh::new(
+            vec![Point3::new(0.0, -0.3, -0.3), Point3::new(0.0, 0.3, -0.3), Point3::new(0.0, 0.0, 0.4)],
+            vec![[0, 1, 2]],
+        )
+        .unwrap();
+        let part = |mesh| Part { mesh, world_from_mesh: Pose::identity(), color: [0.5; 3] };
+        let view = View { width: 120, height: 120, azimuth: 0.0, elevation: 0.2, table_height_m: None };
+        let azimuth = clearest_azimuth(&[part(&wall), part(&subject)], 1, &view);
+        assert!(azimuth.cos() < 0.0, "the subject is hidden from azimuth 0 and seen from behind: {azimuth}");
+    }
+
+    #[test]
+    fn a_large_picture_is_drawn_band_by_band_and_is_the_same() {
+        let (low, high) = (triangle(0.0), triangle(0.4));
+        let part = |mesh, color| Part { mesh, world_from_mesh: Pose::identity(), color };
+        let parts = [part(&high, [1.0, 0.0, 0.0]), part(&low, [0.0, 0.0, 1.0])];
+        let view = View { width: 33, height: 40, azimuth: 0.3, elevation: 0.4, table_height_m: Some(-0.1) };
+        let scene = Scene::new(&parts, &view);
+        let mut bands = RgbImage::new(view.width, view.height);
+        for rows in [0..7, 7..8, 8..40] {
+            scene.draw(rows.clone()).downsample(&mut bands, rows);
+        }
+        assert_eq!(bands, render(&parts, &view));
+        // Memory: a band, and the picture with the bytes of its file.
+        let large = View { width: 4000, height: 3000, ..view };
+        let mut bytes = 0;
+        let used = allocation_counter::measure(|| bytes = render_png(&parts, &large).unwrap().len());
+        assert!(bytes > 0 && used.bytes_max < 300_000_000, "{} bytes", used.bytes_max);
+    }
+
+    #[test]
+    fn an_empty_scene_is_background() {
+        let seen = centre_color(&[]);
+        assert_eq!(seen, background());
+    }
+}

@@ -1,0 +1,99 @@
+//! What can go wrong in a twin: what was done, what was wrong, and what to do.
+
+use std::fmt::Display;
+
+/// Result of this crate.
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// Why a stage, a prediction or a deployment failed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// What is asked cannot be done with what the twin holds; the message says what is missing and what to do.
+    #[error("{0}")]
+    Refused(String),
+    /// Something failed while something else was being done.
+    #[error("{doing}")]
+    While {
+        /// What was being done, or the file or stage at work.
+        doing: String,
+        /// Why it failed.
+        #[source]
+        source: Box<Error>,
+    },
+    /// A file could not be read or written, or a setting is wrong.
+    #[error(transparent)]
+    Core(#[from] drex_core::Error),
+    /// The operating system refused.
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+    /// A record is not what drex writes.
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
+    /// The hand's model is not usable.
+    #[error(transparent)]
+    Robot(#[from] drex_robot::Error),
+    /// The mesh or the asset cannot be made.
+    #[error(transparent)]
+    Mesh(#[from] drex_mesh::Error),
+    /// The photos cannot be used.
+    #[error(transparent)]
+    Splat(#[from] drex_splat::Error),
+    /// The pushes do not tell the mass, or the prior is wrong.
+    #[error(transparent)]
+    Sysid(#[from] drex_sysid::SysidError),
+    /// A demonstration cannot be retargeted.
+    #[error(transparent)]
+    Retarget(#[from] drex_retarget::Error),
+    /// A grasp cannot be analysed.
+    #[error(transparent)]
+    Grasp(#[from] drex_grasp::GraspError),
+    /// A grasp cannot be simulated.
+    #[error(transparent)]
+    Trial(#[from] drex_trial::Error),
+    /// The network cannot be trained or asked.
+    #[error(transparent)]
+    Policy(#[from] drex_policy::Error),
+    /// The hand failed.
+    #[error(transparent)]
+    Hardware(#[from] drex_hw::Error),
+    /// The report cannot be written; reporters are handed in, see [`crate::RunOptions::report`].
+    #[error("the report cannot be written")]
+    Report(#[source] Box<dyn std::error::Error + Send + Sync>),
+}
+
+/// Says what was being done when something failed, or what is missing.
+pub(crate) trait Context<T> {
+    /// Adds what was being done.
+    fn context(self, doing: impl Display) -> Result<T>;
+    /// Adds what was being done, put together only after a failure.
+    fn with_context<D: Display>(self, doing: impl FnOnce() -> D) -> Result<T>;
+}
+
+impl<T, E: Into<Error>> Context<T> for Result<T, E> {
+    fn context(self, doing: impl Display) -> Result<T> {
+        self.with_context(|| doing)
+    }
+
+    fn with_context<D: Display>(self, doing: impl FnOnce() -> D) -> Result<T> {
+        self.map_err(|e| Error::While { doing: doing().to_string(), source: Box::new(e.into()) })
+    }
+}
+
+impl<T> Context<T> for Option<T> {
+    fn context(self, missing: impl Display) -> Result<T> {
+        self.with_context(|| missing)
+    }
+
+    fn with_context<D: Display>(self, missing: impl FnOnce() -> D) -> Result<T> {
+        self.ok_or_else(|| Error::Refused(missing().to_string()))
+    }
+}
+
+/// Returns [`Error::Refused`] with a formatted message.
+macro_rules! refuse {
+    ($($message:tt)*) => {
+        return Err($crate::Error::Refused(format!($($message)*)))
+    };
+}
+pub(crate) use refuse;

@@ -1,0 +1,276 @@
+//! A policy of one object: trained on grasps that hold in simulation, then by rollouts of what it proposes.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use crate::Result;
+use crate::error::{Context, refuse};
+use drex_core::{Object, Pose};
+use drex_grasp::{Grasp, OriginCounts};
+use drex_policy::{
+    Dataset, Feedback, GraspPolicy, GraspSample, ObjectCloud, PredictedGrasp, Query, Rollouts, TrainOptions,
+    TrainReport, Trainer,
+};
+use drex_robot::Robot;
+use drex_trial::{
+    Assumed, Condition, ConditionSpread, Evaluation, Evaluator, GripForce, Selection, SelectionOptions,
+    VALIDATION_SEED, ValidatedGrasp, select_grasps,
+};
+use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
+
+/// Points of the object that the network sees.
+pub const POINTS: usize = 512;
+/// The network learns the force at these multiples of the object's mass.
+const MASS_FACTORS: [f64; 3] = [0.4, 1.0, 2.0];
+/// Frictions of the force labels.
+const FRICTIONS: [f64; 3] = [0.35, 0.5, 0.75];
+/// Rounds of rollouts of the network, views of a round, tries of a view.
+const ROUNDS: (usize, usize, usize) = (10, 6, 8);
+/// More than the motors of any hand squeeze with, N.
+const MORE_THAN_ANY_N: f64 = 1e4;
+
+/// A grasp that the network proposes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Proposal {
+    /// Joint angles in the model's order, rad.
+    pub joints: Vec<f64>,
+    /// Pose of the hand's base in the object's frame.
+    pub object_from_base: Pose,
+    /// Grip force, sum of the normal forces, N.
+    pub squeeze_n: f64,
+    /// Probability among those proposed.
+    pub weight: f64,
+}
+
+/// How a policy is trained.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LearnOptions {
+    /// Settings of the training.
+    pub train: TrainOptions,
+    /// Distribution of the conditions under which grasps are simulated.
+    pub spread: ConditionSpread,
+    /// Grasps that are simulated before the best are learned, those that need least force; zero simulates nothing.
+    pub simulated: usize,
+    /// Acceleration of the shakes, m/s².
+    pub shake_m_s2: f64,
+    /// Masses of the labels, kg; empty: multiples of the object's own.
+    pub masses_kg: Vec<f64>,
+    /// Whether the network sees the same mass whatever it was: what randomising masses in training amounts to.
+    pub mass_hidden: bool,
+}
+
+/// A trained policy.
+pub struct Learned {
+    policy: GraspPolicy,
+    /// Mass that the network sees in place of the assumed one, kg.
+    shown_kg: Option<f64>,
+    /// Number of grasps for which there is a command.
+    pub commanded: usize,
+    /// Number of grasps that held under most conditions.
+    pub robust: usize,
+    /// Grasps that were learned.
+    pub learned: OriginCounts,
+    /// Lowest assumed friction at which a closed grasp has a grip force for the heaviest mass.
+    pub carries_from: Option<f64>,
+    /// Curve and errors of the training.
+    pub report: TrainReport,
+    /// Number of pairs of grasp and grip force.
+    pub samples: usize,
+    /// Time of the selection, of learning from demonstrations and of learning from rollouts, s.
+    pub seconds: [f64; 3],
+}
+
+impl Learned {
+    /// Trains on grasps of an object: those that hold in practice, with the force that the cone programme asks for once the hand has
+    /// closed; then by rollouts of what the network proposes. All in drex-diffsim.
+    ///
+    /// # Errors
+    /// If no grasp can carry the object at any of the masses, or the training fails.
+    pub fn train<E: Evaluator>(
+        object: &Object,
+        robot: &Arc<Robot>,
+        grasps: &[Grasp],
+        evaluator: &E,
+        options: &LearnOptions,
+    ) -> Result<Self> {
+        let start = Instant::now();
+        let masses: Vec<f64> = match options.masses_kg.is_empty() {
+            true => MASS_FACTORS.map(|f| f * object.mass_kg()).to_vec(),
+            false => options.masses_kg.clone(),
+        };
+        let middle = (masses.iter().map(|m| m.ln()).sum::<f64>() / masses.len() as f64).exp();
+        let shown_kg = options.mass_hidden.then_some(middle);
+        // What is to hold at several masses is simulated at all of them.
+        let own = [object.mass_kg()];
+        let practice_kg = if options.masses_kg.is_empty() { &own[..] } else { &masses[..] };
+        let selection = SelectionOptions {
+            spread: options.spread,
+            simulated: options.simulated,
+            shake_m_s2: options.shake_m_s2,
+            seed: options.train.seed,
+        };
+        let Selection { grasps: selected, commanded, robust, carries_from } =
+            select_grasps(object, robot, grasps, evaluator, practice_kg, &selection)?;
+        let samples: Vec<GraspSample> = selected
+            .par_iter()
+            .map(|p| samples(p, evaluator, &masses, shown_kg))
+            .collect::<Result<Vec<_>>>()?
+            .into_iter()
+            .flatten()
+            .collect();
+        if samples.is_empty() {
+            refuse!(
+                "none of the {} grasps of \"{}\" can carry {:.0} g with the motors of {}: it may be too heavy or too smooth for this hand",
+                grasps.len(),
+                object.name,
+                1e3 * middle,
+                robot.name
+            );
+        }
+        let limits = robot.joints.iter().map(|j| {
+            j.limits
+                .with_context(|| format!("joint {} of {} has no limits; the network needs them", j.name, robot.name))
+        });
+        let up = object.table().up.into_inner();
+        let data = Dataset {
+            joint_names: robot.joint_names().into_iter().map(str::to_owned).collect(),
+            joint_limits: limits.collect::<Result<_>>()?,
+            hand: robot.name.clone(),
+            fingers: robot.fingers().into_iter().map(|f| f.name).collect(),
+            objects: vec![ObjectCloud {
+                name: object.name.clone(),
+                points: object.point_cloud(POINTS, options.train.seed),
+                up,
+            }],
+            samples,
+        };
+        let mut train = options.train.clone();
+        // Every grasp that held has a mode of its own; a mean of two may hold nothing.
+        train.modes = selected.len();
+        train.hold_out_every = 0;
+        (train.rollouts.epochs, train.rollouts.scenes, train.rollouts.tries) = ROUNDS;
+        train.rollouts.epochs = train.rollouts.epochs.min(options.simulated / 10);
+        let selected_s = start.elapsed().as_secs_f64();
+        let mut trainer = Trainer::new(&data, &train)?;
+        while trainer.learn()?.is_some() {}
+        let learned_s = start.elapsed().as_secs_f64();
+        let practice = Practice { evaluator, spread: options.spread };
+        while trainer.roll_out(&practice)?.is_some() {}
+        let (policy, report) = trainer.finish()?;
+        let seconds = [selected_s, learned_s - selected_s, start.elapsed().as_secs_f64() - learned_s];
+        let (learned, samples) = (OriginCounts::of(selected.iter().map(|p| p.grasp.origin)), data.samples.len());
+        Ok(Self { policy, shown_kg, commanded, robust, learned, carries_from, report, samples, seconds })
+    }
+
+    /// The network.
+    pub fn policy(&self) -> &GraspPolicy {
+        &self.policy
+    }
+
+    /// The grasps for an object with these points, `up` for it the way from the table, the most probable first.
+    ///
+    /// # Errors
+    /// If the policy is not defined for what is asked.
+    pub fn propose(&self, points: &[Point3<f64>], up: &Vector3<f64>, assumed: &Assumed) -> Result<Vec<Proposal>> {
+        let query = Query::new(points, self.shown_kg.unwrap_or(assumed.mass_kg), assumed.friction).with_up(*up);
+        let proposals = self.policy.predict(&query)?.into_iter().map(|g| Proposal {
+            joints: g.joints,
+            object_from_base: g.object_from_palm,
+            squeeze_n: g.squeeze_n,
+            weight: g.weight,
+        });
+        Ok(proposals.collect())
+    }
+}
+
+/// The grasp with the force that it needs at each of the masses and frictions.
+fn samples<E: Evaluator>(
+    validated: &ValidatedGrasp,
+    evaluator: &E,
+    masses: &[f64],
+    shown_kg: Option<f64>,
+) -> Result<Vec<GraspSample>> {
+    let (grasp, object_from_palm) = (&validated.grasp, validated.grasp.object_from_base);
+    let mut out = Vec::new();
+    let closed = evaluator.close(
+        &grasp.joints_rad,
+        &object_from_palm,
+        &Assumed { mass_kg: masses[0], friction: FRICTIONS[1] },
+    )?;
+    for (mass_kg, friction) in masses.iter().flat_map(|m| FRICTIONS.map(|f| (*m, f))) {
+        let assumed = Assumed { mass_kg, friction };
+        if let Some(squeeze_n) = needed_n(evaluator, &closed, &assumed)? {
+            out.push(GraspSample {
+                object: 0,
+                joints: grasp.joints_rad.clone(),
+                object_from_palm,
+                contacts: validated.fingers.clone(),
+                squeeze_n,
+                mass_kg: shown_kg.unwrap_or(mass_kg),
+                friction,
+            });
+        }
+    }
+    Ok(out)
+}
+
+/// The squeeze that the law asks for; all that the motors have where they have too little for it but may still carry. Without these
+/// the network would know heavy things only by the cases that are easy.
+fn needed_n<E: Evaluator>(evaluator: &E, closed: &E::Closed, assumed: &Assumed) -> Result<Option<f64>> {
+    for force in [GripForce::Required, GripForce::Total(MORE_THAN_ANY_N)] {
+        if let Ok(squeeze_n) = evaluator.grip_force_n(closed, assumed, force)? {
+            return Ok(Some(squeeze_n));
+        }
+    }
+    Ok(None)
+}
+
+/// Rollouts of what the network proposes, with its own force.
+struct Practice<'a, E> {
+    evaluator: &'a E,
+    spread: ConditionSpread,
+}
+
+impl<E: Evaluator> Rollouts for Practice<'_, E> {
+    fn rollout(
+        &self,
+        object: usize,
+        grasp: &PredictedGrasp,
+        mass_kg: f64,
+        friction: f64,
+        seed: u64,
+    ) -> drex_policy::Result<Feedback> {
+        self.feedback(grasp, mass_kg, friction, seed).map_err(|e| drex_policy::Error::Rollout {
+            object: format!("number {object}"),
+            mass_kg,
+            friction,
+            what: e.to_string(),
+            remedy: "see what the simulator says".into(),
+        })
+    }
+}
+
+impl<E: Evaluator> Practice<'_, E> {
+    fn feedback(&self, grasp: &PredictedGrasp, mass_kg: f64, friction: f64, seed: u64) -> Result<Feedback> {
+        let assumed = Assumed { mass_kg, friction };
+        let closed = self.evaluator.close(&grasp.joints, &grasp.object_from_palm, &assumed)?;
+        let needed = needed_n(self.evaluator, &closed, &assumed)?;
+        let condition = Condition { friction, ..self.spread.conditions(1, seed ^ VALIDATION_SEED)[0] };
+        let evaluation = match self.evaluator.command(&closed, &assumed, GripForce::Total(grasp.squeeze_n))? {
+            Ok(command) => self.evaluator.validate(&command, &condition.truth(mass_kg))?,
+            Err(reason) => Evaluation::refused(&reason),
+        };
+        let fingers_in_contact = match evaluation.fingers.is_empty() {
+            true => self.evaluator.fingers(&closed),
+            false => evaluation.fingers.clone(),
+        };
+        Ok(Feedback {
+            fingers_in_contact,
+            retained: evaluation.retained,
+            held: evaluation.held(),
+            friction_used: evaluation.friction_used,
+            needed_squeeze_n: needed,
+        })
+    }
+}

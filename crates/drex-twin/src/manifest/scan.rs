@@ -1,0 +1,78 @@
+//! `[scan]`: what the object's mesh is made of, where none is given.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+
+use drex_core::{Error, Result};
+
+/// Photos, or a recording of a depth camera. The mesh that `[object]` names is made of it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScanConfig {
+    /// Folder of photos with their cameras (COLMAP's model or transforms.json), or of an RGB-D recording; or a video.
+    pub photos: PathBuf,
+    /// Metres per unit of the scan.
+    pub scale: Option<f64>,
+    /// Known distances between two marks, metres, by their names: `"A-C" = 0.12`. Their pixels are in `marks.json` of the scan.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub distances_m: BTreeMap<String, f64>,
+    /// How much time the Gaussians may take; fast if left out.
+    #[serde(default)]
+    pub preset: ScanPreset,
+    /// Steps of each set of Gaussians instead of the preset's.
+    pub iterations: Option<u32>,
+    /// Lower and upper corner of the object's box in the frame and unit of the scan, where it does not stand alone.
+    pub region: Option<[[f64; 3]; 2]>,
+}
+
+/// How much time the Gaussians may take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ScanPreset {
+    /// A minute or two.
+    #[default]
+    Fast,
+    /// Several minutes.
+    Default,
+    /// As long as it takes.
+    Best,
+}
+
+impl ScanConfig {
+    /// The known distances: names of the two marks, metres.
+    pub fn distances(&self) -> impl Iterator<Item = (&str, &str, f64)> {
+        self.distances_m.iter().filter_map(|(pair, m)| pair.split_once('-').map(|(a, b)| (a, b, *m)))
+    }
+
+    pub(super) fn check(&self) -> Result<()> {
+        let refuse = |what: String, remedy: &str| Err(Error::value(what, remedy));
+        if let Some(scale) = self.scale
+            && !(scale > 0.0 && scale.is_finite())
+        {
+            return refuse(format!("[scan] scale = {scale}"), "give metres per unit of the scan, a positive number");
+        }
+        if self.scale.is_some() && !self.distances_m.is_empty() {
+            return refuse("[scan] has both scale and distances_m".into(), "keep one of them");
+        }
+        for (pair, metres) in &self.distances_m {
+            let marks = pair.split_once('-').filter(|(a, b)| !a.is_empty() && !b.is_empty() && a != b);
+            if marks.is_none() || !(*metres > 0.0 && metres.is_finite()) {
+                return refuse(
+                    format!("[scan] distances_m: \"{pair}\" = {metres}"),
+                    "name two marks and their distance in metres, such as \"A-C\" = 0.12",
+                );
+            }
+        }
+        if self.iterations == Some(0) {
+            return refuse("[scan] iterations = 0".into(), "give a positive number or leave it out");
+        }
+        if let Some([lo, hi]) = self.region
+            && !(0..3).all(|i| lo[i] < hi[i])
+        {
+            return refuse("[scan] region is empty".into(), "give the lower corner first: [[x, y, z], [x, y, z]]");
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,178 @@
+//! The pipeline: every stage whose inputs changed, in order.
+
+use std::fs::{File, TryLockError};
+use std::path::PathBuf;
+use std::time::Instant;
+
+use drex_core::fsutil;
+use serde::Serialize;
+
+use crate::error::{Context, refuse};
+use crate::inputs::Stage;
+use crate::timings::{self, Timing};
+use crate::{Error, Progress, Result, Twin, stages};
+
+/// Writes a twin's report and names the files; `drex_report::write` is one.
+pub type Reporter = fn(&Twin) -> Result<Vec<PathBuf>, Box<dyn std::error::Error + Send + Sync>>;
+
+/// How far a twin is run.
+#[derive(Debug, Clone, Copy)]
+#[non_exhaustive]
+pub struct RunOptions {
+    /// The last stage that is done.
+    pub last: Stage,
+    /// Whether the last stage is done even if it is up to date.
+    pub again: bool,
+    /// Writer of the report; without one the stage [`Stage::Report`] is left out.
+    pub report: Option<Reporter>,
+}
+
+impl Default for RunOptions {
+    /// All stages, without a report.
+    fn default() -> Self {
+        Self { last: Stage::Report, again: false, report: None }
+    }
+}
+
+impl RunOptions {
+    /// The options with another last stage.
+    #[must_use]
+    pub fn until(mut self, last: Stage) -> Self {
+        self.last = last;
+        self
+    }
+
+    /// The options with the last stage done in any case.
+    #[must_use]
+    pub fn with_again(mut self, again: bool) -> Self {
+        self.again = again;
+        self
+    }
+
+    /// The options with a writer of the report.
+    #[must_use]
+    pub fn with_report(mut self, report: Reporter) -> Self {
+        self.report = Some(report);
+        self
+    }
+}
+
+/// What a run of the pipeline did.
+#[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
+pub struct RunSummary {
+    /// The twin's name.
+    pub name: String,
+    /// Stages that were made in this run.
+    pub stages_run: Vec<&'static str>,
+    /// Stages that were up to date.
+    pub stages_current: Vec<&'static str>,
+    /// Wall time, seconds.
+    pub seconds: f64,
+}
+
+impl Twin {
+    /// Does every stage up to and including the last one whose inputs changed, and skips the others.
+    ///
+    /// A run that is stopped goes on where it was when it is started again, and ends with the same bytes.
+    ///
+    /// # Errors
+    /// If a stage fails; the message names the stage, what was wrong and what to do. Also if another process works on the folder.
+    pub fn run(&mut self, options: &RunOptions, progress: &dyn Progress) -> Result<RunSummary> {
+        let RunOptions { last, again, report } = *options;
+        if last.needs_grasps() && self.manifest.grasps.is_none() {
+            refuse!(
+                "{} has no [grasps] section, so there is nothing to {}; name a file of demonstrated grasps there",
+                self.path("twin.toml").display(),
+                last.name()
+            );
+        }
+        let _alone = self.begin(progress)?;
+        let started = Instant::now();
+        let mut summary =
+            RunSummary { name: self.manifest.name.clone(), stages_run: vec![], stages_current: vec![], seconds: 0.0 };
+        for stage in Stage::ALL.into_iter().filter(|s| *s <= last) {
+            if stage.needs_grasps() && self.manifest.grasps.is_none()
+                || stage == Stage::Scan && self.manifest.scan.is_none()
+                || stage == Stage::Report && report.is_none()
+            {
+                continue;
+            }
+            let inputs = self.inputs(stage).with_context(|| format!("stage {}", stage.name()))?;
+            if self.lock.is_current(stage.name(), &inputs) && !(again && stage == last) {
+                progress.note(&format!("{:>10}  up to date", stage.name()));
+                summary.stages_current.push(stage.name());
+                continue;
+            }
+            let begun = Instant::now();
+            let outputs = self
+                .make(stage, report, progress)
+                .with_context(|| format!("stage {} of {}", stage.name(), self.root.display()))?;
+            let seconds = begun.elapsed().as_secs_f64();
+            let removed = self.lock.record(stage.name(), inputs, self.seed, &outputs)?;
+            if !removed.is_empty() {
+                progress.note(&format!(
+                    "{:>10}  removed what an earlier run made and this one did not: {}",
+                    "note",
+                    some_of(&removed)
+                ));
+            }
+            let parts = self.parts.take();
+            timings::record(&self.root, stage.name(), Timing { parts, ..Timing::of(seconds) })?;
+            progress.note(&format!("{:>10}  done in {seconds:.1} s", stage.name()));
+            summary.stages_run.push(stage.name());
+        }
+        summary.seconds = started.elapsed().as_secs_f64();
+        Ok(summary)
+    }
+
+    /// Says what is not as the last run left it, and removes what a run that did not end left half-written. Until the value
+    /// is dropped no other process works on this folder.
+    fn begin(&self, progress: &dyn Progress) -> Result<Option<File>> {
+        self.lock.damage().iter().for_each(|damage| progress.note(&format!("{:>10}  {damage}", "note")));
+        let file = File::open(&self.file).with_context(|| format!("cannot read {}", self.file.display()))?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                refuse!("another drex is at work on {}: wait until it is done", self.root.display())
+            }
+            // A file system without locks: somebody else's half-written file could be one that is being written.
+            Err(TryLockError::Error(_)) => return Ok(None),
+        }
+        let folders = ["scan", "splat", "depth", "mesh", "asset", "grasps", "policy"];
+        let mut removed = fsutil::remove_unfinished(&self.root, false)?;
+        for folder in folders {
+            removed.extend(fsutil::remove_unfinished(&self.path(folder), true)?);
+        }
+        for path in removed {
+            let what = path.strip_prefix(&self.root).unwrap_or(&path).display();
+            progress.note(&format!(
+                "{:>10}  removed {what}: a run that was stopped, or found the disk full, left it",
+                "note"
+            ));
+        }
+        Ok(Some(file))
+    }
+
+    fn make(&self, stage: Stage, report: Option<Reporter>, progress: &dyn Progress) -> Result<Vec<PathBuf>> {
+        match stage {
+            Stage::Scan => stages::scan::make(self, progress),
+            Stage::Asset => stages::asset::make(self),
+            Stage::Identify => stages::identify::make(self, progress),
+            Stage::Grasps => stages::grasps::make(self, progress),
+            Stage::Train => stages::train::make(self, progress),
+            Stage::Evaluate => stages::evaluate::make(self, progress),
+            Stage::Trial => stages::trial::make(self, progress),
+            Stage::Execute => stages::execute::make(self, progress),
+            Stage::Report => report.map_or(Ok(Vec::new()), |write| write(self).map_err(Error::Report)),
+        }
+    }
+}
+
+/// The first names of a list, and how many more there are.
+fn some_of(names: &[String]) -> String {
+    const SHOWN: usize = 3;
+    let more = names.len().saturating_sub(SHOWN);
+    let shown = names.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
+    if more > 0 { format!("{shown} and {more} more") } else { shown }
+}

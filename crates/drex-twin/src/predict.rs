@@ -1,0 +1,295 @@
+//! A grasp for an object that stands somewhere: the network's proposals, the first that the hand can hold, and its grip force.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use drex_core::{ASSUMED_FRICTION, Object, Pose, PoseRecord};
+use drex_grasp::{ContactOptions, ForceCommand, HandSurface, SqueezeProblem, TorqueLimits, paper_force};
+use drex_mesh::{AssetOptions, LengthUnit, asset_from_mesh, metric_mesh};
+use drex_policy::{GraspPolicy, PredictedGrasp, Query};
+use drex_robot::Robot;
+use drex_trial::{Reach, TrialOptions, needed_force, plan_reach};
+use nalgebra::{Point3, Vector3};
+use serde::Serialize;
+
+use crate::error::{Context, refuse};
+use crate::hand::with_torque_cap;
+use crate::records::{MASS, MassFile, POLICY, read_json};
+use crate::{Result, Twin, rank};
+
+/// Largest gap at which a predicted hand counts as touching, metres: less than the fingers move when they close.
+const MAX_PREDICTED_GAP_M: f64 = 0.006;
+/// File that makes a folder that of a policy.
+const POLICY_CARD: &str = "policy.json";
+
+/// What is known of the object and the hand beyond the twin; what is left out is the twin's.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct PredictOptions {
+    /// Hand that will grasp: the name of a bundled model or a file.
+    pub hand: Option<String>,
+    /// Pose of the object's mesh frame in the world.
+    pub world_from_object: Option<Pose>,
+    /// Mass of the object, kg.
+    pub mass_kg: Option<f64>,
+    /// Coefficient of friction between hand and object.
+    pub friction: Option<f64>,
+    /// Largest torque of any joint, N m.
+    pub torque_cap_nm: Option<f64>,
+}
+
+/// A policy, its hand and an object: all that a prediction takes.
+pub struct Predictor {
+    /// The network.
+    pub policy: GraspPolicy,
+    /// Folder of the network.
+    pub folder: PathBuf,
+    /// Folder of the twin, or that of a policy that has none.
+    pub root: PathBuf,
+    /// Model of the hand.
+    pub robot: Robot,
+    /// The object with its mass and friction, where it stands.
+    pub object: Object,
+    points: Vec<Point3<f64>>,
+}
+
+/// A grasp that was chosen for an object, with its grip force.
+#[derive(Debug, Clone, Serialize)]
+pub struct Prediction {
+    /// Name of the hand's model.
+    pub hand: String,
+    /// Names of the joints.
+    pub joint_names: Vec<String>,
+    /// Angles of the joints, rad.
+    pub joints_rad: Vec<f64>,
+    /// Pose of the hand's base in the world.
+    pub world_from_palm: PoseRecord,
+    /// Probability by the network.
+    pub weight: f64,
+    /// Place among the proposals in the order in which they are tried, from 1.
+    pub place: usize,
+    /// Mass that was assumed, kg.
+    pub mass_kg: f64,
+    /// Coefficient of friction that was assumed.
+    pub friction: f64,
+    /// Grip force by the network, sum of normal forces, N.
+    pub squeeze_n: f64,
+    /// Grip force by the grip-force policy at the predicted contacts, N; absent where they cannot carry the object.
+    pub needed_squeeze_n: Option<f64>,
+    /// Contacts of each finger, the palm last.
+    pub contacts: Vec<FingerContact>,
+    /// Joint torques of the grip force with the hand's own weight, N m; empty where there is no grip force.
+    pub joint_torques_nm: Vec<f64>,
+    /// The paper's normalised force: m g n / 5 N, at most 1.
+    pub paper_force: f64,
+    /// Why there is no grip force, where there is none.
+    pub cannot_hold: Option<String>,
+    /// Time of the network, ms; not in files, as it differs from run to run.
+    #[serde(skip)]
+    pub network_ms: f64,
+    /// Time of contacts and grip force, ms.
+    #[serde(skip)]
+    pub force_ms: f64,
+}
+
+/// Contacts of one finger.
+#[derive(Debug, Clone, Serialize)]
+pub struct FingerContact {
+    /// Name of the finger, or `palm`.
+    pub finger: String,
+    /// Number of contacts.
+    pub contacts: usize,
+    /// Sum of the normal forces, N.
+    pub normal_n: f64,
+}
+
+/// The grasp of `policy` for an object of this mass that stands at this pose, with the bundled model of the policy's hand.
+///
+/// # Errors
+/// If the policy's hand is not bundled, or the policy is not defined for this mass or object.
+pub fn predict(object: &Object, policy: &GraspPolicy, world_from_object: Pose, mass_kg: f64) -> Result<Prediction> {
+    let object = object.clone().with_mass(mass_kg).with_rest_pose(world_from_object);
+    let robot = with_torque_cap(Robot::bundled(policy.hand())?, None)?;
+    Predictor::new(policy.clone(), robot, object, 0).predict()
+}
+
+impl Predictor {
+    /// A predictor for an object where it stands; the seed decides which points of it the network sees.
+    pub fn new(policy: GraspPolicy, robot: Robot, object: Object, seed: u64) -> Self {
+        let points = object.point_cloud(policy.points(), seed);
+        Self { policy, folder: PathBuf::new(), root: PathBuf::new(), robot, object, points }
+    }
+
+    /// A predictor for the object of a twin, or for a mesh (metres, z up) and the folder of a policy.
+    ///
+    /// # Errors
+    /// If there is no policy yet, it is for another hand, or the object cannot be read.
+    pub fn open(path: &Path, mesh: Option<&Path>, options: &PredictOptions, seed: Option<u64>) -> Result<Self> {
+        if path.join(POLICY_CARD).is_file() {
+            return Self::of_policy(path, mesh, options, seed.unwrap_or(0));
+        }
+        Self::of_twin(&Twin::open(path)?.with_seed(seed), options)
+    }
+
+    /// A predictor for the object of a twin.
+    ///
+    /// # Errors
+    /// As [`Predictor::open`].
+    pub fn of_twin(twin: &Twin, options: &PredictOptions) -> Result<Self> {
+        let folder = twin.path(POLICY);
+        if !folder.join(POLICY_CARD).is_file() {
+            refuse!("{} has no policy yet: run `drex train {0}` first", twin.root.display());
+        }
+        let mass_kg = match options.mass_kg {
+            Some(mass) => mass,
+            None => read_json::<MassFile>(&twin.path(MASS))?.grip_kg,
+        };
+        let mut object = twin.asset()?.to_exact_object(&twin.manifest.name)?.with_mass(mass_kg);
+        object.friction = options.friction.unwrap_or_else(|| twin.friction());
+        let own = twin.manifest.grasps.as_ref();
+        let policy = GraspPolicy::load(&folder)?;
+        let robot = hand(&policy, options, own.map(|g| (g.hand.as_str(), g.torque_cap_nm)), &twin.root)?;
+        let root = twin.root.clone();
+        Ok(Self { folder, root, ..Self::new(policy, robot, placed(object, options), twin.seed) })
+    }
+
+    fn of_policy(folder: &Path, mesh: Option<&Path>, options: &PredictOptions, seed: u64) -> Result<Self> {
+        let Some(mesh) = mesh else {
+            refuse!(
+                "{} is the folder of a policy: say what is grasped with --mesh FILE and --mass KG",
+                folder.display()
+            );
+        };
+        let mass_kg = options.mass_kg.context("say what the object weighs: --mass KG")?;
+        let (mesh, _) = metric_mesh(mesh, LengthUnit::Metre)?;
+        let mut asset_options = AssetOptions::default();
+        (asset_options.mass_kg, asset_options.unit) = (Some(mass_kg), LengthUnit::Metre);
+        let mut object = asset_from_mesh(&mesh, &asset_options)?.to_exact_object("object")?;
+        object.friction = options.friction.unwrap_or(ASSUMED_FRICTION);
+        let policy = GraspPolicy::load(folder)?;
+        let robot = hand(&policy, options, None, folder)?;
+        let (folder, root) = (folder.to_path_buf(), folder.to_path_buf());
+        Ok(Self { folder, root, ..Self::new(policy, robot, placed(object, options), seed) })
+    }
+
+    /// The first grasp in the order of [`rank::sort`] that the hand can hold; the first one, with the reason, if none can.
+    ///
+    /// # Errors
+    /// If the policy is not defined for this mass or object.
+    pub fn predict(&self) -> Result<Prediction> {
+        let start = Instant::now();
+        let up = self.object.world_from_object.rotation.inverse() * Vector3::z();
+        let query = Query::new(&self.points, self.object.mass_kg(), self.object.friction).with_up(up);
+        let grasps = rank::proposals(&self.policy, &query)?;
+        let network_ms = 1e3 * start.elapsed().as_secs_f64();
+        let start = Instant::now();
+        let surface = HandSurface::new(&self.robot, ContactOptions::default().spacing_m)?;
+        let mut first = None;
+        for (place, grasp) in grasps.iter().enumerate() {
+            let prediction = self.evaluate(&surface, grasp, place + 1)?;
+            let holds = prediction.cannot_hold.is_none();
+            if holds || first.is_none() {
+                first = Some(prediction);
+            }
+            if holds {
+                break;
+            }
+        }
+        let mut prediction = first.context("the policy proposes no grasp")?;
+        (prediction.network_ms, prediction.force_ms) = (network_ms, 1e3 * start.elapsed().as_secs_f64());
+        Ok(prediction)
+    }
+
+    /// How the fingers open before the grasp and close onto the object.
+    ///
+    /// # Errors
+    /// If the hand has no collision shapes.
+    pub fn reach(&self, grasp: &Prediction) -> Result<Reach> {
+        let surface = HandSurface::new(&self.robot, ContactOptions::default().spacing_m)?;
+        let world_from_object = self.object.world_from_object;
+        let object_from_base = world_from_object.inverse() * grasp.world_from_palm.to_pose()?;
+        let object = self.object.geometry.exact();
+        Ok(plan_reach(&self.robot, &surface, &grasp.joints_rad, &object_from_base, object, &world_from_object))
+    }
+
+    fn evaluate(&self, surface: &HandSurface, grasp: &PredictedGrasp, place: usize) -> Result<Prediction> {
+        let Self { robot, object, .. } = self;
+        let mut options = ContactOptions::with_friction(object.friction);
+        options.max_gap_m = MAX_PREDICTED_GAP_M;
+        let contacts =
+            surface.contacts(robot, &grasp.joints, &grasp.object_from_palm, object.geometry.exact(), &options)?;
+        let gravity = object.table().gravity();
+        let torques = TorqueLimits::of_robot(robot, &grasp.joints, &grasp.object_from_palm, &contacts, &gravity)?;
+        let problem =
+            SqueezeProblem::new(contacts, object.mass_kg(), object.center_of_mass(), gravity).with_torques(torques);
+        let (force, cannot_hold) = match needed_force(robot, &TrialOptions::default().law, &problem) {
+            Ok(force) => (Some(force), None),
+            Err(reason) => (None, Some(reason.to_string())),
+        };
+        let of = |f: Option<usize>| problem.contacts.iter().filter(move |c| c.finger == f).count();
+        let share = |f: Option<usize>| share_of(force.as_ref(), f);
+        let mut fingers: Vec<FingerContact> = surface
+            .fingers
+            .iter()
+            .enumerate()
+            .map(|(i, f)| FingerContact { finger: f.name.clone(), contacts: of(Some(i)), normal_n: share(Some(i)) })
+            .collect();
+        fingers.push(FingerContact { finger: "palm".into(), contacts: of(None), normal_n: share(None) });
+        let touching = fingers.iter().filter(|f| f.contacts > 0).count();
+        Ok(Prediction {
+            hand: robot.name.clone(),
+            joint_names: robot.joint_names().into_iter().map(str::to_owned).collect(),
+            joints_rad: grasp.joints.clone(),
+            world_from_palm: PoseRecord::from(&(object.world_from_object * grasp.object_from_palm)),
+            weight: grasp.weight,
+            place,
+            mass_kg: object.mass_kg(),
+            friction: object.friction,
+            squeeze_n: grasp.squeeze_n,
+            needed_squeeze_n: force.as_ref().map(|f| f.total_n),
+            contacts: fingers,
+            joint_torques_nm: force.map(|f| f.distribution.joint_torques_nm).unwrap_or_default(),
+            paper_force: paper_force(object.mass_kg(), 9.81, touching),
+            cannot_hold,
+            network_ms: 0.0,
+            force_ms: 0.0,
+        })
+    }
+}
+
+fn share_of(force: Option<&ForceCommand>, finger: Option<usize>) -> f64 {
+    force.map_or(0.0, |f| {
+        let d = &f.distribution;
+        finger.map_or(d.palm_n, |i| d.per_finger_n.get(i).copied().unwrap_or(0.0))
+    })
+}
+
+/// The object where the options say that it stands.
+fn placed(object: Object, options: &PredictOptions) -> Object {
+    let pose = options.world_from_object.unwrap_or(object.world_from_object);
+    object.with_rest_pose(pose)
+}
+
+/// The hand that will grasp, which has to be the policy's; `own` are name and torque cap of the twin's.
+fn hand(
+    policy: &GraspPolicy,
+    options: &PredictOptions,
+    own: Option<(&str, Option<f64>)>,
+    folder: &Path,
+) -> Result<Robot> {
+    let (name, folder) = match (&options.hand, own) {
+        (Some(name), _) => (name.as_str(), Path::new(".")),
+        (None, Some((name, _))) => (name, folder),
+        (None, None) => (policy.hand(), folder),
+    };
+    let robot = Robot::resolve(name, folder)?;
+    if robot.name != policy.hand() || robot.joint_names() != policy.joint_names() {
+        refuse!(
+            "the policy is for the hand \"{}\" with {} joints, not for \"{}\" with {}: train one for this hand, or name the other",
+            policy.hand(),
+            policy.joint_names().len(),
+            robot.name,
+            robot.dof()
+        );
+    }
+    with_torque_cap(robot, options.torque_cap_nm.or(own.and_then(|(_, cap)| cap)))
+}

@@ -1,0 +1,420 @@
+//! What the stages write for each other and for people: JSON with units in the field names.
+
+use std::path::Path;
+
+use crate::Result;
+use crate::error::Context;
+use drex_core::{PoseRecord, fsutil};
+use drex_grasp::{ForceLaw, GraspOrigin, OriginCounts, StaticCheck};
+use drex_hw::driver::ContactRecord;
+use drex_mesh::FusionReport;
+use drex_policy::TrainReport;
+use drex_sysid::{Identification, MassDistribution, MassPosterior, MassPrior, MassSource};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use crate::scan::FrameReport;
+
+/// Result of the scan stage.
+pub const SCAN: &str = "splat/scan.json";
+/// How well the Gaussians match photos that they have not seen; not there where the scan came with depth maps.
+pub const SPLAT_REPORT: &str = "splat/report.json";
+/// Result of the identify stage.
+pub const MASS: &str = "mass.json";
+/// Result of the grasps stage.
+pub const FITS: &str = "grasps/wrist_fits.json";
+/// Picture of the demonstrations of people on the hand.
+pub const SHEET: &str = "grasps/contact_sheet.png";
+/// Folder of the trained network.
+pub const POLICY: &str = "policy/network";
+/// Curve and baselines of the training.
+pub const TRAINING: &str = "policy/training.json";
+/// Losses of each epoch of the training.
+pub const CURVE: &str = "policy/curve.csv";
+/// Result of the evaluate stage.
+pub const EVALUATION: &str = "policy/evaluation.json";
+/// Result of the trial stage.
+pub const TRIAL: &str = "policy/trial.json";
+
+/// Result of the execute stage,
+pub const EXECUTION: &str = "policy/execution.json";
+/// and the log of the hand's joints.
+pub const EXECUTION_LOG: &str = "policy/execution.csv";
+
+/// What of `splat/report.json` is told.
+#[derive(Debug, Clone, Deserialize)]
+pub struct SplatReport {
+    /// Photos that the Gaussians learned from,
+    pub photos_trained: usize,
+    /// and that they were compared with.
+    pub photos_held_out: usize,
+    /// Ellipsoids, for looks.
+    pub appearance: SplatSet,
+    /// Surfels, for the surface.
+    pub surface: SplatSet,
+}
+
+/// A set of Gaussians.
+#[derive(Debug, Clone, Deserialize)]
+pub struct SplatSet {
+    /// How many there are.
+    pub gaussians: usize,
+    /// Steps of the training.
+    pub iterations: u32,
+    /// Scores on the photos held out.
+    pub held_out: SplatScores,
+}
+
+/// See [`SplatSet::held_out`].
+#[derive(Debug, Clone, Deserialize)]
+pub struct SplatScores {
+    /// One per photo.
+    pub rows: Vec<SplatScore>,
+}
+
+/// How well a photo is matched.
+#[derive(Debug, Clone, Deserialize)]
+pub struct SplatScore {
+    /// The photo.
+    pub name: String,
+    /// dB; not a number in the file where two pictures are equal.
+    pub psnr: Option<f64>,
+    /// See [`SplatScore::psnr`].
+    pub ssim: Option<f64>,
+}
+
+impl SplatScores {
+    /// The mean over the photos that have a score.
+    pub fn mean(&self, score: impl Fn(&SplatScore) -> Option<f64>) -> Option<f64> {
+        let all: Vec<f64> = self.rows.iter().filter_map(score).collect();
+        (!all.is_empty()).then(|| all.iter().sum::<f64>() / all.len() as f64)
+    }
+}
+
+/// Where the mesh of a scan is, and how it came about.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ScanFile {
+    /// Scale, table, box; maps the scan onto the mesh.
+    pub scan: FrameReport,
+    /// The depth maps as they were fused.
+    pub fusion: FusionReport,
+}
+
+/// `mass.json`: the posterior of the mass and what it is made of.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct MassFile {
+    /// Median of the posterior, kg: the mass of the simulation asset.
+    pub mass_kg: f64,
+    /// Where it comes from.
+    pub source: MassSource,
+    /// 95 % interval of the posterior, kg.
+    pub ci95_kg: [f64; 2],
+    /// Standard deviation of the posterior, kg.
+    pub sd_kg: f64,
+    /// Mass that grasps are made for, kg ([`MassPosterior::grip_kg`] with the margin of the force law).
+    pub grip_kg: f64,
+    /// What was known before the pushes.
+    pub prior: Option<MassPrior>,
+    /// Ends of the 95 % interval of what the pushes alone say, kg, each absent where they leave that side open; absent where they say
+    /// nothing.
+    pub push_ci95_kg: Option<[Option<f64>; 2]>,
+    /// How far prior and pushes contradict each other, in standard deviations; absent without both.
+    pub contradiction_sd: Option<f64>,
+    /// The posterior, from which trials draw.
+    pub posterior: MassDistribution,
+    /// What the pushes said; absent when there were none.
+    pub identification: Option<Identification>,
+}
+
+impl MassFile {
+    /// The file of a posterior, with the answer of the pushes that are part of it.
+    pub fn new(posterior: MassPosterior, identification: Option<Identification>) -> Self {
+        let of = &posterior.distribution;
+        Self {
+            mass_kg: of.median_kg(),
+            source: posterior.source,
+            ci95_kg: of.interval95_kg(),
+            sd_kg: of.sd_kg(),
+            grip_kg: posterior.grip_kg(ForceLaw::default().margin),
+            push_ci95_kg: posterior.push_ci95_kg,
+            contradiction_sd: posterior.contradiction_sd,
+            prior: posterior.prior,
+            posterior: posterior.distribution,
+            identification,
+        }
+    }
+}
+
+/// `grasps/wrist_fits.json`.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct FitFile {
+    /// Layout version.
+    pub schema: u32,
+    /// The hand model: a bundled name or a file relative to the twin.
+    pub hand: String,
+    /// Joint names of the columns of `joints_rad`.
+    pub joint_names: Vec<String>,
+    /// Demonstrations read, fitted and accepted.
+    pub demonstrations: usize,
+    /// Of those, how many the fit accepted.
+    pub accepted: usize,
+    /// The demonstrations of people that the grasps come from; none for a robot's.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub clips: Vec<ClipRecord>,
+    /// A robot's: one record per demonstration, in the order of the file. People's: one per held frame of a clip, then one per
+    /// grasp that was made of them.
+    pub grasps: Vec<FitRecord>,
+}
+
+/// One demonstration on the object.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct FitRecord {
+    /// Row in the file of demonstrations, from 0; of people's clips a running number.
+    pub demonstration: usize,
+    /// Whether it holds the rules of the fit.
+    pub accepted: bool,
+    /// Why not, one sentence each.
+    pub reasons: Vec<String>,
+    /// Joint angles after correction, rad.
+    pub joints_rad: Vec<f64>,
+    /// Largest distance that a recorded angle was outside its joint's limits, rad.
+    pub largest_clipping_rad: f64,
+    /// Change of each joint after clipping, rad; for a frame of a clip from what the person's hand alone asks for, for a grasp
+    /// made of a frame from that frame.
+    pub correction_rad: Vec<f64>,
+    /// The largest of them.
+    pub largest_correction_rad: f64,
+    /// Pose of the hand's base in the object's mesh frame.
+    pub object_from_base: PoseRecord,
+    /// Deepest penetration of hand into object, mm.
+    pub penetration_mm: f64,
+    /// Lowest point of the hand above the table, mm.
+    pub table_clearance_mm: f64,
+    /// Fingers on the surface, by name.
+    pub touching: Vec<String>,
+    /// How much the touching pads push the object out of the hand: 0 for an object between the fingers, towards 1 for a fist
+    /// that presses against its side. Not measured in clips of people.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pushed_out: Option<f64>,
+    /// Smallest sum of normal forces that carries the object, in units of its weight; absent when the contacts cannot.
+    pub squeeze_per_weight: Option<f64>,
+    /// Where it comes from, for demonstrations of people.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub source: Option<FitSource>,
+}
+
+impl FitRecord {
+    /// Where it comes from.
+    pub fn origin(&self) -> GraspOrigin {
+        if self.is_augmented() { GraspOrigin::Refined } else { GraspOrigin::Retargeted }
+    }
+
+    /// Whether it was made of a frame rather than recorded.
+    pub fn is_augmented(&self) -> bool {
+        self.source.as_ref().is_some_and(|s| s.symmetry.is_some())
+    }
+}
+
+/// The frame that a grasp comes from.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct FitSource {
+    /// The demonstration, relative to the twin folder.
+    pub file: String,
+    /// Number of the frame in it, from 0.
+    pub frame: usize,
+    /// For a grasp that was made of that frame: which of the object's symmetries it was turned by, 0 for none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub symmetry: Option<usize>,
+}
+
+/// One demonstration of a person.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct ClipRecord {
+    /// The file, relative to the twin folder.
+    pub file: String,
+    /// Its frames,
+    pub frames: usize,
+    /// those in which the person holds the object,
+    pub held: usize,
+    /// and those of them that were accepted.
+    pub accepted: usize,
+    /// Robot hand per person's hand.
+    pub scale: f64,
+    /// How many variants of accepted frames were tried,
+    pub attempts: usize,
+    /// and how many became grasps.
+    pub augmented: usize,
+    /// Remarks of the reader.
+    pub notes: Vec<String>,
+}
+
+/// `policy/evaluation.json`: predicted grasps under the static check.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Evaluation {
+    /// Mass that the grasps were asked for and judged at, kg.
+    pub mass_kg: f64,
+    /// Friction that was assumed.
+    pub friction: f64,
+    /// The network's grasps as predicted.
+    pub predicted: Vec<JudgedGrasp>,
+    /// The same after the wrist was solved again on the object with small finger corrections.
+    pub refined: Vec<JudgedGrasp>,
+    /// The demonstrations that it learned from, for comparison.
+    pub demonstrations: Vec<JudgedGrasp>,
+}
+
+/// A grasp and what the static check says of it.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct JudgedGrasp {
+    /// Joint angles, rad, in the order of the grasp file.
+    pub joints_rad: Vec<f64>,
+    /// Pose of the hand's base in the object's mesh frame.
+    pub object_from_base: PoseRecord,
+    /// Squeeze that the network asks for, N; absent for demonstrations.
+    pub predicted_squeeze_n: Option<f64>,
+    /// Weight of the mode among the network's answers; absent for demonstrations.
+    pub weight: Option<f64>,
+    /// The static check.
+    pub check: StaticCheck,
+}
+
+/// `policy/training.json`.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Training {
+    /// Grasps that were learned, those held out to measure errors with them,
+    pub learned: OriginCounts,
+    /// of those that were tried: all that fit the object, and what a search found.
+    pub tried: OriginCounts,
+    /// Pairs of grasp and mass.
+    pub samples: usize,
+    /// Curve, held-out errors, baselines.
+    pub report: TrainReport,
+    /// What was practised before it was learned.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub practice: Option<PracticeRecord>,
+}
+
+/// What became of the grasps that were tried in practice.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct PracticeRecord {
+    /// Those that the motors can hold once the hand has closed,
+    pub commanded: usize,
+    /// and those that held under most conditions.
+    pub robust: usize,
+}
+
+/// `policy/trial.json`: the grasp that `drex grasp` gives, lifted, held and shaken in simulation.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct TrialFile {
+    /// Layout: 1.
+    pub schema: u32,
+    /// The hand.
+    pub hand: String,
+    /// Its joints, in the order of [`FilmFrame::joints_rad`].
+    pub joint_names: Vec<String>,
+    /// Mass that the hand takes the object for, kg.
+    pub mass_kg: f64,
+    /// Median, 95 % interval and standard deviation of the posterior that true masses are drawn from, kg.
+    pub mass_median_kg: f64,
+    /// See `mass_median_kg`.
+    pub mass_ci95_kg: [f64; 2],
+    /// See `mass_median_kg`.
+    pub mass_sd_kg: f64,
+    /// Friction: lowest and highest that is true.
+    pub friction: [f64; 2],
+    /// Rollouts that succeeded, all of them, and the interval at 95 % (Wilson).
+    pub held: usize,
+    /// See `held`.
+    pub n: usize,
+    /// See `held`.
+    pub interval: [f64; 2],
+    /// Each rollout.
+    pub rollouts: Vec<RolloutRecord>,
+    /// The first rollout that succeeded, or the first that could be carried out; empty if none could.
+    pub film: Vec<FilmFrame>,
+    /// Index of the rollout that the film shows.
+    pub filmed: Option<usize>,
+}
+
+/// One rollout.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct RolloutRecord {
+    /// What became of it.
+    pub verdict: drex_trial::Verdict,
+    /// True mass, kg, and friction.
+    pub mass_kg: f64,
+    /// See `mass_kg`.
+    pub friction: f64,
+    /// Which of the network's proposals was taken, from 1; 0 if none could be.
+    pub proposal: usize,
+    /// Squeeze that was commanded, and delivered in the hold, N.
+    pub squeeze_n: f64,
+    /// See `squeeze_n`.
+    pub held_n: Option<f64>,
+    /// Share of the friction that was used in the hold.
+    pub friction_used: Option<f64>,
+}
+
+/// What can be seen of a rollout at one time.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct FilmFrame {
+    /// From the start, s.
+    pub time_s: f64,
+    /// The hand's base in the world.
+    pub world_from_base: PoseRecord,
+    /// rad.
+    pub joints_rad: Vec<f64>,
+    /// The object's mesh frame in the world.
+    pub world_from_object: PoseRecord,
+    /// Normal force of each finger, N.
+    pub finger_n: Vec<f64>,
+}
+
+/// `policy/execution.json`: the grasp of `drex deploy` carried out by an emulated hand.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct ExecutionFile {
+    /// Layout: 1.
+    pub schema: u32,
+    /// The hand.
+    pub hand: String,
+    /// Whether the motors are emulated; what stands in their way then are stops where the grasp touches.
+    pub emulated: bool,
+    /// Why no hand moved; absent if one did. All that follows is empty then.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub not_driven: Option<String>,
+    /// mA or N m.
+    pub unit: String,
+    /// Joints of what follows.
+    pub joint_names: Vec<String>,
+    /// Before the fingers close, and what closing fingers are told, rad.
+    pub open_rad: Vec<f64>,
+    /// See `open_rad`.
+    pub closed_rad: Vec<f64>,
+    /// Most that a joint may press with while the fingers close, and in the hold.
+    pub closing_limits: Vec<f64>,
+    /// See `closing_limits`.
+    pub force_limits: Vec<f64>,
+    /// Whether the fingers touched and the object was held to the end.
+    pub held: bool,
+    /// The joints that touched.
+    pub contacts: Vec<ContactRecord>,
+}
+
+/// Writes a value as indented JSON.
+pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
+    let mut text = serde_json::to_vec_pretty(value)?;
+    text.push(b'\n');
+    fsutil::write_atomic(path, &text)?;
+    Ok(())
+}
+
+/// The same of a file that need not be there.
+pub fn read_json_if_there<T: DeserializeOwned>(path: &Path) -> Result<Option<T>> {
+    path.exists().then(|| read_json(path)).transpose()
+}
+
+/// Reads what [`write_json`] wrote.
+pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
+    serde_json::from_slice(&fsutil::read_bytes(path)?)
+        .with_context(|| format!("{} is not what drex wrote there; delete it and run again", path.display()))
+}

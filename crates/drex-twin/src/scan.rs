@@ -1,0 +1,454 @@
+//! From a scan to a closed mesh: what fusion asks for are depth maps in metres, in the frame of the mesh, the object's box and the
+//! table.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use crate::Result;
+use crate::error::{Context, refuse};
+use drex_core::camera::point_looked_at;
+use drex_core::{Pose, TriMesh, fsutil};
+use drex_mesh::{
+    DecimateOptions, DepthCamera, DepthMap, DepthViews, FusionOptions, FusionReport, KnownDistance, PlaneOptions,
+    ScaleFit, Similarity, Support, TablePlane, decimate, fuse, object_on_table, read_marks, scale_from_distances,
+    table_plane, triangulate_marks,
+};
+use drex_splat::capture::{Capture, CaptureOptions, PhotoOptions, Photos};
+use drex_splat::{ReconstructOptions, Reconstruction};
+use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::Progress;
+use crate::reconstruct::{Programs, open_capture, train_gaussians};
+
+/// The mesh of a scan keeps to the fused one within this share of a voxel.
+const MAX_SIMPLIFICATION_VOXELS: f64 = 0.1;
+/// Every n-th pixel of a depth map stands for the scene where there are no sparse points; both ways.
+const PIXEL_STEP: usize = 12;
+/// A table that a masked object stands on may be this much of the object's height off its lowest point.
+const MAX_TABLE_OFFSET_SHARE: f64 = 0.1;
+
+/// What is known of the scan's frame besides its files.
+#[derive(Debug, Clone, Default)]
+pub struct FrameOptions {
+    /// Metres per unit of the scan.
+    pub scale: Option<f64>,
+    /// Known distances between marks.
+    pub distances: Vec<KnownDistance>,
+    /// File of the marks instead of `SCAN/marks.json`.
+    pub marks: Option<PathBuf>,
+    /// Up in the scan's frame.
+    pub up: Option<Vector3<f64>>,
+    /// Lower and upper corner of the object's box, in the frame and unit of the scan.
+    pub region: Option<[Point3<f64>; 2]>,
+    /// Seed of the search for the table.
+    pub seed: u64,
+}
+
+/// How large a scan is.
+pub struct Scale {
+    metres_per_unit: f64,
+    from: &'static str,
+    distances: Option<ScaleFit>,
+    /// Places of the marks in the scan's frame, where known distances asked for them.
+    marks: BTreeMap<String, Point3<f64>>,
+}
+
+/// A scan that is to be meshed.
+pub struct Scanning<'a> {
+    /// Folder of photos or of an RGB-D recording, or a video.
+    pub input: &'a Path,
+    /// Folder for Gaussians and depth maps.
+    pub out: &'a Path,
+    /// Folder of the masks, where it is not the scan's own.
+    pub masks: Option<PathBuf>,
+    /// Folder of the object's poses in an RGB-D recording.
+    pub poses: Option<PathBuf>,
+    /// What is known of its frame.
+    pub frame: FrameOptions,
+    /// Side of a voxel, metres.
+    pub voxel_m: Option<f64>,
+    /// Of the Gaussians, where there are no depth maps yet.
+    pub reconstruct: ReconstructOptions,
+    /// ffmpeg, or a step of COLMAP, is stopped after this time.
+    pub tool_limit: Duration,
+}
+
+/// The closed mesh of a scan, metres.
+pub struct Meshed {
+    /// The depth maps in the frame of the mesh.
+    pub scan: Scan,
+    /// How they were fused.
+    pub fusion: FusionReport,
+    /// The mesh.
+    pub mesh: TriMesh,
+    /// How the Gaussians were made, where there were no depth maps yet.
+    pub made: Option<Reconstruction>,
+}
+
+impl Scanning<'_> {
+    /// Photos to Gaussians to depth maps, or depth maps as they are, to a closed mesh.
+    ///
+    /// # Errors
+    /// If the scan cannot be read, has no scale or too little of the object is seen.
+    pub fn mesh(&self, progress: &dyn Progress) -> Result<Meshed> {
+        let mut within = CaptureOptions::default();
+        within.masks.clone_from(&self.masks);
+        within.poses.clone_from(&self.poses);
+        let limit = self.tool_limit;
+        let programs = Programs { colmap: Path::new("colmap"), ffmpeg: Path::new("ffmpeg"), limit };
+        let cameras = open_capture(self.input, self.out, &within, &programs, progress)?;
+        let scale = Scale::new(&cameras, &self.frame)?;
+        let (depths, masked, made) = self.depth_maps(&cameras, progress)?;
+        progress.begin("fusion", None);
+        let scan = Scan::new(&cameras, &depths, masked, scale, &self.frame)?;
+        let mut fusion = scan.fusion.clone();
+        fusion.voxel_m = self.voxel_m;
+        let fused =
+            fuse(&scan, &fusion).with_context(|| format!("fusing the depth maps of {}", self.input.display()))?;
+        let mut simpler = DecimateOptions::default();
+        simpler.max_error_m = Some(MAX_SIMPLIFICATION_VOXELS * fused.report.voxel_m);
+        let (mut mesh, _) = decimate(&fused.mesh, &simpler)?;
+        if let Some(support) = &fusion.support {
+            snap_to_table(&mut mesh, support, fused.report.voxel_m);
+        }
+        progress.end();
+        Ok(Meshed { scan, fusion: fused.report, mesh, made })
+    }
+
+    /// The capture with the depth maps, made where there are none, whether these show the object alone, and how they were
+    /// made, if it was now.
+    fn depth_maps(
+        &self,
+        cameras: &Capture,
+        progress: &dyn Progress,
+    ) -> Result<(Capture, bool, Option<Reconstruction>)> {
+        if cameras.views.iter().all(|v| v.depth.is_some()) {
+            let masked = cameras.views.iter().all(|v| v.mask.is_some());
+            return Ok((cameras.clone(), masked, None));
+        }
+        let folder = self.out.join("depth");
+        let trained = if folder.join("transforms.json").is_file() {
+            progress.note(&format!("going on with the depth maps in {}", folder.display()));
+            None
+        } else {
+            Some(train_gaussians(cameras, self.out, &self.reconstruct, false, progress)?.1)
+        };
+        let report = self.out.join("splat/report.json");
+        let made: Made = fsutil::from_json(&report, &fsutil::read_text(&report)?)?;
+        Ok((Capture::load(&folder, &CaptureOptions::default())?, made.object_only, trained))
+    }
+}
+
+/// Puts what is within a voxel of the table onto it. No photo shows the edge on which an object stands, and the fusion rounds it off; but a push that
+/// tips the object over that edge weighs it by where the edge is.
+fn snap_to_table(mesh: &mut TriMesh, table: &Support, voxel_m: f64) {
+    for vertex in &mut mesh.vertices {
+        let height_m = table.up.dot(&(*vertex - table.point));
+        if height_m < voxel_m {
+            *vertex -= height_m * table.up.into_inner();
+        }
+    }
+}
+
+/// What of `splat/report.json` is needed here.
+#[derive(Deserialize)]
+struct Made {
+    object_only: bool,
+}
+
+/// Depth maps of one object in metres, in the frame that its mesh will have.
+pub struct Scan {
+    depths: Photos,
+    silhouettes: bool,
+    mesh_from_scan: Similarity,
+    /// Box and table for the fusion.
+    pub fusion: FusionOptions,
+    /// How the frame was found.
+    pub frame: FrameReport,
+}
+
+/// How a scan's frame was found; written as `mesh/scan.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FrameReport {
+    /// Name of the folder of the scan.
+    pub scan: String,
+    /// Metres per unit of the scan.
+    pub metres_per_unit: f64,
+    /// Where the scale is from.
+    pub scale_from: String,
+    /// Known distances, as given and in the scaled scan.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub distances: Option<ScaleFit>,
+    /// Marks in the frame of the mesh, metres.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub marks_m: BTreeMap<String, [f64; 3]>,
+    /// Where up is from.
+    pub up_from: String,
+    /// Points that show the table.
+    pub table_points: Option<usize>,
+    /// Their root mean square distance from it, metres.
+    pub table_rms_m: Option<f64>,
+    /// Up in the frame of the mesh.
+    pub up_in_mesh: [f64; 3],
+    /// Maps points of the scan to metres in the frame of the mesh; rows of a 4 x 4 matrix. Photos: the frame of the table,
+    /// z up, the table z = 0; RGB-D recordings: the frame of the recording's poses.
+    pub mesh_from_scan: [[f64; 4]; 4],
+    /// Box that was meshed, metres, frame of the mesh.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub region_m: Option<[[f64; 3]; 2]>,
+    /// Other things that stand on the table.
+    pub others_on_table: usize,
+}
+
+impl DepthViews for Scan {
+    fn len(&self) -> usize {
+        self.depths.len()
+    }
+
+    fn view(&self, i: usize) -> drex_mesh::Result<DepthMap> {
+        let map = depth_map(&self.depths, i, self.silhouettes)?;
+        let scale = self.mesh_from_scan.scale as f32;
+        Ok(DepthMap {
+            world_from_camera: self.mesh_from_scan.pose(&map.world_from_camera),
+            depth_m: map.depth_m.iter().map(|z| z * scale).collect(),
+            ..map
+        })
+    }
+}
+
+impl Scan {
+    /// `cameras` has lenses and sparse points, `depths` the depth maps; both in one frame, and often the same.
+    /// `masked`: the maps show the object alone.
+    pub fn new(
+        cameras: &Capture,
+        depths: &Capture,
+        masked: bool,
+        scale: Scale,
+        options: &FrameOptions,
+    ) -> Result<Self> {
+        // Depth in the scan's unit; 16-bit maps are millimetres.
+        let mut one_at_a_time = PhotoOptions::default();
+        one_at_a_time.memory_bytes = 0;
+        let depths = Photos::new(depths, one_at_a_time)?;
+        let eyes: Vec<Pose> = cameras.views.iter().map(|v| v.camera_from_world.inverse()).collect();
+        let centres = cameras.centres();
+        let points: Vec<Point3<f64>> = if cameras.points.is_empty() {
+            points_of(&depths)?
+        } else {
+            cameras.points.iter().map(|p| p.position.into()).collect()
+        };
+
+        let Scale { metres_per_unit, from: scale_from, distances, marks } = scale;
+        let near = |p: &Point3<f64>| options.region.is_none_or(|region| distance_from(&region, p) < size_of(&region));
+        let points: Vec<Point3<f64>> = points.into_iter().filter(near).collect();
+        let object = if masked { points_of(&depths)? } else { Vec::new() };
+        let mut plane = PlaneOptions::default();
+        plane.seed = options.seed;
+        let (table, up_from) = if let Some(up) = options.up {
+            (lowest_plane(if masked { &object } else { &points }, up), "given")
+        } else {
+            match table_plane(&points, &centres, &plane) {
+                Ok(table) if !masked || stands_on(&object, &table) => (table, "table"),
+                Err(e) if !masked => return Err(e.into()),
+                _ => (lowest_plane(&object, mean_up(&eyes)), "the cameras"),
+            }
+        };
+        let looked_at = point_looked_at(&eyes).unwrap_or_else(|| mean(&points));
+        let towards = centres.first().map_or(Vector3::x(), |c| c - looked_at);
+        let table_from_scan = Similarity::of_table(metres_per_unit, &table, &looked_at, &towards)?;
+        // Recorded poses are poses of the frame that the recording has already.
+        let mesh_from_scan = if scale_from == DEPTH_CAMERA { IDENTITY } else { table_from_scan };
+        let up_in_mesh = mesh_from_scan.rotation * table.up;
+
+        let mut fusion = FusionOptions::default();
+        fusion.background_is_empty = masked;
+        if up_from == "table" || !masked {
+            fusion.support = Some(Support { point: mesh_from_scan.point(&table.point), up: up_in_mesh });
+        }
+        let mut others_on_table = 0;
+        let region = match options.region {
+            Some(region) => Some((region, mesh_from_scan)),
+            None if masked => None,
+            None => {
+                let standing: Vec<_> = points.iter().map(|p| table_from_scan.point(p)).collect();
+                let eyes: Vec<_> = eyes.iter().map(|e| table_from_scan.pose(e)).collect();
+                let found = object_on_table(&standing, &eyes)?;
+                others_on_table = found.others;
+                Some(([found.lo, found.hi], mesh_from_scan.after(&table_from_scan.inverse())))
+            }
+        };
+        fusion.region = region.map(|(region, mesh_from)| box_around(&region, &mesh_from));
+        let matrix = mesh_from_scan.to_matrix();
+        let frame = FrameReport {
+            scan: fsutil::absolute(&cameras.folder).file_name().unwrap_or_default().to_string_lossy().into_owned(),
+            metres_per_unit,
+            scale_from: scale_from.to_owned(),
+            distances,
+            marks_m: marks.into_iter().map(|(name, p)| (name, mesh_from_scan.point(&p).into())).collect(),
+            up_from: up_from.to_owned(),
+            up_in_mesh: up_in_mesh.into_inner().into(),
+            table_points: (up_from == "table").then_some(table.inliers),
+            table_rms_m: (up_from == "table").then_some(table.rms * metres_per_unit),
+            mesh_from_scan: [0, 1, 2, 3].map(|r| [0, 1, 2, 3].map(|c| matrix[(r, c)])),
+            region_m: fusion.region.map(|(lo, hi)| [lo.into(), hi.into()]),
+            others_on_table,
+        };
+        Ok(Self { depths, silhouettes: masked, mesh_from_scan, fusion, frame })
+    }
+}
+
+const DEPTH_CAMERA: &str = "depth camera";
+
+const IDENTITY: Similarity = Similarity {
+    scale: 1.0,
+    rotation: UnitQuaternion::new_unchecked(nalgebra::Quaternion::new(1.0, 0.0, 0.0, 0.0)),
+    translation: Vector3::new(0.0, 0.0, 0.0),
+};
+
+/// Lower and upper corner of the box around a box that is mapped.
+fn box_around(region: &[Point3<f64>; 2], a_from_b: &Similarity) -> (Point3<f64>, Point3<f64>) {
+    let corner = |k: usize| Point3::new(region[k & 1].x, region[k >> 1 & 1].y, region[k >> 2].z);
+    let corners = (0..8).map(|k| a_from_b.point(&corner(k)));
+    let first = a_from_b.point(&region[0]);
+    corners.fold((first, first), |(lo, hi), p| (lo.inf(&p), hi.sup(&p)))
+}
+
+fn distance_from([lo, hi]: &[Point3<f64>; 2], p: &Point3<f64>) -> f64 {
+    (lo - p).sup(&(p - hi)).sup(&Vector3::zeros()).norm()
+}
+
+fn size_of([lo, hi]: &[Point3<f64>; 2]) -> f64 {
+    (hi - lo).norm()
+}
+
+impl Scan {
+    /// The picture that goes with depth map `i`.
+    pub fn picture(&self, i: usize) -> drex_mesh::Result<Vec<[u8; 3]>> {
+        Ok(self.depths.get(i).map_err(|e| drex_mesh::Error::View(Box::new(e)))?.rgb.clone())
+    }
+}
+
+/// Depth map `i` in the scan's frame and unit.
+fn depth_map(depths: &Photos, i: usize, silhouettes: bool) -> drex_mesh::Result<DepthMap> {
+    let photo = depths.get(i).map_err(|e| drex_mesh::Error::View(Box::new(e)))?;
+    let Some(depth) = &photo.depth else {
+        let why = format!("{} has no depth map", depths.name(i));
+        return Err(drex_mesh::Error::View(why.into()));
+    };
+    let c = &photo.camera;
+    Ok(DepthMap {
+        camera: DepthCamera {
+            width_px: c.width as u32,
+            height_px: c.height as u32,
+            fx_px: c.fx,
+            fy_px: c.fy,
+            cx_px: c.cx,
+            cy_px: c.cy,
+        },
+        world_from_camera: c.camera_from_world.inverse(),
+        depth_m: depth.clone(),
+        mask: photo.mask.as_ref().filter(|_| silhouettes).map(|m| m.iter().map(|&v| v >= 128).collect()),
+    })
+}
+
+/// Some of the points that the depth maps show, in the scan's frame.
+fn points_of(depths: &Photos) -> Result<Vec<Point3<f64>>> {
+    let mut points = Vec::new();
+    for i in 0..depths.len() {
+        let map = depth_map(depths, i, true)?;
+        let (width, height) = (map.camera.width_px as usize, map.camera.height_px as usize);
+        for row in (0..height).step_by(PIXEL_STEP) {
+            for column in (0..width).step_by(PIXEL_STEP) {
+                let z = map.depth_m[row * width + column];
+                if z > 0.0 && map.mask.as_ref().is_none_or(|m| m[row * width + column]) {
+                    let ray = map.camera.ray(column as u32, row as u32);
+                    points.push(map.world_from_camera * Point3::from(ray * f64::from(z)));
+                }
+            }
+        }
+    }
+    Ok(points)
+}
+
+impl Scale {
+    /// From a number, known distances between marks, or a depth camera. Needs no depth map of photos, so that a scan that
+    /// cannot be metric is refused before hours go into it.
+    pub fn new(cameras: &Capture, options: &FrameOptions) -> Result<Self> {
+        if let Some(metres_per_unit) = options.scale {
+            return Ok(Self { metres_per_unit, from: "given", distances: None, marks: BTreeMap::new() });
+        }
+        if !options.distances.is_empty() {
+            let marks = marks_of(cameras, options)?;
+            let fit = scale_from_distances(&marks, &options.distances)?;
+            let metres_per_unit = fit.metres_per_unit;
+            return Ok(Self { metres_per_unit, from: "known distances", distances: Some(fit), marks });
+        }
+        let measured = |path: &Path| path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
+        if cameras.views.iter().all(|v| v.depth.as_deref().is_some_and(measured)) {
+            return Ok(Self { metres_per_unit: 1.0, from: DEPTH_CAMERA, distances: None, marks: BTreeMap::new() });
+        }
+        refuse!(
+            "{} has no scale: photos alone do not tell how large things are; measure the distance of two marks and give \
+             --distance A-C=0.12 with the marks' pixels in marks.json, or give --scale in metres per unit",
+            cameras.folder.display()
+        )
+    }
+}
+
+/// Places of the marks in the scan's frame.
+fn marks_of(cameras: &Capture, options: &FrameOptions) -> Result<BTreeMap<String, Point3<f64>>> {
+    let file = options.marks.clone().unwrap_or_else(|| cameras.folder.join("marks.json"));
+    let marks = read_marks(&file)?;
+    let view = |name: &str| cameras.views.iter().find(|v| v.name == name);
+    let found = triangulate_marks(&marks, |name| view(name).map(|v| (&v.lens, v.camera_from_world.inverse())))?;
+    Ok(found.into_iter().map(|(name, t)| (name, t.point)).collect())
+}
+
+/// Whether the lowest of the object's points are on the plane.
+fn stands_on(object: &[Point3<f64>], table: &TablePlane) -> bool {
+    let mut heights: Vec<f64> = object.iter().map(|p| table.up.dot(&(p - table.point))).collect();
+    heights.sort_by(f64::total_cmp);
+    let (Some(&lowest), Some(&highest)) = (heights.get(heights.len() / 100), heights.last()) else { return false };
+    lowest.abs() < MAX_TABLE_OFFSET_SHARE * (highest - lowest)
+}
+
+/// The plane with this normal through the lowest of the points.
+fn lowest_plane(points: &[Point3<f64>], up: Vector3<f64>) -> TablePlane {
+    let up = Unit::new_normalize(up);
+    let mut heights: Vec<f64> = points.iter().map(|p| up.dot(&p.coords)).collect();
+    heights.sort_by(f64::total_cmp);
+    let lowest = heights.get(heights.len() / 500).copied().unwrap_or(0.0);
+    TablePlane::new(Point3::from(up.into_inner() * lowest), up)
+}
+
+/// Photos are mostly taken upright.
+fn mean_up(eyes: &[Pose]) -> Vector3<f64> {
+    eyes.iter().map(|e| e.rotation * -Vector3::y()).sum::<Vector3<f64>>().try_normalize(1e-9).unwrap_or(Vector3::z())
+}
+
+fn mean(points: &[Point3<f64>]) -> Point3<f64> {
+    Point3::from(points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len().max(1) as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_within_a_voxel_of_the_table_lies_on_it() {
+        let up = Unit::new_normalize(Vector3::new(0.1, -0.2, 1.0));
+        let table = Support { point: Point3::new(0.3, 0.1, -0.2), up };
+        let heights = [-0.0004, 0.0, 0.0016, 0.0018, 0.05];
+        let aside = up.cross(&Vector3::x()) * 0.04;
+        let vertices = heights.iter().map(|h| table.point + aside + up.into_inner() * *h).collect();
+        let mut mesh = TriMesh { vertices, faces: vec![[0, 1, 2], [2, 3, 4]] };
+        snap_to_table(&mut mesh, &table, 0.0017);
+        let after: Vec<f64> = mesh.vertices.iter().map(|v| up.dot(&(v - table.point))).collect();
+        for (height, expected) in after.iter().zip([0.0, 0.0, 0.0, 0.0018, 0.05]) {
+            assert!((height - expected).abs() < 1e-12, "{after:?}");
+        }
+        assert!(mesh.vertices.iter().all(|v| ((v - table.point).dot(&aside.normalize()) - aside.norm()).abs() < 1e-12));
+    }
+}

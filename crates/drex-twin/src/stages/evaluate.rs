@@ -1,0 +1,80 @@
+//! The network's grasps judged by the static check, beside the demonstrations it learned from.
+
+use std::path::PathBuf;
+
+use crate::Result;
+use drex_core::{Pose, PoseRecord};
+use drex_grasp::{HandSurface, StaticCheck, static_check_with};
+use drex_policy::{GraspPolicy, PredictedGrasp, Query};
+use rayon::prelude::*;
+
+use crate::Progress;
+use crate::Twin;
+use crate::learn::POINTS;
+use crate::records::{EVALUATION, FITS, MASS, POLICY, read_json, write_json};
+use crate::records::{Evaluation, FitFile, JudgedGrasp, MassFile};
+use crate::scene::Scene;
+
+pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>> {
+    let scene = Scene::of(twin)?;
+    let fits: FitFile = read_json(&twin.path(FITS))?;
+    let mass: MassFile = read_json(&twin.path(MASS))?;
+    let policy = GraspPolicy::load(&twin.path(POLICY))?;
+    let cloud = scene.object.point_cloud(POINTS, twin.seed);
+    let query = Query::new(&cloud, mass.grip_kg, twin.friction()).with_up(scene.table.up.into_inner());
+    let predictions = policy.predict(&query)?;
+    progress.begin("evaluate", None);
+
+    let evaluator = Evaluator::new(&scene, mass.grip_kg)?;
+    let predicted =
+        predictions.par_iter().map(|p| evaluator.predicted(&p.joints, p.object_from_palm, p)).collect::<Result<_>>()?;
+    let refined = predictions.par_iter().map(|p| evaluator.refined(p)).collect::<Result<_>>()?;
+    let demonstrations = fits
+        .grasps
+        .par_iter()
+        .filter(|g| g.accepted)
+        .map(|g| evaluator.evaluate(&g.joints_rad, g.object_from_base.to_pose()?))
+        .collect::<Result<_>>()?;
+    let evaluation =
+        Evaluation { mass_kg: mass.grip_kg, friction: twin.friction(), predicted, refined, demonstrations };
+    write_json(&twin.output(EVALUATION)?, &evaluation)?;
+    progress.end();
+    Ok(vec![twin.path(EVALUATION)])
+}
+
+/// The static check at one mass.
+struct Evaluator<'a> {
+    scene: &'a Scene,
+    surface: HandSurface,
+    body: drex_core::MassProperties,
+}
+
+impl<'a> Evaluator<'a> {
+    fn new(scene: &'a Scene, mass_kg: f64) -> Result<Self> {
+        let surface = HandSurface::new(&scene.robot, scene.check_options().contact.spacing_m)?;
+        Ok(Self { scene, surface, body: scene.object.mass_properties.with_mass(mass_kg) })
+    }
+
+    fn evaluate(&self, joints: &[f64], object_from_base: Pose) -> Result<JudgedGrasp> {
+        let grasp = self.scene.grasp(joints, object_from_base, &self.body);
+        let check: StaticCheck = static_check_with(&self.surface, &grasp, &self.scene.check_options())?;
+        Ok(JudgedGrasp {
+            joints_rad: joints.to_vec(),
+            object_from_base: PoseRecord::from(&object_from_base),
+            predicted_squeeze_n: None,
+            weight: None,
+            check,
+        })
+    }
+
+    fn predicted(&self, joints: &[f64], object_from_base: Pose, from: &PredictedGrasp) -> Result<JudgedGrasp> {
+        let judged = self.evaluate(joints, object_from_base)?;
+        Ok(JudgedGrasp { predicted_squeeze_n: Some(from.squeeze_n), weight: Some(from.weight), ..judged })
+    }
+
+    /// The predicted joint angles put onto the surface: wrist solved for them, fingers corrected within the fit's bound.
+    fn refined(&self, p: &PredictedGrasp) -> Result<JudgedGrasp> {
+        let fit = self.scene.fit(&p.joints)?;
+        self.predicted(&fit.joints, fit.object_from_base, p)
+    }
+}

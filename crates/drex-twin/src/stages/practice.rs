@@ -1,0 +1,45 @@
+//! The object of a twin in its simulator, and the grasps that are worth simulating.
+
+use std::sync::Arc;
+
+use drex_core::Object;
+use drex_grasp::{ContactOptions, Grasp, HandSurface, synthesize_grasps};
+use drex_robot::Robot;
+use drex_trial::{Engine, TrialEvaluator, TrialOptions};
+
+use crate::records::FitFile;
+use crate::{Result, Twin};
+
+/// Hand and object, ready to be simulated.
+pub(crate) struct Simulated {
+    pub robot: Arc<Robot>,
+    pub object: Object,
+    pub evaluator: TrialEvaluator,
+}
+
+impl Simulated {
+    /// The twin's object at this mass.
+    pub fn of(twin: &Twin, robot: &Robot, mass_kg: f64) -> Result<Self> {
+        let object = twin.asset()?.to_object(&twin.manifest.name)?.with_mass(mass_kg);
+        let robot = Arc::new(robot.clone());
+        let evaluator = TrialEvaluator::new(&object, &robot, &TrialOptions::default(), Engine::Diffsim)?;
+        Ok(Self { robot, object, evaluator })
+    }
+
+    /// The demonstrated grasps, and those made of them, that are worth simulating; behind them what a synthesis from `search`
+    /// candidates finds.
+    pub fn grasps(&self, fits: &FitFile, search: usize, seed: u64) -> Result<Vec<Grasp>> {
+        let friction = self.object.friction;
+        let surface = HandSurface::new(&self.robot, ContactOptions::default().spacing_m)?;
+        let mut grasps = Vec::new();
+        for fit in fits.grasps.iter().filter(|g| g.accepted) {
+            let pose = fit.object_from_base.to_pose()?;
+            let screened = Grasp::screened(&self.object, &self.robot, &surface, &fit.joints_rad, &pose, friction)?;
+            grasps.extend(screened.map(|g| Grasp { source: fit.demonstration, origin: fit.origin(), ..g }));
+        }
+        if search > 0 {
+            grasps.extend(synthesize_grasps(&self.object, &self.robot, search, friction, seed)?);
+        }
+        Ok(grasps)
+    }
+}

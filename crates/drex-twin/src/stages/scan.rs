@@ -1,0 +1,66 @@
+//! Photos to Gaussians and the object's mesh.
+
+use std::path::PathBuf;
+
+use crate::Result;
+use crate::error::Context;
+use crate::manifest::ScanPreset;
+use drex_mesh::{KnownDistance, write_mesh};
+use drex_splat::ReconstructOptions;
+use drex_splat::train::Preset;
+use nalgebra::Point3;
+
+use crate::Progress;
+use crate::Twin;
+use crate::records::{SCAN, ScanFile, write_json};
+use crate::scan::{FrameOptions, Meshed, Scanning};
+
+/// Every so many photos one is not trained on but measured against.
+const HOLD_OUT: usize = 8;
+
+pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>> {
+    let config = twin.manifest.scan.as_ref().context("the manifest has no [scan]")?;
+    // Before hours of work; the manifest may name a place outside.
+    let file = twin.output(&twin.manifest.object.mesh).with_context(|| {
+        format!("{}: mesh under [object], to which the scan is written", twin.path("twin.toml").display())
+    })?;
+    // Depth maps that an earlier run made of other photos must not be taken for these; a folder of somebody else's stays.
+    let (depth, splat) = (twin.output("depth")?, twin.output("splat")?);
+    if depth.join("transforms.json").is_file() && !twin.path(&config.photos).starts_with(&depth) {
+        std::fs::remove_dir_all(&depth).with_context(|| format!("cannot remove {}", depth.display()))?;
+    }
+    let mut reconstruct = ReconstructOptions::default();
+    reconstruct.preset = match config.preset {
+        ScanPreset::Fast => Preset::Fast,
+        ScanPreset::Default => Preset::Default,
+        ScanPreset::Best => Preset::Best,
+    };
+    (reconstruct.iterations, reconstruct.seed) = (config.iterations, twin.seed);
+    reconstruct.hold_out = Some(HOLD_OUT);
+    let known =
+        |(from, to, distance_m): (&str, &str, f64)| KnownDistance { from: from.into(), to: to.into(), distance_m };
+    let input = twin.path(&config.photos);
+    let scanning = Scanning {
+        input: &input,
+        out: &twin.root,
+        masks: None,
+        poses: None,
+        frame: FrameOptions {
+            scale: config.scale,
+            distances: config.distances().map(known).collect(),
+            region: config.region.map(|corners| corners.map(Point3::from)),
+            seed: twin.seed,
+            ..FrameOptions::default()
+        },
+        voxel_m: None,
+        reconstruct,
+        tool_limit: twin.tool_limit,
+    };
+    let Meshed { scan, fusion, mesh, made } = scanning.mesh(progress)?;
+    for (part, set) in made.iter().flat_map(|made| [("appearance", &made.appearance), ("surface", &made.surface)]) {
+        twin.took(part, set.seconds);
+    }
+    write_mesh(&file, &mesh)?;
+    write_json(&twin.output(SCAN)?, &ScanFile { scan: scan.frame, fusion })?;
+    Ok([splat, depth, file].into_iter().filter(|f| f.exists()).collect())
+}

@@ -1,0 +1,132 @@
+//! The grasp that `drex grasp` gives, lifted, held and shaken in simulation.
+
+use std::path::PathBuf;
+
+use crate::Result;
+use crate::error::Context;
+use drex_core::PoseRecord;
+use drex_policy::{GraspPolicy, PredictedGrasp, Query};
+use drex_trial::{
+    Command, Condition, ConditionSpread, Evaluator, Frame, GripForce, NoCommand, TrialEvaluator, Verdict, wilson,
+};
+use rayon::prelude::*;
+
+use super::practice::Simulated;
+use crate::Progress;
+use crate::learn::POINTS;
+use crate::records::MassFile;
+use crate::records::{FilmFrame, MASS, POLICY, RolloutRecord, TRIAL, TrialFile, read_json, write_json};
+use crate::{Twin, rank};
+
+/// Rollouts.
+const ROLLOUTS: usize = 24;
+/// Time between two frames of the film, s.
+const FRAME_S: f64 = 0.08;
+/// Set apart from the seeds of the practice.
+const TRIAL_SEED: u64 = 0x74_72_69_61;
+/// Set apart from the seed of the conditions.
+const MASS_SEED: u64 = 0x6d_61_73_73;
+
+pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>> {
+    let mass: MassFile = read_json(&twin.path(MASS))?;
+    let robot = twin.hand()?;
+    let policy = GraspPolicy::load(&twin.path(POLICY))?;
+    let simulated = Simulated::of(twin, &robot, mass.grip_kg)?;
+    let spread = ConditionSpread::around(Some(twin.friction()));
+    let conditions = spread.conditions(ROLLOUTS, twin.seed ^ TRIAL_SEED);
+    let true_masses_kg = mass.posterior.sample_kg(ROLLOUTS, twin.seed ^ TRIAL_SEED ^ MASS_SEED);
+    let cloud = simulated.object.point_cloud(POINTS, twin.seed);
+    let up = simulated.object.table().up.into_inner();
+
+    progress.begin("trial", Some(conditions.len() as u64));
+    let run = |(condition, true_kg): (&Condition, &f64)| -> Result<(RolloutRecord, Option<Command>)> {
+        let assumed = condition.assumed(mass.grip_kg);
+        let query = Query::new(&cloud, assumed.mass_kg, assumed.friction).with_up(up);
+        let planned = plan(&simulated.evaluator, &rank::proposals(&policy, &query)?, condition, mass.grip_kg)?;
+        let mut record = RolloutRecord {
+            verdict: Verdict::NoContact,
+            mass_kg: *true_kg,
+            friction: condition.friction,
+            proposal: 0,
+            squeeze_n: 0.0,
+            held_n: None,
+            friction_used: None,
+        };
+        let command = match planned {
+            Ok((proposal, command)) => {
+                let outcome = simulated.evaluator.evaluate(&command, &condition.truth(*true_kg))?;
+                record.verdict = outcome.verdict;
+                (record.proposal, record.squeeze_n) = (proposal, outcome.squeeze_n);
+                (record.held_n, record.friction_used) = (outcome.held_n, outcome.friction_used);
+                Some(command)
+            }
+            Err(reason) => {
+                record.verdict = reason.verdict();
+                None
+            }
+        };
+        progress.step();
+        Ok((record, command))
+    };
+    let done: Vec<(RolloutRecord, Option<Command>)> =
+        conditions.par_iter().zip(&true_masses_kg).map(run).collect::<Result<_>>()?;
+    progress.end();
+
+    let succeeded = |(r, _): &(RolloutRecord, _)| r.verdict == Verdict::Success;
+    let held = done.iter().filter(|d| succeeded(d)).count();
+    let filmed = done.iter().position(succeeded).or_else(|| done.iter().position(|d| d.1.is_some()));
+    let film = match filmed.map(|i| (&conditions[i], &done[i])) {
+        Some((condition, (record, Some(command)))) => {
+            simulated.evaluator.record(command, &condition.truth(record.mass_kg), FRAME_S)?
+        }
+        _ => Vec::new(),
+    };
+    let interval = wilson(held, done.len());
+    let file = TrialFile {
+        schema: 1,
+        hand: robot.name.clone(),
+        joint_names: robot.joint_names().into_iter().map(str::to_owned).collect(),
+        mass_kg: mass.grip_kg,
+        mass_median_kg: mass.mass_kg,
+        mass_ci95_kg: mass.ci95_kg,
+        mass_sd_kg: mass.sd_kg,
+        friction: [spread.friction.0, spread.friction.1],
+        held,
+        n: done.len(),
+        interval: [interval.low, interval.high],
+        rollouts: done.into_iter().map(|d| d.0).collect(),
+        film: film.into_iter().map(frame).collect(),
+        filmed,
+    };
+    write_json(&twin.output(TRIAL)?, &file)?;
+    Ok(vec![twin.path(TRIAL)])
+}
+
+/// The first of the proposals that the hand can be commanded to, with its number from 1; else why the first one cannot.
+fn plan(
+    evaluator: &TrialEvaluator,
+    proposals: &[PredictedGrasp],
+    condition: &Condition,
+    mass_kg: f64,
+) -> Result<Result<(usize, Command), NoCommand>> {
+    let assumed = condition.assumed(mass_kg);
+    let mut first = None;
+    for (i, proposal) in proposals.iter().enumerate() {
+        let closed = evaluator.close(&proposal.joints, &proposal.object_from_palm, &assumed)?;
+        match evaluator.command(&closed, &assumed, GripForce::Required)? {
+            Ok(command) => return Ok(Ok((i + 1, command))),
+            Err(reason) => first = first.or(Some(reason)),
+        }
+    }
+    Ok(Err(first.context("the policy proposes no grasp")?))
+}
+
+fn frame(f: Frame) -> FilmFrame {
+    FilmFrame {
+        time_s: f.time_s,
+        world_from_base: PoseRecord::from(&f.world_from_base),
+        joints_rad: f.joints,
+        world_from_object: PoseRecord::from(&f.world_from_object),
+        finger_n: f.finger_n,
+    }
+}
