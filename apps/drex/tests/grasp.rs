@@ -5,7 +5,7 @@ mod common;
 
 use std::fs;
 
-use common::{PATIENT, drex, edit, keep_demonstrations, shared_data, tin_copy};
+use common::{PATIENT, drex, edit, keep_demonstrations, tin_copy};
 
 #[test]
 fn a_hand_whose_model_names_no_torques_is_refused_by_name() {
@@ -14,7 +14,6 @@ fn a_hand_whose_model_names_no_torques_is_refused_by_name() {
     let text = drex_robot::Robot::bundled_mjcf("leap_right").unwrap();
     let text = text.replace(" forcerange=\"-0.95 0.95\"", "").replace(" actuatorfrcrange=\"-0.29 0.29\"", "");
     fs::write(&file, text.replace("model=\"leap_right\"", "model=\"quiet_hand\"")).unwrap();
-    let hand = file.to_str().unwrap();
     let (_guard, twin) = tin_copy();
     fs::copy(&file, twin.join("quiet.xml")).unwrap();
     keep_demonstrations(&twin, 1);

@@ -26,3 +26,8 @@ pub use object::{closing_text, pieces_text};
 pub use push::verdict_text;
 pub use report::{page, write};
 pub use summary::{Findings, findings};
+
+/// Runs the examples of the README as tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct ReadmeDoctests;

@@ -40,3 +40,8 @@ pub use progress::Progress;
 pub use scene::Scene;
 pub use stages::recordings;
 pub use twin::Twin;
+
+/// Runs the examples of the README as tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct ReadmeDoctests;
