@@ -57,7 +57,7 @@ mod write;
 
 pub use asset::{
     ArticulatedAsset, ArticulatedReport, Asset, AssetOptions, AssetReport, LengthUnit, Part, UpSource,
-    articulated_asset, asset_from_mesh, build_asset, metric_mesh, rebuild_asset,
+    articulated_asset, asset_from_mesh, build_asset, metric_mesh, read_object, rebuild_asset,
 };
 pub use check::{CheckOptions, CheckReport, Outcome, RuleResult, check_asset, check_file, check_mesh};
 pub use colors::vertex_colors;

@@ -1,6 +1,7 @@
 //! The object of a twin, made of its mesh.
 
-use drex_mesh::{Asset, build_asset, rebuild_asset};
+use drex_core::Object;
+use drex_mesh::{Asset, build_asset, read_object, rebuild_asset};
 use drex_sysid::ObjectModel;
 use nalgebra::Vector3;
 
@@ -30,6 +31,23 @@ impl Twin {
         let made = self.inputs(Stage::Asset).is_ok_and(|inputs| self.lock.is_current(Stage::Asset.name(), &inputs));
         let asset = if made { rebuild_asset(&mesh, &options, &self.root)? } else { build_asset(&mesh, &options)? };
         Ok(self.asset.get_or_init(|| asset))
+    }
+
+    /// The object with exact distances, in its rest pose: read from what the stage [`Stage::Asset`] wrote, where that is up to
+    /// date, else made of its mesh. Its mass is the asset's.
+    ///
+    /// # Errors
+    /// As [`Twin::asset`].
+    pub fn object(&self) -> Result<Object> {
+        let name = &self.manifest.name;
+        let current = self.asset.get().is_none()
+            && self.inputs(Stage::Asset).is_ok_and(|inputs| self.lock.is_current(Stage::Asset.name(), &inputs));
+        let mut object = match current {
+            true => read_object(&self.root, name)?,
+            false => self.asset()?.to_exact_object(name)?,
+        };
+        object.friction = self.friction();
+        Ok(object)
     }
 
     /// The manifest's up has to be the scan's: that of an RGB-D recording is in the frame of its poses.

@@ -143,8 +143,8 @@ impl Predictor {
             Some(mass) => mass,
             None => read_json::<MassFile>(&twin.path(MASS))?.grip_kg,
         };
-        let mut object = twin.asset()?.to_exact_object(&twin.manifest.name)?.with_mass(mass_kg);
-        object.friction = options.friction.unwrap_or_else(|| twin.friction());
+        let mut object = twin.object()?.with_mass(mass_kg);
+        object.friction = options.friction.unwrap_or(object.friction);
         let own = twin.manifest.grasps.as_ref();
         let policy = GraspPolicy::load(&folder)?;
         let robot = hand(&policy, options, own.map(|g| (g.hand.as_str(), g.torque_cap_nm)), &twin.root)?;

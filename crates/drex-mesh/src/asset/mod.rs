@@ -11,10 +11,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::model::ContactConfig;
 use drex_core::fsutil::{from_json, read_text};
-use drex_core::{MassProperties, Pose, TriMesh};
+use drex_core::{MassProperties, Pose, PoseRecord, TriMesh};
 
 pub use self::articulated::{ArticulatedAsset, ArticulatedReport, Part, articulated_asset};
 pub use self::options::{AssetOptions, LengthUnit, UpSource};
+pub use object::read_object;
 
 use crate::bvh::Aabb;
 use crate::hull::hull_volume;
@@ -111,6 +112,8 @@ pub struct AssetReport {
     pub most_corners: usize,
     /// Sum of the pieces' volumes relative to the solid's (their overlaps count twice).
     pub pieces_to_solid_volume: f64,
+    /// Rest pose: where the mesh stands on the table z = 0.
+    pub world_from_mesh_at_rest: PoseRecord,
     /// Height of the centre of mass over the table at rest, metres.
     pub rest_height_of_center_m: f64,
     /// How far the centre of mass can move sideways before the object tips, metres; negative if it does not stand.
@@ -256,6 +259,7 @@ fn of_mesh(mesh: &TriMesh, options: &AssetOptions, divided: Option<(Vec<TriMesh>
         pieces: pieces.len(),
         most_corners: pieces.iter().map(|p| p.vertices.len()).max().unwrap_or(0),
         pieces_to_solid_volume: pieces.iter().map(hull_volume).sum::<f64>() / solid.volume_m3,
+        world_from_mesh_at_rest: PoseRecord::from(&world_from_mesh_at_rest),
         rest_height_of_center_m: center.z,
         tipping_margin_m,
         stable_poses: stable_poses.clone(),

@@ -1,11 +1,15 @@
 //! The asset as grasping, trials and identification take it.
 
+use std::path::Path;
 use std::sync::Arc;
 
-use drex_core::Object;
+use drex_core::fsutil::{from_json, read_text};
+use drex_core::{ASSUMED_FRICTION, MassProperties, Object, PoseRecord};
+use nalgebra::{Matrix3, Point3};
+use serde::Deserialize;
 
 use super::Asset;
-use crate::{GridOptions, GridSdf, MeshSdf, Result};
+use crate::{GridOptions, GridSdf, MeshSdf, Result, read_mesh, write};
 
 /// How far around the object a search for grasps asks for distances, metres; most of a hand is nearer.
 const SEARCH_MARGIN_M: f64 = 0.1;
@@ -41,4 +45,38 @@ impl Asset {
             world_from_object: self.world_from_mesh_at_rest,
         }
     }
+}
+
+/// Reads back the object of the asset that [`Asset::write`] wrote into the folder `out`, with exact distances and at
+/// [`ASSUMED_FRICTION`]: nothing is repaired, divided or settled again.
+///
+/// # Errors
+/// If `out` holds no whole asset, or one of an earlier version.
+pub fn read_object(out: &Path, name: &str) -> Result<Object> {
+    #[derive(Deserialize)]
+    struct Written {
+        mass_kg: f64,
+        center_of_mass_m: [f64; 3],
+        inertia_kg_m2: [[f64; 3]; 3],
+        world_from_mesh_at_rest: PoseRecord,
+        pieces: usize,
+    }
+    let report = out.join("mesh/report.json");
+    let written: Written = from_json(&report, &read_text(&report)?)?;
+    let mesh = read_mesh(&out.join("mesh/visual.obj"))?;
+    let part = |k: usize| Ok(read_mesh(&out.join(write::piece_file("", k)))?.vertices);
+    Ok(Object {
+        name: name.to_owned(),
+        convex_parts: Arc::new((0..written.pieces).map(part).collect::<Result<_>>()?),
+        mass_properties: MassProperties {
+            mass_kg: written.mass_kg,
+            center_of_mass: Point3::from(written.center_of_mass_m),
+            inertia: Matrix3::from_fn(|r, c| written.inertia_kg_m2[r][c]),
+        },
+        geometry: Arc::new(MeshSdf::new(&mesh)?),
+        mesh: Arc::new(mesh),
+        friction: ASSUMED_FRICTION,
+        max_finger_n: None,
+        world_from_object: written.world_from_mesh_at_rest.to_pose()?,
+    })
 }
