@@ -10,7 +10,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use crate::grasp::{GraspHand, GraspOptions, GraspRetargeting, Judged, State, judged, single};
+use crate::grasp::{GraspHand, GraspOptions, GraspRetargeting, Judged, judged, single};
+use crate::levenberg_marquardt::HandState;
 use crate::{Error, GraspFrame, ObjectSurface, Result, TargetHand};
 pub use symmetry::symmetries;
 
@@ -167,11 +168,11 @@ fn vary(
     };
     let center = object.center_of_mass.coords;
     let about = |turn: UnitQuaternion<f64>| Pose::from_parts(Translation3::from(center - turn * center), turn);
-    let turned = State { object_from_base: about(symmetry) * source.object_from_base, q: source.q.clone() };
+    let turned = HandState { object_from_base: about(symmetry) * source.object_from_base, q: source.q.clone() };
     let shift = Vector3::from_fn(|_, _| normal()) * options.shift_m;
     let turn = Vector3::from_fn(|_, _| normal()) * options.turn_rad;
     let moved = Translation3::from(shift) * about(UnitQuaternion::from_scaled_axis(turn));
-    let mut start = State { object_from_base: moved * turned.object_from_base, q: turned.q.clone() };
+    let mut start = HandState { object_from_base: moved * turned.object_from_base, q: turned.q.clone() };
     start.q.iter_mut().for_each(|q| *q += normal() * options.joint_rad);
     hand.target.robot.clamp_to_limits(&mut start.q);
     let wanted: Vec<f64> = source.fingers.iter().map(|f| f64::from(u8::from(f.wanted))).collect();

@@ -3,14 +3,13 @@
 //! Everything is in the object's frame. The plain `vector` result and the person's wrist are what the solution stays close to; from
 //! the recording follows when the object is held and with which fingers ([`wanted`]); where on the object they belong is a line
 //! through it that stands upright on the surface at both ends, near the person's ([`goals`]). Each frame is a nonlinear
-//! least-squares problem in wrist and joints ([`terms`], [`levenberg`]); frames are solved in turn within what the joints' speeds
+//! least-squares problem in wrist and joints ([`terms`], [`crate::levenberg_marquardt`]); frames are solved in turn within what the joints' speeds
 //! leave ([`plan`]) and measured on the exact surface and the true shapes ([`judge`]).
 
 mod collide;
 mod goals;
 mod hand;
 mod judge;
-mod levenberg;
 mod plan;
 mod skin;
 mod terms;
@@ -20,13 +19,13 @@ use drex_core::Pose;
 use nalgebra::{Unit, Vector3};
 use rayon::prelude::*;
 
+use crate::levenberg_marquardt::HandState;
 use crate::{Error, ObjectSurface, Result, RetargetOptions, Retargeting, TargetHand, Verdict, retarget};
 use drex_demo::{Demonstration, Flag};
 pub(crate) use hand::GraspHand;
 pub use judge::{FingerContact, GraspFrame, SelfCollision};
 pub(crate) use judge::{Judged, judged};
 pub(crate) use plan::single;
-pub(crate) use terms::State;
 
 /// Rules and effort.
 #[derive(Debug, Clone, PartialEq)]
@@ -162,11 +161,14 @@ fn check(options: &GraspOptions) -> Result<()> {
 }
 
 /// The plain result in the object's frame. Frames before the first hand stand where that is.
-fn wishes(vector: &Retargeting, poses: &[Pose]) -> Vec<State> {
+fn wishes(vector: &Retargeting, poses: &[Pose]) -> Vec<HandState> {
     let first = vector.frames.iter().find_map(|f| f.source_from_base).unwrap_or_else(Pose::identity);
     let frames = vector.frames.iter().zip(poses);
     frames
-        .map(|(f, pose)| State { object_from_base: pose.inv_mul(&f.source_from_base.unwrap_or(first)), q: f.q.clone() })
+        .map(|(f, pose)| HandState {
+            object_from_base: pose.inv_mul(&f.source_from_base.unwrap_or(first)),
+            q: f.q.clone(),
+        })
         .collect()
 }
 

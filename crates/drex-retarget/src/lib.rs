@@ -39,6 +39,7 @@ mod flags;
 mod grasp;
 mod hand;
 mod kinematics;
+mod levenberg_marquardt;
 mod objective;
 mod person;
 mod result;

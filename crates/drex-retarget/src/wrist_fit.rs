@@ -7,7 +7,6 @@
 
 mod ends;
 mod hand;
-mod levenberg;
 mod residuals;
 mod starts;
 #[cfg(test)]
@@ -19,8 +18,10 @@ use nalgebra::Point3;
 use rayon::prelude::*;
 use serde::Serialize;
 
+use crate::levenberg_marquardt::{HandState, LeastSquares, minimise};
 use crate::{Error, Result};
 pub(crate) use hand::HandModel;
+use residuals::{Problem, Stage, View};
 
 /// The object, in its own frame.
 #[derive(Clone, Copy)]
@@ -286,19 +287,20 @@ fn fit_one(
     options: &WristFitOptions,
 ) -> Result<WristFit> {
     let recorded = hand.recorded_within(joints, options.max_finger_correction_rad)?;
-    let scene = residuals::Scene { hand, object, table, options, recorded: &recorded };
-    let mut candidates: Vec<(f64, residuals::State)> =
-        starts::starts(&scene).into_iter().map(|s| (residuals::cost(&scene, &s, residuals::Stage::Rough), s)).collect();
+    let rough = Problem { hand, object, table, options, recorded: &recorded, stage: Stage::Rough };
+    let mut candidates: Vec<(f64, HandState)> =
+        starts::starts(&rough).into_iter().map(|s| (rough.evaluate(&s, &mut View::default()), s)).collect();
     keep_best(&mut candidates, options.kept.0);
-    let mut candidates: Vec<(f64, residuals::State)> =
-        candidates.into_iter().map(|(_, s)| levenberg::minimise(&scene, s, residuals::Stage::Rough, 8)).collect();
+    for (cost, state) in &mut candidates {
+        *cost = minimise(&rough, state, 8).0;
+    }
     keep_best(&mut candidates, options.kept.1);
     let mut best: Option<ends::End> = None;
-    for (_, state) in candidates {
-        let (_, state) = levenberg::minimise(&scene, state, residuals::Stage::Rough, 20);
-        let fingers = residuals::nearest_fingers(&scene, &state);
-        let (_, state) = levenberg::minimise(&scene, state, residuals::Stage::Final { fingers }, 25);
-        let end = ends::judge(&scene, state)?;
+    for (_, mut state) in candidates {
+        minimise(&rough, &mut state, 20);
+        let fingers = residuals::nearest_fingers(&rough, &state);
+        minimise(&Problem { stage: Stage::Final { fingers }, ..rough }, &mut state, 25);
+        let end = ends::judge(&rough, state)?;
         if best.as_ref().is_none_or(|b| end.better_than(b)) {
             best = Some(end);
         }
@@ -308,7 +310,7 @@ fn fit_one(
 }
 
 /// Sorts by cost, ties by order, and keeps the first `n`.
-fn keep_best(candidates: &mut Vec<(f64, residuals::State)>, n: usize) {
+fn keep_best(candidates: &mut Vec<(f64, HandState)>, n: usize) {
     candidates.sort_by(|a, b| a.0.total_cmp(&b.0));
     candidates.truncate(n);
 }

@@ -11,7 +11,7 @@ use serde::Serialize;
 use super::GraspOptions;
 use super::hand::GraspHand;
 use super::plan::Planned;
-use super::terms::State;
+use crate::levenberg_marquardt::HandState;
 use crate::{ObjectSurface, Rejection, Result, Verdict};
 use drex_demo::{Flag, HumanFinger};
 
@@ -87,7 +87,7 @@ pub struct GraspFrame {
 /// What a frame is judged against.
 pub(crate) struct Judged<'a> {
     /// The person's hand.
-    pub(crate) wish: &'a State,
+    pub(crate) wish: &'a HandState,
     pub(crate) t_s: f64,
     /// Joints of the frame before and the time since.
     pub(crate) before: Option<(&'a [f64], f64)>,
@@ -103,7 +103,7 @@ pub(crate) fn judged(
     options: &GraspOptions,
 ) -> Result<GraspFrame> {
     let &Judged { wish, t_s, before, up } = judge;
-    let State { object_from_base, q } = &planned.state;
+    let HandState { object_from_base, q } = &planned.state;
     let posed = hand.posed(q, object_from_base);
     let wished = hand.posed(&wish.q, &wish.object_from_base);
     let near = Near { search: object.search, exact: object.judge, known: Mutex::default() };

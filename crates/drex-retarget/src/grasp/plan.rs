@@ -9,10 +9,10 @@ use nalgebra::{Point3, Translation3, Vector3};
 use super::GraspOptions;
 use super::goals::{self, Goals};
 use super::hand::GraspHand;
-use super::levenberg::minimise;
-use super::terms::{Problem, State, View};
+use super::terms::{Problem, View};
 use super::wanted::Hold;
 use crate::ObjectSurface;
+use crate::levenberg_marquardt::{HandState, minimise};
 use drex_demo::{Demonstration, HumanFinger};
 
 /// Effort: wrist alone, first solution, later solution.
@@ -36,7 +36,7 @@ const SLIP_COST: f64 = 1200.0;
 /// A solved frame.
 #[derive(Debug, Clone)]
 pub(crate) struct Planned {
-    pub(crate) state: State,
+    pub(crate) state: HandState,
     pub(crate) held: bool,
     /// Fingers that were drawn to the surface.
     pub(crate) wanted: Vec<f64>,
@@ -48,7 +48,7 @@ struct Clip<'a> {
     object: &'a dyn SignedDistance,
     bounds: (Point3<f64>, Point3<f64>),
     poses: &'a [Pose],
-    wishes: &'a [State],
+    wishes: &'a [HandState],
     /// Middle between the person's thumb and fingers, object frame.
     centers: Vec<Point3<f64>>,
     times: Vec<f64>,
@@ -62,7 +62,7 @@ pub(crate) fn plan(
     object: &ObjectSurface<'_>,
     demo: &Demonstration,
     poses: &[Pose],
-    wishes: &[State],
+    wishes: &[HandState],
     holds: &[Hold],
     options: &GraspOptions,
 ) -> Vec<Planned> {
@@ -109,7 +109,7 @@ pub(crate) fn plan(
 pub(crate) fn single(
     hand: &GraspHand<'_>,
     object: &ObjectSurface<'_>,
-    start: &State,
+    start: &HandState,
     mut wanted: Vec<f64>,
     options: &GraspOptions,
 ) -> Planned {
@@ -144,7 +144,7 @@ impl Clip<'_> {
         t: usize,
         wanted: &'s [f64],
         goals: &'s [Point3<f64>],
-        beside: &'s [State],
+        beside: &'s [HandState],
         intervals: &'s [(f64, f64)],
     ) -> Problem<'s> {
         Problem {
@@ -182,11 +182,11 @@ impl Clip<'_> {
     fn first(&mut self, hold: &Hold, t: usize, from: Option<usize>) {
         let intervals = self.intervals(t);
         let mut wanted: Vec<f64> = hold.fingers.iter().map(|w| f64::from(u8::from(*w))).collect();
-        let beside: Vec<State> = from.and_then(|s| self.carried(s, t)).into_iter().collect();
+        let beside: Vec<HandState> = from.and_then(|s| self.carried(s, t)).into_iter().collect();
         let (enclosing, Goals { points: goals, reached, .. }) = self.enclosing(t);
         leave(self.hand, self.options, &reached, &mut wanted);
-        let mut best: Option<(f64, State, View)> = None;
-        let mut starts: Vec<Option<State>> = Vec::new();
+        let mut best: Option<(f64, HandState, View)> = None;
+        let mut starts: Vec<Option<HandState>> = Vec::new();
         if let Some(s) = beside.first() {
             starts.push(Some(s.clone()));
         }
@@ -202,7 +202,7 @@ impl Clip<'_> {
                 (problem.goal_unit_m, problem.joints_move) = (GOAL_UNITS_M.1, true);
             }
             problem.fades = true;
-            let view = minimise(&problem, &mut state, STEPS.1);
+            let view = minimise(&problem, &mut state, STEPS.1).1;
             let good = self.good(&view) && self.close(t, &state);
             let score = score(&view);
             if best.as_ref().is_none_or(|b| score < b.0) {
@@ -229,11 +229,11 @@ impl Clip<'_> {
         let problem = self.problem(t, &wanted, &[], &[], &intervals);
         // Where the person's pose does not lead out of a collision, those of the frames beside it may.
         let beside = self.beside(t).rev().filter_map(|s| self.carried(s, t));
-        let mut best: Option<(View, State)> = None;
+        let mut best: Option<(View, HandState)> = None;
         for start in std::iter::once(self.wishes[t].clone()).chain(beside) {
             let mut state = start;
             clamp(&mut state.q, &intervals);
-            let view = minimise(&problem, &mut state, STEPS.1);
+            let view = minimise(&problem, &mut state, STEPS.1).1;
             let clean = view.deepest_m <= CLEAN_M;
             if best.as_ref().is_none_or(|b| view.cost < b.0.cost) {
                 best = Some((view, state));
@@ -253,11 +253,11 @@ impl Clip<'_> {
             let intervals = self.intervals(t);
             let beside = self.held_beside(t);
             let mut problem = self.problem(t, &planned.wanted, &planned.goals, &beside, &intervals);
-            let view = minimise(&problem, &mut planned.state, STEPS.2);
+            let view = minimise(&problem, &mut planned.state, STEPS.2).1;
             if view.upright < UPRIGHT {
                 problem.goal_unit_m = GOAL_UNITS_M.2;
                 let mut firm = planned.state.clone();
-                if minimise(&problem, &mut firm, STEPS.2).upright > view.upright {
+                if minimise(&problem, &mut firm, STEPS.2).1.upright > view.upright {
                     planned.state = firm;
                 }
             }
@@ -273,9 +273,9 @@ impl Clip<'_> {
         if planned.held {
             let intervals = self.intervals(t);
             let beside = self.held_beside(t);
-            let solve = |state: &mut State, wanted: &[f64], goals: &[Point3<f64>], steps: usize| {
+            let solve = |state: &mut HandState, wanted: &[f64], goals: &[Point3<f64>], steps: usize| {
                 let problem = self.problem(t, wanted, goals, &beside, &intervals);
-                minimise(&problem, state, steps)
+                minimise(&problem, state, steps).1
             };
             let view = solve(&mut best.state.clone(), &planned.wanted, &planned.goals, 0);
             if view.upright < UPRIGHT
@@ -302,13 +302,13 @@ impl Clip<'_> {
     }
 
     /// The held ones of the frames next to frame `t`, as frame `t` would have them.
-    fn held_beside(&self, t: usize) -> Vec<State> {
+    fn held_beside(&self, t: usize) -> Vec<HandState> {
         let held = |s: &usize| self.solved[*s].as_ref().is_some_and(|p| p.held);
         self.beside(t).filter(held).filter_map(|s| self.carried(s, t)).collect()
     }
 
     /// The solution of frame `s` as frame `t` would have it: the same joints, and the wrist as far from the person's.
-    fn carried(&self, s: usize, t: usize) -> Option<State> {
+    fn carried(&self, s: usize, t: usize) -> Option<HandState> {
         let planned = self.solved[s].as_ref()?;
         let (from, to) =
             (self.poses[s] * self.wishes[s].object_from_base, self.poses[t] * self.wishes[t].object_from_base);
@@ -316,11 +316,11 @@ impl Clip<'_> {
         let shift = there.translation.vector - from.translation.vector;
         let turn = there.rotation * from.rotation.inverse();
         let source_from_base = Pose::from_parts(Translation3::from(to.translation.vector + shift), turn * to.rotation);
-        Some(State { object_from_base: self.poses[t].inverse() * source_from_base, q: planned.state.q.clone() })
+        Some(HandState { object_from_base: self.poses[t].inverse() * source_from_base, q: planned.state.q.clone() })
     }
 
     /// The person's pose, shifted so that the middle between thumb and fingers is inside the object, and where the fingers belong.
-    fn enclosing(&self, t: usize) -> (State, Goals) {
+    fn enclosing(&self, t: usize) -> (HandState, Goals) {
         let mut state = self.wishes[t].clone();
         let posed = self.hand.posed(&state.q, &state.object_from_base);
         let tips: Vec<Point3<f64>> = self.hand.fingers.iter().map(|p| p.tip(&posed)).collect();
@@ -338,7 +338,7 @@ impl Clip<'_> {
     }
 
     /// Whether the state is well within what an accepted frame may be away from the person.
-    fn close(&self, t: usize, state: &State) -> bool {
+    fn close(&self, t: usize, state: &HandState) -> bool {
         let wish = &self.wishes[t];
         let apart: f64 = state.q.iter().zip(&wish.q).map(|(a, b)| (a - b).abs()).sum();
         let shift = (state.object_from_base.translation.vector - wish.object_from_base.translation.vector).norm();

@@ -1,11 +1,12 @@
 //! What a grasp of one frame makes small. Every residual is in units of "a millimetre of gap".
 
-use drex_core::{Pose, SdfSample, SignedDistance};
+use drex_core::{SdfSample, SignedDistance};
 use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
 use super::collide::Close;
 use super::hand::{GraspHand, Posed};
 use super::skin::Bound;
+use crate::levenberg_marquardt::{HandState, LeastSquares, Schedule};
 
 /// One residual unit of each kind: metres, radians.
 const GAP_M: f64 = 0.001;
@@ -37,13 +38,9 @@ const STEP_UNIT_RAD: f64 = 0.1;
 const WRIST_STEP_UNIT: (f64, f64) = (0.03, 0.4);
 /// Fingers other than the thumb pull with full strength up to this gap, metres.
 const FADE_M: f64 = 0.012;
-
-/// The unknowns of one frame.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct State {
-    pub(crate) object_from_base: Pose,
-    pub(crate) q: Vec<f64>,
-}
+/// Longest step: rotation and joints, rad, and translation, m.
+const MAX_TURN_RAD: f64 = 0.3;
+const MAX_SHIFT_M: f64 = 0.03;
 
 /// One frame's problem.
 pub(crate) struct Problem<'a> {
@@ -51,7 +48,7 @@ pub(crate) struct Problem<'a> {
     pub(crate) object: &'a dyn SignedDistance,
     pub(crate) bounds: &'a (Point3<f64>, Point3<f64>),
     /// The person's hand: plain vector result and its base.
-    pub(crate) wish: &'a State,
+    pub(crate) wish: &'a HandState,
     /// How much each finger is wanted on the surface, 0 to 1.
     pub(crate) wanted: &'a [f64],
     /// Whether far fingers let go.
@@ -60,7 +57,7 @@ pub(crate) struct Problem<'a> {
     pub(crate) goals: &'a [Point3<f64>],
     pub(crate) goal_unit_m: f64,
     /// Joints and base that the frames beside suggest.
-    pub(crate) beside: &'a [State],
+    pub(crate) beside: &'a [HandState],
     /// Interval of every joint.
     pub(crate) intervals: &'a [(f64, f64)],
     /// Whether joints move.
@@ -93,8 +90,115 @@ pub(crate) struct View {
 }
 
 impl Problem<'_> {
-    /// Residuals at a state.
-    pub(crate) fn view(&self, state: &State, view: &mut View) {
+    /// The middle between thumb and fingers is inside, and the thumb is opposite the fingers along its normal.
+    fn oppose(&self, touch: &[(usize, Point3<f64>, Vector3<f64>, f64)], view: &mut View) {
+        let thumb = self.hand.thumb;
+        let total: f64 = touch.iter().enumerate().filter(|(f, _)| *f != thumb).map(|(_, t)| t.3).sum();
+        if total <= 1e-6 || touch[thumb].3 <= 0.0 {
+            return;
+        }
+        let share = |f: usize| if f == thumb { 1.0 } else { -touch[f].3 / total };
+        let middle: Vector3<f64> = touch.iter().enumerate().map(|(f, t)| t.1.coords * (0.5 * share(f).abs())).sum();
+        let s = self.object.signed_distance(&Point3::from(middle));
+        if s.distance_m > -ENCLOSED_M {
+            let moves = touch
+                .iter()
+                .enumerate()
+                .filter(|(_, t)| t.3 > 0.0)
+                .map(|(f, t)| (t.0, t.1, s.gradient * (0.5 * share(f).abs() / ENCLOSE_UNIT_M)));
+            view.push((s.distance_m + ENCLOSED_M) / ENCLOSE_UNIT_M, moves);
+        }
+        let between: Vector3<f64> = touch.iter().enumerate().map(|(f, t)| t.1.coords * share(f)).sum();
+        let fingers: Vector3<f64> =
+            touch.iter().enumerate().filter(|(f, _)| *f != thumb).map(|(f, t)| t.2 * -share(f)).sum();
+        let (Some(front), Some(along)) = (fingers.try_normalize(1e-9), between.try_normalize(1e-9)) else { return };
+        let back = touch[thumb].2;
+        view.upright = front.dot(&-along).min(back.dot(&along));
+        if front.dot(&back) > OPPOSED {
+            return;
+        }
+        for normal in [back, front] {
+            let side = normal.cross(&Vector3::ith(normal.iamin(), 1.0)).normalize();
+            for axis in [side, normal.cross(&side)] {
+                let moves = touch
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, t)| t.3 > 0.0)
+                    .map(|(f, t)| (t.0, t.1, axis * (share(f) / OPPOSE_UNIT_M)));
+                view.push(axis.dot(&between) / OPPOSE_UNIT_M, moves);
+            }
+        }
+    }
+
+    /// Cost of being away from the person and from the frames beside; adds to the normal equations if they are given.
+    fn closeness(
+        &self,
+        state: &HandState,
+        pivot: Point3<f64>,
+        mut normal: Option<(&mut DMatrix<f64>, &mut DVector<f64>)>,
+    ) -> f64 {
+        let mut cost = 0.0;
+        let wrist =
+            |other: &HandState, unit: (f64, f64), normal: &mut Option<(&mut DMatrix<f64>, &mut DVector<f64>)>| {
+                let turn = (state.object_from_base.rotation * other.object_from_base.rotation.inverse()).scaled_axis()
+                    / unit.1;
+                let shift =
+                    (state.object_from_base.translation.vector - other.object_from_base.translation.vector) / unit.0;
+                if let Some((a, g)) = normal {
+                    // d shift = dt + ω × (base − pivot).
+                    let arm = (state.object_from_base.translation.vector - pivot.coords).cross_matrix() * -1.0 / unit.0;
+                    for k in 0..3 {
+                        a[(k, k)] += 1.0 / (unit.1 * unit.1);
+                        g[k] += turn[k] / unit.1;
+                        a[(3 + k, 3 + k)] += 1.0 / (unit.0 * unit.0);
+                        g[3 + k] += shift[k] / unit.0;
+                    }
+                    let cross = arm.transpose() / unit.0;
+                    let square = arm.transpose() * arm;
+                    let pull = arm.transpose() * shift;
+                    for i in 0..3 {
+                        g[i] += pull[i];
+                        for k in 0..3 {
+                            a[(i, k)] += square[(i, k)];
+                            a[(i, 3 + k)] += cross[(i, k)];
+                            a[(3 + k, i)] += cross[(i, k)];
+                        }
+                    }
+                }
+                0.5 * (turn.norm_squared() + shift.norm_squared())
+            };
+        cost += wrist(self.wish, WRIST_UNIT, &mut normal);
+        for other in self.beside {
+            cost += wrist(other, WRIST_STEP_UNIT, &mut normal);
+        }
+        let wishes =
+            std::iter::once((&self.wish.q, JOINT_UNIT_RAD)).chain(self.beside.iter().map(|b| (&b.q, STEP_UNIT_RAD)));
+        for (wish, unit) in wishes {
+            for (j, (q, w)) in state.q.iter().zip(wish).enumerate() {
+                let r = (q - w) / unit;
+                cost += 0.5 * r * r;
+                if let Some((a, g)) = &mut normal {
+                    a[(6 + j, 6 + j)] += 1.0 / (unit * unit);
+                    g[6 + j] += r / unit;
+                }
+            }
+        }
+        cost
+    }
+}
+
+impl LeastSquares for Problem<'_> {
+    type View = View;
+    const SCHEDULE: Schedule = Schedule {
+        damping: 1e-3,
+        decrease: (0.2, 1e-7),
+        increase: (6.0, 1e6),
+        tries: 8,
+        promise: 5e-4,
+        slow: (2e-3, 2),
+    };
+
+    fn evaluate(&self, state: &HandState, view: &mut View) -> f64 {
         let hand = self.hand;
         let posed = hand.posed(&state.q, &state.object_from_base);
         view.rows.clear();
@@ -166,105 +270,10 @@ impl Problem<'_> {
         }
         view.posed = Some(posed);
         view.cost = 0.5 * view.rows.iter().map(|r| r.r * r.r).sum::<f64>() + self.closeness(state, view.pivot, None);
+        view.cost
     }
 
-    /// The middle between thumb and fingers is inside, and the thumb is opposite the fingers along its normal.
-    fn oppose(&self, touch: &[(usize, Point3<f64>, Vector3<f64>, f64)], view: &mut View) {
-        let thumb = self.hand.thumb;
-        let total: f64 = touch.iter().enumerate().filter(|(f, _)| *f != thumb).map(|(_, t)| t.3).sum();
-        if total <= 1e-6 || touch[thumb].3 <= 0.0 {
-            return;
-        }
-        let share = |f: usize| if f == thumb { 1.0 } else { -touch[f].3 / total };
-        let middle: Vector3<f64> = touch.iter().enumerate().map(|(f, t)| t.1.coords * (0.5 * share(f).abs())).sum();
-        let s = self.object.signed_distance(&Point3::from(middle));
-        if s.distance_m > -ENCLOSED_M {
-            let moves = touch
-                .iter()
-                .enumerate()
-                .filter(|(_, t)| t.3 > 0.0)
-                .map(|(f, t)| (t.0, t.1, s.gradient * (0.5 * share(f).abs() / ENCLOSE_UNIT_M)));
-            view.push((s.distance_m + ENCLOSED_M) / ENCLOSE_UNIT_M, moves);
-        }
-        let between: Vector3<f64> = touch.iter().enumerate().map(|(f, t)| t.1.coords * share(f)).sum();
-        let fingers: Vector3<f64> =
-            touch.iter().enumerate().filter(|(f, _)| *f != thumb).map(|(f, t)| t.2 * -share(f)).sum();
-        let (Some(front), Some(along)) = (fingers.try_normalize(1e-9), between.try_normalize(1e-9)) else { return };
-        let back = touch[thumb].2;
-        view.upright = front.dot(&-along).min(back.dot(&along));
-        if front.dot(&back) > OPPOSED {
-            return;
-        }
-        for normal in [back, front] {
-            let side = normal.cross(&Vector3::ith(normal.iamin(), 1.0)).normalize();
-            for axis in [side, normal.cross(&side)] {
-                let moves = touch
-                    .iter()
-                    .enumerate()
-                    .filter(|(_, t)| t.3 > 0.0)
-                    .map(|(f, t)| (t.0, t.1, axis * (share(f) / OPPOSE_UNIT_M)));
-                view.push(axis.dot(&between) / OPPOSE_UNIT_M, moves);
-            }
-        }
-    }
-
-    /// Cost of being away from the person and from the frames beside; adds to the normal equations if they are given.
-    fn closeness(
-        &self,
-        state: &State,
-        pivot: Point3<f64>,
-        mut normal: Option<(&mut DMatrix<f64>, &mut DVector<f64>)>,
-    ) -> f64 {
-        let mut cost = 0.0;
-        let wrist = |other: &State, unit: (f64, f64), normal: &mut Option<(&mut DMatrix<f64>, &mut DVector<f64>)>| {
-            let turn =
-                (state.object_from_base.rotation * other.object_from_base.rotation.inverse()).scaled_axis() / unit.1;
-            let shift =
-                (state.object_from_base.translation.vector - other.object_from_base.translation.vector) / unit.0;
-            if let Some((a, g)) = normal {
-                // d shift = dt + ω × (base − pivot).
-                let arm = (state.object_from_base.translation.vector - pivot.coords).cross_matrix() * -1.0 / unit.0;
-                for k in 0..3 {
-                    a[(k, k)] += 1.0 / (unit.1 * unit.1);
-                    g[k] += turn[k] / unit.1;
-                    a[(3 + k, 3 + k)] += 1.0 / (unit.0 * unit.0);
-                    g[3 + k] += shift[k] / unit.0;
-                }
-                let cross = arm.transpose() / unit.0;
-                let square = arm.transpose() * arm;
-                let pull = arm.transpose() * shift;
-                for i in 0..3 {
-                    g[i] += pull[i];
-                    for k in 0..3 {
-                        a[(i, k)] += square[(i, k)];
-                        a[(i, 3 + k)] += cross[(i, k)];
-                        a[(3 + k, i)] += cross[(i, k)];
-                    }
-                }
-            }
-            0.5 * (turn.norm_squared() + shift.norm_squared())
-        };
-        cost += wrist(self.wish, WRIST_UNIT, &mut normal);
-        for other in self.beside {
-            cost += wrist(other, WRIST_STEP_UNIT, &mut normal);
-        }
-        let wishes =
-            std::iter::once((&self.wish.q, JOINT_UNIT_RAD)).chain(self.beside.iter().map(|b| (&b.q, STEP_UNIT_RAD)));
-        for (wish, unit) in wishes {
-            for (j, (q, w)) in state.q.iter().zip(wish).enumerate() {
-                let r = (q - w) / unit;
-                cost += 0.5 * r * r;
-                if let Some((a, g)) = &mut normal {
-                    a[(6 + j, 6 + j)] += 1.0 / (unit * unit);
-                    g[6 + j] += r / unit;
-                }
-            }
-        }
-        cost
-    }
-
-    /// Normal equations at the state that was viewed: turn about the pivot, shift, joints.
-    pub(crate) fn normal(&self, state: &State, view: &View, a: &mut DMatrix<f64>, g: &mut DVector<f64>) {
+    fn normal(&self, state: &HandState, view: &View, a: &mut DMatrix<f64>, g: &mut DVector<f64>) {
         a.fill(0.0);
         g.fill(0.0);
         let Some(posed) = &view.posed else { return };
@@ -298,24 +307,29 @@ impl Problem<'_> {
         self.closeness(state, view.pivot, Some((a, g)));
     }
 
-    /// The state after a step.
-    pub(crate) fn moved(&self, state: &State, view: &View, step: &DVector<f64>) -> State {
-        let turn = nalgebra::UnitQuaternion::from_scaled_axis(Vector3::new(step[0], step[1], step[2]));
-        let shift = Vector3::new(step[3], step[4], step[5]);
-        let old = &state.object_from_base;
-        let mut next = state.clone();
-        let pivot = view.pivot.coords;
-        next.object_from_base.rotation = turn * old.rotation;
-        next.object_from_base.rotation.renormalize();
-        next.object_from_base.translation =
-            nalgebra::Translation3::from(pivot + turn * (old.translation.vector - pivot) + shift);
-        if self.joints_move {
-            for (j, q) in next.q.iter_mut().enumerate() {
-                let (lo, hi) = self.intervals[j];
-                *q = (*q + step[6 + j]).max(lo).min(hi);
-            }
+    fn pivot(&self, view: &View) -> Point3<f64> {
+        view.pivot
+    }
+
+    fn intervals(&self) -> &[(f64, f64)] {
+        self.intervals
+    }
+
+    fn joints_move(&self) -> bool {
+        self.joints_move
+    }
+
+    fn damped(&self, _: usize, entry: f64, damping: f64) -> f64 {
+        entry * (1.0 + damping)
+    }
+
+    fn shorten(&self, step: &mut DVector<f64>) {
+        let (turn, shift) = (step.rows(0, 3).norm(), step.rows(3, 3).norm());
+        let joint = step.rows(6, step.len() - 6).amax();
+        let most = (turn / MAX_TURN_RAD).max(shift / MAX_SHIFT_M).max(joint / MAX_TURN_RAD);
+        if most > 1.0 {
+            *step /= most;
         }
-        next
     }
 }
 

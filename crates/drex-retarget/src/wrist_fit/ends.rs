@@ -2,9 +2,10 @@
 
 use drex_grasp::{holds_any_load, squeeze_per_weight};
 
-use super::residuals::{Scene, State, pushed_away};
+use super::residuals::{Problem, pushed_away};
 use super::{FingerGap, Rejection, Verdict, WristFit};
 use crate::Result;
+use crate::levenberg_marquardt::HandState;
 
 /// A judged end.
 pub(crate) struct End {
@@ -35,10 +36,10 @@ impl End {
 }
 
 /// Measures an end on the exact surface.
-pub(crate) fn judge(scene: &Scene<'_>, state: State) -> Result<End> {
-    let (hand, options) = (scene.hand, scene.options);
-    let poses = hand.robot.forward_kinematics(&state.joints, &state.object_from_base);
-    let sdf = scene.object.judge;
+pub(crate) fn judge(problem: &Problem<'_>, state: HandState) -> Result<End> {
+    let (hand, options) = (problem.hand, problem.options);
+    let poses = hand.robot.forward_kinematics(&state.q, &state.object_from_base);
+    let sdf = problem.object.judge;
     let fingers: Vec<FingerGap> = hand.pads[1]
         .iter()
         .zip(&hand.fine.fingers)
@@ -49,8 +50,8 @@ pub(crate) fn judge(scene: &Scene<'_>, state: State) -> Result<End> {
         .collect();
     let depths = hand.fine.depths(&poses, sdf, 0.05);
     let (deepest, depth) = largest(&depths);
-    let lowest = hand.fine.lowest(&poses, &scene.table.up);
-    let (low_link, below) = largest(&lowest.iter().map(|h| scene.table.height_m - h).collect::<Vec<_>>());
+    let lowest = hand.fine.lowest(&poses, &problem.table.up);
+    let (low_link, below) = largest(&lowest.iter().map(|h| problem.table.height_m - h).collect::<Vec<_>>());
 
     let mut reasons = Vec::new();
     let mut broken_mm = 0.0;
@@ -83,18 +84,18 @@ pub(crate) fn judge(scene: &Scene<'_>, state: State) -> Result<End> {
     }
     let accepted = reasons.is_empty();
     let touching_set = fingers.iter().enumerate().filter(|(_, g)| g.touches).fold(0, |set, (f, _)| set | 1 << f);
-    let force = if accepted { Force::of(scene, &state)? } else { Force::default() };
-    let correction_rad: Vec<f64> = state.joints.iter().zip(&scene.recorded.joints).map(|(q, r)| q - r).collect();
+    let force = if accepted { Force::of(problem, &state)? } else { Force::default() };
+    let correction_rad: Vec<f64> = state.q.iter().zip(&problem.recorded.joints).map(|(q, r)| q - r).collect();
     let mean_square = correction_rad.iter().map(|c| c * c).sum::<f64>() / correction_rad.len().max(1) as f64;
-    let pushed_out = pushed_away(scene, &state, touching_set);
+    let pushed_out = pushed_away(problem, &state, touching_set);
     let pinch = 1.0 / (SLIPPERY * options.friction).max(1e-9);
     let score = mean_square.sqrt() / options.max_finger_correction_rad.max(1e-9)
         + pushed_out
         + force.slippery.map_or(SLIPS, |s| (s / pinch).max(1.0));
     let fit = WristFit {
         object_from_base: state.object_from_base,
-        joints: state.joints,
-        clipped_rad: scene.recorded.clipped_rad.clone(),
+        joints: state.q,
+        clipped_rad: problem.recorded.clipped_rad.clone(),
         correction_rad,
         fingers,
         penetration_mm: 1e3 * depth,
@@ -117,20 +118,15 @@ struct Force {
 }
 
 impl Force {
-    fn of(scene: &Scene<'_>, state: &State) -> Result<Self> {
-        let hand = scene.hand;
-        let mut contacts = hand.fine.contacts(
-            hand.robot,
-            &state.joints,
-            &state.object_from_base,
-            scene.object.judge,
-            &hand.contact,
-        )?;
-        let com = scene.object.center_of_mass;
+    fn of(problem: &Problem<'_>, state: &HandState) -> Result<Self> {
+        let hand = problem.hand;
+        let mut contacts =
+            hand.fine.contacts(hand.robot, &state.q, &state.object_from_base, problem.object.judge, &hand.contact)?;
+        let com = problem.object.center_of_mass;
         let closed = holds_any_load(&contacts, &com)?;
-        let squeeze = squeeze_per_weight(&contacts, com, scene.table.up)?;
+        let squeeze = squeeze_per_weight(&contacts, com, problem.table.up)?;
         contacts.iter_mut().for_each(|c| c.friction *= SLIPPERY);
-        let slippery = squeeze_per_weight(&contacts, com, scene.table.up)?;
+        let slippery = squeeze_per_weight(&contacts, com, problem.table.up)?;
         Ok(Self { closed, squeeze, slippery })
     }
 }

@@ -9,6 +9,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Point3, Vector3};
 
 use super::hand::Recorded;
 use super::{HandModel, ObjectSurface, WristFitOptions};
+use crate::levenberg_marquardt::{HandState, LeastSquares, Schedule};
 
 /// One residual unit of gap, of penetration, and of height below the table, metres.
 const GAP_M: f64 = 0.001;
@@ -26,24 +27,21 @@ const PUSHED_AWAY: f64 = 2.0;
 pub(crate) const PUSH_FREE: f64 = 0.3;
 /// Weight of a correction as large as allowed.
 const CORRECTION: f64 = 1.5;
+/// Longest step: rotation, rad, and translation, m.
+const MAX_TURN_RAD: f64 = 0.35;
+const MAX_SHIFT_M: f64 = 0.03;
 /// Step for the curvature of the distance field, metres.
 const CURVATURE_STEP_M: f64 = 0.002;
 
 /// Everything that does not change during a fit.
 #[derive(Clone, Copy)]
-pub(crate) struct Scene<'a> {
+pub(crate) struct Problem<'a> {
     pub(crate) hand: &'a HandModel<'a>,
     pub(crate) object: &'a ObjectSurface<'a>,
     pub(crate) table: &'a TablePlane,
     pub(crate) options: &'a WristFitOptions,
     pub(crate) recorded: &'a Recorded,
-}
-
-/// The unknowns.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct State {
-    pub(crate) object_from_base: Pose,
-    pub(crate) joints: Vec<f64>,
+    pub(crate) stage: Stage,
 }
 
 /// How the search looks at the fingers.
@@ -55,10 +53,13 @@ pub(crate) enum Stage {
     Final { fingers: u32 },
 }
 
-impl State {
-    /// The point that steps turn the hand about: the object's centre of mass.
-    pub(crate) fn pivot(&self, scene: &Scene<'_>) -> Point3<f64> {
-        scene.object.center_of_mass
+impl Stage {
+    /// How much finger `finger` takes part, 0 to 1, at `distance` (m) from the surface.
+    fn weight(self, finger: usize, distance: f64) -> f64 {
+        match self {
+            Self::Final { fingers } => f64::from(fingers >> finger & 1),
+            Self::Rough => 1.0 / (1.0 + (distance / FADE_M).powi(2)),
+        }
     }
 }
 
@@ -71,7 +72,8 @@ struct Active {
 }
 
 /// The active points of a state.
-struct View {
+#[derive(Default)]
+pub(crate) struct View {
     poses: Vec<Pose>,
     /// Nearest point of each finger's pad.
     pads: Vec<Active>,
@@ -81,24 +83,57 @@ struct View {
     low: Vec<(usize, Point3<f64>, f64)>,
 }
 
-/// Half the sum of squares.
-pub(crate) fn cost(scene: &Scene<'_>, state: &State, stage: Stage) -> f64 {
-    let view = View::new(scene, state, stage);
-    0.5 * residuals(scene, state, stage, &view, None).norm_squared()
-}
+impl LeastSquares for Problem<'_> {
+    type View = View;
+    const SCHEDULE: Schedule = Schedule {
+        damping: 1e-2,
+        decrease: (0.3, 1e-9),
+        increase: (4.0, 1e9),
+        tries: 6,
+        promise: f64::NEG_INFINITY,
+        slow: (1e-5, 1),
+    };
 
-/// The residuals alone.
-#[cfg(test)]
-pub(crate) fn residual_vector(scene: &Scene<'_>, state: &State, stage: Stage) -> DVector<f64> {
-    residuals(scene, state, stage, &View::new(scene, state, stage), None)
+    fn evaluate(&self, state: &HandState, view: &mut View) -> f64 {
+        *view = View::new(self, state);
+        0.5 * residuals(self, state, view, None).norm_squared()
+    }
+
+    fn normal(&self, state: &HandState, view: &View, hessian: &mut DMatrix<f64>, gradient: &mut DVector<f64>) {
+        let (r, j) = linearised(self, state, view);
+        *gradient = j.tr_mul(&r);
+        *hessian = j.tr_mul(&j);
+    }
+
+    fn pivot(&self, _: &View) -> Point3<f64> {
+        self.object.center_of_mass
+    }
+
+    fn intervals(&self) -> &[(f64, f64)] {
+        &self.recorded.intervals
+    }
+
+    /// Variables that no residual sees are damped, too: one residual unit per 10 cm, radian or joint radian, scaled down.
+    fn damped(&self, k: usize, entry: f64, damping: f64) -> f64 {
+        let scale = match k {
+            0..3 => 10.0,
+            3..6 => 1e3,
+            _ => 1.0,
+        };
+        entry + damping * (entry + scale)
+    }
+
+    fn shorten(&self, step: &mut DVector<f64>) {
+        let (turn, shift) = (step.rows(0, 3).norm(), step.rows(3, 3).norm());
+        *step *= (MAX_TURN_RAD / turn.max(1e-12)).min(MAX_SHIFT_M / shift.max(1e-12)).min(1.0);
+    }
 }
 
 /// Residuals and their derivatives (columns: rotation, translation, joints).
-pub(crate) fn linearise(scene: &Scene<'_>, state: &State, stage: Stage) -> (DVector<f64>, DMatrix<f64>) {
-    let view = View::new(scene, state, stage);
+pub(crate) fn linearised(problem: &Problem<'_>, state: &HandState, view: &View) -> (DVector<f64>, DMatrix<f64>) {
     let mut rows = Vec::new();
-    let r = residuals(scene, state, stage, &view, Some(&mut rows));
-    let columns = 6 + state.joints.len();
+    let r = residuals(problem, state, view, Some(&mut rows));
+    let columns = 6 + state.q.len();
     let mut j = DMatrix::zeros(rows.len(), columns);
     for (i, row) in rows.iter().enumerate() {
         j.row_mut(i).copy_from(&row.transpose());
@@ -107,13 +142,13 @@ pub(crate) fn linearise(scene: &Scene<'_>, state: &State, stage: Stage) -> (DVec
 }
 
 /// Bit set of the thumb and the fingers whose pads are within reach: all below the fade length, at least as many as needed.
-pub(crate) fn nearest_fingers(scene: &Scene<'_>, state: &State) -> u32 {
-    let view = View::new(scene, state, Stage::Rough);
-    let mut others: Vec<usize> = (0..view.pads.len()).filter(|&f| f != scene.hand.thumb).collect();
+pub(crate) fn nearest_fingers(problem: &Problem<'_>, state: &HandState) -> u32 {
+    let view = View::new(problem, state);
+    let mut others: Vec<usize> = (0..view.pads.len()).filter(|&f| f != problem.hand.thumb).collect();
     others.sort_by(|&a, &b| view.pads[a].distance.abs().total_cmp(&view.pads[b].distance.abs()));
-    let mut set = 1_u32 << scene.hand.thumb;
+    let mut set = 1_u32 << problem.hand.thumb;
     for (rank, &finger) in others.iter().enumerate() {
-        if rank < scene.options.min_fingers || view.pads[finger].distance.abs() < 0.5 * FADE_M {
+        if rank < problem.options.min_fingers || view.pads[finger].distance.abs() < 0.5 * FADE_M {
             set |= 1 << finger;
         }
     }
@@ -121,14 +156,14 @@ pub(crate) fn nearest_fingers(scene: &Scene<'_>, state: &State) -> u32 {
 }
 
 impl View {
-    fn new(scene: &Scene<'_>, state: &State, stage: Stage) -> Self {
-        let hand = scene.hand;
-        let (surface, pads): (&HandSurface, _) = match stage {
+    pub(crate) fn new(problem: &Problem<'_>, state: &HandState) -> Self {
+        let hand = problem.hand;
+        let (surface, pads): (&HandSurface, _) = match problem.stage {
             Stage::Rough => (&hand.rough, &hand.pads[0]),
             Stage::Final { .. } => (&hand.fine, &hand.pads[1]),
         };
-        let poses = hand.robot.forward_kinematics(&state.joints, &state.object_from_base);
-        let sdf = scene.object.search;
+        let poses = hand.robot.forward_kinematics(&state.q, &state.object_from_base);
+        let sdf = problem.object.search;
         let active = |link: usize, point: Point3<f64>, distance: f64| Active {
             link,
             point,
@@ -139,11 +174,11 @@ impl View {
         let pads = pads.iter().filter_map(|pad| pad.nearest(&poses, sdf)).map(|(l, p, d)| active(l, p, d)).collect();
         let mut inside = Vec::new();
         let mut low = Vec::new();
-        let up = scene.table.up.into_inner();
-        let floor = scene.table.height_m + scene.options.min_table_clearance_m + TABLE_MARGIN_M;
+        let up = problem.table.up.into_inner();
+        let floor = problem.table.height_m + problem.options.min_table_clearance_m + TABLE_MARGIN_M;
         for (link, (part, pose)) in surface.links.iter().zip(&poses).enumerate() {
             let (center, radius) = part.ball();
-            if box_distance(scene.object.bounds, &(pose * center)) < radius
+            if box_distance(problem.object.bounds, &(pose * center)) < radius
                 && let Some((i, distance)) = part.nearest(pose, sdf, 0.0)
             {
                 inside.push(active(link, pose * part.samples()[i].0, distance));
@@ -157,20 +192,19 @@ impl View {
 }
 
 /// The residual vector; with `rows`, one derivative row per residual is added to it.
-fn residuals(
-    scene: &Scene<'_>,
-    state: &State,
-    stage: Stage,
+pub(crate) fn residuals(
+    problem: &Problem<'_>,
+    state: &HandState,
     view: &View,
     mut rows: Option<&mut Vec<DVector<f64>>>,
 ) -> DVector<f64> {
     let mut r = Vec::new();
-    let pivot = state.pivot(scene);
-    let motion = |link: usize, point: &Point3<f64>| point_motion(scene, view, link, point, &pivot, state.joints.len());
+    let pivot = problem.pivot(view);
+    let motion = |link: usize, point: &Point3<f64>| point_motion(problem, view, link, point, &pivot, state.q.len());
 
     // Pads on the surface.
     let (pulls, slopes): (Vec<f64>, Vec<f64>) =
-        view.pads.iter().enumerate().map(|(f, pad)| pull(stage, f, pad.distance)).unzip();
+        view.pads.iter().enumerate().map(|(f, pad)| pull(problem.stage, f, pad.distance)).unzip();
     for (pad, (&pulled, &slope)) in view.pads.iter().zip(pulls.iter().zip(&slopes)) {
         r.push(pulled);
         if let Some(rows) = rows.as_deref_mut() {
@@ -188,19 +222,19 @@ fn residuals(
     for (link, point, height) in &view.low {
         r.push(height / TABLE_M);
         if let Some(rows) = rows.as_deref_mut() {
-            rows.push(motion(*link, point).tr_mul(&scene.table.up.into_inner()) / TABLE_M);
+            rows.push(motion(*link, point).tr_mul(&problem.table.up.into_inner()) / TABLE_M);
         }
     }
     // The thumb's normal force against the fingers', each finger with its share.
-    balance(scene, stage, view, &motion, &mut r, rows.as_deref_mut());
+    balance(problem, view, &motion, &mut r, rows.as_deref_mut());
     // No pad pushes the object out of the hand.
-    caging(scene, stage, view, &motion, &mut r, rows.as_deref_mut());
+    caging(problem, view, &motion, &mut r, rows.as_deref_mut());
     // Small corrections.
-    let unit = CORRECTION / scene.options.max_finger_correction_rad.max(1e-6);
-    for (k, (q, recorded)) in state.joints.iter().zip(&scene.recorded.joints).enumerate() {
+    let unit = CORRECTION / problem.options.max_finger_correction_rad.max(1e-6);
+    for (k, (q, recorded)) in state.q.iter().zip(&problem.recorded.joints).enumerate() {
         r.push((q - recorded) * unit);
         if let Some(rows) = rows.as_deref_mut() {
-            let mut row = DVector::zeros(6 + state.joints.len());
+            let mut row = DVector::zeros(6 + state.q.len());
             row[6 + k] = unit;
             rows.push(row);
         }
@@ -225,19 +259,15 @@ fn pull(stage: Stage, finger: usize, distance: f64) -> (f64, f64) {
 /// Σ aᵢ nᵢ and Σ aᵢ (pᵢ − c) × nᵢ with the thumb's share one and the fingers' shares adding up to one (differentiable force
 /// closure: Liu et al. 2021, with fixed shares).
 fn balance(
-    scene: &Scene<'_>,
-    stage: Stage,
+    problem: &Problem<'_>,
     view: &View,
     motion: &dyn Fn(usize, &Point3<f64>) -> DMatrix<f64>,
     r: &mut Vec<f64>,
     rows: Option<&mut Vec<DVector<f64>>>,
 ) {
-    let thumb = scene.hand.thumb;
+    let thumb = problem.hand.thumb;
     // Shares are held fixed for the derivative: they only move slowly.
-    let weight = |f: usize| match stage {
-        Stage::Final { fingers } => f64::from(fingers >> f & 1),
-        Stage::Rough => 1.0 / (1.0 + (view.pads[f].distance / FADE_M).powi(2)),
-    };
+    let weight = |f: usize| problem.stage.weight(f, view.pads[f].distance);
     let total: f64 = (0..view.pads.len()).filter(|&f| f != thumb).map(weight).sum();
     let share = |f: usize| if f == thumb { 1.0 } else { weight(f) / total.max(1e-9) };
     // Torques about the middle of the contacts: the weight's own arm is left to the cone programme.
@@ -249,11 +279,11 @@ fn balance(
     }
     r.extend(force.iter().chain(torque.iter()).map(|v| v * BALANCE));
     let Some(rows) = rows else { return };
-    let columns = 6 + scene.recorded.joints.len();
+    let columns = 6 + problem.recorded.joints.len();
     let mut d = DMatrix::zeros(6, columns);
     for (f, pad) in view.pads.iter().enumerate().filter(|(f, _)| share(*f) > 0.0) {
         let m = motion(pad.link, &pad.point);
-        let turn = curvature(scene, &pad.point) * &m;
+        let turn = curvature(problem, &pad.point) * &m;
         let arm = (pad.point.coords - middle).cross_matrix();
         let mut top = d.rows_mut(0, 3);
         top += &turn * share(f);
@@ -267,26 +297,22 @@ fn balance(
 
 /// Pads whose push on the object points out of the palm: a hand that holds a thing has it between its fingers, not before them.
 fn caging(
-    scene: &Scene<'_>,
-    stage: Stage,
+    problem: &Problem<'_>,
     view: &View,
     motion: &dyn Fn(usize, &Point3<f64>) -> DMatrix<f64>,
     r: &mut Vec<f64>,
     mut rows: Option<&mut Vec<DVector<f64>>>,
 ) {
-    let (_, palm) = scene.hand.palm(&view.poses);
+    let (_, palm) = problem.hand.palm(&view.poses);
     for (f, pad) in view.pads.iter().enumerate() {
-        let weight = match stage {
-            Stage::Final { fingers } => f64::from(fingers >> f & 1),
-            Stage::Rough => 1.0 / (1.0 + (pad.distance / FADE_M).powi(2)),
-        } * PUSHED_AWAY;
+        let weight = problem.stage.weight(f, pad.distance) * PUSHED_AWAY;
         let push = -pad.gradient.dot(&palm) - PUSH_FREE;
         if push <= 0.0 || weight == 0.0 {
             continue;
         }
         r.push(weight * push);
         if let Some(rows) = rows.as_deref_mut() {
-            let mut row = (curvature(scene, &pad.point) * motion(pad.link, &pad.point)).tr_mul(&palm) * -weight;
+            let mut row = (curvature(problem, &pad.point) * motion(pad.link, &pad.point)).tr_mul(&palm) * -weight;
             // The palm turns with the wrist: d palm = ω × palm.
             let turn = palm.cross(&pad.gradient) * -weight;
             for k in 0..3 {
@@ -298,17 +324,17 @@ fn caging(
 }
 
 /// Mean over the touching pads (bit set) of how much they push the object out of the palm, 0 to 1.
-pub(crate) fn pushed_away(scene: &Scene<'_>, state: &State, fingers: u32) -> f64 {
-    let view = View::new(scene, state, Stage::Final { fingers });
-    let (_, palm) = scene.hand.palm(&view.poses);
+pub(crate) fn pushed_away(problem: &Problem<'_>, state: &HandState, fingers: u32) -> f64 {
+    let view = View::new(&Problem { stage: Stage::Final { fingers }, ..*problem }, state);
+    let (_, palm) = problem.hand.palm(&view.poses);
     let touching = view.pads.iter().enumerate().filter(|(f, _)| fingers >> f & 1 == 1);
     let (sum, n) = touching.fold((0.0, 0), |(s, n), (_, p)| (s + (-p.gradient.dot(&palm) - PUSH_FREE).max(0.0), n + 1));
     sum / f64::from(n.max(1))
 }
 
 /// Derivative of the gradient of the distance, by central differences.
-fn curvature(scene: &Scene<'_>, point: &Point3<f64>) -> Matrix3<f64> {
-    let sdf = scene.object.search;
+fn curvature(problem: &Problem<'_>, point: &Point3<f64>) -> Matrix3<f64> {
+    let sdf = problem.object.search;
     let columns = [0, 1, 2].map(|k| {
         let step = Vector3::ith(k, CURVATURE_STEP_M);
         (sdf.signed_distance(&(point + step)).gradient - sdf.signed_distance(&(point - step)).gradient)
@@ -324,7 +350,7 @@ fn box_distance((lo, hi): (Point3<f64>, Point3<f64>), point: &Point3<f64>) -> f6
 
 /// Velocity of a point of a link per unit of each unknown, 3 × (6 + joints), object frame.
 fn point_motion(
-    scene: &Scene<'_>,
+    problem: &Problem<'_>,
     view: &View,
     link: usize,
     point: &Point3<f64>,
@@ -334,6 +360,6 @@ fn point_motion(
     let mut m = DMatrix::zeros(3, 6 + joints);
     m.fixed_view_mut::<3, 3>(0, 0).copy_from(&-(point - pivot).cross_matrix());
     m.fixed_view_mut::<3, 3>(0, 3).copy_from(&Matrix3::identity());
-    m.columns_mut(6, joints).copy_from(&scene.hand.robot.jacobian(&view.poses, link, point).0);
+    m.columns_mut(6, joints).copy_from(&problem.hand.robot.jacobian(&view.poses, link, point).0);
     m
 }

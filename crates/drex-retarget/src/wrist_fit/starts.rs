@@ -4,7 +4,8 @@ use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaterni
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::residuals::{Scene, State};
+use super::residuals::Problem;
+use crate::levenberg_marquardt::HandState;
 
 /// Approach directions may point upwards by at most this much (sine of the angle): a hand from below is in the table.
 const STEEPEST_FROM_BELOW: f64 = 0.25;
@@ -21,14 +22,14 @@ const STEPS: [f64; 6] = [
 ];
 
 /// As many starts as the options ask for, spread evenly.
-pub(crate) fn starts(scene: &Scene<'_>) -> Vec<State> {
-    let mut rng = ChaCha8Rng::seed_from_u64(scene.options.seed);
+pub(crate) fn starts(problem: &Problem<'_>) -> Vec<HandState> {
+    let mut rng = ChaCha8Rng::seed_from_u64(problem.options.seed);
     let shift: [f64; 6] = std::array::from_fn(|_| rng.random());
-    let frame = HandFrame::new(scene);
-    let (lo, hi) = scene.object.bounds;
+    let frame = HandFrame::new(problem);
+    let (lo, hi) = problem.object.bounds;
     let (center, half) = (nalgebra::center(&lo, &hi), (hi - lo) / 2.0);
-    let up = scene.table.up.into_inner();
-    (0..scene.options.starts)
+    let up = problem.table.up.into_inner();
+    (0..problem.options.starts)
         .map(|i| {
             let u: [f64; 6] = std::array::from_fn(|k| (shift[k] + (i + 1) as f64 * STEPS[k]).fract());
             // Approach: uniform over the part of the sphere that points down or level.
@@ -39,9 +40,9 @@ pub(crate) fn starts(scene: &Scene<'_>) -> Vec<State> {
             let approach = up * z + (e1 * c + e2 * s) * flat;
             let roll = std::f64::consts::TAU * u[2];
             let offset = Vector3::from_fn(|k, _| OFFSET * half[k] * (2.0 * u[3 + k] - 1.0));
-            State {
+            HandState {
                 object_from_base: frame.placed(&(center + offset), &approach, roll),
-                joints: scene.recorded.joints.clone(),
+                q: problem.recorded.joints.clone(),
             }
         })
         .collect()
@@ -55,9 +56,9 @@ struct HandFrame {
 }
 
 impl HandFrame {
-    fn new(scene: &Scene<'_>) -> Self {
-        let hand = scene.hand;
-        let poses = hand.robot.forward_kinematics(&scene.recorded.joints, &Isometry3::identity());
+    fn new(problem: &Problem<'_>) -> Self {
+        let hand = problem.hand;
+        let poses = hand.robot.forward_kinematics(&problem.recorded.joints, &Isometry3::identity());
         let tips = hand.tips(&poses);
         let thumb = tips[hand.thumb];
         let others: Vec<Vector3<f64>> =

@@ -4,9 +4,9 @@ use drex_core::{SdfSample, SignedDistance, TablePlane};
 use drex_robot::Robot;
 use nalgebra::{DVector, Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 
-use super::levenberg::moved;
-use super::residuals::{Scene, Stage, State, linearise, residual_vector};
+use super::residuals::{Problem, Stage, View, linearised, residuals};
 use super::{HandModel, ObjectSurface, WristFitOptions};
+use crate::levenberg_marquardt::HandState;
 
 /// An ellipsoid's distance to first order: smooth, with curvature.
 struct Ball;
@@ -27,7 +27,14 @@ fn the_derivatives_are_those_of_the_residuals() {
         let object =
             ObjectSurface { search: &Ball, judge: &Ball, bounds: (-corner, corner), center_of_mass: Point3::origin() };
         let table = TablePlane { up: Vector3::z_axis(), height_m: -0.04 };
-        let scene = Scene { hand: &hand, object: &object, table: &table, options: &options, recorded: &recorded };
+        let rough = Problem {
+            hand: &hand,
+            object: &object,
+            table: &table,
+            options: &options,
+            recorded: &recorded,
+            stage: Stage::Rough,
+        };
         let mut checked = 0;
         for k in 0..24 {
             let a = f64::from(k);
@@ -36,9 +43,9 @@ fn the_derivatives_are_those_of_the_residuals() {
             // Off to one side: the field has no derivative at the ball's centre.
             let at = 0.11 * Vector3::new((3.0 * a).sin(), (2.0 * a).cos(), a.sin()).normalize();
             let pose = Isometry3::from_parts(Translation3::from(at - turn * grasp_center.coords), turn);
-            let state = State { object_from_base: pose, joints: recorded.joints.clone() };
+            let state = HandState { object_from_base: pose, q: recorded.joints.clone() };
             for stage in [Stage::Rough, Stage::Final { fingers: 0b1111 }] {
-                checked += check(&scene, &state, stage);
+                checked += check(&Problem { stage, ..rough }, &state);
             }
         }
         assert!(checked > 2000, "{name}: only {checked} entries could be compared");
@@ -46,10 +53,11 @@ fn the_derivatives_are_those_of_the_residuals() {
 }
 
 /// Compares every column where the set of active points stays the same; returns how many entries were compared.
-fn check(scene: &Scene<'_>, state: &State, stage: Stage) -> usize {
-    let (r, j) = linearise(scene, state, stage);
+fn check(problem: &Problem<'_>, state: &HandState) -> usize {
+    let stage = problem.stage;
+    let (r, j) = linearised(problem, state, &View::new(problem, state));
     // Curvature is a difference over 2 mm, a percent off 3 cm from the ball's centre and useless at it.
-    let pads = scene.hand.pads[0].len();
+    let pads = problem.hand.pads[0].len();
     if stage != Stage::Rough && r.iter().take(pads).any(|gap_mm| *gap_mm < -10.0) {
         return 0;
     }
@@ -59,7 +67,8 @@ fn check(scene: &Scene<'_>, state: &State, stage: Stage) -> usize {
         let step = |sign: f64| {
             let mut s = DVector::zeros(j.ncols());
             s[column] = sign * h;
-            residual_vector(scene, &moved(scene, state, &s), stage)
+            let next = state.moved(&s, &problem.object.center_of_mass, &problem.recorded.intervals);
+            residuals(problem, &next, &View::new(problem, &next), None)
         };
         let (plus, minus) = (step(1.0), step(-1.0));
         if plus.len() != r.len() || minus.len() != r.len() {
