@@ -35,7 +35,7 @@ impl BenchObject {
         let geometry = &*self.object.geometry;
         ObjectSurface {
             search: geometry,
-            judge: geometry.exact(),
+            exact: geometry.exact(),
             bounds: geometry.bounding_box(),
             center_of_mass: self.object.center_of_mass(),
         }

@@ -6,7 +6,7 @@
 
 use std::path::Path;
 
-use drex_demo::{RegisterOptions, read_points, register_clip};
+use drex_demo::{RegisterOptions, read_points, register_sequence};
 use drex_mesh::{MeshSdf, RepairOptions, read_mesh, repair};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -16,7 +16,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let surface = MeshSdf::new(&mesh)?;
     let clouds = files.iter().map(|f| read_points(Path::new(f))).collect::<Result<Vec<_>, _>>()?;
     let before = processor_seconds();
-    let found = register_clip(&clouds, &surface, &RegisterOptions::default());
+    let found = register_sequence(&clouds, &surface, &RegisterOptions::default());
     let seconds = before.zip(processor_seconds()).map(|(a, b)| (b - a) / files.len().max(1) as f64);
     for (file, registration) in files.iter().zip(&found) {
         match registration {

@@ -9,9 +9,9 @@ use crate::{KeyPoints, Side};
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Demonstration {
-    /// Where it came from.
+    /// Name of the recording that it came from.
     pub source: String,
-    /// Which hand; every frame's key points are that hand's.
+    /// Side of the hand that every frame's key points belong to.
     pub side: Side,
     /// The frames in the order of time.
     pub frames: Vec<HandFrame>,
@@ -21,13 +21,13 @@ pub struct Demonstration {
     pub notes: Vec<String>,
 }
 
-/// One frame.
+/// One frame of a demonstration.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct HandFrame {
     /// Number of the frame in the recording, from 0.
     pub index: usize,
-    /// Seconds.
+    /// Time of the frame, s.
     pub t_s: f64,
     /// Key points in the source frame (camera, world), m.
     pub points: KeyPoints,

@@ -1,4 +1,4 @@
-//! The 21 key points of a person's hand, and the frame of the operator that they define.
+//! The 21 key points of a human hand, and the frame of the operator that they define.
 
 use drex_core::Pose;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -14,7 +14,7 @@ pub type KeyPoints = [Option<Point3<f64>>; KEYPOINTS];
 /// Key point from which each key point's bone comes; the wrist's is the wrist itself.
 pub(crate) const PARENT: [usize; KEYPOINTS] = [0, 0, 1, 2, 3, 0, 5, 6, 7, 0, 9, 10, 11, 0, 13, 14, 15, 0, 17, 18, 19];
 
-/// Which hand.
+/// Side of a hand.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Side {
@@ -48,7 +48,7 @@ impl std::fmt::Display for Side {
     }
 }
 
-/// A person's finger.
+/// A human finger.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum HumanFinger {
@@ -92,7 +92,7 @@ impl HumanFinger {
 /// Why key points define no operator frame.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-pub enum FrameError {
+pub enum OperatorFrameError {
     /// One of the three points is missing.
     #[error("key point {0} (of wrist 0, index knuckle 5 and middle knuckle 9) is missing")]
     Missing(usize),
@@ -109,7 +109,7 @@ pub enum FrameError {
 ///
 /// # Errors
 /// If one of the three points is missing or they lie on a line.
-pub fn operator_frame(points: &KeyPoints, side: Side) -> Result<Pose, FrameError> {
+pub fn operator_frame(points: &KeyPoints, side: Side) -> Result<Pose, OperatorFrameError> {
     let (wrist, axes) = operator_axes(points, side)?;
     let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
     Ok(Isometry3::from_parts(Translation3::from(wrist.coords), rotation))
@@ -120,23 +120,23 @@ pub fn operator_frame(points: &KeyPoints, side: Side) -> Result<Pose, FrameError
 ///
 /// # Errors
 /// As [`operator_frame`].
-pub fn canonical(points: &KeyPoints, side: Side) -> Result<KeyPoints, FrameError> {
+pub fn canonical(points: &KeyPoints, side: Side) -> Result<KeyPoints, OperatorFrameError> {
     let (wrist, axes) = operator_axes(points, side)?;
     Ok(points.map(|p| p.map(|p| Point3::from(axes.tr_mul(&(p - wrist))))))
 }
 
 /// Wrist and axes (columns) of the operator frame. Nothing here depends on the handedness of the source frame, so that mirrored
 /// points are rounded alike.
-fn operator_axes(points: &KeyPoints, side: Side) -> Result<(Point3<f64>, Matrix3<f64>), FrameError> {
-    let at = |i: usize| points[i].filter(|p| p.iter().all(|v| v.is_finite())).ok_or(FrameError::Missing(i));
+fn operator_axes(points: &KeyPoints, side: Side) -> Result<(Point3<f64>, Matrix3<f64>), OperatorFrameError> {
+    let at = |i: usize| points[i].filter(|p| p.iter().all(|v| v.is_finite())).ok_or(OperatorFrameError::Missing(i));
     let (wrist, index, middle) = (at(0)?, at(5)?, at(9)?);
     let (along, across) = (middle - wrist, index - middle);
-    let tips = along.try_normalize(f64::MIN_POSITIVE).ok_or(FrameError::Collinear)?;
+    let tips = along.try_normalize(f64::MIN_POSITIVE).ok_or(OperatorFrameError::Collinear)?;
     // The index knuckle lies on the thumb's side of the middle finger.
     let aside = across - tips * tips.dot(&across);
     // Single-precision key points of a hand on a line are this far off it.
     if !(aside.norm() > COLLINEAR * along.norm()) {
-        return Err(FrameError::Collinear);
+        return Err(OperatorFrameError::Collinear);
     }
     let thumb_side = aside.normalize();
     let y = match side {
@@ -149,7 +149,7 @@ fn operator_axes(points: &KeyPoints, side: Side) -> Result<(Point3<f64>, Matrix3
 /// A triangle of wrist and knuckles this thin is a line.
 const COLLINEAR: f64 = 1e-3;
 
-/// Length of a person's hand, metres: wrist, knuckle, joints and tip of the middle finger along the bones, so that it does not
+/// Length of a human hand, metres: wrist, knuckle, joints and tip of the middle finger along the bones, so that it does not
 /// depend on how far the finger bends. Of the index or ring finger where the middle finger is missing.
 pub fn hand_length_m(points: &KeyPoints) -> Option<f64> {
     [HumanFinger::Middle, HumanFinger::Index, HumanFinger::Ring].into_iter().find_map(|finger| {
@@ -236,15 +236,15 @@ mod tests {
         }
         assert_eq!(hand_length_m(&points), None);
         points[0] = Some(Point3::new(f64::INFINITY, 0.0, 0.0));
-        assert_eq!(operator_frame(&points, Side::Right), Err(FrameError::Missing(0)));
+        assert_eq!(operator_frame(&points, Side::Right), Err(OperatorFrameError::Missing(0)));
         points[0] = points[9];
-        assert_eq!(operator_frame(&points, Side::Right), Err(FrameError::Collinear));
+        assert_eq!(operator_frame(&points, Side::Right), Err(OperatorFrameError::Collinear));
     }
 
     #[test]
     fn canonical_points_are_mirrored_to_the_last_bit() {
-        let clip = crate::HandSkeleton::new(Side::Right).moving(30);
-        for frame in &clip.frames {
+        let sequence = crate::HandSkeleton::new(Side::Right).moving(30);
+        for frame in &sequence.frames {
             let right = canonical(&frame.points, Side::Right).unwrap();
             let left = canonical(&mirrored(&frame.points), Side::Left).unwrap();
             let to = operator_frame(&frame.points, Side::Right).unwrap().inverse();
@@ -262,8 +262,8 @@ mod tests {
     fn a_line_is_no_hand() {
         let mut points = flat();
         points[5] = Some(Point3::new(0.0, 0.05, 0.0));
-        assert_eq!(operator_frame(&points, Side::Right), Err(FrameError::Collinear));
+        assert_eq!(operator_frame(&points, Side::Right), Err(OperatorFrameError::Collinear));
         points[5] = None;
-        assert_eq!(operator_frame(&points, Side::Right), Err(FrameError::Missing(5)));
+        assert_eq!(operator_frame(&points, Side::Right), Err(OperatorFrameError::Missing(5)));
     }
 }

@@ -16,13 +16,13 @@ pub use detect::{ExternalDetector, HAMER_SCRIPT, HandDetector, MEDIAPIPE_SCRIPT,
 #[cfg(feature = "files")]
 pub use files::{CropCamera, DemoUnit, HandPose, KeyPointOrder, LoadOptions, ManoModel, ManoPose, crop_to_full};
 pub use keypoints::{
-    FrameError, HumanFinger, KEYPOINTS, KeyPoints, Side, canonical, hand_length_m, mirrored, operator_frame,
+    HumanFinger, KEYPOINTS, KeyPoints, OperatorFrameError, Side, canonical, hand_length_m, mirrored, operator_frame,
     transformed,
 };
-pub use quality::{Flag, FrameCheck, InputReport};
+pub use quality::{FrameCheck, FrameFlag, InputReport};
 pub use register::{
     Placement, RegisterOptions, Registration, RegistrationSummary, parse_points, read_point_frames, read_points,
-    register, register_clip,
+    register, register_sequence,
 };
 pub use skeleton::{FingerAngles, HandSkeleton};
 

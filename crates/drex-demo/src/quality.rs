@@ -1,4 +1,4 @@
-//! Is the recording any good? What a person should know before it is retargeted.
+//! Quality of a recording, before it is retargeted.
 
 use drex_core::Surface;
 use drex_core::pose::MAX_POSITION_M;
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::keypoints::PARENT;
 use crate::{Demonstration, HumanFinger, KEYPOINTS, KeyPoints, Side, hand_length_m, median, operator_frame};
 
-/// Quality of a demonstration.
+/// Quality of a demonstration, as [`Demonstration::check`] finds it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct InputReport {
@@ -23,20 +23,20 @@ pub struct InputReport {
     pub interval_s: Option<f64>,
     /// Frames whose flags are not empty.
     pub flagged: usize,
-    /// One per frame.
+    /// Result of each frame.
     pub frames: Vec<FrameCheck>,
     /// What is odd, one sentence each.
     pub notes: Vec<String>,
 }
 
-/// What is wrong with one frame.
+/// Quality of one frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct FrameCheck {
     /// Number of the frame in the recording.
     pub index: usize,
-    /// Flags.
-    pub flags: Vec<Flag>,
+    /// Reasons not to trust the frame.
+    pub flags: Vec<FrameFlag>,
     /// Distance of the nearest fingertip to the object's surface, mm, where both are known.
     pub object_distance_mm: Option<f64>,
 }
@@ -45,15 +45,15 @@ pub struct FrameCheck {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 #[serde(tag = "flag", rename_all = "snake_case")]
-pub enum Flag {
+pub enum FrameFlag {
     /// The key points define no hand: the previous joint vector is repeated.
     NoHand {
-        /// Why.
+        /// Reason that the key points define no hand.
         reason: String,
     },
     /// Key points are missing; the rest was used.
     MissingPoints {
-        /// How many.
+        /// Number of missing key points.
         count: usize,
     },
     /// The hand jumped since the frame before.
@@ -73,18 +73,18 @@ pub enum Flag {
         /// Distance from the wrist to the origin of the object's mesh, mm.
         distance_mm: f64,
     },
-    /// The lengths of the bones are not those of the rest of the clip.
+    /// The lengths of the bones are not those of the rest of the sequence.
     BoneLength {
-        /// Hand length over the clip's median.
+        /// Hand length over the sequence's median.
         ratio: f64,
     },
 }
 
-/// A frame lies this far off the course of its neighbours before it is a jump, at least: metres, and in robust standard deviations of the clip.
+/// A frame lies this far off the course of its neighbours before it is a jump, at least: metres, and in robust standard deviations of the sequence.
 const JUMP: (f64, f64) = (0.03, 10.0);
 /// Normal standard deviation per median absolute deviation.
 const MAD_TO_SIGMA: f64 = 1.4826;
-/// Length of the hand over the clip's median.
+/// Length of the hand over the sequence's median.
 const LENGTH_RATIO: (f64, f64) = (0.8, 1.25);
 /// A fingertip is touching, or is about to, below this distance; a grasp in which none does is badly tracked, metres.
 const NEAR_M: f64 = 0.03;
@@ -127,9 +127,9 @@ impl Demonstration {
             let count = frame.points.iter().filter(|p| !p.is_some_and(|p| p.iter().all(|v| v.is_finite()))).count();
             total += count;
             if let Err(e) = operator_frame(&frame.points, self.side) {
-                check.flags.push(Flag::NoHand { reason: e.to_string() });
+                check.flags.push(FrameFlag::NoHand { reason: e.to_string() });
             } else if count > 0 {
-                check.flags.push(Flag::MissingPoints { count });
+                check.flags.push(FrameFlag::MissingPoints { count });
             }
         }
         let share = total as f64 / (KEYPOINTS * self.frames.len()).max(1) as f64;
@@ -147,7 +147,7 @@ impl Demonstration {
             if let Some(ratio) = length.map(|l| l / typical)
                 && !(LENGTH_RATIO.0..=LENGTH_RATIO.1).contains(&ratio)
             {
-                check.flags.push(Flag::BoneLength { ratio });
+                check.flags.push(FrameFlag::BoneLength { ratio });
             }
         }
         let mut spreads = Vec::new();
@@ -191,8 +191,8 @@ impl Demonstration {
         let limit = JUMP.0.max(middle + JUMP.1 * sigma);
         for (i, distance) in all.into_iter().filter(|(_, d)| *d > limit) {
             let flags = &mut frames[i].flags;
-            if !flags.iter().any(|f| matches!(f, Flag::Jump { .. })) {
-                flags.push(Flag::Jump { distance_mm: 1e3 * distance });
+            if !flags.iter().any(|f| matches!(f, FrameFlag::Jump { .. })) {
+                flags.push(FrameFlag::Jump { distance_mm: 1e3 * distance });
             }
         }
     }
@@ -206,7 +206,7 @@ impl Demonstration {
                 steps.push(step);
             } else {
                 bad += 1;
-                frames[i + 1].flags.push(Flag::Time { step_s: if step.is_finite() { step } else { 0.0 } });
+                frames[i + 1].flags.push(FrameFlag::Time { step_s: if step.is_finite() { step } else { 0.0 } });
             }
         }
         if bad > 0 {
@@ -267,7 +267,7 @@ impl Demonstration {
             let distance = (wrist.coords - pose.translation.vector).norm();
             if !(distance < OTHER_FRAME_M) {
                 away += 1;
-                check.flags.push(Flag::FarFromObject { distance_mm: 1e3 * distance.min(MAX_POSITION_M) });
+                check.flags.push(FrameFlag::FarFromObject { distance_mm: 1e3 * distance.min(MAX_POSITION_M) });
             } else if let Some(surface) = object {
                 let near = HumanFinger::ALL.iter().filter_map(|f| {
                     let p = pose.inverse_transform_point(&frame.points[f.tip()]?);

@@ -1,4 +1,4 @@
-//! A person's hand made of bones: key points without a recording, for examples, tests and benches.
+//! A human hand made of bones: key points without a recording, for examples, tests and benches.
 
 use drex_core::Pose;
 use nalgebra::{Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -76,7 +76,7 @@ impl HandSkeleton {
         points.map(|p| p.map(|p| source_from_operator * p))
     }
 
-    /// A clip of `frames` frames at 30 per second: the hand opens and closes while it turns and moves, each finger in its own
+    /// A sequence of `frames` frames at 30 per second: the hand opens and closes while it turns and moves, each finger in its own
     /// time.
     pub fn moving(&self, frames: usize) -> Demonstration {
         let frame = |k: usize| {
@@ -130,8 +130,8 @@ mod tests {
 
     #[test]
     fn left_is_the_mirror_image_of_right() {
-        let clip = |side| HandSkeleton::new(side).moving(20).frames;
-        for (right, left) in clip(Side::Right).iter().zip(clip(Side::Left)) {
+        let sequence = |side| HandSkeleton::new(side).moving(20).frames;
+        for (right, left) in sequence(Side::Right).iter().zip(sequence(Side::Left)) {
             let own = |f: &HandFrame, side| operator_frame(&f.points, side).unwrap().inverse();
             let (to_right, to_left) = (own(right, Side::Right), own(&left, Side::Left));
             for (a, b) in right.points.iter().zip(&left.points) {

@@ -7,7 +7,7 @@ use drex_core::mesh::sample_surface;
 use drex_core::{Surface, TriMesh};
 use drex_demo::{
     Demonstration, HandFrame, KeyPoints, Placement, RegisterOptions, Side, parse_points, read_point_frames,
-    read_points, register, register_clip,
+    read_points, register, register_sequence,
 };
 use drex_mesh::{MeshSdf, RepairOptions, read_mesh, repair};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
@@ -173,7 +173,7 @@ fn a_clip_goes_on_from_the_frame_before() {
         frames.push(next);
     }
     frames[2].clear();
-    let found = register_clip(&frames, &truth.surface, &RegisterOptions::default());
+    let found = register_sequence(&frames, &truth.surface, &RegisterOptions::default());
     assert!(found[2].is_err());
     for i in [0, 1, 3, 4] {
         let (scale, mut rotation, mut translation) = truth.truth;

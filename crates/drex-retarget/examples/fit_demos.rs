@@ -54,10 +54,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     if let Some(first) = option("--first") {
         rows.truncate(first.parse()?);
     }
-    let object = ObjectSurface { search: &search, judge: &exact, bounds, center_of_mass: body.center_of_mass };
+    let object = ObjectSurface { search: &search, exact: &exact, bounds, center_of_mass: body.center_of_mass };
     let mut options = WristFitOptions::default();
     if let Some(starts) = option("--starts") {
-        options.starts = starts.parse()?;
+        options.initial_guesses = starts.parse()?;
     }
     let clock = Instant::now();
     let fits = fit_wrists(&robot, &rows, &object, &table, &options)?;
@@ -79,7 +79,7 @@ fn report(
     table: TablePlane,
 ) -> Result<(), Box<dyn std::error::Error>> {
     let accepted: Vec<&WristFit> = fits.iter().filter(|f| f.verdict.is_accepted()).collect();
-    let held = accepted.iter().filter(|f| f.squeeze_per_weight.is_some()).count();
+    let held = accepted.iter().filter(|f| f.grip_force_per_weight.is_some()).count();
     let clipped = fits.iter().filter(|f| f.clipped_rad.iter().any(|c| *c != 0.0)).count();
     let closed = accepted.iter().filter(|f| f.force_closure).count();
     println!(
@@ -101,9 +101,10 @@ fn report(
         accepted.iter().map(|f| f.fingers.iter().filter(|g| g.touches).count() as f64),
     );
     spread("pushed out of the hand", accepted.iter().map(|f| f.pushed_out));
-    let good = accepted.iter().filter(|f| f.pushed_out < 0.1 && f.squeeze_per_weight.is_some_and(|s| s < 4.0)).count();
+    let good =
+        accepted.iter().filter(|f| f.pushed_out < 0.1 && f.grip_force_per_weight.is_some_and(|s| s < 4.0)).count();
     println!("{good} survivors have the object between the fingers and carry it with less than four times its weight");
-    spread("squeeze per weight", accepted.iter().filter_map(|f| f.squeeze_per_weight));
+    spread("squeeze per weight", accepted.iter().filter_map(|f| f.grip_force_per_weight));
 
     let surface = HandSurface::new(robot, 0.003)?;
     let mut options = CheckOptions::default();
@@ -172,7 +173,7 @@ fn write(out: &Path, robot: &Robot, mesh: &TriMesh, fits: &[WristFit]) -> Result
         list.push(serde_json::json!({
             "grasp": i, "joints": fit.joints, "position": position, "wxyz": wxyz, "fingers": fit.fingers,
             "penetration_mm": fit.penetration_mm, "table_clearance_mm": fit.table_clearance_mm,
-            "squeeze_per_weight": fit.squeeze_per_weight, "pushed_out": fit.pushed_out, "correction_rad": fit.correction_rad, "verdict": fit.verdict,
+            "squeeze_per_weight": fit.grip_force_per_weight, "pushed_out": fit.pushed_out, "correction_rad": fit.correction_rad, "verdict": fit.verdict,
         }));
         std::fs::write(out.join(format!("hand_{i:03}.obj")), hand_obj(robot, &fit.joints, &fit.object_from_base))?;
     }

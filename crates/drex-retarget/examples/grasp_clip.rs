@@ -32,7 +32,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let (a, b) = args.get(i + 1).and_then(|r| r.split_once('-')).ok_or("--frames takes A-B")?;
         ranges.push(a.parse::<usize>()?..=b.parse::<usize>()?);
     }
-    println!("frame held  gap/tip gap of each finger, mm (* wanted)  then see the names");
+    println!("frame held  gap/tip gap of each finger, mm (* takes part)  then see the names");
     for (i, frame) in clip.frames.iter().enumerate() {
         print(i, frame);
     }
@@ -53,16 +53,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
 fn print(i: usize, f: &GraspFrame) {
     let finger =
-        |c: &FingerContact| format!("{}{:6.1}/{:5.1}", if c.wanted { '*' } else { ' ' }, c.gap_mm, c.tip_gap_mm);
+        |c: &FingerContact| format!("{}{:6.1}/{:5.1}", if c.takes_part { '*' } else { ' ' }, c.gap_mm, c.tip_gap_mm);
     let fingers: Vec<String> = f.fingers.iter().map(finger).collect();
     let hit = f.self_collision.as_ref().map_or("-".into(), |c| format!("{:.1} mm {:?}", c.depth_mm, c.links));
-    let squeeze = f.squeeze_per_weight.map_or("-".into(), |s| format!("{s:.1}"));
+    let grip_force = f.grip_force_per_weight.map_or("-".into(), |s| format!("{s:.1}"));
     let why = match &f.verdict {
         Verdict::Accepted => String::new(),
         Verdict::Rejected(reasons) => reasons.iter().map(|r| r.kind()).collect::<Vec<_>>().join(", "),
     };
     println!(
-        "{i:4} {} {} deep {:4.2} mm self {hit} joints {:.2} rad wrist {:3.0} mm {:.2} rad speed {:.1} closure {} squeeze {squeeze} {why}",
+        "{i:4} {} {} deep {:4.2} mm self {hit} joints {:.2} rad wrist {:3.0} mm {:.2} rad speed {:.1} closure {} squeeze {grip_force} {why}",
         u8::from(f.held),
         fingers.join(" "),
         f.penetration_mm,

@@ -3,7 +3,7 @@
 //! ```text
 //! cargo run --release -p drex-retarget --example retarget_speed -- [--runs N] [--frames N] [--json] FOLDER...
 //! ```
-//! A folder holds `hand.json` (format "drex-hand-demo/1"); where the outputs of dex-retargeting are beside it
+//! A folder phases `hand.json` (format "drex-hand-demo/1"); where the outputs of dex-retargeting are beside it
 //! (`golden_HAND_METHOD.json`), the ratio of the mean objectives is printed. The scale is 1.6, as there. Times are wall clock
 //! per frame; with `--runs N` the least of N runs over the clip (the same work each time), to leave out what else the machine does.
 #![allow(clippy::print_stdout, missing_docs)] // a program for the terminal

@@ -10,12 +10,12 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use crate::grasp::{GraspHand, GraspOptions, GraspRetargeting, Judged, judged, single};
+use crate::grasp::{FrameContext, GraspHand, GraspOptions, GraspRetargeting, evaluate, single};
 use crate::levenberg_marquardt::HandState;
 use crate::{Error, GraspFrame, ObjectSurface, Result, TargetHand};
 pub use symmetry::symmetries;
 
-/// How grasps are varied.
+/// Options of [`augment`].
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct AugmentOptions {
@@ -23,9 +23,9 @@ pub struct AugmentOptions {
     pub grasp: GraspOptions,
     /// Standard deviation of the wrist's shift, m.
     pub shift_m: f64,
-    /// of its turn about the object's centre of mass, rad,
+    /// Standard deviation of the wrist's turn about the object's centre of mass, rad.
     pub turn_rad: f64,
-    /// and of every joint, rad.
+    /// Standard deviation of every joint angle, rad.
     pub joint_rad: f64,
     /// A rotation of the object is a symmetry if it moves its surface by at most this, m: grasps are solved again after it.
     pub symmetry_tolerance_m: f64,
@@ -35,7 +35,7 @@ pub struct AugmentOptions {
     pub duplicate: (f64, f64, f64),
     /// Give up after this many attempts for every grasp that is asked for.
     pub attempts_per_grasp: usize,
-    /// Turns the noise.
+    /// Seed of the noise.
     pub seed: u64,
 }
 
@@ -55,7 +55,7 @@ impl Default for AugmentOptions {
     }
 }
 
-/// One grasp.
+/// One grasp made from a demonstration.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct AugmentedGrasp {
@@ -63,17 +63,17 @@ pub struct AugmentedGrasp {
     pub hand: Arc<str>,
     /// The grasp, measured; its joint distance and wrist shift are those to the frame that it came from.
     pub grasp: GraspFrame,
-    /// Index of the frame of the clip that it came from.
+    /// Index of the frame of the sequence that it came from.
     pub source_frame: usize,
     /// Index of the object's symmetry, 0 for none; see [`symmetries`].
     pub symmetry: usize,
     /// By how much the wrist was shifted before it was solved again, mm.
     pub noise_shift_mm: f64,
-    /// and turned, rad.
+    /// By how much the wrist was turned before it was solved again, rad.
     pub noise_turn_rad: f64,
 }
 
-/// Grasps and what they took.
+/// Grasps made from one demonstration, and the effort.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Augmentation {
@@ -81,36 +81,36 @@ pub struct Augmentation {
     pub grasps: Vec<AugmentedGrasp>,
     /// Rotations of the object about its centre of mass that map it onto itself, the identity first.
     pub symmetries: Vec<UnitQuaternion<f64>>,
-    /// How many starts were solved.
+    /// Number of initial guesses that were solved.
     pub attempts: usize,
-    /// Of these, how many kept the rules (duplicates included).
+    /// Number of attempts that kept the rules, duplicates included.
     pub accepted: usize,
 }
 
-/// Starts that are solved at once.
+/// Initial guesses that are solved at once.
 const BATCH: usize = 64;
 
-/// At most `count` grasps from the accepted frames of a clip, in the object's frame. The same for any number of threads.
+/// At most `count` grasps from the accepted frames of a sequence, in the object's frame. The same for any number of threads.
 ///
 /// Each attempt takes the next accepted frame, turns it by the next symmetry of the object, adds noise, and solves it again as a
 /// single frame. Rejected and repeated grasps are left out.
 ///
 /// # Errors
-/// If no frame of the clip was accepted, or an option makes no sense.
+/// If no frame of the sequence was accepted, or an option makes no sense.
 pub fn augment(
-    clip: &GraspRetargeting,
+    sequence: &GraspRetargeting,
     target: &TargetHand,
     object: &ObjectSurface<'_>,
     options: &AugmentOptions,
     count: usize,
 ) -> Result<Augmentation> {
     check(options)?;
-    let sources: Vec<usize> = (0..clip.frames.len())
-        .filter(|&i| clip.frames[i].is_accepted() && (clip.frames[i].force_closure || !options.force_closure))
+    let sources: Vec<usize> = (0..sequence.frames.len())
+        .filter(|&i| sequence.frames[i].is_accepted() && (sequence.frames[i].force_closure || !options.force_closure))
         .collect();
     if sources.is_empty() {
         return Err(Error::value(
-            "no frame of the clip holds the object by the rules",
+            "no frame of the sequence holds the object by the rules",
             "look at the verdicts of its frames, or loosen the limits",
         ));
     }
@@ -127,16 +127,18 @@ pub fn augment(
             .map(|attempt| {
                 let source = sources[attempt % sources.len()];
                 let symmetry = attempt / sources.len() % out.symmetries.len();
-                vary(&hand, object, &clip.frames[source], out.symmetries[symmetry], options, attempt).map(|found| {
-                    found.map(|(grasp, (noise_shift_mm, noise_turn_rad))| AugmentedGrasp {
-                        hand: name.clone(),
-                        grasp,
-                        source_frame: source,
-                        symmetry,
-                        noise_shift_mm,
-                        noise_turn_rad,
-                    })
-                })
+                perturb(&hand, object, &sequence.frames[source], out.symmetries[symmetry], options, attempt).map(
+                    |found| {
+                        found.map(|(grasp, (noise_shift_mm, noise_turn_rad))| AugmentedGrasp {
+                            hand: name.clone(),
+                            grasp,
+                            source_frame: source,
+                            symmetry,
+                            noise_shift_mm,
+                            noise_turn_rad,
+                        })
+                    },
+                )
             })
             .collect::<Result<_>>()?;
         out.attempts = batch.end;
@@ -151,7 +153,7 @@ pub fn augment(
 }
 
 /// One attempt.
-fn vary(
+fn perturb(
     hand: &GraspHand<'_>,
     object: &ObjectSurface<'_>,
     source: &GraspFrame,
@@ -175,10 +177,10 @@ fn vary(
     let mut start = HandState { object_from_base: moved * turned.object_from_base, q: turned.q.clone() };
     start.q.iter_mut().for_each(|q| *q += normal() * options.joint_rad);
     hand.target.robot.clamp_to_limits(&mut start.q);
-    let wanted: Vec<f64> = source.fingers.iter().map(|f| f64::from(u8::from(f.wanted))).collect();
-    let planned = single(hand, object, &start, wanted, &options.grasp);
-    let judge = Judged { wish: &turned, t_s: source.t_s, before: None, up: None };
-    let grasp = judged(hand, object, &planned, &judge, &options.grasp)?;
+    let target_weights: Vec<f64> = source.fingers.iter().map(|f| f64::from(u8::from(f.takes_part))).collect();
+    let planned = single(hand, object, &start, target_weights, &options.grasp);
+    let context = FrameContext { reference: &turned, t_s: source.t_s, before: None, up: None };
+    let grasp = evaluate(hand, object, &planned, &context, &options.grasp)?;
     let good = grasp.is_accepted() && (grasp.force_closure || !options.force_closure);
     Ok(good.then(|| (grasp, (1e3 * shift.norm(), turn.norm()))))
 }

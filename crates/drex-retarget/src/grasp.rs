@@ -1,49 +1,49 @@
-//! From a person's grasp to the robot's, over a whole clip and aware of the object.
+//! From a human grasp to the robot's, over a whole sequence and aware of the object.
 //!
-//! Everything is in the object's frame. The plain `vector` result and the person's wrist are what the solution stays close to; from
-//! the recording follows when the object is held and with which fingers ([`wanted`]); where on the object they belong is a line
-//! through it that stands upright on the surface at both ends, near the person's ([`goals`]). Each frame is a nonlinear
+//! Everything is in the object's frame. The plain `vector` result and the human wrist are what the solution stays close to; from
+//! the recording follows when the object is held and with which fingers ([`phases`]); where on the object they belong is a line
+//! through it that stands upright on the surface at both ends, near the human hand's ([`goals`]). Each frame is a nonlinear
 //! least-squares problem in wrist and joints ([`terms`], [`crate::levenberg_marquardt`]); frames are solved in turn within what the joints' speeds
-//! leave ([`plan`]) and measured on the exact surface and the true shapes ([`judge`]).
+//! leave ([`sequence`]) and measured on the exact surface and the true shapes ([`evaluation`]).
 
-mod collide;
+mod evaluation;
 mod goals;
 mod hand;
-mod judge;
-mod plan;
-mod skin;
+mod phases;
+mod self_collision;
+mod sequence;
+mod surface_points;
 mod terms;
-mod wanted;
 
 use drex_core::Pose;
+use drex_demo::{Demonstration, FrameFlag};
 use nalgebra::{Unit, Vector3};
 use rayon::prelude::*;
 
 use crate::levenberg_marquardt::HandState;
 use crate::{Error, ObjectSurface, Result, RetargetOptions, Retargeting, TargetHand, Verdict, retarget};
-use drex_demo::{Demonstration, Flag};
+pub use evaluation::{FingerContact, GraspFrame, SelfCollision};
+pub(crate) use evaluation::{FrameContext, evaluate};
 pub(crate) use hand::GraspHand;
-pub use judge::{FingerContact, GraspFrame, SelfCollision};
-pub(crate) use judge::{Judged, judged};
-pub(crate) use plan::single;
+pub(crate) use sequence::single;
 
-/// Rules and effort.
+/// Rules of an accepted grasp and effort of the search.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct GraspOptions {
     /// The plain retargeting that the grasp stays close to.
     pub vector: RetargetOptions,
-    /// Hand frames in which a fingertip comes this near to the object begin a hold, m.
+    /// Hand frames in which a fingertip comes this near to the object begin a grasp phase, m.
     pub touch_m: f64,
-    /// A hold goes on while a fingertip is this near, m.
+    /// A grasp phase goes on while a fingertip is this near, m.
     pub release_m: f64,
-    /// An object that moves this fast is held, m/s,
+    /// Speed of the object from which on it counts as held where a fingertip is within `reach_m`, m/s.
     pub carry_speed_m_s: f64,
-    /// if a fingertip is at most this far from it, m.
+    /// Largest distance of a fingertip from an object that moves and counts as held, m.
     pub reach_m: f64,
     /// Frames between two held ones at most this far apart are held, s.
     pub bridge_s: f64,
-    /// Shorter holds are noise, frames.
+    /// Fewest frames of a grasp phase; shorter ones are noise.
     pub min_frames: usize,
     /// Fastest joint, rad/s (m/s).
     pub max_joint_speed: f64,
@@ -55,7 +55,7 @@ pub struct GraspOptions {
     pub max_penetration_m: f64,
     /// Deepest self-collision of an accepted frame, m.
     pub max_self_collision_m: f64,
-    /// Farthest that the wrist of an accepted frame is from the person's, m.
+    /// Largest distance of the wrist of an accepted frame from the human wrist, m.
     pub max_wrist_shift_m: f64,
     /// Largest mean joint distance to the plain vector result of an accepted frame, rad.
     pub max_joint_distance_rad: f64,
@@ -88,19 +88,19 @@ impl Default for GraspOptions {
     }
 }
 
-/// A clip, retargeted with contacts.
+/// A sequence, retargeted with contacts.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct GraspRetargeting {
-    /// The plain vector result that the frames stay close to, with joint names and the scale of the person's hand.
+    /// The plain vector result that the frames stay close to, with joint names and the scale of the human hand.
     pub plain: Retargeting,
     /// One per frame of the demonstration.
     pub frames: Vec<GraspFrame>,
 }
 
-/// Retargets a clip: wrist and joints such that the hand holds the object in the frames in which the person does.
+/// Retargets a sequence: wrist and joints such that the hand holds the object in the frames in which the human hand does.
 ///
-/// Frames in which the person does not hold it follow the `vector` result, slowed to the largest joint speed and kept out of the
+/// Frames in which the human hand does not hold it follow the `vector` result, slowed to the largest joint speed and kept out of the
 /// object. The same bytes for the same input, on any number of threads.
 ///
 /// # Errors
@@ -116,9 +116,9 @@ pub fn retarget_grasp(
     let poses = object_poses(demo, &mut flags)?;
     let hand = GraspHand::new(target, options.friction, options.force_gap_m)?;
     let vector = retarget(demo, target, &options.vector)?;
-    let wishes = wishes(&vector, &poses);
-    let holds = wanted::holds(demo, &poses, target, object.search, options);
-    let planned = plan::plan(&hand, object, demo, &poses, &wishes, &holds, options);
+    let references = references(&vector, &poses);
+    let phases = phases::grasp_phases(demo, &poses, target, object.search, options);
+    let planned = sequence::solve(&hand, object, demo, &poses, &references, &phases, options);
     let up: Vec<Option<Unit<Vector3<f64>>>> =
         poses.iter().map(|p| demo.up.map(|up| p.rotation.inverse() * up)).collect();
     let frames = (0..planned.len())
@@ -126,8 +126,8 @@ pub fn retarget_grasp(
         .map(|t| {
             let before =
                 t.checked_sub(1).map(|b| (planned[b].state.q.as_slice(), demo.frames[t].t_s - demo.frames[b].t_s));
-            let judge = Judged { wish: &wishes[t], t_s: demo.frames[t].t_s, before, up: up[t] };
-            let mut frame = judged(&hand, object, &planned[t], &judge, options)?;
+            let context = FrameContext { reference: &references[t], t_s: demo.frames[t].t_s, before, up: up[t] };
+            let mut frame = evaluate(&hand, object, &planned[t], &context, options)?;
             frame.flags.clone_from(&vector.frames[t].flags);
             frame.flags.extend_from_slice(&flags[t]);
             Ok(frame)
@@ -161,7 +161,7 @@ fn check(options: &GraspOptions) -> Result<()> {
 }
 
 /// The plain result in the object's frame. Frames before the first hand stand where that is.
-fn wishes(vector: &Retargeting, poses: &[Pose]) -> Vec<HandState> {
+fn references(vector: &Retargeting, poses: &[Pose]) -> Vec<HandState> {
     let first = vector.frames.iter().find_map(|f| f.source_from_base).unwrap_or_else(Pose::identity);
     let frames = vector.frames.iter().zip(poses);
     frames
@@ -174,7 +174,7 @@ fn wishes(vector: &Retargeting, poses: &[Pose]) -> Vec<HandState> {
 
 /// The object's pose in every frame, `source_from_object`: where it was not seen, on the way between the frames around, which are
 /// flagged.
-fn object_poses(demo: &Demonstration, flags: &mut [Vec<Flag>]) -> Result<Vec<Pose>> {
+fn object_poses(demo: &Demonstration, flags: &mut [Vec<FrameFlag>]) -> Result<Vec<Pose>> {
     let seen: Vec<(usize, Pose)> =
         demo.frames.iter().enumerate().filter_map(|(t, f)| Some((t, f.source_from_object?))).collect();
     let (Some(first), Some(last)) = (seen.first(), seen.last()) else {
@@ -190,7 +190,7 @@ fn object_poses(demo: &Demonstration, flags: &mut [Vec<Flag>]) -> Result<Vec<Pos
             if *b == t {
                 return *to;
             }
-            flags[t].push(Flag::ObjectNotSeen);
+            flags[t].push(FrameFlag::ObjectNotSeen);
             let (a, from) = if after > 0 { &seen[after - 1] } else { first };
             let share = if a < b { (t as f64 - *a as f64) / (*b as f64 - *a as f64) } else { 0.0 };
             // Half a turn apart there is no way between: stay.

@@ -1,4 +1,4 @@
-//! A robot hand to retarget to: where on the model the person's wrist and fingertips are.
+//! A robot hand to retarget to: where on the model the human wrist and fingertips are.
 
 mod check;
 mod derive;
@@ -9,14 +9,14 @@ mod names;
 use std::path::Path;
 
 use drex_core::Pose;
+use drex_demo::{HumanFinger, Side};
 use drex_robot::{MirrorPlane, Robot};
 use nalgebra::Point3;
 
 use crate::Result;
-use drex_demo::{HumanFinger, Side};
 use mapping::Mapping;
 
-/// A robot with a person's hand mapped onto it.
+/// A robot with a human hand mapped onto it.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct TargetHand {
@@ -36,11 +36,11 @@ pub struct TargetHand {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct TargetFinger {
-    /// The person's finger that it follows.
+    /// The human finger that it follows.
     pub human: HumanFinger,
     /// The fingertip.
     pub tip: LinkPoint,
-    /// The point that follows the person's [`HumanFinger::middle`], for the `position` objective.
+    /// The point that follows the human [`HumanFinger::middle`], for the `position` objective.
     pub middle: LinkPoint,
     /// Joints between palm and tip, from the palm on.
     pub joints: Vec<usize>,
@@ -149,7 +149,7 @@ impl TargetHand {
         if self.side == side { self } else { self.mirrored() }
     }
 
-    /// The finger that follows the person's `human`.
+    /// The finger that follows the human `human`.
     pub fn finger(&self, human: HumanFinger) -> Option<&TargetFinger> {
         self.fingers.iter().find(|f| f.human == human)
     }

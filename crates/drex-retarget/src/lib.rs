@@ -1,14 +1,14 @@
-//! Hand poses of people and other hands for a robot hand, aware of the object.
+//! Hand poses of humans for a robot hand, aware of the object.
 //!
 //! ```
 //! use drex_demo::{HandSkeleton, Side};
 //! use drex_retarget::{RetargetOptions, TargetHand, retarget};
 //!
 //! # fn main() -> drex_retarget::Result<()> {
-//! let person = HandSkeleton::new(Side::Left).moving(30);
-//! let hand = TargetHand::resolve("allegro")?.for_side(person.side);
-//! let clip = retarget(&person, &hand, &RetargetOptions::default())?;
-//! assert_eq!(clip.frames.len(), 30);
+//! let demonstration = HandSkeleton::new(Side::Left).moving(30);
+//! let hand = TargetHand::resolve("allegro")?.for_side(demonstration.side);
+//! let sequence = retarget(&demonstration, &hand, &RetargetOptions::default())?;
+//! assert_eq!(sequence.frames.len(), 30);
 //! # Ok(()) }
 //! ```
 //!
@@ -27,7 +27,7 @@
 //! | `wrist.link`, `wrist.point_m` | the wrist: a link that moves with the palm, and a point in its frame (its origin) |
 //! | `wrist.palm`, `wrist.tips` | directions in the frame of `wrist.link`: out of the palm, to the tips of the open hand; derived from how the fingers bend |
 //! | `fingers.NAME.tip` | `{ link = "…", point_m = [x, y, z] }` of `thumb`, `index`, `middle`, `ring` or `little`; with any of them, only these fingers are used |
-//! | `fingers.NAME.middle` | the same, what follows the person's middle joint in the `position` objective; the last joint but one (of two the last) |
+//! | `fingers.NAME.middle` | the same, what follows the human middle joint in the `position` objective; the last joint but one (of two the last) |
 
 // Tests within the crate share code with those outside.
 #[cfg(test)]
@@ -35,13 +35,13 @@ extern crate self as drex_retarget;
 
 mod augment;
 mod error;
-mod flags;
+mod frame_checks;
 mod grasp;
 mod hand;
 mod kinematics;
 mod levenberg_marquardt;
+mod measurements;
 mod objective;
-mod person;
 mod result;
 mod retarget;
 mod scale;

@@ -1,4 +1,4 @@
-//! What is made small in a frame: differences between points of the robot and where the person has them.
+//! What is made small in a frame: differences between points of the robot and where the human hand has them.
 //!
 //! Sum of w · Huber(e) with e = p_task − p_origin − target, and norm_delta · |x − x_previous|². The value, the gradient and the
 //! Hessian belong together: for a point p moved by the joints i (nearer to the base) and j with axes a and velocities J,
@@ -155,7 +155,7 @@ impl FrameProblem {
         for (i, columns) in columns.iter_mut().enumerate() {
             columns.clear();
             for (joint, axis, velocity) in chains.movers(placed, i) {
-                if let Some(d) = unknowns.drive[joint] {
+                if let Some(d) = unknowns.couplings[joint] {
                     columns.push(Column { unknown: d.unknown, turn: axis * d.factor, velocity: velocity * d.factor });
                 }
             }

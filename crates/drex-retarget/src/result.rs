@@ -1,64 +1,64 @@
 //! What retargeting gives back.
 
 use drex_core::Pose;
+use drex_demo::{FrameFlag, HumanFinger};
 use serde::{Deserialize, Serialize};
 
-use drex_demo::{Flag, HumanFinger};
-
-/// What is made small; the names are those of dex-retargeting.
+/// The quantity that is minimised; the names are those of dex-retargeting.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
 pub enum Objective {
     /// Vectors from the wrist to the fingertips.
     Vector,
-    /// The same and the vectors between fingertips, drawn together for a pinch.
+    /// Vectors from the wrist to the fingertips and between fingertips, drawn together for a pinch.
     DexPilot,
     /// Positions of fingertips and middle joints; the robot's base floats.
     Position,
-    /// Contacts with the object, over a whole clip.
+    /// Contacts with the object, over a whole sequence.
     Grasp,
 }
 
-/// A clip, retargeted.
+/// A sequence, retargeted.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Retargeting {
     /// Joint names in the order of every `q`.
     pub joint_names: Vec<String>,
-    /// What was made small.
+    /// The quantity that was minimised.
     pub objective: Objective,
-    /// The scale of the person's hand.
+    /// The scale of the human hand.
     pub scale: ScaleReport,
     /// One per frame of the demonstration.
     pub frames: Vec<RetargetedFrame>,
 }
 
-/// How the person's hand was scaled to the robot's.
+/// Scale between the human hand and the robot's.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct ScaleReport {
-    /// Factor on the person's vectors.
+    /// Factor on the human vectors.
     pub scale: f64,
     /// Whether it was found automatically.
     pub automatic: bool,
-    /// Length of the person's hand along the bones from the wrist to the tip of the middle finger (index or ring finger where it
+    /// Length of the human hand along the bones from the wrist to the tip of the middle finger (index or ring finger where it
     /// was never seen), medians over the frames, m; 0 where no finger was ever seen whole.
-    pub person_reach_m: f64,
+    #[serde(rename = "person_reach_m")]
+    pub human_reach_m: f64,
     /// Largest distance of the robot's middle fingertip (or the longest finger's) from its wrist, m.
     pub hand_reach_m: f64,
 }
 
 impl ScaleReport {
-    /// A remark where an automatic scale is none of a person's hand in metres.
+    /// A remark where an automatic scale is unusual for key points in metres.
     pub fn note(&self) -> Option<String> {
         (self.automatic && !(0.8..=1.6).contains(&self.scale)).then(|| {
             format!(
-                "the automatic scale is {:.3} (hand {:.0} mm, person {:.0} mm): a person's key points in metres have 0.8 to 1.6; \
+                "the automatic scale is {:.3} (robot hand {:.0} mm, human hand {:.0} mm): key points in metres have 0.8 to 1.6; \
                  check their unit",
                 self.scale,
                 self.hand_reach_m * 1e3,
-                self.person_reach_m * 1e3
+                self.human_reach_m * 1e3
             )
         })
     }
@@ -72,7 +72,7 @@ pub struct RetargetedFrame {
     pub t_s: f64,
     /// Joint vector in the model's order, rad, within the limits.
     pub q: Vec<f64>,
-    /// The same after the low-pass filter; also within the limits.
+    /// Joint vector after the low-pass filter, in the model's order, rad, within the limits.
     pub q_filtered: Vec<f64>,
     /// Pose of the robot's base in the source frame: solved for by `position`, else so that the wrists and palms coincide. A frame
     /// that is no hand repeats the pose before, if there was one.
@@ -81,15 +81,15 @@ pub struct RetargetedFrame {
     pub objective: f64,
     /// Residual of each finger.
     pub fingers: Vec<FingerResidual>,
-    /// What is wrong with the frame.
-    pub flags: Vec<Flag>,
+    /// Reasons not to trust the frame.
+    pub flags: Vec<FrameFlag>,
 }
 
-/// How far a fingertip is from where the person's is, scaled.
+/// Residual of one fingertip.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct FingerResidual {
     /// The finger.
     pub finger: HumanFinger,
-    /// Distance, mm; `None` where the person's fingertip was not seen.
+    /// Distance of the robot's fingertip from the scaled human one, mm; `None` where the human fingertip was not seen.
     pub residual_mm: Option<f64>,
 }

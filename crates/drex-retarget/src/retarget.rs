@@ -1,4 +1,4 @@
-//! Retargeting a stream of frames or a whole clip.
+//! Retargeting a stream of frames or a whole sequence.
 
 mod stream;
 #[cfg(test)]
@@ -9,38 +9,39 @@ mod tests;
 
 pub use stream::Retargeter;
 
-use crate::person::Person;
-use crate::scale::refined;
-use crate::{Error, Objective, Result, Retargeting, TargetHand};
 use drex_demo::Demonstration;
 
-/// The factor on the person's vectors.
+use crate::measurements::HandMeasurements;
+use crate::scale::refined;
+use crate::{Error, Objective, Result, Retargeting, TargetHand};
+
+/// The factor on the human vectors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Scale {
-    /// From the lengths of the person's bones and the robot's reach; over a clip ([`retarget`]) refined so that the fingertips'
-    /// mean error in units of the scale is smallest. The person is brought to a nominal size first, so that the size and the
+    /// From the lengths of the human bones and the robot's reach; over a sequence ([`retarget`]) refined so that the fingertips'
+    /// mean error in units of the scale is smallest. The human hand is brought to a nominal size first, so that the size and the
     /// unit of the key points do not matter.
     Auto,
-    /// This one, on key points as they are.
+    /// A given factor, on key points as they are.
     Fixed(f64),
 }
 
-/// How to retarget.
+/// Options of plain retargeting.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct RetargetOptions {
-    /// What is made small.
+    /// The quantity that is minimised.
     pub objective: Objective,
-    /// Factor on the person's vectors.
+    /// Factor on the human vectors.
     pub scale: Scale,
     /// Part of the new joint vector in the filtered one, 0 to 1; 1 does not filter.
     pub low_pass_alpha: f64,
     /// Weight of the squared distance to the frame before (rad², m²).
     pub norm_delta: f64,
-    /// Other starts of the thumb, which has local minima: all are tried on the first frame, then one per frame in turn. 0 keeps to
+    /// Number of other initial guesses for the thumb, which has local minima: all are tried on the first frame, then one per frame in turn. 0 keeps to
     /// the minimum that the first frame led to.
-    pub thumb_starts: usize,
-    /// Most steps of the solver per frame and start.
+    pub thumb_guesses: usize,
+    /// Most steps of the solver per frame and initial guess.
     pub iterations: usize,
 }
 
@@ -52,7 +53,7 @@ impl RetargetOptions {
             Objective::Position => (Scale::Fixed(1.0), 1.0),
             _ => (Scale::Auto, 0.2),
         };
-        Self { objective, scale, low_pass_alpha, norm_delta: 4e-3, thumb_starts: 4, iterations: 100 }
+        Self { objective, scale, low_pass_alpha, norm_delta: 4e-3, thumb_guesses: 4, iterations: 100 }
     }
 
     fn check(&self) -> Result<()> {
@@ -82,7 +83,7 @@ impl Default for RetargetOptions {
     }
 }
 
-/// Retargets a clip frame by frame; the same as a [`Retargeter`] but for the automatic scale, which is that of the whole clip.
+/// Retargets a sequence frame by frame; the same as a [`Retargeter`] but for the automatic scale, which is that of the whole sequence.
 ///
 /// # Errors
 /// As [`Retargeter::new`]; if the demonstration is of the other hand; if the automatic scale finds no frame to measure.
@@ -100,7 +101,7 @@ pub fn retarget(demonstration: &Demonstration, hand: &TargetHand, options: &Reta
         ));
     }
     let mut retargeter = Retargeter::new(hand, options.clone())?;
-    retargeter.measure(Person::of(&demonstration.frames, demonstration.side));
+    retargeter.measure(HandMeasurements::of(&demonstration.frames, demonstration.side));
     if options.scale == Scale::Auto {
         retargeter.refinement = refined(&retargeter, &demonstration.frames)?;
     }

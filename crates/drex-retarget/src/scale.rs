@@ -1,5 +1,6 @@
-//! How large the person's hand is against the robot's.
+//! How large the human hand is against the robot's.
 
+use drex_demo::{HandFrame, HumanFinger};
 use nalgebra::Vector3;
 
 use crate::hand::TargetHand;
@@ -7,9 +8,8 @@ use crate::kinematics::Chains;
 use crate::objective::{FrameProblem, Loss, Term};
 use crate::solve::{EXACT, Newton, Problem, State, Unknowns};
 use crate::{Result, Retargeter};
-use drex_demo::{HandFrame, HumanFinger};
 
-/// Hand length to which a person is brought before `dexpilot` measures its pinches, where the scale is automatic, m: about that
+/// Hand length to which a human hand is brought before `dexpilot` measures its pinches, where the scale is automatic, m: about that
 /// of an adult, so that its thresholds keep their meaning whatever the unit and size of the recording.
 pub(crate) const NOMINAL_LENGTH_M: f64 = 0.185;
 
@@ -49,8 +49,8 @@ pub(crate) fn hand_reach_m(hand: &TargetHand, chains: &Chains, unknowns: &Unknow
 const FAR_M: f64 = 10.0;
 const FARTHEST_ROUNDS: usize = 8;
 
-/// The factor on the scale of the reaches with which the fingertips' mean error, in units of the scale, is smallest on the clip;
-/// in steps of [`FINE`]. Found with `vector` on at most [`SAMPLES`] frames.
+/// The factor on the scale of the reaches with which the fingertips' mean error, in units of the scale, is smallest on the sequence;
+/// in steps of [`FINE`]. FingerCandidate with `vector` on at most [`SAMPLES`] frames.
 pub(crate) fn refined(retargeter: &Retargeter, frames: &[HandFrame]) -> Result<f64> {
     let samples: Vec<&HandFrame> = frames.iter().step_by(frames.len().div_ceil(SAMPLES).max(1)).collect();
     let mut probe = retargeter.probe()?;

@@ -1,14 +1,14 @@
 //! Where was the wrist? A grasp that was recorded as joint angles only gets its wrist pose back from the object.
 //!
-//! Unknowns: the six of the wrist, and a bounded correction of every joint. Wanted: the pads of the thumb and of at least two
+//! Unknowns: the six of the wrist, and a bounded correction of every joint. Conditions: the pads of the thumb and of at least two
 //! fingers on the surface and opposing each other, nothing inside the object, nothing below the table. A smooth least-squares
-//! problem (Levenberg-Marquardt with analytic derivatives) from many starts that surround the object;
-//! the answer is the best end that fulfils the rules, or the best that does not together with the reasons.
+//! problem (Levenberg-Marquardt with analytic derivatives) from many initial guesses that surround the object;
+//! the answer is the best candidate that fulfils the rules, or the best that does not together with the reasons.
 
-mod ends;
+mod evaluation;
 mod hand;
+mod initial_guesses;
 mod residuals;
-mod starts;
 #[cfg(test)]
 mod tests;
 
@@ -28,15 +28,15 @@ use residuals::{Problem, Stage, View};
 pub struct ObjectSurface<'a> {
     /// Distance used by the search: a fast one, such as a grid.
     pub search: &'a dyn SignedDistance,
-    /// Distance that the result is judged by: the exact one. May be the same.
-    pub judge: &'a dyn SignedDistance,
+    /// Distance that the result is evaluated with: the exact one. May be the same.
+    pub exact: &'a dyn SignedDistance,
     /// Lower and upper corner of the object's bounding box, metres.
     pub bounds: (Point3<f64>, Point3<f64>),
     /// Centre of mass, metres.
     pub center_of_mass: Point3<f64>,
 }
 
-/// Rules and effort of a fit.
+/// Rules and effort of a wrist fit.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct WristFitOptions {
@@ -50,13 +50,13 @@ pub struct WristFitOptions {
     pub min_fingers: usize,
     /// Least height of the hand over the table, metres.
     pub min_table_clearance_m: f64,
-    /// Coulomb friction with which the ends are compared.
+    /// Coulomb friction with which candidates are compared.
     pub friction: f64,
-    /// Wrist poses that are looked at.
-    pub starts: usize,
-    /// Of these, how many are improved roughly, and of those, how many to the end.
+    /// Number of wrist poses that are tried first.
+    pub initial_guesses: usize,
+    /// Numbers of initial guesses that are improved roughly and that are improved to the end.
     pub kept: (usize, usize),
-    /// Turns the sequence of starts.
+    /// Seed of the sequence of initial guesses.
     pub seed: u64,
     /// Distance between points on the hand: rough search, final search and verdict, metres.
     pub spacings_m: (f64, f64),
@@ -71,7 +71,7 @@ impl Default for WristFitOptions {
             min_fingers: 2,
             min_table_clearance_m: 0.0,
             friction: 0.5,
-            starts: 512,
+            initial_guesses: 512,
             kept: (96, 24),
             seed: 0,
             spacings_m: (0.008, 0.003),
@@ -94,7 +94,7 @@ pub struct FingerGap {
     pub finger: String,
     /// Distance of its pad from the surface, mm; negative inside.
     pub gap_mm: f64,
-    /// Whether that counts as touching.
+    /// Whether the pad is within the contact gap.
     pub touches: bool,
 }
 
@@ -110,18 +110,18 @@ pub enum Rejection {
     },
     /// Too few other fingers are on the surface.
     FingersMiss {
-        /// Names and gaps (mm) of those that are not.
+        /// Names and gaps (mm) of the fingers that do not touch.
         missing: Vec<(String, f64)>,
-        /// How many are.
+        /// Number of fingers besides the thumb that touch.
         touching: usize,
-        /// How many are asked for.
+        /// Number of such fingers that are required.
         needed: usize,
     },
     /// The hand is too deep inside the object.
     Penetrates {
         /// The deepest link.
         link: String,
-        /// Its depth, mm.
+        /// Depth of the link inside the object, mm.
         depth_mm: f64,
     },
     /// The hand hits itself.
@@ -131,21 +131,22 @@ pub enum Rejection {
         /// How deep they are inside each other, mm.
         depth_mm: f64,
     },
-    /// The joints are far from what the person's hand alone asks for.
-    FarFromPerson {
+    /// The joints are far from the plain retargeting's.
+    #[serde(rename = "far_from_person")]
+    FarFromReference {
         /// Mean distance of a joint, rad.
         mean_joint_rad: f64,
     },
-    /// The wrist is far from the person's.
+    /// The wrist is far from the human wrist.
     WristMoved {
-        /// How far, mm.
+        /// Distance, mm.
         distance_mm: f64,
     },
     /// The hand reaches below the table.
     BelowTable {
         /// The lowest link.
         link: String,
-        /// How far below, mm.
+        /// Depth below the table, mm.
         depth_mm: f64,
     },
 }
@@ -158,7 +159,7 @@ impl Rejection {
             Self::FingersMiss { .. } => "fingers miss",
             Self::Penetrates { .. } => "penetrates",
             Self::SelfCollision { .. } => "self-collision",
-            Self::FarFromPerson { .. } => "far from the person",
+            Self::FarFromReference { .. } => "far from the plain retargeting",
             Self::WristMoved { .. } => "wrist moved",
             Self::BelowTable { .. } => "below the table",
         }
@@ -177,10 +178,10 @@ impl std::fmt::Display for Rejection {
             Self::SelfCollision { links: (a, b), depth_mm } => {
                 write!(f, "links \"{a}\" and \"{b}\" are {depth_mm:.1} mm inside each other")
             }
-            Self::FarFromPerson { mean_joint_rad } => {
-                write!(f, "the joints are {mean_joint_rad:.2} rad on average from the person's")
+            Self::FarFromReference { mean_joint_rad } => {
+                write!(f, "the joints are {mean_joint_rad:.2} rad on average from the plain retargeting's")
             }
-            Self::WristMoved { distance_mm } => write!(f, "the wrist is {distance_mm:.0} mm from the person's"),
+            Self::WristMoved { distance_mm } => write!(f, "the wrist is {distance_mm:.0} mm from the human wrist"),
             Self::BelowTable { link, depth_mm } => write!(f, "link \"{link}\" is {depth_mm:.1} mm below the table"),
         }
     }
@@ -190,9 +191,9 @@ impl std::fmt::Display for Rejection {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "verdict", content = "reasons", rename_all = "snake_case")]
 pub enum Verdict {
-    /// It does.
+    /// All rules are kept.
     Accepted,
-    /// It does not.
+    /// At least one rule is broken.
     Rejected(Vec<Rejection>),
 }
 
@@ -213,7 +214,7 @@ pub struct WristFit {
     pub joints: Vec<f64>,
     /// How far each recorded angle was moved to be within the joint's limits, rad.
     pub clipped_rad: Vec<f64>,
-    /// How far each joint was moved after that, rad.
+    /// Correction of each joint after clipping, rad.
     pub correction_rad: Vec<f64>,
     /// Gap of each finger.
     pub fingers: Vec<FingerGap>,
@@ -228,8 +229,8 @@ pub struct WristFit {
     pub force_closure: bool,
     /// Smallest sum of normal forces that carries the object, in units of its weight, at the friction of the options and without
     /// motor limits; `None` if the contacts cannot carry it.
-    pub squeeze_per_weight: Option<f64>,
-    /// The rules.
+    pub grip_force_per_weight: Option<f64>,
+    /// Whether the fit keeps the rules.
     pub verdict: Verdict,
 }
 
@@ -288,25 +289,28 @@ fn fit_one(
 ) -> Result<WristFit> {
     let recorded = hand.recorded_within(joints, options.max_finger_correction_rad)?;
     let rough = Problem { hand, object, table, options, recorded: &recorded, stage: Stage::Rough };
-    let mut candidates: Vec<(f64, HandState)> =
-        starts::starts(&rough).into_iter().map(|s| (rough.evaluate(&s, &mut View::default()), s)).collect();
+    let mut candidates: Vec<(f64, HandState)> = initial_guesses::initial_guesses(&rough)
+        .into_iter()
+        .map(|s| (rough.evaluate(&s, &mut View::default()), s))
+        .collect();
     keep_best(&mut candidates, options.kept.0);
     for (cost, state) in &mut candidates {
         *cost = minimise(&rough, state, 8).0;
     }
     keep_best(&mut candidates, options.kept.1);
-    let mut best: Option<ends::End> = None;
+    let mut best: Option<evaluation::Candidate> = None;
     for (_, mut state) in candidates {
         minimise(&rough, &mut state, 20);
         let fingers = residuals::nearest_fingers(&rough, &state);
         minimise(&Problem { stage: Stage::Final { fingers }, ..rough }, &mut state, 25);
-        let end = ends::judge(&rough, state)?;
+        let end = evaluation::evaluate(&rough, state)?;
         if best.as_ref().is_none_or(|b| end.better_than(b)) {
             best = Some(end);
         }
     }
     // There is a start whenever options are valid, and they were checked when the hand was made.
-    best.map(|b| b.fit).ok_or_else(|| Error::value("no start was tried", "give starts and kept of one or more"))
+    best.map(|b| b.fit)
+        .ok_or_else(|| Error::value("no initial guess was tried", "give initial_guesses and kept of one or more"))
 }
 
 /// Sorts by cost, ties by order, and keeps the first `n`.

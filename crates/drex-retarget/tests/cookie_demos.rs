@@ -33,17 +33,17 @@ fn most_recorded_grasps_of_the_tin_have_a_wrist_pose() {
         poses.rows.iter().step_by(22).map(|r| robot.joint_vector_full(&poses.names, r).unwrap()).collect();
     let object = ObjectSurface {
         search: &search,
-        judge: &exact,
+        exact: &exact,
         bounds: mesh.bounds().unwrap(),
         center_of_mass: solid.properties.center_of_mass,
     };
     let table = TablePlane::under(&mesh.vertices, Vector3::z()).unwrap();
     let mut options = WristFitOptions::default();
-    options.starts = 256;
+    options.initial_guesses = 256;
     options.kept = (32, 8);
     let fits = fit_wrists(&robot, &rows, &object, &table, &options).unwrap();
     let accepted = fits.iter().filter(|f| f.verdict.is_accepted()).count();
-    let held = fits.iter().filter(|f| f.squeeze_per_weight.is_some_and(|s| s < 10.0)).count();
+    let held = fits.iter().filter(|f| f.grip_force_per_weight.is_some_and(|s| s < 10.0)).count();
     eprintln!("{accepted} of {} accepted, {held} carry the tin with less than ten times its weight", fits.len());
     assert!(accepted >= 5 && held >= 4, "{accepted} {held}");
 }

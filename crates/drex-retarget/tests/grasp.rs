@@ -35,7 +35,7 @@ impl Thing {
     }
 
     fn surface(&self) -> ObjectSurface<'_> {
-        ObjectSurface { search: &self.grid, judge: &self.exact, bounds: self.bounds, center_of_mass: self.com }
+        ObjectSurface { search: &self.grid, exact: &self.exact, bounds: self.bounds, center_of_mass: self.com }
     }
 }
 
@@ -115,11 +115,11 @@ fn lift(target: &TargetHand, size: f64) -> Demonstration {
 }
 
 /// Thumb and at least two fingers within 5 mm, by their pads.
-fn holds(frame: &GraspFrame) -> bool {
+fn phases(frame: &GraspFrame) -> bool {
     frame.fingers[0].touches && frame.fingers.iter().filter(|f| f.gap_mm.abs() <= 5.0).count() >= 3
 }
 
-/// What holds for every clip, whatever the grasp.
+/// What phases for every clip, whatever the grasp.
 fn keeps_the_limits(target: &TargetHand, clip: &GraspRetargeting) {
     for (t, frame) in clip.frames.iter().enumerate() {
         assert!(frame.joint_speed_rad_s <= 8.5, "frame {t}: {} rad/s", frame.joint_speed_rad_s);
@@ -143,7 +143,7 @@ fn a_lifted_thing_is_held() {
             // It moves from frame 12 on.
             let moving = &clip.frames[14..];
             assert!(moving.iter().all(|f| f.held), "{name} {what}: not seen to be held");
-            let share = moving.iter().filter(|f| holds(f)).count() as f64 / moving.len() as f64;
+            let share = moving.iter().filter(|f| phases(f)).count() as f64 / moving.len() as f64;
             assert!(share >= 0.8, "{name} {what}: held in {share:.2} of the frames");
             for f in moving {
                 assert!(f.penetration_mm <= 2.0, "{name} {what}: {} mm deep", f.penetration_mm);
@@ -232,7 +232,7 @@ fn an_object_that_is_hidden_for_a_while_moves_on_between() {
     hidden.iter().for_each(|&t| demo.frames[t].source_from_object = None);
     let clip = retarget_grasp(&demo, &target, &thing.surface(), &GraspOptions::default()).unwrap();
     for (t, (a, b)) in clip.frames.iter().zip(&whole.frames).enumerate() {
-        assert_eq!(a.flags.contains(&drex_demo::Flag::ObjectNotSeen), hidden.contains(&t));
+        assert_eq!(a.flags.contains(&drex_demo::FrameFlag::ObjectNotSeen), hidden.contains(&t));
         assert_eq!(a.held, b.held, "frame {t}");
     }
 }
@@ -277,7 +277,7 @@ fn one_lift_gives_many_grasps_and_always_the_same() {
     assert_eq!((frames, many.clone()), run(3));
     assert_eq!(many.grasps.len(), 40, "{} attempts, {} accepted", many.attempts, many.accepted);
     for g in &many.grasps {
-        assert!(g.grasp.is_accepted() && g.grasp.force_closure && holds(&g.grasp) && g.symmetry < 4);
+        assert!(g.grasp.is_accepted() && g.grasp.force_closure && phases(&g.grasp) && g.symmetry < 4);
     }
     let used: std::collections::BTreeSet<usize> = many.grasps.iter().map(|g| g.symmetry).collect();
     assert!(used.len() > 1, "only {used:?}");
@@ -316,7 +316,7 @@ fn demands(demo: &Path, mesh: &Path, hand: &str, frames: &[std::ops::RangeInclus
     let used: Vec<&GraspFrame> = frames.iter().cloned().flatten().map(|t| &clip.frames[t]).collect();
     let share = |rule: &dyn Fn(&GraspFrame) -> bool| used.iter().filter(|f| rule(f)).count() as f64 / used.len() as f64;
     let mean = |value: &dyn Fn(&GraspFrame) -> f64| used.iter().map(|f| value(f)).sum::<f64>() / used.len() as f64;
-    assert!(share(&holds) >= 0.8, "{hand}: held in {:.2}", share(&holds));
+    assert!(share(&phases) >= 0.8, "{hand}: held in {:.2}", share(&phases));
     assert!(share(&|f| f.penetration_mm <= 2.0) >= clean, "{hand}: penetration");
     assert!(share(&|f| f.self_collision.is_none()) >= clean, "{hand}: self-collision");
     assert!(mean(&|f| f.mean_joint_distance_rad) <= 0.35, "{hand}: {} rad", mean(&|f| f.mean_joint_distance_rad));

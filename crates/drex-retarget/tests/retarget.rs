@@ -3,7 +3,7 @@
 
 mod support;
 
-use drex_demo::{Demonstration, Flag, HandFrame, HandSkeleton, KEYPOINTS, Side, mirrored, transformed};
+use drex_demo::{Demonstration, FrameFlag, HandFrame, HandSkeleton, KEYPOINTS, Side, mirrored, transformed};
 use drex_retarget::{
     Objective, RetargetOptions, RetargetedFrame, Retargeter, Retargeting, Scale, TargetHand, retarget,
 };
@@ -30,7 +30,7 @@ fn apart(a: &Retargeting, b: &Retargeting) -> f64 {
 }
 
 fn is_no_hand(frame: &RetargetedFrame) -> bool {
-    frame.flags.iter().any(|f| matches!(f, Flag::NoHand { .. }))
+    frame.flags.iter().any(|f| matches!(f, FrameFlag::NoHand { .. }))
 }
 
 /// A made hand, and recorded ones where there is the shared folder.
@@ -138,7 +138,7 @@ fn a_stream_scales_itself() {
     let frames: Vec<_> = person.frames.iter().map(|f| stream.frame(f)).collect();
     let scale = stream.scale().unwrap();
     assert!(scale.automatic && (0.8..1.6).contains(&scale.scale), "{scale:?}");
-    assert!((scale.person_reach_m - 0.185).abs() < 1e-9, "{scale:?}");
+    assert!((scale.human_reach_m - 0.185).abs() < 1e-9, "{scale:?}");
     let residuals = frames.iter().flat_map(|f| f.fingers.iter().filter_map(|r| r.residual_mm));
     assert!(support::mean(residuals) < 15.0);
 }
@@ -159,13 +159,13 @@ fn broken_frames_are_flagged_and_the_rest_goes_on() {
         let good = retarget(&person, &hand, &RetargetOptions::new(objective)).unwrap();
         assert!(good.frames.iter().all(|f| f.flags.is_empty()));
         let f = &clip.frames;
-        assert_eq!(f[5].flags, [Flag::MissingPoints { count: 1 }]);
+        assert_eq!(f[5].flags, [FrameFlag::MissingPoints { count: 1 }]);
         assert!(f[5].fingers[1].residual_mm.is_none() && f[5].fingers[2].residual_mm.is_some());
         assert!(is_no_hand(&f[10]) && is_no_hand(&f[15]));
         assert_eq!((&f[10].q, &f[15].q), (&f[9].q, &f[14].q));
-        let jump = |f: &RetargetedFrame| f.flags.iter().any(|f| matches!(f, Flag::Jump { .. }));
+        let jump = |f: &RetargetedFrame| f.flags.iter().any(|f| matches!(f, FrameFlag::Jump { .. }));
         assert!(jump(&f[20]) && jump(&f[21]) && !jump(&f[22]));
-        assert!(f[25].flags.iter().any(|f| matches!(f, Flag::BoneLength { ratio } if (ratio - 1.6).abs() < 1e-6)));
+        assert!(f[25].flags.iter().any(|f| matches!(f, FrameFlag::BoneLength { ratio } if (ratio - 1.6).abs() < 1e-6)));
         let flagged = f.iter().filter(|f| !f.flags.is_empty()).count();
         assert_eq!(flagged, 7, "{objective:?}");
     }

@@ -33,7 +33,7 @@ impl Cylinder {
 
     fn surface(&self) -> ObjectSurface<'_> {
         let corner = Point3::new(self.radius, self.radius, self.half);
-        ObjectSurface { search: self, judge: self, bounds: (-corner, corner), center_of_mass: Point3::origin() }
+        ObjectSurface { search: self, exact: self, bounds: (-corner, corner), center_of_mass: Point3::origin() }
     }
 
     fn table(&self) -> TablePlane {
@@ -80,7 +80,7 @@ fn half_closed(robot: &Robot) -> Vec<f64> {
 
 fn quick() -> WristFitOptions {
     let mut options = WristFitOptions::default();
-    options.starts = 256;
+    options.initial_guesses = 256;
     options.kept = (32, 8);
     options
 }
@@ -93,7 +93,7 @@ fn both_hands_find_a_grasp_of_a_can_and_keep_the_rules() {
         let recorded = half_closed(&robot);
         let fit = can.fit(&robot, &recorded, &quick());
         assert_eq!(fit.verdict, Verdict::Accepted, "{name}");
-        assert!(fit.squeeze_per_weight.is_some() && fit.force_closure, "{name}: {fit:?}");
+        assert!(fit.grip_force_per_weight.is_some() && fit.force_closure, "{name}: {fit:?}");
         assert!(fit.penetration_mm <= 2.0 && fit.table_clearance_mm >= 0.0);
         assert!(fit.largest_correction_rad() <= 0.15 + 1e-12);
         for (k, joint) in robot.joints.iter().enumerate() {
@@ -126,7 +126,7 @@ fn an_object_that_does_not_fit_the_hand_is_refused_with_reasons() {
     let pea = Cylinder { radius: 0.003, half: 0.003 };
     let fit = pea.fit(&robot, &robot.joint_vector::<&str>([]).unwrap(), &quick());
     let Verdict::Rejected(reasons) = &fit.verdict else { panic!("{fit:?}") };
-    assert!(!reasons.is_empty() && fit.squeeze_per_weight.is_none());
+    assert!(!reasons.is_empty() && fit.grip_force_per_weight.is_none());
     let text: Vec<String> = reasons.iter().map(ToString::to_string).collect();
     assert!(text.iter().any(|t| t.contains("mm")), "{text:?}");
     assert!(reasons.iter().all(|r| !matches!(r, Rejection::FingersMiss { missing, .. } if missing.is_empty())));
@@ -163,7 +163,7 @@ fn any_number_of_threads_gives_the_same_bytes() {
         .map(|i| half_closed(&robot).iter().enumerate().map(|(k, q)| q + 0.05 * ((i * 16 + k) as f64).sin()).collect())
         .collect();
     let mut options = quick();
-    options.starts = 64;
+    options.initial_guesses = 64;
     options.kept = (8, 2);
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -188,7 +188,7 @@ fn bad_input_is_refused_by_name() {
     assert!(message.contains("row 1") && message.contains(&robot.joints[3].name), "{message}");
     assert!(matches!(fit(&[vec![0.0; 3]], &quick()), Err(Error::Joints { .. })));
     let mut options = quick();
-    options.starts = 0;
+    options.initial_guesses = 0;
     assert!(matches!(fit(&[half_closed(&robot)], &options), Err(Error::Core(_))));
     options = quick();
     options.min_fingers = 9;

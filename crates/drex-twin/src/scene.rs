@@ -59,7 +59,7 @@ impl Scene {
     pub fn surface(&self) -> ObjectSurface<'_> {
         ObjectSurface {
             search: &*self.object.geometry,
-            judge: self.object.geometry.exact(),
+            exact: self.object.geometry.exact(),
             bounds: self.object.geometry.bounding_box(),
             center_of_mass: self.object.center_of_mass(),
         }

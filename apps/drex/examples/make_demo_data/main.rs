@@ -213,7 +213,7 @@ fn make_grasps(tin: &Asset, file: &Path) -> Result<()> {
     let table = TablePlane::under(&tin.visual.vertices, Vector3::z()).context("the tin has no vertices")?;
     let object = ObjectSurface {
         search: &grid,
-        judge: &exact,
+        exact: &exact,
         bounds: exact.bounds(),
         center_of_mass: tin.properties.center_of_mass,
     };
@@ -224,7 +224,7 @@ fn make_grasps(tin: &Asset, file: &Path) -> Result<()> {
     let fits = fit_wrists(&robot, &closed, &object, &table, &fit)?;
     let rows: Vec<Vec<f64>> = fits
         .iter()
-        .filter(|f| f.verdict.is_accepted() && f.squeeze_per_weight.is_some())
+        .filter(|f| f.verdict.is_accepted() && f.grip_force_per_weight.is_some())
         .take(GRASPS)
         .map(|f| f.joints.iter().map(|q| ((q + JOINT_SD_RAD * normal3(&mut rng).x) * 1e4).round() / 1e4).collect())
         .collect();

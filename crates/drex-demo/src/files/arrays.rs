@@ -5,13 +5,13 @@ use std::path::Path;
 use drex_core::{Error, Result};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
-use super::finish::mirrored_rotation;
 use super::hamer::{CropCamera, crop_to_full};
 use super::json::{side_named, unit_named};
+use super::normalize::mirrored_rotation;
 use super::npz::{Npz, Table};
 use super::objects::{POSE_NAMES, at_frame, pose_of, rotation_of};
 use super::order::MANUS_NODES;
-use super::{LoadOptions, ManoModel, ManoPose, Raw, RawFrame};
+use super::{LoadOptions, ManoModel, ManoPose, RawDemonstration, RawFrame};
 use crate::{KEYPOINTS, KeyPoints, Side, mirrored};
 
 /// Names under which key points are found. The first is HaMeR's.
@@ -35,15 +35,15 @@ const POINT_FORMS: [&[usize]; 4] = [&[KEYPOINTS, 3], &[3 * KEYPOINTS], &[25, 3],
 const MOST_FRAMES: usize = 180_000;
 
 /// Reads an array of key points.
-pub(super) fn read_npy(path: &Path, bytes: &[u8]) -> Result<Raw> {
+pub(super) fn read_npy(path: &Path, bytes: &[u8]) -> Result<RawDemonstration> {
     let points = points_of(path, &Table::from_npy(path, bytes)?)?;
-    Ok(Raw { frames: points.into_iter().map(RawFrame::new).collect(), ..Raw::default() })
+    Ok(RawDemonstration { frames: points.into_iter().map(RawFrame::new).collect(), ..RawDemonstration::default() })
 }
 
 /// Reads an archive.
-pub(super) fn read_npz(path: &Path, bytes: &[u8], options: &LoadOptions) -> Result<Raw> {
+pub(super) fn read_npz(path: &Path, bytes: &[u8], options: &LoadOptions) -> Result<RawDemonstration> {
     let mut source = Source { npz: Npz::open(path, bytes)?, path, rows: 0 };
-    let mut raw = Raw::default();
+    let mut raw = RawDemonstration::default();
     let hamer = source.has(&["pred_keypoints_3d", "pred_cam", "pred_cam_t", "pred_cam_t_full"]);
     let named = source.npz.first_of(&POINT_NAMES).map(str::to_owned);
     let has_mano = source.has(&["global_orient", "hand_pose", "pose", "poses", "mano_pose", "mano_poses"]);
@@ -221,7 +221,12 @@ fn mano_points(
 
 /// Puts HaMeR's hands, which are right hands about their own origin, where they were: left ones are turned around, all are
 /// moved into the camera's frame.
-fn hamer_camera(source: &mut Source<'_>, raw: &mut Raw, right: Option<&[bool]>, options: &LoadOptions) -> Result<()> {
+fn hamer_camera(
+    source: &mut Source<'_>,
+    raw: &mut RawDemonstration,
+    right: Option<&[bool]>,
+    options: &LoadOptions,
+) -> Result<()> {
     let full = source.per_frame(&["pred_cam_t_full", "cam_t_full", "cam_t"], &[&[3]])?;
     let crop = source.per_frame(&["pred_cam"], &[&[3]])?;
     let center = source.per_frame(&["box_center"], &[&[2]])?;
@@ -276,7 +281,7 @@ fn hamer_camera(source: &mut Source<'_>, raw: &mut Raw, right: Option<&[bool]>, 
 }
 
 /// Where detections of both hands are mixed, those of the hand asked for stay, else those of the one seen more often.
-fn keep_one_side(raw: &mut Raw, right: &[bool], options: &LoadOptions) {
+fn keep_one_side(raw: &mut RawDemonstration, right: &[bool], options: &LoadOptions) {
     let rights = right.iter().filter(|r| **r).count();
     let (more, fewer) =
         if 2 * rights >= right.len() { (Side::Right, right.len() - rights) } else { (Side::Left, rights) };
@@ -293,7 +298,7 @@ fn keep_one_side(raw: &mut Raw, right: &[bool], options: &LoadOptions) {
 }
 
 /// Puts detections at the numbers of their frames; frames without one are hands that were not seen.
-fn spread(path: &Path, raw: &mut Raw, numbers: &[Vec<f64>]) -> Result<()> {
+fn spread(path: &Path, raw: &mut RawDemonstration, numbers: &[Vec<f64>]) -> Result<()> {
     let refuse = |what: String| Error::content(path, None, what, "number the frames from 0");
     let last = numbers.iter().map(|r| r[0]).fold(0.0, f64::max);
     if numbers.iter().any(|r| !(r[0] >= 0.0 && r[0].fract() == 0.0)) || !(last < MOST_FRAMES as f64) {

@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use super::objects::{at_frame, pose_of, rotation_of};
 use super::order::{MANUS_NODES, key_point_named};
-use super::{DemoUnit, HandFrame, LoadOptions, ManoModel, ManoPose, Raw, RawFrame, finish};
+use super::{DemoUnit, HandFrame, LoadOptions, ManoModel, ManoPose, RawDemonstration, RawFrame, normalize};
 use crate::{KEYPOINTS, KeyPoints, Side};
 
 /// One hand as files have it; `null`, a coordinate that is `null` and NaN are points that were not seen.
@@ -68,7 +68,7 @@ struct DexYcbFile {
 }
 
 /// Reads any of the layouts.
-pub(super) fn read(path: &Path, bytes: &[u8], options: &LoadOptions) -> Result<Raw> {
+pub(super) fn read(path: &Path, bytes: &[u8], options: &LoadOptions) -> Result<RawDemonstration> {
     let text = std::str::from_utf8(bytes)
         .map_err(|_| Error::content(path, None, "the file is not text (UTF-8)", "check that this is the right file"))?;
     let text = without_nan(text.trim_start_matches('\u{feff}'));
@@ -98,7 +98,7 @@ pub(super) fn frame_of_line(path: &Path, line: &str, line_no: usize) -> Result<H
     let RawFrame { t_s, points, wrist, object, score } = raw_frame_of_line(path, line, line_no)?;
     Ok(HandFrame {
         index,
-        t_s: t_s.unwrap_or(index as f64 / finish::USUAL_FPS),
+        t_s: t_s.unwrap_or(index as f64 / normalize::USUAL_FPS),
         points,
         source_from_mano_wrist: wrist,
         source_from_object: object,
@@ -121,22 +121,22 @@ fn raw_frame_of_line(path: &Path, line: &str, line_no: usize) -> Result<RawFrame
     raw_frame(&frame, None).map_err(|e| Error::at(path, line_no, e))
 }
 
-fn read_lines(path: &Path, text: &str) -> Result<Raw> {
+fn read_lines(path: &Path, text: &str) -> Result<RawDemonstration> {
     let lines = text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty());
     let frames = lines.map(|(i, line)| raw_frame_of_line(path, line, i + 1)).collect::<Result<_>>()?;
-    let mut raw = Raw { frames, ..Raw::default() };
+    let mut raw = RawDemonstration { frames, ..RawDemonstration::default() };
     raw.labels = labels(text.lines().filter_map(|l| serde_json::from_str::<FrameFile>(l).ok()?.mp_label));
     Ok(raw)
 }
 
-fn read_demo(path: &Path, text: &str, options: &LoadOptions) -> Result<Raw> {
+fn read_demo(path: &Path, text: &str, options: &LoadOptions) -> Result<RawDemonstration> {
     let file: DemoFile = fsutil::from_json(path, text)?;
     if let Some(format) = file.format.as_ref().filter(|f| *f != FORMAT) {
         let what = format!("the format is `{format}`");
         return Err(Error::content(path, None, what, format!("write {FORMAT} or use a newer drex")));
     }
     let places = file.joint_names.as_ref().map(|names| places(path, names)).transpose()?;
-    let mut raw = Raw {
+    let mut raw = RawDemonstration {
         source: file.source,
         side: side_named(path, file.hand.as_deref())?,
         labels: labels(file.frames.iter().filter_map(|f| f.mp_label.clone())),
@@ -144,7 +144,7 @@ fn read_demo(path: &Path, text: &str, options: &LoadOptions) -> Result<Raw> {
         fps: file.fps,
         up: file.up.map(Vector3::from),
         named: places.is_some(),
-        ..Raw::default()
+        ..RawDemonstration::default()
     };
     let mut model = None;
     let mut canonical = 0;
@@ -177,7 +177,7 @@ fn read_demo(path: &Path, text: &str, options: &LoadOptions) -> Result<Raw> {
     Ok(raw)
 }
 
-fn read_dexycb(path: &Path, text: &str) -> Result<Raw> {
+fn read_dexycb(path: &Path, text: &str) -> Result<RawDemonstration> {
     let file: DexYcbFile = fsutil::from_json(path, text)?;
     let n = file.hand_joints.len();
     for (name, count) in [("object_poses", file.object_poses.len()), ("world2wrist", file.world2wrist.len())] {
@@ -186,12 +186,12 @@ fn read_dexycb(path: &Path, text: &str) -> Result<Raw> {
             return Err(Error::content(path, None, what, "give one per frame, or none"));
         }
     }
-    let mut raw = Raw {
+    let mut raw = RawDemonstration {
         side: side_named(path, file.hand.as_deref())?,
         unit: unit_named(path, file.units.as_deref())?,
         fps: file.fps,
         up: file.up_estimated.map(Vector3::from),
-        ..Raw::default()
+        ..RawDemonstration::default()
     };
     for (i, points) in file.hand_joints.iter().enumerate() {
         let at = |e| Error::at(path, None, at_frame(i, "hand", e));

@@ -1,10 +1,10 @@
 //! Demonstrations from and to files.
 
 mod arrays;
-mod finish;
 mod hamer;
 mod json;
 mod mano;
+mod normalize;
 mod npz;
 mod objects;
 mod options;
@@ -73,7 +73,7 @@ impl Demonstration {
                 return Err(Error::content(path, None, what, "give .json, .jsonl, .npy, .npz or .csv"));
             }
         };
-        finish::finish(path, raw, options)
+        normalize::normalize(path, raw, options)
     }
 }
 
@@ -95,7 +95,7 @@ fn refuse_pickle(path: &Path, extension: &str, bytes: &[u8]) -> Result<()> {
 
 /// What a reader found, before the options and the common checks.
 #[derive(Debug, Default)]
-struct Raw {
+struct RawDemonstration {
     source: Option<String>,
     side: Option<Side>,
     /// Frames that MediaPipe labelled (left, right).

@@ -101,9 +101,9 @@ impl Table {
         let row = fits(1).or_else(|| fits(0)).map(|form| form.iter().product::<usize>());
         let Some(row) = row.filter(|&n| n > 0) else {
             let text = |form: &[usize]| form.iter().map(|d| format!(" x {d}")).collect::<String>();
-            let wanted = forms.iter().map(|f| format!("n{}", text(f))).collect::<Vec<_>>().join(" or ");
+            let expected = forms.iter().map(|f| format!("n{}", text(f))).collect::<Vec<_>>().join(" or ");
             let found = self.shape.iter().map(usize::to_string).collect::<Vec<_>>().join(" x ");
-            let message = format!("{what} of shape {found} where {wanted} is needed");
+            let message = format!("{what} of shape {found} where {expected} is needed");
             return Err(Error::content(path, None, message, "save one row per frame"));
         };
         Ok(self.numbers.chunks_exact(row))

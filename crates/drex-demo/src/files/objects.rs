@@ -68,11 +68,11 @@ pub(super) fn attach(path: &Path, unit: DemoUnit, fps: Option<f64>, frames: &mut
     if path.is_dir() || extension == "csv" {
         let track = if path.is_dir() {
             // Files are numbered by frame, so that any rate that both sides use will do.
-            read_foundation_pose_folder(path, &FrameTimes::Fps(fps.unwrap_or(super::finish::USUAL_FPS)))?
+            read_foundation_pose_folder(path, &FrameTimes::Fps(fps.unwrap_or(super::normalize::USUAL_FPS)))?
         } else {
             read_pose_csv(path)?
         };
-        let numbered = path.is_dir().then(|| fps.unwrap_or(super::finish::USUAL_FPS));
+        let numbered = path.is_dir().then(|| fps.unwrap_or(super::normalize::USUAL_FPS));
         for frame in frames.iter_mut() {
             let at = numbered.map_or(frame.t_s, |fps| frame.index as f64 / fps);
             frame.source_from_object = track.at(at).map(in_metres);

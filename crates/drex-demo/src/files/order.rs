@@ -7,7 +7,7 @@ use super::options::{KeyPointOrder, MANO_INDEX};
 use crate::keypoints::PARENT;
 use crate::{KEYPOINTS, KeyPoints};
 
-/// A hand read in the wrong order has longer bones by at least this factor (measured on five recordings: 1.33 and more over a clip,
+/// A hand read in the wrong order has longer bones by at least this factor (measured on five recordings: 1.33 and more over a sequence,
 /// 1.07 in the worst single frame, a fist).
 const CLEARLY_LONGER: f64 = 1.1;
 
@@ -91,7 +91,7 @@ mod tests {
     use std::path::Path;
 
     use super::*;
-    use crate::files::finish::tests::open_hand;
+    use crate::files::normalize::tests::open_hand;
 
     /// The inverse of [`openpose_from_mano`].
     pub(crate) fn mano_from_openpose(points: &KeyPoints) -> KeyPoints {

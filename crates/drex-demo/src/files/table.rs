@@ -8,7 +8,7 @@ use nalgebra::Point3;
 
 use super::objects::pose_of;
 use super::order::{MANUS_NODES, key_point_named};
-use super::{Raw, RawFrame};
+use super::{RawDemonstration, RawFrame};
 use crate::KEYPOINTS;
 
 /// Columns of the object's pose.
@@ -17,7 +17,7 @@ const OBJECT: [&str; 7] = ["object_x", "object_y", "object_z", "object_qw", "obj
 /// Reads a table with three columns per key point, `wrist_x, wrist_y, wrist_z, thumb_cmc_x, …`, or numbered, `p0_x` (also `x0`) to `p20_z`,
 /// or to `p24_z` for the 25 nodes of a Manus glove. Also `t` (s) and the object's pose (`object_x` to `object_qz`). Empty cells
 /// and `nan` are points that were not seen.
-pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Raw> {
+pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<RawDemonstration> {
     let table = Table::parse(path, bytes)?;
     let columns = Columns::find(path, &table)?;
     let number = |row: usize, column: usize| -> Result<f64> {
@@ -44,7 +44,7 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Raw> {
         }
         frames.push(frame);
     }
-    let mut raw = Raw { frames, named: columns.named, ..Raw::default() };
+    let mut raw = RawDemonstration { frames, named: columns.named, ..RawDemonstration::default() };
     if table.cut_rows > 0 {
         raw.notes.push("the last row was cut off and is left out".into());
     }

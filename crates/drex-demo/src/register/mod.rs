@@ -5,22 +5,22 @@
 //! nearest place on the mesh, and each seen place of the mesh to the points around it. The second kind is what fixes the
 //! scale of an object seen from one side: without it the corner of a larger box fits as well.
 
-mod clip;
-mod fit;
+mod icp;
+mod initial_guesses;
 mod points;
-mod starts;
+mod sequence;
 
 use drex_core::{Error, Pose, Result, Surface};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use serde::Serialize;
 
-pub use self::clip::register_clip;
-use self::fit::{Fit, Problem};
+use self::icp::{Candidate, Problem};
+use self::initial_guesses::{Moments, surface_samples};
 pub use self::points::{parse_points, read_point_frames, read_points};
-use self::starts::{Moments, surface_samples};
+pub use self::sequence::register_sequence;
 
-/// How [`register`] searches.
+/// Options of [`register`].
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct RegisterOptions {
@@ -29,15 +29,15 @@ pub struct RegisterOptions {
     /// Where the camera was, in the frame of the points, if known. If not, it is told from the points whether only one side of
     /// the object was seen, and which.
     pub viewpoint: Option<Point3<f64>>,
-    /// Orientations to start from besides those of the principal axes.
-    pub starts: usize,
+    /// Number of initial orientations besides those of the principal axes.
+    pub orientations: usize,
     /// Points that are used at the end; more are thinned out.
     pub max_points: usize,
 }
 
 impl Default for RegisterOptions {
     fn default() -> Self {
-        Self { scale: None, viewpoint: None, starts: 72, max_points: 1500 }
+        Self { scale: None, viewpoint: None, orientations: 72, max_points: 1500 }
     }
 }
 
@@ -47,9 +47,9 @@ impl Default for RegisterOptions {
 pub struct Placement {
     /// Units of the source per metre of the mesh.
     pub scale: f64,
-    /// Rotation.
+    /// Rotation of the placement.
     pub rotation: UnitQuaternion<f64>,
-    /// Translation, source units.
+    /// Translation of the placement, source units.
     pub translation: Vector3<f64>,
     /// What was made small, 0 for a perfect fit, at most 2; comparable between the placements of one registration only.
     pub cost: f64,
@@ -67,7 +67,7 @@ impl Placement {
     }
 }
 
-/// Where the object is.
+/// Result of a registration.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Registration {
@@ -149,8 +149,8 @@ struct Stage {
 /// If there are fewer than 30 finite points, they or the surface have no extent, or an option makes no sense.
 pub fn register(points: &[Point3<f64>], surface: &dyn Surface, options: &RegisterOptions) -> Result<Registration> {
     let problem = Problem::new(points, surface, options)?;
-    let rotations = starts::rotations(&problem.points_moments, &problem.surface_moments, options.starts);
-    let starts: Vec<Fit> = rotations.into_iter().map(|r| problem.start(r)).collect();
+    let rotations = initial_guesses::rotations(&problem.points_moments, &problem.surface_moments, options.orientations);
+    let starts: Vec<Candidate> = rotations.into_iter().map(|r| problem.start(r)).collect();
     let found = problem.refined(&problem.refined(&starts, &ROUGH), &MIDDLE);
     problem.registration(problem.finished(found), Symmetries::Sought)
 }
@@ -171,7 +171,7 @@ impl<'a> Problem<'a> {
         if samples.len() < FEWEST_POINTS {
             return refuse("the object's surface has no extent".into(), "give a closed mesh");
         }
-        let points = starts::shuffled(points, options.max_points.max(FEWEST_POINTS));
+        let points = initial_guesses::shuffled(points, options.max_points.max(FEWEST_POINTS));
         let points_moments = Moments::of(&points);
         let surface_moments = Moments::of(&samples.iter().map(|s| s.point).collect::<Vec<_>>());
         if !(points_moments.radius > 0.0 && surface_moments.radius > 0.0) {
@@ -181,11 +181,11 @@ impl<'a> Problem<'a> {
     }
 
     /// Runs a stage from each of `starts` and keeps its best, different ones, best first.
-    fn refined(&self, starts: &[Fit], stage: &Stage) -> Vec<Fit> {
-        let mut ends: Vec<Fit> =
+    fn refined(&self, starts: &[Candidate], stage: &Stage) -> Vec<Candidate> {
+        let mut ends: Vec<Candidate> =
             starts.par_iter().map(|start| self.refine(start, stage.points, stage.samples, stage.iterations)).collect();
         ends.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-        let mut kept: Vec<Fit> = Vec::new();
+        let mut kept: Vec<Candidate> = Vec::new();
         for end in ends.into_iter().filter(|e| e.cost.is_finite()) {
             if kept.len() < stage.kept && !kept.iter().any(|k| self.same(k, &end)) {
                 kept.push(end);
@@ -194,31 +194,32 @@ impl<'a> Problem<'a> {
         kept
     }
 
-    fn same(&self, a: &Fit, b: &Fit) -> bool {
+    fn same(&self, a: &Candidate, b: &Candidate) -> bool {
         let size = self.points_moments.radius;
-        let middle = |f: &Fit| f.point(&self.surface_moments.mean);
+        let middle = |f: &Candidate| f.point(&self.surface_moments.mean);
         a.rotation.angle_to(&b.rotation) < SAME.0
             && (a.scale / b.scale).ln().abs() < SAME.1
             && (middle(a) - middle(b)).norm() < SAME.2 * size
     }
 
     /// The last stage, for those that may still turn out as good as the best.
-    fn finished(&self, mut fits: Vec<Fit>) -> Vec<Fit> {
+    fn finished(&self, mut fits: Vec<Candidate>) -> Vec<Candidate> {
         let least = fits.first().map_or(0.0, |f| f.cost);
         fits.retain(|f| f.cost <= PROMISING.0 * least + PROMISING.1);
         self.refined(&fits, &FINE)
     }
 
     /// The best of `fits` and what is as good, if sought also among turns of the best by quarters about the object's axes.
-    fn registration(&self, fits: Vec<Fit>, symmetries: Symmetries) -> Result<Registration> {
+    fn registration(&self, fits: Vec<Candidate>, symmetries: Symmetries) -> Result<Registration> {
         let Some(best) = fits.first().copied() else {
             return Err(Error::value("no placement of the object fits the points", "check the points and the mesh"));
         };
         let turns = match symmetries {
-            Symmetries::Sought => starts::quarter_turns(&self.surface_moments),
+            Symmetries::Sought => initial_guesses::quarter_turns(&self.surface_moments),
             Symmetries::Known => Vec::new(),
         };
-        let turned: Vec<Fit> = turns.into_iter().map(|turn| best.turned(&turn, &self.surface_moments.mean)).collect();
+        let turned: Vec<Candidate> =
+            turns.into_iter().map(|turn| best.turned(&turn, &self.surface_moments.mean)).collect();
         let mut turned = self.refined(&self.refined(&turned, &LOOK), &MIDDLE);
         turned.retain(|t| !fits.iter().any(|f| self.same(f, t)) && t.cost <= PROMISING.0 * best.cost + PROMISING.1);
         let mut all = fits;
@@ -236,7 +237,7 @@ impl<'a> Problem<'a> {
             rms_m: report.rms / best.scale,
             inlier_share: report.inlier_share,
             covered_share: report.covered_share,
-            alternatives: all[1..].iter().filter(|f| f.cost <= limit).map(Fit::placement).collect(),
+            alternatives: all[1..].iter().filter(|f| f.cost <= limit).map(Candidate::placement).collect(),
         })
     }
 }

@@ -10,7 +10,7 @@ use nalgebra::Point3;
 
 pub struct Object {
     search: GridSdf,
-    judge: MeshSdf,
+    exact: MeshSdf,
     bounds: (Point3<f64>, Point3<f64>),
     center_of_mass: Point3<f64>,
 }
@@ -22,18 +22,18 @@ impl Object {
         if hull {
             mesh = convex_hull(&mesh.vertices)?;
         }
-        let judge = MeshSdf::new(&mesh)?;
+        let exact = MeshSdf::new(&mesh)?;
         let mut grid = GridOptions::default();
         grid.margin_m = Some(0.1);
-        let search = GridSdf::with_options(judge.clone(), &grid)?;
+        let search = GridSdf::with_options(exact.clone(), &grid)?;
         let bounds = mesh.bounds().ok_or("the mesh is empty")?;
-        Ok(Self { search, judge, bounds, center_of_mass: solid_properties(&mesh)?.properties.center_of_mass })
+        Ok(Self { search, exact, bounds, center_of_mass: solid_properties(&mesh)?.properties.center_of_mass })
     }
 
     pub fn surface(&self) -> ObjectSurface<'_> {
         ObjectSurface {
             search: &self.search,
-            judge: &self.judge,
+            exact: &self.exact,
             bounds: self.bounds,
             center_of_mass: self.center_of_mass,
         }

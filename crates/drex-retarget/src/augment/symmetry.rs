@@ -25,7 +25,7 @@ pub fn symmetries(object: &ObjectSurface<'_>, tolerance_m: f64) -> Vec<UnitQuate
     let maps_onto_itself = |turn: &UnitQuaternion<f64>| {
         let on = |p: &&Point3<f64>| {
             let moved = center + turn * (*p - center);
-            object.judge.signed_distance(&moved).distance_m.abs() <= tolerance_m
+            object.exact.signed_distance(&moved).distance_m.abs() <= tolerance_m
         };
         points.iter().filter(on).count() as f64 >= SHARE * points.len() as f64
     };
@@ -73,7 +73,7 @@ fn surface_points(object: &ObjectSurface<'_>) -> Vec<Point3<f64>> {
             Point3::from(Vector3::from_fn(|k, _| lo[k] + (hi[k] - lo[k]) * (0.5 + (i + 1) as f64 * steps[k]).fract()));
         let mut distance = f64::INFINITY;
         for _ in 0..3 {
-            let s = object.judge.signed_distance(&p);
+            let s = object.exact.signed_distance(&p);
             distance = s.distance_m;
             p -= s.gradient * distance;
         }

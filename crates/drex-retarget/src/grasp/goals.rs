@@ -1,9 +1,9 @@
-//! Where on the object the fingers of a held frame belong: on both ends of a line through it, as the person's hand lies.
+//! Where on the object the fingers of a held frame belong: on both ends of a line through it, as the human hand lies.
 
 use drex_core::SignedDistance;
 use nalgebra::{Point3, Vector3};
 
-/// The person's middle between thumb and fingers is moved into the object by this much, m.
+/// The human middle between thumb and fingers is moved into the object by this much, m.
 const INSIDE_M: f64 = 0.02;
 /// Fingers should press at least this far from an edge, m; a finger this far beyond it lets go.
 const EDGE_M: f64 = 0.006;
@@ -44,29 +44,29 @@ pub(crate) struct Goals {
     pub(crate) upright: f64,
 }
 
-/// Goals for a hand whose middle between thumb and fingers is at `center`. Of `tips`, the robot's tips as the person would have
+/// Goals for a hand whose middle between thumb and fingers is at `center`. Of `tips`, the robot's tips as the human hand would have
 /// them, only the direction from the thumb to the others and the spread of the others is used.
 ///
-/// Of the lines within [`TURNS`] of the person's, the one whose ends stand most upright on the surface wins, less a penalty for the
+/// Of the lines within [`TURNS`] of the human, the one whose ends stand most upright on the surface wins, less a penalty for the
 /// turn: fingers that press along it do not slip.
 pub(crate) fn goals(object: &dyn SignedDistance, center: Point3<f64>, tips: &[Point3<f64>], thumb: usize) -> Goals {
     let others = || tips.iter().enumerate().filter(|(f, _)| *f != thumb).map(|(_, p)| p.coords);
     let fingers = others().sum::<Vector3<f64>>() / (tips.len() - 1).max(1) as f64;
-    let person = (fingers - tips[thumb].coords).try_normalize(1e-6).unwrap_or_else(Vector3::x);
+    let thumb_to_fingers = (fingers - tips[thumb].coords).try_normalize(1e-6).unwrap_or_else(Vector3::x);
     // The direction in which the fingers are side by side.
     let side = others()
         .map(|p| p - fingers)
         .fold(Vector3::zeros(), |m: Vector3<f64>, d| if d.norm() > m.norm() { d } else { m });
-    let side = (side - person * person.dot(&side))
+    let side = (side - thumb_to_fingers * thumb_to_fingers.dot(&side))
         .try_normalize(1e-6)
-        .unwrap_or_else(|| person.cross(&Vector3::ith(person.iamin(), 1.0)));
+        .unwrap_or_else(|| thumb_to_fingers.cross(&Vector3::ith(thumb_to_fingers.iamin(), 1.0)));
     let spread: Vec<Vector3<f64>> =
         tips.iter().enumerate().map(|(f, p)| if f == thumb { Vector3::zeros() } else { p.coords - fingers }).collect();
     let place = |axis: &Vector3<f64>| along(object, inside(object, center), axis, &spread, thumb);
-    let mut axis = person;
+    let mut axis = thumb_to_fingers;
     let mut best = place(&axis);
     // Around the direction in which the fingers are side by side, then across it.
-    for (about, most) in [(side, TURNS.0), (person.cross(&side), TURNS.1)] {
+    for (about, most) in [(side, TURNS.0), (thumb_to_fingers.cross(&side), TURNS.1)] {
         let from = axis;
         let mut highest = best.upright.min(UPRIGHT);
         for k in (-most..=most).filter(|k| *k != 0) {

@@ -6,8 +6,8 @@ use drex_grasp::{ContactOptions, HandSurface, LinkSurface};
 use drex_robot::{JointKind, Robot};
 use nalgebra::{Point3, Vector3};
 
-use super::collide::Pieces;
-use super::skin::Skin;
+use super::self_collision::CollisionShapes;
+use super::surface_points::SurfacePoints;
 use crate::{Error, LinkPoint, Result, TargetHand};
 
 /// Distance between points on the hand, metres: search and verdict.
@@ -21,7 +21,7 @@ const FACING: f64 = -0.2;
 pub(crate) struct GraspHand<'a> {
     pub(crate) target: &'a TargetHand,
     /// Points per link, for the search.
-    pub(crate) search: Vec<Skin>,
+    pub(crate) search: Vec<SurfacePoints>,
     /// Points per link, for the verdict.
     pub(crate) fine: HandSurface,
     pub(crate) fingers: Vec<Pad>,
@@ -30,8 +30,8 @@ pub(crate) struct GraspHand<'a> {
     /// Per link, the joints that move it.
     pub(crate) movers: Vec<Vec<usize>>,
     /// Collision shapes as they are, and for the search.
-    pub(crate) pieces: Pieces,
-    pub(crate) filled: Pieces,
+    pub(crate) shapes: CollisionShapes,
+    pub(crate) filled_shapes: CollisionShapes,
     pub(crate) contact: ContactOptions,
 }
 
@@ -40,7 +40,7 @@ pub(crate) struct GraspHand<'a> {
 pub(crate) struct Pad {
     pub(crate) tip: LinkPoint,
     /// Outermost points behind the last joint, palmar side and end, and the link in whose frame they are.
-    skin: (usize, Skin),
+    points: (usize, SurfacePoints),
     /// All of them, finer and by link, for the verdict.
     fine: Vec<(usize, LinkSurface)>,
 }
@@ -58,7 +58,7 @@ impl<'a> GraspHand<'a> {
         let robot = &target.robot;
         let fine = HandSurface::new(robot, SPACINGS_M.1)?;
         let points = |l: usize| robot.surface_samples(l, SPACINGS_M.0).into_iter().map(|s| s.0);
-        let search: Vec<Skin> = (0..robot.links.len()).map(|l| Skin::new(points(l))).collect();
+        let search: Vec<SurfacePoints> = (0..robot.links.len()).map(|l| SurfacePoints::new(points(l))).collect();
         let Some(thumb) = target.fingers.iter().position(|f| f.human == HumanFinger::Thumb) else {
             return Err(Error::value(
                 format!("hand \"{}\" has no thumb in its mapping", robot.name),
@@ -84,8 +84,8 @@ impl<'a> GraspHand<'a> {
                 let link_from_part = poses[link].inv_mul(&poses[*l]);
                 part.samples().iter().map(|s| link_from_part * s.0).collect()
             };
-            let skin = Skin::outermost(points(SPACINGS_M.0 / 2.0).iter().flat_map(of_part).collect());
-            Ok(Pad { tip: f.tip, skin: (link, skin), fine })
+            let points = SurfacePoints::outermost(points(SPACINGS_M.0 / 2.0).iter().flat_map(of_part).collect());
+            Ok(Pad { tip: f.tip, points: (link, points), fine })
         });
         let fingers = pads.collect::<Result<Vec<_>>>()?;
         let movers = (0..robot.links.len())
@@ -100,8 +100,8 @@ impl<'a> GraspHand<'a> {
             fingers,
             thumb,
             movers,
-            pieces: Pieces::new(robot),
-            filled: Pieces::filled(robot),
+            shapes: CollisionShapes::new(robot),
+            filled_shapes: CollisionShapes::filled(robot),
             contact,
         })
     }
@@ -130,8 +130,8 @@ impl Pad {
         posed: &Posed,
         object: &dyn SignedDistance,
     ) -> Option<(usize, Point3<f64>, SdfSample)> {
-        let (link, skin) = &self.skin;
-        skin.nearest(&posed.links[*link], object).map(|(point, s)| (*link, point, s))
+        let (link, points) = &self.points;
+        points.nearest(&posed.links[*link], object).map(|(point, s)| (*link, point, s))
     }
 
     /// Link, point (object frame) and distance of the nearest among more points.

@@ -3,9 +3,9 @@
 use drex_core::{SdfSample, SignedDistance};
 use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
-use super::collide::Close;
 use super::hand::{GraspHand, Posed};
-use super::skin::Bound;
+use super::self_collision::LinkProximity;
+use super::surface_points::CellBound;
 use crate::levenberg_marquardt::{HandState, LeastSquares, Schedule};
 
 /// One residual unit of each kind: metres, radians.
@@ -27,10 +27,10 @@ const ENCLOSE_UNIT_M: f64 = 0.004;
 const OPPOSE_UNIT_M: f64 = 0.012;
 /// once the normals under them are opposed by this cosine.
 const OPPOSED: f64 = -0.2;
-/// Closeness to the person's hand: joints, rad, wrist, metres and rad.
+/// Closeness to the human hand: joints, rad, wrist, metres and rad.
 const JOINT_UNIT_RAD: f64 = 0.3;
 const WRIST_UNIT: (f64, f64) = (0.06, 0.2);
-/// Farther from the person's wrist than this costs more, m, and by how much.
+/// Farther from the human hand's wrist than this costs more, m, and by how much.
 const WRIST_FREE_M: f64 = 0.10;
 const WRIST_FAR_UNIT_M: f64 = 0.003;
 /// Smoothness between frames.
@@ -47,10 +47,10 @@ pub(crate) struct Problem<'a> {
     pub(crate) hand: &'a GraspHand<'a>,
     pub(crate) object: &'a dyn SignedDistance,
     pub(crate) bounds: &'a (Point3<f64>, Point3<f64>),
-    /// The person's hand: plain vector result and its base.
-    pub(crate) wish: &'a HandState,
-    /// How much each finger is wanted on the surface, 0 to 1.
-    pub(crate) wanted: &'a [f64],
+    /// The human hand: plain vector result and its base.
+    pub(crate) reference: &'a HandState,
+    /// How much each finger is target_weights on the surface, 0 to 1.
+    pub(crate) target_weights: &'a [f64],
     /// Whether far fingers let go.
     pub(crate) fades: bool,
     /// Where on the surface the fingers belong, and how far off is one unit, m.
@@ -76,9 +76,9 @@ pub(crate) struct View {
     posed: Option<Posed>,
     rows: Vec<Row>,
     moves: Vec<(usize, Point3<f64>, Vector3<f64>)>,
-    close: Vec<Close>,
+    close: Vec<LinkProximity>,
     /// Per link, what is known of the distances of its cells.
-    bounds: Vec<Vec<Bound>>,
+    bounds: Vec<Vec<CellBound>>,
     pub(crate) gaps: Vec<f64>,
     pub(crate) tip_gaps: Vec<f64>,
     pub(crate) cost: f64,
@@ -130,7 +130,7 @@ impl Problem<'_> {
         }
     }
 
-    /// Cost of being away from the person and from the frames beside; adds to the normal equations if they are given.
+    /// Cost of being away from the human hand and from the frames beside; adds to the normal equations if they are given.
     fn closeness(
         &self,
         state: &HandState,
@@ -167,14 +167,14 @@ impl Problem<'_> {
                 }
                 0.5 * (turn.norm_squared() + shift.norm_squared())
             };
-        cost += wrist(self.wish, WRIST_UNIT, &mut normal);
+        cost += wrist(self.reference, WRIST_UNIT, &mut normal);
         for other in self.beside {
             cost += wrist(other, WRIST_STEP_UNIT, &mut normal);
         }
-        let wishes =
-            std::iter::once((&self.wish.q, JOINT_UNIT_RAD)).chain(self.beside.iter().map(|b| (&b.q, STEP_UNIT_RAD)));
-        for (wish, unit) in wishes {
-            for (j, (q, w)) in state.q.iter().zip(wish).enumerate() {
+        let references = std::iter::once((&self.reference.q, JOINT_UNIT_RAD))
+            .chain(self.beside.iter().map(|b| (&b.q, STEP_UNIT_RAD)));
+        for (reference, unit) in references {
+            for (j, (q, w)) in state.q.iter().zip(reference).enumerate() {
                 let r = (q - w) / unit;
                 cost += 0.5 * r * r;
                 if let Some((a, g)) = &mut normal {
@@ -207,10 +207,10 @@ impl LeastSquares for Problem<'_> {
         view.moves.clear();
         view.gaps.clear();
         view.tip_gaps.clear();
-        let wants = self.wanted.iter().any(|w| *w > 0.0);
+        let wants = self.target_weights.iter().any(|w| *w > 0.0);
         let mut touch: Vec<(usize, Point3<f64>, Vector3<f64>, f64)> = Vec::with_capacity(hand.fingers.len());
         for (f, pad) in hand.fingers.iter().enumerate() {
-            let found = if self.wanted[f] > 0.0 { pad.nearest(&posed, self.object) } else { None };
+            let found = if self.target_weights[f] > 0.0 { pad.nearest(&posed, self.object) } else { None };
             let Some((link, point, SdfSample { distance_m: gap, gradient: n })) = found else {
                 view.gaps.push(f64::INFINITY);
                 view.tip_gaps.push(f64::INFINITY);
@@ -218,7 +218,7 @@ impl LeastSquares for Problem<'_> {
                 continue;
             };
             let fade = if self.fades && f != hand.thumb { 1.0 / (1.0 + (gap / FADE_M).powi(2)) } else { 1.0 };
-            let w = self.wanted[f] * fade;
+            let w = self.target_weights[f] * fade;
             view.push((gap + PRESS_M) * w / GAP_M, [(link, point, n * (w / GAP_M))]);
             let tip = pad.tip(&posed);
             let s = self.object.signed_distance(&tip);
@@ -249,7 +249,7 @@ impl LeastSquares for Problem<'_> {
         view.bounds = bounds;
         if self.joints_move {
             let mut close = std::mem::take(&mut view.close);
-            hand.filled.close(&posed, COLLISION_CLEARANCE_M, &mut close);
+            hand.filled_shapes.proximities(&posed, COLLISION_CLEARANCE_M, &mut close);
             for c in &close {
                 let n = c.normal / COLLISION_M;
                 view.deepest_m = view.deepest_m.max(-c.distance_m);
@@ -262,7 +262,7 @@ impl LeastSquares for Problem<'_> {
         }
         let tips: Vector3<f64> = hand.fingers.iter().map(|p| p.tip(&posed).coords).sum();
         view.pivot = Point3::from(tips / hand.fingers.len() as f64);
-        let shift = state.object_from_base.translation.vector - self.wish.object_from_base.translation.vector;
+        let shift = state.object_from_base.translation.vector - self.reference.object_from_base.translation.vector;
         if shift.norm() > WRIST_FREE_M {
             let unit = shift.normalize() / WRIST_FAR_UNIT_M;
             let base = Point3::from(state.object_from_base.translation.vector);

@@ -3,14 +3,14 @@
 use std::path::Path;
 
 use drex_core::Pose;
+use drex_demo::{HumanFinger, Side};
 use drex_robot::{Joint, JointKind, Robot};
 use nalgebra::Vector3;
 
 use super::TargetFinger;
-use super::derive::{Found, UNSURE_SIDE, rounded};
+use super::derive::{FingerCandidate, UNSURE_SIDE, rounded};
 use super::frame::{Bends, Rest, joints_to};
 use crate::{Error, Result};
-use drex_demo::{HumanFinger, Side};
 
 /// A tip nearer to the axis of its last joint does not move with it, m.
 const ON_AXIS: f64 = 5e-3;
@@ -103,7 +103,7 @@ pub(super) fn side(
 }
 
 /// Every finger has joints, its tip is its end and can move, and no two fingers share one.
-pub(super) fn tips(rest: &Rest<'_>, fingers: &[Found]) -> Result<()> {
+pub(super) fn tips(rest: &Rest<'_>, fingers: &[FingerCandidate]) -> Result<()> {
     let robot = rest.robot;
     let half_closed = robot.forward_kinematics(&rest.half_closed(), &Pose::identity());
     for (i, f) in fingers.iter().enumerate() {
@@ -141,8 +141,8 @@ pub(super) fn tips(rest: &Rest<'_>, fingers: &[Found]) -> Result<()> {
             return fail("tip", what, remedy);
         }
         // The fingers of a closed gripper touch, but not those of one half open.
-        let at = |f: &Found| half_closed[f.tip.link] * f.tip.point;
-        let same = |g: &&Found| (rest.at(&g.tip) - tip).norm() < ON_AXIS && (at(g) - at(f)).norm() < ON_AXIS;
+        let at = |f: &FingerCandidate| half_closed[f.tip.link] * f.tip.point;
+        let same = |g: &&FingerCandidate| (rest.at(&g.tip) - tip).norm() < ON_AXIS && (at(g) - at(f)).norm() < ON_AXIS;
         if let Some(twin) = fingers[..i].iter().find(same) {
             let twin = twin.human.map_or("another finger", |h| h.name());
             return fail("tip", format!("{twin} has its tip there, too"), "give every finger a tip of its own".into());
@@ -214,7 +214,7 @@ pub(super) fn frame(
         let knuckle = f.joints.first().map(|&j| (to * rest.joint(j)).z);
         if let Some(knuckle) = knuckle.filter(|k| *k < AT_KNUCKLES * tip) {
             notes.push(format!(
-                "the wrist is {:.0} mm behind the knuckle of the {} finger; a person's is as far behind as the finger is long",
+                "the wrist is {:.0} mm behind the knuckle of the {} finger; a human wrist is as far behind as the finger is long",
                 knuckle * 1e3,
                 f.human.name()
             ));

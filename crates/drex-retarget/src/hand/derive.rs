@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use drex_core::Pose;
+use drex_demo::HumanFinger;
 use drex_robot::{Robot, Shape};
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
@@ -10,7 +11,6 @@ use super::frame::{Bends, Rest, joints_to, mean};
 use super::mapping::Mapping;
 use super::{LinkPoint, TargetFinger, TargetHand, names};
 use crate::{Error, Result};
-use drex_demo::HumanFinger;
 
 /// Length of a robot's palm over that of its fingers, where the model does not show where the palm ends.
 const PALM_PER_FINGER: f64 = 0.7;
@@ -22,9 +22,9 @@ pub(super) const UNSURE_SIDE: f64 = 3e-3;
 /// Joints nearer to each other than this are the same, m: files round.
 const SAME_JOINT: f64 = 2e-3;
 
-/// A finger before it has its person's finger.
+/// A finger before it has its human finger.
 #[derive(Debug, Clone)]
-pub(super) struct Found {
+pub(super) struct FingerCandidate {
     pub(super) human: Option<HumanFinger>,
     pub(super) thumb: bool,
     pub(super) tip: LinkPoint,
@@ -34,7 +34,12 @@ pub(super) struct Found {
 }
 
 /// The fingers of the mapping, else those of the model.
-pub(super) fn fingers(robot: &Robot, path: &Path, mapping: &Mapping, notes: &mut Vec<String>) -> Result<Vec<Found>> {
+pub(super) fn fingers(
+    robot: &Robot,
+    path: &Path,
+    mapping: &Mapping,
+    notes: &mut Vec<String>,
+) -> Result<Vec<FingerCandidate>> {
     let fingers = if mapping.fingers.is_empty() { of_model(robot, notes) } else { of_mapping(robot, path, mapping)? };
     let thumbs = fingers.iter().filter(|f| f.thumb).count();
     if thumbs == 1 && fingers.len() >= 2 {
@@ -51,7 +56,7 @@ pub(super) fn fingers(robot: &Robot, path: &Path, mapping: &Mapping, notes: &mut
     Err(Error::mapping(path, "fingers", what, remedy))
 }
 
-fn of_mapping(robot: &Robot, path: &Path, mapping: &Mapping) -> Result<Vec<Found>> {
+fn of_mapping(robot: &Robot, path: &Path, mapping: &Mapping) -> Result<Vec<FingerCandidate>> {
     mapping
         .fingers
         .iter()
@@ -60,12 +65,12 @@ fn of_mapping(robot: &Robot, path: &Path, mapping: &Mapping) -> Result<Vec<Found
             let tip = f.tip.find(robot, path, &key("tip"))?;
             let middle = f.middle.as_ref().map(|m| m.find(robot, path, &key("middle"))).transpose()?;
             let joints = joints_to(robot, tip.link);
-            Ok(Found { human: Some(human), thumb: human == HumanFinger::Thumb, tip, middle, joints })
+            Ok(FingerCandidate { human: Some(human), thumb: human == HumanFinger::Thumb, tip, middle, joints })
         })
         .collect()
 }
 
-fn of_model(robot: &Robot, notes: &mut Vec<String>) -> Vec<Found> {
+fn of_model(robot: &Robot, notes: &mut Vec<String>) -> Vec<FingerCandidate> {
     let found: Vec<_> = robot.fingers();
     for f in &found {
         let link = &robot.links[f.tip_link].name;
@@ -80,7 +85,7 @@ fn of_model(robot: &Robot, notes: &mut Vec<String>) -> Vec<Found> {
     }
     found
         .into_iter()
-        .map(|f| Found {
+        .map(|f| FingerCandidate {
             human: names::finger(robot, &f.links, &f.joints),
             thumb: f.is_thumb,
             tip: LinkPoint { link: f.tip_link, point: f.tip_point },
@@ -91,7 +96,7 @@ fn of_model(robot: &Robot, notes: &mut Vec<String>) -> Vec<Found> {
 }
 
 /// Holds the joints that move all fingers, and takes them out of the fingers' lists.
-pub(super) fn hold_palm(robot: &mut Robot, fingers: &mut [Found], notes: &mut Vec<String>) -> Vec<usize> {
+pub(super) fn hold_palm(robot: &mut Robot, fingers: &mut [FingerCandidate], notes: &mut Vec<String>) -> Vec<usize> {
     let common: Vec<usize> = match fingers {
         [] => Vec::new(),
         [first, rest @ ..] => {
@@ -111,11 +116,11 @@ pub(super) fn hold_palm(robot: &mut Robot, fingers: &mut [Found], notes: &mut Ve
     common
 }
 
-/// Gives every finger its person's finger: by name if the names tell all of them apart, else by the order along the palm.
+/// Gives every finger its human finger: by name if the names tell all of them apart, else by the order along the palm.
 pub(super) fn label(
     rest: &Rest<'_>,
     bends: &Bends,
-    mut fingers: Vec<Found>,
+    mut fingers: Vec<FingerCandidate>,
     notes: &mut Vec<String>,
 ) -> Result<Vec<TargetFinger>> {
     fingers.sort_by_key(|f| !f.thumb);
@@ -143,7 +148,7 @@ pub(super) fn label(
 }
 
 /// Index, middle, ring and little finger by their order along the palm, from the thumb on. The thumb is first in `fingers`.
-fn by_order(rest: &Rest<'_>, bends: &Bends, fingers: &mut [Found]) -> Result<()> {
+fn by_order(rest: &Rest<'_>, bends: &Bends, fingers: &mut [FingerCandidate]) -> Result<()> {
     let fail = |what: String| rest.fail("fingers", what, "write a mapping file that names the tip of each finger");
     let Some(across) = bends.across() else {
         return fail("names do not tell the fingers apart, and they do not bend to one side".to_owned());
@@ -152,7 +157,7 @@ fn by_order(rest: &Rest<'_>, bends: &Bends, fingers: &mut [Found]) -> Result<()>
     if others.len() > 4 {
         return fail(format!("{} fingers beside the thumb", others.len()));
     }
-    let aside = |f: &Found| across.dot(&rest.middle_of(&f.joints, &f.tip));
+    let aside = |f: &FingerCandidate| across.dot(&rest.middle_of(&f.joints, &f.tip));
     let middle = others.iter().map(&aside).sum::<f64>() / others.len() as f64;
     let side = aside(thumb) - middle;
     if side.abs() < UNSURE_SIDE {
@@ -165,9 +170,9 @@ fn by_order(rest: &Rest<'_>, bends: &Bends, fingers: &mut [Found]) -> Result<()>
     Ok(())
 }
 
-/// Where a finger's joint is that follows the person's [`HumanFinger::middle`]: the last but one, of two the last, of one half
+/// Where a finger's joint is that follows the human [`HumanFinger::middle`]: the last but one, of two the last, of one half
 /// way to the tip.
-fn middle_point(rest: &Rest<'_>, finger: &Found) -> LinkPoint {
+fn middle_point(rest: &Rest<'_>, finger: &FingerCandidate) -> LinkPoint {
     let at = |j: usize| LinkPoint { link: rest.robot.joints[j].link, point: rest.robot.joints[j].anchor };
     match finger.joints[..] {
         [.., middle, last] => at(if finger.joints.len() == 2 { last } else { middle }),

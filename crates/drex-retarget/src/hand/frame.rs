@@ -7,7 +7,7 @@ use drex_robot::{JointKind, Robot};
 use nalgebra::{Point3, Vector3};
 
 use super::LinkPoint;
-use super::derive::Found;
+use super::derive::FingerCandidate;
 use super::mapping::{Mapping, find_link};
 use crate::{Error, Result};
 
@@ -60,7 +60,7 @@ impl<'a> Rest<'a> {
         mean(joints.iter().map(|&j| self.joint(j).coords).chain([self.at(tip).coords]))
     }
 
-    /// Whether `link` is one piece with the palm.
+    /// Whether `link` is one shape with the palm.
     pub(super) fn on_palm(&self, link: usize) -> bool {
         let movers = joints_to(self.robot, link);
         movers.len() == self.palm_joints.len() && movers.iter().all(|j| self.palm_joints.contains(j))
@@ -99,14 +99,14 @@ pub(super) struct Bends {
 }
 
 impl Bends {
-    pub(super) fn new(rest: &Rest<'_>, fingers: &[Found]) -> Result<Self> {
+    pub(super) fn new(rest: &Rest<'_>, fingers: &[FingerCandidate]) -> Result<Self> {
         let others = || fingers.iter().filter(|f| !f.thumb);
         let along: Vec<Vector3<f64>> = others().map(|f| direction(rest, f)).collect();
         let Some(tips) = mean(along.iter().copied()).try_normalize(0.1) else {
             return rest.fail(
                 "fingers",
                 "the fingers beside the thumb point in no common direction when all joints are at zero",
-                "this is no hand as a person's; map only fingers that point the same way",
+                "this is not built like a human hand; map only fingers that point the same way",
             );
         };
         let curl = mean(others().zip(&along).map(|(f, along)| curl(rest, f, along)));
@@ -123,7 +123,7 @@ impl Bends {
 }
 
 /// Unit vector along the straight finger: from its last joint but one to its last, across the axis of that one.
-fn direction(rest: &Rest<'_>, finger: &Found) -> Vector3<f64> {
+fn direction(rest: &Rest<'_>, finger: &FingerCandidate) -> Vector3<f64> {
     let tip = rest.at(&finger.tip);
     let Some((&last, before)) = finger.joints.split_last() else { return Vector3::zeros() };
     let (axis, end) = rest.robot.joint_axis(&rest.poses, last);
@@ -139,7 +139,7 @@ fn direction(rest: &Rest<'_>, finger: &Found) -> Vector3<f64> {
 }
 
 /// How the last two joints turn a finger that points `along`, from zero to the middle of their ranges, rad.
-fn curl(rest: &Rest<'_>, finger: &Found, along: &Vector3<f64>) -> Vector3<f64> {
+fn curl(rest: &Rest<'_>, finger: &FingerCandidate, along: &Vector3<f64>) -> Vector3<f64> {
     let mut curl = Vector3::zeros();
     for &j in finger.joints.iter().rev().take(2) {
         let joint = &rest.robot.joints[j];
@@ -151,9 +151,9 @@ fn curl(rest: &Rest<'_>, finger: &Found, along: &Vector3<f64>) -> Vector3<f64> {
 }
 
 /// At right angles to the fingers and their last hinges, to the side on which the thumb is, if it is on one.
-fn towards_thumb(rest: &Rest<'_>, fingers: &[Found], tips: &Vector3<f64>) -> Option<Vector3<f64>> {
-    let (thumbs, others): (Vec<&Found>, Vec<&Found>) = fingers.iter().partition(|f| f.thumb);
-    let place = |f: &&Found| rest.middle_of(&f.joints, &f.tip);
+fn towards_thumb(rest: &Rest<'_>, fingers: &[FingerCandidate], tips: &Vector3<f64>) -> Option<Vector3<f64>> {
+    let (thumbs, others): (Vec<&FingerCandidate>, Vec<&FingerCandidate>) = fingers.iter().partition(|f| f.thumb);
+    let place = |f: &&FingerCandidate| rest.middle_of(&f.joints, &f.tip);
     let thumb = place(thumbs.first()?) - mean(others.iter().map(place));
     let hinges =
         others.iter().filter_map(|f| f.joints.last().filter(|&&j| rest.robot.joints[j].kind == JointKind::Revolute));

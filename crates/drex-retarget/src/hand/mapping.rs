@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use drex_core::fsutil;
+use drex_demo::{HumanFinger, Side};
 use drex_robot::Robot;
 use nalgebra::Point3;
 use serde::Deserialize;
 
 use super::{LinkPoint, names};
 use crate::{Error, Result};
-use drex_demo::{HumanFinger, Side};
 
 /// What a mapping file may say; what it leaves out is derived from the model.
 #[derive(Debug, Clone, Default, Deserialize)]

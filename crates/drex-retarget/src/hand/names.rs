@@ -1,8 +1,7 @@
 //! What names of links and joints say.
 
-use drex_robot::Robot;
-
 use drex_demo::HumanFinger;
+use drex_robot::Robot;
 
 /// Words for the fingers. A long word may be the beginning of a longer one (`ringfinger`), a short one stands alone, perhaps
 /// followed by `j` for joint (`FFJ3`).
@@ -62,10 +61,10 @@ fn words(name: &str) -> Vec<String> {
     words
 }
 
-/// The name most like `wanted`, if any is like it at all.
-pub(super) fn most_similar<'a>(wanted: &str, known: &[&'a str]) -> Option<&'a str> {
-    let (distance, name) = known.iter().map(|name| (edits(wanted, name), *name)).min()?;
-    (2 * distance <= wanted.chars().count().max(name.chars().count())).then_some(name)
+/// The name most like `name`, if any is like it at all.
+pub(super) fn most_similar<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
+    let (distance, nearest) = known.iter().map(|candidate| (edits(name, candidate), *candidate)).min()?;
+    (2 * distance <= name.chars().count().max(nearest.chars().count())).then_some(nearest)
 }
 
 /// Levenshtein's distance, upper and lower case alike.

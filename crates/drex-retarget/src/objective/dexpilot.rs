@@ -1,16 +1,16 @@
-//! Vectors from the wrist to the fingertips and between fingertips, drawn together where the person pinches.
+//! Vectors from the wrist to the fingertips and between fingertips, drawn together where the human hand pinches.
 
 use drex_core::Pose;
+use drex_demo::{HumanFinger, KeyPoints};
 use nalgebra::Vector3;
 
 use super::vector::tip_target;
 use super::{Loss, Term};
-use drex_demo::{HumanFinger, KeyPoints};
 
 /// Where Huber's function turns, m; dex-retargeting does not read it from its configuration.
 pub(crate) const LOSS: Loss = Loss { delta: 0.03, per_coordinate: false };
 
-/// A pair with the thumb is drawn together below this distance of the person's fingertips, m,
+/// A pair with the thumb is drawn together below this distance of the human fingertips, m,
 const PINCH_ON: f64 = 0.03;
 /// and let go above this one.
 const PINCH_OFF: f64 = 0.05;
@@ -34,7 +34,7 @@ fn pairs(n: usize) -> impl Iterator<Item = (usize, usize)> {
 }
 
 impl Projection {
-    /// Brings the pairs up to date with the distances of the person's fingertips; pairs with a missing one stay.
+    /// Brings the pairs up to date with the distances of the human fingertips; pairs with a missing one stay.
     fn update(&mut self, tips: &[Option<Vector3<f64>>]) {
         let n = tips.len();
         self.drawn.resize(pairs(n).count(), false);
@@ -55,7 +55,7 @@ impl Projection {
 ///
 /// `points` are in the operator frame; point i of the chains is the tip of `fingers[i]`, the thumb first. Vectors from the wrist
 /// weigh n (n − 1) / 2 + n. A drawn pair has its direction and the length η as target, which is not scaled; thresholds are on
-/// the person's distances as `points` have them.
+/// the human distances as `points` have them.
 pub(crate) fn dexpilot_terms(
     terms: &mut Vec<Term>,
     projection: &mut Projection,

@@ -1,9 +1,9 @@
 //! Positions of fingertips and middle joints with a floating base.
 
+use drex_demo::{HumanFinger, KeyPoints};
 use nalgebra::{Point3, Vector3};
 
 use super::{Loss, Term};
-use drex_demo::{HumanFinger, KeyPoints};
 
 /// Where Huber's function turns, m.
 pub(crate) const LOSS: Loss = Loss { delta: 0.02, per_coordinate: true };

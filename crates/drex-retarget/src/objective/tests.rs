@@ -1,9 +1,10 @@
 #![allow(clippy::unwrap_used)]
 
+use drex_demo::{HandSkeleton, Side};
+
 use super::*;
 use crate::Objective;
 use crate::{RetargetOptions, Retargeter, Scale, TargetHand};
-use drex_demo::{HandSkeleton, Side};
 
 /// Joints away from their limits, the base away from its place.
 fn states(retargeter: &Retargeter) -> Vec<State> {
@@ -32,7 +33,7 @@ fn value(problem: &mut FrameProblem, at: &State, (i, a): (usize, f64), (j, b): (
 
 #[test]
 fn gradients_and_hessians_are_those_of_the_values() {
-    let person = HandSkeleton::new(Side::Right).moving(40);
+    let demonstration = HandSkeleton::new(Side::Right).moving(40);
     for name in ["leap_right", "allegro_left"] {
         for objective in [Objective::Vector, Objective::DexPilot, Objective::Position] {
             let hand = TargetHand::bundled(name).unwrap();
@@ -41,9 +42,9 @@ fn gradients_and_hessians_are_those_of_the_values() {
             let mut retargeter = Retargeter::new(&hand, options).unwrap();
             // Key points of a right hand serve a left one as well as any.
             for frame in [3, 20] {
-                let aim = retargeter.aim(&person.frames[frame].points).unwrap();
+                let targets = retargeter.set_targets(&demonstration.frames[frame].points).unwrap();
                 if objective == Objective::Position {
-                    retargeter.problem.previous.base = aim.source_from_base;
+                    retargeter.problem.previous.base = targets.source_from_base;
                 }
                 for at in states(&retargeter) {
                     let problem = &mut retargeter.problem;

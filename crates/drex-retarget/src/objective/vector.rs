@@ -1,10 +1,10 @@
 //! Vectors from the wrist to the fingertips.
 
 use drex_core::Pose;
+use drex_demo::{HumanFinger, KeyPoints};
 use nalgebra::{Point3, Vector3};
 
 use super::{Loss, Term};
-use drex_demo::{HumanFinger, KeyPoints};
 
 /// Where Huber's function turns, m.
 pub(crate) const LOSS: Loss = Loss { delta: 0.02, per_coordinate: false };

@@ -1,20 +1,20 @@
 //! A stream of frames.
 
 use drex_core::Pose;
+use drex_demo::{FrameFlag, HandFrame, HumanFinger, KeyPoints, canonical, transformed};
 use nalgebra::Point3;
 
 use super::{RetargetOptions, Scale};
-use crate::flags::{Watch, clean};
+use crate::frame_checks::{FrameMonitor, valid_points};
 use crate::kinematics::Chains;
+use crate::measurements::HandMeasurements;
 use crate::objective::{
     FrameProblem, Projection, dexpilot, dexpilot_terms, position, position_target, position_terms, tip_target, vector,
     vector_terms,
 };
-use crate::person::Person;
 use crate::scale::{NOMINAL_LENGTH_M, hand_reach_m};
 use crate::solve::{EXACT, Newton, Problem, State, Unknowns};
 use crate::{Error, FingerResidual, Objective, Result, RetargetedFrame, ScaleReport, TargetHand};
-use drex_demo::{Flag, HandFrame, HumanFinger, KeyPoints, canonical, transformed};
 
 /// Retargets frame by frame.
 ///
@@ -50,10 +50,10 @@ pub struct Retargeter {
     /// Unknowns that move the thumb.
     thumb: Vec<usize>,
     hand_reach_m: f64,
-    /// Automatic scale over what the reaches alone give; found on a clip.
+    /// Automatic scale over what the reaches alone give; found on a sequence.
     pub(crate) refinement: f64,
-    person: Person,
-    /// Whether more frames would change the person's length.
+    measurements: HandMeasurements,
+    /// Whether more frames would change the hand's length.
     measured: bool,
     memory: Memory,
 }
@@ -72,17 +72,17 @@ struct Memory {
     base: Option<Pose>,
     filtered: Option<Vec<f64>>,
     projection: Projection,
-    watch: Watch,
+    monitor: FrameMonitor,
 }
 
-/// A stream measures the person in this many frames.
+/// A stream measures the human hand in this many frames.
 const MEASURED_FRAMES: usize = 30;
 
 impl Retargeter {
     /// Prepares `hand`.
     ///
     /// # Errors
-    /// If an option makes no sense, the objective needs a whole clip, or the hand has no fingers that joints move, a finger
+    /// If an option makes no sense, the objective needs a whole sequence, or the hand has no fingers that joints move, a finger
     /// twice, or (`dexpilot`) no thumb first.
     pub fn new(hand: &TargetHand, options: RetargetOptions) -> Result<Self> {
         options.check()?;
@@ -93,7 +93,7 @@ impl Retargeter {
             Objective::Grasp => {
                 return Err(Error::value(
                     "the objective \"grasp\" is no objective of single frames",
-                    "retarget the whole clip with it, or use vector, dexpilot or position",
+                    "retarget the whole sequence with it, or use vector, dexpilot or position",
                 ));
             }
         };
@@ -127,7 +127,7 @@ impl Retargeter {
             thumb,
             hand_reach_m,
             refinement: 1.0,
-            person: Person::new(hand.side),
+            measurements: HandMeasurements::new(hand.side),
             measured: false,
             memory: Memory::default(),
         })
@@ -139,29 +139,29 @@ impl Retargeter {
         self.memory = Memory::default();
     }
 
-    /// The scale that the next frame would use; `None` before the person was measured.
+    /// The scale that the next frame would use; `None` before the hand was measured.
     pub fn scale(&self) -> Option<ScaleReport> {
-        let person_reach_m = self.person.hand_length_m();
+        let human_reach_m = self.measurements.hand_length_m();
         let (scale, automatic) = match self.options.scale {
             Scale::Fixed(s) => (s, false),
-            Scale::Auto => (self.refinement * self.hand_reach_m / person_reach_m?, true),
+            Scale::Auto => (self.refinement * self.hand_reach_m / human_reach_m?, true),
         };
         Some(ScaleReport {
             scale,
             automatic,
-            person_reach_m: person_reach_m.unwrap_or(0.0),
+            human_reach_m: human_reach_m.unwrap_or(0.0),
             hand_reach_m: self.hand_reach_m,
         })
     }
 
     /// Retargets the next frame, the points of a hand of [`TargetHand::side`].
     ///
-    /// A frame that is no hand repeats the joint vector before (flag [`Flag::NoHand`], objective NaN).
+    /// A frame that is no hand repeats the joint vector before (flag [`FrameFlag::NoHand`], objective NaN).
     pub fn frame(&mut self, frame: &HandFrame) -> RetargetedFrame {
-        let (points, missing) = clean(&frame.points);
+        let (points, missing) = valid_points(&frame.points);
         if !self.measured {
-            self.person.add(&points);
-            self.measured = self.person.frames() >= MEASURED_FRAMES;
+            self.measurements.add(&points);
+            self.measured = self.measurements.frames() >= MEASURED_FRAMES;
         }
         match self.solve(&points, missing) {
             Ok(solved) => self.finish(frame.t_s, solved),
@@ -169,54 +169,54 @@ impl Retargeter {
         }
     }
 
-    /// The same for `vector` and the automatic scale, with the person's measures.
+    /// The same for `vector` and the automatic scale, with the human measures.
     pub(crate) fn probe(&self) -> Result<Self> {
         let mut options = RetargetOptions::new(Objective::Vector);
-        options.thumb_starts = 0;
+        options.thumb_guesses = 0;
         let mut probe = Self::new(&self.hand, options)?;
-        probe.measure(self.person.clone());
+        probe.measure(self.measurements.clone());
         Ok(probe)
     }
 
-    /// Takes the person's measures instead of measuring the first frames.
-    pub(crate) fn measure(&mut self, person: Person) {
-        self.person = person;
+    /// Takes the human measures instead of measuring the first frames.
+    pub(crate) fn measure(&mut self, measurements: HandMeasurements) {
+        self.measurements = measurements;
         self.measured = true;
     }
 
     /// Sets the terms of a frame.
-    pub(crate) fn aim(&mut self, points: &KeyPoints) -> Result<Aim, String> {
-        let source_from_operator = self.person.operator_frame(points).map_err(|e| e.to_string())?;
+    pub(crate) fn set_targets(&mut self, points: &KeyPoints) -> Result<FrameTargets, String> {
+        let source_from_operator = self.measurements.operator_frame(points).map_err(|e| e.to_string())?;
         let scale = self.scale().ok_or("the length of no finger from wrist to tip is known yet")?.scale;
         let in_operator =
             canonical(points, self.hand.side).unwrap_or_else(|_| transformed(points, &source_from_operator.inverse()));
-        // Automatic: a person of nominal size, and the rest of the scale.
-        let to_nominal = match (self.options.scale, self.person.hand_length_m()) {
+        // Automatic: a human hand of nominal size, and the rest of the scale.
+        let to_nominal = match (self.options.scale, self.measurements.hand_length_m()) {
             (Scale::Auto, Some(length)) => NOMINAL_LENGTH_M / length,
             _ => 1.0,
         };
-        let person = in_operator.map(|p| p.map(|p| p * to_nominal));
+        let nominal = in_operator.map(|p| p.map(|p| p * to_nominal));
         let rest = scale / to_nominal;
         let base_from_operator = &self.hand.base_from_operator;
         let terms = &mut self.problem.terms;
         match self.options.objective {
             Objective::DexPilot => {
                 let projection = &mut self.memory.projection;
-                dexpilot_terms(terms, projection, &self.fingers, &person, base_from_operator, rest);
+                dexpilot_terms(terms, projection, &self.fingers, &nominal, base_from_operator, rest);
             }
             Objective::Position => {
                 position_terms(terms, &self.fingers, points, &source_from_operator.translation.vector, scale)
             }
-            _ => vector_terms(terms, &self.fingers, &person, base_from_operator, rest),
+            _ => vector_terms(terms, &self.fingers, &nominal, base_from_operator, rest),
         }
         if terms.is_empty() {
             return Err("no fingertip was seen".into());
         }
         let target = |finger: &HumanFinger| match self.problem.unknowns.floating {
             true => Some(position_target(&points[finger.tip()]?, &source_from_operator.translation.vector, scale)),
-            false => Some(Point3::from(tip_target(&person[finger.tip()]?.coords, base_from_operator, rest))),
+            false => Some(Point3::from(tip_target(&nominal[finger.tip()]?.coords, base_from_operator, rest))),
         };
-        Ok(Aim {
+        Ok(FrameTargets {
             tips: self.fingers.iter().map(target).collect(),
             source_from_base: source_from_operator * base_from_operator.inverse(),
             in_operator,
@@ -224,12 +224,12 @@ impl Retargeter {
     }
 
     fn solve(&mut self, points: &KeyPoints, missing: usize) -> Result<Solved, String> {
-        let aim = self.aim(points)?;
+        let targets = self.set_targets(points)?;
         let mut flags = Vec::new();
-        self.memory.watch.look(&aim.in_operator, missing, self.person.hand_length_m(), &mut flags);
+        self.memory.monitor.check(&targets.in_operator, missing, self.measurements.hand_length_m(), &mut flags);
         let floating = self.problem.unknowns.floating;
         let mut state = self.memory.state.take().unwrap_or_else(|| {
-            let base = if floating { aim.source_from_base } else { Pose::identity() };
+            let base = if floating { targets.source_from_base } else { Pose::identity() };
             State { base, q: self.start.q.clone() }
         });
         self.problem.previous.clone_from(&state);
@@ -246,9 +246,9 @@ impl Retargeter {
             residual_mm: target.map(|t| 1e3 * (self.problem.point(i) - t).norm()),
         };
         Ok(Solved {
-            base: if floating { state.base } else { aim.source_from_base },
+            base: if floating { state.base } else { targets.source_from_base },
             objective: self.problem.objective(),
-            residuals: self.fingers.iter().zip(&aim.tips).enumerate().map(residual).collect(),
+            residuals: self.fingers.iter().zip(&targets.tips).enumerate().map(residual).collect(),
             state,
             flags,
         })
@@ -256,7 +256,7 @@ impl Retargeter {
 
     /// A minimum of the frame, found from another place of the thumb, that is clearly better than `best`, roughly.
     fn other_minimum(&mut self, state: &State, mut best: f64) -> Option<State> {
-        let (starts, solved) = (self.options.thumb_starts, self.memory.solved);
+        let (starts, solved) = (self.options.thumb_guesses, self.memory.solved);
         // A first frame tries every other start, later ones one after the other.
         let tried = if solved == 0 { 0..starts } else { solved..solved + starts.min(1) };
         let mut found = None;
@@ -315,9 +315,9 @@ impl Retargeter {
     /// A frame that is no hand.
     fn repeat(&mut self, t_s: f64, missing: usize, reason: String) -> RetargetedFrame {
         let q = self.memory.state.as_ref().map_or_else(|| self.start.q.clone(), |s| s.q.clone());
-        let mut flags = vec![Flag::NoHand { reason }];
+        let mut flags = vec![FrameFlag::NoHand { reason }];
         if missing > 0 {
-            flags.push(Flag::MissingPoints { count: missing });
+            flags.push(FrameFlag::MissingPoints { count: missing });
         }
         RetargetedFrame {
             t_s,
@@ -332,10 +332,10 @@ impl Retargeter {
 }
 
 /// Where a frame wants the hand.
-pub(crate) struct Aim {
+pub(crate) struct FrameTargets {
     /// The fingertips, in the frame of the robot's base, or in the source frame if the base floats.
     tips: Vec<Option<Point3<f64>>>,
-    /// From the person's wrist.
+    /// From the human wrist.
     pub(crate) source_from_base: Pose,
     in_operator: KeyPoints,
 }
@@ -346,15 +346,15 @@ struct Solved {
     base: Pose,
     objective: f64,
     residuals: Vec<FingerResidual>,
-    flags: Vec<Flag>,
+    flags: Vec<FrameFlag>,
 }
 
 fn check_fingers(fingers: &[HumanFinger], objective: Objective) -> Result<()> {
     let twice = fingers.iter().enumerate().find(|(i, f)| fingers[..*i].contains(f));
     if let Some((_, finger)) = twice {
         return Err(Error::value(
-            format!("two fingers of the robot follow the person's {} finger", finger.name()),
-            "map each of the person's fingers once",
+            format!("two fingers of the robot follow the human {} finger", finger.name()),
+            "map each of the human fingers once",
         ));
     }
     if objective == Objective::DexPilot && (fingers.len() < 2 || fingers[0] != HumanFinger::Thumb) {

@@ -30,7 +30,7 @@ fn the_objectives_are_those_of_the_reference() {
                 .iter()
                 .zip(golden.frames.iter().zip(&golden.objectives))
             {
-                retargeter.aim(&frame.points).unwrap();
+                retargeter.set_targets(&frame.points).unwrap();
                 let base = match base[..] {
                     [x, y, z, a, b, c] => {
                         let turn = |axis: Vector3<f64>, angle| UnitQuaternion::new(axis * angle);

@@ -1,6 +1,6 @@
 use drex_core::Pose;
 
-use super::unknowns::Drive;
+use super::unknowns::JointCoupling;
 use super::*;
 
 /// |x − centre|² with the coupling of neighbours, in a box.
@@ -13,11 +13,11 @@ struct Bowl {
 impl Bowl {
     fn new(centre: &[f64], coupling: f64, bounds: (f64, f64)) -> Self {
         let n = centre.len();
-        let drive = (0..n).map(|unknown| Some(Drive { unknown, factor: 1.0, offset: 0.0 })).collect();
+        let couplings = (0..n).map(|unknown| Some(JointCoupling { unknown, factor: 1.0, offset: 0.0 })).collect();
         let unknowns = Unknowns {
             bounds: vec![bounds; n],
             joints: (0..n).collect(),
-            drive,
+            couplings,
             floating: false,
             held: vec![false; n],
         };

@@ -24,7 +24,7 @@ pub(crate) struct Unknowns {
     /// Joint whose coordinate each joint unknown is.
     pub(crate) joints: Vec<usize>,
     /// Per joint of the model, the unknown that moves it: coordinate = factor · unknown + offset.
-    pub(crate) drive: Vec<Option<Drive>>,
+    pub(crate) couplings: Vec<Option<JointCoupling>>,
     /// Whether the base is unknown too; its six come after the joints.
     pub(crate) floating: bool,
     /// Unknowns that are left alone for now.
@@ -33,27 +33,32 @@ pub(crate) struct Unknowns {
 
 /// coordinate = factor · unknown + offset; factor 1 and offset 0 but for coupled (`mimic`) joints.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Drive {
+pub(crate) struct JointCoupling {
     pub(crate) unknown: usize,
     pub(crate) factor: f64,
     pub(super) offset: f64,
 }
 
 impl Unknowns {
-    /// The joints marked in `wanted`; a joint that follows another (`mimic`) stands for the one that it follows.
-    pub(crate) fn new(robot: &Robot, wanted: &[bool], floating: bool) -> Self {
+    /// The joints marked in `solved_for`; a joint that follows another (`mimic`) stands for the one that it follows.
+    pub(crate) fn new(robot: &Robot, solved_for: &[bool], floating: bool) -> Self {
         let leaders: Vec<_> = (0..robot.dof()).map(|j| leader(robot, j)).collect();
-        let mut unknowns =
-            Self { bounds: Vec::new(), joints: Vec::new(), drive: vec![None; robot.dof()], floating, held: Vec::new() };
+        let mut unknowns = Self {
+            bounds: Vec::new(),
+            joints: Vec::new(),
+            couplings: vec![None; robot.dof()],
+            floating,
+            held: Vec::new(),
+        };
         for j in 0..robot.dof() {
-            if (0..robot.dof()).any(|k| wanted[k] && leaders[k].0 == j) {
+            if (0..robot.dof()).any(|k| solved_for[k] && leaders[k].0 == j) {
                 unknowns.joints.push(j);
                 unknowns.bounds.push((f64::NEG_INFINITY, f64::INFINITY));
             }
         }
         for (j, &(lead, factor, offset)) in leaders.iter().enumerate() {
             let Some(unknown) = unknowns.joints.iter().position(|&l| l == lead) else { continue };
-            unknowns.drive[j] = Some(Drive { unknown, factor, offset });
+            unknowns.couplings[j] = Some(JointCoupling { unknown, factor, offset });
             // A follower's limits bind its leader.
             if let Some((lo, hi)) = robot.joints[j].limits
                 && factor != 0.0
@@ -77,7 +82,7 @@ impl Unknowns {
 
     /// Puts unknown `k` (a joint) at `value`, and the joints that follow it.
     pub(crate) fn set(&self, k: usize, value: f64, q: &mut [f64]) {
-        for (coordinate, drive) in q.iter_mut().zip(&self.drive) {
+        for (coordinate, drive) in q.iter_mut().zip(&self.couplings) {
             if let Some(d) = drive
                 && d.unknown == k
             {
@@ -91,7 +96,7 @@ impl Unknowns {
         to.q.copy_from_slice(&from.q);
         for (k, (&j, &(lo, hi))) in self.joints.iter().zip(&self.bounds).enumerate() {
             let value = (from.q[j] + step[k]).max(lo).min(hi);
-            if self.drive.len() == self.joints.len() {
+            if self.couplings.len() == self.joints.len() {
                 to.q[j] = value;
             } else {
                 self.set(k, value, &mut to.q);

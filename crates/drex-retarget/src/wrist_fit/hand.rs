@@ -123,7 +123,7 @@ fn check(options: &WristFitOptions) -> Result<()> {
         && options.contact_gap_m >= 0.0
         && options.friction >= 0.0
         && options.min_fingers >= 1
-        && options.starts >= 1
+        && options.initial_guesses >= 1
         && options.kept.0 >= 1
         && options.kept.1 >= 1;
     if ok {
@@ -131,7 +131,7 @@ fn check(options: &WristFitOptions) -> Result<()> {
     } else {
         Err(Error::value(
             format!("the options of the wrist fit make no sense: {options:?}"),
-            "give lengths and angles of zero or more, and at least one finger, start and kept start",
+            "give lengths and angles of zero or more, and at least one finger, initial guess and kept guess",
         ))
     }
 }

@@ -295,7 +295,7 @@ fn balance(
     rows.extend((0..6).map(|k| d.row(k).transpose() * BALANCE));
 }
 
-/// Pads whose push on the object points out of the palm: a hand that holds a thing has it between its fingers, not before them.
+/// Pads whose push on the object points out of the palm: a hand that holds an object has it between its fingers, not before them.
 fn caging(
     problem: &Problem<'_>,
     view: &View,

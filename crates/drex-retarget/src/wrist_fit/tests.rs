@@ -25,7 +25,7 @@ fn the_derivatives_are_those_of_the_residuals() {
         let recorded = hand.recorded_within(&robot.mid_range(), 0.15).unwrap();
         let corner = Point3::new(0.04, 0.04, 0.04);
         let object =
-            ObjectSurface { search: &Ball, judge: &Ball, bounds: (-corner, corner), center_of_mass: Point3::origin() };
+            ObjectSurface { search: &Ball, exact: &Ball, bounds: (-corner, corner), center_of_mass: Point3::origin() };
         let table = TablePlane { up: Vector3::z_axis(), height_m: -0.04 };
         let rough = Problem {
             hand: &hand,

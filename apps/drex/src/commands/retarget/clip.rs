@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use drex_core::Pose;
-use drex_demo::{Demonstration, Flag};
+use drex_demo::{Demonstration, FrameFlag};
 use drex_retarget::{Retargeting, TargetHand, retarget};
 use serde_json::json;
 
@@ -81,7 +81,8 @@ struct Summary {
 impl Summary {
     fn of(result: &Retargeting) -> Self {
         let mean = |values: Vec<f64>| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
-        let no_hand = |f: &&drex_retarget::RetargetedFrame| f.flags.iter().any(|g| matches!(g, Flag::NoHand { .. }));
+        let no_hand =
+            |f: &&drex_retarget::RetargetedFrame| f.flags.iter().any(|g| matches!(g, FrameFlag::NoHand { .. }));
         Self {
             objective: mean(result.frames.iter().map(|f| f.objective).filter(|o| o.is_finite()).collect()),
             residual_mm: mean(result.frames.iter().flat_map(|f| &f.fingers).filter_map(|r| r.residual_mm).collect()),
@@ -99,7 +100,7 @@ fn text(args: &RetargetArgs, hand: &TargetHand, result: &Retargeting, s: &Summar
             "  scale    {:.3} ({}; person {:.0} mm, hand {:.0} mm from wrist to fingertip)",
             result.scale.scale,
             if result.scale.automatic { "automatic" } else { "given" },
-            1e3 * result.scale.person_reach_m,
+            1e3 * result.scale.human_reach_m,
             1e3 * result.scale.hand_reach_m
         ),
         format!("  mean     objective {}, fingertips {} mm off", number(s.objective, 5), number(s.residual_mm, 1)),

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use drex_core::fsutil;
-use drex_demo::{Demonstration, Flag, Side};
+use drex_demo::{Demonstration, FrameFlag, Side};
 use drex_retarget::{GraspFrame, RetargetedFrame, ScaleReport, TargetHand};
 use serde::Serialize;
 
@@ -63,7 +63,7 @@ pub struct FrameRecord<'a> {
     /// `null` where the frame is no hand.
     objective: Option<f64>,
     residual_mm: BTreeMap<&'static str, Option<f64>>,
-    flags: &'a [Flag],
+    flags: &'a [FrameFlag],
 }
 
 impl<'a> FrameRecord<'a> {

@@ -36,7 +36,7 @@ pub fn run(
     let search = GridSdf::with_options(object.solid.clone(), &grid)?;
     let surface = ObjectSurface {
         search: &search,
-        judge: &object.solid,
+        exact: &object.solid,
         bounds: search.bounds(),
         center_of_mass: solid_properties(&object.mesh)?.properties.center_of_mass,
     };
@@ -177,13 +177,13 @@ impl Summary {
         let touching = |f: &GraspFrame| {
             f.fingers.first().is_some_and(|thumb| thumb.touches) && f.fingers.iter().filter(|x| x.touches).count() >= 3
         };
-        let mut squeezes: Vec<f64> = held.iter().filter_map(|f| f.squeeze_per_weight).collect();
+        let mut squeezes: Vec<f64> = held.iter().filter_map(|f| f.grip_force_per_weight).collect();
         squeezes.sort_by(f64::total_cmp);
         Self {
             held: held.len(),
             accepted: result.frames.iter().filter(|f| f.is_accepted()).count(),
             contact: held.iter().filter(|f| touching(f)).count(),
-            closed: held.iter().filter(|f| f.squeeze_per_weight.is_some()).count(),
+            closed: held.iter().filter(|f| f.grip_force_per_weight.is_some()).count(),
             squeeze: squeezes.get(squeezes.len() / 2).copied(),
             penetration_mm: most(&|f| f.penetration_mm),
             self_collision_mm: most(&|f| f.self_collision.as_ref().map_or(0.0, |c| c.depth_mm)),
@@ -213,7 +213,7 @@ fn text(demo: &Demonstration, hand: &TargetHand, result: &GraspRetargeting, s: &
             f.penetration_mm,
             f.mean_joint_distance_rad,
             f.wrist_shift_mm,
-            f.squeeze_per_weight.map_or("cannot carry".into(), |w| format!("{w:.1} weights")),
+            f.grip_force_per_weight.map_or("cannot carry".into(), |w| format!("{w:.1} weights")),
             reasons(&f.verdict).iter().map(|r| format!("; {r}")).collect::<String>()
         ));
     }

@@ -1,18 +1,18 @@
-//! When does the person's hand hold the object, and with which fingers?
+//! When does the human hand hold the object, and with which fingers?
 //!
 //! Hand and object come from separate estimators and do not fit together to better than centimetres, so that single distances decide
 //! little: an object that moves is held, a hand that reached it and later carries it held it in between, and of the fingers those
 //! that are about as near as the nearest ones take part.
 
 use drex_core::{Pose, SignedDistance};
+use drex_demo::{Demonstration, HumanFinger};
 
 use super::GraspOptions;
 use crate::TargetHand;
-use drex_demo::{Demonstration, HumanFinger};
 
 /// A run of frames in which the object is held.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Hold {
+pub(crate) struct GraspPhase {
     pub(crate) frames: std::ops::Range<usize>,
     /// Per finger of the robot hand, whether it takes part.
     pub(crate) fingers: Vec<bool>,
@@ -25,14 +25,14 @@ const WINDOW: usize = 3;
 /// A finger takes part if it is at most this much farther from the object than the nearest of its kind, m.
 const FINGER_SPREAD_M: f64 = 0.03;
 
-/// The holds of a clip; `poses` are the object's in the source frame.
-pub(crate) fn holds(
+/// The grasp phases of a sequence; `poses` are the object's in the source frame.
+pub(crate) fn grasp_phases(
     demo: &Demonstration,
     poses: &[Pose],
     target: &TargetHand,
     object: &dyn SignedDistance,
     options: &GraspOptions,
-) -> Vec<Hold> {
+) -> Vec<GraspPhase> {
     let n = poses.len();
     // Distance of every human finger's last joint and tip.
     let distances: Vec<Vec<Option<f64>>> = (0..n)
@@ -69,7 +69,7 @@ pub(crate) fn holds(
         }
         last = Some(t);
     }
-    let mut holds = Vec::new();
+    let mut phases = Vec::new();
     let mut t = 0;
     while t < n {
         if !held[t] {
@@ -94,7 +94,7 @@ pub(crate) fn holds(
         let fingers = (0..medians.len()).map(|k| thumb(k) || medians[k] <= closest + FINGER_SPREAD_M).collect();
         let misfit = |k: usize| distances[k].iter().flatten().map(|d| d.abs()).sum::<f64>();
         let best = (start..t).min_by(|&a, &b| misfit(a).total_cmp(&misfit(b))).unwrap_or(start);
-        holds.push(Hold { frames: start..t, fingers, best });
+        phases.push(GraspPhase { frames: start..t, fingers, best });
     }
-    holds
+    phases
 }

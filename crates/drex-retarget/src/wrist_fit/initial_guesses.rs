@@ -22,14 +22,14 @@ const STEPS: [f64; 6] = [
 ];
 
 /// As many starts as the options ask for, spread evenly.
-pub(crate) fn starts(problem: &Problem<'_>) -> Vec<HandState> {
+pub(crate) fn initial_guesses(problem: &Problem<'_>) -> Vec<HandState> {
     let mut rng = ChaCha8Rng::seed_from_u64(problem.options.seed);
     let shift: [f64; 6] = std::array::from_fn(|_| rng.random());
     let frame = HandFrame::new(problem);
     let (lo, hi) = problem.object.bounds;
     let (center, half) = (nalgebra::center(&lo, &hi), (hi - lo) / 2.0);
     let up = problem.table.up.into_inner();
-    (0..problem.options.starts)
+    (0..problem.options.initial_guesses)
         .map(|i| {
             let u: [f64; 6] = std::array::from_fn(|k| (shift[k] + (i + 1) as f64 * STEPS[k]).fract());
             // Approach: uniform over the part of the sphere that points down or level.

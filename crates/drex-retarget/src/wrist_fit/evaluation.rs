@@ -1,4 +1,4 @@
-//! Where a search ended, judged by the rules.
+//! The result of a search, evaluated by the rules.
 
 use drex_grasp::{holds_any_load, squeeze_per_weight};
 
@@ -7,27 +7,27 @@ use super::{FingerGap, Rejection, Verdict, WristFit};
 use crate::Result;
 use crate::levenberg_marquardt::HandState;
 
-/// A judged end.
-pub(crate) struct End {
+/// An evaluated candidate.
+pub(crate) struct Candidate {
     pub(crate) fit: WristFit,
     /// Sum of what the rules are broken by, mm.
     broken_mm: f64,
-    /// Among the accepted: root mean square correction in units of the largest allowed, plus the squeeze in units of that of a
-    /// plain pinch (one over friction), plus how much the pads push the object out of the hand; the squeeze at [`SLIPPERY`] friction. A hook or a tray that needs less than a pinch is not rewarded for it.
+    /// Among the accepted: root mean square correction in units of the largest allowed, plus the grip force in units of that of a
+    /// plain pinch (one over friction), plus how much the pads push the object out of the hand; the grip force at [`COMPARED_FRICTION_SHARE`] friction. A hook or a tray that needs less than a pinch is not rewarded for it.
     score: f64,
 }
 
 /// Ends are compared at this fraction of the friction, so that those at the edge of slipping lose.
-const SLIPPERY: f64 = 0.7;
+const COMPARED_FRICTION_SHARE: f64 = 0.7;
 /// Score of a grasp that cannot carry the object at that friction.
-const SLIPS: f64 = 10.0;
+const SLIPPING_SCORE: f64 = 10.0;
 
-impl End {
+impl Candidate {
     /// Accepted before rejected; of the rejected the one that misses by least; of the accepted those in force closure that can
-    /// carry the object, then the least of deviation from the record and squeeze.
+    /// carry the object, then the least of deviation from the record and grip force.
     pub(crate) fn better_than(&self, other: &Self) -> bool {
         let rank = |e: &Self| {
-            let held = e.fit.squeeze_per_weight.is_some();
+            let held = e.fit.grip_force_per_weight.is_some();
             (!e.fit.verdict.is_accepted(), e.broken_mm, !(held && e.fit.force_closure), !held, e.score)
         };
         let (a, b) = (rank(self), rank(other));
@@ -36,10 +36,10 @@ impl End {
 }
 
 /// Measures an end on the exact surface.
-pub(crate) fn judge(problem: &Problem<'_>, state: HandState) -> Result<End> {
+pub(crate) fn evaluate(problem: &Problem<'_>, state: HandState) -> Result<Candidate> {
     let (hand, options) = (problem.hand, problem.options);
     let poses = hand.robot.forward_kinematics(&state.q, &state.object_from_base);
-    let sdf = problem.object.judge;
+    let sdf = problem.object.exact;
     let fingers: Vec<FingerGap> = hand.pads[1]
         .iter()
         .zip(&hand.fine.fingers)
@@ -88,10 +88,10 @@ pub(crate) fn judge(problem: &Problem<'_>, state: HandState) -> Result<End> {
     let correction_rad: Vec<f64> = state.q.iter().zip(&problem.recorded.joints).map(|(q, r)| q - r).collect();
     let mean_square = correction_rad.iter().map(|c| c * c).sum::<f64>() / correction_rad.len().max(1) as f64;
     let pushed_out = pushed_away(problem, &state, touching_set);
-    let pinch = 1.0 / (SLIPPERY * options.friction).max(1e-9);
+    let pinch = 1.0 / (COMPARED_FRICTION_SHARE * options.friction).max(1e-9);
     let score = mean_square.sqrt() / options.max_finger_correction_rad.max(1e-9)
         + pushed_out
-        + force.slippery.map_or(SLIPS, |s| (s / pinch).max(1.0));
+        + force.slippery.map_or(SLIPPING_SCORE, |s| (s / pinch).max(1.0));
     let fit = WristFit {
         object_from_base: state.object_from_base,
         joints: state.q,
@@ -102,18 +102,18 @@ pub(crate) fn judge(problem: &Problem<'_>, state: HandState) -> Result<End> {
         table_clearance_mm: -1e3 * below,
         pushed_out,
         force_closure: force.closed,
-        squeeze_per_weight: force.squeeze,
+        grip_force_per_weight: force.grip_force,
         verdict: if accepted { Verdict::Accepted } else { Verdict::Rejected(reasons) },
     };
-    Ok(End { fit, broken_mm, score })
+    Ok(Candidate { fit, broken_mm, score })
 }
 
 /// What the contacts can do.
 #[derive(Default)]
 struct Force {
     closed: bool,
-    /// Squeeze per weight, at the friction of the options and at a fraction of it.
-    squeeze: Option<f64>,
+    /// Grip force per weight, at the friction of the options and at a fraction of it.
+    grip_force: Option<f64>,
     slippery: Option<f64>,
 }
 
@@ -121,13 +121,13 @@ impl Force {
     fn of(problem: &Problem<'_>, state: &HandState) -> Result<Self> {
         let hand = problem.hand;
         let mut contacts =
-            hand.fine.contacts(hand.robot, &state.q, &state.object_from_base, problem.object.judge, &hand.contact)?;
+            hand.fine.contacts(hand.robot, &state.q, &state.object_from_base, problem.object.exact, &hand.contact)?;
         let com = problem.object.center_of_mass;
         let closed = holds_any_load(&contacts, &com)?;
-        let squeeze = squeeze_per_weight(&contacts, com, problem.table.up)?;
-        contacts.iter_mut().for_each(|c| c.friction *= SLIPPERY);
+        let grip_force = squeeze_per_weight(&contacts, com, problem.table.up)?;
+        contacts.iter_mut().for_each(|c| c.friction *= COMPARED_FRICTION_SHARE);
         let slippery = squeeze_per_weight(&contacts, com, problem.table.up)?;
-        Ok(Self { closed, squeeze, slippery })
+        Ok(Self { closed, grip_force, slippery })
     }
 }
 

@@ -1,6 +1,6 @@
 //! What is wrong with a frame, seen from the frame and those before it.
 
-use drex_demo::{Flag, KEYPOINTS, KeyPoints, hand_length_m};
+use drex_demo::{FrameFlag, KEYPOINTS, KeyPoints, hand_length_m};
 
 /// Key points farther than this from the origin are no measurement, m.
 const FARTHEST_M: f64 = 1e6;
@@ -14,7 +14,7 @@ const SAME_HAND: std::ops::Range<f64> = 0.75..1.33;
 const REMEMBERED: usize = 60;
 
 /// The points that are measurements, and how many are not.
-pub(crate) fn clean(points: &KeyPoints) -> (KeyPoints, usize) {
+pub(crate) fn valid_points(points: &KeyPoints) -> (KeyPoints, usize) {
     let cleaned = points.map(|p| p.filter(|p| p.iter().all(|c| c.is_finite() && c.abs() < FARTHEST_M)));
     let missing = cleaned.iter().filter(|p| p.is_none()).count();
     (cleaned, missing)
@@ -22,18 +22,24 @@ pub(crate) fn clean(points: &KeyPoints) -> (KeyPoints, usize) {
 
 /// Compares each frame with those before.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Watch {
+pub(crate) struct FrameMonitor {
     /// Wrist-centred points of the last frame that was a hand.
     last: Option<KeyPoints>,
     /// Largest movements of the latest frames, oldest first.
     movements: Vec<f64>,
 }
 
-impl Watch {
+impl FrameMonitor {
     /// Flags of a frame; `points` in the operator frame, `length` the hand's length.
-    pub(crate) fn look(&mut self, points: &KeyPoints, missing: usize, length: Option<f64>, flags: &mut Vec<Flag>) {
+    pub(crate) fn check(
+        &mut self,
+        points: &KeyPoints,
+        missing: usize,
+        length: Option<f64>,
+        flags: &mut Vec<FrameFlag>,
+    ) {
         if missing > 0 {
-            flags.push(Flag::MissingPoints { count: missing });
+            flags.push(FrameFlag::MissingPoints { count: missing });
         }
         if let Some(last) = self.last.replace(*points) {
             let moved = |i: usize| Some((points[i]? - last[i]?).norm());
@@ -45,7 +51,7 @@ impl Watch {
                 && movement > JUMP * length
                 && movement > SUDDEN * usual
             {
-                flags.push(Flag::Jump { distance_mm: movement * 1e3 });
+                flags.push(FrameFlag::Jump { distance_mm: movement * 1e3 });
             }
             if self.movements.len() == REMEMBERED {
                 self.movements.remove(0);
@@ -55,7 +61,7 @@ impl Watch {
         if let (Some(length), Some(now)) = (length, hand_length_m(points)) {
             let ratio = now / length;
             if !SAME_HAND.contains(&ratio) {
-                flags.push(Flag::BoneLength { ratio });
+                flags.push(FrameFlag::BoneLength { ratio });
             }
         }
     }

@@ -3,7 +3,7 @@
 use drex_core::{Surface, SurfacePoint};
 use nalgebra::{Matrix3, Point2, Point3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 
-use super::starts::{Moments, across};
+use super::initial_guesses::{Moments, across};
 use super::{Placement, RegisterOptions};
 use crate::median;
 
@@ -21,7 +21,7 @@ pub(super) struct Problem<'a> {
 
 /// A placement under way.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Fit {
+pub(super) struct Candidate {
     pub(super) scale: f64,
     pub(super) rotation: UnitQuaternion<f64>,
     pub(super) translation: Vector3<f64>,
@@ -59,7 +59,7 @@ const SMALL_STEP: f64 = 1e-4;
 /// Residuals count fully up to this part of the cloud's radius when placements are compared.
 const COMPARED_AT: f64 = 0.08;
 
-impl Fit {
+impl Candidate {
     pub(super) fn placement(&self) -> Placement {
         Placement { scale: self.scale, rotation: self.rotation, translation: self.translation, cost: self.cost }
     }
@@ -92,15 +92,15 @@ struct Residual {
 
 impl Problem<'_> {
     /// The placement at this rotation that puts middle on middle.
-    pub(super) fn start(&self, rotation: UnitQuaternion<f64>) -> Fit {
+    pub(super) fn start(&self, rotation: UnitQuaternion<f64>) -> Candidate {
         let scale = self.options.scale.unwrap_or(self.points_moments.radius / self.surface_moments.radius);
         let translation = self.points_moments.mean.coords - rotation * self.surface_moments.mean.coords * scale;
-        Fit { scale, rotation, translation, cost: f64::INFINITY }
+        Candidate { scale, rotation, translation, cost: f64::INFINITY }
     }
 
     /// The placement of the frame before.
-    pub(super) fn start_at(&self, placement: &Placement) -> Fit {
-        Fit {
+    pub(super) fn start_at(&self, placement: &Placement) -> Candidate {
+        Candidate {
             scale: self.options.scale.unwrap_or(placement.scale),
             rotation: placement.rotation,
             translation: placement.translation,
@@ -109,7 +109,7 @@ impl Problem<'_> {
     }
 
     /// Improves `start` on the first `points` points and `samples` samples.
-    pub(super) fn refine(&self, start: &Fit, points: usize, samples: usize, iterations: usize) -> Fit {
+    pub(super) fn refine(&self, start: &Candidate, points: usize, samples: usize, iterations: usize) -> Candidate {
         let points = &self.points[..points.min(self.points.len())];
         let samples = &self.samples[..samples.min(self.samples.len())];
         let mut fit = *start;
@@ -123,8 +123,8 @@ impl Problem<'_> {
             }
             let mut backward = backward(&fit, points, &seen);
             // Places without points are hidden, by the hand perhaps; but not those right beside points.
-            weigh(&mut forward, reach);
-            weigh(&mut backward, reach.max(2.0 * spacing(&fit, &seen, points.len())));
+            set_weights(&mut forward, reach);
+            set_weights(&mut backward, reach.max(2.0 * spacing(&fit, &seen, points.len())));
             // What is covered pulls nowhere, and must not hold what is not covered back.
             backward.iter_mut().filter(|r| r.value == 0.0).for_each(|r| r.weight = 0.0);
             let sticky = if i < STICKY.1 { STICKY.0 } else { 0.0 };
@@ -140,7 +140,7 @@ impl Problem<'_> {
     }
 
     /// Each point to the nearest place on the surface, and the normal there in the object's frame.
-    fn forward(&self, fit: &Fit, points: &[Point3<f64>]) -> (Vec<Residual>, Vec<Vector3<f64>>) {
+    fn forward(&self, fit: &Candidate, points: &[Point3<f64>]) -> (Vec<Residual>, Vec<Vector3<f64>>) {
         points
             .iter()
             .map(|p| {
@@ -160,7 +160,7 @@ impl Problem<'_> {
     }
 
     /// The samples that should have points: all of them, or those that face the viewer with nothing in between.
-    fn seen(&self, fit: &Fit, samples: &[SurfacePoint], normal: &Vector3<f64>) -> Vec<SurfacePoint> {
+    fn seen(&self, fit: &Candidate, samples: &[SurfacePoint], normal: &Vector3<f64>) -> Vec<SurfacePoint> {
         let size = self.surface_moments.radius;
         let towards = |s: &SurfacePoint| match &self.options.viewpoint {
             Some(eye) => (fit.inverse(eye) - s.point).try_normalize(0.0),
@@ -212,7 +212,7 @@ impl Problem<'_> {
         step.iter().all(|v| v.is_finite()).then_some(step)
     }
 
-    fn take(&self, fit: &mut Fit, step: &SVector<f64, 7>) {
+    fn take(&self, fit: &mut Candidate, step: &SVector<f64, 7>) {
         let shift: Vector3<f64> = step.fixed_rows::<3>(0).into_owned();
         let turn: Vector3<f64> = step.fixed_rows::<3>(3).into_owned();
         let (most_turn, most_growth, most_shift) = LARGEST_STEP;
@@ -225,7 +225,7 @@ impl Problem<'_> {
     }
 
     /// Mean of both kinds of residuals, each squared, cut off and at most 1.
-    fn cost(&self, fit: &Fit, points: &[Point3<f64>], samples: &[SurfacePoint]) -> f64 {
+    fn cost(&self, fit: &Candidate, points: &[Point3<f64>], samples: &[SurfacePoint]) -> f64 {
         let (forward, normals) = self.forward(fit, points);
         let reach = TUKEY * self.sigma(&forward);
         let seen = self.seen(fit, samples, &mean_normal(&forward, &normals, reach));
@@ -236,7 +236,7 @@ impl Problem<'_> {
     }
 
     /// How well the placement fits all points.
-    pub(super) fn report(&self, fit: &Fit) -> Report {
+    pub(super) fn report(&self, fit: &Candidate) -> Report {
         let (forward, normals) = self.forward(fit, &self.points);
         let reach = TUKEY * self.sigma(&forward);
         let inliers: Vec<f64> = forward.iter().map(|r| r.value).filter(|v| *v < reach).collect();
@@ -252,7 +252,7 @@ impl Problem<'_> {
     }
 }
 
-fn weigh(residuals: &mut [Residual], reach: f64) {
+fn set_weights(residuals: &mut [Residual], reach: f64) {
     for r in residuals {
         r.weight = (1.0 - (r.value / reach).powi(2)).max(0.0).powi(2);
     }
@@ -266,7 +266,7 @@ fn mean_normal(residuals: &[Residual], normals: &[Vector3<f64>], reach: f64) -> 
 }
 
 /// Typical distance between points that cover the seen part of the surface, source units.
-fn spacing(fit: &Fit, seen: &[SurfacePoint], points: usize) -> f64 {
+fn spacing(fit: &Candidate, seen: &[SurfacePoint], points: usize) -> f64 {
     // The samples are spread by area: their bounding box's surface stands for it.
     let first = seen.first().map_or_else(Point3::origin, |s| s.point);
     let (lo, hi) = seen.iter().fold((first, first), |(lo, hi), s| (lo.inf(&s.point), hi.sup(&s.point)));
@@ -277,7 +277,7 @@ fn spacing(fit: &Fit, seen: &[SurfacePoint], points: usize) -> f64 {
 
 /// Each sample, placed, to the hull of the points around it, seen along the surface's normal: zero where the points go all round it.
 /// Points of the faces beside it reach up to their common edge, so that the edge is where the mesh has it.
-fn backward(fit: &Fit, points: &[Point3<f64>], samples: &[SurfacePoint]) -> Vec<Residual> {
+fn backward(fit: &Candidate, points: &[Point3<f64>], samples: &[SurfacePoint]) -> Vec<Residual> {
     let rotation: Matrix3<f64> = *fit.rotation.to_rotation_matrix().matrix();
     samples
         .iter()

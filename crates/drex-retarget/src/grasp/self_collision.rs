@@ -5,7 +5,7 @@ use drex_robot::{Geom, Link, Robot, Shape};
 use nalgebra::{Point3, Translation3, Vector3};
 
 use super::hand::Posed;
-use super::skin::ball;
+use super::surface_points::ball;
 
 /// Distance between the points on a shape, metres.
 const SPACING_M: f64 = 0.007;
@@ -18,16 +18,16 @@ const NORMAL_STEP_M: f64 = 1e-5;
 
 /// The collision shapes of a robot.
 #[derive(Debug, Clone)]
-pub(crate) struct Pieces {
-    pieces: Vec<Piece>,
-    /// Ball around the pieces of each link: centre in the link, radius; and their range.
+pub(crate) struct CollisionShapes {
+    shapes: Vec<CollisionShape>,
+    /// Ball around the shapes of each link: centre in the link, radius; and their range.
     links: Vec<(Point3<f64>, f64, std::ops::Range<usize>)>,
     /// Links that can hit each other.
     pairs: Vec<(usize, usize)>,
 }
 
 #[derive(Debug, Clone)]
-struct Piece {
+struct CollisionShape {
     shape: Shape,
     link_from_shape: Pose,
     center: Point3<f64>,
@@ -42,7 +42,7 @@ struct Piece {
 
 /// Where two links are nearest to each other, or deepest in each other.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Close {
+pub(crate) struct LinkProximity {
     /// The link with the point and the link with the shape.
     pub(crate) links: (usize, usize),
     /// Object frame.
@@ -53,7 +53,7 @@ pub(crate) struct Close {
     pub(crate) distance_m: f64,
 }
 
-impl Pieces {
+impl CollisionShapes {
     /// The shapes as they are.
     pub(crate) fn new(robot: &Robot) -> Self {
         Self::of(robot, |_, geom| (geom.shape.clone(), geom.link_from_geom))
@@ -65,32 +65,34 @@ impl Pieces {
     }
 
     fn of(robot: &Robot, shape: impl Fn(&Link, &Geom) -> (Shape, Pose)) -> Self {
-        let mut pieces: Vec<Piece> = Vec::new();
+        let mut shapes: Vec<CollisionShape> = Vec::new();
         let mut links = Vec::new();
         for link in &robot.links {
-            let start = pieces.len();
+            let start = shapes.len();
             let closed = link.geoms.iter().filter(|g| g.collides() && g.shape.is_closed());
-            pieces.extend(
-                closed.map(|g| shape(link, g)).map(|(shape, link_from_shape)| Piece::new(shape, link_from_shape)),
+            shapes.extend(
+                closed
+                    .map(|g| shape(link, g))
+                    .map(|(shape, link_from_shape)| CollisionShape::new(shape, link_from_shape)),
             );
-            let all: Vec<Point3<f64>> = pieces[start..].iter().flat_map(|p| p.points.iter().copied()).collect();
+            let all: Vec<Point3<f64>> = shapes[start..].iter().flat_map(|p| p.points.iter().copied()).collect();
             let (center, radius_m) = ball(&all);
-            links.push((center, radius_m, start..pieces.len()));
+            links.push((center, radius_m, start..shapes.len()));
         }
         let shaped: Vec<usize> = (0..links.len()).filter(|&l| !links[l].2.is_empty()).collect();
         let mut pairs = Vec::new();
         for (k, &a) in shaped.iter().enumerate() {
             pairs.extend(shaped[k + 1..].iter().filter(|&&b| robot.may_collide(a, b)).map(|&b| (a, b)));
         }
-        Self { pieces, links, pairs }
+        Self { shapes, links, pairs }
     }
 
     /// Pairs of links that come closer than `within_m`, each with its nearest point.
-    pub(crate) fn close(&self, posed: &Posed, within_m: f64, found: &mut Vec<Close>) {
+    pub(crate) fn proximities(&self, posed: &Posed, within_m: f64, found: &mut Vec<LinkProximity>) {
         found.clear();
         let centers: Vec<Point3<f64>> = self.links.iter().zip(&posed.links).map(|(l, pose)| pose * l.0).collect();
         // Placed when their link is first needed.
-        let mut placed: Vec<Option<Placed>> = vec![None; self.pieces.len()];
+        let mut placed: Vec<Option<Placed>> = vec![None; self.shapes.len()];
         for &(a, b) in &self.pairs {
             let ((_, ra, pa), (_, rb, pb)) = (&self.links[a], &self.links[b]);
             if far(&centers[a], &centers[b], ra + rb + within_m) {
@@ -99,14 +101,14 @@ impl Pieces {
             for (link, range) in [(a, pa), (b, pb)] {
                 if placed[range.start].is_none() {
                     for i in range.clone() {
-                        placed[i] = Some(self.pieces[i].placed(&posed.links[link]));
+                        placed[i] = Some(self.shapes[i].placed(&posed.links[link]));
                     }
                 }
             }
             let mut best: Option<(f64, usize, bool, Point3<f64>)> = None;
             for i in pa.clone() {
                 for k in pb.clone() {
-                    let (p, r) = (&self.pieces[i], &self.pieces[k]);
+                    let (p, r) = (&self.shapes[i], &self.shapes[k]);
                     let (Some(at), Some(rt)) = (&placed[i], &placed[k]) else { continue };
                     let limit = best.map_or(within_m, |b| b.0);
                     if far(&at.center, &rt.center, p.radius_m + r.radius_m + limit) {
@@ -133,20 +135,20 @@ impl Pieces {
                 && let Some(at) = &placed[shape]
             {
                 let links = if point_on_a { (a, b) } else { (b, a) };
-                found.push(Close { links, point, normal: self.pieces[shape].normal(at, &point), distance_m });
+                found.push(LinkProximity { links, point, normal: self.shapes[shape].normal(at, &point), distance_m });
             }
         }
     }
 }
 
-/// A piece in the object's frame.
+/// A shape in the object's frame.
 #[derive(Debug, Clone)]
 struct Placed {
     center: Point3<f64>,
     shape_from_object: Pose,
 }
 
-impl Piece {
+impl CollisionShape {
     fn new(shape: Shape, link_from_shape: Pose) -> Self {
         let mut points: Vec<Point3<f64>> = shape.surface_samples(SPACING_M).into_iter().map(|s| s.0).collect();
         if let (Shape::Box { .. }, Some(mesh)) = (&shape, shape.to_mesh(3)) {
@@ -164,7 +166,7 @@ impl Piece {
         Placed { center: link * self.center, shape_from_object: (link * self.link_from_shape).inverse() }
     }
 
-    /// The point of this piece nearest to the shape of `other`, if nearer than `limit_m`; `center_m` is how far this one's centre is.
+    /// The point of this shape nearest to the shape of `other`, if nearer than `limit_m`; `center_m` is how far this one's centre is.
     fn nearest_to(
         &self,
         other: &Self,

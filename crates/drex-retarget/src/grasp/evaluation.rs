@@ -4,16 +4,16 @@ use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
 
 use drex_core::{Pose, SdfSample, SignedDistance};
+use drex_demo::{FrameFlag, HumanFinger};
 use drex_grasp::{holds_any_load, squeeze_per_weight};
 use nalgebra::{Point3, Unit, Vector3};
 use serde::Serialize;
 
 use super::GraspOptions;
 use super::hand::GraspHand;
-use super::plan::Planned;
+use super::sequence::SolvedFrame;
 use crate::levenberg_marquardt::HandState;
 use crate::{ObjectSurface, Rejection, Result, Verdict};
-use drex_demo::{Flag, HumanFinger};
 
 /// One finger of a frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -21,8 +21,9 @@ use drex_demo::{Flag, HumanFinger};
 pub struct FingerContact {
     /// The finger.
     pub finger: HumanFinger,
-    /// Whether the person's finger takes part in the hold.
-    pub wanted: bool,
+    /// Whether the human finger takes part in the grasp.
+    #[serde(rename = "wanted")]
+    pub takes_part: bool,
     /// Distance of its pad from the surface, mm; negative inside.
     pub gap_mm: f64,
     /// Distance of the point of the fingertip from the surface, mm.
@@ -38,7 +39,7 @@ pub struct FingerContact {
 pub struct SelfCollision {
     /// Names of the links.
     pub links: (String, String),
-    /// How deep, mm.
+    /// Depth, mm.
     pub depth_mm: f64,
 }
 
@@ -53,23 +54,23 @@ pub struct GraspFrame {
     /// Pose of the robot's base in the object's frame.
     #[serde(skip)]
     pub object_from_base: Pose,
-    /// Whether the person holds the object.
+    /// Whether the human hand holds the object.
     pub held: bool,
     /// The fingers, thumb first.
     pub fingers: Vec<FingerContact>,
     /// Deepest point inside the object, mm; zero or more.
     pub penetration_mm: f64,
-    /// The link it is on.
+    /// The link with the deepest point.
     pub deepest_link: Option<String>,
     /// The deepest pair of links inside each other.
     pub self_collision: Option<SelfCollision>,
     /// Mean distance of a joint to the plain vector result, rad.
     pub mean_joint_distance_rad: f64,
-    /// The largest, rad.
+    /// Largest distance of a joint to the plain vector result, rad.
     pub largest_joint_distance_rad: f64,
-    /// How far the wrist is from the person's, mm.
+    /// Distance of the wrist from the human wrist, mm.
     pub wrist_shift_mm: f64,
-    /// How far it is turned from there, rad.
+    /// Angle between the wrist and the human wrist, rad.
     pub wrist_turn_rad: f64,
     /// Fastest joint since the frame before, rad/s.
     pub joint_speed_rad_s: f64,
@@ -77,17 +78,18 @@ pub struct GraspFrame {
     pub force_closure: bool,
     /// Smallest sum of normal forces that carries the object, in units of its weight; `None` where it cannot be carried or up is not
     /// known.
-    pub squeeze_per_weight: Option<f64>,
-    /// What is wrong with the person's hand in the frame.
-    pub flags: Vec<Flag>,
-    /// The rules.
+    #[serde(rename = "squeeze_per_weight")]
+    pub grip_force_per_weight: Option<f64>,
+    /// What is wrong with the human hand in the frame.
+    pub flags: Vec<FrameFlag>,
+    /// Whether the frame keeps the rules.
     pub verdict: Verdict,
 }
 
-/// What a frame is judged against.
-pub(crate) struct Judged<'a> {
-    /// The person's hand.
-    pub(crate) wish: &'a HandState,
+/// What a frame is evaluated against.
+pub(crate) struct FrameContext<'a> {
+    /// The human hand.
+    pub(crate) reference: &'a HandState,
     pub(crate) t_s: f64,
     /// Joints of the frame before and the time since.
     pub(crate) before: Option<(&'a [f64], f64)>,
@@ -95,34 +97,34 @@ pub(crate) struct Judged<'a> {
     pub(crate) up: Option<Unit<Vector3<f64>>>,
 }
 
-pub(crate) fn judged(
+pub(crate) fn evaluate(
     hand: &GraspHand<'_>,
     object: &ObjectSurface<'_>,
-    planned: &Planned,
-    judge: &Judged<'_>,
+    planned: &SolvedFrame,
+    context: &FrameContext<'_>,
     options: &GraspOptions,
 ) -> Result<GraspFrame> {
-    let &Judged { wish, t_s, before, up } = judge;
+    let &FrameContext { reference, t_s, before, up } = context;
     let HandState { object_from_base, q } = &planned.state;
     let posed = hand.posed(q, object_from_base);
-    let wished = hand.posed(&wish.q, &wish.object_from_base);
-    let near = Near { search: object.search, exact: object.judge, known: Mutex::default() };
+    let reference_posed = hand.posed(&reference.q, &reference.object_from_base);
+    let near = Near { search: object.search, exact: object.exact, known: Mutex::default() };
     let robot = &hand.target.robot;
     let fingers: Vec<FingerContact> = hand
         .fingers
         .iter()
         .zip(&hand.target.fingers)
-        .zip(&planned.wanted)
-        .map(|((pad, finger), wanted)| {
-            let gap = object.judge.signed_distance(&pad.nearest_fine(&posed, object.search).1).distance_m;
+        .zip(&planned.target_weights)
+        .map(|((pad, finger), target_weight)| {
+            let gap = object.exact.signed_distance(&pad.nearest_fine(&posed, object.search).1).distance_m;
             let tip = pad.tip(&posed);
-            let tip_gap = object.judge.signed_distance(&tip).distance_m;
+            let tip_gap = object.exact.signed_distance(&tip).distance_m;
             FingerContact {
                 finger: finger.human,
-                wanted: *wanted > 0.0,
+                takes_part: *target_weight > 0.0,
                 gap_mm: 1e3 * gap,
                 tip_gap_mm: 1e3 * tip_gap,
-                residual_mm: 1e3 * (tip - pad.tip(&wished)).norm(),
+                residual_mm: 1e3 * (tip - pad.tip(&reference_posed)).norm(),
                 touches: gap <= options.contact_gap_m,
             }
         })
@@ -130,24 +132,24 @@ pub(crate) fn judged(
     let depths = hand.fine.depths(&posed.links, &near, 0.0);
     let deepest = (0..depths.len()).max_by(|&a, &b| depths[a].total_cmp(&depths[b])).filter(|&l| depths[l] > 0.0);
     let mut close = Vec::new();
-    hand.pieces.close(&posed, 0.0, &mut close);
+    hand.shapes.proximities(&posed, 0.0, &mut close);
     let self_collision = close.iter().min_by(|a, b| a.distance_m.total_cmp(&b.distance_m)).map(|c| SelfCollision {
         links: (robot.links[c.links.0].name.clone(), robot.links[c.links.1].name.clone()),
         depth_mm: -1e3 * c.distance_m,
     });
-    let apart: Vec<f64> = q.iter().zip(&wish.q).map(|(a, b)| (a - b).abs()).collect();
-    let shift = object_from_base.translation.vector - wish.object_from_base.translation.vector;
-    let turn = object_from_base.rotation.angle_to(&wish.object_from_base.rotation);
+    let apart: Vec<f64> = q.iter().zip(&reference.q).map(|(a, b)| (a - b).abs()).collect();
+    let shift = object_from_base.translation.vector - reference.object_from_base.translation.vector;
+    let turn = object_from_base.rotation.angle_to(&reference.object_from_base.rotation);
     let joint_speed_rad_s = before.map_or(0.0, |(b, dt)| {
         let most = q.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         if dt > 0.0 { most / dt } else { 0.0 }
     });
-    let (mut force_closure, mut squeeze) = (false, None);
+    let (mut force_closure, mut grip_force) = (false, None);
     if planned.held {
         let contacts = hand.fine.contacts(robot, q, object_from_base, &near, &hand.contact)?;
         force_closure = holds_any_load(&contacts, &object.center_of_mass)?;
         if let Some(up) = up {
-            squeeze = squeeze_per_weight(&contacts, object.center_of_mass, up)?;
+            grip_force = squeeze_per_weight(&contacts, object.center_of_mass, up)?;
         }
     }
     let mut reasons = Vec::new();
@@ -179,7 +181,7 @@ pub(crate) fn judged(
         reasons.push(Rejection::SelfCollision { links: c.links.clone(), depth_mm: c.depth_mm });
     }
     if mean_joint_distance_rad > options.max_joint_distance_rad {
-        reasons.push(Rejection::FarFromPerson { mean_joint_rad: mean_joint_distance_rad });
+        reasons.push(Rejection::FarFromReference { mean_joint_rad: mean_joint_distance_rad });
     }
     if shift.norm() > options.max_wrist_shift_m {
         reasons.push(Rejection::WristMoved { distance_mm: 1e3 * shift.norm() });
@@ -199,7 +201,7 @@ pub(crate) fn judged(
         wrist_turn_rad: turn,
         joint_speed_rad_s,
         force_closure,
-        squeeze_per_weight: squeeze,
+        grip_force_per_weight: grip_force,
         flags: Vec::new(),
         verdict: if reasons.is_empty() { Verdict::Accepted } else { Verdict::Rejected(reasons) },
     })

@@ -5,12 +5,12 @@ use std::path::Path;
 use drex_core::{Error, Result};
 use nalgebra::{Matrix3, Rotation3, Unit, UnitQuaternion};
 
-use super::{DemoUnit, Demonstration, HandFrame, LoadOptions, Raw, RawFrame, objects, order};
+use super::{DemoUnit, Demonstration, HandFrame, LoadOptions, RawDemonstration, RawFrame, objects, order};
 use crate::{KeyPointOrder, KeyPoints, Side, hand_length_m, median, mirrored};
 
 /// Frames per second where nothing says.
 pub(super) const USUAL_FPS: f64 = 30.0;
-/// Lengths of a person's hand along the middle finger, metres: a child's and more than a giant's.
+/// Lengths of a human hand along the middle finger, metres: a child's and more than a giant's.
 const HAND_LENGTH_M: (f64, f64) = (0.08, 0.35);
 /// Beyond the range by this factor it is another unit.
 const OTHER_UNIT: f64 = 3.0;
@@ -18,7 +18,7 @@ const OTHER_UNIT: f64 = 3.0;
 const FARTHEST_POINT_M: f64 = 1000.0;
 
 /// The demonstration in `raw`, read from `path`.
-pub(super) fn finish(path: &Path, mut raw: Raw, options: &LoadOptions) -> Result<Demonstration> {
+pub(super) fn normalize(path: &Path, mut raw: RawDemonstration, options: &LoadOptions) -> Result<Demonstration> {
     if raw.frames.is_empty() {
         return Err(Error::content(path, None, "the recording holds no frames", "record again or give another file"));
     }
@@ -81,7 +81,7 @@ pub(super) fn finish(path: &Path, mut raw: Raw, options: &LoadOptions) -> Result
 ///
 /// MediaPipe's label takes the picture for a mirror image, as a selfie camera shows it: of a camera that does not mirror, it
 /// calls a right hand "Left". In a picture that is mirrored its label is true.
-fn side(raw: &Raw, options: &LoadOptions, notes: &mut Vec<String>) -> Side {
+fn side(raw: &RawDemonstration, options: &LoadOptions, notes: &mut Vec<String>) -> Side {
     let (left, right) = raw.labels;
     if left > 0 && right > 0 {
         notes.push(format!("the detector changed its mind about the hand: {left} frames \"Left\", {right} \"Right\""));
@@ -196,12 +196,16 @@ pub(super) mod tests {
         points
     }
 
-    fn raw(points: KeyPoints, n: usize) -> Raw {
-        Raw { frames: vec![RawFrame::new(points); n], side: Some(Side::Right), ..Raw::default() }
+    fn raw(points: KeyPoints, n: usize) -> RawDemonstration {
+        RawDemonstration {
+            frames: vec![RawFrame::new(points); n],
+            side: Some(Side::Right),
+            ..RawDemonstration::default()
+        }
     }
 
-    fn done(raw: Raw, options: &LoadOptions) -> Result<Demonstration> {
-        finish(Path::new("demo.npy"), raw, options)
+    fn done(raw: RawDemonstration, options: &LoadOptions) -> Result<Demonstration> {
+        normalize(Path::new("demo.npy"), raw, options)
     }
 
     #[test]

@@ -13,7 +13,7 @@ const SUPPORTS: usize = 4;
 
 /// Points on a link, link frame.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Skin {
+pub(crate) struct SurfacePoints {
     points: Vec<Point3<f64>>,
     /// Distance of each point from the centre of its cell.
     reach: Vec<f64>,
@@ -25,7 +25,7 @@ pub(crate) struct Skin {
 /// What an earlier look-up says of a cell: where its centre was, and how far from the object. A distance changes by no more than
 /// the way travelled.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Bound {
+pub(crate) struct CellBound {
     center: Point3<f64>,
     distance_m: f64,
 }
@@ -33,25 +33,25 @@ pub(crate) struct Bound {
 /// A distance that is interpolated may change by this much more, m.
 const INTERPOLATED_M: f64 = 0.0005;
 
-impl Skin {
+impl SurfacePoints {
     pub(crate) fn new(points: impl IntoIterator<Item = Point3<f64>>) -> Self {
         let mut cells: std::collections::BTreeMap<[i64; 3], Vec<Point3<f64>>> = std::collections::BTreeMap::new();
         for p in points {
             cells.entry([0, 1, 2].map(|k| (p[k] / CELL_M).floor() as i64)).or_default().push(p);
         }
-        let mut skin = Self::default();
+        let mut points = Self::default();
         for members in cells.into_values() {
             let (center, radius) = ball(&members);
-            let start = skin.points.len();
-            skin.reach.extend(members.iter().map(|p| (p - center).norm()));
-            skin.points.extend(members);
-            skin.cells.push((center, radius, start..skin.points.len()));
+            let start = points.points.len();
+            points.reach.extend(members.iter().map(|p| (p - center).norm()));
+            points.points.extend(members);
+            points.cells.push((center, radius, start..points.points.len()));
         }
-        skin.ball = ball(&skin.points);
-        skin
+        points.ball = ball(&points.points);
+        points
     }
 
-    /// Only the points that are farthest in some direction, of many: what [`Skin::nearest`] can find.
+    /// Only the points that are farthest in some direction, of many: what [`SurfacePoints::nearest`] can find.
     pub(crate) fn outermost(points: Vec<Point3<f64>>) -> Self {
         let all = Self::new(points);
         let directions = Shape::Sphere { radius: 1.0 }.surface_samples(DIRECTIONS_RAD);
@@ -67,9 +67,9 @@ impl Skin {
         pose: &Pose,
         object: &dyn SignedDistance,
         bounds: &(Point3<f64>, Point3<f64>),
-        known: &mut Vec<Bound>,
+        known: &mut Vec<CellBound>,
     ) -> Option<(Point3<f64>, SdfSample)> {
-        known.resize(self.cells.len(), Bound { center: Point3::origin(), distance_m: f64::NEG_INFINITY });
+        known.resize(self.cells.len(), CellBound { center: Point3::origin(), distance_m: f64::NEG_INFINITY });
         let mut best: Option<(Point3<f64>, SdfSample)> = None;
         if self.points.is_empty() || box_distance(bounds, &(pose * self.ball.0)) > self.ball.1 {
             return None;
@@ -82,7 +82,7 @@ impl Skin {
             {
                 continue;
             }
-            *known = Bound { center, distance_m: object.signed_distance(&center).distance_m };
+            *known = CellBound { center, distance_m: object.signed_distance(&center).distance_m };
             if known.distance_m - radius > limit {
                 continue;
             }

@@ -1,19 +1,19 @@
-//! The order in which the frames of a clip are solved.
+//! The order in which the frames of a sequence are solved.
 //!
 //! Joint speeds bound how far apart two frames can be: every frame is solved within what the frames solved before it allow, on both
 //! sides (an interval per joint that is never empty), from its best frame outwards.
 
 use drex_core::{Pose, SignedDistance};
+use drex_demo::{Demonstration, HumanFinger};
 use nalgebra::{Point3, Translation3, Vector3};
 
 use super::GraspOptions;
 use super::goals::{self, Goals};
 use super::hand::GraspHand;
+use super::phases::GraspPhase;
 use super::terms::{Problem, View};
-use super::wanted::Hold;
 use crate::ObjectSurface;
 use crate::levenberg_marquardt::{HandState, minimise};
-use drex_demo::{Demonstration, HumanFinger};
 
 /// Effort: wrist alone, first solution, later solution.
 const STEPS: (usize, usize, usize) = (8, 15, 8);
@@ -35,74 +35,74 @@ const SLIP_COST: f64 = 1200.0;
 
 /// A solved frame.
 #[derive(Debug, Clone)]
-pub(crate) struct Planned {
+pub(crate) struct SolvedFrame {
     pub(crate) state: HandState,
     pub(crate) held: bool,
     /// Fingers that were drawn to the surface.
-    pub(crate) wanted: Vec<f64>,
+    pub(crate) target_weights: Vec<f64>,
     goals: Vec<Point3<f64>>,
 }
 
-struct Clip<'a> {
+struct Sequence<'a> {
     hand: &'a GraspHand<'a>,
     object: &'a dyn SignedDistance,
     bounds: (Point3<f64>, Point3<f64>),
     poses: &'a [Pose],
-    wishes: &'a [HandState],
-    /// Middle between the person's thumb and fingers, object frame.
+    references: &'a [HandState],
+    /// Middle between the human thumb and fingers, object frame.
     centers: Vec<Point3<f64>>,
     times: Vec<f64>,
     limits: Vec<(f64, f64)>,
     options: &'a GraspOptions,
-    solved: Vec<Option<Planned>>,
+    solved: Vec<Option<SolvedFrame>>,
 }
 
-pub(crate) fn plan(
+pub(crate) fn solve(
     hand: &GraspHand<'_>,
     object: &ObjectSurface<'_>,
     demo: &Demonstration,
     poses: &[Pose],
-    wishes: &[HandState],
-    holds: &[Hold],
+    references: &[HandState],
+    phases: &[GraspPhase],
     options: &GraspOptions,
-) -> Vec<Planned> {
+) -> Vec<SolvedFrame> {
     let limits = joint_limits(hand);
     let times = demo.frames.iter().map(|f| f.t_s).collect();
-    let mut clip = Clip {
+    let mut sequence = Sequence {
         hand,
         object: object.search,
         bounds: object.bounds,
         poses,
-        wishes,
+        references,
         centers: centers(demo, poses, hand),
         times,
         limits,
         options,
-        solved: vec![None; wishes.len()],
+        solved: vec![None; references.len()],
     };
-    for hold in holds {
-        clip.first(hold, hold.best, None);
-        for t in hold.best + 1..hold.frames.end {
-            clip.first(hold, t, Some(t - 1));
+    for phase in phases {
+        sequence.solve_held(phase, phase.best, None);
+        for t in phase.best + 1..phase.frames.end {
+            sequence.solve_held(phase, t, Some(t - 1));
         }
-        for t in (hold.frames.start..hold.best).rev() {
-            clip.first(hold, t, Some(t + 1));
+        for t in (phase.frames.start..phase.best).rev() {
+            sequence.solve_held(phase, t, Some(t + 1));
         }
     }
-    for t in (0..wishes.len()).rev() {
-        clip.free(t);
+    for t in (0..references.len()).rev() {
+        sequence.solve_free(t);
     }
-    for t in 0..wishes.len() {
-        clip.again(t);
+    for t in 0..references.len() {
+        sequence.refine(t);
     }
     // Both ways, so that a good grasp spreads over the frames on both sides of it.
-    for t in (1..wishes.len()).rev() {
-        clip.steadier(t - 1, t);
+    for t in (1..references.len()).rev() {
+        sequence.adopt_neighbour(t - 1, t);
     }
-    for t in 1..wishes.len() {
-        clip.steadier(t, t - 1);
+    for t in 1..references.len() {
+        sequence.adopt_neighbour(t, t - 1);
     }
-    clip.solved.into_iter().flatten().collect()
+    sequence.solved.into_iter().flatten().collect()
 }
 
 /// Solves a grasp on its own that begins at `start` and stays close to it.
@@ -110,22 +110,22 @@ pub(crate) fn single(
     hand: &GraspHand<'_>,
     object: &ObjectSurface<'_>,
     start: &HandState,
-    mut wanted: Vec<f64>,
+    mut target_weights: Vec<f64>,
     options: &GraspOptions,
-) -> Planned {
+) -> SolvedFrame {
     let limits = joint_limits(hand);
     let posed = hand.posed(&start.q, &start.object_from_base);
     let tips: Vec<Point3<f64>> = hand.fingers.iter().map(|p| p.tip(&posed)).collect();
     let middle = middle(&tips, hand.thumb);
     let Goals { points: goals, reached, .. } = goals::goals(object.search, middle, &tips, hand.thumb);
-    leave(hand, options, &reached, &mut wanted);
+    drop_unreachable(hand, options, &reached, &mut target_weights);
     let mut state = start.clone();
     let problem = Problem {
         hand,
         object: object.search,
         bounds: &object.bounds,
-        wish: start,
-        wanted: &wanted,
+        reference: start,
+        target_weights: &target_weights,
         goals: &goals,
         goal_unit_m: GOAL_UNITS_M.1,
         fades: false,
@@ -134,15 +134,15 @@ pub(crate) fn single(
         joints_move: true,
     };
     minimise(&problem, &mut state, STEPS.1);
-    Planned { state, held: true, wanted, goals }
+    SolvedFrame { state, held: true, target_weights, goals }
 }
 
-impl Clip<'_> {
+impl Sequence<'_> {
     /// Frame `t` with everything moving.
     fn problem<'s>(
         &'s self,
         t: usize,
-        wanted: &'s [f64],
+        target_weights: &'s [f64],
         goals: &'s [Point3<f64>],
         beside: &'s [HandState],
         intervals: &'s [(f64, f64)],
@@ -151,8 +151,8 @@ impl Clip<'_> {
             hand: self.hand,
             object: self.object,
             bounds: &self.bounds,
-            wish: &self.wishes[t],
-            wanted,
+            reference: &self.references[t],
+            target_weights,
             fades: false,
             goals,
             goal_unit_m: GOAL_UNITS_M.1,
@@ -179,12 +179,12 @@ impl Clip<'_> {
     }
 
     /// Solves a held frame for the first time, beside frame `from` if that is solved.
-    fn first(&mut self, hold: &Hold, t: usize, from: Option<usize>) {
+    fn solve_held(&mut self, phase: &GraspPhase, t: usize, from: Option<usize>) {
         let intervals = self.intervals(t);
-        let mut wanted: Vec<f64> = hold.fingers.iter().map(|w| f64::from(u8::from(*w))).collect();
+        let mut target_weights: Vec<f64> = phase.fingers.iter().map(|w| f64::from(u8::from(*w))).collect();
         let beside: Vec<HandState> = from.and_then(|s| self.carried(s, t)).into_iter().collect();
         let (enclosing, Goals { points: goals, reached, .. }) = self.enclosing(t);
-        leave(self.hand, self.options, &reached, &mut wanted);
+        drop_unreachable(self.hand, self.options, &reached, &mut target_weights);
         let mut best: Option<(f64, HandState, View)> = None;
         let mut starts: Vec<Option<HandState>> = Vec::new();
         if let Some(s) = beside.first() {
@@ -195,7 +195,7 @@ impl Clip<'_> {
             let fresh = start.is_none();
             let mut state = start.unwrap_or_else(|| enclosing.clone());
             clamp(&mut state.q, &intervals);
-            let mut problem = self.problem(t, &wanted, &goals, &[], &intervals);
+            let mut problem = self.problem(t, &target_weights, &goals, &[], &intervals);
             if fresh {
                 (problem.goal_unit_m, problem.joints_move) = (GOAL_UNITS_M.0, false);
                 minimise(&problem, &mut state, STEPS.0);
@@ -213,24 +213,24 @@ impl Clip<'_> {
             }
         }
         let Some((_, mut state, view)) = best else { return };
-        self.release(&view, &mut wanted);
-        let problem = self.problem(t, &wanted, &goals, &beside, &intervals);
+        self.release(&view, &mut target_weights);
+        let problem = self.problem(t, &target_weights, &goals, &beside, &intervals);
         minimise(&problem, &mut state, STEPS.2);
-        self.solved[t] = Some(Planned { state, held: true, wanted, goals });
+        self.solved[t] = Some(SolvedFrame { state, held: true, target_weights, goals });
     }
 
-    /// A frame without contact follows the person, kept out of the object.
-    fn free(&mut self, t: usize) {
+    /// A frame without contact follows the human hand, kept out of the object.
+    fn solve_free(&mut self, t: usize) {
         if self.solved[t].is_some() {
             return;
         }
         let intervals = self.intervals(t);
-        let wanted = vec![0.0; self.hand.fingers.len()];
-        let problem = self.problem(t, &wanted, &[], &[], &intervals);
-        // Where the person's pose does not lead out of a collision, those of the frames beside it may.
+        let target_weights = vec![0.0; self.hand.fingers.len()];
+        let problem = self.problem(t, &target_weights, &[], &[], &intervals);
+        // Where the human pose does not lead out of a collision, those of the frames beside it may.
         let beside = self.beside(t).rev().filter_map(|s| self.carried(s, t));
         let mut best: Option<(View, HandState)> = None;
-        for start in std::iter::once(self.wishes[t].clone()).chain(beside) {
+        for start in std::iter::once(self.references[t].clone()).chain(beside) {
             let mut state = start;
             clamp(&mut state.q, &intervals);
             let view = minimise(&problem, &mut state, STEPS.1).1;
@@ -243,16 +243,16 @@ impl Clip<'_> {
             }
         }
         let Some((_, state)) = best else { return };
-        self.solved[t] = Some(Planned { state, held: false, wanted, goals: Vec::new() });
+        self.solved[t] = Some(SolvedFrame { state, held: false, target_weights, goals: Vec::new() });
     }
 
     /// Solves a held frame again between its neighbours.
-    fn again(&mut self, t: usize) {
+    fn refine(&mut self, t: usize) {
         let Some(mut planned) = self.solved[t].take() else { return };
         if planned.held {
             let intervals = self.intervals(t);
             let beside = self.held_beside(t);
-            let mut problem = self.problem(t, &planned.wanted, &planned.goals, &beside, &intervals);
+            let mut problem = self.problem(t, &planned.target_weights, &planned.goals, &beside, &intervals);
             let view = minimise(&problem, &mut planned.state, STEPS.2).1;
             if view.upright < UPRIGHT {
                 problem.goal_unit_m = GOAL_UNITS_M.2;
@@ -267,17 +267,17 @@ impl Clip<'_> {
 
     /// A held frame whose contacts would slip takes over the grasp of frame `from` beside it, on the object or with respect to the
     /// person, if that is better here.
-    fn steadier(&mut self, t: usize, from: usize) {
+    fn adopt_neighbour(&mut self, t: usize, from: usize) {
         let Some(planned) = self.solved[t].take() else { return };
         let mut best = planned.clone();
         if planned.held {
             let intervals = self.intervals(t);
             let beside = self.held_beside(t);
-            let solve = |state: &mut HandState, wanted: &[f64], goals: &[Point3<f64>], steps: usize| {
-                let problem = self.problem(t, wanted, goals, &beside, &intervals);
+            let solve = |state: &mut HandState, target_weights: &[f64], goals: &[Point3<f64>], steps: usize| {
+                let problem = self.problem(t, target_weights, goals, &beside, &intervals);
                 minimise(&problem, state, steps).1
             };
-            let view = solve(&mut best.state.clone(), &planned.wanted, &planned.goals, 0);
+            let view = solve(&mut best.state.clone(), &planned.target_weights, &planned.goals, 0);
             if view.upright < UPRIGHT
                 && let Some(other) = self.solved[from].as_ref().filter(|p| p.held)
             {
@@ -285,10 +285,10 @@ impl Clip<'_> {
                 for start in [Some(other.state.clone()), self.carried(from, t)].into_iter().flatten() {
                     let mut state = start;
                     clamp(&mut state.q, &intervals);
-                    let view = solve(&mut state, &other.wanted, &other.goals, STEPS.2);
+                    let view = solve(&mut state, &other.target_weights, &other.goals, STEPS.2);
                     if score(&view) < least {
                         least = score(&view);
-                        best = Planned { state, ..other.clone() };
+                        best = SolvedFrame { state, ..other.clone() };
                     }
                 }
             }
@@ -296,7 +296,7 @@ impl Clip<'_> {
         self.solved[t] = Some(best);
     }
 
-    /// The frames next to frame `t`: one at the ends of the clip, none in a clip of one frame.
+    /// The frames next to frame `t`: one at the ends of the sequence, none in a sequence of one frame.
     fn beside(&self, t: usize) -> impl DoubleEndedIterator<Item = usize> {
         [t.checked_sub(1), (t + 1 < self.solved.len()).then_some(t + 1)].into_iter().flatten()
     }
@@ -307,11 +307,11 @@ impl Clip<'_> {
         self.beside(t).filter(held).filter_map(|s| self.carried(s, t)).collect()
     }
 
-    /// The solution of frame `s` as frame `t` would have it: the same joints, and the wrist as far from the person's.
+    /// The solution of frame `s` as frame `t` would have it: the same joints, and the wrist as far from the human hand's.
     fn carried(&self, s: usize, t: usize) -> Option<HandState> {
         let planned = self.solved[s].as_ref()?;
         let (from, to) =
-            (self.poses[s] * self.wishes[s].object_from_base, self.poses[t] * self.wishes[t].object_from_base);
+            (self.poses[s] * self.references[s].object_from_base, self.poses[t] * self.references[t].object_from_base);
         let there = self.poses[s] * planned.state.object_from_base;
         let shift = there.translation.vector - from.translation.vector;
         let turn = there.rotation * from.rotation.inverse();
@@ -319,9 +319,9 @@ impl Clip<'_> {
         Some(HandState { object_from_base: self.poses[t].inverse() * source_from_base, q: planned.state.q.clone() })
     }
 
-    /// The person's pose, shifted so that the middle between thumb and fingers is inside the object, and where the fingers belong.
+    /// The human pose, shifted so that the middle between thumb and fingers is inside the object, and where the fingers belong.
     fn enclosing(&self, t: usize) -> (HandState, Goals) {
-        let mut state = self.wishes[t].clone();
+        let mut state = self.references[t].clone();
         let posed = self.hand.posed(&state.q, &state.object_from_base);
         let tips: Vec<Point3<f64>> = self.hand.fingers.iter().map(|p| p.tip(&posed)).collect();
         let middle = middle(&tips, self.hand.thumb);
@@ -337,23 +337,24 @@ impl Clip<'_> {
         view.upright > UPRIGHT && on(self.hand.thumb) && others >= self.options.min_fingers
     }
 
-    /// Whether the state is well within what an accepted frame may be away from the person.
+    /// Whether the state is well within what an accepted frame may be away from the human hand.
     fn close(&self, t: usize, state: &HandState) -> bool {
-        let wish = &self.wishes[t];
-        let apart: f64 = state.q.iter().zip(&wish.q).map(|(a, b)| (a - b).abs()).sum();
-        let shift = (state.object_from_base.translation.vector - wish.object_from_base.translation.vector).norm();
+        let reference = &self.references[t];
+        let apart: f64 = state.q.iter().zip(&reference.q).map(|(a, b)| (a - b).abs()).sum();
+        let shift = (state.object_from_base.translation.vector - reference.object_from_base.translation.vector).norm();
         apart < 0.8 * self.options.max_joint_distance_rad * state.q.len() as f64
             && shift < 0.9 * self.options.max_wrist_shift_m
     }
 
     /// Fingers that stay off the surface are no longer drawn to it, but for the thumb and the nearest others.
-    fn release(&self, view: &View, wanted: &mut [f64]) {
+    fn release(&self, view: &View, target_weights: &mut [f64]) {
         let miss = |f: usize| view.gaps[f].max(view.tip_gaps[f] - 0.003);
-        let mut others: Vec<usize> = (0..wanted.len()).filter(|&f| f != self.hand.thumb && wanted[f] > 0.0).collect();
+        let mut others: Vec<usize> =
+            (0..target_weights.len()).filter(|&f| f != self.hand.thumb && target_weights[f] > 0.0).collect();
         others.sort_by(|&a, &b| miss(a).total_cmp(&miss(b)));
         for (rank, f) in others.into_iter().enumerate() {
             if rank >= self.options.min_fingers && miss(f) > LETS_GO_M {
-                wanted[f] = 0.0;
+                target_weights[f] = 0.0;
             }
         }
     }
@@ -365,12 +366,12 @@ fn score(view: &View) -> f64 {
 }
 
 /// Fingers beyond the object do not take part, unless too few would be left.
-fn leave(hand: &GraspHand<'_>, options: &GraspOptions, reached: &[bool], wanted: &mut [f64]) {
-    let takes_part = |f: usize| f != hand.thumb && wanted[f] > 0.0;
-    let left = (0..wanted.len()).filter(|&f| takes_part(f) && reached[f]).count();
+fn drop_unreachable(hand: &GraspHand<'_>, options: &GraspOptions, reached: &[bool], target_weights: &mut [f64]) {
+    let takes_part = |f: usize| f != hand.thumb && target_weights[f] > 0.0;
+    let left = (0..target_weights.len()).filter(|&f| takes_part(f) && reached[f]).count();
     if left >= options.min_fingers {
-        for f in (0..wanted.len()).filter(|&f| f != hand.thumb && !reached[f]) {
-            wanted[f] = 0.0;
+        for f in (0..target_weights.len()).filter(|&f| f != hand.thumb && !reached[f]) {
+            target_weights[f] = 0.0;
         }
     }
 }
@@ -392,7 +393,7 @@ fn clamp(q: &mut [f64], intervals: &[(f64, f64)]) {
     }
 }
 
-/// Middle between the person's thumb and the other fingers that the robot has, object frame; the object where none is seen.
+/// Middle between the human thumb and the other fingers that the robot has, object frame; the object where none is seen.
 fn centers(demo: &Demonstration, poses: &[Pose], hand: &GraspHand<'_>) -> Vec<Point3<f64>> {
     let frames = demo.frames.iter().zip(poses);
     frames

@@ -1,20 +1,20 @@
-//! The object in every frame of a clip.
+//! The object in every frame of a sequence.
 
 use drex_core::{Error, Result, Surface};
 use nalgebra::Point3;
 
-use super::fit::Problem;
+use super::icp::Problem;
 use super::{MIDDLE, Placement, RegisterOptions, Registration, Symmetries, register};
 use crate::{Demonstration, median};
 
-/// Between two frames of a clip the distance may grow by this factor before the object is looked for again everywhere.
+/// Between two frames of a sequence the distance may grow by this factor before the object is looked for again everywhere.
 const LOST: f64 = 2.0;
 
-/// Brings the object onto the points of each frame of a clip: the first as [`register`], each next from the frame before, and
+/// Brings the object onto the points of each frame of a sequence: the first as [`register`], each next from the frame before, and
 /// everywhere again where the object was lost. Frames without enough points have their own error.
 ///
 /// Of placements that look the same the one nearest to the frame before is taken, so that a symmetric object does not jump.
-pub fn register_clip(
+pub fn register_sequence(
     frames: &[Vec<Point3<f64>>],
     surface: &dyn Surface,
     options: &RegisterOptions,
@@ -75,7 +75,7 @@ impl Demonstration {
         options: &RegisterOptions,
     ) -> Result<Vec<Result<Registration>>> {
         let points: Vec<Vec<Point3<f64>>> = clouds.iter().map(|(_, points)| points.clone()).collect();
-        let mut found = register_clip(&points, surface, options);
+        let mut found = register_sequence(&points, surface, options);
         let mut scales: Vec<f64> = found.iter().flatten().map(|r| r.placement.scale).collect();
         let Some(scale) = median(&mut scales) else {
             let why = found.into_iter().find_map(Result::err).map_or("no points".into(), |e| e.to_string());

@@ -1,14 +1,14 @@
-//! What is measured of a person: how long the bones are, and how the palm's points lie to one another.
+//! What is measured of a human hand: how long the bones are, and how the palm's points lie to one another.
 
 use drex_core::Pose;
+use drex_demo::{HandFrame, HumanFinger, KeyPoints, OperatorFrameError, Side, canonical, operator_frame};
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
-use crate::flags::clean;
-use drex_demo::{FrameError, HandFrame, HumanFinger, KeyPoints, Side, canonical, operator_frame};
+use crate::frame_checks::valid_points;
 
 /// Medians over the frames seen so far.
 #[derive(Debug, Clone)]
-pub(crate) struct Person {
+pub(crate) struct HandMeasurements {
     side: Side,
     /// Per finger of [`MEASURED`] and bone from the wrist on, its lengths in ascending order.
     bones: [[Vec<f64>; 4]; 3],
@@ -22,24 +22,24 @@ const MEASURED: [HumanFinger; 3] = [HumanFinger::Middle, HumanFinger::Index, Hum
 const PALM: [usize; 6] = [0, 1, 5, 9, 13, 17];
 /// Lengths of a hand outside of this are no lengths of a hand in any unit, m.
 const LENGTHS_M: std::ops::Range<f64> = 1e-6..1e6;
-/// Frames of a clip that are measured, at most and evenly.
+/// Frames of a sequence that are measured, at most and evenly.
 const MEASURED_FRAMES: usize = 1000;
 /// Points with less breadth than this part of their length say nothing about the turn around that length (squares).
 const THIN: f64 = 0.05;
 
-impl Person {
+impl HandMeasurements {
     /// Nobody yet.
     pub(crate) fn new(side: Side) -> Self {
         Self { side, bones: Default::default(), palm: Default::default() }
     }
 
-    /// Of a clip.
+    /// Of a sequence.
     pub(crate) fn of(frames: &[HandFrame], side: Side) -> Self {
-        let mut person = Self::new(side);
+        let mut measurements = Self::new(side);
         for frame in frames.iter().step_by(frames.len().div_ceil(MEASURED_FRAMES).max(1)) {
-            person.add(&clean(&frame.points).0);
+            measurements.add(&valid_points(&frame.points).0);
         }
-        person
+        measurements
     }
 
     /// Adds a frame.
@@ -75,15 +75,15 @@ impl Person {
     }
 
     /// The operator frame of the key points; where one of its three points is missing, from what else is seen of the palm.
-    pub(crate) fn operator_frame(&self, points: &KeyPoints) -> Result<Pose, FrameError> {
+    pub(crate) fn operator_frame(&self, points: &KeyPoints) -> Result<Pose, OperatorFrameError> {
         let direct = operator_frame(points, self.side);
         match direct {
-            Err(FrameError::Missing(_)) => self.fitted(points).ok_or(()).or(direct),
+            Err(OperatorFrameError::Missing(_)) => self.fitted(points).ok_or(()).or(direct),
             _ => direct,
         }
     }
 
-    /// The pose in which the person's palm fits the points best (least squares; Kabsch, Acta Cryst. A32, 1976).
+    /// The pose in which the human palm fits the points best (least squares; Kabsch, Acta Cryst. A32, 1976).
     fn fitted(&self, points: &KeyPoints) -> Option<Pose> {
         let pairs: Vec<(Vector3<f64>, Vector3<f64>)> = PALM
             .iter()
