@@ -1,13 +1,12 @@
 //! How large the human hand is against the robot's.
 
-use drex_demo::{HandFrame, HumanFinger};
+use drex_demo::HumanFinger;
 use nalgebra::Vector3;
 
 use crate::hand::TargetHand;
 use crate::kinematics::Chains;
 use crate::objective::{FrameProblem, Loss, Term};
 use crate::solve::{EXACT, Newton, Problem, State, Unknowns};
-use crate::{Result, Retargeter};
 
 /// Hand length to which a human hand is brought before `dexpilot` measures its pinches, where the scale is automatic, m: about that
 /// of an adult, so that its thresholds keep their meaning whatever the unit and size of the recording.
@@ -48,44 +47,3 @@ pub(crate) fn hand_reach_m(hand: &TargetHand, chains: &Chains, unknowns: &Unknow
 /// A target that no hand reaches.
 const FAR_M: f64 = 10.0;
 const FARTHEST_ROUNDS: usize = 8;
-
-/// The factor on the scale of the reaches with which the fingertips' mean error, in units of the scale, is smallest on the sequence;
-/// in steps of [`FINE`]. FingerCandidate with `vector` on at most [`SAMPLES`] frames.
-pub(crate) fn refined(retargeter: &Retargeter, frames: &[HandFrame]) -> Result<f64> {
-    let samples: Vec<&HandFrame> = frames.iter().step_by(frames.len().div_ceil(SAMPLES).max(1)).collect();
-    let mut probe = retargeter.probe()?;
-    let mut error = |step: i32| {
-        probe.reset();
-        probe.refinement = 1.0 + FINE * f64::from(step);
-        let Some(report) = probe.scale() else { return f64::INFINITY };
-        let (mut sum, mut count) = (0.0, 0);
-        for frame in &samples {
-            for residual in probe.frame(frame).fingers.iter().filter_map(|f| f.residual_mm) {
-                sum += residual;
-                count += 1;
-            }
-        }
-        if count == 0 { f64::INFINITY } else { sum / f64::from(count) / report.scale }
-    };
-    let mut best = (0, error(0));
-    let mut try_step = |step: i32, best: &mut (i32, f64)| {
-        let e = error(step);
-        if e < best.1 {
-            *best = (step, e);
-        }
-    };
-    for step in (-COARSE_STEPS..=COARSE_STEPS).filter(|s| *s != 0) {
-        try_step(step * COARSE, &mut best);
-    }
-    let coarse = best.0;
-    for step in (1 - COARSE..COARSE).filter(|s| *s != 0) {
-        try_step(coarse + step, &mut best);
-    }
-    Ok(1.0 + FINE * f64::from(best.0))
-}
-
-const SAMPLES: usize = 24;
-/// A fine step of the factor, and fine steps to a coarse one.
-const FINE: f64 = 0.03;
-const COARSE: i32 = 3;
-const COARSE_STEPS: i32 = 4;

@@ -9,8 +9,9 @@ use serde::de::IgnoredAny;
 use serde_json::Value;
 
 use super::objects::{at_frame, pose_of, rotation_of};
+use super::options::ASSUMED_FPS;
 use super::order::{MANUS_NODES, key_point_named};
-use super::{DemoUnit, HandFrame, LoadOptions, ManoModel, ManoPose, RawDemonstration, RawFrame, normalize};
+use super::{DemoUnit, HandFrame, LoadOptions, ManoModel, ManoPose, RawDemonstration, RawFrame};
 use crate::{KEYPOINTS, KeyPoints, Side};
 
 /// One hand as files have it; `null`, a coordinate that is `null` and NaN are points that were not seen.
@@ -98,7 +99,7 @@ pub(super) fn frame_of_line(path: &Path, line: &str, line_no: usize) -> Result<H
     let RawFrame { t_s, points, wrist, object, score } = raw_frame_of_line(path, line, line_no)?;
     Ok(HandFrame {
         index,
-        t_s: t_s.unwrap_or(index as f64 / normalize::USUAL_FPS),
+        t_s: t_s.unwrap_or(index as f64 / ASSUMED_FPS),
         points,
         source_from_mano_wrist: wrist,
         source_from_object: object,

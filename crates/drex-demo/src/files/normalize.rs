@@ -5,11 +5,10 @@ use std::path::Path;
 use drex_core::{Error, Result};
 use nalgebra::{Matrix3, Rotation3, Unit, UnitQuaternion};
 
+use super::options::ASSUMED_FPS;
 use super::{DemoUnit, Demonstration, HandFrame, LoadOptions, RawDemonstration, RawFrame, objects, order};
 use crate::{KeyPointOrder, KeyPoints, Side, hand_length_m, median, mirrored};
 
-/// Frames per second where nothing says.
-pub(super) const USUAL_FPS: f64 = 30.0;
 /// Lengths of a human hand along the middle finger, metres: a child's and more than a giant's.
 const HAND_LENGTH_M: (f64, f64) = (0.08, 0.35);
 /// Beyond the range by this factor it is another unit.
@@ -46,14 +45,14 @@ pub(super) fn normalize(path: &Path, mut raw: RawDemonstration, options: &LoadOp
         return Err(Error::content(path, None, "the frame rate is not positive", "give frames per second"));
     }
     if fps.is_none() && raw.frames.iter().any(|f| f.t_s.is_none()) {
-        notes.push(format!("no times and no frame rate: {USUAL_FPS} frames per second are assumed"));
+        notes.push(format!("no times and no frame rate: {ASSUMED_FPS} frames per second are assumed"));
     }
     let frame = |(index, f): (usize, &RawFrame)| HandFrame {
         index,
         t_s: f
             .t_s
             .filter(|t| t.is_finite() && options.fps.is_none())
-            .unwrap_or(index as f64 / fps.unwrap_or(USUAL_FPS)),
+            .unwrap_or(index as f64 / fps.unwrap_or(ASSUMED_FPS)),
         points: f.points,
         source_from_mano_wrist: f.wrist,
         source_from_object: f.object,

@@ -8,6 +8,7 @@ use drex_recording::readers::{FrameTimes, read_foundation_pose_folder, read_pose
 use nalgebra::{Matrix3, Matrix4, UnitQuaternion};
 
 use super::npz::{Npz, Table};
+use super::options::ASSUMED_FPS;
 use super::{DemoUnit, HandFrame};
 
 /// Names under which arrays of object poses are found.
@@ -68,11 +69,11 @@ pub(super) fn attach(path: &Path, unit: DemoUnit, fps: Option<f64>, frames: &mut
     if path.is_dir() || extension == "csv" {
         let track = if path.is_dir() {
             // Files are numbered by frame, so that any rate that both sides use will do.
-            read_foundation_pose_folder(path, &FrameTimes::Fps(fps.unwrap_or(super::normalize::USUAL_FPS)))?
+            read_foundation_pose_folder(path, &FrameTimes::Fps(fps.unwrap_or(ASSUMED_FPS)))?
         } else {
             read_pose_csv(path)?
         };
-        let numbered = path.is_dir().then(|| fps.unwrap_or(super::normalize::USUAL_FPS));
+        let numbered = path.is_dir().then(|| fps.unwrap_or(ASSUMED_FPS));
         for frame in frames.iter_mut() {
             let at = numbered.map_or(frame.t_s, |fps| frame.index as f64 / fps);
             frame.source_from_object = track.at(at).map(in_metres);

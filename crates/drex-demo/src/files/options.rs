@@ -24,6 +24,9 @@ pub enum KeyPointOrder {
 pub(crate) const MANO_INDEX: [usize; crate::KEYPOINTS] =
     [0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20];
 
+/// Frames per second that are assumed where neither the file nor an option says.
+pub(super) const ASSUMED_FPS: f64 = 30.0;
+
 /// Unit of lengths in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]

@@ -132,7 +132,7 @@ pub(crate) fn evaluate(
     let depths = hand.fine.depths(&posed.links, &near, 0.0);
     let deepest = (0..depths.len()).max_by(|&a, &b| depths[a].total_cmp(&depths[b])).filter(|&l| depths[l] > 0.0);
     let mut close = Vec::new();
-    hand.shapes.proximities(&posed, 0.0, &mut close);
+    hand.shapes.proximities(&posed.links, 0.0, &mut close);
     let self_collision = close.iter().min_by(|a, b| a.distance_m.total_cmp(&b.distance_m)).map(|c| SelfCollision {
         links: (robot.links[c.links.0].name.clone(), robot.links[c.links.1].name.clone()),
         depth_mm: -1e3 * c.distance_m,

@@ -4,7 +4,6 @@ use drex_core::Pose;
 use drex_robot::{Geom, Link, Robot, Shape};
 use nalgebra::{Point3, Translation3, Vector3};
 
-use super::hand::Posed;
 use super::surface_points::ball;
 
 /// Distance between the points on a shape, metres.
@@ -88,9 +87,9 @@ impl CollisionShapes {
     }
 
     /// Pairs of links that come closer than `within_m`, each with its nearest point.
-    pub(crate) fn proximities(&self, posed: &Posed, within_m: f64, found: &mut Vec<LinkProximity>) {
+    pub(crate) fn proximities(&self, links: &[Pose], within_m: f64, found: &mut Vec<LinkProximity>) {
         found.clear();
-        let centers: Vec<Point3<f64>> = self.links.iter().zip(&posed.links).map(|(l, pose)| pose * l.0).collect();
+        let centers: Vec<Point3<f64>> = self.links.iter().zip(links).map(|(l, pose)| pose * l.0).collect();
         // Placed when their link is first needed.
         let mut placed: Vec<Option<Placed>> = vec![None; self.shapes.len()];
         for &(a, b) in &self.pairs {
@@ -101,7 +100,7 @@ impl CollisionShapes {
             for (link, range) in [(a, pa), (b, pb)] {
                 if placed[range.start].is_none() {
                     for i in range.clone() {
-                        placed[i] = Some(self.shapes[i].placed(&posed.links[link]));
+                        placed[i] = Some(self.shapes[i].placed(&links[link]));
                     }
                 }
             }
@@ -122,11 +121,11 @@ impl CollisionShapes {
                     if of_r > r.radius_m + limit {
                         continue;
                     }
-                    if let Some((d, point)) = p.nearest_to(r, &posed.links[a], rt, of_p, limit) {
+                    if let Some((d, point)) = p.nearest_to(r, &links[a], rt, of_p, limit) {
                         best = Some((d, k, true, point));
                     }
                     let limit = best.map_or(within_m, |b| b.0);
-                    if let Some((d, point)) = r.nearest_to(p, &posed.links[b], at, of_r, limit) {
+                    if let Some((d, point)) = r.nearest_to(p, &links[b], at, of_r, limit) {
                         best = Some((d, i, false, point));
                     }
                 }

@@ -249,7 +249,7 @@ impl LeastSquares for Problem<'_> {
         view.bounds = bounds;
         if self.joints_move {
             let mut close = std::mem::take(&mut view.close);
-            hand.filled_shapes.proximities(&posed, COLLISION_CLEARANCE_M, &mut close);
+            hand.filled_shapes.proximities(&posed.links, COLLISION_CLEARANCE_M, &mut close);
             for c in &close {
                 let n = c.normal / COLLISION_M;
                 view.deepest_m = view.deepest_m.max(-c.distance_m);

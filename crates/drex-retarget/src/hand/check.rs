@@ -8,8 +8,8 @@ use drex_robot::{Joint, JointKind, Robot};
 use nalgebra::Vector3;
 
 use super::TargetFinger;
-use super::derive::{FingerCandidate, UNSURE_SIDE, rounded};
-use super::frame::{Bends, Rest, joints_to};
+use super::derive::{UNSURE_SIDE, rounded};
+use super::frame::{Bends, FingerCandidate, Rest, joints_to};
 use crate::{Error, Result};
 
 /// A tip nearer to the axis of its last joint does not move with it, m.

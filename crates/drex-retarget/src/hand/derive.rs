@@ -7,7 +7,7 @@ use drex_demo::HumanFinger;
 use drex_robot::{Robot, Shape};
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
-use super::frame::{Bends, Rest, joints_to, mean};
+use super::frame::{Bends, FingerCandidate, Rest, joints_to, mean};
 use super::mapping::Mapping;
 use super::{LinkPoint, TargetFinger, TargetHand, names};
 use crate::{Error, Result};
@@ -21,17 +21,6 @@ const WRIST_BEHIND: std::ops::Range<f64> = 0.3..1.6;
 pub(super) const UNSURE_SIDE: f64 = 3e-3;
 /// Joints nearer to each other than this are the same, m: files round.
 const SAME_JOINT: f64 = 2e-3;
-
-/// A finger before it has its human finger.
-#[derive(Debug, Clone)]
-pub(super) struct FingerCandidate {
-    pub(super) human: Option<HumanFinger>,
-    pub(super) thumb: bool,
-    pub(super) tip: LinkPoint,
-    pub(super) middle: Option<LinkPoint>,
-    /// Joints between palm and tip.
-    pub(super) joints: Vec<usize>,
-}
 
 /// The fingers of the mapping, else those of the model.
 pub(super) fn fingers(

@@ -3,11 +3,11 @@
 use std::path::Path;
 
 use drex_core::Pose;
+use drex_demo::HumanFinger;
 use drex_robot::{JointKind, Robot};
 use nalgebra::{Point3, Vector3};
 
 use super::LinkPoint;
-use super::derive::FingerCandidate;
 use super::mapping::{Mapping, find_link};
 use crate::{Error, Result};
 
@@ -15,6 +15,17 @@ use crate::{Error, Result};
 const SAME_PLACE: f64 = 5e-3;
 /// Fingers whose ranges are so even that they bend to both sides alike, rad, say nothing about where the palm is.
 const BOTH_WAYS: f64 = 0.05;
+
+/// A finger before it has its human finger.
+#[derive(Debug, Clone)]
+pub(super) struct FingerCandidate {
+    pub(super) human: Option<HumanFinger>,
+    pub(super) thumb: bool,
+    pub(super) tip: LinkPoint,
+    pub(super) middle: Option<LinkPoint>,
+    /// Joints between palm and tip.
+    pub(super) joints: Vec<usize>,
+}
 
 /// A model and what its mapping file says, with all joints at zero (or as near as their limits allow): fingers straight.
 pub(super) struct Rest<'a> {
