@@ -214,7 +214,7 @@ fn options_that_make_no_sense_are_refused() {
     assert!(refused(&hand, Objective::Vector, |o| o.scale = Scale::Fixed(-1.0)).contains("scale -1"));
     assert!(refused(&hand, Objective::Vector, |o| o.low_pass_alpha = 0.0).contains("freeze"));
     assert!(refused(&hand, Objective::Vector, |o| o.norm_delta = f64::NAN).contains("norm_delta"));
-    assert!(refused(&hand, Objective::Grasp, |_| ()).contains("whole clip"));
+    assert!(refused(&hand, Objective::Grasp, |_| ()).contains("whole sequence"));
     hand.fingers.remove(0);
     assert!(refused(&hand, Objective::DexPilot, |_| ()).contains("thumb"));
 }
