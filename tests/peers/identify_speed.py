@@ -147,7 +147,7 @@ def build():
 
 def ours(binary, folder):
     environment = {**os.environ, "RAYON_NUM_THREADS": "1"}
-    run = subprocess.run([binary, str(folder)], check=True, capture_output=True, text=True, env=environment)
+    run = subprocess.run([binary, "--mujoco", str(folder)], check=True, capture_output=True, text=True, env=environment)
     return json.loads(run.stdout)
 
 

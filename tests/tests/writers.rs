@@ -68,6 +68,7 @@ const WRITERS: &[(&str, Why)] = &[
     ("crates/drex-mesh/src/write.rs", Checked),
     ("crates/drex-policy/src/files.rs", Constant),
     ("crates/drex-policy/src/train/checkpoint.rs", Constant),
+    ("crates/drex-recording/src/convert/mod.rs", Checked),
     ("crates/drex-recording/src/readers/grasps.rs", Caller),
     ("crates/drex-report/src/picture/clip.rs", Caller),
     ("crates/drex-report/src/report.rs", Checked),

@@ -13,7 +13,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use drex_core::Pose;
 use drex_core::pose::pose_from_wxyz;
 use drex_mesh::{KnownDistance, LengthUnit};
-use drex_recording::{ForceChoice, PoseChoice};
+use drex_recording::convert::mujoco_push::{ForceQuality, PoseQuality};
 use drex_splat::train::{DensityChoice, Preset};
 use drex_sysid::Parameter;
 use nalgebra::{Point3, Similarity3};
@@ -401,16 +401,9 @@ pub struct MeshPictureArgs {
 /// `drex identify`.
 #[derive(Debug, Args)]
 pub struct IdentifyArgs {
-    /// push.toml, or a folder with push.toml, meta.json or run.json; several pushes of one object are used together. Or a twin folder: its
-    /// pushes and its prior.
+    /// push.toml, or a folder with one; several pushes of one object are used together. Or a twin folder: its pushes and its prior.
     #[arg(required = true, value_name = "PUSH")]
     pub pushes: Vec<PathBuf>,
-    /// Which pose track of a simulated recording to use.
-    #[arg(long, default_value = "noisy", value_name = "noisy|hard|clean")]
-    pub poses: PoseChoice,
-    /// Which force record of a simulated recording to use.
-    #[arg(long, default_value = "noisy", value_name = "noisy|exact")]
-    pub force: ForceChoice,
     /// Whether to use the fingertip's encoder, where there is one.
     #[arg(long, value_enum, default_value_t = OnOff::On)]
     pub encoder: OnOff,
@@ -444,8 +437,7 @@ impl IdentifyArgs {
     pub fn states_something(&self) -> bool {
         let stated = [self.free.is_empty(), self.fix.is_empty(), self.prior.is_empty(), self.guess.is_none()];
         let plain = [self.hand.is_none(), self.out.is_none(), self.method == MethodArg::Lm, self.encoder == OnOff::On];
-        let recorded = self.poses == PoseChoice::default() && self.force == ForceChoice::default();
-        !(recorded && stated.into_iter().chain(plain).all(|left_out| left_out))
+        !stated.into_iter().chain(plain).all(|left_out| left_out)
     }
 }
 
@@ -519,7 +511,7 @@ pub struct PlanPushArgs {
 /// `drex calibrate-hand`.
 #[derive(Debug, Args)]
 pub struct CalibrateHandArgs {
-    /// Runs of one hand, each a push.toml or a folder as `identify` takes them, or a folder of such folders.
+    /// Pushes by one hand, each a push.toml or a folder with one, or a folder of such folders.
     #[arg(required = true, value_name = "RUN")]
     pub runs: Vec<PathBuf>,
     /// Where to write the calibration (JSON).
@@ -642,7 +634,7 @@ pub struct ImportArgs {
 /// Layouts that can be imported.
 #[derive(Debug, Subcommand)]
 pub enum ImportSource {
-    /// Recordings of the D-REX authors: a folder with runs/, objects/ and demos/, or one run's folder.
+    /// Recordings of the D-REX authors, a folder with runs/, objects/ and demos/, as one twin folder per object.
     DRex {
         /// The folder of the recordings; every run in it has a run.json.
         #[arg(value_name = "RECORDINGS")]
@@ -653,6 +645,30 @@ pub enum ImportSource {
         /// Only this object.
         #[arg(long, value_name = "NAME")]
         object: Option<String>,
+    },
+    /// One run of an Allegro hand, a folder with run.json, joint_states.csv and object_poses.txt, as a push.
+    AllegroRun {
+        /// The folder of the run.
+        #[arg(value_name = "RUN")]
+        run: PathBuf,
+        /// Folder for push.toml and what it names.
+        #[arg(long, value_name = "DIR")]
+        out: PathBuf,
+    },
+    /// One push that MuJoCo simulated, a folder with meta.json and csv files, as a push.
+    MujocoPush {
+        /// The folder of the push; the object's mesh lies one level up.
+        #[arg(value_name = "SET/OBJECT/SCENARIO")]
+        scenario: PathBuf,
+        /// Which of its pose tracks to take.
+        #[arg(long, default_value = "noisy", value_name = "noisy|hard|clean")]
+        poses: PoseQuality,
+        /// Which of its force records to take.
+        #[arg(long, default_value = "noisy", value_name = "noisy|exact")]
+        force: ForceQuality,
+        /// Folder for push.toml and what it names.
+        #[arg(long, value_name = "DIR")]
+        out: PathBuf,
     },
 }
 

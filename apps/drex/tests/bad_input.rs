@@ -41,7 +41,7 @@ fn a_failure_is_json_too_when_asked_for() {
 fn wrong_usage_exits_with_2() {
     assert_eq!(drex(["weigh"]).code, 2);
     assert_eq!(drex(["identify"]).code, 2);
-    assert_eq!(drex(["identify", "x", "--poses", "perfect"]).code, 2);
+    assert_eq!(drex(["identify", "x", "--method", "magic"]).code, 2);
     assert_eq!(drex(["asset", "m.stl", "--out", "o", "--mass", "-1"]).code, 2);
 }
 
@@ -167,7 +167,10 @@ fn the_joint_log_of_another_run_is_refused() {
     for (from, name) in [("ketchup1", "run.json"), ("ketchup1", "object_poses.txt"), ("cookie1", "joint_states.csv")] {
         fs::copy(runs.join(from).join(name), swapped.join(name)).unwrap();
     }
-    drex(["identify", swapped.to_str().unwrap()]).fails_with(&["overlap", "joint_states.csv", "pose track"]);
+    let out = dir.path().join("push");
+    let import = ["import", "allegro-run", swapped.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    drex(import).fails_with(&["overlap", "joint_states.csv", "pose track"]);
+    assert!(!out.exists());
 }
 
 #[test]

@@ -210,11 +210,16 @@ fn the_doctor_finds_what_the_demo_needs() {
 fn what_weighs_nothing_is_said_and_exits_with_0() {
     let Some(data) = shared_data("what_weighs_nothing_is_said_and_exits_with_0") else { return };
     // The efforts of a hand bound the mass even where they do not weigh it.
-    for (recording, absent) in [
-        ("push_mujoco/brick/toss", ["mass_kg", "ci95_kg", "mu_m_kg"].as_slice()),
-        ("drex_real/runs/domino2", &["mass_kg", "mu_m_kg"]),
+    let dir = tempfile::tempdir().unwrap();
+    for (layout, recording, absent) in [
+        ("mujoco-push", "push_mujoco/brick/toss", ["mass_kg", "ci95_kg", "mu_m_kg"].as_slice()),
+        ("allegro-run", "drex_real/runs/domino2", &["mass_kg", "mu_m_kg"]),
     ] {
-        let run = drex(["identify", "--json", data.join(recording).to_str().unwrap()]);
+        let push = dir.path().join(layout);
+        let source = data.join(recording);
+        let import = ["import", layout, source.to_str().unwrap(), "--out", push.to_str().unwrap()];
+        assert_eq!(drex(import).code, 0);
+        let run = drex(["identify", "--json", push.to_str().unwrap()]);
         assert_eq!(run.code, 0, "{recording}: {}", run.stderr);
         let answer = run.json();
         assert_eq!(answer["verdict"], "not_identifiable", "{recording}: {answer}");
@@ -228,9 +233,14 @@ fn what_weighs_nothing_is_said_and_exits_with_0() {
 #[test]
 fn a_known_force_weighs_the_object() {
     let Some(data) = shared_data("a_known_force_weighs_the_object") else { return };
+    let dir = tempfile::tempdir().unwrap();
     for (object, scenario) in [("brick", "lift_force"), ("can", "tilt_force"), ("letter_l", "slide_force")] {
         let folder = data.join("push_mujoco").join(object).join(scenario);
-        let run = drex(["identify", "--json", "--poses", "clean", "--force", "exact", folder.to_str().unwrap()]);
+        let push = dir.path().join(object);
+        let import = ["import", "mujoco-push", folder.to_str().unwrap(), "--out", push.to_str().unwrap()];
+        let run = drex(import.into_iter().chain(["--poses", "clean", "--force", "exact"]));
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        let run = drex(["identify", "--json", push.to_str().unwrap()]);
         let truth: serde_json::Value =
             serde_json::from_str(&fs::read_to_string(folder.join("truth.json")).unwrap()).unwrap();
         let (found, truth) = (run.json()["mass_kg"].as_f64().unwrap(), truth["mass"].as_f64().unwrap());

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use drex_core::Trajectory;
 use drex_core::trajectory::PoseNoise;
 use drex_mesh::{AssetOptions, LengthUnit, build_asset};
-use drex_recording::{Drive, ForceProfile, InputChoice, PushRecording};
+use drex_recording::{Drive, ForceProfile, PushRecording};
 use drex_sysid::calibrate::HandCalibration;
 use drex_sysid::{IdentifyOptions, Knowledge, Method, ObjectModel, identify_watched};
 use nalgebra::{Point3, Vector3};
@@ -88,15 +88,14 @@ impl Push {
         Ok(Self { recording })
     }
 
-    /// Reads a push.toml, a meta.json or a run.json, or a folder with one of them; formats are in docs/formats.md.
+    /// Reads a push.toml, or a folder with one; formats are in docs/formats.md.
     ///
-    /// `poses` ("noisy", "hard", "clean") and `force` ("noisy", "exact") pick among the records of a simulated push, `encoder` says
-    /// whether that of a fingertip is used.
+    /// `encoder` says whether the record of a fingertip's encoder is used.
     #[staticmethod]
-    #[pyo3(signature = (path, *, poses="noisy", force="noisy", encoder=true))]
-    fn load(path: PathBuf, poses: &str, force: &str, encoder: bool) -> Result<Self> {
-        let choice = InputChoice { poses: poses.parse()?, force: force.parse()?, encoder };
-        Ok(Self { recording: PushRecording::load(&path, &choice)? })
+    #[pyo3(signature = (path, *, encoder=true))]
+    fn load(path: PathBuf, encoder: bool) -> Result<Self> {
+        let recording = PushRecording::load(&path)?;
+        Ok(Self { recording: if encoder { recording } else { recording.without_encoder() } })
     }
 
     /// Its name in reports.
@@ -434,7 +433,7 @@ fn recordings(pushes: &Bound<'_, PyAny>) -> Result<Vec<PushRecording>> {
             return Ok(Some(push.recording.clone()));
         }
         match item.extract::<PathBuf>() {
-            Ok(path) => Ok(Some(PushRecording::load(&path, &InputChoice::default())?)),
+            Ok(path) => Ok(Some(PushRecording::load(&path)?)),
             Err(_) => Ok(None),
         }
     };

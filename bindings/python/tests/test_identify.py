@@ -119,7 +119,6 @@ class Identify(Case):
             (lambda: drex.Push([0, 0], np.zeros((2, 7)), **LIFT), "is not after"),
             (lambda: drex.Push([0, 1], np.zeros((3, 6)), **LIFT), r"has the shape \(3, 6\)"),
             (lambda: drex.Push([0], [[0, 0, 0, 1, 0, 0, 0]], **(LIFT | {"force_times_s": [1]})), "one force"),
-            (lambda: drex.Push.load(TIN_PUSH, poses="best"), "no kind of pose track"),
             (lambda: drex.Push.load(self.folder), "push.toml"),
         ]:
             with self.subTest(words), self.assertRaisesRegex(drex.Error, words):

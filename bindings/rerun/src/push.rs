@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 use drex_core::{Pose, pose};
-use drex_recording::{Drive, ForceProfile, InputChoice, PushRecording};
+use drex_recording::{Drive, ForceProfile, PushRecording};
 use nalgebra::Vector3;
 use re_sdk_types::archetypes::Arrows3D;
 use serde::Deserialize;
@@ -55,7 +55,7 @@ pub fn record(recorder: &Recorder, twin: &mut Twin) -> Result<()> {
     likelihood(recorder, &result.profile)?;
     for (i, push) in result.pushes.iter().enumerate() {
         let given = twin.manifest.mass.identify.get(i).map(|p| twin.path(p));
-        let recording = match given.map(|p| PushRecording::load(&p, &InputChoice::default())) {
+        let recording = match given.map(|p| PushRecording::load(&p)) {
             Some(Ok(recording)) if recording.name == push.name => Some(recording),
             Some(Err(e)) => {
                 twin.missing.push(format!("force of push {}: {e}", push.name));

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 use drex_core::fsutil::write_atomic;
 use drex_core::{Result, TriMesh};
-use drex_recording::{Drive, InputChoice, PushRecording};
+use drex_recording::{Drive, PushRecording};
 
 /// A block of 60 x 40 x 30 mm, the origin of its mesh in the middle, m.
 const BLOCK: &str = "v -0.03 -0.02 -0.015\nv 0.03 -0.02 -0.015\nv 0.03 0.02 -0.015\nv -0.03 0.02 -0.015\n\
@@ -56,7 +56,7 @@ fn run(folder: &Path) -> Result<()> {
         println!("wrote {}", folder.display());
     }
 
-    let push = PushRecording::load(folder, &InputChoice::default())?;
+    let push = PushRecording::load(folder)?;
     println!("{}: {}", push.name, push.notes.join("; "));
     let block = TriMesh::read(&push.mesh)?.mass_properties(1.0)?;
     println!("the mesh encloses {:.1} cm³", 1e6 * block.mass_kg); // at 1 kg/m³ the mass is the volume

@@ -3,9 +3,9 @@
 //! A recorded push is one value on one clock, whatever files it came in:
 //!
 //! ```no_run
-//! use drex_recording::{Drive, InputChoice, PushRecording};
+//! use drex_recording::{Drive, PushRecording};
 //!
-//! let push = PushRecording::load("twin/push/push1".as_ref(), &InputChoice::default())?;
+//! let push = PushRecording::load("twin/push/push1".as_ref())?;
 //! println!("{}: {}", push.name, push.notes.join("; "));
 //! if let Drive::Hand(hand) = &push.drive {
 //!     println!("{} moved it; joints {}", hand.robot, hand.joints.names.join(", "));
@@ -17,14 +17,15 @@
 //! in which file and line, and what to do. No input makes the crate panic.
 
 pub mod clock;
+pub mod convert;
 mod push;
 pub mod readers;
 mod series;
 
 pub use push::{
-    ClockConfig, ClockKind, Drive, FingerConfig, FingerImpedance, FingerPush, ForceChoice, ForceConfig, FrameKind,
-    Free, HandConfig, HandPush, InputChoice, PoseChoice, PoseConfig, PushConfig, PushRecording, StartConfig,
-    StatedParameter, Support, SupportBox, TrackConfig, TrackFormat, TrackFrame, drex_run,
+    ClockConfig, ClockKind, Drive, FingerConfig, FingerImpedance, FingerPush, ForceConfig, FrameKind, Free, HandConfig,
+    HandPush, PoseConfig, PushConfig, PushRecording, StartConfig, StatedParameter, Support, SupportBox, TrackConfig,
+    TrackFormat, TrackFrame,
 };
 pub use series::{EncoderTrack, ForceProfile, JointLog, JointPoses, PointSeries};
 

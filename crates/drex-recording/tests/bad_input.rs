@@ -3,7 +3,8 @@
 
 use std::path::{Path, PathBuf};
 
-use drex_recording::{Drive, Free, InputChoice, PushConfig, PushRecording, StatedParameter, TrackFrame};
+use drex_recording::convert::mujoco_push::{ForceQuality, PoseQuality};
+use drex_recording::{Drive, Free, PushConfig, PushRecording, StatedParameter, TrackFrame};
 use tempfile::TempDir;
 
 /// A small push of each kind on disk, sound until a test spoils it.
@@ -98,11 +99,11 @@ impl Push {
     }
 
     fn load(&self) -> PushRecording {
-        PushRecording::load(self.0.path(), &InputChoice::default()).unwrap()
+        PushRecording::load(self.0.path()).unwrap()
     }
 
     fn message(&self) -> String {
-        PushRecording::load(self.0.path(), &InputChoice::default()).unwrap_err().to_string()
+        PushRecording::load(self.0.path()).unwrap_err().to_string()
     }
 }
 
@@ -255,11 +256,12 @@ fn a_row_that_was_cut_off_while_written_is_dropped() {
 #[test]
 fn folders_without_a_push_are_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let message = |p: &Path| PushRecording::load(p, &InputChoice::default()).unwrap_err().to_string();
-    assert!(message(folder.path()).contains("push.toml, meta.json, run.json"));
+    let message = |p: &Path| PushRecording::load(p).unwrap_err().to_string();
+    assert!(message(folder.path()).contains("the folder holds no push.toml"));
+    assert!(message(&folder.path().join("meta.json")).contains("`drex import`"));
     assert!(message(&folder.path().join("push.toml")).contains("cannot read"));
-    assert!("loud".parse::<drex_recording::PoseChoice>().unwrap_err().to_string().contains("noisy, hard or clean"));
-    assert_eq!("exact".parse::<drex_recording::ForceChoice>().unwrap(), drex_recording::ForceChoice::Exact);
+    assert!("loud".parse::<PoseQuality>().unwrap_err().to_string().contains("noisy, hard or clean"));
+    assert_eq!("exact".parse::<ForceQuality>().unwrap(), ForceQuality::Exact);
 }
 
 /// The examples in the documentation of the format are of the format.

@@ -4,8 +4,11 @@
 use std::path::{Path, PathBuf};
 
 use drex_core::TriMesh;
+use drex_recording::convert::mujoco_push::{ForceQuality, Inputs, PoseQuality};
+use drex_recording::convert::{self, allegro_run, mujoco_push};
 use drex_recording::readers::{FrameTimes, read_foundation_pose_folder, read_grasps, read_pose_csv};
-use drex_recording::{Drive, InputChoice, PoseChoice, PushConfig, PushRecording, TrackFrame, drex_run};
+use drex_recording::{Drive, PushRecording, TrackFrame};
+use drex_robot::orders::ALLEGRO_ROS;
 
 fn shared(part: &str) -> Option<PathBuf> {
     let Some(root) = std::env::var_os("DREX_SHARED") else {
@@ -29,10 +32,10 @@ fn every_simulated_push_is_read_in_every_quality() {
     };
     let mut seen = [0; 3];
     for scenario in folders(&root).iter().flat_map(|object| folders(object)) {
-        for poses in [PoseChoice::Noisy, PoseChoice::Hard, PoseChoice::Clean] {
-            let choice = InputChoice { poses, ..InputChoice::default() };
-            let push = PushRecording::load(&scenario, &choice).unwrap();
-            assert_eq!(push.noise.is_some(), poses == PoseChoice::Noisy);
+        for poses in [PoseQuality::Noisy, PoseQuality::Hard, PoseQuality::Clean] {
+            let inputs = Inputs { poses, ..Inputs::default() };
+            let push = mujoco_push::load(&scenario, inputs).unwrap();
+            assert_eq!(push.noise.is_some(), poses == PoseQuality::Noisy);
             assert_eq!(push.track_frame, TrackFrame::World);
             assert!(push.initial_pose.is_some() && push.mass_prior_kg.is_some());
             assert_eq!(push.support.boxes.len(), usize::from(scenario.ends_with("overhang_press")));
@@ -55,7 +58,7 @@ fn every_simulated_push_is_read_in_every_quality() {
     }
     assert!(seen.iter().all(|&n| n >= 3), "{seen:?}");
     let fast = root.join("brick/finger_fast");
-    let push = PushRecording::load(&fast, &InputChoice { encoder: false, ..InputChoice::default() }).unwrap();
+    let push = mujoco_push::load(&fast, Inputs::default()).unwrap().without_encoder();
     assert!(matches!(push.drive, Drive::Finger(f) if f.encoder.is_none()));
 }
 
@@ -65,7 +68,7 @@ fn every_real_run_is_read_on_one_clock_in_the_mesh_frame() {
         return;
     };
     for run in folders(&root) {
-        let push = PushRecording::load(&run, &InputChoice::default()).unwrap();
+        let push = allegro_run::load(&run, &ALLEGRO_ROS).unwrap();
         for note in &push.notes {
             eprintln!("{}: {note}", push.name);
         }
@@ -87,25 +90,55 @@ fn every_real_run_is_read_on_one_clock_in_the_mesh_frame() {
     }
 }
 
+/// All that a recording says, but for where it was read from; a number prints with all its digits.
+fn content(mut push: PushRecording) -> String {
+    push.mesh.clear();
+    push.sources.clear();
+    format!("{push:?}")
+}
+
 #[test]
 fn a_real_run_written_as_push_toml_reads_the_same() {
     let Some(root) = shared("drex_real/runs") else {
         return;
     };
-    let folder = tempfile::tempdir().unwrap();
     for run in folders(&root) {
-        let config = drex_run::to_push_config(&run.join("run.json"), folder.path()).unwrap();
-        let file = folder.path().join("push.toml");
-        std::fs::write(&file, config.to_toml_string().unwrap()).unwrap();
-        assert_eq!(PushConfig::read(&file).unwrap(), config);
-        let a = PushRecording::load(&run, &InputChoice::default()).unwrap();
-        let b = PushRecording::load(&file, &InputChoice::default()).unwrap();
-        assert_eq!(a.name, b.name);
-        assert_eq!(a.track, b.track);
-        assert_eq!(a.track_frame, b.track_frame);
-        let (Drive::Hand(a), Drive::Hand(b)) = (a.drive, b.drive) else { panic!() };
-        assert_eq!(a, b);
-        assert_eq!(b.joints.names[0], "ffj0");
+        let out = tempfile::tempdir().unwrap();
+        let config = allegro_run::push_config(&run, &ALLEGRO_ROS).unwrap();
+        let file = convert::write_push(&config, &run, out.path(), None).unwrap();
+        let written = PushRecording::load(&file).unwrap();
+        assert!(written.mesh.parent() == Some(out.path()) && written.sources[0] == file);
+        let Drive::Hand(hand) = &written.drive else { panic!() };
+        assert_eq!(hand.joints.names[0], "ffj0");
+        assert_eq!(content(written), content(allegro_run::load(&run, &ALLEGRO_ROS).unwrap()));
+        // A mesh that stands elsewhere is named and not copied.
+        let elsewhere = out.path().join("push");
+        let mesh = run.join(&config.mesh);
+        convert::write_push(&config, &run, &elsewhere, Some(&mesh)).unwrap();
+        assert_eq!(std::fs::read_dir(&elsewhere).unwrap().count(), 3);
+        PushRecording::load(&elsewhere).unwrap();
+    }
+}
+
+#[test]
+fn a_simulated_push_written_as_push_toml_reads_the_same() {
+    let Some(root) = shared("push_mujoco") else {
+        return;
+    };
+    for scenario in folders(&root).iter().flat_map(|object| folders(object)) {
+        for (poses, force) in [
+            (PoseQuality::Noisy, ForceQuality::Noisy),
+            (PoseQuality::Hard, ForceQuality::Noisy),
+            (PoseQuality::Clean, ForceQuality::Exact),
+        ] {
+            let out = tempfile::tempdir().unwrap();
+            let inputs = Inputs { poses, force };
+            let config = mujoco_push::push_config(&scenario, inputs).unwrap();
+            let file = convert::write_push(&config, &scenario, out.path(), None).unwrap();
+            let written = PushRecording::load(&file).unwrap();
+            assert_eq!(content(written), content(mujoco_push::load(&scenario, inputs).unwrap()));
+            assert!(!out.path().join("truth.json").exists());
+        }
     }
 }
 
@@ -113,7 +146,7 @@ fn a_real_run_written_as_push_toml_reads_the_same() {
 fn a_real_run_that_states_no_frames_is_read_in_the_tracked_frame() {
     let Some(root) = shared("drex_real/runs") else { return };
     for run in folders(&root) {
-        let stated = PushRecording::load(&run, &InputChoice::default()).unwrap();
+        let stated = allegro_run::load(&run, &ALLEGRO_ROS).unwrap();
         let folder = tempfile::tempdir().unwrap();
         for log in ["joint_states.csv", "object_poses.txt"] {
             std::fs::copy(run.join(log), folder.path().join(log)).unwrap();
@@ -125,7 +158,7 @@ fn a_real_run_that_states_no_frames_is_read_in_the_tracked_frame() {
         }
         json["mesh"] = stated.mesh.to_str().unwrap().into();
         std::fs::write(folder.path().join("run.json"), json.to_string()).unwrap();
-        let bare = PushRecording::load(folder.path(), &InputChoice::default()).unwrap();
+        let bare = allegro_run::load(folder.path(), &ALLEGRO_ROS).unwrap();
         assert_eq!(bare.track_frame, TrackFrame::Camera { of_mesh: false, up: None, push: None });
         assert_eq!(bare.track.times_s(), stated.track.times_s());
     }
@@ -136,7 +169,7 @@ fn the_noise_of_simulated_tracks_is_found() {
     let Some(root) = shared("push_mujoco") else { return };
     let (mut worst, mut logs): (f64, Vec<f64>) = (0.0, Vec::new());
     for scenario in folders(&root).iter().flat_map(|object| folders(object)) {
-        let push = PushRecording::load(&scenario, &InputChoice::default()).unwrap();
+        let push = mujoco_push::load(&scenario, Inputs::default()).unwrap();
         let (stated, found) = (push.noise.unwrap(), push.track.noise().unwrap().pooled());
         let ratios = [found.position_m / stated.position_m, found.rotation_rad / stated.rotation_rad];
         // A toss turns and falls fast: its motion is not straight between frames.
@@ -158,7 +191,7 @@ fn the_noise_of_simulated_tracks_is_found() {
 fn rest_and_noise_of_real_runs_are_as_described() {
     let Some(root) = shared("drex_real/runs") else { return };
     for run in folders(&root) {
-        let push = PushRecording::load(&run, &InputChoice::default()).unwrap();
+        let push = allegro_run::load(&run, &ALLEGRO_ROS).unwrap();
         let Drive::Hand(hand) = &push.drive else { panic!() };
         let noise = push.track.noise().unwrap();
         let rest = push.track.leading_rest(&noise, 6.0);
@@ -222,7 +255,7 @@ fn real_tosses_are_read_as_world_tracks() {
 fn the_topples_lean_where_the_push_points_about_a_centre_at_half_height() {
     let Some(root) = shared("drex_real/runs") else { return };
     for run in folders(&root) {
-        let push = PushRecording::load(&run, &InputChoice::default()).unwrap();
+        let push = allegro_run::load(&run, &ALLEGRO_ROS).unwrap();
         let TrackFrame::Camera { up: Some(up), push: Some(towards), .. } = &push.track_frame else { panic!() };
         let (lo, hi) = TriMesh::read(&push.mesh).unwrap().bounds().unwrap();
         let center = nalgebra::center(&lo, &hi);

@@ -3,7 +3,7 @@
 use crate::Result;
 use drex_core::{Pose, TriMesh, pose};
 use drex_mesh::Asset;
-use drex_recording::{Drive, ForceProfile, InputChoice, PushRecording};
+use drex_recording::{Drive, ForceProfile, PushRecording};
 use drex_sysid::PushReport;
 use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 
@@ -40,7 +40,7 @@ pub fn of(twin: &Twin, asset: &Asset, mass: &MassFile) -> Result<Vec<Option<Repl
     let mut replays = Vec::new();
     for (i, push) in result.pushes.iter().enumerate() {
         let recording = match twin.manifest.mass.identify.get(i) {
-            Some(path) => PushRecording::load(&twin.path(path), &InputChoice::default()).ok(),
+            Some(path) => PushRecording::load(&twin.path(path)).ok(),
             None => None,
         };
         replays.push(replay(asset, push, recording.filter(|r| r.name == push.name).as_ref())?);

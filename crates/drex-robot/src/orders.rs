@@ -28,7 +28,9 @@ const LEAP_URDF: [&str; 16] = [
     "if_mcp", "if_rot", "if_pip", "if_dip", "th_cmc", "th_axl", "th_mcp", "th_ipl", "mf_mcp", "mf_rot", "mf_pip",
     "mf_dip", "rf_mcp", "rf_rot", "rf_pip", "rf_dip",
 ];
-const ALLEGRO: [&str; 16] = [
+/// Joints of an Allegro hand in the order of its ROS drivers, its wire and the bundled model: index, middle, ring, thumb, each from
+/// base to tip.
+pub const ALLEGRO_ROS: [&str; 16] = [
     "ffj0", "ffj1", "ffj2", "ffj3", "mfj0", "mfj1", "mfj2", "mfj3", "rfj0", "rfj1", "rfj2", "rfj3", "thj0", "thj1",
     "thj2", "thj3",
 ];
@@ -47,7 +49,7 @@ pub fn order(name: &str) -> Option<&'static [&'static str]> {
         "leap_sdk" => &LEAP_SDK,
         "leap_menagerie" => &LEAP_MENAGERIE,
         "leap_urdf" => &LEAP_URDF,
-        "allegro_ros" | "allegro_menagerie" => &ALLEGRO,
+        "allegro_ros" | "allegro_menagerie" => &ALLEGRO_ROS,
         "allegro_urdf" => &ALLEGRO_URDF,
         _ => return None,
     })
@@ -93,7 +95,9 @@ pub fn convert<A: AsRef<str>, B: AsRef<str>>(values: &[f64], from: &[A], to: &[B
 pub fn alias(model: &str, foreign: &str) -> Option<&'static str> {
     let (table, number) = match model {
         "leap_right" => (&LEAP_SDK, foreign),
-        "allegro_right" => (&ALLEGRO, foreign.strip_prefix("joint_").and_then(|s| s.strip_suffix(".0")).unwrap_or("")),
+        "allegro_right" => {
+            (&ALLEGRO_ROS, foreign.strip_prefix("joint_").and_then(|s| s.strip_suffix(".0")).unwrap_or(""))
+        }
         _ => return None,
     };
     table

@@ -1,35 +1,38 @@
 //! Weighs the object of one recorded push and prints the answer as JSON.
 //!
-//!     cargo run --release -p drex-sysid --example identify -- FOLDER [--poses KIND] [--force KIND] [--free-friction] [--full]
+//!     cargo run --release -p drex-sysid --example identify -- PUSH [--mujoco] [--free-friction] [--full]
 //!
-//! The folder is a push as `drex_recording::PushRecording::load` reads it; its mesh must consist of closed convex shells in OBJ.
+//! PUSH is a `push.toml` or a folder that holds one, with `--mujoco` a folder of a set of simulated pushes; its mesh must consist of
+//! closed convex shells in OBJ.
 
 use std::error::Error;
 use std::io::Write;
 use std::path::Path;
 
 use drex_core::TriMesh;
-use drex_recording::{InputChoice, PushRecording};
+use drex_recording::PushRecording;
+use drex_recording::convert::mujoco_push::{self, Inputs};
 use drex_sysid::{IdentifyOptions, Knowledge, ObjectModel, Parameter, identify};
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let mut choice = InputChoice::default();
+    let mut mujoco = false;
     let mut options = IdentifyOptions::default();
     let mut folder = None;
     let mut full = false;
-    let mut args = std::env::args().skip(1);
-    while let Some(arg) = args.next() {
-        let mut value = || args.next().ok_or_else(|| format!("{arg} needs a value"));
+    let args = std::env::args().skip(1);
+    for arg in args {
         match arg.as_str() {
-            "--poses" => choice.poses = value()?.parse()?,
-            "--force" => choice.force = value()?.parse()?,
+            "--mujoco" => mujoco = true,
             "--free-friction" => options.parameters.set(Parameter::Friction, Knowledge::Free)?,
             "--full" => full = true,
             _ => folder = Some(arg),
         }
     }
     let folder = folder.ok_or("name the folder of a push")?;
-    let recording = PushRecording::load(Path::new(&folder), &choice)?;
+    let recording = match mujoco {
+        true => mujoco_push::load(Path::new(&folder), Inputs::default())?,
+        false => PushRecording::load(Path::new(&folder))?,
+    };
     let object = ObjectModel::from_mesh(&TriMesh::read(&recording.mesh)?)?;
     let mut answer = identify(&[recording], &object, &options)?;
     if !full {

@@ -14,7 +14,7 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use drex_core::TriMesh;
-use drex_recording::{InputChoice, PushRecording};
+use drex_recording::convert::mujoco_push::{self, Inputs, PoseQuality};
 use drex_sysid::{Identification, IdentifyOptions, Knowledge, ObjectModel, Parameter, Verdict, identify};
 use serde_json::Value;
 
@@ -22,7 +22,8 @@ type Failure = Box<dyn Error + Send + Sync>;
 
 struct Arguments {
     root: PathBuf,
-    choice: InputChoice,
+    inputs: Inputs,
+    encoder: bool,
     options: IdentifyOptions,
     only: Vec<String>,
     verbose: bool,
@@ -57,7 +58,8 @@ fn main() -> Result<(), Failure> {
 }
 
 fn weigh(folder: &Path, name: &str, arguments: &Arguments) -> Result<Line, Failure> {
-    let recording = PushRecording::load(folder, &arguments.choice)?;
+    let recording = mujoco_push::load(folder, arguments.inputs)?;
+    let recording = if arguments.encoder { recording } else { recording.without_encoder() };
     let object = ObjectModel::from_mesh(&TriMesh::read(&recording.mesh)?)?;
     let begin = cpu_seconds();
     let answer = identify(&[recording], &object, &arguments.options)?;
@@ -68,7 +70,7 @@ fn weigh(folder: &Path, name: &str, arguments: &Arguments) -> Result<Line, Failu
     let mu = number("mu").ok_or("truth.json has no mu")?;
     let scenario = name.rsplit('/').next().unwrap_or_default().to_owned();
     let finger = scenario.starts_with("finger");
-    let with_encoder = finger && arguments.choice.encoder;
+    let with_encoder = finger && arguments.encoder;
     let expect = truth[if with_encoder { "expect_encoder" } else { "expect" }].as_str().unwrap_or_default().to_owned();
     let friction = if arguments.options.parameters.get(Parameter::Friction).is_some() { "free" } else { "known" };
     let crb = number(&format!("crb_rel_sd_mass_{}mu_{friction}", if with_encoder { "encoder_" } else { "" }));
@@ -119,11 +121,11 @@ fn cpu_seconds() -> Option<f64> {
 
 /// The largest error of a mass that counts as weighed, by the kind of push and the quality of its inputs.
 fn allowed_error(scenario: &str, arguments: &Arguments) -> Option<f64> {
-    let hard = arguments.choice.poses == drex_recording::PoseChoice::Hard;
+    let hard = arguments.inputs.poses == PoseQuality::Hard;
     match scenario {
         "lift_force" | "tilt_force" | "overhang_press" => Some(if hard { 0.04 } else { 0.02 }),
         "slide_force" => Some(0.05),
-        "finger_fast" | "finger_tilt" if arguments.choice.encoder => Some(0.05),
+        "finger_fast" | "finger_tilt" if arguments.encoder => Some(0.05),
         _ => None,
     }
 }
@@ -190,7 +192,8 @@ fn summary(lines: &[Line]) {
 fn read_arguments() -> Result<Arguments, Failure> {
     let mut out = Arguments {
         root: PathBuf::new(),
-        choice: InputChoice::default(),
+        inputs: Inputs::default(),
+        encoder: true,
         options: IdentifyOptions::default(),
         only: Vec::new(),
         verbose: false,
@@ -200,9 +203,9 @@ fn read_arguments() -> Result<Arguments, Failure> {
     while let Some(arg) = args.next() {
         let mut value = || args.next().ok_or_else(|| format!("{arg} needs a value"));
         match arg.as_str() {
-            "--poses" => out.choice.poses = value()?.parse()?,
-            "--force" => out.choice.force = value()?.parse()?,
-            "--encoder" => out.choice.encoder = value()? == "on",
+            "--poses" => out.inputs.poses = value()?.parse()?,
+            "--force" => out.inputs.force = value()?.parse()?,
+            "--encoder" => out.encoder = value()? == "on",
             "--free" => out.options.parameters.set(value()?.parse()?, Knowledge::Free)?,
             "--fix" => {
                 let text = value()?;

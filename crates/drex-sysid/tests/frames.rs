@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use common::{box_mesh, normals, shared};
 use drex_core::{Pose, Trajectory, TriMesh};
 use drex_recording::clock::{Clock, parse_utc_offset};
+use drex_recording::convert::mujoco_push::{self, Inputs};
 use drex_recording::readers::read_foundation_pose_log;
-use drex_recording::{InputChoice, PushRecording};
 use drex_sysid::frames::{self, FoundFrames, FrameOptions, Standing};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde_json::Value;
@@ -184,7 +184,7 @@ fn up_is_found_in_simulated_tilts_seen_by_unknown_cameras() {
         for object in ["letter_t", "brick", "can", "bottle", "letter_l_rho1", "letter_l", "letter_l_rho3"] {
             for scenario in ["tilt_force", "finger_tilt"] {
                 let folder = set.join(object).join(scenario);
-                let Ok(recording) = PushRecording::load(&folder, &InputChoice::default()) else { continue };
+                let Ok(recording) = mujoco_push::load(&folder, Inputs::default()) else { continue };
                 let mesh = TriMesh::read(&recording.mesh).unwrap();
                 let truth = recording.track.poses()[0].rotation.inverse() * Vector3::z();
                 for seed in 0..3 {

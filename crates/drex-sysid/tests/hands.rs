@@ -8,8 +8,9 @@ use std::path::PathBuf;
 use common::{box_mesh, normals, shared};
 use drex_core::{Pose, Trajectory, TriMesh};
 use drex_recording::JointLog;
-use drex_recording::{Drive, HandPush, InputChoice, PushRecording};
-use drex_robot::Robot;
+use drex_recording::convert::allegro_run;
+use drex_recording::{Drive, HandPush, PushRecording};
+use drex_robot::{Robot, orders};
 use drex_sysid::bound::{Bound, BoundOptions, Topple, of_topple};
 use drex_sysid::calibrate::{CalibrateOptions, ExtraTorque, HandCalibration, HandRun, hand};
 use drex_sysid::frames::{FrameOptions, HandPlacement, Standing, against_hand, find, tip_paths};
@@ -345,7 +346,7 @@ fn real_runs() -> Option<Vec<(String, PushRecording, HandPush)>> {
         std::fs::read_dir(shared()?.join("data/drex_real/runs")).unwrap().map(|e| e.unwrap().path()).collect();
     folders.sort();
     let load = |folder: PathBuf| {
-        let recording = PushRecording::load(&folder, &InputChoice::default()).unwrap();
+        let recording = allegro_run::load(&folder, &orders::ALLEGRO_ROS).unwrap();
         let Drive::Hand(push) = recording.drive.clone() else { panic!("{} has no hand", folder.display()) };
         (folder.file_name().unwrap().to_string_lossy().into_owned(), recording, push)
     };

@@ -7,7 +7,8 @@ use std::path::Path;
 
 use common::{block, normals, shared, simulated};
 use drex_core::TriMesh;
-use drex_recording::{Drive, ForceChoice, InputChoice, PoseChoice, PushRecording};
+use drex_recording::convert::mujoco_push::{self, ForceQuality, Inputs, PoseQuality};
+use drex_recording::{Drive, PushRecording};
 use drex_sysid::{Identification, IdentifyOptions, Knowledge, ObjectModel, Parameter, identify};
 use nalgebra::{Point3, Vector3};
 
@@ -44,8 +45,8 @@ fn noise_of_the_force_leaves_what_it_must_and_hardly_more() {
     assert!(held >= 11, "{held} of {draws}");
 }
 
-fn load(folder: &Path, poses: PoseChoice, force: ForceChoice) -> (PushRecording, ObjectModel) {
-    let recording = PushRecording::load(folder, &InputChoice { poses, force, encoder: true }).unwrap();
+fn load(folder: &Path, poses: PoseQuality, force: ForceQuality) -> (PushRecording, ObjectModel) {
+    let recording = mujoco_push::load(folder, Inputs { poses, force }).unwrap();
     let object = ObjectModel::from_mesh(&TriMesh::read(&recording.mesh).unwrap()).unwrap();
     (recording, object)
 }
@@ -60,7 +61,7 @@ fn the_answer_does_not_depend_on_the_start() {
     let Some(shared) = shared() else { return };
     for folder in ["brick/tilt_force", "letter_l/lift_force", "can/slide_force"] {
         let folder = shared.join("data/push_mujoco").join(folder);
-        let (mut push, object) = load(&folder, PoseChoice::Noisy, ForceChoice::Noisy);
+        let (mut push, object) = load(&folder, PoseQuality::Noisy, ForceQuality::Noisy);
         let plain = identify(std::slice::from_ref(&push), &object, &IdentifyOptions::default()).unwrap();
         let m = plain.mass_kg.unwrap();
         // A first guess takes no part at all.
@@ -100,7 +101,7 @@ fn printed_sensitivities_predict_what_wrong_assumptions_do() {
         "brick/overhang_press",
     ] {
         let folder = shared.join("data/push_mujoco").join(name);
-        let (push, object) = load(&folder, PoseChoice::Noisy, ForceChoice::Exact);
+        let (push, object) = load(&folder, PoseQuality::Noisy, ForceQuality::Exact);
         let plain = identify(std::slice::from_ref(&push), &object, &IdentifyOptions::default()).unwrap();
         for (parameter, value, size) in wrong(&push) {
             let slope = plain.sensitivities.iter().find(|s| s.parameter == parameter).map_or(0.0, |s| s.log_mass);

@@ -15,7 +15,8 @@ use common::{block, shared, simulated};
 use drex_core::Trajectory;
 use drex_core::TriMesh;
 use drex_core::trajectory::PoseNoise;
-use drex_recording::{Drive, ForceChoice, ForceProfile, InputChoice, PoseChoice, PushRecording};
+use drex_recording::convert::mujoco_push::{self, ForceQuality, Inputs, PoseQuality};
+use drex_recording::{Drive, ForceProfile, PushRecording};
 use drex_sysid::{Identification, IdentifyOptions, ObjectModel, Verdict, identify};
 use nalgebra::{Point3, Vector3};
 
@@ -34,8 +35,8 @@ fn weigh(push: PushRecording, object: &ObjectModel) -> Identification {
     identify(&[push], object, &IdentifyOptions::default()).unwrap()
 }
 
-fn load(folder: &Path, choice: &InputChoice) -> (PushRecording, ObjectModel) {
-    let recording = PushRecording::load(folder, choice).unwrap();
+fn load(folder: &Path, inputs: Inputs) -> (PushRecording, ObjectModel) {
+    let recording = mujoco_push::load(folder, inputs).unwrap();
     let object = ObjectModel::from_mesh(&TriMesh::read(&recording.mesh).unwrap()).unwrap();
     (recording, object)
 }
@@ -98,7 +99,7 @@ fn shuffled_and_constant_poses_of_a_block_weigh_nothing() {
 fn shuffled_and_constant_poses_of_recordings_weigh_nothing() {
     let Some(shared) = shared() else { return };
     for name in RECORDINGS {
-        let (push, object) = load(&shared.join("data/push_mujoco").join(name), &InputChoice::default());
+        let (push, object) = load(&shared.join("data/push_mujoco").join(name), Inputs::default());
         for seed in [1, 2] {
             let track = shuffled(&push.track, seed);
             weighs_nothing(with_track(&push, track, push.noise), &object, &format!("{name} shuffled"));
@@ -142,15 +143,15 @@ fn forces_of_another_mass_give_that_mass_in_other_simulations() {
         eprintln!("skipped: DREX_PLACEBO is not set");
         return;
     };
-    let exact = InputChoice { poses: PoseChoice::Noisy, force: ForceChoice::Exact, encoder: true };
+    let exact = Inputs { poses: PoseQuality::Noisy, force: ForceQuality::Exact };
     let mut compared = 0;
     for set in ["x0.6", "x1.6"] {
         for name in ["letter_l", "brick"]
             .iter()
             .flat_map(|o| ["lift_force", "slide_force", "tilt_force", "overhang_press"].map(|s| format!("{o}/{s}")))
         {
-            let (own, _) = load(&root.join("x1.0").join(&name), &exact);
-            let (other, object) = load(&root.join(set).join(&name), &exact);
+            let (own, _) = load(&root.join("x1.0").join(&name), exact);
+            let (other, object) = load(&root.join(set).join(&name), exact);
             let truth = std::fs::read_to_string(root.join(set).join(&name).join("truth.json")).unwrap();
             let truth = serde_json::from_str::<serde_json::Value>(&truth).unwrap()["mass"].as_f64().unwrap();
             let (Drive::Force(f), Drive::Force(g)) = (&own.drive, &other.drive) else { panic!("{name} has no force") };

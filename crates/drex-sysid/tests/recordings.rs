@@ -7,11 +7,12 @@ use std::path::Path;
 
 use common::shared;
 use drex_core::TriMesh;
-use drex_recording::{Drive, ForceChoice, InputChoice, PoseChoice, PushRecording};
+use drex_recording::convert::mujoco_push::{self, ForceQuality, Inputs, PoseQuality};
+use drex_recording::{Drive, PushRecording};
 use drex_sysid::{Identification, IdentifyOptions, ObjectModel, Parameter, Verdict, identify};
 
-fn weigh(folder: &Path, choice: &InputChoice) -> Identification {
-    let recording = PushRecording::load(folder, choice).unwrap();
+fn weigh(folder: &Path, inputs: Inputs) -> Identification {
+    let recording = mujoco_push::load(folder, inputs).unwrap();
     let object = ObjectModel::from_mesh(&TriMesh::read(&recording.mesh).unwrap()).unwrap();
     identify(&[recording], &object, &IdentifyOptions::default()).unwrap()
 }
@@ -28,10 +29,10 @@ const KNOWN_FORCE: [(&str, &str); 3] =
 #[test]
 fn known_forces_weigh_within_three_percent() {
     let Some(shared) = shared() else { return };
-    let exact = InputChoice { poses: PoseChoice::Clean, force: ForceChoice::Exact, encoder: true };
+    let exact = Inputs { poses: PoseQuality::Clean, force: ForceQuality::Exact };
     for (object, scenario) in KNOWN_FORCE {
         let folder = shared.join("data/push_mujoco").join(object).join(scenario);
-        let a = weigh(&folder, &exact);
+        let a = weigh(&folder, exact);
         let error = a.mass_kg.unwrap_or(f64::NAN) / truth(&folder) - 1.0;
         assert!(error.abs() < 0.03, "{object}/{scenario}: {error:+.4}, {}", a.reason);
     }
@@ -45,7 +46,7 @@ fn noisy_inputs_keep_the_truth_inside_the_interval() {
     for object in ["letter_l_rho1", "brick", "can", "letter_t", "letter_l_rho3"] {
         for scenario in ["lift_force", "slide_force"] {
             let folder = shared.join("data/push_mujoco").join(object).join(scenario);
-            let a = weigh(&folder, &InputChoice::default());
+            let a = weigh(&folder);
             let (ci, m) = (a.ci95_kg.unwrap(), truth(&folder));
             held += usize::from(ci[0] < m && m < ci[1]);
             assert!((1.01..1.1).contains(&(ci[1] / ci[0])), "{object}/{scenario}: {ci:?}");
@@ -59,7 +60,7 @@ fn noisy_inputs_keep_the_truth_inside_the_interval() {
 fn tosses_weigh_nothing() {
     let Some(shared) = shared() else { return };
     for object in ["brick", "can"] {
-        let a = weigh(&shared.join("data/push_mujoco").join(object).join("toss"), &InputChoice::default());
+        let a = weigh(&shared.join("data/push_mujoco").join(object).join("toss"));
         assert_eq!(a.verdict, Verdict::NotIdentifiable);
         assert!(a.mass_kg.is_none() && a.prior_kg.is_some());
         let first = a.profile[0].1;
@@ -76,12 +77,12 @@ fn compliant_fingers_weigh_and_a_rigid_one_does_not() {
     let Some(shared) = shared() else { return };
     let brick = shared.join("data/push_mujoco/brick");
     for scenario in ["finger_slow", "finger_fast", "finger_tilt"] {
-        let a = weigh(&brick.join(scenario), &InputChoice::default());
+        let a = weigh(&brick.join(scenario));
         let (ci, m) = (a.ci95_kg.unwrap(), truth(&brick.join(scenario)));
         assert!(ci[0] < m && m < ci[1], "{scenario}: {ci:?} and {m}");
         assert!((a.mass_kg.unwrap() / m - 1.0).abs() < 0.05, "{scenario}: {:?} and {m}", a.mass_kg);
     }
-    assert_eq!(weigh(&brick.join("finger_rigid"), &InputChoice::default()).verdict, Verdict::NotIdentifiable);
+    assert_eq!(weigh(&brick.join("finger_rigid")).verdict, Verdict::NotIdentifiable);
 }
 
 /// The same letter of three densities.
@@ -92,7 +93,7 @@ fn three_densities_of_one_shape_are_told_apart() {
     for scenario in ["lift_force", "tilt_force", "overhang_press", "finger_tilt"] {
         let intervals = ["letter_l_rho1", "letter_l", "letter_l_rho3"].map(|object| {
             let folder = root.join(object).join(scenario);
-            let a = weigh(&folder, &InputChoice::default());
+            let a = weigh(&folder);
             assert_eq!(a.verdict, Verdict::Identified, "{object}/{scenario}: {}", a.reason);
             let (ci, m) = (a.ci95_kg.unwrap(), truth(&folder));
             assert!(ci[0] < m && m < ci[1], "{object}/{scenario}: {ci:?} without {m}");
@@ -109,7 +110,7 @@ fn sensitivities_predict_what_a_wrong_finger_or_a_wrong_friction_does() {
     let root = shared.join("data/push_mujoco");
     let object_of = |r: &PushRecording| ObjectModel::from_mesh(&TriMesh::read(&r.mesh).unwrap()).unwrap();
     for name in ["brick/finger_tilt", "letter_t/finger_slow", "letter_l/finger_fast"] {
-        let push = PushRecording::load(&root.join(name), &InputChoice::default()).unwrap();
+        let push = mujoco_push::load(&root.join(name), Inputs::default()).unwrap();
         let object = object_of(&push);
         let right = identify(std::slice::from_ref(&push), &object, &IdentifyOptions::default()).unwrap();
         let changes = |p: Parameter| right.sensitivities.iter().find(|s| s.parameter == p).map_or(0.0, |s| s.log_mass);

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use drex_recording::{InputChoice, PushRecording};
+use drex_recording::PushRecording;
 
 use crate::lock::Inputs;
 use crate::{Result, Twin, records as files};
@@ -134,6 +134,6 @@ impl Twin {
 
 /// Every file that a push is read from.
 fn push_files(push: &Path, inputs: Inputs) -> Result<Inputs> {
-    let recording = PushRecording::load(push, &InputChoice::default())?;
+    let recording = PushRecording::load(push)?;
     recording.sources.iter().try_fold(inputs, |inputs, file| inputs.file(file))
 }

@@ -18,7 +18,7 @@ const GROUPS: [(&str, &[&str]); 6] = [
 ];
 
 /// Lines behind the help of a subcommand; words of a subcommand's name are separated by blanks.
-const EXAMPLES: [(&str, &str); 25] = [
+const EXAMPLES: [(&str, &str); 27] = [
     (
         "reconstruct",
         "drex reconstruct scan --out twin --hold-out 8     a folder with images/ and a COLMAP model or transforms.json
@@ -37,10 +37,10 @@ const EXAMPLES: [(&str, &str); 25] = [
         "identify",
         "drex identify push/tilt
   drex identify push/tilt --free friction --prior contact_height=0,0.005
-  drex identify runs/ketchup1 --hand hand.json --out result.json",
+  drex identify push/ketchup1 --hand hand.json --out result.json",
     ),
     ("plan-push", "drex plan-push scan.stl --masses 0.05,0.5 --max-force 10"),
-    ("calibrate-hand", "drex calibrate-hand runs --out hand.json"),
+    ("calibrate-hand", "drex calibrate-hand pushes --out hand.json"),
     (
         "render",
         "drex render twin/splat/appearance.ply --out frames --orbit 60
@@ -89,6 +89,8 @@ const EXAMPLES: [(&str, &str); 25] = [
     ("hw emulate", "drex hw emulate leap --link leap --wall if_mcp=0.6"),
     ("run", "drex run twin"),
     ("import d-rex", "drex import d-rex recordings --out twins --object cookie"),
+    ("import allegro-run", "drex import allegro-run recordings/runs/ketchup1 --out push/ketchup1"),
+    ("import mujoco-push", "drex import mujoco-push push_mujoco/brick/lift_force --poses clean --out push/lift"),
     (
         "completions",
         "drex completions bash  > ~/.local/share/bash-completion/completions/drex

@@ -3,21 +3,18 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
-use drex_recording::{Drive, InputChoice, PushRecording};
+use drex_recording::{Drive, PushRecording};
 use drex_robot::Robot;
 use drex_sysid::calibrate::{CalibrateOptions, HandCalibration, HandRun, hand};
 
 use crate::cli::CalibrateHandArgs;
 use crate::ui::Ui;
 
-/// Files that make a folder a push.
-const PUSH_FILES: [&str; 3] = ["push.toml", "meta.json", "run.json"];
-
 /// Loads the runs, fits, writes.
 pub fn run(args: &CalibrateHandArgs, ui: &Ui) -> Result<()> {
     let mut recordings = Vec::new();
     for path in args.runs.iter().map(|p| pushes(p)).collect::<Result<Vec<_>>>()?.concat() {
-        recordings.push(PushRecording::load(&path, &InputChoice::default())?);
+        recordings.push(PushRecording::load(&path)?);
     }
     let mut model = None::<String>;
     for recording in &recordings {
@@ -49,7 +46,7 @@ pub fn run(args: &CalibrateHandArgs, ui: &Ui) -> Result<()> {
 
 /// `path` itself if it is a push, else the pushes one folder below it.
 fn pushes(path: &Path) -> Result<Vec<PathBuf>> {
-    let is_push = |p: &Path| PUSH_FILES.iter().any(|f| p.join(f).is_file());
+    let is_push = |p: &Path| p.join("push.toml").is_file();
     if !path.is_dir() || is_push(path) {
         return Ok(vec![path.to_path_buf()]);
     }
@@ -57,7 +54,10 @@ fn pushes(path: &Path) -> Result<Vec<PathBuf>> {
     let mut below: Vec<PathBuf> = entries.filter_map(|e| Some(e.ok()?.path())).filter(|p| is_push(p)).collect();
     below.sort();
     if below.is_empty() {
-        bail!("no push.toml, meta.json or run.json in {} or one folder below it; give folders of runs", path.display());
+        bail!(
+            "no push.toml in {} or one folder below it; give folders of pushes, as `drex import allegro-run` makes them of runs",
+            path.display()
+        );
     }
     Ok(below)
 }

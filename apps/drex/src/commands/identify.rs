@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
 use drex_mesh::{AssetOptions, LengthUnit, build_asset};
-use drex_recording::{InputChoice, PushRecording};
+use drex_recording::PushRecording;
 use drex_sysid::calibrate::HandCalibration;
 use drex_sysid::{
     Identification, IdentifyOptions, Knowledge, MassPosterior, MassPrior, Method, Parameter, ParameterSet,
@@ -34,9 +34,11 @@ pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
         let args = TwinArgs { twin: twin.clone(), tools: ToolArgs::default() };
         return super::run::run(&args, Stage::Identify, false, seed, ui);
     }
-    let choice = InputChoice { poses: args.poses, force: args.force, encoder: args.encoder == OnOff::On };
     let mut recordings: Vec<PushRecording> =
-        args.pushes.iter().map(|path| PushRecording::load(path, &choice)).collect::<Result<_, _>>()?;
+        args.pushes.iter().map(|path| PushRecording::load(path)).collect::<Result<_, _>>()?;
+    if args.encoder == OnOff::Off {
+        recordings = recordings.into_iter().map(PushRecording::without_encoder).collect();
+    }
     for (path, recording) in args.pushes.iter().zip(&recordings) {
         ui.note(format!("{}:", path.display()));
         for line in &recording.notes {
@@ -44,7 +46,11 @@ pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
         }
     }
     let Some(first) = recordings.first() else { bail!("no push was given") };
-    if let Some(other) = recordings.iter().find(|r| !same_file(&r.mesh, &first.mesh)) {
+    let mesh = fsutil::read_bytes(&first.mesh)?;
+    for other in &recordings {
+        if fsutil::read_bytes(&other.mesh)? == mesh {
+            continue;
+        }
         bail!(
             "{} pushes {} and {} pushes {}; several pushes at once must be of one object",
             first.name,
@@ -137,8 +143,4 @@ fn without_series(result: &Identification) -> Result<Value> {
         }
     }
     Ok(value)
-}
-
-fn same_file(a: &Path, b: &Path) -> bool {
-    matches!((std::fs::canonicalize(a), std::fs::canonicalize(b)), (Ok(a), Ok(b)) if a == b)
 }

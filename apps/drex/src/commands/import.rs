@@ -1,12 +1,14 @@
-//! `drex import`: twin folders from recordings in other layouts.
+//! `drex import`: pushes and twin folders from recordings in other layouts.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use drex_core::TriMesh;
-use drex_core::fsutil::{self, OutputFolder};
-use drex_recording::{InputChoice, PushConfig, PushRecording, TrackFrame, drex_run};
+use drex_core::fsutil::{self, OutputFolder, output_path};
+use drex_recording::convert::{allegro_run, mujoco_push, write_push};
+use drex_recording::{PushConfig, PushRecording, TrackFrame};
+use drex_robot::orders::ALLEGRO_ROS;
 use drex_sysid::frames::{self, FrameOptions, Standing};
 use drex_twin::manifest::TwinManifest;
 use nalgebra::Vector3;
@@ -27,9 +29,27 @@ struct Imported {
     grasps: bool,
 }
 
-/// Imports every object found.
+/// Writes the push, or the twin of every object found.
 pub fn run(args: &ImportArgs, ui: &Ui) -> Result<()> {
-    let ImportSource::DRex { dir, out, object } = &args.source;
+    match &args.source {
+        ImportSource::DRex { dir, out, object } => twins(dir, out, object.as_deref(), ui),
+        ImportSource::AllegroRun { run, out } => push(&allegro_run::push_config(run, &ALLEGRO_ROS)?, run, out, ui),
+        ImportSource::MujocoPush { scenario, poses, force, out } => {
+            let inputs = mujoco_push::Inputs { poses: *poses, force: *force };
+            push(&mujoco_push::push_config(scenario, inputs)?, scenario, out, ui)
+        }
+    }
+}
+
+/// Writes the push of `config`, whose paths start at `from`, to `out`.
+fn push(config: &PushConfig, from: &Path, out: &Path, ui: &Ui) -> Result<()> {
+    let file = write_push(config, from, out, None)?;
+    let text = format!("{}\n  drex identify {}", file.display(), out.display());
+    ui.answer(&serde_json::json!({ "push": file }), text)
+}
+
+/// Makes a twin of every object, or of the one named `object`, in the recordings `dir`.
+fn twins(dir: &Path, out: &Path, object: Option<&str>, ui: &Ui) -> Result<()> {
     let runs = find_runs(dir)?;
     let mut by_object: BTreeMap<String, Vec<PathBuf>> = BTreeMap::new();
     for run in runs {
@@ -57,21 +77,15 @@ pub fn run(args: &ImportArgs, ui: &Ui) -> Result<()> {
     ui.answer(&serde_json::json!({ "imported": imported }), lines.join("\n"))
 }
 
-/// Folders with a run.json: `dir` itself, below `dir/runs`, or below `dir`.
+/// Folders with a run.json, below `dir/runs` or below `dir`.
 fn find_runs(dir: &Path) -> Result<Vec<PathBuf>> {
-    if dir.join("run.json").is_file() {
-        return Ok(vec![dir.to_path_buf()]);
-    }
     let folder = if dir.join("runs").is_dir() { dir.join("runs") } else { dir.to_path_buf() };
     let entries = std::fs::read_dir(&folder).map_err(|e| drex_core::Error::io("list", &folder, e))?;
     let mut runs: Vec<PathBuf> =
         entries.filter_map(|e| Some(e.ok()?.path())).filter(|p| p.join("run.json").is_file()).collect();
     runs.sort();
     if runs.is_empty() {
-        bail!(
-            "no run.json in {} or one folder below it; give the folder that holds runs/ and objects/",
-            folder.display()
-        );
+        bail!("no run.json in a folder below {}; give the folder that holds runs/ and objects/", folder.display());
     }
     Ok(runs)
 }
@@ -94,14 +108,15 @@ fn import_object(name: &str, runs: &[PathBuf], dir: &Path, root: &Path) -> Resul
     let mut pushes = Vec::new();
     for run in runs {
         // Loading checks the run as a whole before anything is copied.
-        let recording = PushRecording::load(run, &InputChoice::default())?;
+        let config = allegro_run::push_config(run, &ALLEGRO_ROS)?;
+        let recording = config.load(run)?;
         if up_in_mesh.is_none() {
             // The first run decides. Rounded, so that an axis reads as one.
             up_in_mesh = up_of(&recording)?.map(|up| [up.x, up.y, up.z].map(|c| (c * 1e6).round() / 1e6));
         }
         let mesh = mesh.get_or_insert_with(|| recording.mesh.clone());
         let place = format!("push/{}", run_name(run));
-        copy_run(run, mesh, &place, root, &mut files)?;
+        write_push(&config, run, &output_path(root, &place)?, Some(&root.join(scan_name(mesh))))?;
         pushes.push(place);
     }
     let (Some(mesh), Some(up_in_mesh)) = (mesh, up_in_mesh) else {
@@ -134,21 +149,6 @@ fn up_of(recording: &PushRecording) -> Result<Option<Vector3<f64>>> {
         }
         _ => None,
     })
-}
-
-/// Copies the logs of a run to the folder `place` of the twin `root`, and writes a push.toml there that stands alone.
-fn copy_run(run: &Path, mesh: &Path, place: &str, root: &Path, files: &mut OutputFolder) -> Result<()> {
-    let mut config: PushConfig = drex_run::to_push_config(&run.join("run.json"), run)?;
-    let mut logs = vec![&mut config.track.file];
-    logs.extend(config.hand.as_mut().map(|hand| &mut hand.joints));
-    for log in logs {
-        let name = file_name(log);
-        copy(&run.join(&log), &files.file(&format!("{place}/{name}"))?)?;
-        *log = name.into();
-    }
-    config.mesh = fsutil::relative_path(&root.join(scan_name(mesh)), &root.join(place));
-    fsutil::write_atomic(&files.file(&format!("{place}/push.toml"))?, config.to_toml_string()?.as_bytes())?;
-    Ok(())
 }
 
 /// The manifest as a person would write it.

@@ -128,8 +128,6 @@ class Push:
     def load(
         path: _Path,
         *,
-        poses: Literal["noisy", "hard", "clean"] = "noisy",
-        force: Literal["noisy", "exact"] = "noisy",
         encoder: bool = True,
     ) -> Push: ...
     @property

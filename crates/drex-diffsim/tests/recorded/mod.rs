@@ -10,7 +10,8 @@ use std::path::{Path, PathBuf};
 
 use drex_core::{MassProperties, Pose};
 use drex_diffsim::Geom;
-use drex_recording::{Drive, ForceChoice, InputChoice, PoseChoice, PushRecording, SupportBox};
+use drex_recording::convert::mujoco_push::{self, ForceQuality, Inputs, PoseQuality};
+use drex_recording::{Drive, SupportBox};
 use nalgebra::{Matrix3, Point3, Quaternion, UnitQuaternion, Vector3};
 use serde_json::Value;
 
@@ -52,8 +53,8 @@ impl Push {
         if !folder.is_dir() {
             return None;
         }
-        let choice = InputChoice { poses: PoseChoice::Clean, force: ForceChoice::Exact, encoder: true };
-        let recording = PushRecording::load(&folder, &choice).unwrap();
+        let exact = Inputs { poses: PoseQuality::Clean, force: ForceQuality::Exact };
+        let recording = mujoco_push::load(&folder, exact).unwrap();
         let truth: Value = serde_json::from_str(&std::fs::read_to_string(folder.join("truth.json")).unwrap()).unwrap();
         let list = |key: &str| -> Option<Vec<f64>> {
             Some(truth[key].as_array()?.iter().map(|x| x.as_f64().unwrap()).collect())

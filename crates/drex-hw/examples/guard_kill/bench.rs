@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use drex_hw::allegro::{AllegroHand, AllegroOptions, AllegroVersion, WIRE_JOINTS};
+use drex_hw::allegro::{AllegroHand, AllegroOptions, AllegroVersion};
 use drex_hw::can::{Slcan, SlcanAdapter};
 use drex_hw::control::{Behaviour, ControlOptions, EStop, Ended, Joints, run, stop_on_signals};
 use drex_hw::dynamixel::SerialPort;
@@ -86,7 +86,7 @@ impl Bench {
                 hand.set_watchdog(None);
                 hand.place(12, 0.5);
                 let robot = Robot::bundled("allegro_right")?;
-                for (joint, name) in WIRE_JOINTS.iter().enumerate() {
+                for (joint, name) in drex_robot::orders::ALLEGRO_ROS.iter().enumerate() {
                     // Torques stay while the program is stopped: a real joint ends at its stop.
                     let (low, high) = robot.joints[robot.require_joint(name)?].limits.ok_or("no limits")?;
                     hand.set_wall(joint, low, if joint < 8 { 0.1 } else { high });

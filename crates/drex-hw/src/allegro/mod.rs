@@ -11,4 +11,4 @@ mod trait_hand;
 pub use driver::{AllegroHand, AllegroStats};
 pub use frames::{AllegroCommand, AllegroInfo, AllegroReport, AllegroVersion};
 pub use off::{AllegroOff, reports_poses, switch_off};
-pub use options::{AllegroOptions, Gains, JointCalibration, WIRE_JOINTS};
+pub use options::{AllegroOptions, Gains, JointCalibration};

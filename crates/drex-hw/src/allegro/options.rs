@@ -2,14 +2,10 @@
 
 use std::time::Duration;
 
+use drex_robot::orders;
+
 use super::AllegroVersion;
 use crate::{Error, Result};
-
-/// Names of the joints in the order of the wire, as the bundled model has them.
-pub const WIRE_JOINTS: [&str; 16] = [
-    "ffj0", "ffj1", "ffj2", "ffj3", "mfj0", "mfj1", "mfj2", "mfj3", "rfj0", "rfj1", "rfj2", "rfj3", "thj0", "thj1",
-    "thj2", "thj3",
-];
 
 /// Largest duty of each joint, wire units of versions 3 and 4.
 const DUTY_CAPS: [i16; 16] = [375, 675, 450, 285, 375, 675, 450, 285, 375, 675, 450, 285, 525, 405, 270, 270];
@@ -84,7 +80,7 @@ impl AllegroOptions {
         let kd = |j: usize| [15.0, 20.0, 15.0, 15.0, 30.0, 20.0, 20.0, 15.0][if j < 12 { j % 4 } else { j % 4 + 4 }];
         Self {
             version,
-            names: WIRE_JOINTS.map(String::from),
+            names: orders::ALLEGRO_ROS.map(String::from),
             calibration: [JointCalibration::NONE; 16],
             gains: std::array::from_fn(|j| Gains { kp: kp(j) * GAIN_UNIT, kd: kd(j) * GAIN_UNIT }),
             wire_per_nm: match version {

@@ -1,6 +1,6 @@
 //! From a [`PushConfig`] to a [`PushRecording`]: reads the files it names and brings them to one frame and one clock.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use nalgebra::Vector3;
 
@@ -17,8 +17,9 @@ impl PushConfig {
     /// Reads everything that the configuration names; relative paths start at `folder`.
     ///
     /// # Errors
-    /// As [`PushRecording::load`].
-    pub fn load(&self, folder: &Path, choice: &InputChoice) -> Result<PushRecording> {
+    /// If an entry contradicts another, a file it names cannot be read or is malformed, the recordings do not overlap in time, or
+    /// a stated constant cannot be true of a tabletop.
+    pub fn load(&self, folder: &Path) -> Result<PushRecording> {
         self.check()?;
         let track_file = folder.join(&self.track.file);
         let track = self.read_track(&track_file)?;
@@ -32,7 +33,7 @@ impl PushConfig {
         };
         let track = track.shifted(-zero);
         let mut notes = vec![sampling_note("poses", track.times_s())];
-        let drive = self.read_drive(folder, choice, &track, zero, &mut notes)?;
+        let drive = self.read_drive(folder, &track, zero, &mut notes)?;
 
         let name = self.name.clone().unwrap_or_else(|| {
             fsutil::absolute(folder).file_name().map_or_else(|| "push".to_owned(), |n| n.to_string_lossy().into_owned())
@@ -46,7 +47,7 @@ impl PushConfig {
             },
             FrameKind::Camera | FrameKind::World => TrackFrame::World,
         };
-        Ok(PushRecording {
+        let recording = PushRecording {
             track_frame,
             noise: self.track.noise,
             support: self.support.clone(),
@@ -55,19 +56,28 @@ impl PushConfig {
             initial_pose: self.start.pose.map(|p| p.pose("[start] pose")).transpose()?,
             starts_at_rest: self.start.at_rest,
             parameters: self.parameters.clone(),
-            sources: self.files().into_iter().map(|f| folder.join(f)).collect(),
+            sources: self.clone().files_mut().into_iter().map(|f| folder.join(f)).collect(),
             nominal_start: self.start.nominal_position_m.map(Into::into),
             notes,
             ..PushRecording::new(name, folder.join(&self.mesh), track, drive)
-        })
+        };
+        recording.check()?;
+        if !recording.mesh.is_file() {
+            let missing = std::io::Error::new(std::io::ErrorKind::NotFound, "the mesh of the pushed object is missing");
+            return Err(Error::io("read", &recording.mesh, missing));
+        }
+        Ok(recording)
     }
 
-    /// The recordings it names, as it names them.
-    fn files(&self) -> Vec<&Path> {
-        let mut files = vec![self.track.file.as_path()];
-        files.extend(self.force.iter().map(|f| f.file.as_path()));
-        files.extend(self.finger.iter().flat_map(|f| [Some(f.commands.as_path()), f.encoder.as_deref()]).flatten());
-        files.extend(self.hand.iter().map(|h| h.joints.as_path()));
+    /// The paths of the recordings that it names; the mesh is not among them.
+    pub(crate) fn files_mut(&mut self) -> Vec<&mut PathBuf> {
+        let mut files = vec![&mut self.track.file];
+        files.extend(self.force.as_mut().map(|f| &mut f.file));
+        if let Some(finger) = &mut self.finger {
+            files.push(&mut finger.commands);
+            files.extend(finger.encoder.as_mut());
+        }
+        files.extend(self.hand.as_mut().map(|h| &mut h.joints));
         files
     }
 
@@ -94,14 +104,7 @@ impl PushConfig {
     }
 
     /// What moved the object, with the start at time zero.
-    fn read_drive(
-        &self,
-        folder: &Path,
-        choice: &InputChoice,
-        track: &Trajectory,
-        zero: f64,
-        notes: &mut Vec<String>,
-    ) -> Result<Drive> {
+    fn read_drive(&self, folder: &Path, track: &Trajectory, zero: f64, notes: &mut Vec<String>) -> Result<Drive> {
         let shift = |times_s: &mut Vec<f64>, clock: &ClockConfig| {
             for t in times_s {
                 *t += clock.offset_s.unwrap_or(0.0) - zero;
@@ -125,14 +128,14 @@ impl PushConfig {
             shift(&mut commands.times_s, &finger.clock);
             note(&file, "commands", "commands", &commands.times_s)?;
             let encoder = match &finger.encoder {
-                Some(encoder) if choice.encoder => {
+                Some(encoder) => {
                     let file = folder.join(encoder);
                     let mut encoder = read_proprio_csv(&file)?;
                     shift(&mut encoder.times_s, &finger.clock);
                     note(&file, "encoder samples", "encoder samples", &encoder.times_s)?;
                     Some(encoder)
                 }
-                _ => None,
+                None => None,
             };
             return Ok(Drive::Finger(FingerPush {
                 command_times_s: commands.times_s,

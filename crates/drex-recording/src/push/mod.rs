@@ -4,9 +4,6 @@
 //! from. [`PushRecording::load`] reads all layouts.
 
 mod assemble;
-mod choice;
-pub mod drex_run;
-mod mujoco;
 mod toml;
 
 use std::collections::BTreeMap;
@@ -15,7 +12,6 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
-pub use self::choice::{ForceChoice, InputChoice, PoseChoice};
 pub use self::toml::{
     ClockConfig, ClockKind, FingerConfig, ForceConfig, FrameKind, Free, HandConfig, PoseConfig, PushConfig,
     StartConfig, StatedParameter, TrackConfig, TrackFormat,
@@ -86,49 +82,36 @@ impl PushRecording {
         }
     }
 
-    /// Reads a push from a `push.toml`, a `meta.json` (a rollout of known mass) or a `run.json` (a logged robot run),
-    /// or from a folder that holds one of these. `choice` picks among the inputs that a `meta.json` folder offers and
-    /// whether a fingertip encoder is used.
+    /// Reads a push from a `push.toml` or a folder that holds one.
     ///
     /// # Errors
     /// If there is no such file, one of the files it leads to cannot be read or is malformed, or the recordings do not
     /// overlap in time. Messages name file, place and remedy.
-    pub fn load(path: &Path, choice: &InputChoice) -> Result<Self> {
-        const LAYOUTS: [&str; 3] = ["push.toml", "meta.json", "run.json"];
-        let file = if path.is_dir() {
-            LAYOUTS.iter().map(|name| path.join(name)).find(|p| p.is_file()).ok_or_else(|| {
-                Error::content(
-                    path,
-                    None,
-                    "the folder holds none of push.toml, meta.json, run.json",
-                    "give the folder of one push, or write a push.toml there",
-                )
-            })?
-        } else {
-            path.to_path_buf()
-        };
-        let mut recording = match file.file_name().and_then(|n| n.to_str()) {
-            Some("meta.json") => mujoco::load(&file, choice)?,
-            Some("run.json") => drex_run::load(&file)?,
-            _ if file.extension().is_some_and(|e| e == "toml") => {
-                PushConfig::read(&file)?.load(folder_of(&file), choice)?
-            }
-            _ => {
-                let what = "the file is none of push.toml, meta.json, run.json";
-                return Err(Error::content(&file, None, what, "describe the push in a push.toml"));
-            }
-        };
-        recording.sources.insert(0, file.clone());
-        recording.check().map_err(|e| Error::at(&file, None, e))?;
-        if !recording.mesh.is_file() {
-            let missing = std::io::Error::new(std::io::ErrorKind::NotFound, "the mesh of the pushed object is missing");
-            return Err(Error::io("read", &recording.mesh, missing));
+    pub fn load(path: &Path) -> Result<Self> {
+        const REMEDY: &str = "describe the push in a push.toml; `drex import` makes one from other layouts";
+        let file = if path.is_dir() { path.join("push.toml") } else { path.to_path_buf() };
+        if path.is_dir() && !file.is_file() {
+            return Err(Error::content(path, None, "the folder holds no push.toml", REMEDY));
         }
+        if file.extension().is_none_or(|e| e != "toml") {
+            return Err(Error::content(&file, None, "the file is no push.toml", REMEDY));
+        }
+        let config = PushConfig::read(&file)?;
+        let mut recording = config.load(folder_of(&file)).map_err(|e| Error::at(&file, None, e))?;
+        recording.sources.insert(0, file);
         Ok(recording)
     }
-}
 
-impl PushRecording {
+    /// The same push as if the encoder of the fingertip had not been recorded.
+    pub fn without_encoder(mut self) -> Self {
+        if let Drive::Finger(finger) = &mut self.drive
+            && finger.encoder.take().is_some()
+        {
+            self.notes.push("the encoder is left out".into());
+        }
+        self
+    }
+
     /// Checks that the stated constants can be true of a tabletop.
     fn check(&self) -> Result<()> {
         let mut facts = vec![("the size of gravity (m/s²)", self.gravity.norm(), 1e-3, 100.0)];

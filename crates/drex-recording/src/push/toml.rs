@@ -7,8 +7,9 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::{FingerImpedance, Support};
+use drex_core::pose::to_wxyz;
 use drex_core::trajectory::PoseNoise;
-use drex_core::{Error, Result, fsutil};
+use drex_core::{Error, Pose, Result, fsutil};
 
 /// `push.toml`. Paths are relative to the folder of the file. At most one of `force`, `finger`, `hand` is there; with
 /// none of them nothing but gravity and the support acted on the object.
@@ -280,7 +281,52 @@ pub struct HandConfig {
     pub clock: ClockConfig,
 }
 
+impl TrackConfig {
+    /// A track in `file`, of which nothing else is known.
+    pub fn new(file: impl Into<PathBuf>, format: TrackFormat, frame: FrameKind) -> Self {
+        Self {
+            file: file.into(),
+            format,
+            fps: None,
+            scene_id: None,
+            obj_id: None,
+            clock: ClockConfig::default(),
+            frame,
+            world_from_camera: None,
+            up_in_mesh: None,
+            push_in_mesh: None,
+            tracked_from_mesh: None,
+            noise: None,
+        }
+    }
+}
+
+impl From<&Pose> for PoseConfig {
+    fn from(pose: &Pose) -> Self {
+        let (position_m, quat_wxyz) = to_wxyz(pose);
+        Self { position_m, quat_wxyz }
+    }
+}
+
 impl PushConfig {
+    /// A push of the object of `mesh` by nothing but gravity and its support, of which nothing else is known.
+    pub fn new(mesh: impl Into<PathBuf>, track: TrackConfig) -> Self {
+        Self {
+            schema: 1,
+            name: None,
+            mesh: mesh.into(),
+            gravity_m_s2: standard_gravity(),
+            mass_prior_kg: None,
+            track,
+            support: Support::default(),
+            start: StartConfig::default(),
+            force: None,
+            finger: None,
+            hand: None,
+            parameters: BTreeMap::new(),
+        }
+    }
+
     /// Reads a `push.toml`.
     ///
     /// # Errors

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use crate::Result;
 use crate::error::{Context, refuse};
 use drex_core::fsutil;
-use drex_recording::{Drive, InputChoice, PushRecording, StatedParameter};
+use drex_recording::{Drive, PushRecording, StatedParameter};
 use drex_sysid::{IdentifyOptions, MassPosterior, MassPrior, Parameter, identify_watched};
 
 use crate::Progress;
@@ -86,13 +86,12 @@ fn as_scanned(recording: &mut PushRecording, sd_m: f64) {
 
 /// The manifest's pushes, loaded.
 pub fn recordings(twin: &Twin) -> Result<Vec<PushRecording>> {
-    let choice = InputChoice::default();
     Ok(twin
         .manifest
         .mass
         .identify
         .iter()
-        .map(|push| PushRecording::load(&twin.path(push), &choice))
+        .map(|push| PushRecording::load(&twin.path(push)))
         .collect::<Result<_, _>>()?)
 }
 
@@ -128,7 +127,7 @@ mod tests {
     #[test]
     fn a_scanned_shape_is_expected_where_the_recording_does_not_say_otherwise() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/tin/push/tilt");
-        let mut recording = PushRecording::load(&folder, &InputChoice::default()).unwrap();
+        let mut recording = PushRecording::load(&folder).unwrap();
         let stated = StatedParameter::Value(0.001);
         recording.parameters.insert("center_z".into(), stated);
         let mut nothing = recording.clone();

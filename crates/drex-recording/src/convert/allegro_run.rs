@@ -4,16 +4,18 @@
 //! The camera's pose in the world is unknown in this layout. The run may name the up direction of the resting object, the
 //! direction of the push and how the mesh sits in the tracked frame; what it does not name is left to be found in the track.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use drex_core::pose::rotation_from_matrix;
+use drex_core::{Error, Pose, Result, fsutil};
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
-use super::*;
 use crate::clock::{format_utc_offset, parse_utc_offset};
-use drex_core::fsutil;
-use drex_core::pose::{rotation_from_matrix, to_wxyz};
+use crate::{
+    ClockConfig, ClockKind, FrameKind, HandConfig, PoseConfig, PushConfig, PushRecording, StartConfig, Support,
+    TrackConfig, TrackFormat,
+};
 
 /// `run.json`.
 #[derive(Deserialize)]
@@ -39,23 +41,18 @@ struct TrackedFromMesh {
     translation_m: [f64; 3],
 }
 
-/// Joint names of the Allegro hand in the order of its ROS driver: index, middle, ring, thumb, each from base to tip.
-const ALLEGRO_ROS: [&str; 16] = [
-    "ffj0", "ffj1", "ffj2", "ffj3", "mfj0", "mfj1", "mfj2", "mfj3", "rfj0", "rfj1", "rfj2", "rfj3", "thj0", "thj1",
-    "thj2", "thj3",
-];
-
-/// What `run_json` says, as a `push.toml` whose paths are relative to `folder` (the folder that it will be written to).
-/// The meaning of the run's own clock and frame conventions is spelled out, so that the result stands alone.
+/// The run in the folder `run` as a `push.toml` whose paths start at that folder. `joint_names` are the joints of the
+/// columns `position_0`, `position_1`, … of its joint log: `drex_robot::orders::ALLEGRO_ROS`. The meaning of the
+/// run's own clocks and frames is spelled out.
 ///
 /// # Errors
-/// If the file cannot be read or is malformed, a given `tracked_from_mesh` is no rotation, a clock is not understood, or the
-/// order of the hand's joints is not known.
-pub fn to_push_config(run_json: &Path, folder: &Path) -> Result<PushConfig> {
-    let run: Run = fsutil::from_json(run_json, &fsutil::read_text(run_json)?)?;
-    let refuse = |what: String, remedy: &str| Error::content(run_json, None, what, remedy);
-    let home = folder_of(run_json);
-    let relative = |file: &Path| fsutil::relative_path(&home.join(file), folder);
+/// If `run.json` cannot be read or is malformed, a given `tracked_from_mesh` is no rotation, a clock is not understood, or the
+/// hand is no Allegro hand.
+pub fn push_config(run: &Path, joint_names: &[&str]) -> Result<PushConfig> {
+    let folder = run;
+    let run_json = folder.join("run.json");
+    let run: Run = fsutil::from_json(&run_json, &fsutil::read_text(&run_json)?)?;
+    let refuse = |what: String, remedy: &str| Error::content(&run_json, None, what, remedy);
 
     let tracked_from_mesh = match &run.tracked_from_mesh {
         None => None,
@@ -90,74 +87,54 @@ pub fn to_push_config(run_json: &Path, folder: &Path) -> Result<PushConfig> {
     }
     let utc_offset =
         parse_utc_offset(&run.pose_clock).map_err(|e| refuse(format!("pose_clock: {e}"), "name the time zone"))?;
-    let joint_names = match run.hand.as_str() {
-        "allegro_right" | "allegro_left" => ALLEGRO_ROS.map(str::to_owned).to_vec(),
-        other => {
-            return Err(refuse(
-                format!("the joint order of hand `{other}` is not known here"),
-                "write a push.toml with [hand] joint_names instead",
-            ));
-        }
+    if !matches!(run.hand.as_str(), "allegro_right" | "allegro_left") {
+        return Err(refuse(
+            format!("the joint order of hand `{}` is not known here", run.hand),
+            "write a push.toml with [hand] joint_names instead",
+        ));
+    }
+    let track = TrackConfig {
+        clock: ClockConfig {
+            kind: ClockKind::LocalIso,
+            utc_offset: Some(format_utc_offset(utc_offset)),
+            offset_s: None,
+        },
+        up_in_mesh: up.map(|up| (rotation.inverse() * up).into()),
+        push_in_mesh: push,
+        tracked_from_mesh: tracked_from_mesh.as_ref().map(PoseConfig::from),
+        ..TrackConfig::new("object_poses.txt", TrackFormat::FoundationPoseLog, FrameKind::Camera)
     };
     Ok(PushConfig {
-        schema: 1,
-        name: Some(match fsutil::absolute(home).file_name() {
+        name: Some(match fsutil::absolute(folder).file_name() {
             Some(name) => name.to_string_lossy().into_owned(),
             None => run.object,
         }),
-        mesh: relative(&run.mesh),
-        gravity_m_s2: [0.0, 0.0, -9.81],
         mass_prior_kg: run.mass_prior_kg,
-        track: TrackConfig {
-            file: relative(Path::new("object_poses.txt")),
-            format: TrackFormat::FoundationPoseLog,
-            fps: None,
-            scene_id: None,
-            obj_id: None,
-            clock: ClockConfig {
-                kind: ClockKind::LocalIso,
-                utc_offset: Some(format_utc_offset(utc_offset)),
-                offset_s: None,
-            },
-            frame: FrameKind::Camera,
-            world_from_camera: None,
-            up_in_mesh: up.map(|up| (rotation.inverse() * up).into()),
-            push_in_mesh: push,
-            tracked_from_mesh: tracked_from_mesh.as_ref().map(PoseConfig::from),
-            noise: None,
-        },
         support: Support { table_height_m: run.table_height_m, ..Support::default() },
         start: StartConfig {
             at_rest: true,
             nominal_position_m: run.object_start_xyz_m_nominal,
             ..StartConfig::default()
         },
-        force: None,
-        finger: None,
         hand: Some(HandConfig {
             robot: run.hand,
             world_from_base: PoseConfig { position_m: run.hand_base_pose_xyz_m, quat_wxyz: run.hand_base_quat_wxyz },
-            joints: relative(Path::new("joint_states.csv")),
-            joint_names: Some(joint_names),
+            joints: "joint_states.csv".into(),
+            joint_names: Some(joint_names.iter().map(|&n| n.to_owned()).collect()),
             clock: ClockConfig { kind: ClockKind::Unix, ..ClockConfig::default() },
         }),
-        parameters: BTreeMap::new(),
+        ..PushConfig::new(run.mesh, track)
     })
 }
 
-/// Reads the run that `file`, a `run.json`, describes.
-pub(super) fn load(file: &Path) -> Result<PushRecording> {
-    let folder = folder_of(file);
-    to_push_config(file, folder)?.load(folder, &InputChoice::default())
+/// The run in the folder `run`, read where it stands.
+///
+/// # Errors
+/// As [`push_config`] and [`PushConfig::load`].
+pub fn load(run: &Path, joint_names: &[&str]) -> Result<PushRecording> {
+    push_config(run, joint_names)?.load(run)
 }
 
 fn unit(v: [f64; 3]) -> Option<Vector3<f64>> {
     Vector3::from(v).try_normalize(1e-9).filter(|u| u.iter().all(|c| c.is_finite()))
-}
-
-impl From<&Pose> for PoseConfig {
-    fn from(pose: &Pose) -> Self {
-        let (position_m, quat_wxyz) = to_wxyz(pose);
-        Self { position_m, quat_wxyz }
-    }
 }
