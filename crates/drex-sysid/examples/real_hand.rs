@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use drex_core::{Pose, Trajectory, TriMesh};
 use drex_recording::convert::allegro_run;
-use drex_recording::{Drive, HandPush, PushRecording};
+use drex_recording::{Drive, HandPush};
 use drex_robot::{Robot, orders};
 use drex_sysid::bound::{Bound, BoundOptions, Topple, of_topple};
 use drex_sysid::calibrate::{CalibrateOptions, ExtraTorque, HandCalibration, HandRun, Touch, hand};

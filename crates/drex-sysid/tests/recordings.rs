@@ -46,7 +46,7 @@ fn noisy_inputs_keep_the_truth_inside_the_interval() {
     for object in ["letter_l_rho1", "brick", "can", "letter_t", "letter_l_rho3"] {
         for scenario in ["lift_force", "slide_force"] {
             let folder = shared.join("data/push_mujoco").join(object).join(scenario);
-            let a = weigh(&folder);
+            let a = weigh(&folder, Inputs::default());
             let (ci, m) = (a.ci95_kg.unwrap(), truth(&folder));
             held += usize::from(ci[0] < m && m < ci[1]);
             assert!((1.01..1.1).contains(&(ci[1] / ci[0])), "{object}/{scenario}: {ci:?}");
@@ -60,7 +60,7 @@ fn noisy_inputs_keep_the_truth_inside_the_interval() {
 fn tosses_weigh_nothing() {
     let Some(shared) = shared() else { return };
     for object in ["brick", "can"] {
-        let a = weigh(&shared.join("data/push_mujoco").join(object).join("toss"));
+        let a = weigh(&shared.join("data/push_mujoco").join(object).join("toss"), Inputs::default());
         assert_eq!(a.verdict, Verdict::NotIdentifiable);
         assert!(a.mass_kg.is_none() && a.prior_kg.is_some());
         let first = a.profile[0].1;
@@ -77,12 +77,12 @@ fn compliant_fingers_weigh_and_a_rigid_one_does_not() {
     let Some(shared) = shared() else { return };
     let brick = shared.join("data/push_mujoco/brick");
     for scenario in ["finger_slow", "finger_fast", "finger_tilt"] {
-        let a = weigh(&brick.join(scenario));
+        let a = weigh(&brick.join(scenario), Inputs::default());
         let (ci, m) = (a.ci95_kg.unwrap(), truth(&brick.join(scenario)));
         assert!(ci[0] < m && m < ci[1], "{scenario}: {ci:?} and {m}");
         assert!((a.mass_kg.unwrap() / m - 1.0).abs() < 0.05, "{scenario}: {:?} and {m}", a.mass_kg);
     }
-    assert_eq!(weigh(&brick.join("finger_rigid")).verdict, Verdict::NotIdentifiable);
+    assert_eq!(weigh(&brick.join("finger_rigid"), Inputs::default()).verdict, Verdict::NotIdentifiable);
 }
 
 /// The same letter of three densities.
@@ -93,7 +93,7 @@ fn three_densities_of_one_shape_are_told_apart() {
     for scenario in ["lift_force", "tilt_force", "overhang_press", "finger_tilt"] {
         let intervals = ["letter_l_rho1", "letter_l", "letter_l_rho3"].map(|object| {
             let folder = root.join(object).join(scenario);
-            let a = weigh(&folder);
+            let a = weigh(&folder, Inputs::default());
             assert_eq!(a.verdict, Verdict::Identified, "{object}/{scenario}: {}", a.reason);
             let (ci, m) = (a.ci95_kg.unwrap(), truth(&folder));
             assert!(ci[0] < m && m < ci[1], "{object}/{scenario}: {ci:?} without {m}");
