@@ -419,7 +419,8 @@ pub fn hand_mapping() -> Seeds {
 
 /// A torque-current model.
 pub fn torque_law() -> Seeds {
-    let law = drex_hw::law::TorqueLaw::nominal(drex_hw::law::Nominal::Xc330Linear).unwrap();
+    let law =
+        drex_hw::torque_current::TorqueCurrentModel::nominal(drex_hw::torque_current::Nominal::Xc330Linear).unwrap();
     vec![serde_json::to_vec(&law).unwrap()]
 }
 

@@ -86,7 +86,11 @@ pub const TARGETS: &[Target] = &[
     target("mano_npz", |b| drop(black_box(ManoModel::parse_npz(Path::new("m.npz"), b))), seeds::mano_npz),
     target("points", points, seeds::points),
     target("hand_mapping", hand_mapping, seeds::hand_mapping),
-    target("torque_law", |b| drop(black_box(serde_json::from_slice::<drex_hw::law::TorqueLaw>(b))), seeds::torque_law),
+    target(
+        "torque_law",
+        |b| drop(black_box(serde_json::from_slice::<drex_hw::torque_current::TorqueCurrentModel>(b))),
+        seeds::torque_law,
+    ),
     target(
         "mass_prior",
         |b| drop(black_box(drex_sysid::MassPrior::from_json(&String::from_utf8_lossy(b), Some(1e-3)))),

@@ -1,6 +1,6 @@
 //! How well the loop keeps its time on this machine, with an emulated Allegro hand: `control_rate [RATE_HZ] [SECONDS]`.
 //!
-//! Two hands: in memory, and over slcan at a pseudo-terminal. Late is how much later than planned a cycle began; busy is behaviour and
+//! Two hands: in memory, and over slcan at a pseudo-terminal. Late is how much later than planned a cycle began; busy is controller and
 //! exchange; missed cycles were left out because the one before took too long.
 #![allow(clippy::print_stdout, missing_docs)] // a program for the terminal
 
@@ -60,7 +60,7 @@ fn measure(name: &str, mut hand: impl Hand + 'static, rate_hz: f64, seconds: f64
         report.unrecorded,
         show(s.late),
         show(s.busy),
-        report.ended
+        report.stop_reason
     );
     Ok(())
 }

@@ -114,7 +114,7 @@ fn grasp((hand, closing): Found, model: &str, planner: Planner, share: f64, log:
     }
     let (back, report) = running.wait();
     let rows = writer.join().map_err(|_| "the writer of the log panicked")??;
-    println!("{:?}, torque off: {:?}, {rows} rows in {log}", report.ended, report.torque_off);
+    println!("{:?}, torque off: {:?}, {rows} rows in {log}", report.stop_reason, report.torque_off);
     println!("{:?}", report.stats);
     if let Some((_, grasp)) = back {
         let outcome = grasp.outcome();

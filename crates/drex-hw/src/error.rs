@@ -30,9 +30,9 @@ pub enum Error {
     /// A file could not be read or written.
     #[error(transparent)]
     File(#[from] drex_core::Error),
-    /// Too few pairs to fit a law.
+    /// Too few pairs to fit a model.
     #[error(
-        "torque law: {have} usable pairs at {distinct} different currents; measure at least {need} at {need} currents"
+        "torque-current model: {have} usable pairs at {distinct} different currents; measure at least {need} at {need} currents"
     )]
     TooFewPairs {
         /// Pairs with a current above zero.
@@ -43,7 +43,7 @@ pub enum Error {
         need: usize,
     },
     /// More current does not mean more torque.
-    #[error("torque law: {what} is not monotone; {remedy}")]
+    #[error("torque-current model: {what} is not monotone; {remedy}")]
     NotMonotone {
         /// What is not.
         what: String,
@@ -51,7 +51,7 @@ pub enum Error {
         remedy: String,
     },
     /// A torque or current outside of what was calibrated.
-    #[error("torque law: {value} {unit} is outside of the calibrated 0 to {most} {unit}; {remedy}")]
+    #[error("torque-current model: {value} {unit} is outside of the calibrated 0 to {most} {unit}; {remedy}")]
     OutOfRange {
         /// What was asked for.
         value: f64,
@@ -163,7 +163,7 @@ impl Error {
     /// By whom and why the torque was taken off, if the guard of the port has done that, or its end: there is no way back for this
     /// connection.
     #[cfg(unix)]
-    pub fn taken_over(&self) -> Option<&crate::guard::TakenOver> {
+    pub fn taken_over(&self) -> Option<&crate::TakenOver> {
         let Self::Port { source, .. } = self else { return None };
         source.get_ref()?.downcast_ref()
     }

@@ -18,7 +18,7 @@ pub enum EffortUnit {
 pub enum JointStatus {
     /// Driven by no torque.
     #[default]
-    Limp,
+    TorqueOff,
     /// Under torque, does what it is told.
     Driven,
     /// Does not answer; its values are old.
@@ -64,7 +64,7 @@ impl HandState {
             voltage_v: vec![None; joints],
             hardware_error: vec![0; joints],
             age: vec![u32::MAX; joints],
-            status: vec![JointStatus::Limp; joints],
+            status: vec![JointStatus::TorqueOff; joints],
         }
     }
 

@@ -8,16 +8,20 @@ pub mod dynamixel;
 pub mod emulator;
 #[cfg(unix)]
 pub mod guard;
-pub mod law;
 pub mod leap;
+pub mod torque_current;
 
 mod clock;
 mod error;
 mod hand;
+#[cfg(unix)]
+mod taken_over;
 
 pub use clock::{Clock, SystemClock};
 pub use error::{Error, Result};
 pub use hand::{EffortUnit, Hand, HandCommand, HandState, JointStatus};
+#[cfg(unix)]
+pub use taken_over::TakenOver;
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

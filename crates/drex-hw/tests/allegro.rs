@@ -11,7 +11,7 @@ use drex_hw::allegro::{
 };
 use drex_hw::can::{CanBus, CanFrame, MemoryCan};
 use drex_hw::emulator::allegro::{AllegroEmulator, EmulatorBus};
-use drex_hw::law::{Nominal, TorqueLaw};
+use drex_hw::torque_current::{Nominal, TorqueCurrentModel};
 use drex_hw::{Clock, Hand, HandCommand, HandState, JointStatus, Result};
 use drex_robot::Robot;
 use proptest::prelude::*;
@@ -50,7 +50,7 @@ fn run(hand: &AllegroEmulator, driver: &mut impl Hand, command: Option<&HandComm
 }
 
 fn torques_heard(hand: &AllegroEmulator) -> Vec<[i16; 4]> {
-    let torque = |h: drex_hw::emulator::allegro::Heard| match h.command {
+    let torque = |h: drex_hw::emulator::allegro::ReceivedCommand| match h.command {
         AllegroCommand::Torque { wire, .. } => Some(wire),
         _ => None,
     };
@@ -96,10 +96,10 @@ fn the_model_and_the_drivers_agree_on_what_the_motors_give() {
         assert!((effort[robot.require_joint(name).unwrap()] - cap).abs() < 1e-12, "{name}: {effort:?}");
     }
     assert!(caps(AllegroVersion::V5).iter().all(|c| (c - 0.240 / 1.43).abs() < 1e-12));
-    // LEAP's are those of 550 mA, by the law that public simulations of it use.
-    let law = TorqueLaw::nominal(Nominal::LeapSimulation).unwrap();
+    // LEAP's are those of 550 mA, by the model that public simulations of it use.
+    let model = TorqueCurrentModel::nominal(Nominal::LeapSimulation).unwrap();
     let leap = Robot::bundled("leap_right").unwrap().effort_limits().unwrap();
-    assert!(leap.iter().all(|l| (l - law.torque_nm(550.0).unwrap()).abs() < 0.005), "{leap:?}");
+    assert!(leap.iter().all(|l| (l - model.torque_nm(550.0).unwrap()).abs() < 0.005), "{leap:?}");
 }
 
 #[test]

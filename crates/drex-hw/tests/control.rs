@@ -6,8 +6,8 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use drex_hw::control::{
-    Behaviour, ControlLoop, ControlOptions, Derating, EStop, Ended, JointTrouble, Joints, Trajectory, Waypoint, run,
-    telemetry, write_csv,
+    ControlLoop, ControlOptions, Controller, Derating, EStop, JointFault, Joints, StopReason, Trajectory, Waypoint,
+    run, telemetry, write_csv,
 };
 use drex_hw::{Clock, EffortUnit, Error, Hand, HandCommand, HandState, JointStatus, Result};
 use drex_recording::JointLog;
@@ -34,7 +34,7 @@ struct World {
     deaf_to_off: bool,
     mute: bool,
     /// Status of joint b in the cycles from the first to the last.
-    trouble: Option<(u32, u32, JointStatus)>,
+    fault: Option<(u32, u32, JointStatus)>,
     reads: Option<f64>,
 }
 
@@ -119,7 +119,7 @@ impl Hand for Fake {
         }
         state.age.fill(if world.mute { u32::MAX } else { 0 });
         state.status.fill(JointStatus::Driven);
-        if let Some((_, _, status)) = world.trouble.filter(|(a, b, _)| (*a..=*b).contains(&world.cycles)) {
+        if let Some((_, _, status)) = world.fault.filter(|(a, b, _)| (*a..=*b).contains(&world.cycles)) {
             state.status[1] = status;
         }
         state.temperature_c.fill(world.celsius);
@@ -140,7 +140,7 @@ fn there(time_s: f64, q: f64) -> Trajectory {
 /// Tells the joints what a function of the time says.
 struct Say<F>(F);
 
-impl<F: FnMut(f64, &mut HandCommand) + Send> Behaviour for Say<F> {
+impl<F: FnMut(f64, &mut HandCommand) + Send> Controller for Say<F> {
     fn begin(&mut self, _: &Joints<'_>, _: &HandState) -> Result<()> {
         Ok(())
     }
@@ -157,7 +157,7 @@ fn a_trajectory_is_followed_at_the_rate_and_ends_with_torque_off() {
     let mut trajectory = there(1.0, 0.8);
     let (recorder, mut reader) = telemetry(2, 1000);
     let report = run(&mut hand, &mut trajectory, &clock, ControlOptions::default().with_recorder(recorder));
-    assert!(matches!(report.ended, Ended::Done) && report.torque_off.is_ok(), "{:?}", report.ended);
+    assert!(matches!(report.stop_reason, StopReason::Done) && report.torque_off.is_ok(), "{:?}", report.stop_reason);
     // One every 2.5 ms from 0 to 1 s, both included.
     assert_eq!((report.stats.cycles, report.stats.missed, report.unrecorded), (401, 0, 0));
     assert!((report.stats.rate_hz - 400.0).abs() < 1e-6);
@@ -182,7 +182,7 @@ fn a_trajectory_waits_for_joints_that_lag_but_not_for_those_that_stopped() {
         let (world, mut hand, clock) = fake();
         change(&mut world.lock().unwrap());
         let report = run(&mut hand, &mut there(1.0, 0.8).with_settle_s(settle_s), &clock, ControlOptions::default());
-        assert!(matches!(report.ended, Ended::Done), "{:?}", report.ended);
+        assert!(matches!(report.stop_reason, StopReason::Done), "{:?}", report.stop_reason);
         (report.stats.cycles, report.state.position[0])
     };
     // 0.7 rad/s for 0.8 rad: 0.1 rad are missing after a second.
@@ -199,7 +199,7 @@ fn a_trajectory_waits_for_joints_that_lag_but_not_for_those_that_stopped() {
     for bad in [f64::NAN, -1.0, f64::INFINITY] {
         let (_, mut hand, clock) = fake();
         let report = run(&mut hand, &mut there(1.0, 0.8).with_settle_s(bad), &clock, ControlOptions::default());
-        assert!(matches!(report.ended, Ended::Failed(Error::Value { .. })));
+        assert!(matches!(report.stop_reason, StopReason::Failed(Error::Value { .. })));
     }
 }
 
@@ -213,20 +213,24 @@ fn however_it_ends_the_torque_goes_off() {
         (report, on)
     };
     let (report, on) = ends(|w| w.fail_at = Some(50));
-    assert!(matches!(report.ended, Ended::Failed(Error::Silent { id: 7 })) && !on && report.torque_off.is_ok());
+    assert!(
+        matches!(report.stop_reason, StopReason::Failed(Error::Silent { id: 7 })) && !on && report.torque_off.is_ok()
+    );
     assert_eq!(report.stats.cycles, 48);
     let (report, on) = ends(|w| w.panic_at = Some(50));
-    assert!(matches!(report.ended, Ended::Panicked(text) if text == "a bug in the driver") && !on);
+    assert!(matches!(report.stop_reason, StopReason::Panicked(text) if text == "a bug in the driver") && !on);
     let (report, on) = ends(|w| w.fail_at = Some(1));
-    assert!(matches!(report.ended, Ended::Failed(_)) && !on);
+    assert!(matches!(report.stop_reason, StopReason::Failed(_)) && !on);
     let (report, on) = ends(|w| w.reads = Some(f64::NAN));
-    assert!(matches!(report.ended, Ended::Failed(Error::Value { what, .. }) if what.contains("joint b")) && !on);
+    assert!(
+        matches!(report.stop_reason, StopReason::Failed(Error::Value { what, .. }) if what.contains("joint b")) && !on
+    );
     let (report, on) = ends(|w| w.mute = true);
-    let Ended::Failed(error) = report.ended else { panic!("{:?}", report.ended) };
+    let StopReason::Failed(error) = report.stop_reason else { panic!("{:?}", report.stop_reason) };
     assert!(error.to_string().contains("read of a, b") && !on);
     // A hand that cannot be reached is tried more than once, and the report says so.
     let (report, on) = ends(|w| w.deaf_to_off = true);
-    assert!(matches!(report.ended, Ended::Done) && on && report.torque_off.is_err());
+    assert!(matches!(report.stop_reason, StopReason::Done) && on && report.torque_off.is_err());
 }
 
 #[test]
@@ -248,13 +252,13 @@ fn an_outage_is_borne_if_it_is_short_and_nothing_jumps_after_it() {
         (report, jump, rows)
     };
     let (report, jump, rows) = run_with(Duration::from_millis(200));
-    assert!(matches!(report.ended, Ended::Done) && report.torque_off.is_ok(), "{:?}", report.ended);
+    assert!(matches!(report.stop_reason, StopReason::Done) && report.torque_off.is_ok(), "{:?}", report.stop_reason);
     assert_eq!((report.stats.failed, report.state.position[0]), (40, 0.8));
     assert!(report.stats.outages == 1 && (report.stats.outage_s - 0.1).abs() < 0.01, "{:?}", report.stats);
     // 0.8 rad/s at 400 Hz.
     assert!(jump < 1.01 * 0.002 && rows == 401, "{jump} rad in {rows} rows");
     let (report, ..) = run_with(Duration::from_millis(50));
-    assert!(matches!(report.ended, Ended::Failed(Error::Silent { .. })));
+    assert!(matches!(report.stop_reason, StopReason::Failed(Error::Silent { .. })));
 }
 
 #[test]
@@ -265,7 +269,11 @@ fn nothing_jumps_after_a_stall() {
         let (recorder, mut reader) = telemetry(2, 1000);
         let options = ControlOptions::default().with_recorder(recorder);
         let report = run(&mut hand, &mut there(1.0, 0.8), &clock, options);
-        assert!(matches!(report.ended, Ended::Done) && report.state.position[0] == 0.8, "{:?}", report.ended);
+        assert!(
+            matches!(report.stop_reason, StopReason::Done) && report.state.position[0] == 0.8,
+            "{:?}",
+            report.stop_reason
+        );
         let (mut last, mut jump) = (0.0, 0.0_f64);
         while let Ok(Some(())) = reader.next(Duration::ZERO, |s| {
             jump = jump.max((s.command.position[0] - last).abs());
@@ -289,7 +297,7 @@ fn nothing_jumps_after_a_stall() {
     let options = ControlOptions::default().with_outage(Duration::from_secs(2));
     let report = run(&mut hand, &mut there(1.0, 0.8), &clock, options);
     let now = world.lock().unwrap().now.as_secs_f64();
-    assert!(matches!(report.ended, Ended::Done) && report.stats.stalls == 1);
+    assert!(matches!(report.stop_reason, StopReason::Done) && report.stats.stalls == 1);
     assert!((now - 2.05).abs() < 0.02, "{now} s for one second of trajectory, one asleep, and 21 lost cycles");
 }
 
@@ -299,13 +307,13 @@ fn what_a_hand_must_not_do_ends_the_loop() {
         let (world, mut hand, clock) = fake();
         let mut say = Say(|t: f64, c: &mut HandCommand| c.position[1] = if t > 0.1 { bad } else { 0.0 });
         let report = run(&mut hand, &mut say, &clock, ControlOptions::default());
-        assert!(matches!(report.ended, Ended::Failed(Error::Value { .. })) && !world.lock().unwrap().on);
+        assert!(matches!(report.stop_reason, StopReason::Failed(Error::Value { .. })) && !world.lock().unwrap().on);
         assert_eq!(world.lock().unwrap().told.position[1], 0.0);
     }
     for rate in [0.0, -1.0, f64::NAN, 1e9] {
         let (world, mut hand, clock) = fake();
         let report = run(&mut hand, &mut there(1.0, 0.5), &clock, ControlOptions::default().with_rate_hz(rate));
-        assert!(matches!(report.ended, Ended::Failed(Error::Value { .. })));
+        assert!(matches!(report.stop_reason, StopReason::Failed(Error::Value { .. })));
         assert!(world.lock().unwrap().cycles == 0);
     }
 }
@@ -323,12 +331,12 @@ fn the_emergency_stop_acts_within_one_cycle() {
         }
     });
     let report = run(&mut hand, &mut say, &clock, ControlOptions::default().with_estop(&estop));
-    assert!(matches!(report.ended, Ended::Stopped) && !world.lock().unwrap().on);
+    assert!(matches!(report.stop_reason, StopReason::Stopped) && !world.lock().unwrap().on);
     assert_eq!(world.lock().unwrap().cycles, 1, "cycles after the stop was pressed");
     // A button that is pressed does not let a hand go on at all.
     let (world, mut hand, clock) = fake();
     let report = run(&mut hand, &mut there(1.0, 0.5), &clock, ControlOptions::default().with_estop(&estop));
-    assert!(matches!(report.ended, Ended::Stopped) && world.lock().unwrap().cycles == 0);
+    assert!(matches!(report.stop_reason, StopReason::Stopped) && world.lock().unwrap().cycles == 0);
 }
 
 #[test]
@@ -356,7 +364,7 @@ fn heat_and_the_limiter_take_and_never_add() {
         let (world, mut hand, clock) = fake();
         world.lock().unwrap().celsius = celsius;
         let report = run(&mut hand, &mut there(0.1, 0.1), &clock, options);
-        assert!(matches!(report.ended, Ended::Done));
+        assert!(matches!(report.stop_reason, StopReason::Done));
         world.lock().unwrap().told.effort_limit.clone()
     };
     let options = ControlOptions::default;
@@ -374,26 +382,26 @@ fn heat_and_the_limiter_take_and_never_add() {
 
 #[test]
 fn joints_in_trouble_are_named_in_the_report() {
-    let troubles = |change: fn(&mut World)| {
+    let faults = |change: fn(&mut World)| {
         let (world, mut hand, clock) = fake();
         change(&mut world.lock().unwrap());
-        run(&mut hand, &mut there(0.1, 0.1), &clock, ControlOptions::default()).troubles
+        run(&mut hand, &mut there(0.1, 0.1), &clock, ControlOptions::default()).faults
     };
-    assert_eq!(troubles(|_| ()), []);
+    assert_eq!(faults(|_| ()), []);
     let faulted = JointStatus::Faulted(32);
-    let recovered = JointTrouble::Recovered { from: faulted, cycles: 5 };
+    let recovered = JointFault::Recovered { from: faulted, cycles: 5 };
     assert_eq!(recovered.to_string(), "faulted (error 0x20) for 5 cycles, well again");
-    assert_eq!(troubles(|w| w.trouble = Some((10, 14, JointStatus::Faulted(32)))), [(1, recovered)]);
-    let ended = troubles(|w| w.trouble = Some((10, 1000, JointStatus::Silent)));
-    assert_eq!(ended, [(1, JointTrouble::Ended(JointStatus::Silent))]);
+    assert_eq!(faults(|w| w.fault = Some((10, 14, JointStatus::Faulted(32)))), [(1, recovered)]);
+    let ended = faults(|w| w.fault = Some((10, 1000, JointStatus::Silent)));
+    assert_eq!(ended, [(1, JointFault::Lasting(JointStatus::Silent))]);
     // A loop that ends by an error tells too.
-    let ended = troubles(|w| (w.trouble, w.fail_at) = (Some((10, 12, JointStatus::Faulted(32))), Some(13)));
-    assert_eq!(ended, [(1, JointTrouble::Ended(faulted))]);
-    let hot = troubles(|w| w.celsius = Some(68.0));
-    let [(0, JointTrouble::Derated { celsius: 68.0, share }), (1, _)] = hot[..] else { panic!("{hot:?}") };
+    let ended = faults(|w| (w.fault, w.fail_at) = (Some((10, 12, JointStatus::Faulted(32))), Some(13)));
+    assert_eq!(ended, [(1, JointFault::Lasting(faulted))]);
+    let hot = faults(|w| w.celsius = Some(68.0));
+    let [(0, JointFault::Derated { celsius: 68.0, share }), (1, _)] = hot[..] else { panic!("{hot:?}") };
     assert!((share - 0.1).abs() < 1e-12);
     // Warm, but not so that the limit asked for would have to fall.
-    assert_eq!(troubles(|w| w.celsius = Some(56.0)), []);
+    assert_eq!(faults(|w| w.celsius = Some(56.0)), []);
 }
 
 #[test]
@@ -413,7 +421,7 @@ fn dropping_the_handle_stops_the_thread_and_the_torque() {
     let (world, hand, clock) = fake();
     let running = ControlLoop::start_with_clock(hand, there(1.0, 0.5), ControlOptions::default(), clock).unwrap();
     let (back, report) = running.wait();
-    assert!(matches!(report.ended, Ended::Done) && back.is_some() && !world.lock().unwrap().on);
+    assert!(matches!(report.stop_reason, StopReason::Done) && back.is_some() && !world.lock().unwrap().on);
 }
 
 #[test]
@@ -469,7 +477,7 @@ fn a_log_with_jitter_in_its_times_is_played_at_the_speed_that_is_allowed() {
     let (recorder, mut reader) = telemetry(2, 2000);
     let mut play = Trajectory::from_log(&log, &hand.names, vec![0.1; 2], 0.5).unwrap();
     let report = run(&mut hand, &mut play, &clock, ControlOptions::default().with_recorder(recorder));
-    assert!(matches!(report.ended, Ended::Done), "{:?}", report.ended);
+    assert!(matches!(report.stop_reason, StopReason::Done), "{:?}", report.stop_reason);
     assert_eq!(report.state.position, [0.3, 0.0]);
     // 0.024 s more than the 0.7 s of approach and log, in cycles of 2.5 ms.
     assert_eq!(report.stats.cycles, 291);
@@ -494,7 +502,7 @@ fn trajectories_that_mean_nothing_are_refused() {
         let mut trajectory = Trajectory::new(waypoints, limits).unwrap();
         let report = run(&mut hand, &mut trajectory, &clock, ControlOptions::default());
         assert!(!world.lock().unwrap().on);
-        matches!(report.ended, Ended::Failed(Error::Value { .. }))
+        matches!(report.stop_reason, StopReason::Failed(Error::Value { .. }))
     };
     assert!(ends(vec![at(0.1, 0.9)], vec![0.1; 2]), "9 rad/s");
     assert!(ends(vec![at(1.0, 0.9)], vec![0.1; 3]));

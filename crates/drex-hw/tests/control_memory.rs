@@ -5,14 +5,14 @@ use std::ops::ControlFlow;
 
 use drex_hw::allegro::{AllegroHand, AllegroOptions, AllegroVersion};
 use drex_hw::control::{
-    Behaviour, ControlOptions, Ended, Grasp, GraspPlan, Joints, Trajectory, Waypoint, run, telemetry,
+    ControlOptions, Controller, Grasp, GraspPlan, Joints, StopReason, Trajectory, Waypoint, run, telemetry,
 };
 use drex_hw::emulator::allegro::AllegroEmulator;
 use drex_hw::{Hand, HandCommand, HandState, Result};
 use drex_robot::Robot;
 
 /// Allocations on this thread while the loop runs, and its cycles.
-fn allocations(make: impl Fn(&HandState) -> Box<dyn Behaviour>) -> (u64, u64) {
+fn allocations(make: impl Fn(&HandState) -> Box<dyn Controller>) -> (u64, u64) {
     let emulator = AllegroEmulator::new(AllegroVersion::V4);
     emulator.place(12, 0.5);
     emulator.set_wall(1, f64::NEG_INFINITY, 0.3);
@@ -27,27 +27,27 @@ fn allocations(make: impl Fn(&HandState) -> Box<dyn Behaviour>) -> (u64, u64) {
     let mut state = HandState::new(16);
     hand.turn_on().unwrap();
     hand.cycle(None, &mut state).unwrap();
-    let mut behaviour = make(&state);
+    let mut controller = make(&state);
     // Room for fewer cycles than there are: what finds none must not allocate either.
     let (recorder, _reader) = telemetry(16, 50);
     let options = ControlOptions::default().with_recorder(recorder).with_limiter(|_, _| ());
     let mut report = None;
     let clock = emulator.clock();
-    let counted = allocation_counter::measure(|| report = Some(run(&mut hand, &mut behaviour, &clock, options)));
+    let counted = allocation_counter::measure(|| report = Some(run(&mut hand, &mut controller, &clock, options)));
     let report = report.unwrap();
-    assert!(matches!(report.ended, Ended::Done), "{:?}", report.ended);
+    assert!(matches!(report.stop_reason, StopReason::Done), "{:?}", report.stop_reason);
     (counted.count_total, report.stats.cycles)
 }
 
-fn waypoint(state: &HandState, time_s: f64) -> Box<dyn Behaviour> {
+fn waypoint(state: &HandState, time_s: f64) -> Box<dyn Controller> {
     let goal = Waypoint { time_s, position: state.position.clone() };
     Box::new(Trajectory::new(vec![goal], vec![0.1; 16]).unwrap())
 }
 
 /// Forgets that it must not allocate.
-struct Careless(Box<dyn Behaviour>);
+struct Careless(Box<dyn Controller>);
 
-impl Behaviour for Careless {
+impl Controller for Careless {
     fn begin(&mut self, joints: &Joints<'_>, state: &HandState) -> Result<()> {
         self.0.begin(joints, state)
     }

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 use drex_hw::allegro::{AllegroHand, AllegroOptions, AllegroVersion};
-use drex_hw::control::{ControlLoop, ControlOptions, EStop, Ended, Trajectory, Waypoint, stop_on_signals};
+use drex_hw::control::{ControlLoop, ControlOptions, EStop, StopReason, Trajectory, Waypoint, stop_on_signals};
 use drex_hw::emulator::allegro::AllegroEmulator;
 use drex_robot::Robot;
 
@@ -27,7 +27,7 @@ fn signals_press_the_emergency_stop() {
         assert!(running.is_running() && emulator.is_on() && !estop.is_stopped());
         signal_hook::low_level::raise(signal).unwrap();
         let (_, report) = running.wait();
-        assert!(matches!(report.ended, Ended::Stopped) && report.torque_off.is_ok());
+        assert!(matches!(report.stop_reason, StopReason::Stopped) && report.torque_off.is_ok());
         assert!(!emulator.is_on());
     }
 }

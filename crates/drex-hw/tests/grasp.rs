@@ -5,8 +5,8 @@ use std::sync::{Arc, Mutex};
 
 use drex_hw::allegro::{AllegroHand, AllegroOptions, AllegroVersion};
 use drex_hw::control::{
-    Behaviour, ControlOptions, EStop, Ended, Grasp, GraspPhase, GraspPlan, Joints, LoopReport, Trajectory, Waypoint,
-    run,
+    ControlOptions, Controller, EStop, Grasp, GraspPhase, GraspPlan, Joints, LoopReport, StopReason, Trajectory,
+    Waypoint, run,
 };
 use drex_hw::emulator::allegro::{AllegroEmulator, EmulatorBus};
 use drex_hw::{Clock, Hand, HandCommand, HandState};
@@ -75,7 +75,11 @@ fn it_closes_feels_the_object_presses_with_the_force_and_lets_go() {
             }
         });
         let report = bench.grasp(&mut grasp, options);
-        assert!(matches!(report.ended, Ended::Done) && report.torque_off.is_ok(), "{:?}", report.ended);
+        assert!(
+            matches!(report.stop_reason, StopReason::Done) && report.torque_off.is_ok(),
+            "{:?}",
+            report.stop_reason
+        );
         assert_eq!(report.stats.missed, 0);
 
         let outcome = grasp.outcome();
@@ -132,7 +136,7 @@ fn where_there_is_nothing_the_hand_does_not_press() {
     bench.closing.iter().for_each(|j| bench.emulator.set_wall(*j, f64::NEG_INFINITY, f64::INFINITY));
     let mut grasp = Grasp::new(bench.plan.clone());
     let report = bench.grasp(&mut grasp, ControlOptions::default());
-    assert!(matches!(report.ended, Ended::Done));
+    assert!(matches!(report.stop_reason, StopReason::Done));
     let outcome = grasp.outcome();
     assert!(outcome.missed && outcome.contacts.iter().all(Option::is_none), "{outcome:?}");
     assert_eq!(outcome.began_s[GraspPhase::Hold as usize], None);
@@ -166,7 +170,7 @@ fn an_object_that_is_taken_away_opens_the_hand() {
         }
     });
     let report = bench.grasp(&mut grasp, options);
-    assert!(matches!(report.ended, Ended::Done) && grasp.outcome().lost && !grasp.outcome().missed);
+    assert!(matches!(report.stop_reason, StopReason::Done) && grasp.outcome().lost && !grasp.outcome().missed);
     let began = |phase: GraspPhase| grasp.outcome().began_s[phase as usize].unwrap();
     let held = began(GraspPhase::Release) - began(GraspPhase::Hold);
     assert!(held < 0.75, "noticed after {held} s, the object left after 0.25 s");
@@ -190,7 +194,7 @@ fn a_hold_ends_when_it_is_told_to() {
         }
     });
     let report = bench.grasp(&mut grasp, options);
-    assert!(matches!(report.ended, Ended::Done) && handle.phase() == GraspPhase::Done);
+    assert!(matches!(report.stop_reason, StopReason::Done) && handle.phase() == GraspPhase::Done);
     assert!(!grasp.outcome().lost);
 }
 
@@ -206,7 +210,7 @@ fn the_emergency_stop_drops_what_is_held() {
         }
     });
     let report = bench.grasp(&mut grasp, options);
-    assert!(matches!(report.ended, Ended::Stopped) && report.torque_off.is_ok());
+    assert!(matches!(report.stop_reason, StopReason::Stopped) && report.torque_off.is_ok());
     assert!(!bench.emulator.is_on() && bench.emulator.torques_nm() == [0.0; 16]);
 }
 
@@ -217,7 +221,7 @@ fn plans_that_mean_nothing_are_refused() {
         change(&mut bench.plan);
         let report = bench.grasp(&mut Grasp::new(bench.plan.clone()), ControlOptions::default());
         assert!(!bench.emulator.is_on());
-        matches!(report.ended, Ended::Failed(drex_hw::Error::Value { .. }))
+        matches!(report.stop_reason, StopReason::Failed(drex_hw::Error::Value { .. }))
     };
     assert!(refused(|p| p.closed[1] = 7.0));
     assert!(refused(|p| p.open[3] = f64::NAN));
@@ -288,7 +292,7 @@ fn a_trajectory_ends_when_all_joints_are_there_or_after_its_time_to_settle() {
         let way = vec![Waypoint { time_s: 1.0, position }];
         let mut trajectory = Trajectory::new(way, vec![0.1; 16]).unwrap().with_settle_s(5.0);
         let report = run(&mut bench.hand, &mut trajectory, &bench.emulator.clock(), ControlOptions::default());
-        assert!(matches!(report.ended, Ended::Done), "{:?}", report.ended);
+        assert!(matches!(report.stop_reason, StopReason::Done), "{:?}", report.stop_reason);
         bench.emulator.clock().now().as_secs_f64()
     };
     let (there, blocked) = (took(0.4), took(0.8));

@@ -110,7 +110,7 @@ fn an_overloaded_motor_is_started_again_while_the_others_hold() {
     let j = rig.joint(6);
     rig.hand.fail(6, hardware_error::OVERLOAD);
     rig.until("fault", |s| matches!(s.status[j], JointStatus::Faulted(32) | JointStatus::Recovering));
-    assert!(rig.leap.troubles().any(|(i, what)| i == j && what == "overload"));
+    assert!(rig.leap.faults().any(|(i, what)| i == j && what == "overload"));
     rig.others_hold(j);
     rig.hand.record_writes();
     let mut took = Duration::ZERO;
@@ -179,7 +179,7 @@ fn a_hot_motor_is_not_started_again_by_itself() {
     assert!(rig.leap.bus_stats().questions - asked < 45, "it is looked at once");
     let i = rig.joint(3);
     assert_eq!(rig.state.status[i], JointStatus::Driven);
-    assert!(rig.leap.troubles().any(|(k, what)| k == i && what.contains("voltage")));
+    assert!(rig.leap.faults().any(|(k, what)| k == i && what.contains("voltage")));
 }
 
 #[test]
@@ -278,7 +278,7 @@ fn torque_that_could_not_be_taken_off_is_taken_off_when_the_plug_is_back() {
     assert_eq!(rig.hand.under_torque(), 16);
     (0..60).for_each(|_| rig.cycle().expect("exchange"));
     assert_eq!(rig.hand.under_torque(), 0);
-    assert_eq!(rig.state.status, [JointStatus::Limp; 16]);
+    assert_eq!(rig.state.status, [JointStatus::TorqueOff; 16]);
 }
 
 #[test]
@@ -293,7 +293,7 @@ fn turning_off_while_a_motor_starts_again_leaves_none_under_torque() {
         rig.cycle().expect("exchange");
         assert_eq!(rig.hand.under_torque(), 0);
     }
-    assert_eq!(rig.state.status, [JointStatus::Limp; 16]);
+    assert_eq!(rig.state.status, [JointStatus::TorqueOff; 16]);
     rig.leap.turn_on().expect("on again");
     rig.until("contact", |s| s.effort == [200.0; 16]);
 }

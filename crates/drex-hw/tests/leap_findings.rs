@@ -3,13 +3,13 @@
 use std::time::Duration;
 
 use drex_hw::control::{
-    ControlOptions, Derating, Ended, JointTrouble, Recorder, Sample, Stay, Telemetry, run, telemetry,
+    ControlOptions, Derating, HoldPosition, JointFault, Recorder, Sample, StopReason, Telemetry, run, telemetry,
 };
 use drex_hw::dynamixel::Timing;
 use drex_hw::emulator::leap::{EmulatorPort, LeapEmulator};
-use drex_hw::law::Nominal;
 use drex_hw::leap::table::{self, MotorModel, hardware_error};
 use drex_hw::leap::{FindingKind, LeapHand, LeapOptions, refuse_motion};
+use drex_hw::torque_current::Nominal;
 use drex_hw::{Hand, HandState};
 use drex_robot::Robot;
 use proptest::prelude::*;
@@ -55,7 +55,7 @@ fn an_offset_that_the_zero_knows_is_no_finding() {
 }
 
 /// A hand that presses on something with all it may, from a supply that sags under load.
-fn press(hand: &LeapEmulator, derating: Option<Derating>) -> (Vec<Sample>, Vec<(usize, JointTrouble)>) {
+fn press(hand: &LeapEmulator, derating: Option<Derating>) -> (Vec<Sample>, Vec<(usize, JointFault)>) {
     (0..16).for_each(|id| hand.set_wall(id, f64::NEG_INFINITY, 2100.0));
     let mut leap = connect(hand, LeapOptions::right());
     let goal = drex_hw::control::Waypoint { time_s: 0.2, position: vec![0.5; 16] };
@@ -66,12 +66,12 @@ fn press(hand: &LeapEmulator, derating: Option<Derating>) -> (Vec<Sample>, Vec<(
     let mut options = ControlOptions::default().with_recorder(recorder);
     options.derating = derating;
     let report = run(&mut leap, &mut way, hand, options);
-    assert!(matches!(report.ended, Ended::Done) && report.torque_off.is_ok(), "{:?}", report.ended);
+    assert!(matches!(report.stop_reason, StopReason::Done) && report.torque_off.is_ok(), "{:?}", report.stop_reason);
     let mut samples = Vec::new();
     while let Ok(Some(sample)) = cycles.next(Duration::ZERO, Sample::clone) {
         samples.push(sample);
     }
-    (samples, report.troubles)
+    (samples, report.faults)
 }
 
 #[test]
@@ -79,11 +79,8 @@ fn a_sagging_supply_lowers_the_limits_without_swinging() {
     let hand = LeapEmulator::new();
     // 16 motors at 0.2 A would leave 3.56 V.
     hand.set_supply(5.0, 0.45);
-    let (samples, troubles) = press(&hand, Some(Derating::default()));
-    assert!(
-        troubles.len() == 16 && troubles.iter().all(|(_, t)| matches!(t, JointTrouble::LowVoltage { .. })),
-        "{troubles:?}"
-    );
+    let (samples, faults) = press(&hand, Some(Derating::default()));
+    assert!(faults.len() == 16 && faults.iter().all(|(_, t)| matches!(t, JointFault::LowVoltage { .. })), "{faults:?}");
     let late: Vec<f64> = samples[samples.len() / 2..].iter().map(|s| s.command.effort_limit[3]).collect();
     let (low, high) = (late.iter().copied().fold(f64::INFINITY, f64::min), late.iter().copied().fold(0.0, f64::max));
     // In balance 5 V − 0.45 Ω · 16 · I is the supply at which I is allowed; without the slow way back it swings between floor and cap.
@@ -92,8 +89,8 @@ fn a_sagging_supply_lowers_the_limits_without_swinging() {
     assert!(volts > 3.7, "{volts} V");
 
     let strong = LeapEmulator::new();
-    let (samples, troubles) = press(&strong, Some(Derating::default()));
-    assert!(troubles.is_empty() && samples.last().is_some_and(|s| s.command.effort_limit[3] == 200.0), "{troubles:?}");
+    let (samples, faults) = press(&strong, Some(Derating::default()));
+    assert!(faults.is_empty() && samples.last().is_some_and(|s| s.command.effort_limit[3] == 200.0), "{faults:?}");
 }
 
 proptest! {
@@ -122,9 +119,9 @@ fn an_error_with_which_a_motor_keeps_running_is_reported_too() {
             breaks.fail(id, hardware_error::VOLTAGE);
         }
     });
-    let report = run(&mut leap, &mut Stay::new(1.0, vec![50.0; 16]), &hand, options);
-    assert!(matches!(report.ended, Ended::Done));
-    assert_eq!(report.troubles, [(j, JointTrouble::HardwareError(hardware_error::VOLTAGE))]);
+    let report = run(&mut leap, &mut HoldPosition::new(1.0, vec![50.0; 16]), &hand, options);
+    assert!(matches!(report.stop_reason, StopReason::Done));
+    assert_eq!(report.faults, [(j, JointFault::HardwareError(hardware_error::VOLTAGE))]);
     assert_eq!(leap.error_text(hardware_error::VOLTAGE), "supply voltage out of range");
 }
 
@@ -133,8 +130,9 @@ fn published_models_disagree_as_documented() {
     let spread = |model: MotorModel, ma| Nominal::spread_nm(model.torque_current_models(), ma).expect("a current");
     let (low, high) = spread(MotorModel::Xc330M288, 350.0);
     assert!((low - 0.150).abs() < 1e-3 && (high - 0.410).abs() < 1e-3, "{low} to {high}");
-    let first =
-        |model: MotorModel| drex_hw::law::TorqueLaw::nominal(model.torque_current_models()[0]).expect("nominal");
+    let first = |model: MotorModel| {
+        drex_hw::torque_current::TorqueCurrentModel::nominal(model.torque_current_models()[0]).expect("nominal")
+    };
     let (xc, xl) = (first(MotorModel::Xc330M288), first(MotorModel::Xl330M288));
     // What a law of the wrong motor costs.
     let share = xl.torque_nm(200.0).expect("finite") / xc.torque_nm(200.0).expect("finite");

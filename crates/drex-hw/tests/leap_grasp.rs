@@ -4,7 +4,7 @@
 use std::cell::Cell;
 use std::time::Duration;
 
-use drex_hw::control::{ControlOptions, Derating, Ended, Grasp, GraspPhase, GraspPlan, LoopReport, run};
+use drex_hw::control::{ControlOptions, Derating, Grasp, GraspPhase, GraspPlan, LoopReport, StopReason, run};
 use drex_hw::dynamixel::Timing;
 use drex_hw::emulator::leap::{EmulatorPort, LeapEmulator};
 use drex_hw::leap::{LeapHand, LeapOptions, table};
@@ -77,7 +77,7 @@ fn the_current_that_holds_is_the_limit() {
     let mut bench = bench();
     let mut grasp = Grasp::new(bench.plan.clone());
     let report = bench.grasp(&mut grasp, ControlOptions::default());
-    assert!(matches!(report.ended, Ended::Done) && report.torque_off.is_ok(), "{:?}", report.ended);
+    assert!(matches!(report.stop_reason, StopReason::Done) && report.torque_off.is_ok(), "{:?}", report.stop_reason);
     let outcome = grasp.outcome();
     assert!(!outcome.missed && !outcome.lost, "{outcome:?}");
     let touched: Vec<usize> = (0..16).filter(|j| outcome.contacts[*j].is_some()).collect();
@@ -121,11 +121,15 @@ fn a_plug_that_is_pulled_and_put_back_costs_a_moment() {
         let report = run(&mut bench.hand, &mut grasp, &clock, options);
         if outage.is_zero() {
             // The hand cannot be told while the plug is out; dropping it tries once more.
-            assert!(matches!(report.ended, Ended::Failed(_)) && report.torque_off.is_err());
+            assert!(matches!(report.stop_reason, StopReason::Failed(_)) && report.torque_off.is_err());
             bench.emulator.plug();
             drop(bench.hand);
         } else {
-            assert!(matches!(report.ended, Ended::Done) && report.stats.failed > 50, "{:?}", report.ended);
+            assert!(
+                matches!(report.stop_reason, StopReason::Done) && report.stats.failed > 50,
+                "{:?}",
+                report.stop_reason
+            );
             assert!(!grasp.outcome().lost && bench.hand.reconnects() > 0);
         }
         assert_eq!(bench.emulator.under_torque(), 0);

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use drex_hw::dynamixel::{Timing, memory_pair};
 use drex_hw::emulator::leap::{Fault, LeapEmulator};
 use drex_hw::leap::table::{self, MotorModel, hardware_error};
-use drex_hw::leap::{LeapHand, LeapOptions, MotorOff, TorqueState, look, release, switch_off};
+use drex_hw::leap::{LeapHand, LeapOptions, MotorOff, TorqueState, inspect_hand, release, switch_off};
 use drex_hw::{Clock, Error, Hand, HandCommand, HandState};
 use drex_robot::Robot;
 use proptest::prelude::*;
@@ -45,7 +45,7 @@ fn a_look_tells_what_a_killed_driver_left() {
     let hand = left_alone();
     hand.pass(Duration::from_millis(100));
     hand.set(6, table::HOMING_OFFSET, 1000);
-    let seen = look(hand.port(), &robot(), &options()).expect("answers");
+    let seen = inspect_hand(hand.port(), &robot(), &options()).expect("answers");
     for motor in &seen.motors {
         let reading = motor.reading.as_ref().expect("answers");
         assert!(reading.torque && reading.is_frozen() && reading.watchdog == 255, "{motor:?}");
@@ -64,7 +64,7 @@ fn one_motor_mute_and_one_with_an_error_keep_no_other_under_torque() {
     assert_eq!(states(&motors, TorqueState::Unknown), [11]);
     assert_eq!(states(&motors, TorqueState::Off).len(), 15);
     let mute = motors.iter().find(|m| m.id == 11).expect("listed");
-    assert_eq!(mute.trouble.as_deref(), Some("did not answer"));
+    assert_eq!(mute.fault.as_deref(), Some("did not answer"));
     assert_eq!(hand.under_torque(), 1, "the deaf one");
     assert!((0..16).filter(|id| *id != 11).all(|id| hand.get(id, table::BUS_WATCHDOG) == Some(0)));
 }
@@ -178,7 +178,7 @@ fn a_dead_bus_is_given_up_in_time() {
         // The port says nothing of its latency: as patient as with any adapter.
         let port = || hand.port().with_lateness(Duration::from_millis(16));
         timed("connect", &|| drop(LeapHand::connect(port(), &robot(), slow()).expect_err("dead")));
-        timed("look", &|| assert_eq!(look(port(), &robot(), &slow()).is_ok(), alive > 0));
+        timed("look", &|| assert_eq!(inspect_hand(port(), &robot(), &slow()).is_ok(), alive > 0));
         timed("off", &|| assert_eq!(switch_off(port(), &robot(), &slow()).is_ok(), alive > 0));
         timed("release", &|| drop(release(port(), &robot(), &slow(), Duration::from_millis(100))));
     }
@@ -196,7 +196,7 @@ fn a_dead_bus_is_given_up_in_time() {
         let begun = Instant::now();
         let done = match what {
             "connect" => LeapHand::connect(ours, &robot(), slow()).map(|_| ()),
-            "look" => look(ours, &robot(), &slow()).map(|_| ()),
+            "look" => inspect_hand(ours, &robot(), &slow()).map(|_| ()),
             _ => switch_off(ours, &robot(), &slow()).map(|_| ()),
         };
         assert!(matches!(done, Err(Error::NoMotors { .. })), "{done:?}");

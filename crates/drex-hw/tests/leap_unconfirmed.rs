@@ -4,7 +4,7 @@
 use std::cell::Cell;
 use std::time::Duration;
 
-use drex_hw::control::{ControlOptions, Ended, Stay, run};
+use drex_hw::control::{ControlOptions, HoldPosition, StopReason, run};
 use drex_hw::dynamixel::Timing;
 use drex_hw::emulator::leap::{EmulatorPort, LeapEmulator};
 use drex_hw::leap::{LeapHand, LeapOptions};
@@ -88,8 +88,8 @@ fn a_loop_goes_on_telling_a_motor_that_it_cannot_reach() {
                 }
             },
         );
-        let report = run(&mut leap, &mut Stay::new(0.5, caps), &clock, options);
-        assert!(matches!(report.ended, Ended::Done), "{:?}", report.ended);
+        let report = run(&mut leap, &mut HoldPosition::new(0.5, caps), &clock, options);
+        assert!(matches!(report.stop_reason, StopReason::Done), "{:?}", report.stop_reason);
         if mended_s < patience_s {
             report.torque_off.unwrap();
             let off = clock.off.get().unwrap();

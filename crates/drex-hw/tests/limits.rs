@@ -1,8 +1,8 @@
 //! From forces to current limits and back, against closed forms.
 #![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
-use drex_hw::law::{
-    ContactDirection, ContactForce, LimitMode, LimitOptions, LimitRamp, Nominal, RampOptions, TorqueLaw,
+use drex_hw::torque_current::{
+    ContactDirection, ContactForce, LimitMode, LimitOptions, LimitRamp, Nominal, RampOptions, TorqueCurrentModel,
     contact_torques, estimate_forces, torque_limits_nm,
 };
 use drex_robot::Robot;
@@ -20,8 +20,8 @@ fn planar() -> Robot {
     Robot::from_mjcf_str(PLANAR, None).unwrap()
 }
 
-fn laws(n: usize, which: Nominal) -> Vec<TorqueLaw> {
-    vec![TorqueLaw::nominal(which).unwrap(); n]
+fn models(n: usize, which: Nominal) -> Vec<TorqueCurrentModel> {
+    vec![TorqueCurrentModel::nominal(which).unwrap(); n]
 }
 
 fn press(robot: &Robot, force_n: f64) -> ContactForce {
@@ -38,16 +38,16 @@ fn a_straight_finger_is_a_lever() {
     assert!((torques[joint("a")] - 0.3).abs() < 1e-12 && (torques[joint("b")] - 0.1).abs() < 1e-12);
     assert_eq!(torques[joint("c")], 0.0);
 
-    let laws = laws(3, Nominal::LeapSimulation);
+    let models = models(3, Nominal::LeapSimulation);
     let options = LimitOptions::default().with_range_ma(20.0, 400.0).with_friction_ma(15.0);
-    let limits = options.limits_ma(&laws, &torques).unwrap();
+    let limits = options.limits_ma(&models, &torques).unwrap();
     assert_eq!(limits[joint("a")], 400.0);
     assert!((limits[joint("b")] - (0.1 / 0.53 * 1e3 + 15.0)).abs() < 1e-9);
     assert_eq!(limits[joint("c")], 20.0);
-    let short = options.short_nm(&laws, &torques, &limits).unwrap();
+    let short = options.short_nm(&models, &torques, &limits).unwrap();
     assert!((short[joint("a")] - (0.3 - 0.385 * 0.53)).abs() < 1e-12 && short[joint("b")] == 0.0);
 
-    let uniform = options.with_mode(LimitMode::Uniform).limits_ma(&laws, &torques).unwrap();
+    let uniform = options.with_mode(LimitMode::Uniform).limits_ma(&models, &torques).unwrap();
     assert_eq!(uniform, vec![400.0; 3]);
 }
 
@@ -71,13 +71,13 @@ fn nonsense_is_refused() {
     assert!(contact_torques(&robot, &[0.0, f64::INFINITY, 0.0], &[c]).is_err());
     c.link = 99;
     assert!(contact_torques(&robot, &[0.0; 3], &[c]).is_err());
-    let laws = laws(3, Nominal::Xc330Sqrt);
+    let models = models(3, Nominal::Xc330Sqrt);
     let o = LimitOptions::default();
-    assert!(o.limits_ma(&laws, &[0.1, f64::NAN, 0.0]).is_err());
-    assert!(o.limits_ma(&laws[..2], &[0.1, 0.0, 0.0]).is_err());
+    assert!(o.limits_ma(&models, &[0.1, f64::NAN, 0.0]).is_err());
+    assert!(o.limits_ma(&models[..2], &[0.1, 0.0, 0.0]).is_err());
     for bad in [o.clone().with_range_ma(20.0, 10.0), o.clone().with_range_ma(f64::NAN, 10.0), o.with_friction_ma(-1.0)]
     {
-        assert!(bad.limits_ma(&laws, &[0.0; 3]).is_err());
+        assert!(bad.limits_ma(&models, &[0.0; 3]).is_err());
     }
 }
 
@@ -88,7 +88,7 @@ proptest! {
         let options = LimitOptions::default().with_range_ma(floor, cap).with_friction_ma(10.0);
         for which in [Nominal::Xc330Linear, Nominal::Xc330Affine, Nominal::Xc330Sqrt] {
             for mode in [LimitMode::Jacobian, LimitMode::Uniform] {
-                let limits = options.clone().with_mode(mode).limits_ma(&laws(3, which), &torques).unwrap();
+                let limits = options.clone().with_mode(mode).limits_ma(&models(3, which), &torques).unwrap();
                 prop_assert!(limits.iter().all(|i| (floor..=cap).contains(i)), "{:?}", limits);
             }
         }
@@ -109,11 +109,11 @@ proptest! {
             known.push(ContactDirection { link: finger.tip_link, point: finger.tip_point, direction: 3.0 * direction });
         }
         let torques = contact_torques(&robot, &q, &asked).unwrap();
-        let laws = laws(robot.dof(), Nominal::Xc330Affine);
+        let models = models(robot.dof(), Nominal::Xc330Affine);
         let options = LimitOptions::default().with_range_ma(0.0, 5000.0).with_friction_ma(12.0);
-        let limits = options.limits_ma(&laws, &torques).unwrap();
+        let limits = options.limits_ma(&models, &torques).unwrap();
         let signed: Vec<f64> = limits.iter().zip(&torques).map(|(i, t)| i.copysign(*t)).collect();
-        let estimate = estimate_forces(&robot, &q, &known, &laws, &signed, 12.0).unwrap();
+        let estimate = estimate_forces(&robot, &q, &known, &models, &signed, 12.0).unwrap();
         prop_assert!(estimate.unique && estimate.residual_nm < 1e-9, "{:?}", estimate);
         for (found, force) in estimate.forces_n.iter().zip(&forces) {
             prop_assert!((found - force).abs() < 1e-7 * force, "{} instead of {} N", found, force);
@@ -126,17 +126,17 @@ fn an_estimate_never_pulls_and_says_when_it_is_not_unique() {
     let robot = planar();
     let link = robot.link_index("lower").unwrap();
     let at = |z| ContactDirection { link, point: Point3::new(0.0, 0.0, z), direction: Vector3::x() };
-    let laws = laws(3, Nominal::LeapSimulation);
-    let pulled = estimate_forces(&robot, &[0.0; 3], &[at(0.05)], &laws, &[-200.0, -100.0, 0.0], 0.0).unwrap();
+    let models = models(3, Nominal::LeapSimulation);
+    let pulled = estimate_forces(&robot, &[0.0; 3], &[at(0.05)], &models, &[-200.0, -100.0, 0.0], 0.0).unwrap();
     assert_eq!(pulled.forces_n, vec![0.0]);
     assert!(pulled.residual_nm > 0.01);
     let three = [at(0.02), at(0.035), at(0.05)];
-    let shared = estimate_forces(&robot, &[0.0; 3], &three, &laws, &[200.0, 60.0, 0.0], 0.0).unwrap();
+    let shared = estimate_forces(&robot, &[0.0; 3], &three, &models, &[200.0, 60.0, 0.0], 0.0).unwrap();
     assert!(!shared.unique && shared.forces_n.iter().all(|f| *f >= 0.0));
-    assert!(estimate_forces(&robot, &[0.0; 3], &[], &laws, &[0.0; 3], 0.0).unwrap().forces_n.is_empty());
+    assert!(estimate_forces(&robot, &[0.0; 3], &[], &models, &[0.0; 3], 0.0).unwrap().forces_n.is_empty());
     let nowhere = ContactDirection { direction: Vector3::zeros(), ..at(0.05) };
-    assert!(estimate_forces(&robot, &[0.0; 3], &[nowhere], &laws, &[0.0; 3], 0.0).is_err());
-    assert!(estimate_forces(&robot, &[0.0; 3], &three, &laws, &[f64::NAN; 3], 0.0).is_err());
+    assert!(estimate_forces(&robot, &[0.0; 3], &[nowhere], &models, &[0.0; 3], 0.0).is_err());
+    assert!(estimate_forces(&robot, &[0.0; 3], &three, &models, &[f64::NAN; 3], 0.0).is_err());
 }
 
 #[test]

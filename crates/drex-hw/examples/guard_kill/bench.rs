@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use drex_hw::allegro::{AllegroHand, AllegroOptions, AllegroVersion};
 use drex_hw::can::{Slcan, SlcanAdapter};
-use drex_hw::control::{Behaviour, ControlOptions, EStop, Ended, Joints, run, stop_on_signals};
+use drex_hw::control::{ControlOptions, Controller, EStop, Joints, StopReason, run, stop_on_signals};
 use drex_hw::dynamixel::SerialPort;
 use drex_hw::emulator::allegro::AllegroEmulator;
 use drex_hw::emulator::leap::LeapEmulator;
@@ -266,7 +266,7 @@ struct ToAndFro {
     low: Vec<f64>,
 }
 
-impl Behaviour for ToAndFro {
+impl Controller for ToAndFro {
     fn begin(&mut self, joints: &Joints<'_>, _: &HandState) -> drex_hw::Result<()> {
         self.low = joints.limits.iter().map(|(low, _)| low.max(0.0)).collect();
         Ok(())
@@ -307,19 +307,19 @@ pub fn drive(role: fn(&str) -> Vec<String>) -> Result<String, Fault> {
         (Box::new(hand), pid, 0.08)
     };
     announce(pid);
-    let mut behaviour = ToAndFro { effort, low: Vec::new() };
+    let mut controller = ToAndFro { effort, low: Vec::new() };
     let options = ControlOptions::default()
         .with_estop(&stop)
         .with_outage(Duration::from_secs(5))
         .with_off_patience(Duration::from_millis(500));
-    let report = run(&mut *hand, &mut behaviour, &SystemClock::default(), options);
+    let report = run(&mut *hand, &mut controller, &SystemClock::default(), options);
     let off = match &report.torque_off {
         Ok(()) => "torque off".to_owned(),
         Err(error) => error.to_string(),
     };
-    Ok(match report.ended {
-        Ended::Stopped => format!("stopped, {off}"),
-        Ended::Failed(error) => format!("{error}; {off}"),
+    Ok(match report.stop_reason {
+        StopReason::Stopped => format!("stopped, {off}"),
+        StopReason::Failed(error) => format!("{error}; {off}"),
         other => format!("{other:?}; {off}"),
     })
 }

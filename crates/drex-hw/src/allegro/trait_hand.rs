@@ -67,7 +67,7 @@ impl<B: CanBus> AllegroHand<B> {
             state.hardware_error[*model] = self.motor_errors[wire];
             state.age[*model] = self.ages[wire / 4];
             state.status[*model] = match self.motor_errors[wire] {
-                0 if !self.driven => JointStatus::Limp,
+                0 if !self.driven => JointStatus::TorqueOff,
                 0 if self.is_stale(wire / 4) => JointStatus::Silent,
                 0 => JointStatus::Driven,
                 code => JointStatus::Faulted(code),

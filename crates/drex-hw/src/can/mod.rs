@@ -14,6 +14,8 @@ use std::time::Duration;
 
 pub use adapter::SlcanAdapter;
 pub use memory::MemoryCan;
+#[cfg(unix)]
+pub(crate) use slcan::SLCAN_BAUD;
 pub use slcan::Slcan;
 pub use slcan_line::{SlcanEvent, SlcanParser, write_slcan};
 #[cfg(all(feature = "socketcan", target_os = "linux"))]

@@ -14,7 +14,7 @@ const ANSWER: Duration = Duration::from_millis(50);
 /// An adapter that was silent for so long has no answer left from before.
 const QUIET: Duration = Duration::from_millis(10);
 /// USB adapters ignore the speed of their serial port; those with a UART use this one.
-pub(crate) const BAUD: u32 = 115_200;
+pub(crate) const SLCAN_BAUD: u32 = 115_200;
 
 /// A bus behind an slcan adapter: opened at 1 Mbit/s, closed when dropped. An adapter that was unplugged is opened again with the next frame
 /// that is sent or asked for.
@@ -39,29 +39,7 @@ impl Slcan<SerialPort> {
     /// # Errors
     /// [`Error::Port`] if the port cannot be opened, somebody else has it (the message says who), or the adapter refuses to open the bus.
     pub fn open(path: &Path) -> Result<Self> {
-        Self::over(SerialPort::open(path, BAUD)?)
-    }
-}
-
-#[cfg(unix)]
-impl Slcan<crate::guard::GuardedPort> {
-    /// Opens the adapter at a serial port, or a CAN interface of the kernel, behind a guard, which switches an Allegro hand of this version off whatever becomes of this
-    /// program.
-    ///
-    /// # Errors
-    /// If the guard cannot be started, and those of [`Slcan::open`].
-    pub fn open_guarded(
-        path: &Path,
-        version: crate::allegro::AllegroVersion,
-        guard: &crate::guard::GuardOptions,
-    ) -> Result<Self> {
-        let off = crate::guard::SwitchOff::Allegro { version };
-        Self::over(crate::guard::GuardedPort::open(path, BAUD, off, guard)?)
-    }
-
-    /// Process of the guard.
-    pub fn guard_id(&self) -> u32 {
-        self.port.guard_id()
+        Self::over(SerialPort::open(path, SLCAN_BAUD)?)
     }
 }
 

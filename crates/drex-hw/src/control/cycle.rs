@@ -6,9 +6,9 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Mutex;
 use std::time::Duration;
 
+use super::fault_log::FaultLog;
 use super::stats::Meter;
-use super::troubles::Troubles;
-use super::{Behaviour, ControlOptions, JointTrouble, Joints, LoopStats};
+use super::{ControlOptions, Controller, JointFault, Joints, LoopStats};
 use crate::{Clock, Error, Hand, HandCommand, HandState, Result};
 
 /// How often a hand that does not take its torque off is told again at least, and the time between two tries after that.
@@ -22,12 +22,12 @@ const STALL: Duration = Duration::from_millis(50);
 /// Why a loop ended.
 #[derive(Debug)]
 #[non_exhaustive]
-pub enum Ended {
-    /// The behaviour was done.
+pub enum StopReason {
+    /// The controller was done.
     Done,
     /// Somebody pressed the emergency stop.
     Stopped,
-    /// The hand or the behaviour failed.
+    /// The hand or the controller failed.
     Failed(Error),
     /// Something panicked; the text is what it said.
     Panicked(String),
@@ -38,7 +38,7 @@ pub enum Ended {
 #[non_exhaustive]
 pub struct LoopReport {
     /// Why.
-    pub ended: Ended,
+    pub stop_reason: StopReason,
     /// Whether the hand took its torque off; if not, its own watchdog has to, or the power switch.
     pub torque_off: Result<()>,
     /// How long that took from the end of the loop on, or until it was given up.
@@ -50,43 +50,43 @@ pub struct LoopReport {
     /// The last state that was read.
     pub state: HandState,
     /// Joints that something was wrong with, by their index in [`Hand::joints`], and what; empty if all went well.
-    pub troubles: Vec<(usize, JointTrouble)>,
+    pub faults: Vec<(usize, JointFault)>,
 }
 
-/// Turns the hand on, unless it is only watched, runs `behaviour` at a fixed rate on this thread until it is done or something ends it, and turns the hand off.
+/// Turns the hand on, unless it is only watched, runs `controller` at a fixed rate on this thread until it is done or something ends it, and turns the hand off.
 /// After the first cycle nothing is allocated.
 pub fn run(
     hand: &mut (impl Hand + ?Sized),
-    behaviour: &mut (impl Behaviour + ?Sized),
+    controller: &mut (impl Controller + ?Sized),
     clock: &dyn Clock,
     options: ControlOptions,
 ) -> LoopReport {
-    run_published(hand, behaviour, clock, options, &Mutex::default())
+    run_published(hand, controller, clock, options, &Mutex::default())
 }
 
 /// The same, with statistics for others to see while it runs.
 pub(super) fn run_published(
     hand: &mut (impl Hand + ?Sized),
-    behaviour: &mut (impl Behaviour + ?Sized),
+    controller: &mut (impl Controller + ?Sized),
     clock: &dyn Clock,
     mut options: ControlOptions,
     published: &Mutex<LoopStats>,
 ) -> LoopReport {
     let mut meter = Meter::new();
     let mut state = HandState::new(hand.joints().len());
-    let mut troubles = Troubles::new(hand.joints().len());
-    let turns = || turns(hand, behaviour, clock, &mut options, &mut meter, &mut troubles, &mut state, published);
+    let mut faults = FaultLog::new(hand.joints().len());
+    let turns = || turns(hand, controller, clock, &mut options, &mut meter, &mut faults, &mut state, published);
     // Whatever a panic left half done is only switched off.
-    let ended = match catch_unwind(AssertUnwindSafe(turns)) {
-        Ok(Ok(ended)) => ended,
-        Ok(Err(error)) => Ended::Failed(error),
-        Err(panic) => Ended::Panicked(text(panic.as_ref())),
+    let stop_reason = match catch_unwind(AssertUnwindSafe(turns)) {
+        Ok(Ok(reason)) => reason,
+        Ok(Err(error)) => StopReason::Failed(error),
+        Err(panic) => StopReason::Panicked(text(panic.as_ref())),
     };
     let begun = clock.now();
     let torque_off = turn_off(hand, clock, options.off_patience);
     let off_took = clock.now().saturating_sub(begun);
     let unrecorded = options.recorder.as_ref().map_or(0, |r| r.lost());
-    LoopReport { ended, torque_off, off_took, stats: meter.stats(), unrecorded, state, troubles: troubles.list() }
+    LoopReport { stop_reason, torque_off, off_took, stats: meter.stats(), unrecorded, state, faults: faults.list() }
 }
 
 /// Tells the hand that its torque goes off, until it confirms it or there is no use in trying.
@@ -111,38 +111,38 @@ fn turn_off(hand: &mut (impl Hand + ?Sized), clock: &dyn Clock, patience: Durati
 #[expect(clippy::too_many_arguments, reason = "they outlive a panic, and so are the caller's")]
 fn turns(
     hand: &mut (impl Hand + ?Sized),
-    behaviour: &mut (impl Behaviour + ?Sized),
+    controller: &mut (impl Controller + ?Sized),
     clock: &dyn Clock,
     options: &mut ControlOptions,
     meter: &mut Meter,
-    troubles: &mut Troubles,
+    faults: &mut FaultLog,
     state: &mut HandState,
     published: &Mutex<LoopStats>,
-) -> Result<Ended> {
+) -> Result<StopReason> {
     let period = options.period()?;
     if options.is_stopped() {
-        return Ok(Ended::Stopped);
+        return Ok(StopReason::Stopped);
     }
-    if !options.limp {
+    if !options.torque_off {
         hand.turn_on()?;
     }
     if !first_state(hand, clock, options, period, state)? {
-        return Ok(Ended::Stopped);
+        return Ok(StopReason::Stopped);
     }
-    behaviour.begin(&Joints::of(hand), state)?;
+    controller.begin(&Joints::of(hand), state)?;
     let mut command = HandCommand { position: state.position.clone(), effort_limit: hand.effort_caps().to_vec() };
     let mut lowering = Lowering::new(hand.effort_caps(), period);
 
     let begin = clock.now();
     let mut due = begin;
     let mut flow = ControlFlow::Continue(());
-    // Since when the hand is out of reach, and for how long the behaviour's time stood still in all.
+    // Since when the hand is out of reach, and for how long the controller's time stood still in all.
     let (mut lost, mut outage) = (None, Duration::ZERO);
     let mut last = begin;
     loop {
         clock.wait_until(due);
         if options.is_stopped() {
-            return Ok(Ended::Stopped);
+            return Ok(StopReason::Stopped);
         }
         let began = clock.now();
         let stall = began.saturating_sub(std::mem::replace(&mut last, began) + period);
@@ -153,22 +153,22 @@ fn turns(
         }
         if lost.is_none() {
             let time = began.saturating_sub(begin + outage);
-            flow = behaviour.command(time.as_secs_f64(), state, &mut command)?;
-            lowering.apply(&mut command.effort_limit, hand.effort_caps(), state, options, troubles);
+            flow = controller.command(time.as_secs_f64(), state, &mut command)?;
+            lowering.apply(&mut command.effort_limit, hand.effort_caps(), state, options, faults);
         }
-        match hand.cycle((!options.limp).then_some(&command), state) {
+        match hand.cycle((!options.torque_off).then_some(&command), state) {
             Ok(()) => {
                 if let Some(since) = lost.take() {
                     let out = began.saturating_sub(since);
                     meter.outage(out);
                     outage += out;
                 }
-                troubles.see(state);
+                faults.see(state);
             }
             Err(error) if error.is_final() => return Err(error),
             Err(error) => {
                 meter.fail();
-                troubles.see(state);
+                faults.see(state);
                 if began.saturating_sub(*lost.get_or_insert(began)) >= options.outage {
                     return Err(error);
                 }
@@ -181,13 +181,13 @@ fn turns(
             recorder.record(|sample| {
                 sample.time_s = ended.saturating_sub(begin).as_secs_f64();
                 sample.late_s = began.saturating_sub(due).as_secs_f64();
-                sample.phase = behaviour.phase();
+                sample.phase = controller.phase();
                 sample.command.clone_from(&command);
                 sample.state.copy_from(state);
             });
         }
         if flow.is_break() && lost.is_none() {
-            return Ok(Ended::Done);
+            return Ok(StopReason::Done);
         }
         due += period;
         let behind = ended.saturating_sub(due);
@@ -253,7 +253,7 @@ impl Lowering {
         caps: &[f64],
         state: &HandState,
         options: &mut ControlOptions,
-        troubles: &mut Troubles,
+        faults: &mut FaultLog,
     ) {
         if let Some(derating) = &options.derating {
             for (joint, (limit, cap)) in wanted.iter_mut().zip(caps).enumerate() {
@@ -263,7 +263,7 @@ impl Lowering {
                     if *limit > share * cap {
                         *limit = share * cap;
                         if share < 1.0 {
-                            troubles.derate(joint, celsius, share);
+                            faults.derate(joint, celsius, share);
                         }
                     }
                 }
@@ -273,7 +273,7 @@ impl Lowering {
                     if *limit > *left * cap {
                         *limit = *left * cap;
                         if *left < 1.0 {
-                            troubles.sag(joint, volts, *left);
+                            faults.sag(joint, volts, *left);
                         }
                     }
                 }

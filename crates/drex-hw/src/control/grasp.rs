@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 
-use super::{Behaviour, GraspContact, GraspOutcome, GraspPhase, GraspPlan, Joints};
+use super::{Controller, GraspContact, GraspOutcome, GraspPhase, GraspPlan, Joints};
 use crate::{Error, HandCommand, HandState, JointStatus, Result};
 
 /// Longest step of time that goals and limits follow, s: after a gap they do not jump.
@@ -14,7 +14,7 @@ const ARRIVED_RAD: f64 = 1e-6;
 /// A joint this close to its goal is there, rad.
 const THERE_RAD: f64 = 0.03;
 
-/// A grasp as a behaviour of the loop. Once a joint touches, its goal leads the contact far enough for the effort limit, not the
+/// A grasp as a controller of the loop. Once a joint touches, its goal leads the contact far enough for the effort limit, not the
 /// stiffness of the position loop, to set the force.
 #[derive(Debug)]
 pub struct Grasp {
@@ -249,7 +249,7 @@ impl Grasp {
     }
 }
 
-impl Behaviour for Grasp {
+impl Controller for Grasp {
     fn begin(&mut self, joints: &Joints<'_>, state: &HandState) -> Result<()> {
         self.plan.check(joints)?;
         let n = joints.names.len();

@@ -24,7 +24,7 @@ pub struct GraspPlan {
     pub closed: Vec<f64>,
     /// Effort limits while the hand moves.
     pub closing_effort: Vec<f64>,
-    /// Effort limits that make the force, from [`crate::law::LimitOptions::limits_ma`] or from joint torques.
+    /// Effort limits that make the force, from [`crate::torque_current::LimitOptions::limits_ma`] or from joint torques.
     pub force_effort: Vec<f64>,
     /// Least effort per rad of position error of the hand's joints: it says how far a goal has to lead a contact.
     pub stiffness: f64,

@@ -4,9 +4,10 @@
 //! the [`ControlLoop`] is dropped. Only a program that is killed, hangs, or is built to abort on panic leaves the hand to its
 //! [guard](crate::guard), or without one to its own watchdog.
 
-mod behaviour;
+mod controller;
 mod csv;
 mod cycle;
+mod fault_log;
 mod grasp;
 mod grasp_plan;
 mod options;
@@ -15,11 +16,11 @@ mod stop;
 mod telemetry;
 mod thread;
 mod trajectory;
-mod troubles;
 
-pub use behaviour::{Behaviour, Joints, Stay};
+pub use controller::{Controller, HoldPosition, Joints};
 pub use csv::write_csv;
-pub use cycle::{Ended, LoopReport, run};
+pub use cycle::{LoopReport, StopReason, run};
+pub use fault_log::JointFault;
 pub use grasp::{Grasp, GraspHandle};
 pub use grasp_plan::{GraspContact, GraspOutcome, GraspPhase, GraspPlan};
 pub use options::{ControlOptions, Derating};
@@ -30,4 +31,3 @@ pub use stop::stop_on_signals;
 pub use telemetry::{Recorder, Sample, Telemetry, telemetry};
 pub use thread::ControlLoop;
 pub use trajectory::{Trajectory, Waypoint};
-pub use troubles::JointTrouble;

@@ -58,7 +58,7 @@ pub struct ControlOptions {
     pub rate_hz: f64,
     /// How long joints may take until all have told where they are.
     pub first_state: Duration,
-    /// How long the hand may be out of reach, its plug pulled for instance, before the loop gives up. Meanwhile the behaviour's time
+    /// How long the hand may be out of reach, its plug pulled for instance, before the loop gives up. Meanwhile the controller's time
     /// stands still and its last command is tried again every cycle; zero gives up at the first failure.
     pub outage: Duration,
     /// How long a hand that does not confirm that its torque is off is told again after the loop, three times at least.
@@ -66,7 +66,7 @@ pub struct ControlOptions {
     /// What heat and a low supply take from the limits, where the hand measures it; `None` leaves that to the motors.
     pub derating: Option<Derating>,
     /// Whether the hand only is watched: no torque, no commands.
-    pub limp: bool,
+    pub torque_off: bool,
     /// Stops the loop.
     pub estop: EStop,
     /// Stops this loop only: when its handle is dropped.
@@ -84,7 +84,7 @@ impl Default for ControlOptions {
             outage: Duration::ZERO,
             off_patience: Duration::ZERO,
             derating: Some(Derating::default()),
-            limp: false,
+            torque_off: false,
             estop: EStop::new(),
             cancel: EStop::new(),
             limiter: None,
@@ -101,8 +101,8 @@ impl ControlOptions {
     }
 
     /// The same with a hand that is only watched: its joints can be moved by hand.
-    pub fn limp(mut self) -> Self {
-        self.limp = true;
+    pub fn with_torque_off(mut self) -> Self {
+        self.torque_off = true;
         self
     }
 

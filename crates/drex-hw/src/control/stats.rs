@@ -28,18 +28,18 @@ pub struct LoopStats {
     pub missed: u64,
     /// Cycles in which the hand could not be reached.
     pub failed: u64,
-    /// Times that the hand was out of reach and came back; the behaviour's time stood still meanwhile.
+    /// Times that the hand was out of reach and came back; the controller's time stood still meanwhile.
     pub outages: u64,
     /// How long it was out of reach in these, s.
     pub outage_s: f64,
-    /// Times that more than 50 ms were missing between two cycles, because the program was stopped or starved; the behaviour's time stood
+    /// Times that more than 50 ms were missing between two cycles, because the program was stopped or starved; the controller's time stood
     /// still meanwhile.
     pub stalls: u64,
     /// Cycles per second, from the first to the last.
     pub rate_hz: f64,
     /// How much later than planned cycles began: the jitter.
     pub late: Quantiles,
-    /// How long cycles took: behaviour and exchange with the hand.
+    /// How long cycles took: controller and exchange with the hand.
     pub busy: Quantiles,
 }
 

@@ -12,7 +12,7 @@ pub struct Sample {
     pub time_s: f64,
     /// How much later than planned the cycle began, s.
     pub late_s: f64,
-    /// What the behaviour was doing.
+    /// What the controller was doing.
     pub phase: &'static str,
     /// What was sent.
     pub command: HandCommand,

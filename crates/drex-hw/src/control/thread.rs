@@ -5,7 +5,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use super::cycle::run_published;
-use super::{Behaviour, ControlOptions, EStop, Ended, LoopReport, LoopStats};
+use super::{ControlOptions, Controller, EStop, LoopReport, LoopStats, StopReason};
 use crate::{Clock, Error, Hand, HandState, Result, SystemClock};
 
 /// A loop that runs on its own thread; dropping it stops it and waits until the torque is off.
@@ -16,13 +16,13 @@ pub struct ControlLoop<H, B> {
     thread: Option<JoinHandle<(H, B, LoopReport)>>,
 }
 
-impl<H: Hand + 'static, B: Behaviour + 'static> ControlLoop<H, B> {
+impl<H: Hand + 'static, B: Controller + 'static> ControlLoop<H, B> {
     /// Starts the loop.
     ///
     /// # Errors
     /// [`Error::Thread`] if the system gives no thread; the hand is then dropped.
-    pub fn start(hand: H, behaviour: B, options: ControlOptions) -> Result<Self> {
-        Self::start_with_clock(hand, behaviour, options, SystemClock::default())
+    pub fn start(hand: H, controller: B, options: ControlOptions) -> Result<Self> {
+        Self::start_with_clock(hand, controller, options, SystemClock::default())
     }
 
     /// The same with another clock, such as an emulator's.
@@ -31,7 +31,7 @@ impl<H: Hand + 'static, B: Behaviour + 'static> ControlLoop<H, B> {
     /// As [`Self::start`].
     pub fn start_with_clock(
         mut hand: H,
-        mut behaviour: B,
+        mut controller: B,
         options: ControlOptions,
         clock: impl Clock + 'static,
     ) -> Result<Self> {
@@ -39,8 +39,8 @@ impl<H: Hand + 'static, B: Behaviour + 'static> ControlLoop<H, B> {
         let published = Arc::new(Mutex::new(LoopStats::default()));
         let seen = published.clone();
         let work = move || {
-            let report = run_published(&mut hand, &mut behaviour, &clock, options, &seen);
-            (hand, behaviour, report)
+            let report = run_published(&mut hand, &mut controller, &clock, options, &seen);
+            (hand, controller, report)
         };
         let thread = std::thread::Builder::new().name("drex-control".into()).spawn(work).map_err(Error::Thread)?;
         Ok(Self { estop, cancel, published, thread: Some(thread) })
@@ -61,11 +61,11 @@ impl<H: Hand + 'static, B: Behaviour + 'static> ControlLoop<H, B> {
         *self.published.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits until it has ended; the hand and the behaviour come back, unless what panicked was beyond saving.
+    /// Waits until it has ended; the hand and the controller come back, unless what panicked was beyond saving.
     pub fn wait(mut self) -> (Option<(H, B)>, LoopReport) {
         let joined = self.thread.take().map(JoinHandle::join);
         match joined {
-            Some(Ok((hand, behaviour, report))) => (Some((hand, behaviour)), report),
+            Some(Ok((hand, controller, report))) => (Some((hand, controller)), report),
             _ => (None, lost_report()),
         }
     }
@@ -84,12 +84,12 @@ impl<H, B> Drop for ControlLoop<H, B> {
 /// For a thread that ended without a report: the hand panicked outside of its cycle.
 fn lost_report() -> LoopReport {
     LoopReport {
-        ended: Ended::Panicked("the thread of the loop".into()),
+        stop_reason: StopReason::Panicked("the thread of the loop".into()),
         torque_off: Err(Error::value("nobody knows whether the torque is off", "switch the hand's power off")),
         off_took: Duration::ZERO,
         stats: LoopStats::default(),
         unrecorded: 0,
         state: HandState::default(),
-        troubles: Vec::new(),
+        faults: Vec::new(),
     }
 }

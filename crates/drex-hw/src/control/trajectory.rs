@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 
 use drex_recording::JointLog;
 
-use super::{Behaviour, Joints};
+use super::{Controller, Joints};
 use crate::{Error, HandCommand, HandState, Result};
 
 /// Where the joints shall be at a time.
@@ -139,7 +139,7 @@ impl Trajectory {
     }
 }
 
-impl Behaviour for Trajectory {
+impl Controller for Trajectory {
     fn begin(&mut self, joints: &Joints<'_>, state: &HandState) -> Result<()> {
         let n = joints.names.len();
         let wrong = self.waypoints.iter().map(|w| w.position.len()).find(|len| *len != n);

@@ -3,7 +3,7 @@
 //!
 //! A LEAP hand whose program was killed freezes by its bus watchdog with the torque on; an Allegro hand goes on pressing. Behind a guard both
 //! lose their torque. Because the guard owns the port, a program that was stopped and wakes up cannot write to it any more: every call gives
-//! an error that holds [`TakenOver`], see [`Error::taken_over`](crate::Error::taken_over). When the guard dies first, the program opens the port
+//! an error that holds [`TakenOver`](crate::TakenOver), see [`Error::taken_over`](crate::Error::taken_over). When the guard dies first, the program opens the port
 //! itself and takes the torque off.
 //!
 //! A program can be its own guard with one line at its beginning, and one option where it opens the hand:
@@ -28,13 +28,12 @@
 mod device;
 mod message;
 mod off;
+mod open;
 mod options;
 mod port;
 mod serve;
-mod taken_over;
 
 pub use off::{SwitchOff, SwitchedOff, switch_off};
 pub use options::GuardOptions;
 pub use port::GuardedPort;
 pub use serve::serve;
-pub use taken_over::TakenOver;

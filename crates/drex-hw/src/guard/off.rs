@@ -144,13 +144,13 @@ fn allegro<P: Port>(port: P, version: AllegroVersion, patience: Duration, news: 
         let now = bus.port().now();
         let found = match &told {
             Err(error) => error.to_string(),
-            Ok(Heard::Nothing) if heard => return attempt.done(now, "the hand has fallen silent"),
-            Ok(Heard::Nothing) => "nothing was heard of the hand".to_owned(),
-            Ok(Heard::Refusals) => "the adapter refuses frames".to_owned(),
-            Ok(Heard::Poses) => "the hand goes on reporting".to_owned(),
+            Ok(Received::Nothing) if heard => return attempt.done(now, "the hand has fallen silent"),
+            Ok(Received::Nothing) => "nothing was heard of the hand".to_owned(),
+            Ok(Received::Refusals) => "the adapter refuses frames".to_owned(),
+            Ok(Received::Poses) => "the hand goes on reporting".to_owned(),
         };
         attempt.was_gone |= told.is_err();
-        if matches!(told, Ok(Heard::Refusals)) {
+        if matches!(told, Ok(Received::Refusals)) {
             // Its channel may be closed, after the adapter was without power. What fails here fails again in the next round.
             let _ = bus.open_channel();
         }
@@ -162,14 +162,14 @@ fn allegro<P: Port>(port: P, version: AllegroVersion, patience: Duration, news: 
 }
 
 /// What an Allegro hand and its adapter said after they were told to be silent.
-enum Heard {
+enum Received {
     Nothing,
     Refusals,
     Poses,
 }
 
 /// Says all of it once; what came after that. An answer to the question who it is counts as heard.
-fn allegro_round<P: Port>(bus: &mut Slcan<P>, version: AllegroVersion, heard: &mut bool) -> Result<Heard> {
+fn allegro_round<P: Port>(bus: &mut Slcan<P>, version: AllegroVersion, heard: &mut bool) -> Result<Received> {
     let refused = bus.refused();
     let zero = (0..4).map(|finger| AllegroCommand::Torque { finger, wire: [0; 4] });
     let silence = AllegroCommand::Period { pose_ms: 0, imu_ms: 0, temperature_ms: 0 };
@@ -182,10 +182,10 @@ fn allegro_round<P: Port>(bus: &mut Slcan<P>, version: AllegroVersion, heard: &m
     while let Some(frame) = bus.receive(QUIET)? {
         *heard |= AllegroReport::decode(version, &frame).is_some();
         if bus.port().now().saturating_sub(begun) > BABBLE {
-            return Ok(Heard::Poses);
+            return Ok(Received::Poses);
         }
     }
-    Ok(if bus.refused() == refused { Heard::Nothing } else { Heard::Refusals })
+    Ok(if bus.refused() == refused { Received::Nothing } else { Received::Refusals })
 }
 
 #[cfg(test)]

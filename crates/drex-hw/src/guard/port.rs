@@ -13,10 +13,10 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use super::device;
 use super::message::{Inbox, MOST_BYTES, Message, Opening};
-use super::{GuardOptions, SwitchOff, TakenOver, switch_off};
+use super::{GuardOptions, SwitchOff, switch_off};
 use crate::dynamixel::serial::latency_file_of;
 use crate::dynamixel::{Port, Torque};
-use crate::{Clock, Error, Result, SystemClock};
+use crate::{Clock, Error, Result, SystemClock, TakenOver};
 
 /// How long a guard may take to start and open the port, on a busy machine.
 const START: Duration = Duration::from_secs(10);
@@ -50,7 +50,7 @@ pub struct GuardedPort {
     lost: Option<String>,
     torque: Torque,
     /// When the guard was last heard, and since when it owes a sign of life.
-    heard: Duration,
+    heard_at: Duration,
     owes: Option<Duration>,
     /// Why the guard takes the torque off, and how that ended.
     takes_over: Option<String>,
@@ -97,7 +97,7 @@ impl GuardedPort {
             answer: None,
             lost: None,
             torque: Torque::Off,
-            heard: clock.now(),
+            heard_at: clock.now(),
             owes: None,
             takes_over: None,
             taken_over: None,
@@ -172,7 +172,7 @@ impl GuardedPort {
         while readable(&self.link, Duration::ZERO) {
             let open = self.inbox.fill(&self.link);
             if open.as_ref().is_ok_and(|open| *open) {
-                (self.heard, self.owes) = (self.clock.now(), None);
+                (self.heard_at, self.owes) = (self.clock.now(), None);
             }
             self.understand()?;
             match open {
@@ -307,7 +307,7 @@ impl Port for GuardedPort {
             }
             self.gone()?;
             let now = self.clock.now();
-            if self.torque != Torque::Off && now.saturating_sub(self.heard) >= self.slice() {
+            if self.torque != Torque::Off && now.saturating_sub(self.heard_at) >= self.slice() {
                 self.beat()?;
             }
             let left = end.saturating_sub(now);

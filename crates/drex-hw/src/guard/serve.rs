@@ -65,7 +65,7 @@ pub fn serve() -> Result<()> {
         port,
         lost: false,
         torque: Torque::Off,
-        heard: Instant::now(),
+        heard_at: Instant::now(),
         heartbeat,
     };
     Message::Done.put(&mut relay.out);
@@ -96,7 +96,7 @@ struct Relay {
     lost: bool,
     torque: Torque,
     /// When the program was last heard.
-    heard: Instant,
+    heard_at: Instant,
     heartbeat: Duration,
 }
 
@@ -120,8 +120,8 @@ impl Relay {
                     return (self.torque != Torque::Off).then(|| "the program has ended".into());
                 }
                 // Not from when it came: what took the guard itself long is not the program's fault.
-                self.heard = Instant::now();
-            } else if self.torque == Torque::On && self.heard.elapsed() >= self.heartbeat {
+                self.heard_at = Instant::now();
+            } else if self.torque == Torque::On && self.heard_at.elapsed() >= self.heartbeat {
                 let ms = self.heartbeat.as_millis();
                 return Some(format!("no sign of life of the program for {ms} ms"));
             }
@@ -138,7 +138,7 @@ impl Relay {
     /// Waits until something happens: a message, a signal, bytes from the port.
     fn wait(&self) -> [bool; 3] {
         let wait = match self.torque {
-            Torque::On => self.heartbeat.saturating_sub(self.heard.elapsed()),
+            Torque::On => self.heartbeat.saturating_sub(self.heard_at.elapsed()),
             Torque::Off | Torque::Ready => IDLE,
         };
         let wait = Timespec { tv_sec: wait.as_secs() as _, tv_nsec: wait.subsec_nanos() as _ };

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use super::driver::{COMMAND, LeapHand, command};
-use super::joint::{Joint, Life};
+use super::joint::{Joint, MotorState};
 use super::table::{self, RAD_S_PER_UNIT};
 use crate::dynamixel::{Answers, Port};
 use crate::{EffortUnit, Error, Hand, HandCommand, HandState, JointStatus, Result};
@@ -133,8 +133,8 @@ impl<P: Port> LeapHand<P> {
         self.orders.clear();
         for (i, j) in self.asked.iter().enumerate() {
             let joint = &mut self.joints[*j];
-            let (Life::Driven { .. }, Some((_, data))) = (joint.life, readings.get(i)) else { continue };
-            joint.life = Life::Driven { since: now };
+            let (MotorState::Driven { .. }, Some((_, data))) = (joint.state, readings.get(i)) else { continue };
+            joint.state = MotorState::Driven { since: now };
             self.orders.push((joint.id, command(start, table::PRESENT_POSITION.in_block(PRESENT, data))));
         }
         self.queue_commands()?;
@@ -146,7 +146,7 @@ impl<P: Port> LeapHand<P> {
         let Some(wanted) = wanted.filter(|_| self.on) else { return Ok(()) };
         self.orders.clear();
         for (j, joint) in self.joints.iter().enumerate() {
-            let Life::Driven { since } = joint.life else { continue };
+            let MotorState::Driven { since } = joint.state else { continue };
             let allowed = self.allowed_ma(j, now.saturating_sub(since));
             // Rounded down: a limit is not exceeded by half a milliampere either.
             let current = wanted.effort_limit[j].min(allowed).max(0.0) as i16;
@@ -214,7 +214,7 @@ impl Joint {
     fn take(&mut self, data: &[u8]) {
         self.missed = 0;
         let ticks = table::PRESENT_POSITION.in_block(PRESENT, data);
-        if !matches!(self.life, Life::Driven { .. }) {
+        if !matches!(self.state, MotorState::Driven { .. }) {
             // It may have been without power, and have forgotten how many turns it had made.
             self.count_turns(ticks, 0.0);
         }
@@ -230,12 +230,12 @@ impl Joint {
     }
 
     fn status(&self) -> JointStatus {
-        match self.life {
-            Life::Faulted { bits } => JointStatus::Faulted(bits),
-            Life::Booting { .. } | Life::Setup { .. } => JointStatus::Recovering,
+        match self.state {
+            MotorState::Faulted { bits } => JointStatus::Faulted(bits),
+            MotorState::Booting { .. } | MotorState::Setup { .. } => JointStatus::Recovering,
             _ if self.missed > 0 => JointStatus::Silent,
-            Life::Limp => JointStatus::Limp,
-            Life::Driven { .. } => JointStatus::Driven,
+            MotorState::TorqueOff => JointStatus::TorqueOff,
+            MotorState::Driven { .. } => JointStatus::Driven,
         }
     }
 }

@@ -77,29 +77,6 @@ impl LeapHand<SerialPort> {
     }
 }
 
-#[cfg(unix)]
-impl LeapHand<crate::guard::GuardedPort> {
-    /// Opens the hand at the serial port `path` behind a guard, which takes the torque off whatever becomes of this program.
-    ///
-    /// # Errors
-    /// If the guard cannot be started, and those of [`LeapHand::open`].
-    pub fn open_guarded(
-        path: impl Into<PathBuf>,
-        robot: &Robot,
-        options: LeapOptions,
-        guard: &crate::guard::GuardOptions,
-    ) -> Result<Self> {
-        let off = crate::guard::SwitchOff::leap(&options);
-        let port = crate::guard::GuardedPort::open(path, options.baud, off, guard)?;
-        Self::connect(port, robot, options)
-    }
-
-    /// Process of the guard.
-    pub fn guard_id(&mut self) -> u32 {
-        self.bus.port().guard_id()
-    }
-}
-
 impl<P: Port> LeapHand<P> {
     /// Finds the motors of `robot` behind `port` and sets them up, all torque off. Joints are found by name.
     ///
@@ -192,8 +169,13 @@ impl<P: Port> LeapHand<P> {
     }
 
     /// What is wrong with joints, by number and in words.
-    pub fn troubles(&self) -> impl Iterator<Item = (usize, &str)> {
-        self.joints.iter().enumerate().filter_map(|(j, joint)| Some((j, joint.trouble.as_deref()?)))
+    pub fn faults(&self) -> impl Iterator<Item = (usize, &str)> {
+        self.joints.iter().enumerate().filter_map(|(j, joint)| Some((j, joint.fault.as_deref()?)))
+    }
+
+    /// The port that the motors are behind.
+    pub(crate) fn port(&mut self) -> &mut P {
+        self.bus.port()
     }
 
     /// What went over the bus.

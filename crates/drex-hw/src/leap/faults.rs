@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use super::driver::{HEALTH_ADDRESS, LeapHand, command};
-use super::joint::{Life, MotorHealth};
+use super::joint::{MotorHealth, MotorState};
 use super::table::{self, hardware_error};
 use crate::dynamixel::Port;
 use crate::{Error, Result};
@@ -24,7 +24,7 @@ impl<P: Port> LeapHand<P> {
             health.hardware_error = bits;
         }
         if bits != 0 {
-            joint.trouble = Some(table::hardware_error_text(bits));
+            joint.fault = Some(table::hardware_error_text(bits));
         }
     }
 
@@ -39,7 +39,7 @@ impl<P: Port> LeapHand<P> {
         };
         self.note_error(j, bits);
         if bits & self.model.default_shutdown() != 0 {
-            self.joints[j].life = Life::Faulted { bits };
+            self.joints[j].state = MotorState::Faulted { bits };
         }
         Ok(())
     }
@@ -52,7 +52,8 @@ impl<P: Port> LeapHand<P> {
         for (i, j) in self.asked.iter().enumerate() {
             let Some((_, &[torque, error, watchdog, decivolt, celsius])) = healths.get(i) else { continue };
             let joint = &mut self.joints[*j];
-            let (driven, limp) = (matches!(joint.life, Life::Driven { .. }), joint.life == Life::Limp);
+            let (driven, limp) =
+                (matches!(joint.state, MotorState::Driven { .. }), joint.state == MotorState::TorqueOff);
             if (driven && (torque != 1 || watchdog == FROZEN)) || (limp && torque != 0) {
                 suspects |= 1 << j;
             } else if driven || limp {
@@ -79,32 +80,32 @@ impl<P: Port> LeapHand<P> {
         let (torque, bits) = match read {
             Err(Error::Silent { .. }) => return Ok(()),
             Err(refused @ Error::Refused { .. }) => {
-                self.joints[j].trouble = Some(refused.to_string());
+                self.joints[j].fault = Some(refused.to_string());
                 return Ok(());
             }
             other => other?,
         };
         let torque = torque == 1;
         self.note_error(j, bits);
-        let steps = match self.joints[j].life {
+        let steps = match self.joints[j].state {
             // Switched off without an error: it was without power and remembers nothing.
-            Life::Driven { .. } if !torque && bits == 0 => {
-                self.joints[j].trouble = Some("lost its torque, perhaps its supply".into());
+            MotorState::Driven { .. } if !torque && bits == 0 => {
+                self.joints[j].fault = Some("lost its torque, perhaps its supply".into());
                 self.begin_setup(j);
                 Ok(())
             }
-            Life::Driven { .. } if !torque => {
-                self.joints[j].life = Life::Faulted { bits };
+            MotorState::Driven { .. } if !torque => {
+                self.joints[j].state = MotorState::Faulted { bits };
                 Ok(())
             }
-            Life::Driven { .. } => self.rearm(j),
-            Life::Limp if torque => self.bus.set(id, table::TORQUE_ENABLE, 0),
+            MotorState::Driven { .. } => self.rearm(j),
+            MotorState::TorqueOff if torque => self.bus.set(id, table::TORQUE_ENABLE, 0),
             _ => Ok(()),
         };
         match steps {
             Err(Error::Silent { .. }) => Ok(()),
             Err(refused @ Error::Refused { .. }) => {
-                self.joints[j].trouble = Some(refused.to_string());
+                self.joints[j].fault = Some(refused.to_string());
                 Ok(())
             }
             other => other,
@@ -118,7 +119,7 @@ impl<P: Port> LeapHand<P> {
         let here = self.bus.get(id, table::PRESENT_POSITION)?;
         self.bus.write(id, table::INDIRECT_DATA.address, &command(self.start_current(), here))?;
         self.bus.set(id, table::BUS_WATCHDOG, self.options.watchdog_units())?;
-        self.joints[j].life = Life::Driven { since: self.now() };
+        self.joints[j].state = MotorState::Driven { since: self.now() };
         Ok(())
     }
 
@@ -130,7 +131,7 @@ impl<P: Port> LeapHand<P> {
 
     /// Queues a value of the watchdog for all motors under torque.
     pub(super) fn tell_driven(&mut self, watchdog: u8) -> Result<()> {
-        let (driven, value) = (self.joints.iter().filter(|j| matches!(j.life, Life::Driven { .. })), [watchdog]);
+        let (driven, value) = (self.joints.iter().filter(|j| matches!(j.state, MotorState::Driven { .. })), [watchdog]);
         self.bus.queue_sync_write(table::BUS_WATCHDOG.address, 1, driven.map(|j| (j.id, &value[..])))
     }
 
@@ -138,9 +139,9 @@ impl<P: Port> LeapHand<P> {
     pub(super) fn care(&mut self) -> Result<()> {
         for j in 0..self.joints.len() {
             let joint = &mut self.joints[j];
-            match joint.life {
+            match joint.state {
                 // Only an overload is over when the motor has let go.
-                Life::Faulted { bits } if self.on && bits == hardware_error::OVERLOAD && joint.recoveries > 0 => {
+                MotorState::Faulted { bits } if self.on && bits == hardware_error::OVERLOAD && joint.recoveries > 0 => {
                     joint.recoveries -= 1;
                     return self.begin_reboot(j);
                 }
@@ -154,7 +155,7 @@ impl<P: Port> LeapHand<P> {
         if self.joints.iter().any(|j| !j.absent && j.missed >= MISSES && j.is_asked()) {
             for joint in self.joints.iter_mut().filter(|j| j.is_asked() && j.missed >= MISSES) {
                 joint.absent = true;
-                joint.trouble = Some("does not answer".into());
+                joint.fault = Some("does not answer".into());
             }
             self.regroup()?;
         }

@@ -22,9 +22,9 @@ pub struct MotorHealth {
 
 /// What is being done with a motor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Life {
+pub(super) enum MotorState {
     /// Set up, without torque.
-    Limp,
+    TorqueOff,
     /// Under torque since then.
     Driven { since: Duration },
     /// Stopped itself or cannot be set up.
@@ -40,7 +40,7 @@ pub(super) struct Joint {
     pub id: u8,
     pub name: String,
     pub gains: LeapGains,
-    pub life: Life,
+    pub state: MotorState,
     /// Exchanges since it last answered.
     pub missed: u32,
     /// Did not answer for so long that it is no longer asked with the others.
@@ -56,7 +56,7 @@ pub(super) struct Joint {
     /// Its hardware errors when they were last read.
     pub errors: u8,
     /// What was last wrong with it.
-    pub trouble: Option<String>,
+    pub fault: Option<String>,
     zero: i64,
     sign: i64,
     /// Whole turns that the motor counts too many, in the model's direction.
@@ -73,7 +73,7 @@ impl Joint {
             id: wiring.id,
             name: wiring.name.clone(),
             gains,
-            life: Life::Faulted { bits: 0 },
+            state: MotorState::Faulted { bits: 0 },
             missed: u32::MAX,
             absent: false,
             recoveries: 0,
@@ -83,7 +83,7 @@ impl Joint {
             current: 0.0,
             health: None,
             errors: 0,
-            trouble: None,
+            fault: None,
             zero: i64::from(wiring.zero_ticks),
             sign: if wiring.reversed { -1 } else { 1 },
             turns: 0,
@@ -122,6 +122,6 @@ impl Joint {
 
     /// Whether it is asked together with the others.
     pub fn is_asked(&self) -> bool {
-        !self.absent && !matches!(self.life, Life::Booting { .. })
+        !self.absent && !matches!(self.state, MotorState::Booting { .. })
     }
 }

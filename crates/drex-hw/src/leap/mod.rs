@@ -33,8 +33,8 @@ mod driver;
 mod faults;
 mod finding;
 mod inspect;
+mod inspection;
 mod joint;
-mod look;
 mod off;
 mod options;
 mod setup;
@@ -44,9 +44,9 @@ mod torque;
 pub use driver::LeapHand;
 pub use finding::{Finding, FindingKind, refuse_motion};
 pub use inspect::inspect;
+pub use inspection::{HandInspection, MotorInspection, MotorReading, inspect_hand};
 pub use joint::MotorHealth;
-pub use look::{HandLook, MotorLook, MotorReading, look};
+#[cfg(unix)]
+pub(crate) use off::off_round;
 pub use off::{MotorOff, TorqueState, release, switch_off};
 pub use options::{LeapGains, LeapJoint, LeapOptions};
-#[cfg(unix)]
-pub(crate) use torque::off_round;

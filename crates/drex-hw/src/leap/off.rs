@@ -8,7 +8,6 @@ use super::absent::{SILENCE, nobody};
 use super::driver::{joints, known_timing};
 use super::options::LeapOptions;
 use super::table;
-use super::torque::off_round;
 use crate::dynamixel::{Bus, Port};
 use crate::{Error, Result};
 
@@ -48,7 +47,7 @@ pub struct MotorOff {
     /// Torque at the end.
     pub torque: TorqueState,
     /// Reason, in words, where the torque is not off.
-    pub trouble: Option<String>,
+    pub fault: Option<String>,
 }
 
 /// Takes the torque off all motors of `robot` behind `port`, in whatever state they are: watchdog run out, hardware error, some of
@@ -89,7 +88,7 @@ impl<P: Port> Switch<P> {
             joint: j.name,
             id: j.id,
             torque: TorqueState::Unknown,
-            trouble: Some("did not answer".into()),
+            fault: Some("did not answer".into()),
         };
         let motors = joints(robot, options)?.into_iter().map(motor).collect();
         let mut bus = Bus::new(port, timing);
@@ -129,8 +128,8 @@ impl<P: Port> Switch<P> {
         let mut not_off = off_round(&mut self.bus, &mut left)?;
         for motor in self.motors.iter_mut().filter(|m| open(m)) {
             let found = not_off.iter().position(|n| n.id == motor.id).map(|k| not_off.swap_remove(k));
-            (motor.torque, motor.trouble) =
-                found.map_or((TorqueState::Off, None), |found| (found.torque, Some(found.trouble)));
+            (motor.torque, motor.fault) =
+                found.map_or((TorqueState::Off, None), |found| (found.torque, Some(found.fault)));
         }
         Ok(())
     }
@@ -195,4 +194,40 @@ impl<P: Port> Switch<P> {
         }
         Ok(())
     }
+}
+
+/// A motor that did not confirm that its torque is off.
+pub(crate) struct NotOff {
+    pub(crate) id: u8,
+    /// On or unknown.
+    pub(crate) torque: TorqueState,
+    /// Reason, in words.
+    pub(crate) fault: String,
+}
+
+/// Orders motors to take their torque off and asks each; who confirms it leaves `left`, the others are returned. The order goes out again
+/// with every question, so that a motor that could not be reached is off as soon as it can.
+///
+/// # Errors
+/// If the port fails.
+pub(crate) fn off_round<P: Port>(bus: &mut Bus<P>, left: &mut Vec<u8>) -> Result<Vec<NotOff>> {
+    let (asked, off, mut not_off) = (left.clone(), [0], Vec::new());
+    for id in &asked {
+        bus.queue_sync_write(table::TORQUE_ENABLE.address, 1, left.iter().map(|id| (*id, &off[..])))?;
+        let (torque, fault) = match bus.get(*id, table::TORQUE_ENABLE) {
+            Ok(0) => {
+                left.retain(|l| l != id);
+                continue;
+            }
+            Ok(_) => (TorqueState::On, "says that its torque is still on".into()),
+            Err(lost @ Error::Port { .. }) => return Err(lost),
+            Err(Error::Silent { .. }) => (TorqueState::Unknown, "did not answer".into()),
+            Err(other) => (TorqueState::Unknown, other.to_string()),
+        };
+        not_off.push(NotOff { id: *id, torque, fault });
+    }
+    // The others keep their watchdogs: whoever did not hear that its torque goes off stays frozen at least.
+    let done = asked.iter().filter(|id| !left.contains(id));
+    bus.sync_write(table::BUS_WATCHDOG.address, 1, done.map(|id| (*id, &off[..])))?;
+    Ok(not_off)
 }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use super::driver::{COMMAND, HEALTH, LeapHand, SETUP_TIME};
 use super::inspect::FAST_FIRMWARE;
-use super::joint::Life;
+use super::joint::MotorState;
 use super::table::{self, CURRENT_BASED_POSITION, MotorModel, Register, Value};
 use crate::dynamixel::Port;
 use crate::{Error, Result};
@@ -40,13 +40,13 @@ impl<P: Port> LeapHand<P> {
     /// Sets up a motor from the beginning, in the exchanges to come.
     pub(super) fn begin_setup(&mut self, j: usize) {
         let give_up = self.now() + SETUP_TIME;
-        self.joints[j].life = Life::Setup { step: 0, give_up };
+        self.joints[j].state = MotorState::Setup { step: 0, give_up };
     }
 
     /// Sets up every motor that is neither limp nor driven, and waits for it.
     pub(super) fn set_up_all(&mut self) -> Result<()> {
         for j in 0..self.joints.len() {
-            if let Life::Faulted { .. } = self.joints[j].life {
+            if let MotorState::Faulted { .. } = self.joints[j].state {
                 // Not all at once: behind a slow adapter the last ones would have no time left.
                 self.begin_setup(j);
                 self.settle(j)?;
@@ -59,7 +59,7 @@ impl<P: Port> LeapHand<P> {
             for j in 0..self.joints.len() {
                 self.settle(j)?;
                 self.check_set_up(j)?;
-                if let Life::Booting { .. } = self.joints[j].life {
+                if let MotorState::Booting { .. } = self.joints[j].state {
                     waiting = Some(j);
                 }
             }
@@ -70,14 +70,14 @@ impl<P: Port> LeapHand<P> {
     }
 
     fn check_set_up(&self, j: usize) -> Result<()> {
-        let Life::Faulted { .. } = self.joints[j].life else { return Ok(()) };
-        let what = self.joints[j].trouble.clone().unwrap_or_else(|| "cannot be set up".into());
+        let MotorState::Faulted { .. } = self.joints[j].state else { return Ok(()) };
+        let what = self.joints[j].fault.clone().unwrap_or_else(|| "cannot be set up".into());
         Err(self.wrong(j, what, "then try again"))
     }
 
     /// Goes on with the setup of a motor until it is done, or has to wait.
     fn settle(&mut self, j: usize) -> Result<()> {
-        while let Life::Setup { .. } = self.joints[j].life {
+        while let MotorState::Setup { .. } = self.joints[j].state {
             self.advance(j)?;
         }
         Ok(())
@@ -86,7 +86,7 @@ impl<P: Port> LeapHand<P> {
     /// Starts a motor again; torque and errors go.
     pub(super) fn begin_reboot(&mut self, j: usize) -> Result<()> {
         let next = self.now() + BOOT;
-        self.joints[j].life = Life::Booting { next, give_up: next + SETUP_TIME };
+        self.joints[j].state = MotorState::Booting { next, give_up: next + SETUP_TIME };
         match self.bus.reboot(self.joints[j].id) {
             // If it did not hear, its error is seen again and it is told again.
             Ok(()) | Err(Error::Silent { .. } | Error::Refused { .. }) => self.regroup(),
@@ -98,24 +98,24 @@ impl<P: Port> LeapHand<P> {
     /// faulted. Whether anything was sent.
     pub(super) fn advance(&mut self, j: usize) -> Result<bool> {
         let now = self.now();
-        let (outcome, give_up, again) = match self.joints[j].life {
-            Life::Booting { next, .. } if now < next => return Ok(false),
-            Life::Booting { give_up, .. } => {
+        let (outcome, give_up, again) = match self.joints[j].state {
+            MotorState::Booting { next, .. } if now < next => return Ok(false),
+            MotorState::Booting { give_up, .. } => {
                 let there = self.bus.ping(self.joints[j].id).map(|_| Next::Step(0));
-                (there, give_up, Life::Booting { next: now + ASK, give_up })
+                (there, give_up, MotorState::Booting { next: now + ASK, give_up })
             }
-            Life::Setup { step, give_up } => (self.step(j, step), give_up, Life::Setup { step, give_up }),
+            MotorState::Setup { step, give_up } => (self.step(j, step), give_up, MotorState::Setup { step, give_up }),
             _ => return Ok(false),
         };
-        let was_booting = matches!(again, Life::Booting { .. });
+        let was_booting = matches!(again, MotorState::Booting { .. });
         let outcome = outcome
             .and_then(|next| if let Next::Boot = next { self.begin_reboot(j).map(|()| Next::Boot) } else { Ok(next) });
         match outcome {
-            Ok(Next::Step(step)) => self.joints[j].life = Life::Setup { step, give_up },
+            Ok(Next::Step(step)) => self.joints[j].state = MotorState::Setup { step, give_up },
             Ok(Next::Boot) => {
                 // The time that it may take is not extended.
-                if let Life::Booting { next, .. } = self.joints[j].life {
-                    self.joints[j].life = Life::Booting { next, give_up };
+                if let MotorState::Booting { next, .. } = self.joints[j].state {
+                    self.joints[j].state = MotorState::Booting { next, give_up };
                 }
                 if now > give_up {
                     let what = table::hardware_error_text(self.joints[j].errors);
@@ -123,9 +123,9 @@ impl<P: Port> LeapHand<P> {
                 }
             }
             Ok(Next::Done) => {
-                self.joints[j].life = if self.on { Life::Driven { since: now } } else { Life::Limp };
+                self.joints[j].state = if self.on { MotorState::Driven { since: now } } else { MotorState::TorqueOff };
             }
-            Err(Error::Silent { .. }) if now <= give_up => self.joints[j].life = again,
+            Err(Error::Silent { .. }) if now <= give_up => self.joints[j].state = again,
             Err(error @ Error::Port { .. }) => return Err(error),
             // The joint is known.
             Err(Error::Joint { what, remedy, .. }) => self.fault(j, format!("{what}; {remedy}")),
@@ -137,10 +137,10 @@ impl<P: Port> LeapHand<P> {
         Ok(true)
     }
 
-    pub(super) fn fault(&mut self, j: usize, trouble: String) {
+    pub(super) fn fault(&mut self, j: usize, fault: String) {
         let joint = &mut self.joints[j];
-        joint.life = Life::Faulted { bits: joint.errors };
-        joint.trouble = Some(trouble);
+        joint.state = MotorState::Faulted { bits: joint.errors };
+        joint.fault = Some(fault);
     }
 
     fn step(&mut self, j: usize, step: u8) -> Result<Next> {

@@ -4,7 +4,7 @@ use std::marker::PhantomData;
 
 use crate::Result;
 use crate::dynamixel::{Bus, Port};
-use crate::law::Nominal;
+use crate::torque_current::Nominal;
 
 /// A number in a control table.
 pub trait Value: Copy {

@@ -2,10 +2,10 @@
 
 use super::driver::{COMMAND, HEALTH, HEALTH_ADDRESS, LeapHand, command};
 use super::faults::FROZEN;
-use super::joint::{Joint, Life};
-use super::off::TorqueState;
+use super::joint::{Joint, MotorState};
+use super::off::{TorqueState, off_round};
 use super::table;
-use crate::dynamixel::{Answers, Bus, Port, Torque};
+use crate::dynamixel::{Answers, Port, Torque};
 use crate::{Error, Result};
 
 /// How often what is not confirmed is said again.
@@ -87,7 +87,7 @@ impl<P: Port> LeapHand<P> {
         }
         for j in 0..self.joints.len() {
             match under.get(j) {
-                Some(answer) if guarded(answer) => self.joints[j].life = Life::Driven { since },
+                Some(answer) if guarded(answer) => self.joints[j].state = MotorState::Driven { since },
                 Some(_) => {
                     let error = self.bus.get(self.joints[j].id, table::HARDWARE_ERROR)?;
                     let what = format!("torque does not go on: {}", table::hardware_error_text(error));
@@ -124,8 +124,8 @@ impl<P: Port> LeapHand<P> {
     pub(super) fn relax(&mut self) -> Result<()> {
         self.on = false;
         // Also if it cannot be told now: who is found under torque later is told then.
-        for joint in self.joints.iter_mut().filter(|j| matches!(j.life, Life::Driven { .. })) {
-            joint.life = Life::Limp;
+        for joint in self.joints.iter_mut().filter(|j| matches!(j.state, MotorState::Driven { .. })) {
+            joint.state = MotorState::TorqueOff;
         }
         let told = self.say_off();
         if matches!(&told, Err(error @ Error::Port { .. }) if !error.is_final()) && !self.lost {
@@ -151,7 +151,7 @@ impl<P: Port> LeapHand<P> {
             }
             let now = self.now();
             // A motor that starts again has no torque, and says so when it is back.
-            let boots = |j: &Joint| matches!(j.life, Life::Booting { give_up, .. } if now < give_up);
+            let boots = |j: &Joint| matches!(j.state, MotorState::Booting { give_up, .. } if now < give_up);
             let booting = self.joints.iter().any(|j| left.contains(&j.id) && boots(j));
             if rounds >= TRIES && !booting {
                 break not_off;
@@ -168,42 +168,6 @@ impl<P: Port> LeapHand<P> {
         let unknown: Vec<String> = unknown.map(|j| format!("{} (motor {})", j.name, j.id)).collect();
         Err(Error::TorqueUnknown { joints: unknown.join(", ") })
     }
-}
-
-/// A motor that did not confirm that its torque is off.
-pub(crate) struct NotOff {
-    pub(crate) id: u8,
-    /// On or unknown.
-    pub(crate) torque: TorqueState,
-    /// Reason, in words.
-    pub(crate) trouble: String,
-}
-
-/// Orders motors to take their torque off and asks each; who confirms it leaves `left`, the others are returned. The order goes out again
-/// with every question, so that a motor that could not be reached is off as soon as it can.
-///
-/// # Errors
-/// If the port fails.
-pub(crate) fn off_round<P: Port>(bus: &mut Bus<P>, left: &mut Vec<u8>) -> Result<Vec<NotOff>> {
-    let (asked, off, mut not_off) = (left.clone(), [0], Vec::new());
-    for id in &asked {
-        bus.queue_sync_write(table::TORQUE_ENABLE.address, 1, left.iter().map(|id| (*id, &off[..])))?;
-        let (torque, trouble) = match bus.get(*id, table::TORQUE_ENABLE) {
-            Ok(0) => {
-                left.retain(|l| l != id);
-                continue;
-            }
-            Ok(_) => (TorqueState::On, "says that its torque is still on".into()),
-            Err(lost @ Error::Port { .. }) => return Err(lost),
-            Err(Error::Silent { .. }) => (TorqueState::Unknown, "did not answer".into()),
-            Err(other) => (TorqueState::Unknown, other.to_string()),
-        };
-        not_off.push(NotOff { id: *id, torque, trouble });
-    }
-    // The others keep their watchdogs: whoever did not hear that its torque goes off stays frozen at least.
-    let done = asked.iter().filter(|id| !left.contains(id));
-    bus.sync_write(table::BUS_WATCHDOG.address, 1, done.map(|id| (*id, &off[..])))?;
-    Ok(not_off)
 }
 
 impl<P: Port> Drop for LeapHand<P> {

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
-use drex_hw::law::{Approach, Sample, fit};
+use drex_hw::torque_current::{Approach, Sample, fit};
 
 use crate::cli::CalibrateArgs;
 use crate::ui::Ui;

@@ -76,7 +76,7 @@ pub fn run(args: &CalibrateZeroArgs, ui: &Ui) -> Result<()> {
 /// Homing offsets of the motors, ticks, of a hand that can be calibrated: all its motors answer, without torque or errors.
 fn homing_offsets(setup: &Setup, args: &CalibrateZeroArgs) -> Result<Vec<(String, i32)>> {
     let port = SerialPort::open(&args.hand.port, setup.leap.baud)?;
-    let found = leap::look(port, &setup.robot, &setup.leap)?;
+    let found = leap::inspect_hand(port, &setup.robot, &setup.leap)?;
     let mut offsets = Vec::new();
     for motor in found.motors {
         let Some(reading) = &motor.reading else {
@@ -88,7 +88,7 @@ fn homing_offsets(setup: &Setup, args: &CalibrateZeroArgs) -> Result<Vec<(String
                 motor.joint
             );
         }
-        if let Some(trouble) = motor.trouble {
+        if let Some(trouble) = motor.fault {
             bail!("{} (motor {}): {trouble}; mend that first", motor.joint, motor.id);
         }
         offsets.push((motor.joint, reading.homing_offset));

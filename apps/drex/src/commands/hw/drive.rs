@@ -2,7 +2,7 @@
 
 use anyhow::{Result, bail};
 use drex_hw::SystemClock;
-use drex_hw::control::{Behaviour, LoopReport, LoopStats, Stay, Trajectory, Waypoint};
+use drex_hw::control::{Controller, HoldPosition, LoopReport, LoopStats, StopReason, Trajectory, Waypoint};
 use drex_recording::readers::read_joint_log_csv;
 use serde_json::{Value, json};
 
@@ -84,13 +84,13 @@ pub fn record(args: &RecordArgs, ui: &Ui) -> Result<()> {
     }
     let hand = driver.hand();
     let caps = hand.effort_caps().to_vec();
-    let mut behaviour: Box<dyn Behaviour> = match &args.play {
+    let mut controller: Box<dyn Controller> = match &args.play {
         Some(file) => {
             let names = hand.joints().to_vec();
             let log = read_joint_log_csv(file, Some(&names))?;
             Box::new(Trajectory::from_log(&log, &names, caps, TO_THE_LOG_S)?)
         }
-        None => Box::new(Stay::new(args.seconds, caps)),
+        None => Box::new(HoldPosition::new(args.seconds, caps)),
     };
     let how = Run {
         stop: &stop,
@@ -99,7 +99,7 @@ pub fn record(args: &RecordArgs, ui: &Ui) -> Result<()> {
         torque_off: args.play.is_none(),
         log: Some(&args.out),
     };
-    let report = run_logged(hand, &mut behaviour, &SystemClock::default(), &how)?;
+    let report = run_logged(hand, &mut controller, &SystemClock::default(), &how)?;
     let (cycles, told) = (report.stats.cycles, account(&report, hand.joints()));
     let text = format!("{cycles} cycles in {}\n{cap}{told}", args.out.display());
     ui.answer(&json!({ "out": args.out, "cap": cap_json, "loop": stats(&report) }), text)
@@ -108,7 +108,7 @@ pub fn record(args: &RecordArgs, ui: &Ui) -> Result<()> {
 /// What went wrong with joints on the way and was mended, and how well the loop kept time; with what to do where it did not.
 pub fn account(report: &LoopReport, joints: &[String]) -> String {
     let mut text = String::new();
-    for (j, trouble) in &report.troubles {
+    for (j, trouble) in &report.faults {
         text += &format!("  note  {} {trouble}\n", joints[*j]);
     }
     if report.stats.outages > 0 {

@@ -175,7 +175,7 @@ fn watchdog(register: Option<u8>) -> String {
 fn look_at_leap(setup: &Setup, args: &HandArgs) -> Result<Found> {
     // Whoever opens the port has its lock: no other process holds it, and torque that is on is driven by nobody.
     let port = SerialPort::open(&args.port, setup.leap.baud)?;
-    let found = leap::look(port, &setup.robot, &setup.leap)?;
+    let found = leap::inspect_hand(port, &setup.robot, &setup.leap)?;
     let findings = found.findings.iter().map(ToString::to_string).collect();
     let state = |reading: Option<&MotorReading>| match reading {
         Some(r) if r.torque && r.is_frozen() => "torque on, frozen by its watchdog, driven by nobody",
@@ -184,7 +184,7 @@ fn look_at_leap(setup: &Setup, args: &HandArgs) -> Result<Found> {
         Some(_) => "torque off",
         None => "silent",
     };
-    let line = |m: leap::MotorLook| {
+    let line = |m: leap::MotorInspection| {
         let reading = m.reading.as_ref();
         JointLine {
             name: m.joint,
@@ -197,7 +197,7 @@ fn look_at_leap(setup: &Setup, args: &HandArgs) -> Result<Found> {
             watchdog: reading.map(|r| r.watchdog),
             homing_offset_ticks: reading.map(|r| r.homing_offset),
             status: state(reading).to_owned(),
-            trouble: m.trouble,
+            trouble: m.fault,
         }
     };
     let joints: Vec<JointLine> = found.motors.into_iter().map(line).collect();
@@ -228,7 +228,7 @@ fn look_at_allegro(setup: &Setup, args: &HandArgs) -> Result<Found> {
         watchdog: None,
         homing_offset_ticks: None,
         status: match state.status[j] {
-            JointStatus::Limp => "torque off".into(),
+            JointStatus::TorqueOff => "torque off".into(),
             other => format!("{other:?}").to_lowercase(),
         },
         trouble: (state.hardware_error[j] != 0).then(|| hand.error_text(state.hardware_error[j])),

@@ -72,9 +72,9 @@ fn report_leap(motors: &[MotorOff], args: &HandArgs, ui: &Ui) -> Result<()> {
             TorqueState::On => ("on", "STILL ON"),
             _ => ("unknown", "torque unknown"),
         };
-        let why = motor.trouble.as_ref().map_or_else(String::new, |t| format!(": {t}"));
+        let why = motor.fault.as_ref().map_or_else(String::new, |t| format!(": {t}"));
         text += &format!("  {:<10} motor {:<3} {words}{why}\n", motor.joint, motor.id);
-        lines.push(json!({ "joint": motor.joint, "id": motor.id, "torque": name, "trouble": motor.trouble }));
+        lines.push(json!({ "joint": motor.joint, "id": motor.id, "torque": name, "trouble": motor.fault }));
         if motor.torque != TorqueState::Off {
             open.push(format!("{} (motor {}): {words}{why}", motor.joint, motor.id));
         }

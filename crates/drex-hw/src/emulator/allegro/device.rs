@@ -20,7 +20,7 @@ const DRAG: f64 = 0.03;
 
 /// A command that the hand heard, and when.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Heard {
+pub struct ReceivedCommand {
     /// Time of the hand.
     pub at: Duration,
     /// What it was told.
@@ -34,7 +34,7 @@ pub(super) struct Joint {
     /// rad/s.
     pub v: f64,
     /// N m, as told.
-    pub told: f64,
+    pub commanded: f64,
     /// N m with which it presses on the wall, signed.
     pub contact: f64,
     /// What is in the way leaves these angles, rad.
@@ -42,7 +42,8 @@ pub(super) struct Joint {
 }
 
 impl Joint {
-    const AT_ZERO: Self = Self { q: 0.0, v: 0.0, told: 0.0, contact: 0.0, wall: (f64::NEG_INFINITY, f64::INFINITY) };
+    const AT_ZERO: Self =
+        Self { q: 0.0, v: 0.0, commanded: 0.0, contact: 0.0, wall: (f64::NEG_INFINITY, f64::INFINITY) };
 
     fn step(&mut self, torque: f64) {
         self.v = (self.v + torque / INERTIA * STEP_S) / (1.0 + DRAG / INERTIA * STEP_S);
@@ -75,7 +76,7 @@ pub(super) struct Device {
     pub plugged: bool,
     pub celsius: [u8; 16],
     pub info: AllegroInfo,
-    pub record: Option<Vec<Heard>>,
+    pub record: Option<Vec<ReceivedCommand>>,
 }
 
 impl Device {
@@ -112,10 +113,10 @@ impl Device {
         while self.simulated + STEP <= self.now {
             self.simulated += STEP;
             if self.watchdog.is_some_and(|w| self.simulated.saturating_sub(self.last_torque) > w) {
-                self.joints.iter_mut().for_each(|j| j.told = 0.0);
+                self.joints.iter_mut().for_each(|j| j.commanded = 0.0);
             }
             for j in &mut self.joints {
-                j.step(if self.on { j.told } else { 0.0 });
+                j.step(if self.on { j.commanded } else { 0.0 });
             }
             self.report_what_is_due();
         }
@@ -167,7 +168,7 @@ impl Device {
             return;
         };
         if let Some(record) = &mut self.record {
-            record.push(Heard { at: self.now, command });
+            record.push(ReceivedCommand { at: self.now, command });
         }
         match command {
             AllegroCommand::On => {
@@ -176,13 +177,13 @@ impl Device {
             }
             AllegroCommand::Off => {
                 self.on = false;
-                self.joints.iter_mut().for_each(|j| j.told = 0.0);
+                self.joints.iter_mut().for_each(|j| j.commanded = 0.0);
             }
             AllegroCommand::Torque { finger, wire } => {
                 self.last_torque = self.now;
                 let at = 4 * usize::from(finger & 3);
                 for (k, w) in wire.iter().enumerate() {
-                    self.joints[at + k].told = self.options.torque(at + k, *w);
+                    self.joints[at + k].commanded = self.options.torque(at + k, *w);
                 }
             }
             AllegroCommand::Period { pose_ms, temperature_ms, .. } => self.period_ms = [pose_ms, temperature_ms],

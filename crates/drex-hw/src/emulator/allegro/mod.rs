@@ -23,7 +23,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 pub use bus::{EmulatorBus, EmulatorClock};
-pub use device::Heard;
+pub use device::ReceivedCommand;
 
 use crate::Result;
 use crate::allegro::{AllegroInfo, AllegroOptions, AllegroReport, AllegroVersion};
@@ -150,7 +150,7 @@ impl AllegroEmulator {
     /// Torques that act in the joints, wire order, N m.
     pub fn torques_nm(&self) -> [f64; 16] {
         let device = self.device();
-        if device.on { device.joints.map(|j| j.told) } else { [0.0; 16] }
+        if device.on { device.joints.map(|j| j.commanded) } else { [0.0; 16] }
     }
 
     /// Torques with which the joints press on what is in their way, wire order, N m, signed.
@@ -208,7 +208,7 @@ impl AllegroEmulator {
     }
 
     /// The commands noted since [`AllegroEmulator::record`] or the last call, oldest first.
-    pub fn take_record(&self) -> Vec<Heard> {
+    pub fn take_record(&self) -> Vec<ReceivedCommand> {
         self.device().record.as_mut().map(std::mem::take).unwrap_or_default()
     }
 }

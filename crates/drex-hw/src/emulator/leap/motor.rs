@@ -3,19 +3,9 @@
 use std::time::Duration;
 
 use super::physics::Body;
-use super::registers::{END, check_write, is_defined, is_writable};
+use super::registers::{END, check_write, is_defined, is_writable, refusal};
 use crate::dynamixel::Pong;
 use crate::leap::table::{self, MotorModel, Register, Value};
-
-/// Error numbers of status packets.
-pub(super) mod refusal {
-    pub const FAILED: u8 = 1;
-    pub const INSTRUCTION: u8 = 2;
-    pub const RANGE: u8 = 4;
-    pub const LENGTH: u8 = 5;
-    pub const LIMIT: u8 = 6;
-    pub const ACCESS: u8 = 7;
-}
 
 /// First address that is not kept without power.
 const RAM: u16 = 64;
@@ -160,7 +150,7 @@ impl Motor {
     }
 
     /// Notes that an instruction for it has come.
-    pub fn heard(&mut self, now: Duration) {
+    pub fn note_instruction(&mut self, now: Duration) {
         self.heard_at = now;
     }
 

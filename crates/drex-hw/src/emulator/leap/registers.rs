@@ -1,6 +1,14 @@
 //! The registers of a motor: where each begins, how many bytes it has, and whether it may be written.
 
-use super::motor::refusal;
+/// Error numbers of status packets.
+pub(super) mod refusal {
+    pub const FAILED: u8 = 1;
+    pub const INSTRUCTION: u8 = 2;
+    pub const RANGE: u8 = 4;
+    pub const LENGTH: u8 = 5;
+    pub const LIMIT: u8 = 6;
+    pub const ACCESS: u8 = 7;
+}
 
 /// One entry of the control table.
 struct Entry {

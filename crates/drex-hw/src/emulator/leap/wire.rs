@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use super::fault::{Fault, Faults};
-use super::motor::{Motor, refusal};
+use super::motor::Motor;
+use super::registers::refusal;
 use crate::dynamixel::{BROADCAST, HEADER, Parser, crc16, encode, instruction};
 use crate::leap::table::{self, MotorModel};
 
@@ -146,7 +147,7 @@ impl Wire {
         if self.motors[i].deaf(self.now) || self.faults.happens(Fault::Deaf(id)) {
             return None;
         }
-        self.motors[i].heard(self.now);
+        self.motors[i].note_instruction(self.now);
         Some(i)
     }
 

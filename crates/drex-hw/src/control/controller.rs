@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 
 use crate::{EffortUnit, Error, Hand, HandCommand, HandState, Result};
 
-/// What a behaviour may know of the hand's joints.
+/// What a controller may know of the hand's joints.
 #[derive(Debug, Clone, Copy)]
 pub struct Joints<'a> {
     /// Names, in the order of all lists.
@@ -29,8 +29,8 @@ impl<'a> Joints<'a> {
     }
 }
 
-/// Decides what the joints are told. Runs in the loop: it must neither wait nor, after [`Behaviour::begin`], allocate.
-pub trait Behaviour: Send {
+/// Decides what the joints are told. Runs in the loop: it must neither wait nor, after [`Controller::begin`], allocate.
+pub trait Controller: Send {
     /// Checks what is to be done against the hand, and makes ready; `state` is where the hand is.
     ///
     /// # Errors
@@ -50,7 +50,7 @@ pub trait Behaviour: Send {
     }
 }
 
-impl<B: Behaviour + ?Sized> Behaviour for Box<B> {
+impl<B: Controller + ?Sized> Controller for Box<B> {
     fn begin(&mut self, joints: &Joints<'_>, state: &HandState) -> Result<()> {
         (**self).begin(joints, state)
     }
@@ -66,20 +66,20 @@ impl<B: Behaviour + ?Sized> Behaviour for Box<B> {
 
 /// Keeps the joints where they are at first; with a limp hand ([`ControlOptions::limp`](super::ControlOptions::limp)) it watches.
 #[derive(Debug, Clone)]
-pub struct Stay {
+pub struct HoldPosition {
     seconds: f64,
     position: Vec<f64>,
     effort_limit: Vec<f64>,
 }
 
-impl Stay {
+impl HoldPosition {
     /// For this long, s, with these limits, in the hand's unit.
     pub fn new(seconds: f64, effort_limit: Vec<f64>) -> Self {
         Self { seconds, position: Vec::new(), effort_limit }
     }
 }
 
-impl Behaviour for Stay {
+impl Controller for HoldPosition {
     fn begin(&mut self, joints: &Joints<'_>, state: &HandState) -> Result<()> {
         if !(self.seconds >= 0.0) || self.effort_limit.len() != joints.names.len() {
             return Err(Error::value(

@@ -13,7 +13,7 @@ pub struct TakenOver {
 }
 
 impl TakenOver {
-    pub(super) fn new(why: String, how: String, confirmed: bool, since: SystemTime) -> Self {
+    pub(crate) fn new(why: String, how: String, confirmed: bool, since: SystemTime) -> Self {
         Self { why, how, confirmed, since }
     }
 

@@ -4,8 +4,8 @@ use drex_core::Pose;
 use drex_robot::Robot;
 use nalgebra::{Point3, Vector3};
 
-use super::TorqueLaw;
-use super::curve::finite;
+use super::TorqueCurrentModel;
+use super::model::finite;
 use crate::{Error, Result};
 
 /// No hand gives such a torque, N m; beyond it arithmetic overflows.
@@ -102,24 +102,24 @@ impl LimitOptions {
         self
     }
 
-    /// Limits, mA, under which the joints give these torques, N m, with a law for each joint.
+    /// Limits, mA, under which the joints give these torques, N m, with a model for each joint.
     ///
-    /// A joint that would need more than the cap, or more than its law was calibrated for, gets that much and gives less torque than
+    /// A joint that would need more than the cap, or more than its model was calibrated for, gets that much and gives less torque than
     /// asked; see [`LimitOptions::short_nm`].
     ///
     /// # Errors
-    /// [`Error::Value`] for options or torques that mean nothing and for another number of laws than of torques.
-    pub fn limits_ma(&self, laws: &[TorqueLaw], torques_nm: &[f64]) -> Result<Vec<f64>> {
+    /// [`Error::Value`] for options or torques that mean nothing and for another number of models than of torques.
+    pub fn limits_ma(&self, models: &[TorqueCurrentModel], torques_nm: &[f64]) -> Result<Vec<f64>> {
         self.check()?;
-        same_length("laws", laws.len(), "torques", torques_nm.len())?;
-        let mut limits = Vec::with_capacity(laws.len());
-        for (law, tau) in laws.iter().zip(torques_nm) {
+        same_length("models", models.len(), "torques", torques_nm.len())?;
+        let mut limits = Vec::with_capacity(models.len());
+        for (model, tau) in models.iter().zip(torques_nm) {
             finite(*tau, "N m")?;
-            let most = self.cap_ma.min(law.max_current_ma()).max(self.floor_ma);
+            let most = self.cap_ma.min(model.max_current_ma()).max(self.floor_ma);
             let needed = match tau.abs() {
                 0.0 => 0.0,
-                tau if tau > law.max_torque_nm() => most,
-                tau => law.current_ma(tau)? + self.friction_ma,
+                tau if tau > model.max_torque_nm() => most,
+                tau => model.current_ma(tau)? + self.friction_ma,
             };
             limits.push(needed.clamp(self.floor_ma, most));
         }
@@ -146,17 +146,17 @@ impl LimitOptions {
     ///
     /// # Errors
     /// [`Error::Value`] for numbers that mean nothing and for lists of different lengths.
-    pub fn short_nm(&self, laws: &[TorqueLaw], torques_nm: &[f64], limits_ma: &[f64]) -> Result<Vec<f64>> {
+    pub fn short_nm(&self, models: &[TorqueCurrentModel], torques_nm: &[f64], limits_ma: &[f64]) -> Result<Vec<f64>> {
         self.check()?;
-        same_length("laws", laws.len(), "torques", torques_nm.len())?;
-        same_length("laws", laws.len(), "limits", limits_ma.len())?;
-        let lack = |((law, tau), limit): ((&TorqueLaw, &f64), &f64)| {
+        same_length("models", models.len(), "torques", torques_nm.len())?;
+        same_length("models", models.len(), "limits", limits_ma.len())?;
+        let lack = |((model, tau), limit): ((&TorqueCurrentModel, &f64), &f64)| {
             finite(*tau, "N m")?;
-            let given = pressing_nm(law, *limit, self.friction_ma)?;
+            let given = pressing_nm(model, *limit, self.friction_ma)?;
             let short = tau.abs() - given;
             Ok(if short > 1e-9 * tau.abs() { short } else { 0.0 })
         };
-        laws.iter().zip(torques_nm).zip(limits_ma).map(lack).collect()
+        models.iter().zip(torques_nm).zip(limits_ma).map(lack).collect()
     }
 
     fn check(&self) -> Result<()> {
@@ -176,10 +176,10 @@ impl LimitOptions {
 }
 
 /// Torque, N m, that is left of a current, mA, after friction; beyond the end of a table that of its end.
-pub(super) fn pressing_nm(law: &TorqueLaw, current_ma: f64, friction_ma: f64) -> Result<f64> {
+pub(super) fn pressing_nm(model: &TorqueCurrentModel, current_ma: f64, friction_ma: f64) -> Result<f64> {
     finite(current_ma, "mA")?;
-    let useful = (current_ma.abs() - friction_ma).clamp(0.0, law.max_current_ma());
-    Ok(law.torque_nm(useful)?.copysign(current_ma))
+    let useful = (current_ma.abs() - friction_ma).clamp(0.0, model.max_current_ma());
+    Ok(model.torque_nm(useful)?.copysign(current_ma))
 }
 
 /// Poses of the links in the frame of the base.

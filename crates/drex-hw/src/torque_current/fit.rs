@@ -1,16 +1,16 @@
-//! Fit of a law to measured pairs; the shape is chosen by pairs that the fit has not seen.
+//! Fit of a model to measured pairs; the shape is chosen by pairs that the fit has not seen.
 
 use nalgebra::{DMatrix, DVector};
 
 use super::nnls::nnls;
-use super::{Curve, Hysteresis, Provenance, TorqueLaw};
+use super::{Curve, Hysteresis, Provenance, TorqueCurrentModel};
 use crate::{Error, Result};
 
 /// Fewest pairs, and fewest different currents among them.
 const NEEDED: usize = 6;
 /// A richer shape has to be better than a plainer one by this factor.
 const WORTH: f64 = 1.05;
-/// Share of the variance of the torques that a law has to explain on pairs it has not seen.
+/// Share of the variance of the torques that a model has to explain on pairs it has not seen.
 const EXPLAINED: f64 = 0.8;
 /// No current in mA and no torque in N m is as large.
 const HUGE: f64 = 1e6;
@@ -58,17 +58,17 @@ impl Sample {
     }
 }
 
-/// Law through measured pairs: of the four shapes the plainest one that predicts unseen pairs as well as the best, to within 5 %.
+/// Model through measured pairs: of the four shapes the plainest one that predicts unseen pairs as well as the best, to within 5 %.
 ///
-/// Pairs of rising and of falling load count equally, and their difference becomes the law's hysteresis. `source` says who measured
+/// Pairs of rising and of falling load count equally, and their difference becomes the model's hysteresis. `source` says who measured
 /// what and how, `date` on which day.
 ///
 /// # Errors
-/// [`Error::Value`] for numbers that are not finite and for pairs that no law explains, [`Error::TooFewPairs`],
+/// [`Error::Value`] for numbers that are not finite and for pairs that no model explains, [`Error::TooFewPairs`],
 /// [`Error::NotMonotone`].
-pub fn fit(samples: &[Sample], source: impl Into<String>, date: impl Into<String>) -> Result<TorqueLaw> {
+pub fn fit(samples: &[Sample], source: impl Into<String>, date: impl Into<String>) -> Result<TorqueCurrentModel> {
     let points = usable(samples)?;
-    // The way of the load would pass for scatter and hide the shape: a first law finds it, the second is fitted without it.
+    // The way of the load would pass for scatter and hide the shape: a first model finds it, the second is fitted without it.
     let first = Shape::Table.fit(&points).or_else(|| Shape::Affine.fit(&points));
     let hysteresis = first.as_ref().and_then(|curve| measure_hysteresis(&points, curve));
     let level = match (&first, &hysteresis) {
@@ -81,7 +81,7 @@ pub fn fit(samples: &[Sample], source: impl Into<String>, date: impl Into<String
     let chosen = scored.into_iter().find(|(_, rms)| *rms <= WORTH * best + 1e-9 * scale);
     let Some((curve, cross_validated)) = chosen.and_then(|(shape, rms)| Some((shape.fit(&level)?, rms))) else {
         return Err(Error::NotMonotone {
-            what: "every law through these pairs".into(),
+            what: "every model through these pairs".into(),
             remedy: "check signs and units: mA, N m".into(),
         });
     };
@@ -90,7 +90,7 @@ pub fn fit(samples: &[Sample], source: impl Into<String>, date: impl Into<String
     if !(cross_validated.powi(2) <= (1.0 - EXPLAINED) * spread.powi(2)) {
         return Err(Error::value(
             format!(
-                "pairs that scatter by {cross_validated:.4} N m about every law, with a spread of {spread:.4} N m in all"
+                "pairs that scatter by {cross_validated:.4} N m about every model, with a spread of {spread:.4} N m in all"
             ),
             "measure at standstill, over a wider range, several times",
         ));
@@ -103,7 +103,7 @@ pub fn fit(samples: &[Sample], source: impl Into<String>, date: impl Into<String
         cross_validated_nm: Some(cross_validated),
         range_ma: points.first().zip(points.last()).map(|(a, b)| [a.i, b.i]),
     };
-    TorqueLaw::new(curve, provenance, hysteresis)
+    TorqueCurrentModel::new(curve, provenance, hysteresis)
 }
 
 /// A pair with a current above zero, mA and N m; `way` is +1 where the load fell and −1 where it rose.
@@ -183,7 +183,7 @@ fn level_out(points: &[Point], curve: &Curve, h: &Hysteresis) -> Vec<Point> {
     points.iter().map(|p| Point { tau: p.tau - p.way * h.half_width_nm(curve.torque(p.i)), ..*p }).collect()
 }
 
-/// Root mean square error of torque over ten parts, each predicted by a law through the others; `None` if one cannot be fitted.
+/// Root mean square error of torque over ten parts, each predicted by a model through the others; `None` if one cannot be fitted.
 fn cross_validate(shape: Shape, points: &[Point]) -> Option<f64> {
     let parts = points.len().min(10);
     let mut errors = Vec::with_capacity(points.len());

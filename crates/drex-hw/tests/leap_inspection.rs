@@ -6,7 +6,7 @@ use drex_hw::Error;
 use drex_hw::dynamixel::Timing;
 use drex_hw::emulator::leap::{Fault, LeapEmulator};
 use drex_hw::leap::table::{self, hardware_error};
-use drex_hw::leap::{LeapHand, LeapOptions, look};
+use drex_hw::leap::{LeapHand, LeapOptions, inspect_hand};
 use drex_robot::Robot;
 
 fn robot() -> Robot {
@@ -27,19 +27,19 @@ fn one_dead_motor_does_not_hide_the_others() {
     hand.set(3, table::TORQUE_ENABLE, 1);
 
     hand.record_writes();
-    let seen = look(hand.port(), &robot(), &options()).expect("15 answer");
+    let seen = inspect_hand(hand.port(), &robot(), &options()).expect("15 answer");
     assert_eq!(hand.take_writes(), [], "nothing is changed");
     assert_eq!(hand.get(3, table::TORQUE_ENABLE), Some(1));
     assert_eq!(seen.motors.len(), 16);
     for m in &seen.motors {
-        let trouble = m.trouble.as_deref();
+        let fault = m.fault.as_deref();
         match m.id {
             11 => {
-                assert!(m.reading.is_none() && trouble.is_some_and(|t| t.contains("does not answer")), "{m:?}");
+                assert!(m.reading.is_none() && fault.is_some_and(|t| t.contains("does not answer")), "{m:?}");
                 continue;
             }
-            4 => assert_eq!(trouble, Some("overload")),
-            _ => assert_eq!(trouble, None),
+            4 => assert_eq!(fault, Some("overload")),
+            _ => assert_eq!(fault, None),
         }
         let reading = m.reading.as_ref().expect("it answers");
         assert_eq!((reading.model, reading.torque), (1240, m.id == 3));
@@ -54,6 +54,6 @@ fn one_dead_motor_does_not_hide_the_others() {
 fn a_hand_without_any_answer_is_an_error_with_its_reason() {
     let hand = LeapEmulator::new();
     (0..16).for_each(|id| hand.set(id, table::BAUD, 1));
-    let error = look(hand.port(), &robot(), &options()).expect_err("another speed");
+    let error = inspect_hand(hand.port(), &robot(), &options()).expect_err("another speed");
     assert!(matches!(error, Error::NoMotors { .. }) && error.to_string().contains("57600"), "{error}");
 }

@@ -3,9 +3,9 @@
 use drex_robot::Robot;
 use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
-use super::TorqueLaw;
-use super::curve::finite;
+use super::TorqueCurrentModel;
 use super::limits::{column, poses, pressing_nm, same_length};
+use super::model::finite;
 use super::nnls::nnls;
 use crate::{Error, Result};
 
@@ -32,7 +32,7 @@ pub struct ForceEstimate {
     pub unique: bool,
 }
 
-/// Forces at contacts from signed currents, mA: the non-negative forces whose Jᵀ f is closest to the torques that the laws read from
+/// Forces at contacts from signed currents, mA: the non-negative forces whose Jᵀ f is closest to the torques that the models read from
 /// the currents less `friction_ma`. Joint angles in rad; the hand's own weight is not taken out.
 ///
 /// # Errors
@@ -41,11 +41,11 @@ pub fn estimate_forces(
     robot: &Robot,
     q: &[f64],
     contacts: &[ContactDirection],
-    laws: &[TorqueLaw],
+    models: &[TorqueCurrentModel],
     currents_ma: &[f64],
     friction_ma: f64,
 ) -> Result<ForceEstimate> {
-    same_length("laws", laws.len(), "joints", robot.dof())?;
+    same_length("models", models.len(), "joints", robot.dof())?;
     same_length("currents", currents_ma.len(), "joints", robot.dof())?;
     if !(friction_ma >= 0.0 && friction_ma.is_finite()) {
         return Err(Error::value(format!("a friction of {friction_ma} mA"), "give zero or more"));
@@ -61,7 +61,7 @@ pub fn estimate_forces(
         let torques = column(robot, &poses, c.link, &c.point, &(c.direction / length))?;
         a.column_mut(k).copy_from_slice(&torques);
     }
-    let torques = laws.iter().zip(currents_ma).map(|(law, i)| pressing_nm(law, *i, friction_ma));
+    let torques = models.iter().zip(currents_ma).map(|(model, i)| pressing_nm(model, *i, friction_ma));
     let b = DVector::from_vec(torques.collect::<Result<Vec<_>>>()?);
     if a.is_empty() {
         let residual_nm = b.norm() / (robot.dof().max(1) as f64).sqrt();

@@ -1,8 +1,8 @@
-//! The torque law: both directions, fits to noisy pairs, refusals, files.
+//! The torque-current model: both directions, fits to noisy pairs, refusals, files.
 #![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 use drex_hw::Error;
-use drex_hw::law::{Approach, Curve, Nominal, Provenance, Sample, TorqueLaw, fit};
+use drex_hw::torque_current::{Approach, Curve, Nominal, Provenance, Sample, TorqueCurrentModel, fit};
 use proptest::prelude::*;
 
 fn measured() -> Provenance {
@@ -16,8 +16,8 @@ fn measured() -> Provenance {
     }
 }
 
-fn law(curve: Curve) -> TorqueLaw {
-    TorqueLaw::new(curve, measured(), None).unwrap()
+fn model(curve: Curve) -> TorqueCurrentModel {
+    TorqueCurrentModel::new(curve, measured(), None).unwrap()
 }
 
 fn any_curve() -> impl Strategy<Value = Curve> {
@@ -40,29 +40,29 @@ fn any_curve() -> impl Strategy<Value = Curve> {
 proptest! {
     #[test]
     fn there_and_back_again(curve in any_curve(), share in 0.001..1.0_f64, negative: bool) {
-        let law = law(curve);
-        let most = law.max_torque_nm().min(0.6);
+        let model = model(curve);
+        let most = model.max_torque_nm().min(0.6);
         let tau = share * most * if negative { -1.0 } else { 1.0 };
-        let current = law.current_ma(tau).unwrap();
+        let current = model.current_ma(tau).unwrap();
         prop_assert_eq!(current < 0.0, negative);
-        let back = law.torque_nm(current).unwrap();
+        let back = model.torque_nm(current).unwrap();
         prop_assert!((back - tau).abs() <= 1e-9 * tau.abs(), "{} from {} mA, not {}", back, current, tau);
-        let again = law.current_ma(back).unwrap();
+        let again = model.current_ma(back).unwrap();
         prop_assert!((again - current).abs() <= 1e-9 * current.abs());
     }
 
     #[test]
     fn more_current_is_never_less_torque(curve in any_curve(), a in 0.0..1.0_f64, b in 0.0..1.0_f64) {
-        let law = law(curve);
-        let most = law.max_current_ma().min(900.0);
+        let model = model(curve);
+        let most = model.max_current_ma().min(900.0);
         let (low, high) = (a.min(b) * most, a.max(b) * most);
-        prop_assert!(law.torque_nm(low).unwrap() <= law.torque_nm(high).unwrap());
+        prop_assert!(model.torque_nm(low).unwrap() <= model.torque_nm(high).unwrap());
     }
 
-    /// Pairs with 1.5 % of noise on a law of each closed form: the fit inverts within 2 % where it was measured.
+    /// Pairs with 1.5 % of noise on a model of each closed form: the fit inverts within 2 % where it was measured.
     #[test]
     fn a_fit_inverts_within_two_percent(which in 0..3_usize, noise in prop::collection::vec(-1.0..1.0_f64, 60)) {
-        let truth = law([
+        let truth = model([
             Curve::Linear { kt_nm_per_a: 0.52 },
             Curve::Affine { i0_ma: 16.1, k_nm_per_a: 0.45 },
             Curve::Sqrt { c_nm_per_sqrt_a: 0.69 },
@@ -88,8 +88,8 @@ proptest! {
     #[test]
     fn nothing_panics(pairs in prop::collection::vec((prop::num::f64::ANY, prop::num::f64::ANY), 0..24)) {
         let samples: Vec<Sample> = pairs.iter().map(|(i, t)| Sample::from_torque(*i, *t)).collect();
-        if let Ok(law) = fit(&samples, "noise", "") {
-            prop_assert!(law.current_ma(0.01).is_ok_and(f64::is_finite) || law.max_torque_nm() < 0.01);
+        if let Ok(model) = fit(&samples, "noise", "") {
+            prop_assert!(model.current_ma(0.01).is_ok_and(f64::is_finite) || model.max_torque_nm() < 0.01);
         }
     }
 }
@@ -120,8 +120,8 @@ fn negative_currents_count_as_positive_ones() {
         .enumerate()
         .map(|(k, s)| if k % 2 == 0 { s } else { Sample::from_torque(-s.current_ma, -s.torque_nm) })
         .collect();
-    let law = fit(&mirrored, "both ways", "2026-11-21").unwrap();
-    assert!((law.torque_nm(-200.0).unwrap() + 0.1).abs() < 1e-9);
+    let model = fit(&mirrored, "both ways", "2026-11-21").unwrap();
+    assert!((model.torque_nm(-200.0).unwrap() + 0.1).abs() < 1e-9);
 }
 
 #[test]
@@ -136,12 +136,12 @@ fn hysteresis_is_measured_and_kept_out_of_the_law() {
             samples.push(Sample::from_torque(i, tau + half).with_approach(Approach::Unloading));
         }
     }
-    let law = fit(&samples, "up and down", "2026-11-21").unwrap();
-    let tau = law.torque_nm(240.0).unwrap();
-    assert!((tau - 0.12).abs() < 0.02 * 0.12, "{tau} from {:?}", law.curve());
-    let half = law.hysteresis().unwrap().half_width_nm(0.12);
+    let model = fit(&samples, "up and down", "2026-11-21").unwrap();
+    let tau = model.torque_nm(240.0).unwrap();
+    assert!((tau - 0.12).abs() < 0.02 * 0.12, "{tau} from {:?}", model.curve());
+    let half = model.hysteresis().unwrap().half_width_nm(0.12);
     assert!((half - 0.016).abs() < 0.003, "{half}");
-    assert!(law.provenance().residual_nm.unwrap() < 0.004);
+    assert!(model.provenance().residual_nm.unwrap() < 0.004);
 }
 
 #[test]
@@ -162,7 +162,7 @@ fn nonsense_is_refused_by_name() {
 
 #[test]
 fn curves_that_cannot_be_inverted_are_refused() {
-    let refuse = |curve| TorqueLaw::new(curve, measured(), None).unwrap_err();
+    let refuse = |curve| TorqueCurrentModel::new(curve, measured(), None).unwrap_err();
     for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
         assert!(matches!(refuse(Curve::Linear { kt_nm_per_a: bad }), Error::Value { .. }));
         assert!(matches!(refuse(Curve::Sqrt { c_nm_per_sqrt_a: bad }), Error::Value { .. }));
@@ -177,25 +177,25 @@ fn curves_that_cannot_be_inverted_are_refused() {
 
 #[test]
 fn nothing_is_said_beyond_the_end_of_a_table() {
-    let law = law(Curve::Table { current_ma: vec![10.0, 110.0], torque_nm: vec![0.0, 0.05] });
-    assert!(matches!(law.current_ma(0.06), Err(Error::OutOfRange { .. })));
-    assert!(matches!(law.torque_nm(-111.0), Err(Error::OutOfRange { .. })));
-    assert!(matches!(law.torque_nm(f64::NAN), Err(Error::Value { .. })));
-    assert!(matches!(law.current_ma(f64::INFINITY), Err(Error::Value { .. })));
-    assert_eq!(law.torque_nm(5.0).unwrap(), 0.0);
+    let model = model(Curve::Table { current_ma: vec![10.0, 110.0], torque_nm: vec![0.0, 0.05] });
+    assert!(matches!(model.current_ma(0.06), Err(Error::OutOfRange { .. })));
+    assert!(matches!(model.torque_nm(-111.0), Err(Error::OutOfRange { .. })));
+    assert!(matches!(model.torque_nm(f64::NAN), Err(Error::Value { .. })));
+    assert!(matches!(model.current_ma(f64::INFINITY), Err(Error::Value { .. })));
+    assert_eq!(model.torque_nm(5.0).unwrap(), 0.0);
 }
 
 #[test]
 fn files_come_back_and_strangers_do_not() {
-    let law = law(Curve::Affine { i0_ma: 16.1, k_nm_per_a: 0.45 });
-    let text = serde_json::to_string(&law).unwrap();
-    assert_eq!(serde_json::from_str::<TorqueLaw>(&text).unwrap(), law);
+    let model = model(Curve::Affine { i0_ma: 16.1, k_nm_per_a: 0.45 });
+    let text = serde_json::to_string(&model).unwrap();
+    assert_eq!(serde_json::from_str::<TorqueCurrentModel>(&text).unwrap(), model);
     for (from, to) in
         [("\"version\":1", "\"version\":2"), ("\"version\":1", "\"version\":1,\"x\":0"), ("0.45", "-0.45")]
     {
         let bent = text.replace(from, to);
         assert_ne!(bent, text);
-        assert!(serde_json::from_str::<TorqueLaw>(&bent).is_err(), "{bent}");
+        assert!(serde_json::from_str::<TorqueCurrentModel>(&bent).is_err(), "{bent}");
     }
 }
 
@@ -211,9 +211,9 @@ fn nominal_laws_say_that_they_are_not_calibrated() {
         (Nominal::AllegroV5, 0.245),
     ];
     for (which, at_350_ma) in all {
-        let law = TorqueLaw::nominal(which).unwrap();
-        assert!(!law.is_calibrated() && law.provenance().source.starts_with("nominal, not calibrated"));
-        let tau = law.torque_nm(350.0).unwrap();
+        let model = TorqueCurrentModel::nominal(which).unwrap();
+        assert!(!model.is_calibrated() && model.provenance().source.starts_with("nominal, not calibrated"));
+        let tau = model.torque_nm(350.0).unwrap();
         assert!((tau - at_350_ma).abs() < 0.005 * at_350_ma, "{which:?}: {tau} N m");
     }
 }

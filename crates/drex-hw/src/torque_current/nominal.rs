@@ -1,9 +1,9 @@
 //! Published numbers, for want of a calibration.
 
-use super::{Curve, Provenance, TorqueLaw};
+use super::{Curve, Provenance, TorqueCurrentModel};
 use crate::{Error, Result};
 
-/// Which published law.
+/// Which published model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Nominal {
@@ -34,20 +34,21 @@ impl Nominal {
     /// Least and largest torque, N m, that some published models give at one current, mA.
     ///
     /// # Errors
-    /// As [`TorqueLaw::torque_nm`], and for no models.
+    /// As [`TorqueCurrentModel::torque_nm`], and for no models.
     pub fn spread_nm(models: &[Self], current_ma: f64) -> Result<(f64, f64)> {
-        let torques: Result<Vec<f64>> = models.iter().map(|m| TorqueLaw::nominal(*m)?.torque_nm(current_ma)).collect();
+        let torques: Result<Vec<f64>> =
+            models.iter().map(|m| TorqueCurrentModel::nominal(*m)?.torque_nm(current_ma)).collect();
         let torques = torques?;
         let ends = torques.iter().copied().reduce(f64::min).zip(torques.iter().copied().reduce(f64::max));
         ends.ok_or_else(|| Error::value("the spread of no torque-current model", "name some"))
     }
 }
 
-impl TorqueLaw {
-    /// A published law; its provenance says that it is not calibrated.
+impl TorqueCurrentModel {
+    /// A published model; its provenance says that it is not calibrated.
     ///
     /// # Errors
-    /// None with the numbers given here; those of [`TorqueLaw::new`].
+    /// None with the numbers given here; those of [`TorqueCurrentModel::new`].
     pub fn nominal(which: Nominal) -> Result<Self> {
         let (curve, source) = match which {
             Nominal::Xc330Linear => {
@@ -55,7 +56,7 @@ impl TorqueLaw {
             }
             Nominal::Xc330Sqrt => (
                 Curve::Sqrt { c_nm_per_sqrt_a: 0.93 / 1.80_f64.sqrt() },
-                "XC330-M288 data sheet, stall point, root law of a current sensed at the supply",
+                "XC330-M288 data sheet, stall point, root model of a current sensed at the supply",
             ),
             Nominal::Xc330Affine => (
                 Curve::Affine { i0_ma: 16.1, k_nm_per_a: 1.0 / 2.23 },
@@ -66,7 +67,7 @@ impl TorqueLaw {
             }
             Nominal::Xl330Sqrt => (
                 Curve::Sqrt { c_nm_per_sqrt_a: 0.52 / 1.47_f64.sqrt() },
-                "XL330-M288 data sheet, stall point, root law as in a public stall test",
+                "XL330-M288 data sheet, stall point, root model as in a public stall test",
             ),
             Nominal::LeapSimulation => (Curve::Linear { kt_nm_per_a: 0.53 }, "public simulations of the LEAP hand"),
             Nominal::AllegroV5 => (

@@ -1,4 +1,4 @@
-//! The law itself: four shapes, both directions, and where it comes from.
+//! The model itself: four shapes, both directions, and where it comes from.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,7 +8,7 @@ use crate::{Error, Result};
 /// Version of the file layout that this code writes and reads.
 const VERSION: u32 = 1;
 
-/// Shape of a law: torque of the joint at standstill over the magnitude of the current.
+/// Shape of a model: torque of the joint at standstill over the magnitude of the current.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "snake_case")]
 pub enum Curve {
@@ -38,7 +38,7 @@ pub enum Curve {
     },
 }
 
-/// Where a law comes from.
+/// Where a model comes from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Provenance {
@@ -46,7 +46,7 @@ pub struct Provenance {
     pub source: String,
     /// Day of the measurement, such as "2026-11-21".
     pub date: Option<String>,
-    /// Measured pairs behind it; none for a nominal law.
+    /// Measured pairs behind it; none for a nominal model.
     pub pairs: usize,
     /// Root mean square of torque left unexplained, N m.
     pub residual_nm: Option<f64>,
@@ -56,10 +56,10 @@ pub struct Provenance {
     pub range_ma: Option<[f64; 2]>,
 }
 
-/// A monotone, invertible law between the current of a motor and the torque of its joint, with its origin.
+/// A monotone, invertible model between the current of a motor and the torque of its joint, with its origin.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "File", into = "File")]
-pub struct TorqueLaw {
+pub struct TorqueCurrentModel {
     curve: Curve,
     provenance: Provenance,
     hysteresis: Option<Hysteresis>,
@@ -74,28 +74,28 @@ struct File {
     hysteresis: Option<Hysteresis>,
 }
 
-impl TryFrom<File> for TorqueLaw {
+impl TryFrom<File> for TorqueCurrentModel {
     type Error = Error;
 
     fn try_from(file: File) -> Result<Self> {
         if file.version != VERSION {
             return Err(Error::value(
-                format!("a torque law of version {}", file.version),
-                format!("this program reads version {VERSION}; fit the law again"),
+                format!("a torque model of version {}", file.version),
+                format!("this program reads version {VERSION}; fit the model again"),
             ));
         }
         Self::new(file.curve, file.provenance, file.hysteresis)
     }
 }
 
-impl From<TorqueLaw> for File {
-    fn from(law: TorqueLaw) -> Self {
-        Self { version: VERSION, curve: law.curve, provenance: law.provenance, hysteresis: law.hysteresis }
+impl From<TorqueCurrentModel> for File {
+    fn from(model: TorqueCurrentModel) -> Self {
+        Self { version: VERSION, curve: model.curve, provenance: model.provenance, hysteresis: model.hysteresis }
     }
 }
 
-impl TorqueLaw {
-    /// A law of this shape.
+impl TorqueCurrentModel {
+    /// A model of this shape.
     ///
     /// # Errors
     /// [`Error::Value`] for a number that means nothing, [`Error::NotMonotone`] for a table that does not rise.
@@ -145,7 +145,7 @@ impl TorqueLaw {
         Ok(i.copysign(torque_nm))
     }
 
-    /// Largest current that the law speaks of, mA; infinite unless it is a table.
+    /// Largest current that the model speaks of, mA; infinite unless it is a table.
     pub fn max_current_ma(&self) -> f64 {
         match &self.curve {
             Curve::Table { current_ma, .. } => current_ma.last().copied().unwrap_or(0.0),
@@ -153,7 +153,7 @@ impl TorqueLaw {
         }
     }
 
-    /// Largest torque that the law speaks of, N m; infinite unless it is a table.
+    /// Largest torque that the model speaks of, N m; infinite unless it is a table.
     pub fn max_torque_nm(&self) -> f64 {
         match &self.curve {
             Curve::Table { torque_nm, .. } => torque_nm.last().copied().unwrap_or(0.0),
@@ -207,14 +207,14 @@ impl Curve {
         let slope = |name: &str, value: f64| match value > 0.0 && value.is_finite() {
             true => Ok(()),
             false => {
-                Err(Error::value(format!("a torque law with {name} = {value}"), "give a finite number above zero"))
+                Err(Error::value(format!("a torque model with {name} = {value}"), "give a finite number above zero"))
             }
         };
         match self {
             Self::Linear { kt_nm_per_a } => slope("kt_nm_per_a", *kt_nm_per_a),
             Self::Affine { i0_ma, k_nm_per_a } => {
                 if !(*i0_ma >= 0.0 && i0_ma.is_finite()) {
-                    return Err(Error::value(format!("a torque law that begins at {i0_ma} mA"), "give zero or more"));
+                    return Err(Error::value(format!("a torque model that begins at {i0_ma} mA"), "give zero or more"));
                 }
                 slope("k_nm_per_a", *k_nm_per_a)
             }

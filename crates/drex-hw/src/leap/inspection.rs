@@ -49,7 +49,7 @@ impl MotorReading {
 /// How a motor was found.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
-pub struct MotorLook {
+pub struct MotorInspection {
     /// The joint that it moves.
     pub joint: String,
     /// Its id.
@@ -57,15 +57,15 @@ pub struct MotorLook {
     /// What it tells; `None` if it does not answer or refuses.
     pub reading: Option<MotorReading>,
     /// What is wrong with it, in words.
-    pub trouble: Option<String>,
+    pub fault: Option<String>,
 }
 
 /// How a hand was found.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
-pub struct HandLook {
+pub struct HandInspection {
     /// Its motors in the order of the robot model.
-    pub motors: Vec<MotorLook>,
+    pub motors: Vec<MotorInspection>,
     /// What is not as it should be, as [`inspect`] says.
     pub findings: Vec<Finding>,
 }
@@ -73,23 +73,23 @@ pub struct HandLook {
 /// Reads what can be read of every motor of `robot` behind `port` and writes nothing: torque stays as it is.
 ///
 /// # Errors
-/// If options or model do not fit, the port fails, or no motor answers at all; one that does not is told in its [`MotorLook`].
-pub fn look<P: Port>(port: P, robot: &Robot, options: &LeapOptions) -> Result<HandLook> {
+/// If options or model do not fit, the port fails, or no motor answers at all; one that does not is told in its [`MotorInspection`].
+pub fn inspect_hand<P: Port>(port: P, robot: &Robot, options: &LeapOptions) -> Result<HandInspection> {
     options.check()?;
     let timing = known_timing(&port, options).unwrap_or_default();
     let mut bus = Bus::new(port, timing);
     bus.limit_silence(Some(SILENCE));
     let mut motors = Vec::new();
     for mut joint in joints(robot, options)? {
-        let (reading, trouble) = match read(&mut bus, &mut joint) {
+        let (reading, fault) = match read(&mut bus, &mut joint) {
             Err(lost @ Error::Port { .. }) => return Err(lost),
             Err(error) => (None, Some(error.to_string())),
             Ok(reading) => {
-                let trouble = trouble(&reading);
-                (Some(reading), trouble)
+                let fault = fault(&reading);
+                (Some(reading), fault)
             }
         };
-        motors.push(MotorLook { joint: joint.name, id: joint.id, reading, trouble });
+        motors.push(MotorInspection { joint: joint.name, id: joint.id, reading, fault });
     }
     if motors.iter().all(|m| m.reading.is_none()) {
         let ids: Vec<u8> = motors.iter().map(|m| m.id).collect();
@@ -97,7 +97,7 @@ pub fn look<P: Port>(port: P, robot: &Robot, options: &LeapOptions) -> Result<Ha
     }
     bus.limit_silence(Some(SILENCE));
     let findings = inspect(&mut bus, options)?;
-    Ok(HandLook { motors, findings })
+    Ok(HandInspection { motors, findings })
 }
 
 fn read<P: Port>(bus: &mut Bus<P>, joint: &mut Joint) -> Result<MotorReading> {
@@ -132,7 +132,7 @@ fn read<P: Port>(bus: &mut Bus<P>, joint: &mut Joint) -> Result<MotorReading> {
     })
 }
 
-fn trouble(reading: &MotorReading) -> Option<String> {
+fn fault(reading: &MotorReading) -> Option<String> {
     if MotorModel::from_number(reading.model).is_none() {
         return Some(format!("is of model {}, which is not one of a LEAP hand", reading.model));
     }

@@ -1,7 +1,7 @@
 //! Limits over time: no steps, and less for a hot motor.
 
-use super::curve::finite;
 use super::limits::same_length;
+use super::model::finite;
 use crate::{Error, Result};
 
 /// How fast limits change and what temperature takes from them.

@@ -7,9 +7,9 @@ use crate::{HandState, JointStatus};
 /// What went wrong with a joint. A joint can have more than one of these.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
-pub enum JointTrouble {
+pub enum JointFault {
     /// It was not well at the end: silent, faulted or being started again.
-    Ended(JointStatus),
+    Lasting(JointStatus),
     /// It was not well for a while, and is again.
     Recovered {
         /// The last that was wrong.
@@ -35,10 +35,10 @@ pub enum JointTrouble {
     },
 }
 
-impl fmt::Display for JointTrouble {
+impl fmt::Display for JointFault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Ended(status) => write!(f, "{} at the end", name(*status)),
+            Self::Lasting(status) => write!(f, "{} at the end", name(*status)),
             Self::Recovered { from, cycles } => write!(f, "{} for {cycles} cycles, well again", name(*from)),
             Self::HardwareError(code) => write!(f, "had a hardware error ({code:#04x})"),
             Self::LowVoltage { volts, share } => {
@@ -53,7 +53,7 @@ impl fmt::Display for JointTrouble {
 
 fn name(status: JointStatus) -> String {
     match status {
-        JointStatus::Limp => "without torque".into(),
+        JointStatus::TorqueOff => "without torque".into(),
         JointStatus::Driven => "well".into(),
         JointStatus::Silent => "silent".into(),
         JointStatus::Faulted(code) => format!("faulted (error {code:#04x})"),
@@ -76,13 +76,13 @@ struct Seen {
 
 /// Collects them, without allocating after it was made.
 #[derive(Debug)]
-pub(super) struct Troubles(Vec<Seen>);
+pub(super) struct FaultLog(Vec<Seen>);
 
-impl Troubles {
+impl FaultLog {
     pub fn new(joints: usize) -> Self {
         let well = Seen {
-            now: JointStatus::Limp,
-            wrong: JointStatus::Limp,
+            now: JointStatus::TorqueOff,
+            wrong: JointStatus::TorqueOff,
             cycles: 0,
             errors: 0,
             celsius: f64::NEG_INFINITY,
@@ -122,22 +122,22 @@ impl Troubles {
     }
 
     /// What there was, with the index of the joint, in the order of the joints.
-    pub fn list(&self) -> Vec<(usize, JointTrouble)> {
+    pub fn list(&self) -> Vec<(usize, JointFault)> {
         let mut list = Vec::new();
         for (joint, seen) in self.0.iter().enumerate() {
             if is_wrong(seen.now) {
-                list.push((joint, JointTrouble::Ended(seen.now)));
+                list.push((joint, JointFault::Lasting(seen.now)));
             } else if seen.cycles > 0 {
-                list.push((joint, JointTrouble::Recovered { from: seen.wrong, cycles: seen.cycles }));
+                list.push((joint, JointFault::Recovered { from: seen.wrong, cycles: seen.cycles }));
             }
             if seen.errors != 0 {
-                list.push((joint, JointTrouble::HardwareError(seen.errors)));
+                list.push((joint, JointFault::HardwareError(seen.errors)));
             }
             if seen.volt_share < 1.0 {
-                list.push((joint, JointTrouble::LowVoltage { volts: seen.volts, share: seen.volt_share }));
+                list.push((joint, JointFault::LowVoltage { volts: seen.volts, share: seen.volt_share }));
             }
             if seen.share < 1.0 {
-                list.push((joint, JointTrouble::Derated { celsius: seen.celsius, share: seen.share }));
+                list.push((joint, JointFault::Derated { celsius: seen.celsius, share: seen.share }));
             }
         }
         list
