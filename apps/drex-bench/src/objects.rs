@@ -118,7 +118,7 @@ impl ObjectSpec {
     pub fn asset_options(&self) -> AssetOptions {
         let mut options = AssetOptions::default();
         (options.mass_kg, options.up_in_mesh, options.unit) = (Some(self.mass_kg), self.up, LengthUnit::Metre);
-        options.pieces.most_corners = CORNERS;
+        options.partition.most_corners = CORNERS;
         options
     }
 }

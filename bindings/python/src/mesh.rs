@@ -75,7 +75,7 @@ impl Asset {
     /// Convex collision pieces: tuples (vertices (V, 3), faces (F, 3)).
     #[getter]
     fn pieces<'py>(&self, py: Python<'py>) -> Result<Vec<Arrays<'py>>> {
-        self.inner.pieces.iter().map(|piece| arrays(py, piece)).collect()
+        self.inner.convex_parts.iter().map(|piece| arrays(py, piece)).collect()
     }
 
     /// Volume of the solid, m³.
@@ -166,7 +166,7 @@ impl Asset {
             a.properties.mass_kg,
             a.report.volume_m3,
             a.visual.vertices.len(),
-            a.pieces.len()
+            a.convex_parts.len()
         )
     }
 }
@@ -203,9 +203,9 @@ pub(crate) fn mesh_asset(
     options.unit = unit.parse()?;
     options.up_in_mesh = up_in_mesh.map(|up| vector("up_in_mesh", up)).transpose()?;
     options.friction = friction;
-    options.pieces.most_pieces = most_pieces;
-    options.pieces.most_corners = most_corners;
-    options.pieces.concavity = concavity;
+    options.partition.most_parts = most_pieces;
+    options.partition.most_corners = most_corners;
+    options.partition.concavity = concavity;
     let mesh = MeshInput::of(mesh)?;
     let asset = watched(py, None, move |_| {
         let asset = match &mesh {

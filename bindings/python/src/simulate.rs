@@ -64,7 +64,7 @@ impl Setup {
         let mut bodies = Vec::new();
         let mut states = Vec::new();
         if let Some(object) = &self.object {
-            let pieces = object.asset.pieces.iter().map(|p| ConvexPiece::from_points(&p.vertices));
+            let pieces = object.asset.convex_parts.iter().map(|p| ConvexPiece::from_points(&p.vertices));
             let collider = Collider::convex(pieces.collect::<Result<_, _>>()?);
             bodies.push(Body::new(&object.asset.properties, mass_kg, Arc::new(collider)));
             states.push(BodyState {

@@ -418,7 +418,7 @@ pub(crate) fn identify(
             }
         };
         let object = ObjectModel {
-            pieces: asset.pieces.iter().map(|p| p.vertices.clone()).collect(),
+            pieces: asset.convex_parts.iter().map(|p| p.vertices.clone()).collect(),
             unit: asset.properties.with_mass(1.0),
         };
         Ok(identify_watched(&recordings, &object, &options, &|done| part.set(done))?)

@@ -96,7 +96,7 @@ class Assets(Case):
             ({"unit": "ell"}, "no unit of length"),
             ({"up_in_mesh": [0, 0]}, "shape"),
             ({"up_in_mesh": [0, 0, 0]}, "up direction"),
-            ({"most_pieces": 0}, "convex pieces"),
+            ({"most_pieces": 0}, "convex parts"),
             ({"friction": float("nan")}, "friction"),
         ]:
             with self.subTest(words), self.assertRaisesRegex(ValueError, words):

@@ -2,7 +2,7 @@
 //!
 //!     cargo run --release -p drex-mesh --example bracket -- [OUT]
 //!
-//! Says what was found, the volume beside the true one, the convex pieces and how the bracket can stand; with OUT it writes the
+//! Says what was found, the volume beside the true one, the convex parts and how the bracket can stand; with OUT it writes the
 //! asset there (MJCF, URDF, GLB, report). `--example asset -- MESH OUT` does it for a file of your own.
 #![allow(clippy::print_stdout)] // an example talks to a person
 
@@ -36,7 +36,7 @@ fn main() -> Result<(), drex_mesh::Error> {
         1e6 * true_m3,
         100.0 * report.closing_spread
     );
-    println!("{} convex pieces, together {:.3} times the solid", report.pieces, report.pieces_to_solid_volume);
+    println!("{} convex parts, together {:.3} times the solid", report.pieces, report.pieces_to_solid_volume);
     for pose in &asset.stable_poses {
         let down = pose.support_normal_in_mesh;
         println!(

@@ -18,7 +18,7 @@ use crate::topology::{edges, ends};
 /// behind and in front of the face: 1 for an ordinary face, 0 for a wall inside the solid, 1/2 for each of two faces
 /// of overlapping parts that lie in one plane.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Piece {
+pub(crate) struct Fragment {
     pub corners: [Point3<f64>; 3],
     pub weight: f64,
 }
@@ -26,8 +26,8 @@ pub(crate) struct Piece {
 /// The boundary of the solid.
 #[derive(Debug, Clone)]
 pub(crate) struct Boundary {
-    pub pieces: Vec<Piece>,
-    /// Face of the mesh each piece comes from.
+    pub fragments: Vec<Fragment>,
+    /// Face of the mesh each fragment comes from.
     pub faces: Vec<u32>,
     /// Whether every face counts once: then the mesh itself is the boundary.
     pub whole: bool,
@@ -56,7 +56,7 @@ struct Probe<'a> {
 
 enum Verdict {
     Uniform(f64),
-    Mixed(Vec<Piece>),
+    Mixed(Vec<Fragment>),
 }
 
 /// Finds the boundary of the solid bounded by `mesh`, whose openings are capped; `tree` is over all its faces.
@@ -83,14 +83,14 @@ pub(crate) fn boundary(mesh: &TriMesh, tree: &Bvh, has_lids: bool) -> Boundary {
             let small = longest <= probe.small || across.norm() < probe.narrow * longest;
             match across.try_normalize(0.0) {
                 Some(normal) if small => Verdict::Uniform(probe.weight(&middle(&t), &normal)),
-                Some(normal) => probe.judge(&t, &normal),
+                Some(normal) => probe.evaluate(&t, &normal),
                 None => Verdict::Uniform(0.0),
             }
         })
         .collect();
     let area = |t: &[Point3<f64>; 3]| (t[1] - t[0]).cross(&(t[2] - t[0])).norm() * 0.5;
     let mut out = Boundary {
-        pieces: Vec::new(),
+        fragments: Vec::new(),
         faces: Vec::new(),
         whole: true,
         simple: !probe.layered.into_inner(),
@@ -98,16 +98,16 @@ pub(crate) fn boundary(mesh: &TriMesh, tree: &Bvh, has_lids: bool) -> Boundary {
     };
     let mut odd = 0.0;
     for (f, verdict) in verdicts.into_iter().enumerate() {
-        let pieces = match verdict {
-            Verdict::Uniform(weight) => vec![Piece { corners: mesh.triangle(f), weight }],
-            Verdict::Mixed(pieces) => pieces,
+        let fragments = match verdict {
+            Verdict::Uniform(weight) => vec![Fragment { corners: mesh.triangle(f), weight }],
+            Verdict::Mixed(fragments) => fragments,
         };
-        for p in pieces {
+        for p in fragments {
             let a = area(&p.corners);
             odd += if p.weight == 1.0 { 0.0 } else { a };
             out.hidden_area_share += a * (1.0 - p.weight.clamp(0.0, 1.0));
             if p.weight != 0.0 {
-                out.pieces.push(p);
+                out.fragments.push(p);
                 out.faces.push(f as u32);
             }
         }
@@ -117,7 +117,7 @@ pub(crate) fn boundary(mesh: &TriMesh, tree: &Bvh, has_lids: bool) -> Boundary {
     // A probe may land on the wrong side of a blade thinner than the step: a millionth of the area says nothing.
     if odd <= 1e-6 * total {
         out.whole = true;
-        out.pieces = (0..mesh.faces.len()).map(|f| Piece { corners: mesh.triangle(f), weight: 1.0 }).collect();
+        out.fragments = (0..mesh.faces.len()).map(|f| Fragment { corners: mesh.triangle(f), weight: 1.0 }).collect();
         out.faces = (0..mesh.faces.len() as u32).collect();
     } else {
         out.whole = false;
@@ -196,7 +196,7 @@ impl Probe<'_> {
         (filled(inside) - filled(outside)) / (inside - outside)
     }
 
-    fn judge(&self, t: &[Point3<f64>; 3], normal: &Vector3<f64>) -> Verdict {
+    fn evaluate(&self, t: &[Point3<f64>; 3], normal: &Vector3<f64>) -> Verdict {
         let side = longest_side(t);
         if side <= self.fine {
             return Verdict::Uniform(self.weight(&middle(t), normal));
@@ -213,20 +213,20 @@ impl Probe<'_> {
         let (p, q, apex) = (t[k], t[(k + 1) % 3], t[(k + 2) % 3]);
         let m = nalgebra::center(&p, &q);
         let halves = [[p, m, apex], [m, q, apex]];
-        let verdicts = halves.map(|h| self.judge(&h, normal));
+        let verdicts = halves.map(|h| self.evaluate(&h, normal));
         if let [Verdict::Uniform(a), Verdict::Uniform(b)] = verdicts
             && a == b
         {
             return Verdict::Uniform(a);
         }
-        let mut pieces = Vec::new();
+        let mut fragments = Vec::new();
         for (corners, verdict) in halves.into_iter().zip(verdicts) {
             match verdict {
-                Verdict::Uniform(weight) => pieces.push(Piece { corners, weight }),
-                Verdict::Mixed(more) => pieces.extend(more),
+                Verdict::Uniform(weight) => fragments.push(Fragment { corners, weight }),
+                Verdict::Mixed(more) => fragments.extend(more),
             }
         }
-        Verdict::Mixed(pieces)
+        Verdict::Mixed(fragments)
     }
 }
 
@@ -234,7 +234,7 @@ impl Boundary {
     /// All faces of a closed mesh, each once.
     pub fn of_whole(mesh: &TriMesh) -> Self {
         Self {
-            pieces: (0..mesh.faces.len()).map(|f| Piece { corners: mesh.triangle(f), weight: 1.0 }).collect(),
+            fragments: (0..mesh.faces.len()).map(|f| Fragment { corners: mesh.triangle(f), weight: 1.0 }).collect(),
             faces: (0..mesh.faces.len() as u32).collect(),
             whole: true,
             simple: true,
@@ -242,19 +242,19 @@ impl Boundary {
         }
     }
 
-    /// Mass properties of the solid at density 1, by the divergence theorem over the pieces. `None` without volume.
+    /// Mass properties of the solid at density 1, by the divergence theorem over the fragments. `None` without volume.
     pub fn mass_properties(&self) -> Option<MassProperties> {
-        let mut moments = Moments::about(self.pieces.first()?.corners[0]);
-        for piece in &self.pieces {
-            moments.add_tetrahedron(&piece.corners, piece.weight);
+        let mut moments = Moments::about(self.fragments.first()?.corners[0]);
+        for fragment in &self.fragments {
+            moments.add_tetrahedron(&fragment.corners, fragment.weight);
         }
         moments.mass_properties()
     }
 
-    /// The boundary as a mesh, every piece once. Where faces of several parts lie in one plane, all of them are there.
+    /// The boundary as a mesh, every fragment once. Where faces of several parts lie in one plane, all of them are there.
     pub fn mesh(&self) -> TriMesh {
-        let vertices = self.pieces.iter().flat_map(|p| p.corners).collect();
-        let faces = (0..self.pieces.len() as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
+        let vertices = self.fragments.iter().flat_map(|p| p.corners).collect();
+        let faces = (0..self.fragments.len() as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
         TriMesh { vertices, faces }
     }
 }

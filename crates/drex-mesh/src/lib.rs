@@ -1,8 +1,8 @@
-//! From depth maps to closed meshes, and from meshes to sim-ready assets: fusion, repair, convex pieces, mass properties, stable
+//! From depth maps to closed meshes, and from meshes to sim-ready assets: fusion, repair, convex parts, mass properties, stable
 //! poses, signed distance, MJCF and URDF.
 //!
 //! [`build_asset`] does the whole way from a file to an [`Asset`]; its steps can be used alone:
-//! [`fuse`], [`read_mesh`], [`repair()`], [`decimate`], [`solid_properties`], [`convex_pieces`], [`stable_poses`], [`MeshSdf`] and its fast
+//! [`fuse`], [`read_mesh`], [`repair()`], [`decimate`], [`solid_properties`], [`convex_parts`], [`stable_poses`], [`MeshSdf`] and its fast
 //! sibling [`GridSdf`]. [`check_mesh`] judges a mesh by sixteen rules.
 //!
 //! ```
@@ -39,9 +39,8 @@ mod hull;
 mod intersect;
 mod io;
 mod mass;
-mod model;
 mod orient;
-mod pieces;
+mod partition;
 mod region;
 mod repair;
 mod rest;
@@ -53,11 +52,11 @@ mod shapes;
 mod solid;
 mod topology;
 mod weld;
-mod write;
 
 pub use asset::{
-    ArticulatedAsset, ArticulatedReport, Asset, AssetOptions, AssetReport, LengthUnit, Part, UpSource,
-    articulated_asset, asset_from_mesh, build_asset, metric_mesh, read_object, rebuild_asset,
+    ArticulatedAsset, ArticulatedReport, Asset, AssetOptions, AssetReport, Background, ContactConfig, JointConfig,
+    JointKind, LengthUnit, Part, PartConfig, SceneOptions, UpSource, articulated_asset, asset_from_mesh, build_asset,
+    joint_tree, metric_mesh, read_object, rebuild_asset,
 };
 pub use check::{CheckOptions, CheckReport, Outcome, RuleResult, check_asset, check_file, check_mesh};
 pub use colors::vertex_colors;
@@ -74,18 +73,17 @@ pub use io::{
     Material, Model, ModelPart, PlyFormat, Texture, parse_mesh, read_mesh, read_model, write_glb, write_mesh,
     write_obj, write_obj_model, write_ply, write_ply_as, write_stl, write_stl_text,
 };
-pub use mass::{Hollow, HowHollow, check_mass_properties, principal, shell_properties};
-pub use model::{Background, ContactConfig, JointConfig, JointKind, PartConfig, SceneOptions, joint_tree};
-pub use pieces::{HowDivided, PieceOptions, UnionDistance, convex_pieces, union_distance};
+pub use mass::{Hollow, HollowModel, check_mass_properties, principal, shell_properties};
+pub use partition::{PartitionMethod, PartitionOptions, UnionDistance, convex_parts, union_distance};
 pub use region::{ObjectRegion, object_on_table};
-pub use repair::{DroppedBit, RepairOptions, RepairReport, repair};
+pub use repair::{DroppedComponent, RepairOptions, RepairReport, repair};
 pub use rest::{RestOptions, RestPose, settled_pose, stable_poses};
 pub use scale::{
     DistanceResidual, KnownDistance, Marks, PlaneOptions, ScaleFit, Sighting, Similarity, TablePlane, Triangulated,
     read_marks, scale_from_distances, sheet_from_marks, table_plane, triangulate, triangulate_marks,
 };
 pub use sdf::MeshSdf;
-pub use solid::{HowClosed, Solid, solid_properties};
+pub use solid::{ClosingMethod, Solid, solid_properties};
 
 /// The examples of the README are compiled and run as doctests.
 #[cfg(doctest)]

@@ -81,7 +81,7 @@ pub fn check_mass_properties(properties: &MassProperties, corners: &[Point3<f64>
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
-pub enum HowHollow {
+pub enum HollowModel {
     /// The solid minus the set deeper than the wall thickness, integrated over the distance field.
     Offset,
     /// The wall is thin beside the size: an integral over the surface, right to second order in the thickness.
@@ -99,7 +99,7 @@ pub struct Hollow {
     /// Volume of the wall, m³.
     pub volume_m3: f64,
     /// How it was obtained.
-    pub how: HowHollow,
+    pub model: HollowModel,
 }
 
 /// Cells along the longest side down to which the distance field is integrated.
@@ -140,8 +140,8 @@ pub fn shell_properties(mesh: &TriMesh, wall_m: f64) -> Result<Hollow> {
     field.add_core(Cube { center, half: 0.5 * side, sample, levels, extra: 3 }, None, &mut core);
     let hollow = core.mass_properties().and_then(|core| difference(&solid, &core));
     let (properties, how) = match hollow {
-        Some(wall) => (wall, HowHollow::Offset),
-        None => (solid, HowHollow::Solid),
+        Some(wall) => (wall, HollowModel::Offset),
+        None => (solid, HollowModel::Solid),
     };
     Ok(Hollow { properties, volume_m3: properties.mass_kg, how })
 }
@@ -221,15 +221,15 @@ fn thin_wall(mesh: &TriMesh, wall_m: f64) -> Result<Hollow> {
         0 => boundary(&capped.mesh, &tree, false),
         _ => Boundary::of_whole(&capped.mesh),
     };
-    let Some(first) = boundary.pieces.first() else {
+    let Some(first) = boundary.fragments.first() else {
         return Err(Error::NoVolume { subject: "the mesh".into(), reason: "no face bounds a solid".into() });
     };
     let mut moments = Moments::about(first.corners[0]);
-    for piece in &boundary.pieces {
-        let [a, b, c] = piece.corners;
+    for fragment in &boundary.fragments {
+        let [a, b, c] = fragment.corners;
         let n = (b - a).cross(&(c - a));
         let inward = -n.try_normalize(0.0).unwrap_or_default() * wall_m;
-        moments.add_prism(&piece.corners, &inward, 0.5 * n.norm() * wall_m * piece.weight);
+        moments.add_prism(&fragment.corners, &inward, 0.5 * n.norm() * wall_m * fragment.weight);
     }
     if boundary.whole {
         add_edges(&capped.mesh, wall_m, &mut moments);
@@ -237,7 +237,7 @@ fn thin_wall(mesh: &TriMesh, wall_m: f64) -> Result<Hollow> {
     let properties = moments
         .mass_properties()
         .ok_or_else(|| Error::NoVolume { subject: "the mesh".into(), reason: "its wall has no volume".into() })?;
-    Ok(Hollow { properties, volume_m3: properties.mass_kg, how: HowHollow::ThinWall })
+    Ok(Hollow { properties, volume_m3: properties.mass_kg, model: HollowModel::ThinWall })
 }
 
 /// Where walls meet: what they share along convex edges, what they lack along concave ones.
@@ -326,10 +326,10 @@ mod tests {
         let size: [f64; 3] = [0.1, 0.06, 0.04];
         let mesh = cuboid([0.0; 3], size);
         for (t, tolerance, how) in [
-            (0.01, 2e-3, HowHollow::Offset),
-            (0.004, 2e-3, HowHollow::Offset),
-            (0.001, 2e-3, HowHollow::Offset),
-            (0.0005, 5e-4, HowHollow::ThinWall),
+            (0.01, 2e-3, HollowModel::Offset),
+            (0.004, 2e-3, HollowModel::Offset),
+            (0.001, 2e-3, HollowModel::Offset),
+            (0.0005, 5e-4, HollowModel::ThinWall),
         ] {
             let wall = shell_properties(&mesh, t).unwrap();
             let core = unit(&cuboid([t; 3], size.map(|s| s - t)));
@@ -338,7 +338,7 @@ mod tests {
             assert!(wall.how == how && dv < tolerance && di < tolerance, "{t}: {dv} {di} {:?}", wall.how);
             assert!((wall.properties.center_of_mass - Point3::new(0.05, 0.03, 0.02)).norm() < 1e-5);
         }
-        assert_eq!(shell_properties(&mesh, 0.03).unwrap().how, HowHollow::Solid);
+        assert_eq!(shell_properties(&mesh, 0.03).unwrap().how, HollowModel::Solid);
         assert!(shell_properties(&mesh, 0.0).is_err() && shell_properties(&mesh, f64::NAN).is_err());
     }
 

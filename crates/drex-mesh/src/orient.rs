@@ -5,9 +5,19 @@ use rayon::prelude::*;
 
 use drex_core::TriMesh;
 
-use crate::bvh::Bvh;
-use crate::repair::Shell;
+use crate::bvh::{Aabb, Bvh};
 use crate::topology::{NONE, Topology, ends};
+
+/// A piece of surface connected over edges.
+#[derive(Debug, Clone)]
+pub(crate) struct Shell {
+    pub faces: Vec<u32>,
+    pub closed: bool,
+    pub bounds: Aabb,
+    pub area_m2: f64,
+    /// Signed volume (of the cone from the middle of the box, if open).
+    pub volume_m3: f64,
+}
 
 /// Makes the winding consistent over edges with two faces, if it is not.
 ///

@@ -1,4 +1,4 @@
-//! From a file's triangles to consistent shells: weld, drop what is degenerate, double or a loose bit, wind outwards.
+//! From a file's triangles to consistent shells: weld, drop what is degenerate, double or a loose component, wind outwards.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use drex_core::sets::DisjointSets;
 use crate::bvh::{Aabb, Bvh, segment_triangle_distance};
 use crate::fill::{Filled, fill_holes};
 use crate::intersect::meeting_faces;
-use crate::orient::{align_patches, nesting, orient_shells};
+use crate::orient::{Shell, align_patches, nesting, orient_shells};
 use crate::topology::{NONE, Topology, split_pinched};
 use crate::weld::drop_duplicates;
 use crate::weld::{compact, weld};
@@ -90,13 +90,13 @@ pub struct RepairReport {
     /// Pairs of faces that cross or touch each other ([`crate::self_intersections`]). They stay as they are.
     pub self_intersections: usize,
     /// Bodies dropped because they hold too little volume or area.
-    pub dropped: Vec<DroppedBit>,
+    pub dropped: Vec<DroppedComponent>,
 }
 
-/// A loose bit that was dropped.
+/// A loose component that was dropped.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
-pub struct DroppedBit {
+pub struct DroppedComponent {
     /// Its share of the volume of all shells; `None` if it is not closed.
     pub volume_share: Option<f64>,
     /// Its share of the mesh's area.
@@ -145,7 +145,7 @@ pub fn repair(mesh: &TriMesh, options: &RepairOptions) -> Result<(TriMesh, Repai
     let parents = nesting(&clean, &shells);
     let cavities = orient_shells(&mut clean, &shells, &parents, &mut turned);
     let bodies = group_bodies(&clean, &shells, &parents, touching_m);
-    let (kept, dropped) = drop_bits(&mut clean, &shells, &bodies, options);
+    let (kept, dropped) = drop_components(&mut clean, &shells, &bodies, options);
     compact(&mut clean);
 
     let topology = Topology::new(&clean);
@@ -180,17 +180,6 @@ pub fn repair(mesh: &TriMesh, options: &RepairOptions) -> Result<(TriMesh, Repai
         dropped,
     };
     Ok((clean, report))
-}
-
-/// A piece of surface connected over edges.
-#[derive(Debug, Clone)]
-pub(crate) struct Shell {
-    pub faces: Vec<u32>,
-    pub closed: bool,
-    pub bounds: Aabb,
-    pub area_m2: f64,
-    /// Signed volume (of the cone from the middle of the box, if open).
-    pub volume_m3: f64,
 }
 
 pub(crate) fn describe_shells(mesh: &TriMesh, topology: &Topology, labels: &[u32], count: usize) -> Vec<Shell> {
@@ -245,12 +234,12 @@ fn group_bodies(mesh: &TriMesh, shells: &[Shell], parents: &[Option<usize>], tou
 }
 
 /// Removes the faces of bodies with too little volume or area; returns the shells that stay.
-fn drop_bits(
+fn drop_components(
     mesh: &mut TriMesh,
     shells: &[Shell],
     bodies: &[u32],
     options: &RepairOptions,
-) -> (Vec<usize>, Vec<DroppedBit>) {
+) -> (Vec<usize>, Vec<DroppedComponent>) {
     /// Area, volume and whether all shells are closed.
     #[derive(Clone, Copy)]
     struct Body(f64, f64, bool);
@@ -281,7 +270,7 @@ fn drop_bits(
             faces += s.faces.len();
             s.faces.iter().for_each(|&f| gone[f as usize] = true);
         }
-        dropped.push(DroppedBit {
+        dropped.push(DroppedComponent {
             area_share: share(b).0,
             volume_share: share(b).1,
             faces,

@@ -22,7 +22,7 @@ const LARGEST_LID_SHARE: f64 = 0.45;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
-pub enum HowClosed {
+pub enum ClosingMethod {
     /// The mesh is closed and nothing overlaps (shells may touch): exact integrals over its faces.
     Exact,
     /// The mesh is closed, but its shells overlap or it crosses itself: the solid is the union, hidden parts of
@@ -43,7 +43,7 @@ pub struct Solid {
     /// Whether every edge has a face on both sides.
     pub closed: bool,
     /// How the boundary was obtained.
-    pub how_closed: HowClosed,
+    pub closing_method: ClosingMethod,
     /// Edges without a face on the other side.
     pub open_edges: usize,
     /// Openings (closed chains of such edges).
@@ -99,19 +99,19 @@ impl Enclosed {
             )));
         }
         let mut whole = false;
-        let (properties, how_closed, hidden_area_share, closing_spread) = if capped.openings == 0 {
+        let (properties, closing_method, hidden_area_share, closing_spread) = if capped.openings == 0 {
             let boundary = boundary(&capped.mesh, &tree, false);
             whole = boundary.whole;
             let (properties, how) = if boundary.whole || boundary.simple {
-                (capped.mesh.mass_properties(1.0).ok(), HowClosed::Exact)
+                (capped.mesh.mass_properties(1.0).ok(), ClosingMethod::Exact)
             } else {
-                (boundary.mass_properties(), HowClosed::Union)
+                (boundary.mass_properties(), ClosingMethod::Union)
             };
             (properties, how, boundary.hidden_area_share, 0.0)
         } else {
             let (properties, differing) = integrate_open(&capped, &tree);
             let spread = properties.map_or(0.0, |p| differing / p.mass_kg);
-            (properties, HowClosed::WindingNumber, 0.0, spread)
+            (properties, ClosingMethod::WindingNumber, 0.0, spread)
         };
         let properties = properties
             .ok_or_else(|| no_volume(format!("its faces cancel, {} of its edges are open", topology.open_edges)))?;
@@ -124,7 +124,7 @@ impl Enclosed {
             properties,
             volume_m3: properties.mass_kg,
             closed: topology.open_edges == 0,
-            how_closed,
+            closing_method,
             open_edges: topology.open_edges,
             openings: capped.openings,
             widest_opening_m: capped.widest_m,
@@ -193,7 +193,7 @@ mod tests {
     #[test]
     fn a_box_is_exact() {
         let s = solid_properties(&cuboid([0.0; 3], [0.1, 0.2, 0.3])).unwrap();
-        assert_eq!((s.how_closed, s.closed, s.closing_spread), (HowClosed::Exact, true, 0.0));
+        assert_eq!((s.closing_method, s.closed, s.closing_spread), (ClosingMethod::Exact, true, 0.0));
         close(s.volume_m3, 6e-3, 1e-14);
         close(s.properties.inertia[(0, 0)], 6e-3 / 12.0 * (0.04 + 0.09), 1e-13);
     }
@@ -203,7 +203,7 @@ mod tests {
         // Common part [0.06, 0.1] x [0.02, 0.05] x [0.01, 0.04], and one pair that shares two planes.
         let general = joined(&[cuboid([0.0; 3], [0.1, 0.05, 0.04]), cuboid([0.06, 0.02, 0.01], [0.16, 0.08, 0.07])]);
         let s = solid_properties(&general).unwrap();
-        assert_eq!(s.how_closed, HowClosed::Union);
+        assert_eq!(s.closing_method, ClosingMethod::Union);
         close(s.volume_m3, 0.1 * 0.05 * 0.04 + 0.1 * 0.06 * 0.06 - 0.04 * 0.03 * 0.03, 2e-4);
         let flush = joined(&[cuboid([0.0; 3], [0.1, 0.02, 0.03]), cuboid([0.04, -0.06, 0.0], [0.06, 0.01, 0.03])]);
         let s = solid_properties(&flush).unwrap();
@@ -222,7 +222,7 @@ mod tests {
         let t =
             joined(&[cuboid([-0.05, 0.0, 0.0], [0.05, 0.02, 0.03]), cuboid([-0.01, -0.06, 0.0], [0.01, 0.0, 0.03])]);
         let s = solid_properties(&t).unwrap();
-        assert_eq!(s.how_closed, HowClosed::Exact);
+        assert_eq!(s.closing_method, ClosingMethod::Exact);
         close(s.volume_m3, 0.1 * 0.02 * 0.03 + 0.02 * 0.06 * 0.03, 1e-13);
         assert!(s.hidden_area_share > 0.05);
     }
@@ -232,10 +232,10 @@ mod tests {
         let (big, small) = (sphere(0.05, 3), sphere(0.03, 3));
         let v = |m: &TriMesh| m.mass_properties(1.0).unwrap().mass_kg;
         let hollow = solid_properties(&joined(&[big.clone(), flipped(&small)])).unwrap();
-        assert_eq!(hollow.how_closed, HowClosed::Exact);
+        assert_eq!(hollow.closing_method, ClosingMethod::Exact);
         close(hollow.volume_m3, v(&big) - v(&small), 1e-12);
         let filled = solid_properties(&joined(&[big.clone(), small])).unwrap();
-        assert_eq!(filled.how_closed, HowClosed::Union);
+        assert_eq!(filled.closing_method, ClosingMethod::Union);
         close(filled.volume_m3, v(&big), 1e-12);
     }
 
@@ -244,7 +244,7 @@ mod tests {
         let mut m = cuboid([0.0; 3], [0.1, 0.06, 0.04]);
         m.faces.drain(0..2);
         let s = solid_properties(&m).unwrap();
-        assert_eq!((s.how_closed, s.open_edges, s.openings), (HowClosed::WindingNumber, 4, 1));
+        assert_eq!((s.closing_method, s.open_edges, s.openings), (ClosingMethod::WindingNumber, 4, 1));
         // The level set 1/2 bulges a little through the opening of so coarse a box: that is the spread.
         close(s.volume_m3, 2.4e-4, 0.03);
         assert!(s.closing_spread < 0.05 && s.lid_area_share > 0.1, "{s:?}");

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use allocation_counter::measure;
 use drex_core::TriMesh;
-use drex_mesh::{CheckOptions, HowClosed, check_mesh, parse_mesh, read_model, repair, solid_properties};
+use drex_mesh::{CheckOptions, ClosingMethod, check_mesh, parse_mesh, read_model, repair, solid_properties};
 use nalgebra::Point3;
 
 /// A picture in a GLB, bytes.
@@ -99,7 +99,7 @@ fn ends_with_thousands_of_corners_are_as_exact_as_others() {
         let truth = 0.5 * n as f64 * (TAU / n as f64).sin() * 0.05_f64.powi(3);
         for mesh in [cylinder(n, drex_core::mesh::polygon_triangles), cylinder(n, fan)] {
             let solid = solid_properties(&mesh).unwrap();
-            assert_eq!(solid.how_closed, HowClosed::Exact);
+            assert_eq!(solid.closing_method, ClosingMethod::Exact);
             assert!((solid.volume_m3 / truth - 1.0).abs() < 1e-12, "{n}: {} {truth}", solid.volume_m3);
             assert!((solid.properties.center_of_mass - Point3::new(0.0, 0.0, 0.025)).norm() < 1e-12);
         }

@@ -173,7 +173,7 @@ fn a_scene_has_background_robot_and_object() {
         let folder = tempfile::tempdir().unwrap();
         let mut scene = SceneOptions::default();
         let step = cuboid([0.2, -0.1, 0.0], [0.4, 0.1, 0.05]);
-        scene.background = Some(Background { visual: step.clone(), pieces: vec![step] });
+        scene.background = Some(Background { visual: step.clone(), convex_parts: vec![step] });
         // On the step.
         scene.world_from_object = Some(Pose::translation(0.3, 0.0, 0.06));
         scene.robot = Some(data.join("robots").join(robot));

@@ -5,7 +5,7 @@ mod support;
 
 use drex_core::{SignedDistance, Surface};
 use drex_mesh::{
-    AssetOptions, GridSdf, HowClosed, MeshSdf, RepairOptions, build_asset, read_mesh, repair, solid_properties,
+    AssetOptions, ClosingMethod, GridSdf, MeshSdf, RepairOptions, build_asset, read_mesh, repair, solid_properties,
 };
 use nalgebra::{Matrix3, Point3, Vector3};
 use support::{json, shared};
@@ -27,7 +27,7 @@ fn exact_shapes_have_their_exact_inertia() {
         let mesh = read_mesh(&golden.join(t["file"].as_str().unwrap())).unwrap();
         let (mesh, _) = repair(&mesh, &RepairOptions::default()).unwrap();
         let s = solid_properties(&mesh).unwrap();
-        assert_eq!(s.how_closed, HowClosed::Exact, "{name}");
+        assert_eq!(s.closing_method, ClosingMethod::Exact, "{name}");
         let v = t["volume_m3"].as_f64().unwrap();
         let i = matrix(&t["inertia_about_com_kgm2"]);
         assert!((s.volume_m3 - v).abs() < 1e-10 * v, "{name}");
@@ -69,7 +69,11 @@ fn touching_and_overlapping_shells_of_simulated_objects() {
     for (name, pieces) in [("letter_t", 2), ("letter_l", 2), ("brick", 1), ("can", 1)] {
         let asset =
             build_asset(&data.join("push_mujoco").join(name).join("object.obj"), &AssetOptions::default()).unwrap();
-        assert_eq!((asset.pieces.len(), asset.report.open_edges, asset.report.repair.bodies), (pieces, 0, 1), "{name}");
+        assert_eq!(
+            (asset.convex_parts.len(), asset.report.open_edges, asset.report.repair.bodies),
+            (pieces, 0, 1),
+            "{name}"
+        );
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::Result;
 use drex_core::{Pose, TriMesh};
-use drex_mesh::{Asset, AssetReport, HowClosed};
+use drex_mesh::{Asset, AssetReport, ClosingMethod};
 
 use super::page::Page;
 use super::viewer::{Look, Scene};
@@ -27,9 +27,9 @@ const PIECE_COLORS: [[f64; 3]; 6] = [
 
 /// How the solid was obtained, in a few words.
 pub fn closing_text(report: &AssetReport) -> String {
-    match report.how_closed {
-        HowClosed::Exact => "closed mesh, exact".to_owned(),
-        HowClosed::Union => "closed shells as one solid, exact union".to_owned(),
+    match report.closing_method {
+        ClosingMethod::Exact => "closed mesh, exact".to_owned(),
+        ClosingMethod::Union => "closed shells as one solid, exact union".to_owned(),
         _ => format!(
             "open scan, {} open edges closed by flat lids; two ways of closing differ by {:.1} %",
             report.open_edges,
@@ -40,7 +40,7 @@ pub fn closing_text(report: &AssetReport) -> String {
 
 /// "1 convex piece", "12 convex pieces".
 pub fn pieces_text(asset: &Asset) -> String {
-    let n = asset.pieces.len();
+    let n = asset.convex_parts.len();
     format!("{n} convex piece{}", if n == 1 { "" } else { "s" })
 }
 
@@ -54,13 +54,13 @@ pub fn section(page: &mut Page, asset: &Asset, mass: &MassFile) -> Result<()> {
         whole.part(mesh, Look::Solid, OBJECT_COLOR, &[pose.into()])?;
     }
     let mut divided = Scene::new(azimuth, elevation).linked("object").on_table(0.0);
-    for (piece, color) in asset.pieces.iter().zip(PIECE_COLORS.iter().cycle()) {
+    for (piece, color) in asset.convex_parts.iter().zip(PIECE_COLORS.iter().cycle()) {
         if let Some(mesh) = divided.mesh(piece, PIECE_FACES) {
             divided.part(mesh, Look::Solid, *color, &[pose.into()])?;
         }
     }
     let pieces: Vec<Part<'_>> = asset
-        .pieces
+        .convex_parts
         .iter()
         .zip(PIECE_COLORS.iter().cycle())
         .map(|(mesh, &color)| Part { mesh, world_from_mesh: pose, color })

@@ -50,7 +50,7 @@ pub use gaussians::{Gaussians, Kind, Label};
 pub use orbit::Orbit;
 pub use raster::{Cpu, CpuSaved, GaussianGradients, Rasterizer, Render, RenderGradients, RenderOptions};
 pub use reconstruct::{ReconstructOptions, Reconstruction, reconstruct};
-pub use scene::{Bound, Scene};
+pub use scene::{Attachment, Scene};
 pub use train::{TrainOptions, Trainer};
 
 /// Runs the examples of the README as tests.

@@ -7,14 +7,14 @@ use crate::{Error, Gaussians, Result};
 
 /// Gaussians that move with a rigid body.
 #[derive(Debug, Clone)]
-pub struct Bound {
+pub struct Attachment {
     /// The object in the body's frame, metres.
     pub gaussians: Gaussians,
     /// Poses of the body in the scene's frame over time.
     pub world_from_body: Trajectory,
 }
 
-impl Bound {
+impl Attachment {
     /// Binds `gaussians`, which are in a frame and unit of their own, to a body whose frame they reach by
     /// `body_from_splat` (its scale is metres per unit of the Gaussians).
     ///
@@ -43,7 +43,7 @@ pub struct Scene {
     /// What does not move, world frame, metres.
     pub background: Gaussians,
     /// What moves.
-    pub objects: Vec<Bound>,
+    pub objects: Vec<Attachment>,
 }
 
 impl Scene {

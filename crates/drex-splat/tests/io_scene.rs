@@ -4,7 +4,7 @@
 use drex_core::{Pose, Trajectory};
 use drex_splat::orbit::look_at;
 use drex_splat::transform::{ShRotation, sh_basis};
-use drex_splat::{Bound, Gaussians, Kind, Label, Orbit, Scene};
+use drex_splat::{Attachment, Gaussians, Kind, Label, Orbit, Scene};
 use nalgebra::{Matrix3, Point3, Quaternion, Similarity3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
@@ -111,7 +111,7 @@ fn bound_gaussians_follow_their_body() {
     let track = Trajectory::from_samples(&[1.0, 2.0], &poses).unwrap();
     let (background, object) = (set(Kind::Ellipsoid, 0, 2), set(Kind::Ellipsoid, 2, 3));
     // The object was trained in centimetres.
-    let bound = Bound::new(&object, &Similarity3::from_scaling(0.01), track).unwrap();
+    let bound = Attachment::new(&object, &Similarity3::from_scaling(0.01), track).unwrap();
     let scene = Scene { background: background.clone(), objects: vec![bound] };
     assert_eq!(scene.span_s(), Some((1.0, 2.0)));
     let (before, half, after) = (scene.posed(0.0).unwrap(), scene.posed(1.5).unwrap(), scene.posed(9.0).unwrap());
@@ -127,7 +127,7 @@ fn bound_gaussians_follow_their_body() {
     let c = std::f32::consts::FRAC_1_SQRT_2;
     assert!(close(half.means[3], [0.1 + c * (p[0] - p[1]), c * (p[0] + p[1]), p[2]]));
     assert!(scene.posed(f64::NAN).is_err());
-    assert!(Bound::new(&object, &Similarity3::identity(), Trajectory::default()).is_err());
+    assert!(Attachment::new(&object, &Similarity3::identity(), Trajectory::default()).is_err());
 }
 
 #[test]

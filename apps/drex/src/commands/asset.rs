@@ -8,8 +8,8 @@ use anyhow::{Result, bail};
 use drex_core::fsutil;
 use drex_mesh::PartConfig;
 use drex_mesh::{
-    Asset, AssetOptions, AssetReport, Background, FusionReport, LengthUnit, Part, PieceOptions, RepairOptions,
-    SceneOptions, articulated_asset, asset_from_mesh, build_asset, convex_pieces, read_mesh, repair, vertex_colors,
+    Asset, AssetOptions, AssetReport, Background, FusionReport, LengthUnit, Part, PartitionOptions, RepairOptions,
+    SceneOptions, articulated_asset, asset_from_mesh, build_asset, convex_parts, read_mesh, repair, vertex_colors,
 };
 use drex_splat::ReconstructOptions;
 use drex_twin::manifest::{MANIFEST, TwinManifest};
@@ -67,7 +67,7 @@ fn with_arguments(mut options: AssetOptions, args: &AssetArgs) -> AssetOptions {
     options.mass_kg = args.mass.or(options.mass_kg);
     options.density_kg_m3 = args.density.unwrap_or(options.density_kg_m3);
     options.wall_m = args.wall;
-    options.pieces.most_pieces = args.pieces.map_or(options.pieces.most_pieces, NonZeroUsize::get);
+    options.partition.most_parts = args.pieces.map_or(options.partition.most_parts, NonZeroUsize::get);
     options
 }
 
@@ -82,8 +82,8 @@ fn write(asset: &Asset, args: &AssetArgs) -> Result<()> {
     if let Some(file) = &args.background {
         let (visual, _) = repair(&read_mesh(file)?, &RepairOptions::default())?;
         // What cannot be divided, an open sheet such as a scanned table, is only looked at.
-        let pieces = convex_pieces(&visual, &PieceOptions::default()).unwrap_or_default();
-        scene.background = Some(Background { visual, pieces });
+        let convex_parts = convex_parts(&visual, &PartitionOptions::default()).unwrap_or_default();
+        scene.background = Some(Background { visual, convex_parts });
     }
     Ok(asset.write_with_scene(&scene, &args.out)?)
 }
@@ -208,7 +208,7 @@ fn describe(asset: &Asset, args: &AssetArgs) -> String {
         1e3 * p.center_of_mass.x,
         1e3 * p.center_of_mass.y,
         1e3 * p.center_of_mass.z,
-        asset.pieces.len()
+        asset.convex_parts.len()
     );
     for warning in &r.warnings {
         text += &format!("  note     {warning}\n");

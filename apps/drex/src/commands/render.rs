@@ -8,7 +8,7 @@ use drex_core::fsutil::OutputFolder;
 use drex_recording::readers::read_pose_csv;
 use drex_splat::capture::{Capture, CaptureOptions};
 use drex_splat::io::{exr, npy, picture, read_gaussians};
-use drex_splat::{Bound, Cpu, Gaussians, Kind, Orbit, PinholeCamera, Rasterizer, Render, RenderOptions, Scene};
+use drex_splat::{Attachment, Cpu, Gaussians, Kind, Orbit, PinholeCamera, Rasterizer, Render, RenderOptions, Scene};
 use nalgebra::{Similarity3, Vector3};
 use serde::Serialize;
 
@@ -104,7 +104,7 @@ fn scene(args: &RenderArgs) -> Result<Scene> {
     let objects = match (&args.object, &args.trajectory) {
         (Some(object), Some(poses)) => {
             let object = read(object, &args.object_from_splat)?;
-            vec![Bound::new(&object, &Similarity3::identity(), read_pose_csv(poses)?)?]
+            vec![Attachment::new(&object, &Similarity3::identity(), read_pose_csv(poses)?)?]
         }
         _ => Vec::new(),
     };

@@ -5,13 +5,13 @@ use std::path::Path;
 use nalgebra::{Point3, Unit, Vector3};
 use serde::Serialize;
 
-use crate::model::{ContactConfig, JointConfig, joint_tree};
+use super::model::{ContactConfig, JointConfig, joint_tree};
 use drex_core::{MassProperties, Pose, TriMesh};
 
-use super::{Asset, AssetOptions, AssetReport, asset_from_mesh, rows, stand};
+use super::{Asset, AssetOptions, AssetReport, asset_from_mesh, rest_on_table, rows};
 use crate::bvh::Aabb;
 use crate::rest::{RestPose, stable_poses};
-use crate::{Error, Result, write};
+use crate::{Error, Result};
 
 /// A rigid part of an articulated object.
 #[derive(Debug, Clone, PartialEq)]
@@ -72,7 +72,7 @@ pub struct ArticulatedReport {
 
 /// Makes one asset of the parts of an object and the joints between them.
 ///
-/// Each part is mended, closed, weighed and divided on its own, as by [`asset_from_mesh`]; the unit is settled for all
+/// Each part is repaired, closed, weighed and divided on its own, as by [`asset_from_mesh`]; the unit is settled for all
 /// together. [`AssetOptions::mass_kg`] is the mass of the whole: what the parts with a mass of their own leave of it
 /// is shared by the others in proportion to their volumes. Parts that are joined do not touch each other in the
 /// simulation.
@@ -107,10 +107,11 @@ pub fn articulated_asset(parts: &[Part], joints: &[JointConfig], options: &Asset
     let properties = MassProperties::combined(&each)
         .ok_or_else(|| Error::value("the parts have no mass", "give a positive mass or density"))?;
     let corners: Vec<Point3<f64>> =
-        built.iter().flat_map(|(_, a)| &a.pieces).flat_map(|p| &p.vertices).copied().collect();
+        built.iter().flat_map(|(_, a)| &a.convex_parts).flat_map(|p| &p.vertices).copied().collect();
     let up = Unit::new_normalize(options.up_in_mesh.unwrap_or_else(Vector3::z));
     let stable_poses = stable_poses(&corners, &properties.center_of_mass, &options.rest)?;
-    let (world_from_mesh_at_rest, tipping_margin_m) = stand(&corners, &properties.center_of_mass, &up, &options.rest)?;
+    let (world_from_mesh_at_rest, tipping_margin_m) =
+        rest_on_table(&corners, &properties.center_of_mass, &up, &options.rest)?;
     let report = ArticulatedReport {
         parts: built.iter().map(|(name, asset)| (name.clone(), asset.report.clone())).collect(),
         root: names[root].into(),
@@ -169,14 +170,5 @@ impl ArticulatedAsset {
         self.report.mass_kg = mass_kg;
         self.report.inertia_kg_m2 = rows(&self.properties.inertia);
         self
-    }
-
-    /// Writes `mesh/PART_visual.obj`, `mesh/PART_collision_NN.obj`, `mesh/report.json`, `asset/object.xml` (MJCF),
-    /// `asset/object.urdf` and `asset/object.glb` under `out`, as [`Asset::write`] does.
-    ///
-    /// # Errors
-    /// If a file cannot be written; what was there before stays.
-    pub fn write(&self, out: &Path) -> Result<()> {
-        write::write_articulated(self, out)
     }
 }

@@ -1,32 +1,33 @@
 //! From a mesh file to a simulation asset: visual mesh, collision pieces, mass properties, MJCF and URDF.
 
 mod articulated;
+mod model;
 mod object;
 mod options;
+mod write;
 
 use std::path::Path;
 
 use nalgebra::{Matrix3, Point3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::model::ContactConfig;
 use drex_core::fsutil::{from_json, read_text};
 use drex_core::{MassProperties, Pose, PoseRecord, TriMesh};
 
 pub use self::articulated::{ArticulatedAsset, ArticulatedReport, Part, articulated_asset};
 pub use self::options::{AssetOptions, LengthUnit, UpSource};
+pub use model::{ContactConfig, JointConfig, JointKind, PartConfig, joint_tree};
 pub use object::read_object;
 
 use crate::bvh::Aabb;
 use crate::hull::hull_volume;
 use crate::io::extension;
-use crate::mass::{HowHollow, check_mass_properties, principal, shell_properties};
-use crate::model::SceneOptions;
-use crate::pieces::{HowDivided, divide};
+use crate::mass::{HollowModel, check_mass_properties, principal, shell_properties};
+use crate::partition::{PartitionMethod, divide};
 use crate::repair::{RepairOptions, RepairReport, repair};
 use crate::rest::{RestOptions, RestPose, settled_pose, stable_poses, turn};
-use crate::solid::{Enclosed, HowClosed};
-use crate::{Error, Result, read_mesh, write};
+use crate::solid::{ClosingMethod, Enclosed};
+use crate::{Error, Result, read_mesh};
 
 /// An object whose up direction is off by no more than this settles onto its foot, radians.
 const MOST_SETTLING: f64 = 5.0 * std::f64::consts::PI / 180.0;
@@ -39,8 +40,8 @@ pub struct Asset {
     pub visual: TriMesh,
     /// Colours of the visual mesh's vertices, for the GLB; as many as it has vertices. [`asset_from_mesh`] leaves them out.
     pub colors: Option<Vec<[u8; 3]>>,
-    /// Convex collision pieces.
-    pub pieces: Vec<TriMesh>,
+    /// Convex collision parts.
+    pub convex_parts: Vec<TriMesh>,
     /// Mass properties of the enclosed solid at uniform density.
     pub properties: MassProperties,
     /// Unit direction that points up when the object stands.
@@ -75,7 +76,8 @@ pub struct AssetReport {
     /// What the repair found and did.
     pub repair: RepairReport,
     /// How the boundary of the solid was obtained.
-    pub how_closed: HowClosed,
+    #[serde(rename = "how_closed")]
+    pub closing_method: ClosingMethod,
     /// Edges without a face on the other side.
     pub open_edges: usize,
     /// Openings.
@@ -95,7 +97,7 @@ pub struct AssetReport {
     /// Density that follows for a solid, kg/m³.
     pub density_kg_m3: f64,
     /// How the mass properties of a hollow object were obtained; `None` for a solid one.
-    pub hollow: Option<HowHollow>,
+    pub hollow: Option<HollowModel>,
     /// Centre of mass in the mesh's frame, metres.
     pub center_of_mass_m: [f64; 3],
     /// Inertia about the centre of mass along the mesh's axes, kg m², rows.
@@ -105,7 +107,8 @@ pub struct AssetReport {
     /// Rotation whose columns are the principal axes in the mesh's frame, quaternion w, x, y, z.
     pub mesh_from_principal_wxyz: [f64; 4],
     /// How the pieces were obtained.
-    pub how_divided: HowDivided,
+    #[serde(rename = "how_divided")]
+    pub partition_method: PartitionMethod,
     /// Number of pieces.
     pub pieces: usize,
     /// Most corners of a piece.
@@ -133,7 +136,7 @@ pub fn build_asset(mesh_path: &Path, options: &AssetOptions) -> Result<Asset> {
     of_file(mesh_path, options, None)
 }
 
-/// As [`build_asset`] of the same mesh and options, but with the convex pieces that [`Asset::write`] wrote into the folder
+/// As [`build_asset`] of the same mesh and options, but with the convex parts that [`Asset::write`] wrote into the folder
 /// `out`, to the same bits: they take most of the time.
 ///
 /// # Errors
@@ -141,16 +144,21 @@ pub fn build_asset(mesh_path: &Path, options: &AssetOptions) -> Result<Asset> {
 pub fn rebuild_asset(mesh_path: &Path, options: &AssetOptions, out: &Path) -> Result<Asset> {
     #[derive(Deserialize)]
     struct Divided {
-        how_divided: HowDivided,
+        #[serde(rename = "how_divided")]
+        partition_method: PartitionMethod,
         pieces: usize,
     }
     let report = out.join("mesh/report.json");
-    let Divided { how_divided, pieces } = from_json(&report, &read_text(&report)?)?;
-    let pieces = (0..pieces).map(|k| read_mesh(&out.join(write::piece_file("", k)))).collect::<Result<_>>()?;
-    of_file(mesh_path, options, Some((pieces, how_divided)))
+    let Divided { partition_method, pieces } = from_json(&report, &read_text(&report)?)?;
+    let pieces = (0..pieces).map(|k| read_mesh(&out.join(write::part_file("", k)))).collect::<Result<_>>()?;
+    of_file(mesh_path, options, Some((pieces, partition_method)))
 }
 
-fn of_file(mesh_path: &Path, options: &AssetOptions, divided: Option<(Vec<TriMesh>, HowDivided)>) -> Result<Asset> {
+fn of_file(
+    mesh_path: &Path,
+    options: &AssetOptions,
+    divided: Option<(Vec<TriMesh>, PartitionMethod)>,
+) -> Result<Asset> {
     options.check()?;
     let mesh = read_mesh(mesh_path)?;
     let gltf = matches!(extension(mesh_path).as_str(), "gltf" | "glb");
@@ -195,21 +203,21 @@ pub fn asset_from_mesh(mesh: &TriMesh, options: &AssetOptions) -> Result<Asset> 
 }
 
 /// The asset, with these pieces where they are known.
-fn of_mesh(mesh: &TriMesh, options: &AssetOptions, divided: Option<(Vec<TriMesh>, HowDivided)>) -> Result<Asset> {
+fn of_mesh(mesh: &TriMesh, options: &AssetOptions, divided: Option<(Vec<TriMesh>, PartitionMethod)>) -> Result<Asset> {
     let mut warnings = Vec::new();
     let extent = mesh.bounds().map_or(0.0, |(lo, hi)| (hi - lo).max());
     let (unit, factor) = options.unit.settle(extent, &mut warnings)?;
     let (visual, repaired) = repair(&mesh.scaled(factor), &options.repair)?;
     let enclosed = Enclosed::new(&visual)?;
     let solid = &enclosed.solid;
-    let (pieces, how_divided) = match divided {
+    let (pieces, partition_method) = match divided {
         Some(divided) => divided,
-        None => divide(&visual, &enclosed, &options.pieces)?,
+        None => divide(&visual, &enclosed, &options.partition)?,
     };
     if pieces.is_empty() {
         return Err(Error::NoVolume {
             subject: "the mesh".into(),
-            reason: "all its convex pieces are below 1e-12 m³".into(),
+            reason: "all its convex parts are below 1e-12 m³".into(),
         });
     }
     let (unit_density, hollow) = match options.wall_m {
@@ -226,12 +234,12 @@ fn of_mesh(mesh: &TriMesh, options: &AssetOptions, divided: Option<(Vec<TriMesh>
         Ok(poses) => (&of_pieces, poses),
         Err(_) => (&visual.vertices, stable_poses(&visual.vertices, center, &options.rest)?),
     };
-    let (world_from_mesh_at_rest, tipping_margin_m) = stand(corners, center, &up_in_mesh, &options.rest)?;
+    let (world_from_mesh_at_rest, tipping_margin_m) = rest_on_table(corners, center, &up_in_mesh, &options.rest)?;
     let center = world_from_mesh_at_rest * center;
     let bounds = Aabb::of(&visual.vertices);
     let density = properties.mass_kg / solid.volume_m3;
     let material = properties.mass_kg / unit_density.mass_kg;
-    collect_warnings(&repaired, &enclosed, how_divided, material, tipping_margin_m, &mut warnings);
+    collect_warnings(&repaired, &enclosed, partition_method, material, tipping_margin_m, &mut warnings);
     let (moments, axes) = principal(&properties);
     let report = AssetReport {
         unit,
@@ -240,7 +248,7 @@ fn of_mesh(mesh: &TriMesh, options: &AssetOptions, divided: Option<(Vec<TriMesh>
         up_in_mesh: up_in_mesh.into_inner().into(),
         size_m: (bounds.hi - bounds.lo).into(),
         repair: repaired,
-        how_closed: solid.how_closed,
+        closing_method: solid.closing_method,
         open_edges: solid.open_edges,
         openings: solid.openings,
         widest_opening_m: solid.widest_opening_m,
@@ -255,7 +263,7 @@ fn of_mesh(mesh: &TriMesh, options: &AssetOptions, divided: Option<(Vec<TriMesh>
         inertia_kg_m2: rows(&properties.inertia),
         principal_moments_kg_m2: moments.into(),
         mesh_from_principal_wxyz: [axes.w, axes.i, axes.j, axes.k],
-        how_divided,
+        partition_method,
         pieces: pieces.len(),
         most_corners: pieces.iter().map(|p| p.vertices.len()).max().unwrap_or(0),
         pieces_to_solid_volume: pieces.iter().map(hull_volume).sum::<f64>() / solid.volume_m3,
@@ -271,7 +279,7 @@ fn of_mesh(mesh: &TriMesh, options: &AssetOptions, divided: Option<(Vec<TriMesh>
     Ok(Asset {
         visual,
         colors: None,
-        pieces,
+        convex_parts: pieces,
         properties,
         up_in_mesh,
         world_from_mesh_at_rest,
@@ -320,7 +328,7 @@ fn rows(m: &Matrix3<f64>) -> [[f64; 3]; 3] {
 
 /// How the object stands with `up` up on the table z = 0: settled onto the face below if that takes no more than a few
 /// degrees (the up of a scan is no better), else just put down, with a negative tipping margin.
-fn stand(
+fn rest_on_table(
     corners: &[Point3<f64>],
     center: &Point3<f64>,
     up: &Unit<Vector3<f64>>,
@@ -340,7 +348,7 @@ fn stand(
 fn collect_warnings(
     repaired: &RepairReport,
     enclosed: &Enclosed,
-    how_divided: HowDivided,
+    partition_method: PartitionMethod,
     density: f64,
     tipping_margin_m: f64,
     warnings: &mut Vec<String>,
@@ -362,7 +370,7 @@ fn collect_warnings(
     warn(
         !repaired.dropped.is_empty(),
         format!(
-            "{} loose bits with {:.2} % of the area were dropped",
+            "{} loose components with {:.2} % of the area were dropped",
             repaired.dropped.len(),
             100.0 * repaired.dropped.iter().map(|d| d.area_share).sum::<f64>()
         ),
@@ -373,7 +381,7 @@ fn collect_warnings(
         format!("a density of {density:.3} kg/m³ is not that of a solid: check mass and unit"),
     );
     warn(
-        how_divided == HowDivided::HullAsLastResort,
+        partition_method == PartitionMethod::HullAsLastResort,
         "the convex decomposition failed: one hull fills the concavities".into(),
     );
     warn(tipping_margin_m < 0.0, "the object does not stand with this side up: it will tip over".into());
@@ -411,7 +419,7 @@ mod tests {
         let built = build_asset(&file, &AssetOptions::default()).unwrap();
         built.clone().with_mass(0.3).write(&out).unwrap();
         let again = rebuild_asset(&file, &AssetOptions::default(), &out).unwrap();
-        assert!(built.pieces.len() > 1);
+        assert!(built.convex_parts.len() > 1);
         assert_eq!(format!("{built:?}"), format!("{again:?}"));
         std::fs::remove_file(out.join("mesh/collision_01.obj")).unwrap();
         let message = rebuild_asset(&file, &AssetOptions::default(), &out).unwrap_err().to_string();

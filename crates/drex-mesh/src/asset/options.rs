@@ -3,9 +3,9 @@
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use crate::model::ContactConfig;
+use super::model::ContactConfig;
 
-use crate::pieces::PieceOptions;
+use crate::partition::PartitionOptions;
 use crate::repair::RepairOptions;
 use crate::rest::RestOptions;
 use crate::{Error, Result};
@@ -109,8 +109,8 @@ pub struct AssetOptions {
     pub scale_source: Option<String>,
     /// Settings of the repair.
     pub repair: RepairOptions,
-    /// Settings of the convex pieces.
-    pub pieces: PieceOptions,
+    /// Settings of the convex parts.
+    pub partition: PartitionOptions,
     /// Settings of the stable poses.
     pub rest: RestOptions,
 }
@@ -127,7 +127,7 @@ impl Default for AssetOptions {
             unit: LengthUnit::Auto,
             scale_source: None,
             repair: RepairOptions::default(),
-            pieces: PieceOptions::default(),
+            partition: PartitionOptions::default(),
             rest: RestOptions::default(),
         }
     }

@@ -28,7 +28,7 @@ pub fn check_asset(path: &Path, options: &CheckOptions) -> Result<CheckReport> {
     if report.rules[14].outcome == Fail {
         return Ok(report);
     }
-    let (visual, hulls) = (visual_mesh(&model)?, pieces(&model)?);
+    let (visual, hulls) = (visual_mesh(&model)?, convex_parts(&model)?);
     right_handed(&model, &mut report);
     names(&model, &visual, options, &mut report)?;
     if visual.faces.is_empty() {
@@ -37,10 +37,10 @@ pub fn check_asset(path: &Path, options: &CheckOptions) -> Result<CheckReport> {
         surface(&visual, options, &mut report);
         mass(&model, &visual, &mut report);
     }
-    hulls::judge(&hulls, options, &mut report);
+    hulls::evaluate(&hulls, options, &mut report);
     let size = visual.bounds().map_or(0.0, |(lo, hi)| (hi - lo).norm());
     if model.unclear.is_empty() {
-        hulls::judge_distance(&hulls, &close_openings(&visual), size, options, &mut report);
+        hulls::evaluate_distance(&hulls, &close_openings(&visual), size, options, &mut report);
         pose(&model, &hulls, &mut report);
     } else {
         for rule in [10, 13, 14] {
@@ -125,7 +125,7 @@ fn surface(visual: &TriMesh, options: &CheckOptions, report: &mut CheckReport) {
         report.set(3, Repaired, reason, None);
     }
     if !found.dropped.is_empty() {
-        report.set(4, Fail, format!("{} loose bits in the visual mesh", found.dropped.len()), again);
+        report.set(4, Fail, format!("{} loose components in the visual mesh", found.dropped.len()), again);
     }
     match found.cavities {
         0 => report.set(5, Pass, "no cavities", None),
@@ -209,7 +209,7 @@ fn read(model: &Mjcf, geom: &Geom) -> Result<TriMesh> {
 }
 
 /// Collision hulls in the world frame.
-fn pieces(model: &Mjcf) -> Result<Vec<TriMesh>> {
+fn convex_parts(model: &Mjcf) -> Result<Vec<TriMesh>> {
     model.geoms.iter().filter(|g| g.collides).map(|g| read(model, g)).collect()
 }
 

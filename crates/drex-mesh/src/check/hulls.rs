@@ -1,4 +1,4 @@
-//! The rules for convex pieces.
+//! The rules for convex parts.
 
 use drex_core::TriMesh;
 use nalgebra::{Point3, Vector3};
@@ -20,9 +20,9 @@ const FLATNESS: f64 = 1e-5;
 const PROBES: usize = 16_000;
 
 /// Rule 12.
-pub(super) fn judge(pieces: &[TriMesh], options: &CheckOptions, report: &mut CheckReport) {
+pub(super) fn evaluate(pieces: &[TriMesh], options: &CheckOptions, report: &mut CheckReport) {
     let most = pieces.iter().map(|p| p.vertices.len()).max().unwrap_or(0);
-    let fix = Some("make the convex pieces again");
+    let fix = Some("make the convex parts again");
     for (k, piece) in pieces.iter().enumerate() {
         let defect = if piece.vertices.len() < 4 || !(hull_volume(piece) > SLIVER_M3) {
             format!("{:.1e} m³ from {} corners", hull_volume(piece), piece.vertices.len())
@@ -36,8 +36,8 @@ pub(super) fn judge(pieces: &[TriMesh], options: &CheckOptions, report: &mut Che
     let reason = format!("{} hulls, at most {most} corners", pieces.len());
     if pieces.is_empty() {
         report.set(12, Fail, "no hulls: nothing would touch it", fix);
-    } else if most > options.most_corners || pieces.len() > options.most_pieces {
-        let reason = format!("{reason}; {} and {} are allowed", options.most_pieces, options.most_corners);
+    } else if most > options.most_corners || pieces.len() > options.most_parts {
+        let reason = format!("{reason}; {} and {} are allowed", options.most_parts, options.most_corners);
         report.set(12, Fail, reason, fix);
     } else {
         report.set(12, Pass, reason, None);
@@ -79,7 +79,7 @@ impl Planes {
 }
 
 /// Rule 13: the surface of the union of the pieces against the closed visual mesh, both ways.
-pub(super) fn judge_distance(
+pub(super) fn evaluate_distance(
     pieces: &[TriMesh],
     visual: &TriMesh,
     size: f64,
@@ -89,13 +89,13 @@ pub(super) fn judge_distance(
     let out = union_to_mesh(pieces, visual);
     let missing = mesh_to_union(pieces, visual);
     let (Some(out), Some(missing)) = (out, missing) else {
-        return report.set(13, Fail, "there is no surface to compare", Some("make the convex pieces again"));
+        return report.set(13, Fail, "there is no surface to compare", Some("make the convex parts again"));
     };
     let mm = |d: &Spread| format!("{:.2} mm mean, {:.2} mm for 99 %", 1e3 * d.mean, 1e3 * d.p99);
     let reason = format!("hulls to mesh {}; mesh beyond the hulls {}", mm(&out), mm(&missing));
     match out.p99.max(missing.p99) <= options.hull_distance * size {
         true => report.set(13, Pass, reason, None),
-        false => report.set(13, Fail, reason, Some("allow more convex pieces or a finer resolution")),
+        false => report.set(13, Fail, reason, Some("allow more convex parts or a finer resolution")),
     }
 }
 

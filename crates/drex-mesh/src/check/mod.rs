@@ -20,12 +20,12 @@ use crate::{AssetOptions, LengthUnit, Result, read_mesh, read_model};
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct CheckOptions {
-    /// How an asset would be made of the mesh: unit, mass or density, up, repair and convex pieces.
+    /// How an asset would be made of the mesh: unit, mass or density, up, repair and convex parts.
     pub asset: AssetOptions,
     /// Corners that a hull may have.
     pub most_corners: usize,
     /// Hulls that an object may have.
-    pub most_pieces: usize,
+    pub most_parts: usize,
     /// Distance between hulls and visual mesh that 99 % of the surface must keep, relative to the diagonal of the bounding box.
     pub hull_distance: f64,
     /// Faces that a mesh may have (MuJoCo reads STL files up to 200,000).
@@ -37,7 +37,7 @@ impl Default for CheckOptions {
         Self {
             asset: AssetOptions::default(),
             most_corners: 64,
-            most_pieces: 64,
+            most_parts: 64,
             hull_distance: 0.03,
             most_faces: 200_000,
         }
@@ -157,13 +157,13 @@ impl fmt::Display for CheckReport {
     }
 }
 
-/// Judges a mesh as what an asset made of it would be: repaired, closed, divided into convex pieces, stood on a plane.
+/// Judges a mesh as what an asset made of it would be: repaired, closed, divided into convex parts, stood on a plane.
 ///
 /// Rule 14 is judged by statics: the centre of mass over the support polygon of the pieces in the pose at rest. A simulator can
 /// be asked with `tests/peers/mujoco_rest.py`.
 pub fn check_mesh(mesh: &TriMesh, options: &CheckOptions) -> CheckReport {
     let mut report = CheckReport::new("the mesh");
-    rules::judge_mesh(mesh, options, &mut report);
+    rules::evaluate_mesh(mesh, options, &mut report);
     report
 }
 
@@ -182,7 +182,7 @@ pub fn check_file(path: &Path, options: &CheckOptions) -> Result<CheckReport> {
             options.asset.unit = LengthUnit::Metre;
         }
     }
-    rules::judge_mesh(&mesh, &options, &mut report);
+    rules::evaluate_mesh(&mesh, &options, &mut report);
     match read_model(path) {
         Ok(model) => {
             let textured = model.parts.iter().filter(|p| p.uv.is_some()).count();

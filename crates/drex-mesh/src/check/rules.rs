@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector3};
 use super::Outcome::{Fail, NotApplicable, Pass, Repaired};
 use super::{CheckOptions, CheckReport, hulls};
 use crate::topology::Topology;
-use crate::{Asset, HowClosed, LengthUnit, RepairReport, asset_from_mesh, repair};
+use crate::{Asset, ClosingMethod, LengthUnit, RepairReport, asset_from_mesh, repair};
 use drex_core::mesh::convex_hull;
 
 /// An opening is harmless while two ways of closing it differ by less than this share of the volume.
@@ -20,7 +20,7 @@ const ANY_SIZE: std::ops::RangeInclusive<f64> = 1e-5..=1e4;
 /// Sizes of things that a hand moves, m.
 pub(super) const SIZES: std::ops::RangeInclusive<f64> = 1e-3..=2.0;
 
-pub(super) fn judge_mesh(mesh: &TriMesh, options: &CheckOptions, report: &mut CheckReport) {
+pub(super) fn evaluate_mesh(mesh: &TriMesh, options: &CheckOptions, report: &mut CheckReport) {
     let mut notes = Vec::new();
     let extent = mesh.bounds().map_or(0.0, |(lo, hi)| (hi - lo).max());
     let (unit, factor) = match options.asset.unit.settle(extent, &mut notes) {
@@ -109,7 +109,7 @@ pub(super) fn surface(visual: &TriMesh, r: &RepairReport, report: &mut CheckRepo
             );
         }
         (1, 0) => report.set(4, Pass, "one shell", None),
-        (1, n) => report.set(4, Repaired, format!("{n} loose bits with {:.2} % dropped", 100.0 * lost), None),
+        (1, n) => report.set(4, Repaired, format!("{n} loose components with {:.2} % dropped", 100.0 * lost), None),
         (n, _) => report.set(4, Fail, format!("{n} separate bodies"), Some("give each body a file of its own")),
     }
     match r.self_intersections {
@@ -155,7 +155,7 @@ fn solid(asset: &Asset, repaired: &RepairReport, report: &mut CheckReport) {
     }
     let corners: Vec<Point3<f64>> = asset.visual.vertices.clone();
     inertia(&asset.properties, &corners, report);
-    if matches!(r.how_closed, HowClosed::Union) {
+    if matches!(r.closing_method, ClosingMethod::Union) {
         report.rules[6].reason += "; of the union of overlapping parts";
     }
 }
@@ -209,10 +209,10 @@ fn body(asset: &Asset, options: &CheckOptions, repaired: &RepairReport, report: 
         ),
         false => report.set(11, Pass, "no transform mirrors it", None),
     }
-    hulls::judge(&asset.pieces, options, report);
+    hulls::evaluate(&asset.convex_parts, options, report);
     let size = asset.visual.bounds().map_or(0.0, |(lo, hi)| (hi - lo).norm());
     let closed = crate::close_openings(&asset.visual);
-    hulls::judge_distance(&asset.pieces, &closed, size, options, report);
+    hulls::evaluate_distance(&asset.convex_parts, &closed, size, options, report);
     let margin = asset.report.tipping_margin_m;
     rest(margin, report);
 }

@@ -1,4 +1,4 @@
-//! The depths of the object in one map: where they are, how noisy, smoothed, with slopes.
+//! The depths of the object in one map: where they are, how noisy, smoothed, with gradients.
 
 use crate::depth::{DepthCamera, DepthMap};
 use drex_core::simd::vectorised;
@@ -196,7 +196,7 @@ impl Hits {
         (y + BORDER) * self.stride + x + BORDER
     }
 
-    /// Depth and slopes at one hit pixel: the plane through the pairs of opposite neighbours that lie on a line with it.
+    /// Depth and gradients at one hit pixel: the plane through the pairs of opposite neighbours that lie on a line with it.
     pub fn plane(&self, at: usize) -> Option<(f32, [f32; 2])> {
         let (z, radius) = (self.depth[at], self.radius.max(1) as isize);
         let (mut bend, mut count) = (0.0_f32, 0.0_f32);
@@ -329,7 +329,7 @@ impl Smooth {
     /// Slope of smoothed depths along columns (`step` 1) or rows (`step` the stride) at `out.len()` pixels from `at`,
     /// metres per pixel of the raster; NaN where there is none.
     #[inline(always)]
-    pub fn slopes(&self, at: usize, step: usize, out: &mut [f32]) {
+    pub fn gradients(&self, at: usize, step: usize, out: &mut [f32]) {
         let (n, reach) = (out.len(), self.reach);
         let line = |from: usize| &self.depth[from..from + n];
         let (before, here, after) = (line(at - reach * step), line(at), line(at + reach * step));

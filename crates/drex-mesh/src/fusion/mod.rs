@@ -5,13 +5,13 @@
 //! surface is closed by construction. Two passes over the views: the first measures noise, pixel size and the thickness of
 //! walls, from which voxel and truncation follow; the second fuses.
 
+mod bounds;
 mod hits;
 mod lattice;
 mod marching;
 mod parts;
 mod prepare;
 mod sharp;
-mod survey;
 mod volume;
 
 use nalgebra::{Point3, Unit, Vector3};
@@ -20,12 +20,12 @@ use serde::{Deserialize, Serialize};
 
 use drex_core::{Pose, TriMesh};
 
+use self::bounds::{BoundsEstimate, of_view};
 use self::hits::Sight;
 use self::lattice::{Lattice, SIDE};
 use self::marching::{GridEdge, extract};
 pub use self::parts::DroppedPart;
 use self::prepare::Prepared;
-use self::survey::{Survey, of_view};
 use self::volume::{BLOCK_BYTES, Band, ENTRY_BYTES, Limits, Volume};
 use crate::bvh::Aabb;
 use crate::depth::DepthViews;
@@ -192,14 +192,14 @@ pub fn fuse(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> Resu
 }
 
 fn fuse_in_pool(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> Result<Fused> {
-    let survey = Survey::new(views, options)?;
-    let mut plan = Plan::new(&survey, options, 1.0)?;
+    let estimate = BoundsEstimate::new(views, options)?;
+    let mut plan = Plan::new(&estimate, options, 1.0)?;
     let (volume, field) = loop {
-        let volume = integrated(views, &survey, &plan, options)?;
+        let volume = integrated(views, &estimate, &plan, options)?;
         let field = volume.field(&plan.limits);
-        let contradicted = survey.residual_m(&field) > MOST_RESIDUAL * f64::from(plan.band.truncation);
+        let contradicted = estimate.residual_m(&field) > MOST_RESIDUAL * f64::from(plan.band.truncation);
         let wider = (contradicted && options.truncation_m.is_none() && plan.widening < MOST_WIDENING)
-            .then(|| Plan::new(&survey, options, WIDENING * plan.widening))
+            .then(|| Plan::new(&estimate, options, WIDENING * plan.widening))
             .transpose()?;
         match wider.filter(|w| w.band.truncation > plan.band.truncation) {
             Some(wider) => plan = wider,
@@ -220,13 +220,13 @@ fn fuse_in_pool(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> 
     let blocks = volume.stored();
     let report = FusionReport {
         views: views.len(),
-        used_views: survey.sights.iter().flatten().count(),
+        used_views: estimate.sights.iter().flatten().count(),
         voxel_m: plan.voxel_m,
         truncation_m: plan.band.truncation.into(),
         wall_m: plan.wall_m,
         wall_below_resolution: plan.wall_m.is_some_and(|w| SHARE_OF_WALL * w < plan.voxel_m),
-        footprint_m: survey.footprint_m,
-        noise_m: survey.noise_m,
+        footprint_m: estimate.footprint_m,
+        noise_m: estimate.noise_m,
         spread_m: plan.spread_m,
         blocks,
         volume_bytes: blocks * BLOCK_BYTES + volume.lattice.count() * ENTRY_BYTES,
@@ -245,7 +245,7 @@ fn fuse_in_pool(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> 
 /// The volume with all views in it.
 fn integrated(
     views: &(impl DepthViews + ?Sized),
-    survey: &Survey,
+    estimate: &BoundsEstimate,
     plan: &Plan,
     options: &FusionOptions,
 ) -> Result<Volume> {
@@ -253,7 +253,7 @@ fn integrated(
     let grid_from_world = Pose::translation(-plan.lattice.origin.x, -plan.lattice.origin.y, -plan.lattice.origin.z);
     for start in (0..views.len()).step_by(BATCH) {
         let sighted: Vec<(usize, &Sight)> = (start..views.len().min(start + BATCH))
-            .filter_map(|i| survey.sights[i].as_ref().map(|sight| (i, sight)))
+            .filter_map(|i| estimate.sights[i].as_ref().map(|sight| (i, sight)))
             .collect();
         let prepared: Vec<Prepared> = sighted
             .into_par_iter()
@@ -306,7 +306,7 @@ impl FusionOptions {
     }
 }
 
-/// What the survey and the options decide.
+/// What the estimate and the options decide.
 struct Plan {
     widening: f64,
     voxel_m: f64,
@@ -320,29 +320,29 @@ struct Plan {
 
 impl Plan {
     /// `widening`: how much wider the band is than the resolution asks for, because the views contradict each other.
-    fn new(survey: &Survey, options: &FusionOptions, widening: f64) -> Result<Self> {
-        let diagonal = (survey.bounds.hi - survey.bounds.lo).norm();
-        let finest = (2.0 * survey.footprint_m).max(diagonal / 256.0);
+    fn new(estimate: &BoundsEstimate, options: &FusionOptions, widening: f64) -> Result<Self> {
+        let diagonal = (estimate.bounds.hi - estimate.bounds.lo).norm();
+        let finest = (2.0 * estimate.footprint_m).max(diagonal / 256.0);
         let widened = BAND_VOXELS * widening * options.voxel_m.unwrap_or(finest);
         let voxel_m = options.voxel_m.unwrap_or(finest.max(widened / MOST_BAND_VOXELS));
         // Patches of two voxels; walls that the largest truncation would spare need not be found.
         let cell = 2.0 * voxel_m;
-        let walls = survey.walls(cell, 4.0 * voxel_m / SHARE_OF_WALL);
+        let walls = estimate.walls(cell, 4.0 * voxel_m / SHARE_OF_WALL);
         let wished = widened.max(3.0 * walls.spread_m).min(4.0 * voxel_m);
         let spared = walls.thickness_m.map_or(wished, |t| wished.min(SHARE_OF_WALL * t));
         let truncation = options.truncation_m.unwrap_or(spared.max(0.9 * voxel_m).max(2.0 * walls.spread_m));
         let band = Band {
             truncation: truncation as f32,
             trusted: (2.5 * walls.spread_m).clamp(0.25 * truncation, 0.7 * truncation) as f32,
-            depth: survey.depth_m as f32,
+            depth: estimate.depth_m as f32,
             votes: options.empty_votes,
         };
         // Noise spreads the points beyond the surface, and smoothed depths less so.
-        let mut solid = survey.bounds.fattened(truncation + voxel_m);
+        let mut solid = estimate.bounds.fattened(truncation + voxel_m);
         if let Some((lo, hi)) = options.region {
             solid = Aabb { lo: solid.lo.sup(&lo), hi: solid.hi.inf(&hi) };
         }
-        let limits = Limits { solid, unseen: survey.bounds, support: options.support.map(|s| (s.point, s.up)) };
+        let limits = Limits { solid, unseen: estimate.bounds, support: options.support.map(|s| (s.point, s.up)) };
         let lattice = lattice_over(&solid.fattened(1.5 * voxel_m), voxel_m, options)?;
         Ok(Self {
             widening,

@@ -28,7 +28,7 @@ pub(super) struct Pixel {
 }
 
 impl Pixel {
-    /// Depth, slopes, factor.
+    /// Depth, gradients, factor.
     #[inline(always)]
     pub fn values(&self) -> [f32; 4] {
         [self.z, self.slope[0], self.slope[1], self.factor]
@@ -169,8 +169,8 @@ impl Prepared {
         for row in 0..hits.window.height {
             let at = hits.index(0, row);
             let z = &hits.depth[at..at + n];
-            hits.slopes(at, 1, &mut along);
-            hits.slopes(at, hits.stride, &mut down);
+            hits.gradients(at, 1, &mut along);
+            hits.gradients(at, hits.stride, &mut down);
             let ray_y = ((hits.window.y + row) as f32 + 0.5 - self.center[1]) / fy;
             let first_x = (hits.window.x as f32 + 0.5 - self.center[0]) / fx;
             for x in 0..n {

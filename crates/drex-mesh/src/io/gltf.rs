@@ -181,7 +181,7 @@ impl<'a> Reader<'a> {
             let order = if mirrored { [0, 2, 1] } else { [0, 1, 2] };
             part.mesh.faces = triangles(primitive.mode(), &indices).into_iter().map(|f| order.map(|k| f[k])).collect();
             if !part.mesh.faces.is_empty() {
-                self.looks(&primitive, &place, &mut part)?;
+                self.appearance(&primitive, &place, &mut part)?;
                 self.model.parts.push(part);
             }
         }
@@ -189,7 +189,7 @@ impl<'a> Reader<'a> {
     }
 
     /// Texture coordinates, colours and material of a primitive.
-    fn looks(&mut self, primitive: &gltf::Primitive<'_>, place: &str, part: &mut ModelPart) -> Result<()> {
+    fn appearance(&mut self, primitive: &gltf::Primitive<'_>, place: &str, part: &mut ModelPart) -> Result<()> {
         part.material = primitive.material().index();
         let texture = primitive.material().pbr_metallic_roughness().base_color_texture();
         let set = texture.map_or(0, |t| t.tex_coord());

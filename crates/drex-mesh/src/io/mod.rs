@@ -14,7 +14,7 @@ use drex_core::fsutil::read_bytes;
 
 pub(crate) use glb::glb_bytes;
 pub use glb::write_glb;
-pub use model::{Material, Model, ModelPart, Texture, read_model};
+pub use model::{Material, Model, ModelPart, Texture};
 pub use obj::write_obj_model;
 pub(crate) use write::obj_text;
 pub use write::{PlyFormat, write_mesh, write_obj, write_ply, write_ply_as, write_stl, write_stl_text};
@@ -58,6 +58,29 @@ pub fn parse_mesh(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
         return Err(Error::Empty { subject: path.display().to_string() });
     }
     TriMesh::new(mesh.vertices, mesh.faces).map_err(|e| Error::from(e).about(path))
+}
+
+/// Reads a file with its looks: OBJ (mtllib, usemtl, vt, colours behind the vertices), glTF and GLB (TEXCOORD_0, COLOR_0, base
+/// colour and its texture), PLY (vertex colours), STL (none). Coordinates are as in [`read_mesh`].
+///
+/// A material library or picture that is not there is left out with a warning in the log: the shape is still good.
+///
+/// # Errors
+/// As [`read_mesh`]; if the file names another file outside its own folder.
+pub fn read_model(path: &Path) -> Result<Model> {
+    let extension = extension(path);
+    let model = match extension.as_str() {
+        "obj" => obj::parse(path, &read_bytes(path)?)?,
+        "ply" => {
+            let (mesh, colors) = ply::parse(path, &read_bytes(path)?)?;
+            Model { parts: vec![ModelPart { mesh, colors, ..ModelPart::default() }], materials: Vec::new() }
+        }
+        "gltf" | "glb" => gltf::parse(path, &read_bytes(path)?)?,
+        "stl" => Model::plain(parse_mesh(path, &read_bytes(path)?)?),
+        _ => return Err(Error::UnknownExtension { path: path.to_path_buf(), extension }),
+    };
+    model.check().map_err(|e| e.about(path))?;
+    Ok(model)
 }
 
 /// A text STL that stops between two triangles can be told by its missing last line alone.

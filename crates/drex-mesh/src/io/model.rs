@@ -6,8 +6,7 @@ use std::sync::Arc;
 use drex_core::TriMesh;
 use drex_core::fsutil::read_bytes;
 
-use super::{extension, gltf, obj, ply};
-use crate::{Error, Result, parse_mesh};
+use crate::{Error, Result};
 
 /// Surfaces with their looks.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -132,29 +131,6 @@ impl Model {
         }
         Ok(())
     }
-}
-
-/// Reads a file with its looks: OBJ (mtllib, usemtl, vt, colours behind the vertices), glTF and GLB (TEXCOORD_0, COLOR_0, base
-/// colour and its texture), PLY (vertex colours), STL (none). Coordinates are as in [`crate::read_mesh`].
-///
-/// A material library or picture that is not there is left out with a warning in the log: the shape is still good.
-///
-/// # Errors
-/// As [`crate::read_mesh`]; if the file names another file outside its own folder.
-pub fn read_model(path: &Path) -> Result<Model> {
-    let extension = extension(path);
-    let model = match extension.as_str() {
-        "obj" => obj::parse(path, &read_bytes(path)?)?,
-        "ply" => {
-            let (mesh, colors) = ply::parse(path, &read_bytes(path)?)?;
-            Model { parts: vec![ModelPart { mesh, colors, ..ModelPart::default() }], materials: Vec::new() }
-        }
-        "gltf" | "glb" => gltf::parse(path, &read_bytes(path)?)?,
-        "stl" => Model::plain(parse_mesh(path, &read_bytes(path)?)?),
-        _ => return Err(Error::UnknownExtension { path: path.to_path_buf(), extension }),
-    };
-    model.check().map_err(|e| e.about(path))?;
-    Ok(model)
 }
 
 /// The place of a file that `path` refers to by `name`.

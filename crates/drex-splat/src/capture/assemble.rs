@@ -8,7 +8,7 @@ use drex_core::camera::Camera;
 
 use super::colmap::Model;
 use super::companions::{Companions, photos_under, size_of, with_known_extension};
-use super::{Capture, CaptureOptions, Keypoint, SparsePoint, View, refuse, rgbd, transforms};
+use super::{Capture, CaptureOptions, Keypoint, SparsePoint, View, refuse};
 use crate::Result;
 
 /// A view before its files are looked up.
@@ -20,36 +20,6 @@ pub(super) struct Posed {
     pub(super) lens: Camera,
     pub(super) camera_from_world: Pose,
     pub(super) keypoints: Vec<Keypoint>,
-}
-
-pub(super) fn load(folder: &Path, options: &CaptureOptions) -> Result<Capture> {
-    let places = places_of_models(folder);
-    if !places.is_empty() {
-        return load_model(folder, &places, options);
-    }
-    match transforms::find(folder) {
-        Some(file) => transforms::load(folder, &file, options),
-        None if rgbd::is_recording(folder) => rgbd::load(folder, options),
-        None => refuse(
-            format!("{} has no COLMAP model, no transforms.json and no cam_K.txt", folder.display()),
-            "put the model into sparse/0, or let COLMAP reconstruct the photos",
-        ),
-    }
-}
-
-/// Whether the folder says where its photos were taken from.
-pub(super) fn has_cameras(folder: &Path) -> bool {
-    !places_of_models(folder).is_empty() || transforms::find(folder).is_some() || rgbd::is_recording(folder)
-}
-
-/// The folder's usual places, as far as there is a model.
-fn places_of_models(folder: &Path) -> Vec<PathBuf> {
-    let mut places = models_in(&folder.join("sparse"));
-    places.extend(models_in(&folder.join("colmap/sparse")));
-    if Model::is_in(folder) {
-        places.insert(0, folder.into());
-    }
-    places
 }
 
 /// `folder` and the folders in it, as far as there is a model.

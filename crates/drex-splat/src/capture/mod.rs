@@ -17,6 +17,7 @@
 mod assemble;
 mod colmap;
 mod companions;
+mod layout;
 mod photos;
 mod point_cloud;
 mod report;
@@ -126,7 +127,7 @@ impl Capture {
     /// If there is none of these, a file is damaged, no photo is found, or a photo or mask has
     /// another aspect than its camera.
     pub fn load(folder: &Path, options: &CaptureOptions) -> Result<Self> {
-        assemble::load(folder, options)
+        layout::load(folder, options)
     }
 
     /// As [`Capture::load`], but where a folder has only photos, COLMAP is asked for their cameras (see [`find_cameras`]).
@@ -139,7 +140,7 @@ impl Capture {
         colmap: &ColmapOptions,
         progress: &mut dyn FnMut(&str),
     ) -> Result<Self> {
-        if assemble::has_cameras(folder) {
+        if layout::has_cameras(folder) {
             return Self::load(folder, options);
         }
         find_cameras(folder, options, colmap, progress)

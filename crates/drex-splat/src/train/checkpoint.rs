@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::optim::Moments;
 use crate::train::model::Model;
 use crate::train::options::TrainOptions;
-use crate::train::trainer::State;
+use crate::train::state::State;
 use crate::{Error, Gaussians, Kind, Label, Result};
 
 const MAGIC: &[u8; 8] = b"drexgs1\n";

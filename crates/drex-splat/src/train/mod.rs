@@ -7,6 +7,7 @@ mod init;
 mod model;
 mod options;
 mod preset;
+mod state;
 mod trainer;
 mod views;
 

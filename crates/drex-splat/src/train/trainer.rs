@@ -18,6 +18,7 @@ use crate::train::density::{self, Statistics};
 use crate::train::hull::VisualHull;
 use crate::train::model::{Model, position_rate};
 use crate::train::options::{Density, TrainOptions};
+use crate::train::state::State;
 use crate::train::views::{Views, check_sizes, reduced};
 use crate::{Error, Gaussians, Kind, PinholeCamera, Rasterizer, Render, RenderGradients, RenderOptions, Result, usage};
 
@@ -33,22 +34,6 @@ pub struct Trainer<'a, V, R> {
     extent: f64,
     hull: VisualHull,
     state: State,
-}
-
-/// Everything that changes from step to step.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct State {
-    pub step: u32,
-    /// How often opacities have been reset.
-    pub resets: u32,
-    pub model: Model,
-    pub statistics: Statistics,
-    /// Affine colours, one for each photo trained on.
-    pub exposures: Vec<Exposure>,
-    pub exposure_moments: Vec<Moments>,
-    /// Corrections of the poses, one for each photo trained on: quaternion w, x, y, z and translation.
-    pub poses: Vec<[f64; 7]>,
-    pub pose_moments: Vec<Moments>,
 }
 
 /// Where a run is.
@@ -67,22 +52,6 @@ pub struct Progress {
 /// Nothing is drawn nearer to a camera than this share of the scene's extent: what hangs right before one lens is seen by
 /// no other and only fogs it.
 pub(crate) const NEAR: f32 = 0.04;
-
-impl State {
-    pub fn new(model: Model, photos: usize) -> Self {
-        let n = model.len();
-        Self {
-            step: 0,
-            resets: 0,
-            model,
-            statistics: Statistics::new(n),
-            exposures: vec![Exposure::default(); photos],
-            exposure_moments: vec![Moments::new(12, 1); photos],
-            poses: vec![[1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]; photos],
-            pose_moments: vec![Moments::new(6, 1); photos],
-        }
-    }
-}
 
 impl<'a, V: Views, R: Rasterizer> Trainer<'a, V, R> {
     /// A run that starts from `gaussians` and looks at the photos `indices` of `views`. `extent` is the size of the

@@ -77,7 +77,7 @@ const SHAPE: u64 = 11;
 /// Words of what densification and the camera get from a Gaussian: centre 2, absolute values 2, radius 1, twist 6.
 const STATISTICS: u64 = 11;
 /// Words of a pixel's images: colour 3, alpha, depth; normal 3, median depth, distortion as well; and the count.
-const LOOKS: u64 = 5;
+const APPEARANCE: u64 = 5;
 const IMAGES: u64 = 10;
 const IMAGES_AND_COUNT: u64 = IMAGES + 1;
 
@@ -318,7 +318,7 @@ impl Gpu {
     /// All images in one transfer: waiting for the GPU costs more than the bytes.
     fn download(&self, images: &Buffer, camera: &PinholeCamera, surface: bool, count: bool) -> Result<Render> {
         let pixels = camera.width * camera.height;
-        let sections = if surface || count { IMAGES_AND_COUNT } else { LOOKS };
+        let sections = if surface || count { IMAGES_AND_COUNT } else { APPEARANCE };
         let all: Vec<f32> = self.device.read(images, 0, sections as usize * pixels)?;
         let mut rest = all.as_slice();
         let [rgb, alpha, depth, normal, median_depth, distortion, counts] =

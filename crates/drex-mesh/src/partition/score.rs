@@ -1,4 +1,4 @@
-//! How well convex pieces stand for a solid.
+//! How well convex parts stand for a solid.
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -29,7 +29,7 @@ pub struct UnionDistance {
     pub volume_ratio: f64,
 }
 
-/// Compares the union of convex pieces with the solid that `mesh` encloses (its boundary with lids over openings and
+/// Compares the union of convex parts with the solid that `mesh` encloses (its boundary with lids over openings and
 /// without walls inside).
 ///
 /// `samples` points are spread by area over all pieces; those in another piece, or within 1e-5 of the diagonal of one, are no

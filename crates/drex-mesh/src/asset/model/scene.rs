@@ -40,13 +40,14 @@ impl Default for SceneOptions {
 pub struct Background {
     /// What is seen.
     pub visual: TriMesh,
-    /// What is touched: convex pieces, as from [`crate::convex_pieces`]; may be empty.
-    pub pieces: Vec<TriMesh>,
+    /// What is touched: convex parts, as from [`crate::convex_parts`]; may be empty.
+    pub convex_parts: Vec<TriMesh>,
 }
 
 /// MJCF of the asset in its scene; `folder` is where the file will lie.
 pub(crate) fn scene(asset: &Asset, options: &SceneOptions, folder: &Path) -> Result<String> {
-    let link = Link { name: "object", prefix: "", pieces: asset.pieces.len(), properties: &asset.properties };
+    let link =
+        Link { name: "object", prefix: "", convex_parts: asset.convex_parts.len(), properties: &asset.properties };
     let mut assets = meshes(&link);
     let mut world =
         if options.table { TABLE.to_string() } else { TABLE.lines().take(1).map(|l| format!("{l}\n")).collect() };
@@ -64,7 +65,7 @@ pub(crate) fn scene(asset: &Asset, options: &SceneOptions, folder: &Path) -> Res
         );
     }
     if let Some(background) = &options.background {
-        let names: Vec<String> = background_names(background.pieces.len()).collect();
+        let names: Vec<String> = background_names(background.convex_parts.len()).collect();
         let _ = writeln!(world, "    <body name=\"background\">");
         for (k, name) in names.iter().enumerate() {
             let (class, inertia) = if k == 0 { ("visual", " inertia=\"shell\"") } else { ("collision", "") };
@@ -89,8 +90,8 @@ fn background_names(pieces: usize) -> impl Iterator<Item = String> {
 
 /// Files of the background's meshes.
 pub(crate) fn background_files(background: &Background) -> Vec<(String, Vec<u8>)> {
-    let meshes = std::iter::once(&background.visual).chain(&background.pieces);
-    background_names(background.pieces.len())
+    let meshes = std::iter::once(&background.visual).chain(&background.convex_parts);
+    background_names(background.convex_parts.len())
         .zip(meshes)
         .map(|(name, mesh)| (format!("mesh/{name}.obj"), obj_text(mesh).into_bytes()))
         .collect()

@@ -1,8 +1,8 @@
 """Convex pieces of meshes next to CoACD, V-HACD 4 and parry's V-HACD, all measured by the same program.
 
     pip install coacd vhacdx trimesh scipy
-    cargo build --release -p drex-mesh --example convex_pieces
-    OMP_NUM_THREADS=1 RAYON_NUM_THREADS=1 python tests/peers/convex_pieces.py [--pieces N] [--skip coacd] MESH ...
+    cargo build --release -p drex-mesh --example convex_parts
+    OMP_NUM_THREADS=1 RAYON_NUM_THREADS=1 python tests/peers/convex_parts.py [--pieces N] [--skip coacd] MESH ...
 
 Prints one line per mesh and method: pieces, most corners of a piece, distance from the surface of the union to the mesh (mean, 99th
 percentile, largest, mm), share of the solid in no piece, volume of the union over the solid's, CPU seconds. The peers run with their
@@ -20,7 +20,7 @@ import numpy as np
 import trimesh
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-EXAMPLE = ROOT / "target" / "release" / "examples" / "convex_pieces"
+EXAMPLE = ROOT / "target" / "release" / "examples" / "convex_parts"
 COLUMNS = ["pieces", "most_corners", "mean_mm", "p99_mm", "max_mm", "uncovered_share", "volume_ratio", "cpu_s"]
 
 

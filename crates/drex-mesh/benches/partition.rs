@@ -1,9 +1,9 @@
-//! Time of dividing a cup into convex pieces, and of scoring them.
+//! Time of dividing a cup into convex parts, and of scoring them.
 #![allow(missing_docs, clippy::unwrap_used)] // a benchmark
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use drex_core::TriMesh;
-use drex_mesh::{PieceOptions, convex_pieces, union_distance};
+use drex_mesh::{PartitionOptions, convex_parts, union_distance};
 use nalgebra::Point3;
 
 /// A square cup of 80 mm with walls of 10 mm.
@@ -24,11 +24,11 @@ fn cup() -> TriMesh {
 
 fn run(c: &mut Criterion) {
     let mesh = cup();
-    let options = PieceOptions::default();
-    let pieces = convex_pieces(&mesh, &options).unwrap();
-    let mut group = c.benchmark_group("pieces");
+    let options = PartitionOptions::default();
+    let pieces = convex_parts(&mesh, &options).unwrap();
+    let mut group = c.benchmark_group("partition");
     group.sample_size(10);
-    group.bench_function("square cup", |b| b.iter(|| convex_pieces(&mesh, &options).unwrap()));
+    group.bench_function("square cup", |b| b.iter(|| convex_parts(&mesh, &options).unwrap()));
     group.bench_function("score, 10,000 samples", |b| b.iter(|| union_distance(&mesh, &pieces, 10_000, 1).unwrap()));
     group.finish();
 }

@@ -26,14 +26,14 @@ pub(crate) struct Link<'a> {
     pub name: &'a str,
     /// What the names of its meshes and geoms start with: empty, or the name and `_`.
     pub prefix: &'a str,
-    pub pieces: usize,
+    pub convex_parts: usize,
     pub properties: &'a MassProperties,
 }
 
 impl Link<'_> {
     /// Names of the collision meshes, without extension.
     fn collisions(&self) -> impl Iterator<Item = String> + '_ {
-        (0..self.pieces).map(|k| format!("{}collision_{k:02}", self.prefix))
+        (0..self.convex_parts).map(|k| format!("{}collision_{k:02}", self.prefix))
     }
 
     fn visual(&self) -> String {

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use crate::model::{JointConfig, JointKind};
+use super::{JointConfig, JointKind};
 use nalgebra::{Point3, Vector3};
 
 use super::mjcf::{TABLE, defaults, free_body, header, keyframes, link_content, meshes};
@@ -37,7 +37,12 @@ fn links<'a>(asset: &'a ArticulatedAsset, prefixes: &'a [String]) -> Vec<Link<'a
         .parts
         .iter()
         .zip(prefixes)
-        .map(|((name, part), prefix)| Link { name, prefix, pieces: part.pieces.len(), properties: &part.properties })
+        .map(|((name, part), prefix)| Link {
+            name,
+            prefix,
+            convex_parts: part.convex_parts.len(),
+            properties: &part.properties,
+        })
         .collect()
 }
 

@@ -1,5 +1,5 @@
 //! Convex pieces of a mesh and how far their union is from it, as one line of JSON:
-//! `cargo run --release -p drex-mesh --example convex_pieces -- FILE [--pieces N] [--out DIR] [--vhacd] [--score DIR]`.
+//! `cargo run --release -p drex-mesh --example convex_parts -- FILE [--pieces N] [--out DIR] [--vhacd] [--score DIR]`.
 //!
 //! `--vhacd` uses parry's V-HACD in place of this crate's method, `--score DIR` measures the OBJ files in a folder.
 #![allow(clippy::print_stdout)] // an example talks to a person
@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use drex_core::TriMesh;
 use drex_core::mesh::convex_hull;
-use drex_mesh::{PieceOptions, convex_pieces, read_mesh, repair, union_distance, write_obj};
+use drex_mesh::{PartitionOptions, convex_parts, read_mesh, repair, union_distance, write_obj};
 use nalgebra::Point3;
 use parry3d_f64::math::Vector;
 use parry3d_f64::transformation::vhacd::{VHACD, VHACDParameters};
@@ -18,11 +18,11 @@ type Any<T> = Result<T, Box<dyn std::error::Error>>;
 fn main() -> Any<()> {
     let mut arguments = std::env::args().skip(1);
     let (mut file, mut out, mut score, mut vhacd, mut samples) = (None, None, None, false, 100_000);
-    let mut options = PieceOptions::default();
+    let mut options = PartitionOptions::default();
     while let Some(a) = arguments.next() {
         let mut value = || arguments.next().ok_or(format!("{a} needs a value"));
         match a.as_str() {
-            "--pieces" => options.most_pieces = value()?.parse()?,
+            "--pieces" => options.most_parts = value()?.parse()?,
             "--corners" => options.most_corners = value()?.parse()?,
             "--concavity" => options.concavity = value()?.parse()?,
             "--out" => out = Some(PathBuf::from(value()?)),
@@ -33,13 +33,13 @@ fn main() -> Any<()> {
         }
     }
     let file =
-        file.ok_or("usage: convex_pieces FILE [--pieces N] [--concavity SHARE] [--out DIR] [--vhacd] [--score DIR]")?;
+        file.ok_or("usage: convex_parts FILE [--pieces N] [--concavity SHARE] [--out DIR] [--vhacd] [--score DIR]")?;
     let (mesh, _) = repair(&read_mesh(&file)?, &Default::default())?;
     let start = cpu_seconds();
     let pieces = match &score {
         Some(folder) => read_folder(folder)?,
-        None if vhacd => parry(&mesh, options.most_pieces as u32),
-        None => convex_pieces(&mesh, &options)?,
+        None if vhacd => parry(&mesh, options.most_parts as u32),
+        None => convex_parts(&mesh, &options)?,
     };
     let seconds = cpu_seconds() - start;
     if let Some(out) = out {

@@ -21,7 +21,8 @@ use rayon::prelude::*;
 use drex_core::{Surface, TriMesh};
 
 use crate::hull::hull_volume;
-use crate::repair::{Shell, describe_shells};
+use crate::orient::Shell;
+use crate::repair::describe_shells;
 use crate::sdf::MeshSdf;
 use crate::solid::Enclosed;
 use crate::topology::Topology;
@@ -37,14 +38,14 @@ use cut::Scene;
 use part::Part;
 use tree::Division;
 
-/// Settings of [`convex_pieces`].
+/// Settings of [`convex_parts`].
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
-pub struct PieceOptions {
+pub struct PartitionOptions {
     /// A solid whose convex hull is at most this much larger in volume is one hull.
     pub convex_enough: f64,
     /// Pieces at most.
-    pub most_pieces: usize,
+    pub most_parts: usize,
     /// Corners per piece at most. A hull with more is replaced by one of that many corners fitted to it.
     pub most_corners: usize,
     /// Parts that fill a hollow deeper than this are cut while there are pieces left, and parts whose common hull stays within
@@ -52,9 +53,9 @@ pub struct PieceOptions {
     pub concavity: f64,
 }
 
-impl Default for PieceOptions {
+impl Default for PartitionOptions {
     fn default() -> Self {
-        Self { convex_enough: 0.05, most_pieces: 20, most_corners: 64, concavity: 0.0075 }
+        Self { convex_enough: 0.05, most_parts: 20, most_corners: 64, concavity: 0.0075 }
     }
 }
 
@@ -74,7 +75,7 @@ const COARSE: usize = 2500;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
-pub enum HowDivided {
+pub enum PartitionMethod {
     /// One hull: the solid is nearly convex.
     Hull,
     /// The mesh consists of closed convex shells, each is a piece.
@@ -85,29 +86,29 @@ pub enum HowDivided {
     HullAsLastResort,
 }
 
-/// Covers the solid that `mesh` encloses with convex pieces.
+/// Covers the solid that `mesh` encloses with convex parts.
 ///
 /// In this order: one hull if the solid is nearly convex; the shells themselves where they are closed and convex; cuts by
 /// planes for the rest. Openings are closed by flat lids first, cavities without an opening are filled. Every piece is a
-/// closed hull with at least 4 and at most [`PieceOptions::most_corners`] corners, and there are never more than
-/// [`PieceOptions::most_pieces`]; slivers below 1e-12 m³ are dropped. Neighbours reach over their common cut by 5e-5 of the
+/// closed hull with at least 4 and at most [`PartitionOptions::most_corners`] corners, and there are never more than
+/// [`PartitionOptions::most_parts`]; slivers below 1e-12 m³ are dropped. Neighbours reach over their common cut by 5e-5 of the
 /// diagonal of the mesh's box, so that no gap is left. The same mesh and options give the same pieces with any number of
 /// threads.
 ///
 /// # Errors
 /// If the mesh encloses no volume, or an option is out of range.
-pub fn convex_pieces(mesh: &TriMesh, options: &PieceOptions) -> Result<Vec<TriMesh>> {
+pub fn convex_parts(mesh: &TriMesh, options: &PartitionOptions) -> Result<Vec<TriMesh>> {
     Ok(divide(mesh, &Enclosed::new(mesh)?, options)?.0)
 }
 
 pub(crate) fn divide(
     mesh: &TriMesh,
     enclosed: &Enclosed,
-    options: &PieceOptions,
-) -> Result<(Vec<TriMesh>, HowDivided)> {
-    if options.most_corners < 4 || options.most_pieces == 0 || !(1e-6..=1.0).contains(&options.concavity) {
+    options: &PartitionOptions,
+) -> Result<(Vec<TriMesh>, PartitionMethod)> {
+    if options.most_corners < 4 || options.most_parts == 0 || !(1e-6..=1.0).contains(&options.concavity) {
         return Err(Error::value(
-            "the options for convex pieces are out of range",
+            "the options for convex parts are out of range",
             "allow 4 or more corners, 1 or more pieces and a concavity of 1e-6 to 1",
         ));
     }
@@ -118,11 +119,11 @@ pub(crate) fn divide(
     let filled = enclosed.solid.volume_m3 - cavities.iter().map(|s| s.volume_m3).sum::<f64>();
     let whole = convex_hull(&mesh.vertices)?;
     let (hulls, how) = if hull_volume(&whole) <= (1.0 + options.convex_enough) * filled {
-        (vec![whole], HowDivided::Hull)
+        (vec![whole], PartitionMethod::Hull)
     } else {
         divide_shells(mesh, enclosed, &shells, options).unwrap_or_else(|| {
             tracing::warn!("the convex decomposition failed: the hull of the whole object stands in");
-            (vec![whole], HowDivided::HullAsLastResort)
+            (vec![whole], PartitionMethod::HullAsLastResort)
         })
     };
     let pieces: Vec<TriMesh> =
@@ -135,8 +136,8 @@ fn divide_shells(
     mesh: &TriMesh,
     enclosed: &Enclosed,
     shells: &[Shell],
-    options: &PieceOptions,
-) -> Option<(Vec<TriMesh>, HowDivided)> {
+    options: &PartitionOptions,
+) -> Option<(Vec<TriMesh>, PartitionMethod)> {
     let faces = |shells: &[&Shell]| TriMesh {
         vertices: mesh.vertices.clone(),
         faces: shells.iter().flat_map(|s| &s.faces).map(|&f| mesh.faces[f as usize]).collect(),
@@ -144,14 +145,14 @@ fn divide_shells(
     let convex: Vec<Option<TriMesh>> = shells.iter().map(|s| convex_shell(mesh, s, options.convex_enough)).collect();
     let kept: Vec<TriMesh> = convex.iter().flatten().cloned().collect();
     let rest: Vec<&Shell> = shells.iter().zip(&convex).filter(|(_, hull)| hull.is_none()).map(|(s, _)| s).collect();
-    if rest.is_empty() && kept.len() <= options.most_pieces {
-        return Some((kept, HowDivided::Shells));
+    if rest.is_empty() && kept.len() <= options.most_parts {
+        return Some((kept, PartitionMethod::Shells));
     }
     // With openings a single shell says nothing about the solid.
-    let all = enclosed.capped.openings > 0 || kept.len() >= options.most_pieces;
+    let all = enclosed.capped.openings > 0 || kept.len() >= options.most_parts;
     let (kept, rest) = if all { (Vec::new(), shells.iter().collect()) } else { (kept, rest) };
-    let parts = decompose(&faces(&rest), enclosed.whole, options, options.most_pieces - kept.len())?;
-    Some((kept.into_iter().chain(parts).collect(), HowDivided::Decomposed))
+    let parts = decompose(&faces(&rest), enclosed.whole, options, options.most_parts - kept.len())?;
+    Some((kept.into_iter().chain(parts).collect(), PartitionMethod::Decomposed))
 }
 
 /// The hull of a shell that is closed, wound outwards and nearly convex.
@@ -165,7 +166,7 @@ fn convex_shell(mesh: &TriMesh, shell: &Shell, convex_enough: f64) -> Option<Tri
 }
 
 /// Cuts the solid into parts and joins what fits together; `None` if it has no surface.
-fn decompose(mesh: &TriMesh, whole: bool, options: &PieceOptions, most: usize) -> Option<Vec<TriMesh>> {
+fn decompose(mesh: &TriMesh, whole: bool, options: &PartitionOptions, most: usize) -> Option<Vec<TriMesh>> {
     let solid = if whole { MeshSdf::of_whole(mesh.clone()) } else { MeshSdf::new(mesh) }.ok()?;
     let (lo, hi) = solid.bounds();
     let size = (hi - lo).norm();
@@ -214,7 +215,7 @@ mod tests {
 
     #[test]
     fn a_nearly_convex_mesh_is_one_hull_of_few_corners() {
-        let pieces = convex_pieces(&sphere(0.05, 4), &PieceOptions::default()).unwrap();
+        let pieces = convex_parts(&sphere(0.05, 4), &PartitionOptions::default()).unwrap();
         assert_eq!((pieces.len(), pieces[0].vertices.len()), (1, 64));
     }
 
@@ -222,7 +223,7 @@ mod tests {
     fn boxes_of_a_letter_are_its_pieces() {
         let t =
             joined(&[cuboid([-0.05, 0.0, 0.0], [0.05, 0.02, 0.03]), cuboid([-0.01, -0.06, 0.0], [0.01, 0.0, 0.03])]);
-        let pieces = convex_pieces(&t, &PieceOptions::default()).unwrap();
+        let pieces = convex_parts(&t, &PartitionOptions::default()).unwrap();
         assert_eq!(pieces.iter().map(|p| p.vertices.len()).collect::<Vec<_>>(), [8, 8]);
     }
 
@@ -251,15 +252,15 @@ mod tests {
         let solid = crate::solid_properties(&bowl).unwrap();
         let truth = 0.1 * 0.1 * 0.06 - 0.08 * 0.08 * 0.05;
         assert!(solid.closed && (solid.volume_m3 - truth).abs() < 1e-12, "{solid:?}");
-        let pieces = convex_pieces(&bowl, &PieceOptions::default()).unwrap();
+        let pieces = convex_parts(&bowl, &PartitionOptions::default()).unwrap();
         let sum: f64 = pieces.iter().map(hull_volume).sum();
         assert!(pieces.len() >= 5 && sum < 1.2 * truth && sum > 0.95 * truth, "{} pieces, {sum} {truth}", pieces.len());
-        assert_eq!(pieces, convex_pieces(&bowl, &PieceOptions::default()).unwrap());
+        assert_eq!(pieces, convex_parts(&bowl, &PartitionOptions::default()).unwrap());
     }
 
     #[test]
     fn options_out_of_range_are_refused() {
-        let options = PieceOptions { most_corners: 3, ..PieceOptions::default() };
-        assert!(convex_pieces(&sphere(0.05, 2), &options).is_err());
+        let options = PartitionOptions { most_corners: 3, ..PartitionOptions::default() };
+        assert!(convex_parts(&sphere(0.05, 2), &options).is_err());
     }
 }

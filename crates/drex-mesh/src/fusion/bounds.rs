@@ -35,7 +35,7 @@ struct Sample {
 
 /// What all views say together.
 #[derive(Debug)]
-pub(super) struct Survey {
+pub(super) struct BoundsEstimate {
     /// Box of the object's points.
     pub bounds: Aabb,
     /// Median width of a pixel on the surface, metres.
@@ -56,7 +56,7 @@ struct Look {
     samples: Vec<Sample>,
 }
 
-impl Survey {
+impl BoundsEstimate {
     /// Looks at every view once.
     pub fn new(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> Result<Self> {
         let n = views.len();
@@ -171,7 +171,7 @@ pub(super) struct Walls {
     pub spread_m: f64,
 }
 
-impl Survey {
+impl BoundsEstimate {
     /// Probes the thickness of walls up to `deepest_m`: averages the samples per cell and facing, then looks from each
     /// patch along its inward normal for one that faces the other way.
     pub fn walls(&self, cell_m: f64, deepest_m: f64) -> Walls {

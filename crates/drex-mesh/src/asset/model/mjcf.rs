@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use crate::model::ContactConfig;
+use super::contact::ContactConfig;
 use drex_core::Pose;
 
 use super::{Link, numbers, place, pos_quat};
@@ -18,7 +18,8 @@ const LEAST_PROBABILITY: f64 = 0.005;
 /// The inertia is written out, never inferred from the pieces (their overlaps would count twice). The visual mesh has
 /// no mass and no contacts. Contact parameters sit in one default class. Stable poses are keyframes `rest_0`, `rest_1`…
 pub(crate) fn mjcf(asset: &Asset) -> String {
-    let link = Link { name: "object", prefix: "", pieces: asset.pieces.len(), properties: &asset.properties };
+    let link =
+        Link { name: "object", prefix: "", convex_parts: asset.convex_parts.len(), properties: &asset.properties };
     format!(
         r#"<mujoco model="object">
 {header}{defaults}  <asset>

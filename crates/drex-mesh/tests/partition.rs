@@ -4,7 +4,7 @@
 mod support;
 
 use drex_core::TriMesh;
-use drex_mesh::{PieceOptions, UnionDistance, convex_pieces, read_mesh, repair, union_distance};
+use drex_mesh::{PartitionOptions, UnionDistance, convex_parts, read_mesh, repair, union_distance};
 use nalgebra::Point3;
 use proptest::prelude::*;
 use support::shared;
@@ -33,18 +33,18 @@ fn cup(sectors: usize) -> TriMesh {
     revolved(&outline, sectors)
 }
 
-fn check(pieces: &[TriMesh], options: &PieceOptions) {
-    assert!(!pieces.is_empty() && pieces.len() <= options.most_pieces, "{} pieces", pieces.len());
+fn check(pieces: &[TriMesh], options: &PartitionOptions) {
+    assert!(!pieces.is_empty() && pieces.len() <= options.most_parts, "{} pieces", pieces.len());
     for piece in pieces {
         assert!((4..=options.most_corners).contains(&piece.vertices.len()));
         assert!(piece.mass_properties(1.0).unwrap().mass_kg > 1e-12);
     }
 }
 
-fn divided(mesh: &TriMesh, most_pieces: usize) -> (Vec<TriMesh>, UnionDistance) {
-    let mut options = PieceOptions::default();
-    options.most_pieces = most_pieces;
-    let pieces = convex_pieces(mesh, &options).unwrap();
+fn divided(mesh: &TriMesh, most_parts: usize) -> (Vec<TriMesh>, UnionDistance) {
+    let mut options = PartitionOptions::default();
+    options.most_parts = most_parts;
+    let pieces = convex_parts(mesh, &options).unwrap();
     check(&pieces, &options);
     let distance = union_distance(mesh, &pieces, 20_000, 5).unwrap();
     eprintln!("{} pieces: {distance:?}", pieces.len());
@@ -66,11 +66,11 @@ fn a_cup_comes_close_to_equal_sectors_and_a_floor() {
 #[test]
 fn the_same_pieces_with_any_number_of_threads() {
     let mesh = cup(16);
-    let mut options = PieceOptions::default();
-    options.most_pieces = 6;
+    let mut options = PartitionOptions::default();
+    options.most_parts = 6;
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| convex_pieces(&mesh, &options).unwrap())
+        pool.install(|| convex_parts(&mesh, &options).unwrap())
     };
     assert_eq!(with(1), with(3));
 }
@@ -127,9 +127,9 @@ proptest! {
         let vertices: Vec<_> = points.iter().map(|&[x, y, z]| Point3::new(x, y, if flat { 0.0 } else { z })).collect();
         let n = vertices.len() as u32;
         let faces = (0..n).map(|i| [i, (i * 7 + 1) % n, (i * 3 + 2) % n]).collect();
-        let mut options = PieceOptions::default();
-        options.most_pieces = 5;
-        if let Ok(pieces) = convex_pieces(&TriMesh { vertices, faces }, &options) {
+        let mut options = PartitionOptions::default();
+        options.most_parts = 5;
+        if let Ok(pieces) = convex_parts(&TriMesh { vertices, faces }, &options) {
             prop_assert!(pieces.len() <= 5);
         }
     }

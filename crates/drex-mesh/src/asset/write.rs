@@ -7,10 +7,9 @@ use drex_core::Error as CoreError;
 use drex_core::fsutil::{output_path, temporary_path, write_atomic};
 use serde::Serialize;
 
+use super::{ArticulatedAsset, Asset, model};
 use crate::Result;
-use crate::asset::{ArticulatedAsset, Asset};
 use crate::io::obj_text;
-use crate::model;
 
 /// Names, relative to the folder, and contents.
 type Files = Vec<(String, Vec<u8>)>;
@@ -29,26 +28,34 @@ pub(crate) fn write_asset(asset: &Asset, scene: Option<&model::SceneOptions>, ou
     write_files(out, &files)
 }
 
-pub(crate) fn write_articulated(asset: &ArticulatedAsset, out: &Path) -> Result<()> {
-    let mut files: Files = asset.parts.iter().flat_map(|(name, part)| part_files(&format!("{name}_"), part)).collect();
-    let parts = asset.parts.iter();
-    let meshes: Vec<_> = parts.map(|(name, part)| (name.as_str(), &part.visual, part.colors.as_deref())).collect();
-    files.push(report(out, &asset.report)?);
-    files.push(("asset/object.glb".into(), model::glb(&meshes, &asset.world_from_mesh_at_rest)?));
-    files.push(("asset/object.urdf".into(), model::articulated_urdf(asset).into()));
-    files.push(("asset/object.xml".into(), model::articulated_mjcf(asset).into()));
-    write_files(out, &files)
+impl ArticulatedAsset {
+    /// Writes `mesh/PART_visual.obj`, `mesh/PART_collision_NN.obj`, `mesh/report.json`, `asset/object.xml` (MJCF),
+    /// `asset/object.urdf` and `asset/object.glb` under `out`, as [`Asset::write`] does.
+    ///
+    /// # Errors
+    /// If a file cannot be written; what was there before stays.
+    pub fn write(&self, out: &Path) -> Result<()> {
+        let mut files: Files =
+            self.parts.iter().flat_map(|(name, part)| part_files(&format!("{name}_"), part)).collect();
+        let parts = self.parts.iter();
+        let meshes: Vec<_> = parts.map(|(name, part)| (name.as_str(), &part.visual, part.colors.as_deref())).collect();
+        files.push(report(out, &self.report)?);
+        files.push(("asset/object.glb".into(), model::glb(&meshes, &self.world_from_mesh_at_rest)?));
+        files.push(("asset/object.urdf".into(), model::articulated_urdf(self).into()));
+        files.push(("asset/object.xml".into(), model::articulated_mjcf(self).into()));
+        write_files(out, &files)
+    }
 }
 
 fn part_files(prefix: &str, part: &Asset) -> Files {
     let visual = (format!("mesh/{prefix}visual.obj"), obj_text(&part.visual).into_bytes());
-    let pieces = part.pieces.iter().enumerate();
-    let pieces = pieces.map(|(k, p)| (piece_file(prefix, k), obj_text(p).into_bytes()));
+    let pieces = part.convex_parts.iter().enumerate();
+    let pieces = pieces.map(|(k, p)| (part_file(prefix, k), obj_text(p).into_bytes()));
     std::iter::once(visual).chain(pieces).collect()
 }
 
 /// Name of the file of piece `k`, from 0.
-pub(crate) fn piece_file(prefix: &str, k: usize) -> String {
+pub(crate) fn part_file(prefix: &str, k: usize) -> String {
     format!("mesh/{prefix}collision_{k:02}.obj")
 }
 
