@@ -143,7 +143,7 @@ pub fn shell_properties(mesh: &TriMesh, wall_m: f64) -> Result<Hollow> {
         Some(wall) => (wall, HollowModel::Offset),
         None => (solid, HollowModel::Solid),
     };
-    Ok(Hollow { properties, volume_m3: properties.mass_kg, how })
+    Ok(Hollow { properties, volume_m3: properties.mass_kg, model: how })
 }
 
 /// What is left of a body when a part of it is taken out, both at the same density.
@@ -335,10 +335,10 @@ mod tests {
             let core = unit(&cuboid([t; 3], size.map(|s| s - t)));
             let (dv, di) = relative(&wall.properties, &difference(&unit(&mesh), &core).unwrap());
             eprintln!("box, wall {t}: volume {dv:.1e}, inertia {di:.1e}");
-            assert!(wall.how == how && dv < tolerance && di < tolerance, "{t}: {dv} {di} {:?}", wall.how);
+            assert!(wall.model == how && dv < tolerance && di < tolerance, "{t}: {dv} {di} {:?}", wall.model);
             assert!((wall.properties.center_of_mass - Point3::new(0.05, 0.03, 0.02)).norm() < 1e-5);
         }
-        assert_eq!(shell_properties(&mesh, 0.03).unwrap().how, HollowModel::Solid);
+        assert_eq!(shell_properties(&mesh, 0.03).unwrap().model, HollowModel::Solid);
         assert!(shell_properties(&mesh, 0.0).is_err() && shell_properties(&mesh, f64::NAN).is_err());
     }
 
@@ -356,7 +356,7 @@ mod tests {
                 open.volume_m3,
                 whole.volume_m3
             );
-            assert_eq!(open.how, whole.how);
+            assert_eq!(open.model, whole.model);
         }
     }
 
@@ -368,7 +368,7 @@ mod tests {
             // The polyhedron's inner parallel body is the polyhedron with the inner radius.
             let core = unit(&mesh.scaled(1.0 - t / 0.05));
             let (dv, di) = relative(&wall.properties, &difference(&unit(&mesh), &core).unwrap());
-            eprintln!("sphere, wall {t}: volume {dv:.1e}, inertia {di:.1e}, {:?}", wall.how);
+            eprintln!("sphere, wall {t}: volume {dv:.1e}, inertia {di:.1e}, {:?}", wall.model);
             assert!(dv < 2e-3 && di < 2e-3, "{t}: {dv} {di}");
         }
     }

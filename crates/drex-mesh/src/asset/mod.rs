@@ -15,6 +15,7 @@ use drex_core::fsutil::{from_json, read_text};
 use drex_core::{MassProperties, Pose, PoseRecord, TriMesh};
 
 pub use self::articulated::{ArticulatedAsset, ArticulatedReport, Part, articulated_asset};
+pub use self::model::{Background, SceneOptions};
 pub use self::options::{AssetOptions, LengthUnit, UpSource};
 pub use model::{ContactConfig, JointConfig, JointKind, PartConfig, joint_tree};
 pub use object::read_object;
@@ -221,7 +222,7 @@ fn of_mesh(mesh: &TriMesh, options: &AssetOptions, divided: Option<(Vec<TriMesh>
         });
     }
     let (unit_density, hollow) = match options.wall_m {
-        Some(wall_m) => shell_properties(&visual, wall_m).map(|h| (h.properties, Some(h.how)))?,
+        Some(wall_m) => shell_properties(&visual, wall_m).map(|h| (h.properties, Some(h.model)))?,
         None => (solid.properties, None),
     };
     let properties = unit_density.with_mass(options.mass_kg.unwrap_or(options.density_kg_m3 * unit_density.mass_kg));

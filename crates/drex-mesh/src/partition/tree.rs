@@ -50,7 +50,7 @@ impl<'a> Division<'a> {
         self.groups.iter().map(|g| g.fill.cost).sum()
     }
 
-    pub fn pieces(&self) -> usize {
+    pub fn hull_count(&self) -> usize {
         self.groups.iter().filter(|g| g.hull.is_some()).count()
     }
 
@@ -137,7 +137,7 @@ impl<'a> Division<'a> {
         }
         loop {
             let mut best: Option<(f64, usize, usize)> = None;
-            let full = self.pieces() > most;
+            let full = self.hull_count() > most;
             for i in 0..n {
                 for j in 0..i {
                     let Some(group) = &joined[i][j] else { continue };

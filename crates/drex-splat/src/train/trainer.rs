@@ -10,9 +10,9 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::capture::Photo;
 use crate::loss::{
-    self, DepthOptions, DepthTarget, Exposure, MaskMode, PhotometricOptions, SurfaceOptions, SurfaceTarget, Target,
+    self, DepthOptions, DepthTarget, MaskMode, PhotometricOptions, SurfaceOptions, SurfaceTarget, Target,
 };
-use crate::optim::{Moments, adam_step};
+use crate::optim::adam_step;
 use crate::train::checkpoint;
 use crate::train::density::{self, Statistics};
 use crate::train::hull::VisualHull;
