@@ -97,7 +97,7 @@ fn the_mjcf_says_what_the_asset_is() {
         2
     );
     let report: serde_json::Value = serde_json::from_slice(&fs::read(out.join("mesh/report.json")).unwrap()).unwrap();
-    assert_eq!(report["closing_method"], "union");
+    assert_eq!(report["how_closed"], "union");
     assert!((report["volume_m3"].as_f64().unwrap() - bar - stem).abs() < 2e-4 * bar);
 }
 
