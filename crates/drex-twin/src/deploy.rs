@@ -9,9 +9,9 @@ use drex_core::fsutil;
 use drex_hw::allegro::AllegroVersion;
 use drex_hw::control::{EStop, GraspPlan};
 use drex_hw::driver::{self, Driver, GraspResult, GuardSettings, HandKind, Run, Setup, SetupOptions};
-use drex_hw::law::{LimitMode, LimitOptions, Nominal, TorqueLaw, torque_limits_nm};
 use drex_hw::leap::FindingKind;
 use drex_hw::leap::table::MotorModel;
+use drex_hw::torque_current::{LimitMode, LimitOptions, Nominal, TorqueCurrentModel, torque_limits_nm};
 use drex_robot::Robot;
 use drex_trial::{Reach, TrialOptions};
 use serde::Serialize;
@@ -53,7 +53,7 @@ pub struct Limits {
     /// Largest effort of each joint in the hold.
     pub force: Vec<f64>,
     /// Torque-current model; absent where the hand takes torques.
-    pub law: Option<TorqueLaw>,
+    pub law: Option<TorqueCurrentModel>,
     /// Motors that the model is of; absent where the hand takes torques.
     pub motor: Option<&'static str>,
     /// Whether the motors were assumed, not found.
@@ -260,9 +260,9 @@ fn limits(options: &DeployOptions, setup: &Setup, found: Option<MotorModel>, gra
     }
     let model = found.unwrap_or_else(|| setup.expected_motors());
     let models = model.torque_current_models();
-    let law: TorqueLaw = match &options.torque_model {
+    let law: TorqueCurrentModel = match &options.torque_model {
         Some(file) => fsutil::from_json(file, &fsutil::read_text(file)?)?,
-        None => TorqueLaw::nominal(models[0])?,
+        None => TorqueCurrentModel::nominal(models[0])?,
     };
     let mode = if options.uniform { LimitMode::Uniform } else { LimitMode::Jacobian };
     let cap = setup.leap.cap_ma.unwrap_or(model.gentle_cap_ma());

@@ -69,7 +69,7 @@ impl Twin {
 /// The object as identification takes it: convex parts, and mass properties at one kilogram.
 pub fn object_model(asset: &Asset) -> ObjectModel {
     ObjectModel {
-        pieces: asset.pieces.iter().map(|p| p.vertices.clone()).collect(),
+        pieces: asset.convex_parts.iter().map(|p| p.vertices.clone()).collect(),
         unit: asset.properties.with_mass(1.0),
     }
 }

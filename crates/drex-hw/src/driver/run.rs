@@ -5,7 +5,9 @@ use std::io::BufWriter;
 use std::path::Path;
 use std::time::Duration;
 
-use crate::control::{Behaviour, ControlOptions, EStop, Ended, JointTrouble, LoopReport, run, telemetry, write_csv};
+use crate::control::{
+    ControlOptions, Controller, EStop, JointFault, LoopReport, StopReason, run, telemetry, write_csv,
+};
 use crate::{Clock, Error, Hand, Result};
 
 /// Cycles of telemetry that may wait for the disk.
@@ -33,7 +35,7 @@ pub struct Run<'a> {
 /// If the hand fails, somebody stops it, its torque cannot be taken off, or the log cannot be written.
 pub fn run_logged(
     hand: &mut dyn Hand,
-    controller: &mut (impl Behaviour + ?Sized),
+    controller: &mut (impl Controller + ?Sized),
     clock: &dyn Clock,
     how: &Run<'_>,
 ) -> Result<LoopReport> {
@@ -42,7 +44,7 @@ pub fn run_logged(
         .with_estop(how.stop)
         .with_outage(how.outage)
         .with_off_patience(OFF_PATIENCE);
-    options.limp = how.torque_off;
+    options.torque_off = how.torque_off;
     let Some(log) = how.log else {
         let report = run(hand, controller, clock, options);
         return ended(report, hand);
@@ -72,11 +74,11 @@ fn ended(report: LoopReport, hand: &dyn Hand) -> Result<LoopReport> {
     if report.torque_off.is_err() {
         return Err(Error::NotAllowed(off));
     }
-    match report.ended {
-        Ended::Done => {
-            let lasting = report.troubles.iter().filter_map(|(j, t)| match t {
-                JointTrouble::Ended(_) => Some(format!("{} {t}", joints[*j])),
-                JointTrouble::HardwareError(code) => {
+    match report.stop_reason {
+        StopReason::Done => {
+            let lasting = report.faults.iter().filter_map(|(j, t)| match t {
+                JointFault::Lasting(_) => Some(format!("{} {t}", joints[*j])),
+                JointFault::HardwareError(code) => {
                     Some(format!("{} had a hardware error on the way: {}", joints[*j], hand.error_text(*code)))
                 }
                 _ => None,
@@ -88,20 +90,20 @@ fn ended(report: LoopReport, hand: &dyn Hand) -> Result<LoopReport> {
             }
             Ok(report)
         }
-        Ended::Stopped => Err(Error::NotAllowed(format!("stopped: {off}"))),
-        Ended::Failed(error) => Err(Error::RunEnded { off, source: Box::new(error) }),
-        Ended::Panicked(what) => Err(Error::NotAllowed(format!("{off} after a fault of this program: {what}"))),
+        StopReason::Stopped => Err(Error::NotAllowed(format!("stopped: {off}"))),
+        StopReason::Failed(error) => Err(Error::RunEnded { off, source: Box::new(error) }),
+        StopReason::Panicked(what) => Err(Error::NotAllowed(format!("{off} after a fault of this program: {what}"))),
     }
 }
 
 /// What became of the torque.
 fn off(report: &LoopReport) -> String {
-    let why = match &report.ended {
-        Ended::Failed(error) => format!(" The hand was left because of this: {error}"),
+    let why = match &report.stop_reason {
+        StopReason::Failed(error) => format!(" The hand was left because of this: {error}"),
         _ => String::new(),
     };
     match &report.torque_off {
-        Ok(()) if matches!(report.ended, Ended::Failed(Error::Port { .. })) => {
+        Ok(()) if matches!(report.stop_reason, StopReason::Failed(Error::Port { .. })) => {
             format!(
                 "torque off, {:.2} s after the hand was given up: it could be reached again",
                 report.off_took.as_secs_f64()

@@ -9,7 +9,8 @@ use nalgebra::{Matrix3, Point3};
 use serde::Deserialize;
 
 use super::Asset;
-use crate::{GridOptions, GridSdf, MeshSdf, Result, read_mesh, write};
+use super::write;
+use crate::{GridOptions, GridSdf, MeshSdf, Result, read_mesh};
 
 /// How far around the object a search for grasps asks for distances, metres; most of a hand is nearer.
 const SEARCH_MARGIN_M: f64 = 0.1;
@@ -37,7 +38,7 @@ impl Asset {
         Object {
             name: name.to_owned(),
             mesh: Arc::new(self.visual.clone()),
-            convex_parts: Arc::new(self.pieces.iter().map(|p| p.vertices.clone()).collect()),
+            convex_parts: Arc::new(self.convex_parts.iter().map(|p| p.vertices.clone()).collect()),
             mass_properties: self.properties,
             geometry,
             friction: self.friction,
@@ -64,7 +65,7 @@ pub fn read_object(out: &Path, name: &str) -> Result<Object> {
     let report = out.join("mesh/report.json");
     let written: Written = from_json(&report, &read_text(&report)?)?;
     let mesh = read_mesh(&out.join("mesh/visual.obj"))?;
-    let part = |k: usize| Ok(read_mesh(&out.join(write::piece_file("", k)))?.vertices);
+    let part = |k: usize| Ok(read_mesh(&out.join(write::part_file("", k)))?.vertices);
     Ok(Object {
         name: name.to_owned(),
         convex_parts: Arc::new((0..written.pieces).map(part).collect::<Result<_>>()?),

@@ -76,7 +76,7 @@ impl ObjectConfig {
         options.unit = self.unit.into();
         options.up_in_mesh = Some(Vector3::from(self.up_in_mesh));
         options.friction = friction;
-        options.pieces.most_pieces = self.pieces.unwrap_or(options.pieces.most_pieces);
+        options.partition.most_parts = self.pieces.unwrap_or(options.partition.most_parts);
         options.contact = self.contact.clone().unwrap_or_default();
         options
     }

@@ -2,7 +2,7 @@
 
 use anyhow::{Result, bail};
 use drex_hw::SystemClock;
-use drex_hw::control::{Controller, HoldPosition, LoopReport, LoopStats, StopReason, Trajectory, Waypoint};
+use drex_hw::control::{Controller, HoldPosition, LoopReport, LoopStats, Trajectory, Waypoint};
 use drex_recording::readers::read_joint_log_csv;
 use serde_json::{Value, json};
 
