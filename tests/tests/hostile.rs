@@ -74,7 +74,7 @@ fn models_of_40_000_links_are_read() {
         let followed = |j: usize| robot.joints[robot.joints[j].mimic.unwrap().joint].name.clone();
         let first = robot.joints.iter().position(|j| j.name == "j1").unwrap();
         assert_eq!(followed(first), "j39999");
-        assert!(robot.unread.len() >= 40_000, "one note per link without mass: {}", robot.unread.len());
+        assert!(robot.unsupported.len() >= 40_000, "one note per link without mass: {}", robot.unsupported.len());
     }
     let robot = Robot::from_mjcf_str(&String::from_utf8(hostile::mjcf(40_000)).unwrap(), None).unwrap();
     assert_eq!((robot.links.len(), robot.actuators.len()), (40_001, 40_000));

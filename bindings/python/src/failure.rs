@@ -109,8 +109,8 @@ impl From<drex_sysid::SysidError> for Failure {
     }
 }
 
-impl From<drex_diffsim::SimError> for Failure {
-    fn from(error: drex_diffsim::SimError) -> Self {
+impl From<drex_diffsim::Error> for Failure {
+    fn from(error: drex_diffsim::Error) -> Self {
         Self::Refused(error.to_string())
     }
 }

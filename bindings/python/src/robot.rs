@@ -124,8 +124,8 @@ impl Robot {
 
     /// What the file has and is not used, one sentence each.
     #[getter]
-    fn unread(&self) -> Vec<String> {
-        self.model.unread.clone()
+    fn unsupported(&self) -> Vec<String> {
+        self.model.unsupported.clone()
     }
 
     /// The fingers that were found in the model: dicts with name, is_thumb, joints, links, tip_link (names) and tip_point_m, the

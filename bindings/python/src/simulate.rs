@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use drex_core::Pose;
 use drex_diffsim::{
-    ActuatorKind, AppliedForce, Articulation, Base, Body, BodyState, Collider, Control, ConvexPiece, Dual, Fixed,
+    ActuatorKind, AppliedForce, Articulation, Base, Body, BodyState, Collider, Control, ConvexPolyhedron, Dual, StaticBody,
     ForcePoint, Model, Part, Path, Record, Scalar, Scene, State, parameter, rollout,
 };
 use nalgebra::{Point3, UnitQuaternion, Vector3};
@@ -60,11 +60,11 @@ impl Setup {
     fn run<T: Scalar>(&self, mass_kg: T, friction: T) -> Result<Record<T>> {
         let mut scene = Scene::empty();
         scene.gravity = self.gravity.map(T::lift);
-        scene.fixed.extend(self.table.map(|(height_m, _)| Fixed::table(height_m, friction)));
+        scene.static_bodies.extend(self.table.map(|(height_m, _)| StaticBody::table(height_m, friction)));
         let mut bodies = Vec::new();
         let mut states = Vec::new();
         if let Some(object) = &self.object {
-            let pieces = object.asset.convex_parts.iter().map(|p| ConvexPiece::from_points(&p.vertices));
+            let pieces = object.asset.convex_parts.iter().map(|p| ConvexPolyhedron::from_points(&p.vertices));
             let collider = Collider::convex(pieces.collect::<Result<_, _>>()?);
             bodies.push(Body::new(&object.asset.properties, mass_kg, Arc::new(collider)));
             states.push(BodyState {
@@ -85,7 +85,7 @@ impl Setup {
             let q: Vec<T> = arm.q.iter().map(|x| T::lift(*x)).collect();
             arms.push(articulation.at_rest(&q, 0.0)?);
             scene.controls.extend(arm.control.clone());
-            model = model.with_arm(articulation);
+            model = model.with_articulation(articulation);
         }
         Ok(rollout(&model, &scene, &State::new(states, arms), &self.times_s)?)
     }

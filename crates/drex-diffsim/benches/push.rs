@@ -8,8 +8,8 @@ use std::sync::Arc;
 use criterion::{Criterion, criterion_group, criterion_main};
 use drex_core::{MassProperties, Pose};
 use drex_diffsim::{
-    AppliedForce, Base, Body, Collider, ConvexPiece, Dual, ForcePoint, Geom, Job, Model, Part, Scalar, Scene, Shape,
-    State, Workspace, parameter, rollout, rollout_batch, step,
+    AppliedForce, Base, Body, Collider, ConvexPolyhedron, Dual, ForcePoint, Geom, Job, Model, Part, Scalar, Scene,
+    Shape, State, Workspace, parameter, rollout, rollout_batch, step,
 };
 use nalgebra::{Matrix3, Point3, RealField, UnitQuaternion, Vector3};
 
@@ -38,7 +38,7 @@ fn rounded(n: usize) -> Arc<Collider> {
             })
         })
         .collect();
-    Arc::new(Collider::convex(vec![ConvexPiece::from_points(&points).unwrap()]))
+    Arc::new(Collider::convex(vec![ConvexPolyhedron::from_points(&points).unwrap()]))
 }
 
 fn block() -> Arc<Collider> {
@@ -76,7 +76,7 @@ fn pushes(c: &mut Criterion) {
 
 fn air(c: &mut Criterion) {
     let (model, mut scene, start) = scene(&block(), VALUES);
-    scene.fixed.clear();
+    scene.static_bodies.clear();
     let mut work = Workspace::default();
     let mut state = start.clone();
     c.bench_function("one step in the air under a known force", |b| {
@@ -92,7 +92,7 @@ fn hand(c: &mut Criterion) {
     let of = pick::Pick { mass_kg: 0.2, friction: 0.5, cap_nm: 0.29, squeeze: 1.5, reserve_nm: 0.1, dt_s: 2e-3 };
     let (mut model, scene, start) = pick::scene(&of).unwrap();
     let mut state = rollout(&model, &scene, &start, &[3.0]).unwrap().last;
-    model.arms[0].base = Base::Fixed(state.arms[0].base.world_from_base);
+    model.articulations[0].base = Base::Fixed(state.articulations[0].base.world_from_base);
     let mut work = Workspace::default();
     c.bench_function("one step of the LEAP holding a box", |b| {
         b.iter(|| step(&model, &scene, black_box(&mut state), &mut work).unwrap());

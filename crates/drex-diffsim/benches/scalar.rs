@@ -8,7 +8,7 @@ use std::sync::Arc;
 use criterion::{Criterion, criterion_group, criterion_main};
 use drex_core::{MassProperties, Pose};
 use drex_diffsim::{
-    AppliedForce, Body, Collider, ConvexPiece, Dual, ForcePoint, Model, Part, Scalar, Scene, State, rollout,
+    AppliedForce, Body, Collider, ConvexPolyhedron, Dual, ForcePoint, Model, Part, Scalar, Scene, State, rollout,
 };
 use nalgebra::{ComplexField, Matrix3, Point3, UnitQuaternion, Vector3};
 use num_dual::DualSVec64;
@@ -17,7 +17,7 @@ fn shape() -> Arc<Collider> {
     let half = Vector3::new(0.03, 0.03, 0.04);
     let corner =
         |i: usize| Point3::from(half.component_mul(&Vector3::from_fn(|k, _| if i >> k & 1 == 0 { -1.0 } else { 1.0 })));
-    Arc::new(Collider::convex(vec![ConvexPiece::from_points(&(0..8).map(corner).collect::<Vec<_>>()).unwrap()]))
+    Arc::new(Collider::convex(vec![ConvexPolyhedron::from_points(&(0..8).map(corner).collect::<Vec<_>>()).unwrap()]))
 }
 
 /// Final x of a block that is pushed and slides to rest. As many of ln m, friction, the centre of mass and the start

@@ -81,11 +81,10 @@ pub struct Outcome {
 
 /// Hand, box and table, at the start of the pick.
 pub fn scene(pick: &Pick) -> Result<(Model<f64>, Scene<f64>, State<f64>)> {
-    let robot =
-        Arc::new(Robot::bundled("leap_right").map_err(|e| drex_diffsim::SimError::Series {
-            what: e.to_string(),
-            remedy: "reinstall drex-robot".into(),
-        })?);
+    let robot = Arc::new(
+        Robot::bundled("leap_right")
+            .map_err(|e| drex_diffsim::Error::Series { what: e.to_string(), remedy: "reinstall drex-robot".into() })?,
+    );
     let height = CONTACT_HEIGHT_M - CENTER.2;
     let at = |z: f64| Pose::translation(0.0, 0.0, z);
     let lift = Path::smooth(&[0.5, 2.5], &[at(height), at(height + 0.2)])?;
@@ -95,7 +94,7 @@ pub fn scene(pick: &Pick) -> Result<(Model<f64>, Scene<f64>, State<f64>)> {
     }
     let q = robot
         .joint_vector(GRASP)
-        .map_err(|e| drex_diffsim::SimError::Series { what: e.to_string(), remedy: "use the bundled hand".into() })?;
+        .map_err(|e| drex_diffsim::Error::Series { what: e.to_string(), remedy: "use the bundled hand".into() })?;
     let torque = torques(&hand, &q, pick, &at(height));
     let drives = hand.actuators.iter_mut();
     let commands: Vec<f64> = drives
@@ -115,17 +114,17 @@ pub fn scene(pick: &Pick) -> Result<(Model<f64>, Scene<f64>, State<f64>)> {
         Translation3::new(CENTER.0, CENTER.1, HALF.z),
         UnitQuaternion::from_euler_angles(0.0, 0.0, YAW),
     );
-    let mut model = Model::new(vec![Body::new(&unit, pick.mass_kg, Arc::new(collider))]).with_arm(hand);
+    let mut model = Model::new(vec![Body::new(&unit, pick.mass_kg, Arc::new(collider))]).with_articulation(hand);
     model.dt_s = pick.dt_s;
     let mut scene = Scene::on_table(pick.friction);
     scene.controls.push(control);
     let mut open = q;
     for (name, angle) in OPEN {
-        open[model.arms[0].joint_index(name)?] += angle;
+        open[model.articulations[0].joint_index(name)?] += angle;
     }
-    let arm = model.arms[0].at_rest(&open, 0.0)?;
+    let arm = model.articulations[0].at_rest(&open, 0.0)?;
     let mut start = State::at_rest(pose);
-    start.arms.push(arm);
+    start.articulations.push(arm);
     Ok((model, scene, start))
 }
 
@@ -153,8 +152,8 @@ fn torques(hand: &Articulation<f64>, q: &[f64], pick: &Pick, world_from_base: &P
 pub fn run(pick: &Pick) -> Result<Outcome> {
     let (model, scene, mut state) = scene(pick)?;
     let mut work = Workspace::default();
-    let in_hand = |s: &State<f64>| s.arms[0].base.world_from_base.inverse() * s.bodies[0].world_from_body;
-    let links = model.arms[0].robot.links.len();
+    let in_hand = |s: &State<f64>| s.articulations[0].base.world_from_base.inverse() * s.bodies[0].world_from_body;
+    let links = model.articulations[0].robot.links.len();
     let (mut slips, mut marks) = (Vec::new(), Vec::new());
     for end in [0.5, 2.5, 5.5] {
         let mut way = vec![Vector3::zeros(); links];
@@ -176,11 +175,12 @@ pub fn run(pick: &Pick) -> Result<Outcome> {
         slips.push(way.iter().map(Vector3::norm).fold(0.0, f64::max));
         marks.push(in_hand(&state));
     }
-    let thumb = model.arms[0].robot.fingers().iter().find(|f| f.is_thumb).map(|f| f.links.clone()).unwrap_or_default();
+    let thumb =
+        model.articulations[0].robot.fingers().iter().find(|f| f.is_thumb).map(|f| f.links.clone()).unwrap_or_default();
     let of_thumb = |p: Part| matches!(p, Part::Link { link, .. } if thumb.contains(&(link as usize)));
     let thumb_n = work.contacts().filter(|c| of_thumb(c.key.b)).map(|c| c.force.dot(&c.normal)).sum();
-    let drives = model.arms[0].actuators.iter().zip(scene.controls[0].at(0.0));
-    let torque_nm = drives.map(|(a, c)| (STIFFNESS * (c - state.arms[0].q[a.joint])).abs());
+    let drives = model.articulations[0].actuators.iter().zip(scene.controls[0].at(0.0));
+    let torque_nm = drives.map(|(a, c)| (STIFFNESS * (c - state.articulations[0].q[a.joint])).abs());
     Ok(Outcome {
         height_m: state.bodies[0].world_from_body.translation.z - HALF.z,
         slip_lift_m: slips[1],

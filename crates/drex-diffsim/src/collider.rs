@@ -4,7 +4,7 @@ use drex_core::Pose;
 use nalgebra::{Point3, Vector3};
 
 use crate::collide::CollisionGeom;
-use crate::{ConvexPiece, Geom, Result, Shape};
+use crate::{ConvexPolyhedron, Geom, Result, Shape};
 
 /// Shapes in the frame of a body, with what contact search needs. Made once, shared by all models of the same body.
 #[derive(Debug, Clone)]
@@ -26,8 +26,8 @@ impl Collider {
         Ok(Self::from_prepared(prepared.collect::<Result<_>>()?, geoms.to_vec()))
     }
 
-    /// Convex pieces in the body's own frame.
-    pub fn convex(pieces: Vec<ConvexPiece>) -> Self {
+    /// Convex polyhedra in the body's own frame.
+    pub fn convex(pieces: Vec<ConvexPolyhedron>) -> Self {
         let geoms: Vec<Geom> = pieces.into_iter().map(|p| Geom::new(Shape::Convex(p.into()))).collect();
         // A piece was checked when it was made, and the identity is a pose.
         let prepared = geoms.iter().filter_map(|g| CollisionGeom::new(&g.shape, &g.body_from_shape).ok()).collect();

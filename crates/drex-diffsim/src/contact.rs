@@ -7,16 +7,16 @@ use crate::Scalar;
 /// Something that can touch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Part {
-    /// `scene.fixed[i]`.
-    Fixed(u32),
-    /// `scene.movers[i]`.
-    Mover(u32),
+    /// `scene.static_bodies[i]`.
+    Static(u32),
+    /// `scene.kinematic_bodies[i]`.
+    Kinematic(u32),
     /// `model.bodies[i]`.
     Body(u32),
-    /// Link `link` of `model.arms[arm]`.
+    /// Link `link` of `model.articulations[arm]`.
     Link {
         /// Index of the articulation.
-        arm: u32,
+        articulation: u32,
         /// Index of the link.
         link: u32,
     },

@@ -1,6 +1,6 @@
 //! Constants of contact, of the default model and of MuJoCo's.
 
-use crate::{Result, Scalar, SimError};
+use crate::{Error, Result, Scalar};
 
 /// Constants of compliant contact. By default all are per unit mass: contact never makes the mass of a body visible.
 ///
@@ -72,7 +72,7 @@ impl<T: Scalar> ContactOptions<T> {
             if let Some(x) = value.map(|x| x.value())
                 && !(x.is_finite() && x > above)
             {
-                return Err(SimError::Option { name, value: x });
+                return Err(Error::Option { name, value: x });
             }
         }
         self.soft.as_ref().map_or(Ok(()), SoftContact::check)
@@ -116,7 +116,7 @@ impl SoftContact {
             ("soft.friction_ratio", self.friction_ratio, positive(self.friction_ratio)),
         ] {
             if !good {
-                return Err(SimError::Option { name, value });
+                return Err(Error::Option { name, value });
             }
         }
         Ok(())

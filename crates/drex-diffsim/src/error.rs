@@ -1,12 +1,12 @@
 //! What a simulation refuses, and why it stops.
 
 /// Result of this crate.
-pub type Result<T, E = SimError> = std::result::Result<T, E>;
+pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// Errors of models, scenes and rollouts. Each names what was wrong, where, and what to do.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-pub enum SimError {
+pub enum Error {
     /// The mass is zero, negative or not finite.
     #[error("body {body}: mass {mass_kg} kg is not a positive number; give the mass in kilograms")]
     Mass {
@@ -32,11 +32,11 @@ pub enum SimError {
         /// Which quantity.
         what: String,
     },
-    /// The points of a convex piece span no volume.
+    /// The points of a convex polyhedron span no volume.
     #[error(
-        "a convex piece of {points} points spans no volume; give at least four points that do not lie in one plane"
+        "a convex polyhedron of {points} points spans no volume; give at least four points that do not lie in one plane"
     )]
-    FlatPiece {
+    FlatPolyhedron {
         /// Number of points given.
         points: usize,
     },
@@ -122,7 +122,7 @@ pub enum SimError {
         part: String,
     },
     /// Contact between two shapes is not found.
-    #[error("{what}: contact between these kinds of shapes is not found; give one of them convex pieces")]
+    #[error("{what}: contact between these kinds of shapes is not found; give one of them convex polyhedra")]
     Unsupported {
         /// Which shapes.
         what: String,

@@ -24,7 +24,7 @@
 //! let end = rollout(&model, &scene, &start, &[0.1])?.bodies[0].poses[0].translation.vector.z;
 //! assert!((end.re - (0.02 + 0.5 * (3.0 / 0.2 - 9.81) * 0.01)).abs() < 2e-4);
 //! assert!((tangents(&end)[0] + 0.5 * 3.0 / 0.2 * 0.01).abs() < 1e-3);
-//! # Ok::<(), drex_diffsim::SimError>(())
+//! # Ok::<(), drex_diffsim::Error>(())
 //! ```
 //!
 //! # Conventions
@@ -59,12 +59,12 @@ mod state;
 mod step;
 
 pub use articulation::{
-    ActuatorKind, ActuatorParams, ArmState, Articulation, Base, BaseState, JointParams, LinkInertia,
+    ActuatorKind, ActuatorParams, Articulation, ArticulationState, Base, BaseState, JointParams, LinkInertia,
 };
 pub use collider::Collider;
 pub use contact::{ContactForce, ContactKey, Part};
 pub use contact_options::{ContactOptions, SoftContact};
-pub use error::{Result, SimError};
+pub use error::{Error, Result};
 pub use material::Material;
 #[cfg(feature = "ablation")]
 pub use model::Scheme;
@@ -72,8 +72,8 @@ pub use model::{Body, Method, Model};
 pub use path::{Motion, Path};
 pub use rollout::{Job, Record, Track, check, record, rollout, rollout_batch};
 pub use scalar::{Dual, Scalar, parameter, tangents};
-pub use scene::{AppliedForce, Control, Fixed, ForcePoint, Mover, Scene};
-pub use shape::{ConvexPiece, Geom, SdfShape, Shape, SurfacePoints};
+pub use scene::{AppliedForce, Control, ForcePoint, KinematicBody, Scene, StaticBody};
+pub use shape::{ConvexPolyhedron, Geom, SdfShape, Shape, SurfacePoints};
 pub use state::{Anchor, BodyState, State};
 pub use step::{Workspace, step};
 

@@ -1,6 +1,6 @@
 //! Surfaces: friction and the size of a point of contact.
 
-use crate::{Result, Scalar, SimError};
+use crate::{Error, Result, Scalar};
 
 /// What a surface does to another one that it touches.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -29,7 +29,7 @@ impl<T: Scalar> Material<T> {
 pub(crate) fn check_friction<T: Scalar>(material: &Material<T>, what: impl Fn() -> String) -> Result<()> {
     let mu = material.friction.value();
     if !(mu >= 0.0 && mu.is_finite() && material.torsion_radius_m >= 0.0 && material.torsion_radius_m.is_finite()) {
-        return Err(SimError::Friction { what: what(), friction: mu });
+        return Err(Error::Friction { what: what(), friction: mu });
     }
     Ok(())
 }

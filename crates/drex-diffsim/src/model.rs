@@ -9,7 +9,7 @@ use crate::articulation::Articulation;
 use crate::collider::Collider;
 use crate::contact_options::ContactOptions;
 use crate::material::{Material, check_friction};
-use crate::{Result, Scalar, SimError};
+use crate::{Error, Result, Scalar};
 
 /// Steps beyond this are refused: contact would be found centimetres late.
 const LONGEST_STEP_S: f64 = 0.02;
@@ -53,16 +53,16 @@ impl<T: Scalar> Body<T> {
     fn check(&self, body: usize) -> Result<()> {
         let mass_kg = self.mass_kg.value();
         if !(mass_kg.is_finite() && mass_kg > 0.0) {
-            return Err(SimError::Mass { body, mass_kg });
+            return Err(Error::Mass { body, mass_kg });
         }
         if self.center_of_mass.iter().chain(self.unit_inertia.iter()).any(|x| !x.value().is_finite()) {
-            return Err(SimError::NotFinite { what: format!("body {body}: centre of mass or inertia") });
+            return Err(Error::NotFinite { what: format!("body {body}: centre of mass or inertia") });
         }
         let e = SymmetricEigen::new(self.unit_inertia.map(|x| x.value())).eigenvalues;
         let mut moments = [e[0], e[1], e[2]];
         moments.sort_by(f64::total_cmp);
         if !(moments[0] > 0.0 && moments[0] + moments[1] >= moments[2] * (1.0 - 1e-6)) {
-            return Err(SimError::Inertia { body, moments });
+            return Err(Error::Inertia { body, moments });
         }
         check_friction(&self.material, || format!("body {body}"))
     }
@@ -110,7 +110,7 @@ pub struct Model<T: Scalar> {
     /// Free rigid bodies.
     pub bodies: Vec<Body<T>>,
     /// Robots.
-    pub arms: Vec<Articulation<T>>,
+    pub articulations: Vec<Articulation<T>>,
     /// Constants of contact.
     pub contact: ContactOptions<T>,
     /// Time step, seconds.
@@ -122,12 +122,18 @@ pub struct Model<T: Scalar> {
 impl<T: Scalar> Model<T> {
     /// A model with default contact and a step of 0.5 ms.
     pub fn new(bodies: Vec<Body<T>>) -> Self {
-        Self { bodies, arms: Vec::new(), contact: ContactOptions::default(), dt_s: 5e-4, method: Method::default() }
+        Self {
+            bodies,
+            articulations: Vec::new(),
+            contact: ContactOptions::default(),
+            dt_s: 5e-4,
+            method: Method::default(),
+        }
     }
 
     /// The model with one more articulation.
-    pub fn with_arm(mut self, arm: Articulation<T>) -> Self {
-        self.arms.push(arm);
+    pub fn with_articulation(mut self, arm: Articulation<T>) -> Self {
+        self.articulations.push(arm);
         self
     }
 
@@ -138,7 +144,7 @@ impl<T: Scalar> Model<T> {
     /// integrated with.
     pub fn check(&self) -> Result<()> {
         self.bodies.iter().enumerate().try_for_each(|(i, b)| b.check(i))?;
-        self.arms.iter().try_for_each(Articulation::check)?;
+        self.articulations.iter().try_for_each(Articulation::check)?;
         self.contact.check()?;
         self.check_step()
     }
@@ -146,11 +152,11 @@ impl<T: Scalar> Model<T> {
     /// Checks the time step and the method.
     pub(crate) fn check_step(&self) -> Result<()> {
         #[cfg(feature = "ablation")]
-        if self.method != Method::SemiImplicit && !self.arms.is_empty() {
-            return Err(SimError::Method);
+        if self.method != Method::SemiImplicit && !self.articulations.is_empty() {
+            return Err(Error::Method);
         }
         if !(self.dt_s > 0.0 && self.dt_s <= LONGEST_STEP_S) {
-            return Err(SimError::TimeStep { dt_s: self.dt_s, limit_s: LONGEST_STEP_S });
+            return Err(Error::TimeStep { dt_s: self.dt_s, limit_s: LONGEST_STEP_S });
         }
         Ok(())
     }

@@ -5,7 +5,7 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 use crate::math::exp;
 use crate::series::check_series;
-use crate::{Result, SimError};
+use crate::{Error, Result};
 
 /// Poses over time; the first holds before, the last from its time on.
 #[derive(Debug, Clone, PartialEq)]
@@ -112,11 +112,11 @@ impl Path {
 fn turns(times_s: &[f64], poses: &[Pose]) -> Result<Vec<Vector3<f64>>> {
     check_series("path", times_s, poses.len())?;
     if let Some(i) = poses.iter().position(|p| p.translation.vector.iter().any(|x| !x.is_finite()) || !is_unit(p)) {
-        return Err(SimError::NotFinite { what: format!("path: the pose of sample {i}") });
+        return Err(Error::NotFinite { what: format!("path: the pose of sample {i}") });
     }
     let turns: Vec<_> = poses.windows(2).map(|w| (w[0].rotation.inverse() * w[1].rotation).scaled_axis()).collect();
     match turns.iter().position(|t| t.norm() > 0.99 * std::f64::consts::PI) {
-        Some(i) => Err(SimError::Series {
+        Some(i) => Err(Error::Series {
             what: format!("path: samples {i} and {} are half a turn apart", i + 1),
             remedy: "add samples between them".into(),
         }),

@@ -5,7 +5,7 @@ use nalgebra::{Translation3, Vector3};
 use rayon::prelude::*;
 
 use crate::math::exp;
-use crate::{Body, BodyState, Method, Model, Result, Scalar, Scene, SimError, State, Workspace, step};
+use crate::{Body, BodyState, Error, Method, Model, Result, Scalar, Scene, State, Workspace, step};
 
 /// The motion of everything at chosen times.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,8 +48,8 @@ pub fn rollout<T: Scalar>(model: &Model<T>, scene: &Scene<T>, start: &State<T>, 
 /// another simulator of the same model.
 ///
 /// # Errors
-/// [`SimError::Series`] for times that decrease or are not finite, and the errors of `step`.
-pub fn record<T: Scalar, E: From<SimError>>(
+/// [`Error::Series`] for times that decrease or are not finite, and the errors of `step`.
+pub fn record<T: Scalar, E: From<Error>>(
     model: &Model<T>,
     start: &State<T>,
     times_s: &[f64],
@@ -65,7 +65,7 @@ pub fn record<T: Scalar, E: From<SimError>>(
         angular_velocities: Vec::with_capacity(n),
     };
     let mut bodies: Vec<Track<T>> = model.bodies.iter().map(|_| track()).collect();
-    let mut joints: Vec<Vec<Vec<T>>> = model.arms.iter().map(|_| Vec::with_capacity(n)).collect();
+    let mut joints: Vec<Vec<Vec<T>>> = model.articulations.iter().map(|_| Vec::with_capacity(n)).collect();
     let mut previous = state.clone();
     // Step times are counted, not summed, so that they do not drift against the times of the samples.
     let mut steps = 0_u64;
@@ -92,7 +92,7 @@ pub fn record<T: Scalar, E: From<SimError>>(
             track.velocities.push(b.velocity - b.angular_velocity.cross(&arm));
             track.angular_velocities.push(b.angular_velocity);
         }
-        for (table, (a, b)) in joints.iter_mut().zip(previous.arms.iter().zip(&state.arms)) {
+        for (table, (a, b)) in joints.iter_mut().zip(previous.articulations.iter().zip(&state.articulations)) {
             table.push(a.q.iter().zip(&b.velocities).map(|(q, u)| *q + *u * since).collect());
         }
     }
@@ -125,7 +125,7 @@ fn between<T: Scalar>(body: &Body<T>, a: &BodyState<T>, b: &BodyState<T>, since:
 
 fn check_times(times_s: &[f64]) -> Result<()> {
     match (0..times_s.len()).find(|&i| !times_s[i].is_finite() || (i > 0 && times_s[i] < times_s[i - 1])) {
-        Some(i) => Err(SimError::Series {
+        Some(i) => Err(Error::Series {
             what: format!("record time {i} ({} s) is not finite or before its predecessor", times_s[i]),
             remedy: "sort the times".into(),
         }),

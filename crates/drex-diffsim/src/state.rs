@@ -3,9 +3,9 @@
 use drex_core::Pose;
 use nalgebra::Vector3;
 
-use crate::articulation::ArmState;
+use crate::articulation::ArticulationState;
 use crate::contact::{Contact, ContactKey};
-use crate::{Model, Result, Scalar, SimError};
+use crate::{Error, Model, Result, Scalar};
 
 /// State of one free body.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,7 +37,7 @@ pub struct State<T: Scalar> {
     /// One per body of the model.
     pub bodies: Vec<BodyState<T>>,
     /// One per articulation of the model.
-    pub arms: Vec<ArmState<T>>,
+    pub articulations: Vec<ArticulationState<T>>,
     /// Friction springs of the contacts that are closed, by increasing key.
     pub anchors: Vec<Anchor<T>>,
 }
@@ -63,8 +63,8 @@ impl<T: Scalar> State<T> {
     }
 
     /// Bodies and articulations, nothing touching yet, time zero.
-    pub fn new(bodies: Vec<BodyState<T>>, arms: Vec<ArmState<T>>) -> Self {
-        Self { time_s: 0.0, bodies, arms, anchors: Vec::new() }
+    pub fn new(bodies: Vec<BodyState<T>>, articulations: Vec<ArticulationState<T>>) -> Self {
+        Self { time_s: 0.0, bodies, articulations, anchors: Vec::new() }
     }
 
     /// Checks that there is one state per body and articulation of the model, and that all of it is finite.
@@ -73,13 +73,14 @@ impl<T: Scalar> State<T> {
     /// Names the body, or the robot and the joint.
     pub fn check(&self, model: &Model<T>) -> Result<()> {
         if !self.time_s.is_finite() {
-            return Err(SimError::NotFinite { what: format!("the time of the state, {} s,", self.time_s) });
+            return Err(Error::NotFinite { what: format!("the time of the state, {} s,", self.time_s) });
         }
-        for (what, given, needed) in
-            [("bodies", self.bodies.len(), model.bodies.len()), ("articulations", self.arms.len(), model.arms.len())]
-        {
+        for (what, given, needed) in [
+            ("bodies", self.bodies.len(), model.bodies.len()),
+            ("articulations", self.articulations.len(), model.articulations.len()),
+        ] {
             if given != needed {
-                return Err(SimError::Series {
+                return Err(Error::Series {
                     what: format!("the model has {needed} {what} but the state {given}"),
                     remedy: "give one state each".into(),
                 });
@@ -88,9 +89,9 @@ impl<T: Scalar> State<T> {
         for (i, s) in self.bodies.iter().enumerate() {
             let pose = s.world_from_body.translation.vector.iter().chain(s.world_from_body.rotation.coords.iter());
             if pose.chain(s.velocity.iter()).chain(s.angular_velocity.iter()).any(|x| !x.value().is_finite()) {
-                return Err(SimError::NotFinite { what: format!("body {i}: pose or velocity") });
+                return Err(Error::NotFinite { what: format!("body {i}: pose or velocity") });
             }
         }
-        model.arms.iter().zip(&self.arms).try_for_each(|(arm, s)| arm.check_state(s))
+        model.articulations.iter().zip(&self.articulations).try_for_each(|(arm, s)| arm.check_state(s))
     }
 }

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use drex_core::{MassProperties, Pose};
 use drex_diffsim::{
-    AppliedForce, Body, Collider, ConvexPiece, Fixed, ForcePoint, Model, Mover, Part, Scene, SimError, State,
-    Workspace, rollout, step,
+    AppliedForce, Body, Collider, ConvexPolyhedron, Error, ForcePoint, KinematicBody, Model, Part, Scene, State,
+    StaticBody, Workspace, rollout, step,
 };
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
 
@@ -25,7 +25,7 @@ fn block(half: Vector3<f64>, mass_kg: f64) -> Model<f64> {
     Model::new(vec![Body::new(
         &unit,
         mass_kg,
-        Arc::new(Collider::convex(vec![ConvexPiece::from_points(&corners(half)).unwrap()])),
+        Arc::new(Collider::convex(vec![ConvexPolyhedron::from_points(&corners(half)).unwrap()])),
     )])
 }
 
@@ -81,7 +81,7 @@ fn rest_depth_does_not_depend_on_the_number_of_rim_points() {
         let mut model = Model::new(vec![Body::new(
             &unit,
             0.3,
-            Arc::new(Collider::convex(vec![ConvexPiece::from_points(&points).unwrap()])),
+            Arc::new(Collider::convex(vec![ConvexPolyhedron::from_points(&points).unwrap()])),
         )]);
         model.contact.frequency_rad_s = 300.0;
         let end =
@@ -200,8 +200,8 @@ fn an_object_over_a_step_edge_rocks_about_it() {
     let mass = 0.2;
     let model = block(half, mass);
     let mut scene = Scene::on_table(0.6);
-    let step = Fixed::cuboid(Point3::new(-0.15, 0.0, 0.025), Vector3::new(0.15, 0.2, 0.025), 0.6).unwrap();
-    scene.fixed.push(step);
+    let step = StaticBody::cuboid(Point3::new(-0.15, 0.0, 0.025), Vector3::new(0.15, 0.2, 0.025), 0.6).unwrap();
+    scene.static_bodies.push(step);
     let start = State::at_rest(Pose::translation(-0.008, 0.0, 0.065));
     let arm = 0.04 - 0.008;
     let threshold = mass * G * 0.008 / arm;
@@ -256,7 +256,8 @@ fn a_symmetric_top_precesses_at_the_rate_of_its_momentum() {
         center_of_mass: Point3::origin(),
         inertia: Matrix3::from_diagonal(&Vector3::new(2e-3, 2e-3, 3e-3)),
     };
-    let shape = Arc::new(Collider::convex(vec![ConvexPiece::from_points(&corners(Vector3::repeat(0.05))).unwrap()]));
+    let shape =
+        Arc::new(Collider::convex(vec![ConvexPolyhedron::from_points(&corners(Vector3::repeat(0.05))).unwrap()]));
     let mut model = Model::new(vec![Body::new(&unit, 1.0, shape)]);
     model.dt_s = 1e-4;
     let mut scene = Scene::empty();
@@ -279,7 +280,7 @@ fn a_prescribed_sphere_moves_every_mass_alike() {
         .map(|m| {
             let model = block(Vector3::repeat(0.03), *m);
             let mut scene = Scene::on_table(0.4);
-            scene.movers.push(Mover::sphere(0.01, 0.6, &[0.1, 1.1], &path).unwrap());
+            scene.kinematic_bodies.push(KinematicBody::sphere(0.01, 0.6, &[0.1, 1.1], &path).unwrap());
             rollout(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.03)), &[1.3]).unwrap().bodies[0].poses
                 [0]
         })
@@ -296,19 +297,19 @@ fn nonsense_is_refused_by_name() {
     let scene = Scene::on_table(0.5);
     for mass in [0.0, -1.0, f64::NAN, f64::INFINITY] {
         let r = rollout(&block(half, mass), &scene, &start, &[0.1]);
-        assert!(matches!(r, Err(SimError::Mass { body: 0, .. })), "{mass}");
+        assert!(matches!(r, Err(Error::Mass { body: 0, .. })), "{mass}");
     }
     let deep = State::at_rest(Pose::translation(0.0, 0.0, -0.1));
-    assert!(matches!(rollout(&model, &scene, &deep, &[0.1]), Err(SimError::StartsInside { .. })));
+    assert!(matches!(rollout(&model, &scene, &deep, &[0.1]), Err(Error::StartsInside { .. })));
     model.dt_s = 0.5;
-    assert!(matches!(rollout(&model, &scene, &start, &[0.1]), Err(SimError::TimeStep { .. })));
+    assert!(matches!(rollout(&model, &scene, &start, &[0.1]), Err(Error::TimeStep { .. })));
     model.dt_s = 5e-4;
-    assert!(matches!(rollout(&model, &scene, &start, &[0.2, 0.1]), Err(SimError::Series { .. })));
+    assert!(matches!(rollout(&model, &scene, &start, &[0.2, 0.1]), Err(Error::Series { .. })));
     let mut nan = start.clone();
     nan.bodies[0].velocity.x = f64::NAN;
-    assert!(matches!(rollout(&model, &scene, &nan, &[0.1]), Err(SimError::NotFinite { .. })));
+    assert!(matches!(rollout(&model, &scene, &nan, &[0.1]), Err(Error::NotFinite { .. })));
     model.bodies[0].unit_inertia[(0, 0)] = 1.0;
-    assert!(matches!(rollout(&model, &scene, &start, &[0.1]), Err(SimError::Inertia { .. })));
+    assert!(matches!(rollout(&model, &scene, &start, &[0.1]), Err(Error::Inertia { .. })));
     assert!(
         AppliedForce::<f64>::new(
             Part::Body(0),
@@ -327,5 +328,5 @@ fn nonsense_is_refused_by_name() {
     .unwrap();
     let mut pushed = scene.clone();
     pushed.forces.push(wild);
-    assert!(matches!(rollout(&cube().1, &pushed, &start, &[1.0]), Err(SimError::Diverged { .. })));
+    assert!(matches!(rollout(&cube().1, &pushed, &start, &[1.0]), Err(Error::Diverged { .. })));
 }

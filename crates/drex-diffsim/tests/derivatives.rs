@@ -160,13 +160,13 @@ impl Motion<10> for FingerPush {
         arm.links[2].mass_kg = p[9];
         let mut body = cuboid(Vector3::new(0.03, 0.04, 0.03), p[0].exp());
         body.center_of_mass.y += p[2];
-        let mut model = Model::new(vec![body]).with_arm(arm);
+        let mut model = Model::new(vec![body]).with_articulation(arm);
         model.contact.frequency_rad_s = (p[3] * T::lift(0.5)).exp() * T::lift(1e3);
         let mut scene = Scene::on_table(p[1]);
         scene.controls.push(Control::constant(&[0.9, -0.2]).unwrap());
         let yaw = UnitQuaternion::from_scaled_axis(Vector3::new(T::zero(), T::zero(), p[7]));
         let pose = Pose::from_parts(Translation3::new(p[6], T::zero(), T::lift(0.03 - G / 1e6)), yaw);
-        let joints = model.arms[0].at_rest(&[T::lift(-0.4) + p[8], T::lift(0.9)], 0.0).unwrap();
+        let joints = model.articulations[0].at_rest(&[T::lift(-0.4) + p[8], T::lift(0.9)], 0.0).unwrap();
         let start = State::new(vec![BodyState::at_rest(pose)], vec![joints]);
         let end = rollout(&model, &scene, &start, &[0.35]).unwrap();
         let mut out = pose_of(&end.bodies[0].poses[0]).to_vec();
@@ -235,13 +235,13 @@ fn a_toss_of_several_bodies_does_not_see_their_common_mass() {
     let mut start = arm.at_rest(&[Dual::from_re(0.3), Dual::from_re(-0.5)], 0.0).unwrap();
     start.velocities = vec![Dual::from_re(2.0), Dual::from_re(-3.0)];
     start.base.velocity = Vector3::new(1.0, 0.0, 2.0).map(Dual::from_re);
-    let model = Model::new(Vec::new()).with_arm(arm);
+    let model = Model::new(Vec::new()).with_articulation(arm);
     scene.controls.push(Control::constant(&[]).unwrap());
     let (mut state, mut work) = (State::new(Vec::new(), vec![start]), Workspace::default());
     for _ in 0..600 {
         step(&model, &scene, &mut state, &mut work).unwrap();
     }
-    let arm = &state.arms[0];
+    let arm = &state.articulations[0];
     let joints =
         Pose::from_parts(Translation3::new(arm.q[0], arm.q[1], Dual::from_re(0.0)), UnitQuaternion::identity());
     by_mass("toss of a robot", &[arm.base.world_from_base, joints]);

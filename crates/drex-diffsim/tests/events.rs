@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use drex_core::{MassProperties, Pose};
-use drex_diffsim::{Body, Collider, ConvexPiece, Model, Scalar, Scene, State, parameter, rollout, tangents};
+use drex_diffsim::{Body, Collider, ConvexPolyhedron, Model, Scalar, Scene, State, parameter, rollout, tangents};
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
 
 const SPEED: f64 = 0.3;
@@ -16,7 +16,7 @@ fn thrown<T: Scalar>([height, friction]: [T; 2], until: f64) -> [T; 2] {
     let half = Vector3::new(0.03, 0.03, 0.02);
     let corner =
         |i: usize| Point3::from(half.component_mul(&Vector3::from_fn(|k, _| if i >> k & 1 == 0 { -1.0 } else { 1.0 })));
-    let piece = ConvexPiece::from_points(&(0..8).map(corner).collect::<Vec<_>>()).unwrap();
+    let piece = ConvexPolyhedron::from_points(&(0..8).map(corner).collect::<Vec<_>>()).unwrap();
     let inertia = Matrix3::from_diagonal(&Vector3::new(4.3e-4, 4.3e-4, 6e-4));
     let unit = MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia };
     let model = Model::new(vec![Body::new(&unit, T::lift(0.2), Arc::new(Collider::convex(vec![piece])))]);

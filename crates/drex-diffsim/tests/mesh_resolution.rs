@@ -7,7 +7,7 @@ use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
 use drex_core::{MassProperties, Pose};
-use drex_diffsim::{Collider, ConvexPiece};
+use drex_diffsim::{Collider, ConvexPolyhedron};
 use nalgebra::{Matrix3, Point3, Vector3};
 use recorded::engine;
 
@@ -196,7 +196,7 @@ impl Object {
         Self {
             vertices: points.len(),
             solid,
-            shape: Arc::new(Collider::convex(vec![ConvexPiece::from_points(points).unwrap()])),
+            shape: Arc::new(Collider::convex(vec![ConvexPolyhedron::from_points(points).unwrap()])),
         }
     }
 

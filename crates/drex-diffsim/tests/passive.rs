@@ -7,7 +7,9 @@ mod common;
 use std::sync::Arc;
 
 use drex_core::Pose;
-use drex_diffsim::{Body, BodyState, Collider, Fixed, Geom, Material, Model, Scene, Shape, State, Workspace, step};
+use drex_diffsim::{
+    Body, BodyState, Collider, Geom, Material, Model, Scene, Shape, State, StaticBody, Workspace, step,
+};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
@@ -159,7 +161,7 @@ proptest! {
             for tilt in [groove, -groove] {
                 let q = UnitQuaternion::from_scaled_axis(Vector3::y() * tilt);
                 let plane = turned(q * Vector3::z() * -0.1, q);
-                scene.fixed.push(Fixed::new(plane, Arc::new(Collider::plane()), friction));
+                scene.static_bodies.push(StaticBody::new(plane, Arc::new(Collider::plane()), friction));
             }
         }
         let first = energy(&model, &state, &scene.gravity);
@@ -185,13 +187,13 @@ proptest! {
         let (model, mut state) = thrown(things);
         let moved = turned(shift, UnitQuaternion::from_scaled_axis(turn));
         let mut scene = Scene::on_table(friction);
-        scene.fixed.push(Fixed::cuboid(Point3::new(0.1, 0.0, 0.02), Vector3::new(0.05, 0.3, 0.03), friction).unwrap());
+        scene.static_bodies.push(StaticBody::cuboid(Point3::new(0.1, 0.0, 0.02), Vector3::new(0.05, 0.3, 0.03), friction).unwrap());
         let mut other_scene = Scene::empty();
         other_scene.gravity = moved.rotation * scene.gravity;
-        for f in &scene.fixed {
+        for f in &scene.static_bodies {
             let mut f = f.clone();
             f.world_from_body = moved * f.world_from_body;
-            other_scene.fixed.push(f);
+            other_scene.static_bodies.push(f);
         }
         let mut other = state.clone();
         for s in &mut other.bodies {
@@ -220,7 +222,9 @@ fn a_capsule_between_a_table_and_a_block_is_solved_in_every_step() {
     let geom = Geom::new(Shape::Capsule { radius_m, half_length_m });
     let model = Model::new(vec![body(&[geom], Vector3::new(3.369e-3, 3.369e-3, 9.594e-4), 0.05)]);
     let mut scene = Scene::on_table(friction);
-    scene.fixed.push(Fixed::cuboid(Point3::new(0.1, 0.0, 0.02), Vector3::new(0.05, 0.3, 0.03), friction).unwrap());
+    scene
+        .static_bodies
+        .push(StaticBody::cuboid(Point3::new(0.1, 0.0, 0.02), Vector3::new(0.05, 0.3, 0.03), friction).unwrap());
     let mut unsolved = 0;
     for k in 0..40 {
         let lean = UnitQuaternion::from_scaled_axis(Vector3::new(-1.9584 + 0.01 * f64::from(k), 0.2206, 1.1925));

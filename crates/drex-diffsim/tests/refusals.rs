@@ -5,8 +5,8 @@ mod common;
 
 use drex_core::Pose;
 use drex_diffsim::{
-    AppliedForce, Articulation, Base, Body, Control, Fixed, ForcePoint, Geom, Model, Mover, Part, Path, Result, Scene,
-    Shape, State, Workspace, rollout, step,
+    AppliedForce, Articulation, Base, Body, Control, ForcePoint, Geom, KinematicBody, Model, Part, Path, Result, Scene,
+    Shape, State, StaticBody, Workspace, rollout, step,
 };
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -47,10 +47,10 @@ fn arm() -> Articulation<f64> {
     Articulation::new(two_joints(), Base::Fixed(at(0.0, 0.0, 0.5))).unwrap()
 }
 
-fn with_arm() -> (Model<f64>, Scene<f64>, State<f64>) {
+fn with_articulation() -> (Model<f64>, Scene<f64>, State<f64>) {
     let (model, mut state) = cubes(1);
-    let model = model.with_arm(arm());
-    state.arms.push(model.arms[0].at_rest(&[0.0, 0.0], 0.0).unwrap());
+    let model = model.with_articulation(arm());
+    state.articulations.push(model.articulations[0].at_rest(&[0.0, 0.0], 0.0).unwrap());
     let mut scene = Scene::on_table(0.5);
     scene.controls.push(Control::constant(&[0.0, 0.0]).unwrap());
     (model, scene, state)
@@ -100,7 +100,7 @@ fn controls_name_the_drive_and_the_value() {
     refused(arm().control([("hoist", f64::NAN)], 0.0), &["test", "hoist", "NaN"]);
     refused(arm().control([("swing", f64::NEG_INFINITY)], 0.0), &["test", "swing", "-inf"]);
     refused(arm().control([("gripper", 1.0)], 0.0), &["no drive \"gripper\"", "hoist", "swing"]);
-    let (model, mut scene, state) = with_arm();
+    let (model, mut scene, state) = with_articulation();
     scene.controls = vec![Control::constant(&[0.0]).unwrap()];
     refused(rollout(&model, &scene, &state, &[0.01]), &["2 drives but 1 control"]);
     scene.controls.clear();
@@ -112,8 +112,8 @@ fn joints_are_named() {
     refused(arm().joint_index("elbow"), &["joint \"elbow\"", "there is no such joint", "lift, swing"]);
     refused(arm().at_rest(&[0.0], 0.0), &["2 joints but 1 values"]);
     refused(arm().at_rest(&[0.0, f64::NAN], 0.0), &["joint \"swing\"", "position is NaN"]);
-    let (model, scene, mut state) = with_arm();
-    state.arms[0].velocities[0] = f64::INFINITY;
+    let (model, scene, mut state) = with_articulation();
+    state.articulations[0].velocities[0] = f64::INFINITY;
     refused(rollout(&model, &scene, &state, &[0.01]), &["joint \"lift\"", "velocity is inf"]);
     let mut arm = arm();
     arm.joints[1].damping = -0.1;
@@ -133,22 +133,22 @@ fn starts_inside_each_other_name_the_pair_and_the_depth() {
     refused(run(&model, &state), &["body 0", "inside body 1", "0.058"]);
     let (model, state) = cubes(1);
     let mut scene = Scene::on_table(0.5);
-    scene.fixed.push(Fixed::cuboid(Point3::new(0.0, 0.0, 0.05), Vector3::repeat(0.2), 0.5).unwrap());
+    scene.static_bodies.push(StaticBody::cuboid(Point3::new(0.0, 0.0, 0.05), Vector3::repeat(0.2), 0.5).unwrap());
     refused(rollout(&model, &scene, &state, &[0.01]), &["body 0", "fixed thing 1"]);
     // A body in a mover, a ball in the middle of a box, boxes in each other's middle.
     let mut scene = Scene::on_table(0.5);
-    scene.movers.push(Mover::sphere(0.1, 0.5, &[0.0], &[Point3::new(0.0, 0.0, 0.1)]).unwrap());
+    scene.kinematic_bodies.push(KinematicBody::sphere(0.1, 0.5, &[0.0], &[Point3::new(0.0, 0.0, 0.1)]).unwrap());
     refused(rollout(&model, &scene, &state, &[0.01]), &["body 0", "mover 0"]);
     for inner in [ball(0.02, 0.1), cuboid(Vector3::repeat(0.02), 0.1), cuboid(Vector3::repeat(0.1), 0.1)] {
         let model = Model::new(vec![cuboid(Vector3::repeat(0.1), 1.0), inner]);
         refused(run(&model, &resting(&[at(0.0, 0.0, 0.1), at(0.0, 0.0, 0.1)])), &["body 0", "body 1"]);
     }
     // A link in a body and in the table.
-    let (model, scene, mut state) = with_arm();
+    let (model, scene, mut state) = with_articulation();
     state.bodies[0].world_from_body = at(0.1, 0.0, 0.5);
     refused(rollout(&model, &scene, &state, &[0.01]), &["body 0", "link \"tip\"", "articulation 0"]);
     state.bodies[0].world_from_body = at(0.0, 0.0, 0.03);
-    state.arms[0].q[0] = -0.6;
+    state.articulations[0].q[0] = -0.6;
     refused(rollout(&model, &scene, &state, &[0.01]), &["link \"tip\"", "fixed thing 0"]);
 }
 
@@ -180,18 +180,18 @@ fn penalty_forces_are_stable_for_short_steps_only() {
 
 #[test]
 fn states_that_do_not_fit_are_refused_by_steps_too() {
-    let (model, scene, state) = with_arm();
+    let (model, scene, state) = with_articulation();
     let attempt = |change: &dyn Fn(&mut State<f64>)| {
         let mut state = state.clone();
         change(&mut state);
         step(&model, &scene, &mut state, &mut Workspace::default())
     };
     refused(attempt(&|s| s.bodies.clear()), &["1 bodies", "0"]);
-    refused(attempt(&|s| s.arms.clear()), &["1 articulations", "0"]);
-    refused(attempt(&|s| s.arms[0].q.truncate(1)), &["test", "2 joints but 1 values of position"]);
-    refused(attempt(&|s| s.arms[0].friction.clear()), &["test", "2 joints but 0 values"]);
+    refused(attempt(&|s| s.articulations.clear()), &["1 articulations", "0"]);
+    refused(attempt(&|s| s.articulations[0].q.truncate(1)), &["test", "2 joints but 1 values of position"]);
+    refused(attempt(&|s| s.articulations[0].friction.clear()), &["test", "2 joints but 0 values"]);
     refused(attempt(&|s| s.bodies[0].velocity.x = f64::NAN), &["body 0"]);
-    refused(attempt(&|s| s.arms[0].velocities[1] = f64::NAN), &["test", "swing", "velocity is NaN"]);
+    refused(attempt(&|s| s.articulations[0].velocities[1] = f64::NAN), &["test", "swing", "velocity is NaN"]);
     refused(attempt(&|s| s.time_s = f64::NAN), &["time"]);
     assert!(attempt(&|_| {}).is_ok());
 }
@@ -209,7 +209,7 @@ fn whatever_else_is_wrong_is_named() {
     refused(scene(&|s| s.fixed[0].world_from_body.translation.z = f64::NAN), &["fixed thing 0"]);
     let push = |on: Part| AppliedForce::<f64>::new(on, &[0.0], &[Vector3::x()], ForcePoint::Couple);
     refused(scene(&|s| s.forces.push(push(Part::Body(7)).unwrap())), &["force 0", "Body(7)"]);
-    refused(scene(&|s| s.forces.push(push(Part::Link { arm: 0, link: 1 }).unwrap())), &["force 0", "Link"]);
+    refused(scene(&|s| s.forces.push(push(Part::Link { articulation: 0, link: 1 }).unwrap())), &["force 0", "Link"]);
     refused(
         AppliedForce::<f64>::new(Part::Body(0), &[0.0], &[Vector3::x() * f64::NAN], ForcePoint::Couple),
         &["force"],

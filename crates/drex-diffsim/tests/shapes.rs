@@ -1,10 +1,12 @@
-//! One block as a box, as a convex piece, as points on its surface and as a signed distance: the same motion.
+//! One block as a box, as a convex polyhedron, as points on its surface and as a signed distance: the same motion.
 #![allow(clippy::unwrap_used, missing_docs)] // a test may panic
 
 use std::sync::Arc;
 
 use drex_core::{MassProperties, Pose, SdfSample, SignedDistance, TriMesh};
-use drex_diffsim::{Body, Collider, ConvexPiece, Geom, Model, Scene, SdfShape, Shape, State, SurfacePoints, rollout};
+use drex_diffsim::{
+    Body, Collider, ConvexPolyhedron, Geom, Model, Scene, SdfShape, Shape, State, SurfacePoints, rollout,
+};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 const HALF: Vector3<f64> = Vector3::new(0.04, 0.03, 0.02);
@@ -68,7 +70,7 @@ fn shapes() -> Vec<(&'static str, Shape)> {
     let bounds = (Point3::from(-HALF), Point3::from(HALF));
     vec![
         ("box", Shape::Box { half_m: HALF }),
-        ("convex piece", Shape::Convex(Arc::new(ConvexPiece::from_points(&fine.vertices).unwrap()))),
+        ("convex polyhedron", Shape::Convex(Arc::new(ConvexPolyhedron::from_points(&fine.vertices).unwrap()))),
         ("600 points", Shape::Points(Arc::new(SurfacePoints::from_mesh(&mesh(9)).unwrap()))),
         ("2600 points", Shape::Points(Arc::new(SurfacePoints::from_mesh(&fine).unwrap()))),
         ("22000 points", Shape::Points(Arc::new(SurfacePoints::from_mesh(&mesh(60)).unwrap()))),

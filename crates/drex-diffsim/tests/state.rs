@@ -37,7 +37,7 @@ fn busy(mass: f64) -> (Model<f64>, Scene<f64>, State<f64>) {
         cuboid(Vector3::new(0.04, 0.03, 0.02), 0.4),
         cuboid(Vector3::new(0.02, 0.02, 0.02), 0.1),
     ];
-    let mut model = Model::new(bodies).with_arm(arm);
+    let mut model = Model::new(bodies).with_articulation(arm);
     model.bodies.iter_mut().for_each(|b| b.material = Material::new(0.3));
     model.dt_s = 1e-3;
     let mut scene = Scene::on_table(0.4);
@@ -47,7 +47,7 @@ fn busy(mass: f64) -> (Model<f64>, Scene<f64>, State<f64>) {
         s.velocity = Vector3::new(0.3, 0.1, 0.0);
         s.angular_velocity.z = 2.0;
     }
-    state.arms.push(model.arms[0].at_rest(&[0.0, 0.0], 0.0).unwrap());
+    state.articulations.push(model.articulations[0].at_rest(&[0.0, 0.0], 0.0).unwrap());
     (model, scene, state)
 }
 
@@ -202,7 +202,7 @@ fn contact_forces_of_a_heap_balance_its_weight() {
         worst = worst.max((force - Vector3::z() * (m * G)).norm() / (m * G)).max(moment.norm() / (m * G * 0.03));
     }
     within("contact read-out, heap at rest", "forces and moments on each body balance its weight", worst, 1e-9);
-    let on_table: f64 = work.contacts().filter(|c| c.key.b == Part::Fixed(0)).map(|c| c.force.z).sum();
+    let on_table: f64 = work.contacts().filter(|c| c.key.b == Part::Static(0)).map(|c| c.force.z).sum();
     let weight = masses.iter().sum::<f64>() * G;
     within(
         "contact read-out, heap at rest",
@@ -233,16 +233,19 @@ fn pairs_of_links_are_read_out() {
         arm.self_collision = true;
         arm
     };
-    let mut model = Model::new(Vec::new()).with_arm(paddle(0.0)).with_arm(paddle(0.084));
+    let mut model = Model::new(Vec::new()).with_articulation(paddle(0.0)).with_articulation(paddle(0.084));
     model.dt_s = 1e-3;
     let mut scene = Scene::empty();
     let control = |left: f64, right: f64| Control::constant(&[left, right]).unwrap();
     // The outer motors press with 2 N, the inner ones do nothing: a row of four balls.
     scene.controls = vec![control(2.0, 0.0), control(0.0, 2.0)];
-    let arms = model.arms.iter().map(|a| a.at_rest(&[0.0, 0.0], 0.0).unwrap()).collect();
+    let arms = model.articulations.iter().map(|a| a.at_rest(&[0.0, 0.0], 0.0).unwrap()).collect();
     let (mut state, mut work) = (State::new(Vec::<BodyState<f64>>::new(), arms), Workspace::default());
     advance(&model, &scene, &mut state, &mut work, 1500);
-    let link = |arm: u32, name: &str| Part::Link { arm, link: model.arms[0].robot.link_index(name).unwrap() as u32 };
+    let link = |arm: u32, name: &str| Part::Link {
+        articulation: arm,
+        link: model.articulations[0].robot.link_index(name).unwrap() as u32,
+    };
     let row =
         [(link(0, "left"), link(0, "right")), (link(0, "right"), link(1, "left")), (link(1, "left"), link(1, "right"))];
     let found: Vec<_> = work.contacts().map(|c| (c.key.a, c.key.b)).collect();

@@ -73,7 +73,7 @@ fn hand_case() -> Result<Case, Box<dyn Error>> {
     let of = pick::Pick { mass_kg: 0.2, friction: 0.5, cap_nm: 0.29, squeeze: 1.5, reserve_nm: 0.1, dt_s: 1e-3 };
     let (mut model, scene, start) = pick::scene(&of)?;
     let mut state = rollout(&model, &scene, &start, &[LIFTED_S])?.last;
-    model.arms[0].base = Base::Fixed(state.arms[0].base.world_from_base);
+    model.articulations[0].base = Base::Fixed(state.articulations[0].base.world_from_base);
     state.time_s = 0.0;
     Ok(Case { name: "hand_hold", model, scene, start: state, until_s: 3.0, truth: None })
 }

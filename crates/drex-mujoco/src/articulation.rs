@@ -1,6 +1,6 @@
 //! A robot as a tree of MuJoCo's bodies.
 
-use drex_diffsim::{ActuatorKind, ActuatorParams, ArmState, Articulation, Base, Part, Scalar};
+use drex_diffsim::{ActuatorKind, ActuatorParams, Articulation, ArticulationState, Base, Part, Scalar};
 use drex_robot::JointKind;
 use nalgebra::{Matrix3, Vector3};
 
@@ -18,7 +18,7 @@ pub(crate) fn write<T: Scalar>(
     s: &mut Sections,
     index: usize,
     arm: &Articulation<f64>,
-    state: &ArmState<T>,
+    state: &ArticulationState<T>,
     control: &[f64],
 ) -> Result<()> {
     arm.check_control(control)?;
@@ -86,9 +86,9 @@ impl Tree<'_> {
     }
 
     /// Shapes of a link whose body is open, and the links that hang on it.
-    fn inside<T: Scalar>(&self, s: &mut Sections, link: usize, state: &ArmState<T>) -> Result<()> {
-        let part = Part::Link { arm: self.index as u32, link: link as u32 };
-        let masks = Masks::arm(self.index, self.arm.self_collision);
+    fn inside<T: Scalar>(&self, s: &mut Sections, link: usize, state: &ArticulationState<T>) -> Result<()> {
+        let part = Part::Link { articulation: self.index as u32, link: link as u32 };
+        let masks = Masks::articulation(self.index, self.arm.self_collision);
         let (collider, material) = (&self.arm.colliders[link], &self.arm.materials[link]);
         s.geoms.write(&mut s.world, (part, &self.link_name(link)), collider, &Vector3::zeros(), material, masks)?;
         for &child in &self.children[link] {

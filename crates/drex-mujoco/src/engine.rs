@@ -2,8 +2,8 @@
 
 use drex_core::Pose;
 use drex_diffsim::{
-    ArmState, Base, BaseState, BodyState, ContactForce, ContactKey, Control, Model, Part, Record, Scene, SimError,
-    State,
+    ArticulationState, Base, BaseState, BodyState, ContactForce, ContactKey, Control, Error as SimulationError, Model,
+    Part, Record, Scene, State,
 };
 use mujoco_rs::wrappers::{MjData, MjModel};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
@@ -99,7 +99,7 @@ impl MujocoEngine {
         self.data.step();
         if let Some(i) = self.data.qvel().iter().position(|v| v.is_nan() || v.abs() >= SPEED_LIMIT) {
             let (body, speed) = (self.layout.name_of_velocity(i), self.data.qvel()[i].abs());
-            return Err(SimError::Diverged { body, time_s: self.time_s(), speed }.into());
+            return Err(SimulationError::Diverged { body, time_s: self.time_s(), speed }.into());
         }
         self.steps += 1;
         Ok(())
@@ -114,8 +114,8 @@ impl MujocoEngine {
             BodyState { world_from_body: pose, velocity: it.velocity, angular_velocity: it.angular_velocity }
         };
         let bodies = self.layout.bodies.iter().zip(&self.model.bodies).map(body).collect();
-        let mut arms = Vec::with_capacity(self.layout.arms.len());
-        for (slots, arm) in self.layout.arms.iter().zip(&self.model.arms) {
+        let mut arms = Vec::with_capacity(self.layout.articulations.len());
+        for (slots, arm) in self.layout.articulations.iter().zip(&self.model.articulations) {
             let base = match (&arm.base, &slots.base) {
                 (Base::Free, Some(free)) => {
                     let it = self.free(free);
@@ -126,7 +126,7 @@ impl MujocoEngine {
             };
             let q = slots.joints.iter().map(|j| self.data.qpos()[j.0]).collect();
             let velocities = slots.joints.iter().map(|j| self.data.qvel()[j.1]).collect();
-            arms.push(ArmState { base, q, velocities, friction: vec![0.0; slots.joints.len()] });
+            arms.push(ArticulationState { base, q, velocities, friction: vec![0.0; slots.joints.len()] });
         }
         State { time_s: self.time_s(), ..State::new(bodies, arms) }
     }
@@ -194,7 +194,7 @@ impl MujocoEngine {
     fn prescribe(&mut self) {
         let (t, dt) = (self.time_s(), self.dt_s);
         let mut all: Vec<(FreeSlots, [Prescribed; 2])> = Vec::new();
-        for (slots, mover) in self.layout.movers.iter().zip(&self.scene.movers) {
+        for (slots, mover) in self.layout.kinematic_bodies.iter().zip(&self.scene.kinematic_bodies) {
             all.push((
                 *slots,
                 [t, t + dt].map(|t| {
@@ -203,7 +203,7 @@ impl MujocoEngine {
                 }),
             ));
         }
-        for (slots, arm) in self.layout.arms.iter().zip(&self.model.arms) {
+        for (slots, arm) in self.layout.articulations.iter().zip(&self.model.articulations) {
             if let (Some(base), Base::Path(_)) = (slots.base, &arm.base) {
                 all.push((
                     base,
@@ -234,7 +234,7 @@ impl MujocoEngine {
 
     fn control(&mut self) -> Result<()> {
         let t = self.time_s();
-        for (i, (slots, arm)) in self.layout.arms.iter().zip(&self.model.arms).enumerate() {
+        for (i, (slots, arm)) in self.layout.articulations.iter().zip(&self.model.articulations).enumerate() {
             let control = self.scene.controls.get(i).map_or(&[][..], |c| c.at(t));
             arm.check_control(control)?;
             self.data.ctrl_mut()[slots.ctrl..slots.ctrl + control.len()].copy_from_slice(control);
@@ -259,13 +259,13 @@ impl MujocoEngine {
                     pose.translation.vector -= pose.rotation * body.center_of_mass.coords;
                     (slots.body, pose, com)
                 }
-                Part::Link { arm, link } => {
-                    let at = self.layout.arms[arm as usize].links[link as usize];
+                Part::Link { articulation: arm, link } => {
+                    let at = self.layout.articulations[arm as usize].links[link as usize];
                     let ([w, i, j, k], p) = (self.data.xquat()[at], self.data.xpos()[at]);
                     let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, i, j, k));
                     (at, Pose::from_parts(Vector3::from(p).into(), rotation), Vector3::from(self.data.xipos()[at]))
                 }
-                Part::Fixed(_) | Part::Mover(_) => continue,
+                Part::Static(_) | Part::Kinematic(_) => continue,
             };
             let f = applied.mean(t, dt) * applied.gain;
             let (force, moment) = match applied.world_point(t + 0.5 * dt, &pose) {
@@ -280,7 +280,7 @@ impl MujocoEngine {
 
 impl std::fmt::Debug for MujocoEngine {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let (bodies, arms) = (self.layout.bodies.len(), self.layout.arms.len());
+        let (bodies, arms) = (self.layout.bodies.len(), self.layout.articulations.len());
         let mut out = f.debug_struct("MujocoEngine");
         out.field("time_s", &self.time_s()).field("bodies", &bodies).field("arms", &arms).finish_non_exhaustive()
     }
@@ -309,8 +309,8 @@ pub fn rollout(
 fn rank(part: Part) -> (u8, u32, u32) {
     match part {
         Part::Body(i) => (0, i, 0),
-        Part::Link { arm, link } => (1, arm, link),
-        Part::Fixed(i) => (2, i, 0),
-        Part::Mover(i) => (3, i, 0),
+        Part::Link { articulation: arm, link } => (1, arm, link),
+        Part::Static(i) => (2, i, 0),
+        Part::Kinematic(i) => (3, i, 0),
     }
 }

@@ -9,7 +9,7 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 pub enum Error {
     /// The model, the scene or the state cannot be simulated by drex-diffsim either.
     #[error(transparent)]
-    Simulation(#[from] drex_diffsim::SimError),
+    Simulation(#[from] drex_diffsim::Error),
     /// A setting of [`MjcfOptions`](crate::MjcfOptions) is out of range.
     #[error("options of MuJoCo: {what}; start from MjcfOptions::default()")]
     Options {

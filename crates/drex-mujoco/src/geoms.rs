@@ -1,7 +1,7 @@
 //! Shapes as geoms.
 
 use drex_core::Pose;
-use drex_diffsim::{Collider, ConvexPiece, Geom, Material, Part, Scalar, Shape};
+use drex_diffsim::{Collider, ConvexPolyhedron, Geom, Material, Part, Scalar, Shape};
 use nalgebra::{Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use crate::text::{Attribute, Text, list, placed, vector};
@@ -15,15 +15,15 @@ pub(crate) struct Masks {
 }
 
 impl Masks {
-    /// Fixed things and movers touch bodies and links, not each other.
+    /// Static and kinematic bodies touch bodies and links, not each other.
     pub const SURROUNDINGS: Self = Self { contype: 1, conaffinity: 0 };
     /// Bodies touch everything.
     pub const BODY: Self = Self { contype: 2, conaffinity: 3 };
     /// How many articulations there are bits for.
-    pub const ARMS: usize = 28;
+    pub const ARTICULATIONS: usize = 28;
 
     /// Links touch everything but, unless they should, their own robot.
-    pub fn arm(index: usize, self_collision: bool) -> Self {
+    pub fn articulation(index: usize, self_collision: bool) -> Self {
         let own = 4 << index;
         Self { contype: own, conaffinity: if self_collision { i32::MAX as u32 } else { i32::MAX as u32 & !own } }
     }
@@ -32,7 +32,7 @@ impl Masks {
 /// Writer of geoms, and what it wrote.
 #[derive(Debug, Default)]
 pub(crate) struct Geoms {
-    /// Meshes of the convex pieces.
+    /// Meshes of the convex polyhedra.
     pub assets: Text,
     /// Name, part and index in its collider.
     pub owners: Vec<(String, Part, u16)>,
@@ -106,7 +106,7 @@ impl Geoms {
             _ => {
                 return Err(Error::Unsupported {
                     what: format!("{name}: MuJoCo has no counterpart of a signed distance or of surface points"),
-                    remedy: "give convex pieces or primitive shapes".into(),
+                    remedy: "give convex polyhedra or primitive shapes".into(),
                 });
             }
         })
@@ -114,7 +114,7 @@ impl Geoms {
 }
 
 /// Frame and half extents of a polyhedron that is a box. MuJoCo is better at boxes than at hulls with eight corners.
-fn as_box(piece: &ConvexPiece) -> Option<(Pose, Vector3<f64>)> {
+fn as_box(piece: &ConvexPolyhedron) -> Option<(Pose, Vector3<f64>)> {
     const EPS: f64 = 1e-6;
     let normals = || piece.planes().iter().map(|p| p.0);
     if piece.vertices().len() != 8 || piece.planes().len() != 6 {

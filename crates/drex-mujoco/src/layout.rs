@@ -17,7 +17,7 @@ pub(crate) struct FreeSlots {
 
 /// An articulation.
 #[derive(Debug, Clone)]
-pub(crate) struct ArmSlots {
+pub(crate) struct ArticulationSlots {
     /// Its base, unless that is fixed.
     pub base: Option<FreeSlots>,
     /// Coordinate and velocity of each joint.
@@ -32,8 +32,8 @@ pub(crate) struct ArmSlots {
 #[derive(Debug)]
 pub(crate) struct Layout {
     pub bodies: Vec<FreeSlots>,
-    pub movers: Vec<FreeSlots>,
-    pub arms: Vec<ArmSlots>,
+    pub kinematic_bodies: Vec<FreeSlots>,
+    pub articulations: Vec<ArticulationSlots>,
     /// Part and index in its collider of every geom.
     pub owners: Vec<(Part, u16)>,
 }
@@ -48,9 +48,9 @@ impl Layout {
         let many = |prefix: &str, n: usize| -> Result<Vec<FreeSlots>> {
             (0..n).map(|i| format!("{prefix}_{i}")).map(|name| free(compiled, &name, &name)).collect()
         };
-        let mut arms = Vec::with_capacity(model.arms.len());
+        let mut articulations = Vec::with_capacity(model.articulations.len());
         let mut ctrl = 0;
-        for (i, arm) in model.arms.iter().enumerate() {
+        for (i, arm) in model.articulations.iter().enumerate() {
             let link = |name: &str| id(compiled, MjtObjBase::mjOBJ_BODY, &name_in(i, name));
             let joint = |name: &str| -> Result<(usize, usize)> {
                 let joint = id(compiled, MjtObjBase::mjOBJ_JOINT, &name_in(i, name))?;
@@ -60,7 +60,7 @@ impl Layout {
                 (Base::Fixed(_), _) | (_, None) => None,
                 (_, Some(first)) => Some(free(compiled, &format!("arm_{i}"), &name_in(i, &first.name))?),
             };
-            arms.push(ArmSlots {
+            articulations.push(ArticulationSlots {
                 base,
                 joints: arm.robot.joints.iter().map(|j| joint(&j.name)).collect::<Result<_>>()?,
                 links: arm.robot.links.iter().map(|l| link(&l.name)).collect::<Result<_>>()?,
@@ -68,15 +68,16 @@ impl Layout {
             });
             ctrl += arm.actuators.len();
         }
-        let mut by_geom = vec![(Part::Fixed(0), 0); owners.len()];
+        let mut by_geom = vec![(Part::Static(0), 0); owners.len()];
         for (name, part, k) in owners {
             let geom = id(compiled, MjtObjBase::mjOBJ_GEOM, &name)?;
             if let Some(slot) = by_geom.get_mut(geom) {
                 *slot = (part, k);
             }
         }
-        let (bodies, movers) = (many("body", model.bodies.len())?, many("mover", scene.movers.len())?);
-        Ok(Self { bodies, movers, arms, owners: by_geom })
+        let (bodies, kinematic_bodies) =
+            (many("body", model.bodies.len())?, many("mover", scene.kinematic_bodies.len())?);
+        Ok(Self { bodies, kinematic_bodies, articulations, owners: by_geom })
     }
 
     /// What a velocity of MuJoCo belongs to.
@@ -85,11 +86,12 @@ impl Layout {
         if let Some(i) = self.bodies.iter().position(free) {
             return format!("body {i}");
         }
-        if let Some(i) = self.movers.iter().position(free) {
-            return format!("mover {i}");
+        if let Some(i) = self.kinematic_bodies.iter().position(free) {
+            return format!("kinematic body {i}");
         }
-        let arm = self.arms.iter().position(|a| a.base.iter().any(free) || a.joints.iter().any(|j| j.1 == index));
-        arm.map_or_else(|| "the model".into(), |i| format!("articulation {i}"))
+        let index =
+            self.articulations.iter().position(|a| a.base.iter().any(free) || a.joints.iter().any(|j| j.1 == index));
+        index.map_or_else(|| "the model".into(), |i| format!("articulation {i}"))
     }
 }
 

@@ -52,32 +52,36 @@ pub(crate) fn write<T: Scalar>(
     s.geoms.friction = surfaces.iter().map(|m| m.friction.value()).fold(0.0, f64::max);
     s.prescribed_kg = PRESCRIBED_MASS_RATIO * total_mass_kg(model).max(f64::MIN_POSITIVE);
     let origin = Vector3::zeros();
-    for (i, fixed) in scene.fixed.iter().enumerate() {
+    for (i, fixed) in scene.static_bodies.iter().enumerate() {
         let name = format!("fixed_{i}");
         s.world.open("body", &named(&name, &fixed.world_from_body));
-        let part = (Part::Fixed(i as u32), &*name);
+        let part = (Part::Static(i as u32), &*name);
         s.geoms.write(&mut s.world, part, &fixed.collider, &origin, &fixed.material, Masks::SURROUNDINGS)?;
         s.world.close();
     }
-    for (i, mover) in scene.movers.iter().enumerate() {
+    for (i, mover) in scene.kinematic_bodies.iter().enumerate() {
         let (name, motion) = (format!("mover_{i}"), mover.path.at(state.time_s));
         let mut attributes = named(&name, &motion.pose);
         attributes.push(("gravcomp", "1".into()));
         s.world.open("body", &attributes);
         s.free_joint(&name, &motion.pose, &motion.velocity, &motion.angular_velocity);
         s.prescribed_inertia();
-        let part = (Part::Mover(i as u32), &*name);
+        let part = (Part::Kinematic(i as u32), &*name);
         s.geoms.write(&mut s.world, part, &mover.collider, &origin, &mover.material, Masks::SURROUNDINGS)?;
         s.world.close();
     }
     for (i, (body, b)) in model.bodies.iter().zip(&state.bodies).enumerate() {
         free_body(&mut s, i, body, b)?;
     }
-    if model.arms.len() > Masks::ARMS {
-        let what = format!("{} articulations are more than MuJoCo's collision masks tell apart", model.arms.len());
-        return Err(Error::Unsupported { what, remedy: format!("simulate at most {} at a time", Masks::ARMS) });
+    if model.articulations.len() > Masks::ARTICULATIONS {
+        let what =
+            format!("{} articulations are more than MuJoCo's collision masks tell apart", model.articulations.len());
+        return Err(Error::Unsupported {
+            what,
+            remedy: format!("simulate at most {} at a time", Masks::ARTICULATIONS),
+        });
     }
-    for (i, (robot, r)) in model.arms.iter().zip(&state.arms).enumerate() {
+    for (i, (robot, r)) in model.articulations.iter().zip(&state.articulations).enumerate() {
         let control = scene.controls.get(i).map_or(&[][..], |c| c.at(state.time_s));
         articulation::write(&mut s, i, &robot.map(|x| x.value()), r, control)?;
     }
@@ -140,12 +144,13 @@ fn free_body<T: Scalar>(s: &mut Sections, i: usize, body: &Body<T>, state: &Body
 }
 
 fn total_mass_kg<T: Scalar>(model: &Model<T>) -> f64 {
-    let links = model.arms.iter().flat_map(|a| &a.links).map(|l| l.mass_kg.value());
+    let links = model.articulations.iter().flat_map(|a| &a.links).map(|l| l.mass_kg.value());
     model.bodies.iter().map(|b| b.mass_kg.value()).chain(links).sum()
 }
 
 fn surfaces<'a, T: Scalar>(model: &'a Model<T>, scene: &'a Scene<T>) -> Vec<&'a Material<T>> {
-    let surroundings = scene.fixed.iter().map(|f| &f.material).chain(scene.movers.iter().map(|m| &m.material));
-    let moving = model.bodies.iter().map(|b| &b.material).chain(model.arms.iter().flat_map(|a| &a.materials));
+    let surroundings =
+        scene.static_bodies.iter().map(|f| &f.material).chain(scene.kinematic_bodies.iter().map(|m| &m.material));
+    let moving = model.bodies.iter().map(|b| &b.material).chain(model.articulations.iter().flat_map(|a| &a.materials));
     surroundings.chain(moving).collect()
 }

@@ -15,7 +15,7 @@ use drex_grasp::{CheckOptions, HandSurface, StaticGrasp, static_check_with};
 use drex_mesh::{GridOptions, GridSdf, MeshSdf, RepairOptions, read_mesh, repair, solid_properties};
 use drex_recording::readers::read_grasps;
 use drex_retarget::{ObjectSurface, Verdict, WristFit, WristFitOptions, fit_wrists};
-use drex_robot::{Robot, Shape, orders};
+use drex_robot::{Robot, Shape, joint_order};
 use nalgebra::{Point3, Vector3};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -23,7 +23,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let option = |name: &str| args.iter().position(|a| a == name).and_then(|i| args.get(i + 1)).cloned();
     let [mesh_path, grasps_path] = [0, 1].map(|i| PathBuf::from(args.get(i).cloned().unwrap_or_default()));
     let robot = Robot::bundled(&option("--robot").unwrap_or_else(|| "leap_right".into()))?;
-    let order: Vec<String> = orders::require(&option("--order").unwrap_or_else(|| "leap_sdk".into()))?
+    let order: Vec<String> = joint_order::require(&option("--order").unwrap_or_else(|| "leap_sdk".into()))?
         .iter()
         .map(|s| s.to_string())
         .collect();

@@ -5,7 +5,7 @@ mod support;
 
 use drex_core::Pose;
 use drex_retarget::TargetHand;
-use drex_robot::{Robot, orders};
+use drex_robot::{Robot, joint_order};
 use nalgebra::Point3;
 use support::shared;
 
@@ -47,7 +47,7 @@ fn tips_and_middles_are_those_of_the_urdf() {
             let mut q = hand.robot.mid_range();
             let mut other = vec![0.0; urdf.dof()];
             for (k, joint) in urdf.joints.iter().enumerate() {
-                let j = hand.robot.joint_index(orders::alias(names.model, &joint.name).unwrap()).unwrap();
+                let j = hand.robot.joint_index(joint_order::alias(names.model, &joint.name).unwrap()).unwrap();
                 let (lo, hi) = hand.robot.joints[j].limits.unwrap();
                 q[j] = lo + (hi - lo) * (0.5 + 0.5 * ((sample * 31 + j * 7) as f64).sin());
                 other[k] = q[j];
@@ -68,7 +68,7 @@ fn tips_and_middles_are_those_of_the_urdf() {
         // The files round their numbers.
         assert!(worst[0] < 2e-5 && worst[1] < 1e-6, "{}: {worst:?}", names.model);
         for joint in &urdf.joints {
-            let j = hand.robot.require_joint(orders::alias(names.model, &joint.name).unwrap()).unwrap();
+            let j = hand.robot.require_joint(joint_order::alias(names.model, &joint.name).unwrap()).unwrap();
             assert_eq!(hand.robot.joints[j].limits, joint.limits, "{}", joint.name);
         }
     }

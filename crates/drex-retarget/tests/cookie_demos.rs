@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use drex_mesh::{GridOptions, GridSdf, MeshSdf, RepairOptions, read_mesh, repair, solid_properties};
 use drex_recording::readers::read_grasps;
 use drex_retarget::{ObjectSurface, WristFitOptions, fit_wrists};
-use drex_robot::{Robot, orders};
+use drex_robot::{Robot, joint_order};
 use nalgebra::Vector3;
 
 #[test]
@@ -24,7 +24,7 @@ fn most_recorded_grasps_of_the_tin_have_a_wrist_pose() {
     grid.nodes = 48 * 48 * 48;
     grid.margin_m = Some(0.06);
     let search = GridSdf::with_options(exact.clone(), &grid).unwrap();
-    let order: Vec<String> = orders::require("leap_sdk").unwrap().iter().map(|s| s.to_string()).collect();
+    let order: Vec<String> = joint_order::require("leap_sdk").unwrap().iter().map(|s| s.to_string()).collect();
     let poses = read_grasps(&folder.join("demos/cookie_leap_grasps.npy"), Some(&order)).unwrap();
     assert_eq!(poses.rows.len(), 132);
     let robot = Robot::bundled("leap_right").unwrap();

@@ -22,7 +22,7 @@ fn run() -> Result<()> {
     let name = std::env::args().nth(1).unwrap_or_else(|| "leap_right".into());
     let hand = Robot::resolve(&name, Path::new("."))?;
     println!("{name}: {} joints, {} links, {:.0} g", hand.dof(), hand.links.len(), 1e3 * hand.total_mass_kg());
-    for remark in &hand.unread {
+    for remark in &hand.unsupported {
         println!("not used: {remark}");
     }
 

@@ -25,7 +25,7 @@ fn run() -> Result<()> {
         std::process::exit(2);
     };
     let robot = Robot::resolve(&model, Path::new("."))?;
-    for remark in &robot.unread {
+    for remark in &robot.unsupported {
         eprintln!("not used: {remark}");
     }
     let mut q = robot.reference_position();

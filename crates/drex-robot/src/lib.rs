@@ -31,16 +31,16 @@
 //! SI units, `f64`. `a_from_b` maps coordinates in b to coordinates in a. `links[0]` is the base, and every function
 //! takes its pose from the caller (`world_from_base`); [`Robot::file_world_from_base`] is what the file says. Where a
 //! file holds a scene, the robot is the one body that stands on the world without a joint; the rest is remarked on in
-//! [`Robot::unread`]. The vector of joint coordinates has the order of [`Robot::joints`]; arrays in other orders are
-//! brought over by name, see [`orders`].
+//! [`Robot::unsupported`]. The vector of joint coordinates has the order of [`Robot::joints`]; arrays in other orders are
+//! brought over by name, see [`joint_order`].
 //!
 #![doc = include_str!("docs/formats.md")]
 //!
 #![doc = include_str!("docs/hands.md")]
 
 pub mod error;
+pub mod joint_order;
 pub mod model;
-pub mod orders;
 
 mod closed;
 mod dynamics;
@@ -53,7 +53,7 @@ mod mirror;
 mod mjcf;
 mod samples;
 mod shape;
-mod unread;
+mod unsupported;
 mod urdf;
 mod xml;
 

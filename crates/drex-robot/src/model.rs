@@ -28,7 +28,7 @@ pub struct Robot {
     /// Pose of the base that the file itself gives (identity for URDF).
     pub file_world_from_base: Pose,
     /// What the file has and this reader does not use, one sentence each, for the user to see.
-    pub unread: Vec<String>,
+    pub unsupported: Vec<String>,
 }
 
 /// A rigid link.

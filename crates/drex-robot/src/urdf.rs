@@ -9,7 +9,7 @@ use nalgebra::{Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 
 use crate::model::{Geom, GeomRole, Joint, JointKind, Link, Mimic, Robot, Shape};
 use crate::shape::is_finite;
-use crate::unread::Unread;
+use crate::unsupported::Unsupported;
 use crate::xml::Node;
 use crate::{Result, meshfile};
 
@@ -23,7 +23,7 @@ pub(crate) fn read(root: &Node, path: &Path) -> Result<Robot> {
     }
     let mut reader = Reader {
         folder: path.parent().map(Path::to_path_buf).unwrap_or_default(),
-        unread: Unread::default(),
+        unsupported: Unsupported::default(),
         materials: BTreeMap::new(),
         meshes: BTreeMap::new(),
     };
@@ -33,7 +33,7 @@ pub(crate) fn read(root: &Node, path: &Path) -> Result<Robot> {
             "material" => {
                 reader.read_material(child)?;
             }
-            _ => reader.unread.element(child),
+            _ => reader.unsupported.element(child),
         }
     }
     let tree = Tree::read(root)?;
@@ -81,7 +81,7 @@ pub(crate) fn read(root: &Node, path: &Path) -> Result<Robot> {
         actuators: Vec::new(),
         excluded_pairs: Vec::new(),
         file_world_from_base: Pose::identity(),
-        unread: reader.unread.sentences(),
+        unsupported: reader.unsupported.sentences(),
     })
 }
 
@@ -150,7 +150,7 @@ impl<'a> Tree<'a> {
 
 struct Reader {
     folder: PathBuf,
-    unread: Unread,
+    unsupported: Unsupported,
     materials: BTreeMap<String, [f32; 4]>,
     meshes: BTreeMap<String, Shape>,
 }
@@ -176,7 +176,7 @@ impl Reader {
             match child.tag.as_str() {
                 "inertial" => link.inertial = read_inertial(child)?,
                 "visual" | "collision" => link.geoms.extend(self.read_geom(child)?),
-                _ => self.unread.element(child),
+                _ => self.unsupported.element(child),
             }
         }
         if link.inertial.is_some_and(|m| !is_finite(&m)) {
@@ -191,7 +191,7 @@ impl Reader {
                 .filter_map(|g| Some(g.shape.mass_properties(DEFAULT_DENSITY)?.transformed(&g.link_from_geom)))
                 .collect();
             link.inertial = MassProperties::combined(&parts);
-            self.unread.note(format!(
+            self.unsupported.note(format!(
                 "link \"{}\" has no mass: that of its collision shapes at {DEFAULT_DENSITY} kg/m³ is used",
                 link.name
             ));
@@ -230,7 +230,7 @@ impl Reader {
                 Ok(shape) => shape,
                 // What is only seen is not needed; what touches is.
                 Err(e) if role == GeomRole::Visual => {
-                    self.unread.missing_visual(&e);
+                    self.unsupported.missing_visual(&e);
                     return Ok(None);
                 }
                 Err(e) => return Err(e),
@@ -328,7 +328,7 @@ impl Reader {
         }
         for child in &node.children {
             if !["origin", "parent", "child", "axis", "limit", "dynamics", "mimic"].contains(&child.tag.as_str()) {
-                self.unread.element(child);
+                self.unsupported.element(child);
             }
         }
         Ok(Some(Joint {

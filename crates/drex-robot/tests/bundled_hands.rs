@@ -4,7 +4,7 @@
 use std::path::PathBuf;
 
 use drex_core::Pose;
-use drex_robot::{Robot, Shape, orders};
+use drex_robot::{Robot, Shape, joint_order};
 use nalgebra::{Point3, Vector3};
 use serde_json::Value;
 
@@ -38,18 +38,18 @@ fn poses_within(robot: &Robot, n: usize) -> Vec<Vec<f64>> {
 #[test]
 fn joints_limits_and_masses() {
     let leap = Robot::bundled("leap_right").unwrap();
-    assert_eq!(leap.joint_names(), orders::order("leap_menagerie").unwrap());
+    assert_eq!(leap.joint_names(), joint_order::find("leap_menagerie").unwrap());
     assert!((leap.total_mass_kg() - 0.746).abs() < 1e-9);
     // The vendor's limits in its own order.
     let lower = [-1.047, -0.314, -0.506, -0.366];
     let upper = [1.047, 2.23, 1.885, 2.042];
     let thumb = [(-0.349, 2.094), (-0.47, 2.443), (-1.20, 1.90), (-1.34, 1.88)];
-    for (id, name) in orders::order("leap_sdk").unwrap().iter().enumerate() {
+    for (id, name) in joint_order::find("leap_sdk").unwrap().iter().enumerate() {
         let expected = if id < 12 { (lower[id % 4], upper[id % 4]) } else { thumb[id - 12] };
         assert_eq!(leap.joints[leap.require_joint(name).unwrap()].limits, Some(expected), "motor {id}");
     }
     let allegro = Robot::bundled("allegro_right").unwrap();
-    assert_eq!(allegro.joint_names(), orders::order("allegro_ros").unwrap());
+    assert_eq!(allegro.joint_names(), joint_order::find("allegro_ros").unwrap());
     assert!((allegro.total_mass_kg() - 0.9861).abs() < 1e-9);
     assert_eq!(leap.effort_limits().unwrap(), [0.29; 16]);
     // The version 4 driver's largest duty over its duty per N m.
@@ -147,7 +147,7 @@ fn largest_tip_distance(
     let mut worst = 0.0f64;
     for q in poses_within(ours, 200) {
         let named = theirs.joints.iter().map(|j| {
-            let name = orders::alias(model, &j.name).unwrap();
+            let name = joint_order::alias(model, &j.name).unwrap();
             (j.name.as_str(), q[ours.joint_index(name).unwrap()])
         });
         let a = ours.forward_kinematics(&q, &Pose::identity());
@@ -212,7 +212,7 @@ fn fingers_are_found_in_the_published_models() {
         let poses = robot.forward_kinematics(&[0.0; 16], &Pose::identity());
         // Fingers matched by their first joint.
         for f in &fingers {
-            let first = orders::alias(bundled, &robot.joints[f.joints[0]].name).unwrap();
+            let first = joint_order::alias(bundled, &robot.joints[f.joints[0]].name).unwrap();
             let twin =
                 ours.fingers().into_iter().find(|g| g.joints.contains(&ours.joint_index(first).unwrap())).unwrap();
             assert_eq!(twin.is_thumb, f.is_thumb, "{file} {}", f.name);
@@ -325,8 +325,8 @@ fn recorded_grasps_look_like_grasps() {
         let tip = |i: usize| poses[fingers[i].tip_link].translation.vector;
         (0..3).map(|i| (tip(i) - tip(3)).norm()).sum::<f64>() / 3.0
     };
-    let right = measure(orders::order("leap_sdk").unwrap());
-    let wrong = measure(orders::order("leap_menagerie").unwrap());
+    let right = measure(joint_order::find("leap_sdk").unwrap());
+    let wrong = measure(joint_order::find("leap_menagerie").unwrap());
     eprintln!(
         "{} grasps: fingertips to thumb {:.0} mm on average (open hand {:.0}), the hindmost tip {:.0} mm in front of the palm frame, {:.1} joints clipped; read in the wrong order {:.0} mm, {:.0} mm, {:.1}",
         rows.len(),
@@ -411,24 +411,32 @@ fn orders_name_the_same_joints() {
         ("allegro_urdf", "allegro_right"),
     ] {
         let robot = Robot::bundled(model).unwrap();
-        let order = orders::order(name).unwrap();
+        let order = joint_order::find(name).unwrap();
         let values: Vec<f64> = (0..16).map(f64::from).collect();
         let q = robot.joint_vector_full(order, &values).unwrap();
-        let back = orders::convert(&q, &robot.joint_names(), order).unwrap();
+        let back = joint_order::convert(&q, &robot.joint_names(), order).unwrap();
         assert_eq!(back, values);
     }
     // Motor numbers in the depth-first order of the URDF and of MuJoCo Menagerie.
     let sdk: Vec<f64> = (0..16).map(f64::from).collect();
-    let to =
-        |name: &str| orders::convert(&sdk, orders::order("leap_sdk").unwrap(), orders::order(name).unwrap()).unwrap();
+    let to = |name: &str| {
+        joint_order::convert(&sdk, joint_order::find("leap_sdk").unwrap(), joint_order::find(name).unwrap()).unwrap()
+    };
     assert_eq!(to("leap_urdf"), [1., 0., 2., 3., 12., 13., 14., 15., 5., 4., 6., 7., 9., 8., 10., 11.]);
     assert_eq!(to("leap_menagerie"), [1., 0., 2., 3., 5., 4., 6., 7., 9., 8., 10., 11., 12., 13., 14., 15.]);
-    assert!(orders::require("leap").unwrap_err().to_string().contains("leap_sdk"));
-    assert!(orders::convert(&sdk, orders::order("leap_sdk").unwrap(), orders::order("allegro_ros").unwrap()).is_err());
-    assert_eq!(orders::alias("leap_right", "1"), Some("if_mcp"));
-    assert_eq!(orders::alias("allegro_right", "joint_12.0"), Some("thj0"));
+    assert!(joint_order::require("leap").unwrap_err().to_string().contains("leap_sdk"));
+    assert!(
+        joint_order::convert(&sdk, joint_order::find("leap_sdk").unwrap(), joint_order::find("allegro_ros").unwrap())
+            .is_err()
+    );
+    assert_eq!(joint_order::alias("leap_right", "1"), Some("if_mcp"));
+    assert_eq!(joint_order::alias("allegro_right", "joint_12.0"), Some("thj0"));
     assert_eq!(
-        (orders::alias("leap_right", "01"), orders::alias("leap_right", "16"), orders::alias("panda", "0")),
+        (
+            joint_order::alias("leap_right", "01"),
+            joint_order::alias("leap_right", "16"),
+            joint_order::alias("panda", "0")
+        ),
         (None, None, None)
     );
 }

@@ -120,7 +120,7 @@ fn the_base_is_found_in_a_scene() {
     )
     .unwrap();
     assert_eq!(scene.links[0].name, "arm");
-    assert!(scene.unread.iter().any(|r| r.contains("cube")), "{:?}", scene.unread);
+    assert!(scene.unsupported.iter().any(|r| r.contains("cube")), "{:?}", scene.unsupported);
     // A moving body on the world: the world is the base and keeps its shapes.
     let door =
         mjcf(r#"<worldbody><geom size="1"/><body name="door"><joint name="j"/><geom size="0.1"/></body></worldbody>"#)
@@ -163,7 +163,7 @@ fn includes_meshes_and_their_reference_pose() {
     let body = robot.links[1].inertial.unwrap();
     assert!((body.mass_kg - 600.0 * 8.0 / 6.0).abs() < 1e-9);
     assert!((body.center_of_mass - Point3::new(-0.5, 0.5, 0.5)).norm() < 1e-12);
-    assert!(robot.unread.iter().any(|r| r.contains("gone.obj")), "{:?}", robot.unread);
+    assert!(robot.unsupported.iter().any(|r| r.contains("gone.obj")), "{:?}", robot.unsupported);
 
     // The same mesh missing where it matters, a circle, a missing include: errors that name the file.
     let refuses = |text: &str, part: &str| {
@@ -230,7 +230,7 @@ fn what_is_not_read_is_said() {
         <actuator><motor name="pull" tendon="t"/><muscle joint="j"/></actuator>"#,
     )
     .unwrap();
-    let all = robot.unread.join("\n");
+    let all = robot.unsupported.join("\n");
     for part in [
         "<option>",
         "<site>",
@@ -242,8 +242,8 @@ fn what_is_not_read_is_said() {
     ] {
         assert!(all.contains(part), "{part} is missing in\n{all}");
     }
-    assert!(Robot::bundled("leap_right").unwrap().unread.is_empty());
-    assert!(Robot::bundled("allegro_right").unwrap().unread.is_empty());
+    assert!(Robot::bundled("leap_right").unwrap().unsupported.is_empty());
+    assert!(Robot::bundled("allegro_right").unwrap().unsupported.is_empty());
 }
 
 fn urdf(folder: &Path, body: &str) -> drex_robot::Result<Robot> {
@@ -290,8 +290,8 @@ fn urdf_joints_shapes_and_masses() {
     assert!((robot.links[2].inertial.unwrap().mass_kg - 8.0).abs() < 1e-12);
     assert!((robot.links[1].inertial.unwrap().mass_kg - 1000.0 / 6.0).abs() < 1e-9);
     assert!(
-        robot.unread.iter().any(|r| r.contains("gone.dae"))
-            && robot.unread.iter().any(|r| r.contains("\"tip\" has no mass"))
+        robot.unsupported.iter().any(|r| r.contains("gone.dae"))
+            && robot.unsupported.iter().any(|r| r.contains("\"tip\" has no mass"))
     );
     let turned = Isometry3::rotation(Vector3::zeros()) * robot.links[1].parent_from_link;
     assert_eq!(turned.rotation, nalgebra::UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3));

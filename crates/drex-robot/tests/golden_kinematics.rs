@@ -125,5 +125,5 @@ fn inertia_from_meshes_is_exact() {
     assert!((mass("ff_base") - 2.74e-3).abs() < 5e-6, "{}", mass("ff_base"));
     // A simple convex part, where both rules must agree.
     assert!((mass("ff_tip") - 0.006844521380847799).abs() < 1e-8, "{}", mass("ff_tip"));
-    assert!(robot.unread.iter().all(|r| !r.contains("not closed")), "{:?}", robot.unread);
+    assert!(robot.unsupported.iter().all(|r| !r.contains("not closed")), "{:?}", robot.unsupported);
 }

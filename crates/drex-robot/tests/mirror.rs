@@ -4,7 +4,7 @@
 use std::path::PathBuf;
 
 use drex_core::Pose;
-use drex_robot::{MirrorPlane, Robot, orders};
+use drex_robot::{MirrorPlane, Robot, joint_order};
 use nalgebra::{Matrix3, Point3, Vector3};
 use proptest::prelude::*;
 
@@ -125,7 +125,7 @@ fn left_hands_by_name() {
     assert!(Robot::bundled("panda_left").unwrap_err().to_string().contains("leap_left"));
 }
 
-/// The vendors' left models are the mirror images but for the signs that [`orders::reversed_in_left`] lists, where the base of
+/// The vendors' left models are the mirror images but for the signs that [`joint_order::reversed_in_left`] lists, where the base of
 /// LEAP's is, that LEAP's fingertips are half a millimetre aside of the middle of their fingers (which are not mirrored), and 10 mm
 /// at the thumb of Allegro's URDF.
 #[test]
@@ -146,8 +146,8 @@ fn vendors_left_models() {
     ] {
         let ours = Robot::bundled(model).unwrap();
         let vendor = Robot::load(&folder.join(file)).unwrap();
-        let reversed = orders::reversed_in_left(model).unwrap();
-        let known = |name: &str| orders::alias(&model.replace("left", "right"), name).unwrap();
+        let reversed = joint_order::reversed_in_left(model).unwrap();
+        let known = |name: &str| joint_order::alias(&model.replace("left", "right"), name).unwrap();
         let counterpart = |name: &str| match (file.ends_with("left.urdf"), known(name)) {
             (true, joint) if joint.starts_with("ffj") => joint.replace("ff", "rf"),
             (true, joint) if joint.starts_with("rfj") => joint.replace("rf", "ff"),

@@ -13,8 +13,8 @@ use std::sync::Arc;
 
 use drex_core::{Pose, Trajectory, TriMesh};
 use drex_diffsim::{
-    ActuatorKind, Articulation, Base, Body, BodyState, Collider, Control, ConvexPiece, Fixed, Model, Part, Scene,
-    State, Workspace, step,
+    ActuatorKind, Articulation, Base, Body, BodyState, Collider, Control, ConvexPolyhedron, Model, Part, Scene, State,
+    StaticBody, Workspace, step,
 };
 use drex_recording::JointLog;
 use drex_recording::convert::allegro_run;
@@ -179,7 +179,7 @@ impl<'a> Push<'a> {
     }
 
     fn simulate(&self, mass: f64) -> Any<Motion> {
-        let piece = ConvexPiece::from_points(&self.object.pieces[0])?;
+        let piece = ConvexPolyhedron::from_points(&self.object.pieces[0])?;
         let body = Body::new(&self.object.unit, mass, Arc::new(Collider::convex(vec![piece])));
         let mut arm = Articulation::new(self.robot.clone(), Base::Fixed(self.log.world_from_base))?;
         for joint in &mut arm.joints {
@@ -205,13 +205,13 @@ impl<'a> Push<'a> {
         });
         let mut scene = Scene::empty();
         scene.gravity = self.recording.gravity;
-        scene.fixed.push(Fixed::table(self.table_m, FRICTION));
+        scene.static_bodies.push(StaticBody::table(self.table_m, FRICTION));
         scene.controls.push(Control::sampled(times, controls.collect())?);
         // Nothing happens before the touch, and nothing that matters long after it.
         let start = (self.found.motion_start_s - 1.2).max(times[0]);
         let first = times.partition_point(|t| *t < start);
         let arm_state = arm.at_rest(&vector(&self.log.joints.positions[first]), start)?;
-        let mut model = Model::new(vec![body]).with_arm(arm);
+        let mut model = Model::new(vec![body]).with_articulation(arm);
         model.dt_s = 1e-3;
         let mut state = State::new(vec![BodyState::at_rest(self.rest())], vec![arm_state]);
         state.time_s = start;
@@ -220,7 +220,7 @@ impl<'a> Push<'a> {
         let until = (self.found.motion_start_s + 2.0).min(times[times.len() - 1]);
         while state.time_s < until {
             step(&model, &scene, &mut state, &mut work)?;
-            let q = &state.arms[0].q;
+            let q = &state.articulations[0].q;
             let links = self.robot.forward_kinematics(q, &self.log.world_from_base);
             let mut torque = vec![0.0; q.len()];
             for c in work.contacts() {

@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use drex_core::trajectory::PoseNoise;
 use drex_core::{MassProperties, Pose, Trajectory};
-use drex_diffsim::{AppliedForce, Body, Collider, ConvexPiece, ForcePoint, Model, Part, Scene, State, rollout};
+use drex_diffsim::{AppliedForce, Body, Collider, ConvexPolyhedron, ForcePoint, Model, Part, Scene, State, rollout};
 use drex_recording::{Drive, ForceProfile, PushRecording};
 use drex_sysid::{IdentifyOptions, Knowledge, ObjectModel, Parameter, identify};
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -70,7 +70,7 @@ fn simulated(
     until_s: f64,
 ) -> Result<PushRecording, Box<dyn Error>> {
     let object = block();
-    let pieces = object.pieces.iter().map(|p| ConvexPiece::from_points(p)).collect::<Result<_, _>>()?;
+    let pieces = object.pieces.iter().map(|p| ConvexPolyhedron::from_points(p)).collect::<Result<_, _>>()?;
     let model = Model::new(vec![Body::new(&object.unit, TRUE_KG, Arc::new(Collider::convex(pieces)))]);
     let mut scene = Scene::on_table(friction);
     let times_s: Vec<f64> = (0..120).map(|k| f64::from(k) * 0.01).collect();

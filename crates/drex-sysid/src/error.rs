@@ -1,6 +1,6 @@
 //! What identification refuses.
 
-use drex_diffsim::SimError;
+use drex_diffsim::Error as SimulationError;
 
 /// Result of this crate.
 pub type Result<T, E = SysidError> = std::result::Result<T, E>;
@@ -84,7 +84,7 @@ pub enum SysidError {
         push: String,
         /// Its reason.
         #[source]
-        source: SimError,
+        source: SimulationError,
     },
     /// Masses or tensors of the mesh are unusable.
     #[error(transparent)]

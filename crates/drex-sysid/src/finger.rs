@@ -12,7 +12,7 @@
 use std::sync::Arc;
 
 use drex_core::Pose;
-use drex_diffsim::{ActuatorKind, Articulation, Base, Control, Scalar, SimError};
+use drex_diffsim::{ActuatorKind, Articulation, Base, Control, Error as SimulationError, Scalar};
 use drex_recording::{FingerImpedance, FingerPush};
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -60,10 +60,10 @@ pub(crate) struct FingerValues<T> {
 impl Finger {
     /// # Errors
     /// If the impedance cannot be simulated or the commands are no series.
-    pub(crate) fn new(push: &FingerPush) -> Result<Self, SimError> {
+    pub(crate) fn new(push: &FingerPush) -> Result<Self, SimulationError> {
         let i = &push.impedance;
         let refused =
-            |e: drex_robot::Error| SimError::NotFinite { what: format!("the impedance of the fingertip ({e})") };
+            |e: drex_robot::Error| SimulationError::NotFinite { what: format!("the impedance of the fingertip ({e})") };
         let axes = axes(&push.commands);
         let robot = Arc::new(Robot::from_mjcf_str(&mjcf(i, &axes), None).map_err(refused)?);
         let mut arm = Articulation::new(robot, Base::Fixed(Pose::identity()))?.with_friction(i.friction);
@@ -109,7 +109,7 @@ impl Finger {
 
     /// Replaces the servos across the push by the force that they exerted, plus a pull of `share` times the servo to where
     /// the tip was read. Nothing happens without an encoder.
-    pub(crate) fn pull_across(&mut self, share: f64) -> Result<(), SimError> {
+    pub(crate) fn pull_across(&mut self, share: f64) -> Result<(), SimulationError> {
         let Some(Reading { positions, velocities, commands, impedance: i }) = &self.reading else { return Ok(()) };
         let (kp, kv) = (share * i.kp_n_m, share * i.kv_ns_m);
         let rows = (0..positions.len()).map(|k| {
@@ -255,7 +255,7 @@ mod tests {
         let one = FingerValues { friction: 0.6, factors: [1.0; 3], joint_friction: 0.0, height: 0.0 };
         let (arm, q) = finger.arm(&one, 5e-5);
         let start = State::new(Vec::new(), vec![arm.at_rest(&q, 0.0).unwrap()]);
-        let mut model = Model::<f64>::new(Vec::new()).with_arm(arm);
+        let mut model = Model::<f64>::new(Vec::new()).with_articulation(arm);
         model.dt_s = 5e-5;
         let mut scene = Scene::on_table(0.5);
         scene.controls.push(finger.control.clone());

@@ -5,7 +5,7 @@
 
 use drex_core::Pose;
 use drex_core::pose::pose_difference;
-use drex_diffsim::ConvexPiece;
+use drex_diffsim::ConvexPolyhedron;
 use drex_recording::{Drive, PushRecording, TrackFrame};
 use nalgebra::{SMatrix, SVector, Vector3};
 
@@ -27,7 +27,7 @@ pub(crate) struct Finding {
 pub(crate) fn explain(
     recording: &PushRecording,
     object: &ObjectModel,
-    shape: &[ConvexPiece],
+    shape: &[ConvexPolyhedron],
     options: &IdentifyOptions,
 ) -> Result<Finding> {
     let mut finding = Finding { reason: String::new(), notes: Vec::new(), profile: Vec::new(), simulated: Vec::new() };

@@ -3,7 +3,7 @@
 use drex_core::mesh::coincident;
 use drex_core::sets::DisjointSets;
 use drex_core::{MassProperties, Pose, TriMesh};
-use drex_diffsim::ConvexPiece;
+use drex_diffsim::ConvexPolyhedron;
 use nalgebra::Point3;
 use std::collections::BTreeMap;
 
@@ -38,14 +38,14 @@ impl ObjectModel {
     }
 
     /// The pieces as the simulator takes them.
-    pub(crate) fn shape(&self) -> Result<Vec<ConvexPiece>> {
+    pub(crate) fn shape(&self) -> Result<Vec<ConvexPolyhedron>> {
         if !self.unit.is_physical() {
             return Err(SysidError::Object {
                 what: "has mass properties that no solid has".into(),
                 remedy: "close the mesh, or check its scale".into(),
             });
         }
-        let pieces = self.pieces.iter().map(|p| ConvexPiece::from_points(p)).collect::<Result<Vec<_>, _>>();
+        let pieces = self.pieces.iter().map(|p| ConvexPolyhedron::from_points(p)).collect::<Result<Vec<_>, _>>();
         let pieces = pieces.map_err(|e| SysidError::Object {
             what: format!("has a bad convex piece: {e}"),
             remedy: "split or close it".into(),

@@ -2,7 +2,7 @@
 //! simulate however fine its mesh is.
 
 use drex_core::Pose;
-use drex_diffsim::{ConvexPiece, Geom, Shape};
+use drex_diffsim::{ConvexPolyhedron, Geom, Shape};
 use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 /// Corners that a polygon must have to be a circle. A prism of as many sides is within 1.2 % of its cylinder.
@@ -11,12 +11,12 @@ const CORNERS: usize = 20;
 const ROUND: f64 = 2e-3;
 
 /// The pieces as shapes.
-pub(crate) fn geoms(pieces: &[ConvexPiece]) -> Vec<Geom> {
+pub(crate) fn geoms(pieces: &[ConvexPolyhedron]) -> Vec<Geom> {
     pieces.iter().map(|p| cylinder(p).unwrap_or_else(|| Geom::new(Shape::Convex(p.clone().into())))).collect()
 }
 
 /// The cylinder whose rims hold all corners of a piece.
-fn cylinder(piece: &ConvexPiece) -> Option<Geom> {
+fn cylinder(piece: &ConvexPolyhedron) -> Option<Geom> {
     let planes = piece.planes();
     let many = |i: &usize| piece.face(*i).len() >= CORNERS;
     let top = (0..planes.len()).find(many)?;
@@ -74,7 +74,7 @@ mod tests {
     use super::*;
     use nalgebra::Point3;
 
-    fn prism(sides: usize, pose: &Pose, squeeze: f64) -> ConvexPiece {
+    fn prism(sides: usize, pose: &Pose, squeeze: f64) -> ConvexPolyhedron {
         let points: Vec<Point3<f64>> = (0..2 * sides)
             .map(|k| {
                 let a = std::f64::consts::TAU * (k / 2) as f64 / sides as f64;
@@ -82,7 +82,7 @@ mod tests {
                 pose * Point3::new(0.03 * a.cos(), 0.03 * squeeze * a.sin(), z)
             })
             .collect();
-        ConvexPiece::from_points(&points).unwrap()
+        ConvexPolyhedron::from_points(&points).unwrap()
     }
 
     #[test]

@@ -6,8 +6,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use drex_core::Pose;
 use drex_core::trajectory::PoseNoise;
 use drex_diffsim::{
-    AppliedForce, Body, Collider, ContactOptions, ConvexPiece, Fixed, ForcePoint, Model, Part, Record, Scalar, Scene,
-    State, rollout,
+    AppliedForce, Body, Collider, ContactOptions, ConvexPolyhedron, ForcePoint, Model, Part, Record, Scalar, Scene,
+    State, StaticBody, rollout,
 };
 use drex_recording::{Drive, PushRecording, SupportBox};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
@@ -84,7 +84,7 @@ impl Problem {
     pub(crate) fn new(
         recording: &PushRecording,
         object: &ObjectModel,
-        shape: &[ConvexPiece],
+        shape: &[ConvexPolyhedron],
         options: &IdentifyOptions,
         noise: PoseNoise,
     ) -> Result<Self> {
@@ -207,9 +207,9 @@ impl Problem {
 
         let mut scene = Scene::empty();
         scene.gravity = self.gravity.map(T::lift);
-        scene.fixed.push(Fixed::table(self.table_height_m, friction));
+        scene.static_bodies.push(StaticBody::table(self.table_height_m, friction));
         for b in &self.boxes {
-            scene.fixed.push(Fixed::cuboid(b.center_m.into(), b.half_m.into(), friction).map_err(wrap)?);
+            scene.static_bodies.push(StaticBody::cuboid(b.center_m.into(), b.half_m.into(), friction).map_err(wrap)?);
         }
         let mut arms = Vec::new();
         match &self.action {
@@ -230,12 +230,12 @@ impl Problem {
                 );
                 arms.push(arm.at_rest(&q, 0.0).map_err(wrap)?);
                 scene.controls.push(finger.control.clone());
-                model.arms.push(arm);
+                model.articulations.push(arm);
             }
             Action::Nothing => {}
         }
         let mut state = State::at_rest(self.start_pose(&at));
-        state.arms = arms;
+        state.articulations = arms;
         state.time_s = self.begin_s();
         state.bodies[0].velocity = self.start_velocity.map(T::lift);
         state.bodies[0].angular_velocity = self.start_spin.map(T::lift);
@@ -248,7 +248,7 @@ impl Problem {
         force: &KnownForce,
         values: &Values<T>,
         scene: &mut Scene<T>,
-    ) -> Result<(), drex_diffsim::SimError> {
+    ) -> Result<(), drex_diffsim::Error> {
         let on = Part::Body(0);
         let gain = values.named[Parameter::ForceGain as usize].exp();
         let point = || ForcePoint::Body(force.point);
@@ -324,7 +324,7 @@ impl Problem {
         }
     }
 
-    fn failed(&self, source: drex_diffsim::SimError) -> SysidError {
+    fn failed(&self, source: drex_diffsim::Error) -> SysidError {
         SysidError::Simulation { push: self.name.clone(), source }
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use drex_core::Pose;
-use drex_diffsim::SimError;
+use drex_diffsim::Error as SimulationError;
 use drex_grasp::{
     Contact, ContactOptions, Distribution, ForceCommand, ForceLaw, GraspError, SqueezeError, SqueezeProblem,
     TorqueLimits, distribute, shake_loads,
@@ -96,7 +96,7 @@ pub(crate) fn plan_closing(
     let mut touches = match close() {
         Ok(touches) => touches,
         // A hand that starts inside the object or the table can be thrown out of all bounds: it holds nothing.
-        Err(Error::Simulation(SimError::Diverged { .. })) => Vec::new(),
+        Err(Error::Simulation(SimulationError::Diverged { .. })) => Vec::new(),
         Err(other) => return Err(other),
     };
     let mut fingers_in_contact = vec![false; trial.surface.fingers.len()];

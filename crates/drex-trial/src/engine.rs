@@ -118,9 +118,9 @@ impl Simulation {
         let (arm, drives) = hand_of(hand, Base::Path(path), effort_nm, truth.friction)?;
         let hold: Vec<f64> = drives.iter().map(|d| joints[d.joint] * d.gear).collect();
         let mut state = State::at_rest(world_from_object);
-        state.arms.push(arm.at_rest(joints, 0.0)?);
+        state.articulations.push(arm.at_rest(joints, 0.0)?);
         let body = Body::new(&object.mass_properties, truth.mass_kg, Arc::clone(collider));
-        let mut model = Model::new(vec![body]).with_arm(arm);
+        let mut model = Model::new(vec![body]).with_articulation(arm);
         model.dt_s = dt_s;
         let mut scene = Scene::on_table(truth.friction);
         scene.controls.push(Control::constant(&hold)?);
@@ -177,7 +177,7 @@ impl Simulation {
 
     /// Joint angles, model order.
     pub fn joints(&self) -> &[f64] {
-        &self.state().arms[0].q
+        &self.state().articulations[0].q
     }
 
     pub fn world_from_object(&self) -> Pose {
@@ -185,7 +185,7 @@ impl Simulation {
     }
 
     pub fn world_from_base(&self) -> Pose {
-        self.state().arms[0].base.world_from_base
+        self.state().articulations[0].base.world_from_base
     }
 
     /// Contacts of the hand in the last step that carry something, and whether the object touches the table.
@@ -209,8 +209,8 @@ fn collect<'a>(contacts: impl Iterator<Item = &'a ContactForce<f64>>, out: &mut 
         }
         let (link, with, inward) = match (c.key.a, c.key.b) {
             (Part::Body(_), Part::Link { link, .. }) => (link, Met::Object, c.normal),
-            (Part::Link { link, .. }, Part::Fixed(_)) => (link, Met::Table, -c.normal),
-            (Part::Body(_), Part::Fixed(_)) => {
+            (Part::Link { link, .. }, Part::Static(_)) => (link, Met::Table, -c.normal),
+            (Part::Body(_), Part::Static(_)) => {
                 on_table = true;
                 continue;
             }

@@ -17,7 +17,7 @@ pub enum Error {
     },
     /// The simulator refused the model.
     #[error("the trial cannot be simulated: {0}")]
-    Simulation(#[from] drex_diffsim::SimError),
+    Simulation(#[from] drex_diffsim::Error),
     /// MuJoCo refused the model.
     #[cfg(feature = "mujoco")]
     #[error("the trial cannot be simulated: {0}")]

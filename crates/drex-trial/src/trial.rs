@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use drex_core::{Object, Pose};
-use drex_diffsim::{Collider, ConvexPiece, SimError};
+use drex_diffsim::{Collider, ConvexPolyhedron, Error as SimulationError};
 use drex_grasp::HandSurface;
 use drex_robot::Robot;
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
@@ -40,7 +40,7 @@ impl Trial {
     /// If the hand has no collision shapes, its model does not say what its motors give ([`Robot::effort_limits`]), or an option is
     /// out of range.
     pub fn new(hand: Arc<Robot>, object: Object, options: TrialOptions) -> Result<Self> {
-        let parts = object.convex_parts.iter().map(|corners| ConvexPiece::from_points(corners));
+        let parts = object.convex_parts.iter().map(|corners| ConvexPolyhedron::from_points(corners));
         let collider = Collider::convex(parts.collect::<Result<_, _>>()?);
         Self::with_collider(hand, object, collider, options)
     }
@@ -187,7 +187,7 @@ impl Trial {
             for _ in 0..STEPS_PER_TICK {
                 match simulation.step(&told) {
                     Ok(()) => {}
-                    Err(Error::Simulation(SimError::Diverged { time_s, .. })) => {
+                    Err(Error::Simulation(SimulationError::Diverged { time_s, .. })) => {
                         return Ok(watch.broke(time_s));
                     }
                     Err(other) => return Err(other),

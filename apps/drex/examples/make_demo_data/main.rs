@@ -20,7 +20,9 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result};
 use drex_core::{MassProperties, Pose, Surface, TablePlane, TriMesh, fsutil, pose};
-use drex_diffsim::{AppliedForce, Body, Collider, ConvexPiece, Fixed, ForcePoint, Model, Part, Scene, State, rollout};
+use drex_diffsim::{
+    AppliedForce, Body, Collider, ConvexPolyhedron, ForcePoint, Model, Part, Scene, State, StaticBody, rollout,
+};
 use drex_mesh::{Asset, AssetOptions, GridOptions, GridSdf, MeshSdf, asset_from_mesh};
 use drex_recording::JointPoses;
 use drex_recording::readers::{GraspFile, write_grasps_json};
@@ -119,13 +121,13 @@ fn obj(shells: &[TriMesh]) -> String {
 fn make_push(shells: &[TriMesh], mass_kg: f64, mesh: &str, folder: &Path) -> Result<()> {
     let parts = shells.iter().map(|s| s.mass_properties(1.0)).collect::<Result<Vec<_>, _>>()?;
     let body = MassProperties::combined(&parts).context("the tin has no volume")?.with_mass(mass_kg);
-    let pieces = shells.iter().map(|s| ConvexPiece::from_points(&s.vertices)).collect::<Result<Vec<_>, _>>()?;
+    let pieces = shells.iter().map(|s| ConvexPolyhedron::from_points(&s.vertices)).collect::<Result<Vec<_>, _>>()?;
 
     let mut model = Model::new(vec![Body::new(&body, mass_kg, Arc::new(Collider::convex(pieces)))]);
     model.dt_s = 1e-4;
     model.contact.frequency_rad_s = 1400.0;
     let mut scene: Scene<f64> = Scene::empty();
-    scene.fixed.push(Fixed::table(0.0, TRUE_FRICTION));
+    scene.static_bodies.push(StaticBody::table(0.0, TRUE_FRICTION));
     let tipping_n = mass_kg * 9.81 * (TIN.0 / 2.0) / PUSH_HEIGHT_M;
     let point = Point3::new(-TIN.0 / 2.0, 0.0, PUSH_HEIGHT_M);
     let times: Vec<f64> = (0..=160).map(|i| f64::from(i) / 100.0).collect();

@@ -3,29 +3,29 @@
 use drex_core::Pose;
 use nalgebra::{Translation3, Vector3};
 
-use super::{ArmState, Articulation, Base, LawKind, ScalarLaw, TreeWork};
+use super::{Articulation, ArticulationState, Base, JointForce, JointForceKind, TreeWork};
 use crate::Scalar;
 use crate::math::{exp, renormalized};
 
 impl<T: Scalar> Articulation<T> {
-    /// Moves `state` from time `t` over a step `h` with the generalised velocity `u` that the step found. `laws` are
-    /// those of [`Articulation::joint_laws`], `work` the kinematics of `state`; `work` is used up.
+    /// Moves `state` from time `t` over a step `h` with the generalised velocity `u` that the step found. `forces` are
+    /// those of [`Articulation::joint_forces`], `work` the kinematics of `state`; `work` is used up.
     ///
     /// Joints move by h u, a free base turns by the exponential map. Its centre of mass moves on a straight line and
     /// keeps its velocity into the new configuration (see [`Articulation::step_bias`]).
     pub(crate) fn advance(
         &self,
-        state: &mut ArmState<T>,
+        state: &mut ArticulationState<T>,
         u: &[T],
         (t, h): (f64, f64),
-        laws: &[ScalarLaw<T>],
+        forces: &[JointForce<T>],
         work: &mut TreeWork<T>,
     ) {
         let first = self.base_dof();
         let joints = &u[first..];
-        for law in laws.iter().filter(|law| law.kind == LawKind::Friction) {
-            let (j, stretch) = (law.joint, &mut state.friction[law.joint]);
-            *stretch = self.joints[j].friction_stretch(law, *stretch, joints[j], h);
+        for force in forces.iter().filter(|force| force.kind == JointForceKind::Friction) {
+            let (j, stretch) = (force.joint, &mut state.friction[force.joint]);
+            *stretch = self.joints[j].friction_stretch(force, *stretch, joints[j], h);
         }
         let h_t = T::lift(h);
         for (j, &rate) in joints.iter().enumerate() {

@@ -2,8 +2,8 @@
 
 use nalgebra::{Matrix3, SymmetricEigen};
 
-use super::{ActuatorKind, ArmState, Articulation, TreeWork, joint_error};
-use crate::{Result, Scalar, SimError};
+use super::{ActuatorKind, Articulation, ArticulationState, TreeWork, joint_error};
+use crate::{Error, Result, Scalar};
 
 /// Share of a diagonal entry of the mass matrix below which its pivot counts as zero.
 const SINGULAR: f64 = 1e-12;
@@ -20,7 +20,7 @@ impl<T: Scalar> Articulation<T> {
             let finite = m.center_of_mass.iter().chain(m.inertia.iter()).all(|x| x.value().is_finite());
             let inertia = m.inertia.map(|x| x.value());
             if !(finite && mass.is_finite() && mass >= 0.0 && exists(&inertia)) {
-                return Err(SimError::Joint {
+                return Err(Error::Joint {
                     robot: self.robot.name.clone(),
                     joint: format!("link {}", link.name),
                     what: format!("mass {mass} kg, inertia {:?} are no rigid body's", inertia.as_slice()),
@@ -92,13 +92,13 @@ impl<T: Scalar> Articulation<T> {
     ///
     /// # Errors
     /// If it has not one finite number per joint, or the base is not finite.
-    pub fn check_state(&self, state: &ArmState<T>) -> Result<()> {
+    pub fn check_state(&self, state: &ArticulationState<T>) -> Result<()> {
         let n = self.joints.len();
         for (what, values) in
             [("position", &state.q), ("velocity", &state.velocities), ("friction stretch", &state.friction)]
         {
             if values.len() != n {
-                return Err(SimError::Series {
+                return Err(Error::Series {
                     what: format!("robot \"{}\" has {n} joints but {} values of {what}", self.robot.name, values.len()),
                     remedy: "give one value per joint, in the order of the robot".into(),
                 });
@@ -111,7 +111,7 @@ impl<T: Scalar> Articulation<T> {
         let b = &state.base;
         let pose = b.world_from_base.translation.vector.iter().chain(b.world_from_base.rotation.coords.iter());
         if pose.chain(b.velocity.iter()).chain(b.angular_velocity.iter()).any(|x| !x.value().is_finite()) {
-            return Err(SimError::NotFinite { what: format!("robot \"{}\": the state of the base", self.robot.name) });
+            return Err(Error::NotFinite { what: format!("robot \"{}\": the state of the base", self.robot.name) });
         }
         Ok(())
     }
@@ -123,7 +123,7 @@ impl<T: Scalar> Articulation<T> {
     pub fn check_control(&self, control: &[f64]) -> Result<()> {
         let n = self.actuators.len();
         let fail = |what: String, remedy: &str| {
-            Err(SimError::Control { robot: self.robot.name.clone(), what, remedy: remedy.into() })
+            Err(Error::Control { robot: self.robot.name.clone(), what, remedy: remedy.into() })
         };
         if control.len() != n {
             return fail(format!("{n} drives but {} controls", control.len()), "give one per drive, in their order");
@@ -153,7 +153,7 @@ impl<T: Scalar> Articulation<T> {
             });
             let Some(i) = found else {
                 let known: Vec<_> = (0..out.len()).map(|i| self.drive_name(i)).collect();
-                return Err(SimError::Control {
+                return Err(Error::Control {
                     robot: self.robot.name.clone(),
                     what: format!("no drive \"{name}\", nor a joint of that name with one drive"),
                     remedy: format!("its drives are {}", known.join(", ")),

@@ -1,7 +1,7 @@
 //! What acts inside joints: drives, damping, dry friction, limits. All of it is taken at the end of the step, as a force
 //! that never grows with the velocity, so that the step can be solved however stiff it is.
 
-use super::{ActuatorKind, ActuatorParams, ArmState, Articulation, JointParams, TreeWork};
+use super::{ActuatorKind, ActuatorParams, Articulation, ArticulationState, JointParams, TreeWork};
 use crate::Scalar;
 
 /// Natural frequency of a joint on its stop, rad/s: it gives by torque / (inertia ω²).
@@ -13,7 +13,7 @@ const LIMIT_MARGIN: f64 = 0.01;
 
 /// A force on one generalised velocity u, implicit in it: f(u) = clamp(preload - kappa u, low, high), kappa >= 0.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct ScalarLaw<T: Scalar> {
+pub(crate) struct JointForce<T: Scalar> {
     /// Index of the generalised velocity, counted within the robot.
     pub dof: usize,
     /// Index of the joint.
@@ -22,12 +22,12 @@ pub(crate) struct ScalarLaw<T: Scalar> {
     pub kappa: T,
     pub low: T,
     pub high: T,
-    pub kind: LawKind,
+    pub kind: JointForceKind,
 }
 
-/// Where a [`ScalarLaw`] comes from.
+/// Where a [`JointForce`] comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum LawKind {
+pub(crate) enum JointForceKind {
     Damping,
     Friction,
     Limit,
@@ -35,7 +35,7 @@ pub(crate) enum LawKind {
     Actuator(usize),
 }
 
-impl<T: Scalar> ScalarLaw<T> {
+impl<T: Scalar> JointForce<T> {
     pub fn force(&self, u: T) -> T {
         let f = self.preload - self.kappa * u;
         if f.value() < self.low.value() {
@@ -53,9 +53,9 @@ impl<T: Scalar> ScalarLaw<T> {
         if f < self.low.value() || f > self.high.value() { 0.0 } else { self.kappa.value() }
     }
 
-    /// The law without derivatives.
-    pub fn value(&self) -> ScalarLaw<f64> {
-        ScalarLaw {
+    /// The force without derivatives.
+    pub fn value(&self) -> JointForce<f64> {
+        JointForce {
             dof: self.dof,
             joint: self.joint,
             preload: self.preload.value(),
@@ -68,29 +68,29 @@ impl<T: Scalar> ScalarLaw<T> {
 }
 
 impl<T: Scalar> Articulation<T> {
-    /// The laws of all joints for a step of length `h` from `state`, whose kinematics are in `work`. `control` has one
+    /// The forces of all joints for a step of length `h` from `state`, whose kinematics are in `work`. `control` has one
     /// number per drive ([`Articulation::check_control`]).
-    pub(crate) fn joint_laws(
+    pub(crate) fn joint_forces(
         &self,
-        state: &ArmState<T>,
+        state: &ArticulationState<T>,
         work: &TreeWork<T>,
         control: &[f64],
         h: f64,
-        out: &mut Vec<ScalarLaw<T>>,
+        out: &mut Vec<JointForce<T>>,
     ) {
         out.clear();
         let (first, none, open) = (self.base_dof(), T::zero(), T::lift(f64::INFINITY));
         for (joint, p) in self.joints.iter().enumerate() {
-            let mut put = |preload: T, kappa: T, low: T, high: T, kind: LawKind| {
-                out.push(ScalarLaw { dof: first + joint, joint, preload, kappa, low, high, kind });
+            let mut put = |preload: T, kappa: T, low: T, high: T, kind: JointForceKind| {
+                out.push(JointForce { dof: first + joint, joint, preload, kappa, low, high, kind });
             };
             if p.damping.value() > 0.0 {
-                put(none, p.damping, -open, open, LawKind::Damping);
+                put(none, p.damping, -open, open, JointForceKind::Damping);
             }
             if p.friction_loss.value() > 0.0 {
                 let (k, damping) = p.friction_spring(work.joints[joint].inertia);
                 let bound = p.friction_loss;
-                put(-k * state.friction[joint], k * T::lift(h) + damping, -bound, bound, LawKind::Friction);
+                put(-k * state.friction[joint], k * T::lift(h) + damping, -bound, bound, JointForceKind::Friction);
             }
             let Some((lo, hi)) = p.limits else { continue };
             let (q, reach) = (state.q[joint], LIMIT_MARGIN.max(2.0 * h * state.velocities[joint].value().abs()));
@@ -99,10 +99,10 @@ impl<T: Scalar> Articulation<T> {
             // A gap may close by the end of the step, and no further.
             let push = |depth: T| depth * if depth.value() > 0.0 { k } else { kappa / T::lift(h) };
             if q.value() < lo + reach {
-                put(push(T::lift(lo) - q), kappa, none, open, LawKind::Limit);
+                put(push(T::lift(lo) - q), kappa, none, open, JointForceKind::Limit);
             }
             if q.value() > hi - reach {
-                put(-push(q - T::lift(hi)), kappa, -open, none, LawKind::Limit);
+                put(-push(q - T::lift(hi)), kappa, -open, none, JointForceKind::Limit);
             }
         }
         for (i, (a, &control)) in self.actuators.iter().zip(control).enumerate() {
@@ -120,14 +120,14 @@ impl<T: Scalar> Articulation<T> {
                     (low, high) = (high, low);
                 }
             }
-            out.push(ScalarLaw {
+            out.push(JointForce {
                 dof: first + a.joint,
                 joint: a.joint,
                 preload,
                 kappa,
                 low,
                 high,
-                kind: LawKind::Actuator(i),
+                kind: JointForceKind::Actuator(i),
             });
         }
     }
@@ -144,11 +144,11 @@ impl<T: Scalar> JointParams<T> {
 
     /// The stretch of that spring at the end of a step at velocity `u`, from `stretch`: it grows while it sticks, and is
     /// dragged along at its bound while it slips.
-    pub(super) fn friction_stretch(&self, law: &ScalarLaw<T>, stretch: T, u: T, h: f64) -> T {
-        let f = law.preload - law.kappa * u;
-        if f.value() < law.low.value() {
+    pub(super) fn friction_stretch(&self, force: &JointForce<T>, stretch: T, u: T, h: f64) -> T {
+        let f = force.preload - force.kappa * u;
+        if f.value() < force.low.value() {
             T::lift(self.presliding)
-        } else if f.value() > law.high.value() {
+        } else if f.value() > force.high.value() {
             T::lift(-self.presliding)
         } else {
             stretch + u * T::lift(h)

@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 use super::model::map_pose;
 use super::spatial::{Sym3, mul};
-use super::{ArmState, Articulation, Base, LinkInertia};
+use super::{Articulation, ArticulationState, Base, LinkInertia};
 use crate::Scalar;
 use crate::path::mean_rate;
 
@@ -124,7 +124,7 @@ impl<T: Scalar> Articulation<T> {
     /// Poses, velocities and inertias at `state` and time `t`. `h` is the step about to be taken: accelerations and
     /// mean velocities of a base on a path are those over [t, t + h], so that its velocity changes by exactly what the
     /// path says; h = 0 gives the instantaneous ones. `state` must have one number per joint.
-    pub(crate) fn kinematics(&self, state: &ArmState<T>, t: f64, h: f64, work: &mut TreeWork<T>) {
+    pub(crate) fn kinematics(&self, state: &ArticulationState<T>, t: f64, h: f64, work: &mut TreeWork<T>) {
         work.base = self.base_motion(state, t, h);
         work.links.clear();
         work.joints.clear();
@@ -209,7 +209,7 @@ impl<T: Scalar> Articulation<T> {
         }
     }
 
-    fn base_motion(&self, state: &ArmState<T>, t: f64, h: f64) -> BaseMotion<T> {
+    fn base_motion(&self, state: &ArticulationState<T>, t: f64, h: f64) -> BaseMotion<T> {
         let mut out = TreeWork::default().base;
         let up = |v: Vector3<f64>| v.map(T::lift);
         match &self.base {
@@ -274,7 +274,7 @@ impl<T: Scalar> Articulation<T> {
     }
 
     /// The generalised velocity of `state`, appended to `out`.
-    pub(crate) fn velocity(&self, state: &ArmState<T>, out: &mut Vec<T>) {
+    pub(crate) fn velocity(&self, state: &ArticulationState<T>, out: &mut Vec<T>) {
         if self.base_dof() > 0 {
             out.extend(state.base.velocity.iter().chain(state.base.angular_velocity.iter()));
         }

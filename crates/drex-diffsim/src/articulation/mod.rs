@@ -7,7 +7,7 @@
 //!
 //! - `model`: what a robot is to the simulator, `state`: where it is and how it moves, `path`: prescribed bases;
 //! - `kinematics`: poses and velocities, Jacobian columns; `dynamics`: mass matrix and bias;
-//! - `joints`: drives, damping, dry friction and limits as laws that are taken at the end of the step;
+//! - `joints`: drives, damping, dry friction and limits as forces that are taken at the end of the step;
 //! - `advance`: from the velocity found to the next state.
 
 mod advance;
@@ -24,16 +24,16 @@ mod surface;
 mod tests;
 
 pub(crate) use dynamics::LinkForce;
-pub(crate) use joints::{LawKind, ScalarLaw};
+pub(crate) use joints::{JointForce, JointForceKind};
 pub(crate) use kinematics::{Column, TreeWork};
 pub use model::{ActuatorKind, ActuatorParams, Articulation, Base, JointParams, LinkInertia};
-pub use state::{ArmState, BaseState};
+pub use state::{ArticulationState, BaseState};
 
 use drex_robot::Robot;
 
-use crate::SimError;
+use crate::Error;
 
 /// An error about a joint.
-fn joint_error(robot: &Robot, joint: &str, what: String, remedy: &str) -> SimError {
-    SimError::Joint { robot: robot.name.clone(), joint: joint.into(), what, remedy: remedy.into() }
+fn joint_error(robot: &Robot, joint: &str, what: String, remedy: &str) -> Error {
+    Error::Joint { robot: robot.name.clone(), joint: joint.into(), what, remedy: remedy.into() }
 }

@@ -6,12 +6,12 @@ use drex_core::Pose;
 use drex_robot::{ActuatorKind as Drive, Robot};
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use super::state::{ArmState, BaseState};
+use super::state::{ArticulationState, BaseState};
 use super::{joint_error, surface};
 use crate::collider::Collider;
 use crate::material::Material;
 use crate::path::Path;
-use crate::{Result, Scalar, SimError};
+use crate::{Error, Result, Scalar};
 
 /// How far a joint gives before its dry friction slips, rad.
 const PRESLIDING_RAD: f64 = 1e-5;
@@ -276,13 +276,13 @@ impl<T: Scalar> Articulation<T> {
     ///
     /// # Errors
     /// If `q` has not one finite number per joint.
-    pub fn at_rest(&self, q: &[T], time_s: f64) -> Result<ArmState<T>> {
+    pub fn at_rest(&self, q: &[T], time_s: f64) -> Result<ArticulationState<T>> {
         let base = match &self.base {
             Base::Free => BaseState::at_rest(map_pose(&self.robot.file_world_from_base, |x| T::lift(*x))),
             _ => self.prescribed_base(time_s),
         };
         let zero = || vec![T::zero(); q.len()];
-        let state = ArmState { base, q: q.to_vec(), velocities: zero(), friction: zero() };
+        let state = ArticulationState { base, q: q.to_vec(), velocities: zero(), friction: zero() };
         self.check_state(&state)?;
         Ok(state)
     }
@@ -346,7 +346,7 @@ fn is_prismatic(joint: &drex_robot::Joint) -> bool {
 
 /// The tree of a robot. Checks what the recursions rely on.
 fn tree(robot: &Robot) -> Result<Vec<TreeLink>> {
-    let broken = |what: String| SimError::Joint {
+    let broken = |what: String| Error::Joint {
         robot: robot.name.clone(),
         joint: String::new(),
         what,

@@ -18,7 +18,7 @@ pub struct BaseState<T: Scalar> {
 
 /// State of one robot; the joint vectors have the order of [`drex_robot::Robot::joints`].
 #[derive(Debug, Clone, PartialEq)]
-pub struct ArmState<T: Scalar> {
+pub struct ArticulationState<T: Scalar> {
     /// The base. It is state for a free base only; for the others it repeats what the model prescribes.
     pub base: BaseState<T>,
     /// Joint coordinates, rad (m).

@@ -5,7 +5,7 @@ use nalgebra::Point3;
 
 use crate::collider::Collider;
 use crate::material::Material;
-use crate::{ConvexPiece, Geom, Result, Shape};
+use crate::{ConvexPolyhedron, Geom, Result, Shape};
 
 /// Points per half turn on an ellipsoid.
 const ELLIPSOID_ROWS: usize = 16;
@@ -38,8 +38,8 @@ fn shape(shape: &RobotShape) -> Result<Shape> {
             Shape::Cylinder { radius_m: *radius, half_length_m: *half_length }
         }
         RobotShape::Box { half } => Shape::Box { half_m: *half },
-        RobotShape::Ellipsoid { radii } => Shape::Convex(ConvexPiece::from_points(&ellipsoid(radii))?.into()),
-        RobotShape::Mesh(mesh) => Shape::Convex(ConvexPiece::from_points(&mesh.vertices)?.into()),
+        RobotShape::Ellipsoid { radii } => Shape::Convex(ConvexPolyhedron::from_points(&ellipsoid(radii))?.into()),
+        RobotShape::Mesh(mesh) => Shape::Convex(ConvexPolyhedron::from_points(&mesh.vertices)?.into()),
         _ => Shape::Plane,
     })
 }

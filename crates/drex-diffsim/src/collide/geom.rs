@@ -6,7 +6,7 @@ use drex_core::Pose;
 use nalgebra::{Matrix3, Vector3};
 
 use super::feature::{Frame, Plane};
-use crate::{ConvexPiece, Result, SdfShape, Shape, SimError, SurfacePoints};
+use crate::{ConvexPolyhedron, Error, Result, SdfShape, Shape, SurfacePoints};
 
 /// A geom ready for contact.
 #[derive(Debug, Clone)]
@@ -98,7 +98,7 @@ impl CollisionGeom {
         shape.check()?;
         let q = &body_from_shape.rotation.coords;
         if body_from_shape.translation.vector.iter().chain(q.iter()).any(|x| !x.is_finite()) {
-            return Err(SimError::NotFinite { what: "the pose of a shape on its body".into() });
+            return Err(Error::NotFinite { what: "the pose of a shape on its body".into() });
         }
         let frame = Frame::of(body_from_shape);
         let z = frame.r.column(2).into_owned();
@@ -116,11 +116,11 @@ impl CollisionGeom {
             }
             Shape::Cylinder { radius_m, half_length_m } => {
                 let (radius, half_length) = (*radius_m, *half_length_m);
-                let prism = Poly::new(&ConvexPiece::prism(radius, half_length, Shape::CYLINDER_SIDES), &frame);
+                let prism = Poly::new(&ConvexPolyhedron::prism(radius, half_length, Shape::CYLINDER_SIDES), &frame);
                 let kind = Kind::Cylinder(Cylinder { center: origin, axis: z, radius, half_length, prism });
                 Self { kind, center: origin, radius: radius.hypot(half_length) }
             }
-            Shape::Box { half_m } => Self::poly(Poly::new(&ConvexPiece::cuboid(half_m), &frame).into_box()),
+            Shape::Box { half_m } => Self::poly(Poly::new(&ConvexPolyhedron::cuboid(half_m), &frame).into_box()),
             Shape::Convex(piece) => Self::poly(Poly::new(piece, &frame)),
             Shape::Sdf(sdf) => {
                 let (lo, hi) = sdf.bounds();
@@ -146,7 +146,7 @@ impl CollisionGeom {
 }
 
 impl Poly {
-    pub fn new(piece: &ConvexPiece, frame: &Frame<f64>) -> Self {
+    pub fn new(piece: &ConvexPolyhedron, frame: &Frame<f64>) -> Self {
         let vertices: Vec<Vector3<f64>> = piece.vertices().iter().map(|v| frame.point(&v.coords)).collect();
         let planes: Vec<Plane> = piece.planes().iter().map(|plane| frame.plane(plane)).collect();
         let unit = |[a, b]: [u32; 2]| {
@@ -223,7 +223,7 @@ impl Poly {
 
 /// Half of a vertex's two sides around the largest face that it is a corner of, over the mean of that face's sides: the
 /// pressure on a rim then does not depend on where the mesh has its vertices.
-fn rim_weights(piece: &ConvexPiece, areas: &[f64], faces_at: &[Vec<u32>]) -> Vec<f64> {
+fn rim_weights(piece: &ConvexPolyhedron, areas: &[f64], faces_at: &[Vec<u32>]) -> Vec<f64> {
     let weight = |(v, faces): (usize, &Vec<u32>)| {
         let largest = faces.iter().max_by(|a, b| areas[**a as usize].total_cmp(&areas[**b as usize]))?;
         let corners = piece.face(*largest as usize);

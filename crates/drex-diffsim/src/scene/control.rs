@@ -1,7 +1,7 @@
 //! Controls of actuators over time.
 
 use crate::series::check_series;
-use crate::{Result, SimError};
+use crate::{Error, Result};
 
 /// Controls of the actuators of one articulation, in the order of its actuators; each row holds until the next.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,14 +26,14 @@ impl Control {
     pub fn sampled(times_s: &[f64], rows: Vec<Vec<f64>>) -> Result<Self> {
         check_series("control", times_s, rows.len())?;
         if let Some(i) = rows.iter().position(|r| r.len() != rows[0].len()) {
-            return Err(SimError::Series {
+            return Err(Error::Series {
                 what: format!("control row {i} has {} values, the first {}", rows[i].len(), rows[0].len()),
                 remedy: "give one value per actuator in every row".into(),
             });
         }
         for (i, row) in rows.iter().enumerate() {
             if let Some(j) = row.iter().position(|x| !x.is_finite()) {
-                return Err(SimError::NotFinite { what: format!("control {j} of row {i} (t = {} s)", times_s[i]) });
+                return Err(Error::NotFinite { what: format!("control {j} of row {i} (t = {} s)", times_s[i]) });
             }
         }
         Ok(Self { times_s: times_s.to_vec(), rows })

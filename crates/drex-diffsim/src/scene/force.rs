@@ -4,7 +4,7 @@ use drex_core::Pose;
 use nalgebra::{Point3, Vector3};
 
 use crate::series::check_series;
-use crate::{Part, Result, Scalar, SimError};
+use crate::{Error, Part, Result, Scalar};
 
 /// Where a force acts.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,7 +43,7 @@ impl<T: Scalar> AppliedForce<T> {
     pub fn new(on: Part, times_s: &[f64], forces_n: &[Vector3<f64>], point: ForcePoint) -> Result<Self> {
         check_series("force", times_s, forces_n.len())?;
         if forces_n.iter().any(|f| f.iter().any(|x| !x.is_finite())) {
-            return Err(SimError::NotFinite { what: "a sample of the applied force".into() });
+            return Err(Error::NotFinite { what: "a sample of the applied force".into() });
         }
         let points: &[Point3<f64>] = match &point {
             ForcePoint::Body(p) => std::slice::from_ref(p),
@@ -54,7 +54,7 @@ impl<T: Scalar> AppliedForce<T> {
             ForcePoint::Couple => &[],
         };
         if points.iter().any(|p| p.iter().any(|x| !x.is_finite())) {
-            return Err(SimError::NotFinite { what: "a point of the applied force".into() });
+            return Err(Error::NotFinite { what: "a point of the applied force".into() });
         }
         let mut impulse = vec![Vector3::zeros(); times_s.len()];
         for i in 1..times_s.len() {

@@ -14,7 +14,7 @@ pub use force::{AppliedForce, ForcePoint};
 use crate::collider::Collider;
 use crate::material::{Material, check_friction};
 use crate::path::Path;
-use crate::{Geom, Result, Scalar, Shape, SimError};
+use crate::{Error, Geom, Result, Scalar, Shape};
 
 /// The surroundings of the bodies.
 #[derive(Debug, Clone)]
@@ -23,9 +23,9 @@ pub struct Scene<T: Scalar> {
     /// Gravity in the world, m/s².
     pub gravity: Vector3<T>,
     /// What does not move: the table, boxes, anything solid.
-    pub fixed: Vec<Fixed<T>>,
+    pub static_bodies: Vec<StaticBody<T>>,
     /// What moves along a prescribed path, whatever it meets.
-    pub movers: Vec<Mover<T>>,
+    pub kinematic_bodies: Vec<KinematicBody<T>>,
     /// Forces and torques over time.
     pub forces: Vec<AppliedForce<T>>,
     /// Controls of the actuators, one per articulation that has any.
@@ -35,7 +35,7 @@ pub struct Scene<T: Scalar> {
 /// Something solid that does not move.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
-pub struct Fixed<T> {
+pub struct StaticBody<T> {
     /// Pose of its frame in the world.
     pub world_from_body: Pose,
     /// Shapes in its frame.
@@ -44,7 +44,7 @@ pub struct Fixed<T> {
     pub material: Material<T>,
 }
 
-impl<T: Scalar> Fixed<T> {
+impl<T: Scalar> StaticBody<T> {
     /// Shapes at a pose.
     pub fn new(world_from_body: Pose, collider: Arc<Collider>, friction: T) -> Self {
         Self { world_from_body, collider, material: Material::new(friction) }
@@ -68,7 +68,7 @@ impl<T: Scalar> Fixed<T> {
 /// Something solid on a prescribed path.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
-pub struct Mover<T> {
+pub struct KinematicBody<T> {
     /// Where it is, when.
     pub path: Path,
     /// Shapes in its frame.
@@ -77,7 +77,7 @@ pub struct Mover<T> {
     pub material: Material<T>,
 }
 
-impl<T: Scalar> Mover<T> {
+impl<T: Scalar> KinematicBody<T> {
     /// Shapes along a path.
     pub fn new(path: Path, collider: Arc<Collider>, friction: T) -> Self {
         Self { path, collider, material: Material::new(friction) }
@@ -99,8 +99,8 @@ impl<T: Scalar> Scene<T> {
     pub fn empty() -> Self {
         Self {
             gravity: Vector3::new(T::zero(), T::zero(), T::lift(-9.81)),
-            fixed: Vec::new(),
-            movers: Vec::new(),
+            static_bodies: Vec::new(),
+            kinematic_bodies: Vec::new(),
             forces: Vec::new(),
             controls: Vec::new(),
         }
@@ -108,21 +108,24 @@ impl<T: Scalar> Scene<T> {
 
     /// A table at height zero under gravity of 9.81 m/s².
     pub fn on_table(friction: T) -> Self {
-        Self { fixed: vec![Fixed::table(0.0, friction)], ..Self::empty() }
+        Self { static_bodies: vec![StaticBody::table(0.0, friction)], ..Self::empty() }
     }
 
     /// Checks gravity, poses and surfaces.
     pub(crate) fn check(&self) -> Result<()> {
         if self.gravity.iter().any(|x| !x.value().is_finite()) {
-            return Err(SimError::NotFinite { what: "gravity".into() });
+            return Err(Error::NotFinite { what: "gravity".into() });
         }
-        for (i, f) in self.fixed.iter().enumerate() {
+        for (i, f) in self.static_bodies.iter().enumerate() {
             let pose = &f.world_from_body;
             if pose.translation.vector.iter().chain(pose.rotation.coords.iter()).any(|x| !x.is_finite()) {
-                return Err(SimError::NotFinite { what: format!("the pose of fixed thing {i}") });
+                return Err(Error::NotFinite { what: format!("the pose of static body {i}") });
             }
-            check_friction(&f.material, || format!("fixed thing {i}"))?;
+            check_friction(&f.material, || format!("static body {i}"))?;
         }
-        self.movers.iter().enumerate().try_for_each(|(i, m)| check_friction(&m.material, || format!("mover {i}")))
+        self.kinematic_bodies
+            .iter()
+            .enumerate()
+            .try_for_each(|(i, m)| check_friction(&m.material, || format!("kinematic body {i}")))
     }
 }

@@ -1,11 +1,11 @@
-//! Convex pieces: a bounded set of extreme points with the edges and planes of their hull.
+//! Convex polyhedra: a bounded set of extreme points with the edges and planes of their hull.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use drex_core::mesh::convex_hull_faces;
 use nalgebra::{Point3, Vector3};
 
-use crate::{Result, SimError};
+use crate::{Error, Result};
 
 /// Directions in which extreme points are looked for. Even, so that no direction is horizontal.
 const DIRECTIONS: usize = 4096;
@@ -22,7 +22,7 @@ const COPLANAR_COS: f64 = 0.999_999;
 /// cost and the stiffness of contact, is bounded however fine the mesh is: a box keeps its eight corners, the rims of a
 /// cylinder as many points as the mesh has (up to the bound).
 #[derive(Debug, Clone, PartialEq)]
-pub struct ConvexPiece {
+pub struct ConvexPolyhedron {
     vertices: Vec<Point3<f64>>,
     edges: Vec<[u32; 2]>,
     /// The two faces beside each edge.
@@ -35,17 +35,17 @@ pub struct ConvexPiece {
     bounds: (Point3<f64>, Point3<f64>),
 }
 
-impl ConvexPiece {
+impl ConvexPolyhedron {
     /// The convex hull of `points`, metres.
     ///
     /// # Errors
     /// If a coordinate is not finite or the points span no volume.
     pub fn from_points(points: &[Point3<f64>]) -> Result<Self> {
         if points.iter().any(|p| p.iter().any(|c| !c.is_finite())) {
-            return Err(SimError::NotFinite { what: "a vertex of a convex piece".into() });
+            return Err(Error::NotFinite { what: "a vertex of a convex polyhedron".into() });
         }
         let vertices = spread_out(extreme_points(points), MAX_VERTICES);
-        let triangles = convex_hull_faces(&vertices).map_err(|_| SimError::FlatPiece { points: points.len() })?;
+        let triangles = convex_hull_faces(&vertices).map_err(|_| Error::FlatPolyhedron { points: points.len() })?;
         Ok(Self::from_hull(vertices, &triangles))
     }
 
@@ -330,7 +330,7 @@ mod tests {
     #[test]
     fn a_box_keeps_eight_corners_however_fine_its_mesh() {
         for n in [1, 7, 20] {
-            let piece = ConvexPiece::from_points(&grid_box(0.014, 0.039, 0.012, n)).unwrap();
+            let piece = ConvexPolyhedron::from_points(&grid_box(0.014, 0.039, 0.012, n)).unwrap();
             assert_eq!((piece.vertices().len(), piece.edges().len(), piece.planes().len()), (8, 12, 6), "n = {n}");
         }
     }
@@ -344,12 +344,12 @@ mod tests {
             })
         };
         let points: Vec<_> = rim(-0.05).chain(rim(0.0)).chain(rim(0.05)).collect();
-        let piece = ConvexPiece::from_points(&points).unwrap();
+        let piece = ConvexPolyhedron::from_points(&points).unwrap();
         assert_eq!((piece.vertices().len(), piece.edges().len(), piece.planes().len()), (76, 114, 40));
     }
 
     /// Loops run around their faces, and each side belongs to one edge of two faces.
-    fn check_faces(piece: &ConvexPiece) {
+    fn check_faces(piece: &ConvexPolyhedron) {
         let at = |v: u32| piece.vertices()[v as usize].coords;
         for (f, (n, d)) in piece.planes().iter().enumerate() {
             let corners = piece.face(f);
@@ -372,15 +372,15 @@ mod tests {
     #[test]
     fn boxes_and_prisms_are_what_their_hulls_are() {
         let half = Vector3::new(0.014, 0.039, 0.012);
-        let exact = ConvexPiece::cuboid(&half);
+        let exact = ConvexPolyhedron::cuboid(&half);
         check_faces(&exact);
         assert_eq!((exact.vertices().len(), exact.edges().len(), exact.planes().len()), (8, 12, 6));
         assert!(exact.planes().iter().all(|(n, d)| (n.abs().dot(&half) - d).abs() < 1e-15));
         assert!((0..6).all(|f| exact.face(f).len() == 4));
-        let prism = ConvexPiece::prism(0.03, 0.05, 32);
+        let prism = ConvexPolyhedron::prism(0.03, 0.05, 32);
         check_faces(&prism);
         assert_eq!((prism.vertices().len(), prism.edges().len(), prism.planes().len()), (64, 96, 34));
-        let hull = ConvexPiece::from_points(prism.vertices()).unwrap();
+        let hull = ConvexPolyhedron::from_points(prism.vertices()).unwrap();
         check_faces(&hull);
         assert_eq!((hull.vertices().len(), hull.edges().len(), hull.planes().len()), (64, 96, 34));
     }
@@ -394,12 +394,12 @@ mod tests {
                 Point3::new((1.0 - z * z).sqrt() * a.cos(), (1.0 - z * z).sqrt() * a.sin(), z)
             })
             .collect();
-        let piece = ConvexPiece::from_points(&ball).unwrap();
+        let piece = ConvexPolyhedron::from_points(&ball).unwrap();
         assert_eq!(piece.vertices().len(), MAX_VERTICES);
         assert_eq!(piece.vertices().len() + piece.planes().len() - piece.edges().len(), 2, "Euler's formula");
         check_faces(&piece);
         let flat: Vec<_> = ball.iter().map(|p| Point3::new(p.x, p.y, 0.2)).collect();
-        assert!(matches!(ConvexPiece::from_points(&flat), Err(SimError::FlatPiece { points: 3000 })));
-        assert!(ConvexPiece::from_points(&[]).is_err());
+        assert!(matches!(ConvexPolyhedron::from_points(&flat), Err(Error::FlatPolyhedron { points: 3000 })));
+        assert!(ConvexPolyhedron::from_points(&[]).is_err());
     }
 }

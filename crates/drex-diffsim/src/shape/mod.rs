@@ -9,12 +9,12 @@ use std::sync::Arc;
 use drex_core::Pose;
 use nalgebra::Vector3;
 
-pub use convex::ConvexPiece;
+pub use convex::ConvexPolyhedron;
 pub(crate) use points::Node;
 pub use points::SurfacePoints;
 pub use sdf::SdfShape;
 
-use crate::{Result, SimError};
+use crate::{Error, Result};
 
 /// A shape in its own frame, metres.
 #[derive(Debug, Clone)]
@@ -34,7 +34,7 @@ pub enum Shape {
         /// From the origin to an end of the segment.
         half_length_m: f64,
     },
-    /// A solid cylinder along z. It is round against planes, spheres, capsules and points; against boxes, convex pieces
+    /// A solid cylinder along z. It is round against planes, spheres, capsules and points; against boxes, convex polyhedra
     /// and other cylinders its ends are polygons of [`Shape::CYLINDER_SIDES`] corners.
     Cylinder {
         /// Radius.
@@ -48,7 +48,7 @@ pub enum Shape {
         half_m: Vector3<f64>,
     },
     /// A convex polyhedron.
-    Convex(Arc<ConvexPiece>),
+    Convex(Arc<ConvexPolyhedron>),
     /// A solid given by signed distance.
     Sdf(Arc<SdfShape>),
     /// A surface given by points on it. It touches the other shapes where one of its points is inside them, so it must
@@ -63,11 +63,11 @@ impl Shape {
     /// Checks that sizes are positive and finite.
     ///
     /// # Errors
-    /// [`SimError::NotFinite`] or [`SimError::Shape`], which names the size.
+    /// [`Error::NotFinite`] or [`Error::Shape`], which names the size.
     pub fn check(&self) -> Result<()> {
         let size = |what: &str, x: f64| match x {
-            x if !x.is_finite() => Err(SimError::NotFinite { what: what.into() }),
-            x if x <= 0.0 => Err(SimError::Shape {
+            x if !x.is_finite() => Err(Error::NotFinite { what: what.into() }),
+            x if x <= 0.0 => Err(Error::Shape {
                 what: format!("{what} is {x} m"),
                 remedy: "give a positive length in metres".into(),
             }),

@@ -3,7 +3,7 @@
 use drex_core::TriMesh;
 use nalgebra::{Point3, Vector3};
 
-use crate::{Result, SimError};
+use crate::{Error, Result};
 
 /// Points in a leaf of the tree at most.
 const LEAF: usize = 8;
@@ -23,10 +23,10 @@ impl SurfacePoints {
     /// If a vertex is not finite, a face names one that does not exist, or the mesh has no area.
     pub fn from_mesh(mesh: &TriMesh) -> Result<Self> {
         if mesh.vertices.iter().any(|p| p.iter().any(|c| !c.is_finite())) {
-            return Err(SimError::NotFinite { what: "a vertex of a surface".into() });
+            return Err(Error::NotFinite { what: "a vertex of a surface".into() });
         }
         if mesh.faces.iter().flatten().any(|&v| v as usize >= mesh.vertices.len()) {
-            return Err(SimError::Shape {
+            return Err(Error::Shape {
                 what: "a face of a surface names a vertex that does not exist".into(),
                 remedy: "repair the mesh".into(),
             });
@@ -48,7 +48,7 @@ impl SurfacePoints {
             }
         });
         if points.is_empty() {
-            return Err(SimError::Shape { what: "a surface has no area".into(), remedy: "give its triangles".into() });
+            return Err(Error::Shape { what: "a surface has no area".into(), remedy: "give its triangles".into() });
         }
         let (tree, order) = Tree::new(points.iter().map(|(p, _)| p.coords).collect());
         Ok(Self { tree, areas_m2: order.iter().map(|&i| points[i as usize].1).collect() })
@@ -188,9 +188,9 @@ mod tests {
     fn broken_surfaces_are_refused() {
         let mut mesh = loose_square(2);
         mesh.vertices[0].x = f64::NAN;
-        assert!(matches!(SurfacePoints::from_mesh(&mesh), Err(SimError::NotFinite { .. })));
+        assert!(matches!(SurfacePoints::from_mesh(&mesh), Err(Error::NotFinite { .. })));
         assert!(SurfacePoints::from_mesh(&TriMesh::default()).is_err());
         let wild = TriMesh { vertices: vec![Point3::origin(); 3], faces: vec![[0, 1, 7]] };
-        assert!(matches!(SurfacePoints::from_mesh(&wild), Err(SimError::Shape { .. })));
+        assert!(matches!(SurfacePoints::from_mesh(&wild), Err(Error::Shape { .. })));
     }
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use drex_core::{SdfSample, SignedDistance};
 use nalgebra::Point3;
 
-use crate::{Result, SimError};
+use crate::{Error, Result};
 
 /// A solid given by signed distance, in its own frame.
 #[derive(Clone)]
@@ -35,16 +35,16 @@ impl SdfShape {
         resolution_m: f64,
     ) -> Result<Self> {
         if bounds.0.iter().chain(bounds.1.iter()).any(|x| !x.is_finite()) {
-            return Err(SimError::NotFinite { what: "a bound of a signed distance".into() });
+            return Err(Error::NotFinite { what: "a bound of a signed distance".into() });
         }
         if (0..3).any(|k| bounds.0[k] >= bounds.1[k]) {
-            return Err(SimError::Shape {
+            return Err(Error::Shape {
                 what: format!("a signed distance with bounds from {} to {} holds nothing", bounds.0, bounds.1),
                 remedy: "give the lower corner first, then the upper one, in metres".into(),
             });
         }
         if !(resolution_m.is_finite() && resolution_m > 0.0) {
-            return Err(SimError::Shape {
+            return Err(Error::Shape {
                 what: format!("the resolution of a signed distance is {resolution_m} m"),
                 remedy: "give its grid spacing or smallest detail in metres".into(),
             });

@@ -1,4 +1,4 @@
-//! The law of one contact: force and torque by the velocity at the end of the step.
+//! The contact model of one contact: force and torque by the velocity at the end of the step.
 //!
 //! Normal: k depth + c rate, never pulling. Friction: a spring that sticks, returned to the Coulomb cone when it slips
 //! (elastic predictor, return mapping), so that a loaded contact below the cone does not creep; a second spring resists
@@ -8,13 +8,13 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::Mode;
-use super::soft::SoftLaw;
+use super::soft::SoftModel;
 use crate::contact::Contact;
 use crate::{Scalar, SoftContact};
 
 /// Constants of one closed or closing contact in one step.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Law<T: Scalar> {
+pub(crate) struct ContactModel<T: Scalar> {
     /// Out of the support, unit.
     pub normal: Vector3<T>,
     pub friction: T,
@@ -34,11 +34,11 @@ pub(crate) struct Law<T: Scalar> {
     pub twist: T,
     pub k_r: T,
     pub kappa_r: T,
-    /// A normal force that bounds the friction in place of the contact's own: the law is then the gradient of a convex
+    /// A normal force that bounds the friction in place of the contact's own: the contact model is then the gradient of a convex
     /// function.
     pub lagged: Option<f64>,
-    /// The soft law in place of all others.
-    pub soft: Option<SoftLaw<T>>,
+    /// The soft contact model in place of all others.
+    pub soft: Option<SoftModel<T>>,
 }
 
 /// Force and torque of a contact on the body that the normal points into.
@@ -63,10 +63,10 @@ pub(crate) struct Stiffness {
     pub coupling: Vector3<f64>,
 }
 
-impl<T: Scalar> Law<T> {
-    pub(crate) fn value(&self) -> Law<f64> {
+impl<T: Scalar> ContactModel<T> {
+    pub(crate) fn value(&self) -> ContactModel<f64> {
         let f = |v: &Vector3<T>| v.map(|x| x.value());
-        Law {
+        ContactModel {
             normal: f(&self.normal),
             friction: self.friction.value(),
             share: self.share.value(),
@@ -80,15 +80,15 @@ impl<T: Scalar> Law<T> {
             k_r: self.k_r.value(),
             kappa_r: self.kappa_r.value(),
             lagged: self.lagged,
-            soft: self.soft.as_ref().map(SoftLaw::value),
+            soft: self.soft.as_ref().map(SoftModel::value),
         }
     }
 
-    /// Makes it the soft law of a contact that moves at `u` at the start of the step. `mass` is what the patch carries.
+    /// Makes it the soft contact model of a contact that moves at `u` at the start of the step. `mass` is what the patch carries.
     /// Every corner is as stiff as if it carried alone: the spring behind it, not the stiffness, says how it moves.
     pub(crate) fn soften(&mut self, soft: &SoftContact, contact: &Contact<T>, u: Vector3<T>, mass: T, dt: f64) {
         let corners = if contact.sampled { self.share * T::lift(super::FACE_CORNERS) } else { T::one() };
-        self.soft = Some(soft.law(contact.depth, u, &self.normal, corners * mass, dt));
+        self.soft = Some(soft.model(contact.depth, u, &self.normal, corners * mass, dt));
     }
 
     /// Reaction at relative velocity `u` (world) and relative spin about the normal.
@@ -145,7 +145,7 @@ impl<T: Scalar> Law<T> {
     }
 }
 
-impl Law<f64> {
+impl ContactModel<f64> {
     /// How the reaction changes with the velocity; nothing where the contact carries nothing.
     pub(crate) fn stiffness(&self, u: &Vector3<f64>, spin: f64) -> Option<Stiffness> {
         let n = &self.normal;
@@ -193,10 +193,10 @@ mod tests {
     const DT_S: f64 = 0.01;
 
     /// A contact under way along `u` and about its normal, springs stretched.
-    fn law(lagged: Option<f64>) -> Law<f64> {
+    fn contact_model(lagged: Option<f64>) -> ContactModel<f64> {
         let normal = Vector3::new(0.2, -0.3, 0.9).normalize();
         let stretch = Vector3::new(1e-4, 2e-4, -1e-4);
-        Law {
+        ContactModel {
             normal,
             friction: 0.6,
             share: 1.0,
@@ -223,22 +223,25 @@ mod tests {
     #[test]
     fn stiffness_is_minus_the_derivative_of_the_reaction() {
         let (mut slips, mut turns) = ([0, 0], [0, 0]);
-        for law in [law(None), law(Some(1.5))] {
+        for contact_model in [contact_model(None), contact_model(Some(1.5))] {
             for (u, spin) in motions() {
-                let stiffness = law.stiffness(&u, spin).unwrap();
-                let there = law.reaction(&u, spin);
+                let stiffness = contact_model.stiffness(&u, spin).unwrap();
+                let there = contact_model.reaction(&u, spin);
                 slips[usize::from(there.mode == Mode::Slips)] += 1;
                 turns[usize::from(there.turns)] += 1;
                 let h = 1e-7;
                 for k in 0..3 {
                     let step = Vector3::ith(k, h);
-                    let (more, less) = (law.reaction(&(u + step), spin), law.reaction(&(u - step), spin));
+                    let (more, less) =
+                        (contact_model.reaction(&(u + step), spin), contact_model.reaction(&(u - step), spin));
                     let force = (more.force - less.force) / (2.0 * h);
                     assert!((force + stiffness.force.column(k)).norm() < 1e-5, "{force} {}", stiffness.force);
                     let torque = (more.torque - less.torque) / (2.0 * h);
                     assert!((torque + stiffness.coupling[k]).abs() < 1e-7, "{torque} {}", stiffness.coupling);
                 }
-                let torque = (law.reaction(&u, spin + h).torque - law.reaction(&u, spin - h).torque) / (2.0 * h);
+                let torque = (contact_model.reaction(&u, spin + h).torque
+                    - contact_model.reaction(&u, spin - h).torque)
+                    / (2.0 * h);
                 assert!((torque + stiffness.torque).abs() < 1e-9, "{torque} {}", stiffness.torque);
             }
         }
@@ -249,17 +252,22 @@ mod tests {
     #[test]
     fn springs_keep_the_reaction() {
         for (u, spin) in motions() {
-            let law = law(None);
-            let r = law.reaction(&u, spin);
-            let (stretch, twist) = law.springs(&r, &u, spin, DT_S);
+            let contact_model = contact_model(None);
+            let r = contact_model.reaction(&u, spin);
+            let (stretch, twist) = contact_model.springs(&r, &u, spin, DT_S);
             if r.mode == Mode::Slips {
-                assert!((r.force - law.normal * r.force.dot(&law.normal) + stretch * law.k_t).norm() < 1e-12);
+                assert!(
+                    (r.force - contact_model.normal * r.force.dot(&contact_model.normal) + stretch * contact_model.k_t)
+                        .norm()
+                        < 1e-12
+                );
             } else {
                 assert!(
-                    (stretch - law.stretch).dot(&law.normal).abs() < 1e-12 && (stretch - law.stretch).norm() > 1e-7
+                    (stretch - contact_model.stretch).dot(&contact_model.normal).abs() < 1e-12
+                        && (stretch - contact_model.stretch).norm() > 1e-7
                 );
             }
-            let kept = if r.turns { -r.torque / law.k_r } else { law.twist + spin * DT_S };
+            let kept = if r.turns { -r.torque / contact_model.k_r } else { contact_model.twist + spin * DT_S };
             assert!((twist - kept).abs() < 1e-12, "{twist} {kept}");
         }
     }

@@ -3,7 +3,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::contact_model::Law;
+use super::contact_model::ContactModel;
 use super::six::{Lu6, Matrix6, Vector6};
 use crate::Scalar;
 use crate::math::{apply, cross_columns, skew};
@@ -13,7 +13,7 @@ const ITERATIONS: usize = 16;
 /// Change of velocity, relative, below which an iteration has converged.
 const TOLERANCE: f64 = 1e-11;
 
-/// Where a law acts.
+/// Where a contact model acts.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Lever<T: Scalar> {
     /// From the centre of mass to the contact, world.
@@ -27,7 +27,7 @@ pub(crate) struct Lever<T: Scalar> {
 /// Buffers of the solver.
 #[derive(Debug, Default)]
 pub(crate) struct Buffers {
-    values: Vec<(Law<f64>, Lever<f64>)>,
+    values: Vec<(ContactModel<f64>, Lever<f64>)>,
     /// Derivative of the velocities by each parameter.
     tangents: Vec<Vector6>,
 }
@@ -35,7 +35,7 @@ pub(crate) struct Buffers {
 /// Velocities at the end of the step, given those without contact (`free`), the inertia per unit mass about the centre
 /// of mass in the world, and a `guess`. `None` if Newton's method does not converge.
 pub(crate) fn solve<T: Scalar>(
-    laws: &[Law<T>],
+    models: &[ContactModel<T>],
     levers: &[Lever<T>],
     dt: f64,
     inertia: &Matrix3<T>,
@@ -46,7 +46,7 @@ pub(crate) fn solve<T: Scalar>(
     let (v0, w0) = free;
     let values = &mut buffers.values;
     values.clear();
-    values.extend(laws.iter().zip(levers).map(|(law, lever)| (law.value(), lever.value())));
+    values.extend(models.iter().zip(levers).map(|(contact, lever)| (contact.value(), lever.value())));
     let j = inertia.map(|x| x.value());
     let (fv, fw) = (v0.map(|x| x.value()), w0.map(|x| x.value()));
 
@@ -58,7 +58,7 @@ pub(crate) fn solve<T: Scalar>(
         for iteration in 0..ITERATIONS {
             let lu = Lu6::new(&tangent(values, dt, &j, &u))?;
             let step = lu.solve(&r);
-            // The law is piecewise smooth: steps that lead to a larger residual are cut.
+            // The contact model is piecewise smooth: steps that lead to a larger residual are cut.
             let mut length = 1.0;
             let mut next = u - step;
             let mut next_r = residual(values, dt, &j, (&fv, &fw), &next);
@@ -86,14 +86,14 @@ pub(crate) fn solve<T: Scalar>(
     let lu = Lu6::new(&tangent(values, dt, &j, &u)).unwrap_or(lu);
     let (lv, lw) = (v.map(T::lift), w.map(T::lift));
     let (mut rv, mut rw) = (lv - v0, apply(inertia, &(lw - w0)));
-    for (law, lever) in laws.iter().zip(levers) {
-        let (velocity, spin) = lever.relative(law, &lv, &lw);
-        let f = law.reaction(&velocity, spin);
+    for (contact, lever) in models.iter().zip(levers) {
+        let (velocity, spin) = lever.relative(contact, &lv, &lw);
+        let f = contact.reaction(&velocity, spin);
         let force = f.force.map(|x| x.scaled(dt));
         rv -= force;
         rw -= lever.arm.cross(&force);
-        if law.lever > 0.0 {
-            rw -= law.normal * f.torque.scaled(dt);
+        if contact.lever > 0.0 {
+            rw -= contact.normal * f.torque.scaled(dt);
         }
     }
     let by = &mut buffers.tangents;
@@ -119,15 +119,15 @@ impl<T: Scalar> Lever<T> {
     }
 
     /// Velocity and spin of the body against the support.
-    pub(crate) fn relative(&self, law: &Law<T>, v: &Vector3<T>, w: &Vector3<T>) -> (Vector3<T>, T) {
-        let spin = if law.lever > 0.0 { law.normal.dot(w) - self.support_spin } else { T::zero() };
+    pub(crate) fn relative(&self, contact_model: &ContactModel<T>, v: &Vector3<T>, w: &Vector3<T>) -> (Vector3<T>, T) {
+        let spin = if contact.lever > 0.0 { contact.normal.dot(w) - self.support_spin } else { T::zero() };
         (v + w.cross(&self.arm) - self.support, spin)
     }
 }
 
 /// Momentum balance of the step at velocities `u`, per unit mass.
 fn residual(
-    laws: &[(Law<f64>, Lever<f64>)],
+    models: &[(ContactModel<f64>, Lever<f64>)],
     dt: f64,
     inertia: &Matrix3<f64>,
     free: (&Vector3<f64>, &Vector3<f64>),
@@ -135,11 +135,11 @@ fn residual(
 ) -> Vector6 {
     let (v, w) = (u.fixed_rows::<3>(0).into_owned(), u.fixed_rows::<3>(3).into_owned());
     let (mut rv, mut rw) = (v - free.0, inertia * (w - free.1));
-    for (law, lever) in laws {
-        let (velocity, spin) = lever.relative(law, &v, &w);
-        let f = law.reaction(&velocity, spin);
+    for (contact, lever) in models {
+        let (velocity, spin) = lever.relative(contact, &v, &w);
+        let f = contact.reaction(&velocity, spin);
         rv -= f.force * dt;
-        rw -= (lever.arm.cross(&f.force) + law.normal * f.torque) * dt;
+        rw -= (lever.arm.cross(&f.force) + contact.normal * f.torque) * dt;
     }
     let mut out = Vector6::zeros();
     out.fixed_rows_mut::<3>(0).copy_from(&rv);
@@ -148,14 +148,14 @@ fn residual(
 }
 
 /// Derivative of the residual.
-fn tangent(laws: &[(Law<f64>, Lever<f64>)], dt: f64, inertia: &Matrix3<f64>, u: &Vector6) -> Matrix6 {
+fn tangent(models: &[(ContactModel<f64>, Lever<f64>)], dt: f64, inertia: &Matrix3<f64>, u: &Vector6) -> Matrix6 {
     let (v, w) = (u.fixed_rows::<3>(0).into_owned(), u.fixed_rows::<3>(3).into_owned());
     let mut a = Matrix3::identity();
     let (mut b, mut c) = (Matrix3::zeros(), Matrix3::zeros());
     let mut d = *inertia;
-    for (law, lever) in laws {
-        let (velocity, spin) = lever.relative(law, &v, &w);
-        if let Some(stiffness) = law.stiffness(&velocity, spin) {
+    for (contact, lever) in models {
+        let (velocity, spin) = lever.relative(contact, &v, &w);
+        if let Some(stiffness) = contact.stiffness(&velocity, spin) {
             // The contact moves at v - [arm] w, its force turns the body by [arm] f.
             let k = stiffness.force * dt;
             let ks = rows_cross(&k, &lever.arm);
@@ -163,10 +163,10 @@ fn tangent(laws: &[(Law<f64>, Lever<f64>)], dt: f64, inertia: &Matrix3<f64>, u: 
             b -= ks;
             c += cross_columns(&lever.arm, &k);
             d -= cross_columns(&lever.arm, &ks);
-            if law.lever > 0.0 {
-                let (n, g) = (law.normal * dt, stiffness.coupling.transpose());
+            if contact.lever > 0.0 {
+                let (n, g) = (contact.normal * dt, stiffness.coupling.transpose());
                 c += n * g;
-                d += n * (law.normal.transpose() * stiffness.torque) - n * (g * skew(&lever.arm));
+                d += n * (contact.normal.transpose() * stiffness.torque) - n * (g * skew(&lever.arm));
             }
         }
     }

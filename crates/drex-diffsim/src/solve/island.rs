@@ -1,14 +1,14 @@
 //! Bodies and articulated trees that touch each other: one system of equations for all of them.
 //!
-//! M (u - ũ) - g = h Σ Jᵀ f(u) with the mass matrix M, contact laws on the velocities of contact points, and laws on
+//! M (u - ũ) - g = h Σ Jᵀ f(u) with the mass matrix M, contact models on the velocities of contact points, and forces on
 //! single joints.
 
 use nalgebra::Vector3;
 
-use super::contact_model::Law;
+use super::contact_model::ContactModel;
 use super::lu::Lu;
 use crate::Scalar;
-use crate::articulation::{Column, ScalarLaw};
+use crate::articulation::{Column, JointForce};
 
 const ITERATIONS: usize = 60;
 /// Points tried along one direction, at most.
@@ -39,13 +39,13 @@ pub(crate) struct Island<T: Scalar> {
     pub impulse: Vec<T>,
     /// Velocity at the start of the step, where Newton's method starts.
     pub start: Vec<T>,
-    pub laws: Vec<Law<T>>,
-    /// End of each law's columns.
+    pub models: Vec<ContactModel<T>>,
+    /// End of each contact's columns.
     pub ends: Vec<usize>,
     pub columns: Vec<Column<T>>,
-    /// Velocity and spin of prescribed supports, per law.
+    /// Velocity and spin of prescribed supports, per contact model.
     pub supports: Vec<(Vector3<T>, T)>,
-    pub scalars: Vec<ScalarLaw<T>>,
+    pub scalars: Vec<JointForce<T>>,
 }
 
 impl<T: Scalar> Default for Island<T> {
@@ -56,7 +56,7 @@ impl<T: Scalar> Default for Island<T> {
             reference: Vec::new(),
             impulse: Vec::new(),
             start: Vec::new(),
-            laws: Vec::new(),
+            models: Vec::new(),
             ends: Vec::new(),
             columns: Vec::new(),
             supports: Vec::new(),
@@ -79,7 +79,7 @@ pub(crate) struct Solver<T: Scalar> {
     r: Vec<f64>,
     trial_r: Vec<f64>,
     columns: Vec<[f64; 8]>,
-    /// Normal force less friction bound, per law.
+    /// Normal force less friction bound, per contact model.
     gaps: Vec<f64>,
     bounds: Vec<f64>,
     settled: Vec<f64>,
@@ -123,27 +123,27 @@ impl<T: Scalar> Island<T> {
         self.reference.clear();
         self.impulse.clear();
         self.start.clear();
-        self.laws.clear();
+        self.models.clear();
         self.ends.clear();
         self.columns.clear();
         self.supports.clear();
         self.scalars.clear();
     }
 
-    fn columns_of(&self, law: usize) -> &[Column<T>] {
-        let start = if law == 0 { 0 } else { self.ends[law - 1] };
-        &self.columns[start..self.ends[law]]
+    fn columns_of(&self, contact: usize) -> &[Column<T>] {
+        let start = if contact == 0 { 0 } else { self.ends[contact - 1] };
+        &self.columns[start..self.ends[contact]]
     }
 
-    /// Velocity and spin about the normal of contact `law` at velocities `u`.
-    pub(crate) fn relative(&self, law: usize, u: &[T]) -> (Vector3<T>, T) {
-        let (support, support_spin) = self.supports[law];
+    /// Velocity and spin about the normal of contact `contact` at velocities `u`.
+    pub(crate) fn relative(&self, contact: usize, u: &[T]) -> (Vector3<T>, T) {
+        let (support, support_spin) = self.supports[contact];
         let (mut v, mut spin) = (-support, -support_spin);
-        let turning = self.laws[law].lever > 0.0;
-        for c in self.columns_of(law) {
+        let turning = self.models[contact].lever > 0.0;
+        for c in self.columns_of(contact) {
             v += c.linear * u[c.dof];
             if turning {
-                spin += self.laws[law].normal.dot(&c.angular) * u[c.dof];
+                spin += self.models[contact].normal.dot(&c.angular) * u[c.dof];
             }
         }
         (v, spin)
@@ -158,20 +158,20 @@ impl<T: Scalar> Island<T> {
         for &(i, j) in filled {
             out[i] += self.mass[i * n + j] * (u[j] - self.reference[j]);
         }
-        for law in &self.scalars {
-            out[law.dof] -= law.force(u[law.dof]) * h;
+        for joint in &self.scalars {
+            out[joint.dof] -= joint.force(u[joint.dof]) * h;
         }
-        for (k, law) in self.laws.iter().enumerate() {
+        for (k, contact) in self.models.iter().enumerate() {
             let (v, spin) = self.relative(k, u);
-            let f = law.reaction(&v, spin);
+            let f = contact.reaction(&v, spin);
             if f.mode == super::Mode::Open {
                 continue;
             }
             let (force, torque) = (f.force * h, f.torque * h);
             for c in self.columns_of(k) {
                 out[c.dof] -= c.linear.dot(&force);
-                if law.lever > 0.0 {
-                    out[c.dof] -= c.angular.dot(&law.normal) * torque;
+                if contact.lever > 0.0 {
+                    out[c.dof] -= c.angular.dot(&contact.normal) * torque;
                 }
             }
         }
@@ -185,7 +185,7 @@ impl<T: Scalar> Island<T> {
         out.reference.extend(self.reference.iter().map(Scalar::value));
         out.impulse.extend(self.impulse.iter().map(Scalar::value));
         out.start.extend(self.start.iter().map(Scalar::value));
-        out.laws.extend(self.laws.iter().map(Law::value));
+        out.models.extend(self.models.iter().map(ContactModel::value));
         out.ends.extend_from_slice(&self.ends);
         out.columns.extend(self.columns.iter().map(|c| Column {
             dof: c.dof,
@@ -193,7 +193,7 @@ impl<T: Scalar> Island<T> {
             angular: f(&c.angular),
         }));
         out.supports.extend(self.supports.iter().map(|(v, s)| (f(v), s.value())));
-        out.scalars.extend(self.scalars.iter().map(ScalarLaw::value));
+        out.scalars.extend(self.scalars.iter().map(JointForce::value));
     }
 }
 
@@ -225,7 +225,7 @@ impl<T: Scalar> Solver<T> {
         }
     }
 
-    /// Newton's method. Where the full step of the full law does not reduce the residual, the direction is searched with
+    /// Newton's method. Where the full step of the full contact model does not reduce the residual, the direction is searched with
     /// the normal force in the friction bound held at what it is now: that problem is convex, so the residual's
     /// component along the direction is monotone and its zero can be bracketed. Without that, friction that changes
     /// sides never settles.
@@ -265,27 +265,27 @@ impl<T: Scalar> Solver<T> {
     /// to the normal forces that it gives: further while they keep their direction, less far where they swing back.
     fn settle(&mut self, dt: f64) -> bool {
         self.u.clone_from(&self.values.start);
-        if self.values.laws.iter().any(|law| law.soft.is_some()) {
-            // Soft laws have no bounds: the problem is convex as it is.
+        if self.values.models.iter().any(|contact| contact.soft.is_some()) {
+            // Soft contact models have no bounds: the problem is convex as it is.
             self.convex(dt);
             return self.newton(dt, POLISHES);
         }
         self.hold_bounds();
         self.bounds.clear();
-        self.bounds.extend(self.values.laws.iter().map(|law| law.lagged.unwrap_or(0.0)));
+        self.bounds.extend(self.values.models.iter().map(|contact| contact.lagged.unwrap_or(0.0)));
         self.gaps.clear();
         self.gaps.resize(self.bounds.len(), 0.0);
         let (mut part, mut goal) = (1.0, SETTLED);
         for _ in 0..SETTLINGS {
-            for (law, bound) in self.values.laws.iter_mut().zip(&self.bounds) {
-                law.lagged = Some(*bound);
+            for (contact, bound) in self.values.models.iter_mut().zip(&self.bounds) {
+                contact.lagged = Some(*bound);
             }
             self.convex(dt);
             // From the bounds to the normal forces at u, and how far along what that was before.
             let (mut gap2, mut sum, mut along) = (0.0, 0.0, 0.0);
-            for (k, law) in self.values.laws.iter().enumerate() {
+            for (k, contact) in self.values.models.iter().enumerate() {
                 let (v, _) = self.values.relative(k, &self.u);
-                let normal = (law.preload - law.kappa_n * v.dot(&law.normal)).max(0.0);
+                let normal = (contact.preload - contact.kappa_n * v.dot(&contact.normal)).max(0.0);
                 let gap = normal - self.bounds[k];
                 (gap2, sum) = (gap2 + gap * gap, sum + normal);
                 along += gap * self.gaps[k];
@@ -358,15 +358,15 @@ impl<T: Scalar> Solver<T> {
 
     /// Holds the friction bounds at the normal forces of `u`.
     fn hold_bounds(&mut self) {
-        for k in 0..self.values.laws.len() {
+        for k in 0..self.values.models.len() {
             let (v, _) = self.values.relative(k, &self.u);
-            let law = &mut self.values.laws[k];
-            law.lagged = Some((law.preload - law.kappa_n * v.dot(&law.normal)).max(0.0));
+            let contact = &mut self.values.models[k];
+            contact.lagged = Some((contact.preload - contact.kappa_n * v.dot(&contact.normal)).max(0.0));
         }
     }
 
     fn free_bounds(&mut self) {
-        self.values.laws.iter_mut().for_each(|law| law.lagged = None);
+        self.values.models.iter_mut().for_each(|contact| contact.lagged = None);
     }
 
     /// Size of a residual in the metric of the matrix's diagonal.
@@ -397,22 +397,22 @@ impl<T: Scalar> Solver<T> {
     fn assemble(&mut self, dt: f64) {
         let (n, island) = (self.values.n, &self.values);
         self.matrix.clone_from(&island.mass);
-        for law in &island.scalars {
-            self.matrix[law.dof * n + law.dof] += law.stiffness(self.u[law.dof]) * dt;
+        for joint in &island.scalars {
+            self.matrix[joint.dof * n + joint.dof] += joint.stiffness(self.u[joint.dof]) * dt;
         }
-        for (k, law) in island.laws.iter().enumerate() {
+        for (k, contact) in island.models.iter().enumerate() {
             let (v, spin) = island.relative(k, &self.u);
-            let Some(stiffness) = law.stiffness(&v, spin) else { continue };
+            let Some(stiffness) = contact.stiffness(&v, spin) else { continue };
             let columns = island.columns_of(k);
             // Per column: what its velocity does to the force, and to the torque about the normal.
             self.columns.clear();
             self.columns.extend(columns.iter().map(|c| {
                 let f = stiffness.force * c.linear * dt;
-                let turn = law.normal.dot(&c.angular);
+                let turn = contact.normal.dot(&c.angular);
                 let t = (stiffness.torque * turn + stiffness.coupling.dot(&c.linear)) * dt;
                 [f.x, f.y, f.z, t, turn, 0.0, 0.0, 0.0]
             }));
-            let turning = law.lever > 0.0;
+            let turning = contact.lever > 0.0;
             for (row, r) in columns.iter().zip(&self.columns) {
                 let start = row.dof * n;
                 for (column, c) in columns.iter().zip(&self.columns) {

@@ -15,7 +15,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use crate::contact::Contact;
 use crate::state::Anchor;
 use crate::{ContactOptions, Scalar};
-use contact_model::Law;
+use contact_model::ContactModel;
 
 /// Number of corners that carry a flat face at full stiffness.
 const FACE_CORNERS: f64 = 4.0;
@@ -28,7 +28,7 @@ pub(crate) enum Mode {
     Slips,
 }
 
-/// Appends the laws of the contacts of one patch (one pair of parts), given the stiffness of the whole patch.
+/// Appends the contact models of the contacts of one patch (one pair of parts), given the stiffness of the whole patch.
 ///
 /// The stiffness is shared by those that carry, weighed by how evenly they carry (participation ratio), so that the
 /// total does not grow with the number of points. Points of a sampled surface share all of it by their areas; corners
@@ -41,7 +41,7 @@ pub(crate) fn prepare_patch<T: Scalar>(
     dt: f64,
     anchors: &[Anchor<T>],
     rotation: Option<&UnitQuaternion<T>>,
-    out: &mut Vec<Law<T>>,
+    out: &mut Vec<ContactModel<T>>,
 ) {
     let (mut sum, mut squares) = (T::zero(), T::zero());
     for c in contacts.iter().filter(|c| c.depth.value() > 0.0) {
@@ -72,7 +72,7 @@ pub(crate) fn prepare_patch<T: Scalar>(
         let k_t = k_n * options.tangential_ratio;
         let kappa_t = k_t * (h + options.tangential_relaxation_s);
         let squared = T::lift(c.lever * c.lever);
-        out.push(Law {
+        out.push(ContactModel {
             normal: c.normal,
             friction: c.friction,
             share,

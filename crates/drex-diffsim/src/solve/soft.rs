@@ -20,9 +20,9 @@ use nalgebra::{Matrix3, Vector3};
 use super::Mode;
 use crate::{Scalar, SoftContact};
 
-/// The soft law of one contact in one step.
+/// The soft contact model of one contact in one step.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct SoftLaw<T: Scalar> {
+pub(crate) struct SoftModel<T: Scalar> {
     /// Velocity that the contact is drawn to.
     pub reference: Vector3<T>,
     /// D: force per unit mass and velocity.
@@ -32,15 +32,15 @@ pub(crate) struct SoftLaw<T: Scalar> {
 }
 
 impl SoftContact {
-    /// The law of a contact of this depth that moves at `velocity` at the start of a step of `dt` and carries `mass`.
-    pub(crate) fn law<T: Scalar>(
+    /// The contact model of a contact of this depth that moves at `velocity` at the start of a step of `dt` and carries `mass`.
+    pub(crate) fn model<T: Scalar>(
         &self,
         depth: T,
         velocity: Vector3<T>,
         normal: &Vector3<T>,
         mass: T,
         dt: f64,
-    ) -> SoftLaw<T> {
+    ) -> SoftModel<T> {
         let [d0, d1] = self.impedance.map(|d| d.clamp(1e-4, 0.9999));
         let tc = self.time_constant_s.max(2.0 * dt);
         let damping = 2.0 / (d1 * tc);
@@ -56,13 +56,13 @@ impl SoftContact {
         let reference = velocity * T::lift(1.0 - damping * dt) + normal * (depth * d * T::lift(spring * dt));
         // Open contacts wait until the depth is positive.
         let stiffness = if depth.value() > 0.0 { d / (one - d) * mass * T::lift(1.0 / dt) } else { T::zero() };
-        SoftLaw { reference, stiffness, ratio: self.friction_ratio.max(1e-3) }
+        SoftModel { reference, stiffness, ratio: self.friction_ratio.max(1e-3) }
     }
 }
 
-impl<T: Scalar> SoftLaw<T> {
-    pub(crate) fn value(&self) -> SoftLaw<f64> {
-        SoftLaw { reference: self.reference.map(|x| x.value()), stiffness: self.stiffness.value(), ratio: self.ratio }
+impl<T: Scalar> SoftModel<T> {
+    pub(crate) fn value(&self) -> SoftModel<f64> {
+        SoftModel { reference: self.reference.map(|x| x.value()), stiffness: self.stiffness.value(), ratio: self.ratio }
     }
 
     /// Force per unit mass on the body at velocity `u` of the contact, and what the contact does.
@@ -84,7 +84,7 @@ impl<T: Scalar> SoftLaw<T> {
     }
 }
 
-impl SoftLaw<f64> {
+impl SoftModel<f64> {
     /// Minus the derivative of the force by the velocity: symmetric, positive semidefinite; `None` where it is open.
     pub(crate) fn tangent(&self, u: &Vector3<f64>, normal: &Vector3<f64>, friction: f64) -> Option<Matrix3<f64>> {
         let x = u - self.reference;
@@ -113,20 +113,21 @@ mod tests {
 
     #[test]
     fn force_is_continuous_and_its_tangent_is_its_derivative() {
-        let law = SoftLaw { reference: Vector3::new(0.1, -0.2, 0.05), stiffness: 30.0, ratio: 2.0 };
+        let contact_model = SoftModel { reference: Vector3::new(0.1, -0.2, 0.05), stiffness: 30.0, ratio: 2.0 };
         let normal = Vector3::new(0.2, -0.1, 1.0).normalize();
         let mut seen = [0; 3];
         for k in 0..400 {
             let a = f64::from(k);
-            let u = law.reference + Vector3::new(0.3 * (1.3 * a).sin(), 0.3 * (2.1 * a).cos(), 2.0 * (0.7 * a).sin());
-            let (f, mode) = law.force(&u, &normal, 0.4);
+            let u = contact_model.reference
+                + Vector3::new(0.3 * (1.3 * a).sin(), 0.3 * (2.1 * a).cos(), 2.0 * (0.7 * a).sin());
+            let (f, mode) = contact_model.force(&u, &normal, 0.4);
             seen[mode as usize] += 1;
-            let tangent = law.tangent(&u, &normal, 0.4).unwrap_or_else(Matrix3::zeros);
+            let tangent = contact_model.tangent(&u, &normal, 0.4).unwrap_or_else(Matrix3::zeros);
             assert!((tangent - tangent.transpose()).norm() < 1e-12);
             for i in 0..3 {
                 let h = Vector3::ith(i, 1e-6);
-                let ahead = law.force(&(u + h), &normal, 0.4).0;
-                let slope = (ahead - law.force(&(u - h), &normal, 0.4).0) / 2e-6;
+                let ahead = contact_model.force(&(u + h), &normal, 0.4).0;
+                let slope = (ahead - contact_model.force(&(u - h), &normal, 0.4).0) / 2e-6;
                 assert!((slope + tangent.column(i)).norm() < 1e-4, "{k}: {slope} against {}", tangent.column(i));
                 assert!((ahead - f).norm() < 1e-3, "continuous");
             }

@@ -9,9 +9,9 @@ use crate::collide::Frame;
 use crate::contact::{Contact, ContactForce};
 use crate::math::{apply, apply_constant, congruent, cross_columns, exp, lift_rotation, renormalized, skew, solve3};
 use crate::solve::Mode;
-use crate::solve::contact_model::Law;
+use crate::solve::contact_model::ContactModel;
 use crate::state::Anchor;
-use crate::{Body, Model, Motion, Part, Result, Scalar, Scene, SimError, State};
+use crate::{Body, Error, Model, Motion, Part, Result, Scalar, Scene, State};
 
 /// Speed beyond which a rollout is called diverged, m/s or rad/s.
 const SPEED_LIMIT: f64 = 1e4;
@@ -26,8 +26,8 @@ pub(crate) fn begin<T: Scalar>(
 ) -> Result<()> {
     let t = state.time_s;
     let h = T::lift(dt);
-    work.movers.clear();
-    work.movers.extend(scene.movers.iter().map(|m| m.path.at(t)));
+    work.motions.clear();
+    work.motions.extend(scene.kinematic_bodies.iter().map(|m| m.path.at(t)));
     work.frames.clear();
     for (index, (body, s)) in model.bodies.iter().zip(&state.bodies).enumerate() {
         let frame = Frame::of(&s.world_from_body);
@@ -56,9 +56,9 @@ pub(crate) fn begin<T: Scalar>(
             speed: s.velocity.map(|x| x.value()).norm() + s.angular_velocity.map(|x| x.value()).norm() * body.reach(),
         });
     }
-    work.trees.resize_with(model.arms.len(), TreeWork::default);
-    work.joint_laws.resize_with(model.arms.len(), Vec::new);
-    for ((arm, s), tree) in model.arms.iter().zip(&state.arms).zip(&mut work.trees) {
+    work.trees.resize_with(model.articulations.len(), TreeWork::default);
+    work.joint_forces.resize_with(model.articulations.len(), Vec::new);
+    for ((arm, s), tree) in model.articulations.iter().zip(&state.articulations).zip(&mut work.trees) {
         arm.kinematics(s, t, dt, tree);
     }
     Ok(())
@@ -71,7 +71,7 @@ pub(crate) fn patch_mass<T: Scalar>(model: &Model<T>, a: Part, b: Part) -> T {
         _ => None,
     };
     let link = |part: Part| match part {
-        Part::Link { arm, link } => Some(model.arms[arm as usize].contact_mass(link as usize)),
+        Part::Link { articulation: arm, link } => Some(model.articulations[arm as usize].contact_mass(link as usize)),
         _ => None,
     };
     match (body(a), body(b)) {
@@ -94,9 +94,9 @@ pub(crate) fn carried<T: Scalar>(motion: Option<&Motion>, c: &Contact<T>) -> (Ve
     })
 }
 
-pub(crate) fn mover(movers: &[Motion], part: Part) -> Option<&Motion> {
+pub(crate) fn kinematic_motion(motions: &[Motion], part: Part) -> Option<&Motion> {
     match part {
-        Part::Mover(i) => movers.get(i as usize),
+        Part::Kinematic(i) => motions.get(i as usize),
         _ => None,
     }
 }
@@ -105,29 +105,31 @@ pub(crate) fn mover(movers: &[Motion], part: Part) -> Option<&Motion> {
 pub(crate) fn rotation_of<T: Scalar>(
     state: &State<T>,
     trees: &[TreeWork<T>],
-    movers: &[Motion],
+    motions: &[Motion],
     part: Part,
 ) -> Option<UnitQuaternion<T>> {
     match part {
-        Part::Fixed(_) => None,
-        Part::Mover(i) => movers.get(i as usize).map(|m| lift_rotation(&m.pose.rotation)),
+        Part::Static(_) => None,
+        Part::Kinematic(i) => motions.get(i as usize).map(|m| lift_rotation(&m.pose.rotation)),
         Part::Body(i) => Some(state.bodies[i as usize].world_from_body.rotation),
-        Part::Link { arm, link } => Some(trees[arm as usize].links[link as usize].world_from_link.rotation),
+        Part::Link { articulation: arm, link } => {
+            Some(trees[arm as usize].links[link as usize].world_from_link.rotation)
+        }
     }
 }
 
-/// Notes what a contact did, and keeps its springs. Forces of the law are per `unit` of mass.
+/// Notes what a contact did, and keeps its springs. Forces of the contact model are per `unit` of mass.
 pub(crate) fn record<T: Scalar>(
     out: &mut ContactForce<T>,
     anchor: &mut Anchor<T>,
-    law: &Law<T>,
+    contact_model: &ContactModel<T>,
     (u, spin): (&Vector3<T>, T),
     unit: T,
     rotation: Option<UnitQuaternion<T>>,
     dt: f64,
 ) {
-    let reaction = law.reaction(u, spin);
-    let (stretch, twist) = law.springs(&reaction, u, spin, dt);
+    let reaction = contact_model.reaction(u, spin);
+    let (stretch, twist) = contact_model.springs(&reaction, u, spin, dt);
     out.force = reaction.force * unit;
     out.torque = reaction.torque * unit;
     out.slips = reaction.mode == Mode::Slips;
@@ -175,14 +177,14 @@ pub(crate) fn check_speeds<T: Scalar>(state: &State<T>) -> Result<()> {
     for (body, s) in state.bodies.iter().enumerate() {
         let speed = s.velocity.map(|x| x.value()).norm() + s.angular_velocity.map(|x| x.value()).norm();
         if speed.is_nan() || speed >= SPEED_LIMIT {
-            return Err(SimError::Diverged { body: format!("body {body}"), time_s: state.time_s, speed });
+            return Err(Error::Diverged { body: format!("body {body}"), time_s: state.time_s, speed });
         }
     }
-    for (arm, s) in state.arms.iter().enumerate() {
+    for (arm, s) in state.articulations.iter().enumerate() {
         let speed =
             s.velocities.iter().map(|x| x.value().abs()).fold(0.0, |a: f64, b| if b.is_nan() { b } else { a.max(b) });
         if speed.is_nan() || speed >= SPEED_LIMIT {
-            return Err(SimError::Diverged { body: format!("articulation {arm}"), time_s: state.time_s, speed });
+            return Err(Error::Diverged { body: format!("articulation {arm}"), time_s: state.time_s, speed });
         }
     }
     Ok(())
@@ -208,7 +210,7 @@ mod tests {
         let model = Model::<f64>::new(vec![body(2.0), body(6.0)]);
         let mass = |a, b| patch_mass(&model, a, b);
         assert_eq!(mass(Part::Body(0), Part::Body(1)), 1.5);
-        assert_eq!([mass(Part::Body(1), Part::Fixed(0)), mass(Part::Mover(0), Part::Body(0))], [6.0, 2.0]);
+        assert_eq!([mass(Part::Body(1), Part::Static(0)), mass(Part::Kinematic(0), Part::Body(0))], [6.0, 2.0]);
     }
 
     #[test]
@@ -221,6 +223,6 @@ mod tests {
         };
         check_speeds(&state(0.4 * SPEED_LIMIT)).unwrap();
         let error = check_speeds(&state(0.6 * SPEED_LIMIT)).unwrap_err();
-        assert!(matches!(error, SimError::Diverged { speed, .. } if speed == 1.2 * SPEED_LIMIT), "{error}");
+        assert!(matches!(error, Error::Diverged { speed, .. } if speed == 1.2 * SPEED_LIMIT), "{error}");
     }
 }

@@ -2,9 +2,9 @@
 
 use nalgebra::Vector3;
 
-use super::frames::{advanced, begin, carried, mover, patch_mass, record, rotation_of};
+use super::frames::{advanced, begin, carried, kinematic_motion, patch_mass, record, rotation_of};
 use super::{BodyFrame, Workspace, pairs};
-use crate::articulation::{Column, LinkForce, ScalarLaw};
+use crate::articulation::{Column, JointForce, LinkForce};
 use crate::contact::ContactForce;
 use crate::math::lift_rotation;
 use crate::solve::free::{self, Lever};
@@ -33,7 +33,7 @@ pub(super) fn step<T: Scalar>(
             continue;
         }
         let alone = work.islands.iter().filter(|&&r| r == root).count() == 1;
-        let solved = match root.checked_sub(model.arms.len()) {
+        let solved = match root.checked_sub(model.articulations.len()) {
             Some(body) if alone => free_body(model, state, work, body, dt),
             _ => false,
         };
@@ -50,7 +50,7 @@ pub(super) fn step<T: Scalar>(
 
 /// Units that touch, directly or through others, are one island.
 fn group<T: Scalar>(model: &Model<T>, work: &mut Workspace<T>) {
-    let arms = model.arms.len();
+    let arms = model.articulations.len();
     work.islands.clear();
     work.islands.extend(0..arms + model.bodies.len());
     for c in &work.contacts {
@@ -79,34 +79,45 @@ fn free_body<T: Scalar>(
         (s.velocity, s.angular_velocity) = frame.free;
         return true;
     }
-    work.laws.clear();
+    work.models.clear();
     work.levers.clear();
     let stiffness = model.contact.patch_stiffness(T::one(), body.mass_kg);
     for patch in work.contacts[from..to].chunk_by(|x, y| x.key.b == y.key.b) {
-        let motion = mover(&work.movers, patch[0].key.b);
+        let motion = kinematic_motion(&work.motions, patch[0].key.b);
         let rotation = motion.map(|m| lift_rotation(&m.pose.rotation));
-        prepare_patch(patch, stiffness, &model.contact, dt, &state.anchors, rotation.as_ref(), &mut work.laws);
+        prepare_patch(patch, stiffness, &model.contact, dt, &state.anchors, rotation.as_ref(), &mut work.models);
         work.levers.extend(patch.iter().map(|c| {
             let (support, support_spin) = carried(motion, c);
             Lever { arm: c.point - frame.com, support, support_spin }
         }));
     }
     if let Some(soft) = &model.contact.soft {
-        for ((law, lever), contact) in work.laws.iter_mut().zip(&work.levers).zip(&work.contacts[from..to]) {
-            let (u, _) = lever.relative(law, &s.velocity, &s.angular_velocity);
-            law.soften(soft, contact, u, T::one(), dt);
+        for ((contact_model, lever), contact) in work.models.iter_mut().zip(&work.levers).zip(&work.contacts[from..to])
+        {
+            let (u, _) = lever.relative(contact_model, &s.velocity, &s.angular_velocity);
+            contact_model.soften(soft, contact, u, T::one(), dt);
         }
     }
     let guess = (&s.velocity, &s.angular_velocity);
-    let Some((v, w)) = free::solve(&work.laws, &work.levers, dt, &frame.inertia, frame.free, guess, &mut work.buffers)
+    let Some((v, w)) =
+        free::solve(&work.models, &work.levers, dt, &frame.inertia, frame.free, guess, &mut work.buffers)
     else {
         return false;
     };
     (s.velocity, s.angular_velocity) = (v, w);
-    for (k, (law, lever)) in work.laws.iter().zip(&work.levers).enumerate() {
-        let (u, spin) = lever.relative(law, &v, &w);
-        let rotation = mover(&work.movers, work.contacts[from + k].key.b).map(|m| lift_rotation(&m.pose.rotation));
-        record(&mut work.forces[from + k], &mut work.anchors[from + k], law, (&u, spin), body.mass_kg, rotation, dt);
+    for (k, (contact_model, lever)) in work.models.iter().zip(&work.levers).enumerate() {
+        let (u, spin) = lever.relative(contact_model, &v, &w);
+        let rotation =
+            kinematic_motion(&work.motions, work.contacts[from + k].key.b).map(|m| lift_rotation(&m.pose.rotation));
+        record(
+            &mut work.forces[from + k],
+            &mut work.anchors[from + k],
+            contact_model,
+            (&u, spin),
+            body.mass_kg,
+            rotation,
+            dt,
+        );
     }
     true
 }
@@ -120,7 +131,7 @@ fn island<T: Scalar>(
     root: usize,
     dt: f64,
 ) -> Result<()> {
-    let arms = model.arms.len();
+    let arms = model.articulations.len();
     work.island.clear();
     work.offsets.clear();
     work.offsets.resize(work.islands.len(), usize::MAX);
@@ -128,7 +139,7 @@ fn island<T: Scalar>(
     let mut n = 0;
     for &unit in &units {
         work.offsets[unit] = n;
-        n += if unit < arms { model.arms[unit].dof() } else { 6 };
+        n += if unit < arms { model.articulations[unit].dof() } else { 6 };
     }
     work.island.n = n;
     work.island.mass.resize(n * n, T::zero());
@@ -163,9 +174,17 @@ fn island<T: Scalar>(
         let unit = unit_of(c.key.a, arms).or_else(|| unit_of(c.key.b, arms));
         if unit.is_some_and(|u| work.islands[u] == root) {
             let (v, spin) = work.island.relative(k, u);
-            let rotation = rotation_of(state, &work.trees, &work.movers, c.key.b);
-            let law = &work.island.laws[k];
-            record(&mut work.forces[index], &mut work.anchors[index], law, (&v, spin), T::one(), rotation, dt);
+            let rotation = rotation_of(state, &work.trees, &work.motions, c.key.b);
+            let contact_model = &work.island.models[k];
+            record(
+                &mut work.forces[index],
+                &mut work.anchors[index],
+                contact_model,
+                (&v, spin),
+                T::one(),
+                rotation,
+                dt,
+            );
             k += 1;
         }
     }
@@ -177,9 +196,9 @@ fn island<T: Scalar>(
                 state.bodies[body].angular_velocity = Vector3::new(u[o + 3], u[o + 4], u[o + 5]);
             }
             None => {
-                let arm = &model.arms[unit];
-                let (laws, tree) = (&work.joint_laws[unit], &mut work.trees[unit]);
-                arm.advance(&mut state.arms[unit], &u[o..o + arm.dof()], (state.time_s, dt), laws, tree);
+                let arm = &model.articulations[unit];
+                let (forces, tree) = (&work.joint_forces[unit], &mut work.trees[unit]);
+                arm.advance(&mut state.articulations[unit], &u[o..o + arm.dof()], (state.time_s, dt), forces, tree);
             }
         }
     }
@@ -208,7 +227,7 @@ fn add_arm<T: Scalar>(
     index: usize,
     dt: f64,
 ) -> Result<()> {
-    let (arm, s, tree) = (&model.arms[index], &state.arms[index], &mut work.trees[index]);
+    let (arm, s, tree) = (&model.articulations[index], &state.articulations[index], &mut work.trees[index]);
     let (o, n, dof) = (work.offsets[index], work.island.n, arm.dof());
     let island = &mut work.island;
     work.mass.clear();
@@ -219,7 +238,7 @@ fn add_arm<T: Scalar>(
     }
     work.external.clear();
     for force in &scene.forces {
-        if let Part::Link { arm, link } = force.on
+        if let Part::Link { articulation: arm, link } = force.on
             && arm as usize == index
         {
             let (link, t) = (link as usize, state.time_s);
@@ -242,9 +261,9 @@ fn add_arm<T: Scalar>(
     island.start.extend_from_slice(&island.reference[start..]);
     let control = scene.controls.get(index).map_or(&[][..], |c| c.at(state.time_s));
     arm.check_control(control)?;
-    let laws = &mut work.joint_laws[index];
-    arm.joint_laws(s, tree, control, dt, laws);
-    island.scalars.extend(laws.iter().map(|law| ScalarLaw { dof: law.dof + o, ..*law }));
+    let forces = &mut work.joint_forces[index];
+    arm.joint_forces(s, tree, control, dt, forces);
+    island.scalars.extend(forces.iter().map(|f| JointForce { dof: f.dof + o, ..*f }));
     Ok(())
 }
 
@@ -260,9 +279,9 @@ fn add_patch<T: Scalar>(
     let Some(key) = patch.first().map(|c| c.key) else { return };
     let island = &mut work.island;
     let stiffness = model.contact.patch_stiffness(patch_mass(model, key.a, key.b), T::one());
-    let rotation = rotation_of(state, &work.trees, &work.movers, key.b);
-    prepare_patch(patch, stiffness, &model.contact, dt, &state.anchors, rotation.as_ref(), &mut island.laws);
-    let motion = mover(&work.movers, key.b);
+    let rotation = rotation_of(state, &work.trees, &work.motions, key.b);
+    prepare_patch(patch, stiffness, &model.contact, dt, &state.anchors, rotation.as_ref(), &mut island.models);
+    let motion = kinematic_motion(&work.motions, key.b);
     for c in patch {
         let (mut support, mut spin) = carried(motion, c);
         for (part, sign) in [(key.a, T::one()), (key.b, -T::one())] {
@@ -270,7 +289,7 @@ fn add_patch<T: Scalar>(
             let mut offset = 0;
             match part {
                 Part::Body(i) => {
-                    offset = work.offsets[model.arms.len() + i as usize];
+                    offset = work.offsets[model.articulations.len() + i as usize];
                     let arm = c.point - work.frames[i as usize].com;
                     for dof in 0..3 {
                         let axis = Vector3::ith(dof, T::one());
@@ -281,15 +300,15 @@ fn add_patch<T: Scalar>(
                         island.columns.push(Column { dof: 3 + dof, linear: axis.cross(&arm), angular: axis });
                     }
                 }
-                Part::Link { arm, link } => {
+                Part::Link { articulation: arm, link } => {
                     let (arm, link) = (arm as usize, link as usize);
                     offset = work.offsets[arm];
-                    model.arms[arm].columns(&work.trees[arm], link, &c.point, &mut island.columns);
-                    let (v, w) = model.arms[arm].prescribed_velocity(&work.trees[arm], &c.point);
+                    model.articulations[arm].columns(&work.trees[arm], link, &c.point, &mut island.columns);
+                    let (v, w) = model.articulations[arm].prescribed_velocity(&work.trees[arm], &c.point);
                     support -= v * sign;
                     spin -= w.dot(&c.normal) * sign;
                 }
-                Part::Fixed(_) | Part::Mover(_) => {}
+                Part::Static(_) | Part::Kinematic(_) => {}
             }
             for column in &mut island.columns[first..] {
                 column.dof += offset;
@@ -302,18 +321,18 @@ fn add_patch<T: Scalar>(
     }
     if let Some(soft) = &model.contact.soft {
         let mass = patch_mass(model, key.a, key.b);
-        let first = island.laws.len() - patch.len();
+        let first = island.models.len() - patch.len();
         for (k, contact) in patch.iter().enumerate() {
             let (u, _) = island.relative(first + k, &island.start);
-            island.laws[first + k].soften(soft, contact, u, mass, dt);
+            island.models[first + k].soften(soft, contact, u, mass, dt);
         }
     }
 }
 
 fn unit_of(part: Part, arms: usize) -> Option<usize> {
     match part {
-        Part::Link { arm, .. } => Some(arm as usize),
+        Part::Link { articulation: arm, .. } => Some(arm as usize),
         Part::Body(i) => Some(arms + i as usize),
-        Part::Fixed(_) | Part::Mover(_) => None,
+        Part::Static(_) | Part::Kinematic(_) => None,
     }
 }

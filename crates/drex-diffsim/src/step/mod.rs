@@ -9,10 +9,10 @@ pub(crate) mod pairs;
 pub(crate) use frames::begin;
 use nalgebra::{Matrix3, Vector3};
 
-use crate::articulation::{LinkForce, ScalarLaw, TreeWork};
+use crate::articulation::{JointForce, LinkForce, TreeWork};
 use crate::collide::{CollideWork, Frame, Touch};
 use crate::contact::{Contact, ContactForce};
-use crate::solve::contact_model::Law;
+use crate::solve::contact_model::ContactModel;
 use crate::solve::free::{self, Lever};
 use crate::solve::island::{Island, Solver};
 use crate::state::Anchor;
@@ -23,8 +23,8 @@ use crate::{Method, Model, Result, Scalar, Scene, State};
 pub struct Workspace<T: Scalar> {
     pub(crate) frames: Vec<BodyFrame<T>>,
     pub(crate) trees: Vec<TreeWork<T>>,
-    /// Poses of movers at the start of the step.
-    pub(crate) movers: Vec<crate::Motion>,
+    /// Motions of the kinematic bodies at the start of the step.
+    pub(crate) motions: Vec<crate::Motion>,
     pub(crate) collide: CollideWork,
     pub(crate) touches: Vec<Touch>,
     pub(crate) contacts: Vec<Contact<T>>,
@@ -32,7 +32,7 @@ pub struct Workspace<T: Scalar> {
     pub(crate) anchors: Vec<Anchor<T>>,
     /// Island of each unit (articulations, then bodies): index of the first unit in it.
     islands: Vec<usize>,
-    pub(crate) laws: Vec<Law<T>>,
+    pub(crate) models: Vec<ContactModel<T>>,
     levers: Vec<Lever<T>>,
     buffers: free::Buffers,
     island: Island<T>,
@@ -40,8 +40,8 @@ pub struct Workspace<T: Scalar> {
     mass: Vec<T>,
     bias: Vec<T>,
     external: Vec<LinkForce<T>>,
-    /// Laws of the joints, per articulation.
-    joint_laws: Vec<Vec<ScalarLaw<T>>>,
+    /// Forces of the joints, per articulation.
+    joint_forces: Vec<Vec<JointForce<T>>>,
     /// First velocity of each unit in its island.
     offsets: Vec<usize>,
     #[cfg(feature = "ablation")]
@@ -54,14 +54,14 @@ impl<T: Scalar> Default for Workspace<T> {
         Self {
             frames: Vec::new(),
             trees: Vec::new(),
-            movers: Vec::new(),
+            motions: Vec::new(),
             collide: CollideWork::default(),
             touches: Vec::new(),
             contacts: Vec::new(),
             forces: Vec::new(),
             anchors: Vec::new(),
             islands: Vec::new(),
-            laws: Vec::new(),
+            models: Vec::new(),
             levers: Vec::new(),
             buffers: free::Buffers::default(),
             island: Island::default(),
@@ -69,7 +69,7 @@ impl<T: Scalar> Default for Workspace<T> {
             mass: Vec::new(),
             bias: Vec::new(),
             external: Vec::new(),
-            joint_laws: Vec::new(),
+            joint_forces: Vec::new(),
             offsets: Vec::new(),
             #[cfg(feature = "ablation")]
             ablation: ablation::Buffers::default(),

@@ -9,7 +9,7 @@ use crate::collider::Collider;
 use crate::contact::{Contact, ContactKey};
 use crate::material::Material;
 use crate::math::lift_pose;
-use crate::{Model, Part, Result, Scalar, Scene, Shape, SimError};
+use crate::{Error, Model, Part, Result, Scalar, Scene, Shape};
 
 /// Gap that always counts as closing, metres.
 const NEAR_M: f64 = 1e-6;
@@ -71,7 +71,7 @@ pub(crate) fn check_start<T: Scalar>(model: &Model<T>, scene: &Scene<T>, work: &
         let size = |s: &Side<'_, T>| 2.0 * s.collider.bounding_sphere().1;
         let depth_m = contacts.iter().map(|c| c.depth.value()).fold(0.0, f64::max);
         if depth_m > START_DEPTH * size(a).min(size(b)) && worst.is_ok() {
-            worst = Err(SimError::StartsInside { what: name(model, a.part), depth_m, support: name(model, b.part) });
+            worst = Err(Error::StartsInside { what: name(model, a.part), depth_m, support: name(model, b.part) });
         }
     });
     work.collide = search;
@@ -85,7 +85,7 @@ pub(crate) fn check_shapes<T: Scalar>(model: &Model<T>, scene: &Scene<T>, work: 
         for (i, x) in a.collider.geoms().iter().enumerate() {
             for (j, y) in b.collider.geoms().iter().enumerate() {
                 if !collide::supported(&x.shape, &y.shape) && result.is_ok() {
-                    result = Err(SimError::Unsupported {
+                    result = Err(Error::Unsupported {
                         what: format!(
                             "shape {i} of {} against shape {j} of {}",
                             name(model, a.part),
@@ -126,18 +126,18 @@ fn visit_all<T: Scalar>(
     work: &Workspace<T>,
     mut f: impl FnMut(&Side<'_, T>, &Side<'_, T>),
 ) {
-    let fixed = |i: usize| Side {
-        part: Part::Fixed(i as u32),
-        collider: &scene.fixed[i].collider,
-        frame: Frame::of(&scene.fixed[i].world_from_body),
-        exact: Frame::of(&lift_pose(&scene.fixed[i].world_from_body)),
-        material: scene.fixed[i].material,
+    let static_body = |i: usize| Side {
+        part: Part::Static(i as u32),
+        collider: &scene.static_bodies[i].collider,
+        frame: Frame::of(&scene.static_bodies[i].world_from_body),
+        exact: Frame::of(&lift_pose(&scene.static_bodies[i].world_from_body)),
+        material: scene.static_bodies[i].material,
         speed: 0.0,
     };
-    let mover = |i: usize| {
-        let (m, motion) = (&scene.movers[i], &work.movers[i]);
+    let kinematic_body = |i: usize| {
+        let (m, motion) = (&scene.kinematic_bodies[i], &work.motions[i]);
         Side {
-            part: Part::Mover(i as u32),
+            part: Part::Kinematic(i as u32),
             collider: &m.collider,
             frame: Frame::of(&motion.pose),
             exact: Frame::of(&lift_pose(&motion.pose)),
@@ -155,23 +155,23 @@ fn visit_all<T: Scalar>(
     };
     for i in 0..model.bodies.len() {
         let a = body(i);
-        (0..scene.fixed.len()).for_each(|k| f(&a, &fixed(k)));
-        (0..scene.movers.len()).for_each(|k| f(&a, &mover(k)));
+        (0..scene.static_bodies.len()).for_each(|k| f(&a, &static_body(k)));
+        (0..scene.kinematic_bodies.len()).for_each(|k| f(&a, &kinematic_body(k)));
         (i + 1..model.bodies.len()).for_each(|k| f(&a, &body(k)));
-        for (k, arm) in model.arms.iter().enumerate() {
+        for (k, arm) in model.articulations.iter().enumerate() {
             links(model, k).for_each(|l| f(&a, &link(arm, work, k, l)));
         }
     }
-    for (i, arm) in model.arms.iter().enumerate() {
+    for (i, arm) in model.articulations.iter().enumerate() {
         for l in links(model, i) {
             let a = link(arm, work, i, l);
-            (0..scene.fixed.len()).for_each(|k| f(&a, &fixed(k)));
-            (0..scene.movers.len()).for_each(|k| f(&a, &mover(k)));
+            (0..scene.static_bodies.len()).for_each(|k| f(&a, &static_body(k)));
+            (0..scene.kinematic_bodies.len()).for_each(|k| f(&a, &kinematic_body(k)));
             if arm.self_collision {
                 let later = links(model, i).filter(|&m| m > l && arm.robot.may_collide(l, m));
                 later.for_each(|m| f(&a, &link(arm, work, i, m)));
             }
-            for (k, other) in model.arms.iter().enumerate().skip(i + 1) {
+            for (k, other) in model.articulations.iter().enumerate().skip(i + 1) {
                 links(model, k).for_each(|m| f(&a, &link(other, work, k, m)));
             }
         }
@@ -180,7 +180,7 @@ fn visit_all<T: Scalar>(
 
 /// Links of an articulation that have shapes.
 fn links<T: Scalar>(model: &Model<T>, arm: usize) -> impl Iterator<Item = usize> {
-    let colliders = &model.arms[arm].colliders;
+    let colliders = &model.articulations[arm].colliders;
     (0..colliders.len()).filter(|&l| !colliders[l].geoms().is_empty())
 }
 
@@ -190,7 +190,7 @@ fn link<'a, T: Scalar>(arm: &'a Articulation<T>, work: &Workspace<T>, index: usi
     let exact = Frame { r: motion.rotation, p: motion.world_from_link.translation.vector };
     let speed = |v: &Vector3<T>| v.map(|x| x.value()).norm();
     Side {
-        part: Part::Link { arm: index as u32, link: l as u32 },
+        part: Part::Link { articulation: index as u32, link: l as u32 },
         collider,
         frame: exact.value(),
         exact,
@@ -250,20 +250,22 @@ fn carriage(a: &Shape, b: &Shape) -> (f64, bool) {
 pub(crate) fn check_part<T: Scalar>(model: &Model<T>, part: Part, what: impl Fn() -> String) -> Result<()> {
     let known = match part {
         Part::Body(i) => (i as usize) < model.bodies.len(),
-        Part::Link { arm, link } => model.arms.get(arm as usize).is_some_and(|a| (link as usize) < a.robot.links.len()),
-        Part::Fixed(_) | Part::Mover(_) => false,
+        Part::Link { articulation: arm, link } => {
+            model.articulations.get(arm as usize).is_some_and(|a| (link as usize) < a.robot.links.len())
+        }
+        Part::Static(_) | Part::Kinematic(_) => false,
     };
-    if known { Ok(()) } else { Err(SimError::Part { what: what(), part: format!("{part:?}") }) }
+    if known { Ok(()) } else { Err(Error::Part { what: what(), part: format!("{part:?}") }) }
 }
 
 /// What an error calls a part.
 pub(crate) fn name<T: Scalar>(model: &Model<T>, part: Part) -> String {
     match part {
-        Part::Fixed(i) => format!("fixed thing {i}"),
-        Part::Mover(i) => format!("mover {i}"),
+        Part::Static(i) => format!("static body {i}"),
+        Part::Kinematic(i) => format!("kinematic body {i}"),
         Part::Body(i) => format!("body {i}"),
-        Part::Link { arm, link } => {
-            let links = model.arms.get(arm as usize).map(|a| &a.robot.links);
+        Part::Link { articulation: arm, link } => {
+            let links = model.articulations.get(arm as usize).map(|a| &a.robot.links);
             let name = links.and_then(|l| l.get(link as usize)).map_or("?", |l| l.name.as_str());
             format!("link \"{name}\" of articulation {arm}")
         }

@@ -48,7 +48,7 @@ fn balls_roll_on_a_box_that_is_dragged() {
             let balls = (0..25).map(|i| off(i, a_ball).norm() / (a_ball * t));
             worst[1] = worst[1].max(balls.fold(0.0, f64::max));
             let friction = |ground: bool| -> f64 {
-                let of = |p: Part| matches!(p, Part::Fixed(_));
+                let of = |p: Part| matches!(p, Part::Static(_));
                 work.contacts().filter(|c| of(c.key.b) == ground).map(|c| c.force.dot(&along).abs()).sum()
             };
             worst[2] = worst[2].max(relative(friction(true), f1)).max(relative(friction(false), 25.0 * f2));
@@ -85,7 +85,7 @@ fn walker() -> Articulation<f64> {
 
 /// Momentum, kinetic energy and height times mass of a robot on a free base.
 fn sums(model: &Model<f64>, state: &State<f64>) -> (Vector3<f64>, f64, f64) {
-    let (arm, s) = (&model.arms[0], &state.arms[0]);
+    let (arm, s) = (&model.articulations[0], &state.articulations[0]);
     let poses = arm.robot.forward_kinematics(&s.q, &s.base.world_from_base);
     let (mut p, mut energy, mut height) = (Vector3::zeros(), 0.0, 0.0);
     let rates = nalgebra::DVector::from_vec(s.velocities.clone());
@@ -106,12 +106,12 @@ fn sums(model: &Model<f64>, state: &State<f64>) -> (Vector3<f64>, f64, f64) {
 /// (13) SimBenchmark's momentum test: a ball of 10 kg at 5 m/s hits a free robot in free space.
 #[test]
 fn a_ball_hands_its_momentum_to_a_free_robot() {
-    let mut model = Model::new(vec![ball(0.15, 10.0)]).with_arm(walker());
+    let mut model = Model::new(vec![ball(0.15, 10.0)]).with_articulation(walker());
     model.contact.relaxation_s = 1e-3;
     let mut scene = Scene::empty();
     scene.gravity = Vector3::zeros();
     scene.controls.push(drex_diffsim::Control::constant(&[]).unwrap());
-    let arm = model.arms[0].at_rest(&[0.2, -0.4, 0.1, -0.3, 0.0, -0.5, 0.3, -0.2], 0.0).unwrap();
+    let arm = model.articulations[0].at_rest(&[0.2, -0.4, 0.1, -0.3, 0.0, -0.5, 0.3, -0.2], 0.0).unwrap();
     let mut body = BodyState::at_rest(at(-1.0, 0.05, 0.03));
     body.velocity.x = 5.0;
     let mut state = State::new(vec![body], vec![arm]);
@@ -138,15 +138,15 @@ fn a_ball_hands_its_momentum_to_a_free_robot() {
 /// (13) A free robot falls with its joints in motion: momentum grows by m g t, energy is kept.
 #[test]
 fn a_free_robot_falls_as_one() {
-    let mut model = Model::new(Vec::new()).with_arm(walker());
-    model.arms[0].joints.iter_mut().for_each(|j| (j.damping, j.friction_loss) = (0.0, 0.0));
-    let mut arm = model.arms[0].at_rest(&[0.2, -0.4, 0.1, -0.3, 0.0, -0.5, 0.3, -0.2], 0.0).unwrap();
+    let mut model = Model::new(Vec::new()).with_articulation(walker());
+    model.articulations[0].joints.iter_mut().for_each(|j| (j.damping, j.friction_loss) = (0.0, 0.0));
+    let mut arm = model.articulations[0].at_rest(&[0.2, -0.4, 0.1, -0.3, 0.0, -0.5, 0.3, -0.2], 0.0).unwrap();
     arm.velocities = vec![1.0, -2.0, 0.5, 2.0, -1.0, 1.5, 0.3, -1.0];
     arm.base.angular_velocity = Vector3::new(0.3, -0.6, 0.9);
     let mut state = State::new(Vec::new(), vec![arm]);
     let mut scene = Scene::empty();
     scene.controls.push(drex_diffsim::Control::constant(&[]).unwrap());
-    let mass = model.arms[0].robot.total_mass_kg();
+    let mass = model.articulations[0].robot.total_mass_kg();
     let (p0, e0, h0) = sums(&model, &state);
     let mut work = Workspace::default();
     for _ in 0..2000 {

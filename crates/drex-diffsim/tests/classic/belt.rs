@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use drex_diffsim::{Collider, Geom, Model, Mover, Path, Scene, Shape, Workspace, step};
+use drex_diffsim::{Collider, Geom, KinematicBody, Model, Path, Scene, Shape, Workspace, step};
 use nalgebra::Vector3;
 
 use crate::common::{G, at, cuboid, relative, resting, within};
@@ -14,7 +14,7 @@ fn a_belt_drags_a_box_to_its_speed() {
     let belt = Collider::new(&[Geom::new(Shape::Box { half_m: Vector3::new(5.0, 0.3, 0.05) })]).unwrap();
     let path = Path::linear(&[0.0, end], &[at(0.0, 0.0, -0.05), at(speed * end, 0.0, -0.05)]).unwrap();
     let mut scene = Scene::empty();
-    scene.movers.push(Mover::new(path, Arc::new(belt), mu));
+    scene.kinematic_bodies.push(KinematicBody::new(path, Arc::new(belt), mu));
     for mass in [0.05, 2.0] {
         let model = Model::new(vec![cuboid(Vector3::new(0.05, 0.04, 0.03), mass)]);
         let (mut state, mut work) = (resting(&[at(0.0, 0.0, 0.03)]), Workspace::default());

@@ -1,8 +1,8 @@
 //! One contact at a time: rest, bounce, stick, slide, roll on a slope.
 
 use drex_diffsim::{
-    AppliedForce, Body, Collider, ConvexPiece, Fixed, ForcePoint, Geom, Method, Model, Part, Scene, Shape, State,
-    Workspace, step,
+    AppliedForce, Body, Collider, ConvexPolyhedron, ForcePoint, Geom, Method, Model, Part, Scene, Shape, State,
+    StaticBody, Workspace, step,
 };
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use std::sync::Arc;
@@ -13,7 +13,7 @@ use crate::common::{G, at, ball, body, cuboid, down_slope, energy, relative, res
 fn slope(angle: f64, friction: f64) -> Scene<f64> {
     let mut scene = Scene::empty();
     let plane = turned(Vector3::zeros(), down_slope(angle));
-    scene.fixed.push(Fixed::new(plane, Arc::new(Collider::plane()), friction));
+    scene.static_bodies.push(StaticBody::new(plane, Arc::new(Collider::plane()), friction));
     scene
 }
 
@@ -35,7 +35,7 @@ fn a_spinning_ellipsoid_on_a_slope_does_not_speed_up_by_itself() {
             points.push(Point3::from(radii.component_mul(&Vector3::new(s * x, s * y, c))));
         }
     }
-    let geom = Geom::new(Shape::Convex(Arc::new(ConvexPiece::from_points(&points).unwrap())));
+    let geom = Geom::new(Shape::Convex(Arc::new(ConvexPolyhedron::from_points(&points).unwrap())));
     let q = radii.component_mul(&radii) / 5.0;
     let mut model = Model::new(vec![body(&[geom], Vector3::new(q.y + q.z, q.z + q.x, q.x + q.y), 1.0)]);
     model.dt_s = 2e-3;

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use drex_core::Pose;
-use drex_diffsim::{ActuatorKind, Control, Fixed, Model, Part, Scene, State, Workspace, step};
+use drex_diffsim::{ActuatorKind, Control, Model, Part, Scene, State, StaticBody, Workspace, step};
 use drex_robot::Robot;
 use nalgebra::{DVector, Point3, Vector3};
 
@@ -12,18 +12,18 @@ use crate::common::{fixed_arm, robot, within};
 /// By how much drives, weight and tip are out of balance after 6 s, as a part of the torques, and the force at the tip.
 fn press(robot: Arc<Robot>, q: &[f64], command: &[f64], wall: Fixed<f64>, gravity: f64) -> (f64, f64) {
     let arm = fixed_arm(robot).with_friction(0.0);
-    let mut model = Model::new(Vec::new()).with_arm(arm);
+    let mut model = Model::new(Vec::new()).with_articulation(arm);
     model.dt_s = 1e-3;
     let mut scene = Scene::empty();
     scene.gravity.z = -gravity;
-    scene.fixed.push(wall);
+    scene.static_bodies.push(wall);
     scene.controls.push(Control::constant(command).unwrap());
-    let mut state = State::new(Vec::new(), vec![model.arms[0].at_rest(q, 0.0).unwrap()]);
+    let mut state = State::new(Vec::new(), vec![model.articulations[0].at_rest(q, 0.0).unwrap()]);
     let mut work = Workspace::default();
     while state.time_s < 6.0 {
         step(&model, &scene, &mut state, &mut work).unwrap();
     }
-    let (arm, q) = (&model.arms[0], &state.arms[0].q);
+    let (arm, q) = (&model.articulations[0], &state.articulations[0].q);
     let poses = arm.robot.forward_kinematics(q, &Pose::identity());
     let (mut tip, mut force) = (DVector::zeros(q.len()), 0.0);
     for c in work.contacts() {
@@ -51,7 +51,7 @@ fn drives_carry_what_the_tip_presses() {
         <geom type="sphere" size="0.008" pos="0.04 0 0"/></body></body></body>"#,
         r#"<position joint="near" kp="3" kv="0.05"/><position joint="far" kp="2" kv="0.05"/>"#,
     );
-    let wall = |mu: f64| Fixed::cuboid(Point3::new(0.096, 0.0, 0.0), Vector3::new(0.02, 0.1, 0.2), mu).unwrap();
+    let wall = |mu: f64| StaticBody::cuboid(Point3::new(0.096, 0.0, 0.0), Vector3::new(0.02, 0.1, 0.2), mu).unwrap();
     for (gravity, mu) in [(0.0, 0.0), (0.0, 0.6), (9.81, 0.6)] {
         let (off, force) = press(two.clone(), &[0.8, -1.4], &[0.6, -1.0], wall(mu), gravity);
         assert!(force > 0.5, "it presses: {force}");

@@ -25,11 +25,11 @@ fn energy_of_a_pendulum_drifts_less_than_by_explicit_euler_and_more_than_by_rung
         "",
     );
     let model = {
-        let mut model = Model::new(Vec::new()).with_arm(fixed_arm(rod));
+        let mut model = Model::new(Vec::new()).with_articulation(fixed_arm(rod));
         model.dt_s = h;
         model
     };
-    let mut state = State::new(Vec::new(), vec![model.arms[0].at_rest(&[start], 0.0).unwrap()]);
+    let mut state = State::new(Vec::new(), vec![model.articulations[0].at_rest(&[start], 0.0).unwrap()]);
     let per_mass = |q: f64, u: f64| 0.5 * l * l * u * u - G * l * q.cos();
     let (first, scale) = (per_mass(start, 0.0), G * l * (1.0 - start.cos()));
     let rate = |q: f64| -G / l * q.sin();
@@ -44,7 +44,9 @@ fn energy_of_a_pendulum_drifts_less_than_by_explicit_euler_and_more_than_by_rung
         let k4 = (rk.1 + h * k3.1, rate(rk.0 + h * k3.0));
         let mean = |a: f64, b: f64, c: f64, d: f64| h / 6.0 * (a + 2.0 * b + 2.0 * c + d);
         rk = (rk.0 + mean(k1.0, k2.0, k3.0, k4.0), rk.1 + mean(k1.1, k2.1, k3.1, k4.1));
-        for (worst, (q, u)) in drift.iter_mut().zip([(state.arms[0].q[0], state.arms[0].velocities[0]), euler, rk]) {
+        for (worst, (q, u)) in
+            drift.iter_mut().zip([(state.articulations[0].q[0], state.articulations[0].velocities[0]), euler, rk])
+        {
             *worst = worst.max((per_mass(q, u) - first).abs() / scale);
         }
     }
@@ -74,14 +76,14 @@ fn energy_of_an_acrobot_is_kept_to_first_order() {
             - m2 * G * (l1 * q[0].cos() + c2 * (q[0] + q[1]).cos())
     };
     let drift = |h: f64| {
-        let mut model = Model::new(Vec::new()).with_arm(fixed_arm(arm.clone()));
+        let mut model = Model::new(Vec::new()).with_articulation(fixed_arm(arm.clone()));
         model.dt_s = h;
-        let mut state = State::new(Vec::new(), vec![model.arms[0].at_rest(&[1.2, -0.7], 0.0).unwrap()]);
-        let first = total(&state.arms[0].q, &state.arms[0].velocities);
+        let mut state = State::new(Vec::new(), vec![model.articulations[0].at_rest(&[1.2, -0.7], 0.0).unwrap()]);
+        let first = total(&state.articulations[0].q, &state.articulations[0].velocities);
         let (mut work, mut worst) = (Workspace::default(), 0.0_f64);
         for _ in 0..(1.0 / h).round() as u32 {
             step(&model, &Scene::empty(), &mut state, &mut work).unwrap();
-            worst = worst.max((total(&state.arms[0].q, &state.arms[0].velocities) - first).abs());
+            worst = worst.max((total(&state.articulations[0].q, &state.articulations[0].velocities) - first).abs());
         }
         worst / (m1 * G * c1 + m2 * G * (l1 + c2))
     };
@@ -220,22 +222,22 @@ impl Top {
             <body name="c"><joint name="spin" axis="0 0 1"/>
             <inertial pos="0 0 {l}" mass="{mass}" diaginertia="{across} {across} {along}"/></body></body></body></body>"#
         );
-        let mut model = Model::new(Vec::new()).with_arm(fixed_arm(robot(&links, "")));
+        let mut model = Model::new(Vec::new()).with_articulation(fixed_arm(robot(&links, "")));
         model.dt_s = dt_s;
         Self { model, tilt, moment: mass * G * l, inertia: (across + mass * l * l, along) }
     }
 
     /// Mean rate of precession over a time from a spin w3 and a rate of precession, and the largest nod.
     fn run(&self, w3: f64, precession: f64, seconds: f64) -> (f64, f64) {
-        let mut arm = self.model.arms[0].at_rest(&[0.0; 3], 0.0).unwrap();
+        let mut arm = self.model.articulations[0].at_rest(&[0.0; 3], 0.0).unwrap();
         arm.velocities = vec![precession, 0.0, w3 - precession * self.tilt.cos()];
         let mut state = State::new(Vec::new(), vec![arm]);
         let (mut work, mut nod) = (Workspace::default(), 0.0_f64);
         for _ in 0..(seconds / self.model.dt_s).round() as u32 {
             step(&self.model, &Scene::empty(), &mut state, &mut work).unwrap();
-            nod = nod.max(state.arms[0].q[1].abs());
+            nod = nod.max(state.articulations[0].q[1].abs());
         }
-        (state.arms[0].q[0] / state.time_s, nod)
+        (state.articulations[0].q[0] / state.time_s, nod)
     }
 }
 

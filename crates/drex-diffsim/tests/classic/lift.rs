@@ -47,13 +47,13 @@ impl Grip {
         let height = HALF + 0.005;
         let path = Path::smooth(&LIFT, &[at(0.0, 0.0, height), at(0.0, 0.0, height + 0.01)]).unwrap();
         let arm = Articulation::new(gripper(), Base::Path(path)).unwrap().with_friction(MU);
-        let mut model = Model::new(vec![cuboid(Vector3::repeat(HALF), mass)]).with_arm(arm);
+        let mut model = Model::new(vec![cuboid(Vector3::repeat(HALF), mass)]).with_articulation(arm);
         model.dt_s = 1e-3;
         let mut scene = Scene::on_table(MU);
         scene.controls.push(Control::constant(&[force, force]).unwrap());
         let state = State::new(
             vec![BodyState::at_rest(at(0.0, 0.0, HALF))],
-            vec![model.arms[0].at_rest(&[0.0, 0.0], 0.0).unwrap()],
+            vec![model.articulations[0].at_rest(&[0.0, 0.0], 0.0).unwrap()],
         );
         Self { model, scene, state, work: Workspace::default() }
     }
@@ -62,7 +62,7 @@ impl Grip {
         while self.state.time_s < t - 1e-9 {
             step(&self.model, &self.scene, &mut self.state, &mut self.work).unwrap();
         }
-        self.state.arms[0].base.world_from_base.inverse() * self.state.bodies[0].world_from_body
+        self.state.articulations[0].base.world_from_base.inverse() * self.state.bodies[0].world_from_body
     }
 
     /// Whether the box is in the air at the end of the lift and a second later.

@@ -1,6 +1,6 @@
 //! What is refused, and that nothing ends in numbers that are none.
 
-use drex_diffsim::{Articulation, Base, Scene, SimError, State, Workspace, rollout, step};
+use drex_diffsim::{Articulation, Base, Error, Scene, State, Workspace, rollout, step};
 use drex_robot::Robot;
 use proptest::prelude::*;
 
@@ -30,12 +30,12 @@ fn a_step_too_long_for_the_springs_is_refused() {
     for frequency in [1.2e3, 3e3, 1e4, 1e6] {
         for (scheme, tau) in [(Scheme::SemiImplicit, 1e-3), (Scheme::SemiImplicit, 4e-3), (Scheme::Explicit, 4e-3)] {
             let end = single(scheme, frequency, tau);
-            assert!(matches!(end, Err(SimError::Stiff { .. })), "{scheme:?} at {frequency}, {tau}: {end:?}");
+            assert!(matches!(end, Err(Error::Stiff { .. })), "{scheme:?} at {frequency}, {tau}: {end:?}");
         }
     }
     // Explicit Euler grows slowly where it is not damped enough.
-    assert!(matches!(single(Scheme::Explicit, 300.0, 1e-3), Err(SimError::Stiff { .. })));
-    assert!(matches!(single(Scheme::Explicit, 300.0, 0.0), Err(SimError::Undamped)));
+    assert!(matches!(single(Scheme::Explicit, 300.0, 1e-3), Err(Error::Stiff { .. })));
+    assert!(matches!(single(Scheme::Explicit, 300.0, 0.0), Err(Error::Undamped)));
 }
 
 #[test]
@@ -54,7 +54,7 @@ fn chosen_substeps_are_enough_and_not_endless() {
             assert!((depth * frequency.powi(2) / G - 1.0).abs() < 0.02, "{scheme:?} at {frequency}: {depth}");
         }
         let endless = run(1e7);
-        assert!(matches!(endless, Err(SimError::Stiff { substeps, .. }) if substeps > 1e4), "{endless:?}");
+        assert!(matches!(endless, Err(Error::Stiff { substeps, .. }) if substeps > 1e4), "{endless:?}");
     }
 }
 
@@ -66,11 +66,11 @@ fn methods_without_robots_say_so() {
     for method in [PENALTY, EXPLICIT, POSITIONS] {
         let arm = Articulation::new(robot.clone(), Base::Fixed(Pose::identity())).unwrap();
         let rest = arm.at_rest(&[0.0], 0.0).unwrap();
-        let mut model = Model::new(Vec::new()).with_arm(arm);
+        let mut model = Model::new(Vec::new()).with_articulation(arm);
         model.method = method;
         let mut state = State::new(Vec::new(), vec![rest]);
-        assert_eq!(model.check(), Err(SimError::Method));
-        assert_eq!(step(&model, &Scene::empty(), &mut state, &mut Workspace::default()), Err(SimError::Method));
+        assert_eq!(model.check(), Err(Error::Method));
+        assert_eq!(step(&model, &Scene::empty(), &mut state, &mut Workspace::default()), Err(Error::Method));
     }
 }
 
@@ -103,7 +103,7 @@ proptest! {
         start.bodies[0].angular_velocity = Vector3::new(0.3 * spin, spin, 0.0);
         match rollout(&model, &scene, &start, &[0.02, 0.1]) {
             Ok(r) => prop_assert!(r.bodies[0].poses.iter().all(|p| p.to_homogeneous().iter().all(|x| x.is_finite()))),
-            Err(e) => prop_assert!(matches!(e, SimError::Stiff { .. } | SimError::Diverged { .. }), "{}", e),
+            Err(e) => prop_assert!(matches!(e, Error::Stiff { .. } | Error::Diverged { .. }), "{}", e),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! What shows the mass, and what does not.
 
-use drex_diffsim::{Mover, Scene, State, parameter, rollout, tangents};
+use drex_diffsim::{KinematicBody, Scene, State, parameter, rollout, tangents};
 use nalgebra::RealField;
 
 use super::*;
@@ -38,7 +38,7 @@ fn a_prescribed_sphere_moves_every_mass_alike() {
         let ends = [0.01, 3.0].map(|m| {
             let model = block(Vector3::repeat(0.03), m, method);
             let mut scene = Scene::on_table(0.4);
-            scene.movers.push(Mover::sphere(0.01, 0.6, &[0.1, 1.1], &path).unwrap());
+            scene.kinematic_bodies.push(KinematicBody::sphere(0.01, 0.6, &[0.1, 1.1], &path).unwrap());
             place(&rollout(&model, &scene, &State::at_rest(at(0.0, 0.0, 0.03)), &[1.3]).unwrap(), 0)
         });
         // The sphere's front ends at x = 5 cm, the block's centre is 3 cm further, and slides on.

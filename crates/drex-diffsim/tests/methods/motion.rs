@@ -172,7 +172,7 @@ fn contact_forces_carry_the_load() {
         assert!((total - Vector3::new(-0.5, 0.0, 1.0) * (0.2 * G)).norm() < 1e-9, "{method:?}: {total}");
         assert!(creep < 1e-12, "{method:?}: {creep}");
         for c in work.contacts() {
-            assert!(c.force.dot(&c.normal) > 0.0 && !c.slips && c.key.a == Part::Body(0) && c.key.b == Part::Fixed(0));
+            assert!(c.force.dot(&c.normal) > 0.0 && !c.slips && c.key.a == Part::Body(0) && c.key.b == Part::Static(0));
         }
     }
 }
@@ -192,7 +192,7 @@ fn bodies_rest_on_each_other_and_push_back_alike() {
             step(&model, &scene, &mut state, &mut work).unwrap();
         }
         let on = |b: Part| work.contacts().filter(|c| c.key.b == b).map(|c| c.force).sum::<Vector3<f64>>();
-        let errors = [on(Part::Fixed(0)).z / (0.6 * G) - 1.0, on(Part::Body(1)).z / (0.5 * G) + 1.0];
+        let errors = [on(Part::Static(0)).z / (0.6 * G) - 1.0, on(Part::Body(1)).z / (0.5 * G) + 1.0];
         let speed = state.bodies.iter().map(|b| b.velocity.norm() + b.angular_velocity.norm()).fold(0.0, f64::max);
         let aside = (state.bodies[1].world_from_body.translation.vector - Vector3::new(0.004, 0.003, 0.09)).norm();
         assert!(errors.iter().all(|e| e.abs() < 1e-9) && speed < 1e-9, "{method:?}: {errors:?}, {speed}");

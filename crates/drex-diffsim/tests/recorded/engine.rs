@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use drex_core::{MassProperties, Pose};
 use drex_diffsim::{
-    AppliedForce, ArmState, Articulation, Base, Body, BodyState, Collider, ContactOptions, Control, Fixed, ForcePoint,
-    Geom, Model, Part, Result, Scene, SoftContact, State, rollout,
+    AppliedForce, Articulation, ArticulationState, Base, Body, BodyState, Collider, ContactOptions, Control,
+    ForcePoint, Geom, Model, Part, Result, Scene, SoftContact, State, StaticBody, rollout,
 };
 use drex_recording::{Drive, FingerImpedance, FingerPush};
 use drex_robot::Robot;
@@ -62,7 +62,7 @@ pub struct Start {
 pub fn replay(push: &Push, shapes: &[Geom], constants: &Constants) -> Result<Vec<Pose>> {
     let mut scene = Scene::on_table(push.friction);
     for b in &push.boxes {
-        scene.fixed.push(Fixed::cuboid(b.center_m.into(), b.half_m.into(), push.friction)?);
+        scene.static_bodies.push(StaticBody::cuboid(b.center_m.into(), b.half_m.into(), push.friction)?);
     }
     let mut finger = None;
     match &push.drive {
@@ -79,7 +79,7 @@ pub fn replay(push: &Push, shapes: &[Geom], constants: &Constants) -> Result<Vec
 }
 
 /// The compliant fingertip of a recording: a ball on three slides, each driven to its command. Its weight is carried.
-fn add_finger(finger: &FingerPush, scene: &mut Scene<f64>) -> Result<(Articulation<f64>, ArmState<f64>)> {
+fn add_finger(finger: &FingerPush, scene: &mut Scene<f64>) -> Result<(Articulation<f64>, ArticulationState<f64>)> {
     let FingerImpedance { radius_m, mass_kg, armature_kg, damping_ns_m, kp_n_m, kv_ns_m, friction, home_m: [x, y, z] } =
         finger.impedance;
     let slide = |name: &str, axis: &str| {
@@ -101,7 +101,7 @@ fn add_finger(finger: &FingerPush, scene: &mut Scene<f64>) -> Result<(Articulati
     );
     let robot = Arc::new(Robot::from_mjcf_str(&mjcf, None).unwrap());
     let arm = Articulation::new(Arc::clone(&robot), Base::Fixed(robot.file_world_from_base))?;
-    let tip = Part::Link { arm: 0, link: (robot.links.len() - 1) as u32 };
+    let tip = Part::Link { articulation: 0, link: (robot.links.len() - 1) as u32 };
     let hold = [Vector3::z() * (mass_kg * 9.81), Vector3::zeros()];
     scene.forces.push(AppliedForce::new(tip, &[-1.0, 1e3], &hold, ForcePoint::Body(Point3::origin()))?);
     let rows = finger.commands.iter().map(|c| vec![c.x - x, c.y - y, c.z - z]).collect();
@@ -143,7 +143,7 @@ fn run(
     collider: &Arc<Collider>,
     scene: &Scene<f64>,
     start: &Start,
-    finger: Option<(Articulation<f64>, ArmState<f64>)>,
+    finger: Option<(Articulation<f64>, ArticulationState<f64>)>,
     times_s: &[f64],
     constants: &Constants,
 ) -> Result<Vec<Pose>> {
@@ -155,8 +155,8 @@ fn run(
     body.angular_velocity = start.spin;
     let mut state = State::new(vec![body], Vec::new());
     if let Some((arm, at_rest)) = finger {
-        model = model.with_arm(arm);
-        state.arms.push(at_rest);
+        model = model.with_articulation(arm);
+        state.articulations.push(at_rest);
     }
     Ok(rollout(&model, scene, &state, times_s)?.bodies.swap_remove(0).poses)
 }

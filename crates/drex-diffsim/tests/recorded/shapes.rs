@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use drex_core::Pose;
-use drex_diffsim::{ConvexPiece, Geom, Shape};
+use drex_diffsim::{ConvexPolyhedron, Geom, Shape};
 use nalgebra::{Point3, Vector3};
 
 /// Vertices closer than this are one, metres; the files have six digits.
@@ -48,9 +48,9 @@ pub fn gap(shapes: &[Geom], point: &Point3<f64>) -> f64 {
     shapes.iter().map(one).fold(f64::MAX, f64::min)
 }
 
-/// The closed parts of a mesh as convex pieces.
+/// The closed parts of a mesh as convex polyhedra.
 pub fn pieces(path: &Path) -> Vec<Geom> {
-    let piece = |points: Vec<Point3<f64>>| ConvexPiece::from_points(&points).unwrap();
+    let piece = |points: Vec<Point3<f64>>| ConvexPolyhedron::from_points(&points).unwrap();
     closed_shells(path).into_iter().map(|p| Geom::new(Shape::Convex(Arc::new(piece(p))))).collect()
 }
 

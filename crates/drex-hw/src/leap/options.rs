@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use drex_robot::orders;
+use drex_robot::joint_order;
 
 use crate::dynamixel::Timing;
 use crate::{Error, Result};
@@ -71,7 +71,7 @@ impl Default for LeapOptions {
 impl LeapOptions {
     /// A right hand as its maker wires it: ids 0 to 15, 4 Mbaud, zero at half a turn.
     pub fn right() -> Self {
-        let names = orders::order("leap_sdk").unwrap_or_default();
+        let names = joint_order::find("leap_sdk").unwrap_or_default();
         let joint = |(id, name): (u8, &&str)| LeapJoint {
             id,
             name: (*name).into(),
@@ -103,7 +103,7 @@ impl LeapOptions {
 
     /// A left hand: the vendor builds it from the fingers of a right one, so that some motors turn the other way.
     pub fn left() -> Self {
-        let reversed = orders::reversed_in_left("leap_left").unwrap_or_default();
+        let reversed = joint_order::reversed_in_left("leap_left").unwrap_or_default();
         let mut options = Self::right();
         for joint in &mut options.joints {
             joint.reversed = reversed.contains(&joint.name.as_str());

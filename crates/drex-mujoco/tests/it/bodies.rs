@@ -4,21 +4,21 @@ use std::sync::Arc;
 
 use drex_core::{MassProperties, Pose};
 use drex_diffsim::{
-    AppliedForce, Body, BodyState, Collider, ConvexPiece, Fixed, ForcePoint, Geom, Model, Mover, Part, Path, Scene,
-    Shape, SimError, State, rollout,
+    AppliedForce, Body, BodyState, Collider, ConvexPolyhedron, Error as SimulationError, ForcePoint, Geom,
+    KinematicBody, Model, Part, Path, Scene, Shape, State, StaticBody, rollout,
 };
 use drex_mujoco::{Error, MjcfOptions, MujocoEngine, to_mjcf};
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
 
 const G: f64 = 9.81;
 
-fn piece(half: Vector3<f64>, center: Vector3<f64>) -> ConvexPiece {
+fn piece(half: Vector3<f64>, center: Vector3<f64>) -> ConvexPolyhedron {
     let sign = |i: usize| Vector3::from_fn(|k, _| if i >> k & 1 == 0 { -1.0 } else { 1.0 });
     let corners: Vec<_> = (0..8).map(|i| Point3::from(center + half.component_mul(&sign(i)))).collect();
-    ConvexPiece::from_points(&corners).unwrap()
+    ConvexPolyhedron::from_points(&corners).unwrap()
 }
 
-fn body(mass_kg: f64, com: Point3<f64>, gyration: Vector3<f64>, pieces: Vec<ConvexPiece>) -> Model<f64> {
+fn body(mass_kg: f64, com: Point3<f64>, gyration: Vector3<f64>, pieces: Vec<ConvexPolyhedron>) -> Model<f64> {
     let s = gyration.component_mul(&gyration);
     let inertia = Matrix3::from_diagonal(&Vector3::new(s.y + s.z, s.z + s.x, s.x + s.y));
     let unit = MassProperties { mass_kg: 1.0, center_of_mass: com, inertia };
@@ -29,12 +29,12 @@ fn block(half: Vector3<f64>, mass_kg: f64) -> Model<f64> {
     body(mass_kg, Point3::origin(), half / 3.0_f64.sqrt(), vec![piece(half, Vector3::zeros())])
 }
 
-fn cylinder(radius: f64, half_length: f64, sides: u32) -> ConvexPiece {
+fn cylinder(radius: f64, half_length: f64, sides: u32) -> ConvexPolyhedron {
     let rim = (0..sides).flat_map(|i| {
         let a = std::f64::consts::TAU * f64::from(i) / f64::from(sides);
         [-half_length, half_length].map(|z| Point3::new(radius * a.cos(), radius * a.sin(), z))
     });
-    ConvexPiece::from_points(&rim.collect::<Vec<_>>()).unwrap()
+    ConvexPolyhedron::from_points(&rim.collect::<Vec<_>>()).unwrap()
 }
 
 fn force(f: Vector3<f64>, from: f64, to: f64, at: Point3<f64>) -> AppliedForce<f64> {
@@ -105,7 +105,7 @@ fn a_board_rocked_over_the_edge_of_a_step() {
     let model = block(Vector3::new(0.04, 0.03, 0.015), 0.2);
     let mut scene = Scene::on_table(0.6);
     let half = Vector3::new(0.15, 0.2, 0.025);
-    scene.fixed.push(Fixed::cuboid(Point3::new(-0.15, 0.0, 0.025), half, 0.6).unwrap());
+    scene.static_bodies.push(StaticBody::cuboid(Point3::new(-0.15, 0.0, 0.025), half, 0.6).unwrap());
     let f = 1.5 * 0.2 * G * 0.008 / 0.032;
     scene.forces.push(force(-Vector3::z() * f, 0.1, 0.2, Point3::new(0.04, 0.0, 0.015)));
     agree(&model, &scene, &State::at_rest(Pose::translation(-0.008, 0.0, 0.065)), 0.25, (0.05, 0.1, 5.0));
@@ -124,7 +124,7 @@ fn a_box_pushed_by_a_prescribed_sphere() {
     let model = block(Vector3::repeat(0.03), 0.2);
     let mut scene = Scene::on_table(0.4);
     let path = [Point3::new(-0.06, 0.0, 0.03), Point3::new(0.04, 0.0, 0.03)];
-    scene.movers.push(Mover::sphere(0.01, 0.6, &[0.1, 1.1], &path).unwrap());
+    scene.kinematic_bodies.push(KinematicBody::sphere(0.01, 0.6, &[0.1, 1.1], &path).unwrap());
     agree(&model, &scene, &State::at_rest(Pose::translation(0.0, 0.0, 0.03)), 1.3, (0.4, 0.4, 70.0));
 }
 
@@ -140,7 +140,7 @@ fn a_resting_box_is_carried_by_its_contacts() {
     assert_eq!(contacts.len(), 4);
     let mut force = Vector3::zeros();
     for c in &contacts {
-        assert_eq!((c.key.a, c.key.b), (Part::Body(0), Part::Fixed(0)));
+        assert_eq!((c.key.a, c.key.b), (Part::Body(0), Part::Static(0)));
         assert!(c.normal.z > 0.999 && c.depth.abs() < 1e-4 && c.point.z.abs() < 1e-4 && !c.slips, "{c:?}");
         force += c.force;
     }
@@ -166,7 +166,7 @@ fn what_cannot_be_run_is_refused_by_name() {
     let mut wild = scene.clone();
     wild.forces.push(force(Vector3::x() * 1e6, 0.0, 1.0, Point3::origin()));
     let error = drex_mujoco::rollout(&model, &wild, &start, &[0.1], &MjcfOptions::default()).unwrap_err();
-    assert!(matches!(error, Error::Simulation(SimError::Diverged { .. })), "{error}");
+    assert!(matches!(error, Error::Simulation(SimulationError::Diverged { .. })), "{error}");
 }
 
 fn sphere(radius_m: f64) -> Collider {
@@ -198,7 +198,7 @@ fn a_ball_on_soft_skin_that_spins_down() {
     let unit = MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia };
     let model = Model::new(vec![Body::new(&unit, 0.2, Arc::new(sphere(radius)))]);
     let mut scene = Scene::on_table(mu);
-    scene.fixed[0].material.torsion_radius_m = ring;
+    scene.static_bodies[0].material.torsion_radius_m = ring;
     let mut start = State::at_rest(Pose::translation(0.0, 0.0, radius));
     start.bodies[0].angular_velocity = Vector3::z() * 20.0;
     // Torsional friction mu r m g brings it down at a constant rate: it stops after 20 / 54.5 = 0.37 s.
@@ -222,7 +222,7 @@ fn a_box_on_a_turntable() {
     let table = Collider::new(&[Geom::new(Shape::Box { half_m }).at(Pose::translation(0.0, 0.0, -0.01))]).unwrap();
     let mut scene = Scene::empty();
     let path = Path::smooth(&[0.1, 1.1], &[turn(0.0), turn(1.5)]).unwrap();
-    scene.movers.push(Mover::new(path, Arc::new(table), 0.8));
+    scene.kinematic_bodies.push(KinematicBody::new(path, Arc::new(table), 0.8));
     agree(&model, &scene, &State::at_rest(Pose::translation(0.1, 0.0, 0.02)), 1.2, (0.5, 0.5, 100.0));
 }
 

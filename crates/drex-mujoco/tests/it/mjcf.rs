@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use drex_core::{MassProperties, Pose};
-use drex_diffsim::{Articulation, Base, Body, Collider, ConvexPiece, Model, Scene, State};
+use drex_diffsim::{Articulation, Base, Body, Collider, ConvexPolyhedron, Model, Scene, State};
 use drex_mujoco::{Error, MjcfOptions, to_mjcf};
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
@@ -13,7 +13,7 @@ fn prism() -> Model<f64> {
         let a = 2.1 * f64::from(i / 2);
         Point3::new(0.03 * a.cos(), 0.03 * a.sin(), if i % 2 == 0 { -0.02 } else { 0.02 })
     };
-    let piece = ConvexPiece::from_points(&(0..6).map(corner).collect::<Vec<_>>()).unwrap();
+    let piece = ConvexPolyhedron::from_points(&(0..6).map(corner).collect::<Vec<_>>()).unwrap();
     let unit = MassProperties {
         mass_kg: 1.0,
         center_of_mass: Point3::new(0.001, 0.002, 0.003),
@@ -30,10 +30,10 @@ fn a_hand_is_read_as_it_was_written() {
         let base = Pose::from_parts(Vector3::new(0.1, 0.2, 0.3).into(), turned);
         let arm = Articulation::new(Arc::clone(&robot), Base::Fixed(base)).unwrap();
         let mut start = State::at_rest(Pose::translation(0.0, 0.0, 1.0));
-        start.arms.push(arm.at_rest(&robot.mid_range(), 0.0).unwrap());
+        start.articulations.push(arm.at_rest(&robot.mid_range(), 0.0).unwrap());
         let mut scene = Scene::empty();
         scene.controls.push(drex_diffsim::Control::constant(&robot.mid_range()).unwrap());
-        let text = to_mjcf(&prism().with_arm(arm), &scene, &start, &MjcfOptions::default()).unwrap();
+        let text = to_mjcf(&prism().with_articulation(arm), &scene, &start, &MjcfOptions::default()).unwrap();
         let read = Robot::from_mjcf_str(&text, None).unwrap();
         assert!((read.file_world_from_base.inverse() * base).translation.vector.norm() < 1e-12);
         let q = robot.mid_range();
@@ -104,7 +104,7 @@ fn a_box_beside_its_origin_is_written_as_a_box_around_its_centre() {
         let side = |bit: u32, lo: f64, hi: f64| if k >> bit & 1 == 0 { lo } else { hi };
         Point3::new(side(0, 0.01, 0.05), side(1, -0.02, 0.04), side(2, 0.1, 0.12))
     };
-    let piece = ConvexPiece::from_points(&(0..8).map(corner).collect::<Vec<_>>()).unwrap();
+    let piece = ConvexPolyhedron::from_points(&(0..8).map(corner).collect::<Vec<_>>()).unwrap();
     let unit = MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia: Matrix3::identity() * 0.01 };
     let model = Model::new(vec![Body::new(&unit, 0.2, Arc::new(Collider::convex(vec![piece])))]);
     let start = State::at_rest(Pose::identity());
@@ -123,7 +123,7 @@ fn what_follows_a_path_is_heavy_and_hard_to_turn() {
     let model = prism();
     let mut scene = Scene::empty();
     let path = drex_diffsim::Path::linear(&[0.0, 1.0], &[Pose::identity(), Pose::translation(0.1, 0.0, 0.0)]).unwrap();
-    scene.movers.push(drex_diffsim::Mover::new(path, Arc::clone(&model.bodies[0].collider), 0.5));
+    scene.kinematic_bodies.push(drex_diffsim::KinematicBody::new(path, Arc::clone(&model.bodies[0].collider), 0.5));
     let start = State::at_rest(Pose::translation(0.0, 0.0, 1.0));
     let text = to_mjcf(&model, &scene, &start, &MjcfOptions::default()).unwrap();
     let (mass, inertia) = (numbers(&text, "mover_0", "mass"), numbers(&text, "mover_0", "fullinertia"));

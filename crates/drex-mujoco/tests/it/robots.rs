@@ -37,7 +37,7 @@ fn joints_agree(model: &Model<f64>, scene: &Scene<f64>, start: &State<f64>, unti
     let theirs = drex_mujoco::rollout(model, scene, start, &times, &MjcfOptions::default()).unwrap();
     let (mut worst, mut moved) = (0.0_f64, 0.0_f64);
     for (a, b) in ours.joints[0].iter().zip(&theirs.joints[0]) {
-        for ((x, y), z) in a.iter().zip(b).zip(&start.arms[0].q) {
+        for ((x, y), z) in a.iter().zip(b).zip(&start.articulations[0].q) {
             worst = worst.max((x - y).abs());
             moved = moved.max((x - z).abs());
         }
@@ -55,7 +55,7 @@ fn a_hand_that_closes() {
     let start = State::new(Vec::new(), vec![arm.at_rest(&q, 0.0).unwrap()]);
     let mut scene = Scene::empty();
     scene.controls.push(Control::constant(&control).unwrap());
-    joints_agree(&Model::new(Vec::new()).with_arm(arm), &scene, &start, 1.0, 0.005, 0.2);
+    joints_agree(&Model::new(Vec::new()).with_articulation(arm), &scene, &start, 1.0, 0.005, 0.2);
 }
 
 #[test]
@@ -67,7 +67,7 @@ fn a_hand_without_drives_and_friction_that_swings() {
         (j.friction_loss, j.damping, j.limits) = (0.0, 1e-3, None);
     }
     let start = State::new(Vec::new(), vec![arm.at_rest(&q, 0.0).unwrap()]);
-    joints_agree(&Model::new(Vec::new()).with_arm(arm), &Scene::empty(), &start, 0.5, 0.002, 1.0);
+    joints_agree(&Model::new(Vec::new()).with_articulation(arm), &Scene::empty(), &start, 0.5, 0.002, 1.0);
 }
 
 #[test]
@@ -83,7 +83,7 @@ fn a_hand_whose_base_is_moved_feels_it() {
     let start = State::new(Vec::new(), vec![arm.at_rest(&q, 0.0).unwrap()]);
     let mut scene = Scene::empty();
     scene.gravity = Vector3::zeros();
-    joints_agree(&Model::new(Vec::new()).with_arm(arm), &scene, &start, 0.5, 0.002, 0.2);
+    joints_agree(&Model::new(Vec::new()).with_articulation(arm), &scene, &start, 0.5, 0.002, 0.2);
 }
 
 #[test]
@@ -96,18 +96,19 @@ fn a_free_hand_pushed_at_a_fingertip() {
     let link = arm.robot.link_index("index_tip").unwrap() as u32;
     let mut scene = Scene::empty();
     scene.controls.push(Control::constant(&control).unwrap());
-    let on = Part::Link { arm: 0, link };
+    let on = Part::Link { articulation: 0, link };
     let push = [Vector3::new(0.3, 0.5, -0.4), Vector3::zeros()];
     scene
         .forces
         .push(AppliedForce::new(on, &[0.05, 0.25], &push, ForcePoint::Body(Point3::new(0.0, 0.01, 0.0))).unwrap());
     let start = State::new(Vec::new(), vec![arm.at_rest(&q, 0.0).unwrap()]);
-    let model = Model::new(Vec::new()).with_arm(arm);
+    let model = Model::new(Vec::new()).with_articulation(arm);
     joints_agree(&model, &scene, &start, 0.4, 0.002, 0.05);
-    let ours = rollout(&model, &scene, &start, &[0.4]).unwrap().last.arms[0].base.clone();
-    let theirs = drex_mujoco::rollout(&model, &scene, &start, &[0.4], &MjcfOptions::default()).unwrap().last.arms[0]
-        .base
-        .clone();
+    let ours = rollout(&model, &scene, &start, &[0.4]).unwrap().last.articulations[0].base.clone();
+    let theirs =
+        drex_mujoco::rollout(&model, &scene, &start, &[0.4], &MjcfOptions::default()).unwrap().last.articulations[0]
+            .base
+            .clone();
     let way = ours.world_from_base.translation.vector.norm();
     let apart = (ours.world_from_base.translation.vector - theirs.world_from_base.translation.vector).norm();
     let turned = ours.world_from_base.rotation.angle_to(&theirs.world_from_base.rotation);
@@ -196,7 +197,7 @@ fn links_of_a_hand_touch_each_other_only_where_they_should() {
         let mut scene = Scene::empty();
         scene.controls.push(Control::constant(&control).unwrap());
         let joint = arm.robot.joint_index("if_rot").unwrap();
-        let model = Model::new(Vec::new()).with_arm(arm);
+        let model = Model::new(Vec::new()).with_articulation(arm);
         let ours = rollout(&model, &scene, &start, &[1.0]).unwrap();
         let theirs = drex_mujoco::rollout(&model, &scene, &start, &[1.0], &MjcfOptions::default()).unwrap();
         let (a, b) = (ours.joints[0][0][joint], theirs.joints[0][0][joint]);

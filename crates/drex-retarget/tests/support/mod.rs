@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use drex_demo::{Demonstration, HandFrame, KEYPOINTS, Side};
 use drex_retarget::Objective;
-use drex_robot::orders;
+use drex_robot::joint_order;
 use nalgebra::Point3;
 use serde_json::Value;
 
@@ -81,7 +81,7 @@ pub fn golden(shared: &Path, sequence: &str, hand: &str, objective: Objective) -
         let values = numbers(&f["q"]);
         let (mut base, mut q) = (Vec::new(), vec![0.0; robot.dof()]);
         for (name, value) in names.iter().zip(values) {
-            match orders::alias(hand, name) {
+            match joint_order::alias(hand, name) {
                 Some(name) => q[robot.joint_index(name).unwrap()] = value,
                 None => base.push(value),
             }

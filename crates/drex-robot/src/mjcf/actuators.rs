@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::model::{Actuator, ActuatorKind};
-use crate::unread::Unread;
+use crate::unsupported::Unsupported;
 use crate::xml::{Attributes, Node};
 
 use super::Builder;
@@ -78,7 +78,7 @@ impl Default for Settings {
 
 impl Settings {
     /// Takes over what `node` says.
-    pub fn apply(&mut self, node: &Node, unread: &mut Unread) -> Result<()> {
+    pub fn apply(&mut self, node: &Node, unsupported: &mut Unsupported) -> Result<()> {
         let a = node.with_defaults(None);
         if let Some(gear) = a.numbers("gear", 1..=6)? {
             self.gear = gear[0];
@@ -124,7 +124,7 @@ impl Settings {
                 }
             }
         }
-        unread.attributes(node, &USED);
+        unsupported.attributes(node, &USED);
         Ok(())
     }
 
@@ -157,22 +157,22 @@ impl Builder {
     /// The drive that `node` describes; `None` (and a remark) for one that is not read.
     pub(super) fn read_actuator(&mut self, node: &Node) -> Result<Option<Actuator>> {
         if !is_drive(&node.tag) {
-            self.unread.element(node);
+            self.unsupported.element(node);
             return Ok(None);
         }
         let mut s = self.defaults.class(node, None)?.actuator.clone();
-        s.apply(node, &mut self.unread)?;
+        s.apply(node, &mut self.unsupported)?;
         let name = node.get("name").unwrap_or_default().to_owned();
         let attribute = if node.get("jointinparent").is_some() { "jointinparent" } else { "joint" };
         let Some(joint_name) = node.get(attribute) else {
-            self.unread.note(format!("actuator \"{name}\" (line {}) drives no joint and is not read", node.line));
+            self.unsupported.note(format!("actuator \"{name}\" (line {}) drives no joint and is not read", node.line));
             return Ok(None);
         };
         let joint = self.joint_by_name(node, attribute, joint_name)?;
         let kind = match s.kind() {
             Ok(kind) => kind,
             Err(why) => {
-                self.unread.note(format!("actuator \"{name}\" (line {}) is not read: {why}", node.line));
+                self.unsupported.note(format!("actuator \"{name}\" (line {}) is not read: {why}", node.line));
                 return Ok(None);
             }
         };

@@ -9,7 +9,7 @@ use drex_core::mesh::convex_hull;
 use nalgebra::{Point3, Quaternion, Unit, UnitQuaternion, Vector3};
 
 use crate::model::Shape;
-use crate::unread::Unread;
+use crate::unsupported::Unsupported;
 use crate::xml::Node;
 use crate::{Result, meshfile};
 
@@ -55,7 +55,7 @@ impl Assets {
         defaults: &Defaults,
         compiler: &Compiler,
         folder: Option<&Path>,
-        unread: &mut Unread,
+        unsupported: &mut Unsupported,
     ) -> Result<Self> {
         let mut assets = Self::default();
         for node in root.children_called("asset").flat_map(|a| &a.children) {
@@ -69,7 +69,7 @@ impl Assets {
                     }
                 }
                 "texture" => {}
-                _ => unread.element(node),
+                _ => unsupported.element(node),
             }
         }
         Ok(assets)

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Point3, Vector3};
 use crate::Result;
 use crate::model::{GeomRole, Joint, JointKind, Link};
 use crate::shape::is_finite;
-use crate::unread::Unread;
+use crate::unsupported::Unsupported;
 use crate::xml::Node;
 
 use super::Builder;
@@ -60,13 +60,13 @@ const INERTIAL_ATTRIBUTES: [&str; 9] =
     ["pos", "quat", "axisangle", "xyaxes", "zaxis", "euler", "mass", "diaginertia", "fullinertia"];
 
 /// Remarks on every attribute of a body, joint, geom, mesh or inertial element that is not read.
-pub(super) fn note_unread_attributes(node: &Node, unread: &mut Unread) {
+pub(super) fn note_unread_attributes(node: &Node, unsupported: &mut Unsupported) {
     match node.tag.as_str() {
-        "body" => unread.attributes(node, &BODY_ATTRIBUTES),
-        "joint" => unread.attributes(node, &JOINT_ATTRIBUTES),
-        "geom" => unread.attributes(node, &GEOM_ATTRIBUTES),
-        "mesh" => unread.attributes(node, &MESH_ATTRIBUTES),
-        "inertial" => unread.attributes(node, &INERTIAL_ATTRIBUTES),
+        "body" => unsupported.attributes(node, &BODY_ATTRIBUTES),
+        "joint" => unsupported.attributes(node, &JOINT_ATTRIBUTES),
+        "geom" => unsupported.attributes(node, &GEOM_ATTRIBUTES),
+        "mesh" => unsupported.attributes(node, &MESH_ATTRIBUTES),
+        "inertial" => unsupported.attributes(node, &INERTIAL_ATTRIBUTES),
         _ => {}
     }
 }
@@ -95,7 +95,7 @@ impl Builder {
             robots = bodies.clone();
         } else {
             for free in bodies.iter().filter(|p| floats(p)) {
-                self.unread.note(format!(
+                self.unsupported.note(format!(
                     "<{}> (line {}) floats freely and is no part of the robot",
                     free.node.title(),
                     free.node.line
@@ -107,7 +107,7 @@ impl Builder {
             [base] if joints_of(base.node).all(is_free) => {
                 let world_shapes = parts.iter().filter(|p| p.node.tag == "geom").count();
                 if world_shapes > 0 {
-                    self.unread.note(format!("{world_shapes} shapes of the world are no part of the robot"));
+                    self.unsupported.note(format!("{world_shapes} shapes of the world are no part of the robot"));
                 }
                 self.add_body(base, None)
             }
@@ -151,7 +151,7 @@ impl Builder {
                 "body" | "geom" | "joint" | "freejoint" | "inertial" => {
                     parts.push(Part { node: child, body_from_frame, childclass });
                 }
-                _ => self.unread.element(child),
+                _ => self.unsupported.element(child),
             }
         }
         Ok(())
@@ -159,7 +159,7 @@ impl Builder {
 
     fn add_body(&mut self, part: &Part<'_>, parent: Option<usize>) -> Result<()> {
         let node = part.node;
-        note_unread_attributes(node, &mut self.unread);
+        note_unread_attributes(node, &mut self.unsupported);
         let childclass = node.get("childclass").or(part.childclass);
         let name = self.link_names.unique(node, "body_", self.links.len(), |i| format!("body_{i}"))?;
         let mut pose = part.body_from_frame * self.compiler.pose(&node.with_defaults(None))?;
@@ -210,7 +210,7 @@ impl Builder {
     fn read_geoms(&mut self, parts: &[Part<'_>]) -> Result<Vec<ReadGeom>> {
         let mut geoms = Vec::new();
         for part in parts.iter().filter(|p| p.node.tag == "geom") {
-            note_unread_attributes(part.node, &mut self.unread);
+            note_unread_attributes(part.node, &mut self.unsupported);
             geoms.extend(self.read_geom(part.node, &part.body_from_frame, part.childclass)?);
         }
         Ok(geoms)
@@ -218,7 +218,7 @@ impl Builder {
 
     fn read_joint(&mut self, part: &Part<'_>, link: usize, body: &str) -> Result<Joint> {
         let node = part.node;
-        note_unread_attributes(node, &mut self.unread);
+        note_unread_attributes(node, &mut self.unsupported);
         let fallback = |i: usize| if i == 0 { format!("{body}_joint") } else { format!("{body}_joint_{i}") };
         let name = self.joint_names.unique(node, body, 0, fallback)?;
         let a = self.defaults.resolve(node, part.childclass)?;
@@ -258,13 +258,13 @@ impl Builder {
         let source = self.compiler.inertia_source;
         let mut properties = match explicit {
             Some(part) if source != InertiaSource::Shapes => {
-                note_unread_attributes(part.node, &mut self.unread);
+                note_unread_attributes(part.node, &mut self.unsupported);
                 self.read_inertial(part)?
             }
             _ if source == InertiaSource::Explicit => None,
             _ => {
                 if geoms.len() < parts.iter().filter(|p| p.node.tag == "geom").count() {
-                    self.unread.note(format!(
+                    self.unsupported.note(format!(
                         "the mass of <{}> (line {}) comes from its shapes, of which some are left out",
                         body.title(),
                         body.line

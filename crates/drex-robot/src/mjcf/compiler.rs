@@ -4,7 +4,7 @@ use drex_core::Pose;
 use nalgebra::{Matrix3, Quaternion, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 
 use crate::Result;
-use crate::unread::Unread;
+use crate::unsupported::Unsupported;
 use crate::xml::{Attributes, Node};
 
 const USED: [&str; 17] = [
@@ -56,7 +56,7 @@ pub(super) struct Compiler {
 }
 
 impl Compiler {
-    pub fn read(root: &Node, unread: &mut Unread) -> Result<Self> {
+    pub fn read(root: &Node, unsupported: &mut Unsupported) -> Result<Self> {
         let mut c = Self {
             radians: false,
             euler_sequence: vec!['x', 'y', 'z'],
@@ -111,7 +111,7 @@ impl Compiler {
             c.least_mass_kg = a.number("boundmass")?.unwrap_or(c.least_mass_kg);
             c.least_inertia = a.number("boundinertia")?.unwrap_or(c.least_inertia);
             c.total_mass_kg = a.number("settotalmass")?.filter(|m| *m > 0.0).or(c.total_mass_kg);
-            unread.attributes(node, &[&USED[..], &["coordinate"]].concat());
+            unsupported.attributes(node, &[&USED[..], &["coordinate"]].concat());
         }
         Ok(c)
     }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use drex_core::budget;
 
 use crate::Result;
-use crate::unread::Unread;
+use crate::unsupported::Unsupported;
 use crate::xml::{Attributes, Node, ORIENTATION};
 
 use super::actuators::{self, Settings};
@@ -33,13 +33,13 @@ pub(super) struct Defaults {
 }
 
 impl Defaults {
-    pub fn read(root: &Node, unread: &mut Unread) -> Result<Self> {
+    pub fn read(root: &Node, unsupported: &mut Unsupported) -> Result<Self> {
         let mut defaults = Self { classes: BTreeMap::from([(MAIN.to_owned(), Class::default())]), taken: 0 };
         for node in root.children_called("default") {
             // The outermost class is the main one whatever it is called; later sections add to it.
             let name = node.get("class").unwrap_or(MAIN);
             let main = defaults.classes.get(MAIN).cloned().unwrap_or_default();
-            defaults.read_class(node, name, main, unread)?;
+            defaults.read_class(node, name, main, unsupported)?;
             if name != MAIN
                 && let Some(class) = defaults.classes.get(name).cloned()
             {
@@ -49,14 +49,14 @@ impl Defaults {
         Ok(defaults)
     }
 
-    fn read_class(&mut self, node: &Node, name: &str, mut class: Class, unread: &mut Unread) -> Result<()> {
+    fn read_class(&mut self, node: &Node, name: &str, mut class: Class, unsupported: &mut Unsupported) -> Result<()> {
         for child in node.children.iter().filter(|c| c.tag != "default") {
             if actuators::is_drive(&child.tag) {
-                class.actuator.apply(child, unread)?;
+                class.actuator.apply(child, unsupported)?;
                 continue;
             }
             if !["joint", "geom", "mesh", "material"].contains(&child.tag.as_str()) {
-                unread.element(child);
+                unsupported.element(child);
                 continue;
             }
             let slot = class.attributes.entry(child.tag.clone()).or_default();
@@ -64,7 +64,7 @@ impl Defaults {
                 slot.retain(|k, _| !ORIENTATION.contains(&k.as_str()));
             }
             slot.extend(child.attributes.iter().map(|(k, v)| (k.clone(), v.clone())));
-            super::bodies::note_unread_attributes(child, unread);
+            super::bodies::note_unread_attributes(child, unsupported);
         }
         let attributes = || class.attributes.values().flatten();
         self.taken += attributes().map(|(k, v)| (k.len() + v.len()) as u64 + ENTRY_BYTES).sum::<u64>();
@@ -75,7 +75,7 @@ impl Defaults {
             if self.classes.contains_key(name) {
                 return Err(child.fault("class", "the class is defined twice", "names of classes are unique"));
             }
-            self.read_class(child, name, class.clone(), unread)?;
+            self.read_class(child, name, class.clone(), unsupported)?;
         }
         Ok(())
     }

@@ -58,7 +58,7 @@ impl Builder {
             "mesh" | "sdf" => None,
             // A primitive that is to be fitted to a mesh: the mesh itself says more.
             _ if mesh.is_some() => {
-                self.unread.note(format!(
+                self.unsupported.note(format!(
                     "primitive shapes are not fitted to meshes (line {}): the mesh is used itself",
                     node.line
                 ));
@@ -69,7 +69,7 @@ impl Builder {
         let shape = match (shape, &mesh) {
             (Some(Some(shape)), _) => shape,
             (Some(None), _) => {
-                self.unread.note(format!("<{}> (line {}): height fields are not read", node.title(), node.line));
+                self.unsupported.note(format!("<{}> (line {}): height fields are not read", node.title(), node.line));
                 return Ok(None);
             }
             (None, None) => return Err(node.error("a mesh geom names no mesh", "add the attribute \"mesh\"")),
@@ -77,7 +77,7 @@ impl Builder {
                 Ok(mesh) => Shape::Mesh(mesh),
                 // What is only seen is not needed; what carries mass or touches is.
                 Err(e) if role == GeomRole::Visual => {
-                    self.unread.missing_visual(&e);
+                    self.unsupported.missing_visual(&e);
                     return Ok(None);
                 }
                 Err(e) => return Err(e),
@@ -114,10 +114,11 @@ impl Builder {
             return None;
         }
         if !shape.is_closed() {
-            self.unread.open_mesh(read.mesh.as_deref().unwrap_or_default());
+            self.unsupported.open_mesh(read.mesh.as_deref().unwrap_or_default());
         }
         let Some(body) = shape.mass_properties(read.density.max(f64::MIN_POSITIVE)) else {
-            self.unread.note(format!("<{}> (line {}) has no volume and so carries no mass", read.title, read.line));
+            self.unsupported
+                .note(format!("<{}> (line {}) has no volume and so carries no mass", read.title, read.line));
             return None;
         };
         let body = match read.mass_kg {

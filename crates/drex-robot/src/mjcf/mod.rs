@@ -14,7 +14,7 @@ use drex_core::Pose;
 
 use crate::Result;
 use crate::model::{Joint, Link, Robot};
-use crate::unread::Unread;
+use crate::unsupported::Unsupported;
 use crate::xml::Node;
 
 use assets::Assets;
@@ -55,15 +55,15 @@ pub(crate) fn read(xml: &str, path: &Path, folder: Option<&Path>) -> Result<Robo
         return Err(odd.error("no section of an MJCF model", "check the spelling"));
     }
 
-    let mut unread = Unread::default();
-    let compiler = Compiler::read(&root, &mut unread)?;
-    let defaults = Defaults::read(&root, &mut unread)?;
-    let assets = Assets::read(&root, &defaults, &compiler, folder, &mut unread)?;
+    let mut unsupported = Unsupported::default();
+    let compiler = Compiler::read(&root, &mut unsupported)?;
+    let defaults = Defaults::read(&root, &mut unsupported)?;
+    let assets = Assets::read(&root, &defaults, &compiler, folder, &mut unsupported)?;
     let mut builder = Builder {
         compiler,
         defaults,
         assets,
-        unread,
+        unsupported,
         links: Vec::new(),
         link_names: Names::default(),
         joints: Vec::new(),
@@ -79,7 +79,7 @@ struct Builder {
     compiler: Compiler,
     defaults: Defaults,
     assets: Assets,
-    unread: Unread,
+    unsupported: Unsupported,
     links: Vec<Link>,
     link_names: Names,
     joints: Vec<Joint>,
@@ -98,7 +98,7 @@ impl Builder {
                         if child.tag == "exclude" {
                             excluded_pairs.extend(self.read_exclude(child)?);
                         } else {
-                            self.unread.element(child);
+                            self.unsupported.element(child);
                         }
                     }
                 }
@@ -107,7 +107,7 @@ impl Builder {
                         actuators.extend(self.read_actuator(child)?);
                     }
                 }
-                tag if OTHER_SECTIONS.contains(&tag) => self.unread.element(section),
+                tag if OTHER_SECTIONS.contains(&tag) => self.unsupported.element(section),
                 _ => {}
             }
         }
@@ -127,7 +127,7 @@ impl Builder {
             actuators,
             excluded_pairs,
             file_world_from_base: self.file_world_from_base,
-            unread: self.unread.sentences(),
+            unsupported: self.unsupported.sentences(),
         })
     }
 
@@ -138,7 +138,7 @@ impl Builder {
             match self.link_names.get(name) {
                 Some(i) => *slot = i,
                 None if name == "world" => {
-                    self.unread.note("contact exclusions with the world are not read".to_owned());
+                    self.unsupported.note("contact exclusions with the world are not read".to_owned());
                     return Ok(None);
                 }
                 None => return Err(node.fault(attribute, "there is no such body", "name a body of the model")),

@@ -1,7 +1,7 @@
 //! A planned push done in simulation: with feedback, until the object has moved enough.
 
 use drex_core::{Pose, Trajectory};
-use drex_diffsim::ConvexPiece;
+use drex_diffsim::ConvexPolyhedron;
 use drex_recording::{Drive, EncoderTrack, FingerPush, ForceProfile, PushRecording, Support};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -36,7 +36,7 @@ const FORCE_STREAM: u64 = 0x5bd1_e995;
 /// What the rehearsals of all pushes share.
 pub(super) struct Stage<'a> {
     pub object: &'a ObjectModel,
-    pub shape: &'a [ConvexPiece],
+    pub shape: &'a [ConvexPolyhedron],
     pub support: &'a Support,
     pub robot: &'a RobotLimits,
     pub options: &'a PlanOptions,

@@ -1,7 +1,7 @@
 //! The object as it stands: where a ray meets it, how far its base reaches, where its ends are.
 
 use drex_core::Pose;
-use drex_diffsim::ConvexPiece;
+use drex_diffsim::ConvexPolyhedron;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use crate::{ObjectModel, Result, SysidError};
@@ -24,7 +24,7 @@ pub(super) struct Standing {
 }
 
 impl Standing {
-    pub(super) fn new(object: &ObjectModel, pieces: &[ConvexPiece], up_in_mesh: &Vector3<f64>) -> Result<Self> {
+    pub(super) fn new(object: &ObjectModel, pieces: &[ConvexPolyhedron], up_in_mesh: &Vector3<f64>) -> Result<Self> {
         let turn = UnitQuaternion::rotation_between(up_in_mesh, &Vector3::z())
             .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
         let center = turn * object.unit.center_of_mass;
@@ -139,7 +139,7 @@ mod tests {
             inertia: Matrix3::identity() * 1e-3,
         };
         let object = ObjectModel { pieces: vec![points.clone()], unit };
-        let pieces = [ConvexPiece::from_points(&points).unwrap()];
+        let pieces = [ConvexPolyhedron::from_points(&points).unwrap()];
         // The mesh's x points up: 10 cm high, 4 x 4 cm wide.
         let s = Standing::new(&object, &pieces, &Vector3::x()).unwrap();
         assert!((s.height() - 0.1).abs() < 1e-12 && (s.center - Point3::new(0.0, 0.0, 0.05)).norm() < 1e-12);

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use drex_core::trajectory::PoseNoise;
 use drex_core::{MassProperties, Pose, Trajectory, TriMesh};
-use drex_diffsim::{AppliedForce, Body, Collider, ConvexPiece, ForcePoint, Model, Part, Scene, State, rollout};
+use drex_diffsim::{AppliedForce, Body, Collider, ConvexPolyhedron, ForcePoint, Model, Part, Scene, State, rollout};
 use drex_recording::{Drive, ForceProfile, PushRecording};
 use drex_sysid::ObjectModel;
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -58,7 +58,7 @@ pub fn pushed_by(
 ) -> PushRecording {
     let object = block();
     let shape =
-        Arc::new(Collider::convex(object.pieces.iter().map(|p| ConvexPiece::from_points(p).unwrap()).collect()));
+        Arc::new(Collider::convex(object.pieces.iter().map(|p| ConvexPolyhedron::from_points(p).unwrap()).collect()));
     let model = Model::new(vec![Body::new(&object.unit, mass_kg, shape)]);
     let mut scene = Scene::on_table(friction);
     let times: Vec<f64> = (0..120).map(|k| f64::from(k) * 0.01).collect();

@@ -8,7 +8,7 @@ use crate::manifest::{GraspsConfig, RecordedAs};
 use drex_recording::JointPoses;
 use drex_recording::readers::read_grasps;
 use drex_retarget::{Verdict, WristFit};
-use drex_robot::{Robot, orders};
+use drex_robot::{Robot, joint_order};
 use rayon::prelude::*;
 
 use super::human;
@@ -57,7 +57,7 @@ fn of_robot(twin: &Twin, config: &GraspsConfig, scene: &Scene, progress: &dyn Pr
 fn read(twin: &Twin, config: &GraspsConfig, robot: &Robot) -> Result<Vec<Vec<f64>>> {
     let path = twin.path(&config.file);
     let names: Option<Vec<String>> = match &config.joint_order {
-        Some(order) => Some(orders::require(order)?.iter().map(|&n| n.to_owned()).collect()),
+        Some(order) => Some(joint_order::require(order)?.iter().map(|&n| n.to_owned()).collect()),
         None => None,
     };
     let poses: JointPoses = read_grasps(&path, names.as_deref())?;

@@ -46,7 +46,7 @@ fn mass_matrix_and_bias_are_those_of_the_robot_crate() {
 }
 
 /// The state with its generalised position moved by `x` along velocity number `k`.
-fn moved(arm: &Articulation<f64>, state: &ArmState<f64>, k: usize, x: f64) -> ArmState<f64> {
+fn moved(arm: &Articulation<f64>, state: &ArticulationState<f64>, k: usize, x: f64) -> ArticulationState<f64> {
     let mut out = state.clone();
     let axis = Vector3::ith(k % 3, x);
     let pose = &mut out.base.world_from_base;
@@ -247,7 +247,7 @@ fn timing() {
         s.velocities = lifted(&state.velocities);
         let n = arm.dof();
         let (mut m, mut b, mut work) = (vec![T::zero(); n * n], vec![T::zero(); n], TreeWork::default());
-        let (mut laws, control) = (Vec::new(), vec![0.3; arm.actuators.len()]);
+        let (mut joint_forces, control) = (Vec::new(), vec![0.3; arm.actuators.len()]);
         let gravity = GRAVITY.map(T::lift);
         let mut times = [f64::INFINITY; 5];
         for _ in 0..200 {
@@ -258,17 +258,17 @@ fn timing() {
                         0 => arm.kinematics(&s, 0.0, 5e-4, &mut work),
                         1 => arm.mass_matrix(&work, &mut m),
                         2 => arm.bias(&mut work, &gravity, &[], &mut b),
-                        3 => arm.joint_laws(&s, &work, &control, 5e-4, &mut laws),
+                        3 => arm.joint_forces(&s, &work, &control, 5e-4, &mut joint_forces),
                         _ => arm.step_bias(&mut work, &gravity, &[], (&m, 5e-4), &mut b),
                     }
-                    std::hint::black_box((&mut work, &mut m, &mut b, &mut laws));
+                    std::hint::black_box((&mut work, &mut m, &mut b, &mut joint_forces));
                 }
                 *best = best.min(clock.elapsed().as_secs_f64() * 1e4);
             }
         }
         let [k, m, b, l, s] = times;
         println!(
-            "{name}: kinematics {k:.2}, mass matrix {m:.2}, bias {b:.2}: {:.2} us; laws {l:.2}, step bias {s:.2}",
+            "{name}: kinematics {k:.2}, mass matrix {m:.2}, bias {b:.2}: {:.2} us; joint forces {l:.2}, step bias {s:.2}",
             k + m + b
         );
     }

@@ -1,7 +1,7 @@
 //! Trees against an independent implementation, closed forms, finite differences and conservation.
 
 mod dynamics;
-mod laws;
+mod joint_forces;
 mod motion;
 
 use std::sync::Arc;
@@ -67,7 +67,7 @@ fn fixed(robot: Arc<Robot>, pose: Pose) -> Articulation<f64> {
 }
 
 /// A state with random coordinates and velocities; the base too if it is free.
-fn random_state(arm: &Articulation<f64>, numbers: &mut Numbers, speed: f64) -> ArmState<f64> {
+fn random_state(arm: &Articulation<f64>, numbers: &mut Numbers, speed: f64) -> ArticulationState<f64> {
     let n = arm.joints.len();
     let mut state = arm.at_rest(&numbers.many(n, 1.2), 0.0).unwrap();
     state.velocities = numbers.many(n, speed);
@@ -79,7 +79,7 @@ fn random_state(arm: &Articulation<f64>, numbers: &mut Numbers, speed: f64) -> A
 }
 
 /// Mass matrix and bias at a state.
-fn equations<T: Scalar>(arm: &Articulation<T>, state: &ArmState<T>, t: f64) -> (Vec<T>, Vec<T>, TreeWork<T>) {
+fn equations<T: Scalar>(arm: &Articulation<T>, state: &ArticulationState<T>, t: f64) -> (Vec<T>, Vec<T>, TreeWork<T>) {
     let n = arm.dof();
     let mut work = TreeWork::default();
     arm.kinematics(state, t, 0.0, &mut work);
@@ -103,32 +103,32 @@ fn totals(work: &TreeWork<f64>) -> (Vector3<f64>, Vector3<f64>, f64) {
     (p, l, energy)
 }
 
-/// Steps `arm` as the simulator does, but with a dense solver of its own. Returns the laws of the step and their forces.
+/// Steps `arm` as the simulator does, but with a dense solver of its own. Returns the forces of the step and their forces.
 fn step(
     arm: &Articulation<f64>,
-    state: &mut ArmState<f64>,
+    state: &mut ArticulationState<f64>,
     (t, h): (f64, f64),
     gravity: &Vector3<f64>,
     control: &[f64],
     work: &mut TreeWork<f64>,
-) -> Vec<(ScalarLaw<f64>, f64)> {
+) -> Vec<(JointForce<f64>, f64)> {
     let n = arm.dof();
     arm.kinematics(state, t, h, work);
-    let (mut m, mut b, mut laws, mut u0) = (vec![0.0; n * n], vec![0.0; n], Vec::new(), Vec::new());
+    let (mut m, mut b, mut forces, mut u0) = (vec![0.0; n * n], vec![0.0; n], Vec::new(), Vec::new());
     arm.mass_matrix(work, &mut m);
     arm.step_bias(work, gravity, &[], (&m, h), &mut b);
-    arm.joint_laws(state, work, control, h, &mut laws);
+    arm.joint_forces(state, work, control, h, &mut forces);
     arm.velocity(state, &mut u0);
     let (m, b, u0) = (DMatrix::from_row_slice(n, n, &m), DVector::from_vec(b), DVector::from_vec(u0));
     let residual = |u: &DVector<f64>| {
         let mut r = &m * (u - &u0) + &b * h;
-        laws.iter().for_each(|law| r[law.dof] -= h * law.force(u[law.dof]));
+        forces.iter().for_each(|force| r[force.dof] -= h * force.force(u[force.dof]));
         r
     };
     let mut u = u0.clone();
     for _ in 0..100 {
         let mut a = m.clone();
-        laws.iter().for_each(|law| a[(law.dof, law.dof)] += h * law.stiffness(u[law.dof]));
+        forces.iter().for_each(|force| a[(force.dof, force.dof)] += h * force.stiffness(u[force.dof]));
         let r = residual(&u);
         let change = a.lu().solve(&r).unwrap();
         let mut length = 1.0;
@@ -141,6 +141,6 @@ fn step(
         }
     }
     assert!(residual(&u).norm() < 1e-9 * (1.0 + b.norm() * h), "the step was not solved");
-    arm.advance(state, u.as_slice(), (t, h), &laws, work);
-    laws.into_iter().map(|law| (law, law.force(u[law.dof]))).collect()
+    arm.advance(state, u.as_slice(), (t, h), &forces, work);
+    forces.into_iter().map(|force| (force, force.force(u[force.dof]))).collect()
 }

@@ -6,9 +6,14 @@ use super::*;
 use crate::{Body, Model, Scene, State, Workspace};
 
 /// One step of the classical Runge-Kutta method under the efforts `tau`; the quaternion is a vector of four.
-fn runge_kutta(arm: &Articulation<f64>, state: &ArmState<f64>, tau: &DVector<f64>, h: f64) -> ArmState<f64> {
+fn runge_kutta(
+    arm: &Articulation<f64>,
+    state: &ArticulationState<f64>,
+    tau: &DVector<f64>,
+    h: f64,
+) -> ArticulationState<f64> {
     let (n, joints) = (arm.dof(), arm.joints.len());
-    let pack = |s: &ArmState<f64>| {
+    let pack = |s: &ArticulationState<f64>| {
         let pose = &s.base.world_from_base;
         let base = pose.translation.vector.iter().chain(pose.rotation.coords.iter()).chain(&s.q);
         let mut y: Vec<f64> = base.copied().collect();
@@ -67,7 +72,7 @@ fn a_free_robot_keeps_its_momentum() {
     assert!((l1 - l0 - turned).norm() < 1e-9, "{}", (l1 - l0 - turned).norm());
     // Efforts are constant: their work is effort times way.
     let work: f64 = (0..state.q.len()).map(|j| tau[6 + j] * (state.q[j] - start.q[j])).sum();
-    let rotors = |s: &ArmState<f64>| 0.5 * 0.001 * s.velocities[0] * s.velocities[0];
+    let rotors = |s: &ArticulationState<f64>| 0.5 * 0.001 * s.velocities[0] * s.velocities[0];
     let change = e1 - e0 + rotors(&state) - rotors(&start);
     assert!((change - work).abs() < 1e-9, "{change} {work}");
 }
@@ -130,7 +135,7 @@ fn a_tumbling_robot_gains_no_energy() {
     state.base.angular_velocity = Vector3::new(1.0, 2.0, 3.0);
     state.base.velocity = -state.base.angular_velocity.cross(&Vector3::new(0.3, -0.1, 0.2));
     let mut work = TreeWork::default();
-    let energy = |state: &ArmState<f64>| {
+    let energy = |state: &ArticulationState<f64>| {
         let work = equations(&arm, state, 0.0).2;
         let l = &work.links[0];
         0.5 * l.angular_velocity.dot(&l.inertia.times(&l.angular_velocity))

@@ -131,7 +131,7 @@ proptest! {
     fn a_can_is_as_deep_as_a_prism_of_many_sides(
         other in any_poly(), pa in any_pose(0.1), turn in any_pose(0.0), u in any_direction(),
     ) {
-        let fine = Shape::Convex(std::sync::Arc::new(ConvexPiece::prism(R, H, 256)));
+        let fine = Shape::Convex(std::sync::Arc::new(ConvexPolyhedron::prism(R, H, 256)));
         let pb = brought_together(&other, &pa, &fine, &turn, &u, 1e-3);
         let found = deepest_place(&places(&other, &pa, &CAN, &pb, 0.0)).expect("they touch");
         // Where a rim meets an edge, the prism of 32 sides is up to half a per cent of the radius inside, and flat

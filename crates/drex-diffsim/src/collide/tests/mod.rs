@@ -12,7 +12,7 @@ use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
 use super::*;
-use crate::{ConvexPiece, Scalar};
+use crate::{ConvexPolyhedron, Scalar};
 
 pub(super) type V = Vector3<f64>;
 
@@ -41,7 +41,7 @@ pub(super) fn lump(n: usize) -> Shape {
             Point3::from(v.component_mul(&V::new(0.04, 0.03, 0.02)))
         })
         .collect();
-    Shape::Convex(std::sync::Arc::new(ConvexPiece::from_points(&points).unwrap()))
+    Shape::Convex(std::sync::Arc::new(ConvexPolyhedron::from_points(&points).unwrap()))
 }
 
 impl Touch {

@@ -140,7 +140,7 @@ fn points_touch_every_solid_shape_from_outside() {
         (Shape::Capsule { radius_m: 0.02, half_length_m: 0.03 }, below(0.05)),
         (Shape::Cylinder { radius_m: 0.02, half_length_m: 0.03 }, below(0.03)),
         (cuboid(0.02, 0.03, 0.04), below(0.04)),
-        (Shape::Convex(Arc::new(ConvexPiece::cuboid(&V::new(0.02, 0.03, 0.04)))), below(0.04)),
+        (Shape::Convex(Arc::new(ConvexPolyhedron::cuboid(&V::new(0.02, 0.03, 0.04)))), below(0.04)),
         (sdf_ball(0.02), below(0.02)),
         (sdf_box(V::new(0.02, 0.03, 0.04)), below(0.04)),
     ];

@@ -13,7 +13,7 @@ fn nanoseconds_per_pair() {
     let low = at(0.0, 0.0, -0.05);
     let capsule = Shape::Capsule { radius_m: 0.01, half_length_m: 0.04 };
     let ball = Shape::Sphere { radius_m: 0.01 };
-    let prism = Shape::Convex(std::sync::Arc::new(ConvexPiece::prism(0.03, 0.05, 38)));
+    let prism = Shape::Convex(std::sync::Arc::new(ConvexPolyhedron::prism(0.03, 0.05, 38)));
     let lying = turned(V::new(0.0, 0.0, 0.01 - 1e-5), V::y() * std::f64::consts::FRAC_PI_2);
     let origin = Pose::identity();
     let side = turned(V::x() * 0.5, V::new(0.3, 0.2, 0.1));

@@ -10,12 +10,12 @@ use nalgebra::{Matrix3, Vector3};
 use crate::contact::{Contact, ContactForce};
 use crate::math::solve3;
 use crate::solve::Mode;
-use crate::solve::contact_model::Law;
+use crate::solve::contact_model::ContactModel;
 use crate::solve::prepare_patch;
 use crate::state::Anchor;
-use crate::step::frames::{advanced, begin, carried, check_speeds, mover, patch_mass, record, rotation_of};
+use crate::step::frames::{advanced, begin, carried, check_speeds, kinematic_motion, patch_mass, record, rotation_of};
 use crate::step::pairs;
-use crate::{Model, Part, Result, Scalar, Scene, Scheme, SimError, State, Workspace};
+use crate::{Error, Model, Part, Result, Scalar, Scene, Scheme, State, Workspace};
 
 /// h √(K/m) and h D/m of a body on its patch stay below this where the substeps are chosen here; rocking is up to three
 /// times as stiff.
@@ -55,7 +55,7 @@ impl<T: Scalar> Default for Buffers<T> {
 /// One step in `substeps`, or in as many as are stable.
 ///
 /// # Errors
-/// If a motion grows whatever its size ([`SimError::Stiff`], [`SimError::Undamped`]), or the motion diverges.
+/// If a motion grows whatever its size ([`Error::Stiff`], [`Error::Undamped`]), or the motion diverges.
 pub(crate) fn step<T: Scalar>(
     model: &Model<T>,
     scene: &Scene<T>,
@@ -78,7 +78,7 @@ pub(crate) fn step<T: Scalar>(
     let before = state.clone();
     loop {
         match run(model, scene, state, work, scheme, count) {
-            Err(SimError::Stiff { .. }) if 2 * count <= MOST_SUBSTEPS => {
+            Err(Error::Stiff { .. }) if 2 * count <= MOST_SUBSTEPS => {
                 count *= 2;
                 state.clone_from(&before);
             }
@@ -116,10 +116,10 @@ fn check_damping<T: Scalar>(model: &Model<T>, h: f64) -> Result<()> {
     let c = &model.contact;
     let tau = c.relaxation_s.value().min(c.tangential_relaxation_s.value());
     if tau <= 0.0 {
-        return Err(SimError::Undamped);
+        return Err(Error::Undamped);
     }
     if !(h < tau) {
-        return Err(SimError::Stiff { dt_s: model.dt_s, substeps: (model.dt_s / tau).floor() + 1.0, limit_s: tau });
+        return Err(Error::Stiff { dt_s: model.dt_s, substeps: (model.dt_s / tau).floor() + 1.0, limit_s: tau });
     }
     Ok(())
 }
@@ -134,7 +134,7 @@ fn stable_substeps<T: Scalar>(model: &Model<T>, scheme: Scheme) -> Result<u32> {
     let mut fastest = match scheme {
         Scheme::SemiImplicit => 0.0,
         Scheme::Explicit if tau.min(tau_t) > 0.0 => 1.0 / tau.min(tau_t),
-        Scheme::Explicit => return Err(SimError::Undamped),
+        Scheme::Explicit => return Err(Error::Undamped),
     };
     for body in &model.bodies {
         let k = c.patch_stiffness(T::one(), body.mass_kg).value();
@@ -143,7 +143,7 @@ fn stable_substeps<T: Scalar>(model: &Model<T>, scheme: Scheme) -> Result<u32> {
     }
     let count = (model.dt_s * fastest / STABLE).ceil().max(1.0);
     if !(count <= f64::from(MOST_SUBSTEPS)) {
-        return Err(SimError::Stiff { dt_s: model.dt_s, substeps: count, limit_s: STABLE / fastest });
+        return Err(Error::Stiff { dt_s: model.dt_s, substeps: count, limit_s: STABLE / fastest });
     }
     Ok(count as u32)
 }
@@ -172,16 +172,24 @@ fn substep<T: Scalar>(
     while from < work.contacts.len() {
         let key = work.contacts[from].key;
         let to = from + work.contacts[from..].partition_point(|c| (c.key.a, c.key.b) <= (key.a, key.b));
-        work.laws.clear();
+        work.models.clear();
         let stiffness = model.contact.patch_stiffness(patch_mass(model, key.a, key.b), T::one());
-        let rotation = rotation_of(state, &work.trees, &work.movers, key.b);
+        let rotation = rotation_of(state, &work.trees, &work.motions, key.b);
         let patch = &work.contacts[from..to];
-        prepare_patch(patch, stiffness, &model.contact, 0.0, &state.anchors, rotation.as_ref(), &mut work.laws);
-        for (k, law) in work.laws.iter().enumerate() {
+        prepare_patch(patch, stiffness, &model.contact, 0.0, &state.anchors, rotation.as_ref(), &mut work.models);
+        for (k, contact_model) in work.models.iter().enumerate() {
             let c = &work.contacts[from + k];
             let (u, spin) = relative(state, work, c);
-            record(&mut work.forces[from + k], &mut work.anchors[from + k], law, (&u, spin), T::one(), rotation, dt);
-            springs.extend(Spring::of(c, law, (&u, spin), scheme, dt));
+            record(
+                &mut work.forces[from + k],
+                &mut work.anchors[from + k],
+                contact_model,
+                (&u, spin),
+                T::one(),
+                rotation,
+                dt,
+            );
+            springs.extend(Spring::of(c, contact_model, (&u, spin), scheme, dt));
             let (force, torque) = (work.forces[from + k].force, c.normal * work.forces[from + k].torque);
             for (part, sign) in [(key.a, T::one()), (key.b, -T::one())] {
                 if let Part::Body(i) = part {
@@ -219,7 +227,7 @@ pub(crate) fn relative<T: Scalar>(state: &State<T>, work: &Workspace<T>, c: &Con
             let w = s.angular_velocity;
             (s.velocity + w.cross(&(c.point - frame.com)), w.dot(&c.normal))
         }
-        _ => carried(mover(&work.movers, part), c),
+        _ => carried(kinematic_motion(&work.motions, part), c),
     };
     let ((va, wa), (vb, wb)) = (motion(c.key.a), motion(c.key.b));
     (va - vb, wa - wb)
@@ -229,23 +237,26 @@ impl Spring {
     /// The springs that act at the moment; `None` for a contact that carries nothing.
     fn of<T: Scalar>(
         c: &Contact<T>,
-        law: &Law<T>,
+        contact_model: &ContactModel<T>,
         (u, spin): (&Vector3<T>, T),
         scheme: Scheme,
         h: f64,
     ) -> Option<Self> {
-        let mode = law.reaction(u, spin).mode;
-        let k = law.preload.value() / c.depth.value();
+        let mode = contact_model.reaction(u, spin).mode;
+        let k = contact_model.preload.value() / c.depth.value();
         let strength = |k: f64, damping: f64| match scheme {
             Scheme::SemiImplicit => h * h * k + 2.0 * h * damping,
             Scheme::Explicit => 2.0 * h * damping - h * h * k,
         };
         let n = c.normal.map(|x| x.value());
         let along = n * n.transpose();
-        let mut total = along * strength(k, law.kappa_n.value());
+        let mut total = along * strength(k, contact_model.kappa_n.value());
         match mode {
             Mode::Open => return None,
-            Mode::Sticks => total += (Matrix3::identity() - along) * strength(law.k_t.value(), law.kappa_t.value()),
+            Mode::Sticks => {
+                total +=
+                    (Matrix3::identity() - along) * strength(contact_model.k_t.value(), contact_model.kappa_t.value())
+            }
             Mode::Slips => {}
         }
         Some(Self { parts: [c.key.a, c.key.b], point: c.point.map(|x| x.value()), strength: total })
@@ -312,7 +323,7 @@ fn check_modes<T: Scalar>(
     if quotient > 4.0 {
         // What grows with h² asks for less than what is printed here; it is an upper bound of the step.
         let limit_s = h * 4.0 / quotient;
-        return Err(SimError::Stiff { dt_s: model.dt_s, substeps: (model.dt_s / limit_s).ceil(), limit_s });
+        return Err(Error::Stiff { dt_s: model.dt_s, substeps: (model.dt_s / limit_s).ceil(), limit_s });
     }
     Ok(())
 }

@@ -5,7 +5,7 @@
 //! contact after the other (Gauss-Seidel), and takes the new velocities from the way they went. What is our own:
 //!
 //! - A contact is not rigid but has the compliance 1/k, and damping over stiffness τ as Macklin, Müller and Chentanez
-//!   (2016) put it into the constraint. Its multiplier is then the force of the law that the other methods use,
+//!   (2016) put it into the constraint. Its multiplier is then the force of the contact model that the other methods use,
 //!   f = k (depth + τ rate), with the depth of the pose at the end of the substep.
 //! - Static friction pulls back to where the contact stuck, which the state keeps, and not to the start of the substep.
 //!   Its multiplier is held at the Coulomb bound instead of dropped beyond it. Both keep a loaded block from creeping.
@@ -21,7 +21,7 @@ use nalgebra::Vector3;
 use crate::collide::Touch;
 use crate::contact::{Contact, ContactForce};
 use crate::math::{exp, lift_rotation, renormalized};
-use crate::solve::contact_model::Law;
+use crate::solve::contact_model::ContactModel;
 use crate::solve::prepare_patch;
 use crate::state::Anchor;
 use crate::step::ablation::log;
@@ -99,7 +99,7 @@ fn substep<T: Scalar>(
         start(
             row,
             &work.contacts[row.index],
-            &work.laws[row.index],
+            &work.models[row.index],
             relative(state, work, &work.contacts[row.index]),
             h,
         );
@@ -110,7 +110,7 @@ fn substep<T: Scalar>(
         for i in 0..rows.len() {
             let i = if sweep % 2 == 0 { i } else { rows.len() - 1 - i };
             let row = &mut rows[i];
-            correct(row, &features[row.index], &work.contacts[row.index], &work.laws[row.index], bodies, h);
+            correct(row, &features[row.index], &work.contacts[row.index], &work.models[row.index], bodies, h);
         }
     }
 
@@ -129,7 +129,7 @@ fn substep<T: Scalar>(
     Ok(())
 }
 
-/// Laws and rows of all contacts.
+/// Contact models and rows of all contacts.
 fn prepare<T: Scalar>(
     model: &Model<T>,
     scene: &Scene<T>,
@@ -139,16 +139,16 @@ fn prepare<T: Scalar>(
     rows: &mut Vec<Row<T>>,
     h: f64,
 ) {
-    work.laws.clear();
+    work.models.clear();
     rows.clear();
     let mut from = 0;
     while let Some(key) = work.contacts.get(from).map(|c| c.key) {
         let to = from + work.contacts[from..].partition_point(|c| (c.key.a, c.key.b) <= (key.a, key.b));
         let patch = &work.contacts[from..to];
         let mass = patch_mass(model, key.a, key.b);
-        let rotation = rotation_of(state, &work.trees, &work.movers, key.b);
+        let rotation = rotation_of(state, &work.trees, &work.motions, key.b);
         let stiffness = model.contact.patch_stiffness(T::one(), mass);
-        prepare_patch(patch, stiffness, &model.contact, h, &state.anchors, rotation.as_ref(), &mut work.laws);
+        prepare_patch(patch, stiffness, &model.contact, h, &state.anchors, rotation.as_ref(), &mut work.models);
         let grip = |part: Part, other: Part, c: &Contact<T>| match part {
             Part::Body(i) => {
                 let body = i as usize;
@@ -198,12 +198,12 @@ fn prepare<T: Scalar>(
 
 /// The forces that the sweeps start from: those of the springs at the old pose, less what the damper takes from a contact
 /// that opens.
-fn start<T: Scalar>(row: &mut Row<T>, c: &Contact<T>, law: &Law<T>, (u, _): (Vector3<T>, T), h: f64) {
+fn start<T: Scalar>(row: &mut Row<T>, c: &Contact<T>, model: &ContactModel<T>, (u, _): (Vector3<T>, T), h: f64) {
     if c.depth.value() <= 0.0 {
         return;
     }
-    let elastic = law.preload;
-    let relaxation = law.kappa_n - (law.preload / c.depth).scaled(h);
+    let elastic = model.preload;
+    let relaxation = model.kappa_n - (model.preload / c.depth).scaled(h);
     let damped = elastic - relaxation * u.dot(&c.normal);
     row.normal = if !(damped.value() > 0.0) {
         T::zero()
@@ -212,16 +212,16 @@ fn start<T: Scalar>(row: &mut Row<T>, c: &Contact<T>, law: &Law<T>, (u, _): (Vec
     } else {
         elastic
     };
-    (row.across, _) = bounded(-(law.stretch * law.k_t), law.friction * row.normal);
-    (row.torque, _) = clamped(-(law.twist * law.k_r), law.friction * row.normal.scaled(law.lever));
+    (row.across, _) = bounded(-(model.stretch * model.k_t), model.friction * row.normal);
+    (row.torque, _) = clamped(-(model.twist * model.k_r), model.friction * row.normal.scaled(model.lever));
 }
 
-/// Moves both sides of a contact towards its law: first along the normal, then across it, then about it.
+/// Moves both sides of a contact towards its contact model: first along the normal, then across it, then about it.
 fn correct<T: Scalar>(
     row: &mut Row<T>,
     feature: &Touch,
     c: &Contact<T>,
-    law: &Law<T>,
+    model: &ContactModel<T>,
     bodies: &mut [Moving<T>],
     h: f64,
 ) {
@@ -231,8 +231,8 @@ fn correct<T: Scalar>(
         Against::Support { frame, .. } => *frame,
     };
     let depth = feature.evaluate(&bodies[row.a.body].frame(), &frame_b).depth;
-    let wanted = law.preload + law.kappa_n * (depth - c.depth).scaled(1.0 / h);
-    let mut normal = row.normal + (wanted - row.normal) / (T::one() + (law.kappa_n * row.normal_mobility).scaled(h));
+    let wanted = model.preload + model.kappa_n * (depth - c.depth).scaled(1.0 / h);
+    let mut normal = row.normal + (wanted - row.normal) / (T::one() + (model.kappa_n * row.normal_mobility).scaled(h));
     if !(normal.value() > 0.0) {
         // Nothing to take back from a contact that stays open.
         if row.normal.value() == 0.0 {
@@ -243,18 +243,18 @@ fn correct<T: Scalar>(
     push(bodies, row, &(c.normal * (normal - row.normal)), &none, h);
     row.normal = normal;
 
-    let bound = law.friction * normal;
-    let (way, turn) = row.way(bodies, c, law.lever > 0.0);
-    let wanted = -(law.stretch * law.k_t + scaled(&way, 1.0 / h) * law.kappa_t);
-    let gain = T::one() / (T::one() + (law.kappa_t * row.across_mobility).scaled(h));
+    let bound = model.friction * normal;
+    let (way, turn) = row.way(bodies, c, model.lever > 0.0);
+    let wanted = -(model.stretch * model.k_t + scaled(&way, 1.0 / h) * model.kappa_t);
+    let gain = T::one() / (T::one() + (model.kappa_t * row.across_mobility).scaled(h));
     let (across, slips) = bounded(row.across + (wanted - row.across) * gain, bound);
     push(bodies, row, &(across - row.across), &none, h);
     (row.across, row.slips) = (across, slips);
 
-    if law.lever > 0.0 {
-        let wanted = -(law.twist * law.k_r + turn.scaled(1.0 / h) * law.kappa_r);
-        let gain = T::one() / (T::one() + (law.kappa_r * row.turn_mobility).scaled(h));
-        let (torque, turns) = clamped(row.torque + (wanted - row.torque) * gain, bound.scaled(law.lever));
+    if model.lever > 0.0 {
+        let wanted = -(model.twist * model.k_r + turn.scaled(1.0 / h) * model.kappa_r);
+        let gain = T::one() / (T::one() + (model.kappa_r * row.turn_mobility).scaled(h));
+        let (torque, turns) = clamped(row.torque + (wanted - row.torque) * gain, bound.scaled(model.lever));
         push(bodies, row, &none, &(c.normal * (torque - row.torque)), h);
         (row.torque, row.turns) = (torque, turns);
     }
@@ -299,7 +299,7 @@ fn read_out<T: Scalar>(
     work.anchors.clear();
     work.anchors.extend(work.contacts.iter().map(Anchor::slack));
     for row in rows {
-        let (c, law) = (&work.contacts[row.index], &work.laws[row.index]);
+        let (c, contact_model) = (&work.contacts[row.index], &work.models[row.index]);
         let (out, anchor) = (&mut work.forces[row.index], &mut work.anchors[row.index]);
         out.velocity = row.velocity(state, h);
         if !(row.normal.value() > 0.0) {
@@ -309,18 +309,19 @@ fn read_out<T: Scalar>(
         out.force = (c.normal * row.normal + row.across) * mass;
         out.torque = row.torque * mass;
         out.slips = row.slips;
-        let (way, turn) = row.way(bodies, c, law.lever > 0.0);
-        out.stretch = if row.slips { row.across * (-T::one() / law.k_t) } else { law.stretch + way };
-        if law.lever > 0.0 {
-            anchor.twist = if row.turns { -row.torque / law.k_r } else { law.twist + turn };
+        let (way, turn) = row.way(bodies, c, contact_model.lever > 0.0);
+        out.stretch =
+            if row.slips { row.across * (-T::one() / contact_model.k_t) } else { contact_model.stretch + way };
+        if contact_model.lever > 0.0 {
+            anchor.twist = if row.turns { -row.torque / contact_model.k_r } else { contact_model.twist + turn };
         }
         // The frame of the support as it was when the stretch was brought into the world.
         anchor.stretch = match c.key.b {
             Part::Body(i) => bodies[i as usize].rotation.inverse_transform_vector(&out.stretch),
-            Part::Mover(i) => {
-                lift_rotation(&work.movers[i as usize].pose.rotation).inverse_transform_vector(&out.stretch)
+            Part::Kinematic(i) => {
+                lift_rotation(&work.motions[i as usize].pose.rotation).inverse_transform_vector(&out.stretch)
             }
-            Part::Fixed(_) | Part::Link { .. } => out.stretch,
+            Part::Static(_) | Part::Link { .. } => out.stretch,
         };
     }
 }

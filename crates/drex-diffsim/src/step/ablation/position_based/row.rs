@@ -47,7 +47,7 @@ pub(super) enum Against<T: Scalar> {
 /// A contact while it is solved; forces are on `a`, per mass of the patch.
 #[derive(Debug)]
 pub(super) struct Row<T: Scalar> {
-    /// Index of contact, feature and law.
+    /// Index of contact, feature and contact model.
     pub index: usize,
     pub a: Grip<T>,
     pub b: Against<T>,
@@ -66,8 +66,9 @@ pub(super) struct Row<T: Scalar> {
 /// Something that no contact moves, at the end of the substep.
 pub(super) fn support<T: Scalar>(scene: &Scene<T>, work: &Workspace<T>, end_s: f64, c: &Contact<T>) -> Against<T> {
     match c.key.b {
-        Part::Mover(i) => {
-            let (start, end): (&Motion, Motion) = (&work.movers[i as usize], scene.movers[i as usize].path.at(end_s));
+        Part::Kinematic(i) => {
+            let (start, end): (&Motion, Motion) =
+                (&work.motions[i as usize], scene.kinematic_bodies[i as usize].path.at(end_s));
             let turned = end.pose.rotation * start.pose.rotation.inverse();
             let arm = c.point - start.pose.translation.vector.map(T::lift);
             let way = (end.pose.translation.vector - start.pose.translation.vector).map(T::lift)
@@ -75,8 +76,8 @@ pub(super) fn support<T: Scalar>(scene: &Scene<T>, work: &Workspace<T>, end_s: f
             let turn = turned.scaled_axis().map(T::lift).dot(&c.normal);
             Against::Support { frame: Frame::of(&lift_pose(&end.pose)), way, turn }
         }
-        Part::Fixed(i) => {
-            let frame = Frame::of(&lift_pose(&scene.fixed[i as usize].world_from_body));
+        Part::Static(i) => {
+            let frame = Frame::of(&lift_pose(&scene.static_bodies[i as usize].world_from_body));
             Against::Support { frame, way: Vector3::zeros(), turn: T::zero() }
         }
         Part::Body(_) | Part::Link { .. } => Against::Support {

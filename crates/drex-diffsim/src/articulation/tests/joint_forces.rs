@@ -1,7 +1,7 @@
 //! Drives, friction, limits; what is refused.
 
 use super::*;
-use crate::{Dual, SimError, parameter, tangents};
+use crate::{Dual, Error, parameter, tangents};
 
 /// An arm of 1 kg whose centre of mass is 0.1 m out, turning about a vertical or a horizontal axis: inertia 0.012.
 fn arm_with(joint: &str, actuator: &str, horizontal: bool) -> Articulation<f64> {
@@ -18,7 +18,12 @@ fn arm_with(joint: &str, actuator: &str, horizontal: bool) -> Articulation<f64> 
 const H: f64 = 5e-4;
 const INERTIA: f64 = 0.012;
 
-fn run(arm: &Articulation<f64>, state: &mut ArmState<f64>, control: &[f64], time: f64) -> Vec<(ScalarLaw<f64>, f64)> {
+fn run(
+    arm: &Articulation<f64>,
+    state: &mut ArticulationState<f64>,
+    control: &[f64],
+    time: f64,
+) -> Vec<(JointForce<f64>, f64)> {
     let (mut work, mut last) = (TreeWork::default(), Vec::new());
     for k in 0..(time / H).round() as usize {
         last = step(arm, state, (k as f64 * H, H), &GRAVITY, control, &mut work);
@@ -45,8 +50,11 @@ fn the_torque_cap_holds() {
     let arm = arm_with("", r#"<position joint="hinge" kp="200" kv="1" gear="2" forcerange="-0.3 0.2"/>"#, false);
     for (control, cap) in [(50.0, 0.4), (-50.0, -0.6)] {
         let mut state = arm.at_rest(&[0.0], 0.0).unwrap();
-        let laws = run(&arm, &mut state, &[control], 0.1);
-        assert_eq!(laws.iter().map(|(law, f)| (law.kind, *f)).collect::<Vec<_>>(), [(LawKind::Actuator(0), cap)]);
+        let joint_forces = run(&arm, &mut state, &[control], 0.1);
+        assert_eq!(
+            joint_forces.iter().map(|(force, f)| (force.kind, *f)).collect::<Vec<_>>(),
+            [(JointForceKind::Actuator(0), cap)]
+        );
         assert!((state.velocities[0] - cap / INERTIA * 0.1).abs() < 1e-9);
     }
 }
@@ -71,9 +79,9 @@ fn the_other_drives_follow_their_formulas() {
         let mut state = arm.at_rest(&[0.4], 0.0).unwrap();
         state.velocities[0] = 0.7;
         let (_, _, work) = equations(&arm, &state, 0.0);
-        let mut laws = Vec::new();
-        arm.joint_laws(&state, &work, &[0.8], 1e-12, &mut laws);
-        assert!((laws[0].force(0.7) - effort).abs() < 1e-9 && laws[0].kappa >= 0.0, "{xml}");
+        let mut joint_forces = Vec::new();
+        arm.joint_forces(&state, &work, &[0.8], 1e-12, &mut joint_forces);
+        assert!((joint_forces[0].force(0.7) - effort).abs() < 1e-9 && joint_forces[0].kappa >= 0.0, "{xml}");
     }
     let arm = arm_with("", r#"<motor joint="hinge" ctrlrange="-1 1"/>"#, false);
     let mut state = arm.at_rest(&[0.0], 0.0).unwrap();
@@ -171,7 +179,7 @@ fn a_hand_goes_where_it_is_told() {
     }
 }
 
-/// d(velocity)/d(friction) = -t/I while it slides; the law of a capped drive passes the derivative of its cap.
+/// d(velocity)/d(friction) = -t/I while it slides; the force of a capped drive passes the derivative of its cap.
 #[test]
 fn laws_pass_derivatives() {
     let mut arm: Articulation<Dual<2>> =
@@ -183,14 +191,14 @@ fn laws_pass_derivatives() {
     state.velocities[0] = Dual::<2>::lift(1.0);
     let mut work = TreeWork::default();
     arm.kinematics(&state, 0.0, H, &mut work);
-    let mut laws = Vec::new();
-    arm.joint_laws(&state, &work, &[9.0], H, &mut laws);
-    let forces: Vec<_> = laws.iter().map(|law| law.force(state.velocities[0])).collect();
+    let mut joint_forces = Vec::new();
+    arm.joint_forces(&state, &work, &[9.0], H, &mut joint_forces);
+    let forces: Vec<_> = joint_forces.iter().map(|force| force.force(state.velocities[0])).collect();
     assert_eq!(
         forces.iter().map(|f| (f.value(), tangents(f)[0], tangents(f)[1])).collect::<Vec<_>>(),
         [(-0.06, -1.0, 0.0), (0.2, 0.0, 1.0)]
     );
-    arm.advance(&mut state, &[Dual::<2>::lift(1.0)], (0.0, H), &laws, &mut work);
+    arm.advance(&mut state, &[Dual::<2>::lift(1.0)], (0.0, H), &joint_forces, &mut work);
     // The spring at its bound: stretched by the presliding way whatever the bound is.
     assert!((state.friction[0].value() - 1e-5).abs() < 1e-18 && tangents(&state.friction[0])[0].abs() < 1e-15);
 }
@@ -244,7 +252,7 @@ fn what_cannot_be_simulated_is_refused_by_name() {
     let mut state = good.at_rest(&leap.mid_range(), 0.0).unwrap();
     state.velocities[4] = f64::NAN;
     assert!(good.check_state(&state).unwrap_err().to_string().contains("mf_mcp"));
-    assert!(matches!(good.at_rest(&[0.0; 3], 0.0), Err(SimError::Series { .. })));
+    assert!(matches!(good.at_rest(&[0.0; 3], 0.0), Err(Error::Series { .. })));
     let message = |r: crate::Result<Vec<f64>>| r.unwrap_err().to_string();
     assert!(message(good.control([("no_such", 0.0)], 0.0)).contains("no drive \"no_such\""));
     assert!(message(good.control([("if_rot", f64::NAN)], 0.0)).contains("drive 1 (\"if_rot\") is NaN"));

@@ -5,9 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use crate::Error;
 use crate::xml::Node;
 
-/// Collected remarks; [`Unread::sentences`] turns them into text.
+/// Collected remarks; [`Unsupported::sentences`] turns them into text.
 #[derive(Debug, Default)]
-pub(crate) struct Unread {
+pub(crate) struct Unsupported {
     notes: Vec<String>,
     noted: BTreeSet<String>,
     missing_visuals: Vec<String>,
@@ -16,7 +16,7 @@ pub(crate) struct Unread {
     attributes: BTreeMap<(String, String), (usize, u32)>,
 }
 
-impl Unread {
+impl Unsupported {
     /// A remark in words.
     pub fn note(&mut self, sentence: impl Into<String>) {
         let sentence = sentence.into();

@@ -44,7 +44,7 @@ pub const NAMES: [&str; 6] =
     ["leap_sdk", "leap_menagerie", "leap_urdf", "allegro_ros", "allegro_menagerie", "allegro_urdf"];
 
 /// Joint names of the bundled model in the order called `name`; see the table above.
-pub fn order(name: &str) -> Option<&'static [&'static str]> {
+pub fn find(name: &str) -> Option<&'static [&'static str]> {
     Some(match name {
         "leap_sdk" => &LEAP_SDK,
         "leap_menagerie" => &LEAP_MENAGERIE,
@@ -55,12 +55,12 @@ pub fn order(name: &str) -> Option<&'static [&'static str]> {
     })
 }
 
-/// [`order`] with an error that tells the user which orders there are.
+/// [`find`] with an error that tells the user which orders there are.
 ///
 /// # Errors
 /// If there is no such order.
 pub fn require(name: &str) -> Result<&'static [&'static str]> {
-    order(name).ok_or_else(|| {
+    find(name).ok_or_else(|| {
         Error::value(format!("there is no joint order \"{name}\""), format!("use one of {}", NAMES.join(", ")))
     })
 }
