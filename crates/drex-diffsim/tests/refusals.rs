@@ -205,8 +205,8 @@ fn whatever_else_is_wrong_is_named() {
         rollout(&model, &scene, &state, &[0.01]).map(|_| ())
     };
     refused(scene(&|s| s.gravity.x = f64::NAN), &["gravity"]);
-    refused(scene(&|s| s.fixed[0].material.friction = -0.1), &["fixed thing 0", "friction -0.1"]);
-    refused(scene(&|s| s.fixed[0].world_from_body.translation.z = f64::NAN), &["fixed thing 0"]);
+    refused(scene(&|s| s.static_bodies[0].material.friction = -0.1), &["fixed thing 0", "friction -0.1"]);
+    refused(scene(&|s| s.static_bodies[0].world_from_body.translation.z = f64::NAN), &["fixed thing 0"]);
     let push = |on: Part| AppliedForce::<f64>::new(on, &[0.0], &[Vector3::x()], ForcePoint::Couple);
     refused(scene(&|s| s.forces.push(push(Part::Body(7)).unwrap())), &["force 0", "Body(7)"]);
     refused(scene(&|s| s.forces.push(push(Part::Link { articulation: 0, link: 1 }).unwrap())), &["force 0", "Link"]);

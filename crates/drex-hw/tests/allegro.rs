@@ -92,7 +92,7 @@ fn the_model_and_the_drivers_agree_on_what_the_motors_give() {
     let caps = |version| AllegroOptions::new(version).torque_caps_nm();
     let robot = robot();
     let effort = robot.effort_limits().unwrap();
-    for (name, cap) in drex_robot::orders::ALLEGRO_ROS.iter().zip(caps(AllegroVersion::V4)) {
+    for (name, cap) in drex_robot::joint_order::ALLEGRO_ROS.iter().zip(caps(AllegroVersion::V4)) {
         assert!((effort[robot.require_joint(name).unwrap()] - cap).abs() < 1e-12, "{name}: {effort:?}");
     }
     assert!(caps(AllegroVersion::V5).iter().all(|c| (c - 0.240 / 1.43).abs() < 1e-12));

@@ -8,7 +8,7 @@ use drex_recording::convert::mujoco_push::{ForceQuality, Inputs, PoseQuality};
 use drex_recording::convert::{self, allegro_run, mujoco_push};
 use drex_recording::readers::{FrameTimes, read_foundation_pose_folder, read_grasps, read_pose_csv};
 use drex_recording::{Drive, PushRecording, TrackFrame};
-use drex_robot::orders::ALLEGRO_ROS;
+use drex_robot::joint_order::ALLEGRO_ROS;
 
 fn shared(part: &str) -> Option<PathBuf> {
     let Some(root) = std::env::var_os("DREX_SHARED") else {

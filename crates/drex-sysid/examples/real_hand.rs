@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use drex_core::{Pose, Trajectory, TriMesh};
 use drex_recording::convert::allegro_run;
 use drex_recording::{Drive, HandPush};
-use drex_robot::{Robot, orders};
+use drex_robot::{Robot, joint_order};
 use drex_sysid::bound::{Bound, BoundOptions, Topple, of_topple};
 use drex_sysid::calibrate::{CalibrateOptions, ExtraTorque, HandCalibration, HandRun, Touch, hand};
 use drex_sysid::frames::{FoundFrames, FrameOptions, HandPlacement, Standing, against_hand, find, tip_paths};
@@ -87,7 +87,7 @@ fn main() -> Any<()> {
 fn load(folder: &Path, entries: bool) -> Any<Run> {
     let run: Value = serde_json::from_str(&std::fs::read_to_string(folder.join("run.json"))?)?;
     let vector = |key: &str| Vector3::from_fn(|i, _| run[key][i].as_f64().unwrap_or(f64::NAN));
-    let mut recording = allegro_run::load(folder, &orders::ALLEGRO_ROS)?;
+    let mut recording = allegro_run::load(folder, &joint_order::ALLEGRO_ROS)?;
     let Drive::Hand(hand) = recording.drive.clone() else {
         return Err(format!("{} has no hand", folder.display()).into());
     };

@@ -19,7 +19,7 @@ use drex_diffsim::{
 use drex_recording::JointLog;
 use drex_recording::convert::allegro_run;
 use drex_recording::{Drive, HandPush, PushRecording};
-use drex_robot::{Robot, orders};
+use drex_robot::{Robot, joint_order};
 use drex_sysid::bound::{BoundOptions, Topple, of_topple};
 use drex_sysid::calibrate::{CalibrateOptions, HandCalibration, HandRun, hand};
 use drex_sysid::frames::{FoundFrames, FrameOptions, HandPlacement, Standing, TipPath, against_hand, find, tip_paths};
@@ -45,7 +45,7 @@ fn main() -> Any<()> {
     let mut folders: Vec<PathBuf> =
         std::fs::read_dir(&folder)?.map(|e| Ok(e?.path())).collect::<std::io::Result<_>>()?;
     folders.sort();
-    let load = |f: &PathBuf| allegro_run::load(f, &orders::ALLEGRO_ROS);
+    let load = |f: &PathBuf| allegro_run::load(f, &joint_order::ALLEGRO_ROS);
     let recordings = folders.iter().map(load).collect::<Result<Vec<_>, _>>()?;
     let runs: Vec<HandRun<'_>> = recordings.iter().filter_map(HandRun::of).collect();
     let Some(Drive::Hand(first)) = recordings.first().map(|r| &r.drive) else { return Err("no run has a hand".into()) };

@@ -10,7 +10,7 @@ use drex_core::{Pose, Trajectory, TriMesh};
 use drex_recording::JointLog;
 use drex_recording::convert::allegro_run;
 use drex_recording::{Drive, HandPush, PushRecording};
-use drex_robot::{Robot, orders};
+use drex_robot::{Robot, joint_order};
 use drex_sysid::bound::{Bound, BoundOptions, Topple, of_topple};
 use drex_sysid::calibrate::{CalibrateOptions, ExtraTorque, HandCalibration, HandRun, hand};
 use drex_sysid::frames::{FrameOptions, HandPlacement, Standing, against_hand, find, tip_paths};
@@ -346,7 +346,7 @@ fn real_runs() -> Option<Vec<(String, PushRecording, HandPush)>> {
         std::fs::read_dir(shared()?.join("data/drex_real/runs")).unwrap().map(|e| e.unwrap().path()).collect();
     folders.sort();
     let load = |folder: PathBuf| {
-        let recording = allegro_run::load(&folder, &orders::ALLEGRO_ROS).unwrap();
+        let recording = allegro_run::load(&folder, &joint_order::ALLEGRO_ROS).unwrap();
         let Drive::Hand(push) = recording.drive.clone() else { panic!("{} has no hand", folder.display()) };
         (folder.file_name().unwrap().to_string_lossy().into_owned(), recording, push)
     };

@@ -8,7 +8,7 @@ use drex_core::TriMesh;
 use drex_core::fsutil::{self, OutputFolder, output_path};
 use drex_recording::convert::{allegro_run, mujoco_push, write_push};
 use drex_recording::{PushConfig, PushRecording, TrackFrame};
-use drex_robot::orders::ALLEGRO_ROS;
+use drex_robot::joint_order::ALLEGRO_ROS;
 use drex_sysid::frames::{self, FrameOptions, Standing};
 use drex_twin::manifest::TwinManifest;
 use nalgebra::Vector3;

@@ -120,7 +120,7 @@ impl<T: Scalar> Lever<T> {
 
     /// Velocity and spin of the body against the support.
     pub(crate) fn relative(&self, contact_model: &ContactModel<T>, v: &Vector3<T>, w: &Vector3<T>) -> (Vector3<T>, T) {
-        let spin = if contact.lever > 0.0 { contact.normal.dot(w) - self.support_spin } else { T::zero() };
+        let spin = if contact_model.lever > 0.0 { contact_model.normal.dot(w) - self.support_spin } else { T::zero() };
         (v + w.cross(&self.arm) - self.support, spin)
     }
 }

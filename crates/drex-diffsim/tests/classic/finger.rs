@@ -10,7 +10,7 @@ use nalgebra::{DVector, Point3, Vector3};
 use crate::common::{fixed_arm, robot, within};
 
 /// By how much drives, weight and tip are out of balance after 6 s, as a part of the torques, and the force at the tip.
-fn press(robot: Arc<Robot>, q: &[f64], command: &[f64], wall: Fixed<f64>, gravity: f64) -> (f64, f64) {
+fn press(robot: Arc<Robot>, q: &[f64], command: &[f64], wall: StaticBody<f64>, gravity: f64) -> (f64, f64) {
     let arm = fixed_arm(robot).with_friction(0.0);
     let mut model = Model::new(Vec::new()).with_articulation(arm);
     model.dt_s = 1e-3;

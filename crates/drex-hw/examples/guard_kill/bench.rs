@@ -86,7 +86,7 @@ impl Bench {
                 hand.set_watchdog(None);
                 hand.place(12, 0.5);
                 let robot = Robot::bundled("allegro_right")?;
-                for (joint, name) in drex_robot::orders::ALLEGRO_ROS.iter().enumerate() {
+                for (joint, name) in drex_robot::joint_order::ALLEGRO_ROS.iter().enumerate() {
                     // Torques stay while the program is stopped: a real joint ends at its stop.
                     let (low, high) = robot.joints[robot.require_joint(name)?].limits.ok_or("no limits")?;
                     hand.set_wall(joint, low, if joint < 8 { 0.1 } else { high });

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use drex_robot::orders;
+use drex_robot::joint_order;
 
 use super::AllegroVersion;
 use crate::{Error, Result};
@@ -80,7 +80,7 @@ impl AllegroOptions {
         let kd = |j: usize| [15.0, 20.0, 15.0, 15.0, 30.0, 20.0, 20.0, 15.0][if j < 12 { j % 4 } else { j % 4 + 4 }];
         Self {
             version,
-            names: orders::ALLEGRO_ROS.map(String::from),
+            names: joint_order::ALLEGRO_ROS.map(String::from),
             calibration: [JointCalibration::NONE; 16],
             gains: std::array::from_fn(|j| Gains { kp: kp(j) * GAIN_UNIT, kd: kd(j) * GAIN_UNIT }),
             wire_per_nm: match version {

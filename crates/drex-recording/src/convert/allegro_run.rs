@@ -42,7 +42,7 @@ struct TrackedFromMesh {
 }
 
 /// The run in the folder `run` as a `push.toml` whose paths start at that folder. `joint_names` are the joints of the
-/// columns `position_0`, `position_1`, … of its joint log: `drex_robot::orders::ALLEGRO_ROS`. The meaning of the
+/// columns `position_0`, `position_1`, … of its joint log: `drex_robot::joint_order::ALLEGRO_ROS`. The meaning of the
 /// run's own clocks and frames is spelled out.
 ///
 /// # Errors
