@@ -132,7 +132,6 @@ fn asset_xml(data: &[u8]) {
 fn npy_arrays(data: &[u8]) {
     let path = Path::new("a.npy");
     let _ = black_box(npy::parse_npy(path, data));
-    let _ = black_box(drex_splat::io::npy::parse(path, data));
     let _ = black_box(readers::parse_grasps_npy(path, data, &["a".into(), "b".into(), "c".into()]));
 }
 

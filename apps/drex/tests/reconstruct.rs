@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 
 use common::drex;
-use drex_splat::io::{npy, picture, read_gaussians};
+use drex_splat::io::{picture, read_gaussians};
 use drex_splat::train::from_points;
 use drex_splat::{Capture, CaptureOptions, Cpu, Kind, Label, Orbit, PhotoOptions, Photos, Rasterizer, RenderOptions};
 use nalgebra::Vector3;
@@ -91,12 +91,15 @@ fn photos_become_both_sets_and_depth_maps() {
     let photos = Photos::new(&maps, PhotoOptions::default()).unwrap();
     for (i, view) in maps.views.iter().enumerate() {
         let camera = maps.pinhole(i, None).unwrap();
-        let depth = npy::read(view.depth.as_ref().unwrap()).unwrap();
+        let depth = {
+            let path = view.depth.as_ref().unwrap();
+            drex_core::npy::parse_npy(path, &fs::read(path).unwrap()).unwrap()
+        };
         assert_eq!(depth.shape, [60, 80]);
-        let centre = depth.values[30 * 80 + 40];
+        let centre = depth.numbers().unwrap()[30 * 80 + 40];
         let expected = camera.centre().coords.norm() - RADIUS;
-        assert!((f64::from(centre) - expected).abs() < 0.1 * RADIUS, "{}: {centre} for {expected}", view.name);
-        assert_eq!(depth.values[0], 0.0, "a corner shows nothing");
+        assert!((centre - expected).abs() < 0.1 * RADIUS, "{}: {centre} for {expected}", view.name);
+        assert_eq!(depth.numbers().unwrap()[0], 0.0, "a corner shows nothing");
         let normal = photos.get(i).unwrap().normal.as_ref().unwrap()[30 * 80 + 40];
         assert!(normal[2] < -0.8, "{}: the middle faces the camera: {normal:?}", view.name);
     }

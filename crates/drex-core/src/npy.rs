@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::{Error, Result, budget};
+use crate::{Error, Result, budget, fsutil};
 
 /// An array as it stood in the file, in C order (the last index runs fastest).
 #[derive(Debug, Clone, PartialEq)]
@@ -93,6 +93,36 @@ pub fn parse_npy(path: &Path, bytes: &[u8]) -> Result<NpyArray> {
         _ => NpyValues::Numbers(in_c_order(items.map(|b| kind.number(b)).collect(), &shape, fortran)),
     };
     Ok(NpyArray { shape, descr: descr.to_owned(), values })
+}
+
+/// Writes `values` of this `shape` in single precision.
+///
+/// # Errors
+/// If the shape has another number of values, or the file cannot be written.
+pub fn write_npy(path: &Path, shape: &[usize], values: &[f32]) -> Result<()> {
+    fsutil::write_atomic(path, &npy_bytes(shape, values)?)
+}
+
+/// As [`write_npy`], into memory.
+///
+/// # Errors
+/// If the shape has another number of values, or thousands of axes.
+pub fn npy_bytes(shape: &[usize], values: &[f32]) -> Result<Vec<u8>> {
+    if shape.iter().try_fold(1usize, |n, &size| n.checked_mul(size)) != Some(values.len()) {
+        let what = format!("an array of shape {shape:?} is to hold {} values", values.len());
+        return Err(Error::value(what, "give as many values as the shape has"));
+    }
+    let sizes: String = shape.iter().map(|n| format!("{n}, ")).collect();
+    let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({}), }}", sizes.trim_end_matches(' '));
+    // Magic, version and length are 10 bytes; the data starts at a multiple of 64, after a line feed.
+    let length = (10 + header.len() + 1).next_multiple_of(64) - 10;
+    let length_bytes = u16::try_from(length)
+        .map_err(|_| Error::value(format!("an array has {} axes", shape.len()), "give an array of fewer axes"))?;
+    let mut out = b"\x93NUMPY\x01\x00".to_vec();
+    out.extend(length_bytes.to_le_bytes());
+    out.extend(format!("{header:<width$}\n", width = length - 1).into_bytes());
+    out.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+    Ok(out)
 }
 
 /// The type of the items.
@@ -255,6 +285,30 @@ mod tests {
         assert_eq!(read(&npy("|u1", false, "(2,)", &[255, 3])).unwrap().numbers().unwrap(), [255.0, 3.0]);
         assert_eq!(read(&npy("|b1", false, "()", &[1])).unwrap().numbers().unwrap(), [1.0]);
         assert_eq!(read(&npy(">i2", false, "(1,)", &[0xFF, 0xFE])).unwrap().numbers().unwrap(), [-2.0]);
+    }
+
+    #[test]
+    fn half_precision_has_all_its_values() {
+        let half = [0x3c00u16, 0xc100, 0x0001, 0x7c00, 0x7bff].map(u16::to_le_bytes);
+        let array = read(&npy("<f2", false, "(5,)", half.as_flattened())).unwrap();
+        assert_eq!(array.numbers().unwrap(), [1.0, -2.5, 2f64.powi(-24), f64::INFINITY, 65504.0]);
+        assert_eq!(read(&npy("|u1", false, "(2, 0)", &[])).unwrap().shape, [2, 0]);
+    }
+
+    #[test]
+    fn what_is_written_is_read_and_starts_as_numpy_wants() {
+        let values: Vec<f32> = (0..24).map(|i| i as f32 * 0.1 - 1.0).collect();
+        for shape in [vec![4, 6], vec![2, 4, 3], vec![24], vec![24, 1, 1]] {
+            let bytes = npy_bytes(&shape, &values).unwrap();
+            assert_eq!((bytes.len() - 96) % 64, 0);
+            let array = read(&bytes).unwrap();
+            assert_eq!(array.shape, shape);
+            assert!(array.numbers().unwrap().iter().zip(&values).all(|(a, b)| *a as f32 == *b));
+        }
+        let header = b"\x93NUMPY\x01\0v\0{'descr': '<f4', 'fortran_order': False, 'shape': (24,), }";
+        assert!(npy_bytes(&[24], &values).unwrap().starts_with(header));
+        assert!(npy_bytes(&[], &values[..1]).unwrap().windows(11).any(|w| w == b"'shape': ()"));
+        assert!(npy_bytes(&[5, 5], &values).is_err() && npy_bytes(&[usize::MAX, 2], &values).is_err());
     }
 
     #[test]

@@ -149,7 +149,7 @@ fn starts_inside_each_other_name_the_pair_and_the_depth() {
     refused(rollout(&model, &scene, &state, &[0.01]), &["body 0", "link \"tip\"", "articulation 0"]);
     state.bodies[0].world_from_body = at(0.0, 0.0, 0.03);
     state.articulations[0].q[0] = -0.6;
-    refused(rollout(&model, &scene, &state, &[0.01]), &["link \"tip\"", "fixed thing 0"]);
+    refused(rollout(&model, &scene, &state, &[0.01]), &["link \"tip\"", "static body 0"]);
 }
 
 #[test]
@@ -205,8 +205,8 @@ fn whatever_else_is_wrong_is_named() {
         rollout(&model, &scene, &state, &[0.01]).map(|_| ())
     };
     refused(scene(&|s| s.gravity.x = f64::NAN), &["gravity"]);
-    refused(scene(&|s| s.static_bodies[0].material.friction = -0.1), &["fixed thing 0", "friction -0.1"]);
-    refused(scene(&|s| s.static_bodies[0].world_from_body.translation.z = f64::NAN), &["fixed thing 0"]);
+    refused(scene(&|s| s.static_bodies[0].material.friction = -0.1), &["static body 0", "friction -0.1"]);
+    refused(scene(&|s| s.static_bodies[0].world_from_body.translation.z = f64::NAN), &["static body 0"]);
     let push = |on: Part| AppliedForce::<f64>::new(on, &[0.0], &[Vector3::x()], ForcePoint::Couple);
     refused(scene(&|s| s.forces.push(push(Part::Body(7)).unwrap())), &["force 0", "Body(7)"]);
     refused(scene(&|s| s.forces.push(push(Part::Link { articulation: 0, link: 1 }).unwrap())), &["force 0", "Link"]);

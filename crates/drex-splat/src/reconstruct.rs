@@ -6,11 +6,12 @@ use std::time::Instant;
 use drex_core::Pose;
 use drex_core::camera::point_looked_at;
 use drex_core::fsutil::{self, OutputFolder, output_path};
+use drex_core::npy::write_npy;
 use nalgebra::Point3;
 use serde::Serialize;
 
 use crate::capture::{Capture, CaptureReport, PhotoOptions, Photos, SparsePoint};
-use crate::io::{npy, picture, ply};
+use crate::io::{picture, ply};
 use crate::loss::{MaskMode, surface_depth};
 use crate::metrics::{Table, similarity};
 use crate::train::{DensityChoice, NEAR, Preset, Progress, TrainOptions, Trainer, VisualHull, from_points};
@@ -469,7 +470,7 @@ fn write_depth_maps<R: Rasterizer>(
         let shape = rasterizer.forward(surface, camera, &options)?.0;
         let depth = surface_depth(&shape, 1.0, 0.5)?;
         let normal: Vec<[f32; 3]> = shape.normal.iter().zip(&depth).map(|(n, &z)| normal_colour(*n, z)).collect();
-        npy::write(&file.depth, &[camera.height, camera.width], &depth)?;
+        write_npy(&file.depth, &[camera.height, camera.width], &depth)?;
         picture::write_rgb(&file.normals, camera.width, camera.height, &normal)?;
         picture::write_rgba(&file.appearance, camera.width, camera.height, &looks.rgb, &looks.alpha)?;
         frames.push(frame(camera, &file.stem));

@@ -5,9 +5,10 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use drex_core::fsutil::OutputFolder;
+use drex_core::npy::write_npy;
 use drex_recording::readers::read_pose_csv;
 use drex_splat::capture::{Capture, CaptureOptions};
-use drex_splat::io::{exr, npy, picture, read_gaussians};
+use drex_splat::io::{exr, picture, read_gaussians};
 use drex_splat::{Attachment, Cpu, Gaussians, Kind, Orbit, PinholeCamera, Rasterizer, Render, RenderOptions, Scene};
 use nalgebra::{Similarity3, Vector3};
 use serde::Serialize;
@@ -217,14 +218,14 @@ fn write(args: &RenderArgs, files: ShotFiles, time_s: Option<f64>, render: &Rend
         let values = render.expected_depth();
         match args.depth {
             Some(MapFormat::Exr) => exr::write_depth(path, width, height, &values)?,
-            _ => npy::write(path, &[height, width], &values)?,
+            _ => write_npy(path, &[height, width], &values)?,
         }
     }
     if let Some(path) = &normal {
         let values = render.unit_normals();
         match args.normal {
             Some(MapFormat::Exr) => exr::write_vectors(path, width, height, &values)?,
-            _ => npy::write(path, &[height, width, 3], values.as_flattened())?,
+            _ => write_npy(path, &[height, width, 3], values.as_flattened())?,
         }
     }
     Ok(Frame { picture, depth, normal, width, height, time_s })

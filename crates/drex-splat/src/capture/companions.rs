@@ -4,6 +4,7 @@ use std::path::{Component, Path, PathBuf};
 
 use drex_core::budget;
 use drex_core::fsutil::read_bytes;
+use drex_core::npy::parse_npy;
 use image::{DynamicImage, ImageDecoder, ImageReader};
 
 use super::{CaptureOptions, View, refuse};
@@ -172,38 +173,18 @@ pub(super) fn normal(path: &Path, flip: [bool; 3]) -> Result<(usize, usize, Vec<
     Ok((picture.width() as usize, picture.height() as usize, values.collect()))
 }
 
-/// A two-dimensional npy array of 32- or 64-bit numbers in C order: columns, rows, values.
+/// A two-dimensional npy array of 32- or 64-bit numbers: columns, rows, values.
 fn npy(path: &Path) -> Result<(usize, usize, Vec<f32>)> {
-    let bytes = read_bytes(path)?;
+    let array = parse_npy(path, &read_bytes(path)?)?;
     let refuse = |what: &str| {
-        let remedy = "save a little-endian float32 or float64 array of shape (height, width) with numpy.save";
+        let remedy = "save a float32 or float64 array of shape (height, width) with numpy.save";
         Err(drex_core::Error::content(path, None, what, remedy).into())
     };
-    let header_start = match bytes.get(..8) {
-        Some(b"\x93NUMPY\x01\x00") => 10,
-        Some(b"\x93NUMPY\x02\x00" | b"\x93NUMPY\x03\x00") => 12,
-        _ => return refuse("this is no npy file"),
+    let (&[rows, columns], Some(numbers)) = (array.shape.as_slice(), array.numbers()) else {
+        return refuse("the array has not two dimensions of numbers");
     };
-    let length = bytes.get(8..header_start).map(|l| l.iter().rev().fold(0, |n, b| n << 8 | usize::from(*b)));
-    let data_start = length.map_or(usize::MAX, |l| header_start.saturating_add(l));
-    let Some(header) = bytes.get(header_start..data_start).and_then(|h| std::str::from_utf8(h).ok()) else {
-        return refuse("the npy header is damaged");
-    };
-    let value_of = |key: &str| header.split_once(&format!("'{key}':")).map_or("", |(_, v)| v.trim_start());
-    if !value_of("fortran_order").starts_with("False") {
-        return refuse("the array is in Fortran order");
+    if !matches!(array.descr.get(1..), Some("f4" | "f8")) || numbers.is_empty() {
+        return refuse("the array is not of float32 or float64, or empty");
     }
-    let shape = value_of("shape").strip_prefix('(').and_then(|s| s.split_once(')')).map_or("", |(s, _)| s);
-    let sides: Vec<usize> = shape.split(',').filter_map(|s| s.trim().parse().ok()).collect();
-    let &[rows, columns] = sides.as_slice() else { return refuse("the array has not two dimensions") };
-    let data = &bytes[data_start..];
-    let values: Vec<f32> = match value_of("descr").get(..5) {
-        Some("'<f4'") => data.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect(),
-        Some("'<f8'") => data.as_chunks().0.iter().map(|b| f64::from_le_bytes(*b) as f32).collect(),
-        _ => return refuse("the array is not of float32 or float64"),
-    };
-    if rows.checked_mul(columns) != Some(values.len()) || values.is_empty() {
-        return refuse("the array has not the numbers its shape asks for");
-    }
-    Ok((columns, rows, values))
+    Ok((columns, rows, numbers.iter().map(|&v| v as f32).collect()))
 }

@@ -1,10 +1,9 @@
-//! Files out and in: sets of Gaussians (ply, spz, splat), arrays (npy, exr) and pictures (png).
+//! Files out and in: sets of Gaussians (ply, spz, splat), arrays (exr) and pictures (png).
 //!
 //! Each `read` and `write` takes a path; each `parse` and `to_bytes` works in memory, its path is for messages only.
 //! Readers refuse what they cannot understand, say where it is, and never allocate more than the file can fill.
 
 pub mod exr;
-pub mod npy;
 pub mod picture;
 pub mod ply;
 pub mod splat;

@@ -87,6 +87,11 @@ impl Golden {
 
 /// Reads a zip of npy files stored without compression; sizes come from the central directory.
 pub fn parse_npz(bytes: &[u8]) -> BTreeMap<String, Array> {
+    npz_members(bytes).into_iter().map(|(name, bytes)| (name, parse_npy(bytes))).collect()
+}
+
+/// The npy files in such a zip by name.
+pub fn npz_members(bytes: &[u8]) -> BTreeMap<String, &[u8]> {
     let u16_at = |p: usize| u16::from_le_bytes(bytes[p..p + 2].try_into().unwrap()) as usize;
     let u32_at = |p: usize| u32::from_le_bytes(bytes[p..p + 4].try_into().unwrap()) as usize;
     let end = (0..=bytes.len() - 22).rev().find(|&p| &bytes[p..p + 4] == b"PK\x05\x06").unwrap();
@@ -98,7 +103,7 @@ pub fn parse_npz(bytes: &[u8]) -> BTreeMap<String, Array> {
             (u32_at(p + 24), u16_at(p + 28), u16_at(p + 30), u16_at(p + 32), u32_at(p + 42));
         let name = std::str::from_utf8(&bytes[p + 46..p + 46 + name_len]).unwrap().trim_end_matches(".npy").to_owned();
         let start = local + 30 + u16_at(local + 26) + u16_at(local + 28);
-        arrays.insert(name, parse_npy(&bytes[start..start + size]));
+        arrays.insert(name, &bytes[start..start + size]);
         p += 46 + name_len + extra + comment;
     }
     arrays
