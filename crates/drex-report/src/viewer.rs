@@ -110,7 +110,7 @@ impl Scene {
     /// If they do not increase.
     pub fn timed(mut self, times_s: &[f64], start_s: Option<f64>) -> Result<Self> {
         if times_s.iter().any(|t| !t.is_finite()) || times_s.windows(2).any(|w| w[1] <= w[0]) {
-            return Err(Error::Refused(format!("the times of a scene must increase")));
+            return Err(Error::Refused("the times of a scene must increase".into()));
         }
         self.times_s = times_s.to_vec();
         self.start_s = start_s;
@@ -167,7 +167,7 @@ impl Scene {
             let (t, q) = (pose.translation.vector, pose.rotation.quaternion());
             let row = [t.x, t.y, t.z, q.w, q.i, q.j, q.k, *scale];
             if row.iter().any(|v| !v.is_finite()) {
-                return Err(Error::Refused(format!("a pose of a scene is not finite")));
+                return Err(Error::Refused("a pose of a scene is not finite".into()));
             }
             numbers.extend(row.map(|v| v as f32));
             if !self.fixed && *scale > 0.0 {

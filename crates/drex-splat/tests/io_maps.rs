@@ -16,7 +16,7 @@ fn npy_files_of_numpy_are_read() {
     let bytes = std::fs::read(folder.join("ssim.npz")).unwrap();
     let golden = support::parse_npz(&bytes);
     for (name, array) in &golden {
-        let read = parse_npy(Path::new("ssim.npz"), &support::npz_members(&bytes)[name]).unwrap();
+        let read = parse_npy(Path::new("ssim.npz"), support::npz_members(&bytes)[name]).unwrap();
         assert_eq!((read.numbers().unwrap(), &read.shape), (&array.values[..], &array.shape), "{name}");
     }
 }

@@ -12,7 +12,7 @@ use crate::{
 };
 
 /// Distinguishes the seeds of the last trials from those of the selection.
-const FIND_SEED: u64 = 0x66_69_6e_64;
+const FIND_SEED: u64 = 0x6669_6e64;
 
 /// The effort of [`find_grasp`].
 #[derive(Debug, Clone, PartialEq)]
