@@ -56,26 +56,78 @@ impl Units {
     }
 }
 
-pub(crate) fn save(policy: &GraspPolicy, folder: &Path) -> Result<()> {
-    let weights = policy.weights.to_bytes();
-    let hash = sha256_hex(&weights);
-    // Named by content: new weights never touch the old ones, and renaming the manifest switches from one to the other.
-    let file = format!("weights-{}.safetensors", &hash[..16]);
-    let manifest = Manifest {
-        format: FORMAT.into(),
-        version: VERSION,
-        written_by: concat!("drex-policy ", env!("CARGO_PKG_VERSION")).into(),
-        units: Units::of_this_version(),
-        weights_file: file.clone(),
-        weights_sha256: hash,
-        policy: policy.card.clone(),
-    };
-    let mut json = serde_json::to_vec_pretty(&manifest).map_err(|e| Error::Backend { what: e.to_string() })?;
-    json.push(b'\n');
-    write_atomic(&folder.join(&file), &weights)?;
-    write_atomic(&folder.join(MANIFEST), &json)?;
-    remove_other_weights(folder, &file);
-    Ok(())
+impl GraspPolicy {
+    /// Writes `policy.json` and the weights it names (safetensors) into `folder`, which is made if missing. An earlier policy there is
+    /// replaced in one step: whenever the process dies, the folder holds the old policy or the new one.
+    ///
+    /// # Errors
+    /// [`Error::Core`] if a file cannot be written.
+    pub fn save(&self, folder: &Path) -> Result<()> {
+        let weights = self.weights.to_bytes();
+        let hash = sha256_hex(&weights);
+        // Named by content: new weights never touch the old ones, and renaming the manifest switches from one to the other.
+        let file = format!("weights-{}.safetensors", &hash[..16]);
+        let manifest = Manifest {
+            format: FORMAT.into(),
+            version: VERSION,
+            written_by: concat!("drex-policy ", env!("CARGO_PKG_VERSION")).into(),
+            units: Units::of_this_version(),
+            weights_file: file.clone(),
+            weights_sha256: hash,
+            policy: self.card.clone(),
+        };
+        let mut json = serde_json::to_vec_pretty(&manifest).map_err(|e| Error::Backend { what: e.to_string() })?;
+        json.push(b'\n');
+        write_atomic(&folder.join(&file), &weights)?;
+        write_atomic(&folder.join(MANIFEST), &json)?;
+        remove_other_weights(folder, &file);
+        Ok(())
+    }
+
+    /// Reads what [`save`](Self::save) wrote.
+    ///
+    /// # Errors
+    /// [`Error::Core`] if a file cannot be read, [`Error::File`] if it is damaged, of another version, or if weights and `policy.json`
+    /// do not belong together. No content panics.
+    pub fn load(folder: &Path) -> Result<Self> {
+        let path = folder.join(MANIFEST);
+        let again = "train the policy again";
+        let manifest: serde_json::Value = serde_json::from_str(&read_text(&path)?).map_err(|e| {
+            Error::file(&path, format!("no JSON (line {}, column {}: {e})", e.line(), e.column()), again)
+        })?;
+        // Format and version come first: a file of another version has other fields, and the version is what to tell the user.
+        if manifest.get("format").and_then(|f| f.as_str()) != Some(FORMAT) {
+            return Err(Error::file(
+                &path,
+                format!("not a policy (no \"format\": \"{FORMAT}\")"),
+                "check that this is the right folder",
+            ));
+        }
+        if manifest.get("version").and_then(|v| v.as_u64()) != Some(u64::from(VERSION)) {
+            let found = manifest.get("version").map_or("missing".to_owned(), ToString::to_string);
+            let what = format!("format version is {found}, this program reads version {VERSION}");
+            return Err(Error::file(&path, what, "use the program that wrote it, or train the policy again"));
+        }
+        let manifest: Manifest =
+            serde_json::from_value(manifest).map_err(|e| Error::file(&path, e.to_string(), again))?;
+        if manifest.units != Units::of_this_version() {
+            return Err(Error::file(&path, "the units are not rad, m, kg and N", again));
+        }
+        check_card(&manifest.policy).map_err(|what| Error::file(&path, what, again))?;
+        if !is_weights_name(&manifest.weights_file) {
+            let what = format!("weights_file '{}' is no name that a policy's weights have", manifest.weights_file);
+            return Err(Error::file(&path, what, again));
+        }
+        let weights_path = folder.join(&manifest.weights_file);
+        let bytes = read_bytes(&weights_path)?;
+        if sha256_hex(&bytes) != manifest.weights_sha256 {
+            let what = "the content is not what policy.json was written for (SHA-256 differs)";
+            return Err(Error::file(&weights_path, what, "copy the whole folder again, or train the policy again"));
+        }
+        let weights = Weights::from_bytes(manifest.policy.network, &bytes)
+            .map_err(|what| Error::file(&weights_path, what, again))?;
+        Ok(Self { card: manifest.policy, weights })
+    }
 }
 
 /// Weights of an earlier policy serve nobody once the manifest names others. If they cannot be removed, nothing is wrong but space.
@@ -89,48 +141,10 @@ fn remove_other_weights(folder: &Path, keep: &str) {
     }
 }
 
-/// Exactly the names that [`save`] gives: nothing else is ever read or removed.
+/// Exactly the names that [`GraspPolicy::save`] gives: nothing else is ever read or removed.
 fn is_weights_name(name: &str) -> bool {
     let hash = name.strip_prefix("weights-").and_then(|n| n.strip_suffix(".safetensors"));
     hash.is_some_and(|h| h.len() == 16 && h.bytes().all(|b| b.is_ascii_hexdigit()))
-}
-
-pub(crate) fn load(folder: &Path) -> Result<GraspPolicy> {
-    let path = folder.join(MANIFEST);
-    let again = "train the policy again";
-    let manifest: serde_json::Value = serde_json::from_str(&read_text(&path)?)
-        .map_err(|e| Error::file(&path, format!("no JSON (line {}, column {}: {e})", e.line(), e.column()), again))?;
-    // Format and version come first: a file of another version has other fields, and the version is what to tell the user.
-    if manifest.get("format").and_then(|f| f.as_str()) != Some(FORMAT) {
-        return Err(Error::file(
-            &path,
-            format!("not a policy (no \"format\": \"{FORMAT}\")"),
-            "check that this is the right folder",
-        ));
-    }
-    if manifest.get("version").and_then(|v| v.as_u64()) != Some(u64::from(VERSION)) {
-        let found = manifest.get("version").map_or("missing".to_owned(), ToString::to_string);
-        let what = format!("format version is {found}, this program reads version {VERSION}");
-        return Err(Error::file(&path, what, "use the program that wrote it, or train the policy again"));
-    }
-    let manifest: Manifest = serde_json::from_value(manifest).map_err(|e| Error::file(&path, e.to_string(), again))?;
-    if manifest.units != Units::of_this_version() {
-        return Err(Error::file(&path, "the units are not rad, m, kg and N", again));
-    }
-    check_card(&manifest.policy).map_err(|what| Error::file(&path, what, again))?;
-    if !is_weights_name(&manifest.weights_file) {
-        let what = format!("weights_file '{}' is no name that a policy's weights have", manifest.weights_file);
-        return Err(Error::file(&path, what, again));
-    }
-    let weights_path = folder.join(&manifest.weights_file);
-    let bytes = read_bytes(&weights_path)?;
-    if sha256_hex(&bytes) != manifest.weights_sha256 {
-        let what = "the content is not what policy.json was written for (SHA-256 differs)";
-        return Err(Error::file(&weights_path, what, "copy the whole folder again, or train the policy again"));
-    }
-    let weights =
-        Weights::from_bytes(manifest.policy.network, &bytes).map_err(|what| Error::file(&weights_path, what, again))?;
-    Ok(GraspPolicy { card: manifest.policy, weights })
 }
 
 /// Whether the fields agree with each other, and sizes are sizes a policy has.

@@ -1,8 +1,5 @@
 //! A trained policy and what it predicts.
 
-use std::ops::ControlFlow;
-use std::path::Path;
-
 use drex_core::Pose;
 use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -13,7 +10,7 @@ use crate::loss::sigmoid;
 use crate::norm::{FRICTION_MARGIN, MASS_MARGIN, Normalisation, STRETCH, joint_intervals, wrist_pose};
 use crate::view::{Frame, View};
 use crate::weights::{Layout, Weights};
-use crate::{Dataset, EpochStats, Error, Result, TrainOptions, TrainReport, Trainer, net};
+use crate::{Dataset, Error, Result, TrainOptions, net};
 
 /// The largest force that the paper's number stands for, N.
 pub const PAPER_FORCE_N: f64 = 5.0;
@@ -124,28 +121,6 @@ pub struct GraspPolicy {
 }
 
 impl GraspPolicy {
-    /// Learns from demonstrations. `progress` is called after each epoch and may end the training there; the policy learned so far is
-    /// returned. [`Trainer`] does the same step by step, with checkpoints and with grasps tried in rollouts.
-    ///
-    /// The same data, options and seed give the same policy, byte for byte, with any number of threads on the same type of processor.
-    ///
-    /// # Errors
-    /// [`Error::Option`] and [`Error::Dataset`] if the input cannot be used, [`Error::Diverged`] if the loss stops being a number,
-    /// [`Error::NoBackend`] if the crate was built without one.
-    pub fn train(
-        data: &Dataset,
-        options: &TrainOptions,
-        progress: &mut dyn FnMut(EpochStats) -> ControlFlow<()>,
-    ) -> Result<(GraspPolicy, TrainReport)> {
-        let mut trainer = Trainer::new(data, options)?;
-        while let Some(stats) = trainer.learn()? {
-            if progress(stats).is_break() {
-                break;
-            }
-        }
-        trainer.finish()
-    }
-
     /// The grasps for what `query` tells of, the most probable first. The wrist comes back in the frame of the points.
     ///
     /// At least [`points`](Self::points) points are needed; more are thinned by farthest-point sampling.
@@ -161,16 +136,6 @@ impl GraspPolicy {
         let mut grasps = self.propose(&scene, &[(query.mass_kg, query.friction)])?.pop().unwrap_or_default();
         grasps.sort_by(|a, b| b.weight.total_cmp(&a.weight));
         Ok(grasps)
-    }
-
-    /// `count` grasps drawn from the policy's density: a mode by its probability, then joints and wrist about it by Student's t.
-    /// Joints are kept inside their limits. The same seed draws the same grasps.
-    ///
-    /// # Errors
-    /// As [`predict`](Self::predict).
-    pub fn sample(&self, query: &Query<'_>, count: usize, seed: u64) -> Result<Vec<PredictedGrasp>> {
-        let grasps = self.predict(query)?;
-        Ok(crate::sample::draw(self, &grasps, count, seed))
     }
 
     /// ln of the density of a grasp, in nats: over rad^J of the joints, and m³ rad³ of the wrist if `object_from_palm` is given;
@@ -350,24 +315,6 @@ impl GraspPolicy {
     /// SHA-256 of the data it was trained on, in hexadecimal.
     pub fn dataset_sha256(&self) -> &str {
         &self.card.dataset_sha256
-    }
-
-    /// Writes `policy.json` and the weights it names (safetensors) into `folder`, which is made if missing. An earlier policy there is
-    /// replaced in one step: whenever the process dies, the folder holds the old policy or the new one.
-    ///
-    /// # Errors
-    /// [`Error::Core`] if a file cannot be written.
-    pub fn save(&self, folder: &Path) -> Result<()> {
-        crate::files::save(self, folder)
-    }
-
-    /// Reads what [`save`](Self::save) wrote.
-    ///
-    /// # Errors
-    /// [`Error::Core`] if a file cannot be read, [`Error::File`] if it is damaged, of another version, or if weights and `policy.json`
-    /// do not belong together. No content panics.
-    pub fn load(folder: &Path) -> Result<Self> {
-        crate::files::load(folder)
     }
 }
 

@@ -9,36 +9,43 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::density::TAIL;
 use crate::split::{Stream, random};
-use crate::{GraspPolicy, PredictedGrasp};
+use crate::{GraspPolicy, PredictedGrasp, Query, Result};
 
-/// See [`GraspPolicy::sample`].
-pub(crate) fn draw(policy: &GraspPolicy, grasps: &[PredictedGrasp], count: usize, seed: u64) -> Vec<PredictedGrasp> {
-    let mut random = random(seed, Stream::Sample);
-    let spread = policy.spread();
-    let mut drawn = Vec::with_capacity(count);
-    while drawn.len() < count {
-        let mut rest = random.random_range(0.0..1.0);
-        let mode = grasps.iter().find(|g| {
-            rest -= g.weight;
-            rest < 0.0
-        });
-        // Rounding may leave a rest: the last one stands in.
-        let Some(mut grasp) = mode.or(grasps.last()).cloned() else { break };
-        // Student's t is a normal vector over the square root of χ²/ν, one for all coordinates.
-        let normals: Vec<f64> = (0..TAIL as usize).map(|_| normal(&mut random)).collect();
-        let stretch = (TAIL / normals.iter().map(|n| n * n).sum::<f64>()).sqrt();
-        for (j, q) in grasp.joints.iter_mut().enumerate() {
-            let (lower, upper) = policy.joint_limits()[j];
-            *q = (*q + stretch * spread.joints_rad[j] * normal(&mut random)).clamp(lower, upper);
+impl GraspPolicy {
+    /// `count` grasps drawn from the policy's density: a mode by its probability, then joints and wrist about it by Student's t.
+    /// Joints are kept inside their limits. The same seed draws the same grasps.
+    ///
+    /// # Errors
+    /// As [`predict`](Self::predict).
+    pub fn sample(&self, query: &Query<'_>, count: usize, seed: u64) -> Result<Vec<PredictedGrasp>> {
+        let grasps = self.predict(query)?;
+        let mut random = random(seed, Stream::Sample);
+        let spread = self.spread();
+        let mut drawn = Vec::with_capacity(count);
+        while drawn.len() < count {
+            let mut rest = random.random_range(0.0..1.0);
+            let mode = grasps.iter().find(|g| {
+                rest -= g.weight;
+                rest < 0.0
+            });
+            // Rounding may leave a rest: the last one stands in.
+            let Some(mut grasp) = mode.or(grasps.last()).cloned() else { break };
+            // Student's t is a normal vector over the square root of χ²/ν, one for all coordinates.
+            let normals: Vec<f64> = (0..TAIL as usize).map(|_| normal(&mut random)).collect();
+            let stretch = (TAIL / normals.iter().map(|n| n * n).sum::<f64>()).sqrt();
+            for (j, q) in grasp.joints.iter_mut().enumerate() {
+                let (lower, upper) = self.joint_limits()[j];
+                *q = (*q + stretch * spread.joints_rad[j] * normal(&mut random)).clamp(lower, upper);
+            }
+            let shift = normal_vector(&mut random) * (stretch * spread.wrist_m);
+            let turn = normal_vector(&mut random) * (stretch * spread.wrist_rad);
+            let pose = &mut grasp.object_from_palm;
+            pose.translation = Translation3::from(pose.translation.vector + shift);
+            pose.rotation = UnitQuaternion::from_scaled_axis(turn) * pose.rotation;
+            drawn.push(grasp);
         }
-        let shift = normal_vector(&mut random) * (stretch * spread.wrist_m);
-        let turn = normal_vector(&mut random) * (stretch * spread.wrist_rad);
-        let pose = &mut grasp.object_from_palm;
-        pose.translation = Translation3::from(pose.translation.vector + shift);
-        pose.rotation = UnitQuaternion::from_scaled_axis(turn) * pose.rotation;
-        drawn.push(grasp);
+        Ok(drawn)
     }
-    drawn
 }
 
 /// A standard normal number.

@@ -4,6 +4,7 @@ mod checkpoint;
 mod rollout;
 
 use std::f64::consts::PI;
+use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::Instant;
 
@@ -29,6 +30,30 @@ const SHARE_ENDS: f64 = 0.8;
 
 /// The spreads never fall below these: angles in rad, translation in lengths. A mode on top of a demonstration must not become a spike.
 const LEAST_SPREAD: f64 = 0.02;
+
+impl GraspPolicy {
+    /// Learns from demonstrations. `progress` is called after each epoch and may end the training there; the policy learned so far is
+    /// returned. [`Trainer`] does the same step by step, with checkpoints and with grasps tried in rollouts.
+    ///
+    /// The same data, options and seed give the same policy, byte for byte, with any number of threads on the same type of processor.
+    ///
+    /// # Errors
+    /// [`Error::Option`] and [`Error::Dataset`] if the input cannot be used, [`Error::Diverged`] if the loss stops being a number,
+    /// [`Error::NoBackend`] if the crate was built without one.
+    pub fn train(
+        data: &Dataset,
+        options: &TrainOptions,
+        progress: &mut dyn FnMut(EpochStats) -> ControlFlow<()>,
+    ) -> Result<(GraspPolicy, TrainReport)> {
+        let mut trainer = Trainer::new(data, options)?;
+        while let Some(stats) = trainer.learn()? {
+            if progress(stats).is_break() {
+                break;
+            }
+        }
+        trainer.finish()
+    }
+}
 
 /// A training run that goes on epoch by epoch, can be saved after each and resumed.
 ///
