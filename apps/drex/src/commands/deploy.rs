@@ -32,7 +32,8 @@ pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
         bail!("there is no grasp to deploy: {reason}");
     }
     let begun = Instant::now();
-    let Deployed { file, limits, done, .. } = deploy(&predictor, &grasp, &options, &stop, ui)?;
+    let Deployed { file, limits, done, .. } =
+        deploy(&predictor, &grasp, &options, &stop, ui).map_err(hw::with_allow_flag)?;
     let mut timing = Timing::of(begun.elapsed().as_secs_f64());
     timing.input = Some(args.grasp.twin_or_policy.clone());
     timing.parts = [("network", grasp.network_ms), ("force", grasp.force_ms)]

@@ -69,9 +69,16 @@ fn setup(hand: &HandArgs) -> Result<Setup> {
 
 /// Refuses to move a hand that is not as it should be, unless that is allowed by name, and notes a warning.
 fn ready_to_move(driver: &mut Driver, allow: &AllowArgs, ui: &Ui) -> Result<()> {
-    let warning = driver.ready_to_move(&allow.kinds()).map_err(|e| anyhow::anyhow!("{e} (--allow)"))?;
+    let warning = driver.ready_to_move(&allow.kinds()).map_err(with_allow_flag)?;
     warning.iter().for_each(|warning| ui.note(warning));
     Ok(())
+}
+
+/// The error, and behind findings that may be allowed the flag that does it.
+pub fn with_allow_flag(error: impl Into<anyhow::Error>) -> anyhow::Error {
+    let error = error.into();
+    let message = format!("{error:#}");
+    if message.contains("allow it by name") { anyhow::anyhow!("{message} (--allow)") } else { error }
 }
 
 /// Is the guard of the program at the standard input.
