@@ -192,7 +192,7 @@ fn by_mass(name: &str, poses: &[Pose<Dual<1>>]) {
     within(name, "no derivative by ln mass", worst, 1e-12);
 }
 
-/// What gravity and contact with fixed things alone move has no derivative by the mass.
+/// What gravity and contact with static bodies alone move has no derivative by the mass.
 #[test]
 fn a_free_toss_does_not_see_the_mass() {
     let mass = parameter::<1>(0.3_f64.ln(), 0).exp();

@@ -128,13 +128,13 @@ fn starts_inside_each_other_name_the_pair_and_the_depth() {
     // Body and table, body and body, body and something fixed.
     let (model, mut state) = cubes(2);
     state.bodies[1].world_from_body = at(0.2, 0.0, -0.2);
-    refused(run(&model, &state), &["body 1", "0.2300 m inside fixed thing 0"]);
+    refused(run(&model, &state), &["body 1", "0.2300 m inside static body 0"]);
     state.bodies[1].world_from_body = at(0.002, 0.0, 0.03);
     refused(run(&model, &state), &["body 0", "inside body 1", "0.058"]);
     let (model, state) = cubes(1);
     let mut scene = Scene::on_table(0.5);
     scene.static_bodies.push(StaticBody::cuboid(Point3::new(0.0, 0.0, 0.05), Vector3::repeat(0.2), 0.5).unwrap());
-    refused(rollout(&model, &scene, &state, &[0.01]), &["body 0", "fixed thing 1"]);
+    refused(rollout(&model, &scene, &state, &[0.01]), &["body 0", "static body 1"]);
     // A body in a mover, a ball in the middle of a box, boxes in each other's middle.
     let mut scene = Scene::on_table(0.5);
     scene.kinematic_bodies.push(KinematicBody::sphere(0.1, 0.5, &[0.0], &[Point3::new(0.0, 0.0, 0.1)]).unwrap());

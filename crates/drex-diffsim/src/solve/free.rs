@@ -1,4 +1,4 @@
-//! One free body against what does not answer: the table, fixed things, things on prescribed paths. Per unit mass of
+//! One free body against what does not answer: the table, static bodies, bodies on prescribed paths. Per unit mass of
 //! the body, so that a mass which cannot be seen leaves no trace, not even in rounding.
 
 use nalgebra::{Matrix3, Vector3};
