@@ -1,0 +1,197 @@
+//! `drex reconstruct`: a scan of a coloured ball, drawn by this test, from photos to depth maps.
+
+use crate::common;
+
+use std::fs;
+use std::path::Path;
+
+use crate::common::drex;
+use drex_splat::io::{picture, read_gaussians};
+use drex_splat::train::from_points;
+use drex_splat::{Capture, CaptureOptions, Cpu, Kind, Label, Orbit, PhotoOptions, Photos, Rasterizer, RenderOptions};
+use nalgebra::Vector3;
+
+const RADIUS: f64 = 0.5;
+
+/// Writes 16 photos of a ball round the origin with their opacity, cameras and sparse points.
+fn write_scan(folder: &Path) {
+    let points: Vec<[f64; 3]> = (0..3000)
+        .map(|i| {
+            let z = 1.0 - 2.0 * (f64::from(i) + 0.5) / 3000.0;
+            let (sin, cos) = (2.4 * f64::from(i)).sin_cos();
+            let r = (1.0 - z * z).sqrt();
+            [r * cos, r * sin, z].map(|v| RADIUS * v)
+        })
+        .collect();
+    let colours: Vec<[u8; 3]> = points.iter().map(|p| p.map(|v| (128.0 + 240.0 * v) as u8)).collect();
+    let ball = from_points(&points, &colours, Kind::Ellipsoid, 0, 0.95);
+    let mut orbit = Orbit::round(&ball, Vector3::z(), 0.3, 0.7, 80, 60).unwrap();
+    let mut frames = Vec::new();
+    for (ring, elevation) in [-0.5, 0.5].into_iter().enumerate() {
+        orbit.elevation = elevation;
+        for (i, camera) in orbit.cameras(8).unwrap().iter().enumerate() {
+            let (render, _) = Cpu.forward(&ball, camera, &RenderOptions::default()).unwrap();
+            let name = format!("images/{ring}{i}.png");
+            picture::write_rgba(&folder.join(&name), 80, 60, &render.rgb, &render.alpha).unwrap();
+            let m = camera.camera_from_world.inverse().to_homogeneous();
+            let row = |r: usize| [m[(r, 0)], -m[(r, 1)], -m[(r, 2)], m[(r, 3)]];
+            frames.push(serde_json::json!({
+                "file_path": name, "transform_matrix": [row(0), row(1), row(2), row(3)],
+                "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy, "w": 80, "h": 60,
+            }));
+        }
+    }
+    let transforms = serde_json::json!({ "ply_file_path": "points.ply", "frames": frames });
+    fs::write(folder.join("transforms.json"), transforms.to_string()).unwrap();
+    let mut ply = "ply\nformat ascii 1.0\nelement vertex 300\nproperty float x\nproperty float y\nproperty float z\n\
+                   property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n"
+        .to_owned();
+    for p in points.iter().step_by(10) {
+        ply += &format!("{} {} {} 128 128 128\n", p[0], p[1], p[2]);
+    }
+    fs::write(folder.join("points.ply"), ply).unwrap();
+}
+
+fn reconstruct(scan: &Path, out: &Path, options: &[&str]) -> common::Run {
+    let mut arguments =
+        vec!["reconstruct".to_owned(), scan.display().to_string(), "--out".into(), out.display().to_string()];
+    arguments.extend(["--json", "--preset", "fast", "--hold-out", "4"].map(str::to_owned));
+    arguments.extend(options.iter().map(|&o| o.to_owned()));
+    drex(arguments)
+}
+
+#[test]
+fn photos_become_both_sets_and_depth_maps() {
+    let dir = tempfile::tempdir().unwrap();
+    let (scan, out) = (dir.path().join("scan"), dir.path().join("twin"));
+    write_scan(&scan);
+    let run = reconstruct(&scan, &out, &["--iterations", "1000", "--checkpoint-every", "300", "--also", "spz"]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let json = run.json();
+    assert_eq!((json["photos_trained"].as_u64(), json["photos_held_out"].as_u64()), (Some(12), Some(4)));
+    assert_eq!(json["object_only"].as_bool(), Some(true));
+    for (set, least) in [("appearance", 23.0), ("surface", 21.0)] {
+        let rows = json[set]["held_out"]["rows"].as_array().unwrap();
+        let psnr = rows.iter().map(|r| r["psnr"].as_f64().unwrap()).sum::<f64>() / 4.0;
+        assert!(psnr > least, "{set}: {psnr:.1} dB");
+        let gaussians = read_gaussians(&out.join(format!("splat/{set}.ply")), Kind::Ellipsoid).unwrap();
+        assert_eq!(json[set]["gaussians"].as_u64(), Some(gaussians.len() as u64));
+        assert!(gaussians.labels.iter().all(|l| *l == Label::OBJECT));
+        let small = read_gaussians(&out.join(format!("splat/{set}.spz")), Kind::Ellipsoid).unwrap();
+        assert_eq!(small.len(), gaussians.len());
+        assert!(!out.join(format!("splat/{set}.checkpoint")).exists());
+    }
+    assert!(out.join("splat/report.json").exists());
+
+    // The maps are a capture of their own, and show the ball where it is: the middle pixel sees its near side.
+    let maps = Capture::load(&out.join("depth"), &CaptureOptions::default()).unwrap();
+    assert_eq!(maps.views.len(), 16);
+    assert!(maps.unregistered.is_empty(), "{:?}", maps.unregistered);
+    let photos = Photos::new(&maps, PhotoOptions::default()).unwrap();
+    for (i, view) in maps.views.iter().enumerate() {
+        let camera = maps.pinhole(i, None).unwrap();
+        let depth = {
+            let path = view.depth.as_ref().unwrap();
+            drex_core::npy::parse_npy(path, &fs::read(path).unwrap()).unwrap()
+        };
+        assert_eq!(depth.shape, [60, 80]);
+        let centre = depth.numbers().unwrap()[30 * 80 + 40];
+        let expected = camera.centre().coords.norm() - RADIUS;
+        assert!((centre - expected).abs() < 0.1 * RADIUS, "{}: {centre} for {expected}", view.name);
+        assert_eq!(depth.numbers().unwrap()[0], 0.0, "a corner shows nothing");
+        let normal = photos.get(i).unwrap().normal.as_ref().unwrap()[30 * 80 + 40];
+        assert!(normal[2] < -0.8, "{}: the middle faces the camera: {normal:?}", view.name);
+    }
+}
+
+#[test]
+fn a_stopped_run_goes_on_to_the_same_files() {
+    let dir = tempfile::tempdir().unwrap();
+    let scan = dir.path().join("scan");
+    write_scan(&scan);
+    let (whole, stopped) = (dir.path().join("whole"), dir.path().join("stopped"));
+    let options = ["--iterations", "60", "--checkpoint-every", "25"];
+    assert_eq!(reconstruct(&scan, &whole, &options).code, 0);
+    // Stopped by the system: what is left is a checkpoint (or, on a fast machine, nothing or all of it).
+    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_drex"))
+        .args([
+            "reconstruct",
+            scan.to_str().unwrap(),
+            "--out",
+            stopped.to_str().unwrap(),
+            "--preset",
+            "fast",
+            "--hold-out",
+            "4",
+        ])
+        .args(options)
+        .stderr(std::process::Stdio::null())
+        .stdout(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    for _ in 0..2000 {
+        if stopped.join("splat/appearance.checkpoint").exists() || stopped.join("splat/appearance.ply").exists() {
+            break;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    if stopped.join("splat/appearance.checkpoint").exists() {
+        let other = reconstruct(&scan, &stopped, &["--iterations", "61", "--resume"]);
+        other.fails_with(&["appearance.checkpoint", "other settings"]);
+    }
+    assert_eq!(reconstruct(&scan, &stopped, &[&options[..], &["--resume", "--threads", "1"]].concat()).code, 0);
+    for set in ["appearance", "surface"] {
+        let file = format!("splat/{set}.ply");
+        assert_eq!(fs::read(whole.join(&file)).unwrap(), fs::read(stopped.join(&file)).unwrap(), "{set}");
+    }
+}
+
+#[test]
+fn a_whole_scene_is_labelled_by_its_masks() {
+    let dir = tempfile::tempdir().unwrap();
+    let (scan, out) = (dir.path().join("scan"), dir.path().join("twin"));
+    write_scan(&scan);
+    let run = reconstruct(&scan, &out, &["--iterations", "30", "--whole-scene"]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    assert_eq!(run.json()["object_only"].as_bool(), Some(false));
+    let set = read_gaussians(&out.join("splat/appearance.ply"), Kind::Ellipsoid).unwrap();
+    // Everything there is lies on the ball, in sight of all cameras.
+    let object = set.labels.iter().filter(|l| **l == Label::OBJECT).count();
+    assert!(object * 10 > set.len() * 9, "{object} of {}", set.len());
+}
+
+#[test]
+fn what_is_missing_is_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("twin");
+    let run = reconstruct(&dir.path().join("nowhere"), &out, &[]);
+    assert_eq!(run.code, 1);
+    assert!(run.stderr.contains("nowhere"), "{}", run.stderr);
+
+    let scan = dir.path().join("scan");
+    write_scan(&scan);
+    let run = reconstruct(&scan, &out, &["--hold-out", "1"]);
+    assert!(run.stderr.contains("held out") || run.stderr.contains("hold-out"), "{}", run.stderr);
+    reconstruct(&scan, &out, &["--max-gaussians", "0"]).fails_with(&["max_gaussians is 0"]);
+    reconstruct(&scan, &out, &["--max-side", "0"]).fails_with(&["0 pixels"]);
+    let file = fs::read_to_string(scan.join("transforms.json")).unwrap();
+    let mut one: serde_json::Value = serde_json::from_str(&file).unwrap();
+    one["frames"].as_array_mut().unwrap().truncate(1);
+    fs::write(scan.join("transforms.json"), one.to_string()).unwrap();
+    drex(["reconstruct", scan.to_str().unwrap(), "--out", out.to_str().unwrap()])
+        .fails_with(&["photos to train on: 1"]);
+    fs::write(scan.join("transforms.json"), file).unwrap();
+    fs::create_dir(scan.join("masks")).unwrap();
+    for i in 0..16 {
+        let mask = scan.join(format!("masks/{}{}.png", i / 8, i % 8));
+        picture::write_alpha(&mask, 80, 60, &[0.0; 80 * 60]).unwrap();
+    }
+    reconstruct(&scan, &out, &[]).fails_with(&["photos left to train on: 0", "00.png: its mask is empty"]);
+    fs::remove_file(scan.join("transforms.json")).unwrap();
+    let run = reconstruct(&scan, &out, &["--colmap", "no-such-colmap"]);
+    assert_eq!(run.code, 1);
+    assert!(run.stderr.contains("no-such-colmap") && run.stderr.contains("install"), "{}", run.stderr);
+    assert!(!out.exists(), "nothing half-written");
+}
