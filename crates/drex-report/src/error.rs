@@ -17,8 +17,8 @@ pub enum Error {
     #[error(transparent)]
     Core(#[from] drex_core::Error),
     /// A record cannot be put into the page.
-    #[error(transparent)]
-    Json(#[from] serde_json::Error),
+    #[error("{0}")]
+    Json(String),
     /// The hand's model cannot be read.
     #[error(transparent)]
     Robot(#[from] drex_robot::Error),
@@ -30,5 +30,5 @@ pub enum Error {
     Splat(#[from] drex_splat::Error),
     /// A picture cannot be encoded.
     #[error("cannot encode the picture as PNG: {0}")]
-    Png(image::ImageError),
+    Png(String),
 }

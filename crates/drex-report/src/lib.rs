@@ -1,6 +1,6 @@
 //! The report of a twin: one page with plots, pictures and a viewer, and the same findings for a terminal.
 //!
-//! [`write`] is the last stage of a pipeline, [`findings`] what a run found in words and as JSON. [`picture`] draws meshes, hands
+//! [`write()`] is the last stage of a pipeline, [`findings`] what a run found in words and as JSON. [`picture`] draws meshes, hands
 //! and plots without a GPU, fonts or a network.
 
 mod error;

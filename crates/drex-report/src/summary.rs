@@ -18,8 +18,8 @@ use drex_twin::{Stage, Twin, records as files};
 pub struct Findings {
     /// For the terminal.
     pub text: String,
-    /// For `--json`.
-    pub json: Map<String, Value>,
+    /// One JSON object.
+    pub json: String,
 }
 
 /// Reads back what the stages up to `last` wrote.
@@ -122,7 +122,7 @@ pub fn findings(twin: &Twin, last: Stage) -> Result<Findings> {
         text += &format!("  report     {}", path.display());
         found.insert("report".into(), json!(path));
     }
-    Ok(Findings { text, json: found })
+    Ok(Findings { text, json: Value::Object(found).to_string() })
 }
 
 /// "3 of 8".

@@ -406,6 +406,10 @@ mod tests {
         }
     }
 
+    fn sphere() -> Collider {
+        Collider::new(&[Geom::new(Shape::Sphere { radius_m: RADIUS_M })]).unwrap()
+    }
+
     /// The index finger and the thumb at opposite sides of a ball; the others touch nothing.
     fn pinch() -> (Trial, ClosingPlan) {
         pinch_of(Robot::bundled("leap_right").unwrap())
@@ -416,10 +420,9 @@ mod tests {
             MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia: Matrix3::identity() * 3.6e-4 };
         let rest = Pose::translation(0.0, 0.0, RADIUS_M);
         let ball = Object::convex(TriMesh::default(), Arc::new(Ball), properties, rest);
-        let sphere = Collider::new(&[Geom::new(Shape::Sphere { radius_m: RADIUS_M })]).unwrap();
         let hand = Arc::new(hand);
         let joints = vec![0.0; hand.dof()];
-        let trial = Trial::with_collider(hand, ball, sphere, TrialOptions::default()).unwrap();
+        let trial = Trial::with_collider(hand, ball, sphere(), TrialOptions::default()).unwrap();
         // Where the palm is makes torques, not forces: beside the ball they are small.
         let world_from_palm = Pose::translation(0.0, 0.0, RADIUS_M);
         let touching = trial.surface.fingers[..2].iter().zip([1.0, -1.0]).map(|(finger, side)| {
@@ -495,7 +498,8 @@ mod tests {
         let mut silent = allegro;
         (silent.joints[3].effort_limit, silent.actuators[3].force_range) = (None, None);
         let ball = pinch().0.object;
-        let Err(error) = Trial::new(Arc::new(silent), ball, TrialOptions::default()) else { panic!("taken") };
+        let trial = Trial::with_collider(Arc::new(silent), ball, sphere(), TrialOptions::default());
+        let Err(error) = trial else { panic!("taken") };
         assert!(error.to_string().contains("\"allegro_right\"") && error.to_string().contains("ffj3"), "{error}");
     }
 

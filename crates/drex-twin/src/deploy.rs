@@ -328,6 +328,6 @@ fn write(
         None if predictor.folder.ends_with("policy/network") => predictor.folder.with_file_name("deploy.json"),
         None => predictor.folder.join("deploy.json"),
     };
-    fsutil::write_atomic(&out, &serde_json::to_vec_pretty(&deployment)?)?;
+    fsutil::write_atomic(&out, &serde_json::to_vec_pretty(&deployment).map_err(crate::Error::json)?)?;
     Ok(out)
 }

@@ -28,8 +28,8 @@ pub enum Error {
     #[error(transparent)]
     Io(#[from] std::io::Error),
     /// A record is not what drex writes.
-    #[error(transparent)]
-    Json(#[from] serde_json::Error),
+    #[error("{0}")]
+    Json(String),
     /// The hand's model is not usable.
     #[error(transparent)]
     Robot(#[from] drex_robot::Error),
@@ -60,6 +60,13 @@ pub enum Error {
     /// The report cannot be written; reporters are handed in, see [`crate::RunOptions::report`].
     #[error("the report cannot be written")]
     Report(#[source] Box<dyn std::error::Error + Send + Sync>),
+}
+
+impl Error {
+    /// A record that cannot be written or read as JSON. No `From`: it would show serde_json in the interface.
+    pub(crate) fn json(error: serde_json::Error) -> Self {
+        Self::Json(error.to_string())
+    }
 }
 
 /// Says what was being done when something failed, or what is missing.

@@ -48,7 +48,7 @@ impl Inputs {
     /// Adds settings.
     pub fn setting(mut self, name: &str, value: &impl Serialize) -> Result<Self> {
         self.0.update(name);
-        self.0.update(serde_json::to_vec(value)?);
+        self.0.update(serde_json::to_vec(value).map_err(Error::json)?);
         Ok(self)
     }
 

@@ -402,7 +402,7 @@ pub struct ExecutionFile {
 
 /// Writes a value as indented JSON.
 pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
-    let mut text = serde_json::to_vec_pretty(value)?;
+    let mut text = serde_json::to_vec_pretty(value).map_err(crate::Error::json)?;
     text.push(b'\n');
     fsutil::write_atomic(path, &text)?;
     Ok(())
@@ -416,5 +416,6 @@ pub fn read_json_if_there<T: DeserializeOwned>(path: &Path) -> Result<Option<T>>
 /// Reads what [`write_json`] wrote.
 pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
     serde_json::from_slice(&fsutil::read_bytes(path)?)
+        .map_err(crate::Error::json)
         .with_context(|| format!("{} is not what drex wrote there; delete it and run again", path.display()))
 }

@@ -56,7 +56,7 @@ pub fn run(args: &DemoArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     let truth: Value = serde_json::from_str(TRUTH).context("the bundled truth.json is damaged")?;
     let mut answer = json!(summary);
     if let Some(object) = answer.as_object_mut() {
-        object.extend(findings.json);
+        object.extend(serde_json::from_str::<serde_json::Map<_, _>>(&findings.json)?);
         object.insert("simulated_mass_kg".into(), truth["mass_kg"].clone());
         object.insert("true_volume_cm3".into(), truth["volume_cm3"].clone());
     }

@@ -15,7 +15,7 @@ pub fn run(args: &TwinArgs, last: Stage, again: bool, seed: Option<u64>, ui: &Ui
     let findings = drex_report::findings(&twin, last)?;
     let mut answer = json!(summary);
     if let Some(object) = answer.as_object_mut() {
-        object.extend(findings.json);
+        object.extend(serde_json::from_str::<serde_json::Map<_, _>>(&findings.json)?);
     }
     ui.answer(&answer, findings.text)
 }

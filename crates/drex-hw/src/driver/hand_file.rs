@@ -6,7 +6,7 @@ use std::path::Path;
 use drex_core::fsutil;
 use serde::{Deserialize, Serialize};
 
-use super::{HandKind, Side};
+use super::kind::{HandKind, Side};
 use crate::allegro::{AllegroOptions, AllegroVersion};
 use crate::leap::LeapOptions;
 use crate::leap::table::MotorModel;

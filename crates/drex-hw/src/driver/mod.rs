@@ -2,6 +2,7 @@
 
 mod grasp;
 mod hand_file;
+mod kind;
 mod run;
 mod scene;
 mod setup;
@@ -11,9 +12,10 @@ use std::time::Duration;
 
 pub use grasp::{ContactRecord, GraspResult, grasp, grasp_emulated};
 pub use hand_file::{HandFile, JointEntry};
+pub use kind::{HandKind, Side};
 pub use run::{Run, run_logged};
 pub use scene::{allegro_scene, leap_scene};
-pub use setup::{HandKind, Setup, SetupOptions, Side};
+pub use setup::{Setup, SetupOptions};
 
 use crate::allegro::AllegroHand;
 use crate::can::{CanBus, Slcan, is_interface};

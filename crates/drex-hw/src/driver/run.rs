@@ -47,7 +47,7 @@ pub fn run_logged(
     options.torque_off = how.torque_off;
     let Some(log) = how.log else {
         let report = run(hand, controller, clock, options);
-        return ended(report, hand);
+        return checked(report, hand);
     };
     let (names, unit) = (hand.joints().to_vec(), hand.effort_unit());
     // Under its name only when it is whole.
@@ -64,11 +64,11 @@ pub fn run_logged(
         }
     })?;
     std::fs::rename(&part, log).map_err(|e| drex_core::Error::io("write", log, e))?;
-    ended(report, hand)
+    checked(report, hand)
 }
 
 /// A loop that did what it should, with all joints at the end and no hardware error on the way.
-fn ended(report: LoopReport, hand: &dyn Hand) -> Result<LoopReport> {
+fn checked(report: LoopReport, hand: &dyn Hand) -> Result<LoopReport> {
     let joints = hand.joints();
     let off = off(&report);
     if report.torque_off.is_err() {

@@ -5,7 +5,8 @@ use std::path::Path;
 use nalgebra::{Point3, Unit, Vector3};
 use serde::Serialize;
 
-use super::model::{ContactConfig, JointConfig, joint_tree};
+use super::contact::ContactConfig;
+use super::joints::{JointConfig, joint_tree};
 use drex_core::{MassProperties, Pose, TriMesh};
 
 use super::{Asset, AssetOptions, AssetReport, asset_from_mesh, rest_on_table, rows};

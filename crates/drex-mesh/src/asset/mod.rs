@@ -1,6 +1,8 @@
 //! From a mesh file to a simulation asset: visual mesh, collision pieces, mass properties, MJCF and URDF.
 
 mod articulated;
+mod contact;
+mod joints;
 mod model;
 mod object;
 mod options;
@@ -17,7 +19,8 @@ use drex_core::{MassProperties, Pose, PoseRecord, TriMesh};
 pub use self::articulated::{ArticulatedAsset, ArticulatedReport, Part, articulated_asset};
 pub use self::model::{Background, SceneOptions};
 pub use self::options::{AssetOptions, LengthUnit, UpSource};
-pub use model::{ContactConfig, JointConfig, JointKind, PartConfig, joint_tree};
+pub use contact::ContactConfig;
+pub use joints::{JointConfig, JointKind, PartConfig, joint_tree};
 pub use object::read_object;
 
 use crate::bvh::Aabb;

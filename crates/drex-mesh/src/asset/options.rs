@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use super::model::ContactConfig;
+use super::contact::ContactConfig;
 
 use crate::partition::PartitionOptions;
 use crate::repair::RepairOptions;

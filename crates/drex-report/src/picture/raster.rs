@@ -53,7 +53,7 @@ pub fn render_png(parts: &[Part<'_>], view: &View) -> Result<Vec<u8>> {
 /// A picture as a PNG file in memory.
 pub(super) fn encode_png(picture: &RgbImage) -> Result<Vec<u8>> {
     let mut png = Cursor::new(Vec::new());
-    picture.write_to(&mut png, ImageFormat::Png).map_err(Error::Png)?;
+    picture.write_to(&mut png, ImageFormat::Png).map_err(|e| Error::Png(e.to_string()))?;
     Ok(png.into_inner())
 }
 

@@ -2,13 +2,12 @@
 
 use std::fmt::Write;
 
-use super::{JointConfig, JointKind};
 use nalgebra::{Point3, Vector3};
 
 use super::mjcf::{TABLE, defaults, free_body, header, keyframes, link_content, meshes};
 use super::urdf::link_element;
 use super::{Link, numbers};
-use crate::asset::ArticulatedAsset;
+use crate::asset::{ArticulatedAsset, JointConfig, JointKind};
 
 /// MJCF: one tree of bodies, all with the mesh's frame at the joints' zero, a free joint at the root.
 pub(crate) fn mjcf(asset: &ArticulatedAsset) -> String {

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::contact::ContactConfig;
+use crate::asset::ContactConfig;
 use drex_core::Pose;
 
 use super::{Link, numbers, place, pos_quat};

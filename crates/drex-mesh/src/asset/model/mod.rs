@@ -1,9 +1,7 @@
 //! Assets as text and bytes of other programs: MJCF, URDF, GLB.
 
 mod articulated;
-mod contact;
 mod glb;
-mod joints;
 mod mjcf;
 mod scene;
 mod urdf;
@@ -12,9 +10,7 @@ use drex_core::{MassProperties, Pose};
 use nalgebra::Point3;
 
 pub(crate) use articulated::{mjcf as articulated_mjcf, urdf as articulated_urdf};
-pub use contact::ContactConfig;
 pub(crate) use glb::glb;
-pub use joints::{JointConfig, JointKind, PartConfig, joint_tree};
 pub(crate) use mjcf::mjcf;
 pub use scene::{Background, SceneOptions};
 pub(crate) use scene::{background_files, scene};
