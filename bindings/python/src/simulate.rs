@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use drex_core::Pose;
 use drex_diffsim::{
-    ActuatorKind, AppliedForce, Articulation, Base, Body, BodyState, Collider, Control, ConvexPolyhedron, Dual, StaticBody,
-    ForcePoint, Model, Part, Path, Record, Scalar, Scene, State, parameter, rollout,
+    ActuatorKind, AppliedForce, Articulation, Base, Body, BodyState, Collider, Control, ConvexPolyhedron, Dual,
+    ForcePoint, Model, Part, Path, Record, Scalar, Scene, State, StaticBody, parameter, rollout,
 };
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use numpy::{PyArray1, PyArray2};
