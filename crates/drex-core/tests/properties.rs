@@ -136,12 +136,12 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(10_000))]
 
     #[test]
-    fn readers_survive_arbitrary_bytes(reader in 0..5usize, bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+    fn readers_survive_arbitrary_bytes(reader in 0..SAMPLES.len(), bytes in prop::collection::vec(any::<u8>(), 0..400)) {
         let _ = read_with(reader, &bytes);
     }
 
     #[test]
-    fn readers_survive_damaged_files(reader in 0..5usize, edits in edits()) {
+    fn readers_survive_damaged_files(reader in 0..SAMPLES.len(), edits in edits()) {
         let mut bytes = SAMPLES[reader].to_vec();
         for (at, kind, token) in edits {
             let at = at % (bytes.len() + 1);

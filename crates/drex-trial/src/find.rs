@@ -5,7 +5,9 @@ use std::sync::Arc;
 use drex_core::Object;
 use drex_grasp::{Grasp, synthesize_grasps};
 use drex_robot::Robot;
+use rayon::prelude::*;
 
+use crate::types::check_mass_and_friction;
 use crate::{
     ConditionSpread, Engine, Evaluator, GripForce, Interval, Result, SelectionOptions, TrialEvaluator, TrialOptions,
     Verdict, select_grasps, wilson,
@@ -56,9 +58,10 @@ pub struct TriedGrasp {
 /// Finds a grasp of the object by the hand that holds in simulation; `None` if none does. The same for any number of threads.
 ///
 /// # Errors
-/// If the hand has no thumb, finger or collision shapes, its model does not say what its motors give, or the object cannot be
+/// If the mass or friction of the object is none, the hand has no thumb, finger or collision shapes, its model does not say what its motors give, or the object cannot be
 /// simulated.
 pub fn find_grasp(object: &Object, hand: &Robot, options: &FindOptions) -> Result<Option<TriedGrasp>> {
+    check_mass_and_friction(object.mass_kg(), object.friction)?;
     let hand = Arc::new(hand.clone());
     let evaluator = TrialEvaluator::new(object, &hand, &options.trial, Engine::Diffsim)?;
     let grasps = synthesize_grasps(object, &hand, options.candidates, object.friction, options.seed)?;
@@ -72,19 +75,24 @@ pub fn find_grasp(object: &Object, hand: &Robot, options: &FindOptions) -> Resul
     let selected = select_grasps(object, &hand, &grasps, &evaluator, &[object.mass_kg()], &selection)?;
     let Some(best) = selected.grasps.into_iter().find(|g| g.scores.iter().any(|s| *s > 0.0)) else { return Ok(None) };
     let grasp = best.grasp;
-    let mut verdicts = Vec::with_capacity(options.trials);
-    let mut grip_force_n = None;
-    for condition in spread.conditions(options.trials, options.seed ^ FIND_SEED) {
-        let assumed = condition.assumed(object.mass_kg());
-        let closed = evaluator.close(&grasp.joints_rad, &grasp.object_from_base, &assumed)?;
-        verdicts.push(match evaluator.command(&closed, &assumed, GripForce::Required)? {
-            Ok(command) => {
-                grip_force_n.get_or_insert(command.squeeze_n);
-                evaluator.evaluate(&command, &condition.truth(object.mass_kg()))?.verdict
-            }
-            Err(reason) => reason.verdict(),
-        });
-    }
+    let mass_kg = object.mass_kg();
+    let conditions = spread.conditions(options.trials, options.seed ^ FIND_SEED);
+    let tried: Vec<(Option<f64>, Verdict)> = conditions
+        .into_par_iter()
+        .map(|condition| {
+            let assumed = condition.assumed(mass_kg);
+            let closed = evaluator.close(&grasp.joints_rad, &grasp.object_from_base, &assumed)?;
+            Ok(match evaluator.command(&closed, &assumed, GripForce::Required)? {
+                Ok(command) => {
+                    let verdict = evaluator.evaluate(&command, &condition.truth(mass_kg))?.verdict;
+                    (Some(command.squeeze_n), verdict)
+                }
+                Err(reason) => (None, reason.verdict()),
+            })
+        })
+        .collect::<Result<_>>()?;
+    let grip_force_n = tried.iter().find_map(|(force, _)| *force);
+    let verdicts: Vec<Verdict> = tried.into_iter().map(|(_, verdict)| verdict).collect();
     let held = verdicts.iter().filter(|v| **v == Verdict::Success).count();
     let interval = wilson(held, verdicts.len());
     Ok(grip_force_n.map(|grip_force_n| TriedGrasp { grasp, grip_force_n, held, verdicts, interval }))
