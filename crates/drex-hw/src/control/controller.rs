@@ -64,7 +64,7 @@ impl<B: Controller + ?Sized> Controller for Box<B> {
     }
 }
 
-/// Keeps the joints where they are at first; with a limp hand ([`ControlOptions::limp`](super::ControlOptions::limp)) it watches.
+/// Keeps the joints where they are at first; with the torque off ([`ControlOptions::torque_off`](super::ControlOptions::torque_off)) it watches.
 #[derive(Debug, Clone)]
 pub struct HoldPosition {
     seconds: f64,
