@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use drex_core::twin::RecordedAs;
 use drex_demo::{Demonstration, KEYPOINTS, KeyPoints, LoadOptions};
+use drex_twin::manifest::RecordedAs;
 use nalgebra::Point3;
 use re_sdk_types::archetypes::{LineStrips3D, Points3D};
 use re_sdk_types::components::LineStrip3D;

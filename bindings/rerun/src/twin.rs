@@ -3,10 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use drex_core::twin::{ASSUMED_FRICTION, TwinManifest};
+use drex_core::ASSUMED_FRICTION;
 use drex_core::{Pose, TriMesh, fsutil, pose};
 use drex_mesh::{MeshSdf, Similarity};
 use drex_robot::Robot;
+use drex_twin::manifest::TwinManifest;
 use nalgebra::{Matrix4, Similarity3, Translation3};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer};

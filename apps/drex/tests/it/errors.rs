@@ -27,7 +27,7 @@ const CASES: &[Case] = &[
     ("identify", &["tin/push/tilt", "--guess", "unobtainium"], 1, &["unobtainium", "choose one of", "cork"]),
     ("identify", &["tin/push/tilt", "--free", "speed"], 2, &["speed", "choose one of mass, friction"]),
     ("plan-push", &["tin/scan/tin.obj"], 1, &["state what the robot pushes with", "--max-force"]),
-    ("calibrate-hand", &["empty", "--out", "new"], 1, &["empty", "give folders of runs"]),
+    ("calibrate-hand", &["empty", "--out", "new"], 1, &["empty", "give folders of pushes"]),
     ("calibrate-hand", &["tin/push", "--out", "new"], 1, &["tilt was not pushed by a logged hand", "give runs with"]),
     ("render", &["tin/scan/tin.obj", "--out", "new"], 1, &["tin.obj", "use .ply, .spz or .splat"]),
     ("render", &["photos/points.ply", "--out", "new"], 1, &["points.ply", "may be a mesh or a point cloud"]),
