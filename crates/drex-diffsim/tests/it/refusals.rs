@@ -135,7 +135,7 @@ fn starts_inside_each_other_name_the_pair_and_the_depth() {
     // A body in a mover, a ball in the middle of a box, boxes in each other's middle.
     let mut scene = Scene::on_table(0.5);
     scene.kinematic_bodies.push(KinematicBody::sphere(0.1, 0.5, &[0.0], &[Point3::new(0.0, 0.0, 0.1)]).unwrap());
-    refused(rollout(&model, &scene, &state, &[0.01]), &["body 0", "mover 0"]);
+    refused(rollout(&model, &scene, &state, &[0.01]), &["body 0", "kinematic body 0"]);
     for inner in [ball(0.02, 0.1), cuboid(Vector3::repeat(0.02), 0.1), cuboid(Vector3::repeat(0.1), 0.1)] {
         let model = Model::new(vec![cuboid(Vector3::repeat(0.1), 1.0), inner]);
         refused(run(&model, &resting(&[at(0.0, 0.0, 0.1), at(0.0, 0.0, 0.1)])), &["body 0", "body 1"]);

@@ -60,7 +60,8 @@ pub fn read_object(out: &Path, name: &str) -> Result<Object> {
         center_of_mass_m: [f64; 3],
         inertia_kg_m2: [[f64; 3]; 3],
         world_from_mesh_at_rest: PoseRecord,
-        pieces: usize,
+        #[serde(rename = "pieces")]
+        convex_parts: usize,
     }
     let report = out.join("mesh/report.json");
     let written: Written = from_json(&report, &read_text(&report)?)?;
@@ -68,7 +69,7 @@ pub fn read_object(out: &Path, name: &str) -> Result<Object> {
     let part = |k: usize| Ok(read_mesh(&out.join(write::part_file("", k)))?.vertices);
     Ok(Object {
         name: name.to_owned(),
-        convex_parts: Arc::new((0..written.pieces).map(part).collect::<Result<_>>()?),
+        convex_parts: Arc::new((0..written.convex_parts).map(part).collect::<Result<_>>()?),
         mass_properties: MassProperties {
             mass_kg: written.mass_kg,
             center_of_mass: Point3::from(written.center_of_mass_m),

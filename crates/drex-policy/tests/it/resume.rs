@@ -97,7 +97,7 @@ fn killed_by_the_system_it_goes_on_to_the_same_bytes() {
     }
     let folder = tempfile::tempdir().unwrap();
     let mut child = Command::new(std::env::current_exe().unwrap())
-        .args(["--exact", "killed_by_the_system_it_goes_on_to_the_same_bytes"])
+        .args(["--exact", "resume::killed_by_the_system_it_goes_on_to_the_same_bytes"])
         .env(CHILD, folder.path())
         .stdout(Stdio::null())
         .spawn()
