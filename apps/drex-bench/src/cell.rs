@@ -1,4 +1,4 @@
-//! One cell of a table: who grasps, what the hand is told, how hard it squeezes; and the rollouts of it.
+//! One cell of a table: who grasps, what the hand is told, how hard it grips; and the rollouts of it.
 
 use drex_core::stats::upper_median;
 use std::collections::BTreeMap;
@@ -30,7 +30,7 @@ pub enum AssumedMass {
     Always(f64),
 }
 
-/// How hard the hand squeezes.
+/// How hard the hand grips.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Force {
     /// As the actor says.
@@ -86,9 +86,10 @@ pub struct Row {
     pub failures: BTreeMap<String, usize>,
     /// Share of the rollouts in which any grasp of the library could hold on paper.
     pub bound: f64,
-    /// Median commanded squeeze, N, over rollouts with a command.
-    pub median_squeeze_n: Option<f64>,
-    /// Median of the squeeze that was delivered in the hold, N, over rollouts that came so far.
+    /// Median commanded grip force, N, over rollouts with a command.
+    #[serde(rename = "median_squeeze_n")]
+    pub median_grip_force_n: Option<f64>,
+    /// Median of the grip force that was delivered in the hold, N, over rollouts that came so far.
     pub median_delivered_n: Option<f64>,
     /// The same commands under the same conditions in both engines, where that was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -134,7 +135,7 @@ impl<E: Evaluator> Cell<'_, E> {
             interval: wilson(successes, n),
             failures,
             bound: within as f64 / n.max(1) as f64,
-            median_squeeze_n: upper_median(judged.iter().map(|j| j.squeeze_n).filter(|s| *s > 0.0)),
+            median_grip_force_n: upper_median(judged.iter().map(|j| j.grip_force_n).filter(|s| *s > 0.0)),
             median_delivered_n: upper_median(judged.iter().filter_map(|j| j.held_n)),
             agreement,
             held,
@@ -142,7 +143,7 @@ impl<E: Evaluator> Cell<'_, E> {
     }
 
     /// The proposals at the mean of the masses and frictions, each with the hand closed on the object. Mass and friction change what the
-    /// network thinks of a grasp and how hard it squeezes; where the hand goes is asked once for a cell.
+    /// network thinks of a grasp and how hard it grips; where the hand goes is asked once for a cell.
     fn grips(&self, conditions: &[Condition]) -> Result<Vec<(Proposal, E::Closed)>> {
         let mean = conditions.iter().map(|c| c.friction).sum::<f64>() / conditions.len().max(1) as f64;
         let mass_kg = match self.setting.choice {
@@ -181,17 +182,17 @@ impl<E: Evaluator> Cell<'_, E> {
             Choice::AssumedMass => assumed,
             Choice::True => condition.assumed(self.setting.mass_kg),
         };
-        // The grips at this friction: how probable each is and how hard it squeezes where it is chosen, and how hard for what is told.
+        // The grips at this friction: how probable each is and how hard it grips where it is chosen, and how hard for what is told.
         let mut order: Vec<(f64, [f64; 2], &E::Closed)> = match self.actor {
             Actor::Policy(policy, points, up) => {
                 let (by, told) = (policy.propose(points, up, &chosen_for)?, policy.propose(points, up, &assumed)?);
                 let ask = |(p, grip)| {
                     let (by, told) = (nearest(&by, p).unwrap_or(p), nearest(&told, p).unwrap_or(p));
-                    (by.weight, [by.squeeze_n, told.squeeze_n], grip)
+                    (by.weight, [by.grip_force_n, told.grip_force_n], grip)
                 };
                 grips.iter().map(|(p, grip)| ask((p, grip))).collect()
             }
-            Actor::Always(_) => grips.iter().map(|(p, grip)| (p.weight, [p.squeeze_n; 2], grip)).collect(),
+            Actor::Always(_) => grips.iter().map(|(p, grip)| (p.weight, [p.grip_force_n; 2], grip)).collect(),
         };
         rank::sort(&mut order, |o| o.0, |o| o.1[0]);
         let mut reason = NoCommand::NoContact { touching: 0 };
@@ -208,18 +209,18 @@ impl<E: Evaluator> Cell<'_, E> {
 
     fn command(
         &self,
-        squeeze_n: f64,
+        grip_force_n: f64,
         grip: &E::Closed,
         assumed: &Assumed,
         condition: &Condition,
     ) -> Result<Result<E::Command, NoCommand>> {
         let oracle = Assumed { mass_kg: self.setting.mass_kg, friction: condition.friction };
-        let (assumed, squeeze) = match self.setting.force {
-            Force::Actor => (assumed, GripForce::Total(squeeze_n)),
+        let (assumed, grip_force) = match self.setting.force {
+            Force::Actor => (assumed, GripForce::Total(grip_force_n)),
             Force::Law => (assumed, GripForce::Required),
             Force::Oracle => (&oracle, GripForce::Required),
         };
-        Ok(self.evaluator.command(grip, assumed, squeeze)?)
+        Ok(self.evaluator.command(grip, assumed, grip_force)?)
     }
 }
 
@@ -281,7 +282,7 @@ mod tests {
         let proposal = |strongest_n: f64, weight: f64| Proposal {
             joints: vec![strongest_n],
             object_from_base: Pose::identity(),
-            squeeze_n: 0.0,
+            grip_force_n: 0.0,
             weight,
         };
         // 100 g take 4.5 N at the lowest friction that is told, 300 g 13.

@@ -127,7 +127,7 @@ pub struct GraspArgs {
     /// Grasps that are practised in the simulator before they are learned, those that need least force; 0: none.
     #[arg(long, value_name = "N", default_value_t = 100)]
     pub practice: u32,
-    /// Factor on the squeeze that just survives the shakes; 1 leaves nothing for errors of mass, contacts and motors.
+    /// Factor on the grip force that just survives the shakes; 1 leaves nothing for errors of mass, contacts and motors.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.25, value_parser = margin)]
     pub margin: f64,
     /// Carry every command out in drex-diffsim as well, and say how often the two engines agree.

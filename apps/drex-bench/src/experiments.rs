@@ -413,7 +413,7 @@ fn mean_grasp(grasps: &[Grasp]) -> Result<Proposal> {
     Ok(Proposal {
         joints,
         object_from_base: Pose::from_parts(Translation3::from(at), rotation),
-        squeeze_n: 0.0,
+        grip_force_n: 0.0,
         weight: 1.0,
     })
 }
@@ -423,7 +423,7 @@ fn nearest_grasp(grasps: &[Grasp]) -> Result<Proposal> {
     let mean = mean_grasp(grasps)?;
     let far = |g: &Grasp| g.joints_rad.iter().zip(&mean.joints).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
     let g = grasps.iter().min_by(|a, b| far(a).total_cmp(&far(b))).context("there is no grasp")?;
-    Ok(Proposal { joints: g.joints_rad.clone(), object_from_base: g.object_from_base, squeeze_n: 0.0, weight: 1.0 })
+    Ok(Proposal { joints: g.joints_rad.clone(), object_from_base: g.object_from_base, grip_force_n: 0.0, weight: 1.0 })
 }
 
 #[cfg(test)]

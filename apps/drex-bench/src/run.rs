@@ -45,8 +45,9 @@ struct DemosRow {
     retargeted: usize,
     clips_that_hold: usize,
     wrapped: usize,
-    /// Median of the smallest squeeze at rest in units of the weight.
-    median_squeeze_per_weight: f64,
+    /// Median of the minimum grip force at rest in units of the weight.
+    #[serde(rename = "median_squeeze_per_weight")]
+    median_grip_force_per_weight: f64,
     seconds: f64,
 }
 
@@ -81,8 +82,8 @@ fn row(object: &BenchObject, library: &Library, seconds: f64) -> DemosRow {
     let of = |kind: GraspOrigin| library.grasps.iter().filter(move |g| g.origin == kind);
     let mut clips: Vec<usize> = of(GraspOrigin::Retargeted).map(|g| g.source).collect();
     clips.dedup();
-    let mut squeezes: Vec<f64> = library.grasps.iter().map(|g| g.grip_per_weight).collect();
-    squeezes.sort_by(f64::total_cmp);
+    let mut grip_forces: Vec<f64> = library.grasps.iter().map(|g| g.grip_per_weight).collect();
+    grip_forces.sort_by(f64::total_cmp);
     DemosRow {
         object: object.spec.name.clone(),
         mass_kg: object.spec.mass_kg,
@@ -91,7 +92,7 @@ fn row(object: &BenchObject, library: &Library, seconds: f64) -> DemosRow {
         retargeted: of(GraspOrigin::Retargeted).count(),
         clips_that_hold: clips.len(),
         wrapped: of(GraspOrigin::Power).count(),
-        median_squeeze_per_weight: squeezes[squeezes.len() / 2],
+        median_grip_force_per_weight: grip_forces[grip_forces.len() / 2],
         seconds,
     }
 }
@@ -99,14 +100,14 @@ fn row(object: &BenchObject, library: &Library, seconds: f64) -> DemosRow {
 fn text(r: &DemosRow) -> String {
     let [x, y, z] = r.size_mm;
     format!(
-        "{:18} {:4.0} g  {x:4.0} x {y:4.0} x {z:4.0} mm  {:4} grasps: {:3} of people ({:2} demonstrations), {:3} wrapped; squeeze {:4.1} weights; {:5.1} s",
+        "{:18} {:4.0} g  {x:4.0} x {y:4.0} x {z:4.0} mm  {:4} grasps: {:3} of people ({:2} demonstrations), {:3} wrapped; grip force {:4.1} weights; {:5.1} s",
         r.object,
         1e3 * r.mass_kg,
         r.grasps,
         r.retargeted,
         r.clips_that_hold,
         r.wrapped,
-        r.median_squeeze_per_weight,
+        r.median_grip_force_per_weight,
         r.seconds
     )
 }

@@ -44,7 +44,7 @@ impl Row {
             percent(self.interval.low),
             percent(self.interval.high),
             percent(self.bound),
-            self.median_squeeze_n.map_or(String::new(), |n| format!("{n:5.1} N told, ")),
+            self.median_grip_force_n.map_or(String::new(), |n| format!("{n:5.1} N told, ")),
             self.median_delivered_n.map_or(String::new(), |n| format!("{n:.1} N held  ")),
             failures.join(", "),
             self.agreement.as_ref().map_or(String::new(), |a| {
@@ -88,7 +88,7 @@ impl Table {
                 r.interval.low,
                 r.interval.high,
                 r.bound,
-                r.median_squeeze_n.map_or(String::new(), |n| n.to_string()),
+                r.median_grip_force_n.map_or(String::new(), |n| n.to_string()),
                 r.median_delivered_n.map_or(String::new(), |n| n.to_string()),
                 failures.join(" ")
             );

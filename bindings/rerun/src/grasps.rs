@@ -22,7 +22,8 @@ struct Fit {
     object_from_base: PoseRecord,
     penetration_mm: f64,
     table_clearance_mm: f64,
-    squeeze_per_weight: Option<f64>,
+    #[serde(rename = "squeeze_per_weight")]
+    grip_force_per_weight: Option<f64>,
 }
 
 /// What of `policy/evaluation.json` is recorded.
@@ -35,7 +36,8 @@ struct Evaluation {
 struct Predicted {
     joints_rad: Vec<f64>,
     object_from_base: PoseRecord,
-    predicted_squeeze_n: Option<f64>,
+    #[serde(rename = "predicted_squeeze_n")]
+    predicted_grip_force_n: Option<f64>,
     weight: Option<f64>,
     check: Check,
 }
@@ -82,7 +84,7 @@ fn demonstrated(recorder: &Recorder, twin: &mut Twin, hand: &Hand, file: &FitFil
     series("demonstration", &|g| g.demonstration as f64)?;
     series("penetration_mm", &|g| g.penetration_mm)?;
     series("table_clearance_mm", &|g| g.table_clearance_mm)?;
-    series("squeeze_per_weight", &|g| g.squeeze_per_weight.unwrap_or(f64::NAN))
+    series("squeeze_per_weight", &|g| g.grip_force_per_weight.unwrap_or(f64::NAN))
 }
 
 fn predicted(recorder: &Recorder, twin: &Twin, hand: &Hand, joints: &[String], all: &[Predicted]) -> Result<()> {
@@ -103,7 +105,7 @@ fn predicted(recorder: &Recorder, twin: &Twin, hand: &Hand, joints: &[String], a
         let values: Vec<f64> = all.iter().map(value).collect();
         recorder.series(&["predicted", name], times, &values)
     };
-    series("squeeze_n", &|g| g.predicted_squeeze_n.unwrap_or(f64::NAN))?;
+    series("squeeze_n", &|g| g.predicted_grip_force_n.unwrap_or(f64::NAN))?;
     series("weight", &|g| g.weight.unwrap_or(f64::NAN))?;
     series("penetration_mm", &|g| g.check.penetration_mm)
 }

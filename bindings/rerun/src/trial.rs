@@ -23,7 +23,8 @@ struct TrialFile {
 struct Rollout {
     mass_kg: f64,
     friction: f64,
-    squeeze_n: f64,
+    #[serde(rename = "squeeze_n")]
+    grip_force_n: f64,
     held_n: Option<f64>,
 }
 
@@ -79,6 +80,6 @@ fn rollouts(recorder: &Recorder, all: &[Rollout]) -> Result<()> {
     };
     series("true_mass_kg", &|r| r.mass_kg)?;
     series("true_friction", &|r| r.friction)?;
-    series("squeeze_told_n", &|r| r.squeeze_n)?;
+    series("squeeze_told_n", &|r| r.grip_force_n)?;
     series("squeeze_held_n", &|r| r.held_n.unwrap_or(f64::NAN))
 }

@@ -89,7 +89,7 @@ fn air(c: &mut Criterion) {
 }
 
 fn hand(c: &mut Criterion) {
-    let of = pick::Pick { mass_kg: 0.2, friction: 0.5, cap_nm: 0.29, squeeze: 1.5, reserve_nm: 0.1, dt_s: 2e-3 };
+    let of = pick::Pick { mass_kg: 0.2, friction: 0.5, cap_nm: 0.29, grip_force: 1.5, reserve_nm: 0.1, dt_s: 2e-3 };
     let (mut model, scene, start) = pick::scene(&of).unwrap();
     let mut state = rollout(&model, &scene, &start, &[3.0]).unwrap().last;
     model.articulations[0].base = Base::Fixed(state.articulations[0].base.world_from_base);

@@ -2,7 +2,7 @@
 //!
 //!     cargo run --release -p drex-diffsim --example pick
 //!
-//! Prints the slip of the box in the hand for several squeezes, as parts of the smallest one that carries it.
+//! Prints the slip of the box in the hand for several grip forces, as parts of the smallest one that carries it.
 
 use std::sync::Arc;
 
@@ -51,9 +51,9 @@ pub struct Pick {
     pub friction: f64,
     /// Largest joint torque, N m.
     pub cap_nm: f64,
-    /// Squeeze of each side over m g / (2 friction).
-    pub squeeze: f64,
-    /// Torque that a drive may add to what the squeeze needs, to hold its position, N m. With it, fingers that are told to
+    /// Grip force of each side over m g / (2 friction).
+    pub grip_force: f64,
+    /// Torque that a drive may add to what the grip force needs, to hold its position, N m. With it, fingers that are told to
     /// press too little make up for it as they are pushed apart.
     pub reserve_nm: f64,
     /// Time step, seconds.
@@ -128,12 +128,12 @@ pub fn scene(pick: &Pick) -> Result<(Model<f64>, Scene<f64>, State<f64>)> {
     Ok((model, scene, start))
 }
 
-/// Joint torques that make the fingertips press with the squeeze and carry the box, half of it on each side:
+/// Joint torques that make the fingertips press with the grip force and carry the box, half of it on each side:
 /// Jᵀ f + gravity.
 fn torques(hand: &Articulation<f64>, q: &[f64], pick: &Pick, world_from_base: &Pose) -> Vec<f64> {
     let robot = &hand.robot;
     let poses = robot.forward_kinematics(q, world_from_base);
-    let squeeze = pick.squeeze * pick.mass_kg * G / (2.0 * pick.friction);
+    let grip_force = pick.grip_force * pick.mass_kg * G / (2.0 * pick.friction);
     let out = UnitQuaternion::from_euler_angles(0.0, 0.0, YAW) * Vector3::x();
     let mut torque: Vec<f64> = robot.gravity_torque(q, &Vector3::new(0.0, 0.0, -G)).iter().copied().collect();
     for (finger, share) in [("thumb", 1.0), ("index", -0.5), ("middle", -0.5)] {
@@ -141,7 +141,7 @@ fn torques(hand: &Articulation<f64>, q: &[f64], pick: &Pick, world_from_base: &P
             let pad = poses[f.tip_link] * Point3::new(-0.00085, 0.0097, 0.0);
             let (linear, _) = robot.jacobian(&poses, f.tip_link, &pad);
             let weight: f64 = 0.5 * pick.mass_kg * G * share;
-            let tau = linear.transpose() * (out * (squeeze * share) + Vector3::z() * weight.abs());
+            let tau = linear.transpose() * (out * (grip_force * share) + Vector3::z() * weight.abs());
             torque.iter_mut().zip(tau.iter()).for_each(|(t, x)| *t += x);
         }
     }
@@ -197,13 +197,13 @@ fn main() -> Result<()> {
     let dt_s = 1e-3;
     println!(
         "{:>6} {:>5} {:>5} {:>8} | {:>9} {:>9} {:>9} {:>9} {:>7} {:>7}",
-        "kg", "mu", "N m", "squeeze", "height m", "lift mm", "hold mm", "drift mm", "thumb N", "N m"
+        "kg", "mu", "N m", "grip force", "height m", "lift mm", "hold mm", "drift mm", "thumb N", "N m"
     );
     for (mass_kg, friction, cap_nm) in [(0.2, 0.5, 0.29), (0.7, 0.9, 0.5)] {
-        for (squeeze, reserve_nm) in [(0.5, 0.0), (1.2, 0.1), (1.5, 0.1), (2.0, 0.1)] {
-            let o = run(&Pick { mass_kg, friction, cap_nm, squeeze, reserve_nm, dt_s })?;
+        for (grip_force, reserve_nm) in [(0.5, 0.0), (1.2, 0.1), (1.5, 0.1), (2.0, 0.1)] {
+            let o = run(&Pick { mass_kg, friction, cap_nm, grip_force, reserve_nm, dt_s })?;
             println!(
-                "{mass_kg:>6} {friction:>5} {cap_nm:>5} {squeeze:>8} | {:>9.4} {:>9.4} {:>9.4} {:>9.4} {:>7.2} {:>7.3} {}",
+                "{mass_kg:>6} {friction:>5} {cap_nm:>5} {grip force:>8} | {:>9.4} {:>9.4} {:>9.4} {:>9.4} {:>7.2} {:>7.3} {}",
                 o.height_m,
                 1e3 * o.slip_lift_m,
                 1e3 * o.slip_hold_m,

@@ -10,8 +10,8 @@ use pick::Pick;
 /// Light and slippery, heavy and rough: kg, friction, torque cap.
 const BOXES: [(f64, f64, f64); 2] = [(0.2, 0.5, 0.29), (0.7, 0.9, 0.5)];
 
-fn of((mass_kg, friction, cap_nm): (f64, f64, f64), squeeze: f64, reserve_nm: f64, dt_s: f64) -> Pick {
-    Pick { mass_kg, friction, cap_nm, squeeze, reserve_nm, dt_s }
+fn of((mass_kg, friction, cap_nm): (f64, f64, f64), grip_force: f64, reserve_nm: f64, dt_s: f64) -> Pick {
+    Pick { mass_kg, friction, cap_nm, grip_force, reserve_nm, dt_s }
 }
 
 #[test]

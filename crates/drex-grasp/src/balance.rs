@@ -7,7 +7,7 @@
 use nalgebra::{Matrix3xX, Vector3, Vector6};
 
 use crate::cone::{Affine, Answer, ConeProgram};
-use crate::{Contact, Result, SqueezeProblem, characteristic_length_m, grasp_map};
+use crate::{Contact, Result, GripForceProblem, characteristic_length_m, grasp_map};
 
 /// Which limits a programme keeps.
 #[derive(Clone, Copy)]
@@ -49,7 +49,7 @@ const EVENNESS: f64 = 1e-4;
 /// Solves the programme for `load` (force and torque about the centre of mass, object frame) with all friction
 /// coefficients times `friction_scale`. The problem must have passed its checks.
 pub(crate) fn balance(
-    problem: &SqueezeProblem,
+    problem: &GripForceProblem,
     load: &Vector6<f64>,
     friction_scale: f64,
     limits: Limits,
@@ -59,7 +59,7 @@ pub(crate) fn balance(
     let n = contacts.len();
     let length = characteristic_length_m(contacts, &problem.center_of_mass);
     let Some(unit) = force_unit(problem, load, length, goal) else {
-        // With no load and no floor the smallest squeeze is none, provided that the hand can hold itself.
+        // With no load and no floor the minimum grip force is none, provided that the hand can hold itself.
         let none = Outcome::Forces { forces: vec![Vector3::zeros(); n], slack_n: 0.0 };
         return Ok(if !limits.torque || holds_itself(problem) { none } else { Outcome::Infeasible });
     };
@@ -134,7 +134,7 @@ pub(crate) fn balance(
 
 /// Forces are solved for in this unit and torques in it times a length, so that the solver's tolerances are relative.
 /// `None` if nothing acts and nothing is asked.
-fn force_unit(problem: &SqueezeProblem, load: &Vector6<f64>, length: f64, goal: Goal) -> Option<f64> {
+fn force_unit(problem: &GripForceProblem, load: &Vector6<f64>, length: f64, goal: Goal) -> Option<f64> {
     let of_load = load.fixed_rows::<3>(0).norm().max(load.fixed_rows::<3>(3).norm() / length);
     let unit = match goal {
         Goal::Smallest if of_load > 0.0 => of_load,
@@ -146,7 +146,7 @@ fn force_unit(problem: &SqueezeProblem, load: &Vector6<f64>, length: f64, goal: 
 }
 
 /// The motors as rows, in units of force times length as well.
-fn torque_rows(program: &mut ConeProgram, problem: &SqueezeProblem, unit: f64, length: f64) {
+fn torque_rows(program: &mut ConeProgram, problem: &GripForceProblem, unit: f64, length: f64) {
     let Some(torques) = &problem.torques else { return };
     let n = problem.contacts.len();
     let rows: Vec<Matrix3xX<f64>> =
@@ -170,7 +170,7 @@ pub(crate) fn patch_size(contacts: &[Contact], i: usize) -> f64 {
     contacts.iter().filter(same).count().max(1) as f64
 }
 
-fn holds_itself(problem: &SqueezeProblem) -> bool {
+fn holds_itself(problem: &GripForceProblem) -> bool {
     problem.torques.as_ref().is_none_or(|t| {
         t.limits_nm.iter().zip(t.gravity_nm.iter()).all(|(&(lower, upper), &own)| (lower..=upper).contains(&own))
     })

@@ -2,22 +2,22 @@
 
 use nalgebra::{Point3, Unit, Vector3};
 
-use crate::{Contact, GraspError, Result, SqueezeError, SqueezeProblem, is_force_closed, smallest_forces};
+use crate::{Contact, GraspError, Result, GripForceError, GripForceProblem, is_force_closed, smallest_forces};
 
 /// Smallest sum of normal forces that carries an object, in units of its weight, with gravity against `up` (both in the object's
 /// frame) and no limits. `None` if the contacts cannot carry it, and at the very edge of that, where the solver stops half-way.
 ///
 /// # Errors
 /// If a number is not finite or a friction negative.
-pub fn squeeze_per_weight(
+pub fn grip_force_per_weight(
     contacts: &[Contact],
     center_of_mass: Point3<f64>,
     up: Unit<Vector3<f64>>,
 ) -> Result<Option<f64>> {
-    match smallest_forces(&SqueezeProblem::new(contacts.to_vec(), 1.0, center_of_mass, -up.into_inner())) {
+    match smallest_forces(&GripForceProblem::new(contacts.to_vec(), 1.0, center_of_mass, -up.into_inner())) {
         Ok(forces) => Ok(Some(forces.iter().map(|f| f.x).sum())),
-        Err(SqueezeError::Input(GraspError::Solver { .. })) => Ok(None),
-        Err(SqueezeError::Input(error)) => Err(error),
+        Err(GripForceError::Input(GraspError::Solver { .. })) => Ok(None),
+        Err(GripForceError::Input(error)) => Err(error),
         Err(_) => Ok(None),
     }
 }
@@ -25,7 +25,7 @@ pub fn squeeze_per_weight(
 /// [`is_force_closed`] for point contacts, false at the very edge, where the solver stops half-way.
 ///
 /// # Errors
-/// As [`squeeze_per_weight`].
+/// As [`grip_force_per_weight`].
 pub fn holds_any_load(contacts: &[Contact], center_of_mass: &Point3<f64>) -> Result<bool> {
     match is_force_closed(contacts, center_of_mass, None) {
         Err(GraspError::Solver { .. }) => Ok(false),
@@ -46,11 +46,11 @@ mod tests {
     #[test]
     fn a_pinch_carries_by_friction() {
         // m g / (2 μ) from each side: one weight in all per unit of friction.
-        let squeeze = squeeze_per_weight(&pinch(0.5), Point3::origin(), Vector3::z_axis()).unwrap().unwrap();
-        assert!((squeeze - 2.0).abs() < 1e-5, "{squeeze}");
-        assert_eq!(squeeze_per_weight(&pinch(0.0), Point3::origin(), Vector3::z_axis()).unwrap(), None);
-        assert_eq!(squeeze_per_weight(&[], Point3::origin(), Vector3::z_axis()).unwrap(), None);
-        assert!(squeeze_per_weight(&pinch(f64::NAN), Point3::origin(), Vector3::z_axis()).is_err());
+        let grip_force = grip_force_per_weight(&pinch(0.5), Point3::origin(), Vector3::z_axis()).unwrap().unwrap();
+        assert!((grip_force - 2.0).abs() < 1e-5, "{grip force}");
+        assert_eq!(grip_force_per_weight(&pinch(0.0), Point3::origin(), Vector3::z_axis()).unwrap(), None);
+        assert_eq!(grip_force_per_weight(&[], Point3::origin(), Vector3::z_axis()).unwrap(), None);
+        assert!(grip_force_per_weight(&pinch(f64::NAN), Point3::origin(), Vector3::z_axis()).is_err());
     }
 
     #[test]

@@ -5,8 +5,8 @@ use drex_robot::Robot;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    ClosureOptions, ContactOptions, HandSurface, Result, SqueezeError, SqueezeProblem, TorqueLimits, force_closure,
-    smallest_squeeze,
+    ClosureOptions, ContactOptions, HandSurface, Result, GripForceError, GripForceProblem, TorqueLimits, force_closure,
+    minimum_grip_force,
 };
 
 /// A grasp to be checked.
@@ -73,7 +73,7 @@ pub struct FingerContacts {
     pub finger: String,
     /// Number of contacts.
     pub contacts: usize,
-    /// Sum of the normal forces in the smallest squeeze, N; zero without one.
+    /// Sum of the normal forces in the minimum grip force, N; zero without one.
     pub normal_n: f64,
 }
 
@@ -97,11 +97,12 @@ pub struct StaticCheck {
     pub epsilon: f64,
     /// Min-weight quality; see [`crate::ForceClosure`].
     pub min_weight: f64,
-    /// The smallest squeeze, N: sum of the normal forces; `None` if there is none.
-    pub squeeze_n: Option<f64>,
-    /// By which fraction friction may fall; `None` without a squeeze.
+    /// The minimum grip force, N: sum of the normal forces; `None` if there is none.
+    #[serde(rename = "squeeze_n")]
+    pub grip_force_n: Option<f64>,
+    /// By which fraction friction may fall; `None` without a grip force.
     pub friction_margin: Option<f64>,
-    /// Least share of a motor's torque left; `None` without a squeeze.
+    /// Least share of a motor's torque left; `None` without a grip force.
     pub torque_margin: Option<f64>,
     /// The mass that was carried, kg.
     pub mass_kg: f64,
@@ -111,7 +112,7 @@ pub struct StaticCheck {
     pub gamma: f64,
 }
 
-/// Checks a grasp at rest: contacts per finger, penetration of object and table, force closure, and the smallest squeeze that
+/// Checks a grasp at rest: contacts per finger, penetration of object and table, force closure, and the minimum grip force that
 /// carries the object's weight.
 ///
 /// # Errors
@@ -156,16 +157,16 @@ pub fn static_check_with(
 
     let gravity = table.gravity();
     let mut problem =
-        SqueezeProblem::new(contacts.clone(), body.mass_kg, body.center_of_mass, gravity).with_gamma(options.gamma);
+        GripForceProblem::new(contacts.clone(), body.mass_kg, body.center_of_mass, gravity).with_gamma(options.gamma);
     problem.torsion_m = options.torsion_m;
     problem.max_normal_n = options.max_normal_n;
     if options.motors {
         problem.torques = Some(TorqueLimits::of_robot(robot, joints, object_from_base, &contacts, &gravity)?);
     }
-    let squeeze = match smallest_squeeze(&problem) {
-        Ok(squeeze) => Some(squeeze),
-        Err(SqueezeError::Input(error)) => return Err(error),
-        Err(SqueezeError::Torque { joint, needed_nm, limit_nm }) => {
+    let grip_force = match minimum_grip_force(&problem) {
+        Ok(grip_force) => Some(grip_force),
+        Err(GripForceError::Input(error)) => return Err(error),
+        Err(GripForceError::Torque { joint, needed_nm, limit_nm }) => {
             let name = &robot.joints[joint].name;
             failures.push(format!("joint \"{name}\" would need {needed_nm:.3} N m and has {limit_nm:.3} N m"));
             None
@@ -177,7 +178,7 @@ pub fn static_check_with(
     };
 
     let force = |finger: Option<usize>| {
-        squeeze.as_ref().map_or(0.0, |s| match finger {
+        grip_force.as_ref().map_or(0.0, |s| match finger {
             Some(f) => s.per_finger_n.get(f).copied().unwrap_or(0.0),
             None => s.palm_n,
         })
@@ -199,9 +200,9 @@ pub fn static_check_with(
         force_closure: closure.closed,
         epsilon: closure.epsilon,
         min_weight: closure.min_weight,
-        squeeze_n: squeeze.as_ref().map(|s| s.total_n),
-        friction_margin: squeeze.as_ref().map(|s| s.friction_margin),
-        torque_margin: squeeze.as_ref().map(|s| s.torque_margin),
+        grip_force_n: grip_force.as_ref().map(|s| s.total_n),
+        friction_margin: grip_force.as_ref().map(|s| s.friction_margin),
+        torque_margin: grip_force.as_ref().map(|s| s.torque_margin),
         mass_kg: body.mass_kg,
         friction: options.contact.friction,
         gamma: options.gamma,

@@ -1,18 +1,18 @@
-//! A given squeeze, shared among the contacts so that they are furthest from slipping.
+//! A given grip force, shared among the contacts so that they are furthest from slipping.
 
 use nalgebra::Vector3;
 
 use crate::balance::{Goal, Limits, Outcome, balance};
-use crate::squeeze::{by_finger, check, torque_margin, torques};
-use crate::{GraspError, SqueezeError, SqueezeProblem, smallest_forces};
+use crate::grip_force::{by_finger, check, torque_margin, torques};
+use crate::{GraspError, GripForceError, GripForceProblem, smallest_forces};
 
-/// How a squeeze is shared.
+/// How a grip force is shared.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Distribution {
     /// Force of each contact on the object, N, object frame.
     pub forces: Vec<Vector3<f64>>,
-    /// Normal force of each contact, N; they add up to the squeeze asked for.
+    /// Normal force of each contact, N; they add up to the grip force asked for.
     pub normal_n: Vec<f64>,
     /// Sum of the normal forces of each finger, N; index = finger. Fingers beyond the last that touches are not listed.
     pub per_finger_n: Vec<f64>,
@@ -24,7 +24,7 @@ pub struct Distribution {
     /// The same with what holds the hand's own weight, N m: what the limits apply to.
     pub joint_torques_nm: Vec<f64>,
     /// The normal force, N, that every patch (contacts of one link that push about the same way) could lose at once, its
-    /// contacts in equal parts, before one of them slips under unchanged tangential force. Zero at the smallest squeeze.
+    /// contacts in equal parts, before one of them slips under unchanged tangential force. Zero at the minimum grip force.
     pub slack_n: f64,
     /// Least 1 − |τ| / |limit| over the joints: 0 at a limit. One if there are no limits.
     pub torque_margin: f64,
@@ -37,12 +37,12 @@ pub struct Distribution {
 /// answer unique and smooth in the load. Within 0.001 % of the edge of what is possible, the sum may be off by as much.
 ///
 /// # Errors
-/// [`SqueezeError::Total`] with the smallest and largest possible sum if this one is not; otherwise as
-/// [`crate::smallest_squeeze`].
-pub fn distribute(problem: &SqueezeProblem, total_n: f64) -> Result<Distribution, SqueezeError> {
+/// [`GripForceError::Total`] with the smallest and largest possible sum if this one is not; otherwise as
+/// [`crate::minimum_grip_force`].
+pub fn distribute(problem: &GripForceProblem, total_n: f64) -> Result<Distribution, GripForceError> {
     check(problem)?;
     if !(total_n >= 0.0 && total_n.is_finite()) {
-        return Err(GraspError::value(format!("a total squeeze of {total_n} N"), "give newtons, zero or more").into());
+        return Err(GraspError::value(format!("a total grip force of {total_n} N"), "give newtons, zero or more").into());
     }
     if let Some(shared) = share(problem, total_n)? {
         return Ok(shared);
@@ -56,14 +56,14 @@ pub fn distribute(problem: &SqueezeProblem, total_n: f64) -> Result<Distribution
     {
         return Ok(shared);
     }
-    Err(SqueezeError::Total { total_n, smallest_n, largest_n })
+    Err(GripForceError::Total { total_n, smallest_n, largest_n })
 }
 
 /// Relative distance from the edge of what is possible at which the programme solves.
 const EDGE: f64 = 1e-5;
 
 /// The programme of [`distribute`]; `None` if it has no answer.
-fn share(problem: &SqueezeProblem, total_n: f64) -> Result<Option<Distribution>, SqueezeError> {
+fn share(problem: &GripForceProblem, total_n: f64) -> Result<Option<Distribution>, GripForceError> {
     match balance(problem, &problem.load(), 1.0, Limits::ALL, Goal::Slack { total_n }) {
         Ok(Outcome::Forces { forces, slack_n }) if slack_n >= -1e-6 * total_n => {
             Ok(Some(described(problem, &forces, slack_n.max(0.0))))
@@ -77,23 +77,23 @@ fn share(problem: &SqueezeProblem, total_n: f64) -> Result<Option<Distribution>,
 /// infinite if neither bounds it.
 ///
 /// # Errors
-/// As [`crate::smallest_squeeze`], if no squeeze at all carries the load.
-pub fn largest_squeeze(problem: &SqueezeProblem) -> Result<f64, SqueezeError> {
+/// As [`crate::minimum_grip_force`], if no grip force at all carries the load.
+pub fn maximum_grip_force(problem: &GripForceProblem) -> Result<f64, GripForceError> {
     check(problem)?;
     largest(problem)
 }
 
-/// [`largest_squeeze`] of a checked problem.
-pub(crate) fn largest(problem: &SqueezeProblem) -> Result<f64, SqueezeError> {
+/// [`maximum_grip_force`] of a checked problem.
+pub(crate) fn largest(problem: &GripForceProblem) -> Result<f64, GripForceError> {
     match balance(problem, &problem.load(), 1.0, Limits::ALL, Goal::Largest)? {
         Outcome::Forces { forces, .. } => Ok(forces.iter().map(|f| f.x).sum()),
         Outcome::Unbounded => Ok(f64::INFINITY),
-        // The smallest squeeze says what is in the way; where it just exists after all, it is the largest too.
+        // The minimum grip force says what is in the way; where it just exists after all, it is the largest too.
         Outcome::Infeasible => Ok(smallest_forces(problem)?.iter().map(|f| f.x).sum()),
     }
 }
 
-fn described(problem: &SqueezeProblem, f: &[Vector3<f64>], slack_n: f64) -> Distribution {
+fn described(problem: &GripForceProblem, f: &[Vector3<f64>], slack_n: f64) -> Distribution {
     let normal_n: Vec<f64> = f.iter().map(|f| f.x).collect();
     let (per_finger_n, palm_n) = by_finger(&problem.contacts, &normal_n);
     let joint_torques_nm = torques(problem, f);

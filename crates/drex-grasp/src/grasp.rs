@@ -6,7 +6,7 @@ use drex_core::{Object, Pose, PoseRecord};
 use drex_robot::Robot;
 use serde::{Deserialize, Serialize};
 
-use crate::{ContactOptions, HandSurface, Result, holds_any_load, squeeze_per_weight};
+use crate::{ContactOptions, HandSurface, Result, holds_any_load, grip_force_per_weight};
 
 /// Deepest that a hand may be inside the object in a grasp that is worth simulating, metres.
 const MAX_PENETRATION_M: f64 = 0.002;
@@ -124,7 +124,7 @@ impl Grasp {
         if penetration_m > MAX_PENETRATION_M || !thumb_touches || touching < 2 || !holds_any_load(&contacts, &center)? {
             return Ok(None);
         }
-        let grip = squeeze_per_weight(&contacts, center, table.up)?;
+        let grip = grip_force_per_weight(&contacts, center, table.up)?;
         Ok(grip.map(|grip_per_weight| Self {
             origin: GraspOrigin::Retargeted,
             source: 0,

@@ -1,4 +1,4 @@
-//! Contacts between a hand and an object: grasp map, force closure, the smallest squeeze.
+//! Contacts between a hand and an object: grasp map, force closure, the minimum grip force.
 //!
 //! ```
 //! use drex_grasp::{Contact, SqueezeProblem, smallest_squeeze};
@@ -8,8 +8,8 @@
 //! let left = Contact::new(Point3::new(-0.03, 0.0, 0.0), Vector3::x(), 0.5);
 //! let right = Contact::new(Point3::new(0.03, 0.0, 0.0), -Vector3::x(), 0.5);
 //! let gravity = Vector3::new(0.0, 0.0, -9.81);
-//! let squeeze = smallest_squeeze(&SqueezeProblem::new(vec![left, right], 0.206, Point3::origin(), gravity))?;
-//! assert!((squeeze.normal_n[0] - 0.206 * 9.81 / (2.0 * 0.5)).abs() < 1e-5); // m g / (2 mu)
+//! let grip force = smallest_squeeze(&SqueezeProblem::new(vec![left, right], 0.206, Point3::origin(), gravity))?;
+//! assert!((grip force.normal_n[0] - 0.206 * 9.81 / (2.0 * 0.5)).abs() < 1e-5); // m g / (2 mu)
 //! # Ok::<(), drex_grasp::SqueezeError>(())
 //! ```
 //!
@@ -31,32 +31,32 @@ mod error;
 mod find;
 mod grasp;
 mod hand;
-mod law;
+mod grip_force_policy;
 mod load_bound;
 mod loads;
 mod motors;
 mod power;
 mod rolling;
 mod search;
-mod squeeze;
+mod grip_force;
 mod synthesis;
 
-pub use carry::{holds_any_load, squeeze_per_weight};
+pub use carry::{holds_any_load, grip_force_per_weight};
 pub use check::{CheckOptions, FingerContacts, StaticCheck, StaticGrasp, static_check, static_check_with};
 pub use closure::{ClosureOptions, ForceClosure, force_closure, is_force_closed, min_weight};
 pub use contact::{Contact, characteristic_length_m, grasp_map};
-pub use distribute::{Distribution, distribute, largest_squeeze};
+pub use distribute::{Distribution, distribute, maximum_grip_force};
 pub use error::{GraspError, Result};
 pub use find::{ContactOptions, find_contacts};
 pub use grasp::{Grasp, GraspOrigin, OriginCounts};
 pub use hand::{HandSurface, LinkSurface};
-pub use law::{ForceCommand, ForceLaw, PAPER_FORCE_LIMIT_N, paper_force};
+pub use grip_force_policy::{ForceCommand, GripForcePolicy, PAPER_FORCE_LIMIT_N, paper_force};
 pub use load_bound::{least_friction, least_friction_index};
-pub use loads::{required_squeeze, shake_loads};
+pub use loads::{required_grip_force, shake_loads};
 pub use power::{FingerClosing, PowerGraspOptions, abduction_joints, power_grasps};
 pub use rolling::{Rolling, RollingError, RollingPath, RollingWaypoint, rolling_path};
 pub use search::{FoundGrasp, SearchOptions, search_grasps};
-pub use squeeze::{Squeeze, SqueezeError, SqueezeProblem, TorqueLimits, smallest_forces, smallest_squeeze};
+pub use grip_force::{GripForceSolution, GripForceError, GripForceProblem, TorqueLimits, smallest_forces, minimum_grip_force};
 pub use synthesis::{pinch_grasps, synthesize_grasps};
 
 #[cfg(doctest)]

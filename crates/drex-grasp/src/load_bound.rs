@@ -9,7 +9,7 @@ use nalgebra::{Vector3, Vector6};
 use rayon::prelude::*;
 
 use crate::{
-    ContactOptions, Grasp, GraspError, HandSurface, Result, SqueezeError, SqueezeProblem, TorqueLimits, smallest_forces,
+    ContactOptions, Grasp, GraspError, HandSurface, Result, GripForceError, GripForceProblem, TorqueLimits, smallest_forces,
 };
 
 /// Friction beyond which no finger pad is, and the step to which thresholds are found.
@@ -29,10 +29,10 @@ pub fn least_friction(
     shake_m_s2: f64,
 ) -> Result<Option<f64>> {
     let surface = HandSurface::new(robot, ContactOptions::default().spacing_m)?;
-    // Those that need the least squeeze first: they set a threshold that the others rarely beat.
+    // Those that need the least grip force first: they set a threshold that the others rarely beat.
     let mut order: Vec<&Grasp> = grasps.iter().collect();
     order.sort_by(|a, b| a.grip_per_weight.total_cmp(&b.grip_per_weight));
-    let problems: Vec<SqueezeProblem> =
+    let problems: Vec<GripForceProblem> =
         order.par_iter().map(|g| problem(object, robot, &surface, g, mass_kg)).collect::<Result<_>>()?;
     let mut best: Option<f64> = None;
     // One thread: each answer makes the next question cheaper, and the order is fixed.
@@ -87,13 +87,13 @@ fn problem(
     surface: &HandSurface,
     grasp: &Grasp,
     mass_kg: f64,
-) -> Result<SqueezeProblem> {
+) -> Result<GripForceProblem> {
     let pose = grasp.object_from_base;
     let options = ContactOptions::with_friction(MOST_FRICTION);
     let contacts = surface.contacts(robot, &grasp.joints_rad, &pose, object.geometry.exact(), &options)?;
     let gravity = object.table().gravity();
     let torques = TorqueLimits::of_robot(robot, &grasp.joints_rad, &pose, &contacts, &gravity)?;
-    let problem = SqueezeProblem::new(contacts, mass_kg, object.center_of_mass(), gravity).with_torques(torques);
+    let problem = GripForceProblem::new(contacts, mass_kg, object.center_of_mass(), gravity).with_torques(torques);
     Ok(match object.max_finger_n {
         Some(most) => problem.with_max_normal_n(most),
         None => problem,
@@ -108,7 +108,7 @@ fn shakes(object: &Object, mass_kg: f64, shake_m_s2: f64) -> Vec<Vector3<f64>> {
 }
 
 /// Whether every load can be carried at this friction.
-fn carries(problem: &SqueezeProblem, friction: f64, loads: &[Vector3<f64>]) -> Result<bool> {
+fn carries(problem: &GripForceProblem, friction: f64, loads: &[Vector3<f64>]) -> Result<bool> {
     let mut problem = problem.clone();
     problem.contacts.iter_mut().for_each(|c| c.friction = friction);
     for force in loads {
@@ -116,8 +116,8 @@ fn carries(problem: &SqueezeProblem, friction: f64, loads: &[Vector3<f64>]) -> R
         match smallest_forces(&problem) {
             Ok(_) => {}
             // The solver stops half-way at the very edge of what is possible.
-            Err(SqueezeError::Input(GraspError::Solver { .. })) => return Ok(false),
-            Err(SqueezeError::Input(error)) => return Err(error),
+            Err(GripForceError::Input(GraspError::Solver { .. })) => return Ok(false),
+            Err(GripForceError::Input(error)) => return Err(error),
             Err(_) => return Ok(false),
         }
     }

@@ -1,11 +1,11 @@
-//! Loads a grasp must survive, and the squeeze that survives all of them.
+//! Loads a grasp must survive, and the grip force that survives all of them.
 
 use nalgebra::{Vector3, Vector6};
 
 use crate::balance::{Goal, Limits, Outcome, balance};
 use crate::distribute::largest;
-use crate::squeeze::{check, describe, friction_margin, torques};
-use crate::{GraspError, Squeeze, SqueezeError, SqueezeProblem, smallest_forces};
+use crate::grip_force::{check, describe, friction_margin, torques};
+use crate::{GraspError, GripForceSolution, GripForceError, GripForceProblem, smallest_forces};
 
 /// The loads of an object of `mass_kg` at rest and shaken: m (g − a) for a = 0 and for an acceleration of
 /// `acceleration_m_s2` along six directions. Force (N) and torque about the centre of mass (N m, zero), in the frame of
@@ -36,26 +36,26 @@ pub fn shake_loads(mass_kg: f64, acceleration_m_s2: f64, gravity: &Vector3<f64>)
 }
 
 /// The smallest sum of normal forces with which the contacts can carry every load of the list, each by forces of its own:
-/// the largest of the smallest squeezes. [`Squeeze::binding_load`] names the load that asks for it, the forces and the friction
+/// the largest of the minimum grip forces. [`GripForceSolution::binding_load`] names the load that asks for it, the forces and the friction
 /// margin are those under that load.
 ///
 /// A load is a wrench on the object: force (N) and torque about the centre of mass (N m), object frame. The loads stand for
 /// the problem's weight and extra wrench, which are not added; its limits and floors hold.
 ///
 /// # Errors
-/// [`SqueezeError::Load`] with the first load that cannot be carried and the reason, or with a load whose largest squeeze
-/// within the limits is below what another needs; [`SqueezeError::Input`] for an empty list and as
-/// [`crate::smallest_squeeze`].
-pub fn required_squeeze(problem: &SqueezeProblem, loads: &[Vector6<f64>]) -> Result<Squeeze, SqueezeError> {
+/// [`GripForceError::Load`] with the first load that cannot be carried and the reason, or with a load whose maximum grip force
+/// within the limits is below what another needs; [`GripForceError::Input`] for an empty list and as
+/// [`crate::minimum_grip_force`].
+pub fn required_grip_force(problem: &GripForceProblem, loads: &[Vector6<f64>]) -> Result<GripForceSolution, GripForceError> {
     let Required { binding, forces, .. } = required(problem, loads)?;
     let under = problem.under(&loads[binding]);
-    let mut squeeze = describe(&under, &forces[binding]);
-    squeeze.friction_margin = friction_margin(&under)?;
-    squeeze.binding_load = Some(binding);
-    Ok(squeeze)
+    let mut grip_force = describe(&under, &forces[binding]);
+    grip_force.friction_margin = friction_margin(&under)?;
+    grip_force.binding_load = Some(binding);
+    Ok(grip_force)
 }
 
-/// What [`required_squeeze`] finds before it is described.
+/// What [`required_grip_force`] finds before it is described.
 pub(crate) struct Required {
     pub(crate) binding: usize,
     pub(crate) total_n: f64,
@@ -63,7 +63,7 @@ pub(crate) struct Required {
     pub(crate) forces: Vec<Vec<Vector3<f64>>>,
 }
 
-pub(crate) fn required(problem: &SqueezeProblem, loads: &[Vector6<f64>]) -> Result<Required, SqueezeError> {
+pub(crate) fn required(problem: &GripForceProblem, loads: &[Vector6<f64>]) -> Result<Required, GripForceError> {
     check(problem)?;
     if loads.is_empty() || loads.iter().any(|l| l.iter().any(|v| !v.is_finite())) {
         let remedy = "give at least one wrench of finite numbers, such as those of shake_loads";
@@ -83,7 +83,7 @@ pub(crate) fn required(problem: &SqueezeProblem, loads: &[Vector6<f64>]) -> Resu
     }
     let total_n = required.total_n;
     if let Some((index, largest_n)) = bounded(problem, loads, &required, total_n * (1.0 - 1e-6))? {
-        let reason = SqueezeError::Total { total_n, smallest_n: total(&required.forces[index]), largest_n };
+        let reason = GripForceError::Total { total_n, smallest_n: total(&required.forces[index]), largest_n };
         return Err(at_load(index, &loads[index], reason));
     }
     Ok(required)
@@ -91,11 +91,11 @@ pub(crate) fn required(problem: &SqueezeProblem, loads: &[Vector6<f64>]) -> Resu
 
 /// The load that can be carried with the least sum of normal forces, and that sum, if it is below `total_n`.
 pub(crate) fn bounded(
-    problem: &SqueezeProblem,
+    problem: &GripForceProblem,
     loads: &[Vector6<f64>],
     required: &Required,
     total_n: f64,
-) -> Result<Option<(usize, f64)>, SqueezeError> {
+) -> Result<Option<(usize, f64)>, GripForceError> {
     if problem.torques.is_none() && problem.max_normal_n.is_none() {
         return Ok(None);
     }
@@ -125,7 +125,7 @@ fn total(forces: &[Vector3<f64>]) -> f64 {
 }
 
 /// Forces in the cones that balance among themselves, one newton in all; `None` if there are none or at the solver's edge.
-fn inner_forces(problem: &SqueezeProblem) -> Option<Vec<Vector3<f64>>> {
+fn inner_forces(problem: &GripForceProblem) -> Option<Vec<Vector3<f64>>> {
     let free = Limits { normal: false, torque: false };
     match balance(problem, &Vector6::zeros(), 1.0, free, Goal::Slack { total_n: 1.0 }) {
         Ok(Outcome::Forces { forces, slack_n }) if slack_n >= 0.0 => Some(forces),
@@ -133,16 +133,16 @@ fn inner_forces(problem: &SqueezeProblem) -> Option<Vec<Vector3<f64>>> {
     }
 }
 
-fn within_limits(problem: &SqueezeProblem, forces: &[Vector3<f64>]) -> bool {
+fn within_limits(problem: &GripForceProblem, forces: &[Vector3<f64>]) -> bool {
     let normal = problem.max_normal_n.is_none_or(|most| forces.iter().all(|f| f.x <= most));
     let limits = problem.torques.iter().flat_map(|t| &t.limits_nm);
     normal && limits.zip(torques(problem, forces)).all(|(&(lower, upper), t)| (lower..=upper).contains(&t))
 }
 
-fn at_load(load: usize, wrench: &Vector6<f64>, reason: SqueezeError) -> SqueezeError {
+fn at_load(load: usize, wrench: &Vector6<f64>, reason: GripForceError) -> GripForceError {
     match reason {
-        SqueezeError::Input(_) => reason,
-        _ => SqueezeError::Load {
+        GripForceError::Input(_) => reason,
+        _ => GripForceError::Load {
             load,
             force_n: wrench.fixed_rows::<3>(0).norm(),
             torque_nm: wrench.fixed_rows::<3>(3).norm(),
@@ -151,7 +151,7 @@ fn at_load(load: usize, wrench: &Vector6<f64>, reason: SqueezeError) -> SqueezeE
     }
 }
 
-impl SqueezeProblem {
+impl GripForceProblem {
     /// The same contacts and limits under another load in place of the weight and the extra wrench: force (N) and torque about the centre of
     /// mass (N m), as in [`shake_loads`].
     pub fn under(&self, load: &Vector6<f64>) -> Self {

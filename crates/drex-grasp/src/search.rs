@@ -8,7 +8,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use crate::{Contact, ContactOptions, GraspError, HandSurface, Result, holds_any_load, squeeze_per_weight};
+use crate::{Contact, ContactOptions, GraspError, HandSurface, Result, holds_any_load, grip_force_per_weight};
 
 /// What is searched for.
 #[derive(Debug, Clone, PartialEq)]
@@ -53,7 +53,7 @@ pub struct FoundGrasp {
     /// Where it touches.
     pub contacts: Vec<Contact>,
     /// Smallest sum of normal forces over the weight, no motors considered.
-    pub squeeze_per_weight: f64,
+    pub grip_force_per_weight: f64,
     /// Whether the contacts are in force closure.
     pub closed: bool,
 }
@@ -340,11 +340,11 @@ impl Search<'_> {
         if !thumb.is_some_and(touches) || others < self.options.min_fingers {
             return Ok(None);
         }
-        let Some(squeeze) = squeeze_per_weight(&contacts, *self.center_of_mass, self.table.up)? else {
+        let Some(grip_force) = grip_force_per_weight(&contacts, *self.center_of_mass, self.table.up)? else {
             return Ok(None);
         };
         let closed = holds_any_load(&contacts, self.center_of_mass)?;
-        Ok(Some(FoundGrasp { joints, object_from_base, contacts, squeeze_per_weight: squeeze, closed }))
+        Ok(Some(FoundGrasp { joints, object_from_base, contacts, grip_force_per_weight: grip_force, closed }))
     }
 }
 

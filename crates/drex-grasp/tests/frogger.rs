@@ -1,7 +1,7 @@
 //! FRoGGeR's labelled Allegro grasps: the metric computed from kinematics and mesh against the stored one.
 #![allow(clippy::unwrap_used, clippy::print_stdout)] // a test may stop at the first surprise and says why it is skipped
 
-use drex_grasp::{ForceLaw, SqueezeError, SqueezeProblem, TorqueLimits};
+use drex_grasp::{GripForcePolicy, GripForceError, GripForceProblem, TorqueLimits};
 use nalgebra::{DVector, Point3, Vector3};
 
 #[allow(dead_code)] // the example uses more of it
@@ -41,15 +41,15 @@ fn min_weight_is_that_of_the_published_grasps() {
     assert!(wide >= own + 0.05, "{wide} against {own}");
 }
 
-/// The force law on every real grasp, at several masses and with weak motors: an answer or a reason, never a solver's shrug.
+/// The grip-force policy on every real grasp, at several masses and with weak motors: an answer or a reason, never a solver's shrug.
 #[test]
-fn the_force_law_answers_on_every_published_grasp() {
+fn the_grip_force_policy_answers_on_every_published_grasp() {
     let Some(folder) = data::folder() else {
         println!("skipped: DREX_SHARED does not lead to data/grasps/frogger_fr3_allegro");
         return;
     };
     let (kinematics, objects) = data::load(&folder).unwrap();
-    let law = ForceLaw::default();
+    let law = GripForcePolicy::default();
     let (mut answered, mut limited, mut no_balance, mut too_weak) = (0, 0, 0, 0);
     let mut microseconds = Vec::new();
     for object in &objects {
@@ -59,7 +59,7 @@ fn the_force_law_answers_on_every_published_grasp() {
             let contacts = features::fine_contacts(object, &tips);
             let mass = object.mass_kg * [0.1, 1.0, 5.0][i % 3];
             let problem =
-                SqueezeProblem::new(contacts, mass, Point3::origin(), up * -9.81).with_torques(TorqueLimits {
+                GripForceProblem::new(contacts, mass, Point3::origin(), up * -9.81).with_torques(TorqueLimits {
                     jacobians: tips.jacobians.to_vec(),
                     limits_nm: vec![(-0.29, 0.29); 16],
                     gravity_nm: DVector::zeros(16),
@@ -78,9 +78,9 @@ fn the_force_law_answers_on_every_published_grasp() {
                     assert!(d.joint_torques_nm.iter().all(|t| t.abs() < 0.29 * (1.0 + 1e-4)), "over the motors' limit");
                     assert!(c.margin >= 1.0 - 1e-6 && d.slack_n >= 0.0);
                 }
-                Err(SqueezeError::Load { reason, .. }) => match *reason {
-                    SqueezeError::NoEquilibrium { .. } => no_balance += 1,
-                    SqueezeError::Torque { .. } | SqueezeError::Total { .. } => too_weak += 1,
+                Err(GripForceError::Load { reason, .. }) => match *reason {
+                    GripForceError::NoEquilibrium { .. } => no_balance += 1,
+                    GripForceError::Torque { .. } | GripForceError::Total { .. } => too_weak += 1,
                     other => panic!("{other}"),
                 },
                 Err(other) => panic!("{} kg: {other}", mass),

@@ -70,7 +70,7 @@ fn cases() -> Result<Vec<Case>, Box<dyn Error>> {
 
 /// The box of the example `pick` in the lifted hand, which now stands still.
 fn hand_case() -> Result<Case, Box<dyn Error>> {
-    let of = pick::Pick { mass_kg: 0.2, friction: 0.5, cap_nm: 0.29, squeeze: 1.5, reserve_nm: 0.1, dt_s: 1e-3 };
+    let of = pick::Pick { mass_kg: 0.2, friction: 0.5, cap_nm: 0.29, grip_force: 1.5, reserve_nm: 0.1, dt_s: 1e-3 };
     let (mut model, scene, start) = pick::scene(&of)?;
     let mut state = rollout(&model, &scene, &start, &[LIFTED_S])?.last;
     model.articulations[0].base = Base::Fixed(state.articulations[0].base.world_from_base);

@@ -19,7 +19,7 @@ fn main() -> Result<(), Error> {
         joints: vec![0.8 + turn, 0.6 - turn],
         object_from_palm: Isometry3::translation(0.03 + 0.1 * turn, 0.03, 0.15),
         contacts: vec![true, true],
-        squeeze_n: mass_kg * GRAVITY_M_S2 / 0.5,
+        grip_force_n: mass_kg * GRAVITY_M_S2 / 0.5,
         mass_kg,
         friction: 0.5,
     };
@@ -40,12 +40,12 @@ fn main() -> Result<(), Error> {
     })?;
     println!("{} samples, {} numbers learned in {:.1} s", report.train_samples, report.parameters, report.seconds);
 
-    println!("  kg    μ   squeeze    m g/μ   joints of the likeliest grasp");
+    println!("  kg    μ   grip force    m g/μ   joints of the likeliest grasp");
     for (mass_kg, friction) in [(0.1, 0.5), (0.15, 0.5), (0.2, 0.5), (0.4, 0.5), (0.15, 0.4)] {
         let grasps = policy.predict(&Query::new(&points, mass_kg, friction))?;
         let Some(grasp) = grasps.first() else { continue };
         let right = mass_kg * GRAVITY_M_S2 / friction;
-        println!("{mass_kg:4.2}  {friction:3.1}  {:6.2} N  {right:6.2} N   {:.2?} rad", grasp.squeeze_n, grasp.joints);
+        println!("{mass_kg:4.2}  {friction:3.1}  {:6.2} N  {right:6.2} N   {:.2?} rad", grasp.grip_force_n, grasp.joints);
     }
     Ok(())
 }

@@ -67,7 +67,7 @@ fn made_up() -> Dataset {
                 joints: joints.clone(),
                 object_from_palm: palm,
                 contacts: (0..4).map(|f| f == 0 || wave(kind, 30 + f) > -0.5).collect(),
-                squeeze_n: (1.2 + 0.3 * wave(kind, 40)) * mass_kg * GRAVITY_M_S2 / 0.5,
+                grip_force_n: (1.2 + 0.3 * wave(kind, 40)) * mass_kg * GRAVITY_M_S2 / 0.5,
                 mass_kg,
                 friction: 0.5,
             });

@@ -55,14 +55,14 @@ impl TrainReport {
             vec![
                 of("held-out distance, m", &|s| s.held_out.map(|e| e.distance_m)),
                 of("held-out joints RMS, rad", &|s| s.held_out.map(|e| e.joint_rms_rad)),
-                of("held-out |squeeze / needed - 1|", &|s| s.held_out.map(|e| e.force_relative)),
+                of("held-out |grip force / needed - 1|", &|s| s.held_out.map(|e| e.force_relative)),
                 of("training joints RMS, rad", &|s| Some(s.joint_loss.sqrt())),
             ]
         } else {
             vec![
                 of("training joints RMS, rad", &|s| Some(s.joint_loss.sqrt())),
                 of("training wrist RMS, m", &|s| Some(s.wrist_loss.sqrt())),
-                of("training ln squeeze RMS", &|s| Some(s.force_loss.sqrt())),
+                of("training ln grip force RMS", &|s| Some(s.force_loss.sqrt())),
             ]
         };
         picture(&lines)

@@ -1,4 +1,4 @@
-//! Demonstrations to learn from: grasps of one or several objects, with the squeeze each needs at a given mass and friction.
+//! Demonstrations to learn from: grasps of one or several objects, with the grip force each needs at a given mass and friction.
 
 use drex_core::Pose;
 use nalgebra::{Point3, Unit, Vector3};
@@ -12,7 +12,7 @@ pub const GRAVITY_M_S2: f64 = 9.81;
 /// How far a demonstration may lie outside a joint limit, rad: rounding of files, no more.
 pub const LIMIT_TOLERANCE_RAD: f64 = 1e-6;
 
-/// Squeezes of less or more than this many times the weight are taken for a mistake in the units: friction coefficients of 0.01 to 10
+/// Grip forces of less or more than this many times the weight are taken for a mistake in the units: friction coefficients of 0.01 to 10
 /// lead to ratios of 0.1 to 100.
 const SQUEEZE_PER_WEIGHT: (f64, f64) = (1e-3, 1e4);
 
@@ -24,7 +24,7 @@ pub const FRICTION_RANGE: (f64, f64) = (0.02, 5.0);
 
 /// One grasp at one mass and friction.
 ///
-/// The same grasp (same joints, same wrist) usually appears once per mass, each time with the squeeze that this mass needs.
+/// The same grasp (same joints, same wrist) usually appears once per mass, each time with the grip force that this mass needs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GraspSample {
     /// Which of [`Dataset::objects`] is grasped.
@@ -35,11 +35,11 @@ pub struct GraspSample {
     pub object_from_palm: Pose,
     /// Which finger touches, in the order of [`Dataset::fingers`].
     pub contacts: Vec<bool>,
-    /// The smallest total squeeze that carries the object at `mass_kg` and `friction`: sum of normal forces, N.
-    pub squeeze_n: f64,
-    /// Mass of the object for which `squeeze_n` holds, kg.
+    /// The smallest total grip force that carries the object at `mass_kg` and `friction`: sum of normal forces, N.
+    pub grip_force_n: f64,
+    /// Mass of the object for which `grip_force_n` holds, kg.
     pub mass_kg: f64,
-    /// Coefficient of friction for which `squeeze_n` holds.
+    /// Coefficient of friction for which `grip_force_n` holds.
     pub friction: f64,
 }
 
@@ -84,7 +84,7 @@ pub struct Dataset {
 
 impl Dataset {
     /// Whether the data can be trained on: lengths agree, every number is finite, joints are inside their limits,
-    /// squeezes and masses are positive.
+    /// grip forces and masses are positive.
     ///
     /// # Errors
     /// [`Error::Dataset`] with the sample and the joint concerned.
@@ -184,10 +184,10 @@ impl Dataset {
             let remedy = "leave out what is no grasp, or find its contacts again";
             return Err(self.wrong(at, None, "the contact set is empty: no finger touches", remedy));
         }
-        for (what, value, unit) in [("squeeze", sample.squeeze_n, "N"), ("mass", sample.mass_kg, "kg")] {
+        for (what, value, unit) in [("grip force", sample.grip_force_n, "N"), ("mass", sample.mass_kg, "kg")] {
             if !(value.is_finite() && value > 0.0) {
                 let text = format!("the {what} is {value} {unit}, not a positive number");
-                return Err(self.wrong(at, None, text, "leave out grasps for which no squeeze was found"));
+                return Err(self.wrong(at, None, text, "leave out grasps for which no grip force was found"));
             }
         }
         let ranges =
@@ -199,12 +199,12 @@ impl Dataset {
                 return Err(self.wrong(at, None, text, "check the unit, or measure it again"));
             }
         }
-        let ratio = sample.squeeze_n / (sample.mass_kg * GRAVITY_M_S2);
+        let ratio = sample.grip_force_n / (sample.mass_kg * GRAVITY_M_S2);
         let (least, most) = SQUEEZE_PER_WEIGHT;
         if !(ratio >= least && ratio <= most) {
             let what = format!(
-                "a squeeze of {} N for {} kg is {ratio:.3e} times the weight",
-                sample.squeeze_n, sample.mass_kg
+                "a grip force of {} N for {} kg is {ratio:.3e} times the weight",
+                sample.grip_force_n, sample.mass_kg
             );
             return Err(self.wrong(at, None, what, "check the units (N, kg)"));
         }
@@ -235,7 +235,7 @@ impl Dataset {
             let (translation, quaternion) = drex_core::pose::to_wxyz(&s.object_from_palm);
             s.joints.iter().copied().chain(translation).chain(quaternion).for_each(&mut number);
             s.contacts.iter().for_each(|c| number(f64::from(u8::from(*c))));
-            [s.squeeze_n, s.mass_kg, s.friction].into_iter().for_each(&mut number);
+            [s.grip_force_n, s.mass_kg, s.friction].into_iter().for_each(&mut number);
         }
         drex_core::fsutil::hex(&hash.finalize())
     }

@@ -4,7 +4,7 @@ use drex_core::Pose;
 
 use crate::data::GRAVITY_M_S2;
 use crate::metric::{grasp_distance_m, joint_rms_rad};
-use crate::norm::{plain_squeeze, wrist_numbers, wrist_pose};
+use crate::norm::{grip_force_ratio, wrist_numbers, wrist_pose};
 use crate::policy::Scene;
 use crate::split::{Split, Stream, random, shuffle};
 use crate::{Baselines, Dataset, GraspErrors, GraspPolicy, GraspSample, ModeReport, PredictedGrasp, Result};
@@ -63,7 +63,7 @@ pub(crate) fn grasp_errors(
         sum.joint_rms_rad += joint_rms_rad(&nearest.joints, &sample.joints);
         sum.wrist_m += (a.translation.vector - b.translation.vector).norm();
         sum.wrist_rad += a.rotation.angle_to(&b.rotation);
-        sum.force_relative += (nearest.squeeze_n / sample.squeeze_n - 1.0).abs();
+        sum.force_relative += (nearest.grip_force_n / sample.grip_force_n - 1.0).abs();
         count += 1.0;
     }
     (count > 0.0).then(|| GraspErrors {
@@ -171,18 +171,18 @@ pub(crate) fn mode_reports(
     Ok(reports)
 }
 
-/// A training grasp as a prediction: its mean plain squeeze, at another mass and friction, at the same place about another object.
+/// A training grasp as a prediction: its mean plain grip force, at another mass and friction, at the same place about another object.
 struct Recalled<'a> {
     sample: &'a GraspSample,
     network_from_palm: Pose,
-    squeeze: f64,
+    grip_force: f64,
 }
 
 impl<'a> Recalled<'a> {
     fn new(data: &'a Dataset, poses: &[Pose], grasp: &[usize]) -> Option<Self> {
         let first = *grasp.first()?;
-        let squeeze = grasp.iter().map(|&s| plain_squeeze(&data.samples[s])).sum::<f64>() / grasp.len() as f64;
-        Some(Self { sample: &data.samples[first], network_from_palm: poses[first], squeeze })
+        let grip_force = grasp.iter().map(|&s| grip_force_ratio(&data.samples[s])).sum::<f64>() / grasp.len() as f64;
+        Some(Self { sample: &data.samples[first], network_from_palm: poses[first], grip_force })
     }
 
     fn at(&self, wanted: &GraspSample, scene: &Scene) -> PredictedGrasp {
@@ -190,13 +190,13 @@ impl<'a> Recalled<'a> {
             joints: self.sample.joints.clone(),
             object_from_palm: scene.frame.network_from_object.inverse() * self.network_from_palm,
             contacts: self.sample.contacts.iter().map(|c| f64::from(u8::from(*c))).collect(),
-            squeeze_n: self.squeeze * wanted.mass_kg * GRAVITY_M_S2 / wanted.friction,
+            grip_force_n: self.grip_force * wanted.mass_kg * GRAVITY_M_S2 / wanted.friction,
             weight: 1.0,
         }
     }
 }
 
-/// The mean of the training grasps (rotations averaged by their first two columns) with the mean squeeze; the palm in the network's frame.
+/// The mean of the training grasps (rotations averaged by their first two columns) with the mean grip force; the palm in the network's frame.
 fn mean_demonstration(data: &Dataset, poses: &[Pose], split: &Split) -> PredictedGrasp {
     let samples: Vec<usize> = split.train.iter().flatten().copied().collect();
     let mean = |of: &dyn Fn(usize) -> f64| samples.iter().map(|&s| of(s)).sum::<f64>() / samples.len().max(1) as f64;
@@ -207,7 +207,7 @@ fn mean_demonstration(data: &Dataset, poses: &[Pose], split: &Split) -> Predicte
         contacts: (0..data.fingers.len())
             .map(|f| mean(&|s| f64::from(u8::from(data.samples[s].contacts[f]))))
             .collect(),
-        squeeze_n: mean(&|s| data.samples[s].squeeze_n),
+        grip_force_n: mean(&|s| data.samples[s].grip_force_n),
         weight: 1.0,
     }
 }

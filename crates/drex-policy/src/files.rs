@@ -39,7 +39,8 @@ struct Units {
     length: String,
     mass: String,
     friction: String,
-    squeeze: String,
+    #[serde(rename = "squeeze")]
+    grip_force: String,
     wrist: String,
 }
 
@@ -50,7 +51,7 @@ impl Units {
             length: "m".into(),
             mass: "kg".into(),
             friction: "coefficient between finger and object".into(),
-            squeeze: "N, sum of normal forces".into(),
+            grip_force: "N, sum of normal forces".into(),
             wrist: "object_from_palm, in the frame of the object's points".into(),
         }
     }

@@ -25,11 +25,11 @@
 //! and passed one by one through a shared perceptron; maximum and mean over the points describe the object (PointNet, Qi et al. 2017). The
 //! logarithms of mass and friction and the height of the table below the object's centre join there, after pooling, so the encoder runs once
 //! however many masses are asked. Two more layers give K modes of: joint angles (tanh onto the joint limits), wrist translation and
-//! the first two columns of its rotation (Zhou et al. 2019), squeeze, a logit, and a contact logit per finger.
+//! the first two columns of its rotation (Zhou et al. 2019), grip force, a logit, and a contact logit per finger.
 //!
 //! # The force
-//! At fixed contacts the smallest squeeze is proportional to the weight, and of two opposed contacts to one over the friction. So each mode
-//! predicts the logarithm of squeeze times friction over weight, bounded by twice the range seen in training. Within the masses and
+//! At fixed contacts the minimum grip force is proportional to the weight, and of two opposed contacts to one over the friction. So each mode
+//! predicts the logarithm of grip force times friction over weight, bounded by twice the range seen in training. Within the masses and
 //! frictions of the data the ratio may depend on both (torque limits bind for heavy objects); outside it keeps its value at the nearest one seen,
 //! and the force goes on in proportion.
 //!
@@ -37,7 +37,7 @@
 //! Minus the log-likelihood of the demonstrations under a mixture: each mode a Student's t about its joints and wrist, one learned spread per
 //! joint, one of the wrist's translation, one of its rotation. It is a normalised density, so that policies can be compared by the
 //! likelihood of grasps they have not seen ([`GraspPolicy::log_density`]). Every mode gets a small share of every demonstration that falls to zero
-//! as training goes on; modes start from demonstrations spread over the data (k-means++), so none starts dead. Squeezes and contacts are learned
+//! as training goes on; modes start from demonstrations spread over the data (k-means++), so none starts dead. Grip forces and contacts are learned
 //! by the modes that explain a demonstration.
 //!
 //! # Conventions
@@ -75,7 +75,7 @@ pub use data::{Dataset, FRICTION_RANGE, GRAVITY_M_S2, GraspSample, LIMIT_TOLERAN
 pub use error::{Error, Result};
 pub use metric::grasp_distance_m;
 pub use options::{RolloutOptions, TrainOptions};
-pub use policy::{GraspPolicy, PAPER_FORCE_N, PredictedGrasp, Query, Spread, normalised_squeeze};
+pub use policy::{GraspPolicy, PAPER_FORCE_N, PredictedGrasp, Query, Spread, normalised_grip_force};
 pub use report::{Baselines, EpochStats, GraspErrors, ModeReport, RolloutStats, TrainReport};
 pub use train::{Feedback, Rollouts, Trainer};
 

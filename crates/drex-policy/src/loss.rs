@@ -15,7 +15,7 @@ const NEAR: f64 = 100.0;
 pub(crate) struct Scales {
     /// Centre and half width of each joint's interval, rad.
     pub joint_intervals: Vec<(f64, f64)>,
-    /// Centre and half width of ln(squeeze · friction / weight).
+    /// Centre and half width of ln(grip force · friction / weight).
     pub log_ratio_interval: (f64, f64),
     /// Share of the likelihood that every mode gets, whether it explains the grasp or not.
     pub share: f64,
@@ -34,7 +34,7 @@ pub(crate) struct Target {
     pub joints: Vec<f64>,
     /// See [`crate::norm::wrist_numbers`].
     pub wrist: [f64; 9],
-    /// ln(squeeze · friction / weight).
+    /// ln(grip force · friction / weight).
     pub log_ratio: f64,
     /// Which finger touches.
     pub contacts: Vec<bool>,
@@ -92,7 +92,7 @@ impl<'a> Mode<'a> {
         (middle + half * STRETCH * tanh, half * STRETCH * (1.0 - tanh * tanh))
     }
 
-    /// ln(squeeze · friction / weight) and its derivative with respect to the output.
+    /// ln(grip force · friction / weight) and its derivative with respect to the output.
     pub fn log_ratio(&self) -> (f64, f64) {
         let (centre, half) = self.scales.log_ratio_interval;
         let tanh = self.at(self.layout.force()).tanh();

@@ -66,7 +66,7 @@ fn forward(layout: &Layout, p: &[Tensor<2>], encoded: &[f32], scalars: &[f32], d
     let scalars = tensor(scalars.to_vec(), [scalars.len() / SCALARS, SCALARS], device);
     let x = relu(scalars.clone().matmul(weight(8)) + object);
     let x = relu(x.matmul(weight(10)) + weight(11));
-    // The scalars also go straight to the outputs: a power law of the squeeze in mass and friction needs nothing else.
+    // The scalars also go straight to the outputs: a power law of the grip force in mass and friction needs nothing else.
     x.matmul(weight(12)) + scalars.matmul(weight(13)) + weight(14)
 }
 

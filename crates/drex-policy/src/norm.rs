@@ -12,7 +12,7 @@ use crate::weights::SCALARS;
 /// the limits, and what exceeds them is clamped.
 pub(crate) const STRETCH: f64 = 1.02;
 
-/// The force stays within this factor of the squeeze per weight seen in training.
+/// The force stays within this factor of the grip force per weight seen in training.
 const FORCE_MARGIN: f64 = 2.0;
 
 /// Masses beyond this factor of those seen in training are refused.
@@ -35,19 +35,21 @@ pub(crate) struct Normalisation {
     pub least_friction: f64,
     /// Largest coefficient of friction seen.
     pub most_friction: f64,
-    /// Least squeeze seen, over weight and times friction.
-    pub least_squeeze: f64,
-    /// Largest squeeze seen, over weight and times friction.
-    pub most_squeeze: f64,
+    /// Least grip force seen, over weight and times friction.
+    #[serde(rename = "least_squeeze")]
+    pub least_grip_force: f64,
+    /// maximum grip force seen, over weight and times friction.
+    #[serde(rename = "most_squeeze")]
+    pub most_grip_force: f64,
 }
 
 impl Normalisation {
     pub fn new<'a>(samples: impl Iterator<Item = &'a GraspSample>, length_m: f64) -> Self {
         let none = (f64::INFINITY, 0.0_f64);
-        let (mut mass, mut friction, mut squeeze) = (none, none, none);
+        let (mut mass, mut friction, mut grip_force) = (none, none, none);
         for s in samples {
             for (range, value) in
-                [(&mut mass, s.mass_kg), (&mut friction, s.friction), (&mut squeeze, plain_squeeze(s))]
+                [(&mut mass, s.mass_kg), (&mut friction, s.friction), (&mut grip_force, grip_force_ratio(s))]
             {
                 *range = (range.0.min(value), range.1.max(value));
             }
@@ -58,8 +60,8 @@ impl Normalisation {
             most_mass_kg: mass.1,
             least_friction: friction.0,
             most_friction: friction.1,
-            least_squeeze: squeeze.0,
-            most_squeeze: squeeze.1,
+            least_grip_force: grip_force.0,
+            most_grip_force: grip_force.1,
         }
     }
 
@@ -69,7 +71,7 @@ impl Normalisation {
         (1e-3..=10.0).contains(&self.length_m)
             && ordered(self.least_mass_kg, self.most_mass_kg)
             && ordered(self.least_friction, self.most_friction)
-            && ordered(self.least_squeeze, self.most_squeeze)
+            && ordered(self.least_grip_force, self.most_grip_force)
     }
 
     /// What joins the points after pooling: mass, friction, and the height of the object's centre above the table over the length.
@@ -79,28 +81,28 @@ impl Normalisation {
         [mass as f32, friction as f32, (table_m / self.length_m) as f32]
     }
 
-    /// Centre and half width of the interval of ln(squeeze · friction / weight) that the network can express.
+    /// Centre and half width of the interval of ln(grip force · friction / weight) that the network can express.
     pub fn log_ratio_interval(&self) -> (f64, f64) {
-        let (a, b) = (self.least_squeeze.ln(), self.most_squeeze.ln());
+        let (a, b) = (self.least_grip_force.ln(), self.most_grip_force.ln());
         ((a + b) / 2.0, (b - a) / 2.0 + FORCE_MARGIN.ln())
     }
 
-    /// Squeeze in N from the network's output, mass and friction: m g / μ · exp(c + h tanh o).
-    pub fn squeeze_n(&self, output: f64, mass_kg: f64, friction: f64) -> f64 {
+    /// Grip force in N from the network's output, mass and friction: m g / μ · exp(c + h tanh o).
+    pub fn grip_force_n(&self, output: f64, mass_kg: f64, friction: f64) -> f64 {
         let (centre, half) = self.log_ratio_interval();
         mass_kg * GRAVITY_M_S2 / friction * (centre + half * output.tanh()).exp()
     }
 
-    /// The logarithm that stands for a squeeze, kept inside what the network can express.
-    pub fn log_ratio(&self, squeeze_n: f64, mass_kg: f64, friction: f64) -> f64 {
+    /// The logarithm that stands for a grip force, kept inside what the network can express.
+    pub fn log_ratio(&self, grip_force_n: f64, mass_kg: f64, friction: f64) -> f64 {
         let (centre, half) = self.log_ratio_interval();
-        let log = (squeeze_n * friction / (mass_kg * GRAVITY_M_S2)).ln();
+        let log = (grip_force_n * friction / (mass_kg * GRAVITY_M_S2)).ln();
         log.clamp(centre - 0.98 * half, centre + 0.98 * half)
     }
 }
 
 /// -1 at the least and 1 at the largest value of the training data, linear in the logarithm, constant outside. So outside the data the
-/// squeeze keeps its last ratio and goes on in proportion to the mass and to one over the friction.
+/// grip force keeps its last ratio and goes on in proportion to the mass and to one over the friction.
 fn within(value: f64, least: f64, most: f64) -> f64 {
     let (a, b) = (least.ln(), most.ln());
     if b - a < 1e-9 {
@@ -109,10 +111,10 @@ fn within(value: f64, least: f64, most: f64) -> f64 {
     (2.0 * (value.ln() - a) / (b - a) - 1.0).clamp(-1.0, 1.0)
 }
 
-/// Squeeze times friction over weight of a demonstration, a number near one: two opposed contacts need m g / μ in sum. The geometry of
+/// Grip force times friction over weight of a demonstration, a number near one: two opposed contacts need m g / μ in sum. The geometry of
 /// the grasp fixes it; mass and friction drop out as long as torque limits do not bind.
-pub(crate) fn plain_squeeze(sample: &GraspSample) -> f64 {
-    sample.squeeze_n * sample.friction / (sample.mass_kg * GRAVITY_M_S2)
+pub(crate) fn grip_force_ratio(sample: &GraspSample) -> f64 {
+    sample.grip_force_n * sample.friction / (sample.mass_kg * GRAVITY_M_S2)
 }
 
 /// Centre and half width of each joint's interval, rad.
@@ -154,7 +156,7 @@ pub(crate) fn outputs_for(limits: &[(f64, f64)], sample: &GraspSample, pose: &Po
     }
     out.extend(wrist_numbers(pose, norm.length_m).map(|v| v as f32));
     let (middle, half) = norm.log_ratio_interval();
-    out.push(inverse_tanh((plain_squeeze(sample).ln() - middle) / half) as f32);
+    out.push(inverse_tanh((grip_force_ratio(sample).ln() - middle) / half) as f32);
     out.push(0.0);
     out.extend(sample.contacts.iter().map(|c| if *c { 1.0 } else { -1.0 }));
     out
@@ -172,18 +174,18 @@ mod tests {
             most_mass_kg: 0.4,
             least_friction: 0.25,
             most_friction: 1.0,
-            least_squeeze: 2.0,
-            most_squeeze: 3.0,
+            least_grip_force: 2.0,
+            most_grip_force: 3.0,
         }
     }
 
     #[test]
     fn force_is_proportional_to_mass_over_friction_and_bounded() {
         let n = norm();
-        assert!((n.squeeze_n(0.3, 0.4, 0.5) / n.squeeze_n(0.3, 0.1, 1.0) - 8.0).abs() < 1e-12);
+        assert!((n.grip_force_n(0.3, 0.4, 0.5) / n.grip_force_n(0.3, 0.1, 1.0) - 8.0).abs() < 1e-12);
         let unit = 0.2 * GRAVITY_M_S2 / 0.5;
         for output in [-1e30, -3.0, 0.0, 3.0, 1e30] {
-            let ratio = n.squeeze_n(output, 0.2, 0.5) / unit;
+            let ratio = n.grip_force_n(output, 0.2, 0.5) / unit;
             assert!((2.0 / 2.0 - 1e-9..=3.0 * 2.0 + 1e-9).contains(&ratio), "{ratio}");
         }
         let log = n.log_ratio(2.4 * unit, 0.2, 0.5);

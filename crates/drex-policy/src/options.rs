@@ -51,7 +51,7 @@ pub struct TrainOptions {
     /// Weight of the distance (over a tenth of `length_m`) of the nearest mode against the likelihood. It keeps modes near
     /// grasps that the likelihood takes for outliers.
     pub nearest_weight: f64,
-    /// Weight of the squeeze loss (squared error of the logarithm) against the likelihood: 1/(2 σ²) for a relative error of σ.
+    /// Weight of the grip force loss (squared error of the logarithm) against the likelihood: 1/(2 σ²) for a relative error of σ.
     pub force_weight: f64,
     /// Weight of the contact loss (cross-entropy, summed over the fingers) against the likelihood.
     pub contact_weight: f64,
@@ -80,9 +80,9 @@ pub struct RolloutOptions {
     pub learning_rate: f64,
     /// Fingers that must hold the object.
     pub min_fingers: usize,
-    /// Share of the friction cone that a grasp should use: the squeeze aims at it.
+    /// Share of the friction cone that a grasp should use: the grip force aims at it.
     pub wanted_friction_share: f64,
-    /// How much a squeeze is raised after enough fingers touched and the object was lost all the same, as a factor.
+    /// How much a grip force is raised after enough fingers touched and the object was lost all the same, as a factor.
     pub raise: f64,
     /// Weight of the squared distance (in spreads) of joints and wrists to what the first phase taught.
     pub anchor_weight: f64,

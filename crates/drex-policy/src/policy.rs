@@ -15,9 +15,9 @@ use crate::{Dataset, Error, Result, TrainOptions, net};
 /// The largest force that the paper's number stands for, N.
 pub const PAPER_FORCE_N: f64 = 5.0;
 
-/// A squeeze as the normalised number of the D-REX paper: over 5 N, between 0 and 1 (its label m g n / f_max is such a sum of forces).
-pub fn normalised_squeeze(squeeze_n: f64) -> f64 {
-    (squeeze_n / PAPER_FORCE_N).clamp(0.0, 1.0)
+/// A grip force as the normalised number of the D-REX paper: over 5 N, between 0 and 1 (its label m g n / f_max is such a sum of forces).
+pub fn normalised_grip_force(grip_force_n: f64) -> f64 {
+    (grip_force_n / PAPER_FORCE_N).clamp(0.0, 1.0)
 }
 
 /// Objects larger than this many lengths of a hand are taken for a mistake in the units.
@@ -68,8 +68,8 @@ pub struct PredictedGrasp {
     pub object_from_palm: Pose,
     /// Probability of each finger to touch, in the order of [`GraspPolicy::fingers`].
     pub contacts: Vec<f64>,
-    /// Total squeeze, sum of normal forces, N.
-    pub squeeze_n: f64,
+    /// Total grip force, sum of normal forces, N.
+    pub grip_force_n: f64,
     /// Probability of this grasp among those proposed; they sum to one.
     pub weight: f64,
 }
@@ -124,7 +124,7 @@ impl GraspPolicy {
     /// The grasps for what `query` tells of, the most probable first. The wrist comes back in the frame of the points.
     ///
     /// At least [`points`](Self::points) points are needed; more are thinned by farthest-point sampling.
-    /// The squeeze is m g / μ times a ratio that the network bounds by twice the range seen in training; outside the masses and the
+    /// The grip force is m g / μ times a ratio that the network bounds by twice the range seen in training; outside the masses and the
     /// frictions seen it grows in proportion.
     ///
     /// # Errors
@@ -252,7 +252,7 @@ impl GraspPolicy {
                 joints: (0..layout.joints).map(angle).collect(),
                 object_from_palm: object_from_network * wrist_pose(&wrist, norm.length_m),
                 contacts: (0..layout.fingers).map(|f| sigmoid(at(layout.contacts() + f))).collect(),
-                squeeze_n: norm.squeeze_n(at(layout.force()), mass_kg, friction),
+                grip_force_n: norm.grip_force_n(at(layout.force()), mass_kg, friction),
                 weight: (at(layout.logit()) - log_z).exp(),
             }
         };

@@ -13,7 +13,7 @@ pub struct EpochStats {
     pub joint_loss: f64,
     /// The same of the wrist: squared translation plus squared (lever times rotation), m².
     pub wrist_loss: f64,
-    /// Squared error of the logarithm of the squeeze, of the modes that explain the grasp.
+    /// Squared error of the logarithm of the grip force, of the modes that explain the grasp.
     pub force_loss: f64,
     /// Cross-entropy of the contacts, summed over the fingers.
     pub contact_loss: f64,
@@ -42,7 +42,7 @@ pub struct RolloutStats {
     pub reward: f64,
     /// Mean reward weighted by the policy's probabilities of the modes: what a grasp drawn from it would earn.
     pub policy_reward: f64,
-    /// Mean |ln(target / proposed)| of the squeeze, where a target was found.
+    /// Mean |ln(target / proposed)| of the grip force, where a target was found.
     pub force_gap: f64,
     /// Mean cross-entropy of the contacts, summed over the fingers.
     pub contact_loss: f64,
@@ -66,18 +66,18 @@ pub struct GraspErrors {
     pub wrist_m: f64,
     /// Angle between the palms, rad.
     pub wrist_rad: f64,
-    /// |predicted / needed - 1| of the squeeze.
+    /// |predicted / needed - 1| of the grip force.
     pub force_relative: f64,
 }
 
 /// What simple rules reach on the held-out grasps, to compare [`EpochStats::held_out`] with.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Baselines {
-    /// One prediction, the mean of the training grasps, with the mean squeeze whatever the mass.
+    /// One prediction, the mean of the training grasps, with the mean grip force whatever the mass.
     pub mean_demonstration: GraspErrors,
-    /// As many training grasps as the policy has modes, drawn at random, with their squeeze per weight; mean over draws.
+    /// As many training grasps as the policy has modes, drawn at random, with their grip force per weight; mean over draws.
     pub random_demonstrations: GraspErrors,
-    /// All training grasps at hand: the nearest one, with its squeeze per weight. It knows more grasps than the policy may keep.
+    /// All training grasps at hand: the nearest one, with its grip force per weight. It knows more grasps than the policy may keep.
     pub nearest_demonstration: GraspErrors,
 }
 

@@ -126,7 +126,7 @@ mod tests {
             joints: vec![angle],
             object_from_palm: Pose::identity(),
             contacts: vec![true],
-            squeeze_n: 20.0 * mass_kg,
+            grip_force_n: 20.0 * mass_kg,
             mass_kg,
             friction: 0.5,
         };

@@ -26,7 +26,7 @@ pub(crate) struct Layout {
 }
 
 impl Layout {
-    /// Outputs per mode: joints, translation, two columns of a rotation, log squeeze per weight, logit, one contact logit per finger.
+    /// Outputs per mode: joints, translation, two columns of a rotation, log grip force per weight, logit, one contact logit per finger.
     pub fn mode_width(&self) -> usize {
         self.joints + 3 + 6 + 2 + self.fingers
     }
@@ -36,7 +36,7 @@ impl Layout {
         self.joints
     }
 
-    /// Where in a mode's outputs the squeeze stands.
+    /// Where in a mode's outputs the grip force stands.
     pub fn force(&self) -> usize {
         self.joints + 9
     }

@@ -74,7 +74,7 @@ fn of_robot(page: &mut Page, fits: &FitFile) {
          and in {} the object lies between the fingers rather than being pressed from one side.",
         fits.accepted,
         fits.demonstrations,
-        count(&|g| g.squeeze_per_weight.is_some()),
+        count(&|g| g.grip_force_per_weight.is_some()),
         count(&|g| g.pushed_out.is_some_and(|p| p < PUSHED_OUT)),
     ));
 }
@@ -108,7 +108,7 @@ pub fn training(page: &mut Page, training: &Training) {
     }
     page.paragraph(&format!(
         "{} parameters, {} samples for training ({} grasps at several masses) and {} held out. From surface points and mass to \
-         several modes of joint angles, wrist pose and squeeze.",
+         several modes of joint angles, wrist pose and grip force.",
         r.parameters, r.train_samples, r.train_grasps, r.held_out_samples
     ));
     let x: Vec<f64> = r.curve.iter().map(|e| e.epoch as f64).collect();
@@ -155,7 +155,7 @@ pub fn evaluation(page: &mut Page, twin: &Twin, asset: &Asset, e: &Evaluation) -
     page.section("Predicted grasps, static check");
     page.paragraph(&format!(
         "Judged at {:.1} g, which grasps are made for, and friction {}: contacts of thumb and at least two fingers, penetration, force closure, and the \
-         smallest squeeze that carries the weight within the motors' torque. This is a static check of geometry and forces: \
+         minimum grip force that carries the weight within the motors' torque. This is a static check of geometry and forces: \
          nothing was lifted for it, in simulation or on a robot.",
         1e3 * e.mass_kg,
         e.friction
@@ -167,10 +167,10 @@ pub fn evaluation(page: &mut Page, twin: &Twin, asset: &Asset, e: &Evaluation) -
     });
     let mut pictures = Vec::new();
     for grasp in best.iter().take(SHOWN) {
-        let caption = match (grasp.check.passed, grasp.check.squeeze_n) {
+        let caption = match (grasp.check.passed, grasp.check.grip_force_n) {
             (true, Some(n)) => format!(
-                "passes: squeeze {n:.2} N, network asks for {:.2} N",
-                grasp.predicted_squeeze_n.unwrap_or(f64::NAN)
+                "passes: grip force {n:.2} N, network asks for {:.2} N",
+                grasp.predicted_grip_force_n.unwrap_or(f64::NAN)
             ),
             _ => format!("fails: {}", grasp.check.failures.join("; ")),
         };
@@ -189,8 +189,8 @@ pub fn evaluation(page: &mut Page, twin: &Twin, asset: &Asset, e: &Evaluation) -
                     super::summary::passed(grasps),
                     of(&|g| Some(g.check.penetration_mm)),
                     format!("{}", grasps.iter().filter(|g| g.check.force_closure).count()),
-                    of(&|g| g.check.squeeze_n),
-                    of(&|g| g.predicted_squeeze_n),
+                    of(&|g| g.check.grip_force_n),
+                    of(&|g| g.predicted_grip_force_n),
                     of(&|g| g.check.friction_margin),
                 ]
             })
@@ -201,8 +201,8 @@ pub fn evaluation(page: &mut Page, twin: &Twin, asset: &Asset, e: &Evaluation) -
             "pass",
             "penetration, mm",
             "force closure",
-            "smallest squeeze, N",
-            "network's squeeze, N",
+            "minimum grip force, N",
+            "network's grip force, N",
             "friction margin",
         ],
         &rows,
@@ -225,8 +225,8 @@ pub fn evaluation(page: &mut Page, twin: &Twin, asset: &Asset, e: &Evaluation) -
                 if g.check.passed { "pass".into() } else { g.check.failures.join("; ") },
                 contacts.join(", "),
                 format!("{:.2}", g.check.penetration_mm),
-                g.check.squeeze_n.map_or("-".into(), |v| format!("{v:.2}")),
-                g.predicted_squeeze_n.map_or("-".into(), |v| format!("{v:.2}")),
+                g.check.grip_force_n.map_or("-".into(), |v| format!("{v:.2}")),
+                g.predicted_grip_force_n.map_or("-".into(), |v| format!("{v:.2}")),
             ]
         })
         .collect();
@@ -237,8 +237,8 @@ pub fn evaluation(page: &mut Page, twin: &Twin, asset: &Asset, e: &Evaluation) -
             "static check",
             "contacts",
             "penetration, mm",
-            "smallest squeeze, N",
-            "network's squeeze, N",
+            "minimum grip force, N",
+            "network's grip force, N",
         ],
         &rows,
     );

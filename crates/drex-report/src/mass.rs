@@ -35,7 +35,7 @@ pub fn deviation_text(sd_kg: f64) -> String {
 pub fn grip_text(mass: &MassFile) -> Option<String> {
     (mass.grip_kg > mass.mass_kg).then(|| {
         format!(
-            "for {:.1} g: with the margin of the force law, 95 % of the masses that are likely are held",
+            "for {:.1} g: with the margin of the grip-force policy, 95 % of the masses that are likely are held",
             1e3 * mass.grip_kg
         )
     })

@@ -56,7 +56,7 @@ pub fn section(page: &mut Page, twin: &Twin, fits: &FitFile) -> Result<()> {
         if fits.clips.len() == 1 { "one recording".to_owned() } else { format!("{} recordings", fits.clips.len()) },
         total(&|c| c.held),
         total(&|c| c.accepted),
-        count(&|g| g.accepted && g.squeeze_per_weight.is_some()),
+        count(&|g| g.accepted && g.grip_force_per_weight.is_some()),
         fits.accepted,
         twin.friction(),
     ));

@@ -102,11 +102,11 @@ pub fn findings(twin: &Twin, last: Stage) -> Result<Findings> {
     if has_grasps && last >= Stage::Trial {
         let trial: TrialFile = files::read_json(&twin.path(files::TRIAL))?;
         text += &format!("  trial      {}\n", trial_line(&trial));
-        let (squeeze_n, held_n) = squeezes(&trial);
+        let (grip_force_n, held_n) = grip_forces(&trial);
         found.insert(
             "trial".into(),
             json!({ "held": trial.held, "n": trial.n, "interval": trial.interval,
-                    "squeeze_n": squeeze_n, "held_n": held_n }),
+                    "squeeze_n": grip_force_n, "held_n": held_n }),
         );
     }
     if has_grasps && last >= Stage::Execute {
@@ -142,18 +142,18 @@ fn learned_line(learned: &OriginCounts, tried: &OriginCounts) -> String {
 /// "23 of 24 lifted, held and shaken (95 %: 80 to 99 %) with 7.1 N".
 fn trial_line(trial: &TrialFile) -> String {
     let [low, high] = trial.interval.map(|p| 100.0 * p);
-    let squeeze = squeezes(trial).0.map(|n| format!(" with {n:.1} N (median)"));
+    let grip_force = grip_forces(trial).0.map(|n| format!(" with {n:.1} N (median)"));
     format!(
         "{} of {} rollouts lifted, held and shaken (95 %: {low:.0} to {high:.0} %){}",
         trial.held,
         trial.n,
-        squeeze.unwrap_or_default()
+        grip_force.unwrap_or_default()
     )
 }
 
-/// Medians of the squeeze that was commanded and of the one that was delivered, N.
-pub fn squeezes(trial: &TrialFile) -> (Option<f64>, Option<f64>) {
-    let commanded = trial.rollouts.iter().filter(|r| r.proposal > 0).map(|r| r.squeeze_n);
+/// Medians of the grip force that was commanded and of the one that was delivered, N.
+pub fn grip_forces(trial: &TrialFile) -> (Option<f64>, Option<f64>) {
+    let commanded = trial.rollouts.iter().filter(|r| r.proposal > 0).map(|r| r.grip_force_n);
     (median(commanded), median(trial.rollouts.iter().filter_map(|r| r.held_n)))
 }
 
@@ -196,10 +196,10 @@ pub fn figures(page: &mut Page, asset: &Asset, mass: &MassFile, learned: Option<
         ));
         all.push((training.learned.total().to_string(), "grasps learned".to_owned(), training.learned.to_string()));
         let newtons = |n: Option<f64>| n.map_or("-".to_owned(), |n| format!("{n:.1} N"));
-        let (squeeze_n, held_n) = squeezes(trial);
+        let (grip_force_n, held_n) = grip_forces(trial);
         all.push((
-            newtons(squeeze_n),
-            "squeeze (median)".to_owned(),
+            newtons(grip_force_n),
+            "grip force (median)".to_owned(),
             format!("commanded, sum of normal forces; {} delivered in the hold", newtons(held_n)),
         ));
         let [low, high] = trial.interval;

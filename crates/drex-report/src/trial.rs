@@ -48,7 +48,7 @@ pub fn section(page: &mut Page, twin: &Twin, asset: &Asset, trial: &TrialFile) -
     page.section("Trial: lift, hold, shake");
     let [low, high] = trial.interval;
     page.paragraph(&format!(
-        "The grasp that the network gives, carried out in simulation: the hand comes near, closes until the fingers touch, squeezes, \
+        "The grasp that the network gives, carried out in simulation: the hand comes near, closes until the fingers touch, grips, \
          lifts by 20 cm, holds and is shaken. In {} of {} rollouts the object stayed in the hand: {:.0} %, 95 % interval {:.0} to {:.0} % \
          (Wilson). Nothing was lifted by a real hand.",
         trial.held,
@@ -93,13 +93,13 @@ fn verdicts(page: &mut Page, trial: &TrialFile) {
     let rows: Vec<Vec<String>> = by
         .into_iter()
         .map(|(verdict, all)| {
-            let squeezed: Vec<f64> = all.iter().map(|r| r.squeeze_n).filter(|n| *n > 0.0).collect();
+            let share_grip_force: Vec<f64> = all.iter().map(|r| r.grip_force_n).filter(|n| *n > 0.0).collect();
             vec![
                 outcome(verdict).to_owned(),
                 all.len().to_string(),
                 range(all.iter().map(|r| 1e3 * r.mass_kg).collect(), 1),
                 range(all.iter().map(|r| r.friction).collect(), 2),
-                middle(squeezed),
+                middle(share_grip_force),
                 middle(all.iter().filter_map(|r| r.held_n).collect()),
                 middle(all.iter().filter_map(|r| r.friction_used).collect()),
             ]
@@ -111,16 +111,16 @@ fn verdicts(page: &mut Page, trial: &TrialFile) {
             "rollouts",
             "true mass, g",
             "true friction",
-            "squeeze told, N (median)",
+            "grip force told, N (median)",
             "delivered in the hold, N (median)",
             "share of the friction used (median)",
         ],
         &rows,
     );
     let (mut friction, mut told, mut held_at, mut held) = (vec![], vec![], vec![], vec![]);
-    for r in trial.rollouts.iter().filter(|r| r.squeeze_n > 0.0) {
+    for r in trial.rollouts.iter().filter(|r| r.grip_force_n > 0.0) {
         friction.push(r.friction);
-        told.push(r.squeeze_n);
+        told.push(r.grip_force_n);
         if let Some(n) = r.held_n {
             held_at.push(r.friction);
             held.push(n);
@@ -130,7 +130,7 @@ fn verdicts(page: &mut Page, trial: &TrialFile) {
         return;
     }
     let plot = Plot {
-        title: "Squeeze of each rollout",
+        title: "Grip force of each rollout",
         x_label: "true friction",
         y_label: "sum of the normal forces, N",
         series: vec![
@@ -193,12 +193,12 @@ fn film(page: &mut Page, twin: &Twin, asset: &Asset, trial: &TrialFile) -> Resul
     }
     let caption = match trial.filmed.and_then(|i| Some((i, trial.rollouts.get(i)?))) {
         Some((i, r)) => format!(
-            "rollout {} of {}: true mass {:.1} g, friction {:.2}, squeeze {:.2} N; {}",
+            "rollout {} of {}: true mass {:.1} g, friction {:.2}, grip force {:.2} N; {}",
             i + 1,
             trial.n,
             1e3 * r.mass_kg,
             r.friction,
-            r.squeeze_n,
+            r.grip_force_n,
             outcome(r.verdict)
         ),
         None => "a rollout".to_owned(),
@@ -207,7 +207,7 @@ fn film(page: &mut Page, twin: &Twin, asset: &Asset, trial: &TrialFile) -> Resul
     page.plots_of(&viewer, &[forces(&robot, &trial.film, &times)]);
     let shaken = frame_at(0.5 * (shake + times[last]));
     let mut stills: Vec<(usize, &str)> =
-        vec![(0, "approach"), (frame_at(lift), "closed and squeezing"), (lifted, "lifted"), (shaken, "shaken")];
+        vec![(0, "approach"), (frame_at(lift), "closed and gripping"), (lifted, "lifted"), (shaken, "shaken")];
     stills.dedup_by_key(|s| s.0);
     let stills: Vec<(Vec<u8>, String)> = stills
         .into_iter()

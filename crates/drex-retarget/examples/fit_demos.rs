@@ -104,7 +104,7 @@ fn report(
     let good =
         accepted.iter().filter(|f| f.pushed_out < 0.1 && f.grip_force_per_weight.is_some_and(|s| s < 4.0)).count();
     println!("{good} survivors have the object between the fingers and carry it with less than four times its weight");
-    spread("squeeze per weight", accepted.iter().filter_map(|f| f.grip_force_per_weight));
+    spread("grip force per weight", accepted.iter().filter_map(|f| f.grip_force_per_weight));
 
     let surface = HandSurface::new(robot, 0.003)?;
     let mut options = CheckOptions::default();
@@ -132,7 +132,7 @@ fn report(
         *failures.entry(kind).or_default() += 1;
     }
     println!("failures: {failures:#?}");
-    spread("squeeze, N", checks.iter().filter_map(|c| c.squeeze_n));
+    spread("grip force, N", checks.iter().filter_map(|c| c.grip_force_n));
     spread("friction margin", checks.iter().filter_map(|c| c.friction_margin));
     spread("torque margin", checks.iter().filter_map(|c| c.torque_margin));
     spread("epsilon", checks.iter().map(|c| c.epsilon));

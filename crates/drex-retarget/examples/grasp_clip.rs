@@ -62,7 +62,7 @@ fn print(i: usize, f: &GraspFrame) {
         Verdict::Rejected(reasons) => reasons.iter().map(|r| r.kind()).collect::<Vec<_>>().join(", "),
     };
     println!(
-        "{i:4} {} {} deep {:4.2} mm self {hit} joints {:.2} rad wrist {:3.0} mm {:.2} rad speed {:.1} closure {} squeeze {grip_force} {why}",
+        "{i:4} {} {} deep {:4.2} mm self {hit} joints {:.2} rad wrist {:3.0} mm {:.2} rad speed {:.1} closure {} grip force {grip_force} {why}",
         u8::from(f.held),
         fingers.join(" "),
         f.penetration_mm,

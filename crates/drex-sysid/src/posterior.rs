@@ -93,7 +93,7 @@ impl MassPosterior {
         Ok(Self { prior, push, push_ci95_kg, distribution, source, contradiction_sd })
     }
 
-    /// The mass to grasp for, kg, with a force law whose `margin` (at least 1) also covers errors of the mass: the median, or more
+    /// The mass to grasp for, kg, with a grip-force policy whose `margin` (at least 1) also covers errors of the mass: the median, or more
     /// where the margin on top of that would not carry the 95 % quantile.
     pub fn grip_kg(&self, margin: f64) -> f64 {
         self.distribution.median_kg().max(self.distribution.quantile_kg(CARRIED) / margin)

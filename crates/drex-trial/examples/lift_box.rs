@@ -1,8 +1,8 @@
-//! The LEAP hand and a box: grasps are searched for, and each is tried with the squeeze it needs and with a third of it. No file is needed.
+//! The LEAP hand and a box: grasps are searched for, and each is tried with the grip force it needs and with a third of it. No file is needed.
 //!
 //!     cargo run --release -p drex-trial --example lift_box -- [GRASPS]
 //!
-//! One line per grasp: the squeeze that was commanded and delivered, how the trial ended, and how it ended with a third.
+//! One line per grasp: the grip force that was commanded and delivered, how the trial ended, and how it ended with a third.
 #![allow(clippy::print_stdout)] // an example talks to a person
 
 use std::sync::Arc;
@@ -61,7 +61,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut found = search_grasps(&hand, &surface, &Cuboid, &sides(), &Point3::origin(), &table, &options)?;
     println!("{} grasps of {} candidates", found.len(), options.candidates);
     found.retain(|g| g.closed);
-    found.sort_by(|a, b| a.squeeze_per_weight.total_cmp(&b.squeeze_per_weight));
+    found.sort_by(|a, b| a.grip_force_per_weight.total_cmp(&b.grip_force_per_weight));
 
     let trial = Trial::with_collider(
         hand,
@@ -82,13 +82,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         };
         tried += 1;
         let enough = trial.run(&command, &truth, Engine::Diffsim)?;
-        let third = GripForce::Total(command.squeeze_n / 3.0);
+        let third = GripForce::Total(command.grip_force_n / 3.0);
         let little = match trial.command(&grasp.joints, &grasp.object_from_base, &told, third)? {
             Ok(little) => format!("{:?}", trial.run(&little, &truth, Engine::Diffsim)?.verdict),
             Err(reason) => reason.to_string(),
         };
         let held = enough.held_n.map_or("nothing".into(), |n| format!("{n:.1} N"));
-        println!("{:5.1} N told, {held} in the hold: {:?}; with a third: {little}", command.squeeze_n, enough.verdict);
+        println!("{:5.1} N told, {held} in the hold: {:?}; with a third: {little}", command.grip_force_n, enough.verdict);
     }
     Ok(())
 }

@@ -42,7 +42,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         found.iter().filter(|f| f.closed).count()
     );
     found.retain(|f| f.closed);
-    found.sort_by(|a, b| a.squeeze_per_weight.total_cmp(&b.squeeze_per_weight));
+    found.sort_by(|a, b| a.grip_force_per_weight.total_cmp(&b.grip_force_per_weight));
 
     let trial = Trial::new(hand, object, TrialOptions::default())?;
     let assumed = Assumed { mass_kg: told * mass_kg, friction: 0.55 };
@@ -53,7 +53,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut tally = [(0, 0); 2];
     let mut delivered = [Vec::new(), Vec::new()];
     for (index, grasp) in shown.iter().enumerate() {
-        let mut line = format!("{index:>3}  {:4.1} weights", grasp.squeeze_per_weight);
+        let mut line = format!("{index:>3}  {:4.1} weights", grasp.grip_force_per_weight);
         for ((engine, sum), ratios) in [Engine::Diffsim, Engine::Mujoco].into_iter().zip(&mut tally).zip(&mut delivered)
         {
             let outcomes = (0..rollouts)
@@ -62,7 +62,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 .collect::<Result<Vec<_>, _>>();
             match outcomes {
                 Ok(outcomes) => {
-                    ratios.extend(outcomes.iter().flatten().filter_map(|o| Some(o.held_n? / o.squeeze_n)));
+                    ratios.extend(outcomes.iter().flatten().filter_map(|o| Some(o.held_n? / o.grip_force_n)));
                     let verdicts: Vec<_> = outcomes.iter().map(|o| o.as_ref().map(|o| o.verdict)).collect();
                     sum.0 += verdicts.iter().filter(|v| **v == Some(Verdict::Success)).count();
                     sum.1 += verdicts.len();
@@ -81,7 +81,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let at = |share: f64| ratios.get((share * ratios.len() as f64) as usize).copied().unwrap_or(f64::NAN);
         let rate = wilson(successes, n);
         println!(
-            "{engine:?}: {successes} of {n}, {:.0} % ({:.0} to {:.0}); delivered over commanded squeeze {:.2} ({:.2} to {:.2})",
+            "{engine:?}: {successes} of {n}, {:.0} % ({:.0} to {:.0}); delivered over commanded grip force {:.2} ({:.2} to {:.2})",
             100.0 * rate.value,
             100.0 * rate.low,
             100.0 * rate.high,

@@ -1,17 +1,17 @@
-//! From a grasp to what the hand is told: plan_closing the closing, then solve for the squeeze on the contacts that it gives.
+//! From a grasp to what the hand is told: plan_closing the closing, then solve for the grip force on the contacts that it gives.
 
 use std::collections::BTreeMap;
 
 use drex_core::Pose;
 use drex_diffsim::Error as SimulationError;
 use drex_grasp::{
-    Contact, ContactOptions, Distribution, ForceCommand, ForceLaw, GraspError, SqueezeError, SqueezeProblem,
+    Contact, ContactOptions, Distribution, ForceCommand, GripForcePolicy, GraspError, GripForceError, GripForceProblem,
     TorqueLimits, distribute, shake_loads,
 };
 use drex_robot::Robot;
 use nalgebra::{DVector, Point3, Vector3};
 
-use crate::control::{ContactForce, Controller, squeeze_torques};
+use crate::control::{ContactForce, Controller, contact_torques};
 use crate::engine::{Met, Touch};
 use crate::reach::{self, Reach};
 use crate::trial::STEPS_PER_TICK;
@@ -24,12 +24,12 @@ const SAME_M: f64 = 0.004;
 /// Points of a link that may come to bear on the object once the fingers press, at most.
 const MAY_BEAR: usize = 2;
 
-/// Least squeeze in units of what the joints' dry friction withstands: once it is shaken a finger presses with what it is told to within that, here with at
+/// Least grip force in units of what the joints' dry friction withstands: once it is shaken a finger presses with what it is told to within that, here with at
 /// least a third.
 const FRICTIONS: f64 = 1.5;
 /// A push with less than this lever does not move a joint, m.
 const LEVER_M: f64 = 1e-3;
-/// How far inside the edge of what is possible a squeeze is asked for: there the programme has room to solve.
+/// How far inside the edge of what is possible a grip force is asked for: there the programme has room to solve.
 const EDGE: f64 = 1e-4;
 
 /// How the fingers close on the object where it is believed to be.
@@ -161,15 +161,15 @@ fn among(contacts: &[Contact], contact: &Contact) -> bool {
     contacts.iter().any(|c| c.link == contact.link && (c.point - contact.point).norm() < SAME_M)
 }
 
-/// See [`Trial::squeeze`].
-pub(crate) fn squeeze(
+/// See [`Trial::grip_force`].
+pub(crate) fn grip_force(
     trial: &Trial,
     closing: &ClosingPlan,
     assumed: &Assumed,
-    squeeze: GripForce,
+    grip_force: GripForce,
 ) -> Result<Result<Command, NoCommand>> {
-    let Squeezed { problem, normal_n, forces } = match squeezed(trial, closing, assumed, squeeze)? {
-        Ok(squeezed) => squeezed,
+    let SharedForce { problem, normal_n, forces } = match share_grip_force(trial, closing, assumed, grip_force)? {
+        Ok(share_grip_force) => share_grip_force,
         Err(reason) => return Ok(Err(reason)),
     };
     let ClosingPlan { joints, world_from_palm, reach, closed, .. } = closing;
@@ -183,13 +183,13 @@ pub(crate) fn squeeze(
         problem.contacts.iter().zip(forces).map(push).collect()
     };
     let torques =
-        |contact_forces: &[ContactForce]| squeeze_torques(&trial.hand, closed, world_from_palm, contact_forces);
+        |contact_forces: &[ContactForce]| contact_torques(&trial.hand, closed, world_from_palm, contact_forces);
     let mut command = Command {
         joints: joints.clone(),
         world_from_palm: *world_from_palm,
         torques_nm: Vec::new(),
         limits_nm: Vec::new(),
-        squeeze_n: normal_n.iter().sum(),
+        grip_force_n: normal_n.iter().sum(),
         per_finger_n: vec![0.0; trial.surface.fingers.len()],
         contact_forces: contact_forces(&forces),
         reach: reach.clone(),
@@ -203,8 +203,8 @@ pub(crate) fn squeeze(
     command.limits_nm = command.torques_nm.iter().map(|t| t.abs()).collect();
     for load in &shake_loads(assumed.mass_kg, trial.options.law.shake_m_s2, &problem.gravity)[1..] {
         let shaken = problem.under(load);
-        // Where a shake is beyond the squeeze or the motors, the other loads say what a joint may bring.
-        if let Ok(share) = shared(trial, &shaken, command.squeeze_n) {
+        // Where a shake is beyond the grip force or the motors, the other loads say what a joint may bring.
+        if let Ok(share) = shared(trial, &shaken, command.grip_force_n) {
             let torques = torques(&contact_forces(&share.forces));
             command.limits_nm.iter_mut().zip(torques).for_each(|(l, t)| *l = l.max(t.abs()));
         }
@@ -212,32 +212,32 @@ pub(crate) fn squeeze(
     Ok(Ok(command))
 }
 
-/// See [`Trial::squeeze_n`].
-pub(crate) fn squeeze_n(
+/// See [`Trial::grip_force_n`].
+pub(crate) fn grip_force_n(
     trial: &Trial,
     closing: &ClosingPlan,
     assumed: &Assumed,
-    squeeze: GripForce,
+    grip_force: GripForce,
 ) -> Result<Result<f64, NoCommand>> {
-    Ok(squeezed(trial, closing, assumed, squeeze)?.map(|s| s.normal_n.iter().sum()))
+    Ok(share_grip_force(trial, closing, assumed, grip_force)?.map(|s| s.normal_n.iter().sum()))
 }
 
-/// A squeeze on the contacts of a closed hand.
-struct Squeezed {
-    problem: SqueezeProblem,
+/// A grip force on the contacts of a closed hand.
+struct SharedForce {
+    problem: GripForceProblem,
     /// Per contact, N.
     normal_n: Vec<f64>,
     /// On the object, world, N.
     forces: Vec<Vector3<f64>>,
 }
 
-/// The squeeze with the object at rest.
-fn squeezed(
+/// The grip force with the object at rest.
+fn share_grip_force(
     trial: &Trial,
     closing: &ClosingPlan,
     assumed: &Assumed,
-    squeeze: GripForce,
-) -> Result<Result<Squeezed, NoCommand>> {
+    grip_force: GripForce,
+) -> Result<Result<SharedForce, NoCommand>> {
     check_mass_and_friction(assumed.mass_kg, assumed.friction)?;
     let touching = closing.fingers_in_contact.iter().filter(|t| **t).count();
     if touching < 2 {
@@ -248,7 +248,7 @@ fn squeezed(
     }
     let ClosingPlan { closed, world_from_palm, touching, near, .. } = closing;
     let mut problem = problem(trial, closed, world_from_palm, touching.clone(), assumed);
-    let needed = |problem: &SqueezeProblem| needed_force(&trial.hand, &trial.options.law, problem);
+    let needed = |problem: &GripForceProblem| needed_force(&trial.hand, &trial.options.law, problem);
     let mut force = needed(&problem);
     // Contacts that only pressing makes are less certain than those that are there: they are counted on where nothing else carries.
     if force.is_err() && !near.is_empty() {
@@ -259,7 +259,7 @@ fn squeezed(
             (problem, force) = (pressed, by_pressing);
         }
     }
-    let share = match squeeze {
+    let share = match grip_force {
         GripForce::Required => force.map(|f| f.distribution),
         GripForce::Total(total_n) => shared(trial, &problem, total_n),
     };
@@ -268,21 +268,21 @@ fn squeezed(
         Err(reason) => return no_command(reason).map(Err),
     };
     let normal_n = problem.contacts.iter().zip(&forces).map(|(c, f)| f.dot(&c.normal)).collect();
-    Ok(Ok(Squeezed { problem, normal_n, forces }))
+    Ok(Ok(SharedForce { problem, normal_n, forces }))
 }
 
 /// The force of the law for contacts of a hand, no less than 1.5 times what the touching fingers withstand by the dry friction of their joints:
 /// below that it is friction, not the command, that says what a finger presses with. Without torque limits in the problem the law alone.
 ///
 /// # Errors
-/// As [`ForceLaw::command`].
-pub fn needed_force(hand: &Robot, law: &ForceLaw, problem: &SqueezeProblem) -> Result<ForceCommand, SqueezeError> {
+/// As [`GripForcePolicy::command`].
+pub fn needed_force(hand: &Robot, law: &GripForcePolicy, problem: &GripForceProblem) -> Result<ForceCommand, GripForceError> {
     law.with_floor_n(law.floor_n.max(FRICTIONS * held_by_friction_n(hand, problem))).command(problem)
 }
 
 /// What the touching fingers withstand by the dry friction of their joints alone, N in all: for each finger the smallest push on a contact
 /// that moves a joint.
-fn held_by_friction_n(hand: &Robot, problem: &SqueezeProblem) -> f64 {
+fn held_by_friction_n(hand: &Robot, problem: &GripForceProblem) -> f64 {
     let Some(torques) = &problem.torques else { return 0.0 };
     let mut least: BTreeMap<usize, f64> = BTreeMap::new();
     for (contact, jacobian) in problem.contacts.iter().zip(&torques.jacobians) {
@@ -296,19 +296,19 @@ fn held_by_friction_n(hand: &Robot, problem: &SqueezeProblem) -> f64 {
     least.into_values().sum()
 }
 
-/// Sorts the reasons why there is no squeeze.
-fn no_command(reason: SqueezeError) -> Result<NoCommand> {
+/// Sorts the reasons why there is no grip force.
+fn no_command(reason: GripForceError) -> Result<NoCommand> {
     let text = reason.to_string();
     let mut at = &reason;
-    while let SqueezeError::Load { reason, .. } = at {
+    while let GripForceError::Load { reason, .. } = at {
         at = reason;
     }
     Ok(match at {
         // The solver stops half-way at the very edge of what is possible.
-        SqueezeError::Input(GraspError::Solver { .. }) => NoCommand::CannotCarry(text),
-        SqueezeError::Input(error) => return Err(error.clone().into()),
-        SqueezeError::Torque { .. } | SqueezeError::Total { .. } => NoCommand::TorqueLimit(text),
-        SqueezeError::NormalForce { .. } => NoCommand::Crushes(text),
+        GripForceError::Input(GraspError::Solver { .. }) => NoCommand::CannotCarry(text),
+        GripForceError::Input(error) => return Err(error.clone().into()),
+        GripForceError::Torque { .. } | GripForceError::Total { .. } => NoCommand::TorqueLimit(text),
+        GripForceError::NormalForce { .. } => NoCommand::Crushes(text),
         _ => NoCommand::CannotCarry(text),
     })
 }
@@ -320,7 +320,7 @@ fn problem(
     world_from_palm: &Pose,
     mut contacts: Vec<Contact>,
     assumed: &Assumed,
-) -> SqueezeProblem {
+) -> GripForceProblem {
     contacts.iter_mut().for_each(|c| c.friction = assumed.friction);
     let poses = trial.hand.forward_kinematics(closed, world_from_palm);
     let jacobians = contacts.iter().map(|c| trial.hand.jacobian(&poses, c.link, &c.point).0).collect();
@@ -337,7 +337,7 @@ fn problem(
         })
         .collect();
     let centre = trial.object.world_from_object * trial.object.mass_properties.center_of_mass;
-    let mut problem = SqueezeProblem::new(contacts, assumed.mass_kg, centre, down).with_torques(TorqueLimits {
+    let mut problem = GripForceProblem::new(contacts, assumed.mass_kg, centre, down).with_torques(TorqueLimits {
         jacobians,
         limits_nm,
         gravity_nm: DVector::from_column_slice(own.as_slice()),
@@ -349,24 +349,24 @@ fn problem(
     problem
 }
 
-/// A squeeze as forces on the object, world, N.
-fn shared(trial: &Trial, problem: &SqueezeProblem, total_n: f64) -> Result<Distribution, SqueezeError> {
+/// A grip force as forces on the object, world, N.
+fn shared(trial: &Trial, problem: &GripForceProblem, total_n: f64) -> Result<Distribution, GripForceError> {
     let mut careful = problem.clone();
     careful.contacts.iter_mut().for_each(|c| c.friction *= 1.0 - trial.options.law.friction_uncertainty);
     // What could not be carried if friction were lower may be carried with what is believed.
-    if matches!(distribute(&careful, total_n), Err(e) if !matches!(e, SqueezeError::Total { .. })) {
+    if matches!(distribute(&careful, total_n), Err(e) if !matches!(e, GripForceError::Total { .. })) {
         careful = problem.clone();
     }
     match distribute(&careful, total_n) {
-        // Too little for the believed weight is a command all the same: the share of a squeeze that would do, scaled.
-        Err(SqueezeError::Total { smallest_n, .. }) if total_n < smallest_n => {
+        // Too little for the believed weight is a command all the same: the share of a grip force that would do, scaled.
+        Err(GripForceError::Total { smallest_n, .. }) if total_n < smallest_n => {
             let mut least = distribute(&careful, smallest_n * (1.0 + EDGE))?;
             let scale = total_n / smallest_n;
             least.forces.iter_mut().for_each(|f| *f *= scale);
             Ok(least)
         }
         // More than the motors have: all that they have.
-        Err(SqueezeError::Total { largest_n, .. }) => distribute(&careful, largest_n * (1.0 - EDGE)),
+        Err(GripForceError::Total { largest_n, .. }) => distribute(&careful, largest_n * (1.0 - EDGE)),
         other => other,
     }
 }
@@ -450,7 +450,7 @@ mod tests {
         let (trial, pinch) = pinch();
         let told = |mass_kg: f64| {
             let told = Assumed { mass_kg, friction: 1.0 };
-            squeeze(&trial, &pinch, &told, GripForce::Required).unwrap().unwrap().squeeze_n
+            grip_force(&trial, &pinch, &told, GripForce::Required).unwrap().unwrap().grip_force_n
         };
         // The smallest push on each finger that turns a joint, by moving the joints a little.
         let least = |contact: &Contact| {
@@ -481,7 +481,7 @@ mod tests {
             let problem = problem(&trial, &pinch.closed, &pinch.world_from_palm, pinch.touching.clone(), &told);
             let limits = problem.torques.unwrap().limits_nm;
             assert!(limits.iter().all(|(lo, hi)| lo == &-hi));
-            let most = squeeze_n(&trial, &pinch, &told, GripForce::Total(1e4)).unwrap().unwrap();
+            let most = grip_force_n(&trial, &pinch, &told, GripForce::Total(1e4)).unwrap().unwrap();
             (limits.into_iter().map(|l| l.1).collect(), most)
         };
         let (leap, _) = strongest(Robot::bundled("leap_right").unwrap());
@@ -492,7 +492,7 @@ mod tests {
         for (limit, (duty, friction)) in own.iter().zip([(375.0, 0.1), (675.0, 0.1), (450.0, 0.1), (285.0, 0.06)]) {
             assert!((limit - (duty / 1200.0 - friction)).abs() < 1e-12, "{own:?}");
         }
-        // Weaker motors squeeze less hard.
+        // Weaker motors grip less hard.
         let (_, weak) = strongest(allegro.clone().with_effort_cap(0.2).unwrap());
         assert!(weak > 0.0 && weak < 0.9 * most, "{weak} of {most} N");
         let mut silent = allegro;
@@ -507,15 +507,15 @@ mod tests {
     fn a_joint_may_bring_what_the_shakes_ask_of_it() {
         let (mut trial, pinch) = pinch();
         let told = Assumed { mass_kg: 0.1, friction: 1.0 };
-        let needed = |trial: &Trial| squeeze(trial, &pinch, &told, GripForce::Required).unwrap().unwrap();
+        let needed = |trial: &Trial| grip_force(trial, &pinch, &told, GripForce::Required).unwrap().unwrap();
         let command = needed(&trial);
-        let only_n = squeeze_n(&trial, &pinch, &told, GripForce::Required).unwrap().unwrap();
-        assert!((only_n - command.squeeze_n).abs() < 1e-12);
+        let only_n = grip_force_n(&trial, &pinch, &told, GripForce::Required).unwrap().unwrap();
+        assert!((only_n - command.grip_force_n).abs() < 1e-12);
         // Two opposed fingers carry half of any vertical load each, whatever they press with: shaken upwards half as much again.
         let torques = |weights: f64| {
             let mut contact_forces = command.contact_forces.clone();
             contact_forces.iter_mut().for_each(|p| p.force.z = 0.5 * weights * told.mass_kg * 9.81);
-            squeeze_torques(&trial.hand, &pinch.closed, &pinch.world_from_palm, &contact_forces)
+            contact_torques(&trial.hand, &pinch.closed, &pinch.world_from_palm, &contact_forces)
         };
         let close = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4);
         assert!(close(&torques(1.0), &command.torques_nm), "{:?} {:?}", torques(1.0), command.torques_nm);
@@ -534,7 +534,7 @@ mod tests {
     fn what_pressing_brings_to_bear_is_counted_on_where_nothing_else_carries() {
         let told = Assumed { mass_kg: 0.01, friction: 0.6 };
         let (trial, pinch) = pinch();
-        let needed = |r: &ClosingPlan| squeeze(&trial, r, &told, GripForce::Required).unwrap();
+        let needed = |r: &ClosingPlan| grip_force(&trial, r, &told, GripForce::Required).unwrap();
         let both = needed(&pinch).unwrap();
         assert_eq!(both.contact_forces.len(), 2);
         // One side alone cannot carry.
@@ -544,9 +544,9 @@ mod tests {
         // With the other one near it carries as before, and so does a number of newtons.
         one.near = vec![other.clone()];
         let pressed = needed(&one).unwrap();
-        assert!(pressed.contact_forces.len() == 2 && (pressed.squeeze_n / both.squeeze_n - 1.0).abs() < 1e-6);
-        let total = squeeze(&trial, &one, &told, GripForce::Total(1.2 * both.squeeze_n)).unwrap().unwrap();
-        assert!(total.contact_forces.len() == 2 && (total.squeeze_n / both.squeeze_n - 1.2).abs() < 1e-3);
+        assert!(pressed.contact_forces.len() == 2 && (pressed.grip_force_n / both.grip_force_n - 1.0).abs() < 1e-6);
+        let total = grip_force(&trial, &one, &told, GripForce::Total(1.2 * both.grip_force_n)).unwrap().unwrap();
+        assert!(total.contact_forces.len() == 2 && (total.grip_force_n / both.grip_force_n - 1.2).abs() < 1e-3);
         // Where the contacts of the closing carry, nothing else is counted on.
         let mut more = pinch;
         let mut palm = other;

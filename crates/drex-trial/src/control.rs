@@ -9,16 +9,16 @@ use crate::reach::Reach;
 use crate::timeline::{APPROACHED_S, CLOSED_S, SQUEEZED_S};
 
 /// Torque beyond a joint's own friction with which fingers close until they touch, N m: four fingers then press with about a newton in
-/// all, the least squeeze of the law; more would partly stay in the joints' friction. Joints that have no part in a squeeze hold their
+/// all, the least grip force of the law; more would partly stay in the joints' friction. Joints that have no part in a grip force hold their
 /// place with as much.
 const CLOSING_NM: f64 = 0.02;
-/// Ends of the parts of the squeeze, as shares of its time. A finger at rest presses with what it pressed with before, as far as its joints' dry friction
-/// allows. So joints are told less than the squeeze by their friction, which lets go of what is too much, then more by as much, which makes good
-/// for what is too little, then the squeeze.
+/// Ends of the parts of the grip force, as shares of its time. A finger at rest presses with what it pressed with before, as far as its joints' dry friction
+/// allows. So joints are told less than the grip force by their friction, which lets go of what is too much, then more by as much, which makes good
+/// for what is too little, then the grip force.
 const LET_GO: f64 = 0.5;
 const MADE_GOOD: f64 = 0.8;
 /// Share of a joint's dry friction that is made good for from there on. With none, shaken fingers lose some of what they
-/// press with and drop what they are told to hold; with half, they press with so much more than a small squeeze that half
+/// press with and drop what they are told to hold; with half, they press with so much more than a small grip force that half
 /// of what is needed holds (docs/grasping.md).
 const FRICTION_SHARE: f64 = 0.25;
 /// Part of the time of closing after which the fingers have been told the whole way; the rest is for settling.
@@ -51,7 +51,7 @@ pub(crate) struct Controller<'a> {
     effort_nm: &'a [f64],
     /// Joint torques at the end of closing.
     closing: Vec<f64>,
-    /// Angles and torques of the complete squeeze, from the end of the ramp on.
+    /// Angles and torques of the complete grip force, from the end of the ramp on.
     held: Option<(Vec<f64>, Vec<f64>)>,
 }
 
@@ -86,33 +86,33 @@ impl<'a> Controller<'a> {
         }
         if t < SQUEEZED_S {
             let s = (t - CLOSED_S) / (SQUEEZED_S - CLOSED_S);
-            let squeeze = self.squeeze(q, &base);
+            let grip_force = self.grip_force(q, &base);
             let told = |j: usize| {
-                let friction = self.friction(j, squeeze[j]);
-                let (less, more) = (squeeze[j] - friction, squeeze[j] + friction);
+                let friction = self.friction(j, grip_force[j]);
+                let (less, more) = (grip_force[j] - friction, grip_force[j] + friction);
                 if s < LET_GO {
                     between(self.closing[j], less, s / LET_GO)
                 } else if s < MADE_GOOD {
                     between(less, more, (s - LET_GO) / (MADE_GOOD - LET_GO))
                 } else {
-                    between(more, self.made_good(j, squeeze[j]), (s - MADE_GOOD) / (1.0 - MADE_GOOD))
+                    between(more, self.made_good(j, grip_force[j]), (s - MADE_GOOD) / (1.0 - MADE_GOOD))
                 }
             };
             return self.position(q, |j| own[j] + told(j));
         }
         // As a drive that holds its place with a limited current: what the object does to the fingers brings no more than the law reckoned with.
-        let (held, squeeze) = self.held.take().unwrap_or_else(|| {
-            let squeeze = self.squeeze(q, &base);
-            (q.to_vec(), squeeze.iter().enumerate().map(|(j, t)| self.made_good(j, *t)).collect())
+        let (held, grip_force) = self.held.take().unwrap_or_else(|| {
+            let grip_force = self.grip_force(q, &base);
+            (q.to_vec(), grip_force.iter().enumerate().map(|(j, t)| self.made_good(j, *t)).collect())
         });
         let mut torque = own.as_slice().to_vec();
         for d in self.drives {
             let j = d.joint;
             let limit = self.limits_nm.get(j).copied().unwrap_or(0.0);
-            let most = self.made_good(j, limit).max(squeeze[j].abs()).max(CLOSING_NM);
-            torque[j] += (squeeze[j] + d.stiffness * d.gear * d.gear * (held[j] - q[j])).clamp(-most, most);
+            let most = self.made_good(j, limit).max(grip_force[j].abs()).max(CLOSING_NM);
+            torque[j] += (grip_force[j] + d.stiffness * d.gear * d.gear * (held[j] - q[j])).clamp(-most, most);
         }
-        self.held = Some((held, squeeze));
+        self.held = Some((held, grip_force));
         self.position(q, |j| torque[j])
     }
 
@@ -127,8 +127,8 @@ impl<'a> Controller<'a> {
     }
 
     /// Joint torques of the contact_forces.
-    fn squeeze(&self, q: &[f64], base: &Pose) -> Vec<f64> {
-        squeeze_torques(self.robot, q, base, self.contact_forces)
+    fn grip_force(&self, q: &[f64], base: &Pose) -> Vec<f64> {
+        contact_torques(self.robot, q, base, self.contact_forces)
     }
 
     /// Commands that give these joint torques at the angles `q`.
@@ -142,7 +142,7 @@ impl<'a> Controller<'a> {
 }
 
 /// Jᵀ f of forces on the object (the reaction moves the joints the other way).
-pub(crate) fn squeeze_torques(robot: &Robot, q: &[f64], base: &Pose, contact_forces: &[ContactForce]) -> Vec<f64> {
+pub(crate) fn contact_torques(robot: &Robot, q: &[f64], base: &Pose, contact_forces: &[ContactForce]) -> Vec<f64> {
     let poses = robot.forward_kinematics(q, base);
     let mut torque = vec![0.0; robot.dof()];
     for push in contact_forces {

@@ -104,7 +104,7 @@ fn hand_of(
         let gear = if drive.gear == 0.0 { 1.0 } else { drive.gear };
         let cap = effort_nm[drive.joint] / gear.abs();
         drive.force_range = Some((-cap, cap));
-        // Commands lie beyond a joint's end where the squeeze needs it; the force range is what bounds them.
+        // Commands lie beyond a joint's end where the grip force needs it; the force range is what bounds them.
         drive.ctrl_range = None;
         drives.push(Drive { joint: drive.joint, stiffness: kp, gear });
     }

@@ -103,7 +103,7 @@ pub struct Evaluation {
     /// How the trial ended.
     pub verdict: Verdict,
     /// Grip force that was commanded, sum of the normal forces, N; zero without a command.
-    pub squeeze_n: f64,
+    pub grip_force_n: f64,
     /// Grip force that was delivered in the hold, N.
     pub held_n: Option<f64>,
     /// For each finger whether it touched when the lift began.
@@ -122,7 +122,7 @@ impl Evaluation {
         let verdict = reason.verdict();
         Self {
             verdict,
-            squeeze_n: 0.0,
+            grip_force_n: 0.0,
             held_n: None,
             fingers: Vec::new(),
             retained: 0.0,
@@ -225,7 +225,7 @@ impl From<Outcome> for Evaluation {
         Self {
             safety_margin: outcome.safety_margin(),
             verdict: outcome.verdict,
-            squeeze_n: outcome.squeeze_n,
+            grip_force_n: outcome.grip_force_n,
             held_n: outcome.held_n,
             fingers: outcome.fingers_in_contact,
             retained: outcome.retained,

@@ -85,7 +85,7 @@ pub fn find_grasp(object: &Object, hand: &Robot, options: &FindOptions) -> Resul
             Ok(match evaluator.command(&closed, &assumed, GripForce::Required)? {
                 Ok(command) => {
                     let verdict = evaluator.evaluate(&command, &condition.truth(mass_kg))?.verdict;
-                    (Some(command.squeeze_n), verdict)
+                    (Some(command.grip_force_n), verdict)
                 }
                 Err(reason) => (None, reason.verdict()),
             })

@@ -53,7 +53,7 @@ impl Evaluator for PinchFormula {
         let holds = carries >= load;
         Ok(Evaluation {
             verdict: if holds { Verdict::Success } else { Verdict::Slip },
-            squeeze_n: *command,
+            grip_force_n: *command,
             held_n: holds.then_some(*command),
             fingers: vec![true; 4],
             retained: if holds { 1.0 } else { 0.3 },

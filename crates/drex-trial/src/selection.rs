@@ -90,7 +90,7 @@ struct ClosedGrasp<C> {
     closed: C,
     /// Place of the first of what it may be asked to carry for which there is a force, and that force, N: less is better.
     place: usize,
-    squeeze_n: f64,
+    grip_force_n: f64,
 }
 
 /// What a closed hand is asked to carry.
@@ -172,15 +172,15 @@ impl<E: Evaluator> Task<'_, E> {
         for (block, loads) in self.loads.iter().enumerate() {
             // More friction is never worse: if the most is too little, all are.
             let (mut at, mut from) = (loads.len() - 1, 0);
-            let Some(mut squeeze_n) = needed(&loads[at])? else { continue };
+            let Some(mut grip_force_n) = needed(&loads[at])? else { continue };
             while from < at {
                 let middle = (from + at) / 2;
                 match needed(&loads[middle])? {
-                    Some(n) => (at, squeeze_n) = (middle, n),
+                    Some(n) => (at, grip_force_n) = (middle, n),
                     None => from = middle + 1,
                 }
             }
-            return Ok(Some(ClosedGrasp { grasp, closed, place: block * FRICTION_STEPS + at, squeeze_n }));
+            return Ok(Some(ClosedGrasp { grasp, closed, place: block * FRICTION_STEPS + at, grip_force_n }));
         }
         Ok(None)
     }
@@ -308,7 +308,7 @@ impl ValidatedGrasp {
 impl<C> ClosedGrasp<C> {
     /// Which asks for less.
     fn against(&self, other: &Self) -> Ordering {
-        self.place.cmp(&other.place).then(self.squeeze_n.total_cmp(&other.squeeze_n))
+        self.place.cmp(&other.place).then(self.grip_force_n.total_cmp(&other.grip_force_n))
     }
 }
 
@@ -405,7 +405,7 @@ mod tests {
             assert_eq!(found.as_ref().map(|g| g.place), expected, "{strongest} N");
             if let Some(g) = found {
                 assert_eq!(
-                    g.squeeze_n,
+                    g.grip_force_n,
                     PinchByFirstJoint.command(&1e3, loads[g.place], GripForce::Required).unwrap().unwrap()
                 );
             }

@@ -28,7 +28,7 @@ pub fn phases() -> [(f64, &'static str); 6] {
     [
         (0.0, "approach"),
         (APPROACHED_S, "close"),
-        (CLOSED_S, "squeeze"),
+        (CLOSED_S, "grip force"),
         (SQUEEZED_S, "lift"),
         (LIFTED_S, "hold"),
         (HELD_S, "shake"),

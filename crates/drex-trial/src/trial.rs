@@ -68,7 +68,7 @@ impl Trial {
 
     /// The command for a grasp, given what the hand is told. The inner result says why there is none.
     ///
-    /// The fingers' closing is rehearsed in drex-diffsim with the object where it is believed to be; the squeeze is planned on
+    /// The fingers' closing is rehearsed in drex-diffsim with the object where it is believed to be; the grip force is planned on
     /// the contacts that this gives; where they have none, also on those that pressing fingers bring to bear.
     ///
     /// # Errors
@@ -78,10 +78,10 @@ impl Trial {
         joints: &[f64],
         object_from_palm: &Pose,
         assumed: &Assumed,
-        squeeze: GripForce,
+        grip_force: GripForce,
     ) -> Result<Result<Command, NoCommand>> {
         let closing = self.plan_closing(joints, object_from_palm, assumed)?;
-        self.command_closed(&closing, assumed, squeeze)
+        self.command_closed(&closing, assumed, grip_force)
     }
 
     /// How the fingers close on the object where it is believed to be, in drex-diffsim: the first half of [`Trial::command`], which
@@ -94,7 +94,7 @@ impl Trial {
         command::plan_closing(self, joints, object_from_palm, assumed)
     }
 
-    /// The squeeze on the contacts of a closing: the second half of [`Trial::command`].
+    /// The grip force on the contacts of a closing: the second half of [`Trial::command`].
     ///
     /// # Errors
     /// If a solver gives up.
@@ -102,9 +102,9 @@ impl Trial {
         &self,
         closing: &ClosingPlan,
         assumed: &Assumed,
-        squeeze: GripForce,
+        grip_force: GripForce,
     ) -> Result<Result<Command, NoCommand>> {
-        command::squeeze(self, closing, assumed, squeeze)
+        command::grip_force(self, closing, assumed, grip_force)
     }
 
     /// Sum of the normal forces, N, of the command that [`Trial::command_closed`] gives: what it costs less to know than the command.
@@ -115,9 +115,9 @@ impl Trial {
         &self,
         closing: &ClosingPlan,
         assumed: &Assumed,
-        squeeze: GripForce,
+        grip_force: GripForce,
     ) -> Result<Result<f64, NoCommand>> {
-        command::squeeze_n(self, closing, assumed, squeeze)
+        command::grip_force_n(self, closing, assumed, grip_force)
     }
 
     /// Carries a command out under what is true.
@@ -180,7 +180,7 @@ impl Trial {
         let Command { reach, contact_forces, limits_nm, .. } = command;
         let mut controller = Controller::new(&self.hand, &drives, reach, contact_forces, limits_nm, &self.effort_nm);
         let tick_s = self.options.dt_s * STEPS_PER_TICK as f64;
-        let mut watch = Watch::new(&self.surface, self.object.max_finger_n, command.squeeze_n, tick_s);
+        let mut watch = Watch::new(&self.surface, self.object.max_finger_n, command.grip_force_n, tick_s);
         let ticks = (timeline::SHAKEN_S / tick_s).round() as usize;
         for i in 0..ticks {
             let told = controller.command(i as f64 * tick_s, &simulation);

@@ -1,7 +1,7 @@
 //! What a trial is about, what the hand is told, and what came of it.
 
 use drex_core::Pose;
-use drex_grasp::ForceLaw;
+use drex_grasp::GripForcePolicy;
 use serde::{Deserialize, Serialize};
 
 use crate::reach::Reach;
@@ -56,7 +56,7 @@ pub struct Truth {
     pub seed: u64,
 }
 
-/// How much the hand squeezes: sum of normal forces over all contacts, N.
+/// How much the hand grips: sum of normal forces over all contacts, N.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum GripForce {
     /// What the cone programme says for the assumed, times the margin of the options.
@@ -72,16 +72,16 @@ pub struct Command {
     pub joints: Vec<f64>,
     /// Where the palm goes, given where the object is believed to be.
     pub world_from_palm: Pose,
-    /// Joint torques of the squeeze, Jᵀ f, N m, without what holds the hand's own weight.
+    /// Joint torques of the grip force, Jᵀ f, N m, without what holds the hand's own weight.
     pub torques_nm: Vec<f64>,
-    /// Most that each joint brings to bear on the object, N m: the largest of its torques with this squeeze at rest and under the shakes that the
+    /// Most that each joint brings to bear on the object, N m: the largest of its torques with this grip force at rest and under the shakes that the
     /// law reckons with. A joint that holds its place with no more than its torque at rest gives way when the object is shaken.
     pub limits_nm: Vec<f64>,
     /// Sum of the normal forces, N.
-    pub squeeze_n: f64,
+    pub grip_force_n: f64,
     /// Sum of the normal forces per finger, N; the palm is not among them.
     pub per_finger_n: Vec<f64>,
-    /// The forces that make the squeeze, with the believed object at rest on the table.
+    /// The forces that make the grip force, with the believed object at rest on the table.
     pub contact_forces: Vec<ContactForce>,
     pub(crate) reach: Reach,
 }
@@ -109,7 +109,7 @@ pub enum NoCommand {
     #[error("the motors are too weak: {0}")]
     TorqueLimit(String),
     /// The object would be damaged.
-    #[error("the squeeze would damage the object: {0}")]
+    #[error("the grip force would damage the object: {0}")]
     Crushes(String),
 }
 
@@ -162,7 +162,8 @@ pub struct Outcome {
     /// When the first rule was broken, s; `None` for a success.
     pub failed_at_s: Option<f64>,
     /// Grip force that was commanded, N.
-    pub squeeze_n: f64,
+    #[serde(rename = "squeeze_n")]
+    pub grip_force_n: f64,
     /// Grip force that was delivered: sum of the normal forces of hand and object, mean over the hold, N; `None` if the trial ended before.
     pub held_n: Option<f64>,
     /// Largest normal force of one finger, N.
@@ -173,7 +174,7 @@ pub struct Outcome {
     pub turn_rad: f64,
     /// Deepest penetration of hand and object, m.
     pub penetration_m: f64,
-    /// Fingers that touched at the end of the squeeze.
+    /// Fingers that touched at the end of the grip force.
     pub fingers_in_contact: Vec<bool>,
     /// Share of the time from the start of the lift in which at least two fingers held it.
     pub retained: f64,
@@ -214,8 +215,8 @@ pub struct Frame {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct TrialOptions {
-    /// How much harder than just enough it squeezes.
-    pub law: ForceLaw,
+    /// How much harder than just enough it grips.
+    pub law: GripForcePolicy,
     /// Acceleration of the shakes, m/s².
     pub shake_m_s2: f64,
     /// Time step of both engines, 1e-4 to 0.004 s.
@@ -224,7 +225,7 @@ pub struct TrialOptions {
 
 impl Default for TrialOptions {
     fn default() -> Self {
-        Self { law: ForceLaw::default(), shake_m_s2: 0.5 * 9.81, dt_s: 2e-3 }
+        Self { law: GripForcePolicy::default(), shake_m_s2: 0.5 * 9.81, dt_s: 2e-3 }
     }
 }
 
@@ -285,7 +286,7 @@ mod tests {
             let outcome = Outcome {
                 verdict,
                 failed_at_s: None,
-                squeeze_n: 5.0,
+                grip_force_n: 5.0,
                 held_n: None,
                 peak_finger_n: 0.0,
                 slip_m: 1e-3 * slip_mm,

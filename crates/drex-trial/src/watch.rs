@@ -43,7 +43,7 @@ pub(crate) struct Watch<'a> {
 
 impl<'a> Watch<'a> {
     /// `dt_s` is the time between two looks.
-    pub fn new(surface: &'a HandSurface, max_finger_n: Option<f64>, squeeze_n: f64, dt_s: f64) -> Self {
+    pub fn new(surface: &'a HandSurface, max_finger_n: Option<f64>, grip_force_n: f64, dt_s: f64) -> Self {
         let fingers = surface.fingers.len();
         Self {
             surface,
@@ -61,7 +61,7 @@ impl<'a> Watch<'a> {
             outcome: Outcome {
                 verdict: Verdict::Success,
                 failed_at_s: None,
-                squeeze_n,
+                grip_force_n,
                 held_n: None,
                 peak_finger_n: 0.0,
                 slip_m: 0.0,

@@ -10,7 +10,7 @@ use support::{grasps, trial_of};
 const TOLD: Assumed = Assumed { mass_kg: 0.15, friction: 0.5 };
 
 #[test]
-fn the_needed_squeeze_holds_and_a_third_of_it_does_not() {
+fn the_needed_grip_force_holds_and_a_third_of_it_does_not() {
     let trial = trial_of(|_, _| {});
     let found = grasps(&trial);
     assert!(found.len() >= 8, "{} grasps", found.len());
@@ -19,9 +19,9 @@ fn the_needed_squeeze_holds_and_a_third_of_it_does_not() {
         .map(|g| {
             let command = trial.command(&g.joints, &g.object_from_base, &TOLD, GripForce::Required).unwrap().unwrap();
             let enough = trial.run(&command, &Truth::as_assumed(&TOLD, 1), Engine::Diffsim).unwrap();
-            let third = GripForce::Total(command.squeeze_n / 3.0);
+            let third = GripForce::Total(command.grip_force_n / 3.0);
             let little = trial.command(&g.joints, &g.object_from_base, &TOLD, third).unwrap().unwrap();
-            assert!((little.squeeze_n - command.squeeze_n / 3.0).abs() < 1e-3 * command.squeeze_n);
+            assert!((little.grip_force_n - command.grip_force_n / 3.0).abs() < 1e-3 * command.grip_force_n);
             let too_little = trial.run(&little, &Truth::as_assumed(&TOLD, 1), Engine::Diffsim).unwrap();
             // Whoever asks only whether it holds gets the same answer.
             let tried = trial.run_until_failure(&little, &Truth::as_assumed(&TOLD, 1), Engine::Diffsim).unwrap();
@@ -34,31 +34,31 @@ fn the_needed_squeeze_holds_and_a_third_of_it_does_not() {
     }
     let held = outcomes.iter().filter(|o| o.0.succeeded()).count();
     let slipped = outcomes.iter().filter(|o| !o.1.succeeded()).count();
-    assert!(held >= 7 && slipped >= 7, "{held} of 8 held with the needed squeeze, {slipped} slipped with a third");
+    assert!(held >= 7 && slipped >= 7, "{held} of 8 held with the needed grip force, {slipped} slipped with a third");
     for (enough, _) in outcomes.iter().filter(|o| o.0.succeeded()) {
         assert!(enough.retained > 0.99 && enough.slip_m < 0.005 && enough.failed_at_s.is_none());
         let used = enough.friction_used.unwrap();
         assert!(used > 0.2 && used < 1.0, "{used}");
     }
     // What is delivered is what was commanded, but for the friction of the joints.
-    let mut ratios: Vec<f64> = outcomes.iter().filter_map(|(o, _)| Some(o.held_n? / o.squeeze_n)).collect();
+    let mut ratios: Vec<f64> = outcomes.iter().filter_map(|(o, _)| Some(o.held_n? / o.grip_force_n)).collect();
     ratios.sort_by(f64::total_cmp);
     eprintln!("delivered over commanded: {ratios:.2?}");
     assert!((0.8..1.25).contains(&ratios[ratios.len() / 2]), "{ratios:?}");
 }
 
 #[test]
-fn a_small_squeeze_is_not_what_the_closing_left() {
-    // Rough enough for a third of the squeeze to hold, so that what is delivered can be seen.
+fn a_small_grip_force_is_not_what_the_closing_left() {
+    // Rough enough for a third of the grip force to hold, so that what is delivered can be seen.
     let trial = trial_of(|_, _| {});
     let rough = Truth { friction: 1.2, ..Truth::as_assumed(&TOLD, 1) };
     let mut ratios: Vec<f64> = grasps(&trial)[..8]
         .par_iter()
         .filter_map(|g| {
             let needed = trial.command(&g.joints, &g.object_from_base, &TOLD, GripForce::Required).unwrap().unwrap();
-            let third = GripForce::Total(needed.squeeze_n / 3.0);
+            let third = GripForce::Total(needed.grip_force_n / 3.0);
             let little = trial.command(&g.joints, &g.object_from_base, &TOLD, third).unwrap().unwrap();
-            Some(trial.run(&little, &rough, Engine::Diffsim).unwrap().held_n? / little.squeeze_n)
+            Some(trial.run(&little, &rough, Engine::Diffsim).unwrap().held_n? / little.grip_force_n)
         })
         .collect();
     ratios.sort_by(f64::total_cmp);
@@ -88,7 +88,7 @@ fn a_film_shows_the_run_and_does_not_change_it() {
     let highest = frames.iter().map(height).fold(0.0, f64::max);
     assert!((0.18..0.25).contains(&(highest - height(&frames[0]))), "lifted by {highest} m");
     let top = frames.iter().max_by(|a, b| height(a).total_cmp(&height(b))).unwrap();
-    assert!(top.finger_n.iter().sum::<f64>() > 0.5 * command.squeeze_n, "{:?}", top.finger_n);
+    assert!(top.finger_n.iter().sum::<f64>() > 0.5 * command.grip_force_n, "{:?}", top.finger_n);
     assert!(frames[0].finger_n.iter().all(|n| *n == 0.0), "{:?}", frames[0].finger_n);
     let refused = trial.record(&command, &truth, Engine::Diffsim, f64::NAN).unwrap_err();
     assert!(refused.to_string().contains("NaN"), "{refused}");

@@ -35,7 +35,8 @@ struct Deployment<'a> {
     written_by: &'static str,
     weights: Weights,
     units: Units,
-    force_law: ForceLaw,
+    #[serde(rename = "force_law")]
+    grip_force_policy: GripForcePolicy,
     grasp: &'a Prediction,
     /// Angles of the joints before the fingers close, and what closing fingers are told.
     open_rad: Vec<f64>,
@@ -87,9 +88,9 @@ struct Units {
     current: &'static str,
 }
 
-/// How the squeeze came about.
+/// How the grip force came about.
 #[derive(Serialize)]
-struct ForceLaw {
+struct GripForcePolicy {
     what: &'static str,
     /// Largest torque of each joint, model order, N m.
     torque_limits_nm: Vec<f64>,
@@ -311,7 +312,7 @@ fn write(
             sha256: field("weights_sha256")?,
         },
         units: Units { joints: "rad", length: "m", mass: "kg", force: "N", torque: "N m", current: "mA" },
-        force_law: ForceLaw {
+        grip_force_policy: GripForcePolicy {
             what: "smallest sum of normal forces that carries the weight and shakes in every direction at the lowest friction believed in, times the margin, within the torques of the motors",
             torque_limits_nm: predictor.robot.effort_limits()?,
             margin: trial.law.margin,

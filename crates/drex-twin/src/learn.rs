@@ -27,7 +27,7 @@ const MASS_FACTORS: [f64; 3] = [0.4, 1.0, 2.0];
 const FRICTIONS: [f64; 3] = [0.35, 0.5, 0.75];
 /// Rounds of rollouts of the network, views of a round, tries of a view.
 const ROUNDS: (usize, usize, usize) = (10, 6, 8);
-/// More than the motors of any hand squeeze with, N.
+/// More than the motors of any hand grip force with, N.
 const MORE_THAN_ANY_N: f64 = 1e4;
 
 /// A grasp that the network proposes.
@@ -38,7 +38,7 @@ pub struct Proposal {
     /// Pose of the hand's base in the object's frame.
     pub object_from_base: Pose,
     /// Grip force, sum of the normal forces, N.
-    pub squeeze_n: f64,
+    pub grip_force_n: f64,
     /// Probability among those proposed.
     pub weight: f64,
 }
@@ -177,7 +177,7 @@ impl Learned {
         let proposals = self.policy.predict(&query)?.into_iter().map(|g| Proposal {
             joints: g.joints,
             object_from_base: g.object_from_palm,
-            squeeze_n: g.squeeze_n,
+            grip_force_n: g.grip_force_n,
             weight: g.weight,
         });
         Ok(proposals.collect())
@@ -200,13 +200,13 @@ fn samples<E: Evaluator>(
     )?;
     for (mass_kg, friction) in masses.iter().flat_map(|m| FRICTIONS.map(|f| (*m, f))) {
         let assumed = Assumed { mass_kg, friction };
-        if let Some(squeeze_n) = needed_n(evaluator, &closed, &assumed)? {
+        if let Some(grip_force_n) = needed_n(evaluator, &closed, &assumed)? {
             out.push(GraspSample {
                 object: 0,
                 joints: grasp.joints_rad.clone(),
                 object_from_palm,
                 contacts: validated.fingers.clone(),
-                squeeze_n,
+                grip_force_n,
                 mass_kg: shown_kg.unwrap_or(mass_kg),
                 friction,
             });
@@ -215,12 +215,12 @@ fn samples<E: Evaluator>(
     Ok(out)
 }
 
-/// The squeeze that the law asks for; all that the motors have where they have too little for it but may still carry. Without these
+/// The grip force that the law asks for; all that the motors have where they have too little for it but may still carry. Without these
 /// the network would know heavy things only by the cases that are easy.
 fn needed_n<E: Evaluator>(evaluator: &E, closed: &E::Closed, assumed: &Assumed) -> Result<Option<f64>> {
     for force in [GripForce::Required, GripForce::Total(MORE_THAN_ANY_N)] {
-        if let Ok(squeeze_n) = evaluator.grip_force_n(closed, assumed, force)? {
-            return Ok(Some(squeeze_n));
+        if let Ok(grip_force_n) = evaluator.grip_force_n(closed, assumed, force)? {
+            return Ok(Some(grip_force_n));
         }
     }
     Ok(None)
@@ -257,7 +257,7 @@ impl<E: Evaluator> Practice<'_, E> {
         let closed = self.evaluator.close(&grasp.joints, &grasp.object_from_palm, &assumed)?;
         let needed = needed_n(self.evaluator, &closed, &assumed)?;
         let condition = Condition { friction, ..self.spread.conditions(1, seed ^ VALIDATION_SEED)[0] };
-        let evaluation = match self.evaluator.command(&closed, &assumed, GripForce::Total(grasp.squeeze_n))? {
+        let evaluation = match self.evaluator.command(&closed, &assumed, GripForce::Total(grasp.grip_force_n))? {
             Ok(command) => self.evaluator.validate(&command, &condition.truth(mass_kg))?,
             Err(reason) => Evaluation::refused(&reason),
         };
@@ -270,7 +270,7 @@ impl<E: Evaluator> Practice<'_, E> {
             retained: evaluation.retained,
             held: evaluation.held(),
             friction_used: evaluation.friction_used,
-            needed_squeeze_n: needed,
+            needed_grip_force_n: needed,
         })
     }
 }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use drex_core::{ASSUMED_FRICTION, Object, Pose, PoseRecord};
-use drex_grasp::{ContactOptions, ForceCommand, HandSurface, SqueezeProblem, TorqueLimits, paper_force};
+use drex_grasp::{ContactOptions, ForceCommand, HandSurface, GripForceProblem, TorqueLimits, paper_force};
 use drex_mesh::{AssetOptions, LengthUnit, asset_from_mesh, metric_mesh};
 use drex_policy::{GraspPolicy, PredictedGrasp, Query};
 use drex_robot::Robot;
@@ -72,9 +72,11 @@ pub struct Prediction {
     /// Coefficient of friction that was assumed.
     pub friction: f64,
     /// Grip force by the network, sum of normal forces, N.
-    pub squeeze_n: f64,
+    #[serde(rename = "squeeze_n")]
+    pub grip_force_n: f64,
     /// Grip force by the grip-force policy at the predicted contacts, N; absent where they cannot carry the object.
-    pub needed_squeeze_n: Option<f64>,
+    #[serde(rename = "needed_squeeze_n")]
+    pub needed_grip_force_n: Option<f64>,
     /// Contacts of each finger, the palm last.
     pub contacts: Vec<FingerContact>,
     /// Joint torques of the grip force with the hand's own weight, N m; empty where there is no grip force.
@@ -220,7 +222,7 @@ impl Predictor {
         let gravity = object.table().gravity();
         let torques = TorqueLimits::of_robot(robot, &grasp.joints, &grasp.object_from_palm, &contacts, &gravity)?;
         let problem =
-            SqueezeProblem::new(contacts, object.mass_kg(), object.center_of_mass(), gravity).with_torques(torques);
+            GripForceProblem::new(contacts, object.mass_kg(), object.center_of_mass(), gravity).with_torques(torques);
         let (force, cannot_hold) = match needed_force(robot, &TrialOptions::default().law, &problem) {
             Ok(force) => (Some(force), None),
             Err(reason) => (None, Some(reason.to_string())),
@@ -244,8 +246,8 @@ impl Predictor {
             place,
             mass_kg: object.mass_kg(),
             friction: object.friction,
-            squeeze_n: grasp.squeeze_n,
-            needed_squeeze_n: force.as_ref().map(|f| f.total_n),
+            grip_force_n: grasp.grip_force_n,
+            needed_grip_force_n: force.as_ref().map(|f| f.total_n),
             contacts: fingers,
             joint_torques_nm: force.map(|f| f.distribution.joint_torques_nm).unwrap_or_default(),
             paper_force: paper_force(object.mass_kg(), 9.81, touching),

@@ -15,17 +15,17 @@ const AS_GOOD: f64 = 0.5;
 /// If the policy is not defined for what is asked.
 pub fn proposals(policy: &GraspPolicy, query: &Query<'_>) -> Result<Vec<PredictedGrasp>> {
     let mut grasps = policy.predict(query)?;
-    sort(&mut grasps, |g| g.weight, |g| g.squeeze_n);
+    sort(&mut grasps, |g| g.weight, |g| g.grip_force_n);
     Ok(grasps)
 }
 
-/// Sorts proposals: those as good as the most probable one by how little they squeeze, `squeeze_n`, then the others by how probable they are,
+/// Sorts proposals: those as good as the most probable one by how little they grip, `grip_force_n`, then the others by how probable they are,
 /// `weight`. What needs less force leaves more of the motors, and presses less on the object.
-pub fn sort<T>(proposals: &mut [T], weight: impl Fn(&T) -> f64, squeeze_n: impl Fn(&T) -> f64) {
+pub fn sort<T>(proposals: &mut [T], weight: impl Fn(&T) -> f64, grip_force_n: impl Fn(&T) -> f64) {
     let most = proposals.iter().map(&weight).fold(0.0, f64::max);
     let good = |p: &T| weight(p) >= AS_GOOD * most;
     proposals.sort_by(|a, b| match (good(a), good(b)) {
-        (true, true) => squeeze_n(a).total_cmp(&squeeze_n(b)),
+        (true, true) => grip_force_n(a).total_cmp(&grip_force_n(b)),
         (false, false) => weight(b).total_cmp(&weight(a)),
         (true, false) => Ordering::Less,
         (false, true) => Ordering::Greater,

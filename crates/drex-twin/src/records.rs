@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::Result;
 use crate::error::Context;
 use drex_core::{PoseRecord, fsutil};
-use drex_grasp::{ForceLaw, GraspOrigin, OriginCounts, StaticCheck};
+use drex_grasp::{GripForcePolicy, GraspOrigin, OriginCounts, StaticCheck};
 use drex_hw::driver::ContactRecord;
 use drex_mesh::FusionReport;
 use drex_policy::TrainReport;
@@ -111,7 +111,7 @@ pub struct MassFile {
     pub ci95_kg: [f64; 2],
     /// Standard deviation of the posterior, kg.
     pub sd_kg: f64,
-    /// Mass that grasps are made for, kg ([`MassPosterior::grip_kg`] with the margin of the force law).
+    /// Mass that grasps are made for, kg ([`MassPosterior::grip_kg`] with the margin of the grip-force policy).
     pub grip_kg: f64,
     /// What was known before the pushes.
     pub prior: Option<MassPrior>,
@@ -135,7 +135,7 @@ impl MassFile {
             source: posterior.source,
             ci95_kg: of.interval95_kg(),
             sd_kg: of.sd_kg(),
-            grip_kg: posterior.grip_kg(ForceLaw::default().margin),
+            grip_kg: posterior.grip_kg(GripForcePolicy::default().margin),
             push_ci95_kg: posterior.push_ci95_kg,
             contradiction_sd: posterior.contradiction_sd,
             prior: posterior.prior,
@@ -197,7 +197,8 @@ pub struct FitRecord {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pushed_out: Option<f64>,
     /// Smallest sum of normal forces that carries the object, in units of its weight; absent when the contacts cannot.
-    pub squeeze_per_weight: Option<f64>,
+    #[serde(rename = "squeeze_per_weight")]
+    pub grip_force_per_weight: Option<f64>,
     /// Where it comes from, for demonstrations of people.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<FitSource>,
@@ -270,8 +271,9 @@ pub struct JudgedGrasp {
     pub joints_rad: Vec<f64>,
     /// Pose of the hand's base in the object's mesh frame.
     pub object_from_base: PoseRecord,
-    /// Squeeze that the network asks for, N; absent for demonstrations.
-    pub predicted_squeeze_n: Option<f64>,
+    /// Grip force that the network asks for, N; absent for demonstrations.
+    #[serde(rename = "predicted_squeeze_n")]
+    pub predicted_grip_force_n: Option<f64>,
     /// Weight of the mode among the network's answers; absent for demonstrations.
     pub weight: Option<f64>,
     /// The static check.
@@ -347,9 +349,10 @@ pub struct RolloutRecord {
     pub friction: f64,
     /// Which of the network's proposals was taken, from 1; 0 if none could be.
     pub proposal: usize,
-    /// Squeeze that was commanded, and delivered in the hold, N.
-    pub squeeze_n: f64,
-    /// See `squeeze_n`.
+    /// Grip force that was commanded, and delivered in the hold, N.
+    #[serde(rename = "squeeze_n")]
+    pub grip_force_n: f64,
+    /// See `grip_force_n`.
     pub held_n: Option<f64>,
     /// Share of the friction that was used in the hold.
     pub friction_used: Option<f64>,

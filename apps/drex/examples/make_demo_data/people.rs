@@ -59,7 +59,7 @@ fn holds(tin: &Asset, target: &TargetHand, seed: u64) -> Result<Vec<FoundGrasp>>
     let center = tin.properties.center_of_mass;
     let mut found = search_grasps(robot, &surface, &sdf, &sites, &center, &table, &search)?;
     found.retain(|f| f.closed);
-    found.sort_by(|a, b| a.squeeze_per_weight.total_cmp(&b.squeeze_per_weight));
+    found.sort_by(|a, b| a.grip_force_per_weight.total_cmp(&b.grip_force_per_weight));
     let mut out: Vec<FoundGrasp> = Vec::new();
     for f in found {
         let apart = |o: &FoundGrasp| o.object_from_base.rotation.angle_to(&f.object_from_base.rotation) > 0.5;

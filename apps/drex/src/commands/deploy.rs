@@ -45,7 +45,7 @@ pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     let mut text = format!(
         "{}: {:.2} N on {:.0} g, at most {most:.3} {}\n  written  {}\n",
         grasp.hand,
-        grasp.squeeze_n,
+        grasp.grip_force_n,
         1e3 * grasp.mass_kg,
         limits.unit,
         file.display()

@@ -1,4 +1,4 @@
-//! `drex grasp`: where the hand goes and how hard it squeezes.
+//! `drex grasp`: where the hand goes and how hard it grips.
 
 use anyhow::Result;
 
@@ -23,12 +23,12 @@ fn text(p: &Prediction) -> String {
     lines.push(format!("  joints   {} rad", joints.collect::<Vec<_>>().join(", ")));
     let fingers = p.contacts.iter().filter(|c| c.contacts > 0).map(|c| format!("{} {:.2} N", c.finger, c.normal_n));
     lines.push(format!("  touches  {}", fingers.collect::<Vec<_>>().join(", ")));
-    lines.push(match p.needed_squeeze_n {
+    lines.push(match p.needed_grip_force_n {
         Some(needed) => format!(
-            "  squeeze  {:.2} N (network), {needed:.2} N (by the force law); the paper's number {:.2}",
-            p.squeeze_n, p.paper_force
+            "  grip force  {:.2} N (network), {needed:.2} N (by the grip-force policy); the paper's number {:.2}",
+            p.grip_force_n, p.paper_force
         ),
-        None => format!("  squeeze  {:.2} N (network); the paper's number {:.2}", p.squeeze_n, p.paper_force),
+        None => format!("  grip force  {:.2} N (network); the paper's number {:.2}", p.grip_force_n, p.paper_force),
     });
     let most = p.joint_torques_nm.iter().fold(0.0_f64, |m, t| m.max(t.abs()));
     if !p.joint_torques_nm.is_empty() {

@@ -42,7 +42,7 @@ struct Grip {
 }
 
 impl Grip {
-    /// A box of `mass` that is squeezed by `force` on each side.
+    /// A box of `mass` that is gripped by `force` on each side.
     fn new(mass: f64, force: f64) -> Self {
         let height = HALF + 0.005;
         let path = Path::smooth(&LIFT, &[at(0.0, 0.0, height), at(0.0, 0.0, height + 0.01)]).unwrap();
@@ -99,8 +99,8 @@ fn two_fingers_lift_what_friction_can_carry_and_hold_it() {
         assert!(held.len() == 2 && held.iter().all(|c| matches!(c.key.b, Part::Link { .. })), "{held:?}");
         let up: f64 = held.iter().map(|c| c.force.z).sum();
         within(&name, "sum of the friction = m g", relative(up, mass * G), 1e-3);
-        let squeeze = held.iter().map(|c| relative(c.force.dot(&c.normal), 1.5 * critical)).fold(0.0, f64::max);
-        within(&name, "normal force = that of the motor", squeeze, 1e-3);
+        let grip_force = held.iter().map(|c| relative(c.force.dot(&c.normal), 1.5 * critical)).fold(0.0, f64::max);
+        within(&name, "normal force = that of the motor", grip_force, 1e-3);
         assert_eq!(grip.work.unconverged_steps(), 0);
     }
 }

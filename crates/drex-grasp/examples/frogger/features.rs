@@ -2,8 +2,8 @@
 
 use drex_core::{SignedDistance, Surface};
 use drex_grasp::{
-    ClosureOptions, Contact, SqueezeProblem, TorqueLimits, distribute, force_closure, largest_squeeze, min_weight,
-    required_squeeze, shake_loads, smallest_squeeze,
+    ClosureOptions, Contact, GripForceProblem, TorqueLimits, distribute, force_closure, maximum_grip_force, min_weight,
+    required_grip_force, shake_loads, minimum_grip_force,
 };
 use nalgebra::{DVector, Matrix3, Point3, SMatrix, SVector, Unit, UnitQuaternion, Vector3, Vector6};
 use rand::{RngExt, SeedableRng};
@@ -29,11 +29,11 @@ pub const NAMES: &[&str] = &[
     "min-weight, fingertips off by 2 mm: mean",
     "the same: worst of 12",
     "epsilon",
-    "squeeze per weight",
+    "grip force per weight",
     "friction margin",
-    "squeeze for shakes per weight",
-    "slack at the controller's squeeze",
-    "largest squeeze",
+    "grip force for shakes per weight",
+    "slack at the controller's grip force",
+    "maximum grip force",
     "worst gap",
     "mean gap",
     "normals: worst change over 5 mm",
@@ -86,11 +86,11 @@ pub fn features(object: &Object, kinematics: &Kinematics, grasp: &Grasp, seed: u
         })
         .collect();
 
-    let problem = SqueezeProblem::new(wide.clone(), object.mass_kg, center, up * -9.81);
+    let problem = GripForceProblem::new(wide.clone(), object.mass_kg, center, up * -9.81);
     let mg = object.mass_kg * 9.81;
-    let rest = smallest_squeeze(&problem).ok();
+    let rest = minimum_grip_force(&problem).ok();
     let loads = shake_loads(object.mass_kg, 4.9, &problem.gravity);
-    let shaken = required_squeeze(&problem, &loads).map_or(50.0, |s| (s.total_n / mg).min(50.0));
+    let shaken = required_grip_force(&problem, &loads).map_or(50.0, |s| (s.total_n / mg).min(50.0));
     let command = rest.as_ref().map_or(4.0, |s| s.total_n).max(4.0) * 1.05;
     let slack = distribute(&problem, command).map_or(-0.2, |d| d.slack_n / command);
     let limited = problem.clone().with_torques(TorqueLimits {
@@ -98,7 +98,7 @@ pub fn features(object: &Object, kinematics: &Kinematics, grasp: &Grasp, seed: u
         limits_nm: vec![(-TORQUE_LIMIT_NM, TORQUE_LIMIT_NM); 16],
         gravity_nm: DVector::zeros(16),
     });
-    let largest = largest_squeeze(&limited).map_or(0.1, |l| l.clamp(0.1, 1e4));
+    let largest = maximum_grip_force(&limited).map_or(0.1, |l| l.clamp(0.1, 1e4));
     let mut closure = ClosureOptions::about(center);
     closure.length_m = Some(0.05);
     let epsilon = force_closure(&wide, &closure).map_or(0.0, |c| c.epsilon);

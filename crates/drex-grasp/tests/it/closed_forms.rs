@@ -5,9 +5,9 @@ use crate::support;
 use crate::support::{G, down};
 use drex_core::TablePlane;
 use drex_grasp::{
-    ClosureOptions, Contact, ForceLaw, Rolling, RollingError, SqueezeError, SqueezeProblem, TorqueLimits,
-    characteristic_length_m, distribute, force_closure, grasp_map, largest_squeeze, min_weight, paper_force,
-    required_squeeze, rolling_path, shake_loads, smallest_forces, smallest_squeeze,
+    ClosureOptions, Contact, GripForcePolicy, Rolling, RollingError, GripForceError, GripForceProblem, TorqueLimits,
+    characteristic_length_m, distribute, force_closure, grasp_map, maximum_grip_force, min_weight, paper_force,
+    required_grip_force, rolling_path, shake_loads, smallest_forces, minimum_grip_force,
 };
 use nalgebra::{DVector, Isometry3, Matrix3xX, Point3, Rotation3, Unit, UnitQuaternion, Vector3, Vector6};
 
@@ -19,8 +19,8 @@ fn against_the_palm() -> Vec<Contact> {
     ]
 }
 
-fn carrying(mass_kg: f64) -> SqueezeProblem {
-    SqueezeProblem::new(against_the_palm(), mass_kg, Point3::origin(), down())
+fn carrying(mass_kg: f64) -> GripForceProblem {
+    GripForceProblem::new(against_the_palm(), mass_kg, Point3::origin(), down())
 }
 
 /// Joint 0 moves the thumb along its normal by 5 cm per radian, joint 1 against it by 2 cm per radian.
@@ -105,7 +105,7 @@ fn shakes_have_their_order_and_their_axes() {
 
 #[test]
 fn fingers_and_palm_are_added_up_apart() {
-    let s = smallest_squeeze(&carrying(0.2)).unwrap();
+    let s = minimum_grip_force(&carrying(0.2)).unwrap();
     let each = 0.2 * G / (2.0 * 0.5);
     assert_eq!(s.per_finger_n.len(), 2);
     assert!(s.per_finger_n[0] == 0.0 && (s.per_finger_n[1] - each).abs() < 1e-6 && (s.palm_n - each).abs() < 1e-6);
@@ -114,23 +114,23 @@ fn fingers_and_palm_are_added_up_apart() {
     let mut contacts = against_the_palm();
     contacts.push(Contact::new(Point3::new(-0.03, 0.01, 0.0), Vector3::x(), 0.5).by_finger(1));
     contacts[0].point.y = -0.01;
-    let d = distribute(&SqueezeProblem::new(contacts, 0.2, Point3::origin(), down()), 6.0).unwrap();
+    let d = distribute(&GripForceProblem::new(contacts, 0.2, Point3::origin(), down()), 6.0).unwrap();
     assert!((d.per_finger_n[1] - 3.0).abs() < 1e-5 && (d.palm_n - 3.0).abs() < 1e-5, "{d:?}");
     assert!((d.normal_n[0] - 1.5).abs() < 1e-3 && (d.normal_n[2] - 1.5).abs() < 1e-3, "{d:?}");
 }
 
 #[test]
 fn the_margin_on_the_weight_and_a_further_load_add_up() {
-    let plain = smallest_squeeze(&carrying(0.2)).unwrap().total_n;
-    let margin = smallest_squeeze(&carrying(0.2).with_gamma(1.5)).unwrap().total_n;
+    let plain = minimum_grip_force(&carrying(0.2)).unwrap().total_n;
+    let margin = minimum_grip_force(&carrying(0.2).with_gamma(1.5)).unwrap().total_n;
     assert!((margin - 1.5 * plain).abs() < 1e-6);
     // 1 N more downwards, not scaled by the margin.
     let mut more = carrying(0.2).with_gamma(1.5);
     more.extra_wrench = Vector6::new(0.0, 0.0, -1.0, 0.0, 0.0, 0.0);
-    let total = smallest_squeeze(&more).unwrap().total_n;
+    let total = minimum_grip_force(&more).unwrap().total_n;
     assert!((total - (1.5 * 0.2 * G + 1.0) / 0.5).abs() < 1e-6, "{total}");
     // Another load in place of both.
-    let other = smallest_squeeze(&more.under(&Vector6::new(0.0, 0.8, 0.0, 0.0, 0.0, 0.0))).unwrap().total_n;
+    let other = minimum_grip_force(&more.under(&Vector6::new(0.0, 0.8, 0.0, 0.0, 0.0, 0.0))).unwrap().total_n;
     assert!((other - 0.8 / 0.5).abs() < 1e-6, "{other}");
 }
 
@@ -139,58 +139,58 @@ fn each_joint_has_a_limit_either_way_and_carries_its_own_weight() {
     // Each side carries 0.981 N by friction: 1.962 N of normal force. Joint 0 gets 5 cm of it, joint 1 −2 cm.
     let force = 0.2 * G / (2.0 * 0.5);
     let wide = [(-1.0, 1.0); 2];
-    let s = smallest_squeeze(&carrying(0.2).with_torques(two_joints(wide, [0.01, 0.003]))).unwrap();
+    let s = minimum_grip_force(&carrying(0.2).with_torques(two_joints(wide, [0.01, 0.003]))).unwrap();
     assert!((s.joint_torques_nm[0] - (0.05 * force + 0.01)).abs() < 1e-7);
     assert!((s.joint_torques_nm[1] - (-0.02 * force + 0.003)).abs() < 1e-7);
     // The margin is that of the joint nearest to its limit, on the side to which it turns.
     let limits = [(-0.2, 0.5), (-0.05, 9.0)];
-    let s = smallest_squeeze(&carrying(0.2).with_torques(two_joints(limits, [0.0, 0.0]))).unwrap();
+    let s = minimum_grip_force(&carrying(0.2).with_torques(two_joints(limits, [0.0, 0.0]))).unwrap();
     assert!((s.torque_margin - (1.0 - 0.02 * force / 0.05)).abs() < 1e-6, "{}", s.torque_margin);
     // A joint beyond its lower limit is named with that; of two the one that is further beyond, in units of its limit.
-    let refused = |limits, own| smallest_squeeze(&carrying(0.2).with_torques(two_joints(limits, own))).unwrap_err();
+    let refused = |limits, own| minimum_grip_force(&carrying(0.2).with_torques(two_joints(limits, own))).unwrap_err();
     let error = refused([(-1.0, 1.0), (-0.03, 1.0)], [0.0, 0.0]);
     assert!(
-        matches!(error, SqueezeError::Torque { joint: 1, needed_nm, limit_nm: -0.03 } if (needed_nm + 0.02 * force).abs() < 1e-6),
+        matches!(error, GripForceError::Torque { joint: 1, needed_nm, limit_nm: -0.03 } if (needed_nm + 0.02 * force).abs() < 1e-6),
         "{error:?}"
     );
     let error = refused([(-1.0, 0.09), (-0.02, 1.0)], [0.0, 0.0]);
-    assert!(matches!(error, SqueezeError::Torque { joint: 1, .. }), "{error:?}");
+    assert!(matches!(error, GripForceError::Torque { joint: 1, .. }), "{error:?}");
     let error = refused([(-1.0, 0.04), (-0.03, 1.0)], [0.0, 0.0]);
-    assert!(matches!(error, SqueezeError::Torque { joint: 0, limit_nm: 0.04, .. }), "{error:?}");
-    // The hand's own weight counts, and a joint that cannot hold it has no squeeze even for nothing.
+    assert!(matches!(error, GripForceError::Torque { joint: 0, limit_nm: 0.04, .. }), "{error:?}");
+    // The hand's own weight counts, and a joint that cannot hold it has no grip force even for nothing.
     let error = refused([(-1.0, 0.1), (-1.0, 1.0)], [0.01, 0.0]);
-    assert!(matches!(error, SqueezeError::Torque { joint: 0, .. }), "{error:?}");
-    let idle = |own| smallest_squeeze(&carrying(0.0).with_torques(two_joints([(-0.1, 0.1); 2], [own, 0.0])));
+    assert!(matches!(error, GripForceError::Torque { joint: 0, .. }), "{error:?}");
+    let idle = |own| minimum_grip_force(&carrying(0.0).with_torques(two_joints([(-0.1, 0.1); 2], [own, 0.0])));
     assert_eq!(idle(0.09).unwrap().total_n, 0.0);
-    assert!(matches!(idle(0.11), Err(SqueezeError::Torque { joint: 0, .. })));
-    assert!(matches!(idle(-0.11), Err(SqueezeError::Torque { joint: 0, limit_nm: -0.1, .. })));
+    assert!(matches!(idle(0.11), Err(GripForceError::Torque { joint: 0, .. })));
+    assert!(matches!(idle(-0.11), Err(GripForceError::Torque { joint: 0, limit_nm: -0.1, .. })));
 }
 
 #[test]
 fn the_largest_grip_force_is_where_the_first_joint_or_the_skin_gives_out() {
     // Joint 0: 0.05 F + 0.01 <= 0.3; joint 1: −0.02 F + 0.003 >= −0.1. The first ends at 5.8 N, the second at 5.15 N.
     let problem = carrying(0.2).with_torques(two_joints([(-1.0, 0.3), (-0.1, 1.0)], [0.01, 0.003]));
-    assert!((largest_squeeze(&problem).unwrap() - 2.0 * 0.103 / 0.02).abs() < 1e-5);
+    assert!((maximum_grip_force(&problem).unwrap() - 2.0 * 0.103 / 0.02).abs() < 1e-5);
     let problem = carrying(0.2).with_torques(two_joints([(-1.0, 0.2), (-0.1, 1.0)], [0.01, 0.003]));
-    assert!((largest_squeeze(&problem).unwrap() - 2.0 * 0.19 / 0.05).abs() < 1e-5);
-    assert!((largest_squeeze(&problem.with_max_normal_n(2.5)).unwrap() - 5.0).abs() < 1e-5);
+    assert!((maximum_grip_force(&problem).unwrap() - 2.0 * 0.19 / 0.05).abs() < 1e-5);
+    assert!((maximum_grip_force(&problem.with_max_normal_n(2.5)).unwrap() - 5.0).abs() < 1e-5);
 }
 
 #[test]
 fn a_limit_on_the_force_names_the_contact_that_needs_most() {
     // Three contacts: the one alone on its side bears as much as the other two together, 2 N per unit of the friction they share.
     let contacts = support::thumb_against(2, 0.5);
-    let problem = SqueezeProblem::new(contacts, 0.2, Point3::origin(), down());
+    let problem = GripForceProblem::new(contacts, 0.2, Point3::origin(), down());
     let mut limited = problem.clone().with_max_normal_n(1.5);
     limited.min_normal_n = 0.1;
     let error = smallest_forces(&limited).unwrap_err();
     let alone = 0.2 * G / (2.0 * 0.5);
     assert!(
-        matches!(error, SqueezeError::NormalForce { contact: 0, needed_n, min_n: 0.1, max_n: 1.5 } if (needed_n - alone).abs() < 1e-5),
+        matches!(error, GripForceError::NormalForce { contact: 0, needed_n, min_n: 0.1, max_n: 1.5 } if (needed_n - alone).abs() < 1e-5),
         "{error:?}"
     );
     // Only a floor: the other side has to bear both.
-    let floor = smallest_squeeze(&problem.with_min_normal_n(3.0)).unwrap();
+    let floor = minimum_grip_force(&problem.with_min_normal_n(3.0)).unwrap();
     assert!((floor.total_n - 12.0).abs() < 1e-5 && (floor.normal_n[0] - 6.0).abs() < 1e-5, "{floor:?}");
 }
 
@@ -199,13 +199,13 @@ fn soft_fingers_share_a_twist_and_its_slack() {
     // A torque of 6 mN m about the pinch, 4 mm of torsion: 2 · 0.004 f >= 0.006.
     let mut problem = carrying(0.0).with_torsion_m(0.004);
     problem.extra_wrench = Vector6::new(0.0, 0.0, 0.0, 0.006, 0.0, 0.0);
-    let s = smallest_squeeze(&problem).unwrap();
+    let s = minimum_grip_force(&problem).unwrap();
     assert!((s.total_n - 0.006 / 0.004).abs() < 1e-6, "{}", s.total_n);
     // Slack counts against the torsion as against friction.
     let d = distribute(&problem, 3.0).unwrap();
     assert!((d.slack_n - (1.5 - 0.75)).abs() < 3e-3, "{}", d.slack_n);
     // Torsional friction falls with the other frictions.
-    let margin = smallest_squeeze(&problem.with_max_normal_n(1.0)).unwrap().friction_margin;
+    let margin = minimum_grip_force(&problem.with_max_normal_n(1.0)).unwrap().friction_margin;
     assert!((margin - 0.25).abs() < 2e-3, "{margin}");
 }
 
@@ -216,7 +216,7 @@ fn contacts_without_friction_have_all_of_their_force_as_slack() {
         .map(|side| Contact::new(Point3::new(0.03 * side, 0.0, 0.0), -Vector3::x() * side, 0.0).by_finger(0))
         .to_vec();
     contacts[1].finger = Some(1);
-    let d = distribute(&SqueezeProblem::new(contacts, 0.0, Point3::origin(), down()), 4.0).unwrap();
+    let d = distribute(&GripForceProblem::new(contacts, 0.0, Point3::origin(), down()), 4.0).unwrap();
     assert!((d.slack_n - 2.0).abs() < 2e-3, "{}", d.slack_n);
     assert!(d.forces.iter().all(|f| f.y.abs() < 1e-6 && f.z.abs() < 1e-6));
 }
@@ -225,23 +225,23 @@ fn contacts_without_friction_have_all_of_their_force_as_slack() {
 fn a_load_that_limits_forbid_says_how_large_it_is() {
     let loads = [Vector6::new(0.0, 0.0, -1.0, 0.0, 0.0, 0.0), Vector6::new(0.0, 3.0, -4.0, 0.0, 0.0, 0.0)];
     // 1 N needs 1 N of each side, 5 N need 5 N.
-    let s = required_squeeze(&carrying(9.0).with_max_normal_n(5.1), &loads).unwrap();
+    let s = required_grip_force(&carrying(9.0).with_max_normal_n(5.1), &loads).unwrap();
     assert!((s.total_n - 10.0).abs() < 1e-5 && s.binding_load == Some(1), "{s:?}");
     assert!((s.forces[0] + s.forces[1] + Vector3::new(0.0, 3.0, -4.0)).norm() < 1e-6);
-    let error = required_squeeze(&carrying(9.0).with_max_normal_n(4.9), &loads).unwrap_err();
+    let error = required_grip_force(&carrying(9.0).with_max_normal_n(4.9), &loads).unwrap_err();
     assert!(
-        matches!(error, SqueezeError::Load { load: 1, force_n, torque_nm: 0.0, .. } if (force_n - 5.0).abs() < 1e-12),
+        matches!(error, GripForceError::Load { load: 1, force_n, torque_nm: 0.0, .. } if (force_n - 5.0).abs() < 1e-12),
         "{error:?}"
     );
     // A push of 4 N along the pinch leaves one side 4 N more than the other: with 5 N at most they are 6 N in all, which is too little for a
     // load that needs 8.
     let along = Vector6::new(4.0, 0.0, 0.0, 0.0, 0.0, 0.0);
     let heavy = Vector6::new(0.0, 0.0, -4.0, 0.0, 0.0, 0.0);
-    let error = required_squeeze(&carrying(0.0).with_max_normal_n(5.0), &[along, heavy]).unwrap_err();
-    let SqueezeError::Load { load: 0, force_n, reason, .. } = &error else { panic!("{error:?}") };
+    let error = required_grip_force(&carrying(0.0).with_max_normal_n(5.0), &[along, heavy]).unwrap_err();
+    let GripForceError::Load { load: 0, force_n, reason, .. } = &error else { panic!("{error:?}") };
     assert!((force_n - 4.0).abs() < 1e-12);
     assert!(
-        matches!(**reason, SqueezeError::Total { total_n, smallest_n, largest_n }
+        matches!(**reason, GripForceError::Total { total_n, smallest_n, largest_n }
             if (total_n - 8.0).abs() < 1e-5 && (smallest_n - 4.0).abs() < 1e-5 && (largest_n - 6.0).abs() < 1e-5),
         "{error:?}"
     );
@@ -249,7 +249,7 @@ fn a_load_that_limits_forbid_says_how_large_it_is() {
 
 #[test]
 fn the_law_counts_the_margin_on_the_weight_and_a_further_load_in_every_shake() {
-    let law = ForceLaw::default();
+    let law = GripForcePolicy::default();
     let lowest = 0.9 * 0.5;
     let mut problem = carrying(0.3).with_gamma(1.2);
     problem.extra_wrench = Vector6::new(0.0, 0.0, -0.7, 0.0, 0.0, 0.0);
@@ -264,8 +264,8 @@ fn the_law_counts_the_margin_on_the_weight_and_a_further_load_in_every_shake() {
     for (own, law_n) in [(2.0, 9.0), (9.0, 2.0)] {
         let refused = law.with_max_contact_n(law_n).command(&carrying(0.3).with_max_normal_n(own)).unwrap_err();
         assert!(
-            matches!(&refused, SqueezeError::Load { load: 1, reason, .. }
-                if matches!(**reason, SqueezeError::NormalForce { max_n: 2.0, .. })),
+            matches!(&refused, GripForceError::Load { load: 1, reason, .. }
+                if matches!(**reason, GripForceError::NormalForce { max_n: 2.0, .. })),
             "{refused:?}"
         );
     }
@@ -275,19 +275,19 @@ fn the_law_counts_the_margin_on_the_weight_and_a_further_load_in_every_shake() {
         good.command(&carrying(0.2)).unwrap();
     }
     for bad in [law.with_shake_m_s2(-1.0), law.with_shake_m_s2(f64::INFINITY), law.with_floor_n(-0.1)] {
-        assert!(matches!(bad.command(&carrying(0.2)), Err(SqueezeError::Input(_))), "{bad:?}");
+        assert!(matches!(bad.command(&carrying(0.2)), Err(GripForceError::Input(_))), "{bad:?}");
     }
 }
 
 #[test]
 fn what_makes_no_problem_is_refused_in_every_field() {
     let good = carrying(0.2).with_torques(two_joints([(-1.0, 1.0); 2], [0.0; 2]));
-    smallest_squeeze(&good).unwrap();
-    let refused = |word: &str, change: &dyn Fn(&mut SqueezeProblem)| {
+    minimum_grip_force(&good).unwrap();
+    let refused = |word: &str, change: &dyn Fn(&mut GripForceProblem)| {
         let mut bad = good.clone();
         change(&mut bad);
-        let error = smallest_squeeze(&bad).unwrap_err();
-        assert!(matches!(error, SqueezeError::Input(_)) && error.to_string().contains(word), "{word}: {error}");
+        let error = minimum_grip_force(&bad).unwrap_err();
+        assert!(matches!(error, GripForceError::Input(_)) && error.to_string().contains(word), "{word}: {error}");
     };
     refused("mass", &|p| p.mass_kg = -1e-9);
     refused("mass", &|p| p.mass_kg = f64::INFINITY);
@@ -307,12 +307,12 @@ fn what_makes_no_problem_is_refused_in_every_field() {
     refused("joint 1", &|p| p.torques.as_mut().unwrap().limits_nm[1] = (0.2, 0.1));
     refused("finite", &|p| p.torques.as_mut().unwrap().jacobians[0][(2, 1)] = f64::NAN);
     refused("finite", &|p| p.torques.as_mut().unwrap().gravity_nm[0] = f64::NAN);
-    assert!(matches!(distribute(&good, -1.0), Err(SqueezeError::Input(_))));
+    assert!(matches!(distribute(&good, -1.0), Err(GripForceError::Input(_))));
     // What is at the edge of sense is none of that.
     let mut edge = good.clone();
     (edge.gamma, edge.torsion_m, edge.max_normal_n, edge.min_normal_n) = (0.0, Some(0.0), Some(0.5), 0.5);
     edge.torques.as_mut().unwrap().limits_nm[1] = (f64::NEG_INFINITY, f64::INFINITY);
-    assert!((smallest_squeeze(&edge).unwrap().total_n - 1.0).abs() < 1e-6);
+    assert!((minimum_grip_force(&edge).unwrap().total_n - 1.0).abs() < 1e-6);
 }
 
 /// Six contacts without friction: each direction and each turn of a cube has one each way.

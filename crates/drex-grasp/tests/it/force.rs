@@ -1,15 +1,15 @@
-//! Loads, shares and the force law against closed forms and their own promises.
+//! Loads, shares and the grip-force policy against closed forms and their own promises.
 
 use crate::support::{G, down, grasp, thumb_against};
 use drex_grasp::{
-    Contact, ForceLaw, SqueezeError, SqueezeProblem, TorqueLimits, distribute, largest_squeeze, paper_force,
-    required_squeeze, shake_loads, smallest_squeeze,
+    Contact, GripForcePolicy, GripForceError, GripForceProblem, TorqueLimits, distribute, maximum_grip_force, paper_force,
+    required_grip_force, shake_loads, minimum_grip_force,
 };
 use nalgebra::{DVector, Matrix3xX, Point3, Rotation3, Vector3, Vector6};
 use proptest::prelude::*;
 
-fn pinch(mass: f64) -> SqueezeProblem {
-    SqueezeProblem::new(thumb_against(1, 0.5), mass, Point3::origin(), down())
+fn pinch(mass: f64) -> GripForceProblem {
+    GripForceProblem::new(thumb_against(1, 0.5), mass, Point3::origin(), down())
 }
 
 /// One joint per contact: a lever of 6 cm against its normal.
@@ -52,12 +52,12 @@ fn a_pinch_shaken_needs_half_again_and_along_its_axis_what_the_wall_takes() {
     // Vertical: 1.5 m g / (2 μ) each. Along the pinch axis the weaker side still carries half the weight and the other
     // takes the push on top: m g / μ + m a, less than 1.5 m g / μ here.
     let problem = pinch(0.2);
-    let rest = smallest_squeeze(&problem).unwrap().total_n;
-    let s = required_squeeze(&problem, &shake_loads(0.2, 0.5 * G, &down())).unwrap();
+    let rest = minimum_grip_force(&problem).unwrap().total_n;
+    let s = required_grip_force(&problem, &shake_loads(0.2, 0.5 * G, &down())).unwrap();
     assert_eq!(s.binding_load, Some(1), "the shake upwards");
     assert!((s.total_n - 1.5 * rest).abs() < 1e-6 && (rest - 0.2 * G / 0.5).abs() < 1e-6);
     // The friction margin is that under the binding load: with a ceiling F it is 1.5 m g / (2 F).
-    let s = required_squeeze(&problem.with_max_normal_n(4.0), &shake_loads(0.2, 0.5 * G, &down())).unwrap();
+    let s = required_grip_force(&problem.with_max_normal_n(4.0), &shake_loads(0.2, 0.5 * G, &down())).unwrap();
     assert!((s.friction_margin - (1.0 - 1.5 * 0.2 * G / 8.0 / 0.5)).abs() < 2e-3);
 }
 
@@ -71,9 +71,9 @@ fn a_tilted_load_on_a_pinch_is_a_closed_form() {
         let w = 2.0;
         let across = Vector6::new(0.0, w * t.sin(), -w * t.cos(), 0.0, 0.0, 0.0);
         let along = Vector6::new(w * t.sin(), 0.0, -w * t.cos(), 0.0, 0.0, 0.0);
-        let s = required_squeeze(&pinch(0.0), &[across]).unwrap();
+        let s = required_grip_force(&pinch(0.0), &[across]).unwrap();
         assert!((s.total_n - w / mu).abs() < 1e-6);
-        let s = required_squeeze(&pinch(0.0), &[along]).unwrap();
+        let s = required_grip_force(&pinch(0.0), &[along]).unwrap();
         assert!((s.total_n - (w * t.cos() / mu + w * t.sin())).abs() < 1e-6, "{t}: {}", s.total_n);
     }
 }
@@ -82,16 +82,16 @@ fn a_tilted_load_on_a_pinch_is_a_closed_form() {
 fn the_load_that_cannot_be_carried_is_named() {
     let twist = Vector6::new(0.0, 0.0, 0.0, 0.1, 0.0, 0.0);
     let rest = Vector6::new(0.0, 0.0, -1.0, 0.0, 0.0, 0.0);
-    let refused = required_squeeze(&pinch(0.1), &[rest, twist, rest]);
+    let refused = required_grip_force(&pinch(0.1), &[rest, twist, rest]);
     assert!(
-        matches!(&refused, Err(SqueezeError::Load { load: 1, reason, .. }) if matches!(**reason, SqueezeError::NoEquilibrium { .. })),
+        matches!(&refused, Err(GripForceError::Load { load: 1, reason, .. }) if matches!(**reason, GripForceError::NoEquilibrium { .. })),
         "{refused:?}"
     );
     assert!(refused.unwrap_err().to_string().contains("load 1"));
     // Of equal loads the first.
-    assert_eq!(required_squeeze(&pinch(0.1), &[rest, rest]).unwrap().binding_load, Some(0));
-    assert!(matches!(required_squeeze(&pinch(0.1), &[]), Err(SqueezeError::Input(_))));
-    assert!(matches!(required_squeeze(&pinch(0.1), &[rest * f64::NAN]), Err(SqueezeError::Input(_))));
+    assert_eq!(required_grip_force(&pinch(0.1), &[rest, rest]).unwrap().binding_load, Some(0));
+    assert!(matches!(required_grip_force(&pinch(0.1), &[]), Err(GripForceError::Input(_))));
+    assert!(matches!(required_grip_force(&pinch(0.1), &[rest * f64::NAN]), Err(GripForceError::Input(_))));
 }
 
 #[test]
@@ -109,10 +109,10 @@ fn the_slack_of_a_pinch_is_what_is_left_of_the_normal_force() {
     }
     let refused = distribute(&problem, 1.9 * need);
     assert!(
-        matches!(refused, Err(SqueezeError::Total { smallest_n, largest_n, .. }) if (smallest_n - 2.0 * need).abs() < 1e-6 && largest_n.is_infinite()),
+        matches!(refused, Err(GripForceError::Total { smallest_n, largest_n, .. }) if (smallest_n - 2.0 * need).abs() < 1e-6 && largest_n.is_infinite()),
         "{refused:?}"
     );
-    assert!(matches!(distribute(&problem, f64::NAN), Err(SqueezeError::Input(_))));
+    assert!(matches!(distribute(&problem, f64::NAN), Err(GripForceError::Input(_))));
     // Nothing to carry: all of it is slack.
     let d = distribute(&pinch(0.0), 4.0).unwrap();
     assert!((d.slack_n - 2.0).abs() < 1e-3, "{}", d.slack_n);
@@ -126,47 +126,47 @@ fn the_points_of_one_pad_share_its_slack() {
         contacts.push(Contact::new(Point3::new(0.03, y, z), -Vector3::x(), 0.5).by_finger(0));
     }
     contacts.push(Contact::new(Point3::new(0.03, -0.02, 0.0), -Vector3::x(), 0.5).by_finger(1));
-    let d = distribute(&SqueezeProblem::new(contacts, 0.1, Point3::origin(), down()), 8.0).unwrap();
+    let d = distribute(&GripForceProblem::new(contacts, 0.1, Point3::origin(), down()), 8.0).unwrap();
     assert!((d.per_finger_n[0] - d.per_finger_n[1]).abs() < 0.1, "{:?}", d.per_finger_n);
 }
 
 #[test]
-fn motors_and_damage_limits_bound_the_squeeze() {
+fn motors_and_damage_limits_bound_the_grip_force() {
     let problem = pinch(0.2);
-    assert!(largest_squeeze(&problem).unwrap().is_infinite());
+    assert!(maximum_grip_force(&problem).unwrap().is_infinite());
     let torques = levers(&problem.contacts, 0.3, 0.06);
     let limited = problem.clone().with_torques(torques);
     // 0.06 F + 0.06 <= 0.3.
-    assert!((largest_squeeze(&limited).unwrap() - 8.0).abs() < 1e-5);
-    assert!((largest_squeeze(&problem.clone().with_max_normal_n(3.0)).unwrap() - 6.0).abs() < 1e-5);
+    assert!((maximum_grip_force(&limited).unwrap() - 8.0).abs() < 1e-5);
+    assert!((maximum_grip_force(&problem.clone().with_max_normal_n(3.0)).unwrap() - 6.0).abs() < 1e-5);
     let d = distribute(&limited, 6.0).unwrap();
     for (own, all) in d.contact_torques_nm.iter().zip(&d.joint_torques_nm) {
         assert!((own - 0.18).abs() < 1e-6 && (all - 0.24).abs() < 1e-6);
     }
     assert!((d.torque_margin - 0.2).abs() < 1e-5);
     // At the edge itself, and not beyond it.
-    let edge = largest_squeeze(&limited).unwrap();
-    for total in [edge, edge * (1.0 - 1e-7), smallest_squeeze(&limited).unwrap().total_n] {
+    let edge = maximum_grip_force(&limited).unwrap();
+    for total in [edge, edge * (1.0 - 1e-7), minimum_grip_force(&limited).unwrap().total_n] {
         let d = distribute(&limited, total).unwrap();
         assert!((d.normal_n.iter().sum::<f64>() - total).abs() < 3e-5 * total);
     }
-    assert!(matches!(distribute(&limited, edge * 1.001), Err(SqueezeError::Total { .. })));
+    assert!(matches!(distribute(&limited, edge * 1.001), Err(GripForceError::Total { .. })));
     let refused = distribute(&limited, 9.0);
     assert!(
-        matches!(refused, Err(SqueezeError::Total { largest_n, .. }) if (largest_n - 8.0).abs() < 1e-4),
+        matches!(refused, Err(GripForceError::Total { largest_n, .. }) if (largest_n - 8.0).abs() < 1e-4),
         "{refused:?}"
     );
     // A limit that leaves one sum and no other.
-    let only = problem.clone().with_max_normal_n(0.5 * smallest_squeeze(&problem).unwrap().total_n);
-    assert!(matches!(distribute(&only, 6.0), Err(SqueezeError::Total { .. })));
+    let only = problem.clone().with_max_normal_n(0.5 * minimum_grip_force(&problem).unwrap().total_n);
+    assert!(matches!(distribute(&only, 6.0), Err(GripForceError::Total { .. })));
     let weak = problem.with_torques(levers(&limited.contacts, 0.1, 0.06));
-    assert!(matches!(distribute(&weak, 6.0), Err(SqueezeError::Torque { .. })));
-    assert!(matches!(largest_squeeze(&weak), Err(SqueezeError::Torque { .. })));
+    assert!(matches!(distribute(&weak, 6.0), Err(GripForceError::Torque { .. })));
+    assert!(matches!(maximum_grip_force(&weak), Err(GripForceError::Torque { .. })));
 }
 
 #[test]
 fn the_law_is_required_times_margin_within_floor_and_limits() {
-    let law = ForceLaw::default();
+    let law = GripForcePolicy::default();
     let c = law.command(&pinch(0.2)).unwrap();
     // Shakes 1.5, friction 0.9 of 0.5, margin 1.25.
     let required = 1.5 * 0.2 * G / 0.45;
@@ -188,14 +188,14 @@ fn the_law_is_required_times_margin_within_floor_and_limits() {
     assert!((f.largest_n.unwrap() - 1.1 * required).abs() < 1e-3);
     assert!((f.margin - 1.1).abs() < 1e-3 && f.distribution.normal_n.iter().all(|n| *n <= 0.55 * required * 1.001));
     let fragile = law.with_max_contact_n(0.5 * 0.9 * required);
-    assert!(matches!(fragile.command(&pinch(0.2)), Err(SqueezeError::Load { load: 1, .. })));
+    assert!(matches!(fragile.command(&pinch(0.2)), Err(GripForceError::Load { load: 1, .. })));
     for bad in [
         law.with_margin(0.5),
         law.with_friction_uncertainty(1.0),
         law.with_floor_n(f64::NAN),
         law.with_max_contact_n(0.0),
     ] {
-        assert!(matches!(bad.command(&pinch(0.2)), Err(SqueezeError::Input(_))));
+        assert!(matches!(bad.command(&pinch(0.2)), Err(GripForceError::Input(_))));
     }
     for mass in [1000.0, f64::NAN, -1.0] {
         let mut strong = pinch(mass);
@@ -209,14 +209,14 @@ proptest! {
 
     #[test]
     fn a_share_keeps_its_promises(contacts in grasp(), mass in 0.02..0.5f64, more in 1.02..3.0f64) {
-        let problem = SqueezeProblem::new(contacts.clone(), mass, Point3::origin(), down())
+        let problem = GripForceProblem::new(contacts.clone(), mass, Point3::origin(), down())
             .with_torques(levers(&contacts, 1.0, 0.0));
-        if let (Ok(s), Ok(largest)) = (smallest_squeeze(&problem), largest_squeeze(&problem)) {
+        if let (Ok(s), Ok(largest)) = (minimum_grip_force(&problem), maximum_grip_force(&problem)) {
             prop_assert!(largest >= s.total_n * (1.0 - 1e-6));
             let total = s.total_n * more;
             let outcome = distribute(&problem, total);
             if total > largest * (1.0 + 1e-4) {
-                prop_assert!(matches!(outcome, Err(SqueezeError::Total { .. })), "{:?}", outcome);
+                prop_assert!(matches!(outcome, Err(GripForceError::Total { .. })), "{:?}", outcome);
                 return Ok(());
             }
             if total > largest * (1.0 - 1e-4) {
@@ -239,9 +239,9 @@ proptest! {
     }
 
     #[test]
-    fn without_motors_a_larger_squeeze_never_has_less_slack(contacts in grasp(), mass in 0.02..0.5f64) {
-        let problem = SqueezeProblem::new(contacts, mass, Point3::origin(), down());
-        if let Ok(s) = smallest_squeeze(&problem) {
+    fn without_motors_a_larger_grip_force_never_has_less_slack(contacts in grasp(), mass in 0.02..0.5f64) {
+        let problem = GripForceProblem::new(contacts, mass, Point3::origin(), down());
+        if let Ok(s) = minimum_grip_force(&problem) {
             let slack: Vec<f64> =
                 [1.05, 1.3, 2.0, 4.0].iter().map(|m| distribute(&problem, m * s.total_n).unwrap().slack_n).collect();
             prop_assert!(slack.windows(2).all(|w| w[1] >= w[0] - 2e-3 * s.total_n), "{:?}", slack);
@@ -251,17 +251,17 @@ proptest! {
     #[test]
     fn required_is_the_largest_of_the_smallest(contacts in grasp(), mass in 0.02..0.5f64, turn in 0.0..3.0f64) {
         let gravity = Rotation3::from_euler_angles(0.3 * turn, 0.2, 0.0) * down();
-        let problem = SqueezeProblem::new(contacts, mass, Point3::origin(), gravity);
+        let problem = GripForceProblem::new(contacts, mass, Point3::origin(), gravity);
         let loads = shake_loads(mass, 0.5 * G, &gravity);
-        let each: Result<Vec<f64>, SqueezeError> = loads
+        let each: Result<Vec<f64>, GripForceError> = loads
             .iter()
             .map(|l| {
                 let mut one = problem.clone().with_gamma(0.0);
                 one.extra_wrench = *l;
-                Ok(smallest_squeeze(&one)?.total_n)
+                Ok(minimum_grip_force(&one)?.total_n)
             })
             .collect();
-        match (required_squeeze(&problem, &loads), each) {
+        match (required_grip_force(&problem, &loads), each) {
             (Ok(all), Ok(each)) => {
                 let most = each.iter().copied().fold(0.0, f64::max);
                 prop_assert!((all.total_n - most).abs() < 1e-5 * most);

@@ -2,8 +2,8 @@
 
 use drex_core::{MassProperties, SdfSample, SignedDistance, TablePlane};
 use drex_grasp::{
-    CheckOptions, ContactOptions, GraspError, HandSurface, SqueezeProblem, StaticGrasp, TorqueLimits, find_contacts,
-    smallest_squeeze, static_check,
+    CheckOptions, ContactOptions, GraspError, HandSurface, GripForceProblem, StaticGrasp, TorqueLimits, find_contacts,
+    minimum_grip_force, static_check,
 };
 use drex_robot::Robot;
 use nalgebra::{Isometry3, Matrix3, Point3, Translation3, Vector3};
@@ -145,7 +145,7 @@ fn the_static_check_names_what_is_wrong() {
         table,
     };
     let check = static_check(&grasp, &CheckOptions::default()).unwrap();
-    assert!(!check.passed && check.squeeze_n.is_none() && !check.force_closure);
+    assert!(!check.passed && check.grip_force_n.is_none() && !check.force_closure);
     for word in ["thumb", "1 of 3 fingers", "inside the object", "below the table", "force closure", "cannot carry"] {
         assert!(check.failures.iter().any(|f| f.contains(word)), "{word}: {:?}", check.failures);
     }
@@ -181,7 +181,7 @@ fn the_static_check_names_what_is_wrong() {
 }
 
 #[test]
-fn squeeze_with_motors_is_never_smaller_than_without() {
+fn grip_force_with_motors_is_never_smaller_than_without() {
     let robot = Robot::bundled("allegro_right").unwrap();
     let q = robot.mid_range();
     let poses = robot.forward_kinematics(&q, &Isometry3::identity());
@@ -194,8 +194,8 @@ fn squeeze_with_motors_is_never_smaller_than_without() {
     }
     let gravity = Vector3::new(0.0, 0.0, -9.81);
     let limits = TorqueLimits::of_robot(&robot, &q, &Isometry3::identity(), &contacts, &gravity).unwrap();
-    let problem = SqueezeProblem::new(contacts, 0.3, center, gravity);
-    if let (Ok(free), Ok(bound)) = (smallest_squeeze(&problem), smallest_squeeze(&problem.clone().with_torques(limits)))
+    let problem = GripForceProblem::new(contacts, 0.3, center, gravity);
+    if let (Ok(free), Ok(bound)) = (minimum_grip_force(&problem), minimum_grip_force(&problem.clone().with_torques(limits)))
     {
         assert!(bound.total_n >= free.total_n * (1.0 - 1e-6));
         assert_eq!(bound.joint_torques_nm.len(), robot.dof());

@@ -7,6 +7,6 @@ mod force;
 mod hand;
 mod rolling;
 mod search;
-mod squeeze;
+mod grip_force;
 #[path = "../support/mod.rs"]
 mod support;

@@ -2,8 +2,8 @@
 
 use drex_core::{MassProperties, SdfSample, SignedDistance, SurfacePoint, TablePlane};
 use drex_grasp::{
-    CheckOptions, ClosureOptions, FoundGrasp, HandSurface, SearchOptions, SqueezeProblem, StaticGrasp, TorqueLimits,
-    force_closure, search_grasps, smallest_squeeze, static_check_with,
+    CheckOptions, ClosureOptions, FoundGrasp, HandSurface, SearchOptions, GripForceProblem, StaticGrasp, TorqueLimits,
+    force_closure, search_grasps, minimum_grip_force, static_check_with,
 };
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -64,7 +64,7 @@ fn what_is_found_touches_is_not_inside_and_keeps_off_the_table() {
             for c in &f.contacts {
                 assert!((c.point.coords.norm() - radius).abs() < 1e-6 && c.normal.dot(&c.point.coords) < 0.0);
             }
-            assert!(f.squeeze_per_weight > 0.5 && f.squeeze_per_weight.is_finite());
+            assert!(f.grip_force_per_weight > 0.5 && f.grip_force_per_weight.is_finite());
             for (q, joint) in f.joints.iter().zip(&robot.joints) {
                 let (low, high) = joint.limits.unwrap();
                 assert!((low - 1e-12..=high + 1e-12).contains(q), "{hand}: {}", joint.name);
@@ -101,13 +101,13 @@ fn the_static_check_of_a_found_grasp_is_the_cone_programme_on_its_contacts() {
             let finger = (i < surface.fingers.len()).then_some(i);
             assert_eq!(row.contacts, contacts.iter().filter(|c| c.finger == finger).count(), "{}", row.finger);
         }
-        let free = SqueezeProblem::new(contacts, 0.1, body.center_of_mass, table.gravity()).with_gamma(1.3);
-        let Ok(s) = smallest_squeeze(&free.clone().with_torques(motors)) else {
-            assert!(check.squeeze_n.is_none() && !check.passed && check.torque_margin.is_none());
+        let free = GripForceProblem::new(contacts, 0.1, body.center_of_mass, table.gravity()).with_gamma(1.3);
+        let Ok(s) = minimum_grip_force(&free.clone().with_torques(motors)) else {
+            assert!(check.grip_force_n.is_none() && !check.passed && check.torque_margin.is_none());
             continue;
         };
         carried += 1;
-        assert_eq!((check.squeeze_n, check.torque_margin), (Some(s.total_n), Some(s.torque_margin)));
+        assert_eq!((check.grip_force_n, check.torque_margin), (Some(s.total_n), Some(s.torque_margin)));
         assert_eq!(check.friction_margin, Some(s.friction_margin));
         for (row, n) in check.contacts.iter().zip(&s.per_finger_n) {
             assert_eq!(row.normal_n, *n, "{}", row.finger);
@@ -118,11 +118,11 @@ fn the_static_check_of_a_found_grasp_is_the_cone_programme_on_its_contacts() {
         let mut other = options.clone();
         other.motors = false;
         let without = static_check_with(&surface, &grasp, &other).unwrap();
-        let s = smallest_squeeze(&free).unwrap();
-        assert_eq!((without.squeeze_n, without.torque_margin), (Some(s.total_n), Some(1.0)));
+        let s = minimum_grip_force(&free).unwrap();
+        assert_eq!((without.grip_force_n, without.torque_margin), (Some(s.total_n), Some(1.0)));
         other.max_normal_n = Some(0.01);
         let fragile = static_check_with(&surface, &grasp, &other).unwrap();
-        assert!(fragile.squeeze_n.is_none() && fragile.failures.iter().any(|f| f.contains("limits")), "{fragile:?}");
+        assert!(fragile.grip_force_n.is_none() && fragile.failures.iter().any(|f| f.contains("limits")), "{fragile:?}");
         assert!(fragile.contacts.iter().all(|row| row.normal_n == 0.0));
     }
     assert!(carried > 0);

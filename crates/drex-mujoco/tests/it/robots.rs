@@ -127,8 +127,8 @@ mod pick;
 
 #[test]
 fn a_hand_that_picks_a_box_or_cannot() {
-    for (squeeze, reserve_nm, rises_m) in [(1.5, 0.1, 0.2), (0.5, 0.0, 0.0)] {
-        let pick = pick::Pick { mass_kg: 0.2, friction: 0.5, cap_nm: 0.29, squeeze, reserve_nm, dt_s: 1e-3 };
+    for (grip_force, reserve_nm, rises_m) in [(1.5, 0.1, 0.2), (0.5, 0.0, 0.0)] {
+        let pick = pick::Pick { mass_kg: 0.2, friction: 0.5, cap_nm: 0.29, grip_force, reserve_nm, dt_s: 1e-3 };
         let (model, scene, start) = pick::scene(&pick).unwrap();
         // Before the lift, after it, and after a hold of three seconds.
         let times = [0.5, 2.5, 5.5];
@@ -137,7 +137,7 @@ fn a_hand_that_picks_a_box_or_cannot() {
         for (engine, record) in [("ours", &ours), ("MuJoCo", &theirs)] {
             let [before, lifted, held] = [0, 1, 2].map(|i| record.bodies[0].poses[i].translation.vector);
             let (rise, drift) = (lifted.z - before.z, (held - lifted).norm());
-            println!("squeeze {squeeze}, {engine}: rises {rise:.4} m, drifts {:.4} mm in the hold", drift * 1e3);
+            println!("grip force {grip force}, {engine}: rises {rise:.4} m, drifts {:.4} mm in the hold", drift * 1e3);
             assert!((rise - rises_m).abs() < 2e-3 && drift < 1e-4);
         }
         for (a, b) in ours.bodies[0].poses.iter().zip(&theirs.bodies[0].poses) {
@@ -153,7 +153,7 @@ fn a_hand_that_picks_a_box_or_cannot() {
 
 #[test]
 fn contacts_of_a_pick_are_told_alike() {
-    let pick = pick::Pick { mass_kg: 0.2, friction: 0.5, cap_nm: 0.29, squeeze: 1.5, reserve_nm: 0.1, dt_s: 1e-3 };
+    let pick = pick::Pick { mass_kg: 0.2, friction: 0.5, cap_nm: 0.29, grip_force: 1.5, reserve_nm: 0.1, dt_s: 1e-3 };
     let (model, scene, start) = pick::scene(&pick).unwrap();
     let mut engine = MujocoEngine::new(&model, &scene, &start, &MjcfOptions::default()).unwrap();
     let mut state = start.clone();

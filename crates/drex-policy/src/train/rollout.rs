@@ -1,4 +1,4 @@
-//! The second phase: proposed grasps are tried, and contacts, mode probabilities and squeezes learn from what happened.
+//! The second phase: proposed grasps are tried, and contacts, mode probabilities and grip forces learn from what happened.
 //!
 //! No gradient passes through a rollout. Each round tries single modes of random views at random mass and friction, then takes a few
 //! steps on, per try of mode k:
@@ -8,10 +8,10 @@
 //!   this object at this mass and friction: the mean over its tries, the nearer in load and the later the more they count (a kernel
 //!   regression after Nadaraya and Watson). That is the distribution of the largest mean reward for its divergence from π⁰ (τ prices the
 //!   divergence). A grasp that carries 80 g may not carry 200 g: the modes that are proposed change with the load;
-//! - squeeze: squared error of its logarithm to the larger of what the cone programme needs over the actual contacts and of the squeeze
+//! - grip force: squared error of its logarithm to the larger of what the cone programme needs over the actual contacts and of the grip force
 //!   at which the friction cone would be used by the wanted share;
 //! - anchor: squared distance, in spreads, of joints and wrist of all modes to what the first phase taught;
-//! - squeezes and contacts of the modes not tried stay as they were at the start of the round.
+//! - grip forces and contacts of the modes not tried stay as they were at the start of the round.
 //!
 //! Demonstrations go on pulling on joints and wrist, each counted by the rewards of the modes that stand for it.
 
@@ -40,8 +40,8 @@ pub struct Feedback {
     pub held: bool,
     /// Largest share of the friction cone in use while it was held, 0 .. 1: at 1 a contact slips.
     pub friction_used: Option<f64>,
-    /// Smallest squeeze of the cone programme over the actual contacts, N.
-    pub needed_squeeze_n: Option<f64>,
+    /// minimum grip force of the cone programme over the actual contacts, N.
+    pub needed_grip_force_n: Option<f64>,
 }
 
 /// Tries grasps: a simulator behind a face that training knows. Tries run in parallel; the answer must depend on the arguments alone.
@@ -283,8 +283,8 @@ impl Trainer<'_> {
             format!("retained is {}, not 0 .. 1", feedback.retained)
         } else if feedback.friction_used.is_some_and(|u| !(0.0..=10.0).contains(&u)) {
             format!("friction_used is {:?}, not 0 .. 1", feedback.friction_used)
-        } else if feedback.needed_squeeze_n.is_some_and(|n| !(n >= 0.0 && n.is_finite())) {
-            format!("needed_squeeze_n is {:?}, no force", feedback.needed_squeeze_n)
+        } else if feedback.needed_grip_force_n.is_some_and(|n| !(n >= 0.0 && n.is_finite())) {
+            format!("needed_squeeze_n is {:?}, no force", feedback.needed_grip_force_n)
         } else {
             return Ok(());
         };
@@ -349,8 +349,8 @@ impl Trainer<'_> {
                 let mode = Mode::new(&layout, &scales, &row[t.mode * width..(t.mode + 1) * width]);
                 let touching = feedback.fingers_in_contact.iter().enumerate();
                 sum.contact_loss += touching.map(|(f, c)| mode.contact(f, f64::from(u8::from(*c))).0).sum::<f64>();
-                if let Some(target) = wanted_squeeze(feedback, t.grasp.squeeze_n, options) {
-                    sum.force_gap += (target / t.grasp.squeeze_n).ln().abs();
+                if let Some(target) = target_grip_force(feedback, t.grasp.grip_force_n, options) {
+                    sum.force_gap += (target / t.grasp.grip_force_n).ln().abs();
                     targets += 1.0;
                 }
             }
@@ -390,14 +390,14 @@ fn reward(feedback: &Feedback) -> f64 {
     0.5 * f64::from(u8::from(feedback.held)) + 0.5 * feedback.retained
 }
 
-/// The squeeze that a rollout asks for, N; none if it tells nothing about squeezing.
-fn wanted_squeeze(feedback: &Feedback, squeeze_n: f64, options: &RolloutOptions) -> Option<f64> {
-    let slip = feedback.friction_used.map(|used| squeeze_n * used / options.wanted_friction_share);
+/// The grip force that a rollout asks for, N; none if it tells nothing about gripping.
+fn target_grip_force(feedback: &Feedback, grip_force_n: f64, options: &RolloutOptions) -> Option<f64> {
+    let slip = feedback.friction_used.map(|used| grip_force_n * used / options.wanted_friction_share);
     // Lost although fingers were there, and the cone unknown: more than this was needed, nobody knows how much.
     let touching = feedback.fingers_in_contact.iter().filter(|c| **c).count();
     let lost = !feedback.held && slip.is_none() && touching >= options.min_fingers;
-    let raised = lost.then_some(squeeze_n * options.raise);
-    let wanted = [feedback.needed_squeeze_n, slip, raised].into_iter().flatten().fold(0.0, f64::max);
+    let raised = lost.then_some(grip_force_n * options.raise);
+    let wanted = [feedback.needed_grip_force_n, slip, raised].into_iter().flatten().fold(0.0, f64::max);
     (wanted > 0.0).then_some(wanted)
 }
 
@@ -427,7 +427,7 @@ impl Learner<'_> {
         for (i, out) in outputs.chunks_exact(row).enumerate() {
             loss += self.of_anchor(out, i * row, outputs.len() / row, &mut slopes[i * row..(i + 1) * row]);
         }
-        // Rollouts know more about contacts and squeezes than demonstrations do.
+        // Rollouts know more about contacts and grip forces than demonstrations do.
         let scales = Scales { nearest_weight: 0.0, force_weight: 0.0, contact_weight: 0.0, ..self.scales.clone() };
         let found = demo_loss(&layout, &outputs[start..], self.weights.log_spread(), &self.round.demos, &scales, false);
         loss += self.options.demo_weight * found.parts.total;
@@ -437,7 +437,7 @@ impl Learner<'_> {
         (loss, Slopes { outputs: slopes, log_spread: vec![0.0; layout.spreads()] })
     }
 
-    /// Contacts, squeeze and probability of the mode that was tried; the others keep what they had.
+    /// Contacts, grip force and probability of the mode that was tried; the others keep what they had.
     fn of_try(&self, t: &Try, rewards: &[f64], out: &[f32], start: usize, slopes: &mut [f32]) -> f64 {
         let layout = self.weights.layout;
         let width = layout.mode_width();
@@ -471,7 +471,7 @@ impl Learner<'_> {
                 loss += scale * self.scales.contact_weight * entropy;
                 slope[layout.contacts() + f] += (scale * self.scales.contact_weight * d) as f32;
             }
-            if let Some(wanted) = wanted_squeeze(feedback, t.grasp.squeeze_n, self.options) {
+            if let Some(wanted) = target_grip_force(feedback, t.grasp.grip_force_n, self.options) {
                 // Kept inside what the network can express, or its output would run to infinity.
                 let target = self.norm.log_ratio(wanted, t.load.0, t.load.1);
                 let (found, d) = mode.log_ratio();
@@ -533,17 +533,17 @@ mod tests {
     }
 
     #[test]
-    fn the_wanted_squeeze_follows_what_was_measured() {
+    fn the_wanted_grip_force_follows_what_was_measured() {
         let options = RolloutOptions::default();
         let feedback = |used: Option<f64>, needed: Option<f64>, held: bool, contacts: usize| Feedback {
             fingers_in_contact: (0..4).map(|i| i < contacts).collect(),
             retained: 1.0,
             held,
             friction_used: used,
-            needed_squeeze_n: needed,
+            needed_grip_force_n: needed,
         };
-        let wanted = |f: Feedback| wanted_squeeze(&f, 4.0, &options);
-        // At 0.7 of the cone nothing changes; at 1 the squeeze rises, at 0.35 it halves, never below what is needed.
+        let wanted = |f: Feedback| target_grip_force(&f, 4.0, &options);
+        // At 0.7 of the cone nothing changes; at 1 the grip force rises, at 0.35 it halves, never below what is needed.
         assert!((wanted(feedback(Some(0.7), None, true, 3)).unwrap() - 4.0).abs() < 1e-12);
         assert!((wanted(feedback(Some(1.0), None, false, 3)).unwrap() - 4.0 / 0.7).abs() < 1e-12);
         assert!((wanted(feedback(Some(0.35), Some(1.0), true, 3)).unwrap() - 2.0).abs() < 1e-12);

@@ -13,7 +13,7 @@ pub const FRICTION: f64 = 0.5;
 /// Which of the two fingers each way touches with.
 pub const TOUCHES: [[bool; 2]; 2] = [[true, true], [true, false]];
 
-/// The two ways: joint angles, wrist, squeeze per weight.
+/// The two ways: joint angles, wrist, grip force per weight.
 pub fn ways() -> [(Vec<f64>, Pose, f64); 2] {
     [
         (vec![0.4, -0.3, 1.1], Isometry3::new(Vector3::new(0.0, 0.02, 0.12), Vector3::new(3.0, 0.0, 0.0)), 2.0),
@@ -36,7 +36,7 @@ pub fn toy(grasps: usize, masses_kg: &[f64]) -> Dataset {
                 friction: FRICTION,
                 joints: joints.clone(),
                 object_from_palm: shift * pose,
-                squeeze_n: ratio * (1.0 + 0.02 * wave(i, 7)) * mass_kg * GRAVITY_M_S2,
+                grip_force_n: ratio * (1.0 + 0.02 * wave(i, 7)) * mass_kg * GRAVITY_M_S2,
                 mass_kg: *mass_kg,
             });
         }

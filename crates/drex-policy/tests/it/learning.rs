@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 
 use crate::common::{FRICTION, TOUCHES, box_points, small, toy, ways};
 use drex_policy::{
-    EpochStats, GRAVITY_M_S2, GraspPolicy, PredictedGrasp, Query, TrainReport, grasp_distance_m, normalised_squeeze,
+    EpochStats, GRAVITY_M_S2, GraspPolicy, PredictedGrasp, Query, TrainReport, grasp_distance_m, normalised_grip_force,
 };
 use nalgebra::Point3;
 
@@ -40,9 +40,9 @@ fn two_ways_to_grasp_become_two_modes_with_their_force() {
             assert!(distance(nearest) < 0.005, "way {i} at {mass} kg is {} m off", distance(nearest));
             let needed = ratio * mass * GRAVITY_M_S2;
             assert!(
-                (nearest.squeeze_n / needed - 1.0).abs() < 0.05,
+                (nearest.grip_force_n / needed - 1.0).abs() < 0.05,
                 "way {i} at {mass} kg: {} N for {needed} N",
-                nearest.squeeze_n
+                nearest.grip_force_n
             );
             for (p, touches) in nearest.contacts.iter().zip(TOUCHES[i]) {
                 assert!((*p > 0.8) == touches && (*p < 0.2) != touches, "way {i}: contacts {:?}", nearest.contacts);
@@ -54,22 +54,22 @@ fn two_ways_to_grasp_become_two_modes_with_their_force() {
 }
 
 #[test]
-fn a_squeeze_that_grows_faster_than_the_weight_is_learned() {
+fn a_grip_force_that_grows_faster_than_the_weight_is_learned() {
     // From 2 times the weight at the lightest to 3 times at the heaviest, as when weak joints force a worse distribution.
     let mut data = toy(24, &MASSES);
     let ratio = |mass: f64| 2.0 + (mass / 0.1).ln() / 4f64.ln();
     for s in &mut data.samples {
-        s.squeeze_n = ratio(s.mass_kg) * s.mass_kg * GRAVITY_M_S2;
+        s.grip_force_n = ratio(s.mass_kg) * s.mass_kg * GRAVITY_M_S2;
     }
     let (policy, _) = GraspPolicy::train(&data, &small().with_epochs(150), &mut quiet).unwrap();
     for mass in [0.1, 0.14, 0.2, 0.3, 0.4] {
         for g in ask(&policy, &box_points(), mass) {
             let needed = ratio(mass) * mass * GRAVITY_M_S2;
-            assert!((g.squeeze_n / needed - 1.0).abs() < 0.05, "{mass} kg: {} N for {needed} N", g.squeeze_n);
+            assert!((g.grip_force_n / needed - 1.0).abs() < 0.05, "{mass} kg: {} N for {needed} N", g.grip_force_n);
         }
     }
     // Outside the data the last ratio stays: the force is exactly proportional to the mass.
-    let at = |mass: f64| ask(&policy, &box_points(), mass)[0].squeeze_n;
+    let at = |mass: f64| ask(&policy, &box_points(), mass)[0].grip_force_n;
     assert!((at(1.6) / at(0.8) - 2.0).abs() < 1e-9 && (at(0.4) / at(0.8) - 0.5).abs() < 1e-9);
 }
 
@@ -136,7 +136,7 @@ fn one_grasp_at_one_mass_is_enough() {
     let grasps = ask(&policy, &box_points(), 0.6);
     assert_eq!(grasps.len(), 1);
     let (_, _, ratio) = &ways()[0];
-    assert!((grasps[0].squeeze_n / (ratio * 0.6 * GRAVITY_M_S2) - 1.0).abs() < 0.05);
+    assert!((grasps[0].grip_force_n / (ratio * 0.6 * GRAVITY_M_S2) - 1.0).abs() < 0.05);
 }
 
 #[test]
@@ -181,19 +181,19 @@ fn friction_is_an_input_and_the_force_follows_it_outside_the_data() {
     data.samples.clear();
     for mu in [0.3, 0.5, 0.8] {
         data.samples.extend(samples.iter().map(|s| {
-            let squeeze_n = law(s.mass_kg, mu);
-            drex_policy::GraspSample { friction: mu, squeeze_n, ..s.clone() }
+            let grip_force_n = law(s.mass_kg, mu);
+            drex_policy::GraspSample { friction: mu, grip_force_n, ..s.clone() }
         }));
     }
     let (policy, report) = GraspPolicy::train(&data, &small(), &mut quiet).unwrap();
     assert_eq!(report.train_grasps, 21, "the same grasp at another friction is the same grasp");
     assert_eq!(policy.friction_range(), (0.3, 0.8));
-    let squeeze = |mu: f64| policy.predict(&Query::new(&box_points(), 0.15, mu)).unwrap()[0].squeeze_n;
+    let grip_force = |mu: f64| policy.predict(&Query::new(&box_points(), 0.15, mu)).unwrap()[0].grip_force_n;
     for mu in [0.3, 0.4, 0.6, 0.8] {
-        assert!((squeeze(mu) / law(0.15, mu) - 1.0).abs() < 0.06, "friction {mu}: {} N", squeeze(mu));
+        assert!((grip_force(mu) / law(0.15, mu) - 1.0).abs() < 0.06, "friction {mu}: {} N", grip_force(mu));
     }
     assert!(
-        (squeeze(0.15) / squeeze(0.3) - 2.0).abs() < 1e-6,
+        (grip_force(0.15) / grip_force(0.3) - 2.0).abs() < 1e-6,
         "below the data the force goes with one over the friction"
     );
 }
@@ -213,7 +213,7 @@ fn two_objects_keep_their_own_grasps() {
         assert!(best.weight > 0.8, "{}: {}", object.name, best.weight);
         let gap = best.joints.iter().zip(&joints).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(gap < 0.1, "{}: {:?} for {joints:?}", object.name, best.joints);
-        assert!((best.squeeze_n / (ratio * 0.2 * GRAVITY_M_S2) - 1.0).abs() < 0.1, "{}", object.name);
+        assert!((best.grip_force_n / (ratio * 0.2 * GRAVITY_M_S2) - 1.0).abs() < 0.1, "{}", object.name);
     }
 }
 
@@ -247,14 +247,14 @@ fn samples_scatter_as_the_spread_says_and_density_prefers_what_was_shown() {
     assert_eq!(drawn, policy.sample(&query, 400, 7).unwrap());
     assert_ne!(drawn, policy.sample(&query, 400, 8).unwrap());
     let modes = policy.predict(&query).unwrap();
-    let first = drawn.iter().filter(|g| g.squeeze_n == modes[0].squeeze_n).count() as f64 / 400.0;
+    let first = drawn.iter().filter(|g| g.grip_force_n == modes[0].grip_force_n).count() as f64 / 400.0;
     assert!((first - modes[0].weight).abs() < 0.08, "{first} for {}", modes[0].weight);
     let spread = policy.spread();
     // Variance of Student's t: spread² ν / (ν - 2), with ν 20.
     let gap: f64 = drawn
         .iter()
         .map(|g| {
-            let mode = modes.iter().find(|m| m.squeeze_n == g.squeeze_n).unwrap();
+            let mode = modes.iter().find(|m| m.grip_force_n == g.grip_force_n).unwrap();
             (g.object_from_palm.translation.vector - mode.object_from_palm.translation.vector).norm_squared() / 3.0
         })
         .sum::<f64>()
@@ -266,5 +266,5 @@ fn samples_scatter_as_the_spread_says_and_density_prefers_what_was_shown() {
     let off: Vec<f64> = joints.iter().map(|q| q + 0.2).collect();
     assert!(near > policy.log_density(&query, &off, Some(pose)).unwrap() + 5.0);
     assert!(report.held_out_log_likelihood.unwrap() > 0.0, "{:?}", report.held_out_log_likelihood);
-    assert_eq!((normalised_squeeze(2.5), normalised_squeeze(60.0)), (0.5, 1.0));
+    assert_eq!((normalised_grip_force(2.5), normalised_grip_force(60.0)), (0.5, 1.0));
 }

@@ -36,7 +36,7 @@ fn dataset(grasps: &[Vec<f64>]) -> Dataset {
         joints: joints.clone(),
         object_from_palm: Pose::translation(0.0, 0.0, 0.1),
         contacts: vec![true; 4],
-        squeeze_n: 3.0 * 0.2 * GRAVITY_M_S2,
+        grip_force_n: 3.0 * 0.2 * GRAVITY_M_S2,
         mass_kg: 0.2,
         friction: 0.5,
     };

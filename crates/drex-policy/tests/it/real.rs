@@ -45,7 +45,7 @@ fn modes_are_nearer_to_real_grasps_than_their_mean_is() {
     let sample = |joints: &Vec<f64>, mass_kg: f64| GraspSample {
         joints: joints.clone(),
         object_from_palm: Pose::translation(0.0, 0.0, 0.1),
-        squeeze_n: 3.0 * mass_kg * GRAVITY_M_S2,
+        grip_force_n: 3.0 * mass_kg * GRAVITY_M_S2,
         mass_kg,
         object: 0,
         contacts: vec![true; 4],
@@ -104,14 +104,14 @@ fn wrists_are_learned_with_the_joints() {
         let sample = GraspSample {
             joints: clamped.collect(),
             object_from_palm: world_from_object.inverse() * world_from_palm(&q),
-            squeeze_n: 0.0,
+            grip_force_n: 0.0,
             mass_kg: 0.0,
             object: 0,
             contacts: vec![true; 4],
             friction: 0.5,
         };
         for mass_kg in [0.1, 0.2, 0.4] {
-            samples.push(GraspSample { squeeze_n: 4.0 * mass_kg * GRAVITY_M_S2, mass_kg, ..sample.clone() });
+            samples.push(GraspSample { grip_force_n: 4.0 * mass_kg * GRAVITY_M_S2, mass_kg, ..sample.clone() });
         }
     }
     assert_eq!(samples.len(), 300);

@@ -31,9 +31,9 @@ fn data_that_cannot_be_used() {
     check(|d| d.samples[4].joints[0] = 2.3, &["sample 4", "'base'", "2.3", "limits", "units"]);
     check(|d| d.samples[2].joints.truncate(1), &["sample 2", "1 joint angles for 3 joints"]);
     check(|d| d.samples[1].object_from_palm.translation.x = f64::INFINITY, &["sample 1", "wrist", "not finite"]);
-    check(|d| d.samples[5].squeeze_n = 0.0, &["sample 5", "squeeze is 0 N"]);
+    check(|d| d.samples[5].grip_force_n = 0.0, &["sample 5", "grip force is 0 N"]);
     check(|d| d.samples[0].mass_kg = -1.0, &["sample 0", "mass is -1 kg"]);
-    check(|d| d.samples[0].squeeze_n = 1e9, &["sample 0", "times the weight", "units"]);
+    check(|d| d.samples[0].grip_force_n = 1e9, &["sample 0", "times the weight", "units"]);
     check(|d| d.samples[0].mass_kg = 0.0, &["sample 0", "mass is 0 kg"]);
     check(|d| d.samples[0].mass_kg = 1000.0, &["sample 0", "mass is 1000 kg", "outside"]);
     check(|d| d.samples[3].friction = 0.0, &["sample 3", "friction is 0", "outside"]);

@@ -22,7 +22,7 @@ impl Rollouts for MadeUp {
             retained: luck,
             held: luck > 0.5,
             friction_used: Some(0.3 + 0.5 * luck),
-            needed_squeeze_n: Some(20.0 * mass_kg),
+            needed_grip_force_n: Some(20.0 * mass_kg),
         })
     }
 }

@@ -23,16 +23,16 @@ impl Rollouts for MadeUp {
                 retained: 0.1,
                 held: false,
                 friction_used: None,
-                needed_squeeze_n: None,
+                needed_grip_force_n: None,
             });
         }
-        let used = NEEDED * mass_kg * GRAVITY_M_S2 / grasp.squeeze_n;
+        let used = NEEDED * mass_kg * GRAVITY_M_S2 / grasp.grip_force_n;
         Ok(Feedback {
             fingers_in_contact: vec![false, true],
             retained: if used <= 1.0 { 1.0 } else { 0.6 },
             held: used <= 1.0,
             friction_used: Some(used.min(1.0)),
-            needed_squeeze_n: None,
+            needed_grip_force_n: None,
         })
     }
 }
@@ -52,7 +52,7 @@ fn learned<'a>(data: &'a drex_policy::Dataset, options: &TrainOptions) -> Traine
 }
 
 #[test]
-fn logits_contacts_and_squeezes_learn_and_poses_stay() {
+fn logits_contacts_and_grip_forces_learn_and_poses_stay() {
     let data = toy(24, &MASSES);
     let mut trainer = learned(&data, &options());
     let points = box_points();
@@ -73,7 +73,7 @@ fn logits_contacts_and_squeezes_learn_and_poses_stay() {
         let second = after.iter().find(|g| !first_way(g)).unwrap();
         // The cone is to be used by 0.7.
         let wanted = NEEDED * mass * GRAVITY_M_S2 / 0.7;
-        assert!((second.squeeze_n / wanted - 1.0).abs() < 0.05, "{mass} kg: {} N for {wanted} N", second.squeeze_n);
+        assert!((second.grip_force_n / wanted - 1.0).abs() < 0.05, "{mass} kg: {} N for {wanted} N", second.grip_force_n);
         assert!(second.contacts[0] < 0.1 && second.contacts[1] > 0.9, "{:?}", second.contacts);
     }
     // Poses stay although everything else moved.
@@ -98,7 +98,7 @@ impl Rollouts for ByMass {
             retained: f64::from(u8::from(held)),
             held,
             friction_used: None,
-            needed_squeeze_n: None,
+            needed_grip_force_n: None,
         })
     }
 }
@@ -167,7 +167,7 @@ fn feedback_that_cannot_be_used_is_named_and_teaches_nothing() {
     says(&mut trainer, &Broken(|f| f.fingers_in_contact.clear()), "0 contacts for 2 fingers");
     says(&mut trainer, &Broken(|f| f.retained = f64::NAN), "retained is NaN");
     says(&mut trainer, &Broken(|f| f.friction_used = Some(-1.0)), "friction_used");
-    says(&mut trainer, &Broken(|f| f.needed_squeeze_n = Some(f64::INFINITY)), "needed_squeeze_n");
+    says(&mut trainer, &Broken(|f| f.needed_grip_force_n = Some(f64::INFINITY)), "needed_squeeze_n");
     says(&mut trainer, &Refusing, "on strike");
     assert_eq!(trainer.policy(), &before);
     assert!(trainer.roll_out(&MadeUp).unwrap().is_some());

@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 
 use drex_core::{Pose, SdfSample, SignedDistance};
 use drex_demo::{FrameFlag, HumanFinger};
-use drex_grasp::{holds_any_load, squeeze_per_weight};
+use drex_grasp::{holds_any_load, grip_force_per_weight};
 use nalgebra::{Point3, Unit, Vector3};
 use serde::Serialize;
 
@@ -149,7 +149,7 @@ pub(crate) fn evaluate(
         let contacts = hand.fine.contacts(robot, q, object_from_base, &near, &hand.contact)?;
         force_closure = holds_any_load(&contacts, &object.center_of_mass)?;
         if let Some(up) = up {
-            grip_force = squeeze_per_weight(&contacts, object.center_of_mass, up)?;
+            grip_force = grip_force_per_weight(&contacts, object.center_of_mass, up)?;
         }
     }
     let mut reasons = Vec::new();

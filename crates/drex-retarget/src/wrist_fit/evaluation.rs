@@ -1,6 +1,6 @@
 //! The result of a search, evaluated by the rules.
 
-use drex_grasp::{holds_any_load, squeeze_per_weight};
+use drex_grasp::{holds_any_load, grip_force_per_weight};
 
 use super::residuals::{Problem, pushed_away};
 use super::{FingerGap, Rejection, Verdict, WristFit};
@@ -124,9 +124,9 @@ impl Force {
             hand.fine.contacts(hand.robot, &state.q, &state.object_from_base, problem.object.exact, &hand.contact)?;
         let com = problem.object.center_of_mass;
         let closed = holds_any_load(&contacts, &com)?;
-        let grip_force = squeeze_per_weight(&contacts, com, problem.table.up)?;
+        let grip_force = grip_force_per_weight(&contacts, com, problem.table.up)?;
         contacts.iter_mut().for_each(|c| c.friction *= COMPARED_FRICTION_SHARE);
-        let slippery = squeeze_per_weight(&contacts, com, problem.table.up)?;
+        let slippery = grip_force_per_weight(&contacts, com, problem.table.up)?;
         Ok(Self { closed, grip_force, slippery })
     }
 }

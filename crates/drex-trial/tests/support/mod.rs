@@ -72,7 +72,7 @@ pub fn trial_of(change: impl FnOnce(&mut Object, &mut TrialOptions)) -> Trial {
     Trial::with_collider(Arc::new(Robot::bundled("leap_right").unwrap()), object, collider, options).unwrap()
 }
 
-/// Grasps of the box that the hand can carry 150 g with at friction 0.5, those that squeeze least first.
+/// Grasps of the box that the hand can carry 150 g with at friction 0.5, those that grip force least first.
 pub fn grasps(trial: &Trial) -> Vec<FoundGrasp> {
     let surface = HandSurface::new(trial.hand(), 0.004).unwrap();
     let table = TablePlane { up: Vector3::z_axis(), height_m: -HALF.z };
@@ -85,7 +85,7 @@ pub fn grasps(trial: &Trial) -> Vec<FoundGrasp> {
         .filter(|f| f.closed)
         .filter_map(|f| {
             let command = trial.command(&f.joints, &f.object_from_base, &assumed, GripForce::Required).unwrap().ok()?;
-            Some((command.squeeze_n, f))
+            Some((command.grip_force_n, f))
         })
         .collect();
     good.sort_by(|a, b| a.0.total_cmp(&b.0));

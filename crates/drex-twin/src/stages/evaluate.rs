@@ -61,7 +61,7 @@ impl<'a> Evaluator<'a> {
         Ok(JudgedGrasp {
             joints_rad: joints.to_vec(),
             object_from_base: PoseRecord::from(&object_from_base),
-            predicted_squeeze_n: None,
+            predicted_grip_force_n: None,
             weight: None,
             check,
         })
@@ -69,7 +69,7 @@ impl<'a> Evaluator<'a> {
 
     fn predicted(&self, joints: &[f64], object_from_base: Pose, from: &PredictedGrasp) -> Result<JudgedGrasp> {
         let judged = self.evaluate(joints, object_from_base)?;
-        Ok(JudgedGrasp { predicted_squeeze_n: Some(from.squeeze_n), weight: Some(from.weight), ..judged })
+        Ok(JudgedGrasp { predicted_grip_force_n: Some(from.grip_force_n), weight: Some(from.weight), ..judged })
     }
 
     /// The predicted joint angles put onto the surface: wrist solved for them, fingers corrected within the fit's bound.

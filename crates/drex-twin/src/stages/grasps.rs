@@ -91,7 +91,7 @@ fn record(demonstration: usize, fit: &WristFit) -> FitRecord {
         table_clearance_mm: fit.table_clearance_mm,
         touching: fit.fingers.iter().filter(|f| f.touches).map(|f| f.finger.clone()).collect(),
         pushed_out: Some(fit.pushed_out),
-        squeeze_per_weight: fit.grip_force_per_weight,
+        grip_force_per_weight: fit.grip_force_per_weight,
         source: None,
     }
 }

@@ -7,7 +7,7 @@ use crate::error::{Context, refuse};
 use crate::manifest::GraspsConfig;
 use drex_core::{Pose, PoseRecord};
 use drex_demo::{Demonstration, LoadOptions};
-use drex_grasp::{HandSurface, squeeze_per_weight};
+use drex_grasp::{HandSurface, grip_force_per_weight};
 use drex_retarget::{
     AugmentOptions, Augmentation, GraspFrame, GraspOptions, GraspRetargeting, Rejection, TargetHand, Verdict, augment,
     retarget_grasp,
@@ -220,13 +220,13 @@ impl<'a> Writer<'a> {
             table_clearance_mm: 1e3 * table_clearance_m,
             touching,
             pushed_out: None,
-            squeeze_per_weight: self.squeeze(&grasp.q, &grasp.object_from_base)?,
+            grip_force_per_weight: self.grip_force(&grasp.q, &grasp.object_from_base)?,
             source: Some(source),
         })
     }
 
     /// Smallest sum of normal forces that carries a unit weight over the table; `None` if the contacts cannot.
-    fn squeeze(&self, q: &[f64], object_from_base: &Pose) -> Result<Option<f64>> {
+    fn grip_force(&self, q: &[f64], object_from_base: &Pose) -> Result<Option<f64>> {
         let scene = self.scene;
         let contacts = self.surface.contacts(
             &scene.robot,
@@ -235,6 +235,6 @@ impl<'a> Writer<'a> {
             scene.object.geometry.exact(),
             &scene.check_options().contact,
         )?;
-        Ok(squeeze_per_weight(&contacts, scene.object.center_of_mass(), scene.table.up)?)
+        Ok(grip_force_per_weight(&contacts, scene.object.center_of_mass(), scene.table.up)?)
     }
 }

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use crate::Result;
 use crate::error::{Context, refuse};
 use drex_core::fsutil;
-use drex_grasp::{ForceLaw, GraspError, HandSurface, OriginCounts, SqueezeError, SqueezeProblem};
+use drex_grasp::{GripForcePolicy, GraspError, HandSurface, OriginCounts, GripForceError, GripForceProblem};
 use drex_policy::{Dataset, GraspPolicy, GraspSample, ObjectCloud, TrainOptions};
 use drex_trial::{ConditionSpread, TrialOptions};
 use rayon::prelude::*;
@@ -75,7 +75,7 @@ fn practise(
         masses_kg: Vec::new(),
         mass_hidden: false,
     };
-    options.train.rollouts.wanted_friction_share = ForceLaw::default().friction_share();
+    options.train.rollouts.wanted_friction_share = GripForcePolicy::default().friction_share();
     let learned = Learned::train(&simulated.object, &simulated.robot, &grasps, &simulated.evaluator, &options)?;
     progress.end();
     progress.note(&format!(
@@ -98,12 +98,12 @@ fn practise(
     write(twin, learned.policy(), &training)
 }
 
-/// Each accepted grasp at several masses and frictions, with the squeeze that the force law asks for there, and where the grasps come
+/// Each accepted grasp at several masses and frictions, with the grip force that the grip-force policy asks for there, and where the grasps come
 /// from for which it has one.
 fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Result<(Dataset, OriginCounts)> {
     let contact = scene.check_options().contact;
     let surface = HandSurface::new(&scene.robot, contact.spacing_m)?;
-    let law = ForceLaw::default();
+    let law = GripForcePolicy::default();
     let object_friction = twin.friction();
     let accepted: Vec<_> = fits.grasps.iter().filter(|g| g.accepted).collect();
     let per_grasp: Vec<Vec<GraspSample>> = accepted
@@ -122,7 +122,7 @@ fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Resul
             let mut samples = Vec::new();
             for (factor, part) in MASS_FACTORS.iter().flat_map(|m| FRICTION_FACTORS.map(|f| (*m, f))) {
                 let (mass_kg, friction) = (factor * mass.grip_kg, part * object_friction);
-                let mut problem = SqueezeProblem::new(
+                let mut problem = GripForceProblem::new(
                     touching.clone(),
                     mass_kg,
                     scene.object.center_of_mass(),
@@ -130,10 +130,10 @@ fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Resul
                 );
                 problem.contacts.iter_mut().for_each(|c| c.friction = friction);
                 // The force of a heavy object may be beyond this hand's motors; the law that the network learns is not.
-                let squeeze_n = match law.command(&problem) {
+                let grip_force_n = match law.command(&problem) {
                     Ok(force) => force.total_n,
-                    Err(SqueezeError::Input(GraspError::Solver { .. })) => continue,
-                    Err(SqueezeError::Input(error)) => return Err(error.into()),
+                    Err(GripForceError::Input(GraspError::Solver { .. })) => continue,
+                    Err(GripForceError::Input(error)) => return Err(error.into()),
                     Err(_) => continue,
                 };
                 samples.push(GraspSample {
@@ -141,7 +141,7 @@ fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Resul
                     joints: fit.joints_rad.clone(),
                     object_from_palm,
                     contacts: contacts.clone(),
-                    squeeze_n,
+                    grip_force_n,
                     mass_kg,
                     friction,
                 });

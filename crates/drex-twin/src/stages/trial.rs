@@ -48,7 +48,7 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
             mass_kg: *true_kg,
             friction: condition.friction,
             proposal: 0,
-            squeeze_n: 0.0,
+            grip_force_n: 0.0,
             held_n: None,
             friction_used: None,
         };
@@ -56,7 +56,7 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
             Ok((proposal, command)) => {
                 let outcome = simulated.evaluator.evaluate(&command, &condition.truth(*true_kg))?;
                 record.verdict = outcome.verdict;
-                (record.proposal, record.squeeze_n) = (proposal, outcome.squeeze_n);
+                (record.proposal, record.grip_force_n) = (proposal, outcome.grip_force_n);
                 (record.held_n, record.friction_used) = (outcome.held_n, outcome.friction_used);
                 Some(command)
             }

@@ -81,7 +81,7 @@ pub fn run(
         "accepted_frames": summary.accepted,
         "contact_share": summary.share(summary.contact),
         "force_closure_share": summary.share(summary.closed),
-        "squeeze_per_weight_median": summary.squeeze,
+        "squeeze_per_weight_median": summary.grip_force,
         "deepest_penetration_mm": summary.penetration_mm,
         "deepest_self_collision_mm": summary.self_collision_mm,
         "mean_joint_distance_rad": summary.joint_distance_rad,
@@ -162,7 +162,7 @@ struct Summary {
     accepted: usize,
     contact: usize,
     closed: usize,
-    squeeze: Option<f64>,
+    grip_force: Option<f64>,
     penetration_mm: f64,
     self_collision_mm: f64,
     joint_distance_rad: Option<f64>,
@@ -177,14 +177,14 @@ impl Summary {
         let touching = |f: &GraspFrame| {
             f.fingers.first().is_some_and(|thumb| thumb.touches) && f.fingers.iter().filter(|x| x.touches).count() >= 3
         };
-        let mut squeezes: Vec<f64> = held.iter().filter_map(|f| f.grip_force_per_weight).collect();
-        squeezes.sort_by(f64::total_cmp);
+        let mut grip_forces: Vec<f64> = held.iter().filter_map(|f| f.grip_force_per_weight).collect();
+        grip_forces.sort_by(f64::total_cmp);
         Self {
             held: held.len(),
             accepted: result.frames.iter().filter(|f| f.is_accepted()).count(),
             contact: held.iter().filter(|f| touching(f)).count(),
             closed: held.iter().filter(|f| f.grip_force_per_weight.is_some()).count(),
-            squeeze: squeezes.get(squeezes.len() / 2).copied(),
+            grip_force: grip_forces.get(grip_forces.len() / 2).copied(),
             penetration_mm: most(&|f| f.penetration_mm),
             self_collision_mm: most(&|f| f.self_collision.as_ref().map_or(0.0, |c| c.depth_mm)),
             joint_distance_rad: (!held.is_empty())
@@ -203,7 +203,7 @@ impl Summary {
 fn text(demo: &Demonstration, hand: &TargetHand, result: &GraspRetargeting, s: &Summary, ms: f64) -> String {
     let mut lines =
         vec![format!("{} frames to {}, {ms:.2} ms a frame: {} held", result.frames.len(), hand.robot.name, s.held)];
-    lines.push("  frame  thumb  index middle   ring  mm from the surface   inside  joints  wrist  squeeze".into());
+    lines.push("  frame  thumb  index middle   ring  mm from the surface   inside  joints  wrist  grip force".into());
     for (d, f) in demo.frames.iter().zip(&result.frames).filter(|(_, f)| f.held) {
         let gaps: Vec<String> = f.fingers.iter().map(|g| format!("{:6.1}", g.gap_mm)).collect();
         lines.push(format!(

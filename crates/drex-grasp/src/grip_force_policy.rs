@@ -1,16 +1,16 @@
 //! From contacts and a mass to the force to command.
 
 use crate::loads::{bounded, required};
-use crate::{Distribution, GraspError, SqueezeError, SqueezeProblem, distribute, shake_loads};
+use crate::{Distribution, GraspError, GripForceError, GripForceProblem, distribute, shake_loads};
 
 /// The force at which the paper's normalised number is one, N.
 pub const PAPER_FORCE_LIMIT_N: f64 = 5.0;
 
-/// How much harder than just enough a hand squeezes, and why.
+/// How much harder than just enough a hand grips, and why.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
-pub struct ForceLaw {
-    /// Factor on the squeeze required under the loads: covers errors of mass, contact points and joint torques.
+pub struct GripForcePolicy {
+    /// Factor on the grip force required under the loads: covers errors of mass, contact points and joint torques.
     pub margin: f64,
     /// Friction is believed to be at least the contacts' coefficients times one minus this.
     pub friction_uncertainty: f64,
@@ -22,7 +22,7 @@ pub struct ForceLaw {
     pub max_contact_n: Option<f64>,
 }
 
-impl Default for ForceLaw {
+impl Default for GripForcePolicy {
     /// Margin 1.25, friction known to 10 %, shakes of half of gravity, at least 1 N in all, no damage limit.
     fn default() -> Self {
         Self { margin: 1.25, friction_uncertainty: 0.1, shake_m_s2: 0.5 * 9.81, floor_n: 1.0, max_contact_n: None }
@@ -42,17 +42,17 @@ pub struct ForceCommand {
     /// Where limits leave less than was wanted: the largest sum, N, with which every load can be carried within torque and
     /// damage limits.
     pub largest_n: Option<f64>,
-    /// The margin there is: `total_n` over `required_n`. Less than [`ForceLaw::margin`] where the limits leave less, more
+    /// The margin there is: `total_n` over `required_n`. Less than [`GripForcePolicy::margin`] where the limits leave less, more
     /// where the floor asks for more.
     pub margin: f64,
-    /// How the squeeze is shared when the object rests, for the lowest friction believed in.
+    /// How the grip force is shared when the object rests, for the lowest friction believed in.
     pub distribution: Distribution,
     /// The same demand as the paper's label, [`paper_force`]; it knows neither friction nor geometry.
     pub paper_force: f64,
 }
 
-impl ForceLaw {
-    /// Share of the true friction cone, if friction is what was told, that this law's squeeze uses at the contact nearest to slipping under
+impl GripForcePolicy {
+    /// Share of the true friction cone, if friction is what was told, that this law's grip force uses at the contact nearest to slipping under
     /// the worst load: (1 − uncertainty) / margin. Forces learned from measured slip aim at it, so as to mean the same.
     pub fn friction_share(&self) -> f64 {
         (1.0 - self.friction_uncertainty) / self.margin
@@ -88,14 +88,14 @@ impl ForceLaw {
         self
     }
 
-    /// The force for the problem's contacts, mass and gravity: the smallest squeeze that survives rest and shakes at the lowest
+    /// The force for the problem's contacts, mass and gravity: the minimum grip force that survives rest and shakes at the lowest
     /// friction believed in, times the margin, at least the floor, at most what the limits allow; shared by [`distribute`]
     /// for the object at rest. The problem's `gamma` scales the mass in all loads, its `extra_wrench` acts in all of them.
     ///
     /// # Errors
-    /// [`SqueezeError::Load`] if a load cannot be carried even without the margin; [`SqueezeError::Input`] if a number of the
+    /// [`GripForceError::Load`] if a load cannot be carried even without the margin; [`GripForceError::Input`] if a number of the
     /// law or of the problem makes no sense.
-    pub fn command(&self, problem: &SqueezeProblem) -> Result<ForceCommand, SqueezeError> {
+    pub fn command(&self, problem: &GripForceProblem) -> Result<ForceCommand, GripForceError> {
         self.check()?;
         let mut problem = problem.clone();
         problem.contacts.iter_mut().for_each(|c| c.friction *= 1.0 - self.friction_uncertainty);
@@ -149,10 +149,10 @@ impl ForceLaw {
 }
 
 /// Counts the load of an error from rest on, as [`shake_loads`] does.
-fn after_rest(error: SqueezeError) -> SqueezeError {
+fn after_rest(error: GripForceError) -> GripForceError {
     match error {
-        SqueezeError::Load { load, force_n, torque_nm, reason } => {
-            SqueezeError::Load { load: load + 1, force_n, torque_nm, reason }
+        GripForceError::Load { load, force_n, torque_nm, reason } => {
+            GripForceError::Load { load: load + 1, force_n, torque_nm, reason }
         }
         other => other,
     }

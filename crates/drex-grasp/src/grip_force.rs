@@ -1,4 +1,4 @@
-//! The smallest squeeze that carries a load: a second-order cone programme.
+//! The minimum grip force that carries a load: a second-order cone programme.
 //!
 //! minimise Σ f_n  subject to  G f = −w,  |f_t| <= μ f_n,  floor <= f_n <= ceiling,  τ_min <= Jᵀ f + τ_gravity <= τ_max.
 
@@ -11,7 +11,7 @@ use crate::{Contact, GraspError};
 /// Contacts, load and limits.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
-pub struct SqueezeProblem {
+pub struct GripForceProblem {
     /// Where the hand touches the object, object frame.
     pub contacts: Vec<Contact>,
     /// Mass of the object, kg.
@@ -45,7 +45,7 @@ pub struct TorqueLimits {
     pub gravity_nm: DVector<f64>,
 }
 
-impl SqueezeProblem {
+impl GripForceProblem {
     /// Carries `mass_kg` at rest against `gravity` (object frame, m/s²): no margin, no limits, point contacts.
     pub fn new(contacts: Vec<Contact>, mass_kg: f64, center_of_mass: Point3<f64>, gravity: Vector3<f64>) -> Self {
         Self {
@@ -99,10 +99,10 @@ impl SqueezeProblem {
     }
 }
 
-/// The smallest squeeze.
+/// The minimum grip force.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
-pub struct Squeeze {
+pub struct GripForceSolution {
     /// Sum of the normal forces, N.
     pub total_n: f64,
     /// Force of each contact on the object, N, object frame.
@@ -117,20 +117,20 @@ pub struct Squeeze {
     pub joint_torques_nm: Vec<f64>,
     /// Least 1 − |τ| / |limit| over the joints: 0 at a limit. One if there are no limits.
     pub torque_margin: f64,
-    /// By which fraction all friction coefficients can fall before no squeeze within the limits carries the load:
+    /// By which fraction all friction coefficients can fall before no grip force within the limits carries the load:
     /// 0 at the edge, 1 if no friction is needed.
     pub friction_margin: f64,
-    /// Which load of the list asks for this squeeze; `None` from [`smallest_squeeze`], which has one load.
+    /// Which load of the list asks for this grip force; `None` from [`minimum_grip_force`], which has one load.
     pub binding_load: Option<usize>,
 }
 
-/// Why there is no squeeze.
+/// Why there is no grip force.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-pub enum SqueezeError {
-    /// No contact forces inside the friction cones balance the load, however hard the hand squeezes.
+pub enum GripForceError {
+    /// No contact forces inside the friction cones balance the load, however hard the hand grips.
     #[error(
-        "{contacts} contacts cannot carry the load however hard they squeeze: no forces inside the friction cones balance it; add an opposing contact"
+        "{contacts} contacts cannot carry the load however hard they grip: no forces inside the friction cones balance it; add an opposing contact"
     )]
     NoEquilibrium {
         /// Number of contacts.
@@ -172,11 +172,11 @@ pub enum SqueezeError {
         /// Size of its torque, N m.
         torque_nm: f64,
         /// Why.
-        reason: Box<SqueezeError>,
+        reason: Box<GripForceError>,
     },
     /// The load can be carried, but not with this sum of normal forces.
     #[error(
-        "a total squeeze of {total_n:.2} N does not carry the load within the limits: it has to be {smallest_n:.2} to {largest_n:.2} N"
+        "a total grip force of {total_n:.2} N does not carry the load within the limits: it has to be {smallest_n:.2} to {largest_n:.2} N"
     )]
     Total {
         /// The sum asked for, N.
@@ -194,34 +194,34 @@ pub enum SqueezeError {
 /// Solves the cone programme and, if it cannot be solved, says which limit is in the way.
 ///
 /// # Errors
-/// [`SqueezeError::NoEquilibrium`], [`SqueezeError::NormalForce`] or [`SqueezeError::Torque`] if the load cannot be carried;
-/// [`SqueezeError::Input`] for sizes that do not fit or numbers that are not finite.
-pub fn smallest_squeeze(problem: &SqueezeProblem) -> Result<Squeeze, SqueezeError> {
+/// [`GripForceError::NoEquilibrium`], [`GripForceError::NormalForce`] or [`GripForceError::Torque`] if the load cannot be carried;
+/// [`GripForceError::Input`] for sizes that do not fit or numbers that are not finite.
+pub fn minimum_grip_force(problem: &GripForceProblem) -> Result<GripForceSolution, GripForceError> {
     let f = smallest_forces(problem)?;
-    let mut squeeze = describe(problem, &f);
-    squeeze.friction_margin = friction_margin(problem)?;
-    Ok(squeeze)
+    let mut grip_force = describe(problem, &f);
+    grip_force.friction_margin = friction_margin(problem)?;
+    Ok(grip_force)
 }
 
-/// Only the forces of [`smallest_squeeze`]: normal and two tangential components per contact in [`Contact::axes`], N.
+/// Only the forces of [`minimum_grip_force`]: normal and two tangential components per contact in [`Contact::axes`], N.
 /// One cone programme instead of the dozen that the friction margin takes.
 ///
 /// # Errors
-/// As [`smallest_squeeze`].
-pub fn smallest_forces(problem: &SqueezeProblem) -> Result<Vec<Vector3<f64>>, SqueezeError> {
+/// As [`minimum_grip_force`].
+pub fn smallest_forces(problem: &GripForceProblem) -> Result<Vec<Vector3<f64>>, GripForceError> {
     check(problem)?;
     if let Some(f) = solve(problem, 1.0, Limits::ALL)? {
         return Ok(f);
     }
     // Drop the limits one by one to find the one in the way.
     let Some(free) = solve(problem, 1.0, Limits { normal: false, torque: false })? else {
-        return Err(SqueezeError::NoEquilibrium { contacts: problem.contacts.len() });
+        return Err(GripForceError::NoEquilibrium { contacts: problem.contacts.len() });
     };
     if let Some(without_torque) = solve(problem, 1.0, Limits { normal: true, torque: false })? {
         return Err(worst_joint(problem, &without_torque));
     }
     let contact = (0..free.len()).max_by(|&a, &b| free[a].x.total_cmp(&free[b].x)).unwrap_or(0);
-    Err(SqueezeError::NormalForce {
+    Err(GripForceError::NormalForce {
         contact,
         needed_n: free[contact].x,
         min_n: problem.min_normal_n,
@@ -229,9 +229,9 @@ pub fn smallest_forces(problem: &SqueezeProblem) -> Result<Vec<Vector3<f64>>, Sq
     })
 }
 
-/// The forces of the smallest squeeze with all friction coefficients times `friction_scale`; `None` if there is none.
+/// The forces of the minimum grip force with all friction coefficients times `friction_scale`; `None` if there is none.
 fn solve(
-    problem: &SqueezeProblem,
+    problem: &GripForceProblem,
     friction_scale: f64,
     limits: Limits,
 ) -> Result<Option<Vec<Vector3<f64>>>, GraspError> {
@@ -242,12 +242,12 @@ fn solve(
 }
 
 /// Forces as the reader wants them.
-pub(crate) fn describe(problem: &SqueezeProblem, f: &[Vector3<f64>]) -> Squeeze {
+pub(crate) fn describe(problem: &GripForceProblem, f: &[Vector3<f64>]) -> GripForceSolution {
     let normal_n: Vec<f64> = f.iter().map(|f| f.x).collect();
     let (per_finger_n, palm_n) = by_finger(&problem.contacts, &normal_n);
     let joint_torques_nm = torques(problem, f);
     let torque_margin = torque_margin(problem, &joint_torques_nm);
-    Squeeze {
+    GripForceSolution {
         total_n: normal_n.iter().sum(),
         forces: problem.contacts.iter().zip(f).map(|(c, f)| c.axes() * f).collect(),
         normal_n,
@@ -275,14 +275,14 @@ pub(crate) fn by_finger(contacts: &[Contact], normal_n: &[f64]) -> (Vec<f64>, f6
 }
 
 /// Least 1 − |τ| / |limit| over the joints; one without limits.
-pub(crate) fn torque_margin(problem: &SqueezeProblem, joint_torques_nm: &[f64]) -> f64 {
+pub(crate) fn torque_margin(problem: &GripForceProblem, joint_torques_nm: &[f64]) -> f64 {
     problem.torques.iter().flat_map(|t| &t.limits_nm).zip(joint_torques_nm).fold(1.0, |m, (l, t)| {
         f64::min(m, 1.0 - t / if *t >= 0.0 { l.1.max(f64::MIN_POSITIVE) } else { l.0.min(-f64::MIN_POSITIVE) })
     })
 }
 
 /// τ = Jᵀ f + τ_gravity for forces in contact axes; empty without motors.
-pub(crate) fn torques(problem: &SqueezeProblem, f: &[Vector3<f64>]) -> Vec<f64> {
+pub(crate) fn torques(problem: &GripForceProblem, f: &[Vector3<f64>]) -> Vec<f64> {
     problem
         .torques
         .iter()
@@ -297,7 +297,7 @@ pub(crate) fn torques(problem: &SqueezeProblem, f: &[Vector3<f64>]) -> Vec<f64> 
 }
 
 /// Bisection on a common factor of the friction coefficients; the feasible factors form an interval that ends at 1.
-pub(crate) fn friction_margin(problem: &SqueezeProblem) -> Result<f64, GraspError> {
+pub(crate) fn friction_margin(problem: &GripForceProblem) -> Result<f64, GraspError> {
     let feasible = |scale: f64| -> Result<bool, GraspError> {
         match solve(problem, scale, Limits::ALL) {
             Ok(answer) => Ok(answer.is_some()),
@@ -318,21 +318,21 @@ pub(crate) fn friction_margin(problem: &SqueezeProblem) -> Result<f64, GraspErro
 }
 
 /// The joint that is furthest beyond its limit, in units of the limit.
-fn worst_joint(problem: &SqueezeProblem, f: &[Vector3<f64>]) -> SqueezeError {
+fn worst_joint(problem: &GripForceProblem, f: &[Vector3<f64>]) -> GripForceError {
     let limits = problem.torques.as_ref().map(|t| t.limits_nm.as_slice()).unwrap_or_default();
-    let mut worst = (f64::NEG_INFINITY, SqueezeError::NoEquilibrium { contacts: problem.contacts.len() });
+    let mut worst = (f64::NEG_INFINITY, GripForceError::NoEquilibrium { contacts: problem.contacts.len() });
     for (joint, (&tau, &(lower, upper))) in torques(problem, f).iter().zip(limits).enumerate() {
         let limit = if tau > upper { upper } else { lower };
         let excess = (tau - upper).max(lower - tau) / limit.abs().max(1e-9);
         if excess > worst.0 {
-            worst = (excess, SqueezeError::Torque { joint, needed_nm: tau, limit_nm: limit });
+            worst = (excess, GripForceError::Torque { joint, needed_nm: tau, limit_nm: limit });
         }
     }
     worst.1
 }
 
 /// Sizes and numbers.
-pub(crate) fn check(problem: &SqueezeProblem) -> Result<(), GraspError> {
+pub(crate) fn check(problem: &GripForceProblem) -> Result<(), GraspError> {
     validate(&problem.contacts)?;
     let bad = |what: String, remedy| Err(GraspError::value(what, remedy));
     if !(problem.mass_kg >= 0.0 && problem.mass_kg.is_finite()) {

@@ -1,13 +1,13 @@
-//! How hard to squeeze? A thumb against two fingers on a box 6 cm wide, over mass and friction.
+//! How hard to grip force? A thumb against two fingers on a box 6 cm wide, over mass and friction.
 //!
-//!     cargo run --release -p drex-grasp --example squeeze
+//!     cargo run --release -p drex-grasp --example grip force
 //!
-//! For each mass and friction: the smallest squeeze that holds still (N, the sum of all normal forces; m g / μ where the pads oppose each other),
-//! what the force law commands, and the share of it that the thumb gives. Then the same with fingers that may press
+//! For each mass and friction: the minimum grip force that holds still (N, the sum of all normal forces; m g / μ where the pads oppose each other),
+//! what the grip-force policy commands, and the share of it that the thumb gives. Then the same with fingers that may press
 //! with 6 N at most: a command, or the reason why there is none.
 #![allow(clippy::print_stdout)] // an example talks to a person
 
-use drex_grasp::{ClosureOptions, Contact, ForceLaw, SqueezeProblem, force_closure, smallest_squeeze};
+use drex_grasp::{ClosureOptions, Contact, GripForcePolicy, GripForceProblem, force_closure, minimum_grip_force};
 use nalgebra::{Point3, Vector3};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -18,8 +18,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for mass_kg in [0.05, 0.2, 0.8] {
         for friction in [0.3, 0.5, 0.8] {
             let problem = problem(mass_kg, friction);
-            let least = smallest_squeeze(&problem)?;
-            let command = ForceLaw::default().command(&problem)?;
+            let least = minimum_grip_force(&problem)?;
+            let command = GripForcePolicy::default().command(&problem)?;
             println!(
                 "{mass_kg:4.2}  {friction:3.1}  {:7.2} N {:7.2} {:7.2} N   {:7.2} N",
                 least.total_n,
@@ -31,7 +31,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
 
     println!("\nno contact with more than 6 N:");
-    let law = ForceLaw::default().with_max_contact_n(6.0);
+    let law = GripForcePolicy::default().with_max_contact_n(6.0);
     for mass_kg in [0.05, 0.2, 0.8] {
         match law.command(&problem(mass_kg, 0.5)) {
             Ok(command) => println!("{mass_kg:4.2} kg: {:.2} N, margin {:.2}", command.total_n, command.margin),
@@ -50,6 +50,6 @@ fn pinch(friction: f64) -> Vec<Contact> {
     ]
 }
 
-fn problem(mass_kg: f64, friction: f64) -> SqueezeProblem {
-    SqueezeProblem::new(pinch(friction), mass_kg, Point3::origin(), Vector3::new(0.0, 0.0, -9.81))
+fn problem(mass_kg: f64, friction: f64) -> GripForceProblem {
+    GripForceProblem::new(pinch(friction), mass_kg, Point3::origin(), Vector3::new(0.0, 0.0, -9.81))
 }
