@@ -203,7 +203,7 @@ fn main() -> Result<()> {
         for (grip_force, reserve_nm) in [(0.5, 0.0), (1.2, 0.1), (1.5, 0.1), (2.0, 0.1)] {
             let o = run(&Pick { mass_kg, friction, cap_nm, grip_force, reserve_nm, dt_s })?;
             println!(
-                "{mass_kg:>6} {friction:>5} {cap_nm:>5} {grip force:>8} | {:>9.4} {:>9.4} {:>9.4} {:>9.4} {:>7.2} {:>7.3} {}",
+                "{mass_kg:>6} {friction:>5} {cap_nm:>5} {grip_force:>8} | {:>9.4} {:>9.4} {:>9.4} {:>9.4} {:>7.2} {:>7.3} {}",
                 o.height_m,
                 1e3 * o.slip_lift_m,
                 1e3 * o.slip_hold_m,

@@ -47,7 +47,7 @@ mod tests {
     fn a_pinch_carries_by_friction() {
         // m g / (2 μ) from each side: one weight in all per unit of friction.
         let grip_force = grip_force_per_weight(&pinch(0.5), Point3::origin(), Vector3::z_axis()).unwrap().unwrap();
-        assert!((grip_force - 2.0).abs() < 1e-5, "{grip force}");
+        assert!((grip_force - 2.0).abs() < 1e-5, "{grip_force}");
         assert_eq!(grip_force_per_weight(&pinch(0.0), Point3::origin(), Vector3::z_axis()).unwrap(), None);
         assert_eq!(grip_force_per_weight(&[], Point3::origin(), Vector3::z_axis()).unwrap(), None);
         assert!(grip_force_per_weight(&pinch(f64::NAN), Point3::origin(), Vector3::z_axis()).is_err());

@@ -81,8 +81,8 @@ impl Joint {
             let mut own = Vec::new();
             for (i, values) in fixed.iter_mut().enumerate() {
                 // What the recording says; friction may not be said.
-                let stated = Some(p.of_coordinate(values.named[n]))
-                    .filter(|_| p != Parameter::Friction || frictions[i].is_some());
+                let is_stated = p != Parameter::Friction || frictions[i].is_some();
+                let stated = is_stated.then_some(p.of_coordinate(values.named[n]));
                 let (start, prior) = match problems[i].parameters.of(p, stated) {
                     Knowledge::Fixed(value) if p != Parameter::Mass => {
                         values.named[n] = p.to_coordinate(value);

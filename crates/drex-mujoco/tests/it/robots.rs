@@ -137,7 +137,7 @@ fn a_hand_that_picks_a_box_or_cannot() {
         for (engine, record) in [("ours", &ours), ("MuJoCo", &theirs)] {
             let [before, lifted, held] = [0, 1, 2].map(|i| record.bodies[0].poses[i].translation.vector);
             let (rise, drift) = (lifted.z - before.z, (held - lifted).norm());
-            println!("grip force {grip force}, {engine}: rises {rise:.4} m, drifts {:.4} mm in the hold", drift * 1e3);
+            println!("grip force {grip_force}, {engine}: rises {rise:.4} m, drifts {:.4} mm in the hold", drift * 1e3);
             assert!((rise - rises_m).abs() < 2e-3 && drift < 1e-4);
         }
         for (a, b) in ours.bodies[0].poses.iter().zip(&theirs.bodies[0].poses) {
