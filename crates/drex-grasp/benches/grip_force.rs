@@ -3,8 +3,8 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use drex_grasp::{
-    ClosureOptions, Contact, GripForcePolicy, GripForceProblem, TorqueLimits, distribute, force_closure, smallest_forces,
-    minimum_grip_force,
+    ClosureOptions, Contact, GripForcePolicy, GripForceProblem, TorqueLimits, distribute, force_closure,
+    minimum_grip_force, smallest_forces,
 };
 use nalgebra::{DVector, Matrix3xX, Point3, Vector3};
 

@@ -7,7 +7,7 @@
 use nalgebra::{Matrix3xX, Vector3, Vector6};
 
 use crate::cone::{Affine, Answer, ConeProgram};
-use crate::{Contact, Result, GripForceProblem, characteristic_length_m, grasp_map};
+use crate::{Contact, GripForceProblem, Result, characteristic_length_m, grasp_map};
 
 /// Which limits a programme keeps.
 #[derive(Clone, Copy)]

@@ -2,7 +2,7 @@
 
 use nalgebra::{Point3, Unit, Vector3};
 
-use crate::{Contact, GraspError, Result, GripForceError, GripForceProblem, is_force_closed, smallest_forces};
+use crate::{Contact, GraspError, GripForceError, GripForceProblem, Result, is_force_closed, smallest_forces};
 
 /// Smallest sum of normal forces that carries an object, in units of its weight, with gravity against `up` (both in the object's
 /// frame) and no limits. `None` if the contacts cannot carry it, and at the very edge of that, where the solver stops half-way.

@@ -5,7 +5,7 @@ use drex_robot::Robot;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    ClosureOptions, ContactOptions, HandSurface, Result, GripForceError, GripForceProblem, TorqueLimits, force_closure,
+    ClosureOptions, ContactOptions, GripForceError, GripForceProblem, HandSurface, Result, TorqueLimits, force_closure,
     minimum_grip_force,
 };
 

@@ -42,7 +42,9 @@ pub struct Distribution {
 pub fn distribute(problem: &GripForceProblem, total_n: f64) -> Result<Distribution, GripForceError> {
     check(problem)?;
     if !(total_n >= 0.0 && total_n.is_finite()) {
-        return Err(GraspError::value(format!("a total grip force of {total_n} N"), "give newtons, zero or more").into());
+        return Err(
+            GraspError::value(format!("a total grip force of {total_n} N"), "give newtons, zero or more").into()
+        );
     }
     if let Some(shared) = share(problem, total_n)? {
         return Ok(shared);

@@ -6,7 +6,7 @@ use drex_core::{Object, Pose, PoseRecord};
 use drex_robot::Robot;
 use serde::{Deserialize, Serialize};
 
-use crate::{ContactOptions, HandSurface, Result, holds_any_load, grip_force_per_weight};
+use crate::{ContactOptions, HandSurface, Result, grip_force_per_weight, holds_any_load};
 
 /// Deepest that a hand may be inside the object in a grasp that is worth simulating, metres.
 const MAX_PENETRATION_M: f64 = 0.002;

@@ -30,18 +30,18 @@ mod distribute;
 mod error;
 mod find;
 mod grasp;
-mod hand;
+mod grip_force;
 mod grip_force_policy;
+mod hand;
 mod load_bound;
 mod loads;
 mod motors;
 mod power;
 mod rolling;
 mod search;
-mod grip_force;
 mod synthesis;
 
-pub use carry::{holds_any_load, grip_force_per_weight};
+pub use carry::{grip_force_per_weight, holds_any_load};
 pub use check::{CheckOptions, FingerContacts, StaticCheck, StaticGrasp, static_check, static_check_with};
 pub use closure::{ClosureOptions, ForceClosure, force_closure, is_force_closed, min_weight};
 pub use contact::{Contact, characteristic_length_m, grasp_map};
@@ -49,14 +49,16 @@ pub use distribute::{Distribution, distribute, maximum_grip_force};
 pub use error::{GraspError, Result};
 pub use find::{ContactOptions, find_contacts};
 pub use grasp::{Grasp, GraspOrigin, OriginCounts};
-pub use hand::{HandSurface, LinkSurface};
+pub use grip_force::{
+    GripForceError, GripForceProblem, GripForceSolution, TorqueLimits, minimum_grip_force, smallest_forces,
+};
 pub use grip_force_policy::{ForceCommand, GripForcePolicy, PAPER_FORCE_LIMIT_N, paper_force};
+pub use hand::{HandSurface, LinkSurface};
 pub use load_bound::{least_friction, least_friction_index};
 pub use loads::{required_grip_force, shake_loads};
 pub use power::{FingerClosing, PowerGraspOptions, abduction_joints, power_grasps};
 pub use rolling::{Rolling, RollingError, RollingPath, RollingWaypoint, rolling_path};
 pub use search::{FoundGrasp, SearchOptions, search_grasps};
-pub use grip_force::{GripForceSolution, GripForceError, GripForceProblem, TorqueLimits, smallest_forces, minimum_grip_force};
 pub use synthesis::{pinch_grasps, synthesize_grasps};
 
 #[cfg(doctest)]

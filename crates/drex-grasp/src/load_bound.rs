@@ -9,7 +9,8 @@ use nalgebra::{Vector3, Vector6};
 use rayon::prelude::*;
 
 use crate::{
-    ContactOptions, Grasp, GraspError, HandSurface, Result, GripForceError, GripForceProblem, TorqueLimits, smallest_forces,
+    ContactOptions, Grasp, GraspError, GripForceError, GripForceProblem, HandSurface, Result, TorqueLimits,
+    smallest_forces,
 };
 
 /// Friction beyond which no finger pad is, and the step to which thresholds are found.

@@ -5,7 +5,7 @@ use nalgebra::{Vector3, Vector6};
 use crate::balance::{Goal, Limits, Outcome, balance};
 use crate::distribute::largest;
 use crate::grip_force::{check, describe, friction_margin, torques};
-use crate::{GraspError, GripForceSolution, GripForceError, GripForceProblem, smallest_forces};
+use crate::{GraspError, GripForceError, GripForceProblem, GripForceSolution, smallest_forces};
 
 /// The loads of an object of `mass_kg` at rest and shaken: m (g − a) for a = 0 and for an acceleration of
 /// `acceleration_m_s2` along six directions. Force (N) and torque about the centre of mass (N m, zero), in the frame of
@@ -46,7 +46,10 @@ pub fn shake_loads(mass_kg: f64, acceleration_m_s2: f64, gravity: &Vector3<f64>)
 /// [`GripForceError::Load`] with the first load that cannot be carried and the reason, or with a load whose maximum grip force
 /// within the limits is below what another needs; [`GripForceError::Input`] for an empty list and as
 /// [`crate::minimum_grip_force`].
-pub fn required_grip_force(problem: &GripForceProblem, loads: &[Vector6<f64>]) -> Result<GripForceSolution, GripForceError> {
+pub fn required_grip_force(
+    problem: &GripForceProblem,
+    loads: &[Vector6<f64>],
+) -> Result<GripForceSolution, GripForceError> {
     let Required { binding, forces, .. } = required(problem, loads)?;
     let under = problem.under(&loads[binding]);
     let mut grip_force = describe(&under, &forces[binding]);

@@ -8,7 +8,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use crate::{Contact, ContactOptions, GraspError, HandSurface, Result, holds_any_load, grip_force_per_weight};
+use crate::{Contact, ContactOptions, GraspError, HandSurface, Result, grip_force_per_weight, holds_any_load};
 
 /// What is searched for.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,7 +1,7 @@
 //! FRoGGeR's labelled Allegro grasps: the metric computed from kinematics and mesh against the stored one.
 #![allow(clippy::unwrap_used, clippy::print_stdout)] // a test may stop at the first surprise and says why it is skipped
 
-use drex_grasp::{GripForcePolicy, GripForceError, GripForceProblem, TorqueLimits};
+use drex_grasp::{GripForceError, GripForcePolicy, GripForceProblem, TorqueLimits};
 use nalgebra::{DVector, Point3, Vector3};
 
 #[allow(dead_code)] // the example uses more of it

@@ -45,7 +45,10 @@ fn main() -> Result<(), Error> {
         let grasps = policy.predict(&Query::new(&points, mass_kg, friction))?;
         let Some(grasp) = grasps.first() else { continue };
         let right = mass_kg * GRAVITY_M_S2 / friction;
-        println!("{mass_kg:4.2}  {friction:3.1}  {:6.2} N  {right:6.2} N   {:.2?} rad", grasp.grip_force_n, grasp.joints);
+        println!(
+            "{mass_kg:4.2}  {friction:3.1}  {:6.2} N  {right:6.2} N   {:.2?} rad",
+            grasp.grip_force_n, grasp.joints
+        );
     }
     Ok(())
 }

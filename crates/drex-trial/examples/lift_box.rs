@@ -88,7 +88,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             Err(reason) => reason.to_string(),
         };
         let held = enough.held_n.map_or("nothing".into(), |n| format!("{n:.1} N"));
-        println!("{:5.1} N told, {held} in the hold: {:?}; with a third: {little}", command.grip_force_n, enough.verdict);
+        println!(
+            "{:5.1} N told, {held} in the hold: {:?}; with a third: {little}",
+            command.grip_force_n, enough.verdict
+        );
     }
     Ok(())
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use drex_core::Pose;
 use drex_diffsim::Error as SimulationError;
 use drex_grasp::{
-    Contact, ContactOptions, Distribution, ForceCommand, GripForcePolicy, GraspError, GripForceError, GripForceProblem,
+    Contact, ContactOptions, Distribution, ForceCommand, GraspError, GripForceError, GripForcePolicy, GripForceProblem,
     TorqueLimits, distribute, shake_loads,
 };
 use drex_robot::Robot;
@@ -276,7 +276,11 @@ fn share_grip_force(
 ///
 /// # Errors
 /// As [`GripForcePolicy::command`].
-pub fn needed_force(hand: &Robot, law: &GripForcePolicy, problem: &GripForceProblem) -> Result<ForceCommand, GripForceError> {
+pub fn needed_force(
+    hand: &Robot,
+    law: &GripForcePolicy,
+    problem: &GripForceProblem,
+) -> Result<ForceCommand, GripForceError> {
     law.with_floor_n(law.floor_n.max(FRICTIONS * held_by_friction_n(hand, problem))).command(problem)
 }
 

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use drex_core::{ASSUMED_FRICTION, Object, Pose, PoseRecord};
-use drex_grasp::{ContactOptions, ForceCommand, HandSurface, GripForceProblem, TorqueLimits, paper_force};
+use drex_grasp::{ContactOptions, ForceCommand, GripForceProblem, HandSurface, TorqueLimits, paper_force};
 use drex_mesh::{AssetOptions, LengthUnit, asset_from_mesh, metric_mesh};
 use drex_policy::{GraspPolicy, PredictedGrasp, Query};
 use drex_robot::Robot;

@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::Result;
 use crate::error::Context;
 use drex_core::{PoseRecord, fsutil};
-use drex_grasp::{GripForcePolicy, GraspOrigin, OriginCounts, StaticCheck};
+use drex_grasp::{GraspOrigin, GripForcePolicy, OriginCounts, StaticCheck};
 use drex_hw::driver::ContactRecord;
 use drex_mesh::FusionReport;
 use drex_policy::TrainReport;

@@ -3,7 +3,7 @@
 use drex_core::{SignedDistance, Surface};
 use drex_grasp::{
     ClosureOptions, Contact, GripForceProblem, TorqueLimits, distribute, force_closure, maximum_grip_force, min_weight,
-    required_grip_force, shake_loads, minimum_grip_force,
+    minimum_grip_force, required_grip_force, shake_loads,
 };
 use nalgebra::{DVector, Matrix3, Point3, SMatrix, SVector, Unit, UnitQuaternion, Vector3, Vector6};
 use rand::{RngExt, SeedableRng};

@@ -5,9 +5,9 @@ use crate::support;
 use crate::support::{G, down};
 use drex_core::TablePlane;
 use drex_grasp::{
-    ClosureOptions, Contact, GripForcePolicy, Rolling, RollingError, GripForceError, GripForceProblem, TorqueLimits,
-    characteristic_length_m, distribute, force_closure, grasp_map, maximum_grip_force, min_weight, paper_force,
-    required_grip_force, rolling_path, shake_loads, smallest_forces, minimum_grip_force,
+    ClosureOptions, Contact, GripForceError, GripForcePolicy, GripForceProblem, Rolling, RollingError, TorqueLimits,
+    characteristic_length_m, distribute, force_closure, grasp_map, maximum_grip_force, min_weight, minimum_grip_force,
+    paper_force, required_grip_force, rolling_path, shake_loads, smallest_forces,
 };
 use nalgebra::{DVector, Isometry3, Matrix3xX, Point3, Rotation3, Unit, UnitQuaternion, Vector3, Vector6};
 

@@ -2,8 +2,8 @@
 
 use crate::support::{G, down, grasp, thumb_against};
 use drex_grasp::{
-    Contact, GripForcePolicy, GripForceError, GripForceProblem, TorqueLimits, distribute, maximum_grip_force, paper_force,
-    required_grip_force, shake_loads, minimum_grip_force,
+    Contact, GripForceError, GripForcePolicy, GripForceProblem, TorqueLimits, distribute, maximum_grip_force,
+    minimum_grip_force, paper_force, required_grip_force, shake_loads,
 };
 use nalgebra::{DVector, Matrix3xX, Point3, Rotation3, Vector3, Vector6};
 use proptest::prelude::*;

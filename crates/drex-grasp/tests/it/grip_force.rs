@@ -28,7 +28,8 @@ fn two_opposed_contacts_need_half_the_weight_over_mu_each() {
 #[test]
 fn a_thumb_against_three_fingers_needs_the_weight_over_mu() {
     for (mass, sum) in [(0.117, 2.30), (0.206, 4.04), (0.324, 6.36)] {
-        let s = minimum_grip_force(&GripForceProblem::new(thumb_against(3, 0.5), mass, Point3::origin(), down())).unwrap();
+        let s =
+            minimum_grip_force(&GripForceProblem::new(thumb_against(3, 0.5), mass, Point3::origin(), down())).unwrap();
         assert!((s.total_n - mass * G / 0.5).abs() < 1e-6);
         assert!((s.total_n - sum).abs() < 0.006, "{} for {mass} kg", s.total_n);
         assert!((s.per_finger_n[3] - 0.5 * s.total_n).abs() < 1e-6, "the thumb carries half");
@@ -80,8 +81,9 @@ fn the_friction_margin_of_a_wedge_is_known() {
 #[test]
 fn a_ceiling_on_the_force_is_the_friction_margin_of_a_pinch() {
     // At most F per contact: friction may fall to m g / (2 F).
-    let s = minimum_grip_force(&GripForceProblem::new(pinch(0.5), 0.2, Point3::origin(), down()).with_max_normal_n(4.0))
-        .unwrap();
+    let s =
+        minimum_grip_force(&GripForceProblem::new(pinch(0.5), 0.2, Point3::origin(), down()).with_max_normal_n(4.0))
+            .unwrap();
     assert!((s.friction_margin - (1.0 - 0.2 * G / (2.0 * 4.0) / 0.5)).abs() < 2e-3);
     let refused =
         minimum_grip_force(&GripForceProblem::new(pinch(0.5), 0.2, Point3::origin(), down()).with_max_normal_n(1.9));
@@ -93,11 +95,13 @@ fn a_ceiling_on_the_force_is_the_friction_margin_of_a_pinch() {
 
 #[test]
 fn a_floor_on_the_force_binds() {
-    let s = minimum_grip_force(&GripForceProblem::new(pinch(0.5), 0.01, Point3::origin(), down()).with_min_normal_n(1.0))
-        .unwrap();
+    let s =
+        minimum_grip_force(&GripForceProblem::new(pinch(0.5), 0.01, Point3::origin(), down()).with_min_normal_n(1.0))
+            .unwrap();
     assert!((s.total_n - 2.0).abs() < 1e-6);
-    let idle = minimum_grip_force(&GripForceProblem::new(pinch(0.5), 0.0, Point3::origin(), down()).with_min_normal_n(0.3))
-        .unwrap();
+    let idle =
+        minimum_grip_force(&GripForceProblem::new(pinch(0.5), 0.0, Point3::origin(), down()).with_min_normal_n(0.3))
+            .unwrap();
     assert!((idle.total_n - 0.6).abs() < 1e-6);
     let none = minimum_grip_force(&GripForceProblem::new(pinch(0.5), 0.0, Point3::origin(), down())).unwrap();
     assert_eq!(none.total_n, 0.0);

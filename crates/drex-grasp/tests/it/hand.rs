@@ -2,7 +2,7 @@
 
 use drex_core::{MassProperties, SdfSample, SignedDistance, TablePlane};
 use drex_grasp::{
-    CheckOptions, ContactOptions, GraspError, HandSurface, GripForceProblem, StaticGrasp, TorqueLimits, find_contacts,
+    CheckOptions, ContactOptions, GraspError, GripForceProblem, HandSurface, StaticGrasp, TorqueLimits, find_contacts,
     minimum_grip_force, static_check,
 };
 use drex_robot::Robot;
@@ -195,7 +195,8 @@ fn grip_force_with_motors_is_never_smaller_than_without() {
     let gravity = Vector3::new(0.0, 0.0, -9.81);
     let limits = TorqueLimits::of_robot(&robot, &q, &Isometry3::identity(), &contacts, &gravity).unwrap();
     let problem = GripForceProblem::new(contacts, 0.3, center, gravity);
-    if let (Ok(free), Ok(bound)) = (minimum_grip_force(&problem), minimum_grip_force(&problem.clone().with_torques(limits)))
+    if let (Ok(free), Ok(bound)) =
+        (minimum_grip_force(&problem), minimum_grip_force(&problem.clone().with_torques(limits)))
     {
         assert!(bound.total_n >= free.total_n * (1.0 - 1e-6));
         assert_eq!(bound.joint_torques_nm.len(), robot.dof());

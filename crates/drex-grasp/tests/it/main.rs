@@ -4,9 +4,9 @@
 mod closed_forms;
 mod closure;
 mod force;
+mod grip_force;
 mod hand;
 mod rolling;
 mod search;
-mod grip_force;
 #[path = "../support/mod.rs"]
 mod support;

@@ -2,8 +2,8 @@
 
 use drex_core::{MassProperties, SdfSample, SignedDistance, SurfacePoint, TablePlane};
 use drex_grasp::{
-    CheckOptions, ClosureOptions, FoundGrasp, HandSurface, SearchOptions, GripForceProblem, StaticGrasp, TorqueLimits,
-    force_closure, search_grasps, minimum_grip_force, static_check_with,
+    CheckOptions, ClosureOptions, FoundGrasp, GripForceProblem, HandSurface, SearchOptions, StaticGrasp, TorqueLimits,
+    force_closure, minimum_grip_force, search_grasps, static_check_with,
 };
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Point3, Vector3};

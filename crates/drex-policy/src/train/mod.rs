@@ -15,7 +15,7 @@ use crate::adam::Adam;
 use crate::evaluate::{baselines, grasp_errors, log_densities, mode_reports, proposals};
 use crate::loss::{Found, LossParts, Scales, Target, demo_loss};
 use crate::net::{Slopes, gradients};
-use crate::norm::{Normalisation, joint_intervals, outputs_for, grip_force_ratio, wrist_numbers};
+use crate::norm::{Normalisation, grip_force_ratio, joint_intervals, outputs_for, wrist_numbers};
 use crate::policy::{Card, LARGEST_OBJECT, Scene, check_size, same_hand};
 use crate::sample::normal_vector;
 use crate::split::{Split, Stream, random_of_epoch, shuffle, spread_grasps};

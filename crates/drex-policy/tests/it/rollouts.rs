@@ -73,7 +73,11 @@ fn logits_contacts_and_grip_forces_learn_and_poses_stay() {
         let second = after.iter().find(|g| !first_way(g)).unwrap();
         // The cone is to be used by 0.7.
         let wanted = NEEDED * mass * GRAVITY_M_S2 / 0.7;
-        assert!((second.grip_force_n / wanted - 1.0).abs() < 0.05, "{mass} kg: {} N for {wanted} N", second.grip_force_n);
+        assert!(
+            (second.grip_force_n / wanted - 1.0).abs() < 0.05,
+            "{mass} kg: {} N for {wanted} N",
+            second.grip_force_n
+        );
         assert!(second.contacts[0] < 0.1 && second.contacts[1] > 0.9, "{:?}", second.contacts);
     }
     // Poses stay although everything else moved.

@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 
 use drex_core::{Pose, SdfSample, SignedDistance};
 use drex_demo::{FrameFlag, HumanFinger};
-use drex_grasp::{holds_any_load, grip_force_per_weight};
+use drex_grasp::{grip_force_per_weight, holds_any_load};
 use nalgebra::{Point3, Unit, Vector3};
 use serde::Serialize;
 

@@ -1,6 +1,6 @@
 //! The result of a search, evaluated by the rules.
 
-use drex_grasp::{holds_any_load, grip_force_per_weight};
+use drex_grasp::{grip_force_per_weight, holds_any_load};
 
 use super::residuals::{Problem, pushed_away};
 use super::{FingerGap, Rejection, Verdict, WristFit};

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use crate::Result;
 use crate::error::{Context, refuse};
 use drex_core::fsutil;
-use drex_grasp::{GripForcePolicy, GraspError, HandSurface, OriginCounts, GripForceError, GripForceProblem};
+use drex_grasp::{GraspError, GripForceError, GripForcePolicy, GripForceProblem, HandSurface, OriginCounts};
 use drex_policy::{Dataset, GraspPolicy, GraspSample, ObjectCloud, TrainOptions};
 use drex_trial::{ConditionSpread, TrialOptions};
 use rayon::prelude::*;
