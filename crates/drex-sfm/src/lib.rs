@@ -1,0 +1,1 @@
+//! Cameras and sparse points from photos of an object, or a verdict that says why not.
