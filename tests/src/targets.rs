@@ -4,6 +4,7 @@
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
 
+use drex_core::capture::{Capture, CaptureOptions};
 use drex_core::{fsutil, mesh, npy, pose};
 use drex_demo::{Demonstration, LoadOptions, ManoModel};
 use drex_hw::allegro::{self, AllegroVersion};
@@ -13,7 +14,7 @@ use drex_recording::clock::Clock;
 use drex_recording::readers::{self, BopSelection};
 use drex_retarget::TargetHand;
 use drex_robot::Robot;
-use drex_splat::{Capture, CaptureOptions, Kind};
+use drex_splat::Kind;
 use nalgebra::Point3;
 
 use crate::{bytes, seeds};
@@ -202,7 +203,7 @@ fn png(data: &[u8]) {
         file(&format!("png/{folder}/0.png"), data);
     }
     let Ok(capture) = Capture::load(&scratch().join("png"), &CaptureOptions::default()) else { return };
-    let photos = drex_splat::Photos::new(&capture, drex_splat::PhotoOptions::default());
+    let photos = drex_core::capture::Photos::new(&capture, drex_core::capture::PhotoOptions::default());
     let _ = black_box(photos.and_then(|photos| photos.get(0)));
 }
 

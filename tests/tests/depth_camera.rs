@@ -3,10 +3,10 @@
 
 use std::path::PathBuf;
 
+use drex_core::capture::{Capture, CaptureOptions, PhotoOptions, Photos};
 use drex_core::mesh::sample_surface;
 use drex_core::{Surface, SurfacePoint};
 use drex_mesh::{DepthCamera, DepthMap, FusionOptions, MeshSdf, Support, cast_depth, fuse, read_mesh};
-use drex_splat::capture::{Capture, CaptureOptions, PhotoOptions, Photos};
 use nalgebra::{Point3, Unit, Vector3};
 
 /// Where its views saw it, the reference mesh of the recorded dragon lies within 2 mm of the mesh fused from the frames.

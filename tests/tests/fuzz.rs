@@ -151,7 +151,7 @@ fn seeds_are_read() {
         at(&format!("colmap/sparse/0/{name}.bin"), bytes);
     }
     (0..3).for_each(|i| drop(at(&format!("colmap/images/{i}.png"), &seeds::picture(32, 24))));
-    let capture = drex_splat::Capture::load(&folder.path().join("colmap"), &Default::default()).unwrap();
+    let capture = drex_core::capture::Capture::load(&folder.path().join("colmap"), &Default::default()).unwrap();
     assert_eq!((capture.views.len(), capture.points.len()), (3, 2));
     drex_splat::io::ply::parse(Path::new("a.ply"), &first(seeds::gaussians_ply()), drex_splat::Kind::Surfel).unwrap();
 }

@@ -3,7 +3,8 @@
 use anyhow::{Context, Result};
 use drex_core::Pose;
 use drex_splat::io::read_gaussians;
-use drex_splat::{Capture, CaptureOptions, Kind, Photo, PhotoOptions, Photos};
+use drex_core::capture::{Capture, CaptureOptions, Photo, PhotoOptions, Photos};
+use drex_splat::Kind;
 use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
 use nalgebra::{Point3, Similarity3};

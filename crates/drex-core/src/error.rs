@@ -32,6 +32,33 @@ pub enum Error {
         /// What to do about it.
         remedy: String,
     },
+    /// A picture could not be decoded or encoded.
+    #[error("cannot {action} the picture {}: {source}", path.display())]
+    Picture {
+        /// "read" or "write".
+        action: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// The codec's reason, in its words. Boxed, so that the library behind it can change.
+        #[source]
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
+    /// A capture (photos, cameras, masks) that cannot be used.
+    #[error("{what}; {remedy}")]
+    Capture {
+        /// What is wrong, with the photo's name.
+        what: String,
+        /// What to do about it.
+        remedy: String,
+    },
+    /// Another program (COLMAP, ffmpeg) is missing or failed.
+    #[error("{what}; {remedy}")]
+    Tool {
+        /// Which one, and what it said last.
+        what: String,
+        /// What to do about it.
+        remedy: String,
+    },
     /// A value handed to a function is outside what the function is defined for.
     #[error("{what}; {remedy}")]
     Value {
@@ -79,6 +106,16 @@ impl Error {
             Self::Value { what, remedy } => Self::content(path, line, what, remedy),
             other => other,
         }
+    }
+
+    /// An [`Error::Capture`].
+    pub fn capture(what: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::Capture { what: what.into(), remedy: remedy.into() }
+    }
+
+    /// An [`Error::Tool`].
+    pub fn tool(what: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::Tool { what: what.into(), remedy: remedy.into() }
     }
 
     /// An [`Error::Value`].

@@ -21,6 +21,8 @@
 
 pub mod budget;
 pub mod camera;
+#[cfg(feature = "capture")]
+pub mod capture;
 pub mod error;
 pub mod fsutil;
 pub mod mesh;

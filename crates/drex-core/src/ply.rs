@@ -218,6 +218,20 @@ impl<'a> PlyFile<'a> {
         self.elements.iter().find(|e| e.name == name)
     }
 
+    /// The vertices, if their rows are plain numbers. `remedy` says what to do where there are none.
+    ///
+    /// # Errors
+    /// If there is no element `vertex`, or its rows have lists.
+    pub fn vertices(&self, remedy: &str) -> Result<&Element> {
+        let Some(element) = self.element("vertex") else {
+            return Err(Error::content(self.path, None, "the header has no element vertex", remedy));
+        };
+        match element.properties.iter().all(|p| p.length.is_none()) {
+            true => Ok(element),
+            false => Err(Error::content(self.path, element.line, "the vertices have lists", remedy)),
+        }
+    }
+
     /// Reads the rows of `element`, one of [`PlyFile::elements`], in their order.
     ///
     /// # Errors

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use crate::Result;
+use drex_core::capture::{Capture, CaptureOptions};
 use drex_mesh::{Asset, Similarity};
 use drex_splat::Kind;
-use drex_splat::capture::{Capture, CaptureOptions};
 use drex_splat::io::read_gaussians;
 use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
 use nalgebra::{Matrix4, Similarity3, Translation3, Vector3};

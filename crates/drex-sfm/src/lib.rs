@@ -7,6 +7,7 @@ mod mapping;
 mod matching;
 mod model;
 mod photos;
+pub mod programs;
 mod subpixel;
 mod verify;
 

@@ -5,12 +5,13 @@
 use std::hint::black_box;
 use std::time::Instant;
 
+use drex_core::camera::PinholeCamera;
+use drex_splat::Render;
 use drex_splat::loss::{
     DepthOptions, DepthTarget, Exposure, MaskMode, PhotometricOptions, SurfaceOptions, SurfaceTarget, Target, depth,
     photometric, surface,
 };
 use drex_splat::optim::{Moments, adam_step};
-use drex_splat::{PinholeCamera, Render};
 
 fn main() {
     let threads = std::env::args().nth(1).map_or(1, |n| n.parse().unwrap());

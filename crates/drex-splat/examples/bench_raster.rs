@@ -10,10 +10,11 @@ mod support;
 use std::path::Path;
 use std::time::Instant;
 
+use drex_core::camera::PinholeCamera;
+use drex_core::capture::{Capture, CaptureOptions};
 use drex_core::pose::pose_from_matrix;
-use drex_splat::capture::{Capture, CaptureOptions};
 use drex_splat::train::from_points;
-use drex_splat::{Cpu, Gaussians, Kind, PinholeCamera, Rasterizer, RenderGradients, RenderOptions};
+use drex_splat::{Cpu, Gaussians, Kind, Rasterizer, RenderGradients, RenderOptions};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 

@@ -5,10 +5,11 @@
 use std::path::Path;
 use std::time::Instant;
 
-use drex_splat::capture::{Capture, CaptureOptions};
+use drex_core::camera::PinholeCamera;
+use drex_core::capture::{Capture, CaptureOptions};
 use drex_splat::raster::{Cpu, Gpu};
 use drex_splat::train::from_points;
-use drex_splat::{Gaussians, Kind, PinholeCamera, Rasterizer, RenderGradients, RenderOptions, Result, usage};
+use drex_splat::{Gaussians, Kind, Rasterizer, RenderGradients, RenderOptions, Result, usage};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();

@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use drex_splat::capture::{Capture, CaptureOptions, PhotoOptions, Photos};
+use drex_core::capture::{Capture, CaptureOptions, PhotoOptions, Photos};
 use drex_splat::io::ply;
 use drex_splat::loss::MaskMode;
 use drex_splat::metrics::{Table, similarity};

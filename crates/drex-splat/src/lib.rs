@@ -1,7 +1,7 @@
 //! Photos to Gaussians on any computer: 3D for looks, 2D for geometry.
 //!
-//! From photos to Gaussians: [`Capture`] reads what was photographed from where, [`reconstruct()`] trains an ellipsoid set for
-//! looks and a surfel set for geometry and writes them with depth maps. Each part also stands alone: a rasteriser with an
+//! From photos to Gaussians: [`Capture`](drex_core::capture::Capture) reads what was photographed from where, [`reconstruct()`]
+//! trains an ellipsoid set for looks and a surfel set for geometry and writes them with depth maps. Each part also stands alone: a rasteriser with an
 //! analytic derivative ([`raster`]), losses ([`loss`]), a training loop over any photos ([`Trainer`]), files ([`io`]), and
 //! sets that move with rigid bodies ([`Scene`]).
 //!
@@ -27,8 +27,6 @@
 //! Cameras have OpenCV axes (x right, y down, z forward); the centre of the first pixel is (0.5, 0.5). Quaternions are
 //! w, x, y, z. Scenes are in single precision, cameras and poses in double.
 
-pub mod camera;
-pub mod capture;
 pub mod error;
 pub mod gaussians;
 pub mod io;
@@ -43,8 +41,6 @@ pub mod train;
 pub mod transform;
 pub mod usage;
 
-pub use camera::PinholeCamera;
-pub use capture::{Capture, CaptureOptions, Photo, PhotoOptions, Photos};
 pub use error::{Error, Result};
 pub use gaussians::{Gaussians, Kind, Label};
 pub use orbit::Orbit;

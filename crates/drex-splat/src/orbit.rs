@@ -4,7 +4,8 @@ use drex_core::Pose;
 use drex_core::stats::{quantile, upper_median};
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
-use crate::{Error, Gaussians, PinholeCamera, Result};
+use crate::{Error, Gaussians, Result};
+use drex_core::camera::PinholeCamera;
 
 /// A circle of cameras that look at its centre.
 #[derive(Debug, Clone, PartialEq)]
@@ -104,7 +105,8 @@ impl Orbit {
             width,
             height,
         };
-        camera.check().map(|()| camera)
+        camera.check()?;
+        Ok(camera)
     }
 }
 

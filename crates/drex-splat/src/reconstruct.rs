@@ -10,12 +10,13 @@ use drex_core::npy::write_npy;
 use nalgebra::Point3;
 use serde::Serialize;
 
-use crate::capture::{Capture, CaptureReport, PhotoOptions, Photos, SparsePoint};
 use crate::io::{picture, ply};
 use crate::loss::{MaskMode, surface_depth};
 use crate::metrics::{Table, similarity};
 use crate::train::{DensityChoice, NEAR, Preset, Progress, TrainOptions, Trainer, VisualHull, from_points};
-use crate::{Error, Gaussians, Kind, Label, PinholeCamera, Rasterizer, RenderOptions, Result, usage};
+use crate::{Error, Gaussians, Kind, Label, Rasterizer, RenderOptions, Result, usage};
+use drex_core::camera::PinholeCamera;
+use drex_core::capture::{Capture, CaptureReport, PhotoOptions, Photos, SparsePoint};
 use drex_core::stats::quantile;
 
 /// What to reconstruct, and how carefully.
@@ -198,7 +199,8 @@ enum Silhouette {
 
 /// The silhouette of every view, from its mask at (nearly) full size, one after the other.
 fn silhouettes(capture: &Capture) -> Result<Vec<Silhouette>> {
-    let photo_options = PhotoOptions { max_side: Some(HULL_SIDE), memory_bytes: 0, ..PhotoOptions::default() };
+    let mut photo_options = PhotoOptions::default();
+    (photo_options.max_side, photo_options.memory_bytes) = (Some(HULL_SIDE), 0);
     let photos = Photos::new(capture, photo_options)?;
     let silhouette = |i: usize| {
         let view = &capture.views[i];
@@ -249,7 +251,8 @@ impl<'a> Job<'a> {
             });
         }
         let max_side = Some(options.max_side.unwrap_or(options.preset.max_side()));
-        let photo_options = PhotoOptions { max_side, memory_bytes: options.memory_bytes, ..PhotoOptions::default() };
+        let mut photo_options = PhotoOptions::default();
+        (photo_options.max_side, photo_options.memory_bytes) = (max_side, options.memory_bytes);
         let photos = Photos::new(capture, photo_options)?;
         if options.hold_out.is_some_and(|n| n < 2) {
             return Err(Error::Option {
@@ -285,10 +288,11 @@ impl<'a> Job<'a> {
             }
         }
         if trained.len() < 2 && !left_out.is_empty() {
-            return Err(Error::Capture {
-                what: format!("photos left to train on: {}; left out: {}", trained.len(), left_out.join("; ")),
-                remedy: "mend the masks or cameras, or train the whole scene without masks".into(),
-            });
+            return Err(drex_core::Error::capture(
+                format!("photos left to train on: {}; left out: {}", trained.len(), left_out.join("; ")),
+                "mend the masks or cameras, or train the whole scene without masks",
+            )
+            .into());
         }
         let near = near_depths(capture, &photos, &trained);
         Ok(Self { capture, options, photos, trained, held_out, left_out, masked, near, hull, whole_hull })
@@ -386,10 +390,11 @@ impl<'a> Job<'a> {
         let kept: Vec<_> =
             self.capture.points.iter().filter(|p| self.hull.contains(&p.position.map(|v| v as f32))).collect();
         if kept.is_empty() {
-            return Err(Error::Capture {
-                what: format!("of {} sparse points none lies on the object", self.capture.points.len()),
-                remedy: "give a model with points3D, or check that the masks show the object in white".into(),
-            });
+            return Err(drex_core::Error::capture(
+                format!("of {} sparse points none lies on the object", self.capture.points.len()),
+                "give a model with points3D, or check that the masks show the object in white",
+            )
+            .into());
         }
         let step = kept.len().div_ceil(options.max_gaussians);
         let (points, colours): (Vec<_>, Vec<_>) = kept.iter().step_by(step).map(|p| (p.position, p.rgb)).unzip();

@@ -3,9 +3,8 @@
 
 mod scenes;
 
-use drex_splat::{
-    Cpu, GaussianGradients, Gaussians, PinholeCamera, Rasterizer, Render, RenderGradients, RenderOptions,
-};
+use drex_core::camera::PinholeCamera;
+use drex_splat::{Cpu, GaussianGradients, Gaussians, Rasterizer, Render, RenderGradients, RenderOptions};
 
 #[test]
 fn ellipsoids_do_not_depend_on_the_number_of_threads() {

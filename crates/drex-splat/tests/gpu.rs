@@ -8,10 +8,9 @@ mod support;
 
 use std::sync::OnceLock;
 
+use drex_core::camera::PinholeCamera;
 use drex_splat::raster::{DepthKind, Gpu};
-use drex_splat::{
-    Cpu, Error, GaussianGradients, Gaussians, Kind, PinholeCamera, Rasterizer, Render, RenderGradients, RenderOptions,
-};
+use drex_splat::{Cpu, Error, GaussianGradients, Gaussians, Kind, Rasterizer, Render, RenderGradients, RenderOptions};
 use nalgebra::{Point3, Quaternion, UnitQuaternion, Vector3};
 
 /// One GPU for all tests; without an adapter prints why and gives `None`, unless DREX_REQUIRE_GPU is set.

@@ -3,7 +3,8 @@
 use std::path::Path;
 use std::time::Duration;
 
-use drex_splat::capture::{self, Capture, CaptureOptions, CaptureReport, ColmapOptions, VideoOptions};
+use drex_core::capture::{Capture, CaptureOptions, CaptureReport};
+use drex_sfm::programs::{ColmapOptions, VideoOptions, extract_frames, find_cameras};
 use drex_splat::raster::Cpu;
 use drex_splat::reconstruct::{Reconstruction, reconstruct};
 use drex_splat::train::Progress as Step;
@@ -101,14 +102,18 @@ pub fn open_capture(
             let mut video = VideoOptions::default();
             (video.program, video.time_limit) = (programs.ffmpeg.into(), programs.limit);
             let made: Vec<&Path> = [folder.as_path(), out].into_iter().filter(|f| !f.exists()).collect();
-            let frames = capture::extract_frames(scan, &folder, &video, &mut show).inspect_err(|_| {
+            let frames = extract_frames(scan, &folder, &video, &mut show).inspect_err(|_| {
                 // Only empty folders go; one that stays is no error.
                 made.iter().for_each(|f| drop(std::fs::remove_dir(f)));
             })?;
             progress.note(&format!("{frames} frames of {}", scan.display()));
         }
     }
-    let capture = Capture::open(&folder, within, &colmap, &mut show)?;
+    let capture = if Capture::is_in(&folder) {
+        Capture::load(&folder, within)?
+    } else {
+        find_cameras(&folder, within, &colmap, &mut show)?
+    };
     progress.end();
     Ok(capture)
 }

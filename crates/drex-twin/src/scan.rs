@@ -8,13 +8,13 @@ use std::time::Duration;
 use crate::Result;
 use crate::error::{Context, refuse};
 use drex_core::camera::point_looked_at;
+use drex_core::capture::{Capture, CaptureOptions, PhotoOptions, Photos};
 use drex_core::{Pose, TriMesh, fsutil};
 use drex_mesh::{
     DecimateOptions, DepthCamera, DepthMap, DepthViews, FusionOptions, FusionReport, KnownDistance, PlaneOptions,
     ScaleFit, Similarity, Support, TablePlane, decimate, fuse, object_on_table, read_marks, scale_from_distances,
     table_plane, triangulate_marks,
 };
-use drex_splat::capture::{Capture, CaptureOptions, PhotoOptions, Photos};
 use drex_splat::{ReconstructOptions, Reconstruction};
 use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};

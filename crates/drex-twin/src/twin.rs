@@ -8,7 +8,7 @@ use std::time::Duration;
 use drex_core::{ASSUMED_FRICTION, fsutil};
 use drex_mesh::Asset;
 use drex_robot::Robot;
-use drex_splat::capture::ColmapOptions;
+use drex_sfm::programs::ColmapOptions;
 
 use crate::Result;
 use crate::error::Context;

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::Result;
-use drex_splat::capture::{CaptureOptions, CaptureReport};
+use drex_core::capture::{CaptureOptions, CaptureReport};
 use drex_splat::io::{read_gaussians, write_gaussians};
 use drex_splat::metrics::Table;
 use drex_splat::reconstruct::{Reconstruction, SetSummary};

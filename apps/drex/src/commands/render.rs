@@ -4,12 +4,13 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
+use drex_core::camera::PinholeCamera;
+use drex_core::capture::{Capture, CaptureOptions};
 use drex_core::fsutil::OutputFolder;
 use drex_core::npy::write_npy;
 use drex_recording::readers::read_pose_csv;
-use drex_splat::capture::{Capture, CaptureOptions};
 use drex_splat::io::{exr, picture, read_gaussians};
-use drex_splat::{Attachment, Cpu, Gaussians, Kind, Orbit, PinholeCamera, Rasterizer, Render, RenderOptions, Scene};
+use drex_splat::{Attachment, Cpu, Gaussians, Kind, Orbit, Rasterizer, Render, RenderOptions, Scene};
 use nalgebra::{Similarity3, Vector3};
 use serde::Serialize;
 

@@ -6,9 +6,10 @@ use std::fs;
 use std::path::Path;
 
 use crate::common::drex;
+use drex_core::capture::{Capture, CaptureOptions, PhotoOptions, Photos};
 use drex_splat::io::{picture, read_gaussians};
 use drex_splat::train::from_points;
-use drex_splat::{Capture, CaptureOptions, Cpu, Kind, Label, Orbit, PhotoOptions, Photos, Rasterizer, RenderOptions};
+use drex_splat::{Cpu, Kind, Label, Orbit, Rasterizer, RenderOptions};
 use nalgebra::Vector3;
 
 const RADIUS: f64 = 0.5;

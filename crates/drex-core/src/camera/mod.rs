@@ -8,11 +8,13 @@
 
 mod lens;
 mod model;
+mod pinhole;
 
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Point2, Point3, Vector2, Vector3};
 
 use self::lens::Lens;
 pub use self::model::CameraModel;
+pub use self::pinhole::PinholeCamera;
 use crate::{Error, Pose, Result};
 
 /// A camera: image size and intrinsic parameters.

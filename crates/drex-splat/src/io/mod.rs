@@ -11,8 +11,6 @@ pub mod spz;
 
 use std::path::Path;
 
-use drex_core::ply::{Element, PlyFile};
-
 use crate::{Error, Gaussians, Kind, Result};
 
 /// Reads Gaussians from a `.ply`, `.spz` or `.splat` file, told by the name. `otherwise` is what they are if the file
@@ -56,17 +54,6 @@ fn unknown(path: &Path) -> Error {
 /// An error about the content of a file.
 fn content(path: &Path, line: impl Into<Option<usize>>, what: impl Into<String>, remedy: impl Into<String>) -> Error {
     drex_core::Error::content(path, line, what, remedy).into()
-}
-
-/// The vertices of a PLY file, whose rows are plain numbers.
-pub(crate) fn vertices<'a>(path: &Path, file: &'a PlyFile<'_>) -> Result<&'a Element> {
-    let remedy = "give a file of Gaussians or of points";
-    let element =
-        file.element("vertex").ok_or_else(|| content(path, None, "the header has no element vertex", remedy))?;
-    match element.properties.iter().all(|p| p.length.is_none()) {
-        true => Ok(element),
-        false => Err(content(path, element.line, "the vertices have lists", remedy)),
-    }
 }
 
 /// Refuses a set that was read and cannot be drawn, naming the file.

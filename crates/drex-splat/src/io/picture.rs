@@ -124,7 +124,7 @@ fn write(path: &Path, width: usize, height: usize, bytes: &[u8], kind: ExtendedC
         });
     };
     let mut png = Cursor::new(Vec::new());
-    PngEncoder::new(&mut png).write_image(bytes, w, h, kind).map_err(|source| Error::Picture {
+    PngEncoder::new(&mut png).write_image(bytes, w, h, kind).map_err(|source| drex_core::Error::Picture {
         action: "write",
         path: path.to_path_buf(),
         source: source.into(),

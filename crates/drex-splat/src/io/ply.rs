@@ -14,7 +14,7 @@ use std::path::Path;
 use drex_core::fsutil;
 use drex_core::ply::{PlyFile, Scalar};
 
-use super::{checked, content, three_log_scales, vertices};
+use super::{checked, content, three_log_scales};
 use crate::{Gaussians, Kind, Label, Result};
 
 /// What tells surfels from ellipsoids in a file with three scales.
@@ -99,7 +99,7 @@ pub fn read(path: &Path, otherwise: Kind) -> Result<Gaussians> {
 /// As [`read`].
 pub fn parse(path: &Path, bytes: &[u8], otherwise: Kind) -> Result<Gaussians> {
     let file = PlyFile::parse(path, bytes, "Gaussians")?;
-    let vertices = vertices(path, &file)?;
+    let vertices = file.vertices("give a file of Gaussians or of points")?;
     let has = |name: &str| vertices.properties.iter().any(|p| p.name == name);
     let rest = vertices.properties.iter().filter(|p| p.name.starts_with("f_rest_")).count();
     let sh_degree = match rest {

@@ -7,7 +7,8 @@ use rayon::prelude::*;
 
 use super::normals::{Neighbours, Rays, cross, dot, inner_mut};
 use super::{check_render, strip_rows, sum, unit};
-use crate::{PinholeCamera, Render, RenderGradients, Result};
+use crate::{Render, RenderGradients, Result};
+use drex_core::camera::PinholeCamera;
 use drex_core::simd::vectorised;
 
 /// The depth d of the surface, z in the camera frame, row by row: d = (1 - r) depth / alpha + r median, with r the

@@ -111,10 +111,11 @@ pub(crate) fn area(mask: &[u8]) -> f64 {
 }
 
 pub(crate) fn empty_mask(name: &str, why: &str) -> Error {
-    Error::Capture {
-        what: format!("no pixel of {name} counts: {why}"),
-        remedy: "give a mask that is above zero on the object, or leave this photo out".into(),
-    }
+    drex_core::Error::capture(
+        format!("no pixel of {name} counts: {why}"),
+        "give a mask that is above zero on the object, or leave this photo out",
+    )
+    .into()
 }
 
 /// A byte of a photo or a mask as a number from 0 to 1.

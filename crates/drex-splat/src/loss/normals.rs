@@ -12,7 +12,8 @@
 use rayon::prelude::*;
 
 use super::check_image;
-use crate::{PinholeCamera, Result};
+use crate::Result;
+use drex_core::camera::PinholeCamera;
 use drex_core::simd::vectorised;
 
 /// Unit normals of a depth map (z, row by row, 0 where unknown), camera frame, facing the camera; zero at the image's

@@ -127,10 +127,11 @@ fn check(render: &Render, target: &Target<'_>, options: &PhotometricOptions) -> 
         });
     }
     if options.mask != MaskMode::Off && target.mask.is_none() {
-        return Err(Error::Capture {
-            what: format!("the photo {} has no mask, and training uses masks", target.name),
-            remedy: "give it a mask, leave it out, or train without masks".into(),
-        });
+        return Err(drex_core::Error::capture(
+            format!("the photo {} has no mask, and training uses masks", target.name),
+            "give it a mask, leave it out, or train without masks",
+        )
+        .into());
     }
     Ok(())
 }

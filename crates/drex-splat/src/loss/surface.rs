@@ -5,7 +5,8 @@ use super::consistency::Consistency;
 use super::normals::dot;
 use super::photometric::sign;
 use super::{area_that_counts, check_image, check_render, sum_with, unit};
-use crate::{Error, PinholeCamera, Render, RenderGradients, Result};
+use crate::{Error, Render, RenderGradients, Result};
+use drex_core::camera::PinholeCamera;
 
 /// What a render is compared with; nothing is needed.
 #[derive(Debug, Clone, Copy, Default)]

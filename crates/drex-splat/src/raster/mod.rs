@@ -13,7 +13,8 @@ pub use cpu::{Cpu, CpuSaved};
 pub use gpu::{Gpu, GpuSaved};
 pub(crate) use tiles::{ScreenBox, TILE, Tiles};
 
-use crate::{Gaussians, PinholeCamera, Result};
+use crate::{Gaussians, Result};
+use drex_core::camera::PinholeCamera;
 
 /// How a scene is drawn. The defaults are those of the papers.
 #[derive(Debug, Clone, PartialEq)]

@@ -2,7 +2,7 @@
 
 use nalgebra::Point3;
 
-use crate::PinholeCamera;
+use drex_core::camera::PinholeCamera;
 
 /// Silhouettes of an object from several cameras, and how far before each there is nothing.
 #[derive(Debug, Clone, Default)]

@@ -8,7 +8,6 @@ use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::capture::Photo;
 use crate::loss::{
     self, DepthOptions, DepthTarget, MaskMode, PhotometricOptions, SurfaceOptions, SurfaceTarget, Target,
 };
@@ -20,7 +19,9 @@ use crate::train::model::{Model, position_rate};
 use crate::train::options::{Density, TrainOptions};
 use crate::train::state::State;
 use crate::train::views::{Views, check_sizes, reduced};
-use crate::{Error, Gaussians, Kind, PinholeCamera, Rasterizer, Render, RenderGradients, RenderOptions, Result, usage};
+use crate::{Error, Gaussians, Kind, Rasterizer, Render, RenderGradients, RenderOptions, Result, usage};
+use drex_core::camera::PinholeCamera;
+use drex_core::capture::Photo;
 
 /// Optimises a set of Gaussians so that it looks like the photos.
 #[derive(Debug)]

@@ -2,8 +2,9 @@
 
 use std::sync::Arc;
 
-use crate::capture::{Photo, Photos};
-use crate::{Error, PinholeCamera, Result};
+use crate::{Error, Result};
+use drex_core::camera::PinholeCamera;
+use drex_core::capture::{Photo, Photos};
 
 /// Posed photos by number: a capture's, or some in memory.
 pub trait Views: Sync {
@@ -28,7 +29,7 @@ impl Views for Photos {
     }
 
     fn photo(&self, i: usize) -> Result<Arc<Photo>> {
-        self.get(i)
+        Ok(self.get(i)?)
     }
 
     fn name(&self, i: usize) -> String {

@@ -1,9 +1,10 @@
 //! The golden cases as checks of any backend: counts, images, the derivative by every input.
 #![allow(dead_code, clippy::unwrap_used, clippy::missing_panics_doc, missing_docs, unreachable_pub)] // shared by several test files
 
+use drex_core::camera::PinholeCamera;
 use drex_core::pose::pose_from_matrix;
 use drex_splat::raster::DepthKind;
-use drex_splat::{Gaussians, Kind, Label, PinholeCamera, Rasterizer, Render, RenderGradients, RenderOptions};
+use drex_splat::{Gaussians, Kind, Label, Rasterizer, Render, RenderGradients, RenderOptions};
 
 use crate::support::Golden;
 

@@ -3,7 +3,8 @@
 use crate::scenes;
 
 use drex_core::Pose;
-use drex_splat::{Cpu, Gaussians, PinholeCamera, Rasterizer, Render, RenderGradients, RenderOptions};
+use drex_core::camera::PinholeCamera;
+use drex_splat::{Cpu, Gaussians, Rasterizer, Render, RenderGradients, RenderOptions};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 /// Agreement, relative to the largest derivative of the same kind.

@@ -2,11 +2,12 @@
 //! against what they must not depend on.
 
 use crate::support::Golden;
+use drex_core::camera::PinholeCamera;
 use drex_splat::loss::{
     DepthOptions, DepthSource, DepthTarget, Exposure, MaskMode, PhotometricOptions, SparseDepth, SurfaceOptions,
     SurfaceTarget, Target, depth, depth_normals, photometric, ssim, ssim_map, ssim_with_gradient, surface,
 };
-use drex_splat::{PinholeCamera, Render, RenderGradients};
+use drex_splat::{Render, RenderGradients};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -1,15 +1,6 @@
 //! The tests of this crate in one binary, which is built and linked once.
 #![allow(clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr, missing_docs, dead_code)] // a test may panic, and prints what it measured
 
-mod capture;
-mod capture_hostile;
-mod capture_masks;
-mod capture_photos;
-mod capture_rgbd;
-#[path = "../capture_support/mod.rs"]
-mod capture_support;
-mod capture_tools;
-mod capture_transforms;
 mod finite_differences_3d;
 mod golden_2d;
 mod golden_3d;

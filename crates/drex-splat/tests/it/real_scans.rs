@@ -2,7 +2,7 @@
 
 use crate::support;
 
-use drex_splat::capture::{Capture, CaptureOptions, PhotoOptions, Photos};
+use drex_core::capture::{Capture, CaptureOptions, PhotoOptions, Photos};
 use drex_splat::reconstruct::{ReconstructOptions, reconstruct};
 use drex_splat::train::Preset;
 use drex_splat::{Cpu, Gaussians, Kind, io};

@@ -3,9 +3,8 @@
 use crate::scenes;
 
 use drex_core::Pose;
-use drex_splat::{
-    Cpu, GaussianGradients, Gaussians, Kind, Label, PinholeCamera, Rasterizer, Render, RenderGradients, RenderOptions,
-};
+use drex_core::camera::PinholeCamera;
+use drex_splat::{Cpu, GaussianGradients, Gaussians, Kind, Label, Rasterizer, Render, RenderGradients, RenderOptions};
 use nalgebra::{Matrix3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};

@@ -3,11 +3,12 @@
 use std::sync::Arc;
 
 use drex_core::Pose;
-use drex_splat::capture::Photo;
+use drex_core::camera::PinholeCamera;
+use drex_core::capture::Photo;
 use drex_splat::loss::MaskMode;
 use drex_splat::raster::Cpu;
 use drex_splat::train::{Adaptive, Coarse, Density, Mcmc, TrainOptions, VisualHull, from_points};
-use drex_splat::{Gaussians, Kind, PinholeCamera, Rasterizer, RenderOptions, Trainer};
+use drex_splat::{Gaussians, Kind, Rasterizer, RenderOptions, Trainer};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -1,8 +1,9 @@
 //! Scenes made of random numbers.
 #![allow(dead_code, clippy::unwrap_used, clippy::missing_panics_doc, missing_docs, unreachable_pub)] // shared by several test files
 
+use drex_core::camera::PinholeCamera;
 use drex_core::pose::pose_from_wxyz;
-use drex_splat::{GaussianGradients, Gaussians, Kind, Label, PinholeCamera};
+use drex_splat::{GaussianGradients, Gaussians, Kind, Label};
 use rand::{RngExt, SeedableRng};
 
 /// `n` ellipsoids of many sizes, most of them in front of [`camera`].

@@ -13,7 +13,8 @@ use rayon::prelude::*;
 
 use super::super::{GaussianGradients, Render, RenderGradients, RenderOptions, Tiles};
 use super::lanes::Plane;
-use crate::{Gaussians, PinholeCamera, Result};
+use crate::{Gaussians, Result};
+use drex_core::camera::PinholeCamera;
 use project::{Splat, Sums, View};
 
 /// Gaussians that one task projects: also the unit in which the camera's twist is summed.

@@ -6,7 +6,8 @@ pub(crate) mod sh;
 mod surfel;
 
 use super::{GaussianGradients, Rasterizer, Render, RenderGradients, RenderOptions};
-use crate::{Error, Gaussians, Kind, PinholeCamera, Result};
+use crate::{Error, Gaussians, Kind, Result};
+use drex_core::camera::PinholeCamera;
 
 /// The backend that needs nothing but a processor. Uses the current rayon pool; the bytes of its results do not depend
 /// on the number of threads.

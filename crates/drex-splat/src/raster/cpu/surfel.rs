@@ -13,9 +13,10 @@ use rayon::prelude::*;
 use super::check_geometry;
 use super::lanes::{BLOCK, Plane, place};
 use crate::raster::{GaussianGradients, Render, RenderGradients, RenderOptions, TILE, Tiles};
-use crate::{Gaussians, PinholeCamera, Result};
+use crate::{Gaussians, Result};
 use backward::{Differentiate, Record, TileGradients};
 use bounds::Footprint;
+use drex_core::camera::PinholeCamera;
 use forward::{Draw, Projected, TileSums};
 use view::View;
 

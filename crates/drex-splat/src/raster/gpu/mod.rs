@@ -17,7 +17,8 @@ use self::device::{Device, line};
 use self::sort::Sorter;
 use super::cpu::{bounded, check_geometry, check_gradients, check_options, check_shape};
 use super::{GaussianGradients, Rasterizer, Render, RenderGradients, RenderOptions, TILE};
-use crate::{Gaussians, Kind, PinholeCamera, Result};
+use crate::{Gaussians, Kind, Result};
+use drex_core::camera::PinholeCamera;
 
 /// The backend that draws on a GPU. Opening it compiles the shaders; clones share it.
 #[derive(Debug, Clone)]

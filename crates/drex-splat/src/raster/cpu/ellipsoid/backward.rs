@@ -9,7 +9,7 @@ use super::super::super::{RenderGradients, RenderOptions, TILE};
 use super::super::lanes::{self, BLOCKS, Lanes, PIXEL_X, PIXEL_Y, Plane, per_block, place};
 use super::forward::{AHEAD, Broadcast, fetch};
 use super::{End, Splat, Sums};
-use crate::PinholeCamera;
+use drex_core::camera::PinholeCamera;
 
 pub(super) struct DifferentiateTile<'a> {
     pub splats: &'a [Splat],

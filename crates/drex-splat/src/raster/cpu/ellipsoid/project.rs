@@ -8,7 +8,8 @@ use nalgebra::{Matrix2, Matrix2x3, Matrix3, Point3, Quaternion, UnitQuaternion, 
 
 use super::super::super::{MIN_ALPHA, RenderOptions, ScreenBox};
 use super::super::{bounded, lanes::FADE, sh};
-use crate::{Gaussians, PinholeCamera};
+use crate::Gaussians;
+use drex_core::camera::PinholeCamera;
 
 /// What the kernels need to know of a splat. With (u, v) = (a dx + b dy, c dy), opacity is 2^(log2_opacity - u² - v²).
 #[derive(Debug, Clone, Copy, Default)]

@@ -129,7 +129,7 @@ mod tests {
     use nalgebra::{Matrix3, Rotation3};
 
     use super::*;
-    use crate::PinholeCamera;
+    use drex_core::camera::PinholeCamera;
 
     fn camera() -> PinholeCamera {
         let camera_from_world = drex_core::Pose::identity();

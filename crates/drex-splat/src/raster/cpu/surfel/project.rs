@@ -10,7 +10,7 @@
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-use crate::PinholeCamera;
+use drex_core::camera::PinholeCamera;
 
 /// The disc's scales are kept between these, times depth (over the focal length for the smallest): what is smaller than
 /// a millionth of a pixel is drawn by the screen-space floor, what is larger is a plane.

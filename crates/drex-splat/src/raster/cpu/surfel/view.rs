@@ -11,8 +11,9 @@ use super::backward::Record;
 use super::bounds::Footprint;
 use super::forward::{Projected, Rules, Splat};
 use super::project::{Surfel, SurfelGradient, rotation, rotation_backward};
+use crate::Gaussians;
 use crate::raster::{DepthKind, GaussianGradients, RenderOptions, ScreenBox};
-use crate::{Gaussians, PinholeCamera};
+use drex_core::camera::PinholeCamera;
 
 /// A plane that is met farther away than this many times the depth of the surfel's centre is seen edge-on: not drawn.
 const MAX_DEPTH_RATIO: f64 = 1e6;

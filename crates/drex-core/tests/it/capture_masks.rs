@@ -1,12 +1,10 @@
 //! Misplaced masks: the one in a real scan, masks moved by hand, masks turned inside out.
 
-use crate::support;
-
 use std::path::Path;
 
 use crate::capture_support::{lens, on_disk, ring};
 use drex_core::camera::CameraModel;
-use drex_splat::{Capture, CaptureOptions};
+use drex_core::capture::{Capture, CaptureOptions};
 use image::{GrayImage, Luma};
 use nalgebra::Point3;
 
@@ -28,7 +26,7 @@ fn moved(mask: &GrayImage, by: [i64; 2]) -> GrayImage {
 
 #[test]
 fn the_misplaced_mask_of_a_real_scan() {
-    let Some(scans) = support::shared("scans") else { return };
+    let Some(scans) = crate::shared("scans") else { return };
     let scan = scans.join("alexander54");
     let masks = tempfile::tempdir().unwrap();
     // Every ninth mask is moved by a tenth of the picture, in turn to each side.

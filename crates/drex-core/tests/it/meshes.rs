@@ -1,19 +1,12 @@
 //! Mesh files and mass properties against exact shapes.
-#![allow(clippy::unwrap_used, missing_docs)] // a test may stop at the first surprise
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use drex_core::mesh::{parse_obj, parse_stl};
 use drex_core::{MassProperties, TriMesh};
 use nalgebra::{Matrix3, Point3, Vector3};
 
-fn shared(part: &str) -> Option<PathBuf> {
-    let Some(root) = std::env::var_os("DREX_SHARED") else {
-        eprintln!("skipped: DREX_SHARED is not set");
-        return None;
-    };
-    Some(Path::new(&root).join("data").join(part))
-}
+use crate::shared;
 
 const BOX: &str = "v 0 0 0\nv 0.4 0 0\nv 0.4 0.3 0\nv 0 0.3 0\nv 0 0 0.2\nv 0.4 0 0.2\nv 0.4 0.3 0.2\nv 0 0.3 0.2\n\
     f 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";

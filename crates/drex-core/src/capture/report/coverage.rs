@@ -1,6 +1,6 @@
 //! From which directions an object was seen.
 
-use drex_core::stats::upper_median;
+use crate::stats::upper_median;
 use std::fmt;
 
 use nalgebra::{Matrix3, Point3, Unit, Vector3};

@@ -5,7 +5,7 @@
 //! margin, so that a rim drawn a little tight or wide does no harm. A mask that is moved towards a side where the object
 //! has hardly any points is not found.
 
-use drex_core::stats::upper_median;
+use crate::stats::upper_median;
 use std::fmt;
 
 use nalgebra::Point3;

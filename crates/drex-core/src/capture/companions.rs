@@ -2,9 +2,9 @@
 
 use std::path::{Component, Path, PathBuf};
 
-use drex_core::budget;
-use drex_core::fsutil::read_bytes;
-use drex_core::npy::parse_npy;
+use crate::budget;
+use crate::fsutil::read_bytes;
+use crate::npy::parse_npy;
 use image::{DynamicImage, ImageDecoder, ImageReader};
 
 use super::{CaptureOptions, View, refuse};
@@ -49,8 +49,28 @@ pub(super) fn with_known_extension(path: &Path) -> Option<PathBuf> {
     appended.chain(PICTURES.iter().map(|e| path.with_extension(e))).find(|p| p.is_file())
 }
 
-/// All pictures under `root` with their relative names (forward slashes), sorted; not those of a capture's other folders.
-pub(super) fn photos_under(root: &Path) -> Vec<(String, PathBuf)> {
+/// A photo in a folder of photos.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct PhotoFile {
+    /// Name within the folder, with forward slashes and extension.
+    pub name: String,
+    /// The file.
+    pub path: PathBuf,
+}
+
+/// The photos of a capture that may have no cameras yet, and the folder that their names start from: `images`, `photos`,
+/// `input` or the folder itself, or [`CaptureOptions::images`]. `None` where there are none.
+pub fn photos_in(folder: &Path, options: &CaptureOptions) -> Option<(PathBuf, Vec<PhotoFile>)> {
+    let usual = ["images", "photos", "input"].map(|n| folder.join(n));
+    let places = match &options.images {
+        Some(images) => vec![images.clone()],
+        None => usual.into_iter().chain([folder.to_path_buf()]).collect(),
+    };
+    places.into_iter().map(|p| (p.clone(), photos_under(&p))).find(|(_, photos)| !photos.is_empty())
+}
+
+/// All photos under `root`, sorted by name; not the masks and maps of a capture's other folders.
+pub fn photos_under(root: &Path) -> Vec<PhotoFile> {
     let mut found = Vec::new();
     let mut folders = vec![(String::new(), root.to_path_buf())];
     while let Some((prefix, folder)) = folders.pop() {
@@ -64,7 +84,7 @@ pub(super) fn photos_under(root: &Path) -> Vec<(String, PathBuf)> {
                 }
                 folders.push((format!("{name}/"), path));
             } else if path.extension().is_some_and(|e| PICTURES.iter().any(|p| e == *p)) && path.is_file() {
-                found.push((name, path));
+                found.push(PhotoFile { name, path });
             }
         }
     }
@@ -72,10 +92,18 @@ pub(super) fn photos_under(root: &Path) -> Vec<(String, PathBuf)> {
     found
 }
 
-/// Width and height of a picture, from its header alone.
-pub(super) fn size_of(path: &Path) -> Result<[f64; 2]> {
+/// Width and height of a picture in pixels as it is stored (an orientation tag turns nothing), from its header alone.
+///
+/// # Errors
+/// If the file cannot be read or is no PNG or JPEG.
+pub fn photo_size(path: &Path) -> Result<[u32; 2]> {
     let (width, height) = open(path)?.into_dimensions().map_err(|e| unreadable(path, e))?;
-    Ok([f64::from(width), f64::from(height)])
+    Ok([width, height])
+}
+
+/// As [`photo_size`], to reckon with.
+pub(super) fn size_of(path: &Path) -> Result<[f64; 2]> {
+    Ok(photo_size(path)?.map(f64::from))
 }
 
 /// The decoded picture, as stored.
@@ -84,7 +112,7 @@ pub(super) fn picture(path: &Path) -> Result<DynamicImage> {
 }
 
 fn open(path: &Path) -> Result<ImageReader<std::io::BufReader<std::fs::File>>> {
-    let io = |e| drex_core::Error::io("read", path, e);
+    let io = |e| Error::io("read", path, e);
     let mut reader = ImageReader::open(path).map_err(io)?.with_guessed_format().map_err(io)?;
     let mut limits = image::Limits::default();
     limits.max_alloc = Some(picture_bytes());
@@ -101,7 +129,7 @@ fn unreadable(path: &Path, source: image::ImageError) -> Error {
     if let image::ImageError::Limits(_) = source {
         let what = format!("the picture takes more than {} MB when it is decoded", picture_bytes() / 1_000_000);
         let remedy = "scale it down, or raise the limit, an eighth of --max-memory GB";
-        return drex_core::Error::content(path, None, what, remedy).into();
+        return Error::content(path, None, what, remedy);
     }
     Error::Picture { action: "read", path: path.into(), source: source.into() }
 }
@@ -178,7 +206,7 @@ fn npy(path: &Path) -> Result<(usize, usize, Vec<f32>)> {
     let array = parse_npy(path, &read_bytes(path)?)?;
     let refuse = |what: &str| {
         let remedy = "save a float32 or float64 array of shape (height, width) with numpy.save";
-        Err(drex_core::Error::content(path, None, what, remedy).into())
+        Err(Error::content(path, None, what, remedy))
     };
     let (&[rows, columns], Some(numbers)) = (array.shape.as_slice(), array.numbers()) else {
         return refuse("the array has not two dimensions of numbers");

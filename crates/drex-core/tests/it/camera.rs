@@ -1,5 +1,4 @@
 //! Camera models against their inverse and against finite differences.
-#![allow(clippy::unwrap_used, missing_docs)] // a test may stop at the first surprise
 
 use drex_core::camera::{Camera, CameraModel};
 use nalgebra::{Point2, Point3, Vector3};

@@ -1,15 +1,13 @@
 //! Captures from COLMAP models: layouts, odd folders, and the real ones.
 
-use crate::support;
-
 use std::path::Path;
 
 use crate::capture_support::{Model, grey, lens, on_disk, ring};
 use drex_core::camera::CameraModel;
-use drex_splat::{Capture, CaptureOptions};
+use drex_core::capture::{Capture, CaptureOptions};
 use nalgebra::Point3;
 
-fn load(folder: &Path) -> drex_splat::Result<Capture> {
+fn load(folder: &Path) -> drex_core::Result<Capture> {
     Capture::load(folder, &CaptureOptions::default())
 }
 
@@ -208,7 +206,7 @@ fn the_report_knows_from_where_the_ring_looks() {
 
 #[test]
 fn real_captures_load() {
-    let Some(scans) = support::shared("scans") else { return };
+    let Some(scans) = crate::shared("scans") else { return };
     for (name, views, points, error) in
         [("alexander54", 54, 12161, 0.95), ("mouse56", 56, 4443, 0.40), ("flowerpot", 80, 16734, 0.60)]
     {

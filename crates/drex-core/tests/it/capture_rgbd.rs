@@ -1,11 +1,8 @@
 //! RGB-D recordings with poses of the object.
 
-use crate::support;
-
 use std::path::Path;
 
-use drex_splat::capture::{PhotoOptions, Photos};
-use drex_splat::{Capture, CaptureOptions};
+use drex_core::capture::{Capture, CaptureOptions, PhotoOptions, Photos};
 use image::{GrayImage, ImageBuffer, Luma, RgbImage};
 
 const K: &str = "600 0 15.5\n0 610 11.5\n0 0 1\n";
@@ -26,7 +23,7 @@ fn recording(folder: &Path) {
     }
 }
 
-fn load(folder: &Path) -> drex_splat::Result<Capture> {
+fn load(folder: &Path) -> drex_core::Result<Capture> {
     Capture::load(folder, &CaptureOptions::default())
 }
 
@@ -70,7 +67,7 @@ fn what_is_missing_or_damaged_is_named() {
 
 #[test]
 fn the_real_recording_is_read() {
-    let Some(tracks) = support::shared("tracks") else { return };
+    let Some(tracks) = crate::shared("tracks") else { return };
     let mut options = CaptureOptions::default();
     let folder = tracks.join("visp_dragon");
     options.poses = Some(folder.join("ref_in_cam"));

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use drex_core::Pose;
-use drex_core::camera::Camera;
+use crate::Pose;
+use crate::camera::Camera;
 
 use super::colmap::Model;
 use super::companions::{Companions, photos_under, size_of, with_known_extension};
@@ -218,7 +218,7 @@ fn lens_for(name: &str, lens: &Camera, size: [f64; 2]) -> Result<Camera> {
         return Ok(lens.clone());
     }
     if same_aspect(camera, size) {
-        return Ok(lens.resized(size[0] as u32, size[1] as u32)?);
+        return lens.resized(size[0] as u32, size[1] as u32);
     }
     let turned = same_aspect([camera[1], camera[0]], size);
     refuse(
@@ -242,7 +242,7 @@ pub(super) fn unregistered(root: &Path, views: &[View]) -> Vec<String> {
     let mut used: Vec<_> = views.iter().map(|v| v.photo.as_path()).collect();
     used.sort_unstable();
     let all = photos_under(root);
-    all.into_iter().filter(|(_, path)| used.binary_search(&path.as_path()).is_err()).map(|(name, _)| name).collect()
+    all.into_iter().filter(|p| used.binary_search(&p.path.as_path()).is_err()).map(|p| p.name).collect()
 }
 
 /// "1 photo", "2 photos".

@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 
 use crate::capture_support::{lens, on_disk, ring};
 use drex_core::camera::CameraModel;
-use drex_splat::{Capture, CaptureOptions, Photos};
+use drex_core::capture::{Capture, CaptureOptions, Photos};
 use proptest::prelude::*;
 
 /// A capture folder with files of every kind, and the sound bytes of those that will be damaged.

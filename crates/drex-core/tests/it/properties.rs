@@ -1,5 +1,4 @@
 //! Properties that hold for any pose, any bytes, any manifest.
-#![allow(clippy::unwrap_used, missing_docs)] // a test may stop at the first surprise
 
 use std::path::Path;
 

@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use crate::capture_support::{grey, lens, on_disk, pose, ring};
 use drex_core::Pose;
 use drex_core::camera::{Camera, CameraModel};
-use drex_splat::{Capture, CaptureOptions, Photos};
+use drex_core::capture::{Capture, CaptureOptions, Photos};
 use nalgebra::{Matrix4, Point3};
 use serde_json::{Value, json};
 
-fn load(folder: &Path) -> drex_splat::Result<Capture> {
+fn load(folder: &Path) -> drex_core::Result<Capture> {
     Capture::load(folder, &CaptureOptions::default())
 }
 
@@ -62,7 +62,7 @@ fn nerfstudio_returns_to_colmaps_frame() {
     let (_guard, folder) = on_disk(&model);
     let colmap = load(&folder).unwrap();
     std::fs::remove_dir_all(folder.join("sparse")).unwrap();
-    let frame = |view: &drex_splat::capture::View| {
+    let frame = |view: &drex_core::capture::View| {
         json!({
             "file_path": format!("images/{}", view.name),
             "transform_matrix": rows(&(applied() * matrix(&view.camera_from_world)), 4),

@@ -6,12 +6,10 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use drex_core::camera::{Camera, CameraModel};
-use drex_core::fsutil::{read_bytes, read_text};
-use drex_core::pose::pose_from_wxyz;
-use drex_core::{Error, Pose};
-
-type Result<T> = drex_core::Result<T>;
+use crate::camera::{Camera, CameraModel};
+use crate::fsutil::{read_bytes, read_text};
+use crate::pose::pose_from_wxyz;
+use crate::{Error, Pose, Result};
 
 /// A sparse model with COLMAP's own ids.
 #[derive(Debug, Clone, Default)]

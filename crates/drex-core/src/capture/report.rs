@@ -4,7 +4,7 @@
 mod coverage;
 mod masks;
 
-use drex_core::stats::upper_median;
+use crate::stats::upper_median;
 use std::fmt;
 
 use nalgebra::Point3;

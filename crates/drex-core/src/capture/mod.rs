@@ -1,4 +1,4 @@
-//! Photos, cameras and masks in: COLMAP models, transforms.json, or photos alone through COLMAP.
+//! Photos, cameras and masks in: COLMAP models, transforms.json, RGB-D recordings.
 //!
 //! [`Capture`] says what was photographed from where; [`Photos`] reads the pictures, undistorted and at the size that is
 //! asked for; [`CaptureReport`] says what to trust.
@@ -22,22 +22,20 @@ mod photos;
 mod point_cloud;
 mod report;
 mod rgbd;
-mod tools;
 mod transforms;
 mod undistort;
 
-use drex_core::stats::upper_median;
 use std::path::{Path, PathBuf};
 
-use drex_core::Pose;
-use drex_core::camera::Camera;
 use nalgebra::Point3;
 
+pub use self::companions::{PhotoFile, photo_size, photos_in, photos_under};
 pub use self::photos::{Photo, PhotoOptions, Photos};
 pub use self::report::{CaptureReport, Coverage, MaskCheck, ReprojectionError, ViewReport};
-pub use self::tools::{ColmapOptions, VideoOptions, extract_frames, find_cameras};
 use self::undistort::Undistortion;
-use crate::{Error, PinholeCamera, Result};
+use crate::camera::{Camera, PinholeCamera};
+use crate::stats::upper_median;
+use crate::{Error, Pose, Result};
 
 /// Photos of a scene with their cameras, and the sparse points the cameras were found with.
 #[derive(Debug, Clone, PartialEq)]
@@ -130,20 +128,19 @@ impl Capture {
         layout::load(folder, options)
     }
 
-    /// As [`Capture::load`], but where a folder has only photos, COLMAP is asked for their cameras (see [`find_cameras`]).
+    /// Reads the biggest of the COLMAP models in `models` and the folders in it, of photos of `folder`; `None` where there
+    /// is no model.
     ///
     /// # Errors
-    /// As [`Capture::load`] and [`find_cameras`].
-    pub fn open(
-        folder: &Path,
-        options: &CaptureOptions,
-        colmap: &ColmapOptions,
-        progress: &mut dyn FnMut(&str),
-    ) -> Result<Self> {
-        if layout::has_cameras(folder) {
-            return Self::load(folder, options);
-        }
-        find_cameras(folder, options, colmap, progress)
+    /// As [`Capture::load`].
+    pub fn load_model(folder: &Path, models: &Path, options: &CaptureOptions) -> Result<Option<Self>> {
+        let places = assemble::models_in(models);
+        if places.is_empty() { Ok(None) } else { assemble::load_model(folder, &places, options).map(Some) }
+    }
+
+    /// Whether `folder` says where its photos were taken from, so that [`Capture::load`] has something to read.
+    pub fn is_in(folder: &Path) -> bool {
+        layout::has_cameras(folder)
     }
 
     /// The pinhole camera of a view: undistorted, and scaled so that no side is longer than `max_side` pixels. It is
@@ -157,10 +154,8 @@ impl Capture {
     /// If there is no such view, or the lens model cannot be inverted near its axis.
     pub fn pinhole(&self, view: usize, max_side: Option<usize>) -> Result<PinholeCamera> {
         let Some(view) = self.views.get(view) else {
-            return Err(Error::Option {
-                what: format!("view {view} of a capture of {}", self.views.len()),
-                remedy: "give the index of a view".into(),
-            });
+            let what = format!("view {view} of a capture of {}", self.views.len());
+            return Err(Error::value(what, "give the index of a view"));
         };
         Undistortion::new(view)?.camera(view.camera_from_world, max_side)
     }
@@ -215,5 +210,5 @@ impl Capture {
 
 /// Shorthand for an error about a capture.
 fn refuse<T>(what: impl Into<String>, remedy: impl Into<String>) -> Result<T> {
-    Err(Error::Capture { what: what.into(), remedy: remedy.into() })
+    Err(Error::capture(what, remedy))
 }

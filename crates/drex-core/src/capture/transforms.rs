@@ -5,17 +5,16 @@
 
 use std::path::{Component, Path, PathBuf};
 
-use drex_core::camera::{Camera, CameraModel};
-use drex_core::fsutil::{from_json, read_text};
-use drex_core::pose::pose_from_matrix;
-use drex_core::{Error, Pose};
+use crate::camera::{Camera, CameraModel};
+use crate::fsutil::{from_json, read_text};
+use crate::pose::pose_from_matrix;
 use nalgebra::{Matrix4, Point3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
 use super::assemble::{Posed, count, finish, unregistered};
 use super::companions::{Companions, size_of, with_known_extension};
 use super::{Capture, CaptureOptions, SparsePoint, point_cloud, refuse};
-use crate::Result;
+use crate::{Error, Pose, Result};
 
 #[derive(Deserialize)]
 struct File {
@@ -149,7 +148,7 @@ fn name_of(file_path: &str, photo: &Path) -> String {
 }
 
 /// A pose from the upper three rows of a matrix, or all four.
-fn pose(rows: &[Vec<f64>]) -> drex_core::Result<Pose> {
+fn pose(rows: &[Vec<f64>]) -> Result<Pose> {
     if !(3..=4).contains(&rows.len()) || rows.iter().any(|row| row.len() != 4) {
         return Err(Error::value("the matrix has not 3 or 4 rows of 4 numbers", "write it row by row"));
     }
@@ -168,7 +167,7 @@ fn at(path: &Path, place: &str, error: Error) -> Error {
 }
 
 /// The lens of a frame whose photo has `size` pixels.
-fn lens(frame: &Intrinsics, top: &Intrinsics, size: [f64; 2]) -> drex_core::Result<Camera> {
+fn lens(frame: &Intrinsics, top: &Intrinsics, size: [f64; 2]) -> Result<Camera> {
     let get = |field: fn(&Intrinsics) -> Option<f64>| field(frame).or(field(top));
     let zero = |field: fn(&Intrinsics) -> Option<f64>| get(field).unwrap_or(0.0);
     let (w, h) = (get(|l| l.w).unwrap_or(size[0]).round(), get(|l| l.h).unwrap_or(size[1]).round());

@@ -2,25 +2,24 @@
 
 use std::path::Path;
 
-use drex_core::fsutil::read_bytes;
-use drex_core::ply::{PlyFile, Scalar};
+use crate::fsutil::read_bytes;
+use crate::ply::{PlyFile, Scalar};
 
 use super::SparsePoint;
-use crate::Result;
-use crate::io::vertices;
+use crate::{Error, Result};
 
 /// Reads x, y, z and red, green, blue of the vertices; grey where there is no colour. Colours may be bytes, or numbers
 /// from 0 to 1.
 pub(super) fn load(path: &Path) -> Result<Vec<SparsePoint>> {
     let bytes = read_bytes(path)?;
     let file = PlyFile::parse(path, &bytes, "points")?;
-    let vertices = vertices(path, &file)?;
+    let vertices = file.vertices("give a file of points")?;
     let refuse = |line: Option<usize>, what: String| {
         let remedy = "write the points again as a PLY with x, y, z, red, green, blue";
-        drex_core::Error::content(path, line, what, remedy)
+        Error::content(path, line, what, remedy)
     };
     let [Some(x), Some(y), Some(z)] = [["x"], ["y"], ["z"]].map(|names| vertices.column(&names)) else {
-        return Err(refuse(vertices.line.into(), "vertices have not x, y and z".into()).into());
+        return Err(refuse(vertices.line.into(), "vertices have not x, y and z".into()));
     };
     let names = [["red", "diffuse_red", "r"], ["green", "diffuse_green", "g"], ["blue", "diffuse_blue", "b"]];
     let colour = names.map(|names| vertices.column(&names));
@@ -35,7 +34,7 @@ pub(super) fn load(path: &Path) -> Result<Vec<SparsePoint>> {
         Ok(())
     })?;
     match points.iter().position(|p| p.position.iter().any(|v| !v.is_finite())) {
-        Some(i) => Err(refuse(None, format!("the position of vertex {i} is not finite")).into()),
+        Some(i) => Err(refuse(None, format!("the position of vertex {i} is not finite"))),
         None => Ok(points),
     }
 }

@@ -3,15 +3,14 @@
 
 use std::path::Path;
 
-use drex_core::Error;
-use drex_core::camera::{Camera, CameraModel};
-use drex_core::fsutil::read_text;
-use drex_core::pose::parse_pose_matrix;
+use crate::camera::{Camera, CameraModel};
+use crate::fsutil::read_text;
+use crate::pose::parse_pose_matrix;
 
 use super::assemble::{Posed, count, finish};
-use super::companions::{Companions, photos_under, size_of};
+use super::companions::{Companions, PhotoFile, photos_under, size_of};
 use super::{Capture, CaptureOptions, refuse};
-use crate::Result;
+use crate::{Error, Result};
 
 /// Where FoundationPose and its users put `camera_from_object`, one text file of 4 x 4 numbers a frame.
 const POSES: [&str; 3] = ["annotated_poses", "ob_in_cam", "poses"];
@@ -34,7 +33,7 @@ pub(super) fn load(folder: &Path, options: &CaptureOptions) -> Result<Capture> {
     let [fx, fy, cx, cy] = intrinsics(&folder.join("cam_K.txt"))?;
     let root = options.images.clone().unwrap_or_else(|| folder.join("rgb"));
     let (mut posed, mut unregistered) = (Vec::new(), Vec::new());
-    for (name, photo) in photos_under(&root) {
+    for PhotoFile { name, path: photo } in photos_under(&root) {
         let pose = poses.join(Path::new(&name).with_extension("txt"));
         if !pose.is_file() {
             unregistered.push(name);
@@ -72,7 +71,7 @@ fn intrinsics(path: &Path) -> Result<[f64; 4]> {
         [fx, skew, cx, zero, fy, cy, _, _, one] if skew == 0.0 && zero == 0.0 && one == 1.0 => Ok([fx, fy, cx, cy]),
         _ => {
             let remedy = "write fx 0 cx, 0 fy cy, 0 0 1 in pixels";
-            Err(Error::content(path, None, "no 3 x 3 camera matrix without skew", remedy).into())
+            Err(Error::content(path, None, "no 3 x 3 camera matrix without skew", remedy))
         }
     }
 }

@@ -7,7 +7,8 @@ use super::assemble::same_aspect;
 use super::companions;
 use super::undistort::{Plane, Undistortion};
 use super::{Capture, View, refuse};
-use crate::{PinholeCamera, Result};
+use crate::Result;
+use crate::camera::PinholeCamera;
 
 /// How photos are read.
 #[derive(Debug, Clone, PartialEq)]

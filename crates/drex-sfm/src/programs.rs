@@ -7,13 +7,10 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use drex_core::camera::CameraModel;
-use drex_core::fsutil::{argument, output_path, temporary_path};
+use drex_core::capture::{Capture, CaptureOptions, PhotoFile, photo_size, photos_in, photos_under};
+use drex_core::fsutil::{argument, output_path, temporary_path, write_atomic};
 use drex_core::program::{self, Outcome};
-
-use super::assemble::{self, count};
-use super::companions::{photos_under, size_of};
-use super::{Capture, CaptureOptions, refuse};
-use crate::{Error, Result};
+use drex_core::{Error, Result};
 
 /// How COLMAP is run.
 #[derive(Debug, Clone, PartialEq)]
@@ -96,28 +93,28 @@ pub fn find_cameras(
     options: &ColmapOptions,
     progress: &mut dyn FnMut(&str),
 ) -> Result<Capture> {
-    let Some((root, photos)) = photos_of(folder, capture) else {
+    let Some((root, photos)) = photos_in(folder, capture) else {
         return refuse(format!("{} has no photos", folder.display()), "put at least three into the folder images");
     };
     if photos.len() < 3 {
-        let what = format!("{} has only {}", root.display(), count(photos.len(), "photo"));
+        let what =
+            format!("{} has only {} photo{}", root.display(), photos.len(), if photos.len() == 1 { "" } else { "s" });
         return refuse(what, "take photos all round the object, each showing most of what the one before showed");
     }
     let (attempt, sparse) = (output_path(folder, "colmap/attempt")?, output_path(folder, "colmap/sparse")?);
     clear(&attempt)?;
     let found = attempt.join("sparse");
-    std::fs::create_dir_all(&found).map_err(|e| drex_core::Error::io("create", &found, e))?;
+    std::fs::create_dir_all(&found).map_err(|e| Error::io("create", &found, e))?;
     run_all(options, &root, &photos, &attempt, progress)?;
 
-    let within = CaptureOptions { images: Some(root), ..capture.clone() };
-    let models = assemble::models_in(&found);
-    if models.is_empty() {
+    let mut within = capture.clone();
+    within.images = Some(root);
+    let Some(mut result) = Capture::load_model(folder, &found, &within)? else {
         return refuse(
             format!("COLMAP found no cameras for the {} photos of {}", photos.len(), folder.display()),
             "take sharp photos with texture in view, each overlapping the one before by two thirds",
         );
-    }
-    let mut result = assemble::load_model(folder, &models, &within)?;
+    };
     let report = result.report()?;
     let outliers = report.outlier_cameras();
     let good = result.views.len() - outliers.len();
@@ -140,14 +137,14 @@ pub fn find_cameras(
         );
     }
     clear(&sparse)?;
-    std::fs::rename(&found, &sparse).map_err(|e| drex_core::Error::io("move", &found, e))?;
+    std::fs::rename(&found, &sparse).map_err(|e| Error::io("move", &found, e))?;
     result.notes.push(format!("{summary}."));
     Ok(result)
 }
 
 fn clear(folder: &Path) -> Result<()> {
     match std::fs::remove_dir_all(folder) {
-        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(drex_core::Error::io("remove", folder, e).into()),
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io("remove", folder, e)),
         _ => Ok(()),
     }
 }
@@ -178,7 +175,7 @@ pub fn extract_frames(
     }
     // Half of a video's frames would look like a whole scan to the next run: they get their name when all are there.
     let part = temporary_path(&images);
-    std::fs::create_dir_all(&part).map_err(|e| drex_core::Error::io("create", &part, e))?;
+    std::fs::create_dir_all(&part).map_err(|e| Error::io("create", &part, e))?;
     let side = options.max_side;
     let filter = format!(
         "fps={},scale='min({side},iw)':'min({side},ih)':force_original_aspect_ratio=decrease",
@@ -205,7 +202,7 @@ pub fn extract_frames(
     }
     // An empty one may be there; not every system replaces it.
     let _ = std::fs::remove_dir(&images);
-    std::fs::rename(&part, &images).map_err(|e| drex_core::Error::io("move", &part, e))?;
+    std::fs::rename(&part, &images).map_err(|e| Error::io("move", &part, e))?;
     Ok(frames)
 }
 
@@ -215,16 +212,6 @@ fn frame_pattern(folder: &Path) -> PathBuf {
     folder.to_str().map_or_else(|| folder.clone(), |name| name.replace('%', "%%").into()).join("frame_%05d.jpg")
 }
 
-/// The folder of the photos and the photos in it.
-fn photos_of(folder: &Path, options: &CaptureOptions) -> Option<(PathBuf, Vec<(String, PathBuf)>)> {
-    let usual = ["images", "photos", "input"].map(|n| folder.join(n));
-    let places = match &options.images {
-        Some(images) => vec![images.clone()],
-        None => usual.into_iter().chain([folder.to_path_buf()]).collect(),
-    };
-    places.into_iter().map(|p| (p.clone(), photos_under(&p))).find(|(_, photos)| !photos.is_empty())
-}
-
 const INSTALL: &str = "install COLMAP (Debian, Ubuntu: apt install colmap; macOS: brew install colmap; \
                        Windows: https://colmap.github.io/install.html), or put a model into sparse/0";
 
@@ -232,7 +219,7 @@ const INSTALL: &str = "install COLMAP (Debian, Ubuntu: apt install colmap; macOS
 fn run_all(
     options: &ColmapOptions,
     root: &Path,
-    photos: &[(String, PathBuf)],
+    photos: &[PhotoFile],
     work: &Path,
     progress: &mut dyn FnMut(&str),
 ) -> Result<()> {
@@ -246,7 +233,7 @@ fn run_all(
         if let Some(name) = group.iter().find(|name| name.contains(['\n', '\r'])) {
             return refuse(format!("the photo {name:?} has a line break in its name"), "rename it");
         }
-        drex_core::fsutil::write_atomic(&list, group.join("\n").as_bytes())?;
+        write_atomic(&list, group.join("\n").as_bytes())?;
         let mut extract = Step::new(options, "feature_extractor", work)?;
         extract.command.arg("--image_path").arg(root).arg("--image_list_path").arg(list);
         extract.set(&["ImageReader"], "camera_model", options.lens.name());
@@ -315,10 +302,10 @@ impl Step {
 }
 
 /// Names of the photos that are of one folder and one size, group by group.
-fn groups(photos: &[(String, PathBuf)]) -> Result<Vec<Vec<&str>>> {
+fn groups(photos: &[PhotoFile]) -> Result<Vec<Vec<&str>>> {
     let mut groups = BTreeMap::<_, Vec<_>>::new();
-    for (name, path) in photos {
-        let size = size_of(path)?.map(|side| side as u32);
+    for PhotoFile { name, path } in photos {
+        let size = photo_size(path)?;
         groups.entry((path.parent(), size)).or_default().push(name.as_str());
     }
     Ok(groups.into_values().collect())
@@ -337,7 +324,7 @@ fn run(mut command: Command, name: &str, install: &str, limit: Duration, progres
         }
         last.push_back(line.to_owned());
     });
-    let fail = |what: String, remedy: &str| Err(Error::Tool { what, remedy: remedy.into() });
+    let fail = |what: String, remedy: &str| Err(Error::tool(what, remedy));
     let mut said = || match last.make_contiguous() {
         [] => String::new(),
         lines => format!("; it said last:\n{}\n", lines.join("\n")),
@@ -357,4 +344,9 @@ fn run(mut command: Command, name: &str, install: &str, limit: Duration, progres
         }
         Err(e) => fail(format!("{name} cannot be run: {e}"), install),
     }
+}
+
+/// Shorthand for an error about a capture.
+fn refuse<T>(what: impl Into<String>, remedy: impl Into<String>) -> Result<T> {
+    Err(Error::capture(what, remedy))
 }

@@ -1,12 +1,13 @@
 //! From a lens to a pinhole: the camera of the straightened picture, and the picture itself.
 
-use drex_core::Pose;
-use drex_core::camera::{Camera, CameraModel};
+use crate::Pose;
+use crate::camera::{Camera, CameraModel};
 use nalgebra::{Point2, Point3};
 use rayon::prelude::*;
 
 use super::{View, refuse};
-use crate::{PinholeCamera, Result};
+use crate::Result;
+use crate::camera::PinholeCamera;
 
 /// A wide lens is cut at this tangent of the angle to the axis, 60°: beyond it a plane stretches too much.
 const WIDEST: f64 = 1.732_050_8;

@@ -1,9 +1,8 @@
 //! The camera a scene is drawn from: a pinhole with any principal point. Lenses are undistorted before, once.
 
-use drex_core::Pose;
 use nalgebra::{Point3, Vector3};
 
-use crate::{Error, Result};
+use crate::{Error, Pose, Result};
 
 /// A pinhole camera at a pose. OpenCV axes: x right, y down, z forward; the centre of the first pixel is (0.5, 0.5).
 #[derive(Debug, Clone, PartialEq)]
@@ -36,7 +35,7 @@ impl PinholeCamera {
         let pose = self.camera_from_world.to_homogeneous();
         let sides = 1..=Self::MAX_SIDE;
         if numbers.iter().chain(pose.iter()).any(|v| !v.is_finite()) || !(self.fx > 0.0 && self.fy > 0.0) {
-            return Err(Error::Option {
+            return Err(Error::Value {
                 what: format!(
                     "a camera has focal lengths {} and {}, principal point {}, {}, or a pose that is not finite",
                     self.fx, self.fy, self.cx, self.cy
@@ -45,7 +44,7 @@ impl PinholeCamera {
             });
         }
         if !sides.contains(&self.width) || !sides.contains(&self.height) {
-            return Err(Error::Option {
+            return Err(Error::Value {
                 what: format!("a camera has an image of {} x {} pixels", self.width, self.height),
                 remedy: format!("give sides from 1 to {}", Self::MAX_SIDE),
             });

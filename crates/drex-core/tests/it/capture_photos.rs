@@ -1,14 +1,12 @@
 //! Photos straightened, scaled and kept: lenses against what a pinhole would have seen, values, memory.
 
-use crate::support;
-
 use std::path::Path;
 use std::sync::Arc;
 
 use crate::capture_support::{grey, lens, on_disk, ring};
+use drex_core::camera::PinholeCamera;
 use drex_core::camera::{Camera, CameraModel};
-use drex_splat::capture::{Photo, PhotoOptions, Photos};
-use drex_splat::{Capture, CaptureOptions, PinholeCamera};
+use drex_core::capture::{Capture, CaptureOptions, Photo, PhotoOptions, Photos};
 use image::{GrayImage, ImageBuffer, Luma, Rgb, RgbImage, RgbaImage};
 use nalgebra::{Point2, Point3, Vector2, Vector3};
 
@@ -294,7 +292,7 @@ fn what_cannot_be_read_is_named() {
 
 #[test]
 fn real_photos_are_straight() {
-    let Some(scans) = support::shared("scans") else { return };
+    let Some(scans) = crate::shared("scans") else { return };
     let capture = load(&scans.join("flowerpot"));
     let photos = Photos::new(&capture, options(None)).unwrap();
     let [mut moved, mut unmoved, mut n] = [0.0, 0.0, 0.0];

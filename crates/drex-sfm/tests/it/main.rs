@@ -1,0 +1,6 @@
+//! The tests of this crate in one binary, which is built and linked once.
+#![allow(clippy::unwrap_used, clippy::print_stderr, missing_docs)] // a test may panic, and says why it skips
+
+#[path = "../../../drex-core/tests/capture_support/mod.rs"]
+mod capture_support;
+mod programs;
