@@ -4,6 +4,7 @@ mod adjust;
 mod cameras;
 mod features;
 mod mapping;
+pub mod masks;
 mod matching;
 mod model;
 mod photos;

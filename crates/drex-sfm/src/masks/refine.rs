@@ -1,0 +1,87 @@
+//! The border of a mask at the full size of the photo: a cut in a band around it, by the colours on both sides nearby.
+
+use super::Photo;
+use super::cut::{Cut, Pixel, signed_distance};
+use super::view::Window;
+
+/// Colours are compared with what lies within this many tiles; a tile is this many bands wide.
+const TILE_BANDS: usize = 3;
+/// Colours kept per tile and side.
+const SAMPLES: usize = 40;
+/// Spread of a colour on one side of the border, levels of 255.
+const SPREAD: f32 = 14.0;
+
+/// The mask in `window` of the full photo, from the mask of a picture `shrink` times smaller whose window begins at
+/// `coarse_at` (working pixels) and is `coarse_width` wide.
+pub(super) fn refine(
+    photo: &Photo,
+    window: &Window,
+    coarse: &[bool],
+    coarse_window: &Window,
+    shrink: usize,
+) -> Vec<bool> {
+    let (w, h) = (window.width(), window.height());
+    let from_coarse = |x: usize, y: usize| {
+        let cx = ((x + window.x0) / shrink).clamp(coarse_window.x0, coarse_window.x1 - 1) - coarse_window.x0;
+        let cy = ((y + window.y0) / shrink).clamp(coarse_window.y0, coarse_window.y1 - 1) - coarse_window.y0;
+        coarse[cy * coarse_window.width() + cx]
+    };
+    let start: Vec<bool> = (0..w * h).map(|at| from_coarse(at % w, at / w)).collect();
+    let distance = signed_distance(&start, w, h);
+    let band = (1.5 * shrink as f32 + 1.5).max(2.5);
+    let colour = |at: usize| {
+        let k = 3 * ((at / w + window.y0) * photo.width_px as usize + at % w + window.x0);
+        [photo.rgb[k], photo.rgb[k + 1], photo.rgb[k + 2]]
+    };
+    let tile = TILE_BANDS * band.ceil() as usize;
+    let (columns, rows) = (w.div_ceil(tile), h.div_ceil(tile));
+    // Colours of both sides per tile, from outside of the band but not far away.
+    let mut sides: [Vec<Vec<[u8; 3]>>; 2] = std::array::from_fn(|_| vec![Vec::new(); columns * rows]);
+    for at in 0..w * h {
+        let d = distance[at];
+        if d.abs() > 0.5 * band && d.abs() < 5.0 * band && (at % w + at / w) % 2 == 0 {
+            sides[usize::from(d > 0.0)][(at / w / tile) * columns + at % w / tile].push(colour(at));
+        }
+    }
+    for side in &mut sides {
+        for all in side.iter_mut().filter(|all| all.len() > SAMPLES) {
+            let n = all.len();
+            *all = (0..SAMPLES).map(|k| all[k * n / SAMPLES]).collect();
+        }
+    }
+    let nearest = |side: usize, at: usize| {
+        let (x, y) = (at % w / tile, at / w / tile);
+        let seen = colour(at);
+        let mut best = [f32::MAX; 3];
+        for row in y.saturating_sub(1)..(y + 2).min(rows) {
+            for column in x.saturating_sub(1)..(x + 2).min(columns) {
+                for other in &sides[side][row * columns + column] {
+                    let d: f32 = (0..3).map(|k| (f32::from(seen[k]) - f32::from(other[k])).powi(2)).sum();
+                    if d < best[2] {
+                        best[2] = d;
+                        best.sort_by(f32::total_cmp);
+                    }
+                }
+            }
+        }
+        (best[2] < f32::MAX).then(|| best.iter().sum::<f32>() / 3.0)
+    };
+    let pixels: Vec<Pixel> = (0..w * h)
+        .map(|at| {
+            let d = distance[at];
+            if d.abs() > band {
+                return if d > 0.0 { Pixel::Object } else { Pixel::Background };
+            }
+            let colours = match (nearest(1, at), nearest(0, at)) {
+                (Some(object), Some(background)) => {
+                    // Both capped: a colour that neither side has says nothing.
+                    let cap = 9.0 * SPREAD * SPREAD;
+                    ((background.min(cap) - object.min(cap)) / (2.0 * SPREAD * SPREAD)).clamp(-3.0, 3.0)
+                }
+                _ => 0.0,
+            };
+            Pixel::Open(colours + 0.5 * d / band)
+        })
+        .collect();
+    Cut { width: w, height: h, pixels: &pixels, colour: &colour }.solve()
+}

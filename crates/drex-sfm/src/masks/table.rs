@@ -1,0 +1,279 @@
+//! What the support looks like: a picture of the plane, put together from all photos, and how well a pixel fits it.
+//!
+//! What lies on the plane, its cast shadows included, looks the same in every photo at the same place of the plane; what
+//! stands above it does not. The picture is a pyramid of square lattices around the box, each twice as coarse and wide as
+//! the one before: near the box a cell is about a pixel, and rays that pass over the object meet the plane far behind.
+
+use nalgebra::{Point2, Point3};
+use rayon::prelude::*;
+
+use super::view::{Bounds, View};
+
+/// Cells along one side of a level.
+const SIDE: usize = 384;
+const LEVELS: usize = 4;
+/// Photos that the picture is made from; of more, every so many-th is taken.
+const MOST_VIEWS: usize = 72;
+/// A cell narrower than this in a photo, pixels, is not read from it.
+const NARROWEST_PX: f64 = 0.25;
+/// The noise of a channel is at least this, levels of 255.
+const LEAST_NOISE: f32 = 3.0;
+
+/// A place of the plane.
+#[derive(Debug, Clone, Copy, Default)]
+struct Cell {
+    colour: [u8; 3],
+    /// Range of the colours around, per channel.
+    spread: [u8; 3],
+    /// Whether enough photos agree on the colour.
+    known: bool,
+}
+
+#[derive(Debug, Clone)]
+struct Level {
+    /// Lower corner and width of a cell, frame of the region.
+    corner: Point2<f64>,
+    cell: f64,
+    cells: Vec<Cell>,
+    /// Cells that rays near the box meet.
+    wanted: Vec<bool>,
+}
+
+impl Level {
+    fn index(&self, p: [f32; 2]) -> Option<usize> {
+        let x = (f64::from(p[0]) - self.corner.x) / self.cell;
+        let y = (f64::from(p[1]) - self.corner.y) / self.cell;
+        let inner = 1.0..(SIDE - 1) as f64;
+        (inner.contains(&x) && inner.contains(&y)).then(|| y as usize * SIDE + x as usize)
+    }
+
+    fn centre(&self, index: usize) -> Point3<f64> {
+        let (x, y) = ((index % SIDE) as f64 + 0.5, (index / SIDE) as f64 + 0.5);
+        Point3::new(self.corner.x + x * self.cell, self.corner.y + y * self.cell, 0.0)
+    }
+}
+
+/// How a photo differs from the picture of the plane.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Tone {
+    /// The photo's colour over the picture's, per channel.
+    pub gain: [f32; 3],
+    /// Spread of the difference, levels of 255, per channel.
+    pub noise: [f32; 3],
+}
+
+impl Tone {
+    pub const PLAIN: Self = Self { gain: [1.0; 3], noise: [12.0; 3] };
+}
+
+/// The picture of the plane.
+#[derive(Debug, Clone)]
+pub(super) struct Table {
+    levels: Vec<Level>,
+    /// Cells within these bounds may lie under the object: they count only once the photos' masks leave them free.
+    footprint: Bounds,
+    step: usize,
+}
+
+/// The masks so far: per view, per pixel of its window.
+pub(super) type Masks = [Vec<bool>];
+
+impl Table {
+    /// An empty picture around `bounds`, its cells as wide as a pixel at the distance of the middle photo.
+    pub fn new(views: &[View], bounds: &Bounds) -> Self {
+        let mut sizes: Vec<f64> = views
+            .iter()
+            .map(|v| (v.eye.centre - bounds.centre()).norm() * v.shrink as f64 / v.eye.focal_px())
+            .filter(|s| s.is_finite() && *s > 0.0)
+            .collect();
+        sizes.sort_by(f64::total_cmp);
+        let smallest = 1.2 * bounds.size().xy().max() / SIDE as f64;
+        let first = sizes.get(sizes.len() / 2).copied().unwrap_or(smallest).max(smallest);
+        let middle = bounds.centre();
+        let levels = (0..LEVELS)
+            .map(|level| {
+                let cell = first * f64::from(1u32 << level);
+                let half = 0.5 * cell * SIDE as f64;
+                let mut this = Level {
+                    corner: Point2::new(middle.x - half, middle.y - half),
+                    cell,
+                    cells: vec![Cell::default(); SIDE * SIDE],
+                    wanted: vec![false; SIDE * SIDE],
+                };
+                if level == 0 {
+                    // The finest level is whole, so that the neighbours of each cell are there.
+                    this.wanted.fill(true);
+                }
+                this
+            })
+            .collect();
+        let step = views.len().div_ceil(MOST_VIEWS).max(1);
+        let mut table = Self { levels, footprint: *bounds, step };
+        for view in views {
+            for floor in &view.floor {
+                if let Some((level, index)) = table.place(*floor).filter(|(level, _)| *level > 0) {
+                    for y in [index - SIDE, index, index + SIDE] {
+                        table.levels[level].wanted[y - 1..=y + 1].fill(true);
+                    }
+                }
+            }
+        }
+        table
+    }
+
+    /// The finest level that holds a point of the plane, and the cell.
+    fn place(&self, p: [f32; 2]) -> Option<(usize, usize)> {
+        self.levels.iter().enumerate().find_map(|(k, level)| level.index(p).map(|index| (k, index)))
+    }
+
+    /// Puts the picture together: per cell the median over the photos that see it, `masks` telling where the object hides it.
+    pub fn paint(&mut self, views: &[View], tones: &[Tone], masks: Option<&Masks>) {
+        let (footprint, step) = (self.footprint, self.step);
+        for level in &mut self.levels {
+            let this = &*level;
+            let mut cells: Vec<Cell> = (0..SIDE * SIDE)
+                .into_par_iter()
+                .map_init(
+                    || std::array::from_fn::<Vec<u8>, 3, _>(|_| Vec::new()),
+                    |samples, index| {
+                        if !this.wanted[index] {
+                            return Cell::default();
+                        }
+                        let point = this.centre(index);
+                        let under = footprint.lower.x <= point.x
+                            && point.x <= footprint.upper.x
+                            && footprint.lower.y <= point.y
+                            && point.y <= footprint.upper.y;
+                        if under && masks.is_none() {
+                            return Cell::default();
+                        }
+                        samples.iter_mut().for_each(Vec::clear);
+                        let mut in_picture = 0;
+                        for (k, view) in views.iter().enumerate().step_by(step) {
+                            let along = point - view.eye.centre;
+                            let distance = along.norm();
+                            let narrow = this.cell * (-along.z / distance) * view.eye.focal_px()
+                                / (distance * view.shrink as f64);
+                            if !(narrow >= NARROWEST_PX) {
+                                continue;
+                            }
+                            let Some(pixel) = view.project(&point) else { continue };
+                            let Some(colour) = view.picture.sample(pixel.x, pixel.y) else { continue };
+                            in_picture += 1;
+                            if let (Some(masks), Some(at)) = (masks, view.index(pixel)) {
+                                if masks[k][at] {
+                                    continue;
+                                }
+                            }
+                            for c in 0..3 {
+                                samples[c].push((colour[c] / tones[k].gain[c]).round().clamp(0.0, 255.0) as u8);
+                            }
+                        }
+                        let seen = samples[0].len();
+                        if seen < 2 || 4 * seen < in_picture {
+                            return Cell::default();
+                        }
+                        let mut agree = true;
+                        let colour = std::array::from_fn(|c| {
+                            let all = &mut samples[c];
+                            all.sort_unstable();
+                            let middle = all[seen / 2];
+                            let near = all.iter().filter(|v| v.abs_diff(middle) <= 10 + middle / 8).count();
+                            agree &= 2 * near >= seen;
+                            middle
+                        });
+                        Cell { colour, spread: [0; 3], known: agree }
+                    },
+                )
+                .collect();
+            spread_of_neighbours(&mut cells);
+            level.cells = cells;
+        }
+    }
+
+    /// How each photo differs from the picture, from the pixels that show the plane beside the box.
+    pub fn tone(&self, view: &View) -> Tone {
+        let mut ratios: [Vec<f32>; 3] = std::array::from_fn(|_| Vec::new());
+        let known = |at: usize| {
+            let (level, index) = self.place(view.floor[at])?;
+            Some(self.levels[level].cells[index]).filter(|cell| cell.known)
+        };
+        let outside = || (0..view.floor.len()).filter(|at| !view.inside[*at]);
+        for at in outside() {
+            let Some(cell) = known(at) else { continue };
+            let colour = view.colour(at);
+            (0..3).for_each(|c| ratios[c].push((f32::from(colour[c]) + 2.0) / (f32::from(cell.colour[c]) + 2.0)));
+        }
+        if ratios[0].len() < 50 {
+            return Tone::PLAIN;
+        }
+        let gain = ratios.map(|mut all| {
+            let middle = all.len() / 2;
+            *all.select_nth_unstable_by(middle, f32::total_cmp).1
+        });
+        let mut off: [Vec<f32>; 3] = std::array::from_fn(|_| Vec::new());
+        for at in outside() {
+            let Some(cell) = known(at) else { continue };
+            let colour = view.colour(at);
+            (0..3).for_each(|c| {
+                let away = (f32::from(colour[c]) - gain[c] * f32::from(cell.colour[c])).abs();
+                off[c].push((away - 0.25 * f32::from(cell.spread[c])).max(0.0));
+            });
+        }
+        let noise = off.map(|mut all| {
+            let at = all.len() * 7 / 10;
+            all.select_nth_unstable_by(at, f32::total_cmp).1.max(LEAST_NOISE)
+        });
+        Tone { gain, noise }
+    }
+
+    /// Density of the colour of a pixel if it shows the plane, relative to the density if all colours were alike; `None`
+    /// where the plane is not known or not seen.
+    pub fn density(&self, view: &View, tone: &Tone, at: usize) -> Option<f32> {
+        let (level, index) = self.place(view.floor[at])?;
+        let cells = &self.levels[level].cells;
+        let cell = cells[index];
+        if !cell.known {
+            return None;
+        }
+        let seen = view.colour(at);
+        let sigma: [f32; 3] =
+            std::array::from_fn(|c| (tone.noise[c].powi(2) + (0.25 * f32::from(cell.spread[c])).powi(2)).sqrt());
+        let mut sum = 0.0;
+        for row in [index - SIDE, index, index + SIDE] {
+            for other in &cells[row - 1..=row + 1] {
+                let other = if other.known { other } else { &cell };
+                let q: f32 = (0..3)
+                    .map(|c| ((f32::from(seen[c]) - tone.gain[c] * f32::from(other.colour[c])) / sigma[c]).powi(2))
+                    .sum();
+                // Student's t of four degrees in three dimensions.
+                let base = 1.0 / (1.0 + 0.25 * q);
+                sum += base * base * base * base.sqrt();
+            }
+        }
+        Some(0.0746 * 256f32.powi(3) / (sigma[0] * sigma[1] * sigma[2]) * sum / 9.0)
+    }
+}
+
+/// Fills in the range of the colours of the 3 x 3 cells around each cell.
+fn spread_of_neighbours(cells: &mut [Cell]) {
+    let before: Vec<Cell> = cells.to_vec();
+    for y in 1..SIDE - 1 {
+        for x in 1..SIDE - 1 {
+            let index = y * SIDE + x;
+            if !before[index].known {
+                continue;
+            }
+            let (mut low, mut high) = ([255u8; 3], [0u8; 3]);
+            for row in [index - SIDE, index, index + SIDE] {
+                for other in before[row - 1..=row + 1].iter().filter(|c| c.known) {
+                    for c in 0..3 {
+                        low[c] = low[c].min(other.colour[c]);
+                        high[c] = high[c].max(other.colour[c]);
+                    }
+                }
+            }
+            cells[index].spread = std::array::from_fn(|c| high[c] - low[c]);
+        }
+    }
+}
