@@ -59,8 +59,13 @@ type Sigmas = [f64; 2];
 pub(crate) struct Adjusted {
     /// Of the detector's and of the aligned observations, pixels.
     pub(crate) sigmas_px: Sigmas,
-    /// Mean of the robust cost over the observations.
-    pub(crate) cost: f64,
+}
+
+impl Adjusted {
+    /// The share by which this adjustment's observations lie nearer than another's.
+    pub(crate) fn gain_over(&self, other: &Self) -> f64 {
+        1.0 - self.sigmas_px[1] / other.sigmas_px[1]
+    }
 }
 
 /// Adjusts the model in place.
@@ -100,8 +105,7 @@ pub(crate) fn adjust(model: &mut Model, freedom: LensFreedom, iterations: usize)
             break;
         }
     }
-    let count = model.points.iter().map(|p| p.observations.len()).sum::<usize>();
-    Ok(Adjusted { sigmas_px: sigmas(model), cost: cost / count.max(1) as f64 })
+    Ok(Adjusted { sigmas_px: sigmas(model) })
 }
 
 /// Robust standard deviation of one axis of each kind of observation, pixels.
@@ -169,6 +173,8 @@ fn part_size(model: &Model) -> usize {
     model.points.len().div_ceil(PARTS).max(1)
 }
 
+/// Reduced matrix and gradient, and the inverses of the points' blocks.
+type Reduced = (DMatrix<f64>, DVector<f64>, Vec<Matrix3<f64>>);
 type LensJacobian = SMatrix<f64, 2, LENS_NUMBERS>;
 type LensPoint = SMatrix<f64, LENS_NUMBERS, 3>;
 
@@ -219,7 +225,7 @@ impl System {
     }
 
     /// The reduced system of poses and lenses, with the inverses of the points' blocks.
-    fn reduced(&self, layout: &Layout, damping: f64) -> Option<(DMatrix<f64>, DVector<f64>, Vec<Matrix3<f64>>)> {
+    fn reduced(&self, layout: &Layout, damping: f64) -> Option<Reduced> {
         let reduce = |blocks: &[PointBlock]| {
             let mut s = DMatrix::zeros(layout.size, layout.size);
             let mut g = DVector::zeros(layout.size);

@@ -9,9 +9,13 @@ use openmvg_geometry::robust::RobustOptions;
 use openmvg_sfm::{Camera, RunSeed};
 use rayon::prelude::*;
 
+use drex_core::camera::Camera as Calibration;
+
 use crate::features::Features;
 use crate::matching::PairMatches;
+use crate::model::Lens;
 use crate::photos::Header;
+use crate::verdict::{Cause, Verdict};
 
 /// Focal length in units of the longer side where nothing says more: between a phone's main lens (0.75) and a normal one (1.4).
 const BLIND_GUESS: f64 = 1.0;
@@ -44,11 +48,18 @@ pub(crate) struct Group {
     pub(crate) height: u32,
     pub(crate) focal_px: f64,
     pub(crate) source: FocalSource,
+    /// The lens that was given.
+    pub(crate) calibration: Option<Lens>,
 }
 
 impl Group {
     /// The camera for the engine, whose first pixel has its centre at (0, 0).
     pub(crate) fn camera(&self) -> Result<Camera, String> {
+        if let Some(lens) = &self.calibration {
+            let [f, cx, cy, k1, k2, p1, p2] = lens.numbers;
+            let (radial, tangential) = (RadialDistortion::K1K2(k1, k2), TangentialDistortion::P1P2(p1, p2));
+            return Camera::try_brown_conrady(f, f * lens.aspect, cx, cy, radial, tangential).map_err(|e| e.to_string());
+        }
         let (cx, cy) = (f64::from(self.width) / 2.0 - 0.5, f64::from(self.height) / 2.0 - 0.5);
         let (f, none) = (self.focal_px, TangentialDistortion::None);
         Camera::try_brown_conrady(f, f, cx, cy, RadialDistortion::K1(0.0), none).map_err(|e| e.to_string())
@@ -66,13 +77,34 @@ pub(crate) fn group(headers: &[Header]) -> (Vec<Group>, Vec<usize>) {
             let guess = BLIND_GUESS * f64::from(header.width.max(header.height));
             let source = if header.focal_px.is_some() { FocalSource::Exif } else { FocalSource::Guess };
             let focal_px = header.focal_px.unwrap_or(guess);
-            groups.push(Group { width: header.width, height: header.height, focal_px, source });
+            groups.push(Group { width: header.width, height: header.height, focal_px, source, calibration: None });
             keys.push(key);
             groups.len() - 1
         });
         of_photo.push(at);
     }
     (groups, of_photo)
+}
+
+/// Gives all photos the calibrated camera.
+pub(crate) fn calibrate(groups: &mut [Group], calibration: &Calibration) -> Result<(), Verdict> {
+    for group in groups {
+        let refuse = |what: String| {
+            Err(Verdict::new(Cause::Input, what, "give the calibration of these photos, or leave it out"))
+        };
+        let (w, h) = (f64::from(group.width), f64::from(group.height));
+        let (cw, ch) = (f64::from(calibration.width_px()), f64::from(calibration.height_px()));
+        if (w / h - cw / ch).abs() > 0.01 * w / h {
+            return refuse(format!("the calibration is for {cw} x {ch} pixels, a photo has {w} x {h}"));
+        }
+        let Some(lens) = calibration.resized(group.width, group.height).ok().as_ref().and_then(Lens::of_camera) else {
+            return refuse(format!("the lens model {} cannot be used", calibration.model().name()));
+        };
+        group.focal_px = lens.numbers[0];
+        group.source = FocalSource::Calibration;
+        group.calibration = Some(lens);
+    }
+    Ok(())
 }
 
 /// The focal length, pixels, that makes the fundamental matrices of many pairs of one camera essential.

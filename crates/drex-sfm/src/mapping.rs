@@ -24,8 +24,6 @@ pub(crate) struct Scene<'a> {
 pub(crate) struct Mapped {
     pub(crate) photos: Vec<usize>,
     pub(crate) output: SfmOutput,
-    /// The cameras of the scene that the model's cameras are.
-    pub(crate) cameras: Vec<usize>,
 }
 
 impl Mapped {
@@ -69,5 +67,5 @@ pub(crate) fn map(scene: &Scene<'_>, pairs: &[&Pair], chosen: &[usize]) -> Resul
     }
     let graph = ViewGraph::try_from_parts(parts).map_err(|e| e.to_string())?;
     let output = Incremental::default().run_prepared_owned(graph).map_err(|e| e.to_string())?;
-    Ok(Mapped { photos: chosen.to_vec(), output, cameras: used })
+    Ok(Mapped { photos: chosen.to_vec(), output })
 }

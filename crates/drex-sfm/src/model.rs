@@ -3,6 +3,7 @@
 //! Pixel coordinates are the engine's: the centre of the first pixel is (0, 0).
 
 use drex_core::Pose;
+use drex_core::camera::CameraModel;
 use nalgebra::{Matrix2, Matrix2x3, Point2, Point3, SMatrix, Translation3, UnitQuaternion, Vector2};
 use openmvg_sfm::Camera;
 
@@ -57,6 +58,33 @@ impl Lens {
             _ => {}
         }
         Self { numbers, aspect: fy / fx, width, height }
+    }
+
+    /// The lens of a camera of the workspace, whose first pixel has its centre at (0.5, 0.5); `None` for lenses with more than these numbers.
+    pub(crate) fn of_camera(camera: &drex_core::camera::Camera) -> Option<Self> {
+        let p = camera.params();
+        let (k, aspect) = match camera.model() {
+            CameraModel::SimplePinhole => ([0.0; 4], 1.0),
+            CameraModel::Pinhole => ([0.0; 4], p[1] / p[0]),
+            CameraModel::SimpleRadial => ([p[3], 0.0, 0.0, 0.0], 1.0),
+            CameraModel::Radial => ([p[3], p[4], 0.0, 0.0], 1.0),
+            CameraModel::OpenCv => ([p[4], p[5], p[6], p[7]], p[1] / p[0]),
+            _ => return None,
+        };
+        let middle = camera.principal_point_px();
+        let numbers = [p[0], middle.x - 0.5, middle.y - 0.5, k[0], k[1], k[2], k[3]];
+        Some(Self { numbers, aspect, width: camera.width_px(), height: camera.height_px() })
+    }
+
+    /// The same lens as a camera of the workspace.
+    pub(crate) fn to_camera(&self) -> drex_core::Result<drex_core::camera::Camera> {
+        use drex_core::camera::Camera;
+        let [f, cx, cy, k1, k2, p1, p2] = self.numbers;
+        let (cx, cy, size) = (cx + 0.5, cy + 0.5, (self.width, self.height));
+        if self.aspect == 1.0 && [k2, p1, p2] == [0.0; 3] {
+            return Camera::new(CameraModel::SimpleRadial, size.0, size.1, &[f, cx, cy, k1]);
+        }
+        Camera::new(CameraModel::OpenCv, size.0, size.1, &[f, f * self.aspect, cx, cy, k1, k2, p1, p2])
     }
 
     /// The pixel of a point in the camera's frame; `None` behind the camera or where the polynomial folds back.
@@ -126,6 +154,7 @@ pub(crate) struct Observation {
 #[derive(Debug, Clone)]
 pub(crate) struct Point {
     pub(crate) position: Point3<f64>,
+    pub(crate) rgb: [u8; 3],
     /// Sorted by view.
     pub(crate) observations: Vec<Observation>,
 }
@@ -168,7 +197,7 @@ impl Model {
             let Some(view) = index[o.view.index()] else { continue };
             if last != Some(o.landmark) {
                 let Some(landmark) = found.landmarks().get(o.landmark) else { continue };
-                points.push(Point { position: landmark.point, observations: Vec::new() });
+                points.push(Point { position: landmark.point, rgb: [0; 3], observations: Vec::new() });
                 last = Some(o.landmark);
             }
             if let Some(point) = points.last_mut() {

@@ -1,19 +1,7 @@
 //! The photos: which there are, how large they are, what they say of their camera, and their grey pixels.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use image::{DynamicImage, ImageReader};
-
-/// A photo that is to be registered.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct PhotoFile {
-    /// What the model calls it: the path below its folder, with `/`.
-    pub name: String,
-    /// Its file.
-    pub path: PathBuf,
-    /// A picture of the photo's size in which what moves with the scene is white; black pixels are not used.
-    pub mask: Option<PathBuf>,
-}
 
 /// Size and camera of a photo, from its header.
 #[derive(Debug, Clone, PartialEq)]
@@ -70,7 +58,7 @@ fn catmull_rom(t: f64) -> [f64; 4] {
 
 /// Reads size and EXIF block.
 pub(crate) fn read_header(path: &Path) -> Result<Header, String> {
-    let (width, height) = image::image_dimensions(path).map_err(|e| e.to_string())?;
+    let [width, height] = drex_core::capture::photo_size(path).map_err(|e| e.to_string())?;
     let exif = std::fs::File::open(path)
         .ok()
         .and_then(|file| exif::Reader::new().read_from_container(&mut std::io::BufReader::new(file)).ok());
@@ -102,13 +90,28 @@ fn focal_of(film_mm: Option<f64>, width: u32, height: u32) -> Option<f64> {
 
 /// Reads a photo as it is stored (an orientation tag turns nothing), as grey.
 pub(crate) fn read_grey(path: &Path) -> Result<Grey, String> {
-    let picture = decode(path)?;
-    let luma = picture.into_luma8();
-    let (width, height) = (luma.width() as usize, luma.height() as usize);
-    Ok(Grey { width, height, pixels: luma.into_raw() })
+    read_colours(path).map(|(grey, _)| grey)
 }
 
-fn decode(path: &Path) -> Result<DynamicImage, String> {
-    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format).map_err(|e| e.to_string())?;
-    reader.decode().map_err(|e| e.to_string())
+/// A photo as grey (luma of ITU-R BT.601) and in colour.
+pub(crate) fn read_colours(path: &Path) -> Result<(Grey, Vec<[u8; 3]>), String> {
+    let ([width, height], rgb) = drex_core::capture::read_rgb(path).map_err(|e| e.to_string())?;
+    let luma = |c: &[u8; 3]| {
+        let [r, g, b] = c.map(u32::from);
+        ((299 * r + 587 * g + 114 * b + 500) / 1000) as u8
+    };
+    let pixels = rgb.iter().map(luma).collect();
+    Ok((Grey { width, height, pixels }, rgb))
+}
+
+/// Refuses a mask of another aspect than its photo.
+pub(crate) fn check_mask(photo: &Grey, mask: &Grey) -> Result<(), String> {
+    let (a, b) = (photo.width * mask.height, photo.height * mask.width);
+    if a.abs_diff(b) > photo.width.max(photo.height) * 2 {
+        return Err(format!(
+            "its mask has {} x {} pixels, the photo {} x {}: give masks of the photos' aspect",
+            mask.width, mask.height, photo.width, photo.height
+        ));
+    }
+    Ok(())
 }

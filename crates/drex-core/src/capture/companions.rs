@@ -106,6 +106,22 @@ pub(super) fn size_of(path: &Path) -> Result<[f64; 2]> {
     Ok(photo_size(path)?.map(f64::from))
 }
 
+/// A picture as it is stored: its width and height in pixels, and its colours row by row. 16-bit pictures lose their lower half, grey ones
+/// get three equal channels.
+///
+/// # Errors
+/// If the file cannot be read, is no PNG or JPEG, is damaged, or is too large for the memory that is allowed.
+pub fn read_rgb(path: &Path) -> Result<([usize; 2], Vec<[u8; 3]>)> {
+    let rgb = picture(path)?.into_rgb8();
+    let size = [rgb.width() as usize, rgb.height() as usize];
+    Ok((size, rgb.pixels().map(|p| p.0).collect()))
+}
+
+/// The mask of the photo of this relative name in the capture's folder of masks, if there is one.
+pub fn find_mask(folder: &Path, name: &str, options: &CaptureOptions) -> Option<PathBuf> {
+    Companions::find(folder, name, options).mask
+}
+
 /// The decoded picture, as stored.
 pub(super) fn picture(path: &Path) -> Result<DynamicImage> {
     open(path)?.decode().map_err(|e| unreadable(path, e))

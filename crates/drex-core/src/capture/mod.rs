@@ -29,7 +29,7 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::Point3;
 
-pub use self::companions::{PhotoFile, photo_size, photos_in, photos_under};
+pub use self::companions::{PhotoFile, find_mask, photo_size, photos_in, photos_under, read_rgb};
 pub use self::photos::{Photo, PhotoOptions, Photos};
 pub use self::report::{CaptureReport, Coverage, MaskCheck, ReprojectionError, ViewReport};
 use self::undistort::Undistortion;
