@@ -21,6 +21,15 @@ pub(crate) struct Features {
     pub(crate) blurred: bool,
 }
 
+impl Features {
+    /// Keeps the keypoints of these indices.
+    pub(crate) fn retain(&mut self, keep: impl Fn(usize) -> bool) {
+        let kept: Vec<usize> = (0..self.keypoints.len()).filter(|&k| keep(k)).collect();
+        self.keypoints = kept.iter().map(|&k| self.keypoints[k]).collect();
+        self.descriptors = kept.iter().map(|&k| self.descriptors[k]).collect();
+    }
+}
+
 /// Finds at most `most` keypoints, of those at pixels where `mask` is white.
 pub(crate) fn extract(grey: &Grey, mask: Option<&Grey>, most: usize) -> Result<Features, String> {
     let (image, factor) = scaled(grey);

@@ -212,8 +212,12 @@ impl FrontEnd {
         if !self.masked
             && let Some(background) = still::find(&matches, &self.features, side)
         {
-            background.drop_from(&mut matches, &self.features, side);
             report.still_background = Some(background.share);
+            // Matched again: the background no longer makes what is on the object ambiguous. What still stays is its shadow and gloss.
+            background.drop_from(&mut self.features);
+            let counter = Counter::new("matches without the background", chosen.len(), progress);
+            matches = Matcher::new(&self.features, options.seed).pairs(&chosen, &|| counter.step());
+            still::drop_staying(&mut matches, &self.features, side);
         }
         matches.retain(|m| !m.matches.is_empty());
         self.vote(&matches, options);

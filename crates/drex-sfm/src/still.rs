@@ -4,6 +4,10 @@
 //! robust estimate. It gives itself away: its keypoints recur at the same pixel, with the same descriptor, in many photos, while other
 //! matches of the same pairs move.
 
+use std::collections::BTreeMap;
+
+use drex_core::sets::DisjointSets;
+
 use crate::features::Features;
 use crate::matching::PairMatches;
 
@@ -13,9 +17,16 @@ const STILL_PX: f64 = 2.0;
 const MOVING_PX: f64 = 8.0;
 /// A pair shows both when it has at least so many matches of each kind.
 const LEAST_OF_EACH: usize = 12;
+/// Photos from one tripod position have at least so many matches that stay.
+const LEAST_OF_SAME: usize = 40;
 /// A background is taken for one when at least this share of the photos is in such a pair with this many others.
 const LEAST_SHARE: f64 = 0.5;
 const LEAST_PARTNERS: usize = 3;
+
+/// Cells, per longer side, on which the photos of one tripod position vote where the background is.
+const CELLS: f64 = 64.0;
+/// A cell is background when at least this share of its keypoints, and of its neighbours', stands still.
+const BACKGROUND_SHARE: f64 = 0.35;
 
 /// Keypoints of each photo that belong to a background that stands still.
 #[derive(Debug, Clone)]
@@ -35,6 +46,8 @@ pub(crate) fn find(pairs: &[PairMatches], photos: &[Features], side_px: f64) -> 
         f64::from(a.x() - b.x()).hypot(f64::from(a.y() - b.y()))
     };
     let mut partners = vec![0usize; photos.len()];
+    // Pairs from one tripod position.
+    let mut same = Vec::new();
     // How many photos see each keypoint stay, and how many see it move.
     let mut stays: Vec<Vec<u32>> = photos.iter().map(|p| vec![0; p.keypoints.len()]).collect();
     let mut moves = stays.clone();
@@ -44,6 +57,9 @@ pub(crate) fn find(pairs: &[PairMatches], photos: &[Features], side_px: f64) -> 
         let moving = distances.iter().filter(|d| **d >= MOVING_PX * unit).count();
         if still < LEAST_OF_EACH {
             continue;
+        }
+        if still >= LEAST_OF_SAME {
+            same.push(pair.views);
         }
         if moving >= LEAST_OF_EACH {
             pair.views.iter().for_each(|&v| partners[v] += 1);
@@ -61,23 +77,63 @@ pub(crate) fn find(pairs: &[PairMatches], photos: &[Features], side_px: f64) -> 
     let flags = |(s, m): (&Vec<u32>, &Vec<u32>)| -> Vec<bool> {
         s.iter().zip(m).map(|(s, m)| *s >= 2 && *s > *m).collect()
     };
-    let still: Vec<Vec<bool>> = stays.iter().zip(&moves).map(flags).collect();
+    let seen: Vec<Vec<bool>> = stays.iter().zip(&moves).map(flags).collect();
+    let still = fill(&seen, photos, &positions(photos.len(), &same), side_px);
     let all: usize = still.iter().map(Vec::len).sum();
     let those: usize = still.iter().flatten().filter(|s| **s).count();
     Some(StillBackground { still, share: those as f64 / all.max(1) as f64 })
 }
 
-impl StillBackground {
-    /// Leaves out the matches of the background: of keypoints that stand still, and those that stay at their pixel.
-    pub(crate) fn drop_from(&self, pairs: &mut [PairMatches], photos: &[Features], side_px: f64) {
-        let within = STILL_PX * side_px / 1000.0;
-        for pair in pairs {
-            let [i, j] = pair.views;
-            pair.matches.retain(|m| {
-                let (a, b) = (&photos[i].keypoints[m.first], &photos[j].keypoints[m.second]);
-                let stays = f64::from(a.x() - b.x()).hypot(f64::from(a.y() - b.y())) <= within;
-                !(stays || self.still[i][m.first] || self.still[j][m.second])
-            });
+/// Which tripod position each photo is from.
+fn positions(photos: usize, same: &[[usize; 2]]) -> Vec<u32> {
+    let mut sets = DisjointSets::new(photos);
+    same.iter().for_each(|[i, j]| sets.join(*i as u32, *j as u32));
+    sets.labels().0
+}
+
+/// Adds the keypoints that lie where the background is: a weak one may have been recognised in no other photo, and would match the same
+/// background from another tripod position.
+fn fill(seen: &[Vec<bool>], photos: &[Features], positions: &[u32], side_px: f64) -> Vec<Vec<bool>> {
+    let cell = |photo: usize, k: usize| {
+        let p = &photos[photo].keypoints[k];
+        [p.x(), p.y()].map(|v| (f64::from(v) / side_px * CELLS) as i64)
+    };
+    let mut votes = BTreeMap::<(u32, [i64; 2]), [usize; 2]>::new();
+    for (photo, flags) in seen.iter().enumerate() {
+        for (k, flag) in flags.iter().enumerate() {
+            let vote = votes.entry((positions[photo], cell(photo, k))).or_default();
+            *vote = [vote[0] + usize::from(*flag), vote[1] + 1];
         }
+    }
+    let background = |position: u32, [x, y]: [i64; 2]| {
+        let near = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| [x + dx, y + dy]));
+        let [still, all] = near.filter_map(|c| votes.get(&(position, c))).fold([0; 2], |s, v| [s[0] + v[0], s[1] + v[1]]);
+        still as f64 >= BACKGROUND_SHARE * all as f64
+    };
+    let of_photo = |(photo, flags): (usize, &Vec<bool>)| -> Vec<bool> {
+        let place = |k| background(positions[photo], cell(photo, k));
+        flags.iter().enumerate().map(|(k, flag)| *flag || place(k)).collect()
+    };
+    seen.iter().enumerate().map(of_photo).collect()
+}
+
+impl StillBackground {
+    /// Leaves out the keypoints of the background.
+    pub(crate) fn drop_from(&self, photos: &mut [Features]) {
+        for (features, still) in photos.iter_mut().zip(&self.still) {
+            features.retain(|k| !still[k]);
+        }
+    }
+}
+
+/// Leaves out matches that stay at their pixel.
+pub(crate) fn drop_staying(pairs: &mut [PairMatches], photos: &[Features], side_px: f64) {
+    let within = STILL_PX * side_px / 1000.0;
+    for pair in pairs {
+        let [i, j] = pair.views;
+        pair.matches.retain(|m| {
+            let (a, b) = (&photos[i].keypoints[m.first], &photos[j].keypoints[m.second]);
+            f64::from(a.x() - b.x()).hypot(f64::from(a.y() - b.y())) > within
+        });
     }
 }
