@@ -24,6 +24,8 @@ mod report;
 mod rgbd;
 mod transforms;
 mod undistort;
+mod write_colmap;
+mod write_transforms;
 
 use std::path::{Path, PathBuf};
 

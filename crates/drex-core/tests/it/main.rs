@@ -17,6 +17,8 @@ mod capture_rgbd;
 mod capture_support;
 #[cfg(feature = "capture")]
 mod capture_transforms;
+#[cfg(feature = "capture")]
+mod capture_write;
 mod meshes;
 mod properties;
 
