@@ -11,6 +11,7 @@ mod adjust;
 mod cameras;
 mod features;
 mod mapping;
+pub mod marker;
 pub mod masks;
 mod matching;
 mod model;
