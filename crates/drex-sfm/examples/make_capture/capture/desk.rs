@@ -85,7 +85,8 @@ impl Desk {
         let top = bodies.iter().map(Body::top).fold(0.0, f64::max);
         let reach = radius(&bodies).hypot(0.5 * top);
         let focal = camera.focal_px().x;
-        let share = rng.random_range(0.55..0.75);
+        // A tag beside the thing must be in the picture too.
+        let share = if look == Look::Plain { rng.random_range(0.5..0.62) } else { rng.random_range(0.6..0.82) };
         let distance_m = 2.0 * reach * focal / (share * f64::from(camera.height_px()));
         let target = Point3::new(0.0, 0.0, 0.42 * top);
         let marker = (look == Look::Plain).then(|| beside(&bodies, size_m, rng));
@@ -119,7 +120,7 @@ fn radius(bodies: &[Body]) -> f64 {
 fn beside(bodies: &[Body], size_m: f64, rng: &mut ChaCha8Rng) -> Marker {
     let side_m = (1e3 * size_m * rng.random_range(0.28..0.42)).round() / 1e3;
     let around: f64 = rng.random_range(0.0..std::f64::consts::TAU);
-    let far = radius(bodies) + 1.0 * side_m;
+    let far = radius(bodies) + 0.9 * side_m;
     let centre = [far * around.cos(), far * around.sin(), 2.0 * PAPER_HALF_M];
     Marker::new(rng.random_range(0..100), side_m, centre, rng.random_range(-3.0..3.0))
 }
@@ -130,7 +131,7 @@ const PAPER_HALF_M: f64 = 0.0004;
 #[must_use]
 pub fn build(desk: &Desk, rng: &mut ChaCha8Rng) -> Scene {
     let d = desk.distance_m;
-    let half = Vector2::from_fn(|_, _| (d * rng.random_range(1.35..2.1)).max(0.3));
+    let half = Vector2::from_fn(|_, _| (d * rng.random_range(1.3..1.85)).max(0.3));
     let mut painter = Painter { desk, motif: rng.random() };
     let mut solids = Vec::new();
     let table_thick = 0.03;

@@ -193,7 +193,7 @@ impl Canvas {
         }
     }
 
-    /// A made-up letter: two to four strokes between the points of a grid of 3 x 4.
+    /// A made-up letter: three to five strokes between the points of a grid of 3 x 4.
     fn letter(&mut self, corner: Vector2<f64>, height_m: f64, along: Vector2<f64>, shape: u64, ink: Colour) {
         let down = Vector2::new(-along.y, along.x);
         let knot = |k: u64| {
@@ -202,7 +202,7 @@ impl Canvas {
         };
         let bold = 0.05 + 0.04 * hash01(shape ^ 0x51) as f64;
         let mut from = hash(shape) % 12;
-        for stroke in 0..2 + hash(shape ^ 7) % 3 {
+        for stroke in 0..3 + hash(shape ^ 7) % 3 {
             let to = (from + 1 + hash(shape ^ (stroke + 11)) % 11) % 12;
             self.stroke(knot(from), knot(to), bold * height_m, ink);
             // Most letters are drawn without lifting the pen.
@@ -263,12 +263,12 @@ impl Canvas {
 
     fn confetti(&mut self, unit_m: f64, rng: &mut ChaCha8Rng) {
         let palette: Vec<Colour> = (0..12).map(|_| random_colour(rng, 0.03..0.8)).collect();
-        let mut left = 0.7 * self.size_m[0] * self.size_m[1];
+        let mut left = 1.1 * self.size_m[0] * self.size_m[1];
         let largest = 0.2 * self.size_m[0].min(self.size_m[1]);
         let dense = rng.random_range(0.8..1.6);
         while left > 0.0 {
             // Sizes by a power law: many small, few large.
-            let r = (unit_m * 4.0 * rng.random_range(0.012f64..1.0).powf(-0.8) * dense).min(largest);
+            let r = (unit_m * 4.0 * rng.random_range(0.012f64..1.0).powf(-0.7) * dense).min(largest);
             left -= 2.0 * r * r;
             let at = Vector2::new(rng.random_range(0.0..self.size_m[0]), rng.random_range(0.0..self.size_m[1]));
             let ink = palette[rng.random_range(0..palette.len())];
@@ -375,15 +375,17 @@ impl Canvas {
             }
             *texel = colours[best.1];
         });
+        self.shade(seed ^ 5, 25.0 * unit_m, 3, 0.35);
     }
 
     fn wood(&mut self, unit_m: f64, rng: &mut ChaCha8Rng) {
-        let other = random_colour(rng, 0.05..0.5);
+        let dark = luminance(self.texels[0]) < 0.3;
+        let other = random_colour(rng, if dark { 0.4..0.65 } else { 0.05..0.16 });
         let planks = (self.size_m[1] / (unit_m * rng.random_range(150.0..320.0))).ceil();
         let rings = rng.random_range(5.0..11.0);
         let seed: u64 = rng.random();
         let size = self.size_m;
-        let bend = Noise::new(self, seed ^ 3, [180.0 * unit_m, 60.0 * unit_m], 4);
+        let bend = Noise::new(self, seed ^ 3, [360.0 * unit_m, 60.0 * unit_m], 4);
         let fibre = Noise::new(self, seed ^ 4, [90.0 * unit_m, 4.0 * unit_m], 3);
         self.every_texel(|u, v, texel| {
             let plank = (v * planks).floor();
