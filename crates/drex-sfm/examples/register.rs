@@ -27,26 +27,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let done = drex_sfm::register(&photos, &drex_sfm::RegisterOptions::default(), &progress)?;
     eprintln!("{:6.1} done", begun.elapsed().as_secs_f64());
     for (k, model) in done.models.iter().enumerate() {
-        let dir = Path::new(&args[2]).join(format!("sparse/{k}"));
-        std::fs::create_dir_all(&dir)?;
-        let (mut im, mut ca) = (String::new(), String::new());
-        for (i, v) in model.views.iter().enumerate() {
-            let (q, t) = (v.camera_from_world.rotation, v.camera_from_world.translation.vector);
-            im += &format!("{} {} {} {} {} {} {} {} {} {}\n\n", i + 1, q.w, q.i, q.j, q.k, t.x, t.y, t.z, i + 1, v.name);
-            let p = v.lens.params().iter().map(|x| x.to_string()).collect::<Vec<_>>().join(" ");
-            ca += &format!("{} {} {} {} {p}\n", i + 1, v.lens.model().name(), v.lens.width_px(), v.lens.height_px());
-        }
-        std::fs::write(dir.join("images.txt"), im)?;
-        std::fs::write(dir.join("cameras.txt"), ca)?;
-        let mut po = String::new();
-        for (i, p) in model.points.iter().enumerate() {
-            po += &format!("{} {} {} {} {} {} {} {}", i + 1, p.position[0], p.position[1], p.position[2], p.rgb[0], p.rgb[1], p.rgb[2], p.error_px);
-            for (v, k) in &p.track {
-                po += &format!(" {} {}", v + 1, k);
-            }
-            po += "\n";
-        }
-        std::fs::write(dir.join("points3D.txt"), po)?;
+        model.write_colmap(&Path::new(&args[2]).join(format!("sparse/{k}")))?;
     }
     let mut report = done.report;
     std::fs::write(Path::new(&args[2]).join("report.json"), serde_json::to_string_pretty(&report)?)?;
