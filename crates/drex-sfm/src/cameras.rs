@@ -56,9 +56,7 @@ impl Group {
     /// The camera for the engine, whose first pixel has its centre at (0, 0).
     pub(crate) fn camera(&self) -> Result<Camera, String> {
         if let Some(lens) = &self.calibration {
-            let [f, cx, cy, k1, k2, p1, p2] = lens.numbers;
-            let (radial, tangential) = (RadialDistortion::K1K2(k1, k2), TangentialDistortion::P1P2(p1, p2));
-            return Camera::try_brown_conrady(f, f * lens.aspect, cx, cy, radial, tangential).map_err(|e| e.to_string());
+            return lens.engine_camera().ok_or_else(|| "the calibration has no lens that can be used".into());
         }
         let (cx, cy) = (f64::from(self.width) / 2.0 - 0.5, f64::from(self.height) / 2.0 - 0.5);
         let (f, none) = (self.focal_px, TangentialDistortion::None);
@@ -149,8 +147,7 @@ fn fundamental(group: &Group, pair: &PairMatches, photos: &[Features], seed: u64
         Point2::new(f64::from(p.x()) - middle[0], f64::from(p.y()) - middle[1])
     };
     let [i, j] = pair.views;
-    let data: Vec<_> =
-        pair.matches.iter().map(|m| PixelCorrespondence::new(at(i, m.first), at(j, m.second))).collect();
+    let data: Vec<_> = pair.matches.iter().map(|m| PixelCorrespondence::new(at(i, m.first), at(j, m.second))).collect();
     let own = RunSeed::from_u64(seed).derive("drex-sfm/focal", &[i as u64, j as u64]);
     let options = RobustOptions::default().with_seed(own).with_max_draws(1000);
     let found = estimate_fundamental(&data, PixelThreshold::try_new(2.0).ok()?, &options).ok()?;

@@ -18,6 +18,7 @@ mod model;
 mod photos;
 pub mod programs;
 mod register;
+mod relocate;
 mod report;
 mod still;
 mod subpixel;

@@ -52,7 +52,7 @@ pub(crate) fn map(scene: &Scene<'_>, pairs: &[&Pair], chosen: &[usize]) -> Resul
         let [Some(i), Some(j)] = pair.views.map(index_of) else { continue };
         let geometry = match &pair.geometry {
             Geometry::Epipolar { essential, second_from_first } => {
-                PairGeometry::Essential { matrix: *essential, relative_pose: Some(second_from_first.clone()) }
+                PairGeometry::Essential { matrix: *essential, relative_pose: Some(*second_from_first) }
             }
             Geometry::Plane { homography } => PairGeometry::Homography { matrix: *homography, relative_pose: None },
             Geometry::Turn { .. } => continue,

@@ -24,9 +24,12 @@ pub(crate) struct PairMatches {
     pub(crate) matches: Vec<Match>,
 }
 
+/// Descriptors of a photo, and the index over them.
+type Indexed<'a> = (Vec<&'a [u8]>, Option<HnswMatcher<u8, SquaredL2DistanceU8>>);
+
 /// Search indices of all photos.
 pub(crate) struct Matcher<'a> {
-    photos: Vec<(Vec<&'a [u8]>, Option<HnswMatcher<u8, SquaredL2DistanceU8>>)>,
+    photos: Vec<Indexed<'a>>,
 }
 
 impl<'a> Matcher<'a> {

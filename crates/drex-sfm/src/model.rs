@@ -5,6 +5,7 @@
 use drex_core::Pose;
 use drex_core::camera::CameraModel;
 use nalgebra::{Matrix2, Matrix2x3, Point2, Point3, SMatrix, Translation3, UnitQuaternion, Vector2};
+use openmvg_core::camera::{RadialDistortion, TangentialDistortion};
 use openmvg_sfm::Camera;
 
 use crate::mapping::Mapped;
@@ -74,6 +75,13 @@ impl Lens {
         let middle = camera.principal_point_px();
         let numbers = [p[0], middle.x - 0.5, middle.y - 0.5, k[0], k[1], k[2], k[3]];
         Some(Self { numbers, aspect, width: camera.width_px(), height: camera.height_px() })
+    }
+
+    /// The same lens as a camera of the engine.
+    pub(crate) fn engine_camera(&self) -> Option<Camera> {
+        let [f, cx, cy, k1, k2, p1, p2] = self.numbers;
+        let (radial, tangential) = (RadialDistortion::K1K2(k1, k2), TangentialDistortion::P1P2(p1, p2));
+        Camera::try_brown_conrady(f, f * self.aspect, cx, cy, radial, tangential).ok()
     }
 
     /// The same lens as a camera of the workspace.
@@ -172,7 +180,8 @@ impl Model {
     pub(crate) fn new(mapped: &Mapped, sizes: &[[u32; 2]]) -> Self {
         let found = mapped.reconstruction();
         let mut index = vec![None; mapped.photos.len()];
-        let (mut views, mut lenses): (Vec<View>, Vec<Option<Lens>>) = (Vec::new(), vec![None; found.camera_models().len()]);
+        let (mut views, mut lenses): (Vec<View>, Vec<Option<Lens>>) =
+            (Vec::new(), vec![None; found.camera_models().len()]);
         for (id, pose) in found.registered_views() {
             let (photo, lens) = (mapped.photos[id.index()], found.views()[id.index()].intrinsic_id.index());
             let [width, height] = sizes[photo];
@@ -201,7 +210,12 @@ impl Model {
                 last = Some(o.landmark);
             }
             if let Some(point) = points.last_mut() {
-                point.observations.push(Observation { view, keypoint: o.feature.index(), pixel: o.pixel, aligned: false });
+                point.observations.push(Observation {
+                    view,
+                    keypoint: o.feature.index(),
+                    pixel: o.pixel,
+                    aligned: false,
+                });
             }
         }
         points.iter_mut().for_each(|p| p.observations.sort_by_key(|o| o.view));
@@ -212,14 +226,5 @@ impl Model {
     pub(crate) fn project(&self, view: usize, position: &Point3<f64>) -> Option<Point2<f64>> {
         let View { camera_from_world, lens, .. } = &self.views[view];
         self.lenses[*lens].project(&(camera_from_world * position))
-    }
-
-    /// Reprojection errors of all observations, pixels, in the order of the points.
-    pub(crate) fn errors(&self) -> Vec<f64> {
-        let of_point = |p: &Point| -> Vec<f64> {
-            let error = |o: &Observation| self.project(o.view, &p.position).map_or(f64::INFINITY, |q| (q - o.pixel).norm());
-            p.observations.iter().map(error).collect()
-        };
-        self.points.iter().flat_map(of_point).collect()
     }
 }

@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-
 /// Size and camera of a photo, from its header.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Header {

@@ -1,10 +1,12 @@
 //! From photos to models, or to a verdict.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use drex_core::camera::Camera;
 use drex_core::capture::Capture;
 use drex_core::sets::DisjointSets;
+use drex_core::stats::upper_median;
 use rayon::prelude::*;
 
 use crate::adjust::{self, Adjusted, LensFreedom, PoseSigma};
@@ -14,6 +16,7 @@ use crate::mapping::{self, Mapped, Scene};
 use crate::matching::{Matcher, PairMatches};
 use crate::model::Model;
 use crate::photos::{self, Grey, Header};
+use crate::relocate::{Relocation, relocate};
 use crate::report::Report;
 use crate::still;
 use crate::subpixel;
@@ -77,6 +80,11 @@ const LEAST_PHOTOS: usize = 5;
 const LEAST_PHOTOS_OF_ONLY: usize = 3;
 /// Cameras that stand within this share of the scene's distance of each other have only turned.
 const LEAST_BASELINE: f64 = 0.05;
+/// A rotation that explains this share of a pair's good matches says that the camera only turned.
+const TURN_SHARE: f64 = 0.7;
+/// A photo has to show this share of the points that its neighbours say it should: right ones show 0.18 to 0.9, one that was placed by a
+/// look-alike side 0.10, frames smeared by motion 0 to 0.06.
+const CONFIRMED_SHARE: f64 = 0.15;
 /// Keypoints that a photo needs to be worth looking at.
 const FEW_KEYPOINTS: usize = 60;
 /// Photos up to which every pair is compared.
@@ -93,7 +101,7 @@ pub fn register(
 ) -> Result<Registration, Verdict> {
     let mut front = FrontEnd::new(photos, options, progress)?;
     let mut report = Report::new(photos, &front.unreadable);
-    let pairs = front.pairs(options, progress, &mut report)?;
+    let (matches, pairs) = front.pairs(options, progress, &mut report)?;
     front.check_overlap(&pairs)?;
     let models = map_all(&front, &pairs, options, progress)?;
     if models.is_empty() {
@@ -101,9 +109,14 @@ pub fn register(
     }
     let mut captures = Vec::new();
     let mut refused = Vec::new();
+    let taken =
+        |m: &Mapped| m.reconstruction().registered_views().map(|(id, _)| m.photos[id.index()]).collect::<Vec<_>>();
+    let mut left: Vec<usize> = (0..front.photos.len()).collect();
+    models.iter().for_each(|m| left.retain(|k| taken(m).binary_search(k).is_err()));
     for mapped in models {
-        match refine(&front, &mapped, options, progress) {
+        match refine(&front, &mapped, (&matches, &left), options, progress) {
             Ok(refined) => {
+                left.retain(|k| refined.model.views.iter().all(|v| v.photo != *k));
                 report.add_model(captures.len(), &refined, &front);
                 captures.push(refined.capture(&front));
             }
@@ -204,7 +217,7 @@ impl FrontEnd {
         options: &RegisterOptions,
         progress: &(dyn Fn(Step) + Sync),
         report: &mut Report,
-    ) -> Result<Vec<Pair>, Verdict> {
+    ) -> Result<(Vec<PairMatches>, Vec<Pair>), Verdict> {
         let chosen = which_pairs(self.photos.len(), options);
         let counter = Counter::new("matches", chosen.len(), progress);
         let mut matches = Matcher::new(&self.features, options.seed).pairs(&chosen, &|| counter.step());
@@ -232,7 +245,8 @@ impl FrontEnd {
         let pairs: Vec<Pair> = matches.par_iter().filter_map(check).collect();
         let keep = triplets::consistent(&pairs, self.photos.len());
         report.contradicting_pairs = keep.iter().filter(|k| !**k).count();
-        Ok(pairs.into_iter().zip(keep).filter_map(|(pair, keep)| keep.then_some(pair)).collect())
+        let pairs = pairs.into_iter().zip(keep).filter_map(|(pair, keep)| keep.then_some(pair)).collect();
+        Ok((matches, pairs))
     }
 
     /// Focal lengths of cameras of which nothing is known.
@@ -296,7 +310,11 @@ impl FrontEnd {
         } else {
             format!("the photos do not overlap: groups {}; {} alone", sizes.join(", "), count(alone, "photo"))
         };
-        Verdict::new(Cause::NoOverlap, what, "photograph one object, each photo overlapping the one before by two thirds")
+        Verdict::new(
+            Cause::NoOverlap,
+            what,
+            "photograph one object, each photo overlapping the one before by two thirds",
+        )
     }
 }
 
@@ -377,10 +395,11 @@ fn map_all(
 pub(crate) struct Refined {
     pub(crate) model: Model,
     pub(crate) adjusted: Adjusted,
-    pub(crate) freedom: LensFreedom,
     pub(crate) sigmas: Option<Vec<PoseSigma>>,
     /// Share of the observations whose pixel was found by aligning patches.
     pub(crate) aligned: f64,
+    /// Photos whose place was not confirmed, with the points that they should show and that they do show.
+    pub(crate) unconfirmed: Vec<(usize, [usize; 2])>,
 }
 
 /// Photos that share a lens, at least, for its fuller model; and how much of the cost that has to save.
@@ -390,11 +409,16 @@ const FULL_LENS_GAIN: f64 = 0.02;
 fn refine(
     front: &FrontEnd,
     mapped: &Mapped,
+    (matches, left): (&[PairMatches], &[usize]),
     options: &RegisterOptions,
     progress: &(dyn Fn(Step) + Sync),
 ) -> Result<Refined, Verdict> {
     let sizes: Vec<[u32; 2]> = front.headers.iter().map(|h| [h.width, h.height]).collect();
     let mut model = Model::new(mapped, &sizes);
+    let lenses: BTreeMap<usize, usize> = model.views.iter().map(|v| (front.camera_of[v.photo], v.lens)).collect();
+    let lens_of = |photo: usize| lenses.get(&front.camera_of[photo]).copied();
+    let relocation = Relocation { features: &front.features, matches, left, lens_of: &lens_of, seed: options.seed };
+    relocate(&mut model, &relocation);
     check_baseline(front, &model)?;
     let counter = Counter::new("sub-pixels", model.views.len(), progress);
     let read = |view: usize| -> Result<(Grey, Vec<(usize, [u8; 3])>), String> {
@@ -408,10 +432,13 @@ fn refine(
     let (greys, colours): (Vec<Grey>, Vec<_>) = read.map_err(changed)?.into_iter().unzip();
     colours.into_iter().flatten().for_each(|(point, rgb)| model.points[point].rgb = rgb);
     let aligned = subpixel::refine(&mut model, &greys);
-    drop(greys);
     progress(Step { stage: "adjustment", done: 0, total: 4 });
     let failed = |e: String| {
-        Verdict::new(Cause::Inconsistent, format!("the cameras cannot be adjusted: {e}"), "take more photos, with overlap")
+        Verdict::new(
+            Cause::Inconsistent,
+            format!("the cameras cannot be adjusted: {e}"),
+            "take more photos, with overlap",
+        )
     };
     let simple = if options.calibration.is_some() { LensFreedom::Fixed } else { LensFreedom::Simple };
     let mut freedom = simple;
@@ -430,10 +457,36 @@ fn refine(
         adjust::drop_outliers(&mut model);
         adjusted = adjust::adjust(&mut model, freedom, 20).map_err(failed)?;
     }
+    progress(Step { stage: "confirmation", done: 0, total: model.views.len() });
+    let unconfirmed = drop_unconfirmed(&mut model, &greys);
+    if !unconfirmed.is_empty() {
+        adjust::drop_outliers(&mut model);
+        adjusted = adjust::adjust(&mut model, freedom, 20).map_err(failed)?;
+    }
     check_baseline(front, &model)?;
+    check_turns(front, &model, matches)?;
     check_lenses(&model)?;
     let sigmas = adjust::pose_sigmas(&model, freedom);
-    Ok(Refined { model, adjusted, freedom, sigmas, aligned })
+    Ok(Refined { model, adjusted, sigmas, aligned, unconfirmed })
+}
+
+/// Takes out the views that show too little of what they should; see [`subpixel::confirm`].
+fn drop_unconfirmed(model: &mut Model, greys: &[Grey]) -> Vec<(usize, [usize; 2])> {
+    let counts: Vec<[usize; 2]> = (0..model.views.len()).map(|k| subpixel::confirm(model, k, greys)).collect();
+    let share = |[yes, no]: [usize; 2]| yes as f64 / (yes + no).max(1) as f64;
+    let typical = upper_median(counts.iter().map(|c| share(*c))).unwrap_or(0.0);
+    let least = CONFIRMED_SHARE.min(0.5 * typical);
+    let mut gone = Vec::new();
+    for (view, count) in model.views.iter().zip(&counts) {
+        if count[0] + count[1] >= FEW_KEYPOINTS && share(*count) < least {
+            gone.push((view.photo, [count[0] + count[1], count[0]]));
+        }
+    }
+    if model.views.len() < gone.len() + LEAST_PHOTOS_OF_ONLY {
+        return Vec::new();
+    }
+    gone.iter().for_each(|(photo, _)| model.remove(*photo));
+    gone
 }
 
 /// Colours of the points whose first observation is in the view.
@@ -453,13 +506,33 @@ fn check_baseline(front: &FrontEnd, model: &Model) -> Result<(), Verdict> {
     let depths = model.points.iter().flat_map(|p| {
         p.observations.iter().map(|o| (model.views[o.view].camera_from_world * p.position).z).collect::<Vec<_>>()
     });
-    let depth = drex_core::stats::upper_median(depths).unwrap_or(0.0);
+    let depth = upper_median(depths).unwrap_or(0.0);
     if !(extent >= LEAST_BASELINE * depth) || model.points.len() < FEW_KEYPOINTS / 2 {
         let share = 100.0 * extent / depth.max(f64::MIN_POSITIVE);
         let names = front.names(model.views.iter().map(|v| v.photo));
         return Err(only_turned(format!(
             "the cameras of {} moved by {share:.1} % of the distance to what they show",
             list(&names)
+        )));
+    }
+    Ok(())
+}
+
+/// Refuses cameras that have only turned: a rotation explains what the pairs have in common, with the lens as it is known now.
+fn check_turns(front: &FrontEnd, model: &Model, matches: &[PairMatches]) -> Result<(), Verdict> {
+    let lens: BTreeMap<usize, usize> = model.views.iter().map(|v| (v.photo, v.lens)).collect();
+    let turned = |m: &PairMatches| {
+        let [a, b] = m.views.map(|v| lens.get(&v));
+        let cameras = [model.lenses[*a?].engine_camera()?, model.lenses[*b?].engine_camera()?];
+        verify::turn_share(m, &front.features, [&cameras[0], &cameras[1]])
+    };
+    let shares: Vec<f64> = matches.par_iter().filter_map(turned).collect();
+    let turns = shares.iter().filter(|s| **s > TURN_SHARE).count();
+    if shares.len() >= 3 && 2 * turns > shares.len() {
+        return Err(only_turned(format!(
+            "in {turns} of {} pairs of photos the camera only turned: {}",
+            shares.len(),
+            list(&front.names(model.views.iter().map(|v| v.photo)))
         )));
     }
     Ok(())

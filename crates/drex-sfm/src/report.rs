@@ -138,6 +138,15 @@ impl Report {
             entry.rotation_sd_deg = refined.sigmas.as_ref().map(|s| s[k].rotation_rad.to_degrees());
             entry.centre_sd = refined.sigmas.as_ref().map(|s| s[k].centre);
         }
+        for (photo, [expected, shown]) in &refined.unconfirmed {
+            let name = &front.photos[*photo].name;
+            if let Some(entry) = self.photos.iter_mut().find(|p| p.name == *name) {
+                entry.why_not = Some(format!(
+                    "its place cannot be confirmed: of {expected} points that it should show it shows {shown} (motion blur, or a look-alike \
+                     side of the object)"
+                ));
+            }
+        }
         let lens = |(k, lens): (usize, &crate::model::Lens)| {
             let of = model.views.iter().find(|v| v.lens == k).map_or(0, |v| front.camera_of[v.photo]);
             let (group, camera) = (&front.groups[of], lens.to_camera().ok());
@@ -173,7 +182,7 @@ impl Report {
         for (k, photo) in front.photos.iter().enumerate() {
             let Some(entry) = self.photos.iter_mut().find(|p| p.name == photo.name) else { continue };
             entry.keypoints = front.features[k].keypoints.len();
-            if entry.model.is_some() {
+            if entry.model.is_some() || entry.why_not.is_some() {
                 continue;
             }
             entry.why_not = Some(if front.features[k].blurred {
@@ -185,7 +194,10 @@ impl Report {
             } else if partners[k] == 0 {
                 "it was taken from the same place as another photo".into()
             } else {
-                format!("it matches {} other photos, but too few of the model's points, or contradicts them", partners[k])
+                format!(
+                    "it matches {} other photos, but too few of the model's points, or contradicts them",
+                    partners[k]
+                )
             });
         }
         if self.models.len() > 1 {
@@ -247,8 +259,7 @@ impl Refined {
                 model.project(o.view, &p.position).map_or(0.0, |q| (q - o.pixel).norm())
             };
             let error_px = p.observations.iter().map(error).sum::<f64>() / p.observations.len().max(1) as f64;
-            let mut track: Vec<(usize, usize)> =
-                p.observations.iter().map(|o| (place[o.view], o.keypoint)).collect();
+            let mut track: Vec<(usize, usize)> = p.observations.iter().map(|o| (place[o.view], o.keypoint)).collect();
             track.sort_unstable();
             for o in &p.observations {
                 if let Some(keypoint) = views.get_mut(place[o.view]).and_then(|v| v.keypoints.get_mut(o.keypoint)) {

@@ -74,9 +74,8 @@ pub(crate) fn find(pairs: &[PairMatches], photos: &[Features], side_px: f64) -> 
     if (shown as f64) < LEAST_SHARE * photos.len() as f64 {
         return None;
     }
-    let flags = |(s, m): (&Vec<u32>, &Vec<u32>)| -> Vec<bool> {
-        s.iter().zip(m).map(|(s, m)| *s >= 2 && *s > *m).collect()
-    };
+    let flags =
+        |(s, m): (&Vec<u32>, &Vec<u32>)| -> Vec<bool> { s.iter().zip(m).map(|(s, m)| *s >= 2 && *s > *m).collect() };
     let seen: Vec<Vec<bool>> = stays.iter().zip(&moves).map(flags).collect();
     let still = fill(&seen, photos, &positions(photos.len(), &same), side_px);
     let all: usize = still.iter().map(Vec::len).sum();
@@ -107,7 +106,8 @@ fn fill(seen: &[Vec<bool>], photos: &[Features], positions: &[u32], side_px: f64
     }
     let background = |position: u32, [x, y]: [i64; 2]| {
         let near = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| [x + dx, y + dy]));
-        let [still, all] = near.filter_map(|c| votes.get(&(position, c))).fold([0; 2], |s, v| [s[0] + v[0], s[1] + v[1]]);
+        let [still, all] =
+            near.filter_map(|c| votes.get(&(position, c))).fold([0; 2], |s, v| [s[0] + v[0], s[1] + v[1]]);
         still as f64 >= BACKGROUND_SHARE * all as f64
     };
     let of_photo = |(photo, flags): (usize, &Vec<bool>)| -> Vec<bool> {

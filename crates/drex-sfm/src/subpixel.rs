@@ -21,6 +21,8 @@ const LEAST_CORRELATION: f64 = 0.8;
 /// How much larger or smaller a patch may appear in the other photo.
 const MOST_ZOOM: f64 = 2.0;
 const ITERATIONS: usize = 15;
+/// Photos whose rays to a point differ by less than 25 degrees see the same side of it.
+const BESIDE_COSINE: f64 = 0.906;
 
 /// A warp: the linear part, and where the middle of the patch comes to lie.
 #[derive(Debug, Clone, Copy)]
@@ -52,6 +54,43 @@ pub(crate) fn refine(model: &mut Model, photos: &[Grey]) -> f64 {
         }
     }
     aligned as f64 / f64::from(all.max(1) as u32)
+}
+
+/// How many of the points that a view should see, by what photos beside it see, it shows, and how many it does not.
+///
+/// A photo that was placed by a look-alike side of the object shows that side's points and none of what is beside them.
+pub(crate) fn confirm(model: &Model, view: usize, photos: &[Grey]) -> [usize; 2] {
+    let centre = model.views[view].centre();
+    let shows = |point: &Point| -> Option<bool> {
+        if point.observations.iter().any(|o| o.view == view) {
+            return None;
+        }
+        let towards = |c: nalgebra::Point3<f64>| (c - point.position).normalize();
+        let angle = |o: &Observation| towards(model.views[o.view].centre()).dot(&towards(centre));
+        let (nearest, cosine) = point.observations.iter().map(|o| (o, angle(o))).max_by(|a, b| a.1.total_cmp(&b.1))?;
+        if cosine < BESIDE_COSINE {
+            return None;
+        }
+        let pixel = model.project(view, &point.position)?;
+        let photo = &photos[view];
+        let margin = f64::from(2 * HALF);
+        let inside = |v: f64, n: usize| v >= margin && v <= n as f64 - 1.0 - margin;
+        if !(inside(pixel.x, photo.width) && inside(pixel.y, photo.height)) {
+            return None;
+        }
+        let plane = facing_plane(model, point)?;
+        let from_plane = image_of_plane(model, nearest.view, point, &plane)?;
+        let linear = image_of_plane(model, view, point, &plane)? * from_plane.try_inverse()?;
+        let zoom = linear.determinant().abs().sqrt();
+        if !(1.0 / MOST_ZOOM..=MOST_ZOOM).contains(&zoom) {
+            return None;
+        }
+        let template = Template::new(&photos[nearest.view], nearest.pixel)?;
+        Some(template.align(photo, Warp { linear, middle: pixel }).is_some())
+    };
+    let answers: Vec<bool> = model.points.par_iter().filter_map(shows).collect();
+    let yes = answers.iter().filter(|a| **a).count();
+    [yes, answers.len() - yes]
 }
 
 fn refine_point(model: &Model, point: &Point, photos: &[Grey]) -> Option<Vec<Observation>> {
@@ -158,8 +197,7 @@ impl Template {
             }
             let settled = Vector2::new(p[0], p[1]).norm() < 0.003;
             if settled || iteration + 1 == ITERATIONS {
-                let correlation =
-                    self.values.iter().zip(&values).map(|(a, b)| a * b).sum::<f64>() / PIXELS as f64;
+                let correlation = self.values.iter().zip(&values).map(|(a, b)| a * b).sum::<f64>() / PIXELS as f64;
                 let zoom = (warp.linear.determinant() / start.linear.determinant()).abs().sqrt();
                 let sound = settled && correlation >= LEAST_CORRELATION && (0.6..1.6).contains(&zoom);
                 return sound.then_some(warp.middle);

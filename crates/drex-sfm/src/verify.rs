@@ -1,7 +1,7 @@
 //! Which matches of two photos one rigid scene explains.
 
 use nalgebra::{Matrix3, Point2, Rotation3, Vector3};
-use openmvg_core::{NormalizedImageThreshold, PixelThreshold};
+use openmvg_core::{AlgorithmRng, NormalizedImageThreshold, PixelThreshold};
 use openmvg_geometry::correspondence::{BearingCorrespondence, PixelCorrespondence};
 use openmvg_geometry::essential::estimate_essential_guided;
 use openmvg_geometry::homography::estimate_homography;
@@ -114,6 +114,34 @@ pub(crate) fn verify(pair: &PairMatches, photos: &[Features], cameras: [&Camera;
     let agreeing: Vec<BearingCorrespondence> = support.iter().map(|&k| bearings[k]).collect();
     let second_from_first = found.model().decompose_with_cheirality(&agreeing)?;
     make(flags(support), Geometry::Epipolar { essential: *found.model().matrix(), second_from_first })
+}
+
+/// The share of a pair's matches that one rotation explains, by the best of 200 rotations from two matches each; `None` for pairs of few
+/// matches. A third of the matches of a good pair may be wrong, so a share of 0.7 is next to all.
+pub(crate) fn turn_share(pair: &PairMatches, photos: &[Features], cameras: [&Camera; 2]) -> Option<f64> {
+    const LEAST_MATCHES: usize = 30;
+    let [i, j] = pair.views;
+    let bearing = |camera: &Camera, photo: usize, k: usize| {
+        let p = &photos[photo].keypoints[k];
+        camera.bearing(&Point2::new(f64::from(p.x()), f64::from(p.y()))).ok().map(|b| b.into_inner())
+    };
+    let both = |m: &Match| {
+        BearingCorrespondence::try_new(bearing(cameras[0], i, m.first)?, bearing(cameras[1], j, m.second)?).ok()
+    };
+    let bearings: Vec<BearingCorrespondence> = pair.matches.iter().filter_map(both).collect();
+    if bearings.len() < LEAST_MATCHES {
+        return None;
+    }
+    let focal = cameras.iter().filter_map(|c| c.focal_lengths()).map(|(fx, _)| fx).fold(f64::INFINITY, f64::min);
+    let mut random = AlgorithmRng::new(RunSeed::from_u64(0).derive("drex-sfm/turn", &[i as u64, j as u64]));
+    let mut most = 0;
+    for _ in 0..200 {
+        let two = [random.index(bearings.len())?, random.index(bearings.len())?];
+        let rotation = rotation_of(&bearings, &two);
+        let follows = |b: &&BearingCorrespondence| (rotation * b.bearing1()).angle(b.bearing2()) < WITHIN_PX / focal;
+        most = most.max(bearings.iter().filter(follows).count());
+    }
+    Some(most as f64 / bearings.len() as f64)
 }
 
 /// The rotation that takes first bearings nearest to second ones (Kabsch).
