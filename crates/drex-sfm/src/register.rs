@@ -251,15 +251,22 @@ impl FrontEnd {
 
     /// Focal lengths of cameras of which nothing is known.
     fn vote(&mut self, matches: &[PairMatches], options: &RegisterOptions) {
-        for g in 0..self.groups.len() {
-            if self.groups[g].source != FocalSource::Guess {
-                continue;
-            }
-            let own: Vec<&PairMatches> =
-                matches.iter().filter(|m| m.views.iter().all(|&v| self.camera_of[v] == g)).collect();
-            if let Some(focal_px) = cameras::vote(&self.groups[g], &own, &self.features, options.seed) {
-                let group = &mut self.groups[g];
-                (group.focal_px, group.source) = (focal_px, FocalSource::Vote);
+        let voters = cameras::Voters { photos: &self.features, headers: &self.headers };
+        // One camera held upright and across has two groups and one focal length.
+        let family = |g: &Group| [g.width.max(g.height), g.width.min(g.height)];
+        let mut families: Vec<[u32; 2]> =
+            self.groups.iter().filter(|g| g.source == FocalSource::Guess).map(family).collect();
+        families.sort_unstable();
+        families.dedup();
+        for own in families {
+            let member = |v: &usize| {
+                let group = &self.groups[self.camera_of[*v]];
+                group.source == FocalSource::Guess && family(group) == own
+            };
+            let pairs: Vec<&PairMatches> = matches.iter().filter(|m| m.views.iter().all(member)).collect();
+            let Some(focal) = cameras::vote(&voters, &pairs, options.seed) else { continue };
+            for group in self.groups.iter_mut().filter(|g| g.source == FocalSource::Guess && family(g) == own) {
+                (group.focal_px, group.source) = (focal * f64::from(own[0]), FocalSource::Vote);
             }
         }
     }
