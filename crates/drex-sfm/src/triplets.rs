@@ -10,7 +10,7 @@ use nalgebra::Rotation3;
 use crate::verify::Pair;
 
 /// A loop that comes back within this is closed, radians.
-const CLOSED_RAD: f64 = 0.07;
+const CLOSED_RAD: f64 = 0.15;
 /// A pair is judged by at least so many loops, and goes when fewer than this share of them, by weight, are closed.
 const LEAST_LOOPS: usize = 3;
 const LEAST_CLOSED: f64 = 0.35;
