@@ -372,11 +372,12 @@ fn film(n: usize, desk: &Desk, camera: &Camera, rng: &mut ChaCha8Rng) -> Vec<Sho
         .collect()
 }
 
-/// How far the object's middle and a point before it move in the picture while the shutter is open.
+/// How far the object and what is behind it move in the picture while the shutter is open, pixels.
 fn motion_px(walk: &Walk, desk: &Desk, camera: &Camera, time_s: f64, exposure_s: f64) -> f64 {
     let [open, close] = [-0.5, 0.5].map(|s| walk.pose(time_s + s * exposure_s));
+    let eye = Point3::from(open.inverse().translation.vector);
     let reach = 0.5 * desk.size_m;
-    [Vector3::zeros(), Vector3::new(reach, 0.0, 0.0), Vector3::new(0.0, reach, -0.5 * reach)]
+    [Vector3::zeros(), Vector3::new(reach, 0.0, 0.0), Vector3::new(0.0, reach, -0.5 * reach), 3.0 * (desk.target - eye)]
         .iter()
         .filter_map(|d| {
             let point: Point3<f64> = desk.target + d;
