@@ -1,5 +1,5 @@
 //! The rendered captures are what their truth says: where things are in the picture, on one thread as on two.
-#![allow(missing_docs)]
+#![allow(missing_docs, clippy::unwrap_used)] // helpers of tests stand outside of their functions
 
 #[path = "../examples/make_capture/capture/mod.rs"]
 mod capture;
