@@ -1,5 +1,5 @@
 //! The rendered captures are what their truth says: where things are in the picture, on one thread as on two.
-#![allow(missing_docs)]
+#![allow(missing_docs, clippy::unwrap_used)] // helpers of tests stand outside of their functions
 
 #[path = "../examples/make_capture/capture/mod.rs"]
 mod capture;
@@ -20,19 +20,22 @@ use nalgebra::{Point2, Point3, UnitQuaternion, Vector2, Vector3};
 
 const SMALL: Size = Size { photos: 4, width_px: 160, height_px: 120 };
 
+/// Radius of the spots: 7 to 9 pixels in these tests, so that four rays a pixel place them well.
+const SPOT_M: f64 = 0.011;
+
 fn grey(reflectance: f32) -> Arc<Picture> {
     Arc::new(Canvas::new([1.0, 1.0], 0.25, [reflectance; 3]).finish())
 }
 
-/// White spots that light reaches evenly, before black walls.
+/// White flat discs, face up, that light reaches evenly, before black walls.
 fn spots(at: &[Point3<f64>], radius_m: f64) -> Scene {
     let black = Paint { specular: 0.0, ..Paint::dull(grey(0.0)) };
     let white = Paint { specular: 0.0, ..Paint::dull(grey(0.8)) };
     let solids = at
         .iter()
         .map(|p| Solid {
-            shape: Shape::Ellipsoid,
-            half_m: Vector3::repeat(radius_m),
+            shape: Shape::Cylinder,
+            half_m: Vector3::new(radius_m, radius_m, 2e-5),
             world_from_part: Pose::translation(p.x, p.y, p.z),
             role: Role::Object,
             paint: white.clone(),
@@ -70,6 +73,23 @@ fn centroid(rgb: &RgbImage, near: Point2<f64>, reach: f64) -> Point2<f64> {
     Point2::from(sum / weight)
 }
 
+/// Centre of the area that a disc, face up, covers in the picture: near the projection of its own centre, but not there.
+fn centre_of_disc(camera: &Camera, pose: &Pose, centre: &Point3<f64>, radius_m: f64) -> Point2<f64> {
+    let rim: Vec<Point2<f64>> = (0..360)
+        .map(|i| {
+            let (s, c) = f64::from(i).to_radians().sin_cos();
+            camera.project(&(pose * (centre + Vector3::new(c, s, 0.0) * radius_m))).unwrap()
+        })
+        .collect();
+    let (mut sum, mut area) = (Vector2::zeros(), 0.0);
+    for (i, a) in rim.iter().enumerate() {
+        let (a, b) = (a - rim[0], rim[(i + 1) % rim.len()] - rim[0]);
+        area += a.perp(&b);
+        sum += a.perp(&b) * (a + b) / 3.0;
+    }
+    rim[0] + sum / area
+}
+
 fn bent_camera() -> Camera {
     let parameters = [300.0, 300.0, 163.0, 118.0, -0.12, 0.04, 0.0015, -0.001];
     Camera::new(CameraModel::OpenCv, 320, 240, &parameters).unwrap()
@@ -78,26 +98,28 @@ fn bent_camera() -> Camera {
 #[test]
 fn a_bright_spot_is_where_the_truth_projects_it() {
     let places: Vec<Point3<f64>> = (0..9)
-        .map(|i| Point3::new(0.07 * f64::from(i % 3 - 1) + 0.003, 0.06 * f64::from(i / 3 - 1), 0.02 * f64::from(i % 4)))
+        .map(|i| {
+            Point3::new(0.07 * f64::from(i % 3 - 1) + 0.003, 0.06 * f64::from(i / 3 - 1), 0.008 * f64::from(i % 4))
+        })
         .collect();
-    let scene = spots(&places, 0.005);
+    let scene = spots(&places, SPOT_M);
     let lens = Lens::new(bent_camera()).unwrap();
     let pose = look_at(&Point3::new(0.25, -0.2, 0.3), &Point3::new(0.01, 0.0, 0.02), 0.2);
     let photo = take(&scene, &lens, &noiseless(), &still(pose), 5);
     let (mut seen, mut offset) = (0, Vector2::zeros());
     for place in &places {
-        let truth = lens.camera.project(&(pose * place)).unwrap();
-        if !(8.0..312.0).contains(&truth.x) || !(8.0..232.0).contains(&truth.y) {
+        let truth = centre_of_disc(&lens.camera, &pose, place, SPOT_M);
+        if !(14.0..306.0).contains(&truth.x) || !(14.0..226.0).contains(&truth.y) {
             continue;
         }
         seen += 1;
-        let error = centroid(&photo.rgb, truth, 9.0) - truth;
+        let error = centroid(&photo.rgb, truth, 14.0) - truth;
         assert!(error.norm() < 0.05, "spot at {truth}: centre of light {error} off");
         offset += error;
         let (x, y) = (truth.x as u32, truth.y as u32);
         assert_eq!(photo.mask.get_pixel(x, y)[0], 255, "the silhouette has a hole at {truth}");
     }
-    assert!(seen >= 7, "only {seen} of 9 spots in the picture");
+    assert!(seen >= 6, "only {seen} of 9 spots in the picture");
     // A convention that is wrong by half a pixel would move all spots the same way.
     assert!((offset / f64::from(seen)).norm() < 0.02, "all spots {} off", offset / f64::from(seen));
 }
@@ -105,15 +127,15 @@ fn a_bright_spot_is_where_the_truth_projects_it() {
 #[test]
 fn a_turned_disc_is_a_camera_that_went_the_other_way() {
     let place = Point3::new(0.06, -0.03, 0.02);
-    let scene = spots(&[place, Point3::new(-0.06, 0.05, 0.04)], 0.004);
+    let scene = spots(&[place, Point3::new(-0.06, 0.05, 0.04)], SPOT_M);
     let lens = Lens::new(bent_camera()).unwrap();
     let pose = look_at(&Point3::new(0.3, 0.05, 0.2), &Point3::origin(), 0.0);
     for turn_rad in [0.4, 2.0, -1.1] {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn_rad);
         let shot = Shot { turn_rad, camera_from_object: pose * turn, ..still(pose) };
         let photo = take(&scene, &lens, &noiseless(), &shot, 5);
-        let truth = lens.camera.project(&(shot.camera_from_object * place)).unwrap();
-        let error = (centroid(&photo.rgb, truth, 7.0) - truth).norm();
+        let truth = centre_of_disc(&lens.camera, &shot.camera_from_object, &place, SPOT_M);
+        let error = (centroid(&photo.rgb, truth, 14.0) - truth).norm();
         assert!(error < 0.05, "turned by {turn_rad}: {error} px off");
     }
 }

@@ -156,6 +156,6 @@ impl Walk {
         }
         let eye = place.eye(&self.target) + Vector3::new(moved[0], moved[1], moved[2]);
         let aim = self.target + Vector3::new(moved[3], moved[4], moved[5]);
-        look_at(&eye, &aim, 3.0 * moved[0] / self.distance_m * 0.3)
+        look_at(&eye, &aim, 0.9 * moved[0] / self.distance_m)
     }
 }

@@ -10,14 +10,16 @@ use super::paint::Colour;
 use super::scene::{Role, Scene, Traced};
 use super::{Outcome, hash, hash01};
 
-/// Rays through a quarter of a pixel each: 2 x 2.
-const SUB: usize = 2;
+/// Rays of a pixel.
+const RAYS: usize = 4;
+/// Where they pass: a turned square grid, so that edges along rows and columns get four shades too.
+const OFFSETS: [[f64; 2]; RAYS] = [[0.125, 0.625], [0.375, 0.125], [0.625, 0.875], [0.875, 0.375]];
 
 /// A camera with the rays of its pixels.
 pub struct Lens {
     /// The camera.
     pub camera: Camera,
-    /// Unit rays, camera axes, row by row on the grid of quarter pixels.
+    /// Unit rays, camera axes: four of each pixel, row by row.
     rays: Vec<[f32; 3]>,
 }
 
@@ -27,22 +29,21 @@ impl Lens {
     /// # Errors
     /// If the lens folds back inside the picture.
     pub fn new(camera: Camera) -> Outcome<Self> {
-        let (w, h) = (camera.width_px() as usize * SUB, camera.height_px() as usize * SUB);
-        let place = |i: usize| (i as f64 + 0.5) / SUB as f64;
-        let rays: Option<Vec<[f32; 3]>> = (0..w * h)
-            .into_par_iter()
-            .map(|i| {
-                camera.unproject(&Point2::new(place(i % w), place(i / w))).map(|r| [r.x as f32, r.y as f32, r.z as f32])
-            })
-            .collect();
+        let w = camera.width_px() as usize;
+        let pixels = w * camera.height_px() as usize;
+        let ray = |i: usize| {
+            let (pixel, [dx, dy]) = (i / RAYS, OFFSETS[i % RAYS]);
+            let at = Point2::new((pixel % w) as f64 + dx, (pixel / w) as f64 + dy);
+            camera.unproject(&at).map(|r| [r.x as f32, r.y as f32, r.z as f32])
+        };
+        let rays: Option<Vec<[f32; 3]>> = (0..pixels * RAYS).into_par_iter().map(ray).collect();
         let rays =
             rays.ok_or("the distortion of this lens folds back inside the picture: choose smaller coefficients")?;
         Ok(Self { camera, rays })
     }
 
-    fn ray(&self, x: usize, y: usize, sub: usize) -> Vector3<f64> {
-        let [sx, sy] = [sub % SUB, sub / SUB];
-        let r = self.rays[(y * SUB + sy) * self.camera.width_px() as usize * SUB + x * SUB + sx];
+    fn ray(&self, x: usize, y: usize, number: usize) -> Vector3<f64> {
+        let r = self.rays[(y * self.camera.width_px() as usize + x) * RAYS + number];
         Vector3::new(f64::from(r[0]), f64::from(r[1]), f64::from(r[2]))
     }
 }
@@ -92,7 +93,7 @@ pub fn take(scene: &Scene, lens: &Lens, sensor: &Sensor, shot: &Shot, seed: u64)
     let (w, h) = (lens.camera.width_px() as usize, lens.camera.height_px() as usize);
     let eyes: Vec<Eye> = shot.shutter.iter().map(Eye::new).collect();
     let quarter_rad = 0.5 / lens.camera.focal_px().x;
-    let per_pixel = (SUB * SUB).max(eyes.len().next_multiple_of(SUB * SUB));
+    let per_pixel = eyes.len().next_multiple_of(RAYS);
     let mut light: Vec<Colour> = vec![[0.0; 3]; w * h];
     let mut mask = vec![0u8; w * h];
     light.par_chunks_mut(w).zip(mask.par_chunks_mut(w)).enumerate().for_each(|(y, (row, mask))| {
@@ -102,17 +103,17 @@ pub fn take(scene: &Scene, lens: &Lens, sensor: &Sensor, shot: &Shot, seed: u64)
             for i in 0..per_pixel {
                 let key = hash(seed ^ ((y * w + x) * per_pixel + i) as u64);
                 let eye = &eyes[i * eyes.len() / per_pixel];
-                let ray = eye.world_from_camera * lens.ray(x, y, i % (SUB * SUB));
+                let ray = eye.world_from_camera * lens.ray(x, y, i % RAYS);
                 let (colour, object) = traced.seen(&eye.centre, &ray, quarter_rad, key, true);
                 // The middle four rays of a long exposure stand for its mask.
-                let from = (per_pixel - SUB * SUB) / 2;
-                on_object += usize::from(object && (from..from + SUB * SUB).contains(&i));
+                let from = (per_pixel - RAYS) / 2;
+                on_object += usize::from(object && (from..from + RAYS).contains(&i));
                 for c in 0..3 {
                     sum[c] += colour[c];
                 }
             }
             row[x] = sum.map(|s| s / per_pixel as f32);
-            mask[x] = if 2 * on_object >= SUB * SUB { 255 } else { 0 };
+            mask[x] = if 2 * on_object >= RAYS { 255 } else { 0 };
         }
     });
     blur(&mut light, w, h, sensor.blur_px);
