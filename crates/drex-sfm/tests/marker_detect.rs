@@ -1,6 +1,9 @@
 //! Tags in rendered photos with known corners, and in hostile bytes.
+#![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 mod tag_renderer;
+
+use std::f64::consts::TAU;
 
 use drex_core::Pose;
 use drex_core::camera::Camera;
@@ -31,9 +34,9 @@ impl Photo {
             id: ids[(seed % 5) as usize],
             side_m: 0.06,
             centre: [r.uniform(-0.02, 0.02), r.uniform(-0.02, 0.02)],
-            yaw_rad: r.uniform(0.0, std::f64::consts::TAU),
+            yaw_rad: r.uniform(0.0, TAU),
         };
-        let (lean, turn, away) = (r.uniform(0.05, 1.05), r.uniform(0.0, 6.28), r.uniform(0.25, 0.55));
+        let (lean, turn, away) = (r.uniform(0.05, 1.05), r.uniform(0.0, TAU), r.uniform(0.25, 0.55));
         let eye = Point3::new(lean.sin() * turn.cos(), lean.sin() * turn.sin(), lean.cos()) * away;
         let target = Point3::new(r.uniform(-0.05, 0.05), r.uniform(-0.05, 0.05), 0.0);
         let pose = looking(eye, target, r.uniform(-0.5, 0.5));

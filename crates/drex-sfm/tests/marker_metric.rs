@@ -1,6 +1,9 @@
 //! Scale, up and origin from corners in synthetic photos.
+#![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 mod tag_renderer;
+
+use std::f64::consts::TAU;
 
 use drex_core::Pose;
 use drex_sfm::marker::{Family, Marker, MarkerFit, Sighting, detect_all, metric};
@@ -36,7 +39,7 @@ fn sightings(photos: usize, noise_px: f64, tag: &Tag, random: &mut Random) -> Ve
     let camera = camera(800, 600, 640.0, -0.06);
     (0..photos)
         .map(|_| {
-            let (lean, turn) = (random.uniform(0.2, 1.0), random.uniform(0.0, 6.28));
+            let (lean, turn) = (random.uniform(0.2, 1.0), random.uniform(0.0, TAU));
             let away = random.uniform(0.4, 0.6);
             let eye = Point3::new(lean.sin() * turn.cos(), lean.sin() * turn.sin(), lean.cos()) * away;
             let target = Point3::new(random.uniform(-0.05, 0.05), random.uniform(-0.05, 0.05), 0.0);
@@ -192,7 +195,7 @@ fn scale_from_rendered_photos() {
     let mut random = Random(2024);
     let mut seen = Vec::new();
     for seed in 0..12 {
-        let (lean, turn) = (random.uniform(0.2, 0.9), random.uniform(0.0, 6.28));
+        let (lean, turn) = (random.uniform(0.2, 0.9), random.uniform(0.0, TAU));
         let eye = Point3::new(lean.sin() * turn.cos(), lean.sin() * turn.sin(), lean.cos()) * random.uniform(0.3, 0.45);
         let pose = looking(eye, Point3::origin(), random.uniform(-0.3, 0.3));
         let pixels =

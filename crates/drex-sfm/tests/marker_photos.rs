@@ -1,4 +1,5 @@
 //! The marker in rendered photos of another renderer, with exact cameras (shared data).
+#![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 use std::path::{Path, PathBuf};
 
@@ -8,8 +9,11 @@ use drex_core::pose::pose_from_wxyz;
 use drex_sfm::marker::{Detection, Marker, Sighting, detect, metric, refine};
 use nalgebra::{Point2, Point3};
 
+/// Poses (camera from world) by name of photo.
+type Poses = Vec<(String, Pose)>;
+
 /// The set of photos and its cameras by name; `None`, with a word, without shared data.
-fn plain50() -> Option<(PathBuf, Camera, Vec<(String, Pose)>)> {
+fn plain50() -> Option<(PathBuf, Camera, Poses)> {
     let Some(shared) = std::env::var_os("DREX_SHARED") else {
         eprintln!("skipped: DREX_SHARED does not name the folder of shared data");
         return None;

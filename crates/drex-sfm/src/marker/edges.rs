@@ -22,6 +22,9 @@ const MIN_CELL_PX: f64 = 1.8;
 const REACH_PX: f64 = 4.0;
 const REACH_CELLS: f64 = 0.45;
 
+/// Ends of edges that are left out, pixels.
+const END_PX: f64 = 1.5;
+
 /// Least samples of edges, and least share of all, that must agree with the tag.
 const MIN_SAMPLES: usize = 24;
 const MIN_AGREEING: f64 = 0.5;
@@ -117,11 +120,13 @@ fn search(image: &Grey<'_>, warp: &Warp<'_>, edges: &[Edge]) -> (Vec<Found>, usi
     let (mut found, mut tried) = (Vec::new(), 0);
     for edge in edges {
         let Some(middle) = warp.image(edge.start + edge.along * 0.5) else { continue };
-        let samples = (middle.by_tag * edge.along).norm().round().clamp(2.0, 16.0) as usize;
+        let length = (middle.by_tag * edge.along).norm();
+        let samples = length.round().clamp(2.0, 16.0) as usize;
+        // Blur rounds the corners of cells, unevenly where they are skew: the ends of an edge are left out.
+        let end = (END_PX / length).clamp(0.1, 0.4);
         for i in 0..samples {
             tried += 1;
-            // Blur rounds the corners of cells: the ends of an edge are left out.
-            let t = 0.15 + 0.7 * (i as f64 + 0.5) / samples as f64;
+            let t = end + (1.0 - 2.0 * end) * (i as f64 + 0.5) / samples as f64;
             found.extend(sample(image, warp, edge, t));
         }
     }

@@ -24,7 +24,7 @@ use std::str::FromStr;
 
 use drex_core::camera::Camera;
 use drex_core::{Error, Result};
-use nalgebra::Point2;
+use nalgebra::{Point2, Vector2};
 
 use self::decode::Read;
 use self::image::Grey;
@@ -144,7 +144,7 @@ impl Detection {
     }
 
     fn middle(&self) -> Point2<f64> {
-        Point2::from(self.points().iter().map(|p| p.coords).sum::<nalgebra::Vector2<f64>>() / 4.0)
+        Point2::from(self.points().iter().map(|p| p.coords).sum::<Vector2<f64>>() / 4.0)
     }
 
     /// The longest of its edges, pixels.
@@ -174,12 +174,17 @@ pub fn detect_all(grey: &[u8], width: usize, height: usize, family: Family) -> V
     let levels = image.pyramid();
     let mut tags: Vec<(u32, Detection)> = Vec::new();
     for level in 0..levels.len() {
+        let to_photo = f64::powi(2.0, level as i32);
         for quad in quads::quads(&levels[level]) {
-            let Some((id, detection)) = tag_in(&levels, level, &quad) else { continue };
-            let known = tags.iter().any(|(other, at)| {
-                *other == id && (at.middle() - detection.middle()).norm() < 0.5 * detection.longest_edge()
-            });
-            if !known {
+            let known =
+                |at: Point2<f64>| tags.iter().any(|(_, tag)| (tag.middle() - at).norm() < 0.25 * tag.longest_edge());
+            let middle = quad.iter().map(|p| p.coords).sum::<Vector2<f64>>() / 4.0;
+            if known((middle * to_photo).into()) {
+                continue;
+            }
+            if let Some((id, detection)) = tag_in(&levels, level, &quad)
+                && !known(detection.middle())
+            {
                 tags.push((id, detection));
             }
         }

@@ -1,5 +1,5 @@
 //! A small renderer of printed tags on a textured table: perspective, lens distortion, blur in light, sRGB, noise.
-#![allow(dead_code)] // each test file uses a part
+#![allow(dead_code, clippy::unwrap_used)] // each test file uses a part, and a test may stop
 
 use drex_core::Pose;
 use drex_core::camera::{Camera, CameraModel};
