@@ -12,7 +12,8 @@ const CELLS: usize = 8;
 /// Below this [`sharpness`] a photo is blurred: rendered and real photos that can be used have 0.25 to 1.9, smears of 25 to 40 pixels 0.21 at most.
 const BLURRED: f64 = 0.22;
 
-/// What a photo shows. Pixel coordinates are the engine's: the centre of the first pixel is (0, 0).
+/// What a photo shows, the strongest keypoints of each part of the photo first. Pixel coordinates are the engine's: the centre of the first
+/// pixel is (0, 0).
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Features {
     pub(crate) keypoints: Vec<Keypoint>,
@@ -22,6 +23,12 @@ pub(crate) struct Features {
 }
 
 impl Features {
+    /// The first so many keypoints.
+    pub(crate) fn first(&self, most: usize) -> Self {
+        let n = self.keypoints.len().min(most);
+        Self { keypoints: self.keypoints[..n].to_vec(), descriptors: self.descriptors[..n].to_vec(), ..*self }
+    }
+
     /// Keeps the keypoints of these indices.
     pub(crate) fn retain(&mut self, keep: impl Fn(usize) -> bool) {
         let kept: Vec<usize> = (0..self.keypoints.len()).filter(|&k| keep(k)).collect();
@@ -38,13 +45,11 @@ pub(crate) fn extract(grey: &Grey, mask: Option<&Grey>, most: usize) -> Result<F
     let (points, descriptors) = found.into_parts();
     // Positions in the photo: pixel centres of the scaled image are at whole numbers too.
     let unscaled = |v: f32| (v + 0.5) * factor - 0.5;
-    let mut kept: Vec<usize> = (0..points.len())
+    let kept: Vec<usize> = (0..points.len())
         .filter(|&i| mask.is_none_or(|m| shows(m, grey, unscaled(points[i].x), unscaled(points[i].y))))
         .collect();
     let strength = |i: usize| points[i].peak.abs();
-    if kept.len() > most {
-        kept = spread(&kept, most, [image.ncols(), image.nrows()], |i| [points[i].x, points[i].y], strength);
-    }
+    let kept = spread(&kept, most, [image.ncols(), image.nrows()], |i| [points[i].x, points[i].y], strength);
     let mut features = Features { blurred: sharpness(grey) < BLURRED, ..Features::default() };
     for i in kept {
         let p = &points[i];
@@ -108,9 +113,7 @@ fn spread(
         cells.iter().flat_map(|cell| cell.iter().enumerate().map(|(rank, &i)| (rank, i))).collect();
     ranked.sort_by(|a, b| a.0.cmp(&b.0).then(strength(b.1).total_cmp(&strength(a.1))).then(a.1.cmp(&b.1)));
     ranked.truncate(most);
-    let mut kept: Vec<usize> = ranked.into_iter().map(|(_, i)| i).collect();
-    kept.sort_unstable();
-    kept
+    ranked.into_iter().map(|(_, i)| i).collect()
 }
 
 /// How much of the texture is fine: energy of the gradient across its weaker direction at full resolution, in units of that at a quarter of

@@ -1,6 +1,6 @@
 //! From photos to models, or to a verdict.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use drex_core::camera::Camera;
@@ -87,8 +87,12 @@ const TURN_SHARE: f64 = 0.7;
 const CONFIRMED_SHARE: f64 = 0.15;
 /// Keypoints that a photo needs to be worth looking at.
 const FEW_KEYPOINTS: usize = 60;
-/// Photos up to which every pair is compared.
+/// Photos up to which every pair is compared; of more, the keypoints of each that are compared first, and its best partners by these.
 const ALL_PAIRS: usize = 160;
+const PREVIEW_KEYPOINTS: usize = 300;
+const PARTNERS: usize = 40;
+/// Frames of a video are compared with so many before and behind.
+const NEIGHBOURS: usize = 8;
 
 /// Finds the cameras of photos, and the points that they show.
 ///
@@ -218,7 +222,7 @@ impl FrontEnd {
         progress: &(dyn Fn(Step) + Sync),
         report: &mut Report,
     ) -> Result<(Vec<PairMatches>, Vec<Pair>), Verdict> {
-        let chosen = which_pairs(self.photos.len(), options);
+        let chosen = which_pairs(&self.features, options, progress);
         let counter = Counter::new("matches", chosen.len(), progress);
         let mut matches = Matcher::new(&self.features, options.seed).pairs(&chosen, &|| counter.step());
         let side = self.headers.iter().map(|h| f64::from(h.width.max(h.height))).fold(0.0, f64::max);
@@ -329,14 +333,31 @@ fn only_turned(what: String) -> Verdict {
     Verdict::new(Cause::OnlyTurned, what, "walk round the object: a camera that turns on the spot sees no distances")
 }
 
-/// Pairs that are compared: all of a small set; of frames, those near in time, by powers of two, and a net of key frames.
-fn which_pairs(n: usize, options: &RegisterOptions) -> Vec<[usize; 2]> {
-    let near = |i: usize, j: usize| {
-        let apart = j - i;
-        !options.video || apart <= 8 || apart.is_power_of_two() || (i % 4 == 0 && j % 4 == 0)
-    };
-    let all = (0..n).flat_map(|i| (i + 1..n).map(move |j| [i, j]));
-    if n <= ALL_PAIRS { all.collect() } else { all.filter(|[i, j]| near(*i, *j)).collect() }
+/// Pairs that are compared: all of a small set; of a large one, for each photo those that look most like it by its strongest keypoints, and
+/// of a video its neighbours in time.
+fn which_pairs(features: &[Features], options: &RegisterOptions, progress: &(dyn Fn(Step) + Sync)) -> Vec<[usize; 2]> {
+    let n = features.len();
+    let all: Vec<[usize; 2]> = (0..n).flat_map(|i| (i + 1..n).map(move |j| [i, j])).collect();
+    if n <= ALL_PAIRS {
+        return all;
+    }
+    let preview: Vec<Features> = features.par_iter().map(|f| f.first(PREVIEW_KEYPOINTS)).collect();
+    let counter = Counter::new("preview", all.len(), progress);
+    let alike = Matcher::new(&preview, options.seed).pairs(&all, &|| counter.step());
+    let mut by_photo: Vec<Vec<(usize, usize)>> = vec![Vec::new(); n];
+    for pair in &alike {
+        let [i, j] = pair.views;
+        by_photo[i].push((pair.matches.len(), j));
+        by_photo[j].push((pair.matches.len(), i));
+    }
+    let mut chosen = BTreeSet::new();
+    for (i, mut others) in by_photo.into_iter().enumerate() {
+        others.sort_by_key(|&(matches, j)| (std::cmp::Reverse(matches), j));
+        let near = (i.saturating_sub(NEIGHBOURS)..(i + NEIGHBOURS + 1).min(n)).filter(|j| options.video && *j != i);
+        let best = others.iter().take(PARTNERS).filter(|(matches, _)| *matches > 0).map(|(_, j)| *j);
+        chosen.extend(best.chain(near).map(|j| [i.min(j), i.max(j)]));
+    }
+    chosen.into_iter().collect()
 }
 
 /// Groups of photos that pairs connect, each sorted, the largest first.
@@ -428,7 +449,7 @@ fn refine(
     relocate(&mut model, &relocation);
     check_baseline(front, &model)?;
     let counter = Counter::new("sub-pixels", model.views.len(), progress);
-    let read = |view: usize| -> Result<(Grey, Vec<(usize, [u8; 3])>), String> {
+    let read = |view: usize| -> Result<(Grey, Colours), String> {
         let (grey, rgb) = photos::read_colours(&front.photos[model.views[view].photo].path)?;
         counter.step();
         let colours = colours_of(&model, view, &grey, &rgb);
@@ -496,8 +517,11 @@ fn drop_unconfirmed(model: &mut Model, greys: &[Grey]) -> Vec<(usize, [usize; 2]
     gone
 }
 
+/// Points and their colours.
+type Colours = Vec<(usize, [u8; 3])>;
+
 /// Colours of the points whose first observation is in the view.
-fn colours_of(model: &Model, view: usize, grey: &Grey, rgb: &[[u8; 3]]) -> Vec<(usize, [u8; 3])> {
+fn colours_of(model: &Model, view: usize, grey: &Grey, rgb: &[[u8; 3]]) -> Colours {
     let colour = |(k, p): (usize, &crate::model::Point)| {
         let o = p.observations.first().filter(|o| o.view == view)?;
         let (x, y) = (o.pixel.x.round() as usize, o.pixel.y.round() as usize);

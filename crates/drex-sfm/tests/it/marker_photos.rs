@@ -1,5 +1,4 @@
 //! The marker in rendered photos of another renderer, with exact cameras (shared data).
-#![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 use std::path::{Path, PathBuf};
 

@@ -1,16 +1,13 @@
 //! Tags in rendered photos with known corners, and in hostile bytes.
-#![allow(clippy::unwrap_used)] // a test may stop at the first surprise
-
-mod tag_renderer;
 
 use std::f64::consts::TAU;
 
+use crate::tag_renderer::{Random, Tag, Taking, camera, looking, render, true_corners};
 use drex_core::Pose;
 use drex_core::camera::Camera;
 use drex_sfm::marker::{Detection, Family, Marker, detect, detect_all, refine};
 use nalgebra::{Point2, Point3};
 use proptest::prelude::*;
-use tag_renderer::{Random, Tag, Taking, camera, looking, render, true_corners};
 
 const SIZE: (usize, usize) = (400, 300);
 

@@ -1,14 +1,11 @@
 //! Scale, up and origin from corners in synthetic photos.
-#![allow(clippy::unwrap_used)] // a test may stop at the first surprise
-
-mod tag_renderer;
 
 use std::f64::consts::TAU;
 
+use crate::tag_renderer::{Random, Tag, Taking, camera, looking, render, true_corners};
 use drex_core::Pose;
 use drex_sfm::marker::{Family, Marker, MarkerFit, Sighting, detect_all, metric};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
-use tag_renderer::{Random, Tag, Taking, camera, looking, render, true_corners};
 
 /// Scene units per metre, and where the scene's origin and axes are: as free as a reconstruction has them.
 const UNITS_PER_M: f64 = 7.3;

@@ -1,18 +1,14 @@
 //! The rendered captures are what their truth says: where things are in the picture, on one thread as on two.
-#![allow(missing_docs, clippy::unwrap_used)] // helpers of tests stand outside of their functions
-
-#[path = "../examples/make_capture/capture/mod.rs"]
-mod capture;
 
 use std::collections::HashSet;
 use std::sync::Arc;
 
-use capture::kinds::{Kind, Size, plan};
-use capture::paint::{Canvas, Picture};
-use capture::path::look_at;
-use capture::render::{Lens, Photo, Sensor, Shot, take};
-use capture::scene::{Lamp, Paint, Role, Room, Scene, Shape, Solid};
-use capture::write;
+use crate::capture::kinds::{Kind, Size, plan};
+use crate::capture::paint::{Canvas, Picture};
+use crate::capture::path::look_at;
+use crate::capture::render::{Lens, Photo, Sensor, Shot, take};
+use crate::capture::scene::{Lamp, Paint, Role, Room, Scene, Shape, Solid};
+use crate::capture::write;
 use drex_core::Pose;
 use drex_core::camera::{Camera, CameraModel};
 use image::RgbImage;
