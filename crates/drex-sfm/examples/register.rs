@@ -18,7 +18,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let begun = std::time::Instant::now();
     let told = std::sync::Mutex::new("");
     let progress = |s: drex_sfm::Step| {
-        let mut last = told.lock().unwrap();
+        let Ok(mut last) = told.lock() else { return };
         if *last != s.stage {
             *last = s.stage;
             eprintln!("{:6.1} {} of {}", begun.elapsed().as_secs_f64(), s.stage, s.total);

@@ -7,6 +7,8 @@ use crate::photos::Grey;
 
 /// Photos are scaled down to this side for the detector: finer detail than this is noise in most lenses.
 const MAX_SIDE: usize = 1600;
+/// Photos are looked at at twice their size up to this side.
+const MOST_ENLARGED: usize = 2600;
 /// The cells of a photo, each way, over which keypoints are spread before the weakest are cut.
 const CELLS: usize = 8;
 /// Below this [`sharpness`] a photo is blurred: rendered and real photos that can be used have 0.25 to 1.9, smears of 25 to 40 pixels 0.21 at most.
@@ -37,11 +39,16 @@ impl Features {
     }
 }
 
-/// Finds at most `most` keypoints, of those at pixels where `mask` is white.
-pub(crate) fn extract(grey: &Grey, mask: Option<&Grey>, most: usize) -> Result<Features, String> {
-    let (image, factor) = scaled(grey);
+/// Finds at most `most` keypoints, of those at pixels where `mask` is white; `closer`: in the photo at twice its size, where blobs that are
+/// smaller than the detector's smallest are found too.
+pub(crate) fn extract(grey: &Grey, mask: Option<&Grey>, most: usize, closer: bool) -> Result<Features, String> {
     let extractor = AlpExtractor::with_preset(AlpPreset::High);
-    let found = extractor.extract_u8(&image).map_err(|e| e.to_string())?;
+    let (mut image, mut factor) = scaled(grey);
+    let mut found = extractor.extract_u8(&image).map_err(|e| e.to_string())?;
+    if closer && 2 * grey.width.max(grey.height) <= MOST_ENLARGED {
+        (image, factor) = (enlarged(grey), 0.5);
+        found = extractor.extract_u8(&image).map_err(|e| e.to_string())?;
+    }
     let (points, descriptors) = found.into_parts();
     // Positions in the photo: pixel centres of the scaled image are at whole numbers too.
     let unscaled = |v: f32| (v + 0.5) * factor - 0.5;
@@ -82,6 +89,15 @@ fn scaled(grey: &Grey) -> (GrayImage, f32) {
         rows.map(|r| columns.clone().map(|c| grey.at(c, r)).sum::<f32>()).sum::<f32>() / count
     };
     (GrayImage::from_fn(height, width, mean), factor)
+}
+
+/// The photo at twice its size, between pixels by splines; the pixel (0, 0) of the photo covers (0, 0) to (1, 1).
+fn enlarged(grey: &Grey) -> GrayImage {
+    let at = |k: usize, n: usize| ((k as f64 + 0.5) / 2.0 - 0.5).clamp(1.0, n as f64 - 2.001);
+    GrayImage::from_fn(2 * grey.height, 2 * grey.width, |y, x| {
+        let value = grey.cubic(at(x, grey.width), at(y, grey.height));
+        value.map_or_else(|| grey.at(x / 2, y / 2), |v| v.clamp(0.0, 255.0) as f32)
+    })
 }
 
 /// Whether the mask is white there; it may be smaller than the photo.

@@ -75,9 +75,12 @@ pub struct Registration {
     pub report: Report,
 }
 
+/// Photos are looked at more closely when fewer than this share of them could be registered.
+const ENOUGH_SHARE: f64 = 0.9;
 /// A model has at least so many photos; the only one of a small set may have fewer.
 const LEAST_PHOTOS: usize = 5;
 const LEAST_PHOTOS_OF_ONLY: usize = 3;
+const SMALL_SET: usize = 20;
 /// Cameras that stand within this share of the scene's distance of each other have only turned.
 const LEAST_BASELINE: f64 = 0.05;
 /// A rotation that explains this share of a pair's good matches says that the camera only turned.
@@ -85,6 +88,8 @@ const TURN_SHARE: f64 = 0.7;
 /// A photo has to show this share of the points that its neighbours say it should: right ones show 0.18 to 0.9, one that was placed by a
 /// look-alike side 0.10, frames smeared by motion 0 to 0.06.
 const CONFIRMED_SHARE: f64 = 0.15;
+/// Points that a photo's place has to stand on at the end.
+const LEAST_VIEW_POINTS: usize = 12;
 /// Keypoints that a photo needs to be worth looking at.
 const FEW_KEYPOINTS: usize = 60;
 /// Photos up to which every pair is compared; of more, the keypoints of each that are compared first, and its best partners by these.
@@ -103,7 +108,29 @@ pub fn register(
     options: &RegisterOptions,
     progress: &(dyn Fn(Step) + Sync),
 ) -> Result<Registration, Verdict> {
-    let mut front = FrontEnd::new(photos, options, progress)?;
+    let first = attempt(photos, options, false, progress);
+    let registered = |r: &Registration| r.models.iter().map(|m| m.views.len()).sum::<usize>();
+    let hopeless = |v: &Verdict| matches!(v.cause, Cause::TooFewPhotos | Cause::Input | Cause::Blur);
+    match first {
+        Ok(done) if registered(&done) as f64 >= ENOUGH_SHARE * photos.len() as f64 => Ok(done),
+        Err(verdict) if hopeless(&verdict) => Err(verdict),
+        // Few or small photos, or weak texture: a closer look takes four times as long, and often finds the rest.
+        first => match (first, attempt(photos, options, true, progress)) {
+            (Ok(a), Ok(b)) if registered(&b) > registered(&a) => Ok(b),
+            (Err(_), Ok(b)) => Ok(b),
+            (first, _) => first,
+        },
+    }
+}
+
+/// A registration with the keypoints of the photos, or of the photos at twice their size.
+fn attempt(
+    photos: &[InputPhoto],
+    options: &RegisterOptions,
+    closer: bool,
+    progress: &(dyn Fn(Step) + Sync),
+) -> Result<Registration, Verdict> {
+    let mut front = FrontEnd::new(photos, options, closer, progress)?;
     let mut report = Report::new(photos, &front.unreadable);
     let (matches, pairs) = front.pairs(options, progress, &mut report)?;
     front.check_overlap(&pairs)?;
@@ -151,6 +178,7 @@ impl FrontEnd {
     fn new(
         photos: &[InputPhoto],
         options: &RegisterOptions,
+        closer: bool,
         progress: &(dyn Fn(Step) + Sync),
     ) -> Result<Self, Verdict> {
         let masked = photos.iter().filter(|p| p.mask.is_some()).count();
@@ -162,7 +190,7 @@ impl FrontEnd {
             if let Some(mask) = &mask {
                 photos::check_mask(&grey, mask)?;
             }
-            let features = features::extract(&grey, mask.as_ref(), options.max_keypoints)?;
+            let features = features::extract(&grey, mask.as_ref(), options.max_keypoints, closer)?;
             counter.step();
             Ok((header, features))
         };
@@ -405,7 +433,7 @@ fn map_all(
             Ok(m) => m.reconstruction().registered_views().map(|(id, _)| m.photos[id.index()]).collect(),
             Err(_) => Vec::new(),
         };
-        let least = if models.is_empty() && n < 2 * LEAST_PHOTOS { LEAST_PHOTOS_OF_ONLY } else { LEAST_PHOTOS };
+        let least = if models.is_empty() && n < SMALL_SET { LEAST_PHOTOS_OF_ONLY } else { LEAST_PHOTOS };
         match mapped {
             Ok(m) if registered.len() >= least => {
                 left.retain(|k| registered.binary_search(k).is_err());
@@ -426,8 +454,8 @@ pub(crate) struct Refined {
     pub(crate) sigmas: Option<Vec<PoseSigma>>,
     /// Share of the observations whose pixel was found by aligning patches.
     pub(crate) aligned: f64,
-    /// Photos whose place was not confirmed, with the points that they should show and that they do show.
-    pub(crate) unconfirmed: Vec<(usize, [usize; 2])>,
+    /// Photos that were taken out again, and why.
+    pub(crate) removed: Vec<(usize, String)>,
 }
 
 /// Photos that share a lens, at least, for its fuller model; and how much of the cost that has to save.
@@ -458,6 +486,7 @@ fn refine(
     let read: Result<Vec<_>, String> = (0..model.views.len()).into_par_iter().map(read).collect();
     let changed = |e| Verdict::new(Cause::Input, format!("a photo changed while it was used: {e}"), "run it again");
     let (greys, colours): (Vec<Grey>, Vec<_>) = read.map_err(changed)?.into_iter().unzip();
+    let greys: BTreeMap<usize, Grey> = model.views.iter().map(|v| v.photo).zip(greys).collect();
     colours.into_iter().flatten().for_each(|(point, rgb)| model.points[point].rgb = rgb);
     let aligned = subpixel::refine(&mut model, &greys);
     progress(Step { stage: "adjustment", done: 0, total: 4 });
@@ -486,28 +515,54 @@ fn refine(
         adjusted = adjust::adjust(&mut model, freedom, 20).map_err(failed)?;
     }
     progress(Step { stage: "confirmation", done: 0, total: model.views.len() });
-    let unconfirmed = drop_unconfirmed(&mut model, &greys);
-    if !unconfirmed.is_empty() {
+    let mut removed = drop_weak(&mut model);
+    removed.extend(drop_unconfirmed(&mut model, &greys));
+    if !removed.is_empty() {
         adjust::drop_outliers(&mut model);
         adjusted = adjust::adjust(&mut model, freedom, 20).map_err(failed)?;
+        removed.extend(drop_weak(&mut model));
+    }
+    let least = if front.photos.len() < SMALL_SET { LEAST_PHOTOS_OF_ONLY } else { LEAST_PHOTOS };
+    if model.views.len() < least {
+        return Err(Verdict::new(
+            Cause::Inconsistent,
+            format!("only {} of a model could be confirmed", count(model.views.len(), "photo")),
+            "take more photos, each overlapping the one before by two thirds",
+        ));
     }
     check_baseline(front, &model)?;
     check_turns(front, &model, matches)?;
     check_lenses(&model)?;
     let sigmas = adjust::pose_sigmas(&model, freedom);
-    Ok(Refined { model, adjusted, sigmas, aligned, unconfirmed })
+    Ok(Refined { model, adjusted, sigmas, aligned, removed })
+}
+
+/// Takes out the views that are left with too few points to stand on.
+fn drop_weak(model: &mut Model) -> Vec<(usize, String)> {
+    let mut gone = Vec::new();
+    while let Some((view, n)) = model.counts().into_iter().enumerate().find(|(_, n)| *n < LEAST_VIEW_POINTS) {
+        let photo = model.views[view].photo;
+        gone.push((photo, format!("its place stands on {} only", count(n, "point"))));
+        model.remove(photo);
+    }
+    gone
 }
 
 /// Takes out the views that show too little of what they should; see [`subpixel::confirm`].
-fn drop_unconfirmed(model: &mut Model, greys: &[Grey]) -> Vec<(usize, [usize; 2])> {
+fn drop_unconfirmed(model: &mut Model, greys: &BTreeMap<usize, Grey>) -> Vec<(usize, String)> {
     let counts: Vec<[usize; 2]> = (0..model.views.len()).map(|k| subpixel::confirm(model, k, greys)).collect();
     let share = |[yes, no]: [usize; 2]| yes as f64 / (yes + no).max(1) as f64;
     let typical = upper_median(counts.iter().map(|c| share(*c))).unwrap_or(0.0);
     let least = CONFIRMED_SHARE.min(0.5 * typical);
     let mut gone = Vec::new();
     for (view, count) in model.views.iter().zip(&counts) {
-        if count[0] + count[1] >= FEW_KEYPOINTS && share(*count) < least {
-            gone.push((view.photo, [count[0] + count[1], count[0]]));
+        let [shown, expected] = [count[0], count[0] + count[1]];
+        if expected >= FEW_KEYPOINTS && share(*count) < least {
+            let why = format!(
+                "its place cannot be confirmed: of {expected} points that it should show it shows {shown} (motion blur, or a look-alike side \
+                 of the object)"
+            );
+            gone.push((view.photo, why));
         }
     }
     if model.views.len() < gone.len() + LEAST_PHOTOS_OF_ONLY {
@@ -538,12 +593,17 @@ fn check_baseline(front: &FrontEnd, model: &Model) -> Result<(), Verdict> {
         p.observations.iter().map(|o| (model.views[o.view].camera_from_world * p.position).z).collect::<Vec<_>>()
     });
     let depth = upper_median(depths).unwrap_or(0.0);
-    if !(extent >= LEAST_BASELINE * depth) || model.points.len() < FEW_KEYPOINTS / 2 {
-        let share = 100.0 * extent / depth.max(f64::MIN_POSITIVE);
-        let names = front.names(model.views.iter().map(|v| v.photo));
+    let names = list(&front.names(model.views.iter().map(|v| v.photo)));
+    if model.points.len() < FEW_KEYPOINTS / 2 {
         return Err(only_turned(format!(
-            "the cameras of {} moved by {share:.1} % of the distance to what they show",
-            list(&names)
+            "only {} of what {names} show has a distance",
+            count(model.points.len(), "point")
+        )));
+    }
+    if !(extent >= LEAST_BASELINE * depth) {
+        let share = 100.0 * extent / depth.max(f64::MIN_POSITIVE);
+        return Err(only_turned(format!(
+            "the cameras of {names} moved by {share:.1} % of the distance to what they show"
         )));
     }
     Ok(())

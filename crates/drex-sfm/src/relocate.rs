@@ -37,7 +37,8 @@ pub(crate) struct Relocation<'a> {
 /// their points contradict each other. Two views are never left.
 pub(crate) fn relocate(model: &mut Model, with: &Relocation<'_>) -> Vec<usize> {
     let mut removed = Vec::new();
-    let weak: Vec<usize> = counts(model)
+    let weak: Vec<usize> = model
+        .counts()
         .iter()
         .enumerate()
         .filter(|(_, n)| **n < WEAK_POINTS)
@@ -70,13 +71,6 @@ pub(crate) fn relocate(model: &mut Model, with: &Relocation<'_>) -> Vec<usize> {
     }
     removed.retain(|p| left.binary_search(p).is_ok());
     removed
-}
-
-/// Points that each view sees.
-fn counts(model: &Model) -> Vec<usize> {
-    let mut counts = vec![0; model.views.len()];
-    model.points.iter().flat_map(|p| &p.observations).for_each(|o| counts[o.view] += 1);
-    counts
 }
 
 /// A view with the points that it sees.
@@ -149,6 +143,13 @@ fn place(model: &Model, photo: usize, lens: usize, with: &Relocation<'_>) -> Opt
 }
 
 impl Model {
+    /// Points that each view sees.
+    pub(crate) fn counts(&self) -> Vec<usize> {
+        let mut counts = vec![0; self.views.len()];
+        self.points.iter().flat_map(|p| &p.observations).for_each(|o| counts[o.view] += 1);
+        counts
+    }
+
     /// Takes a photo out, with what is then seen by one photo alone.
     pub(crate) fn remove(&mut self, photo: usize) {
         let Some(gone) = self.views.iter().position(|v| v.photo == photo) else { return };

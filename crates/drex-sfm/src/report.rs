@@ -138,13 +138,10 @@ impl Report {
             entry.rotation_sd_deg = refined.sigmas.as_ref().map(|s| s[k].rotation_rad.to_degrees());
             entry.centre_sd = refined.sigmas.as_ref().map(|s| s[k].centre);
         }
-        for (photo, [expected, shown]) in &refined.unconfirmed {
+        for (photo, why) in &refined.removed {
             let name = &front.photos[*photo].name;
             if let Some(entry) = self.photos.iter_mut().find(|p| p.name == *name) {
-                entry.why_not = Some(format!(
-                    "its place cannot be confirmed: of {expected} points that it should show it shows {shown} (motion blur, or a look-alike \
-                     side of the object)"
-                ));
+                entry.why_not = Some(why.clone());
             }
         }
         let lens = |(k, lens): (usize, &crate::model::Lens)| {

@@ -11,8 +11,9 @@ use drex_core::sets::DisjointSets;
 use crate::features::Features;
 use crate::matching::PairMatches;
 
-/// What stays within this many pixels (of a photo of 1000 pixels) stands still.
+/// What stays within this many pixels (of a photo of 1000 pixels) stands still; the detector's own noise is not taken for motion.
 const STILL_PX: f64 = 2.0;
+const LEAST_STILL_PX: f64 = 1.5;
 /// What moves, moves at least so far, in the same unit.
 const MOVING_PX: f64 = 8.0;
 /// A pair shows both when it has at least so many matches of each kind.
@@ -39,7 +40,7 @@ pub(crate) struct StillBackground {
 
 /// Looks for a background that stands still; `None` where the photos show none.
 pub(crate) fn find(pairs: &[PairMatches], photos: &[Features], side_px: f64) -> Option<StillBackground> {
-    let unit = side_px / 1000.0;
+    let (unit, still_px) = (side_px / 1000.0, still_px(side_px));
     let moved = |pair: &PairMatches, k: usize| {
         let m = &pair.matches[k];
         let (a, b) = (&photos[pair.views[0]].keypoints[m.first], &photos[pair.views[1]].keypoints[m.second]);
@@ -53,7 +54,7 @@ pub(crate) fn find(pairs: &[PairMatches], photos: &[Features], side_px: f64) -> 
     let mut moves = stays.clone();
     for pair in pairs {
         let distances: Vec<f64> = (0..pair.matches.len()).map(|k| moved(pair, k)).collect();
-        let still = distances.iter().filter(|d| **d <= STILL_PX * unit).count();
+        let still = distances.iter().filter(|d| **d <= still_px).count();
         let moving = distances.iter().filter(|d| **d >= MOVING_PX * unit).count();
         if still < LEAST_OF_EACH {
             continue;
@@ -65,7 +66,7 @@ pub(crate) fn find(pairs: &[PairMatches], photos: &[Features], side_px: f64) -> 
             pair.views.iter().for_each(|&v| partners[v] += 1);
         }
         for (m, d) in pair.matches.iter().zip(&distances) {
-            let of = if *d <= STILL_PX * unit { &mut stays } else { &mut moves };
+            let of = if *d <= still_px { &mut stays } else { &mut moves };
             of[pair.views[0]][m.first] += 1;
             of[pair.views[1]][m.second] += 1;
         }
@@ -81,6 +82,10 @@ pub(crate) fn find(pairs: &[PairMatches], photos: &[Features], side_px: f64) -> 
     let all: usize = still.iter().map(Vec::len).sum();
     let those: usize = still.iter().flatten().filter(|s| **s).count();
     Some(StillBackground { still, share: those as f64 / all.max(1) as f64 })
+}
+
+fn still_px(side_px: f64) -> f64 {
+    (STILL_PX * side_px / 1000.0).max(LEAST_STILL_PX)
 }
 
 /// Which tripod position each photo is from.
@@ -128,7 +133,7 @@ impl StillBackground {
 
 /// Leaves out matches that stay at their pixel.
 pub(crate) fn drop_staying(pairs: &mut [PairMatches], photos: &[Features], side_px: f64) {
-    let within = STILL_PX * side_px / 1000.0;
+    let within = still_px(side_px);
     for pair in pairs {
         let [i, j] = pair.views;
         pair.matches.retain(|m| {

@@ -4,6 +4,8 @@
 //! hundredths. The patch of the reference photo is warped affinely, from the warp that a surface facing the cameras would have, and
 //! aligned by the inverse compositional algorithm (Baker and Matthews 2004) on patches of mean zero and variance one.
 
+use std::collections::BTreeMap;
+
 use nalgebra::{Matrix2, Matrix3x2, Point2, Vector2, Vector3};
 use rayon::prelude::*;
 
@@ -40,8 +42,8 @@ struct Template {
 }
 
 /// Refines all observations that can be aligned with their point's reference photo; the others stay as the detector placed them. Returns
-/// the share that was aligned. `photos` are by view.
-pub(crate) fn refine(model: &mut Model, photos: &[Grey]) -> f64 {
+/// the share that was aligned. `photos` are by their index among all.
+pub(crate) fn refine(model: &mut Model, photos: &BTreeMap<usize, Grey>) -> f64 {
     let frozen = &*model;
     let refined: Vec<Option<Vec<Observation>>> =
         frozen.points.par_iter().map(|point| refine_point(frozen, point, photos)).collect();
@@ -59,8 +61,9 @@ pub(crate) fn refine(model: &mut Model, photos: &[Grey]) -> f64 {
 /// How many of the points that a view should see, by what photos beside it see, it shows, and how many it does not.
 ///
 /// A photo that was placed by a look-alike side of the object shows that side's points and none of what is beside them.
-pub(crate) fn confirm(model: &Model, view: usize, photos: &[Grey]) -> [usize; 2] {
+pub(crate) fn confirm(model: &Model, view: usize, photos: &BTreeMap<usize, Grey>) -> [usize; 2] {
     let centre = model.views[view].centre();
+    let of = |o: &Observation| photos.get(&model.views[o.view].photo);
     let shows = |point: &Point| -> Option<bool> {
         if point.observations.iter().any(|o| o.view == view) {
             return None;
@@ -72,7 +75,7 @@ pub(crate) fn confirm(model: &Model, view: usize, photos: &[Grey]) -> [usize; 2]
             return None;
         }
         let pixel = model.project(view, &point.position)?;
-        let photo = &photos[view];
+        let photo = photos.get(&model.views[view].photo)?;
         let margin = f64::from(2 * HALF);
         let inside = |v: f64, n: usize| v >= margin && v <= n as f64 - 1.0 - margin;
         if !(inside(pixel.x, photo.width) && inside(pixel.y, photo.height)) {
@@ -85,7 +88,7 @@ pub(crate) fn confirm(model: &Model, view: usize, photos: &[Grey]) -> [usize; 2]
         if !(1.0 / MOST_ZOOM..=MOST_ZOOM).contains(&zoom) {
             return None;
         }
-        let template = Template::new(&photos[nearest.view], nearest.pixel)?;
+        let template = Template::new(of(nearest)?, nearest.pixel)?;
         Some(template.align(photo, Warp { linear, middle: pixel }).is_some())
     };
     let answers: Vec<bool> = model.points.par_iter().filter_map(shows).collect();
@@ -93,7 +96,8 @@ pub(crate) fn confirm(model: &Model, view: usize, photos: &[Grey]) -> [usize; 2]
     [yes, answers.len() - yes]
 }
 
-fn refine_point(model: &Model, point: &Point, photos: &[Grey]) -> Option<Vec<Observation>> {
+fn refine_point(model: &Model, point: &Point, photos: &BTreeMap<usize, Grey>) -> Option<Vec<Observation>> {
+    let of = |o: &Observation| photos.get(&model.views[o.view].photo);
     let frames: Vec<Option<Matrix2<f64>>> = {
         let plane = facing_plane(model, point)?;
         point.observations.iter().map(|o| image_of_plane(model, o.view, point, &plane)).collect()
@@ -106,7 +110,7 @@ fn refine_point(model: &Model, point: &Point, photos: &[Grey]) -> Option<Vec<Obs
     let from_plane = frames[reference]?;
     let to_plane = from_plane.try_inverse()?;
     let own = &point.observations[reference];
-    let template = Template::new(&photos[own.view], own.pixel)?;
+    let template = Template::new(of(own)?, own.pixel)?;
     let aligned = |(k, o): (usize, &Observation)| {
         if k == reference {
             return Some(o.pixel);
@@ -114,7 +118,7 @@ fn refine_point(model: &Model, point: &Point, photos: &[Grey]) -> Option<Vec<Obs
         let linear = frames[k]? * to_plane;
         let zoom = linear.determinant().abs().sqrt();
         let warp = Warp { linear, middle: o.pixel };
-        (1.0 / MOST_ZOOM..=MOST_ZOOM).contains(&zoom).then(|| template.align(&photos[o.view], warp)).flatten()
+        (1.0 / MOST_ZOOM..=MOST_ZOOM).contains(&zoom).then(|| template.align(of(o)?, warp)).flatten()
     };
     let refined = |(k, o)| match aligned((k, o)) {
         Some(pixel) => Observation { pixel, aligned: true, ..*o },
