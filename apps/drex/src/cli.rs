@@ -16,6 +16,7 @@ use drex_mesh::{KnownDistance, LengthUnit};
 use drex_recording::convert::mujoco_push::{ForceQuality, PoseQuality};
 use drex_splat::train::{DensityChoice, Preset};
 use drex_sysid::Parameter;
+use drex_twin::scan::ObjectClick;
 use nalgebra::{Point3, Similarity3};
 
 pub use grasp::{DeployArgs, GraspArgs};
@@ -334,6 +335,9 @@ pub struct ScanArgs {
     /// Box of the object in the frame and unit of the scan, where it is not alone: lower and upper corner.
     #[arg(long, value_name = "X,Y,Z,X,Y,Z", value_parser = region, allow_hyphen_values = true)]
     pub region: Option<[Point3<f64>; 2]>,
+    /// A pixel of a photo that shows the object, where several things stand on the table, such as 512,300@IMG_1001.jpg.
+    #[arg(long, value_name = "X,Y@PHOTO", conflicts_with = "region")]
+    pub object: Option<ObjectClick>,
     /// Side of a voxel, metres [default: by the size of the object and of a pixel on it].
     #[arg(long, value_name = "M", value_parser = positive)]
     pub voxel: Option<f64>,

@@ -220,7 +220,7 @@ pub(crate) fn mesh_asset(
     Ok(Asset { inner: Arc::new(asset) })
 }
 
-/// The verdicts of sixteen rules on a mesh or asset. `print` shows them as a table.
+/// The verdicts of the rules on a mesh or asset. `print` shows them as a table.
 #[pyclass(module = "drex", frozen)]
 pub(crate) struct MeshCheck {
     report: drex_mesh::CheckReport,
@@ -261,7 +261,7 @@ impl MeshCheck {
     }
 }
 
-/// Judges a mesh, or a written asset, by sixteen rules of what simulators need.
+/// Judges a mesh, or a written asset, by rules of what simulators need.
 ///
 /// `mesh` is a mesh file, a folder or MJCF that `mesh_asset` wrote, or a tuple (vertices (V, 3), faces (F, 3)). `unit` as for `mesh_asset`.
 #[pyfunction]

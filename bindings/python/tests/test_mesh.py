@@ -70,7 +70,7 @@ class Assets(Case):
     def test_the_rules(self):
         vertices, faces = box(0.06, 0.04, 0.02)
         check = drex.mesh_check((vertices, faces))
-        self.assertEqual([rule["number"] for rule in check.rules], list(range(1, 17)))
+        self.assertEqual([rule["number"] for rule in check.rules], list(range(1, 24)))
         self.assertIn("closed", str(check))
         sheet = drex.mesh_check((vertices, faces[:2]))
         self.assertFalse(sheet.passed)

@@ -1,4 +1,4 @@
-//! The sixteen rules for files and assets: `cargo run --release -p drex-mesh --example check PATH...` (a mesh file, an MJCF file or
+//! The rules for files and assets: `cargo run --release -p drex-mesh --example check PATH...` (a mesh file, an MJCF file or
 //! an asset folder each).
 #![allow(clippy::print_stdout)] // a program
 

@@ -3,7 +3,7 @@
 //!
 //! [`build_asset`] does the whole way from a file to an [`Asset`]; its steps can be used alone:
 //! [`fuse`], [`read_mesh`], [`repair()`], [`decimate`], [`solid_properties`], [`convex_parts`], [`stable_poses`], [`MeshSdf`] and its fast
-//! sibling [`GridSdf`]. [`check_mesh`] judges a mesh by sixteen rules.
+//! sibling [`GridSdf`]. [`check_mesh`] judges a mesh by 17 rules, [`check_scan`] by what its scan says of it.
 //!
 //! ```
 //! use drex_core::mesh::convex_hull;
@@ -41,10 +41,10 @@ mod io;
 mod mass;
 mod orient;
 mod partition;
-mod region;
 mod repair;
 mod rest;
 mod scale;
+mod scene;
 mod sdf;
 mod sequence;
 #[cfg(test)]
@@ -58,7 +58,10 @@ pub use asset::{
     JointKind, LengthUnit, Part, PartConfig, SceneOptions, UpSource, articulated_asset, asset_from_mesh, build_asset,
     joint_tree, metric_mesh, read_object, rebuild_asset,
 };
-pub use check::{CheckOptions, CheckReport, Outcome, RuleResult, check_asset, check_file, check_mesh};
+pub use check::{
+    CheckOptions, CheckReport, Outcome, RuleResult, ScanCamera, ScanEvidence, Silhouette, SupportEvidence, check_asset,
+    check_file, check_mesh, check_scan,
+};
 pub use colors::vertex_colors;
 pub use compare::{CompareOptions, SurfaceComparison, compare_surfaces};
 pub use decimate::{DecimateOptions, DecimateReport, decimate};
@@ -75,12 +78,15 @@ pub use io::{
 };
 pub use mass::{Hollow, HollowModel, check_mass_properties, principal, shell_properties};
 pub use partition::{PartitionMethod, PartitionOptions, UnionDistance, convex_parts, union_distance};
-pub use region::{ObjectRegion, object_on_table};
 pub use repair::{DroppedComponent, RepairOptions, RepairReport, repair};
 pub use rest::{RestOptions, RestPose, settled_pose, stable_poses};
 pub use scale::{
-    DistanceResidual, KnownDistance, Marks, PlaneOptions, ScaleFit, Sighting, Similarity, TablePlane, Triangulated,
-    read_marks, scale_from_distances, sheet_from_marks, table_plane, triangulate, triangulate_marks,
+    DistanceResidual, KnownDistance, Marks, ScaleFit, Sighting, Similarity, TablePlane, Triangulated, read_marks,
+    scale_from_distances, sheet_from_marks, triangulate, triangulate_marks,
+};
+pub use scene::{
+    Choice, Click, Found, ObjectGroup, PlaneCandidate, Scene, ScenePoint, SceneView, Scores, SupportChoice,
+    SupportOptions, UpPrior, find_objects, support_plane,
 };
 pub use sdf::MeshSdf;
 pub use solid::{ClosingMethod, Solid, solid_properties};

@@ -19,6 +19,7 @@ pub mod lock;
 pub mod manifest;
 mod object;
 mod pipeline;
+mod place;
 mod predict;
 mod progress;
 pub mod rank;

@@ -7,7 +7,7 @@ use crate::error::Context;
 use drex_core::{PoseRecord, fsutil};
 use drex_grasp::{GraspOrigin, GripForcePolicy, OriginCounts, StaticCheck};
 use drex_hw::driver::ContactRecord;
-use drex_mesh::FusionReport;
+use drex_mesh::{FusionReport, ScanEvidence};
 use drex_policy::TrainReport;
 use drex_sysid::{Identification, MassDistribution, MassPosterior, MassPrior, MassSource};
 use serde::de::DeserializeOwned;
@@ -98,6 +98,9 @@ pub struct ScanFile {
     pub scan: FrameReport,
     /// The depth maps as they were fused.
     pub fusion: FusionReport,
+    /// What the mesh was held against, masks left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub evidence: Option<ScanEvidence>,
 }
 
 /// `mass.json`: the posterior of the mass and what it is made of.

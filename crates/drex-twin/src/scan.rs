@@ -7,27 +7,28 @@ use std::time::Duration;
 
 use crate::Result;
 use crate::error::{Context, refuse};
-use drex_core::camera::point_looked_at;
 use drex_core::capture::{Capture, CaptureOptions, PhotoOptions, Photos};
-use drex_core::{Pose, TriMesh, fsutil};
+use drex_core::{PoseRecord, TriMesh, fsutil};
 use drex_mesh::{
-    DecimateOptions, DepthCamera, DepthMap, DepthViews, FusionOptions, FusionReport, KnownDistance, PlaneOptions,
-    ScaleFit, Similarity, Support, TablePlane, decimate, fuse, object_on_table, read_marks, scale_from_distances,
-    table_plane, triangulate_marks,
+    DecimateOptions, DepthCamera, DepthMap, DepthViews, FusionOptions, FusionReport, KnownDistance, Outcome,
+    RuleResult, ScaleFit, ScanCamera, ScanEvidence, ScenePoint, Silhouette, Similarity, Support, SupportEvidence,
+    check_scan, decimate, fuse, read_marks, scale_from_distances, triangulate_marks,
 };
 use drex_splat::{ReconstructOptions, Reconstruction};
-use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Point3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::Progress;
+use crate::place;
+pub use crate::place::{ObjectClick, OtherPlane};
 use crate::reconstruct::{Programs, open_capture, train_gaussians};
 
 /// The mesh of a scan keeps to the fused one within this share of a voxel.
 const MAX_SIMPLIFICATION_VOXELS: f64 = 0.1;
+/// Longest side of the masks that a mesh is held against, pixels.
+const SILHOUETTE_PX: u32 = 240;
 /// Every n-th pixel of a depth map stands for the scene where there are no sparse points; both ways.
 const PIXEL_STEP: usize = 12;
-/// A table that a masked object stands on may be this much of the object's height off its lowest point.
-const MAX_TABLE_OFFSET_SHARE: f64 = 0.1;
 
 /// What is known of the scan's frame besides its files.
 #[derive(Debug, Clone, Default)]
@@ -42,6 +43,8 @@ pub struct FrameOptions {
     pub up: Option<Vector3<f64>>,
     /// Lower and upper corner of the object's box, in the frame and unit of the scan.
     pub region: Option<[Point3<f64>; 2]>,
+    /// A pixel that shows the object, where several things stand on the table.
+    pub object: Option<ObjectClick>,
     /// Seed of the search for the table.
     pub seed: u64,
 }
@@ -83,6 +86,8 @@ pub struct Meshed {
     pub fusion: FusionReport,
     /// The mesh.
     pub mesh: TriMesh,
+    /// What the mesh was held against.
+    pub evidence: ScanEvidence,
     /// How the Gaussians were made, where there were no depth maps yet.
     pub made: Option<Reconstruction>,
 }
@@ -102,7 +107,7 @@ impl Scanning<'_> {
         let scale = Scale::new(&cameras, &self.frame)?;
         let (depths, masked, made) = self.depth_maps(&cameras, progress)?;
         progress.begin("fusion", None);
-        let scan = Scan::new(&cameras, &depths, masked, scale, &self.frame)?;
+        let mut scan = Scan::new(&cameras, &depths, masked, scale, &self.frame)?;
         let mut fusion = scan.fusion.clone();
         fusion.voxel_m = self.voxel_m;
         let fused =
@@ -114,7 +119,12 @@ impl Scanning<'_> {
             snap_to_table(&mut mesh, support, fused.report.voxel_m);
         }
         progress.end();
-        Ok(Meshed { scan, fusion: fused.report, mesh, made })
+        let evidence = scan.evidence(fused.report.voxel_m, self.frame.region.is_some())?;
+        scan.frame.doubts.extend(contradictions(&mesh, &evidence, self.input)?);
+        for doubt in &scan.frame.doubts {
+            progress.note(&format!("doubt: {doubt}"));
+        }
+        Ok(Meshed { scan, fusion: fused.report, mesh, evidence, made })
     }
 
     /// The capture with the depth maps, made where there are none, whether these show the object alone, and how they were
@@ -139,6 +149,24 @@ impl Scanning<'_> {
         let made: Made = fsutil::from_json(&report, &fsutil::read_text(&report)?)?;
         Ok((Capture::load(&folder, &CaptureOptions::default())?, made.object_only, trained))
     }
+}
+
+/// What in a scan makes its mesh doubtful, in sentences.
+///
+/// # Errors
+/// If the mesh contradicts the scan.
+fn contradictions(mesh: &TriMesh, evidence: &ScanEvidence, input: &Path) -> Result<Vec<String>> {
+    let sentence = |r: &RuleResult| {
+        let fix = r.fix.as_ref().map_or(String::new(), |fix| format!(": {fix}"));
+        format!("rule {} ({}): {}{fix}", r.number, r.name, r.reason)
+    };
+    let rules = check_scan(mesh, &[], evidence);
+    let of = |outcome: Outcome| rules.iter().filter(|r| r.outcome == outcome).map(sentence).collect::<Vec<_>>();
+    let failed = of(Outcome::Fail);
+    if failed.is_empty() {
+        return Ok(of(Outcome::Doubt));
+    }
+    refuse!("the mesh of {} contradicts its photos, no asset is made of it; {}", input.display(), failed.join("; "))
 }
 
 /// Puts what is within a voxel of the table onto it. No photo shows the edge on which an object stands, and the fusion rounds it off; but a push that
@@ -190,6 +218,15 @@ pub struct FrameReport {
     pub table_points: Option<usize>,
     /// Their root mean square distance from it, metres.
     pub table_rms_m: Option<f64>,
+    /// The same in pixels: each distance divided by what a pixel of noise does to its point.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub table_rms_px: Option<f64>,
+    /// How much speaks for the table, from 0 to 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub table_score: Option<f64>,
+    /// What else the table could have been, best first.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub other_planes: Vec<OtherPlane>,
     /// Up in the frame of the mesh.
     pub up_in_mesh: [f64; 3],
     /// Maps points of the scan to metres in the frame of the mesh; rows of a 4 x 4 matrix. Photos: the frame of the table,
@@ -198,8 +235,17 @@ pub struct FrameReport {
     /// Box that was meshed, metres, frame of the mesh.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub region_m: Option<[[f64; 3]; 2]>,
+    /// What says which thing the object is.
+    #[serde(default)]
+    pub object_from: String,
     /// Other things that stand on the table.
     pub others_on_table: usize,
+    /// Their boxes, metres, frame of the mesh.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub others_m: Vec<[[f64; 3]; 2]>,
+    /// Why table or object may be the wrong one, in sentences.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub doubts: Vec<String>,
 }
 
 impl DepthViews for Scan {
@@ -232,34 +278,16 @@ impl Scan {
         let mut one_at_a_time = PhotoOptions::default();
         one_at_a_time.memory_bytes = 0;
         let depths = Photos::new(depths, one_at_a_time)?;
-        let eyes: Vec<Pose> = cameras.views.iter().map(|v| v.camera_from_world.inverse()).collect();
-        let centres = cameras.centres();
-        let points: Vec<Point3<f64>> = if cameras.points.is_empty() {
-            points_of(&depths)?
-        } else {
-            cameras.points.iter().map(|p| p.position.into()).collect()
-        };
-
+        let points = if cameras.points.is_empty() { points_of(&depths, cameras)? } else { sparse_points(cameras) };
         let Scale { metres_per_unit, from: scale_from, distances, marks } = scale;
-        let near = |p: &Point3<f64>| options.region.is_none_or(|region| distance_from(&region, p) < size_of(&region));
-        let points: Vec<Point3<f64>> = points.into_iter().filter(near).collect();
-        let object = if masked { points_of(&depths)? } else { Vec::new() };
-        let mut plane = PlaneOptions::default();
-        plane.seed = options.seed;
-        let (table, up_from) = if let Some(up) = options.up {
-            (lowest_plane(if masked { &object } else { &points }, up), "given")
-        } else {
-            match table_plane(&points, &centres, &plane) {
-                Ok(table) if !masked || stands_on(&object, &table) => (table, "table"),
-                Err(e) if !masked => return Err(e.into()),
-                _ => (lowest_plane(&object, mean_up(&eyes)), "the cameras"),
-            }
+        let object: Vec<Point3<f64>> = match masked {
+            true => points_of(&depths, cameras)?.iter().map(|p| p.position).collect(),
+            false => Vec::new(),
         };
-        let looked_at = point_looked_at(&eyes).unwrap_or_else(|| mean(&points));
-        let towards = centres.first().map_or(Vector3::x(), |c| c - looked_at);
-        let table_from_scan = Similarity::of_table(metres_per_unit, &table, &looked_at, &towards)?;
+        let place = place::find(cameras, points, &object, metres_per_unit, options)?;
+        let (table, up_from) = (&place.table, place.up_from);
         // Recorded poses are poses of the frame that the recording has already.
-        let mesh_from_scan = if scale_from == DEPTH_CAMERA { IDENTITY } else { table_from_scan };
+        let mesh_from_scan = if scale_from == DEPTH_CAMERA { IDENTITY } else { place.table_from_scan };
         let up_in_mesh = mesh_from_scan.rotation * table.up;
 
         let mut fusion = FusionOptions::default();
@@ -267,19 +295,11 @@ impl Scan {
         if up_from == "table" || !masked {
             fusion.support = Some(Support { point: mesh_from_scan.point(&table.point), up: up_in_mesh });
         }
-        let mut others_on_table = 0;
-        let region = match options.region {
-            Some(region) => Some((region, mesh_from_scan)),
-            None if masked => None,
-            None => {
-                let standing: Vec<_> = points.iter().map(|p| table_from_scan.point(p)).collect();
-                let eyes: Vec<_> = eyes.iter().map(|e| table_from_scan.pose(e)).collect();
-                let found = object_on_table(&standing, &eyes)?;
-                others_on_table = found.others;
-                Some(([found.lo, found.hi], mesh_from_scan.after(&table_from_scan.inverse())))
-            }
-        };
+        let mesh_from_table = mesh_from_scan.after(&place.table_from_scan.inverse());
+        let region = options.region.map(|region| (region, mesh_from_scan));
+        let region = region.or(place.object.map(|object| (object, mesh_from_table)));
         fusion.region = region.map(|(region, mesh_from)| box_around(&region, &mesh_from));
+        let corners = |b: (Point3<f64>, Point3<f64>)| [b.0.into(), b.1.into()];
         let matrix = mesh_from_scan.to_matrix();
         let frame = FrameReport {
             scan: fsutil::absolute(&cameras.folder).file_name().unwrap_or_default().to_string_lossy().into_owned(),
@@ -291,9 +311,15 @@ impl Scan {
             up_in_mesh: up_in_mesh.into_inner().into(),
             table_points: (up_from == "table").then_some(table.inliers),
             table_rms_m: (up_from == "table").then_some(table.rms * metres_per_unit),
+            table_rms_px: (up_from == "table").then_some(table.rms_px),
+            table_score: place.score,
+            other_planes: place.runners_up,
             mesh_from_scan: [0, 1, 2, 3].map(|r| [0, 1, 2, 3].map(|c| matrix[(r, c)])),
-            region_m: fusion.region.map(|(lo, hi)| [lo.into(), hi.into()]),
-            others_on_table,
+            region_m: fusion.region.map(corners),
+            object_from: place.object_from.to_owned(),
+            others_on_table: place.others.len(),
+            others_m: place.others.iter().map(|other| corners(box_around(other, &mesh_from_table))).collect(),
+            doubts: place.doubts,
         };
         Ok(Self { depths, silhouettes: masked, mesh_from_scan, fusion, frame })
     }
@@ -315,19 +341,68 @@ fn box_around(region: &[Point3<f64>; 2], a_from_b: &Similarity) -> (Point3<f64>,
     corners.fold((first, first), |(lo, hi), p| (lo.inf(&p), hi.sup(&p)))
 }
 
-fn distance_from([lo, hi]: &[Point3<f64>; 2], p: &Point3<f64>) -> f64 {
-    (lo - p).sup(&(p - hi)).sup(&Vector3::zeros()).norm()
-}
-
-fn size_of([lo, hi]: &[Point3<f64>; 2]) -> f64 {
-    (hi - lo).norm()
-}
-
 impl Scan {
+    /// What the mesh is held against.
+    ///
+    /// # Errors
+    /// If a mask cannot be read.
+    pub fn evidence(&self, voxel_m: f64, region_given: bool) -> Result<ScanEvidence> {
+        let mut out = ScanEvidence { voxel_m, region_given, region_m: self.frame.region_m, ..ScanEvidence::default() };
+        let support = |s: &Support| SupportEvidence {
+            point_m: s.point.into(),
+            up: s.up.into_inner().into(),
+            rms_px: self.frame.table_rms_px,
+        };
+        out.support = self.fusion.support.as_ref().map(support);
+        for i in 0..self.depths.len() {
+            let c = self.depths.camera(i);
+            let world_from_camera = self.mesh_from_scan.pose(&c.camera_from_world.inverse());
+            out.cameras.push(ScanCamera {
+                width_px: c.width as u32,
+                height_px: c.height as u32,
+                focal_px: [c.fx, c.fy],
+                principal_px: [c.cx, c.cy],
+                world_from_camera: PoseRecord::from(&world_from_camera),
+            });
+            if self.silhouettes {
+                let map = depth_map(&self.depths, i, true)?;
+                let Some(mask) = &map.mask else { continue };
+                let (camera, mask) = thinned(&map.camera, mask);
+                out.silhouettes.push(Silhouette {
+                    camera,
+                    world_from_camera,
+                    mask,
+                    name: self.depths.name(i).to_owned(),
+                });
+            }
+        }
+        Ok(out)
+    }
+
     /// The picture that goes with depth map `i`.
     pub fn picture(&self, i: usize) -> drex_mesh::Result<Vec<[u8; 3]>> {
         Ok(self.depths.get(i).map_err(|e| drex_mesh::Error::View(Box::new(e)))?.rgb.clone())
     }
+}
+
+/// Every k-th row and column of a mask, so that no side is longer than [`SILHOUETTE_PX`].
+fn thinned(camera: &DepthCamera, mask: &[bool]) -> (DepthCamera, Vec<bool>) {
+    let step = camera.width_px.max(camera.height_px).div_ceil(SILHOUETTE_PX).max(1);
+    let (width_px, height_px) = (camera.width_px / step, camera.height_px / step);
+    let k = f64::from(step);
+    // The pixel in the middle of each block stands for it.
+    let row = |r: u32| (r * step + step / 2) as usize * camera.width_px as usize;
+    let pixel = |r: u32| (0..width_px).map(move |c| mask[row(r) + (c * step + step / 2) as usize]);
+    let thin = (0..height_px).flat_map(pixel).collect();
+    let camera = DepthCamera {
+        width_px,
+        height_px,
+        fx_px: camera.fx_px / k,
+        fy_px: camera.fy_px / k,
+        cx_px: camera.cx_px / k,
+        cy_px: camera.cy_px / k,
+    };
+    (camera, thin)
 }
 
 /// Depth map `i` in the scan's frame and unit.
@@ -353,18 +428,31 @@ fn depth_map(depths: &Photos, i: usize, silhouettes: bool) -> drex_mesh::Result<
     })
 }
 
-/// Some of the points that the depth maps show, in the scan's frame.
-fn points_of(depths: &Photos) -> Result<Vec<Point3<f64>>> {
+/// The sparse points with the views that see them.
+fn sparse_points(cameras: &Capture) -> Vec<ScenePoint> {
+    let seen = |track: &[(usize, usize)]| {
+        let mut views: Vec<usize> = track.iter().map(|(view, _)| *view).collect();
+        views.dedup();
+        views
+    };
+    cameras.points.iter().map(|p| ScenePoint { views: seen(&p.track), ..ScenePoint::at(p.position.into()) }).collect()
+}
+
+/// Some of the points that the depth maps show, in the scan's frame, each seen by its map's view.
+fn points_of(depths: &Photos, cameras: &Capture) -> Result<Vec<ScenePoint>> {
+    let views: BTreeMap<&str, usize> = cameras.views.iter().enumerate().map(|(i, v)| (v.name.as_str(), i)).collect();
     let mut points = Vec::new();
     for i in 0..depths.len() {
         let map = depth_map(depths, i, true)?;
+        let view = views.get(depths.name(i)).copied();
         let (width, height) = (map.camera.width_px as usize, map.camera.height_px as usize);
         for row in (0..height).step_by(PIXEL_STEP) {
             for column in (0..width).step_by(PIXEL_STEP) {
                 let z = map.depth_m[row * width + column];
                 if z > 0.0 && map.mask.as_ref().is_none_or(|m| m[row * width + column]) {
                     let ray = map.camera.ray(column as u32, row as u32);
-                    points.push(map.world_from_camera * Point3::from(ray * f64::from(z)));
+                    let p = map.world_from_camera * Point3::from(ray * f64::from(z));
+                    points.push(ScenePoint { views: view.into_iter().collect(), ..ScenePoint::at(p) });
                 }
             }
         }
@@ -406,35 +494,10 @@ fn marks_of(cameras: &Capture, options: &FrameOptions) -> Result<BTreeMap<String
     Ok(found.into_iter().map(|(name, t)| (name, t.point)).collect())
 }
 
-/// Whether the lowest of the object's points are on the plane.
-fn stands_on(object: &[Point3<f64>], table: &TablePlane) -> bool {
-    let mut heights: Vec<f64> = object.iter().map(|p| table.up.dot(&(p - table.point))).collect();
-    heights.sort_by(f64::total_cmp);
-    let (Some(&lowest), Some(&highest)) = (heights.get(heights.len() / 100), heights.last()) else { return false };
-    lowest.abs() < MAX_TABLE_OFFSET_SHARE * (highest - lowest)
-}
-
-/// The plane with this normal through the lowest of the points.
-fn lowest_plane(points: &[Point3<f64>], up: Vector3<f64>) -> TablePlane {
-    let up = Unit::new_normalize(up);
-    let mut heights: Vec<f64> = points.iter().map(|p| up.dot(&p.coords)).collect();
-    heights.sort_by(f64::total_cmp);
-    let lowest = heights.get(heights.len() / 500).copied().unwrap_or(0.0);
-    TablePlane::new(Point3::from(up.into_inner() * lowest), up)
-}
-
-/// Photos are mostly taken upright.
-fn mean_up(eyes: &[Pose]) -> Vector3<f64> {
-    eyes.iter().map(|e| e.rotation * -Vector3::y()).sum::<Vector3<f64>>().try_normalize(1e-9).unwrap_or(Vector3::z())
-}
-
-fn mean(points: &[Point3<f64>]) -> Point3<f64> {
-    Point3::from(points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len().max(1) as f64)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Unit;
 
     #[test]
     fn what_is_within_a_voxel_of_the_table_lies_on_it() {
@@ -450,5 +513,39 @@ mod tests {
             assert!((height - expected).abs() < 1e-12, "{after:?}");
         }
         assert!(mesh.vertices.iter().all(|v| ((v - table.point).dot(&aside.normalize()) - aside.norm()).abs() < 1e-12));
+    }
+
+    #[test]
+    fn a_mesh_that_contradicts_its_photos_is_refused_and_doubts_are_sentences() {
+        let corner = |k: usize| Point3::new([-0.03, 0.03][k & 1], [-0.02, 0.02][k >> 1 & 1], [0.0, 0.05][k >> 2]);
+        let mesh = drex_core::mesh::convex_hull(&(0..8).map(corner).collect::<Vec<_>>()).unwrap();
+        let camera = |k: usize| {
+            let (sin, cos) = (k as f64).sin_cos();
+            let eye = Point3::new(0.3 * cos, 0.3 * sin, 0.2);
+            let world_from_camera = drex_core::Pose::face_towards(&eye, &Point3::new(0.0, 0.0, 0.02), &-Vector3::z());
+            ScanCamera {
+                width_px: 160,
+                height_px: 120,
+                focal_px: [140.0; 2],
+                principal_px: [80.0, 60.0],
+                world_from_camera: PoseRecord::from(&world_from_camera),
+            }
+        };
+        let input = Path::new("photos of a tin");
+        let support = SupportEvidence { point_m: [0.0; 3], up: [0.0, 0.0, 1.0], rms_px: Some(0.4) };
+        let mut evidence =
+            ScanEvidence { support: Some(support), cameras: (0..7).map(camera).collect(), ..ScanEvidence::default() };
+        assert!(contradictions(&mesh, &evidence, input).unwrap().is_empty());
+        evidence.support = Some(SupportEvidence { rms_px: Some(3.0), ..support });
+        let doubts = contradictions(&mesh, &evidence, input).unwrap();
+        assert!(
+            doubts.len() == 1 && doubts[0].starts_with("rule 18 (support fits its points): its points lie 3.00 px")
+        );
+        // A wall taken for the table: half of the cameras are behind it.
+        evidence.support = Some(SupportEvidence { up: [1.0, 0.0, 0.0], ..support });
+        let message = contradictions(&mesh, &evidence, input).unwrap_err().to_string();
+        for part in ["photos of a tin", "no asset is made", "rule 19", "--up"] {
+            assert!(message.contains(part), "{message}");
+        }
     }
 }

@@ -9,7 +9,8 @@ use drex_core::fsutil;
 use drex_mesh::PartConfig;
 use drex_mesh::{
     Asset, AssetOptions, AssetReport, Background, FusionReport, LengthUnit, Part, PartitionOptions, RepairOptions,
-    SceneOptions, articulated_asset, asset_from_mesh, build_asset, convex_parts, read_mesh, repair, vertex_colors,
+    ScanEvidence, SceneOptions, articulated_asset, asset_from_mesh, build_asset, convex_parts, read_mesh, repair,
+    vertex_colors,
 };
 use drex_splat::ReconstructOptions;
 use drex_twin::manifest::{MANIFEST, TwinManifest};
@@ -29,6 +30,7 @@ const VIDEOS: [&str; 6] = ["mp4", "mov", "mkv", "avi", "webm", "m4v"];
 struct ScanAnswer<'a> {
     scan: &'a FrameReport,
     fusion: &'a FusionReport,
+    evidence: &'a ScanEvidence,
     #[serde(skip_serializing_if = "Option::is_none")]
     asset: Option<&'a AssetReport>,
 }
@@ -137,6 +139,7 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
         marks: args.scan.marks.clone(),
         up: args.up.map(Vector3::from),
         region: args.scan.region,
+        object: args.scan.object.clone(),
         seed,
     };
     let mut reconstruct = ReconstructOptions::default();
@@ -152,7 +155,7 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
         tool_limit: args.scan.tools.limit(),
     };
     let begun = Instant::now();
-    let Meshed { scan, fusion, mesh, .. } = scanning.mesh(ui)?;
+    let Meshed { scan, fusion, mesh, evidence, .. } = scanning.mesh(ui)?;
 
     let spinner = ui.spinner("asset");
     let mut options = options(args);
@@ -160,9 +163,10 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
     options.up_in_mesh = Some(scan.frame.up_in_mesh.into());
     options.scale_source = Some(scan.frame.scale_from.clone());
     let mut asset = asset_from_mesh(&mesh, &options)?;
+    asset.report.warnings.extend(scan.frame.doubts.iter().cloned());
     asset.colors = Some(vertex_colors(&asset.visual, &scan, |i| scan.picture(i), fusion.truncation_m)?);
     write(&asset, args)?;
-    let mut answer = ScanAnswer { scan: &scan.frame, fusion: &fusion, asset: None };
+    let mut answer = ScanAnswer { scan: &scan.frame, fusion: &fusion, evidence: &evidence, asset: None };
     let text = serde_json::to_string_pretty(&answer)? + "\n";
     fsutil::write_atomic(&fsutil::output_path(&args.out, "mesh/scan.json")?, text.as_bytes())?;
     let input = Some(args.input.clone());
@@ -186,10 +190,19 @@ fn describe_scan(frame: &FrameReport, fusion: &FusionReport) -> String {
     }
     text += &match frame.table_rms_m {
         Some(rms) => {
-            format!("  table    {} points, {:.2} mm off a plane\n", frame.table_points.unwrap_or(0), 1e3 * rms)
+            let px = frame.table_rms_px.map_or(String::new(), |px| format!(", {px:.2} px"));
+            format!("  table    {} points, {:.2} mm{px} off a plane\n", frame.table_points.unwrap_or(0), 1e3 * rms)
         }
         None => format!("  up       {}\n", frame.up_from),
     };
+    if let Some([lo, hi]) = frame.region_m {
+        let size = [0, 1, 2].map(|k| format!("{:.0}", 1e3 * (hi[k] - lo[k]))).join(" x ");
+        text += &format!("  object   in a box of {size} mm, from {}", frame.object_from);
+        text += &match frame.others_on_table {
+            0 => "\n".to_owned(),
+            n => format!("; {n} more on the table\n"),
+        };
+    }
     text + &format!("  fusion   {} views, voxels of {:.2} mm\n", fusion.views, 1e3 * fusion.voxel_m)
 }
 

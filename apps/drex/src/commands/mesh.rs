@@ -32,7 +32,7 @@ pub fn run(command: &MeshCommand, ui: &Ui) -> Result<()> {
     }
 }
 
-/// The sixteen rules; fails where one is broken that `drex asset` does not mend.
+/// The rules; fails where one is broken that `drex asset` does not mend.
 fn check(args: &MeshCheckArgs, ui: &Ui) -> Result<()> {
     let mut options = CheckOptions::default();
     options.asset.unit = args.unit;

@@ -105,6 +105,30 @@ fn a_recording_becomes_a_hollow_cup_that_stands() {
 }
 
 #[test]
+fn a_region_that_cuts_the_object_is_doubted_and_clicks_are_checked() {
+    let guard = tempfile::tempdir().unwrap();
+    let (recording, out) = (guard.path().join("cup"), guard.path().join("out"));
+    record(&recording);
+    let asset = |more: &[&str]| {
+        let fixed =
+            ["asset", recording.to_str().unwrap(), "--out", out.to_str().unwrap(), "--voxel", "0.003", "--json"];
+        drex(fixed.iter().chain(more))
+    };
+    let run = asset(&["--region", "-0.06,-0.06,-0.01,0.06,0.06,0.06"]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let warnings = run.json()["asset"]["warnings"].to_string();
+    assert!(warnings.contains("rule 20 (inside its region)") && warnings.contains("--region"), "{warnings}");
+    let report = std::fs::read_to_string(out.join("mesh/report.json")).unwrap();
+    assert!(report.contains("rule 20") && run.stderr.contains("doubt"), "{}", run.stderr);
+    // `drex mesh check` reads the same from the files.
+    let check = drex(["mesh", "check", out.to_str().unwrap()]);
+    assert!(check.stdout.contains("DOUBT") && check.stdout.contains("border of the region"), "{}", check.stdout);
+    asset(&["--object", "5,5@nowhere.png"]).fails_with(&["nowhere.png", "no camera"]);
+    let wrong = asset(&["--object", "5;5@a.png"]);
+    assert!(wrong.code == 2 && wrong.stderr.contains("512,300@"), "{}", wrong.stderr);
+}
+
+#[test]
 fn a_recording_is_the_scan_of_a_twin() {
     let guard = tempfile::tempdir().unwrap();
     let twin = guard.path().join("cup");

@@ -24,10 +24,11 @@ pub use joints::{JointConfig, JointKind, PartConfig, joint_tree};
 pub use object::read_object;
 
 use crate::bvh::Aabb;
+use crate::check::UNCOVERED;
 use crate::hull::hull_volume;
 use crate::io::extension;
 use crate::mass::{HollowModel, check_mass_properties, principal, shell_properties};
-use crate::partition::{PartitionMethod, divide};
+use crate::partition::{PartitionMethod, divide, union_distance};
 use crate::repair::{RepairOptions, RepairReport, repair};
 use crate::rest::{RestOptions, RestPose, settled_pose, stable_poses, turn};
 use crate::solid::{ClosingMethod, Enclosed};
@@ -35,6 +36,8 @@ use crate::{Error, Result, read_mesh};
 
 /// An object whose up direction is off by no more than this settles onto its foot, radians.
 const MOST_SETTLING: f64 = 5.0 * std::f64::consts::PI / 180.0;
+/// Points by which the part of the volume in no convex part is measured.
+const COVER_SAMPLES: usize = 4000;
 
 /// A simulation asset. Everything is in the frame of the mesh file, in metres.
 #[derive(Debug, Clone)]
@@ -224,6 +227,7 @@ fn of_mesh(mesh: &TriMesh, options: &AssetOptions, divided: Option<(Vec<TriMesh>
             reason: "all its convex parts are below 1e-12 m³".into(),
         });
     }
+    let uncovered = uncovered(&visual, &pieces)?;
     let (unit_density, hollow) = match options.wall_m {
         Some(wall_m) => shell_properties(&visual, wall_m).map(|h| (h.properties, Some(h.model)))?,
         None => (solid.properties, None),
@@ -244,6 +248,7 @@ fn of_mesh(mesh: &TriMesh, options: &AssetOptions, divided: Option<(Vec<TriMesh>
     let density = properties.mass_kg / solid.volume_m3;
     let material = properties.mass_kg / unit_density.mass_kg;
     collect_warnings(&repaired, &enclosed, partition_method, material, tipping_margin_m, &mut warnings);
+    warnings.extend(uncovered);
     let (moments, axes) = principal(&properties);
     let report = AssetReport {
         unit,
@@ -324,6 +329,22 @@ impl Asset {
         self.report.principal_moments_kg_m2 = principal(&self.properties).0.into();
         self
     }
+}
+
+/// A remark if the convex parts leave out some of the solid.
+///
+/// # Errors
+/// If they leave out much: what a simulator touches is not the object.
+fn uncovered(visual: &TriMesh, pieces: &[TriMesh]) -> Result<Option<String>> {
+    let [doubt, fail] = UNCOVERED;
+    // What encloses no volume by this measure was weighed by another one.
+    let Ok(found) = union_distance(visual, pieces, COVER_SAMPLES, 0) else { return Ok(None) };
+    let share = found.uncovered_share;
+    let what = format!("{:.1} % of the volume is in no convex part", 100.0 * share);
+    if share > fail {
+        return Err(Error::value(what, "make the convex parts again, with more of them"));
+    }
+    Ok((share > doubt).then(|| format!("{what}: a simulator does not touch it there; allow more of them")))
 }
 
 fn rows(m: &Matrix3<f64>) -> [[f64; 3]; 3] {

@@ -8,7 +8,7 @@ use nalgebra::{Point3, Vector3};
 
 use super::Outcome::{Fail, NotApplicable, Pass, Repaired};
 use super::mjcf::{Geom, Mjcf, parse};
-use super::{CheckOptions, CheckReport, hulls, rules};
+use super::{CheckOptions, CheckReport, ScanEvidence, hulls, rules, scan};
 use crate::{Result, close_openings, read_mesh, repair, solid_properties};
 
 /// Heights within this of the plane are on it, m.
@@ -40,14 +40,31 @@ pub fn check_asset(path: &Path, options: &CheckOptions) -> Result<CheckReport> {
     hulls::evaluate(&hulls, options, &mut report);
     let size = visual.bounds().map_or(0.0, |(lo, hi)| (hi - lo).norm());
     if model.unclear.is_empty() {
-        hulls::evaluate_distance(&hulls, &close_openings(&visual), size, options, &mut report);
+        let closed = close_openings(&visual);
+        hulls::evaluate_distance(&hulls, &closed, size, options, &mut report);
+        scan::covered(&closed, &hulls, &mut report);
         pose(&model, &hulls, &mut report);
     } else {
-        for rule in [10, 13, 14] {
+        for rule in [10, 13, 14, 17] {
             report.set(rule, NotApplicable, format!("not judged: the model has {}", model.unclear.join(", ")), None);
         }
     }
+    if let Some(evidence) = evidence_beside(&path)? {
+        scan::evaluate(&in_mesh_frame(&model)?, &evidence, &mut report);
+    }
     Ok(report)
+}
+
+/// What `mesh/scan.json` of the asset's folder says of the scan, if the asset was made of one.
+fn evidence_beside(model: &Path) -> Result<Option<ScanEvidence>> {
+    #[derive(serde::Deserialize)]
+    struct ScanFile {
+        evidence: Option<ScanEvidence>,
+    }
+    let file = model.parent().and_then(Path::parent).map(|twin| twin.join("mesh/scan.json"));
+    let Some(file) = file.filter(|f| f.is_file()) else { return Ok(None) };
+    let found: ScanFile = drex_core::fsutil::from_json(&file, &read_text(&file)?)?;
+    Ok(found.evidence)
 }
 
 fn model_in(path: &Path) -> Result<PathBuf> {
@@ -211,6 +228,13 @@ fn read(model: &Mjcf, geom: &Geom) -> Result<TriMesh> {
 /// Collision hulls in the world frame.
 fn convex_parts(model: &Mjcf) -> Result<Vec<TriMesh>> {
     model.geoms.iter().filter(|g| g.collides).map(|g| read(model, g)).collect()
+}
+
+/// Visual meshes in the frame of the first one's body, which is the mesh's frame in an asset of one body.
+fn in_mesh_frame(model: &Mjcf) -> Result<TriMesh> {
+    let visual = visual_mesh(model)?;
+    let first = model.geoms.iter().find(|g| !g.collides).map(|g| model.bodies[g.body].world_from_body);
+    Ok(first.map_or_else(TriMesh::default, |world_from_body| visual.transformed(&world_from_body.inverse())))
 }
 
 /// Visual meshes in the world frame as one mesh.

@@ -1,9 +1,10 @@
-//! Is this ready for a simulator? Sixteen rules, each with a verdict, a reason and a remedy.
+//! Is this ready for a simulator, and does it agree with its scan? 23 rules, each with a verdict, a reason and a remedy.
 
 mod asset;
 mod hulls;
 mod mjcf;
 mod rules;
+mod scan;
 
 use std::fmt;
 use std::path::Path;
@@ -13,6 +14,8 @@ use serde::Serialize;
 use drex_core::TriMesh;
 
 pub use self::asset::check_asset;
+pub(crate) use self::scan::UNCOVERED;
+pub use self::scan::{ScanCamera, ScanEvidence, Silhouette, SupportEvidence, check_scan};
 use crate::io::extension;
 use crate::{AssetOptions, LengthUnit, Result, read_mesh, read_model};
 
@@ -53,6 +56,8 @@ pub enum Outcome {
     Pass,
     /// It does not hold in the file, but is made to hold (or made harmless) when an asset is made of it.
     Repaired,
+    /// It holds so poorly that a person should look.
+    Doubt,
     /// It does not hold.
     Fail,
     /// It cannot be asked of this file, or an earlier failure leaves nothing to ask it of.
@@ -63,7 +68,7 @@ pub enum Outcome {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct RuleResult {
-    /// 1 to 16.
+    /// 1 to 23.
     pub number: u8,
     /// What the rule asks for.
     pub name: &'static str,
@@ -75,7 +80,7 @@ pub struct RuleResult {
     pub fix: Option<String>,
 }
 
-/// The verdicts on all sixteen rules, in order. `Display` makes a table of it.
+/// The verdicts on all rules, in order: 1 to 17 of the mesh, 18 to 23 of what its scan says of it. `Display` makes a table of it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct CheckReport {
@@ -86,7 +91,7 @@ pub struct CheckReport {
 }
 
 /// What the rules ask for, rule 1 first.
-const NAMES: [&str; 16] = [
+const NAMES: [&str; 23] = [
     "closed",
     "wound outwards",
     "manifold, no degenerate or duplicate faces",
@@ -103,7 +108,16 @@ const NAMES: [&str; 16] = [
     "rests on a plane",
     "paths and textures",
     "face counts and names",
+    "hulls cover the mesh",
+    "support fits its points",
+    "cameras above the support",
+    "inside its region",
+    "seen by the photos",
+    "inside the visual hull of the masks",
+    "silhouettes agree with the masks",
 ];
+/// The first rule that asks a scan.
+const FIRST_OF_SCAN: usize = 18;
 
 impl CheckReport {
     fn new(subject: impl Into<String>) -> Self {
@@ -111,7 +125,7 @@ impl CheckReport {
             number: i as u8 + 1,
             name,
             outcome: Outcome::NotApplicable,
-            reason: "an earlier rule failed".into(),
+            reason: if i + 1 < FIRST_OF_SCAN { "an earlier rule failed" } else { "there is no scan to ask" }.into(),
             fix: None,
         };
         Self { subject: subject.into(), rules: NAMES.iter().enumerate().map(rule).collect() }
@@ -127,7 +141,7 @@ impl CheckReport {
         self.rules.iter().all(|r| r.outcome != Outcome::Fail)
     }
 
-    /// The result of rule `number`, 1 to 16.
+    /// The result of rule `number`, 1 to 23.
     pub fn rule(&self, number: usize) -> Option<&RuleResult> {
         self.rules.get(number.checked_sub(1)?)
     }
@@ -136,10 +150,12 @@ impl CheckReport {
 impl fmt::Display for CheckReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "{}", self.subject)?;
-        for r in &self.rules {
+        let asked = |r: &&RuleResult| usize::from(r.number) < FIRST_OF_SCAN || r.outcome != Outcome::NotApplicable;
+        for r in self.rules.iter().filter(asked) {
             let outcome = match r.outcome {
                 Outcome::Pass => "pass",
                 Outcome::Repaired => "repaired",
+                Outcome::Doubt => "DOUBT",
                 Outcome::Fail => "FAIL",
                 Outcome::NotApplicable => "-",
             };
@@ -148,11 +164,16 @@ impl fmt::Display for CheckReport {
                 writeln!(f, "{:58}-> {fix}", "")?;
             }
         }
-        let failed = self.rules.iter().filter(|r| r.outcome == Outcome::Fail).count();
-        let repaired = self.rules.iter().filter(|r| r.outcome == Outcome::Repaired).count();
+        let count = |outcome| self.rules.iter().filter(|r| r.outcome == outcome).count();
+        let (failed, repaired) = (count(Outcome::Fail), count(Outcome::Repaired));
+        let asked = self.rules.len() - count(Outcome::NotApplicable);
         match failed {
-            0 => write!(f, "ready for simulation, {repaired} of 16 rules by repair"),
-            n => write!(f, "not ready: {n} of 16 rules fail, {repaired} are repaired"),
+            0 => write!(f, "ready for simulation, {repaired} of {asked} rules by repair")?,
+            n => write!(f, "not ready: {n} of {asked} rules fail, {repaired} are repaired")?,
+        }
+        match count(Outcome::Doubt) {
+            0 => Ok(()),
+            n => write!(f, ", {n} in doubt"),
         }
     }
 }

@@ -4,7 +4,7 @@ use drex_core::{MassProperties, TriMesh};
 use nalgebra::{Point3, Vector3};
 
 use super::Outcome::{Fail, NotApplicable, Pass, Repaired};
-use super::{CheckOptions, CheckReport, hulls};
+use super::{CheckOptions, CheckReport, hulls, scan};
 use crate::topology::Topology;
 use crate::{Asset, ClosingMethod, LengthUnit, RepairReport, asset_from_mesh, repair};
 use drex_core::mesh::convex_hull;
@@ -213,6 +213,7 @@ fn body(asset: &Asset, options: &CheckOptions, repaired: &RepairReport, report: 
     let size = asset.visual.bounds().map_or(0.0, |(lo, hi)| (hi - lo).norm());
     let closed = crate::close_openings(&asset.visual);
     hulls::evaluate_distance(&asset.convex_parts, &closed, size, options, report);
+    scan::covered(&closed, &asset.convex_parts, report);
     let margin = asset.report.tipping_margin_m;
     rest(margin, report);
 }

@@ -9,6 +9,6 @@ pub use marks::{
     DistanceResidual, KnownDistance, Marks, ScaleFit, read_marks, scale_from_distances, sheet_from_marks,
     triangulate_marks,
 };
-pub use plane::{PlaneOptions, TablePlane, table_plane};
+pub use plane::TablePlane;
 pub use similarity::Similarity;
 pub use triangulate::{Sighting, Triangulated, triangulate};

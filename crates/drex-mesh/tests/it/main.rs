@@ -4,6 +4,7 @@
 mod articulated;
 mod asset;
 mod check;
+mod contradictions;
 mod decimate;
 mod fusion;
 mod models;
@@ -14,6 +15,7 @@ mod readers;
 mod real_data;
 mod rest;
 mod scale;
+mod scene;
 mod soups;
 #[path = "../support/mod.rs"]
 mod support;

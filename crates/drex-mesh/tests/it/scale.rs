@@ -6,8 +6,8 @@ use crate::support::{ColmapModel, json, shared};
 use drex_core::Pose;
 use drex_core::camera::{Camera, CameraModel};
 use drex_mesh::{
-    KnownDistance, PlaneOptions, Sighting, Similarity, read_marks, scale_from_distances, sheet_from_marks, table_plane,
-    triangulate, triangulate_marks,
+    KnownDistance, Scene, ScenePoint, SceneView, Sighting, Similarity, SupportOptions, read_marks,
+    scale_from_distances, sheet_from_marks, support_plane, triangulate, triangulate_marks,
 };
 use nalgebra::{Matrix4, Point2, Point3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
@@ -171,8 +171,11 @@ fn a_table_among_clutter() {
         };
         points.push(to_model.point(&p));
     }
-    let cameras: Vec<_> = ring(12).iter().map(|c| to_model.point(&c.translation.vector.into())).collect();
-    let table = table_plane(&points, &cameras, &PlaneOptions::default()).unwrap();
+    let view = |c: &Pose| SceneView { lens: camera(), world_from_camera: to_model.pose(c) };
+    let views: Vec<SceneView> = ring(12).iter().map(view).collect();
+    let points: Vec<ScenePoint> = points.into_iter().map(ScenePoint::at).collect();
+    let scene = Scene::new(points.clone(), views.clone()).unwrap();
+    let table = support_plane(&scene, &SupportOptions::default()).unwrap().chosen.table;
     assert!(table.up.angle(&(to_model.rotation * Vector3::z())) < 0.05_f64.to_radians());
     assert!((table.rms / 30.0 - 5e-4 / 12.0_f64.sqrt()).abs() < 1e-4 && table.inliers > 2800, "{table:?}");
     let metric = Similarity::of_table(
@@ -184,9 +187,9 @@ fn a_table_among_clutter() {
     .unwrap();
     let back = metric.point(&to_model.point(&Point3::new(0.1, 0.05, 0.02)));
     assert!((back - Point3::new(0.1, 0.05, 0.02)).norm() < 5e-4, "{back}");
-    assert_eq!(table, table_plane(&points, &cameras, &PlaneOptions::default()).unwrap());
+    assert_eq!(table, support_plane(&scene, &SupportOptions::default()).unwrap().chosen.table);
 
-    assert!(table_plane(&points[..3], &[], &PlaneOptions::default()).is_err());
+    assert!(Scene::new(points[..3].to_vec(), Vec::new()).is_err() && Scene::new(points[..2].to_vec(), views).is_err());
 }
 
 #[test]
@@ -201,7 +204,7 @@ fn the_sheet_of_the_flower_pot() {
     let distance = |from: &str, to: &str| KnownDistance { from: from.into(), to: to.into(), distance_m: 0.12 };
     let fit = scale_from_distances(&places, &[distance("A", "C")]).unwrap();
     let bd = (places["B"] - places["D"]).norm() * fit.metres_per_unit;
-    let table = table_plane(&model.points, &model.cameras(), &PlaneOptions::default()).unwrap();
+    let table = support_plane(&model.scene(), &SupportOptions::default()).unwrap().chosen.table;
     let up = truth["table_plane"]["normal_up_in_model"].as_array().unwrap();
     let up = Vector3::from_iterator(up.iter().map(|c| c.as_f64().unwrap()));
     let tilt = table.up.angle(&up).to_degrees();
@@ -216,9 +219,9 @@ fn the_sheet_of_the_flower_pot() {
         eprintln!("{name}: {:.2} px rms, {} left out", t.rms_px, t.left_out.len());
     }
     for seed in 2..8 {
-        let mut options = PlaneOptions::default();
+        let mut options = SupportOptions::default();
         options.seed = seed;
-        let again = table_plane(&model.points, &model.cameras(), &options).unwrap();
+        let again = support_plane(&model.scene(), &options).unwrap().chosen.table;
         assert!(again.up.angle(&up).to_degrees() < 0.2, "seed {seed}: {}", again.up.angle(&up).to_degrees());
     }
     assert!((fit.metres_per_unit / truth["metres_per_unit"].as_f64().unwrap() - 1.0).abs() < 2e-3);

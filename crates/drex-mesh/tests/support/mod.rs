@@ -1,6 +1,7 @@
 //! What several tests share.
 #![allow(dead_code, clippy::unwrap_used)] // not every test uses all of it; a failed unwrap is a failed test
 
+pub mod rooms;
 pub mod shapes;
 
 use std::collections::BTreeMap;
@@ -9,7 +10,7 @@ use std::path::{Path, PathBuf};
 use drex_core::camera::{Camera, CameraModel};
 use drex_core::{Pose, TriMesh};
 use drex_mesh::Part;
-use drex_mesh::{JointConfig, JointKind};
+use drex_mesh::{JointConfig, JointKind, Scene, ScenePoint, SceneView};
 use nalgebra::{Point3, Quaternion, Translation3, UnitQuaternion};
 
 /// The folder of shared data, if there is one.
@@ -86,6 +87,8 @@ pub struct ColmapModel {
     /// By name of the photo: camera and world_from_camera.
     pub photos: BTreeMap<String, (Camera, Pose)>,
     pub points: Vec<Point3<f64>>,
+    /// Of each point: which photos see it, by their place in the order of names.
+    pub tracks: Vec<Vec<usize>>,
 }
 
 struct Bytes(Vec<u8>, usize);
@@ -125,9 +128,10 @@ impl ColmapModel {
             })
             .collect();
         let mut b = Bytes::open(folder.join("images.bin"));
-        let photos = (0..b.u64())
+        let mut ids: BTreeMap<u32, String> = BTreeMap::new();
+        let photos: BTreeMap<String, (Camera, Pose)> = (0..b.u64())
             .map(|_| {
-                b.u32();
+                let id = b.u32();
                 let q = [0; 4].map(|_| b.f64());
                 let t = [0; 3].map(|_| b.f64());
                 let camera = cameras[&b.u32()].clone();
@@ -137,22 +141,38 @@ impl ColmapModel {
                 }
                 let rotation = UnitQuaternion::from_quaternion(Quaternion::new(q[0], q[1], q[2], q[3]));
                 let camera_from_world = Pose::from_parts(Translation3::from(t), rotation);
-                (String::from_utf8(name).unwrap(), (camera, camera_from_world.inverse()))
+                let name = String::from_utf8(name).unwrap();
+                ids.insert(id, name.clone());
+                (name, (camera, camera_from_world.inverse()))
             })
             .collect();
         let mut b = Bytes::open(folder.join("points3D.bin"));
-        let points = (0..b.u64())
+        let places: BTreeMap<&str, usize> = photos.keys().enumerate().map(|(i, name)| (name.as_str(), i)).collect();
+        let (points, tracks) = (0..b.u64())
             .map(|_| {
                 b.u64();
                 let p = [0; 3].map(|_| b.f64());
                 b.take::<11>();
-                for _ in 0..b.u64() {
-                    b.take::<8>();
-                }
-                Point3::from(p)
+                let seen = |b: &mut Bytes| places[ids[&b.u32()].as_str()];
+                let mut track: Vec<usize> = (0..b.u64()).map(|_| (seen(&mut b), b.u32()).0).collect();
+                track.sort_unstable();
+                track.dedup();
+                (Point3::from(p), track)
             })
-            .collect();
-        Self { photos, points }
+            .unzip();
+        Self { photos, points, tracks }
+    }
+
+    /// What was photographed from where, without masks.
+    pub fn scene(&self) -> Scene {
+        let point = |(p, track): (&Point3<f64>, &Vec<usize>)| ScenePoint {
+            position: *p,
+            views: track.clone(),
+            object_share: None,
+        };
+        let view = |(lens, pose): &(Camera, Pose)| SceneView { lens: lens.clone(), world_from_camera: *pose };
+        let points = self.points.iter().zip(&self.tracks).map(point).collect();
+        Scene::new(points, self.photos.values().map(view).collect()).unwrap()
     }
 
     pub fn cameras(&self) -> Vec<Point3<f64>> {

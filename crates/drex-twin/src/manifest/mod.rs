@@ -424,6 +424,12 @@ damping = 0.001
             ("photos = \"scan\"", "photos = \"scan\"\nscale = 2", "both"),
             ("photos = \"scan\"", "photos = \"scan\"\npreset = \"slow\"", "line 6"),
             ("photos = \"scan\"", "photos = \"scan\"\nregion = [[0, 0, 0], [1, 1, 0]]", "region"),
+            ("photos = \"scan\"", "photos = \"scan\"\nobject = \"5;5@a.jpg\"", "512,300@"),
+            (
+                "photos = \"scan\"",
+                "photos = \"scan\"\nobject = \"5,5@a.jpg\"\nregion = [[0, 0, 0], [1, 1, 1]]",
+                "region and object",
+            ),
             ("object.obj", "object.stl", "object.stl"),
         ] {
             let message = parse(&text.replace(from, to)).unwrap_err().to_string();

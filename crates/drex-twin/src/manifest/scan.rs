@@ -7,6 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use drex_core::{Error, Result};
 
+use crate::place::ObjectClick;
+
 /// Photos, or a recording of a depth camera. The mesh that `[object]` names is made of it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -25,6 +27,8 @@ pub struct ScanConfig {
     pub iterations: Option<u32>,
     /// Lower and upper corner of the object's box in the frame and unit of the scan, where it does not stand alone.
     pub region: Option<[[f64; 3]; 2]>,
+    /// A pixel that shows the object, `"X,Y@PHOTO"`, where several things stand on the table.
+    pub object: Option<ObjectClick>,
 }
 
 /// How much time the Gaussians may take.
@@ -72,6 +76,9 @@ impl ScanConfig {
             && !(0..3).all(|i| lo[i] < hi[i])
         {
             return refuse("[scan] region is empty".into(), "give the lower corner first: [[x, y, z], [x, y, z]]");
+        }
+        if self.region.is_some() && self.object.is_some() {
+            return refuse("[scan] has both region and object".into(), "keep one of them");
         }
         Ok(())
     }

@@ -49,6 +49,7 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
             scale: config.scale,
             distances: config.distances().map(known).collect(),
             region: config.region.map(|corners| corners.map(Point3::from)),
+            object: config.object.clone(),
             seed: twin.seed,
             ..FrameOptions::default()
         },
@@ -56,11 +57,11 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
         reconstruct,
         tool_limit: twin.tool_limit,
     };
-    let Meshed { scan, fusion, mesh, made } = scanning.mesh(progress)?;
+    let Meshed { scan, fusion, mesh, evidence, made } = scanning.mesh(progress)?;
     for (part, set) in made.iter().flat_map(|made| [("appearance", &made.appearance), ("surface", &made.surface)]) {
         twin.took(part, set.seconds);
     }
     write_mesh(&file, &mesh)?;
-    write_json(&twin.output(SCAN)?, &ScanFile { scan: scan.frame, fusion })?;
+    write_json(&twin.output(SCAN)?, &ScanFile { scan: scan.frame, fusion, evidence: Some(evidence) })?;
     Ok([splat, depth, file].into_iter().filter(|f| f.exists()).collect())
 }

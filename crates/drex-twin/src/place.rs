@@ -1,0 +1,289 @@
+//! Where in a scan the object stands: the table, and the object's box on it.
+
+use std::fmt;
+use std::str::FromStr;
+
+use drex_core::Pose;
+use drex_mesh::{
+    Click, Scene, ScenePoint, SceneView, Similarity, SupportChoice, SupportOptions, TablePlane, UpPrior, find_objects,
+    support_plane,
+};
+use drex_splat::capture::{Capture, View};
+use nalgebra::{Point2, Point3, Unit, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::Result;
+use crate::error::refuse;
+use crate::scan::FrameOptions;
+
+/// A support's normal may be this far from an up direction that is given, rad.
+const UP_TOLERANCE_RAD: f64 = 0.26;
+/// A table that a masked object stands on may be this much of the object's height off its lowest point.
+const MAX_TABLE_OFFSET_SHARE: f64 = 0.1;
+/// More points of the object say nothing new.
+const MOST_OBJECT_POINTS: usize = 20_000;
+
+/// A pixel of a photo that shows the object: `X,Y@PHOTO`, pixels from the left and upper edge of the photo's file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct ObjectClick {
+    /// Name of the photo, with or without its folders.
+    pub photo: String,
+    /// The pixel; the centre of the first one is (0.5, 0.5).
+    pub pixel: [f64; 2],
+}
+
+impl FromStr for ObjectClick {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let wrong = || format!("\"{text}\" is no click: expected a pixel and a photo, such as 512,300@IMG_1001.jpg");
+        let (pixel, photo) = text.split_once('@').ok_or_else(wrong)?;
+        let (x, y) = pixel.split_once(',').ok_or_else(wrong)?;
+        let number = |t: &str| t.trim().parse().ok().filter(|v: &f64| v.is_finite() && *v >= 0.0).ok_or_else(wrong);
+        let photo = photo.trim();
+        if photo.is_empty() {
+            return Err(wrong());
+        }
+        Ok(Self { photo: photo.to_owned(), pixel: [number(x)?, number(y)?] })
+    }
+}
+
+impl TryFrom<String> for ObjectClick {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl From<ObjectClick> for String {
+    fn from(click: ObjectClick) -> Self {
+        click.to_string()
+    }
+}
+
+impl fmt::Display for ObjectClick {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{},{}@{}", self.pixel[0], self.pixel[1], self.photo)
+    }
+}
+
+impl ObjectClick {
+    /// The click among the views of a capture: by the photo's name, or by its file name if that is the only one.
+    ///
+    /// # Errors
+    /// If no view, or more than one, has the name.
+    fn among(&self, cameras: &Capture) -> Result<Click> {
+        let file = |name: &str| name.rsplit('/').next().unwrap_or_default().to_owned();
+        let exact = cameras.views.iter().position(|v| v.name == self.photo);
+        let by_file: Vec<usize> =
+            (0..cameras.views.len()).filter(|&i| file(&cameras.views[i].name) == file(&self.photo)).collect();
+        match (exact, by_file.as_slice()) {
+            (Some(view), _) | (None, &[view]) => Ok(Click { view, pixel: Point2::from(self.pixel) }),
+            (None, []) => refuse!(
+                "the object's click names the photo {}, which has no camera in {}: name one of its photos",
+                self.photo,
+                cameras.folder.display()
+            ),
+            (None, more) => refuse!(
+                "the object's click names the photo {}, of which there are {}: name it with its folder",
+                self.photo,
+                more.len()
+            ),
+        }
+    }
+}
+
+/// A plane that could have been the table.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct OtherPlane {
+    /// Angle to the one taken, degrees.
+    pub tilt_deg: f64,
+    /// Height above the one taken, below the point that the cameras look at; metres.
+    pub above_m: f64,
+    /// Its score, from 0 to 1.
+    pub score: f64,
+}
+
+/// The table and the box of the object on it.
+pub(crate) struct Place {
+    /// In the frame and unit of the scan.
+    pub table: TablePlane,
+    /// Where up is from.
+    pub up_from: &'static str,
+    /// Metres, z up, the table z = 0.
+    pub table_from_scan: Similarity,
+    /// Box of the object in that frame, where it was sought.
+    pub object: Option<[Point3<f64>; 2]>,
+    /// Where the object is from.
+    pub object_from: &'static str,
+    /// Boxes of the other things in that frame.
+    pub others: Vec<[Point3<f64>; 2]>,
+    /// Score of the table, where it was found.
+    pub score: Option<f64>,
+    /// What else the table could have been.
+    pub runners_up: Vec<OtherPlane>,
+    /// Why something may be wrong, in sentences.
+    pub doubts: Vec<String>,
+}
+
+/// Finds table and object. `points` are the sparse points and `object` those of depth maps that masks cut out, none if there are
+/// no masks; both in the scan's frame and unit.
+///
+/// # Errors
+/// If there is no table, no object on it, or the click names no photo.
+pub(crate) fn find(
+    cameras: &Capture,
+    points: Vec<ScenePoint>,
+    object: &[Point3<f64>],
+    metres_per_unit: f64,
+    options: &FrameOptions,
+) -> Result<Place> {
+    let masked = !object.is_empty();
+    let eyes: Vec<Pose> = cameras.views.iter().map(|v| v.camera_from_world.inverse()).collect();
+    let click = options.object.as_ref().map(|c| c.among(cameras)).transpose()?;
+    let near = |p: &Point3<f64>| options.region.is_none_or(|region| distance_from(&region, p) < size_of(&region));
+    let points: Vec<ScenePoint> = points.into_iter().filter(|p| near(&p.position)).collect();
+    let shown: Vec<Point3<f64>> = if masked { object.to_vec() } else { points.iter().map(|p| p.position).collect() };
+    let scene = scene_of(cameras, &eyes, points, object, options.region.as_ref());
+    let scene = match scene {
+        Err(e) if !masked && (options.up.is_none() || options.region.is_none()) => return Err(e.into()),
+        scene => scene.ok(),
+    };
+    let mut support = SupportOptions::default();
+    support.seed = options.seed;
+    support.up = options
+        .up
+        .and_then(|up| Unit::try_new(up, 0.0))
+        .map(|direction| UpPrior { direction, tolerance_rad: UP_TOLERANCE_RAD });
+    let choice = match scene.as_ref().map(|s| support_plane(s, &support)) {
+        Some(Err(e)) if !masked && options.up.is_none() => return Err(e.into()),
+        choice => choice.and_then(Result::ok).filter(|c| !masked || stands_on(object, &c.chosen.table)),
+    };
+    let looked_at = scene.as_ref().map_or_else(|| mean(&shown), Scene::target);
+    let towards = eyes.first().map_or(Vector3::x(), |e| e.translation.vector - looked_at.coords);
+    let frame = |table: &TablePlane| Similarity::of_table(metres_per_unit, table, &looked_at, &towards);
+    let mut place = match (choice, options.up) {
+        (Some(choice), _) => Place::found(choice, &looked_at, metres_per_unit, frame)?,
+        (None, Some(up)) => Place::assumed(lowest_plane(&shown, up), "given", frame)?,
+        (None, None) => Place::assumed(lowest_plane(&shown, mean_up(&eyes)), "the cameras", frame)?,
+    };
+    if options.region.is_some() {
+        place.object_from = "the region given";
+    } else if let Some(scene) = scene.filter(|_| !masked) {
+        let found = find_objects(&scene, &place.table, &place.table_from_scan, click.as_ref())?;
+        place.object = Some([found.object.lo, found.object.hi]);
+        place.object_from = if click.is_some() { "the click" } else { "where the cameras look" };
+        place.others = found.others.iter().map(|o| [o.lo, o.hi]).collect();
+        place.doubts.extend(found.doubt);
+    }
+    Ok(place)
+}
+
+fn scene_of(
+    cameras: &Capture,
+    eyes: &[Pose],
+    mut points: Vec<ScenePoint>,
+    object: &[Point3<f64>],
+    region: Option<&[Point3<f64>; 2]>,
+) -> drex_mesh::Result<Scene> {
+    let some = object.iter().step_by(object.len().div_ceil(MOST_OBJECT_POINTS).max(1));
+    points.extend(some.map(|p| ScenePoint { object_share: Some(1.0), ..ScenePoint::at(*p) }));
+    let view = |(v, eye): (&View, &Pose)| SceneView { lens: v.lens.clone(), world_from_camera: *eye };
+    let views = cameras.views.iter().zip(eyes).map(view).collect();
+    match region {
+        Some([lo, hi]) => Scene::around(points, views, nalgebra::center(lo, hi)),
+        None => Scene::new(points, views),
+    }
+}
+
+impl Place {
+    fn found(
+        choice: SupportChoice,
+        looked_at: &Point3<f64>,
+        metres_per_unit: f64,
+        frame: impl Fn(&TablePlane) -> drex_mesh::Result<Similarity>,
+    ) -> Result<Self> {
+        let table = choice.chosen.table;
+        let other = |c: &drex_mesh::PlaneCandidate| OtherPlane {
+            tilt_deg: c.table.up.angle(&table.up).to_degrees(),
+            above_m: (table.height(looked_at) - c.table.height(looked_at)) * metres_per_unit,
+            score: c.score,
+        };
+        Ok(Self {
+            table_from_scan: frame(&table)?,
+            runners_up: choice.runners_up.iter().take(3).map(other).collect(),
+            score: Some(choice.chosen.score),
+            doubts: choice.doubt.into_iter().collect(),
+            ..Self::assumed(table.clone(), "table", frame)?
+        })
+    }
+
+    fn assumed(
+        table: TablePlane,
+        up_from: &'static str,
+        frame: impl Fn(&TablePlane) -> drex_mesh::Result<Similarity>,
+    ) -> Result<Self> {
+        Ok(Self {
+            table_from_scan: frame(&table)?,
+            table,
+            up_from,
+            object: None,
+            object_from: "the masks",
+            others: Vec::new(),
+            score: None,
+            runners_up: Vec::new(),
+            doubts: Vec::new(),
+        })
+    }
+}
+
+fn distance_from([lo, hi]: &[Point3<f64>; 2], p: &Point3<f64>) -> f64 {
+    (lo - p).sup(&(p - hi)).sup(&Vector3::zeros()).norm()
+}
+
+fn size_of([lo, hi]: &[Point3<f64>; 2]) -> f64 {
+    (hi - lo).norm()
+}
+
+/// Whether the lowest of the object's points are on the plane.
+fn stands_on(object: &[Point3<f64>], table: &TablePlane) -> bool {
+    let mut heights: Vec<f64> = object.iter().map(|p| table.height(p)).collect();
+    heights.sort_by(f64::total_cmp);
+    let (Some(&lowest), Some(&highest)) = (heights.get(heights.len() / 100), heights.last()) else { return false };
+    lowest.abs() < MAX_TABLE_OFFSET_SHARE * (highest - lowest)
+}
+
+/// The plane with this normal through the lowest of the points.
+fn lowest_plane(points: &[Point3<f64>], up: Vector3<f64>) -> TablePlane {
+    let up = Unit::new_normalize(up);
+    let mut heights: Vec<f64> = points.iter().map(|p| up.dot(&p.coords)).collect();
+    heights.sort_by(f64::total_cmp);
+    let lowest = heights.get(heights.len() / 500).copied().unwrap_or(0.0);
+    TablePlane::new(Point3::from(up.into_inner() * lowest), up)
+}
+
+/// Photos are mostly taken upright.
+fn mean_up(eyes: &[Pose]) -> Vector3<f64> {
+    eyes.iter().map(|e| e.rotation * -Vector3::y()).sum::<Vector3<f64>>().try_normalize(1e-9).unwrap_or(Vector3::z())
+}
+
+fn mean(points: &[Point3<f64>]) -> Point3<f64> {
+    Point3::from(points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len().max(1) as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn clicks_are_read() {
+        let click: ObjectClick = " 512.5, 300@left/IMG 1@2.jpg ".trim().parse().unwrap();
+        assert_eq!((click.pixel, click.photo.as_str()), ([512.5, 300.0], "left/IMG 1@2.jpg"));
+        assert_eq!(click.to_string().parse::<ObjectClick>().unwrap(), click);
+        for wrong in ["", "5,5", "5@a.jpg", "5,x@a.jpg", "-5,5@a.jpg", "nan,5@a.jpg", "5,5@", "5,5@ "] {
+            assert!(wrong.parse::<ObjectClick>().unwrap_err().contains("512,300@"), "{wrong}");
+        }
+    }
+}
