@@ -24,6 +24,8 @@ mod maxflow;
 mod points;
 mod refine;
 mod table;
+#[cfg(test)]
+mod tests;
 mod view;
 
 use drex_core::Pose;
@@ -107,7 +109,7 @@ pub struct MaskOptions {
 
 impl Default for MaskOptions {
     fn default() -> Self {
-        Self { rounds: 3, voxels: 300_000, working_px: 200.0 }
+        Self { rounds: tune("ROUNDS", 3.0) as usize, voxels: 300_000, working_px: 200.0 }
     }
 }
 
@@ -323,6 +325,11 @@ impl Work {
             table.paint(&views, &tones, None);
             tones = views.par_iter().map(|view| table.tone(view)).collect();
         }
+        table.find_bare(&views, &tones);
+        table.paint(&views, &tones, None);
+        if let Ok(n) = std::env::var("DUMP") {
+            table.dump(&n);
+        }
         let grid = Grid::new(&bounds, options.voxels.clamp(1000, 4_000_000));
         let seeds = points::seeds(input.points, world_from_region, &bounds);
         let full_seeds =
@@ -368,13 +375,26 @@ impl Work {
     }
 
     /// Colours of the background in a view: around the box, and in it where the mask says so.
+    ///
+    /// Before there are masks, the cast shadow of the object is in the box and nowhere else: the table's colours are added
+    /// as they are in the shade.
     fn background(&self, k: usize) -> Histogram {
+        const SHADE: [f32; 5] = [0.4, 0.5, 0.6, 0.7, 0.85];
+        #[allow(non_snake_case)]
+        let SHADE_WEIGHT: f32 = tune("SHADE", 0.08);
         let view = &self.views[k];
         let mut all = Histogram::new();
         for at in 0..view.inside.len() {
             let free = self.masks.get(k).is_some_and(|mask| !mask[at]);
-            if !view.inside[at] || free {
-                all.add(view.colour(at), 1.0);
+            if view.inside[at] && !free {
+                continue;
+            }
+            let colour = view.colour(at);
+            all.add(colour, 1.0);
+            if self.masks.is_empty() && self.table.is_known(view.floor[at]) {
+                for shade in SHADE {
+                    all.add(colour.map(|c| (f32::from(c) * shade) as u8), SHADE_WEIGHT);
+                }
             }
         }
         all.smoothed(1)
@@ -383,7 +403,8 @@ impl Work {
     /// Colours of the object over all views.
     fn object_colours(&self, backgrounds: &[Histogram]) -> Histogram {
         // Share of the box's pixels that is taken for background at the start.
-        const BACKGROUND: f32 = 0.7;
+        #[allow(non_snake_case)]
+        let BACKGROUND: f32 = tune("BG", 0.7);
         let parts: Vec<Histogram> = self
             .views
             .par_iter()
@@ -414,7 +435,8 @@ impl Work {
     fn colour_evidence(&self, k: usize, background: &Histogram) -> Vec<f32> {
         /// How sure the picture of the plane is where it is known.
         const TABLE: f32 = 0.85;
-        const MOST: f32 = 4.0;
+        #[allow(non_snake_case)]
+        let MOST: f32 = tune("MOST", 4.0);
         let view = &self.views[k];
         (0..view.inside.len())
             .map(|at| {
@@ -433,14 +455,16 @@ impl Work {
 
     /// The cut of a view: its evidence with the silhouette in it, and the mask.
     fn cut(&self, k: usize, colours: &[f32]) -> (Vec<f32>, Vec<bool>) {
-        const COLOUR_WEIGHT: f32 = 0.5;
-        const MOST_SHAPE: f32 = 3.0;
+        let cw = tune("CW", 0.7);
+        let most_in = tune("IN", 1.0);
+        let most_out = tune("OUT", 3.0);
+        let tune_slope = tune("SLOPE", 0.8);
         const SEED: f32 = 6.0;
         let view = &self.views[k];
         let (w, h) = (view.window.width(), view.window.height());
         let distance = signed_distance(&self.silhouettes[k], w, h);
         let mut evidence: Vec<f32> = (0..w * h)
-            .map(|at| COLOUR_WEIGHT * colours[at] + (0.8 * distance[at]).clamp(-MOST_SHAPE, MOST_SHAPE))
+            .map(|at| cw * colours[at] + (tune_slope * distance[at]).clamp(-most_out, most_in))
             .collect();
         for (at, object) in &self.seen[k] {
             evidence[*at] += if *object { SEED } else { -SEED };
@@ -504,4 +528,8 @@ fn finish(input: &MaskInput<'_>, work: &Work) -> Result<Vec<Mask>, MaskError> {
             })
         })
         .collect()
+}
+
+pub(crate) fn tune(name: &str, default: f32) -> f32 {
+    std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(default)
 }

@@ -16,6 +16,8 @@ const LEVELS: usize = 4;
 const MOST_VIEWS: usize = 72;
 /// A cell narrower than this in a photo, pixels, is not read from it.
 const NARROWEST_PX: f64 = 0.25;
+/// Share of the photos that must agree on the colour of a place: the object may hide it from the others.
+const AGREE: f64 = 0.4;
 /// The noise of a channel is at least this, levels of 255.
 const LEAST_NOISE: f32 = 3.0;
 
@@ -37,6 +39,8 @@ struct Level {
     cells: Vec<Cell>,
     /// Cells that rays near the box meet.
     wanted: Vec<bool>,
+    /// Cells within the footprint of the box that are surely the plane.
+    bare: Vec<bool>,
 }
 
 impl Level {
@@ -99,6 +103,7 @@ impl Table {
                     cell,
                     cells: vec![Cell::default(); SIDE * SIDE],
                     wanted: vec![false; SIDE * SIDE],
+                    bare: vec![false; SIDE * SIDE],
                 };
                 if level == 0 {
                     // The finest level is whole, so that the neighbours of each cell are there.
@@ -126,7 +131,70 @@ impl Table {
         self.levels.iter().enumerate().find_map(|(k, level)| level.index(p).map(|index| (k, index)))
     }
 
-    /// Puts the picture together: per cell the median over the photos that see it, `masks` telling where the object hides it.
+    /// Whether the colour of the plane is known at a point.
+    pub fn is_known(&self, p: [f32; 2]) -> bool {
+        self.place(p).is_some_and(|(level, index)| self.levels[level].cells[index].known)
+    }
+
+    /// Finds places within the footprint that are the plane and not under the object, before there are masks.
+    ///
+    /// A place of the plane looks the same in most photos, as steadily as the plane beside the box, and no point above it
+    /// does. The inside of an object shows another part of its surface to each photo. A shadow is thus told from a dark thing.
+    pub fn find_bare(&mut self, views: &[View], tones: &[Tone]) {
+        const HEIGHTS: [f64; 9] = [0.06, 0.1, 0.15, 0.22, 0.3, 0.4, 0.5, 0.65, 0.8];
+        const STEADIER: f32 = 0.7;
+        const AS_STEADY: f32 = 1.5;
+        const MOST_VIEWS: usize = 40;
+        let footprint = self.footprint;
+        let level = &self.levels[0];
+        let step = views.len().div_ceil(MOST_VIEWS).max(1);
+        // Spread of the colours of a point over the photos that agree best.
+        let unrest = |point: &Point3<f64>, samples: &mut [Vec<f32>; 3]| {
+            samples.iter_mut().for_each(Vec::clear);
+            for (view, tone) in views.iter().zip(tones).step_by(step) {
+                let Some(colour) = view.project(point).and_then(|p| view.picture.sample(p.x, p.y)) else { continue };
+                (0..3).for_each(|c| samples[c].push(colour[c] / tone.gain[c]));
+            }
+            (samples[0].len() >= 6).then(|| {
+                samples
+                    .iter_mut()
+                    .map(|all| {
+                        let (from, to) = densest(all);
+                        all[to] - all[from]
+                    })
+                    .sum::<f32>()
+            })
+        };
+        let with_samples = || std::array::from_fn::<Vec<f32>, 3, _>(|_| Vec::new());
+        let mut beside: Vec<f32> = (0..SIDE * SIDE)
+            .into_par_iter()
+            .filter(|index| index % 7 == 0 && level.cells[*index].known)
+            .map_init(with_samples, |samples, index| unrest(&level.centre(index), samples))
+            .flatten()
+            .collect();
+        if beside.len() < 50 {
+            return;
+        }
+        let middle = beside.len() / 2;
+        let typical = *beside.select_nth_unstable_by(middle, f32::total_cmp).1;
+        let bare: Vec<bool> = (0..SIDE * SIDE)
+            .into_par_iter()
+            .map_init(with_samples, |samples, index| {
+                let mut point = level.centre(index);
+                if !covers(&footprint, &point) {
+                    return false;
+                }
+                let Some(low) = unrest(&point, samples).filter(|low| *low < AS_STEADY * typical) else { return false };
+                HEIGHTS.iter().all(|h| {
+                    point.z = h * footprint.upper.z;
+                    unrest(&point, samples).is_some_and(|above| low < STEADIER * above)
+                })
+            })
+            .collect();
+        self.levels[0].bare = bare;
+    }
+
+    /// Puts the picture together: per cell the colour that most photos that see it agree on, `masks` telling where the object hides it.
     pub fn paint(&mut self, views: &[View], tones: &[Tone], masks: Option<&Masks>) {
         let (footprint, step) = (self.footprint, self.step);
         for level in &mut self.levels {
@@ -134,21 +202,20 @@ impl Table {
             let mut cells: Vec<Cell> = (0..SIDE * SIDE)
                 .into_par_iter()
                 .map_init(
-                    || std::array::from_fn::<Vec<u8>, 3, _>(|_| Vec::new()),
+                    || std::array::from_fn::<Vec<f32>, 3, _>(|_| Vec::new()),
                     |samples, index| {
                         if !this.wanted[index] {
                             return Cell::default();
                         }
                         let point = this.centre(index);
-                        let under = footprint.lower.x <= point.x
-                            && point.x <= footprint.upper.x
-                            && footprint.lower.y <= point.y
-                            && point.y <= footprint.upper.y;
-                        if under && masks.is_none() {
+                        let under = covers(&footprint, &point);
+                        let bare = this.bare[index];
+                        if under && masks.is_none() && !bare {
                             return Cell::default();
                         }
                         samples.iter_mut().for_each(Vec::clear);
                         let mut in_picture = 0;
+                        let masks = masks.filter(|_| !bare);
                         for (k, view) in views.iter().enumerate().step_by(step) {
                             let along = point - view.eye.centre;
                             let distance = along.norm();
@@ -166,7 +233,7 @@ impl Table {
                                 }
                             }
                             for c in 0..3 {
-                                samples[c].push((colour[c] / tones[k].gain[c]).round().clamp(0.0, 255.0) as u8);
+                                samples[c].push(colour[c] / tones[k].gain[c]);
                             }
                         }
                         let seen = samples[0].len();
@@ -176,11 +243,11 @@ impl Table {
                         let mut agree = true;
                         let colour = std::array::from_fn(|c| {
                             let all = &mut samples[c];
-                            all.sort_unstable();
-                            let middle = all[seen / 2];
-                            let near = all.iter().filter(|v| v.abs_diff(middle) <= 10 + middle / 8).count();
-                            agree &= 2 * near >= seen;
-                            middle
+                            let (from, to) = densest(all);
+                            let mean = all[from..=to].iter().sum::<f32>() / (to + 1 - from) as f32;
+                            let near = all.iter().filter(|v| (**v - mean).abs() <= 10.0 + mean / 8.0).count();
+                            agree &= near as f64 >= AGREE * seen as f64;
+                            mean.round().clamp(0.0, 255.0) as u8
                         });
                         Cell { colour, spread: [0; 3], known: agree }
                     },
@@ -255,6 +322,20 @@ impl Table {
     }
 }
 
+/// Sorts and gives the ends of the narrowest run that holds the share [`AGREE`] of the values. Not for empty slices.
+fn densest(all: &mut [f32]) -> (usize, usize) {
+    all.sort_unstable_by(f32::total_cmp);
+    let run = ((all.len() as f64 * AGREE).ceil() as usize).clamp(1, all.len());
+    let width = |from: usize| all[from + run - 1] - all[from];
+    let from = (0..=all.len() - run).min_by(|a, b| width(*a).total_cmp(&width(*b))).unwrap_or(0);
+    (from, from + run - 1)
+}
+
+/// Whether a point of the plane lies below the box.
+fn covers(footprint: &Bounds, p: &Point3<f64>) -> bool {
+    (0..2).all(|k| footprint.lower[k] <= p[k] && p[k] <= footprint.upper[k])
+}
+
 /// Fills in the range of the colours of the 3 x 3 cells around each cell.
 fn spread_of_neighbours(cells: &mut [Cell]) {
     let before: Vec<Cell> = cells.to_vec();
@@ -275,5 +356,17 @@ fn spread_of_neighbours(cells: &mut [Cell]) {
             }
             cells[index].spread = std::array::from_fn(|c| high[c] - low[c]);
         }
+    }
+}
+
+impl Table {
+    pub fn dump(&self, name: &str) {
+        let l = &self.levels[0];
+        let mut out = Vec::new();
+        for (c, b) in l.cells.iter().zip(&l.bare) {
+            let x = if c.known { c.colour } else { [0, 0, 0] };
+            out.extend(if *b { [x[0], x[1], 255] } else { x });
+        }
+        let _ = image::save_buffer(name, &out, SIDE as u32, SIDE as u32, image::ColorType::Rgb8);
     }
 }
