@@ -515,6 +515,7 @@ fn refine(
         adjusted = adjust::adjust(&mut model, freedom, 20).map_err(failed)?;
     }
     progress(Step { stage: "confirmation", done: 0, total: model.views.len() });
+    check_turns(front, &model, matches)?;
     let mut removed = drop_weak(&mut model);
     removed.extend(drop_unconfirmed(&mut model, &greys));
     if !removed.is_empty() {
@@ -531,7 +532,6 @@ fn refine(
         ));
     }
     check_baseline(front, &model)?;
-    check_turns(front, &model, matches)?;
     check_lenses(&model)?;
     let sigmas = adjust::pose_sigmas(&model, freedom);
     Ok(Refined { model, adjusted, sigmas, aligned, removed })

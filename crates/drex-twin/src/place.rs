@@ -4,11 +4,11 @@ use std::fmt;
 use std::str::FromStr;
 
 use drex_core::Pose;
+use drex_core::capture::{Capture, View};
 use drex_mesh::{
     Click, Scene, ScenePoint, SceneView, Similarity, SupportChoice, SupportOptions, TablePlane, UpPrior, find_objects,
     support_plane,
 };
-use drex_splat::capture::{Capture, View};
 use nalgebra::{Point2, Point3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
 

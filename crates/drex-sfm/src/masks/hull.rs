@@ -63,7 +63,8 @@ impl Grid {
     /// 255; `seeds` are voxels that hold points of the object, with the weight of each, nats.
     pub fn vote(&mut self, views: &[View], likely: &[Vec<u8>], seeds: &[(usize, f32)]) {
         #[allow(non_snake_case)]
-        let (WRONG,EMPTY_SHOWS_BACKGROUND,INDEPENDENT)=(super::tune("WRONG",0.03),super::tune("EMPTY",0.1),super::tune("IND",16.0));
+        let (WRONG, EMPTY_SHOWS_BACKGROUND, INDEPENDENT) =
+            (super::tune("WRONG", 0.03), super::tune("EMPTY", 0.1), super::tune("IND", 16.0));
         let step = views.len().div_ceil(MOST_VIEWS).max(1);
         let gain: Vec<f32> = (0..256)
             .map(|p| {
@@ -103,7 +104,7 @@ impl Grid {
         for (index, score) in self.score.iter().enumerate() {
             graph.add_terminal(index, scale(*score), scale(-score));
         }
-        let face = scale(super::tune("FACE",1.0));
+        let face = scale(super::tune("FACE", 1.0));
         for z in 0..nz {
             for y in 0..ny {
                 for x in 0..nx {

@@ -463,9 +463,8 @@ impl Work {
         let view = &self.views[k];
         let (w, h) = (view.window.width(), view.window.height());
         let distance = signed_distance(&self.silhouettes[k], w, h);
-        let mut evidence: Vec<f32> = (0..w * h)
-            .map(|at| cw * colours[at] + (tune_slope * distance[at]).clamp(-most_out, most_in))
-            .collect();
+        let mut evidence: Vec<f32> =
+            (0..w * h).map(|at| cw * colours[at] + (tune_slope * distance[at]).clamp(-most_out, most_in)).collect();
         for (at, object) in &self.seen[k] {
             evidence[*at] += if *object { SEED } else { -SEED };
         }
