@@ -1,4 +1,5 @@
 //! Registers a folder of photos and writes COLMAP models: `register PHOTOS OUT [MASKS]`.
+#![allow(clippy::print_stdout)] // an example prints
 use std::path::{Path, PathBuf};
 
 use drex_core::capture::{CaptureOptions, find_mask, photos_in};

@@ -12,10 +12,6 @@ use super::view::{Bounds, View};
 
 /// Photos that vote; of more, every so many-th.
 const MOST_VIEWS: usize = 96;
-/// How often a pixel of a full voxel is taken for background, and a pixel at an empty voxel for background.
-/// The photos count as at most this many independent ones.
-/// Cost of a face between full and empty, nats.
-
 /// A lattice of voxels that fills the box.
 #[derive(Debug, Clone)]
 pub(super) struct Grid {

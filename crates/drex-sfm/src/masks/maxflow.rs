@@ -94,15 +94,15 @@ impl FlowGraph {
             }
         }
         while let Some(&node) = self.active.front() {
-            if self.nodes[node as usize].tree != Tree::Free {
-                if let Some(bridge) = self.grow(node) {
-                    self.time += 1;
-                    self.augment(bridge);
-                    while let Some(orphan) = self.orphans.pop_front() {
-                        self.adopt(orphan);
-                    }
-                    continue;
+            if self.nodes[node as usize].tree != Tree::Free
+                && let Some(bridge) = self.grow(node)
+            {
+                self.time += 1;
+                self.augment(bridge);
+                while let Some(orphan) = self.orphans.pop_front() {
+                    self.adopt(orphan);
                 }
+                continue;
             }
             self.active.pop_front();
             self.nodes[node as usize].queued = false;
@@ -238,13 +238,14 @@ impl FlowGraph {
         let mut arc = self.nodes[orphan as usize].first;
         while arc != NONE {
             let Arc { head, next, .. } = self.arcs[arc as usize];
-            if self.nodes[head as usize].tree == tree && self.open(tree, arc ^ 1) {
-                if let Some(depth) = self.depth_of(head) {
-                    if depth < best_depth {
-                        (best, best_depth) = (arc, depth);
-                    }
-                    self.stamp_branch(head, depth);
+            if self.nodes[head as usize].tree == tree
+                && self.open(tree, arc ^ 1)
+                && let Some(depth) = self.depth_of(head)
+            {
+                if depth < best_depth {
+                    (best, best_depth) = (arc, depth);
                 }
+                self.stamp_branch(head, depth);
             }
             arc = next;
         }

@@ -227,10 +227,10 @@ impl Table {
                             let Some(pixel) = view.project(&point) else { continue };
                             let Some(colour) = view.picture.sample(pixel.x, pixel.y) else { continue };
                             in_picture += 1;
-                            if let (Some(masks), Some(at)) = (masks, view.index(pixel)) {
-                                if masks[k][at] {
-                                    continue;
-                                }
+                            if let (Some(masks), Some(at)) = (masks, view.index(pixel))
+                                && masks[k][at]
+                            {
+                                continue;
                             }
                             for c in 0..3 {
                                 samples[c].push(colour[c] / tones[k].gain[c]);

@@ -268,11 +268,11 @@ fn little_or_odd_input_gives_masks_or_a_sentence() {
     }
     let small = |_: usize| Ok(Photo { width_px: 5, height_px: 4, rgb: vec![0; 60] });
     let missing = |_: usize| Err("no such file".to_string());
-    let loads: [(&(dyn Fn(usize) -> std::result::Result<Photo, String> + Sync), &str); 2] =
-        [(&small, "5 x 4"), (&missing, "photo 0 cannot be read: no such file")];
-    for (load, say) in loads {
+    let refused = |load: &(dyn Fn(usize) -> std::result::Result<Photo, String> + Sync), say: &str| {
         let input = MaskInput { views: &full.views[..1], points: &[], region: &region, load };
         let error = make_masks(&input, &MaskOptions::default(), &mut |_, _| {}).unwrap_err().to_string();
         assert!(error.contains(say), "{error}");
-    }
+    };
+    refused(&small, "5 x 4");
+    refused(&missing, "photo 0 cannot be read: no such file");
 }
