@@ -30,3 +30,8 @@ pub use cameras::FocalSource;
 pub use register::{InputPhoto, RegisterOptions, Registration, Step, register};
 pub use report::{LensReport, ModelReport, PhotoReport, Report};
 pub use verdict::{Cause, Verdict};
+
+/// Runs the examples of the README as tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct ReadmeDoctests;
