@@ -15,12 +15,14 @@ use drex_mesh::{
     ScaleFit, Similarity, Support, TablePlane, decimate, fuse, object_on_table, read_marks, scale_from_distances,
     table_plane, triangulate_marks,
 };
+use drex_sfm::MarkerReport;
+use drex_sfm::marker::Marker;
 use drex_splat::{ReconstructOptions, Reconstruction};
 use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::Progress;
-use crate::reconstruct::{Programs, open_capture, train_gaussians};
+use crate::reconstruct::{Cameras, ScanInput, train_gaussians};
 
 /// The mesh of a scan keeps to the fused one within this share of a voxel.
 const MAX_SIMPLIFICATION_VOXELS: f64 = 0.1;
@@ -51,6 +53,7 @@ pub struct Scale {
     metres_per_unit: f64,
     from: &'static str,
     distances: Option<ScaleFit>,
+    marker: Option<MarkerReport>,
     /// Places of the marks in the scan's frame, where known distances asked for them.
     marks: BTreeMap<String, Point3<f64>>,
 }
@@ -69,6 +72,10 @@ pub struct Scanning<'a> {
     pub frame: FrameOptions,
     /// Side of a voxel, metres.
     pub voxel_m: Option<f64>,
+    /// A printed tag in the photos, which gives the scale.
+    pub marker: Option<Marker>,
+    /// The program COLMAP, where it is to find the cameras of photos that have none.
+    pub colmap: Option<PathBuf>,
     /// Of the Gaussians, where there are no depth maps yet.
     pub reconstruct: ReconstructOptions,
     /// ffmpeg, or a step of COLMAP, is stopped after this time.
@@ -96,10 +103,25 @@ impl Scanning<'_> {
         let mut within = CaptureOptions::default();
         within.masks.clone_from(&self.masks);
         within.poses.clone_from(&self.poses);
-        let limit = self.tool_limit;
-        let programs = Programs { colmap: Path::new("colmap"), ffmpeg: Path::new("ffmpeg"), limit };
-        let cameras = open_capture(self.input, self.out, &within, &programs, progress)?;
-        let scale = Scale::new(&cameras, &self.frame)?;
+        let input = ScanInput {
+            scan: self.input,
+            out: self.out,
+            within,
+            marker: self.marker,
+            seed: self.reconstruct.seed,
+            colmap: self.colmap.as_deref(),
+            ffmpeg: Path::new("ffmpeg"),
+            limit: self.tool_limit,
+        };
+        let Cameras { capture: cameras, marker, found_now, .. } = input.cameras(progress)?;
+        let scale = match marker {
+            Some(marker) => Scale::by_marker(marker),
+            None => Scale::new(&cameras, &self.frame)?,
+        };
+        if found_now {
+            // Depth maps of earlier cameras have another frame.
+            remove_depth_maps(self.out)?;
+        }
         let (depths, masked, made) = self.depth_maps(&cameras, progress)?;
         progress.begin("fusion", None);
         let scan = Scan::new(&cameras, &depths, masked, scale, &self.frame)?;
@@ -125,12 +147,14 @@ impl Scanning<'_> {
         progress: &dyn Progress,
     ) -> Result<(Capture, bool, Option<Reconstruction>)> {
         if cameras.views.iter().all(|v| v.depth.is_some()) {
+            name_faults(cameras, progress)?;
             let masked = cameras.views.iter().all(|v| v.mask.is_some());
             return Ok((cameras.clone(), masked, None));
         }
         let folder = self.out.join("depth");
         let trained = if folder.join("transforms.json").is_file() {
             progress.note(&format!("going on with the depth maps in {}", folder.display()));
+            name_faults(cameras, progress)?;
             None
         } else {
             Some(train_gaussians(cameras, self.out, &self.reconstruct, false, progress)?.1)
@@ -139,6 +163,21 @@ impl Scanning<'_> {
         let made: Made = fsutil::from_json(&report, &fsutil::read_text(&report)?)?;
         Ok((Capture::load(&folder, &CaptureOptions::default())?, made.object_only, trained))
     }
+}
+
+/// Says which cameras and masks look wrong; where Gaussians are trained, the whole report is said.
+fn name_faults(cameras: &Capture, progress: &dyn Progress) -> Result<()> {
+    cameras.report()?.faults().iter().for_each(|fault| progress.note(fault));
+    Ok(())
+}
+
+/// Removes the depth maps in `out/depth` that an earlier run wrote; a folder of somebody else's stays.
+pub(crate) fn remove_depth_maps(out: &Path) -> Result<()> {
+    let depth = fsutil::output_path(out, "depth")?;
+    if depth.join("transforms.json").is_file() {
+        std::fs::remove_dir_all(&depth).with_context(|| format!("cannot remove {}", depth.display()))?;
+    }
+    Ok(())
 }
 
 /// Puts what is within a voxel of the table onto it. No photo shows the edge on which an object stands, and the fusion rounds it off; but a push that
@@ -181,6 +220,9 @@ pub struct FrameReport {
     /// Known distances, as given and in the scaled scan.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub distances: Option<ScaleFit>,
+    /// The marker that gave the scale.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub marker: Option<MarkerReport>,
     /// Marks in the frame of the mesh, metres.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub marks_m: BTreeMap<String, [f64; 3]>,
@@ -240,7 +282,7 @@ impl Scan {
             cameras.points.iter().map(|p| p.position.into()).collect()
         };
 
-        let Scale { metres_per_unit, from: scale_from, distances, marks } = scale;
+        let Scale { metres_per_unit, from: scale_from, distances, marker, marks } = scale;
         let near = |p: &Point3<f64>| options.region.is_none_or(|region| distance_from(&region, p) < size_of(&region));
         let points: Vec<Point3<f64>> = points.into_iter().filter(near).collect();
         let object = if masked { points_of(&depths)? } else { Vec::new() };
@@ -286,6 +328,7 @@ impl Scan {
             metres_per_unit,
             scale_from: scale_from.to_owned(),
             distances,
+            marker,
             marks_m: marks.into_iter().map(|(name, p)| (name, mesh_from_scan.point(&p).into())).collect(),
             up_from: up_from.to_owned(),
             up_in_mesh: up_in_mesh.into_inner().into(),
@@ -373,25 +416,36 @@ fn points_of(depths: &Photos) -> Result<Vec<Point3<f64>>> {
 }
 
 impl Scale {
+    fn of(metres_per_unit: f64, from: &'static str) -> Self {
+        Self { metres_per_unit, from, distances: None, marker: None, marks: BTreeMap::new() }
+    }
+
+    /// From a printed tag in the photos.
+    pub fn by_marker(marker: MarkerReport) -> Self {
+        let metres_per_unit = marker.metres_per_unit;
+        Self { marker: Some(marker), ..Self::of(metres_per_unit, "marker") }
+    }
+
     /// From a number, known distances between marks, or a depth camera. Needs no depth map of photos, so that a scan that
     /// cannot be metric is refused before hours go into it.
     pub fn new(cameras: &Capture, options: &FrameOptions) -> Result<Self> {
         if let Some(metres_per_unit) = options.scale {
-            return Ok(Self { metres_per_unit, from: "given", distances: None, marks: BTreeMap::new() });
+            return Ok(Self::of(metres_per_unit, "given"));
         }
         if !options.distances.is_empty() {
             let marks = marks_of(cameras, options)?;
             let fit = scale_from_distances(&marks, &options.distances)?;
             let metres_per_unit = fit.metres_per_unit;
-            return Ok(Self { metres_per_unit, from: "known distances", distances: Some(fit), marks });
+            return Ok(Self { distances: Some(fit), marks, ..Self::of(metres_per_unit, "known distances") });
         }
         let measured = |path: &Path| path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
         if cameras.views.iter().all(|v| v.depth.as_deref().is_some_and(measured)) {
-            return Ok(Self { metres_per_unit: 1.0, from: DEPTH_CAMERA, distances: None, marks: BTreeMap::new() });
+            return Ok(Self::of(1.0, DEPTH_CAMERA));
         }
         refuse!(
-            "{} has no scale: photos alone do not tell how large things are; measure the distance of two marks and give \
-             --distance A-C=0.12 with the marks' pixels in marks.json, or give --scale in metres per unit",
+            "{} has no scale: photos alone do not tell how large things are; lay a printed tag beside the object and give \
+             --marker tag36h11:ID:SIDE_M, or measure the distance of two marks and give --distance A-C=0.12 with the marks' \
+             pixels in marks.json, or give --scale in metres per unit",
             cameras.folder.display()
         )
     }
