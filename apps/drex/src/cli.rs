@@ -14,6 +14,7 @@ use drex_core::Pose;
 use drex_core::pose::pose_from_wxyz;
 use drex_mesh::{KnownDistance, LengthUnit};
 use drex_recording::convert::mujoco_push::{ForceQuality, PoseQuality};
+use drex_sfm::marker::Marker;
 use drex_splat::train::{DensityChoice, Preset};
 use drex_sysid::Parameter;
 use drex_twin::scan::ObjectClick;
@@ -72,6 +73,8 @@ pub struct Common {
 /// The subcommands, in the order of the path from scan to grasp.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// Find where photos were taken from, and sparse points, with a report; or say why not.
+    Sfm(SfmArgs),
     /// Train Gaussians for looks and for geometry from photos, and write depth maps.
     Reconstruct(ReconstructArgs),
     /// Make a sim-ready asset of a mesh or a scan: closed, in convex pieces, with mass properties, as MJCF.
@@ -131,11 +134,38 @@ pub struct ManArgs {
     pub out: Option<PathBuf>,
 }
 
+/// `drex sfm`.
+#[derive(Debug, Args)]
+pub struct SfmArgs {
+    /// Folder of photos (JPEG, PNG), in it or in images/, photos/ or input/; or a video.
+    #[arg(value_name = "PHOTOS|VIDEO")]
+    pub photos: PathBuf,
+    /// Folder to write: sparse/0 and more (COLMAP's binary models), transforms.json, report.json, cameras.png.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Folder of masks named like the photos: white is all that keeps its shape together, black is not looked at. For objects that
+    /// turn while the camera stands still; photos taken round an object are better without.
+    #[arg(long, value_name = "DIR")]
+    pub masks: Option<PathBuf>,
+    /// A printed AprilTag in the photos and the width of its black border in metres: gives the model metres, up and origin.
+    #[arg(long, value_name = "tag36h11:ID:SIDE_M")]
+    pub marker: Option<Marker>,
+    /// Calibration of the camera, which is kept: a 3 x 3 matrix, or fx fy cx cy k1 k2 p1 p2, pixels, as OpenCV has them.
+    #[arg(long, value_name = "K.txt")]
+    pub camera: Option<PathBuf>,
+    /// The ffmpeg program.
+    #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg")]
+    pub ffmpeg: PathBuf,
+    /// How long it may take.
+    #[command(flatten)]
+    pub tools: ToolArgs,
+}
+
 /// `drex reconstruct`.
 #[derive(Debug, Args)]
 pub struct ReconstructArgs {
-    /// Folder with photos and their cameras (a COLMAP model or transforms.json); with photos alone, or a video, COLMAP
-    /// and ffmpeg find them if they are installed.
+    /// Folder with photos, with their cameras (a COLMAP model or transforms.json) or alone: then as `drex sfm` finds them; or a
+    /// video, of which ffmpeg takes frames.
     pub scan: PathBuf,
     /// Folder to write: splat/appearance.ply, splat/surface.ply, splat/report.json, depth/.
     #[arg(long, value_name = "DIR")]
@@ -185,9 +215,9 @@ pub struct ReconstructArgs {
     /// Draw on the GPU (needs a build with `--features wgpu`).
     #[arg(long)]
     pub gpu: bool,
-    /// The COLMAP program.
-    #[arg(long, value_name = "PROGRAM", default_value = "colmap")]
-    pub colmap: PathBuf,
+    /// Let COLMAP, or this program, find the cameras of photos that have none.
+    #[arg(long, value_name = "PROGRAM", num_args = 0..=1, require_equals = true, default_missing_value = "colmap")]
+    pub colmap: Option<PathBuf>,
     /// The ffmpeg program.
     #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg")]
     pub ffmpeg: PathBuf,
@@ -268,8 +298,8 @@ impl From<DensityArg> for DensityChoice {
 /// `drex asset`.
 #[derive(Debug, Args)]
 pub struct AssetArgs {
-    /// STL, OBJ, PLY, GLTF or GLB file; a scan (a folder of photos with their cameras, as for `reconstruct`, or an RGB-D recording
-    /// with cam_K.txt and poses of the object); or a twin.toml whose object has parts and joints.
+    /// STL, OBJ, PLY, GLTF or GLB file; a scan (a folder of photos or a video, as for `reconstruct`, or an RGB-D recording with
+    /// cam_K.txt and poses of the object); or a twin.toml whose object has parts and joints.
     pub input: PathBuf,
     /// Folder to write: mesh/, asset/object.xml; for scans also what `reconstruct` writes.
     #[arg(long, value_name = "DIR")]
@@ -320,6 +350,9 @@ pub struct ScanArgs {
     /// Known distance between two marks, metres, such as A-C=0.12; repeatable.
     #[arg(long, value_name = "A-B=M", value_parser = known_distance, conflicts_with = "scale")]
     pub distance: Vec<KnownDistance>,
+    /// A printed AprilTag in the photos and the width of its black border in metres: gives the scale.
+    #[arg(long, value_name = "tag36h11:ID:SIDE_M", conflicts_with_all = ["scale", "distance"])]
+    pub marker: Option<Marker>,
     /// Pixels of the marks in the photos: {"photo.jpg": {"A": [x, y]}} [default: SCAN/marks.json].
     #[arg(long, value_name = "FILE")]
     pub marks: Option<PathBuf>,
@@ -341,6 +374,9 @@ pub struct ScanArgs {
     /// Side of a voxel, metres [default: by the size of the object and of a pixel on it].
     #[arg(long, value_name = "M", value_parser = positive)]
     pub voxel: Option<f64>,
+    /// Let COLMAP, or this program, find the cameras of photos that have none.
+    #[arg(long, value_name = "PROGRAM", num_args = 0..=1, require_equals = true, default_missing_value = "colmap")]
+    pub colmap: Option<PathBuf>,
     /// How long other programs may take.
     #[command(flatten)]
     pub tools: ToolArgs,

@@ -28,7 +28,8 @@ impl Limits {
             // Nothing may end the program that moves a hand.
             Command::Hw(_) | Command::Deploy(_) => Self { bytes: None, seconds: None },
             // They train or simulate for as long as is asked for, with what they need.
-            Command::Reconstruct(_)
+            Command::Sfm(_)
+            | Command::Reconstruct(_)
             | Command::Train(_)
             | Command::Evaluate(_)
             | Command::Run(_)

@@ -3,8 +3,9 @@
 use anyhow::{Context, Result};
 use drex_core::Pose;
 use drex_splat::io::read_gaussians;
-use drex_core::capture::{Capture, CaptureOptions, Photo, PhotoOptions, Photos};
+use drex_core::capture::{Capture, Photo, PhotoOptions, Photos};
 use drex_splat::Kind;
+use drex_twin::reconstruct::cameras_of;
 use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
 use nalgebra::{Point3, Similarity3};
@@ -48,10 +49,7 @@ pub fn record(recorder: &Recorder, twin: &mut Twin) -> Result<()> {
     let Some(file) = twin.json::<ScanFile>("splat/scan.json", placed)? else { return Ok(()) };
     let world_from_scan = similarity(&twin.world_from_mesh, &file.scan.mesh_from_scan)
         .with_context(|| format!("{}: mesh_from_scan", twin.path("splat/scan.json").display()))?;
-    // Frames of a video were written into the twin.
-    let given = twin.path(&config.photos);
-    let folder = if given.is_file() { twin.path("scan") } else { given };
-    match Capture::load(&folder, &CaptureOptions::default()) {
+    match cameras_of(&twin.path(&config.photos), &twin.path("")) {
         Ok(capture) => {
             cameras(recorder, &capture, &world_from_scan)?;
             points(recorder, &capture, &world_from_scan)?;

@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 
 use crate::Result;
-use drex_core::capture::{Capture, CaptureOptions};
 use drex_mesh::{Asset, Similarity};
 use drex_splat::Kind;
 use drex_splat::io::read_gaussians;
@@ -13,6 +12,7 @@ use nalgebra::{Matrix4, Similarity3, Translation3, Vector3};
 use super::object::{MESH_FACES, OBJECT_COLOR, still};
 use super::page::Page;
 use super::viewer::{Look, MOST_SPLATS, Scene};
+use drex_twin::reconstruct::cameras_of;
 use drex_twin::records::{ScanFile, SplatReport};
 use drex_twin::{Twin, records as files};
 
@@ -30,9 +30,7 @@ pub fn section(page: &mut Page, twin: &Twin, asset: &Asset, photos: &Path) -> Re
     let file: ScanFile = files::read_json(&twin.path(files::SCAN))?;
     page.section("Scan");
     let trained: Option<SplatReport> = files::read_json_if_there(&twin.path(files::SPLAT_REPORT))?;
-    // Frames of a video were written into the twin.
-    let folder = if twin.path(photos).is_file() { twin.path("scan") } else { twin.path(photos) };
-    let views: Vec<(String, PathBuf)> = match Capture::load(&folder, &CaptureOptions::default()) {
+    let views: Vec<(String, PathBuf)> = match cameras_of(&twin.path(photos), &twin.root) {
         Ok(capture) => capture.views.into_iter().map(|v| (v.name, v.photo)).collect(),
         Err(_) => Vec::new(),
     };

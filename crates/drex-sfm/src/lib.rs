@@ -8,27 +8,38 @@
 //! Keypoints, matching, two-view geometry and mapping are openmvg's; what captures of objects need on top is here.
 
 mod adjust;
+mod calibration;
 mod cameras;
 mod features;
+mod folder;
 mod mapping;
 pub mod marker;
 pub mod masks;
 mod matching;
 mod model;
 mod photos;
+pub mod picture;
 pub mod programs;
 mod register;
 mod relocate;
 mod report;
+mod result;
+mod scale;
 mod still;
 mod subpixel;
 mod triplets;
 mod verdict;
 mod verify;
 
+pub use calibration::read_calibration;
 pub use cameras::FocalSource;
+pub use folder::PhotoFolder;
 pub use register::{InputPhoto, RegisterOptions, Registration, Step, register};
 pub use report::{LensReport, ModelReport, PhotoReport, Report};
+pub use result::{
+    FolderOptions, FolderRegistration, FolderReport, StoredReport, check_output, register_folder, remove,
+};
+pub use scale::{MarkerReport, measure_marker, scale_by_marker};
 pub use verdict::{Cause, Verdict};
 
 /// Runs the examples of the README as tests.

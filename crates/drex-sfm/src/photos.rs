@@ -92,15 +92,17 @@ pub(crate) fn read_grey(path: &Path) -> Result<Grey, String> {
     read_colours(path).map(|(grey, _)| grey)
 }
 
-/// A photo as grey (luma of ITU-R BT.601) and in colour.
+/// A photo as grey ([`luma`]) and in colour.
 pub(crate) fn read_colours(path: &Path) -> Result<(Grey, Vec<[u8; 3]>), String> {
     let ([width, height], rgb) = drex_core::capture::read_rgb(path).map_err(|e| e.to_string())?;
-    let luma = |c: &[u8; 3]| {
-        let [r, g, b] = c.map(u32::from);
-        ((299 * r + 587 * g + 114 * b + 500) / 1000) as u8
-    };
     let pixels = rgb.iter().map(luma).collect();
     Ok((Grey { width, height, pixels }, rgb))
+}
+
+/// Luma of ITU-R BT.601.
+pub(crate) fn luma(colour: &[u8; 3]) -> u8 {
+    let [r, g, b] = colour.map(u32::from);
+    ((299 * r + 587 * g + 114 * b + 500) / 1000) as u8
 }
 
 /// Refuses a mask of another aspect than its photo.

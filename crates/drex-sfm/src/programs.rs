@@ -79,8 +79,8 @@ impl Default for VideoOptions {
 }
 
 /// Lets COLMAP find the cameras of the photos in `folder` (`images`, or `photos`, `input`, or the folder itself) and
-/// loads what it found. COLMAP works in `folder/colmap/attempt`; a model that is good enough moves to
-/// `folder/colmap/sparse`, replacing the one there, and [`Capture::load`] will find it.
+/// loads what it found. COLMAP works in `work/attempt`; a model that is good enough moves to `work/sparse`, replacing the one
+/// there. Nothing is written beside the photos.
 ///
 /// `progress` gets each line that COLMAP prints.
 ///
@@ -89,6 +89,7 @@ impl Default for VideoOptions {
 /// without.
 pub fn find_cameras(
     folder: &Path,
+    work: &Path,
     capture: &CaptureOptions,
     options: &ColmapOptions,
     progress: &mut dyn FnMut(&str),
@@ -101,7 +102,7 @@ pub fn find_cameras(
             format!("{} has only {} photo{}", root.display(), photos.len(), if photos.len() == 1 { "" } else { "s" });
         return refuse(what, "take photos all round the object, each showing most of what the one before showed");
     }
-    let (attempt, sparse) = (output_path(folder, "colmap/attempt")?, output_path(folder, "colmap/sparse")?);
+    let (attempt, sparse) = (output_path(work, "attempt")?, output_path(work, "sparse")?);
     clear(&attempt)?;
     let found = attempt.join("sparse");
     std::fs::create_dir_all(&found).map_err(|e| Error::io("create", &found, e))?;

@@ -36,6 +36,9 @@ pub enum Error {
     /// The mesh or the asset cannot be made.
     #[error(transparent)]
     Mesh(#[from] drex_mesh::Error),
+    /// The photos have no cameras that can be trusted.
+    #[error(transparent)]
+    Cameras(#[from] drex_sfm::Verdict),
     /// The photos cannot be used.
     #[error(transparent)]
     Splat(#[from] drex_splat::Error),

@@ -74,7 +74,8 @@ impl Twin {
         let inputs = match stage {
             Stage::Scan => {
                 let inputs = inputs.setting("scan", &m.scan)?.setting("mesh", &m.object.mesh)?;
-                m.scan.iter().try_fold(inputs, |inputs, scan| inputs.file(&self.path(&scan.photos)))?
+                let files = m.scan.iter().flat_map(|scan| std::iter::once(&scan.photos).chain(&scan.masks));
+                files.map(|f| self.path(f)).try_fold(inputs, |inputs, file| inputs.file(&file))?
             }
             Stage::Identify => {
                 let inputs = inputs.setting("mass", &m.mass)?.setting("object", &m.object)?.file(&mesh)?;

@@ -139,7 +139,7 @@ impl Twin {
             // A file system without locks: somebody else's half-written file could be one that is being written.
             Err(TryLockError::Error(_)) => return Ok(None),
         }
-        let folders = ["scan", "splat", "depth", "mesh", "asset", "grasps", "policy"];
+        let folders = ["scan", "sfm", "splat", "depth", "mesh", "asset", "grasps", "policy"];
         let mut removed = fsutil::remove_unfinished(&self.root, false)?;
         for folder in folders {
             removed.extend(fsutil::remove_unfinished(&self.path(folder), true)?);

@@ -1,13 +1,19 @@
 //! Photos to Gaussians and depth maps, with the programs that photos and videos may need.
 
 use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use drex_core::capture::{Capture, CaptureOptions, CaptureReport};
+use drex_core::capture::{Capture, CaptureOptions, CaptureReport, photos_in};
+use drex_sfm::marker::Marker;
 use drex_sfm::programs::{ColmapOptions, VideoOptions, extract_frames, find_cameras};
+use drex_sfm::{
+    FolderOptions, FolderRegistration, FolderReport, MarkerReport, PhotoFolder, Step, StoredReport, Verdict,
+    measure_marker, register_folder,
+};
 use drex_splat::raster::Cpu;
 use drex_splat::reconstruct::{Reconstruction, reconstruct};
-use drex_splat::train::Progress as Step;
+use drex_splat::train::Progress as TrainStep;
 use drex_splat::{Kind, ReconstructOptions};
 
 use crate::error::refuse;
@@ -28,7 +34,7 @@ pub fn train_gaussians(
     let mut at_work: Option<Kind> = None;
     let mut psnr = 0.0;
     let mut first_step = 0;
-    let mut on_progress = |kind: Kind, p: &Step, steps: u32, seconds: f64| {
+    let mut on_progress = |kind: Kind, p: &TrainStep, steps: u32, seconds: f64| {
         if at_work != Some(kind) {
             let label = if kind == Kind::Ellipsoid { "appearance" } else { "surface" };
             at_work = Some(kind);
@@ -63,57 +69,245 @@ fn gpu() -> Result<Cpu> {
     refuse!("this drex was built without a GPU; build it with `--features wgpu`, or leave --gpu out")
 }
 
-/// The programs that photos and videos may need.
-pub struct Programs<'a> {
-    /// Path of COLMAP.
-    pub colmap: &'a Path,
-    /// Path of ffmpeg.
+/// Photos, or a video, whose cameras are known or are to be found.
+#[derive(Debug, Clone)]
+pub struct ScanInput<'a> {
+    /// Folder of photos, with their cameras or without; or a video.
+    pub scan: &'a Path,
+    /// Folder for what is made: `scan/images` of a video, `sfm` (or `colmap`) of photos without cameras.
+    pub out: &'a Path,
+    /// Where masks and maps are.
+    pub within: CaptureOptions,
+    /// A printed tag in the photos, which gives the scale.
+    pub marker: Option<Marker>,
+    /// Of the search for cameras.
+    pub seed: u64,
+    /// The program COLMAP, where it is to find the cameras instead of drex.
+    pub colmap: Option<&'a Path>,
+    /// The program ffmpeg.
     pub ffmpeg: &'a Path,
     /// Time after which ffmpeg, or a step of COLMAP, is stopped.
     pub limit: Duration,
 }
 
-/// The capture in `scan`; cameras come from COLMAP where the folder has none, photos from ffmpeg where it is a video.
-pub fn open_capture(
-    scan: &Path,
-    out: &Path,
-    within: &CaptureOptions,
-    programs: &Programs<'_>,
-    progress: &dyn Progress,
-) -> Result<Capture> {
-    let mut colmap = ColmapOptions::default();
-    (colmap.program, colmap.time_limit) = (programs.colmap.into(), programs.limit);
-    if !scan.exists() {
-        refuse!("there is no {}; give a folder with photos, or a video", scan.display());
+/// Photos with their cameras.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct Cameras {
+    /// The capture, in its own unit.
+    pub capture: Capture,
+    /// What the marker says of this unit, where one was asked for.
+    pub marker: Option<MarkerReport>,
+    /// Whether the cameras were found in this run, so that what was made of earlier ones is out of date.
+    pub found_now: bool,
+}
+
+/// Folders of what is found, below the output folder.
+const SFM: &str = "sfm";
+const COLMAP: &str = "colmap";
+const FRAMES: &str = "scan";
+
+/// Shows the steps of a registration as work of its stages.
+pub fn show_steps(progress: &dyn Progress) -> impl Fn(Step) + Sync + '_ {
+    let stage = Mutex::new("");
+    move |step: Step| {
+        // A thread that panicked elsewhere left the name whole.
+        let mut stage = stage.lock().unwrap_or_else(PoisonError::into_inner);
+        if *stage != step.stage {
+            *stage = step.stage;
+            progress.begin(step.stage, Some(step.total as u64));
+        }
+        progress.at(step.done as u64, "");
     }
-    progress.begin("cameras", None);
-    let mut show = |line: &str| progress.at(0, line);
-    let mut folder = scan.to_path_buf();
-    if scan.is_file() {
-        folder = out.join("scan");
-        let images = folder.join("images");
-        if images.exists() {
-            progress.note(&format!(
-                "going on with the frames in {}; remove them to take those of {} anew",
-                images.display(),
-                scan.display()
-            ));
+}
+
+/// Whether an input is one file that is no picture: ffmpeg says whether it is a video.
+pub fn is_video(input: &Path) -> bool {
+    const PICTURES: [&str; 14] =
+        ["jpg", "jpeg", "png", "heic", "heif", "hif", "avif", "tif", "tiff", "webp", "bmp", "gif", "dng", "toml"];
+    let picture = |e: &std::ffi::OsStr| PICTURES.iter().any(|p| e.eq_ignore_ascii_case(p));
+    input.is_file() && !input.extension().is_some_and(picture)
+}
+
+/// The frames of a video as photos in `folder/images`; those that are there already are kept.
+///
+/// # Errors
+/// If ffmpeg is not installed, fails or takes longer than `limit`, or the video has no frames.
+pub fn take_frames(video: &Path, folder: &Path, ffmpeg: &Path, limit: Duration, progress: &dyn Progress) -> Result<()> {
+    let images = folder.join("images");
+    if images.exists() {
+        progress.note(&format!(
+            "going on with the frames in {}; remove them to take those of {} anew",
+            images.display(),
+            video.display()
+        ));
+        return Ok(());
+    }
+    progress.begin("frames", None);
+    let mut options = VideoOptions::default();
+    (options.program, options.time_limit) = (ffmpeg.into(), limit);
+    let made: Vec<&Path> = folder.ancestors().take_while(|f| !f.exists()).collect();
+    let frames = extract_frames(video, folder, &options, &mut |line| progress.at(0, line)).inspect_err(|_| {
+        // Only empty folders go; one that stays is no error.
+        made.iter().for_each(|f| drop(std::fs::remove_dir(f)));
+    })?;
+    progress.note(&format!("{frames} frames of {}", video.display()));
+    progress.end();
+    Ok(())
+}
+
+impl ScanInput<'_> {
+    /// The photos with their cameras: those that lie beside them, or that an earlier run found for the same photos, or that
+    /// are found now. Nothing is written beside the photos.
+    ///
+    /// # Errors
+    /// If a file is damaged, no camera can be found (the message says why), or the marker gives no scale.
+    pub fn cameras(&self, progress: &dyn Progress) -> Result<Cameras> {
+        if !self.scan.exists() {
+            refuse!("there is no {}; give a folder with photos, or a video", self.scan.display());
+        }
+        let mut folder = self.scan.to_path_buf();
+        if self.scan.is_file() {
+            folder = self.out.join(FRAMES);
+            take_frames(self.scan, &folder, self.ffmpeg, self.limit, progress)?;
+        }
+        let (capture, marker, found_now) = if Capture::is_in(&folder) {
+            (Capture::load(&folder, &self.within)?, None, false)
+        } else if let Some(program) = self.colmap {
+            let (capture, found_now) = self.by_colmap(program, &folder, progress)?;
+            (capture, None, found_now)
         } else {
-            let mut video = VideoOptions::default();
-            (video.program, video.time_limit) = (programs.ffmpeg.into(), programs.limit);
-            let made: Vec<&Path> = [folder.as_path(), out].into_iter().filter(|f| !f.exists()).collect();
-            let frames = extract_frames(scan, &folder, &video, &mut show).inspect_err(|_| {
-                // Only empty folders go; one that stays is no error.
-                made.iter().for_each(|f| drop(std::fs::remove_dir(f)));
-            })?;
-            progress.note(&format!("{frames} frames of {}", scan.display()));
+            self.by_registration(&folder, progress)?
+        };
+        let mut found = Cameras { capture, marker, found_now };
+        let Some(asked) = self.marker else { return Ok(Cameras { marker: None, ..found }) };
+        if found.marker.as_ref().is_none_or(|m| m.marker != asked.to_string()) {
+            progress.begin("marker", None);
+            found.marker = Some(measure_marker(&found.capture, &asked)?.0);
+            progress.end();
+        }
+        Ok(found)
+    }
+
+    /// By the program COLMAP, or what it found earlier.
+    fn by_colmap(&self, program: &Path, folder: &Path, progress: &dyn Progress) -> Result<(Capture, bool)> {
+        let work = self.out.join(COLMAP);
+        if let Some(capture) = load_found(folder, &work, &self.within)? {
+            progress.note(&format!("going on with the cameras in {}", work.display()));
+            return Ok((capture, false));
+        }
+        let mut options = ColmapOptions::default();
+        (options.program, options.time_limit) = (program.into(), self.limit);
+        progress.begin("cameras", None);
+        let capture = find_cameras(folder, &work, &self.within, &options, &mut |line| progress.at(0, line))?;
+        progress.end();
+        Ok((capture, true))
+    }
+
+    /// By registration, or what one found earlier for the same photos.
+    fn by_registration(&self, folder: &Path, progress: &dyn Progress) -> Result<(Capture, Option<MarkerReport>, bool)> {
+        let out = self.out.join(SFM);
+        let mut options = FolderOptions::default();
+        options.register.video = self.scan.is_file();
+        options.register.seed = self.seed;
+        options.marker = self.marker;
+        let mut within = self.within.clone();
+        if within.masks.is_none() {
+            within.masks = Some(folder.join("masks")).filter(|m| m.is_dir());
+        }
+        let photos = PhotoFolder::read(folder, &within, self.out)?;
+        if let Some(earlier) = StoredReport::read(&out)? {
+            let same = earlier.is_of(&photos, &options);
+            if let Some(mut capture) = if same { load_found(folder, &out, &self.within)? } else { None } {
+                progress.note(&format!("going on with the cameras in {}", out.display()));
+                capture.notes.extend(earlier.notes);
+                return Ok((capture, earlier.marker.map(in_metres), false));
+            }
+            let what = "is of other photos or options, or incomplete: their cameras are found again";
+            progress.note(&format!("{} {what}", out.display()));
+        }
+        let found = register_with_masks(&photos, &options, progress);
+        progress.end();
+        let found = found.inspect_err(|_| {
+            // What is left of other photos must not be taken for theirs; the verdict says more than a failure here.
+            drop(drex_sfm::remove(&out));
+        })?;
+        found.write(&out)?;
+        for line in sentences(&found.report) {
+            progress.note(&line);
+        }
+        let Some(mut capture) = load_found(folder, &out, &self.within)? else {
+            refuse!("{} was written and cannot be found; run it again", out.display())
+        };
+        capture.notes.extend(found.report.registration.notes);
+        Ok((capture, found.report.marker.map(in_metres), true))
+    }
+}
+
+/// Registers the photos as a whole. Where something stands still while the object turns, or nothing is found, what masks show
+/// may do better.
+fn register_with_masks(
+    photos: &PhotoFolder,
+    options: &FolderOptions,
+    progress: &dyn Progress,
+) -> std::result::Result<FolderRegistration, Verdict> {
+    let show = show_steps(progress);
+    let whole = register_folder(&photos.without_masks(), options, &show);
+    let doubtful = whole.as_ref().map_or(true, |w| w.report.registration.still_background.is_some());
+    if !(doubtful && photos.has_masks()) {
+        return whole;
+    }
+    let registered = |r: &FolderRegistration| r.models.first().map_or(0, |m| m.views.len());
+    match (register_folder(photos, options, &show), whole) {
+        (Ok(masked), Ok(whole)) => Ok(if registered(&masked) >= registered(&whole) { masked } else { whole }),
+        (Ok(one), Err(_)) | (Err(_), Ok(one)) => Ok(one),
+        (Err(_), Err(verdict)) => Err(verdict),
+    }
+}
+
+/// What a registration found, for a person.
+fn sentences(report: &FolderReport) -> Vec<String> {
+    let r = &report.registration;
+    let main = r.models.first();
+    let mut lines = vec![format!(
+        "cameras of {} of {} photos, median error {:.2} px",
+        main.map_or(0, |m| m.photos),
+        r.photos.len(),
+        main.map_or(0.0, |m| m.median_error_px)
+    )];
+    let out = r.photos.iter().filter(|p| p.model.is_none());
+    lines.extend(out.map(|p| format!("left out {}: {}", p.name, p.why_not.as_deref().unwrap_or("no reason is known"))));
+    lines
+}
+
+/// The report of a marker for a model that was put into metres by it.
+fn in_metres(mut report: MarkerReport) -> MarkerReport {
+    report.metres_per_unit = 1.0;
+    report
+}
+
+/// The largest model that was found for the photos of `folder` and written into `found`.
+fn load_found(folder: &Path, found: &Path, within: &CaptureOptions) -> Result<Option<Capture>> {
+    let mut within = within.clone();
+    if let Some((root, _)) = photos_in(folder, &within) {
+        within.images = Some(root);
+    }
+    Ok(Capture::load_model(folder, &found.join("sparse"), &within)?)
+}
+
+/// The photos of a scan with the cameras that lie beside them, or that were found for them when `out` was made of them.
+///
+/// # Errors
+/// If there are no cameras, or a file is damaged.
+pub fn cameras_of(scan: &Path, out: &Path) -> Result<Capture> {
+    let folder = if scan.is_file() { out.join(FRAMES) } else { scan.to_path_buf() };
+    let within = CaptureOptions::default();
+    if !Capture::is_in(&folder) {
+        for found in [SFM, COLMAP] {
+            if let Some(capture) = load_found(&folder, &out.join(found), &within)? {
+                return Ok(capture);
+            }
         }
     }
-    let capture = if Capture::is_in(&folder) {
-        Capture::load(&folder, within)?
-    } else {
-        find_cameras(&folder, within, &colmap, &mut show)?
-    };
-    progress.end();
-    Ok(capture)
+    Ok(Capture::load(&folder, &within)?)
 }

@@ -14,6 +14,8 @@ use drex_mesh::{
     RuleResult, ScaleFit, ScanCamera, ScanEvidence, ScenePoint, Silhouette, Similarity, Support, SupportEvidence,
     check_scan, decimate, fuse, read_marks, scale_from_distances, triangulate_marks,
 };
+use drex_sfm::MarkerReport;
+use drex_sfm::marker::Marker;
 use drex_splat::{ReconstructOptions, Reconstruction};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -21,7 +23,7 @@ use serde::{Deserialize, Serialize};
 use crate::Progress;
 use crate::place;
 pub use crate::place::{ObjectClick, OtherPlane};
-use crate::reconstruct::{Programs, open_capture, train_gaussians};
+use crate::reconstruct::{Cameras, ScanInput, train_gaussians};
 
 /// The mesh of a scan keeps to the fused one within this share of a voxel.
 const MAX_SIMPLIFICATION_VOXELS: f64 = 0.1;
@@ -54,6 +56,7 @@ pub struct Scale {
     metres_per_unit: f64,
     from: &'static str,
     distances: Option<ScaleFit>,
+    marker: Option<MarkerReport>,
     /// Places of the marks in the scan's frame, where known distances asked for them.
     marks: BTreeMap<String, Point3<f64>>,
 }
@@ -72,6 +75,10 @@ pub struct Scanning<'a> {
     pub frame: FrameOptions,
     /// Side of a voxel, metres.
     pub voxel_m: Option<f64>,
+    /// A printed tag in the photos, which gives the scale.
+    pub marker: Option<Marker>,
+    /// The program COLMAP, where it is to find the cameras of photos that have none.
+    pub colmap: Option<PathBuf>,
     /// Of the Gaussians, where there are no depth maps yet.
     pub reconstruct: ReconstructOptions,
     /// ffmpeg, or a step of COLMAP, is stopped after this time.
@@ -101,10 +108,25 @@ impl Scanning<'_> {
         let mut within = CaptureOptions::default();
         within.masks.clone_from(&self.masks);
         within.poses.clone_from(&self.poses);
-        let limit = self.tool_limit;
-        let programs = Programs { colmap: Path::new("colmap"), ffmpeg: Path::new("ffmpeg"), limit };
-        let cameras = open_capture(self.input, self.out, &within, &programs, progress)?;
-        let scale = Scale::new(&cameras, &self.frame)?;
+        let input = ScanInput {
+            scan: self.input,
+            out: self.out,
+            within,
+            marker: self.marker,
+            seed: self.reconstruct.seed,
+            colmap: self.colmap.as_deref(),
+            ffmpeg: Path::new("ffmpeg"),
+            limit: self.tool_limit,
+        };
+        let Cameras { capture: cameras, marker, found_now, .. } = input.cameras(progress)?;
+        let scale = match marker {
+            Some(marker) => Scale::by_marker(marker),
+            None => Scale::new(&cameras, &self.frame)?,
+        };
+        if found_now {
+            // Depth maps of earlier cameras have another frame.
+            remove_depth_maps(self.out)?;
+        }
         let (depths, masked, made) = self.depth_maps(&cameras, progress)?;
         progress.begin("fusion", None);
         let mut scan = Scan::new(&cameras, &depths, masked, scale, &self.frame)?;
@@ -135,12 +157,14 @@ impl Scanning<'_> {
         progress: &dyn Progress,
     ) -> Result<(Capture, bool, Option<Reconstruction>)> {
         if cameras.views.iter().all(|v| v.depth.is_some()) {
+            name_faults(cameras, progress)?;
             let masked = cameras.views.iter().all(|v| v.mask.is_some());
             return Ok((cameras.clone(), masked, None));
         }
         let folder = self.out.join("depth");
         let trained = if folder.join("transforms.json").is_file() {
             progress.note(&format!("going on with the depth maps in {}", folder.display()));
+            name_faults(cameras, progress)?;
             None
         } else {
             Some(train_gaussians(cameras, self.out, &self.reconstruct, false, progress)?.1)
@@ -167,6 +191,21 @@ fn contradictions(mesh: &TriMesh, evidence: &ScanEvidence, input: &Path) -> Resu
         return Ok(of(Outcome::Doubt));
     }
     refuse!("the mesh of {} contradicts its photos, no asset is made of it; {}", input.display(), failed.join("; "))
+}
+
+/// Says which cameras and masks look wrong; where Gaussians are trained, the whole report is said.
+fn name_faults(cameras: &Capture, progress: &dyn Progress) -> Result<()> {
+    cameras.report()?.faults().iter().for_each(|fault| progress.note(fault));
+    Ok(())
+}
+
+/// Removes the depth maps in `out/depth` that an earlier run wrote; a folder of somebody else's stays.
+pub(crate) fn remove_depth_maps(out: &Path) -> Result<()> {
+    let depth = fsutil::output_path(out, "depth")?;
+    if depth.join("transforms.json").is_file() {
+        std::fs::remove_dir_all(&depth).with_context(|| format!("cannot remove {}", depth.display()))?;
+    }
+    Ok(())
 }
 
 /// Puts what is within a voxel of the table onto it. No photo shows the edge on which an object stands, and the fusion rounds it off; but a push that
@@ -209,6 +248,9 @@ pub struct FrameReport {
     /// Known distances, as given and in the scaled scan.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub distances: Option<ScaleFit>,
+    /// The marker that gave the scale.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub marker: Option<MarkerReport>,
     /// Marks in the frame of the mesh, metres.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub marks_m: BTreeMap<String, [f64; 3]>,
@@ -279,7 +321,7 @@ impl Scan {
         one_at_a_time.memory_bytes = 0;
         let depths = Photos::new(depths, one_at_a_time)?;
         let points = if cameras.points.is_empty() { points_of(&depths, cameras)? } else { sparse_points(cameras) };
-        let Scale { metres_per_unit, from: scale_from, distances, marks } = scale;
+        let Scale { metres_per_unit, from: scale_from, distances, marker, marks } = scale;
         let object: Vec<Point3<f64>> = match masked {
             true => points_of(&depths, cameras)?.iter().map(|p| p.position).collect(),
             false => Vec::new(),
@@ -306,6 +348,7 @@ impl Scan {
             metres_per_unit,
             scale_from: scale_from.to_owned(),
             distances,
+            marker,
             marks_m: marks.into_iter().map(|(name, p)| (name, mesh_from_scan.point(&p).into())).collect(),
             up_from: up_from.to_owned(),
             up_in_mesh: up_in_mesh.into_inner().into(),
@@ -461,25 +504,36 @@ fn points_of(depths: &Photos, cameras: &Capture) -> Result<Vec<ScenePoint>> {
 }
 
 impl Scale {
+    fn of(metres_per_unit: f64, from: &'static str) -> Self {
+        Self { metres_per_unit, from, distances: None, marker: None, marks: BTreeMap::new() }
+    }
+
+    /// From a printed tag in the photos.
+    pub fn by_marker(marker: MarkerReport) -> Self {
+        let metres_per_unit = marker.metres_per_unit;
+        Self { marker: Some(marker), ..Self::of(metres_per_unit, "marker") }
+    }
+
     /// From a number, known distances between marks, or a depth camera. Needs no depth map of photos, so that a scan that
     /// cannot be metric is refused before hours go into it.
     pub fn new(cameras: &Capture, options: &FrameOptions) -> Result<Self> {
         if let Some(metres_per_unit) = options.scale {
-            return Ok(Self { metres_per_unit, from: "given", distances: None, marks: BTreeMap::new() });
+            return Ok(Self::of(metres_per_unit, "given"));
         }
         if !options.distances.is_empty() {
             let marks = marks_of(cameras, options)?;
             let fit = scale_from_distances(&marks, &options.distances)?;
             let metres_per_unit = fit.metres_per_unit;
-            return Ok(Self { metres_per_unit, from: "known distances", distances: Some(fit), marks });
+            return Ok(Self { distances: Some(fit), marks, ..Self::of(metres_per_unit, "known distances") });
         }
         let measured = |path: &Path| path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
         if cameras.views.iter().all(|v| v.depth.as_deref().is_some_and(measured)) {
-            return Ok(Self { metres_per_unit: 1.0, from: DEPTH_CAMERA, distances: None, marks: BTreeMap::new() });
+            return Ok(Self::of(1.0, DEPTH_CAMERA));
         }
         refuse!(
-            "{} has no scale: photos alone do not tell how large things are; measure the distance of two marks and give \
-             --distance A-C=0.12 with the marks' pixels in marks.json, or give --scale in metres per unit",
+            "{} has no scale: photos alone do not tell how large things are; lay a printed tag beside the object and give \
+             --marker tag36h11:ID:SIDE_M, or measure the distance of two marks and give --distance A-C=0.12 with the marks' \
+             pixels in marks.json, or give --scale in metres per unit",
             cameras.folder.display()
         )
     }

@@ -10,7 +10,7 @@ use super::Cli;
 /// Headings of `drex --help` and the subcommands below them.
 const GROUPS: [(&str, &[&str]); 6] = [
     ("All of it", &["demo", "run", "report", "import"]),
-    ("The object", &["reconstruct", "asset", "mesh", "render"]),
+    ("The object", &["sfm", "reconstruct", "asset", "mesh", "render"]),
     ("Its mass", &["identify", "plan-push", "calibrate-hand"]),
     ("People's hands", &["hands", "retarget"]),
     ("The grasp", &["train", "evaluate", "grasp", "deploy", "hw"]),
@@ -18,15 +18,23 @@ const GROUPS: [(&str, &[&str]); 6] = [
 ];
 
 /// Lines behind the help of a subcommand; words of a subcommand's name are separated by blanks.
-const EXAMPLES: [(&str, &str); 27] = [
+const EXAMPLES: [(&str, &str); 28] = [
+    (
+        "sfm",
+        "drex sfm photos --out cameras
+  drex sfm photos --out cameras --marker tag36h11:11:0.06    tag 11, its black border 60 mm wide, lies beside the object
+  drex sfm turntable --out cameras --masks turntable/masks    what turns is white
+  drex sfm clip.mp4 --out cameras --camera K.txt",
+    ),
     (
         "reconstruct",
-        "drex reconstruct scan --out twin --hold-out 8     a folder with images/ and a COLMAP model or transforms.json
+        "drex reconstruct scan --out twin --hold-out 8     a folder of photos, with or without their cameras
   drex reconstruct clip.mp4 --out twin --preset fast",
     ),
     (
         "asset",
         "drex asset scan.stl --out twin --mass 0.21
+  drex asset photos --out twin --marker tag36h11:11:0.06    photos alone; a printed tag beside the object gives the scale
   drex asset scan --out twin --distance A-C=0.12    photos, with the pixels of marks A and C in scan/marks.json
   drex asset recording --out twin --poses recording/ob_in_cam",
     ),

@@ -151,6 +151,8 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
         poses: args.scan.poses.clone(),
         frame,
         voxel_m: args.scan.voxel,
+        marker: args.scan.marker,
+        colmap: args.scan.colmap.clone(),
         reconstruct,
         tool_limit: args.scan.tools.limit(),
     };
@@ -178,7 +180,12 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
 
 fn describe_scan(frame: &FrameReport, fusion: &FusionReport) -> String {
     let mut text =
-        format!("{}\n  scale    {:.6} m per unit, from {}\n", frame.scan, frame.metres_per_unit, frame.scale_from);
+        format!("{}\n  scale    {:.6} m per unit, from {}", frame.scan, frame.metres_per_unit, frame.scale_from);
+    text += &match &frame.marker {
+        Some(m) => format!(" {} in {} photos, +- {:.2} %\n", m.marker, m.used, 100.0 * m.relative_sigma),
+        None => "\n".to_owned(),
+    };
+    text += &frame.marker.iter().flat_map(|m| &m.warning).map(|w| format!("  note     {w}\n")).collect::<String>();
     for d in frame.distances.iter().flat_map(|fit| &fit.distances) {
         text += &format!(
             "           {} to {}: {:.2} mm given, {:.2} mm in the scan\n",

@@ -35,13 +35,9 @@ struct Diagnosis {
 pub fn run(ui: &Ui) -> Result<()> {
     let required = vec![writable_temporary_folder(), bundled_hand("leap_right"), bundled_hand("allegro_right")];
     let ready = required.iter().all(|c| c.found);
+    // Cameras of photos need no other program; COLMAP is worth a line only where somebody has it.
+    let colmap = program("colmap", &["-h"], "another opinion on cameras of photos (`--colmap`); optional", "");
     let optional = [
-        program(
-            "colmap",
-            &["-h"],
-            "camera poses from photos (reconstruction from a scan)",
-            "install it with your package manager, for example `apt-get install colmap`",
-        ),
         program(
             "ffmpeg",
             &["-version"],
@@ -73,7 +69,7 @@ pub fn run(ui: &Ui) -> Result<()> {
         os: std::env::consts::OS,
         threads: rayon::current_num_threads(),
         ready,
-        checks: required.into_iter().chain(optional).collect(),
+        checks: required.into_iter().chain(optional).chain(Some(colmap).filter(|c| c.found)).collect(),
     };
     ui.answer(&diagnosis, text(&diagnosis))
 }

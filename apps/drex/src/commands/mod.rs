@@ -16,4 +16,5 @@ pub mod reconstruct;
 pub mod render;
 pub mod retarget;
 pub mod run;
+pub mod sfm;
 pub mod shell;

@@ -9,7 +9,7 @@ use drex_splat::io::{read_gaussians, write_gaussians};
 use drex_splat::metrics::Table;
 use drex_splat::reconstruct::{Reconstruction, SetSummary};
 use drex_splat::{Kind, ReconstructOptions};
-use drex_twin::reconstruct::{Programs, open_capture, train_gaussians};
+use drex_twin::reconstruct::{ScanInput, train_gaussians};
 use drex_twin::timings::{self, Timing};
 use serde::Serialize;
 
@@ -29,8 +29,17 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     let mut within = CaptureOptions::default();
     within.masks.clone_from(&args.masks);
     let begun = Instant::now();
-    let programs = Programs { colmap: &args.colmap, ffmpeg: &args.ffmpeg, limit: args.tools.limit() };
-    let capture = open_capture(&args.scan, &args.out, &within, &programs, ui)?;
+    let input = ScanInput {
+        scan: &args.scan,
+        out: &args.out,
+        within,
+        marker: None,
+        seed: seed.unwrap_or(0),
+        colmap: args.colmap.as_deref(),
+        ffmpeg: &args.ffmpeg,
+        limit: args.tools.limit(),
+    };
+    let capture = input.cameras(ui)?.capture;
     let mut options = ReconstructOptions::default();
     options.preset = args.preset.into();
     options.density = args.density.into();

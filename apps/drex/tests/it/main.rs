@@ -15,5 +15,6 @@ mod posterior;
 mod reconstruct;
 mod render;
 mod retarget;
+mod sfm;
 mod tools;
 mod twin;

@@ -191,7 +191,7 @@ fn what_is_missing_is_said() {
     }
     reconstruct(&scan, &out, &[]).fails_with(&["photos left to train on: 0", "00.png: its mask is empty"]);
     fs::remove_file(scan.join("transforms.json")).unwrap();
-    let run = reconstruct(&scan, &out, &["--colmap", "no-such-colmap"]);
+    let run = reconstruct(&scan, &out, &["--colmap=no-such-colmap"]);
     assert_eq!(run.code, 1);
     assert!(run.stderr.contains("no-such-colmap") && run.stderr.contains("install"), "{}", run.stderr);
     assert!(!out.exists(), "nothing half-written");

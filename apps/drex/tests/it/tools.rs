@@ -62,7 +62,7 @@ fn no_name_is_taken_for_an_option() {
 
         let dir = with_program("colmap", "exit 0");
         photos(&dir.path().join(name));
-        let (run, message) = drex(dir.path(), &["reconstruct", "--out", "out", "--", name]);
+        let (run, message) = drex(dir.path(), &["reconstruct", "--out", "out", "--colmap", "--", name]);
         assert_eq!(run.status.code(), Some(1), "{message}");
         assert!(message.contains("found no cameras"), "{message}");
         let given = calls(dir.path(), name);
@@ -87,7 +87,8 @@ fn what_does_not_end_is_stopped_at_its_limit() {
         let begun = Instant::now();
         let dir = with_program("colmap", hang);
         photos(&dir.path().join("scan"));
-        let (run, message) = drex(dir.path(), &["reconstruct", "scan", "--out", "out", "--tool-limit", "0.01"]);
+        let (run, message) =
+            drex(dir.path(), &["reconstruct", "scan", "--out", "out", "--colmap", "--tool-limit", "0.01"]);
         assert_eq!(run.status.code(), Some(1), "{message}");
         for word in ["COLMAP's feature_extractor had not ended after 0.01 minutes", "--tool-limit"] {
             assert!(message.contains(word), "{hang}: {message}");

@@ -83,7 +83,9 @@ pub fn photos_under(root: &Path) -> Vec<PhotoFile> {
                     continue;
                 }
                 folders.push((format!("{name}/"), path));
-            } else if path.extension().is_some_and(|e| PICTURES.iter().any(|p| e == *p)) && path.is_file() {
+            } else if path.extension().is_some_and(|e| PICTURES.iter().any(|p| e.eq_ignore_ascii_case(p)))
+                && path.is_file()
+            {
                 found.push(PhotoFile { name, path });
             }
         }

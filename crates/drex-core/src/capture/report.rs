@@ -120,6 +120,11 @@ impl CaptureReport {
         self.names(|v| v.far)
     }
 
+    /// Views whose camera or mask looks wrong, and why, a sentence each.
+    pub fn faults(&self) -> Vec<String> {
+        self.views.iter().flat_map(Self::problems).collect()
+    }
+
     fn names(&self, wanted: impl Fn(&ViewReport) -> bool) -> Vec<&str> {
         self.views.iter().filter(|v| wanted(v)).map(|v| v.name.as_str()).collect()
     }
@@ -182,9 +187,7 @@ impl fmt::Display for CaptureReport {
             }
         }
         self.worst_views(f)?;
-        for view in &self.views {
-            self.problems(f, view)?;
-        }
+        self.faults().iter().try_for_each(|fault| writeln!(f, "{fault}"))?;
         if let Some(coverage) = &self.coverage {
             writeln!(f, "{coverage}")?;
         }
@@ -201,21 +204,25 @@ impl CaptureReport {
         if worst.is_empty() { Ok(()) } else { writeln!(f, "The largest mean errors: {}.", worst.join(", ")) }
     }
 
-    fn problems(&self, f: &mut fmt::Formatter<'_>, view: &ViewReport) -> fmt::Result {
-        let name = &view.name;
+    /// What looks wrong with a view, a sentence each.
+    fn problems(view: &ViewReport) -> Vec<String> {
+        let (name, mut found) = (&view.name, Vec::new());
         if view.few_points {
             let seen = view.reprojection.map_or(0, |e| e.sightings);
-            writeln!(f, "{name} rests on {}: its camera may be wrong.", count(seen, "point"))?;
+            found.push(format!("{name} rests on {}: its camera may be wrong.", count(seen, "point")));
         }
         if view.far {
-            writeln!(f, "{name} stands {:.1} times as far out as half of the cameras: likely wrong.", view.distance)?;
+            found.push(format!(
+                "{name} stands {:.1} times as far out as half of the cameras: likely wrong.",
+                view.distance
+            ));
         }
         if view.other_lens {
-            writeln!(f, "{name} has {:.2} times the usual focal length.", view.focal_ratio)?;
+            found.push(format!("{name} has {:.2} times the usual focal length.", view.focal_ratio));
         }
-        match &view.mask {
-            Some(mask) if mask.misplaced => writeln!(f, "{name}: the mask looks misplaced; {mask}."),
-            _ => Ok(()),
-        }
+        found.extend(
+            view.mask.as_ref().filter(|m| m.misplaced).map(|m| format!("{name}: the mask looks misplaced; {m}.")),
+        );
+        found
     }
 }

@@ -5,6 +5,7 @@
 mod capture;
 #[path = "../../../drex-core/tests/capture_support/mod.rs"]
 mod capture_support;
+mod folder;
 mod make_capture;
 mod marker_detect;
 mod marker_metric;

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 use drex_core::{Error, Result};
+use drex_sfm::marker::Marker;
 
 use crate::place::ObjectClick;
 
@@ -13,13 +14,17 @@ use crate::place::ObjectClick;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ScanConfig {
-    /// Folder of photos with their cameras (COLMAP's model or transforms.json), or of an RGB-D recording; or a video.
+    /// Folder of photos, with their cameras (COLMAP's model or transforms.json) or without, or of an RGB-D recording; or a video.
     pub photos: PathBuf,
     /// Metres per unit of the scan.
     pub scale: Option<f64>,
     /// Known distances between two marks, metres, by their names: `"A-C" = 0.12`. Their pixels are in `marks.json` of the scan.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub distances_m: BTreeMap<String, f64>,
+    /// A printed AprilTag in the photos and the width of its black border in metres: `"tag36h11:11:0.06"`.
+    pub marker: Option<String>,
+    /// Folder of the masks (white is the object); `masks` in the folder of the photos if left out.
+    pub masks: Option<PathBuf>,
     /// How much time the Gaussians may take; fast if left out.
     #[serde(default)]
     pub preset: ScanPreset,
@@ -50,6 +55,12 @@ impl ScanConfig {
         self.distances_m.iter().filter_map(|(pair, m)| pair.split_once('-').map(|(a, b)| (a, b, *m)))
     }
 
+    /// The marker.
+    pub fn marker(&self) -> Option<Marker> {
+        // It was checked when the manifest was read.
+        self.marker.as_ref().and_then(|m| m.parse().ok())
+    }
+
     pub(super) fn check(&self) -> Result<()> {
         let refuse = |what: String, remedy: &str| Err(Error::value(what, remedy));
         if let Some(scale) = self.scale
@@ -57,8 +68,17 @@ impl ScanConfig {
         {
             return refuse(format!("[scan] scale = {scale}"), "give metres per unit of the scan, a positive number");
         }
-        if self.scale.is_some() && !self.distances_m.is_empty() {
-            return refuse("[scan] has both scale and distances_m".into(), "keep one of them");
+        let sources = [
+            ("scale", self.scale.is_some()),
+            ("distances_m", !self.distances_m.is_empty()),
+            ("marker", self.marker.is_some()),
+        ];
+        let given: Vec<&str> = sources.into_iter().filter(|(_, given)| *given).map(|(name, _)| name).collect();
+        if given.len() > 1 {
+            return refuse(format!("[scan] has {}, which all give the scale", given.join(" and ")), "keep one of them");
+        }
+        if let Some(Err(error)) = self.marker.as_ref().map(|m| m.parse::<Marker>()) {
+            return Err(error);
         }
         for (pair, metres) in &self.distances_m {
             let marks = pair.split_once('-').filter(|(a, b)| !a.is_empty() && !b.is_empty() && a != b);

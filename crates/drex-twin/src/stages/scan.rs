@@ -13,7 +13,7 @@ use nalgebra::Point3;
 use crate::Progress;
 use crate::Twin;
 use crate::records::{SCAN, ScanFile, write_json};
-use crate::scan::{FrameOptions, Meshed, Scanning};
+use crate::scan::{FrameOptions, Meshed, Scanning, remove_depth_maps};
 
 /// Every so many photos one is not trained on but measured against.
 const HOLD_OUT: usize = 8;
@@ -25,9 +25,9 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
         format!("{}: mesh under [object], to which the scan is written", twin.path("twin.toml").display())
     })?;
     // Depth maps that an earlier run made of other photos must not be taken for these; a folder of somebody else's stays.
-    let (depth, splat) = (twin.output("depth")?, twin.output("splat")?);
-    if depth.join("transforms.json").is_file() && !twin.path(&config.photos).starts_with(&depth) {
-        std::fs::remove_dir_all(&depth).with_context(|| format!("cannot remove {}", depth.display()))?;
+    let (depth, splat, sfm) = (twin.output("depth")?, twin.output("splat")?, twin.output("sfm")?);
+    if !twin.path(&config.photos).starts_with(&depth) {
+        remove_depth_maps(&twin.root)?;
     }
     let mut reconstruct = ReconstructOptions::default();
     reconstruct.preset = match config.preset {
@@ -43,7 +43,7 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
     let scanning = Scanning {
         input: &input,
         out: &twin.root,
-        masks: None,
+        masks: config.masks.as_ref().map(|masks| twin.path(masks)),
         poses: None,
         frame: FrameOptions {
             scale: config.scale,
@@ -54,6 +54,8 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
             ..FrameOptions::default()
         },
         voxel_m: None,
+        marker: config.marker(),
+        colmap: None,
         reconstruct,
         tool_limit: twin.tool_limit,
     };
@@ -63,5 +65,5 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
     }
     write_mesh(&file, &mesh)?;
     write_json(&twin.output(SCAN)?, &ScanFile { scan: scan.frame, fusion, evidence: Some(evidence) })?;
-    Ok([splat, depth, file].into_iter().filter(|f| f.exists()).collect())
+    Ok([sfm, splat, depth, file].into_iter().filter(|f| f.exists()).collect())
 }
