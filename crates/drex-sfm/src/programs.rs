@@ -105,8 +105,13 @@ pub fn find_cameras(
     let (attempt, sparse) = (output_path(work, "attempt")?, output_path(work, "sparse")?);
     clear(&attempt)?;
     let found = attempt.join("sparse");
+    let made: Vec<&Path> = attempt.ancestors().skip(1).take_while(|f| !f.exists()).collect();
     std::fs::create_dir_all(&found).map_err(|e| Error::io("create", &found, e))?;
-    run_all(options, &root, &photos, &attempt, progress)?;
+    run_all(options, &root, &photos, &attempt, progress).inspect_err(|_| {
+        // Nothing half-written; of the folders round it only empty ones go, and one that stays is no error.
+        drop(clear(&attempt));
+        made.iter().for_each(|f| drop(std::fs::remove_dir(f)));
+    })?;
 
     let mut within = capture.clone();
     within.images = Some(root);

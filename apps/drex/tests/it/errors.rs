@@ -13,7 +13,8 @@ type Case = (&'static str, &'static [&'static str], i32, &'static [&'static str]
 /// Paths are in a folder that holds `tin` (the bundled twin), `bare` (the same without grasps), `photos` (the bundled scan), an
 /// `empty` folder and a file `notes.txt`.
 const CASES: &[Case] = &[
-    ("reconstruct", &["empty", "--out", "new"], 1, &["empty has no photos", "put at least three"]),
+    ("sfm", &["empty", "--out", "new"], 1, &["empty has no photos", "put 20 to 80 photos"]),
+    ("reconstruct", &["empty", "--out", "new"], 1, &["empty has no photos", "put 20 to 80 photos"]),
     ("reconstruct", &["nowhere", "--out", "new"], 1, &["there is no nowhere", "give a folder with photos"]),
     ("reconstruct", &["notes.txt", "--out", "new", "--ffmpeg", "no-such-ffmpeg"], 1, &["no-such-ffmpeg", "install"]),
     ("asset", &["notes.txt", "--out", "new"], 1, &["notes.txt", "give a .stl, .obj"]),

@@ -252,7 +252,7 @@ fn a_calibration_is_kept_or_says_what_is_wrong() {
     };
     for (text, words) in [
         ("", ["K.txt", "0 numbers are no calibration", "fx fy cx cy k1 k2 p1 p2"]),
-        ("430 0 199.5 0 430 149.5 0 0", ["K.txt", "are not of photos of 400 x 300", "3 x 3"]),
+        ("430 0 199.5 0 430 149.5 0 0", ["K.txt", "430 and 0 are not positive", "3 x 3"]),
         ("430 0 199.5 1 430 149.5 0 0 1", ["K.txt", "no camera matrix", "3 x 3"]),
         ("430 430 200 centre", ["K.txt", "`centre` is no number", "3 x 3"]),
         ("1720 0 800 0 1720 600 0 0 1", ["K.txt", "not of photos of 400 x 300", "pixels of the photos"]),

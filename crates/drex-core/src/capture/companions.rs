@@ -126,7 +126,29 @@ pub fn find_mask(folder: &Path, name: &str, options: &CaptureOptions) -> Option<
 
 /// The decoded picture, as stored.
 pub(super) fn picture(path: &Path) -> Result<DynamicImage> {
-    open(path)?.decode().map_err(|e| unreadable(path, e))
+    let picture = open(path)?.decode().map_err(|e| unreadable(path, e))?;
+    if is_cut_off(&read_bytes(path)?) {
+        return refuse(
+            format!("{} is cut off: its JPEG data has no end", path.display()),
+            "copy the photo again, or leave it out",
+        );
+    }
+    Ok(picture)
+}
+
+/// Whether a file is a JPEG whose picture has no end: decoders fill what is missing with grey. What other data follows the picture, as in
+/// motion photos, does not count; a thumbnail before it has its own end inside of a segment.
+fn is_cut_off(bytes: &[u8]) -> bool {
+    let [0xff, 0xd8, ..] = bytes else { return false };
+    let mut at = 2;
+    // Segments of the header, up to the first scan: ff, kind, length of what follows including itself.
+    while let Some(&[0xff, kind, high, low]) = bytes.get(at..at + 4) {
+        at += 2 + usize::from(u16::from_be_bytes([high, low]));
+        if kind == 0xda {
+            break;
+        }
+    }
+    !bytes.get(at..).is_some_and(|rest| rest.windows(2).any(|pair| pair == [0xff, 0xd9]))
 }
 
 fn open(path: &Path) -> Result<ImageReader<std::io::BufReader<std::fs::File>>> {
