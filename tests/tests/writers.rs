@@ -68,6 +68,8 @@ const WRITERS: &[(&str, Why)] = &[
     ("crates/drex-mesh/src/io/obj.rs", Caller),
     ("crates/drex-mesh/src/io/write.rs", Caller),
     ("crates/drex-mesh/src/asset/write.rs", Checked),
+    ("crates/drex-sfm/src/result.rs", Checked),
+    ("crates/drex-twin/src/scan.rs", Checked),
     ("crates/drex-policy/src/files.rs", Constant),
     ("crates/drex-policy/src/train/checkpoint.rs", Constant),
     ("crates/drex-recording/src/convert/mod.rs", Checked),

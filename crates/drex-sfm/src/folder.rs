@@ -8,8 +8,8 @@ use drex_core::{Error, Result, fsutil};
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 
+use crate::front_end::InputPhoto;
 use crate::picture::PICTURE;
-use crate::register::InputPhoto;
 use crate::verdict::{count, list};
 
 /// Pictures that phones and cameras write and that are not read here, by the ending of their names.

@@ -12,6 +12,7 @@ mod calibration;
 mod cameras;
 mod features;
 mod folder;
+mod front_end;
 mod mapping;
 pub mod marker;
 pub mod masks;
@@ -20,6 +21,7 @@ mod model;
 mod photos;
 pub mod picture;
 pub mod programs;
+mod refine;
 mod register;
 mod relocate;
 mod report;
@@ -34,7 +36,8 @@ mod verify;
 pub use calibration::read_calibration;
 pub use cameras::FocalSource;
 pub use folder::PhotoFolder;
-pub use register::{InputPhoto, RegisterOptions, Registration, Step, register};
+pub use front_end::{InputPhoto, RegisterOptions, Step};
+pub use register::{Registration, register};
 pub use report::{LensReport, ModelReport, PhotoReport, Report};
 pub use result::{
     FolderOptions, FolderRegistration, FolderReport, StoredReport, check_output, register_folder, remove,

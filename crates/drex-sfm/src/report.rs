@@ -7,7 +7,8 @@ use drex_core::stats::upper_median;
 use serde::Serialize;
 
 use crate::cameras::FocalSource;
-use crate::register::{FrontEnd, InputPhoto, Refined};
+use crate::front_end::{FrontEnd, InputPhoto};
+use crate::refine::Refined;
 use crate::verdict::{Verdict, list};
 use crate::verify::{Geometry, Pair};
 

@@ -7,9 +7,10 @@ use drex_core::{Error, Result, fsutil};
 use serde::{Deserialize, Serialize};
 
 use crate::folder::PhotoFolder;
+use crate::front_end::{RegisterOptions, Step};
 use crate::marker::Marker;
 use crate::picture::{self, PICTURE};
-use crate::register::{RegisterOptions, Registration, Step, register};
+use crate::register::{Registration, register};
 use crate::report::Report;
 use crate::scale::{MarkerReport, scale_by_marker};
 use crate::verdict::Verdict;

@@ -1,20 +1,20 @@
 //! Where in a scan the object stands: the table, and the object's box on it.
 
 use std::fmt;
+use std::path::PathBuf;
 use std::str::FromStr;
 
 use drex_core::Pose;
 use drex_core::capture::{Capture, View};
 use drex_mesh::{
-    Click, Scene, ScenePoint, SceneView, Similarity, SupportChoice, SupportOptions, TablePlane, UpPrior, find_objects,
-    support_plane,
+    Click, KnownDistance, Scene, ScenePoint, SceneView, Similarity, SupportChoice, SupportOptions, TablePlane, UpPrior,
+    find_objects, support_plane,
 };
 use nalgebra::{Point2, Point3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::Result;
 use crate::error::refuse;
-use crate::scan::FrameOptions;
 
 /// A support's normal may be this far from an up direction that is given, rad.
 const UP_TOLERANCE_RAD: f64 = 0.26;
@@ -22,6 +22,25 @@ const UP_TOLERANCE_RAD: f64 = 0.26;
 const MAX_TABLE_OFFSET_SHARE: f64 = 0.1;
 /// More points of the object say nothing new.
 const MOST_OBJECT_POINTS: usize = 20_000;
+
+/// What is known of the scan's frame besides its files.
+#[derive(Debug, Clone, Default)]
+pub struct FrameOptions {
+    /// Metres per unit of the scan.
+    pub scale: Option<f64>,
+    /// Known distances between marks.
+    pub distances: Vec<KnownDistance>,
+    /// File of the marks instead of `SCAN/marks.json`.
+    pub marks: Option<PathBuf>,
+    /// Up in the scan's frame.
+    pub up: Option<Vector3<f64>>,
+    /// Lower and upper corner of the object's box, in the frame and unit of the scan.
+    pub region: Option<[Point3<f64>; 2]>,
+    /// A pixel that shows the object, where several things stand on the table.
+    pub object: Option<ObjectClick>,
+    /// Seed of the search for the table.
+    pub seed: u64,
+}
 
 /// A pixel of a photo that shows the object: `X,Y@PHOTO`, pixels from the left and upper edge of the photo's file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::Progress;
 use crate::place;
-pub use crate::place::{ObjectClick, OtherPlane};
+pub use crate::place::{FrameOptions, ObjectClick, OtherPlane};
 use crate::reconstruct::{Cameras, ScanInput, train_gaussians};
 
 /// The mesh of a scan keeps to the fused one within this share of a voxel.
@@ -31,25 +31,6 @@ const MAX_SIMPLIFICATION_VOXELS: f64 = 0.1;
 const SILHOUETTE_PX: u32 = 240;
 /// Every n-th pixel of a depth map stands for the scene where there are no sparse points; both ways.
 const PIXEL_STEP: usize = 12;
-
-/// What is known of the scan's frame besides its files.
-#[derive(Debug, Clone, Default)]
-pub struct FrameOptions {
-    /// Metres per unit of the scan.
-    pub scale: Option<f64>,
-    /// Known distances between marks.
-    pub distances: Vec<KnownDistance>,
-    /// File of the marks instead of `SCAN/marks.json`.
-    pub marks: Option<PathBuf>,
-    /// Up in the scan's frame.
-    pub up: Option<Vector3<f64>>,
-    /// Lower and upper corner of the object's box, in the frame and unit of the scan.
-    pub region: Option<[Point3<f64>; 2]>,
-    /// A pixel that shows the object, where several things stand on the table.
-    pub object: Option<ObjectClick>,
-    /// Seed of the search for the table.
-    pub seed: u64,
-}
 
 /// How large a scan is.
 pub struct Scale {

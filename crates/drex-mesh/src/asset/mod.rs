@@ -24,7 +24,6 @@ pub use joints::{JointConfig, JointKind, PartConfig, joint_tree};
 pub use object::read_object;
 
 use crate::bvh::Aabb;
-use crate::check::UNCOVERED;
 use crate::hull::hull_volume;
 use crate::io::extension;
 use crate::mass::{HollowModel, check_mass_properties, principal, shell_properties};
@@ -38,6 +37,9 @@ use crate::{Error, Result, read_mesh};
 const MOST_SETTLING: f64 = 5.0 * std::f64::consts::PI / 180.0;
 /// Points by which the part of the volume in no convex part is measured.
 const COVER_SAMPLES: usize = 4000;
+
+/// Share of the volume in no convex part: doubt, failure.
+pub(crate) const UNCOVERED: [f64; 2] = [0.05, 0.15];
 
 /// A simulation asset. Everything is in the frame of the mesh file, in metres.
 #[derive(Debug, Clone)]

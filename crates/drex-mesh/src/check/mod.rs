@@ -14,7 +14,6 @@ use serde::Serialize;
 use drex_core::TriMesh;
 
 pub use self::asset::check_asset;
-pub(crate) use self::scan::UNCOVERED;
 pub use self::scan::{ScanCamera, ScanEvidence, Silhouette, SupportEvidence, check_scan};
 use crate::io::extension;
 use crate::{AssetOptions, LengthUnit, Result, read_mesh, read_model};

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Outcome::{Doubt, Fail, NotApplicable, Pass};
 use super::{CheckReport, Outcome, RuleResult};
+use crate::asset::UNCOVERED;
 use crate::partition::union_distance;
 use crate::sdf::MeshSdf;
 use crate::sequence::unit_cube_point;
@@ -19,8 +20,6 @@ use crate::{DepthCamera, cast_depth};
 const FIRST: usize = 17;
 /// Points of the surface and of the volume that are asked.
 const SAMPLES: usize = 8000;
-/// Share of the volume in no convex part: doubt, failure.
-pub(crate) const UNCOVERED: [f64; 2] = [0.05, 0.15];
 /// Distance of the support's points from it, root mean square, pixels: doubt, failure.
 const SUPPORT_PX: [f64; 2] = [2.0, 5.0];
 /// Share of the cameras below the support: doubt, failure.

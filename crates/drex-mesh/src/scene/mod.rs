@@ -19,11 +19,30 @@ use std::num::NonZeroUsize;
 use drex_core::Pose;
 use drex_core::camera::{Camera, point_looked_at};
 use drex_core::stats::median;
-use nalgebra::{Matrix3, Point2, Point3, Vector3};
+use nalgebra::{Matrix3, Point2, Point3, Unit, Vector3};
 
 pub use self::objects::{Choice, Click, Found, ObjectGroup, find_objects};
-pub use self::support::{PlaneCandidate, Scores, SupportChoice, SupportOptions, UpPrior, support_plane};
+pub use self::support::{PlaneCandidate, Scores, SupportChoice, support_plane};
 use crate::{Error, Result};
+
+/// A direction that is known to be up, from a marker or the photos' own record of gravity.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct UpPrior {
+    /// Up in the scan's frame.
+    pub direction: Unit<Vector3<f64>>,
+    /// How far a support's normal may be from it, rad.
+    pub tolerance_rad: f64,
+}
+
+/// Settings of [`support_plane`].
+#[derive(Debug, Clone, PartialEq, Default)]
+#[non_exhaustive]
+pub struct SupportOptions {
+    /// What is known of up.
+    pub up: Option<UpPrior>,
+    /// Seed of the search.
+    pub seed: u64,
+}
 
 /// Points and views without which nothing can be said.
 const LEAST: (usize, usize) = (3, 2);

@@ -1,11 +1,11 @@
 //! Which of the planes is the support: the one that something stands on where the cameras look.
 
 use drex_core::stats::quantile;
-use nalgebra::{Point3, Unit, Vector3};
+use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::candidates::{Candidate, Plane, candidates, nearness, unit};
-use super::{Scene, thinned};
+use super::{Scene, SupportOptions, thinned};
 use crate::{Error, Result, TablePlane};
 
 /// Points that are looked at for a score.
@@ -26,25 +26,6 @@ const WEAK: f64 = 0.02;
 const OBJECT: f64 = 0.5;
 /// Directions round the target in which a support should extend.
 const SECTORS: usize = 8;
-
-/// A direction that is known to be up, from a marker or the photos' own record of gravity.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct UpPrior {
-    /// Up in the scan's frame.
-    pub direction: Unit<Vector3<f64>>,
-    /// How far a support's normal may be from it, rad.
-    pub tolerance_rad: f64,
-}
-
-/// Settings of [`support_plane`].
-#[derive(Debug, Clone, PartialEq, Default)]
-#[non_exhaustive]
-pub struct SupportOptions {
-    /// What is known of up.
-    pub up: Option<UpPrior>,
-    /// Seed of the search.
-    pub seed: u64,
-}
 
 /// What speaks for a plane, each from 0 to 1; their product is the score.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

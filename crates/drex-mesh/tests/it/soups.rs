@@ -116,6 +116,6 @@ proptest! {
         if let Ok((fixed, _)) = repair(&mesh, &RepairOptions::default()) {
             prop_assert!(fixed.faces.iter().flatten().all(|&v| (v as usize) < fixed.vertices.len()));
         }
-        prop_assert_eq!(check_mesh(&mesh, &CheckOptions::default()).rules.len(), 16);
+        prop_assert_eq!(check_mesh(&mesh, &CheckOptions::default()).rules.len(), 23);
     }
 }

@@ -1,11 +1,10 @@
 //! From the marker's corners in posed photos to the scale of the scene, its up and an origin.
 
-use drex_core::camera::Camera;
-use drex_core::{Error, Pose, Result};
+use drex_core::{Error, Result};
 use nalgebra::{Matrix3, Point2, Point3, Similarity3, Translation3, Unit, Vector3};
 
-use super::Marker;
 use super::square::{Fitted, Square};
+use super::{Marker, Sighting};
 
 /// Photos that have to agree: of two, either may be wrong.
 const MIN_PHOTOS: usize = 3;
@@ -28,17 +27,6 @@ const DOUBTFUL_SIGMA: f64 = 0.005;
 
 /// Standard error of the scale from which there is no answer.
 const MAX_SIGMA: f64 = 0.05;
-
-/// The marker in one photo whose camera and pose are known. A photo that shows the marker's id twice may give two of these.
-#[derive(Debug, Clone)]
-pub struct Sighting {
-    /// The photo's lens.
-    pub camera: Camera,
-    /// The photo's pose in the scene, whose unit of length is the unknown.
-    pub camera_from_world: Pose,
-    /// Corners in pixels, in the order of [`Detection::corners`](super::Detection::corners).
-    pub corners: [[f64; 2]; 4],
-}
 
 /// What the marker says about a scene.
 #[derive(Debug, Clone)]

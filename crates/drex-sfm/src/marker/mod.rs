@@ -23,13 +23,24 @@ use std::fmt;
 use std::str::FromStr;
 
 use drex_core::camera::Camera;
-use drex_core::{Error, Result};
+use drex_core::{Error, Pose, Result};
 use nalgebra::{Point2, Vector2};
 
 use self::decode::Read;
 use self::image::Grey;
-pub use self::metric::{MarkerFit, Sighting, metric};
+pub use self::metric::{MarkerFit, metric};
 use self::warp::{Lens, Warp};
+
+/// The marker in one photo whose camera and pose are known. A photo that shows the marker's id twice may give two of these.
+#[derive(Debug, Clone)]
+pub struct Sighting {
+    /// The photo's lens.
+    pub camera: Camera,
+    /// The photo's pose in the scene, whose unit of length is the unknown.
+    pub camera_from_world: Pose,
+    /// Corners in pixels, in the order of [`Detection::corners`].
+    pub corners: [[f64; 2]; 4],
+}
 
 /// Sides outside of this range, metres, are taken for another unit.
 const SIDE_M: std::ops::RangeInclusive<f64> = 0.002..=5.0;

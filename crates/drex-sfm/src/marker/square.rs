@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Matrix3, Point3, SMatrix, SVector, Translation3, UnitQ
 
 use drex_core::stats::median;
 
-use super::metric::Sighting;
+use super::Sighting;
 
 /// Steps of Levenberg and Marquardt at most.
 const MAX_STEPS: usize = 100;

@@ -38,7 +38,7 @@ struct Level {
     cell: f64,
     cells: Vec<Cell>,
     /// Cells that rays near the box meet.
-    wanted: Vec<bool>,
+    needed: Vec<bool>,
     /// Cells within the footprint of the box that are surely the plane.
     bare: Vec<bool>,
 }
@@ -102,12 +102,12 @@ impl Table {
                     corner: Point2::new(middle.x - half, middle.y - half),
                     cell,
                     cells: vec![Cell::default(); SIDE * SIDE],
-                    wanted: vec![false; SIDE * SIDE],
+                    needed: vec![false; SIDE * SIDE],
                     bare: vec![false; SIDE * SIDE],
                 };
                 if level == 0 {
                     // The finest level is whole, so that the neighbours of each cell are there.
-                    this.wanted.fill(true);
+                    this.needed.fill(true);
                 }
                 this
             })
@@ -118,7 +118,7 @@ impl Table {
             for floor in &view.floor {
                 if let Some((level, index)) = table.place(*floor).filter(|(level, _)| *level > 0) {
                     for y in [index - SIDE, index, index + SIDE] {
-                        table.levels[level].wanted[y - 1..=y + 1].fill(true);
+                        table.levels[level].needed[y - 1..=y + 1].fill(true);
                     }
                 }
             }
@@ -204,7 +204,7 @@ impl Table {
                 .map_init(
                     || std::array::from_fn::<Vec<f32>, 3, _>(|_| Vec::new()),
                     |samples, index| {
-                        if !this.wanted[index] {
+                        if !this.needed[index] {
                             return Cell::default();
                         }
                         let point = this.centre(index);

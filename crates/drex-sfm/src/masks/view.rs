@@ -127,7 +127,7 @@ impl Eye {
     /// The pixels of the full photo around the box: the rectangle around its edges, clipped. The whole photo if the camera
     /// is inside the box or the box reaches behind it; `None` if nothing of it can be in the picture.
     pub fn window(&self, bounds: &Bounds) -> Option<Window> {
-        const PIECES: usize = 16;
+        const SAMPLES: usize = 16;
         let [w, h] = self.size_px();
         let whole = Window { x0: 0, y0: 0, x1: w, y1: h };
         if bounds.contains(&self.centre) {
@@ -142,8 +142,8 @@ impl Eye {
                     continue;
                 }
                 let (a, b) = (corner(k), corner(k | 1 << bit));
-                for piece in 0..=PIECES {
-                    let point = a + (b - a) * (piece as f64 / PIECES as f64);
+                for sample in 0..=SAMPLES {
+                    let point = a + (b - a) * (sample as f64 / SAMPLES as f64);
                     in_front |= self.depth(&point) > 0.0;
                     match self.project(&point) {
                         Some(pixel) => {
