@@ -10,9 +10,9 @@ use crate::error::{Context, refuse};
 use drex_core::capture::{Capture, CaptureOptions, PhotoOptions, Photos};
 use drex_core::{PoseRecord, TriMesh, fsutil};
 use drex_mesh::{
-    DecimateOptions, DepthCamera, DepthMap, DepthViews, FusionOptions, FusionReport, KnownDistance, Outcome,
-    RuleResult, ScaleFit, ScanCamera, ScanEvidence, ScenePoint, Silhouette, Similarity, Support, SupportEvidence,
-    check_scan, decimate, fuse, read_marks, scale_from_distances, triangulate_marks,
+    DecimateOptions, DepthCamera, DepthMap, DepthViews, FusionOptions, FusionReport, Outcome, RuleResult, ScaleFit,
+    ScanCamera, ScanEvidence, ScenePoint, Silhouette, Similarity, Support, SupportEvidence, check_scan, decimate, fuse,
+    read_marks, scale_from_distances, triangulate_marks,
 };
 use drex_sfm::MarkerReport;
 use drex_sfm::marker::Marker;
