@@ -2,9 +2,9 @@
 
 use anyhow::{Context, Result};
 use drex_core::Pose;
-use drex_splat::io::read_gaussians;
 use drex_core::capture::{Capture, Photo, PhotoOptions, Photos};
 use drex_splat::Kind;
+use drex_splat::io::read_gaussians;
 use drex_twin::reconstruct::cameras_of;
 use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;

@@ -445,15 +445,25 @@ pub(crate) struct PoseSigma {
     pub(crate) centre: f64,
 }
 
+/// What is added to the diagonal, as a share of it, so that a point that its rays hardly place does not spoil the deviations of the others.
+const TINY: f64 = 1e-8;
+
 /// Standard deviation of each pose, from the inverse of the reduced system at the solution (points and lenses integrated out), with the
 /// frame and scale fixed by the poses as a whole (a free network: the seven directions that no observation sees are left out).
 pub(crate) fn pose_sigmas(model: &Model, freedom: LensFreedom) -> Option<Vec<PoseSigma>> {
     let layout = Layout::new(model, freedom);
-    let (s, ..) = System::new(model, &layout, sigmas(model)).reduced(&layout, 0.0)?;
+    let (s, ..) = System::new(model, &layout, sigmas(model)).reduced(&layout, TINY)?;
     let gauge = gauge_directions(model, &layout);
     let weight = s.diagonal().mean().max(f64::MIN_POSITIVE);
     let fixed = s + weight * &gauge * gauge.transpose();
-    let inverse = fixed.cholesky()?.inverse();
+    // Scaled to a diagonal of ones, since turns and shifts have other units; a direction that rounding hides is given what it takes.
+    let scales = fixed.diagonal().map(|v| 1.0 / v.max(f64::MIN_POSITIVE).sqrt());
+    let scaled = DMatrix::from_fn(layout.size, layout.size, |i, j| scales[i] * fixed[(i, j)] * scales[j]);
+    let factor = [0.0, 1e-12, 1e-10, 1e-8, 1e-6]
+        .into_iter()
+        .find_map(|ridge| (&scaled + ridge * DMatrix::<f64>::identity(layout.size, layout.size)).cholesky())?;
+    let inverse = factor.inverse();
+    let inverse = DMatrix::from_fn(layout.size, layout.size, |i, j| scales[i] * inverse[(i, j)] * scales[j]);
     let project = |m: DMatrix<f64>| {
         // (1 - G Gᵀ) C (1 - G Gᵀ)
         let left = &m - &gauge * (gauge.transpose() * &m);

@@ -118,7 +118,9 @@ pub(crate) fn refine(
     }
     check_baseline(front, &model)?;
     check_lenses(&model)?;
-    let sigmas = adjust::pose_sigmas(&model, freedom);
+    // What was not estimated of a lens is not known either: its expected spread counts.
+    let uncertain = if freedom == LensFreedom::Fixed { LensFreedom::Fixed } else { LensFreedom::Full };
+    let sigmas = adjust::pose_sigmas(&model, uncertain);
     Ok(Refined { model, adjusted, sigmas, aligned, removed })
 }
 

@@ -49,10 +49,11 @@ pub struct PhotoReport {
     /// Median reprojection error of these, pixels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub median_error_px: Option<f64>,
-    /// Standard deviation of its rotation, degrees, each axis.
+    /// Formal standard deviation of its rotation, degrees, each axis: what the noise of the pixels makes of it. A lens that is told badly adds to
+    /// all photos alike.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rotation_sd_deg: Option<f64>,
-    /// Standard deviation of its place, units of the model, each axis.
+    /// Formal standard deviation of its place, units of the model, each axis.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub centre_sd: Option<f64>,
 }

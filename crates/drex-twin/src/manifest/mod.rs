@@ -421,7 +421,7 @@ damping = 0.001
         for (from, to, expected) in [
             ("\"A-C\" = 0.12", "\"AC\" = 0.12", "\"AC\" = 0.12"),
             ("\"A-C\" = 0.12", "\"A-C\" = -1", "\"A-C\" = -1"),
-            ("photos = \"scan\"", "photos = \"scan\"\nscale = 2", "both"),
+            ("photos = \"scan\"", "photos = \"scan\"\nscale = 2", "keep one of them"),
             ("photos = \"scan\"", "photos = \"scan\"\npreset = \"slow\"", "line 6"),
             ("photos = \"scan\"", "photos = \"scan\"\nregion = [[0, 0, 0], [1, 1, 0]]", "region"),
             ("photos = \"scan\"", "photos = \"scan\"\nobject = \"5;5@a.jpg\"", "512,300@"),
