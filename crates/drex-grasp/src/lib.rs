@@ -1,16 +1,16 @@
 //! Contacts between a hand and an object: grasp map, force closure, the minimum grip force.
 //!
 //! ```
-//! use drex_grasp::{Contact, SqueezeProblem, smallest_squeeze};
+//! use drex_grasp::{Contact, GripForceProblem, minimum_grip_force};
 //! use nalgebra::{Point3, Vector3};
 //!
 //! // Two fingers pinch a 206 g box from both sides, friction 0.5.
 //! let left = Contact::new(Point3::new(-0.03, 0.0, 0.0), Vector3::x(), 0.5);
 //! let right = Contact::new(Point3::new(0.03, 0.0, 0.0), -Vector3::x(), 0.5);
 //! let gravity = Vector3::new(0.0, 0.0, -9.81);
-//! let grip force = smallest_squeeze(&SqueezeProblem::new(vec![left, right], 0.206, Point3::origin(), gravity))?;
-//! assert!((grip force.normal_n[0] - 0.206 * 9.81 / (2.0 * 0.5)).abs() < 1e-5); // m g / (2 mu)
-//! # Ok::<(), drex_grasp::SqueezeError>(())
+//! let grip_force = minimum_grip_force(&GripForceProblem::new(vec![left, right], 0.206, Point3::origin(), gravity))?;
+//! assert!((grip_force.normal_n[0] - 0.206 * 9.81 / (2.0 * 0.5)).abs() < 1e-5); // m g / (2 mu)
+//! # Ok::<(), drex_grasp::GripForceError>(())
 //! ```
 //!
 //! # Conventions

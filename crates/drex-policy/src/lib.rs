@@ -14,7 +14,7 @@
 //!     })?;
 //!     println!("error on grasps never seen: {:?}", report.held_out);
 //!     let grasps = policy.predict(&Query::new(&data.objects[0].points, mass_kg, friction))?;
-//!     Ok(grasps.iter().map(|g| g.squeeze_n).fold(f64::INFINITY, f64::min))
+//!     Ok(grasps.iter().map(|g| g.grip_force_n).fold(f64::INFINITY, f64::min))
 //! }
 //! ```
 //!

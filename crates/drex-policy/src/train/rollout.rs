@@ -284,7 +284,7 @@ impl Trainer<'_> {
         } else if feedback.friction_used.is_some_and(|u| !(0.0..=10.0).contains(&u)) {
             format!("friction_used is {:?}, not 0 .. 1", feedback.friction_used)
         } else if feedback.needed_grip_force_n.is_some_and(|n| !(n >= 0.0 && n.is_finite())) {
-            format!("needed_squeeze_n is {:?}, no force", feedback.needed_grip_force_n)
+            format!("needed_grip_force_n is {:?}, no force", feedback.needed_grip_force_n)
         } else {
             return Ok(());
         };
