@@ -171,7 +171,7 @@ fn feedback_that_cannot_be_used_is_named_and_teaches_nothing() {
     says(&mut trainer, &Broken(|f| f.fingers_in_contact.clear()), "0 contacts for 2 fingers");
     says(&mut trainer, &Broken(|f| f.retained = f64::NAN), "retained is NaN");
     says(&mut trainer, &Broken(|f| f.friction_used = Some(-1.0)), "friction_used");
-    says(&mut trainer, &Broken(|f| f.needed_grip_force_n = Some(f64::INFINITY)), "needed_squeeze_n");
+    says(&mut trainer, &Broken(|f| f.needed_grip_force_n = Some(f64::INFINITY)), "needed_grip_force_n");
     says(&mut trainer, &Refusing, "on strike");
     assert_eq!(trainer.policy(), &before);
     assert!(trainer.roll_out(&MadeUp).unwrap().is_some());
