@@ -19,7 +19,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let seconds: f64 = value("--seconds").map_or(Ok(5.0), |v| v.parse())?;
 
     let capture = Capture::load(Path::new(folder), &CaptureOptions::default())?;
-    let cameras = (0..capture.views.len()).map(|v| capture.pinhole(v, side)).collect::<Result<Vec<_>>>()?;
+    let cameras = (0..capture.views.len()).map(|v| Ok(capture.pinhole(v, side)?)).collect::<Result<Vec<_>>>()?;
     let (points, colours): (Vec<_>, Vec<_>) = capture.points.iter().map(|p| (p.position, p.rgb)).unzip();
     let gpu = Gpu::new()?;
     println!(

@@ -1,11 +1,11 @@
 //! Cameras on a circle round something.
 
 use drex_core::Pose;
+use drex_core::camera::PinholeCamera;
 use drex_core::stats::{quantile, upper_median};
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use crate::{Error, Gaussians, Result};
-use drex_core::camera::PinholeCamera;
 
 /// A circle of cameras that look at its centre.
 #[derive(Debug, Clone, PartialEq)]

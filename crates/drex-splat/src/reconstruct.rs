@@ -4,9 +4,12 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use drex_core::Pose;
+use drex_core::camera::PinholeCamera;
 use drex_core::camera::point_looked_at;
+use drex_core::capture::{Capture, CaptureReport, PhotoOptions, Photos, SparsePoint};
 use drex_core::fsutil::{self, OutputFolder, output_path};
 use drex_core::npy::write_npy;
+use drex_core::stats::quantile;
 use nalgebra::Point3;
 use serde::Serialize;
 
@@ -15,9 +18,6 @@ use crate::loss::{MaskMode, surface_depth};
 use crate::metrics::{Table, similarity};
 use crate::train::{DensityChoice, NEAR, Preset, Progress, TrainOptions, Trainer, VisualHull, from_points};
 use crate::{Error, Gaussians, Kind, Label, Rasterizer, RenderOptions, Result, usage};
-use drex_core::camera::PinholeCamera;
-use drex_core::capture::{Capture, CaptureReport, PhotoOptions, Photos, SparsePoint};
-use drex_core::stats::quantile;
 
 /// What to reconstruct, and how carefully.
 #[derive(Debug, Clone, PartialEq)]

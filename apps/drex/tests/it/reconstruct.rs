@@ -5,12 +5,13 @@ use crate::common;
 use std::fs;
 use std::path::Path;
 
-use crate::common::drex;
 use drex_core::capture::{Capture, CaptureOptions, PhotoOptions, Photos};
 use drex_splat::io::{picture, read_gaussians};
 use drex_splat::train::from_points;
 use drex_splat::{Cpu, Kind, Label, Orbit, Rasterizer, RenderOptions};
 use nalgebra::Vector3;
+
+use crate::common::drex;
 
 const RADIUS: f64 = 0.5;
 

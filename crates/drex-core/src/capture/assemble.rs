@@ -3,13 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use crate::Pose;
-use crate::camera::Camera;
-
 use super::colmap::Model;
 use super::companions::{Companions, photos_under, size_of, with_known_extension};
 use super::{Capture, CaptureOptions, Keypoint, SparsePoint, View, refuse};
-use crate::Result;
+use crate::camera::Camera;
+use crate::{Pose, Result};
 
 /// A view before its files are looked up.
 pub(super) struct Posed {

@@ -2,12 +2,12 @@
 
 use std::path::{Component, Path, PathBuf};
 
-use crate::budget;
-use crate::fsutil::read_bytes;
-use crate::npy::parse_npy;
 use image::{DynamicImage, ImageDecoder, ImageReader};
 
 use super::{CaptureOptions, View, refuse};
+use crate::budget;
+use crate::fsutil::read_bytes;
+use crate::npy::parse_npy;
 use crate::{Error, Result};
 
 /// Optional files of one view.

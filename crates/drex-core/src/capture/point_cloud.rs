@@ -2,10 +2,9 @@
 
 use std::path::Path;
 
+use super::SparsePoint;
 use crate::fsutil::read_bytes;
 use crate::ply::{PlyFile, Scalar};
-
-use super::SparsePoint;
 use crate::{Error, Result};
 
 /// Reads x, y, z and red, green, blue of the vertices; grey where there is no colour. Colours may be bytes, or numbers

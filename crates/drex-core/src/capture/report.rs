@@ -4,7 +4,6 @@
 mod coverage;
 mod masks;
 
-use crate::stats::upper_median;
 use std::fmt;
 
 use nalgebra::Point3;
@@ -15,6 +14,7 @@ pub use self::masks::MaskCheck;
 use super::assemble::count;
 use super::{Capture, View};
 use crate::Result;
+use crate::stats::upper_median;
 
 /// A view that sees fewer points than this may be anywhere.
 const FEW_POINTS: usize = 50;

@@ -3,13 +3,12 @@
 
 use std::path::Path;
 
-use crate::camera::{Camera, CameraModel};
-use crate::fsutil::read_text;
-use crate::pose::parse_pose_matrix;
-
 use super::assemble::{Posed, count, finish};
 use super::companions::{Companions, PhotoFile, photos_under, size_of};
 use super::{Capture, CaptureOptions, refuse};
+use crate::camera::{Camera, CameraModel};
+use crate::fsutil::read_text;
+use crate::pose::parse_pose_matrix;
 use crate::{Error, Result};
 
 /// Where FoundationPose and its users put `camera_from_object`, one text file of 4 x 4 numbers a frame.

@@ -5,15 +5,15 @@
 
 use std::path::{Component, Path, PathBuf};
 
-use crate::camera::{Camera, CameraModel};
-use crate::fsutil::{from_json, read_text};
-use crate::pose::pose_from_matrix;
 use nalgebra::{Matrix4, Point3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
 use super::assemble::{Posed, count, finish, unregistered};
 use super::companions::{Companions, size_of, with_known_extension};
 use super::{Capture, CaptureOptions, SparsePoint, point_cloud, refuse};
+use crate::camera::{Camera, CameraModel};
+use crate::fsutil::{from_json, read_text};
+use crate::pose::pose_from_matrix;
 use crate::{Error, Pose, Result};
 
 #[derive(Deserialize)]

@@ -1,13 +1,11 @@
 //! From a lens to a pinhole: the camera of the straightened picture, and the picture itself.
 
-use crate::Pose;
-use crate::camera::{Camera, CameraModel};
 use nalgebra::{Point2, Point3};
 use rayon::prelude::*;
 
 use super::{View, refuse};
-use crate::Result;
-use crate::camera::PinholeCamera;
+use crate::camera::{Camera, CameraModel, PinholeCamera};
+use crate::{Pose, Result};
 
 /// A wide lens is cut at this tangent of the angle to the axis, 60°: beyond it a plane stretches too much.
 const WIDEST: f64 = 1.732_050_8;

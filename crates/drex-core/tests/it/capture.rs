@@ -2,10 +2,11 @@
 
 use std::path::Path;
 
-use crate::capture_support::{Model, grey, lens, on_disk, ring};
 use drex_core::camera::CameraModel;
 use drex_core::capture::{Capture, CaptureOptions};
 use nalgebra::Point3;
+
+use crate::capture_support::{Model, grey, lens, on_disk, ring};
 
 fn load(folder: &Path) -> drex_core::Result<Capture> {
     Capture::load(folder, &CaptureOptions::default())

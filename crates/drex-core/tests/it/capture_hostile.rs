@@ -4,10 +4,11 @@
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use crate::capture_support::{lens, on_disk, ring};
 use drex_core::camera::CameraModel;
 use drex_core::capture::{Capture, CaptureOptions, Photos};
 use proptest::prelude::*;
+
+use crate::capture_support::{lens, on_disk, ring};
 
 /// A capture folder with files of every kind, and the sound bytes of those that will be damaged.
 struct Sound {

@@ -2,11 +2,12 @@
 
 use std::path::Path;
 
-use crate::capture_support::{lens, on_disk, ring};
 use drex_core::camera::CameraModel;
 use drex_core::capture::{Capture, CaptureOptions};
 use image::{GrayImage, Luma};
 use nalgebra::Point3;
+
+use crate::capture_support::{lens, on_disk, ring};
 
 fn misplaced(folder: &Path, masks: &Path) -> Vec<String> {
     let mut options = CaptureOptions::default();

@@ -3,12 +3,13 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::capture_support::{grey, lens, on_disk, ring};
 use drex_core::camera::PinholeCamera;
 use drex_core::camera::{Camera, CameraModel};
 use drex_core::capture::{Capture, CaptureOptions, Photo, PhotoOptions, Photos};
 use image::{GrayImage, ImageBuffer, Luma, Rgb, RgbImage, RgbaImage};
 use nalgebra::{Point2, Point3, Vector2, Vector3};
+
+use crate::capture_support::{grey, lens, on_disk, ring};
 
 fn load(folder: &Path) -> Capture {
     Capture::load(folder, &CaptureOptions::default()).unwrap()

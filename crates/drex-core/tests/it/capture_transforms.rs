@@ -2,12 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::capture_support::{grey, lens, on_disk, pose, ring};
 use drex_core::Pose;
 use drex_core::camera::{Camera, CameraModel};
 use drex_core::capture::{Capture, CaptureOptions, Photos};
 use nalgebra::{Matrix4, Point3};
 use serde_json::{Value, json};
+
+use crate::capture_support::{grey, lens, on_disk, pose, ring};
 
 fn load(folder: &Path) -> drex_core::Result<Capture> {
     Capture::load(folder, &CaptureOptions::default())

@@ -3,13 +3,13 @@
 
 use std::ops::Range;
 
+use drex_core::camera::PinholeCamera;
+use drex_core::simd::vectorised;
 use rayon::prelude::*;
 
 use super::normals::{Neighbours, Rays, cross, dot, inner_mut};
 use super::{check_render, strip_rows, sum, unit};
 use crate::{Render, RenderGradients, Result};
-use drex_core::camera::PinholeCamera;
-use drex_core::simd::vectorised;
 
 /// The depth d of the surface, z in the camera frame, row by row: d = (1 - r) depth / alpha + r median, with r the
 /// `median_share`; 0 where the render is less opaque than `min_alpha`.

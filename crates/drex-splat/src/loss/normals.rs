@@ -9,12 +9,12 @@
 //! a and b are taken as (d⁺ - d⁻) ρ + (d⁺ + d⁻) (0, 1/fy, 0) and the like, which keeps the digits that the difference of
 //! two far points would lose.
 
+use drex_core::camera::PinholeCamera;
+use drex_core::simd::vectorised;
 use rayon::prelude::*;
 
 use super::check_image;
 use crate::Result;
-use drex_core::camera::PinholeCamera;
-use drex_core::simd::vectorised;
 
 /// Unit normals of a depth map (z, row by row, 0 where unknown), camera frame, facing the camera; zero at the image's
 /// border and where a neighbour's depth is unknown.

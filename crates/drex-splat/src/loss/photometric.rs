@@ -3,12 +3,12 @@
 
 use std::borrow::Cow;
 
+use drex_core::simd::vectorised;
 use rayon::prelude::*;
 
 use super::ssim::{Strip, Want};
 use super::{Exposure, area, area_that_counts, check_render, empty_mask, strip_rows, sum_with, unit};
 use crate::{Error, Render, RenderGradients, Result};
-use drex_core::simd::vectorised;
 
 /// A photo to compare with, as large as the render.
 #[derive(Debug, Clone, Copy)]

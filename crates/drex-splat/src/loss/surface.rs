@@ -1,12 +1,13 @@
 //! What makes surfels a surface (2DGS, Huang et al. 2024, section 4.2): normals that agree with the depth, eq. 14, and
 //! little distortion along the ray, eq. 13; and normals given from outside.
 
+use drex_core::camera::PinholeCamera;
+
 use super::consistency::Consistency;
 use super::normals::dot;
 use super::photometric::sign;
 use super::{area_that_counts, check_image, check_render, sum_with, unit};
 use crate::{Error, Render, RenderGradients, Result};
-use drex_core::camera::PinholeCamera;
 
 /// What a render is compared with; nothing is needed.
 #[derive(Debug, Clone, Copy, Default)]

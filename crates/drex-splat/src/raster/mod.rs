@@ -13,8 +13,9 @@ pub use cpu::{Cpu, CpuSaved};
 pub use gpu::{Gpu, GpuSaved};
 pub(crate) use tiles::{ScreenBox, TILE, Tiles};
 
-use crate::{Gaussians, Result};
 use drex_core::camera::PinholeCamera;
+
+use crate::{Gaussians, Result};
 
 /// How a scene is drawn. The defaults are those of the papers.
 #[derive(Debug, Clone, PartialEq)]

@@ -3,6 +3,8 @@
 use std::path::Path;
 
 use drex_core::Pose;
+use drex_core::camera::PinholeCamera;
+use drex_core::capture::Photo;
 use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
@@ -20,8 +22,6 @@ use crate::train::options::{Density, TrainOptions};
 use crate::train::state::State;
 use crate::train::views::{Views, check_sizes, reduced};
 use crate::{Error, Gaussians, Kind, Rasterizer, Render, RenderGradients, RenderOptions, Result, usage};
-use drex_core::camera::PinholeCamera;
-use drex_core::capture::Photo;
 
 /// Optimises a set of Gaussians so that it looks like the photos.
 #[derive(Debug)]

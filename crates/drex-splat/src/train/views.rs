@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
-use crate::{Error, Result};
 use drex_core::camera::PinholeCamera;
 use drex_core::capture::{Photo, Photos};
+
+use crate::{Error, Result};
 
 /// Posed photos by number: a capture's, or some in memory.
 pub trait Views: Sync {

@@ -1,7 +1,6 @@
 //! Losses against goldens, against an independent evaluation in double precision and its finite differences, and
 //! against what they must not depend on.
 
-use crate::support::Golden;
 use drex_core::camera::PinholeCamera;
 use drex_splat::loss::{
     DepthOptions, DepthSource, DepthTarget, Exposure, MaskMode, PhotometricOptions, SparseDepth, SurfaceOptions,
@@ -10,6 +9,8 @@ use drex_splat::loss::{
 use drex_splat::{Render, RenderGradients};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+
+use crate::support::Golden;
 
 const WIDTH: usize = 21;
 const HEIGHT: usize = 17;

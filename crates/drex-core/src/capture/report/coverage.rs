@@ -1,12 +1,12 @@
 //! From which directions an object was seen.
 
-use crate::stats::upper_median;
 use std::fmt;
 
 use nalgebra::{Matrix3, Point3, Unit, Vector3};
 use serde::Serialize;
 
 use super::super::Capture;
+use crate::stats::upper_median;
 
 /// A direction counts as seen when a camera is within this angle of it.
 const SEEN_WITHIN_DEG: f64 = 30.0;

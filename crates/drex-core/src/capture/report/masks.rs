@@ -5,7 +5,6 @@
 //! margin, so that a rim drawn a little tight or wide does no harm. A mask that is moved towards a side where the object
 //! has hardly any points is not found.
 
-use crate::stats::upper_median;
 use std::fmt;
 
 use nalgebra::Point3;
@@ -13,6 +12,7 @@ use serde::Serialize;
 
 use super::super::{Capture, View, companions};
 use crate::Result;
+use crate::stats::upper_median;
 
 /// Margin at the rim, as a part of the photo's longest side.
 const MARGIN: f64 = 0.005;

@@ -8,14 +8,14 @@ mod golden_projection;
 mod instructions;
 mod project;
 
+use drex_core::camera::PinholeCamera;
+use project::{Splat, Sums, View};
 use pulp::Arch;
 use rayon::prelude::*;
 
 use super::super::{GaussianGradients, Render, RenderGradients, RenderOptions, Tiles};
 use super::lanes::Plane;
 use crate::{Gaussians, Result};
-use drex_core::camera::PinholeCamera;
-use project::{Splat, Sums, View};
 
 /// Gaussians that one task projects: also the unit in which the camera's twist is summed.
 const CHUNK: usize = 256;

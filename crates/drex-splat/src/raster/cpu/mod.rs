@@ -5,9 +5,10 @@ pub(crate) mod lanes;
 pub(crate) mod sh;
 mod surfel;
 
+use drex_core::camera::PinholeCamera;
+
 use super::{GaussianGradients, Rasterizer, Render, RenderGradients, RenderOptions};
 use crate::{Error, Gaussians, Kind, Result};
-use drex_core::camera::PinholeCamera;
 
 /// The backend that needs nothing but a processor. Uses the current rayon pool; the bytes of its results do not depend
 /// on the number of threads.

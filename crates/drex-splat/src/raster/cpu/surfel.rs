@@ -8,17 +8,17 @@ mod instructions;
 mod project;
 mod view;
 
+use backward::{Differentiate, Record, TileGradients};
+use bounds::Footprint;
+use drex_core::camera::PinholeCamera;
+use forward::{Draw, Projected, TileSums};
 use rayon::prelude::*;
+use view::View;
 
 use super::check_geometry;
 use super::lanes::{BLOCK, Plane, place};
 use crate::raster::{GaussianGradients, Render, RenderGradients, RenderOptions, TILE, Tiles};
 use crate::{Gaussians, Result};
-use backward::{Differentiate, Record, TileGradients};
-use bounds::Footprint;
-use drex_core::camera::PinholeCamera;
-use forward::{Draw, Projected, TileSums};
-use view::View;
 
 #[derive(Debug, Clone)]
 pub(super) struct Saved {

@@ -11,6 +11,7 @@ mod device;
 mod sort;
 mod view;
 
+use drex_core::camera::PinholeCamera;
 use wgpu::{Buffer, ComputePipeline};
 
 use self::device::{Device, line};
@@ -18,7 +19,6 @@ use self::sort::Sorter;
 use super::cpu::{bounded, check_geometry, check_gradients, check_options, check_shape};
 use super::{GaussianGradients, Rasterizer, Render, RenderGradients, RenderOptions, TILE};
 use crate::{Gaussians, Kind, Result};
-use drex_core::camera::PinholeCamera;
 
 /// The backend that draws on a GPU. Opening it compiles the shaders; clones share it.
 #[derive(Debug, Clone)]

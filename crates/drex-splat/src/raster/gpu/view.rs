@@ -1,8 +1,9 @@
 //! The camera and the options as the shaders read them.
 
+use drex_core::camera::PinholeCamera;
+
 use crate::Gaussians;
 use crate::raster::{DepthKind, RenderOptions, TILE};
-use drex_core::camera::PinholeCamera;
 
 /// Margin round the image, as a part of its side, up to which the Jacobian of the projection follows a centre.
 const JACOBIAN_MARGIN: f64 = 0.15;

@@ -3,13 +3,13 @@
 //! With w_i = T_i α_i and the loss Σ_i w_i q_i (q collects what the pixel's gradient asks of a splat's colour, depth and
 //! presence), dL/dα_i = T_i q_i - (Σ_{j>i} w_j q_j) / (1 - α_i). T is rebuilt from its end by T_i = T_{i+1} / (1 - α_i).
 
+use drex_core::camera::PinholeCamera;
 use pulp::{Simd, WithSimd};
 
 use super::super::super::{RenderGradients, RenderOptions, TILE};
 use super::super::lanes::{self, BLOCKS, Lanes, PIXEL_X, PIXEL_Y, Plane, per_block, place};
 use super::forward::{AHEAD, Broadcast, fetch};
 use super::{End, Splat, Sums};
-use drex_core::camera::PinholeCamera;
 
 pub(super) struct DifferentiateTile<'a> {
     pub splats: &'a [Splat],

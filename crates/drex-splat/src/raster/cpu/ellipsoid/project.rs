@@ -4,12 +4,12 @@
 //! derivative of the projection at t, its x / z and y / z clamped to 15 % outside the image. Opacity at distance d from
 //! the projected mean is o exp(-½ dᵀ Σ⁻¹ d).
 
+use drex_core::camera::PinholeCamera;
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Point3, Quaternion, UnitQuaternion, Vector2, Vector3};
 
 use super::super::super::{MIN_ALPHA, RenderOptions, ScreenBox};
 use super::super::{bounded, lanes::FADE, sh};
 use crate::Gaussians;
-use drex_core::camera::PinholeCamera;
 
 /// What the kernels need to know of a splat. With (u, v) = (a dx + b dy, c dy), opacity is 2^(log2_opacity - u² - v²).
 #[derive(Debug, Clone, Copy, Default)]

@@ -1,5 +1,6 @@
 //! From the parameters of a surfel to what the kernels read, and from their records back to its parameters.
 
+use drex_core::camera::PinholeCamera;
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 
@@ -13,7 +14,6 @@ use super::forward::{Projected, Rules, Splat};
 use super::project::{Surfel, SurfelGradient, rotation, rotation_backward};
 use crate::Gaussians;
 use crate::raster::{DepthKind, GaussianGradients, RenderOptions, ScreenBox};
-use drex_core::camera::PinholeCamera;
 
 /// A plane that is met farther away than this many times the depth of the surfel's centre is seen edge-on: not drawn.
 const MAX_DEPTH_RATIO: f64 = 1e6;
