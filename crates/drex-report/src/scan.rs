@@ -168,7 +168,8 @@ fn of_frame(page: &mut Page, file: &ScanFile) {
         let text = format!("given {}, in the scaled scan {}", mm(d.given_m), mm(d.model_m));
         rows.push(vec![format!("distance {}\u{2013}{}", d.from, d.to), text]);
     }
-    let table = frame.table_rms_m.map_or(String::new(), |rms| format!(", its points within {} (rms)", mm(rms)));
+    let px = frame.table_rms_px.map_or(String::new(), |px| format!(", {px:.2} px"));
+    let table = frame.table_rms_m.map_or(String::new(), |rms| format!(", its points within {}{px} (rms)", mm(rms)));
     rows.push(vec!["up".to_owned(), format!("from {}{table}", frame.up_from)]);
     if frame.others_on_table > 0 {
         rows.push(vec!["other things on the table".to_owned(), frame.others_on_table.to_string()]);
@@ -187,6 +188,9 @@ fn of_frame(page: &mut Page, file: &ScanFile) {
         ),
     ]);
     page.table(&["scale and fusion", "value"], &rows);
+    for doubt in &frame.doubts {
+        page.paragraph(&format!("In doubt: {doubt}"));
+    }
     if frame.distances.as_ref().is_some_and(|d| d.distances.len() == 1) {
         page.paragraph("One distance gives the scale and cannot contradict it; a second one would check it.");
     }

@@ -20,6 +20,10 @@ use crate::error::refuse;
 const UP_TOLERANCE_RAD: f64 = 0.26;
 /// A table that a masked object stands on may be this much of the object's height off its lowest point.
 const MAX_TABLE_OFFSET_SHARE: f64 = 0.1;
+/// Up is the normal of a plane with this score, if nothing better is known.
+const SURE: f64 = 0.3;
+/// Where up is from if the object's lowest point is below the plane that was found.
+pub(crate) const PARALLEL: &str = "a plane under the object";
 /// More points of the object say nothing new.
 const MOST_OBJECT_POINTS: usize = 20_000;
 
@@ -178,15 +182,21 @@ pub(crate) fn find(
         .map(|direction| UpPrior { direction, tolerance_rad: UP_TOLERANCE_RAD });
     let choice = match scene.as_ref().map(|s| support_plane(s, &support)) {
         Some(Err(e)) if !masked && options.up.is_none() => return Err(e.into()),
-        choice => choice.and_then(Result::ok).filter(|c| !masked || stands_on(object, &c.chosen.table)),
+        choice => choice.and_then(Result::ok),
     };
+    // Masks may show more than what stands on the plane: the disc that it turns on, say.
+    let parallel = choice.as_ref().filter(|c| masked && c.chosen.score >= SURE).map(|c| c.chosen.table.up.into_inner());
+    let choice = choice.filter(|c| !masked || stands_on(object, &c.chosen.table));
     let looked_at = scene.as_ref().map_or_else(|| mean(&shown), Scene::target);
     let towards = eyes.first().map_or(Vector3::x(), |e| e.translation.vector - looked_at.coords);
     let frame = |table: &TablePlane| Similarity::of_table(metres_per_unit, table, &looked_at, &towards);
     let mut place = match (choice, options.up) {
         (Some(choice), _) => Place::found(choice, &looked_at, metres_per_unit, frame)?,
         (None, Some(up)) => Place::assumed(lowest_plane(&shown, up), "given", frame)?,
-        (None, None) => Place::assumed(lowest_plane(&shown, mean_up(&eyes)), "the cameras", frame)?,
+        (None, None) => match parallel {
+            Some(up) => Place::assumed(lowest_plane(&shown, up), PARALLEL, frame)?,
+            None => Place::assumed(lowest_plane(&shown, mean_up(&eyes)), "the cameras", frame)?,
+        },
     };
     if options.region.is_some() {
         place.object_from = "the region given";

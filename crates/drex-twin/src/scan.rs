@@ -315,7 +315,7 @@ impl Scan {
 
         let mut fusion = FusionOptions::default();
         fusion.background_is_empty = masked;
-        if up_from == "table" || !masked {
+        if up_from == "table" || up_from == place::PARALLEL || !masked {
             fusion.support = Some(Support { point: mesh_from_scan.point(&table.point), up: up_in_mesh });
         }
         let mesh_from_table = mesh_from_scan.after(&place.table_from_scan.inverse());

@@ -1,12 +1,15 @@
 //! How far an object with little texture may reach beyond its points: where no ray of sight passes.
 
+use drex_core::stats::median;
 use nalgebra::{Point3, Vector3};
 
 use super::Scene;
 use crate::Similarity;
 
 /// A cell is free if this many rays pass through it: a stray point must not empty a solid.
-const RAYS: u16 = 3;
+const RAYS: u16 = 2;
+/// The same as a share of what passes through a typical cell that any ray passes.
+const SHARE: f64 = 0.1;
 /// Rays end this many cells before their point.
 const SHORT: f64 = 2.0;
 /// Rays are looked at up to this many.
@@ -18,13 +21,15 @@ pub(super) struct FreeSpace {
     side: f64,
     n: [usize; 3],
     rays: Vec<u16>,
+    /// Rays from which a cell is free.
+    least: u16,
 }
 
 impl FreeSpace {
     /// Counts the rays from cameras to the points they see through the cells of a box.
     pub fn new(scene: &Scene, table_from_scan: &Similarity, lo: Point3<f64>, hi: Point3<f64>, side: f64) -> Self {
         let n = [0, 1, 2].map(|k| ((hi[k] - lo[k]) / side).ceil().clamp(1.0, 200.0) as usize);
-        let mut out = Self { lo, side, n, rays: vec![0; n[0] * n[1] * n[2]] };
+        let mut out = Self { lo, side, n, rays: vec![0; n[0] * n[1] * n[2]], least: RAYS };
         let eyes: Vec<Point3<f64>> = scene.views().iter().map(|v| table_from_scan.point(&v.centre())).collect();
         let total: usize = scene.points().iter().map(|p| p.views.len()).sum();
         let step = total.div_ceil(MOST_RAYS).max(1);
@@ -32,6 +37,8 @@ impl FreeSpace {
         for (view, position) in sightings.step_by(step) {
             out.cross(&eyes[view], &table_from_scan.point(position));
         }
+        let typical = median(out.rays.iter().filter(|r| **r > 0).map(|r| f64::from(*r))).unwrap_or(0.0);
+        out.least = RAYS.max((SHARE * typical) as u16);
         out
     }
 
@@ -75,7 +82,16 @@ impl FreeSpace {
         (z * self.n[1] + y) * self.n[0] + x
     }
 
-    /// Lower and upper corner of the cells that are not free and connected, face to face, to those of the points, with the
+    /// Closes the cells of points that are something else's.
+    pub fn block(&mut self, others: impl Iterator<Item = Point3<f64>>) {
+        for p in others {
+            if let Some(c) = self.cell(&p) {
+                self.rays[c] = u16::MAX;
+            }
+        }
+    }
+
+    /// Lower and upper corner of the cells that are not free and connected to those of the points, with the
     /// points themselves; and for each side (lower x, y, z, upper x, y, z) whether they reach the end of the box there.
     pub fn around(&self, points: &[Point3<f64>]) -> Option<(Point3<f64>, Point3<f64>, [bool; 6])> {
         let mut reached = vec![false; self.rays.len()];
@@ -86,17 +102,17 @@ impl FreeSpace {
             let at = [c % self.n[0], c / self.n[0] % self.n[1], c / self.n[0] / self.n[1]];
             for k in 0..3 {
                 (lo[k], hi[k]) = (lo[k].min(at[k]), hi[k].max(at[k]));
-                for up in [false, true] {
-                    let mut next = at;
-                    next[k] = if up { at[k] + 1 } else { at[k].wrapping_sub(1) };
-                    if next[k] >= self.n[k] {
-                        continue;
-                    }
-                    let i = self.index(next);
-                    if !reached[i] && self.rays[i] < RAYS {
-                        reached[i] = true;
-                        queue.push(i);
-                    }
+            }
+            // A thin neck is a cell wide: corners connect as well.
+            for n in 0..27 {
+                let next = [0, 1, 2].map(|k| (at[k] + n / [1, 3, 9][k] % 3).wrapping_sub(1));
+                if (0..3).any(|k| next[k] >= self.n[k]) {
+                    continue;
+                }
+                let i = self.index(next);
+                if !reached[i] && self.rays[i] < self.least {
+                    reached[i] = true;
+                    queue.push(i);
                 }
             }
         }

@@ -35,8 +35,10 @@ const NEAR: f64 = 0.15;
 const MARGIN: f64 = 0.06;
 /// An object may reach beyond its points by this share of their largest side, where no ray passes.
 const BEYOND: f64 = 0.6;
+/// Side of the cells in which that is asked, in distances of the cameras.
+const FREE_CELL: f64 = 0.014;
 /// It is taken to reach this far, as a share of the same, where rays do not tell.
-const UNTOLD: f64 = 0.25;
+const UNKNOWN_REACH: f64 = 0.25;
 /// Share of a group's points on each side of each axis that is not trusted to be the object's.
 const TRIMMED: f64 = 0.003;
 /// Share of the best group's weight from which another one is a doubt.
@@ -125,7 +127,7 @@ pub fn find_objects(
         .groups(&standing)
         .into_iter()
         .filter(|g| g.len() >= LEAST.0.max((LEAST.1 * standing.len() as f64).ceil() as usize))
-        .map(|points| group(scene, points, table_from_scan))
+        .map(|points| group(scene, points, &standing, table_from_scan))
         .collect();
     groups.sort_by(|a, b| b.weight.total_cmp(&a.weight));
     if groups.is_empty() {
@@ -136,7 +138,7 @@ pub fn find_objects(
     }
     if masked {
         let points: Vec<usize> = groups.iter().flat_map(|g| &g.points).copied().collect();
-        let object = group(scene, points, table_from_scan);
+        let object = group(scene, points, &[], table_from_scan);
         return Ok(Found { object, others: Vec::new(), choice: Choice::Masked, doubt: None });
     }
     let picked = click.map(|c| pick(scene, &groups, c)).transpose()?;
@@ -287,12 +289,13 @@ impl<'a> Plan<'a> {
     }
 }
 
-fn group(scene: &Scene, points: Vec<usize>, table_from_scan: &Similarity) -> ObjectGroup {
+/// A group and its box; `standing` are the points of all groups.
+fn group(scene: &Scene, points: Vec<usize>, standing: &[usize], table_from_scan: &Similarity) -> ObjectGroup {
     let places: Vec<Point3<f64>> = points.iter().map(|&i| table_from_scan.point(&scene.points()[i].position)).collect();
     let end = |k: usize, share: f64| quantile(places.iter().map(|p| p[k]), share).unwrap_or(0.0);
     let lo = Point3::from([0, 1, 2].map(|k| end(k, TRIMMED)));
     let hi = Point3::from([0, 1, 2].map(|k| end(k, 1.0 - TRIMMED)));
-    let (lo, hi) = reach(scene, &places, lo, hi, table_from_scan);
+    let (lo, hi) = reach(scene, [&places, &others], lo, hi, table_from_scan);
     let margin = (MARGIN * (hi - lo).max()).max(CELL * scene.camera_distance() * table_from_scan.scale);
     let (mut lo, hi) = (lo.map(|c| c - margin), hi.map(|c| c + margin));
     lo.z = 0.0;
@@ -302,29 +305,30 @@ fn group(scene: &Scene, points: Vec<usize>, table_from_scan: &Similarity) -> Obj
     ObjectGroup { points, lo, hi, weight }
 }
 
-/// The box of points, extended to what no ray of sight passes through.
+/// The box of points, extended to what no ray of sight passes through and where none of the others is.
 fn reach(
     scene: &Scene,
-    places: &[Point3<f64>],
+    [places, others]: [&[Point3<f64>]; 2],
     lo: Point3<f64>,
     hi: Point3<f64>,
     table_from_scan: &Similarity,
 ) -> (Point3<f64>, Point3<f64>) {
     let size = (hi - lo).max();
     let lo = Point3::new(lo.x, lo.y, 0.0);
-    let side = (CELL * scene.camera_distance() * table_from_scan.scale).max(size / 60.0);
+    let side = (FREE_CELL * scene.camera_distance() * table_from_scan.scale).max(size / 60.0);
     let beyond = Vector3::repeat(BEYOND * size);
     // Nothing reaches below the table, and the cells next to it are grazed by too few rays.
     let (mut from, to) = (lo - beyond, hi + beyond);
     from.z = 0.5 * side;
-    let free = FreeSpace::new(scene, table_from_scan, from, to, side);
+    let mut free = FreeSpace::new(scene, table_from_scan, from, to, side);
+    free.block(others.iter().copied());
     let Some((least, most, ends)) = free.around(places) else { return (lo, hi) };
     let (mut out_lo, mut out_hi) = (lo, hi);
     for k in 0..2 {
-        out_lo[k] = if ends[k] { lo[k] - UNTOLD * size } else { lo[k].min(least[k]) };
+        out_lo[k] = if ends[k] { lo[k] - UNKNOWN_REACH * size } else { lo[k].min(least[k]) };
     }
     for k in 0..3 {
-        out_hi[k] = if ends[k + 3] { hi[k] + UNTOLD * size } else { hi[k].max(most[k]) };
+        out_hi[k] = if ends[k + 3] { hi[k] + UNKNOWN_REACH * size } else { hi[k].max(most[k]) };
     }
     (out_lo, out_hi)
 }
