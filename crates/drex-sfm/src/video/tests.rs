@@ -1,9 +1,10 @@
 //! A camera over a painted plane: it walks, rests, jerks and goes round.
 
 use super::choose::{Measured, Rules, choose, moved, quality, shrunk};
-use super::measure;
 use super::track::Tracker;
+use super::{Broken, by_number, measure, rate_of, read_frames};
 use crate::photos::Grey;
+use drex_core::capture::PhotoFile;
 
 const SIZE: [usize; 2] = [320, 180];
 
@@ -175,4 +176,42 @@ fn odd_frames_do_no_harm() {
     let _ = choose(&flat, &rules([0, 0]), 1.0);
     let mean = shrunk(&Grey { width: 4, height: 2, pixels: vec![0, 10, 100, 200, 20, 30, 100, 0] }, 2);
     assert_eq!((mean.width, mean.height, mean.pixels), (2, 1, vec![15, 100]));
+}
+
+#[test]
+fn what_ffmpeg_prints_is_read_or_refused() {
+    let mut film = b"YUV4MPEG2 W32 H24 F25:1 Ip A1:1 Cmono XCOLORRANGE=FULL\n".to_vec();
+    for i in 0..3u8 {
+        film.extend_from_slice(b"FRAME\n");
+        film.extend((0..32 * 24).map(|k| (k as u8).wrapping_mul(i)));
+    }
+    assert_eq!(read_frames(&mut film.as_slice()).unwrap().len(), 3);
+    for end in 0..film.len() {
+        if let Ok(frames) = read_frames(&mut &film[..end]) {
+            assert!(frames.len() <= 2, "{end}");
+        }
+    }
+    let no_video = |text: &str| assert_eq!(read_frames(&mut text.as_bytes()), Err(Broken::NoVideo), "{text}");
+    no_video("hello\n");
+    no_video(&"x".repeat(1 << 20));
+    no_video("YUV4MPEG2 W0 H24 Cmono\nFRAME\n");
+    no_video("YUV4MPEG2 W99999999999999999999 H24 Cmono\nFRAME\n");
+    no_video("YUV4MPEG2 W4097 H4096 Cmono\nFRAME\n");
+    no_video("YUV4MPEG2 W2 H2 C420\nFRAME\n....");
+    no_video("YUV4MPEG2 W2 H2 Cmono\nframe\n....");
+    assert_eq!(read_frames(&mut &b""[..]), Ok(Vec::new()));
+
+    let stream =
+        "  Stream #0:0(und): Video: h264 (High), yuv420p, 640x480 [SAR 1:1], 1132 kb/s, 29.97 fps, 30 tbr, 12288 tbn";
+    assert_eq!(rate_of(stream), Some(29.97));
+    assert_eq!(rate_of("frame=  240 fps= 14 q=-0.0"), None);
+    assert_eq!(rate_of("Stream #0:0: Video: h264, 0 fps, x"), None);
+}
+
+#[test]
+fn names_go_by_their_numbers() {
+    let names = ["f10.jpg", "f9.jpg", "f009b.jpg", "e11.jpg", "f123456789012345678901.jpg", "", "f2.jpg", "7"];
+    let photos: Vec<PhotoFile> = names.map(|n| PhotoFile { name: n.into(), path: n.into() }).into();
+    let order: Vec<&str> = by_number(&photos).into_iter().map(|i| names[i]).collect();
+    assert_eq!(order, ["", "7", "e11.jpg", "f2.jpg", "f9.jpg", "f009b.jpg", "f10.jpg", "f123456789012345678901.jpg"]);
 }
