@@ -83,7 +83,7 @@ const LEAST: usize = 5;
 /// Frames per second where nobody says how many.
 const USUAL_RATE: f64 = 25.0;
 /// More frames than anybody walks round an object for; each takes some kilobytes.
-const MOST_DECODED: usize = 200_000;
+const MOST_DECODED: usize = 100_000;
 /// Where the median point rests, the object may turn before a background that does not: then this one is asked.
 const MOVING_SHARE: f64 = 0.85;
 /// ffmpeg has ended and its last frame is being looked at.
