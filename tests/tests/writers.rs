@@ -77,6 +77,7 @@ const WRITERS: &[(&str, Why)] = &[
     ("crates/drex-report/src/picture/clip.rs", Caller),
     ("crates/drex-report/src/report.rs", Checked),
     ("crates/drex-sfm/src/programs.rs", Checked),
+    ("crates/drex-sfm/src/video.rs", Constant),
     ("crates/drex-splat/src/io/exr.rs", Caller),
     ("crates/drex-splat/src/io/picture.rs", Caller),
     ("crates/drex-splat/src/io/ply.rs", Caller),

@@ -32,6 +32,7 @@ mod subpixel;
 mod triplets;
 mod verdict;
 mod verify;
+pub mod video;
 
 pub use calibration::read_calibration;
 pub use cameras::FocalSource;

@@ -1,14 +1,13 @@
-//! Other programs: COLMAP for the cameras of photos, ffmpeg for the frames of a video.
+//! COLMAP, another program, for the cameras of photos; and how such programs are run.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use drex_core::camera::CameraModel;
-use drex_core::capture::{Capture, CaptureOptions, PhotoFile, photo_size, photos_in, photos_under};
-use drex_core::fsutil::{argument, output_path, temporary_path, write_atomic};
+use drex_core::capture::{Capture, CaptureOptions, PhotoFile, photo_size, photos_in};
+use drex_core::fsutil::{argument, output_path, write_atomic};
 use drex_core::program::{self, Outcome};
 use drex_core::{Error, Result};
 
@@ -39,7 +38,7 @@ pub struct ColmapOptions {
 }
 
 /// Time for a step of COLMAP or for a video, where nobody says otherwise.
-const TIME_LIMIT: Duration = Duration::from_secs(12 * 3600);
+pub(crate) const TIME_LIMIT: Duration = Duration::from_secs(12 * 3600);
 
 impl Default for ColmapOptions {
     fn default() -> Self {
@@ -55,26 +54,6 @@ impl Default for ColmapOptions {
             least_registered: 0.6,
             time_limit: TIME_LIMIT,
         }
-    }
-}
-
-/// How frames are taken from a video.
-#[derive(Debug, Clone, PartialEq)]
-#[non_exhaustive]
-pub struct VideoOptions {
-    /// The program, a name on the path or a file.
-    pub program: PathBuf,
-    /// Frames per second that are kept.
-    pub frames_per_s: f64,
-    /// Longest side, pixels; larger frames are scaled down.
-    pub max_side: usize,
-    /// It is stopped after this time.
-    pub time_limit: Duration,
-}
-
-impl Default for VideoOptions {
-    fn default() -> Self {
-        Self { program: "ffmpeg".into(), frames_per_s: 2.0, max_side: 1920, time_limit: TIME_LIMIT }
     }
 }
 
@@ -148,74 +127,12 @@ pub fn find_cameras(
     Ok(result)
 }
 
-fn clear(folder: &Path) -> Result<()> {
+/// Removes a folder that may not be there.
+pub(crate) fn clear(folder: &Path) -> Result<()> {
     match std::fs::remove_dir_all(folder) {
         Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io("remove", folder, e)),
         _ => Ok(()),
     }
-}
-
-/// The frames of a video as `images/frame_00001.jpg`… in `folder`; returns how many.
-///
-/// # Errors
-/// If ffmpeg is not installed, fails or takes too long, or there are frames in the folder already.
-pub fn extract_frames(
-    video: &Path,
-    folder: &Path,
-    options: &VideoOptions,
-    progress: &mut dyn FnMut(&str),
-) -> Result<usize> {
-    if !video.is_file() {
-        return refuse(format!("{} is no file", video.display()), "give a video");
-    }
-    if !(options.frames_per_s.is_finite() && options.frames_per_s > 0.0) {
-        return refuse(format!("{} frames per second", options.frames_per_s), "give a positive number");
-    }
-    let images = output_path(folder, "images")?;
-    let there = std::fs::read_dir(&images).into_iter().flatten().filter_map(|e| Some(e.ok()?.file_name()));
-    if let Some(name) = there.min() {
-        return refuse(
-            format!("{} has {} already", images.display(), name.display()),
-            "give an empty folder, so that no frames of two videos are mixed",
-        );
-    }
-    // Half of a video's frames would look like a whole scan to the next run: they get their name when all are there.
-    let part = temporary_path(&images);
-    std::fs::create_dir_all(&part).map_err(|e| Error::io("create", &part, e))?;
-    let side = options.max_side;
-    let filter = format!(
-        "fps={},scale='min({side},iw)':'min({side},ih)':force_original_aspect_ratio=decrease",
-        options.frames_per_s
-    );
-    let mut command = Command::new(&options.program);
-    // With its protocol named, no part of the video's name is taken for one.
-    let mut input = OsString::from("file:");
-    input.push(argument(video));
-    command.args(["-nostdin", "-hide_banner", "-y", "-i"]).arg(input);
-    command.args(["-vf", &filter, "-qscale:v", "2"]).arg(frame_pattern(&part));
-    let install = "install ffmpeg (Debian, Ubuntu: apt install ffmpeg; macOS: brew install ffmpeg) or take photos";
-    let ran = run(command, "ffmpeg", install, options.time_limit, progress);
-    let frames = photos_under(&part).len();
-    if ran.is_err() || frames == 0 {
-        clear(&part)?;
-    }
-    ran?;
-    if frames == 0 {
-        return refuse(
-            format!("ffmpeg found no frames in {}", video.display()),
-            "give another video, or more frames per second",
-        );
-    }
-    // An empty one may be there; not every system replaces it.
-    let _ = std::fs::remove_dir(&images);
-    std::fs::rename(&part, &images).map_err(|e| Error::io("move", &part, e))?;
-    Ok(frames)
-}
-
-/// What ffmpeg makes names of frames in `folder` from; a `%` in the folder's own name is doubled.
-fn frame_pattern(folder: &Path) -> PathBuf {
-    let folder = argument(folder);
-    folder.to_str().map_or_else(|| folder.clone(), |name| name.replace('%', "%%").into()).join("frame_%05d.jpg")
 }
 
 const INSTALL: &str = "install COLMAP (Debian, Ubuntu: apt install colmap; macOS: brew install colmap; \
@@ -277,7 +194,7 @@ impl Step {
         let start = || {
             let mut command = Command::new(&options.program);
             // Its library for windows must not look for a screen.
-            command.env("QT_QPA_PLATFORM", "offscreen").arg(step);
+            command.env("QT_QPA_PLATFORM", "offscreen").arg(step).stdout(Stdio::piped());
             command
         };
         let name = format!("COLMAP's {step}");
@@ -317,11 +234,17 @@ fn groups(photos: &[PhotoFile]) -> Result<Vec<Vec<&str>>> {
     Ok(groups.into_values().collect())
 }
 
-/// Runs a program to its end; each line it prints goes to `progress`.
-fn run(mut command: Command, name: &str, install: &str, limit: Duration, progress: &mut dyn FnMut(&str)) -> Result<()> {
+/// Runs a program to its end; each line of its errors, and of its output if that is piped, goes to `progress`.
+pub(crate) fn run(
+    mut command: Command,
+    name: &str,
+    install: &str,
+    limit: Duration,
+    progress: &mut dyn FnMut(&str),
+) -> Result<()> {
     const LAST_LINES: usize = 12;
     let program = command.get_program().to_owned();
-    command.stdout(Stdio::piped()).stderr(Stdio::piped());
+    command.stderr(Stdio::piped());
     let mut last = VecDeque::new();
     let outcome = program::run(command, None, limit, &mut |line| {
         progress(line);
@@ -353,6 +276,6 @@ fn run(mut command: Command, name: &str, install: &str, limit: Duration, progres
 }
 
 /// Shorthand for an error about a capture.
-fn refuse<T>(what: impl Into<String>, remedy: impl Into<String>) -> Result<T> {
+pub(crate) fn refuse<T>(what: impl Into<String>, remedy: impl Into<String>) -> Result<T> {
     Err(Error::capture(what, remedy))
 }

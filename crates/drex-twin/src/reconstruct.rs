@@ -5,8 +5,10 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use drex_core::capture::{Capture, CaptureOptions, CaptureReport, photos_in};
+use drex_core::fsutil::output_path;
 use drex_sfm::marker::Marker;
-use drex_sfm::programs::{ColmapOptions, VideoOptions, extract_frames, find_cameras};
+use drex_sfm::programs::{ColmapOptions, find_cameras};
+use drex_sfm::video::{VideoOptions, choose_frames};
 use drex_sfm::{
     FolderOptions, FolderRegistration, FolderReport, MarkerReport, PhotoFolder, Step, StoredReport, Verdict,
     measure_marker, register_folder,
@@ -129,10 +131,10 @@ pub fn is_video(input: &Path) -> bool {
     input.is_file() && !input.extension().is_some_and(picture)
 }
 
-/// The frames of a video as photos in `folder/images`; those that are there already are kept.
+/// Sharp frames of a video that show something new, as photos in `folder/images`; those that are there already are kept.
 ///
 /// # Errors
-/// If ffmpeg is not installed, fails or takes longer than `limit`, or the video has no frames.
+/// If ffmpeg is not installed, fails or takes longer than `limit`, or the video has too few frames or too little motion.
 pub fn take_frames(video: &Path, folder: &Path, ffmpeg: &Path, limit: Duration, progress: &dyn Progress) -> Result<()> {
     let images = folder.join("images");
     if images.exists() {
@@ -147,11 +149,18 @@ pub fn take_frames(video: &Path, folder: &Path, ffmpeg: &Path, limit: Duration, 
     let mut options = VideoOptions::default();
     (options.program, options.time_limit) = (ffmpeg.into(), limit);
     let made: Vec<&Path> = folder.ancestors().take_while(|f| !f.exists()).collect();
-    let frames = extract_frames(video, folder, &options, &mut |line| progress.at(0, line)).inspect_err(|_| {
+    let to = output_path(folder, "images")?;
+    let frames = choose_frames(video, &to, &options, &mut |line| progress.at(0, line)).inspect_err(|_| {
         // Only empty folders go; one that stays is no error.
         made.iter().for_each(|f| drop(std::fs::remove_dir(f)));
     })?;
-    progress.note(&format!("{frames} frames of {}", video.display()));
+    progress.note(&format!(
+        "{} of the {} frames of {}; {} are too blurred",
+        frames.indices.len(),
+        frames.decoded,
+        video.display(),
+        frames.blurred
+    ));
     progress.end();
     Ok(())
 }

@@ -13,3 +13,4 @@ mod marker_photos;
 mod programs;
 mod register;
 mod tag_renderer;
+mod video;

@@ -1,4 +1,4 @@
-//! COLMAP and ffmpeg, played by small shell scripts.
+//! COLMAP, played by small shell scripts.
 #![cfg(unix)]
 
 use std::os::unix::fs::PermissionsExt;
@@ -8,15 +8,15 @@ use std::sync::{Mutex, MutexGuard};
 use crate::capture_support::{Model, grey, lens, ring};
 use drex_core::camera::CameraModel;
 use drex_core::capture::{Capture, CaptureOptions};
-use drex_sfm::programs::{ColmapOptions, VideoOptions, extract_frames, find_cameras};
+use drex_sfm::programs::{ColmapOptions, find_cameras};
 
 /// A script that one test writes while another starts a program may be held open by the latter: one test at a time.
-fn alone() -> MutexGuard<'static, ()> {
+pub(crate) fn alone() -> MutexGuard<'static, ()> {
     static TURN: Mutex<()> = Mutex::new(());
     TURN.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }
 
-fn script(folder: &Path, name: &str, text: &str) -> PathBuf {
+pub(crate) fn script(folder: &Path, name: &str, text: &str) -> PathBuf {
     let path = folder.join(name);
     std::fs::write(&path, format!("#!/bin/sh\n{text}")).unwrap();
     std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
@@ -142,38 +142,4 @@ fn a_colmap_that_is_missing_or_fails_is_named() {
     assert!(run(nothing.path(), &options).0.unwrap_err().contains("has no photos"));
     grey(&nothing.path().join("one.jpg"), 8, 8);
     assert!(run(nothing.path(), &options).0.unwrap_err().contains("has only 1 photo"));
-}
-
-#[test]
-fn frames_of_a_video() {
-    let _turn = alone();
-    let guard = tempfile::tempdir().unwrap();
-    let (folder, video) = (guard.path().join("scan"), guard.path().join("push.mp4"));
-    std::fs::write(&video, b"film").unwrap();
-    grey(&guard.path().join("frame.jpg"), 16, 12);
-    let text = format!(
-        "for last; do :; done; dir=$(dirname \"$last\")\necho \"$@\" > '{0}/calls'\n\
-         for i in 1 2 3; do cp '{0}/frame.jpg' \"$dir/frame_0000$i.jpg\"; done\n",
-        guard.path().display()
-    );
-    let mut options = VideoOptions::default();
-    options.program = script(guard.path(), "ffmpeg", &text);
-    options.frames_per_s = 1.5;
-    let extract = |options: &VideoOptions| extract_frames(&video, &folder, options, &mut |_| ());
-    assert_eq!(extract(&options).unwrap(), 3);
-    let call = std::fs::read_to_string(guard.path().join("calls")).unwrap();
-    assert!(call.contains("fps=1.5") && call.contains("push.mp4"), "{call}");
-    assert!(extract(&options).unwrap_err().to_string().contains("has frame_00001.jpg already"));
-    std::fs::remove_dir_all(&folder).unwrap();
-    // A film that breaks off leaves no half of its frames behind.
-    options.program = script(guard.path(), "ffmpeg-fails", &format!("{text}exit 1\n"));
-    assert!(extract(&options).is_err());
-    assert!(!folder.join("images").exists());
-    options.program = "/nowhere/ffmpeg".into();
-    assert!(extract(&options).unwrap_err().to_string().contains("apt install ffmpeg"));
-    assert!(!folder.join("images").exists());
-    options.frames_per_s = 0.0;
-    assert!(extract(&options).unwrap_err().to_string().contains("0 frames per second"));
-    let missing = extract_frames(Path::new("/nowhere/film.mp4"), &folder, &options, &mut |_| ());
-    assert!(missing.unwrap_err().to_string().contains("/nowhere/film.mp4 is no file"));
 }
