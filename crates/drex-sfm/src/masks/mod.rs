@@ -17,6 +17,7 @@
 //!
 //! The same input gives the same bytes with any number of threads.
 
+mod backdrop;
 mod colour;
 mod cut;
 mod hull;
@@ -33,6 +34,7 @@ use drex_core::camera::Camera;
 use nalgebra::Point3;
 use rayon::prelude::*;
 
+use self::backdrop::Backdrop;
 use self::colour::Histogram;
 use self::cut::{Cut, Pixel, signed_distance};
 use self::hull::Grid;
@@ -298,6 +300,10 @@ struct Work {
     views: Vec<View>,
     table: Table,
     tones: Vec<Tone>,
+    /// Places of the background away from the plane.
+    behind: Vec<Point3<f64>>,
+    /// Per view, what stands behind, and its noise.
+    backdrops: Vec<(Backdrop, [f32; 3])>,
     grid: Grid,
     /// Voxels with points of the object.
     full_seeds: Vec<(usize, f32)>,
@@ -335,9 +341,12 @@ impl Work {
         let full_seeds =
             seeds.iter().filter(|s| s.object).filter_map(|s| Some((grid.index(&s.position)?, 2.0))).collect();
         let seen = points::seen(&seeds, input.points, &views);
+        let behind = points::behind(input.points, world_from_region, &bounds);
         Self {
             table,
             tones,
+            behind,
+            backdrops: Vec::new(),
             grid,
             full_seeds,
             seen,
@@ -355,6 +364,17 @@ impl Work {
             self.table.paint(&self.views, &self.tones, Some(&self.masks));
             self.tones = self.views.par_iter().map(|view| self.table.tone(view)).collect();
         }
+        let masks = (!self.masks.is_empty()).then_some(self.masks.as_slice());
+        self.backdrops = (0..self.views.len())
+            .into_par_iter()
+            .map(|k| {
+                let view = &self.views[k];
+                let wanted = |at: usize| !self.table.is_settled(view.floor[at]);
+                let backdrop = Backdrop::new(&self.views, k, &self.tones, &self.behind, &wanted, masks);
+                let noise = backdrop.noise(view);
+                (backdrop, noise)
+            })
+            .collect();
         let backgrounds: Vec<Histogram> = (0..self.views.len()).into_par_iter().map(|k| self.background(k)).collect();
         self.object = self.object_colours(&backgrounds);
         let evidence: Vec<Vec<f32>> =
@@ -372,6 +392,28 @@ impl Work {
         let cuts: Vec<(Vec<f32>, Vec<bool>)> =
             (0..self.views.len()).into_par_iter().map(|k| self.cut(k, &evidence[k])).collect();
         (self.evidence, self.masks) = cuts.into_iter().unzip();
+        if let Ok(n) = std::env::var("DBG") {
+            let k = self.views.iter().position(|v| v.photo == n.parse::<usize>().unwrap_or(0)).unwrap_or(0);
+            let v = &self.views[k];
+            let w = v.window;
+            let mut out = Vec::new();
+            for y in 0..w.height() {
+                for part in 0..5 {
+                    for x in 0..w.width() {
+                        let at = y * w.width() + x;
+                        out.extend(match part {
+                            0 => v.colour(at),
+                            1 => self.backdrops[k].0.rgb(at),
+                            2 => [likely[k][at]; 3],
+                            3 => [if self.silhouettes[k][at] { 255 } else { 0 }; 3],
+                            _ => [if self.masks[k][at] { 255 } else { 0 }; 3],
+                        });
+                    }
+                }
+            }
+            let _ = image::save_buffer(format!("/tmp/masks_dev/dbg{round}.png"), &out, 5 * w.width() as u32, w.height() as u32, image::ColorType::Rgb8);
+            eprintln!("{} noise {:?} tone {:?} points {}", k, self.backdrops[k].1, self.tones[k], self.behind.len());
+        }
     }
 
     /// Colours of the background in a view: around the box, and in it where the mask says so.
@@ -416,8 +458,8 @@ impl Work {
                     return all;
                 }
                 for at in (0..view.inside.len()).filter(|at| view.inside[*at]) {
-                    let table = self.table.density(view, &self.tones[k], at).unwrap_or(0.0);
-                    all.add(view.colour(at), 1.0 / (1.0 + 0.2 * table));
+                    let expected = self.expected(k, at).unwrap_or(0.0);
+                    all.add(view.colour(at), 1.0 / (1.0 + 0.2 * expected));
                 }
                 let mut all = all.smoothed(1).without(&backgrounds[k], BACKGROUND);
                 for (at, _) in self.seen[k].iter().filter(|(_, object)| *object) {
@@ -431,10 +473,19 @@ impl Work {
         sum.smoothed(1)
     }
 
+    /// Density of the colour of a pixel if it shows the plane or what stands behind, where either is known.
+    fn expected(&self, k: usize, at: usize) -> Option<f32> {
+        let view = &self.views[k];
+        self.table.density(view, &self.tones[k], at).or_else(|| {
+            let (backdrop, noise) = &self.backdrops[k];
+            backdrop.density(view.colour(at), noise, at)
+        })
+    }
+
     /// Log-likelihood ratio of each pixel of a view by its colour, nats.
     fn colour_evidence(&self, k: usize, background: &Histogram) -> Vec<f32> {
-        /// How sure the picture of the plane is where it is known.
-        const TABLE: f32 = 0.85;
+        #[allow(non_snake_case)]
+        let TABLE: f32 = tune("TABLE", 0.85);
         #[allow(non_snake_case)]
         let MOST: f32 = tune("MOST", 4.0);
         let view = &self.views[k];
@@ -445,10 +496,11 @@ impl Work {
                 }
                 let colour = view.colour(at);
                 let mut other = background.density(colour);
-                if let Some(table) = self.table.density(view, &self.tones[k], at) {
-                    other = TABLE * table + (1.0 - TABLE) * other;
+                let object = (1.0 - tune("ANY", 0.1) - tune("LIKE", 0.2)) * self.object.density(colour) + tune("ANY", 0.1) + tune("LIKE", 0.2) * other;
+                if let Some(expected) = self.expected(k, at) {
+                    other = TABLE * expected + (1.0 - TABLE) * other;
                 }
-                (self.object.density(colour) / other).ln().clamp(-MOST, MOST)
+                (object / other).ln().clamp(-MOST, MOST)
             })
             .collect()
     }

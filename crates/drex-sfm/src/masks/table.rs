@@ -19,7 +19,7 @@ const NARROWEST_PX: f64 = 0.25;
 /// Share of the photos that must agree on the colour of a place: the object may hide it from the others.
 const AGREE: f64 = 0.4;
 /// The noise of a channel is at least this, levels of 255.
-const LEAST_NOISE: f32 = 3.0;
+pub(super) const LEAST_NOISE: f32 = 3.0;
 
 /// A place of the plane.
 #[derive(Debug, Clone, Copy, Default)]
@@ -136,6 +136,11 @@ impl Table {
         self.place(p).is_some_and(|(level, index)| self.levels[level].cells[index].known)
     }
 
+    /// Whether the colour of the plane is known at a point, or the point may be under the object: nothing to look for behind.
+    pub fn is_settled(&self, p: [f32; 2]) -> bool {
+        self.is_known(p) || covers(&self.footprint, &Point3::new(f64::from(p[0]), f64::from(p[1]), 0.0))
+    }
+
     /// Finds places within the footprint that are the plane and not under the object, before there are masks.
     ///
     /// A place of the plane looks the same in most photos, as steadily as the plane beside the box, and no point above it
@@ -159,7 +164,7 @@ impl Table {
                 samples
                     .iter_mut()
                     .map(|all| {
-                        let (from, to) = densest(all);
+                        let (from, to) = densest(all, 0.5);
                         all[to] - all[from]
                     })
                     .sum::<f32>()
@@ -191,7 +196,7 @@ impl Table {
                 })
             })
             .collect();
-        self.levels[0].bare = bare;
+        self.levels[0].bare = majority(&bare, |index| covers(&footprint, &level.centre(index)));
     }
 
     /// Puts the picture together: per cell the colour that most photos that see it agree on, `masks` telling where the object hides it.
@@ -243,7 +248,7 @@ impl Table {
                         let mut agree = true;
                         let colour = std::array::from_fn(|c| {
                             let all = &mut samples[c];
-                            let (from, to) = densest(all);
+                            let (from, to) = densest(all, AGREE);
                             let mean = all[from..=to].iter().sum::<f32>() / (to + 1 - from) as f32;
                             let near = all.iter().filter(|v| (**v - mean).abs() <= 10.0 + mean / 8.0).count();
                             agree &= near as f64 >= AGREE * seen as f64;
@@ -306,29 +311,49 @@ impl Table {
         let seen = view.colour(at);
         let sigma: [f32; 3] =
             std::array::from_fn(|c| (tone.noise[c].powi(2) + (0.25 * f32::from(cell.spread[c])).powi(2)).sqrt());
-        let mut sum = 0.0;
-        for row in [index - SIDE, index, index + SIDE] {
-            for other in &cells[row - 1..=row + 1] {
-                let other = if other.known { other } else { &cell };
-                let q: f32 = (0..3)
-                    .map(|c| ((f32::from(seen[c]) - tone.gain[c] * f32::from(other.colour[c])) / sigma[c]).powi(2))
-                    .sum();
-                // Student's t of four degrees in three dimensions.
-                let base = 1.0 / (1.0 + 0.25 * q);
-                sum += base * base * base * base.sqrt();
-            }
-        }
-        Some(0.0746 * 256f32.powi(3) / (sigma[0] * sigma[1] * sigma[2]) * sum / 9.0)
+        let around = [index - SIDE, index, index + SIDE].into_iter().flat_map(|row| &cells[row - 1..=row + 1]);
+        let expected = around.filter(|c| c.known).map(|other| {
+            std::array::from_fn(|c| tone.gain[c] * f32::from(other.colour[c]))
+        });
+        Some(fit_density(seen, expected, &sigma))
     }
 }
 
-/// Sorts and gives the ends of the narrowest run that holds the share [`AGREE`] of the values. Not for empty slices.
-fn densest(all: &mut [f32]) -> (usize, usize) {
+/// Density of a colour if one of the `expected` ones is right, with spread `sigma`, relative to the density if all colours
+/// were alike: Student's t of four degrees in three dimensions.
+pub(super) fn fit_density(seen: [u8; 3], expected: impl Iterator<Item = [f32; 3]>, sigma: &[f32; 3]) -> f32 {
+    let (mut sum, mut count) = (0.0, 0.0f32);
+    for other in expected {
+        let q: f32 = (0..3).map(|c| ((f32::from(seen[c]) - other[c]) / sigma[c]).powi(2)).sum();
+        let base = 1.0 / (1.0 + 0.25 * q);
+        sum += base * base * base * base.sqrt();
+        count += 1.0;
+    }
+    0.0746 * 256f32.powi(3) / (sigma[0] * sigma[1] * sigma[2]) * sum / count.max(1.0)
+}
+
+/// Sorts and gives the ends of the narrowest run that holds `share` of the values. Not for empty slices.
+pub(super) fn densest(all: &mut [f32], share: f64) -> (usize, usize) {
     all.sort_unstable_by(f32::total_cmp);
-    let run = ((all.len() as f64 * AGREE).ceil() as usize).clamp(1, all.len());
+    let run = ((all.len() as f64 * share).ceil() as usize).clamp(1, all.len());
     let width = |from: usize| all[from + run - 1] - all[from];
     let from = (0..=all.len() - run).min_by(|a, b| width(*a).total_cmp(&width(*b))).unwrap_or(0);
     (from, from + run - 1)
+}
+
+/// What most of the 5 x 5 cells around each cell say; only cells `inside` count and are kept.
+fn majority(cells: &[bool], inside: impl Fn(usize) -> bool) -> Vec<bool> {
+    (0..cells.len())
+        .map(|index| {
+            let (x, y) = (index % SIDE, index / SIDE);
+            if x < 2 || y < 2 || x + 2 >= SIDE || y + 2 >= SIDE || !inside(index) {
+                return false;
+            }
+            let around = (y - 2..=y + 2).flat_map(|y| (x - 2..=x + 2).map(move |x| y * SIDE + x));
+            let (all, set) = around.filter(|k| inside(*k)).fold((0, 0), |(n, s), k| (n + 1, s + usize::from(cells[k])));
+            5 * set > 3 * all
+        })
+        .collect()
 }
 
 /// Whether a point of the plane lies below the box.
