@@ -6,7 +6,7 @@
 
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
-use super::table::{Masks, Tone, densest, fit_density};
+use super::table::{Masks, Tone, densest, fit_density, trust_of};
 use super::view::{View, Window};
 
 /// Knots of the lattice of depths are this many pixels apart.
@@ -115,9 +115,8 @@ impl Backdrop {
         Some(fit_density(colour, around.filter(|p| p.known).map(|p| p.colour.map(f32::from)), &sigma))
     }
 
-    /// Spread of the difference between a view and its backdrop, levels of 255, from the pixels beside the box.
-    pub fn noise(&self, view: &View) -> [f32; 3] {
-        const FALLBACK: f32 = 20.0;
+    /// How a view differs from its backdrop, from the pixels beside the box; the gain is in the backdrop.
+    pub fn tone(&self, view: &View) -> Tone {
         let mut off: [Vec<f32>; 3] = std::array::from_fn(|_| Vec::new());
         for (at, pixel) in self.pixels.iter().enumerate().filter(|(at, p)| p.known && !view.inside[*at]) {
             let colour = view.colour(at);
@@ -126,13 +125,18 @@ impl Backdrop {
                 off[c].push((away - 0.25 * f32::from(pixel.spread[c])).max(0.0));
             }
         }
-        off.map(|mut all| {
-            if all.len() < 50 {
-                return FALLBACK;
-            }
+        if off[0].len() < 50 {
+            return Tone::PLAIN;
+        }
+        let noise = off.map(|mut all| {
             let at = all.len() * 7 / 10;
             all.select_nth_unstable_by(at, f32::total_cmp).1.max(super::table::LEAST_NOISE)
-        })
+        });
+        let fits: Vec<f32> = (0..self.pixels.len())
+            .filter(|at| !view.inside[*at])
+            .filter_map(|at| self.density(view.colour(at), &noise, at))
+            .collect();
+        Tone { gain: [1.0; 3], noise, trust: trust_of(&fits) }
     }
 }
 

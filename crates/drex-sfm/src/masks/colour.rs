@@ -36,10 +36,6 @@ impl Histogram {
         self.total += other.total * f64::from(weight);
     }
 
-    pub fn total(&self) -> f64 {
-        self.total
-    }
-
     /// The share of `self` that `other` does not explain: bin by bin, what is left after `other`, brought to the same
     /// total and taken `times`, is removed.
     pub fn without(&self, other: &Self, times: f32) -> Self {
@@ -90,7 +86,7 @@ mod tests {
             h.add([i, 255 - i, 40], 1.0);
         }
         let h = h.smoothed(2);
-        assert!((h.total() - 200.0).abs() < 1e-3);
+        assert!((h.total - 200.0).abs() < 1e-3);
         let mean = (0..CELLS)
             .map(|c| {
                 let step = (256 / BINS) as u8;
@@ -110,6 +106,6 @@ mod tests {
         both.add([200, 10, 10], 40.0);
         background.add([10, 10, 10], 7.0);
         let rest = both.without(&background, 1.0);
-        assert!((rest.total() - 40.0).abs() < 1e-3);
+        assert!((rest.total - 40.0).abs() < 1e-3);
     }
 }

@@ -12,7 +12,6 @@ use super::view::{Bounds, View};
 
 /// Photos that vote; of more, every so many-th.
 const MOST_VIEWS: usize = 96;
-/// How often a pixel of a full voxel is taken for background, and a pixel at an empty voxel for background.
 /// The photos count as at most this many independent ones.
 /// Cost of a face between full and empty, nats.
 
@@ -63,7 +62,8 @@ impl Grid {
     /// 255; `seeds` are voxels that hold points of the object, with the weight of each, nats.
     pub fn vote(&mut self, views: &[View], likely: &[Vec<u8>], seeds: &[(usize, f32)]) {
         #[allow(non_snake_case)]
-        let (WRONG,EMPTY_SHOWS_BACKGROUND,INDEPENDENT)=(super::tune("WRONG",0.03),super::tune("EMPTY",0.1),super::tune("IND",16.0));
+        let (WRONG, EMPTY_SHOWS_BACKGROUND, INDEPENDENT) =
+            (super::tune("WRONG", 0.03), super::tune("EMPTY", 0.1), super::tune("IND", 16.0));
         let step = views.len().div_ceil(MOST_VIEWS).max(1);
         let gain: Vec<f32> = (0..256)
             .map(|p| {
@@ -103,7 +103,7 @@ impl Grid {
         for (index, score) in self.score.iter().enumerate() {
             graph.add_terminal(index, scale(*score), scale(-score));
         }
-        let face = scale(super::tune("FACE",1.0));
+        let face = scale(super::tune("FACE", 1.0));
         for z in 0..nz {
             for y in 0..ny {
                 for x in 0..nx {
@@ -174,7 +174,8 @@ fn without_pinholes(mask: &[bool], width: usize) -> Vec<bool> {
             .map(|at| {
                 let (x, y) = (at % width, at / width);
                 let rows = y.saturating_sub(1)..(y + 2).min(height);
-                let found = |y: usize| of[y * width + x.saturating_sub(1)..y * width + (x + 2).min(width)].contains(&value);
+                let found =
+                    |y: usize| of[y * width + x.saturating_sub(1)..y * width + (x + 2).min(width)].contains(&value);
                 if rows.into_iter().any(found) { value } else { !value }
             })
             .collect()

@@ -94,15 +94,14 @@ impl FlowGraph {
             }
         }
         while let Some(&node) = self.active.front() {
-            if self.nodes[node as usize].tree != Tree::Free {
-                if let Some(bridge) = self.grow(node) {
-                    self.time += 1;
-                    self.augment(bridge);
-                    while let Some(orphan) = self.orphans.pop_front() {
-                        self.adopt(orphan);
-                    }
-                    continue;
+            let lives = self.nodes[node as usize].tree != Tree::Free;
+            if let Some(bridge) = if lives { self.grow(node) } else { None } {
+                self.time += 1;
+                self.augment(bridge);
+                while let Some(orphan) = self.orphans.pop_front() {
+                    self.adopt(orphan);
                 }
+                continue;
             }
             self.active.pop_front();
             self.nodes[node as usize].queued = false;
@@ -238,13 +237,12 @@ impl FlowGraph {
         let mut arc = self.nodes[orphan as usize].first;
         while arc != NONE {
             let Arc { head, next, .. } = self.arcs[arc as usize];
-            if self.nodes[head as usize].tree == tree && self.open(tree, arc ^ 1) {
-                if let Some(depth) = self.depth_of(head) {
-                    if depth < best_depth {
-                        (best, best_depth) = (arc, depth);
-                    }
-                    self.stamp_branch(head, depth);
+            let usable = self.nodes[head as usize].tree == tree && self.open(tree, arc ^ 1);
+            if let Some(depth) = if usable { self.depth_of(head) } else { None } {
+                if depth < best_depth {
+                    (best, best_depth) = (arc, depth);
                 }
+                self.stamp_branch(head, depth);
             }
             arc = next;
         }

@@ -37,8 +37,10 @@ impl Scene {
     fn object(&self, o: &Vector3<f64>, d: &Vector3<f64>) -> Option<(f64, Vector3<f64>)> {
         let mut best: Option<(f64, Vector3<f64>)> = None;
         let from = Point3::from(*o);
-        let bounds =
-            Bounds { lower: Point3::new(-BOX_HALF.x, -BOX_HALF.y, 0.0), upper: Point3::new(BOX_HALF.x, BOX_HALF.y, 0.06) };
+        let bounds = Bounds {
+            lower: Point3::new(-BOX_HALF.x, -BOX_HALF.y, 0.0),
+            upper: Point3::new(BOX_HALF.x, BOX_HALF.y, 0.06),
+        };
         if let Some((t, _)) = bounds.span(&from, d).filter(|(t, _)| *t > 1e-6) {
             let p = o + d * t - Vector3::new(0.0, 0.0, BOX_HALF.z);
             let k = p.component_div(&BOX_HALF).iamax();
@@ -97,11 +99,8 @@ fn views(count: usize) -> Vec<MaskView> {
             let centre = Vector3::new(0.38 * angle.cos(), 0.38 * angle.sin(), height);
             let forward = (Vector3::new(0.0, 0.0, 0.05) - centre).normalize();
             let right = forward.cross(&Vector3::z()).normalize();
-            let rotation = Matrix3::from_rows(&[
-                right.transpose(),
-                forward.cross(&right).transpose(),
-                forward.transpose(),
-            ]);
+            let rotation =
+                Matrix3::from_rows(&[right.transpose(), forward.cross(&right).transpose(), forward.transpose()]);
             let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
             MaskView {
                 name: format!("photo {k}"),
@@ -269,11 +268,10 @@ fn little_or_odd_input_gives_masks_or_a_sentence() {
     }
     let small = |_: usize| Ok(Photo { width_px: 5, height_px: 4, rgb: vec![0; 60] });
     let missing = |_: usize| Err("no such file".to_string());
-    let loads: [(&(dyn Fn(usize) -> std::result::Result<Photo, String> + Sync), &str); 2] =
-        [(&small, "5 x 4"), (&missing, "photo 0 cannot be read: no such file")];
-    for (load, say) in loads {
+    let refused = |load: &(dyn Fn(usize) -> std::result::Result<Photo, String> + Sync)| {
         let input = MaskInput { views: &full.views[..1], points: &[], region: &region, load };
-        let error = make_masks(&input, &MaskOptions::default(), &mut |_, _| {}).unwrap_err().to_string();
-        assert!(error.contains(say), "{error}");
-    }
+        make_masks(&input, &MaskOptions::default(), &mut |_, _| {}).unwrap_err().to_string()
+    };
+    assert!(refused(&small).contains("5 x 4"));
+    assert!(refused(&missing).contains("photo 0 cannot be read: no such file"));
 }
