@@ -12,6 +12,9 @@ use super::view::{Bounds, View};
 
 /// Photos that vote; of more, every so many-th.
 const MOST_VIEWS: usize = 96;
+/// The photos count as at most this many independent ones.
+/// Cost of a face between full and empty, nats.
+
 /// A lattice of voxels that fills the box.
 #[derive(Debug, Clone)]
 pub(super) struct Grid {
@@ -155,12 +158,27 @@ impl Grid {
                         seen[row + x0 - window.x0..row + x1.max(x0) - window.x0].fill(true);
                     }
                 }
-                // The shell is closed: a big pixel may leave pinholes, nothing more.
-                for at in 0..seen.len() {
-                    seen[at] &= view.inside[at];
-                }
+                let mut seen = without_pinholes(&seen, window.width());
+                seen.iter_mut().zip(&view.inside).for_each(|(s, inside)| *s &= inside);
                 seen
             })
             .collect()
     }
+}
+
+/// Fills pixels between pixels: a dilation and an erosion by 3 x 3.
+fn without_pinholes(mask: &[bool], width: usize) -> Vec<bool> {
+    let height = mask.len() / width.max(1);
+    let around = |of: &[bool], value: bool| -> Vec<bool> {
+        (0..of.len())
+            .map(|at| {
+                let (x, y) = (at % width, at / width);
+                let rows = y.saturating_sub(1)..(y + 2).min(height);
+                let found =
+                    |y: usize| of[y * width + x.saturating_sub(1)..y * width + (x + 2).min(width)].contains(&value);
+                if rows.into_iter().any(found) { value } else { !value }
+            })
+            .collect()
+    };
+    around(&around(mask, true), false)
 }

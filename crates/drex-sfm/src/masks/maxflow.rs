@@ -94,9 +94,8 @@ impl FlowGraph {
             }
         }
         while let Some(&node) = self.active.front() {
-            if self.nodes[node as usize].tree != Tree::Free
-                && let Some(bridge) = self.grow(node)
-            {
+            let lives = self.nodes[node as usize].tree != Tree::Free;
+            if let Some(bridge) = if lives { self.grow(node) } else { None } {
                 self.time += 1;
                 self.augment(bridge);
                 while let Some(orphan) = self.orphans.pop_front() {
@@ -238,10 +237,8 @@ impl FlowGraph {
         let mut arc = self.nodes[orphan as usize].first;
         while arc != NONE {
             let Arc { head, next, .. } = self.arcs[arc as usize];
-            if self.nodes[head as usize].tree == tree
-                && self.open(tree, arc ^ 1)
-                && let Some(depth) = self.depth_of(head)
-            {
+            let usable = self.nodes[head as usize].tree == tree && self.open(tree, arc ^ 1);
+            if let Some(depth) = if usable { self.depth_of(head) } else { None } {
                 if depth < best_depth {
                     (best, best_depth) = (arc, depth);
                 }

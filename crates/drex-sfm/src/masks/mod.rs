@@ -10,19 +10,22 @@
 //! ```
 //! - A ray that misses the box shows background.
 //! - What lies on the plane, cast shadows included, looks the same from everywhere when it is put back onto the plane
-//!   (`table`); this tells the object from a table of the same colours.
-//! - Colours of object and background are learned from the masks so far (`colour`).
-//! - What one photo says is weak; all photos together say for each voxel whether it is full (`hull`), after Campbell,
+//!   ([`table`]); this tells the object from a table of the same colours.
+//! - Colours of object and background are learned from the masks so far ([`colour`]).
+//! - What one photo says is weak; all photos together say for each voxel whether it is full ([`hull`]), after Campbell,
 //!   Vogiatzis, Hernandez and Cipolla, "Automatic 3D object segmentation in multiple views using volumetric graph-cuts" (2010).
 //!
 //! The same input gives the same bytes with any number of threads.
 
+mod backdrop;
+mod bare;
 mod colour;
 mod cut;
 mod hull;
 mod maxflow;
 mod points;
 mod refine;
+mod rounds;
 mod table;
 #[cfg(test)]
 mod tests;
@@ -33,10 +36,7 @@ use drex_core::camera::Camera;
 use nalgebra::Point3;
 use rayon::prelude::*;
 
-use self::colour::Histogram;
-use self::cut::{Cut, Pixel, signed_distance};
-use self::hull::Grid;
-use self::table::{Table, Tone};
+use self::rounds::Work;
 use self::view::{Bounds, Eye, View, Window};
 
 /// A photo, RGB, row by row.
@@ -231,7 +231,7 @@ pub fn make_masks(
         state.round(round);
     }
     progress(0.8, "refine borders");
-    finish(input, &state)
+    refine::finish(input, &state)
 }
 
 /// The settled frame and the box on its plane.
@@ -291,242 +291,6 @@ fn read_views(
         })
         .collect();
     Ok(views?.into_iter().flatten().collect())
-}
-
-/// What is known so far.
-struct Work {
-    views: Vec<View>,
-    table: Table,
-    tones: Vec<Tone>,
-    grid: Grid,
-    /// Voxels with points of the object.
-    full_seeds: Vec<(usize, f32)>,
-    /// Per view: pixels at which points appear, and whether they are the object's.
-    seen: Vec<Vec<(usize, bool)>>,
-    object: Histogram,
-    /// Per view, per pixel of the window.
-    masks: Vec<Vec<bool>>,
-    silhouettes: Vec<Vec<bool>>,
-    /// Log-likelihood ratio, silhouette included, nats.
-    evidence: Vec<Vec<f32>>,
-}
-
-impl Work {
-    fn new(
-        input: &MaskInput<'_>,
-        views: Vec<View>,
-        world_from_region: &Pose,
-        bounds: Bounds,
-        options: &MaskOptions,
-    ) -> Self {
-        let mut table = Table::new(&views, &bounds);
-        let mut tones = vec![Tone::PLAIN; views.len()];
-        for _ in 0..2 {
-            table.paint(&views, &tones, None);
-            tones = views.par_iter().map(|view| table.tone(view)).collect();
-        }
-        table.find_bare(&views, &tones);
-        table.paint(&views, &tones, None);
-        if let Ok(n) = std::env::var("DUMP") {
-            table.dump(&n);
-        }
-        let grid = Grid::new(&bounds, options.voxels.clamp(1000, 4_000_000));
-        let seeds = points::seeds(input.points, world_from_region, &bounds);
-        let full_seeds =
-            seeds.iter().filter(|s| s.object).filter_map(|s| Some((grid.index(&s.position)?, 2.0))).collect();
-        let seen = points::seen(&seeds, input.points, &views);
-        Self {
-            table,
-            tones,
-            grid,
-            full_seeds,
-            seen,
-            object: Histogram::new(),
-            masks: Vec::new(),
-            silhouettes: Vec::new(),
-            evidence: Vec::new(),
-            views,
-        }
-    }
-
-    /// Colours, evidence, vote, cut.
-    fn round(&mut self, round: usize) {
-        if round > 0 {
-            self.table.paint(&self.views, &self.tones, Some(&self.masks));
-            self.tones = self.views.par_iter().map(|view| self.table.tone(view)).collect();
-        }
-        let backgrounds: Vec<Histogram> = (0..self.views.len()).into_par_iter().map(|k| self.background(k)).collect();
-        self.object = self.object_colours(&backgrounds);
-        let evidence: Vec<Vec<f32>> =
-            (0..self.views.len()).into_par_iter().map(|k| self.colour_evidence(k, &backgrounds[k])).collect();
-        let likely: Vec<Vec<u8>> = evidence
-            .iter()
-            .zip(&self.views)
-            .map(|(all, view)| {
-                let p = |nats: f32| (255.0 / (1.0 + (-nats).exp())).round() as u8;
-                all.iter().zip(&view.inside).map(|(nats, inside)| if *inside { p(*nats) } else { 0 }).collect()
-            })
-            .collect();
-        self.grid.vote(&self.views, &likely, &self.full_seeds);
-        self.silhouettes = self.grid.silhouettes(&self.views);
-        let cuts: Vec<(Vec<f32>, Vec<bool>)> =
-            (0..self.views.len()).into_par_iter().map(|k| self.cut(k, &evidence[k])).collect();
-        (self.evidence, self.masks) = cuts.into_iter().unzip();
-    }
-
-    /// Colours of the background in a view: around the box, and in it where the mask says so.
-    ///
-    /// Before there are masks, the cast shadow of the object is in the box and nowhere else: the table's colours are added
-    /// as they are in the shade.
-    fn background(&self, k: usize) -> Histogram {
-        const SHADE: [f32; 5] = [0.4, 0.5, 0.6, 0.7, 0.85];
-        #[allow(non_snake_case)]
-        let SHADE_WEIGHT: f32 = tune("SHADE", 0.08);
-        let view = &self.views[k];
-        let mut all = Histogram::new();
-        for at in 0..view.inside.len() {
-            let free = self.masks.get(k).is_some_and(|mask| !mask[at]);
-            if view.inside[at] && !free {
-                continue;
-            }
-            let colour = view.colour(at);
-            all.add(colour, 1.0);
-            if self.masks.is_empty() && self.table.is_known(view.floor[at]) {
-                for shade in SHADE {
-                    all.add(colour.map(|c| (f32::from(c) * shade) as u8), SHADE_WEIGHT);
-                }
-            }
-        }
-        all.smoothed(1)
-    }
-
-    /// Colours of the object over all views.
-    fn object_colours(&self, backgrounds: &[Histogram]) -> Histogram {
-        // Share of the box's pixels that is taken for background at the start.
-        #[allow(non_snake_case)]
-        let BACKGROUND: f32 = tune("BG", 0.7);
-        let parts: Vec<Histogram> = self
-            .views
-            .par_iter()
-            .enumerate()
-            .map(|(k, view)| {
-                let mut all = Histogram::new();
-                if let Some(mask) = self.masks.get(k) {
-                    (0..mask.len()).filter(|at| mask[*at]).for_each(|at| all.add(view.colour(at), 1.0));
-                    return all;
-                }
-                for at in (0..view.inside.len()).filter(|at| view.inside[*at]) {
-                    let table = self.table.density(view, &self.tones[k], at).unwrap_or(0.0);
-                    all.add(view.colour(at), 1.0 / (1.0 + 0.2 * table));
-                }
-                let mut all = all.smoothed(1).without(&backgrounds[k], BACKGROUND);
-                for (at, _) in self.seen[k].iter().filter(|(_, object)| *object) {
-                    all.add(view.colour(*at), 10.0);
-                }
-                all
-            })
-            .collect();
-        let mut sum = Histogram::new();
-        parts.iter().for_each(|part| sum.merge(part, 1.0));
-        sum.smoothed(1)
-    }
-
-    /// Log-likelihood ratio of each pixel of a view by its colour, nats.
-    fn colour_evidence(&self, k: usize, background: &Histogram) -> Vec<f32> {
-        /// How sure the picture of the plane is where it is known.
-        const TABLE: f32 = 0.85;
-        #[allow(non_snake_case)]
-        let MOST: f32 = tune("MOST", 4.0);
-        let view = &self.views[k];
-        (0..view.inside.len())
-            .map(|at| {
-                if !view.inside[at] {
-                    return -MOST;
-                }
-                let colour = view.colour(at);
-                let mut other = background.density(colour);
-                if let Some(table) = self.table.density(view, &self.tones[k], at) {
-                    other = TABLE * table + (1.0 - TABLE) * other;
-                }
-                (self.object.density(colour) / other).ln().clamp(-MOST, MOST)
-            })
-            .collect()
-    }
-
-    /// The cut of a view: its evidence with the silhouette in it, and the mask.
-    fn cut(&self, k: usize, colours: &[f32]) -> (Vec<f32>, Vec<bool>) {
-        let cw = tune("CW", 0.7);
-        let most_in = tune("IN", 1.0);
-        let most_out = tune("OUT", 3.0);
-        let tune_slope = tune("SLOPE", 0.8);
-        const SEED: f32 = 6.0;
-        let view = &self.views[k];
-        let (w, h) = (view.window.width(), view.window.height());
-        let distance = signed_distance(&self.silhouettes[k], w, h);
-        let mut evidence: Vec<f32> =
-            (0..w * h).map(|at| cw * colours[at] + (tune_slope * distance[at]).clamp(-most_out, most_in)).collect();
-        for (at, object) in &self.seen[k] {
-            evidence[*at] += if *object { SEED } else { -SEED };
-        }
-        let pixels: Vec<Pixel> =
-            (0..w * h).map(|at| if view.inside[at] { Pixel::Open(evidence[at]) } else { Pixel::Background }).collect();
-        let mask = Cut { width: w, height: h, pixels: &pixels, colour: &|at| view.colour(at) }.solve();
-        (evidence, mask)
-    }
-}
-
-/// Masks at full size, with what is doubtful about each.
-fn finish(input: &MaskInput<'_>, work: &Work) -> Result<Vec<Mask>, MaskError> {
-    let mut view_of = vec![None; input.views.len()];
-    for (k, view) in work.views.iter().enumerate() {
-        view_of[view.photo] = Some(k);
-    }
-    (0..input.views.len())
-        .into_par_iter()
-        .map(|photo| {
-            let given = &input.views[photo];
-            let Some(k) = view_of[photo] else {
-                return Ok(Mask::empty(&given.camera, format!("{}: the box is not in the picture", given.name)));
-            };
-            let view = &work.views[k];
-            let (coarse, s) = (view.window, view.shrink);
-            let window = Window {
-                x0: coarse.x0 * s,
-                y0: coarse.y0 * s,
-                x1: (coarse.x1 * s).min(given.camera.width_px() as usize),
-                y1: (coarse.y1 * s).min(given.camera.height_px() as usize),
-            };
-            let object = refine::refine(&load(input, photo)?, &window, &work.masks[k], &coarse, s);
-            let (mask, shape) = (&work.masks[k], &work.silhouettes[k]);
-            let both = mask.iter().zip(shape).filter(|(m, s)| **m && **s).count() as f64;
-            let either = mask.iter().zip(shape).filter(|(m, s)| **m || **s).count() as f64;
-            let own = mask.iter().filter(|m| **m).count() as f64;
-            let open = work.evidence[k].iter().zip(&view.inside).filter(|(e, i)| **i && e.abs() < 0.7).count() as f64;
-            let undecided = (open / own.max(1.0)).min(1.0);
-            let confidence = if either > 0.0 { both / either * (1.0 - 0.5 * undecided) } else { 0.0 };
-            let doubt = if own == 0.0 {
-                Some(format!("{}: nothing in the box looks unlike the background", given.name))
-            } else if confidence < 0.75 {
-                Some(format!(
-                    "{}: {:.0} % of the mask is undecided, and it covers the shape that all photos voted for by {:.0} % only",
-                    given.name,
-                    100.0 * undecided,
-                    100.0 * both / either
-                ))
-            } else {
-                None
-            };
-            Ok(Mask {
-                width_px: given.camera.width_px(),
-                height_px: given.camera.height_px(),
-                confidence,
-                undecided,
-                doubt,
-                window,
-                object,
-            })
-        })
-        .collect()
 }
 
 pub(crate) fn tune(name: &str, default: f32) -> f32 {

@@ -99,6 +99,18 @@ pub(super) fn seeds(points: &[MaskPoint], world_from_region: &Pose, bounds: &Bou
     seeds
 }
 
+/// Points of the background: outside of the box and away from the plane, frame of the region.
+pub(super) fn behind(points: &[MaskPoint], world_from_region: &Pose, bounds: &Bounds) -> Vec<Point3<f64>> {
+    let off = 0.5 * ABOVE_PLANE * bounds.diagonal();
+    let slack = 0.05 * bounds.diagonal();
+    points
+        .iter()
+        .map(|p| world_from_region.inverse_transform_point(&p.position))
+        .filter(|p| p.iter().all(|v| v.is_finite()) && p.z.abs() > off)
+        .filter(|p| (0..3).any(|k| p[k] < bounds.lower[k] - slack || p[k] > bounds.upper[k] + slack))
+        .collect()
+}
+
 /// Per view, the pixels of its window at which points appear that it saw, and the side of each.
 pub(super) fn seen(seeds: &[Seed], points: &[MaskPoint], views: &[View]) -> Vec<Vec<(usize, bool)>> {
     let last = views.iter().map(|v| v.photo + 1).max().unwrap_or(0);

@@ -1,8 +1,12 @@
-//! The border of a mask at the full size of the photo: a cut in a band around it, by the colours on both sides nearby.
+//! The masks at the full size of the photos, and what is doubtful about each: a cut in a band around the border, by the
+//! colours on both sides nearby.
 
-use super::Photo;
+use rayon::prelude::*;
+
 use super::cut::{Cut, Pixel, signed_distance};
+use super::rounds::Work;
 use super::view::Window;
+use super::{Mask, MaskError, MaskInput, Photo, load};
 
 /// Colours are compared with what lies within this many tiles; a tile is this many bands wide.
 const TILE_BANDS: usize = 3;
@@ -11,15 +15,64 @@ const SAMPLES: usize = 40;
 /// Spread of a colour on one side of the border, levels of 255.
 const SPREAD: f32 = 14.0;
 
-/// The mask in `window` of the full photo, from the mask of a picture `shrink` times smaller whose window begins at
-/// `coarse_at` (working pixels) and is `coarse_width` wide.
-pub(super) fn refine(
-    photo: &Photo,
-    window: &Window,
-    coarse: &[bool],
-    coarse_window: &Window,
-    shrink: usize,
-) -> Vec<bool> {
+/// Masks at full size, with what is doubtful about each.
+pub(super) fn finish(input: &MaskInput<'_>, work: &Work) -> Result<Vec<Mask>, MaskError> {
+    let mut view_of = vec![None; input.views.len()];
+    for (k, view) in work.views.iter().enumerate() {
+        view_of[view.photo] = Some(k);
+    }
+    (0..input.views.len())
+        .into_par_iter()
+        .map(|photo| {
+            let given = &input.views[photo];
+            let Some(k) = view_of[photo] else {
+                return Ok(Mask::empty(&given.camera, format!("{}: the box is not in the picture", given.name)));
+            };
+            let view = &work.views[k];
+            let (coarse, s) = (view.window, view.shrink);
+            let window = Window {
+                x0: coarse.x0 * s,
+                y0: coarse.y0 * s,
+                x1: (coarse.x1 * s).min(given.camera.width_px() as usize),
+                y1: (coarse.y1 * s).min(given.camera.height_px() as usize),
+            };
+            let object = refine(&load(input, photo)?, &window, work, k);
+            let (mask, shape) = (&work.masks[k], &work.silhouettes[k]);
+            let both = mask.iter().zip(shape).filter(|(m, s)| **m && **s).count() as f64;
+            let either = mask.iter().zip(shape).filter(|(m, s)| **m || **s).count() as f64;
+            let own = mask.iter().filter(|m| **m).count() as f64;
+            let open = work.evidence[k].iter().zip(&view.inside).filter(|(e, i)| **i && e.abs() < 0.7).count() as f64;
+            let undecided = (open / own.max(1.0)).min(1.0);
+            let confidence = if either > 0.0 { both / either * (1.0 - 0.5 * undecided) } else { 0.0 };
+            let doubt = if own == 0.0 {
+                Some(format!("{}: nothing in the box looks unlike the background", given.name))
+            } else if confidence < 0.75 {
+                Some(format!(
+                    "{}: {:.0} % of the mask is undecided, and it covers the shape that all photos voted for by {:.0} % only",
+                    given.name,
+                    100.0 * undecided,
+                    100.0 * both / either
+                ))
+            } else {
+                None
+            };
+            Ok(Mask {
+                width_px: given.camera.width_px(),
+                height_px: given.camera.height_px(),
+                confidence,
+                undecided,
+                doubt,
+                window,
+                object,
+            })
+        })
+        .collect()
+}
+
+/// The mask of view `k` in `window` of the full photo. A photo less sharp than the others is trusted less along its edges.
+fn refine(photo: &Photo, window: &Window, work: &Work, k: usize) -> Vec<bool> {
+    let (coarse, sharpness) = (&work.masks[k], work.sharpness[k]);
+    let (coarse_window, shrink) = (work.views[k].window, work.views[k].shrink);
     let (w, h) = (window.width(), window.height());
     let from_coarse = |x: usize, y: usize| {
         let cx = ((x + window.x0) / shrink).clamp(coarse_window.x0, coarse_window.x1 - 1) - coarse_window.x0;
@@ -80,7 +133,7 @@ pub(super) fn refine(
                 }
                 _ => 0.0,
             };
-            Pixel::Open(colours + 0.5 * d / band)
+            Pixel::Open(colours * sharpness + (1.5 - sharpness) * d / band)
         })
         .collect();
     Cut { width: w, height: h, pixels: &pixels, colour: &colour }.solve()

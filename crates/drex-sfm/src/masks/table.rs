@@ -10,16 +10,16 @@ use rayon::prelude::*;
 use super::view::{Bounds, View};
 
 /// Cells along one side of a level.
-const SIDE: usize = 384;
+pub(super) const SIDE: usize = 384;
 const LEVELS: usize = 4;
 /// Photos that the picture is made from; of more, every so many-th is taken.
 const MOST_VIEWS: usize = 72;
 /// A cell narrower than this in a photo, pixels, is not read from it.
 const NARROWEST_PX: f64 = 0.25;
 /// Share of the photos that must agree on the colour of a place: the object may hide it from the others.
-const AGREE: f64 = 0.4;
+const AGREE: f64 = 0.5;
 /// The noise of a channel is at least this, levels of 255.
-const LEAST_NOISE: f32 = 3.0;
+pub(super) const LEAST_NOISE: f32 = 3.0;
 
 /// A place of the plane.
 #[derive(Debug, Clone, Copy, Default)]
@@ -39,8 +39,8 @@ struct Level {
     cells: Vec<Cell>,
     /// Cells that rays near the box meet.
     needed: Vec<bool>,
-    /// Cells within the footprint of the box that are surely the plane.
-    bare: Vec<bool>,
+    /// Colours of cells within the footprint of the box that are surely the plane.
+    bare: Vec<Option<[u8; 3]>>,
 }
 
 impl Level {
@@ -64,10 +64,12 @@ pub(super) struct Tone {
     pub gain: [f32; 3],
     /// Spread of the difference, levels of 255, per channel.
     pub noise: [f32; 3],
+    /// Share of the pixels beside the box that look as expected.
+    pub trust: f32,
 }
 
 impl Tone {
-    pub const PLAIN: Self = Self { gain: [1.0; 3], noise: [12.0; 3] };
+    pub const PLAIN: Self = Self { gain: [1.0; 3], noise: [12.0; 3], trust: 0.5 };
 }
 
 /// The picture of the plane.
@@ -103,7 +105,7 @@ impl Table {
                     cell,
                     cells: vec![Cell::default(); SIDE * SIDE],
                     needed: vec![false; SIDE * SIDE],
-                    bare: vec![false; SIDE * SIDE],
+                    bare: vec![None; SIDE * SIDE],
                 };
                 if level == 0 {
                     // The finest level is whole, so that the neighbours of each cell are there.
@@ -131,67 +133,76 @@ impl Table {
         self.levels.iter().enumerate().find_map(|(k, level)| level.index(p).map(|index| (k, index)))
     }
 
+    /// Gives the picture up for good: nothing is known of the plane.
+    pub fn forget(&mut self) {
+        for level in &mut self.levels {
+            level.needed.fill(false);
+            level.cells.fill(Cell::default());
+        }
+    }
+
     /// Whether the colour of the plane is known at a point.
     pub fn is_known(&self, p: [f32; 2]) -> bool {
         self.place(p).is_some_and(|(level, index)| self.levels[level].cells[index].known)
     }
 
-    /// Finds places within the footprint that are the plane and not under the object, before there are masks.
-    ///
-    /// A place of the plane looks the same in most photos, as steadily as the plane beside the box, and no point above it
-    /// does. The inside of an object shows another part of its surface to each photo. A shadow is thus told from a dark thing.
-    pub fn find_bare(&mut self, views: &[View], tones: &[Tone]) {
-        const HEIGHTS: [f64; 9] = [0.06, 0.1, 0.15, 0.22, 0.3, 0.4, 0.5, 0.65, 0.8];
-        const STEADIER: f32 = 0.7;
-        const AS_STEADY: f32 = 1.5;
-        const MOST_VIEWS: usize = 40;
-        let footprint = self.footprint;
-        let level = &self.levels[0];
-        let step = views.len().div_ceil(MOST_VIEWS).max(1);
-        // Spread of the colours of a point over the photos that agree best.
-        let unrest = |point: &Point3<f64>, samples: &mut [Vec<f32>; 3]| {
-            samples.iter_mut().for_each(Vec::clear);
-            for (view, tone) in views.iter().zip(tones).step_by(step) {
-                let Some(colour) = view.project(point).and_then(|p| view.picture.sample(p.x, p.y)) else { continue };
-                (0..3).for_each(|c| samples[c].push(colour[c] / tone.gain[c]));
-            }
-            (samples[0].len() >= 6).then(|| {
-                samples
-                    .iter_mut()
-                    .map(|all| {
-                        let (from, to) = densest(all);
-                        all[to] - all[from]
-                    })
-                    .sum::<f32>()
-            })
-        };
-        let with_samples = || std::array::from_fn::<Vec<f32>, 3, _>(|_| Vec::new());
-        let mut beside: Vec<f32> = (0..SIDE * SIDE)
-            .into_par_iter()
-            .filter(|index| index % 7 == 0 && level.cells[*index].known)
-            .map_init(with_samples, |samples, index| unrest(&level.centre(index), samples))
-            .flatten()
-            .collect();
-        if beside.len() < 50 {
-            return;
+    /// Whether the colour of the plane is known at a point, or the point may be under the object: nothing to look for behind.
+    pub fn is_settled(&self, p: [f32; 2]) -> bool {
+        self.is_known(p) || covers(&self.footprint, &Point3::new(f64::from(p[0]), f64::from(p[1]), 0.0))
+    }
+
+    /// The finest level's cells, for [`super::bare`]: colour where it is known.
+    pub fn finest_colour(&self, index: usize) -> Option<[u8; 3]> {
+        Some(self.levels[0].cells[index]).filter(|cell| cell.known).map(|cell| cell.colour)
+    }
+
+    /// The middle of a cell of the finest level.
+    pub fn finest_centre(&self, index: usize) -> Point3<f64> {
+        self.levels[0].centre(index)
+    }
+
+    /// Whether the object may stand on a point of the plane.
+    pub fn may_be_covered(&self, p: &Point3<f64>) -> bool {
+        covers(&self.footprint, p)
+    }
+
+    /// Height of the box.
+    pub fn height(&self) -> f64 {
+        self.footprint.upper.z
+    }
+
+    /// Middle of the box.
+    pub fn middle(&self) -> Point3<f64> {
+        self.footprint.centre()
+    }
+
+    /// Says which cells of the finest level are surely the plane, though below the box, and their colours.
+    pub fn add_bare(&mut self, bare: &[Option<[u8; 3]>]) {
+        for (had, new) in self.levels[0].bare.iter_mut().zip(bare) {
+            *had = had.or(*new);
         }
-        let middle = beside.len() / 2;
-        let typical = *beside.select_nth_unstable_by(middle, f32::total_cmp).1;
-        let bare: Vec<bool> = (0..SIDE * SIDE)
-            .into_par_iter()
-            .map_init(with_samples, |samples, index| {
-                let mut point = level.centre(index);
-                if !covers(&footprint, &point) {
-                    return false;
-                }
-                let Some(low) = unrest(&point, samples).filter(|low| *low < AS_STEADY * typical) else { return false };
-                HEIGHTS.iter().all(|h| {
-                    point.z = h * footprint.upper.z;
-                    unrest(&point, samples).is_some_and(|above| low < STEADIER * above)
-                })
-            })
-            .collect();
-        self.levels[0].bare = bare;
+    }
+
+    /// How sharp a photo is: the steps between its neighbouring pixels over those of the picture of the plane, by least squares.
+    pub fn sharpness(&self, view: &View, tone: &Tone) -> Option<f32> {
+        let w = view.window.width();
+        let expected = |at: usize| {
+            let (level, index) = self.place(view.floor[at])?;
+            let cell = self.levels[level].cells[index];
+            (cell.known && !view.inside[at]).then(|| cell.colour.map(f32::from))
+        };
+        let (mut both, mut own, mut pairs) = (0.0f64, 0.0f64, 0);
+        for at in (0..view.floor.len()).filter(|at| at % w + 1 < w) {
+            let (Some(a), Some(b)) = (expected(at), expected(at + 1)) else { continue };
+            let (seen_a, seen_b) = (view.colour(at), view.colour(at + 1));
+            for c in 0..3 {
+                let step = f64::from(tone.gain[c] * (b[c] - a[c]));
+                both += step * (f64::from(seen_b[c]) - f64::from(seen_a[c]));
+                own += step * step;
+            }
+            pairs += 1;
+        }
+        (pairs > 200 && own > 0.0).then(|| (both / own) as f32)
     }
 
     /// Puts the picture together: per cell the colour that most photos that see it agree on, `masks` telling where the object hides it.
@@ -209,13 +220,14 @@ impl Table {
                         }
                         let point = this.centre(index);
                         let under = covers(&footprint, &point);
-                        let bare = this.bare[index];
-                        if under && masks.is_none() && !bare {
+                        if let Some(colour) = this.bare[index] {
+                            return Cell { colour, spread: [0; 3], known: true };
+                        }
+                        if under && masks.is_none() {
                             return Cell::default();
                         }
                         samples.iter_mut().for_each(Vec::clear);
                         let mut in_picture = 0;
-                        let masks = masks.filter(|_| !bare);
                         for (k, view) in views.iter().enumerate().step_by(step) {
                             let along = point - view.eye.centre;
                             let distance = along.norm();
@@ -227,9 +239,7 @@ impl Table {
                             let Some(pixel) = view.project(&point) else { continue };
                             let Some(colour) = view.picture.sample(pixel.x, pixel.y) else { continue };
                             in_picture += 1;
-                            if let (Some(masks), Some(at)) = (masks, view.index(pixel))
-                                && masks[k][at]
-                            {
+                            if masks.is_some_and(|masks| view.index(pixel).is_some_and(|at| masks[k][at])) {
                                 continue;
                             }
                             for c in 0..3 {
@@ -243,7 +253,7 @@ impl Table {
                         let mut agree = true;
                         let colour = std::array::from_fn(|c| {
                             let all = &mut samples[c];
-                            let (from, to) = densest(all);
+                            let (from, to) = densest(all, AGREE);
                             let mean = all[from..=to].iter().sum::<f32>() / (to + 1 - from) as f32;
                             let near = all.iter().filter(|v| (**v - mean).abs() <= 10.0 + mean / 8.0).count();
                             agree &= near as f64 >= AGREE * seen as f64;
@@ -291,7 +301,9 @@ impl Table {
             let at = all.len() * 7 / 10;
             all.select_nth_unstable_by(at, f32::total_cmp).1.max(LEAST_NOISE)
         });
-        Tone { gain, noise }
+        let tone = Tone { gain, noise, trust: 1.0 };
+        let fits: Vec<f32> = outside().filter_map(|at| self.density(view, &tone, at)).collect();
+        Tone { trust: trust_of(&fits), ..tone }
     }
 
     /// Density of the colour of a pixel if it shows the plane, relative to the density if all colours were alike; `None`
@@ -306,26 +318,37 @@ impl Table {
         let seen = view.colour(at);
         let sigma: [f32; 3] =
             std::array::from_fn(|c| (tone.noise[c].powi(2) + (0.25 * f32::from(cell.spread[c])).powi(2)).sqrt());
-        let mut sum = 0.0;
-        for row in [index - SIDE, index, index + SIDE] {
-            for other in &cells[row - 1..=row + 1] {
-                let other = if other.known { other } else { &cell };
-                let q: f32 = (0..3)
-                    .map(|c| ((f32::from(seen[c]) - tone.gain[c] * f32::from(other.colour[c])) / sigma[c]).powi(2))
-                    .sum();
-                // Student's t of four degrees in three dimensions.
-                let base = 1.0 / (1.0 + 0.25 * q);
-                sum += base * base * base * base.sqrt();
-            }
-        }
-        Some(0.0746 * 256f32.powi(3) / (sigma[0] * sigma[1] * sigma[2]) * sum / 9.0)
+        let around = [index - SIDE, index, index + SIDE].into_iter().flat_map(|row| &cells[row - 1..=row + 1]);
+        let expected =
+            around.filter(|c| c.known).map(|other| std::array::from_fn(|c| tone.gain[c] * f32::from(other.colour[c])));
+        Some(fit_density(seen, expected, &sigma))
     }
 }
 
-/// Sorts and gives the ends of the narrowest run that holds the share [`AGREE`] of the values. Not for empty slices.
-fn densest(all: &mut [f32]) -> (usize, usize) {
+/// Density of a colour if one of the `expected` ones is right, with spread `sigma`, relative to the density if all colours
+/// were alike: Student's t of four degrees in three dimensions.
+pub(super) fn fit_density(seen: [u8; 3], expected: impl Iterator<Item = [f32; 3]>, sigma: &[f32; 3]) -> f32 {
+    let (mut sum, mut count) = (0.0, 0.0f32);
+    for other in expected {
+        let q: f32 = (0..3).map(|c| ((f32::from(seen[c]) - other[c]) / sigma[c]).powi(2)).sum();
+        let base = 1.0 / (1.0 + 0.25 * q);
+        sum += base * base * base * base.sqrt();
+        count += 1.0;
+    }
+    0.0746 * 256f32.powi(3) / (sigma[0] * sigma[1] * sigma[2]) * sum / count.max(1.0)
+}
+
+/// Share of densities that say "as expected": more than if all colours were alike. At most 0.9.
+pub(super) fn trust_of(densities: &[f32]) -> f32 {
+    const MOST: f32 = 0.9;
+    let fit = densities.iter().filter(|d| **d > 1.0).count() as f32;
+    (fit / (densities.len().max(1) as f32)).min(MOST)
+}
+
+/// Sorts and gives the ends of the narrowest run that holds `share` of the values. Not for empty slices.
+pub(super) fn densest(all: &mut [f32], share: f64) -> (usize, usize) {
     all.sort_unstable_by(f32::total_cmp);
-    let run = ((all.len() as f64 * AGREE).ceil() as usize).clamp(1, all.len());
+    let run = ((all.len() as f64 * share).ceil() as usize).clamp(1, all.len());
     let width = |from: usize| all[from + run - 1] - all[from];
     let from = (0..=all.len() - run).min_by(|a, b| width(*a).total_cmp(&width(*b))).unwrap_or(0);
     (from, from + run - 1)
@@ -360,12 +383,17 @@ fn spread_of_neighbours(cells: &mut [Cell]) {
 }
 
 impl Table {
+    pub fn rgb(&self, p: [f32; 2]) -> Option<[u8; 3]> {
+        let (level, index) = self.place(p)?;
+        let cell = self.levels[level].cells[index];
+        cell.known.then_some(cell.colour)
+    }
     pub fn dump(&self, name: &str) {
         let l = &self.levels[0];
         let mut out = Vec::new();
         for (c, b) in l.cells.iter().zip(&l.bare) {
             let x = if c.known { c.colour } else { [0, 0, 0] };
-            out.extend(if *b { [x[0], x[1], 255] } else { x });
+            out.extend(if b.is_some() { [x[0] / 2, x[1], 255] } else { x });
         }
         let _ = image::save_buffer(name, &out, SIDE as u32, SIDE as u32, image::ColorType::Rgb8);
     }

@@ -214,7 +214,6 @@ fn a_thing_on_a_table_is_cut_out_without_its_shadow() {
 }
 
 #[test]
-#[ignore = "not yet: 0.60 where 0.85 is asked; height alone does not tell the object from its table"]
 fn a_thing_in_the_colours_of_its_table_is_told_by_its_height() {
     let case = case(&Scene { same_colours: true }, 20);
     let overlaps = case.overlaps(&case.masks(&region(0.3, -0.0005)));
@@ -269,11 +268,10 @@ fn little_or_odd_input_gives_masks_or_a_sentence() {
     }
     let small = |_: usize| Ok(Photo { width_px: 5, height_px: 4, rgb: vec![0; 60] });
     let missing = |_: usize| Err("no such file".to_string());
-    let refused = |load: &(dyn Fn(usize) -> std::result::Result<Photo, String> + Sync), say: &str| {
+    let refused = |load: &(dyn Fn(usize) -> std::result::Result<Photo, String> + Sync)| {
         let input = MaskInput { views: &full.views[..1], points: &[], region: &region, load };
-        let error = make_masks(&input, &MaskOptions::default(), &mut |_, _| {}).unwrap_err().to_string();
-        assert!(error.contains(say), "{error}");
+        make_masks(&input, &MaskOptions::default(), &mut |_, _| {}).unwrap_err().to_string()
     };
-    refused(&small, "5 x 4");
-    refused(&missing, "photo 0 cannot be read: no such file");
+    assert!(refused(&small).contains("5 x 4"));
+    assert!(refused(&missing).contains("photo 0 cannot be read: no such file"));
 }

@@ -116,6 +116,11 @@ impl Eye {
         self.camera.unproject(pixel).map(|ray| self.rotation.transpose() * ray)
     }
 
+    /// Part of a direction (frame of the region) along the optical axis.
+    pub fn along_axis(&self, direction: &Vector3<f64>) -> f64 {
+        (self.rotation * direction).z
+    }
+
     pub fn focal_px(&self) -> f64 {
         self.camera.focal_px().mean()
     }
@@ -276,7 +281,7 @@ impl View {
     }
 
     /// Calls `visit` with the ray of each pixel of `window`, row by row.
-    fn each_ray(&self, window: &Window, mut visit: impl FnMut(Option<Vector3<f64>>)) {
+    pub fn each_ray(&self, window: &Window, mut visit: impl FnMut(Option<Vector3<f64>>)) {
         let columns = window.width().div_ceil(RAY_STEP) + 1;
         let rows = window.height().div_ceil(RAY_STEP) + 1;
         let s = self.shrink as f64;
