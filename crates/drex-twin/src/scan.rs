@@ -1,7 +1,7 @@
 //! From a scan to a closed mesh: what fusion asks for are depth maps in metres, in the frame of the mesh, the object's box and the
 //! table.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -89,6 +89,10 @@ impl Scanning<'_> {
         let mut within = CaptureOptions::default();
         within.masks.clone_from(&self.masks);
         within.poses.clone_from(&self.poses);
+        if self.marker.is_none() && !Capture::is_in(self.input) {
+            // Finding cameras takes minutes.
+            Scale::check(self.input, &self.frame)?;
+        }
         let input = ScanInput {
             scan: self.input,
             out: self.out,
@@ -511,13 +515,35 @@ impl Scale {
         if cameras.views.iter().all(|v| v.depth.as_deref().is_some_and(measured)) {
             return Ok(Self::of(1.0, DEPTH_CAMERA));
         }
-        refuse!(
-            "{} has no scale: photos alone do not tell how large things are; lay a printed tag beside the object and give \
-             --marker tag36h11:ID:SIDE_M, or measure the distance of two marks and give --distance A-C=0.12 with the marks' \
-             pixels in marks.json, or give --scale in metres per unit",
-            cameras.folder.display()
-        )
+        no_scale(&cameras.folder)
     }
+
+    /// Refuses photos without cameras for which nothing gives a scale, before their cameras are found.
+    fn check(photos: &Path, options: &FrameOptions) -> Result<()> {
+        if options.scale.is_some() || !photos.exists() {
+            return Ok(());
+        }
+        if options.distances.is_empty() {
+            return no_scale(photos);
+        }
+        if photos.is_dir() {
+            let marks = read_marks(&options.marks.clone().unwrap_or_else(|| photos.join("marks.json")))?;
+            // Any places that differ tell whether every mark has a name that is known.
+            let names = marks.values().flat_map(BTreeMap::keys).collect::<BTreeSet<_>>().into_iter().enumerate();
+            let places = names.map(|(k, name)| (name.clone(), Point3::new(k as f64, 0.0, 0.0))).collect();
+            scale_from_distances(&places, &options.distances)?;
+        }
+        Ok(())
+    }
+}
+
+fn no_scale<T>(scan: &Path) -> Result<T> {
+    refuse!(
+        "{} has no scale: photos alone do not tell how large things are; lay a printed tag beside the object and give \
+         --marker tag36h11:ID:SIDE_M, or measure the distance of two marks and give --distance A-C=0.12 with the marks' \
+         pixels in marks.json, or give --scale in metres per unit",
+        scan.display()
+    )
 }
 
 /// Places of the marks in the scan's frame.

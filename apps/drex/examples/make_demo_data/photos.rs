@@ -1,19 +1,17 @@
-//! Photos of the tin on a printed cloth, as a person with a phone would take them: two rounds and a few from above, in the arbitrary
-//! unit that structure from motion leaves.
+//! Photos of the tin on a printed cloth, as a person with a phone would take them: two rounds and a few from above. Where they were taken from
+//! is not written: the demo finds it as a user's scan does.
 
 use std::f64::consts::TAU;
-use std::fmt::Write as _;
 use std::io::Cursor;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use drex_core::mesh::sample_surface;
 use drex_core::{Surface, TriMesh, fsutil};
 use drex_mesh::MeshSdf;
 use image::codecs::jpeg::JpegEncoder;
 use image::{Rgb, RgbImage};
 use nalgebra::{Matrix3, Point3, Vector3};
-use rand::{RngExt, SeedableRng};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde_json::json;
@@ -29,11 +27,6 @@ const RAYS: u32 = 3;
 const ROUNDS: [(usize, f64, f64); 3] = [(18, 24.0, 0.34), (14, 48.0, 0.34), (4, 74.0, 0.36)];
 /// What the camera looks at, metres.
 const LOOKED_AT: [f64; 3] = [0.0, 0.0, 0.036];
-/// Units of the scan per metre.
-const UNITS_PER_M: f64 = 2.6;
-/// Sparse points on tin and cloth, and how far they are off, metres.
-const POINTS: (usize, usize) = (1100, 1400);
-const POINT_SD_M: f64 = 0.0004;
 /// Crosses that are printed on the cloth, the corners of a square, metres from its middle; found in photos to so many pixels.
 const MARK_M: f64 = 0.06;
 const MARK_SD_PX: f64 = 0.3;
@@ -49,7 +42,7 @@ struct Camera {
     axes: Matrix3<f64>,
 }
 
-/// Writes `images/`, `transforms.json`, `points.ply` and `marks.json`.
+/// Writes `images/` and `marks.json`.
 pub fn make(mesh: &TriMesh, folder: &Path, seed: u64) -> Result<()> {
     let tin = &MeshSdf::new(mesh)?;
     let cameras = cameras();
@@ -58,8 +51,6 @@ pub fn make(mesh: &TriMesh, folder: &Path, seed: u64) -> Result<()> {
         fsutil::write_atomic(&folder.join(format!("images/{}", name(i))), photo)?;
     }
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    fsutil::write_atomic(&folder.join("transforms.json"), transforms(&cameras).as_bytes())?;
-    fsutil::write_atomic(&folder.join("points.ply"), points(mesh, &mut rng).as_bytes())?;
     fsutil::write_atomic(&folder.join("marks.json"), marks(tin, &cameras, &mut rng)?.as_bytes())?;
     Ok(())
 }
@@ -201,59 +192,6 @@ fn jpeg(photo: &RgbImage) -> Result<Vec<u8>> {
     let mut bytes = Cursor::new(Vec::new());
     JpegEncoder::new_with_quality(&mut bytes, 76).encode_image(photo).context("cannot encode a photo")?;
     Ok(bytes.into_inner())
-}
-
-/// Cameras as nerfstudio writes them: world from camera, OpenGL axes.
-fn transforms(cameras: &[Camera]) -> String {
-    let frames: Vec<_> = cameras
-        .iter()
-        .enumerate()
-        .map(|(i, c)| {
-            let row = |r: usize| {
-                let round = |v: f64| (v * 1e7).round() / 1e7;
-                let eye = round(c.eye[r] * UNITS_PER_M);
-                [round(c.axes[(r, 0)]), round(-c.axes[(r, 1)]), round(-c.axes[(r, 2)]), eye]
-            };
-            json!({ "file_path": format!("images/{}", name(i)), "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]] })
-        })
-        .collect();
-    let (w, h) = SIZE;
-    let lens = json!({ "w": w, "h": h, "fl_x": FOCAL_PX, "fl_y": FOCAL_PX, "cx": 0.5 * f64::from(w), "cy": 0.5 * f64::from(h) });
-    let mut text =
-        format!("{{\"camera_model\": \"OPENCV\", \"ply_file_path\": \"points.ply\", \"w\": {w}, \"h\": {h}, ");
-    let _ = write!(
-        text,
-        "\"fl_x\": {}, \"fl_y\": {}, \"cx\": {}, \"cy\": {},\n\"frames\": [\n",
-        lens["fl_x"], lens["fl_y"], lens["cx"], lens["cy"]
-    );
-    let lines: Vec<String> = frames.iter().map(|f| format!("  {f}")).collect();
-    text + &lines.join(",\n") + "\n]}\n"
-}
-
-/// Points as structure from motion finds them: on tin and cloth, a little off.
-fn points(mesh: &TriMesh, rng: &mut ChaCha8Rng) -> String {
-    let mut all: Vec<(Point3<f64>, Vector3<f64>)> = sample_surface(mesh, POINTS.0, 5)
-        .into_iter()
-        .filter(|s| s.normal.z > -0.5)
-        .map(|s| (s.point, tin_color(&s.point, &s.normal)))
-        .collect();
-    for _ in 0..POINTS.1 {
-        let p = Point3::new(rng.random_range(-0.22..0.22), rng.random_range(-0.22..0.22), 0.0);
-        if p.coords.norm() > 0.032 {
-            all.push((p, cloth_color(&p)));
-        }
-    }
-    let mut text = format!("ply\nformat ascii 1.0\nelement vertex {}\n", all.len());
-    for (kind, names) in [("float", ["x", "y", "z"]), ("uchar", ["red", "green", "blue"])] {
-        names.iter().for_each(|n| text += &format!("property {kind} {n}\n"));
-    }
-    text += "end_header\n";
-    for (p, color) in all {
-        let p = (p.coords + normal3(rng) * POINT_SD_M) * UNITS_PER_M;
-        let c = color.map(|v| (255.0 * v.clamp(0.0, 1.0).powf(1.0 / 2.2)).round());
-        let _ = writeln!(text, "{:.5} {:.5} {:.5} {} {} {}", p.x, p.y, p.z, c.x, c.y, c.z);
-    }
-    text
 }
 
 /// Where the crosses are in some of the photos.

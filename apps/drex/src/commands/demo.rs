@@ -23,10 +23,8 @@ macro_rules! photos {
 }
 
 /// The bundled twin folder, file by file.
-const FILES: [(&str, &[u8]); 12] = [
+const FILES: [(&str, &[u8]); 10] = [
     bundled!("README.md"),
-    bundled!("scan/transforms.json"),
-    bundled!("scan/points.ply"),
     bundled!("scan/marks.json"),
     bundled!("push/tilt/push.toml"),
     bundled!("push/tilt/poses.csv"),

@@ -11,7 +11,7 @@ use crate::common::{copy_tree, tin_data};
 type Case = (&'static str, &'static [&'static str], i32, &'static [&'static str]);
 
 /// Paths are in a folder that holds `tin` (the bundled twin), `bare` (the same without grasps), `photos` (the bundled scan), an
-/// `empty` folder and a file `notes.txt`.
+/// `empty` folder, a cloud `points.ply` and a file `notes.txt`.
 const CASES: &[Case] = &[
     ("sfm", &["empty", "--out", "new"], 1, &["empty has no photos", "put 20 to 80 photos"]),
     ("reconstruct", &["empty", "--out", "new"], 1, &["empty has no photos", "put 20 to 80 photos"]),
@@ -31,7 +31,7 @@ const CASES: &[Case] = &[
     ("calibrate-hand", &["empty", "--out", "new"], 1, &["empty", "give folders of pushes"]),
     ("calibrate-hand", &["tin/push", "--out", "new"], 1, &["tilt was not pushed by a logged hand", "give runs with"]),
     ("render", &["tin/scan/tin.obj", "--out", "new"], 1, &["tin.obj", "use .ply, .spz or .splat"]),
-    ("render", &["photos/points.ply", "--out", "new"], 1, &["points.ply", "may be a mesh or a point cloud"]),
+    ("render", &["points.ply", "--out", "new"], 1, &["points.ply", "may be a mesh or a point cloud"]),
     ("hands", &["nowhere.mp4", "--out", "new"], 1, &["nowhere.mp4 is no file", "give a video"]),
     ("hands", &["notes.txt", "--out", "new", "--python", "no-such-python"], 1, &["no-such-python", "install Python"]),
     (
@@ -147,6 +147,8 @@ fn folder() -> tempfile::TempDir {
     let manifest = fs::read_to_string(at("bare/twin.toml")).unwrap();
     fs::write(at("bare/twin.toml"), manifest.split("[grasps]").next().unwrap()).unwrap();
     fs::create_dir(at("empty")).unwrap();
+    let ply = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n";
+    fs::write(at("points.ply"), ply).unwrap();
     fs::write(at("notes.txt"), "not a mesh, not a scan, not a video\n").unwrap();
     dir
 }

@@ -312,3 +312,46 @@ fn only_what_it_wrote_is_replaced() {
     assert_eq!(run.code, 0, "{}", run.stderr);
     assert_eq!(Capture::load(&whole, &CaptureOptions::default()).unwrap().views.len(), 12);
 }
+
+#[test]
+fn a_scan_needs_no_cameras_and_stays_as_it_is() {
+    let dir = photos(0..12);
+    let (scan, out) = (dir.path().join("photos"), dir.path().join("twin"));
+    let before = tree(&scan);
+    let reconstruct = || {
+        let [scan, out] = [&scan, &out].map(|p| p.to_str().unwrap());
+        drex(["reconstruct", scan, "--out", out, "--preset", "fast", "--iterations", "2", "--max-side", "40"])
+    };
+    let run = reconstruct();
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    for word in ["cameras of 12 of 12 photos", "12 of 12 photos have a camera"] {
+        assert!(run.stderr.contains(word), "`{word}` is missing in {}", run.stderr);
+    }
+    assert_eq!(tree(&scan), before, "nothing is written beside the photos");
+    let found = tree(&out.join("sfm"));
+    assert!(["sparse/0/images.bin", "report.json", "cameras.png"].iter().all(|f| found.contains_key(*f)));
+
+    // Another command goes on with them, and so does one of another machine: no path is kept but those of the photos.
+    let asset = |options: &[&str]| {
+        let [scan, out] = [&scan, &out].map(|p| p.to_str().unwrap());
+        drex(["asset", scan, "--out", out].iter().chain(options))
+    };
+    asset(&[]).fails_with(&["has no scale", "--marker tag36h11:ID:SIDE_M", "--distance"]);
+    let run = asset(&["--marker", "tag36h11:11:0.06"]);
+    run.fails_with(&["going on with the cameras in", "tag36h11:11:0.06", "0 photos see it, 3 are needed"]);
+    assert_eq!(tree(&out.join("sfm")), found);
+    let both = asset(&["--marker", "tag36h11:11:0.06", "--scale", "0.3"]);
+    assert!(both.code == 2 && both.stderr.contains("cannot be used with"), "{}", both.stderr);
+
+    // Other photos: their cameras are found again, and that is said.
+    fs::remove_file(scan.join("11.jpg")).unwrap();
+    let run = reconstruct();
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    for word in ["is of other photos or options", "cameras of 11 of 11 photos"] {
+        assert!(run.stderr.contains(word), "`{word}` is missing in {}", run.stderr);
+    }
+    // Of too few there is a verdict, and no model of the others stays.
+    (2..11).for_each(|i| fs::remove_file(scan.join(format!("{i:02}.jpg"))).unwrap());
+    reconstruct().fails_with(&["too few photos: 2 photos"]);
+    assert!(!out.join("sfm/sparse").exists());
+}

@@ -18,7 +18,7 @@ pub(super) fn load(folder: &Path, options: &CaptureOptions) -> Result<Capture> {
         None if rgbd::is_recording(folder) => rgbd::load(folder, options),
         None => refuse(
             format!("{} has no COLMAP model, no transforms.json and no cam_K.txt", folder.display()),
-            "put the model into sparse/0, or let COLMAP reconstruct the photos",
+            "put the model into sparse/0, or let drex sfm find the cameras of the photos",
         ),
     }
 }
