@@ -241,9 +241,3 @@ fn fit(around: &[(nalgebra::Vector2<f64>, f64, f64)]) -> f64 {
     }
     c.x.clamp(0.9 * least, 1.1 * most)
 }
-
-impl Backdrop {
-    pub fn rgb(&self, at: usize) -> [u8; 3] {
-        if self.pixels[at].known { self.pixels[at].colour } else { [0, 0, 0] }
-    }
-}

@@ -12,8 +12,13 @@ use super::view::{Bounds, View};
 
 /// Photos that vote; of more, every so many-th.
 const MOST_VIEWS: usize = 96;
+/// How often a pixel of a full voxel is taken for background, and a pixel at an empty voxel shows background.
+const WRONG: f32 = 0.03;
+const EMPTY_SHOWS_BACKGROUND: f32 = 0.1;
 /// The photos count as at most this many independent ones.
+const INDEPENDENT: f32 = 16.0;
 /// Cost of a face between full and empty, nats.
+const FACE: f32 = 1.0;
 
 /// A lattice of voxels that fills the box.
 #[derive(Debug, Clone)]
@@ -61,9 +66,6 @@ impl Grid {
     /// Lets the photos vote and cuts. `likely` holds, per view and pixel of its window, how likely it shows the object, 0 to
     /// 255; `seeds` are voxels that hold points of the object, with the weight of each, nats.
     pub fn vote(&mut self, views: &[View], likely: &[Vec<u8>], seeds: &[(usize, f32)]) {
-        #[allow(non_snake_case)]
-        let (WRONG, EMPTY_SHOWS_BACKGROUND, INDEPENDENT) =
-            (super::tune("WRONG", 0.03), super::tune("EMPTY", 0.1), super::tune("IND", 16.0));
         let step = views.len().div_ceil(MOST_VIEWS).max(1);
         let gain: Vec<f32> = (0..256)
             .map(|p| {
@@ -103,7 +105,7 @@ impl Grid {
         for (index, score) in self.score.iter().enumerate() {
             graph.add_terminal(index, scale(*score), scale(-score));
         }
-        let face = scale(super::tune("FACE", 1.0));
+        let face = scale(FACE);
         for z in 0..nz {
             for y in 0..ny {
                 for x in 0..nx {

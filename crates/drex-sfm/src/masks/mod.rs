@@ -10,9 +10,9 @@
 //! ```
 //! - A ray that misses the box shows background.
 //! - What lies on the plane, cast shadows included, looks the same from everywhere when it is put back onto the plane
-//!   ([`table`]); this tells the object from a table of the same colours.
-//! - Colours of object and background are learned from the masks so far ([`colour`]).
-//! - What one photo says is weak; all photos together say for each voxel whether it is full ([`hull`]), after Campbell,
+//!   (`table`); this tells the object from a table of the same colours.
+//! - Colours of object and background are learned from the masks so far (`colour`).
+//! - What one photo says is weak; all photos together say for each voxel whether it is full (`hull`), after Campbell,
 //!   Vogiatzis, Hernandez and Cipolla, "Automatic 3D object segmentation in multiple views using volumetric graph-cuts" (2010).
 //!
 //! The same input gives the same bytes with any number of threads.
@@ -109,7 +109,7 @@ pub struct MaskOptions {
 
 impl Default for MaskOptions {
     fn default() -> Self {
-        Self { rounds: tune("ROUNDS", 3.0) as usize, voxels: 300_000, working_px: 200.0 }
+        Self { rounds: 3, voxels: 300_000, working_px: 200.0 }
     }
 }
 
@@ -291,8 +291,4 @@ fn read_views(
         })
         .collect();
     Ok(views?.into_iter().flatten().collect())
-}
-
-pub(crate) fn tune(name: &str, default: f32) -> f32 {
-    std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(default)
 }

@@ -10,7 +10,7 @@ use super::cut::{Cut, Pixel, signed_distance};
 use super::hull::Grid;
 use super::table::{Table, Tone};
 use super::view::{Bounds, View};
-use super::{MaskInput, MaskOptions, bare, points, tune};
+use super::{MaskInput, MaskOptions, bare, points};
 
 /// What is known so far.
 pub(super) struct Work {
@@ -64,9 +64,6 @@ impl Work {
         } else {
             table.add_bare(&bare::find(&table, &views, &tones, None));
             table.paint(&views, &tones, None);
-        }
-        if let Ok(n) = std::env::var("DUMP") {
-            table.dump(&n);
         }
         let grid = Grid::new(&bounds, options.voxels.clamp(1000, 4_000_000));
         let seeds = points::seeds(input.points, world_from_region, &bounds);
@@ -129,29 +126,6 @@ impl Work {
         let cuts: Vec<(Vec<f32>, Vec<bool>)> =
             (0..self.views.len()).into_par_iter().map(|k| self.cut(k, &evidence[k])).collect();
         (self.evidence, self.masks) = cuts.into_iter().unzip();
-        if let Ok(n) = std::env::var("DBG") {
-            let k = self.views.iter().position(|v| v.photo == n.parse::<usize>().unwrap_or(0)).unwrap_or(0);
-            let v = &self.views[k];
-            let w = v.window;
-            let mut out = Vec::new();
-            for y in 0..w.height() {
-                for part in 0..6 {
-                    for x in 0..w.width() {
-                        let at = y * w.width() + x;
-                        out.extend(match part {
-                            0 => v.colour(at),
-                            1 => self.table.rgb(v.floor[at]).unwrap_or(self.backdrops[k].0.rgb(at)),
-                            2 => [self.likely[k][at]; 3],
-                            3 => [(128.0 + 20.0 * (self.object.density(v.colour(at)) / backgrounds[k].density(v.colour(at))).ln()).clamp(0.0, 255.0) as u8; 3],
-                            4 => [if self.silhouettes[k][at] { 255 } else { 0 }; 3],
-                            _ => [if self.masks[k][at] { 255 } else { 0 }; 3],
-                        });
-                    }
-                }
-            }
-            let _ = image::save_buffer(format!("/tmp/masks_dev/dbg{round}.png"), &out, 6 * w.width() as u32, w.height() as u32, image::ColorType::Rgb8);
-            eprintln!("DBG {} back {:?} tone {:?} points {} sharp {}", k, self.backdrops[k].1, self.tones[k], self.behind.len(), self.sharpness[k]);
-        }
     }
 
     /// Colours of the background in a view: around the box, and in it where the mask says so.
@@ -160,8 +134,7 @@ impl Work {
     /// shade.
     fn background(&self, k: usize) -> Histogram {
         const SHADE: [f32; 5] = [0.4, 0.5, 0.6, 0.7, 0.85];
-        #[allow(non_snake_case)]
-        let SHADE_WEIGHT: f32 = tune("SHADE", 0.08);
+        const SHADE_WEIGHT: f32 = 0.08;
         let view = &self.views[k];
         let mut all = Histogram::new();
         for at in 0..view.inside.len() {
@@ -183,8 +156,7 @@ impl Work {
     /// Colours of the object over all views.
     fn object_colours(&self, backgrounds: &[Histogram]) -> Histogram {
         // Share of the box's pixels that is taken for background at the start.
-        #[allow(non_snake_case)]
-        let BACKGROUND: f32 = tune("BG", 0.7);
+        const BACKGROUND: f32 = 0.7;
         const DOUBTED: f32 = 0.1;
         let parts: Vec<Histogram> = self
             .views
@@ -228,8 +200,7 @@ impl Work {
 
     /// Log-likelihood ratio of each pixel of a view by its colour, nats.
     fn colour_evidence(&self, k: usize, background: &Histogram) -> Vec<f32> {
-        #[allow(non_snake_case)]
-        let MOST: f32 = tune("MOST", 4.0);
+        const MOST: f32 = 4.0;
         // The object's colours are known in part only: it may have any colour, and those of the background.
         const OWN: f32 = 0.7;
         const ANY: f32 = 0.1;
@@ -252,16 +223,18 @@ impl Work {
 
     /// The cut of a view: its evidence with the silhouette in it, and the mask.
     fn cut(&self, k: usize, colours: &[f32]) -> (Vec<f32>, Vec<bool>) {
-        let cw = tune("CW", 0.7) * self.sharpness[k].max(0.3);
-        let most_in = tune("IN", 1.0);
-        let most_out = tune("OUT", 3.0);
-        let tune_slope = tune("SLOPE", 0.8);
+        // Nats: of the colours beside the silhouette, of the silhouette per pixel from its border and at most, and at points.
+        const COLOURS: f32 = 0.7;
+        const SLOPE: f32 = 0.8;
+        const MOST_WITHIN: f32 = 1.0;
+        const MOST_OUTSIDE: f32 = 3.0;
         const SEED: f32 = 6.0;
         let view = &self.views[k];
         let (w, h) = (view.window.width(), view.window.height());
         let distance = signed_distance(&self.silhouettes[k], w, h);
-        let mut evidence: Vec<f32> =
-            (0..w * h).map(|at| cw * colours[at] + (tune_slope * distance[at]).clamp(-most_out, most_in)).collect();
+        let weight = COLOURS * self.sharpness[k].max(0.3);
+        let shape = |at: usize| (SLOPE * distance[at]).clamp(-MOST_OUTSIDE, MOST_WITHIN);
+        let mut evidence: Vec<f32> = (0..w * h).map(|at| weight * colours[at] + shape(at)).collect();
         for (at, object) in &self.seen[k] {
             evidence[*at] += if *object { SEED } else { -SEED };
         }

@@ -381,20 +381,3 @@ fn spread_of_neighbours(cells: &mut [Cell]) {
         }
     }
 }
-
-impl Table {
-    pub fn rgb(&self, p: [f32; 2]) -> Option<[u8; 3]> {
-        let (level, index) = self.place(p)?;
-        let cell = self.levels[level].cells[index];
-        cell.known.then_some(cell.colour)
-    }
-    pub fn dump(&self, name: &str) {
-        let l = &self.levels[0];
-        let mut out = Vec::new();
-        for (c, b) in l.cells.iter().zip(&l.bare) {
-            let x = if c.known { c.colour } else { [0, 0, 0] };
-            out.extend(if b.is_some() { [x[0] / 2, x[1], 255] } else { x });
-        }
-        let _ = image::save_buffer(name, &out, SIDE as u32, SIDE as u32, image::ColorType::Rgb8);
-    }
-}
