@@ -291,7 +291,10 @@ impl<'a> Plan<'a> {
 
 /// A group and its box; `standing` are the points of all groups.
 fn group(scene: &Scene, points: Vec<usize>, standing: &[usize], table_from_scan: &Similarity) -> ObjectGroup {
-    let places: Vec<Point3<f64>> = points.iter().map(|&i| table_from_scan.point(&scene.points()[i].position)).collect();
+    let place = |i: usize| table_from_scan.point(&scene.points()[i].position);
+    let places: Vec<Point3<f64>> = points.iter().map(|&i| place(i)).collect();
+    let own: BTreeSet<usize> = points.iter().copied().collect();
+    let others: Vec<Point3<f64>> = standing.iter().filter(|i| !own.contains(i)).map(|&i| place(i)).collect();
     let end = |k: usize, share: f64| quantile(places.iter().map(|p| p[k]), share).unwrap_or(0.0);
     let lo = Point3::from([0, 1, 2].map(|k| end(k, TRIMMED)));
     let hi = Point3::from([0, 1, 2].map(|k| end(k, 1.0 - TRIMMED)));
