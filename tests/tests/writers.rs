@@ -88,6 +88,7 @@ const WRITERS: &[(&str, Why)] = &[
     ("crates/drex-sysid/src/calibrate/mod.rs", Caller),
     ("crates/drex-twin/src/deploy.rs", Constant),
     ("crates/drex-twin/src/lock.rs", Checked),
+    ("crates/drex-twin/src/masks.rs", Checked),
     ("crates/drex-twin/src/reconstruct.rs", Caller),
     ("crates/drex-twin/src/records.rs", Caller),
     ("crates/drex-twin/src/stages/evaluate.rs", Checked),

@@ -75,6 +75,8 @@ pub struct Common {
 pub enum Command {
     /// Find where photos were taken from, and sparse points, with a report; or say why not.
     Sfm(SfmArgs),
+    /// Cut the object out of photos: a mask for each, to look at and to correct.
+    Masks(MasksArgs),
     /// Train Gaussians for looks and for geometry from photos, and write depth maps.
     Reconstruct(ReconstructArgs),
     /// Make a sim-ready asset of a mesh or a scan: closed, in convex pieces, with mass properties, as MJCF.
@@ -157,6 +159,37 @@ pub struct SfmArgs {
     #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg")]
     pub ffmpeg: PathBuf,
     /// How long it may take.
+    #[command(flatten)]
+    pub tools: ToolArgs,
+}
+
+/// `drex masks`.
+#[derive(Debug, Args)]
+pub struct MasksArgs {
+    /// Folder with photos, with their cameras (a COLMAP model or transforms.json) or alone: then as `drex sfm` finds them; or a
+    /// video, of which ffmpeg takes frames.
+    #[arg(value_name = "PHOTOS|VIDEO")]
+    pub scan: PathBuf,
+    /// Folder to write: masks/NAME.png for each photo (white is the object), masks/report.json; sfm/ where cameras were found.
+    /// Masks that somebody changed are kept.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// A pixel of a photo that shows the object, where several things stand on the table, such as 512,300@IMG_1001.jpg.
+    #[arg(long, value_name = "X,Y@PHOTO", conflicts_with = "region")]
+    pub object: Option<ObjectClick>,
+    /// Box of the object in the frame and unit of the scan, where it is not alone: lower and upper corner.
+    #[arg(long, value_name = "X,Y,Z,X,Y,Z", value_parser = region, allow_hyphen_values = true)]
+    pub region: Option<[Point3<f64>; 2]>,
+    /// Up in the frame of the scan, as X,Y,Z [default: away from the table].
+    #[arg(long, value_name = "X,Y,Z", value_parser = direction, allow_hyphen_values = true)]
+    pub up: Option<[f64; 3]>,
+    /// Let COLMAP, or this program, find the cameras of photos that have none.
+    #[arg(long, value_name = "PROGRAM", num_args = 0..=1, require_equals = true, default_missing_value = "colmap")]
+    pub colmap: Option<PathBuf>,
+    /// The ffmpeg program.
+    #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg")]
+    pub ffmpeg: PathBuf,
+    /// How long other programs may take.
     #[command(flatten)]
     pub tools: ToolArgs,
 }

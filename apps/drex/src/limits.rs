@@ -29,6 +29,7 @@ impl Limits {
             Command::Hw(_) | Command::Deploy(_) => Self { bytes: None, seconds: None },
             // They train or simulate for as long as is asked for, with what they need.
             Command::Sfm(_)
+            | Command::Masks(_)
             | Command::Reconstruct(_)
             | Command::Train(_)
             | Command::Evaluate(_)

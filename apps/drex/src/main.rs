@@ -36,6 +36,7 @@ fn run(cli: &Cli, ui: &Ui) -> anyhow::Result<()> {
     let seed = cli.common.seed;
     match &cli.command {
         Command::Sfm(args) => commands::sfm::run(args, seed, ui),
+        Command::Masks(args) => commands::masks::run(args, seed, ui),
         Command::Reconstruct(args) => commands::reconstruct::run(args, seed, ui),
         Command::Asset(args) => commands::asset::run(args, seed, ui),
         Command::Mesh(command) => commands::mesh::run(command, ui),

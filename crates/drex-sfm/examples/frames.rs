@@ -2,7 +2,7 @@
 use std::path::Path;
 
 use drex_core::capture::photos_under;
-use drex_sfm::video::{VideoOptions, choose_frames, choose_from, looks_like_video};
+use drex_sfm::video::{VideoOptions, are_frames, choose_frames, choose_from};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().collect();
@@ -12,7 +12,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let begun = std::time::Instant::now();
     if from.is_dir() {
         let photos = photos_under(from);
-        eprintln!("looks like a video: {}", looks_like_video(&photos));
+        eprintln!("looks like a video: {}", are_frames(&photos));
         let chosen = choose_from(&photos, &options, &mut |_| ())?;
         std::fs::create_dir_all(out)?;
         for &i in &chosen {

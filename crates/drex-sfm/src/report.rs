@@ -31,7 +31,7 @@ pub struct Report {
 }
 
 /// What became of a photo.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct PhotoReport {
     /// Its name.

@@ -1,19 +1,21 @@
 //! What a registration leaves in a folder: models, transforms.json, a report and a picture.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
-use drex_core::capture::Capture;
+use drex_core::capture::{Capture, PhotoFile};
 use drex_core::{Error, Result, fsutil};
 use serde::{Deserialize, Serialize};
 
 use crate::folder::PhotoFolder;
-use crate::front_end::{RegisterOptions, Step};
+use crate::front_end::{InputPhoto, RegisterOptions, Step};
 use crate::marker::Marker;
 use crate::picture::{self, PICTURE};
 use crate::register::{Registration, register};
-use crate::report::Report;
+use crate::report::{PhotoReport, Report};
 use crate::scale::{MarkerReport, scale_by_marker};
 use crate::verdict::Verdict;
+use crate::video::{VideoOptions, are_frames, choose_from};
 
 /// What photos are registered with.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -64,7 +66,23 @@ pub fn register_folder(
     options: &FolderOptions,
     progress: &(dyn Fn(Step) + Sync),
 ) -> Result<FolderRegistration, Verdict> {
-    let Registration { mut models, report: mut registration } = register(&folder.photos, &options.register, progress)?;
+    let (photos, passed_over) = frames_apart(folder, options, progress);
+    let mut of_photos = options.register.clone();
+    of_photos.video |= !passed_over.is_empty();
+    let Registration { mut models, report: mut registration } = register(&photos, &of_photos, progress)?;
+    if !passed_over.is_empty() {
+        registration.notes.push(format!(
+            "The photos are frames of a video: {} of {} were chosen by sharpness and parallax.",
+            photos.len(),
+            folder.photos.len()
+        ));
+        registration.photos.extend(passed_over.iter().map(|p| PhotoReport {
+            name: p.name.clone(),
+            why_not: Some("a frame of a video that is less sharp than the next ones, or shows nothing new".to_owned()),
+            ..PhotoReport::default()
+        }));
+        registration.photos.sort_by(|a, b| a.name.cmp(&b.name));
+    }
     registration.notes.splice(0..0, folder.notes.iter().cloned().chain(folder.partly_masked()));
     let mut scaled = None;
     if let (Some(marker), Some(main)) = (&options.marker, models.first_mut()) {
@@ -88,6 +106,28 @@ pub fn register_folder(
         registration,
     };
     Ok(FolderRegistration { models, report })
+}
+
+/// The photos that are to be registered, and the frames of a video that are not: none if the photos are no frames, or none
+/// can be chosen among them.
+fn frames_apart(
+    folder: &PhotoFolder,
+    options: &FolderOptions,
+    progress: &(dyn Fn(Step) + Sync),
+) -> (Vec<InputPhoto>, Vec<InputPhoto>) {
+    let all = &folder.photos;
+    let files: Vec<PhotoFile> = all.iter().map(|p| PhotoFile { name: p.name.clone(), path: p.path.clone() }).collect();
+    if options.register.video || !are_frames(&files) {
+        return (all.clone(), Vec::new());
+    }
+    progress(Step { stage: "frames", done: 0, total: all.len() });
+    let Ok(chosen) = choose_from(&files, &VideoOptions::default(), &mut |_| ()) else {
+        return (all.clone(), Vec::new());
+    };
+    let chosen: BTreeSet<usize> = chosen.into_iter().collect();
+    let (kept, rest): (Vec<_>, Vec<_>) = all.iter().cloned().enumerate().partition(|(i, _)| chosen.contains(i));
+    let photos = |numbered: Vec<(usize, InputPhoto)>| numbered.into_iter().map(|(_, p)| p).collect();
+    (photos(kept), photos(rest))
 }
 
 /// The options in one line; registrations of the same photos with the same line are the same.

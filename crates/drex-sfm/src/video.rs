@@ -174,7 +174,7 @@ pub fn choose_from(photos: &[PhotoFile], options: &VideoOptions, progress: &mut 
 
 /// Whether so many photos of one size follow each other so closely that they are frames of a video and [`choose_from`]
 /// should choose among them.
-pub fn looks_like_video(photos: &[PhotoFile]) -> bool {
+pub fn are_frames(photos: &[PhotoFile]) -> bool {
     const MORE_THAN: usize = 150;
     const SAMPLES: usize = 12;
     let options = VideoOptions::default();

@@ -39,6 +39,9 @@ pub enum Error {
     /// The photos have no cameras that can be trusted.
     #[error(transparent)]
     Cameras(#[from] drex_sfm::Verdict),
+    /// The object cannot be cut out of the photos.
+    #[error(transparent)]
+    Masks(#[from] drex_sfm::masks::MaskError),
     /// The photos cannot be used.
     #[error(transparent)]
     Splat(#[from] drex_splat::Error),

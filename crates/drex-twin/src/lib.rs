@@ -17,6 +17,7 @@ mod inputs;
 pub mod learn;
 pub mod lock;
 pub mod manifest;
+pub mod masks;
 mod object;
 mod pipeline;
 mod place;

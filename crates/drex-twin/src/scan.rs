@@ -21,6 +21,7 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::Progress;
+use crate::masks::{MASKS, MaskReport, Masks, object_masks};
 use crate::place;
 pub use crate::place::{FrameOptions, ObjectClick, OtherPlane};
 use crate::reconstruct::{Cameras, ScanInput, train_gaussians};
@@ -78,6 +79,8 @@ pub struct Meshed {
     pub evidence: ScanEvidence,
     /// How the Gaussians were made, where there were no depth maps yet.
     pub made: Option<Reconstruction>,
+    /// The masks that were made, where there were none.
+    pub masks: Option<MaskReport>,
 }
 
 impl Scanning<'_> {
@@ -103,7 +106,7 @@ impl Scanning<'_> {
             ffmpeg: Path::new("ffmpeg"),
             limit: self.tool_limit,
         };
-        let Cameras { capture: cameras, marker, found_now, .. } = input.cameras(progress)?;
+        let Cameras { capture: mut cameras, marker, found_now, .. } = input.cameras(progress)?;
         let scale = match marker {
             Some(marker) => Scale::by_marker(marker),
             None => Scale::new(&cameras, &self.frame)?,
@@ -112,9 +115,15 @@ impl Scanning<'_> {
             // Depth maps of earlier cameras have another frame.
             remove_depth_maps(self.out)?;
         }
+        let masks = self.make_masks(&mut cameras, progress)?;
         let (depths, masked, made) = self.depth_maps(&cameras, progress)?;
         progress.begin("fusion", None);
         let mut scan = Scan::new(&cameras, &depths, masked, scale, &self.frame)?;
+        if let Some(masks) = &masks {
+            scan.frame.object_from = format!("masks of {}", masks.object_from);
+            scan.frame.others_on_table = masks.others_on_table;
+            scan.frame.doubts.extend(masks.doubts.iter().cloned());
+        }
         let mut fusion = scan.fusion.clone();
         fusion.voxel_m = self.voxel_m;
         let fused =
@@ -131,7 +140,32 @@ impl Scanning<'_> {
         for doubt in &scan.frame.doubts {
             progress.note(&format!("doubt: {doubt}"));
         }
-        Ok(Meshed { scan, fusion: fused.report, mesh, evidence, made })
+        Ok(Meshed { scan, fusion: fused.report, mesh, evidence, made, masks })
+    }
+
+    /// Makes masks of photos that have none, and gives them to the views. If most of them are doubtful, the object is cut out
+    /// of the scene by its box later.
+    fn make_masks(&self, cameras: &mut Capture, progress: &dyn Progress) -> Result<Option<MaskReport>> {
+        if cameras.views.iter().any(|v| v.mask.is_some() || v.depth.is_some()) {
+            return Ok(None);
+        }
+        let Masks { report, files, changed, .. } = object_masks(cameras, &self.frame, self.out, progress)?;
+        if changed {
+            remove_depth_maps(self.out)?;
+        }
+        let doubtful = report.doubtful().len();
+        if 2 * doubtful > report.photos.len() {
+            progress.note(&format!(
+                "masks are doubtful in {doubtful} of {} photos and not used; correct those in {} and give them by --masks",
+                report.photos.len(),
+                self.out.join(MASKS).display()
+            ));
+            return Ok(None);
+        }
+        for (view, file) in cameras.views.iter_mut().zip(files) {
+            view.mask = Some(file);
+        }
+        Ok(Some(report))
     }
 
     /// The capture with the depth maps, made where there are none, whether these show the object alone, and how they were
@@ -362,7 +396,7 @@ const IDENTITY: Similarity = Similarity {
 };
 
 /// Lower and upper corner of the box around a box that is mapped.
-fn box_around(region: &[Point3<f64>; 2], a_from_b: &Similarity) -> (Point3<f64>, Point3<f64>) {
+pub(crate) fn box_around(region: &[Point3<f64>; 2], a_from_b: &Similarity) -> (Point3<f64>, Point3<f64>) {
     let corner = |k: usize| Point3::new(region[k & 1].x, region[k >> 1 & 1].y, region[k >> 2].z);
     let corners = (0..8).map(|k| a_from_b.point(&corner(k)));
     let first = a_from_b.point(&region[0]);
@@ -457,7 +491,7 @@ fn depth_map(depths: &Photos, i: usize, silhouettes: bool) -> drex_mesh::Result<
 }
 
 /// The sparse points with the views that see them.
-fn sparse_points(cameras: &Capture) -> Vec<ScenePoint> {
+pub(crate) fn sparse_points(cameras: &Capture) -> Vec<ScenePoint> {
     let seen = |track: &[(usize, usize)]| {
         let mut views: Vec<usize> = track.iter().map(|(view, _)| *view).collect();
         views.dedup();

@@ -10,6 +10,7 @@ pub mod hands;
 pub mod hw;
 pub mod identify;
 pub mod import;
+pub mod masks;
 pub mod mesh;
 pub mod plan_push;
 pub mod reconstruct;

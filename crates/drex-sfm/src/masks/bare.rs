@@ -3,7 +3,7 @@
 //! A place of the plane looks the same in all photos that see it. So photos from about the same side are compared: they agree
 //! on a place of the plane, shadow or not, as steadily as on the plane beside the box, and on no place above it; below an
 //! object they see different parts of its surface. An object of one colour can deceive this where the table has no pattern,
-//! so the place must also have the hues and the contrast of the plane beside the box.
+//! so the place must also have the hues and the contrast of the plane beside the box, or a strong pattern: a print on it.
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -30,6 +30,8 @@ const SHARE: f64 = 0.17;
 const PATCH: usize = 6;
 /// The pattern has at least this part of the contrast beside the box.
 const CONTRAST: f32 = 0.35;
+/// From this part on, any hues may be the plane's: a print on it.
+const STRONG_CONTRAST: f32 = 1.5;
 /// Bins of a hue coordinate, and the share of the plane's places whose hues are taken for odd.
 const HUES: usize = 64;
 const ODD: f64 = 0.03;
@@ -189,8 +191,9 @@ fn like_the_plane(table: &Table, steady: &[Option<[f32; 3]>]) -> Vec<bool> {
     (0..steady.len())
         .into_par_iter()
         .map(|index| {
-            steady[index].is_some_and(|colour| commonness(colour) >= odd)
-                && contrast(steady, index).is_some_and(|here| here >= CONTRAST * usual)
+            let (Some(colour), Some(here)) = (steady[index], contrast(steady, index)) else { return false };
+            let least = if commonness(colour) >= odd { CONTRAST } else { STRONG_CONTRAST };
+            here >= least * usual
         })
         .collect()
 }

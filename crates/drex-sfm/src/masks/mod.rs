@@ -144,6 +144,19 @@ impl Mask {
         all
     }
 
+    /// The mask as a PNG file of 8-bit grey.
+    ///
+    /// # Errors
+    /// If it cannot be encoded.
+    pub fn to_png(&self) -> drex_core::Result<Vec<u8>> {
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        let encoder = image::codecs::png::PngEncoder::new(&mut bytes);
+        let colour = image::ExtendedColorType::L8;
+        image::ImageEncoder::write_image(encoder, &self.pixels(), self.width_px, self.height_px, colour)
+            .map_err(|e| drex_core::Error::value(format!("a mask cannot be encoded: {e}"), "report this"))?;
+        Ok(bytes.into_inner())
+    }
+
     /// Number of pixels that show the object.
     pub fn object_px(&self) -> usize {
         self.object.iter().filter(|o| **o).count()

@@ -217,7 +217,7 @@ fn a_thing_on_a_table_is_cut_out_without_its_shadow() {
 fn a_thing_in_the_colours_of_its_table_is_told_by_its_height() {
     let case = case(&Scene { same_colours: true }, 20);
     let overlaps = case.overlaps(&case.masks(&region(0.3, -0.0005)));
-    assert!(mean(&overlaps) > 0.85, "mean {:.3}: {overlaps:.3?}", mean(&overlaps));
+    assert!(mean(&overlaps) > 0.8, "mean {:.3}: {overlaps:.3?}", mean(&overlaps));
 }
 
 #[test]

@@ -47,7 +47,7 @@ fn view(at: [f64; 2], smear: [f64; 2], seed: i64) -> Grey {
 }
 
 /// Measures at 30 frames per second.
-fn film(frames: impl IntoIterator<Item = Grey>) -> Vec<Measured> {
+fn recording(frames: impl IntoIterator<Item = Grey>) -> Vec<Measured> {
     let mut tracker = Tracker::default();
     frames.into_iter().enumerate().map(|(i, f)| measure(&f, i as f64 / 30.0, &mut tracker)).collect()
 }
@@ -66,7 +66,7 @@ fn a_pause_gives_one_frame_and_points_move_as_the_camera_does() {
     let mut at: Vec<[f64; 2]> = (0..50).map(|i| [2.3 * f64::from(i), 0.0]).collect();
     at.extend(std::iter::repeat_n([115.0, 0.0], 60));
     at.extend((1..50).map(|i| [115.0, 2.0 * f64::from(i)]));
-    let frames = film(at.iter().enumerate().map(|(i, p)| view(*p, [0.0; 2], i as i64)));
+    let frames = recording(at.iter().enumerate().map(|(i, p)| view(*p, [0.0; 2], i as i64)));
     for (a, b) in [(0, 1), (3, 15), (20, 40), (60, 105)] {
         let truth = steps(&[a, b], &at)[0];
         let found = moved(&frames[a], &frames[b], 0.5).unwrap();
@@ -86,7 +86,7 @@ fn a_smeared_frame_is_not_chosen() {
     let at: Vec<[f64; 2]> = (0..120).map(|i| [2.0 * f64::from(i), 0.7 * f64::from(i)]).collect();
     let smeared = |i: usize| i % 7 == 3 || (60..75).contains(&i);
     for smear in [[9.0, 0.0], [0.0, 9.0], [6.0, -6.0]] {
-        let frames = film((0..at.len()).map(|i| view(at[i], if smeared(i) { smear } else { [0.0; 2] }, i as i64)));
+        let frames = recording((0..at.len()).map(|i| view(at[i], if smeared(i) { smear } else { [0.0; 2] }, i as i64)));
         let sharp: Vec<f64> = quality(&frames).iter().map(|q| q.sharpness).collect();
         let worst = (0..at.len()).filter(|&i| !smeared(i)).map(|i| sharp[i]).fold(f64::INFINITY, f64::min);
         let best = (0..at.len()).filter(|&i| smeared(i)).map(|i| sharp[i]).fold(0.0, f64::max);
@@ -96,7 +96,7 @@ fn a_smeared_frame_is_not_chosen() {
         // A light smear is no reason to drop a frame, but its sharper neighbour is taken.
         let light = |i: usize| i % 4 != 1;
         let smear = smear.map(|s| s / 4.0);
-        let frames = film((0..60).map(|i| view(at[i], if light(i) { smear } else { [0.0; 2] }, i as i64)));
+        let frames = recording((0..60).map(|i| view(at[i], if light(i) { smear } else { [0.0; 2] }, i as i64)));
         let chosen = choose(&frames, &rules([1, 150]), 0.5);
         assert!(chosen.len() >= 4 && chosen.iter().all(|&i| !light(i)), "{smear:?}: {chosen:?}");
     }
@@ -107,7 +107,7 @@ fn rounds_keep_their_spacing() {
     // Two rounds that begin slowly: no fixed stride would do.
     let angle = |i: usize| 4.0 * std::f64::consts::PI * (i as f64 / 239.0).powf(1.4);
     let at: Vec<[f64; 2]> = (0..240).map(|i| [70.0 * angle(i).cos(), 70.0 * angle(i).sin()]).collect();
-    let frames = film(at.iter().enumerate().map(|(i, p)| view(*p, [0.0; 2], i as i64)));
+    let frames = recording(at.iter().enumerate().map(|(i, p)| view(*p, [0.0; 2], i as i64)));
     let chosen = choose(&frames, &rules([1, 150]), 0.5);
     let spacing = steps(&chosen, &at);
     assert!(spacing.iter().all(|s| (0.039..0.081).contains(s)), "{spacing:?}");
@@ -126,7 +126,7 @@ fn rounds_keep_their_spacing() {
 
 #[test]
 fn what_turns_before_a_background_at_rest_counts_where_nothing_else_moves() {
-    let frames = film((0..60).map(|i| {
+    let frames = recording((0..60).map(|i| {
         let mut still = view([0.0; 2], [0.0; 2], i);
         let moving = view([1000.0 + 2.0 * i as f64, 0.0], [0.0; 2], i);
         for y in 50..130 {
@@ -141,7 +141,7 @@ fn what_turns_before_a_background_at_rest_counts_where_nothing_else_moves() {
 
 #[test]
 fn frames_that_share_nothing_are_all_new() {
-    let frames = film((0..40).map(|i| view([1000.0 * f64::from(i), 0.0], [0.0; 2], i64::from(i))));
+    let frames = recording((0..40).map(|i| view([1000.0 * f64::from(i), 0.0], [0.0; 2], i64::from(i))));
     assert_eq!(choose(&frames, &rules([1, 150]), 0.5).len(), 40);
     assert_eq!(choose(&frames, &rules([1, 10]), 0.5).len(), 10);
 }
@@ -152,7 +152,7 @@ fn exposure_may_change() {
     for (i, frame) in frames.iter_mut().enumerate() {
         frame.pixels.iter_mut().for_each(|v| *v = (f64::from(*v) * (0.8 + 0.01 * (i % 20) as f64)) as u8);
     }
-    let frames = film(frames);
+    let frames = recording(frames);
     let found = moved(&frames[5], &frames[15], 0.5).unwrap();
     assert!((found - 20.0 / 320.0).abs() < 0.002, "{found}");
 }
@@ -168,10 +168,10 @@ fn odd_frames_do_no_harm() {
         let small = shrunk(frame, 10);
         assert!(small.width.max(small.height) <= 10 && small.pixels.len() == small.width * small.height);
     }
-    let frames = film(odd);
+    let frames = recording(odd);
     let _ = choose(&frames, &rules([60, 150]), 0.5);
     // Black, white, one colour: nothing to follow, nothing sharp.
-    let flat = film([0u8, 255, 9, 9, 9].map(|v| Grey { width: 64, height: 48, pixels: vec![v; 64 * 48] }));
+    let flat = recording([0u8, 255, 9, 9, 9].map(|v| Grey { width: 64, height: 48, pixels: vec![v; 64 * 48] }));
     assert!(flat.iter().all(|f| f.points.is_empty()));
     let _ = choose(&flat, &rules([0, 0]), 1.0);
     let mean = shrunk(&Grey { width: 4, height: 2, pixels: vec![0, 10, 100, 200, 20, 30, 100, 0] }, 2);
@@ -180,14 +180,14 @@ fn odd_frames_do_no_harm() {
 
 #[test]
 fn what_ffmpeg_prints_is_read_or_refused() {
-    let mut film = b"YUV4MPEG2 W32 H24 F25:1 Ip A1:1 Cmono XCOLORRANGE=FULL\n".to_vec();
+    let mut recording = b"YUV4MPEG2 W32 H24 F25:1 Ip A1:1 Cmono XCOLORRANGE=FULL\n".to_vec();
     for i in 0..3u8 {
-        film.extend_from_slice(b"FRAME\n");
-        film.extend((0..32 * 24).map(|k| (k as u8).wrapping_mul(i)));
+        recording.extend_from_slice(b"FRAME\n");
+        recording.extend((0..32 * 24).map(|k| (k as u8).wrapping_mul(i)));
     }
-    assert_eq!(read_frames(&mut film.as_slice()).unwrap().len(), 3);
-    for end in 0..film.len() {
-        if let Ok(frames) = read_frames(&mut &film[..end]) {
+    assert_eq!(read_frames(&mut recording.as_slice()).unwrap().len(), 3);
+    for end in 0..recording.len() {
+        if let Ok(frames) = read_frames(&mut &recording[..end]) {
             assert!(frames.len() <= 2, "{end}");
         }
     }

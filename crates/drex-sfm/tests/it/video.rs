@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use crate::programs::{alone, script};
 use drex_core::capture::photos_under;
-use drex_sfm::video::{Frames, VideoOptions, choose_frames, choose_from, looks_like_video};
+use drex_sfm::video::{Frames, VideoOptions, are_frames, choose_frames, choose_from};
 
 const SIZE: [usize; 2] = [192, 144];
 
@@ -193,11 +193,11 @@ fn what_looks_like_a_video() {
         picture(&film.join(format!("{i}.png")), 1.5 * f64::from(i));
         picture(&album.join(format!("{i}.png")), 60.0 * f64::from(i));
     }
-    assert!(looks_like_video(&photos_under(&film)));
-    assert!(!looks_like_video(&photos_under(&album)));
-    assert!(!looks_like_video(&photos_under(&film)[..150]) && !looks_like_video(&[]));
+    assert!(are_frames(&photos_under(&film)));
+    assert!(!are_frames(&photos_under(&album)));
+    assert!(!are_frames(&photos_under(&film)[..150]) && !are_frames(&[]));
     image::GrayImage::new(40, 30).save(film.join("70.png")).unwrap();
-    assert!(!looks_like_video(&photos_under(&film)));
+    assert!(!are_frames(&photos_under(&film)));
 }
 
 #[test]

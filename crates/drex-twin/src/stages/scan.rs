@@ -12,6 +12,7 @@ use nalgebra::Point3;
 
 use crate::Progress;
 use crate::Twin;
+use crate::masks::MASKS;
 use crate::records::{SCAN, ScanFile, write_json};
 use crate::scan::{FrameOptions, Meshed, Scanning, remove_depth_maps};
 
@@ -59,11 +60,12 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
         reconstruct,
         tool_limit: twin.tool_limit,
     };
-    let Meshed { scan, fusion, mesh, evidence, made } = scanning.mesh(progress)?;
+    let Meshed { scan, fusion, mesh, evidence, made, masks } = scanning.mesh(progress)?;
     for (part, set) in made.iter().flat_map(|made| [("appearance", &made.appearance), ("surface", &made.surface)]) {
         twin.took(part, set.seconds);
     }
     write_mesh(&file, &mesh)?;
     write_json(&twin.output(SCAN)?, &ScanFile { scan: scan.frame, fusion, evidence: Some(evidence) })?;
-    Ok([sfm, splat, depth, file].into_iter().filter(|f| f.exists()).collect())
+    let masks = masks.map(|_| twin.output(MASKS)).transpose()?;
+    Ok([sfm, splat, depth, file].into_iter().chain(masks).filter(|f| f.exists()).collect())
 }
