@@ -9,8 +9,9 @@ use drex_core::camera::point_looked_at;
 use drex_core::capture::{Capture, CaptureReport, PhotoOptions, Photos, SparsePoint};
 use drex_core::fsutil::{self, OutputFolder, output_path};
 use drex_core::npy::write_npy;
-use drex_core::stats::quantile;
-use nalgebra::Point3;
+use drex_core::stats::{median, quantile};
+use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::io::{picture, ply};
@@ -129,6 +130,11 @@ const HULL_SIDE: usize = 2048;
 const DEPTH_SIDE: usize = 1024;
 /// Margin round a silhouette in which centres are kept, pixels at that size.
 const HULL_MARGIN_PX: usize = 2;
+/// Points of the hull that Gaussians start from.
+const HULL_POINTS: usize = 2000;
+/// They are sought in so many steps along a ray, and as far from the middle of the object's sparse points as most of these, times this.
+const HULL_STEPS: u32 = 200;
+const HULL_REACH: f64 = 2.0;
 
 /// Trains both sets from `capture` and writes `splat/appearance.ply`, `splat/surface.ply`, `splat/report.json` and
 /// `depth/` into `out`. For every photo's camera `depth/` gets `NAME.npy` (z in the camera frame, scene units, 0 where
@@ -385,7 +391,7 @@ impl<'a> Job<'a> {
         options
     }
 
-    /// The first Gaussians: the sparse points, of the object if masks are used.
+    /// The first Gaussians: the sparse points; if masks are used, those of the object, and points of the visual hull.
     fn first(&self, options: &TrainOptions) -> Result<Gaussians> {
         let kept: Vec<_> =
             self.capture.points.iter().filter(|p| self.hull.contains(&p.position.map(|v| v as f32))).collect();
@@ -397,9 +403,44 @@ impl<'a> Job<'a> {
             .into());
         }
         let step = kept.len().div_ceil(options.max_gaussians);
-        let (points, colours): (Vec<_>, Vec<_>) = kept.iter().step_by(step).map(|p| (p.position, p.rgb)).unzip();
+        let mut first: Vec<_> = kept.iter().step_by(step).map(|p| (p.position, p.rgb)).collect();
+        if self.masked {
+            first.extend(self.hull_points(&kept, HULL_POINTS.min(options.max_gaussians - first.len()))?);
+        }
+        let (points, colours): (Vec<_>, Vec<_>) = first.into_iter().unzip();
         let opacity = if matches!(options.density, crate::train::Density::Mcmc(_)) { 0.5 } else { 0.1 };
         Ok(from_points(&points, &colours, options.kind, options.sh_degree, opacity))
+    }
+
+    /// About `count` places where rays of the photos' masks enter the visual hull, in the colours of their pixels. Sparse points
+    /// are few where a thing has little texture, and what starts from them alone takes thousands of steps to cover it.
+    fn hull_points(&self, object: &[&SparsePoint], count: usize) -> Result<Vec<([f64; 3], [u8; 3])>> {
+        let axis = |k: usize| median(object.iter().map(|p| p.position[k])).unwrap_or(0.0);
+        let middle = Point3::new(axis(0), axis(1), axis(2));
+        let from_middle = object.iter().map(|p| (Point3::from(p.position) - middle).norm());
+        let reach = HULL_REACH * quantile(from_middle, 0.95).unwrap_or(0.0);
+        let mut found = Vec::new();
+        for &view in &self.trained {
+            let photo = self.photos.get(view)?;
+            let Some(mask) = &photo.mask else { continue };
+            let camera = self.photos.camera(view);
+            let world_from_camera = camera.camera_from_world.inverse();
+            let eye = Point3::from(world_from_camera.translation.vector);
+            let from = ((middle - eye).norm() - reach).max(0.0);
+            let shown: Vec<usize> = (0..mask.len()).filter(|&i| mask[i] >= 128).collect();
+            let step = (shown.len() * self.trained.len()).div_ceil(count.max(1)).max(1);
+            let enters = |&i: &usize| {
+                let (x, y) = ((i % camera.width) as f64 + 0.5, (i / camera.width) as f64 + 0.5);
+                let ray = Vector3::new((x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0).normalize();
+                let ray = world_from_camera.rotation * ray;
+                let at = |k: u32| eye + ray * (from + 2.0 * reach * f64::from(k) / f64::from(HULL_STEPS));
+                let place = (0..=HULL_STEPS).map(at).find(|p| self.hull.contains(&p.coords.cast::<f32>().into()))?;
+                Some((place.coords.into(), photo.rgb[i]))
+            };
+            let some: Vec<usize> = shown.into_iter().skip(step / 2).step_by(step).collect();
+            found.extend(some.par_iter().filter_map(enters).collect::<Vec<_>>());
+        }
+        Ok(found)
     }
 
     /// PSNR and SSIM on the photos held out, inside their masks where masks are used.
