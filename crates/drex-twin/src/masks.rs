@@ -13,8 +13,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::error::refuse;
-use crate::place::{self, FrameOptions};
-use crate::scan::{box_around, sparse_points};
+use crate::place::{self, FrameOptions, box_around, sparse_points};
 use crate::{Error, Progress, Result};
 
 /// Folder of the masks and name of their report, below the output folder.

@@ -268,6 +268,24 @@ impl Place {
     }
 }
 
+/// The sparse points with the views that see them.
+pub(crate) fn sparse_points(cameras: &Capture) -> Vec<ScenePoint> {
+    let seen = |track: &[(usize, usize)]| {
+        let mut views: Vec<usize> = track.iter().map(|(view, _)| *view).collect();
+        views.dedup();
+        views
+    };
+    cameras.points.iter().map(|p| ScenePoint { views: seen(&p.track), ..ScenePoint::at(p.position.into()) }).collect()
+}
+
+/// Lower and upper corner of the box around a box that is mapped.
+pub(crate) fn box_around(region: &[Point3<f64>; 2], a_from_b: &Similarity) -> (Point3<f64>, Point3<f64>) {
+    let corner = |k: usize| Point3::new(region[k & 1].x, region[k >> 1 & 1].y, region[k >> 2].z);
+    let corners = (0..8).map(|k| a_from_b.point(&corner(k)));
+    let first = a_from_b.point(&region[0]);
+    corners.fold((first, first), |(lo, hi), p| (lo.inf(&p), hi.sup(&p)))
+}
+
 fn distance_from([lo, hi]: &[Point3<f64>; 2], p: &Point3<f64>) -> f64 {
     (lo - p).sup(&(p - hi)).sup(&Vector3::zeros()).norm()
 }

@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::Progress;
 use crate::masks::{MASKS, MaskReport, Masks, object_masks};
-use crate::place;
+use crate::place::{self, box_around, sparse_points};
 pub use crate::place::{FrameOptions, ObjectClick, OtherPlane};
 use crate::reconstruct::{Cameras, ScanInput, train_gaussians};
 
@@ -395,14 +395,6 @@ const IDENTITY: Similarity = Similarity {
     translation: Vector3::new(0.0, 0.0, 0.0),
 };
 
-/// Lower and upper corner of the box around a box that is mapped.
-pub(crate) fn box_around(region: &[Point3<f64>; 2], a_from_b: &Similarity) -> (Point3<f64>, Point3<f64>) {
-    let corner = |k: usize| Point3::new(region[k & 1].x, region[k >> 1 & 1].y, region[k >> 2].z);
-    let corners = (0..8).map(|k| a_from_b.point(&corner(k)));
-    let first = a_from_b.point(&region[0]);
-    corners.fold((first, first), |(lo, hi), p| (lo.inf(&p), hi.sup(&p)))
-}
-
 impl Scan {
     /// What the mesh is held against.
     ///
@@ -488,16 +480,6 @@ fn depth_map(depths: &Photos, i: usize, silhouettes: bool) -> drex_mesh::Result<
         depth_m: depth.clone(),
         mask: photo.mask.as_ref().filter(|_| silhouettes).map(|m| m.iter().map(|&v| v >= 128).collect()),
     })
-}
-
-/// The sparse points with the views that see them.
-pub(crate) fn sparse_points(cameras: &Capture) -> Vec<ScenePoint> {
-    let seen = |track: &[(usize, usize)]| {
-        let mut views: Vec<usize> = track.iter().map(|(view, _)| *view).collect();
-        views.dedup();
-        views
-    };
-    cameras.points.iter().map(|p| ScenePoint { views: seen(&p.track), ..ScenePoint::at(p.position.into()) }).collect()
 }
 
 /// Some of the points that the depth maps show, in the scan's frame, each seen by its map's view.

@@ -14,6 +14,13 @@ type Case = (&'static str, &'static [&'static str], i32, &'static [&'static str]
 /// `empty` folder, a cloud `points.ply` and a file `notes.txt`.
 const CASES: &[Case] = &[
     ("sfm", &["empty", "--out", "new"], 1, &["empty has no photos", "put 20 to 80 photos"]),
+    ("masks", &["empty", "--out", "new"], 1, &["empty has no photos", "put 20 to 80 photos"]),
+    (
+        "masks",
+        &["photos", "--out", "new", "--object", "middle"],
+        2,
+        &["\"middle\" is no click", "512,300@IMG_1001.jpg"],
+    ),
     ("reconstruct", &["empty", "--out", "new"], 1, &["empty has no photos", "put 20 to 80 photos"]),
     ("reconstruct", &["nowhere", "--out", "new"], 1, &["there is no nowhere", "give a folder with photos"]),
     ("reconstruct", &["notes.txt", "--out", "new", "--ffmpeg", "no-such-ffmpeg"], 1, &["no-such-ffmpeg", "install"]),

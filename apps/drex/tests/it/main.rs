@@ -10,6 +10,7 @@ mod grasp;
 mod hw;
 mod hw_state;
 mod identify;
+mod masks;
 mod outside;
 mod posterior;
 mod reconstruct;

@@ -8,12 +8,12 @@ use drex_core::capture::{Capture, CaptureOptions};
 use image::{DynamicImage, ImageBuffer, Rgb};
 
 /// The photo of this number of the demo; 0 to 17 are one round, 18 to 31 another.
-fn demo_photo(i: usize) -> PathBuf {
+pub fn demo_photo(i: usize) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("data/demo/scan/images/{i:02}.jpg"))
 }
 
 /// A folder with the demo's photos of these numbers.
-fn photos(numbers: impl IntoIterator<Item = usize>) -> tempfile::TempDir {
+pub fn photos(numbers: impl IntoIterator<Item = usize>) -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
     fs::create_dir(dir.path().join("photos")).unwrap();
     for i in numbers {
@@ -247,9 +247,11 @@ fn a_video_is_its_frames() {
     );
     let run = play(&frames);
     assert_eq!(run.code, 0, "{}", run.stderr);
-    assert!(run.stdout.contains("10 of 10 photos registered"), "{}", run.stdout);
+    let chosen = fs::read_dir(out.join("images")).unwrap().count();
+    assert!((5..=10).contains(&chosen), "{chosen} of 10 frames");
+    assert!(run.stdout.contains(&format!("{chosen} of {chosen} photos registered")), "{}", run.stdout);
     // The frames lie beside the model: a capture as it is.
-    assert_eq!(Capture::load(&out, &CaptureOptions::default()).unwrap().views.len(), 10);
+    assert_eq!(Capture::load(&out, &CaptureOptions::default()).unwrap().views.len(), chosen);
     assert!(play("exit 1").stderr.contains("going on with the frames"), "they are not taken twice");
 }
 
