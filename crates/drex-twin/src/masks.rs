@@ -78,6 +78,11 @@ pub struct Masks {
     pub changed: bool,
 }
 
+/// Whether masks were made in this output folder.
+pub(crate) fn made_masks_in(out: &Path) -> bool {
+    out.join(REPORT).is_file()
+}
+
 /// The object's mask for each photo of `cameras`, as `out/masks/NAME.png` (white is the object) with `out/masks/report.json`.
 ///
 /// Table and object are found by the sparse points, as for a mesh. Masks that an earlier run made of the same cameras with the

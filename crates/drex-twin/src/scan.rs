@@ -21,7 +21,7 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::Progress;
-use crate::masks::{MASKS, MaskReport, Masks, object_masks};
+use crate::masks::{MASKS, MaskReport, Masks, made_masks_in, object_masks};
 use crate::place::{self, box_around, sparse_points};
 pub use crate::place::{FrameOptions, ObjectClick, OtherPlane};
 use crate::reconstruct::{Cameras, ScanInput, train_gaussians};
@@ -34,6 +34,7 @@ const SILHOUETTE_PX: u32 = 240;
 const PIXEL_STEP: usize = 12;
 
 /// How large a scan is.
+#[derive(Clone)]
 pub struct Scale {
     metres_per_unit: f64,
     from: &'static str,
@@ -79,7 +80,7 @@ pub struct Meshed {
     pub evidence: ScanEvidence,
     /// How the Gaussians were made, where there were no depth maps yet.
     pub made: Option<Reconstruction>,
-    /// The masks that were made, where there were none.
+    /// The masks that were made and used, where there were none.
     pub masks: Option<MaskReport>,
 }
 
@@ -116,9 +117,40 @@ impl Scanning<'_> {
             remove_depth_maps(self.out)?;
         }
         let masks = self.make_masks(&mut cameras, progress)?;
-        let (depths, masked, made) = self.depth_maps(&cameras, progress)?;
+        let made_masks = masks.is_some();
+        let mut meshed = self.fused(&cameras, masks, scale.clone(), progress)?;
+        let mut rules = check_scan(&meshed.mesh, &[], &meshed.evidence);
+        if made_masks && meshed.masks.is_some() && rules.iter().any(at_odds_with_masks) {
+            progress.note(&format!(
+                "the mesh does not agree with the masks that were made: they are not used, and the object is cut out by its box; \
+                 correct those in {} and give them by --masks",
+                self.out.join(MASKS).display()
+            ));
+            cameras.views.iter_mut().for_each(|v| v.mask = None);
+            remove_depth_maps(self.out)?;
+            meshed = self.fused(&cameras, None, scale, progress)?;
+            rules = check_scan(&meshed.mesh, &[], &meshed.evidence);
+        }
+        meshed.scan.frame.doubts.extend(contradictions(&rules, self.input)?);
+        for doubt in &meshed.scan.frame.doubts {
+            progress.note(&format!("doubt: {doubt}"));
+        }
+        Ok(meshed)
+    }
+
+    /// The closed mesh of photos with their cameras, and with the masks that were made of them.
+    fn fused(
+        &self,
+        cameras: &Capture,
+        masks: Option<MaskReport>,
+        scale: Scale,
+        progress: &dyn Progress,
+    ) -> Result<Meshed> {
+        let (depths, masked, made) = self.depth_maps(cameras, progress)?;
         progress.begin("fusion", None);
-        let mut scan = Scan::new(&cameras, &depths, masked, scale, &self.frame)?;
+        let mut scan = Scan::new(cameras, &depths, masked, scale, &self.frame)?;
+        // Depth maps of an earlier run may show the whole scene.
+        let masks = masks.filter(|_| masked);
         if let Some(masks) = &masks {
             scan.frame.object_from = format!("masks of {}", masks.object_from);
             scan.frame.others_on_table = masks.others_on_table;
@@ -136,17 +168,15 @@ impl Scanning<'_> {
         }
         progress.end();
         let evidence = scan.evidence(fused.report.voxel_m, self.frame.region.is_some())?;
-        scan.frame.doubts.extend(contradictions(&mesh, &evidence, self.input)?);
-        for doubt in &scan.frame.doubts {
-            progress.note(&format!("doubt: {doubt}"));
-        }
         Ok(Meshed { scan, fusion: fused.report, mesh, evidence, made, masks })
     }
 
     /// Makes masks of photos that have none, and gives them to the views. If most of them are doubtful, the object is cut out
     /// of the scene by its box later.
     fn make_masks(&self, cameras: &mut Capture, progress: &dyn Progress) -> Result<Option<MaskReport>> {
-        if cameras.views.iter().any(|v| v.mask.is_some() || v.depth.is_some()) {
+        // Depth maps that somebody trained before are gone on with as they are.
+        let trained = self.out.join("depth/transforms.json").is_file() && !made_masks_in(self.out);
+        if trained || cameras.views.iter().any(|v| v.mask.is_some() || v.depth.is_some()) {
             return Ok(None);
         }
         let Masks { report, files, changed, .. } = object_masks(cameras, &self.frame, self.out, progress)?;
@@ -198,18 +228,23 @@ impl Scanning<'_> {
 ///
 /// # Errors
 /// If the mesh contradicts the scan.
-fn contradictions(mesh: &TriMesh, evidence: &ScanEvidence, input: &Path) -> Result<Vec<String>> {
+fn contradictions(rules: &[RuleResult], input: &Path) -> Result<Vec<String>> {
     let sentence = |r: &RuleResult| {
         let fix = r.fix.as_ref().map_or(String::new(), |fix| format!(": {fix}"));
         format!("rule {} ({}): {}{fix}", r.number, r.name, r.reason)
     };
-    let rules = check_scan(mesh, &[], evidence);
     let of = |outcome: Outcome| rules.iter().filter(|r| r.outcome == outcome).map(sentence).collect::<Vec<_>>();
     let failed = of(Outcome::Fail);
     if failed.is_empty() {
         return Ok(of(Outcome::Doubt));
     }
     refuse!("the mesh of {} contradicts its photos, no asset is made of it; {}", input.display(), failed.join("; "))
+}
+
+/// Whether a rule says that the mesh is not the shape that the masks show.
+fn at_odds_with_masks(rule: &RuleResult) -> bool {
+    const OF_MASKS: [u8; 2] = [22, 23];
+    OF_MASKS.contains(&rule.number) && [Outcome::Doubt, Outcome::Fail].contains(&rule.outcome)
 }
 
 /// Says which cameras and masks look wrong; where Gaussians are trained, the whole report is said.
@@ -612,15 +647,15 @@ mod tests {
         let support = SupportEvidence { point_m: [0.0; 3], up: [0.0, 0.0, 1.0], rms_px: Some(0.4) };
         let mut evidence =
             ScanEvidence { support: Some(support), cameras: (0..7).map(camera).collect(), ..ScanEvidence::default() };
-        assert!(contradictions(&mesh, &evidence, input).unwrap().is_empty());
+        assert!(contradictions(&check_scan(&mesh, &[], &evidence), input).unwrap().is_empty());
         evidence.support = Some(SupportEvidence { rms_px: Some(3.0), ..support });
-        let doubts = contradictions(&mesh, &evidence, input).unwrap();
+        let doubts = contradictions(&check_scan(&mesh, &[], &evidence), input).unwrap();
         assert!(
             doubts.len() == 1 && doubts[0].starts_with("rule 18 (support fits its points): its points lie 3.00 px")
         );
         // A wall taken for the table: half of the cameras are behind it.
         evidence.support = Some(SupportEvidence { up: [1.0, 0.0, 0.0], ..support });
-        let message = contradictions(&mesh, &evidence, input).unwrap_err().to_string();
+        let message = contradictions(&check_scan(&mesh, &[], &evidence), input).unwrap_err().to_string();
         for part in ["photos of a tin", "no asset is made", "rule 19", "--up"] {
             assert!(message.contains(part), "{message}");
         }
