@@ -134,6 +134,10 @@ const HULL_MARGIN_PX: usize = 2;
 const HULL_POINTS: usize = 2000;
 /// They are sought in so many steps along a ray, and as far from the middle of the object's sparse points as most of these, times this.
 const HULL_STEPS: u32 = 200;
+/// Side of a patch of the photos, about what the windows of the structural similarity tell apart.
+const PATCH_PX: usize = 8;
+/// With a sparse point for so many patches the hull is not needed.
+const PATCHES_A_POINT: usize = 4;
 const HULL_REACH: f64 = 2.0;
 
 /// Trains both sets from `capture` and writes `splat/appearance.ply`, `splat/surface.ply`, `splat/report.json` and
@@ -413,8 +417,18 @@ impl<'a> Job<'a> {
     }
 
     /// About `count` places where rays of the photos' masks enter the visual hull, in the colours of their pixels. Sparse points
-    /// are few where a thing has little texture, and what starts from them alone takes thousands of steps to cover it.
+    /// are few where a thing has little texture, and what starts from them alone takes thousands of steps to cover it. None
+    /// where there is a sparse point for every four patches of the masks: they know better where the surface is than the hull.
     fn hull_points(&self, object: &[&SparsePoint], count: usize) -> Result<Vec<([f64; 3], [u8; 3])>> {
+        let mut shown = 0;
+        for &view in &self.trained {
+            shown += self.photos.get(view)?.mask.as_ref().map_or(0, |m| m.iter().filter(|&&v| v >= 128).count());
+        }
+        let patches = shown / (PATCH_PX * PATCH_PX);
+        if object.len() >= patches / PATCHES_A_POINT {
+            return Ok(Vec::new());
+        }
+        let count = count.min(patches);
         let axis = |k: usize| median(object.iter().map(|p| p.position[k])).unwrap_or(0.0);
         let middle = Point3::new(axis(0), axis(1), axis(2));
         let from_middle = object.iter().map(|p| (Point3::from(p.position) - middle).norm());

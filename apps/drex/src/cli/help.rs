@@ -10,7 +10,7 @@ use super::Cli;
 /// Headings of `drex --help` and the subcommands below them.
 const GROUPS: [(&str, &[&str]); 6] = [
     ("All of it", &["demo", "run", "report", "import"]),
-    ("The object", &["sfm", "reconstruct", "asset", "mesh", "render"]),
+    ("The object", &["sfm", "masks", "reconstruct", "asset", "mesh", "render"]),
     ("Its mass", &["identify", "plan-push", "calibrate-hand"]),
     ("People's hands", &["hands", "retarget"]),
     ("The grasp", &["train", "evaluate", "grasp", "deploy", "hw"]),
@@ -18,13 +18,18 @@ const GROUPS: [(&str, &[&str]); 6] = [
 ];
 
 /// Lines behind the help of a subcommand; words of a subcommand's name are separated by blanks.
-const EXAMPLES: [(&str, &str); 28] = [
+const EXAMPLES: [(&str, &str); 29] = [
     (
         "sfm",
         "drex sfm photos --out cameras
   drex sfm photos --out cameras --marker tag36h11:11:0.06    tag 11, its black border 60 mm wide, lies beside the object
   drex sfm turntable --out cameras --masks turntable/masks    what turns is white
   drex sfm clip.mp4 --out cameras --camera K.txt",
+    ),
+    (
+        "masks",
+        "drex masks photos --out twin
+  drex masks photos --out twin --object 512,300@IMG_1001.jpg    this one of several things",
     ),
     (
         "reconstruct",
