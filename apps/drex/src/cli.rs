@@ -163,6 +163,20 @@ pub struct SfmArgs {
     pub tools: ToolArgs,
 }
 
+/// Programs that find cameras and take frames for `masks` and `reconstruct`.
+#[derive(Debug, Args)]
+pub struct ProgramArgs {
+    /// Let COLMAP, or this program, find the cameras of photos that have none.
+    #[arg(long, value_name = "PROGRAM", num_args = 0..=1, require_equals = true, default_missing_value = "colmap")]
+    pub colmap: Option<PathBuf>,
+    /// The ffmpeg program.
+    #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg")]
+    pub ffmpeg: PathBuf,
+    /// How long they may take.
+    #[command(flatten)]
+    pub tools: ToolArgs,
+}
+
 /// `drex masks`.
 #[derive(Debug, Args)]
 pub struct MasksArgs {
@@ -183,15 +197,9 @@ pub struct MasksArgs {
     /// Up in the frame of the scan, as X,Y,Z [default: away from the table].
     #[arg(long, value_name = "X,Y,Z", value_parser = direction, allow_hyphen_values = true)]
     pub up: Option<[f64; 3]>,
-    /// Let COLMAP, or this program, find the cameras of photos that have none.
-    #[arg(long, value_name = "PROGRAM", num_args = 0..=1, require_equals = true, default_missing_value = "colmap")]
-    pub colmap: Option<PathBuf>,
-    /// The ffmpeg program.
-    #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg")]
-    pub ffmpeg: PathBuf,
-    /// How long other programs may take.
+    /// The programs that may be called.
     #[command(flatten)]
-    pub tools: ToolArgs,
+    pub programs: ProgramArgs,
 }
 
 /// `drex reconstruct`.
@@ -248,15 +256,9 @@ pub struct ReconstructArgs {
     /// Draw on the GPU (needs a build with `--features wgpu`).
     #[arg(long)]
     pub gpu: bool,
-    /// Let COLMAP, or this program, find the cameras of photos that have none.
-    #[arg(long, value_name = "PROGRAM", num_args = 0..=1, require_equals = true, default_missing_value = "colmap")]
-    pub colmap: Option<PathBuf>,
-    /// The ffmpeg program.
-    #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg")]
-    pub ffmpeg: PathBuf,
-    /// How long they may take.
+    /// The programs that may be called.
     #[command(flatten)]
-    pub tools: ToolArgs,
+    pub programs: ProgramArgs,
 }
 
 /// How long other programs may take.

@@ -36,7 +36,7 @@ pub struct MaskReport {
     pub doubts: Vec<String>,
     /// One per photo with a camera, in their order.
     pub photos: Vec<PhotoMask>,
-    /// Hash of the cameras and of what was asked for: masks with the same are the same.
+    /// Hash of photos, cameras and what was asked for: masks with the same are the same.
     made_of: String,
 }
 
@@ -110,9 +110,11 @@ pub fn object_masks(cameras: &Capture, frame: &FrameOptions, out: &Path, progres
         changed |= !as_it_was;
         theirs.push(hash.filter(|_| !as_it_was || known.is_some_and(|k| k.corrected)));
     }
-    let made_of = made_of(cameras, frame);
+    let made_of = made_of(cameras, frame)?;
+    // Somebody may have edited the report, too.
+    let of_each = |r: &MaskReport| r.photos.iter().map(|p| &p.photo).eq(cameras.views.iter().map(|v| &v.name));
     let whole = files.iter().all(|f| f.is_file());
-    let mut report = match earlier.clone().filter(|r| whole && r.made_of == made_of) {
+    let mut report = match earlier.clone().filter(|r| whole && r.made_of == made_of && of_each(r)) {
         Some(report) => {
             let folder = out.join(MASKS);
             progress
@@ -213,14 +215,15 @@ fn hash(bytes: &[u8]) -> String {
     fsutil::hex(&Sha256::digest(bytes))
 }
 
-/// Of everything that masks depend on but the photos, which are named.
-fn made_of(cameras: &Capture, frame: &FrameOptions) -> String {
+/// Hash of everything that masks depend on.
+fn made_of(cameras: &Capture, frame: &FrameOptions) -> Result<String> {
     let mut all =
         format!("{} {:?} {:?} {:?} {}", env!("CARGO_PKG_VERSION"), frame.up, frame.region, frame.object, frame.seed);
     for view in &cameras.views {
-        all += &format!("\n{} {:?} {:?}", view.name, view.lens, view.camera_from_world);
+        let photo = hash(&fsutil::read_bytes(&view.photo)?);
+        all += &format!("\n{} {photo} {:?} {:?}", view.name, view.lens, view.camera_from_world);
     }
-    hash(all.as_bytes())
+    Ok(hash(all.as_bytes()))
 }
 
 /// Of somebody's mask, which must be of its photo's size.

@@ -24,6 +24,9 @@ const MAX_TABLE_OFFSET_SHARE: f64 = 0.1;
 const SURE: f64 = 0.3;
 /// Where up is from if the object's lowest point is below the plane that was found.
 pub(crate) const PARALLEL: &str = "a plane under the object";
+/// Why an up direction may be the wrong one.
+const NO_PLANE: &str = "no plane of the sparse points has the up direction that was given; the object is taken to stand on the lowest of them: \
+                        check --up, which is in the frame of the scan, or leave it out";
 /// More points of the object say nothing new.
 const MOST_OBJECT_POINTS: usize = 20_000;
 
@@ -167,7 +170,11 @@ pub(crate) fn find(
     let eyes: Vec<Pose> = cameras.views.iter().map(|v| v.camera_from_world.inverse()).collect();
     let click = options.object.as_ref().map(|c| c.among(cameras)).transpose()?;
     let near = |p: &Point3<f64>| options.region.is_none_or(|region| distance_from(&region, p) < size_of(&region));
+    let there = points.len();
     let points: Vec<ScenePoint> = points.into_iter().filter(|p| near(&p.position)).collect();
+    if points.is_empty() && there > 0 && !masked {
+        refuse!("none of {there} points is near the region given; give it in the frame and unit of the scan");
+    }
     let shown: Vec<Point3<f64>> = if masked { object.to_vec() } else { points.iter().map(|p| p.position).collect() };
     let scene = scene_of(cameras, &eyes, points, object, options.region.as_ref());
     let scene = match scene {
@@ -192,7 +199,13 @@ pub(crate) fn find(
     let frame = |table: &TablePlane| Similarity::of_table(metres_per_unit, table, &looked_at, &towards);
     let mut place = match (choice, options.up) {
         (Some(choice), _) => Place::found(choice, &looked_at, metres_per_unit, frame)?,
-        (None, Some(up)) => Place::assumed(lowest_plane(&shown, up), "given", frame)?,
+        (None, Some(up)) => {
+            let mut place = Place::assumed(lowest_plane(&shown, up), "given", frame)?;
+            if !masked {
+                place.doubts.push(NO_PLANE.to_owned());
+            }
+            place
+        }
         (None, None) => match parallel {
             Some(up) => Place::assumed(lowest_plane(&shown, up), PARALLEL, frame)?,
             None => Place::assumed(lowest_plane(&shown, mean_up(&eyes)), "the cameras", frame)?,

@@ -33,9 +33,9 @@ pub fn run(args: &MasksArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
         within: CaptureOptions::default(),
         marker: None,
         seed,
-        colmap: args.colmap.as_deref(),
-        ffmpeg: &args.ffmpeg,
-        limit: args.tools.limit(),
+        colmap: args.programs.colmap.as_deref(),
+        ffmpeg: &args.programs.ffmpeg,
+        limit: args.programs.tools.limit(),
     };
     let cameras = input.cameras(ui)?.capture;
     let frame = FrameOptions {

@@ -35,9 +35,9 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
         within,
         marker: None,
         seed: seed.unwrap_or(0),
-        colmap: args.colmap.as_deref(),
-        ffmpeg: &args.ffmpeg,
-        limit: args.tools.limit(),
+        colmap: args.programs.colmap.as_deref(),
+        ffmpeg: &args.programs.ffmpeg,
+        limit: args.programs.tools.limit(),
     };
     let capture = input.cameras(ui)?.capture;
     let mut options = ReconstructOptions::default();

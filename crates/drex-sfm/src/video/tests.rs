@@ -125,7 +125,7 @@ fn rounds_keep_their_spacing() {
 }
 
 #[test]
-fn what_turns_before_a_background_at_rest_counts_where_nothing_else_moves() {
+fn a_turning_object_before_a_still_background_is_followed() {
     let frames = recording((0..60).map(|i| {
         let mut still = view([0.0; 2], [0.0; 2], i);
         let moving = view([1000.0 + 2.0 * i as f64, 0.0], [0.0; 2], i);
@@ -140,7 +140,7 @@ fn what_turns_before_a_background_at_rest_counts_where_nothing_else_moves() {
 }
 
 #[test]
-fn frames_that_share_nothing_are_all_new() {
+fn frames_without_common_points_are_all_kept() {
     let frames = recording((0..40).map(|i| view([1000.0 * f64::from(i), 0.0], [0.0; 2], i64::from(i))));
     assert_eq!(choose(&frames, &rules([1, 150]), 0.5).len(), 40);
     assert_eq!(choose(&frames, &rules([1, 10]), 0.5).len(), 10);

@@ -82,7 +82,7 @@ fn check(frames: &Frames, folder: &Path) {
 }
 
 #[test]
-fn chosen_frames_are_written_and_nothing_else() {
+fn only_the_chosen_frames_are_written() {
     let _turn = alone();
     let guard = tempfile::tempdir().unwrap();
     let (out, video) = (guard.path().join("scan/images"), guard.path().join("push.mp4"));
@@ -183,7 +183,7 @@ fn a_folder_of_frames() {
 }
 
 #[test]
-fn what_looks_like_a_video() {
+fn frames_of_a_video_are_told_from_photos() {
     let guard = tempfile::tempdir().unwrap();
     let [film, album] = ["film", "album"].map(|n| guard.path().join(n));
     for folder in [&film, &album] {
