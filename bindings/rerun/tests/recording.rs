@@ -301,7 +301,11 @@ fn write_cameras(scan: &Path) {
         "ply_file_path": "points.ply", "frames": frames});
     write_json(scan, "transforms.json", &lens);
     let properties = "property float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n";
-    write(scan, "points.ply", format!("ply\nformat ascii 1.0\nelement vertex 1\n{properties}end_header\n0 0 0.1 90 90 90\n"));
+    write(
+        scan,
+        "points.ply",
+        format!("ply\nformat ascii 1.0\nelement vertex 1\n{properties}end_header\n0 0 0.1 90 90 90\n"),
+    );
 }
 
 #[test]
