@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use drex_core::camera::Camera;
 use drex_core::sets::DisjointSets;
+use drex_core::stats::upper_median;
 use rayon::prelude::*;
 
 use crate::cameras::{self, FocalSource, Group};
@@ -259,6 +260,22 @@ impl FrontEnd {
             return only_turned(format!("in {turns} of {} pairs of photos the camera only turned", pairs.len()));
         }
         let groups = components(n, pairs);
+        // Who gives masks says that all photos show one object.
+        if self.masked {
+            let keypoints = self.features.iter().map(|f| f.keypoints.len() as f64);
+            let typical = upper_median(keypoints).unwrap_or(0.0);
+            let together = groups.first().map_or(0, Vec::len);
+            return Verdict::new(
+                Cause::TooFewPoints,
+                format!(
+                    "a photo has {typical:.0} points on what the masks show, and too few of them are found again in other photos: at most \
+                     {} agree",
+                    count(together, "photo")
+                ),
+                "dull gloss and glass with powder or chalk spray, put the object on printed paper and mask neither, or take photos closer \
+                 together",
+            );
+        }
         let sizes: Vec<String> = groups
             .iter()
             .filter(|g| g.len() > 1)

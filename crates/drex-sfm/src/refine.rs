@@ -11,7 +11,7 @@ use crate::front_end::{
 };
 use crate::mapping::Mapped;
 use crate::matching::PairMatches;
-use crate::model::Model;
+use crate::model::{Model, View};
 use crate::photos::{self, Grey};
 use crate::relocate::{Relocation, relocate};
 use crate::subpixel;
@@ -25,6 +25,11 @@ const TURN_SHARE: f64 = 0.7;
 /// A photo has to show this share of the points that its neighbours say it should: right ones show 0.18 to 0.9, one that was placed by a
 /// look-alike side 0.10, frames smeared by motion 0 to 0.06.
 const CONFIRMED_SHARE: f64 = 0.15;
+/// Cameras this close, as a share of the scene's distance, that look the same way but for this angle in radians have not moved.
+const SAME_PLACE: f64 = 0.005;
+const SAME_DIRECTION: f64 = 0.005;
+/// So many others in one photo's place are no accident.
+const SAME_PARTNERS: usize = 3;
 /// Points that a photo's place has to stand on at the end.
 const LEAST_VIEW_POINTS: usize = 12;
 
@@ -117,6 +122,7 @@ pub(crate) fn refine(
         ));
     }
     check_baseline(front, &model)?;
+    check_still(front, &model)?;
     check_lenses(&model)?;
     // What was not estimated of a lens is not known either: its expected spread counts.
     let uncertain = if freedom == LensFreedom::Fixed { LensFreedom::Fixed } else { LensFreedom::Full };
@@ -214,6 +220,36 @@ fn check_turns(front: &FrontEnd, model: &Model, matches: &[PairMatches]) -> Resu
         )));
     }
     Ok(())
+}
+
+/// Refuses cameras that hardly ever moved: the object turned, and the model is one of the room behind it.
+fn check_still(front: &FrontEnd, model: &Model) -> Result<(), Verdict> {
+    let depths = model.points.iter().filter_map(|p| {
+        let first = p.observations.first()?;
+        Some((model.views[first.view].camera_from_world * p.position).z)
+    });
+    let reach = SAME_PLACE * upper_median(depths).unwrap_or(0.0);
+    let at_one_place = |a: &View, b: &View| {
+        (a.centre() - b.centre()).norm() < reach
+            && a.camera_from_world.rotation.angle_to(&b.camera_from_world.rotation) < SAME_DIRECTION
+    };
+    // Each is at one place with itself.
+    let partners = |a: &&View| model.views.iter().filter(|b| at_one_place(a, b)).count() > SAME_PARTNERS;
+    let still: Vec<usize> = model.views.iter().filter(partners).map(|v| v.photo).collect();
+    if 2 * still.len() < model.views.len() {
+        return Ok(());
+    }
+    Err(Verdict::new(
+        Cause::Inconsistent,
+        format!(
+            "{} of {} photos were taken from a place that others have too, looking the same way ({}): the object turned before a \
+             background that stands still, and only that was recognised",
+            still.len(),
+            model.views.len(),
+            list(&front.names(still.iter().copied()))
+        ),
+        "give masks of what turns (--masks), cover the background, or walk round the object",
+    ))
 }
 
 /// Refuses lenses that no camera has.

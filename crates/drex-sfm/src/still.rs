@@ -47,6 +47,7 @@ pub(crate) fn find(pairs: &[PairMatches], photos: &[Features], side_px: f64) -> 
         f64::from(a.x() - b.x()).hypot(f64::from(a.y() - b.y()))
     };
     let mut partners = vec![0usize; photos.len()];
+    let mut beside = vec![0usize; photos.len()];
     // Pairs from one tripod position.
     let mut same = Vec::new();
     // How many photos see each keypoint stay, and how many see it move.
@@ -61,6 +62,7 @@ pub(crate) fn find(pairs: &[PairMatches], photos: &[Features], side_px: f64) -> 
         }
         if still >= LEAST_OF_SAME {
             same.push(pair.views);
+            pair.views.iter().for_each(|&v| beside[v] += 1);
         }
         if moving >= LEAST_OF_EACH {
             pair.views.iter().for_each(|&v| partners[v] += 1);
@@ -71,7 +73,11 @@ pub(crate) fn find(pairs: &[PairMatches], photos: &[Features], side_px: f64) -> 
             of[pair.views[1]][m.second] += 1;
         }
     }
-    let shown = partners.iter().filter(|p| **p >= LEAST_PARTNERS).count();
+    // A small object has few points in any one pair, but the same ones move in several.
+    let movers = |v: usize| stays[v].iter().zip(&moves[v]).filter(|(s, m)| **m >= 2 && m > s).count();
+    let shows_both =
+        |v: usize| partners[v] >= LEAST_PARTNERS || beside[v] >= LEAST_PARTNERS && movers(v) >= LEAST_OF_EACH;
+    let shown = (0..photos.len()).filter(|v| shows_both(*v)).count();
     if (shown as f64) < LEAST_SHARE * photos.len() as f64 {
         return None;
     }
@@ -140,5 +146,55 @@ pub(crate) fn drop_staying(pairs: &mut [PairMatches], photos: &[Features], side_
             let (a, b) = (&photos[i].keypoints[m.first], &photos[j].keypoints[m.second]);
             f64::from(a.x() - b.x()).hypot(f64::from(a.y() - b.y())) > within
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use openmvg_sfm::Keypoint;
+
+    use super::*;
+    use crate::matching::Match;
+
+    const PHOTOS: usize = 6;
+
+    /// Photos of one tripod position with 60 keypoints of the room and some of an object that turns by ten pixels from photo to photo.
+    fn turntable(on_object: usize) -> (Vec<Features>, Vec<PairMatches>) {
+        let photo = |k: usize| {
+            let room = (0..60).map(|i| [10.0 * i as f32, 5.0]);
+            let object = (0..on_object).map(|i| [200.0 + 15.0 * i as f32 + 10.0 * k as f32, 200.0]);
+            let keypoints: Vec<Keypoint> =
+                room.chain(object).map(|[x, y]| Keypoint::try_new(x, y, 2.0, 0.0).unwrap()).collect();
+            Features { descriptors: vec![[0; 128]; keypoints.len()], keypoints, blurred: false }
+        };
+        let matches: Vec<Match> = (0..60 + on_object).map(|i| Match { first: i, second: i, distance: 0.1 }).collect();
+        let pair = |i, j| PairMatches { views: [i, j], matches: matches.clone() };
+        let pairs = (0..PHOTOS).flat_map(|i| (i + 1..PHOTOS).map(move |j| (i, j))).map(|(i, j)| pair(i, j));
+        ((0..PHOTOS).map(photo).collect(), pairs.collect())
+    }
+
+    #[test]
+    fn few_points_of_an_object_that_turns_suffice_if_they_move_again_and_again() {
+        for on_object in [LEAST_OF_EACH, 3 * LEAST_OF_EACH] {
+            let (photos, pairs) = turntable(on_object);
+            let found = find(&pairs, &photos, 640.0).unwrap();
+            assert!(found.still.iter().all(|flags| flags[..60].iter().all(|s| *s) && !flags[60..].contains(&true)));
+        }
+        // Ten of eighteen in each pair, other ones each time.
+        let (photos, mut pairs) = turntable(18);
+        for (k, pair) in pairs.iter_mut().enumerate() {
+            pair.matches.retain(|m| m.first < 60 || (m.first + k) % 18 < 10);
+        }
+        assert!(find(&pairs, &photos, 640.0).is_some());
+    }
+
+    #[test]
+    fn photos_that_were_taken_again_and_again_have_no_background() {
+        let (photos, pairs) = turntable(0);
+        assert!(find(&pairs, &photos, 640.0).is_none());
+        // Nor do a few wrong matches make one.
+        let (photos, mut pairs) = turntable(LEAST_OF_EACH);
+        pairs.iter_mut().enumerate().for_each(|(k, p)| p.matches.retain(|m| m.first < 60 || m.first == 60 + k % 12));
+        assert!(find(&pairs, &photos, 640.0).is_none());
     }
 }
