@@ -187,6 +187,8 @@ impl FrontEnd {
             still::drop_staying(&mut matches, &self.features, side);
         }
         matches.retain(|m| !m.matches.is_empty());
+        // A megabyte a photo, and what follows needs the places only.
+        self.features.iter_mut().for_each(|f| f.descriptors = Vec::new());
         self.vote(&matches, options);
         let lenses = self.groups.iter().map(Group::camera).collect::<Result<Vec<_>, String>>();
         let lenses = lenses.map_err(|e| Verdict::new(Cause::Input, e, "calibrate the camera again"))?;
@@ -227,7 +229,7 @@ impl FrontEnd {
 
     /// Refuses photos that show different places, before anything is mapped.
     pub(crate) fn check_overlap(&self, pairs: &[Pair]) -> Result<(), Verdict> {
-        let largest = components(self.photos.len(), pairs).into_iter().map(|c| c.len()).max().unwrap_or(0);
+        let largest = components(self.photos.len(), pairs.iter()).into_iter().map(|c| c.len()).max().unwrap_or(0);
         if largest < LEAST_PHOTOS_OF_ONLY { Err(self.why_nothing(pairs)) } else { Ok(()) }
     }
 
@@ -259,7 +261,7 @@ impl FrontEnd {
         if !pairs.is_empty() && 2 * turns > pairs.len() {
             return only_turned(format!("in {turns} of {} pairs of photos the camera only turned", pairs.len()));
         }
-        let groups = components(n, pairs);
+        let groups = components(n, pairs.iter());
         // Who gives masks says that all photos show one object.
         if self.masked {
             let keypoints = self.features.iter().map(|f| f.keypoints.len() as f64);
@@ -327,9 +329,9 @@ fn which_pairs(features: &[Features], options: &RegisterOptions, progress: &(dyn
 }
 
 /// Groups of photos that pairs connect, each sorted, the largest first.
-pub(crate) fn components(n: usize, pairs: &[Pair]) -> Vec<Vec<usize>> {
+pub(crate) fn components<'a>(n: usize, pairs: impl Iterator<Item = &'a Pair>) -> Vec<Vec<usize>> {
     let mut sets = DisjointSets::new(n);
-    pairs.iter().for_each(|p| sets.join(p.views[0] as u32, p.views[1] as u32));
+    pairs.for_each(|p| sets.join(p.views[0] as u32, p.views[1] as u32));
     let (labels, count) = sets.labels();
     let mut groups = vec![Vec::new(); count];
     labels.iter().enumerate().for_each(|(k, &label)| groups[label as usize].push(k));

@@ -113,10 +113,12 @@ fn map_all(
     loop {
         progress(Step { stage: "model", done: n - left.len(), total: n });
         let among = |p: &&Pair| p.views.iter().all(|v| left.binary_search(v).is_ok());
-        let own: Vec<Pair> = pairs.iter().filter(among).cloned().collect();
-        let Some(largest) = components(n, &own).into_iter().find(|c| c.len() >= LEAST_PHOTOS_OF_ONLY) else { break };
-        let refs: Vec<&Pair> = own.iter().collect();
-        let mapped = mapping::map(&scene, &refs, &largest);
+        let own: Vec<&Pair> = pairs.iter().filter(among).collect();
+        let Some(largest) = components(n, own.iter().copied()).into_iter().find(|c| c.len() >= LEAST_PHOTOS_OF_ONLY)
+        else {
+            break;
+        };
+        let mapped = mapping::map(&scene, &own, &largest);
         let registered: Vec<usize> = match &mapped {
             Ok(m) => m.reconstruction().registered_views().map(|(id, _)| m.photos[id.index()]).collect(),
             Err(_) => Vec::new(),
