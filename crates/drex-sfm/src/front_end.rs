@@ -274,7 +274,7 @@ impl FrontEnd {
                      {} agree",
                     count(together, "photo")
                 ),
-                "dull gloss and glass with powder or chalk spray, put the object on printed paper and mask neither, or take photos closer \
+                "dull gloss and glass with powder or chalk spray, put the object on printed paper that the masks show too, or take photos closer \
                  together",
             );
         }

@@ -11,7 +11,7 @@ use crate::front_end::{
 };
 use crate::mapping::Mapped;
 use crate::matching::PairMatches;
-use crate::model::{Model, View};
+use crate::model::{Model, Point, View};
 use crate::photos::{self, Grey};
 use crate::relocate::{Relocation, relocate};
 use crate::subpixel;
@@ -170,7 +170,7 @@ type Colours = Vec<(usize, [u8; 3])>;
 
 /// Colours of the points whose first observation is in the view.
 fn colours_of(model: &Model, view: usize, grey: &Grey, rgb: &[[u8; 3]]) -> Colours {
-    let colour = |(k, p): (usize, &crate::model::Point)| {
+    let colour = |(k, p): (usize, &Point)| {
         let o = p.observations.first().filter(|o| o.view == view)?;
         let (x, y) = (o.pixel.x.round() as usize, o.pixel.y.round() as usize);
         Some((k, *rgb.get(y.min(grey.height - 1) * grey.width + x.min(grey.width - 1))?))
@@ -178,14 +178,19 @@ fn colours_of(model: &Model, view: usize, grey: &Grey, rgb: &[[u8; 3]]) -> Colou
     model.points.iter().enumerate().filter_map(colour).collect()
 }
 
+/// Median depth of what the photos show, units of the model.
+fn typical_depth(model: &Model) -> f64 {
+    let of_point = |p: &Point| -> Vec<f64> {
+        p.observations.iter().map(|o| (model.views[o.view].camera_from_world * p.position).z).collect()
+    };
+    upper_median(model.points.iter().flat_map(of_point)).unwrap_or(0.0)
+}
+
 /// Refuses cameras that have only turned.
 fn check_baseline(front: &FrontEnd, model: &Model) -> Result<(), Verdict> {
-    let centres: Vec<_> = model.views.iter().map(crate::model::View::centre).collect();
+    let centres: Vec<_> = model.views.iter().map(View::centre).collect();
     let extent = centres.iter().flat_map(|a| centres.iter().map(move |b| (a - b).norm())).fold(0.0, f64::max);
-    let depths = model.points.iter().flat_map(|p| {
-        p.observations.iter().map(|o| (model.views[o.view].camera_from_world * p.position).z).collect::<Vec<_>>()
-    });
-    let depth = upper_median(depths).unwrap_or(0.0);
+    let depth = typical_depth(model);
     let names = list(&front.names(model.views.iter().map(|v| v.photo)));
     if model.points.len() < FEW_KEYPOINTS / 2 {
         return Err(only_turned(format!(
@@ -224,11 +229,7 @@ fn check_turns(front: &FrontEnd, model: &Model, matches: &[PairMatches]) -> Resu
 
 /// Refuses cameras that hardly ever moved: the object turned, and the model is one of the room behind it.
 fn check_still(front: &FrontEnd, model: &Model) -> Result<(), Verdict> {
-    let depths = model.points.iter().filter_map(|p| {
-        let first = p.observations.first()?;
-        Some((model.views[first.view].camera_from_world * p.position).z)
-    });
-    let reach = SAME_PLACE * upper_median(depths).unwrap_or(0.0);
+    let reach = SAME_PLACE * typical_depth(model);
     let at_one_place = |a: &View, b: &View| {
         (a.centre() - b.centre()).norm() < reach
             && a.camera_from_world.rotation.angle_to(&b.camera_from_world.rotation) < SAME_DIRECTION
@@ -242,13 +243,13 @@ fn check_still(front: &FrontEnd, model: &Model) -> Result<(), Verdict> {
     Err(Verdict::new(
         Cause::Inconsistent,
         format!(
-            "{} of {} photos were taken from a place that others have too, looking the same way ({}): the object turned before a \
-             background that stands still, and only that was recognised",
+            "{} of {} photos were taken from a place that others have too, looking the same way ({}): the object turned and only the \
+             background that stands still was recognised, or each view was taken again and again",
             still.len(),
             model.views.len(),
             list(&front.names(still.iter().copied()))
         ),
-        "give masks of what turns (--masks), cover the background, or walk round the object",
+        "give masks of what turns (--masks) or cover the background; of photos of one view leave all but one out",
     ))
 }
 

@@ -183,7 +183,7 @@ fn a_folder_of_frames() {
 }
 
 #[test]
-fn frames_of_a_video_are_told_from_photos() {
+fn video_frames_and_photos_are_distinguished() {
     let guard = tempfile::tempdir().unwrap();
     let [film, album] = ["film", "album"].map(|n| guard.path().join(n));
     for folder in [&film, &album] {
