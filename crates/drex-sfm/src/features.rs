@@ -3,6 +3,7 @@
 use openmvg_features::extraction::{AlpExtractor, AlpPreset, GrayImage};
 use openmvg_sfm::Keypoint;
 
+use crate::distance::Descriptor;
 use crate::photos::Grey;
 
 /// Photos are scaled down to this side for the detector: finer detail than this is noise in most lenses.
@@ -19,7 +20,7 @@ const BLURRED: f64 = 0.22;
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Features {
     pub(crate) keypoints: Vec<Keypoint>,
-    pub(crate) descriptors: Vec<[u8; 128]>,
+    pub(crate) descriptors: Vec<Descriptor>,
     /// Whether the photo is smeared or out of focus.
     pub(crate) blurred: bool,
 }

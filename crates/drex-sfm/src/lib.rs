@@ -10,6 +10,7 @@
 mod adjust;
 mod calibration;
 mod cameras;
+mod distance;
 mod features;
 mod folder;
 mod front_end;

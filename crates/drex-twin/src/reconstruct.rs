@@ -1,5 +1,6 @@
 //! Photos to Gaussians and depth maps, with the programs that photos and videos may need.
 
+use std::io::Read;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
@@ -123,12 +124,20 @@ pub fn show_steps(progress: &dyn Progress) -> impl Fn(Step) + Sync + '_ {
     }
 }
 
-/// Whether an input is one file that is no picture: ffmpeg says whether it is a video.
+/// Whether an input is one file, neither picture nor text: ffmpeg says whether it is a video.
 pub fn is_video(input: &Path) -> bool {
-    const PICTURES: [&str; 14] =
-        ["jpg", "jpeg", "png", "heic", "heif", "hif", "avif", "tif", "tiff", "webp", "bmp", "gif", "dng", "toml"];
+    const PICTURES: [&str; 13] =
+        ["jpg", "jpeg", "png", "heic", "heif", "hif", "avif", "tif", "tiff", "webp", "bmp", "gif", "dng"];
     let picture = |e: &std::ffi::OsStr| PICTURES.iter().any(|p| e.eq_ignore_ascii_case(p));
-    input.is_file() && !input.extension().is_some_and(picture)
+    input.is_file() && !input.extension().is_some_and(picture) && !is_text(input)
+}
+
+/// Whether a file begins with UTF-8 text, as no container of a video does for long; an empty one does, an unreadable one does not.
+fn is_text(file: &Path) -> bool {
+    let mut start = Vec::new();
+    let read = std::fs::File::open(file).and_then(|f| f.take(512).read_to_end(&mut start));
+    let whole = |e: std::str::Utf8Error| e.error_len().is_none() && start.len() == 512;
+    read.is_ok() && !start.contains(&0) && std::str::from_utf8(&start).map_or_else(whole, |_| true)
 }
 
 /// Sharp frames of a video that show something new, as photos in `folder/images`; those that are there already are kept.
@@ -176,7 +185,7 @@ impl ScanInput<'_> {
             refuse!("there is no {}; give a folder with photos, or a video", self.scan.display());
         }
         let mut folder = self.scan.to_path_buf();
-        if self.scan.is_file() {
+        if is_video(self.scan) {
             folder = self.out.join(FRAMES);
             take_frames(self.scan, &folder, self.ffmpeg, self.limit, progress)?;
         }
@@ -217,7 +226,7 @@ impl ScanInput<'_> {
     fn by_registration(&self, folder: &Path, progress: &dyn Progress) -> Result<(Capture, Option<MarkerReport>, bool)> {
         let out = self.out.join(SFM);
         let mut options = FolderOptions::default();
-        options.register.video = self.scan.is_file();
+        options.register.video = is_video(self.scan);
         options.register.seed = self.seed;
         options.marker = self.marker;
         let mut within = self.within.clone();
@@ -309,7 +318,7 @@ fn load_found(folder: &Path, found: &Path, within: &CaptureOptions) -> Result<Op
 /// # Errors
 /// If there are no cameras, or a file is damaged.
 pub fn cameras_of(scan: &Path, out: &Path) -> Result<Capture> {
-    let folder = if scan.is_file() { out.join(FRAMES) } else { scan.to_path_buf() };
+    let folder = if is_video(scan) { out.join(FRAMES) } else { scan.to_path_buf() };
     let within = CaptureOptions::default();
     if !Capture::is_in(&folder) {
         for found in [SFM, COLMAP] {

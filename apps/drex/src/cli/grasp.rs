@@ -7,7 +7,8 @@ use drex_core::Pose;
 use drex_twin::PredictOptions;
 use drex_twin::deploy::{DeployOptions, DeployTo};
 
-use super::{AllowArgs, GuardArgs, HandArg, LinkArgs, RunArgs, pose, positive};
+use super::values::{pose, positive};
+use super::{AllowArgs, GuardArgs, HandArg, LinkArgs, RunArgs};
 
 /// `drex grasp`.
 #[derive(Debug, Args)]

@@ -8,7 +8,7 @@ use drex_hw::allegro::AllegroVersion;
 use drex_hw::driver::{GuardSettings, HandKind, SetupOptions};
 use drex_hw::leap::FindingKind;
 
-use super::positive;
+use super::values::positive;
 
 /// `drex hw`.
 #[derive(Debug, Subcommand)]

@@ -8,7 +8,7 @@ use drex_demo::{DemoUnit, KeyPointOrder, Side};
 use drex_mesh::LengthUnit;
 use drex_retarget::{Objective, Scale};
 
-use super::{direction, positive};
+use super::values::{direction, positive};
 
 /// `drex hands`.
 #[derive(Debug, Args)]

@@ -11,7 +11,7 @@ use crate::common::{copy_tree, tin_data};
 type Case = (&'static str, &'static [&'static str], i32, &'static [&'static str]);
 
 /// Paths are in a folder that holds `tin` (the bundled twin), `bare` (the same without grasps), `photos` (the bundled scan), an
-/// `empty` folder, a cloud `points.ply` and a file `notes.txt`.
+/// `empty` folder, a cloud `points.ply`, and files `notes.txt` and `film.mov`.
 const CASES: &[Case] = &[
     ("sfm", &["empty", "--out", "new"], 1, &["empty has no photos", "put 20 to 80 photos"]),
     ("masks", &["empty", "--out", "new"], 1, &["empty has no photos", "put 20 to 80 photos"]),
@@ -23,7 +23,8 @@ const CASES: &[Case] = &[
     ),
     ("reconstruct", &["empty", "--out", "new"], 1, &["empty has no photos", "put 20 to 80 photos"]),
     ("reconstruct", &["nowhere", "--out", "new"], 1, &["there is no nowhere", "give a folder with photos"]),
-    ("reconstruct", &["notes.txt", "--out", "new", "--ffmpeg", "no-such-ffmpeg"], 1, &["no-such-ffmpeg", "install"]),
+    ("reconstruct", &["film.mov", "--out", "new", "--ffmpeg", "no-such-ffmpeg"], 1, &["no-such-ffmpeg", "install"]),
+    ("reconstruct", &["notes.txt", "--out", "new", "--ffmpeg", "no-such-ffmpeg"], 1, &["notes.txt is one file"]),
     ("asset", &["notes.txt", "--out", "new"], 1, &["notes.txt", "give a .stl, .obj"]),
     ("asset", &["photos", "--out", "new"], 1, &["photos has no scale", "--distance", "--scale"]),
     ("asset", &["photos", "--out", "new", "--distance", "A-Z=0.1"], 1, &["no mark is called \"Z\"", "use one of A, B"]),
@@ -157,6 +158,7 @@ fn folder() -> tempfile::TempDir {
     let ply = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n";
     fs::write(at("points.ply"), ply).unwrap();
     fs::write(at("notes.txt"), "not a mesh, not a scan, not a video\n").unwrap();
+    fs::write(at("film.mov"), [0, 0, 0, 20]).unwrap();
     dir
 }
 

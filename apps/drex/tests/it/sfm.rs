@@ -209,6 +209,10 @@ fn what_holds_no_photos_is_said() {
     let run = |input: &Path| drex(["sfm", input.to_str().unwrap(), "--out", dir.path().join("out").to_str().unwrap()]);
     run(&dir.path().join("nowhere")).fails_with(&["there is no", "nowhere"]);
     run(&demo_photo(3)).fails_with(&["is one file", "folder"]);
+    // Text is no video, and no reason to ask for ffmpeg.
+    let notes = dir.path().join("notes");
+    fs::write(&notes, "How the photos were taken: é".repeat(40)).unwrap();
+    run(&notes).fails_with(&["notes is one file", "folder"]);
     assert!(!dir.path().join("out").exists());
 }
 
@@ -219,7 +223,7 @@ fn a_video_is_its_frames() {
     use std::os::unix::fs::PermissionsExt;
     let dir = tempfile::tempdir().unwrap();
     let film = dir.path().join("film.mp4");
-    fs::write(&film, "film").unwrap();
+    fs::write(&film, b"film\0").unwrap();
     let script = dir.path().join("ffmpeg");
     let out = dir.path().join("out");
     let play = |text: &str| {

@@ -51,7 +51,7 @@ fn calls(folder: &Path, name: &str) -> Vec<String> {
 fn no_name_is_taken_for_an_option() {
     for name in ["-i", "--help", "-y.mp4"] {
         let dir = with_program("ffmpeg", "exit 1");
-        fs::write(dir.path().join(name), "film").unwrap();
+        fs::write(dir.path().join(name), b"film\0").unwrap();
         let (run, _) = drex(dir.path(), &["reconstruct", "--out", "out", "--", name]);
         assert_eq!(run.status.code(), Some(1));
         let film = fs::canonicalize(dir.path()).unwrap().join(name);
@@ -94,7 +94,7 @@ fn what_does_not_end_is_stopped_at_its_limit() {
             assert!(message.contains(word), "{hang}: {message}");
         }
         let dir = with_program("ffmpeg", hang);
-        fs::write(dir.path().join("film.mp4"), "film").unwrap();
+        fs::write(dir.path().join("film.mp4"), b"film\0").unwrap();
         let (run, message) = drex(dir.path(), &["reconstruct", "film.mp4", "--out", "out", "--tool-limit", "0.01"]);
         assert_eq!(run.status.code(), Some(1), "{message}");
         assert!(message.contains("ffmpeg had not ended") && message.contains("--tool-limit"), "{hang}: {message}");
