@@ -42,7 +42,7 @@ impl PhotoFolder {
     /// If there are no photos (the message says of HEIC and raw pictures what to do), or a file cannot be read.
     pub fn read(folder: &Path, options: &CaptureOptions, out: &Path) -> Result<Self> {
         if folder.is_file() {
-            let remedy = "give the folder that holds it and the others";
+            let remedy = "give the folder that holds the photos";
             return Err(Error::capture(format!("{} is one file", folder.display()), remedy));
         }
         if !folder.exists() {
