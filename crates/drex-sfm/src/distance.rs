@@ -39,6 +39,19 @@ impl DistanceMetric<u8> for SquaredDistance {
     }
 }
 
+/// Calls `take` with the indices and the distance of each two of `first` and `second`.
+pub(crate) fn each(first: &[Descriptor], second: &[Descriptor], mut take: impl FnMut([usize; 2], u32)) {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(simd) = pulp::x86::V3::try_new() {
+        return simd.vectorize(avx2::Each { simd, first, second, take });
+    }
+    for (i, a) in first.iter().enumerate() {
+        for (j, b) in second.iter().enumerate() {
+            take([i, j], squared(a, b));
+        }
+    }
+}
+
 fn squared(a: &Descriptor, b: &Descriptor) -> u32 {
     a.iter().zip(b).map(|(a, b)| u32::from(a.abs_diff(*b)).pow(2)).sum()
 }
@@ -62,7 +75,28 @@ mod avx2 {
 
         #[inline(always)]
         fn call(self) -> u32 {
-            squared(self.simd, self.a, self.b)
+            squared(self.simd, &wide(self.simd, self.a), self.b)
+        }
+    }
+
+    pub(super) struct Each<'a, F> {
+        pub(super) simd: V3,
+        pub(super) first: &'a [Descriptor],
+        pub(super) second: &'a [Descriptor],
+        pub(super) take: F,
+    }
+
+    impl<F: FnMut([usize; 2], u32)> NullaryFnOnce for Each<'_, F> {
+        type Output = ();
+
+        #[inline(always)]
+        fn call(mut self) {
+            for (i, a) in self.first.iter().enumerate() {
+                let a = wide(self.simd, a);
+                for (j, b) in self.second.iter().enumerate() {
+                    (self.take)([i, j], squared(self.simd, &a, b));
+                }
+            }
         }
     }
 
@@ -76,8 +110,8 @@ mod avx2 {
     }
 
     #[inline(always)]
-    fn squared(simd: V3, a: &Descriptor, b: &Descriptor) -> u32 {
-        let (a, b) = (wide(simd, a), wide(simd, b));
+    fn squared(simd: V3, a: &[i16x16; 8], b: &Descriptor) -> u32 {
+        let b = wide(simd, b);
         let mut sums = [simd.splat_i32x8(0); 2];
         for k in 0..8 {
             let off = simd.wrapping_sub_i16x16(a[k], b[k]);
@@ -100,11 +134,13 @@ mod tests {
         let mut all: Vec<Descriptor> = (0..40).map(any).collect();
         all.extend([[0; 128], [255; 128]]);
         let metric = SquaredDistance::default();
-        for a in &all {
-            for b in &all {
-                assert_eq!(metric.distance(a, b), squared(a, b) as f32, "{a:?}, {b:?}");
-            }
-        }
+        let mut count = 0;
+        each(&all, &all, |[i, j], distance| {
+            count += 1;
+            assert_eq!(distance, squared(&all[i], &all[j]), "{i}, {j}");
+            assert_eq!(distance as f32, metric.distance(&all[i], &all[j]), "{i}, {j}");
+        });
+        assert_eq!(count, all.len() * all.len());
         assert_eq!(squared(&[0; 128], &[255; 128]), 128 * 255 * 255);
     }
 }

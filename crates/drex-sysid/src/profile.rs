@@ -4,11 +4,18 @@ use nalgebra::DVector;
 use rayon::prelude::*;
 
 use crate::Result;
+use crate::estimate::FRICTIONS;
+use crate::fit::Fit;
 use crate::information::Information;
 use crate::joint::{Candidate, Joint, Point, Slopes};
 
 /// What the likelihood must lose to exclude a mass.
 pub(crate) const BOUND: f64 = crate::distribution::EXCLUDES;
+
+/// A cost that rises by as many times what the information says, beyond the bound, may be a fit that ended beside the motion.
+const STEEP: f64 = 3.0;
+/// Fits to one mass that are followed to their ends.
+const TRIED: usize = 2;
 
 /// Points along the valley around an estimate, by mass.
 #[derive(Default)]
@@ -85,10 +92,13 @@ fn one_side(
         let all = joint.active(true);
         let (point, _) = joint.stepped(&point, &all, &DVector::zeros(all.len()));
         let mut there = joint.evaluate(point, Some(&from.2), dt_s);
-        if !others.is_empty() && there.cost.is_finite() {
+        if !others.is_empty() {
             there = joint.polish(there, &others, information, dt_s);
             if there.cost > bound {
                 there = joint.descend(there, &others, Slopes::Mean, 2, dt_s)?;
+            }
+            if there.cost > bound + STEEP * 0.5 * step * step * information.scale {
+                there = joint.from_elsewhere(there, &from.0, &from.2, information, dt_s)?;
             }
         }
         let cost = there.cost;
@@ -99,6 +109,46 @@ fn one_side(
         from = (there.point, step, there.fits);
     }
     Ok(out)
+}
+
+impl Joint {
+    /// The best fit to the mass of `there`, tried again from other points than the valley's: where an object rocks, a few hundredths of a
+    /// newton decide whether it falls over, and one fit that ends beside the motion would exclude a mass that is as good as its
+    /// neighbours. `from` is the point of the neighbour, `fits` what belongs to it.
+    fn from_elsewhere(
+        &self,
+        there: Candidate,
+        from: &Point,
+        fits: &[Fit],
+        information: &Information,
+        dt_s: f64,
+    ) -> Result<Candidate> {
+        let others: Vec<usize> = (1..self.coordinates.len()).collect();
+        let mut beside = from.clone();
+        beside[0] = there.point[0];
+        let mut starts = vec![beside.clone()];
+        if let Some(friction) = self.friction().filter(|&c| self.coordinates[c].prior.is_none()) {
+            let with = |point: &Point, x: f64| {
+                let mut point = point.clone();
+                point[friction] = x;
+                point
+            };
+            starts.push(with(&there.point, from[friction]));
+            starts.extend(FRICTIONS.iter().map(|mu| with(&beside, mu.ln())));
+        }
+        let mut found: Vec<Candidate> = starts
+            .into_par_iter()
+            .map(|point| self.polish(self.evaluate(point, Some(fits), dt_s), &others, information, dt_s))
+            .collect();
+        found.push(there);
+        found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        found.truncate(TRIED);
+        let mut fitted: Vec<Candidate> =
+            found.into_par_iter().map(|c| self.descend(c, &others, Slopes::Mean, 3, dt_s)).collect::<Result<_>>()?;
+        fitted.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        // TRIED is not zero.
+        Ok(fitted.swap_remove(0))
+    }
 }
 
 /// The local minima of a scan by mass, best first.
