@@ -252,7 +252,9 @@ impl Joint {
         information: &Information,
         dt_s: f64,
     ) -> Candidate {
-        for _ in 0..4 {
+        // What cannot be simulated has no residuals.
+        let rounds = if now.cost.is_finite() { 4 } else { 0 };
+        for _ in 0..rounds {
             let slopes = information.slopes_of(active);
             let (mut h, g) = self.normal_equations(&now, active, &slopes);
             (0..active.len()).for_each(|k| h[(k, k)] += 1e-9);

@@ -98,7 +98,7 @@ fn one_side(
                 there = joint.descend(there, &others, Slopes::Mean, 2, dt_s)?;
             }
             if there.cost > bound + STEEP * 0.5 * step * step * information.scale {
-                there = joint.from_elsewhere(there, &from.0, &from.2, information, dt_s)?;
+                there = joint.fitted_elsewhere(there, &from.0, &from.2, information, dt_s)?;
             }
         }
         let cost = there.cost;
@@ -115,7 +115,7 @@ impl Joint {
     /// The best fit to the mass of `there`, tried again from other points than the valley's: where an object rocks, a few hundredths of a
     /// newton decide whether it falls over, and one fit that ends beside the motion would exclude a mass that is as good as its
     /// neighbours. `from` is the point of the neighbour, `fits` what belongs to it.
-    fn from_elsewhere(
+    fn fitted_elsewhere(
         &self,
         there: Candidate,
         from: &Point,

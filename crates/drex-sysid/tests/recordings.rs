@@ -79,7 +79,7 @@ fn compliant_fingers_weigh_and_a_rigid_one_does_not() {
     for scenario in ["finger_slow", "finger_fast", "finger_tilt"] {
         let a = weigh(&brick.join(scenario), Inputs::default());
         let (ci, m) = (a.ci95_kg.unwrap(), truth(&brick.join(scenario)));
-
+        assert!(ci[0] < m && m < ci[1], "{scenario}: {ci:?} and {m}");
         assert!((a.mass_kg.unwrap() / m - 1.0).abs() < 0.05, "{scenario}: {:?} and {m}", a.mass_kg);
     }
     assert_eq!(weigh(&brick.join("finger_rigid"), Inputs::default()).verdict, Verdict::NotIdentifiable);
@@ -96,7 +96,7 @@ fn three_densities_of_one_shape_are_told_apart() {
             let a = weigh(&folder, Inputs::default());
             assert_eq!(a.verdict, Verdict::Identified, "{object}/{scenario}: {}", a.reason);
             let (ci, m) = (a.ci95_kg.unwrap(), truth(&folder));
-
+            assert!(ci[0] < m && m < ci[1], "{object}/{scenario}: {ci:?} without {m}");
             ci
         });
         assert!(intervals[0][1] < intervals[1][0] && intervals[1][1] < intervals[2][0], "{scenario}: {intervals:?}");
