@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use drex_core::camera::Camera as Calibration;
 
 use crate::features::Features;
-use crate::matching::PairMatches;
+use crate::matching::{Match, PairMatches};
 use crate::model::Lens;
 use crate::photos::Header;
 use crate::verdict::{Cause, Verdict};
@@ -176,7 +176,7 @@ impl Voters<'_> {
         // The estimator's own limits are in pixels of a photo of usual size.
         let (scale, [i, j]) = (1.0 / self.pixel(pair), pair.views);
         let places: Vec<[Point2<f64>; 2]> =
-            pair.matches.iter().map(|m| [self.place(i, m.first), self.place(j, m.second)]).collect();
+            pair.matches.iter().map(Match::keypoints).map(|[a, b]| [self.place(i, a), self.place(j, b)]).collect();
         let data: Vec<_> = places.iter().map(|[a, b]| PixelCorrespondence::new(a * scale, b * scale)).collect();
         let own = RunSeed::from_u64(seed).derive("drex-sfm/focal/fundamental", &[i as u64, j as u64]);
         let options = RobustOptions::default().with_seed(own).with_max_draws(1000);

@@ -193,12 +193,12 @@ impl FrontEnd {
         let lenses = self.groups.iter().map(Group::camera).collect::<Result<Vec<_>, String>>();
         let lenses = lenses.map_err(|e| Verdict::new(Cause::Input, e, "calibrate the camera again"))?;
         let counter = Counter::new("pairs", matches.len(), progress);
-        let check = |m: &PairMatches| {
-            let pair = verify::verify(m, &self.features, m.views.map(|v| &lenses[self.camera_of[v]]), options.seed);
+        let check = |(k, m): (usize, &PairMatches)| {
+            let pair = verify::verify(k, m, &self.features, m.views.map(|v| &lenses[self.camera_of[v]]), options.seed);
             counter.step();
             pair
         };
-        let pairs: Vec<Pair> = matches.par_iter().filter_map(check).collect();
+        let pairs: Vec<Pair> = matches.par_iter().enumerate().filter_map(check).collect();
         let keep = triplets::consistent(&pairs, self.photos.len());
         let contradicting = keep.iter().filter(|k| !**k).count();
         let pairs = pairs.into_iter().zip(keep).filter_map(|(pair, keep)| keep.then_some(pair)).collect();

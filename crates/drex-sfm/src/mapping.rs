@@ -7,6 +7,7 @@ use openmvg_sfm::{
 };
 
 use crate::features::Features;
+use crate::matching::PairMatches;
 use crate::verify::{Geometry, Pair};
 
 /// What the engine starts from.
@@ -32,8 +33,13 @@ impl Mapped {
     }
 }
 
-/// Maps the photos `chosen` (sorted) by the pairs among them.
-pub(crate) fn map(scene: &Scene<'_>, pairs: &[&Pair], chosen: &[usize]) -> Result<Mapped, String> {
+/// Maps the photos `chosen` (sorted) by the pairs among them, whose matches are some of `matches`.
+pub(crate) fn map(
+    scene: &Scene<'_>,
+    matches: &[PairMatches],
+    pairs: &[&Pair],
+    chosen: &[usize],
+) -> Result<Mapped, String> {
     let index_of = |photo: usize| chosen.binary_search(&photo).ok();
     let mut used: Vec<usize> = chosen.iter().map(|&p| scene.camera_of[p]).collect();
     used.sort_unstable();
@@ -57,13 +63,13 @@ pub(crate) fn map(scene: &Scene<'_>, pairs: &[&Pair], chosen: &[usize]) -> Resul
             Geometry::Plane { homography } => PairGeometry::Homography { matrix: *homography, relative_pose: None },
             Geometry::Turn { .. } => continue,
         };
-        let matches = pair.matches.iter().map(|m| {
-            FeatureMatch::try_new(FeatureId::new(m.first), FeatureId::new(m.second), Some(m.distance))
-                .map_err(|e| e.to_string())
+        let with_ids = matches[pair.matched].matches.iter().map(|m| {
+            let [first, second] = m.keypoints().map(FeatureId::new);
+            FeatureMatch::try_new(first, second, Some(m.distance)).map_err(|e| e.to_string())
         });
+        let with_ids = with_ids.collect::<Result<Vec<_>, _>>()?;
         let views = ViewPair::new(ViewId::new(i), ViewId::new(j));
-        let matches = matches.collect::<Result<Vec<_>, _>>()?;
-        parts = parts.with_pair(views, matches, Some((geometry, pair.inliers.clone())));
+        parts = parts.with_pair(views, with_ids, Some((geometry, pair.inliers.clone())));
     }
     let graph = ViewGraph::try_from_parts(parts).map_err(|e| e.to_string())?;
     let output = Incremental::default().run_prepared_owned(graph).map_err(|e| e.to_string())?;

@@ -10,12 +10,23 @@ use crate::features::Features;
 /// A nearest descriptor has to be this much nearer than the second (Lowe 2004).
 const RATIO: f32 = 0.8;
 
-/// Two keypoints that look alike, and how far apart their descriptors are.
+/// Two keypoints that look alike, by their indices, and how far apart their descriptors are. Of many photos there are tens of millions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Match {
-    pub(crate) first: usize,
-    pub(crate) second: usize,
+    first: u32,
+    second: u32,
     pub(crate) distance: f32,
+}
+
+impl Match {
+    /// A photo has far fewer than 2^32 keypoints.
+    pub(crate) fn new([first, second]: [usize; 2], distance: f32) -> Self {
+        Self { first: first as u32, second: second as u32, distance }
+    }
+
+    pub(crate) fn keypoints(&self) -> [usize; 2] {
+        [self.first as usize, self.second as usize]
+    }
 }
 
 /// Two photos by their indices, the smaller first, and their matches sorted by keypoint.
@@ -74,11 +85,10 @@ impl<'a> Matcher<'a> {
             first.query_batch(&queries, 2)
         };
         let kept = MatchAcceptance::Reciprocal.filter_squared(&forward, RATIO, back).ok()?;
-        let matched =
-            |m: &FilteredMatch| Match { first: m.query_index(), second: m.target_index(), distance: m.distance() };
+        let matched = |m: &FilteredMatch| Match::new([m.query_index(), m.target_index()], m.distance());
         let mut matches: Vec<Match> = kept.iter().map(matched).collect();
-        matches.sort_by_key(|m| (m.first, m.second));
-        matches.dedup_by_key(|m| (m.first, m.second));
+        matches.sort_by_key(Match::keypoints);
+        matches.dedup_by_key(|m| m.keypoints());
         Some(matches)
     }
 }
@@ -123,11 +133,8 @@ fn compare([first, second]: [&[Descriptor]; 2]) -> Vec<Match> {
     });
     let matched = |(i, nearest): (usize, &Nearest)| {
         let reverse = backward.get(nearest.index)?;
-        (reverse.index == i && nearest.is_distinct() && reverse.is_distinct()).then_some(Match {
-            first: i,
-            second: nearest.index,
-            distance: nearest.best as f32,
-        })
+        (reverse.index == i && nearest.is_distinct() && reverse.is_distinct())
+            .then_some(Match::new([i, nearest.index], nearest.best as f32))
     };
     forward.iter().enumerate().filter_map(matched).collect()
 }
@@ -156,8 +163,7 @@ mod tests {
     fn all_are_compared_as_by_another_implementation_and_found_by_the_index() {
         for n in [0, 1, 2, 3, 300] {
             let [first, second] = photos(n);
-            let same =
-                |m: &FilteredMatch| Match { first: m.query_index(), second: m.target_index(), distance: m.distance() };
+            let same = |m: &FilteredMatch| Match::new([m.query_index(), m.target_index()], m.distance());
             let other = BruteForceMatcher::match_exact_u8(&first, &second, RATIO, MatchAcceptance::Reciprocal);
             let ours = compare([&first, &second]);
             assert_eq!(ours, other.iter().map(same).collect::<Vec<_>>(), "{n}");

@@ -54,13 +54,15 @@ const FULL_LENS_GAIN: f64 = 0.02;
 /// If what is left cannot be trusted.
 pub(crate) fn refine(
     front: &FrontEnd,
-    mapped: &Mapped,
+    mapped: Mapped,
     (matches, left): (&[PairMatches], &[usize]),
     options: &RegisterOptions,
     progress: &(dyn Fn(Step) + Sync),
 ) -> Result<Refined, Verdict> {
     let sizes: Vec<[u32; 2]> = front.headers.iter().map(|h| [h.width, h.height]).collect();
-    let mut model = Model::new(mapped, &sizes);
+    let mut model = Model::new(&mapped, &sizes);
+    // The engine's tables are as large as all photos.
+    drop(mapped);
     let lenses: BTreeMap<usize, usize> = model.views.iter().map(|v| (front.camera_of[v.photo], v.lens)).collect();
     let lens_of = |photo: usize| lenses.get(&front.camera_of[photo]).copied();
     let relocation = Relocation { features: &front.features, matches, left, lens_of: &lens_of, seed: options.seed };

@@ -7,6 +7,7 @@ use crate::front_end::{
     FrontEnd, InputPhoto, LEAST_PHOTOS, LEAST_PHOTOS_OF_ONLY, RegisterOptions, SMALL_SET, Step, components,
 };
 use crate::mapping::{self, Mapped, Scene};
+use crate::matching::PairMatches;
 use crate::refine::refine;
 use crate::report::Report;
 use crate::verdict::{Cause, Verdict};
@@ -60,7 +61,7 @@ fn attempt(
     (report.still_background, report.contradicting_pairs) = (overlap.still_background, overlap.contradicting);
     let (matches, pairs) = (overlap.matches, overlap.pairs);
     front.check_overlap(&pairs)?;
-    let models = map_all(&front, &pairs, options, progress)?;
+    let models = map_all(&front, &matches, &pairs, options, progress)?;
     if models.is_empty() {
         return Err(front.why_nothing(&pairs));
     }
@@ -71,7 +72,7 @@ fn attempt(
     let mut left: Vec<usize> = (0..front.photos.len()).collect();
     models.iter().for_each(|m| left.retain(|k| taken(m).binary_search(k).is_err()));
     for mapped in models {
-        match refine(&front, &mapped, (&matches, &left), options, progress) {
+        match refine(&front, mapped, (&matches, &left), options, progress) {
             Ok(refined) => {
                 left.retain(|k| refined.model.views.iter().all(|v| v.photo != *k));
                 report.add_model(captures.len(), &refined, &front);
@@ -90,6 +91,7 @@ fn attempt(
 /// Models of all scenes, the largest first: what one run leaves over is mapped again.
 fn map_all(
     front: &FrontEnd,
+    matches: &[PairMatches],
     pairs: &[Pair],
     options: &RegisterOptions,
     progress: &(dyn Fn(Step) + Sync),
@@ -118,7 +120,7 @@ fn map_all(
         else {
             break;
         };
-        let mapped = mapping::map(&scene, &own, &largest);
+        let mapped = mapping::map(&scene, matches, &own, &largest);
         let registered: Vec<usize> = match &mapped {
             Ok(m) => m.reconstruction().registered_views().map(|(id, _)| m.photos[id.index()]).collect(),
             Err(_) => Vec::new(),

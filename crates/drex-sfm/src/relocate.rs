@@ -93,7 +93,7 @@ fn place(model: &Model, photo: usize, lens: usize, with: &Relocation<'_>) -> Opt
         let Some(at) = pair.views.iter().position(|v| *v == photo) else { continue };
         let other = pair.views[1 - at];
         for m in &pair.matches {
-            let (own, its) = if at == 0 { (m.first, m.second) } else { (m.second, m.first) };
+            let (own, its) = (m.keypoints()[at], m.keypoints()[1 - at]);
             if let Some(&point) = point_of.get(&(other, its)) {
                 *votes.entry((own, point)).or_default() += 1;
             }

@@ -42,8 +42,8 @@ pub(crate) struct StillBackground {
 pub(crate) fn find(pairs: &[PairMatches], photos: &[Features], side_px: f64) -> Option<StillBackground> {
     let (unit, still_px) = (side_px / 1000.0, still_px(side_px));
     let moved = |pair: &PairMatches, k: usize| {
-        let m = &pair.matches[k];
-        let (a, b) = (&photos[pair.views[0]].keypoints[m.first], &photos[pair.views[1]].keypoints[m.second]);
+        let [first, second] = pair.matches[k].keypoints();
+        let (a, b) = (&photos[pair.views[0]].keypoints[first], &photos[pair.views[1]].keypoints[second]);
         f64::from(a.x() - b.x()).hypot(f64::from(a.y() - b.y()))
     };
     let mut partners = vec![0usize; photos.len()];
@@ -69,8 +69,7 @@ pub(crate) fn find(pairs: &[PairMatches], photos: &[Features], side_px: f64) -> 
         }
         for (m, d) in pair.matches.iter().zip(&distances) {
             let of = if *d <= still_px { &mut stays } else { &mut moves };
-            of[pair.views[0]][m.first] += 1;
-            of[pair.views[1]][m.second] += 1;
+            pair.views.iter().zip(m.keypoints()).for_each(|(&view, keypoint)| of[view][keypoint] += 1);
         }
     }
     // A small object has few points in any one pair, but the same ones move in several.
@@ -143,7 +142,8 @@ pub(crate) fn drop_staying(pairs: &mut [PairMatches], photos: &[Features], side_
     for pair in pairs {
         let [i, j] = pair.views;
         pair.matches.retain(|m| {
-            let (a, b) = (&photos[i].keypoints[m.first], &photos[j].keypoints[m.second]);
+            let [first, second] = m.keypoints();
+            let (a, b) = (&photos[i].keypoints[first], &photos[j].keypoints[second]);
             f64::from(a.x() - b.x()).hypot(f64::from(a.y() - b.y())) > within
         });
     }
@@ -167,7 +167,7 @@ mod tests {
                 room.chain(object).map(|[x, y]| Keypoint::try_new(x, y, 2.0, 0.0).unwrap()).collect();
             Features { descriptors: vec![[0; 128]; keypoints.len()], keypoints, blurred: false }
         };
-        let matches: Vec<Match> = (0..60 + on_object).map(|i| Match { first: i, second: i, distance: 0.1 }).collect();
+        let matches: Vec<Match> = (0..60 + on_object).map(|i| Match::new([i, i], 0.1)).collect();
         let pair = |i, j| PairMatches { views: [i, j], matches: matches.clone() };
         let pairs = (0..PHOTOS).flat_map(|i| (i + 1..PHOTOS).map(move |j| (i, j))).map(|(i, j)| pair(i, j));
         ((0..PHOTOS).map(photo).collect(), pairs.collect())
@@ -183,7 +183,7 @@ mod tests {
         // Ten of eighteen in each pair, other ones each time.
         let (photos, mut pairs) = turntable(18);
         for (k, pair) in pairs.iter_mut().enumerate() {
-            pair.matches.retain(|m| m.first < 60 || (m.first + k) % 18 < 10);
+            pair.matches.retain(|m| m.keypoints()[0] < 60 || (m.keypoints()[0] + k) % 18 < 10);
         }
         assert!(find(&pairs, &photos, 640.0).is_some());
     }
@@ -194,7 +194,10 @@ mod tests {
         assert!(find(&pairs, &photos, 640.0).is_none());
         // Nor do a few wrong matches make one.
         let (photos, mut pairs) = turntable(LEAST_OF_EACH);
-        pairs.iter_mut().enumerate().for_each(|(k, p)| p.matches.retain(|m| m.first < 60 || m.first == 60 + k % 12));
+        pairs
+            .iter_mut()
+            .enumerate()
+            .for_each(|(k, p)| p.matches.retain(|m| m.keypoints()[0] < 60 || m.keypoints()[0] == 60 + k % 12));
         assert!(find(&pairs, &photos, 640.0).is_none());
     }
 }

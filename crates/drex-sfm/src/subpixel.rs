@@ -25,6 +25,8 @@ const MOST_ZOOM: f64 = 2.0;
 const ITERATIONS: usize = 15;
 /// Photos whose rays to a point differ by less than 25 degrees see the same side of it.
 const BESIDE_COSINE: f64 = 0.906;
+/// A share of so many points is known to 0.012, and a right one is 0.18 or more where a wrong one is 0.10.
+const CONFIRMED_POINTS: usize = 1000;
 
 /// A warp: the linear part, and where the middle of the patch comes to lie.
 #[derive(Debug, Clone, Copy)]
@@ -58,13 +60,15 @@ pub(crate) fn refine(model: &mut Model, photos: &BTreeMap<usize, Grey>) -> f64 {
     aligned as f64 / f64::from(all.max(1) as u32)
 }
 
-/// How many of the points that a view should see, by what photos beside it see, it shows, and how many it does not.
+/// How many of the points that a view should see, by what photos beside it see, it shows, and how many it does not; of many points, a
+/// sample.
 ///
 /// A photo that was placed by a look-alike side of the object shows that side's points and none of what is beside them.
 pub(crate) fn confirm(model: &Model, view: usize, photos: &BTreeMap<usize, Grey>) -> [usize; 2] {
     let centre = model.views[view].centre();
-    let of = |o: &Observation| photos.get(&model.views[o.view].photo);
-    let shows = |point: &Point| -> Option<bool> {
+    let photo = photos.get(&model.views[view].photo);
+    let expected = |point| -> Option<(Warp, &Observation)> {
+        let point: &Point = point;
         if point.observations.iter().any(|o| o.view == view) {
             return None;
         }
@@ -75,23 +79,24 @@ pub(crate) fn confirm(model: &Model, view: usize, photos: &BTreeMap<usize, Grey>
             return None;
         }
         let pixel = model.project(view, &point.position)?;
-        let photo = photos.get(&model.views[view].photo)?;
         let margin = f64::from(2 * HALF);
         let inside = |v: f64, n: usize| v >= margin && v <= n as f64 - 1.0 - margin;
-        if !(inside(pixel.x, photo.width) && inside(pixel.y, photo.height)) {
+        if !(inside(pixel.x, photo?.width) && inside(pixel.y, photo?.height)) {
             return None;
         }
         let plane = facing_plane(model, point)?;
         let from_plane = image_of_plane(model, nearest.view, point, &plane)?;
         let linear = image_of_plane(model, view, point, &plane)? * from_plane.try_inverse()?;
         let zoom = linear.determinant().abs().sqrt();
-        if !(1.0 / MOST_ZOOM..=MOST_ZOOM).contains(&zoom) {
-            return None;
-        }
-        let template = Template::new(of(nearest)?, nearest.pixel)?;
-        Some(template.align(photo, Warp { linear, middle: pixel }).is_some())
+        (1.0 / MOST_ZOOM..=MOST_ZOOM).contains(&zoom).then_some((Warp { linear, middle: pixel }, nearest))
     };
-    let answers: Vec<bool> = model.points.par_iter().filter_map(shows).collect();
+    let all: Vec<(Warp, &Observation)> = model.points.par_iter().filter_map(expected).collect();
+    let shows = |(warp, nearest): &(Warp, &Observation)| {
+        let template = Template::new(photos.get(&model.views[nearest.view].photo)?, nearest.pixel)?;
+        Some(template.align(photo?, *warp).is_some())
+    };
+    let tried: Vec<_> = all.iter().step_by(all.len().div_ceil(CONFIRMED_POINTS).max(1)).collect();
+    let answers: Vec<bool> = tried.into_par_iter().filter_map(shows).collect();
     let yes = answers.iter().filter(|a| **a).count();
     [yes, answers.len() - yes]
 }

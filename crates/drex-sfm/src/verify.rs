@@ -23,8 +23,9 @@ const DOMINANT: f64 = 0.95;
 #[derive(Debug, Clone)]
 pub(crate) struct Pair {
     pub(crate) views: [usize; 2],
-    pub(crate) matches: Vec<Match>,
-    /// One flag per match.
+    /// Which of the pairs of photos that were matched it is.
+    pub(crate) matched: usize,
+    /// One flag per match of these.
     pub(crate) inliers: Vec<bool>,
     pub(crate) geometry: Geometry,
 }
@@ -55,8 +56,14 @@ impl Pair {
     }
 }
 
-/// Checks a pair; `None` where too few matches agree.
-pub(crate) fn verify(pair: &PairMatches, photos: &[Features], cameras: [&Camera; 2], seed: u64) -> Option<Pair> {
+/// Checks the pair number `matched`; `None` where too few matches agree.
+pub(crate) fn verify(
+    matched: usize,
+    pair: &PairMatches,
+    photos: &[Features],
+    cameras: [&Camera; 2],
+    seed: u64,
+) -> Option<Pair> {
     let [i, j] = pair.views;
     let pixel = |photo: usize, k: usize| {
         let p = &photos[photo].keypoints[k];
@@ -72,8 +79,9 @@ pub(crate) fn verify(pair: &PairMatches, photos: &[Features], cameras: [&Camera;
     let mut used = Vec::with_capacity(order.len());
     for index in order {
         let m = &pair.matches[index];
-        let first = cameras[0].bearing(&pixel(i, m.first)).ok()?;
-        let second = cameras[1].bearing(&pixel(j, m.second)).ok()?;
+        let [first, second] = m.keypoints();
+        let first = cameras[0].bearing(&pixel(i, first)).ok()?;
+        let second = cameras[1].bearing(&pixel(j, second)).ok()?;
         let Ok(both) = BearingCorrespondence::try_new(first.into_inner(), second.into_inner()) else { continue };
         bearings.push(both);
         pixels.push(PixelCorrespondence::new(straight(&first), straight(&second)));
@@ -97,7 +105,7 @@ pub(crate) fn verify(pair: &PairMatches, photos: &[Features], cameras: [&Camera;
         of.iter().for_each(|&k| inliers[used[k]] = true);
         inliers
     };
-    let make = |inliers, geometry| Some(Pair { views: pair.views, matches: pair.matches.clone(), inliers, geometry });
+    let make = |inliers, geometry| Some(Pair { views: pair.views, matched, inliers, geometry });
     let turned = rotation_of(&bearings, support);
     let off = |k: &usize| (turned * bearings[*k].bearing1()).angle(bearings[*k].bearing2());
     let follow = support.iter().filter(|k| off(k) < WITHIN_PX / focal).count();
@@ -126,7 +134,8 @@ pub(crate) fn turn_share(pair: &PairMatches, photos: &[Features], cameras: [&Cam
         camera.bearing(&Point2::new(f64::from(p.x()), f64::from(p.y()))).ok().map(|b| b.into_inner())
     };
     let both = |m: &Match| {
-        BearingCorrespondence::try_new(bearing(cameras[0], i, m.first)?, bearing(cameras[1], j, m.second)?).ok()
+        let [first, second] = m.keypoints();
+        BearingCorrespondence::try_new(bearing(cameras[0], i, first)?, bearing(cameras[1], j, second)?).ok()
     };
     let bearings: Vec<BearingCorrespondence> = pair.matches.iter().filter_map(both).collect();
     if bearings.len() < LEAST_MATCHES {
