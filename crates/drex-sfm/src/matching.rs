@@ -10,7 +10,7 @@ use crate::features::Features;
 /// A nearest descriptor has to be this much nearer than the second (Lowe 2004).
 const RATIO: f32 = 0.8;
 
-/// Two keypoints that look alike, by their indices, and how far apart their descriptors are. Of many photos there are tens of millions.
+/// Two keypoints that look alike, by their indices, and how far apart their descriptors are. Of many photos there are millions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Match {
     first: u32,
