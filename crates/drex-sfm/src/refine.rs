@@ -81,6 +81,8 @@ pub(crate) fn refine(
     let greys: BTreeMap<usize, Grey> = model.views.iter().map(|v| v.photo).zip(greys).collect();
     colours.into_iter().flatten().for_each(|(point, rgb)| model.points[point].rgb = rgb);
     let aligned = subpixel::refine(&mut model, &greys);
+    // Beside all photos an adjustment of many does not fit into two gigabytes; they are read again for the confirmation.
+    drop(greys);
     progress(Step { stage: "adjustment", done: 0, total: 4 });
     let failed = |e: String| {
         Verdict::new(
@@ -109,7 +111,9 @@ pub(crate) fn refine(
     progress(Step { stage: "confirmation", done: 0, total: model.views.len() });
     check_turns(front, &model, matches)?;
     let mut removed = drop_weak(&mut model);
-    removed.extend(drop_unconfirmed(&mut model, &greys));
+    let again = |view: &View| Ok((view.photo, photos::read_grey(&front.photos[view.photo].path)?));
+    let greys: Result<BTreeMap<usize, Grey>, String> = model.views.par_iter().map(again).collect();
+    removed.extend(drop_unconfirmed(&mut model, &greys.map_err(changed)?));
     if !removed.is_empty() {
         adjust::drop_outliers(&mut model);
         adjusted = adjust::adjust(&mut model, freedom, 20).map_err(failed)?;
