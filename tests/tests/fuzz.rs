@@ -9,7 +9,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use drex_tests::mutate::mutated;
@@ -24,9 +24,19 @@ const LONGEST_S: u64 = 60;
 /// Most memory for an input of at most 64 kB, bytes.
 const MOST_BYTES: u64 = 256 << 20;
 
-/// The input that is being read, and since when, so that a hang can be told.
-static CURRENT: Mutex<(&'static str, Vec<u8>)> = Mutex::new(("", Vec::new()));
-static BEGAN_S: AtomicU64 = AtomicU64::new(u64::MAX);
+/// So many readers are tried side by side.
+const WORKERS: usize = 2;
+
+/// What a worker reads, so that a hang can be told.
+#[derive(Clone)]
+struct Reading {
+    since: Instant,
+    reader: &'static str,
+    input: Vec<u8>,
+}
+
+/// Of each worker.
+static READING: [Mutex<Option<Reading>>; WORKERS] = [const { Mutex::new(None) }; WORKERS];
 
 fn number(name: &str) -> Option<u64> {
     std::env::var(name).ok().map(|v| v.parse().unwrap_or_else(|_| panic!("{name}={v} is no whole number")))
@@ -39,12 +49,13 @@ fn keep(name: &str, input: &[u8]) -> PathBuf {
     path
 }
 
-fn read(target: &'static Target, input: &[u8], begin: Instant) {
-    *CURRENT.lock().unwrap() = (target.name, input.to_vec());
-    BEGAN_S.store(begin.elapsed().as_secs(), Ordering::Relaxed);
+fn read(target: &'static Target, input: &[u8], worker: usize) {
+    let reading = Reading { since: Instant::now(), reader: target.name, input: input.to_vec() };
+    *READING[worker].lock().unwrap() = Some(reading);
     let mut panicked = None;
+    // Of this thread alone.
     let used = allocation_counter::measure(|| panicked = catch_unwind(AssertUnwindSafe(|| (target.run)(input))).err());
-    BEGAN_S.store(u64::MAX, Ordering::Relaxed);
+    *READING[worker].lock().unwrap() = None;
     if panicked.is_some() {
         panic!("{} panics on {}", target.name, keep(target.name, input).display());
     }
@@ -53,18 +64,38 @@ fn read(target: &'static Target, input: &[u8], begin: Instant) {
 }
 
 /// Ends the test program when one input takes too long.
-fn watch(begin: Instant) {
+fn watch() {
     std::thread::spawn(move || {
         loop {
             std::thread::sleep(Duration::from_secs(1));
-            let began = BEGAN_S.load(Ordering::Relaxed);
-            if begin.elapsed().as_secs().saturating_sub(began) > LONGEST_S && began != u64::MAX {
-                let (name, input) = CURRENT.lock().unwrap().clone();
-                eprintln!("{name} takes more than {LONGEST_S} s for {}", keep(name, &input).display());
-                std::process::exit(1);
+            for reading in &READING {
+                let late = reading.lock().unwrap().clone().filter(|r| r.since.elapsed().as_secs() > LONGEST_S);
+                if let Some(Reading { reader, input, .. }) = late {
+                    eprintln!("{reader} takes more than {LONGEST_S} s for {}", keep(reader, &input).display());
+                    std::process::exit(1);
+                }
             }
         }
     });
+}
+
+/// Reads the seeds of a reader and what is made of them; how many of these there were.
+fn try_reader(target: &'static Target, seed: u64, seconds: Option<u64>, worker: usize) -> usize {
+    let seeds = (target.seeds)();
+    assert!(!seeds.is_empty(), "{} has no seeds", target.name);
+    seeds.iter().for_each(|s| read(target, s, worker));
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let (since, mut inputs) = (Instant::now(), 0);
+    let more = |inputs| match seconds {
+        Some(s) => since.elapsed().as_secs() < s,
+        None => inputs < INPUTS,
+    };
+    while more(inputs) {
+        read(target, &mutated(&seeds, &mut rng), worker);
+        inputs += 1;
+    }
+    println!("{:<18} {inputs} inputs, {:.1} s", target.name, since.elapsed().as_secs_f64());
+    inputs
 }
 
 #[test]
@@ -72,8 +103,7 @@ fn no_reader_panics_hangs_or_takes_memory_out_of_proportion() {
     let seconds = number("DREX_FUZZ_SECONDS");
     let seed = number("DREX_FUZZ_SEED").unwrap_or(1);
     let only = std::env::var("DREX_FUZZ_TARGET").ok();
-    let begin = Instant::now();
-    watch(begin);
+    watch();
     // The glTF library panics on some files, inside the reader, which catches it: no news on stderr.
     let loud = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {
@@ -81,24 +111,18 @@ fn no_reader_panics_hangs_or_takes_memory_out_of_proportion() {
             loud(info);
         }
     }));
-    let mut total = 0;
-    for target in TARGETS.iter().filter(|t| only.as_ref().is_none_or(|o| o == t.name)) {
-        let seeds = (target.seeds)();
-        assert!(!seeds.is_empty(), "{} has no seeds", target.name);
-        seeds.iter().for_each(|s| read(target, s, begin));
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let (since, mut inputs) = (Instant::now(), 0);
-        let more = |inputs| match seconds {
-            Some(s) => since.elapsed().as_secs() < s,
-            None => inputs < INPUTS,
-        };
-        while more(inputs) {
-            read(target, &mutated(&seeds, &mut rng), begin);
-            inputs += 1;
+    let targets: Vec<&Target> = TARGETS.iter().filter(|t| only.as_ref().is_none_or(|o| o == t.name)).collect();
+    let (targets, next, total) = (&targets, &AtomicUsize::new(0), &AtomicUsize::new(0));
+    std::thread::scope(|scope| {
+        for worker in 0..WORKERS {
+            scope.spawn(move || {
+                while let Some(target) = targets.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    total.fetch_add(try_reader(target, seed, seconds, worker), Ordering::Relaxed);
+                }
+            });
         }
-        println!("{:<18} {inputs} inputs, {:.1} s", target.name, since.elapsed().as_secs_f64());
-        total += inputs;
-    }
+    });
+    let total = total.load(Ordering::Relaxed);
     assert!(total > 0, "DREX_FUZZ_TARGET names no reader");
     println!("{total} inputs");
 }

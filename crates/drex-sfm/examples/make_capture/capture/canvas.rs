@@ -91,8 +91,8 @@ impl Canvas {
     /// Mixes `colour` in where noise of the given scale is high; `contrast` makes the borders of the mix harder.
     pub(super) fn mix(&mut self, seed: u64, scale_m: [f64; 2], octaves: u32, colour: Colour, contrast: f32) {
         let noise = Noise::new(self, seed, scale_m, octaves);
-        self.every_texel(|u, v, texel| {
-            let share = (0.5 + contrast * (noise.at(u, v) - 0.5)).clamp(0.0, 1.0);
+        self.every_texel(|[near, _], u, v, texel| {
+            let share = (0.5 + contrast * (noise.at(u, v, near) - 0.5)).clamp(0.0, 1.0);
             for c in 0..3 {
                 texel[c] += share * (colour[c] - texel[c]);
             }
@@ -102,19 +102,20 @@ impl Canvas {
     /// Brightens and darkens by up to about `strength`.
     pub(super) fn shade(&mut self, seed: u64, scale_m: f64, octaves: u32, strength: f32) {
         let noise = Noise::new(self, seed, [scale_m; 2], octaves);
-        self.every_texel(|u, v, texel| {
-            let factor = 1.0 + 2.0 * strength * (noise.at(u, v) - 0.5);
+        self.every_texel(|[near, _], u, v, texel| {
+            let factor = 1.0 + 2.0 * strength * (noise.at(u, v, near) - 0.5);
             *texel = texel.map(|c| (c * factor).clamp(0.0, 0.95));
         });
     }
 
-    /// Applies `change` to every texel with its place in [0, 1)².
-    pub(super) fn every_texel(&mut self, change: impl Fn(f64, f64, &mut Colour) + Sync) {
+    /// Applies `change` to every texel with its place in [0, 1)², row by row, with what two noises may keep.
+    pub(super) fn every_texel(&mut self, change: impl Fn(&mut [Near; 2], f64, f64, &mut Colour) + Sync) {
         let (columns, rows) = (self.columns, self.rows);
         self.texels.par_chunks_mut(columns).enumerate().for_each(|(y, row)| {
             let v = (y as f64 + 0.5) / rows as f64;
+            let mut near = [Near::default(); 2];
             for (x, texel) in row.iter_mut().enumerate() {
-                change((x as f64 + 0.5) / columns as f64, v, texel);
+                change(&mut near, (x as f64 + 0.5) / columns as f64, v, texel);
             }
         });
     }
@@ -168,11 +169,11 @@ impl Noise {
         Self { seed, cells, octaves }
     }
 
-    pub(super) fn at(&self, u: f64, v: f64) -> f32 {
+    pub(super) fn at(&self, u: f64, v: f64, near: &mut Near) -> f32 {
         let (mut sum, mut weight, mut all) = (0.0, 1.0f32, 0.0);
         let [mut nx, mut ny] = self.cells;
-        for octave in 0..self.octaves {
-            sum += weight * self.one(u * nx, v * ny, nx as u64, ny as u64, octave);
+        for (octave, cell) in (0..self.octaves).zip(&mut near.0) {
+            sum += weight * self.one([u * nx, v * ny], [nx, ny], octave, cell);
             all += weight;
             weight *= 0.55;
             nx *= 2.0;
@@ -181,17 +182,45 @@ impl Noise {
         sum / all
     }
 
-    fn one(&self, x: f64, y: f64, nx: u64, ny: u64, octave: u32) -> f32 {
-        let (ix, iy) = (x.floor() as u64 % nx, y.floor() as u64 % ny);
+    #[inline(always)]
+    fn one(&self, [x, y]: [f64; 2], cells: [f64; 2], octave: u32, cell: &mut Cell) -> f32 {
+        let (column, row) = (x as i32, y as i32);
+        if cell.place != [column, row] {
+            *cell = Cell { place: [column, row], knots: self.knots([column, row].map(|i| i as u64), cells, octave) };
+        }
         let smooth = |t: f64| {
             let t = t as f32;
             t * t * (3.0 - 2.0 * t)
         };
-        let (fx, fy) = (smooth(x.fract()), smooth(y.fract()));
-        let knot = |i: u64, j: u64| hash01(self.seed ^ (u64::from(octave) << 58) ^ (j << 29) ^ i);
-        let (jx, jy) = ((ix + 1) % nx, (iy + 1) % ny);
-        let top = knot(ix, iy) + fx * (knot(jx, iy) - knot(ix, iy));
-        let bottom = knot(ix, jy) + fx * (knot(jx, jy) - knot(ix, jy));
+        let (fx, fy) = (smooth(x - f64::from(column)), smooth(y - f64::from(row)));
+        let [a, b, c, d] = cell.knots;
+        let top = a + fx * (b - a);
+        let bottom = c + fx * (d - c);
         top + fy * (bottom - top)
+    }
+
+    #[cold]
+    fn knots(&self, place: [u64; 2], cells: [f64; 2], octave: u32) -> [f32; 4] {
+        let [nx, ny] = cells.map(|n| n as u64);
+        let (ix, iy) = (place[0] % nx, place[1] % ny);
+        let (jx, jy) = ((ix + 1) % nx, (iy + 1) % ny);
+        let knot = |i: u64, j: u64| hash01(self.seed ^ (u64::from(octave) << 58) ^ (j << 29) ^ i);
+        [knot(ix, iy), knot(jx, iy), knot(ix, jy), knot(jx, jy)]
+    }
+}
+
+/// What noise is made of about the place that was looked at last, octave by octave: the next place is mostly in the same cells.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Near([Cell; 8]);
+
+#[derive(Clone, Copy)]
+struct Cell {
+    place: [i32; 2],
+    knots: [f32; 4],
+}
+
+impl Default for Cell {
+    fn default() -> Self {
+        Self { place: [-1; 2], knots: [0.0; 4] }
     }
 }

@@ -31,7 +31,7 @@ impl Picture {
         let texel_m = self.size_m[0] / self.levels[0].columns as f64;
         let level = (fineness_m / texel_m).max(1.0).log2().min((self.levels.len() - 1) as f64);
         let (lower, between) = (level as usize, level.fract() as f32);
-        let (u, v) = ((at_m.x / self.size_m[0]).rem_euclid(1.0), (at_m.y / self.size_m[1]).rem_euclid(1.0));
+        let (u, v) = (repeated(at_m.x / self.size_m[0]), repeated(at_m.y / self.size_m[1]));
         let fine = self.levels[lower].bilinear(u, v);
         if between < 0.05 || lower + 1 == self.levels.len() {
             return fine;
@@ -41,12 +41,20 @@ impl Picture {
     }
 }
 
+/// The place in [0, 1] of a repetition; as `x.rem_euclid(1.0)`, without the division of the mathematics library.
+fn repeated(x: f64) -> f64 {
+    let rest = x - x as i64 as f64;
+    if rest < 0.0 { rest + 1.0 } else { rest }
+}
+
 impl Level {
+    /// `u` and `v` in [0, 1].
     fn bilinear(&self, u: f64, v: f64) -> Colour {
         let (x, y) = (u * self.columns as f64 - 0.5, v * self.rows as f64 - 0.5);
-        let (fx, fy) = ((x - x.floor()) as f32, (y - y.floor()) as f32);
-        let wrap = |i: f64, n: usize| {
-            let i = i as isize;
+        let floor = |x: f64| x as isize - isize::from(x < 0.0);
+        let (ix, iy) = (floor(x), floor(y));
+        let (fx, fy) = ((x - ix as f64) as f32, (y - iy as f64) as f32);
+        let wrap = |i: isize, n: usize| {
             if i < 0 {
                 n - 1
             } else if i as usize >= n {
@@ -55,8 +63,8 @@ impl Level {
                 i as usize
             }
         };
-        let (x0, x1) = (wrap(x.floor(), self.columns), wrap(x.floor() + 1.0, self.columns));
-        let (y0, y1) = (wrap(y.floor(), self.rows) * self.columns, wrap(y.floor() + 1.0, self.rows) * self.columns);
+        let (x0, x1) = (wrap(ix, self.columns), wrap(ix + 1, self.columns));
+        let (y0, y1) = (wrap(iy, self.rows) * self.columns, wrap(iy + 1, self.rows) * self.columns);
         let corners = [self.texels[y0 + x0], self.texels[y0 + x1], self.texels[y1 + x0], self.texels[y1 + x1]];
         let weights = [(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy];
         std::array::from_fn(|c| {

@@ -132,6 +132,8 @@ struct Part {
     world_from_part: nalgebra::Matrix3<f64>,
     part_from_world: nalgebra::Matrix3<f64>,
     centre: Point3<f64>,
+    /// Of the sphere about it.
+    radius2: f64,
 }
 
 impl<'a> Traced<'a> {
@@ -151,6 +153,7 @@ impl<'a> Traced<'a> {
                     world_from_part,
                     part_from_world: world_from_part.transpose(),
                     centre: pose.translation.vector.into(),
+                    radius2: s.half_m.norm_squared(),
                 }
             })
             .collect();
@@ -158,7 +161,7 @@ impl<'a> Traced<'a> {
             (0..parts.len()).partition(|i| scene.solids[*i].role == Role::Object);
         let count = small.len().max(1) as f64;
         let centre = Point3::from(small.iter().map(|i| parts[*i].centre.coords).sum::<Vector3<f64>>() / count);
-        let reach = |p: &Part| (p.centre - centre).norm() + p.half.norm();
+        let reach = |p: &Part| (p.centre - centre).norm() + p.radius2.sqrt();
         let radius2 = small.iter().map(|i| reach(&parts[*i])).fold(0.0, f64::max).powi(2);
         Self { scene, parts, small, large, centre, radius2 }
     }
@@ -200,13 +203,11 @@ impl<'a> Traced<'a> {
         })
     }
 
-    fn candidates(&self, eye: &Point3<f64>, ray: &Vector3<f64>) -> impl Iterator<Item = usize> + '_ {
-        let to_centre = self.centre - eye;
-        let along = to_centre.dot(ray);
-        let distance2 = to_centre.norm_squared();
-        let near = distance2 < self.radius2 || (along > 0.0 && distance2 - along * along < self.radius2);
+    fn candidates(&self, eye: &Point3<f64>, ray: &Vector3<f64>) -> impl Iterator<Item = usize> {
+        let near = may_meet(&self.centre, self.radius2, eye, ray);
         let small = if near { &self.small[..] } else { &[] };
-        small.iter().chain(&self.large).copied()
+        let meets = move |i: &usize| may_meet(&self.parts[*i].centre, self.parts[*i].radius2, eye, ray);
+        small.iter().chain(&self.large).copied().filter(meets)
     }
 
     fn room_hit(&self, eye: &Point3<f64>, ray: &Vector3<f64>) -> Hit {
@@ -233,6 +234,15 @@ impl<'a> Traced<'a> {
         };
         Hit { distance_m: nearest, normal, on_face_m, face: 2 * axis + usize::from(high), solid: None }
     }
+}
+
+/// Whether the ray from `eye` along the unit vector `ray` may meet a sphere; one that it just misses may count.
+fn may_meet(centre: &Point3<f64>, radius2: f64, eye: &Point3<f64>, ray: &Vector3<f64>) -> bool {
+    let to_centre = centre - eye;
+    let (along, distance2) = (to_centre.dot(ray), to_centre.norm_squared());
+    // Rays have a length of one to single precision.
+    let radius2 = radius2 + 1e-6 * distance2;
+    distance2 < radius2 || (along > 0.0 && distance2 - along * along < radius2)
 }
 
 impl Part {

@@ -133,19 +133,19 @@ impl Canvas {
         let colours: Vec<Colour> = (0..cells[0] * cells[1]).map(|_| random_colour(rng, 0.04..0.75)).collect();
         let seed: u64 = rng.random();
         let ragged = [Noise::new(self, seed ^ 1, [0.3 * cell; 2], 3), Noise::new(self, seed ^ 2, [0.3 * cell; 2], 3)];
-        self.every_texel(|u, v, texel| {
-            let [dx, dy] = [0, 1].map(|i| f64::from(ragged[i].at(u, v)) - 0.5);
+        let middles: Vec<Vector2<f64>> = (0..colours.len() as u64)
+            .map(|id| [seed ^ id, seed ^ (id + (1 << 32))].map(|key| 0.1 + 0.8 * f64::from(hash01(key))).into())
+            .collect();
+        self.every_texel(|near, u, v, texel| {
+            let [dx, dy] = [0, 1].map(|i| f64::from(ragged[i].at(u, v, &mut near[i])) - 0.5);
             let (x, y) = (u * cells[0] as f64 + 0.5 * dx, v * cells[1] as f64 + 0.5 * dy);
             let (cx, cy) = (x.floor() as i64, y.floor() as i64);
             let mut best = (f64::INFINITY, 0);
             for j in cy - 1..=cy + 1 {
                 for i in cx - 1..=cx + 1 {
                     let id = (j.rem_euclid(cells[1]) * cells[0] + i.rem_euclid(cells[0])) as usize;
-                    let (jx, jy) = (hash01(seed ^ id as u64), hash01(seed ^ (id as u64 + (1 << 32))));
-                    let d = Vector2::new(
-                        (i as f64 + 0.1 + 0.8 * f64::from(jx) - x) * pitch[0],
-                        (j as f64 + 0.1 + 0.8 * f64::from(jy) - y) * pitch[1],
-                    );
+                    let middle = middles[id];
+                    let d = Vector2::new((i as f64 + middle.x - x) * pitch[0], (j as f64 + middle.y - y) * pitch[1]);
                     if d.norm_squared() < best.0 {
                         best = (d.norm_squared(), id);
                     }
@@ -165,13 +165,13 @@ impl Canvas {
         let size = self.size_m;
         let bend = Noise::new(self, seed ^ 3, [360.0 * unit_m, 60.0 * unit_m], 4);
         let fibre = Noise::new(self, seed ^ 4, [90.0 * unit_m, 4.0 * unit_m], 3);
-        self.every_texel(|u, v, texel| {
+        self.every_texel(|[near_bend, near_fibre], u, v, texel| {
             let plank = (v * planks).floor();
             let key = seed ^ plank as u64;
             let across = v * planks - plank;
-            let at = f64::from(bend.at((u + f64::from(hash01(key))).fract(), v));
+            let at = f64::from(bend.at((u + f64::from(hash01(key))).fract(), v, near_bend));
             let ring = (rings * (across + 2.2 * at)).fract();
-            let grain = f64::from(fibre.at(u, v));
+            let grain = f64::from(fibre.at(u, v, near_fibre));
             let tone = 0.75 * (ring * (2.0 - ring)) + 0.25 * grain;
             let shade = 0.85 + 0.3 * hash01(key ^ 99);
             let gap = (0.5 - (across - 0.5).abs()) * size[1] / planks < 0.7 * unit_m;

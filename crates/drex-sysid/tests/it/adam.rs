@@ -1,9 +1,6 @@
 //! The method that is there for comparison.
-#![allow(clippy::unwrap_used, missing_docs, dead_code)] // a test may panic; not every test uses every helper
 
-mod common;
-
-use common::{block, simulated};
+use crate::common::{block, simulated};
 use drex_sysid::{IdentifyOptions, Method, Verdict, identify};
 use nalgebra::{Point3, Vector3};
 

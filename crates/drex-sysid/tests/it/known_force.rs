@@ -1,11 +1,8 @@
 //! What the noise of a force leaves unknown, where an estimate starts, and what wrong assumptions do to it.
-#![allow(clippy::unwrap_used, missing_docs, dead_code)] // a test may panic; not every test uses every helper
-
-mod common;
 
 use std::path::Path;
 
-use common::{block, normals, shared, simulated};
+use crate::common::{block, normals, shared, simulated};
 use drex_core::TriMesh;
 use drex_recording::convert::mujoco_push::{self, ForceQuality, Inputs, PoseQuality};
 use drex_recording::{Drive, PushRecording};

@@ -5,13 +5,10 @@
 //! `DREX_PLACEBO` names a folder, sets of simulated pushes in it are used as well: `x1.0`, `x0.6` and `x1.6`, each written by the
 //! generator of the shared data set `push_mujoco` with one and the same seed, in a copy of the script whose list `PUBLIC` holds the
 //! true masses times that factor.
-#![allow(clippy::unwrap_used, missing_docs, dead_code)] // a test may panic; not every test uses every helper
-
-mod common;
 
 use std::path::{Path, PathBuf};
 
-use common::{block, shared, simulated};
+use crate::common::{block, shared, simulated};
 use drex_core::Trajectory;
 use drex_core::TriMesh;
 use drex_core::trajectory::PoseNoise;

@@ -1,11 +1,8 @@
 //! Calibration of a hand and what its efforts weigh: made-up logs of known friction and contact, and real ones.
-#![allow(clippy::unwrap_used, missing_docs, dead_code)] // a test may panic; not every test uses every helper
-
-mod common;
 
 use std::path::PathBuf;
 
-use common::{box_mesh, normals, shared};
+use crate::common::{box_mesh, normals, shared};
 use drex_core::{Pose, Trajectory, TriMesh};
 use drex_recording::JointLog;
 use drex_recording::convert::allegro_run;

@@ -1,9 +1,6 @@
 //! Recordings that cannot be what they say they are.
-#![allow(clippy::unwrap_used, missing_docs, dead_code)] // a test may panic; not every test uses every helper
 
-mod common;
-
-use common::{block, box_mesh, normals, simulated};
+use crate::common::{block, box_mesh, normals, simulated};
 use drex_core::{Pose, Trajectory};
 use drex_recording::{Drive, PushRecording};
 use drex_sysid::{IdentifyOptions, ObjectModel, identify};

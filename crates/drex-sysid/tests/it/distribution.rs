@@ -1,5 +1,4 @@
 //! Distributions of a mass against closed forms.
-#![allow(clippy::unwrap_used)] // tests: a panic is the report
 
 use drex_sysid::MassDistribution;
 use proptest::prelude::*;

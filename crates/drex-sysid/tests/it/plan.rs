@@ -1,9 +1,6 @@
 //! The planner: what it promises is what the estimator then does.
-#![allow(clippy::unwrap_used, missing_docs, dead_code)] // a test may panic; not every test uses every helper
 
-mod common;
-
-use common::{block, box_mesh};
+use crate::common::{block, box_mesh};
 use drex_recording::{Drive, Support, SupportBox};
 use drex_sysid::plan::{
     FingerLimits, ForceLimits, PlanOptions, PlannedPush, PushDrive, PushKind, RobotLimits, plan_push, tip_force_limit,

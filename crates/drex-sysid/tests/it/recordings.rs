@@ -1,11 +1,8 @@
 //! Recorded pushes: simulated by MuJoCo with known masses. The truth is read by the tests alone.
-#![allow(clippy::unwrap_used, missing_docs, dead_code)] // a test may panic; not every test uses every helper
-
-mod common;
 
 use std::path::Path;
 
-use common::shared;
+use crate::common::shared;
 use drex_core::TriMesh;
 use drex_recording::convert::mujoco_push::{self, ForceQuality, Inputs, PoseQuality};
 use drex_recording::{Drive, PushRecording, StatedParameter};

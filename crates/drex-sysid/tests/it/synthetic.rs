@@ -1,9 +1,6 @@
 //! Pushes simulated here, so that the truth is known and nothing but the estimator is tested.
-#![allow(clippy::unwrap_used, missing_docs, dead_code)] // a test may panic; not every test uses every helper
 
-mod common;
-
-use common::{block, box_mesh, pushed_by, pushed_until, simulated};
+use crate::common::{block, box_mesh, pushed_by, pushed_until, simulated};
 use drex_core::TriMesh;
 use drex_core::{Pose, Trajectory};
 use drex_recording::Drive;

@@ -1,11 +1,8 @@
 //! Frames of tracked pushes: made-up topples, simulated tilts seen by made-up cameras, and real runs of a hand.
-#![allow(clippy::unwrap_used, missing_docs, dead_code)] // a test may panic; not every test uses every helper
-
-mod common;
 
 use std::path::{Path, PathBuf};
 
-use common::{box_mesh, normals, shared};
+use crate::common::{box_mesh, normals, shared};
 use drex_core::{Pose, Trajectory, TriMesh};
 use drex_recording::clock::{Clock, parse_utc_offset};
 use drex_recording::convert::mujoco_push::{self, Inputs};
