@@ -5,7 +5,7 @@ use drex_core::Pose;
 use drex_core::capture::{Capture, Photo, PhotoOptions, Photos};
 use drex_splat::Kind;
 use drex_splat::io::read_gaussians;
-use drex_twin::reconstruct::cameras_of;
+use drex_twin::cameras::cameras_of;
 use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
 use nalgebra::{Point3, Similarity3};

@@ -12,7 +12,7 @@ use nalgebra::{Matrix4, Similarity3, Translation3, Vector3};
 use super::object::{MESH_FACES, OBJECT_COLOR, still};
 use super::page::Page;
 use super::viewer::{Look, MOST_SPLATS, Scene};
-use drex_twin::reconstruct::cameras_of;
+use drex_twin::cameras::cameras_of;
 use drex_twin::records::{ScanFile, SplatReport};
 use drex_twin::{Twin, records as files};
 

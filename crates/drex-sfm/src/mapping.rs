@@ -63,11 +63,14 @@ pub(crate) fn map(
             Geometry::Plane { homography } => PairGeometry::Homography { matrix: *homography, relative_pose: None },
             Geometry::Turn { .. } => continue,
         };
-        let with_ids = matches[pair.matched].matches.iter().map(|m| {
+        let own = &matches[pair.matched].matches;
+        // A collection of results would not know its length and take up to twice the room.
+        let mut with_ids = Vec::with_capacity(own.len());
+        for m in own {
             let [first, second] = m.keypoints().map(FeatureId::new);
-            FeatureMatch::try_new(first, second, Some(m.distance)).map_err(|e| e.to_string())
-        });
-        let with_ids = with_ids.collect::<Result<Vec<_>, _>>()?;
+            let with_id = FeatureMatch::try_new(first, second, Some(m.distance));
+            with_ids.push(with_id.map_err(|e| e.to_string())?);
+        }
         let views = ViewPair::new(ViewId::new(i), ViewId::new(j));
         parts = parts.with_pair(views, with_ids, Some((geometry, pair.inliers.clone())));
     }

@@ -24,11 +24,21 @@ pub struct Registration {
 
 /// Photos are looked at more closely when fewer than this share of them could be registered.
 const ENOUGH_SHARE: f64 = 0.9;
+
 /// Finds the cameras of photos, and the points that they show.
 ///
 /// # Errors
 /// A [`Verdict`] that says why no camera can be trusted, and what to do.
 pub fn register(
+    photos: &[InputPhoto],
+    options: &RegisterOptions,
+    progress: &(dyn Fn(Step) + Sync),
+) -> Result<Registration, Verdict> {
+    // In a thread of the pool: the matches, tables and models that follow take the room that the workers' descriptors leave.
+    rayon::scope(|_| register_in_pool(photos, options, progress))
+}
+
+fn register_in_pool(
     photos: &[InputPhoto],
     options: &RegisterOptions,
     progress: &(dyn Fn(Step) + Sync),

@@ -9,41 +9,68 @@
 //!
 //! [`Twin::open`] reads the manifest, [`Twin::run`] does every stage whose inputs changed, [`Predictor`] gives the grasp of a
 //! trained twin and [`deploy`](deploy::deploy) carries it out. What stages write is read with the types of [`records`].
+//!
+//! Without the default feature `stages` there are the [`manifest`] and the [`cameras`] of a scan only, for programs that read twin
+//! folders and need neither burn nor the engine that finds cameras.
 
+pub mod cameras;
+#[cfg(feature = "stages")]
 pub mod deploy;
+#[cfg(feature = "stages")]
 mod error;
+#[cfg(feature = "stages")]
 mod hand;
+#[cfg(feature = "stages")]
 mod inputs;
+#[cfg(feature = "stages")]
 pub mod learn;
+#[cfg(feature = "stages")]
 pub mod lock;
 pub mod manifest;
+#[cfg(feature = "stages")]
 pub mod masks;
+#[cfg(feature = "stages")]
 mod object;
+#[cfg(feature = "stages")]
 mod pipeline;
+#[cfg(feature = "stages")]
 mod place;
+#[cfg(feature = "stages")]
 mod predict;
+#[cfg(feature = "stages")]
 mod progress;
+#[cfg(feature = "stages")]
 pub mod rank;
+#[cfg(feature = "stages")]
 pub mod reconstruct;
+#[cfg(feature = "stages")]
 pub mod records;
+#[cfg(feature = "stages")]
 pub mod scan;
+#[cfg(feature = "stages")]
 mod scene;
+#[cfg(feature = "stages")]
 mod stages;
+#[cfg(feature = "stages")]
 pub mod timings;
+#[cfg(feature = "stages")]
 mod twin;
 
-pub use error::{Error, Result};
-pub use hand::with_torque_cap;
-pub use inputs::Stage;
-pub use object::object_model;
-pub use pipeline::{Reporter, RunOptions, RunSummary};
-pub use predict::{FingerContact, PredictOptions, Prediction, Predictor, predict};
-pub use progress::Progress;
-pub use scene::Scene;
-pub use stages::recordings;
-pub use twin::Twin;
+#[cfg(feature = "stages")]
+pub use {
+    error::{Error, Result},
+    hand::with_torque_cap,
+    inputs::Stage,
+    object::object_model,
+    pipeline::{Reporter, RunOptions, RunSummary},
+    predict::{FingerContact, PredictOptions, Prediction, Predictor, predict},
+    progress::Progress,
+    scene::Scene,
+    stages::recordings,
+    twin::Twin,
+};
 
 /// Runs the examples of the README as tests.
-#[cfg(doctest)]
+#[cfg(all(doctest, feature = "stages"))]
 #[doc = include_str!("../README.md")]
 pub struct ReadmeDoctests;

@@ -1,11 +1,10 @@
 //! Photos to Gaussians and depth maps, with the programs that photos and videos may need.
 
-use std::io::Read;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use drex_core::capture::{Capture, CaptureOptions, CaptureReport, photos_in};
+use drex_core::capture::{Capture, CaptureOptions, CaptureReport};
 use drex_core::fsutil::output_path;
 use drex_sfm::marker::Marker;
 use drex_sfm::programs::{ColmapOptions, find_cameras};
@@ -19,6 +18,7 @@ use drex_splat::reconstruct::{Reconstruction, reconstruct};
 use drex_splat::train::Progress as TrainStep;
 use drex_splat::{Kind, ReconstructOptions};
 
+use crate::cameras::{COLMAP, FRAMES, SFM, is_video, load_found};
 use crate::error::refuse;
 use crate::{Progress, Result};
 
@@ -105,11 +105,6 @@ pub struct Cameras {
     pub found_now: bool,
 }
 
-/// Folders of what is found, below the output folder.
-const SFM: &str = "sfm";
-const COLMAP: &str = "colmap";
-const FRAMES: &str = "scan";
-
 /// Shows the steps of a registration as work of its stages.
 pub fn show_steps(progress: &dyn Progress) -> impl Fn(Step) + Sync + '_ {
     let stage = Mutex::new("");
@@ -122,22 +117,6 @@ pub fn show_steps(progress: &dyn Progress) -> impl Fn(Step) + Sync + '_ {
         }
         progress.at(step.done as u64, "");
     }
-}
-
-/// Whether an input is one file, neither picture nor text: ffmpeg says whether it is a video.
-pub fn is_video(input: &Path) -> bool {
-    const PICTURES: [&str; 13] =
-        ["jpg", "jpeg", "png", "heic", "heif", "hif", "avif", "tif", "tiff", "webp", "bmp", "gif", "dng"];
-    let picture = |e: &std::ffi::OsStr| PICTURES.iter().any(|p| e.eq_ignore_ascii_case(p));
-    input.is_file() && !input.extension().is_some_and(picture) && !is_text(input)
-}
-
-/// Whether a file begins with UTF-8 text, as no container of a video does for long; an empty one does, an unreadable one does not.
-fn is_text(file: &Path) -> bool {
-    let mut start = Vec::new();
-    let read = std::fs::File::open(file).and_then(|f| f.take(512).read_to_end(&mut start));
-    let whole = |e: std::str::Utf8Error| e.error_len().is_none() && start.len() == 512;
-    read.is_ok() && !start.contains(&0) && std::str::from_utf8(&start).map_or_else(whole, |_| true)
 }
 
 /// Sharp frames of a video that show something new, as photos in `folder/images`; those that are there already are kept.
@@ -302,30 +281,4 @@ fn sentences(report: &FolderReport) -> Vec<String> {
 fn in_metres(mut report: MarkerReport) -> MarkerReport {
     report.metres_per_unit = 1.0;
     report
-}
-
-/// The largest model that was found for the photos of `folder` and written into `found`.
-fn load_found(folder: &Path, found: &Path, within: &CaptureOptions) -> Result<Option<Capture>> {
-    let mut within = within.clone();
-    if let Some((root, _)) = photos_in(folder, &within) {
-        within.images = Some(root);
-    }
-    Ok(Capture::load_model(folder, &found.join("sparse"), &within)?)
-}
-
-/// The photos of a scan with the cameras that lie beside them, or that were found for them when `out` was made of them.
-///
-/// # Errors
-/// If there are no cameras, or a file is damaged.
-pub fn cameras_of(scan: &Path, out: &Path) -> Result<Capture> {
-    let folder = if is_video(scan) { out.join(FRAMES) } else { scan.to_path_buf() };
-    let within = CaptureOptions::default();
-    if !Capture::is_in(&folder) {
-        for found in [SFM, COLMAP] {
-            if let Some(capture) = load_found(&folder, &out.join(found), &within)? {
-                return Ok(capture);
-            }
-        }
-    }
-    Ok(Capture::load(&folder, &within)?)
 }

@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 use crate::Progress;
 use crate::masks::{MASKS, MaskReport, Masks, made_masks_in, object_masks};
 use crate::place::{self, box_around, sparse_points};
-pub use crate::place::{FrameOptions, ObjectClick, OtherPlane};
+pub use crate::place::{FrameOptions, OtherPlane};
 use crate::reconstruct::{Cameras, ScanInput, train_gaussians};
 
 /// The mesh of a scan keeps to the fused one within this share of a voxel.

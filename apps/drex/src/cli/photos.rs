@@ -8,7 +8,7 @@ use drex_core::Pose;
 use drex_mesh::{KnownDistance, LengthUnit};
 use drex_sfm::marker::Marker;
 use drex_splat::train::{DensityChoice, Preset};
-use drex_twin::scan::ObjectClick;
+use drex_twin::manifest::ObjectClick;
 use nalgebra::{Point3, Similarity3};
 
 use super::ToolArgs;

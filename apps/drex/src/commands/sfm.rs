@@ -26,7 +26,7 @@ struct Answer<'a> {
 pub fn run(args: &SfmArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     let begun = Instant::now();
     drex_sfm::check_output(&args.out)?;
-    let video = drex_twin::reconstruct::is_video(&args.photos);
+    let video = drex_twin::cameras::is_video(&args.photos);
     let folder = if video {
         take_frames(&args.photos, &args.out, &args.ffmpeg, args.tools.limit(), ui)?;
         args.out.clone()

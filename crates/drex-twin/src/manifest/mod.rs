@@ -3,6 +3,7 @@
 //! The manifest says what is given: the scan, the mass or the pushes that tell it, the grasps, and settings. What the
 //! stages make from it lies beside it in the folder and is never written into the manifest.
 
+mod click;
 mod grasps;
 mod scan;
 
@@ -11,6 +12,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+pub use self::click::ObjectClick;
 pub use self::grasps::{GraspsConfig, RecordedAs};
 pub use self::scan::{ScanConfig, ScanPreset};
 use drex_core::{ASSUMED_FRICTION, Error, Result, fsutil};

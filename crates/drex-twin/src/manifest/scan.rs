@@ -6,9 +6,10 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 use drex_core::{Error, Result};
+#[cfg(feature = "stages")]
 use drex_sfm::marker::Marker;
 
-use crate::place::ObjectClick;
+use super::ObjectClick;
 
 /// Photos, or a recording of a depth camera. The mesh that `[object]` names is made of it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -56,6 +57,7 @@ impl ScanConfig {
     }
 
     /// The marker.
+    #[cfg(feature = "stages")]
     pub fn marker(&self) -> Option<Marker> {
         // It was checked when the manifest was read.
         self.marker.as_ref().and_then(|m| m.parse().ok())
@@ -77,6 +79,8 @@ impl ScanConfig {
         if given.len() > 1 {
             return refuse(format!("[scan] has {}, which all give the scale", given.join(" and ")), "keep one of them");
         }
+        // Without the stages nobody looks for it.
+        #[cfg(feature = "stages")]
         if let Some(Err(error)) = self.marker.as_ref().map(|m| m.parse::<Marker>()) {
             return Err(error);
         }
