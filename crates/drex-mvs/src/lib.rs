@@ -1,0 +1,25 @@
+//! Depth maps from photos with known cameras, by PatchMatch stereo on the processor.
+//!
+//! ```text
+//! photos, cameras, masks, region ─► scene (cut, grey, sizes; which photos are compared) ─► patchmatch (planes per pixel, by kernel's costs)
+//!                     depth, normal, confidence per photo ◄─ consistency (what other photos confirm) ◄─ from small to full size ◄─┘
+//! ```
+//! [`DepthMaps::estimate`] does it all.
+
+mod consistency;
+mod depth_map;
+mod kernel;
+mod maps;
+mod options;
+mod patchmatch;
+mod picture;
+mod scene;
+
+pub use depth_map::DepthMap;
+pub use maps::{DepthMaps, Step};
+pub use options::{MvsOptions, Preset, Region};
+
+/// Runs the examples of the README as tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct ReadmeDoctests;

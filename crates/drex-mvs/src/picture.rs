@@ -1,0 +1,96 @@
+//! Grey pictures at several sizes, and the form in which the kernel reads them.
+
+/// A grey picture, row by row; the centre of the first pixel is at (0, 0) in this crate's computations.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Grey {
+    pub width: usize,
+    pub height: usize,
+    pub values: Vec<u8>,
+}
+
+impl Grey {
+    /// Rec. 601 luma of the colours as they are stored: correlation does not mind their curve.
+    pub fn from_rgb(width: usize, height: usize, rgb: impl Iterator<Item = [u8; 3]>) -> Self {
+        let luma = |[r, g, b]: [u8; 3]| ((u32::from(r) * 77 + u32::from(g) * 150 + u32::from(b) * 29 + 128) >> 8) as u8;
+        Self { width, height, values: rgb.map(luma).collect() }
+    }
+
+    /// Half the size; each pixel the mean of four. An odd last column or row is left out.
+    pub fn halved(&self) -> Self {
+        let (width, height) = (self.width / 2, self.height / 2);
+        let mut values = Vec::with_capacity(width * height);
+        for y in 0..height {
+            let (upper, lower) = (&self.values[2 * y * self.width..], &self.values[(2 * y + 1) * self.width..]);
+            for x in 0..width {
+                let sum = [upper[2 * x], upper[2 * x + 1], lower[2 * x], lower[2 * x + 1]].map(u32::from);
+                values.push(((sum.iter().sum::<u32>() + 2) / 4) as u8);
+            }
+        }
+        Self { width, height, values }
+    }
+}
+
+/// A picture with each pixel's right, lower and lower right neighbour beside it, so that one read serves to interpolate.
+#[derive(Debug)]
+pub(crate) struct Quads {
+    /// Places below these, both ways, lie between four pixels.
+    pub limit: [f32; 2],
+    pub stride: i32,
+    pub values: Vec<u32>,
+}
+
+impl Quads {
+    pub fn new(picture: &Grey) -> Self {
+        let (w, h) = (picture.width, picture.height);
+        let mut values = Vec::with_capacity(w * h);
+        for y in 0..h {
+            let row = &picture.values[y * w..][..w];
+            let below = &picture.values[(y + 1).min(h - 1) * w..][..w];
+            for x in 0..w {
+                let next = (x + 1).min(w - 1);
+                values.push(u32::from_le_bytes([row[x], row[next], below[x], below[next]]));
+            }
+        }
+        Self { limit: [w as f32 - 1.0, h as f32 - 1.0], stride: w as i32, values }
+    }
+}
+
+/// Where something is asked for, one byte a pixel.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Area {
+    pub width: usize,
+    pub height: usize,
+    pub inside: Vec<bool>,
+}
+
+impl Area {
+    /// Half the size; a pixel is inside where one of its four is.
+    pub fn halved(&self) -> Self {
+        let (width, height) = (self.width / 2, self.height / 2);
+        let at = |x: usize, y: usize| self.inside[y * self.width + x];
+        let any = |i: usize| {
+            let (x, y) = (2 * (i % width), 2 * (i / width));
+            at(x, y) || at(x + 1, y) || at(x, y + 1) || at(x + 1, y + 1)
+        };
+        Self { width, height, inside: (0..width * height).map(any).collect() }
+    }
+
+    /// Grown by `radius` pixels along both axes.
+    pub fn grown(&self, radius: usize) -> Self {
+        let (w, h) = (self.width, self.height);
+        let mut along = vec![false; w * h];
+        for y in 0..h {
+            let row = &self.inside[y * w..][..w];
+            for x in 0..w {
+                along[y * w + x] = row[x.saturating_sub(radius)..(x + radius + 1).min(w)].contains(&true);
+            }
+        }
+        let inside = (0..w * h)
+            .map(|i| {
+                let (x, y) = (i % w, i / w);
+                (y.saturating_sub(radius)..(y + radius + 1).min(h)).any(|y| along[y * w + x])
+            })
+            .collect();
+        Self { width: w, height: h, inside }
+    }
+}

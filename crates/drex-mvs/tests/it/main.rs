@@ -1,0 +1,5 @@
+//! Depth of surfaces that are known exactly.
+#![allow(clippy::unwrap_used)] // a failed unwrap is a failed test
+
+mod scene;
+mod surfaces;
