@@ -59,7 +59,10 @@ pub(crate) fn confirmed<const G: usize>(views: &[View], fields: &[Field], i: usi
             // The variance of a depth is that of the matching by the squared sine of the widest angle.
             let confidence = (1.0 - cost).powi(2) * widest.sin().powi(2);
             let bend = bend(field, at, window.radius as usize, EDGE_PX / disparity);
-            (1.0 / (plane.w - 0.5 * window.spread() * bend), [mx / length, my / length, mz / length], confidence)
+            let corrected = plane.w - 0.5 * window.spread() * bend;
+            // What is so far away that a pixel is all its depth has no curvature to speak of.
+            let w = if corrected > 0.0 { corrected } else { plane.w };
+            (1.0 / w, [mx / length, my / length, mz / length], confidence)
         })
         .collect();
     let mut map = DepthMap {

@@ -136,7 +136,8 @@ pub(crate) fn prepare(
 fn sparse_depths(capture: &Capture, photos: &Photos) -> Vec<Vec<f64>> {
     let mut depths = vec![Vec::new(); photos.len()];
     for point in &capture.points {
-        for (view, _) in &point.track {
+        // Whoever made the capture by hand may name a view that it has not.
+        for (view, _) in point.track.iter().filter(|(view, _)| *view < photos.len()) {
             if let Some((_, z)) = photos.camera(*view).project(&point.position.into()) {
                 depths[*view].push(z);
             }
