@@ -255,6 +255,7 @@ impl System {
             g -= slope;
             inverses.extend(own_inverses);
         }
+        s.fill_upper_triangle_with_lower_triangle();
         Some((s, g, inverses))
     }
 
@@ -329,7 +330,7 @@ fn block(
     out
 }
 
-/// Adds E C⁻¹ Eᵀ and E C⁻¹ g of one point.
+/// Adds the lower triangle of E C⁻¹ Eᵀ, and E C⁻¹ g, of one point.
 fn eliminate(block: &PointBlock, inverse: &Matrix3<f64>, layout: &Layout, s: &mut DMatrix<f64>, g: &mut DVector<f64>) {
     let solved = inverse * block.gradient;
     let free = &layout.free;
@@ -337,15 +338,19 @@ fn eliminate(block: &PointBlock, inverse: &Matrix3<f64>, layout: &Layout, s: &mu
         let wi = w * inverse;
         let mut slope = g.fixed_rows_mut::<6>(6 * view);
         slope += w * solved;
-        for (other, v) in &block.views {
+        for (other, v) in block.views.iter().filter(|(other, _)| other <= view) {
             let mut at = s.fixed_view_mut::<6, 6>(6 * view, 6 * other);
-            at += wi * v.transpose();
+            // Most of the time goes here; written out, it is computed four numbers at a time.
+            for c in 0..6 {
+                for r in 0..6 {
+                    at[(r, c)] += wi[(r, 0)] * v[(c, 0)] + wi[(r, 1)] * v[(c, 1)] + wi[(r, 2)] * v[(c, 2)];
+                }
+            }
         }
         for (lens, v) in &block.lenses {
             let mixed = wi * v.transpose();
             for (j, &number) in free.iter().enumerate() {
                 for k in 0..6 {
-                    s[(6 * view + k, layout.lens(*lens) + j)] += mixed[(k, number)];
                     s[(layout.lens(*lens) + j, 6 * view + k)] += mixed[(k, number)];
                 }
             }
