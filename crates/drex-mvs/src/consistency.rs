@@ -11,8 +11,15 @@ use crate::scene::View;
 const CONFIRMS_PX: f32 = 1.0;
 /// So many have to, where there are as many.
 const LEAST_CONFIRMING: usize = 2;
+/// One of them from as far aside as this share of the angle of the one farthest aside, or of so many degrees: what shines looks as if it
+/// were behind its surface, and from nearby photos agree about where.
+const WIDE_SHARE: f32 = 0.7;
+const WIDE_DEG: f32 = 30.0;
 /// Planes that photos like less than this tell nothing, even if others agree.
 const WORST_COST: f32 = 0.7;
+/// A photo that is as sure as this of something farther away, so many pixels off, sees through what is claimed.
+const CONTRADICTS_PX: f32 = 3.0;
+const SURE_COST: f32 = 0.4;
 
 /// Surfaces that bend more than this within a window are edges, pixels in the other photos.
 const EDGE_PX: f32 = 1.0;
@@ -21,11 +28,12 @@ const EDGE_PX: f32 = 1.0;
 pub(crate) fn confirmed<const G: usize>(views: &[View], fields: &[Field], i: usize, window: &Window<G>) -> DepthMap {
     let (view, field) = (&views[i], &fields[i]);
     let pairs: Vec<_> = view
-        .sources
+        .witnesses
         .iter()
         .map(|n| (view.to(&views[n.view], 0), views[n.view].to(view, 0), &fields[n.view], n.angle_rad as f32))
         .collect();
     let least = LEAST_CONFIRMING.min(pairs.len()).max(1);
+    let enough_rad = pairs.iter().map(|p| p.3).fold(0.0, f32::max).min(WIDE_DEG.to_radians()) * WIDE_SHARE;
     let k = view.matrix(0).map(|v| v as f32);
     let disparity = view.disparity(views, 0);
     let pixels: Vec<(f32, [f32; 3], f32)> = (0..field.planes.len())
@@ -36,20 +44,24 @@ pub(crate) fn confirmed<const G: usize>(views: &[View], fields: &[Field], i: usi
                 return (0.0, [0.0; 3], 0.0);
             }
             let pixel = [(at % field.width) as f32, (at / field.width) as f32];
-            let mut confirming = 0;
+            let (mut confirming, mut contradicting) = (0, 0);
             let mut widest = 0.0f32;
             for ((turn, shift), (back, back_shift), other, angle_rad) in &pairs {
-                let off_px = mapped(turn, shift, pixel, plane.w).and_then(|[x, y]| {
-                    let its = other.at(x, y)?;
-                    let [u, v] = mapped(back, back_shift, [x, y], its.w)?;
-                    Some(((u - pixel[0]).powi(2) + (v - pixel[1]).powi(2)).sqrt())
-                });
-                if off_px.is_some_and(|e| e < CONFIRMS_PX) {
+                let Some([x, y]) = mapped(turn, shift, pixel, plane.w) else { continue };
+                let Some((its, its_cost)) = other.at(x, y) else { continue };
+                let Some([u, v]) = mapped(back, back_shift, [x, y], its.w) else { continue };
+                let off_px = ((u - pixel[0]).powi(2) + (v - pixel[1]).powi(2)).sqrt();
+                if off_px < CONFIRMS_PX {
                     confirming += 1;
                     widest = widest.max(*angle_rad);
+                } else if off_px > CONTRADICTS_PX
+                    && its.w < seen_from(turn, shift, pixel, plane.w)
+                    && its_cost < SURE_COST
+                {
+                    contradicting += 1;
                 }
             }
-            if confirming < least {
+            if confirming < least || contradicting > confirming || widest < enough_rad {
                 return (0.0, [0.0; 3], 0.0);
             }
             // m · ray = w for all rays of the plane; it faces away from the camera.
@@ -78,6 +90,12 @@ pub(crate) fn confirmed<const G: usize>(views: &[View], fields: &[Field], i: usi
         map.confidence.push(confidence);
     }
     map
+}
+
+/// Inverse depth in another photo of a pixel's place.
+#[inline(always)]
+fn seen_from(turn: &[[f32; 3]; 3], shift: &[f32; 3], at: [f32; 2], w: f32) -> f32 {
+    w / (turn[0][2] * at[0] + turn[1][2] * at[1] + turn[2][2] + shift[2] * w)
 }
 
 /// Sum of the second derivatives of inverse depth along row and column, by planes `reach` pixels away; 0 at an edge, where inverse depths

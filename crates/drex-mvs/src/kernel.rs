@@ -59,6 +59,12 @@ impl Plane {
     pub fn moved(self, x: f32, y: f32) -> Self {
         Self { w: self.w + self.a * x + self.b * y, ..self }
     }
+
+    /// The same plane in a picture of pixels `size` times as large.
+    #[inline(always)]
+    pub fn scaled(self, size: f32) -> Self {
+        Self { a: size * self.a, b: size * self.b, ..self }
+    }
 }
 
 impl<const G: usize> Window<G> {
@@ -131,6 +137,12 @@ impl<const G: usize> Window<G> {
 }
 
 impl<const G: usize> Patch<G> {
+    /// Of its grey, by its weights, grey levels squared.
+    #[inline(always)]
+    pub fn variance(&self) -> f32 {
+        self.variance
+    }
+
     /// Whether there is contrast to compare.
     #[inline(always)]
     pub fn says_something(&self) -> bool {

@@ -13,11 +13,14 @@ mod maps;
 mod options;
 mod patchmatch;
 mod picture;
+mod refine;
 mod scene;
+mod specks;
 
 pub use depth_map::DepthMap;
 pub use maps::{DepthMaps, Step};
 pub use options::{MvsOptions, Preset, Region};
+pub use refine::{Hold, RefineOptions, RefineReport, refine};
 
 /// Runs the examples of the README as tests.
 #[cfg(doctest)]

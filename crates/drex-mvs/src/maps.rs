@@ -7,8 +7,9 @@ use crate::consistency::confirmed;
 use crate::depth_map::DepthMap;
 use crate::kernel::Window;
 use crate::options::{Level, MvsOptions, Preset};
-use crate::patchmatch::{Field, MOST_SOURCES, Matcher, Pass, Peer};
+use crate::patchmatch::{Field, MOST_SOURCES, Matcher, Pass, Peer, Scale};
 use crate::scene::{Limits, View, prepare};
+use crate::specks::drop_specks;
 
 /// Depth of the surfaces that the photos of a capture show.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,6 +37,25 @@ impl DepthMaps {
     /// # Errors
     /// If there are fewer than two photos, one cannot be read, the region is no box, or no two photos can be compared.
     pub fn estimate(capture: &Capture, options: &MvsOptions, progress: &(dyn Fn(Step) + Sync)) -> Result<Self> {
+        let mut views = Vec::with_capacity(capture.views.len());
+        Self::each(capture, options, progress, &mut |map| {
+            views.push(map);
+            Ok(())
+        })?;
+        Ok(Self { views })
+    }
+
+    /// As [`DepthMaps::estimate`], with the maps handed over one after the other, in the order of the views, so that nobody has to hold them
+    /// all.
+    ///
+    /// # Errors
+    /// As [`DepthMaps::estimate`], and what `take` fails with.
+    pub fn each(
+        capture: &Capture,
+        options: &MvsOptions,
+        progress: &(dyn Fn(Step) + Sync),
+        take: &mut dyn FnMut(DepthMap) -> Result<()>,
+    ) -> Result<()> {
         if capture.views.len() < 2 {
             return Err(Error::capture(
                 format!("{} photo in {}", capture.views.len(), capture.folder.display()),
@@ -43,13 +63,19 @@ impl DepthMaps {
             ));
         }
         match options.preset {
-            Preset::Fast => Job::<4>::new(capture, options, Window::new(4, 3.0, 25.5), progress)?.run(),
+            Preset::Fast => Job::<4>::new(capture, options, Window::new(4, 3.0, 25.5), progress)?.run(take),
             Preset::Default | Preset::Best => {
-                Job::<5>::new(capture, options, Window::new(5, 4.0, 25.5), progress)?.run()
+                Job::<5>::new(capture, options, Window::new(5, 4.0, 25.5), progress)?.run(take)
             }
         }
     }
 }
+
+/// A window shows something if its grey varies by so many times the noise.
+const CONTRAST_TO_NOISE: f32 = 2.5;
+
+/// Sizes at which a window is looked for.
+const MOST_SCALES: usize = 2;
 
 struct Job<'a, const G: usize> {
     options: &'a MvsOptions,
@@ -66,7 +92,8 @@ impl<'a, const G: usize> Job<'a, G> {
         progress: &'a (dyn Fn(Step) + Sync),
     ) -> Result<Self> {
         let total = capture.views.len();
-        let sizes = 1 + options.preset.levels().iter().map(|l| l.halvings).max().unwrap_or(0);
+        // One more for windows that show little.
+        let sizes = 2 + options.preset.levels().iter().map(|l| l.halvings).max().unwrap_or(0);
         let views = prepare(capture, options, sizes, &|done| progress(Step { stage: "photos", done, total }))?;
         if views.iter().all(|v| v.sources.is_empty()) {
             return Err(Error::capture(
@@ -80,7 +107,7 @@ impl<'a, const G: usize> Job<'a, G> {
         Ok(Self { options, window, views, progress })
     }
 
-    fn run(&self) -> Result<DepthMaps> {
+    fn run(&self, take: &mut dyn FnMut(DepthMap) -> Result<()>) -> Result<()> {
         let levels = self.options.preset.levels();
         let total: usize =
             levels.iter().map(|l| self.views.len() * (usize::from(l.photometric > 0) + l.geometric)).sum();
@@ -113,14 +140,13 @@ impl<'a, const G: usize> Job<'a, G> {
                 fields = next;
             }
         }
-        let count = self.views.len();
-        let views = (0..count)
-            .map(|i| {
-                (self.progress)(Step { stage: "consistency", done: i, total: count });
-                confirmed(&self.views, &fields, i, &self.window)
-            })
-            .collect();
-        Ok(DepthMaps { views })
+        for i in 0..self.views.len() {
+            (self.progress)(Step { stage: "consistency", done: i, total: self.views.len() });
+            let mut map = confirmed(&self.views, &fields, i, &self.window);
+            drop_specks(&mut map);
+            take(map)?;
+        }
+        Ok(())
     }
 
     fn photometric(&self, i: usize, field: Option<&Field>, level: Level) -> Field {
@@ -128,14 +154,14 @@ impl<'a, const G: usize> Job<'a, G> {
         let matcher = self.matcher(i, level.halvings, &limits, Vec::new());
         let first = field.is_none();
         let mut field = field.cloned().unwrap_or_else(|| Field::random(&matcher));
-        if matcher.sources.is_empty() {
+        if matcher.sources() == 0 {
             field.costs.fill(f32::INFINITY);
             return field;
         }
         for number in 0..level.photometric {
             // Large steps where nothing is known, then half as large each time.
             let step_px = if first { 4.0 } else { 1.0 } * 0.5f32.powi(number as i32);
-            let pass = Pass { number: number as u64, far: true, step_px, restart: first, descend: false };
+            let pass = Pass { number: number as u64, far: true, step_px, restart: first, last: false };
             matcher.pass(&mut field, pass);
         }
         field
@@ -155,7 +181,7 @@ impl<'a, const G: usize> Job<'a, G> {
         let matcher = self.matcher(i, level.halvings, &limits, peers.collect());
         let number = (level.photometric + round) as u64;
         let far = level.halvings > 0;
-        matcher.pass(&mut field, Pass { number, far, step_px: 0.5, restart: false, descend: last });
+        matcher.pass(&mut field, Pass { number, far, step_px: 0.5, restart: false, last });
         field
     }
 
@@ -173,13 +199,18 @@ impl<'a, const G: usize> Job<'a, G> {
         let view = &self.views[i];
         let own = view.matrix(halvings).map(|v| v as f32);
         let chosen = &view.sources[..view.sources.len().min(MOST_SOURCES)];
-        let sources: Vec<_> = chosen.iter().map(|n| view.source(&self.views[n.view], halvings)).collect();
-        Matcher {
-            window: &self.window,
+        let scale = |halvings: usize| Scale {
             picture: &view.pictures[halvings],
             searched: &view.searched[halvings],
+            least_variance: (CONTRAST_TO_NOISE * view.noise[halvings]).powi(2),
+            noise_variance: view.noise[halvings].powi(2),
+            sources: chosen.iter().map(|n| view.source(&self.views[n.view], halvings)).collect(),
+        };
+        Matcher {
+            window: &self.window,
+            searched: &view.searched[halvings],
+            scales: (halvings..(halvings + MOST_SCALES).min(view.pictures.len())).map(scale).collect(),
             masked: view.masked,
-            sources,
             weights: chosen.iter().map(|n| (n.angle_rad.to_degrees() / 10.0).min(1.0).powf(1.5) as f32).collect(),
             peers,
             focal: [own[(0, 0)], own[(1, 1)]],

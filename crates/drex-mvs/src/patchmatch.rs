@@ -20,6 +20,14 @@ const COUNTED: usize = 3;
 const EARLY_STOP_COST: f32 = 0.15;
 /// Planes are alike if they are nowhere in the window farther apart than this, pixels in the other photos.
 const TWIN_PX: f32 = 0.1;
+/// Cost of a plane whose depth the photos hardly tell, at least.
+const VAGUE: f32 = 1.0;
+/// A pixel beside the best depth the cost is higher by this much,
+const LEAST_RISE: f32 = 0.03;
+/// and so much that noise moves the depth by this much at the most, pixels,
+const DEVIATION_PX: f32 = 0.15;
+/// where a window has so many samples that count.
+const INDEPENDENT: f32 = 12.0;
 /// Cosine of the steepest slope of a surface to its ray.
 const LEAST_COSINE: f32 = 0.15;
 /// Weight of a pixel of disagreement with another photo's depth, and the most that counts, pixels (ACMM).
@@ -46,11 +54,12 @@ pub(crate) struct Peer<'a> {
 /// Everything that a pass over a photo reads.
 pub(crate) struct Matcher<'a, const G: usize> {
     pub window: &'a Window<G>,
-    pub picture: &'a Grey,
+    /// Where planes are looked for.
     pub searched: &'a Area,
+    /// The picture, and smaller ones for windows that show little.
+    pub scales: Vec<Scale<'a>>,
     /// Whether pixels outside of `searched` belong to something else and may not be compared.
     pub masked: bool,
-    pub sources: Vec<Source>,
     /// Of each source's say: those nearby agree with everything and tell no depth.
     pub weights: Vec<f32>,
     /// One per source in passes where depth counts; else empty.
@@ -67,6 +76,27 @@ pub(crate) struct Matcher<'a, const G: usize> {
     pub seed: u64,
 }
 
+/// The picture at one size and the others that it is compared with.
+pub(crate) struct Scale<'a> {
+    pub picture: &'a Grey,
+    pub searched: &'a Area,
+    /// Variance of a window, grey levels squared, below which a smaller picture tells more: what it shows may be noise.
+    pub least_variance: f32,
+    /// Of the noise, grey levels squared.
+    pub noise_variance: f32,
+    pub sources: Vec<Source>,
+}
+
+/// The window of a pixel in the largest picture in which it shows something.
+struct Seen<const G: usize> {
+    patch: Patch<G>,
+    /// Which picture that is.
+    scale: usize,
+    /// Its pixel, and the steps from there to that pixel's centre.
+    at: [f32; 2],
+    aside: [f32; 2],
+}
+
 /// What one pass tries.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Pass {
@@ -78,14 +108,14 @@ pub(crate) struct Pass {
     pub step_px: f32,
     /// Whether a plane of any depth and slope is tried.
     pub restart: bool,
-    /// Whether each plane goes down to the nearest minimum.
-    pub descend: bool,
+    /// Whether each plane goes down to the nearest minimum, and those whose depth the photos hardly tell are marked.
+    pub last: bool,
 }
 
 /// What is known of one pixel while planes are tried on it.
 struct Trial<'m, 'a, const G: usize> {
     matcher: &'m Matcher<'a, G>,
-    patch: Patch<G>,
+    seen: Seen<G>,
     at: [f32; 2],
     /// Sources, the one that likes the first plane best first.
     order: [u8; MOST_SOURCES],
@@ -129,7 +159,7 @@ impl Field {
             }
             let quarter = |v: usize| if v.is_multiple_of(2) { -0.25 } else { 0.25 };
             let plane = self.planes[at].moved(quarter(i % width), quarter(i / width));
-            (Plane { a: 0.5 * plane.a, b: 0.5 * plane.b, ..plane }, self.costs[at])
+            (plane.scaled(0.5), self.costs[at])
         };
         let (planes, costs) = inside.par_iter().enumerate().map(of).unzip();
         Self { width: *width, height: *height, planes, costs }
@@ -137,6 +167,11 @@ impl Field {
 }
 
 impl<const G: usize> Matcher<'_, G> {
+    /// Photos that it is compared with.
+    pub fn sources(&self) -> usize {
+        self.weights.len()
+    }
+
     /// One pass over both colours.
     pub fn pass(&self, field: &mut Field, pass: Pass) {
         for colour in 0..2 {
@@ -169,14 +204,13 @@ impl<const G: usize> Matcher<'_, G> {
     #[inline(always)]
     fn pixel(&self, field: &Field, pass: Pass, x: usize, y: usize) -> (Plane, f32) {
         let at = y * field.width + x;
-        let counts = |i: usize| !self.masked || self.searched.inside[i];
-        let patch = self.window.patch(self.picture, x, y, counts);
         let own = field.planes[at];
-        if !patch.says_something() {
+        let seen = self.seen(x, y);
+        if !seen.patch.says_something() {
             return (own, WORST);
         }
         let mut trial =
-            Trial::new(self, patch, [x as f32, y as f32], self.limits.inverse_depths(self.halvings, x, y), own);
+            Trial::new(self, seen, [x as f32, y as f32], self.limits.inverse_depths(self.halvings, x, y), own);
         // What others offer, and what has been tried.
         let mut tried = [own; 9];
         let mut count = 1;
@@ -206,7 +240,7 @@ impl<const G: usize> Matcher<'_, G> {
                 0.5 * across * random.signed(),
             );
         }
-        if pass.descend {
+        if pass.last {
             for px in [0.3, 0.15] {
                 let along = px / self.disparity;
                 let across = along / self.window.radius as f32;
@@ -215,7 +249,28 @@ impl<const G: usize> Matcher<'_, G> {
                 trial.descend(Plane { w: 0.0, a: 0.0, b: across });
             }
         }
+        if pass.last && !trial.is_sharp() {
+            return (trial.best, trial.cost.max(VAGUE));
+        }
         (trial.best, trial.cost)
+    }
+
+    #[inline(always)]
+    fn seen(&self, x: usize, y: usize) -> Seen<G> {
+        let mut scale = 0;
+        loop {
+            let Scale { picture, searched, least_variance, .. } = &self.scales[scale];
+            // What is left of an odd number of pixels belongs to the last one.
+            let (u, v) = ((x >> scale).min(picture.width - 1), (y >> scale).min(picture.height - 1));
+            let patch = self.window.patch(picture, u, v, |i| !self.masked || searched.inside[i]);
+            if patch.variance() >= *least_variance || scale + 1 == self.scales.len() {
+                let size = (1 << scale) as f32;
+                let centre = |p: usize| (p as f32 + 0.5) * size - 0.5;
+                let aside = [centre(u) - x as f32, centre(v) - y as f32];
+                return Seen { patch, scale, at: [u as f32, v as f32], aside };
+            }
+            scale += 1;
+        }
     }
 
     /// Whether two planes look the same within the window.
@@ -269,10 +324,17 @@ impl<const G: usize> Matcher<'_, G> {
         plane.w >= limits[0] && plane.w <= limits[1] && cosine_squared >= LEAST_COSINE * LEAST_COSINE * norms
     }
 
+    /// How much a plane's window differs from one source.
+    #[inline(always)]
+    fn photometric(&self, seen: &Seen<G>, plane: Plane, source: usize) -> f32 {
+        let there = plane.moved(seen.aside[0], seen.aside[1]).scaled((1 << seen.scale) as f32);
+        seen.patch.cost(self.window, seen.at, there, &self.scales[seen.scale].sources[source])
+    }
+
     /// Cost of a plane with one source.
     #[inline(always)]
-    fn cost(&self, patch: &Patch<G>, at: [f32; 2], plane: Plane, source: usize) -> f32 {
-        let photometric = patch.cost(self.window, at, plane, &self.sources[source]);
+    fn cost(&self, seen: &Seen<G>, at: [f32; 2], plane: Plane, source: usize) -> f32 {
+        let photometric = self.photometric(seen, plane, source);
         match self.peers.get(source) {
             Some(peer) if photometric < WORST => {
                 photometric + PER_PIXEL * self.disagreement_px(at, plane.w, source, peer)
@@ -285,9 +347,9 @@ impl<const G: usize> Matcher<'_, G> {
     /// From the pixel to the other photo, to the plane that lies there, and back: how far away that ends, at most [`MOST_PX`].
     #[inline(always)]
     fn disagreement_px(&self, at: [f32; 2], w: f32, source: usize, peer: &Peer<'_>) -> f32 {
-        let source = &self.sources[source];
+        let source = &self.scales[0].sources[source];
         let Some([x, y]) = mapped(&source.turn, &source.shift, at, w) else { return MOST_PX };
-        let Some(plane) = peer.field.at(x, y) else { return MOST_PX };
+        let Some((plane, _)) = peer.field.at(x, y) else { return MOST_PX };
         let Some([u, v]) = mapped(&peer.turn, &peer.shift, [x, y], plane.w) else { return MOST_PX };
         let (du, dv) = (u - at[0], v - at[1]);
         (du * du + dv * dv).sqrt().min(MOST_PX)
@@ -295,26 +357,26 @@ impl<const G: usize> Matcher<'_, G> {
 }
 
 impl Field {
-    /// The plane of the nearest pixel, seen from exactly here.
+    /// The plane of the nearest pixel, seen from exactly here, and its cost.
     #[inline(always)]
-    pub fn at(&self, x: f32, y: f32) -> Option<Plane> {
+    pub fn at(&self, x: f32, y: f32) -> Option<(Plane, f32)> {
         let (column, line) = ((x + 0.5).floor(), (y + 0.5).floor());
         let inside = column >= 0.0 && line >= 0.0 && column < self.width as f32 && line < self.height as f32;
         if !inside {
             return None;
         }
         let i = line as usize * self.width + column as usize;
-        self.costs[i].is_finite().then(|| self.planes[i].moved(x - column, y - line))
+        self.costs[i].is_finite().then(|| (self.planes[i].moved(x - column, y - line), self.costs[i]))
     }
 }
 
 impl<'m, 'a, const G: usize> Trial<'m, 'a, G> {
     #[inline(always)]
-    fn new(matcher: &'m Matcher<'a, G>, patch: Patch<G>, at: [f32; 2], limits: [f32; 2], own: Plane) -> Self {
-        let n = matcher.sources.len().min(MOST_SOURCES);
+    fn new(matcher: &'m Matcher<'a, G>, seen: Seen<G>, at: [f32; 2], limits: [f32; 2], own: Plane) -> Self {
+        let n = matcher.sources().min(MOST_SOURCES);
         let mut costs = [f32::INFINITY; MOST_SOURCES];
         for (k, cost) in costs[..n].iter_mut().enumerate() {
-            *cost = matcher.cost(&patch, at, own, k);
+            *cost = matcher.cost(&seen, at, own, k);
         }
         let mut order = std::array::from_fn(|k| k as u8);
         for i in 1..n {
@@ -325,7 +387,7 @@ impl<'m, 'a, const G: usize> Trial<'m, 'a, G> {
             }
         }
         let cost = matcher.counted(&costs[..n]);
-        Self { matcher, patch, at, order, limits, best: own, cost }
+        Self { matcher, seen, at, order, limits, best: own, cost }
     }
 
     /// The cost of a plane; infinite if it is far worse than the best one, or impossible.
@@ -334,7 +396,7 @@ impl<'m, 'a, const G: usize> Trial<'m, 'a, G> {
         if !self.matcher.possible(plane, self.at, self.limits) {
             return f32::INFINITY;
         }
-        let n = self.matcher.sources.len().min(MOST_SOURCES);
+        let n = self.matcher.sources().min(MOST_SOURCES);
         let mut costs = [f32::INFINITY; MOST_SOURCES];
         for (done, source) in self.order[..n].iter().enumerate() {
             let source = usize::from(*source);
@@ -344,9 +406,29 @@ impl<'m, 'a, const G: usize> Trial<'m, 'a, G> {
                     return f32::INFINITY;
                 }
             }
-            costs[source] = self.matcher.cost(&self.patch, self.at, plane, source);
+            costs[source] = self.matcher.cost(&self.seen, self.at, plane, source);
         }
         self.matcher.counted(&costs[..n])
+    }
+
+    /// Whether the photos tell the depth of the best plane: its cost has to rise by a pixel to either side, by more where there is noise.
+    ///
+    /// A shift d makes 1 - correlation rise by d² Σ g² / (2 N var), where g are the slopes of the grey; the deviation of the shift that is
+    /// found is σ / √Σ g², with σ of the noise.
+    #[inline(always)]
+    fn is_sharp(&self) -> bool {
+        let matcher = self.matcher;
+        let scale = &matcher.scales[self.seen.scale];
+        let aside = (1 << self.seen.scale) as f32 / matcher.disparity;
+        let n = matcher.sources().min(COUNTED);
+        let mean = |w: f32| {
+            let plane = Plane { w, ..self.best };
+            let costs = self.order[..n].iter().map(|s| matcher.photometric(&self.seen, plane, usize::from(*s)));
+            costs.sum::<f32>() / n as f32
+        };
+        let rise = mean(self.best.w - aside).min(mean(self.best.w + aside)) - mean(self.best.w);
+        rise >= LEAST_RISE
+            && 2.0 * INDEPENDENT * rise * self.seen.patch.variance() * DEVIATION_PX.powi(2) >= scale.noise_variance
     }
 
     #[inline(always)]

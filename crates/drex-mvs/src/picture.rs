@@ -1,5 +1,12 @@
 //! Grey pictures at several sizes, and the form in which the kernel reads them.
 
+use drex_core::stats::quantile;
+
+/// Of the rounding to whole levels.
+pub(crate) const LEAST_NOISE: f64 = 0.29;
+/// Of a photo that one would still compare.
+const MOST_NOISE: f64 = 3.0;
+
 /// A grey picture, row by row; the centre of the first pixel is at (0, 0) in this crate's computations.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Grey {
@@ -27,6 +34,26 @@ impl Grey {
             }
         }
         Self { width, height, values }
+    }
+
+    /// Standard deviation of the noise, grey levels: by the second differences along the rows of small blocks, in the fifth of them that vary
+    /// least, for the others show something; no more than [`MOST_NOISE`], for where all blocks do.
+    pub fn noise(&self) -> f32 {
+        const SIDE: usize = 8;
+        let mut variances = Vec::new();
+        for y in (0..self.height.saturating_sub(SIDE - 1)).step_by(SIDE) {
+            for x in (0..self.width.saturating_sub(SIDE - 1)).step_by(SIDE) {
+                let mut sum = 0;
+                for row in self.values.chunks_exact(self.width).skip(y).take(SIDE) {
+                    for w in row[x..x + SIDE].windows(3) {
+                        sum += (i32::from(w[0]) - 2 * i32::from(w[1]) + i32::from(w[2])).pow(2);
+                    }
+                }
+                // 6 is the sum of the squares of (1, -2, 1).
+                variances.push(f64::from(sum) / (6 * SIDE * (SIDE - 2)) as f64);
+            }
+        }
+        quantile(variances, 0.2).unwrap_or(0.0).sqrt().clamp(LEAST_NOISE, MOST_NOISE) as f32
     }
 }
 

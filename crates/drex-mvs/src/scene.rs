@@ -11,12 +11,12 @@ use rayon::prelude::*;
 
 use crate::kernel::{Source, mapped};
 use crate::options::{MvsOptions, Region};
-use crate::picture::{Area, Grey, Quads};
+use crate::picture::{Area, Grey, LEAST_NOISE, Quads};
 
 /// Pixels round the object's box that are kept, so that windows at its rim are whole.
 const MARGIN_PX: f64 = 12.0;
 /// Sides of what is cut out are multiples of this: pixels of all sizes cover each other.
-const GRID: usize = 4;
+const GRID: usize = 8;
 /// Angle between the rays of two photos at which depth is best found, degrees, and how fast it becomes worse on either side.
 const BEST_ANGLE_DEG: f64 = 15.0;
 const ANGLE_SIGMA_DEG: [f64; 2] = [0.38 * BEST_ANGLE_DEG, 0.7 * BEST_ANGLE_DEG];
@@ -24,6 +24,9 @@ const ANGLE_SIGMA_DEG: [f64; 2] = [0.38 * BEST_ANGLE_DEG, 0.7 * BEST_ANGLE_DEG];
 const ANGLES_DEG: [f64; 2] = [3.0, 45.0];
 /// Photos whose pixels are larger or smaller than these times those of the reference are left out.
 const SCALES: [f64; 2] = [0.4, 2.5];
+
+/// Photos that are asked whether they confirm a depth.
+const WITNESSES: usize = 12;
 
 /// A photo that is compared with others.
 #[derive(Debug)]
@@ -34,6 +37,8 @@ pub(crate) struct View {
     pub corner: [usize; 2],
     /// At full size, halved once, and so on.
     pub pictures: Vec<Grey>,
+    /// Standard deviation of the noise of each, grey levels.
+    pub noise: Vec<f32>,
     /// Where depth is looked for, at the sizes of the pictures.
     pub searched: Vec<Area>,
     /// Whether a mask said where that is.
@@ -42,6 +47,8 @@ pub(crate) struct View {
     pub range: [f64; 2],
     /// The photos that it is compared with, best first.
     pub sources: Vec<Neighbour>,
+    /// These and more: all that are asked whether they confirm what was found.
+    pub witnesses: Vec<Neighbour>,
 }
 
 /// A photo that another one is compared with.
@@ -122,12 +129,13 @@ pub(crate) fn prepare(
             options.region.as_ref().map_or_else(|| ahead(&v.camera, 0.5 * (v.range[0] + v.range[1])), Region::centre)
         })
         .collect();
-    let sources: Vec<Vec<Neighbour>> = (0..views.len())
+    let witnesses: Vec<Vec<Neighbour>> = (0..views.len())
         .into_par_iter()
-        .map(|i| neighbours(&views, i, &targets[i], options.preset.sources()))
+        .map(|i| neighbours(&views, i, &targets[i], options.preset.sources().max(WITNESSES)))
         .collect();
-    for (view, sources) in views.iter_mut().zip(sources) {
-        view.sources = sources;
+    for (view, witnesses) in views.iter_mut().zip(witnesses) {
+        view.sources = witnesses.iter().take(options.preset.sources()).copied().collect();
+        view.witnesses = witnesses;
     }
     Ok(views)
 }
@@ -205,7 +213,20 @@ fn view(photos: &Photos, i: usize, depths: &[f64], options: &MvsOptions, sizes: 
         searched.push(searched[k - 1].halved());
     }
     let masked = photo.mask.is_some();
-    Ok(View { camera, corner: [x0, y0], pictures, searched, masked, range, sources: Vec::new() })
+    // Each halving averages four pixels.
+    let noise = pictures[0].noise();
+    let noise = (0..sizes).map(|k| (noise / (1 << k) as f32).max(LEAST_NOISE as f32)).collect();
+    Ok(View {
+        camera,
+        corner: [x0, y0],
+        pictures,
+        noise,
+        searched,
+        masked,
+        range,
+        sources: Vec::new(),
+        witnesses: Vec::new(),
+    })
 }
 
 /// The pixels and depths in which a camera sees a region: left, top, right, bottom.
