@@ -1,10 +1,10 @@
-//! Depth maps from photos with known cameras, by PatchMatch stereo on the processor.
+//! Depth maps from photos with known cameras, by PatchMatch stereo on the processor, and meshes refined on the photos.
 //!
 //! ```text
 //! photos, cameras, masks, region ─► scene (cut, grey, sizes; which photos are compared) ─► patchmatch (planes per pixel, by kernel's costs)
 //!                     depth, normal, confidence per photo ◄─ consistency (what other photos confirm) ◄─ from small to full size ◄─┘
 //! ```
-//! [`DepthMaps::estimate`] does it all.
+//! [`DepthMaps::estimate`] does it all. What is fused of the maps elsewhere, [`refine()`] moves to where the photos agree about it.
 
 mod consistency;
 mod depth_map;

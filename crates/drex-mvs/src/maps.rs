@@ -72,8 +72,7 @@ impl DepthMaps {
 }
 
 /// A window shows something if its grey varies by so many times the noise.
-const CONTRAST_TO_NOISE: f32 = 2.5;
-
+pub(crate) const CONTRAST_TO_NOISE: f32 = 2.5;
 /// Sizes at which a window is looked for.
 const MOST_SCALES: usize = 2;
 
@@ -95,7 +94,7 @@ impl<'a, const G: usize> Job<'a, G> {
         // One more for windows that show little.
         let sizes = 2 + options.preset.levels().iter().map(|l| l.halvings).max().unwrap_or(0);
         let views = prepare(capture, options, sizes, &|done| progress(Step { stage: "photos", done, total }))?;
-        if views.iter().all(|v| v.sources.is_empty()) {
+        if views.iter().all(|v| v.sources().is_empty()) {
             return Err(Error::capture(
                 format!(
                     "no two photos of {} look at the same place from 3 to 45 degrees apart",
@@ -170,10 +169,10 @@ impl<'a, const G: usize> Job<'a, G> {
     fn geometric(&self, i: usize, fields: &[Field], level: Level, round: usize, last: bool) -> Field {
         let view = &self.views[i];
         let mut field = fields[i].clone();
-        if view.sources.is_empty() {
+        if view.sources().is_empty() {
             return field;
         }
-        let peers = view.sources.iter().map(|n| {
+        let peers = view.sources().iter().map(|n| {
             let (turn, shift) = self.views[n.view].to(view, level.halvings);
             Peer { field: &fields[n.view], turn, shift }
         });
@@ -198,7 +197,7 @@ impl<'a, const G: usize> Job<'a, G> {
     ) -> Matcher<'b, G> {
         let view = &self.views[i];
         let own = view.matrix(halvings).map(|v| v as f32);
-        let chosen = &view.sources[..view.sources.len().min(MOST_SOURCES)];
+        let chosen = &view.sources()[..view.sources().len().min(MOST_SOURCES)];
         let scale = |halvings: usize| Scale {
             picture: &view.pictures[halvings],
             searched: &view.searched[halvings],

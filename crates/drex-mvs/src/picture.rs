@@ -121,3 +121,37 @@ impl Area {
         Self { width: w, height: h, inside }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A ramp with noise of a deviation, by a sum of four uniform numbers; its right part in stripes.
+    fn noisy(deviation: f32, stripes_from: usize) -> Grey {
+        let (width, height) = (160, 120);
+        let mut state = 1u64;
+        let mut uniform = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 40) as f32 / (1 << 24) as f32 - 0.5
+        };
+        let values = (0..width * height).map(|i| {
+            let x = i % width;
+            let stripes = if x >= stripes_from { 60.0 * (x % 2) as f32 } else { 0.0 };
+            let noise = 3f32.sqrt() * (uniform() + uniform() + uniform() + uniform());
+            (60.0 + 0.3 * x as f32 + stripes + deviation * noise + 0.5) as u8
+        });
+        Grey { width, height, values: values.collect() }
+    }
+
+    #[test]
+    fn noise_is_that_of_what_shows_nothing() {
+        for deviation in [1.0, 2.0] {
+            for stripes_from in [160, 80] {
+                let found = noisy(deviation, stripes_from).noise();
+                assert!((0.75..1.1).contains(&(found / deviation)), "{found} for {deviation}, {stripes_from}");
+            }
+        }
+        assert_eq!(noisy(0.0, 0).noise(), MOST_NOISE as f32, "stripes everywhere");
+        assert_eq!(Grey { width: 16, height: 16, values: vec![7; 256] }.noise(), LEAST_NOISE as f32);
+    }
+}

@@ -45,10 +45,10 @@ pub(crate) struct View {
     pub masked: bool,
     /// Nearest and farthest depth of what is looked for, scene units.
     pub range: [f64; 2],
-    /// The photos that it is compared with, best first.
-    pub sources: Vec<Neighbour>,
-    /// These and more: all that are asked whether they confirm what was found.
+    /// The photos that are asked whether they confirm what was found, best first.
     pub witnesses: Vec<Neighbour>,
+    /// It is compared with so many of them.
+    source_count: usize,
 }
 
 /// A photo that another one is compared with.
@@ -60,6 +60,11 @@ pub(crate) struct Neighbour {
 }
 
 impl View {
+    /// The photos that it is compared with, best first.
+    pub fn sources(&self) -> &[Neighbour] {
+        &self.witnesses[..self.source_count.min(self.witnesses.len())]
+    }
+
     /// The camera at a size, principal point relative to the centre of the first pixel.
     pub fn matrix(&self, halvings: usize) -> Matrix3<f64> {
         let c = &self.camera;
@@ -84,7 +89,7 @@ impl View {
         let picture = &self.pictures[halvings];
         let middle = [0.5 * picture.width as f32, 0.5 * picture.height as f32];
         let w = (2.0 / (self.range[0] + self.range[1])) as f32;
-        let moves = self.sources.iter().filter_map(|n| {
+        let moves = self.sources().iter().filter_map(|n| {
             let (turn, shift) = self.to(&views[n.view], halvings);
             let [x, y] = mapped(&turn, &shift, middle, w)?;
             let [u, v] = mapped(&turn, &shift, middle, 1.01 * w)?;
@@ -134,8 +139,7 @@ pub(crate) fn prepare(
         .map(|i| neighbours(&views, i, &targets[i], options.preset.sources().max(WITNESSES)))
         .collect();
     for (view, witnesses) in views.iter_mut().zip(witnesses) {
-        view.sources = witnesses.iter().take(options.preset.sources()).copied().collect();
-        view.witnesses = witnesses;
+        (view.witnesses, view.source_count) = (witnesses, options.preset.sources());
     }
     Ok(views)
 }
@@ -224,8 +228,8 @@ fn view(photos: &Photos, i: usize, depths: &[f64], options: &MvsOptions, sizes: 
         searched,
         masked,
         range,
-        sources: Vec::new(),
         witnesses: Vec::new(),
+        source_count: 0,
     })
 }
 

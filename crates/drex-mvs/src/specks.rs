@@ -109,3 +109,44 @@ fn neighbours(at: usize, width: usize, height: usize) -> impl Iterator<Item = us
     .into_iter()
     .flatten()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use drex_core::Pose;
+    use drex_core::camera::PinholeCamera;
+
+    /// A wall at depth 1, with squares at other depths: left, top, side, depth.
+    fn wall(squares: &[(usize, usize, usize, f32)]) -> DepthMap {
+        let (width, height) = (100, 80);
+        let camera = PinholeCamera {
+            camera_from_world: Pose::identity(),
+            fx: 100.0,
+            fy: 100.0,
+            cx: 50.0,
+            cy: 40.0,
+            width,
+            height,
+        };
+        let mut depth = vec![1.0; width * height];
+        for &(left, top, side, z) in squares {
+            (0..side * side).for_each(|i| depth[(top + i / side) * width + left + i % side] = z);
+        }
+        let n = width * height;
+        DepthMap { camera, corner: [0, 0], depth, normal: vec![[0.0, 0.0, -1.0]; n], confidence: vec![1.0; n] }
+    }
+
+    #[test]
+    fn what_is_small_or_seen_through_a_window_goes_and_what_stands_before_stays() {
+        // Fewer than 60 pixels; a highlight's 144; a knob of as many before the wall; a hole too large for a highlight.
+        let squares = [(5, 5, 7, 0.8), (20, 5, 12, 1.2), (40, 5, 12, 0.8), (60, 20, 30, 1.2)];
+        let mut map = wall(&squares);
+        drop_specks(&mut map);
+        let left_of = |&(left, top, side, _): &(usize, usize, usize, f32)| {
+            (0..side * side).filter(|i| map.depth[(top + i / side) * 100 + left + i % side] > 0.0).count()
+        };
+        assert_eq!(squares.iter().map(left_of).collect::<Vec<_>>(), [0, 0, 144, 900]);
+        let gone = map.depth.iter().filter(|z| **z == 0.0).count();
+        assert!(gone == 49 + 144 && map.confidence.iter().filter(|c| **c == 0.0).count() == gone);
+    }
+}

@@ -73,7 +73,7 @@ pub struct RefineReport {
     pub seen_share: f64,
     /// How far vertices ended from where they began: median and 95 %, the capture's unit of length.
     pub moved: [f64; 2],
-    /// Mean correlation of the windows, full size, before and after.
+    /// Mean correlation of the windows at full size, before and after the passes there; not a number if none were asked for.
     pub correlation: [f64; 2],
 }
 
@@ -81,7 +81,8 @@ pub struct RefineReport {
 /// same numbers with any number of threads.
 ///
 /// # Errors
-/// If the mesh is empty, `holds` is of another length, or a photo cannot be read.
+/// If the mesh is empty or malformed, `holds` is of another length, the stiffness is negative or not finite, a photo cannot be read, or no two
+/// photos see the same part of the mesh.
 pub fn refine(
     mesh: &TriMesh,
     holds: &[Hold],
@@ -95,6 +96,13 @@ pub fn refine(
             "give one per vertex, or none",
         ));
     }
+    if !(options.stiffness >= 0.0 && options.stiffness.is_finite()) {
+        return Err(Error::value(
+            format!("a stiffness of {}", options.stiffness),
+            "give 0 or more; the default holds for most",
+        ));
+    }
+    let mesh = &TriMesh::new(mesh.vertices.clone(), mesh.faces.clone())?;
     let Some((lo, hi)) = mesh.bounds().filter(|_| !mesh.faces.is_empty()) else {
         return Err(Error::value("a mesh without faces", "give the mesh of the object"));
     };
@@ -121,6 +129,12 @@ pub fn refine(
         for pass in 0..most {
             progress(Step { stage: "refinement", done: done + pass, total });
             let pulls = work.pulls(halvings, &pictures);
+            if passes == 0 && pulls.windows == 0 {
+                return Err(Error::value(
+                    format!("no two of the {} photos show the same part of the mesh", capture.views.len()),
+                    "give the mesh in the frame and unit of the capture, and photos 3 to 45 degrees apart",
+                ));
+            }
             if halvings == 0 {
                 let now = pulls.correlation / f64::from(pulls.windows).max(1.0);
                 correlation = if pass == 0 { [now, now] } else { [correlation[0], now] };
@@ -157,12 +171,11 @@ impl Work<'_> {
     /// What all photos say.
     fn pulls(&self, halvings: usize, pictures: &[Blurred]) -> Pulls {
         let faces = self.skin.faces;
-        let normals = self.skin.normals(&self.vertices);
         let shots: Vec<Shot> = self.views.par_iter().map(|v| Shot::new(v, halvings, &self.vertices, faces)).collect();
         let mut all = Pulls::new(self.vertices.len());
         let views: Vec<usize> = (0..self.views.len()).collect();
         for batch in views.chunks(BATCH) {
-            let of = |&i: &usize| pulls(self.views, &shots, pictures, halvings, i, faces, &normals);
+            let of = |&i: &usize| pulls(self.views, &shots, pictures, halvings, i, faces, self.vertices.len());
             let each: Vec<Pulls> = batch.par_iter().map(of).collect();
             each.iter().for_each(|pulls| all.add(pulls));
         }

@@ -1,7 +1,5 @@
 //! What pairs of photos say about where the mesh should be.
 
-use nalgebra::Vector3;
-
 use super::shot::{Blurred, Shot};
 use crate::scene::View;
 
@@ -60,16 +58,16 @@ pub(super) fn pulls(
     halvings: usize,
     i: usize,
     faces: &[[u32; 3]],
-    normals: &[Vector3<f64>],
+    vertices: usize,
 ) -> Pulls {
     let (shot, own) = (&shots[i], &pictures[i]);
-    let mut pulls = Pulls::new(normals.len());
+    let mut pulls = Pulls::new(vertices);
     if !shot.counts.contains(&true) {
         return pulls;
     }
     let mut force = vec![0.0; shot.face.len()];
     let mut hessian = vec![0.0; shot.face.len()];
-    for n in &views[i].sources {
+    for n in views[i].sources() {
         let (turn, shift) = views[i].to(&views[n.view], halvings);
         let focal = views[n.view].matrix(halvings)[(0, 0)] as f32;
         let warped = warp(shot, &shots[n.view], &pictures[n.view], &turn, &shift, focal);
@@ -78,7 +76,7 @@ pub(super) fn pulls(
         pulls.correlation += correlation;
         pulls.windows += windows;
     }
-    // Normals of faces by their corners' would be less exact, but no pixel minds how exactly a vertex moves along with its face.
+    // As if vertices moved along the normal of the face: where it bends little that is their own.
     for at in 0..force.len() {
         if hessian[at] > 0.0 {
             let corners = faces[shot.face[at] as usize];

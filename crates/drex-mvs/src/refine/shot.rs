@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
+use crate::maps::CONTRAST_TO_NOISE;
 use crate::scene::View;
 
 /// No face.
@@ -58,9 +59,9 @@ impl Blurred {
                 values[y * width + x] = 0.25 * (a + 2.0 * b + c);
             }
         }
-        // The blur leaves 6/16 of the noise along each axis.
+        // The blur leaves 6/16 of the variance along each axis, and so of the deviation along both.
         let noise = 0.375 * view.noise[halvings];
-        Self { width, height, values, least_variance: (2.5 * noise).powi(2).max(0.5) }
+        Self { width, height, values, least_variance: (CONTRAST_TO_NOISE * noise).powi(2).max(0.5) }
     }
 
     /// Grey and its slopes at a place that is two pixels away from the rim, by Catmull and Rom's cubic.

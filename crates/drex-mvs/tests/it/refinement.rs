@@ -81,10 +81,22 @@ fn a_dented_ball_becomes_round_where_photos_see_it() {
     }
     assert!((refined, report) == on(3), "the number of threads changes the mesh");
 
-    let refused = |mesh: &TriMesh, holds: &[Hold], words: &str| {
-        let error = refine(mesh, holds, &capture, &options, &|_| {}).unwrap_err().to_string();
+    let refused = |mesh: &TriMesh, holds: &[Hold], options: &RefineOptions, words: &str| {
+        let error = refine(mesh, holds, &capture, options, &|_| {}).unwrap_err().to_string();
         assert!(error.contains(words), "{error}");
     };
-    refused(&mesh, &behind[1..], "is said of");
-    refused(&TriMesh { faces: Vec::new(), ..mesh.clone() }, &[], "without faces");
+    refused(&mesh, &behind[1..], &options, "is said of");
+    refused(&TriMesh { faces: Vec::new(), ..mesh.clone() }, &[], &options, "without faces");
+    let mut wrong = mesh.clone();
+    wrong.faces[3][1] = mesh.vertices.len() as u32;
+    refused(&wrong, &[], &options, "face 3 names a vertex");
+    wrong = mesh.clone();
+    wrong.vertices[5].y = f64::NAN;
+    refused(&wrong, &[], &options, "vertex 5 is not finite");
+    wrong = mesh.clone();
+    wrong.vertices.iter_mut().for_each(|v| v.x += 5.0);
+    refused(&wrong, &[], &options, "show the same part of the mesh");
+    let mut stiff = options.clone();
+    stiff.stiffness = f64::NAN;
+    refused(&mesh, &[], &stiff, "a stiffness of NaN");
 }

@@ -151,6 +151,24 @@ fn a_wall_without_paint_gives_next_to_no_depth() {
 }
 
 #[test]
+fn shading_alone_tells_no_depth() {
+    let plane = slanted(0.0);
+    let dir = tempfile::tempdir().unwrap();
+    // What is painted changes over more than a window's width, by far more than the noise.
+    let capture = photograph(dir.path(), &ring(0.4, &CROSS), &plane, 0.15, 80.0);
+    let mut options = options(0.1);
+    options.preset = Preset::Fast;
+    let map = &estimate(&capture, &options).views[0];
+    let middle = |i: usize| {
+        let (x, y) = (i % map.camera.width, i / map.camera.width);
+        (map.camera.cx - x as f64).abs().max((map.camera.cy - y as f64).abs()) < 50.0
+    };
+    let all: Vec<usize> = (0..map.depth.len()).filter(|i| middle(*i)).collect();
+    let found = all.iter().filter(|i| map.depth[**i] > 0.0).count();
+    assert!(all.len() > 9_000 && (found as f64) < 0.1 * all.len() as f64, "{found} of {}", all.len());
+}
+
+#[test]
 fn what_is_outside_of_a_mask_is_not_looked_at() {
     let plane = slanted(0.0);
     let dir = tempfile::tempdir().unwrap();
