@@ -13,7 +13,7 @@ pub struct DepthMap {
     pub depth: Vec<f32>,
     /// Unit normal in the camera's frame (x right, y down, z forward), towards the camera; zero where there is no depth.
     pub normal: Vec<[f32; 3]>,
-    /// Squared correlation times the squared sine of the widest angle to a photo that confirms the depth: about the inverse of the
-    /// variance of the depth in pixels squared of that photo; 0 where there is no depth.
+    /// How far the depth is to be trusted, 0 to 1: the share of the photos looking there that confirm it, times the share of the pixels
+    /// round it whose depth was found too, over 1 + d² where the disparity may be off by d pixels; 0 where there is no depth.
     pub confidence: Vec<f32>,
 }

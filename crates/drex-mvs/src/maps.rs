@@ -8,7 +8,7 @@ use crate::depth_map::DepthMap;
 use crate::kernel::Window;
 use crate::options::{Level, MvsOptions, Preset};
 use crate::patchmatch::{Field, MOST_SOURCES, Matcher, Pass, Peer, Scale};
-use crate::scene::{Limits, View, prepare};
+use crate::scene::{Limits, Neighbour, View, prepare};
 use crate::specks::drop_specks;
 
 /// Depth of the surfaces that the photos of a capture show.
@@ -35,7 +35,7 @@ impl DepthMaps {
     /// The same photos, cameras and options give the same numbers with any number of threads.
     ///
     /// # Errors
-    /// If there are fewer than two photos, one cannot be read, the region is no box, or no two photos can be compared.
+    /// If there are fewer than two photos, one cannot be read, an option is out of range, or no two photos can be compared.
     pub fn estimate(capture: &Capture, options: &MvsOptions, progress: &(dyn Fn(Step) + Sync)) -> Result<Self> {
         let mut views = Vec::with_capacity(capture.views.len());
         Self::each(capture, options, progress, &mut |map| {
@@ -60,6 +60,12 @@ impl DepthMaps {
             return Err(Error::capture(
                 format!("{} photo in {}", capture.views.len(), capture.folder.display()),
                 "depth takes at least two photos of the same thing from different places",
+            ));
+        }
+        if !(0.0..=1.0).contains(&options.least_confidence) {
+            return Err(Error::value(
+                format!("a least confidence of {}", options.least_confidence),
+                "give a share from 0 to 1",
             ));
         }
         match options.preset {
@@ -141,7 +147,9 @@ impl<'a, const G: usize> Job<'a, G> {
         }
         for i in 0..self.views.len() {
             (self.progress)(Step { stage: "consistency", done: i, total: self.views.len() });
-            let mut map = confirmed(&self.views, &fields, i, &self.window);
+            let deviations = self.deviations(i, &fields);
+            let least = self.options.least_confidence;
+            let mut map = confirmed(&self.views, &fields, i, &self.window, &deviations, least);
             drop_specks(&mut map);
             take(map)?;
         }
@@ -167,21 +175,32 @@ impl<'a, const G: usize> Job<'a, G> {
     }
 
     fn geometric(&self, i: usize, fields: &[Field], level: Level, round: usize, last: bool) -> Field {
-        let view = &self.views[i];
         let mut field = fields[i].clone();
-        if view.sources().is_empty() {
+        if self.views[i].sources().is_empty() {
             return field;
         }
-        let peers = view.sources().iter().map(|n| {
-            let (turn, shift) = self.views[n.view].to(view, level.halvings);
-            Peer { field: &fields[n.view], turn, shift }
-        });
         let limits = self.limits(i);
-        let matcher = self.matcher(i, level.halvings, &limits, peers.collect());
+        let matcher = self.matcher(i, level.halvings, &limits, self.peers(i, level.halvings, fields));
         let number = (level.photometric + round) as u64;
         let far = level.halvings > 0;
         matcher.pass(&mut field, Pass { number, far, step_px: 0.5, restart: false, last });
         field
+    }
+
+    fn deviations(&self, i: usize, fields: &[Field]) -> Vec<f32> {
+        if self.views[i].sources().is_empty() {
+            return vec![f32::INFINITY; fields[i].costs.len()];
+        }
+        self.matcher(i, 0, &self.limits(i), self.peers(i, 0, fields)).deviations(&fields[i])
+    }
+
+    fn peers<'b>(&'b self, i: usize, halvings: usize, fields: &'b [Field]) -> Vec<Peer<'b>> {
+        let view = &self.views[i];
+        let peer = |n: &Neighbour| {
+            let (turn, shift) = self.views[n.view].to(view, halvings);
+            Peer { field: &fields[n.view], turn, shift }
+        };
+        view.sources().iter().map(peer).collect()
     }
 
     fn limits(&self, i: usize) -> Limits<'_> {

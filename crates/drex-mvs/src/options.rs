@@ -37,13 +37,22 @@ pub struct MvsOptions {
     pub max_side: Option<usize>,
     /// Pixels beyond a mask's rim in which depth is looked for as well.
     pub mask_margin_px: usize,
+    /// Depths with less confidence are left out, see [`DepthMap::confidence`](crate::DepthMap::confidence); from 0 to 1.
+    pub least_confidence: f32,
     /// Of the random planes that are tried.
     pub seed: u64,
 }
 
 impl Default for MvsOptions {
     fn default() -> Self {
-        Self { preset: Preset::Default, region: None, max_side: Some(2000), mask_margin_px: 2, seed: 0 }
+        Self {
+            preset: Preset::Default,
+            region: None,
+            max_side: Some(2000),
+            mask_margin_px: 2,
+            least_confidence: 0.2,
+            seed: 0,
+        }
     }
 }
 

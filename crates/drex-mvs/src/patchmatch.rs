@@ -20,14 +20,10 @@ const COUNTED: usize = 3;
 const EARLY_STOP_COST: f32 = 0.15;
 /// Planes are alike if they are nowhere in the window farther apart than this, pixels in the other photos.
 const TWIN_PX: f32 = 0.1;
-/// Cost of a plane whose depth the photos hardly tell, at least.
-const VAGUE: f32 = 1.0;
-/// A pixel beside the best depth the cost is higher by this much,
-const LEAST_RISE: f32 = 0.03;
-/// and so much that noise moves the depth by this much at the most, pixels,
-const DEVIATION_PX: f32 = 0.15;
-/// where a window has so many samples that count.
+/// Samples of a window that count as independent.
 const INDEPENDENT: f32 = 12.0;
+/// Photos never agree better than this, whatever the cost says.
+const LEAST_COST: f32 = 0.01;
 /// Cosine of the steepest slope of a surface to its ray.
 const LEAST_COSINE: f32 = 0.15;
 /// Weight of a pixel of disagreement with another photo's depth, and the most that counts, pixels (ACMM).
@@ -108,7 +104,7 @@ pub(crate) struct Pass {
     pub step_px: f32,
     /// Whether a plane of any depth and slope is tried.
     pub restart: bool,
-    /// Whether each plane goes down to the nearest minimum, and those whose depth the photos hardly tell are marked.
+    /// Whether each plane goes down to the nearest minimum.
     pub last: bool,
 }
 
@@ -200,6 +196,31 @@ impl<const G: usize> Matcher<'_, G> {
         done
     }
 
+    /// How far off the disparity of each pixel's plane may be, see [`Trial::deviation`]; infinite where nothing is known.
+    pub fn deviations(&self, field: &Field) -> Vec<f32> {
+        let mut deviations = vec![f32::INFINITY; field.costs.len()];
+        deviations.par_chunks_mut(field.width.max(1)).enumerate().for_each(|(y, row)| {
+            vectorised(
+                #[inline(always)]
+                || {
+                    for (x, deviation) in row.iter_mut().enumerate() {
+                        let at = y * field.width + x;
+                        if !(field.costs[at] < WORST) {
+                            continue;
+                        }
+                        let seen = self.seen(x, y);
+                        if seen.patch.says_something() {
+                            let limits = self.limits.inverse_depths(self.halvings, x, y);
+                            let place = [x as f32, y as f32];
+                            *deviation = Trial::new(self, seen, place, limits, field.planes[at]).deviation();
+                        }
+                    }
+                },
+            );
+        });
+        deviations
+    }
+
     /// The best of the pixel's plane, its neighbours' and changes of it.
     #[inline(always)]
     fn pixel(&self, field: &Field, pass: Pass, x: usize, y: usize) -> (Plane, f32) {
@@ -248,9 +269,6 @@ impl<const G: usize> Matcher<'_, G> {
                 trial.descend(Plane { w: 0.0, a: across, b: 0.0 });
                 trial.descend(Plane { w: 0.0, a: 0.0, b: across });
             }
-        }
-        if pass.last && !trial.is_sharp() {
-            return (trial.best, trial.cost.max(VAGUE));
         }
         (trial.best, trial.cost)
     }
@@ -411,15 +429,17 @@ impl<'m, 'a, const G: usize> Trial<'m, 'a, G> {
         self.matcher.counted(&costs[..n])
     }
 
-    /// Whether the photos tell the depth of the best plane: its cost has to rise by a pixel to either side, by more where there is noise.
+    /// Deviation of the disparity that the best plane has, pixels of the size at work: by how much the cost rises a pixel to either side,
+    /// beside what noise and what is left unexplained make of it.
     ///
-    /// A shift d makes 1 - correlation rise by d² Σ g² / (2 N var), where g are the slopes of the grey; the deviation of the shift that is
-    /// found is σ / √Σ g², with σ of the noise.
+    /// A shift d makes 1 - correlation rise by d² Σ g² / (2 N var), where g are the slopes of the grey; the variance of the shift that is
+    /// found is that of what a sample differs by, over Σ g².
     #[inline(always)]
-    fn is_sharp(&self) -> bool {
+    fn deviation(&self) -> f32 {
         let matcher = self.matcher;
         let scale = &matcher.scales[self.seen.scale];
-        let aside = (1 << self.seen.scale) as f32 / matcher.disparity;
+        let size = (1 << self.seen.scale) as f32;
+        let aside = size / matcher.disparity;
         let n = matcher.sources().min(COUNTED);
         let mean = |w: f32| {
             let plane = Plane { w, ..self.best };
@@ -427,8 +447,11 @@ impl<'m, 'a, const G: usize> Trial<'m, 'a, G> {
             costs.sum::<f32>() / n as f32
         };
         let rise = mean(self.best.w - aside).min(mean(self.best.w + aside)) - mean(self.best.w);
-        rise >= LEAST_RISE
-            && 2.0 * INDEPENDENT * rise * self.seen.patch.variance() * DEVIATION_PX.powi(2) >= scale.noise_variance
+        if !(rise > 0.0) {
+            return f32::INFINITY;
+        }
+        let noise = scale.noise_variance / (2.0 * self.seen.patch.variance());
+        size * ((self.cost.max(LEAST_COST) + noise) / (INDEPENDENT * rise)).sqrt()
     }
 
     #[inline(always)]

@@ -122,6 +122,24 @@ impl Area {
     }
 }
 
+/// The sum over a square of 2 `reach` + 1 pixels round each; what is beyond the rim is 0.
+pub(crate) fn box_sum(values: &mut [f32], width: usize, height: usize, reach: usize) {
+    let mut line = vec![0.0; width + 2 * reach];
+    for row in values.chunks_exact_mut(width) {
+        line[reach..reach + width].copy_from_slice(row);
+        for (x, out) in row.iter_mut().enumerate() {
+            *out = line[x..=x + 2 * reach].iter().sum();
+        }
+    }
+    let whole = values.to_vec();
+    for (y, out) in values.chunks_exact_mut(width).enumerate() {
+        out.fill(0.0);
+        for from in y.saturating_sub(reach)..(y + reach + 1).min(height) {
+            out.iter_mut().zip(&whole[from * width..]).for_each(|(o, v)| *o += v);
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

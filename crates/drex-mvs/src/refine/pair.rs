@@ -1,6 +1,7 @@
 //! What pairs of photos say about where the mesh should be.
 
 use super::shot::{Blurred, Shot};
+use crate::picture::box_sum;
 use crate::scene::View;
 
 /// Windows reach so many pixels from their centre.
@@ -122,7 +123,7 @@ fn compare(own: &Blurred, warped: &Warped, least_variance: f32, force: &mut [f32
     let of = |f: &dyn Fn(usize) -> f32| {
         let mut values: Vec<f32> =
             (0..width * height).map(|at| if warped.counts[at] > 0.0 { f(at) } else { 0.0 }).collect();
-        box_sum(&mut values, width, height);
+        box_sum(&mut values, width, height, RADIUS);
         values
     };
     let (a, b) = (&own.values, &warped.grey);
@@ -157,29 +158,11 @@ fn compare(own: &Blurred, warped: &Warped, least_variance: f32, force: &mut [f32
         terms[2][at] = beta * mb - alpha * ma;
         terms[3][at] = weight / (n * vb);
     }
-    terms.iter_mut().for_each(|t| box_sum(t, width, height));
+    terms.iter_mut().for_each(|t| box_sum(t, width, height, RADIUS));
     for at in (0..width * height).filter(|at| warped.counts[*at] > 0.0) {
         let slope = warped.slope[at];
         force[at] += (a[at] * terms[0][at] - b[at] * terms[1][at] + terms[2][at]) * slope;
         hessian[at] += terms[3][at] * slope * slope;
     }
     (correlation, windows)
-}
-
-/// The sum over a square of 2 [`RADIUS`] + 1 pixels round each; what is beyond the rim is 0.
-fn box_sum(values: &mut [f32], width: usize, height: usize) {
-    let mut line = vec![0.0; width + 2 * RADIUS];
-    for row in values.chunks_exact_mut(width) {
-        line[RADIUS..RADIUS + width].copy_from_slice(row);
-        for (x, out) in row.iter_mut().enumerate() {
-            *out = line[x..=x + 2 * RADIUS].iter().sum();
-        }
-    }
-    let whole = values.to_vec();
-    for (y, out) in values.chunks_exact_mut(width).enumerate() {
-        out.fill(0.0);
-        for from in y.saturating_sub(RADIUS)..(y + RADIUS + 1).min(height) {
-            out.iter_mut().zip(&whole[from * width..]).for_each(|(o, v)| *o += v);
-        }
-    }
 }

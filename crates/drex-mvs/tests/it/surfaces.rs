@@ -83,6 +83,14 @@ fn slanted_planes_are_found_to_a_tenth_of_a_pixel() {
         let [tenth, found] = [tenth_of_a_pixel(0.4), median(&off)];
         assert!(found < 0.5 * tenth && median(&depths).abs() < 0.1 * tenth, "{slant_deg}: {found} of {tenth}");
         assert!(median(&normals) < 2.0, "{slant_deg}: {} degrees", median(&normals));
+        // The half that is trusted more is nearer, and what is trusted less than asked is left out.
+        let trusted: Vec<f64> = maps.views[0].confidence.iter().filter(|c| **c > 0.0).map(|c| f64::from(*c)).collect();
+        let mut half = maps.views[0].clone();
+        let usual = median(&trusted) as f32;
+        half.depth.iter_mut().zip(&half.confidence).filter(|(_, c)| **c < usual).for_each(|(z, _)| *z = 0.0);
+        let better: Vec<f64> = errors(&half, &plane, |_| normal).0.iter().map(|e| e.abs()).collect();
+        assert!(median(&better) < 0.9 * found, "{slant_deg}: {} of {found}", median(&better));
+        assert!(trusted.iter().all(|c| (f64::from(options.least_confidence)..=1.0).contains(c)));
 
         // Cameras half a pixel beside where they are: the same numbers say so.
         let mut wrong = capture;
@@ -205,6 +213,9 @@ fn photos_that_cannot_be_compared_are_refused() {
     refused(&capture, &options(-0.1), "a box of finite size");
     refused(&capture, &options(f64::NAN), "a box of finite size");
     refused(&capture, &MvsOptions::default(), "shows no sparse point");
+    let mut sure = options(0.1);
+    sure.least_confidence = 1.5;
+    refused(&capture, &sure, "a least confidence of 1.5");
     let mut lost = capture.clone();
     lost.views[1].photo = dir.path().join("lost.png");
     refused(&lost, &options(0.1), "lost.png");
