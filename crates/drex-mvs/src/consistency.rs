@@ -41,7 +41,8 @@ struct Found {
     trust: f32,
 }
 
-const NOTHING: Found = Found { depth: 0.0, normal: [0.0; 3], trust: 0.0 };
+/// A pixel without a depth.
+const INVALID: Found = Found { depth: 0.0, normal: [0.0; 3], trust: 0.0 };
 
 /// The depth map of a view, without what no other photo confirms and what is trusted less than `least_confidence`. `deviations`: how far off
 /// the disparity of each pixel may be.
@@ -71,10 +72,10 @@ pub(crate) fn confirmed<const G: usize>(
         .map(|at| {
             let (plane, deviation) = (field.planes[at], deviations[at]);
             if !(field.costs[at] < WORST_COST && deviation < MOST_DEVIATION_PX) {
-                return NOTHING;
+                return INVALID;
             }
             let pixel = [(at % field.width) as f32, (at / field.width) as f32];
-            let Some(share) = confirming_share(&witnesses, pixel, plane.w) else { return NOTHING };
+            let Some(share) = confirming_share(&witnesses, pixel, plane.w) else { return INVALID };
             // m · ray = w for all rays of the plane; it faces away from the camera.
             let (mx, my) = (plane.a * k[(0, 0)], plane.b * k[(1, 1)]);
             let mz = plane.w - mx * (pixel[0] - k[(0, 2)]) / k[(0, 0)] - my * (pixel[1] - k[(1, 2)]) / k[(1, 1)];
@@ -97,7 +98,7 @@ pub(crate) fn confirmed<const G: usize>(
     };
     for (found, around) in found.iter().zip(around) {
         let confidence = found.trust * around;
-        let kept = if confidence > 0.0 && confidence >= least_confidence { *found } else { NOTHING };
+        let kept = if confidence > 0.0 && confidence >= least_confidence { *found } else { INVALID };
         map.depth.push(kept.depth);
         map.normal.push(kept.normal);
         map.confidence.push(if kept.depth > 0.0 { confidence } else { 0.0 });
@@ -231,8 +232,8 @@ mod tests {
         let mut field = field(1.0, 0.1);
         (0..SIDE * SIDE).filter(|at| at % SIDE >= SIDE / 2).for_each(|at| field.costs[at] = f32::INFINITY);
         let of = |at: usize| match (at % SIDE < SIDE / 2, at / SIDE < SIDE / 2) {
-            (true, true) => Found { depth: 1.0, ..NOTHING },
-            _ => NOTHING,
+            (true, true) => Found { depth: 1.0, ..INVALID },
+            _ => INVALID,
         };
         let around = share_around(&field, &(0..SIDE * SIDE).map(of).collect::<Vec<_>>());
         let at = |x: usize, y: usize| around[y * SIDE + x];
