@@ -2,7 +2,7 @@
 
 use nalgebra::{Point3, Vector3};
 
-use drex_core::TriMesh;
+use drex_core::{SurfacePoint, TriMesh};
 
 use crate::depth::{DepthMap, DepthViews};
 use crate::{Error, Result};
@@ -21,8 +21,42 @@ pub fn vertex_colors(
     rgb: impl Fn(usize) -> Result<Vec<[u8; 3]>>,
     tolerance_m: f64,
 ) -> Result<Vec<[u8; 3]>> {
-    let normals = vertex_normals(mesh);
-    let mut sums = vec![[0.0; 4]; mesh.vertices.len()];
+    let vertices: Vec<SurfacePoint> = mesh
+        .vertices
+        .iter()
+        .zip(vertex_normals(mesh))
+        .map(|(point, normal)| SurfacePoint { point: *point, normal })
+        .collect();
+    let mut sums = sums_at(&vertices, views, rgb, tolerance_m)?;
+    spread(mesh, &mut sums);
+    Ok(sums.iter().map(|sum| mean(sum).unwrap_or([128; 3])).collect())
+}
+
+/// Colour of each of some points of a surface, as of the vertices by [`vertex_colors`]; `None` of those that no view sees.
+///
+/// # Errors
+/// As [`vertex_colors`].
+pub fn point_colors(
+    points: &[SurfacePoint],
+    views: &(impl DepthViews + ?Sized),
+    rgb: impl Fn(usize) -> Result<Vec<[u8; 3]>>,
+    tolerance_m: f64,
+) -> Result<Vec<Option<[u8; 3]>>> {
+    Ok(sums_at(points, views, rgb, tolerance_m)?.iter().map(mean).collect())
+}
+
+fn mean(sum: &[f64; 4]) -> Option<[u8; 3]> {
+    (sum[3] > 0.0).then(|| [0, 1, 2].map(|k| (sum[k] / sum[3]).round() as u8))
+}
+
+/// Weighted sums of red, green and blue, and of the weights.
+fn sums_at(
+    points: &[SurfacePoint],
+    views: &(impl DepthViews + ?Sized),
+    rgb: impl Fn(usize) -> Result<Vec<[u8; 3]>>,
+    tolerance_m: f64,
+) -> Result<Vec<[f64; 4]>> {
+    let mut sums = vec![[0.0; 4]; points.len()];
     for i in 0..views.len() {
         let (map, picture) = (views.view(i)?, rgb(i)?);
         map.check()?;
@@ -33,8 +67,8 @@ pub fn vertex_colors(
             ));
         }
         let camera_from_world = map.world_from_camera.inverse();
-        for ((vertex, normal), sum) in mesh.vertices.iter().zip(&normals).zip(&mut sums) {
-            let p = camera_from_world * vertex;
+        for (SurfacePoint { point, normal }, sum) in points.iter().zip(&mut sums) {
+            let p = camera_from_world * point;
             let facing = -(camera_from_world * normal).dot(&p.coords.normalize());
             let Some(pixel) = pixel_of(&map, &p).filter(|_| facing > 0.0) else { continue };
             if (f64::from(map.depth_m[pixel]) - p.z).abs() > tolerance_m {
@@ -47,8 +81,7 @@ pub fn vertex_colors(
             sum[3] += weight;
         }
     }
-    spread(mesh, &mut sums);
-    Ok(sums.iter().map(|s| [0, 1, 2].map(|k| if s[3] > 0.0 { (s[k] / s[3]).round() as u8 } else { 128 })).collect())
+    Ok(sums)
 }
 
 /// Index of the pixel that shows a point in camera axes.
@@ -102,6 +135,24 @@ mod tests {
     use crate::depth::{DepthCamera, cast_depth};
     use crate::shapes::sphere;
     use drex_core::Pose;
+
+    #[test]
+    fn points_have_the_colour_of_the_view_that_sees_them_and_others_none() {
+        let mesh = sphere(0.05, 4);
+        let camera =
+            DepthCamera { width_px: 160, height_px: 160, fx_px: 200.0, fy_px: 200.0, cx_px: 80.0, cy_px: 80.0 };
+        let from_below = [cast_depth(&mesh, &camera, &Pose::translation(0.0, 0.0, -0.3))];
+        let points = drex_core::mesh::sample_surface(&mesh, 200, 7);
+        let colors = point_colors(&points, from_below.as_slice(), |_| Ok(vec![[9, 8, 7]; 160 * 160]), 1e-3).unwrap();
+        // A pixel shows what is up to a pixel beside it: near the rim that has another depth.
+        for (p, c) in points.iter().zip(&colors) {
+            match p.point.z {
+                z if z < -0.03 => assert_eq!(*c, Some([9, 8, 7]), "{p:?}"),
+                z if z > 0.0 => assert_eq!(*c, None, "{p:?}"),
+                _ => {}
+            }
+        }
+    }
 
     #[test]
     fn each_side_has_the_colour_of_the_view_that_sees_it() {

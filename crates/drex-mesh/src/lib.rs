@@ -62,7 +62,7 @@ pub use check::{
     CheckOptions, CheckReport, Outcome, RuleResult, ScanCamera, ScanEvidence, Silhouette, SupportEvidence, check_asset,
     check_file, check_mesh, check_scan,
 };
-pub use colors::vertex_colors;
+pub use colors::{point_colors, vertex_colors};
 pub use compare::{CompareOptions, SurfaceComparison, compare_surfaces};
 pub use decimate::{DecimateOptions, DecimateReport, decimate};
 pub use depth::{DepthCamera, DepthMap, DepthViews, cast_depth};
@@ -86,7 +86,7 @@ pub use scale::{
 };
 pub use scene::{
     Choice, Click, Found, ObjectGroup, PlaneCandidate, Scene, ScenePoint, SceneView, Scores, SupportChoice,
-    SupportOptions, UpPrior, find_objects, support_plane,
+    SupportOptions, UpPrior, find_objects, silhouette_base, support_plane,
 };
 pub use sdf::MeshSdf;
 pub use solid::{ClosingMethod, Solid, solid_properties};

@@ -6,12 +6,12 @@ use nalgebra::Point3;
 /// How much work is done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Preset {
-    /// Windows of 25 samples, five other photos, one round of consistency at full size.
+    /// Windows of 25 samples, five other photos, one round of consistency at full size. Has time for 0.3 megapixels of a photo.
     Fast,
-    /// Windows of 36 samples, six other photos, two rounds of consistency at full size.
+    /// Windows of 36 samples, six other photos, two rounds of consistency at full size. Has time for a megapixel.
     #[default]
     Default,
-    /// As the default with eight other photos and more rounds.
+    /// As the default with eight other photos and more rounds, and time for whatever there is.
     Best,
 }
 
@@ -68,6 +68,15 @@ pub(crate) struct Level {
 }
 
 impl Preset {
+    /// Pixels of a photo in which there is time to look for depth.
+    pub(crate) fn pixels(self) -> f64 {
+        match self {
+            Self::Fast => 0.3e6,
+            Self::Default => 1e6,
+            Self::Best => f64::INFINITY,
+        }
+    }
+
     /// Other photos that each one is compared with.
     pub(crate) fn sources(self) -> usize {
         match self {

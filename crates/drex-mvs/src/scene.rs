@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use drex_core::camera::PinholeCamera;
 use drex_core::capture::{Capture, PhotoOptions, Photos};
-use drex_core::stats::quantile;
+use drex_core::stats::{median, quantile};
 use drex_core::{Error, Result};
 use nalgebra::{Matrix3, Point3, Vector3};
 use rayon::prelude::*;
@@ -25,6 +25,8 @@ const ANGLES_DEG: [f64; 2] = [3.0, 45.0];
 /// Photos whose pixels are larger or smaller than these times those of the reference are left out.
 const SCALES: [f64; 2] = [0.4, 2.5];
 
+/// Photos of which the pixels are counted in which depth is looked for.
+const SAMPLED: usize = 8;
 /// Photos that are asked whether they confirm a depth.
 const WITNESSES: usize = 12;
 
@@ -115,13 +117,7 @@ pub(crate) fn prepare(
     sizes: usize,
     progress: &(dyn Fn(usize) + Sync),
 ) -> Result<Vec<View>> {
-    if let Some(region) = &options.region {
-        region.check()?;
-    }
-    let mut read = PhotoOptions::default();
-    read.max_side = options.max_side;
-    read.memory_bytes = 0;
-    let photos = Photos::new(capture, read)?;
+    let photos = photos(capture, options)?;
     let seen = sparse_depths(capture, &photos);
     let mut views = Vec::with_capacity(photos.len());
     for (i, depths) in seen.iter().enumerate() {
@@ -142,6 +138,41 @@ pub(crate) fn prepare(
         (view.witnesses, view.source_count) = (witnesses, options.preset.sources());
     }
     Ok(views)
+}
+
+impl MvsOptions {
+    /// The same with pictures that are so small that the preset has time for the pixels in which depth is looked for, in the median of some
+    /// photos.
+    ///
+    /// # Errors
+    /// If one of these cannot be read, or the region is no box.
+    pub fn within_time(mut self, capture: &Capture) -> Result<Self> {
+        let photos = photos(capture, &self)?;
+        let seen = sparse_depths(capture, &photos);
+        let some = (0..photos.len()).step_by(photos.len().div_ceil(SAMPLED).max(1));
+        let searched = |i: usize| -> Result<f64> {
+            let area = &view(&photos, i, &seen[i], &self, 1)?.searched[0];
+            Ok(area.inside.iter().filter(|inside| **inside).count() as f64)
+        };
+        let pixels: Vec<f64> = some.map(searched).collect::<Result<_>>()?;
+        let scale = (self.preset.pixels() / median(pixels).unwrap_or(0.0)).sqrt();
+        if scale < 1.0 {
+            let side = (0..photos.len()).map(|i| photos.camera(i).width.max(photos.camera(i).height)).max();
+            self.max_side = side.map(|side| (scale * side as f64) as usize);
+        }
+        Ok(self)
+    }
+}
+
+/// The photos of a capture in the size in which they are compared.
+fn photos(capture: &Capture, options: &MvsOptions) -> Result<Photos> {
+    if let Some(region) = &options.region {
+        region.check()?;
+    }
+    let mut read = PhotoOptions::default();
+    read.max_side = options.max_side;
+    read.memory_bytes = 0;
+    Photos::new(capture, read)
 }
 
 /// Depths of the sparse points that each view shows.

@@ -1,4 +1,4 @@
-//! The scan: photos, the Gaussians made of them, the mesh made of these, scale and frame.
+//! The scan: photos, the mesh made of them, the Gaussians born on it, scale and frame.
 
 use std::path::{Path, PathBuf};
 
@@ -13,7 +13,7 @@ use super::object::{MESH_FACES, OBJECT_COLOR, still};
 use super::page::Page;
 use super::viewer::{Look, MOST_SPLATS, Scene};
 use drex_twin::cameras::cameras_of;
-use drex_twin::records::{ScanFile, SplatReport};
+use drex_twin::records::{HELD_OUT, ScanFile, SplatReport};
 use drex_twin::{Twin, records as files};
 
 /// Photos that are shown; as many held-out ones beside what the Gaussians make of them.
@@ -79,7 +79,7 @@ fn of_training(page: &mut Page, twin: &Twin, trained: &SplatReport, views: &[(St
         trained.photos_trained,
         trained.photos_held_out
     ));
-    let rendered = |name: &str| twin.path("depth").join(Path::new(name).with_extension("png"));
+    let rendered = |name: &str| twin.path(HELD_OUT).join(Path::new(name).with_extension("png"));
     let mut pairs = Vec::new();
     for row in trained.appearance.held_out.rows.iter().take(PHOTOS / 2) {
         let photo = views.iter().find(|(name, _)| *name == row.name).and_then(|(_, photo)| small(photo));
@@ -91,8 +91,10 @@ fn of_training(page: &mut Page, twin: &Twin, trained: &SplatReport, views: &[(St
     }
     page.pictures(&pairs);
     let told = |mean: Option<f64>, digits: usize| mean.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
-    let rows: Vec<Vec<String>> = [("looks (ellipsoids)", &trained.appearance), ("surface (surfels)", &trained.surface)]
+    let surface = trained.surface.as_ref().map(|surface| ("surface (surfels)", surface));
+    let rows: Vec<Vec<String>> = [("looks (ellipsoids)", &trained.appearance)]
         .into_iter()
+        .chain(surface)
         .map(|(name, set)| {
             vec![
                 name.to_owned(),
@@ -132,14 +134,14 @@ fn scenes(page: &mut Page, twin: &Twin, asset: &Asset, file: &ScanFile) -> Resul
     if let Some(mesh) = scene.mesh(&asset.visual, MESH_FACES) {
         scene.part(mesh, Look::Solid, OBJECT_COLOR, &[pose.into()])?;
     }
-    shown.push((scene, picture()?, "the mesh made of them".to_owned()));
+    shown.push((scene, picture()?, "the mesh made of the photos".to_owned()));
     page.viewers(&shown);
     Ok(())
 }
 
-/// What stands for the Gaussians where they cannot be drawn: one of the pictures that were rendered with the depth maps.
+/// What stands for the Gaussians where they cannot be drawn: one of the pictures of them from where a photo was held out.
 fn picture_of_gaussians(twin: &Twin) -> Option<Vec<u8>> {
-    let mut pictures: Vec<PathBuf> = std::fs::read_dir(twin.path("depth"))
+    let mut pictures: Vec<PathBuf> = std::fs::read_dir(twin.path(HELD_OUT))
         .ok()?
         .filter_map(|entry| Some(entry.ok()?.path()))
         .filter(|p| p.extension().is_some_and(|e| e == "png"))

@@ -40,6 +40,8 @@ pub struct ReconstructOptions {
     pub iterations: Option<u32>,
     /// Most Gaussians of each set instead of the preset's ([`Preset::max_gaussians`]).
     pub max_gaussians: Option<usize>,
+    /// Whether surfels are trained as well, and depth maps drawn of them.
+    pub surface: bool,
     /// Whether each photo gets an affine colour of its own.
     pub exposure: bool,
     /// Whether poses are refined.
@@ -67,6 +69,7 @@ impl Default for ReconstructOptions {
             max_side: None,
             iterations: None,
             max_gaussians: None,
+            surface: true,
             exposure: false,
             refine_poses: false,
             normal_weight: 0.05,
@@ -91,8 +94,9 @@ pub struct Reconstruction {
     pub object_only: bool,
     /// The ellipsoids: looks.
     pub appearance: SetSummary,
-    /// The surfels: geometry.
-    pub surface: SetSummary,
+    /// The surfels: geometry, where they were asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub surface: Option<SetSummary>,
     /// Depth maps written.
     pub depth_maps: usize,
     /// Peak memory of the process, bytes, where the system tells; not in the file, as it is another in every run.
@@ -140,11 +144,13 @@ const PATCH_PX: usize = 8;
 const PATCHES_A_POINT: usize = 4;
 const HULL_REACH: f64 = 2.0;
 
-/// Trains both sets from `capture` and writes `splat/appearance.ply`, `splat/surface.ply`, `splat/report.json` and
-/// `depth/` into `out`. For every photo's camera `depth/` gets `NAME.npy` (z in the camera frame, scene units, 0 where
-/// there is no surface, `[height, width]`), `normals/NAME.png` (rgb = (n + 1) / 2 of the unit normal n in the camera's
-/// frame, grey where there is none) and `NAME.png` (the appearance from there, transparent where there is nothing), no
-/// side longer than 1024 pixels, and `transforms.json`, with which [`Capture::load`] reads it as a scan.
+/// Trains ellipsoids from `capture`, and surfels where they are asked for, and writes `splat/appearance.ply`, `splat/surface.ply`,
+/// `splat/report.json` and, as `splat/held_out/NAME.png`, what the appearance shows from where each held-out photo was taken.
+///
+/// With surfels `depth/` gets for every photo's camera `NAME.npy` (z in the camera frame, scene units, 0 where there is no surface,
+/// `[height, width]`), `normals/NAME.png` (rgb = (n + 1) / 2 of the unit normal n in the camera's frame, grey where there is none) and
+/// `NAME.png` (the appearance from there, transparent where there is nothing), no side longer than 1024 pixels, and `transforms.json`, with
+/// which [`Capture::load`] reads it as a scan.
 ///
 /// Photos whose camera `report` calls far are left out, and where masks are used those whose mask it calls misplaced.
 /// The files depend on capture and options alone.
@@ -162,19 +168,33 @@ pub fn reconstruct<R: Rasterizer + Clone>(
 ) -> Result<Reconstruction> {
     // Before hours of training.
     let report_file = output_path(out, "splat/report.json")?;
-    let maps = map_files(&out.join("depth"), capture)?;
+    let maps = options.surface.then(|| map_files(&out.join("depth"), capture)).transpose()?;
+    let mut pictures = OutputFolder::new(out.join("splat/held_out"));
+    let pictures: Vec<PathBuf> =
+        capture.views.iter().map(|v| pictures.file(&format!("{}.png", stem_of(&v.name)))).collect::<Result<_, _>>()?;
     let job = Job::new(capture, report, options)?;
     let appearance = job.train(Kind::Ellipsoid, rasterizer, out, on_progress)?;
-    let surface = job.train(Kind::Surfel, rasterizer, out, on_progress)?;
-    write_depth_maps(&maps, &job, rasterizer, &appearance.0, &surface.0)?;
+    for &i in &job.held_out {
+        let camera = &fitting(job.photos.camera(i), DEPTH_SIDE);
+        let seen = rasterizer.forward(&appearance.0, camera, &job.render_options(i))?.0;
+        picture::write_rgba(&pictures[i], camera.width, camera.height, &seen.rgb, &seen.alpha)?;
+    }
+    let surface = match &maps {
+        Some(maps) => {
+            let (surfels, summary) = job.train(Kind::Surfel, rasterizer, out, on_progress)?;
+            write_depth_maps(maps, &job, rasterizer, &appearance.0, &surfels)?;
+            Some(summary)
+        }
+        None => None,
+    };
     let reconstruction = Reconstruction {
         photos_trained: job.trained.len(),
         photos_held_out: job.held_out.len(),
         left_out: job.left_out,
         object_only: job.masked,
         appearance: appearance.1,
-        surface: surface.1,
-        depth_maps: maps.views.len(),
+        surface,
+        depth_maps: maps.map_or(0, |maps| maps.views.len()),
         peak_memory_bytes: usage::peak_memory_bytes(),
     };
     let text = serde_json::to_string_pretty(&reconstruction).map_err(|e| Error::Option {
@@ -362,6 +382,11 @@ impl<'a> Job<'a> {
         Ok((gaussians, summary))
     }
 
+    /// How view `i` is drawn.
+    fn render_options(&self, i: usize) -> RenderOptions {
+        RenderOptions { near: self.near[i], ..RenderOptions::default() }
+    }
+
     /// What Gaussians may not leave in training.
     fn hull_of(&self, kind: Kind) -> VisualHull {
         let mut hull = self.hull.clone();
@@ -495,12 +520,17 @@ struct ViewFiles {
     normals: PathBuf,
 }
 
+/// The name of a view without its ending.
+fn stem_of(name: &str) -> String {
+    Path::new(name).with_extension("").to_string_lossy().replace('\\', "/")
+}
+
 /// Names of views come with the capture, and no file may lie outside of `folder` or be two views'.
 fn map_files(folder: &Path, capture: &Capture) -> Result<MapFiles> {
     let mut files = OutputFolder::new(folder);
     let transforms = files.file("transforms.json")?;
     let mut of = |name: &str| {
-        let stem = Path::new(name).with_extension("").to_string_lossy().replace('\\', "/");
+        let stem = stem_of(name);
         Ok(ViewFiles {
             depth: files.file(&format!("{stem}.npy"))?,
             appearance: files.file(&format!("{stem}.png"))?,
@@ -525,7 +555,7 @@ fn write_depth_maps<R: Rasterizer>(
     let mut frames = Vec::new();
     for (i, file) in files.views.iter().enumerate() {
         let camera = &fitting(job.photos.camera(i), DEPTH_SIDE);
-        let options = RenderOptions { near: job.near[i], ..RenderOptions::default() };
+        let options = job.render_options(i);
         let looks = rasterizer.forward(appearance, camera, &options)?.0;
         let shape = rasterizer.forward(surface, camera, &options)?.0;
         let depth = surface_depth(&shape, 1.0, 0.5)?;

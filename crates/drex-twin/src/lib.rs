@@ -52,6 +52,8 @@ mod scene;
 #[cfg(feature = "stages")]
 mod stages;
 #[cfg(feature = "stages")]
+mod stereo;
+#[cfg(feature = "stages")]
 pub mod timings;
 #[cfg(feature = "stages")]
 mod twin;

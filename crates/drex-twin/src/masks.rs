@@ -156,7 +156,7 @@ fn make(cameras: &Capture, frame: &FrameOptions, progress: &dyn Progress) -> Res
             cameras.folder.display()
         );
     }
-    let place = place::find(cameras, sparse_points(cameras), &[], 1.0, frame)?;
+    let place = place::find(cameras, sparse_points(cameras), &[], &[], 1.0, frame)?;
     let of_region = || frame.region.map(|r| box_around(&r, &place.table_from_scan)).map(|(lo, hi)| [lo, hi]);
     let Some([mut lower, upper]) = place.object.or_else(of_region) else {
         refuse!("nothing says where the object is in {}", cameras.folder.display());

@@ -4,9 +4,10 @@ use std::path::PathBuf;
 
 use drex_core::Pose;
 use drex_core::capture::{Capture, View};
+use drex_core::stats::median;
 use drex_mesh::{
-    Click, KnownDistance, Scene, ScenePoint, SceneView, Similarity, SupportChoice, SupportOptions, TablePlane, UpPrior,
-    find_objects, support_plane,
+    Click, KnownDistance, Scene, ScenePoint, SceneView, Silhouette, Similarity, SupportChoice, SupportOptions,
+    TablePlane, UpPrior, find_objects, silhouette_base, support_plane,
 };
 use nalgebra::{Point2, Point3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
@@ -17,12 +18,18 @@ use crate::manifest::ObjectClick;
 
 /// A support's normal may be this far from an up direction that is given, rad.
 const UP_TOLERANCE_RAD: f64 = 0.26;
-/// A table that a masked object stands on may be this much of the object's height off its lowest point.
+/// A table that a masked object stands on may be this many pixels off the lowest point of its silhouettes;
+const MAX_TABLE_OFFSET_PX: f64 = 3.0;
+/// or, where these do not tell, this much of the object's height off its lowest point.
 const MAX_TABLE_OFFSET_SHARE: f64 = 0.1;
 /// Up is the normal of a plane with this score, if nothing better is known.
 const SURE: f64 = 0.3;
 /// Where up is from if the object's lowest point is below the plane that was found.
 pub(crate) const PARALLEL: &str = "a plane under the object";
+/// Where it is from if cameras stand round a masked object and no plane is known.
+pub(crate) const ALL_ROUND: &str = "the cameras all round";
+/// Cameras look from all sides if their level directions cancel out but for this share; up is then good to as many of their tilts.
+const MOST_ONE_SIDED: f64 = 0.1;
 /// Why an up direction may be the wrong one.
 const NO_PLANE: &str = "no plane of the sparse points has the up direction that was given; the object is taken to stand on the lowest of them: \
                         check --up, which is in the frame of the scan, or leave it out";
@@ -107,8 +114,8 @@ pub(crate) struct Place {
     pub doubts: Vec<String>,
 }
 
-/// Finds table and object. `points` are the sparse points and `object` those of depth maps that masks cut out, none if there are
-/// no masks; both in the scan's frame and unit.
+/// Finds table and object. `points` are the sparse points, `object` those of depth maps that masks cut out, and `masks` these masks, none if there
+/// are none; all in the scan's frame and unit.
 ///
 /// # Errors
 /// If there is no table, no object on it, or the click names no photo.
@@ -116,6 +123,7 @@ pub(crate) fn find(
     cameras: &Capture,
     points: Vec<ScenePoint>,
     object: &[Point3<f64>],
+    masks: &[Silhouette],
     metres_per_unit: f64,
     options: &FrameOptions,
 ) -> Result<Place> {
@@ -146,22 +154,26 @@ pub(crate) fn find(
     };
     // Masks may show more than what stands on the plane: the disc that it turns on, say.
     let parallel = choice.as_ref().filter(|c| masked && c.chosen.score >= SURE).map(|c| c.chosen.table.up.into_inner());
-    let choice = choice.filter(|c| !masked || stands_on(object, &c.chosen.table));
+    let choice = choice.filter(|c| !masked || stands_on(object, masks, &c.chosen.table));
     let looked_at = scene.as_ref().map_or_else(|| mean(&shown), Scene::target);
     let towards = eyes.first().map_or(Vector3::x(), |e| e.translation.vector - looked_at.coords);
     let frame = |table: &TablePlane| Similarity::of_table(metres_per_unit, table, &looked_at, &towards);
     let mut place = match (choice, options.up) {
         (Some(choice), _) => Place::found(choice, &looked_at, metres_per_unit, frame)?,
         (None, Some(up)) => {
-            let mut place = Place::assumed(lowest_plane(&shown, up), "given", frame)?;
+            let mut place = Place::assumed(lowest_plane(&shown, masks, up), "given", frame)?;
             if !masked {
                 place.doubts.push(NO_PLANE.to_owned());
             }
             place
         }
         (None, None) => match parallel {
-            Some(up) => Place::assumed(lowest_plane(&shown, up), PARALLEL, frame)?,
-            None => Place::assumed(lowest_plane(&shown, mean_up(&eyes)), "the cameras", frame)?,
+            Some(up) => Place::assumed(lowest_plane(&shown, masks, up), PARALLEL, frame)?,
+            None => {
+                let up = mean_up(&eyes);
+                let up_from = if stand_all_round(&eyes, &up) { ALL_ROUND } else { "the cameras" };
+                Place::assumed(lowest_plane(&shown, masks, up), up_from, frame)?
+            }
         },
     };
     if options.region.is_some() {
@@ -260,21 +272,55 @@ fn size_of([lo, hi]: &[Point3<f64>; 2]) -> f64 {
     (hi - lo).norm()
 }
 
-/// Whether the lowest of the object's points are on the plane.
-fn stands_on(object: &[Point3<f64>], table: &TablePlane) -> bool {
-    let mut heights: Vec<f64> = object.iter().map(|p| table.height(p)).collect();
-    heights.sort_by(f64::total_cmp);
-    let (Some(&lowest), Some(&highest)) = (heights.get(heights.len() / 100), heights.last()) else { return false };
-    lowest.abs() < MAX_TABLE_OFFSET_SHARE * (highest - lowest)
+/// Whether the lowest part of the object is on the plane.
+fn stands_on(object: &[Point3<f64>], masks: &[Silhouette], table: &TablePlane) -> bool {
+    let Some(Extent { lowest, highest, base }) = Extent::of(object, masks, &table.up) else { return false };
+    let offset = |height: f64| (height - table.point.coords.dot(&table.up)).abs();
+    match base {
+        Some(base) => offset(base) < MAX_TABLE_OFFSET_PX * pixel_at(&mean(object), masks),
+        None => offset(lowest) < MAX_TABLE_OFFSET_SHARE * (highest - lowest),
+    }
 }
 
-/// The plane with this normal through the lowest of the points.
-fn lowest_plane(points: &[Point3<f64>], up: Vector3<f64>) -> TablePlane {
+/// The plane with this normal through the lowest part of the object.
+fn lowest_plane(object: &[Point3<f64>], masks: &[Silhouette], up: Vector3<f64>) -> TablePlane {
     let up = Unit::new_normalize(up);
-    let mut heights: Vec<f64> = points.iter().map(|p| up.dot(&p.coords)).collect();
-    heights.sort_by(f64::total_cmp);
-    let lowest = heights.get(heights.len() / 500).copied().unwrap_or(0.0);
-    TablePlane::new(Point3::from(up.into_inner() * lowest), up)
+    let height = Extent::of(object, masks, &up).map_or(0.0, |extent| extent.base.unwrap_or(extent.lowest));
+    TablePlane::new(Point3::from(up.into_inner() * height), up)
+}
+
+/// How far an object reaches along a direction.
+struct Extent {
+    lowest: f64,
+    highest: f64,
+    /// Where its silhouettes end, if they tell: depth may be missing there.
+    base: Option<f64>,
+}
+
+impl Extent {
+    fn of(object: &[Point3<f64>], masks: &[Silhouette], up: &Unit<Vector3<f64>>) -> Option<Self> {
+        let mut heights: Vec<f64> = object.iter().map(|p| p.coords.dot(up)).collect();
+        heights.sort_by(f64::total_cmp);
+        let (lowest, highest) = (*heights.get(heights.len() / 500)?, *heights.last()?);
+        let margin = highest - lowest;
+        Some(Self { lowest, highest, base: silhouette_base(masks, up, lowest - margin..highest + margin) })
+    }
+}
+
+/// What a pixel of the masks covers at a point, in the median.
+fn pixel_at(point: &Point3<f64>, masks: &[Silhouette]) -> f64 {
+    let pixel = |m: &Silhouette| (point.coords - m.world_from_camera.translation.vector).norm() / m.camera.fx_px;
+    median(masks.iter().map(pixel)).unwrap_or(0.0)
+}
+
+/// Whether the cameras look from all sides alike, so that what each one is tilted by cancels out.
+fn stand_all_round(eyes: &[Pose], up: &Vector3<f64>) -> bool {
+    let level = |e: &Pose| {
+        let ahead = e.rotation * Vector3::z();
+        ahead - up * ahead.dot(up)
+    };
+    let reach: f64 = eyes.iter().map(|e| level(e).norm()).sum();
+    eyes.iter().map(level).sum::<Vector3<f64>>().norm() < MOST_ONE_SIDED * reach
 }
 
 /// Photos are mostly taken upright.
@@ -298,5 +344,20 @@ mod tests {
         for wrong in ["", "5,5", "5@a.jpg", "5,x@a.jpg", "-5,5@a.jpg", "nan,5@a.jpg", "5,5@", "5,5@ "] {
             assert!(wrong.parse::<ObjectClick>().unwrap_err().contains("512,300@"), "{wrong}");
         }
+    }
+
+    #[test]
+    fn cameras_on_one_side_do_not_stand_all_round() {
+        let up = Vector3::z();
+        let eyes = |sides: usize| -> Vec<Pose> {
+            (0..sides)
+                .map(|k| {
+                    let (sin, cos) = (k as f64 * std::f64::consts::TAU / 12.0).sin_cos();
+                    Pose::face_towards(&Point3::new(0.4 * cos, 0.4 * sin, 0.2), &Point3::origin(), &-up)
+                })
+                .collect()
+        };
+        assert!(stand_all_round(&eyes(12), &mean_up(&eyes(12))) && mean_up(&eyes(12)).angle(&up) < 1e-9);
+        assert!(!stand_all_round(&eyes(6), &mean_up(&eyes(6))) && mean_up(&eyes(6)).angle(&up) > 0.1);
     }
 }

@@ -19,6 +19,8 @@ use crate::scan::FrameReport;
 pub const SCAN: &str = "splat/scan.json";
 /// How well the Gaussians match photos that they have not seen; not there where the scan came with depth maps.
 pub const SPLAT_REPORT: &str = "splat/report.json";
+/// Folder of pictures of the Gaussians from where photos were held out.
+pub const HELD_OUT: &str = "splat/held_out";
 /// Result of the identify stage.
 pub const MASS: &str = "mass.json";
 /// Result of the grasps stage.
@@ -50,8 +52,8 @@ pub struct SplatReport {
     pub photos_held_out: usize,
     /// Ellipsoids, for looks.
     pub appearance: SplatSet,
-    /// Surfels, for the surface.
-    pub surface: SplatSet,
+    /// Surfels, for the surface, where they were trained.
+    pub surface: Option<SplatSet>,
 }
 
 /// A set of Gaussians.

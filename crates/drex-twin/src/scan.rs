@@ -7,27 +7,37 @@ use std::time::Duration;
 
 use crate::Result;
 use crate::error::{Context, refuse};
-use drex_core::capture::{Capture, CaptureOptions, PhotoOptions, Photos};
-use drex_core::{PoseRecord, TriMesh, fsutil};
+use drex_core::camera::PinholeCamera;
+use drex_core::capture::{Capture, CaptureOptions, PhotoOptions, Photos, SparsePoint, ViewReport};
+use drex_core::mesh::sample_surface;
+use drex_core::{Pose, PoseRecord, SurfacePoint, TriMesh, fsutil};
 use drex_mesh::{
-    DecimateOptions, DepthCamera, DepthMap, DepthViews, FusionOptions, FusionReport, Outcome, RuleResult, ScaleFit,
-    ScanCamera, ScanEvidence, ScenePoint, Silhouette, Similarity, Support, SupportEvidence, check_scan, decimate, fuse,
-    read_marks, scale_from_distances, triangulate_marks,
+    DecimateOptions, DepthCamera, DepthMap, DepthViews, Evidence, EvidenceKind, Fused, FusionOptions, FusionReport,
+    Outcome, RuleResult, ScaleFit, ScanCamera, ScanEvidence, ScenePoint, Silhouette, Similarity, Support,
+    SupportEvidence, check_scan, decimate, fuse, point_colors, read_marks, scale_from_distances, triangulate_marks,
 };
+use drex_mvs::{Hold, MvsOptions, RefineOptions, Region, refine};
 use drex_sfm::MarkerReport;
 use drex_sfm::marker::Marker;
-use drex_splat::{ReconstructOptions, Reconstruction};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::Progress;
+use crate::manifest::ScanPreset;
 use crate::masks::{MASKS, MaskReport, Masks, made_masks_in, object_masks};
 use crate::place::{self, box_around, sparse_points};
 pub use crate::place::{FrameOptions, OtherPlane};
-use crate::reconstruct::{Cameras, ScanInput, train_gaussians};
+use crate::reconstruct::{Cameras, ScanInput};
+use crate::stereo::{self, DEPTH};
 
 /// The mesh of a scan keeps to the fused one within this share of a voxel.
 const MAX_SIMPLIFICATION_VOXELS: f64 = 0.1;
+/// So many depth maps of stereo have to see through a place before it is empty: single ones are wrong here and there.
+const STEREO_VOTES: u16 = 3;
+/// Parts with less of the largest one's volume are none of the object: where little is known stereo makes some up.
+const STEREO_PARTS: f64 = 0.1;
+/// More masks say nothing new about where the object stands, and take memory.
+const MOST_SILHOUETTES: usize = 100;
 /// Longest side of the masks that a mesh is held against, pixels.
 const SILHOUETTE_PX: u32 = 240;
 /// Every n-th pixel of a depth map stands for the scene where there are no sparse points; both ways.
@@ -48,7 +58,7 @@ pub struct Scale {
 pub struct Scanning<'a> {
     /// Folder of photos or of an RGB-D recording, or a video.
     pub input: &'a Path,
-    /// Folder for Gaussians and depth maps.
+    /// Folder for cameras, masks and depth maps.
     pub out: &'a Path,
     /// Folder of the masks, where it is not the scan's own.
     pub masks: Option<PathBuf>,
@@ -62,8 +72,10 @@ pub struct Scanning<'a> {
     pub marker: Option<Marker>,
     /// The program COLMAP, where it is to find the cameras of photos that have none.
     pub colmap: Option<PathBuf>,
-    /// Of the Gaussians, where there are no depth maps yet.
-    pub reconstruct: ReconstructOptions,
+    /// How carefully depth is looked for, where there are no depth maps yet.
+    pub preset: ScanPreset,
+    /// Of everything random.
+    pub seed: u64,
     /// ffmpeg, or a step of COLMAP, is stopped after this time.
     pub tool_limit: Duration,
 }
@@ -78,14 +90,14 @@ pub struct Meshed {
     pub mesh: TriMesh,
     /// What the mesh was held against.
     pub evidence: ScanEvidence,
-    /// How the Gaussians were made, where there were no depth maps yet.
-    pub made: Option<Reconstruction>,
+    /// The photos with their cameras and the masks that were used.
+    pub cameras: Capture,
     /// The masks that were made and used, where there were none.
     pub masks: Option<MaskReport>,
 }
 
 impl Scanning<'_> {
-    /// Photos to Gaussians to depth maps, or depth maps as they are, to a closed mesh.
+    /// Photos to depth maps, or depth maps as they are, to a closed mesh, which is moved to where the photos agree about it.
     ///
     /// # Errors
     /// If the scan cannot be read, has no scale or too little of the object is seen.
@@ -102,7 +114,7 @@ impl Scanning<'_> {
             out: self.out,
             within,
             marker: self.marker,
-            seed: self.reconstruct.seed,
+            seed: self.seed,
             colmap: self.colmap.as_deref(),
             ffmpeg: Path::new("ffmpeg"),
             limit: self.tool_limit,
@@ -116,9 +128,9 @@ impl Scanning<'_> {
             // Depth maps of earlier cameras have another frame.
             remove_depth_maps(self.out)?;
         }
-        let masks = self.make_masks(&mut cameras, progress)?;
+        let (masks, region) = self.make_masks(&mut cameras, progress)?;
         let made_masks = masks.is_some();
-        let mut meshed = self.fused(&cameras, masks, scale.clone(), progress)?;
+        let mut meshed = self.fused(&cameras, masks, region.as_ref(), scale.clone(), progress)?;
         let mut rules = check_scan(&meshed.mesh, &[], &meshed.evidence);
         if made_masks && meshed.masks.is_some() && rules.iter().any(at_odds_with_masks) {
             progress.note(&format!(
@@ -128,7 +140,7 @@ impl Scanning<'_> {
             ));
             cameras.views.iter_mut().for_each(|v| v.mask = None);
             remove_depth_maps(self.out)?;
-            meshed = self.fused(&cameras, None, scale, progress)?;
+            meshed = self.fused(&cameras, None, region.as_ref(), scale, progress)?;
             rules = check_scan(&meshed.mesh, &[], &meshed.evidence);
         }
         meshed.scan.frame.doubts.extend(contradictions(&rules, self.input)?);
@@ -143,10 +155,11 @@ impl Scanning<'_> {
         &self,
         cameras: &Capture,
         masks: Option<MaskReport>,
+        region: Option<&Region>,
         scale: Scale,
         progress: &dyn Progress,
     ) -> Result<Meshed> {
-        let (depths, masked, made) = self.depth_maps(cameras, progress)?;
+        let (depths, masked, by_stereo) = self.depth_maps(cameras, region, progress)?;
         progress.begin("fusion", None);
         let mut scan = Scan::new(cameras, &depths, masked, scale, &self.frame)?;
         // Depth maps of an earlier run may show the whole scene.
@@ -158,31 +171,49 @@ impl Scanning<'_> {
         }
         let mut fusion = scan.fusion.clone();
         fusion.voxel_m = self.voxel_m;
+        if by_stereo {
+            (fusion.empty_votes, fusion.smallest_volume_share) = (STEREO_VOTES, STEREO_PARTS);
+        }
         let fused =
             fuse(&scan, &fusion).with_context(|| format!("fusing the depth maps of {}", self.input.display()))?;
+        progress.end();
+        let refined = match by_stereo {
+            true => {
+                let max_side = self.stereo_options(cameras, region)?.max_side;
+                self.refined(cameras, max_side, &scan, &fused, progress)?
+            }
+            false => fused.mesh,
+        };
+        progress.begin("simpler mesh", None);
         let mut simpler = DecimateOptions::default();
         simpler.max_error_m = Some(MAX_SIMPLIFICATION_VOXELS * fused.report.voxel_m);
-        let (mut mesh, _) = decimate(&fused.mesh, &simpler)?;
+        let (mut mesh, _) = decimate(&refined, &simpler)?;
         if let Some(support) = &fusion.support {
             snap_to_table(&mut mesh, support, fused.report.voxel_m);
         }
         progress.end();
         let evidence = scan.evidence(fused.report.voxel_m, self.frame.region.is_some())?;
-        Ok(Meshed { scan, fusion: fused.report, mesh, evidence, made, masks })
+        Ok(Meshed { scan, fusion: fused.report, mesh, evidence, cameras: cameras.clone(), masks })
     }
 
     /// Makes masks of photos that have none, and gives them to the views. If most of them are doubtful, the object is cut out
-    /// of the scene by its box later.
-    fn make_masks(&self, cameras: &mut Capture, progress: &dyn Progress) -> Result<Option<MaskReport>> {
+    /// of the scene by its box later. Also the box in which the object is, where something tells.
+    fn make_masks(
+        &self,
+        cameras: &mut Capture,
+        progress: &dyn Progress,
+    ) -> Result<(Option<MaskReport>, Option<Region>)> {
+        let given = self.frame.region.map(|corners| Region { box_from_world: Pose::identity(), corners });
         // Depth maps that somebody trained before are gone on with as they are.
-        let trained = self.out.join("depth/transforms.json").is_file() && !made_masks_in(self.out);
+        let trained = self.out.join(DEPTH).join("transforms.json").is_file() && !made_masks_in(self.out);
         if trained || cameras.views.iter().any(|v| v.mask.is_some() || v.depth.is_some()) {
-            return Ok(None);
+            return Ok((None, given));
         }
         let Masks { report, files, changed, .. } = object_masks(cameras, &self.frame, self.out, progress)?;
         if changed {
             remove_depth_maps(self.out)?;
         }
+        let region = Some(stereo::region_of(&report)?);
         let doubtful = report.doubtful().len();
         if 2 * doubtful > report.photos.len() {
             progress.note(&format!(
@@ -190,37 +221,87 @@ impl Scanning<'_> {
                 report.photos.len(),
                 self.out.join(MASKS).display()
             ));
-            return Ok(None);
+            return Ok((None, region));
         }
         for (view, file) in cameras.views.iter_mut().zip(files) {
             view.mask = Some(file);
         }
-        Ok(Some(report))
+        Ok((Some(report), region))
     }
 
-    /// The capture with the depth maps, made where there are none, whether these show the object alone, and how they were
-    /// made, if it was now.
+    /// The capture with the depth maps, made where there are none; whether these show the object alone, and whether they are of
+    /// photos and no camera measured them.
     fn depth_maps(
         &self,
         cameras: &Capture,
+        region: Option<&Region>,
         progress: &dyn Progress,
-    ) -> Result<(Capture, bool, Option<Reconstruction>)> {
+    ) -> Result<(Capture, bool, bool)> {
+        let report = cameras.report()?;
+        report.faults().iter().for_each(|fault| progress.note(fault));
         if cameras.views.iter().all(|v| v.depth.is_some()) {
-            name_faults(cameras, progress)?;
             let masked = cameras.views.iter().all(|v| v.mask.is_some());
-            return Ok((cameras.clone(), masked, None));
+            return Ok((cameras.clone(), masked, false));
         }
-        let folder = self.out.join("depth");
-        let trained = if folder.join("transforms.json").is_file() {
+        let folder = self.out.join(DEPTH);
+        if folder.join("transforms.json").is_file() {
             progress.note(&format!("going on with the depth maps in {}", folder.display()));
-            name_faults(cameras, progress)?;
-            None
-        } else {
-            Some(train_gaussians(cameras, self.out, &self.reconstruct, false, progress)?.1)
+            let maps = Capture::load(&folder, &CaptureOptions::default())?;
+            let report = self.out.join("splat/report.json");
+            if report.is_file() {
+                let trained: Trained = fsutil::from_json(&report, &fsutil::read_text(&report)?)?;
+                if trained.depth_maps > 0 {
+                    return Ok((maps, trained.object_only, false));
+                }
+            }
+            // Their pictures are transparent where masks cut the object out.
+            let masked = Photos::new(&maps, PhotoOptions::default())?.get(0)?.mask.is_some();
+            return Ok((maps, masked, true));
+        }
+        let masked = cameras.views.iter().any(|v| v.mask.is_some());
+        let options = self.stereo_options(cameras, region)?;
+        let misplaced = |v: &ViewReport| v.far || v.mask.as_ref().is_some_and(|m| m.misplaced);
+        let left_out: Vec<bool> = report.views.iter().map(misplaced).collect();
+        stereo::write_depth_maps(cameras, &left_out, &options, self.out, progress)?;
+        Ok((Capture::load(&folder, &CaptureOptions::default())?, masked, true))
+    }
+
+    fn stereo_options(&self, cameras: &Capture, region: Option<&Region>) -> Result<MvsOptions> {
+        let mut options = MvsOptions::default();
+        (options.preset, options.region, options.seed) = (self.preset.of_stereo(), region.cloned(), self.seed);
+        Ok(options.within_time(cameras)?)
+    }
+
+    /// The fused mesh where the photos, `max_side` pixels large, agree about it best.
+    fn refined(
+        &self,
+        cameras: &Capture,
+        max_side: Option<usize>,
+        scan: &Scan,
+        fused: &Fused,
+        progress: &dyn Progress,
+    ) -> Result<TriMesh> {
+        let scan_from_mesh = scan.mesh_from_scan.inverse();
+        let hold = |e: &Evidence| match e.kind {
+            EvidenceKind::Seen => Hold::Free,
+            EvidenceKind::Support => Hold::Fixed,
+            _ => Hold::Unseen,
         };
-        let report = self.out.join("splat/report.json");
-        let made: Made = fsutil::from_json(&report, &fsutil::read_text(&report)?)?;
-        Ok((Capture::load(&folder, &CaptureOptions::default())?, made.object_only, trained))
+        let holds: Vec<Hold> = fused.evidence.iter().map(hold).collect();
+        let mut options = RefineOptions::default();
+        (options.preset, options.max_side) = (self.preset.of_stereo(), max_side);
+        let mesh = scan_from_mesh.mesh(&fused.mesh);
+        let (mesh, report) = refine(&mesh, &holds, cameras, &options, &stereo::shown(progress))?;
+        progress.end();
+        let mm = |d: f64| 1e3 * d * scan.mesh_from_scan.scale;
+        progress.note(&format!(
+            "photos agree about the mesh by {:.3} instead of {:.3} after it moved by {:.2} mm in the median, {:.2} mm at 95 %",
+            report.correlation[1],
+            report.correlation[0],
+            mm(report.moved[0]),
+            mm(report.moved[1])
+        ));
+        Ok(scan.mesh_from_scan.mesh(&mesh))
     }
 }
 
@@ -247,15 +328,9 @@ fn at_odds_with_masks(rule: &RuleResult) -> bool {
     OF_MASKS.contains(&rule.number) && [Outcome::Doubt, Outcome::Fail].contains(&rule.outcome)
 }
 
-/// Says which cameras and masks look wrong; where Gaussians are trained, the whole report is said.
-fn name_faults(cameras: &Capture, progress: &dyn Progress) -> Result<()> {
-    cameras.report()?.faults().iter().for_each(|fault| progress.note(fault));
-    Ok(())
-}
-
 /// Removes the depth maps in `out/depth` that an earlier run wrote; a folder of somebody else's stays.
 pub(crate) fn remove_depth_maps(out: &Path) -> Result<()> {
-    let depth = fsutil::output_path(out, "depth")?;
+    let depth = fsutil::output_path(out, DEPTH)?;
     if depth.join("transforms.json").is_file() {
         std::fs::remove_dir_all(&depth).with_context(|| format!("cannot remove {}", depth.display()))?;
     }
@@ -275,13 +350,17 @@ fn snap_to_table(mesh: &mut TriMesh, table: &Support, voxel_m: f64) {
 
 /// What of `splat/report.json` is needed here.
 #[derive(Deserialize)]
-struct Made {
+struct Trained {
     object_only: bool,
+    /// Depth maps that were drawn from surfels.
+    depth_maps: usize,
 }
 
 /// Depth maps of one object in metres, in the frame that its mesh will have.
 pub struct Scan {
     depths: Photos,
+    /// Of each depth map, where it lies in its photo.
+    frames: Vec<Frame>,
     silhouettes: bool,
     mesh_from_scan: Similarity,
     /// Box and table for the fusion.
@@ -350,7 +429,7 @@ impl DepthViews for Scan {
     }
 
     fn view(&self, i: usize) -> drex_mesh::Result<DepthMap> {
-        let map = depth_map(&self.depths, i, self.silhouettes)?;
+        let map = self.frames[i].around(depth_map(&self.depths, i, self.silhouettes)?);
         let scale = self.mesh_from_scan.scale as f32;
         Ok(DepthMap {
             world_from_camera: self.mesh_from_scan.pose(&map.world_from_camera),
@@ -380,7 +459,19 @@ impl Scan {
             true => points_of(&depths, cameras)?.iter().map(|p| p.position).collect(),
             false => Vec::new(),
         };
-        let place = place::find(cameras, points, &object, metres_per_unit, options)?;
+        let frames = frames(cameras, &depths)?;
+        let silhouette = |(i, frame): (usize, &Frame)| {
+            let DepthMap { camera, world_from_camera, mask, .. } = frame.around(depth_map(&depths, i, true)?);
+            Ok(mask.map(|mask| Silhouette { camera, world_from_camera, mask, name: depths.name(i).to_owned() }))
+        };
+        let silhouettes: Vec<Silhouette> = match masked {
+            true => {
+                let some = frames.iter().enumerate().step_by(frames.len().div_ceil(MOST_SILHOUETTES).max(1));
+                some.filter_map(|f| silhouette(f).transpose()).collect::<Result<_>>()?
+            }
+            false => Vec::new(),
+        };
+        let place = place::find(cameras, points, &object, &silhouettes, metres_per_unit, options)?;
         let (table, up_from) = (&place.table, place.up_from);
         // Recorded poses are poses of the frame that the recording has already.
         let mesh_from_scan = if scale_from == DEPTH_CAMERA { IDENTITY } else { place.table_from_scan };
@@ -388,7 +479,7 @@ impl Scan {
 
         let mut fusion = FusionOptions::default();
         fusion.background_is_empty = masked;
-        if up_from == "table" || up_from == place::PARALLEL || !masked {
+        if ["table", place::PARALLEL, place::ALL_ROUND].contains(&up_from) || !masked {
             fusion.support = Some(Support { point: mesh_from_scan.point(&table.point), up: up_in_mesh });
         }
         let mesh_from_table = mesh_from_scan.after(&place.table_from_scan.inverse());
@@ -418,7 +509,72 @@ impl Scan {
             others_m: place.others.iter().map(|other| corners(box_around(other, &mesh_from_table))).collect(),
             doubts: place.doubts,
         };
-        Ok(Self { depths, silhouettes: masked, mesh_from_scan, fusion, frame })
+        Ok(Self { depths, frames, silhouettes: masked, mesh_from_scan, fusion, frame })
+    }
+}
+
+/// Where in a photo's picture a depth map lies that is cut out of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Frame {
+    /// Columns and rows of the whole picture, in pixels of the map.
+    size: [usize; 2],
+    /// The map's first column and row.
+    corner: [usize; 2],
+}
+
+/// The frames of depth maps; of those whose view `cameras` does not have, the map itself.
+fn frames(cameras: &Capture, depths: &Photos) -> Result<Vec<Frame>> {
+    let whole = Photos::new(cameras, PhotoOptions::default())?;
+    // Maps are named after their photos, whatever kind of picture these are.
+    let stem = |name: &str| Path::new(name).with_extension("");
+    let by_stem: BTreeMap<PathBuf, &PinholeCamera> =
+        (0..whole.len()).map(|i| (stem(whole.name(i)), whole.camera(i))).collect();
+    let frame = |i: usize| {
+        let map = depths.camera(i);
+        let of = |k: usize| {
+            let (own, focal, centre) = ([map.width, map.height][k], [map.fx, map.fy][k], [map.cx, map.cy][k]);
+            let photo = by_stem.get(&stem(depths.name(i)))?;
+            let scale = focal / [photo.fx, photo.fy][k];
+            let size = (scale * [photo.width, photo.height][k] as f64).round() as usize;
+            let corner = (scale * [photo.cx, photo.cy][k] - centre).round().max(0.0) as usize;
+            (corner + own <= size).then_some((size, corner))
+        };
+        match (of(0), of(1)) {
+            (Some((width, left)), Some((height, top))) => Frame { size: [width, height], corner: [left, top] },
+            _ => Frame { size: [map.width, map.height], corner: [0, 0] },
+        }
+    };
+    Ok((0..depths.len()).map(frame).collect())
+}
+
+impl Frame {
+    /// The map with what is beside it in the whole picture: nothing of the object.
+    fn around(&self, map: DepthMap) -> DepthMap {
+        let own = map.camera.width_px as usize;
+        if self.size == [own, map.camera.height_px as usize] {
+            return map;
+        }
+        let [left, top] = self.corner;
+        let camera = DepthCamera {
+            width_px: self.size[0] as u32,
+            height_px: self.size[1] as u32,
+            cx_px: map.camera.cx_px + left as f64,
+            cy_px: map.camera.cy_px + top as f64,
+            ..map.camera
+        };
+        let depth_m = self.filled(&map.depth_m, own, 0.0);
+        let mask = map.mask.map(|mask| self.filled(&mask, own, false));
+        DepthMap { camera, depth_m, mask, ..map }
+    }
+
+    /// What is known of the map's pixels, row by row of `width`, with `beside` in the rest of the whole picture.
+    fn filled<T: Copy>(&self, map: &[T], width: usize, beside: T) -> Vec<T> {
+        let mut whole = vec![beside; self.size[0] * self.size[1]];
+        let rows = whole.chunks_exact_mut(self.size[0].max(1)).skip(self.corner[1]);
+        for (to, from) in rows.zip(map.chunks_exact(width.max(1))) {
+            to[self.corner[0]..self.corner[0] + width].copy_from_slice(from);
+        }
+        whole
     }
 }
 
@@ -454,7 +610,7 @@ impl Scan {
                 world_from_camera: PoseRecord::from(&world_from_camera),
             });
             if self.silhouettes {
-                let map = depth_map(&self.depths, i, true)?;
+                let map = self.frames[i].around(depth_map(&self.depths, i, true)?);
                 let Some(mask) = &map.mask else { continue };
                 let (camera, mask) = thinned(&map.camera, mask);
                 out.silhouettes.push(Silhouette {
@@ -468,9 +624,25 @@ impl Scan {
         Ok(out)
     }
 
+    /// Of `count` points spread over a mesh of the scan those that photos show, in the frame and unit of the photos, with their colours.
+    ///
+    /// # Errors
+    /// If a depth map or its picture cannot be read.
+    pub fn points_on(&self, mesh: &TriMesh, count: usize, seed: u64, tolerance_m: f64) -> Result<Vec<SparsePoint>> {
+        let scan_from_mesh = self.mesh_from_scan.inverse();
+        let points = sample_surface(mesh, count, seed);
+        let colours = point_colors(&points, self, |i| self.picture(i), tolerance_m)?;
+        let point = |(at, rgb): (&SurfacePoint, Option<[u8; 3]>)| {
+            let position = scan_from_mesh.point(&at.point).into();
+            Some(SparsePoint { position, rgb: rgb?, error_px: 0.0, track: Vec::new() })
+        };
+        Ok(points.iter().zip(colours).filter_map(point).collect())
+    }
+
     /// The picture that goes with depth map `i`.
     pub fn picture(&self, i: usize) -> drex_mesh::Result<Vec<[u8; 3]>> {
-        Ok(self.depths.get(i).map_err(|e| drex_mesh::Error::View(Box::new(e)))?.rgb.clone())
+        let photo = self.depths.get(i).map_err(|e| drex_mesh::Error::View(Box::new(e)))?;
+        Ok(self.frames[i].filled(&photo.rgb, photo.camera.width, [0; 3]))
     }
 }
 
@@ -625,6 +797,21 @@ mod tests {
             assert!((height - expected).abs() < 1e-12, "{after:?}");
         }
         assert!(mesh.vertices.iter().all(|v| ((v - table.point).dot(&aside.normalize()) - aside.norm()).abs() < 1e-12));
+    }
+
+    #[test]
+    fn a_map_that_is_cut_out_lies_where_it_was_in_its_photo() {
+        let frame = Frame { size: [4, 3], corner: [1, 2] };
+        assert_eq!(frame.filled(&[7, 8], 2, 0), [0, 0, 0, 0, 0, 0, 0, 0, 0, 7, 8, 0]);
+        let camera = DepthCamera { width_px: 2, height_px: 1, fx_px: 5.0, fy_px: 5.0, cx_px: 0.5, cy_px: -1.0 };
+        let world_from_camera = Pose::identity();
+        let map = DepthMap { camera, world_from_camera, depth_m: vec![1.0, 2.0], mask: Some(vec![true, false]) };
+        let whole = frame.around(map.clone());
+        assert_eq!([whole.camera.cx_px, whole.camera.cy_px], [1.5, 1.0]);
+        assert_eq!((whole.depth_m[9], whole.depth_m[10], whole.depth_m.iter().sum::<f32>()), (1.0, 2.0, 3.0));
+        assert_eq!(whole.mask.unwrap().iter().filter(|m| **m).count(), 1);
+        // One that is whole stays as it is.
+        assert_eq!(Frame { size: [2, 1], corner: [0, 0] }.around(map.clone()), map);
     }
 
     #[test]

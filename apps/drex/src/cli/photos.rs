@@ -8,7 +8,7 @@ use drex_core::Pose;
 use drex_mesh::{KnownDistance, LengthUnit};
 use drex_sfm::marker::Marker;
 use drex_splat::train::{DensityChoice, Preset};
-use drex_twin::manifest::ObjectClick;
+use drex_twin::manifest::{ObjectClick, ScanPreset};
 use nalgebra::{Point3, Similarity3};
 
 use super::ToolArgs;
@@ -160,6 +160,16 @@ pub enum PresetArg {
 }
 
 impl From<PresetArg> for Preset {
+    fn from(preset: PresetArg) -> Self {
+        match preset {
+            PresetArg::Fast => Self::Fast,
+            PresetArg::Default => Self::Default,
+            PresetArg::Best => Self::Best,
+        }
+    }
+}
+
+impl From<PresetArg> for ScanPreset {
     fn from(preset: PresetArg) -> Self {
         match preset {
             PresetArg::Fast => Self::Fast,

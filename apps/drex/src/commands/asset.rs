@@ -12,7 +12,6 @@ use drex_mesh::{
     ScanEvidence, SceneOptions, articulated_asset, asset_from_mesh, build_asset, convex_parts, read_mesh, repair,
     vertex_colors,
 };
-use drex_splat::ReconstructOptions;
 use drex_twin::manifest::{MANIFEST, TwinManifest};
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -131,7 +130,7 @@ fn from_manifest(args: &AssetArgs, manifest: &Path, ui: &Ui) -> Result<()> {
     ui.answer(r, text + &written(args))
 }
 
-/// Photos to Gaussians to depth maps, or depth maps as they are, to a closed mesh to an asset.
+/// Photos to depth maps, or depth maps as they are, to a closed mesh to an asset.
 fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
     let frame = FrameOptions {
         scale: args.scan.scale,
@@ -142,8 +141,6 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
         object: args.scan.object.clone(),
         seed,
     };
-    let mut reconstruct = ReconstructOptions::default();
-    (reconstruct.preset, reconstruct.seed) = (args.scan.preset.into(), seed);
     let scanning = Scanning {
         input: &args.input,
         out: &args.out,
@@ -153,7 +150,8 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
         voxel_m: args.scan.voxel,
         marker: args.scan.marker,
         colmap: args.scan.colmap.clone(),
-        reconstruct,
+        preset: args.scan.preset.into(),
+        seed,
         tool_limit: args.scan.tools.limit(),
     };
     let begun = Instant::now();

@@ -60,7 +60,8 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
             SplatFormat::Spz => "spz",
             SplatFormat::Splat => "splat",
         };
-        for (set, kind) in [(&reconstruction.appearance, Kind::Ellipsoid), (&reconstruction.surface, Kind::Surfel)] {
+        let surface = reconstruction.surface.as_ref().map(|surface| (surface, Kind::Surfel));
+        for (set, kind) in [(&reconstruction.appearance, Kind::Ellipsoid)].into_iter().chain(surface) {
             let file = args.out.join(&set.file);
             write_gaussians(&file.with_extension(ending), &read_gaussians(&file, kind)?)?;
         }
@@ -72,13 +73,19 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
 
 /// What it took, into `timings.json`.
 fn record(args: &ReconstructArgs, r: &Reconstruction, seconds: f64) -> Result<()> {
-    let sets = [("appearance", &r.appearance), ("surface", &r.surface)];
+    let sets = sets(r);
     let mut timing = Timing::of(seconds);
     timing.core_seconds = sets.iter().map(|(_, set)| set.core_seconds).sum();
     timing.peak_memory_bytes = r.peak_memory_bytes;
     timing.input = Some(args.scan.clone());
     timing.parts = sets.iter().map(|(part, set)| (String::from(*part), set.seconds)).collect();
     Ok(timings::record(&args.out, "reconstruct", timing)?)
+}
+
+/// The sets that were trained.
+fn sets(r: &Reconstruction) -> Vec<(&'static str, &SetSummary)> {
+    let surface = r.surface.as_ref().map(|surface| ("surface", surface));
+    [("appearance", &r.appearance)].into_iter().chain(surface).collect()
 }
 
 fn describe(r: &Reconstruction, out: &Path) -> String {
@@ -91,7 +98,7 @@ fn describe(r: &Reconstruction, out: &Path) -> String {
     for left_out in &r.left_out {
         text += &format!("  left out  {left_out}\n");
     }
-    for (name, set) in [("appearance", &r.appearance), ("surface", &r.surface)] {
+    for (name, set) in sets(r) {
         text += &describe_set(name, set, out);
     }
     text += &format!("  depth     {} maps in {}\n", r.depth_maps, out.join("depth").display());

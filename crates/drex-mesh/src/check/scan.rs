@@ -249,7 +249,7 @@ fn seen(mesh: &TriMesh, surface: &[Point3<f64>], evidence: &ScanEvidence, report
 
 impl Silhouette {
     /// Whether the mask has the object within a pixel of a point's; `None` if the point is not in the picture.
-    fn shows(&self, p: &Point3<f64>) -> Option<bool> {
+    pub(crate) fn shows(&self, p: &Point3<f64>) -> Option<bool> {
         let (c, q) = (&self.camera, self.world_from_camera.inverse_transform_point(p));
         let (x, y) = (c.fx_px * q.x / q.z + c.cx_px, c.fy_px * q.y / q.z + c.cy_px);
         let (w, h) = (c.width_px as usize, c.height_px as usize);
@@ -259,6 +259,19 @@ impl Silhouette {
         let (x, y) = (x as usize, y as usize);
         let (columns, rows) = (x.saturating_sub(1)..(x + 2).min(w), y.saturating_sub(1)..(y + 2).min(h));
         Some(rows.into_iter().any(|r| columns.clone().any(|c| self.mask[r * w + c])))
+    }
+
+    /// Column and row of its pixels that lie beside one that does not show the object; none of a malformed mask.
+    pub(crate) fn rim(&self) -> Vec<(u32, u32)> {
+        let (w, h) = (self.camera.width_px as usize, self.camera.height_px as usize);
+        let inner = self.mask.len() == w * h && w > 2 && h > 2;
+        let at = |x: usize, y: usize| self.mask[y * w + x];
+        let pixels = (1..h.saturating_sub(1)).flat_map(|y| (1..w.saturating_sub(1)).map(move |x| (x, y)));
+        pixels
+            .filter(|_| inner)
+            .filter(|&(x, y)| at(x, y) && !(at(x - 1, y) && at(x + 1, y) && at(x, y - 1) && at(x, y + 1)))
+            .map(|(x, y)| (x as u32, y as u32))
+            .collect()
     }
 }
 

@@ -44,6 +44,10 @@ const WIDENING: f64 = 1.5;
 const MOST_WIDENING: f64 = 4.0;
 /// A band wider than this many voxels shows no more than one of larger voxels.
 const MOST_BAND_VOXELS: f64 = 3.0;
+/// Silhouettes may show the object to end farther from the measured points than these do, by this share of their diagonal at the most;
+const SILHOUETTE_REACH: f64 = 1.0;
+/// and are looked at in samples of the diagonal by this.
+const COARSE: f64 = 128.0;
 /// A truncation of more than this share of a wall lets its two sides meet.
 const SHARE_OF_WALL: f64 = 0.7;
 
@@ -179,8 +183,8 @@ pub struct Fused {
 
 /// Fuses depth maps into a closed mesh.
 ///
-/// What no view saw is taken for solid, as far as the box of the measured points reaches. The same views and options give
-/// the same bytes with any number of threads.
+/// What no view saw is taken for solid, as far as the box of the measured points reaches; over a support and with the background empty, as far
+/// as the silhouettes allow. The same views and options give the same bytes with any number of threads.
 ///
 /// # Errors
 /// If there are no views, a view is malformed (which and why), no view has depth of the object, an option is out of range,
@@ -192,7 +196,11 @@ pub fn fuse(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> Resu
 }
 
 fn fuse_in_pool(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> Result<Fused> {
-    let estimate = BoundsEstimate::new(views, options)?;
+    let mut estimate = BoundsEstimate::new(views, options)?;
+    // Without a table nothing says how far down that goes which no depth was found for.
+    if options.background_is_empty && options.support.is_some() {
+        estimate.bounds = with_silhouettes(views, &mut estimate, options)?;
+    }
     let mut plan = Plan::new(&estimate, options, 1.0)?;
     let (volume, field) = loop {
         let volume = integrated(views, &estimate, &plan, options)?;
@@ -240,6 +248,25 @@ fn fuse_in_pool(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> 
         filled_hollows: cleaned.filled_hollows,
     };
     Ok(Fused { mesh: extracted.mesh, evidence, report })
+}
+
+/// The box of the measured points, and beyond it as far as the silhouettes allow on sides where these close.
+fn with_silhouettes(
+    views: &(impl DepthViews + ?Sized),
+    estimate: &mut BoundsEstimate,
+    options: &FusionOptions,
+) -> Result<Aabb> {
+    let measured = estimate.bounds;
+    let diagonal = (measured.hi - measured.lo).norm();
+    estimate.bounds = measured.fattened(SILHOUETTE_REACH * diagonal);
+    let mut coarse = options.clone();
+    coarse.voxel_m = Some(diagonal / COARSE);
+    let plan = Plan::new(estimate, &coarse, 1.0)?;
+    let allowed = integrated(views, estimate, &plan, &coarse)?.allowed_around(&measured, plan.limits.support);
+    let end = |side: usize, k: usize, measured: f64| allowed[2 * k + side].unwrap_or(measured);
+    let lo = Point3::from([0, 1, 2].map(|k| end(0, k, measured.lo[k])));
+    let hi = Point3::from([0, 1, 2].map(|k| end(1, k, measured.hi[k])));
+    Ok(measured.union(&Aabb { lo, hi }))
 }
 
 /// The volume with all views in it.

@@ -192,7 +192,7 @@ impl Volume {
                         *value = distance;
                         observed.then_some(())
                     });
-                    if limited && *value < 0.0 {
+                    if limited && *value < truncation {
                         let local = [v % SIDE, v / SIDE % SIDE, v / (SIDE * SIDE)].map(|x| x as f64);
                         let outside = limits.distance(&lattice.point(i, local.into()), observed.is_some());
                         *value = value.max((outside as f32).min(truncation));
@@ -202,6 +202,58 @@ impl Volume {
             })
             .collect();
         Field { lattice: lattice.clone(), blocks }
+    }
+
+    /// How far that reaches from within a box which may be solid, below and above along x, y and z; `None` where it does not end.
+    pub fn allowed_around(
+        &self,
+        within: &Aabb,
+        support: Option<(Point3<f64>, Unit<Vector3<f64>>)>,
+    ) -> [Option<f64>; 6] {
+        let lattice = &self.lattice;
+        let box_of =
+            |i: usize| Aabb::of(&[lattice.point(i, Vector3::zeros()), lattice.point(i, Vector3::repeat(SIDE as f64))]);
+        let may_be_solid = |i: usize| {
+            let b = box_of(i);
+            let highest =
+                |up: &Vector3<f64>| Point3::from([0, 1, 2].map(|k| if up[k] > 0.0 { b.hi[k] } else { b.lo[k] }));
+            if support.is_some_and(|(point, up)| (highest(&up) - point).dot(&up) <= 0.0) {
+                return false;
+            }
+            let Block { empty, evidence } = &self.blocks[i];
+            match evidence {
+                None => *empty < self.band.votes,
+                Some(parts) => parts.iter().any(|part| (0..CELLS).any(|at| part.value(at, *empty, &self.band).0 < 0.0)),
+            }
+        };
+        let solid: Vec<bool> = (0..self.blocks.len()).into_par_iter().map(may_be_solid).collect();
+        let mut reached: Vec<bool> = (0..solid.len()).map(|i| solid[i] && box_of(i).overlaps(within)).collect();
+        let mut next: Vec<usize> = (0..reached.len()).filter(|i| reached[*i]).collect();
+        let (mut first, mut last) = ([usize::MAX; 3], [0; 3]);
+        while let Some(i) = next.pop() {
+            let at = lattice.block_at(i);
+            for k in 0..3 {
+                (first[k], last[k]) = (first[k].min(at[k]), last[k].max(at[k]));
+                for step in [-1, 1] {
+                    let beside = at[k].checked_add_signed(step).filter(|b| *b < lattice.blocks[k]);
+                    let Some(beside) = beside else { continue };
+                    let mut there = at;
+                    there[k] = beside;
+                    let there = lattice.block_index(there);
+                    if solid[there] && !std::mem::replace(&mut reached[there], true) {
+                        next.push(there);
+                    }
+                }
+            }
+        }
+        std::array::from_fn(|side| {
+            let k = side / 2;
+            let (ends, block) = match side % 2 {
+                0 => (first[k] > 0 && first[k] < usize::MAX, first[k]),
+                _ => (last[k] + 1 < lattice.blocks[k], last[k] + 1),
+            };
+            ends.then(|| lattice.origin[k] + (block * SIDE) as f64 * lattice.spacing)
+        })
     }
 
     /// Whether the surface was measured at a grid edge.

@@ -9,6 +9,7 @@
 //! Everything here is geometry in the frame and unit of the scan, and independent of both: lengths are measured in
 //! distances of the cameras, noise in pixels.
 
+mod base;
 mod candidates;
 mod free_space;
 mod objects;
@@ -21,6 +22,7 @@ use drex_core::camera::{Camera, point_looked_at};
 use drex_core::stats::median;
 use nalgebra::{Matrix3, Point2, Point3, Unit, Vector3};
 
+pub use self::base::silhouette_base;
 pub use self::objects::{Choice, Click, Found, ObjectGroup, find_objects};
 pub use self::support::{PlaneCandidate, Scores, SupportChoice, support_plane};
 use crate::{Error, Result};

@@ -278,6 +278,42 @@ fn masks_carve_what_depth_does_not_say() {
 }
 
 #[test]
+fn what_has_no_depth_ends_where_silhouettes_do() {
+    // A block on a table, the upper half of which is too bare for depth.
+    let block = cuboid([-0.03, -0.02, 0.0], [0.03, 0.02, 0.06]);
+    let fused_from = |poses: &[Pose]| {
+        let mut maps = cast(&block, &camera(320, 240, 400.0), poses);
+        for map in &mut maps {
+            map.mask = Some(map.depth_m.iter().map(|z| *z > 0.0).collect());
+            let (camera, pose) = (map.camera, map.world_from_camera);
+            for (at, z) in map.depth_m.iter_mut().enumerate() {
+                let point = pose * Point3::from(camera.ray(at as u32 % 320, at as u32 / 320) * f64::from(*z));
+                *z = if point.z > 0.03 { 0.0 } else { *z };
+            }
+        }
+        let mut options = rendered();
+        options.voxel_m = Some(1.5e-3);
+        options.support = Some(Support { point: Point3::origin(), up: Vector3::z_axis() });
+        fuse(&maps, &options).unwrap()
+    };
+    let centre = Point3::new(0.0, 0.0, 0.03);
+    let around = around(centre, 0.3, 80, 0.05);
+    let fused = fused_from(&around);
+    is_whole(&fused);
+    let (lo, hi) = fused.mesh.bounds().unwrap();
+    // The hull is a pixel and a voxel larger all round.
+    assert!((hi - lo - Vector3::new(0.06, 0.04, 0.06)).amax() < 4.5e-3 && lo.z > -1e-9, "{lo} {hi}");
+    let ratio = volume(&fused.mesh) / volume(&block);
+    assert!((0.97..1.1).contains(&ratio), "{ratio}");
+    let top = fused.mesh.vertices.iter().zip(&fused.evidence).filter(|(v, _)| v.z > 0.05);
+    assert!(top.clone().count() > 100 && top.clone().all(|(_, e)| e.kind == EvidenceKind::Unseen));
+    // From one side nobody sees where it ends at the back: no farther than what was measured.
+    let front: Vec<Pose> = around.iter().filter(|p| p.translation.x > 0.8 * 0.3 * 0.9).copied().collect();
+    let (lo, hi) = fused_from(&front).mesh.bounds().unwrap();
+    assert!(front.len() > 3 && hi.x - lo.x < 0.065 && hi.z > 0.05, "{} {lo} {hi}", front.len());
+}
+
+#[test]
 fn a_bad_map_drills_no_hole_and_bits_in_the_air_are_dropped() {
     let block = cuboid([-0.03, -0.02, 0.0], [0.03, 0.02, 0.04]);
     let (camera, poses) = (camera(320, 240, 400.0), around(Point3::new(0.0, 0.0, 0.02), 0.3, 30, -1.0));

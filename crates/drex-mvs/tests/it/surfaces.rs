@@ -1,6 +1,8 @@
 use drex_core::Pose;
+use drex_core::camera::{Camera, CameraModel};
 use drex_core::capture::Capture;
 use drex_mvs::{DepthMap, DepthMaps, MvsOptions, Preset, Region};
+use image::imageops::FilterType;
 use nalgebra::{Point3, Vector3};
 
 use crate::scene::{FOCAL_PX, HEIGHT, Surface, WIDTH, photograph, ring};
@@ -120,6 +122,29 @@ fn a_ball_is_neither_too_near_nor_too_far() {
     // A pixel is a millimetre; a flat window of eleven pixels finds this ball a quarter of a millimetre too far away.
     assert!(median(&depths).abs() < 1e-4, "{}", median(&depths));
     assert!(median(&normals) < 3.0, "{} degrees", median(&normals));
+}
+
+#[test]
+fn large_photos_are_compared_as_small_as_the_preset_has_time_for() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut capture = photograph(dir.path(), &ring(0.4, &CROSS[..2]), &slanted(0.0), 0.004, 80.0);
+    let small = options(0.5);
+    assert_eq!(small.clone().within_time(&capture).unwrap(), small);
+    let [width, height, focal_px] = [6.0 * f64::from(WIDTH), 6.0 * f64::from(HEIGHT), 6.0 * FOCAL_PX];
+    for view in &mut capture.views {
+        let photo = image::open(&view.photo).unwrap();
+        photo.resize_exact(6 * WIDTH, 6 * HEIGHT, FilterType::Nearest).save(&view.photo).unwrap();
+        let params = [focal_px, focal_px, 0.5 * width, 0.5 * height];
+        view.lens = Camera::new(CameraModel::Pinhole, 6 * WIDTH, 6 * HEIGHT, &params).unwrap();
+    }
+    // The region is in all pixels.
+    for (preset, pixels) in [(Preset::Fast, Some(0.3e6)), (Preset::Default, Some(1e6)), (Preset::Best, None)] {
+        let mut options = options(0.5);
+        options.preset = preset;
+        let found = options.clone().within_time(&capture).unwrap().max_side.unwrap() as f64;
+        let expected = pixels.map_or(2000.0, |pixels: f64| width * (pixels / (width * height)).sqrt());
+        assert!((found - expected).abs() <= 1.0, "{preset:?}: {found}, not {expected}");
+    }
 }
 
 #[test]

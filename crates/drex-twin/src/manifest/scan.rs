@@ -26,7 +26,7 @@ pub struct ScanConfig {
     pub marker: Option<String>,
     /// Folder of the masks (white is the object); `masks` in the folder of the photos if left out.
     pub masks: Option<PathBuf>,
-    /// How much time the Gaussians may take; fast if left out.
+    /// How much time depth, mesh and Gaussians may take; fast if left out.
     #[serde(default)]
     pub preset: ScanPreset,
     /// Steps of each set of Gaussians instead of the preset's.
@@ -37,7 +37,7 @@ pub struct ScanConfig {
     pub object: Option<ObjectClick>,
 }
 
-/// How much time the Gaussians may take.
+/// How much time depth, mesh and Gaussians may take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ScanPreset {
@@ -48,6 +48,25 @@ pub enum ScanPreset {
     Default,
     /// As long as it takes.
     Best,
+}
+
+#[cfg(feature = "stages")]
+impl ScanPreset {
+    pub(crate) fn of_stereo(self) -> drex_mvs::Preset {
+        match self {
+            Self::Fast => drex_mvs::Preset::Fast,
+            Self::Default => drex_mvs::Preset::Default,
+            Self::Best => drex_mvs::Preset::Best,
+        }
+    }
+
+    pub(crate) fn of_training(self) -> drex_splat::train::Preset {
+        match self {
+            Self::Fast => drex_splat::train::Preset::Fast,
+            Self::Default => drex_splat::train::Preset::Default,
+            Self::Best => drex_splat::train::Preset::Best,
+        }
+    }
 }
 
 impl ScanConfig {

@@ -1,0 +1,119 @@
+//! Depth maps of photos by stereo, as files that a person can open and the next run goes on with.
+
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
+
+use drex_core::Pose;
+use drex_core::camera::{Camera, CameraModel};
+use drex_core::capture::{Capture, PhotoOptions, Photos, View};
+use drex_core::fsutil::OutputFolder;
+use drex_core::npy::write_npy;
+use drex_mesh::Similarity;
+use drex_mvs::{DepthMap, DepthMaps, MvsOptions, Region, Step};
+use drex_splat::io::picture;
+use nalgebra::{Matrix4, Point3};
+
+use crate::masks::MaskReport;
+use crate::{Progress, Result};
+
+/// Folder of the depth maps, below the output folder.
+pub(crate) const DEPTH: &str = "depth";
+/// The object may reach this much beyond the box that its points span, as a share of its sides.
+const BOX_MARGIN: f64 = 0.1;
+
+/// Estimates depth of every photo and writes it as the scan `out/depth`: for each photo the part that can show the object as `NAME.png`, where
+/// a mask is there transparent outside, and `NAME.npy` (z in the camera's frame, the capture's unit; 0 where nothing is known). Photos that
+/// are `left_out` get neither.
+///
+/// # Errors
+/// If a photo cannot be read, photos are too far apart, or a file cannot be written.
+pub(crate) fn write_depth_maps(
+    cameras: &Capture,
+    left_out: &[bool],
+    options: &MvsOptions,
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<()> {
+    let mut files = OutputFolder::new(out.join(DEPTH));
+    let index = files.file("transforms.json")?;
+    let mut paths = Vec::with_capacity(cameras.views.len());
+    for view in &cameras.views {
+        let stem = Path::new(&view.name).with_extension("").to_string_lossy().replace('\\', "/");
+        paths.push((files.file(&format!("{stem}.png"))?, files.file(&format!("{stem}.npy"))?));
+    }
+    let mut one_at_a_time = PhotoOptions::default();
+    (one_at_a_time.max_side, one_at_a_time.memory_bytes) = (options.max_side, 0);
+    let photos = Photos::new(cameras, one_at_a_time)?;
+    let masked = cameras.views.iter().any(|v| v.mask.is_some());
+    let mut views = Vec::new();
+    let mut next = 0;
+    let mut take = |map: DepthMap| -> drex_core::Result<()> {
+        let i = next;
+        next += 1;
+        let (view, (png, npy)) = (&cameras.views[i], &paths[i]);
+        let photo = photos.get(i)?;
+        // What else a photo without a mask shows is not the object's.
+        if left_out[i] || masked && photo.mask.is_none() {
+            return Ok(());
+        }
+        let c = &map.camera;
+        let inside = || {
+            let row = |y: usize| (y + map.corner[1]) * photo.camera.width + map.corner[0];
+            (0..c.height).flat_map(move |y| (0..c.width).map(move |x| row(y) + x))
+        };
+        let alpha: Vec<f32> =
+            inside().map(|at| photo.mask.as_ref().map_or(1.0, |mask| f32::from(mask[at]) / 255.0)).collect();
+        let rgb: Vec<[f32; 3]> =
+            inside().zip(&alpha).map(|(at, a)| photo.rgb[at].map(|v| f32::from(v) / 255.0 * a)).collect();
+        let written = match masked {
+            true => picture::write_rgba(png, c.width, c.height, &rgb, &alpha),
+            false => picture::write_rgb(png, c.width, c.height, &rgb),
+        };
+        written.map_err(|e| drex_core::Error::value(e.to_string(), "see that the folder can be written to"))?;
+        write_npy(npy, &[c.height, c.width], &map.depth)?;
+        views.push(View {
+            photo: png.clone(),
+            mask: None,
+            depth: Some(npy.clone()),
+            normal: None,
+            lens: Camera::new(CameraModel::Pinhole, c.width as u32, c.height as u32, &[c.fx, c.fy, c.cx, c.cy])?,
+            camera_from_world: c.camera_from_world,
+            keypoints: Vec::new(),
+            name: view.name.clone(),
+        });
+        Ok(())
+    };
+    DepthMaps::each(cameras, options, &shown(progress), &mut take)?;
+    progress.end();
+    let maps =
+        Capture { folder: out.join(DEPTH), views, points: Vec::new(), unregistered: Vec::new(), notes: Vec::new() };
+    Ok(maps.write_transforms(&index)?)
+}
+
+/// Shows the steps of stereo as work of its stages.
+pub(crate) fn shown(progress: &dyn Progress) -> impl Fn(Step) + Sync + '_ {
+    let stage = Mutex::new("");
+    move |step: Step| {
+        // A thread that panicked elsewhere left the name whole.
+        let mut stage = stage.lock().unwrap_or_else(PoisonError::into_inner);
+        if *stage != step.stage {
+            *stage = step.stage;
+            progress.begin(step.stage, Some(step.total as u64));
+        }
+        progress.at(step.done as u64, "");
+    }
+}
+
+/// The box in which masks found the object, with a margin.
+///
+/// # Errors
+/// If the report's matrix is no rigid motion.
+pub(crate) fn region_of(masks: &MaskReport) -> Result<Region> {
+    let table_from_scan = Similarity::from_matrix(&Matrix4::from_fn(|r, c| masks.table_from_scan[r][c]))?;
+    let [lo, hi] = masks.object_box.map(Point3::from);
+    let margin = BOX_MARGIN * (hi - lo);
+    Ok(Region {
+        box_from_world: Pose::from_parts(table_from_scan.translation.into(), table_from_scan.rotation),
+        corners: [lo - margin, hi + margin],
+    })
+}
