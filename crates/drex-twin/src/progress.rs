@@ -1,5 +1,7 @@
 //! What a running stage tells whoever waits for it.
 
+use std::sync::{Mutex, PoisonError};
+
 /// Receives how far work is. All methods may be called from several threads.
 ///
 /// The unit type hears nothing: `twin.run(&options, &())`.
@@ -21,3 +23,17 @@ pub trait Progress: Sync {
 }
 
 impl Progress for () {}
+
+/// Shows steps, each told by its stage's name, how many are done, and of how many, as work of these stages.
+pub(crate) fn show_stages(progress: &dyn Progress) -> impl Fn(&'static str, usize, usize) + Sync + '_ {
+    let shown = Mutex::new("");
+    move |stage, done, total| {
+        // A thread that panicked elsewhere left the name whole.
+        let mut shown = shown.lock().unwrap_or_else(PoisonError::into_inner);
+        if *shown != stage {
+            *shown = stage;
+            progress.begin(stage, Some(total as u64));
+        }
+        progress.at(done as u64, "");
+    }
+}

@@ -1,7 +1,6 @@
 //! Photos to Gaussians and depth maps, with the programs that photos and videos may need.
 
 use std::path::Path;
-use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use drex_core::capture::{Capture, CaptureOptions, CaptureReport};
@@ -20,6 +19,7 @@ use drex_splat::{Kind, ReconstructOptions};
 
 use crate::cameras::{COLMAP, FRAMES, SFM, is_video, load_found};
 use crate::error::refuse;
+use crate::progress::show_stages;
 use crate::{Progress, Result};
 
 /// Says what to trust of the capture, trains both sets of Gaussians and writes them and the depth maps into `out`.
@@ -107,16 +107,8 @@ pub struct Cameras {
 
 /// Shows the steps of a registration as work of its stages.
 pub fn show_steps(progress: &dyn Progress) -> impl Fn(Step) + Sync + '_ {
-    let stage = Mutex::new("");
-    move |step: Step| {
-        // A thread that panicked elsewhere left the name whole.
-        let mut stage = stage.lock().unwrap_or_else(PoisonError::into_inner);
-        if *stage != step.stage {
-            *stage = step.stage;
-            progress.begin(step.stage, Some(step.total as u64));
-        }
-        progress.at(step.done as u64, "");
-    }
+    let show = show_stages(progress);
+    move |step: Step| show(step.stage, step.done, step.total)
 }
 
 /// Sharp frames of a video that show something new, as photos in `folder/images`; those that are there already are kept.

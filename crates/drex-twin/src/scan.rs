@@ -159,7 +159,7 @@ impl Scanning<'_> {
         scale: Scale,
         progress: &dyn Progress,
     ) -> Result<Meshed> {
-        let (depths, masked, by_stereo) = self.depth_maps(cameras, region, progress)?;
+        let (depths, masked, stereo) = self.depth_maps(cameras, region, progress)?;
         progress.begin("fusion", None);
         let mut scan = Scan::new(cameras, &depths, masked, scale, &self.frame)?;
         // Depth maps of an earlier run may show the whole scene.
@@ -171,18 +171,15 @@ impl Scanning<'_> {
         }
         let mut fusion = scan.fusion.clone();
         fusion.voxel_m = self.voxel_m;
-        if by_stereo {
+        if stereo.is_some() {
             (fusion.empty_votes, fusion.smallest_volume_share) = (STEREO_VOTES, STEREO_PARTS);
         }
         let fused =
             fuse(&scan, &fusion).with_context(|| format!("fusing the depth maps of {}", self.input.display()))?;
         progress.end();
-        let refined = match by_stereo {
-            true => {
-                let max_side = self.stereo_options(cameras, region)?.max_side;
-                self.refined(cameras, max_side, &scan, &fused, progress)?
-            }
-            false => fused.mesh,
+        let refined = match stereo {
+            Some(options) => self.refined(cameras, options.max_side, &scan, &fused, progress)?,
+            None => fused.mesh,
         };
         progress.begin("simpler mesh", None);
         let mut simpler = DecimateOptions::default();
@@ -229,41 +226,40 @@ impl Scanning<'_> {
         Ok((Some(report), region))
     }
 
-    /// The capture with the depth maps, made where there are none; whether these show the object alone, and whether they are of
-    /// photos and no camera measured them.
+    /// The capture with the depth maps, made where there are none; whether these show the object alone; and of those that stereo
+    /// found, how.
     fn depth_maps(
         &self,
         cameras: &Capture,
         region: Option<&Region>,
         progress: &dyn Progress,
-    ) -> Result<(Capture, bool, bool)> {
+    ) -> Result<(Capture, bool, Option<MvsOptions>)> {
         let report = cameras.report()?;
         report.faults().iter().for_each(|fault| progress.note(fault));
         if cameras.views.iter().all(|v| v.depth.is_some()) {
             let masked = cameras.views.iter().all(|v| v.mask.is_some());
-            return Ok((cameras.clone(), masked, false));
+            return Ok((cameras.clone(), masked, None));
         }
         let folder = self.out.join(DEPTH);
         if folder.join("transforms.json").is_file() {
             progress.note(&format!("going on with the depth maps in {}", folder.display()));
             let maps = Capture::load(&folder, &CaptureOptions::default())?;
-            let report = self.out.join("splat/report.json");
-            if report.is_file() {
+            // Those drawn of surfels have normals.
+            if folder.join("normals").is_dir() {
+                let report = self.out.join("splat/report.json");
                 let trained: Trained = fsutil::from_json(&report, &fsutil::read_text(&report)?)?;
-                if trained.depth_maps > 0 {
-                    return Ok((maps, trained.object_only, false));
-                }
+                return Ok((maps, trained.object_only, None));
             }
             // Their pictures are transparent where masks cut the object out.
             let masked = Photos::new(&maps, PhotoOptions::default())?.get(0)?.mask.is_some();
-            return Ok((maps, masked, true));
+            return Ok((maps, masked, Some(self.stereo_options(cameras, region)?)));
         }
         let masked = cameras.views.iter().any(|v| v.mask.is_some());
         let options = self.stereo_options(cameras, region)?;
         let misplaced = |v: &ViewReport| v.far || v.mask.as_ref().is_some_and(|m| m.misplaced);
         let left_out: Vec<bool> = report.views.iter().map(misplaced).collect();
         stereo::write_depth_maps(cameras, &left_out, &options, self.out, progress)?;
-        Ok((Capture::load(&folder, &CaptureOptions::default())?, masked, true))
+        Ok((Capture::load(&folder, &CaptureOptions::default())?, masked, Some(options)))
     }
 
     fn stereo_options(&self, cameras: &Capture, region: Option<&Region>) -> Result<MvsOptions> {
@@ -352,8 +348,6 @@ fn snap_to_table(mesh: &mut TriMesh, table: &Support, voxel_m: f64) {
 #[derive(Deserialize)]
 struct Trained {
     object_only: bool,
-    /// Depth maps that were drawn from surfels.
-    depth_maps: usize,
 }
 
 /// Depth maps of one object in metres, in the frame that its mesh will have.

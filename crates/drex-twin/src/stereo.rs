@@ -1,7 +1,6 @@
 //! Depth maps of photos by stereo, as files that a person can open and the next run goes on with.
 
 use std::path::Path;
-use std::sync::{Mutex, PoisonError};
 
 use drex_core::Pose;
 use drex_core::camera::{Camera, CameraModel};
@@ -14,6 +13,7 @@ use drex_splat::io::picture;
 use nalgebra::{Matrix4, Point3};
 
 use crate::masks::MaskReport;
+use crate::progress::show_stages;
 use crate::{Progress, Result};
 
 /// Folder of the depth maps, below the output folder.
@@ -92,16 +92,8 @@ pub(crate) fn write_depth_maps(
 
 /// Shows the steps of stereo as work of its stages.
 pub(crate) fn shown(progress: &dyn Progress) -> impl Fn(Step) + Sync + '_ {
-    let stage = Mutex::new("");
-    move |step: Step| {
-        // A thread that panicked elsewhere left the name whole.
-        let mut stage = stage.lock().unwrap_or_else(PoisonError::into_inner);
-        if *stage != step.stage {
-            *stage = step.stage;
-            progress.begin(step.stage, Some(step.total as u64));
-        }
-        progress.at(step.done as u64, "");
-    }
+    let show = show_stages(progress);
+    move |step: Step| show(step.stage, step.done, step.total)
 }
 
 /// The box in which masks found the object, with a margin.

@@ -60,7 +60,7 @@ mod tests {
     use nalgebra::Point3;
 
     #[test]
-    fn the_disc_below_a_thing_is_its_foot() {
+    fn a_disc_below_an_object_is_its_base() {
         // A cube on a slab, seen from above all round; heights count from the slab's underside at -0.012.
         let thing = joined(&[cuboid([-0.03; 3], [0.03; 3]), cuboid([-0.08, -0.08, -0.042], [0.08, 0.08, -0.03])]);
         let camera =
