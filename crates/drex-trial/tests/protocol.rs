@@ -12,7 +12,7 @@ const TOLD: Assumed = Assumed { mass_kg: 0.15, friction: 0.5 };
 #[test]
 fn the_needed_grip_force_holds_and_a_third_of_it_does_not() {
     let trial = trial_of(|_, _| {});
-    let found = grasps(&trial);
+    let found = grasps();
     assert!(found.len() >= 8, "{} grasps", found.len());
     let outcomes: Vec<_> = found[..8]
         .par_iter()
@@ -52,7 +52,7 @@ fn a_small_grip_force_is_not_what_the_closing_left() {
     // Rough enough for a third of the grip force to hold, so that what is delivered can be seen.
     let trial = trial_of(|_, _| {});
     let rough = Truth { friction: 1.2, ..Truth::as_assumed(&TOLD, 1) };
-    let mut ratios: Vec<f64> = grasps(&trial)[..8]
+    let mut ratios: Vec<f64> = grasps()[..8]
         .par_iter()
         .filter_map(|g| {
             let needed = trial.command(&g.joints, &g.object_from_base, &TOLD, GripForce::Required).unwrap().unwrap();
@@ -71,7 +71,7 @@ fn a_small_grip_force_is_not_what_the_closing_left() {
 #[test]
 fn a_film_shows_the_run_and_does_not_change_it() {
     let trial = trial_of(|_, _| {});
-    let found = grasps(&trial);
+    let found = grasps();
     let g = &found[0];
     let command = trial.command(&g.joints, &g.object_from_base, &TOLD, GripForce::Required).unwrap().unwrap();
     let truth = Truth::as_assumed(&TOLD, 1);
@@ -97,7 +97,7 @@ fn a_film_shows_the_run_and_does_not_change_it() {
 #[test]
 fn every_failure_has_its_name() {
     let trial = trial_of(|_, _| {});
-    let found = grasps(&trial);
+    let found = grasps();
     let g = &found[0];
     let command = trial.command(&g.joints, &g.object_from_base, &TOLD, GripForce::Required).unwrap().unwrap();
     let truth = Truth::as_assumed(&TOLD, 1);
@@ -151,7 +151,7 @@ fn numbers_without_meaning_are_refused() {
 #[test]
 fn threads_change_nothing() {
     let trial = trial_of(|_, _| {});
-    let g = &grasps(&trial)[0];
+    let g = &grasps()[0];
     let command = trial.command(&g.joints, &g.object_from_base, &TOLD, GripForce::Required).unwrap().unwrap();
     let all = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -170,7 +170,7 @@ fn threads_change_nothing() {
 fn a_build_without_mujoco_says_so() {
     assert!(Engine::Diffsim.check().is_ok() && Engine::Mujoco.check().is_err());
     let trial = trial_of(|_, _| {});
-    let g = &grasps(&trial)[0];
+    let g = &grasps()[0];
     let command = trial.command(&g.joints, &g.object_from_base, &TOLD, GripForce::Required).unwrap().unwrap();
     let message = trial.run(&command, &Truth::as_assumed(&TOLD, 1), Engine::Mujoco).unwrap_err().to_string();
     assert!(message.contains("mujoco"), "{message}");
@@ -180,7 +180,7 @@ fn a_build_without_mujoco_says_so() {
 #[test]
 fn both_engines_say_the_same() {
     let trial = trial_of(|_, _| {});
-    let found = grasps(&trial);
+    let found = grasps();
     let agree = found[..6]
         .par_iter()
         .map(|g| {

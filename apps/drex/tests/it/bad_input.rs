@@ -117,6 +117,7 @@ fn a_mesh_without_volume_is_refused_and_nothing_is_written() {
 fn a_joint_that_the_hand_does_not_have_is_named() {
     let (_dir, twin) = tin_copy();
     edit(&twin.join("demos/grasps.json"), "\"if_mcp\"", "\"index_knuckle\"");
+    edit(&twin.join("twin.toml"), "identify = [\"push/tilt\"]\nprior_kg = 0.5", "weighed_kg = 0.23");
     drex(["train", twin.to_str().unwrap()]).fails_with(&["index_knuckle", "leap_right"]);
     assert!(!twin.join("grasps").exists());
 }
@@ -129,6 +130,7 @@ fn an_empty_demo_set_is_refused() {
         "{\"schema\": 1, \"joint_names\": [\"if_mcp\"], \"unit\": \"rad\", \"grasps\": []}",
     )
     .unwrap();
+    edit(&twin.join("twin.toml"), "identify = [\"push/tilt\"]\nprior_kg = 0.5", "weighed_kg = 0.23");
     drex(["train", twin.to_str().unwrap()]).fails_with(&["grasps.json"]);
 }
 

@@ -154,21 +154,21 @@ fn the_stated_deviations_cover_the_errors() {
 
 #[test]
 fn a_background_that_stands_still_is_left_out() {
-    let mut set = rendered(Kind::Turntable, 33, 54, 640);
+    let mut set = rendered(Kind::Turntable, 133, 36, 640);
     set.photos.iter_mut().for_each(|p| p.mask = None);
     let done = run(&set.photos).unwrap();
     let share = done.report.still_background.expect("a background stands still");
     assert!(share > 0.4, "{share}");
     let off = errors(&done.models[0], &set.truth[0]);
-    eprintln!("{} of 54, {:.3} deg, {:.4} of the extent", off.paired, off.median_rotation(), off.median_position());
+    eprintln!("{} of 36, {:.3} deg, {:.4} of the extent", off.paired, off.median_rotation(), off.median_position());
     // The poses are those of the disc, not of the room, in which nothing moves.
-    assert!(off.paired >= 50 && off.median_position() < 0.003 && off.worst_position() < 0.03, "{off:?}");
+    assert!(off.paired >= 33 && off.median_position() < 0.003 && off.worst_position() < 0.03, "{off:?}");
     assert!(done.report.notes.iter().any(|n| n.contains("relative to what turns")), "{:?}", done.report.notes);
 }
 
 #[test]
 fn the_room_behind_a_turntable_is_no_model_of_the_object() {
-    let set = rendered(Kind::Turntable, 37, 18, 480);
+    let set = rendered(Kind::Turntable, 37, 18, 400);
     // What is masked is not searched for a background that stands still; these show nothing else.
     for photo in &set.photos {
         let path = photo.mask.as_ref().unwrap();
@@ -200,9 +200,9 @@ fn causes_are_told_apart() {
     assert_eq!(cause(run(&[])), Cause::TooFewPhotos);
     assert_eq!(cause(run(&rendered(Kind::Few, 35, 2, 320).photos)), Cause::TooFewPhotos);
     assert_eq!(cause(run(&rendered(Kind::Apart, 35, 8, 400).photos)), Cause::NoOverlap);
-    assert_eq!(cause(run(&rendered(Kind::Spin, 35, 16, 640).photos)), Cause::OnlyTurned);
-    assert_eq!(cause(run(&rendered(Kind::Blur, 35, 12, 640).photos)), Cause::Blur);
-    assert_eq!(cause(run(&rendered(Kind::Gloss, 35, 12, 640).photos)), Cause::TooFewPoints);
+    assert_eq!(cause(run(&rendered(Kind::Spin, 35, 16, 480).photos)), Cause::OnlyTurned);
+    assert_eq!(cause(run(&rendered(Kind::Blur, 35, 12, 480).photos)), Cause::Blur);
+    assert_eq!(cause(run(&rendered(Kind::Gloss, 35, 12, 480).photos)), Cause::TooFewPoints);
 }
 
 #[test]
@@ -282,7 +282,7 @@ fn a_shared_set_of_another_renderer() {
         Camera::from_colmap_name("OPENCV", 800, 600, &[640.0, 640.0, 400.0, 300.0, -0.06, 0.01, 0.0, 0.0]).unwrap();
     let mut options = RegisterOptions::default();
     options.calibration = Some(camera.clone());
-    let given = register(&photos, &options, &|_| {}).unwrap();
+    let given = register(&photos[..12], &options, &|_| {}).unwrap();
     assert!(given.models[0].views.iter().all(|v| (v.lens.focal_px() - camera.focal_px()).norm() < 1e-9));
 }
 

@@ -1,7 +1,7 @@
 //! A box, the LEAP hand, and a grasp that was searched for.
 #![allow(clippy::unwrap_used, dead_code)] // a test says what fails by failing; not every test uses everything
 
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 use drex_core::mesh::convex_hull;
 use drex_core::{MassProperties, Object, Pose, SdfSample, SignedDistance, SolidGeometry, SurfacePoint, TablePlane};
@@ -72,8 +72,14 @@ pub fn trial_of(change: impl FnOnce(&mut Object, &mut TrialOptions)) -> Trial {
     Trial::with_collider(Arc::new(Robot::bundled("leap_right").unwrap()), object, collider, options).unwrap()
 }
 
-/// Grasps of the box that the hand can carry 150 g with at friction 0.5, those that grip force least first.
-pub fn grasps(trial: &Trial) -> Vec<FoundGrasp> {
+/// Grasps of the box that the hand can carry 150 g with at friction 0.5, those that grip force least first; searched for once for all tests.
+pub fn grasps() -> &'static [FoundGrasp] {
+    static FOUND: LazyLock<Vec<FoundGrasp>> = LazyLock::new(searched);
+    &FOUND
+}
+
+fn searched() -> Vec<FoundGrasp> {
+    let trial = trial_of(|_, _| {});
     let surface = HandSurface::new(trial.hand(), 0.004).unwrap();
     let table = TablePlane { up: Vector3::z_axis(), height_m: -HALF.z };
     let mut options = SearchOptions::default();
