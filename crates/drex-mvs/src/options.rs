@@ -30,8 +30,8 @@ pub struct Region {
 pub struct MvsOptions {
     /// How much work is done.
     pub preset: Preset,
-    /// Where surfaces are looked for; the range of the sparse points in the whole of every photo if it is `None`, which takes several times
-    /// as long.
+    /// Where surfaces are looked for. If it is `None`: about the sparse points that masks show; without masks in the range of all sparse points
+    /// of each photo, which takes several times as long.
     pub region: Option<Region>,
     /// Longest side of the pictures that are compared, pixels; larger photos are scaled down.
     pub max_side: Option<usize>,

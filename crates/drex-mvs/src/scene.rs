@@ -25,6 +25,13 @@ const ANGLES_DEG: [f64; 2] = [3.0, 45.0];
 /// Photos whose pixels are larger or smaller than these times those of the reference are left out.
 const SCALES: [f64; 2] = [0.4, 2.5];
 
+/// What is shown may be nearer or farther than the sparse points by so much,
+const RANGE: [f64; 2] = [0.75, 1.25];
+/// but an object beyond its own points by no more than this share of their extent.
+const OBJECT_MARGIN: f64 = 0.5;
+/// Fewer points say nothing of where an object is.
+const LEAST_POINTS: usize = 20;
+
 /// Photos of which the pixels are counted in which depth is looked for.
 const SAMPLED: usize = 8;
 /// Photos that are asked whether they confirm a depth.
@@ -118,18 +125,22 @@ pub(crate) fn prepare(
     progress: &(dyn Fn(usize) + Sync),
 ) -> Result<Vec<View>> {
     let photos = photos(capture, options)?;
-    let seen = sparse_depths(capture, &photos);
+    let shown = shown_points(capture, &photos);
     let mut views = Vec::with_capacity(photos.len());
-    for (i, depths) in seen.iter().enumerate() {
+    for (i, shown) in shown.iter().enumerate() {
         progress(i);
-        views.push(view(&photos, i, depths, options, sizes)?);
+        views.push(view(&photos, i, shown, options, sizes)?);
     }
-    let targets: Vec<Point3<f64>> = views
-        .iter()
-        .map(|v| {
-            options.region.as_ref().map_or_else(|| ahead(&v.camera, 0.5 * (v.range[0] + v.range[1])), Region::centre)
-        })
-        .collect();
+    let object = match &options.region {
+        Some(_) => Vec::new(),
+        None => masked_points(capture, &shown, &views),
+    };
+    if !object.is_empty() {
+        views.iter_mut().for_each(|v| v.range = range_of(&object, &v.camera).unwrap_or(v.range));
+    }
+    let middle = |v: &View| ahead(&v.camera, 0.5 * (v.range[0] + v.range[1]));
+    let common = options.region.as_ref().map(Region::centre).or_else(|| middle_of(&object));
+    let targets: Vec<Point3<f64>> = views.iter().map(|v| common.unwrap_or_else(|| middle(v))).collect();
     let witnesses: Vec<Vec<Neighbour>> = (0..views.len())
         .into_par_iter()
         .map(|i| neighbours(&views, i, &targets[i], options.preset.sources().max(WITNESSES)))
@@ -148,10 +159,10 @@ impl MvsOptions {
     /// If one of these cannot be read, or the region is no box.
     pub fn within_time(mut self, capture: &Capture) -> Result<Self> {
         let photos = photos(capture, &self)?;
-        let seen = sparse_depths(capture, &photos);
+        let shown = shown_points(capture, &photos);
         let some = (0..photos.len()).step_by(photos.len().div_ceil(SAMPLED).max(1));
         let searched = |i: usize| -> Result<f64> {
-            let area = &view(&photos, i, &seen[i], &self, 1)?.searched[0];
+            let area = &view(&photos, i, &shown[i], &self, 1)?.searched[0];
             Ok(area.inside.iter().filter(|inside| **inside).count() as f64)
         };
         let pixels: Vec<f64> = some.map(searched).collect::<Result<_>>()?;
@@ -175,38 +186,77 @@ fn photos(capture: &Capture, options: &MvsOptions) -> Result<Photos> {
     Photos::new(capture, read)
 }
 
-/// Depths of the sparse points that each view shows.
-fn sparse_depths(capture: &Capture, photos: &Photos) -> Vec<Vec<f64>> {
-    let mut depths = vec![Vec::new(); photos.len()];
-    for point in &capture.points {
+/// A sparse point that a view shows.
+struct Shown {
+    point: usize,
+    pixel: [f64; 2],
+    depth: f64,
+}
+
+/// The sparse points that each view shows.
+fn shown_points(capture: &Capture, photos: &Photos) -> Vec<Vec<Shown>> {
+    let mut shown: Vec<Vec<Shown>> = (0..photos.len()).map(|_| Vec::new()).collect();
+    for (i, point) in capture.points.iter().enumerate() {
         // Whoever made the capture by hand may name a view that it has not.
         for (view, _) in point.track.iter().filter(|(view, _)| *view < photos.len()) {
-            if let Some((_, z)) = photos.camera(*view).project(&point.position.into()) {
-                depths[*view].push(z);
+            if let Some((pixel, depth)) = photos.camera(*view).project(&point.position.into()) {
+                shown[*view].push(Shown { point: i, pixel, depth });
             }
         }
     }
-    depths
+    shown
+}
+
+/// The sparse points that masks show: inside of them in more photos than outside. None if there are no masks, or they show too few points.
+fn masked_points(capture: &Capture, shown: &[Vec<Shown>], views: &[View]) -> Vec<Point3<f64>> {
+    let mut balance = vec![0i32; capture.points.len()];
+    for (view, shown) in views.iter().zip(shown).filter(|(view, _)| view.masked) {
+        let Area { width, height, inside } = &view.searched[0];
+        for Shown { point, pixel, .. } in shown {
+            let [x, y] = [0, 1].map(|k| pixel[k] - view.corner[k] as f64);
+            let within = x >= 0.0 && y >= 0.0 && x < *width as f64 && y < *height as f64;
+            let masked = within && inside[y as usize * width + x as usize];
+            balance[*point] += if masked { 1 } else { -1 };
+        }
+    }
+    let object: Vec<_> =
+        capture.points.iter().zip(&balance).filter(|(_, b)| **b > 0).map(|(p, _)| p.position.into()).collect();
+    if object.len() < LEAST_POINTS { Vec::new() } else { object }
+}
+
+/// Nearest and farthest depth at which an object can be whose points those are; `None` if it is behind the camera.
+fn range_of(object: &[Point3<f64>], camera: &PinholeCamera) -> Option<[f64; 2]> {
+    let depths: Vec<f64> = object.iter().map(|p| (camera.camera_from_world * p).z).filter(|z| *z > 0.0).collect();
+    let [near, far] = [0.01, 0.99].map(|q| quantile(depths.iter().copied(), q));
+    let (near, far) = (near?, far?);
+    let margin = OBJECT_MARGIN * (far - near);
+    Some([(near - margin).max(RANGE[0] * near), (far + margin).min(RANGE[1] * far)])
+}
+
+/// The middle of most of them.
+fn middle_of(points: &[Point3<f64>]) -> Option<Point3<f64>> {
+    let along = |k: usize| median(points.iter().map(|p| p[k]));
+    Some(Point3::new(along(0)?, along(1)?, along(2)?))
 }
 
 fn ahead(camera: &PinholeCamera, depth: f64) -> Point3<f64> {
     camera.camera_from_world.inverse() * Point3::from(camera.ray([camera.cx, camera.cy]) * depth)
 }
 
-fn view(photos: &Photos, i: usize, depths: &[f64], options: &MvsOptions, sizes: usize) -> Result<View> {
+fn view(photos: &Photos, i: usize, shown: &[Shown], options: &MvsOptions, sizes: usize) -> Result<View> {
     let photo = photos.get(i)?;
     let whole = &photo.camera;
     let (mut window, range) = match &options.region {
         Some(region) => seen_of(region, whole),
         None => {
-            let end = |q| quantile(depths.iter().copied(), q);
+            let end = |q| quantile(shown.iter().map(|s| s.depth), q);
             let (Some(near), Some(far)) = (end(0.01), end(0.99)) else {
                 return Err(Error::capture(
                     format!("{} shows no sparse point", photos.name(i)),
                     "give a region, or cameras with the points that they were found with",
                 ));
             };
-            ([0.0, 0.0, whole.width as f64, whole.height as f64], [0.75 * near, 1.25 * far])
+            ([0.0, 0.0, whole.width as f64, whole.height as f64], [RANGE[0] * near, RANGE[1] * far])
         }
     };
     if let Some(mask) = &photo.mask {

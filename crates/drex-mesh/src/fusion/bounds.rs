@@ -46,12 +46,15 @@ pub(super) struct BoundsEstimate {
     pub noise_m: f64,
     /// Per view, where the object is in it; `None` for views without depth of the object.
     pub sights: Vec<Option<Sight>>,
+    /// Where those views are from.
+    eyes: Vec<Point3<f64>>,
     samples: Vec<Sample>,
 }
 
 /// One view's part.
 struct Look {
     sight: Sight,
+    eye: Point3<f64>,
     footprint_m: f64,
     samples: Vec<Sample>,
 }
@@ -87,8 +90,16 @@ impl BoundsEstimate {
             depth_m: median_of(|l| l.sight.depth_m.into()),
             noise_m: median_of(|l| l.sight.noise_m.into()),
             sights: looks.iter().map(|l| l.as_ref().map(|l| l.sight)).collect(),
+            eyes: seen().map(|l| l.eye).collect(),
             samples,
         })
+    }
+}
+
+impl BoundsEstimate {
+    /// Whether a view looks at a box from beyond its lower or upper (1) side along x, y or z.
+    pub fn is_faced(&self, side: usize, k: usize, object: &Aabb) -> bool {
+        self.eyes.iter().any(|eye| if side == 0 { eye[k] < object.lo[k] } else { eye[k] > object.hi[k] })
     }
 }
 
@@ -124,7 +135,8 @@ impl Look {
             }
         }
         let footprint_m = sight.footprint_m(camera).into();
-        (!samples.is_empty()).then_some(Self { sight, footprint_m, samples })
+        let eye = map.world_from_camera.translation.vector.into();
+        (!samples.is_empty()).then_some(Self { sight, eye, footprint_m, samples })
     }
 }
 

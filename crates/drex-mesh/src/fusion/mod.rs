@@ -48,6 +48,8 @@ const MOST_BAND_VOXELS: f64 = 3.0;
 const SILHOUETTE_REACH: f64 = 1.0;
 /// and are looked at in samples of the diagonal by this.
 const COARSE: f64 = 128.0;
+/// Even where all was measured the first empty sample is so many beyond.
+const SILHOUETTE_SAMPLES: f64 = 2.0;
 /// A truncation of more than this share of a wall lets its two sides meet.
 const SHARE_OF_WALL: f64 = 0.7;
 
@@ -183,8 +185,8 @@ pub struct Fused {
 
 /// Fuses depth maps into a closed mesh.
 ///
-/// What no view saw is taken for solid, as far as the box of the measured points reaches; over a support and with the background empty, as far
-/// as the silhouettes allow. The same views and options give the same bytes with any number of threads.
+/// What no view saw is taken for solid, as far as the box of the measured points reaches; with the background empty, as far as the silhouettes allow
+/// on each side that some view looks at, or on all of them over a support. The same views and options give the same bytes with any number of threads.
 ///
 /// # Errors
 /// If there are no views, a view is malformed (which and why), no view has depth of the object, an option is out of range,
@@ -197,8 +199,7 @@ pub fn fuse(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> Resu
 
 fn fuse_in_pool(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> Result<Fused> {
     let mut estimate = BoundsEstimate::new(views, options)?;
-    // Without a table nothing says how far down that goes which no depth was found for.
-    if options.background_is_empty && options.support.is_some() {
+    if options.background_is_empty {
         estimate.bounds = with_silhouettes(views, &mut estimate, options)?;
     }
     let mut plan = Plan::new(&estimate, options, 1.0)?;
@@ -250,7 +251,8 @@ fn fuse_in_pool(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> 
     Ok(Fused { mesh: extracted.mesh, evidence, report })
 }
 
-/// The box of the measured points, and beyond it as far as the silhouettes allow on sides where these close.
+/// The box of the measured points, and beyond it as far as the silhouettes allow on sides where these close. Without a table nothing says how far
+/// that goes which no view looks at.
 fn with_silhouettes(
     views: &(impl DepthViews + ?Sized),
     estimate: &mut BoundsEstimate,
@@ -263,7 +265,14 @@ fn with_silhouettes(
     coarse.voxel_m = Some(diagonal / COARSE);
     let plan = Plan::new(estimate, &coarse, 1.0)?;
     let allowed = integrated(views, estimate, &plan, &coarse)?.allowed_around(&measured, plan.limits.support);
-    let end = |side: usize, k: usize, measured: f64| allowed[2 * k + side].unwrap_or(measured);
+    let end = |side: usize, k: usize, measured_end: f64| {
+        let inwards = if side == 0 { 1.0 } else { -1.0 };
+        let looked_at = options.support.is_some() || estimate.is_faced(side, k, &measured);
+        // No photo shows the edge on which an object stands, and nothing is measured down there.
+        let at_table = options.support.is_some_and(|s| inwards * s.up[k] > 0.5);
+        let beyond = |end: &f64| at_table || (end - measured_end).abs() > SILHOUETTE_SAMPLES * plan.voxel_m;
+        allowed[2 * k + side].filter(|_| looked_at).filter(beyond).unwrap_or(measured_end)
+    };
     let lo = Point3::from([0, 1, 2].map(|k| end(0, k, measured.lo[k])));
     let hi = Point3::from([0, 1, 2].map(|k| end(1, k, measured.hi[k])));
     Ok(measured.union(&Aabb { lo, hi }))

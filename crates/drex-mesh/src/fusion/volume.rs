@@ -204,7 +204,8 @@ impl Volume {
         Field { lattice: lattice.clone(), blocks }
     }
 
-    /// How far that reaches from within a box which may be solid, below and above along x, y and z; `None` where it does not end.
+    /// How far that reaches from within a box which may be solid, below and above along x, y and z: where the first samples beyond are empty;
+    /// `None` where it does not end.
     pub fn allowed_around(
         &self,
         within: &Aabb,
@@ -213,34 +214,42 @@ impl Volume {
         let lattice = &self.lattice;
         let box_of =
             |i: usize| Aabb::of(&[lattice.point(i, Vector3::zeros()), lattice.point(i, Vector3::repeat(SIDE as f64))]);
+        // First and last samples of a block that may be solid.
         let may_be_solid = |i: usize| {
-            let b = box_of(i);
-            let highest =
-                |up: &Vector3<f64>| Point3::from([0, 1, 2].map(|k| if up[k] > 0.0 { b.hi[k] } else { b.lo[k] }));
-            if support.is_some_and(|(point, up)| (highest(&up) - point).dot(&up) <= 0.0) {
-                return false;
-            }
             let Block { empty, evidence } = &self.blocks[i];
-            match evidence {
-                None => *empty < self.band.votes,
-                Some(parts) => parts.iter().any(|part| (0..CELLS).any(|at| part.value(at, *empty, &self.band).0 < 0.0)),
-            }
+            let solid_at = |v: &usize| {
+                let local = [v % SIDE, v / SIDE % SIDE, v / (SIDE * SIDE)].map(|x| x as f64);
+                if support.is_some_and(|(point, up)| (lattice.point(i, local.into()) - point).dot(&up) <= 0.0) {
+                    return false;
+                }
+                let Some(parts) = evidence else { return *empty < self.band.votes };
+                let (part, at) = part_of(*v);
+                parts[part].value(at, *empty, &self.band).0 < 0.0
+            };
+            let first = Vector3::from(lattice.first_voxel(i));
+            let places = (0..VOXELS)
+                .filter(solid_at)
+                .map(|v| first + Vector3::new(v % SIDE, v / SIDE % SIDE, v / (SIDE * SIDE)));
+            places.map(|at| [at; 2]).reduce(|[lo, hi], [at, _]| [lo.inf(&at), hi.sup(&at)])
         };
-        let solid: Vec<bool> = (0..self.blocks.len()).into_par_iter().map(may_be_solid).collect();
-        let mut reached: Vec<bool> = (0..solid.len()).map(|i| solid[i] && box_of(i).overlaps(within)).collect();
+        let solid: Vec<Option<[Vector3<usize>; 2]>> =
+            (0..self.blocks.len()).into_par_iter().map(may_be_solid).collect();
+        let mut reached: Vec<bool> =
+            (0..solid.len()).map(|i| solid[i].is_some() && box_of(i).overlaps(within)).collect();
         let mut next: Vec<usize> = (0..reached.len()).filter(|i| reached[*i]).collect();
-        let (mut first, mut last) = ([usize::MAX; 3], [0; 3]);
+        let (mut first, mut last) = (Vector3::repeat(usize::MAX), Vector3::repeat(0));
         while let Some(i) = next.pop() {
             let at = lattice.block_at(i);
+            let Some([lo, hi]) = solid[i] else { continue };
+            (first, last) = (first.inf(&lo), last.sup(&hi));
             for k in 0..3 {
-                (first[k], last[k]) = (first[k].min(at[k]), last[k].max(at[k]));
                 for step in [-1, 1] {
                     let beside = at[k].checked_add_signed(step).filter(|b| *b < lattice.blocks[k]);
                     let Some(beside) = beside else { continue };
                     let mut there = at;
                     there[k] = beside;
                     let there = lattice.block_index(there);
-                    if solid[there] && !std::mem::replace(&mut reached[there], true) {
+                    if solid[there].is_some() && !std::mem::replace(&mut reached[there], true) {
                         next.push(there);
                     }
                 }
@@ -248,11 +257,11 @@ impl Volume {
         }
         std::array::from_fn(|side| {
             let k = side / 2;
-            let (ends, block) = match side % 2 {
-                0 => (first[k] > 0 && first[k] < usize::MAX, first[k]),
-                _ => (last[k] + 1 < lattice.blocks[k], last[k] + 1),
+            let beyond = match side % 2 {
+                0 => first[k].checked_sub(1).filter(|_| first[k] < usize::MAX),
+                _ => Some(last[k] + 1).filter(|end| *end < lattice.blocks[k] * SIDE),
             };
-            ends.then(|| lattice.origin[k] + (block * SIDE) as f64 * lattice.spacing)
+            beyond.map(|sample| lattice.origin[k] + sample as f64 * lattice.spacing)
         })
     }
 

@@ -314,6 +314,32 @@ fn what_has_no_depth_ends_where_silhouettes_do() {
 }
 
 #[test]
+fn silhouettes_end_what_has_no_depth_on_sides_that_are_looked_at_without_a_table_too() {
+    // The upper half and the far end are too bare for depth; from all round, and from above alone.
+    let block = cuboid([-0.03, -0.02, 0.0], [0.03, 0.02, 0.06]);
+    let fused_from = |poses: &[Pose]| {
+        let mut maps = cast(&block, &camera(320, 240, 400.0), poses);
+        for map in &mut maps {
+            map.mask = Some(map.depth_m.iter().map(|z| *z > 0.0).collect());
+            let (camera, pose) = (map.camera, map.world_from_camera);
+            for (at, z) in map.depth_m.iter_mut().enumerate() {
+                let point = pose * Point3::from(camera.ray(at as u32 % 320, at as u32 / 320) * f64::from(*z));
+                *z = if point.z > 0.03 || point.x < -0.01 { 0.0 } else { *z };
+            }
+        }
+        let mut options = rendered();
+        options.voxel_m = Some(1.5e-3);
+        fuse(&maps, &options).unwrap().mesh.bounds().unwrap()
+    };
+    let centre = Point3::new(0.0, 0.0, 0.03);
+    let (lo, hi) = fused_from(&around(centre, 0.3, 80, -1.0));
+    assert!((hi - lo - Vector3::new(0.06, 0.04, 0.06)).amax() < 4.5e-3, "{lo} {hi}");
+    // Nobody looks from below: what could be there ends where the measured points do.
+    let (lo, hi) = fused_from(&around(centre, 0.3, 80, 0.05));
+    assert!((hi.x - lo.x - 0.06).abs() < 4.5e-3 && (hi.z - 0.06).abs() < 4e-3 && lo.z > -4e-3, "{lo} {hi}");
+}
+
+#[test]
 fn a_bad_map_drills_no_hole_and_bits_in_the_air_are_dropped() {
     let block = cuboid([-0.03, -0.02, 0.0], [0.03, 0.02, 0.04]);
     let (camera, poses) = (camera(320, 240, 400.0), around(Point3::new(0.0, 0.0, 0.02), 0.3, 30, -1.0));

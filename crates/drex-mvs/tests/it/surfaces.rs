@@ -1,6 +1,6 @@
 use drex_core::Pose;
 use drex_core::camera::{Camera, CameraModel};
-use drex_core::capture::Capture;
+use drex_core::capture::{Capture, SparsePoint, View};
 use drex_mvs::{DepthMap, DepthMaps, MvsOptions, Preset, Region};
 use image::imageops::FilterType;
 use nalgebra::{Point3, Vector3};
@@ -218,6 +218,52 @@ fn what_is_outside_of_a_mask_is_not_looked_at() {
     let found: Vec<usize> = (0..map.depth.len()).filter(|i| map.depth[*i] > 0.0).map(column).collect();
     let last = WIDTH as usize / 2 + options.mask_margin_px;
     assert!(found.len() > 5000 && found.iter().all(|x| *x < last), "{} up to {:?}", found.len(), found.iter().max());
+}
+
+#[test]
+fn an_object_is_looked_for_where_its_masks_show_points_and_not_in_the_room_behind() {
+    let plane = slanted(20.0);
+    let dir = tempfile::tempdir().unwrap();
+    let mut capture = photograph(dir.path(), &ring(0.4, &CROSS), &plane, 0.004, 80.0);
+    let pinhole = |view: &View, place: Point3<f64>| {
+        let p = view.camera_from_world * place;
+        let [u, v] = [p.x, p.y].map(|x| FOCAL_PX * x / p.z);
+        let [x, y] = [u + 0.5 * f64::from(WIDTH), v + 0.5 * f64::from(HEIGHT)];
+        (p.z > 0.0 && x >= 0.0 && y >= 0.0 && x < f64::from(WIDTH) && y < f64::from(HEIGHT)).then_some([x, y])
+    };
+    let shows = |view: &View, [x, y]: [f64; 2]| {
+        let world_from_camera = view.camera_from_world.inverse();
+        let ray = Vector3::new((x - 0.5 * f64::from(WIDTH)) / FOCAL_PX, (y - 0.5 * f64::from(HEIGHT)) / FOCAL_PX, 1.0);
+        plane(&Point3::from(world_from_camera.translation.vector), &(world_from_camera.rotation * ray)).is_some()
+    };
+    for (i, view) in capture.views.iter_mut().enumerate() {
+        let mask = image::GrayImage::from_fn(WIDTH, HEIGHT, |x, y| {
+            image::Luma([if shows(view, [f64::from(x) + 0.5, f64::from(y) + 0.5]) { 255 } else { 0 }])
+        });
+        let file = dir.path().join(format!("{i}.mask.png"));
+        mask.save(&file).unwrap();
+        view.mask = Some(file);
+    }
+    let on_plane = |x: f64, y: f64| Point3::new(x, y, x * 20f64.to_radians().tan());
+    let object = (0..64).map(|i| (on_plane(f64::from(i % 8 - 4) * 0.015, f64::from(i / 8 - 4) * 0.015), true));
+    let room = (0..900).map(|i| {
+        let away = 3.0 + f64::from(i % 7);
+        (Point3::new(f64::from(i % 30 - 15) * 0.02, f64::from(i / 30 - 15) * 0.02, 1.0) * away, false)
+    });
+    for (place, is_object) in object.chain(room) {
+        let seen = |view: &View| pinhole(view, place).is_some_and(|pixel| shows(view, pixel) == is_object);
+        let track: Vec<(usize, usize)> =
+            capture.views.iter().enumerate().filter(|(_, view)| seen(view)).map(|(i, _)| (i, 0)).collect();
+        capture.points.push(SparsePoint { position: place.coords.into(), rgb: [0; 3], error_px: 0.0, track });
+    }
+    let of_room = capture.points[64..].iter().filter(|p| p.track.iter().any(|(view, _)| *view == 0)).count();
+    assert!(of_room > 50, "{of_room} points of the room in the first photo");
+    let mut options = MvsOptions::default();
+    options.preset = Preset::Fast;
+    let (depths, _, shown) = errors(&estimate(&capture, &options).views[0], &plane, |_| normal_at(20.0));
+    assert!(depths.len() as f64 > 0.7 * shown as f64, "{} of {shown}", depths.len());
+    let off: Vec<f64> = depths.iter().map(|e| e.abs()).collect();
+    assert!(median(&off) < 0.5 * tenth_of_a_pixel(0.4), "{}", median(&off));
 }
 
 #[test]
