@@ -7,7 +7,6 @@ use std::time::Duration;
 
 use crate::Result;
 use crate::error::{Context, refuse};
-use drex_core::camera::PinholeCamera;
 use drex_core::capture::{Capture, CaptureOptions, PhotoOptions, Photos, SparsePoint, ViewReport};
 use drex_core::mesh::sample_surface;
 use drex_core::{Pose, PoseRecord, SurfacePoint, TriMesh, fsutil};
@@ -28,7 +27,7 @@ use crate::masks::{MASKS, MaskReport, Masks, made_masks_in, object_masks};
 use crate::place::{self, box_around, sparse_points};
 pub use crate::place::{FrameOptions, OtherPlane};
 use crate::reconstruct::{Cameras, ScanInput};
-use crate::stereo::{self, DEPTH};
+use crate::stereo::{self, DEPTH, Frame, frames};
 
 /// The mesh of a scan keeps to the fused one within this share of a voxel.
 const MAX_SIMPLIFICATION_VOXELS: f64 = 0.1;
@@ -507,71 +506,6 @@ impl Scan {
     }
 }
 
-/// Where in a photo's picture a depth map lies that is cut out of it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Frame {
-    /// Columns and rows of the whole picture, in pixels of the map.
-    size: [usize; 2],
-    /// The map's first column and row.
-    corner: [usize; 2],
-}
-
-/// The frames of depth maps; of those whose view `cameras` does not have, the map itself.
-fn frames(cameras: &Capture, depths: &Photos) -> Result<Vec<Frame>> {
-    let whole = Photos::new(cameras, PhotoOptions::default())?;
-    // Maps are named after their photos, whatever kind of picture these are.
-    let stem = |name: &str| Path::new(name).with_extension("");
-    let by_stem: BTreeMap<PathBuf, &PinholeCamera> =
-        (0..whole.len()).map(|i| (stem(whole.name(i)), whole.camera(i))).collect();
-    let frame = |i: usize| {
-        let map = depths.camera(i);
-        let of = |k: usize| {
-            let (own, focal, centre) = ([map.width, map.height][k], [map.fx, map.fy][k], [map.cx, map.cy][k]);
-            let photo = by_stem.get(&stem(depths.name(i)))?;
-            let scale = focal / [photo.fx, photo.fy][k];
-            let size = (scale * [photo.width, photo.height][k] as f64).round() as usize;
-            let corner = (scale * [photo.cx, photo.cy][k] - centre).round().max(0.0) as usize;
-            (corner + own <= size).then_some((size, corner))
-        };
-        match (of(0), of(1)) {
-            (Some((width, left)), Some((height, top))) => Frame { size: [width, height], corner: [left, top] },
-            _ => Frame { size: [map.width, map.height], corner: [0, 0] },
-        }
-    };
-    Ok((0..depths.len()).map(frame).collect())
-}
-
-impl Frame {
-    /// The map with what is beside it in the whole picture: nothing of the object.
-    fn around(&self, map: DepthMap) -> DepthMap {
-        let own = map.camera.width_px as usize;
-        if self.size == [own, map.camera.height_px as usize] {
-            return map;
-        }
-        let [left, top] = self.corner;
-        let camera = DepthCamera {
-            width_px: self.size[0] as u32,
-            height_px: self.size[1] as u32,
-            cx_px: map.camera.cx_px + left as f64,
-            cy_px: map.camera.cy_px + top as f64,
-            ..map.camera
-        };
-        let depth_m = self.filled(&map.depth_m, own, 0.0);
-        let mask = map.mask.map(|mask| self.filled(&mask, own, false));
-        DepthMap { camera, depth_m, mask, ..map }
-    }
-
-    /// What is known of the map's pixels, row by row of `width`, with `beside` in the rest of the whole picture.
-    fn filled<T: Copy>(&self, map: &[T], width: usize, beside: T) -> Vec<T> {
-        let mut whole = vec![beside; self.size[0] * self.size[1]];
-        let rows = whole.chunks_exact_mut(self.size[0].max(1)).skip(self.corner[1]);
-        for (to, from) in rows.zip(map.chunks_exact(width.max(1))) {
-            to[self.corner[0]..self.corner[0] + width].copy_from_slice(from);
-        }
-        whole
-    }
-}
-
 const DEPTH_CAMERA: &str = "depth camera";
 
 const IDENTITY: Similarity = Similarity {
@@ -791,21 +725,6 @@ mod tests {
             assert!((height - expected).abs() < 1e-12, "{after:?}");
         }
         assert!(mesh.vertices.iter().all(|v| ((v - table.point).dot(&aside.normalize()) - aside.norm()).abs() < 1e-12));
-    }
-
-    #[test]
-    fn a_map_that_is_cut_out_lies_where_it_was_in_its_photo() {
-        let frame = Frame { size: [4, 3], corner: [1, 2] };
-        assert_eq!(frame.filled(&[7, 8], 2, 0), [0, 0, 0, 0, 0, 0, 0, 0, 0, 7, 8, 0]);
-        let camera = DepthCamera { width_px: 2, height_px: 1, fx_px: 5.0, fy_px: 5.0, cx_px: 0.5, cy_px: -1.0 };
-        let world_from_camera = Pose::identity();
-        let map = DepthMap { camera, world_from_camera, depth_m: vec![1.0, 2.0], mask: Some(vec![true, false]) };
-        let whole = frame.around(map.clone());
-        assert_eq!([whole.camera.cx_px, whole.camera.cy_px], [1.5, 1.0]);
-        assert_eq!((whole.depth_m[9], whole.depth_m[10], whole.depth_m.iter().sum::<f32>()), (1.0, 2.0, 3.0));
-        assert_eq!(whole.mask.unwrap().iter().filter(|m| **m).count(), 1);
-        // One that is whole stays as it is.
-        assert_eq!(Frame { size: [2, 1], corner: [0, 0] }.around(map.clone()), map);
     }
 
     #[test]

@@ -277,25 +277,28 @@ fn masks_carve_what_depth_does_not_say() {
     assert!((volume(&fused.mesh) / volume(&object) - 1.0).abs() < 0.03, "{}", volume(&fused.mesh) / volume(&object));
 }
 
+/// A mesh with silhouettes, and with depth where it is not bare, fused at 1.5 mm.
+fn with_bare_parts(mesh: &TriMesh, poses: &[Pose], bare: fn(&Point3<f64>) -> bool, support: Option<Support>) -> Fused {
+    let mut maps = cast(mesh, &camera(320, 240, 400.0), poses);
+    for map in &mut maps {
+        map.mask = Some(map.depth_m.iter().map(|z| *z > 0.0).collect());
+        let (camera, pose) = (map.camera, map.world_from_camera);
+        for (at, z) in map.depth_m.iter_mut().enumerate() {
+            let point = pose * Point3::from(camera.ray(at as u32 % 320, at as u32 / 320) * f64::from(*z));
+            *z = if bare(&point) { 0.0 } else { *z };
+        }
+    }
+    let mut options = rendered();
+    (options.voxel_m, options.support) = (Some(1.5e-3), support);
+    fuse(&maps, &options).unwrap()
+}
+
 #[test]
 fn what_has_no_depth_ends_where_silhouettes_do() {
     // A block on a table, the upper half of which is too bare for depth.
     let block = cuboid([-0.03, -0.02, 0.0], [0.03, 0.02, 0.06]);
-    let fused_from = |poses: &[Pose]| {
-        let mut maps = cast(&block, &camera(320, 240, 400.0), poses);
-        for map in &mut maps {
-            map.mask = Some(map.depth_m.iter().map(|z| *z > 0.0).collect());
-            let (camera, pose) = (map.camera, map.world_from_camera);
-            for (at, z) in map.depth_m.iter_mut().enumerate() {
-                let point = pose * Point3::from(camera.ray(at as u32 % 320, at as u32 / 320) * f64::from(*z));
-                *z = if point.z > 0.03 { 0.0 } else { *z };
-            }
-        }
-        let mut options = rendered();
-        options.voxel_m = Some(1.5e-3);
-        options.support = Some(Support { point: Point3::origin(), up: Vector3::z_axis() });
-        fuse(&maps, &options).unwrap()
-    };
+    let table = Support { point: Point3::origin(), up: Vector3::z_axis() };
+    let fused_from = |poses: &[Pose]| with_bare_parts(&block, poses, |p| p.z > 0.03, Some(table));
     let centre = Point3::new(0.0, 0.0, 0.03);
     let around = around(centre, 0.3, 80, 0.05);
     let fused = fused_from(&around);
@@ -317,20 +320,8 @@ fn what_has_no_depth_ends_where_silhouettes_do() {
 fn silhouettes_end_what_has_no_depth_on_sides_that_are_looked_at_without_a_table_too() {
     // The upper half and the far end are too bare for depth; from all round, and from above alone.
     let block = cuboid([-0.03, -0.02, 0.0], [0.03, 0.02, 0.06]);
-    let fused_from = |poses: &[Pose]| {
-        let mut maps = cast(&block, &camera(320, 240, 400.0), poses);
-        for map in &mut maps {
-            map.mask = Some(map.depth_m.iter().map(|z| *z > 0.0).collect());
-            let (camera, pose) = (map.camera, map.world_from_camera);
-            for (at, z) in map.depth_m.iter_mut().enumerate() {
-                let point = pose * Point3::from(camera.ray(at as u32 % 320, at as u32 / 320) * f64::from(*z));
-                *z = if point.z > 0.03 || point.x < -0.01 { 0.0 } else { *z };
-            }
-        }
-        let mut options = rendered();
-        options.voxel_m = Some(1.5e-3);
-        fuse(&maps, &options).unwrap().mesh.bounds().unwrap()
-    };
+    let fused_from =
+        |poses: &[Pose]| with_bare_parts(&block, poses, |p| p.z > 0.03 || p.x < -0.01, None).mesh.bounds().unwrap();
     let centre = Point3::new(0.0, 0.0, 0.03);
     let (lo, hi) = fused_from(&around(centre, 0.3, 80, -1.0));
     assert!((hi - lo - Vector3::new(0.06, 0.04, 0.06)).amax() < 4.5e-3, "{lo} {hi}");
