@@ -155,6 +155,10 @@ impl ScanInput<'_> {
         if !self.scan.exists() {
             refuse!("there is no {}; give a folder with photos, or a video", self.scan.display());
         }
+        // Finding cameras takes minutes.
+        if let Some(masks) = self.within.masks.as_ref().filter(|m| !m.is_dir()) {
+            refuse!("there is no folder {}; give the one with the masks", masks.display());
+        }
         let mut folder = self.scan.to_path_buf();
         if is_video(self.scan) {
             folder = self.out.join(FRAMES);
@@ -168,6 +172,7 @@ impl ScanInput<'_> {
         } else {
             self.by_registration(&folder, progress)?
         };
+        self.masks_are_used(capture.views.iter().any(|v| v.mask.is_some()))?;
         let mut found = Cameras { capture, marker, found_now };
         let Some(asked) = self.marker else { return Ok(Cameras { marker: None, ..found }) };
         if found.marker.as_ref().is_none_or(|m| m.marker != asked.to_string()) {
@@ -176,6 +181,19 @@ impl ScanInput<'_> {
             progress.end();
         }
         Ok(found)
+    }
+
+    /// # Errors
+    /// If masks were given and none of them `is_used`.
+    fn masks_are_used(&self, is_used: bool) -> Result<()> {
+        match &self.within.masks {
+            Some(masks) if !is_used => refuse!(
+                "{} has no mask of any photo of {}; a mask is a picture named like its photo",
+                masks.display(),
+                self.scan.display()
+            ),
+            _ => Ok(()),
+        }
     }
 
     /// By the program COLMAP, or what it found earlier.
@@ -205,6 +223,7 @@ impl ScanInput<'_> {
             within.masks = Some(folder.join("masks")).filter(|m| m.is_dir());
         }
         let photos = PhotoFolder::read(folder, &within, self.out)?;
+        self.masks_are_used(photos.has_masks())?;
         if let Some(earlier) = StoredReport::read(&out)? {
             let same = earlier.is_of(&photos, &options);
             if let Some(mut capture) = if same { load_found(folder, &out, &self.within)? } else { None } {

@@ -43,6 +43,21 @@ fn notes(report: &serde_json::Value) -> String {
 }
 
 #[test]
+fn masks_that_are_given_and_are_none_of_the_photos_are_named() {
+    let dir = photos(0..4);
+    let [photos, masks, out] = ["photos", "cut out", "out"].map(|name| dir.path().join(name));
+    let asset = || {
+        let [photos, masks, out] = [&photos, &masks, &out].map(|p| p.to_str().unwrap());
+        drex(["asset", photos, "--masks", masks, "--out", out, "--scale", "1"])
+    };
+    asset().fails_with(&["there is no folder", "cut out"]);
+    fs::create_dir(&masks).unwrap();
+    fs::copy(demo_photo(0), masks.join("another.png")).unwrap();
+    asset().fails_with(&["no mask of any photo", "cut out", "named like its photo"]);
+    assert!(!out.exists());
+}
+
+#[test]
 fn photos_alone_become_cameras_points_and_a_picture() {
     let dir = photos((0..18).step_by(1));
     let before = tree(&dir.path().join("photos"));
