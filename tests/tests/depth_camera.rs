@@ -35,7 +35,7 @@ fn a_dragon_is_within_two_millimetres_of_its_reference() {
             cy_px: c.cy,
         };
         let depth_m = photo.depth.clone().unwrap();
-        DepthMap { camera, world_from_camera: c.camera_from_world.inverse(), depth_m, mask: None }
+        DepthMap { camera, world_from_camera: c.camera_from_world.inverse(), depth_m, mask: None, trust: None }
     };
     let views: Vec<DepthMap> = (0..photos.len()).map(view).collect();
 

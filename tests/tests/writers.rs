@@ -68,6 +68,7 @@ const WRITERS: &[(&str, Why)] = &[
     ("crates/drex-mesh/src/io/obj.rs", Caller),
     ("crates/drex-mesh/src/io/write.rs", Caller),
     ("crates/drex-mesh/src/asset/write.rs", Checked),
+    ("crates/drex-mvs/src/rounds.rs", Caller),
     ("crates/drex-sfm/src/result.rs", Checked),
     ("crates/drex-twin/src/scan.rs", Checked),
     ("crates/drex-policy/src/files.rs", Constant),
@@ -98,6 +99,7 @@ const WRITERS: &[(&str, Why)] = &[
     ("crates/drex-twin/src/stages/scan.rs", Checked),
     ("crates/drex-twin/src/stages/train.rs", Checked),
     ("crates/drex-twin/src/stages/trial.rs", Checked),
+    ("crates/drex-twin/src/stereo.rs", Checked),
     ("crates/drex-twin/src/timings.rs", Checked),
 ];
 

@@ -38,6 +38,9 @@ pub struct DepthMap {
     pub depth_m: Vec<f32>,
     /// The object's silhouette, row-major: on rays outside it there is nothing of the object.
     pub mask: Option<Vec<bool>>,
+    /// How far each depth is to be trusted beside others, row-major, from 0: its weight is the square of it, and so much it counts against what is
+    /// nearer. `None`: 1 for all of them.
+    pub trust: Option<Vec<f32>>,
 }
 
 /// Views one at a time, so that hundreds of maps need not be in memory.
@@ -123,7 +126,12 @@ impl DepthMap {
                 "give the size of the depth image",
             ));
         }
-        for (name, length) in [("depth_m", Some(self.depth_m.len())), ("mask", self.mask.as_ref().map(Vec::len))] {
+        let lengths = [
+            ("depth_m", Some(self.depth_m.len())),
+            ("mask", self.mask.as_ref().map(Vec::len)),
+            ("trust", self.trust.as_ref().map(Vec::len)),
+        ];
+        for (name, length) in lengths {
             if length.is_some_and(|n| n != pixels) {
                 return Err(Error::value(
                     format!(
@@ -135,6 +143,12 @@ impl DepthMap {
                     "give one entry per pixel, row by row",
                 ));
             }
+        }
+        if self.trust.iter().flatten().any(|t| !(*t >= 0.0 && t.is_finite())) {
+            return Err(Error::value(
+                "a trust is negative or not finite",
+                "give 1 for what counts as usual, 0 for nothing",
+            ));
         }
         if !(c.fx_px > 0.0 && c.fy_px > 0.0 && [c.fx_px, c.fy_px, c.cx_px, c.cy_px].iter().all(|x| x.is_finite())) {
             return Err(Error::value(
@@ -173,7 +187,7 @@ pub fn cast_depth(mesh: &TriMesh, camera: &DepthCamera, world_from_camera: &Pose
             }
         }
     });
-    DepthMap { camera: *camera, world_from_camera: *world_from_camera, depth_m, mask: None }
+    DepthMap { camera: *camera, world_from_camera: *world_from_camera, depth_m, mask: None, trust: None }
 }
 
 /// Columns and rows outside which nothing of the mesh (camera axes) can be seen.

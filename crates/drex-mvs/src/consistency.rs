@@ -1,5 +1,7 @@
 //! What other photos confirm of a depth map.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 use crate::depth_map::DepthMap;
@@ -44,24 +46,26 @@ struct Found {
 /// A pixel without a depth.
 const INVALID: Found = Found { depth: 0.0, normal: [0.0; 3], trust: 0.0 };
 
-/// The depth map of a view, without what no other photo confirms and what is trusted less than `least_confidence`. `deviations`: how far off
-/// the disparity of each pixel may be.
+/// The depth map of a view, without what no other photo confirms and what is trusted less than `least_confidence`. `others`: the planes of its
+/// witnesses. `deviations`: how far off the disparity of each pixel may be.
 pub(crate) fn confirmed<const G: usize>(
     views: &[View],
-    fields: &[Field],
     i: usize,
+    field: &Field,
+    others: &[Arc<Field>],
     window: &Window<G>,
     deviations: &[f32],
     least_confidence: f32,
 ) -> DepthMap {
-    let (view, field) = (&views[i], &fields[i]);
+    let view = &views[i];
     let witnesses: Vec<Witness<'_>> = view
         .witnesses
         .iter()
-        .map(|n| Witness {
+        .zip(others)
+        .map(|(n, field)| Witness {
             to: view.to(&views[n.view], 0),
             back: views[n.view].to(view, 0),
-            field: &fields[n.view],
+            field,
             angle_rad: n.angle_rad as f32,
         })
         .collect();

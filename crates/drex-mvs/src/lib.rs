@@ -14,6 +14,7 @@ mod options;
 mod patchmatch;
 mod picture;
 mod refine;
+mod rounds;
 mod scene;
 mod specks;
 

@@ -1,13 +1,16 @@
 //! The depth maps of a capture, and how they come about.
 
+use std::sync::Arc;
+
 use drex_core::capture::Capture;
 use drex_core::{Error, Result};
 
 use crate::consistency::confirmed;
 use crate::depth_map::DepthMap;
 use crate::kernel::Window;
-use crate::options::{Level, MvsOptions, Preset};
+use crate::options::{MvsOptions, Preset, Round};
 use crate::patchmatch::{Field, MOST_SOURCES, Matcher, Pass, Peer, Scale};
+use crate::rounds::Rounds;
 use crate::scene::{Limits, Neighbour, View, prepare};
 use crate::specks::drop_specks;
 
@@ -98,7 +101,7 @@ impl<'a, const G: usize> Job<'a, G> {
     ) -> Result<Self> {
         let total = capture.views.len();
         // One more for windows that show little.
-        let sizes = 2 + options.preset.levels().iter().map(|l| l.halvings).max().unwrap_or(0);
+        let sizes = 2 + options.preset.rounds().iter().map(|r| r.halvings).max().unwrap_or(0);
         let views = prepare(capture, options, sizes, &|done| progress(Step { stage: "photos", done, total }))?;
         if views.iter().all(|v| v.sources().is_empty()) {
             return Err(Error::capture(
@@ -113,107 +116,101 @@ impl<'a, const G: usize> Job<'a, G> {
     }
 
     fn run(&self, take: &mut dyn FnMut(DepthMap) -> Result<()>) -> Result<()> {
-        let levels = self.options.preset.levels();
-        let total: usize =
-            levels.iter().map(|l| self.views.len() * (usize::from(l.photometric > 0) + l.geometric)).sum();
-        let mut done = 0;
-        let mut step = || {
-            (self.progress)(Step { stage: "depth", done, total });
-            done += 1;
-        };
-        let mut fields: Vec<Field> = Vec::new();
-        for (k, level) in levels.into_iter().enumerate() {
-            if k > 0 {
-                let doubled = |(view, field): (&View, &Field)| field.doubled(&view.searched[level.halvings]);
-                fields = self.views.iter().zip(&fields).map(doubled).collect();
-            }
-            if level.photometric > 0 || k == 0 {
-                let mut next = Vec::with_capacity(fields.len());
-                for i in 0..self.views.len() {
-                    step();
-                    next.push(self.photometric(i, fields.get(i), level));
+        let (schedule, photos) = (self.options.preset.rounds(), self.views.len());
+        let last = schedule.len() - 1;
+        let mut rounds = Rounds::new(self.options, &self.views);
+        let begin = rounds.last_complete(schedule.len()).map_or(0, |k| k + 1);
+        for k in begin..schedule.len() {
+            for i in 0..photos {
+                (self.progress)(Step { stage: "depth", done: k * photos + i, total: schedule.len() * photos });
+                if !rounds.has(k, i) {
+                    let field = self.field(i, &schedule, k, &mut rounds)?;
+                    rounds.put(k, i, field)?;
                 }
-                fields = next;
             }
-            for round in 0..level.geometric {
-                let last = level.halvings == 0 && round + 1 == level.geometric;
-                let mut next = Vec::with_capacity(fields.len());
-                for i in 0..self.views.len() {
-                    step();
-                    next.push(self.geometric(i, &fields, level, round, last));
-                }
-                fields = next;
-            }
+            rounds.forget_before(k);
         }
-        for i in 0..self.views.len() {
-            (self.progress)(Step { stage: "consistency", done: i, total: self.views.len() });
-            let deviations = self.deviations(i, &fields);
+        for (i, view) in self.views.iter().enumerate() {
+            (self.progress)(Step { stage: "consistency", done: i, total: photos });
+            let field = rounds.get(last, i)?;
+            let others: Vec<_> = view.witnesses.iter().map(|n| rounds.get(last, n.view)).collect::<Result<_>>()?;
+            let deviations = self.deviations(i, &field);
             let least = self.options.least_confidence;
-            let mut map = confirmed(&self.views, &fields, i, &self.window, &deviations, least);
+            let mut map = confirmed(&self.views, i, &field, &others, &self.window, &deviations, least);
             drop_specks(&mut map);
             take(map)?;
         }
         Ok(())
     }
 
-    fn photometric(&self, i: usize, field: Option<&Field>, level: Level) -> Field {
+    /// The planes of a photo after round `k`.
+    fn field(&self, i: usize, schedule: &[Round], k: usize, rounds: &mut Rounds) -> Result<Field> {
+        let round = schedule[k];
+        // Those of the round before, at the size of this one.
+        let mut before = |photo: usize| -> Result<Arc<Field>> {
+            let k = k.saturating_sub(1);
+            let field = rounds.get(k, photo)?;
+            let same_size = schedule[k].halvings == round.halvings;
+            let doubled = || Arc::new(field.doubled(&self.views[photo].searched[round.halvings]));
+            Ok(if same_size { field.clone() } else { doubled() })
+        };
+        if round.alone > 0 {
+            let start = if k == 0 { None } else { Some(before(i)?) };
+            return Ok(self.photometric(i, start.as_deref(), round));
+        }
+        let others: Vec<_> = self.views[i].sources().iter().map(|n| before(n.view)).collect::<Result<_>>()?;
+        let start = before(i)?;
+        Ok(self.geometric(i, &start, &others, round))
+    }
+
+    fn photometric(&self, i: usize, start: Option<&Field>, round: Round) -> Field {
         let limits = self.limits(i);
-        let matcher = self.matcher(i, level.halvings, &limits, Vec::new());
-        let first = field.is_none();
-        let mut field = field.cloned().unwrap_or_else(|| Field::random(&matcher));
+        let matcher = self.matcher(i, round.halvings, &limits, Vec::new());
+        let mut field = start.cloned().unwrap_or_else(|| Field::random(&matcher));
         if matcher.sources() == 0 {
             field.costs.fill(f32::INFINITY);
             return field;
         }
-        for number in 0..level.photometric {
+        for number in 0..round.alone {
             // Large steps where nothing is known, then half as large each time.
-            let step_px = if first { 4.0 } else { 1.0 } * 0.5f32.powi(number as i32);
-            let pass = Pass { number: number as u64, far: true, step_px, restart: first, last: false };
-            matcher.pass(&mut field, pass);
+            let step_px = if start.is_none() { 4.0 } else { 1.0 } * 0.5f32.powi(number as i32);
+            let restart = start.is_none();
+            matcher.pass(&mut field, Pass { number: number as u64, far: true, step_px, restart, last: false });
         }
         field
     }
 
-    fn geometric(&self, i: usize, fields: &[Field], level: Level, round: usize, last: bool) -> Field {
-        let mut field = fields[i].clone();
-        if self.views[i].sources().is_empty() {
+    /// `others`: the planes of the sources.
+    fn geometric(&self, i: usize, start: &Field, others: &[Arc<Field>], round: Round) -> Field {
+        let (mut field, view) = (start.clone(), &self.views[i]);
+        if others.is_empty() {
             return field;
         }
+        let peer = |(n, field): (&Neighbour, &'_ Arc<Field>)| {
+            let (turn, shift) = self.views[n.view].to(view, round.halvings);
+            Peer { field: field.clone(), turn, shift }
+        };
+        let peers = view.sources().iter().zip(others).map(peer).collect();
         let limits = self.limits(i);
-        let matcher = self.matcher(i, level.halvings, &limits, self.peers(i, level.halvings, fields));
-        let number = (level.photometric + round) as u64;
-        let far = level.halvings > 0;
-        matcher.pass(&mut field, Pass { number, far, step_px: 0.5, restart: false, last });
+        let matcher = self.matcher(i, round.halvings, &limits, peers);
+        let far = round.halvings > 0;
+        matcher.pass(&mut field, Pass { number: round.number, far, step_px: 0.5, restart: false, last: round.last });
         field
     }
 
-    fn deviations(&self, i: usize, fields: &[Field]) -> Vec<f32> {
+    fn deviations(&self, i: usize, field: &Field) -> Vec<f32> {
         if self.views[i].sources().is_empty() {
-            return vec![f32::INFINITY; fields[i].costs.len()];
+            return vec![f32::INFINITY; field.costs.len()];
         }
-        self.matcher(i, 0, &self.limits(i), self.peers(i, 0, fields)).deviations(&fields[i])
-    }
-
-    fn peers<'b>(&'b self, i: usize, halvings: usize, fields: &'b [Field]) -> Vec<Peer<'b>> {
-        let view = &self.views[i];
-        let peer = |n: &Neighbour| {
-            let (turn, shift) = self.views[n.view].to(view, halvings);
-            Peer { field: &fields[n.view], turn, shift }
-        };
-        view.sources().iter().map(peer).collect()
+        // Without the others' depth: how far off it may be the photos tell alone.
+        self.matcher(i, 0, &self.limits(i), Vec::new()).deviations(field)
     }
 
     fn limits(&self, i: usize) -> Limits<'_> {
         Limits::new(&self.views[i].camera, self.views[i].range, self.options.region.as_ref())
     }
 
-    fn matcher<'b>(
-        &'b self,
-        i: usize,
-        halvings: usize,
-        limits: &'b Limits<'b>,
-        peers: Vec<Peer<'b>>,
-    ) -> Matcher<'b, G> {
+    fn matcher<'b>(&'b self, i: usize, halvings: usize, limits: &'b Limits<'b>, peers: Vec<Peer>) -> Matcher<'b, G> {
         let view = &self.views[i];
         let own = view.matrix(halvings).map(|v| v as f32);
         let chosen = &view.sources()[..view.sources().len().min(MOST_SOURCES)];

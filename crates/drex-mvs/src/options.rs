@@ -1,5 +1,7 @@
 //! What is asked for.
 
+use std::path::PathBuf;
+
 use drex_core::{Error, Pose, Result};
 use nalgebra::Point3;
 
@@ -41,6 +43,9 @@ pub struct MvsOptions {
     pub least_confidence: f32,
     /// Of the random planes that are tried.
     pub seed: u64,
+    /// Folder for what is found on the way: with one, memory holds the planes of a few photos at a time, and a run of the same photos and options
+    /// that was interrupted is gone on with. Whoever gives it removes it when there is no need of it any more.
+    pub work: Option<PathBuf>,
 }
 
 impl Default for MvsOptions {
@@ -52,19 +57,22 @@ impl Default for MvsOptions {
             mask_margin_px: 2,
             least_confidence: 0.2,
             seed: 0,
+            work: None,
         }
     }
 }
 
-/// What is done at one size of the pictures.
+/// What is done with each photo before the next thing is done with any.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Level {
+pub(crate) struct Round {
     /// The pictures are halved so many times.
     pub halvings: usize,
-    /// Passes in which photos alone decide.
-    pub photometric: usize,
-    /// Passes in which the other photos' depth counts as well.
-    pub geometric: usize,
+    /// Passes in which photos alone decide; if there are none, the other photos' depth counts as well, in one pass.
+    pub alone: usize,
+    /// Of that pass at this size.
+    pub number: u64,
+    /// Whether it is the last one of all.
+    pub last: bool,
 }
 
 impl Preset {
@@ -86,13 +94,22 @@ impl Preset {
         }
     }
 
-    pub(crate) fn levels(self) -> [Level; 3] {
-        let level = |halvings, photometric, geometric| Level { halvings, photometric, geometric };
-        match self {
-            Self::Fast => [level(2, 4, 0), level(1, 2, 1), level(0, 0, 1)],
-            Self::Default => [level(2, 4, 0), level(1, 3, 1), level(0, 1, 2)],
-            Self::Best => [level(2, 6, 0), level(1, 4, 1), level(0, 2, 3)],
+    /// From small pictures to large ones.
+    pub(crate) fn rounds(self) -> Vec<Round> {
+        // Halvings, passes of photos alone, and passes in which depth counts.
+        let sizes = match self {
+            Self::Fast => [[2, 4, 0], [1, 2, 1], [0, 0, 1]],
+            Self::Default => [[2, 4, 0], [1, 3, 1], [0, 1, 2]],
+            Self::Best => [[2, 6, 0], [1, 4, 1], [0, 2, 3]],
+        };
+        let mut rounds = Vec::new();
+        for [halvings, alone, together] in sizes {
+            let round = Round { halvings, alone, number: 0, last: false };
+            rounds.extend((alone > 0).then_some(round));
+            rounds.extend((0..together).map(|k| Round { alone: 0, number: (alone + k) as u64, ..round }));
         }
+        rounds.iter_mut().last().into_iter().for_each(|round| round.last = true);
+        rounds
     }
 }
 

@@ -4,6 +4,8 @@
 //! work, and so the number of threads, does not matter. Where candidates come from follows Galliani, Lasinger and Schindler 2015 and Xu and
 //! Tao 2019 (ACMH).
 
+use std::sync::Arc;
+
 use drex_core::simd::vectorised;
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -20,8 +22,8 @@ const COUNTED: usize = 3;
 const EARLY_STOP_COST: f32 = 0.15;
 /// Planes are alike if they are nowhere in the window farther apart than this, pixels in the other photos.
 const TWIN_PX: f32 = 0.1;
-/// Samples of a window that count as independent.
-const INDEPENDENT: f32 = 12.0;
+/// Samples that count as independent: a third of those of the windows in the [`COUNTED`] photos.
+const INDEPENDENT: f32 = 24.0;
 /// Photos never agree better than this, whatever the cost says.
 const LEAST_COST: f32 = 0.01;
 /// Cosine of the steepest slope of a surface to its ray.
@@ -41,8 +43,8 @@ pub(crate) struct Field {
 }
 
 /// Another photo's planes, and how its pixels get back to the reference.
-pub(crate) struct Peer<'a> {
-    pub field: &'a Field,
+pub(crate) struct Peer {
+    pub field: Arc<Field>,
     pub turn: [[f32; 3]; 3],
     pub shift: [f32; 3],
 }
@@ -59,7 +61,7 @@ pub(crate) struct Matcher<'a, const G: usize> {
     /// Of each source's say: those nearby agree with everything and tell no depth.
     pub weights: Vec<f32>,
     /// One per source in passes where depth counts; else empty.
-    pub peers: Vec<Peer<'a>>,
+    pub peers: Vec<Peer>,
     /// Focal lengths and principal point, pixels from the centre of the first one.
     pub focal: [f32; 2],
     pub centre: [f32; 2],
@@ -364,7 +366,7 @@ impl<const G: usize> Matcher<'_, G> {
 
     /// From the pixel to the other photo, to the plane that lies there, and back: how far away that ends, at most [`MOST_PX`].
     #[inline(always)]
-    fn disagreement_px(&self, at: [f32; 2], w: f32, source: usize, peer: &Peer<'_>) -> f32 {
+    fn disagreement_px(&self, at: [f32; 2], w: f32, source: usize, peer: &Peer) -> f32 {
         let source = &self.scales[0].sources[source];
         let Some([x, y]) = mapped(&source.turn, &source.shift, at, w) else { return MOST_PX };
         let Some((plane, _)) = peer.field.at(x, y) else { return MOST_PX };

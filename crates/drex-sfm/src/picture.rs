@@ -256,6 +256,7 @@ mod tests {
             photo: "a.png".into(),
             mask: None,
             depth: None,
+            confidence: None,
             normal: None,
             lens,
             camera_from_world,

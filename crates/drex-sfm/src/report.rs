@@ -246,6 +246,7 @@ impl Refined {
                 photo: photo.path.clone(),
                 mask: photo.mask.clone(),
                 depth: None,
+                confidence: None,
                 normal: None,
                 lens,
                 camera_from_world: view.camera_from_world,

@@ -138,6 +138,7 @@ mod tests {
             photo: "a.png".into(),
             mask: None,
             depth: None,
+            confidence: None,
             normal: None,
             lens,
             camera_from_world: Pose::from_parts(Translation3::new(0.1, -0.3, 4.0), rotation),

@@ -32,6 +32,8 @@ pub mod masks;
 #[cfg(feature = "stages")]
 mod object;
 #[cfg(feature = "stages")]
+mod outlines;
+#[cfg(feature = "stages")]
 mod pipeline;
 #[cfg(feature = "stages")]
 mod place;

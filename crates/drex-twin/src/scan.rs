@@ -31,8 +31,10 @@ use crate::stereo::{self, DEPTH, Frame, frames};
 
 /// The mesh of a scan keeps to the fused one within this share of a voxel.
 const MAX_SIMPLIFICATION_VOXELS: f64 = 0.1;
-/// So many depth maps of stereo have to see through a place before it is empty: single ones are wrong here and there.
-const STEREO_VOTES: u16 = 3;
+/// So many depth maps of stereo, counted by confidence, have to see through a place before it is empty: single ones are wrong here and there.
+const STEREO_VOTES: f64 = 1.5;
+/// Confidence of a depth that counts as much as one without.
+const USUAL_CONFIDENCE: f32 = 0.45;
 /// Parts with less of the largest one's volume are none of the object: where little is known stereo makes some up.
 const STEREO_PARTS: f64 = 0.1;
 /// More masks say nothing new about where the object stands, and take memory.
@@ -158,7 +160,7 @@ impl Scanning<'_> {
         scale: Scale,
         progress: &dyn Progress,
     ) -> Result<Meshed> {
-        let (depths, masked, stereo) = self.depth_maps(cameras, region, progress)?;
+        let (depths, masked, stereo) = self.depth_maps(cameras, masks.is_some(), region, progress)?;
         progress.begin("fusion", None);
         let mut scan = Scan::new(cameras, &depths, masked, scale, &self.frame)?;
         // Depth maps of an earlier run may show the whole scene.
@@ -230,6 +232,7 @@ impl Scanning<'_> {
     fn depth_maps(
         &self,
         cameras: &Capture,
+        made_masks: bool,
         region: Option<&Region>,
         progress: &dyn Progress,
     ) -> Result<(Capture, bool, Option<MvsOptions>)> {
@@ -257,7 +260,7 @@ impl Scanning<'_> {
         let options = self.stereo_options(cameras, region)?;
         let misplaced = |v: &ViewReport| v.far || v.mask.as_ref().is_some_and(|m| m.misplaced);
         let left_out: Vec<bool> = report.views.iter().map(misplaced).collect();
-        stereo::write_depth_maps(cameras, &left_out, &options, self.out, progress)?;
+        stereo::write_depth_maps(cameras, &left_out, made_masks, &options, self.out, progress)?;
         Ok((Capture::load(&folder, &CaptureOptions::default())?, masked, Some(options)))
     }
 
@@ -614,6 +617,10 @@ fn depth_map(depths: &Photos, i: usize, silhouettes: bool) -> drex_mesh::Result<
         world_from_camera: c.camera_from_world.inverse(),
         depth_m: depth.clone(),
         mask: photo.mask.as_ref().filter(|_| silhouettes).map(|m| m.iter().map(|&v| v >= 128).collect()),
+        trust: photo
+            .confidence
+            .as_ref()
+            .map(|c| c.iter().map(|&v| f32::from(v) / (255.0 * USUAL_CONFIDENCE)).collect()),
     })
 }
 

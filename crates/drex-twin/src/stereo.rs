@@ -6,31 +6,37 @@ use std::path::{Path, PathBuf};
 use drex_core::Pose;
 use drex_core::camera::{Camera, CameraModel, PinholeCamera};
 use drex_core::capture::{Capture, PhotoOptions, Photos, View};
-use drex_core::fsutil::OutputFolder;
+use drex_core::fsutil::{OutputFolder, output_path};
 use drex_core::npy::write_npy;
 use drex_mesh::{DepthCamera, Similarity};
 use drex_mvs::{DepthMap, DepthMaps, MvsOptions, Region, Step};
 use drex_splat::io::picture;
 use nalgebra::{Matrix4, Point3};
 
+use crate::error::Context;
 use crate::masks::MaskReport;
+use crate::outlines::{mend, sure_points};
 use crate::progress::show_stages;
 use crate::{Progress, Result};
 
 /// Folder of the depth maps, below the output folder.
 pub(crate) const DEPTH: &str = "depth";
+/// Folder of work in progress, below that one.
+const WORK: &str = "work";
 /// The object may reach this much beyond the box that its points span, as a share of its sides.
 const BOX_MARGIN: f64 = 0.1;
 
 /// Estimates depth of every photo and writes it as the scan `out/depth`: for each photo the part that can show the object as `NAME.png`, where
-/// a mask is there transparent outside, and `NAME.npy` (z in the camera's frame, the capture's unit; 0 where nothing is known). Photos that
-/// are `left_out` get neither.
+/// a mask is there transparent outside, `NAME.npy` (z in the camera's frame, the capture's unit; 0 where nothing is known) and
+/// `NAME.confidence.png` (how far that is to be trusted, white for fully). Photos that are `left_out` get none. Where masks were `made`, the depth of other photos
+/// mends them. A run that is interrupted is gone on with.
 ///
 /// # Errors
 /// If a photo cannot be read, photos are too far apart, or a file cannot be written.
 pub(crate) fn write_depth_maps(
     cameras: &Capture,
     left_out: &[bool],
+    made: bool,
     options: &MvsOptions,
     out: &Path,
     progress: &dyn Progress,
@@ -40,55 +46,83 @@ pub(crate) fn write_depth_maps(
     let mut paths = Vec::with_capacity(cameras.views.len());
     for view in &cameras.views {
         let stem = Path::new(&view.name).with_extension("").to_string_lossy().replace('\\', "/");
-        paths.push((files.file(&format!("{stem}.png"))?, files.file(&format!("{stem}.npy"))?));
+        let mut file = |end| files.file(&format!("{stem}.{end}"));
+        paths.push([file("png")?, file("npy")?, file("confidence.png")?]);
     }
+    let mut options = options.clone();
+    let work = output_path(&out.join(DEPTH), WORK)?;
+    options.work = Some(work.clone());
     let mut one_at_a_time = PhotoOptions::default();
     (one_at_a_time.max_side, one_at_a_time.memory_bytes) = (options.max_side, 0);
     let photos = Photos::new(cameras, one_at_a_time)?;
     let masked = cameras.views.iter().any(|v| v.mask.is_some());
-    let mut views = Vec::new();
-    let mut next = 0;
+    let mut cuts: Vec<Option<Cut>> = Vec::with_capacity(paths.len());
     let mut take = |map: DepthMap| -> drex_core::Result<()> {
-        let i = next;
-        next += 1;
-        let (view, (png, npy)) = (&cameras.views[i], &paths[i]);
-        let photo = photos.get(i)?;
+        let i = cuts.len();
         // What else a photo without a mask shows is not the object's.
-        if left_out[i] || masked && photo.mask.is_none() {
+        if left_out[i] || masked && photos.get(i)?.mask.is_none() {
+            cuts.push(None);
             return Ok(());
         }
-        let c = &map.camera;
+        let DepthMap { camera, corner, depth, confidence, .. } = map;
+        let [_, npy, png] = &paths[i];
+        write_npy(npy, &[camera.height, camera.width], &depth)?;
+        picture::write_alpha(png, camera.width, camera.height, &confidence).map_err(not_written)?;
+        let points = if made { sure_points(&camera, &depth, &confidence) } else { Vec::new() };
+        cuts.push(Some(Cut { camera, corner, points }));
+        Ok(())
+    };
+    DepthMaps::each(cameras, &options, &shown(progress), &mut take)?;
+    let points: Vec<&[Point3<f32>]> = cuts.iter().flatten().map(|cut| cut.points.as_slice()).collect();
+    let mut views = Vec::new();
+    for (i, (view, [png, npy, confidence])) in cameras.views.iter().zip(&paths).enumerate() {
+        let Some(Cut { camera: c, corner, .. }) = &cuts[i] else { continue };
+        let photo = photos.get(i)?;
         let inside = || {
-            let row = |y: usize| (y + map.corner[1]) * photo.camera.width + map.corner[0];
+            let row = |y: usize| (y + corner[1]) * photo.camera.width + corner[0];
             (0..c.height).flat_map(move |y| (0..c.width).map(move |x| row(y) + x))
         };
-        let alpha: Vec<f32> =
+        let mut alpha: Vec<f32> =
             inside().map(|at| photo.mask.as_ref().map_or(1.0, |mask| f32::from(mask[at]) / 255.0)).collect();
+        if made {
+            // Its own points are all within its mask.
+            mend(&mut alpha, c, &points);
+        }
         let rgb: Vec<[f32; 3]> =
             inside().zip(&alpha).map(|(at, a)| photo.rgb[at].map(|v| f32::from(v) / 255.0 * a)).collect();
         let written = match masked {
             true => picture::write_rgba(png, c.width, c.height, &rgb, &alpha),
             false => picture::write_rgb(png, c.width, c.height, &rgb),
         };
-        written.map_err(|e| drex_core::Error::value(e.to_string(), "see that the folder can be written to"))?;
-        write_npy(npy, &[c.height, c.width], &map.depth)?;
+        written.map_err(not_written)?;
         views.push(View {
             photo: png.clone(),
             mask: None,
             depth: Some(npy.clone()),
+            confidence: Some(confidence.clone()),
             normal: None,
             lens: Camera::new(CameraModel::Pinhole, c.width as u32, c.height as u32, &[c.fx, c.fy, c.cx, c.cy])?,
             camera_from_world: c.camera_from_world,
             keypoints: Vec::new(),
             name: view.name.clone(),
         });
-        Ok(())
-    };
-    DepthMaps::each(cameras, options, &shown(progress), &mut take)?;
+    }
     progress.end();
     let maps =
         Capture { folder: out.join(DEPTH), views, points: Vec::new(), unregistered: Vec::new(), notes: Vec::new() };
-    Ok(maps.write_transforms(&index)?)
+    maps.write_transforms(&index)?;
+    std::fs::remove_dir_all(&work).with_context(|| format!("cannot remove {}", work.display()))
+}
+
+/// What is kept of a photo's depth until that of all is known.
+struct Cut {
+    camera: PinholeCamera,
+    corner: [usize; 2],
+    points: Vec<Point3<f32>>,
+}
+
+fn not_written(e: impl std::fmt::Display) -> drex_core::Error {
+    drex_core::Error::value(e.to_string(), "see that the folder can be written to")
 }
 
 /// Shows the steps of stereo as work of its stages.
@@ -165,7 +199,8 @@ impl Frame {
         };
         let depth_m = self.filled(&map.depth_m, own, 0.0);
         let mask = map.mask.map(|mask| self.filled(&mask, own, false));
-        drex_mesh::DepthMap { camera, depth_m, mask, ..map }
+        let trust = map.trust.map(|trust| self.filled(&trust, own, 0.0));
+        drex_mesh::DepthMap { camera, depth_m, mask, trust, ..map }
     }
 
     /// What is known of the map's pixels, row by row of `width`, with `beside` in the rest of the whole picture.
@@ -189,11 +224,17 @@ mod tests {
         assert_eq!(frame.filled(&[7, 8], 2, 0), [0, 0, 0, 0, 0, 0, 0, 0, 0, 7, 8, 0]);
         let camera = DepthCamera { width_px: 2, height_px: 1, fx_px: 5.0, fy_px: 5.0, cx_px: 0.5, cy_px: -1.0 };
         let world_from_camera = Pose::identity();
-        let map =
-            drex_mesh::DepthMap { camera, world_from_camera, depth_m: vec![1.0, 2.0], mask: Some(vec![true, false]) };
+        let map = drex_mesh::DepthMap {
+            camera,
+            world_from_camera,
+            depth_m: vec![1.0, 2.0],
+            mask: Some(vec![true, false]),
+            trust: Some(vec![0.25, 0.5]),
+        };
         let whole = frame.around(map.clone());
         assert_eq!([whole.camera.cx_px, whole.camera.cy_px], [1.5, 1.0]);
         assert_eq!((whole.depth_m[9], whole.depth_m[10], whole.depth_m.iter().sum::<f32>()), (1.0, 2.0, 3.0));
+        assert_eq!(whole.trust.unwrap()[8..11], [0.0, 0.25, 0.5]);
         assert_eq!(whole.mask.unwrap().iter().filter(|m| **m).count(), 1);
         // One that is whole stays as it is.
         assert_eq!(Frame { size: [2, 1], corner: [0, 0] }.around(map.clone()), map);

@@ -175,6 +175,7 @@ pub(super) fn finish(
             photo: one.photo,
             mask,
             depth: one.given.depth.or(files.depth),
+            confidence: one.given.confidence,
             normal: one.given.normal.or(files.normal),
             lens,
             camera_from_world: one.camera_from_world,

@@ -15,6 +15,7 @@ use crate::{Error, Result};
 pub(super) struct Companions {
     pub(super) mask: Option<PathBuf>,
     pub(super) depth: Option<PathBuf>,
+    pub(super) confidence: Option<PathBuf>,
     pub(super) normal: Option<PathBuf>,
 }
 
@@ -35,6 +36,7 @@ impl Companions {
         Self {
             mask: find(place(&options.masks, "masks"), &PICTURES),
             depth: find(place(&options.depths, "depths"), &["npy", "png"]),
+            confidence: None,
             normal: find(place(&options.normals, "normals"), &["png"]),
         }
     }

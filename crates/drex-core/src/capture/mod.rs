@@ -65,6 +65,8 @@ pub struct View {
     pub mask: Option<PathBuf>,
     /// A depth map.
     pub depth: Option<PathBuf>,
+    /// How far each depth is to be trusted: a grey picture, white for fully.
+    pub confidence: Option<PathBuf>,
     /// A normal map.
     pub normal: Option<PathBuf>,
     /// The lens, for pixels of the photo's file as it is stored (an orientation tag turns nothing).

@@ -42,6 +42,8 @@ pub struct Photo {
     pub mask: Option<Vec<u8>>,
     /// z in the camera frame, scene units; 0 where unknown.
     pub depth: Option<Vec<f32>>,
+    /// How far each depth is to be trusted, 0 to 255 fully.
+    pub confidence: Option<Vec<u8>>,
     /// Unit normal in the camera frame (x right, y down, z forward); zero where unknown.
     pub normal: Option<Vec<[f32; 3]>>,
 }
@@ -181,6 +183,7 @@ impl Photo {
         self.rgb.len() * 3
             + self.mask.as_ref().map_or(0, Vec::len)
             + self.depth.as_ref().map_or(0, |d| d.len() * 4)
+            + self.confidence.as_ref().map_or(0, Vec::len)
             + self.normal.as_ref().map_or(0, |n| n.len() * 12)
     }
 }
@@ -193,8 +196,10 @@ impl Source {
         let kept = self.camera.width * self.camera.height;
         let mask = usize::from(self.view.mask.is_some());
         let depth = usize::from(self.view.depth.is_some());
+        let confidence = usize::from(self.view.confidence.is_some());
         let normal = usize::from(self.view.normal.is_some());
-        (6 + 2 * mask + 6 * depth + 18 * normal) * decoded + (3 + mask + 4 * depth + 12 * normal) * kept
+        (6 + 2 * mask + 6 * depth + 2 * confidence + 18 * normal) * decoded
+            + (3 + mask + 4 * depth + confidence + 12 * normal) * kept
     }
 
     fn read(&self, options: &PhotoOptions) -> Result<Photo> {
@@ -212,10 +217,14 @@ impl Source {
             let values = values.as_chunks().0;
             warp.area::<1>(&Plane { width: w, height: h, values }, width, height).into_iter().flatten().collect()
         });
-        let mut photo = Photo { camera: camera.clone(), rgb, mask, depth: None, normal: None };
+        let mut photo = Photo { camera: camera.clone(), rgb, mask, depth: None, confidence: None, normal: None };
         if let Some(path) = &view.depth {
             let (w, h, values) = companions::depth(path, options.depth_scale)?;
             photo.depth = Some(warp.nearest(&of_same_aspect(path, view, w, h, &values)?, width, height));
+        }
+        if let Some(path) = &view.confidence {
+            let (w, h, values) = companions::mask(path)?;
+            photo.confidence = Some(warp.nearest(&of_same_aspect(path, view, w, h, &values)?, width, height));
         }
         if let Some(path) = &view.normal {
             let (w, h, values) = companions::normal(path, options.flip_normals)?;

@@ -31,6 +31,7 @@ struct Frame {
     transform_matrix: Vec<Vec<f64>>,
     mask_path: Option<PathBuf>,
     depth_file_path: Option<PathBuf>,
+    confidence_file_path: Option<PathBuf>,
     #[serde(flatten)]
     lens: Intrinsics,
 }
@@ -88,6 +89,7 @@ pub(super) fn load(folder: &Path, path: &Path, options: &CaptureOptions) -> Resu
         let given = Companions {
             mask: existing(&frame.mask_path, "mask"),
             depth: existing(&frame.depth_file_path, "depth map"),
+            confidence: existing(&frame.confidence_file_path, "confidence"),
             normal: None,
         };
         let size = size_of(&photo)?;

@@ -31,6 +31,9 @@ struct Frame {
     mask_path: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     depth_file_path: Option<String>,
+    /// Not of nerfstudio, which passes over what it does not know.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    confidence_file_path: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     camera_model: Option<&'static str>,
     #[serde(flatten)]
@@ -114,6 +117,7 @@ fn frame(folder: &Path, view: &View, model: &'static str, lens: Intrinsics) -> R
         file_path: beside(&view.photo)?,
         mask_path: view.mask.as_deref().map(beside).transpose()?,
         depth_file_path: view.depth.as_deref().map(beside).transpose()?,
+        confidence_file_path: view.confidence.as_deref().map(beside).transpose()?,
         camera_model: Some(model),
         lens: Some(lens),
         transform_matrix,

@@ -143,7 +143,8 @@ fn as_opencv(lens: &Camera) -> Option<Camera> {
 fn assert_kept(a: &Capture, b: &Capture) {
     assert_eq!(a.views.len(), b.views.len());
     for (a, b) in a.views.iter().zip(&b.views) {
-        assert_eq!((&a.name, &a.photo, &a.mask, &a.depth), (&b.name, &b.photo, &b.mask, &b.depth));
+        assert_eq!((&a.name, &a.photo, &a.mask), (&b.name, &b.photo, &b.mask));
+        assert_eq!((&a.depth, &a.confidence), (&b.depth, &b.confidence));
         assert_eq!(as_opencv(&a.lens), Some(b.lens.clone()), "{}", a.name);
         let pixel = |lens: &Camera| lens.project(&Point3::new(0.1, -0.2, 1.0)).unwrap();
         assert!((pixel(&a.lens) - pixel(&b.lens)).norm() < 1e-9);
@@ -164,9 +165,11 @@ fn transforms_are_read_as_they_were_written() {
             assert!(message.contains(model.name()), "{message}");
             continue;
         }
-        let [mask, depth] = ["masks/view 00.png", "elsewhere/depth/view 00.png"].map(|name| folder.join(name));
-        [&mask, &depth].iter().for_each(|path| grey(path, 160, 120));
-        (capture.views[0].mask, capture.views[0].depth) = (Some(mask), Some(depth));
+        let of_first = ["masks/view 00.png", "elsewhere/depth/view 00.png", "elsewhere/confidence 00.png"];
+        let [mask, depth, confidence] = of_first.map(|name| folder.join(name));
+        [&mask, &depth, &confidence].iter().for_each(|path| grey(path, 160, 120));
+        let first = &mut capture.views[0];
+        (first.mask, first.depth, first.confidence) = (Some(mask), Some(depth), Some(confidence));
         capture.write_transforms(&file).unwrap();
         assert_kept(&capture, &load(&folder));
         let text = std::fs::read_to_string(&file).unwrap();

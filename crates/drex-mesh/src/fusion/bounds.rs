@@ -202,7 +202,6 @@ impl BoundsEstimate {
         Walls { thickness_m: thinnest.copied().filter(|t| t.is_finite()), spread_m }
     }
 
-    /// A number for the cell that a point is in: 20 bits for each coordinate, with the box in the middle of their range.
     /// The distance from the fused surface that nine of ten measured points keep, metres, at most the truncation: how far
     /// the views contradict each other.
     pub fn residual_m(&self, field: &Field) -> f64 {
@@ -215,6 +214,7 @@ impl BoundsEstimate {
         f64::from(*distances.select_nth_unstable_by(place, f32::total_cmp).1)
     }
 
+    /// A number for the cell that a point is in: 20 bits for each coordinate, with the box in the middle of their range.
     fn cell(&self, p: &Point3<f64>, cell_m: f64) -> u64 {
         let at =
             |k: usize| ((p[k] - self.bounds.lo[k]) / cell_m + f64::from(1 << 19)).clamp(0.0, f64::from((1 << 20) - 1));

@@ -80,8 +80,8 @@ pub struct FusionOptions {
     pub support: Option<Support>,
     /// Move vertices near edges of the object onto the intersection of its planes.
     pub sharp_edges: bool,
-    /// How many views must see a place empty that no view measured; more if single maps are wrong at many pixels.
-    pub empty_votes: u16,
+    /// How many views must see a place empty that no view measured, each counted by its trust; more if single maps are wrong at many pixels.
+    pub empty_votes: f64,
     /// Parts with a smaller share of the volume of the largest one are dropped.
     pub smallest_volume_share: f64,
     /// Most memory that the volume may take, bytes.
@@ -97,7 +97,7 @@ impl Default for FusionOptions {
             region: None,
             support: None,
             sharp_edges: false,
-            empty_votes: 1,
+            empty_votes: 1.0,
             smallest_volume_share: 0.01,
             memory_bytes: 2 << 30,
         }
@@ -332,6 +332,12 @@ impl FusionOptions {
         {
             return Err(Error::value("the support plane is not finite", "give a point and an upward normal"));
         }
+        if !(self.empty_votes > 0.0 && self.empty_votes.is_finite()) {
+            return Err(Error::value(
+                format!("empty_votes is {}", self.empty_votes),
+                "give a positive number of views",
+            ));
+        }
         if !(0.0..=1.0).contains(&self.smallest_volume_share) {
             return Err(Error::value(
                 format!("smallest_volume_share is {}", self.smallest_volume_share),
@@ -371,7 +377,7 @@ impl Plan {
             truncation: truncation as f32,
             trusted: (2.5 * walls.spread_m).clamp(0.25 * truncation, 0.7 * truncation) as f32,
             depth: estimate.depth_m as f32,
-            votes: options.empty_votes,
+            votes: options.empty_votes as f32,
         };
         // Noise spreads the points beyond the surface, and smoothed depths less so.
         let mut solid = estimate.bounds.fattened(truncation + voxel_m);

@@ -25,13 +25,15 @@ pub(super) struct Pixel {
     /// Hit: what turns a difference of depths into a distance from the tangent plane; 0 where no plane was found.
     /// Background: distance from the silhouette in pixels, infinite if farther than is told apart.
     pub factor: f32,
+    /// How far that is to be trusted; 1 for background.
+    pub trust: f32,
 }
 
 impl Pixel {
-    /// Depth, gradients, factor.
+    /// Depth, gradients, factor, trust.
     #[inline(always)]
-    pub fn values(&self) -> [f32; 4] {
-        [self.z, self.slope[0], self.slope[1], self.factor]
+    pub fn values(&self) -> [f32; 5] {
+        [self.z, self.slope[0], self.slope[1], self.factor, self.trust]
     }
 }
 
@@ -39,9 +41,9 @@ pub(super) const BACKGROUND: f32 = 0.0;
 const UNKNOWN: f32 = -1.0;
 
 /// A pixel whose ray meets nothing, far from any silhouette.
-const EMPTY: Pixel = Pixel { z: BACKGROUND, slope: [0.0; 2], factor: f32::INFINITY };
+const EMPTY: Pixel = Pixel { z: BACKGROUND, slope: [0.0; 2], factor: f32::INFINITY, trust: 1.0 };
 /// A pixel of which nothing is known.
-const NOTHING: Pixel = Pixel { z: UNKNOWN, slope: [0.0; 2], factor: 0.0 };
+const NOTHING: Pixel = Pixel { z: UNKNOWN, slope: [0.0; 2], factor: 0.0, trust: 0.0 };
 
 /// Extremes of the pixels of a tile.
 #[derive(Debug, Clone, Copy)]
@@ -50,6 +52,8 @@ pub(super) struct Tile {
     pub farthest: f32,
     /// Smallest distance from a silhouette of pixels whose rays meet nothing, in pixels; infinite if there is none.
     pub rim_px: f32,
+    /// Least trust in what is measured; 1 if nothing is.
+    pub trust: f32,
     /// Pixels whose rays meet nothing.
     pub empty: bool,
     /// Pixels of which nothing is known.
@@ -57,7 +61,7 @@ pub(super) struct Tile {
 }
 
 const NO_PIXEL: Tile =
-    Tile { nearest: f32::INFINITY, farthest: 0.0, rim_px: f32::INFINITY, empty: false, unknown: false };
+    Tile { nearest: f32::INFINITY, farthest: 0.0, rim_px: f32::INFINITY, trust: 1.0, empty: false, unknown: false };
 
 /// A depth map ready for fusion, at every pixel or, where those are much finer than the voxels, at those of a raster: then
 /// it is like the map of a camera with larger pixels, and they are meant below. Beside the kept window there is background, or nothing is known.
@@ -121,7 +125,7 @@ impl Prepared {
             #[inline(always)]
             || {
                 prepared.read_background(map, raster);
-                prepared.read_hits(&smooth);
+                prepared.read_hits(&smooth, map, raster);
                 if prepared.beside_is_empty {
                     prepared.measure_silhouettes(reach);
                 }
@@ -147,8 +151,7 @@ impl Prepared {
     #[inline(always)]
     fn read_background(&mut self, map: &DepthMap, raster: Raster) {
         let Window { x, y, width, height } = self.window;
-        let pixel =
-            |empty: bool| Pixel { z: if empty { BACKGROUND } else { UNKNOWN }, slope: [0.0; 2], factor: f32::INFINITY };
+        let pixel = |empty: bool| if empty { EMPTY } else { NOTHING };
         self.pixels = match &map.mask {
             None => vec![pixel(self.beside_is_empty); width * height],
             Some(mask) => (y..y + height)
@@ -162,7 +165,7 @@ impl Prepared {
     }
 
     #[inline(always)]
-    fn read_hits(&mut self, hits: &Smooth) {
+    fn read_hits(&mut self, hits: &Smooth, map: &DepthMap, raster: Raster) {
         let n = hits.window.width;
         let (mut along, mut down, mut factor) = (vec![0.0_f32; n], vec![0.0_f32; n], vec![0.0_f32; n]);
         let [fx, fy] = self.focal;
@@ -182,9 +185,11 @@ impl Prepared {
                 down[x] = if found { down[x] } else { 0.0 };
             }
             let to = (hits.window.y - self.window.y + row) * self.window.width + hits.window.x - self.window.x;
+            let from = raster.pixel(hits.window.y + row) * map.camera.width_px as usize;
             for (x, out) in self.pixels[to..to + n].iter_mut().enumerate() {
                 if z[x] > 0.0 {
-                    *out = Pixel { z: z[x], slope: [along[x], down[x]], factor: factor[x] };
+                    let trust = map.trust.as_ref().map_or(1.0, |c| c[from + raster.pixel(hits.window.x + x)]);
+                    *out = Pixel { z: z[x], slope: [along[x], down[x]], factor: factor[x], trust };
                 }
             }
         }
@@ -250,6 +255,7 @@ impl Prepared {
                     t.rim_px = if background & (p.factor < t.rim_px) { p.factor } else { t.rim_px };
                     t.nearest = if hit & (p.z < t.nearest) { p.z } else { t.nearest };
                     t.farthest = if p.z > t.farthest { p.z } else { t.farthest };
+                    t.trust = if hit & (p.trust < t.trust) { p.trust } else { t.trust };
                     t.empty |= background;
                     t.unknown |= !hit & !background;
                 }
@@ -282,6 +288,7 @@ impl Prepared {
                 out.nearest = out.nearest.min(t.nearest);
                 out.farthest = out.farthest.max(t.farthest);
                 out.rim_px = out.rim_px.min(t.rim_px);
+                out.trust = out.trust.min(t.trust);
                 out.empty |= t.empty;
                 out.unknown |= t.unknown;
             }

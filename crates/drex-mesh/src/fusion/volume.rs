@@ -34,8 +34,8 @@ pub(super) struct Band {
     pub trusted: f32,
     /// Typical depth, for weights relative to the noise that grows with its square.
     pub depth: f32,
-    /// Votes for empty that make an otherwise unobserved voxel empty.
-    pub votes: u16,
+    /// Trust in views that see through that makes an otherwise unobserved voxel empty.
+    pub votes: f32,
 }
 
 /// Samples along a side of the parts in which a block is compared with a view, and all samples of a part.
@@ -53,7 +53,7 @@ struct Evidence {
     cosine: [f32; CELLS],
     /// Views that measured the surface near here.
     views: [f32; CELLS],
-    /// Views that saw through.
+    /// Trust in the views that saw through.
     empty: [f32; CELLS],
 }
 
@@ -78,8 +78,8 @@ fn part_of(v: usize) -> (usize, usize) {
 /// A block is stored when the views begin to differ within it.
 #[derive(Default)]
 pub(super) struct Block {
-    /// Views that see all of it empty.
-    empty: u16,
+    /// Trust in the views that see all of it empty.
+    empty: f32,
     evidence: Option<Box<Parts>>,
 }
 
@@ -116,7 +116,7 @@ impl Block {
     fn add(&mut self, view: &Prepared, first: Vector3<f32>, spacing: f32, band: &Band) {
         match view.relation(first, (SIDE - 1) as f32 * spacing, band) {
             Relation::Nothing => {}
-            Relation::Empty => self.empty = self.empty.saturating_add(1),
+            Relation::Empty(trust) => self.empty += trust,
             Relation::Mixed => {
                 let parts = self.evidence.get_or_insert_with(|| Box::new([NO_EVIDENCE; 8]));
                 for (i, part) in parts.iter_mut().enumerate() {
@@ -282,7 +282,8 @@ impl Volume {
 /// What a view says about a cube of samples.
 enum Relation {
     Nothing,
-    Empty,
+    /// With so much trust.
+    Empty(f32),
     Mixed,
 }
 
@@ -319,7 +320,7 @@ impl Prepared {
         let hit = seen.farthest > 0.0;
         let aside = seen.rim_px * near / self.focal[0].max(self.focal[1]);
         if !seen.unknown && aside >= band.truncation && (!hit || seen.nearest > far + FAR_IN_FRONT * band.truncation) {
-            return if hit || seen.empty { Relation::Empty } else { Relation::Nothing };
+            return if hit || seen.empty { Relation::Empty(seen.trust) } else { Relation::Nothing };
         }
         if !seen.empty && (!hit || seen.farthest < near - FAR_BEHIND * band.truncation) {
             return Relation::Nothing;
@@ -334,7 +335,7 @@ impl Evidence {
     fn add(&mut self, view: &Prepared, first: Vector3<f32>, spacing: f32, band: &Band) {
         match view.relation(first, (PART - 1) as f32 * spacing, band) {
             Relation::Nothing => {}
-            Relation::Empty => self.empty.iter_mut().for_each(|n| *n += 1.0),
+            Relation::Empty(trust) => self.empty.iter_mut().for_each(|n| *n += trust),
             Relation::Mixed => self.add_each(&Glance::new(view, first, spacing), view, band),
         }
     }
@@ -362,7 +363,7 @@ impl Evidence {
             let beside = background & (aside >= truncation);
             let rim = background & (aside < truncation) & (at.factor[i] >= LEAST_RIM_PX);
 
-            let weight = cosine * noise_weight;
+            let weight = cosine * noise_weight * at.trust[i] * at.trust[i];
             self.front[0][i] += only_if(front, weight) + only_if(rim, SILHOUETTE_WEIGHT);
             self.front[1][i] += only_if(front, weight * distance) + only_if(rim, SILHOUETTE_WEIGHT * aside);
             let weight = weight * band.falloff(distance);
@@ -371,15 +372,15 @@ impl Evidence {
             let cosine = only_if(near, cosine);
             self.cosine[i] = if cosine > self.cosine[i] { cosine } else { self.cosine[i] };
             self.views[i] += only_if(near, 1.0);
-            self.empty[i] += only_if(through | beside, 1.0);
+            self.empty[i] += only_if(through | beside, at.trust[i]);
         }
     }
 
     /// The signed distance of a sample and whether it was observed. `empty_block`: votes for the whole block.
-    fn value(&self, at: usize, empty_block: u16, band: &Band) -> (f32, bool) {
+    fn value(&self, at: usize, empty_block: f32, band: &Band) -> (f32, bool) {
         let (front_weight, front) = (self.front[0][at], self.front[1][at]);
         let (behind_weight, behind) = (self.behind[0][at], self.behind[1][at]);
-        let (empty, votes) = (self.empty[at] + f32::from(empty_block), f32::from(band.votes));
+        let (empty, votes) = (self.empty[at] + empty_block, band.votes);
         let weight = front_weight + behind_weight;
         if weight < OBSERVED {
             return (if empty >= votes { band.truncation } else { -band.truncation }, false);
@@ -399,6 +400,7 @@ struct Glance {
     /// Depth of the surface on the ray, continued from the pixel's centre along its slope.
     measured: [f32; CELLS],
     factor: [f32; CELLS],
+    trust: [f32; CELLS],
     /// Inverse length of the ray to the middle with z = 1.
     per_ray: f32,
 }
@@ -428,15 +430,15 @@ impl Glance {
             place[i] = view.place(if depth[i] > 0.0 { column } else { OUTSIDE }, row);
         }
         let pixels = place.map(|p| view.pixels[p as usize].values());
-        let (mut measured, mut factor) = ([0.0; CELLS], [0.0; CELLS]);
+        let (mut measured, mut factor, mut trust) = ([0.0; CELLS], [0.0; CELLS], [0.0; CELLS]);
         for i in 0..CELLS {
-            let [z, along, down, f] = pixels[i];
+            let [z, along, down, f, t] = pixels[i];
             // Slopes are zero where there is no surface.
             measured[i] = z + along * aside[i] + down * below[i];
-            factor[i] = f;
+            (factor[i], trust[i]) = (f, t);
         }
         let middle = start + step * Vector3::repeat(0.5 * (PART - 1) as f32);
-        Self { depth, measured, factor, per_ray: (middle.z / middle.norm()).clamp(0.1, 1.0) }
+        Self { depth, measured, factor, trust, per_ray: (middle.z / middle.norm()).clamp(0.1, 1.0) }
     }
 }
 

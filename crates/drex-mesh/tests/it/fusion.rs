@@ -352,6 +352,36 @@ fn a_bad_map_drills_no_hole_and_bits_in_the_air_are_dropped() {
 }
 
 #[test]
+fn what_is_trusted_little_says_little() {
+    let block = cuboid([-0.03, -0.02, 0.0], [0.03, 0.02, 0.04]);
+    let (camera, poses) = (camera(320, 240, 400.0), around(Point3::new(0.0, 0.0, 0.02), 0.3, 30, -1.0));
+    let mut options = rendered();
+    (options.voxel_m, options.truncation_m, options.empty_votes) = (Some(1.5e-3), Some(6e-3), 3.0);
+    let clean = fuse(&cast(&block, &camera, &poses), &options).unwrap();
+    // Every third map sees a block that is 2 mm larger on all sides, and through its middle.
+    let large = cuboid([-0.032, -0.022, -0.002], [0.032, 0.022, 0.042]);
+    let wrong = |trust: f32| {
+        let mut maps = cast(&block, &camera, &poses);
+        for (k, map) in maps.iter_mut().enumerate() {
+            map.trust = Some(vec![1.0; camera.pixels()]);
+            if k % 3 == 0 {
+                *map = cast_depth(&large, &camera, &poses[k]);
+                let middle = |i: &usize| (140..180).contains(&(i % 320)) && (105..135).contains(&(i / 320));
+                (0..camera.pixels()).filter(middle).for_each(|i| map.depth_m[i] *= 1.5);
+                map.trust = Some(vec![trust; camera.pixels()]);
+            }
+        }
+        fuse(&maps, &options).unwrap().mesh
+    };
+    let off = |mesh: &TriMesh| (volume(mesh) / volume(&clean.mesh) - 1.0).abs();
+    let [fully, little] = [1.0, 0.1].map(|trust| off(&wrong(trust)));
+    assert!(
+        little < 0.01 && fully > 5.0 * little,
+        "{fully} where all are trusted, {little} where the wrong ones are not"
+    );
+}
+
+#[test]
 fn wrong_input_is_refused_with_the_view_and_the_reason() {
     let block = cuboid([-0.03, -0.02, 0.0], [0.03, 0.02, 0.04]);
     let good = cast(&block, &camera(80, 60, 100.0), &around(Point3::origin(), 0.3, 6, -1.0));
@@ -365,6 +395,8 @@ fn wrong_input_is_refused_with_the_view_and_the_reason() {
     refused(&|m, _| m.clear(), &["no depth maps"]);
     refused(&|m, _| m[2].depth_m.truncate(9), &["view 2", "depth_m has 9 entries", "80 x 60"]);
     refused(&|m, _| m[3].mask = Some(vec![true]), &["view 3", "mask has 1 entries"]);
+    refused(&|m, _| m[5].trust = Some(vec![0.5]), &["view 5", "trust has 1 entries"]);
+    refused(&|m, _| m[5].trust = Some(vec![f32::NAN; 4800]), &["view 5", "not finite"]);
     refused(&|m, _| m[1].camera.fx_px = 0.0, &["view 1", "focal"]);
     refused(&|m, _| m[1].camera.cx_px = f64::NAN, &["view 1", "principal point"]);
     refused(&|m, _| m[4].world_from_camera.translation.x = f64::INFINITY, &["view 4", "pose"]);
@@ -374,6 +406,7 @@ fn wrong_input_is_refused_with_the_view_and_the_reason() {
     refused(&|_, o| o.region = Some((Point3::new(1.0, 1.0, 1.0), Point3::origin())), &["no box"]);
     refused(&|_, o| o.voxel_m = Some(1e-6), &["voxels of 0.000001 m", "take voxels of"]);
     refused(&|_, o| o.voxel_m = Some(-1.0), &["voxel_m"]);
+    refused(&|_, o| o.empty_votes = 0.0, &["empty_votes"]);
     refused(&|_, o| o.smallest_volume_share = f64::NAN, &["smallest_volume_share"]);
     let up = Unit::new_unchecked(Vector3::new(f64::NAN, 0.0, 1.0));
     refused(&|_, o| o.support = Some(Support { point: Point3::origin(), up }), &["support"]);

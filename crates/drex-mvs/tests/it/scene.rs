@@ -61,6 +61,7 @@ pub fn photograph(folder: &Path, cameras: &[Pose], surface: Surface<'_>, grain: 
             photo,
             mask: None,
             depth: None,
+            confidence: None,
             normal: None,
             lens: lens.clone(),
             camera_from_world: *pose,

@@ -1,7 +1,10 @@
+use std::panic::catch_unwind;
+use std::sync::Mutex;
+
 use drex_core::Pose;
 use drex_core::camera::{Camera, CameraModel};
 use drex_core::capture::{Capture, SparsePoint, View};
-use drex_mvs::{DepthMap, DepthMaps, MvsOptions, Preset, Region};
+use drex_mvs::{DepthMap, DepthMaps, MvsOptions, Preset, Region, Step};
 use image::imageops::FilterType;
 use nalgebra::{Point3, Vector3};
 
@@ -145,6 +148,30 @@ fn large_photos_are_compared_as_small_as_the_preset_has_time_for() {
         let expected = pixels.map_or(2000.0, |pixels: f64| width * (pixels / (width * height)).sqrt());
         assert!((found - expected).abs() <= 1.0, "{preset:?}: {found}, not {expected}");
     }
+}
+
+#[test]
+fn an_interrupted_run_is_gone_on_with() {
+    let dir = tempfile::tempdir().unwrap();
+    let capture = photograph(dir.path(), &ring(0.4, &CROSS[..3]), &slanted(20.0), 0.004, 80.0);
+    let mut options = options(0.1);
+    options.preset = Preset::Fast;
+    let whole = estimate(&capture, &options);
+    options.work = Some(dir.path().join("work"));
+    let stops = |step: Step| assert!(step.stage != "depth" || step.done < 7, "interrupted");
+    let stopped = catch_unwind(|| DepthMaps::estimate(&capture, &options, &stops));
+    assert!(stopped.is_err());
+    let steps = Mutex::new(Vec::new());
+    let goes_on = |step: Step| steps.lock().unwrap().extend((step.stage == "depth").then_some(step.done));
+    assert_eq!(DepthMaps::estimate(&capture, &options, &goes_on).unwrap(), whole);
+    // Three photos went through two rounds, the first one through a third.
+    assert_eq!(steps.lock().unwrap()[..2], [6, 7]);
+    assert_eq!(options.work.as_ref().unwrap().read_dir().unwrap().count(), 3, "what is of no use any more is gone");
+    // Nothing of it serves other options.
+    options.seed += 1;
+    steps.lock().unwrap().clear();
+    let other = DepthMaps::estimate(&capture, &options, &goes_on).unwrap();
+    assert!(steps.lock().unwrap()[0] == 0 && other != whole);
 }
 
 #[test]

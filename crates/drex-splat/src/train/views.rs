@@ -119,6 +119,7 @@ pub(crate) fn reduced(photo: &Photo, divisor: usize) -> Photo {
         rgb: rgb.collect(),
         mask: photo.mask.as_ref().map(|m| pixels().map(|(x, y)| mean(m, x, y)).collect()),
         depth: photo.depth.as_ref().map(|m| pixels().map(|(x, y)| depth(m, x, y)).collect()),
+        confidence: photo.confidence.as_ref().map(|c| pixels().map(|(x, y)| mean(c, x, y)).collect()),
         normal: photo.normal.as_ref().map(|m| pixels().map(|(x, y)| normal(m, x, y)).collect()),
         camera,
     }

@@ -67,6 +67,7 @@ fn photo_of(set: &Gaussians, camera: PinholeCamera) -> Photo {
         rgb: render.rgb.iter().map(|c| c.map(byte)).collect(),
         mask: Some(render.alpha.iter().map(|&a| if a > 0.5 { 255 } else { 0 }).collect()),
         depth: None,
+        confidence: None,
         normal: None,
         camera,
     }
