@@ -64,6 +64,7 @@ const WRITERS: &[(&str, Why)] = &[
     ("crates/drex-hw/src/driver/run.rs", Caller),
     ("crates/drex-hw/src/dynamixel/serial.rs", Caller),
     ("crates/drex-hw/src/emulator/pty.rs", Caller),
+    ("crates/drex-mesh/src/fusion/evidence.rs", Caller),
     ("crates/drex-mesh/src/io/glb.rs", Caller),
     ("crates/drex-mesh/src/io/obj.rs", Caller),
     ("crates/drex-mesh/src/io/write.rs", Caller),

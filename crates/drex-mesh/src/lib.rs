@@ -55,20 +55,22 @@ mod weld;
 
 pub use asset::{
     ArticulatedAsset, ArticulatedReport, Asset, AssetOptions, AssetReport, Background, ContactConfig, JointConfig,
-    JointKind, LengthUnit, Part, PartConfig, SceneOptions, UpSource, articulated_asset, asset_from_mesh, build_asset,
-    joint_tree, metric_mesh, read_object, rebuild_asset,
+    JointKind, LengthUnit, Part, PartConfig, SceneOptions, TextureMap, UpSource, articulated_asset, asset_from_mesh,
+    build_asset, joint_tree, metric_mesh, read_object, rebuild_asset,
 };
 pub use check::{
     CheckOptions, CheckReport, Outcome, RuleResult, ScanCamera, ScanEvidence, Silhouette, SupportEvidence, check_asset,
     check_file, check_mesh, check_scan,
 };
-pub use colors::{point_colors, vertex_colors};
+pub use colors::point_colors;
 pub use compare::{CompareOptions, SurfaceComparison, compare_surfaces};
 pub use decimate::{DecimateOptions, DecimateReport, decimate};
 pub use depth::{DepthCamera, DepthMap, DepthViews, cast_depth};
 pub use error::{Error, Result};
 pub use fill::close_openings;
-pub use fusion::{DroppedPart, Evidence, EvidenceKind, Fused, FusionOptions, FusionReport, Support, fuse};
+pub use fusion::{
+    DroppedPart, Evidence, EvidenceKind, Fused, FusionOptions, FusionReport, Support, fuse, write_evidence,
+};
 pub use grid::{GridOptions, GridSdf};
 pub use hull::convex_hull_with_at_most;
 pub use intersect::self_intersections;

@@ -1,10 +1,11 @@
-//! Depth maps from photos with known cameras, by PatchMatch stereo on the processor, and meshes refined on the photos.
+//! Depth maps from photos with known cameras, by PatchMatch stereo on the processor; meshes refined on the photos, and their textures.
 //!
 //! ```text
 //! photos, cameras, masks, region ─► scene (cut, grey, sizes; which photos are compared) ─► patchmatch (planes per pixel, by kernel's costs)
 //!                     depth, normal, confidence per photo ◄─ consistency (what other photos confirm) ◄─ from small to full size ◄─┘
 //! ```
-//! [`DepthMaps::estimate`] does it all. What is fused of the maps elsewhere, [`refine()`] moves to where the photos agree about it.
+//! [`DepthMaps::estimate`] does it all. What is fused of the maps elsewhere, [`refine()`] moves to where the photos agree about it, and
+//! [`texture()`] gives it their colours.
 
 mod consistency;
 mod depth_map;
@@ -17,11 +18,13 @@ mod refine;
 mod rounds;
 mod scene;
 mod specks;
+mod texture;
 
 pub use depth_map::DepthMap;
 pub use maps::{DepthMaps, Step};
 pub use options::{MvsOptions, Preset, Region};
 pub use refine::{Hold, RefineOptions, RefineReport, refine};
+pub use texture::{PhotoGain, Texture, TextureOptions, TextureReport, texture};
 
 /// Runs the examples of the README as tests.
 #[cfg(doctest)]

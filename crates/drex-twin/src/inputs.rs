@@ -83,7 +83,10 @@ impl Twin {
                 let inputs = m.mass.prior_file.iter().try_fold(inputs, |inputs, f| inputs.file(&self.path(f)))?;
                 m.mass.identify.iter().try_fold(inputs, |inputs, push| push_files(&self.path(push), inputs))?
             }
-            Stage::Asset => inputs.setting("object", &m.object)?.file(&mesh)?.file(&self.path(files::MASS))?,
+            Stage::Asset => {
+                let inputs = inputs.setting("object", &m.object)?.file(&mesh)?.file(&self.path(files::MASS))?;
+                self.scanned(inputs)?
+            }
             Stage::Grasps => {
                 let inputs = inputs.setting("grasps", &m.grasps)?.setting("object", &m.object)?.file(&mesh)?;
                 m.grasps.iter().try_fold(inputs, |inputs, g| inputs.file(&self.path(&g.file)))?

@@ -157,7 +157,7 @@ impl Twin {
     fn make(&self, stage: Stage, report: Option<Reporter>, progress: &dyn Progress) -> Result<Vec<PathBuf>> {
         match stage {
             Stage::Scan => stages::scan::make(self, progress),
-            Stage::Asset => stages::asset::make(self),
+            Stage::Asset => stages::asset::make(self, progress),
             Stage::Identify => stages::identify::make(self, progress),
             Stage::Grasps => stages::grasps::make(self, progress),
             Stage::Train => stages::train::make(self, progress),

@@ -11,10 +11,11 @@ use drex_core::capture::{Capture, CaptureOptions, PhotoOptions, Photos, SparsePo
 use drex_core::mesh::sample_surface;
 use drex_core::{Pose, PoseRecord, SurfacePoint, TriMesh, fsutil};
 use drex_mesh::{
-    DecimateOptions, DepthCamera, DepthMap, DepthViews, Evidence, EvidenceKind, Fused, FusionOptions, FusionReport,
-    Outcome, RuleResult, ScaleFit, ScanCamera, ScanEvidence, ScenePoint, Silhouette, Similarity, Support,
-    SupportEvidence, check_scan, decimate, fuse, point_colors, read_marks, scale_from_distances, triangulate_marks,
+    DecimateOptions, DepthCamera, DepthMap, DepthViews, Evidence, EvidenceKind, Fused, FusionOptions, Outcome,
+    RuleResult, ScaleFit, ScanCamera, ScanEvidence, ScenePoint, Silhouette, Similarity, Support, SupportEvidence,
+    TextureMap, check_scan, decimate, fuse, point_colors, read_marks, scale_from_distances, triangulate_marks,
 };
+pub use drex_mvs::TextureReport;
 use drex_mvs::{Hold, MvsOptions, RefineOptions, Region, refine};
 use drex_sfm::MarkerReport;
 use drex_sfm::marker::Marker;
@@ -28,6 +29,7 @@ use crate::place::{self, box_around, sparse_points};
 pub use crate::place::{FrameOptions, OtherPlane};
 use crate::reconstruct::{Cameras, ScanInput};
 use crate::stereo::{self, DEPTH, Frame, frames};
+use crate::texture::textured;
 
 /// The mesh of a scan keeps to the fused one within this share of a voxel.
 const MAX_SIMPLIFICATION_VOXELS: f64 = 0.1;
@@ -85,9 +87,9 @@ pub struct Scanning<'a> {
 pub struct Meshed {
     /// The depth maps in the frame of the mesh.
     pub scan: Scan,
-    /// How they were fused.
-    pub fusion: FusionReport,
-    /// The mesh.
+    /// What they were fused to.
+    pub fused: Fused,
+    /// The mesh that was made of it: moved to where the photos agree, and simpler.
     pub mesh: TriMesh,
     /// What the mesh was held against.
     pub evidence: ScanEvidence,
@@ -180,7 +182,7 @@ impl Scanning<'_> {
         progress.end();
         let refined = match stereo {
             Some(options) => self.refined(cameras, options.max_side, &scan, &fused, progress)?,
-            None => fused.mesh,
+            None => fused.mesh.clone(),
         };
         progress.begin("simpler mesh", None);
         let mut simpler = DecimateOptions::default();
@@ -191,7 +193,7 @@ impl Scanning<'_> {
         }
         progress.end();
         let evidence = scan.evidence(fused.report.voxel_m, self.frame.region.is_some())?;
-        Ok(Meshed { scan, fusion: fused.report, mesh, evidence, cameras: cameras.clone(), masks })
+        Ok(Meshed { scan, fused, mesh, evidence, cameras: cameras.clone(), masks })
     }
 
     /// Makes masks of photos that have none, and gives them to the views. If most of them are doubtful, the object is cut out
@@ -516,6 +518,16 @@ const IDENTITY: Similarity = Similarity {
     rotation: UnitQuaternion::new_unchecked(nalgebra::Quaternion::new(1.0, 0.0, 0.0, 0.0)),
     translation: Vector3::new(0.0, 0.0, 0.0),
 };
+
+impl Meshed {
+    /// Colours the mesh, or another in its frame, by the photos; the report's texel is in metres.
+    ///
+    /// # Errors
+    /// If a photo cannot be read, or none shows the mesh.
+    pub fn textured(&self, mesh: &TriMesh, progress: &dyn Progress) -> Result<(TextureMap, TextureReport)> {
+        textured(mesh, &self.cameras, &self.scan.mesh_from_scan, progress)
+    }
+}
 
 impl Scan {
     /// What the mesh is held against.

@@ -10,7 +10,7 @@ use drex_mesh::PartConfig;
 use drex_mesh::{
     Asset, AssetOptions, AssetReport, Background, FusionReport, LengthUnit, Part, PartitionOptions, RepairOptions,
     ScanEvidence, SceneOptions, articulated_asset, asset_from_mesh, build_asset, convex_parts, read_mesh, repair,
-    vertex_colors,
+    write_evidence,
 };
 use drex_twin::manifest::{MANIFEST, TwinManifest};
 use nalgebra::Vector3;
@@ -18,7 +18,7 @@ use serde::Serialize;
 
 use crate::cli::AssetArgs;
 use crate::ui::Ui;
-use drex_twin::scan::{FrameOptions, FrameReport, Meshed, Scanning};
+use drex_twin::scan::{FrameOptions, FrameReport, Meshed, Scanning, TextureReport};
 use drex_twin::timings::{self, Timing};
 
 /// What ffmpeg is asked to open.
@@ -30,6 +30,7 @@ struct ScanAnswer<'a> {
     scan: &'a FrameReport,
     fusion: &'a FusionReport,
     evidence: &'a ScanEvidence,
+    texture: &'a TextureReport,
     #[serde(skip_serializing_if = "Option::is_none")]
     asset: Option<&'a AssetReport>,
 }
@@ -155,25 +156,47 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
         tool_limit: args.scan.tools.limit(),
     };
     let begun = Instant::now();
-    let Meshed { scan, fusion, mesh, evidence, .. } = scanning.mesh(ui)?;
+    let meshed = scanning.mesh(ui)?;
+    let Meshed { scan, fused, mesh, evidence, .. } = &meshed;
+    let fusion = &fused.report;
 
     let spinner = ui.spinner("asset");
     let mut options = options(args);
     options.unit = LengthUnit::Metre;
     options.up_in_mesh = Some(scan.frame.up_in_mesh.into());
     options.scale_source = Some(scan.frame.scale_from.clone());
-    let mut asset = asset_from_mesh(&mesh, &options)?;
+    let mut asset = asset_from_mesh(mesh, &options)?;
     asset.report.warnings.extend(scan.frame.doubts.iter().cloned());
-    asset.colors = Some(vertex_colors(&asset.visual, &scan, |i| scan.picture(i), fusion.truncation_m)?);
+    spinner.finish_and_clear();
+    let (texture, texture_report) = meshed.textured(&asset.visual, ui)?;
+    asset.texture = Some(texture);
     write(&asset, args)?;
-    let mut answer = ScanAnswer { scan: &scan.frame, fusion: &fusion, evidence: &evidence, asset: None };
+    let of_vertices = fused.evidence_of(&asset.visual);
+    write_evidence(&fsutil::output_path(&args.out, "mesh/evidence.ply")?, &asset.visual, &of_vertices)?;
+    let mut answer = ScanAnswer { scan: &scan.frame, fusion, evidence, texture: &texture_report, asset: None };
     let text = serde_json::to_string_pretty(&answer)? + "\n";
     fsutil::write_atomic(&fsutil::output_path(&args.out, "mesh/scan.json")?, text.as_bytes())?;
     let input = Some(args.input.clone());
     timings::record(&args.out, "asset", Timing { input, ..Timing::of(begun.elapsed().as_secs_f64()) })?;
-    spinner.finish_and_clear();
     answer.asset = Some(&asset.report);
-    ui.answer(&answer, describe_scan(&scan.frame, &fusion) + &describe(&asset, args))
+    ui.answer(
+        &answer,
+        describe_scan(&scan.frame, fusion) + &describe_texture(&texture_report) + &describe(&asset, args),
+    )
+}
+
+fn describe_texture(t: &TextureReport) -> String {
+    let [width, height] = t.size_px;
+    let gains = || t.photos.iter().flat_map(|p| p.gain);
+    let differ = gains().fold(1.0, f64::max) / gains().fold(1.0, f64::min);
+    format!(
+        "  texture  {width} x {height} texels of {:.2} mm, {:.1} MB, {:.0} % of them seen in {} photos, whose exposures differ by up to {:.0} %\n",
+        1e3 * t.texel,
+        1e-6 * t.bytes as f64,
+        100.0 * t.seen_share,
+        t.photos.len(),
+        100.0 * (differ - 1.0)
+    )
 }
 
 fn describe_scan(frame: &FrameReport, fusion: &FusionReport) -> String {

@@ -6,6 +6,7 @@ mod joints;
 mod model;
 mod object;
 mod options;
+mod texture;
 mod write;
 
 use std::path::Path;
@@ -22,6 +23,7 @@ pub use self::options::{AssetOptions, LengthUnit, UpSource};
 pub use contact::ContactConfig;
 pub use joints::{JointConfig, JointKind, PartConfig, joint_tree};
 pub use object::read_object;
+pub use texture::TextureMap;
 
 use crate::bvh::Aabb;
 use crate::hull::hull_volume;
@@ -47,8 +49,8 @@ pub(crate) const UNCOVERED: [f64; 2] = [0.05, 0.15];
 pub struct Asset {
     /// The repaired mesh as the file had it: openings stay open.
     pub visual: TriMesh,
-    /// Colours of the visual mesh's vertices, for the GLB; as many as it has vertices. [`asset_from_mesh`] leaves them out.
-    pub colors: Option<Vec<[u8; 3]>>,
+    /// The picture on the visual mesh; [`asset_from_mesh`] leaves it out.
+    pub texture: Option<TextureMap>,
     /// Convex collision parts.
     pub convex_parts: Vec<TriMesh>,
     /// Mass properties of the enclosed solid at uniform density.
@@ -289,7 +291,7 @@ fn of_mesh(mesh: &TriMesh, options: &AssetOptions, divided: Option<(Vec<TriMesh>
     }
     Ok(Asset {
         visual,
-        colors: None,
+        texture: None,
         convex_parts: pieces,
         properties,
         up_in_mesh,
@@ -302,14 +304,15 @@ fn of_mesh(mesh: &TriMesh, options: &AssetOptions, divided: Option<(Vec<TriMesh>
 }
 
 impl Asset {
-    /// Writes `mesh/visual.obj`, `mesh/collision_NN.obj`, `mesh/report.json`, `asset/object.xml` (MJCF),
-    /// `asset/object.urdf` and `asset/object.glb` under `out`. Paths inside the models are relative.
+    /// Writes `mesh/visual.obj`, with a texture also `mesh/visual.mtl` and `mesh/visual.png`, `mesh/collision_NN.obj`,
+    /// `mesh/report.json`, `asset/object.xml` (MJCF), `asset/object.urdf` and `asset/object.glb` under `out`. Paths inside the models
+    /// are relative.
     ///
-    /// Everything is written into a temporary folder first and moved at the end, the models last; collision pieces of
+    /// Everything is written into a temporary folder first and moved at the end, the models last; collision pieces and textures of
     /// an earlier asset that are no longer used are removed.
     ///
     /// # Errors
-    /// If a file cannot be written; what was there before stays.
+    /// If the texture does not fit the mesh or a file cannot be written; what was there before stays.
     pub fn write(&self, out: &Path) -> Result<()> {
         write::write_asset(self, None, out)
     }

@@ -7,7 +7,7 @@ use drex_core::Error as CoreError;
 use drex_core::fsutil::{output_path, temporary_path, write_atomic};
 use serde::Serialize;
 
-use super::{ArticulatedAsset, Asset, model};
+use super::{ArticulatedAsset, Asset, TextureMap, model};
 use crate::Result;
 use crate::io::obj_text;
 
@@ -15,10 +15,9 @@ use crate::io::obj_text;
 type Files = Vec<(String, Vec<u8>)>;
 
 pub(crate) fn write_asset(asset: &Asset, scene: Option<&model::SceneOptions>, out: &Path) -> Result<()> {
-    let mut files = part_files("", asset);
+    let mut files = part_files("", asset)?;
     files.push(report(out, &asset.report)?);
-    let visual = [("object", &asset.visual, asset.colors.as_deref())];
-    files.push(("asset/object.glb".into(), model::glb(&visual, &asset.world_from_mesh_at_rest)?));
+    files.push(("asset/object.glb".into(), model::glb(&[("object", asset)], &asset.world_from_mesh_at_rest)?));
     files.push(("asset/object.urdf".into(), model::urdf(asset).into()));
     files.push(("asset/object.xml".into(), model::mjcf(asset).into()));
     if let Some(scene) = scene {
@@ -35,23 +34,35 @@ impl ArticulatedAsset {
     /// # Errors
     /// If a file cannot be written; what was there before stays.
     pub fn write(&self, out: &Path) -> Result<()> {
-        let mut files: Files =
-            self.parts.iter().flat_map(|(name, part)| part_files(&format!("{name}_"), part)).collect();
-        let parts = self.parts.iter();
-        let meshes: Vec<_> = parts.map(|(name, part)| (name.as_str(), &part.visual, part.colors.as_deref())).collect();
+        let mut files = Files::new();
+        for (name, part) in &self.parts {
+            files.extend(part_files(&format!("{name}_"), part)?);
+        }
+        let parts: Vec<_> = self.parts.iter().map(|(name, part)| (name.as_str(), part)).collect();
         files.push(report(out, &self.report)?);
-        files.push(("asset/object.glb".into(), model::glb(&meshes, &self.world_from_mesh_at_rest)?));
+        files.push(("asset/object.glb".into(), model::glb(&parts, &self.world_from_mesh_at_rest)?));
         files.push(("asset/object.urdf".into(), model::articulated_urdf(self).into()));
         files.push(("asset/object.xml".into(), model::articulated_mjcf(self).into()));
         write_files(out, &files)
     }
 }
 
-fn part_files(prefix: &str, part: &Asset) -> Files {
-    let visual = (format!("mesh/{prefix}visual.obj"), obj_text(&part.visual).into_bytes());
+fn part_files(prefix: &str, part: &Asset) -> Result<Files> {
+    let name = format!("{prefix}visual");
+    let mut files = Files::new();
+    let visual = match &part.texture {
+        Some(texture) => {
+            texture.check(&part.visual)?;
+            files.push((format!("mesh/{name}.png"), texture.picture.bytes.to_vec()));
+            files.push((format!("mesh/{name}.mtl"), TextureMap::mtl(&name).into_bytes()));
+            texture.obj(&part.visual, &name)
+        }
+        None => obj_text(&part.visual),
+    };
+    files.push((format!("mesh/{name}.obj"), visual.into_bytes()));
     let pieces = part.convex_parts.iter().enumerate();
-    let pieces = pieces.map(|(k, p)| (part_file(prefix, k), obj_text(p).into_bytes()));
-    std::iter::once(visual).chain(pieces).collect()
+    files.extend(pieces.map(|(k, p)| (part_file(prefix, k), obj_text(p).into_bytes())));
+    Ok(files)
 }
 
 /// Name of the file of piece `k`, from 0.
@@ -97,7 +108,8 @@ fn move_into(out: &Path, stage: &Path, files: &Files) -> Result<(), CoreError> {
     Ok(())
 }
 
-/// Removes `…collision_NN.obj` files that are not among the files of this asset, and nothing else.
+/// Removes `…collision_NN.obj` files, and the material and the picture of a visual mesh, that are not among the files of this asset, and
+/// nothing else.
 fn remove_stale(folder: &Path, files: &Files) -> Result<(), CoreError> {
     let entries = fs::read_dir(folder).map_err(|e| CoreError::io("read", folder, e))?;
     let stale: Vec<PathBuf> = entries
@@ -105,8 +117,12 @@ fn remove_stale(folder: &Path, files: &Files) -> Result<(), CoreError> {
         .filter(|path| {
             let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
             let number = name.strip_suffix(".obj").and_then(|n| n.rsplit_once("collision_")).map(|(_, n)| n);
-            let ours = number.is_some_and(|n| n.len() >= 2 && n.bytes().all(|b| b.is_ascii_digit()));
-            ours && !files.iter().any(|(file, _)| file.strip_prefix("mesh/") == Some(&name))
+            let piece = number.is_some_and(|n| n.len() >= 2 && n.bytes().all(|b| b.is_ascii_digit()));
+            let written = |file: &str| files.iter().any(|(name, _)| name.strip_prefix("mesh/") == Some(file));
+            let texture = name.strip_suffix(".mtl").or(name.strip_suffix(".png"));
+            let texture = texture.is_some_and(|n| n.ends_with("visual") && written(&format!("{n}.obj")));
+            let ours = piece || texture;
+            ours && !written(&name)
         })
         .collect();
     stale.iter().try_for_each(|path| fs::remove_file(path).map_err(|e| CoreError::io("remove", path, e)))

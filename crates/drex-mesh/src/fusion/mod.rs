@@ -6,6 +6,7 @@
 //! walls, from which voxel and truncation follow; the second fuses.
 
 mod bounds;
+mod evidence;
 mod hits;
 mod lattice;
 mod marching;
@@ -21,6 +22,7 @@ use serde::{Deserialize, Serialize};
 use drex_core::{Pose, TriMesh};
 
 use self::bounds::{BoundsEstimate, of_view};
+pub use self::evidence::write_evidence;
 use self::hits::Sight;
 use self::lattice::{Lattice, SIDE};
 use self::marching::{GridEdge, extract};

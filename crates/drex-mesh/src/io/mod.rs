@@ -16,8 +16,8 @@ pub(crate) use glb::glb_bytes;
 pub use glb::write_glb;
 pub use model::{Material, Model, ModelPart, Texture};
 pub use obj::write_obj_model;
-pub(crate) use write::obj_text;
 pub use write::{PlyFormat, write_mesh, write_obj, write_ply, write_ply_as, write_stl, write_stl_text};
+pub(crate) use write::{obj_text, obj_vertices};
 
 use crate::{Error, Result};
 

@@ -136,12 +136,17 @@ pub fn write_ply_as(path: &Path, mesh: &TriMesh, colors: Option<&[[u8; 3]]>, for
     Ok(write_atomic(path, &bytes)?)
 }
 
-pub(crate) fn obj_text(mesh: &TriMesh) -> String {
-    let mut text = String::with_capacity(48 * (mesh.vertices.len() + mesh.faces.len()));
+/// The lines of an OBJ with the vertices of a mesh.
+pub(crate) fn obj_vertices(mesh: &TriMesh, text: &mut String) {
     // Writing to a string cannot fail.
     for v in &mesh.vertices {
         let _ = writeln!(text, "v {} {} {}", v.x, v.y, v.z);
     }
+}
+
+pub(crate) fn obj_text(mesh: &TriMesh) -> String {
+    let mut text = String::with_capacity(48 * (mesh.vertices.len() + mesh.faces.len()));
+    obj_vertices(mesh, &mut text);
     for [a, b, c] in &mesh.faces {
         let _ = writeln!(text, "f {} {} {}", a + 1, b + 1, c + 1);
     }

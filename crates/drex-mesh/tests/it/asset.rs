@@ -5,7 +5,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use drex_core::TriMesh;
-use drex_mesh::{AssetOptions, Error, build_asset, read_mesh, write_obj};
+use drex_mesh::{AssetOptions, Error, Texture, TextureMap, build_asset, read_mesh, read_model, write_obj};
+
+use crate::support::PNG;
 use nalgebra::{Matrix3, Point3};
 
 fn cuboid(lo: [f64; 3], hi: [f64; 3]) -> TriMesh {
@@ -144,6 +146,62 @@ fn the_glb_stands_upright() {
     let again = build_asset(&out.join("asset/object.glb"), &AssetOptions::default()).unwrap();
     assert!((again.report.volume_m3 / asset.report.volume_m3 - 1.0).abs() < 1e-5);
     assert!((again.report.rest_height_of_center_m - asset.report.rest_height_of_center_m).abs() < 1e-6);
+}
+
+#[test]
+fn a_textured_asset_keeps_its_mesh_and_carries_its_picture_everywhere() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut asset = build_asset(&letter_t(folder.path()), &AssetOptions::default()).unwrap();
+    let out = folder.path().join("twin");
+    // Every face has a place of its own: all its corners differ from those of the faces beside it.
+    let place = |f: usize, k: usize| [f as f32 / 64.0, [0.25, 0.5, 0.75][k]];
+    let uv: Vec<_> = (0..asset.visual.faces.len()).map(|f| [0, 1, 2].map(|k| place(f, k))).collect();
+    asset.texture = Some(TextureMap { uv: uv.clone(), picture: Texture::new(PNG) });
+    asset.write(&out).unwrap();
+    assert_eq!(read_mesh(&out.join("mesh/visual.obj")).unwrap(), asset.visual);
+    for (file, parts) in [("mesh/visual.obj", 1), ("asset/object.glb", 1)] {
+        let model = read_model(&out.join(file)).unwrap();
+        assert_eq!((model.parts.len(), model.materials.len()), (parts, 1), "{file}");
+        assert_eq!(&model.materials[0].texture.as_ref().unwrap().bytes[..], PNG, "{file}");
+        let part = &model.parts[0];
+        assert_eq!(part.material, Some(0));
+        let coordinates = part.uv.as_ref().unwrap();
+        for (face, corners) in part.mesh.faces.iter().zip(&uv) {
+            for (v, uv) in face.iter().zip(corners) {
+                let found = coordinates[*v as usize];
+                assert!((0..2).all(|k| (found[k] - uv[k]).abs() < 1e-6), "{file}: {found:?} {uv:?}");
+            }
+        }
+    }
+    let xml = fs::read_to_string(out.join("asset/object.xml")).unwrap();
+    for part in [
+        r#"<texture name="visual" type="2d" file="../mesh/visual.png"/>"#,
+        r#"<material name="visual" texture="visual""#,
+        r#"mesh="visual" material="visual" rgba="1 1 1 1"/>"#,
+    ] {
+        assert!(xml.contains(part), "{part}\n{xml}");
+    }
+    // Without it nothing of it is left, and what others put there stays.
+    fs::write(out.join("mesh/photo.png"), PNG).unwrap();
+    asset.texture = None;
+    asset.write(&out).unwrap();
+    let names: Vec<_> = files(&out.join("mesh")).into_keys().map(|p| p.display().to_string()).collect();
+    assert!(names.contains(&"photo.png".to_owned()), "{names:?}");
+    assert!(!names.iter().any(|n| n == "visual.png" || n == "visual.mtl"), "{names:?}");
+    assert!(!fs::read_to_string(out.join("asset/object.xml")).unwrap().contains("<texture"));
+    assert_eq!(read_mesh(&out.join("mesh/visual.obj")).unwrap(), asset.visual);
+
+    let refused = |uv: &[[[f32; 2]; 3]], picture: &[u8], what: &str| {
+        let mut asset = asset.clone();
+        asset.texture = Some(TextureMap { uv: uv.to_vec(), picture: Texture::new(picture) });
+        let message = asset.write(&out).unwrap_err().to_string();
+        assert!(message.contains(what), "{message}");
+    };
+    refused(&uv[1..], PNG, "faces with texture coordinates");
+    refused(&uv, &[0xff, 0xd8, 0xff, 0xe0], "a texture of type image/jpeg");
+    let mut endless = uv.clone();
+    endless[2][1][0] = f32::NAN;
+    refused(&endless, PNG, "is not finite");
 }
 
 #[test]

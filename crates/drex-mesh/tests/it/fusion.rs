@@ -1,12 +1,13 @@
 //! Depth fusion against shapes whose surface and volume are known.
 
+use std::fs;
 use std::path::PathBuf;
 
 use drex_core::pose::pose_from_matrix;
 use drex_core::{Pose, Surface, TriMesh};
 use drex_mesh::{
-    CompareOptions, DepthCamera, DepthMap, EvidenceKind, Fused, FusionOptions, Support, cast_depth, compare_surfaces,
-    fuse,
+    CompareOptions, DecimateOptions, DepthCamera, DepthMap, EvidenceKind, Fused, FusionOptions, Support, cast_depth,
+    compare_surfaces, decimate, fuse, read_mesh, write_evidence,
 };
 use nalgebra::{Isometry3, Matrix4, Point3, Unit, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -219,6 +220,26 @@ fn a_block_on_a_table_is_cut_at_the_table_and_the_cut_is_marked() {
     }
     let bottom = 0.06 * 0.04 / (2.0 * 0.06 * 0.04 + 2.0 * 0.1 * 0.04);
     assert!((fused.report.support_share - bottom).abs() < 0.03, "{:?} {bottom}", fused.report);
+    // Of a simpler mesh the same is known, and a file says so.
+    let mut simpler = DecimateOptions::default();
+    simpler.max_error_m = Some(1e-4);
+    let (mesh, _) = decimate(&fused.mesh, &simpler).unwrap();
+    let evidence = fused.evidence_of(&mesh);
+    assert!(mesh.vertices.len() < fused.mesh.vertices.len() / 4);
+    for (v, e) in mesh.vertices.iter().zip(&evidence) {
+        let clear = (v.z - 0.0015 - 0.05 * 1.5e-3).abs() > 1e-3 || v.z < 0.0015 + 1e-9;
+        assert!(!clear || (e.kind == EvidenceKind::Support) == (v.z < 0.002), "{v} {e:?}");
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("evidence.ply");
+    write_evidence(&file, &mesh, &evidence).unwrap();
+    assert_eq!(read_mesh(&file).unwrap(), mesh);
+    // Behind the head: three doubles, colour and kind, a short and a float per vertex.
+    let bytes = fs::read(&file).unwrap();
+    let head = bytes.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
+    let kinds = bytes[head..].chunks_exact(34).take(mesh.vertices.len()).map(|v| v[27]);
+    assert!(kinds.eq(evidence.iter().map(|e| e.kind as u8)));
+    assert!(write_evidence(&file, &mesh, &evidence[1..]).unwrap_err().to_string().contains("one entry per vertex"));
 }
 
 #[test]

@@ -3,10 +3,12 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crate::support::{cuboid, joined, shared, stapler};
+use crate::support::{PNG, cuboid, joined, shared, stapler};
 use drex_core::mesh::convex_hull;
 use drex_core::{Pose, TriMesh};
-use drex_mesh::{Asset, AssetOptions, Background, SceneOptions, articulated_asset, asset_from_mesh, build_asset};
+use drex_mesh::{
+    Asset, AssetOptions, Background, SceneOptions, Texture, TextureMap, articulated_asset, asset_from_mesh, build_asset,
+};
 use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 
 /// A Python that can import mujoco.
@@ -78,7 +80,11 @@ fn every_stable_pose_rests_from_ten_grams_to_five_kilograms() {
     for (name, mesh) in &shapes {
         for mass_kg in [0.01, 0.3, 5.0] {
             let out = folder.path().join(format!("{name}_{mass_kg}"));
-            let asset = asset_from_mesh(mesh, &with_mass(mass_kg)).unwrap();
+            let mut asset = asset_from_mesh(mesh, &with_mass(mass_kg)).unwrap();
+            if *name == "brick" {
+                let uv = vec![[[0.1, 0.1], [0.9, 0.1], [0.1, 0.9]]; asset.visual.faces.len()];
+                asset.texture = Some(TextureMap { uv, picture: Texture::new(PNG) });
+            }
             asset.write(&out).unwrap();
             poses += asset.stable_poses.iter().take(16).filter(|p| p.probability >= 0.005).count();
             models.push(model(&out, "object.xml"));

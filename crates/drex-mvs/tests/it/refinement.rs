@@ -9,15 +9,15 @@ use crate::scene::{FOCAL_PX, photograph, ring};
 const RADIUS: f64 = 0.05;
 const FAR: f64 = 0.3;
 
-/// A ball of triangles of about a millimetre.
-fn ball() -> TriMesh {
+/// A ball of this radius round the origin; each halving quadruples the eight faces of an octahedron.
+pub fn ball(radius: f64, halvings: usize) -> TriMesh {
     let mut vertices: Vec<Point3<f64>> =
         [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]
             .map(Point3::from)
             .into();
     let mut faces: Vec<[u32; 3]> =
         vec![[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];
-    for _ in 0..6 {
+    for _ in 0..halvings {
         let mut halves: BTreeMap<(u32, u32), u32> = BTreeMap::new();
         let mut next = Vec::with_capacity(4 * faces.len());
         for [a, b, c] in faces {
@@ -32,7 +32,7 @@ fn ball() -> TriMesh {
         }
         faces = next;
     }
-    vertices.iter_mut().for_each(|v| v.coords *= RADIUS);
+    vertices.iter_mut().for_each(|v| v.coords *= radius);
     TriMesh { vertices, faces }
 }
 
@@ -57,7 +57,7 @@ fn a_dented_ball_becomes_round_where_photos_see_it() {
     let capture = photograph(dir.path(), &ring(FAR, &around), &surface, 0.004, 80.0);
     // Half a pixel too large, with dents of as much a centimetre across: a pixel is a millimetre.
     let pixel = FAR / FOCAL_PX;
-    let mut mesh = ball();
+    let mut mesh = ball(RADIUS, 6);
     for v in &mut mesh.vertices {
         let dent = (600.0 * v.x).sin() * (600.0 * v.y).cos();
         *v += v.coords.normalize() * (0.5 * pixel * (1.0 + dent));

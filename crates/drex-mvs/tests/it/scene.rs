@@ -73,7 +73,7 @@ pub fn photograph(folder: &Path, cameras: &[Pose], surface: Surface<'_>, grain: 
 }
 
 /// Smooth noise from -1 to 1 of about unit grain, in two octaves.
-fn noise(p: &Point3<f64>) -> f64 {
+pub fn noise(p: &Point3<f64>) -> f64 {
     (value_noise(p) + 0.5 * value_noise(&(p * 2.0 + Vector3::repeat(17.3)))) / 1.2
 }
 

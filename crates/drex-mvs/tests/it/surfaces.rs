@@ -211,7 +211,7 @@ fn a_wall_without_paint_gives_next_to_no_depth() {
 }
 
 #[test]
-fn shading_alone_tells_no_depth() {
+fn shading_alone_tells_little_depth_and_that_to_the_pixel_that_is_claimed() {
     let plane = slanted(0.0);
     let dir = tempfile::tempdir().unwrap();
     // What is painted changes over more than a window's width, by far more than the noise.
@@ -224,8 +224,13 @@ fn shading_alone_tells_no_depth() {
         (map.camera.cx - x as f64).abs().max((map.camera.cy - y as f64).abs()) < 50.0
     };
     let all: Vec<usize> = (0..map.depth.len()).filter(|i| middle(*i)).collect();
-    let found = all.iter().filter(|i| map.depth[**i] > 0.0).count();
-    assert!(all.len() > 9_000 && (found as f64) < 0.1 * all.len() as f64, "{found} of {}", all.len());
+    // A pixel of disparity in photos 15 degrees apart.
+    let pixel_m = 0.4 / FOCAL_PX / 15f64.to_radians().sin();
+    let found = all.iter().map(|i| f64::from(map.depth[*i])).filter(|z| *z > 0.0);
+    let off: Vec<f64> = found.map(|z| (z - 0.4).abs() / pixel_m).collect();
+    assert!(all.len() > 9_000 && (off.len() as f64) < 0.2 * all.len() as f64, "{} of {}", off.len(), all.len());
+    let far = off.iter().filter(|px| **px > 1.0).count();
+    assert!((far as f64) < 0.01 * off.len() as f64, "{far} of {} are off by more than a pixel", off.len());
 }
 
 #[test]

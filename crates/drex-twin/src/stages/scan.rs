@@ -56,7 +56,8 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
         seed: twin.seed,
         tool_limit: twin.tool_limit,
     };
-    let Meshed { scan, fusion, mesh, evidence, cameras, masks } = scanning.mesh(progress)?;
+    let Meshed { scan, fused, mesh, evidence, cameras, masks } = scanning.mesh(progress)?;
+    let fusion = fused.report;
     write_mesh(&file, &mesh)?;
     let photos = cameras.views.iter().any(|v| v.depth.is_none());
     let on_mesh = photos.then(|| scan.points_on(&mesh, BORN, twin.seed, fusion.truncation_m)).transpose()?;

@@ -32,17 +32,7 @@ pub(crate) fn mjcf(asset: &ArticulatedAsset) -> String {
 }
 
 fn links<'a>(asset: &'a ArticulatedAsset, prefixes: &'a [String]) -> Vec<Link<'a>> {
-    asset
-        .parts
-        .iter()
-        .zip(prefixes)
-        .map(|((name, part), prefix)| Link {
-            name,
-            prefix,
-            convex_parts: part.convex_parts.len(),
-            properties: &part.properties,
-        })
-        .collect()
+    asset.parts.iter().zip(prefixes).map(|((name, part), prefix)| Link::of(name, prefix, part)).collect()
 }
 
 /// The bodies that hang on a part. Joints form a tree, so this ends.

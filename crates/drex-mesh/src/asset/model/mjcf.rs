@@ -18,8 +18,7 @@ const LEAST_PROBABILITY: f64 = 0.005;
 /// The inertia is written out, never inferred from the pieces (their overlaps would count twice). The visual mesh has
 /// no mass and no contacts. Contact parameters sit in one default class. Stable poses are keyframes `rest_0`, `rest_1`…
 pub(crate) fn mjcf(asset: &Asset) -> String {
-    let link =
-        Link { name: "object", prefix: "", convex_parts: asset.convex_parts.len(), properties: &asset.properties };
+    let link = Link::of("object", "", asset);
     format!(
         r#"<mujoco model="object">
 {header}{defaults}  <asset>
@@ -75,12 +74,16 @@ pub(super) fn defaults(friction: f64, c: &ContactConfig) -> String {
     )
 }
 
-/// The mesh assets of a link. A visual mesh may be open or thin: its inertia is never used, but must be computable.
+/// The mesh assets of a link, and its texture. A visual mesh may be open or thin: its inertia is never used, but must be computable.
 pub(super) fn meshes(link: &Link<'_>) -> String {
     let visual = link.visual();
     let mut out = format!("    <mesh name=\"{visual}\" file=\"../mesh/{visual}.obj\" inertia=\"shell\"/>\n");
+    // Writing to a string cannot fail.
+    if link.textured {
+        let _ = writeln!(out, "    <texture name=\"{visual}\" type=\"2d\" file=\"../mesh/{visual}.png\"/>");
+        let _ = writeln!(out, "    <material name=\"{visual}\" texture=\"{visual}\" specular=\"0\" shininess=\"0\"/>");
+    }
     for name in link.collisions() {
-        // Writing to a string cannot fail.
         let _ = writeln!(out, "    <mesh name=\"{name}\" file=\"../mesh/{name}.obj\"/>");
     }
     out
@@ -108,7 +111,9 @@ pub(super) fn link_content(link: &Link<'_>, indent: &str) -> String {
         numbers(&fullinertia)
     );
     let visual = link.visual();
-    let _ = writeln!(out, "{indent}<geom name=\"{visual}\" class=\"visual\" mesh=\"{visual}\"/>");
+    // The class's grey would darken the picture.
+    let look = if link.textured { format!(" material=\"{visual}\" rgba=\"1 1 1 1\"") } else { String::new() };
+    let _ = writeln!(out, "{indent}<geom name=\"{visual}\" class=\"visual\" mesh=\"{visual}\"{look}/>");
     for name in link.collisions() {
         let _ = writeln!(out, "{indent}<geom name=\"{name}\" class=\"collision\" mesh=\"{name}\"/>");
     }

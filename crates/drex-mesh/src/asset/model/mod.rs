@@ -9,6 +9,8 @@ mod urdf;
 use drex_core::{MassProperties, Pose};
 use nalgebra::Point3;
 
+use crate::asset::Asset;
+
 pub(crate) use articulated::{mjcf as articulated_mjcf, urdf as articulated_urdf};
 pub(crate) use glb::glb;
 pub(crate) use mjcf::mjcf;
@@ -23,10 +25,22 @@ pub(crate) struct Link<'a> {
     /// What the names of its meshes and geoms start with: empty, or the name and `_`.
     pub prefix: &'a str,
     pub convex_parts: usize,
+    /// Whether the visual mesh has a picture on it.
+    pub textured: bool,
     pub properties: &'a MassProperties,
 }
 
-impl Link<'_> {
+impl<'a> Link<'a> {
+    fn of(name: &'a str, prefix: &'a str, part: &'a Asset) -> Self {
+        Self {
+            name,
+            prefix,
+            convex_parts: part.convex_parts.len(),
+            textured: part.texture.is_some(),
+            properties: &part.properties,
+        }
+    }
+
     /// Names of the collision meshes, without extension.
     fn collisions(&self) -> impl Iterator<Item = String> + '_ {
         (0..self.convex_parts).map(|k| format!("{}collision_{k:02}", self.prefix))

@@ -46,8 +46,7 @@ pub struct Background {
 
 /// MJCF of the asset in its scene; `folder` is where the file will lie.
 pub(crate) fn scene(asset: &Asset, options: &SceneOptions, folder: &Path) -> Result<String> {
-    let link =
-        Link { name: "object", prefix: "", convex_parts: asset.convex_parts.len(), properties: &asset.properties };
+    let link = Link::of("object", "", asset);
     let mut assets = meshes(&link);
     let mut world =
         if options.table { TABLE.to_string() } else { TABLE.lines().take(1).map(|l| format!("{l}\n")).collect() };

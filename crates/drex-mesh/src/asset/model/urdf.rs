@@ -9,8 +9,7 @@ use crate::asset::Asset;
 
 /// URDF: one link whose frame is the mesh's.
 pub(crate) fn urdf(asset: &Asset) -> String {
-    let link =
-        Link { name: "object", prefix: "", convex_parts: asset.convex_parts.len(), properties: &asset.properties };
+    let link = Link::of("object", "", asset);
     format!("<?xml version=\"1.0\"?>\n<robot name=\"object\">\n{}</robot>\n", link_element(&link, &Point3::origin()))
 }
 
