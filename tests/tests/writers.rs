@@ -100,7 +100,6 @@ const WRITERS: &[(&str, Why)] = &[
     ("crates/drex-twin/src/stages/scan.rs", Checked),
     ("crates/drex-twin/src/stages/train.rs", Checked),
     ("crates/drex-twin/src/stages/trial.rs", Checked),
-    ("crates/drex-twin/src/stereo.rs", Checked),
     ("crates/drex-twin/src/timings.rs", Checked),
 ];
 

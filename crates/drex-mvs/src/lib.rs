@@ -24,6 +24,7 @@ pub use depth_map::DepthMap;
 pub use maps::{DepthMaps, Step};
 pub use options::{MvsOptions, Preset, Region};
 pub use refine::{Hold, RefineOptions, RefineReport, refine};
+pub use rounds::remove_work;
 pub use texture::{PhotoGain, Texture, TextureOptions, TextureReport, texture};
 
 /// Runs the examples of the README as tests.

@@ -44,7 +44,8 @@ pub struct MvsOptions {
     /// Of the random planes that are tried.
     pub seed: u64,
     /// Folder for what is found on the way: with one, memory holds the planes of a few photos at a time, and a run of the same photos and options
-    /// that was interrupted is gone on with. Whoever gives it removes it when there is no need of it any more.
+    /// that was interrupted is gone on with. [`remove_work`](crate::remove_work) removes
+    /// what is in it when there is no need of it any more.
     pub work: Option<PathBuf>,
 }
 

@@ -20,6 +20,8 @@ use crate::scene::View;
 const IN_MEMORY: usize = 256 << 20;
 /// First bytes of a file; another number where what is found changes.
 const MAGIC: u64 = u64::from_le_bytes(*b"drexmvs1");
+/// Of the files.
+const ENDING: &str = "planes";
 /// Bytes of that number, the fingerprint, width and height.
 const HEAD: usize = 32;
 /// Bytes of a pixel: its plane and its cost.
@@ -112,7 +114,7 @@ impl Rounds {
     }
 
     fn file(&self, round: usize, photo: usize) -> Option<PathBuf> {
-        Some(self.folder.as_ref()?.join(format!("round-{round:02}-photo-{photo:05}.planes")))
+        Some(self.folder.as_ref()?.join(format!("round-{round:02}-photo-{photo:05}.{ENDING}")))
     }
 
     /// Whether a file is of the same views and options, and as long as it says.
@@ -170,6 +172,26 @@ impl Rounds {
     }
 }
 
+/// Removes what runs with this folder as [`MvsOptions::work`] left in it, and the folder if nothing else is in it.
+///
+/// # Errors
+/// If a file cannot be removed.
+pub fn remove_work(folder: &Path) -> Result<()> {
+    let failed = |e| Error::io("remove", folder, e);
+    if !folder.is_dir() {
+        return Ok(());
+    }
+    for entry in std::fs::read_dir(folder).map_err(failed)? {
+        let path = entry.map_err(failed)?.path();
+        if path.extension().is_some_and(|e| e == ENDING) {
+            std::fs::remove_file(&path).map_err(failed)?;
+        }
+    }
+    // What somebody else put there stays.
+    let _ = std::fs::remove_dir(folder);
+    Ok(())
+}
+
 /// A number that is another one for other pictures, cameras or options.
 fn fingerprint(options: &MvsOptions, views: &[View]) -> u64 {
     let mut of = DefaultHasher::new();
@@ -195,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_found_is_there_in_the_next_run_unless_it_is_of_something_else_or_damaged() {
+    fn fields_of_an_earlier_run_are_reused_unless_stale_or_damaged() {
         let dir = tempfile::tempdir().unwrap();
         let folder = || Some(dir.path().join("work"));
         let mut first = rounds(folder(), 7);
@@ -219,6 +241,13 @@ mod tests {
         second.put(1, 1, field(6.0, 4)).unwrap();
         second.forget_before(1);
         assert!(!file.exists() && second.last_complete(3) == Some(1) && second.get(0, 1).is_err());
+        let work = dir.path().join("work");
+        std::fs::write(work.join("notes.txt"), "mine").unwrap();
+        remove_work(&work).unwrap();
+        assert_eq!(work.read_dir().unwrap().count(), 1, "a file of somebody else stays");
+        std::fs::remove_file(work.join("notes.txt")).unwrap();
+        remove_work(&work).unwrap();
+        assert!(!work.exists() && remove_work(&work).is_ok());
     }
 
     #[test]

@@ -520,11 +520,9 @@ const IDENTITY: Similarity = Similarity {
 };
 
 impl Meshed {
-    /// Colours the mesh, or another in its frame, by the photos; the report's texel is in metres.
-    ///
-    /// # Errors
-    /// If a photo cannot be read, or none shows the mesh.
-    pub fn textured(&self, mesh: &TriMesh, progress: &dyn Progress) -> Result<(TextureMap, TextureReport)> {
+    /// Colours the mesh, or another in its frame, by the photos; the report's texel is in metres. `None` where no photo shows it or one cannot be
+    /// read, which a note says.
+    pub fn textured(&self, mesh: &TriMesh, progress: &dyn Progress) -> Option<(TextureMap, TextureReport)> {
         textured(mesh, &self.cameras, &self.scan.mesh_from_scan, progress)
     }
 }

@@ -9,11 +9,10 @@ use drex_core::capture::{Capture, PhotoOptions, Photos, View};
 use drex_core::fsutil::{OutputFolder, output_path};
 use drex_core::npy::write_npy;
 use drex_mesh::{DepthCamera, Similarity};
-use drex_mvs::{DepthMap, DepthMaps, MvsOptions, Region, Step};
+use drex_mvs::{DepthMap, DepthMaps, MvsOptions, Region, Step, remove_work};
 use drex_splat::io::picture;
 use nalgebra::{Matrix4, Point3};
 
-use crate::error::Context;
 use crate::masks::MaskReport;
 use crate::outlines::{mend, sure_points};
 use crate::progress::show_stages;
@@ -111,7 +110,7 @@ pub(crate) fn write_depth_maps(
     let maps =
         Capture { folder: out.join(DEPTH), views, points: Vec::new(), unregistered: Vec::new(), notes: Vec::new() };
     maps.write_transforms(&index)?;
-    std::fs::remove_dir_all(&work).with_context(|| format!("cannot remove {}", work.display()))
+    Ok(remove_work(&work)?)
 }
 
 /// What is kept of a photo's depth until that of all is known.

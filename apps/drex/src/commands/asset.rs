@@ -30,7 +30,8 @@ struct ScanAnswer<'a> {
     scan: &'a FrameReport,
     fusion: &'a FusionReport,
     evidence: &'a ScanEvidence,
-    texture: &'a TextureReport,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    texture: Option<&'a TextureReport>,
     #[serde(skip_serializing_if = "Option::is_none")]
     asset: Option<&'a AssetReport>,
 }
@@ -43,6 +44,9 @@ pub fn run(args: &AssetArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     }
     if is_scan(&args.input) {
         return from_scan(args, seed.unwrap_or(0), ui);
+    }
+    if args.input.extension().is_none() && !args.input.exists() {
+        bail!("there is no {}; give a mesh, a folder of photos, a video or a twin", args.input.display());
     }
     let spinner = ui.spinner("asset");
     let asset = build_asset(&args.input, &options(args))?;
@@ -168,12 +172,12 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
     let mut asset = asset_from_mesh(mesh, &options)?;
     asset.report.warnings.extend(scan.frame.doubts.iter().cloned());
     spinner.finish_and_clear();
-    let (texture, texture_report) = meshed.textured(&asset.visual, ui)?;
-    asset.texture = Some(texture);
+    let (texture, texture_report) = meshed.textured(&asset.visual, ui).unzip();
+    asset.texture = texture;
     write(&asset, args)?;
     let of_vertices = fused.evidence_of(&asset.visual);
     write_evidence(&fsutil::output_path(&args.out, "mesh/evidence.ply")?, &asset.visual, &of_vertices)?;
-    let mut answer = ScanAnswer { scan: &scan.frame, fusion, evidence, texture: &texture_report, asset: None };
+    let mut answer = ScanAnswer { scan: &scan.frame, fusion, evidence, texture: texture_report.as_ref(), asset: None };
     let text = serde_json::to_string_pretty(&answer)? + "\n";
     fsutil::write_atomic(&fsutil::output_path(&args.out, "mesh/scan.json")?, text.as_bytes())?;
     let input = Some(args.input.clone());
@@ -181,7 +185,9 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
     answer.asset = Some(&asset.report);
     ui.answer(
         &answer,
-        describe_scan(&scan.frame, fusion) + &describe_texture(&texture_report) + &describe(&asset, args),
+        describe_scan(&scan.frame, fusion)
+            + &texture_report.as_ref().map(describe_texture).unwrap_or_default()
+            + &describe(&asset, args),
     )
 }
 

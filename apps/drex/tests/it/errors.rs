@@ -22,6 +22,7 @@ const CASES: &[Case] = &[
         &["\"middle\" is no click", "512,300@IMG_1001.jpg"],
     ),
     ("reconstruct", &["empty", "--out", "new"], 1, &["empty has no photos", "put 20 to 80 photos"]),
+    ("asset", &["nowhere", "--out", "new"], 1, &["there is no nowhere", "give a mesh, a folder of photos"]),
     ("reconstruct", &["nowhere", "--out", "new"], 1, &["there is no nowhere", "give a folder with photos"]),
     ("reconstruct", &["film.mov", "--out", "new", "--ffmpeg", "no-such-ffmpeg"], 1, &["no-such-ffmpeg", "install"]),
     ("reconstruct", &["notes.txt", "--out", "new", "--ffmpeg", "no-such-ffmpeg"], 1, &["notes.txt is one file"]),

@@ -14,7 +14,7 @@ impl Fused {
     /// What is known of the vertices of a mesh that was made of this one, by moving or decimation: of each, what is known of the nearest vertex
     /// here, among those of the nearest face.
     pub fn evidence_of(&self, mesh: &TriMesh) -> Vec<Evidence> {
-        const NOTHING: Evidence = Evidence { views: 0, best_cosine: 0.0, kind: EvidenceKind::Unseen };
+        const UNSEEN: Evidence = Evidence { views: 0, best_cosine: 0.0, kind: EvidenceKind::Unseen };
         let tree = Bvh::new(&self.mesh);
         let of = |p| {
             let face = self.mesh.faces[tree.nearest(p, f64::INFINITY)?.face as usize];
@@ -22,7 +22,7 @@ impl Fused {
             let nearest = face.into_iter().min_by(|a, b| away(a).total_cmp(&away(b)))?;
             self.evidence.get(nearest as usize).copied()
         };
-        mesh.vertices.par_iter().map(|p| of(p).unwrap_or(NOTHING)).collect()
+        mesh.vertices.par_iter().map(|p| of(p).unwrap_or(UNSEEN)).collect()
     }
 }
 

@@ -1,6 +1,6 @@
 //! Pictures of analytic surfaces, painted with noise in space.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use drex_core::Pose;
 use drex_core::camera::{Camera, CameraModel};
@@ -56,20 +56,25 @@ pub fn photograph(folder: &Path, cameras: &[Pose], surface: Surface<'_>, grain: 
         let name = format!("{i:02}.png");
         let photo = folder.join(&name);
         picture.save(&photo).unwrap();
-        View {
-            name,
-            photo,
-            mask: None,
-            depth: None,
-            confidence: None,
-            normal: None,
-            lens: lens.clone(),
-            camera_from_world: *pose,
-            keypoints: Vec::new(),
-        }
+        view(name, photo, &lens, pose)
     });
     let views = views.collect();
     Capture { folder: folder.to_owned(), views, points: Vec::new(), unregistered: Vec::new(), notes: Vec::new() }
+}
+
+/// A photo and its camera, nothing else.
+pub fn view(name: String, photo: PathBuf, lens: &Camera, camera_from_world: &Pose) -> View {
+    View {
+        name,
+        photo,
+        mask: None,
+        depth: None,
+        confidence: None,
+        normal: None,
+        lens: lens.clone(),
+        camera_from_world: *camera_from_world,
+        keypoints: Vec::new(),
+    }
 }
 
 /// Smooth noise from -1 to 1 of about unit grain, in two octaves.

@@ -1,14 +1,14 @@
 use std::path::Path;
 
 use drex_core::camera::{Camera, CameraModel};
-use drex_core::capture::{Capture, View};
+use drex_core::capture::Capture;
 use drex_core::{Pose, TriMesh};
 use drex_mvs::{Texture, TextureOptions, texture};
 use image::{Rgb, RgbImage};
 use nalgebra::{Point3, Vector3};
 
 use crate::refinement::ball;
-use crate::scene::noise;
+use crate::scene::{self, noise};
 
 const SIZE_PX: u32 = 320;
 const FOCAL_PX: f64 = 500.0;
@@ -82,17 +82,7 @@ fn photograph(folder: &Path, cameras: &[Pose], surface: Surface<'_>, paint: Pain
         })
         .save(&photo)
         .unwrap();
-        View {
-            name: format!("{i:02}.png"),
-            photo,
-            mask: None,
-            depth: None,
-            confidence: None,
-            normal: None,
-            lens: lens.clone(),
-            camera_from_world: *pose,
-            keypoints: Vec::new(),
-        }
+        scene::view(format!("{i:02}.png"), photo, &lens, pose)
     };
     let views = cameras.iter().enumerate().map(view).collect();
     Capture { folder: folder.to_owned(), views, points: Vec::new(), unregistered: Vec::new(), notes: Vec::new() }

@@ -17,7 +17,7 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
         let matrix = read_json::<ScanFile>(&twin.path(SCAN))?.scan.mesh_from_scan;
         let mesh_from_scan = Similarity::from_matrix(&Matrix4::from_fn(|r, c| matrix[r][c]))?;
         let cameras = cameras_of(&twin.path(&config.photos), &twin.root)?;
-        asset.texture = Some(textured(&asset.visual, &cameras, &mesh_from_scan, progress)?.0);
+        asset.texture = textured(&asset.visual, &cameras, &mesh_from_scan, progress).map(|made| made.0);
     }
     asset.write(&twin.root)?;
     Ok(vec![twin.path("mesh"), twin.path("asset")])
