@@ -4,6 +4,9 @@
 use std::fs;
 use std::path::PathBuf;
 
+use drex_core::Surface;
+use drex_core::mesh::sample_surface;
+use drex_mesh::MeshSdf;
 use serde_json::Value;
 
 #[test]
@@ -36,7 +39,15 @@ fn the_demo_weighs_what_it_saw_and_holds_it() {
 
     let volume_cm3 = 1e6 * number(&read(demo.join("mesh/report.json"))["volume_m3"]);
     let share = volume_cm3 / number(&truth["volume_cm3"]);
-    assert!((0.88..1.12).contains(&share), "the mesh has {volume_cm3} cm3, {share} of the truth");
+    assert!((0.98..1.02).contains(&share), "the mesh has {volume_cm3} cm3, {share} of the truth");
+    let truth = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("data/demo/truth/tin.obj");
+    let [made, truth] = [demo.join("mesh/visual.obj"), truth].map(|file| drex_mesh::read_mesh(&file).unwrap());
+    let (points, truth) = (sample_surface(&made, 20_000, 0), MeshSdf::new(&truth).unwrap());
+    let squares: f64 = points.iter().map(|p| (truth.nearest(&p.point).point - p.point).norm_squared()).sum();
+    let rms_mm = 1e3 * (squares / points.len() as f64).sqrt();
+    eprintln!("volume {share:.4} of the truth, {rms_mm:.3} mm rms from it");
+    assert!(rms_mm < 0.5, "the mesh is {rms_mm} mm rms from the truth");
+    assert!(fs::metadata(demo.join("picture.png")).unwrap().len() > 10_000);
 
     let training = read(demo.join("policy/training.json"));
     let count = |of: &str| ["demonstrated", "refined", "searched"].map(|k| training[of][k].as_u64().unwrap());

@@ -290,14 +290,14 @@ fn a_push_that_a_camera_of_unknown_place_tracked_is_not_put_into_the_world() {
     assert!(!seen.0.keys().any(|k| k.starts_with("/world/push")));
 }
 
-/// Cameras for the demo's 36 photos, whose own are found when it runs: all where the first one is, and a point.
+/// Cameras for the demo's 40 photos, whose own are found when it runs: all where the first one is, and a point.
 fn write_cameras(scan: &Path) {
     let frame = |i: usize| {
         let matrix = [[0.0, -0.4, 0.9165, 0.8], [1.0, 0.0, 0.0, 0.0], [0.0, 0.9165, 0.4, 0.45], [0.0, 0.0, 0.0, 1.0]];
         json!({"file_path": format!("images/{i:02}.jpg"), "transform_matrix": matrix})
     };
-    let frames: Vec<Value> = (0..36).map(frame).collect();
-    let lens = json!({"camera_model": "OPENCV", "w": 400, "h": 300, "fl_x": 430.0, "fl_y": 430.0, "cx": 200.0, "cy": 150.0,
+    let frames: Vec<Value> = (0..40).map(frame).collect();
+    let lens = json!({"camera_model": "OPENCV", "w": 640, "h": 480, "fl_x": 600.0, "fl_y": 600.0, "cx": 320.0, "cy": 240.0,
         "ply_file_path": "points.ply", "frames": frames});
     write_json(scan, "transforms.json", &lens);
     let properties = "property float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n";
@@ -354,7 +354,7 @@ fn a_scan_and_the_clips_of_a_person_have_their_place_in_the_world() {
     assert!(stands.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5), "{stands:?}");
     let blob = EncodedImage::descriptor_blob().component;
     let photos = seen.0.keys().filter(|k| k.starts_with("/world/scan/cameras/") && k.ends_with("/photo"));
-    assert_eq!(photos.filter(|k| seen.of(k, blob).len() == 1).count(), 36);
+    assert_eq!(photos.filter(|k| seen.of(k, blob).len() == 1).count(), 40);
     assert!(seen.has("/world/scan/points"));
 
     // Clips: a point per key point and frame; the wrist comes first.

@@ -27,7 +27,6 @@ mod boundary;
 mod bvh;
 mod caps;
 mod check;
-mod colors;
 mod compare;
 mod decimate;
 mod depth;
@@ -62,7 +61,6 @@ pub use check::{
     CheckOptions, CheckReport, Outcome, RuleResult, ScanCamera, ScanEvidence, Silhouette, SupportEvidence, check_asset,
     check_file, check_mesh, check_scan,
 };
-pub use colors::point_colors;
 pub use compare::{CompareOptions, SurfaceComparison, compare_surfaces};
 pub use decimate::{DecimateOptions, DecimateReport, decimate};
 pub use depth::{DepthCamera, DepthMap, DepthViews, cast_depth};

@@ -263,7 +263,12 @@ impl<'a> Stage<'a> {
     fn picture(&self, joints: &[f64], object_from_base: &Pose) -> Result<Vec<u8>> {
         let links = self.robot.forward_kinematics(joints, &(self.world_from_object * object_from_base));
         let mut parts = self.shapes.parts(&links);
-        parts.push(Part { mesh: &self.asset.visual, world_from_mesh: self.world_from_object, color: OBJECT_COLOR });
+        parts.push(Part {
+            mesh: &self.asset.visual,
+            world_from_mesh: self.world_from_object,
+            color: OBJECT_COLOR,
+            texture: None,
+        });
         let view = View { width: 420, height: 340, azimuth: 0.0, elevation: 0.45, table_height_m: Some(0.0) };
         let azimuth = clearest_azimuth(&parts, parts.len() - 1, &view);
         render_png(&parts, &View { azimuth, ..view })

@@ -24,7 +24,7 @@ pub use error::{Error, Result};
 pub use mass::{contradiction_text, posterior_text, prior_text};
 pub use object::{closing_text, pieces_text};
 pub use push::verdict_text;
-pub use report::{page, write};
+pub use report::{page, write, write_picture};
 pub use summary::{Findings, findings};
 
 /// Runs the examples of the README as tests.

@@ -63,7 +63,7 @@ pub fn section(page: &mut Page, asset: &Asset, mass: &MassFile) -> Result<()> {
         .convex_parts
         .iter()
         .zip(PIECE_COLORS.iter().cycle())
-        .map(|(mesh, &color)| Part { mesh, world_from_mesh: pose, color })
+        .map(|(mesh, &color)| Part { mesh, world_from_mesh: pose, color, texture: None })
         .collect();
     page.viewers(&[
         (whole, still(&asset.visual, &pose, azimuth, elevation)?, "the mesh".to_owned()),
@@ -104,7 +104,11 @@ pub fn section(page: &mut Page, asset: &Asset, mass: &MassFile) -> Result<()> {
 
 /// The object alone, on its table.
 pub fn still(mesh: &TriMesh, world_from_mesh: &Pose, azimuth: f64, elevation: f64) -> Result<Vec<u8>> {
-    let part = Part { mesh, world_from_mesh: *world_from_mesh, color: OBJECT_COLOR };
+    still_of(Part { mesh, world_from_mesh: *world_from_mesh, color: OBJECT_COLOR, texture: None }, azimuth, elevation)
+}
+
+/// A part alone, on its table.
+pub fn still_of(part: Part<'_>, azimuth: f64, elevation: f64) -> Result<Vec<u8>> {
     render_png(&[part], &view(azimuth, elevation))
 }
 

@@ -10,10 +10,13 @@ use drex_twin::{Twin, records as files};
 use crate::learned::Learned;
 use crate::mass::contradiction_text;
 use crate::page::Page;
+use crate::picture::raster::encode_png;
 use crate::{Result, grasps, hand, object, people, push, replay, scan, summary, trial};
 
 /// Name of the page in a twin folder.
 const PAGE: &str = "report.html";
+/// Name of the first picture there.
+const PICTURE: &str = "picture.png";
 
 /// Writes `report.html` and the pictures that belong to it into the twin's folder, and names them: the last stage of a twin, see
 /// [`drex_twin::RunOptions::with_report`].
@@ -25,6 +28,19 @@ pub fn write(twin: &Twin) -> Result<Vec<PathBuf>, Box<dyn std::error::Error + Se
     let (html, path) = (page(twin)?, twin.output(PAGE)?);
     fsutil::write_atomic(&path, html.as_bytes())?;
     Ok(sheet.into_iter().chain([path]).collect())
+}
+
+/// Writes `picture.png` into the twin's folder, a photo of the object beside its mesh from the same place, and names it; nothing where no photo shows
+/// all of the object or the mesh has no texture. See [`drex_twin::RunOptions::with_picture`].
+///
+/// # Errors
+/// If a record of the scan or the asset is missing or damaged, or the file cannot be written.
+pub fn write_picture(twin: &Twin) -> Result<Vec<PathBuf>, Box<dyn std::error::Error + Send + Sync>> {
+    let Some(surface) = scan::textured(twin)? else { return Ok(Vec::new()) };
+    let Some(beside) = scan::beside_a_photo(twin, &surface)? else { return Ok(Vec::new()) };
+    let path = twin.output(PICTURE)?;
+    fsutil::write_atomic(&path, &encode_png(&beside.sheet())?)?;
+    Ok(vec![path])
 }
 
 /// The report as one HTML page.

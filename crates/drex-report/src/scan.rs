@@ -3,21 +3,27 @@
 use std::path::{Path, PathBuf};
 
 use crate::Result;
+use drex_core::Pose;
+use drex_core::camera::PinholeCamera;
 use drex_mesh::{Asset, Similarity};
 use drex_splat::Kind;
 use drex_splat::io::read_gaussians;
 use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
 use nalgebra::{Matrix4, Similarity3, Translation3, Vector3};
 
-use super::object::{MESH_FACES, OBJECT_COLOR, still};
+use super::object::{MESH_FACES, OBJECT_COLOR, still, still_of};
 use super::page::Page;
 use super::viewer::{Look, MOST_SPLATS, Scene};
+use crate::picture::raster::{encode_png, render_from};
+use crate::picture::surface::{Surface, close_up, resampled};
 use drex_twin::cameras::cameras_of;
 use drex_twin::records::{HELD_OUT, ScanFile, SplatReport};
 use drex_twin::{Twin, records as files};
 
 /// Photos that are shown; as many held-out ones beside what the Gaussians make of them.
 const PHOTOS: usize = 4;
+/// Size of the picture of the mesh beside a photo, pixels.
+const BESIDE: [usize; 2] = [420, 380];
 /// Longest side of a photo, pixels.
 const PHOTO_SIDE: u32 = 400;
 /// The Gaussians are cut this far around the object, as a share of the diagonal of its box.
@@ -29,6 +35,17 @@ const BEHIND: [u8; 3] = [200, 204, 210];
 pub fn section(page: &mut Page, twin: &Twin, asset: &Asset, photos: &Path) -> Result<()> {
     let file: ScanFile = files::read_json(&twin.path(files::SCAN))?;
     page.section("Scan");
+    let surface = textured(twin)?;
+    if let Some(surface) = &surface
+        && let Some(pair) = beside_a_photo(twin, surface)?
+    {
+        let nothing = || Scene::new(0.0, 0.0);
+        let captions =
+            [format!("photo {}", pair.photo), "the mesh from there, with the colours of the photos".to_owned()];
+        let [photo, mesh] = pair.pictures.map(|picture| encode_png(&picture));
+        let [of_photo, of_mesh] = captions;
+        page.viewers(&[(nothing(), photo?, of_photo), (nothing(), mesh?, of_mesh)]);
+    }
     let trained: Option<SplatReport> = files::read_json_if_there(&twin.path(files::SPLAT_REPORT))?;
     let views: Vec<(String, PathBuf)> = match cameras_of(&twin.path(photos), &twin.root) {
         Ok(capture) => capture.views.into_iter().map(|v| (v.name, v.photo)).collect(),
@@ -38,9 +55,65 @@ pub fn section(page: &mut Page, twin: &Twin, asset: &Asset, photos: &Path) -> Re
     if let Some(trained) = &trained {
         of_training(page, twin, trained, &views);
     }
-    scenes(page, twin, asset, &file)?;
+    scenes(page, twin, asset, surface.as_ref(), &file)?;
     of_frame(page, &file);
     Ok(())
+}
+
+/// The mesh of the asset with the picture on it; `None` where the photos gave none.
+///
+/// # Errors
+/// If what the stage asset wrote cannot be read.
+pub fn textured(twin: &Twin) -> Result<Option<Surface>> {
+    let surfaces = Surface::read(&twin.path("mesh/visual.obj"))?;
+    Ok(surfaces.into_iter().find(|s| s.texture.is_some()))
+}
+
+/// A photo of the object, and its mesh as seen from there.
+pub struct Beside {
+    /// Name of the photo.
+    pub photo: String,
+    /// The photo without the distortion of its lens, and the mesh, of the same size.
+    pub pictures: [RgbImage; 2],
+}
+
+impl Beside {
+    /// Both beside each other.
+    pub fn sheet(&self) -> RgbImage {
+        let [photo, mesh] = &self.pictures;
+        RgbImage::from_fn(photo.width() + mesh.width(), photo.height().max(mesh.height()), |x, y| {
+            let there = if x < photo.width() {
+                photo.get_pixel_checked(x, y)
+            } else {
+                mesh.get_pixel_checked(x - photo.width(), y)
+            };
+            there.copied().unwrap_or(Rgb(BEHIND))
+        })
+    }
+}
+
+/// Of the photos that show all of the object the one that shows it largest, and the surface as seen from there; `None` if none does.
+///
+/// # Errors
+/// If the records of the scan cannot be read.
+pub fn beside_a_photo(twin: &Twin, surface: &Surface) -> Result<Option<Beside>> {
+    let Some(config) = &twin.manifest.scan else { return Ok(None) };
+    let Ok(capture) = cameras_of(&twin.path(&config.photos), &twin.root) else { return Ok(None) };
+    let file: ScanFile = files::read_json(&twin.path(files::SCAN))?;
+    let scan_from_mesh = mesh_from_scan(&file)?.inverse();
+    let in_scan = Surface { mesh: scan_from_mesh.mesh(&surface.mesh), texture: surface.texture.clone() };
+    let mut closest: Option<(f64, &drex_core::capture::View, PinholeCamera)> = None;
+    for view in &capture.views {
+        if let Some((camera, pixels)) = close_up(&in_scan.mesh.vertices, &view.lens, &view.camera_from_world, BESIDE)
+            && closest.as_ref().is_none_or(|best| pixels > best.0)
+        {
+            closest = Some((pixels, view, camera));
+        }
+    }
+    let Some((_, view, camera)) = closest else { return Ok(None) };
+    let Ok(photo) = image::open(&view.photo) else { return Ok(None) };
+    let mesh = render_from(&[in_scan.part(Pose::identity(), OBJECT_COLOR)], &camera);
+    Ok(Some(Beside { photo: view.name.clone(), pictures: [resampled(&photo.to_rgb8(), &view.lens, &camera), mesh] }))
 }
 
 /// Photos spread over the capture.
@@ -109,7 +182,7 @@ fn of_training(page: &mut Page, twin: &Twin, trained: &SplatReport, views: &[(St
 }
 
 /// The Gaussians beside the mesh, turned together.
-fn scenes(page: &mut Page, twin: &Twin, asset: &Asset, file: &ScanFile) -> Result<()> {
+fn scenes(page: &mut Page, twin: &Twin, asset: &Asset, textured: Option<&Surface>, file: &ScanFile) -> Result<()> {
     let pose = asset.world_from_mesh_at_rest;
     let world = asset.visual.transformed(&pose);
     let Some((lo, hi)) = world.bounds() else { return Ok(()) };
@@ -131,10 +204,15 @@ fn scenes(page: &mut Page, twin: &Twin, asset: &Asset, file: &ScanFile) -> Resul
         }
     }
     let mut scene = Scene::new(azimuth, elevation).linked("scan").framed((lo, hi)).on_table(0.0);
-    if let Some(mesh) = scene.mesh(&asset.visual, MESH_FACES) {
+    let embedded = textured.and_then(|surface| scene.textured(surface));
+    if let Some(mesh) = embedded.or_else(|| scene.mesh(&asset.visual, MESH_FACES)) {
         scene.part(mesh, Look::Solid, OBJECT_COLOR, &[pose.into()])?;
     }
-    shown.push((scene, picture()?, "the mesh made of the photos".to_owned()));
+    let still = match textured {
+        Some(surface) => still_of(surface.part(pose, OBJECT_COLOR), azimuth, elevation)?,
+        None => picture()?,
+    };
+    shown.push((scene, still, "the mesh made of the photos".to_owned()));
     page.viewers(&shown);
     Ok(())
 }
@@ -152,10 +230,14 @@ fn picture_of_gaussians(twin: &Twin) -> Option<Vec<u8>> {
 
 /// world_from_scan.
 fn similarity(file: &ScanFile, world_from_mesh: &drex_core::Pose) -> Result<Similarity3<f64>> {
-    let m = &file.scan.mesh_from_scan;
-    let s = Similarity::from_matrix(&Matrix4::from_fn(|r, c| m[r][c]))?;
+    let s = mesh_from_scan(file)?;
     let mesh_from_scan = Similarity3::from_parts(Translation3::from(s.translation), s.rotation, s.scale);
     Ok(world_from_mesh * mesh_from_scan)
+}
+
+fn mesh_from_scan(file: &ScanFile) -> Result<Similarity> {
+    let m = &file.scan.mesh_from_scan;
+    Ok(Similarity::from_matrix(&Matrix4::from_fn(|r, c| m[r][c]))?)
 }
 
 fn of_frame(page: &mut Page, file: &ScanFile) {

@@ -156,7 +156,7 @@ fn film(page: &mut Page, twin: &Twin, asset: &Asset, trial: &TrialFile) -> Resul
     let times: Vec<f64> = trial.film.iter().map(|f| f.time_s).collect();
     let parts_at = |i: usize| -> Vec<Part<'_>> {
         let mut parts = shapes.parts(&links[i]);
-        parts.push(Part { mesh: &asset.visual, world_from_mesh: object[i], color: OBJECT_COLOR });
+        parts.push(Part { mesh: &asset.visual, world_from_mesh: object[i], color: OBJECT_COLOR, texture: None });
         parts
     };
     let last = times.len() - 1;

@@ -60,6 +60,10 @@
      void main(){vec3 e=normalize(eye-at),n=normalize(normal);if(dot(n,e)<0.)n=-n;
       float key=max(0.,dot(n,normalize(e-.6*right+vec3(0,0,.9)))),fill=max(0.,dot(n,normalize(e+1.2*right)));
       o=vec4(min(color*(.34+.6*key+.16*fill),1.),1.);}`);
+  // A picture as it is: the light of the photos is in it.
+  const printed = compile(
+    "in vec3 p,n;uniform mat4 look,model;out vec2 uv;void main(){uv=n.xy;gl_Position=look*model*vec4(p,1.);}",
+    "in vec2 uv;uniform sampler2D picture;out vec4 o;void main(){o=vec4(texture(picture,uv).rgb,1.);}");
   const wire = compile(
     "in vec3 p;uniform mat4 look,model;void main(){gl_Position=look*model*vec4(p,1.);gl_Position.z-=.002*gl_Position.w;}",
     "uniform vec4 color;out vec4 o;void main(){o=vec4(color.rgb*color.a,color.a);}");
@@ -84,7 +88,7 @@
       gl_Position=look*vec4(a.xyz,1.);gl_Position.xy+=2.*o/size*gl_Position.w;color=vec4(row(3).rgb,a.w);}`,
     `in vec2 q;in vec4 color;out vec4 o;
      void main(){float r=dot(q,q);if(r>9.)discard;float a=color.a*exp(-.5*r);o=vec4(color.rgb*a,a);}`);
-  if (!solid || !wire || !table || !splat) return;
+  if (!solid || !printed || !wire || !table || !splat) return;
   const buffer = (data, target = gl.ARRAY_BUFFER) => {
     const b = gl.createBuffer();
     gl.bindBuffer(target, b);
@@ -120,7 +124,32 @@
       if (sides.length === 2 && dot(normals[sides[0]], normals[sides[1]]) > 0.9975) continue;
       lines.push(...v[Math.floor(key / count)], ...v[key % count]);
     }
-    return { p: buffer(at), n: buffer(n), corners: 3 * faces, lines: buffer(new Float32Array(lines)), ends: lines.length / 3 };
+    // Where the picture of a mesh is, texture coordinates take the place of normals.
+    const looks = m.looks && readPicture(m.looks.picture);
+    if (looks) {
+      const uv = new Uint16Array(bytes(m.looks.uv));
+      for (let i = 0; i < 3 * faces; i++) n.set([uv[2 * f[i]] / 65535, uv[2 * f[i] + 1] / 65535, 0], 3 * i);
+    }
+    return { p: buffer(at), n: buffer(n), looks, corners: 3 * faces, lines: buffer(new Float32Array(lines)), ends: lines.length / 3 };
+  };
+
+  // A texture that is grey until the browser has decoded its picture.
+  const readPicture = (source) => {
+    const texture = gl.createTexture(), picture = new Image();
+    const fill = (...pixels) => {
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, ...pixels, gl.RGBA, gl.UNSIGNED_BYTE, pixels.length ? new Uint8Array([150, 150, 150, 255]) : picture);
+    };
+    fill(1, 1, 0);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
+    picture.onload = () => {
+      fill();
+      gl.generateMipmap(gl.TEXTURE_2D);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+      views.forEach((v) => v.touch());
+    };
+    picture.src = source;
+    return texture;
   };
 
   const readSplats = (s) => {
@@ -379,12 +408,22 @@
       let at = use(solid);
       gl.uniform3fv(at.eye, eye);
       gl.uniform3fv(at.right, right);
-      for (const part of this.parts.filter((p) => p.look === "solid")) {
+      const faces = (part) => {
         gl.uniformMatrix4fv(at.model, false, modelAt(part, place));
-        gl.uniform3fv(at.color, part.color);
         feed(0, part.mesh.p);
         feed(1, part.mesh.n);
         gl.drawArrays(gl.TRIANGLES, 0, part.mesh.corners);
+      };
+      const solids = this.parts.filter((p) => p.look === "solid");
+      for (const part of solids.filter((p) => !p.mesh.looks)) {
+        gl.uniform3fv(at.color, part.color);
+        faces(part);
+      }
+      at = use(printed);
+      gl.activeTexture(gl.TEXTURE0);
+      for (const part of solids.filter((p) => p.mesh.looks)) {
+        gl.bindTexture(gl.TEXTURE_2D, part.mesh.looks);
+        faces(part);
       }
       gl.disableVertexAttribArray(1);
       gl.enable(gl.BLEND);

@@ -1,17 +1,21 @@
 //! Scenes that a reader can turn and play: meshes, Gaussians and poses over time as JSON with typed arrays in base64, which `viewer.js`
 //! draws. World frame of a scene: metres, z up.
 
+use crate::picture::surface::Surface;
 use crate::{Error, Result};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use drex_core::{Pose, TriMesh};
 use drex_mesh::{DecimateOptions, decimate};
 use drex_splat::Gaussians;
+use image::{ImageFormat, RgbImage};
 use nalgebra::Point3;
 use serde_json::{Value, json};
 
 /// A mesh that has more than this many times the faces that were wanted, even simplified, is not embedded.
 const TOLERATED: usize = 3;
+/// Most faces of a mesh with a picture, which are embedded as they are: about 20 bytes each.
+pub const MOST_TEXTURED: usize = 60_000;
 /// Most Gaussians of a scene: 17 bytes each.
 pub const MOST_SPLATS: usize = 25_000;
 /// A Gaussian that is wider than this share of the box is haze rather than surface.
@@ -133,7 +137,24 @@ impl Scene {
 
     /// Embeds a mesh, simplified to about `most_faces`, and gives its number; `None` if it is empty or cannot be made so small.
     pub fn mesh(&mut self, mesh: &TriMesh, most_faces: usize) -> Option<usize> {
-        let simpler = simplified(mesh, most_faces)?;
+        self.embed(&simplified(mesh, most_faces)?, None)
+    }
+
+    /// Embeds a surface with its picture as it is, and gives its number; `None` if it has no picture, is empty or has more than [`MOST_TEXTURED`]
+    /// faces.
+    pub fn textured(&mut self, surface: &Surface) -> Option<usize> {
+        let (uv, picture) = surface.texture.as_ref()?;
+        if surface.mesh.faces.is_empty() || surface.mesh.faces.len() > MOST_TEXTURED {
+            return None;
+        }
+        let step = |c: &f32| (f64::from(c.clamp(0.0, 1.0)) * STEPS).round() as u16;
+        let places = encode(uv.iter().flatten().flat_map(|c| step(c).to_le_bytes()));
+        let picture = format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg(picture)?));
+        self.embed(&surface.mesh, Some(json!({ "uv": places, "picture": picture })))
+    }
+
+    /// Embeds a mesh as it is.
+    fn embed(&mut self, simpler: &TriMesh, looks: Option<Value>) -> Option<usize> {
         let (lo, hi) = simpler.bounds()?;
         let grid = Grid::over(&lo, &hi);
         let corners: Vec<u16> = simpler.vertices.iter().flat_map(|v| grid.cell(v)).collect();
@@ -146,7 +167,7 @@ impl Scene {
             encode(indices.flat_map(|&i| (i as u16).to_le_bytes()))
         };
         let v = encode(corners.into_iter().flat_map(u16::to_le_bytes));
-        self.meshes.push(json!({ "lo": grid.lo, "step": grid.step, "v": v, "f": faces, "wide": wide }));
+        self.meshes.push(json!({ "lo": grid.lo, "step": grid.step, "v": v, "f": faces, "wide": wide, "looks": looks }));
         self.bounds.push((lo, hi));
         Some(self.meshes.len() - 1)
     }
@@ -308,6 +329,13 @@ fn simplified(mesh: &TriMesh, most_faces: usize) -> Option<TriMesh> {
     options.target_faces = Some(most_faces);
     let simpler = decimate(mesh, &options).ok()?.0;
     (!simpler.faces.is_empty() && simpler.faces.len() <= TOLERATED * most_faces).then_some(simpler)
+}
+
+/// A picture as a JPEG file in memory; `None` if it is too large for one.
+fn jpeg(picture: &RgbImage) -> Option<Vec<u8>> {
+    let mut file = std::io::Cursor::new(Vec::new());
+    picture.write_to(&mut file, ImageFormat::Jpeg).ok()?;
+    Some(file.into_inner())
 }
 
 fn encode(bytes: impl Iterator<Item = u8>) -> String {

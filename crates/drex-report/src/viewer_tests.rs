@@ -204,3 +204,28 @@ fn the_script_needs_no_network_and_ends_nowhere_early() {
         assert!(!script.contains(word), "{word}");
     }
 }
+
+#[test]
+fn a_surface_with_a_picture_is_embedded_as_it_is_and_one_that_is_too_large_is_not() {
+    let mesh = sphere(60, 0.05);
+    let uv: Vec<[f32; 2]> = (0..mesh.vertices.len()).map(|i| [i as f32 / mesh.vertices.len() as f32, 0.25]).collect();
+    let picture = image::RgbImage::from_pixel(16, 8, image::Rgb([200, 40, 10]));
+    let surface = |mesh: &TriMesh| Surface { mesh: mesh.clone(), texture: Some((uv.clone(), picture.clone())) };
+    let mut scene = Scene::new(0.0, 0.0);
+    let number = scene.textured(&surface(&mesh)).unwrap();
+    scene.part(number, Look::Solid, [0.5; 3], &[Pose::identity().into()]).unwrap();
+    let looks = &parsed(&scene)["meshes"][0]["looks"];
+    let places = u16s(&looks["uv"]);
+    assert_eq!(places.len(), 2 * uv.len());
+    for (back, there) in places.iter().zip(uv.iter().flatten()) {
+        assert!((f64::from(*back) / 65535.0 - f64::from(*there)).abs() < 1e-5);
+    }
+    let jpeg = looks["picture"].as_str().unwrap().strip_prefix("data:image/jpeg;base64,").unwrap();
+    let read = image::load_from_memory(&STANDARD.decode(jpeg).unwrap()).unwrap().to_rgb8();
+    assert!(read.get_pixel(7, 3).0.iter().zip([200, 40, 10]).all(|(a, b)| a.abs_diff(b) < 8), "{read:?}");
+
+    let large = sphere(250, 0.05);
+    assert!(large.faces.len() > MOST_TEXTURED);
+    assert!(scene.textured(&surface(&large)).is_none());
+    assert!(scene.textured(&Surface { mesh, texture: None }).is_none());
+}

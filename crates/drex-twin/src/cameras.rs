@@ -16,16 +16,20 @@ pub(crate) const FRAMES: &str = "scan";
 /// # Errors
 /// If there are no cameras, or a file is damaged.
 pub fn cameras_of(scan: &Path, out: &Path) -> Result<Capture> {
+    cameras_within(scan, out, &CaptureOptions::default())
+}
+
+/// As [`cameras_of`], with masks and maps where the options say.
+pub(crate) fn cameras_within(scan: &Path, out: &Path, within: &CaptureOptions) -> Result<Capture> {
     let folder = if is_video(scan) { out.join(FRAMES) } else { scan.to_path_buf() };
-    let within = CaptureOptions::default();
     if !Capture::is_in(&folder) {
         for found in [SFM, COLMAP] {
-            if let Some(capture) = load_found(&folder, &out.join(found), &within)? {
+            if let Some(capture) = load_found(&folder, &out.join(found), within)? {
                 return Ok(capture);
             }
         }
     }
-    Capture::load(&folder, &within)
+    Capture::load(&folder, within)
 }
 
 /// The largest model that was found for the photos of `folder` and written into `found`.

@@ -5,12 +5,13 @@ use std::path::Path;
 use drex_recording::PushRecording;
 
 use crate::lock::Inputs;
+use crate::manifest::ScanConfig;
 use crate::{Result, Twin, records as files};
 
 /// The stages of a twin, in order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stage {
-    /// Photos to Gaussians and a mesh.
+    /// Photos to a mesh.
     Scan,
     /// Pushes to a mass.
     Identify,
@@ -26,13 +27,15 @@ pub enum Stage {
     Trial,
     /// The grasp carried out by an emulated hand.
     Execute,
+    /// Gaussians that show what the photos show.
+    Appearance,
     /// The page about all of it.
     Report,
 }
 
 impl Stage {
     /// All stages in their order.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Scan,
         Self::Identify,
         Self::Asset,
@@ -41,6 +44,7 @@ impl Stage {
         Self::Evaluate,
         Self::Trial,
         Self::Execute,
+        Self::Appearance,
         Self::Report,
     ];
 
@@ -55,6 +59,7 @@ impl Stage {
             Self::Evaluate => "evaluate",
             Self::Trial => "trial",
             Self::Execute => "execute",
+            Self::Appearance => "appearance",
             Self::Report => "report",
         }
     }
@@ -73,7 +78,9 @@ impl Twin {
         let mesh = self.path(&m.object.mesh);
         let inputs = match stage {
             Stage::Scan => {
-                let inputs = inputs.setting("scan", &m.scan)?.setting("mesh", &m.object.mesh)?;
+                // Steps are of the stage that trains.
+                let scan = m.scan.clone().map(|scan| ScanConfig { iterations: None, ..scan });
+                let inputs = inputs.setting("scan", &scan)?.setting("mesh", &m.object.mesh)?;
                 let files = m.scan.iter().flat_map(|scan| std::iter::once(&scan.photos).chain(&scan.masks));
                 files.map(|f| self.path(f)).try_fold(inputs, |inputs, file| inputs.file(&file))?
             }
@@ -103,9 +110,17 @@ impl Twin {
                 let inputs = inputs.setting("object", &m.object)?.file(&mesh)?.file(&self.path(files::POLICY))?;
                 self.capped(inputs)?.file(&self.path(files::FITS))?.file(&self.path(files::MASS))?
             }
+            Stage::Appearance => {
+                let inputs = inputs.setting("scan", &m.scan)?.file(&self.path("mesh"))?;
+                self.scanned(inputs)?
+            }
             Stage::Report => {
                 let inputs = inputs.setting("manifest", m)?.file(&self.path("mesh"))?.file(&self.path(files::MASS))?;
-                let inputs = self.scanned(inputs)?;
+                let mut inputs = self.scanned(inputs)?;
+                let trained = self.path(files::SPLAT_REPORT);
+                if trained.exists() {
+                    inputs = inputs.file(&trained)?;
+                }
                 if m.grasps.is_some() {
                     inputs
                         .file(&self.path(files::FITS))?

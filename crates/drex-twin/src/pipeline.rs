@@ -12,7 +12,7 @@ use crate::inputs::Stage;
 use crate::timings::{self, Timing};
 use crate::{Error, Progress, Result, Twin, stages};
 
-/// Writes a twin's report and names the files; `drex_report::write` is one.
+/// Writes something about a twin and names the files; `drex_report::write` and `drex_report::write_picture` do.
 pub type Reporter = fn(&Twin) -> Result<Vec<PathBuf>, Box<dyn std::error::Error + Send + Sync>>;
 
 /// How far a twin is run.
@@ -25,12 +25,14 @@ pub struct RunOptions {
     pub again: bool,
     /// Writer of the report; without one the stage [`Stage::Report`] is left out.
     pub report: Option<Reporter>,
+    /// Writer of a first picture of the object, as soon as the stage [`Stage::Asset`] has made it.
+    pub picture: Option<Reporter>,
 }
 
 impl Default for RunOptions {
-    /// All stages, without a report.
+    /// All stages, without a report or a picture.
     fn default() -> Self {
-        Self { last: Stage::Report, again: false, report: None }
+        Self { last: Stage::Report, again: false, report: None, picture: None }
     }
 }
 
@@ -53,6 +55,13 @@ impl RunOptions {
     #[must_use]
     pub fn with_report(mut self, report: Reporter) -> Self {
         self.report = Some(report);
+        self
+    }
+
+    /// The options with a writer of the first picture.
+    #[must_use]
+    pub fn with_picture(mut self, picture: Reporter) -> Self {
+        self.picture = Some(picture);
         self
     }
 }
@@ -79,7 +88,7 @@ impl Twin {
     /// # Errors
     /// If a stage fails; the message names the stage, what was wrong and what to do. Also if another process works on the folder.
     pub fn run(&mut self, options: &RunOptions, progress: &dyn Progress) -> Result<RunSummary> {
-        let RunOptions { last, again, report } = *options;
+        let RunOptions { last, again, report, picture } = *options;
         if last.needs_grasps() && self.manifest.grasps.is_none() {
             refuse!(
                 "{} has no [grasps] section, so there is nothing to {}; name a file of demonstrated grasps there",
@@ -93,7 +102,7 @@ impl Twin {
             RunSummary { name: self.manifest.name.clone(), stages_run: vec![], stages_current: vec![], seconds: 0.0 };
         for stage in Stage::ALL.into_iter().filter(|s| *s <= last) {
             if stage.needs_grasps() && self.manifest.grasps.is_none()
-                || stage == Stage::Scan && self.manifest.scan.is_none()
+                || matches!(stage, Stage::Scan | Stage::Appearance) && self.manifest.scan.is_none()
                 || stage == Stage::Report && report.is_none()
             {
                 continue;
@@ -105,9 +114,16 @@ impl Twin {
                 continue;
             }
             let begun = Instant::now();
-            let outputs = self
+            let mut outputs = self
                 .make(stage, report, progress)
                 .with_context(|| format!("stage {} of {}", stage.name(), self.root.display()))?;
+            if let Some(write) = picture.filter(|_| stage == Stage::Asset) {
+                let pictures = write(self).map_err(Error::Report)?;
+                for file in &pictures {
+                    progress.note(&format!("{:>10}  {}", "picture", file.display()));
+                }
+                outputs.extend(pictures);
+            }
             let seconds = begun.elapsed().as_secs_f64();
             let removed = self.lock.record(stage.name(), inputs, self.seed, &outputs)?;
             if !removed.is_empty() {
@@ -164,6 +180,7 @@ impl Twin {
             Stage::Evaluate => stages::evaluate::make(self, progress),
             Stage::Trial => stages::trial::make(self, progress),
             Stage::Execute => stages::execute::make(self, progress),
+            Stage::Appearance => stages::appearance::make(self, progress),
             Stage::Report => report.map_or(Ok(Vec::new()), |write| write(self).map_err(Error::Report)),
         }
     }

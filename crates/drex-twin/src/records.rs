@@ -98,6 +98,9 @@ impl SplatScores {
 pub struct ScanFile {
     /// Scale, table, box; maps the scan onto the mesh.
     pub scan: FrameReport,
+    /// Whether masks were made of the photos and used.
+    #[serde(default)]
+    pub made_masks: bool,
     /// The depth maps as they were fused.
     pub fusion: FusionReport,
     /// What the mesh was held against, masks left out.

@@ -7,13 +7,12 @@ use std::time::Duration;
 
 use crate::Result;
 use crate::error::{Context, refuse};
-use drex_core::capture::{Capture, CaptureOptions, PhotoOptions, Photos, SparsePoint, ViewReport};
-use drex_core::mesh::sample_surface;
-use drex_core::{Pose, PoseRecord, SurfacePoint, TriMesh, fsutil};
+use drex_core::capture::{Capture, CaptureOptions, PhotoOptions, Photos, ViewReport};
+use drex_core::{Pose, PoseRecord, TriMesh, fsutil};
 use drex_mesh::{
     DecimateOptions, DepthCamera, DepthMap, DepthViews, Evidence, EvidenceKind, Fused, FusionOptions, Outcome,
     RuleResult, ScaleFit, ScanCamera, ScanEvidence, ScenePoint, Silhouette, Similarity, Support, SupportEvidence,
-    TextureMap, check_scan, decimate, fuse, point_colors, read_marks, scale_from_distances, triangulate_marks,
+    TextureMap, check_scan, decimate, fuse, read_marks, scale_from_distances, triangulate_marks,
 };
 pub use drex_mvs::TextureReport;
 use drex_mvs::{Hold, MvsOptions, RefineOptions, Region, refine};
@@ -563,27 +562,6 @@ impl Scan {
             }
         }
         Ok(out)
-    }
-
-    /// Of `count` points spread over a mesh of the scan those that photos show, in the frame and unit of the photos, with their colours.
-    ///
-    /// # Errors
-    /// If a depth map or its picture cannot be read.
-    pub fn points_on(&self, mesh: &TriMesh, count: usize, seed: u64, tolerance_m: f64) -> Result<Vec<SparsePoint>> {
-        let scan_from_mesh = self.mesh_from_scan.inverse();
-        let points = sample_surface(mesh, count, seed);
-        let colours = point_colors(&points, self, |i| self.picture(i), tolerance_m)?;
-        let point = |(at, rgb): (&SurfacePoint, Option<[u8; 3]>)| {
-            let position = scan_from_mesh.point(&at.point).into();
-            Some(SparsePoint { position, rgb: rgb?, error_px: 0.0, track: Vec::new() })
-        };
-        Ok(points.iter().zip(colours).filter_map(point).collect())
-    }
-
-    /// The picture that goes with depth map `i`.
-    pub fn picture(&self, i: usize) -> drex_mesh::Result<Vec<[u8; 3]>> {
-        let photo = self.depths.get(i).map_err(|e| drex_mesh::Error::View(Box::new(e)))?;
-        Ok(self.frames[i].filled(&photo.rgb, photo.camera.width, [0; 3]))
     }
 }
 

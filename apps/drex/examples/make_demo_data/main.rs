@@ -1,16 +1,18 @@
-//! Makes the bundled data: two twins of a tea tin.
+//! Makes the bundled data: twins of two tea tins.
 //!
 //! ```sh
 //! cargo run --release -p drex --example make_demo_data -- data
 //! ```
 //!
-//! `demo`: photos of it, a push that is simulated, clips of a person's hand; `drex demo` runs on it. `tin`: its mesh, a push, joint
-//! angles of the LEAP hand around it; small, for tests. A push is simulated with a softer contact and a shorter step than the
+//! `demo`: photos of a printed one, a push that is simulated, clips of a person's hand; `drex demo` runs on it. `tin`: the mesh of a plain
+//! one, a push, joint angles of the LEAP hand around it; small, for tests. A push is simulated with a softer contact and a shorter step than the
 //! estimator uses, and what it "records" is noisy. The true masses go to `truth.json`, which no stage reads; `drex demo`
 //! prints it beside the estimate at the end.
 
+mod caddy;
 mod people;
 mod photos;
+mod print;
 
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
@@ -19,7 +21,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
-use drex_core::{MassProperties, Pose, Surface, TablePlane, TriMesh, fsutil, pose};
+use drex_core::{MassProperties, Pose, PoseRecord, Surface, TablePlane, TriMesh, fsutil, pose};
 use drex_diffsim::{
     AppliedForce, Body, Collider, ConvexPolyhedron, ForcePoint, Model, Part, Scene, State, StaticBody, rollout,
 };
@@ -39,7 +41,9 @@ const SEED: u64 = 2026;
 /// What the estimator has to find: of the twin with photos, and of the other.
 const TRUE_MASSES_KG: [f64; 2] = [0.168, 0.236];
 const TRUE_FRICTION: f64 = 0.6;
-/// Tin and lid: octagonal prisms, distance between opposite sides and height in metres.
+/// The printed tag beside the tin of the demo.
+const TAG: &str = "tag36h11:7:0.04";
+/// The plain tin and its lid: octagonal prisms, distance between opposite sides (the demo's tin has the same) and height in metres.
 const TIN: (f64, f64) = (0.062, 0.070);
 const LID: (f64, f64) = (0.046, 0.012);
 /// Height at which the push acts, metres.
@@ -54,23 +58,32 @@ const JOINT_SD_RAD: f64 = 0.03;
 
 fn main() -> Result<()> {
     let out = std::env::args().nth(1).map_or_else(|| PathBuf::from("data"), PathBuf::from);
+
+    let shells = caddy::shells()?;
+    let tin = asset_from_mesh(&merged(&shells)?, &AssetOptions::default())?;
+    let demo = out.join("demo");
+    photos::make(&tin.visual, &TAG.parse()?, &demo.join("scan"), SEED + 2)?;
+    write_truth(TRUE_MASSES_KG[0], &tin, &demo)?;
+    // Push and people are tracked with the mesh that is made of the photos, in its frame.
+    let mesh_from_tin = photos::mesh_from_world(SEED + 2)?;
+    let shells = shells.map(|shell| shell.transformed(&mesh_from_tin));
+    make_push(&shells, &mesh_from_tin, TRUE_MASSES_KG[0], "../../splat/object.obj", &demo.join("push/tilt"))?;
+    fsutil::write_atomic(&demo.join("truth/tin.obj"), obj(&shells, &["tin", "collar", "lid"]).as_bytes())?;
+    let cameras = photos::world_from_camera(SEED + 2).into_iter().map(|pose| PoseRecord::from(&(mesh_from_tin * pose)));
+    let cameras = serde_json::to_string_pretty(&cameras.collect::<Vec<_>>())? + "\n";
+    fsutil::write_atomic(&demo.join("truth/world_from_camera.json"), cameras.as_bytes())?;
+    people::make(&asset_from_mesh(&merged(&shells)?, &AssetOptions::default())?, &demo.join("demos"), SEED + 3)?;
+
     let shells = [prism(TIN, 0.0)?, prism(LID, TIN.1)?];
     let tin = asset_from_mesh(&merged(&shells)?, &AssetOptions::default())?;
-
-    let demo = out.join("demo");
-    photos::make(&tin.visual, &demo.join("scan"), SEED + 2)?;
-    make_push(&shells, TRUE_MASSES_KG[0], "../../splat/object.obj", &demo.join("push/tilt"))?;
-    people::make(&tin, &demo.join("demos"), SEED + 3)?;
-    truth(TRUE_MASSES_KG[0], &tin, &demo)?;
-
     let small = out.join("tin");
-    fsutil::write_atomic(&small.join("scan/tin.obj"), obj(&shells).as_bytes())?;
-    make_push(&shells, TRUE_MASSES_KG[1], "../../scan/tin.obj", &small.join("push/tilt"))?;
+    fsutil::write_atomic(&small.join("scan/tin.obj"), obj(&shells, &["tin", "lid"]).as_bytes())?;
+    make_push(&shells, &Pose::identity(), TRUE_MASSES_KG[1], "../../scan/tin.obj", &small.join("push/tilt"))?;
     make_grasps(&tin, &small.join("demos/grasps.json"))?;
-    truth(TRUE_MASSES_KG[1], &tin, &small)
+    write_truth(TRUE_MASSES_KG[1], &tin, &small)
 }
 
-fn truth(mass_kg: f64, tin: &Asset, folder: &Path) -> Result<()> {
+fn write_truth(mass_kg: f64, tin: &Asset, folder: &Path) -> Result<()> {
     let volume_cm3 = (1e8 * tin.report.volume_m3).round() / 100.0;
     let text = format!("{{\"mass_kg\": {mass_kg}, \"friction\": {TRUE_FRICTION}, \"volume_cm3\": {volume_cm3}}}\n");
     Ok(fsutil::write_atomic(&folder.join("truth.json"), text.as_bytes())?)
@@ -101,10 +114,10 @@ fn prism((across_m, height_m): (f64, f64), bottom_m: f64) -> Result<TriMesh> {
 }
 
 /// The shells one after the other as OBJ text.
-fn obj(shells: &[TriMesh]) -> String {
+fn obj(shells: &[TriMesh], names: &[&str]) -> String {
     let mut text = String::from("# A tea tin, metres, z up, standing on z = 0. Made by make_demo_data.\n");
     let mut first = 1;
-    for (shell, name) in shells.iter().zip(["tin", "lid"]) {
+    for (shell, name) in shells.iter().zip(names) {
         let _ = writeln!(text, "o {name}");
         for v in &shell.vertices {
             let _ = writeln!(text, "v {:.6} {:.6} {:.6}", v.x, v.y, v.z);
@@ -117,8 +130,8 @@ fn obj(shells: &[TriMesh]) -> String {
     text
 }
 
-/// Rocks the tin about its far edge with two pulses and writes what a tracker and a force gauge would have recorded.
-fn make_push(shells: &[TriMesh], mass_kg: f64, mesh: &str, folder: &Path) -> Result<()> {
+/// Rocks a tin about its far edge with two pulses and writes what a tracker and a force gauge would have recorded, in the frame of a mesh.
+fn make_push(shells: &[TriMesh], mesh_from_tin: &Pose, mass_kg: f64, mesh: &str, folder: &Path) -> Result<()> {
     let parts = shells.iter().map(|s| s.mass_properties(1.0)).collect::<Result<Vec<_>, _>>()?;
     let body = MassProperties::combined(&parts).context("the tin has no volume")?.with_mass(mass_kg);
     let pieces = shells.iter().map(|s| ConvexPolyhedron::from_points(&s.vertices)).collect::<Result<Vec<_>, _>>()?;
@@ -129,11 +142,12 @@ fn make_push(shells: &[TriMesh], mass_kg: f64, mesh: &str, folder: &Path) -> Res
     let mut scene: Scene<f64> = Scene::empty();
     scene.static_bodies.push(StaticBody::table(0.0, TRUE_FRICTION));
     let tipping_n = mass_kg * 9.81 * (TIN.0 / 2.0) / PUSH_HEIGHT_M;
-    let point = Point3::new(-TIN.0 / 2.0, 0.0, PUSH_HEIGHT_M);
+    let point = mesh_from_tin * Point3::new(-TIN.0 / 2.0, 0.0, PUSH_HEIGHT_M);
+    let forward = mesh_from_tin * Vector3::x();
     let times: Vec<f64> = (0..=160).map(|i| f64::from(i) / 100.0).collect();
     let forces: Vec<Vector3<f64>> = times
         .iter()
-        .map(|&t| Vector3::x() * tipping_n * (1.25 * pulse(t, 0.30, 0.20) + 1.22 * pulse(t, 0.95, 0.22)))
+        .map(|&t| forward * tipping_n * (1.25 * pulse(t, 0.30, 0.20) + 1.22 * pulse(t, 0.95, 0.22)))
         .collect();
     scene.forces.push(AppliedForce::new(Part::Body(0), &times, &forces, ForcePoint::Body(point))?);
 

@@ -23,9 +23,8 @@ macro_rules! photos {
 }
 
 /// The bundled twin folder, file by file.
-const FILES: [(&str, &[u8]); 10] = [
+const FILES: [(&str, &[u8]); 9] = [
     bundled!("README.md"),
-    bundled!("scan/marks.json"),
     bundled!("push/tilt/push.toml"),
     bundled!("push/tilt/poses.csv"),
     bundled!("push/tilt/force.csv"),
@@ -36,9 +35,10 @@ const FILES: [(&str, &[u8]); 10] = [
     // Last: a folder with a manifest has all that it names.
     bundled!("twin.toml"),
 ];
-const PHOTOS: [(&str, &[u8]); 36] = photos!(
+const PHOTOS: [(&str, &[u8]); 40] = photos!(
     "00" "01" "02" "03" "04" "05" "06" "07" "08" "09" "10" "11" "12" "13" "14" "15" "16" "17"
     "18" "19" "20" "21" "22" "23" "24" "25" "26" "27" "28" "29" "30" "31" "32" "33" "34" "35"
+    "36" "37" "38" "39"
 );
 /// What was simulated. Only printed at the end, beside the estimate; never written into the twin folder.
 const TRUTH: &str = include_str!("../../data/demo/truth.json");
@@ -49,7 +49,8 @@ pub fn run(args: &DemoArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
         write_if_changed(&args.out.join(name), content)?;
     }
     let mut twin = Twin::open(&args.out)?.with_seed(seed);
-    let summary = twin.run(&RunOptions::default().with_report(drex_report::write), ui)?;
+    let options = RunOptions::default().with_picture(drex_report::write_picture).with_report(drex_report::write);
+    let summary = twin.run(&options, ui)?;
     let findings = drex_report::findings(&twin, Stage::Report)?;
     let truth: Value = serde_json::from_str(TRUTH).context("the bundled truth.json is damaged")?;
     let mut answer = json!(summary);

@@ -1,7 +1,7 @@
 //! `drex mesh`: check, convert and look at meshes.
 
 use anyhow::{Result, bail};
-use drex_core::{Pose, TriMesh, fsutil};
+use drex_core::{Pose, fsutil};
 use drex_mesh::{
     CheckOptions, DecimateOptions, RepairOptions, check_asset, check_file, decimate, read_mesh, repair, write_mesh,
 };
@@ -9,7 +9,8 @@ use serde_json::json;
 
 use crate::cli::{MeshCheckArgs, MeshCommand, MeshConvertArgs, MeshPictureArgs};
 use crate::ui::Ui;
-use drex_report::picture::raster::{Part, View, render_png};
+use drex_report::picture::raster::{View, render_png};
+use drex_report::picture::surface::Surface;
 
 /// Colours of the pieces in a picture, in turn.
 const COLOURS: [[f64; 3]; 8] = [
@@ -80,12 +81,11 @@ fn picture(args: &MeshPictureArgs, ui: &Ui) -> Result<()> {
     if !args.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
         bail!("--out {}: pictures are PNG; give a name that ends in .png", args.out.display());
     }
-    let meshes: Vec<TriMesh> = args.files.iter().map(|file| read_mesh(file)).collect::<Result<_, _>>()?;
-    let parts: Vec<Part<'_>> = meshes
-        .iter()
-        .enumerate()
-        .map(|(i, mesh)| Part { mesh, world_from_mesh: Pose::identity(), color: COLOURS[i % COLOURS.len()] })
-        .collect();
+    let files: Vec<Vec<Surface>> = args.files.iter().map(|file| Surface::read(file)).collect::<Result<_, _>>()?;
+    let mut parts = Vec::new();
+    for (file, color) in files.iter().zip(COLOURS.iter().cycle()) {
+        parts.extend(file.iter().map(|surface| surface.part(Pose::identity(), *color)));
+    }
     let view = View {
         width: args.size,
         height: args.size,

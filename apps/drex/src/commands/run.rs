@@ -11,7 +11,8 @@ use drex_twin::{RunOptions, Stage, Twin};
 pub fn run(args: &TwinArgs, last: Stage, again: bool, seed: Option<u64>, ui: &Ui) -> Result<()> {
     let mut twin = Twin::open(&args.twin)?.with_seed(seed);
     twin.tool_limit = args.tools.limit();
-    let summary = twin.run(&RunOptions::default().until(last).with_again(again).with_report(drex_report::write), ui)?;
+    let options = RunOptions::default().until(last).with_again(again);
+    let summary = twin.run(&options.with_picture(drex_report::write_picture).with_report(drex_report::write), ui)?;
     let findings = drex_report::findings(&twin, last)?;
     let mut answer = json!(summary);
     if let Some(object) = answer.as_object_mut() {

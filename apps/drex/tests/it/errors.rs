@@ -152,6 +152,7 @@ fn folder() -> tempfile::TempDir {
     copy_tree(&tin_data(), &at("tin"));
     copy_tree(&tin_data(), &at("bare"));
     copy_tree(&demo.join("scan"), &at("photos"));
+    fs::write(at("photos/marks.json"), r#"{"00.jpg": {"A": [10, 20], "B": [300, 20]}}"#).unwrap();
     fs::copy(demo.join("demos/clip_0.json"), at("clip.json")).unwrap();
     let manifest = fs::read_to_string(at("bare/twin.toml")).unwrap();
     fs::write(at("bare/twin.toml"), manifest.split("[grasps]").next().unwrap()).unwrap();

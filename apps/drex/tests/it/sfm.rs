@@ -5,11 +5,21 @@ use std::path::{Path, PathBuf};
 
 use crate::common::{Run, drex, tree};
 use drex_core::capture::{Capture, CaptureOptions};
+use drex_core::{Pose, PoseRecord};
+use drex_mesh::Similarity;
 use image::{DynamicImage, ImageBuffer, Rgb};
+use nalgebra::Point3;
 
 /// The photo of this number of the demo; 0 to 17 are one round, 18 to 31 another.
 pub fn demo_photo(i: usize) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("data/demo/scan/images/{i:02}.jpg"))
+}
+
+/// Where the demo's photos were taken from, metres, z up from the table.
+pub fn true_cameras() -> Vec<Pose> {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/demo/truth/world_from_camera.json");
+    let poses: Vec<PoseRecord> = serde_json::from_slice(&fs::read(file).unwrap()).unwrap();
+    poses.iter().map(|p| p.to_pose().unwrap()).collect()
 }
 
 /// A folder with the demo's photos of these numbers.
@@ -66,8 +76,8 @@ fn photos_alone_become_cameras_points_and_a_picture() {
     let (report, out) = (run.json(), dir.path().join("out"));
     assert!(left_out(&report).is_empty(), "{:?}", left_out(&report));
     let lens = &report["models"][0]["lenses"][0];
-    // The demo's photos are rendered with 430 px and say nothing of it.
-    assert!((lens["focal_px"].as_f64().unwrap() - 430.0).abs() < 4.0, "{lens}");
+    // The demo's photos are rendered with 600 px and say nothing of it.
+    assert!((lens["focal_px"].as_f64().unwrap() - 600.0).abs() < 4.0, "{lens}");
     assert!(report["models"][0]["median_error_px"].as_f64().unwrap() < 0.5, "{report}");
     let written: serde_json::Value = serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap();
     assert_eq!(written["models"], report["models"]);
@@ -76,13 +86,20 @@ fn photos_alone_become_cameras_points_and_a_picture() {
     within.images = Some(dir.path().join("photos"));
     let model = Capture::load_model(&out, &out.join("sparse"), &within).unwrap().unwrap();
     assert_eq!(model.views.len(), 18);
-    // Rays to what the cameras look at go round it in steps of 20 degrees, 24 degrees above the cloth.
-    let axis = |i: usize| model.views[i].camera_from_world.rotation.inverse() * nalgebra::Vector3::z();
+    // From photo to photo the cameras turn, and stand round the tin, as they were rendered.
+    let truth = true_cameras();
     for i in 0..17 {
-        let turn = axis(i).angle(&axis(i + 1)).to_degrees();
-        let expected = 2.0 * (24_f64.to_radians().cos() * 10_f64.to_radians().sin()).asin().to_degrees();
-        assert!((turn - expected).abs() < 0.3, "{i}: {turn} instead of {expected} degrees");
+        let turn = |from: &Pose, to: &Pose| from.rotation.rotation_to(&to.rotation).angle().to_degrees();
+        let [a, b] = [i, i + 1].map(|k| model.views[k].camera_from_world.inverse());
+        let (found, expected) = (turn(&a, &b), turn(&truth[i], &truth[i + 1]));
+        assert!((found - expected).abs() < 0.1, "{i}: {found} instead of {expected} degrees");
     }
+    let centres = |poses: &mut dyn Iterator<Item = Pose>| -> Vec<Point3<f64>> {
+        poses.map(|p| Point3::from(p.translation.vector)).collect()
+    };
+    let found = centres(&mut model.views.iter().map(|v| v.camera_from_world.inverse()));
+    let (_, rms_m) = Similarity::between(&found, &centres(&mut truth[..18].iter().copied())).unwrap();
+    assert!(rms_m < 0.3e-3, "{:.3} mm off in a circle of 274 mm", 1e3 * rms_m);
     let transforms = Capture::load(&out, &CaptureOptions::default());
     // The model in sparse/ goes first; without it the same cameras come from transforms.json.
     assert!(transforms.is_err() || transforms.unwrap().views.len() == 18);
@@ -100,7 +117,7 @@ fn photos_alone_become_cameras_points_and_a_picture() {
     assert!(tree(&out) == first, "the number of threads shows");
 
     let text = drex(["sfm", dir.path().join("photos").to_str().unwrap(), "--out", out.to_str().unwrap()]);
-    for word in ["18 of 18 photos registered", "focal", "median error", "a guess", "sparse/0", "cameras.png"] {
+    for word in ["18 of 18 photos registered", "focal", "median error", "first from", "sparse/0", "cameras.png"] {
         assert!(text.stdout.contains(word), "`{word}` is missing in {}", text.stdout);
     }
     assert!(tree(&out) == first, "a second run");
@@ -122,7 +139,7 @@ fn odd_photos_are_used_or_named() {
         let file = folder.join(format!("{i:02}.jpg"));
         image::open(&file)
             .unwrap()
-            .resize_exact(320, 240, image::imageops::FilterType::CatmullRom)
+            .resize_exact(512, 384, image::imageops::FilterType::CatmullRom)
             .save(&file)
             .unwrap();
     }
@@ -168,9 +185,9 @@ fn a_mask_of_another_shape_leaves_its_photo_out() {
     for i in 0..11 {
         // Half the size is the photo scaled as a whole.
         let (w, h) = match i {
-            3 => (300, 300),
-            5 => (200, 150),
-            _ => (400, 300),
+            3 => (480, 480),
+            5 => (320, 240),
+            _ => (640, 480),
         };
         ImageBuffer::from_pixel(w, h, image::Luma([255_u8])).save(masks.join(format!("{i:02}.png"))).unwrap();
     }
@@ -179,7 +196,7 @@ fn a_mask_of_another_shape_leaves_its_photo_out() {
     let report = run.json();
     let out = left_out(&report);
     assert_eq!(out.len(), 1, "{out:?}");
-    assert!(out[0].0 == "03.jpg" && out[0].1.contains("300 x 300") && out[0].1.contains("400 x 300"), "{out:?}");
+    assert!(out[0].0 == "03.jpg" && out[0].1.contains("480 x 480") && out[0].1.contains("640 x 480"), "{out:?}");
     assert!(notes(&report).contains("1 photo without a mask, used as a whole: 11.jpg."), "{}", notes(&report));
     let empty = dir.path().join("empty");
     fs::create_dir(&empty).unwrap();
@@ -250,7 +267,7 @@ fn a_video_is_its_frames() {
     play("exit 0").fails_with(&["found no frames", "film.mp4", "give another video"]);
     assert!(!out.exists());
     // It prints the demo's first photos as grey frames, and writes those that it is asked for.
-    let mut bytes = b"YUV4MPEG2 W400 H300 F25:1 Ip A1:1 Cmono\n".to_vec();
+    let mut bytes = b"YUV4MPEG2 W640 H480 F25:1 Ip A1:1 Cmono\n".to_vec();
     for i in 0..10 {
         bytes.extend_from_slice(b"FRAME\n");
         bytes.extend(image::open(demo_photo(i)).unwrap().into_luma8().into_raw());
@@ -284,21 +301,21 @@ fn a_calibration_is_kept_or_says_what_is_wrong() {
     };
     for (text, words) in [
         ("", ["K.txt", "0 numbers are no calibration", "fx fy cx cy k1 k2 p1 p2"]),
-        ("430 0 199.5 0 430 149.5 0 0", ["K.txt", "430 and 0 are not positive", "3 x 3"]),
-        ("430 0 199.5 1 430 149.5 0 0 1", ["K.txt", "no camera matrix", "3 x 3"]),
-        ("430 430 200 centre", ["K.txt", "`centre` is no number", "3 x 3"]),
-        ("1720 0 800 0 1720 600 0 0 1", ["K.txt", "not of photos of 400 x 300", "pixels of the photos"]),
+        ("600 0 319.5 0 600 239.5 0 0", ["K.txt", "600 and 0 are not positive", "3 x 3"]),
+        ("600 0 319.5 1 600 239.5 0 0 1", ["K.txt", "no camera matrix", "3 x 3"]),
+        ("600 600 320 centre", ["K.txt", "`centre` is no number", "3 x 3"]),
+        ("1720 0 800 0 1720 600 0 0 1", ["K.txt", "not of photos of 640 x 480", "pixels of the photos"]),
     ] {
         with(text).fails_with(&words);
     }
     sfm(dir.path(), &["--camera", "nowhere.txt"]).fails_with(&["nowhere.txt"]);
-    for text in ["430 0 199.5\n0 430 149.5\n0 0 1\n", "430, 430, 199.5, 149.5, 0, 0, 0, 0  # from a board"] {
+    for text in ["600 0 319.5\n0 600 239.5\n0 0 1\n", "600, 600, 319.5, 239.5, 0, 0, 0, 0  # from a board"] {
         let run = with(text);
         assert_eq!(run.code, 0, "{}", run.stderr);
         let lens = run.json()["models"][0]["lenses"][0].clone();
         assert_eq!(lens["focal_from"], "calibration", "{lens}");
         let params: Vec<f64> = lens["params"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
-        assert!(params[0] == 430.0 && params.contains(&200.0) && params.contains(&150.0), "{lens}");
+        assert!(params[0] == 600.0 && params.contains(&320.0) && params.contains(&240.0), "{lens}");
     }
 }
 

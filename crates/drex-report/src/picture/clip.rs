@@ -36,7 +36,7 @@ pub fn write(path: &Path, robot: &Robot, object: Option<&TriMesh>, poses: &[Pose
             let mut parts = shapes.parts(links);
             if let Some((mesh, pose)) = object.zip(p.world_from_object) {
                 subject = Some(parts.len());
-                parts.push(Part { mesh, world_from_mesh: pose, color: OBJECT_COLOR });
+                parts.push(Part { mesh, world_from_mesh: pose, color: OBJECT_COLOR, texture: None });
             }
             (p.frame, parts)
         })

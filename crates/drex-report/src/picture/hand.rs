@@ -55,6 +55,7 @@ impl HandShapes {
                 mesh: &s.mesh,
                 world_from_mesh: world_from_link[s.link] * s.link_from_mesh,
                 color: s.color,
+                texture: None,
             })
             .collect()
     }

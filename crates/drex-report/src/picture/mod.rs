@@ -5,3 +5,4 @@ pub mod hand;
 pub mod plot;
 pub mod raster;
 pub mod sheet;
+pub mod surface;

@@ -4,6 +4,7 @@ use std::io::Cursor;
 use std::ops::Range;
 
 use crate::{Error, Result};
+use drex_core::camera::PinholeCamera;
 use drex_core::{Pose, TriMesh};
 use image::{ImageFormat, Rgb, RgbImage};
 use nalgebra::{Point3, Vector3};
@@ -20,7 +21,16 @@ pub(super) fn background() -> Rgb<u8> {
     Rgb(BACKGROUND.map(|c| (255.0 * c).round() as u8))
 }
 
-/// A mesh in the scene with one colour (linear-ish sRGB in [0, 1]).
+/// A picture on a mesh. It is drawn as it is: the light of the photos is in it.
+#[derive(Clone, Copy)]
+pub struct Texture<'a> {
+    /// Texture coordinate of each vertex: u to the right, v down, both from 0 at the upper left corner to 1.
+    pub(crate) uv: &'a [[f32; 2]],
+    /// The picture.
+    pub(crate) picture: &'a RgbImage,
+}
+
+/// A mesh in the scene with one colour (linear-ish sRGB in [0, 1]) or a picture.
 pub struct Part<'a> {
     /// Geometry in its own frame.
     pub mesh: &'a TriMesh,
@@ -28,6 +38,8 @@ pub struct Part<'a> {
     pub world_from_mesh: Pose,
     /// Red, green, blue in [0, 1].
     pub color: [f64; 3],
+    /// What is drawn instead of the colour.
+    pub texture: Option<Texture<'a>>,
 }
 
 /// An orbiting pinhole view of the scene: z is up.
@@ -50,8 +62,13 @@ pub fn render_png(parts: &[Part<'_>], view: &View) -> Result<Vec<u8>> {
     encode_png(&render(parts, view))
 }
 
+/// What a camera sees of the parts, with a sky behind them. Only the focal length along x counts.
+pub(crate) fn render_from(parts: &[Part<'_>], camera: &PinholeCamera) -> RgbImage {
+    Scene::from(parts, camera).render()
+}
+
 /// A picture as a PNG file in memory.
-pub(super) fn encode_png(picture: &RgbImage) -> Result<Vec<u8>> {
+pub(crate) fn encode_png(picture: &RgbImage) -> Result<Vec<u8>> {
     let mut png = Cursor::new(Vec::new());
     picture.write_to(&mut png, ImageFormat::Png).map_err(|e| Error::Png(e.to_string()))?;
     Ok(png.into_inner())
@@ -77,46 +94,70 @@ pub fn clearest_azimuth(parts: &[Part<'_>], subject: usize, view: &View) -> f64 
 }
 
 pub(super) fn render(parts: &[Part<'_>], view: &View) -> RgbImage {
-    let scene = Scene::new(parts, view);
-    let mut picture = RgbImage::new(view.width, view.height);
-    let band = (BAND_SAMPLES / (view.width * OVERSAMPLE * OVERSAMPLE).max(1)).max(1);
-    for first in (0..view.height).step_by(band as usize) {
-        let rows = first..view.height.min(first + band);
-        scene.draw(rows.clone()).downsample(&mut picture, rows);
-    }
-    picture
+    Scene::new(parts, view).render()
+}
+
+/// A part in the world.
+struct Placed<'a> {
+    mesh: TriMesh,
+    color: [f64; 3],
+    texture: Option<Texture<'a>>,
 }
 
 /// The parts in the world, and the camera that sees all of them.
 struct Scene<'a> {
-    view: &'a View,
-    /// Meshes with their colours.
-    parts: Vec<(TriMesh, [f64; 3])>,
+    /// Width and height of the picture, pixels.
+    size: [u32; 2],
+    table_height_m: Option<f64>,
+    parts: Vec<Placed<'a>>,
     camera: Option<Camera>,
 }
 
 impl<'a> Scene<'a> {
-    fn new(parts: &[Part<'_>], view: &'a View) -> Self {
-        let parts: Vec<_> = parts.iter().map(|p| (p.mesh.transformed(&p.world_from_mesh), p.color)).collect();
+    fn new(parts: &[Part<'a>], view: &View) -> Self {
+        let parts = placed(parts);
         let (width, height) = (view.width * OVERSAMPLE, view.height * OVERSAMPLE);
         let camera = Camera::framing(&parts, view, f64::from(width), f64::from(height));
-        Self { view, parts, camera }
+        Self { size: [view.width, view.height], table_height_m: view.table_height_m, parts, camera }
+    }
+
+    fn from(parts: &[Part<'a>], camera: &PinholeCamera) -> Self {
+        // A picture's side fits: the camera's check.
+        let size = [camera.width as u32, camera.height as u32];
+        Self { size, table_height_m: None, parts: placed(parts), camera: Some(Camera::of(camera)) }
+    }
+
+    fn render(&self) -> RgbImage {
+        let [width, height] = self.size;
+        let mut picture = RgbImage::new(width, height);
+        let band = (BAND_SAMPLES / (width * OVERSAMPLE * OVERSAMPLE).max(1)).max(1);
+        for first in (0..height).step_by(band as usize) {
+            let rows = first..height.min(first + band);
+            self.draw(rows.clone()).downsample(&mut picture, rows);
+        }
+        picture
     }
 
     /// The samples of these rows of the picture.
     fn draw(&self, rows: Range<u32>) -> Canvas {
         let samples = |n: u32| (n * OVERSAMPLE) as usize;
-        let mut canvas = Canvas::new(samples(self.view.width), samples(rows.start)..samples(rows.end));
+        let mut canvas = Canvas::new(samples(self.size[0]), samples(rows.start)..samples(rows.end));
         if let Some(camera) = &self.camera {
-            if let Some(z) = self.view.table_height_m {
+            if let Some(z) = self.table_height_m {
                 canvas.draw_table(camera, z);
             }
-            for (index, (mesh, color)) in self.parts.iter().enumerate() {
-                canvas.draw_mesh(camera, mesh, *color, index);
+            for (index, part) in self.parts.iter().enumerate() {
+                canvas.draw_mesh(camera, part, index);
             }
         }
         canvas
     }
+}
+
+fn placed<'a>(parts: &[Part<'a>]) -> Vec<Placed<'a>> {
+    let place =
+        |p: &Part<'a>| Placed { mesh: p.mesh.transformed(&p.world_from_mesh), color: p.color, texture: p.texture };
+    parts.iter().map(place).collect()
 }
 
 struct Camera {
@@ -132,8 +173,8 @@ struct Camera {
 
 impl Camera {
     /// A camera that sees the bounding sphere of all meshes; `None` if there is nothing to see.
-    fn framing(parts: &[(TriMesh, [f64; 3])], view: &View, width: f64, height: f64) -> Option<Self> {
-        let meshes = || parts.iter().map(|p| &p.0);
+    fn framing(parts: &[Placed<'_>], view: &View, width: f64, height: f64) -> Option<Self> {
+        let meshes = || parts.iter().map(|p| &p.mesh);
         let (lo, hi) = meshes().filter_map(TriMesh::bounds).reduce(|a, b| (a.0.inf(&b.0), a.1.sup(&b.1)))?;
         let target = nalgebra::center(&lo, &hi);
         let radius = meshes().flat_map(|m| &m.vertices).map(|v| (v - target).norm()).fold(1e-6, f64::max);
@@ -155,6 +196,23 @@ impl Camera {
             target,
             radius,
         })
+    }
+
+    /// That of a photo, for a picture with more samples.
+    fn of(camera: &PinholeCamera) -> Self {
+        let turn = camera.camera_from_world.rotation.inverse();
+        let (n, eye) = (f64::from(OVERSAMPLE), camera.centre());
+        let forward = turn * Vector3::z();
+        Self {
+            eye,
+            right: turn * Vector3::x(),
+            up: turn * -Vector3::y(),
+            forward,
+            focal: n * camera.fx,
+            center: (n * camera.cx, n * camera.cy),
+            target: eye + forward,
+            radius: 1.0,
+        }
     }
 
     /// Pixel coordinates and depth along the optical axis; `None` behind the eye.
@@ -198,16 +256,26 @@ impl Canvas {
         (y - self.rows.start) * self.width + x
     }
 
-    fn draw_mesh(&mut self, camera: &Camera, mesh: &TriMesh, color: [f64; 3], part: usize) {
-        for f in 0..mesh.faces.len() {
+    fn draw_mesh(&mut self, camera: &Camera, placed: &Placed<'_>, part: usize) {
+        let Placed { mesh, color, texture } = placed;
+        for (f, face) in mesh.faces.iter().enumerate() {
             let corners = mesh.triangle(f);
+            if let Some(Texture { uv, picture }) = texture {
+                let uv = face.map(|v| uv.get(v as usize).copied().unwrap_or_default().map(f64::from));
+                self.draw_triangle(camera, &corners, part, |[a, b, c]| {
+                    let at = [0, 1].map(|k| a * uv[0][k] + b * uv[1][k] + c * uv[2][k]);
+                    sampled(picture, at)
+                });
+                continue;
+            }
             let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
             let Some(normal) = normal.try_normalize(0.0) else { continue };
             let to_eye = (camera.eye - corners[0]).normalize();
             // Scans can be wound either way: light the side that is seen.
             let normal = if normal.dot(&to_eye) < 0.0 { -normal } else { normal };
             let shade = shade(&normal, &to_eye, camera);
-            self.draw_triangle(camera, &corners, color.map(|c| (c * shade).min(1.0)), part);
+            let shaded = color.map(|c| (c * shade).min(1.0));
+            self.draw_triangle(camera, &corners, part, |_| shaded);
         }
     }
 
@@ -238,7 +306,14 @@ impl Canvas {
         }
     }
 
-    fn draw_triangle(&mut self, camera: &Camera, corners: &[Point3<f64>; 3], color: [f64; 3], part: usize) {
+    /// `color` is that of a point of the triangle by the shares of its corners.
+    fn draw_triangle(
+        &mut self,
+        camera: &Camera,
+        corners: &[Point3<f64>; 3],
+        part: usize,
+        color: impl Fn([f64; 3]) -> [f64; 3],
+    ) {
         let [Some(a), Some(b), Some(c)] = [0, 1, 2].map(|i| camera.project(&corners[i])) else { return };
         let area = (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x);
         if area.abs() < 1e-12 {
@@ -263,7 +338,7 @@ impl Canvas {
                 let i = self.index(x, y);
                 if z < self.depth[i] {
                     self.depth[i] = z;
-                    self.color[i] = color;
+                    self.color[i] = color([wa / a.z, wb / b.z, wc / c.z].map(|w| w * z));
                     self.part[i] = Some(part);
                 }
             }
@@ -287,6 +362,24 @@ impl Canvas {
             picture.put_pixel(x, y, Rgb(sum.map(|s| (255.0 * s / (n * n) as f64).round().clamp(0.0, 255.0) as u8)));
         }
     }
+}
+
+/// A picture between its pixels, at a texture coordinate.
+pub(super) fn sampled(picture: &RgbImage, at: [f64; 2]) -> [f64; 3] {
+    let size = [picture.width(), picture.height()];
+    if size.contains(&0) {
+        return [0.0; 3];
+    }
+    let along = |k: usize| {
+        let last = f64::from(size[k] - 1);
+        let p = (at[k] * f64::from(size[k]) - 0.5).clamp(0.0, last);
+        let first = p.floor().min((last - 1.0).max(0.0));
+        (first as u32, (first + 1.0).min(last) as u32, p - first)
+    };
+    let ((x0, x1, s), (y0, y1, t)) = (along(0), along(1));
+    let pixel = |x: u32, y: u32| picture.get_pixel(x, y).0.map(|v| f64::from(v) / 255.0);
+    let [a, b, c, d] = [pixel(x0, y0), pixel(x1, y0), pixel(x0, y1), pixel(x1, y1)];
+    std::array::from_fn(|k| (a[k] * (1.0 - s) + b[k] * s) * (1.0 - t) + (c[k] * (1.0 - s) + d[k] * s) * t)
 }
 
 /// Two lights (over the left shoulder, and a weak one from the right) and an ambient term.
@@ -322,12 +415,12 @@ mod tests {
     #[test]
     fn the_nearer_triangle_hides_the_farther_whatever_the_order() {
         let (low, high) = (triangle(0.0), triangle(0.4));
-        let red = Part { mesh: &high, world_from_mesh: Pose::identity(), color: [1.0, 0.0, 0.0] };
-        let blue = Part { mesh: &low, world_from_mesh: Pose::identity(), color: [0.0, 0.0, 1.0] };
-        let red_after = Part { mesh: &high, world_from_mesh: Pose::identity(), color: [1.0, 0.0, 0.0] };
+        let red = Part { mesh: &high, world_from_mesh: Pose::identity(), color: [1.0, 0.0, 0.0], texture: None };
+        let blue = Part { mesh: &low, world_from_mesh: Pose::identity(), color: [0.0, 0.0, 1.0], texture: None };
+        let red_after = Part { mesh: &high, world_from_mesh: Pose::identity(), color: [1.0, 0.0, 0.0], texture: None };
         let seen = centre_color(&[red, blue]);
         assert!(seen[0] > 100 && seen[2] < 50, "the upper, red triangle must be seen from above: {seen:?}");
-        let blue = Part { mesh: &low, world_from_mesh: Pose::identity(), color: [0.0, 0.0, 1.0] };
+        let blue = Part { mesh: &low, world_from_mesh: Pose::identity(), color: [0.0, 0.0, 1.0], texture: None };
         assert_eq!(seen, centre_color(&[blue, red_after]));
     }
 
@@ -349,7 +442,7 @@ mod tests {
             vec![[0, 1, 2]],
         )
         .unwrap();
-        let part = |mesh| Part { mesh, world_from_mesh: Pose::identity(), color: [0.5; 3] };
+        let part = |mesh| Part { mesh, world_from_mesh: Pose::identity(), color: [0.5; 3], texture: None };
         let view = View { width: 120, height: 120, azimuth: 0.0, elevation: 0.2, table_height_m: None };
         let azimuth = clearest_azimuth(&[part(&wall), part(&subject)], 1, &view);
         assert!(azimuth.cos() < 0.0, "the subject is hidden from azimuth 0 and seen from behind: {azimuth}");
@@ -358,7 +451,7 @@ mod tests {
     #[test]
     fn a_large_picture_is_drawn_band_by_band_and_is_the_same() {
         let (low, high) = (triangle(0.0), triangle(0.4));
-        let part = |mesh, color| Part { mesh, world_from_mesh: Pose::identity(), color };
+        let part = |mesh, color| Part { mesh, world_from_mesh: Pose::identity(), color, texture: None };
         let parts = [part(&high, [1.0, 0.0, 0.0]), part(&low, [0.0, 0.0, 1.0])];
         let view = View { width: 33, height: 40, azimuth: 0.3, elevation: 0.4, table_height_m: Some(-0.1) };
         let scene = Scene::new(&parts, &view);
@@ -378,5 +471,33 @@ mod tests {
     fn an_empty_scene_is_background() {
         let seen = centre_color(&[]);
         assert_eq!(seen, background());
+    }
+
+    #[test]
+    fn a_picture_lies_on_the_mesh_as_its_coordinates_say_also_where_it_recedes() {
+        // A floor 1 wide and 10 long, seen from one end; its picture is white from the middle of its length on.
+        let corners = [[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0], [0.5, 10.0, 0.0], [-0.5, 10.0, 0.0]].map(Point3::from);
+        let mesh = TriMesh::new(corners.to_vec(), vec![[0, 1, 2], [0, 2, 3]]).unwrap();
+        let picture = RgbImage::from_fn(4, 100, |_, y| Rgb([if y < 50 { 0 } else { 255 }; 3]));
+        let uv = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
+        let texture = Some(Texture { uv: &uv, picture: &picture });
+        let parts = [Part { mesh: &mesh, world_from_mesh: Pose::identity(), color: [1.0, 0.0, 0.0], texture }];
+        let eye = Point3::new(0.0, -2.0, 1.0);
+        let world_from_camera = Pose::face_towards(&eye, &Point3::new(0.0, 5.0, 0.0), &-Vector3::z());
+        let camera = PinholeCamera {
+            camera_from_world: world_from_camera.inverse(),
+            fx: 200.0,
+            fy: 200.0,
+            cx: 60.0,
+            cy: 50.0,
+            width: 120,
+            height: 100,
+        };
+        let seen = render_from(&parts, &camera);
+        for along in [1.0, 4.7, 5.3, 9.0] {
+            let ([x, y], _) = camera.project(&Point3::new(0.02, along, 0.0)).unwrap();
+            let value = seen.get_pixel(x as u32, y as u32)[0];
+            assert_eq!(value > 127, along > 5.0, "{value} at {along}");
+        }
     }
 }

@@ -7,7 +7,7 @@
 use nalgebra::{Point2, SMatrix, SVector, Vector2};
 
 use super::image::Grey;
-use super::tag36h11::{DATA, SIDE, WHITE};
+use super::tag36h11::{SIDE, is_white};
 use super::warp::Warp;
 use drex_core::stats::median;
 
@@ -55,12 +55,7 @@ pub(super) fn border() -> Vec<Edge> {
 
 /// All edges of a tag.
 pub(super) fn pattern(id: usize) -> Vec<Edge> {
-    let inside = 1..=DATA as i32;
-    between(|row, column| {
-        let border = (0..SIDE as i32).contains(&row) && (0..SIDE as i32).contains(&column);
-        let data = inside.contains(&row) && inside.contains(&column);
-        border && !(data && WHITE[id] >> (DATA as i32 * (row - 1) + column - 1) & 1 == 1)
-    })
+    between(|row, column| !is_white(id, row, column))
 }
 
 /// Edges between cells of which exactly one is black.

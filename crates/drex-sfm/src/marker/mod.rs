@@ -110,6 +110,16 @@ impl Marker {
         }
         Ok(Self { family, id, side_m })
     }
+
+    /// Whether a cell of the upright tag is white: row and column from the top left, 0 to 7, of which the outermost are the black border. All
+    /// cells outside are white, and have to be.
+    #[must_use]
+    pub fn is_white(&self, row: i32, column: i32) -> bool {
+        match self.family {
+            // Of the 587 tags that new() lets through.
+            Family::Tag36h11 => self.id < self.family.tags() && tag36h11::is_white(self.id as usize, row, column),
+        }
+    }
 }
 
 impl FromStr for Marker {

@@ -41,6 +41,16 @@ pub(super) const WHITE: [u64; CODES.len()] = {
     white
 };
 
+/// Whether a cell is white: row and column from the outer edge of the black border, at the top left. What lies outside is.
+pub(super) fn is_white(id: usize, row: i32, column: i32) -> bool {
+    let side = 0..SIDE as i32;
+    let data = 1..=DATA as i32;
+    if data.contains(&row) && data.contains(&column) {
+        return WHITE[id] >> (DATA as i32 * (row - 1) + column - 1) & 1 == 1;
+    }
+    !(side.contains(&row) && side.contains(&column))
+}
+
 /// The same cells on the tag turned by a quarter clockwise.
 pub(super) fn turned(white: u64) -> u64 {
     let mut out = 0;

@@ -1,5 +1,6 @@
 //! The stages: each reads files of the twin and writes others, and names what it wrote.
 
+pub(crate) mod appearance;
 pub(crate) mod asset;
 pub(crate) mod evaluate;
 pub(crate) mod execute;

@@ -1,14 +1,12 @@
-//! Photos to the object's mesh and Gaussians on it.
+//! Photos to the object's mesh.
 
 use std::path::PathBuf;
 
 use crate::Result;
+use crate::cameras::cameras_within;
 use crate::error::Context;
-use crate::reconstruct::train_gaussians;
-use drex_core::capture::{Capture, SparsePoint};
+use drex_core::capture::{Capture, CaptureOptions};
 use drex_mesh::{KnownDistance, write_mesh};
-use drex_splat::ReconstructOptions;
-use drex_splat::reconstruct::Reconstruction;
 use nalgebra::Point3;
 
 use crate::Progress;
@@ -17,11 +15,6 @@ use crate::masks::MASKS;
 use crate::records::{SCAN, ScanFile, write_json};
 use crate::scan::{FrameOptions, Meshed, Scanning, remove_depth_maps};
 
-/// Gaussians that are born on the mesh.
-const BORN: usize = 4000;
-/// Every so many photos one is not trained on but measured against.
-const HOLD_OUT: usize = 8;
-
 pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>> {
     let config = twin.manifest.scan.as_ref().context("the manifest has no [scan]")?;
     // Before hours of work; the manifest may name a place outside.
@@ -29,7 +22,7 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
         format!("{}: mesh under [object], to which the scan is written", twin.path("twin.toml").display())
     })?;
     // Depth maps that an earlier run made of other photos must not be taken for these; a folder of somebody else's stays.
-    let (depth, splat, sfm) = (twin.output("depth")?, twin.output("splat")?, twin.output("sfm")?);
+    let (depth, sfm) = (twin.output("depth")?, twin.output("sfm")?);
     if !twin.path(&config.photos).starts_with(&depth) {
         remove_depth_maps(&twin.root)?;
     }
@@ -56,33 +49,29 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
         seed: twin.seed,
         tool_limit: twin.tool_limit,
     };
-    let Meshed { scan, fused, mesh, evidence, cameras, masks } = scanning.mesh(progress)?;
-    let fusion = fused.report;
+    let Meshed { scan, fused, mesh, evidence, masks, .. } = scanning.mesh(progress)?;
     write_mesh(&file, &mesh)?;
-    let photos = cameras.views.iter().any(|v| v.depth.is_none());
-    let on_mesh = photos.then(|| scan.points_on(&mesh, BORN, twin.seed, fusion.truncation_m)).transpose()?;
-    write_json(&twin.output(SCAN)?, &ScanFile { scan: scan.frame, fusion, evidence: Some(evidence) })?;
-    if let Some(on_mesh) = on_mesh {
-        let made = appearance(twin, &cameras, on_mesh, progress)?;
-        twin.took("appearance", made.appearance.seconds);
-    }
+    let made_masks = masks.is_some();
+    let found = ScanFile { scan: scan.frame, made_masks, fusion: fused.report, evidence: Some(evidence) };
+    let record = twin.output(SCAN)?;
+    write_json(&record, &found)?;
     let masks = masks.map(|_| twin.output(MASKS)).transpose()?;
-    Ok([sfm, splat, depth, file].into_iter().chain(masks).filter(|f| f.exists()).collect())
+    Ok([sfm, record, depth, file].into_iter().chain(masks).filter(|f| f.exists()).collect())
 }
 
-/// Trains Gaussians that show what the photos show, born on the sparse points and on these.
-fn appearance(
-    twin: &Twin,
-    cameras: &Capture,
-    on_mesh: Vec<SparsePoint>,
-    progress: &dyn Progress,
-) -> Result<Reconstruction> {
+/// The photos of a twin's scan with their cameras and the masks that its mesh was made with.
+///
+/// # Errors
+/// If the scan was not made, or a file is damaged.
+pub(crate) fn photos_of(twin: &Twin, made: &ScanFile) -> Result<Capture> {
     let config = twin.manifest.scan.as_ref().context("the manifest has no [scan]")?;
-    let mut options = ReconstructOptions::default();
-    options.preset = config.preset.of_training();
-    (options.iterations, options.seed, options.surface) = (config.iterations, twin.seed, false);
-    options.hold_out = Some(HOLD_OUT);
-    let mut born = cameras.clone();
-    born.points.extend(on_mesh);
-    Ok(train_gaussians(&born, &twin.root, &options, false, progress)?.1)
+    let mut within = CaptureOptions::default();
+    within.masks = config.masks.as_ref().map(|masks| twin.path(masks));
+    let mut photos = cameras_within(&twin.path(&config.photos), &twin.root, &within)?;
+    if made.made_masks {
+        for view in &mut photos.views {
+            view.mask = Some(twin.path(MASKS).join(format!("{}.png", view.name)));
+        }
+    }
+    Ok(photos)
 }
