@@ -271,6 +271,10 @@ fn of_frame(page: &mut Page, file: &ScanFile) {
             percent(fusion.support_share)
         ),
     ]);
+    if let Some(r) = &file.refinement {
+        let text = format!("by {} in the median, {} at 95 %", mm(r.moved_m[0]), mm(r.moved_m[1]));
+        rows.push(vec!["moved to where the photos agree".to_owned(), text]);
+    }
     page.table(&["scale and fusion", "value"], &rows);
     for doubt in &frame.doubts {
         page.paragraph(&format!("In doubt: {doubt}"));

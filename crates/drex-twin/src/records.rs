@@ -13,7 +13,7 @@ use drex_sysid::{Identification, MassDistribution, MassPosterior, MassPrior, Mas
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::scan::FrameReport;
+use crate::scan::{FrameReport, Refinement};
 
 /// Result of the scan stage.
 pub const SCAN: &str = "splat/scan.json";
@@ -103,6 +103,9 @@ pub struct ScanFile {
     pub made_masks: bool,
     /// The depth maps as they were fused.
     pub fusion: FusionReport,
+    /// How the photos moved the mesh; absent where its depth is not stereo's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refinement: Option<Refinement>,
     /// What the mesh was held against, masks left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub evidence: Option<ScanEvidence>,

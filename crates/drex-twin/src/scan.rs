@@ -82,13 +82,28 @@ pub struct Scanning<'a> {
     pub tool_limit: Duration,
 }
 
+/// How the photos moved the fused mesh to where they agree about it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Refinement {
+    /// Passes that were made until it stopped.
+    pub passes: usize,
+    /// Share of the vertices that photos had a say in.
+    pub seen_share: f64,
+    /// How far vertices moved: median and 95 %, metres.
+    pub moved_m: [f64; 2],
+    /// Mean correlation of the photos' windows at full size, before and after.
+    pub correlation: [Option<f64>; 2],
+}
+
 /// The closed mesh of a scan, metres.
 pub struct Meshed {
     /// The depth maps in the frame of the mesh.
     pub scan: Scan,
     /// What they were fused to.
     pub fused: Fused,
-    /// The mesh that was made of it: moved to where the photos agree, and simpler.
+    /// How it was moved to where the photos agree, where its depth is stereo's.
+    pub refinement: Option<Refinement>,
+    /// The mesh that was made of it: moved, and simpler.
     pub mesh: TriMesh,
     /// What the mesh was held against.
     pub evidence: ScanEvidence,
@@ -179,9 +194,12 @@ impl Scanning<'_> {
         let fused =
             fuse(&scan, &fusion).with_context(|| format!("fusing the depth maps of {}", self.input.display()))?;
         progress.end();
-        let refined = match stereo {
-            Some(options) => self.refined(cameras, options.max_side, &scan, &fused, progress)?,
-            None => fused.mesh.clone(),
+        let (refined, refinement) = match stereo {
+            Some(options) => {
+                let (mesh, refinement) = self.refined(cameras, options.max_side, &scan, &fused, progress)?;
+                (mesh, Some(refinement))
+            }
+            None => (fused.mesh.clone(), None),
         };
         progress.begin("simpler mesh", None);
         let mut simpler = DecimateOptions::default();
@@ -192,7 +210,7 @@ impl Scanning<'_> {
         }
         progress.end();
         let evidence = scan.evidence(fused.report.voxel_m, self.frame.region.is_some())?;
-        Ok(Meshed { scan, fused, mesh, evidence, cameras: cameras.clone(), masks })
+        Ok(Meshed { scan, fused, refinement, mesh, evidence, cameras: cameras.clone(), masks })
     }
 
     /// Makes masks of photos that have none, and gives them to the views. If most of them are doubtful, the object is cut out
@@ -279,7 +297,7 @@ impl Scanning<'_> {
         scan: &Scan,
         fused: &Fused,
         progress: &dyn Progress,
-    ) -> Result<TriMesh> {
+    ) -> Result<(TriMesh, Refinement)> {
         let scan_from_mesh = scan.mesh_from_scan.inverse();
         let hold = |e: &Evidence| match e.kind {
             EvidenceKind::Seen => Hold::Free,
@@ -292,15 +310,20 @@ impl Scanning<'_> {
         let mesh = scan_from_mesh.mesh(&fused.mesh);
         let (mesh, report) = refine(&mesh, &holds, cameras, &options, &stereo::shown(progress))?;
         progress.end();
-        let mm = |d: f64| 1e3 * d * scan.mesh_from_scan.scale;
+        let refinement = Refinement {
+            passes: report.passes,
+            seen_share: report.seen_share,
+            moved_m: report.moved.map(|d| d * scan.mesh_from_scan.scale),
+            correlation: report.correlation.map(|c| Some(c).filter(|c| c.is_finite())),
+        };
         progress.note(&format!(
             "photos agree about the mesh by {:.3} instead of {:.3} after it moved by {:.2} mm in the median, {:.2} mm at 95 %",
             report.correlation[1],
             report.correlation[0],
-            mm(report.moved[0]),
-            mm(report.moved[1])
+            1e3 * refinement.moved_m[0],
+            1e3 * refinement.moved_m[1]
         ));
-        Ok(scan.mesh_from_scan.mesh(&mesh))
+        Ok((scan.mesh_from_scan.mesh(&mesh), refinement))
     }
 }
 

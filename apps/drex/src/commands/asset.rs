@@ -18,7 +18,7 @@ use serde::Serialize;
 
 use crate::cli::AssetArgs;
 use crate::ui::Ui;
-use drex_twin::scan::{FrameOptions, FrameReport, Meshed, Scanning, TextureReport};
+use drex_twin::scan::{FrameOptions, FrameReport, Meshed, Refinement, Scanning, TextureReport};
 use drex_twin::timings::{self, Timing};
 
 /// What ffmpeg is asked to open.
@@ -29,6 +29,8 @@ const VIDEOS: [&str; 6] = ["mp4", "mov", "mkv", "avi", "webm", "m4v"];
 struct ScanAnswer<'a> {
     scan: &'a FrameReport,
     fusion: &'a FusionReport,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    refinement: Option<&'a Refinement>,
     evidence: &'a ScanEvidence,
     #[serde(skip_serializing_if = "Option::is_none")]
     texture: Option<&'a TextureReport>,
@@ -161,7 +163,7 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
     };
     let begun = Instant::now();
     let meshed = scanning.mesh(ui)?;
-    let Meshed { scan, fused, mesh, evidence, .. } = &meshed;
+    let Meshed { scan, fused, refinement, mesh, evidence, .. } = &meshed;
     let fusion = &fused.report;
 
     let spinner = ui.spinner("asset");
@@ -177,7 +179,14 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
     write(&asset, args)?;
     let of_vertices = fused.evidence_of(&asset.visual);
     write_evidence(&fsutil::output_path(&args.out, "mesh/evidence.ply")?, &asset.visual, &of_vertices)?;
-    let mut answer = ScanAnswer { scan: &scan.frame, fusion, evidence, texture: texture_report.as_ref(), asset: None };
+    let mut answer = ScanAnswer {
+        scan: &scan.frame,
+        fusion,
+        refinement: refinement.as_ref(),
+        evidence,
+        texture: texture_report.as_ref(),
+        asset: None,
+    };
     let text = serde_json::to_string_pretty(&answer)? + "\n";
     fsutil::write_atomic(&fsutil::output_path(&args.out, "mesh/scan.json")?, text.as_bytes())?;
     let input = Some(args.input.clone());

@@ -6,7 +6,7 @@ use crate::Result;
 use crate::cameras::cameras_within;
 use crate::error::Context;
 use drex_core::capture::{Capture, CaptureOptions};
-use drex_mesh::{KnownDistance, write_mesh};
+use drex_mesh::{KnownDistance, write_evidence, write_mesh};
 use nalgebra::Point3;
 
 use crate::Progress;
@@ -14,6 +14,9 @@ use crate::Twin;
 use crate::masks::MASKS;
 use crate::records::{SCAN, ScanFile, write_json};
 use crate::scan::{FrameOptions, Meshed, Scanning, remove_depth_maps};
+
+/// The mesh with what is known of each vertex.
+const EVIDENCE: &str = "splat/evidence.ply";
 
 pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>> {
     let config = twin.manifest.scan.as_ref().context("the manifest has no [scan]")?;
@@ -49,14 +52,16 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
         seed: twin.seed,
         tool_limit: twin.tool_limit,
     };
-    let Meshed { scan, fused, mesh, evidence, masks, .. } = scanning.mesh(progress)?;
+    let Meshed { scan, fused, refinement, mesh, evidence, masks, .. } = scanning.mesh(progress)?;
     write_mesh(&file, &mesh)?;
+    let of_vertices = twin.output(EVIDENCE)?;
+    write_evidence(&of_vertices, &mesh, &fused.evidence_of(&mesh))?;
     let made_masks = masks.is_some();
-    let found = ScanFile { scan: scan.frame, made_masks, fusion: fused.report, evidence: Some(evidence) };
+    let found = ScanFile { scan: scan.frame, made_masks, fusion: fused.report, refinement, evidence: Some(evidence) };
     let record = twin.output(SCAN)?;
     write_json(&record, &found)?;
     let masks = masks.map(|_| twin.output(MASKS)).transpose()?;
-    Ok([sfm, record, depth, file].into_iter().chain(masks).filter(|f| f.exists()).collect())
+    Ok([sfm, record, of_vertices, depth, file].into_iter().chain(masks).filter(|f| f.exists()).collect())
 }
 
 /// The photos of a twin's scan with their cameras and the masks that its mesh was made with.
