@@ -118,11 +118,16 @@ impl Twin {
                 .make(stage, report, progress)
                 .with_context(|| format!("stage {} of {}", stage.name(), self.root.display()))?;
             if let Some(write) = picture.filter(|_| stage == Stage::Asset) {
-                let pictures = write(self).map_err(Error::Report)?;
-                for file in &pictures {
-                    progress.note(&format!("{:>10}  {}", "picture", file.display()));
+                // Nothing depends on it: a photo that cannot be read must not cost the asset.
+                match write(self) {
+                    Ok(pictures) => {
+                        for file in &pictures {
+                            progress.note(&format!("{:>10}  {}", "picture", file.display()));
+                        }
+                        outputs.extend(pictures);
+                    }
+                    Err(e) => progress.note(&format!("{:>10}  there is no first picture: {e}", "note")),
                 }
-                outputs.extend(pictures);
             }
             let seconds = begun.elapsed().as_secs_f64();
             let removed = self.lock.record(stage.name(), inputs, self.seed, &outputs)?;

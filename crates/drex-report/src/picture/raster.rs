@@ -264,7 +264,8 @@ impl Canvas {
                 let uv = face.map(|v| uv.get(v as usize).copied().unwrap_or_default().map(f64::from));
                 self.draw_triangle(camera, &corners, part, |[a, b, c]| {
                     let at = [0, 1].map(|k| a * uv[0][k] + b * uv[1][k] + c * uv[2][k]);
-                    sampled(picture, at)
+                    // Beyond its edges a picture repeats, as OBJ and glTF have it.
+                    sampled(picture, at.map(|c| if (0.0..=1.0).contains(&c) { c } else { c.rem_euclid(1.0) }))
                 });
                 continue;
             }
@@ -471,6 +472,25 @@ mod tests {
     fn an_empty_scene_is_background() {
         let seen = centre_color(&[]);
         assert_eq!(seen, background());
+    }
+
+    #[test]
+    fn a_picture_repeats_beyond_its_edges() {
+        let corners = [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]].map(Point3::from);
+        let mesh = TriMesh::new(corners.to_vec(), vec![[0, 1, 2], [0, 2, 3]]).unwrap();
+        // Black on the left, white on the right, twice from left to right.
+        let picture = RgbImage::from_fn(64, 4, |x, _| Rgb([if x < 32 { 0 } else { 255 }; 3]));
+        let texture = Some(Texture { uv: &[[-1.0, 0.0], [1.0, 0.0], [1.0, 1.0], [-1.0, 1.0]], picture: &picture });
+        let part = Part { mesh: &mesh, world_from_mesh: Pose::identity(), color: [1.0, 0.0, 0.0], texture };
+        let world_from_camera = Pose::face_towards(&Point3::new(0.0, 0.0, 2.0), &Point3::origin(), &-Vector3::y());
+        let camera_from_world = world_from_camera.inverse();
+        let camera =
+            PinholeCamera { camera_from_world, fx: 80.0, fy: 80.0, cx: 50.0, cy: 50.0, width: 100, height: 100 };
+        let seen = render_from(&[part], &camera);
+        for (x, white) in [(-0.75, false), (-0.25, true), (0.25, false), (0.75, true)] {
+            let ([column, row], _) = camera.project(&Point3::new(x, 0.1, 0.0)).unwrap();
+            assert_eq!(seen.get_pixel(column as u32, row as u32)[0] > 127, white, "at {x}");
+        }
     }
 
     #[test]

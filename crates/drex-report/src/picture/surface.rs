@@ -50,7 +50,12 @@ impl Surface {
 }
 
 fn decoded(bytes: &[u8], file: &Path) -> Result<RgbImage> {
-    let refuse = |e| Error::Refused(format!("{}: the picture on it cannot be read: {e}", file.display()));
+    let refuse = |e| {
+        Error::Refused(format!(
+            "{}: the picture on it cannot be read: {e}; export it as PNG or JPEG, or take map_Kd out of its material",
+            file.display()
+        ))
+    };
     Ok(image::load_from_memory(bytes).map_err(refuse)?.to_rgb8())
 }
 
