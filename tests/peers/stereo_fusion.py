@@ -29,7 +29,7 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "target/release/examples/fuse_maps"
 SHARED = pathlib.Path(os.environ.get("DREX_SHARED", ROOT.parent / "shared"))
 # Of stereo's maps, as `drex asset` fuses them (crates/drex-twin/src/scan.rs).
-EMPTY_VOTES, SMALLEST_VOLUME_SHARE, USUAL_CONFIDENCE = 1.5, 0.1, 0.45
+EMPTY_VOTES, LEAST_VIEWS_SHARE, USUAL_CONFIDENCE = 1.5, 0.5, 0.45
 
 
 def main():
@@ -145,7 +145,7 @@ def write_maps(work, maps):
         lens = dict(width=width, height=height, fx=f["fl_x"], fy=f["fl_y"], cx=f["cx"] + left, cy=f["cy"] + top)
         views.append(dict(lens, world_from_camera=view["pose"].tolist()))
     given = {key: maps[key] for key in ["voxel_m", "region_m", "support"]}
-    given |= dict(empty_votes=EMPTY_VOTES, smallest_volume_share=SMALLEST_VOLUME_SHARE, views=views)
+    given |= dict(empty_votes=EMPTY_VOTES, least_views_share=LEAST_VIEWS_SHARE, views=views)
     (work / "maps.json").write_text(json.dumps(given))
 
 

@@ -5,7 +5,7 @@
 //! ```
 //!
 //! FOLDER/maps.json: `voxel_m`; `region_m`, two corners, and `support`, its `point_m` and `up`, or null; `empty_votes`;
-//! `smallest_volume_share`; `views` of `width`, `height`, `fx`, `fy`, `cx`, `cy` and `world_from_camera` (4 x 4, OpenCV axes, metres), one for
+//! `least_views_share`; `views` of `width`, `height`, `fx`, `fy`, `cx`, `cy` and `world_from_camera` (4 x 4, OpenCV axes, metres), one for
 //! each 000.f32, 001.f32, ... (float32, row by row, metres, 0 where nothing is known). With 000.u8, ... these are silhouettes, 0 outside; with
 //! 000.trust.f32, ... those say how far each depth is to be trusted.
 //!
@@ -30,7 +30,7 @@ struct Maps {
     region_m: Option<[[f64; 3]; 2]>,
     support: Option<Table>,
     empty_votes: f64,
-    smallest_volume_share: f64,
+    least_views_share: f64,
     views: Vec<View>,
 }
 
@@ -66,7 +66,7 @@ fn main() -> Result<(), Failure> {
     options.region = given.region_m.map(|[lo, hi]| (lo.into(), hi.into()));
     let support = |t: Table| Support { point: Point3::from(t.point_m), up: Unit::new_normalize(Vector3::from(t.up)) };
     options.support = given.support.map(support);
-    (options.empty_votes, options.smallest_volume_share) = (given.empty_votes, given.smallest_volume_share);
+    (options.empty_votes, options.least_views_share) = (given.empty_votes, given.least_views_share);
     let mut seconds = Vec::new();
     let mut fused = None;
     for _ in 0..rounds {

@@ -17,7 +17,10 @@ use serde::Serialize;
 use crate::io::{picture, ply};
 use crate::loss::{MaskMode, surface_depth};
 use crate::metrics::{Table, similarity};
-use crate::train::{DensityChoice, NEAR, Preset, Progress, TrainOptions, Trainer, VisualHull, from_points};
+use crate::train::{
+    Density, DensityChoice, NEAR, Preset, Progress, SurfacePoint, TrainOptions, Trainer, VisualHull, from_points,
+    from_surface,
+};
 use crate::{Error, Gaussians, Kind, Label, Rasterizer, RenderOptions, Result, usage};
 
 /// What to reconstruct, and how carefully.
@@ -40,6 +43,9 @@ pub struct ReconstructOptions {
     pub iterations: Option<u32>,
     /// Most Gaussians of each set instead of the preset's ([`Preset::max_gaussians`]).
     pub max_gaussians: Option<usize>,
+    /// Places on the object's surface, where it is known: as many ellipsoids start there, and stay whatever silhouettes say, instead of coming and
+    /// going from the sparse points.
+    pub born: Vec<SurfacePoint>,
     /// Whether surfels are trained as well, and depth maps drawn of them.
     pub surface: bool,
     /// Whether each photo gets an affine colour of its own.
@@ -69,6 +75,7 @@ impl Default for ReconstructOptions {
             max_side: None,
             iterations: None,
             max_gaussians: None,
+            born: Vec::new(),
             surface: true,
             exposure: false,
             refine_poses: false,
@@ -132,6 +139,10 @@ pub type OnProgress<'a> = dyn FnMut(Kind, &Progress, u32, f64) + 'a;
 const HULL_SIDE: usize = 2048;
 /// Longest side of the depth maps, pixels: a voxel of a mesh of the same scan is larger than such a pixel.
 const DEPTH_SIDE: usize = 1024;
+/// On a known surface a photo shows about as much in every direction: higher harmonics learn the photos by heart.
+const BORN_SH_DEGREE: usize = 1;
+/// There Gaussians only have to find their sizes.
+const BORN_SCALE_RATE: f32 = 2.0;
 /// Margin round a silhouette in which centres are kept, pixels at that size.
 const HULL_MARGIN_PX: usize = 2;
 /// Points of the hull that Gaussians start from.
@@ -354,7 +365,9 @@ impl<'a> Job<'a> {
                 remedy: "give the settings it was made with, or leave --resume out to start anew".into(),
             });
         }
-        trainer.set_hull(self.hull_of(kind));
+        if !self.is_born(kind) {
+            trainer.set_hull(self.hull_of(kind));
+        }
         while !trainer.is_done() {
             let progress = trainer.step()?;
             let every = self.options.checkpoint_every;
@@ -367,7 +380,7 @@ impl<'a> Job<'a> {
         let core_seconds = usage::core_seconds().zip(cores).map(|(now, then)| now - then);
         let seconds = clock.elapsed().as_secs_f64();
         let held_out = self.score(&trainer)?;
-        let outside_hull = if self.masked { trainer.cut(&self.whole_hull) } else { 0 };
+        let outside_hull = if self.masked && !self.is_born(kind) { trainer.cut(&self.whole_hull) } else { 0 };
         let mut gaussians = trainer.gaussians().clone();
         for (label, mean) in gaussians.labels.iter_mut().zip(&gaussians.means) {
             // In a whole scene a place that no silhouette can judge is not the object's.
@@ -380,6 +393,11 @@ impl<'a> Job<'a> {
         let summary =
             SetSummary { file, gaussians: gaussians.len(), outside_hull, iterations, core_seconds, seconds, held_out };
         Ok((gaussians, summary))
+    }
+
+    /// Whether a set starts on the known surface.
+    fn is_born(&self, kind: Kind) -> bool {
+        kind == Kind::Ellipsoid && !self.options.born.is_empty()
     }
 
     /// How view `i` is drawn.
@@ -409,6 +427,13 @@ impl<'a> Job<'a> {
         options.refine_poses = o.refine_poses;
         options.surface.prior_normal = o.normal_weight;
         options.depth_weight = o.depth_weight;
+        if self.is_born(kind) {
+            options.max_gaussians = o.born.len();
+            options.density = Density::Fixed;
+            options.coarse.clear();
+            options.sh_degree = BORN_SH_DEGREE;
+            options.rates.scale *= BORN_SCALE_RATE;
+        }
         if self.masked {
             options.masks = MaskMode::Transparent;
             options.background = None;
@@ -422,6 +447,9 @@ impl<'a> Job<'a> {
 
     /// The first Gaussians: the sparse points; if masks are used, those of the object, and points of the visual hull.
     fn first(&self, options: &TrainOptions) -> Result<Gaussians> {
+        if self.is_born(options.kind) {
+            return Ok(from_surface(&self.options.born, options.sh_degree));
+        }
         let kept: Vec<_> =
             self.capture.points.iter().filter(|p| self.hull.contains(&p.position.map(|v| v as f32))).collect();
         if kept.is_empty() {
@@ -437,7 +465,7 @@ impl<'a> Job<'a> {
             first.extend(self.hull_points(&kept, HULL_POINTS.min(options.max_gaussians - first.len()))?);
         }
         let (points, colours): (Vec<_>, Vec<_>) = first.into_iter().unzip();
-        let opacity = if matches!(options.density, crate::train::Density::Mcmc(_)) { 0.5 } else { 0.1 };
+        let opacity = if matches!(options.density, Density::Mcmc(_)) { 0.5 } else { 0.1 };
         Ok(from_points(&points, &colours, options.kind, options.sh_degree, opacity))
     }
 

@@ -36,8 +36,8 @@ const MAX_SIMPLIFICATION_VOXELS: f64 = 0.1;
 const STEREO_VOTES: f64 = 1.5;
 /// Confidence of a depth that counts as much as one without.
 const USUAL_CONFIDENCE: f32 = 0.45;
-/// Parts with less of the largest one's volume are none of the object: where little is known stereo makes some up.
-const STEREO_PARTS: f64 = 0.1;
+/// Small parts that fewer views measured, as a share of those of the largest part, are none of the object: where little is known stereo makes some up.
+const STEREO_PARTS: f64 = 0.5;
 /// More masks say nothing new about where the object stands, and take memory.
 const MOST_SILHOUETTES: usize = 100;
 /// Longest side of the masks that a mesh is held against, pixels.
@@ -189,7 +189,7 @@ impl Scanning<'_> {
         let mut fusion = scan.fusion.clone();
         fusion.voxel_m = self.voxel_m;
         if stereo.is_some() {
-            (fusion.empty_votes, fusion.smallest_volume_share) = (STEREO_VOTES, STEREO_PARTS);
+            (fusion.empty_votes, fusion.least_views_share) = (STEREO_VOTES, STEREO_PARTS);
         }
         let fused =
             fuse(&scan, &fusion).with_context(|| format!("fusing the depth maps of {}", self.input.display()))?;

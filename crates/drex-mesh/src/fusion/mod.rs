@@ -86,6 +86,9 @@ pub struct FusionOptions {
     pub empty_votes: f64,
     /// Parts with a smaller share of the volume of the largest one are dropped.
     pub smallest_volume_share: f64,
+    /// Parts with less than a tenth of the volume of the largest one are dropped where fewer views measured them than this share of those that measured
+    /// it, in the mean over the surface: matching makes up such parts where little is known.
+    pub least_views_share: f64,
     /// Most memory that the volume may take, bytes.
     pub memory_bytes: usize,
 }
@@ -101,6 +104,7 @@ impl Default for FusionOptions {
             sharp_edges: false,
             empty_votes: 1.0,
             smallest_volume_share: 0.01,
+            least_views_share: 0.0,
             memory_bytes: 2 << 30,
         }
     }
@@ -218,7 +222,8 @@ fn fuse_in_pool(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> 
         }
     };
     let mut extracted = extract(&field);
-    let cleaned = parts::clean(&mut extracted, options.smallest_volume_share, |e| volume.observed(e));
+    let cleaned =
+        parts::clean(&mut extracted, options.smallest_volume_share, options.least_views_share, |e| volume.views(e));
     if extracted.mesh.faces.is_empty() {
         return Err(Error::Empty { subject: "the fused volume".into() });
     }
@@ -340,11 +345,12 @@ impl FusionOptions {
                 "give a positive number of views",
             ));
         }
-        if !(0.0..=1.0).contains(&self.smallest_volume_share) {
-            return Err(Error::value(
-                format!("smallest_volume_share is {}", self.smallest_volume_share),
-                "give a share from 0 to 1",
-            ));
+        let shares =
+            [("smallest_volume_share", self.smallest_volume_share), ("least_views_share", self.least_views_share)];
+        for (name, share) in shares {
+            if !(0.0..=1.0).contains(&share) {
+                return Err(Error::value(format!("{name} is {share}"), "give a share from 0 to 1"));
+            }
         }
         Ok(())
     }

@@ -39,13 +39,23 @@ struct Part {
     faces: usize,
     vertices: usize,
     sum: nalgebra::Vector3<f64>,
-    seen: usize,
+    /// Sum over the vertices of the views that measured them.
+    views: f64,
 }
 
-/// Keeps the parts of which something was `observed` and whose volume is at least `share` of the largest such part.
+/// Parts with this share of the largest one's volume stay, however few views measured them.
+const LARGE: f64 = 0.1;
+
+/// Keeps the parts of which some of the `views` measured something, whose volume is at least `volume_share` of the largest such part, and which are
+/// large or were measured by `views_share` of its views, in the mean over their vertices.
 ///
 /// Every part is closed, so a part with negative volume is the wall of a hollow.
-pub(super) fn clean(extracted: &mut Extracted, share: f64, observed: impl Fn(&GridEdge) -> bool) -> Cleaned {
+pub(super) fn clean(
+    extracted: &mut Extracted,
+    volume_share: f64,
+    views_share: f64,
+    views: impl Fn(&GridEdge) -> u16,
+) -> Cleaned {
     let mesh = &mut extracted.mesh;
     let mut sets = DisjointSets::new(mesh.vertices.len());
     for f in &mesh.faces {
@@ -63,10 +73,15 @@ pub(super) fn clean(extracted: &mut Extracted, share: f64, observed: impl Fn(&Gr
         let part = &mut parts[label as usize];
         part.vertices += 1;
         part.sum += mesh.vertices[v].coords;
-        part.seen += usize::from(observed(&extracted.edges[v]));
+        part.views += f64::from(views(&extracted.edges[v]));
     }
-    let largest = parts.iter().filter(|p| p.seen > 0).map(|p| p.volume).fold(0.0, f64::max);
-    let stays = |p: &Part| p.seen > 0 && p.volume > 0.0 && p.volume >= share * largest;
+    let mut measured = parts.iter().filter(|p| p.views > 0.0);
+    let largest = measured.next().map(|first| measured.fold(first, |a, b| if b.volume > a.volume { b } else { a }));
+    let Part { volume: most, views: best, vertices: of, .. } = largest.cloned().unwrap_or_default();
+    let stays = |p: &Part| {
+        let seen_well = || p.views / p.vertices as f64 >= views_share * best / of as f64;
+        p.views > 0.0 && p.volume > 0.0 && p.volume >= volume_share * most && (p.volume >= LARGE * most || seen_well())
+    };
     let mut dropped: Vec<DroppedPart> = parts
         .iter()
         .filter(|p| p.volume > 0.0 && !stays(p))
@@ -74,7 +89,7 @@ pub(super) fn clean(extracted: &mut Extracted, share: f64, observed: impl Fn(&Gr
             volume_m3: p.volume,
             faces: p.faces,
             center_m: (p.sum / p.vertices as f64).into(),
-            unseen: p.seen == 0,
+            unseen: p.views == 0.0,
         })
         .collect();
     dropped.sort_by(|a, b| b.volume_m3.total_cmp(&a.volume_m3));

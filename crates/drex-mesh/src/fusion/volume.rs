@@ -265,9 +265,9 @@ impl Volume {
         })
     }
 
-    /// Whether the surface was measured at a grid edge.
-    pub fn observed(&self, edge: &GridEdge) -> bool {
-        self.seen(edge.voxel).0 > 0 || self.seen(edge.far()).0 > 0
+    /// How many views measured the surface at a grid edge.
+    pub fn views(&self, edge: &GridEdge) -> u16 {
+        self.seen(edge.voxel).0.max(self.seen(edge.far()).0)
     }
 
     /// How many views measured the surface near a voxel, and the best cosine.

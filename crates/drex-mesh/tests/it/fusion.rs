@@ -373,6 +373,29 @@ fn a_bad_map_drills_no_hole_and_bits_in_the_air_are_dropped() {
 }
 
 #[test]
+fn a_small_part_stays_where_it_was_measured_as_the_large_one_was() {
+    // Of the two small blocks, each with 4 % of the volume, 8 of 40 views show the second.
+    let large = cuboid([-0.03, -0.02, 0.0], [0.03, 0.02, 0.04]);
+    let small = |x: f64| cuboid([x - 0.008, -0.008, 0.0], [x + 0.008, 0.008, 0.016]);
+    let (camera, poses) = (camera(320, 240, 320.0), around(Point3::new(0.0, 0.0, 0.02), 0.3, 40, 0.0));
+    let mut maps = cast(&joined(&large, &joined(&small(0.06), &small(-0.06))), &camera, &poses);
+    for (i, map) in maps.iter_mut().enumerate().filter(|(i, _)| i % 5 != 0) {
+        map.depth_m = cast(&joined(&large, &small(0.06)), &camera, &poses[i..=i]).swap_remove(0).depth_m;
+    }
+    let with = |least_views_share: f64| {
+        let mut options = rendered();
+        (options.background_is_empty, options.least_views_share) = (false, least_views_share);
+        fuse(&maps, &options).unwrap()
+    };
+    let all = with(0.0);
+    assert_eq!(all.report.parts, 3);
+    let fused = with(0.5);
+    assert_eq!((fused.report.parts, fused.report.dropped_parts), (2, all.report.dropped_parts + 1));
+    let dropped = &fused.report.dropped[0];
+    assert!(dropped.center_m[0] < -0.05 && !dropped.unseen, "{dropped:?}");
+}
+
+#[test]
 fn what_is_trusted_little_says_little() {
     let block = cuboid([-0.03, -0.02, 0.0], [0.03, 0.02, 0.04]);
     let (camera, poses) = (camera(320, 240, 400.0), around(Point3::new(0.0, 0.0, 0.02), 0.3, 30, -1.0));
@@ -429,6 +452,7 @@ fn wrong_input_is_refused_with_the_view_and_the_reason() {
     refused(&|_, o| o.voxel_m = Some(-1.0), &["voxel_m"]);
     refused(&|_, o| o.empty_votes = 0.0, &["empty_votes"]);
     refused(&|_, o| o.smallest_volume_share = f64::NAN, &["smallest_volume_share"]);
+    refused(&|_, o| o.least_views_share = 1.5, &["least_views_share is 1.5"]);
     let up = Unit::new_unchecked(Vector3::new(f64::NAN, 0.0, 1.0));
     refused(&|_, o| o.support = Some(Support { point: Point3::origin(), up }), &["support"]);
     refused(

@@ -8,6 +8,8 @@ use rayon::prelude::*;
 const USABLE: [f32; 2] = [0.004, 0.9];
 /// Photos that share fewer cells are not compared.
 const LEAST_SHARED: usize = 8;
+/// Sparse points that two photos share, from which on they are compared by these.
+const ENOUGH_POINTS: usize = 30;
 /// Cells that are compared at most: more tell nothing new.
 const MOST_CELLS: usize = 3000;
 /// How much every photo holds on to a gain of 1, as a share of what other photos say.
@@ -20,21 +22,28 @@ const OUTLIER: [f64; 2] = [2.5, 5.0];
 /// Mean colour of a cell in a photo, linear light, and the weight of what was seen; weight 0: nothing.
 pub(super) type CellColour = [f32; 4];
 
-/// What each photo's colours are multiplied by in it, per channel, linear light; their geometric mean is 1. `cells` has the cells of each photo.
+/// What each photo's colours are multiplied by in it, per channel, linear light; their geometric mean is 1. Of each photo `scene` has the colours round
+/// sparse points and `cells` those of the object's cells.
 ///
-/// Least squares for the logarithms, of the medians of what two photos differ by: highlights and things in the way do not count.
-pub(super) fn gains(cells: &[Vec<CellColour>]) -> Vec<[f64; 3]> {
+/// Least squares for the logarithms, of the medians of what two photos differ by: single highlights and things in the way do not count. Where two photos
+/// share enough sparse points, these speak: a highlight all over a side of the object brightens that side alone, an exposure the table as well.
+pub(super) fn gains(scene: &[Vec<CellColour>], cells: &[Vec<CellColour>]) -> Vec<[f64; 3]> {
     let views = cells.len();
-    let count = cells.first().map_or(0, Vec::len);
-    let seen: Vec<usize> = (0..count).filter(|&c| cells.iter().filter(|v| v[c][3] > 0.0).count() > 1).collect();
-    let compared: Vec<usize> = seen.iter().copied().step_by(seen.len().div_ceil(MOST_CELLS).max(1)).collect();
+    let some = |of: &[Vec<CellColour>]| -> Vec<usize> {
+        let count = of.first().map_or(0, Vec::len);
+        let seen: Vec<usize> = (0..count).filter(|&c| of.iter().filter(|v| v[c][3] > 0.0).count() > 1).collect();
+        seen.iter().copied().step_by(seen.len().div_ceil(MOST_CELLS).max(1)).collect()
+    };
     let usable = |c: &CellColour| c[3] > 0.0 && c[..3].iter().all(|v| (USABLE[0]..USABLE[1]).contains(v));
+    let ratio = |of: &[Vec<CellColour>], compared: &[usize], least: usize, i: usize, j: usize| {
+        let (one, other) = (&of[i], &of[j]);
+        let shared: Vec<usize> = compared.iter().copied().filter(|&c| usable(&one[c]) && usable(&other[c])).collect();
+        let differ = |k: usize| median(shared.iter().map(|&c| f64::from(one[c][k] / other[c][k]).ln())).unwrap_or(0.0);
+        (shared.len() >= least).then(|| (shared.len() as f64, [differ(0), differ(1), differ(2)]))
+    };
+    let (points, places) = (some(scene), some(cells));
     let ratio = |i: usize, j: usize| {
-        let shared: Vec<usize> =
-            compared.iter().copied().filter(|&c| usable(&cells[i][c]) && usable(&cells[j][c])).collect();
-        let of =
-            |k: usize| median(shared.iter().map(|&c| f64::from(cells[i][c][k] / cells[j][c][k]).ln())).unwrap_or(0.0);
-        (shared.len() >= LEAST_SHARED).then(|| (shared.len() as f64, [of(0), of(1), of(2)]))
+        ratio(scene, &points, ENOUGH_POINTS, i, j).or_else(|| ratio(cells, &places, LEAST_SHARED, i, j))
     };
     let pairs: Vec<(usize, usize)> = (0..views).flat_map(|i| (i + 1..views).map(move |j| (i, j))).collect();
     let ratios: Vec<_> = pairs.par_iter().map(|&(i, j)| ratio(i, j)).collect();

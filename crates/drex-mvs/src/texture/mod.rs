@@ -38,6 +38,8 @@ const PIXELS_PER_TEXEL: f64 = 1.4;
 const BLUR_TEXELS: f64 = 4.0;
 /// One of so many texels speaks for its cell.
 const CELL_STEP: usize = 5;
+/// Half the side of the window round a sparse point in which its colour is taken, as a share of the photo's longer side.
+const WINDOW_SHARE: f64 = 0.004;
 /// Pictures that are tried until one is small enough.
 const TRIES: usize = 6;
 /// Limits of [`TextureOptions::max_side`].
@@ -132,8 +134,8 @@ pub fn texture(
         let longest = capture.views.iter().map(|v| v.lens.width_px().max(v.lens.height_px())).max().unwrap_or(0);
         photo_options.max_side = (scale < 1.0).then(|| ((scale * f64::from(longest)) as usize).max(1));
         photo_options.memory_bytes = 0;
-        let work =
-            Work { mesh, normals: corner_normals(mesh), photos: Photos::new(capture, photo_options)?, atlas, progress };
+        let normals = corner_normals(mesh);
+        let work = Work { mesh, capture, normals, photos: Photos::new(capture, photo_options)?, atlas, progress };
         let (rgb, report) = work.painted()?;
         let png = encoded(&rgb, report.size_px)?;
         if png.len() <= options.max_bytes {
@@ -206,6 +208,7 @@ fn encoded(rgb: &[[u8; 3]], [width, height]: [usize; 2]) -> Result<Vec<u8>> {
 /// One picture at work.
 struct Work<'a> {
     mesh: &'a TriMesh,
+    capture: &'a Capture,
     /// Unit normals of the corners of each face.
     normals: Vec<[Vector3<f64>; 3]>,
     photos: Photos,
@@ -301,9 +304,42 @@ impl Work<'_> {
         for (cells, count) in cells.iter_mut().map(|c| (c, atlas.cells.len())) {
             cells.resize(count, [0.0; 4]);
         }
-        let gains = gains::gains(&cells);
+        let scene = (0..self.photos.len()).map(|v| self.scene_colours(v)).collect::<Result<Vec<_>>>()?;
+        let gains = gains::gains(&scene, &cells);
         let agreement = self.most_doubtful_neighbour(&gains::agreement(&cells, &gains));
         Ok((gains, agreement, cells))
+    }
+
+    /// Colours round the sparse points that a photo sees: a highlight that lies all over a side of the object brightens that side alone, an exposure
+    /// the table and the room as well.
+    fn scene_colours(&self, view: usize) -> Result<Vec<CellColour>> {
+        let mut colours = vec![[0.0; 4]; self.capture.points.len()];
+        let seen: Vec<usize> = self.capture.views[view].keypoints.iter().filter_map(|k| k.point).collect();
+        if seen.is_empty() {
+            return Ok(colours);
+        }
+        let photo = self.photos.get(view)?;
+        let camera = &photo.camera;
+        let (width, height) = (camera.width, camera.height);
+        let reach = (WINDOW_SHARE * width.max(height) as f64).ceil() as usize;
+        for p in seen {
+            let at = self.capture.points.get(p).and_then(|p| camera.project(&p.position.into()));
+            let Some(([x, y], _)) = at else { continue };
+            if !(x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64) {
+                continue;
+            }
+            let around =
+                |at: f64, size: usize| (at as usize).saturating_sub(reach)..(at as usize + reach + 1).min(size);
+            let mut sum = [0.0; 4];
+            for row in around(y, height) {
+                for c in &photo.rgb[row * width..][around(x, width)] {
+                    (0..3).for_each(|k| sum[k] += shot::linear(f32::from(c[k]) / 255.0));
+                    sum[3] += 1.0;
+                }
+            }
+            colours[p] = [sum[0] / sum[3], sum[1] / sum[3], sum[2] / sum[3], 1.0];
+        }
+        Ok(colours)
     }
 
     /// Each cell as doubtful as the most doubtful one that touches it in its chart: what is in the way does not end where cells do.

@@ -1,7 +1,7 @@
 use std::path::Path;
 
 use drex_core::camera::{Camera, CameraModel};
-use drex_core::capture::Capture;
+use drex_core::capture::{Capture, Keypoint, SparsePoint};
 use drex_core::{Pose, TriMesh};
 use drex_mvs::{Texture, TextureOptions, texture};
 use image::{Rgb, RgbImage};
@@ -188,6 +188,46 @@ fn a_ball_has_the_colours_that_are_painted_on_it() {
     for (p, c) in points.iter().filter(|(p, _)| p.z < -0.03) {
         assert!(c.iter().all(|v| (80.0..220.0).contains(v)), "{p} {c:?}");
     }
+}
+
+#[test]
+fn a_sheen_on_the_object_is_no_exposure_where_the_table_says_otherwise() {
+    let dir = tempfile::tempdir().unwrap();
+    let table = |eye: &Point3<f64>, ray: &Vector3<f64>| (ray.z < 0.0).then(|| (-RADIUS - eye.z) / ray.z);
+    let scene = |eye: &Point3<f64>, ray: &Vector3<f64>| meets_ball(eye, ray).or_else(|| table(eye, ray));
+    // One photo has 1.3 of the light, in another the ball, and nothing else, shines blue.
+    let gain = |i: usize| if i == 2 { 1.3 } else { 1.0 };
+    let mut capture = photograph(dir.path(), &cameras(), &scene, &|i, p| {
+        let sheen = if i == 5 && p.coords.norm() < RADIUS + 1e-6 { 1.4 } else { 1.0 };
+        let [r, g, b] = albedo(p).map(|c| c * gain(i));
+        [r, g, sheen * b]
+    });
+    for k in 0..400 {
+        let at = |k: usize| 0.01 * k as f64 - 0.095;
+        let point = Point3::new(at(k % 20), at(k / 20), -RADIUS);
+        capture.points.push(SparsePoint { position: point.into(), rgb: [0; 3], error_px: 0.0, track: Vec::new() });
+        for view in &mut capture.views {
+            let eye = Point3::from(view.camera_from_world.inverse().translation.vector);
+            if meets_ball(&eye, &(point - eye)).is_none() {
+                view.keypoints.push(Keypoint { x: 0.0, y: 0.0, point: Some(k) });
+            }
+        }
+    }
+    let mesh = ball(RADIUS, 5);
+    let result = textured(&mesh, &capture);
+    let mean = (0..20).map(|i| gain(i).ln()).sum::<f64>() / 20.0;
+    for (i, photo) in result.report.photos.iter().enumerate() {
+        let truth = gain(i) / mean.exp();
+        assert!(
+            photo.gain.iter().all(|g| (g / truth - 1.0).abs() < 0.03),
+            "{}: {:?} for {truth}",
+            photo.name,
+            photo.gain
+        );
+    }
+    let [rms, most] = off(&read_back(&mesh, &result, 40_000), |p| p.z > -0.01);
+    println!("sheen: rms {rms:.2}, 99 % {most:.1} levels");
+    assert!(rms < 2.0 && most < 8.0, "rms {rms}, 99 % {most}");
 }
 
 #[test]

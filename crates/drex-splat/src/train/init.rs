@@ -1,6 +1,15 @@
 //! The first Gaussians: one for every sparse point, as large as the distance to its neighbours.
 
+use nalgebra::{UnitQuaternion, Vector3};
+
 use crate::{Gaussians, Kind, Label};
+
+/// Opacity of a Gaussian on a known surface.
+const BORN_OPACITY: f32 = 0.9;
+/// Its standard deviation along the surface, as a share of the distance to its neighbours,
+const BORN_SIZE: f32 = 0.5;
+/// and off it, as a share of that.
+const BORN_FLATNESS: f32 = 0.2;
 
 /// Coefficient of the constant basis function: colour = 0.5 + C0 · coefficient.
 pub(crate) const SH_C0: f32 = 0.282_094_79;
@@ -26,6 +35,32 @@ pub fn from_points(points: &[[f64; 3]], colours: &[[u8; 3]], kind: Kind, sh_degr
             out.sh[start + k] = (f32::from(v) / 255.0 - 0.5) / SH_C0;
         }
         out.labels.push(Label::BACKGROUND);
+    }
+    out
+}
+
+/// A place on a known surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SurfacePoint {
+    /// Scene frame.
+    pub position: [f64; 3],
+    /// Unit vector off the surface.
+    pub normal: [f64; 3],
+    /// Colour there.
+    pub rgb: [u8; 3],
+}
+
+/// Flat ellipsoids that lie on a known surface and cover it, nearly opaque, in its colours.
+pub(crate) fn from_surface(points: &[SurfacePoint], sh_degree: usize) -> Gaussians {
+    let (places, colours): (Vec<_>, Vec<_>) = points.iter().map(|p| (p.position, p.rgb)).unzip();
+    let mut out = from_points(&places, &colours, Kind::Ellipsoid, sh_degree, BORN_OPACITY);
+    for ((point, rotation), scales) in points.iter().zip(&mut out.rotations).zip(&mut out.log_scales) {
+        let normal = Vector3::from(point.normal);
+        let turn = UnitQuaternion::rotation_between(&Vector3::z(), &normal)
+            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
+        *rotation = [turn.w as f32, turn.i as f32, turn.j as f32, turn.k as f32];
+        let across = scales[0] + BORN_SIZE.ln();
+        *scales = [across, across, across + BORN_FLATNESS.ln()];
     }
     out
 }

@@ -12,7 +12,8 @@ mod trainer;
 mod views;
 
 pub use hull::VisualHull;
-pub use init::from_points;
+pub(crate) use init::from_surface;
+pub use init::{SurfacePoint, from_points};
 pub use options::{Adaptive, Coarse, Density, Mcmc, Rates, SurfaceTerms, TrainOptions};
 pub use preset::{DensityChoice, Preset};
 pub(crate) use trainer::NEAR;
