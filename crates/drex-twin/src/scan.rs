@@ -42,6 +42,8 @@ const STEREO_PARTS: f64 = 0.5;
 const MOST_SILHOUETTES: usize = 100;
 /// Longest side of the masks that a mesh is held against, pixels.
 const SILHOUETTE_PX: u32 = 240;
+/// In the middle of a wider sector without a camera a side of the object is seen at less than 30 degrees, or not at all.
+const WIDEST_GAP_DEG: f64 = 120.0;
 /// Every n-th pixel of a depth map stands for the scene where there are no sparse points; both ways.
 const PIXEL_STEP: usize = 12;
 
@@ -161,6 +163,9 @@ impl Scanning<'_> {
             rules = check_scan(&meshed.mesh, &[], &meshed.evidence);
         }
         meshed.scan.frame.doubts.extend(contradictions(&rules, self.input)?);
+        if let Some(coverage) = &cameras.report()?.coverage {
+            meshed.scan.frame.doubts.extend(one_sided(coverage.azimuth_gap_deg, meshed.fused.report.unseen_share));
+        }
         for doubt in &meshed.scan.frame.doubts {
             progress.note(&format!("doubt: {doubt}"));
         }
@@ -342,6 +347,18 @@ fn contradictions(rules: &[RuleResult], input: &Path) -> Result<Vec<String>> {
         return Ok(of(Outcome::Doubt));
     }
     refuse!("the mesh of {} contradicts its photos, no asset is made of it; {}", input.display(), failed.join("; "))
+}
+
+/// What to say of photos with such a gap between azimuths, degrees, where that much of the surface was measured by nobody.
+fn one_sided([from, to]: [f64; 2], unseen_share: f64) -> Option<String> {
+    (to - from > WIDEST_GAP_DEG).then(|| {
+        format!(
+            "no photo was taken from azimuth {from:.0} to {:.0} degrees (0 is the first photo's, counted to the left as seen from above): what the mesh shows \
+             there is made up, and {:.0} % of its surface was not measured: take photos all round the object",
+            to.rem_euclid(360.0),
+            100.0 * unseen_share
+        )
+    })
 }
 
 /// Whether a rule says that the mesh is not the shape that the masks show.
@@ -743,6 +760,13 @@ mod tests {
             assert!((height - expected).abs() < 1e-12, "{after:?}");
         }
         assert!(mesh.vertices.iter().all(|v| ((v - table.point).dot(&aside.normalize()) - aside.norm()).abs() < 1e-12));
+    }
+
+    #[test]
+    fn photos_from_one_side_are_doubted_and_photos_all_round_are_not() {
+        assert_eq!(one_sided([340.0, 415.0], 0.1), None);
+        let doubt = one_sided([290.0, 500.0], 0.53).unwrap();
+        assert!(doubt.contains("from azimuth 290 to 140 degrees") && doubt.contains("53 % of its surface"), "{doubt}");
     }
 
     #[test]
