@@ -67,7 +67,8 @@ pub use depth::{DepthCamera, DepthMap, DepthViews, cast_depth};
 pub use error::{Error, Result};
 pub use fill::close_openings;
 pub use fusion::{
-    DroppedPart, Evidence, EvidenceKind, Fused, FusionOptions, FusionReport, Support, fuse, write_evidence,
+    DroppedPart, Evidence, EvidenceKind, Fused, FusionOptions, FusionReport, Support, SurfaceShares, fuse,
+    write_evidence,
 };
 pub use grid::{GridOptions, GridSdf};
 pub use hull::convex_hull_with_at_most;

@@ -25,7 +25,9 @@ pub use maps::{DepthMaps, Step};
 pub use options::{MvsOptions, Preset, Region};
 pub use refine::{Hold, RefineOptions, RefineReport, refine};
 pub use rounds::remove_work;
-pub use texture::{PhotoGain, Texture, TextureOptions, TextureReport, texture};
+pub use texture::{
+    PhotoGain, Prediction, Texture, TextureOptions, TextureReport, TexturedPoint, prediction, texture, textured_points,
+};
 
 /// Runs the examples of the README as tests.
 #[cfg(doctest)]

@@ -271,6 +271,12 @@ fn of_frame(page: &mut Page, file: &ScanFile) {
             percent(fusion.support_share)
         ),
     ]);
+    if let Some(g) = &file.gaps {
+        let [taken, parts] = g.parts;
+        let text =
+            format!("of surfels in {taken} of {parts} parts, where they show photos held out better than silhouettes");
+        rows.push(vec!["what was not measured".to_owned(), text]);
+    }
     if let Some(r) = &file.refinement {
         let text = format!("by {} in the median, {} at 95 %", mm(r.moved_m[0]), mm(r.moved_m[1]));
         rows.push(vec!["moved to where the photos agree".to_owned(), text]);

@@ -45,7 +45,7 @@ pub use error::{Error, Result};
 pub use gaussians::{Gaussians, Kind, Label};
 pub use orbit::Orbit;
 pub use raster::{Cpu, CpuSaved, GaussianGradients, Rasterizer, Render, RenderGradients, RenderOptions};
-pub use reconstruct::{ReconstructOptions, Reconstruction, reconstruct};
+pub use reconstruct::{ReconstructOptions, Reconstruction, reconstruct, train_surfels};
 pub use scene::{Attachment, Scene};
 pub use train::{TrainOptions, Trainer};
 

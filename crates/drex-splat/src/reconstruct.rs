@@ -43,7 +43,7 @@ pub struct ReconstructOptions {
     pub iterations: Option<u32>,
     /// Most Gaussians of each set instead of the preset's ([`Preset::max_gaussians`]).
     pub max_gaussians: Option<usize>,
-    /// Places on the object's surface, where it is known: as many ellipsoids start there, and stay whatever silhouettes say, instead of coming and
+    /// Places on the object's surface, where it is known: as many Gaussians start there, and stay whatever silhouettes say, instead of coming and
     /// going from the sparse points.
     pub born: Vec<SurfacePoint>,
     /// Whether surfels are trained as well, and depth maps drawn of them.
@@ -143,6 +143,8 @@ const DEPTH_SIDE: usize = 1024;
 const BORN_SH_DEGREE: usize = 1;
 /// There Gaussians only have to find their sizes.
 const BORN_SCALE_RATE: f32 = 2.0;
+/// Surfels also where the surface is: Adam's steps add up to about the rate times their number, and a silhouette leaves centimetres.
+const BORN_SURFEL_RATE: f32 = 3.0;
 /// Margin round a silhouette in which centres are kept, pixels at that size.
 const HULL_MARGIN_PX: usize = 2;
 /// Points of the hull that Gaussians start from.
@@ -213,11 +215,26 @@ pub fn reconstruct<R: Rasterizer + Clone>(
         remedy: "look for numbers that are not finite".into(),
     })?;
     fsutil::write_atomic(&report_file, text.as_bytes())?;
-    for checkpoint in [Kind::Ellipsoid, Kind::Surfel].map(|kind| checkpoint_of(out, kind)).iter().filter(|c| c.exists())
-    {
-        std::fs::remove_file(checkpoint).map_err(|e| drex_core::Error::io("remove", checkpoint, e))?;
-    }
+    [Kind::Ellipsoid, Kind::Surfel].into_iter().try_for_each(|kind| remove_checkpoint(out, kind))?;
     Ok(reconstruction)
+}
+
+/// Trains surfels alone and writes `splat/surface.ply`. Photos are chosen and held out as by [`reconstruct()`].
+///
+/// # Errors
+/// As [`reconstruct()`].
+pub fn train_surfels<R: Rasterizer + Clone>(
+    capture: &Capture,
+    report: &CaptureReport,
+    rasterizer: &R,
+    out: &Path,
+    options: &ReconstructOptions,
+    on_progress: &mut OnProgress<'_>,
+) -> Result<(Gaussians, SetSummary)> {
+    output_path(out, "splat/surface.ply")?;
+    let trained = Job::new(capture, report, options)?.train(Kind::Surfel, rasterizer, out, on_progress)?;
+    remove_checkpoint(out, Kind::Surfel)?;
+    Ok(trained)
 }
 
 fn name_of(kind: Kind) -> &'static str {
@@ -229,6 +246,14 @@ fn name_of(kind: Kind) -> &'static str {
 
 fn checkpoint_of(out: &Path, kind: Kind) -> PathBuf {
     out.join(format!("splat/{}.checkpoint", name_of(kind)))
+}
+
+fn remove_checkpoint(out: &Path, kind: Kind) -> Result<()> {
+    let checkpoint = checkpoint_of(out, kind);
+    if checkpoint.exists() {
+        std::fs::remove_file(&checkpoint).map_err(|e| drex_core::Error::io("remove", checkpoint, e))?;
+    }
+    Ok(())
 }
 
 /// The mask of a photo as the hull needs it.
@@ -365,7 +390,7 @@ impl<'a> Job<'a> {
                 remedy: "give the settings it was made with, or leave --resume out to start anew".into(),
             });
         }
-        if !self.is_born(kind) {
+        if !self.is_born() {
             trainer.set_hull(self.hull_of(kind));
         }
         while !trainer.is_done() {
@@ -380,7 +405,7 @@ impl<'a> Job<'a> {
         let core_seconds = usage::core_seconds().zip(cores).map(|(now, then)| now - then);
         let seconds = clock.elapsed().as_secs_f64();
         let held_out = self.score(&trainer)?;
-        let outside_hull = if self.masked && !self.is_born(kind) { trainer.cut(&self.whole_hull) } else { 0 };
+        let outside_hull = if self.masked && !self.is_born() { trainer.cut(&self.whole_hull) } else { 0 };
         let mut gaussians = trainer.gaussians().clone();
         for (label, mean) in gaussians.labels.iter_mut().zip(&gaussians.means) {
             // In a whole scene a place that no silhouette can judge is not the object's.
@@ -395,9 +420,9 @@ impl<'a> Job<'a> {
         Ok((gaussians, summary))
     }
 
-    /// Whether a set starts on the known surface.
-    fn is_born(&self, kind: Kind) -> bool {
-        kind == Kind::Ellipsoid && !self.options.born.is_empty()
+    /// Whether the sets start on the known surface.
+    fn is_born(&self) -> bool {
+        !self.options.born.is_empty()
     }
 
     /// How view `i` is drawn.
@@ -427,12 +452,16 @@ impl<'a> Job<'a> {
         options.refine_poses = o.refine_poses;
         options.surface.prior_normal = o.normal_weight;
         options.depth_weight = o.depth_weight;
-        if self.is_born(kind) {
+        if self.is_born() {
             options.max_gaussians = o.born.len();
             options.density = Density::Fixed;
             options.coarse.clear();
             options.sh_degree = BORN_SH_DEGREE;
             options.rates.scale *= BORN_SCALE_RATE;
+            if kind == Kind::Surfel {
+                options.rates.position *= BORN_SURFEL_RATE;
+                options.rates.position_end *= BORN_SURFEL_RATE;
+            }
         }
         if self.masked {
             options.masks = MaskMode::Transparent;
@@ -447,8 +476,8 @@ impl<'a> Job<'a> {
 
     /// The first Gaussians: the sparse points; if masks are used, those of the object, and points of the visual hull.
     fn first(&self, options: &TrainOptions) -> Result<Gaussians> {
-        if self.is_born(options.kind) {
-            return Ok(from_surface(&self.options.born, options.sh_degree));
+        if self.is_born() {
+            return Ok(from_surface(&self.options.born, options.kind, options.sh_degree));
         }
         let kept: Vec<_> =
             self.capture.points.iter().filter(|p| self.hull.contains(&p.position.map(|v| v as f32))).collect();

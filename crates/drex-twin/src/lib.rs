@@ -56,6 +56,8 @@ mod stages;
 #[cfg(feature = "stages")]
 mod stereo;
 #[cfg(feature = "stages")]
+mod surfels;
+#[cfg(feature = "stages")]
 mod texture;
 #[cfg(feature = "stages")]
 pub mod timings;

@@ -13,7 +13,7 @@ use drex_sysid::{Identification, MassDistribution, MassPosterior, MassPrior, Mas
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::scan::{FrameReport, Refinement};
+use crate::scan::{FrameReport, GapReport, Refinement};
 
 /// Result of the scan stage.
 pub const SCAN: &str = "splat/scan.json";
@@ -103,6 +103,9 @@ pub struct ScanFile {
     pub made_masks: bool,
     /// The depth maps as they were fused.
     pub fusion: FusionReport,
+    /// What shows best the surface that stereo did not measure, where that is much of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gaps: Option<GapReport>,
     /// How the photos moved the mesh; absent where its depth is not stereo's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refinement: Option<Refinement>,

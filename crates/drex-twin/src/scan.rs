@@ -12,7 +12,7 @@ use drex_core::{Pose, PoseRecord, TriMesh, fsutil};
 use drex_mesh::{
     DecimateOptions, DepthCamera, DepthMap, DepthViews, Evidence, EvidenceKind, Fused, FusionOptions, Outcome,
     RuleResult, ScaleFit, ScanCamera, ScanEvidence, ScenePoint, Silhouette, Similarity, Support, SupportEvidence,
-    TextureMap, check_scan, decimate, fuse, read_marks, scale_from_distances, triangulate_marks,
+    SurfaceShares, TextureMap, check_scan, decimate, fuse, read_marks, scale_from_distances, triangulate_marks,
 };
 pub use drex_mvs::TextureReport;
 use drex_mvs::{Hold, MvsOptions, RefineOptions, Region, refine};
@@ -28,6 +28,8 @@ use crate::place::{self, box_around, sparse_points};
 pub use crate::place::{FrameOptions, OtherPlane};
 use crate::reconstruct::{Cameras, ScanInput};
 use crate::stereo::{self, DEPTH, Frame, frames};
+pub use crate::surfels::GapReport;
+use crate::surfels::{Drawn, Gaps};
 use crate::texture::textured;
 
 /// The mesh of a scan keeps to the fused one within this share of a voxel.
@@ -42,6 +44,8 @@ const STEREO_PARTS: f64 = 0.5;
 const MOST_SILHOUETTES: usize = 100;
 /// Longest side of the masks that a mesh is held against, pixels.
 const SILHOUETTE_PX: u32 = 240;
+/// Where stereo measured less of the surface it is worth minutes to ask surfels.
+const MUCH: f64 = 0.25;
 /// In the middle of a wider sector without a camera a side of the object is seen at less than 30 degrees, or not at all.
 const WIDEST_GAP_DEG: f64 = 120.0;
 /// Every n-th pixel of a depth map stands for the scene where there are no sparse points; both ways.
@@ -103,6 +107,8 @@ pub struct Meshed {
     pub scan: Scan,
     /// What they were fused to.
     pub fused: Fused,
+    /// What shows best the part that stereo did not measure, where that is large.
+    pub gaps: Option<GapReport>,
     /// How it was moved to where the photos agree, where its depth is stereo's.
     pub refinement: Option<Refinement>,
     /// The mesh that was made of it: moved, and simpler.
@@ -196,9 +202,20 @@ impl Scanning<'_> {
         if stereo.is_some() {
             (fusion.empty_votes, fusion.least_views_share) = (STEREO_VOTES, STEREO_PARTS);
         }
-        let fused =
+        let mut fused =
             fuse(&scan, &fusion).with_context(|| format!("fusing the depth maps of {}", self.input.display()))?;
         progress.end();
+        let mut gaps = None;
+        if stereo.is_some() && masked && fused.report.unseen_share > MUCH {
+            gaps = self.without_gaps(&depths, &mut scan, &mut fused, &fusion, progress).map_or_else(
+                |e| {
+                    progress.note(&format!("what stereo did not measure is left as silhouettes leave it: {e}"));
+                    scan.drawn = None;
+                    None
+                },
+                Some,
+            );
+        }
         let (refined, refinement) = match stereo {
             Some(options) => {
                 let (mesh, refinement) = self.refined(cameras, options.max_side, &scan, &fused, progress)?;
@@ -215,7 +232,47 @@ impl Scanning<'_> {
         }
         progress.end();
         let evidence = scan.evidence(fused.report.voxel_m, self.frame.region.is_some())?;
-        Ok(Meshed { scan, fused, refinement, mesh, evidence, cameras: cameras.clone(), masks })
+        Ok(Meshed { scan, fused, gaps, refinement, mesh, evidence, cameras: cameras.clone(), masks })
+    }
+
+    /// Fuses again with surfels in those parts that stereo did not measure and photos held out want them in.
+    fn without_gaps(
+        &self,
+        depths: &Capture,
+        scan: &mut Scan,
+        fused: &mut Fused,
+        fusion: &FusionOptions,
+        progress: &dyn Progress,
+    ) -> Result<GapReport> {
+        let scan_from_mesh = scan.mesh_from_scan.inverse();
+        let mesh = scan_from_mesh.mesh(&fused.mesh);
+        let gaps = Gaps::new(&mesh, fused, scan_from_mesh.scale, depths);
+        let drawn = gaps.drawn(self.preset.of_training(), self.seed, self.out, progress)?;
+        let again = |scan: &Scan| {
+            progress.begin("fusion with surfels", None);
+            let again = fuse(scan, fusion);
+            progress.end();
+            again.with_context(|| format!("fusing the depth maps of {} with surfels", self.input.display()))
+        };
+        scan.drawn = Some(drawn);
+        let all = again(scan)?;
+        let (other, measured) = (scan_from_mesh.mesh(&all.mesh), fused.evidence_of(&all.mesh));
+        let (parts, report) = gaps.better_parts(&other, &measured, progress)?;
+        if let Some(drawn) = &mut scan.drawn {
+            drawn.parts = Some(parts);
+        }
+        progress.note(&report.to_string());
+        let mut chosen = again(scan)?;
+        let measured = fused.evidence_of(&chosen.mesh);
+        for (evidence, measured) in chosen.evidence.iter_mut().zip(measured) {
+            if evidence.kind == EvidenceKind::Seen && measured.kind == EvidenceKind::Unseen {
+                *evidence = Evidence { kind: EvidenceKind::Surfels, ..measured };
+            }
+        }
+        let shares = SurfaceShares::of(&chosen.mesh, &chosen.evidence);
+        (chosen.report.seen_share, chosen.report.unseen_share) = (shares.measured, shares.silhouettes);
+        *fused = chosen;
+        Ok(report)
     }
 
     /// Makes masks of photos that have none, and gives them to the views. If most of them are doubtful, the object is cut out
@@ -398,6 +455,8 @@ pub struct Scan {
     depths: Photos,
     /// Of each depth map, where it lies in its photo.
     frames: Vec<Frame>,
+    /// What surfels show where they have no depth.
+    drawn: Option<Drawn>,
     silhouettes: bool,
     mesh_from_scan: Similarity,
     /// Box and table for the fusion.
@@ -466,7 +525,11 @@ impl DepthViews for Scan {
     }
 
     fn view(&self, i: usize) -> drex_mesh::Result<DepthMap> {
-        let map = self.frames[i].around(depth_map(&self.depths, i, self.silhouettes)?);
+        let mut map = depth_map(&self.depths, i, self.silhouettes)?;
+        if let Some(drawn) = &self.drawn {
+            drawn.fill(i, &mut map)?;
+        }
+        let map = self.frames[i].around(map);
         let scale = self.mesh_from_scan.scale as f32;
         Ok(DepthMap {
             world_from_camera: self.mesh_from_scan.pose(&map.world_from_camera),
@@ -546,7 +609,7 @@ impl Scan {
             others_m: place.others.iter().map(|other| corners(box_around(other, &mesh_from_table))).collect(),
             doubts: place.doubts,
         };
-        Ok(Self { depths, frames, silhouettes: masked, mesh_from_scan, fusion, frame })
+        Ok(Self { depths, frames, drawn: None, silhouettes: masked, mesh_from_scan, fusion, frame })
     }
 }
 

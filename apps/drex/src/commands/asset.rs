@@ -9,8 +9,8 @@ use drex_core::fsutil;
 use drex_mesh::PartConfig;
 use drex_mesh::{
     Asset, AssetOptions, AssetReport, Background, FusionReport, LengthUnit, Part, PartitionOptions, RepairOptions,
-    ScanEvidence, SceneOptions, articulated_asset, asset_from_mesh, build_asset, convex_parts, read_mesh, repair,
-    write_evidence,
+    ScanEvidence, SceneOptions, SurfaceShares, articulated_asset, asset_from_mesh, build_asset, convex_parts,
+    read_mesh, repair, write_evidence,
 };
 use drex_twin::manifest::{MANIFEST, TwinManifest};
 use nalgebra::Vector3;
@@ -18,7 +18,7 @@ use serde::Serialize;
 
 use crate::cli::AssetArgs;
 use crate::ui::Ui;
-use drex_twin::scan::{FrameOptions, FrameReport, Meshed, Refinement, Scanning, TextureReport};
+use drex_twin::scan::{FrameOptions, FrameReport, GapReport, Meshed, Refinement, Scanning, TextureReport};
 use drex_twin::timings::{self, Timing};
 
 /// What ffmpeg is asked to open.
@@ -29,6 +29,8 @@ const VIDEOS: [&str; 6] = ["mp4", "mov", "mkv", "avi", "webm", "m4v"];
 struct ScanAnswer<'a> {
     scan: &'a FrameReport,
     fusion: &'a FusionReport,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    gaps: Option<&'a GapReport>,
     #[serde(skip_serializing_if = "Option::is_none")]
     refinement: Option<&'a Refinement>,
     evidence: &'a ScanEvidence,
@@ -163,7 +165,7 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
     };
     let begun = Instant::now();
     let meshed = scanning.mesh(ui)?;
-    let Meshed { scan, fused, refinement, mesh, evidence, .. } = &meshed;
+    let Meshed { scan, fused, gaps, refinement, mesh, evidence, .. } = &meshed;
     let fusion = &fused.report;
 
     let spinner = ui.spinner("asset");
@@ -174,14 +176,16 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
     let mut asset = asset_from_mesh(mesh, &options)?;
     asset.report.warnings.extend(scan.frame.doubts.iter().cloned());
     spinner.finish_and_clear();
+    let of_vertices = fused.evidence_of(&asset.visual);
+    asset.report.surface = Some(SurfaceShares::of(&asset.visual, &of_vertices));
     let (texture, texture_report) = meshed.textured(&asset.visual, ui).unzip();
     asset.texture = texture;
     write(&asset, args)?;
-    let of_vertices = fused.evidence_of(&asset.visual);
     write_evidence(&fsutil::output_path(&args.out, "mesh/evidence.ply")?, &asset.visual, &of_vertices)?;
     let mut answer = ScanAnswer {
         scan: &scan.frame,
         fusion,
+        gaps: gaps.as_ref(),
         refinement: refinement.as_ref(),
         evidence,
         texture: texture_report.as_ref(),

@@ -26,6 +26,7 @@ pub use object::read_object;
 pub use texture::TextureMap;
 
 use crate::bvh::Aabb;
+use crate::fusion::SurfaceShares;
 use crate::hull::hull_volume;
 use crate::io::extension;
 use crate::mass::{HollowModel, check_mass_properties, principal, shell_properties};
@@ -134,6 +135,9 @@ pub struct AssetReport {
     pub tipping_margin_m: f64,
     /// Poses in which the object rests on a table, the most probable first.
     pub stable_poses: Vec<RestPose>,
+    /// Where the surface of a scan's mesh comes from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub surface: Option<SurfaceShares>,
     /// What a person should look at.
     pub warnings: Vec<String>,
 }
@@ -284,6 +288,7 @@ fn of_mesh(mesh: &TriMesh, options: &AssetOptions, divided: Option<(Vec<TriMesh>
         rest_height_of_center_m: center.z,
         tipping_margin_m,
         stable_poses: stable_poses.clone(),
+        surface: None,
         warnings,
     };
     for warning in &report.warnings {

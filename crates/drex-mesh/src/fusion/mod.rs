@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 use drex_core::{Pose, TriMesh};
 
 use self::bounds::{BoundsEstimate, of_view};
-pub use self::evidence::write_evidence;
+pub use self::evidence::{SurfaceShares, write_evidence};
 use self::hits::Sight;
 use self::lattice::{Lattice, SIDE};
 use self::marching::{GridEdge, extract};
@@ -121,6 +121,8 @@ pub enum EvidenceKind {
     Unseen,
     /// The cut at the support plane.
     Support,
+    /// Not measured, but shown by Gaussians that were trained on the photos.
+    Surfels,
 }
 
 /// What is known of a vertex.
@@ -162,7 +164,7 @@ pub struct FusionReport {
     pub volume_bytes: usize,
     /// Volume of the mesh, m³.
     pub volume_m3: f64,
-    /// Shares of the area that were seen, made up, and cut at the support.
+    /// Shares of the area that were measured, made up, and cut at the support.
     pub seen_share: f64,
     /// See `seen_share`.
     pub unseen_share: f64,
@@ -232,7 +234,7 @@ fn fuse_in_pool(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> 
     }
     let evidence: Vec<Evidence> =
         extracted.mesh.vertices.iter().zip(&extracted.edges).map(|(p, e)| plan.evidence(&volume, p, e)).collect();
-    let share = area_shares(&extracted.mesh, &evidence);
+    let shares = SurfaceShares::of(&extracted.mesh, &evidence);
     let blocks = volume.stored();
     let report = FusionReport {
         views: views.len(),
@@ -247,9 +249,9 @@ fn fuse_in_pool(views: &(impl DepthViews + ?Sized), options: &FusionOptions) -> 
         blocks,
         volume_bytes: blocks * BLOCK_BYTES + volume.lattice.count() * ENTRY_BYTES,
         volume_m3: parts::volume(&extracted.mesh),
-        seen_share: share[0],
-        unseen_share: share[1],
-        support_share: share[2],
+        seen_share: shares.measured,
+        unseen_share: shares.silhouettes,
+        support_share: shares.support,
         parts: cleaned.parts,
         dropped_parts: cleaned.dropped_parts,
         dropped: cleaned.dropped,
@@ -438,18 +440,4 @@ fn check_memory(bytes: usize, voxel_m: f64, options: &FusionOptions) -> Result<(
         format!("voxels of {voxel_m:.6} m would take more than {} MB", options.memory_bytes >> 20),
         format!("take voxels of {enough:.6} m, give the region of the object, or allow more memory_bytes"),
     ))
-}
-
-/// Shares of the area by kind of evidence; a face counts a third for each of its corners.
-fn area_shares(mesh: &TriMesh, evidence: &[Evidence]) -> [f64; 3] {
-    let mut area = [0.0; 3];
-    for (f, face) in mesh.faces.iter().enumerate() {
-        let [a, b, c] = mesh.triangle(f);
-        let part = (b - a).cross(&(c - a)).norm();
-        for &v in face {
-            area[evidence[v as usize].kind as usize] += part;
-        }
-    }
-    let total: f64 = area.iter().sum();
-    area.map(|a| if total > 0.0 { a / total } else { 0.0 })
 }

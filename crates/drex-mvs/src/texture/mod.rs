@@ -12,6 +12,7 @@ mod charts;
 mod fill;
 mod gains;
 mod normals;
+mod points;
 mod shot;
 
 use drex_core::capture::{Capture, PhotoOptions, Photos};
@@ -26,6 +27,7 @@ use crate::maps::Step;
 use atlas::{Atlas, CELL};
 use gains::CellColour;
 use normals::corner_normals;
+pub use points::{Prediction, TexturedPoint, prediction, textured_points};
 use shot::{LEAST_COSINE, Shot};
 
 /// Photos that are held at once.
@@ -150,6 +152,22 @@ pub fn texture(
         format!("no picture of the mesh has less than {} bytes", options.max_bytes),
         "allow more bytes, or give a simpler mesh",
     ))
+}
+
+impl Texture {
+    /// Width and height of the picture, and its colours row by row.
+    ///
+    /// # Errors
+    /// If the file was changed and is no picture any more.
+    pub fn pixels(&self) -> Result<([usize; 2], Vec<[u8; 3]>)> {
+        let picture = image::load_from_memory(&self.png)
+            .map_err(|e| {
+                Error::value(format!("the picture cannot be decoded: {e}"), "give the PNG file as it was made")
+            })?
+            .into_rgb8();
+        let size = [picture.width() as usize, picture.height() as usize];
+        Ok((size, picture.pixels().map(|p| p.0).collect()))
+    }
 }
 
 impl TextureOptions {
@@ -415,8 +433,13 @@ impl Work<'_> {
     }
 }
 
-/// Linear light to sRGB of 8 bits (IEC 61966-2-1).
+/// Linear light to sRGB of 8 bits.
 fn srgb(c: f32) -> u8 {
+    (display(c) * 255.0).round() as u8
+}
+
+/// Linear light to sRGB from 0 to 1 (IEC 61966-2-1).
+fn display(c: f32) -> f32 {
     let v = if c <= 0.003_130_8 { c * 12.92 } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 };
-    (v * 255.0).round().clamp(0.0, 255.0) as u8
+    v.clamp(0.0, 1.0)
 }

@@ -3,7 +3,7 @@ use std::path::Path;
 use drex_core::camera::{Camera, CameraModel};
 use drex_core::capture::{Capture, Keypoint, SparsePoint};
 use drex_core::{Pose, TriMesh};
-use drex_mvs::{Texture, TextureOptions, texture};
+use drex_mvs::{Prediction, Texture, TextureOptions, prediction, texture, textured_points};
 use image::{Rgb, RgbImage};
 use nalgebra::{Point3, Vector3};
 
@@ -188,6 +188,45 @@ fn a_ball_has_the_colours_that_are_painted_on_it() {
     for (p, c) in points.iter().filter(|(p, _)| p.z < -0.03) {
         assert!(c.iter().all(|v| (80.0..220.0).contains(v)), "{p} {c:?}");
     }
+}
+
+#[test]
+fn a_mesh_of_the_right_shape_predicts_photos_that_it_has_not_seen() {
+    let dir = tempfile::tempdir().unwrap();
+    let gain = |photo: usize| if photo == 4 { 0.6 } else { 1.0 };
+    let all = photograph(dir.path(), &cameras(), &meets_ball, &|photo, p| albedo(p).map(|c| c * gain(photo)));
+    let some = |held: bool| {
+        let views = all.views.iter().enumerate().filter(|(i, _)| (i % 8 == 4) == held).map(|(_, v)| v.clone());
+        Capture { views: views.collect(), ..all.clone() }
+    };
+    let (trained, held_out) = (some(false), some(true));
+    let predicts = |mesh: &TriMesh| -> Vec<Prediction> {
+        let texture = textured(mesh, &trained);
+        let (size, rgb) = texture.pixels().unwrap();
+        let points = textured_points(mesh, &texture.uv, (size, &rgb), 60_000);
+        // The halves on both sides of x = 0; of what is near it nothing is asked.
+        let side = |f: usize| mesh.triangle(f).map(|p| p.x);
+        let region_of: Vec<Option<usize>> = (0..mesh.faces.len())
+            .map(|f| match side(f) {
+                x if x.iter().all(|x| *x > 0.01) => Some(0),
+                x if x.iter().all(|x| *x < -0.01) => Some(1),
+                _ => None,
+            })
+            .collect();
+        prediction(mesh, &points, &region_of, 3, &held_out).unwrap()
+    };
+    let right = ball(RADIUS, 5);
+    // Too large by 3 mm on one side alone.
+    let swell = |p: &Point3<f64>| p * (1.0 + 0.06 * (p.x / 0.02).clamp(0.0, 1.0));
+    let wrong = TriMesh { vertices: right.vertices.iter().map(swell).collect(), faces: right.faces.clone() };
+    let (right, wrong) = (predicts(&right), predicts(&wrong));
+    let rms = |p: &Prediction| (p.square_error / p.pixels).sqrt() * 255.0;
+    println!("right {:.2} {:.2}, wrong {:.2} {:.2}", rms(&right[0]), rms(&right[1]), rms(&wrong[0]), rms(&wrong[1]));
+    assert!(right.iter().chain(&wrong).take(2).all(|p| p.pixels > 3000.0), "{right:?}");
+    assert_eq!(right[2], Prediction::default());
+    // Its exposure is not held against the photo.
+    assert!(rms(&right[0]) < 4.0 && rms(&right[1]) < 4.0, "{right:?}");
+    assert!(rms(&wrong[0]) > 2.0 * rms(&right[0]) && rms(&wrong[1]) < 1.5 * rms(&right[1]), "{wrong:?}");
 }
 
 #[test]

@@ -50,10 +50,10 @@ pub struct SurfacePoint {
     pub rgb: [u8; 3],
 }
 
-/// Flat ellipsoids that lie on a known surface and cover it, nearly opaque, in its colours.
-pub(crate) fn from_surface(points: &[SurfacePoint], sh_degree: usize) -> Gaussians {
+/// Flat Gaussians that lie on a known surface and cover it, nearly opaque, in its colours.
+pub(crate) fn from_surface(points: &[SurfacePoint], kind: Kind, sh_degree: usize) -> Gaussians {
     let (places, colours): (Vec<_>, Vec<_>) = points.iter().map(|p| (p.position, p.rgb)).unzip();
-    let mut out = from_points(&places, &colours, Kind::Ellipsoid, sh_degree, BORN_OPACITY);
+    let mut out = from_points(&places, &colours, kind, sh_degree, BORN_OPACITY);
     for ((point, rotation), scales) in points.iter().zip(&mut out.rotations).zip(&mut out.log_scales) {
         let normal = Vector3::from(point.normal);
         let turn = UnitQuaternion::rotation_between(&Vector3::z(), &normal)

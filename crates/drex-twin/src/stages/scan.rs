@@ -52,12 +52,13 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
         seed: twin.seed,
         tool_limit: twin.tool_limit,
     };
-    let Meshed { scan, fused, refinement, mesh, evidence, masks, .. } = scanning.mesh(progress)?;
+    let Meshed { scan, fused, gaps, refinement, mesh, evidence, masks, .. } = scanning.mesh(progress)?;
     write_mesh(&file, &mesh)?;
     let of_vertices = twin.output(EVIDENCE)?;
     write_evidence(&of_vertices, &mesh, &fused.evidence_of(&mesh))?;
     let made_masks = masks.is_some();
-    let found = ScanFile { scan: scan.frame, made_masks, fusion: fused.report, refinement, evidence: Some(evidence) };
+    let found =
+        ScanFile { scan: scan.frame, made_masks, fusion: fused.report, gaps, refinement, evidence: Some(evidence) };
     let record = twin.output(SCAN)?;
     write_json(&record, &found)?;
     let masks = masks.map(|_| twin.output(MASKS)).transpose()?;
