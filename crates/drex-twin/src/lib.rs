@@ -13,6 +13,8 @@
 //! Without the default feature `stages` there are the [`manifest`] and the [`cameras`] of a scan only, for programs that read twin
 //! folders and need neither burn nor the engine that finds cameras.
 
+#[cfg(feature = "stages")]
+pub mod born;
 pub mod cameras;
 #[cfg(feature = "stages")]
 pub mod deploy;

@@ -44,8 +44,8 @@ const STEREO_PARTS: f64 = 0.5;
 const MOST_SILHOUETTES: usize = 100;
 /// Longest side of the masks that a mesh is held against, pixels.
 const SILHOUETTE_PX: u32 = 240;
-/// Where stereo measured less of the surface it is worth minutes to ask surfels.
-const MUCH: f64 = 0.25;
+/// Where more of the surface was not measured it is worth minutes to ask surfels.
+pub(crate) const MUCH: f64 = 0.25;
 /// In the middle of a wider sector without a camera a side of the object is seen at less than 30 degrees, or not at all.
 const WIDEST_GAP_DEG: f64 = 120.0;
 /// Every n-th pixel of a depth map stands for the scene where there are no sparse points; both ways.

@@ -86,7 +86,8 @@ pub struct ReconstructArgs {
     /// Folder with photos, with their cameras (a COLMAP model or transforms.json) or alone: then as `drex sfm` finds them; or a
     /// video, of which ffmpeg takes frames.
     pub scan: PathBuf,
-    /// Folder to write: splat/appearance.ply, splat/surface.ply, splat/report.json, depth/.
+    /// Folder to write: splat/appearance.ply, splat/report.json, and splat/surface.ply and depth/ where no asset is; where
+    /// `drex asset` made one of the same scan, Gaussians are born on its mesh.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// How much time it may take: minutes, tens of minutes, hours.

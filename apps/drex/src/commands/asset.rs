@@ -28,6 +28,7 @@ const VIDEOS: [&str; 6] = ["mp4", "mov", "mkv", "avi", "webm", "m4v"];
 #[derive(Serialize)]
 struct ScanAnswer<'a> {
     scan: &'a FrameReport,
+    made_masks: bool,
     fusion: &'a FusionReport,
     #[serde(skip_serializing_if = "Option::is_none")]
     gaps: Option<&'a GapReport>,
@@ -184,6 +185,7 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
     write_evidence(&fsutil::output_path(&args.out, "mesh/evidence.ply")?, &asset.visual, &of_vertices)?;
     let mut answer = ScanAnswer {
         scan: &scan.frame,
+        made_masks: meshed.masks.is_some(),
         fusion,
         gaps: gaps.as_ref(),
         refinement: refinement.as_ref(),

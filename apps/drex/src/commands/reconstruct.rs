@@ -9,7 +9,8 @@ use drex_splat::io::{read_gaussians, write_gaussians};
 use drex_splat::metrics::Table;
 use drex_splat::reconstruct::{Reconstruction, SetSummary};
 use drex_splat::{Kind, ReconstructOptions};
-use drex_twin::reconstruct::{ScanInput, train_gaussians};
+use drex_twin::born::points_on_asset;
+use drex_twin::reconstruct::{Cameras, ScanInput, train_gaussians};
 use drex_twin::timings::{self, Timing};
 use serde::Serialize;
 
@@ -39,7 +40,7 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
         ffmpeg: &args.programs.ffmpeg,
         limit: args.programs.tools.limit(),
     };
-    let capture = input.cameras(ui)?.capture;
+    let Cameras { mut capture, found_now, .. } = input.cameras(ui)?;
     let mut options = ReconstructOptions::default();
     options.preset = args.preset.into();
     options.density = args.density.into();
@@ -54,6 +55,13 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     options.checkpoint_every = args.checkpoint_every;
     options.resume = args.resume;
     options.memory_bytes = args.memory_mb << 20;
+    if !args.whole_scene && !found_now {
+        options.born = points_on_asset(&args.out, &mut capture)?;
+    }
+    if !options.born.is_empty() {
+        ui.note(format!("Gaussians are born on the mesh in {}", args.out.join("mesh").display()));
+        options.surface = false;
+    }
     let (report, reconstruction) = train_gaussians(&capture, &args.out, &options, args.gpu, ui)?;
     for format in &args.also {
         let ending = match format {
@@ -101,7 +109,9 @@ fn describe(r: &Reconstruction, out: &Path) -> String {
     for (name, set) in sets(r) {
         text += &describe_set(name, set, out);
     }
-    text += &format!("  depth     {} maps in {}\n", r.depth_maps, out.join("depth").display());
+    if r.surface.is_some() {
+        text += &format!("  depth     {} maps in {}\n", r.depth_maps, out.join("depth").display());
+    }
     if let Some(bytes) = r.peak_memory_bytes {
         text += &format!("  memory    {:.0} MB at the most\n", bytes as f64 / 1e6);
     }

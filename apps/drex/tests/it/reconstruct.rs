@@ -107,6 +107,42 @@ fn photos_become_both_sets_and_depth_maps() {
 }
 
 #[test]
+fn after_an_asset_gaussians_are_born_on_its_mesh_if_that_was_measured() {
+    let dir = tempfile::tempdir().unwrap();
+    let (scan, out, alone) = (dir.path().join("scan"), dir.path().join("twin"), dir.path().join("alone"));
+    write_scan(&scan);
+    // The ball is too smooth for stereo: its mesh is made of depth drawn of surfels.
+    assert_eq!(reconstruct(&scan, &out, &["--iterations", "400"]).code, 0);
+    let [input, folder] = [&scan, &out].map(|p| p.display().to_string());
+    let asset = drex(["asset", &input, "--out", &folder, "--scale", "0.1", "--up", "0,0,1"]);
+    assert_eq!(asset.code, 0, "{}", asset.stderr);
+    let record = out.join("mesh/scan.json");
+    let measured = |share: f64| {
+        let mut json: serde_json::Value = serde_json::from_str(&fs::read_to_string(&record).unwrap()).unwrap();
+        json["fusion"]["seen_share"] = share.into();
+        json["fusion"]["support_share"] = 0.0.into();
+        fs::write(&record, json.to_string()).unwrap();
+    };
+    let trained = |out: &Path| {
+        let run = reconstruct(&scan, out, &["--iterations", "60"]);
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        let json = run.json();
+        let rows = json["appearance"]["held_out"]["rows"].as_array().unwrap().clone();
+        let psnr = rows.iter().map(|r| r["psnr"].as_f64().unwrap()).sum::<f64>() / rows.len() as f64;
+        (json["appearance"]["gaussians"].as_u64().unwrap(), json["surface"].is_null(), psnr)
+    };
+    measured(0.9);
+    let maps = fs::read_dir(out.join("depth")).unwrap().count();
+    let (gaussians, no_surfels, born) = trained(&out);
+    assert!(gaussians.abs_diff(30_000) < 10 && no_surfels, "{gaussians}");
+    assert_eq!(fs::read_dir(out.join("depth")).unwrap().count(), maps, "the maps stay");
+    let (_, no_surfels, sought) = trained(&alone);
+    assert!(!no_surfels && born > sought + 3.0, "{born:.1} dB on the mesh, {sought:.1} dB without");
+    measured(0.5);
+    assert!(!trained(&out).1, "much of it was not measured");
+}
+
+#[test]
 fn a_stopped_run_goes_on_to_the_same_files() {
     let dir = tempfile::tempdir().unwrap();
     let scan = dir.path().join("scan");
