@@ -6,33 +6,43 @@ use drex_core::capture::{Capture, PhotoOptions, Photos, read_rgb};
 use drex_mesh::{ModelPart, Similarity, read_model};
 use drex_mvs::textured_points;
 use drex_splat::train::SurfacePoint;
-use nalgebra::Matrix4;
+use nalgebra::{Matrix4, Point3};
 
-use crate::Result;
 use crate::masks::MASKS;
 use crate::records::{ScanFile, read_json};
 use crate::scan::MUCH;
 use crate::surfels::born_at;
+use crate::{Progress, Result};
 
 /// The mesh of an asset, below its folder.
 pub(crate) const VISUAL: &str = "mesh/visual.obj";
 /// Gaussians that are born on a mesh.
 const BORN: usize = 30_000;
+/// Cameras are the same where they stand this near to each other, as a share of the extent of all.
+const SAME_PLACE: f64 = 1e-4;
 
 /// Points on the textured mesh that `drex asset` made in `out` of the scan `capture`, in the frame of the scan; the views get the masks that were made for
-/// it. None if there is no such mesh, much of it was not measured, or no mask cuts the object out.
+/// it. None if there is no such mesh, or no mask cuts the object out; nor, and then a note says why, if it is of other cameras or much of it was not measured.
 ///
 /// # Errors
 /// If a file is damaged.
-pub fn points_on_asset(out: &Path, capture: &mut Capture) -> Result<Vec<SurfacePoint>> {
+pub fn points_on_asset(out: &Path, capture: &mut Capture, progress: &dyn Progress) -> Result<Vec<SurfacePoint>> {
     let record = out.join("mesh/scan.json");
     if !record.is_file() {
         return Ok(Vec::new());
     }
     let made: ScanFile = read_json(&record)?;
+    let unused = |why: &str| {
+        progress.note(&format!("Gaussians are not born on the mesh in {}: {why}", out.join("mesh").display()));
+        Ok(Vec::new())
+    };
+    if !is_of(&made, capture)? {
+        return unused("it was made with other cameras; run drex asset again, or give another --out");
+    }
     // Gaussians that stay where they are born show photos worse there than those that seek their place.
-    if 1.0 - made.fusion.seen_share - made.fusion.support_share > MUCH {
-        return Ok(Vec::new());
+    let unmeasured = 1.0 - made.fusion.seen_share - made.fusion.support_share;
+    if unmeasured > MUCH {
+        return unused(&format!("{:.0} % of it were not measured", 100.0 * unmeasured));
     }
     if made.made_masks {
         for view in &mut capture.views {
@@ -45,6 +55,20 @@ pub fn points_on_asset(out: &Path, capture: &mut Capture) -> Result<Vec<SurfaceP
     if masked { points_on(&out.join(VISUAL), &made) } else { Ok(Vec::new()) }
 }
 
+/// Whether the mesh was held against cameras of the capture, and no others.
+fn is_of(made: &ScanFile, capture: &Capture) -> Result<bool> {
+    let Some(evidence) = made.evidence.as_ref().filter(|e| !e.cameras.is_empty()) else { return Ok(false) };
+    let mesh_from_scan = mesh_from_scan(made)?;
+    let centres: Vec<Point3<f64>> = capture.centres().iter().map(|c| mesh_from_scan.point(c)).collect();
+    let near = SAME_PLACE * mesh_from_scan.scale * capture.extent();
+    let mut poses = evidence.cameras.iter().map(|c| c.world_from_camera.translation_m);
+    Ok(poses.all(|p| centres.iter().any(|c| (c - Point3::from(p)).norm() <= near)))
+}
+
+fn mesh_from_scan(made: &ScanFile) -> Result<Similarity> {
+    Ok(Similarity::from_matrix(&Matrix4::from_fn(|r, c| made.scan.mesh_from_scan[r][c]))?)
+}
+
 /// Points spread over a mesh in the colours of the picture on it, in the frame and unit of the scan; none if there is no picture.
 pub(crate) fn points_on(mesh: &Path, made: &ScanFile) -> Result<Vec<SurfacePoint>> {
     let picture = mesh.with_extension("png");
@@ -52,8 +76,7 @@ pub(crate) fn points_on(mesh: &Path, made: &ScanFile) -> Result<Vec<SurfacePoint
         return Ok(Vec::new());
     }
     let (size, rgb) = read_rgb(&picture)?;
-    let mesh_from_scan = Similarity::from_matrix(&Matrix4::from_fn(|r, c| made.scan.mesh_from_scan[r][c]))?;
-    let scan_from_mesh = mesh_from_scan.inverse();
+    let scan_from_mesh = mesh_from_scan(made)?.inverse();
     let mut out = Vec::with_capacity(BORN);
     for ModelPart { mesh, uv, .. } in read_model(mesh)?.parts {
         let Some(uv) = uv else { continue };

@@ -56,7 +56,7 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     options.resume = args.resume;
     options.memory_bytes = args.memory_mb << 20;
     if !args.whole_scene && !found_now {
-        options.born = points_on_asset(&args.out, &mut capture)?;
+        options.born = points_on_asset(&args.out, &mut capture, ui)?;
     }
     if !options.born.is_empty() {
         ui.note(format!("Gaussians are born on the mesh in {}", args.out.join("mesh").display()));

@@ -138,6 +138,17 @@ fn after_an_asset_gaussians_are_born_on_its_mesh_if_that_was_measured() {
     assert_eq!(fs::read_dir(out.join("depth")).unwrap().count(), maps, "the maps stay");
     let (_, no_surfels, sought) = trained(&alone);
     assert!(!no_surfels && born > sought + 3.0, "{born:.1} dB on the mesh, {sought:.1} dB without");
+    // With other cameras it is the mesh of something else.
+    let transforms = fs::read_to_string(scan.join("transforms.json")).unwrap();
+    let mut moved: serde_json::Value = serde_json::from_str(&transforms).unwrap();
+    for frame in moved["frames"].as_array_mut().unwrap() {
+        let x = &mut frame["transform_matrix"][0][3];
+        *x = (x.as_f64().unwrap() + 0.05).into();
+    }
+    fs::write(scan.join("transforms.json"), moved.to_string()).unwrap();
+    let other = reconstruct(&scan, &out, &["--iterations", "10"]);
+    assert!(other.stderr.contains("other cameras") && !other.json()["surface"].is_null(), "{}", other.stderr);
+    fs::write(scan.join("transforms.json"), transforms).unwrap();
     measured(0.5);
     assert!(!trained(&out).1, "much of it was not measured");
 }

@@ -67,8 +67,8 @@ impl SurfaceShares {
     }
 }
 
-/// Writes a mesh with what is known of each vertex as a binary PLY: `evidence` (0 measured, 1 seen by nobody, 2 the cut at the support, 3 shown by surfels), `views`
-/// that measured the surface there and their `best_cosine`, and a colour that shows the first: grey, orange, blue, green.
+/// Writes a mesh with what is known of each vertex as a binary PLY: `evidence` (0 measured, 1 seen by nobody, 2 the cut at the support, 3 shown by
+/// surfels), `views` that measured the surface there and their `best_cosine`, and a colour that shows the first: grey, orange, blue, green.
 ///
 /// # Errors
 /// If there is not one entry per vertex, or the file cannot be written; an old one stays.
