@@ -50,6 +50,8 @@ pub mod reconstruct;
 #[cfg(feature = "stages")]
 pub mod records;
 #[cfg(feature = "stages")]
+mod scale;
+#[cfg(feature = "stages")]
 pub mod scan;
 #[cfg(feature = "stages")]
 mod scene;

@@ -1,18 +1,18 @@
 //! From a scan to a closed mesh: what fusion asks for are depth maps in metres, in the frame of the mesh, the object's box and the
 //! table.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use crate::Result;
 use crate::error::{Context, refuse};
-use drex_core::capture::{Capture, CaptureOptions, PhotoOptions, Photos, ViewReport};
+use drex_core::capture::{Capture, CaptureOptions, CaptureReport, PhotoOptions, Photos, ViewReport};
 use drex_core::{Pose, PoseRecord, TriMesh, fsutil};
 use drex_mesh::{
     DecimateOptions, DepthCamera, DepthMap, DepthViews, Evidence, EvidenceKind, Fused, FusionOptions, Outcome,
     RuleResult, ScaleFit, ScanCamera, ScanEvidence, ScenePoint, Silhouette, Similarity, Support, SupportEvidence,
-    SurfaceShares, TextureMap, check_scan, decimate, fuse, read_marks, scale_from_distances, triangulate_marks,
+    SurfaceShares, TextureMap, check_scan, decimate, fuse,
 };
 pub use drex_mvs::TextureReport;
 use drex_mvs::{Hold, MvsOptions, RefineOptions, Region, refine};
@@ -27,6 +27,7 @@ use crate::masks::{MASKS, MaskReport, Masks, made_masks_in, object_masks};
 use crate::place::{self, box_around, sparse_points};
 pub use crate::place::{FrameOptions, OtherPlane};
 use crate::reconstruct::{Cameras, ScanInput};
+use crate::scale::{DEPTH_CAMERA, Scale};
 use crate::stereo::{self, DEPTH, Frame, frames};
 pub use crate::surfels::GapReport;
 use crate::surfels::{Drawn, Gaps};
@@ -50,17 +51,6 @@ pub(crate) const MUCH: f64 = 0.25;
 const WIDEST_GAP_DEG: f64 = 120.0;
 /// Every n-th pixel of a depth map stands for the scene where there are no sparse points; both ways.
 const PIXEL_STEP: usize = 12;
-
-/// How large a scan is.
-#[derive(Clone)]
-pub struct Scale {
-    metres_per_unit: f64,
-    from: &'static str,
-    distances: Option<ScaleFit>,
-    marker: Option<MarkerReport>,
-    /// Places of the marks in the scan's frame, where known distances asked for them.
-    marks: BTreeMap<String, Point3<f64>>,
-}
 
 /// A scan that is to be meshed.
 pub struct Scanning<'a> {
@@ -169,9 +159,6 @@ impl Scanning<'_> {
             rules = check_scan(&meshed.mesh, &[], &meshed.evidence);
         }
         meshed.scan.frame.doubts.extend(contradictions(&rules, self.input)?);
-        if let Some(coverage) = &cameras.report()?.coverage {
-            meshed.scan.frame.doubts.extend(one_sided(coverage.azimuth_gap_deg, meshed.fused.report.unseen_share));
-        }
         for doubt in &meshed.scan.frame.doubts {
             progress.note(&format!("doubt: {doubt}"));
         }
@@ -187,7 +174,8 @@ impl Scanning<'_> {
         scale: Scale,
         progress: &dyn Progress,
     ) -> Result<Meshed> {
-        let (depths, masked, stereo) = self.depth_maps(cameras, masks.is_some(), region, progress)?;
+        let report = cameras.report()?;
+        let (depths, masked, stereo) = self.depth_maps(cameras, &report, masks.is_some(), region, progress)?;
         progress.begin("fusion", None);
         let mut scan = Scan::new(cameras, &depths, masked, scale, &self.frame)?;
         // Depth maps of an earlier run may show the whole scene.
@@ -215,6 +203,9 @@ impl Scanning<'_> {
                 },
                 Some,
             );
+        }
+        if let Some(coverage) = &report.coverage {
+            scan.frame.doubts.extend(one_sided(coverage.azimuth_gap_deg, fused.report.unseen_share));
         }
         let (refined, refinement) = match stereo {
             Some(options) => {
@@ -283,9 +274,9 @@ impl Scanning<'_> {
         progress: &dyn Progress,
     ) -> Result<(Option<MaskReport>, Option<Region>)> {
         let given = self.frame.region.map(|corners| Region { box_from_world: Pose::identity(), corners });
-        // Depth maps that somebody trained before are gone on with as they are.
-        let trained = self.out.join(DEPTH).join("transforms.json").is_file() && !made_masks_in(self.out);
-        if trained || cameras.views.iter().any(|v| v.mask.is_some() || v.depth.is_some()) {
+        // Depth maps of an earlier run without made masks are gone on with as they are.
+        let earlier = self.out.join(DEPTH).join("transforms.json").is_file() && !made_masks_in(self.out);
+        if earlier || cameras.views.iter().any(|v| v.mask.is_some() || v.depth.is_some()) {
             return Ok((None, given));
         }
         let Masks { report, files, changed, .. } = object_masks(cameras, &self.frame, self.out, progress)?;
@@ -313,11 +304,11 @@ impl Scanning<'_> {
     fn depth_maps(
         &self,
         cameras: &Capture,
+        report: &CaptureReport,
         made_masks: bool,
         region: Option<&Region>,
         progress: &dyn Progress,
     ) -> Result<(Capture, bool, Option<MvsOptions>)> {
-        let report = cameras.report()?;
         report.faults().iter().for_each(|fault| progress.note(fault));
         if cameras.views.iter().all(|v| v.depth.is_some()) {
             let masked = cameras.views.iter().all(|v| v.mask.is_some());
@@ -327,12 +318,6 @@ impl Scanning<'_> {
         if folder.join("transforms.json").is_file() {
             progress.note(&format!("going on with the depth maps in {}", folder.display()));
             let maps = Capture::load(&folder, &CaptureOptions::default())?;
-            // Those drawn of surfels have normals.
-            if folder.join("normals").is_dir() {
-                let report = self.out.join("splat/report.json");
-                let trained: Trained = fsutil::from_json(&report, &fsutil::read_text(&report)?)?;
-                return Ok((maps, trained.object_only, None));
-            }
             // Their pictures are transparent where masks cut the object out.
             let masked = Photos::new(&maps, PhotoOptions::default())?.get(0)?.mask.is_some();
             return Ok((maps, masked, Some(self.stereo_options(cameras, region)?)));
@@ -444,12 +429,6 @@ fn snap_to_table(mesh: &mut TriMesh, table: &Support, voxel_m: f64) {
     }
 }
 
-/// What of `splat/report.json` is needed here.
-#[derive(Deserialize)]
-struct Trained {
-    object_only: bool,
-}
-
 /// Depth maps of one object in metres, in the frame that its mesh will have.
 pub struct Scan {
     depths: Photos,
@@ -542,7 +521,7 @@ impl DepthViews for Scan {
 impl Scan {
     /// `cameras` has lenses and sparse points, `depths` the depth maps; both in one frame, and often the same.
     /// `masked`: the maps show the object alone.
-    pub fn new(
+    pub(crate) fn new(
         cameras: &Capture,
         depths: &Capture,
         masked: bool,
@@ -612,8 +591,6 @@ impl Scan {
         Ok(Self { depths, frames, drawn: None, silhouettes: masked, mesh_from_scan, fusion, frame })
     }
 }
-
-const DEPTH_CAMERA: &str = "depth camera";
 
 const IDENTITY: Similarity = Similarity {
     scale: 1.0,
@@ -735,73 +712,6 @@ fn points_of(depths: &Photos, cameras: &Capture) -> Result<Vec<ScenePoint>> {
         }
     }
     Ok(points)
-}
-
-impl Scale {
-    fn of(metres_per_unit: f64, from: &'static str) -> Self {
-        Self { metres_per_unit, from, distances: None, marker: None, marks: BTreeMap::new() }
-    }
-
-    /// From a printed tag in the photos.
-    pub fn by_marker(marker: MarkerReport) -> Self {
-        let metres_per_unit = marker.metres_per_unit;
-        Self { marker: Some(marker), ..Self::of(metres_per_unit, "marker") }
-    }
-
-    /// From a number, known distances between marks, or a depth camera. Needs no depth map of photos, so that a scan that
-    /// cannot be metric is refused before hours go into it.
-    pub fn new(cameras: &Capture, options: &FrameOptions) -> Result<Self> {
-        if let Some(metres_per_unit) = options.scale {
-            return Ok(Self::of(metres_per_unit, "given"));
-        }
-        if !options.distances.is_empty() {
-            let marks = marks_of(cameras, options)?;
-            let fit = scale_from_distances(&marks, &options.distances)?;
-            let metres_per_unit = fit.metres_per_unit;
-            return Ok(Self { distances: Some(fit), marks, ..Self::of(metres_per_unit, "known distances") });
-        }
-        let measured = |path: &Path| path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
-        if cameras.views.iter().all(|v| v.depth.as_deref().is_some_and(measured)) {
-            return Ok(Self::of(1.0, DEPTH_CAMERA));
-        }
-        no_scale(&cameras.folder)
-    }
-
-    /// Refuses photos without cameras for which nothing gives a scale, before their cameras are found.
-    fn check(photos: &Path, options: &FrameOptions) -> Result<()> {
-        if options.scale.is_some() || !photos.exists() {
-            return Ok(());
-        }
-        if options.distances.is_empty() {
-            return no_scale(photos);
-        }
-        if photos.is_dir() {
-            let marks = read_marks(&options.marks.clone().unwrap_or_else(|| photos.join("marks.json")))?;
-            // Any places that differ tell whether every mark has a name that is known.
-            let names = marks.values().flat_map(BTreeMap::keys).collect::<BTreeSet<_>>().into_iter().enumerate();
-            let places = names.map(|(k, name)| (name.clone(), Point3::new(k as f64, 0.0, 0.0))).collect();
-            scale_from_distances(&places, &options.distances)?;
-        }
-        Ok(())
-    }
-}
-
-fn no_scale<T>(scan: &Path) -> Result<T> {
-    refuse!(
-        "{} has no scale: photos alone do not tell how large things are; lay a printed tag beside the object and give \
-         --marker tag36h11:ID:SIDE_M, or measure the distance of two marks and give --distance A-C=0.12 with the marks' \
-         pixels in marks.json, or give --scale in metres per unit",
-        scan.display()
-    )
-}
-
-/// Places of the marks in the scan's frame.
-fn marks_of(cameras: &Capture, options: &FrameOptions) -> Result<BTreeMap<String, Point3<f64>>> {
-    let file = options.marks.clone().unwrap_or_else(|| cameras.folder.join("marks.json"));
-    let marks = read_marks(&file)?;
-    let view = |name: &str| cameras.views.iter().find(|v| v.name == name);
-    let found = triangulate_marks(&marks, |name| view(name).map(|v| (&v.lens, v.camera_from_world.inverse())))?;
-    Ok(found.into_iter().map(|(name, t)| (name, t.point)).collect())
 }
 
 #[cfg(test)]
