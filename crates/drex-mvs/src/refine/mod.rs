@@ -27,6 +27,8 @@ const BATCH: usize = 16;
 const LONGEST_STEP_PX: f64 = 0.3;
 /// Most steps are shorter than this when nothing is left to gain, pixels.
 const STILL_PX: f64 = 0.02;
+/// It ends after so many passes in a row after which photos agree less.
+const MOST_WORSE: usize = 2;
 /// How much vertices that no depth map shows hold on to their place, beside what photos say of others.
 const UNSEEN_HOLD: f64 = 0.3;
 /// Share of the way that vertices slide along the surface towards the middle of their neighbours.
@@ -73,7 +75,7 @@ pub struct RefineReport {
     pub seen_share: f64,
     /// How far vertices ended from where they began: median and 95 %, the capture's unit of length.
     pub moved: [f64; 2],
-    /// Mean correlation of the windows at full size, before and after the passes there; not a number if none were asked for.
+    /// Mean correlation of the windows at full size, before the passes there and after the best of them; not a number if none were asked for.
     pub correlation: [f64; 2],
 }
 
@@ -124,9 +126,14 @@ pub fn refine(
     let mut correlation = [f64::NAN; 2];
     let mut seen_share = 0.0;
     for (halvings, most) in [(1, options.passes[0]), (0, options.passes[1])] {
+        if most == 0 {
+            continue;
+        }
         let pictures: Vec<Blurred> = views.par_iter().map(|v| Blurred::new(v, halvings)).collect();
         let pixel = work.pixel(halvings, &nalgebra::center(&lo, &hi));
-        for pass in 0..most {
+        let mut best = (f64::NEG_INFINITY, work.vertices.clone());
+        let (mut worse, mut step) = (0, f64::INFINITY);
+        for pass in 0..=most {
             progress(Step { stage: "refinement", done: done + pass, total });
             let pulls = work.pulls(halvings, &pictures);
             if passes == 0 && pulls.windows == 0 {
@@ -135,15 +142,24 @@ pub fn refine(
                     "give the mesh in the frame and unit of the capture, and photos 3 to 45 degrees apart",
                 ));
             }
-            if halvings == 0 {
-                let now = pulls.correlation / f64::from(pulls.windows).max(1.0);
-                correlation = if pass == 0 { [now, now] } else { [correlation[0], now] };
+            let agreement = pulls.correlation / f64::from(pulls.windows).max(1.0);
+            if halvings == 0 && pass == 0 {
+                correlation[0] = agreement;
+            }
+            worse = if agreement > best.0 { 0 } else { worse + 1 };
+            if worse == 0 {
+                best = (agreement, work.vertices.clone());
+            }
+            if worse == MOST_WORSE || step < STILL_PX * pixel || pass == most {
+                break;
             }
             seen_share = pulls.share();
             passes += 1;
-            if work.step(&pulls, pixel) < STILL_PX * pixel {
-                break;
-            }
+            step = work.step(&pulls, pixel);
+        }
+        work.vertices = best.1;
+        if halvings == 0 {
+            correlation[1] = best.0;
         }
         done += most;
     }
@@ -175,7 +191,7 @@ impl Work<'_> {
         let mut all = Pulls::new(self.vertices.len());
         let views: Vec<usize> = (0..self.views.len()).collect();
         for batch in views.chunks(BATCH) {
-            let of = |&i: &usize| pulls(self.views, &shots, pictures, halvings, i, faces, self.vertices.len());
+            let of = |&i: &usize| pulls(self.views, &shots, pictures, halvings, i, faces, &self.vertices);
             let each: Vec<Pulls> = batch.par_iter().map(of).collect();
             each.iter().for_each(|pulls| all.add(pulls));
         }

@@ -1,6 +1,8 @@
 //! What pairs of photos say about where the mesh should be.
 
-use super::shot::{Blurred, Shot};
+use nalgebra::Point3;
+
+use super::shot::{Blurred, Shot, seen_by};
 use crate::picture::box_sum;
 use crate::scene::View;
 
@@ -59,19 +61,21 @@ pub(super) fn pulls(
     halvings: usize,
     i: usize,
     faces: &[[u32; 3]],
-    vertices: usize,
+    vertices: &[Point3<f64>],
 ) -> Pulls {
     let (shot, own) = (&shots[i], &pictures[i]);
-    let mut pulls = Pulls::new(vertices);
+    let mut pulls = Pulls::new(vertices.len());
     if !shot.counts.contains(&true) {
         return pulls;
     }
+    let (seen, k) = (seen_by(&views[i], vertices), views[i].matrix(halvings));
+    let gains = shot.gains(&k, faces, &seen);
     let mut force = vec![0.0; shot.face.len()];
     let mut hessian = vec![0.0; shot.face.len()];
     for n in views[i].sources() {
         let (turn, shift) = views[i].to(&views[n.view], halvings);
         let focal = views[n.view].matrix(halvings)[(0, 0)] as f32;
-        let warped = warp(shot, &shots[n.view], &pictures[n.view], &turn, &shift, focal);
+        let warped = warp((shot, &gains), &shots[n.view], &pictures[n.view], &turn, &shift, focal);
         let least_variance = own.least_variance.max(pictures[n.view].least_variance);
         let (correlation, windows) = compare(own, &warped, least_variance, &mut force, &mut hessian);
         pulls.correlation += correlation;
@@ -81,7 +85,7 @@ pub(super) fn pulls(
     for at in 0..force.len() {
         if hessian[at] > 0.0 {
             let corners = faces[shot.face[at] as usize];
-            for (v, share) in corners.into_iter().zip(shot.corners[at]) {
+            for (v, share) in corners.into_iter().zip(shot.shares(at, &k, faces, &seen)) {
                 let pull = &mut pulls.each[v as usize];
                 *pull = [pull[0] + share * force[at], pull[1] + share * hessian[at]];
             }
@@ -90,7 +94,14 @@ pub(super) fn pulls(
     pulls
 }
 
-fn warp(shot: &Shot, other: &Shot, picture: &Blurred, turn: &[[f32; 3]; 3], shift: &[f32; 3], focal: f32) -> Warped {
+fn warp(
+    (shot, gains): (&Shot, &[f32]),
+    other: &Shot,
+    picture: &Blurred,
+    turn: &[[f32; 3]; 3],
+    shift: &[f32; 3],
+    focal: f32,
+) -> Warped {
     let count = shot.face.len();
     let mut out = Warped { counts: vec![0.0; count], grey: vec![0.0; count], slope: vec![0.0; count] };
     let (right, bottom) = (picture.width as f32 - 3.0, picture.height as f32 - 3.0);
@@ -112,7 +123,7 @@ fn warp(shot: &Shot, other: &Shot, picture: &Blurred, turn: &[[f32; 3]; 3], shif
         let per_w = (across * (shift[0] - x * shift[2]) + down * (shift[1] - y * shift[2])) / z;
         out.counts[at] = 1.0;
         out.grey[at] = grey;
-        out.slope[at] = per_w * shot.gain[at];
+        out.slope[at] = per_w * gains[at];
     }
     out
 }

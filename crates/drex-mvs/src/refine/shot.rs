@@ -31,10 +31,6 @@ pub(super) struct Shot {
     pub face: Vec<u32>,
     /// Inverse depth; 0 where there is none.
     pub w: Vec<f32>,
-    /// Weights of the corners of the face.
-    pub corners: Vec<[f32; 3]>,
-    /// Change of inverse depth as the face moves along its normal.
-    pub gain: Vec<f32>,
     /// Pixels that are compared.
     pub counts: Vec<bool>,
 }
@@ -98,7 +94,7 @@ impl Shot {
         let picture = &view.pictures[halvings];
         let (width, height) = (picture.width, picture.height);
         let k = view.matrix(halvings);
-        let seen: Vec<Vector3<f64>> = vertices.iter().map(|p| (view.camera.camera_from_world * p).coords).collect();
+        let seen = seen_by(view, vertices);
         let pixels: Vec<[f64; 2]> =
             seen.iter().map(|p| [k[(0, 0)] * p.x / p.z + k[(0, 2)], k[(1, 1)] * p.y / p.z + k[(1, 2)]]).collect();
         let mut shot = Self {
@@ -106,35 +102,51 @@ impl Shot {
             height,
             face: vec![NONE; width * height],
             w: vec![0.0; width * height],
-            corners: vec![[0.0; 3]; width * height],
-            gain: vec![0.0; width * height],
             counts: vec![false; width * height],
         };
         for (f, face) in faces.iter().enumerate() {
             shot.draw(f as u32, face.map(|v| seen[v as usize]), face.map(|v| pixels[v as usize]), &k);
         }
-        let mut facing = vec![false; width * height];
-        for at in 0..width * height {
-            let Some(face) = faces.get(shot.face[at] as usize) else { continue };
-            let [a, b, c] = face.map(|v| seen[v as usize]);
-            let ray = ray(&k, at % width, at / width);
-            let normal = (b - a).cross(&(c - a));
-            let (length, towards) = (normal.norm(), normal.dot(&ray));
-            let w = f64::from(shot.w[at]);
-            let place = ray / w;
-            let area =
-                |p: Vector3<f64>, q: Vector3<f64>| (p - place).cross(&(q - place)).dot(&normal) / (length * length);
-            shot.corners[at] = [area(b, c), area(c, a), area(a, b)].map(|v| v as f32);
-            // Along the ray the face moves by the step over the cosine; inverse depth by that over the squared depth.
-            shot.gain[at] = (-w * w * length / towards) as f32;
-            facing[at] = -towards >= LEAST_COSINE * length * ray.norm();
-        }
+        let facing: Vec<bool> = (0..width * height)
+            .map(|at| {
+                let Some([a, b, c]) = shot.corners(at, faces, &seen) else { return false };
+                let (ray, normal) = (ray(&k, at % width, at / width), (b - a).cross(&(c - a)));
+                -normal.dot(&ray) >= LEAST_COSINE * normal.norm() * ray.norm()
+            })
+            .collect();
         let rim = shot.rim(k[(0, 0)] as f32);
         let shown = &view.searched[halvings].inside;
         for at in 0..width * height {
             shot.counts[at] = facing[at] && !rim[at] && shown[at];
         }
         shot
+    }
+
+    /// Change of inverse depth as the face of each pixel moves along its normal.
+    pub fn gains(&self, k: &Matrix3<f64>, faces: &[[u32; 3]], seen: &[Vector3<f64>]) -> Vec<f32> {
+        let gain = |at: usize| {
+            let Some([a, b, c]) = self.corners(at, faces, seen) else { return 0.0 };
+            let normal = (b - a).cross(&(c - a));
+            let w = f64::from(self.w[at]);
+            // Along the ray the face moves by the step over the cosine; inverse depth by that over the squared depth.
+            (-w * w * normal.norm() / normal.dot(&ray(k, at % self.width, at / self.width))) as f32
+        };
+        (0..self.face.len()).map(gain).collect()
+    }
+
+    /// How much of a pixel belongs to each corner of its face.
+    pub fn shares(&self, at: usize, k: &Matrix3<f64>, faces: &[[u32; 3]], seen: &[Vector3<f64>]) -> [f32; 3] {
+        let Some([a, b, c]) = self.corners(at, faces, seen) else { return [0.0; 3] };
+        let normal = (b - a).cross(&(c - a));
+        let place = ray(k, at % self.width, at / self.width) / f64::from(self.w[at]);
+        let area =
+            |p: Vector3<f64>, q: Vector3<f64>| (p - place).cross(&(q - place)).dot(&normal) / normal.norm_squared();
+        [area(b, c), area(c, a), area(a, b)].map(|v| v as f32)
+    }
+
+    /// Corners of the face that a pixel shows, in the frame of the camera.
+    fn corners(&self, at: usize, faces: &[[u32; 3]], seen: &[Vector3<f64>]) -> Option<[Vector3<f64>; 3]> {
+        Some(faces.get(self.face[at] as usize)?.map(|v| seen[v as usize]))
     }
 
     /// Draws a face that looks at the camera where it is nearer than what is there.
@@ -200,6 +212,11 @@ impl Shot {
         }
         crate::picture::Area { width, height, inside: rim }.grown(RIM_PX).inside
     }
+}
+
+/// The vertices in the frame of a camera.
+pub(super) fn seen_by(view: &View, vertices: &[Point3<f64>]) -> Vec<Vector3<f64>> {
+    vertices.iter().map(|p| (view.camera.camera_from_world * p).coords).collect()
 }
 
 fn ray(k: &Matrix3<f64>, x: usize, y: usize) -> Vector3<f64> {
