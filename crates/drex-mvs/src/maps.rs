@@ -39,7 +39,8 @@ impl DepthMaps {
     /// The same photos, cameras and options give the same numbers with any number of threads.
     ///
     /// # Errors
-    /// If there are fewer than two photos, one cannot be read, an option is out of range, or no two photos can be compared.
+    /// If there are fewer than two photos, one cannot be read, an option is out of range, no two photos can be compared, or a GPU is
+    /// asked for and missing, or fails.
     pub fn estimate(capture: &Capture, options: &MvsOptions, progress: &(dyn Fn(Step) + Sync)) -> Result<Self> {
         let mut views = Vec::with_capacity(capture.views.len());
         Self::each(capture, options, progress, &mut |map| {
