@@ -2,7 +2,7 @@
 
     pip install pyarchinit-photogrammetry-core==0.5.0 numpy pillow scipy
     cargo build --release -p drex-mvs --example depth
-    DREX_SHARED=... python tests/peers/stereo_depth.py [--sets orbit60] [--every 10] [--sources 6] [--preset fast] [--threads 2]
+    DREX_SHARED=... python tests/peers/stereo_depth.py [--sets orbit60] [--every 10] [--first N] [--sources 6] [--preset fast] [--threads 2] [--gpu]
 
 The sets are those of DREX_SHARED/data/sfm with cameras and solids in truth/. Depth is compared with that of rays cast at the solids, along the
 optical axis, in pixels whose ray meets what stands more than 2 mm above the table. Both look within the same box. Ours estimates all photos of the
@@ -17,6 +17,7 @@ import json
 import os
 import pathlib
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -42,9 +43,11 @@ def parse():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sets", default="orbit60")
     parser.add_argument("--every", type=int, default=10)
+    parser.add_argument("--first", type=int, help="only so many photos of the set")
     parser.add_argument("--sources", type=int, default=6, help="photos that the peer matches each with")
     parser.add_argument("--preset", default="fast")
     parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--gpu", action="store_true", help="next to drex on the GPU instead of the peer; build the example with --features wgpu")
     return parser.parse_args()
 
 
@@ -53,24 +56,39 @@ def compare(name, arguments):
 
     folder = SHARED / "data/sfm" / name
     lens, views = read_truth(np, folder / "truth")
+    views = {view: views[view] for view in sorted(views)[: arguments.first]}
     solids = json.loads((folder / "truth/object.json").read_text())
     box = box_of(np, solids)
     judged = sorted(views)[:: arguments.every]
     exact = {view: Exact(np, lens, views[view], box, solids) for view in judged}
     with tempfile.TemporaryDirectory() as work:
-        before = used()
         corners = [str(v) for v in box.ravel()]
-        subprocess.run([EXAMPLE, folder, folder / "truth", work, arguments.preset, *corners], check=True, capture_output=True)
-        ours_s = (used() - before) / len(views)
-        ours = {view: read_ours(np, pathlib.Path(work), view, exact[view]) for view in judged}
-    theirs, theirs_s = estimate(np, arguments, folder, lens, views, exact)
-    theirs_s /= len(judged)
+
+        model = pathlib.Path(work) / "model"
+        shutil.copytree(folder / "truth", model)
+        lines = (line + "\n\n" for line in (model / "images.txt").read_text().splitlines() if line.split()[-1:] and line.split()[-1] in views)
+        (model / "images.txt").write_text("".join(lines))
+
+        def run(*more):
+            before = used()
+            command = [EXAMPLE, folder, model, work, arguments.preset, *corners, *more]
+            subprocess.run(command, check=True, capture_output=True)
+            maps = {view: read_ours(np, pathlib.Path(work), view, exact[view]) for view in judged}
+            return maps, (used() - before) / len(views)
+
+        ours, ours_s = run()
+        if arguments.gpu:
+            theirs, theirs_s = run("gpu")
+    if not arguments.gpu:
+        theirs, theirs_s = estimate(np, arguments, folder, lens, views, exact)
+        theirs_s /= len(judged)
+    peer = "drex, GPU" if arguments.gpu else "ppg_core"
     both = {view: (ours[view] > 0) & (theirs[view] > 0) for view in judged}
     print(f"{name}: every {arguments.every}th of {len(views)} photos, {len(judged)} judged", flush=True)
-    rows = [("drex", ours, None, ours_s), ("ppg_core", theirs, None, theirs_s), ("drex, both", ours, both, None), ("ppg_core, both", theirs, both, None)]
+    rows = [("drex", ours, None, ours_s), (peer, theirs, None, theirs_s), ("drex, both", ours, both, None), (f"{peer}, both", theirs, both, None)]
     found = [row(np, label, maps, exact, within, seconds) for label, maps, within, seconds in rows]
     ratios = f"{found[0] / found[1]:.2f} in the median error ({found[2] / found[3]:.2f} where both have a depth)"
-    print(f"  drex / ppg_core: ratio {ratios}, {ours_s / theirs_s:.3f} in core-seconds", flush=True)
+    print(f"  drex / {peer}: ratio {ratios}, {ours_s / theirs_s:.3f} in core-seconds", flush=True)
 
 
 def used():

@@ -44,7 +44,7 @@ type Packages = BTreeSet<(String, String, String)>;
 /// Every package in the normal and build dependency graph of the workspace.
 fn packages() -> Packages {
     // The features that bring in packages of their own; listing them needs no library.
-    graph(&["--workspace", "--features", "drex-mujoco/engine,drex-splat/wgpu"]).unwrap()
+    graph(&["--workspace", "--features", "drex-mujoco/engine,drex-core/wgpu"]).unwrap()
 }
 
 /// The same of a package in `bindings`, a workspace of its own; none if what it needs has not been fetched here.

@@ -59,6 +59,14 @@ pub enum Error {
         /// What to do about it.
         remedy: String,
     },
+    /// No GPU adapter, or it failed.
+    #[error("{what}; {remedy}")]
+    Gpu {
+        /// What happened.
+        what: String,
+        /// What to do about it.
+        remedy: String,
+    },
     /// A value handed to a function is outside what the function is defined for.
     #[error("{what}; {remedy}")]
     Value {

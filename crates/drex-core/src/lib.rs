@@ -25,6 +25,8 @@ pub mod camera;
 pub mod capture;
 pub mod error;
 pub mod fsutil;
+#[cfg(feature = "wgpu")]
+pub mod gpu;
 pub mod mesh;
 pub mod npy;
 pub mod object;

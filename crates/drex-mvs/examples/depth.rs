@@ -1,9 +1,10 @@
 //! Depth maps of a capture, as .npy files with their cameras.
 //!
 //! ```text
-//! cargo run --release -p drex-mvs --example depth -- CAPTURE MODEL OUT [fast|default|best] [X0 Y0 Z0 X1 Y1 Z1]
+//! cargo run --release -p drex-mvs --example depth -- CAPTURE MODEL OUT [fast|default|best] [X0 Y0 Z0 X1 Y1 Z1] [gpu]
 //! ```
-//! CAPTURE holds the photos, MODEL a COLMAP model of them; the six numbers are a box in the model's frame in which surfaces are looked for.
+//! CAPTURE holds the photos, MODEL a COLMAP model of them; the six numbers are a box in the model's frame in which surfaces are looked for; `gpu`
+//! takes the GPU in a build with `--features wgpu`.
 #![allow(clippy::print_stdout)] // an example talks to a person
 
 use std::error::Error;
@@ -19,12 +20,17 @@ use nalgebra::Point3;
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [folder, model, out, rest @ ..] = arguments.as_slice() else {
-        return Err("CAPTURE MODEL OUT [fast|default|best] [X0 Y0 Z0 X1 Y1 Z1]".into());
+        return Err("CAPTURE MODEL OUT [fast|default|best] [X0 Y0 Z0 X1 Y1 Z1] [gpu]".into());
     };
     let out = Path::new(out);
     let capture = Capture::load_model(Path::new(folder), Path::new(model), &CaptureOptions::default())?;
     let capture = capture.ok_or("there is no model")?;
     let mut options = MvsOptions::default();
+    let (on_gpu, rest) = match rest {
+        [rest @ .., last] if last == "gpu" => (true, rest),
+        _ => (false, rest),
+    };
+    options.on_gpu = on_gpu;
     let mut numbers = rest;
     if let Some(preset) = rest.first() {
         options.preset = match preset.as_str() {

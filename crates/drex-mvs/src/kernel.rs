@@ -89,6 +89,12 @@ impl<const G: usize> Window<G> {
         window
     }
 
+    /// Weights of its samples by their distance, row by row, and those of differences of grey.
+    #[cfg(feature = "wgpu")]
+    pub fn weights(&self) -> Vec<f32> {
+        self.samples.iter().map(|(_, weight)| *weight).chain(self.of_difference).collect()
+    }
+
     /// Mean of the squared distance of its samples from the centre along one axis, by their weights, pixels squared.
     pub fn spread(&self) -> f32 {
         let sum = |of: fn(i32) -> f32| self.samples.iter().map(|([x, _], weight)| weight * of(*x)).sum::<f32>();
@@ -226,11 +232,11 @@ fn total(v: Lanes) -> f32 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
     /// A picture of smooth waves of several directions, moved to the right by `shift` pixels.
-    fn waves(shift: f32) -> Grey {
+    pub(crate) fn waves(shift: f32) -> Grey {
         let (width, height) = (64, 48);
         let grey = |i: usize| {
             let (x, y) = ((i % width) as f32 - shift, (i / width) as f32);

@@ -1,4 +1,4 @@
-//! Depth maps from photos with known cameras, by PatchMatch stereo on the processor; meshes refined on the photos, and their textures.
+//! Depth maps from photos with known cameras, by PatchMatch stereo on the processor, or on a GPU with the feature `wgpu`; meshes refined on the photos, and their textures.
 //!
 //! ```text
 //! photos, cameras, masks, region ─► scene (cut, grey, sizes; which photos are compared) ─► patchmatch (planes per pixel, by kernel's costs)
@@ -9,6 +9,13 @@
 
 mod consistency;
 mod depth_map;
+#[cfg(test)]
+mod devices;
+#[cfg(feature = "wgpu")]
+mod gpu;
+#[cfg(not(feature = "wgpu"))]
+#[path = "no_gpu.rs"]
+mod gpu;
 mod kernel;
 mod maps;
 mod options;

@@ -7,6 +7,7 @@ use drex_core::{Error, Result};
 
 use crate::consistency::confirmed;
 use crate::depth_map::DepthMap;
+use crate::gpu::Gpu;
 use crate::kernel::Window;
 use crate::options::{MvsOptions, Preset, Round};
 use crate::patchmatch::{Field, MOST_SOURCES, Matcher, Pass, Peer, Scale};
@@ -38,7 +39,8 @@ impl DepthMaps {
     /// The same photos, cameras and options give the same numbers with any number of threads.
     ///
     /// # Errors
-    /// If there are fewer than two photos, one cannot be read, an option is out of range, or no two photos can be compared.
+    /// If there are fewer than two photos, one cannot be read, an option is out of range, no two photos can be compared, or a GPU is
+    /// asked for and missing, or fails.
     pub fn estimate(capture: &Capture, options: &MvsOptions, progress: &(dyn Fn(Step) + Sync)) -> Result<Self> {
         let mut views = Vec::with_capacity(capture.views.len());
         Self::each(capture, options, progress, &mut |map| {
@@ -88,6 +90,7 @@ const MOST_SCALES: usize = 2;
 struct Job<'a, const G: usize> {
     options: &'a MvsOptions,
     window: Window<G>,
+    gpu: Option<Gpu>,
     views: Vec<View>,
     progress: &'a (dyn Fn(Step) + Sync),
 }
@@ -99,6 +102,7 @@ impl<'a, const G: usize> Job<'a, G> {
         window: Window<G>,
         progress: &'a (dyn Fn(Step) + Sync),
     ) -> Result<Self> {
+        let gpu = if options.on_gpu { Some(Gpu::new(&window)?) } else { None };
         let total = capture.views.len();
         // One more for windows that show little.
         let sizes = 2 + options.preset.rounds().iter().map(|r| r.halvings).max().unwrap_or(0);
@@ -112,7 +116,7 @@ impl<'a, const G: usize> Job<'a, G> {
                 "take photos from more places round the object, a step of 10 to 20 degrees apart",
             ));
         }
-        Ok(Self { options, window, views, progress })
+        Ok(Self { options, window, gpu, views, progress })
     }
 
     fn run(&self, take: &mut dyn FnMut(DepthMap) -> Result<()>) -> Result<()> {
@@ -134,7 +138,7 @@ impl<'a, const G: usize> Job<'a, G> {
             (self.progress)(Step { stage: "consistency", done: i, total: photos });
             let field = rounds.get(last, i)?;
             let others: Vec<_> = view.witnesses.iter().map(|n| rounds.get(last, n.view)).collect::<Result<_>>()?;
-            let deviations = self.deviations(i, &field);
+            let deviations = self.deviations(i, &field)?;
             let least = self.options.least_confidence;
             let mut map = confirmed(&self.views, i, &field, &others, &self.window, &deviations, least);
             drop_specks(&mut map);
@@ -156,35 +160,35 @@ impl<'a, const G: usize> Job<'a, G> {
         };
         if round.alone > 0 {
             let start = if k == 0 { None } else { Some(before(i)?) };
-            return Ok(self.photometric(i, start.as_deref(), round));
+            return self.photometric(i, start.as_deref(), round);
         }
         let others: Vec<_> = self.views[i].sources().iter().map(|n| before(n.view)).collect::<Result<_>>()?;
         let start = before(i)?;
-        Ok(self.geometric(i, &start, &others, round))
+        self.geometric(i, &start, &others, round)
     }
 
-    fn photometric(&self, i: usize, start: Option<&Field>, round: Round) -> Field {
+    fn photometric(&self, i: usize, start: Option<&Field>, round: Round) -> Result<Field> {
         let limits = self.limits(i);
         let matcher = self.matcher(i, round.halvings, &limits, Vec::new());
         let mut field = start.cloned().unwrap_or_else(|| Field::random(&matcher));
         if matcher.sources() == 0 {
             field.costs.fill(f32::INFINITY);
-            return field;
+            return Ok(field);
         }
-        for number in 0..round.alone {
+        let pass = |number: usize| {
             // Large steps where nothing is known, then half as large each time.
             let step_px = if start.is_none() { 4.0 } else { 1.0 } * 0.5f32.powi(number as i32);
-            let restart = start.is_none();
-            matcher.pass(&mut field, Pass { number: number as u64, far: true, step_px, restart, last: false });
-        }
-        field
+            Pass { number: number as u64, far: true, step_px, restart: start.is_none(), last: false }
+        };
+        self.passes(&matcher, &mut field, &(0..round.alone).map(pass).collect::<Vec<_>>())?;
+        Ok(field)
     }
 
     /// `others`: the planes of the sources.
-    fn geometric(&self, i: usize, start: &Field, others: &[Arc<Field>], round: Round) -> Field {
+    fn geometric(&self, i: usize, start: &Field, others: &[Arc<Field>], round: Round) -> Result<Field> {
         let (mut field, view) = (start.clone(), &self.views[i]);
         if others.is_empty() {
-            return field;
+            return Ok(field);
         }
         let peer = |(n, field): (&Neighbour, &'_ Arc<Field>)| {
             let (turn, shift) = self.views[n.view].to(view, round.halvings);
@@ -194,16 +198,30 @@ impl<'a, const G: usize> Job<'a, G> {
         let limits = self.limits(i);
         let matcher = self.matcher(i, round.halvings, &limits, peers);
         let far = round.halvings > 0;
-        matcher.pass(&mut field, Pass { number: round.number, far, step_px: 0.5, restart: false, last: round.last });
-        field
+        let pass = Pass { number: round.number, far, step_px: 0.5, restart: false, last: round.last };
+        self.passes(&matcher, &mut field, &[pass])?;
+        Ok(field)
     }
 
-    fn deviations(&self, i: usize, field: &Field) -> Vec<f32> {
+    fn passes(&self, matcher: &Matcher<'_, G>, field: &mut Field, passes: &[Pass]) -> Result<()> {
+        match &self.gpu {
+            Some(gpu) => gpu.passes(matcher, field, passes)?,
+            None => passes.iter().for_each(|pass| matcher.pass(field, *pass)),
+        }
+        Ok(())
+    }
+
+    fn deviations(&self, i: usize, field: &Field) -> Result<Vec<f32>> {
         if self.views[i].sources().is_empty() {
-            return vec![f32::INFINITY; field.costs.len()];
+            return Ok(vec![f32::INFINITY; field.costs.len()]);
         }
         // Without the others' depth: how far off it may be the photos tell alone.
-        self.matcher(i, 0, &self.limits(i), Vec::new()).deviations(field)
+        let limits = self.limits(i);
+        let matcher = self.matcher(i, 0, &limits, Vec::new());
+        match &self.gpu {
+            Some(gpu) => gpu.deviations(&matcher, field),
+            None => Ok(matcher.deviations(field)),
+        }
     }
 
     fn limits(&self, i: usize) -> Limits<'_> {

@@ -43,6 +43,8 @@ pub struct MvsOptions {
     pub least_confidence: f32,
     /// Of the random planes that are tried.
     pub seed: u64,
+    /// Whether photos are compared on the GPU, which takes the feature `wgpu` and gives other numbers of the same quality.
+    pub on_gpu: bool,
     /// Folder for what is found on the way: with one, memory holds the planes of a few photos at a time, and a run of the same photos and options
     /// that was interrupted is gone on with. [`remove_work`](crate::remove_work) removes
     /// what is in it when there is no need of it any more.
@@ -58,6 +60,7 @@ impl Default for MvsOptions {
             mask_margin_px: 2,
             least_confidence: 0.2,
             seed: 0,
+            on_gpu: false,
             work: None,
         }
     }

@@ -225,7 +225,7 @@ impl<const G: usize> Matcher<'_, G> {
 
     /// The best of the pixel's plane, its neighbours' and changes of it.
     #[inline(always)]
-    fn pixel(&self, field: &Field, pass: Pass, x: usize, y: usize) -> (Plane, f32) {
+    pub fn pixel(&self, field: &Field, pass: Pass, x: usize, y: usize) -> (Plane, f32) {
         let at = y * field.width + x;
         let own = field.planes[at];
         let seen = self.seen(x, y);

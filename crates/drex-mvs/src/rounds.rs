@@ -196,6 +196,9 @@ pub fn remove_work(folder: &Path) -> Result<()> {
 fn fingerprint(options: &MvsOptions, views: &[View]) -> u64 {
     let mut of = DefaultHasher::new();
     format!("{:?} {:?} {:?}", options.preset, options.region, options.seed).hash(&mut of);
+    if options.on_gpu {
+        "on the GPU".hash(&mut of);
+    }
     for view in views {
         format!("{:?} {:?} {:?} {}", view.camera, view.range, view.witnesses, view.masked).hash(&mut of);
         (&view.pictures[0].values, &view.searched[0].inside).hash(&mut of);

@@ -7,7 +7,7 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A file could not be read or written, its content is damaged, or a capture cannot be used.
+    /// A file could not be read or written, its content is damaged, a capture cannot be used, or a GPU is missing or failed.
     #[error(transparent)]
     Core(#[from] drex_core::Error),
     /// A set of Gaussians that cannot be rendered or trained.
@@ -32,14 +32,6 @@ pub enum Error {
         /// The option and its value.
         what: String,
         /// What it may be.
-        remedy: String,
-    },
-    /// No GPU adapter, or it failed.
-    #[error("{what}; {remedy}")]
-    Gpu {
-        /// What happened.
-        what: String,
-        /// What to do about it.
         remedy: String,
     },
 }

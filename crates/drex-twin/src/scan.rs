@@ -72,6 +72,8 @@ pub struct Scanning<'a> {
     pub colmap: Option<PathBuf>,
     /// How carefully depth is looked for, where there are no depth maps yet.
     pub preset: ScanPreset,
+    /// Whether depth is looked for on the GPU, which takes the feature `wgpu`.
+    pub on_gpu: bool,
     /// Of everything random.
     pub seed: u64,
     /// ffmpeg, or a step of COLMAP, is stopped after this time.
@@ -333,6 +335,7 @@ impl Scanning<'_> {
     fn stereo_options(&self, cameras: &Capture, region: Option<&Region>) -> Result<MvsOptions> {
         let mut options = MvsOptions::default();
         (options.preset, options.region, options.seed) = (self.preset.of_stereo(), region.cloned(), self.seed);
+        options.on_gpu = self.on_gpu;
         Ok(options.within_time(cameras)?)
     }
 

@@ -268,6 +268,9 @@ pub struct ScanArgs {
     /// How much time the Gaussians may take, where there are no depth maps yet.
     #[arg(long, value_enum, default_value_t = PresetArg::Fast)]
     pub preset: PresetArg,
+    /// Look for depth on the GPU (needs a build with `--features wgpu`).
+    #[arg(long)]
+    pub gpu: bool,
     /// Box of the object in the frame and unit of the scan, where it is not alone: lower and upper corner.
     #[arg(long, value_name = "X,Y,Z,X,Y,Z", value_parser = region, allow_hyphen_values = true)]
     pub region: Option<[Point3<f64>; 2]>,

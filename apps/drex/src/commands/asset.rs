@@ -161,6 +161,7 @@ fn from_scan(args: &AssetArgs, seed: u64, ui: &Ui) -> Result<()> {
         marker: args.scan.marker,
         colmap: args.scan.colmap.clone(),
         preset: args.scan.preset.into(),
+        on_gpu: args.scan.gpu,
         seed,
         tool_limit: args.scan.tools.limit(),
     };

@@ -5,3 +5,8 @@ mod refinement;
 mod scene;
 mod surfaces;
 mod texture;
+
+/// The suite of surfaces runs on the processor here, and on a GPU in `gpu.rs`.
+fn on_gpu() -> bool {
+    false
+}

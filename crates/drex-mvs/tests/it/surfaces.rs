@@ -13,8 +13,14 @@ use crate::scene::{FOCAL_PX, HEIGHT, Surface, WIDTH, photograph, ring};
 /// Five photos, the first between the others, 15 degrees from it.
 const CROSS: [[f64; 2]; 5] = [[0.0, 0.0], [15.0, 0.0], [-15.0, 0.0], [0.0, 15.0], [0.0, -15.0]];
 
-fn options(half: f64) -> MvsOptions {
+fn anywhere() -> MvsOptions {
     let mut options = MvsOptions::default();
+    options.on_gpu = crate::on_gpu();
+    options
+}
+
+fn options(half: f64) -> MvsOptions {
+    let mut options = anywhere();
     options.region = Some(Region {
         box_from_world: Pose::identity(),
         corners: [Point3::from(Vector3::repeat(-half)), Point3::from(Vector3::repeat(half))],
@@ -290,7 +296,7 @@ fn an_object_is_looked_for_where_its_masks_show_points_and_not_in_the_room_behin
     }
     let of_room = capture.points[64..].iter().filter(|p| p.track.iter().any(|(view, _)| *view == 0)).count();
     assert!(of_room > 50, "{of_room} points of the room in the first photo");
-    let mut options = MvsOptions::default();
+    let mut options = anywhere();
     options.preset = Preset::Fast;
     let (depths, _, shown) = errors(&estimate(&capture, &options).views[0], &plane, |_| normal_at(20.0));
     assert!(depths.len() as f64 > 0.7 * shown as f64, "{} of {shown}", depths.len());
@@ -315,13 +321,18 @@ fn photos_that_cannot_be_compared_are_refused() {
     refused(&same, &options(0.1), "from 3 to 45 degrees apart");
     refused(&capture, &options(-0.1), "a box of finite size");
     refused(&capture, &options(f64::NAN), "a box of finite size");
-    refused(&capture, &MvsOptions::default(), "shows no sparse point");
+    refused(&capture, &anywhere(), "shows no sparse point");
     let mut sure = options(0.1);
     sure.least_confidence = 1.5;
     refused(&capture, &sure, "a least confidence of 1.5");
     let mut lost = capture.clone();
     lost.views[1].photo = dir.path().join("lost.png");
     refused(&lost, &options(0.1), "lost.png");
+    if !cfg!(feature = "wgpu") {
+        let mut on_gpu = options(0.1);
+        on_gpu.on_gpu = true;
+        refused(&capture, &on_gpu, "build it with `--features wgpu`");
+    }
     // Two are enough.
     let maps = estimate(&capture, &options(0.1));
     assert!(maps.views[0].depth.iter().filter(|z| **z > 0.0).count() > 5000);

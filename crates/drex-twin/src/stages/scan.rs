@@ -49,6 +49,7 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
         marker: config.marker(),
         colmap: None,
         preset: config.preset,
+        on_gpu: false,
         seed: twin.seed,
         tool_limit: twin.tool_limit,
     };

@@ -7,14 +7,12 @@
 //! 4. `draw_back`: one thread a pair goes through the tile's pixels and leaves a record of its sums.
 //! 5. `project_back`: one thread a Gaussian adds its records in order and goes back to the parameters.
 
-mod device;
 mod sort;
 mod view;
 
 use drex_core::camera::PinholeCamera;
-use wgpu::{Buffer, ComputePipeline};
+use drex_core::gpu::{Buffer, Device, Grid, Kernel, Module, line};
 
-use self::device::{Device, line};
 use self::sort::Sorter;
 use super::cpu::{bounded, check_geometry, check_gradients, check_options, check_shape};
 use super::{GaussianGradients, Rasterizer, Render, RenderGradients, RenderOptions, TILE};
@@ -25,7 +23,7 @@ use crate::{Gaussians, Kind, Result};
 pub struct Gpu {
     device: Device,
     sorter: Sorter,
-    find_ranges: ComputePipeline,
+    find_ranges: Kernel,
     ellipsoids: Kernels,
     surfels: Kernels,
 }
@@ -62,12 +60,12 @@ struct Lists {
 /// The kernels of one kind of Gaussian.
 #[derive(Debug, Clone)]
 struct Kernels {
-    project: ComputePipeline,
-    count_pairs: ComputePipeline,
-    list_pairs: ComputePipeline,
-    draw: ComputePipeline,
-    draw_back: ComputePipeline,
-    project_back: ComputePipeline,
+    project: Kernel,
+    count_pairs: Kernel,
+    list_pairs: Kernel,
+    draw: Kernel,
+    draw_back: Kernel,
+    project_back: Kernel,
     /// Words of a footprint and of a record.
     footprint: u64,
     record: u64,
@@ -86,7 +84,7 @@ impl Gpu {
     /// Opens the fastest adapter and compiles the shaders.
     ///
     /// # Errors
-    /// [`Error::Gpu`](crate::Error::Gpu) if there is no adapter, or it gives no device or refuses a shader.
+    /// [`drex_core::Error::Gpu`] if there is no adapter, or it gives no device or refuses a shader.
     pub fn new() -> Result<Self> {
         let device = Device::new()?;
         let ranges = device.module("ranges", include_str!("shaders/ranges.wgsl"));
@@ -135,7 +133,7 @@ impl Kernels {
         Self::new(device, [&project, &draw, &back], 28, 21)
     }
 
-    fn new(device: &Device, [project, draw, back]: [&wgpu::ShaderModule; 3], footprint: u64, record: u64) -> Self {
+    fn new(device: &Device, [project, draw, back]: [&Module; 3], footprint: u64, record: u64) -> Self {
         Self {
             project: device.kernel(project, "project"),
             count_pairs: device.kernel(project, "count_pairs"),
@@ -240,7 +238,7 @@ impl Rasterizer for Gpu {
     }
 }
 
-fn tile_grid(width: usize, height: usize) -> device::Grid {
+fn tile_grid(width: usize, height: usize) -> Grid {
     [width.div_ceil(TILE) as u32, height.div_ceil(TILE) as u32, 1]
 }
 

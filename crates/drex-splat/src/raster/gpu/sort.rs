@@ -1,9 +1,7 @@
 //! A stable radix sort and a prefix sum on the GPU, both in a fixed order.
 
-use wgpu::{Buffer, ComputePass, ComputePipeline};
-
-use super::device::{Device, blocks, line};
-use crate::Result;
+use drex_core::Result;
+use drex_core::gpu::{Buffer, Device, Kernel, Pass, blocks, line};
 
 /// Keys that a thread counts and moves; as in the shader.
 const RUN: u64 = 32;
@@ -16,10 +14,10 @@ const SCAN_BLOCK: u64 = 2048;
 /// The kernels.
 #[derive(Debug, Clone)]
 pub(super) struct Sorter {
-    count_digits: ComputePipeline,
-    scatter: ComputePipeline,
-    scan_blocks: ComputePipeline,
-    add_blocks: ComputePipeline,
+    count_digits: Kernel,
+    scatter: Kernel,
+    scan_blocks: Kernel,
+    add_blocks: Kernel,
 }
 
 impl Sorter {
@@ -38,7 +36,7 @@ impl Sorter {
     pub fn sort(
         &self,
         device: &Device,
-        pass: &mut ComputePass<'_>,
+        pass: &mut Pass<'_>,
         (keys, values): (&Buffer, &Buffer),
         len: u64,
         bits: u32,
@@ -62,7 +60,7 @@ impl Sorter {
     }
 
     /// Replaces each of the `len` first numbers by the sum of those before it, at most `u32::MAX`.
-    pub fn scan(&self, device: &Device, pass: &mut ComputePass<'_>, numbers: &Buffer, len: u64) -> Result<()> {
+    pub fn scan(&self, device: &Device, pass: &mut Pass<'_>, numbers: &Buffer, len: u64) -> Result<()> {
         let count = len.div_ceil(SCAN_BLOCK);
         let totals = device.storage("sums of blocks", count)?;
         let step = device.uniform(&[len as u32, 0, 0, 0]);
