@@ -45,8 +45,9 @@ pub fn points_on_asset(out: &Path, capture: &mut Capture, progress: &dyn Progres
         return unused(&format!("{:.0} % of it were not measured", 100.0 * unmeasured));
     }
     if made.made_masks {
-        for view in &mut capture.views {
-            view.mask.get_or_insert_with(|| out.join(MASKS).join(format!("{}.png", view.name)));
+        for view in capture.views.iter_mut().filter(|v| v.mask.is_none()) {
+            // Photos that were added since have none.
+            view.mask = Some(out.join(MASKS).join(format!("{}.png", view.name))).filter(|m| m.is_file());
         }
     }
     // Photos may be transparent beside the object instead.
