@@ -1,4 +1,4 @@
-//! From a capture to Gaussians and their scores on photos held out.
+//! From a capture to both sets of Gaussians, their scores on photos held out, and depth maps.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -8,13 +8,14 @@ use drex_core::camera::PinholeCamera;
 use drex_core::camera::point_looked_at;
 use drex_core::capture::{Capture, CaptureReport, PhotoOptions, Photos, SparsePoint};
 use drex_core::fsutil::{self, OutputFolder, output_path};
+use drex_core::npy::write_npy;
 use drex_core::stats::{median, quantile};
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::io::{picture, ply};
-use crate::loss::MaskMode;
+use crate::loss::{MaskMode, surface_depth};
 use crate::metrics::{Table, similarity};
 use crate::train::{
     Density, DensityChoice, NEAR, Preset, Progress, SurfacePoint, TrainOptions, Trainer, VisualHull, from_points,
@@ -45,6 +46,8 @@ pub struct ReconstructOptions {
     /// Places on the object's surface, where it is known: as many Gaussians start there, and stay whatever silhouettes say, instead of coming and
     /// going from the sparse points.
     pub born: Vec<SurfacePoint>,
+    /// Whether surfels are trained as well, and depth maps drawn of them.
+    pub surface: bool,
     /// Whether each photo gets an affine colour of its own.
     pub exposure: bool,
     /// Whether poses are refined.
@@ -73,6 +76,7 @@ impl Default for ReconstructOptions {
             iterations: None,
             max_gaussians: None,
             born: Vec::new(),
+            surface: true,
             exposure: false,
             refine_poses: false,
             normal_weight: 0.05,
@@ -97,6 +101,11 @@ pub struct Reconstruction {
     pub object_only: bool,
     /// The ellipsoids: looks.
     pub appearance: SetSummary,
+    /// The surfels: geometry, where they were asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub surface: Option<SetSummary>,
+    /// Depth maps written.
+    pub depth_maps: usize,
     /// Peak memory of the process, bytes, where the system tells; not in the file, as it is another in every run.
     #[serde(skip)]
     pub peak_memory_bytes: Option<u64>,
@@ -128,8 +137,8 @@ pub type OnProgress<'a> = dyn FnMut(Kind, &Progress, u32, f64) + 'a;
 
 /// Longest side at which silhouettes are kept, pixels; a bit a pixel.
 const HULL_SIDE: usize = 2048;
-/// Longest side of the pictures of what held-out photos should show, pixels.
-const PICTURE_SIDE: usize = 1024;
+/// Longest side of the depth maps, pixels: a voxel of a mesh of the same scan is larger than such a pixel.
+const DEPTH_SIDE: usize = 1024;
 /// On a known surface a photo shows about as much in every direction: higher harmonics learn the photos by heart.
 const BORN_SH_DEGREE: usize = 1;
 /// There Gaussians only have to find their sizes.
@@ -148,14 +157,19 @@ const PATCH_PX: usize = 8;
 const PATCHES_A_POINT: usize = 4;
 const HULL_REACH: f64 = 2.0;
 
-/// Trains ellipsoids from `capture` and writes `splat/appearance.ply`, `splat/report.json` and, as `splat/held_out/NAME.png`, what they
-/// show from where each held-out photo was taken.
+/// Trains ellipsoids from `capture`, and surfels where they are asked for, and writes `splat/appearance.ply`, `splat/surface.ply`,
+/// `splat/report.json` and, as `splat/held_out/NAME.png`, what the appearance shows from where each held-out photo was taken.
+///
+/// With surfels `depth/` gets for every photo's camera `NAME.npy` (z in the camera frame, scene units, 0 where there is no surface,
+/// `[height, width]`), `normals/NAME.png` (rgb = (n + 1) / 2 of the unit normal n in the camera's frame, grey where there is none) and
+/// `NAME.png` (the appearance from there, transparent where there is nothing), no side longer than 1024 pixels, and `transforms.json`, with
+/// which [`Capture::load`] reads it as a scan.
 ///
 /// Photos whose camera `report` calls far are left out, and where masks are used those whose mask it calls misplaced.
 /// The files depend on capture and options alone.
 ///
 /// # Errors
-/// If there are no sparse points, too few photos, a photo or mask cannot be read, a view's name leads out of the folder of its picture or
+/// If there are no sparse points, too few photos, a photo or mask cannot be read, a view's name leads out of `depth/` or
 /// to the file of another view, or a file cannot be written.
 pub fn reconstruct<R: Rasterizer + Clone>(
     capture: &Capture,
@@ -167,22 +181,33 @@ pub fn reconstruct<R: Rasterizer + Clone>(
 ) -> Result<Reconstruction> {
     // Before hours of training.
     let report_file = output_path(out, "splat/report.json")?;
+    let maps = options.surface.then(|| map_files(&out.join("depth"), capture)).transpose()?;
     let mut pictures = OutputFolder::new(out.join("splat/held_out"));
     let pictures: Vec<PathBuf> =
         capture.views.iter().map(|v| pictures.file(&format!("{}.png", stem_of(&v.name)))).collect::<Result<_, _>>()?;
     let job = Job::new(capture, report, options)?;
     let appearance = job.train(Kind::Ellipsoid, rasterizer, out, on_progress)?;
     for &i in &job.held_out {
-        let camera = &fitting(job.photos.camera(i), PICTURE_SIDE);
+        let camera = &fitting(job.photos.camera(i), DEPTH_SIDE);
         let seen = rasterizer.forward(&appearance.0, camera, &job.render_options(i))?.0;
         picture::write_rgba(&pictures[i], camera.width, camera.height, &seen.rgb, &seen.alpha)?;
     }
+    let surface = match &maps {
+        Some(maps) => {
+            let (surfels, summary) = job.train(Kind::Surfel, rasterizer, out, on_progress)?;
+            write_depth_maps(maps, &job, rasterizer, &appearance.0, &surfels)?;
+            Some(summary)
+        }
+        None => None,
+    };
     let reconstruction = Reconstruction {
         photos_trained: job.trained.len(),
         photos_held_out: job.held_out.len(),
         left_out: job.left_out,
         object_only: job.masked,
         appearance: appearance.1,
+        surface,
+        depth_maps: maps.map_or(0, |maps| maps.views.len()),
         peak_memory_bytes: usage::peak_memory_bytes(),
     };
     let text = serde_json::to_string_pretty(&reconstruction).map_err(|e| Error::Option {
@@ -190,7 +215,7 @@ pub fn reconstruct<R: Rasterizer + Clone>(
         remedy: "look for numbers that are not finite".into(),
     })?;
     fsutil::write_atomic(&report_file, text.as_bytes())?;
-    remove_checkpoint(out, Kind::Ellipsoid)?;
+    [Kind::Ellipsoid, Kind::Surfel].into_iter().try_for_each(|kind| remove_checkpoint(out, kind))?;
     Ok(reconstruction)
 }
 
@@ -262,7 +287,7 @@ fn silhouettes(capture: &Capture) -> Result<Vec<Silhouette>> {
     (0..photos.len()).map(silhouette).collect()
 }
 
-/// What sets of the same photos share.
+/// What both sets share.
 struct Job<'a> {
     capture: &'a Capture,
     options: &'a ReconstructOptions,
@@ -371,7 +396,8 @@ impl<'a> Job<'a> {
         while !trainer.is_done() {
             let progress = trainer.step()?;
             let every = self.options.checkpoint_every;
-            if every > 0 && progress.step.is_multiple_of(every) {
+            // Also at the end: a run that stops in the second set need not train the first again.
+            if every > 0 && (progress.step.is_multiple_of(every) || trainer.is_done()) {
                 trainer.save(&checkpoint)?;
             }
             on_progress(kind, &progress, trainer.options().iterations, clock.elapsed().as_secs_f64());
@@ -536,9 +562,68 @@ impl<'a> Job<'a> {
     }
 }
 
+/// The files of `depth/`.
+struct MapFiles {
+    transforms: PathBuf,
+    /// One per view of the capture.
+    views: Vec<ViewFiles>,
+}
+
+/// What is written of one view: names relative to the folder as transforms.json has them, and paths.
+struct ViewFiles {
+    stem: String,
+    depth: PathBuf,
+    appearance: PathBuf,
+    normals: PathBuf,
+}
+
 /// The name of a view without its ending.
 fn stem_of(name: &str) -> String {
     Path::new(name).with_extension("").to_string_lossy().replace('\\', "/")
+}
+
+/// Names of views come with the capture, and no file may lie outside of `folder` or be two views'.
+fn map_files(folder: &Path, capture: &Capture) -> Result<MapFiles> {
+    let mut files = OutputFolder::new(folder);
+    let transforms = files.file("transforms.json")?;
+    let mut of = |name: &str| {
+        let stem = stem_of(name);
+        Ok(ViewFiles {
+            depth: files.file(&format!("{stem}.npy"))?,
+            appearance: files.file(&format!("{stem}.png"))?,
+            normals: files.file(&format!("normals/{stem}.png"))?,
+            stem,
+        })
+    };
+    let views = capture.views.iter().map(|view| {
+        of(&view.name).map_err(|e: drex_core::Error| drex_core::Error::at(capture.folder.join(&view.name), None, e))
+    });
+    Ok(MapFiles { transforms, views: views.collect::<Result<_, _>>()? })
+}
+
+/// `depth/`: depth of the surface for every photo's camera.
+fn write_depth_maps<R: Rasterizer>(
+    files: &MapFiles,
+    job: &Job<'_>,
+    rasterizer: &R,
+    appearance: &Gaussians,
+    surface: &Gaussians,
+) -> Result<()> {
+    let mut frames = Vec::new();
+    for (i, file) in files.views.iter().enumerate() {
+        let camera = &fitting(job.photos.camera(i), DEPTH_SIDE);
+        let options = job.render_options(i);
+        let looks = rasterizer.forward(appearance, camera, &options)?.0;
+        let shape = rasterizer.forward(surface, camera, &options)?.0;
+        let depth = surface_depth(&shape, 1.0, 0.5)?;
+        let normal: Vec<[f32; 3]> = shape.normal.iter().zip(&depth).map(|(n, &z)| normal_colour(*n, z)).collect();
+        write_npy(&file.depth, &[camera.height, camera.width], &depth)?;
+        picture::write_rgb(&file.normals, camera.width, camera.height, &normal)?;
+        picture::write_rgba(&file.appearance, camera.width, camera.height, &looks.rgb, &looks.alpha)?;
+        frames.push(frame(camera, &file.stem));
+    }
+    let text = serde_json::json!({ "camera_model": "PINHOLE", "frames": frames }).to_string();
+    Ok(fsutil::write_atomic(&files.transforms, text.as_bytes())?)
 }
 
 /// [`near_depth`] of all photos. What cameras look at is asked of those trained on: others may stand wrong.
@@ -573,6 +658,30 @@ fn fitting(camera: &PinholeCamera, side: usize) -> PinholeCamera {
     }
     let scaled = |n: usize| (n * side / longest).max(1);
     camera.resized(scaled(camera.width), scaled(camera.height))
+}
+
+/// (n + 1) / 2 of the unit normal; grey, which stands for none, where the depth is 0.
+fn normal_colour(n: [f32; 3], depth: f32) -> [f32; 3] {
+    let unit = nalgebra::Vector3::from(n).try_normalize(1e-6).filter(|_| depth > 0.0);
+    unit.map_or([0.5; 3], |n| n.map(|v| 0.5 * (v + 1.0)).into())
+}
+
+/// One frame of transforms.json: camera to world, OpenGL axes (x right, y up, z back).
+fn frame(camera: &PinholeCamera, stem: &str) -> serde_json::Value {
+    let mut m = camera.camera_from_world.inverse().to_homogeneous();
+    for column in [1, 2] {
+        for row in 0..3 {
+            m[(row, column)] = -m[(row, column)];
+        }
+    }
+    let rows: Vec<Vec<f64>> = (0..4).map(|r| (0..4).map(|c| m[(r, c)]).collect()).collect();
+    serde_json::json!({
+        "file_path": format!("{stem}.png"),
+        "depth_file_path": format!("{stem}.npy"),
+        "transform_matrix": rows,
+        "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy,
+        "w": camera.width, "h": camera.height,
+    })
 }
 
 #[cfg(test)]

@@ -320,6 +320,12 @@ impl Scanning<'_> {
         if folder.join("transforms.json").is_file() {
             progress.note(&format!("going on with the depth maps in {}", folder.display()));
             let maps = Capture::load(&folder, &CaptureOptions::default())?;
+            // Those drawn of surfels have normals.
+            if folder.join("normals").is_dir() {
+                let report = self.out.join("splat/report.json");
+                let trained: Trained = fsutil::from_json(&report, &fsutil::read_text(&report)?)?;
+                return Ok((maps, trained.object_only, None));
+            }
             // Their pictures are transparent where masks cut the object out.
             let masked = Photos::new(&maps, PhotoOptions::default())?.get(0)?.mask.is_some();
             return Ok((maps, masked, Some(self.stereo_options(cameras, region)?)));
@@ -430,6 +436,12 @@ fn snap_to_table(mesh: &mut TriMesh, table: &Support, voxel_m: f64) {
             *vertex -= height_m * table.up.into_inner();
         }
     }
+}
+
+/// What of `splat/report.json` is needed here.
+#[derive(Deserialize)]
+struct Trained {
+    object_only: bool,
 }
 
 /// Depth maps of one object in metres, in the frame that its mesh will have.

@@ -1,4 +1,4 @@
-//! `drex reconstruct`: photos become Gaussians.
+//! `drex reconstruct`: photos become Gaussians and depth maps.
 
 use std::path::Path;
 use std::time::Instant;
@@ -25,7 +25,7 @@ struct Answer<'a> {
     reconstruction: Reconstruction,
 }
 
-/// Finds the cameras where they are not given, trains Gaussians, writes them, answers with their scores.
+/// Finds the cameras where they are not given, trains both sets, writes them, answers with their scores.
 pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     let mut within = CaptureOptions::default();
     within.masks.clone_from(&args.masks);
@@ -60,6 +60,7 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     }
     if !options.born.is_empty() {
         ui.note(format!("Gaussians are born on the mesh in {}", args.out.join("mesh").display()));
+        options.surface = false;
     }
     let (report, reconstruction) = train_gaussians(&capture, &args.out, &options, args.gpu, ui)?;
     for format in &args.also {
@@ -67,8 +68,11 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
             SplatFormat::Spz => "spz",
             SplatFormat::Splat => "splat",
         };
-        let file = args.out.join(&reconstruction.appearance.file);
-        write_gaussians(&file.with_extension(ending), &read_gaussians(&file, Kind::Ellipsoid)?)?;
+        let surface = reconstruction.surface.as_ref().map(|surface| (surface, Kind::Surfel));
+        for (set, kind) in [(&reconstruction.appearance, Kind::Ellipsoid)].into_iter().chain(surface) {
+            let file = args.out.join(&set.file);
+            write_gaussians(&file.with_extension(ending), &read_gaussians(&file, kind)?)?;
+        }
     }
     record(args, &reconstruction, begun.elapsed().as_secs_f64())?;
     let text = describe(&reconstruction, &args.out);
@@ -77,12 +81,19 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
 
 /// What it took, into `timings.json`.
 fn record(args: &ReconstructArgs, r: &Reconstruction, seconds: f64) -> Result<()> {
+    let sets = sets(r);
     let mut timing = Timing::of(seconds);
-    timing.core_seconds = r.appearance.core_seconds;
+    timing.core_seconds = sets.iter().map(|(_, set)| set.core_seconds).sum();
     timing.peak_memory_bytes = r.peak_memory_bytes;
     timing.input = Some(args.scan.clone());
-    timing.parts = [("appearance".to_owned(), r.appearance.seconds)].into();
+    timing.parts = sets.iter().map(|(part, set)| (String::from(*part), set.seconds)).collect();
     Ok(timings::record(&args.out, "reconstruct", timing)?)
+}
+
+/// The sets that were trained.
+fn sets(r: &Reconstruction) -> Vec<(&'static str, &SetSummary)> {
+    let surface = r.surface.as_ref().map(|surface| ("surface", surface));
+    [("appearance", &r.appearance)].into_iter().chain(surface).collect()
 }
 
 fn describe(r: &Reconstruction, out: &Path) -> String {
@@ -95,7 +106,12 @@ fn describe(r: &Reconstruction, out: &Path) -> String {
     for left_out in &r.left_out {
         text += &format!("  left out  {left_out}\n");
     }
-    text += &describe_set("appearance", &r.appearance, out);
+    for (name, set) in sets(r) {
+        text += &describe_set(name, set, out);
+    }
+    if r.surface.is_some() {
+        text += &format!("  depth     {} maps in {}\n", r.depth_maps, out.join("depth").display());
+    }
     if let Some(bytes) = r.peak_memory_bytes {
         text += &format!("  memory    {:.0} MB at the most\n", bytes as f64 / 1e6);
     }
