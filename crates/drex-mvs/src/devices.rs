@@ -107,7 +107,7 @@ impl Wall {
     }
 }
 
-const NOTHING: Pass = Pass { number: 0, far: false, step_px: 0.0, restart: false, last: false };
+const AS_IS: Pass = Pass { number: 0, far: false, step_px: 0.0, restart: false, last: false };
 
 /// The GPU; without an adapter prints why and gives `None`, unless DREX_REQUIRE_GPU is set.
 fn gpu(window: &Window<5>) -> Option<Gpu> {
@@ -158,11 +158,11 @@ fn the_gpu_and_vectors_give_a_plane_the_cost_of_its_patch() {
         let expected: Vec<_> = (0..WIDTH * HEIGHT).filter_map(|at| Some((at, patch_cost(at)?))).collect();
         assert!(expected.iter().filter(|(_, cost)| *cost < 2.0).count() > 500, "few windows lie in the other photo");
         let mut vectors = start.clone();
-        matcher.pass(&mut vectors, NOTHING);
+        matcher.pass(&mut vectors, AS_IS);
         assert!(expected.iter().all(|(at, cost)| vectors.costs[*at] == *cost));
         let Some(gpu) = &gpu else { continue };
         let mut found = start.clone();
-        gpu.passes(&matcher, &mut found, &[NOTHING]).unwrap();
+        gpu.passes(&matcher, &mut found, &[AS_IS]).unwrap();
         let off = expected.iter().map(|(at, cost)| (found.costs[*at] - cost).abs()).fold(0.0, f32::max);
         assert!(off < 1e-3, "{off} for planes {size} from the wall");
         // With what neighbours offer, windows that are looked at in the smaller picture, and those that show nothing.
@@ -177,9 +177,9 @@ fn the_gpu_and_vectors_go_through_passes_as_plain_loops_do() {
     let limits = wall.limits();
     let gpu = gpu(&wall.window);
     let passes = [
-        Pass { far: true, step_px: 4.0, restart: true, ..NOTHING },
-        Pass { number: 1, step_px: 1.0, ..NOTHING },
-        Pass { number: 2, last: true, ..NOTHING },
+        Pass { far: true, step_px: 4.0, restart: true, ..AS_IS },
+        Pass { number: 1, step_px: 1.0, ..AS_IS },
+        Pass { number: 2, last: true, ..AS_IS },
     ];
     for peers in [Vec::new(), wall.peers()] {
         let matcher = wall.matcher(&limits, &SHIFTS, peers);

@@ -61,6 +61,14 @@ pub fn train_gaussians(
     Ok((report, reconstruction))
 }
 
+/// Whether there is a GPU that this program can use: to be asked before the minutes that cameras take.
+///
+/// # Errors
+/// If there is none, or the program was built without.
+pub fn gpu_is_there() -> Result<()> {
+    gpu().map(drop)
+}
+
 /// The first GPU there is.
 #[cfg(feature = "wgpu")]
 fn gpu() -> Result<drex_splat::raster::Gpu> {

@@ -26,7 +26,7 @@ use crate::manifest::ScanPreset;
 use crate::masks::{MASKS, MaskReport, Masks, made_masks_in, object_masks};
 use crate::place::{self, box_around, sparse_points};
 pub use crate::place::{FrameOptions, OtherPlane};
-use crate::reconstruct::{Cameras, ScanInput};
+use crate::reconstruct::{Cameras, ScanInput, gpu_is_there};
 use crate::scale::{DEPTH_CAMERA, Scale};
 use crate::stereo::{self, DEPTH, Frame, frames};
 pub use crate::surfels::GapReport;
@@ -119,6 +119,9 @@ impl Scanning<'_> {
     /// # Errors
     /// If the scan cannot be read, has no scale or too little of the object is seen.
     pub fn mesh(&self, progress: &dyn Progress) -> Result<Meshed> {
+        if self.on_gpu {
+            gpu_is_there()?;
+        }
         let mut within = CaptureOptions::default();
         within.masks.clone_from(&self.masks);
         within.poses.clone_from(&self.poses);

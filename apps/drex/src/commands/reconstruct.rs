@@ -10,7 +10,7 @@ use drex_splat::metrics::Table;
 use drex_splat::reconstruct::{Reconstruction, SetSummary};
 use drex_splat::{Kind, ReconstructOptions};
 use drex_twin::born::points_on_asset;
-use drex_twin::reconstruct::{Cameras, ScanInput, train_gaussians};
+use drex_twin::reconstruct::{Cameras, ScanInput, gpu_is_there, train_gaussians};
 use drex_twin::timings::{self, Timing};
 use serde::Serialize;
 
@@ -27,6 +27,9 @@ struct Answer<'a> {
 
 /// Finds the cameras where they are not given, trains both sets, writes them, answers with their scores.
 pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
+    if args.gpu {
+        gpu_is_there()?;
+    }
     let mut within = CaptureOptions::default();
     within.masks.clone_from(&args.masks);
     let begun = Instant::now();

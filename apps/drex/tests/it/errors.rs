@@ -218,3 +218,14 @@ fn the_mistake_is_json_too_when_asked_for() {
     assert_eq!(code, 1);
     assert!(answer["error"].as_str().unwrap().contains("drex train tin"), "{answer}");
 }
+
+#[test]
+#[cfg(not(feature = "wgpu"))]
+fn a_gpu_that_this_build_has_not_is_refused_before_any_work() {
+    let dir = folder();
+    for command in ["asset", "reconstruct"] {
+        let (code, _, error) = drex_in(dir.path(), &[command, "photos", "--out", "new", "--gpu"]);
+        assert!(code == 1 && error.contains("built without a GPU") && error.contains("--features wgpu"), "{error}");
+        assert!(!error.contains("cameras") && !dir.path().join("new").exists(), "{error}");
+    }
+}
