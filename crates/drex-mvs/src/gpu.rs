@@ -4,11 +4,14 @@ use drex_core::Result;
 use drex_core::gpu::{Buffer, Device, Kernel};
 use rayon::prelude::*;
 
-use crate::kernel::{Plane, Source, Window};
-use crate::patchmatch::{Field, Matcher, Pass, Peer, Scale};
+use crate::kernel::{LEAST_VARIANCE, Plane, Source, WORST, Window};
+use crate::patchmatch::{
+    COUNTED, EARLY_STOP_COST, Field, INDEPENDENT, LEAST_COSINE, LEAST_COST, MOST_PX, MOST_SOURCES, Matcher, PER_PIXEL,
+    Pass, Peer, Scale, TWIN_PX,
+};
 use crate::picture::Area;
 
-/// Stands for infinity, as in the shader.
+/// Stands for infinity, which shaders need not know.
 const NEVER: f32 = 1e30;
 /// Mark of a pixel that is searched, beside its grey.
 const INSIDE: u32 = 256;
@@ -42,7 +45,7 @@ impl Gpu {
     /// If there is no adapter, or it refuses a kernel.
     pub fn new<const G: usize>(window: &Window<G>) -> Result<Self> {
         let device = Device::new()?;
-        let source = format!("const RADIUS = {};\n{}", window.radius, include_str!("patchmatch.wgsl"));
+        let source = constants(window.radius) + include_str!("patchmatch.wgsl");
         let module = device.module("patchmatch", &source);
         let [improve, deviate] = ["improve", "deviate"].map(|entry| device.kernel(&module, entry));
         let window = device.upload("weights of a window", &window.weights())?;
@@ -135,6 +138,26 @@ impl Gpu {
         ];
         Ok(Loaded { size: [*width, *height], view, buffers, field })
     }
+}
+
+/// The constants that the shader shares with the processor's code.
+fn constants(radius: i32) -> String {
+    let whole = [("COUNTED", COUNTED), ("MOST_SOURCES", MOST_SOURCES), ("WORKGROUP", SIDE)];
+    let real = [
+        ("EARLY_STOP_COST", EARLY_STOP_COST),
+        ("INDEPENDENT", INDEPENDENT),
+        ("LEAST_COSINE", LEAST_COSINE),
+        ("LEAST_COST", LEAST_COST),
+        ("LEAST_VARIANCE", LEAST_VARIANCE),
+        ("MOST_PX", MOST_PX),
+        ("NEVER", NEVER),
+        ("PER_PIXEL", PER_PIXEL),
+        ("TWIN_PX", TWIN_PX),
+        ("WORST", WORST),
+    ];
+    let whole = whole.map(|(name, value)| format!("const {name} = {value}u;\n")).concat();
+    let real = real.map(|(name, value)| format!("const {name} = {value:e};\n")).concat();
+    format!("const RADIUS = {radius};\nconst INSIDE = {INSIDE}u;\n{whole}{real}")
 }
 
 /// Planes and costs as the shader reads them.

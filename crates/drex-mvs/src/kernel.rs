@@ -11,7 +11,7 @@ pub(crate) const LANES: usize = 8;
 /// Cost of a window that says nothing: without contrast, or outside of the other photo.
 pub(crate) const WORST: f32 = 2.0;
 /// Variance, grey levels squared, below which a window says nothing: it may be noise.
-const LEAST_VARIANCE: f32 = 2.0;
+pub(crate) const LEAST_VARIANCE: f32 = 2.0;
 
 type Lanes = [f32; LANES];
 

@@ -17,20 +17,20 @@ use crate::scene::Limits;
 /// Most photos that one is compared with.
 pub(crate) const MOST_SOURCES: usize = 8;
 /// The cost of a plane is the mean over so many photos, those that it fits best: others may not see the place.
-const COUNTED: usize = 3;
+pub(crate) const COUNTED: usize = 3;
 /// A plane that two good photos like less than the best one by this much is not tried on the others.
-const EARLY_STOP_COST: f32 = 0.15;
+pub(crate) const EARLY_STOP_COST: f32 = 0.15;
 /// Planes are alike if they are nowhere in the window farther apart than this, pixels in the other photos.
-const TWIN_PX: f32 = 0.1;
+pub(crate) const TWIN_PX: f32 = 0.1;
 /// Samples that count as independent: a third of those of the windows in the [`COUNTED`] photos.
-const INDEPENDENT: f32 = 24.0;
+pub(crate) const INDEPENDENT: f32 = 24.0;
 /// Photos never agree better than this, whatever the cost says.
-const LEAST_COST: f32 = 0.01;
+pub(crate) const LEAST_COST: f32 = 0.01;
 /// Cosine of the steepest slope of a surface to its ray.
-const LEAST_COSINE: f32 = 0.15;
+pub(crate) const LEAST_COSINE: f32 = 0.15;
 /// Weight of a pixel of disagreement with another photo's depth, and the most that counts, pixels (ACMM).
-const PER_PIXEL: f32 = 0.2;
-const MOST_PX: f32 = 3.0;
+pub(crate) const PER_PIXEL: f32 = 0.2;
+pub(crate) const MOST_PX: f32 = 3.0;
 
 /// The planes of a photo at one size.
 #[derive(Debug, Clone, PartialEq)]

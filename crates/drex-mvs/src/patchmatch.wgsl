@@ -1,25 +1,11 @@
-// What patchmatch.rs does to a pixel, and kernel.rs to a window, in their words and with their constants: one thread a pixel of one colour.
-// The host writes RADIUS, that of the window, before this text. A plane is (w, a, b).
+// What patchmatch.rs does to a pixel, and kernel.rs to a window, in their words: one thread a pixel of one colour.
+// Constants that have no value here are written by gpu.rs before this text: RADIUS is that of the window. A plane is (w, a, b).
 
 const SIDE = RADIUS + 1;
 const SAMPLES = SIDE * SIDE;
-const MOST_SOURCES = 8;
-const COUNTED = 3u;
-const WORST = 2.0;
-const LEAST_VARIANCE = 2.0;
-const EARLY_STOP_COST = 0.15;
-const TWIN_PX = 0.1;
-const INDEPENDENT = 24.0;
-const LEAST_COST = 0.01;
-const LEAST_COSINE = 0.15;
-const PER_PIXEL = 0.2;
-const MOST_PX = 3.0;
 const TAU = 6.2831853;
-/// Stands for infinity, which shaders need not know; as in gpu.rs.
-const NEVER = 1e30;
-/// Of a word of `greys`: the level, and whether the pixel is searched.
+/// Of a word of `greys`; INSIDE is the mark beside it.
 const LEVEL = 255u;
-const INSIDE = 256u;
 
 struct Scale {
     size: vec2u,
@@ -217,12 +203,12 @@ fn counted(costs: ptr<function, array<f32, MOST_SOURCES>>) -> f32 {
     var weights = 0.0;
     for (var i = 0u; i < min(COUNTED, view.sources); i++) {
         var least = MOST_SOURCES;
-        for (var k = 0; k < i32(view.sources); k++) {
-            if (used >> u32(k) & 1u) == 0u && (least == MOST_SOURCES || (*costs)[k] < (*costs)[least]) {
+        for (var k = 0u; k < view.sources; k++) {
+            if (used >> k & 1u) == 0u && (least == MOST_SOURCES || (*costs)[k] < (*costs)[least]) {
                 least = k;
             }
         }
-        used |= 1u << u32(least);
+        used |= 1u << least;
         sum += others[least].weight * (*costs)[least];
         weights += others[least].weight;
     }
@@ -404,7 +390,7 @@ fn offer_neighbours(place: vec2i) {
     }
 }
 
-@compute @workgroup_size(16, 16)
+@compute @workgroup_size(WORKGROUP, WORKGROUP)
 fn improve(@builtin(global_invocation_id) id: vec3u) {
     let place = vec2u(2u * id.x + (id.y + view.colour) % 2u, id.y);
     let pixel = place.y * view.size.x + place.x;
@@ -455,7 +441,7 @@ fn mean_photometric(w: f32) -> f32 {
     return sum / f32(n);
 }
 
-@compute @workgroup_size(16, 16)
+@compute @workgroup_size(WORKGROUP, WORKGROUP)
 fn deviate(@builtin(global_invocation_id) id: vec3u) {
     let pixel = id.y * view.size.x + id.x;
     if any(id.xy >= view.size) {

@@ -48,6 +48,8 @@ pub(super) struct Tracker<'a> {
     next: Vec<u32>,
     carried: Vec<u32>,
     homes: Vec<u32>,
+    /// The face of the original that the last point was close to: the next one often is as well.
+    last: usize,
 }
 
 impl<'a> Tracker<'a> {
@@ -74,7 +76,7 @@ impl<'a> Tracker<'a> {
             first.push(head);
         }
         let widest = allowed.at_face.iter().copied().fold(0.0, f64::max);
-        Self { allowed, widest, middle, points, first, next, carried: Vec::new(), homes: Vec::new() }
+        Self { allowed, widest, middle, points, first, next, carried: Vec::new(), homes: Vec::new(), last: 0 }
     }
 
     /// Hands the points of the faces `before` on to `after`, the faces of the corners `survivors`, which meet in `x`; false,
@@ -118,7 +120,7 @@ impl<'a> Tracker<'a> {
 
     /// A lattice of points on a new face, whose corner `k` is the merged vertex; finer where the face is large. The vertex
     /// itself, the old edge and one of the two new ones belong to others.
-    fn face_is_close(&self, t: &[Point3<f64>; 3], k: usize) -> bool {
+    fn face_is_close(&mut self, t: &[Point3<f64>; 3], k: usize) -> bool {
         let (x, p, q) = (t[k].coords, t[(k + 1) % 3].coords, t[(k + 2) % 3].coords);
         let longest = (p - x).norm().max((q - x).norm()).max((q - p).norm());
         let n = (longest / (SPACING * self.widest)).ceil().clamp(2.0, FINEST) as u32;
@@ -130,8 +132,20 @@ impl<'a> Tracker<'a> {
         })
     }
 
-    fn is_close(&self, p: &Point3<f64>) -> bool {
-        let nearest = self.allowed.tree.nearest(&(p + self.middle), self.widest * (1.0 + 1e-12));
-        nearest.is_some_and(|n| n.distance_squared.sqrt() <= self.allowed.at_face[n.face as usize])
+    /// Whether a point is no farther from some face of the original than is allowed there.
+    fn is_close(&mut self, p: &Point3<f64>) -> bool {
+        let Allowance { mesh, tree, at_face } = self.allowed;
+        let p = p + self.middle;
+        let near = |f: usize, t: &[Point3<f64>; 3]| (p - nearest_on_triangle(&p, t)).norm() <= at_face[f];
+        if near(self.last, &mesh.triangle(self.last)) {
+            return true;
+        }
+        let mut found = None;
+        tree.any_in(&Aabb::of(&[p]).fattened(self.widest), |f, t| {
+            found = near(f as usize, t).then_some(f as usize);
+            found.is_some()
+        });
+        self.last = found.unwrap_or(self.last);
+        found.is_some()
     }
 }
