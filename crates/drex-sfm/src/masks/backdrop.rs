@@ -6,7 +6,7 @@
 
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
-use super::table::{Masks, Tone, densest, fit_density, trust_of};
+use super::table::{Fit, Masks, Tone, densest, trust_of};
 use super::view::{View, Window};
 
 /// Knots of the lattice of depths are this many pixels apart.
@@ -99,8 +99,8 @@ impl Backdrop {
         Self { width: w, pixels }
     }
 
-    /// As [`super::table::Table::density`], for what stands behind.
-    pub fn density(&self, colour: [u8; 3], noise: &[f32; 3], at: usize) -> Option<f32> {
+    /// As [`super::table::Table::fit`], for what stands behind.
+    pub fn fit(&self, colour: [u8; 3], noise: &[f32; 3], at: usize) -> Option<Fit> {
         let here = self.pixels[at];
         if !here.known {
             return None;
@@ -112,7 +112,8 @@ impl Backdrop {
         let (x0, x1) = (x.saturating_sub(1), (x + 1).min(self.width - 1));
         let (y0, y1) = (y.saturating_sub(1), (y + 1).min(rows - 1));
         let around = (y0..=y1).flat_map(|y| &self.pixels[y * self.width + x0..=y * self.width + x1]);
-        Some(fit_density(colour, around.filter(|p| p.known).map(|p| p.colour.map(f32::from)), &sigma))
+        let expected = |pixel: &Expected| pixel.colour.map(f32::from);
+        Some(Fit::new(colour, expected(&here), around.filter(|p| p.known).map(expected), &sigma))
     }
 
     /// How a view differs from its backdrop, from the pixels beside the box; the gain is in the backdrop.
@@ -132,9 +133,9 @@ impl Backdrop {
             let at = all.len() * 7 / 10;
             all.select_nth_unstable_by(at, f32::total_cmp).1.max(super::table::LEAST_NOISE)
         });
-        let fits: Vec<f32> = (0..self.pixels.len())
+        let fits: Vec<Fit> = (0..self.pixels.len())
             .filter(|at| !view.inside[*at])
-            .filter_map(|at| self.density(view.colour(at), &noise, at))
+            .filter_map(|at| self.fit(view.colour(at), &noise, at))
             .collect();
         Tone { gain: [1.0; 3], noise, trust: trust_of(&fits) }
     }

@@ -5,10 +5,10 @@ use nalgebra::Point3;
 use rayon::prelude::*;
 
 use super::backdrop::Backdrop;
-use super::colour::Histogram;
+use super::colour::{Conditional, Histogram};
 use super::cut::{Cut, Pixel, signed_distance};
 use super::hull::Grid;
-use super::table::{Table, Tone};
+use super::table::{Fit, Table, Tone};
 use super::view::{Bounds, View};
 use super::{MaskInput, MaskOptions, bare, points};
 
@@ -38,6 +38,13 @@ pub(super) struct Work {
     likely: Vec<Vec<u8>>,
     /// Log-likelihood ratio, silhouette included, nats.
     pub evidence: Vec<Vec<f32>>,
+}
+
+/// What a pixel shows if not the object.
+#[derive(Debug, Clone, Copy)]
+enum Place {
+    Plane,
+    Behind,
 }
 
 impl Work {
@@ -155,7 +162,7 @@ impl Work {
 
     /// Colours of the object over all views.
     fn object_colours(&self, backgrounds: &[Histogram]) -> Histogram {
-        // Share of the box's pixels that is taken for background at the start.
+        // Share of the box's pixels that is taken for background at the start where it is not known.
         const BACKGROUND: f32 = 0.7;
         const DOUBTED: f32 = 0.1;
         let parts: Vec<Histogram> = self
@@ -171,11 +178,18 @@ impl Work {
                     }
                     return all;
                 }
+                // Where nothing is expected, what is common round the box is taken away from what is seen.
+                let mut unknown = Histogram::new();
                 for at in (0..view.inside.len()).filter(|at| view.inside[*at]) {
-                    let (expected, trust) = self.expected(k, at).unwrap_or_default();
-                    all.add(view.colour(at), 1.0 / (1.0 + 0.2 * trust * expected));
+                    match self.expected(k, at) {
+                        Some((fit, place)) => {
+                            let fit = self.tone(k, place).trust * fit.density;
+                            all.add(view.colour(at), 1.0 / (1.0 + 0.2 * fit));
+                        }
+                        None => unknown.add(view.colour(at), 1.0),
+                    }
                 }
-                let mut all = all.smoothed(1).without(&backgrounds[k], BACKGROUND);
+                all.merge(&unknown.smoothed(1).without(&backgrounds[k], BACKGROUND), 1.0);
                 for (at, _) in self.seen[k].iter().filter(|(_, object)| *object) {
                     all.add(view.colour(*at), 10.0);
                 }
@@ -187,15 +201,23 @@ impl Work {
         sum.smoothed(1)
     }
 
-    /// Density of the colour of a pixel if it shows the plane or what stands behind, where either is known, and how far that
-    /// is to be trusted.
-    fn expected(&self, k: usize, at: usize) -> Option<(f32, f32)> {
+    /// How the colour of a pixel fits if it shows the plane, or else what stands behind, where either is known.
+    fn expected(&self, k: usize, at: usize) -> Option<(Fit, Place)> {
         let view = &self.views[k];
-        if let Some(density) = self.table.density(view, &self.tones[k], at) {
-            return Some((density, self.tones[k].trust));
+        let plane = || Some((self.table.fit(view, &self.tones[k], at)?, Place::Plane));
+        let behind = || {
+            let (backdrop, tone) = &self.backdrops[k];
+            Some((backdrop.fit(view.colour(at), &tone.noise, at)?, Place::Behind))
+        };
+        plane().or_else(behind)
+    }
+
+    /// How a view differs from what is known of the plane or of what stands behind.
+    fn tone(&self, k: usize, place: Place) -> &Tone {
+        match place {
+            Place::Plane => &self.tones[k],
+            Place::Behind => &self.backdrops[k].1,
         }
-        let (backdrop, tone) = &self.backdrops[k];
-        backdrop.density(view.colour(at), &tone.noise, at).map(|density| (density, tone.trust))
     }
 
     /// Log-likelihood ratio of each pixel of a view by its colour, nats.
@@ -205,6 +227,8 @@ impl Work {
         const OWN: f32 = 0.7;
         const ANY: f32 = 0.1;
         let view = &self.views[k];
+        let [mut plane, mut behind] =
+            [Place::Plane, Place::Behind].map(|place| Conditional::new(background, &self.tone(k, place).noise));
         (0..view.inside.len())
             .map(|at| {
                 if !view.inside[at] {
@@ -213,8 +237,13 @@ impl Work {
                 let colour = view.colour(at);
                 let mut other = background.density(colour);
                 let object = OWN * self.object.density(colour) + ANY + (1.0 - OWN - ANY) * other;
-                if let Some((expected, trust)) = self.expected(k, at) {
-                    other = trust * expected + (1.0 - trust) * other;
+                if let Some((fit, place)) = self.expected(k, at) {
+                    let trust = self.tone(k, place).trust;
+                    let conditional = match place {
+                        Place::Plane => &mut plane,
+                        Place::Behind => &mut behind,
+                    };
+                    other = trust * conditional.density(colour, &fit) + (1.0 - trust) * other;
                 }
                 (object / other).ln().clamp(-MOST, MOST)
             })

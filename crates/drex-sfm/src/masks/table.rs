@@ -302,13 +302,12 @@ impl Table {
             all.select_nth_unstable_by(at, f32::total_cmp).1.max(LEAST_NOISE)
         });
         let tone = Tone { gain, noise, trust: 1.0 };
-        let fits: Vec<f32> = outside().filter_map(|at| self.density(view, &tone, at)).collect();
+        let fits: Vec<Fit> = outside().filter_map(|at| self.fit(view, &tone, at)).collect();
         Tone { trust: trust_of(&fits), ..tone }
     }
 
-    /// Density of the colour of a pixel if it shows the plane, relative to the density if all colours were alike; `None`
-    /// where the plane is not known or not seen.
-    pub fn density(&self, view: &View, tone: &Tone, at: usize) -> Option<f32> {
+    /// How the colour of a pixel fits if it shows the plane; `None` where the plane is not known or not seen.
+    pub fn fit(&self, view: &View, tone: &Tone, at: usize) -> Option<Fit> {
         let (level, index) = self.place(view.floor[at])?;
         let cells = &self.levels[level].cells;
         let cell = cells[index];
@@ -318,31 +317,43 @@ impl Table {
         let seen = view.colour(at);
         let sigma: [f32; 3] =
             std::array::from_fn(|c| (tone.noise[c].powi(2) + (0.25 * f32::from(cell.spread[c])).powi(2)).sqrt());
+        let expected = |cell: &Cell| std::array::from_fn(|c| tone.gain[c] * f32::from(cell.colour[c]));
         let around = [index - SIDE, index, index + SIDE].into_iter().flat_map(|row| &cells[row - 1..=row + 1]);
-        let expected =
-            around.filter(|c| c.known).map(|other| std::array::from_fn(|c| tone.gain[c] * f32::from(other.colour[c])));
-        Some(fit_density(seen, expected, &sigma))
+        Some(Fit::new(seen, expected(&cell), around.filter(|c| c.known).map(expected), &sigma))
     }
 }
 
-/// Density of a colour if one of the `expected` ones is right, with spread `sigma`, relative to the density if all colours
-/// were alike: Student's t of four degrees in three dimensions.
-pub(super) fn fit_density(seen: [u8; 3], expected: impl Iterator<Item = [f32; 3]>, sigma: &[f32; 3]) -> f32 {
-    let (mut sum, mut count) = (0.0, 0.0f32);
-    for other in expected {
-        let q: f32 = (0..3).map(|c| ((f32::from(seen[c]) - other[c]) / sigma[c]).powi(2)).sum();
-        let base = 1.0 / (1.0 + 0.25 * q);
-        sum += base * base * base * base.sqrt();
-        count += 1.0;
-    }
-    0.0746 * 256f32.powi(3) / (sigma[0] * sigma[1] * sigma[2]) * sum / count.max(1.0)
+/// How a colour fits what is expected.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Fit {
+    /// The expected colour of the place itself.
+    pub expected: [u8; 3],
+    /// Density of the colour, relative to the density if all colours were alike.
+    pub density: f32,
 }
 
-/// Share of densities that say "as expected": more than if all colours were alike. At most 0.9.
-pub(super) fn trust_of(densities: &[f32]) -> f32 {
+impl Fit {
+    /// That of a colour if one of the colours `around` is right, of which `expected` is that of the place itself.
+    pub fn new(seen: [u8; 3], expected: [f32; 3], around: impl Iterator<Item = [f32; 3]>, sigma: &[f32; 3]) -> Self {
+        let (sum, count) =
+            around.fold((0.0, 0.0f32), |(sum, n), other| (sum + fit_density(seen, other, sigma), n + 1.0));
+        Self { expected: expected.map(|c| c.round().clamp(0.0, 255.0) as u8), density: sum / count.max(1.0) }
+    }
+}
+
+/// Density of a colour about an expected one with spread `sigma`, relative to the density if all colours were alike: Student's t of four degrees
+/// in three dimensions.
+pub(super) fn fit_density(seen: [u8; 3], expected: [f32; 3], sigma: &[f32; 3]) -> f32 {
+    let q: f32 = (0..3).map(|c| ((f32::from(seen[c]) - expected[c]) / sigma[c]).powi(2)).sum();
+    let base = 1.0 / (1.0 + 0.25 * q);
+    0.0746 * 256f32.powi(3) / (sigma[0] * sigma[1] * sigma[2]) * base * base * base * base.sqrt()
+}
+
+/// Share of the fits that say "as expected": more than if all colours were alike. At most 0.9.
+pub(super) fn trust_of(fits: &[Fit]) -> f32 {
     const MOST: f32 = 0.9;
-    let fit = densities.iter().filter(|d| **d > 1.0).count() as f32;
-    (fit / (densities.len().max(1) as f32)).min(MOST)
+    let fit = fits.iter().filter(|fit| fit.density > 1.0).count() as f32;
+    (fit / (fits.len().max(1) as f32)).min(MOST)
 }
 
 /// Sorts and gives the ends of the narrowest run that holds `share` of the values. Not for empty slices.
