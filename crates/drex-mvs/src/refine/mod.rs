@@ -27,6 +27,8 @@ const BATCH: usize = 16;
 const LONGEST_STEP_PX: f64 = 0.3;
 /// Most steps are shorter than this when nothing is left to gain, pixels.
 const STILL_PX: f64 = 0.02;
+/// Photos agree less than before only if their correlation lacks this many times as much of 1: from pass to pass windows are other ones as well.
+const WORSE: f64 = 1.05;
 /// It ends after so many passes in a row after which photos agree less.
 const MOST_WORSE: usize = 2;
 /// How much vertices that no depth map shows hold on to their place, beside what photos say of others.
@@ -75,7 +77,7 @@ pub struct RefineReport {
     pub seen_share: f64,
     /// How far vertices ended from where they began: median and 95 %, the capture's unit of length.
     pub moved: [f64; 2],
-    /// Mean correlation of the windows at full size, before the passes there and after the best of them; not a number if none were asked for.
+    /// Mean correlation of the windows at full size, before the passes there and after them; not a number if none were asked for.
     pub correlation: [f64; 2],
 }
 
@@ -132,7 +134,7 @@ pub fn refine(
         let pictures: Vec<Blurred> = views.par_iter().map(|v| Blurred::new(v, halvings)).collect();
         let pixel = work.pixel(halvings, &nalgebra::center(&lo, &hi));
         let mut best = (f64::NEG_INFINITY, work.vertices.clone());
-        let (mut worse, mut step) = (0, f64::INFINITY);
+        let (mut worse, mut step, mut last) = (0, f64::INFINITY, f64::NAN);
         for pass in 0..=most {
             progress(Step { stage: "refinement", done: done + pass, total });
             let pulls = work.pulls(halvings, &pictures);
@@ -146,10 +148,11 @@ pub fn refine(
             if halvings == 0 && pass == 0 {
                 correlation[0] = agreement;
             }
-            worse = if agreement > best.0 { 0 } else { worse + 1 };
-            if worse == 0 {
+            worse = if 1.0 - agreement <= WORSE * (1.0 - best.0) { 0 } else { worse + 1 };
+            if agreement > best.0 {
                 best = (agreement, work.vertices.clone());
             }
+            last = agreement;
             if worse == MOST_WORSE || step < STILL_PX * pixel || pass == most {
                 break;
             }
@@ -157,9 +160,11 @@ pub fn refine(
             passes += 1;
             step = work.step(&pulls, pixel);
         }
-        work.vertices = best.1;
+        if worse > 0 {
+            (last, work.vertices) = best;
+        }
         if halvings == 0 {
-            correlation[1] = best.0;
+            correlation[1] = last;
         }
         done += most;
     }

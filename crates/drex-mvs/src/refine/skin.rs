@@ -67,19 +67,32 @@ impl<'a> Skin<'a> {
         (0..ways.len()).into_par_iter().map(sum).collect()
     }
 
+    /// How much each vertex resists: less where it lies on a crease. A crease goes on at two neighbours or more; a vertex that sticks out alone
+    /// is a thorn.
+    fn weights(&self, places: &[Vector3<f64>], ways: &[Vector3<f64>]) -> Vec<f64> {
+        let bend = |v: usize| {
+            let near = self.of(v);
+            let edges = near.iter().map(|u| (places[*u as usize] - places[v]).norm()).sum::<f64>();
+            ways[v].norm() / (CREASE * edges / near.len().max(1) as f64).max(f64::MIN_POSITIVE)
+        };
+        let bends: Vec<f64> = (0..ways.len()).into_par_iter().map(bend).collect();
+        let weight = |v: usize| {
+            let most = self
+                .of(v)
+                .iter()
+                .map(|u| bends[*u as usize])
+                .fold([0.0; 2], |[first, second]: [f64; 2], bend| [first.max(bend), second.max(bend.min(first))]);
+            1.0 / (1.0 + bends[v].min(most[1]).powi(2))
+        };
+        (0..ways.len()).into_par_iter().map(weight).collect()
+    }
+
     /// The steps x along the normals n that solve (H + s nᵀ Lᵀ W L n) x = f - s nᵀ Lᵀ W L p, by conjugate gradients: the least of
     /// Σ H (x - f / H)² + s |L (p + n x)|²_W, where L goes from each vertex to the middle of its neighbours and W makes creases give way.
     pub fn steps(&self, pull: &Pull<'_>, vertices: &[Point3<f64>], normals: &[Vector3<f64>]) -> Vec<f64> {
         let places: Vec<Vector3<f64>> = vertices.iter().map(|p| p.coords).collect();
         let ways = self.inwards(&places);
-        let weights: Vec<f64> = (0..ways.len())
-            .map(|v| {
-                let near = self.of(v);
-                let edge = near.iter().map(|u| (places[*u as usize] - places[v]).norm()).sum::<f64>()
-                    / near.len().max(1) as f64;
-                1.0 / (1.0 + (ways[v].norm() / (CREASE * edge).max(f64::MIN_POSITIVE)).powi(2))
-            })
-            .collect();
+        let weights = self.weights(&places, &ways);
         let bent = |ways: Vec<Vector3<f64>>| -> Vec<f64> {
             let weighed: Vec<Vector3<f64>> = ways.iter().zip(&weights).map(|(way, weight)| way * *weight).collect();
             self.outwards(&weighed).iter().zip(normals).map(|(b, n)| pull.stiffness * b.dot(n)).collect()
@@ -126,4 +139,48 @@ pub(super) struct Pull<'a> {
     pub stiffness: f64,
     /// Vertices that stay.
     pub fixed: &'a [bool],
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A sheet of unit squares, cut into triangles, `height` telling how far each vertex stands out.
+    fn sheet(height: impl Fn(usize, usize) -> f64) -> TriMesh {
+        const SIDE: usize = 21;
+        let vertices = (0..SIDE * SIDE).map(|v| (v % SIDE, v / SIDE));
+        let vertices = vertices.map(|(x, y)| Point3::new(x as f64, y as f64, height(x, y))).collect();
+        let at = |x: usize, y: usize| (y * SIDE + x) as u32;
+        let squares = (0..SIDE - 1).flat_map(|y| (0..SIDE - 1).map(move |x| (x, y)));
+        let faces = squares.flat_map(|(x, y)| {
+            let [a, b, c, d] = [at(x, y), at(x + 1, y), at(x + 1, y + 1), at(x, y + 1)];
+            [[a, b, c], [a, c, d]]
+        });
+        TriMesh { vertices, faces: faces.collect() }
+    }
+
+    /// Heights after ten passes in which photos say that all is where it began, beside a prior `stiffness` times as strong.
+    fn heights(mesh: &TriMesh, stiffness: f64) -> Vec<f64> {
+        let skin = Skin::new(mesh);
+        let start: Vec<f64> = mesh.vertices.iter().map(|p| p.z).collect();
+        let mut vertices = mesh.vertices.clone();
+        let fixed: Vec<bool> = vertices.iter().map(|p| p.x < 2.0 || p.x > 18.0 || p.y < 2.0 || p.y > 18.0).collect();
+        for _ in 0..10 {
+            let each: Vec<[f64; 2]> = vertices.iter().zip(&start).map(|(p, z)| [z - p.z, 1.0]).collect();
+            let up = vec![Vector3::z(); vertices.len()];
+            let steps = skin.steps(&Pull { each: &each, stiffness, fixed: &fixed }, &vertices, &up);
+            vertices.iter_mut().zip(steps).for_each(|(p, step)| p.z += step);
+        }
+        vertices.iter().map(|p| p.z).collect()
+    }
+
+    #[test]
+    fn a_thorn_gives_way_and_a_crease_stays() {
+        let thorn = heights(&sheet(|x, y| if (x, y) == (10, 10) { 3.0 } else { 0.0 }), 20.0);
+        let highest = thorn.iter().copied().fold(0.0, f64::max);
+        assert!(highest < 0.5, "{highest}");
+        let roof = |x: usize, _: usize| 8.0 - (x as f64 - 10.0).abs().min(8.0);
+        let ridge = heights(&sheet(roof), 20.0)[10 * 21 + 10];
+        assert!(ridge > 7.5, "{ridge}");
+    }
 }
