@@ -7,7 +7,6 @@ const BINS: usize = 32;
 const CELLS: usize = BINS * BINS * BINS;
 /// Share of a model that belongs to colours never seen.
 const UNSEEN: f32 = 0.05;
-
 /// Bins with a smaller share of a model say nothing of what is common.
 const LEAST_SHARE: f32 = 1e-4;
 

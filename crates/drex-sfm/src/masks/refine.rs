@@ -44,18 +44,10 @@ pub(super) fn finish(input: &MaskInput<'_>, work: &Work) -> Result<Vec<Mask>, Ma
             let open = work.evidence[k].iter().zip(&view.inside).filter(|(e, i)| **i && e.abs() < 0.7).count() as f64;
             let undecided = (open / own.max(1.0)).min(1.0);
             let confidence = if either > 0.0 { both / either * (1.0 - 0.5 * undecided) } else { 0.0 };
-            let doubt = if own == 0.0 {
-                Some(format!("{}: nothing in the box looks unlike the background", given.name))
-            } else if confidence < 0.75 {
-                Some(format!(
-                    "{}: {:.0} % of the mask is undecided, and it covers the shape that all photos voted for by {:.0} % only",
-                    given.name,
-                    100.0 * undecided,
-                    100.0 * both / either
-                ))
-            } else {
-                None
-            };
+            let covered =
+                own * (s * s) as f64 / (f64::from(given.camera.width_px()) * f64::from(given.camera.height_px()));
+            let doubt =
+                doubt(confidence, undecided, both / either, covered).map(|why| format!("{}: {why}", given.name));
             Ok(Mask {
                 width_px: given.camera.width_px(),
                 height_px: given.camera.height_px(),
@@ -67,6 +59,26 @@ pub(super) fn finish(input: &MaskInput<'_>, work: &Work) -> Result<Vec<Mask>, Ma
             })
         })
         .collect()
+}
+
+/// What is doubtful about a mask that covers `shape` of the shape that all photos voted for, and `covered` of its photo.
+fn doubt(confidence: f64, undecided: f64, shape: f64, covered: f64) -> Option<String> {
+    const WHOLE: f64 = 0.9;
+    if covered == 0.0 {
+        Some("nothing in the box looks unlike the background".to_owned())
+    } else if covered > WHOLE {
+        Some(format!(
+            "the mask covers {:.0} % of the photo: the object was not told from what is round it",
+            100.0 * covered
+        ))
+    } else if confidence < 0.75 {
+        let (undecided, shape) = (100.0 * undecided, 100.0 * shape);
+        Some(format!(
+            "{undecided:.0} % of the mask is undecided, and it covers the shape that all photos voted for by {shape:.0} % only"
+        ))
+    } else {
+        None
+    }
 }
 
 /// The mask of view `k` in `window` of the full photo. A photo less sharp than the others is trusted less along its edges.
@@ -137,4 +149,17 @@ fn refine(photo: &Photo, window: &Window, work: &Work, k: usize) -> Vec<bool> {
         })
         .collect();
     Cut { width: w, height: h, pixels: &pixels, colour: &colour }.solve()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mask_of_nearly_all_of_its_photo_is_doubted_however_well_photos_agree() {
+        assert!(doubt(0.99, 0.0, 1.0, 0.96).unwrap().contains("covers 96 % of the photo"));
+        assert!(doubt(0.99, 0.0, 1.0, 0.0).unwrap().contains("nothing in the box"));
+        assert!(doubt(0.5, 0.4, 0.6, 0.3).unwrap().contains("40 % of the mask is undecided"));
+        assert_eq!(doubt(0.9, 0.1, 0.95, 0.7), None);
+    }
 }
