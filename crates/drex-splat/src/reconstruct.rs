@@ -1,21 +1,18 @@
-//! From a capture to both sets of Gaussians, their scores on photos held out, and depth maps.
+//! From a capture to Gaussians and their scores on photos held out.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use drex_core::Pose;
 use drex_core::camera::PinholeCamera;
-use drex_core::camera::point_looked_at;
 use drex_core::capture::{Capture, CaptureReport, PhotoOptions, Photos, SparsePoint};
 use drex_core::fsutil::{self, OutputFolder, output_path};
-use drex_core::npy::write_npy;
 use drex_core::stats::{median, quantile};
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::io::{picture, ply};
-use crate::loss::{MaskMode, surface_depth};
+use crate::loss::MaskMode;
 use crate::metrics::{Table, similarity};
 use crate::train::{
     Density, DensityChoice, NEAR, Preset, Progress, SurfacePoint, TrainOptions, Trainer, VisualHull, from_points,
@@ -46,8 +43,6 @@ pub struct ReconstructOptions {
     /// Places on the object's surface, where it is known: as many Gaussians start there, and stay whatever silhouettes say, instead of coming and
     /// going from the sparse points.
     pub born: Vec<SurfacePoint>,
-    /// Whether surfels are trained as well, and depth maps drawn of them.
-    pub surface: bool,
     /// Whether each photo gets an affine colour of its own.
     pub exposure: bool,
     /// Whether poses are refined.
@@ -76,7 +71,6 @@ impl Default for ReconstructOptions {
             iterations: None,
             max_gaussians: None,
             born: Vec::new(),
-            surface: true,
             exposure: false,
             refine_poses: false,
             normal_weight: 0.05,
@@ -101,11 +95,6 @@ pub struct Reconstruction {
     pub object_only: bool,
     /// The ellipsoids: looks.
     pub appearance: SetSummary,
-    /// The surfels: geometry, where they were asked for.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub surface: Option<SetSummary>,
-    /// Depth maps written.
-    pub depth_maps: usize,
     /// Peak memory of the process, bytes, where the system tells; not in the file, as it is another in every run.
     #[serde(skip)]
     pub peak_memory_bytes: Option<u64>,
@@ -132,19 +121,21 @@ pub struct SetSummary {
     pub held_out: Table,
 }
 
-/// A progress report: which set, where it is, its steps in all, and seconds since it began.
-pub type OnProgress<'a> = dyn FnMut(Kind, &Progress, u32, f64) + 'a;
+/// A progress report: where training is, its steps in all, and seconds since it began.
+pub type OnProgress<'a> = dyn FnMut(&Progress, u32, f64) + 'a;
 
 /// Longest side at which silhouettes are kept, pixels; a bit a pixel.
 const HULL_SIDE: usize = 2048;
-/// Longest side of the depth maps, pixels: a voxel of a mesh of the same scan is larger than such a pixel.
-const DEPTH_SIDE: usize = 1024;
-/// On a known surface a photo shows about as much in every direction: higher harmonics learn the photos by heart.
-const BORN_SH_DEGREE: usize = 1;
-/// There Gaussians only have to find their sizes.
+/// Longest side of the pictures of what held-out photos should show, pixels.
+const PICTURE_SIDE: usize = 1024;
+/// On a known surface Gaussians only have to find their sizes,
 const BORN_SCALE_RATE: f32 = 2.0;
+/// and what photos of differing light show from each side.
+const BORN_COLOUR_REST_RATE: f32 = 2.0;
 /// Surfels also where the surface is: Adam's steps add up to about the rate times their number, and a silhouette leaves centimetres.
 const BORN_SURFEL_RATE: f32 = 3.0;
+/// A surface that is sought is to explain the photos, not their harmonics.
+const BORN_SURFEL_SH_DEGREE: usize = 1;
 /// Margin round a silhouette in which centres are kept, pixels at that size.
 const HULL_MARGIN_PX: usize = 2;
 /// Points of the hull that Gaussians start from.
@@ -157,19 +148,14 @@ const PATCH_PX: usize = 8;
 const PATCHES_A_POINT: usize = 4;
 const HULL_REACH: f64 = 2.0;
 
-/// Trains ellipsoids from `capture`, and surfels where they are asked for, and writes `splat/appearance.ply`, `splat/surface.ply`,
-/// `splat/report.json` and, as `splat/held_out/NAME.png`, what the appearance shows from where each held-out photo was taken.
-///
-/// With surfels `depth/` gets for every photo's camera `NAME.npy` (z in the camera frame, scene units, 0 where there is no surface,
-/// `[height, width]`), `normals/NAME.png` (rgb = (n + 1) / 2 of the unit normal n in the camera's frame, grey where there is none) and
-/// `NAME.png` (the appearance from there, transparent where there is nothing), no side longer than 1024 pixels, and `transforms.json`, with
-/// which [`Capture::load`] reads it as a scan.
+/// Trains ellipsoids from `capture` and writes `splat/appearance.ply`, `splat/report.json` and, as `splat/held_out/NAME.png`, what they
+/// show from where each held-out photo was taken.
 ///
 /// Photos whose camera `report` calls far are left out, and where masks are used those whose mask it calls misplaced.
 /// The files depend on capture and options alone.
 ///
 /// # Errors
-/// If there are no sparse points, too few photos, a photo or mask cannot be read, a view's name leads out of `depth/` or
+/// If there are no sparse points, too few photos, a photo or mask cannot be read, a view's name leads out of the folder of its picture or
 /// to the file of another view, or a file cannot be written.
 pub fn reconstruct<R: Rasterizer + Clone>(
     capture: &Capture,
@@ -181,33 +167,24 @@ pub fn reconstruct<R: Rasterizer + Clone>(
 ) -> Result<Reconstruction> {
     // Before hours of training.
     let report_file = output_path(out, "splat/report.json")?;
-    let maps = options.surface.then(|| map_files(&out.join("depth"), capture)).transpose()?;
     let mut pictures = OutputFolder::new(out.join("splat/held_out"));
     let pictures: Vec<PathBuf> =
         capture.views.iter().map(|v| pictures.file(&format!("{}.png", stem_of(&v.name)))).collect::<Result<_, _>>()?;
     let job = Job::new(capture, report, options)?;
     let appearance = job.train(Kind::Ellipsoid, rasterizer, out, on_progress)?;
+    let near = NEAR * capture.extent() as f32;
+    let render_options = RenderOptions { near, ..RenderOptions::default() };
     for &i in &job.held_out {
-        let camera = &fitting(job.photos.camera(i), DEPTH_SIDE);
-        let seen = rasterizer.forward(&appearance.0, camera, &job.render_options(i))?.0;
+        let camera = &fitting(job.photos.camera(i), PICTURE_SIDE);
+        let seen = rasterizer.forward(&appearance.0, camera, &render_options)?.0;
         picture::write_rgba(&pictures[i], camera.width, camera.height, &seen.rgb, &seen.alpha)?;
     }
-    let surface = match &maps {
-        Some(maps) => {
-            let (surfels, summary) = job.train(Kind::Surfel, rasterizer, out, on_progress)?;
-            write_depth_maps(maps, &job, rasterizer, &appearance.0, &surfels)?;
-            Some(summary)
-        }
-        None => None,
-    };
     let reconstruction = Reconstruction {
         photos_trained: job.trained.len(),
         photos_held_out: job.held_out.len(),
         left_out: job.left_out,
         object_only: job.masked,
         appearance: appearance.1,
-        surface,
-        depth_maps: maps.map_or(0, |maps| maps.views.len()),
         peak_memory_bytes: usage::peak_memory_bytes(),
     };
     let text = serde_json::to_string_pretty(&reconstruction).map_err(|e| Error::Option {
@@ -215,14 +192,15 @@ pub fn reconstruct<R: Rasterizer + Clone>(
         remedy: "look for numbers that are not finite".into(),
     })?;
     fsutil::write_atomic(&report_file, text.as_bytes())?;
-    [Kind::Ellipsoid, Kind::Surfel].into_iter().try_for_each(|kind| remove_checkpoint(out, kind))?;
+    remove_checkpoint(out, Kind::Ellipsoid)?;
     Ok(reconstruction)
 }
 
-/// Trains surfels alone and writes `splat/surface.ply`. Photos are chosen and held out as by [`reconstruct()`].
+/// Trains surfels that are born on a known surface ([`ReconstructOptions::born`]) and writes `splat/surface.ply`. Photos are chosen and held out as by
+/// [`reconstruct()`].
 ///
 /// # Errors
-/// As [`reconstruct()`].
+/// If no place is given where they are born, and as [`reconstruct()`].
 pub fn train_surfels<R: Rasterizer + Clone>(
     capture: &Capture,
     report: &CaptureReport,
@@ -231,6 +209,12 @@ pub fn train_surfels<R: Rasterizer + Clone>(
     options: &ReconstructOptions,
     on_progress: &mut OnProgress<'_>,
 ) -> Result<(Gaussians, SetSummary)> {
+    if options.born.is_empty() {
+        return Err(Error::Option {
+            what: "no place is given where surfels are born".into(),
+            remedy: "give points on a mesh of the object as ReconstructOptions::born".into(),
+        });
+    }
     output_path(out, "splat/surface.ply")?;
     let trained = Job::new(capture, report, options)?.train(Kind::Surfel, rasterizer, out, on_progress)?;
     remove_checkpoint(out, Kind::Surfel)?;
@@ -287,7 +271,7 @@ fn silhouettes(capture: &Capture) -> Result<Vec<Silhouette>> {
     (0..photos.len()).map(silhouette).collect()
 }
 
-/// What both sets share.
+/// What sets of the same photos share.
 struct Job<'a> {
     capture: &'a Capture,
     options: &'a ReconstructOptions,
@@ -296,8 +280,6 @@ struct Job<'a> {
     held_out: Vec<usize>,
     left_out: Vec<String>,
     masked: bool,
-    /// Of all photos: [`near_depth`], scene units.
-    near: Vec<f32>,
     /// Silhouettes of the photos trained on, empty unless masks are used.
     hull: VisualHull,
     /// Silhouettes of all photos: cuts the finished sets, after they have been measured, or labels a whole scene.
@@ -360,8 +342,7 @@ impl<'a> Job<'a> {
             )
             .into());
         }
-        let near = near_depths(capture, &photos, &trained);
-        Ok(Self { capture, options, photos, trained, held_out, left_out, masked, near, hull, whole_hull })
+        Ok(Self { capture, options, photos, trained, held_out, left_out, masked, hull, whole_hull })
     }
 
     /// Trains one set, measures it, cuts it to the hull and writes it.
@@ -391,16 +372,15 @@ impl<'a> Job<'a> {
             });
         }
         if !self.is_born() {
-            trainer.set_hull(self.hull_of(kind));
+            trainer.set_hull(self.hull.clone());
         }
         while !trainer.is_done() {
             let progress = trainer.step()?;
             let every = self.options.checkpoint_every;
-            // Also at the end: a run that stops in the second set need not train the first again.
-            if every > 0 && (progress.step.is_multiple_of(every) || trainer.is_done()) {
+            if every > 0 && progress.step.is_multiple_of(every) {
                 trainer.save(&checkpoint)?;
             }
-            on_progress(kind, &progress, trainer.options().iterations, clock.elapsed().as_secs_f64());
+            on_progress(&progress, trainer.options().iterations, clock.elapsed().as_secs_f64());
         }
         let core_seconds = usage::core_seconds().zip(cores).map(|(now, then)| now - then);
         let seconds = clock.elapsed().as_secs_f64();
@@ -425,23 +405,6 @@ impl<'a> Job<'a> {
         !self.options.born.is_empty()
     }
 
-    /// How view `i` is drawn.
-    fn render_options(&self, i: usize) -> RenderOptions {
-        RenderOptions { near: self.near[i], ..RenderOptions::default() }
-    }
-
-    /// What Gaussians may not leave in training.
-    fn hull_of(&self, kind: Kind) -> VisualHull {
-        let mut hull = self.hull.clone();
-        // With masks nothing is left that could hang before a lens, and looks do not mind what hangs there.
-        if kind == Kind::Surfel && !self.masked {
-            for &i in &self.trained {
-                hull.keep_free(self.photos.camera(i), f64::from(self.near[i]));
-            }
-        }
-        hull
-    }
-
     fn train_options(&self, kind: Kind) -> TrainOptions {
         let o = self.options;
         let mut options = o.preset.train_options(kind, o.density, self.capture.points.len());
@@ -456,11 +419,13 @@ impl<'a> Job<'a> {
             options.max_gaussians = o.born.len();
             options.density = Density::Fixed;
             options.coarse.clear();
-            options.sh_degree = BORN_SH_DEGREE;
             options.rates.scale *= BORN_SCALE_RATE;
             if kind == Kind::Surfel {
+                options.sh_degree = BORN_SURFEL_SH_DEGREE;
                 options.rates.position *= BORN_SURFEL_RATE;
                 options.rates.position_end *= BORN_SURFEL_RATE;
+            } else {
+                options.rates.colour_rest *= BORN_COLOUR_REST_RATE;
             }
         }
         if self.masked {
@@ -562,92 +527,9 @@ impl<'a> Job<'a> {
     }
 }
 
-/// The files of `depth/`.
-struct MapFiles {
-    transforms: PathBuf,
-    /// One per view of the capture.
-    views: Vec<ViewFiles>,
-}
-
-/// What is written of one view: names relative to the folder as transforms.json has them, and paths.
-struct ViewFiles {
-    stem: String,
-    depth: PathBuf,
-    appearance: PathBuf,
-    normals: PathBuf,
-}
-
 /// The name of a view without its ending.
 fn stem_of(name: &str) -> String {
     Path::new(name).with_extension("").to_string_lossy().replace('\\', "/")
-}
-
-/// Names of views come with the capture, and no file may lie outside of `folder` or be two views'.
-fn map_files(folder: &Path, capture: &Capture) -> Result<MapFiles> {
-    let mut files = OutputFolder::new(folder);
-    let transforms = files.file("transforms.json")?;
-    let mut of = |name: &str| {
-        let stem = stem_of(name);
-        Ok(ViewFiles {
-            depth: files.file(&format!("{stem}.npy"))?,
-            appearance: files.file(&format!("{stem}.png"))?,
-            normals: files.file(&format!("normals/{stem}.png"))?,
-            stem,
-        })
-    };
-    let views = capture.views.iter().map(|view| {
-        of(&view.name).map_err(|e: drex_core::Error| drex_core::Error::at(capture.folder.join(&view.name), None, e))
-    });
-    Ok(MapFiles { transforms, views: views.collect::<Result<_, _>>()? })
-}
-
-/// `depth/`: depth of the surface for every photo's camera.
-fn write_depth_maps<R: Rasterizer>(
-    files: &MapFiles,
-    job: &Job<'_>,
-    rasterizer: &R,
-    appearance: &Gaussians,
-    surface: &Gaussians,
-) -> Result<()> {
-    let mut frames = Vec::new();
-    for (i, file) in files.views.iter().enumerate() {
-        let camera = &fitting(job.photos.camera(i), DEPTH_SIDE);
-        let options = job.render_options(i);
-        let looks = rasterizer.forward(appearance, camera, &options)?.0;
-        let shape = rasterizer.forward(surface, camera, &options)?.0;
-        let depth = surface_depth(&shape, 1.0, 0.5)?;
-        let normal: Vec<[f32; 3]> = shape.normal.iter().zip(&depth).map(|(n, &z)| normal_colour(*n, z)).collect();
-        write_npy(&file.depth, &[camera.height, camera.width], &depth)?;
-        picture::write_rgb(&file.normals, camera.width, camera.height, &normal)?;
-        picture::write_rgba(&file.appearance, camera.width, camera.height, &looks.rgb, &looks.alpha)?;
-        frames.push(frame(camera, &file.stem));
-    }
-    let text = serde_json::json!({ "camera_model": "PINHOLE", "frames": frames }).to_string();
-    Ok(fsutil::write_atomic(&files.transforms, text.as_bytes())?)
-}
-
-/// [`near_depth`] of all photos. What cameras look at is asked of those trained on: others may stand wrong.
-fn near_depths(capture: &Capture, photos: &Photos, trained: &[usize]) -> Vec<f32> {
-    let poses: Vec<Pose> = trained.iter().map(|&i| capture.views[i].camera_from_world.inverse()).collect();
-    let target = point_looked_at(&poses);
-    let least = NEAR * capture.extent() as f32;
-    let of = |i| near_depth(photos.camera(i), &capture.points, target.as_ref()).map_or(least, |z| z.max(least));
-    (0..capture.views.len()).map(of).collect()
-}
-
-/// Depth in front of which a camera sees nothing, scene units: 0.7 of where the sparse points in its picture begin, but no
-/// more than half the way to the `target` that all cameras look at, which may have no points. Photos alone cannot tell a
-/// curtain before a lens from the background whose colour it has, and its depth hides the object's. `None` where nothing
-/// can be said.
-fn near_depth(camera: &PinholeCamera, points: &[SparsePoint], target: Option<&Point3<f64>>) -> Option<f32> {
-    let inside = |([u, v], z): ([f64; 2], f64)| {
-        ((0.0..camera.width as f64).contains(&u) && (0.0..camera.height as f64).contains(&v)).then_some(z)
-    };
-    let depths = points.iter().filter_map(|p| camera.project(&p.position.into()).and_then(inside));
-    // Not the nearest of all: a few points of a sparse model are wrong.
-    let first = quantile(depths, 0.02)?;
-    let (_, to_target) = camera.project(target?)?;
-    Some((0.7 * first).min(0.5 * to_target) as f32)
 }
 
 /// The camera with no side longer than `side` pixels.
@@ -658,61 +540,4 @@ fn fitting(camera: &PinholeCamera, side: usize) -> PinholeCamera {
     }
     let scaled = |n: usize| (n * side / longest).max(1);
     camera.resized(scaled(camera.width), scaled(camera.height))
-}
-
-/// (n + 1) / 2 of the unit normal; grey, which stands for none, where the depth is 0.
-fn normal_colour(n: [f32; 3], depth: f32) -> [f32; 3] {
-    let unit = nalgebra::Vector3::from(n).try_normalize(1e-6).filter(|_| depth > 0.0);
-    unit.map_or([0.5; 3], |n| n.map(|v| 0.5 * (v + 1.0)).into())
-}
-
-/// One frame of transforms.json: camera to world, OpenGL axes (x right, y up, z back).
-fn frame(camera: &PinholeCamera, stem: &str) -> serde_json::Value {
-    let mut m = camera.camera_from_world.inverse().to_homogeneous();
-    for column in [1, 2] {
-        for row in 0..3 {
-            m[(row, column)] = -m[(row, column)];
-        }
-    }
-    let rows: Vec<Vec<f64>> = (0..4).map(|r| (0..4).map(|c| m[(r, c)]).collect()).collect();
-    serde_json::json!({
-        "file_path": format!("{stem}.png"),
-        "depth_file_path": format!("{stem}.npy"),
-        "transform_matrix": rows,
-        "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy,
-        "w": camera.width, "h": camera.height,
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_view_is_free_up_to_the_points_but_not_up_to_an_object_without_any() {
-        let camera = PinholeCamera {
-            camera_from_world: Pose::identity(),
-            fx: 100.0,
-            fy: 100.0,
-            cx: 50.0,
-            cy: 50.0,
-            width: 100,
-            height: 100,
-        };
-        let point =
-            |x: f64, z: f64| SparsePoint { position: [x, 0.0, z], rgb: [0; 3], error_px: 0.0, track: Vec::new() };
-        let target = Point3::new(0.0, 0.0, 2.0);
-        let near = |points: &[SparsePoint]| near_depth(&camera, points, Some(&target));
-        let mut cloth: Vec<_> = (0..200).map(|k| point(0.0, 1.0 + 0.01 * f64::from(k))).collect();
-        let found = near(&cloth).unwrap();
-        assert!((found - 0.7 * 1.04).abs() < 0.01, "{found}");
-        // A wrong point, one beside the picture and one behind the camera change nothing.
-        cloth.extend([point(0.0, 0.1), point(5.0, 0.1), point(0.0, -1.0)]);
-        assert!((near(&cloth).unwrap() - found).abs() < 0.02);
-        // Points on the wall alone: the object is between.
-        let wall: Vec<_> = (0..50).map(|_| point(0.0, 9.0)).collect();
-        assert_eq!(near(&wall), Some(1.0));
-        assert_eq!(near(&[]), None);
-        assert_eq!(near_depth(&camera, &wall, None), None);
-    }
 }

@@ -10,7 +10,6 @@ use nalgebra::{Matrix4, Point3};
 
 use crate::masks::MASKS;
 use crate::records::{ScanFile, read_json};
-use crate::scan::MUCH;
 use crate::surfels::born_at;
 use crate::{Progress, Result};
 
@@ -22,7 +21,7 @@ const BORN: usize = 30_000;
 const SAME_PLACE: f64 = 1e-4;
 
 /// Points on the textured mesh that `drex asset` made in `out` of the scan `capture`, in the frame of the scan; the views get the masks that were made for
-/// it. None if there is no such mesh, or no mask cuts the object out; nor, and then a note says why, if it is of other cameras or much of it was not measured.
+/// it. None if there is no such mesh, or no mask cuts the object out; nor, and then a note says so, if it is of other cameras.
 ///
 /// # Errors
 /// If a file is damaged.
@@ -32,17 +31,12 @@ pub fn points_on_asset(out: &Path, capture: &mut Capture, progress: &dyn Progres
         return Ok(Vec::new());
     }
     let made: ScanFile = read_json(&record)?;
-    let unused = |why: &str| {
-        progress.note(&format!("Gaussians are not born on the mesh in {}: {why}", out.join("mesh").display()));
-        Ok(Vec::new())
-    };
     if !is_of(&made, capture)? {
-        return unused("it was made with other cameras; run drex asset again, or give another --out");
-    }
-    // Gaussians that stay where they are born show photos worse there than those that seek their place.
-    let unmeasured = 1.0 - made.fusion.seen_share - made.fusion.support_share;
-    if unmeasured > MUCH {
-        return unused(&format!("{:.0} % of it were not measured", 100.0 * unmeasured));
+        progress.note(&format!(
+            "Gaussians are not born on the mesh in {}: it was made with other cameras; run drex asset again, or give another --out",
+            out.join("mesh").display()
+        ));
+        return Ok(Vec::new());
     }
     if made.made_masks {
         for view in capture.views.iter_mut().filter(|v| v.mask.is_none()) {

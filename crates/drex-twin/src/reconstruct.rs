@@ -1,4 +1,4 @@
-//! Photos to Gaussians and depth maps, with the programs that photos and videos may need.
+//! Photos to cameras and Gaussians, with the programs that photos and videos may need.
 
 use std::path::Path;
 use std::time::Duration;
@@ -12,17 +12,17 @@ use drex_sfm::{
     FolderOptions, FolderRegistration, FolderReport, MarkerReport, PhotoFolder, Step, StoredReport, Verdict,
     measure_marker, register_folder,
 };
+use drex_splat::ReconstructOptions;
 use drex_splat::raster::Cpu;
 use drex_splat::reconstruct::{Reconstruction, reconstruct};
 use drex_splat::train::Progress as TrainStep;
-use drex_splat::{Kind, ReconstructOptions};
 
 use crate::cameras::{COLMAP, FRAMES, SFM, is_video, load_found};
 use crate::error::refuse;
 use crate::progress::show_stages;
 use crate::{Progress, Result};
 
-/// Says what to trust of the capture, trains both sets of Gaussians and writes them and the depth maps into `out`.
+/// Says what to trust of the capture, trains Gaussians and writes them into `out`.
 pub fn train_gaussians(
     capture: &Capture,
     out: &Path,
@@ -34,17 +34,14 @@ pub fn train_gaussians(
     for line in report.to_string().lines() {
         progress.note(line);
     }
-    let mut at_work: Option<Kind> = None;
     let mut psnr = 0.0;
-    let mut first_step = 0;
-    let mut on_progress = |kind: Kind, p: &TrainStep, steps: u32, seconds: f64| {
-        if at_work != Some(kind) {
-            let label = if kind == Kind::Ellipsoid { "appearance" } else { "surface" };
-            at_work = Some(kind);
-            progress.begin(label, Some(u64::from(steps)));
+    let mut first_step = None;
+    let mut on_progress = |p: &TrainStep, steps: u32, seconds: f64| {
+        let first_step = *first_step.get_or_insert_with(|| {
+            progress.begin("appearance", Some(u64::from(steps)));
             psnr = p.psnr;
-            first_step = p.step - 1; // more than 0 after --resume
-        }
+            p.step - 1 // more than 0 after --resume
+        });
         psnr += 0.02 * (p.psnr - psnr); // a mean over about fifty photos
         let speed = f64::from(p.step - first_step) / seconds.max(1e-9);
         let message = format!("{psnr:.1} dB, {speed:.0} it/s, {} Gaussians", p.gaussians);

@@ -52,8 +52,6 @@ pub struct SplatReport {
     pub photos_held_out: usize,
     /// Ellipsoids, for looks.
     pub appearance: SplatSet,
-    /// Surfels, for the surface, where they were trained.
-    pub surface: Option<SplatSet>,
 }
 
 /// A set of Gaussians.

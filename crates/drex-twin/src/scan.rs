@@ -46,7 +46,7 @@ const MOST_SILHOUETTES: usize = 100;
 /// Longest side of the masks that a mesh is held against, pixels.
 const SILHOUETTE_PX: u32 = 240;
 /// Where more of the surface was not measured it is worth minutes to ask surfels.
-pub(crate) const MUCH: f64 = 0.25;
+const MUCH: f64 = 0.25;
 /// In the middle of a wider sector without a camera a side of the object is seen at less than 30 degrees, or not at all.
 const WIDEST_GAP_DEG: f64 = 120.0;
 /// Every n-th pixel of a depth map stands for the scene where there are no sparse points; both ways.
@@ -323,12 +323,6 @@ impl Scanning<'_> {
         if folder.join("transforms.json").is_file() {
             progress.note(&format!("going on with the depth maps in {}", folder.display()));
             let maps = Capture::load(&folder, &CaptureOptions::default())?;
-            // Those drawn of surfels have normals.
-            if folder.join("normals").is_dir() {
-                let report = self.out.join("splat/report.json");
-                let trained: Trained = fsutil::from_json(&report, &fsutil::read_text(&report)?)?;
-                return Ok((maps, trained.object_only, None));
-            }
             // Their pictures are transparent where masks cut the object out.
             let masked = Photos::new(&maps, PhotoOptions::default())?.get(0)?.mask.is_some();
             return Ok((maps, masked, Some(self.stereo_options(cameras, region)?)));
@@ -439,12 +433,6 @@ fn snap_to_table(mesh: &mut TriMesh, table: &Support, voxel_m: f64) {
             *vertex -= height_m * table.up.into_inner();
         }
     }
-}
-
-/// What of `splat/report.json` is needed here.
-#[derive(Deserialize)]
-struct Trained {
-    object_only: bool,
 }
 
 /// Depth maps of one object in metres, in the frame that its mesh will have.

@@ -138,7 +138,7 @@ impl<'a> Gaps<'a> {
         let steps = steps(preset);
         options.iterations = Some(steps);
         progress.begin("surfels", Some(u64::from(steps)));
-        let mut step = |_, p: &TrainStep, _, _: f64| progress.at(u64::from(p.step), &format!("{:.1} dB", p.psnr));
+        let mut step = |p: &TrainStep, _, _: f64| progress.at(u64::from(p.step), &format!("{:.1} dB", p.psnr));
         let (surfels, _) = train_surfels(self.depths, &self.depths.report()?, &Cpu, out, &options, &mut step)?;
         progress.end();
         Ok(surfels)

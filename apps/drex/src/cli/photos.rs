@@ -86,8 +86,8 @@ pub struct ReconstructArgs {
     /// Folder with photos, with their cameras (a COLMAP model or transforms.json) or alone: then as `drex sfm` finds them; or a
     /// video, of which ffmpeg takes frames.
     pub scan: PathBuf,
-    /// Folder to write: splat/appearance.ply, splat/report.json, and splat/surface.ply and depth/ where no asset is; where
-    /// `drex asset` made one of the same scan, Gaussians are born on its mesh.
+    /// Folder to write: splat/appearance.ply and splat/report.json; where `drex asset` made an asset of the same scan, Gaussians
+    /// are born on its mesh.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// How much time it may take: minutes, tens of minutes, hours.
@@ -96,7 +96,7 @@ pub struct ReconstructArgs {
     /// How Gaussians are born and removed: Markov chain Monte Carlo or adaptive density control.
     #[arg(long, value_enum, default_value_t = DensityArg::Mcmc)]
     pub density: DensityArg,
-    /// Hold out every N-th photo by name and score the sets on them.
+    /// Hold out every N-th photo by name and score the Gaussians on them.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(usize))]
     pub hold_out: Option<usize>,
     /// Folder of the masks (white is the object) [default: SCAN/masks].
@@ -108,10 +108,10 @@ pub struct ReconstructArgs {
     /// Longest side of the photos in training, pixels [default: the preset's].
     #[arg(long, value_name = "PX")]
     pub max_side: Option<usize>,
-    /// Steps of each set [default: the preset's].
+    /// Steps of training [default: the preset's].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub iterations: Option<u32>,
-    /// Most Gaussians of each set [default: the preset's].
+    /// Most Gaussians [default: the preset's].
     #[arg(long, value_name = "N")]
     pub max_gaussians: Option<usize>,
     /// Give each photo an affine colour of its own, for photos of differing exposure.
@@ -129,7 +129,7 @@ pub struct ReconstructArgs {
     /// Megabytes of photos kept in memory.
     #[arg(long, value_name = "MB", default_value_t = 1024)]
     pub memory_mb: usize,
-    /// Write both sets in this format too: spz (small, for the web) or splat; repeatable.
+    /// Write them in this format too: spz (small, for the web) or splat; repeatable.
     #[arg(long, value_enum, value_name = "FORMAT")]
     pub also: Vec<SplatFormat>,
     /// Draw on the GPU (needs a build with `--features wgpu`).
@@ -265,7 +265,7 @@ pub struct ScanArgs {
     /// Folder of the masks (white is the object) [default: SCAN/masks].
     #[arg(long, value_name = "DIR")]
     pub masks: Option<PathBuf>,
-    /// How much time the Gaussians may take, where there are no depth maps yet.
+    /// How carefully depth is looked for, where there are no depth maps yet.
     #[arg(long, value_enum, default_value_t = PresetArg::Fast)]
     pub preset: PresetArg,
     /// Look for depth on the GPU (needs a build with `--features wgpu`).

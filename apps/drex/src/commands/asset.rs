@@ -212,12 +212,12 @@ fn describe_texture(t: &TextureReport) -> String {
     let gains = || t.photos.iter().flat_map(|p| p.gain);
     let differ = gains().fold(1.0, f64::max) / gains().fold(1.0, f64::min);
     format!(
-        "  texture  {width} x {height} texels of {:.2} mm, {:.1} MB, {:.0} % of them seen in {} photos, whose exposures differ by up to {:.0} %\n",
+        "  texture  {width} x {height} texels of {:.2} mm, {:.1} MB, {:.0} % of them seen in {} photos, whose exposures differ by a factor of up to {:.2}\n",
         1e3 * t.texel,
         1e-6 * t.bytes as f64,
         100.0 * t.seen_share,
         t.photos.len(),
-        100.0 * (differ - 1.0)
+        differ
     )
 }
 

@@ -1,4 +1,4 @@
-//! `drex reconstruct`: photos become Gaussians and depth maps.
+//! `drex reconstruct`: photos become Gaussians.
 
 use std::path::Path;
 use std::time::Instant;
@@ -25,7 +25,7 @@ struct Answer<'a> {
     reconstruction: Reconstruction,
 }
 
-/// Finds the cameras where they are not given, trains both sets, writes them, answers with their scores.
+/// Finds the cameras where they are not given, trains Gaussians, writes them, answers with their scores.
 pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     if args.gpu {
         gpu_is_there()?;
@@ -62,8 +62,12 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
         options.born = points_on_asset(&args.out, &mut capture, ui)?;
     }
     if !options.born.is_empty() {
-        ui.note(format!("Gaussians are born on the mesh in {}", args.out.join("mesh").display()));
-        options.surface = false;
+        let judged = if args.hold_out.is_some() {
+            "; if that was made of the photos held out, too, they are no forecast for new photos"
+        } else {
+            ""
+        };
+        ui.note(format!("Gaussians are born on the mesh in {}{judged}", args.out.join("mesh").display()));
     }
     let (report, reconstruction) = train_gaussians(&capture, &args.out, &options, args.gpu, ui)?;
     for format in &args.also {
@@ -71,11 +75,8 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
             SplatFormat::Spz => "spz",
             SplatFormat::Splat => "splat",
         };
-        let surface = reconstruction.surface.as_ref().map(|surface| (surface, Kind::Surfel));
-        for (set, kind) in [(&reconstruction.appearance, Kind::Ellipsoid)].into_iter().chain(surface) {
-            let file = args.out.join(&set.file);
-            write_gaussians(&file.with_extension(ending), &read_gaussians(&file, kind)?)?;
-        }
+        let file = args.out.join(&reconstruction.appearance.file);
+        write_gaussians(&file.with_extension(ending), &read_gaussians(&file, Kind::Ellipsoid)?)?;
     }
     record(args, &reconstruction, begun.elapsed().as_secs_f64())?;
     let text = describe(&reconstruction, &args.out);
@@ -84,19 +85,12 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
 
 /// What it took, into `timings.json`.
 fn record(args: &ReconstructArgs, r: &Reconstruction, seconds: f64) -> Result<()> {
-    let sets = sets(r);
     let mut timing = Timing::of(seconds);
-    timing.core_seconds = sets.iter().map(|(_, set)| set.core_seconds).sum();
+    timing.core_seconds = r.appearance.core_seconds;
     timing.peak_memory_bytes = r.peak_memory_bytes;
     timing.input = Some(args.scan.clone());
-    timing.parts = sets.iter().map(|(part, set)| (String::from(*part), set.seconds)).collect();
+    timing.parts = [("appearance".to_owned(), r.appearance.seconds)].into();
     Ok(timings::record(&args.out, "reconstruct", timing)?)
-}
-
-/// The sets that were trained.
-fn sets(r: &Reconstruction) -> Vec<(&'static str, &SetSummary)> {
-    let surface = r.surface.as_ref().map(|surface| ("surface", surface));
-    [("appearance", &r.appearance)].into_iter().chain(surface).collect()
 }
 
 fn describe(r: &Reconstruction, out: &Path) -> String {
@@ -109,12 +103,7 @@ fn describe(r: &Reconstruction, out: &Path) -> String {
     for left_out in &r.left_out {
         text += &format!("  left out  {left_out}\n");
     }
-    for (name, set) in sets(r) {
-        text += &describe_set(name, set, out);
-    }
-    if r.surface.is_some() {
-        text += &format!("  depth     {} maps in {}\n", r.depth_maps, out.join("depth").display());
-    }
+    text += &describe_set("appearance", &r.appearance, out);
     if let Some(bytes) = r.peak_memory_bytes {
         text += &format!("  memory    {:.0} MB at the most\n", bytes as f64 / 1e6);
     }

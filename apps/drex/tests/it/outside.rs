@@ -42,7 +42,7 @@ fn scan(root: &Path, names: &[&str]) -> PathBuf {
 
 #[test]
 fn names_of_views_stay_in_the_folder() {
-    let hostile: [&[&str]; 7] = [
+    let hostile: [&[&str]; 6] = [
         &["../../victim/a.png", "b.png", "c.png"],
         &["b.png", "deep/../../../victim/a.png", "c.png"],
         &["b.png", "c.png", "ABSOLUTE/victim/a.png"],
@@ -50,7 +50,6 @@ fn names_of_views_stay_in_the_folder() {
         &["C:\\victim\\a.png", "b.png", "c.png"],
         // Two views, one file.
         &["a.png", "b.png", "A.png"],
-        &["x.png", "normals/x.png", "c.png"],
     ];
     for names in hostile {
         let (dir, root) = sandbox();

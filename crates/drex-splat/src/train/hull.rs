@@ -1,15 +1,13 @@
-//! The visual hull: where all masks agree that the object may be, and nothing hangs before a lens.
+//! The visual hull: where all masks agree that the object may be.
 
 use nalgebra::Point3;
 
 use drex_core::camera::PinholeCamera;
 
-/// Silhouettes of an object from several cameras, and how far before each there is nothing.
+/// Silhouettes of an object from several cameras.
 #[derive(Debug, Clone, Default)]
 pub struct VisualHull {
     silhouettes: Vec<Silhouette>,
-    /// Cameras with the depth up to which their view is free, scene units.
-    free: Vec<(PinholeCamera, f64)>,
 }
 
 #[derive(Debug, Clone)]
@@ -42,15 +40,9 @@ impl VisualHull {
         self.silhouettes.push(Silhouette { camera: camera.clone(), bits });
     }
 
-    /// Excludes what is in a camera's picture and nearer than `depth`, scene units.
-    pub fn keep_free(&mut self, camera: &PinholeCamera, depth: f64) {
-        self.free.push((camera.clone(), depth));
-    }
-
-    /// Adds what another excludes.
+    /// Adds the silhouettes of another.
     pub fn extend(&mut self, other: &Self) {
         self.silhouettes.extend_from_slice(&other.silhouettes);
-        self.free.extend_from_slice(&other.free);
     }
 
     /// How many silhouettes there are.
@@ -63,13 +55,10 @@ impl VisualHull {
         self.silhouettes.is_empty()
     }
 
-    /// Whether neither a silhouette nor a free view excludes a world point. A camera that does not see the point's place
-    /// says nothing.
+    /// Whether no silhouette excludes a world point. A camera that does not see the point's place says nothing.
     pub fn contains(&self, point_world: &[f32; 3]) -> bool {
         let point = Point3::from(point_world.map(f64::from));
-        let in_the_way = |camera, depth| seen(camera, &point).is_some_and(|(_, z)| z < depth);
         self.silhouettes.iter().all(|s| s.allows(&point) != Some(false))
-            && !self.free.iter().any(|(camera, depth)| in_the_way(camera, *depth))
     }
 
     /// How many silhouettes can judge a world point: it is before their camera and inside the image.
@@ -82,17 +71,14 @@ impl VisualHull {
 impl Silhouette {
     /// Whether the silhouette allows the point; `None` where the camera does not see the point's place.
     fn allows(&self, point: &Point3<f64>) -> Option<bool> {
-        let ([x, y], _) = seen(&self.camera, point)?;
+        let ([x, y], _) = self.camera.project(point)?;
+        let (w, h) = (self.camera.width as f64, self.camera.height as f64);
+        if !(x >= 0.0 && x < w && y >= 0.0 && y < h) {
+            return None;
+        }
         let i = y as usize * self.camera.width + x as usize;
         Some((self.bits[i / 64] >> (i % 64)) & 1 == 1)
     }
-}
-
-/// Pixel and depth of a world point; `None` if it is behind the camera or outside the image.
-fn seen(camera: &PinholeCamera, point: &Point3<f64>) -> Option<([f64; 2], f64)> {
-    let ([x, y], z) = camera.project(point)?;
-    let (w, h) = (camera.width as f64, camera.height as f64);
-    (x >= 0.0 && x < w && y >= 0.0 && y < h).then_some(([x, y], z))
 }
 
 /// Marks everything within `margin` of something marked, along lines of `length` entries `step` apart; `lines` start
@@ -148,27 +134,5 @@ mod tests {
             assert!(hull.contains(&[0.0, 0.0, -5.0]), "behind the camera");
         }
         assert!(VisualHull::new().contains(&[1.0; 3]));
-    }
-
-    #[test]
-    fn nothing_is_near_in_a_free_view() {
-        let camera = PinholeCamera {
-            camera_from_world: drex_core::Pose::identity(),
-            fx: 10.0,
-            fy: 10.0,
-            cx: 5.0,
-            cy: 5.0,
-            width: 10,
-            height: 10,
-        };
-        let mut free = VisualHull::new();
-        free.keep_free(&camera, 2.0);
-        let mut hull = VisualHull::new();
-        hull.extend(&free);
-        assert!(!hull.contains(&[0.0, 0.0, 1.9]), "in the way");
-        assert!(hull.contains(&[0.0, 0.0, 2.1]), "far enough");
-        assert!(hull.contains(&[1.0, 0.0, 1.0]), "beside the picture");
-        assert!(hull.contains(&[0.0, 0.0, -1.0]), "behind the camera");
-        assert_eq!(hull.seen_by(&[0.0, 0.0, 1.0]), 0, "a free view is no silhouette");
     }
 }

@@ -25,8 +25,7 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
     let mut options = ReconstructOptions::default();
     options.born = points_on(&twin.path(VISUAL), &made)?;
     options.preset = config.preset.of_training();
-    (options.iterations, options.seed, options.surface) = (config.iterations, twin.seed, false);
-    options.hold_out = Some(HOLD_OUT);
+    (options.iterations, options.seed, options.hold_out) = (config.iterations, twin.seed, Some(HOLD_OUT));
     train_gaussians(&photos, &twin.root, &options, false, progress)?;
     ["splat/appearance.ply", SPLAT_REPORT, HELD_OUT].into_iter().map(|name| twin.output(name)).collect()
 }
