@@ -39,15 +39,16 @@ impl DistanceMetric<u8> for SquaredDistance {
     }
 }
 
-/// Calls `take` with the indices and the distance of each two of `first` and `second`.
-pub(crate) fn each(first: &[Descriptor], second: &[Descriptor], mut take: impl FnMut([usize; 2], u32)) {
+/// Calls `take` with the distances of one of `first` to some of `second` that follow each other, and the indices of the first two, until each two have met.
+/// Those of one descriptor come in the order of the others.
+pub(crate) fn each(first: &[Descriptor], second: &[Descriptor], mut take: impl FnMut([usize; 2], &[u32])) {
     #[cfg(target_arch = "x86_64")]
     if let Some(simd) = pulp::x86::V3::try_new() {
         return simd.vectorize(avx2::Each { simd, first, second, take });
     }
     for (i, a) in first.iter().enumerate() {
         for (j, b) in second.iter().enumerate() {
-            take([i, j], squared(a, b));
+            take([i, j], &[squared(a, b)]);
         }
     }
 }
@@ -86,15 +87,50 @@ mod avx2 {
         pub(super) take: F,
     }
 
-    impl<F: FnMut([usize; 2], u32)> NullaryFnOnce for Each<'_, F> {
+    /// Descriptors of the second photo that are compared side by side: four vectors of eight, which stay in the processor's nearest memory.
+    const BLOCK: usize = 32;
+
+    impl<F: FnMut([usize; 2], &[u32])> NullaryFnOnce for Each<'_, F> {
         type Output = ();
 
+        /// |a - b|² = |a|² + |b|² - 2 a·b, where two numbers of `a` meet those of eight descriptors at a time.
         #[inline(always)]
         fn call(mut self) {
-            for (i, a) in self.first.iter().enumerate() {
-                let a = wide(self.simd, a);
-                for (j, b) in self.second.iter().enumerate() {
-                    (self.take)([i, j], squared(self.simd, &a, b));
+            let simd = self.simd;
+            let norm = |d: &Descriptor| d.iter().map(|v| i32::from(*v).pow(2)).sum::<i32>();
+            let pairs = |d: &Descriptor| -> [i32; 64] { cast(wide(simd, d)) };
+            let first: Vec<_> = self.first.iter().map(|d| (norm(d), pairs(d))).collect();
+            let mut tile = [[[0; 8]; BLOCK / 8]; 64];
+            let mut norms = [[0; 8]; BLOCK / 8];
+            for (start, block) in (0..).step_by(BLOCK).zip(self.second.chunks(BLOCK)) {
+                for (at, descriptor) in block.iter().enumerate() {
+                    norms[at / 8][at % 8] = norm(descriptor);
+                    for (row, pair) in tile.iter_mut().zip(pairs(descriptor)) {
+                        row[at / 8][at % 8] = pair;
+                    }
+                }
+                // Copies into vectors take time where each is used.
+                let (tile, norms): ([[i16x16; BLOCK / 8]; 64], [i32x8; BLOCK / 8]) = (cast(tile), cast(norms));
+                for (i, (norm, pairs)) in first.iter().enumerate() {
+                    let mut dots = [simd.splat_i32x8(0); BLOCK / 8];
+                    for (pair, row) in pairs.iter().zip(&tile) {
+                        let a: i16x16 = cast(simd.splat_i32x8(*pair));
+                        dots = std::array::from_fn(
+                            #[inline(always)]
+                            |k| {
+                                let products = simd.multiply_wrapping_add_adjacent_i16x16(a, row[k]);
+                                simd.wrapping_add_i32x8(dots[k], products)
+                            },
+                        );
+                    }
+                    let distances: [u32; BLOCK] = cast(std::array::from_fn::<i32x8, { BLOCK / 8 }, _>(
+                        #[inline(always)]
+                        |k| {
+                            let norms = simd.wrapping_add_i32x8(simd.splat_i32x8(*norm), norms[k]);
+                            simd.wrapping_sub_i32x8(norms, simd.wrapping_add_i32x8(dots[k], dots[k]))
+                        },
+                    ));
+                    (self.take)([i, start], &distances[..block.len()]);
                 }
             }
         }
@@ -119,7 +155,8 @@ mod avx2 {
             sums[k % 2] = simd.wrapping_add_i32x8(sums[k % 2], squares);
         }
         let lanes: [i32; 8] = cast::<i32x8, _>(simd.wrapping_add_i32x8(sums[0], sums[1]));
-        lanes.into_iter().sum::<i32>() as u32
+        // An iterator's sum would be a call.
+        ((lanes[0] + lanes[1]) + (lanes[2] + lanes[3]) + (lanes[4] + lanes[5]) + (lanes[6] + lanes[7])) as u32
     }
 }
 
@@ -135,10 +172,12 @@ mod tests {
         all.extend([[0; 128], [255; 128]]);
         let metric = SquaredDistance::default();
         let mut count = 0;
-        each(&all, &all, |[i, j], distance| {
-            count += 1;
-            assert_eq!(distance, squared(&all[i], &all[j]), "{i}, {j}");
-            assert_eq!(distance as f32, metric.distance(&all[i], &all[j]), "{i}, {j}");
+        each(&all, &all, |[i, start], distances| {
+            for (j, distance) in (start..).zip(distances) {
+                count += 1;
+                assert_eq!(*distance, squared(&all[i], &all[j]), "{i}, {j}");
+                assert_eq!(*distance as f32, metric.distance(&all[i], &all[j]), "{i}, {j}");
+            }
         });
         assert_eq!(count, all.len() * all.len());
         assert_eq!(squared(&[0; 128], &[255; 128]), 128 * 255 * 255);

@@ -127,9 +127,20 @@ impl Nearest {
 fn compare([first, second]: [&[Descriptor]; 2]) -> Vec<Match> {
     let mut forward = vec![Nearest::NONE; first.len()];
     let mut backward = vec![Nearest::NONE; second.len()];
-    distance::each(first, second, |[i, j], distance| {
-        forward[i].consider(j, distance);
-        backward[j].consider(i, distance);
+    // Of those that are near enough to count, apart, so that many can be passed over at once: most are far.
+    let mut bars = vec![u32::MAX; second.len()];
+    distance::each(first, second, |[i, start], distances| {
+        let mut nearest = forward[i];
+        let near = |(distance, bar): (&u32, &u32)| *distance < nearest.second.max(*bar);
+        if !distances.iter().zip(&bars[start..]).map(near).fold(false, |any, near| any | near) {
+            return;
+        }
+        for ((j, reverse), distance) in (start..).zip(&mut backward[start..]).zip(distances) {
+            nearest.consider(j, *distance);
+            reverse.consider(i, *distance);
+            bars[j] = reverse.second;
+        }
+        forward[i] = nearest;
     });
     let matched = |(i, nearest): (usize, &Nearest)| {
         let reverse = backward.get(nearest.index)?;
