@@ -63,7 +63,7 @@ pub fn run(args: &ReconstructArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     }
     if !options.born.is_empty() {
         let judged = if args.hold_out.is_some() {
-            "; if that was made of the photos held out, too, they are no forecast for new photos"
+            "; if that was made of the photos held out, too, their scores are no forecast for new photos"
         } else {
             ""
         };

@@ -69,8 +69,21 @@ impl Undistortion {
     /// Left, top, right, bottom of the crop in whole pixels of the uncropped straight picture.
     fn window(&self) -> Option<[f64; 4]> {
         let (w, h) = (self.width as f64, self.height as f64);
-        let limit = |f: f64, c: f64| [c - WIDEST * f, c + WIDEST * f];
-        let ([mut left, mut right], [mut top, mut bottom]) = (limit(self.fx, self.cx), limit(self.fy, self.cy));
+        // How far from the axis the lens is defined: a side far beyond its fold would take the others with it below.
+        let reach = |x: f64, y: f64| {
+            let covers = |t: f64| self.source([self.cx + t * x, self.cy + t * y]).is_some();
+            if covers(WIDEST) {
+                return WIDEST;
+            }
+            let (mut inside, mut outside) = (0.0, WIDEST);
+            while outside - inside > 1e-4 {
+                let middle = 0.5 * (inside + outside);
+                *(if covers(middle) { &mut inside } else { &mut outside }) = middle;
+            }
+            inside
+        };
+        let (mut left, mut right) = (self.cx - self.fx * reach(-self.fx, 0.0), self.cx + self.fx * reach(self.fx, 0.0));
+        let (mut top, mut bottom) = (self.cy - self.fy * reach(0.0, -self.fy), self.cy + self.fy * reach(0.0, self.fy));
         // Where the photo's borders come to lie; a border that the plane does not reach cuts nothing.
         for i in 0..=64 {
             let t = f64::from(i) / 64.0;

@@ -109,6 +109,22 @@ fn every_lens_becomes_straight() {
     }
 }
 
+/// As it is fitted where no point lies at the rim.
+#[test]
+fn a_lens_that_folds_back_within_its_photo_leaves_the_middle() {
+    let numbers = [690.0, 690.0, 460.0, 370.0, 0.1, -0.47, 0.01, -0.008];
+    let lens = Camera::new(CameraModel::OpenCv, 960, 720, &numbers).unwrap();
+    assert!(lens.unproject(&Point2::new(959.0, 370.0)).is_none());
+    let (_guard, folder) = on_disk(&ring(&lens, 1, 0));
+    let camera = load(&folder).pinhole(0, None).unwrap();
+    assert!(camera.width > 640 && camera.height > 480, "{camera:?}");
+    for [x, y] in [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]] {
+        let ray = camera.ray([x * camera.width as f64, y * camera.height as f64]);
+        let corner = lens.project(&Point3::from(ray)).unwrap();
+        assert!((0.0..960.0).contains(&corner.x) && (0.0..720.0).contains(&corner.y), "{corner}");
+    }
+}
+
 #[test]
 fn scaling_takes_the_mean_over_the_area() {
     let lens = Camera::new(CameraModel::Pinhole, 6, 4, &[5.0, 5.0, 2.5, 2.25]).unwrap();
