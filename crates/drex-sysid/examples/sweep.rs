@@ -2,20 +2,23 @@
 //!
 //! ```text
 //! cargo run --release -p drex-sysid --example sweep -- ROOT [--poses noisy|hard|clean] [--force noisy|exact] [--encoder on|off]
-//!     [--free NAME]... [--fix NAME=VALUE]... [--dt SECONDS] [--only TEXT]... [--verbose]
+//!     [--start withheld|given] [--free NAME]... [--fix NAME=VALUE]... [--dt SECONDS] [--only TEXT]... [--verbose]
 //! ```
 //!
-//! ROOT holds `<object>/<scenario>/meta.json` with `truth.json` beside it; the truth is read after the estimate. One line
-//! per recording: verdict, error of the mass, whether the interval holds the truth, half its width, the bound on that, seconds; then
-//! a summary. Runs on one thread; the seconds are those of the processor, where the system tells them.
+//! ROOT holds `<object>/<scenario>/meta.json` with `truth.json` beside it; the truth is read after the estimate. The object is made
+//! of its mesh as `drex identify` makes it, and the start pose is withheld unless it is asked for. One line per recording:
+//! verdict, error of the mass, whether the interval holds the truth, half its width, seconds; then a row per kind of push. Recordings
+//! run side by side, each on one thread; the seconds are those of the processor, where the system tells them.
 #![allow(clippy::print_stdout)] // a program
 
+use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
-use drex_core::TriMesh;
-use drex_recording::convert::mujoco_push::{self, Inputs, PoseQuality};
-use drex_sysid::{Identification, IdentifyOptions, Knowledge, ObjectModel, Parameter, Verdict, identify};
+use drex_mesh::{AssetOptions, LengthUnit, build_asset};
+use drex_recording::convert::mujoco_push::{self, Inputs};
+use drex_sysid::{Identification, IdentifyOptions, Knowledge, ObjectModel, Verdict, identify};
+use rayon::prelude::*;
 use serde_json::Value;
 
 type Failure = Box<dyn Error + Send + Sync>;
@@ -24,6 +27,7 @@ struct Arguments {
     root: PathBuf,
     inputs: Inputs,
     encoder: bool,
+    start: bool,
     options: IdentifyOptions,
     only: Vec<String>,
     verbose: bool,
@@ -31,103 +35,89 @@ struct Arguments {
 
 /// What one recording gave.
 struct Line {
-    identified: bool,
-    /// Whether a number that was given is covered by its interval.
-    covered: Option<bool>,
+    kind: String,
+    verdict: Option<Verdict>,
+    /// Error of ln m, and ends of the interval of ln m about the truth.
     error: Option<f64>,
-    /// What the recording was expected to show, and whether it did.
-    good: bool,
-    narrow: bool,
+    ends: Option<[f64; 2]>,
     seconds: f64,
-    scenario: String,
 }
 
 fn main() -> Result<(), Failure> {
     let arguments = read_arguments()?;
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
-    let mut lines = Vec::new();
-    for folder in recordings(&arguments.root)? {
-        let name = folder.strip_prefix(&arguments.root)?.display().to_string();
-        if !arguments.only.is_empty() && !arguments.only.iter().any(|o| name.contains(o)) {
-            continue;
-        }
-        lines.push(pool.install(|| weigh(&folder, &name, &arguments))?);
-    }
-    summary(&lines);
+    let mut folders = recordings(&arguments.root)?;
+    folders.retain(|f| {
+        let name = f.display().to_string();
+        arguments.only.is_empty() || arguments.only.iter().any(|o| name.contains(o))
+    });
+    let lines = folders.par_iter().map(|f| weigh_alone(f, &arguments)).collect::<Result<Vec<_>, _>>()?;
+    table(&lines);
     Ok(())
 }
 
-fn weigh(folder: &Path, name: &str, arguments: &Arguments) -> Result<Line, Failure> {
-    let recording = mujoco_push::load(folder, arguments.inputs)?;
-    let recording = if arguments.encoder { recording } else { recording.without_encoder() };
-    let object = ObjectModel::from_mesh(&TriMesh::read(&recording.mesh)?)?;
-    let begin = cpu_seconds();
-    let answer = identify(&[recording], &object, &arguments.options)?;
-    let seconds = begin.zip(cpu_seconds()).map_or(answer.seconds, |(a, b)| b - a);
-    let truth: Value = serde_json::from_str(&std::fs::read_to_string(folder.join("truth.json"))?)?;
-    let number = |key: &str| truth[key].as_f64();
-    let mass = number("mass").ok_or("truth.json has no mass")?;
-    let mu = number("mu").ok_or("truth.json has no mu")?;
-    let scenario = name.rsplit('/').next().unwrap_or_default().to_owned();
-    let finger = scenario.starts_with("finger");
-    let with_encoder = finger && arguments.encoder;
-    let expect = truth[if with_encoder { "expect_encoder" } else { "expect" }].as_str().unwrap_or_default().to_owned();
-    let friction = if arguments.options.parameters.get(Parameter::Friction).is_some() { "free" } else { "known" };
-    let crb = number(&format!("crb_rel_sd_mass_{}mu_{friction}", if with_encoder { "encoder_" } else { "" }));
+fn weigh_alone(folder: &Path, arguments: &Arguments) -> Result<Line, Failure> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
+    pool.install(|| weigh(folder, arguments))
+}
 
-    let error = answer.mass_kg.map(|m| m / mass - 1.0);
-    let holds = answer.ci95_kg.map(|ci| ci[0] <= mass && mass <= ci[1]);
-    let half = answer.ci95_kg.zip(answer.mass_kg).map(|(ci, m)| 0.5 * (ci[1] - ci[0]) / m);
-    let allowed = allowed_error(&scenario, arguments);
-    let widest = (8.0 * crb.unwrap_or(f64::INFINITY)).max(allowed.unwrap_or(0.0));
-    let spans = answer.ci95_kg.map(|ci| ci[1] / ci[0]);
-    let product = answer.mu_m_kg.map(|p| p / (mu * mass) - 1.0);
-    let identified = answer.verdict == Verdict::Identified;
-    let honest = holds == Some(true);
-    let good = match (expect.as_str(), answer.verdict) {
-        ("none", Verdict::NotIdentifiable) => true,
-        ("none", Verdict::Identified) => honest && spans.is_some_and(|s| s >= 1.5),
-        ("mu*m", Verdict::OnlyMuM) => product.is_some_and(|p| p.abs() <= 0.05),
-        (_, Verdict::Identified) => match (allowed, error) {
-            (Some(allowed), Some(error)) => error.abs() <= allowed,
-            _ => honest,
-        },
-        // A weak recording may be called too weak.
-        ("m_weak" | "mu*m", Verdict::NotIdentifiable | Verdict::OnlyMuM) => true,
-        _ => false,
+fn weigh(folder: &Path, arguments: &Arguments) -> Result<Line, Failure> {
+    let mut recording = mujoco_push::load(folder, arguments.inputs)?;
+    if !arguments.encoder {
+        recording = recording.without_encoder();
+    }
+    if !arguments.start {
+        recording.initial_pose = None;
+    }
+    let mut metres = AssetOptions::default();
+    metres.unit = LengthUnit::Metre;
+    let asset = build_asset(&recording.mesh, &metres)?;
+    let object = ObjectModel {
+        pieces: asset.convex_parts.iter().map(|p| p.vertices.clone()).collect(),
+        unit: asset.properties.with_mass(1.0),
     };
+    let begin = cpu_seconds();
+    let answer = identify(&[recording], &object, &arguments.options);
+    let seconds = begin.zip(cpu_seconds()).map_or(0.0, |(a, b)| b - a);
+    let truth: Value = serde_json::from_str(&std::fs::read_to_string(folder.join("truth.json"))?)?;
+    let mass = truth["mass"].as_f64().ok_or("truth.json has no mass")?;
+    let name = folder.strip_prefix(&arguments.root)?.display().to_string();
+    let kind = name.rsplit('/').next().unwrap_or_default().to_owned();
+    let answer = match answer {
+        Ok(answer) => answer,
+        Err(e) => {
+            println!("{name:<26} refused: {e}");
+            return Ok(Line { kind, verdict: None, error: None, ends: None, seconds });
+        }
+    };
+    let about = |m: f64| (m / mass).ln();
+    let error = answer.mass_kg.map(about);
+    let ends = answer.ci95_kg.map(|ci| ci.map(about));
     let percent = |x: Option<f64>| x.map_or("-".into(), |x| format!("{:+.2}", 100.0 * x));
     println!(
-        "{name:<26} {expect:<7} {:<16} error {:>7} % {:<3} half {:>6} of {:>6} %{} {} {:.2} s{}",
+        "{name:<26} {:<16} error {:>7} % {:<3} half {:>6} % {:.2} s {} simulations{}",
         format!("{:?}", answer.verdict),
-        percent(error),
-        holds.map_or("", |h| if h { "in" } else { "OUT" }),
-        half.map_or("-".into(), |h| format!("{:.2}", 100.0 * h)),
-        format!("{:.2}", 100.0 * widest),
-        product.map_or(String::new(), |p| format!(" mu*m {:+.2} %", 100.0 * p)),
-        if good { "good" } else { "BAD" },
+        percent(error.map(f64::exp_m1)),
+        ends.map_or("", |e| if holds(&e) { "in" } else { "OUT" }),
+        percent(ends.map(half)),
         seconds,
+        answer.simulations,
         if arguments.verbose { details(&answer) } else { String::new() },
     );
-    let narrow = half.is_none_or(|h| h <= widest);
-    Ok(Line { identified, covered: holds, error, good, narrow, seconds, scenario })
+    Ok(Line { kind, verdict: Some(answer.verdict), error, ends, seconds })
+}
+
+fn holds([low, high]: &[f64; 2]) -> bool {
+    *low <= 0.0 && *high >= 0.0
+}
+
+fn half([low, high]: [f64; 2]) -> f64 {
+    0.5 * (high - low)
 }
 
 /// Seconds that this thread has computed, where the system tells (other programs may share the core).
 fn cpu_seconds() -> Option<f64> {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
     Some(text.split_whitespace().next()?.parse::<f64>().ok()? * 1e-9)
-}
-
-/// The largest error of a mass that counts as weighed, by the kind of push and the quality of its inputs.
-fn allowed_error(scenario: &str, arguments: &Arguments) -> Option<f64> {
-    let hard = arguments.inputs.poses == PoseQuality::Hard;
-    match scenario {
-        "lift_force" | "tilt_force" | "overhang_press" => Some(if hard { 0.04 } else { 0.02 }),
-        "slide_force" => Some(0.05),
-        "finger_fast" | "finger_tilt" if arguments.encoder => Some(0.05),
-        _ => None,
-    }
 }
 
 fn details(answer: &Identification) -> String {
@@ -147,46 +137,57 @@ fn details(answer: &Identification) -> String {
     });
     let sensitive: Vec<String> =
         answer.sensitivities.iter().map(|s| format!("{} {:+.2}", s.parameter.as_str(), s.log_mass)).collect();
+    let estimates: Vec<String> =
+        answer.estimates.iter().map(|e| format!("{} {:.4} (sd {:.4})", e.parameter.as_str(), e.value, e.sd)).collect();
     format!(
-        "\n    {budget} friction {:?}\n    {fit}\n    {}\n    {}",
+        "\n    {budget} friction {:?}\n    {fit}\n    {}\n    {}\n    {}",
         answer.friction,
         sensitive.join(", "),
+        estimates.join(", "),
         answer.reason
     )
 }
 
-fn summary(lines: &[Line]) {
-    let mut seconds: Vec<f64> = lines.iter().map(|l| l.seconds).collect();
-    seconds.sort_by(f64::total_cmp);
-    let (median, slowest) = (seconds.get(seconds.len() / 2), seconds.last());
-    let identified: Vec<&Line> = lines.iter().filter(|l| l.identified).collect();
-    let covered = identified.iter().filter(|l| l.covered == Some(true)).count();
+/// A row per kind of push, and one of all together.
+fn table(lines: &[Line]) {
+    let mut kinds: BTreeMap<&str, Vec<&Line>> = BTreeMap::new();
+    for line in lines {
+        kinds.entry(&line.kind).or_default().push(line);
+        kinds.entry("together").or_default().push(line);
+    }
     println!(
-        "{} recordings, {} as expected; {} identified, interval holds the truth in {covered}, too wide in {}; seconds: median {:.2}, largest {:.2}",
-        lines.len(),
-        lines.iter().filter(|l| l.good).count(),
-        identified.len(),
-        lines.iter().filter(|l| !l.narrow).count(),
-        median.copied().unwrap_or(0.0),
-        slowest.copied().unwrap_or(0.0),
+        "{:<15} {:>6} {:>10} {:>4} {:>14} {:>7} {:>10} {:>9} {:>8} {:>7}",
+        "push", "number", "identified", "mu*m", "truth inside", "rms z", "median err", "worst err", "half", "s"
     );
-    let mut scenarios: Vec<&str> = lines.iter().map(|l| l.scenario.as_str()).collect();
-    scenarios.sort_unstable();
-    scenarios.dedup();
-    for scenario in scenarios {
-        let of: Vec<&&Line> = identified.iter().filter(|l| l.scenario == scenario).collect();
-        let all: Vec<&Line> = lines.iter().filter(|l| l.scenario == scenario).collect();
-        let worst = of.iter().filter_map(|l| l.error).fold(0.0_f64, |a, e| if e.abs() > a.abs() { e } else { a });
-        let covered = of.iter().filter(|l| l.covered == Some(true)).count();
+    for (kind, lines) in kinds {
+        let weighed: Vec<(f64, [f64; 2])> = lines
+            .iter()
+            .filter(|l| l.verdict == Some(Verdict::Identified))
+            .filter_map(|l| l.error.zip(l.ends))
+            .collect();
+        let inside = weighed.iter().filter(|(_, ends)| holds(ends)).count();
+        let n = weighed.len().max(1) as f64;
+        let z = |(error, ends): &(f64, [f64; 2])| (error / (half(*ends) / 1.96)).powi(2);
         println!(
-            "  {scenario:<15} {} of {} as expected, {} identified, worst error {:+.2} %, covered {covered}, mean {:.2} s",
-            all.iter().filter(|l| l.good).count(),
-            all.len(),
-            of.len(),
-            100.0 * worst,
-            all.iter().map(|l| l.seconds).sum::<f64>() / all.len() as f64,
+            "{kind:<15} {:>6} {:>10} {:>4} {:>6} {:>5.1} % {:>7.2} {:>8.2} % {:>7.2} % {:>6.2} % {:>7.2}",
+            lines.len(),
+            weighed.len(),
+            lines.iter().filter(|l| l.verdict == Some(Verdict::OnlyMuM)).count(),
+            inside,
+            100.0 * inside as f64 / n,
+            (weighed.iter().map(z).sum::<f64>() / n).sqrt(),
+            100.0 * median(weighed.iter().map(|w| w.0.abs())),
+            100.0 * weighed.iter().map(|w| w.0.abs()).fold(0.0, f64::max),
+            100.0 * median(weighed.iter().map(|w| half(w.1))),
+            median(lines.iter().map(|l| l.seconds)),
         );
     }
+}
+
+fn median(numbers: impl Iterator<Item = f64>) -> f64 {
+    let mut sorted: Vec<f64> = numbers.collect();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
 fn read_arguments() -> Result<Arguments, Failure> {
@@ -194,6 +195,7 @@ fn read_arguments() -> Result<Arguments, Failure> {
         root: PathBuf::new(),
         inputs: Inputs::default(),
         encoder: true,
+        start: false,
         options: IdentifyOptions::default(),
         only: Vec::new(),
         verbose: false,
@@ -206,6 +208,7 @@ fn read_arguments() -> Result<Arguments, Failure> {
             "--poses" => out.inputs.poses = value()?.parse()?,
             "--force" => out.inputs.force = value()?.parse()?,
             "--encoder" => out.encoder = value()? == "on",
+            "--start" => out.start = value()? == "given",
             "--free" => out.options.parameters.set(value()?.parse()?, Knowledge::Free)?,
             "--fix" => {
                 let text = value()?;

@@ -29,6 +29,7 @@ mod prior;
 mod problem;
 mod profile;
 mod rivals;
+mod start;
 
 pub use answer::{ErrorBudget, HandReport, Identification, ParameterEstimate, PushReport, Sensitivity, Verdict};
 pub use closed_form::{ClosedForm, ClosedFormKind};

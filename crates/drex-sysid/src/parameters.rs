@@ -313,6 +313,21 @@ impl ParameterSet {
         Ok(out)
     }
 
+    /// What holds of a start that nobody states. The tracked place is that of the object by definition, since no push tells a
+    /// constant error of it; `place` is whether the place matters, because a finger or an edge of the support is somewhere.
+    pub(crate) fn of_unknown_start(place: bool) -> Self {
+        let mut entries = BTreeMap::new();
+        let roughly = |sd| Knowledge::Prior { mean: 0.0, sd };
+        entries.insert(Parameter::StartYaw, roughly(Parameter::TurnZ.nuisance_sd()));
+        if place {
+            for (start, bias) in [(Parameter::StartX, Parameter::BiasX), (Parameter::StartY, Parameter::BiasY)] {
+                entries.insert(start, roughly(bias.nuisance_sd()));
+                entries.insert(bias, Knowledge::Fixed(0.0));
+            }
+        }
+        Self { entries }
+    }
+
     /// Everything that `self` states, and what only `others` state.
     pub fn or(&self, others: &Self) -> Self {
         let mut entries = others.entries.clone();

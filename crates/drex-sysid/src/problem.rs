@@ -16,7 +16,7 @@ use crate::closed_form::{ClosedForm, closed_form};
 use crate::finger::{Finger, FingerValues};
 use crate::force::KnownForce;
 use crate::parameters::{Expected, NUISANCES, Parameter, ParameterSet, SIMULATED};
-use crate::{IdentifyOptions, ObjectModel, Result, SysidError, primitive};
+use crate::{IdentifyOptions, ObjectModel, Result, SysidError, primitive, start};
 
 /// Spacing of the dense record that nuisances are solved on, seconds.
 pub(crate) const DENSE_S: f64 = 4e-3;
@@ -103,7 +103,21 @@ impl Problem {
             }
             _ => Action::Nothing,
         };
-        let parameters = options.parameters.or(&ParameterSet::of_recording(recording)?);
+        let mut parameters = options.parameters.or(&ParameterSet::of_recording(recording)?);
+        let mut start = recording.initial_pose.unwrap_or(*first);
+        let onset_s = match &action {
+            Action::Force(force) => force.onset_s(),
+            _ => start::onset_s(&recording.drive),
+        };
+        if recording.initial_pose.is_none()
+            && recording.starts_at_rest
+            && let Some(onset_s) = onset_s
+            && let Some(found) = start::at_rest(recording, onset_s, shape, &object.unit.center_of_mass)
+        {
+            start = found;
+            let place = matches!(action, Action::Finger(_)) || !recording.support.boxes.is_empty();
+            parameters = parameters.or(&ParameterSet::of_unknown_start(place));
+        }
         let collider = Collider::new(&primitive::geoms(shape))
             .map_err(|source| SysidError::Simulation { push: name.clone(), source })?;
         Ok(Self {
@@ -114,7 +128,7 @@ impl Problem {
             excess: [1.0; 6],
             hint: closed_form(recording, object, &noise, 0.0),
             encoder_m: options.encoder_m,
-            start: recording.initial_pose.unwrap_or(*first),
+            start,
             start_velocity: Vector3::zeros(),
             start_spin: Vector3::zeros(),
             action,
