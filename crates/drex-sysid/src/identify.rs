@@ -308,6 +308,13 @@ fn assumptions(recordings: &[PushRecording], options: &IdentifyOptions) -> Vec<S
             out.push(format!("the fingertip's encoder is good to {} mm", 1e3 * options.encoder_m));
         }
     }
+    if recordings.iter().any(|r| r.initial_pose.is_none() && r.starts_at_rest && !r.support.boxes.is_empty()) {
+        out.push(
+            "the object stood on the edge where its track shows it: of random presses recorded so, the interval held the mass in two of \
+             three, so state the start ([start] pose), or weigh by a lift"
+                .into(),
+        );
+    }
     if force || finger {
         out.push("gravity and the shape of the support are as stated".into());
         let of_push = |r: &PushRecording| r.parameters.contains_key(Parameter::Friction.as_str());
