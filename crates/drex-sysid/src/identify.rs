@@ -308,10 +308,16 @@ fn assumptions(recordings: &[PushRecording], options: &IdentifyOptions) -> Vec<S
             out.push(format!("the fingertip's encoder is good to {} mm", 1e3 * options.encoder_m));
         }
     }
-    if recordings.iter().any(|r| r.initial_pose.is_none() && r.starts_at_rest && !r.support.boxes.is_empty()) {
+    let beside_an_edge = |r: &PushRecording| {
+        matches!(r.drive, Drive::Force(_))
+            && r.initial_pose.is_none()
+            && r.starts_at_rest
+            && !r.support.boxes.is_empty()
+    };
+    if recordings.iter().any(beside_an_edge) {
         out.push(
-            "the object stood on the edge where its track shows it: of random presses recorded so, the interval held the mass in two of \
-             three, so state the start ([start] pose), or weigh by a lift"
+            "the object stood beside the edge where its track shows it; intervals of presses over an edge are too narrow then: state the \
+             start ([start] pose), or weigh by a lift"
                 .into(),
         );
     }

@@ -5,6 +5,7 @@
 
 use drex_core::Pose;
 use drex_core::pose::pose_difference;
+use drex_core::stats::median;
 use drex_diffsim::ConvexPolyhedron;
 use drex_recording::{Drive, PushRecording};
 use nalgebra::{Point3, UnitQuaternion, Vector3, Vector6};
@@ -17,6 +18,8 @@ const BEFORE_S: f64 = 0.03;
 const LEAST_FRAMES: usize = 3;
 /// Farthest that the axis of a standing object is tracked beside the vertical, rad: noise, and the bias of a tracker.
 const MOST_TILT_RAD: f64 = 0.15;
+/// Faces that an object can stand on and whose normals differ by no less and no more than this are facets of something round.
+const FACETS_RAD: [f64; 2] = [0.02, 0.4];
 
 /// The start of a push whose recording does not state it: the median of the frames at rest, put onto the support.
 pub(crate) fn at_rest(
@@ -33,7 +36,7 @@ pub(crate) fn at_rest(
     // The tangent space of the first frame is not that of the median: a second round is.
     for _ in 0..2 {
         let apart: Vec<Vector6<f64>> = poses[..frames].iter().map(|p| pose_difference(&mean, p)).collect();
-        let middle = Vector6::from_fn(|i, _| median(apart.iter().map(|d| d[i])));
+        let middle = Vector6::from_fn(|i, _| median(apart.iter().map(|d| d[i])).unwrap_or(0.0));
         let turn = UnitQuaternion::from_scaled_axis(middle.fixed_rows::<3>(3).into_owned());
         mean = Pose::from_parts((mean.translation.vector + middle.fixed_rows::<3>(0)).into(), mean.rotation * turn);
     }
@@ -51,7 +54,8 @@ pub(crate) fn onset_s(drive: &Drive) -> Option<f64> {
     }
 }
 
-/// The pose near `tracked` in which a face of the object's hull lies flat on the support, the centre of mass above it.
+/// The pose near `tracked` in which a face of the object's hull lies flat on the support, the centre of mass above it; what is round there, and
+/// lies on any of its facets, is only put down as it is turned.
 fn standing(
     recording: &PushRecording,
     tracked: &Pose,
@@ -69,15 +73,17 @@ fn standing(
             (b - a).cross(&(center.coords - a)).dot(&plane.0) >= 0.0
         })
     };
-    let (_, (normal, _)) = hull
-        .planes()
+    let stands: Vec<Vector3<f64>> = hull.planes().iter().enumerate().filter(stable).map(|(_, (n, _))| *n).collect();
+    let normal = stands
         .iter()
-        .enumerate()
-        .filter(|(_, (n, _))| n.angle(&down) < MOST_TILT_RAD)
-        .filter(stable)
-        .min_by(|a, b| a.1.0.angle(&down).total_cmp(&b.1.0.angle(&down)))?;
+        .filter(|n| n.angle(&down) < MOST_TILT_RAD)
+        .min_by(|a, b| a.angle(&down).total_cmp(&b.angle(&down)))?;
+    let round = stands.iter().any(|n| (FACETS_RAD[0]..FACETS_RAD[1]).contains(&n.angle(normal)));
     // The shortest turn that puts the face flat, about the centre of mass, which stays above its place.
-    let turn = UnitQuaternion::rotation_between(&(tracked.rotation * normal), &-Vector3::z())?;
+    let turn = match round {
+        true => UnitQuaternion::identity(),
+        false => UnitQuaternion::rotation_between(&(tracked.rotation * normal), &-Vector3::z())?,
+    };
     let rotation = turn * tracked.rotation;
     let place = tracked * center;
     let mut pose = Pose::from_parts((place.coords - rotation * center.coords).into(), rotation);
@@ -86,16 +92,6 @@ fn standing(
     let lowest = points.iter().map(|p| (pose * p).z).fold(f64::INFINITY, f64::min);
     pose.translation.vector.z += top - lowest;
     Some(pose)
-}
-
-fn median(numbers: impl Iterator<Item = f64>) -> f64 {
-    let mut sorted: Vec<f64> = numbers.collect();
-    sorted.sort_by(f64::total_cmp);
-    let n = sorted.len();
-    match n {
-        0 => 0.0,
-        _ => 0.5 * (sorted[(n - 1) / 2] + sorted[n / 2]),
-    }
 }
 
 #[cfg(test)]
@@ -133,5 +129,23 @@ mod tests {
         assert!(off.fixed_rows::<2>(0).norm() < 2e-3 && off[5].abs() < 0.02, "{off}");
         // What the support decides is exact.
         assert!(off[2].abs() < 1e-9 && off[3].abs() < 1e-9 && off[4].abs() < 1e-9, "{off}");
+    }
+    /// A can of 38 sides lies on its side, turned by less than half a side.
+    #[test]
+    fn what_lies_on_its_round_side_is_not_turned_onto_a_facet() {
+        let rim = |k: i32, x: f64| {
+            let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / 38.0).sin_cos();
+            Point3::new(x, 0.03 * cos, 0.03 * sin)
+        };
+        let can =
+            ConvexPolyhedron::from_points(&(0..38).flat_map(|k| [rim(k, -0.05), rim(k, 0.05)]).collect::<Vec<_>>());
+        for roll in [0.0, 0.03, 0.06, 0.1] {
+            let tracked = Pose::new(Vector3::new(0.0, 0.0, 0.035), Vector3::x() * roll);
+            let track = Trajectory::from_samples(&[0.0, 0.1, 0.2], &[tracked; 3]).unwrap();
+            let recording = PushRecording::new("can", "can.obj", track, Drive::Nothing);
+            let start = at_rest(&recording, 0.4, &[can.clone().unwrap()], &Point3::origin()).unwrap();
+            assert!(start.rotation.angle_to(&tracked.rotation) < 1e-9, "{roll}: {start:?}");
+            assert!((0.0298..=0.03 + 1e-9).contains(&start.translation.z), "{roll}: {start:?}");
+        }
     }
 }

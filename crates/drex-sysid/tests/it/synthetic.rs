@@ -30,6 +30,24 @@ fn lifted_slid_and_tipped_blocks_are_weighed() {
     }
 }
 
+/// The start is the frames at rest and the support, not a frame of the track.
+#[test]
+fn a_start_that_nobody_states_is_not_the_first_frame() {
+    let m = 0.137;
+    let lifted = simulated(m, 0.4, Vector3::z() * m * G * 1.6, Point3::origin());
+    let slid = simulated(m, 0.4, Vector3::x() * m * G * 0.4 * 1.8, Point3::new(-0.025, 0.0, -0.03));
+    for mut push in [lifted, slid] {
+        push.initial_pose = None;
+        let mut poses = push.track.poses().to_vec();
+        poses[0] = Pose::new(Vector3::new(0.004, 0.003, 0.008), Vector3::new(0.05, -0.06, 0.1)) * poses[0];
+        push.track = Trajectory::from_samples(push.track.times_s(), &poses).unwrap();
+        let a = identify(&[push], &block(), &IdentifyOptions::default()).unwrap();
+        assert_eq!(a.verdict, Verdict::Identified, "{}", a.reason);
+        let (found, ci) = (a.mass_kg.unwrap(), a.ci95_kg.unwrap());
+        assert!((found / m - 1.0).abs() < 2e-3 && ci[0] < m && m < ci[1], "{found} {ci:?}");
+    }
+}
+
 #[test]
 fn a_torque_weighs_as_a_force_does() {
     let m = 0.137;
