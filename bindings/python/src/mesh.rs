@@ -75,7 +75,7 @@ impl Asset {
     /// Convex collision pieces: tuples (vertices (V, 3), faces (F, 3)).
     #[getter]
     fn pieces<'py>(&self, py: Python<'py>) -> Result<Vec<Arrays<'py>>> {
-        self.inner.convex_parts.iter().map(|piece| arrays(py, piece)).collect()
+        self.inner.convex_parts.iter().map(|piece| arrays(py, &piece.hull)).collect()
     }
 
     /// Volume of the solid, m³.

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use drex_core::Pose;
 use drex_diffsim::{
-    ActuatorKind, AppliedForce, Articulation, Base, Body, BodyState, Collider, Control, ConvexPolyhedron, Dual,
-    ForcePoint, Model, Part, Path, Record, Scalar, Scene, State, StaticBody, parameter, rollout,
+    ActuatorKind, AppliedForce, Articulation, Base, Body, BodyState, Collider, Control, Dual, ForcePoint, Model, Part,
+    Path, Record, Scalar, Scene, State, StaticBody, parameter, rollout,
 };
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use numpy::{PyArray1, PyArray2};
@@ -64,8 +64,7 @@ impl Setup {
         let mut bodies = Vec::new();
         let mut states = Vec::new();
         if let Some(object) = &self.object {
-            let pieces = object.asset.convex_parts.iter().map(|p| ConvexPolyhedron::from_points(&p.vertices));
-            let collider = Collider::convex(pieces.collect::<Result<_, _>>()?);
+            let collider = Collider::of_parts(&object.asset.convex_parts)?;
             bodies.push(Body::new(&object.asset.properties, mass_kg, Arc::new(collider)));
             states.push(BodyState {
                 world_from_body: lifted(&object.start),

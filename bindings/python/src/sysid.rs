@@ -8,7 +8,7 @@ use drex_core::trajectory::PoseNoise;
 use drex_mesh::{AssetOptions, LengthUnit, build_asset};
 use drex_recording::{Drive, ForceProfile, PushRecording};
 use drex_sysid::calibrate::HandCalibration;
-use drex_sysid::{IdentifyOptions, Knowledge, Method, ObjectModel, identify_watched};
+use drex_sysid::{IdentifyOptions, Knowledge, Method, identify_watched};
 use nalgebra::{Point3, Vector3};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
@@ -189,7 +189,8 @@ impl Identification {
         self.inner.ci95_kg.map(|[lo, hi]| (lo, hi))
     }
 
-    /// "identified", "only_mu_m" (only the product of friction and mass) or "not_identifiable".
+    /// "identified", "only_mu_m" (only the product of friction and mass), "fitted" (by the method "adam": no interval, and nobody asked
+    /// whether the pushes tell a mass) or "not_identifiable".
     #[getter]
     fn verdict<'py>(&self, py: Python<'py>) -> Result<Bound<'py, PyAny>> {
         plain(py, &self.inner.verdict)
@@ -417,10 +418,7 @@ pub(crate) fn identify(
                 build_asset(&mesh, &metres)?.into()
             }
         };
-        let object = ObjectModel {
-            pieces: asset.convex_parts.iter().map(|p| p.vertices.clone()).collect(),
-            unit: asset.properties.with_mass(1.0),
-        };
+        let object = asset.to_exact_object("")?;
         Ok(identify_watched(&recordings, &object, &options, &|done| part.set(done))?)
     })?;
     Ok(Identification { inner })

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use nalgebra::{Point3, Unit, Vector3};
 
 use crate::mesh::{farthest_points, sample_surface};
-use crate::{MassProperties, Pose, SignedDistance, SurfacePoint, TriMesh};
+use crate::{ConvexPart, MassProperties, Pose, SignedDistance, SurfacePoint, TriMesh};
 
 /// Coefficient of friction of an object against hand and table where nobody states one; reports list it as an assumption.
 pub const ASSUMED_FRICTION: f64 = 0.5;
@@ -25,18 +25,28 @@ pub trait SolidGeometry: SignedDistance {
     fn bounding_box(&self) -> (Point3<f64>, Point3<f64>);
 }
 
+impl SolidGeometry for Vec<ConvexPart> {
+    fn exact(&self) -> &dyn SignedDistance {
+        self
+    }
+
+    fn bounding_box(&self) -> (Point3<f64>, Point3<f64>) {
+        bounds_at(self, &Pose::identity()).unwrap_or_default()
+    }
+}
+
 /// A rigid object that rests on a table.
 ///
 /// Everything is in metres and in the frame of its mesh unless a name says otherwise. It is made once, by
-/// `drex_mesh::Asset::to_object` or by hand, and is cheap to clone: geometry is shared.
+/// `drex_mesh::Asset::to_object` or [`Object::of_parts`], and is cheap to clone: geometry is shared.
 #[derive(Clone)]
 pub struct Object {
     /// Name in reports and messages.
     pub name: String,
     /// Surface that is seen and drawn.
     pub mesh: Arc<TriMesh>,
-    /// Corners of each convex part of the solid, as collision shapes.
-    pub convex_parts: Arc<Vec<Vec<Point3<f64>>>>,
+    /// Convex parts of the solid, as collision shapes.
+    pub convex_parts: Arc<Vec<ConvexPart>>,
     /// Mass, centre of mass and inertia.
     pub mass_properties: MassProperties,
     /// Signed distances.
@@ -50,24 +60,36 @@ pub struct Object {
 }
 
 impl Object {
-    /// A convex object with the corners of `mesh` (metres, mesh frame), without a name, at [`ASSUMED_FRICTION`]. Other fields may
-    /// be set afterwards.
-    pub fn convex(
-        mesh: TriMesh,
-        geometry: Arc<dyn SolidGeometry>,
-        mass_properties: MassProperties,
-        world_from_object: Pose,
-    ) -> Self {
+    /// An object of convex parts, without a name, at [`ASSUMED_FRICTION`], its frame in the world's. Other fields may be set afterwards.
+    pub fn of_parts(parts: Vec<ConvexPart>, mass_properties: MassProperties) -> Self {
+        let mut mesh = TriMesh::default();
+        parts.iter().for_each(|p| mesh.append(&p.hull));
+        let parts = Arc::new(parts);
         Self {
             name: String::new(),
-            convex_parts: Arc::new(vec![mesh.vertices.clone()]),
             mesh: Arc::new(mesh),
+            convex_parts: parts.clone(),
             mass_properties,
-            geometry,
+            geometry: parts,
             friction: ASSUMED_FRICTION,
             max_finger_n: None,
-            world_from_object,
+            world_from_object: Pose::identity(),
         }
+    }
+
+    /// The corners of all convex parts.
+    pub fn corners(&self) -> impl Iterator<Item = &Point3<f64>> + Clone {
+        self.convex_parts.iter().flat_map(ConvexPart::corners)
+    }
+
+    /// Lowest and highest corner of the box around the convex parts, their frame placed at `pose`; `None` without parts.
+    pub fn bounds_at(&self, pose: &Pose) -> Option<(Point3<f64>, Point3<f64>)> {
+        bounds_at(&self.convex_parts, pose)
+    }
+
+    /// Diagonal of the box around the convex parts, metres.
+    pub fn size_m(&self) -> f64 {
+        self.bounds_at(&Pose::identity()).map_or(0.0, |(lo, hi)| (hi - lo).norm())
     }
 
     /// The same object at another mass, uniformly denser or lighter.
@@ -110,6 +132,17 @@ impl Object {
         let dense: Vec<_> = self.surface_points(8 * count, seed).into_iter().map(|s| s.point).collect();
         farthest_points(&dense, count).into_iter().map(|i| dense[i]).collect()
     }
+}
+
+fn bounds_at(parts: &[ConvexPart], pose: &Pose) -> Option<(Point3<f64>, Point3<f64>)> {
+    let reach = |direction: Vector3<f64>| {
+        let own = pose.inverse_transform_vector(&direction);
+        parts.iter().map(|p| p.support(&own)).fold(f64::NEG_INFINITY, f64::max)
+    };
+    let highest = Vector3::from_fn(|i, _| reach(Vector3::ith(i, 1.0)));
+    let lowest = Vector3::from_fn(|i, _| -reach(Vector3::ith(i, -1.0)));
+    let at = pose.translation.vector;
+    (!parts.is_empty()).then(|| ((lowest + at).into(), (highest + at).into()))
 }
 
 /// The table: the points x with up · x = height, in the object's frame.

@@ -1,6 +1,6 @@
 //! The shapes of one rigid thing, prepared for contact.
 
-use drex_core::Pose;
+use drex_core::{ConvexPart, Pose, PrimitiveShape};
 use nalgebra::{Point3, Vector3};
 
 use crate::collide::CollisionGeom;
@@ -24,6 +24,26 @@ impl Collider {
     pub fn new(geoms: &[Geom]) -> Result<Self> {
         let prepared = geoms.iter().map(|g| CollisionGeom::new(&g.shape, &g.body_from_shape));
         Ok(Self::from_prepared(prepared.collect::<Result<_>>()?, geoms.to_vec()))
+    }
+
+    /// The convex parts of an object, those that are primitives as such.
+    ///
+    /// # Errors
+    /// If a hull has no volume or a primitive a size that is not a positive number.
+    pub fn of_parts(parts: &[ConvexPart]) -> Result<Self> {
+        let geom = |part: &ConvexPart| {
+            let Some(primitive) = part.primitive else {
+                return Ok(Geom::new(Shape::Convex(ConvexPolyhedron::from_points(part.corners())?.into())));
+            };
+            let shape = match primitive.shape {
+                PrimitiveShape::Sphere { radius_m } => Shape::Sphere { radius_m },
+                PrimitiveShape::Capsule { radius_m, half_length_m } => Shape::Capsule { radius_m, half_length_m },
+                PrimitiveShape::Cylinder { radius_m, half_length_m } => Shape::Cylinder { radius_m, half_length_m },
+                PrimitiveShape::Box { half_m } => Shape::Box { half_m: half_m.into() },
+            };
+            Ok(Geom::new(shape).at(primitive.object_from_shape))
+        };
+        Self::new(&parts.iter().map(geom).collect::<Result<Vec<_>>>()?)
     }
 
     /// Convex polyhedra in the body's own frame.

@@ -6,8 +6,8 @@
 
 use std::path::{Path, PathBuf};
 
-use drex_core::TriMesh;
 use drex_core::mesh::convex_hull;
+use drex_core::{ConvexPart, TriMesh};
 use drex_mesh::{PartitionOptions, convex_parts, read_mesh, repair, union_distance, write_obj};
 use nalgebra::Point3;
 use parry3d_f64::math::Vector;
@@ -45,7 +45,7 @@ fn main() -> Any<()> {
     if let Some(out) = out {
         std::fs::create_dir_all(&out)?;
         for (k, piece) in pieces.iter().enumerate() {
-            write_obj(&out.join(format!("piece_{k:03}.obj")), piece)?;
+            write_obj(&out.join(format!("piece_{k:03}.obj")), &piece.hull)?;
         }
     }
     let d = union_distance(&mesh, &pieces, samples, 1)?;
@@ -53,7 +53,7 @@ fn main() -> Any<()> {
     let line = serde_json::json!({
         "file": file.file_name().map(|n| n.to_string_lossy().into_owned()),
         "pieces": pieces.len(),
-        "most_corners": pieces.iter().map(|p| p.vertices.len()).max(),
+        "most_corners": pieces.iter().map(|p| p.corners().len()).max(),
         "mean_mm": round(1e3 * d.mean_m),
         "p99_mm": round(1e3 * d.p99_m),
         "max_mm": round(1e3 * d.max_m),
@@ -73,21 +73,21 @@ fn cpu_seconds() -> f64 {
     (ticks(11) + ticks(12)) / 100.0
 }
 
-fn read_folder(folder: &Path) -> Any<Vec<TriMesh>> {
+fn read_folder(folder: &Path) -> Any<Vec<ConvexPart>> {
     let mut files: Vec<PathBuf> = std::fs::read_dir(folder)?.map(|e| e.map(|e| e.path())).collect::<Result<_, _>>()?;
     files.sort();
     let obj = files.iter().filter(|f| f.extension().is_some_and(|e| e == "obj"));
-    Ok(obj.map(|f| read_mesh(f)).collect::<Result<_, _>>()?)
+    Ok(obj.map(|f| read_mesh(f).map(ConvexPart::of_hull)).collect::<Result<_, _>>()?)
 }
 
 /// parry's V-HACD with its defaults.
-fn parry(mesh: &TriMesh, most: u32) -> Vec<TriMesh> {
+fn parry(mesh: &TriMesh, most: u32) -> Vec<ConvexPart> {
     let points: Vec<Vector> = mesh.vertices.iter().map(|p| Vector::new(p.x, p.y, p.z)).collect();
     let parameters = VHACDParameters { resolution: 64, max_convex_hulls: most, ..VHACDParameters::default() };
     let found = VHACD::decompose(&parameters, &points, &mesh.faces, true);
     let hull = |part: &Vec<Vector>| {
         let points: Vec<_> = part.iter().map(|v| Point3::new(v.x, v.y, v.z)).collect();
-        convex_hull(&points).ok()
+        convex_hull(&points).ok().map(ConvexPart::of_hull)
     };
     found.compute_primitive_intersections(&points, &mesh.faces).iter().filter_map(hull).collect()
 }

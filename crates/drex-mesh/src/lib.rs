@@ -40,6 +40,7 @@ mod io;
 mod mass;
 mod orient;
 mod partition;
+mod primitive;
 mod repair;
 mod rest;
 mod scale;
@@ -79,6 +80,7 @@ pub use io::{
 };
 pub use mass::{Hollow, HollowModel, check_mass_properties, principal, shell_properties};
 pub use partition::{PartitionMethod, PartitionOptions, UnionDistance, convex_parts, union_distance};
+pub use primitive::primitive;
 pub use repair::{DroppedComponent, RepairOptions, RepairReport, repair};
 pub use rest::{RestOptions, RestPose, settled_pose, stable_poses};
 pub use scale::{

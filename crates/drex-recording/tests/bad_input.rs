@@ -258,7 +258,10 @@ fn folders_without_a_push_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let message = |p: &Path| PushRecording::load(p).unwrap_err().to_string();
     assert!(message(folder.path()).contains("the folder holds no push.toml"));
-    assert!(message(&folder.path().join("meta.json")).contains("`drex import`"));
+    let other = folder.path().join("meta.json");
+    assert!(message(&other).contains("cannot read"));
+    std::fs::write(&other, "{}").unwrap();
+    assert!(message(&other).contains("the file is no push.toml") && message(&other).contains("`drex import`"));
     assert!(message(&folder.path().join("push.toml")).contains("cannot read"));
     assert!("loud".parse::<PoseQuality>().unwrap_err().to_string().contains("noisy, hard or clean"));
     assert_eq!("exact".parse::<ForceQuality>().unwrap(), ForceQuality::Exact);

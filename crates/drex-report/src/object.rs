@@ -55,7 +55,7 @@ pub fn section(page: &mut Page, asset: &Asset, mass: &MassFile) -> Result<()> {
     }
     let mut divided = Scene::new(azimuth, elevation).linked("object").on_table(0.0);
     for (piece, color) in asset.convex_parts.iter().zip(PIECE_COLORS.iter().cycle()) {
-        if let Some(mesh) = divided.mesh(piece, PIECE_FACES) {
+        if let Some(mesh) = divided.mesh(&piece.hull, PIECE_FACES) {
             divided.part(mesh, Look::Solid, *color, &[pose.into()])?;
         }
     }
@@ -63,7 +63,7 @@ pub fn section(page: &mut Page, asset: &Asset, mass: &MassFile) -> Result<()> {
         .convex_parts
         .iter()
         .zip(PIECE_COLORS.iter().cycle())
-        .map(|(mesh, &color)| Part { mesh, world_from_mesh: pose, color, texture: None })
+        .map(|(piece, &color)| Part { mesh: &piece.hull, world_from_mesh: pose, color, texture: None })
         .collect();
     page.viewers(&[
         (whole, still(&asset.visual, &pose, azimuth, elevation)?, "the mesh".to_owned()),

@@ -21,7 +21,7 @@ pub fn verdict_text(r: &Identification) -> String {
                 hi / lo
             )
         }
-        (Verdict::Identified, Some(m), None) => format!("{:.1} g, without an interval", 1e3 * m),
+        (Verdict::Fitted, Some(m), _) => format!("fitted, no interval: {:.1} g", 1e3 * m),
         (Verdict::OnlyMuM, ..) => match r.mu_m_kg {
             Some(mu_m) => format!("only friction times mass: mu m = {:.1} g", 1e3 * mu_m),
             None => "only friction times mass".to_owned(),
@@ -83,7 +83,7 @@ pub fn section(page: &mut Page, mass: &MassFile, replays: &[Option<Replay>]) {
         verdict_text(result).lines().take(2).collect::<Vec<_>>().join(" — ").replace("—   ", "— ")
     ));
     if result.profile.len() > 2 {
-        page.plots(&profile_plots(result));
+        page.plots(&[profile_plot(result)]);
     }
     tables(page, result);
     page.section(if result.pushes.len() == 1 { "Push" } else { "Pushes" });
@@ -129,18 +129,20 @@ fn tables(page: &mut Page, result: &Identification) {
             &[
                 "standard deviation of the mass from",
                 "poses",
-                "residual scatter",
-                "profile",
+                "encoder",
                 "force record",
-                "contact model",
+                "contact and time step",
+                "start, clock and what else was stated",
+                "simulators differ",
             ],
             &[vec![
                 String::new(),
                 percent(b.poses),
-                percent(b.sandwich),
-                percent(b.profile),
+                percent(b.encoder),
                 percent(b.force),
                 percent(b.contact),
+                percent(b.stated),
+                percent(b.simulator),
             ]],
         );
     }
@@ -184,36 +186,32 @@ fn posterior_plot(mass: &MassFile) -> String {
     .to_svg()
 }
 
-/// The likelihood over all masses that were tried, and near the best one.
-fn profile_plots(result: &Identification) -> Vec<String> {
-    // Above this the likelihood is nil for any purpose.
+/// What the pushes say of the mass: the law of its logarithm where there is an interval, else the costs of the scan.
+fn profile_plot(result: &Identification) -> String {
+    // Above this a mass is nil for any purpose.
     const NEAR: f64 = 30.0;
     let lowest = result.profile.iter().map(|p| p.1).fold(f64::INFINITY, f64::min);
-    let plot = |title, y_label, log_x, points: Vec<(f64, f64)>| {
-        let (x, y): (Vec<f64>, Vec<f64>) = points.into_iter().unzip();
-        Plot {
-            title,
-            x_label: "mass, g",
-            y_label,
-            series: vec![
-                Series { label: "", x: &x, y: &y, color: COLORS[0], dots: false },
-                Series { label: "", x: &x, y: &y, color: COLORS[0], dots: true },
-            ],
-            log_x,
-            marks: result.mass_kg.map(|m| (1e3 * m, format!("{:.1} g", 1e3 * m))).into_iter().collect(),
-            band: result.ci95_kg.map(|[lo, hi]| (1e3 * lo, 1e3 * hi)),
-        }
-        .to_svg()
+    let is_law = result.ci95_kg.is_some();
+    let points = result.profile.iter().map(|p| (1e3 * p.0, p.1 - lowest));
+    // Costs span orders of magnitude over all masses.
+    let (x, y): (Vec<f64>, Vec<f64>) = if is_law {
+        points.filter(|p| p.1 < NEAR).unzip()
+    } else {
+        points.map(|(m, c)| (m, (1.0 + c).log10())).unzip()
     };
-    // The cost spans orders of magnitude over all masses.
-    let all = result.profile.iter().map(|p| (1e3 * p.0, (1.0 + p.1 - lowest).log10())).collect();
-    let near: Vec<(f64, f64)> =
-        result.profile.iter().map(|p| (1e3 * p.0, p.1 - lowest)).filter(|p| p.1 < NEAR).collect();
-    let mut plots = vec![plot("Likelihood of the mass", "log10(1 + cost above the best)", true, all)];
-    if result.mass_kg.is_some() && near.len() > 3 {
-        plots.push(plot("The same near the best; shaded: 95 % interval", "cost above the best", false, near));
+    Plot {
+        title: if is_law { "What the pushes say; shaded: 95 % interval" } else { "Cost over the mass" },
+        x_label: "mass, g",
+        y_label: if is_law { "minus log density above the best" } else { "log10(1 + cost above the best)" },
+        series: vec![
+            Series { label: "", x: &x, y: &y, color: COLORS[0], dots: false },
+            Series { label: "", x: &x, y: &y, color: COLORS[0], dots: true },
+        ],
+        log_x: !is_law,
+        marks: result.mass_kg.map(|m| (1e3 * m, format!("{:.1} g", 1e3 * m))).into_iter().collect(),
+        band: result.ci95_kg.map(|[lo, hi]| (1e3 * lo, 1e3 * hi)),
     }
-    plots
+    .to_svg()
 }
 
 /// Displacement and lean of the object, tracked and simulated.

@@ -5,17 +5,18 @@ use std::hint::black_box;
 use std::time::Duration;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use drex_core::MassProperties;
+use drex_core::mesh::convex_hull;
+use drex_core::{ConvexPart, MassProperties, Object};
 use drex_recording::{PushRecording, Support};
 use drex_sysid::plan::{ForceLimits, PlanOptions, PlannedPush, PushKind, RobotLimits, plan_push};
-use drex_sysid::{IdentifyOptions, ObjectModel, identify};
+use drex_sysid::{IdentifyOptions, identify};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 const HALF: Vector3<f64> = Vector3::new(0.02, 0.03, 0.04);
 const MASS_KG: f64 = 0.2;
 
 /// A block whose faces carry a grid of about `vertices` points in all.
-fn block(vertices: usize) -> ObjectModel {
+fn block(vertices: usize) -> Object {
     let n = ((vertices as f64 / 6.0).sqrt().round() as usize).max(2);
     let at = |k: usize| 2.0 * k as f64 / (n - 1) as f64 - 1.0;
     let face = |axis: usize, side: f64| {
@@ -26,15 +27,16 @@ fn block(vertices: usize) -> ObjectModel {
             Point3::from(HALF.component_mul(&p))
         })
     };
-    let points = (0..6).flat_map(|f| face(f / 2, if f % 2 == 0 { -1.0 } else { 1.0 })).collect();
+    let points: Vec<Point3<f64>> = (0..6).flat_map(|f| face(f / 2, if f % 2 == 0 { -1.0 } else { 1.0 })).collect();
     let s = HALF.component_mul(&HALF) / 3.0;
     let inertia = Matrix3::from_diagonal(&Vector3::new(s.y + s.z, s.z + s.x, s.x + s.y));
     let unit = MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia };
-    ObjectModel { pieces: vec![points], unit }
+    let part = ConvexPart::of_hull(convex_hull(&points).unwrap());
+    Object::of_parts(vec![part], unit)
 }
 
 /// The planner's first push of a kind, done in simulation.
-fn push(object: &ObjectModel, kind: PushKind) -> PushRecording {
+fn push(object: &Object, kind: PushKind) -> PushRecording {
     let force = ForceLimits { max_n: 10.0, noise_n: 0.02, lifts: true };
     let robot = RobotLimits { reaction_s: 0.03, force: Some(force), finger: None };
     let support = Support { friction: Some(0.6), ..Support::default() };

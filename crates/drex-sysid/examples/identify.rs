@@ -9,10 +9,10 @@ use std::error::Error;
 use std::io::Write;
 use std::path::Path;
 
-use drex_core::TriMesh;
+use drex_mesh::{AssetOptions, LengthUnit, build_asset};
 use drex_recording::PushRecording;
 use drex_recording::convert::mujoco_push::{self, Inputs};
-use drex_sysid::{IdentifyOptions, Knowledge, ObjectModel, Parameter, identify};
+use drex_sysid::{IdentifyOptions, Knowledge, Parameter, identify};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut mujoco = false;
@@ -33,7 +33,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         true => mujoco_push::load(Path::new(&folder), Inputs::default())?,
         false => PushRecording::load(Path::new(&folder))?,
     };
-    let object = ObjectModel::from_mesh(&TriMesh::read(&recording.mesh)?)?;
+    let mut metres = AssetOptions::default();
+    metres.unit = LengthUnit::Metre;
+    let object = build_asset(&recording.mesh, &metres)?.to_exact_object("")?;
     let mut answer = identify(&[recording], &object, &options)?;
     if !full {
         answer.profile.clear();

@@ -11,10 +11,10 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use drex_core::{Pose, Trajectory, TriMesh};
+use drex_core::{ConvexPart, Object, Pose, Trajectory, TriMesh};
 use drex_diffsim::{
-    ActuatorKind, Articulation, Base, Body, BodyState, Collider, Control, ConvexPolyhedron, Model, Part, Scene, State,
-    StaticBody, Workspace, step,
+    ActuatorKind, Articulation, Base, Body, BodyState, Collider, Control, Model, Part, Scene, State, StaticBody,
+    Workspace, step,
 };
 use drex_recording::JointLog;
 use drex_recording::convert::allegro_run;
@@ -23,7 +23,7 @@ use drex_robot::{Robot, joint_order};
 use drex_sysid::bound::{BoundOptions, Topple, of_topple};
 use drex_sysid::calibrate::{CalibrateOptions, HandCalibration, HandRun, hand};
 use drex_sysid::frames::{FoundFrames, FrameOptions, HandPlacement, Standing, TipPath, against_hand, find, tip_paths};
-use drex_sysid::{Identification, IdentifyOptions, ObjectModel, identify};
+use drex_sysid::{Identification, IdentifyOptions, identify};
 use nalgebra::{Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde_json::Value;
 
@@ -103,7 +103,7 @@ struct Push<'a> {
     robot: &'a Arc<Robot>,
     calibration: &'a HandCalibration,
     solid: Standing,
-    object: ObjectModel,
+    object: Object,
     found: FoundFrames,
     /// Camera in the world of the hand; height of the table there; delay of the track.
     world_from_camera: Pose,
@@ -117,7 +117,7 @@ impl<'a> Push<'a> {
             return Err("no hand".into());
         };
         let solid = Standing::of(&TriMesh::read(&recording.mesh)?)?;
-        let object = ObjectModel { pieces: vec![solid.hull.vertices.clone()], unit: solid.unit };
+        let object = Object::of_parts(vec![ConvexPart::of_hull(solid.hull.clone())], solid.unit);
         let mut found = find(&recording.track, &solid, &FrameOptions::of(recording))?;
         let extra = calibration.extra_torque(&run, robot)?;
         let touches = extra.touches(robot);
@@ -179,8 +179,8 @@ impl<'a> Push<'a> {
     }
 
     fn simulate(&self, mass: f64) -> Any<Motion> {
-        let piece = ConvexPolyhedron::from_points(&self.object.pieces[0])?;
-        let body = Body::new(&self.object.unit, mass, Arc::new(Collider::convex(vec![piece])));
+        let body =
+            Body::new(&self.object.mass_properties, mass, Arc::new(Collider::of_parts(&self.object.convex_parts)?));
         let mut arm = Articulation::new(self.robot.clone(), Base::Fixed(self.log.world_from_base))?;
         for joint in &mut arm.joints {
             (joint.armature, joint.damping, joint.friction_loss, joint.limits) = (1e-4, 0.0, 0.0, None);

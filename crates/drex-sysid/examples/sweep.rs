@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 
 use drex_mesh::{AssetOptions, LengthUnit, build_asset};
 use drex_recording::convert::mujoco_push::{self, Inputs};
-use drex_sysid::{Identification, IdentifyOptions, Knowledge, ObjectModel, Verdict, identify};
+use drex_sysid::{Identification, IdentifyOptions, Knowledge, Verdict, identify};
 use rayon::prelude::*;
 use serde_json::Value;
 
@@ -71,10 +71,7 @@ fn weigh(folder: &Path, arguments: &Arguments) -> Result<Line, Failure> {
     let mut metres = AssetOptions::default();
     metres.unit = LengthUnit::Metre;
     let asset = build_asset(&recording.mesh, &metres)?;
-    let object = ObjectModel {
-        pieces: asset.convex_parts.iter().map(|p| p.vertices.clone()).collect(),
-        unit: asset.properties.with_mass(1.0),
-    };
+    let object = asset.to_exact_object("")?;
     let begin = cpu_seconds();
     let answer = identify(&[recording], &object, &arguments.options);
     let seconds = begin.zip(cpu_seconds()).map_or(0.0, |(a, b)| b - a);

@@ -10,10 +10,10 @@ use std::error::Error;
 use std::sync::Arc;
 
 use drex_core::trajectory::PoseNoise;
-use drex_core::{MassProperties, Pose, Trajectory};
-use drex_diffsim::{AppliedForce, Body, Collider, ConvexPolyhedron, ForcePoint, Model, Part, Scene, State, rollout};
+use drex_core::{ConvexPart, MassProperties, Object, Pose, Primitive, PrimitiveShape, Trajectory};
+use drex_diffsim::{AppliedForce, Body, Collider, ForcePoint, Model, Part, Scene, State, rollout};
 use drex_recording::{Drive, ForceProfile, PushRecording};
-use drex_sysid::{IdentifyOptions, Knowledge, ObjectModel, Parameter, identify};
+use drex_sysid::{IdentifyOptions, Knowledge, Parameter, identify};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 const TRUE_KG: f64 = 0.137;
@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         if !known {
             options.parameters.set(Parameter::Friction, Knowledge::Free)?;
         }
-        let answer = identify(&[push], &block(), &options)?;
+        let answer = identify(&[push], &block()?, &options)?;
         print!("{name}: {:?}", answer.verdict);
         if let (Some(mass), Some([low, high])) = (answer.mass_kg, answer.ci95_kg) {
             print!(", {mass:.4} kg, 95 % from {low:.4} to {high:.4}");
@@ -52,12 +52,13 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 /// The block, its mesh frame in the middle.
-fn block() -> ObjectModel {
-    let corner = |i: usize| Point3::from(Vector3::from_fn(|k, _| if i >> k & 1 == 0 { -HALF[k] } else { HALF[k] }));
+fn block() -> Result<Object, drex_core::Error> {
+    let shape = PrimitiveShape::Box { half_m: HALF.into() };
+    let part = ConvexPart::of_primitive(Primitive { shape, object_from_shape: Pose::identity() })?;
     let s = HALF.component_mul(&HALF) / 3.0;
     let inertia = Matrix3::from_diagonal(&Vector3::new(s.y + s.z, s.z + s.x, s.x + s.y));
     let unit = MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia };
-    ObjectModel { pieces: vec![(0..8).map(corner).collect()], unit }
+    Ok(Object::of_parts(vec![part], unit))
 }
 
 /// A camera's view of the block from rest on, under `force` at `point` (mesh frame) from 0.3 s on; the track ends with the push if it
@@ -69,9 +70,9 @@ fn simulated(
     point: Point3<f64>,
     until_s: f64,
 ) -> Result<PushRecording, Box<dyn Error>> {
-    let object = block();
-    let pieces = object.pieces.iter().map(|p| ConvexPolyhedron::from_points(p)).collect::<Result<_, _>>()?;
-    let model = Model::new(vec![Body::new(&object.unit, TRUE_KG, Arc::new(Collider::convex(pieces)))]);
+    let object = block()?;
+    let collider = Collider::of_parts(&object.convex_parts)?;
+    let model = Model::new(vec![Body::new(&object.mass_properties, TRUE_KG, Arc::new(collider))]);
     let mut scene = Scene::on_table(friction);
     let times_s: Vec<f64> = (0..120).map(|k| f64::from(k) * 0.01).collect();
     let acts = |t: &f64| (0.3..until_s - 1e-4).contains(t);

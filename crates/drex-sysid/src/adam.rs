@@ -5,7 +5,6 @@
 use crate::Result;
 use crate::joint::{Candidate, Joint, Point};
 use crate::parameters::Parameter;
-use crate::problem::Slot;
 
 const EPOCHS: i32 = 200;
 /// Change of the logarithm per epoch, at most about: far enough in all to cross a factor of 50.
@@ -70,7 +69,7 @@ fn loss(c: &Candidate) -> f64 {
 fn gradient(joint: &Joint, c: &Candidate, dt_s: f64) -> Result<f64> {
     let mut sum = 0.0;
     for (i, (problem, fit)) in joint.problems.iter().zip(&c.fits).enumerate() {
-        let slopes = problem.slopes(&joint.values(i, &c.point), &[Slot::Named(Parameter::Mass)], fit, dt_s)?;
+        let slopes = problem.slopes(&joint.values(i, &c.point), &[Parameter::Mass], fit, dt_s)?;
         sum += slopes.iter().flatten().zip(&fit.residuals).map(|(s, r)| 2.0 * s * r).sum::<f64>();
     }
     Ok(sum / count(c))

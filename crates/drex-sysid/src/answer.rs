@@ -14,6 +14,8 @@ pub enum Verdict {
     Identified,
     /// Only the product of friction coefficient and mass.
     OnlyMuM,
+    /// A mass was fitted to them ([`crate::Method::Adam`]), without an interval: whether they tell one was not asked.
+    Fitted,
     /// Neither.
     NotIdentifiable,
 }
@@ -22,7 +24,7 @@ pub enum Verdict {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Identification {
-    /// Estimated mass, kg; only with [`Verdict::Identified`].
+    /// Estimated mass, kg; only with [`Verdict::Identified`] and [`Verdict::Fitted`].
     pub mass_kg: Option<f64>,
     /// 95 % interval of the mass, kg; absent with [`crate::Method::Adam`], which has none. Pushes of a hand give one even where it
     /// is too wide for a verdict.
@@ -53,8 +55,8 @@ pub struct Identification {
     pub sensitivities: Vec<Sensitivity>,
     /// What was taken for granted.
     pub assumptions: Vec<String>,
-    /// Mass (kg) and cost (half the robust sum of squares, nuisances solved for), by mass: around the estimate those
-    /// that were fitted, farther away those of the scan.
+    /// Mass (kg) and minus the logarithm of the density of ln m, up to a constant, by mass, where there is an interval; elsewhere the
+    /// costs of the scan (half the robust sum of squares, errors of the track fitted).
     pub profile: Vec<(f64, f64)>,
     /// One per push.
     pub pushes: Vec<PushReport>,
@@ -63,36 +65,34 @@ pub struct Identification {
 impl Identification {
     /// What the pushes alone say of the mass, as a distribution; absent where no interval is stated, since they say nothing then.
     ///
-    /// Pushes that were simulated give the normal law of ln m that has the stated interval, with all sources of error; those of a hand
-    /// their [`Identification::profile`]. A bound from one side lacks one of its [bounds](MassDistribution::bounds_kg).
+    /// It is that of [`Identification::profile`]. A bound from one side lacks one of its [bounds](MassDistribution::bounds_kg).
     pub fn likelihood(&self) -> Option<MassDistribution> {
         self.ci95_kg?;
-        let likelihood = match (self.error_budget, self.mass_kg, self.sd_log_mass) {
-            (Some(_), Some(mass_kg), Some(sd_log)) => MassDistribution::log_normal(mass_kg, sd_log),
-            _ => MassDistribution::from_costs(&self.profile),
-        };
-        likelihood.ok()
+        MassDistribution::from_costs(&self.profile).ok()
     }
 }
 
-/// Standard deviations of the logarithm of the mass by source.
+/// Standard deviations of the logarithm of the mass by source, at the likeliest mode; their squares add up to its variance
+/// (the part `force_factor` is counted in `force`).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct ErrorBudget {
-    /// Noise of the poses, from the curvature of the cost.
+    /// Noise of the poses; where the simulation misses them by more than their noise, what it misses by, with its correlation in time.
     pub poses: f64,
-    /// The same from the scatter of the residuals (sandwich), with their correlation in time.
-    pub sandwich: f64,
-    /// The same from the width of the likelihood profile, up to the farthest minimum that is not excluded.
-    pub profile: f64,
+    /// The same of a finger's encoder.
+    pub encoder: f64,
     /// Noise of the recorded force.
     pub force: f64,
     /// The part of that which no pose can tell. Force and mass times one factor move everything alike, and noise of deviation s on
     /// the samples u of a force is such a factor of deviation s / |u|: no estimate from this record has a smaller deviation,
     /// however good the poses.
     pub force_factor: f64,
-    /// Contact of the simulator: softer, less damped, with half the step; and what a finger's encoder shows it to miss.
+    /// Contact that decides by chance (chatter, sticking or slipping), and the time step of the simulator.
     pub contact: f64,
+    /// What is known beforehand only so well: start, clock and bias of the track, and whatever was stated with a deviation.
+    pub stated: f64,
+    /// How far two correct simulators differ about the mass from such a push.
+    pub simulator: f64,
 }
 
 /// A parameter that was estimated along with the mass.

@@ -1,11 +1,12 @@
 //! What a recording must be before it is worth simulating.
 
+use drex_core::Object;
 use drex_core::pose::pose_difference;
 use drex_core::trajectory::PoseNoise;
 use drex_recording::{Drive, PushRecording, Support, SupportBox, TrackFrame};
 use nalgebra::{Point3, Vector3};
 
-use crate::{ObjectModel, Result, SysidError};
+use crate::{Result, SysidError};
 
 /// Poses a track must have.
 const MIN_POSES: usize = 10;
@@ -19,7 +20,7 @@ const FIRST_FRAMES: usize = 5;
 const DRIFT_M: f64 = 5e-3;
 
 /// Refuses recordings that cannot be what they say they are.
-pub(crate) fn recording(recording: &PushRecording, object: &ObjectModel, noise: &PoseNoise) -> Result<()> {
+pub(crate) fn recording(recording: &PushRecording, object: &Object, noise: &PoseNoise) -> Result<()> {
     let poses = recording.track.len();
     if poses < MIN_POSES {
         return Err(SysidError::TooFewPoses { push: recording.name.clone(), poses, needed: MIN_POSES });
@@ -73,7 +74,7 @@ fn still(recording: &PushRecording, noise: &PoseNoise) -> bool {
 }
 
 /// The start pose must put the object on its support.
-fn stands(recording: &PushRecording, object: &ObjectModel) -> Result<()> {
+fn stands(recording: &PushRecording, object: &Object) -> Result<()> {
     let Some(start) = recording.initial_pose.or(recording.track.poses().first().copied()) else { return Ok(()) };
     let Some((lo, hi)) = object.bounds_at(&start) else { return Ok(()) };
     let table = recording.support.table_height_m;

@@ -6,13 +6,12 @@
 //! reweighed against outliers. The answer is rough (it sees neither take-off nor landing) and independent of any model of
 //! contact: a start for the estimate and a check of it.
 
-use drex_core::Pose;
 use drex_core::trajectory::PoseNoise;
+use drex_core::{Object, Pose};
 use drex_recording::{Drive, ForceProfile, PushRecording, SupportBox, TrackFrame};
 use nalgebra::{DMatrix, DVector, Point3, Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::ObjectModel;
 use crate::checks::support_top;
 
 /// Frames that a stretch must have.
@@ -68,7 +67,7 @@ struct Stretch {
 /// clock of the track minus that of the force. `None` where neither happens, or tells nothing.
 pub(crate) fn closed_form(
     recording: &PushRecording,
-    object: &ObjectModel,
+    object: &Object,
     noise: &PoseNoise,
     offset_s: f64,
 ) -> Option<ClosedForm> {
@@ -98,7 +97,7 @@ struct Track<'a> {
 fn flight(
     track: &Track<'_>,
     recording: &PushRecording,
-    object: &ObjectModel,
+    object: &Object,
     force: &ForceProfile,
     noise: &PoseNoise,
 ) -> Vec<Stretch> {
@@ -116,7 +115,7 @@ fn flight(
         let pushed = twice_integrated(times, |t| held(&force.times_s, &force.forces_n, t));
         for axis in 0..3 {
             let fall = |t: f64| 0.5 * recording.gravity[axis] * (t - times[0]).powi(2);
-            let com = |p: &Pose| (p * object.unit.center_of_mass)[axis];
+            let com = |p: &Pose| (p * object.mass_properties.center_of_mass)[axis];
             out.push(Stretch {
                 times_s: times.to_vec(),
                 rest: times.iter().zip(&track.poses[run.clone()]).map(|(t, p)| com(p) - fall(*t)).collect(),
@@ -131,7 +130,7 @@ fn flight(
 fn tipping(
     track: &Track<'_>,
     recording: &PushRecording,
-    object: &ObjectModel,
+    object: &Object,
     force: &ForceProfile,
     noise: &PoseNoise,
 ) -> Vec<Stretch> {
@@ -187,7 +186,7 @@ impl Lever {
     fn new(
         track: &Track<'_>,
         recording: &PushRecording,
-        object: &ObjectModel,
+        object: &Object,
         force_point: Point3<f64>,
         axis: &Vector3<f64>,
         up: &Vector3<f64>,
@@ -195,7 +194,7 @@ impl Lever {
         let (lo, hi) = object.bounds_at(&track.start)?;
         let top = support_top(&recording.support, &lo, &hi);
         let bottom: Vec<Vector3<f64>> =
-            object.pieces.iter().flatten().map(|p| (track.start * p).coords).filter(|p| p.z < lo.z + FLAT_M).collect();
+            object.corners().map(|p| (track.start * p).coords).filter(|p| p.z < lo.z + FLAT_M).collect();
         let under = recording.support.boxes.iter().filter(|b| (b.center_m[2] + b.half_m[2] - top).abs() < FLAT_M);
         let reaches = |n: &Vector3<f64>| {
             let foot = bottom.iter().map(|p| p.dot(n)).fold(f64::NEG_INFINITY, f64::max);
@@ -204,7 +203,7 @@ impl Lever {
         };
         // The edge is where the way from the centre in the direction of the lean leaves the foot or what it stands on.
         let lean = axis.cross(up);
-        let c = (track.start * object.unit.center_of_mass).coords;
+        let c = (track.start * object.mass_properties.center_of_mass).coords;
         let normals = (-NORMALS..=NORMALS).map(|k| {
             let n = Rotation3::new(up * (f64::from(k) * 0.5_f64.to_radians())) * lean;
             ((reaches(&n) - c.dot(&n)) / n.dot(&lean), n)
@@ -215,9 +214,9 @@ impl Lever {
             let w = track.start * p;
             (w.coords.dot(&direction) - edge, w.coords.dot(up) - top)
         };
-        let center = place(object.unit.center_of_mass);
+        let center = place(object.mass_properties.center_of_mass);
         let in_body = track.start.rotation.inverse() * axis;
-        let about_center = in_body.dot(&(object.unit.inertia * in_body)) / object.unit.mass_kg;
+        let about_center = in_body.dot(&(object.mass_properties.inertia * in_body)) / object.mass_properties.mass_kg;
         let inertia = about_center + center.0 * center.0 + center.1 * center.1;
         (edge.is_finite() && inertia > 0.0).then_some(Self {
             direction,

@@ -1,72 +1,92 @@
-//! The estimator: scan of the logarithm of the mass, Levenberg-Marquardt with dual-number derivatives from the best cells,
-//! then what the answer is worth.
+//! The estimator: a scan of the logarithm of the mass, descents from its best cells, and around where these end the posterior by
+//! draws; what is known of the mass is the mixture of what they find.
 
 use nalgebra::DVector;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use crate::answer::{ErrorBudget, ParameterEstimate};
-use crate::finger::PULL;
-use crate::information::Information;
-use crate::joint::{Candidate, Coordinate, ITERATIONS, Joint, Point, Slopes};
-use crate::problem::{Action, Problem, Slot};
-use crate::profile::{BOUND, Profile, minima};
-use crate::rivals::widened;
-use crate::{IdentifyOptions, Result};
+use crate::distribution::EXCLUDES;
+use crate::ensemble::{Gaussian, Round, Steps};
+use crate::joint::{Candidate, Coordinate, ITERATIONS, Joint, Point};
+use crate::noise::normal;
+use crate::problem::{Problem, Slot};
+use crate::{IdentifyOptions, MassDistribution, Parameter, Result};
 
-/// Two correct simulators of rigid contact disagree about a mass by this much (relative).
-const MODEL_FLOOR: f64 = 0.005;
-/// The same for a push by a fingertip whose encoder shows how far the two motions differ.
-const FINGER_FLOOR: f64 = 0.0035;
+/// How far two correct simulators of rigid contact differ about a mass, relative.
+const SIMULATORS: f64 = 0.005;
+/// The same for a push by a fingertip.
+const SIMULATORS_FINGER: f64 = 0.0035;
 /// The same without an encoder, which alone tells the force across the push.
-const BLIND_FINGER_FLOOR: f64 = 0.04;
-/// Models that are as right as the chosen one: factors on frequency and damping of contact, on the pull on a fingertip
-/// across the push, and on the time step.
-const VARIANTS: [[f64; 4]; 3] = [[0.5, 1.0, 1.0, 1.0], [1.0, 0.6, 1.0, 1.0], [1.0, 1.0, 3.0, 0.5]];
+const SIMULATORS_BLIND: f64 = 0.04;
 /// Friction coefficients of the scan when friction is free.
-pub(crate) const FRICTIONS: [f64; 6] = [0.12, 0.2, 0.3, 0.45, 0.65, 0.9];
-/// Standard deviations taken for an encoder in the scan and in the first descent, metres: far from the best mass no reading
-/// agrees to a tenth of a millimetre, and all would count as outliers.
+const FRICTIONS: [f64; 6] = [0.12, 0.2, 0.3, 0.45, 0.65, 0.9];
+/// Standard deviation taken for an encoder until draws are made, metres: far from the best mass no reading agrees to a tenth of a
+/// millimetre, and all would count as outliers.
 const LOOSE_ENCODER_M: f64 = 2e-3;
-/// The most that is taken for it in the end.
-const WORST_ENCODER_M: f64 = 2e-3;
-
-/// Standard deviation of log mass beyond which nothing that could be added makes a measurement of it.
-const HOPELESS: f64 = 3.0;
 /// Standard deviation of log mass below which a closed form is a start.
 const GOOD_HINT: f64 = 0.1;
-/// Iterations of one descent by mean slopes.
-pub(crate) const MEAN_ITERATIONS: usize = 8;
+/// Masses on each side of the best descent, and the logarithm between neighbours, that are looked at for other minima.
+const NEAR: i32 = 14;
+const NEAR_STEP: f64 = 0.007;
+/// Starts that are followed, at most, and how much higher the cost of one may be than the best one's.
+const FOLLOWED: usize = 3;
+const FAR_WORSE: f64 = 15.0;
+/// Cost per pose beyond which the noise of a track does not explain it: noise alone costs about 2.6.
+const POOR: f64 = 4.0;
+/// How far from the best start so far others are tried then, in standard deviations of what is expected, and how many of each.
+const PROBE_SDS: [f64; 3] = [0.3, 0.3, 0.1];
+const PROBES: usize = 8;
+/// Rounds of draws with the coarse step, at least and at most.
+const ROUNDS: (usize, usize) = (2, 6);
+/// Rounds at most as long as the mass goes far.
+const MOST_ROUNDS: usize = 20;
+/// A round that moves the mean by less than this many standard deviations is the last one.
+const SETTLED: f64 = 0.5;
+/// Logarithm of the odds below which another mode plays no part.
+const ODDS: f64 = 8.0;
+/// Knots of the law of the mass on each side of a mode, and their distance in standard deviations.
+const KNOTS: i32 = 25;
+const KNOT_SD: f64 = 0.2;
 
 /// What the estimator found.
 pub(crate) struct Estimate {
-    pub best: Candidate,
-    pub profile: Vec<(f64, f64)>,
+    /// Draws that agree best, the best one first.
+    pub best: Vec<Candidate>,
+    /// Weight, mean and standard deviation of log mass, per mode, the heaviest one first.
+    pub modes: Vec<[f64; 3]>,
+    pub scan: Vec<(f64, f64)>,
     pub budget: ErrorBudget,
-    /// Standard deviation of log mass, everything together.
-    pub sd: f64,
     /// Standard deviation of log(friction · mass), if friction is free.
     pub sd_mu_m: Option<f64>,
+    /// The friction of the support, if it was estimated.
+    pub friction: Option<f64>,
     /// Cost at the worst mass of the scan minus cost at the best.
     pub relief: f64,
-    /// Per push and pose: what it tells about the mass, as a share of the whole.
+    /// Per push and pose: what it tells about the mass, as a share of what all observations tell.
     pub shares: Vec<Vec<f64>>,
     /// What else was estimated.
     pub others: Vec<ParameterEstimate>,
-    /// Change of log mass per change of what was taken for granted.
-    pub sensitivities: Vec<(crate::Parameter, f64)>,
+    /// Change of log mass per change of what was taken for granted, and the mean slope of the mass over that of the line; absent if
+    /// nothing can be said of them.
+    pub sensitivities: Option<(Vec<(Parameter, f64)>, f64)>,
 }
 
 impl Joint {
-    /// The whole estimate.
-    pub(crate) fn solve(&mut self, options: &IdentifyOptions, progress: &(dyn Fn(f64) + Sync)) -> Result<Estimate> {
-        let finest = options.encoder_m;
+    /// The whole estimate; `None` if draws around the best point cannot be simulated.
+    pub(crate) fn solve(
+        &mut self,
+        options: &IdentifyOptions,
+        progress: &(dyn Fn(f64) + Sync),
+    ) -> Result<Option<Estimate>> {
         for problem in &mut self.problems {
-            problem.encoder_m = LOOSE_ENCODER_M.max(finest);
+            problem.encoder_m = LOOSE_ENCODER_M.max(options.encoder_m);
         }
         let middle_dt = (options.dt_s * options.scan_dt_s).sqrt();
-        let mut scan = self.scan(options);
+        let mut scan = self.scan_from(&self.start(), options);
         // Where all masses do equally well, a minimum between two of them is an accident of contact.
-        let told = relief(&scan) > BOUND;
+        let told = relief(&scan) > EXCLUDES;
         if told {
             scan = self.refined(scan, options.scan_dt_s);
         }
@@ -78,118 +98,182 @@ impl Joint {
         }
         // The shares are those that the parts usually take.
         progress(0.15);
-        let (named, all) = (self.active(false), self.active(true));
-        // With errors of the force, many motions agree with the track: the exact slopes of one are of little use.
-        let by = if named.len() < all.len() { Slopes::Mean } else { Slopes::Exact };
-        let starts = if told { 3 } else { 0 };
-        let mut begin = promising(&scan, starts);
+        let mut begin = promising(&scan, if told { 3 } else { 1 });
         begin.extend(self.hints(&begin));
-        let mut found: Vec<Candidate> = begin
-            .par_iter()
-            .map(|p| {
-                let start = self.evaluate(p.clone(), None, middle_dt);
-                self.descend(start, &named, Slopes::Exact, ITERATIONS, middle_dt)
-            })
-            .collect::<Result<_>>()?;
-        found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-        if self.knows_a_force()
-            && let Some(first) = found.first()
-        {
-            found = self
-                .valleys(first, options.dt_s)
-                .into_par_iter()
-                .map(|c| self.descend(c, &all, by, MEAN_ITERATIONS, options.dt_s))
-                .collect::<Result<_>>()?;
+        let mut found = self.descents(begin, middle_dt)?;
+        if told && found.first().is_some_and(|c| self.starts_elsewhere(c)) {
+            found.extend(self.descents(self.probes(options), middle_dt)?);
+            found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        }
+        if let Some(first) = found.first().filter(|_| told) {
+            found.extend(self.minima_near(first, middle_dt));
         }
         found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-        let start = found.first().map_or_else(|| self.start(), |c| c.point.clone());
-
-        progress(0.4);
-        let mut best = self.evaluate(start, None, options.dt_s);
-        let passes = if told && self.problems.iter().any(Problem::has_finger) { 4 } else { 0 };
-        for _ in 0..passes {
-            let changed = self.rescale_encoders(&best, (finest, WORST_ENCODER_M.max(finest)));
-            if changed {
-                best = self.evaluate(best.point, Some(&best.fits), options.dt_s);
-            }
-            best = self.descend(best, &all, by, MEAN_ITERATIONS, options.dt_s)?;
-            if !changed {
-                break;
-            }
+        let bound = found.first().map_or(0.0, |c| c.cost + FAR_WORSE);
+        found.dedup_by(|a, b| (a.point[0] - b.point[0]).abs() < 0.5 * NEAR_STEP);
+        found.retain(|c| c.cost <= bound);
+        found.truncate(FOLLOWED);
+        for problem in &mut self.problems {
+            problem.encoder_m = options.encoder_m;
         }
-        for _ in 0..if told { 2 } else { 0 } {
-            if !self.rescale_poses(&best) {
-                break;
-            }
-            best = self.evaluate(best.point, Some(&best.fits), options.dt_s);
-            best = self.descend(best, &all, by, MEAN_ITERATIONS, options.dt_s)?;
+        progress(0.3);
+        if self.problems.iter().any(|p| p.readings() > 0) {
+            found = self.descents(found.into_iter().map(|c| c.point).collect(), middle_dt)?;
         }
-        let mut across = self.across_frictions(&best, &all, options.dt_s)?;
-        if let Some(k) = (0..across.len()).min_by(|&a, &b| across[a].cost.total_cmp(&across[b].cost))
-            && across[k].cost < best.cost - 0.3
-        {
-            across.push(best);
-            best = self.descend(across.swap_remove(k), &all, by, MEAN_ITERATIONS, options.dt_s)?;
-        }
+        let mut modes: Vec<Round> = found.iter().filter_map(|c| self.settled(c, told, middle_dt, options)).collect();
+        distinct(&mut modes);
         progress(0.6);
-        let mut information = Information::of(self, &best, options)?;
-        let mut profile = Profile::default();
-        let rounds = if told && information.sd() <= HOPELESS { 3 } else { 0 };
-        for round in 0..rounds {
-            progress(0.65 + 0.1 * f64::from(round));
-            best = self.polish(best, &all, &information, options.dt_s);
-            profile = Profile::around(self, &best, &information, options.dt_s)?;
-            match profile.lowest() {
-                Some((point, cost)) if cost < best.cost - 0.3 => {
-                    best = self.evaluate(point, Some(&best.fits), options.dt_s);
-                    information = Information::of(self, &best, options)?;
-                }
-                _ => break,
+        let mut modes: Vec<Round> = modes.into_iter().filter_map(|g| self.refine(g, told, options)).collect();
+        distinct(&mut modes);
+        progress(0.9);
+        let Some(first) = modes.first() else { return Ok(None) };
+        let sensitivities = if told { self.sensitivities(first, middle_dt, options) } else { None };
+        let simulators = self.simulators();
+        let lowest = first.cost;
+        let weights: Vec<f64> = modes.iter().map(|g| (lowest - g.cost).exp()).collect();
+        let all: f64 = weights.iter().sum();
+        let mode =
+            |(g, w): (&Round, &f64)| [w / all, g.gaussian.mean[0], (g.sources.all() + simulators.powi(2)).sqrt()];
+        let friction = self.friction();
+        let sd_mu_m = friction.map(|f| {
+            let c = &first.gaussian.covariance;
+            (c[(0, 0)] + 2.0 * c[(0, f)] + c[(f, f)]).max(0.0).sqrt()
+        });
+        let s = &first.sources;
+        Ok(Some(Estimate {
+            relief: relief(&scan),
+            modes: modes.iter().zip(&weights).map(mode).collect(),
+            scan: scan.iter().map(|(p, c)| (p[0].exp(), *c)).collect(),
+            budget: ErrorBudget {
+                poses: s.poses.sqrt(),
+                encoder: s.encoder.sqrt(),
+                force: s.force.sqrt(),
+                force_factor: s.factor.sqrt(),
+                contact: s.contact.sqrt(),
+                stated: s.priors.max(0.0).sqrt(),
+                simulator: simulators,
+            },
+            sd_mu_m,
+            friction: friction.map(|f| first.gaussian.mean[f].exp()),
+            shares: first.shares.clone(),
+            others: self.others(&first.gaussian),
+            sensitivities,
+            best: self.refit(modes.swap_remove(0)),
+        }))
+    }
+
+    /// The best minima of the cost near a candidate: where an object rocks they are narrow, and a coarse scan misses them.
+    fn minima_near(&self, around: &Candidate, dt_s: f64) -> Vec<Candidate> {
+        let near: Vec<Point> = (-NEAR..=NEAR)
+            .map(|k| {
+                let mut point = around.point.clone();
+                point[0] += NEAR_STEP * f64::from(k);
+                point
+            })
+            .collect();
+        let costs = self.costs(&near, Some(&around.fits), dt_s);
+        let scan: Vec<(Point, f64)> = near.into_iter().zip(costs).collect();
+        minima(&scan, 3).into_iter().map(|p| self.evaluate(p, Some(&around.fits), dt_s)).collect()
+    }
+
+    /// Where descents from points end, best first.
+    fn descents(&self, from: Vec<Point>, dt_s: f64) -> Result<Vec<Candidate>> {
+        let named = self.named();
+        let down = |p: Point| self.descend(self.evaluate(p, None, dt_s), &named, ITERATIONS, dt_s);
+        let mut found: Vec<Candidate> = from.into_par_iter().map(down).collect::<Result<_>>()?;
+        found.retain(|c| c.cost.is_finite());
+        found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        Ok(found)
+    }
+
+    /// Whether the poses show the motion of a candidate, but miss it by more than their noise explains, and the place of the start is open.
+    fn starts_elsewhere(&self, c: &Candidate) -> bool {
+        let poses: usize = self.problems.iter().map(|p| p.times_s.len()).sum();
+        let is_open = self.coordinates.iter().any(|k| k.slot == Slot::Named(Parameter::StartX));
+        is_open && c.cost > POOR * poses as f64 && self.shows(c)
+    }
+
+    /// Whether the poses of any push show the motion of a candidate.
+    pub(crate) fn shows(&self, c: &Candidate) -> bool {
+        self.problems.iter().zip(&c.motions).zip(&c.fits).any(|((p, m), f)| p.shows(m, f))
+    }
+
+    /// The best points of scans from other starts than the expected ones: a push of something round that is a hair beside its middle
+    /// goes elsewhere, whatever the mass.
+    fn probes(&self, options: &IdentifyOptions) -> Vec<Point> {
+        let mut random = ChaCha8Rng::seed_from_u64(options.seed);
+        let mut best: Vec<(Point, f64)> = Vec::new();
+        for share in PROBE_SDS {
+            let around = best.first().map_or_else(|| self.start(), |b| b.0.clone());
+            for _ in 0..PROBES {
+                let by =
+                    self.coordinates.iter().map(|c| c.prior.map_or(0.0, |(_, sd)| share * sd * normal(&mut random)));
+                let by = DVector::from_iterator(self.coordinates.len(), by);
+                let scan = self.scan_from(&self.moved(&around, &by), options);
+                best.extend(scan.into_iter().min_by(|a, b| a.1.total_cmp(&b.1)));
+            }
+            best.sort_by(|a, b| a.1.total_cmp(&b.1));
+        }
+        best.into_iter().take(FOLLOWED).map(|b| b.0).collect()
+    }
+
+    /// Rounds of draws with a coarse step from a candidate until the posterior stays where it is; `None` if the mass goes ever farther
+    /// without agreeing better.
+    fn settled(&self, from: &Candidate, told: bool, dt_s: f64, options: &IdentifyOptions) -> Option<Round> {
+        let mut gaussian = self.first_guess(from);
+        let mut lowest = f64::INFINITY;
+        for round in 1..=MOST_ROUNDS {
+            let found = self.linearise(&gaussian, Steps::One(dt_s), options.seed)?;
+            let moved = (found.gaussian.mean[0] - gaussian.mean[0]).abs() / found.gaussian.covariance[(0, 0)].sqrt();
+            let is_settled = round >= ROUNDS.0 && !found.is_far && moved < SETTLED;
+            if !told || is_settled || round >= ROUNDS.1 && !found.mass_is_far {
+                return Some(found);
+            }
+            let best = found.best.first().map_or(f64::INFINITY, |c| c.cost);
+            if round >= ROUNDS.1 && best >= lowest {
+                return None;
+            }
+            lowest = lowest.min(best);
+            gaussian = found.gaussian;
+        }
+        None
+    }
+
+    /// The last round, with the step that is asked for, or a few if the mass goes far; `None` if it still does, where masses differ (`told`).
+    fn refine(&self, from: Round, told: bool, options: &IdentifyOptions) -> Option<Round> {
+        let steps = Steps::Extrapolated(options.dt_s);
+        let mut round = self.linearise(&from.gaussian, steps, options.seed)?;
+        for _ in 1..ROUNDS.1 {
+            if round.mass_is_far && told {
+                round = self.linearise(&round.gaussian, steps, options.seed)?;
             }
         }
-        let rivals = if rounds > 0 { self.rivals(found, &best, &information, options.dt_s)? } else { 0.0 };
-        let width = profile.sd(&best, information.scale) + rivals;
-        let budget = ErrorBudget {
-            poses: information.sd_of_poses(),
-            sandwich: information.sandwich,
-            profile: widened(width, &best, &across, information.scale),
-            force: information.sd_of_force().hypot(information.factor),
-            force_factor: information.factor,
-            contact: if rounds > 0 {
-                self.contact_sd(&best, &information, options).hypot(information.unmodelled)
-            } else {
-                0.0
-            },
+        Some(round).filter(|r| !told || !r.mass_is_far)
+    }
+
+    /// The best draws with the errors of the tracks fitted to their own motions, what is missed counted as noise.
+    fn refit(&mut self, of: Round) -> Vec<Candidate> {
+        for (problem, excess) in self.problems.iter_mut().zip(&of.excess) {
+            problem.excess.copy_from_slice(&excess[..6]);
+            problem.encoder_m *= excess[6];
+        }
+        let refit = |mut c: Candidate| {
+            for ((problem, motion), fit) in self.problems.iter().zip(&c.motions).zip(&mut c.fits) {
+                *fit = problem.fit(motion, Some(&fit.nuisance));
+            }
+            c
         };
-        let random = information.sd().max(budget.sandwich).max(budget.profile);
-        let floor = self.problems.iter().map(floor).fold(0.0, f64::max);
-        let sd = (random.powi(2) + information.factor.powi(2) + budget.contact.powi(2) + floor.powi(2)).sqrt();
-        // The scan was weighed differently if there is an encoder; its own best is what its worst compares with.
-        let lowest = scan.iter().map(|s| s.1).fold(f64::INFINITY, f64::min);
-        let sd_mu_m = self.friction().map(|_| information.sd_product());
-        let sensitivities = if rounds > 0 { self.sensitivities(&best, &information, options) } else { Vec::new() };
-        let shares = (0..self.problems.len()).map(|i| information.shares(self, i)).collect();
-        let others = self.others(&best, &information);
-        let mut points = profile.masses();
-        points.push((best.point[0].exp(), best.cost));
-        points.retain(|(_, c)| c.is_finite());
-        // Where masses were fitted, the coarser scan only bounds from above what they say.
-        let least = points.iter().map(|p| p.0).fold(f64::INFINITY, f64::min);
-        let most = points.iter().map(|p| p.0).fold(0.0, f64::max);
-        let scanned = scan.iter().map(|(p, c)| (p[0].exp(), *c - lowest + best.cost));
-        points.extend(scanned.filter(|(mass, cost)| cost.is_finite() && !(least..=most).contains(mass)));
-        points.sort_by(|a, b| a.0.total_cmp(&b.0));
-        Ok(Estimate {
-            relief: relief(&scan),
-            best,
-            profile: points,
-            budget,
-            sd,
-            sd_mu_m,
-            shares,
-            others,
-            sensitivities,
-        })
+        of.best.into_iter().map(refit).collect()
+    }
+
+    /// How far two correct simulators differ about the mass from the worst of the pushes.
+    pub(crate) fn simulators(&self) -> f64 {
+        let of = |p: &Problem| match (p.has_finger(), p.readings()) {
+            (false, _) => SIMULATORS,
+            (true, 0) => SIMULATORS_BLIND,
+            (true, _) => SIMULATORS_FINGER,
+        };
+        self.problems.iter().map(of).fold(0.0, f64::max)
     }
 
     /// The masses of closed forms, where they are good ones, with everything else as in the best of the points that there are.
@@ -205,23 +289,19 @@ impl Joint {
     }
 
     /// The estimated parameters besides the mass.
-    fn others(&self, best: &Candidate, information: &Information) -> Vec<ParameterEstimate> {
+    fn others(&self, gaussian: &Gaussian) -> Vec<ParameterEstimate> {
         let of = |(k, c): (usize, &Coordinate)| {
             let Slot::Named(parameter) = c.slot else { return None };
-            let value = parameter.of_coordinate(best.point[k]);
-            let sd = information.sd_of(k) * if parameter.is_logarithmic() { value } else { 1.0 };
+            let value = parameter.of_coordinate(gaussian.mean[k]);
+            let sd = gaussian.covariance[(k, k)].sqrt() * if parameter.is_logarithmic() { value } else { 1.0 };
             let push = parameter.is_of_push().then(|| self.problems[c.pushes[0]].name.clone());
             Some(ParameterEstimate { parameter, push, value, sd })
         };
         self.coordinates.iter().enumerate().skip(1).filter_map(of).collect()
     }
 
-    fn knows_a_force(&self) -> bool {
-        self.problems.iter().any(|p| matches!(p.action, Action::Force(_)))
-    }
-
-    /// Cost over the grid of masses (and, if it is free, of frictions: the best of each mass is kept).
-    fn scan(&self, options: &IdentifyOptions) -> Vec<(Point, f64)> {
+    /// Cost over the grid of masses (and, if it is free, of frictions: the best of each mass is kept), everything else as in `start`.
+    fn scan_from(&self, start: &Point, options: &IdentifyOptions) -> Vec<(Point, f64)> {
         let n = options.scan_points.max(5);
         let (lo, hi) = (options.scan_kg[0].ln(), options.scan_kg[1].ln());
         let step = (hi - lo) / (n - 1) as f64;
@@ -234,7 +314,7 @@ impl Joint {
                     (0..count).map(move |k| (log_mass, FRICTIONS[k]))
                 })
                 .map(|(log_mass, mu)| {
-                    let mut point = self.start();
+                    let mut point = start.clone();
                     point[0] = log_mass;
                     if let Some(c) = friction {
                         point[c] = mu.ln();
@@ -273,7 +353,7 @@ impl Joint {
         scan
     }
 
-    /// The scan with the cells around its two best minima divided: where an object rocks, the cost has narrow valleys.
+    /// The scan with the cells around its two best minima divided: where an object rocks, the cost has narrow minima.
     fn refined(&self, mut scan: Vec<(Point, f64)>, dt_s: f64) -> Vec<(Point, f64)> {
         const PARTS: usize = 8;
         let mut more: Vec<Point> = Vec::new();
@@ -294,36 +374,40 @@ impl Joint {
         scan.dedup_by(|a, b| a.0[0] == b.0[0]);
         scan
     }
+}
 
-    /// Shift of log mass when contact is softer, or less damped, or a fingertip slides less across
-    /// the push and the step is shorter.
-    pub(crate) fn contact_sd(&self, best: &Candidate, information: &Information, options: &IdentifyOptions) -> f64 {
-        let shifts: Vec<f64> =
-            VARIANTS.par_iter().map(|variant| self.shift_by(variant, best, information, options.dt_s)).collect();
-        (shifts.iter().map(|s| s * s).sum::<f64>() / shifts.len() as f64).sqrt().min(10.0)
-    }
-
-    /// Shift of log mass with another contact.
-    pub(crate) fn shift_by(&self, variant: &[f64; 4], best: &Candidate, information: &Information, dt_s: f64) -> f64 {
-        let [frequency, damping, pull, step] = variant;
-        let mut differences = Vec::new();
-        for (i, problem) in self.problems.iter().enumerate() {
-            let mut changed = problem.clone();
-            changed.contact.frequency_rad_s *= frequency;
-            changed.contact.relaxation_s *= damping;
-            if let Action::Finger(finger) = &mut changed.action
-                && finger.pull_across(PULL * pull).is_err()
-            {
-                return 0.0;
-            }
-            let fit = &best.fits[i];
-            let Ok(motion) = changed.simulate(&self.values(i, &best.point), dt_s * step) else { return 0.0 };
-            let mut r = changed.residuals(&motion, &fit.nuisance);
-            r.iter_mut().zip(&fit.residuals).for_each(|(r, old)| *r -= old);
-            differences.push(r);
+impl Estimate {
+    /// What is known of the mass.
+    pub(crate) fn mass(&self) -> Result<MassDistribution> {
+        let mut knots: Vec<f64> = Vec::new();
+        for [_, mean, sd] in &self.modes {
+            knots.extend((-KNOTS..=KNOTS).map(|k| mean + sd * f64::from(k) * KNOT_SD));
         }
-        information.shift(&differences)
+        knots.sort_by(f64::total_cmp);
+        let density = |x: f64| {
+            let of = |[w, mean, sd]: &[f64; 3]| w / sd * (-0.5 * ((x - mean) / sd).powi(2)).exp();
+            self.modes.iter().map(of).sum::<f64>()
+        };
+        // Between two far modes the density is nothing, which has no logarithm.
+        let costs: Vec<(f64, f64)> = knots.into_iter().map(|x| (x.exp(), -density(x).max(1e-300).ln())).collect();
+        MassDistribution::from_costs(&costs)
     }
+}
+
+/// The modes that play a part, best first, without those that are another one found again.
+fn distinct(modes: &mut Vec<Round>) {
+    modes.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    let mut kept: Vec<Round> = Vec::new();
+    for mode in modes.drain(..) {
+        let same = |k: &Round| {
+            (k.gaussian.mean[0] - mode.gaussian.mean[0]).abs()
+                < k.gaussian.covariance[(0, 0)].max(mode.gaussian.covariance[(0, 0)]).sqrt()
+        };
+        if kept.first().is_none_or(|k| mode.cost < k.cost + ODDS) && !kept.iter().any(same) {
+            kept.push(mode);
+        }
+    }
+    *modes = kept;
 }
 
 /// Cost at the worst mass of a scan minus cost at the best.
@@ -339,16 +423,13 @@ fn promising(scan: &[(Point, f64)], most: usize) -> Vec<Point> {
     minima(scan, most).into_iter().filter(|p| cost(p) <= 3.0 * lowest + 20.0).collect()
 }
 
-/// How far two correct simulators may differ about the mass from a push.
-pub(crate) fn floor(problem: &Problem) -> f64 {
-    match (problem.has_finger(), problem.readings()) {
-        (false, _) => MODEL_FLOOR,
-        (true, 0) => BLIND_FINGER_FLOOR,
-        (true, _) => FINGER_FLOOR,
-    }
-}
-
-/// The unit vector of coordinate `k` among `n`.
-pub(crate) fn unit(n: usize, k: usize) -> DVector<f64> {
-    DVector::from_fn(n, |i, _| if i == k { 1.0 } else { 0.0 })
+/// The local minima of a scan by mass, best first.
+fn minima(scan: &[(Point, f64)], most: usize) -> Vec<Point> {
+    let cost = |k: Option<usize>| k.and_then(|k| scan.get(k)).map_or(f64::INFINITY, |s| s.1);
+    let mut found: Vec<&(Point, f64)> = (0..scan.len())
+        .filter(|&k| scan[k].1.is_finite() && scan[k].1 <= cost(k.checked_sub(1)) && scan[k].1 <= cost(Some(k + 1)))
+        .map(|k| &scan[k])
+        .collect();
+    found.sort_by(|a, b| a.1.total_cmp(&b.1));
+    found.into_iter().take(most).map(|f| f.0.clone()).collect()
 }

@@ -11,15 +11,15 @@ use drex_diffsim::{Dual, Scalar, tangents};
 use nalgebra::{DMatrix, SMatrix, SVector, Vector6};
 
 use crate::Result;
-use crate::parameters::NUISANCES;
-use crate::problem::{Action, Motion, Problem, Schedule, Slot, Values};
+use crate::parameters::{NUISANCES, Parameter};
+use crate::problem::{Action, Motion, Problem, Schedule, Values};
 
 pub(crate) type Nuisance = SVector<f64, NUISANCES>;
 type NuisanceMatrix = SMatrix<f64, NUISANCES, NUISANCES>;
 type Columns = SMatrix<f64, 6, NUISANCES>;
 
 /// Squared whitened residual of a block from which on it counts as suspicious.
-const CAUCHY: f64 = 40.0;
+pub(crate) const CAUCHY: f64 = 40.0;
 /// Clock offset, either way, that a fit without a guess is tried from, seconds.
 const OFFSET_S: f64 = 0.04;
 /// Derivatives carried by one simulation, at most.
@@ -189,7 +189,7 @@ impl Problem {
     }
 
     /// One over the variance of each nuisance beforehand, as felt at a value.
-    fn nuisance_precision(&self, at: &Nuisance) -> Nuisance {
+    pub(crate) fn nuisance_precision(&self, at: &Nuisance) -> Nuisance {
         Nuisance::from_fn(|i, _| self.nuisances[i].precision(at[i]))
     }
 
@@ -200,10 +200,10 @@ impl Problem {
         fit.residuals.iter().chain(priors.iter()).copied().collect()
     }
 
-    /// Derivatives of the residuals by the entries `slots` of `values`, at the nuisances of `fit`, through dual numbers.
-    pub(crate) fn slopes(&self, values: &Values<f64>, slots: &[Slot], fit: &Fit, dt_s: f64) -> Result<Vec<Vec<f64>>> {
-        let mut out = Vec::with_capacity(slots.len());
-        for some in slots.chunks(LANES) {
+    /// Derivatives of the residuals by the parameters `of`, at the nuisances of `fit`, through dual numbers.
+    pub(crate) fn slopes(&self, values: &Values<f64>, of: &[Parameter], fit: &Fit, dt_s: f64) -> Result<Vec<Vec<f64>>> {
+        let mut out = Vec::with_capacity(of.len());
+        for some in of.chunks(LANES) {
             out.extend(match some.len() {
                 1 => self.slopes_of::<1>(values, some, fit, dt_s)?,
                 2 => self.slopes_of::<2>(values, some, fit, dt_s)?,
@@ -217,21 +217,20 @@ impl Problem {
     fn slopes_of<const N: usize>(
         &self,
         values: &Values<f64>,
-        slots: &[Slot],
+        of: &[Parameter],
         fit: &Fit,
         dt_s: f64,
     ) -> Result<Vec<Vec<f64>>> {
         let mut values = values.lift::<Dual<N>>();
-        for (n, slot) in slots.iter().enumerate() {
-            if let Some(x) = values.at_mut(*slot) {
-                *x = drex_diffsim::parameter::<N>(x.re, n);
-            }
+        for (n, p) in of.iter().enumerate() {
+            let x = &mut values.named[*p as usize];
+            *x = drex_diffsim::parameter::<N>(x.re, n);
         }
         let begin = self.begin_s();
         let poses: Vec<f64> = self.times_s.iter().map(|t| (t - fit.nuisance[0]).max(begin)).collect();
         let schedule = Schedule::new(&poses, self.encoder_times_s());
         let record = self.run(&values, dt_s, &schedule.times_s)?;
-        let mut out = vec![Vec::with_capacity(fit.residuals.len()); slots.len()];
+        let mut out = vec![Vec::with_capacity(fit.residuals.len()); of.len()];
         let sd = self.sds();
         for &k in &schedule.first {
             let pose = &record.bodies[0].poses[k];

@@ -8,8 +8,9 @@
 
 use drex_recording::ForceProfile;
 use nalgebra::{Point3, Vector3};
+use rand_chacha::ChaCha8Rng;
 
-use crate::noise;
+use crate::noise::{self, normal};
 
 /// Shapes of errors over all axes, about as many at most.
 const MOST: usize = 12;
@@ -25,24 +26,19 @@ pub(crate) struct KnownForce {
     pub torques_nm: Vec<Vector3<f64>>,
     /// Where it acts, mesh frame.
     pub point: Point3<f64>,
-    /// Standard deviation of the noise as a factor on the whole force.
+    /// Standard deviation of the noise of a sample, newtons; zero without noise.
+    pub noise_n: f64,
+    /// The same as a factor on the whole force.
     pub factor_sd: f64,
     /// Other errors, of one standard deviation each.
-    pub errors: Vec<ErrorShape>,
-}
-
-/// An error of the force over a stretch of time.
-#[derive(Debug, Clone)]
-pub(crate) struct ErrorShape {
-    pub times_s: Vec<f64>,
-    pub forces_n: Vec<Vector3<f64>>,
+    pub errors: Vec<Vec<Vector3<f64>>>,
 }
 
 impl KnownForce {
     pub(crate) fn new(profile: &ForceProfile) -> Self {
         let noise_n = noise::significant(&profile.forces_n);
         let forces_n = noise::without_idle(&profile.forces_n, noise_n);
-        let errors = shapes(&profile.times_s, &forces_n, noise_n);
+        let errors = shapes(&forces_n, noise_n);
         let size = forces_n.iter().map(Vector3::norm_squared).sum::<f64>().sqrt();
         let factor_sd = if size > 0.0 { noise_n / size } else { 0.0 };
         let torques_nm = noise::without_idle(&profile.torques_nm, noise::significant(&profile.torques_nm));
@@ -51,9 +47,37 @@ impl KnownForce {
             forces_n,
             torques_nm,
             point: profile.point_in_object,
+            noise_n,
             factor_sd,
             errors,
         }
+    }
+
+    /// As much noise as the force has already, where it acts and without what the error shapes make up; empty without noise.
+    pub(crate) fn noise(&self, sign: f64, random: &mut ChaCha8Rng) -> Vec<Vector3<f64>> {
+        if self.noise_n == 0.0 {
+            return Vec::new();
+        }
+        let size = sign * self.noise_n;
+        let acts = |x: f64| if x == 0.0 { 0.0 } else { 1.0 };
+        let mut noise: Vec<Vector3<f64>> =
+            self.forces_n.iter().map(|f| f.map(|x| acts(x) * size * normal(random))).collect();
+        for shape in std::iter::once(&self.forces_n).chain(&self.errors) {
+            let dot = |a: &[Vector3<f64>]| a.iter().zip(shape).map(|(a, b)| a.dot(b)).sum::<f64>();
+            let along = dot(&noise) / dot(shape).max(f64::MIN_POSITIVE);
+            noise.iter_mut().zip(shape).for_each(|(n, s)| *n -= s * along);
+        }
+        noise
+    }
+
+    /// The samples with errors of the sizes `sizes` and with `noise`.
+    pub(crate) fn with(&self, sizes: &[f64], noise: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+        let mut out = self.forces_n.clone();
+        out.iter_mut().zip(noise).for_each(|(f, n)| *f += n);
+        for (shape, size) in self.errors.iter().zip(sizes).filter(|(_, s)| **s != 0.0) {
+            out.iter_mut().zip(shape).for_each(|(f, e)| *f += e * *size);
+        }
+        out
     }
 
     /// When it first acts, seconds.
@@ -66,7 +90,7 @@ impl KnownForce {
 
 /// Smooth shapes on the runs of samples that carry force along an axis: the lowest orthonormal polynomials of each, more of
 /// them on longer runs, without the part that is a factor on the whole force; each times the standard deviation of a sample.
-fn shapes(times_s: &[f64], forces_n: &[Vector3<f64>], noise_n: f64) -> Vec<ErrorShape> {
+fn shapes(forces_n: &[Vector3<f64>], noise_n: f64) -> Vec<Vec<Vector3<f64>>> {
     if noise_n == 0.0 {
         return Vec::new();
     }
@@ -107,10 +131,8 @@ fn shapes(times_s: &[f64], forces_n: &[Vector3<f64>], noise_n: f64) -> Vec<Error
             }
         }
     }
+    found.iter_mut().flatten().for_each(|f| *f *= noise_n);
     found
-        .into_iter()
-        .map(|forces| ErrorShape { times_s: times_s.to_vec(), forces_n: forces.iter().map(|f| f * noise_n).collect() })
-        .collect()
 }
 
 /// Scales a series to length one; returns its length.
@@ -149,24 +171,23 @@ mod tests {
 
     #[test]
     fn shapes_are_orthonormal_and_none_is_a_factor_on_the_force() {
-        let times: Vec<f64> = (0..200).map(|k| 0.01 * f64::from(k)).collect();
         let force = |k: usize| {
             let x = if (20..83).contains(&k) { 1.0 + 0.01 * k as f64 } else { 0.0 };
             Vector3::new(x, 0.0, if (120..127).contains(&k) { -1.0 } else { 0.0 })
         };
         let forces: Vec<_> = (0..200).map(force).collect();
-        let out = shapes(&times, &forces, 0.1);
+        let out = shapes(&forces, 0.1);
         // Six for the run of 63 samples, two for that of 7; the factor on the force may be one of them.
         assert!((7..=8).contains(&out.len()), "{}", out.len());
         let dot = |a: &[Vector3<f64>], b: &[Vector3<f64>]| a.iter().zip(b).map(|(a, b)| a.dot(b)).sum::<f64>();
         for (i, a) in out.iter().enumerate() {
-            assert!(dot(&a.forces_n, &forces).abs() < 1e-9);
-            assert!(a.forces_n[..20].iter().chain(&a.forces_n[127..]).all(|f| f.norm() == 0.0));
+            assert!(dot(a, &forces).abs() < 1e-9);
+            assert!(a[..20].iter().chain(&a[127..]).all(|f| f.norm() == 0.0));
             for (j, b) in out.iter().enumerate() {
                 let expected = if i == j { 0.01 } else { 0.0 };
-                assert!((dot(&a.forces_n, &b.forces_n) - expected).abs() < 1e-9, "{i} {j}");
+                assert!((dot(a, b) - expected).abs() < 1e-9, "{i} {j}");
             }
         }
-        assert!(shapes(&times, &forces, 0.0).is_empty());
+        assert!(shapes(&forces, 0.0).is_empty());
     }
 }

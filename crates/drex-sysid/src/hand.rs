@@ -6,6 +6,7 @@
 
 use std::path::Path;
 
+use drex_core::Object;
 use drex_recording::{Drive, HandPush, PushRecording};
 use drex_robot::Robot;
 
@@ -14,7 +15,7 @@ use crate::bound::{self, Bound, BoundOptions, Topple};
 use crate::calibrate::{self, CalibrateOptions, ExtraTorque, HandCalibration, HandRun, Touch};
 use crate::frames::{self, FoundFrames, FrameOptions, HandPlacement, Standing};
 use crate::parameters::Parameter;
-use crate::{IdentifyOptions, ObjectModel, Result, SysidError};
+use crate::{IdentifyOptions, Result, SysidError};
 
 /// An interval with a larger ratio of its ends does not weigh an object.
 const MOST_RATIO: f64 = 4.0;
@@ -41,7 +42,7 @@ struct Weighed {
 /// If a log is not of the hand that is named, a track shows no push, or track and log do not belong together.
 pub(crate) fn look(
     recordings: &[PushRecording],
-    object: &ObjectModel,
+    object: &Object,
     options: &IdentifyOptions,
 ) -> Result<Vec<Option<Finding>>> {
     let pushes: Vec<(&PushRecording, &HandPush)> = recordings.iter().filter_map(|r| Some((r, hand_of(r)?))).collect();

@@ -3,15 +3,17 @@
 //! Gravity, Coulomb friction and contact scale with the mass, and so does the force a prescribed pusher needs: the
 //! motion is the same for every mass. Simulating it with masses a hundredfold apart gives the same cost.
 
-use drex_core::Pose;
+use std::sync::Arc;
+
 use drex_core::pose::pose_difference;
-use drex_diffsim::ConvexPolyhedron;
+use drex_core::{Object, Pose};
+use drex_diffsim::Collider;
 use drex_recording::{Drive, PushRecording, TrackFrame};
 use nalgebra::{SMatrix, SVector, Vector3};
 
 use crate::parameters::Parameter;
 use crate::problem::Problem;
-use crate::{IdentifyOptions, ObjectModel, Result, noise};
+use crate::{IdentifyOptions, Result, noise};
 
 /// Masses at which the cost of a motion without known force is compared.
 const MASSES_KG: [f64; 7] = [0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0];
@@ -26,15 +28,15 @@ pub(crate) struct Finding {
 
 pub(crate) fn explain(
     recording: &PushRecording,
-    object: &ObjectModel,
-    shape: &[ConvexPolyhedron],
+    object: &Object,
+    collider: &Arc<Collider>,
     options: &IdentifyOptions,
 ) -> Result<Finding> {
     let mut finding = Finding { reason: String::new(), notes: Vec::new(), profile: Vec::new(), simulated: Vec::new() };
     let mut flat = false;
     if recording.track_frame == TrackFrame::World {
         let noise = recording.noise.unwrap_or_else(|| noise::of_track(&recording.track));
-        let mut problem = Problem::new(recording, object, shape, options, noise)?;
+        let mut problem = Problem::new(recording, object, collider, options, noise)?;
         if !recording.starts_at_rest {
             start_from_track(&mut problem, recording);
         }

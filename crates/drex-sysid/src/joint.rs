@@ -4,22 +4,16 @@
 use std::sync::atomic::Ordering;
 
 use nalgebra::{DMatrix, DVector};
+use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use crate::Result;
-use crate::fit::Fit;
-use crate::information::Information;
-use crate::noise;
+use crate::fit::{Fit, Nuisance};
 use crate::parameters::{Knowledge, NUISANCES, Parameter};
 use crate::problem::{Motion, Problem, Slot, Values};
 
 /// Longest Gauss-Newton step in the logarithm of a mass or a friction.
 const MAX_STEP: f64 = 0.5;
-/// Change of the logarithm of the mass over which mean slopes are taken.
-const MASS_SPAN: f64 = 0.01;
-/// A spread of residuals below this, in standard deviations, is chance; above the other one it is a wrong motion.
-const LEAST_EXCESS: f64 = 1.3;
-const MOST_EXCESS: f64 = 10.0;
 /// Iterations of one descent to the bottom.
 pub(crate) const ITERATIONS: usize = 25;
 /// A step that promises less than this much of the cost is not taken; nor is another after one that brought less.
@@ -40,19 +34,11 @@ pub(crate) struct Coordinate {
     bounds: (f64, f64),
 }
 
-/// Derivatives to descend with.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Slopes {
-    /// Those of the branch that the motion takes, by dual numbers.
-    Exact,
-    /// Difference quotients over what is not known anyway: where an object rocks and chatters, exact ones lead nowhere.
-    Mean,
-}
-
 /// Values of the coordinates.
 pub(crate) type Point = Vec<f64>;
 
 /// The pushes and what is estimated from them.
+#[derive(Clone)]
 pub(crate) struct Joint {
     pub problems: Vec<Problem>,
     pub coordinates: Vec<Coordinate>,
@@ -151,9 +137,7 @@ impl Joint {
     pub(crate) fn values(&self, i: usize, point: &Point) -> Values<f64> {
         let mut out = self.fixed[i].clone();
         for (c, x) in self.coordinates.iter().zip(point).filter(|(c, _)| c.pushes.contains(&i)) {
-            if let Some(value) = out.at_mut(c.slot) {
-                *value = *x;
-            }
+            out.set(c.slot, *x);
         }
         out
     }
@@ -163,9 +147,9 @@ impl Joint {
         of.iter().copied().filter(|&c| self.coordinates[c].pushes.contains(&i)).collect()
     }
 
-    /// All coordinates, or only those that are not errors of the force.
-    pub(crate) fn active(&self, errors: bool) -> Vec<usize> {
-        (0..self.coordinates.len()).filter(|&c| errors || matches!(self.coordinates[c].slot, Slot::Named(_))).collect()
+    /// The coordinates that are not errors of the force.
+    pub(crate) fn named(&self) -> Vec<usize> {
+        (0..self.coordinates.len()).filter(|&c| matches!(self.coordinates[c].slot, Slot::Named(_))).collect()
     }
 
     /// Simulates all pushes and fits their nuisances. A simulation that fails counts as an infinite cost.
@@ -184,6 +168,31 @@ impl Joint {
         out
     }
 
+    /// Simulates all pushes with the tracks' errors as given and, if `noise` is any, as much noise on the forces as they have, of that
+    /// sign; `None` if a simulation fails.
+    pub(crate) fn evaluate_at(
+        &self,
+        point: &Point,
+        nuisances: &[Nuisance],
+        mut noise: Option<(f64, &mut ChaCha8Rng)>,
+        dt_s: f64,
+    ) -> Option<Candidate> {
+        let mut out =
+            Candidate { cost: self.prior_cost(point), point: point.clone(), motions: Vec::new(), fits: Vec::new() };
+        for (i, (problem, nuisance)) in self.problems.iter().zip(nuisances).enumerate() {
+            let mut values = self.values(i, point);
+            if let Some((sign, random)) = &mut noise {
+                values.noise_n = problem.force_noise(*sign, random);
+            }
+            let motion = problem.simulate(&values, dt_s).ok()?;
+            let fit = problem.evaluate(&motion, nuisance);
+            out.cost += fit.cost;
+            out.fits.push(fit);
+            out.motions.push(motion);
+        }
+        out.cost.is_finite().then_some(out)
+    }
+
     /// Costs over a grid of points, on all cores; the order of the result is that of the grid.
     pub(crate) fn costs(&self, grid: &[Point], guess: Option<&[Fit]>, dt_s: f64) -> Vec<f64> {
         grid.par_iter().map(|p| self.evaluate(p.clone(), guess, dt_s).cost).collect()
@@ -195,23 +204,13 @@ impl Joint {
     }
 
     /// Levenberg-Marquardt over the coordinates `active` from `now`.
-    pub(crate) fn descend(
-        &self,
-        mut now: Candidate,
-        active: &[usize],
-        by: Slopes,
-        most: usize,
-        dt_s: f64,
-    ) -> Result<Candidate> {
+    pub(crate) fn descend(&self, mut now: Candidate, active: &[usize], most: usize, dt_s: f64) -> Result<Candidate> {
         let mut damping = 1e-3;
         for _ in 0..most {
             if !now.cost.is_finite() {
                 break;
             }
-            let columns = match by {
-                Slopes::Exact => self.exact_columns(&now, active, dt_s)?,
-                Slopes::Mean => self.mean_columns(&now, active, dt_s),
-            };
+            let columns = self.exact_columns(&now, active, dt_s)?;
             let (h, g) = self.normal_equations(&now, active, &columns);
             let mut improved = false;
             for _ in 0..6 {
@@ -243,35 +242,6 @@ impl Joint {
         Ok(now)
     }
 
-    /// Gauss-Newton over the coordinates `active` from `now` with the slopes of `information` instead of exact ones: where an object rocks and
-    /// chatters, those lead nowhere.
-    pub(crate) fn polish(
-        &self,
-        mut now: Candidate,
-        active: &[usize],
-        information: &Information,
-        dt_s: f64,
-    ) -> Candidate {
-        // What cannot be simulated has no residuals.
-        let rounds = if now.cost.is_finite() { 4 } else { 0 };
-        for _ in 0..rounds {
-            let slopes = information.slopes_of(active);
-            let (mut h, g) = self.normal_equations(&now, active, &slopes);
-            (0..active.len()).for_each(|k| h[(k, k)] += 1e-9);
-            let Some(step) = h.cholesky().map(|c| -c.solve(&g)) else { break };
-            if -0.5 * g.dot(&step) < PROMISE {
-                break;
-            }
-            let better = [1.0, 0.4].iter().find_map(|length| {
-                let (point, _) = self.stepped(&now.point, active, &(&step * *length));
-                Some(self.evaluate(point, Some(&now.fits), dt_s)).filter(|next| next.cost < now.cost - PROMISE)
-            });
-            let Some(next) = better else { break };
-            now = next;
-        }
-        now
-    }
-
     /// A point moved by `step` in the coordinates `active`, no farther than each may move at once; and the size of the
     /// move, in spans.
     pub(crate) fn stepped(&self, from: &Point, active: &[usize], step: &DVector<f64>) -> (Point, f64) {
@@ -286,37 +256,35 @@ impl Joint {
         (point, size)
     }
 
-    /// Derivatives of each push's residuals by its coordinates among `active`, by dual numbers, nuisances eliminated.
+    /// A point moved by `by`, within what its coordinates can be.
+    pub(crate) fn moved(&self, from: &Point, by: &DVector<f64>) -> Point {
+        let one = |(c, (x, d)): (&Coordinate, (&f64, &f64))| (x + d).clamp(c.bounds.0, c.bounds.1);
+        self.coordinates.iter().zip(from.iter().zip(by.iter())).map(one).collect()
+    }
+
+    /// The same with a parameter that is not estimated moved by `by`.
+    pub(crate) fn with_fixed(&self, parameter: Parameter, by: f64) -> Self {
+        let mut out = self.clone();
+        for values in &mut out.fixed {
+            values.named[parameter as usize] += by;
+        }
+        out
+    }
+
+    /// Derivatives of each push's residuals by its parameters among `active`, by dual numbers, nuisances eliminated.
     fn exact_columns(&self, c: &Candidate, active: &[usize], dt_s: f64) -> Result<Vec<Vec<Vec<f64>>>> {
         self.problems
             .iter()
             .enumerate()
             .map(|(i, problem)| {
-                let slots: Vec<Slot> =
-                    self.coordinates_of(i, active).iter().map(|&k| self.coordinates[k].slot).collect();
-                let mut columns = problem.slopes(&self.values(i, &c.point), &slots, &c.fits[i], dt_s)?;
+                let of = |k: usize| match self.coordinates[k].slot {
+                    Slot::Named(p) => Some(p),
+                    Slot::Error(_) => None,
+                };
+                let own: Vec<Parameter> = self.coordinates_of(i, active).into_iter().filter_map(of).collect();
+                let mut columns = problem.slopes(&self.values(i, &c.point), &own, &c.fits[i], dt_s)?;
                 problem.eliminate(&c.motions[i], &c.fits[i], &mut columns);
                 Ok(columns)
-            })
-            .collect()
-    }
-
-    /// The same by difference quotients; zero where one side cannot be simulated.
-    fn mean_columns(&self, c: &Candidate, active: &[usize], dt_s: f64) -> Vec<Vec<Vec<f64>>> {
-        let column = |i: usize, k: usize| {
-            let coordinate = &self.coordinates[k];
-            let span = if k == 0 { MASS_SPAN } else { coordinate.span };
-            let zero = || vec![0.0; c.fits[i].residuals.len()];
-            self.secant(c, i, coordinate.slot, span, dt_s).unwrap_or_else(zero)
-        };
-        self.problems
-            .iter()
-            .enumerate()
-            .map(|(i, problem)| {
-                let own = self.coordinates_of(i, active);
-                let mut columns: Vec<Vec<f64>> = own.par_iter().map(|&k| column(i, k)).collect();
-                problem.eliminate(&c.motions[i], &c.fits[i], &mut columns);
-                columns
             })
             .collect()
     }
@@ -352,40 +320,6 @@ impl Joint {
             }
         }
         (h, g)
-    }
-
-    /// Components of poses that miss a candidate by more than noise count as much less (the yaw of what turns on its patch, say, which no
-    /// simulator predicts). Returns whether one changed by more than a tenth.
-    pub(crate) fn rescale_poses(&mut self, c: &Candidate) -> bool {
-        let mut changed = false;
-        for (problem, fit) in self.problems.iter_mut().zip(&c.fits) {
-            for i in 0..6 {
-                let of: Vec<f64> =
-                    fit.residuals[..6 * problem.times_s.len()].iter().skip(i).step_by(6).copied().collect();
-                let Some(miss) = noise::spread(&of) else { continue };
-                let (old, next) = (problem.excess[i], (problem.excess[i] * miss).clamp(1.0, MOST_EXCESS));
-                if next > LEAST_EXCESS && (next / old).ln().abs() > 0.1 {
-                    problem.excess[i] = next;
-                    changed = true;
-                }
-            }
-        }
-        changed
-    }
-
-    /// The encoder's standard deviation set to what its residuals at a candidate are, within `range`: two correct
-    /// simulators differ by more than an encoder's resolution. Returns whether one changed by more than a tenth.
-    pub(crate) fn rescale_encoders(&mut self, c: &Candidate, range: (f64, f64)) -> bool {
-        let mut changed = false;
-        for (problem, fit) in self.problems.iter_mut().zip(&c.fits) {
-            let residuals = fit.residuals.get(6 * problem.times_s.len()..).unwrap_or(&[]);
-            if let Some(sd) = noise::spread(residuals) {
-                let next = (sd * problem.encoder_m).clamp(range.0, range.1);
-                changed |= (next / problem.encoder_m).ln().abs() > 0.1;
-                problem.encoder_m = next;
-            }
-        }
-        changed
     }
 }
 

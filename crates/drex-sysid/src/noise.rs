@@ -4,6 +4,8 @@ use drex_core::Trajectory;
 use drex_core::pose::pose_difference;
 use drex_core::trajectory::PoseNoise;
 use nalgebra::{Vector3, Vector6};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 
 /// Two correct simulators of rigid contact differ by about this much where objects slide and rock; a cleaner track is
 /// not worth more.
@@ -90,13 +92,18 @@ pub(crate) fn without_idle(forces: &[Vector3<f64>], sd: f64) -> Vec<Vector3<f64>
     forces.iter().zip(&keep).map(|(f, k)| f.zip_map(k, |x, k| if k { x } else { 0.0 })).collect()
 }
 
+/// A standard normal number.
+pub(crate) fn normal(random: &mut ChaCha8Rng) -> f64 {
+    drex_core::stats::normal_pair(random.random(), std::f64::consts::TAU * random.random::<f64>())[0]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use drex_core::Pose;
 
     /// Twelve uniform numbers less six: nearly normal with variance one.
-    fn normal(state: &mut u64) -> f64 {
+    fn noisy(state: &mut u64) -> f64 {
         (0..12)
             .map(|_| {
                 *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -114,8 +121,8 @@ mod tests {
             .iter()
             .map(|t| {
                 let x = if *t > 1.0 { 2.0 * (t - 1.0).powi(2) } else { 0.0 };
-                let n = Vector3::from_fn(|_, _| 0.002 * normal(&mut s));
-                let r = Vector3::from_fn(|_, _| 0.0175 * normal(&mut s));
+                let n = Vector3::from_fn(|_, _| 0.002 * noisy(&mut s));
+                let r = Vector3::from_fn(|_, _| 0.0175 * noisy(&mut s));
                 Pose::new(n + Vector3::x() * x, r)
             })
             .collect();
@@ -131,7 +138,7 @@ mod tests {
             |k: i32| if (30..70).contains(&k) { (f64::from(k - 30) / 40.0 * std::f64::consts::PI).sin() } else { 0.0 };
         let clean: Vec<_> = (0..200).map(|k| Vector3::x() * pulse(k)).collect();
         assert!(of_force(&clean) < 1e-9);
-        let noisy: Vec<_> = clean.iter().map(|f| f + Vector3::from_fn(|_, _| 0.04 * normal(&mut s))).collect();
+        let noisy: Vec<_> = clean.iter().map(|f| f + Vector3::from_fn(|_, _| 0.04 * noisy(&mut s))).collect();
         assert!((of_force(&noisy) / 0.04 - 1.0).abs() < 0.2);
     }
 }

@@ -9,7 +9,7 @@ use crate::calibrate::HandCalibration;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Method {
-    /// Scan of all masses, Levenberg-Marquardt, interval and verdict.
+    /// Scan of all masses, Levenberg-Marquardt, the posterior around the best ones by draws, interval and verdict.
     #[default]
     Lm,
     /// Adam on the logarithm of the mass alone from the first guess, as in the D-REX paper, for comparison: it tells neither an

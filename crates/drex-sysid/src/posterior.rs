@@ -171,11 +171,10 @@ mod tests {
 
     #[test]
     fn a_simulated_push_counts_with_its_stated_interval_and_a_scale_with_a_percent() {
-        let budget = serde_json::json!({ "poses": 0.01, "sandwich": 0.01, "profile": 0.01, "force": 0.02, "force_factor": 0.01, "contact": 0.04 });
+        let profile: Vec<(f64, f64)> =
+            (-25..=25).map(|k| 0.2 * f64::from(k)).map(|z| (0.2 * (0.05 * z).exp(), 0.5 * z * z)).collect();
         let push = answer(serde_json::json!({
-            "verdict": "identified", "mass_kg": 0.2, "sd_log_mass": 0.05, "ci95_kg": [0.181, 0.2206], "error_budget": budget,
-            // Narrower than the interval, which knows more than the poses' noise.
-            "profile": [[0.19, 12.0], [0.2, 0.0], [0.21, 12.0]],
+            "verdict": "identified", "mass_kg": 0.2, "sd_log_mass": 0.05, "ci95_kg": [0.181, 0.2206], "profile": profile,
         }));
         let guessed = MassPosterior::of(Some(MassPrior::from_number(0.5).unwrap()), Some(&push)).unwrap();
         assert_eq!(guessed.source, MassSource::Identified);

@@ -3,20 +3,21 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use drex_core::Pose;
 use drex_core::trajectory::PoseNoise;
+use drex_core::{Object, Pose};
 use drex_diffsim::{
-    AppliedForce, Body, Collider, ContactOptions, ConvexPolyhedron, ForcePoint, Model, Part, Record, Scalar, Scene,
-    State, StaticBody, rollout,
+    AppliedForce, Body, Collider, ContactOptions, ForcePoint, Model, Part, Record, Scalar, Scene, State, StaticBody,
+    rollout,
 };
 use drex_recording::{Drive, PushRecording, SupportBox};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
+use rand_chacha::ChaCha8Rng;
 
 use crate::closed_form::{ClosedForm, closed_form};
 use crate::finger::{Finger, FingerValues};
 use crate::force::KnownForce;
 use crate::parameters::{Expected, NUISANCES, Parameter, ParameterSet, SIMULATED};
-use crate::{IdentifyOptions, ObjectModel, Result, SysidError, primitive, start};
+use crate::{IdentifyOptions, Result, SysidError, start};
 
 /// Spacing of the dense record that nuisances are solved on, seconds.
 pub(crate) const DENSE_S: f64 = 4e-3;
@@ -34,12 +35,13 @@ pub(crate) enum Action {
     Nothing,
 }
 
-/// Everything a simulation of a push depends on and that may carry derivatives: coordinates of the simulated parameters, and
-/// errors of the force in standard deviations.
+/// Everything a simulation of a push depends on: coordinates of the simulated parameters, which may carry derivatives, errors of the
+/// force in standard deviations, and noise on its samples (empty for none), newtons.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Values<T> {
     pub named: [T; SIMULATED],
-    pub errors: Vec<T>,
+    pub errors: Vec<f64>,
+    pub noise_n: Vec<Vector3<f64>>,
 }
 
 /// One entry of [`Values`].
@@ -83,8 +85,8 @@ pub(crate) struct Problem {
 impl Problem {
     pub(crate) fn new(
         recording: &PushRecording,
-        object: &ObjectModel,
-        shape: &[ConvexPolyhedron],
+        object: &Object,
+        collider: &Arc<Collider>,
         options: &IdentifyOptions,
         noise: PoseNoise,
     ) -> Result<Self> {
@@ -112,14 +114,12 @@ impl Problem {
         if recording.initial_pose.is_none()
             && recording.starts_at_rest
             && let Some(onset_s) = onset_s
-            && let Some(found) = start::at_rest(recording, onset_s, shape, &object.unit.center_of_mass)
+            && let Some(found) = start::at_rest(recording, onset_s, object)
         {
             start = found;
             let place = matches!(action, Action::Finger(_)) || !recording.support.boxes.is_empty();
             parameters = parameters.or(&ParameterSet::of_unknown_start(place));
         }
-        let collider = Collider::new(&primitive::geoms(shape))
-            .map_err(|source| SysidError::Simulation { push: name.clone(), source })?;
         Ok(Self {
             name,
             times_s: recording.track.times_s().to_vec(),
@@ -139,8 +139,8 @@ impl Problem {
             gravity: recording.gravity,
             table_height_m: recording.support.table_height_m,
             boxes: recording.support.boxes.clone(),
-            unit: object.unit,
-            collider: Arc::new(collider),
+            unit: object.mass_properties.with_mass(1.0),
+            collider: Arc::clone(collider),
         })
     }
 
@@ -157,6 +157,14 @@ impl Problem {
         match &self.action {
             Action::Force(force) => force.factor_sd,
             _ => 0.0,
+        }
+    }
+
+    /// As much noise as a known force has already; empty if it has none.
+    pub(crate) fn force_noise(&self, sign: f64, random: &mut ChaCha8Rng) -> Vec<Vector3<f64>> {
+        match &self.action {
+            Action::Force(force) => force.noise(sign, random),
+            _ => Vec::new(),
         }
     }
 
@@ -190,7 +198,7 @@ impl Problem {
         if let Action::Finger(finger) = &self.action {
             named[Parameter::FingerFriction as usize] = finger.friction.max(1e-6).ln();
         }
-        let mut out = Values { named: [0.0; SIMULATED], errors: vec![0.0; self.errors()] };
+        let mut out = Values { named: [0.0; SIMULATED], errors: vec![0.0; self.errors()], noise_n: Vec::new() };
         out.named.copy_from_slice(&named[..SIMULATED]);
         out
     }
@@ -265,27 +273,21 @@ impl Problem {
     ) -> Result<(), drex_diffsim::Error> {
         let on = Part::Body(0);
         let gain = values.named[Parameter::ForceGain as usize].exp();
-        let point = || ForcePoint::Body(force.point);
-        let mut put = |times_s: &[f64], forces_n: &[Vector3<f64>], point: ForcePoint, gain: T| {
-            let mut f = AppliedForce::new(on, times_s, forces_n, point)?;
+        let mut put = |samples: &[Vector3<f64>], point: ForcePoint, gain: T| {
+            let mut f = AppliedForce::new(on, &force.times_s, samples, point)?;
             f.gain = gain;
             scene.forces.push(f);
             Ok(())
         };
-        put(&force.times_s, &force.forces_n, point(), gain)?;
+        put(&force.with(&values.errors, &values.noise_n), ForcePoint::Body(force.point), gain)?;
         if !force.torques_nm.is_empty() {
-            put(&force.times_s, &force.torques_nm, ForcePoint::Couple, gain)?;
-        }
-        for (error, size) in force.errors.iter().zip(&values.errors) {
-            // One that is zero and carries no derivative does nothing.
-            if size.value() != 0.0 || (0..T::TANGENTS).any(|i| size.tangent(i) != 0.0) {
-                put(&error.times_s, &error.forces_n, point(), *size)?;
-            }
+            put(&force.torques_nm, ForcePoint::Couple, gain)?;
         }
         let height = values.named[Parameter::ContactHeight as usize];
+        // One that is zero and carries no derivative does nothing.
         if height.value() != 0.0 || (0..T::TANGENTS).any(|i| height.tangent(i) != 0.0) {
             let moments: Vec<_> = force.forces_n.iter().map(|f| Vector3::z().cross(f)).collect();
-            put(&force.times_s, &moments, ForcePoint::Couple, gain * height)?;
+            put(&moments, ForcePoint::Couple, gain * height)?;
         }
         Ok(())
     }
@@ -343,18 +345,16 @@ impl Problem {
     }
 }
 
-impl<T: Scalar> Values<T> {
-    pub(crate) fn at_mut(&mut self, slot: Slot) -> Option<&mut T> {
+impl Values<f64> {
+    pub(crate) fn set(&mut self, slot: Slot, value: f64) {
         match slot {
-            Slot::Named(p) => self.named.get_mut(p as usize),
-            Slot::Error(k) => self.errors.get_mut(k),
+            Slot::Named(p) => self.named[p as usize] = value,
+            Slot::Error(k) => self.errors[k] = value,
         }
     }
-}
 
-impl Values<f64> {
     pub(crate) fn lift<T: Scalar>(&self) -> Values<T> {
-        Values { named: self.named.map(T::lift), errors: self.errors.iter().map(|x| T::lift(*x)).collect() }
+        Values { named: self.named.map(T::lift), errors: self.errors.clone(), noise_n: self.noise_n.clone() }
     }
 }
 

@@ -3,9 +3,9 @@
 //! The track is noisy, the support is not: place and heading are those of the frames at rest, and the object stands on
 //! the face of its hull that the track shows it to stand on.
 
-use drex_core::Pose;
 use drex_core::pose::pose_difference;
 use drex_core::stats::median;
+use drex_core::{Object, Pose};
 use drex_diffsim::ConvexPolyhedron;
 use drex_recording::{Drive, PushRecording};
 use nalgebra::{Point3, UnitQuaternion, Vector3, Vector6};
@@ -22,12 +22,7 @@ const MOST_TILT_RAD: f64 = 0.15;
 const FACETS_RAD: [f64; 2] = [0.02, 0.4];
 
 /// The start of a push whose recording does not state it: the median of the frames at rest, put onto the support.
-pub(crate) fn at_rest(
-    recording: &PushRecording,
-    onset_s: f64,
-    pieces: &[ConvexPolyhedron],
-    center: &Point3<f64>,
-) -> Option<Pose> {
+pub(crate) fn at_rest(recording: &PushRecording, onset_s: f64, object: &Object) -> Option<Pose> {
     let (times, poses) = (recording.track.times_s(), recording.track.poses());
     let until = times.partition_point(|t| *t <= onset_s - BEFORE_S);
     let frames = until.clamp(LEAST_FRAMES, poses.len().max(LEAST_FRAMES)).min(poses.len());
@@ -40,7 +35,7 @@ pub(crate) fn at_rest(
         let turn = UnitQuaternion::from_scaled_axis(middle.fixed_rows::<3>(3).into_owned());
         mean = Pose::from_parts((mean.translation.vector + middle.fixed_rows::<3>(0)).into(), mean.rotation * turn);
     }
-    Some(standing(recording, &mean, pieces, center).unwrap_or(mean))
+    Some(standing(recording, &mean, object).unwrap_or(mean))
 }
 
 /// When something first acts, seconds.
@@ -56,13 +51,9 @@ pub(crate) fn onset_s(drive: &Drive) -> Option<f64> {
 
 /// The pose near `tracked` in which a face of the object's hull lies flat on the support, the centre of mass above it; what is round there, and
 /// lies on any of its facets, is only put down as it is turned.
-fn standing(
-    recording: &PushRecording,
-    tracked: &Pose,
-    pieces: &[ConvexPolyhedron],
-    center: &Point3<f64>,
-) -> Option<Pose> {
-    let points: Vec<Point3<f64>> = pieces.iter().flat_map(|p| p.vertices()).copied().collect();
+fn standing(recording: &PushRecording, tracked: &Pose, object: &Object) -> Option<Pose> {
+    let center = &object.mass_properties.center_of_mass;
+    let points: Vec<Point3<f64>> = object.corners().copied().collect();
     let hull = ConvexPolyhedron::from_points(&points).ok()?;
     let down = tracked.rotation.inverse() * -Vector3::z();
     let stable = |(face, plane): &(usize, &(Vector3<f64>, f64))| {
@@ -89,16 +80,23 @@ fn standing(
     let mut pose = Pose::from_parts((place.coords - rotation * center.coords).into(), rotation);
     // What lies under the centre of mass carries the object.
     let top = support_top(&recording.support, &place, &place);
-    let lowest = points.iter().map(|p| (pose * p).z).fold(f64::INFINITY, f64::min);
-    pose.translation.vector.z += top - lowest;
+    pose.translation.vector.z += top - object.bounds_at(&pose)?.0.z;
     Some(pose)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use drex_core::ConvexPart;
     use drex_core::Trajectory;
+    use drex_core::mesh::convex_hull;
     use drex_recording::SupportBox;
+
+    fn solid(points: &[Point3<f64>]) -> Object {
+        let hull = convex_hull(points).unwrap();
+        let properties = hull.mass_properties(1000.0).unwrap();
+        Object::of_parts(vec![ConvexPart::of_hull(hull)], properties)
+    }
 
     /// A block of 20 x 40 x 80 mm on a step of 50 mm, tracked at rest with a bias, noise, and a frame that is wild.
     #[test]
@@ -107,7 +105,7 @@ mod tests {
             let sign = |bit: i32| if k & bit == 0 { -1.0 } else { 1.0 };
             Point3::new(0.01 * sign(1), 0.02 * sign(2), 0.04 * sign(4))
         };
-        let block = ConvexPolyhedron::from_points(&(0..8).map(corner).collect::<Vec<_>>()).unwrap();
+        let block = solid(&(0..8).map(corner).collect::<Vec<_>>());
         let truth = Pose::new(Vector3::new(0.3, -0.1, 0.09), Vector3::z() * 0.7);
         let times: Vec<f64> = (0..30).map(|k| f64::from(k) / 30.0).collect();
         let poses: Vec<Pose> = (0..30)
@@ -124,7 +122,7 @@ mod tests {
         let track = Trajectory::from_samples(&times, &poses).unwrap();
         let mut recording = PushRecording::new("block", "block.obj", track, Drive::Nothing);
         recording.support.boxes.push(SupportBox { center_m: [0.3, 0.0, 0.025], half_m: [0.05, 0.5, 0.025] });
-        let start = at_rest(&recording, 0.4, &[block], &Point3::origin()).unwrap();
+        let start = at_rest(&recording, 0.4, &block).unwrap();
         let off = pose_difference(&truth, &start);
         assert!(off.fixed_rows::<2>(0).norm() < 2e-3 && off[5].abs() < 0.02, "{off}");
         // What the support decides is exact.
@@ -137,13 +135,12 @@ mod tests {
             let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / 38.0).sin_cos();
             Point3::new(x, 0.03 * cos, 0.03 * sin)
         };
-        let can =
-            ConvexPolyhedron::from_points(&(0..38).flat_map(|k| [rim(k, -0.05), rim(k, 0.05)]).collect::<Vec<_>>());
+        let can = solid(&(0..38).flat_map(|k| [rim(k, -0.05), rim(k, 0.05)]).collect::<Vec<_>>());
         for roll in [0.0, 0.03, 0.06, 0.1] {
             let tracked = Pose::new(Vector3::new(0.0, 0.0, 0.035), Vector3::x() * roll);
             let track = Trajectory::from_samples(&[0.0, 0.1, 0.2], &[tracked; 3]).unwrap();
             let recording = PushRecording::new("can", "can.obj", track, Drive::Nothing);
-            let start = at_rest(&recording, 0.4, &[can.clone().unwrap()], &Point3::origin()).unwrap();
+            let start = at_rest(&recording, 0.4, &can).unwrap();
             assert!(start.rotation.angle_to(&tracked.rotation) < 1e-9, "{roll}: {start:?}");
             assert!((0.0298..=0.03 + 1e-9).contains(&start.translation.z), "{roll}: {start:?}");
         }

@@ -7,9 +7,7 @@
 
 use std::sync::Arc;
 
-use drex_core::mesh::convex_hull;
-use drex_core::{MassProperties, Object, Pose, SdfSample, SignedDistance, SolidGeometry, SurfacePoint, TablePlane};
-use drex_diffsim::{Collider, Geom, Shape};
+use drex_core::{ConvexPart, MassProperties, Object, Pose, Primitive, PrimitiveShape, SurfacePoint, TablePlane};
 use drex_grasp::{HandSurface, SearchOptions, search_grasps};
 use drex_robot::Robot;
 use drex_trial::{Assumed, Engine, GripForce, Trial, TrialOptions, Truth};
@@ -18,57 +16,25 @@ use nalgebra::{Matrix3, Point3, Vector3};
 /// Half extents of the box, m.
 const HALF: Vector3<f64> = Vector3::new(0.025, 0.035, 0.04);
 
-/// What the hand knows of its shape.
-struct Cuboid;
-
-impl SignedDistance for Cuboid {
-    fn signed_distance(&self, point: &Point3<f64>) -> SdfSample {
-        let q = point.coords.abs() - HALF;
-        let side = point.coords.map(|x| if x < 0.0 { -1.0 } else { 1.0 });
-        let outside = q.map(|x| x.max(0.0));
-        let distance_m = outside.norm();
-        if distance_m > 0.0 {
-            return SdfSample { distance_m, gradient: outside.component_mul(&side) / distance_m };
-        }
-        let k = q.imax();
-        SdfSample { distance_m: q[k], gradient: Vector3::ith(k, side[k]) }
-    }
-}
-
-impl SolidGeometry for Cuboid {
-    fn exact(&self) -> &dyn SignedDistance {
-        self
-    }
-
-    fn bounding_box(&self) -> (Point3<f64>, Point3<f64>) {
-        (Point3::from(-HALF), Point3::from(HALF))
-    }
-}
-
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let wanted = std::env::args().nth(1).and_then(|n| n.parse().ok()).unwrap_or(8);
     let s = HALF.component_mul(&HALF) / 3.0;
     let inertia = Matrix3::from_diagonal(&Vector3::new(s.y + s.z, s.z + s.x, s.x + s.y));
-    let corner = |k: usize| Point3::from(Vector3::from_fn(|a, _| if k >> a & 1 == 1 { HALF[a] } else { -HALF[a] }));
-    let mesh = convex_hull(&(0..8).map(corner).collect::<Vec<_>>())?;
     let properties = MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia };
-    let object = Object::convex(mesh, Arc::new(Cuboid), properties, Pose::translation(0.0, 0.0, HALF.z));
+    let shape = PrimitiveShape::Box { half_m: HALF.into() };
+    let part = ConvexPart::of_primitive(Primitive { shape, object_from_shape: Pose::identity() })?;
+    let object = Object::of_parts(vec![part], properties).with_rest_pose(Pose::translation(0.0, 0.0, HALF.z));
     let hand = Arc::new(Robot::bundled("leap_right")?);
     let surface = HandSurface::new(&hand, 0.004)?;
     let table = TablePlane { up: Vector3::z_axis(), height_m: -HALF.z };
     let mut options = SearchOptions::default();
     options.candidates = 6000;
-    let mut found = search_grasps(&hand, &surface, &Cuboid, &sides(), &Point3::origin(), &table, &options)?;
+    let mut found = search_grasps(&hand, &surface, &*object.geometry, &sides(), &Point3::origin(), &table, &options)?;
     println!("{} grasps of {} candidates", found.len(), options.candidates);
     found.retain(|g| g.closed);
     found.sort_by(|a, b| a.grip_force_per_weight.total_cmp(&b.grip_force_per_weight));
 
-    let trial = Trial::with_collider(
-        hand,
-        object,
-        Collider::new(&[Geom::new(Shape::Box { half_m: HALF })])?,
-        TrialOptions::default(),
-    )?;
+    let trial = Trial::new(hand, object, TrialOptions::default())?;
     let told = Assumed { mass_kg: 0.15, friction: 0.5 };
     let truth = Truth::as_assumed(&told, 1);
     let mut tried = 0;

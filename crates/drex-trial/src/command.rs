@@ -381,38 +381,13 @@ mod tests {
 
     use std::sync::Arc;
 
-    use drex_core::{MassProperties, Object, SdfSample, SignedDistance, SolidGeometry, TriMesh};
-    use drex_diffsim::{Collider, Geom, Shape};
+    use drex_core::{ConvexPart, MassProperties, Object, Primitive, PrimitiveShape};
     use nalgebra::Matrix3;
 
     use super::*;
     use crate::TrialOptions;
 
     const RADIUS_M: f64 = 0.03;
-
-    struct Ball;
-
-    impl SignedDistance for Ball {
-        fn signed_distance(&self, point: &Point3<f64>) -> SdfSample {
-            let r = point.coords.norm().max(1e-9);
-            SdfSample { distance_m: r - RADIUS_M, gradient: point.coords / r }
-        }
-    }
-
-    impl SolidGeometry for Ball {
-        fn exact(&self) -> &dyn SignedDistance {
-            self
-        }
-
-        fn bounding_box(&self) -> (Point3<f64>, Point3<f64>) {
-            let corner = Point3::new(RADIUS_M, RADIUS_M, RADIUS_M);
-            (-corner, corner)
-        }
-    }
-
-    fn sphere() -> Collider {
-        Collider::new(&[Geom::new(Shape::Sphere { radius_m: RADIUS_M })]).unwrap()
-    }
 
     /// The index finger and the thumb at opposite sides of a ball; the others touch nothing.
     fn pinch() -> (Trial, ClosingPlan) {
@@ -423,10 +398,12 @@ mod tests {
         let properties =
             MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia: Matrix3::identity() * 3.6e-4 };
         let rest = Pose::translation(0.0, 0.0, RADIUS_M);
-        let ball = Object::convex(TriMesh::default(), Arc::new(Ball), properties, rest);
+        let shape = PrimitiveShape::Sphere { radius_m: RADIUS_M };
+        let part = ConvexPart::of_primitive(Primitive { shape, object_from_shape: Pose::identity() }).unwrap();
+        let ball = Object::of_parts(vec![part], properties).with_rest_pose(rest);
         let hand = Arc::new(hand);
         let joints = vec![0.0; hand.dof()];
-        let trial = Trial::with_collider(hand, ball, sphere(), TrialOptions::default()).unwrap();
+        let trial = Trial::new(hand, ball, TrialOptions::default()).unwrap();
         // Where the palm is makes torques, not forces: beside the ball they are small.
         let world_from_palm = Pose::translation(0.0, 0.0, RADIUS_M);
         let touching = trial.surface.fingers[..2].iter().zip([1.0, -1.0]).map(|(finger, side)| {
@@ -502,7 +479,7 @@ mod tests {
         let mut silent = allegro;
         (silent.joints[3].effort_limit, silent.actuators[3].force_range) = (None, None);
         let ball = pinch().0.object;
-        let trial = Trial::with_collider(Arc::new(silent), ball, sphere(), TrialOptions::default());
+        let trial = Trial::new(Arc::new(silent), ball, TrialOptions::default());
         let Err(error) = trial else { panic!("taken") };
         assert!(error.to_string().contains("\"allegro_right\"") && error.to_string().contains("ffj3"), "{error}");
     }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use drex_core::{Object, Pose};
-use drex_diffsim::{Collider, ConvexPolyhedron, Error as SimulationError};
+use drex_diffsim::{Collider, Error as SimulationError};
 use drex_grasp::HandSurface;
 use drex_robot::Robot;
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
@@ -40,17 +40,8 @@ impl Trial {
     /// If the hand has no collision shapes, its model does not say what its motors give ([`Robot::effort_limits`]), or an option is
     /// out of range.
     pub fn new(hand: Arc<Robot>, object: Object, options: TrialOptions) -> Result<Self> {
-        let parts = object.convex_parts.iter().map(|corners| ConvexPolyhedron::from_points(corners));
-        let collider = Collider::convex(parts.collect::<Result<_, _>>()?);
-        Self::with_collider(hand, object, collider, options)
-    }
-
-    /// The same with collision shapes other than the object's convex parts, such as a sphere.
-    ///
-    /// # Errors
-    /// As [`Trial::new`].
-    pub fn with_collider(hand: Arc<Robot>, object: Object, collider: Collider, options: TrialOptions) -> Result<Self> {
         options.check()?;
+        let collider = Collider::of_parts(&object.convex_parts)?;
         let effort_nm = hand.effort_limits()?;
         let surface = HandSurface::new(&hand, SPACING_M)?;
         Ok(Self { hand, surface, object, collider: Arc::new(collider), options, effort_nm })

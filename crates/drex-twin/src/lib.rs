@@ -73,7 +73,6 @@ pub use {
     error::{Error, Result},
     hand::with_torque_cap,
     inputs::Stage,
-    object::object_model,
     pipeline::{Reporter, RunOptions, RunSummary},
     predict::{FingerContact, PredictOptions, Prediction, Predictor, predict},
     progress::Progress,

@@ -2,7 +2,6 @@
 
 use drex_core::Object;
 use drex_mesh::{Asset, build_asset, read_object, rebuild_asset};
-use drex_sysid::ObjectModel;
 use nalgebra::Vector3;
 
 use crate::error::refuse;
@@ -63,13 +62,5 @@ impl Twin {
             );
         }
         Ok(())
-    }
-}
-
-/// The object as identification takes it: convex parts, and mass properties at one kilogram.
-pub fn object_model(asset: &Asset) -> ObjectModel {
-    ObjectModel {
-        pieces: asset.convex_parts.iter().map(|p| p.vertices.clone()).collect(),
-        unit: asset.properties.with_mass(1.0),
     }
 }

@@ -38,7 +38,7 @@ pub struct IdentifyArgs {
     /// same logs.
     #[arg(long, value_name = "FILE")]
     pub hand: Option<PathBuf>,
-    /// Write the result to this file as well, with likelihood profile and trajectories.
+    /// Write the result to this file as well, with the law of the mass and trajectories.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
 }

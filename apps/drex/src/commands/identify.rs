@@ -17,8 +17,8 @@ use serde_json::{Value, json};
 use crate::cli::{IdentifyArgs, MethodArg, OnOff, ToolArgs, TwinArgs};
 use crate::ui::Ui;
 use drex_report::{contradiction_text, posterior_text, prior_text, verdict_text};
+use drex_twin::Stage;
 use drex_twin::records::MassFile;
-use drex_twin::{Stage, object_model};
 
 /// Loads the pushes, builds the object from their mesh, identifies, answers. For a twin it is the stage of that name.
 pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
@@ -62,7 +62,7 @@ pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     let mut metres = AssetOptions::default();
     metres.unit = LengthUnit::Metre;
     let asset = build_asset(&first.mesh, &metres)?;
-    let object = object_model(&asset);
+    let object = asset.to_exact_object("")?;
     let prior = match &args.guess {
         Some(guess) => Some(guessed(guess, asset.report.volume_m3)?),
         None => recordings.iter().find_map(|r| r.mass_prior_kg).map(MassPrior::from_number).transpose()?,
@@ -131,7 +131,7 @@ fn parameters(args: &IdentifyArgs) -> Result<ParameterSet> {
     Ok(out)
 }
 
-/// The result without the long series (likelihood profile, trajectories), which `--out` keeps.
+/// The result without the long series (law of the mass, trajectories), which `--out` keeps.
 fn without_series(result: &Identification) -> Result<Value> {
     let mut value = serde_json::to_value(result)?;
     if let Some(object) = value.as_object_mut() {

@@ -13,7 +13,6 @@ use serde::Serialize;
 
 use crate::cli::{OnOff, PlanPushArgs};
 use crate::ui::Ui;
-use drex_twin::object_model;
 
 /// Half the edges of the step that an object is put on to stick out, metres; its height is stated.
 const STEP_HALF_M: [f64; 2] = [0.15, 0.2];
@@ -37,7 +36,7 @@ struct Plan<'a> {
 pub fn run(args: &PlanPushArgs, ui: &Ui) -> Result<()> {
     let mut asset = AssetOptions::default();
     asset.unit = args.unit;
-    let object = object_model(&build_asset(&args.mesh, &asset)?);
+    let object = build_asset(&args.mesh, &asset)?.to_exact_object("")?;
     let robot = robot(args)?;
     let mut support = Support { friction: args.friction, ..Support::default() };
     if let Some(height) = args.step {

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::contact::ContactConfig;
 use super::joints::{JointConfig, joint_tree};
-use drex_core::{MassProperties, Pose, TriMesh};
+use drex_core::{ConvexPart, MassProperties, Pose, TriMesh};
 
 use super::{Asset, AssetOptions, AssetReport, asset_from_mesh, rest_on_table, rows};
 use crate::bvh::Aabb;
@@ -108,7 +108,7 @@ pub fn articulated_asset(parts: &[Part], joints: &[JointConfig], options: &Asset
     let properties = MassProperties::combined(&each)
         .ok_or_else(|| Error::value("the parts have no mass", "give a positive mass or density"))?;
     let corners: Vec<Point3<f64>> =
-        built.iter().flat_map(|(_, a)| &a.convex_parts).flat_map(|p| &p.vertices).copied().collect();
+        built.iter().flat_map(|(_, a)| &a.convex_parts).flat_map(ConvexPart::corners).copied().collect();
     let up = Unit::new_normalize(options.up_in_mesh.unwrap_or_else(Vector3::z));
     let stable_poses = stable_poses(&corners, &properties.center_of_mass, &options.rest)?;
     let (world_from_mesh_at_rest, tipping_margin_m) =

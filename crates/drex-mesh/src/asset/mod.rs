@@ -15,7 +15,7 @@ use nalgebra::{Matrix3, Point3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
 
 use drex_core::fsutil::{from_json, read_text};
-use drex_core::{MassProperties, Pose, PoseRecord, TriMesh};
+use drex_core::{ConvexPart, MassProperties, Pose, PoseRecord, PrimitiveRecord, TriMesh};
 
 pub use self::articulated::{ArticulatedAsset, ArticulatedReport, Part, articulated_asset};
 pub use self::model::{Background, SceneOptions};
@@ -53,7 +53,7 @@ pub struct Asset {
     /// The picture on the visual mesh; [`asset_from_mesh`] leaves it out.
     pub texture: Option<TextureMap>,
     /// Convex collision parts.
-    pub convex_parts: Vec<TriMesh>,
+    pub convex_parts: Vec<ConvexPart>,
     /// Mass properties of the enclosed solid at uniform density.
     pub properties: MassProperties,
     /// Unit direction that points up when the object stands.
@@ -123,6 +123,8 @@ pub struct AssetReport {
     pub partition_method: PartitionMethod,
     /// Number of pieces.
     pub pieces: usize,
+    /// The primitive that each piece is, where it is one.
+    pub primitives: Vec<Option<PrimitiveRecord>>,
     /// Most corners of a piece.
     pub most_corners: usize,
     /// Sum of the pieces' volumes relative to the solid's (their overlaps count twice).
@@ -161,18 +163,17 @@ pub fn rebuild_asset(mesh_path: &Path, options: &AssetOptions, out: &Path) -> Re
     struct Divided {
         #[serde(rename = "how_divided")]
         partition_method: PartitionMethod,
-        pieces: usize,
+        primitives: Vec<Option<PrimitiveRecord>>,
     }
     let report = out.join("mesh/report.json");
-    let Divided { partition_method, pieces } = from_json(&report, &read_text(&report)?)?;
-    let pieces = (0..pieces).map(|k| read_mesh(&out.join(write::part_file("", k)))).collect::<Result<_>>()?;
-    of_file(mesh_path, options, Some((pieces, partition_method)))
+    let Divided { partition_method, primitives } = from_json(&report, &read_text(&report)?)?;
+    of_file(mesh_path, options, Some((write::read_parts(out, &primitives)?, partition_method)))
 }
 
 fn of_file(
     mesh_path: &Path,
     options: &AssetOptions,
-    divided: Option<(Vec<TriMesh>, PartitionMethod)>,
+    divided: Option<(Vec<ConvexPart>, PartitionMethod)>,
 ) -> Result<Asset> {
     options.check()?;
     let mesh = read_mesh(mesh_path)?;
@@ -218,7 +219,11 @@ pub fn asset_from_mesh(mesh: &TriMesh, options: &AssetOptions) -> Result<Asset> 
 }
 
 /// The asset, with these pieces where they are known.
-fn of_mesh(mesh: &TriMesh, options: &AssetOptions, divided: Option<(Vec<TriMesh>, PartitionMethod)>) -> Result<Asset> {
+fn of_mesh(
+    mesh: &TriMesh,
+    options: &AssetOptions,
+    divided: Option<(Vec<ConvexPart>, PartitionMethod)>,
+) -> Result<Asset> {
     let mut warnings = Vec::new();
     let extent = mesh.bounds().map_or(0.0, |(lo, hi)| (hi - lo).max());
     let (unit, factor) = options.unit.settle(extent, &mut warnings)?;
@@ -245,7 +250,7 @@ fn of_mesh(mesh: &TriMesh, options: &AssetOptions, divided: Option<(Vec<TriMesh>
     check_mass_properties(&properties, &visual.vertices)?;
     let up_in_mesh = Unit::new_normalize(options.up_in_mesh.unwrap_or_else(Vector3::z));
     // What rests in a simulator is the pieces; should they miss the centre (a wafer), the mesh itself.
-    let of_pieces: Vec<Point3<f64>> = pieces.iter().flat_map(|p| &p.vertices).copied().collect();
+    let of_pieces: Vec<Point3<f64>> = pieces.iter().flat_map(ConvexPart::corners).copied().collect();
     let (corners, stable_poses) = match stable_poses(&of_pieces, center, &options.rest) {
         Ok(poses) => (&of_pieces, poses),
         Err(_) => (&visual.vertices, stable_poses(&visual.vertices, center, &options.rest)?),
@@ -282,8 +287,9 @@ fn of_mesh(mesh: &TriMesh, options: &AssetOptions, divided: Option<(Vec<TriMesh>
         mesh_from_principal_wxyz: [axes.w, axes.i, axes.j, axes.k],
         partition_method,
         pieces: pieces.len(),
-        most_corners: pieces.iter().map(|p| p.vertices.len()).max().unwrap_or(0),
-        pieces_to_solid_volume: pieces.iter().map(hull_volume).sum::<f64>() / solid.volume_m3,
+        primitives: pieces.iter().map(|p| p.primitive.as_ref().map(PrimitiveRecord::from)).collect(),
+        most_corners: pieces.iter().map(|p| p.corners().len()).max().unwrap_or(0),
+        pieces_to_solid_volume: pieces.iter().map(|p| hull_volume(&p.hull)).sum::<f64>() / solid.volume_m3,
         world_from_mesh_at_rest: PoseRecord::from(&world_from_mesh_at_rest),
         rest_height_of_center_m: center.z,
         tipping_margin_m,
@@ -345,7 +351,7 @@ impl Asset {
 ///
 /// # Errors
 /// If they leave out much: what a simulator touches is not the object.
-fn uncovered(visual: &TriMesh, pieces: &[TriMesh]) -> Result<Option<String>> {
+fn uncovered(visual: &TriMesh, pieces: &[ConvexPart]) -> Result<Option<String>> {
     let [doubt, fail] = UNCOVERED;
     // What encloses no volume by this measure was weighed by another one.
     let Ok(found) = union_distance(visual, pieces, COVER_SAMPLES, 0) else { return Ok(None) };

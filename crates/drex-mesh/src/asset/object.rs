@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use drex_core::fsutil::{from_json, read_text};
-use drex_core::{ASSUMED_FRICTION, MassProperties, Object, PoseRecord};
+use drex_core::{ASSUMED_FRICTION, MassProperties, Object, PoseRecord, PrimitiveRecord};
 use nalgebra::{Matrix3, Point3};
 use serde::Deserialize;
 
@@ -38,7 +38,7 @@ impl Asset {
         Object {
             name: name.to_owned(),
             mesh: Arc::new(self.visual.clone()),
-            convex_parts: Arc::new(self.convex_parts.iter().map(|p| p.vertices.clone()).collect()),
+            convex_parts: Arc::new(self.convex_parts.clone()),
             mass_properties: self.properties,
             geometry,
             friction: self.friction,
@@ -60,16 +60,14 @@ pub fn read_object(out: &Path, name: &str) -> Result<Object> {
         center_of_mass_m: [f64; 3],
         inertia_kg_m2: [[f64; 3]; 3],
         world_from_mesh_at_rest: PoseRecord,
-        #[serde(rename = "pieces")]
-        convex_parts: usize,
+        primitives: Vec<Option<PrimitiveRecord>>,
     }
     let report = out.join("mesh/report.json");
     let written: Written = from_json(&report, &read_text(&report)?)?;
     let mesh = read_mesh(&out.join("mesh/visual.obj"))?;
-    let part = |k: usize| Ok(read_mesh(&out.join(write::part_file("", k)))?.vertices);
     Ok(Object {
         name: name.to_owned(),
-        convex_parts: Arc::new((0..written.convex_parts).map(part).collect::<Result<_>>()?),
+        convex_parts: Arc::new(write::read_parts(out, &written.primitives)?),
         mass_properties: MassProperties {
             mass_kg: written.mass_kg,
             center_of_mass: Point3::from(written.center_of_mass_m),

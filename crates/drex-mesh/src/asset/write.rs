@@ -3,13 +3,13 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use drex_core::Error as CoreError;
 use drex_core::fsutil::{output_path, temporary_path, write_atomic};
+use drex_core::{ConvexPart, Error as CoreError, PrimitiveRecord};
 use serde::Serialize;
 
 use super::{ArticulatedAsset, Asset, TextureMap, model};
-use crate::Result;
 use crate::io::obj_text;
+use crate::{Result, read_mesh};
 
 /// Names, relative to the folder, and contents.
 type Files = Vec<(String, Vec<u8>)>;
@@ -61,12 +61,21 @@ fn part_files(prefix: &str, part: &Asset) -> Result<Files> {
     };
     files.push((format!("mesh/{name}.obj"), visual.into_bytes()));
     let pieces = part.convex_parts.iter().enumerate();
-    files.extend(pieces.map(|(k, p)| (part_file(prefix, k), obj_text(p).into_bytes())));
+    files.extend(pieces.map(|(k, p)| (part_file(prefix, k), obj_text(&p.hull).into_bytes())));
     Ok(files)
 }
 
+/// The convex parts that an asset was written with into `out`.
+pub(crate) fn read_parts(out: &Path, primitives: &[Option<PrimitiveRecord>]) -> Result<Vec<ConvexPart>> {
+    let part = |(k, record): (usize, &Option<PrimitiveRecord>)| {
+        let hull = read_mesh(&out.join(part_file("", k)))?;
+        Ok(ConvexPart { hull, primitive: record.map(PrimitiveRecord::to_primitive).transpose()? })
+    };
+    primitives.iter().enumerate().map(part).collect()
+}
+
 /// Name of the file of piece `k`, from 0.
-pub(crate) fn part_file(prefix: &str, k: usize) -> String {
+fn part_file(prefix: &str, k: usize) -> String {
     format!("mesh/{prefix}collision_{k:02}.obj")
 }
 

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use drex_core::fsutil::read_text;
-use drex_core::{MassProperties, TriMesh};
+use drex_core::{ConvexPart, MassProperties, Primitive, TriMesh};
 use nalgebra::{Point3, Vector3};
 
 use super::Outcome::{Fail, NotApplicable, Pass, Repaired};
@@ -188,8 +188,8 @@ fn mass(model: &Mjcf, visual: &TriMesh, report: &mut CheckReport) {
 }
 
 /// Rules 10 and 14, in the world frame: MJCF's up is +z.
-fn pose(model: &Mjcf, hulls: &[TriMesh], report: &mut CheckReport) {
-    let points: Vec<Point3<f64>> = hulls.iter().flat_map(|h| &h.vertices).copied().collect();
+fn pose(model: &Mjcf, hulls: &[ConvexPart], report: &mut CheckReport) {
+    let points: Vec<Point3<f64>> = hulls.iter().flat_map(ConvexPart::corners).copied().collect();
     let lowest = points.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
     let parts: Vec<MassProperties> = model
         .bodies
@@ -214,7 +214,16 @@ fn pose(model: &Mjcf, hulls: &[TriMesh], report: &mut CheckReport) {
     rules::rest(rules::support_margin(&points, &all.center_of_mass, &Vector3::z()), report);
 }
 
+fn primitive(model: &Mjcf, geom: &Geom) -> Option<Primitive> {
+    let object_from_shape = model.bodies[geom.body].world_from_body * geom.body_from_geom;
+    geom.shape.map(|shape| Primitive { shape, object_from_shape })
+}
+
+/// The surface of a geom in the world frame.
 fn read(model: &Mjcf, geom: &Geom) -> Result<TriMesh> {
+    if let Some(primitive) = primitive(model, geom) {
+        return Ok(primitive.hull()?);
+    }
     let Some(file) = model.meshes.get(&geom.mesh) else {
         let what = format!("a geom names the mesh {:?}, which is not among the assets", geom.mesh);
         return Err(crate::Error::value(what, "add it to <asset>"));
@@ -225,9 +234,10 @@ fn read(model: &Mjcf, geom: &Geom) -> Result<TriMesh> {
     Ok(mesh)
 }
 
-/// Collision hulls in the world frame.
-fn convex_parts(model: &Mjcf) -> Result<Vec<TriMesh>> {
-    model.geoms.iter().filter(|g| g.collides).map(|g| read(model, g)).collect()
+/// What touches, in the world frame.
+fn convex_parts(model: &Mjcf) -> Result<Vec<ConvexPart>> {
+    let part = |geom: &Geom| Ok(ConvexPart { hull: read(model, geom)?, primitive: primitive(model, geom) });
+    model.geoms.iter().filter(|g| g.collides).map(part).collect()
 }
 
 /// Visual meshes in the frame of the first one's body, which is the mesh's frame in an asset of one body.

@@ -1,6 +1,6 @@
 //! The rules for convex parts.
 
-use drex_core::TriMesh;
+use drex_core::{ConvexPart, TriMesh};
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
@@ -20,10 +20,12 @@ const FLATNESS: f64 = 1e-5;
 const PROBES: usize = 16_000;
 
 /// Rule 12.
-pub(super) fn evaluate(pieces: &[TriMesh], options: &CheckOptions, report: &mut CheckReport) {
-    let most = pieces.iter().map(|p| p.vertices.len()).max().unwrap_or(0);
+pub(super) fn evaluate(pieces: &[ConvexPart], options: &CheckOptions, report: &mut CheckReport) {
+    // A primitive has no corners to count.
+    let polyhedra = pieces.iter().filter(|p| p.primitive.is_none());
+    let most = polyhedra.clone().map(|p| p.corners().len()).max().unwrap_or(0);
     let fix = Some("make the convex parts again");
-    for (k, piece) in pieces.iter().enumerate() {
+    for (k, ConvexPart { hull: piece, .. }) in pieces.iter().enumerate() {
         let defect = if piece.vertices.len() < 4 || !(hull_volume(piece) > SLIVER_M3) {
             format!("{:.1e} m³ from {} corners", hull_volume(piece), piece.vertices.len())
         } else if !is_convex(piece) {
@@ -33,7 +35,11 @@ pub(super) fn evaluate(pieces: &[TriMesh], options: &CheckOptions, report: &mut 
         };
         return report.set(12, Fail, format!("hull {k} of {}: {defect}", pieces.len()), fix);
     }
-    let reason = format!("{} hulls, at most {most} corners", pieces.len());
+    let reason = match pieces.len() - polyhedra.clone().count() {
+        0 => format!("{} hulls, at most {most} corners", pieces.len()),
+        primitives if primitives == pieces.len() => format!("{primitives} primitives"),
+        primitives => format!("{} parts, {primitives} of them primitives, at most {most} corners", pieces.len()),
+    };
     if pieces.is_empty() {
         report.set(12, Fail, "no hulls: nothing would touch it", fix);
     } else if most > options.most_corners || pieces.len() > options.most_parts {
@@ -80,14 +86,15 @@ impl Planes {
 
 /// Rule 13: the surface of the union of the pieces against the closed visual mesh, both ways.
 pub(super) fn evaluate_distance(
-    pieces: &[TriMesh],
+    parts: &[ConvexPart],
     visual: &TriMesh,
     size: f64,
     options: &CheckOptions,
     report: &mut CheckReport,
 ) {
-    let out = union_to_mesh(pieces, visual);
-    let missing = mesh_to_union(pieces, visual);
+    let pieces: Vec<&TriMesh> = parts.iter().map(|p| &p.hull).collect();
+    let out = union_to_mesh(&pieces, visual);
+    let missing = mesh_to_union(&pieces, visual);
     let (Some(out), Some(missing)) = (out, missing) else {
         return report.set(13, Fail, "there is no surface to compare", Some("make the convex parts again"));
     };
@@ -114,9 +121,9 @@ impl Spread {
 }
 
 /// Distance of the surface of the union (what of each piece is in no other one) from the mesh.
-fn union_to_mesh(pieces: &[TriMesh], mesh: &TriMesh) -> Option<Spread> {
-    let area: f64 = pieces.iter().map(TriMesh::area).sum();
-    let (tree, planes) = (Bvh::cut(mesh), pieces.iter().map(Planes::new).collect::<Vec<_>>());
+fn union_to_mesh(pieces: &[&TriMesh], mesh: &TriMesh) -> Option<Spread> {
+    let area: f64 = pieces.iter().map(|p| p.area()).sum();
+    let (tree, planes) = (Bvh::cut(mesh), pieces.iter().map(|p| Planes::new(p)).collect::<Vec<_>>());
     let probes: Vec<(usize, Point3<f64>)> = pieces
         .iter()
         .enumerate()
@@ -134,7 +141,7 @@ fn union_to_mesh(pieces: &[TriMesh], mesh: &TriMesh) -> Option<Spread> {
 }
 
 /// How far the mesh sticks out of all pieces; 0 where a piece covers it.
-fn mesh_to_union(pieces: &[TriMesh], mesh: &TriMesh) -> Option<Spread> {
+fn mesh_to_union(pieces: &[&TriMesh], mesh: &TriMesh) -> Option<Spread> {
     let trees: Vec<(Planes, Bvh)> = pieces.iter().map(|p| (Planes::new(p), Bvh::new(p))).collect();
     let outside = |p: &Point3<f64>| {
         if trees.iter().any(|(planes, _)| planes.contain(p)) {

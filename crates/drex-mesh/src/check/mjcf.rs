@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use drex_core::{MassProperties, Pose};
+use drex_core::{MassProperties, Pose, PrimitiveShape};
 use nalgebra::{Matrix3, Point3, Quaternion, UnitQuaternion, Vector3};
 use roxmltree::Node;
 
@@ -42,7 +42,9 @@ pub(super) struct Body {
 pub(super) struct Geom {
     /// Position in [`Mjcf::bodies`].
     pub body: usize,
+    /// Name of its mesh, if it has no shape of its own.
     pub mesh: String,
+    pub shape: Option<PrimitiveShape>,
     pub collides: bool,
     pub body_from_geom: Pose,
 }
@@ -105,6 +107,17 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<Mjcf> {
     Ok(out)
 }
 
+/// The primitive of a geom's type and size; `None` for planes, for fields of heights and for what has too few sizes.
+fn shape(kind: &str, size: &[f64]) -> Option<PrimitiveShape> {
+    match (kind, size) {
+        ("sphere", &[radius_m, ..]) => Some(PrimitiveShape::Sphere { radius_m }),
+        ("capsule", &[radius_m, half_length_m, ..]) => Some(PrimitiveShape::Capsule { radius_m, half_length_m }),
+        ("cylinder", &[radius_m, half_length_m, ..]) => Some(PrimitiveShape::Cylinder { radius_m, half_length_m }),
+        ("box", &[x, y, z]) => Some(PrimitiveShape::Box { half_m: [x, y, z] }),
+        _ => None,
+    }
+}
+
 /// Names that occur twice among elements with the same tag.
 fn repeated(root: Node<'_, '_>) -> Vec<String> {
     let mut seen = BTreeMap::new();
@@ -163,11 +176,16 @@ impl<'a> Walk<'a> {
                     let class = child.attribute("class").unwrap_or(class);
                     let default = self.classes.get(class).cloned().unwrap_or_default();
                     let value = |name: &str| child.attribute(name).or_else(|| default.get(name).copied());
-                    let (Some(body), Some(mesh)) = (index, value("mesh")) else { continue };
+                    let size = value("size").map(|text| self.list(child, "size", text)).transpose()?;
+                    // A class of meshes has a type too; a size of its own makes a primitive.
+                    let shape = child.attribute("type").and_then(|kind| shape(kind, &size.unwrap_or_default()));
+                    let mesh = value("mesh").filter(|_| shape.is_none());
+                    let Some(body) = index.filter(|_| mesh.is_some() || shape.is_some()) else { continue };
+                    let mesh = mesh.unwrap_or_default();
                     let mask = |name: &str| value(name).is_none_or(|v| v.trim() != "0");
                     let collides = mask("contype") || mask("conaffinity");
                     let body_from_geom = self.pose(child)?;
-                    self.out.geoms.push(Geom { body, mesh: mesh.into(), collides, body_from_geom });
+                    self.out.geoms.push(Geom { body, mesh: mesh.into(), shape, collides, body_from_geom });
                 }
                 _ => {}
             }
@@ -209,12 +227,16 @@ impl<'a> Walk<'a> {
 
     fn numbers<const N: usize>(&self, node: Node<'_, '_>, name: &str) -> Result<Option<[f64; N]>> {
         let Some(text) = node.attribute(name) else { return Ok(None) };
+        match self.list(node, name, text)?.try_into() {
+            Ok(array) => Ok(Some(array)),
+            Err(_) => Err(self.bad(node, &format!("{name}=\"{text}\" is not {N} numbers"))),
+        }
+    }
+
+    fn list(&self, node: Node<'_, '_>, name: &str, text: &str) -> Result<Vec<f64>> {
         let values: Option<Vec<f64>> =
             text.split_ascii_whitespace().map(|w| w.parse().ok().filter(|v: &f64| v.is_finite())).collect();
-        match values.and_then(|v| v.try_into().ok()) {
-            Some(array) => Ok(Some(array)),
-            None => Err(self.bad(node, &format!("{name}=\"{text}\" is not {N} numbers"))),
-        }
+        values.ok_or_else(|| self.bad(node, &format!("{name}=\"{text}\" is no list of numbers")))
     }
 
     fn bad(&self, node: Node<'_, '_>, what: &str) -> crate::Error {

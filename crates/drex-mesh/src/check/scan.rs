@@ -3,7 +3,7 @@
 use drex_core::mesh::sample_surface;
 use drex_core::pose::pose_from_wxyz;
 use drex_core::stats::{median, quantile};
-use drex_core::{Pose, PoseRecord, TriMesh};
+use drex_core::{ConvexPart, Pose, PoseRecord, TriMesh};
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -120,7 +120,7 @@ impl ScanCamera {
 /// Asks what a scan says of its mesh: rules 17 to 23 of a [`CheckReport`], in order.
 ///
 /// `mesh` is the visual mesh, `parts` its convex parts (none: rule 17 is not asked); both in metres in the frame of `evidence`.
-pub fn check_scan(mesh: &TriMesh, parts: &[TriMesh], evidence: &ScanEvidence) -> Vec<RuleResult> {
+pub fn check_scan(mesh: &TriMesh, parts: &[ConvexPart], evidence: &ScanEvidence) -> Vec<RuleResult> {
     let mut report = CheckReport::new("the scan");
     covered(mesh, parts, &mut report);
     evaluate(mesh, evidence, &mut report);
@@ -137,7 +137,7 @@ fn grade(value: f64, [doubt, fail]: [f64; 2]) -> Outcome {
 }
 
 /// Rule 17: the convex parts are what touches; they must be where the mesh is.
-pub(super) fn covered(mesh: &TriMesh, parts: &[TriMesh], report: &mut CheckReport) {
+pub(super) fn covered(mesh: &TriMesh, parts: &[ConvexPart], report: &mut CheckReport) {
     if parts.is_empty() {
         return report.set(17, NotApplicable, "there are no convex parts", None);
     }

@@ -18,10 +18,11 @@ mod tree;
 use nalgebra::Point3;
 use rayon::prelude::*;
 
-use drex_core::{Surface, TriMesh};
+use drex_core::{ConvexPart, Surface, TriMesh};
 
 use crate::hull::hull_volume;
 use crate::orient::Shell;
+use crate::primitive::primitive;
 use crate::repair::describe_shells;
 use crate::sdf::MeshSdf;
 use crate::solid::Enclosed;
@@ -51,11 +52,14 @@ pub struct PartitionOptions {
     /// Parts that fill a hollow deeper than this are cut while there are pieces left, and parts whose common hull stays within
     /// it are joined; as a share of the diagonal of the mesh's bounding box.
     pub concavity: f64,
+    /// A part that lies within this of a box, a cylinder, a ball or a capsule is one ([`primitive`](crate::primitive())); as a share of the
+    /// radius, or of the smallest half side. 0 recognises none.
+    pub primitive_tolerance: f64,
 }
 
 impl Default for PartitionOptions {
     fn default() -> Self {
-        Self { convex_enough: 0.05, most_parts: 20, most_corners: 64, concavity: 0.0075 }
+        Self { convex_enough: 0.05, most_parts: 20, most_corners: 64, concavity: 0.0075, primitive_tolerance: 2e-3 }
     }
 }
 
@@ -86,7 +90,7 @@ pub enum PartitionMethod {
     HullAsLastResort,
 }
 
-/// Covers the solid that `mesh` encloses with convex parts.
+/// Covers the solid that `mesh` encloses with convex parts, and recognises those that are primitives.
 ///
 /// In this order: one hull if the solid is nearly convex; the shells themselves where they are closed and convex; cuts by
 /// planes for the rest. Openings are closed by flat lids first, cavities without an opening are filled. Every piece is a
@@ -97,7 +101,7 @@ pub enum PartitionMethod {
 ///
 /// # Errors
 /// If the mesh encloses no volume, or an option is out of range.
-pub fn convex_parts(mesh: &TriMesh, options: &PartitionOptions) -> Result<Vec<TriMesh>> {
+pub fn convex_parts(mesh: &TriMesh, options: &PartitionOptions) -> Result<Vec<ConvexPart>> {
     Ok(divide(mesh, &Enclosed::new(mesh)?, options)?.0)
 }
 
@@ -105,11 +109,12 @@ pub(crate) fn divide(
     mesh: &TriMesh,
     enclosed: &Enclosed,
     options: &PartitionOptions,
-) -> Result<(Vec<TriMesh>, PartitionMethod)> {
-    if options.most_corners < 4 || options.most_parts == 0 || !(1e-6..=1.0).contains(&options.concavity) {
+) -> Result<(Vec<ConvexPart>, PartitionMethod)> {
+    let in_range = (1e-6..=1.0).contains(&options.concavity) && (0.0..=0.1).contains(&options.primitive_tolerance);
+    if options.most_corners < 4 || options.most_parts == 0 || !in_range {
         return Err(Error::value(
             "the options for convex parts are out of range",
-            "allow 4 or more corners, 1 or more pieces and a concavity of 1e-6 to 1",
+            "allow 4 or more corners, 1 or more pieces, a concavity of 1e-6 to 1 and primitives within 0 to 0.1",
         ));
     }
     let topology = Topology::new(mesh);
@@ -126,9 +131,14 @@ pub(crate) fn divide(
             (vec![whole], PartitionMethod::HullAsLastResort)
         })
     };
-    let pieces: Vec<TriMesh> =
-        hulls.par_iter().map(|h| bounded_hull(&h.vertices, options.most_corners)).collect::<Result<_>>()?;
-    Ok((pieces.into_iter().filter(|p| hull_volume(p) > SLIVER_M3).collect(), how))
+    let part = |full: &TriMesh| {
+        let primitive = primitive(full, options.primitive_tolerance);
+        let facets = primitive.and_then(|p| p.hull().ok()).filter(|h| h.vertices.len() <= options.most_corners);
+        let hull = facets.map_or_else(|| bounded_hull(&full.vertices, options.most_corners), Ok)?;
+        Ok(ConvexPart { hull, primitive })
+    };
+    let parts: Vec<ConvexPart> = hulls.par_iter().map(part).collect::<Result<_>>()?;
+    Ok((parts.into_iter().filter(|p| hull_volume(&p.hull) > SLIVER_M3).collect(), how))
 }
 
 /// Keeps the shells that are closed and convex and divides the others; `None` if that fails.
@@ -216,7 +226,8 @@ mod tests {
     #[test]
     fn a_nearly_convex_mesh_is_one_hull_of_few_corners() {
         let pieces = convex_parts(&sphere(0.05, 4), &PartitionOptions::default()).unwrap();
-        assert_eq!((pieces.len(), pieces[0].vertices.len()), (1, 64));
+        assert_eq!((pieces.len(), pieces[0].corners().len()), (1, 64));
+        assert!(matches!(pieces[0].primitive.unwrap().shape, drex_core::PrimitiveShape::Sphere { .. }));
     }
 
     #[test]
@@ -224,7 +235,10 @@ mod tests {
         let t =
             joined(&[cuboid([-0.05, 0.0, 0.0], [0.05, 0.02, 0.03]), cuboid([-0.01, -0.06, 0.0], [0.01, 0.0, 0.03])]);
         let pieces = convex_parts(&t, &PartitionOptions::default()).unwrap();
-        assert_eq!(pieces.iter().map(|p| p.vertices.len()).collect::<Vec<_>>(), [8, 8]);
+        assert_eq!(pieces.iter().map(|p| p.corners().len()).collect::<Vec<_>>(), [8, 8]);
+        let boxed =
+            |p: &ConvexPart| matches!(p.primitive, Some(p) if matches!(p.shape, drex_core::PrimitiveShape::Box { .. }));
+        assert!(pieces.iter().all(boxed));
     }
 
     #[test]
@@ -253,7 +267,7 @@ mod tests {
         let truth = 0.1 * 0.1 * 0.06 - 0.08 * 0.08 * 0.05;
         assert!(solid.closed && (solid.volume_m3 - truth).abs() < 1e-12, "{solid:?}");
         let pieces = convex_parts(&bowl, &PartitionOptions::default()).unwrap();
-        let sum: f64 = pieces.iter().map(hull_volume).sum();
+        let sum: f64 = pieces.iter().map(|p| hull_volume(&p.hull)).sum();
         assert!(pieces.len() >= 5 && sum < 1.2 * truth && sum > 0.95 * truth, "{} pieces, {sum} {truth}", pieces.len());
         assert_eq!(pieces, convex_parts(&bowl, &PartitionOptions::default()).unwrap());
     }

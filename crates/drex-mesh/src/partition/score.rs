@@ -4,7 +4,7 @@ use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use drex_core::{Surface, TriMesh};
+use drex_core::{ConvexPart, Surface, TriMesh};
 
 use crate::bvh::Aabb;
 use crate::hull::planes;
@@ -38,9 +38,10 @@ pub struct UnionDistance {
 ///
 /// # Errors
 /// If there are no pieces or no samples, or the mesh encloses no volume.
-pub fn union_distance(mesh: &TriMesh, pieces: &[TriMesh], samples: usize, seed: u64) -> Result<UnionDistance> {
+pub fn union_distance(mesh: &TriMesh, parts: &[ConvexPart], samples: usize, seed: u64) -> Result<UnionDistance> {
     let solid = MeshSdf::new(mesh)?;
-    let area: f64 = pieces.iter().map(TriMesh::area).sum();
+    let pieces: Vec<&TriMesh> = parts.iter().map(|p| &p.hull).collect();
+    let area: f64 = pieces.iter().map(|p| p.area()).sum();
     if samples == 0 || !(area > 0.0) {
         return Err(Error::value("there is no union to measure", "give at least one piece and one sample"));
     }
@@ -113,12 +114,12 @@ mod tests {
     #[test]
     fn a_box_too_large_and_a_box_cut_in_two_have_known_scores() {
         let mesh = cuboid([0.0; 3], [0.1; 3]);
-        let exact = [cuboid([0.0; 3], [0.04, 0.1, 0.1]), cuboid([0.04, 0.0, 0.0], [0.1; 3])];
+        let exact = [cuboid([0.0; 3], [0.04, 0.1, 0.1]), cuboid([0.04, 0.0, 0.0], [0.1; 3])].map(ConvexPart::of_hull);
         let d = union_distance(&mesh, &exact, 20_000, 3).unwrap();
         // The common face is no surface of the union.
         assert!(d.max_m < 1e-9 && d.uncovered_share == 0.0 && (d.volume_ratio - 1.0).abs() < 1e-3, "{d:?}");
         // One face 1 cm out, the frame around it on average half of that.
-        let long = [cuboid([0.0; 3], [0.11, 0.1, 0.1])];
+        let long = [ConvexPart::of_hull(cuboid([0.0; 3], [0.11, 0.1, 0.1]))];
         let d = union_distance(&mesh, &long, 50_000, 3).unwrap();
         let mean = (0.01 * 0.01 + 4.0 * 0.001 * 0.005) / (0.02 + 0.044);
         assert!((d.mean_m / mean - 1.0).abs() < 0.03, "{} {mean}", d.mean_m);
@@ -131,6 +132,6 @@ mod tests {
     fn nothing_to_measure_is_refused() {
         let mesh = cuboid([0.0; 3], [0.1; 3]);
         assert!(union_distance(&mesh, &[], 100, 0).is_err());
-        assert!(union_distance(&mesh, std::slice::from_ref(&mesh), 0, 0).is_err());
+        assert!(union_distance(&mesh, &[ConvexPart::of_hull(mesh.clone())], 0, 0).is_err());
     }
 }

@@ -97,7 +97,22 @@ fn the_urdf_puts_every_mesh_where_it_was() {
             document.descendants().find(|n| n.has_tag_name("link") && n.attribute("name") == Some(&part.name));
         for visual in element.unwrap().children().filter(|n| n.has_tag_name("visual") || n.has_tag_name("collision")) {
             let offset = child(visual, "origin").map_or(Vector3::zeros(), |o| vector(node(o), "xyz"));
-            assert!((place + offset).norm() < 1e-15, "{}", part.name);
+            // A mesh is in the frame of all, a box has its own in its middle.
+            let (lo, hi) = part.mesh.bounds().unwrap();
+            let (own, to) = match visual.descendants().find(|n| n.has_tag_name("box")) {
+                Some(cuboid) => {
+                    let sorted = |v: Vector3<f64>| {
+                        let mut v: [f64; 3] = v.into();
+                        v.sort_by(f64::total_cmp);
+                        Vector3::from(v)
+                    };
+                    let apart = sorted(vector(cuboid, "size")) - sorted(hi - lo);
+                    assert!(apart.norm() < 1e-9, "{}", part.name);
+                    (nalgebra::center(&lo, &hi).coords, 1e-9)
+                }
+                None => (Vector3::zeros(), 1e-15),
+            };
+            assert!((place + offset - own).norm() < to, "{}", part.name);
         }
         let inertial = node(child(element.unwrap(), "inertial").unwrap());
         let com = place + vector(node(child(inertial, "origin").unwrap()), "xyz");

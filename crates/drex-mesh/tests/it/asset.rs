@@ -82,12 +82,17 @@ fn the_mjcf_says_what_the_asset_is() {
     assert!((read - truth).norm() < 1e-3 * truth.norm(), "{read} {truth}");
 
     let meshes = find("mesh");
-    assert_eq!(meshes.len(), 3, "two boxes and the visual mesh");
+    assert_eq!(meshes.len(), 1, "the visual mesh; boxes need none");
     for mesh in meshes {
         let file = mesh.attribute("file").unwrap();
         assert!(Path::new(file).is_relative());
         read_mesh(&out.join("asset").join(file)).unwrap();
     }
+    let boxes: Vec<_> = find("geom").into_iter().filter(|g| g.attribute("type") == Some("box")).collect();
+    let volumes = boxes.iter().map(|g| 8.0 * numbers(g.attribute("size").unwrap()).iter().product::<f64>());
+    // The stem goes on into the bar.
+    let whole_stem = 0.02 * 0.07 * 0.03;
+    assert!(boxes.len() == 2 && (volumes.sum::<f64>() - bar - whole_stem).abs() < 2e-4 * bar);
     assert_eq!(find("freejoint").len(), 1);
     assert!(find("geom").iter().any(|g| g.attribute("type") == Some("plane")));
     let body = numbers(find("body")[0].attribute("pos").unwrap());

@@ -88,6 +88,7 @@ fn options_decide_mass_unit_up_and_limits() {
     let mut few = CheckOptions::default();
     few.most_faces = 10;
     few.most_corners = 6;
+    few.asset.partition.primitive_tolerance = 0.0;
     let report = check_mesh(&block(), &few);
     assert_eq!((outcome(&report, 16), outcome(&report, 12), report.passed()), (Outcome::Fail, Outcome::Fail, false));
 }
@@ -119,19 +120,34 @@ fn files_are_judged_with_their_textures() {
     assert!(check_file(&folder.path().join("absent.obj"), &CheckOptions::default()).is_err());
 }
 
-/// An asset of a letter T, written out.
-fn asset(folder: &Path) -> PathBuf {
+/// An asset of a letter T, written out: of hulls, or with a tolerance of boxes.
+fn asset(folder: &Path, primitive_tolerance: f64) -> PathBuf {
     let t = joined(&[cuboid([-0.05, 0.0, 0.0], [0.05, 0.02, 0.03]), cuboid([-0.01, -0.06, 0.0], [0.01, 0.0, 0.03])]);
     let mut options = AssetOptions::default();
     options.mass_kg = Some(0.08);
+    options.partition.primitive_tolerance = primitive_tolerance;
     drex_mesh::asset_from_mesh(&t, &options).unwrap().write(folder).unwrap();
     folder.join("asset/object.xml")
 }
 
 #[test]
+fn boxes_of_a_model_are_checked_as_hulls_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let xml = asset(folder.path(), AssetOptions::default().partition.primitive_tolerance);
+    let good = check_asset(folder.path(), &CheckOptions::default()).unwrap();
+    assert!(good.passed(), "{good}");
+    let text = fs::read_to_string(&xml).unwrap();
+    let geom = text.lines().find(|l| l.contains("collision_01") && l.contains("type=\"box\"")).unwrap();
+    let size = &geom[geom.find("size=\"").unwrap()..geom.find("\" pos=").unwrap()];
+    fs::write(&xml, text.replace(geom, &geom.replace(size, "size=\"0.09 0.06 0.03"))).unwrap();
+    let report = check_asset(folder.path(), &CheckOptions::default()).unwrap();
+    assert_eq!(outcome(&report, 13), Outcome::Fail, "{report}");
+}
+
+#[test]
 fn an_asset_is_judged_by_what_is_on_disk() {
     let folder = tempfile::tempdir().unwrap();
-    let xml = asset(folder.path());
+    let xml = asset(folder.path(), 0.0);
     let options = CheckOptions::default();
     let good = check_asset(folder.path(), &options).unwrap();
     assert!(good.passed(), "{good}");
@@ -189,11 +205,11 @@ fn an_asset_is_judged_by_what_is_on_disk() {
 #[test]
 fn damaged_models_are_named_with_their_line() {
     let folder = tempfile::tempdir().unwrap();
-    let xml = asset(folder.path());
+    let xml = asset(folder.path(), 0.0);
     let text = fs::read_to_string(&xml).unwrap();
     for (broken, word) in [
         (text.replace("</worldbody>", ""), "line"),
-        (text.replace("quat=\"", "quat=\"x "), "4 numbers"),
+        (text.replace("quat=\"", "quat=\"x "), "no list of numbers"),
         ("<robot/>".to_string(), "not <mujoco>"),
         (text.replace("mesh=\"visual\"", "mesh=\"nothing\""), "nothing"),
     ] {

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use crate::support::{PNG, cuboid, joined, shared, stapler};
 use drex_core::mesh::convex_hull;
-use drex_core::{Pose, TriMesh};
+use drex_core::{ConvexPart, Pose, TriMesh};
 use drex_mesh::{
     Asset, AssetOptions, Background, SceneOptions, Texture, TextureMap, articulated_asset, asset_from_mesh, build_asset,
 };
@@ -176,7 +176,7 @@ fn a_scene_has_background_robot_and_object() {
         let folder = tempfile::tempdir().unwrap();
         let mut scene = SceneOptions::default();
         let step = cuboid([0.2, -0.1, 0.0], [0.4, 0.1, 0.05]);
-        scene.background = Some(Background { visual: step.clone(), convex_parts: vec![step] });
+        scene.background = Some(Background { visual: step.clone(), convex_parts: vec![ConvexPart::of_hull(step)] });
         // On the step.
         scene.world_from_object = Some(Pose::translation(0.3, 0.0, 0.06));
         scene.robot = Some(data.join("robots").join(robot));

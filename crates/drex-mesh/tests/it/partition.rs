@@ -1,7 +1,7 @@
 //! Convex pieces: shapes with a known best answer, real objects through the environment variable DREX_SHARED.
 
 use crate::support::shared;
-use drex_core::TriMesh;
+use drex_core::{ConvexPart, TriMesh};
 use drex_mesh::{PartitionOptions, UnionDistance, convex_parts, read_mesh, repair, union_distance};
 use nalgebra::Point3;
 use proptest::prelude::*;
@@ -30,15 +30,15 @@ fn cup(sectors: usize) -> TriMesh {
     revolved(&outline, sectors)
 }
 
-fn check(pieces: &[TriMesh], options: &PartitionOptions) {
+fn check(pieces: &[ConvexPart], options: &PartitionOptions) {
     assert!(!pieces.is_empty() && pieces.len() <= options.most_parts, "{} pieces", pieces.len());
     for piece in pieces {
-        assert!((4..=options.most_corners).contains(&piece.vertices.len()));
-        assert!(piece.mass_properties(1.0).unwrap().mass_kg > 1e-12);
+        assert!((4..=options.most_corners).contains(&piece.corners().len()));
+        assert!(piece.hull.mass_properties(1.0).unwrap().mass_kg > 1e-12);
     }
 }
 
-fn divided(mesh: &TriMesh, most_parts: usize) -> (Vec<TriMesh>, UnionDistance) {
+fn divided(mesh: &TriMesh, most_parts: usize) -> (Vec<ConvexPart>, UnionDistance) {
     let mut options = PartitionOptions::default();
     options.most_parts = most_parts;
     let pieces = convex_parts(mesh, &options).unwrap();
@@ -56,7 +56,7 @@ fn a_cup_comes_close_to_equal_sectors_and_a_floor() {
     assert!(d.max_m < 2.5 * chord && d.p99_m < 1.7 * chord && d.mean_m < 0.6 * chord, "{chord}");
     assert!(d.uncovered_share < 2e-3);
     // Hollow: a ball of 20 mm in the middle touches no piece.
-    let free = pieces.iter().flat_map(|p| &p.vertices).map(|v| v.x.hypot(v.y).max((0.034 - v.z).abs()));
+    let free = pieces.iter().flat_map(ConvexPart::corners).map(|v| v.x.hypot(v.y).max((0.034 - v.z).abs()));
     assert!(free.fold(f64::INFINITY, f64::min) > 0.02);
 }
 

@@ -93,7 +93,7 @@ impl PushRecording {
         if path.is_dir() && !file.is_file() {
             return Err(Error::content(path, None, "the folder holds no push.toml", REMEDY));
         }
-        if file.extension().is_none_or(|e| e != "toml") {
+        if file.is_file() && file.extension().is_none_or(|e| e != "toml") {
             return Err(Error::content(&file, None, "the file is no push.toml", REMEDY));
         }
         let config = PushConfig::read(&file)?;

@@ -56,7 +56,7 @@ fn costs(scene: &Scene<'_>, range_kg: [f64; 2], added: &[f64], scale: f64) -> Op
         let (cost, u) = settle(scene, m, &start, added, scale)?;
         out.push((m, cost, u));
     }
-    // Back again: neighbours are alike, but a valley may end.
+    // Back again: neighbours are alike, but a local minimum may end.
     for k in (0..out.len().saturating_sub(1)).rev() {
         let (cost, u) = settle(scene, out[k].0, &out[k + 1].2, added, scale)?;
         if cost < out[k].1 {

@@ -1,10 +1,10 @@
 //! On which faces a solid can stand: the faces of its convex hull with the centre of mass above them.
 
 use drex_core::mesh::convex_hull;
-use drex_core::{MassProperties, TriMesh};
+use drex_core::{MassProperties, Object, TriMesh};
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use crate::{ObjectModel, Result, SysidError};
+use crate::{Result, SysidError};
 
 /// Ways to stand that differ by less count as one, radians: scans have rough bottoms.
 const SAME: f64 = 0.26;
@@ -60,13 +60,13 @@ impl Standing {
     ///
     /// # Errors
     /// If it is flat or empty.
-    pub fn of_object(object: &ObjectModel) -> Result<Self> {
-        let points: Vec<Point3<f64>> = object.pieces.iter().flatten().copied().collect();
+    pub fn of_object(object: &Object) -> Result<Self> {
+        let points: Vec<Point3<f64>> = object.corners().copied().collect();
         let hull = convex_hull(&points).map_err(|_| SysidError::Object {
             what: "is flat or empty".into(),
             remedy: "give the surface of a solid, in metres".into(),
         })?;
-        let unit = object.unit.with_mass(1.0);
+        let unit = object.mass_properties.with_mass(1.0);
         let faces = ways_to_stand(&hull, &unit.center_of_mass);
         Ok(Self { hull, unit, of_hull: false, faces })
     }

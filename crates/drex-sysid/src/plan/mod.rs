@@ -18,9 +18,9 @@ mod worth;
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use drex_core::Pose;
 use drex_core::pose::pose_from_wxyz;
 use drex_core::trajectory::PoseNoise;
+use drex_core::{Object, Pose};
 use drex_recording::{PoseConfig, PushRecording, Support};
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -29,7 +29,8 @@ use serde::{Deserialize, Serialize};
 use self::rehearse::Stage;
 pub use self::robot::{FingerLimits, ForceLimits, RobotLimits, tip_force_limit};
 use self::standing::Standing;
-use crate::{IdentifyOptions, ObjectModel, Result, SysidError, Verdict};
+use crate::object::collider;
+use crate::{IdentifyOptions, Result, SysidError, Verdict};
 
 /// Gravity, m/s².
 const G: f64 = 9.81;
@@ -190,7 +191,7 @@ pub struct PlannedOutcome {
 /// # Errors
 /// If the robot can do nothing, a number is out of range, or the object does not stand.
 pub fn plan_push(
-    object: &ObjectModel,
+    object: &Object,
     support: &Support,
     robot: &RobotLimits,
     masses_kg: [f64; 2],
@@ -198,9 +199,9 @@ pub fn plan_push(
     progress: impl Fn(usize, usize) + Sync,
 ) -> Result<Vec<PlannedPush>> {
     check(robot, masses_kg, options)?;
-    let shape = object.shape()?;
-    let standing = Standing::new(object, &shape, &options.up_in_mesh)?;
-    let stage = Stage { object, shape: &shape, support, robot, options, dt_s: options.dt_s };
+    let collider = collider(object)?;
+    let standing = Standing::new(object, &options.up_in_mesh)?;
+    let stage = Stage { object, collider, support, robot, options, dt_s: options.dt_s };
     let pushes = candidates::all(&standing, support, robot, options, stage.friction(), masses_kg[0]);
     let (masses, count, done) = (grid(masses_kg, options.masses), pushes.len(), AtomicUsize::new(0));
     let mut judged: Vec<PlannedPush> = pushes
@@ -223,7 +224,7 @@ impl GuardedPush {
     /// If the push cannot be simulated.
     pub fn rehearse(
         &self,
-        object: &ObjectModel,
+        object: &Object,
         support: &Support,
         robot: &RobotLimits,
         options: &PlanOptions,
@@ -231,8 +232,7 @@ impl GuardedPush {
         seed: u64,
     ) -> Result<PushRecording> {
         check(robot, [mass_kg; 2], options)?;
-        let shape = object.shape()?;
-        let stage = Stage { object, shape: &shape, support, robot, options, dt_s: options.identify.dt_s };
+        let stage = Stage { object, collider: collider(object)?, support, robot, options, dt_s: options.identify.dt_s };
         stage.with_noise(stage.rehearse(self, mass_kg)?.recording, seed)
     }
 

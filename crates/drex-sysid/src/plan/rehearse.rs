@@ -1,15 +1,18 @@
 //! A planned push done in simulation: with feedback, until the object has moved enough.
 
-use drex_core::{Pose, Trajectory};
-use drex_diffsim::ConvexPolyhedron;
+use std::sync::Arc;
+
+use drex_core::{Object, Pose, Trajectory};
+use drex_diffsim::Collider;
 use drex_recording::{Drive, EncoderTrack, FingerPush, ForceProfile, PushRecording, Support};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
-use rand::{RngExt, SeedableRng};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::{GuardedPush, PlanOptions, PushKind, RobotLimits};
+use crate::noise::normal;
 use crate::problem::{Problem, Schedule};
-use crate::{IdentifyOptions, ObjectModel, Result};
+use crate::{IdentifyOptions, Result};
 
 /// Spacing of forces, commands and readings, seconds.
 const TICK_S: f64 = 0.01;
@@ -35,8 +38,8 @@ const FORCE_STREAM: u64 = 0x5bd1_e995;
 
 /// What the rehearsals of all pushes share.
 pub(super) struct Stage<'a> {
-    pub object: &'a ObjectModel,
-    pub shape: &'a [ConvexPolyhedron],
+    pub object: &'a Object,
+    pub collider: Arc<Collider>,
     pub support: &'a Support,
     pub robot: &'a RobotLimits,
     pub options: &'a PlanOptions,
@@ -189,7 +192,7 @@ impl Stage<'_> {
     fn simulate(&self, push: &GuardedPush, drive: &Drive, mass_kg: f64, times_s: &[f64], tips: bool) -> Result<Run> {
         let recording = self.recording(push, drive.clone())?;
         let options = self.identify_options();
-        let problem = Problem::new(&recording, self.object, self.shape, &options, self.options.noise)?;
+        let problem = Problem::new(&recording, self.object, &self.collider, &options, self.options.noise)?;
         let record = problem.run(&problem.stated(mass_kg, self.friction()), options.dt_s, times_s)?;
         let poses = record.bodies.into_iter().next().map(|b| b.poses).unwrap_or_default();
         let start = push.start_pose()?;
@@ -260,9 +263,4 @@ impl Stage<'_> {
 /// Times from zero to `end_s`, [`TICK_S`] apart.
 fn ticks(end_s: f64) -> Vec<f64> {
     (0..=(end_s / TICK_S).round() as usize).map(|k| k as f64 * TICK_S).collect()
-}
-
-/// A standard normal number.
-fn normal(rng: &mut ChaCha8Rng) -> f64 {
-    drex_core::stats::normal_pair(rng.random(), std::f64::consts::TAU * rng.random::<f64>())[0]
 }

@@ -1,10 +1,10 @@
 //! The object as it stands: where a ray meets it, how far its base reaches, where its ends are.
 
-use drex_core::Pose;
+use drex_core::{Object, Pose};
 use drex_diffsim::ConvexPolyhedron;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
-use crate::{ObjectModel, Result, SysidError};
+use crate::{Result, SysidError};
 
 /// Vertices this much above the lowest belong to the base, metres.
 const BASE_M: f64 = 5e-4;
@@ -24,25 +24,21 @@ pub(super) struct Standing {
 }
 
 impl Standing {
-    pub(super) fn new(object: &ObjectModel, pieces: &[ConvexPolyhedron], up_in_mesh: &Vector3<f64>) -> Result<Self> {
+    pub(super) fn new(object: &Object, up_in_mesh: &Vector3<f64>) -> Result<Self> {
         let turn = UnitQuaternion::rotation_between(up_in_mesh, &Vector3::z())
             .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
-        let center = turn * object.unit.center_of_mass;
-        let points = || pieces.iter().flat_map(|p| p.vertices()).map(|v| turn * v);
-        let low = points().map(|p| p.z).fold(f64::INFINITY, f64::min);
+        let center = turn * object.mass_properties.center_of_mass;
+        let low = object.bounds_at(&Pose::from_parts(Vector3::zeros().into(), turn)).map_or(0.0, |(lo, _)| lo.z);
         let from_mesh = Pose::from_parts(Vector3::new(-center.x, -center.y, -low).into(), turn);
-        let planes = pieces
-            .iter()
-            .map(|p| {
-                let moved = |(n, d): &(Vector3<f64>, f64)| {
-                    let normal = turn * n;
-                    (normal, d + normal.dot(&from_mesh.translation.vector))
-                };
-                p.planes().iter().map(moved).collect()
-            })
-            .collect();
-        let vertices = pieces.iter().flat_map(|p| p.vertices()).map(|v| from_mesh * v).collect();
-        let out = Self { from_mesh, center: from_mesh * object.unit.center_of_mass, vertices, planes };
+        let moved = |(n, d): &(Vector3<f64>, f64)| {
+            let normal = turn * n;
+            (normal, d + normal.dot(&from_mesh.translation.vector))
+        };
+        // A part without volume was refused when the collider was made.
+        let pieces = object.convex_parts.iter().filter_map(|p| ConvexPolyhedron::from_points(p.corners()).ok());
+        let planes = pieces.map(|p| p.planes().iter().map(moved).collect()).collect();
+        let vertices = object.corners().map(|v| from_mesh * v).collect();
+        let out = Self { from_mesh, center: from_mesh * object.mass_properties.center_of_mass, vertices, planes };
         let directions = (0..16).map(|k| {
             let (y, x) = (std::f64::consts::TAU * f64::from(k) / 16.0).sin_cos();
             Vector3::new(x, y, 0.0)
@@ -125,7 +121,8 @@ impl Standing {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use drex_core::MassProperties;
+    use drex_core::mesh::convex_hull;
+    use drex_core::{ConvexPart, MassProperties};
     use nalgebra::Matrix3;
 
     #[test]
@@ -138,10 +135,10 @@ mod tests {
             center_of_mass: Point3::new(0.05, 0.02, 0.02),
             inertia: Matrix3::identity() * 1e-3,
         };
-        let object = ObjectModel { pieces: vec![points.clone()], unit };
-        let pieces = [ConvexPolyhedron::from_points(&points).unwrap()];
+        let part = ConvexPart::of_hull(convex_hull(&points).unwrap());
+        let object = Object::of_parts(vec![part], unit);
         // The mesh's x points up: 10 cm high, 4 x 4 cm wide.
-        let s = Standing::new(&object, &pieces, &Vector3::x()).unwrap();
+        let s = Standing::new(&object, &Vector3::x()).unwrap();
         assert!((s.height() - 0.1).abs() < 1e-12 && (s.center - Point3::new(0.0, 0.0, 0.05)).norm() < 1e-12);
         assert!((s.base_reach(&Vector3::x()) - 0.02).abs() < 1e-12);
         let side = s.side(&Vector3::y(), 0.07).unwrap();

@@ -45,7 +45,7 @@ pub(super) fn text(push: &GuardedPush, outcomes: &[PlannedOutcome], verdict: Ver
         }
         (Verdict::Identified, _) => format!("+-{:.1} %", 100.0 * half_width(sd)),
         (Verdict::OnlyMuM, _) => "friction times mass only".into(),
-        (Verdict::NotIdentifiable, _) => "no mass".into(),
+        (Verdict::Fitted | Verdict::NotIdentifiable, _) => "no mass".into(),
     };
     format!("{what} {how} {until}{force}: {result}")
 }

@@ -5,14 +5,12 @@ use rayon::prelude::*;
 
 use super::rehearse::{Rehearsal, Stage};
 use super::{GuardedPush, PlannedOutcome, PlannedPush, PushDrive, PushKind, words};
+use crate::ensemble::{Steps, UNKNOWN};
 use crate::identify::{SD_LIMIT, SD_PRODUCT_LIMIT};
-use crate::information::Information;
 use crate::joint::Joint;
 use crate::problem::Problem;
 use crate::{Result, Verdict};
 
-/// A standard deviation of a logarithm beyond which the number is not known at all.
-const UNKNOWN: f64 = 3.0;
 /// An object that goes this much farther than its lean explains slides, metres.
 const SLIPPED_M: f64 = 0.02;
 /// An object that moves and leans less than this does not move: a fraction of what it was to.
@@ -149,28 +147,40 @@ impl Stage<'_> {
         // The noise of a force is found in the record, so there must be some.
         let recording = self.with_noisy_force(recording.clone(), options.seed);
         let noise = self.options.noise;
-        let problem = Problem::new(&recording, self.object, self.shape, &options, noise)?;
-        let floor = crate::estimate::floor(&problem);
+        let problem = Problem::new(&recording, self.object, &self.collider, &options, noise)?;
         let joint = Joint::new(vec![problem], &[recording.support.friction]);
+        let simulators = joint.simulators();
         let mut point = joint.start();
         point[0] = mass_kg.ln();
         if let Some(k) = joint.friction() {
             point[k] = self.friction().ln();
         }
-        let there = joint.evaluate(point, None, options.dt_s);
-        let unknown = Worth { poses: UNKNOWN, force: 0.0, model: floor, product: None };
+        let unknown = Worth { poses: UNKNOWN, force: 0.0, model: simulators, product: None };
+        let there = joint.evaluate(point.clone(), None, options.dt_s);
         if !there.cost.is_finite() {
             return Ok(unknown);
         }
-        let information = Information::of(&joint, &there, &options)?;
-        let product = joint.friction().map(|_| information.sd_product());
-        let poses = information.sd_of_poses();
+        // Twice: the first draws are as wide as a line may be, the second ones as the posterior is.
+        let mut gaussian = joint.first_guess(&there);
+        let mut found = None;
+        for _ in 0..2 {
+            let Some(next) = joint.linearise(&gaussian, Steps::One(options.dt_s), options.seed) else {
+                return Ok(unknown);
+            };
+            gaussian.covariance = next.gaussian.covariance.clone();
+            found = Some(next);
+        }
+        let Some(found) = found else { return Ok(unknown) };
+        let product = joint.friction().map(|f| {
+            let c = &found.gaussian.covariance;
+            (c[(0, 0)] + 2.0 * c[(0, f)] + c[(f, f)]).max(0.0).sqrt()
+        });
+        let s = &found.sources;
+        let poses = (s.poses + s.encoder + s.priors.max(0.0)).sqrt();
         if poses.is_nan() || poses >= UNKNOWN {
             return Ok(Worth { product, ..unknown });
         }
-        let contact = joint.contact_sd(&there, &information, &options);
-        let force = information.sd_of_force().hypot(information.factor);
-        Ok(Worth { poses, force, model: contact.hypot(floor), product })
+        Ok(Worth { poses, force: s.force.sqrt(), model: s.contact.sqrt().hypot(simulators), product })
     }
 }
 

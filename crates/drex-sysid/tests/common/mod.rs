@@ -2,11 +2,12 @@
 
 use std::path::PathBuf;
 
+use drex_core::mesh::convex_hull;
 use drex_core::trajectory::PoseNoise;
-use drex_core::{MassProperties, Pose, Trajectory, TriMesh};
-use drex_diffsim::{AppliedForce, Body, Collider, ConvexPolyhedron, ForcePoint, Model, Part, Scene, State, rollout};
+use drex_core::{ConvexPart, MassProperties, Object, Pose, Trajectory, TriMesh};
+use drex_diffsim::{AppliedForce, Body, Collider, ForcePoint, Model, Part, Scene, State, rollout};
+use drex_mesh::{AssetOptions, LengthUnit, asset_from_mesh};
 use drex_recording::{Drive, ForceProfile, PushRecording};
-use drex_sysid::ObjectModel;
 use nalgebra::{Matrix3, Point3, Vector3};
 use std::sync::Arc;
 
@@ -33,9 +34,16 @@ pub fn box_mesh(half: Vector3<f64>, center: Vector3<f64>) -> TriMesh {
     TriMesh::new(vertices, faces).unwrap()
 }
 
+/// The object of a mesh in metres, made as `drex identify` makes it.
+pub fn object_of(mesh: &TriMesh) -> Object {
+    let mut metres = AssetOptions::default();
+    metres.unit = LengthUnit::Metre;
+    asset_from_mesh(mesh, &metres).unwrap().to_exact_object("").unwrap()
+}
+
 /// A block of 5 x 6 x 8 cm.
-pub fn block() -> ObjectModel {
-    ObjectModel::from_mesh(&box_mesh(Vector3::new(0.025, 0.03, 0.04), Vector3::zeros())).unwrap()
+pub fn block() -> Object {
+    object_of(&box_mesh(Vector3::new(0.025, 0.03, 0.04), Vector3::zeros()))
 }
 
 /// A push of that block, simulated with `mass_kg`, under `force` between 0.3 and 0.45 s at `point`.
@@ -57,9 +65,8 @@ pub fn pushed_by(
     point: Point3<f64>,
 ) -> PushRecording {
     let object = block();
-    let shape =
-        Arc::new(Collider::convex(object.pieces.iter().map(|p| ConvexPolyhedron::from_points(p).unwrap()).collect()));
-    let model = Model::new(vec![Body::new(&object.unit, mass_kg, shape)]);
+    let shape = Arc::new(Collider::of_parts(&object.convex_parts).unwrap());
+    let model = Model::new(vec![Body::new(&object.mass_properties, mass_kg, shape)]);
     let mut scene = Scene::on_table(friction);
     let times: Vec<f64> = (0..120).map(|k| f64::from(k) * 0.01).collect();
     let [forces, torques] = wrench.map(|w| -> Vec<_> {
@@ -83,12 +90,12 @@ pub fn pushed_by(
 }
 
 /// Mass properties of a solid box around `points` at 1 kg, for objects whose solid does not matter.
-pub fn bounding_solid(points: Vec<Point3<f64>>) -> ObjectModel {
+pub fn bounding_solid(points: Vec<Point3<f64>>) -> Object {
     let (lo, hi) = points.iter().fold((points[0], points[0]), |(a, b), p| (a.inf(p), b.sup(p)));
     let s = (hi - lo).component_mul(&(hi - lo)) / 12.0;
     let inertia = Matrix3::from_diagonal(&Vector3::new(s.y + s.z, s.z + s.x, s.x + s.y));
     let unit = MassProperties { mass_kg: 1.0, center_of_mass: nalgebra::center(&lo, &hi), inertia };
-    ObjectModel { pieces: vec![points], unit }
+    Object::of_parts(vec![ConvexPart::of_hull(convex_hull(&points).unwrap())], unit)
 }
 
 /// Standard normal deviates from a seed: sums of twelve uniforms of a linear congruential generator.

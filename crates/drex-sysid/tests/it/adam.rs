@@ -14,7 +14,7 @@ fn adam_finds_a_mass_from_its_guess_and_has_no_interval() {
     push.mass_prior_kg = Some(0.25);
     let a = identify(std::slice::from_ref(&push), &block(), &options).unwrap();
     assert!((a.mass_kg.unwrap() / m - 1.0).abs() < 0.01, "{:?}", a.mass_kg);
-    assert_eq!((a.verdict, a.ci95_kg, a.simulations), (Verdict::Identified, None, 401));
+    assert_eq!((a.verdict, a.ci95_kg, a.simulations), (Verdict::Fitted, None, 401));
     assert!(a.reason.contains("No interval") && a.reason.contains("200 epochs"), "{}", a.reason);
     let losses = a.reason.split("residuals from ").nth(1).unwrap().split(" (").next().unwrap();
     let losses: Vec<f64> = losses.split(" to ").map(|x| x.parse().unwrap()).collect();

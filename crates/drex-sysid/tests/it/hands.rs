@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use crate::common::{box_mesh, normals, shared};
-use drex_core::{Pose, Trajectory, TriMesh};
+use drex_core::{ConvexPart, Object, Pose, Trajectory, TriMesh};
 use drex_recording::JointLog;
 use drex_recording::convert::allegro_run;
 use drex_recording::{Drive, HandPush, PushRecording};
@@ -11,7 +11,7 @@ use drex_robot::{Robot, joint_order};
 use drex_sysid::bound::{Bound, BoundOptions, Topple, of_topple};
 use drex_sysid::calibrate::{CalibrateOptions, ExtraTorque, HandCalibration, HandRun, hand};
 use drex_sysid::frames::{FrameOptions, HandPlacement, Standing, against_hand, find, tip_paths};
-use drex_sysid::{Identification, IdentifyOptions, ObjectModel, Parameter, Verdict, identify};
+use drex_sysid::{Identification, IdentifyOptions, Parameter, Verdict, identify};
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 const DOWN: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
@@ -448,7 +448,7 @@ fn tracks_and_logs_of_different_runs_are_refused_with_both_times() {
 /// What identify says of a run, with a calibration or without.
 fn identified(recording: &PushRecording, hand: Option<&HandCalibration>) -> Identification {
     let solid = Standing::of(&TriMesh::read(&recording.mesh).unwrap()).unwrap();
-    let object = ObjectModel { pieces: vec![solid.hull.vertices.clone()], unit: solid.unit };
+    let object = Object::of_parts(vec![ConvexPart::of_hull(solid.hull.clone())], solid.unit);
     let mut options = IdentifyOptions::default();
     options.hand = hand.cloned();
     identify(std::slice::from_ref(recording), &object, &options).unwrap()
@@ -497,7 +497,7 @@ fn a_joint_log_of_another_hand_is_refused_by_name() {
     let Some(all) = real_runs() else { return };
     let (name, mut recording, mut push) = all.into_iter().next().unwrap();
     let solid = Standing::of(&TriMesh::read(&recording.mesh).unwrap()).unwrap();
-    let object = ObjectModel { pieces: vec![solid.hull.vertices.clone()], unit: solid.unit };
+    let object = Object::of_parts(vec![ConvexPart::of_hull(solid.hull.clone())], solid.unit);
     let mut message = |push: &HandPush| {
         recording.drive = Drive::Hand(push.clone());
         identify(std::slice::from_ref(&recording), &object, &IdentifyOptions::default()).unwrap_err().to_string()
@@ -521,7 +521,7 @@ fn efforts_that_cannot_be_are_no_answer() {
             hand.joints.efforts.iter_mut().flatten().for_each(|e| *e *= factor);
         }
         let solid = Standing::of(&TriMesh::read(&other.mesh).unwrap()).unwrap();
-        let object = ObjectModel { pieces: vec![solid.hull.vertices.clone()], unit: solid.unit };
+        let object = Object::of_parts(vec![ConvexPart::of_hull(solid.hull.clone())], solid.unit);
         identify(&[other], &object, &IdentifyOptions::default())
     };
     // Columns of zeros are no efforts.

@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use crate::common::{block, normals, shared, simulated};
-use drex_core::TriMesh;
+use crate::common::{block, normals, object_of, shared, simulated};
+use drex_core::{Object, TriMesh};
 use drex_recording::convert::mujoco_push::{self, ForceQuality, Inputs, PoseQuality};
 use drex_recording::{Drive, PushRecording};
-use drex_sysid::{Identification, IdentifyOptions, Knowledge, ObjectModel, Parameter, identify};
+use drex_sysid::{Identification, IdentifyOptions, Knowledge, Parameter, identify};
 use nalgebra::{Point3, Vector3};
 
 /// The same push with noise of `sd` newtons per axis on the samples of its force.
@@ -42,9 +42,9 @@ fn noise_of_the_force_leaves_what_it_must_and_hardly_more() {
     assert!(held >= 11, "{held} of {draws}");
 }
 
-fn load(folder: &Path, poses: PoseQuality, force: ForceQuality) -> (PushRecording, ObjectModel) {
+fn load(folder: &Path, poses: PoseQuality, force: ForceQuality) -> (PushRecording, Object) {
     let recording = mujoco_push::load(folder, Inputs { poses, force }).unwrap();
-    let object = ObjectModel::from_mesh(&TriMesh::read(&recording.mesh).unwrap()).unwrap();
+    let object = object_of(&TriMesh::read(&recording.mesh).unwrap());
     (recording, object)
 }
 

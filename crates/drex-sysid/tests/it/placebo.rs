@@ -8,13 +8,12 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::common::{block, shared, simulated};
-use drex_core::Trajectory;
-use drex_core::TriMesh;
+use crate::common::{block, object_of, shared, simulated};
 use drex_core::trajectory::PoseNoise;
+use drex_core::{Object, Trajectory, TriMesh};
 use drex_recording::convert::mujoco_push::{self, ForceQuality, Inputs, PoseQuality};
 use drex_recording::{Drive, ForceProfile, PushRecording};
-use drex_sysid::{Identification, IdentifyOptions, ObjectModel, Verdict, identify};
+use drex_sysid::{Identification, IdentifyOptions, Verdict, identify};
 use nalgebra::{Point3, Vector3};
 
 const G: f64 = 9.81;
@@ -28,13 +27,13 @@ const RECORDINGS: [&str; 6] = [
     "letter_t/finger_tilt",
 ];
 
-fn weigh(push: PushRecording, object: &ObjectModel) -> Identification {
+fn weigh(push: PushRecording, object: &Object) -> Identification {
     identify(&[push], object, &IdentifyOptions::default()).unwrap()
 }
 
-fn load(folder: &Path, inputs: Inputs) -> (PushRecording, ObjectModel) {
+fn load(folder: &Path, inputs: Inputs) -> (PushRecording, Object) {
     let recording = mujoco_push::load(folder, inputs).unwrap();
-    let object = ObjectModel::from_mesh(&TriMesh::read(&recording.mesh).unwrap()).unwrap();
+    let object = object_of(&TriMesh::read(&recording.mesh).unwrap());
     (recording, object)
 }
 
@@ -74,7 +73,7 @@ fn with_drive(mut push: PushRecording, drive: Drive) -> PushRecording {
     push
 }
 
-fn weighs_nothing(push: PushRecording, object: &ObjectModel, what: &str) {
+fn weighs_nothing(push: PushRecording, object: &Object, what: &str) {
     let a = weigh(push, object);
     assert_eq!(a.verdict, Verdict::NotIdentifiable, "{what}: {:?} {:?} {}", a.mass_kg, a.ci95_kg, a.reason);
     assert!(a.mass_kg.is_none() && a.ci95_kg.is_none());

@@ -1,11 +1,12 @@
 //! The planner: what it promises is what the estimator then does.
 
-use crate::common::{block, box_mesh};
+use crate::common::{block, box_mesh, object_of};
+use drex_core::Object;
 use drex_recording::{Drive, Support, SupportBox};
 use drex_sysid::plan::{
     FingerLimits, ForceLimits, PlanOptions, PlannedPush, PushDrive, PushKind, RobotLimits, plan_push, tip_force_limit,
 };
-use drex_sysid::{IdentifyOptions, ObjectModel, SysidError, Verdict, identify};
+use drex_sysid::{IdentifyOptions, SysidError, Verdict, identify};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
@@ -202,7 +203,7 @@ fn the_plan_does_not_depend_on_threads() {
 #[test]
 fn nonsense_is_refused() {
     let options = PlanOptions::default();
-    let plan = |object: &ObjectModel, robot: &RobotLimits, masses| {
+    let plan = |object: &Object, robot: &RobotLimits, masses| {
         plan_push(object, &rough(), robot, masses, &options, |_, _| {}).unwrap_err()
     };
     let good = robot(Some(force()), None);
@@ -211,8 +212,8 @@ fn nonsense_is_refused() {
     let soft = robot(None, Some(finger(-1.0)));
     assert!(plan(&block(), &soft, [0.1, 0.2]).to_string().contains("kp_n_m"));
     // A block whose centre of mass is beside its base.
-    let mut lopsided = ObjectModel::from_mesh(&box_mesh(Vector3::new(0.02, 0.02, 0.02), Vector3::zeros())).unwrap();
-    lopsided.unit.center_of_mass.x = 0.05;
+    let mut lopsided = object_of(&box_mesh(Vector3::new(0.02, 0.02, 0.02), Vector3::zeros()));
+    lopsided.mass_properties.center_of_mass.x = 0.05;
     assert!(plan(&lopsided, &good, [0.1, 0.2]).to_string().contains("does not stand"));
 }
 

@@ -2,15 +2,15 @@
 
 use std::path::Path;
 
-use crate::common::shared;
+use crate::common::{object_of, shared};
 use drex_core::TriMesh;
 use drex_recording::convert::mujoco_push::{self, ForceQuality, Inputs, PoseQuality};
 use drex_recording::{Drive, PushRecording, StatedParameter};
-use drex_sysid::{Identification, IdentifyOptions, ObjectModel, Parameter, Verdict, identify};
+use drex_sysid::{Identification, IdentifyOptions, Parameter, Verdict, identify};
 
 fn weigh(folder: &Path, inputs: Inputs) -> Identification {
     let recording = mujoco_push::load(folder, inputs).unwrap();
-    let object = ObjectModel::from_mesh(&TriMesh::read(&recording.mesh).unwrap()).unwrap();
+    let object = object_of(&TriMesh::read(&recording.mesh).unwrap());
     identify(&[recording], &object, &IdentifyOptions::default()).unwrap()
 }
 
@@ -105,10 +105,9 @@ fn three_densities_of_one_shape_are_told_apart() {
 fn sensitivities_predict_what_a_wrong_finger_or_a_wrong_friction_does() {
     let Some(shared) = shared() else { return };
     let root = shared.join("data/push_mujoco");
-    let object_of = |r: &PushRecording| ObjectModel::from_mesh(&TriMesh::read(&r.mesh).unwrap()).unwrap();
     for name in ["brick/finger_tilt", "letter_t/finger_slow", "letter_l/finger_fast"] {
         let push = mujoco_push::load(&root.join(name), Inputs::default()).unwrap();
-        let object = object_of(&push);
+        let object = object_of(&TriMesh::read(&push.mesh).unwrap());
         let right = identify(std::slice::from_ref(&push), &object, &IdentifyOptions::default()).unwrap();
         let changes = |p: Parameter| right.sensitivities.iter().find(|s| s.parameter == p).map_or(0.0, |s| s.log_mass);
         let (mut stiff, mut rough) = (push.clone(), push.clone());
@@ -144,7 +143,7 @@ fn the_likelihood_of_a_rocked_tin_has_no_gap() {
     let truth = 0.236; // kg, as in truth.json beside it
     for wider in [1.01, 1.015] {
         let vertices = tin.vertices.iter().map(|v| [wider * v.x, wider * v.y, v.z].into()).collect();
-        let object = ObjectModel::from_mesh(&TriMesh::new(vertices, tin.faces.clone()).unwrap()).unwrap();
+        let object = object_of(&TriMesh::new(vertices, tin.faces.clone()).unwrap());
         let a = identify(std::slice::from_ref(&push), &object, &IdentifyOptions::default()).unwrap();
         let ci = a.ci95_kg.unwrap();
         assert!(ci[0] < truth && truth < ci[1], "{wider}: {ci:?}");

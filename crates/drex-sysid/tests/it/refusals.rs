@@ -1,9 +1,9 @@
 //! Recordings that cannot be what they say they are.
 
-use crate::common::{block, box_mesh, normals, simulated};
+use crate::common::{block, box_mesh, normals, object_of, simulated};
 use drex_core::{Pose, Trajectory};
 use drex_recording::{Drive, PushRecording};
-use drex_sysid::{IdentifyOptions, ObjectModel, identify};
+use drex_sysid::{IdentifyOptions, identify};
 use nalgebra::{Point3, Vector3};
 
 fn lifted() -> PushRecording {
@@ -75,7 +75,7 @@ fn an_object_at_rest_stands_on_something() {
 
 #[test]
 fn a_mesh_in_millimetres_is_named() {
-    let huge = ObjectModel::from_mesh(&box_mesh(Vector3::new(25.0, 30.0, 40.0), Vector3::zeros())).unwrap();
+    let huge = object_of(&box_mesh(Vector3::new(25.0, 30.0, 40.0), Vector3::zeros()));
     let message = identify(&[lifted()], &huge, &IdentifyOptions::default()).unwrap_err().to_string();
     assert!(message.contains("m across") && message.contains("millimetres"), "{message}");
 }

@@ -3,9 +3,7 @@
 
 use std::sync::{Arc, LazyLock};
 
-use drex_core::mesh::convex_hull;
-use drex_core::{MassProperties, Object, Pose, SdfSample, SignedDistance, SolidGeometry, SurfacePoint, TablePlane};
-use drex_diffsim::{Collider, Geom, Shape};
+use drex_core::{ConvexPart, MassProperties, Object, Pose, Primitive, PrimitiveShape, SurfacePoint, TablePlane};
 use drex_grasp::{FoundGrasp, HandSurface, SearchOptions, search_grasps};
 use drex_robot::Robot;
 use drex_trial::{Assumed, GripForce, Trial, TrialOptions};
@@ -13,32 +11,6 @@ use nalgebra::{Matrix3, Point3, Vector3};
 
 /// Half extents of the box, m.
 pub const HALF: Vector3<f64> = Vector3::new(0.025, 0.035, 0.04);
-
-/// Signed distance of the box.
-pub struct Cuboid;
-
-impl SignedDistance for Cuboid {
-    fn signed_distance(&self, point: &Point3<f64>) -> SdfSample {
-        let q = point.coords.abs() - HALF;
-        let sign = point.coords.map(|x| if x < 0.0 { -1.0 } else { 1.0 });
-        let outside = q.map(|x| x.max(0.0));
-        if outside.norm() > 0.0 {
-            return SdfSample { distance_m: outside.norm(), gradient: outside.normalize().component_mul(&sign) };
-        }
-        let k = q.imax();
-        SdfSample { distance_m: q[k], gradient: Vector3::ith(k, sign[k]) }
-    }
-}
-
-impl SolidGeometry for Cuboid {
-    fn exact(&self) -> &dyn SignedDistance {
-        self
-    }
-
-    fn bounding_box(&self) -> (Point3<f64>, Point3<f64>) {
-        (Point3::from(-HALF), Point3::from(HALF))
-    }
-}
 
 /// Points on the four sides, outward normals.
 fn sides() -> Vec<SurfacePoint> {
@@ -62,14 +34,13 @@ fn sides() -> Vec<SurfacePoint> {
 pub fn trial_of(change: impl FnOnce(&mut Object, &mut TrialOptions)) -> Trial {
     let s = HALF.component_mul(&HALF) / 3.0;
     let inertia = Matrix3::from_diagonal(&Vector3::new(s.y + s.z, s.z + s.x, s.x + s.y));
-    let corner = |k: usize| Point3::from(Vector3::from_fn(|a, _| if k >> a & 1 == 1 { HALF[a] } else { -HALF[a] }));
-    let mesh = convex_hull(&(0..8).map(corner).collect::<Vec<_>>()).unwrap();
     let properties = MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia };
-    let mut object = Object::convex(mesh, Arc::new(Cuboid), properties, Pose::translation(0.0, 0.0, HALF.z));
+    let shape = PrimitiveShape::Box { half_m: HALF.into() };
+    let part = ConvexPart::of_primitive(Primitive { shape, object_from_shape: Pose::identity() }).unwrap();
+    let mut object = Object::of_parts(vec![part], properties).with_rest_pose(Pose::translation(0.0, 0.0, HALF.z));
     let mut options = TrialOptions::default();
     change(&mut object, &mut options);
-    let collider = Collider::new(&[Geom::new(Shape::Box { half_m: HALF })]).unwrap();
-    Trial::with_collider(Arc::new(Robot::bundled("leap_right").unwrap()), object, collider, options).unwrap()
+    Trial::new(Arc::new(Robot::bundled("leap_right").unwrap()), object, options).unwrap()
 }
 
 /// Grasps of the box that the hand can carry 150 g with at friction 0.5, those that grip force least first; searched for once for all tests.
@@ -84,7 +55,9 @@ fn searched() -> Vec<FoundGrasp> {
     let table = TablePlane { up: Vector3::z_axis(), height_m: -HALF.z };
     let mut options = SearchOptions::default();
     options.candidates = 6000;
-    let found = search_grasps(trial.hand(), &surface, &Cuboid, &sides(), &Point3::origin(), &table, &options).unwrap();
+    let found =
+        search_grasps(trial.hand(), &surface, &*trial.object().geometry, &sides(), &Point3::origin(), &table, &options)
+            .unwrap();
     let assumed = Assumed { mass_kg: 0.15, friction: 0.5 };
     let mut good: Vec<(f64, FoundGrasp)> = found
         .into_iter()

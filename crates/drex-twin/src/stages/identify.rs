@@ -10,7 +10,6 @@ use drex_sysid::{IdentifyOptions, MassPosterior, MassPrior, Parameter, identify_
 
 use crate::Progress;
 use crate::Twin;
-use crate::object::object_model;
 use crate::records::MassFile;
 use crate::records::{MASS, SCAN, ScanFile, read_json, write_json};
 
@@ -46,7 +45,7 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
         progress.begin("identify", Some(PARTS));
         let mut options = IdentifyOptions::default();
         options.seed = twin.seed;
-        let object = object_model(twin.asset()?);
+        let object = twin.object()?;
         let result =
             identify_watched(&recordings, &object, &options, &|part| progress.at((PARTS as f64 * part) as u64, ""))?;
         progress.end();

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use crate::asset::ContactConfig;
-use drex_core::Pose;
+use drex_core::{ConvexPart, Pose, Primitive, PrimitiveShape};
 
 use super::{Link, numbers, place, pos_quat};
 use crate::asset::Asset;
@@ -83,7 +83,7 @@ pub(super) fn meshes(link: &Link<'_>) -> String {
         let _ = writeln!(out, "    <texture name=\"{visual}\" type=\"2d\" file=\"../mesh/{visual}.png\"/>");
         let _ = writeln!(out, "    <material name=\"{visual}\" texture=\"{visual}\" specular=\"0\" shininess=\"0\"/>");
     }
-    for name in link.collisions() {
+    for (name, _) in link.collisions().filter(|(_, part)| part.primitive.is_none()) {
         let _ = writeln!(out, "    <mesh name=\"{name}\" file=\"../mesh/{name}.obj\"/>");
     }
     out
@@ -114,10 +114,23 @@ pub(super) fn link_content(link: &Link<'_>, indent: &str) -> String {
     // The class's grey would darken the picture.
     let look = if link.textured { format!(" material=\"{visual}\" rgba=\"1 1 1 1\"") } else { String::new() };
     let _ = writeln!(out, "{indent}<geom name=\"{visual}\" class=\"visual\" mesh=\"{visual}\"{look}/>");
-    for name in link.collisions() {
-        let _ = writeln!(out, "{indent}<geom name=\"{name}\" class=\"collision\" mesh=\"{name}\"/>");
+    for (name, part) in link.collisions() {
+        let _ = writeln!(out, "{indent}<geom name=\"{name}\" class=\"collision\" {}/>", shape(&name, part));
     }
     out
+}
+
+/// The attributes of a geom that say what it is: a primitive at its place, or the mesh `name`.
+pub(super) fn shape(name: &str, part: &ConvexPart) -> String {
+    let Some(Primitive { shape, object_from_shape }) = part.primitive else { return format!("mesh=\"{name}\"") };
+    let (kind, size) = match shape {
+        PrimitiveShape::Sphere { radius_m } => ("sphere", vec![radius_m]),
+        PrimitiveShape::Capsule { radius_m, half_length_m } => ("capsule", vec![radius_m, half_length_m]),
+        PrimitiveShape::Cylinder { radius_m, half_length_m } => ("cylinder", vec![radius_m, half_length_m]),
+        PrimitiveShape::Box { half_m } => ("box", half_m.to_vec()),
+    };
+    let (pos, quat) = pos_quat(&object_from_shape);
+    format!("type=\"{kind}\" size=\"{}\" pos=\"{pos}\" quat=\"{quat}\"", numbers(&size))
 }
 
 /// Stable poses as keyframes of a model whose first joint is the free one, the other `joints` at 0.

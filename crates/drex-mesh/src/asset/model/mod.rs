@@ -6,7 +6,7 @@ mod mjcf;
 mod scene;
 mod urdf;
 
-use drex_core::{MassProperties, Pose};
+use drex_core::{ConvexPart, MassProperties, Pose};
 use nalgebra::Point3;
 
 use crate::asset::Asset;
@@ -24,7 +24,7 @@ pub(crate) struct Link<'a> {
     pub name: &'a str,
     /// What the names of its meshes and geoms start with: empty, or the name and `_`.
     pub prefix: &'a str,
-    pub convex_parts: usize,
+    pub convex_parts: &'a [ConvexPart],
     /// Whether the visual mesh has a picture on it.
     pub textured: bool,
     pub properties: &'a MassProperties,
@@ -35,15 +35,15 @@ impl<'a> Link<'a> {
         Self {
             name,
             prefix,
-            convex_parts: part.convex_parts.len(),
+            convex_parts: &part.convex_parts,
             textured: part.texture.is_some(),
             properties: &part.properties,
         }
     }
 
-    /// Names of the collision meshes, without extension.
-    fn collisions(&self) -> impl Iterator<Item = String> + '_ {
-        (0..self.convex_parts).map(|k| format!("{}collision_{k:02}", self.prefix))
+    /// The convex parts with their names, which are those of their meshes without extension.
+    fn collisions(&self) -> impl Iterator<Item = (String, &'a ConvexPart)> + '_ {
+        self.convex_parts.iter().enumerate().map(|(k, part)| (format!("{}collision_{k:02}", self.prefix), part))
     }
 
     fn visual(&self) -> String {

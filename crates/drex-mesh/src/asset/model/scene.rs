@@ -4,9 +4,9 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use drex_core::fsutil::relative_path;
-use drex_core::{Error as CoreError, Pose, TriMesh};
+use drex_core::{ConvexPart, Error as CoreError, Pose, TriMesh};
 
-use super::mjcf::{TABLE, defaults, free_body, header, meshes};
+use super::mjcf::{TABLE, defaults, free_body, header, meshes, shape};
 use super::{Link, escaped, pos_quat};
 use crate::Result;
 use crate::asset::Asset;
@@ -41,7 +41,7 @@ pub struct Background {
     /// What is seen.
     pub visual: TriMesh,
     /// What is touched: convex parts, as from [`crate::convex_parts`]; may be empty.
-    pub convex_parts: Vec<TriMesh>,
+    pub convex_parts: Vec<ConvexPart>,
 }
 
 /// MJCF of the asset in its scene; `folder` is where the file will lie.
@@ -64,12 +64,15 @@ pub(crate) fn scene(asset: &Asset, options: &SceneOptions, folder: &Path) -> Res
         );
     }
     if let Some(background) = &options.background {
-        let names: Vec<String> = background_names(background.convex_parts.len()).collect();
         let _ = writeln!(world, "    <body name=\"background\">");
-        for (k, name) in names.iter().enumerate() {
-            let (class, inertia) = if k == 0 { ("visual", " inertia=\"shell\"") } else { ("collision", "") };
-            let _ = writeln!(assets, "    <mesh name=\"{name}\" file=\"../mesh/{name}.obj\"{inertia}/>");
-            let _ = writeln!(world, "      <geom name=\"{name}\" class=\"{class}\" mesh=\"{name}\"/>");
+        let _ = writeln!(assets, "    <mesh name=\"background\" file=\"../mesh/background.obj\" inertia=\"shell\"/>");
+        let _ = writeln!(world, "      <geom name=\"background\" class=\"visual\" mesh=\"background\"/>");
+        for (k, part) in background.convex_parts.iter().enumerate() {
+            let name = background_part(k);
+            if part.primitive.is_none() {
+                let _ = writeln!(assets, "    <mesh name=\"{name}\" file=\"../mesh/{name}.obj\"/>");
+            }
+            let _ = writeln!(world, "      <geom name=\"{name}\" class=\"collision\" {}/>", shape(&name, part));
         }
         world.push_str("    </body>\n");
     }
@@ -83,15 +86,15 @@ pub(crate) fn scene(asset: &Asset, options: &SceneOptions, folder: &Path) -> Res
     ))
 }
 
-fn background_names(pieces: usize) -> impl Iterator<Item = String> {
-    std::iter::once("background".to_string()).chain((0..pieces).map(|k| format!("background_collision_{k:02}")))
+fn background_part(k: usize) -> String {
+    format!("background_collision_{k:02}")
 }
 
 /// Files of the background's meshes.
 pub(crate) fn background_files(background: &Background) -> Vec<(String, Vec<u8>)> {
-    let meshes = std::iter::once(&background.visual).chain(&background.convex_parts);
-    background_names(background.convex_parts.len())
-        .zip(meshes)
+    let parts = background.convex_parts.iter().enumerate().map(|(k, part)| (background_part(k), &part.hull));
+    std::iter::once(("background".to_owned(), &background.visual))
+        .chain(parts)
         .map(|(name, mesh)| (format!("mesh/{name}.obj"), obj_text(mesh).into_bytes()))
         .collect()
 }

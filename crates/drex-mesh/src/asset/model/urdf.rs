@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use drex_core::{Primitive, PrimitiveShape};
 use nalgebra::{Point3, Vector3};
 
 use super::{Link, numbers, place};
@@ -11,6 +12,22 @@ use crate::asset::Asset;
 pub(crate) fn urdf(asset: &Asset) -> String {
     let link = Link::of("object", "", asset);
     format!("<?xml version=\"1.0\"?>\n<robot name=\"object\">\n{}</robot>\n", link_element(&link, &Point3::origin()))
+}
+
+/// A primitive at its place in a link that lies at `origin`; the format has no capsule.
+fn shape(primitive: &Primitive, origin: &Point3<f64>) -> Option<String> {
+    let shape = match primitive.shape {
+        PrimitiveShape::Sphere { radius_m } => format!("<sphere radius=\"{radius_m}\"/>"),
+        PrimitiveShape::Cylinder { radius_m, half_length_m } => {
+            format!("<cylinder radius=\"{radius_m}\" length=\"{}\"/>", 2.0 * half_length_m)
+        }
+        PrimitiveShape::Box { half_m } => format!("<box size=\"{}\"/>", numbers(&half_m.map(|x| 2.0 * x))),
+        PrimitiveShape::Capsule { .. } => return None,
+    };
+    let place = primitive.object_from_shape;
+    let (roll, pitch, yaw) = place.rotation.euler_angles();
+    let xyz = numbers((place.translation.vector - origin.coords).as_slice());
+    Some(format!("<origin xyz=\"{xyz}\" rpy=\"{}\"/><geometry>{shape}</geometry>", numbers(&[roll, pitch, yaw])))
 }
 
 /// A link whose frame has the mesh's axes and lies at `origin` in it.
@@ -23,12 +40,12 @@ pub(super) fn link_element(link: &Link<'_>, origin: &Point3<f64>) -> String {
         format!("<origin xyz=\"{}\" rpy=\"0 0 0\"/>", numbers((Vector3::zeros() - origin.coords).as_slice()))
     };
     let mut collisions = String::new();
-    for name in link.collisions() {
+    for (name, part) in link.collisions() {
+        let shape = part.primitive.and_then(|p| shape(&p, origin));
+        let shape = shape
+            .unwrap_or_else(|| format!("{mesh_in_link}<geometry><mesh filename=\"../mesh/{name}.obj\"/></geometry>"));
         // Writing to a string cannot fail.
-        let _ = writeln!(
-            collisions,
-            "    <collision name=\"{name}\">\n      {mesh_in_link}<geometry><mesh filename=\"../mesh/{name}.obj\"/></geometry>\n    </collision>",
-        );
+        let _ = writeln!(collisions, "    <collision name=\"{name}\">\n      {shape}\n    </collision>");
     }
     format!(
         r#"  <link name="{name}">
