@@ -37,6 +37,14 @@ fn the_demo_weighs_what_it_saw_and_holds_it() {
     let pieces = inside.chunk_by(|p, q| left(p) == left(q)).filter(|piece| left(&piece[0]));
     assert_eq!(pieces.count(), 1, "{profile:?}");
 
+    // What the documents say that it answers, within a fifth of the interval.
+    let numbers = [low, mass_kg, high].map(|kg| 1e3 * kg);
+    for (file, before) in [("README.md", "It answers "), ("docs/mass-identification.md", "`drex demo` prints ")] {
+        let told = said(file, before);
+        let near = numbers.iter().zip(told).all(|(n, t)| (n - t).abs() < 0.2 * (numbers[2] - numbers[0]));
+        assert!(near, "{file} says {told:?} g and the demo {numbers:?} g: lower end, mass, upper end");
+    }
+
     let volume_cm3 = 1e6 * number(&read(demo.join("mesh/report.json"))["volume_m3"]);
     let share = volume_cm3 / number(&truth["volume_cm3"]);
     assert!((0.98..1.02).contains(&share), "the mesh has {volume_cm3} cm3, {share} of the truth");
@@ -62,4 +70,15 @@ fn the_demo_weighs_what_it_saw_and_holds_it() {
     let execution = read(demo.join("policy/execution.json"));
     assert_eq!(execution["held"], true, "the emulated hand: {execution}");
     assert!(page.contains("Trial: lift, hold, shake"));
+}
+
+/// Lower end, mass and upper end in grams, as a document says them after `before`: "166 g (95 % interval 156 to 176 g)".
+fn said(file: &str, before: &str) -> [f64; 3] {
+    let text = fs::read_to_string(PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../..").join(file)).unwrap();
+    let (_, after) = text.split_once(before).unwrap_or_else(|| panic!("{file} does not say `{before}`"));
+    let (sentence, _) = after.split_once("g)").unwrap();
+    let sentence = sentence.replace("95 % interval", "");
+    let numbers: Vec<f64> = sentence.split([' ', '(', '\n']).filter_map(|word| word.parse().ok()).collect();
+    let [mass, low, high] = numbers[..] else { panic!("{file} after `{before}`: {numbers:?}") };
+    [low, mass, high]
 }

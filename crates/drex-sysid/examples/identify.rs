@@ -1,6 +1,6 @@
 //! Weighs the object of one recorded push and prints the answer as JSON.
 //!
-//!     cargo run --release -p drex-sysid --example identify -- PUSH [--mujoco] [--free-friction] [--full]
+//!     cargo run --release -p drex-sysid --example identify -- PUSH [--mujoco] [--free-friction] [--seed N] [--full]
 //!
 //! PUSH is a `push.toml` or a folder that holds one, with `--mujoco` a folder of a set of simulated pushes; its mesh must consist of
 //! closed convex shells in OBJ.
@@ -19,11 +19,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut options = IdentifyOptions::default();
     let mut folder = None;
     let mut full = false;
-    let args = std::env::args().skip(1);
-    for arg in args {
+    let mut args = std::env::args().skip(1);
+    while let Some(arg) = args.next() {
         match arg.as_str() {
             "--mujoco" => mujoco = true,
             "--free-friction" => options.parameters.set(Parameter::Friction, Knowledge::Free)?,
+            "--seed" => options.seed = args.next().ok_or("--seed needs a number")?.parse()?,
             "--full" => full = true,
             _ => folder = Some(arg),
         }

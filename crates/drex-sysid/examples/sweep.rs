@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! cargo run --release -p drex-sysid --example sweep -- ROOT [--poses noisy|hard|clean] [--force noisy|exact] [--encoder on|off]
-//!     [--start withheld|given] [--free NAME]... [--fix NAME=VALUE]... [--dt SECONDS] [--only TEXT]... [--verbose]
+//!     [--start withheld|given] [--free NAME]... [--fix NAME=VALUE]... [--dt SECONDS] [--seed N] [--only TEXT]... [--verbose]
 //! ```
 //!
 //! ROOT holds `<object>/<scenario>/meta.json` with `truth.json` beside it; the truth is read after the estimate. The object is made
@@ -212,6 +212,7 @@ fn read_arguments() -> Result<Arguments, Failure> {
                 let (name, number) = text.split_once('=').ok_or("--fix needs NAME=VALUE")?;
                 out.options.parameters.set(name.parse()?, Knowledge::Fixed(number.parse()?))?;
             }
+            "--seed" => out.options.seed = value()?.parse()?,
             "--dt" => out.options.dt_s = value()?.parse()?,
             "--only" => out.only.push(value()?),
             "--verbose" => out.verbose = true,

@@ -12,7 +12,7 @@ use crate::ensemble::{Gaussian, Round, Steps};
 use crate::joint::{Candidate, Coordinate, ITERATIONS, Joint, Point};
 use crate::noise::normal;
 use crate::problem::{Problem, Slot};
-use crate::{IdentifyOptions, MassDistribution, Parameter, Result};
+use crate::{IdentifyOptions, Knowledge, MassDistribution, Parameter, Result};
 
 /// How far two correct simulators of rigid contact differ about a mass, relative.
 const SIMULATORS: f64 = 0.005;
@@ -38,6 +38,8 @@ const POOR: f64 = 4.0;
 /// How far from the best start so far others are tried then, in standard deviations of what is expected, and how many of each.
 const PROBE_SDS: [f64; 3] = [0.3, 0.3, 0.1];
 const PROBES: usize = 8;
+/// Share of what it takes for poses to show a motion below which draws around it will not either.
+const HARDLY_SHOWN: f64 = 0.25;
 /// Rounds of draws with the coarse step, at least and at most.
 const ROUNDS: (usize, usize) = (2, 6);
 /// Rounds at most as long as the mass goes far.
@@ -73,13 +75,18 @@ pub(crate) struct Estimate {
     pub sensitivities: Option<(Vec<(Parameter, f64)>, f64)>,
 }
 
+/// How the estimate ends.
+pub(crate) enum Outcome {
+    Estimate(Box<Estimate>),
+    /// Whatever the mass, the poses do not show the motion: the best candidate.
+    Unseen(Candidate),
+    /// Draws around the best point cannot be simulated, or go ever farther.
+    Lost,
+}
+
 impl Joint {
-    /// The whole estimate; `None` if draws around the best point cannot be simulated.
-    pub(crate) fn solve(
-        &mut self,
-        options: &IdentifyOptions,
-        progress: &(dyn Fn(f64) + Sync),
-    ) -> Result<Option<Estimate>> {
+    /// The whole estimate.
+    pub(crate) fn solve(&mut self, options: &IdentifyOptions, progress: &(dyn Fn(f64) + Sync)) -> Result<Outcome> {
         for problem in &mut self.problems {
             problem.encoder_m = LOOSE_ENCODER_M.max(options.encoder_m);
         }
@@ -120,13 +127,20 @@ impl Joint {
         if self.problems.iter().any(|p| p.readings() > 0) {
             found = self.descents(found.into_iter().map(|c| c.point).collect(), middle_dt)?;
         }
+        if self.is_unseen(&found, HARDLY_SHOWN) {
+            return Ok(found.into_iter().next().map_or(Outcome::Lost, Outcome::Unseen));
+        }
         let mut modes: Vec<Round> = found.iter().filter_map(|c| self.settled(c, told, middle_dt, options)).collect();
         distinct(&mut modes);
         progress(0.6);
         let mut modes: Vec<Round> = modes.into_iter().filter_map(|g| self.refine(g, told, options)).collect();
         distinct(&mut modes);
         progress(0.9);
-        let Some(first) = modes.first() else { return Ok(None) };
+        let Some(first) = modes.first() else { return Ok(Outcome::Lost) };
+        if self.is_unseen(&first.best, 1.0) {
+            let best = self.refit(modes.swap_remove(0));
+            return Ok(best.into_iter().next().map_or(Outcome::Lost, Outcome::Unseen));
+        }
         let sensitivities = if told { self.sensitivities(first, middle_dt, options) } else { None };
         let simulators = self.simulators();
         let lowest = first.cost;
@@ -140,7 +154,7 @@ impl Joint {
             (c[(0, 0)] + 2.0 * c[(0, f)] + c[(f, f)]).max(0.0).sqrt()
         });
         let s = &first.sources;
-        Ok(Some(Estimate {
+        Ok(Outcome::Estimate(Box::new(Estimate {
             relief: relief(&scan),
             modes: modes.iter().zip(&weights).map(mode).collect(),
             scan: scan.iter().map(|(p, c)| (p[0].exp(), *c)).collect(),
@@ -159,7 +173,7 @@ impl Joint {
             others: self.others(&first.gaussian),
             sensitivities,
             best: self.refit(modes.swap_remove(0)),
-        }))
+        })))
     }
 
     /// The best minima of the cost near a candidate: where an object rocks they are narrow, and a coarse scan misses them.
@@ -190,12 +204,26 @@ impl Joint {
     fn starts_elsewhere(&self, c: &Candidate) -> bool {
         let poses: usize = self.problems.iter().map(|p| p.times_s.len()).sum();
         let is_open = self.coordinates.iter().any(|k| k.slot == Slot::Named(Parameter::StartX));
-        is_open && c.cost > POOR * poses as f64 && self.shows(c)
+        is_open && c.cost > POOR * poses as f64 && self.shown(c) > 1.0
     }
 
-    /// Whether the poses of any push show the motion of a candidate.
-    pub(crate) fn shows(&self, c: &Candidate) -> bool {
-        self.problems.iter().zip(&c.motions).zip(&c.fits).any(|((p, m), f)| p.shows(m, f))
+    /// Whether the poses show the motion of none of the candidates by this share of what it takes, at a mass that is not fixed.
+    fn is_unseen(&self, of: &[Candidate], share: f64) -> bool {
+        self.fixed_mass().is_none() && !of.iter().any(|c| self.shown(c) > share)
+    }
+
+    /// The mass, where it is taken for known, kilograms.
+    pub(crate) fn fixed_mass(&self) -> Option<f64> {
+        match self.problems.first()?.parameters.get(Parameter::Mass)? {
+            Knowledge::Fixed(kg) => Some(kg),
+            _ => None,
+        }
+    }
+
+    /// How well the poses of the push that does best show the motion of a candidate, as a share of what it takes.
+    fn shown(&self, c: &Candidate) -> f64 {
+        let of = self.problems.iter().zip(&c.motions).zip(&c.fits).map(|((p, m), f)| p.shown(m, f));
+        of.fold(f64::NEG_INFINITY, f64::max)
     }
 
     /// The best points of scans from other starts than the expected ones: a push of something round that is a hair beside its middle
@@ -234,7 +262,11 @@ impl Joint {
                 return None;
             }
             lowest = lowest.min(best);
-            gaussian = found.gaussian;
+            let last = std::mem::replace(&mut gaussian, found.gaussian);
+            if round >= ROUNDS.0 && !found.is_far {
+                // Half of the way: around a mean that chatters rounds jump to and fro.
+                gaussian.mean.iter_mut().zip(&last.mean).for_each(|(m, l)| *m = 0.5 * (*m + l));
+            }
         }
         None
     }

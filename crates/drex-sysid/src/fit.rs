@@ -118,9 +118,9 @@ impl Problem {
         Fit { cost, nuisance: *nuisance, residuals, weights }
     }
 
-    /// Whether the poses show the motion that `fit` belongs to: poses of something at rest, or of another motion, agree with it
-    /// as well in any other order. Mean and variance of the cost over all orders are those of Hoeffding (1951).
-    pub(crate) fn shows(&self, motion: &Motion, fit: &Fit) -> bool {
+    /// How well the poses show the motion that `fit` belongs to, as a share of what it takes: poses of something at rest, or of another
+    /// motion, agree with it as well in any other order. Mean and variance of the cost over all orders are those of Hoeffding (1951).
+    pub(crate) fn shown(&self, motion: &Motion, fit: &Fit) -> f64 {
         let every = self.times_s.len().div_ceil(COMPARED);
         let frames: Vec<usize> = (0..self.times_s.len()).step_by(every.max(1)).collect();
         let n = frames.len();
@@ -137,7 +137,7 @@ impl Problem {
         let most = (n as f64 - 1.0).max(1.0).sqrt();
         let sd = spread.sqrt() / most;
         // Less than one in cost is nothing, however sure.
-        n as f64 * mean - cost.trace() > SHOWN.min(SHOWN_SHARE * most) * sd.max(1.0)
+        (n as f64 * mean - cost.trace()) / (SHOWN.min(SHOWN_SHARE * most) * sd.max(1.0))
     }
 
     /// Whitened residuals of a motion.

@@ -10,7 +10,7 @@ use drex_recording::{Drive, PushRecording, TrackFrame};
 use crate::answer::{Identification, PushReport, Sensitivity, Verdict};
 use crate::closed_form::closed_form;
 use crate::distribution::EXCLUDES;
-use crate::estimate::Estimate;
+use crate::estimate::{Estimate, Outcome};
 use crate::fit::Fit;
 use crate::joint::{Candidate, Joint};
 use crate::object::collider;
@@ -127,34 +127,51 @@ pub fn identify_watched(
         answer.simulations = joint.simulations();
     } else {
         let mut joint = Joint::new(problems, &frictions);
-        if let Some(estimate) = joint.solve(options, progress)? {
+        let outcome = joint.solve(options, progress)?;
+        let best = match &outcome {
+            Outcome::Estimate(estimate) => estimate.best.first(),
+            Outcome::Unseen(best) => Some(best),
+            Outcome::Lost => None,
+        };
+        if let Some(Candidate { motions, fits, .. }) = best {
             for (k, &i) in fitted.iter().enumerate() {
-                if let Some(Candidate { motions, fits, .. }) = estimate.best.first() {
-                    fill(&mut reports[i], &recordings[i], object, &joint.problems[k], &motions[k], &fits[k]);
+                fill(&mut reports[i], &recordings[i], object, &joint.problems[k], &motions[k], &fits[k]);
+            }
+        }
+        match outcome {
+            Outcome::Estimate(estimate) => {
+                for (k, &i) in fitted.iter().enumerate() {
+                    reports[i].information.clone_from(&estimate.shares[k]);
                 }
-                reports[i].information.clone_from(&estimate.shares[k]);
-            }
-            decide(&mut answer, &estimate, &joint)?;
-            if answer.verdict == Verdict::Identified {
-                let doubts = fitted.iter().filter_map(|&i| doubt(&reports[i], options.encoder_m));
-                answer.reason.extend(doubts.collect::<Vec<_>>());
-            }
-            answer.estimates = estimate.others;
-            if let Some((sensitivities, slope)) = estimate.sensitivities {
-                let sensitivity = |(parameter, log_mass)| Sensitivity { parameter, log_mass };
-                answer.sensitivities = sensitivities.into_iter().map(sensitivity).collect();
-                if (slope - 1.0).abs() > SLOPES_AGREE {
-                    answer.assumptions.push(format!(
-                        "the sensitivities are rough: contact chatters, and the slope that they are compared with is {slope:.2} of that \
-                         within the interval"
-                    ));
+                decide(&mut answer, &estimate, &joint)?;
+                if answer.verdict == Verdict::Identified {
+                    let doubts = fitted.iter().filter_map(|&i| doubt(&reports[i], options.encoder_m));
+                    answer.reason.extend(doubts.collect::<Vec<_>>());
+                }
+                answer.estimates = estimate.others;
+                if let Some((sensitivities, slope)) = estimate.sensitivities {
+                    let sensitivity = |(parameter, log_mass)| Sensitivity { parameter, log_mass };
+                    answer.sensitivities = sensitivities.into_iter().map(sensitivity).collect();
+                    if (slope - 1.0).abs() > SLOPES_AGREE {
+                        answer.assumptions.push(format!(
+                            "the sensitivities are rough: contact chatters, and the slope that they are compared with is {slope:.2} of \
+                             that within the interval"
+                        ));
+                    }
                 }
             }
-        } else {
-            answer.reason =
-                "no mass explains the push: around the best one it cannot be simulated, or draws of the unknowns go ever farther without \
-                 agreeing better; check forces, start and support"
+            Outcome::Unseen(_) => {
+                answer.reason = format!(
+                    "whatever the mass, the poses do not follow the motion that {} makes: in another order they would agree with it as \
+                     well; check that the track belongs to this push and that the object moved",
+                    cause(&joint)
+                );
+            }
+            Outcome::Lost => {
+                answer.reason = "no mass explains the push: around the best one it cannot be simulated, or draws of the unknowns go \
+                                 ever farther without agreeing better; check forces, start and support"
                     .into();
+            }
         }
         answer.simulations = joint.simulations();
         if hands.iter().any(Option::is_some) {
@@ -201,25 +218,18 @@ fn decide(answer: &mut Identification, e: &Estimate, joint: &Joint) -> Result<()
     let mass = e.mass()?;
     let (m, sd) = (mass.median_kg(), mass.sd_log());
     let mu = e.friction;
-    let finger = joint.problems.iter().any(Problem::has_finger);
-    let cause = if finger { "the compliant fingertip" } else { "the known force" };
+    let cause = cause(joint);
     answer.sd_log_mass = Some(sd);
     answer.error_budget = Some(e.budget);
     answer.profile = e.scan.clone();
     // Whether the worst mass of the scan is excluded, at least.
     let informative = e.relief > EXCLUDES;
-    let shown = e.best.iter().any(|c| joint.shows(c));
-    if let Some(Knowledge::Fixed(kg)) = joint.problems.first().and_then(|p| p.parameters.get(Parameter::Mass)) {
+    if let Some(kg) = joint.fixed_mass() {
         answer.friction = mu;
         answer.sd_log_mass = None;
         answer.reason = format!(
             "the mass was fixed to {:.1} g: everything else was fitted to it, and nothing was weighed",
             1e3 * kg
-        );
-    } else if !shown {
-        answer.reason = format!(
-            "whatever the mass, the poses do not follow the motion that {cause} makes: in another order they would agree with it as \
-             well; check that the track belongs to this push and that the object moved"
         );
     } else if informative && sd < SD_LIMIT {
         let [low, high] = mass.interval95_kg();
@@ -252,7 +262,7 @@ fn decide(answer: &mut Identification, e: &Estimate, joint: &Joint) -> Result<()
         answer.reason = format!(
             "the motion under {cause} is explained by masses over a range of more than {:.1} to 1: {}",
             (1.96 * sd.min(3.0) * 2.0).exp(),
-            if finger {
+            if joint.problems.iter().any(Problem::has_finger) {
                 "the finger is so stiff that it moves every mass the same way, or its deflection is lost in the noise; use its \
                  encoder, a softer finger, a faster push, or tip the object"
             } else {
@@ -261,6 +271,11 @@ fn decide(answer: &mut Identification, e: &Estimate, joint: &Joint) -> Result<()
         );
     }
     Ok(())
+}
+
+/// What moved the object.
+fn cause(joint: &Joint) -> &'static str {
+    if joint.problems.iter().any(Problem::has_finger) { "the compliant fingertip" } else { "the known force" }
 }
 
 /// What speaks against an answer although it is the best that there is: observations that it misses by far more than their noise.

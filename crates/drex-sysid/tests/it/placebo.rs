@@ -96,10 +96,8 @@ fn shuffled_and_constant_poses_of_recordings_weigh_nothing() {
     let Some(shared) = shared() else { return };
     for name in RECORDINGS {
         let (push, object) = load(&shared.join("data/push_mujoco").join(name), Inputs::default());
-        for seed in [1, 2] {
-            let track = shuffled(&push.track, seed);
-            weighs_nothing(with_track(&push, track, push.noise), &object, &format!("{name} shuffled"));
-        }
+        let track = shuffled(&push.track, 1);
+        weighs_nothing(with_track(&push, track, push.noise), &object, &format!("{name} shuffled"));
         weighs_nothing(with_track(&push, held(&push.track), push.noise), &object, &format!("{name} held"));
     }
 }
