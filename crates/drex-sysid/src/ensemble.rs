@@ -49,7 +49,7 @@ const NOISE_STREAM: u64 = 0x9e37_79b9_7f4a_7c15;
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Steps {
     One(f64),
-    /// Twice this step and this step: the error of the first order is taken out of the mean motion.
+    /// This step, with errors of the first order of the step and of the forces' noise taken out of the mean motion.
     Extrapolated(f64),
 }
 
@@ -106,7 +106,7 @@ struct Line {
     chatter: DMatrix<f64>,
     /// The part of the variance of that which counts row by row, so that a line that follows chatter by chance tells nothing.
     alone: DVector<f64>,
-    /// What an error of the mean of unknown size, of one standard deviation, looks like.
+    /// What errors of the mean of unknown size, of one standard deviation each, look like.
     doubts: Vec<DVector<f64>>,
 }
 
@@ -157,24 +157,31 @@ impl Joint {
             Steps::One(dt_s) | Steps::Extrapolated(dt_s) => dt_s,
         };
         let center = self.evaluate_at(&gaussian.mean, &gaussian.nuisances, None, finest)?;
-        let draws = self.draws(gaussian, &root, &z, finest, seed);
-        let coarse = match steps {
-            Steps::One(_) => None,
-            Steps::Extrapolated(dt_s) => Some(self.draws(gaussian, &root, &z, 2.0 * dt_s, seed)),
-        };
+        let draws = self.draws(gaussian, &root, &z, finest, Some(seed));
+        // What is taken out of the mean, as far as it is linear: the first order of the time step (Richardson), and what the noise that the
+        // forces have and as much again that the draws add make of the motion (simulation extrapolation; Cook and Stefanski, *J. Amer.
+        // Statistical Association* 89, 1994).
+        let mut others = Vec::new();
+        if let Steps::Extrapolated(dt_s) = steps {
+            others.push((-1.0, self.draws(gaussian, &root, &z, 2.0 * dt_s, Some(seed))));
+            if self.problems.iter().any(|p| p.factor_sd() > 0.0) {
+                others.push((2.0, self.draws(gaussian, &root, &z, dt_s, None)));
+            }
+        }
         let succeeds = |of: &[Option<Candidate>], k: usize| of[2 * k].is_some() && of[2 * k + 1].is_some();
         let kept: Vec<usize> =
-            (0..z.nrows()).filter(|&k| succeeds(&draws, k) && coarse.as_ref().is_none_or(|c| succeeds(c, k))).collect();
+            (0..z.nrows()).filter(|&k| succeeds(&draws, k) && others.iter().all(|o| succeeds(&o.1, k))).collect();
         if kept.len() < n + 2 {
             return None;
         }
         let mut lines = self.lines(&z.select_rows(&kept), &pairs(&draws, &kept));
-        if let Some(coarse) = coarse {
-            // The time step's error of the first order is taken out of the mean, with as much again as its uncertainty.
-            for (i, line) in lines.iter_mut().enumerate() {
-                let error = mean_residuals(i, pairs(&coarse, &kept).iter().flatten().copied()) - &line.mean;
-                line.mean -= &error;
-                line.doubts.push(error);
+        for (i, line) in lines.iter_mut().enumerate() {
+            let mean = line.mean.clone();
+            for (times, other) in &others {
+                let change = mean_residuals(i, pairs(other, &kept).iter().flatten().copied()) - &mean;
+                line.mean += &change * *times;
+                // Either is as uncertain as one change is large.
+                line.doubts.push(change);
             }
         }
         let mut out = self.condition(gaussian, &root, &lines, &center)?;
@@ -200,22 +207,22 @@ impl Joint {
     }
 
     /// The draws `mean ± root z`, in pairs; `None` for one that cannot be simulated. What noise a force has beyond its error shapes is
-    /// drawn too: to the line it is chatter.
+    /// drawn too if there is a seed for it: to the line it is chatter.
     fn draws(
         &self,
         gaussian: &Gaussian,
         root: &DMatrix<f64>,
         z: &DMatrix<f64>,
         dt_s: f64,
-        seed: u64,
+        seed: Option<u64>,
     ) -> Vec<Option<Candidate>> {
         (0..2 * z.nrows())
             .into_par_iter()
             .map(|k| {
                 let sign = if k % 2 == 0 { 1.0 } else { -1.0 };
                 let point = self.moved(&gaussian.mean, &(root * z.row(k / 2).transpose() * sign));
-                let mut random = ChaCha8Rng::seed_from_u64(seed ^ (NOISE_STREAM + (k / 2) as u64));
-                self.evaluate_at(&point, &gaussian.nuisances, Some((sign, &mut random)), dt_s)
+                let mut random = seed.map(|s| ChaCha8Rng::seed_from_u64(s ^ (NOISE_STREAM + (k / 2) as u64)));
+                self.evaluate_at(&point, &gaussian.nuisances, random.as_mut().map(|r| (sign, r)), dt_s)
             })
             .collect()
     }
@@ -269,7 +276,7 @@ impl Joint {
                 let shifted = self.with_fixed(p, by);
                 let mut gaussian = of.gaussian.clone();
                 gaussian.mean[0] += if p == Mass { by } else { 0.0 };
-                let draws = shifted.draws(&gaussian, &root, &z, dt_s, options.seed);
+                let draws = shifted.draws(&gaussian, &root, &z, dt_s, Some(options.seed));
                 let all: Vec<&Candidate> = draws.iter().map(Option::as_ref).collect::<Option<_>>()?;
                 Some((0..self.problems.len()).map(|i| mean_residuals(i, all.iter().copied())).collect::<Vec<_>>())
             };

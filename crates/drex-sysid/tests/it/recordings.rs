@@ -35,22 +35,34 @@ fn known_forces_weigh_within_three_percent() {
     }
 }
 
-/// In 95 of 100 draws the interval holds the truth: of ten pushes two may miss (more do in 1 of 87 sets), and none may brag or hide.
+/// Pushes of random objects, each kind of push twice, with the start withheld (`tests/data/pushes/README.md`). In 95 of 100 draws the
+/// interval holds the truth: of 13 pushes two may miss (more do in 1 of 40 sets), none may brag or hide, and the cylinder that was
+/// pushed a hair beside its middle, which goes elsewhere whatever the mass if it starts where it is expected, is found all the same.
 #[test]
-fn noisy_inputs_keep_the_truth_inside_the_interval() {
-    let Some(shared) = shared() else { return };
-    let mut held = 0;
-    for object in ["letter_l_rho1", "brick", "can", "letter_t", "letter_l_rho3"] {
-        for scenario in ["lift_force", "slide_force"] {
-            let folder = shared.join("data/push_mujoco").join(object).join(scenario);
-            let a = weigh(&folder, Inputs::default());
-            let (ci, m) = (a.ci95_kg.unwrap(), truth(&folder));
-            held += usize::from(ci[0] < m && m < ci[1]);
-            assert!((1.01..1.1).contains(&(ci[1] / ci[0])), "{object}/{scenario}: {ci:?}");
-        }
+fn random_objects_are_weighed_without_their_start() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/pushes");
+    let folders = |of: &Path| {
+        let mut found: Vec<_> =
+            std::fs::read_dir(of).unwrap().map(|e| e.unwrap().path()).filter(|p| p.is_dir()).collect();
+        found.sort();
+        found
+    };
+    let (mut held, mut all) = (0, 0);
+    for folder in folders(&root).iter().flat_map(|object| folders(object)) {
+        let mut recording = mujoco_push::load(&folder, Inputs::default()).unwrap();
+        recording.initial_pose = None;
+        let object = object_of(&TriMesh::read(&recording.mesh).unwrap());
+        let a = identify(&[recording], &object, &IdentifyOptions::default()).unwrap();
+        let (name, m) = (folder.display(), truth(&folder));
+        assert_eq!(a.verdict, Verdict::Identified, "{name}: {}", a.reason);
+        let ([low, high], error) = (a.ci95_kg.unwrap(), a.mass_kg.unwrap() / m - 1.0);
+        assert!((1.01..1.25).contains(&(high / low)), "{name}: {low} to {high} kg");
+        assert!(error.abs() < (high / low).ln(), "{name}: {error:+.4} with {low} to {high} kg for {m}");
+        held += usize::from(low < m && m < high);
+        all += 1;
     }
-    eprintln!("{held} of 10 intervals hold the truth");
-    assert!(held >= 8, "{held}");
+    eprintln!("{held} of {all} intervals hold the truth");
+    assert!(all == 13 && held + 2 >= all, "{held} of {all}");
 }
 
 #[test]
