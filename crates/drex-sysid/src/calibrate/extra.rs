@@ -4,8 +4,7 @@ use drex_core::Pose;
 use drex_robot::{Finger, Robot};
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use super::friction::LEAST_SPEED;
-use super::signals::{STEP, Signals};
+use super::signals::{LEAST_SPEED, STEP, Signals};
 use super::{HandCalibration, HandRun, JointCalibration};
 use crate::Result;
 

@@ -16,8 +16,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
-/// Slower than this a joint counts as standing, rad/s.
-pub(super) const LEAST_SPEED: f64 = 0.1;
+use super::signals::STEP;
+
 /// Effort that a contact adds, to begin with, N m.
 const USUAL_CONTACT: f64 = 0.05;
 /// More no contact of a hand adds, N m.
@@ -258,7 +258,7 @@ fn block_sd(sequences: &[Sequence], r: &[f64], w: &[f64]) -> Option<f64> {
         while k < s.times_s.len() {
             let end = (k..s.times_s.len()).find(|&i| s.times_s[i] - s.times_s[k] > BLOCK).unwrap_or(s.times_s.len());
             let (sum, n) = (k..end).fold((0.0, 0.0), |(a, n), i| (a + w[at + i] * r[at + i], n + w[at + i]));
-            if n * super::signals::STEP > 0.5 * BLOCK {
+            if n * STEP > 0.5 * BLOCK {
                 means.push(sum / n);
             }
             k = end;

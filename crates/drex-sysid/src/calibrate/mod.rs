@@ -19,8 +19,8 @@ use serde::{Deserialize, Serialize};
 pub use self::extra::{ExtraTorque, TipForce, Touch};
 pub use self::signals::HandRun;
 use crate::{Result, SysidError};
-use friction::{LEAST_SPEED, LoadPrior, Sequence};
-use signals::Signals;
+use friction::{LoadPrior, Sequence};
+use signals::{LEAST_SPEED, Signals};
 
 /// Version of the file format.
 const SCHEMA: u32 = 1;

@@ -7,9 +7,10 @@ use drex_recording::{Drive, PushRecording};
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Vector3};
 
-use super::friction::LEAST_SPEED;
 use crate::{Result, SysidError};
 
+/// Slower than this a joint counts as standing, rad/s.
+pub(super) const LEAST_SPEED: f64 = 0.1;
 /// Time between grid points, s.
 pub(super) const STEP: f64 = 0.01;
 /// Half the stretch of samples that a grid point is made from, s.

@@ -8,6 +8,7 @@ mod distribution;
 mod frames;
 mod hands;
 mod known_force;
+mod metamorphic;
 mod placebo;
 mod plan;
 mod recordings;
