@@ -78,8 +78,8 @@ pub(crate) struct Estimate {
 /// How the estimate ends.
 pub(crate) enum Outcome {
     Estimate(Box<Estimate>),
-    /// Whatever the mass, the poses do not show the motion: the best candidate.
-    Unseen(Candidate),
+    /// Whatever the mass, the poses do not show the motion: the best candidate, and the scan as in [`Estimate`].
+    Unseen(Candidate, Vec<(f64, f64)>),
     /// Draws around the best point cannot be simulated, or go ever farther.
     Lost,
 }
@@ -128,7 +128,7 @@ impl Joint {
             found = self.descents(found.into_iter().map(|c| c.point).collect(), middle_dt)?;
         }
         if self.is_unseen(&found, HARDLY_SHOWN) {
-            return Ok(found.into_iter().next().map_or(Outcome::Lost, Outcome::Unseen));
+            return Ok(found.into_iter().next().map_or(Outcome::Lost, |best| Outcome::Unseen(best, by_mass(&scan))));
         }
         let mut modes: Vec<Round> = found.iter().filter_map(|c| self.settled(c, told, middle_dt, options)).collect();
         distinct(&mut modes);
@@ -139,7 +139,7 @@ impl Joint {
         let Some(first) = modes.first() else { return Ok(Outcome::Lost) };
         if self.is_unseen(&first.best, 1.0) {
             let best = self.refit(modes.swap_remove(0));
-            return Ok(best.into_iter().next().map_or(Outcome::Lost, Outcome::Unseen));
+            return Ok(best.into_iter().next().map_or(Outcome::Lost, |best| Outcome::Unseen(best, by_mass(&scan))));
         }
         let sensitivities = if told { self.sensitivities(first, middle_dt, options) } else { None };
         let simulators = self.simulators();
@@ -157,7 +157,7 @@ impl Joint {
         Ok(Outcome::Estimate(Box::new(Estimate {
             relief: relief(&scan),
             modes: modes.iter().zip(&weights).map(mode).collect(),
-            scan: scan.iter().map(|(p, c)| (p[0].exp(), *c)).collect(),
+            scan: by_mass(&scan),
             budget: ErrorBudget {
                 poses: s.poses.sqrt(),
                 encoder: s.encoder.sqrt(),
@@ -440,6 +440,11 @@ fn distinct(modes: &mut Vec<Round>) {
         }
     }
     *modes = kept;
+}
+
+/// Masses in kilograms and costs of a scan.
+fn by_mass(scan: &[(Point, f64)]) -> Vec<(f64, f64)> {
+    scan.iter().map(|(p, c)| (p[0].exp(), *c)).collect()
 }
 
 /// Cost at the worst mass of a scan minus cost at the best.

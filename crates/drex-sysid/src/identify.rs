@@ -130,7 +130,7 @@ pub fn identify_watched(
         let outcome = joint.solve(options, progress)?;
         let best = match &outcome {
             Outcome::Estimate(estimate) => estimate.best.first(),
-            Outcome::Unseen(best) => Some(best),
+            Outcome::Unseen(best, _) => Some(best),
             Outcome::Lost => None,
         };
         if let Some(Candidate { motions, fits, .. }) = best {
@@ -160,7 +160,8 @@ pub fn identify_watched(
                     }
                 }
             }
-            Outcome::Unseen(_) => {
+            Outcome::Unseen(_, scan) => {
+                answer.profile = scan;
                 answer.reason = format!(
                     "whatever the mass, the poses do not follow the motion that {} makes: in another order they would agree with it as \
                      well; check that the track belongs to this push and that the object moved",
