@@ -1,8 +1,8 @@
 //! What a recording must be before it is worth simulating.
 
-use drex_core::Object;
 use drex_core::pose::pose_difference;
 use drex_core::trajectory::PoseNoise;
+use drex_core::{Object, Pose};
 use drex_recording::{Drive, PushRecording, Support, SupportBox, TrackFrame};
 use nalgebra::{Point3, Vector3};
 
@@ -18,6 +18,9 @@ const GAP_M: f64 = 0.02;
 const FIRST_FRAMES: usize = 5;
 /// Farthest that something at rest seems to go in these, metres, where noise allows no more.
 const DRIFT_M: f64 = 5e-3;
+
+/// Farthest outside the box around the object that a force on it may act, metres: what pushes is a fingertip wide.
+const OUTSIDE_M: f64 = 0.01;
 
 /// Refuses recordings that cannot be what they say they are.
 pub(crate) fn recording(recording: &PushRecording, object: &Object, noise: &PoseNoise) -> Result<()> {
@@ -53,6 +56,16 @@ pub(crate) fn recording(recording: &PushRecording, object: &Object, noise: &Pose
     Ok(())
 }
 
+/// How far outside the box around the object the recorded force acts, metres, if that is too far to be a push of it. Inside it a
+/// hook or a rig may well act between the limbs of an object.
+pub(crate) fn outside_m(recording: &PushRecording, object: &Object) -> Option<f64> {
+    let Drive::Force(force) = &recording.drive else { return None };
+    let (lo, hi) = object.bounds_at(&Pose::identity())?;
+    let p = force.point_in_object;
+    let distance_m = (lo - p).sup(&(p - hi)).sup(&Vector3::zeros()).norm();
+    Some(distance_m).filter(|d| *d > OUTSIDE_M)
+}
+
 /// Whether anything is commanded to act.
 fn acts(drive: &Drive) -> bool {
     match drive {
@@ -66,7 +79,7 @@ fn acts(drive: &Drive) -> bool {
 fn still(recording: &PushRecording, noise: &PoseNoise) -> bool {
     let poses = recording.track.poses();
     let Some(first) = poses.first() else { return true };
-    let far = |p: &drex_core::Pose| {
+    let far = |p: &Pose| {
         let d = pose_difference(first, p);
         d.fixed_rows::<3>(0).norm() > 8.0 * noise.position_m || d.fixed_rows::<3>(3).norm() > 8.0 * noise.rotation_rad
     };

@@ -145,8 +145,12 @@ pub fn identify_watched(
                 }
                 decide(&mut answer, &estimate, &joint)?;
                 if answer.verdict == Verdict::Identified {
-                    let doubts = fitted.iter().filter_map(|&i| doubt(&reports[i], options.encoder_m));
-                    answer.reason.extend(doubts.collect::<Vec<_>>());
+                    for &i in &fitted {
+                        answer.reason.extend(doubt(&reports[i], options.encoder_m));
+                        answer
+                            .reason
+                            .extend(checks::outside_m(&recordings[i], object).map(|d| elsewhere(&reports[i].name, d)));
+                    }
                 }
                 answer.estimates = estimate.others;
                 if let Some((sensitivities, slope)) = estimate.sensitivities {
@@ -296,6 +300,15 @@ fn doubt(push: &PushReport, encoder_m: f64) -> Option<String> {
          wrong, and the interval may be too narrow",
         push.name
     ))
+}
+
+/// What speaks against an answer whose force acts on nothing.
+fn elsewhere(push: &str, distance_m: f64) -> String {
+    format!(
+        "; DOUBTFUL: the force of `{push}` is said to act {:.0} mm outside the mesh, which may be of another object, or in another \
+         frame than the point of the force",
+        1e3 * distance_m
+    )
 }
 
 fn report(recording: &PushRecording, noise: PoseNoise) -> PushReport {

@@ -140,7 +140,7 @@ fn pushed(mesh: TriMesh, tilts: bool, seed: u64) -> Push {
         times.iter().map(|t| Vector3::x() * acts(*t) * force_n).collect()
     };
     // The longest push after which it stands again.
-    let (exact, poses) = [0.255, 0.205, 0.155, 0.125, 0.105, 0.085, 0.065]
+    let (exact, poses) = [0.255, 0.205, 0.155, 0.125, 0.105, 0.085, 0.065, 0.045, 0.025]
         .into_iter()
         .map(|duration| {
             let exact = pulse(duration);
@@ -170,22 +170,26 @@ fn pushed(mesh: TriMesh, tilts: bool, seed: u64) -> Push {
     Push { recording, mesh }
 }
 
-/// Compares all tellings of a push with the push.
-fn tellings_agree(name: &str, push: &Push, tellings: &[Telling]) {
+/// Compares all tellings of a push with the push; returns those that disagree.
+fn disagreements(name: &str, push: &Push) -> Vec<String> {
     let a = weigh(push);
     assert_eq!(a.verdict, Verdict::Identified, "{name}: {}", a.reason);
     let ([low, high], m) = (a.ci95_kg.unwrap(), a.mass_kg.unwrap());
     let width = (high / low).ln();
     eprintln!("{name}: {m:.4} kg, {low:.4} to {high:.4}, {:.1} s", a.seconds);
-    for (what, times, tell) in tellings {
+    let mut found = Vec::new();
+    for (what, times, tell) in &TELLINGS {
         let b = weigh(&tell(push));
         assert_eq!(b.verdict, a.verdict, "{name}, {what}: {}", b.reason);
         let moved = |a: f64, b: f64| (b / a / times).ln() / width;
         let ([l, h], m) = (b.ci95_kg.unwrap(), moved(m, b.mass_kg.unwrap()));
         let (l, h) = (moved(low, l), moved(high, h));
         eprintln!("  {what}: {m:+.3} of the interval, its ends {l:+.3} and {h:+.3}");
-        assert!(m.abs() < 0.1 && l.abs() < 0.2 && h.abs() < 0.2, "{name}, {what}: {m:+.3}, {l:+.3}, {h:+.3}");
+        if !(m.abs() < 0.1 && l.abs() < 0.2 && h.abs() < 0.2) {
+            found.push(format!("{name}, {what}: {m:+.3}, {l:+.3}, {h:+.3}"));
+        }
     }
+    found
 }
 
 #[test]
@@ -193,7 +197,7 @@ fn a_block_weighs_the_same_however_it_is_told() {
     let recording =
         simulated(0.2, 0.9, Vector3::x() * 0.2 * G * (0.025 / 0.075) * 1.25, Point3::new(-0.025, 0.0, 0.035));
     let mesh = box_mesh(Vector3::new(0.025, 0.03, 0.04), Vector3::zeros());
-    tellings_agree("block", &Push { recording, mesh }, &TELLINGS);
+    assert_eq!(disagreements("block", &Push { recording, mesh }), [""; 0]);
 }
 
 #[test]
@@ -203,7 +207,7 @@ fn recordings_weigh_the_same_however_they_are_told() {
         let mut recording = mujoco_push::load(&folder, Inputs::default()).unwrap();
         recording.initial_pose = None;
         let mesh = TriMesh::read(&recording.mesh).unwrap();
-        tellings_agree(push, &Push { recording, mesh }, &TELLINGS);
+        assert_eq!(disagreements(push, &Push { recording, mesh }), [""; 0]);
     }
 }
 
@@ -211,8 +215,10 @@ fn recordings_weigh_the_same_however_they_are_told() {
 #[ignore = "some scans fail: a push of the mustard bottle moves by half its interval when corners move by a micrometre"]
 fn scans_weigh_the_same_however_they_are_told() {
     let Some(shared) = shared() else { return };
+    let mut found = Vec::new();
     for (k, scan) in SCANS.iter().enumerate() {
         let mesh = TriMesh::read(&shared.join(format!("data/objects/{scan}.obj"))).unwrap();
-        tellings_agree(scan, &pushed(mesh, k % 2 == 0, k as u64), &TELLINGS);
+        found.extend(disagreements(scan, &pushed(mesh, k % 2 == 0, k as u64)));
     }
+    assert_eq!(found, [""; 0]);
 }

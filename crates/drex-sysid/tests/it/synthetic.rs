@@ -187,6 +187,19 @@ fn a_yaw_that_no_simulation_reproduces_does_not_hide_the_mass() {
     assert!(b.sd_log_mass.unwrap() < 1.5 * a.sd_log_mass.unwrap(), "{:?} {:?}", b.sd_log_mass, a.sd_log_mass);
 }
 
+/// A lift by a string that is tied to nothing; the poses are those of a lift all the same.
+#[test]
+fn a_force_that_acts_on_nothing_is_doubted() {
+    let reason = |height_m: f64| {
+        let push = simulated(0.2, 0.4, Vector3::z() * 0.2 * G * 1.6, Point3::new(0.0, 0.0, height_m));
+        identify(&[push], &block(), &IdentifyOptions::default()).unwrap().reason
+    };
+    let doubted = reason(0.07);
+    assert!(doubted.contains("DOUBTFUL") && doubted.contains("30 mm outside the mesh"), "{doubted}");
+    let fine = reason(0.04);
+    assert!(!fine.contains("DOUBTFUL"), "{fine}");
+}
+
 #[test]
 fn progress_never_goes_back_and_ends() {
     let push = simulated(0.2, 0.4, Vector3::z() * 3.0, Point3::origin());
