@@ -39,6 +39,7 @@ enum Why {
 use Why::{Caller, Checked, Constant};
 
 const WRITERS: &[(&str, Why)] = &[
+    ("apps/drex-bench/src/generate/file.rs", Checked),
     ("apps/drex-bench/src/library.rs", Checked),
     ("apps/drex-bench/src/run.rs", Checked),
     ("apps/drex-bench/src/table.rs", Constant),

@@ -4,6 +4,7 @@ use std::io::Write as _;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use drex_bench::generate::MassClass;
 use drex_trial::Engine;
 use serde::Serialize;
 
@@ -53,6 +54,8 @@ pub enum Command {
     Demos(DemosArgs),
     /// Lift, hold and shake: how often the policy's grasps hold, against its rivals and against what the hand can do at all.
     Grasp(GraspArgs),
+    /// Make random objects: boxes, cylinders, letters and bottles of 20 g to 1.5 kg, each as a mesh with its exact mass properties.
+    Objects(ObjectsArgs),
 }
 
 /// What the benches have in common.
@@ -133,6 +136,41 @@ pub struct GraspArgs {
     /// Carry every command out in drex-diffsim as well, and say how often the two engines agree.
     #[arg(long)]
     pub compare: bool,
+}
+
+/// How the mass of the objects is spread.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum MassArg {
+    /// Evenly.
+    Solid,
+    /// Over a wall of 1 to 4 mm, closed or open at the top.
+    Hollow,
+    /// Evenly, with an insert of 30 to 70 % of the mass somewhere inside.
+    OffCentre,
+}
+
+impl From<MassArg> for MassClass {
+    fn from(arg: MassArg) -> Self {
+        match arg {
+            MassArg::Solid => Self::Solid,
+            MassArg::Hollow => Self::Hollow,
+            MassArg::OffCentre => Self::OffCentre,
+        }
+    }
+}
+
+/// `drex-bench objects`.
+#[derive(Debug, Args)]
+pub struct ObjectsArgs {
+    /// Number of objects, numbered from 0; the first ones are the same whatever the number.
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub count: u32,
+    /// How their mass is spread; shapes and frictions do not depend on it.
+    #[arg(long, value_enum, default_value_t = MassArg::Solid)]
+    pub mass: MassArg,
+    /// Folder for NAME/object.obj and NAME/object.json.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
 }
 
 fn margin(text: &str) -> Result<f64, String> {

@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum as _;
+use drex_bench::generate::random_object;
 use drex_core::fsutil;
 use drex_grasp::GraspOrigin;
 use drex_policy::TrainOptions;
@@ -17,7 +18,7 @@ use drex_twin::timings::{self, Timing};
 use drex_twin::with_torque_cap;
 use serde::Serialize;
 
-use crate::cli::{Command, Common, DemosArgs, GraspArgs, Output};
+use crate::cli::{Command, Common, DemosArgs, GraspArgs, ObjectsArgs, Output};
 use crate::experiments::Bench;
 use crate::library::{self, Library, LibraryOptions};
 use crate::object::BenchObject;
@@ -32,7 +33,41 @@ pub fn run(command: &Command, seed: u64, output: Output) -> Result<()> {
     match command {
         Command::Demos(args) => demos(args, seed, output),
         Command::Grasp(args) => grasp(args, seed, output),
+        Command::Objects(args) => random_objects(args, seed, output),
     }
+}
+
+/// One line of `bench objects`.
+#[derive(Serialize)]
+struct ObjectRow {
+    object: String,
+    mass_kg: f64,
+    friction: f64,
+    center_of_mass_m: [f64; 3],
+}
+
+fn random_objects(args: &ObjectsArgs, seed: u64, output: Output) -> Result<()> {
+    let make = |number| {
+        let object = random_object(seed, number, args.mass.into());
+        object.write(&args.out).with_context(|| format!("object \"{}\"", object.name))?;
+        Ok(ObjectRow {
+            mass_kg: object.mass_properties.mass_kg,
+            friction: object.friction,
+            center_of_mass_m: object.mass_properties.center_of_mass.into(),
+            object: object.name,
+        })
+    };
+    let rows = (0..u64::from(args.count)).map(make).collect::<Result<Vec<_>>>()?;
+    let line = |r: &ObjectRow| {
+        let [x, y, z] = r.center_of_mass_m.map(|c| 1e3 * c);
+        format!(
+            "{:14} {:6.1} g  friction {:.3}  centre of mass {x:+5.1} {y:+5.1} {z:+5.1} mm",
+            r.object,
+            1e3 * r.mass_kg,
+            r.friction
+        )
+    };
+    output.answer(&rows, rows.iter().map(line).collect::<Vec<_>>().join("\n"))
 }
 
 /// One line of `bench demos`.

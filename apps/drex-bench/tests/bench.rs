@@ -67,6 +67,26 @@ fn a_small_bench_says_what_was_held_and_what_could_be() {
 }
 
 #[test]
+fn random_objects_are_written_by_name() {
+    let out = tempfile::tempdir().unwrap();
+    let folder = out.path().to_str().unwrap();
+    let run = bench(["objects", "--seed", "3", "--count", "4", "--mass", "off-centre", "--json", "--out", folder]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let rows = run.json();
+    assert_eq!(rows.as_array().unwrap().len(), 4);
+    for row in rows.as_array().unwrap() {
+        let at = out.path().join(row["object"].as_str().unwrap());
+        let stated: serde_json::Value =
+            serde_json::from_str(&fs::read_to_string(at.join("object.json")).unwrap()).unwrap();
+        assert_eq!((&stated["mass_kg"], &stated["friction"]), (&row["mass_kg"], &row["friction"]));
+        assert_eq!(stated["center_of_mass_m"], row["center_of_mass_m"]);
+        assert_eq!(stated["mass_distribution"]["class"], "off_centre");
+        let mesh = drex_core::TriMesh::read(&at.join("object.obj")).unwrap();
+        assert!(mesh.mass_properties(1.0).unwrap().mass_kg > 0.0);
+    }
+}
+
+#[test]
 fn lists_of_objects_are_checked() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("objects.toml");
