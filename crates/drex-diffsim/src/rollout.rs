@@ -19,6 +19,8 @@ pub struct Record<T: Scalar> {
     pub joints: Vec<Vec<Vec<T>>>,
     /// The state after the last time.
     pub last: State<T>,
+    /// Steps whose contact equations were not solved to full precision, or whose derivatives were lost.
+    pub unconverged_steps: usize,
 }
 
 /// The motion of a body's frame.
@@ -41,11 +43,13 @@ pub struct Track<T: Scalar> {
 pub fn rollout<T: Scalar>(model: &Model<T>, scene: &Scene<T>, start: &State<T>, times_s: &[f64]) -> Result<Record<T>> {
     let mut work = Workspace::default();
     check_with(model, scene, start, &mut work)?;
-    record(model, start, times_s, model.dt_s, |state| step(model, scene, state, &mut work))
+    let mut out = record(model, start, times_s, model.dt_s, |state| step(model, scene, state, &mut work))?;
+    out.unconverged_steps = work.unconverged_steps();
+    Ok(out)
 }
 
 /// Records the motion that `step` makes of `start` by `dt_s` seconds per call, at `times_s` as [`rollout`] does: for
-/// another simulator of the same model.
+/// another simulator of the same model. No step counts as unconverged.
 ///
 /// # Errors
 /// [`Error::Series`] for times that decrease or are not finite, and the errors of `step`.
@@ -96,7 +100,7 @@ pub fn record<T: Scalar, E: From<Error>>(
             table.push(a.q.iter().zip(&b.velocities).map(|(q, u)| *q + *u * since).collect());
         }
     }
-    Ok(Record { times_s: times_s.to_vec(), bodies, joints, last: state })
+    Ok(Record { times_s: times_s.to_vec(), bodies, joints, last: state, unconverged_steps: 0 })
 }
 
 /// One rollout to be done.

@@ -6,7 +6,8 @@
 //! ```
 //!
 //! ROOT holds `<object>/<scenario>/meta.json` with `truth.json` beside it; the truth is read after the estimate. The object is made
-//! of its mesh as `drex identify` makes it, and the start pose is withheld unless it is asked for. One line per recording:
+//! of its mesh as `drex identify` makes it, and the start pose is withheld unless it is asked for. Where `<object>/parameters.toml` states a
+//! centre of mass and an inertia (of what is hollow or off-centre), they count unless `--free` says otherwise. One line per recording:
 //! verdict, error of the mass, whether the interval holds the truth, half its width, seconds; then a row per kind of push. Recordings
 //! run side by side, each on one thread; the seconds are those of the processor, where the system tells them.
 #![allow(clippy::print_stdout)] // a program
@@ -17,7 +18,7 @@ use std::path::{Path, PathBuf};
 
 use drex_mesh::{AssetOptions, LengthUnit, build_asset};
 use drex_recording::convert::mujoco_push::{self, Inputs};
-use drex_sysid::{Identification, IdentifyOptions, Knowledge, Verdict, identify};
+use drex_sysid::{Identification, IdentifyOptions, Knowledge, Parameter, Verdict, identify};
 use rayon::prelude::*;
 use serde_json::Value;
 
@@ -72,8 +73,14 @@ fn weigh(folder: &Path, arguments: &Arguments) -> Result<Line, Failure> {
     metres.unit = LengthUnit::Metre;
     let asset = build_asset(&recording.mesh, &metres)?;
     let object = asset.to_exact_object("")?;
+    let mut options = arguments.options.clone();
+    for (parameter, value) in stated(&folder.join("../parameters.toml"))? {
+        if options.parameters.get(parameter).is_none() {
+            options.parameters.set(parameter, Knowledge::Fixed(value))?;
+        }
+    }
     let begin = cpu_seconds();
-    let answer = identify(&[recording], &object, &arguments.options);
+    let answer = identify(&[recording], &object, &options);
     let seconds = begin.zip(cpu_seconds()).map_or(0.0, |(a, b)| b - a);
     let truth: Value = serde_json::from_str(&std::fs::read_to_string(folder.join("truth.json"))?)?;
     let mass = truth["mass"].as_f64().ok_or("truth.json has no mass")?;
@@ -101,6 +108,16 @@ fn weigh(folder: &Path, arguments: &Arguments) -> Result<Line, Failure> {
         if arguments.verbose { details(&answer) } else { String::new() },
     );
     Ok(Line { kind, verdict: Some(answer.verdict), error, ends, seconds })
+}
+
+/// The lines `name = value` of a file, if there is one.
+fn stated(path: &Path) -> Result<Vec<(Parameter, f64)>, Failure> {
+    if !path.exists() {
+        return Ok(Vec::new());
+    }
+    let text = std::fs::read_to_string(path)?;
+    let pairs = text.lines().filter(|l| !l.starts_with('#')).filter_map(|l| l.split_once('='));
+    pairs.map(|(name, value)| Ok((name.trim().parse()?, value.trim().parse()?))).collect()
 }
 
 fn holds([low, high]: &[f64; 2]) -> bool {

@@ -14,17 +14,19 @@ use crate::noise::normal;
 use crate::problem::{Problem, Slot};
 use crate::{IdentifyOptions, Knowledge, MassDistribution, Parameter, Result};
 
-/// How far two correct simulators of rigid contact differ about a mass, relative.
-const SIMULATORS: f64 = 0.005;
-/// The same for a push by a fingertip.
-const SIMULATORS_FINGER: f64 = 0.0035;
-/// The same without an encoder, which alone tells the force across the push.
+/// How far two correct simulators of rigid contact differ about a mass, relative, beside what friction makes of it.
+const SIMULATORS: f64 = 0.001;
+/// The same for a push by a fingertip: what half the step, or contacts twice and half as soft, make of MuJoCo's tilts by a finger.
+const SIMULATORS_FINGER: f64 = 0.0027;
+/// How far they differ in the friction that one coefficient makes, relative; nor does anyone know a coefficient better.
+const SAME_FRICTION: f64 = 0.01;
+/// How far they differ without an encoder, which alone tells the force across the push.
 const SIMULATORS_BLIND: f64 = 0.04;
 /// Friction coefficients of the scan when friction is free.
 const FRICTIONS: [f64; 6] = [0.12, 0.2, 0.3, 0.45, 0.65, 0.9];
 /// Standard deviation taken for an encoder until draws are made, metres: far from the best mass no reading agrees to a tenth of a
 /// millimetre, and all would count as outliers.
-const LOOSE_ENCODER_M: f64 = 2e-3;
+pub(crate) const LOOSE_ENCODER_M: f64 = 2e-3;
 /// Standard deviation of log mass below which a closed form is a start.
 const GOOD_HINT: f64 = 0.1;
 /// Masses on each side of the best descent, and the logarithm between neighbours, that are looked at for other minima.
@@ -142,7 +144,11 @@ impl Joint {
             return Ok(best.into_iter().next().map_or(Outcome::Lost, |best| Outcome::Unseen(best, by_mass(&scan))));
         }
         let sensitivities = if told { self.sensitivities(first, middle_dt, options) } else { None };
-        let simulators = self.simulators();
+        let follows = |(all, _): &(Vec<(Parameter, f64)>, f64)| {
+            all.iter().find(|s| s.0 == Parameter::Friction).map_or(0.0, |s| s.1.abs())
+        };
+        // Where nothing can be said of it, the mass follows all of the friction.
+        let simulators = self.simulators(sensitivities.as_ref().map_or(1.0, follows));
         let lowest = first.cost;
         let weights: Vec<f64> = modes.iter().map(|g| (lowest - g.cost).exp()).collect();
         let all: f64 = weights.iter().sum();
@@ -298,14 +304,14 @@ impl Joint {
         of.best.into_iter().map(refit).collect()
     }
 
-    /// How far two correct simulators differ about the mass from the worst of the pushes.
-    pub(crate) fn simulators(&self) -> f64 {
-        let of = |p: &Problem| match (p.has_finger(), p.readings()) {
+    /// How far two correct simulators differ about the mass, whose logarithm follows that of the friction by `follows`.
+    pub(crate) fn simulators(&self, follows: f64) -> f64 {
+        let beside = |p: &Problem| match (p.has_finger(), p.readings()) {
             (false, _) => SIMULATORS,
             (true, 0) => SIMULATORS_BLIND,
             (true, _) => SIMULATORS_FINGER,
         };
-        self.problems.iter().map(of).fold(0.0, f64::max)
+        self.problems.iter().map(beside).fold(0.0, f64::max).hypot(SAME_FRICTION * follows)
     }
 
     /// The masses of closed forms, where they are good ones, with everything else as in the best of the points that there are.

@@ -10,7 +10,7 @@ use drex_recording::{Drive, PushRecording, TrackFrame};
 use crate::answer::{Identification, PushReport, Sensitivity, Verdict};
 use crate::closed_form::closed_form;
 use crate::distribution::EXCLUDES;
-use crate::estimate::{Estimate, Outcome};
+use crate::estimate::{Estimate, LOOSE_ENCODER_M, Outcome};
 use crate::fit::Fit;
 use crate::joint::{Candidate, Joint};
 use crate::object::collider;
@@ -144,6 +144,11 @@ pub fn identify_watched(
                     reports[i].information.clone_from(&estimate.shares[k]);
                 }
                 decide(&mut answer, &estimate, &joint)?;
+                let lost = fitted.iter().find_map(|&i| unfollowed(&reports[i]));
+                if let Some(why) = lost.filter(|_| answer.verdict == Verdict::Identified) {
+                    (answer.verdict, answer.mass_kg, answer.ci95_kg) = (Verdict::NotIdentifiable, None, None);
+                    answer.reason = why;
+                }
                 if answer.verdict == Verdict::Identified {
                     for &i in &fitted {
                         answer.reason.extend(doubt(&reports[i], options.encoder_m));
@@ -283,6 +288,17 @@ fn cause(joint: &Joint) -> &'static str {
     if joint.problems.iter().any(Problem::has_finger) { "the compliant fingertip" } else { "the known force" }
 }
 
+/// Why the best answer of a push by a finger is none: its motion is not even the one that brings the encoder within reach.
+fn unfollowed(push: &PushReport) -> Option<String> {
+    let missed_m = push.rms_encoder_m.filter(|m| *m > LOOSE_ENCODER_M)?;
+    Some(format!(
+        "no motion was found that the encoder of `{}` follows: the best one misses it by {:.1} mm, so another start, friction or shape is needed \
+         than what was stated; state the start pose, or repeat the push through the middle of the object",
+        push.name,
+        1e3 * missed_m
+    ))
+}
+
 /// What speaks against an answer although it is the best that there is: observations that it misses by far more than their noise.
 fn doubt(push: &PushReport, encoder_m: f64) -> Option<String> {
     let per_axis = |rms: Option<f64>, sd: f64| rms.map_or(0.0, |r| r / (3.0_f64.sqrt() * sd));
@@ -358,6 +374,12 @@ fn fill(
     report.position_bias_m = Some([fit.nuisance[1], fit.nuisance[2], fit.nuisance[3]]);
     report.closed_form = closed_form(recording, object, &problem.noise, fit.nuisance[0]);
     report.simulated = problem.times_s.iter().map(|t| row(&motion.at(t - fit.nuisance[0]))).collect();
+    if motion.unconverged_steps > 0 {
+        report.notes.push(format!(
+            "{} steps of the best simulation were not solved to full precision: contact there is doubtful",
+            motion.unconverged_steps
+        ));
+    }
 }
 
 fn row(pose: &Pose) -> [f64; 7] {

@@ -330,7 +330,7 @@ impl Problem {
         let samples = schedule.first.iter().map(pick).collect();
         let joints = record.joints.first();
         let tips = schedule.second.iter().filter_map(|&k| joints.and_then(|j| j.get(k)?.first().copied())).collect();
-        Ok(Motion { begin_s: begin, samples, tips })
+        Ok(Motion { begin_s: begin, samples, tips, unconverged_steps: record.unconverged_steps })
     }
 
     pub(crate) fn encoder_times_s(&self) -> &[f64] {
@@ -392,6 +392,8 @@ pub(crate) struct Motion {
     samples: Vec<(Pose, Vector3<f64>, Vector3<f64>)>,
     /// The finger along the push at the times of its encoder, metres.
     pub tips: Vec<f64>,
+    /// Steps that the simulator did not solve to full precision.
+    pub unconverged_steps: usize,
 }
 
 impl Motion {

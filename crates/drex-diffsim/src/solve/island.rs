@@ -221,6 +221,9 @@ impl<T: Scalar> Solver<T> {
                 for (u, r) in self.velocities.iter_mut().zip(&self.dual_r) {
                     *u -= *r;
                 }
+            } else {
+                // The velocities are right, but their derivatives are lost: the step counts as not solved.
+                self.converged = false;
             }
         }
     }

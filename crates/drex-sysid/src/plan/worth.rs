@@ -119,7 +119,7 @@ impl Stage<'_> {
     fn worth_if_done(&self, push: &GuardedPush, mass_kg: f64, run: &Rehearsal) -> Result<Option<Worth>> {
         match self.refused(push, run) {
             Some(_) => Ok(None),
-            None => self.worth(&run.recording, mass_kg).map(Some),
+            None => self.worth(push.kind, &run.recording, mass_kg).map(Some),
         }
     }
 
@@ -142,14 +142,15 @@ impl Stage<'_> {
         })
     }
 
-    fn worth(&self, recording: &PushRecording, mass_kg: f64) -> Result<Worth> {
+    fn worth(&self, kind: PushKind, recording: &PushRecording, mass_kg: f64) -> Result<Worth> {
         let options = self.identify_options();
         // The noise of a force is found in the record, so there must be some.
         let recording = self.with_noisy_force(recording.clone(), options.seed);
         let noise = self.options.noise;
         let problem = Problem::new(&recording, self.object, &self.collider, &options, noise)?;
         let joint = Joint::new(vec![problem], &[recording.support.friction]);
-        let simulators = joint.simulators();
+        // Against what slides, a known force is in balance with friction alone.
+        let simulators = joint.simulators(if kind == PushKind::Slide { 1.0 } else { 0.0 });
         let mut point = joint.start();
         point[0] = mass_kg.ln();
         if let Some(k) = joint.friction() {

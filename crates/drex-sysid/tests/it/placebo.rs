@@ -102,6 +102,19 @@ fn shuffled_and_constant_poses_of_recordings_weigh_nothing() {
     }
 }
 
+/// The encoder's readings 0.15 s late: no mass makes the fingertip do what they say.
+#[test]
+fn an_encoder_that_is_late_weighs_nothing() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/pushes/L001/finger_fast");
+    let (mut push, object) = load(&folder, Inputs::default());
+    if let Drive::Finger(finger) = &mut push.drive {
+        finger.encoder.as_mut().unwrap().times_s.iter_mut().for_each(|t| *t += 0.15);
+    }
+    let a = weigh(push, &object);
+    assert_eq!(a.verdict, Verdict::NotIdentifiable, "{:?} {:?} {}", a.mass_kg, a.ci95_kg, a.reason);
+    assert!(a.mass_kg.is_none() && a.ci95_kg.is_none() && a.reason.contains("the encoder of"), "{}", a.reason);
+}
+
 #[test]
 fn a_first_guess_moves_nothing() {
     let push = blocks(0.137)[1].clone();
