@@ -140,11 +140,14 @@ def parameters(generate, thing, geoms):
 
 def push(push_mujoco, seed, out, folder):
     """Simulates all pushes of one object; the rows of its tables."""
-    thing = json.loads((folder / "object.json").read_text())
-    name = thing["name"]
+    try:
+        thing = json.loads((folder / "object.json").read_text())
+        name, solids, distribution = thing["name"], thing["solids"], thing["mass_distribution"]["class"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise SystemExit(f"{folder / 'object.json'} is not as drex-bench objects writes it: {error!r}")
     generate = load(push_mujoco)
-    geoms = [geom(s) for s in thing["solids"]]
-    is_uniform = thing["mass_distribution"]["class"] == "solid"
+    geoms = [geom(s) for s in solids]
+    is_uniform = distribution == "solid"
     if not is_uniform:
         state(generate, thing)
     check(generate, thing, geoms)
@@ -175,6 +178,8 @@ def main():
     folders = sorted(f.parent for f in arguments.objects.glob("*/object.json"))
     if not folders:
         raise SystemExit(f"{arguments.objects} has no NAME/object.json; make some with drex-bench objects")
+    if not (arguments.push_mujoco / "generate.py").is_file():
+        raise SystemExit(f"{arguments.push_mujoco} has no generate.py: name the folder of the published set of simulated pushes")
     arguments.out.mkdir(parents=True, exist_ok=True)
     work = partial(push, arguments.push_mujoco, arguments.seed, arguments.out)
     if arguments.jobs > 1:

@@ -138,17 +138,19 @@ pub fn identify_watched(
                 fill(&mut reports[i], &recordings[i], object, &joint.problems[k], &motions[k], &fits[k]);
             }
         }
-        match outcome {
-            Outcome::Estimate(estimate) => {
+        // What was fixed was not weighed, however it is followed.
+        let unfollowed = || fitted.iter().find_map(|&i| unfollowed(&reports[i]));
+        let lost = joint.fixed_mass().is_none().then(unfollowed).flatten();
+        match (outcome, lost) {
+            (Outcome::Estimate(estimate), Some(why)) => {
+                answer.profile = estimate.scan;
+                answer.reason = why;
+            }
+            (Outcome::Estimate(estimate), None) => {
                 for (k, &i) in fitted.iter().enumerate() {
                     reports[i].information.clone_from(&estimate.shares[k]);
                 }
                 decide(&mut answer, &estimate, &joint)?;
-                let lost = fitted.iter().find_map(|&i| unfollowed(&reports[i]));
-                if let Some(why) = lost.filter(|_| answer.verdict == Verdict::Identified) {
-                    (answer.verdict, answer.mass_kg, answer.ci95_kg) = (Verdict::NotIdentifiable, None, None);
-                    answer.reason = why;
-                }
                 if answer.verdict == Verdict::Identified {
                     for &i in &fitted {
                         answer.reason.extend(doubt(&reports[i], options.encoder_m));
@@ -169,7 +171,7 @@ pub fn identify_watched(
                     }
                 }
             }
-            Outcome::Unseen(_, scan) => {
+            (Outcome::Unseen(_, scan), _) => {
                 answer.profile = scan;
                 answer.reason = format!(
                     "whatever the mass, the poses do not follow the motion that {} makes: in another order they would agree with it as \
@@ -177,7 +179,7 @@ pub fn identify_watched(
                     cause(&joint)
                 );
             }
-            Outcome::Lost => {
+            (Outcome::Lost, _) => {
                 answer.reason = "no mass explains the push: around the best one it cannot be simulated, or draws of the unknowns go \
                                  ever farther without agreeing better; check forces, start and support"
                     .into();
@@ -288,12 +290,12 @@ fn cause(joint: &Joint) -> &'static str {
     if joint.problems.iter().any(Problem::has_finger) { "the compliant fingertip" } else { "the known force" }
 }
 
-/// Why the best answer of a push by a finger is none: its motion is not even the one that brings the encoder within reach.
+/// Why the best answer of a push by a finger is none: draws were made around a motion that the encoder is not even near.
 fn unfollowed(push: &PushReport) -> Option<String> {
     let missed_m = push.rms_encoder_m.filter(|m| *m > LOOSE_ENCODER_M)?;
     Some(format!(
-        "no motion was found that the encoder of `{}` follows: the best one misses it by {:.1} mm, so another start, friction or shape is needed \
-         than what was stated; state the start pose, or repeat the push through the middle of the object",
+        "no motion was found that the encoder of `{}` follows: the best one misses it by {:.1} mm, so no mass does what was recorded; \
+         check the encoder's clock and the finger's impedance, state the start pose, or repeat the push through the middle of the object",
         push.name,
         1e3 * missed_m
     ))

@@ -149,7 +149,7 @@ impl Stage<'_> {
         let noise = self.options.noise;
         let problem = Problem::new(&recording, self.object, &self.collider, &options, noise)?;
         let joint = Joint::new(vec![problem], &[recording.support.friction]);
-        // Against what slides, a known force is in balance with friction alone.
+        // What pushes something that slides is in balance with friction alone.
         let simulators = joint.simulators(if kind == PushKind::Slide { 1.0 } else { 0.0 });
         let mut point = joint.start();
         point[0] = mass_kg.ln();

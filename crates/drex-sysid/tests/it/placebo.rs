@@ -112,7 +112,9 @@ fn an_encoder_that_is_late_weighs_nothing() {
     }
     let a = weigh(push, &object);
     assert_eq!(a.verdict, Verdict::NotIdentifiable, "{:?} {:?} {}", a.mass_kg, a.ci95_kg, a.reason);
-    assert!(a.mass_kg.is_none() && a.ci95_kg.is_none() && a.reason.contains("the encoder of"), "{}", a.reason);
+    assert!(a.reason.contains("the encoder of"), "{}", a.reason);
+    // Nothing of the estimate is left that could be taken for one.
+    assert!(a.mass_kg.is_none() && a.ci95_kg.is_none() && a.sd_log_mass.is_none() && a.sensitivities.is_empty());
 }
 
 #[test]
