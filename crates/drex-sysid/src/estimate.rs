@@ -37,9 +37,17 @@ const FOLLOWED: usize = 3;
 const FAR_WORSE: f64 = 15.0;
 /// Cost per pose beyond which the noise of a track does not explain it: noise alone costs about 2.6.
 const POOR: f64 = 4.0;
-/// How far from the best start so far others are tried then, in standard deviations of what is expected, and how many of each.
-const PROBE_SDS: [f64; 3] = [0.3, 0.3, 0.1];
-const PROBES: usize = 8;
+/// How often the cells of the scan around its best minima are divided.
+const DIVISIONS: usize = 2;
+/// Change of the cost of a scan below which two masses do equally well.
+const PLATEAU: f64 = 0.5;
+/// Rounds of starts that are tried then, each so many standard deviations of what is expected from the best one so far, with all masses.
+const ELSEWHERE: [f64; 3] = [0.3, 0.3, 0.1];
+const STARTS: usize = 8;
+/// Rounds of points that are tried where the poses show no motion: standard deviations, and logarithms of the mass, from the best so far.
+const BARELY: [(f64, [f64; 2]); 4] =
+    [(0.5, [-0.4, 0.1]), (0.5, [-0.12, 0.12]), (0.3, [-0.08, 0.08]), (0.2, [-0.05, 0.05])];
+const POINTS: usize = 64;
 /// Share of what it takes for poses to show a motion below which draws around it will not either.
 const HARDLY_SHOWN: f64 = 0.25;
 /// Rounds of draws with the coarse step, at least and at most.
@@ -97,7 +105,9 @@ impl Joint {
         // Where all masses do equally well, a minimum between two of them is an accident of contact.
         let told = relief(&scan) > EXCLUDES;
         if told {
-            scan = self.refined(scan, options.scan_dt_s);
+            for _ in 0..DIVISIONS {
+                scan = self.refined(scan, options.scan_dt_s);
+            }
         }
         if scan.iter().all(|s| !s.1.is_finite()) {
             // No mass can be simulated: say why.
@@ -110,8 +120,9 @@ impl Joint {
         let mut begin = promising(&scan, if told { 3 } else { 1 });
         begin.extend(self.hints(&begin));
         let mut found = self.descents(begin, middle_dt)?;
-        if told && found.first().is_some_and(|c| self.starts_elsewhere(c)) {
-            found.extend(self.descents(self.probes(options), middle_dt)?);
+        let is_seen = !self.is_unseen(&found, 1.0);
+        if told && (!is_seen || found.first().is_some_and(|c| self.starts_elsewhere(c))) {
+            found.extend(self.descents(self.probes(&scan, is_seen, options), middle_dt)?);
             found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
         }
         if let Some(first) = found.first().filter(|_| told) {
@@ -232,23 +243,46 @@ impl Joint {
         of.fold(f64::NEG_INFINITY, f64::max)
     }
 
-    /// The best points of scans from other starts than the expected ones: a push of something round that is a hair beside its middle
-    /// goes elsewhere, whatever the mass.
-    fn probes(&self, options: &IdentifyOptions) -> Vec<Point> {
+    /// The best points of scans from other starts than the expected ones, about the lightest mass that does as well as any: a push of
+    /// something round that is a hair beside its middle goes elsewhere, and what only just tips (`!is_seen`) does so at hardly any mass.
+    fn probes(&self, scan: &[(Point, f64)], is_seen: bool, options: &IdentifyOptions) -> Vec<Point> {
+        let lowest = scan.iter().map(|s| s.1).fold(f64::INFINITY, f64::min);
+        let Some((from, _)) = scan.iter().find(|s| s.1 <= lowest + PLATEAU) else { return Vec::new() };
         let mut random = ChaCha8Rng::seed_from_u64(options.seed);
         let mut best: Vec<(Point, f64)> = Vec::new();
-        for share in PROBE_SDS {
-            let around = best.first().map_or_else(|| self.start(), |b| b.0.clone());
-            for _ in 0..PROBES {
-                let by =
-                    self.coordinates.iter().map(|c| c.prior.map_or(0.0, |(_, sd)| share * sd * normal(&mut random)));
-                let by = DVector::from_iterator(self.coordinates.len(), by);
-                let scan = self.scan_from(&self.moved(&around, &by), options);
-                best.extend(scan.into_iter().min_by(|a, b| a.1.total_cmp(&b.1)));
-            }
+        let mut round = |sds: f64, range: Option<[f64; 2]>| {
+            let around = best.first().map_or(from, |b| &b.0).clone();
+            let mut drawn = || {
+                let sd = |c: &Coordinate| c.prior.map_or(0.0, |(_, sd)| sds * sd);
+                let by = self.coordinates.iter().map(|c| sd(c) * normal(&mut random));
+                self.moved(&around, &DVector::from_iterator(self.coordinates.len(), by))
+            };
+            let at = |mut point: Point, log_mass: f64| {
+                point[0] = log_mass;
+                point
+            };
+            let points: Vec<Point> = if let Some([low, high]) = range {
+                let mass = |k: usize| around[0] + low + (high - low) * (k as f64 + 0.5) / POINTS as f64;
+                (0..POINTS).map(|k| at(drawn(), mass(k))).collect()
+            } else {
+                let masses = 0..options.scan_points.max(5);
+                let starts = (0..STARTS).map(|_| drawn());
+                starts.flat_map(|s| masses.clone().map(move |k| at(s.clone(), scan_mass(options, k)))).collect()
+            };
+            let moving = |p: Point| {
+                let c = self.evaluate(p, None, options.scan_dt_s);
+                (c.cost.is_finite() && self.shown(&c) > HARDLY_SHOWN).then_some((c.point, c.cost))
+            };
+            best.par_extend(points.into_par_iter().filter_map(moving));
             best.sort_by(|a, b| a.1.total_cmp(&b.1));
+            best.truncate(FOLLOWED);
+        };
+        if is_seen {
+            ELSEWHERE.iter().for_each(|sds| round(*sds, None));
+        } else {
+            BARELY.iter().for_each(|(sds, range)| round(*sds, Some(*range)));
         }
-        best.into_iter().take(FOLLOWED).map(|b| b.0).collect()
+        best.into_iter().map(|b| b.0).collect()
     }
 
     /// Rounds of draws with a coarse step from a candidate until the posterior stays where it is; `None` if the mass goes ever farther
@@ -341,8 +375,7 @@ impl Joint {
     /// Cost over the grid of masses (and, if it is free, of frictions: the best of each mass is kept), everything else as in `start`.
     fn scan_from(&self, start: &Point, options: &IdentifyOptions) -> Vec<(Point, f64)> {
         let n = options.scan_points.max(5);
-        let (lo, hi) = (options.scan_kg[0].ln(), options.scan_kg[1].ln());
-        let step = (hi - lo) / (n - 1) as f64;
+        let step = scan_mass(options, 1) - scan_mass(options, 0);
         let friction = self.friction().filter(|&c| self.coordinates[c].prior.is_none());
         let column = |masses: &[f64]| -> Vec<(Point, f64)> {
             let grid: Vec<Point> = masses
@@ -370,7 +403,7 @@ impl Joint {
                 })
                 .collect()
         };
-        let mut scan = column(&(0..n).map(|k| lo + k as f64 * step).collect::<Vec<_>>());
+        let mut scan = column(&(0..n).map(|k| scan_mass(options, k)).collect::<Vec<_>>());
         for _ in 0..4 {
             let best = (0..scan.len()).min_by(|&a, &b| scan[a].1.total_cmp(&scan[b].1)).unwrap_or(0);
             let flat = scan.iter().all(|s| (s.1 - scan[best].1).abs() < 1e-3 || !s.1.is_finite());
@@ -391,17 +424,18 @@ impl Joint {
         scan
     }
 
-    /// The scan with the cells around its two best minima divided: where an object rocks, the cost has narrow minima.
+    /// The scan with the cells around its two best minima divided: where an object rocks, the cost has narrow minima, and one that is
+    /// just tipped over has its own between the last mass that stays and the first that falls.
     fn refined(&self, mut scan: Vec<(Point, f64)>, dt_s: f64) -> Vec<(Point, f64)> {
         const PARTS: usize = 8;
         let mut more: Vec<Point> = Vec::new();
         for center in promising(&scan, 2) {
             let Some(k) = scan.iter().position(|s| s.0 == center) else { continue };
-            for neighbour in [k.checked_sub(1), Some(k + 1)].into_iter().flatten().filter_map(|i| scan.get(i)) {
-                let (a, b) = (center[0], neighbour.0[0]);
+            let cells = [slope(scan[..=k].iter().rev()), slope(scan[k..].iter())];
+            for (from, to) in cells.into_iter().flatten() {
                 more.extend((1..PARTS).map(|i| {
                     let mut point = center.clone();
-                    point[0] = a + (b - a) * i as f64 / PARTS as f64;
+                    point[0] = from + (to - from) * i as f64 / PARTS as f64;
                     point
                 }));
             }
@@ -446,6 +480,26 @@ fn distinct(modes: &mut Vec<Round>) {
         }
     }
     *modes = kept;
+}
+
+/// Log masses of the first cell of a scan over which the cost changes, from a minimum on: on a plateau there is nothing to find.
+fn slope<'a>(mut from: impl Iterator<Item = &'a (Point, f64)>) -> Option<(f64, f64)> {
+    let (first, cost) = from.next()?;
+    let mut near = first[0];
+    for (point, c) in from {
+        if (c - cost).abs() <= PLATEAU {
+            near = point[0];
+        } else {
+            return Some((near, point[0]));
+        }
+    }
+    None
+}
+
+/// Log mass number `k` of the scan.
+fn scan_mass(options: &IdentifyOptions, k: usize) -> f64 {
+    let [low, high] = options.scan_kg.map(f64::ln);
+    low + (high - low) * k as f64 / (options.scan_points.max(5) - 1) as f64
 }
 
 /// Masses in kilograms and costs of a scan.

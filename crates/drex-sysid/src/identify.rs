@@ -13,7 +13,7 @@ use crate::distribution::EXCLUDES;
 use crate::estimate::{Estimate, LOOSE_ENCODER_M, Outcome};
 use crate::fit::Fit;
 use crate::joint::{Candidate, Joint};
-use crate::object::collider;
+use crate::object::{collider, standing};
 use crate::parameters::{Knowledge, Parameter, ParameterSet};
 use crate::problem::{Motion, Problem};
 use crate::{IdentifyOptions, Method, Result, SysidError, adam, checks, hand, invariance, noise};
@@ -57,7 +57,8 @@ pub fn identify_watched(
     if recordings.is_empty() {
         return Err(SysidError::NoRecording);
     }
-    let collider = collider(object)?;
+    let standing = standing(object)?;
+    let [collider, standing_collider] = [collider(object)?, collider(&standing)?];
     agree(recordings)?;
     let mut reports = Vec::new();
     let mut problems = Vec::new();
@@ -71,7 +72,9 @@ pub fn identify_watched(
         {
             continue;
         }
-        let problem = Problem::new(recording, object, &collider, options, noise)?;
+        let on_table = matches!(recording.drive, Drive::Force(_)) && recording.support.boxes.is_empty();
+        let (object, collider) = if on_table { (&standing, &standing_collider) } else { (object, &collider) };
+        let problem = Problem::new(recording, object, collider, options, noise)?;
         if problem.can_weigh() {
             problems.push(problem);
             frictions.push(recording.support.friction);

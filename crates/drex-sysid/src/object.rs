@@ -2,8 +2,9 @@
 
 use std::sync::Arc;
 
-use drex_core::Object;
-use drex_diffsim::Collider;
+use drex_core::mesh::convex_hull;
+use drex_core::{ConvexPart, Object};
+use drex_diffsim::{Collider, ConvexPolyhedron};
 
 use crate::{Result, SysidError};
 
@@ -23,4 +24,26 @@ pub(crate) fn collider(object: &Object) -> Result<Arc<Collider>> {
         Ok(collider) => Ok(Arc::new(collider)),
         Err(e) => bad(&format!("has a bad convex piece: {e}"), "split or close it"),
     }
+}
+
+/// An object as a plane that it stands on touches it: its hull, into however many parts it is cut. One of primitives is as it was.
+///
+/// # Errors
+/// If its mesh is flat.
+pub(crate) fn standing(object: &Object) -> Result<Object> {
+    let mut out = object.clone();
+    if object.convex_parts.iter().any(|p| p.primitive.is_none()) {
+        let flat = |e: &dyn std::fmt::Display| SysidError::Object {
+            what: format!("has a bad mesh: {e}"),
+            remedy: "close it, or check its scale".into(),
+        };
+        let points: Vec<_> = match object.mesh.vertices.as_slice() {
+            [] => object.corners().copied().collect(),
+            of_mesh => of_mesh.to_vec(),
+        };
+        let hull = ConvexPolyhedron::from_points(&points).map_err(|e| flat(&e))?;
+        let hull = convex_hull(hull.vertices()).map_err(|e| flat(&e))?;
+        out.convex_parts = Arc::new(vec![ConvexPart::of_hull(hull)]);
+    }
+    Ok(out)
 }

@@ -200,16 +200,17 @@ fn outline(triangles: &[[u32; 3]], vertices: &[Point3<f64>], normal: &Vector3<f6
     around
 }
 
-/// The points that lie farthest out in one of [`DIRECTIONS`] directions (a Fibonacci lattice), each once.
-/// The lattice is generic, so of points on a flat face only its corners are found.
+/// The points that lie farthest out in one of [`DIRECTIONS`] directions (a Fibonacci lattice of one octant, and its mirror images, so
+/// that mirrored points are thinned alike), each once. The lattice is generic, so of points on a flat face only its corners are found.
 fn extreme_points(points: &[Point3<f64>]) -> Vec<Point3<f64>> {
     let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
     let blocks = Blocks::new(points);
     let mut found = BTreeSet::new();
     for i in 0..DIRECTIONS {
-        let z = 1.0 - (2 * i + 1) as f64 / DIRECTIONS as f64;
-        let (r, a) = ((1.0 - z * z).sqrt(), golden * i as f64 + 0.1);
-        let n = Vector3::new(r * a.cos(), r * a.sin(), z);
+        let z = 1.0 - (2 * (i / 8) + 1) as f64 / (DIRECTIONS / 8 * 2) as f64;
+        let (r, a) = ((1.0 - z * z).sqrt(), (golden * (i / 8) as f64 + 0.1) % std::f64::consts::FRAC_PI_2);
+        let n = [r * a.cos(), r * a.sin(), z];
+        let n = Vector3::from_fn(|k, _| if i >> k & 1 == 0 { n[k] } else { -n[k] });
         found.extend(blocks.farthest(&n));
     }
     let mut kept: Vec<Point3<f64>> = Vec::new();

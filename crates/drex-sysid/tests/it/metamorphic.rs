@@ -4,19 +4,18 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::Arc;
 
 use crate::common::{box_mesh, normals, object_of, shared, simulated};
 use drex_core::trajectory::PoseNoise;
 use drex_core::{Object, Pose, Trajectory, TriMesh};
-use drex_diffsim::{AppliedForce, Body, Collider, ForcePoint, Model, Part, Scene, State, rollout};
+use drex_diffsim::{AppliedForce, Body, Collider, ConvexPolyhedron, ForcePoint, Model, Part, Scene, State, rollout};
 use drex_recording::convert::mujoco_push::{self, Inputs};
 use drex_recording::{Drive, ForceProfile, PushRecording};
 use drex_sysid::{Identification, IdentifyOptions, Verdict, identify};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 const G: f64 = 9.81;
-/// Scans that stand on a flat side.
+/// Scans, each of which is slid or tilted.
 const SCANS: [&str; 7] = [
     "002_master_chef_can",
     "006_mustard_bottle",
@@ -26,6 +25,8 @@ const SCANS: [&str; 7] = [
     "061_foam_brick",
     "077_rubiks_cube",
 ];
+/// Those of them that stand firmly: the coffee can and the mustard bottle rock on bumps.
+const FIRM: std::ops::Range<usize> = 2..7;
 
 /// A push and the mesh that it is of.
 #[derive(Clone)]
@@ -36,12 +37,19 @@ struct Push {
 
 type Telling = (&'static str, f64, fn(&Push) -> Push);
 
-/// Other words for the same push, and the factor that each puts on the mass.
-const TELLINGS: [Telling; 6] = [
+/// Other words for the same mesh, and the factor that each puts on the mass.
+const MESH_TELLINGS: [Telling; 3] = [
     ("corners in another order", 1.0, permuted),
     ("corners moved by a micrometre", 1.0, jittered),
-    ("the world turned", 1.0, turned),
     ("mirrored", 1.0, mirrored),
+];
+
+/// Other words for the same push.
+const TELLINGS: [Telling; 6] = [
+    MESH_TELLINGS[0],
+    MESH_TELLINGS[1],
+    MESH_TELLINGS[2],
+    ("the world turned", 1.0, turned),
     ("later", 1.0, later),
     ("mass and forces threefold", 3.0, threefold),
 ];
@@ -129,11 +137,9 @@ fn pushed(mesh: TriMesh, tilts: bool, seed: u64) -> Push {
     let force_n = mass_kg * G * balance * if tilts { 1.3 } else { 1.7 };
     let times: Vec<f64> = (0..160).map(|k| f64::from(k) * 0.01).collect();
     let frames: Vec<f64> = (0..48).map(|k| f64::from(k) / 30.0).collect();
-    let model = Model::new(vec![Body::new(
-        &object.mass_properties,
-        mass_kg,
-        Arc::new(Collider::of_parts(&object.convex_parts).unwrap()),
-    )]);
+    // What touches the table is the scan itself, however it is cut into pieces.
+    let hull = Collider::convex(vec![ConvexPolyhedron::from_points(&mesh.vertices).unwrap()]);
+    let model = Model::new(vec![Body::new(&object.mass_properties, mass_kg, hull.into())]);
     let start = State::at_rest(Pose::translation(0.0, 0.0, -lo.z));
     let pulse = |duration: f64| -> Vec<Vector3<f64>> {
         let acts = |t: f64| if (0.7..0.7 + duration).contains(&t) { 1.0 } else { 0.0 };
@@ -148,7 +154,7 @@ fn pushed(mesh: TriMesh, tilts: bool, seed: u64) -> Push {
             scene.forces.push(AppliedForce::new(Part::Body(0), &times, &exact, ForcePoint::Body(point)).unwrap());
             (exact, rollout(&model, &scene, &start, &frames).unwrap().bodies[0].poses.clone())
         })
-        .find(|(_, poses)| poses.iter().all(|p| p.rotation.angle() < if tilts { 0.35 } else { 0.1 }))
+        .find(|(_, poses)| poses.iter().all(|p| p.rotation.angle() < 0.35))
         .unwrap();
     let mut random = normals(seed);
     let mut noise = |sd: f64| Vector3::from_fn(|_, _| sd * random());
@@ -170,15 +176,15 @@ fn pushed(mesh: TriMesh, tilts: bool, seed: u64) -> Push {
     Push { recording, mesh }
 }
 
-/// Compares all tellings of a push with the push; returns those that disagree.
-fn disagreements(name: &str, push: &Push) -> Vec<String> {
+/// Compares tellings of a push with the push; returns those that disagree.
+fn disagreements(name: &str, push: &Push, tellings: &[Telling]) -> Vec<String> {
     let a = weigh(push);
     assert_eq!(a.verdict, Verdict::Identified, "{name}: {}", a.reason);
     let ([low, high], m) = (a.ci95_kg.unwrap(), a.mass_kg.unwrap());
     let width = (high / low).ln();
     eprintln!("{name}: {m:.4} kg, {low:.4} to {high:.4}, {:.1} s", a.seconds);
     let mut found = Vec::new();
-    for (what, times, tell) in &TELLINGS {
+    for (what, times, tell) in tellings {
         let b = weigh(&tell(push));
         assert_eq!(b.verdict, a.verdict, "{name}, {what}: {}", b.reason);
         let moved = |a: f64, b: f64| (b / a / times).ln() / width;
@@ -197,7 +203,7 @@ fn a_block_weighs_the_same_however_it_is_told() {
     let recording =
         simulated(0.2, 0.9, Vector3::x() * 0.2 * G * (0.025 / 0.075) * 1.25, Point3::new(-0.025, 0.0, 0.035));
     let mesh = box_mesh(Vector3::new(0.025, 0.03, 0.04), Vector3::zeros());
-    assert_eq!(disagreements("block", &Push { recording, mesh }), [""; 0]);
+    assert_eq!(disagreements("block", &Push { recording, mesh }, &TELLINGS), [""; 0]);
 }
 
 #[test]
@@ -207,18 +213,27 @@ fn recordings_weigh_the_same_however_they_are_told() {
         let mut recording = mujoco_push::load(&folder, Inputs::default()).unwrap();
         recording.initial_pose = None;
         let mesh = TriMesh::read(&recording.mesh).unwrap();
-        assert_eq!(disagreements(push, &Push { recording, mesh }), [""; 0]);
+        assert_eq!(disagreements(push, &Push { recording, mesh }, &TELLINGS), [""; 0]);
     }
 }
 
+/// Disagreements about pushes of scans.
+fn of_scans(which: std::ops::Range<usize>, tellings: &[Telling]) -> Vec<String> {
+    let Some(shared) = shared() else { return Vec::new() };
+    let of = |k: usize| {
+        let mesh = TriMesh::read(&shared.join(format!("data/objects/{}.obj", SCANS[k]))).unwrap();
+        disagreements(SCANS[k], &pushed(mesh, k % 2 == 0, k as u64), tellings)
+    };
+    which.flat_map(of).collect()
+}
+
 #[test]
-#[ignore = "some scans fail: a push of the mustard bottle moves by half its interval when corners move by a micrometre"]
+fn scans_weigh_the_same_however_their_mesh_is_told() {
+    assert_eq!(of_scans(FIRM, &MESH_TELLINGS), [""; 0]);
+}
+
+#[test]
+#[ignore = "the mustard bottle may be refused, the coffee can moves by 0.14 of its interval, a turned world by 0.2: noise is told from force axis by axis"]
 fn scans_weigh_the_same_however_they_are_told() {
-    let Some(shared) = shared() else { return };
-    let mut found = Vec::new();
-    for (k, scan) in SCANS.iter().enumerate() {
-        let mesh = TriMesh::read(&shared.join(format!("data/objects/{scan}.obj"))).unwrap();
-        found.extend(disagreements(scan, &pushed(mesh, k % 2 == 0, k as u64)));
-    }
-    assert_eq!(found, [""; 0]);
+    assert_eq!(of_scans(0..SCANS.len(), &TELLINGS), [""; 0]);
 }
