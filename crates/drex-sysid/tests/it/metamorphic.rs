@@ -222,7 +222,7 @@ fn of_scans(which: std::ops::Range<usize>, tellings: &[Telling]) -> Vec<String> 
     let Some(shared) = shared() else { return Vec::new() };
     let of = |k: usize| {
         let mesh = TriMesh::read(&shared.join(format!("data/objects/{}.obj", SCANS[k]))).unwrap();
-        disagreements(SCANS[k], &pushed(mesh, k % 2 == 0, k as u64), tellings)
+        disagreements(SCANS[k], &pushed(mesh, k.is_multiple_of(2), k as u64), tellings)
     };
     which.flat_map(of).collect()
 }
