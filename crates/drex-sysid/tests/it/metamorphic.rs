@@ -228,7 +228,7 @@ fn of_scans(which: std::ops::Range<usize>, tellings: &[Telling]) -> Vec<String> 
 }
 
 #[test]
-fn scans_weigh_the_same_however_their_mesh_is_told() {
+fn scans_weigh_the_same_reordered_jittered_and_mirrored() {
     assert_eq!(of_scans(FIRM, &MESH_TELLINGS), [""; 0]);
 }
 

@@ -36,7 +36,7 @@ fn known_forces_weigh_within_three_percent() {
 }
 
 /// Pushes of random objects, each kind of push twice, with the start withheld (`tests/data/pushes/README.md`). In 95 of 100 draws the
-/// interval holds the truth: of 13 pushes two may miss (more do in 1 of 40 sets), none may brag or hide, and the cylinder that was
+/// interval holds the truth: of 14 pushes two may miss (more do in 1 of 30 sets), none may brag or hide, and the cylinder that was
 /// pushed a hair beside its middle, which goes elsewhere whatever the mass if it starts where it is expected, is found all the same.
 #[test]
 fn random_objects_are_weighed_without_their_start() {
@@ -62,7 +62,7 @@ fn random_objects_are_weighed_without_their_start() {
         all += 1;
     }
     eprintln!("{held} of {all} intervals hold the truth");
-    assert!(all == 13 && held + 2 >= all, "{held} of {all}");
+    assert!(all == 14 && held + 2 >= all, "{held} of {all}");
 }
 
 #[test]
