@@ -25,7 +25,7 @@ mod series;
 pub use push::{
     ClockConfig, ClockKind, Drive, FingerConfig, FingerImpedance, FingerPush, ForceConfig, FrameKind, Free, HandConfig,
     HandPush, PoseConfig, PushConfig, PushRecording, StartConfig, StatedParameter, Support, SupportBox, TrackConfig,
-    TrackFormat, TrackFrame,
+    TrackFormat, TrackFrame, mesh_sd_m,
 };
 pub use series::{EncoderTrack, ForceProfile, JointLog, JointPoses, PointSeries};
 

@@ -108,6 +108,28 @@ impl Push {
 }
 
 #[test]
+fn a_mesh_of_photos_is_known_to_its_voxel() {
+    let push = Push::new(FORCE);
+    assert_eq!(push.load().mesh_sd_m, None);
+    push.write("scan.json", r#"{"fusion": {"voxel_m": 0.00088}}"#);
+    let found = push.load();
+    assert_eq!(found.mesh_sd_m, Some(0.0009));
+    assert!(found.notes.contains(&"the mesh is known to 0.9 mm".to_owned()), "{:?}", found.notes);
+    // What the push says counts more.
+    for stated in [0.0, 0.002] {
+        push.write("push.toml", &format!("mesh_sd_m = {stated}\n{FORCE}"));
+        assert_eq!(push.load().mesh_sd_m, Some(stated));
+    }
+    push.write("push.toml", &format!("mesh_sd_m = -0.001\n{FORCE}"));
+    assert!(push.message().contains("mesh_sd_m"), "{}", push.message());
+    push.write("push.toml", FORCE);
+    push.write("scan.json", r#"{"fusion": "#);
+    assert!(push.message().contains("scan.json"), "{}", push.message());
+    push.write("scan.json", r#"{"of": "something else"}"#);
+    assert_eq!(push.load().mesh_sd_m, None);
+}
+
+#[test]
 fn all_four_kinds_of_push_can_be_said() {
     let force = Push::new(FORCE).load();
     let Drive::Force(profile) = &force.drive else { panic!() };

@@ -1,7 +1,7 @@
 //! The estimator: a scan of the logarithm of the mass, descents from its best cells, and around where these end the posterior by
 //! draws; what is known of the mass is the mixture of what they find.
 
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -150,7 +150,7 @@ impl Joint {
         distinct(&mut modes);
         progress(0.9);
         let Some(first) = modes.first() else { return Ok(Outcome::Lost) };
-        if self.is_unseen(&first.best, 1.0) {
+        if self.is_unseen(&first.best, 1.0) && self.is_unseen(&found, 1.0) {
             let best = self.refit(modes.swap_remove(0));
             return Ok(best.into_iter().next().map_or(Outcome::Lost, |best| Outcome::Unseen(best, by_mass(&scan))));
         }
@@ -362,10 +362,25 @@ impl Joint {
 
     /// The estimated parameters besides the mass.
     fn others(&self, gaussian: &Gaussian) -> Vec<ParameterEstimate> {
+        // Where a push starts is estimated along its own axes.
+        let n = self.coordinates.len();
+        let mut turn = DMatrix::identity(n, n);
+        for (i, problem) in self.problems.iter().enumerate() {
+            let place = |p| self.coordinates.iter().position(|c| c.slot == Slot::Named(p) && c.pushes == [i]);
+            if let (Some(x), Some(y)) = (place(Parameter::StartX), place(Parameter::StartY)) {
+                let [to_x, to_y] = [Vector3::x(), Vector3::y()].map(|v| problem.world_from_push * v);
+                turn[(x, x)] = to_x.x;
+                turn[(y, x)] = to_x.y;
+                turn[(x, y)] = to_y.x;
+                turn[(y, y)] = to_y.y;
+            }
+        }
+        let mean = &turn * DVector::from_column_slice(&gaussian.mean);
+        let covariance = &turn * &gaussian.covariance * turn.transpose();
         let of = |(k, c): (usize, &Coordinate)| {
             let Slot::Named(parameter) = c.slot else { return None };
-            let value = parameter.of_coordinate(gaussian.mean[k]);
-            let sd = gaussian.covariance[(k, k)].sqrt() * if parameter.is_logarithmic() { value } else { 1.0 };
+            let value = parameter.of_coordinate(mean[k]);
+            let sd = covariance[(k, k)].sqrt() * if parameter.is_logarithmic() { value } else { 1.0 };
             let push = parameter.is_of_push().then(|| self.problems[c.pushes[0]].name.clone());
             Some(ParameterEstimate { parameter, push, value, sd })
         };

@@ -6,6 +6,8 @@
 //! everything as the same factor on the mass does. Noise of deviation s on samples u has such a part, of the relative size
 //! s / |u|; it goes straight into the interval.
 
+use std::ops::Range;
+
 use drex_recording::ForceProfile;
 use nalgebra::{Point3, Vector3};
 use rand_chacha::ChaCha8Rng;
@@ -32,13 +34,16 @@ pub(crate) struct KnownForce {
     pub factor_sd: f64,
     /// Other errors, of one standard deviation each.
     pub errors: Vec<Vec<Vector3<f64>>>,
+    runs: Vec<Run>,
 }
 
 impl KnownForce {
     pub(crate) fn new(profile: &ForceProfile) -> Self {
         let noise_n = noise::significant(&profile.forces_n);
         let forces_n = noise::without_idle(&profile.forces_n, noise_n);
-        let errors = shapes(&forces_n, noise_n);
+        let runs = runs(&forces_n);
+        let forces_n = with_crosswise(&profile.forces_n, forces_n, &runs);
+        let errors = shapes(&forces_n, &runs, noise_n);
         let size = forces_n.iter().map(Vector3::norm_squared).sum::<f64>().sqrt();
         let factor_sd = if size > 0.0 { noise_n / size } else { 0.0 };
         let torques_nm = noise::without_idle(&profile.torques_nm, noise::significant(&profile.torques_nm));
@@ -50,6 +55,7 @@ impl KnownForce {
             noise_n,
             factor_sd,
             errors,
+            runs,
         }
     }
 
@@ -59,9 +65,10 @@ impl KnownForce {
             return Vec::new();
         }
         let size = sign * self.noise_n;
-        let acts = |x: f64| if x == 0.0 { 0.0 } else { 1.0 };
-        let mut noise: Vec<Vector3<f64>> =
-            self.forces_n.iter().map(|f| f.map(|x| acts(x) * size * normal(random))).collect();
+        let mut noise = vec![Vector3::zeros(); self.forces_n.len()];
+        for run in &self.runs {
+            noise[run.samples.clone()].iter_mut().for_each(|n| n[run.axis] = size * normal(random));
+        }
         for shape in std::iter::once(&self.forces_n).chain(&self.errors) {
             let dot = |a: &[Vector3<f64>]| a.iter().zip(shape).map(|(a, b)| a.dot(b)).sum::<f64>();
             let along = dot(&noise) / dot(shape).max(f64::MIN_POSITIVE);
@@ -88,13 +95,17 @@ impl KnownForce {
     }
 }
 
-/// Smooth shapes on the runs of samples that carry force along an axis: the lowest orthonormal polynomials of each, more of
-/// them on longer runs, without the part that is a factor on the whole force; each times the standard deviation of a sample.
-fn shapes(forces_n: &[Vector3<f64>], noise_n: f64) -> Vec<Vec<Vector3<f64>>> {
-    if noise_n == 0.0 {
-        return Vec::new();
-    }
-    let mut runs: Vec<(usize, usize, usize)> = Vec::new();
+/// Samples one after another that carry force along an axis.
+#[derive(Debug, Clone)]
+struct Run {
+    axis: usize,
+    samples: Range<usize>,
+    /// Axes that carry none meanwhile.
+    across: Vec<usize>,
+}
+
+fn runs(forces_n: &[Vector3<f64>]) -> Vec<Run> {
+    let mut out = Vec::new();
     for axis in 0..3 {
         let mut from = None;
         for k in 0..=forces_n.len() {
@@ -102,23 +113,51 @@ fn shapes(forces_n: &[Vector3<f64>], noise_n: f64) -> Vec<Vec<Vector3<f64>>> {
             match (from, acts) {
                 (None, true) => from = Some(k),
                 (Some(a), false) => {
-                    runs.push((axis, a, k));
+                    let is_idle = |o: &usize| *o != axis && forces_n[a..k].iter().all(|f| f[*o] == 0.0);
+                    out.push(Run { axis, samples: a..k, across: (0..3).filter(is_idle).collect() });
                     from = None;
                 }
                 _ => {}
             }
         }
     }
-    let samples: usize = runs.iter().map(|(_, a, b)| b - a).sum();
+    out
+}
+
+/// The force with what the record shows beside its direction: across a run, as much of the same profile as fits the samples there.
+fn with_crosswise(recorded: &[Vector3<f64>], mut forces_n: Vec<Vector3<f64>>, runs: &[Run]) -> Vec<Vector3<f64>> {
+    for run in runs {
+        let profile: Vec<f64> = forces_n[run.samples.clone()].iter().map(|f| f[run.axis]).collect();
+        let size: f64 = profile.iter().map(|x| x * x).sum();
+        for &o in &run.across {
+            let share = profile.iter().zip(&recorded[run.samples.clone()]).map(|(p, f)| p * f[o]).sum::<f64>() / size;
+            forces_n[run.samples.clone()].iter_mut().zip(&profile).for_each(|(f, p)| f[o] += share * p);
+        }
+    }
+    forces_n
+}
+
+/// Smooth shapes on the runs of samples that carry force along an axis: the lowest orthonormal polynomials of each, more of
+/// them on longer runs, without the part that is a factor on the whole force, and another direction of the run; each times the
+/// standard deviation of a sample.
+fn shapes(forces_n: &[Vector3<f64>], runs: &[Run], noise_n: f64) -> Vec<Vec<Vector3<f64>>> {
+    if noise_n == 0.0 {
+        return Vec::new();
+    }
+    let samples: usize = runs.iter().map(|r| r.samples.len()).sum();
     let spare = MOST.saturating_sub(runs.len());
     let mut found: Vec<Vec<Vector3<f64>>> = Vec::new();
     let mut basis = vec![forces_n.to_vec()];
     normalize(&mut basis[0]);
-    for (axis, a, b) in runs {
-        let share = 1 + spare * (b - a) / samples.max(1);
-        for shape in polynomials(b - a, share.min(HIGHEST)) {
+    for run in runs {
+        let n = run.samples.len();
+        let share = 1 + spare * n / samples.max(1);
+        let along = polynomials(n, share.min(HIGHEST)).into_iter().map(|p| (run.axis, p));
+        let profile: Vec<f64> = forces_n[run.samples.clone()].iter().map(|f| f[run.axis]).collect();
+        for (axis, shape) in along.chain(run.across.iter().map(|o| (*o, profile.clone()))) {
             let mut whole = vec![Vector3::zeros(); forces_n.len()];
-            whole[a..b].iter_mut().zip(&shape).for_each(|(f, x)| f[axis] = *x);
+            whole[run.samples.clone()].iter_mut().zip(&shape).for_each(|(f, x)| f[axis] = *x);
+            normalize(&mut whole);
             // Twice is enough (Parlett, The Symmetric Eigenvalue Problem, 6.9).
             for other in basis.iter().chain(&basis) {
                 let along: f64 = whole.iter().zip(other).map(|(a, b)| a.dot(b)).sum();
@@ -176,9 +215,9 @@ mod tests {
             Vector3::new(x, 0.0, if (120..127).contains(&k) { -1.0 } else { 0.0 })
         };
         let forces: Vec<_> = (0..200).map(force).collect();
-        let out = shapes(&forces, 0.1);
-        // Six for the run of 63 samples, two for that of 7; the factor on the force may be one of them.
-        assert!((7..=8).contains(&out.len()), "{}", out.len());
+        let out = shapes(&forces, &runs(&forces), 0.1);
+        // Six for the run of 63 samples, two for that of 7, two directions of each; the factor on the force may be one of them.
+        assert!((11..=12).contains(&out.len()), "{}", out.len());
         let dot = |a: &[Vector3<f64>], b: &[Vector3<f64>]| a.iter().zip(b).map(|(a, b)| a.dot(b)).sum::<f64>();
         for (i, a) in out.iter().enumerate() {
             assert!(dot(a, &forces).abs() < 1e-9);
@@ -188,6 +227,6 @@ mod tests {
                 assert!((dot(a, b) - expected).abs() < 1e-9, "{i} {j}");
             }
         }
-        assert!(shapes(&forces, 0.0).is_empty());
+        assert!(shapes(&forces, &runs(&forces), 0.0).is_empty());
     }
 }

@@ -57,8 +57,13 @@ pub fn identify_watched(
     if recordings.is_empty() {
         return Err(SysidError::NoRecording);
     }
-    let standing = standing(object)?;
-    let [collider, standing_collider] = [collider(object)?, collider(&standing)?];
+    let shape = collider(object)?;
+    let is_on_table = |r: &PushRecording| matches!(r.drive, Drive::Force(_)) && r.support.boxes.is_empty();
+    let standing = match recordings.iter().any(is_on_table) {
+        true => Some(standing(object)?),
+        false => None,
+    };
+    let standing = standing.map(|s| collider(&s).map(|c| (s, c))).transpose()?;
     agree(recordings)?;
     let mut reports = Vec::new();
     let mut problems = Vec::new();
@@ -72,9 +77,11 @@ pub fn identify_watched(
         {
             continue;
         }
-        let on_table = matches!(recording.drive, Drive::Force(_)) && recording.support.boxes.is_empty();
-        let (object, collider) = if on_table { (&standing, &standing_collider) } else { (object, &collider) };
-        let problem = Problem::new(recording, object, collider, options, noise)?;
+        let (object, shape) = match &standing {
+            Some((standing, hull)) if is_on_table(recording) => (standing, hull),
+            _ => (object, &shape),
+        };
+        let problem = Problem::new(recording, object, shape, options, noise)?;
         if problem.can_weigh() {
             problems.push(problem);
             frictions.push(recording.support.friction);
@@ -107,7 +114,7 @@ pub fn identify_watched(
             reports[i].hand = Some(found.report.clone());
             reports[i].clock_offset_s = found.report.clock_offset_s.map(|c| c[0]);
         } else if !fitted.contains(&i) {
-            let finding = invariance::explain(recording, object, &collider, options)?;
+            let finding = invariance::explain(recording, object, &shape, options)?;
             reports[i].notes.extend(finding.notes);
             reports[i].simulated = finding.simulated.iter().map(row).collect();
             if fitted.is_empty() && answer.profile.is_empty() {
@@ -376,9 +383,10 @@ fn fill(
     report.rms_encoder_m = (!readings.is_empty())
         .then(|| (readings.iter().map(|r| r * r).sum::<f64>() / readings.len() as f64).sqrt() * problem.encoder_m);
     report.clock_offset_s = Some(fit.nuisance[0]);
-    report.position_bias_m = Some([fit.nuisance[1], fit.nuisance[2], fit.nuisance[3]]);
+    report.position_bias_m = Some((problem.world_from_push * fit.nuisance.fixed_rows::<3>(1)).into());
     report.closed_form = closed_form(recording, object, &problem.noise, fit.nuisance[0]);
-    report.simulated = problem.times_s.iter().map(|t| row(&motion.at(t - fit.nuisance[0]))).collect();
+    let pose = |t: &f64| row(&(problem.world_from_push * motion.at(t - fit.nuisance[0])));
+    report.simulated = problem.times_s.iter().map(pose).collect();
     if motion.unconverged_steps > 0 {
         report.notes.push(format!(
             "{} steps of the best simulation were not solved to full precision: contact there is doubtful",

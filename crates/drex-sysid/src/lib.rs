@@ -15,6 +15,7 @@ mod fit;
 mod force;
 pub mod frames;
 mod hand;
+mod heading;
 mod identify;
 mod invariance;
 mod joint;

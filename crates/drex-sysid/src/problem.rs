@@ -16,6 +16,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::closed_form::{ClosedForm, closed_form};
 use crate::finger::{Finger, FingerValues};
 use crate::force::KnownForce;
+use crate::heading::{turned, world_from_push};
 use crate::parameters::{Expected, NUISANCES, Parameter, ParameterSet, SIMULATED};
 use crate::{IdentifyOptions, Result, SysidError, start};
 
@@ -51,10 +52,11 @@ pub(crate) enum Slot {
     Error(usize),
 }
 
-/// A push ready to be simulated.
+/// A push ready to be simulated, in its own axes.
 #[derive(Debug, Clone)]
 pub(crate) struct Problem {
     pub name: String,
+    pub world_from_push: UnitQuaternion<f64>,
     pub times_s: Vec<f64>,
     pub observed: Vec<Pose>,
     pub noise: PoseNoise,
@@ -91,6 +93,9 @@ impl Problem {
         noise: PoseNoise,
     ) -> Result<Self> {
         let name = recording.name.clone();
+        let mut parameters = options.parameters.or(&ParameterSet::of_recording(recording)?);
+        let world_from_push = world_from_push(recording, &parameters);
+        let recording = &turned(recording, &world_from_push.inverse());
         let first = recording.track.poses().first().ok_or_else(|| SysidError::Recording {
             push: name.clone(),
             what: "the track is empty".into(),
@@ -105,7 +110,6 @@ impl Problem {
             }
             _ => Action::Nothing,
         };
-        let mut parameters = options.parameters.or(&ParameterSet::of_recording(recording)?);
         let mut start = recording.initial_pose.unwrap_or(*first);
         let onset_s = match &action {
             Action::Force(force) => force.onset_s(),
@@ -122,6 +126,7 @@ impl Problem {
         }
         Ok(Self {
             name,
+            world_from_push,
             times_s: recording.track.times_s().to_vec(),
             observed: recording.track.poses().to_vec(),
             noise,

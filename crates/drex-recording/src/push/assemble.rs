@@ -47,7 +47,14 @@ impl PushConfig {
             },
             FrameKind::Camera | FrameKind::World => TrackFrame::World,
         };
+        let mesh = folder.join(&self.mesh);
+        let mesh_sd_m = match self.mesh_sd_m {
+            None => mesh_sd_m(&mesh)?,
+            stated => stated,
+        };
+        notes.extend(mesh_sd_m.map(|sd| format!("the mesh is known to {:.1} mm", 1e3 * sd)));
         let recording = PushRecording {
+            mesh_sd_m,
             track_frame,
             noise: self.track.noise,
             support: self.support.clone(),
@@ -59,7 +66,7 @@ impl PushConfig {
             sources: self.clone().files_mut().into_iter().map(|f| folder.join(f)).collect(),
             nominal_start: self.start.nominal_position_m.map(Into::into),
             notes,
-            ..PushRecording::new(name, folder.join(&self.mesh), track, drive)
+            ..PushRecording::new(name, mesh, track, drive)
         };
         recording.check()?;
         if !recording.mesh.is_file() {
@@ -186,4 +193,19 @@ impl ClockConfig {
             }
         })
     }
+}
+
+/// How well a mesh is known that was made of photos: the voxel in the `scan.json` beside it, metres, to a tenth of a millimetre as it is
+/// printed; `None` without such a file, or with one of something else.
+///
+/// # Errors
+/// If the file cannot be read or is no JSON.
+pub fn mesh_sd_m(mesh: &Path) -> Result<Option<f64>> {
+    let file = mesh.with_file_name("scan.json");
+    if !file.is_file() {
+        return Ok(None);
+    }
+    let scan: serde_json::Value = fsutil::from_json(&file, &fsutil::read_text(&file)?)?;
+    let voxel_m = scan.pointer("/fusion/voxel_m").and_then(serde_json::Value::as_f64);
+    Ok(voxel_m.map(|v| (1e4 * v).round() / 1e4).filter(|v| *v > 0.0))
 }

@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
+pub use self::assemble::mesh_sd_m;
 pub use self::toml::{
     ClockConfig, ClockKind, FingerConfig, ForceConfig, FrameKind, Free, HandConfig, PoseConfig, PushConfig,
     StartConfig, StatedParameter, TrackConfig, TrackFormat,
@@ -31,6 +32,9 @@ pub struct PushRecording {
     pub name: String,
     /// The object's mesh file. Poses are poses of this mesh's frame.
     pub mesh: PathBuf,
+    /// How well the mesh is known where it is not exact: standard deviation of its surface, metres. A mesh with a `scan.json` beside it,
+    /// as `drex asset` and a twin make of photos, is known to a voxel. Zero states that it is exact.
+    pub mesh_sd_m: Option<f64>,
     /// Pose of the object's mesh frame over time, in `track_frame` (which says when it is another frame of the object).
     pub track: Trajectory,
     /// The frame that the track is given in.
@@ -66,6 +70,7 @@ impl PushRecording {
         Self {
             name: name.into(),
             mesh: mesh.into(),
+            mesh_sd_m: None,
             track,
             track_frame: TrackFrame::World,
             noise: None,
@@ -116,6 +121,7 @@ impl PushRecording {
     fn check(&self) -> Result<()> {
         let mut facts = vec![("the size of gravity (m/s²)", self.gravity.norm(), 1e-3, 100.0)];
         facts.extend(self.support.friction.map(|f| ("the friction of object and support", f, 0.0, 10.0)));
+        facts.extend(self.mesh_sd_m.map(|sd| ("mesh_sd_m, the standard deviation of the mesh (m)", sd, 0.0, 1.0)));
         facts.extend(self.mass_prior_kg.map(|m| ("the first guess of the mass (kg)", m, 1e-6, 1e3)));
         for b in &self.support.boxes {
             facts.extend(b.half_m.map(|h| ("half an edge of a support box (m)", h, 1e-6, MAX_POSITION_M)));

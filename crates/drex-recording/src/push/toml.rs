@@ -19,6 +19,7 @@ use drex_core::{Error, Pose, Result, fsutil};
 /// ```toml
 /// schema = 1
 /// mesh = "../../scan/brick.obj"
+/// mesh_sd_m = 0.001                  # of a scan: how well its surface is known; a voxel of scan.json beside it if left out
 /// mass_prior_kg = 0.5                # a guess; never an answer
 /// [track]
 /// file = "pose.csv"
@@ -75,6 +76,9 @@ pub struct PushConfig {
     pub name: Option<String>,
     /// The object's mesh.
     pub mesh: PathBuf,
+    /// How well the mesh is known, standard deviation of its surface, metres; 0 for exactly. If left out, the voxel of a `scan.json` beside
+    /// the mesh, and exactly without one.
+    pub mesh_sd_m: Option<f64>,
     /// Gravity in the world, m/s².
     #[serde(default = "standard_gravity")]
     pub gravity_m_s2: [f64; 3],
@@ -315,6 +319,7 @@ impl PushConfig {
             schema: 1,
             name: None,
             mesh: mesh.into(),
+            mesh_sd_m: None,
             gravity_m_s2: standard_gravity(),
             mass_prior_kg: None,
             track,

@@ -5,24 +5,13 @@ use std::path::PathBuf;
 use crate::Result;
 use crate::error::{Context, refuse};
 use drex_core::fsutil;
-use drex_recording::{Drive, PushRecording, StatedParameter};
+use drex_recording::{PushRecording, StatedParameter, mesh_sd_m};
 use drex_sysid::{IdentifyOptions, MassPosterior, MassPrior, Parameter, identify_watched};
 
 use crate::Progress;
 use crate::Twin;
 use crate::records::MassFile;
-use crate::records::{MASS, SCAN, ScanFile, read_json, write_json};
-
-/// What a push takes from the object's shape: where its weight acts, where it stands, how high the push acts; metres.
-const OF_THE_SHAPE: [Parameter; 7] = [
-    Parameter::CenterX,
-    Parameter::CenterY,
-    Parameter::CenterZ,
-    Parameter::StartX,
-    Parameter::StartY,
-    Parameter::StartZ,
-    Parameter::ContactHeight,
-];
+use crate::records::{MASS, write_json};
 
 /// Steps in which progress is told.
 const PARTS: u64 = 100;
@@ -30,11 +19,9 @@ const PARTS: u64 = 100;
 /// Identifies and multiplies with the prior.
 pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>> {
     let mut recordings = recordings(twin)?;
-    if twin.manifest.scan.is_some() {
-        // To a tenth of a millimetre, as it is printed.
-        let sd = (1e4 * read_json::<ScanFile>(&twin.path(SCAN))?.fusion.voxel_m).round() / 1e4;
-        recordings.iter_mut().for_each(|r| as_scanned(r, sd));
-    }
+    // A push may name another copy of the mesh than the twin.
+    let of_twin = mesh_sd_m(&twin.path(&twin.manifest.object.mesh))?;
+    recordings.iter_mut().for_each(|r| r.mesh_sd_m = r.mesh_sd_m.or(of_twin));
     let prior = prior(twin, &recordings)?;
     if prior.is_some() {
         stated_once(&recordings)?;
@@ -71,18 +58,6 @@ fn stated_once(recordings: &[PushRecording]) -> Result<()> {
     Ok(())
 }
 
-/// A mesh that was made of photos is known to a voxel, `sd_m`, and an interval that takes it for exact is too narrow: what the push
-/// asks of the shape is expected within that of the mesh, where the recording does not say otherwise.
-fn as_scanned(recording: &mut PushRecording, sd_m: f64) {
-    if !matches!(recording.drive, Drive::Force(_) | Drive::Finger(_)) {
-        return;
-    }
-    for parameter in OF_THE_SHAPE {
-        let expected = StatedParameter::Expected { mean: 0.0, sd: sd_m };
-        recording.parameters.entry(parameter.as_str().to_owned()).or_insert(expected);
-    }
-}
-
 /// The manifest's pushes, loaded.
 pub fn recordings(twin: &Twin) -> Result<Vec<PushRecording>> {
     Ok(twin
@@ -115,31 +90,4 @@ fn prior(twin: &Twin, recordings: &[PushRecording]) -> Result<Option<MassPrior>>
         (Some(guess), Some(sd_log)) => Some(guess.with_sd_log(sd_log)?),
         (guess, _) => guess,
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use std::path::Path;
-
-    use super::*;
-
-    #[test]
-    fn a_scanned_shape_is_expected_where_the_recording_does_not_say_otherwise() {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/tin/push/tilt");
-        let mut recording = PushRecording::load(&folder).unwrap();
-        let stated = StatedParameter::Value(0.001);
-        recording.parameters.insert("center_z".into(), stated);
-        let mut nothing = recording.clone();
-        nothing.drive = Drive::Nothing;
-
-        as_scanned(&mut recording, 0.002);
-        assert_eq!(recording.parameters["center_z"], stated);
-        let expected = StatedParameter::Expected { mean: 0.0, sd: 0.002 };
-        assert_eq!(recording.parameters.values().filter(|p| **p == expected).count(), OF_THE_SHAPE.len() - 1);
-        // The names are those that the estimate knows.
-        drex_sysid::ParameterSet::of_recording(&recording).unwrap();
-
-        as_scanned(&mut nothing, 0.002);
-        assert_eq!(nothing.parameters.len(), 1, "what nobody pushed has no height of the push");
-    }
 }
