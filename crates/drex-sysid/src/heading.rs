@@ -1,10 +1,11 @@
-//! The axes of a push. What is medianed, drawn or weighed axis by axis must not depend on how the world is turned: a push by a known
-//! force on a plane is estimated in axes whose x is where it heads.
+//! The axes of a push. What is decided axis by axis (medians of frames, which samples of a force are noise, draws of a place) must not
+//! depend on how the world is turned: a push by a known force on a plane is estimated in axes whose x is where it heads.
 
 use drex_core::{Pose, Trajectory};
 use drex_recording::{Drive, PushRecording};
 use nalgebra::{UnitQuaternion, Vector3};
 
+use crate::Result;
 use crate::parameters::{Knowledge, Parameter, ParameterSet};
 
 /// The world's axes from those of a push; the world's own where more is stated along one of them than along the other.
@@ -25,17 +26,15 @@ pub(crate) fn world_from_push(recording: &PushRecording, parameters: &ParameterS
 }
 
 /// A push by a known force, its world turned about the vertical.
-pub(crate) fn turned(recording: &PushRecording, by: &UnitQuaternion<f64>) -> PushRecording {
+pub(crate) fn turned(recording: &PushRecording, by: &UnitQuaternion<f64>) -> Result<PushRecording> {
     let mut out = recording.clone();
     let pose = |p: &Pose| *by * p;
     let poses: Vec<Pose> = recording.track.poses().iter().map(pose).collect();
-    if let Ok(track) = Trajectory::from_samples(recording.track.times_s(), &poses) {
-        out.track = track;
-    }
+    out.track = Trajectory::from_samples(recording.track.times_s(), &poses)?;
     out.initial_pose = recording.initial_pose.as_ref().map(pose);
     out.gravity = by * recording.gravity;
     if let Drive::Force(force) = &mut out.drive {
         force.forces_n.iter_mut().chain(&mut force.torques_nm).for_each(|v| *v = by * *v);
     }
-    out
+    Ok(out)
 }

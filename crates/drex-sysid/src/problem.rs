@@ -95,7 +95,7 @@ impl Problem {
         let name = recording.name.clone();
         let mut parameters = options.parameters.or(&ParameterSet::of_recording(recording)?);
         let world_from_push = world_from_push(recording, &parameters);
-        let recording = &turned(recording, &world_from_push.inverse());
+        let recording = &turned(recording, &world_from_push.inverse())?;
         let first = recording.track.poses().first().ok_or_else(|| SysidError::Recording {
             push: name.clone(),
             what: "the track is empty".into(),
