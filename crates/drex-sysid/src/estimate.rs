@@ -119,10 +119,18 @@ impl Joint {
         progress(0.15);
         let mut begin = promising(&scan, if told { 3 } else { 1 });
         begin.extend(self.hints(&begin));
-        let mut found = self.descents(begin, middle_dt)?;
-        let is_seen = !self.is_unseen(&found, 1.0);
+        let named = self.named();
+        let mut found = self.descents(begin, &named, middle_dt)?;
+        let moving: Vec<Point> = found.iter().filter(|c| self.shown(c) > 1.0).map(|c| c.point.clone()).collect();
+        let is_seen = self.fixed_mass().is_some() || !moving.is_empty();
+        if told && found.first().is_some_and(|c| self.shown(c) <= 1.0) {
+            // Rest agrees better than a motion that the poses show: the force goes elsewhere than its record, by as much as its noise.
+            let all: Vec<usize> = (0..self.coordinates.len()).collect();
+            found.extend(self.descents(moving, &all, middle_dt)?);
+            found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        }
         if told && (!is_seen || found.first().is_some_and(|c| self.starts_elsewhere(c))) {
-            found.extend(self.descents(self.probes(&scan, is_seen, options), middle_dt)?);
+            found.extend(self.descents(self.probes(&scan, is_seen, options), &named, middle_dt)?);
             found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
         }
         if let Some(first) = found.first().filter(|_| told) {
@@ -138,7 +146,7 @@ impl Joint {
         }
         progress(0.3);
         if self.problems.iter().any(|p| p.readings() > 0) {
-            found = self.descents(found.into_iter().map(|c| c.point).collect(), middle_dt)?;
+            found = self.descents(found.into_iter().map(|c| c.point).collect(), &named, middle_dt)?;
         }
         if self.is_unseen(&found, HARDLY_SHOWN) {
             return Ok(found.into_iter().next().map_or(Outcome::Lost, |best| Outcome::Unseen(best, by_mass(&scan))));
@@ -208,9 +216,8 @@ impl Joint {
     }
 
     /// Where descents from points end, best first.
-    fn descents(&self, from: Vec<Point>, dt_s: f64) -> Result<Vec<Candidate>> {
-        let named = self.named();
-        let down = |p: Point| self.descend(self.evaluate(p, None, dt_s), &named, ITERATIONS, dt_s);
+    fn descents(&self, from: Vec<Point>, active: &[usize], dt_s: f64) -> Result<Vec<Candidate>> {
+        let down = |p: Point| self.descend(self.evaluate(p, None, dt_s), active, ITERATIONS, dt_s);
         let mut found: Vec<Candidate> = from.into_par_iter().map(down).collect::<Result<_>>()?;
         found.retain(|c| c.cost.is_finite());
         found.sort_by(|a, b| a.cost.total_cmp(&b.cost));

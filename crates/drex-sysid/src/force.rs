@@ -34,7 +34,6 @@ pub(crate) struct KnownForce {
     pub factor_sd: f64,
     /// Other errors, of one standard deviation each.
     pub errors: Vec<Vec<Vector3<f64>>>,
-    runs: Vec<Run>,
 }
 
 impl KnownForce {
@@ -55,20 +54,19 @@ impl KnownForce {
             noise_n,
             factor_sd,
             errors,
-            runs,
         }
     }
 
-    /// As much noise as the force has already, where it acts and without what the error shapes make up; empty without noise.
+    /// As much noise as the record has, where the force acts, across as along, and without what the error shapes make up; empty without
+    /// noise.
     pub(crate) fn noise(&self, sign: f64, random: &mut ChaCha8Rng) -> Vec<Vector3<f64>> {
         if self.noise_n == 0.0 {
             return Vec::new();
         }
         let size = sign * self.noise_n;
-        let mut noise = vec![Vector3::zeros(); self.forces_n.len()];
-        for run in &self.runs {
-            noise[run.samples.clone()].iter_mut().for_each(|n| n[run.axis] = size * normal(random));
-        }
+        let acts = |x: f64| if x == 0.0 { 0.0 } else { 1.0 };
+        let mut noise: Vec<Vector3<f64>> =
+            self.forces_n.iter().map(|f| f.map(|x| acts(x) * size * normal(random))).collect();
         for shape in std::iter::once(&self.forces_n).chain(&self.errors) {
             let dot = |a: &[Vector3<f64>]| a.iter().zip(shape).map(|(a, b)| a.dot(b)).sum::<f64>();
             let along = dot(&noise) / dot(shape).max(f64::MIN_POSITIVE);

@@ -271,7 +271,8 @@ impl Joint {
         out
     }
 
-    /// Derivatives of each push's residuals by its parameters among `active`, by dual numbers, nuisances eliminated.
+    /// Derivatives of each push's residuals by its coordinates among `active`, nuisances eliminated: by dual numbers, and over a standard
+    /// deviation for errors of the force, of which a simulation has no duals.
     fn exact_columns(&self, c: &Candidate, active: &[usize], dt_s: f64) -> Result<Vec<Vec<Vec<f64>>>> {
         self.problems
             .iter()
@@ -282,7 +283,16 @@ impl Joint {
                     Slot::Error(_) => None,
                 };
                 let own: Vec<Parameter> = self.coordinates_of(i, active).into_iter().filter_map(of).collect();
-                let mut columns = problem.slopes(&self.values(i, &c.point), &own, &c.fits[i], dt_s)?;
+                let values = self.values(i, &c.point);
+                let mut columns = problem.slopes(&values, &own, &c.fits[i], dt_s)?;
+                for k in self.coordinates_of(i, active).into_iter().filter(|&k| of(k).is_none()) {
+                    let at = |by: f64| {
+                        let mut values = values.clone();
+                        values.set(self.coordinates[k].slot, c.point[k] + by);
+                        problem.simulate(&values, dt_s).map(|m| problem.residuals(&m, &c.fits[i].nuisance))
+                    };
+                    columns.push(at(0.5)?.iter().zip(at(-0.5)?).map(|(b, a)| b - a).collect());
+                }
                 problem.eliminate(&c.motions[i], &c.fits[i], &mut columns);
                 Ok(columns)
             })
