@@ -210,7 +210,7 @@ impl Joint {
             if !now.cost.is_finite() {
                 break;
             }
-            let columns = self.exact_columns(&now, active, dt_s)?;
+            let columns = self.columns_of(&now, active, dt_s)?;
             let (h, g) = self.normal_equations(&now, active, &columns);
             let mut improved = false;
             for _ in 0..6 {
@@ -273,7 +273,7 @@ impl Joint {
 
     /// Derivatives of each push's residuals by its coordinates among `active`, nuisances eliminated: by dual numbers, and over a standard
     /// deviation for errors of the force, of which a simulation has no duals.
-    fn exact_columns(&self, c: &Candidate, active: &[usize], dt_s: f64) -> Result<Vec<Vec<Vec<f64>>>> {
+    fn columns_of(&self, c: &Candidate, active: &[usize], dt_s: f64) -> Result<Vec<Vec<Vec<f64>>>> {
         self.problems
             .iter()
             .enumerate()

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::str::FromStr;
 
-use drex_recording::{Drive, PushRecording, StatedParameter};
+use drex_recording::{PushRecording, StatedParameter};
 use serde::{Deserialize, Serialize};
 
 use crate::{Result, SysidError};
@@ -305,19 +305,12 @@ impl ParameterSet {
         Ok(())
     }
 
-    /// What a push states about its parameters. What depends on the shape of a mesh that is not exact (where the weight acts, where the object
-    /// stands, how high the push acts) is expected within the error of the mesh where nothing else is stated of it.
+    /// What a push states about its parameters.
     ///
     /// # Errors
     /// For names that no parameter has, and values that it cannot have.
     pub fn of_recording(recording: &PushRecording) -> Result<Self> {
         let mut out = Self::default();
-        let is_simulated = matches!(recording.drive, Drive::Force(_) | Drive::Finger(_));
-        if let Some(sd) = recording.mesh_sd_m.filter(|sd| is_simulated && *sd > 0.0) {
-            for parameter in OF_THE_SHAPE {
-                out.set(parameter, Knowledge::Prior { mean: 0.0, sd })?;
-            }
-        }
         for (name, stated) in &recording.parameters {
             out.set(
                 name.parse()?,
@@ -329,6 +322,14 @@ impl ParameterSet {
             )?;
         }
         Ok(out)
+    }
+
+    /// What holds of a mesh that is not exact: where the weight acts, where the object stands and how high the push acts is expected within
+    /// the error of the mesh.
+    pub(crate) fn of_mesh(recording: &PushRecording) -> Self {
+        let sd = recording.mesh_sd_m.filter(|sd| *sd > 0.0);
+        let entries = sd.map(|sd| OF_THE_SHAPE.map(|p| (p, Knowledge::Prior { mean: 0.0, sd })));
+        Self { entries: entries.into_iter().flatten().collect() }
     }
 
     /// What holds of a start that nobody states. The tracked place is that of the object by definition, since no push tells a
@@ -413,29 +414,6 @@ mod tests {
             assert!((p.of_coordinate(x).abs() - 0.7).abs() < 1e-15);
         }
         assert!("weight".parse::<Parameter>().unwrap_err().to_string().contains("mass, friction"));
-    }
-
-    #[test]
-    fn the_shape_of_a_scanned_mesh_is_expected_where_the_push_does_not_say_otherwise() {
-        let track = drex_core::Trajectory::from_samples(&[0.0], &[drex_core::Pose::identity()]).unwrap();
-        let drive = Drive::Force(drex_recording::ForceProfile {
-            times_s: vec![0.0],
-            forces_n: vec![nalgebra::Vector3::x()],
-            torques_nm: Vec::new(),
-            point_in_object: nalgebra::Point3::origin(),
-        });
-        let mut push = PushRecording::new("push", "mesh.obj", track, drive);
-        assert_eq!(ParameterSet::of_recording(&push).unwrap(), ParameterSet::default());
-        push.mesh_sd_m = Some(0.002);
-        push.parameters.insert("center_z".into(), StatedParameter::Value(0.001));
-        let set = ParameterSet::of_recording(&push).unwrap();
-        assert_eq!(set.get(Parameter::CenterZ), Some(Knowledge::Fixed(0.001)));
-        assert_eq!(set.get(Parameter::StartY), Some(Knowledge::Prior { mean: 0.0, sd: 0.002 }));
-        push.parameters.clear();
-        for (sd_m, drive) in [(Some(0.0), push.drive.clone()), (Some(0.002), Drive::Nothing)] {
-            (push.mesh_sd_m, push.drive) = (sd_m, drive);
-            assert_eq!(ParameterSet::of_recording(&push).unwrap(), ParameterSet::default());
-        }
     }
 
     #[test]

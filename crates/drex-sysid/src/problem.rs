@@ -124,6 +124,8 @@ impl Problem {
             let place = matches!(action, Action::Finger(_)) || !recording.support.boxes.is_empty();
             parameters = parameters.or(&ParameterSet::of_unknown_start(place));
         }
+        // A start that nobody states is as unsure as its track, however good the mesh.
+        parameters = parameters.or(&ParameterSet::of_mesh(recording));
         Ok(Self {
             name,
             world_from_push,
@@ -433,6 +435,40 @@ impl Motion {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_mesh_adds_what_nobody_states_and_pins_no_unknown_start() {
+        let corner = |k: i32| Point3::from([1, 2, 4].map(|bit| if k & bit == 0 { -0.02 } else { 0.02 }));
+        let hull = drex_core::mesh::convex_hull(&(0..8).map(corner).collect::<Vec<_>>()).unwrap();
+        let properties = hull.mass_properties(1000.0).unwrap();
+        let object = Object::of_parts(vec![drex_core::ConvexPart::of_hull(hull)], properties);
+        let collider = crate::object::collider(&object).unwrap();
+        let track =
+            drex_core::Trajectory::from_samples(&[0.0, 0.1, 0.2], &[Pose::translation(0.0, 0.0, 0.05); 3]).unwrap();
+        let force = drex_recording::ForceProfile {
+            times_s: vec![0.0, 0.2],
+            forces_n: vec![Vector3::zeros(), Vector3::x()],
+            torques_nm: Vec::new(),
+            point_in_object: Point3::origin(),
+        };
+        let mut push = PushRecording::new("push", "mesh.obj", track, Drive::Force(force));
+        push.support.boxes.push(SupportBox { center_m: [0.0, 0.0, 0.015], half_m: [0.1, 0.1, 0.015] });
+        push.starts_at_rest = true;
+        push.mesh_sd_m = Some(0.002);
+        push.parameters.insert("center_z".into(), drex_recording::StatedParameter::Value(0.001));
+        let known = |push: &PushRecording, p: Parameter| {
+            let noise = PoseNoise { position_m: 1e-3, rotation_rad: 0.01 };
+            Problem::new(push, &object, &collider, &IdentifyOptions::default(), noise).unwrap().parameters.get(p)
+        };
+        let within = |sd: f64| Some(crate::Knowledge::Prior { mean: 0.0, sd });
+        assert_eq!(known(&push, Parameter::CenterX), within(0.002));
+        assert_eq!(known(&push, Parameter::CenterZ), Some(crate::Knowledge::Fixed(0.001)));
+        assert_eq!(known(&push, Parameter::StartX), within(0.01));
+        push.initial_pose = push.track.poses().first().copied();
+        assert_eq!(known(&push, Parameter::StartX), within(0.002));
+        push.mesh_sd_m = Some(0.0);
+        assert_eq!(known(&push, Parameter::StartX), None);
+    }
 
     #[test]
     fn two_lists_of_times_become_one() {

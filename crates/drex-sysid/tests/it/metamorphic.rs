@@ -1,4 +1,4 @@
-//! What cannot change the mass does not: the same push told in other words, of primitives and of scanned meshes.
+//! What cannot change the mass does not: metamorphic relations of pushes, of primitives and of scanned meshes.
 //!
 //! Pushes of scans are simulated here, with noise: what is compared are answers with answers, not with the truth.
 
@@ -35,10 +35,10 @@ struct Push {
     mesh: TriMesh,
 }
 
-type Telling = (&'static str, f64, fn(&Push) -> Push);
+type Relation = (&'static str, f64, fn(&Push) -> Push);
 
-/// Other words for the same push, and the factor that each puts on the mass.
-const TELLINGS: [Telling; 7] = [
+/// Changes of a push that cannot matter, and the factor that each puts on the mass.
+const RELATIONS: [Relation; 7] = [
     ("corners in another order", 1.0, permuted),
     ("corners moved by a micrometre", 1.0, jittered),
     ("mirrored", 1.0, mirrored),
@@ -181,16 +181,16 @@ fn pushed(mesh: TriMesh, tilts: bool, seed: u64) -> Push {
     Push { recording, mesh }
 }
 
-/// Compares tellings of a push with the push; returns those that disagree.
-fn disagreements(name: &str, push: &Push, tellings: &[Telling]) -> Vec<String> {
+/// Compares what relations make of a push with the push; returns those that disagree.
+fn disagreements(name: &str, push: &Push, relations: &[Relation]) -> Vec<String> {
     let a = weigh(push);
     assert_eq!(a.verdict, Verdict::Identified, "{name}: {}", a.reason);
     let ([low, high], m) = (a.ci95_kg.unwrap(), a.mass_kg.unwrap());
     let width = (high / low).ln();
     eprintln!("{name}: {m:.4} kg, {low:.4} to {high:.4}, {:.1} s", a.seconds);
     let mut found = Vec::new();
-    for (what, times, tell) in tellings {
-        let b = weigh(&tell(push));
+    for (what, times, change) in relations {
+        let b = weigh(&change(push));
         assert_eq!(b.verdict, a.verdict, "{name}, {what}: {}", b.reason);
         let moved = |a: f64, b: f64| (b / a / times).ln() / width;
         let ([l, h], m) = (b.ci95_kg.unwrap(), moved(m, b.mass_kg.unwrap()));
@@ -204,50 +204,50 @@ fn disagreements(name: &str, push: &Push, tellings: &[Telling]) -> Vec<String> {
 }
 
 #[test]
-fn a_block_weighs_the_same_however_it_is_told() {
+fn relations_hold_for_a_block() {
     let recording =
         simulated(0.2, 0.9, Vector3::x() * 0.2 * G * (0.025 / 0.075) * 1.25, Point3::new(-0.025, 0.0, 0.035));
     let mesh = box_mesh(Vector3::new(0.025, 0.03, 0.04), Vector3::zeros());
-    assert_eq!(disagreements("block", &Push { recording, mesh }, &TELLINGS), [""; 0]);
+    assert_eq!(disagreements("block", &Push { recording, mesh }, &RELATIONS), [""; 0]);
 }
 
 #[test]
-fn recordings_weigh_the_same_however_they_are_told() {
+fn relations_hold_for_recordings() {
     for push in ["box004/slide_force", "T000/lift_force"] {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/pushes").join(push);
         let mut recording = mujoco_push::load(&folder, Inputs::default()).unwrap();
         recording.initial_pose = None;
         let mesh = TriMesh::read(&recording.mesh).unwrap();
-        assert_eq!(disagreements(push, &Push { recording, mesh }, &TELLINGS), [""; 0]);
+        assert_eq!(disagreements(push, &Push { recording, mesh }, &RELATIONS), [""; 0]);
     }
 }
 
 /// Disagreements about pushes of scans.
-fn of_scans(which: std::ops::Range<usize>, tellings: &[Telling]) -> Vec<String> {
+fn of_scans(which: std::ops::Range<usize>, relations: &[Relation]) -> Vec<String> {
     let Some(shared) = shared() else { return Vec::new() };
     let of = |k: usize| {
         let mesh = TriMesh::read(&shared.join(format!("data/objects/{}.obj", SCANS[k]))).unwrap();
-        disagreements(SCANS[k], &pushed(mesh, k.is_multiple_of(2), k as u64), tellings)
+        disagreements(SCANS[k], &pushed(mesh, k.is_multiple_of(2), k as u64), relations)
     };
     which.flat_map(of).collect()
 }
 
 #[test]
-fn scans_weigh_the_same_however_they_are_told() {
-    assert_eq!(of_scans(FIRM, &TELLINGS), [""; 0]);
+fn relations_hold_for_scans_that_stand_firmly() {
+    assert_eq!(of_scans(FIRM, &RELATIONS), [""; 0]);
 }
 
 #[test]
 #[ignore = "the mustard bottle may be refused, the coffee can moves by 0.14 of its interval"]
-fn scans_that_rock_weigh_the_same_however_they_are_told() {
-    assert_eq!(of_scans(0..FIRM.start, &TELLINGS), [""; 0]);
+fn relations_hold_for_scans_that_rock() {
+    assert_eq!(of_scans(0..FIRM.start, &RELATIONS), [""; 0]);
 }
 
 /// The push and the mesh of the demo, whose mesh is made of photos.
 #[test]
-fn a_mesh_of_photos_weighs_the_same_however_it_is_told() {
+fn relations_hold_for_a_mesh_of_photos() {
     let recording = PushRecording::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/demo")).unwrap();
     assert_eq!(recording.mesh_sd_m, Some(0.0009));
     let mesh = TriMesh::read(&recording.mesh).unwrap();
-    assert_eq!(disagreements("demo", &Push { recording, mesh }, &TELLINGS), [""; 0]);
+    assert_eq!(disagreements("demo", &Push { recording, mesh }, &RELATIONS), [""; 0]);
 }
