@@ -181,6 +181,7 @@ fn make_push(shells: &[TriMesh], mesh_from_tin: &Pose, mass_kg: f64, mesh: &str,
         mesh: mesh.into(),
         gravity_m_s2: [0.0, 0.0, -9.81],
         mass_prior_kg: Some(0.5),
+        mesh_sd_m: None,
         track: TrackConfig {
             file: "poses.csv".into(),
             format: TrackFormat::PoseCsv,
