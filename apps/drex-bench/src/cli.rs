@@ -138,27 +138,6 @@ pub struct GraspArgs {
     pub compare: bool,
 }
 
-/// How the mass of the objects is spread.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum MassArg {
-    /// Evenly.
-    Solid,
-    /// Over a wall of 1 to 4 mm, closed or open at the top.
-    Hollow,
-    /// Evenly, with an insert of 30 to 70 % of the mass somewhere inside.
-    OffCentre,
-}
-
-impl From<MassArg> for MassClass {
-    fn from(arg: MassArg) -> Self {
-        match arg {
-            MassArg::Solid => Self::Solid,
-            MassArg::Hollow => Self::Hollow,
-            MassArg::OffCentre => Self::OffCentre,
-        }
-    }
-}
-
 /// `drex-bench objects`.
 #[derive(Debug, Args)]
 pub struct ObjectsArgs {
@@ -166,8 +145,8 @@ pub struct ObjectsArgs {
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub count: u32,
     /// How their mass is spread; shapes and frictions do not depend on it.
-    #[arg(long, value_enum, default_value_t = MassArg::Solid)]
-    pub mass: MassArg,
+    #[arg(long, value_enum, default_value_t = MassClass::Solid)]
+    pub mass: MassClass,
     /// Folder for NAME/object.obj and NAME/object.json.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,

@@ -48,7 +48,7 @@ struct ObjectRow {
 
 fn random_objects(args: &ObjectsArgs, seed: u64, output: Output) -> Result<()> {
     let make = |number| {
-        let object = random_object(seed, number, args.mass.into());
+        let object = random_object(seed, number, args.mass);
         object.write(&args.out).with_context(|| format!("object \"{}\"", object.name))?;
         Ok(ObjectRow {
             mass_kg: object.mass_properties.mass_kg,

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use drex_core::Trajectory;
 use drex_core::trajectory::PoseNoise;
-use drex_mesh::{AssetOptions, LengthUnit, build_asset};
+use drex_mesh::{AssetOptions, build_asset};
 use drex_recording::{Drive, ForceProfile, PushRecording};
 use drex_sysid::calibrate::HandCalibration;
 use drex_sysid::{IdentifyOptions, Knowledge, Method, identify_watched};
@@ -412,11 +412,7 @@ pub(crate) fn identify(
     let inner = watched(py, progress, move |part| {
         let asset = match asset {
             Some(asset) => asset,
-            None => {
-                let mut metres = AssetOptions::default();
-                metres.unit = LengthUnit::Metre;
-                build_asset(&mesh, &metres)?.into()
-            }
+            None => build_asset(&mesh, &AssetOptions::in_metres())?.into(),
         };
         let object = asset.to_exact_object("")?;
         Ok(identify_watched(&recordings, &object, &options, &|done| part.set(done))?)

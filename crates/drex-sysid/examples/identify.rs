@@ -9,7 +9,7 @@ use std::error::Error;
 use std::io::Write;
 use std::path::Path;
 
-use drex_mesh::{AssetOptions, LengthUnit, build_asset};
+use drex_mesh::{AssetOptions, build_asset};
 use drex_recording::PushRecording;
 use drex_recording::convert::mujoco_push::{self, Inputs};
 use drex_sysid::{IdentifyOptions, Knowledge, Parameter, identify};
@@ -34,9 +34,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         true => mujoco_push::load(Path::new(&folder), Inputs::default())?,
         false => PushRecording::load(Path::new(&folder))?,
     };
-    let mut metres = AssetOptions::default();
-    metres.unit = LengthUnit::Metre;
-    let object = build_asset(&recording.mesh, &metres)?.to_exact_object("")?;
+    let object = build_asset(&recording.mesh, &AssetOptions::in_metres())?.to_exact_object("")?;
     let mut answer = identify(&[recording], &object, &options)?;
     if !full {
         answer.profile.clear();

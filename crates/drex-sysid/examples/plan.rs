@@ -9,7 +9,7 @@ use std::io::Write;
 use std::path::Path;
 use std::time::Instant;
 
-use drex_mesh::{AssetOptions, LengthUnit, build_asset};
+use drex_mesh::{AssetOptions, build_asset};
 use drex_recording::{Support, SupportBox};
 use drex_sysid::plan::{FingerLimits, ForceLimits, PlanOptions, RobotLimits, plan_push};
 use drex_sysid::{IdentifyOptions, identify};
@@ -37,9 +37,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             _ => mesh = Some(arg),
         }
     }
-    let mut metres = AssetOptions::default();
-    metres.unit = LengthUnit::Metre;
-    let object = build_asset(Path::new(&mesh.ok_or("name an OBJ file")?), &metres)?.to_exact_object("")?;
+    let object =
+        build_asset(Path::new(&mesh.ok_or("name an OBJ file")?), &AssetOptions::in_metres())?.to_exact_object("")?;
     let robot = RobotLimits {
         reaction_s: 0.03,
         force: Some(ForceLimits { max_n: 10.0, noise_n: 0.03, lifts: true }),

@@ -6,7 +6,8 @@ use std::error::Error;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use drex_core::{Pose, Trajectory, TriMesh};
+use drex_core::{Pose, Trajectory};
+use drex_mesh::{AssetOptions, build_asset};
 use drex_recording::convert::allegro_run;
 use drex_recording::{Drive, HandPush};
 use drex_robot::{Robot, joint_order};
@@ -109,7 +110,7 @@ fn load(folder: &Path, entries: bool) -> Any<Run> {
         gravity: recording.gravity,
         table_height_m: recording.support.table_height_m,
         track: recording.track,
-        solid: Standing::of(&TriMesh::read(&recording.mesh)?)?,
+        solid: Standing::of(&build_asset(&recording.mesh, &AssetOptions::in_metres())?.to_exact_object("")?)?,
         up: from_tracked * vector("up_in_tracked_frame"),
         lean: from_tracked * vector("topples_towards_in_tracked_frame"),
         options,
@@ -219,7 +220,7 @@ fn touch_rows(
 }
 
 fn bound_row(out: &mut impl Write, run: &Run, b: &Bound, truth: Option<f64>) -> std::io::Result<()> {
-    let [lo, hi] = b.interval_kg;
+    let [lo, hi] = b.mass.ends_kg();
     writeln!(
         out,
         "{:9} {:18} {:7.1} {:6.1} {:>6} {:8.2} {:10.2}  {:.3} to {:.3}  {:42} {}",
@@ -227,8 +228,8 @@ fn bound_row(out: &mut impl Write, run: &Run, b: &Bound, truth: Option<f64>) -> 
         b.fingers.join(" "),
         1e3 * b.impulse_nms,
         1e3 * b.work_j,
-        format!("{:.3}", b.median_kg),
-        b.sd_log,
+        format!("{:.3}", b.mass.median_kg()),
+        b.mass.sd_log(),
         b.sd_of_efforts_per_kg / b.per_kg.max(0.0),
         lo,
         hi,

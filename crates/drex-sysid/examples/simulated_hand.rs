@@ -11,11 +11,12 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use drex_core::{ConvexPart, Object, Pose, Trajectory, TriMesh};
+use drex_core::{Object, Pose, Trajectory};
 use drex_diffsim::{
     ActuatorKind, Articulation, Base, Body, BodyState, Collider, Control, Model, Part, Scene, State, StaticBody,
     Workspace, step,
 };
+use drex_mesh::{AssetOptions, build_asset};
 use drex_recording::JointLog;
 use drex_recording::convert::allegro_run;
 use drex_recording::{Drive, HandPush, PushRecording};
@@ -116,8 +117,8 @@ impl<'a> Push<'a> {
         let (Drive::Hand(log), Some(run)) = (&recording.drive, HandRun::of(recording)) else {
             return Err("no hand".into());
         };
-        let solid = Standing::of(&TriMesh::read(&recording.mesh)?)?;
-        let object = Object::of_parts(vec![ConvexPart::of_hull(solid.hull.clone())], solid.unit);
+        let object = build_asset(&recording.mesh, &AssetOptions::in_metres())?.to_exact_object("")?;
+        let solid = Standing::of(&object)?;
         let mut found = find(&recording.track, &solid, &FrameOptions::of(recording))?;
         let extra = calibration.extra_torque(&run, robot)?;
         let touches = extra.touches(robot);

@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
-use drex_mesh::{AssetOptions, LengthUnit, build_asset};
+use drex_mesh::{AssetOptions, build_asset};
 use drex_recording::convert::mujoco_push::{self, Inputs};
 use drex_sysid::{Identification, IdentifyOptions, Knowledge, Parameter, Verdict, identify};
 use rayon::prelude::*;
@@ -69,9 +69,7 @@ fn weigh(folder: &Path, arguments: &Arguments) -> Result<Line, Failure> {
     if !arguments.start {
         recording.initial_pose = None;
     }
-    let mut metres = AssetOptions::default();
-    metres.unit = LengthUnit::Metre;
-    let asset = build_asset(&recording.mesh, &metres)?;
+    let asset = build_asset(&recording.mesh, &AssetOptions::in_metres())?;
     let object = asset.to_exact_object("")?;
     let mut options = arguments.options.clone();
     for (parameter, value) in stated(&folder.join("../parameters.toml"))? {
@@ -139,8 +137,7 @@ fn details(answer: &Identification) -> String {
     let push = answer.pushes.first();
     let fit = push.map_or(String::new(), |p| {
         format!(
-            "closed form {:?}; rms {:?} mm {:?} rad, encoder {:?} mm, clock {:?}, bias {:?}, outliers {}",
-            p.closed_form.map(|c| (c.kind, c.mass_kg, c.sd_log_mass)),
+            "rms {:?} mm {:?} rad, encoder {:?} mm, clock {:?}, bias {:?}, outliers {}",
             p.rms_position_m.map(|x| 1e3 * x),
             p.rms_rotation_rad,
             p.rms_encoder_m.map(|x| 1e3 * x),

@@ -143,9 +143,6 @@ pub struct PushReport {
     /// What each pose tells about the mass, as a share of what all observations of all pushes tell; empty if nothing was estimated.
     #[serde(default)]
     pub information: Vec<f64>,
-    /// The mass without a simulator, where the motion has a closed form: a check.
-    #[serde(default)]
-    pub closed_form: Option<crate::ClosedForm>,
     /// Times of the poses, seconds.
     pub times_s: Vec<f64>,
     /// Tracked poses: x, y, z (m), then w, x, y, z of the quaternion.

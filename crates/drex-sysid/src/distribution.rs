@@ -218,6 +218,13 @@ impl MassDistribution {
         [(0, 0.025), (last, 0.975)].map(|(k, p)| (self.cost[k] > EXCLUDES).then(|| self.quantile_kg(p)))
     }
 
+    /// Ends of the 95 % interval, kg; the outermost knot on a side that [`Self::bounds_kg`] leaves open.
+    pub fn ends_kg(&self) -> [f64; 2] {
+        let ends = [self.log_mass[0], self.log_mass[self.log_mass.len() - 1]];
+        let [low, high] = self.bounds_kg();
+        [low.unwrap_or(ends[0].exp()), high.unwrap_or(ends[1].exp())]
+    }
+
     /// The same number of masses for the same seed, kg: independent draws, of which the first ones do not depend on `count`.
     pub fn sample_kg(&self, count: usize, seed: u64) -> Vec<f64> {
         let mut random = ChaCha8Rng::seed_from_u64(seed);

@@ -27,8 +27,6 @@ const FRICTIONS: [f64; 6] = [0.12, 0.2, 0.3, 0.45, 0.65, 0.9];
 /// Standard deviation taken for an encoder until draws are made, metres: far from the best mass no reading agrees to a tenth of a
 /// millimetre, and all would count as outliers.
 pub(crate) const LOOSE_ENCODER_M: f64 = 2e-3;
-/// Standard deviation of log mass below which a closed form is a start.
-const GOOD_HINT: f64 = 0.1;
 /// Masses on each side of the best descent, and the logarithm between neighbours, that are looked at for other minima.
 const NEAR: i32 = 14;
 const NEAR_STEP: f64 = 0.007;
@@ -117,10 +115,8 @@ impl Joint {
         }
         // The shares are those that the parts usually take.
         progress(0.15);
-        let mut begin = promising(&scan, if told { 3 } else { 1 });
-        begin.extend(self.hints(&begin));
         let named = self.named();
-        let mut found = self.descents(begin, &named, middle_dt)?;
+        let mut found = self.descents(promising(&scan, if told { 3 } else { 1 }), &named, middle_dt)?;
         let moving: Vec<Point> = found.iter().filter(|c| self.shown(c) > 1.0).map(|c| c.point.clone()).collect();
         let is_seen = self.fixed_mass().is_some() || !moving.is_empty();
         if told && found.first().is_some_and(|c| self.shown(c) <= 1.0) {
@@ -353,18 +349,6 @@ impl Joint {
             (true, _) => SIMULATORS_FINGER,
         };
         self.problems.iter().map(beside).fold(0.0, f64::max).hypot(SAME_FRICTION * follows)
-    }
-
-    /// The masses of closed forms, where they are good ones, with everything else as in the best of the points that there are.
-    fn hints(&self, others: &[Point]) -> Vec<Point> {
-        let Some(best) = others.first() else { return Vec::new() };
-        let hints = self.problems.iter().filter_map(|p| p.hint).filter(|h| h.sd_log_mass < GOOD_HINT);
-        let at = |h: crate::ClosedForm| {
-            let mut point = best.clone();
-            point[0] = h.mass_kg.ln();
-            point
-        };
-        hints.map(at).collect()
     }
 
     /// The estimated parameters besides the mass.

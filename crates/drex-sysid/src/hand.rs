@@ -20,7 +20,7 @@ use crate::{IdentifyOptions, Result, SysidError};
 /// An interval with a larger ratio of its ends does not weigh an object.
 const MOST_RATIO: f64 = 4.0;
 /// Steps of the difference quotients of sensitivities: log of the torques, metres of the table.
-const GAIN_STEP: f64 = 0.03;
+const GAIN_STEP: f64 = 0.1;
 const HEIGHT_STEP: f64 = 0.01;
 
 /// What one push of a hand tells.
@@ -47,7 +47,7 @@ pub(crate) fn look(
 ) -> Result<Vec<Option<Finding>>> {
     let pushes: Vec<(&PushRecording, &HandPush)> = recordings.iter().filter_map(|r| Some((r, hand_of(r)?))).collect();
     let Some((_, first)) = pushes.first() else { return Ok(recordings.iter().map(|_| None).collect()) };
-    let solid = Standing::of_object(object)?;
+    let solid = Standing::of(object)?;
     let robot = Robot::resolve(&first.robot, Path::new("."))?;
     if let Some((r, other)) = pushes.iter().find(|p| p.1.robot != first.robot) {
         return Err(SysidError::Recording {
@@ -192,17 +192,17 @@ impl Scene<'_> {
         if !bound.seen {
             return Vec::new();
         }
-        let changed = |extra: &ExtraTorque, table: f64, step: f64| {
-            let placement = self.place(found, extra, touches, table).ok();
-            let moved = self.bound(found, extra, touches, placement.as_ref(), table).ok()?;
-            Some((moved.median_kg / bound.median_kg).ln() / step)
+        let log_mass = |log_gain: f64, lower_m: f64| {
+            let mut extra = extra.clone();
+            extra.torque_nm.iter_mut().flatten().for_each(|t| *t *= log_gain.exp());
+            let placement = self.place(found, &extra, touches, table - lower_m).ok();
+            let moved = self.bound(found, &extra, touches, placement.as_ref(), table - lower_m).ok()?;
+            Some(moved.mass.median_kg().ln())
         };
-        let mut stronger = extra.clone();
-        stronger.torque_nm.iter_mut().flatten().for_each(|t| *t *= GAIN_STEP.exp());
-        let gain = changed(&stronger, table, GAIN_STEP);
+        let gain = || Some((log_mass(GAIN_STEP, 0.0)? - log_mass(-GAIN_STEP, 0.0)?) / (2.0 * GAIN_STEP));
         // A lower table is a higher contact.
-        let height = changed(extra, table - HEIGHT_STEP, HEIGHT_STEP);
-        [(Parameter::ForceGain, gain), (Parameter::ContactHeight, height)]
+        let height = || Some((log_mass(0.0, HEIGHT_STEP)? - log_mass(0.0, -HEIGHT_STEP)?) / (2.0 * HEIGHT_STEP));
+        [(Parameter::ForceGain, gain()), (Parameter::ContactHeight, height())]
             .into_iter()
             .filter_map(|(parameter, log_mass)| Some(Sensitivity { parameter, log_mass: log_mass? }))
             .collect()
@@ -218,7 +218,7 @@ fn budget(b: &Bound) -> String {
     format!(
         "moment of the fingertips about the edge of the foot over {} frames: standard deviation of log mass {:.2}; {}",
         b.frames[1],
-        b.sd_log,
+        b.mass.sd_log(),
         parts.join(", ")
     )
 }
@@ -236,17 +236,18 @@ pub(crate) fn decide(answer: &mut Identification, found: &[Option<Finding>]) -> 
         answer.reason = refused.join(" ");
         return true;
     };
-    let [lo, hi] = mass.interval_kg;
-    answer.profile = mass.profile;
-    answer.sd_log_mass = Some(mass.sd_log);
+    let [lo, hi] = mass.ends_kg();
+    answer.profile = mass.costs().collect();
+    answer.sd_log_mass = Some(mass.sd_log());
     answer.sensitivities = weighed.iter().find(|w| w.bound.seen).map(|w| w.sensitivities.clone()).unwrap_or_default();
     let grams = format!("{:.0} to {:.0} g (upper end {:.1} times the lower)", 1e3 * lo, 1e3 * hi, hi / lo);
     let limit = bounds.iter().find(|b| b.seen).or(bounds.first()).map_or("nothing", |b| b.limits());
-    answer.ci95_kg = mass.excluded.contains(&true).then_some([lo, hi]);
-    answer.reason = match mass.excluded {
+    let excluded = mass.bounds_kg().map(|end| end.is_some());
+    answer.ci95_kg = excluded.contains(&true).then_some([lo, hi]);
+    answer.reason = match excluded {
         [true, true] if hi / lo <= MOST_RATIO => {
             answer.verdict = Verdict::Identified;
-            answer.mass_kg = Some(mass.median_kg);
+            answer.mass_kg = Some(mass.median_kg());
             format!("the joint efforts of the hand while it tips the object over the edge of its foot tell {grams}")
         }
         [true, true] => format!(

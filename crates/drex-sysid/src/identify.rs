@@ -8,7 +8,6 @@ use drex_core::{Object, Pose};
 use drex_recording::{Drive, PushRecording, TrackFrame};
 
 use crate::answer::{Identification, PushReport, Sensitivity, Verdict};
-use crate::closed_form::closed_form;
 use crate::distribution::EXCLUDES;
 use crate::estimate::{Estimate, LOOSE_ENCODER_M, Outcome};
 use crate::fit::Fit;
@@ -132,7 +131,7 @@ pub fn identify_watched(
         let joint = Joint::new(problems, &frictions);
         let end = by_adam(&mut answer, &joint, options)?;
         for (k, &i) in fitted.iter().enumerate() {
-            fill(&mut reports[i], &recordings[i], object, &joint.problems[k], &end.motions[k], &end.fits[k]);
+            fill(&mut reports[i], &joint.problems[k], &end.motions[k], &end.fits[k]);
         }
         answer.simulations = joint.simulations();
     } else {
@@ -145,7 +144,7 @@ pub fn identify_watched(
         };
         if let Some(Candidate { motions, fits, .. }) = best {
             for (k, &i) in fitted.iter().enumerate() {
-                fill(&mut reports[i], &recordings[i], object, &joint.problems[k], &motions[k], &fits[k]);
+                fill(&mut reports[i], &joint.problems[k], &motions[k], &fits[k]);
             }
         }
         // What was fixed was not weighed, however it is followed.
@@ -351,7 +350,6 @@ fn report(recording: &PushRecording, noise: PoseNoise) -> PushReport {
         rms_encoder_m: None,
         position_bias_m: None,
         information: Vec::new(),
-        closed_form: None,
         times_s: recording.track.times_s().to_vec(),
         observed: recording.track.poses().iter().map(row).collect(),
         simulated: Vec::new(),
@@ -360,14 +358,7 @@ fn report(recording: &PushRecording, noise: PoseNoise) -> PushReport {
     }
 }
 
-fn fill(
-    report: &mut PushReport,
-    recording: &PushRecording,
-    object: &Object,
-    problem: &Problem,
-    motion: &Motion,
-    fit: &Fit,
-) {
+fn fill(report: &mut PushReport, problem: &Problem, motion: &Motion, fit: &Fit) {
     let poses = &fit.weights[..problem.times_s.len().min(fit.weights.len())];
     let kept: Vec<_> = fit.residuals.chunks_exact(6).zip(poses).filter(|(_, w)| **w >= 0.5).map(|(r, _)| r).collect();
     let n = kept.len().max(1) as f64;
@@ -384,7 +375,6 @@ fn fill(
         .then(|| (readings.iter().map(|r| r * r).sum::<f64>() / readings.len() as f64).sqrt() * problem.encoder_m);
     report.clock_offset_s = Some(fit.nuisance[0]);
     report.position_bias_m = Some((problem.world_from_push * fit.nuisance.fixed_rows::<3>(1)).into());
-    report.closed_form = closed_form(recording, object, &problem.noise, fit.nuisance[0]);
     let pose = |t: &f64| row(&(problem.world_from_push * motion.at(t - fit.nuisance[0])));
     report.simulated = problem.times_s.iter().map(pose).collect();
     if motion.unconverged_steps > 0 {

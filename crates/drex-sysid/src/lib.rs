@@ -5,7 +5,6 @@ mod answer;
 pub mod bound;
 pub mod calibrate;
 mod checks;
-mod closed_form;
 mod distribution;
 mod ensemble;
 mod error;
@@ -30,7 +29,6 @@ mod problem;
 mod start;
 
 pub use answer::{ErrorBudget, HandReport, Identification, ParameterEstimate, PushReport, Sensitivity, Verdict};
-pub use closed_form::{ClosedForm, ClosedFormKind};
 pub use distribution::MassDistribution;
 pub use error::{Result, SysidError};
 pub use identify::{identify, identify_watched};

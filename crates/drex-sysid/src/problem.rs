@@ -13,7 +13,6 @@ use drex_recording::{Drive, PushRecording, SupportBox};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand_chacha::ChaCha8Rng;
 
-use crate::closed_form::{ClosedForm, closed_form};
 use crate::finger::{Finger, FingerValues};
 use crate::force::KnownForce;
 use crate::heading::{turned, world_from_push};
@@ -62,8 +61,6 @@ pub(crate) struct Problem {
     pub noise: PoseNoise,
     /// Per component of a pose: factor on its standard deviation, for what no simulation reproduces.
     pub excess: [f64; 6],
-    /// The mass without a simulator, where the motion has a closed form.
-    pub hint: Option<ClosedForm>,
     /// Standard deviation of the encoder, metres.
     pub encoder_m: f64,
     pub start: Pose,
@@ -133,7 +130,6 @@ impl Problem {
             observed: recording.track.poses().to_vec(),
             noise,
             excess: [1.0; 6],
-            hint: closed_form(recording, object, &noise, 0.0),
             encoder_m: options.encoder_m,
             start,
             start_velocity: Vector3::zeros(),

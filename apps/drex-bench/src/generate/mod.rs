@@ -58,13 +58,13 @@ pub enum Kind {
 }
 
 /// How the mass of an object is to be spread.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, clap::ValueEnum)]
 pub enum MassClass {
     /// Evenly.
     Solid,
-    /// Over a wall around a cavity.
+    /// Over a wall of 1 to 4 mm, closed or open at the top.
     Hollow,
-    /// Evenly, with a heavy insert somewhere inside.
+    /// Evenly, with an insert of 30 to 70 % of the mass somewhere inside.
     OffCentre,
 }
 

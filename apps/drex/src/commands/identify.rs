@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use drex_core::fsutil;
-use drex_mesh::{AssetOptions, LengthUnit, build_asset};
+use drex_mesh::{AssetOptions, build_asset};
 use drex_recording::PushRecording;
 use drex_sysid::calibrate::HandCalibration;
 use drex_sysid::{
@@ -59,9 +59,7 @@ pub fn run(args: &IdentifyArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
             other.mesh.display()
         );
     }
-    let mut metres = AssetOptions::default();
-    metres.unit = LengthUnit::Metre;
-    let asset = build_asset(&first.mesh, &metres)?;
+    let asset = build_asset(&first.mesh, &AssetOptions::in_metres())?;
     let object = asset.to_exact_object("")?;
     let prior = match &args.guess {
         Some(guess) => Some(guessed(guess, asset.report.volume_m3)?),

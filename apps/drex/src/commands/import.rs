@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use drex_core::TriMesh;
 use drex_core::fsutil::{self, OutputFolder, output_path};
+use drex_mesh::{AssetOptions, build_asset};
 use drex_recording::convert::{allegro_run, mujoco_push, write_push};
 use drex_recording::{PushConfig, PushRecording, TrackFrame};
 use drex_robot::joint_order::ALLEGRO_ROS;
@@ -144,8 +144,8 @@ fn up_of(recording: &PushRecording) -> Result<Option<Vector3<f64>>> {
     Ok(match &recording.track_frame {
         TrackFrame::Camera { of_mesh: true, up: Some(up), .. } => Some(*up),
         TrackFrame::Camera { .. } => {
-            let mesh = TriMesh::read(&recording.mesh)?;
-            Some(frames::find(&recording.track, &Standing::of(&mesh)?, &FrameOptions::of(recording))?.up_in_mesh)
+            let object = build_asset(&recording.mesh, &AssetOptions::in_metres())?.to_exact_object("")?;
+            Some(frames::find(&recording.track, &Standing::of(&object)?, &FrameOptions::of(recording))?.up_in_mesh)
         }
         _ => None,
     })

@@ -134,6 +134,12 @@ impl Default for AssetOptions {
 }
 
 impl AssetOptions {
+    /// The defaults for a mesh that is known to be in metres.
+    #[must_use]
+    pub fn in_metres() -> Self {
+        Self { unit: LengthUnit::Metre, ..Self::default() }
+    }
+
     pub(crate) fn check(&self) -> Result<()> {
         let positive = |value: f64, name: &str| {
             if value > 0.0 && value.is_finite() {

@@ -10,7 +10,8 @@ use nalgebra::{Cholesky, DMatrix, DVector, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::moments::Samples;
-use super::{BoundOptions, Topple};
+use super::{BoundOptions, Topple, posterior};
+use crate::MassDistribution;
 
 /// Time over which errors of an effort are alike, s.
 const ALIKE: f64 = 0.05;
@@ -50,17 +51,9 @@ pub struct Bound {
     pub budget: Vec<(String, f64)>,
     /// The uncertain quantities: name, value beforehand, its standard deviation, value in the fit.
     pub unknowns: Vec<(String, f64, f64, f64)>,
-    /// Masses (kg) and their negative log likelihood, all uncertain quantities integrated over; zero at the best.
-    pub profile: Vec<(f64, f64)>,
-    /// The median mass, kg.
-    pub median_kg: f64,
-    /// 95 % interval of the mass, kg, within [`super::BoundOptions::range_kg`].
-    pub interval_kg: [f64; 2],
-    /// Whether the lightest and the heaviest mass of the range are excluded. Without a touch that stands out, the lightest is
-    /// not: then the interval is a bound from above.
-    pub excluded: [bool; 2],
-    /// Standard deviation of the logarithm of the mass.
-    pub sd_log: f64,
+    /// The mass, all uncertain quantities integrated over, within [`super::BoundOptions::range_kg`]. Without a touch that stands out the
+    /// lightest mass is not excluded: it is a bound from above.
+    pub mass: MassDistribution,
 }
 
 impl Bound {
@@ -129,9 +122,8 @@ struct Row {
     per_mass: f64,
 }
 
-/// The least-squares answer of one way in which the mesh may sit (the fields of the mass are left open), and half its sum of
-/// squares, equations and priors together.
-pub(super) fn fit(scene: &Scene<'_>) -> Option<(Bound, f64)> {
+/// The least-squares answer of one way in which the mesh may sit, and half its sum of squares, equations and priors together.
+pub(super) fn fit(scene: &Scene<'_>, range_kg: [f64; 2]) -> Option<(Bound, f64)> {
     let samples = scene.samples;
     let rows = scene.rows(&scene.values(&vec![0.0; scene.unknowns.len()]));
     let touched: Vec<&Row> = rows.iter().filter(|r| r.moment != 0.0).collect();
@@ -179,6 +171,7 @@ pub(super) fn fit(scene: &Scene<'_>) -> Option<(Bound, f64)> {
     let efforts = variance(&|i| !scene.unknowns[i].effort)?;
     // Where the equations fit worse than their noise, the answer is that much less sure.
     let worse = (2.0 * misfit / rows.len() as f64).sqrt().max(1.0);
+    let sd_per_kg = total.sqrt() * worse;
     let touch = |k: usize| samples.pushers.iter().map(move |p| p.touch_s[k]);
     let values = scene.values(&u);
     let bound = Bound {
@@ -190,17 +183,13 @@ pub(super) fn fit(scene: &Scene<'_>) -> Option<(Bound, f64)> {
         work_j: samples.pushers.iter().map(|p| p.work_j).sum(),
         closed_form_per_kg: closed,
         per_kg,
-        sd_per_kg: total.sqrt() * worse,
+        sd_per_kg,
         sd_of_efforts_per_kg: efforts.sqrt() * worse,
         turns: Vec::new(),
         turn: 0,
         budget,
         unknowns: scene.unknowns.iter().zip(&values).map(|(u, v)| (u.name.clone(), u.mean, u.sd, *v)).collect(),
-        profile: Vec::new(),
-        median_kg: f64::NAN,
-        interval_kg: [f64::NAN; 2],
-        excluded: [false; 2],
-        sd_log: f64::INFINITY,
+        mass: posterior::mixture(&[(1.0, posterior::normal(per_kg, sd_per_kg, range_kg))])?,
     };
     Some((bound, misfit))
 }

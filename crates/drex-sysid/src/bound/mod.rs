@@ -19,10 +19,10 @@ use drex_robot::Robot;
 
 use crate::calibrate::{ExtraTorque, Touch};
 use crate::frames::{FoundFrames, HandPlacement, Standing};
-use crate::{Result, SysidError};
+use crate::{MassDistribution, Result, SysidError};
 pub use fit::Bound;
 use fit::Scene;
-use posterior::{Posterior, Profile};
+use posterior::Profile;
 
 /// What [`of_topple`] needs of a run.
 #[derive(Debug, Clone, Copy)]
@@ -85,7 +85,7 @@ pub fn of_topple(run: &Topple<'_>, options: &BoundOptions) -> Result<Bound> {
         let mut found = run.found.clone();
         (found.tracked_from_mesh, found.up_in_mesh) = (turn.tracked_from_mesh, turn.up_in_mesh);
         let Some(scene) = Scene::of(&Topple { found: &found, ..*run }, &samples, options) else { continue };
-        let Some((bound, misfit)) = fit::fit(&scene) else { continue };
+        let Some((bound, misfit)) = fit::fit(&scene, options.range_kg) else { continue };
         let profile = if samples.seen { None } else { posterior::profile(&scene, options.range_kg) };
         fits.push((misfit - turn.odds.ln(), turn.odds, Bound { turn: index, ..bound }, profile));
     }
@@ -111,25 +111,15 @@ fn combine(mut fits: Vec<(f64, f64, Bound, Option<Profile>)>, range_kg: [f64; 2]
     let turns = fits.iter().zip(&weights).map(|(f, w)| (w / sum, f.2.per_kg)).collect();
     let unseen: Vec<(f64, Profile)> = fits.iter_mut().filter_map(|f| Some((f.1, f.3.take()?))).collect();
     let of_all = if unseen.is_empty() { vec![(1.0, posterior::normal(per_kg, sd_per_kg, range_kg))] } else { unseen };
-    let p = posterior::combine(&of_all)?;
-    Some(Bound {
-        per_kg,
-        sd_per_kg,
-        turns,
-        profile: p.profile,
-        median_kg: p.median_kg,
-        interval_kg: p.interval_kg,
-        excluded: p.excluded,
-        sd_log: p.sd_log,
-        ..fits.swap_remove(0).2
-    })
+    let mass = posterior::mixture(&of_all)?;
+    Some(Bound { per_kg, sd_per_kg, turns, mass, ..fits.swap_remove(0).2 })
 }
 
 /// The mass from several topples of one object by one hand.
 ///
 /// Errors that all of them share (load factor, edge of the foot, centre of mass, friction of the tips) do not average out: with
 /// the mean share ρ of these in the variance, n topples count as n / (1 + (n − 1) ρ). `None` without any.
-pub(crate) fn together(bounds: &[&Bound]) -> Option<Posterior> {
+pub(crate) fn together(bounds: &[&Bound]) -> Option<MassDistribution> {
     let share = |b: &Bound| {
         let common: f64 =
             b.budget.iter().filter(|(name, _)| fit::COMMON.contains(&name.as_str())).map(|x| x.1.powi(2)).sum();
@@ -137,9 +127,7 @@ pub(crate) fn together(bounds: &[&Bound]) -> Option<Posterior> {
     };
     let n = bounds.len() as f64;
     let rho = bounds.iter().map(|b| share(b)).sum::<f64>() / n;
-    let first = &bounds.first()?.profile;
-    let cost =
-        |k: usize| bounds.iter().filter_map(|b| b.profile.get(k)).map(|x| x.1).sum::<f64>() / (1.0 + (n - 1.0) * rho);
-    let profile = first.iter().enumerate().map(|(k, x)| (x.0, cost(k))).collect();
-    posterior::combine(&[(1.0, profile)])
+    let all = bounds.iter().map(|b| b.mass.clone()).reduce(|a, b| a.times(&b))?;
+    let costs: Vec<(f64, f64)> = all.costs().map(|(m, cost)| (m, cost / (1.0 + (n - 1.0) * rho))).collect();
+    MassDistribution::from_costs(&costs).ok()
 }

@@ -1,4 +1,4 @@
-//! What every mass of a range costs, and the interval that follows. Masses weigh alike in log m.
+//! What every mass of a range costs. Masses weigh alike in log m.
 //!
 //! Where a touch stands out, most errors are factors, and log m is normal about the least-squares answer. A touch that is lost
 //! in the joint friction still bounds the mass from above, for a heavy object would have shown: at mass m the equations miss by
@@ -92,39 +92,12 @@ fn settle(scene: &Scene<'_>, m: f64, start: &[f64], added: &[f64], scale: f64) -
     best
 }
 
-/// Probabilities of masses.
-#[derive(Debug, Clone)]
-pub(crate) struct Posterior {
-    pub profile: Profile,
-    /// Median, kg.
-    pub median_kg: f64,
-    /// 95 %, kg; an end of the range that is not excluded is an end of the interval.
-    pub interval_kg: [f64; 2],
-    /// Whether the lightest and the heaviest mass of the range are excluded.
-    pub excluded: [bool; 2],
-    /// Standard deviation of log m.
-    pub sd_log: f64,
-}
-
-/// Profiles over the same masses, each with its probability beforehand, as one.
-pub(super) fn combine(profiles: &[(f64, Profile)]) -> Option<Posterior> {
+/// Profiles over the same masses, each with its probability beforehand, as one distribution.
+pub(super) fn mixture(profiles: &[(f64, Profile)]) -> Option<MassDistribution> {
     let least = profiles.iter().flat_map(|p| p.1.iter().map(|x| x.1)).fold(f64::INFINITY, f64::min);
-    let weight = |cost: f64| (least - cost).exp();
-    let first = &profiles.first()?.1;
-    let density: Vec<f64> =
-        (0..first.len()).map(|k| profiles.iter().map(|(odds, p)| odds * weight(p[k].1)).sum()).collect();
-    let peak = density.iter().copied().fold(0.0, f64::max);
-    let cost = |d: &f64| -(d / peak).max(1e-300).ln();
-    let profile: Profile = first.iter().zip(&density).map(|(x, d)| (x.0, cost(d))).collect();
-    let mass = MassDistribution::from_costs(&profile).ok()?;
-    let [low, high] = mass.bounds_kg();
-    Some(Posterior {
-        median_kg: mass.median_kg(),
-        interval_kg: [low.unwrap_or(profile.first()?.0), high.unwrap_or(profile.last()?.0)],
-        excluded: [low.is_some(), high.is_some()],
-        sd_log: mass.sd_log(),
-        profile,
-    })
+    let density = |k: usize| profiles.iter().map(|(odds, p)| odds * (least - p[k].1).exp()).sum::<f64>();
+    let cost = |(k, x): (usize, &(f64, f64))| (x.0, -density(k).max(1e-300).ln());
+    MassDistribution::from_costs(&profiles.first()?.1.iter().enumerate().map(cost).collect::<Vec<_>>()).ok()
 }
 
 #[cfg(test)]
@@ -139,26 +112,27 @@ mod tests {
 
     #[test]
     fn a_lognormal_likelihood_gives_its_own_median_and_interval() {
-        let p = combine(&[(1.0, lognormal(0.2, 0.3))]).unwrap();
-        assert!((p.median_kg / 0.2 - 1.0).abs() < 0.01 && (p.sd_log / 0.3 - 1.0).abs() < 0.05, "{p:?}");
-        let [lo, hi] = p.interval_kg.map(|m| (m / 0.2).ln() / 0.3);
+        let p = mixture(&[(1.0, lognormal(0.2, 0.3))]).unwrap();
+        assert!((p.median_kg() / 0.2 - 1.0).abs() < 0.01 && (p.sd_log() / 0.3 - 1.0).abs() < 0.05, "{p:?}");
+        let [lo, hi] = p.bounds_kg().map(|m| (m.unwrap() / 0.2).ln() / 0.3);
         assert!((lo + 1.96).abs() < 0.1 && (hi - 1.96).abs() < 0.1, "{lo} {hi}");
-        assert_eq!(p.excluded, [true, true]);
     }
 
     #[test]
     fn a_bound_from_above_ends_at_the_lightest_mass() {
         let above: Profile = lognormal(0.2, 0.3).into_iter().map(|(m, c)| (m, if m < 0.2 { 0.0 } else { c })).collect();
-        let p = combine(&[(1.0, above)]).unwrap();
-        assert_eq!((p.excluded, p.interval_kg[0]), ([false, true], 0.005));
-        assert!((0.2..0.3).contains(&p.interval_kg[1]), "{p:?}");
+        let p = mixture(&[(1.0, above)]).unwrap();
+        let ([lo, hi], [open, closed]) = (p.ends_kg(), p.bounds_kg());
+        assert_eq!((open, closed), (None, Some(hi)));
+        assert!((lo / 0.005 - 1.0).abs() < 1e-9 && (0.2..0.3).contains(&hi), "{p:?}");
         let nothing: Profile = lognormal(0.2, 0.3).into_iter().map(|(m, _)| (m, 7.0)).collect();
-        assert_eq!(combine(&[(0.3, nothing)]).unwrap().excluded, [false, false]);
+        assert_eq!(mixture(&[(0.3, nothing)]).unwrap().bounds_kg(), [None, None]);
     }
 
     #[test]
     fn two_ways_to_sit_count_by_their_odds() {
-        let p = combine(&[(1.0, lognormal(0.1, 0.1)), (0.25, lognormal(0.4, 0.1))]).unwrap();
-        assert!((p.median_kg / 0.1 - 1.0).abs() < 0.1 && p.interval_kg[0] < 0.1 && p.interval_kg[1] > 0.4, "{p:?}");
+        let p = mixture(&[(1.0, lognormal(0.1, 0.1)), (0.25, lognormal(0.4, 0.1))]).unwrap();
+        let [lo, hi] = p.ends_kg();
+        assert!((p.median_kg() / 0.1 - 1.0).abs() < 0.1 && lo < 0.1 && hi > 0.4, "{p:?}");
     }
 }

@@ -10,8 +10,6 @@ use crate::{Result, SysidError};
 const SAME: f64 = 0.26;
 /// Ways to stand that are kept at most; a lying cylinder alone has 36.
 const MOST: usize = 48;
-/// A solid that fills less of its hull than this is taken for a surface with holes.
-const LEAST_FILL: f64 = 0.2;
 
 /// A solid as far as standing and tipping need it, in the frame of its mesh.
 #[derive(Debug, Clone)]
@@ -20,8 +18,6 @@ pub struct Standing {
     pub hull: TriMesh,
     /// Mass properties at 1 kg and uniform density.
     pub unit: MassProperties,
-    /// Whether the mesh is open, so that `unit` is that of the hull.
-    pub of_hull: bool,
     /// Ways to stand, lowest centre of mass first.
     pub faces: Vec<StandingFace>,
 }
@@ -36,31 +32,11 @@ pub struct StandingFace {
 }
 
 impl Standing {
-    /// Hull, centre of mass and ways to stand of `mesh`.
-    ///
-    /// # Errors
-    /// If the mesh is flat or empty.
-    pub fn of(mesh: &TriMesh) -> Result<Self> {
-        let flat = || SysidError::Object {
-            what: "is flat or empty".into(),
-            remedy: "give the surface of a solid, in metres".into(),
-        };
-        let hull = convex_hull(&mesh.vertices).map_err(|_| flat())?;
-        let of_hull = hull.mass_properties(1.0).map_err(|_| flat())?;
-        let solid = closed(mesh)
-            .then(|| mesh.mass_properties(1.0).ok())
-            .flatten()
-            .filter(|m| (LEAST_FILL..1.001).contains(&(m.mass_kg / of_hull.mass_kg)) && m.is_physical());
-        let (unit, of_hull) = (solid.unwrap_or(of_hull).with_mass(1.0), solid.is_none());
-        let faces = ways_to_stand(&hull, &unit.center_of_mass);
-        Ok(Self { hull, unit, of_hull, faces })
-    }
-
     /// Hull, centre of mass and ways to stand of an object that is prepared for simulation.
     ///
     /// # Errors
     /// If it is flat or empty.
-    pub fn of_object(object: &Object) -> Result<Self> {
+    pub fn of(object: &Object) -> Result<Self> {
         let points: Vec<Point3<f64>> = object.corners().copied().collect();
         let hull = convex_hull(&points).map_err(|_| SysidError::Object {
             what: "is flat or empty".into(),
@@ -68,7 +44,7 @@ impl Standing {
         })?;
         let unit = object.mass_properties.with_mass(1.0);
         let faces = ways_to_stand(&hull, &unit.center_of_mass);
-        Ok(Self { hull, unit, of_hull: false, faces })
+        Ok(Self { hull, unit, faces })
     }
 
     /// Diagonal of the bounding box, metres.
@@ -96,18 +72,6 @@ impl Standing {
         let foot = self.hull.vertices.iter().filter(|v| up.dot(&v.coords) <= low + rise_m);
         foot.map(|v| towards.dot(&(v.coords - com))).fold(f64::NEG_INFINITY, f64::max)
     }
-}
-
-/// Whether the faces close: the sum of their area vectors is zero for a closed surface.
-fn closed(mesh: &TriMesh) -> bool {
-    let (mut sum, mut area) = (Vector3::zeros(), 0.0);
-    for f in 0..mesh.faces.len() {
-        let [a, b, c] = mesh.triangle(f);
-        let n = (b - a).cross(&(c - a)) * 0.5;
-        sum += n;
-        area += n.norm();
-    }
-    sum.norm() < 0.01 * area
 }
 
 /// Ways to stand: each face of the hull that has the centre of mass above it, and each axis, moved to where the foot is
@@ -246,6 +210,12 @@ fn margin(mut points: Vec<[f64; 2]>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use drex_core::ConvexPart;
+
+    fn standing(hull: TriMesh) -> Standing {
+        let properties = hull.mass_properties(1000.0).unwrap();
+        Standing::of(&Object::of_parts(vec![ConvexPart::of_hull(hull)], properties)).unwrap()
+    }
 
     /// A box of half extents `h` about `c`.
     fn cuboid(h: [f64; 3], c: [f64; 3]) -> TriMesh {
@@ -256,22 +226,13 @@ mod tests {
 
     #[test]
     fn a_box_stands_on_six_faces_and_tips_over_its_edges() {
-        let s = Standing::of(&cuboid([0.01, 0.02, 0.05], [0.3, 0.0, 0.1])).unwrap();
+        let s = standing(cuboid([0.01, 0.02, 0.05], [0.3, 0.0, 0.1]));
         assert_eq!(s.faces.len(), 6, "{:?}", s.faces);
-        assert!(!s.of_hull && (s.unit.center_of_mass - Point3::new(0.3, 0.0, 0.1)).norm() < 1e-12);
+        assert!((s.unit.center_of_mass - Point3::new(0.3, 0.0, 0.1)).norm() < 1e-12);
         assert!((s.faces[0].height_m - 0.01).abs() < 1e-12 && s.faces[0].up.x.abs() > 0.99, "{:?}", s.faces);
         assert!((s.faces[5].height_m - 0.05).abs() < 1e-12 && s.faces[5].up.z.abs() > 0.99);
         assert!((s.foot_reach(&Vector3::z(), &Vector3::x(), 1e-3) - 0.01).abs() < 1e-12);
         assert!((s.lowest(&Vector3::z()) - 0.05).abs() < 1e-12);
-    }
-
-    #[test]
-    fn an_open_mesh_falls_back_on_its_hull_and_a_flat_one_is_refused() {
-        let mut open = cuboid([0.02; 3], [0.0; 3]);
-        open.faces.truncate(10);
-        assert!(Standing::of(&open).unwrap().of_hull);
-        let flat = TriMesh::new(vec![Point3::origin(); 4], vec![[0, 1, 2]]).unwrap();
-        assert!(Standing::of(&flat).unwrap_err().to_string().contains("flat"));
     }
 
     #[test]
@@ -281,7 +242,7 @@ mod tests {
         for v in &mut mesh.vertices {
             v.x += 0.5 * v.z + 0.025;
         }
-        let s = Standing::of(&mesh).unwrap();
+        let s = standing(mesh);
         assert!(s.faces.iter().all(|f| f.up.z < 0.99), "{:?}", s.faces);
     }
 }

@@ -6,7 +6,7 @@ use drex_core::mesh::convex_hull;
 use drex_core::trajectory::PoseNoise;
 use drex_core::{ConvexPart, MassProperties, Object, Pose, Trajectory, TriMesh};
 use drex_diffsim::{AppliedForce, Body, Collider, ForcePoint, Model, Part, Scene, State, rollout};
-use drex_mesh::{AssetOptions, LengthUnit, asset_from_mesh};
+use drex_mesh::{AssetOptions, asset_from_mesh};
 use drex_recording::{Drive, ForceProfile, PushRecording};
 use nalgebra::{Matrix3, Point3, Vector3};
 use std::sync::Arc;
@@ -36,9 +36,7 @@ pub fn box_mesh(half: Vector3<f64>, center: Vector3<f64>) -> TriMesh {
 
 /// The object of a mesh in metres, made as `drex identify` makes it.
 pub fn object_of(mesh: &TriMesh) -> Object {
-    let mut metres = AssetOptions::default();
-    metres.unit = LengthUnit::Metre;
-    asset_from_mesh(mesh, &metres).unwrap().to_exact_object("").unwrap()
+    asset_from_mesh(mesh, &AssetOptions::in_metres()).unwrap().to_exact_object("").unwrap()
 }
 
 /// A block of 5 x 6 x 8 cm.

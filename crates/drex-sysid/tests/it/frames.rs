@@ -2,12 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::common::{box_mesh, normals, shared};
+use crate::common::{box_mesh, normals, object_of, shared};
 use drex_core::{Pose, Trajectory, TriMesh};
 use drex_recording::clock::{Clock, parse_utc_offset};
 use drex_recording::convert::mujoco_push::{self, Inputs};
 use drex_recording::readers::read_foundation_pose_log;
-use drex_sysid::frames::{self, FoundFrames, FrameOptions, Standing};
+use drex_sysid::frames::{FoundFrames, FrameOptions, Standing, find};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde_json::Value;
 
@@ -57,8 +57,8 @@ fn spoilt(track: &Trajectory, seed: u64, position: f64, rotation: f64, faults: b
     Trajectory::from_samples(&times, &poses).unwrap()
 }
 
-fn find(track: &Trajectory, mesh: &TriMesh, options: &FrameOptions) -> drex_sysid::Result<FoundFrames> {
-    frames::find(track, &Standing::of(mesh)?, options)
+fn standing(mesh: &TriMesh) -> Standing {
+    Standing::of(&object_of(mesh)).unwrap()
 }
 
 fn degrees(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
@@ -68,12 +68,12 @@ fn degrees(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
 #[test]
 fn a_toppled_box_shows_up_lean_table_and_start_despite_faults() {
     let h = [0.02, 0.035, 0.06];
-    let mesh = box_mesh(h.into(), Vector3::zeros());
+    let solid = standing(&box_mesh(h.into(), Vector3::zeros()));
     for seed in 0..8 {
         let view = camera(seed);
         let start = 2.0 + 0.05 * seed as f64;
         let track = spoilt(&topple(h, start).left_mul(&view), seed, 0.001, 0.01, true);
-        let f = find(&track, &mesh, &FrameOptions::default()).unwrap();
+        let f = find(&track, &solid, &FrameOptions::default()).unwrap();
         assert!(degrees(&f.up_in_tracked, &Vector3::z()) < 5.0, "seed {seed}: up {:?}", f.up_in_tracked);
         let lean = f.topples_towards_in_tracked.unwrap();
         assert!(degrees(&lean, &Vector3::x()) < 10.0, "seed {seed}: lean {lean:?}");
@@ -93,15 +93,15 @@ fn a_toppled_box_shows_up_lean_table_and_start_despite_faults() {
 fn a_tracker_with_other_axes_than_the_mesh_is_noticed() {
     let h = [0.02, 0.035, 0.06];
     // The mesh lies along y, the tracker's stands along z.
-    let mesh = box_mesh(Vector3::new(h[1], h[2], h[0]), Vector3::new(0.01, -0.3, 0.0));
+    let solid = standing(&box_mesh(Vector3::new(h[1], h[2], h[0]), Vector3::new(0.01, -0.3, 0.0)));
     let track = spoilt(&topple(h, 2.0).left_mul(&camera(5)), 3, 0.0005, 0.005, false);
-    let f = find(&track, &mesh, &FrameOptions::default()).unwrap();
+    let f = find(&track, &solid, &FrameOptions::default()).unwrap();
     assert!(degrees(&f.up_in_tracked, &Vector3::z()) < 5.0, "{:?}", f.up_in_tracked);
     assert!(f.up_in_mesh.y.abs() > 0.99, "{:?}", f.up_in_mesh);
     assert!(f.remarks.iter().any(|r| r.contains("other axes")), "{:?}", f.remarks);
     let mut told = FrameOptions::default();
     told.tracked_from_mesh = Some(f.tracked_from_mesh);
-    assert!(find(&track, &mesh, &told).unwrap().remarks.is_empty());
+    assert!(find(&track, &solid, &told).unwrap().remarks.is_empty());
 }
 
 /// Its mesh has its origin some millimetres beside the middle of its bounding box, which is what the tracker reports.
@@ -109,9 +109,9 @@ fn a_tracker_with_other_axes_than_the_mesh_is_noticed() {
 fn a_tracker_of_the_middle_of_the_bounding_box_is_noticed() {
     let h = [0.02, 0.035, 0.06];
     for middle in [Vector3::new(0.0, 0.0, 0.005), Vector3::new(0.005, 0.0, 0.0), Vector3::new(0.0, 0.0, -0.3)] {
-        let mesh = box_mesh(h.into(), middle);
+        let solid = standing(&box_mesh(h.into(), middle));
         let track = spoilt(&topple(h, 2.0).left_mul(&camera(2)), 4, 0.0002, 0.002, false);
-        let f = find(&track, &mesh, &FrameOptions::default()).unwrap();
+        let f = find(&track, &solid, &FrameOptions::default()).unwrap();
         let apart = (f.tracked_from_mesh.translation.vector + middle).norm();
         assert!(apart < 1e-6, "{apart} m beside the middle {middle:?}");
     }
@@ -128,7 +128,7 @@ fn a_box_that_leaves_the_table_is_trusted_until_then() {
         let track = spoilt(&track, 6, 0.0003, 0.003, false);
         let mut options = FrameOptions::default();
         options.world_from_camera = Some(camera(3).inverse());
-        let f = find(&track, &box_mesh(h.into(), Vector3::zeros()), &options).unwrap();
+        let f = find(&track, &standing(&box_mesh(h.into(), Vector3::zeros())), &options).unwrap();
         let off = f.remarks.iter().filter(|r| r.contains("mm off the table")).count();
         assert_eq!(off, usize::from(leaves), "{:?}", f.remarks);
     }
@@ -137,17 +137,17 @@ fn a_box_that_leaves_the_table_is_trusted_until_then() {
 #[test]
 fn what_is_known_is_used() {
     let h = [0.03, 0.03, 0.05];
-    let mesh = box_mesh(h.into(), Vector3::zeros());
+    let solid = standing(&box_mesh(h.into(), Vector3::zeros()));
     let view = camera(1);
     let track = spoilt(&topple(h, 2.0).left_mul(&view), 3, 0.0005, 0.005, false);
     let mut options = FrameOptions::default();
     options.up_in_tracked = Some(Vector3::new(0.0, 0.1, 1.0));
     options.topples_towards_in_tracked = Some(Vector3::new(1.0, 0.2, 0.0));
-    let f = find(&track, &mesh, &options).unwrap();
+    let f = find(&track, &solid, &options).unwrap();
     assert!(degrees(&f.up_in_tracked, &Vector3::new(0.0, 0.1, 1.0)) < 0.01);
     assert!(degrees(&f.topples_towards_in_tracked.unwrap(), &Vector3::new(1.0, 0.2, -0.02)) < 1.0);
     options.world_from_camera = Some(view.inverse());
-    let f = find(&track, &mesh, &options).unwrap();
+    let f = find(&track, &solid, &options).unwrap();
     assert!(degrees(&f.up_in_tracked, &Vector3::z()) < 1.0);
     assert_eq!(f.world_from_camera, view.inverse());
 }
@@ -156,17 +156,18 @@ fn what_is_known_is_used() {
 fn recordings_that_show_nothing_are_refused_by_name() {
     let h = [0.02, 0.035, 0.06];
     let mesh = box_mesh(h.into(), Vector3::zeros());
+    let solid = standing(&mesh);
     let track = spoilt(&topple(h, 2.0).left_mul(&camera(2)), 9, 0.0005, 0.005, false);
     let part = |range: std::ops::Range<usize>| {
         Trajectory::from_samples(&track.times_s()[range.clone()], &track.poses()[range]).unwrap()
     };
-    let message = |t: &Trajectory, m: &TriMesh| find(t, m, &FrameOptions::default()).unwrap_err().to_string();
-    assert!(message(&part(0..9), &mesh).contains("9 poses"));
-    assert!(message(&part(0..28), &mesh).contains("never moves"));
-    assert!(message(&part(34..48), &mesh).contains("already moves"), "{}", message(&part(34..48), &mesh));
-    assert!(message(&track, &mesh.scaled(1000.0)).contains("in metres"));
-    let flat = TriMesh::new(vec![Point3::origin(); 4], vec![[0, 1, 2]]).unwrap();
-    assert!(message(&track, &flat).contains("flat"));
+    let message = |t: &Trajectory, s: &Standing| find(t, s, &FrameOptions::default()).unwrap_err().to_string();
+    assert!(message(&part(0..9), &solid).contains("9 poses"));
+    assert!(message(&part(0..28), &solid).contains("never moves"));
+    assert!(message(&part(34..48), &solid).contains("already moves"), "{}", message(&part(34..48), &solid));
+    assert!(message(&track, &standing(&mesh.scaled(1000.0))).contains("in metres"));
+    let empty = drex_core::Object::of_parts(Vec::new(), object_of(&mesh).mass_properties);
+    assert!(Standing::of(&empty).unwrap_err().to_string().contains("flat or empty"));
 }
 
 /// Simulated tilts, seen by cameras that the estimator knows nothing of.
@@ -182,11 +183,11 @@ fn up_is_found_in_simulated_tilts_seen_by_unknown_cameras() {
             for scenario in ["tilt_force", "finger_tilt"] {
                 let folder = set.join(object).join(scenario);
                 let Ok(recording) = mujoco_push::load(&folder, Inputs::default()) else { continue };
-                let mesh = TriMesh::read(&recording.mesh).unwrap();
+                let solid = standing(&TriMesh::read(&recording.mesh).unwrap());
                 let truth = recording.track.poses()[0].rotation.inverse() * Vector3::z();
                 for seed in 0..3 {
                     let track = recording.track.left_mul(&camera(100 + seed));
-                    match find(&track, &mesh, &FrameOptions::default()) {
+                    match find(&track, &solid, &FrameOptions::default()) {
                         Ok(f) => {
                             tried += 1;
                             let off = degrees(&f.up_in_tracked, &truth);
@@ -214,7 +215,7 @@ fn up_is_found_in_simulated_tilts_seen_by_unknown_cameras() {
 struct Run {
     name: String,
     track: Trajectory,
-    mesh: TriMesh,
+    solid: Standing,
     up: Vector3<f64>,
     lean: Vector3<f64>,
 }
@@ -232,7 +233,7 @@ fn runs(shared: &Path) -> Vec<Run> {
         Run {
             name: folder.file_name().unwrap().to_string_lossy().into_owned(),
             track: read_foundation_pose_log(&log, &Clock::LocalIso { utc_offset_minutes }).unwrap(),
-            mesh: TriMesh::read(&folder.join(run["mesh"].as_str().unwrap())).unwrap(),
+            solid: standing(&TriMesh::read(&folder.join(run["mesh"].as_str().unwrap())).unwrap()),
             up: vector("up_in_tracked_frame"),
             lean: vector("topples_towards_in_tracked_frame"),
         }
@@ -246,7 +247,7 @@ fn up_and_lean_of_real_runs_are_found_without_their_frame_entries() {
     let all = runs(&shared);
     assert_eq!(all.len(), 7);
     for run in all {
-        let f: FoundFrames = find(&run.track, &run.mesh, &FrameOptions::default()).unwrap();
+        let f: FoundFrames = find(&run.track, &run.solid, &FrameOptions::default()).unwrap();
         let up = degrees(&f.up_in_tracked, &run.up);
         let lean = f.topples_towards_in_tracked.map_or(180.0, |l| degrees(&l, &run.lean));
         eprintln!("{}: up {up:.1}, lean {lean:.1} degrees off, runner-up {:.0e}", run.name, f.runner_up_odds);
@@ -260,7 +261,7 @@ fn up_and_lean_of_real_runs_are_found_without_their_frame_entries() {
             Translation3::identity(),
             Rotation3::from_axis_angle(&Vector3::z_axis(), 0.5).into(),
         ));
-        let again = find(&turned, &run.mesh, &FrameOptions::default()).unwrap();
+        let again = find(&turned, &run.solid, &FrameOptions::default()).unwrap();
         assert!(degrees(&again.up_in_tracked, &f.up_in_tracked) < 8.0, "{}", run.name);
     }
 }
