@@ -13,6 +13,7 @@
 mod fit;
 mod moments;
 mod posterior;
+mod scene;
 
 use drex_core::{Pose, Trajectory};
 use drex_robot::Robot;
@@ -21,8 +22,8 @@ use crate::calibrate::{ExtraTorque, Touch};
 use crate::frames::{FoundFrames, HandPlacement, Standing};
 use crate::{MassDistribution, Result, SysidError};
 pub use fit::Bound;
-use fit::Scene;
 use posterior::Profile;
+use scene::Scene;
 
 /// What [`of_topple`] needs of a run.
 #[derive(Debug, Clone, Copy)]
@@ -122,7 +123,7 @@ fn combine(mut fits: Vec<(f64, f64, Bound, Option<Profile>)>, range_kg: [f64; 2]
 pub(crate) fn together(bounds: &[&Bound]) -> Option<MassDistribution> {
     let share = |b: &Bound| {
         let common: f64 =
-            b.budget.iter().filter(|(name, _)| fit::COMMON.contains(&name.as_str())).map(|x| x.1.powi(2)).sum();
+            b.budget.iter().filter(|(name, _)| scene::COMMON.contains(&name.as_str())).map(|x| x.1.powi(2)).sum();
         if b.seen { (common / b.sd_per_kg.powi(2)).min(1.0) } else { 1.0 }
     };
     let n = bounds.len() as f64;

@@ -8,7 +8,7 @@
 
 use nalgebra::{Cholesky, DVector};
 
-use super::fit::Scene;
+use super::scene::Scene;
 use crate::MassDistribution;
 
 /// Masses per factor of e.
@@ -52,7 +52,7 @@ fn masses([lo, hi]: [f64; 2]) -> impl Iterator<Item = f64> {
 fn costs(scene: &Scene<'_>, range_kg: [f64; 2], added: &[f64], scale: f64) -> Option<Vec<(f64, f64, Vec<f64>)>> {
     let mut out: Vec<(f64, f64, Vec<f64>)> = Vec::new();
     for m in masses(range_kg) {
-        let start = out.last().map_or_else(|| vec![0.0; scene.unknowns()], |o| o.2.clone());
+        let start = out.last().map_or_else(|| vec![0.0; scene.unknowns.len()], |o| o.2.clone());
         let (cost, u) = settle(scene, m, &start, added, scale)?;
         out.push((m, cost, u));
     }
