@@ -1,6 +1,8 @@
 //! Objects and recordings for the tests.
 
-use std::path::PathBuf;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
 
 use drex_core::mesh::convex_hull;
 use drex_core::trajectory::PoseNoise;
@@ -9,7 +11,6 @@ use drex_diffsim::{AppliedForce, Body, Collider, ForcePoint, Model, Part, Scene,
 use drex_mesh::{AssetOptions, asset_from_mesh};
 use drex_recording::{Drive, ForceProfile, PushRecording};
 use nalgebra::{Matrix3, Point3, Vector3};
-use std::sync::Arc;
 
 /// The folder of shared data, or `None` with a note that the test is skipped.
 pub fn shared() -> Option<PathBuf> {
@@ -37,6 +38,16 @@ pub fn box_mesh(half: Vector3<f64>, center: Vector3<f64>) -> TriMesh {
 /// The object of a mesh in metres, made as `drex identify` makes it.
 pub fn object_of(mesh: &TriMesh) -> Object {
     asset_from_mesh(mesh, &AssetOptions::in_metres()).unwrap().to_exact_object("").unwrap()
+}
+
+/// The same of a mesh file; each is made once, since scans take seconds.
+pub fn object_at(mesh: &Path) -> Object {
+    static MADE: Mutex<BTreeMap<PathBuf, Object>> = Mutex::new(BTreeMap::new());
+    if let Some(made) = MADE.lock().unwrap().get(mesh) {
+        return made.clone();
+    }
+    let object = object_of(&TriMesh::read(mesh).unwrap());
+    MADE.lock().unwrap().entry(mesh.to_owned()).or_insert(object).clone()
 }
 
 /// A block of 5 x 6 x 8 cm.

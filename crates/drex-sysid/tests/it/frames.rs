@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::common::{box_mesh, normals, object_of, shared};
+use crate::common::{box_mesh, normals, object_at, object_of, shared};
 use drex_core::{Pose, Trajectory, TriMesh};
 use drex_recording::clock::{Clock, parse_utc_offset};
 use drex_recording::convert::mujoco_push::{self, Inputs};
@@ -183,7 +183,7 @@ fn up_is_found_in_simulated_tilts_seen_by_unknown_cameras() {
             for scenario in ["tilt_force", "finger_tilt"] {
                 let folder = set.join(object).join(scenario);
                 let Ok(recording) = mujoco_push::load(&folder, Inputs::default()) else { continue };
-                let solid = standing(&TriMesh::read(&recording.mesh).unwrap());
+                let solid = Standing::of(&object_at(&recording.mesh)).unwrap();
                 let truth = recording.track.poses()[0].rotation.inverse() * Vector3::z();
                 for seed in 0..3 {
                     let track = recording.track.left_mul(&camera(100 + seed));
@@ -233,7 +233,7 @@ fn runs(shared: &Path) -> Vec<Run> {
         Run {
             name: folder.file_name().unwrap().to_string_lossy().into_owned(),
             track: read_foundation_pose_log(&log, &Clock::LocalIso { utc_offset_minutes }).unwrap(),
-            solid: standing(&TriMesh::read(&folder.join(run["mesh"].as_str().unwrap())).unwrap()),
+            solid: Standing::of(&object_at(&folder.join(run["mesh"].as_str().unwrap()))).unwrap(),
             up: vector("up_in_tracked_frame"),
             lean: vector("topples_towards_in_tracked_frame"),
         }

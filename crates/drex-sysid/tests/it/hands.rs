@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::common::{box_mesh, normals, object_of, shared};
+use crate::common::{box_mesh, normals, object_at, object_of, shared};
 use drex_core::{Object, Pose, Trajectory, TriMesh};
 use drex_recording::JointLog;
 use drex_recording::convert::allegro_run;
@@ -429,7 +429,7 @@ fn tracks_and_logs_of_different_runs_are_refused_with_both_times() {
     let c = hand(&runs, &robot, &CalibrateOptions::default()).unwrap();
     let at = |name: &str| all.iter().position(|r| r.0 == name).unwrap();
     let (cookie, ketchup) = (at("cookie1"), at("ketchup1"));
-    let solid = Standing::of(&scanned(&all[ketchup].1)).unwrap();
+    let solid = Standing::of(&object_at(&all[ketchup].1.mesh)).unwrap();
     let found = find(&all[ketchup].1.track, &solid, &FrameOptions::default()).unwrap();
     let extra = c.extra_torque(&runs[cookie], &robot).unwrap();
     let mut tips = tip_paths(&robot, runs[cookie].world_from_base, &extra, &extra.touches(&robot), 4.5);
@@ -443,11 +443,6 @@ fn tracks_and_logs_of_different_runs_are_refused_with_both_times() {
         message.contains("do not overlap") && message.contains("joint log") && message.contains("pose track"),
         "{message}"
     );
-}
-
-/// The object of a run, made as `drex identify` makes it.
-fn scanned(recording: &PushRecording) -> Object {
-    object_of(&TriMesh::read(&recording.mesh).unwrap())
 }
 
 /// What identify says of a run, with a calibration or without.
@@ -468,7 +463,7 @@ fn intervals_of_real_objects_hold_the_weighed_mass() {
     for (name, recording, _) in &all {
         let object = name.trim_end_matches(|c: char| c.is_ascii_digit());
         let mass = truth[object].as_f64().unwrap();
-        let solid = scanned(recording);
+        let solid = object_at(&recording.mesh);
         let answer = identified(recording, &solid, Some(&c));
         let [lo, hi] = answer.ci95_kg.unwrap();
         eprintln!("{name}: {lo:.3} to {hi:.3} kg, weighed {mass} kg; {}", answer.reason);
@@ -500,7 +495,7 @@ fn intervals_of_real_objects_hold_the_weighed_mass() {
 fn a_joint_log_of_another_hand_is_refused_by_name() {
     let Some(all) = real_runs() else { return };
     let (name, mut recording, mut push) = all.into_iter().next().unwrap();
-    let object = scanned(&recording);
+    let object = object_at(&recording.mesh);
     let mut message = |push: &HandPush| {
         recording.drive = Drive::Hand(push.clone());
         identify(std::slice::from_ref(&recording), &object, &IdentifyOptions::default()).unwrap_err().to_string()
@@ -518,7 +513,7 @@ fn a_joint_log_of_another_hand_is_refused_by_name() {
 fn efforts_that_cannot_be_are_no_answer() {
     let Some(all) = real_runs() else { return };
     let (_, recording, _) = all.into_iter().find(|r| r.0 == "ketchup1").unwrap();
-    let object = scanned(&recording);
+    let object = object_at(&recording.mesh);
     let scaled = |factor: f64| {
         let mut other = recording.clone();
         if let Drive::Hand(hand) = &mut other.drive {

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use crate::common::{block, normals, object_of, shared, simulated};
-use drex_core::{Object, TriMesh};
+use crate::common::{block, normals, object_at, shared, simulated};
+use drex_core::Object;
 use drex_recording::convert::mujoco_push::{self, ForceQuality, Inputs, PoseQuality};
 use drex_recording::{Drive, PushRecording};
 use drex_sysid::{Identification, IdentifyOptions, Knowledge, Parameter, identify};
@@ -44,7 +44,7 @@ fn noise_of_the_force_leaves_what_it_must_and_hardly_more() {
 
 fn load(folder: &Path, poses: PoseQuality, force: ForceQuality) -> (PushRecording, Object) {
     let recording = mujoco_push::load(folder, Inputs { poses, force }).unwrap();
-    let object = object_of(&TriMesh::read(&recording.mesh).unwrap());
+    let object = object_at(&recording.mesh);
     (recording, object)
 }
 

@@ -8,9 +8,9 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::common::{block, object_of, shared, simulated};
+use crate::common::{block, object_at, shared, simulated};
 use drex_core::trajectory::PoseNoise;
-use drex_core::{Object, Trajectory, TriMesh};
+use drex_core::{Object, Trajectory};
 use drex_recording::convert::mujoco_push::{self, ForceQuality, Inputs, PoseQuality};
 use drex_recording::{Drive, ForceProfile, PushRecording};
 use drex_sysid::{Identification, IdentifyOptions, Verdict, identify};
@@ -33,7 +33,7 @@ fn weigh(push: PushRecording, object: &Object) -> Identification {
 
 fn load(folder: &Path, inputs: Inputs) -> (PushRecording, Object) {
     let recording = mujoco_push::load(folder, inputs).unwrap();
-    let object = object_of(&TriMesh::read(&recording.mesh).unwrap());
+    let object = object_at(&recording.mesh);
     (recording, object)
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::common::{object_of, shared};
+use crate::common::{object_at, object_of, shared};
 use drex_core::TriMesh;
 use drex_recording::convert::mujoco_push::{self, ForceQuality, Inputs, PoseQuality};
 use drex_recording::{Drive, PushRecording, StatedParameter};
@@ -10,7 +10,7 @@ use drex_sysid::{Identification, IdentifyOptions, Parameter, Verdict, identify};
 
 fn weigh(folder: &Path, inputs: Inputs) -> Identification {
     let recording = mujoco_push::load(folder, inputs).unwrap();
-    let object = object_of(&TriMesh::read(&recording.mesh).unwrap());
+    let object = object_at(&recording.mesh);
     identify(&[recording], &object, &IdentifyOptions::default()).unwrap()
 }
 
@@ -52,7 +52,7 @@ fn random_objects_are_weighed_without_their_start() {
     for folder in folders(&root).iter().flat_map(|object| folders(object)) {
         let mut recording = mujoco_push::load(&folder, Inputs::default()).unwrap();
         recording.initial_pose = None;
-        let object = object_of(&TriMesh::read(&recording.mesh).unwrap());
+        let object = object_at(&recording.mesh);
         let a = identify(&[recording], &object, &IdentifyOptions::default()).unwrap();
         let (name, m) = (folder.display(), truth(&folder));
         assert_eq!(a.verdict, Verdict::Identified, "{name}: {}", a.reason);
@@ -121,7 +121,7 @@ fn sensitivities_predict_what_a_wrong_finger_or_a_wrong_friction_does() {
     let root = shared.join("data/push_mujoco");
     for name in ["brick/finger_tilt", "letter_t/finger_slow", "letter_l/finger_fast"] {
         let push = mujoco_push::load(&root.join(name), Inputs::default()).unwrap();
-        let object = object_of(&TriMesh::read(&push.mesh).unwrap());
+        let object = object_at(&push.mesh);
         let right = identify(std::slice::from_ref(&push), &object, &IdentifyOptions::default()).unwrap();
         let changes = |p: Parameter| right.sensitivities.iter().find(|s| s.parameter == p).map_or(0.0, |s| s.log_mass);
         let (mut stiff, mut rough) = (push.clone(), push.clone());
