@@ -46,7 +46,7 @@ pub struct Identification {
     pub friction: Option<f64>,
     /// Standard deviation of the logarithm of the mass, all sources of error together; absent when it is infinite.
     pub sd_log_mass: Option<f64>,
-    /// Its parts.
+    /// Its parts, of the simulated pushes.
     pub error_budget: Option<ErrorBudget>,
     /// What else was estimated.
     #[serde(default)]

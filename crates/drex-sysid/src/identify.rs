@@ -15,7 +15,7 @@ use crate::joint::{Candidate, Joint};
 use crate::object::{collider, standing};
 use crate::parameters::{Knowledge, Parameter, ParameterSet};
 use crate::problem::{Motion, Problem};
-use crate::{IdentifyOptions, Method, Result, SysidError, adam, checks, hand, invariance, noise};
+use crate::{CONTRADICTS_SD, IdentifyOptions, Method, Result, SysidError, adam, checks, hand, invariance, noise};
 
 /// Standard deviation of log mass above which a recording does not weigh the object.
 pub(crate) const SD_LIMIT: f64 = 0.35;
@@ -135,6 +135,8 @@ pub fn identify_watched(
         }
         answer.simulations = joint.simulations();
     } else {
+        let mut by_hand = answer.clone();
+        let is_by_hand = hand::decide(&mut by_hand, &hands);
         let mut joint = Joint::new(problems, &frictions);
         let outcome = joint.solve(options, progress)?;
         let best = match &outcome {
@@ -195,8 +197,8 @@ pub fn identify_watched(
             }
         }
         answer.simulations = joint.simulations();
-        if hands.iter().any(Option::is_some) {
-            reasons.push("The pushes of a hand took no part: weigh by them alone to see what they tell.".into());
+        if is_by_hand && joint.fixed_mass().is_none() {
+            count_in(&mut answer, by_hand);
         }
         if !reasons.is_empty() {
             answer.reason = format!("{} {}", answer.reason, reasons.join(" "));
@@ -206,6 +208,38 @@ pub fn identify_watched(
     answer.pushes = reports;
     answer.seconds = begin.elapsed().as_secs_f64();
     Ok(answer)
+}
+
+/// Counts what pushes by a hand say of the mass into what simulated pushes say of it.
+fn count_in(answer: &mut Identification, by_hand: Identification) {
+    let (simulated, of_hand) = (answer.likelihood(), by_hand.likelihood());
+    if let (Some(simulated), Some(of_hand)) = (&simulated, &of_hand) {
+        let both = simulated.times(of_hand);
+        let [low, high] = both.interval95_kg();
+        (answer.mass_kg, answer.ci95_kg) = (Some(both.median_kg()), Some([low, high]));
+        answer.sd_log_mass = Some(both.sd_log());
+        answer.profile = both.costs().collect();
+        answer.reason +=
+            &format!(". With what pushes by a hand say beside that, it is {:.1} to {:.1} g", 1e3 * low, 1e3 * high);
+        let apart = simulated.contradiction_sd(of_hand);
+        if apart > CONTRADICTS_SD {
+            answer.reason += &format!(
+                "; DOUBTFUL: the two are {apart:.1} standard deviations apart, so one of them is not a push of this object, or is not \
+                 recorded as is stated"
+            );
+        }
+        answer.reason += &format!("; by a hand alone: {}", by_hand.reason);
+    } else if of_hand.is_some() {
+        // Simulated pushes leave all masses, or all with one product of friction and mass.
+        answer.reason = format!("{}. By simulated pushes alone: {}", by_hand.reason, answer.reason);
+        if by_hand.verdict == Verdict::Identified {
+            answer.verdict = by_hand.verdict;
+        }
+        (answer.mass_kg, answer.ci95_kg, answer.sd_log_mass) = (by_hand.mass_kg, by_hand.ci95_kg, by_hand.sd_log_mass);
+        (answer.sensitivities, answer.profile) = (by_hand.sensitivities, by_hand.profile);
+    } else {
+        answer.reason += &format!(". By a hand alone: {}", by_hand.reason);
+    }
 }
 
 /// The estimate of the method that has no interval.

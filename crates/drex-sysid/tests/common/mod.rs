@@ -62,18 +62,18 @@ pub fn simulated(mass_kg: f64, friction: f64, force: Vector3<f64>, point: Point3
 
 /// The same with the end of the force chosen.
 pub fn pushed_until(end: f64, mass_kg: f64, friction: f64, force: Vector3<f64>, point: Point3<f64>) -> PushRecording {
-    pushed_by(end, mass_kg, friction, [force, Vector3::zeros()], point)
+    pushed_by(&block(), end, mass_kg, friction, [force, Vector3::zeros()], point)
 }
 
-/// The same by a force and a torque about its point.
+/// The same of any object that stands with the middle of its mesh above the origin, by a force and a torque about its point.
 pub fn pushed_by(
+    object: &Object,
     end: f64,
     mass_kg: f64,
     friction: f64,
     wrench: [Vector3<f64>; 2],
     point: Point3<f64>,
 ) -> PushRecording {
-    let object = block();
     let shape = Arc::new(Collider::of_parts(&object.convex_parts).unwrap());
     let mut model = Model::new(vec![Body::new(&object.mass_properties, mass_kg, shape)]);
     // An eighth of the estimator's own step: what its step is worth is part of what is tested.
@@ -85,7 +85,8 @@ pub fn pushed_by(
     });
     scene.forces.push(AppliedForce::new(Part::Body(0), &times, &forces, ForcePoint::Body(point)).unwrap());
     scene.forces.push(AppliedForce::new(Part::Body(0), &times, &torques, ForcePoint::Couple).unwrap());
-    let start = Pose::translation(0.0, 0.0, 0.04);
+    let (low, _) = object.bounds_at(&Pose::identity()).unwrap();
+    let start = Pose::translation(0.0, 0.0, -low.z);
     let frames: Vec<f64> = (0..36).map(|k| f64::from(k) / 30.0).collect();
     let record = rollout(&model, &scene, &State::at_rest(start), &frames).unwrap();
     let track = Trajectory::from_samples(&frames, &record.bodies[0].poses).unwrap();

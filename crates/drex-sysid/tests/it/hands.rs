@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
-use crate::common::{box_mesh, normals, object_at, object_of, shared};
+use crate::common::{box_mesh, normals, object_at, object_of, pushed_by, shared};
 use drex_core::{Object, Pose, Trajectory, TriMesh};
 use drex_recording::JointLog;
 use drex_recording::convert::allegro_run;
-use drex_recording::{Drive, HandPush, PushRecording};
+use drex_recording::{Drive, HandPush, PushRecording, TrackFrame};
 use drex_robot::{Robot, joint_order};
 use drex_sysid::bound::{Bound, BoundOptions, Topple, of_topple};
 use drex_sysid::calibrate::{CalibrateOptions, ExtraTorque, HandCalibration, HandRun, hand};
@@ -293,6 +293,47 @@ fn weigh(
         gravity_m_s2: 9.81,
     };
     (of_topple(&topple, &BoundOptions::default()).unwrap(), placement, extra)
+}
+
+#[test]
+fn a_push_by_a_known_force_and_one_by_a_hand_are_one_answer() {
+    let (robot, base) = allegro();
+    let object = object_of(&box_mesh(HALF.into(), Vector3::zeros()));
+    let by_hand = |mass: f64| {
+        let made = made_topple(&robot, &base, mass, 15);
+        let drive = HandPush { robot: "allegro_right".into(), world_from_base: base, joints: made.joints };
+        let mut push = PushRecording::new("by hand", "box.obj", made.track, Drive::Hand(drive));
+        push.support.table_height_m = TABLE;
+        push.starts_at_rest = true;
+        push.track_frame = TrackFrame::Camera { of_mesh: true, up: None, push: None };
+        push
+    };
+    let by_force = |mass: f64, size: f64| {
+        let lift = Vector3::z() * mass * 9.81 * size;
+        pushed_by(&object, 0.45, mass, 0.4, [lift, Vector3::zeros()], Point3::origin())
+    };
+    let say = |pushes: &[PushRecording]| identify(pushes, &object, &IdentifyOptions::default()).unwrap();
+    let (hand, force) = (say(&[by_hand(0.3)]), say(&[by_force(0.3, 1.6)]));
+    let both = say(&[by_force(0.3, 1.6), by_hand(0.3)]);
+    let product = force.likelihood().unwrap().times(&hand.likelihood().unwrap());
+    assert_eq!(both.ci95_kg, Some(product.interval95_kg()), "{}", both.reason);
+    assert!(both.verdict == Verdict::Identified && !both.reason.contains("DOUBTFUL"), "{}", both.reason);
+    assert!(both.reason.contains(&hand.reason) && both.pushes[1].hand.is_some(), "{}", both.reason);
+    // A lift of another object.
+    let other = say(&[by_force(3.0, 1.6), by_hand(0.15)]);
+    assert!(
+        other.reason.contains("DOUBTFUL") && other.reason.contains("standard deviations apart"),
+        "{}",
+        other.reason
+    );
+    // Too weak to lift anything.
+    let weak = say(&[by_force(0.3, 0.5), by_hand(0.3)]);
+    assert_eq!(
+        (weak.verdict, weak.ci95_kg, weak.mass_kg),
+        (hand.verdict, hand.ci95_kg, hand.mass_kg),
+        "{}",
+        weak.reason
+    );
 }
 
 #[test]

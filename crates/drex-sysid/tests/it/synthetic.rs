@@ -63,7 +63,7 @@ fn a_torque_weighs_as_a_force_does() {
     let m = 0.137;
     // The same moment about the far edge as a force of 1.25 times what tips, and no force.
     let torque = Vector3::y() * m * G * 0.025 * 1.25;
-    let mut push = pushed_by(0.45, m, 0.9, [Vector3::zeros(), torque], Point3::origin());
+    let mut push = pushed_by(&block(), 0.45, m, 0.9, [Vector3::zeros(), torque], Point3::origin());
     let a = identify(std::slice::from_ref(&push), &block(), &IdentifyOptions::default()).unwrap();
     assert!((a.mass_kg.unwrap() / m - 1.0).abs() < 2e-3, "{} {:?}", a.reason, a.mass_kg);
     if let Drive::Force(f) = &mut push.drive {
