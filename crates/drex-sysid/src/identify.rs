@@ -441,12 +441,14 @@ fn assumptions(recordings: &[PushRecording], options: &IdentifyOptions) -> Vec<S
     }
     if force || finger {
         out.push("gravity and the shape of the support are as stated".into());
-        out.extend(recordings.iter().find_map(|r| r.mesh_sd_m.filter(|sd| *sd > 0.0)).map(|sd| {
-            let mm = 1e3 * sd;
-            format!(
-                "the mesh is known to {mm:.1} mm, and with it the centre of mass, the start and the height of the push"
-            )
-        }));
+        out.push(match recordings.iter().find_map(|r| r.mesh_sd_m) {
+            Some(sd) if sd > 0.0 => format!(
+                "the mesh is known to {:.1} mm, and with it the centre of mass, the start and the height of the push",
+                1e3 * sd
+            ),
+            Some(_) => "the mesh is exact, as stated".into(),
+            None => "the mesh is exact; of a scan say how well it is known (mesh_sd_m in push.toml)".into(),
+        });
         let of_push = |r: &PushRecording| r.parameters.contains_key(Parameter::Friction.as_str());
         if options.parameters.get(Parameter::Friction).is_none() && !recordings.iter().any(of_push) {
             out.push(match recordings.iter().find_map(|r| r.support.friction) {

@@ -236,6 +236,17 @@ fn json_has_the_agreed_keys() {
 }
 
 #[test]
+fn how_well_the_mesh_is_known_is_an_assumption() {
+    let mut push = simulated(0.2, 0.4, Vector3::z() * 0.2 * G * 1.6, Point3::origin());
+    for (sd, says) in [(None, "mesh_sd_m"), (Some(0.0), "exact, as stated"), (Some(0.002), "known to 2.0 mm")] {
+        push.mesh_sd_m = sd;
+        let a = identify(std::slice::from_ref(&push), &block(), &IdentifyOptions::default()).unwrap();
+        let of_mesh: Vec<&String> = a.assumptions.iter().filter(|s| s.starts_with("the mesh is")).collect();
+        assert!(of_mesh.len() == 1 && of_mesh[0].contains(says), "{sd:?}: {of_mesh:?}");
+    }
+}
+
+#[test]
 fn unusable_input_is_refused() {
     let push = simulated(0.2, 0.4, Vector3::z() * 3.0, Point3::origin());
     let options = IdentifyOptions::default();
