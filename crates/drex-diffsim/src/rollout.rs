@@ -42,6 +42,7 @@ pub struct Track<T: Scalar> {
 /// For a model, scene or start that cannot be simulated, times that decrease, and motion that diverges.
 pub fn rollout<T: Scalar>(model: &Model<T>, scene: &Scene<T>, start: &State<T>, times_s: &[f64]) -> Result<Record<T>> {
     let mut work = Workspace::default();
+    work.forgets_forces = true;
     check_with(model, scene, start, &mut work)?;
     let mut out = record(model, start, times_s, model.dt_s, |state| step(model, scene, state, &mut work))?;
     out.unconverged_steps = work.unconverged_steps();

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! cargo run --release -p drex-sysid --example sweep -- ROOT [--poses noisy|hard|clean] [--force noisy|exact] [--encoder on|off]
-//!     [--start withheld|given] [--free NAME]... [--fix NAME=VALUE]... [--dt SECONDS] [--seed N] [--only TEXT]... [--verbose]
+//!     [--start withheld|given] [--friction given|withheld] [--free NAME]... [--fix NAME=VALUE]... [--dt SECONDS] [--seed N] [--only TEXT]... [--verbose]
 //! ```
 //!
 //! ROOT holds `<object>/<scenario>/meta.json` with `truth.json` beside it; the truth is read after the estimate. The object is made
@@ -29,6 +29,7 @@ struct Arguments {
     inputs: Inputs,
     encoder: bool,
     start: bool,
+    friction: bool,
     options: IdentifyOptions,
     only: Vec<String>,
     verbose: bool,
@@ -68,6 +69,9 @@ fn weigh(folder: &Path, arguments: &Arguments) -> Result<Line, Failure> {
     }
     if !arguments.start {
         recording.initial_pose = None;
+    }
+    if !arguments.friction {
+        recording.support.friction = None;
     }
     let asset = build_asset(&recording.mesh, &AssetOptions::in_metres())?;
     let object = asset.to_exact_object("")?;
@@ -207,6 +211,7 @@ fn read_arguments() -> Result<Arguments, Failure> {
         inputs: Inputs::default(),
         encoder: true,
         start: false,
+        friction: true,
         options: IdentifyOptions::default(),
         only: Vec::new(),
         verbose: false,
@@ -220,6 +225,7 @@ fn read_arguments() -> Result<Arguments, Failure> {
             "--force" => out.inputs.force = value()?.parse()?,
             "--encoder" => out.encoder = value()? == "on",
             "--start" => out.start = value()? == "given",
+            "--friction" => out.friction = value()? == "given",
             "--free" => out.options.parameters.set(value()?.parse()?, Knowledge::Free)?,
             "--fix" => {
                 let text = value()?;

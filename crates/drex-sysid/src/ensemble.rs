@@ -17,7 +17,7 @@ use crate::parameters::NUISANCES;
 use crate::problem::{Motion, Problem, Slot};
 use crate::{IdentifyOptions, Parameter};
 
-/// Pairs of draws more than there are unknowns.
+/// Pairs of draws more than there are unknowns; twice as many where the time step is extrapolated.
 const SPARE_PAIRS: usize = 10;
 /// Farthest that draws are spread, in [`crate::Parameter::scale`]s: a line holds no farther.
 const WIDEST: f64 = 3.0;
@@ -152,10 +152,12 @@ impl Joint {
     pub(crate) fn linearise(&self, gaussian: &Gaussian, steps: Steps, seed: u64) -> Option<Round> {
         let n = self.coordinates.len();
         let root = self.root(&gaussian.covariance)?;
-        let z = standard_draws(n + SPARE_PAIRS, n, seed);
-        let finest = match steps {
-            Steps::One(dt_s) | Steps::Extrapolated(dt_s) => dt_s,
+        // What is extrapolated chatters more.
+        let (spare, finest) = match steps {
+            Steps::One(dt_s) => (SPARE_PAIRS, dt_s),
+            Steps::Extrapolated(dt_s) => (2 * SPARE_PAIRS, dt_s),
         };
+        let z = standard_draws(n + spare, n, seed);
         let center = self.evaluate_at(&gaussian.mean, &gaussian.nuisances, None, finest)?;
         let draws = self.draws(gaussian, &root, &z, finest, Some(seed));
         // What is taken out of the mean, as far as it is linear: the first order of the time step (Richardson), and what the noise that the

@@ -22,11 +22,13 @@ const SIMULATORS_FINGER: f64 = 0.0027;
 const SAME_FRICTION: f64 = 0.01;
 /// How far they differ without an encoder, which alone tells the force across the push.
 const SIMULATORS_BLIND: f64 = 0.04;
-/// Friction coefficients of the scan when friction is free.
+/// Friction coefficients of the scan when friction is all but unknown.
 const FRICTIONS: [f64; 6] = [0.12, 0.2, 0.3, 0.45, 0.65, 0.9];
+/// Standard deviation of log friction above which a scan looks for it.
+const VAGUE: f64 = 0.3;
 /// Standard deviation taken for an encoder until draws are made, metres: far from the best mass no reading agrees to a tenth of a
 /// millimetre, and all would count as outliers.
-pub(crate) const LOOSE_ENCODER_M: f64 = 2e-3;
+const LOOSE_ENCODER_M: f64 = 2e-3;
 /// Masses on each side of the best descent, and the logarithm between neighbours, that are looked at for other minima.
 const NEAR: i32 = 14;
 const NEAR_STEP: f64 = 0.007;
@@ -52,8 +54,10 @@ const HARDLY_SHOWN: f64 = 0.25;
 const ROUNDS: (usize, usize) = (2, 6);
 /// Rounds at most as long as the mass goes far.
 const MOST_ROUNDS: usize = 20;
-/// A round that moves the mean by less than this many standard deviations is the last one.
+/// A round that moves the mean by less than this many standard deviations is the last one, or the second of two that move it by less than
+/// that many: what else goes far then does not matter to the mass.
 const SETTLED: f64 = 0.5;
+const STANDS: f64 = 0.1;
 /// Logarithm of the odds below which another mode plays no part.
 const ODDS: f64 = 8.0;
 /// Knots of the law of the mass on each side of a mode, and their distance in standard deviations.
@@ -147,7 +151,14 @@ impl Joint {
         if self.is_unseen(&found, HARDLY_SHOWN) {
             return Ok(found.into_iter().next().map_or(Outcome::Lost, |best| Outcome::Unseen(best, by_mass(&scan))));
         }
-        let mut modes: Vec<Round> = found.iter().filter_map(|c| self.settled(c, told, middle_dt, options)).collect();
+        let mut modes: Vec<Round> = Vec::new();
+        for c in &found {
+            // What lies this close to a mode that is not wide would end there.
+            let within = |m: &Round| (SETTLED * m.gaussian.covariance[(0, 0)].sqrt()).min(2.0 * NEAR_STEP);
+            if !modes.iter().any(|m| (c.point[0] - m.gaussian.mean[0]).abs() < within(m)) {
+                modes.extend(self.settled(c, told, middle_dt, options));
+            }
+        }
         distinct(&mut modes);
         progress(0.6);
         let mut modes: Vec<Round> = modes.into_iter().filter_map(|g| self.refine(g, told, options)).collect();
@@ -292,11 +303,12 @@ impl Joint {
     /// without agreeing better.
     fn settled(&self, from: &Candidate, told: bool, dt_s: f64, options: &IdentifyOptions) -> Option<Round> {
         let mut gaussian = self.first_guess(from);
-        let mut lowest = f64::INFINITY;
+        let (mut lowest, mut moved_before) = (f64::INFINITY, f64::INFINITY);
         for round in 1..=MOST_ROUNDS {
             let found = self.linearise(&gaussian, Steps::One(dt_s), options.seed)?;
             let moved = (found.gaussian.mean[0] - gaussian.mean[0]).abs() / found.gaussian.covariance[(0, 0)].sqrt();
-            let is_settled = round >= ROUNDS.0 && !found.is_far && moved < SETTLED;
+            let stands = moved.max(std::mem::replace(&mut moved_before, moved)) < STANDS;
+            let is_settled = round >= ROUNDS.0 && (stands || !found.is_far && moved < SETTLED);
             if !told || is_settled || round >= ROUNDS.1 && !found.mass_is_far {
                 return Some(found);
             }
@@ -378,11 +390,11 @@ impl Joint {
         self.coordinates.iter().enumerate().skip(1).filter_map(of).collect()
     }
 
-    /// Cost over the grid of masses (and, if it is free, of frictions: the best of each mass is kept), everything else as in `start`.
+    /// Cost over the grid of masses (and, if it is all but unknown, of frictions: the best of each mass is kept), everything else as in `start`.
     fn scan_from(&self, start: &Point, options: &IdentifyOptions) -> Vec<(Point, f64)> {
         let n = options.scan_points.max(5);
         let step = scan_mass(options, 1) - scan_mass(options, 0);
-        let friction = self.friction().filter(|&c| self.coordinates[c].prior.is_none());
+        let friction = self.friction().filter(|&c| self.coordinates[c].prior.is_none_or(|(_, sd)| sd > VAGUE));
         let column = |masses: &[f64]| -> Vec<(Point, f64)> {
             let grid: Vec<Point> = masses
                 .iter()

@@ -9,14 +9,16 @@ use drex_recording::{Drive, PushRecording, TrackFrame};
 
 use crate::answer::{Identification, PushReport, Sensitivity, Verdict};
 use crate::distribution::EXCLUDES;
-use crate::estimate::{Estimate, LOOSE_ENCODER_M, Outcome};
+use crate::estimate::{Estimate, Outcome};
 use crate::fit::Fit;
 use crate::joint::{Candidate, Joint};
-use crate::object::{collider, standing};
+use crate::object::{collider, sd_of_rough_mesh_m, standing};
 use crate::parameters::{Knowledge, Parameter, ParameterSet};
 use crate::problem::{Motion, Problem};
 use crate::{CONTRADICTS_SD, IdentifyOptions, Method, Result, SysidError, adam, checks, hand, invariance, noise};
 
+/// Standard deviations of an encoder beyond which no motion follows it; what MuJoCo does stays below four.
+const UNFOLLOWED: f64 = 10.0;
 /// Standard deviation of log mass above which a recording does not weigh the object.
 pub(crate) const SD_LIMIT: f64 = 0.35;
 /// Standard deviation of log(friction · mass) below which the product counts as known.
@@ -101,7 +103,7 @@ pub fn identify_watched(
         error_budget: None,
         estimates: Vec::new(),
         sensitivities: Vec::new(),
-        assumptions: assumptions(recordings, options),
+        assumptions: assumptions(recordings, object, options),
         profile: Vec::new(),
         pushes: Vec::new(),
     };
@@ -150,7 +152,7 @@ pub fn identify_watched(
             }
         }
         // What was fixed was not weighed, however it is followed.
-        let unfollowed = || fitted.iter().find_map(|&i| unfollowed(&reports[i]));
+        let unfollowed = || fitted.iter().find_map(|&i| unfollowed(&reports[i], options.encoder_m));
         let lost = joint.fixed_mass().is_none().then(unfollowed).flatten();
         match (outcome, lost) {
             (Outcome::Estimate(estimate), Some(why)) => {
@@ -334,8 +336,8 @@ fn cause(joint: &Joint) -> &'static str {
 }
 
 /// Why the best answer of a push by a finger is none: draws were made around a motion that the encoder is not even near.
-fn unfollowed(push: &PushReport) -> Option<String> {
-    let missed_m = push.rms_encoder_m.filter(|m| *m > LOOSE_ENCODER_M)?;
+fn unfollowed(push: &PushReport, encoder_m: f64) -> Option<String> {
+    let missed_m = push.rms_encoder_m.filter(|m| *m > UNFOLLOWED * encoder_m)?;
     Some(format!(
         "no motion was found that the encoder of `{}` follows: the best one misses it by {:.1} mm, so no mass does what was recorded; \
          check the encoder's clock and the finger's impedance, state the start pose, or repeat the push through the middle of the object",
@@ -424,7 +426,7 @@ fn row(pose: &Pose) -> [f64; 7] {
     [x, y, z, qw, qx, qy, qz]
 }
 
-fn assumptions(recordings: &[PushRecording], options: &IdentifyOptions) -> Vec<String> {
+fn assumptions(recordings: &[PushRecording], object: &Object, options: &IdentifyOptions) -> Vec<String> {
     let mut out =
         vec!["the object is rigid and of uniform density: centre of mass and inertia follow from its mesh".to_owned()];
     let force = recordings.iter().any(|r| matches!(r.drive, Drive::Force(_)));
@@ -441,10 +443,12 @@ fn assumptions(recordings: &[PushRecording], options: &IdentifyOptions) -> Vec<S
     }
     if force || finger {
         out.push("gravity and the shape of the support are as stated".into());
-        out.push(match recordings.iter().find_map(|r| r.mesh_sd_m) {
+        let stated = recordings.iter().find_map(|r| r.mesh_sd_m);
+        out.push(match stated.or_else(|| sd_of_rough_mesh_m(object)) {
             Some(sd) if sd > 0.0 => format!(
-                "the mesh is known to {:.1} mm, and with it the centre of mass, the start and the height of the push",
-                1e3 * sd
+                "the mesh is known to {:.1} mm{}, and with it the centre of mass, the start and the height of the push",
+                1e3 * sd,
+                if stated.is_some() { "" } else { ", since it is rough (mesh_sd_m in push.toml says it better)" },
             ),
             Some(_) => "the mesh is exact, as stated".into(),
             None => "the mesh is exact; of a scan say how well it is known (mesh_sd_m in push.toml)".into(),
@@ -453,7 +457,7 @@ fn assumptions(recordings: &[PushRecording], options: &IdentifyOptions) -> Vec<S
         if options.parameters.get(Parameter::Friction).is_none() && !recordings.iter().any(of_push) {
             out.push(match recordings.iter().find_map(|r| r.support.friction) {
                 Some(mu) => format!("the friction against the support is {mu} as stated"),
-                None => "the friction against the support is one unknown constant".into(),
+                None => "the friction against the support is one unknown constant, probably between 0.13 and 2".into(),
             });
         }
     }

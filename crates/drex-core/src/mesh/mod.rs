@@ -2,6 +2,7 @@
 
 mod hull;
 mod obj;
+mod roughness;
 mod sample;
 mod stl;
 mod weld;

@@ -147,6 +147,7 @@ impl<T: Scalar> ContactModel<T> {
 
 impl ContactModel<f64> {
     /// How the reaction changes with the velocity; nothing where the contact carries nothing.
+    #[inline(always)]
     pub(crate) fn stiffness(&self, u: &Vector3<f64>, spin: f64) -> Option<Stiffness> {
         let n = &self.normal;
         if let Some(soft) = &self.soft {

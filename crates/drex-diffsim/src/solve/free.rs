@@ -1,6 +1,8 @@
 //! One free body against what does not answer: the table, static bodies, bodies on prescribed paths. Per unit mass of
 //! the body, so that a mass which cannot be seen leaves no trace, not even in rounding.
 
+use std::any::Any;
+
 use nalgebra::{Matrix3, Vector3};
 
 use super::contact_model::ContactModel;
@@ -27,7 +29,8 @@ pub(crate) struct Lever<T: Scalar> {
 /// Buffers of the solver.
 #[derive(Debug, Default)]
 pub(crate) struct Buffers {
-    values: Vec<(ContactModel<f64>, Lever<f64>)>,
+    models: Vec<ContactModel<f64>>,
+    levers: Vec<Lever<f64>>,
     /// Derivative of the velocities by each parameter.
     tangents: Vec<Vector6>,
 }
@@ -35,8 +38,8 @@ pub(crate) struct Buffers {
 /// Velocities at the end of the step, given those without contact (`free`), the inertia per unit mass about the centre
 /// of mass in the world, and a `guess`. `None` if Newton's method does not converge.
 pub(crate) fn solve<T: Scalar>(
-    models: &[ContactModel<T>],
-    levers: &[Lever<T>],
+    models: &Vec<ContactModel<T>>,
+    levers: &Vec<Lever<T>>,
     dt: f64,
     inertia: &Matrix3<T>,
     free: (Vector3<T>, Vector3<T>),
@@ -44,9 +47,10 @@ pub(crate) fn solve<T: Scalar>(
     buffers: &mut Buffers,
 ) -> Option<(Vector3<T>, Vector3<T>)> {
     let (v0, w0) = free;
-    let values = &mut buffers.values;
-    values.clear();
-    values.extend(models.iter().zip(levers).map(|(contact, lever)| (contact.value(), lever.value())));
+    let values = (
+        values_of(models, &mut buffers.models, ContactModel::value),
+        values_of(levers, &mut buffers.levers, Lever::value),
+    );
     let j = inertia.map(|x| x.value());
     let (fv, fw) = (v0.map(|x| x.value()), w0.map(|x| x.value()));
 
@@ -106,6 +110,16 @@ pub(crate) fn solve<T: Scalar>(
     Some((Vector3::from_fn(|k, _| with(k)), Vector3::from_fn(|k, _| with(k + 3))))
 }
 
+/// What `of` holds without derivatives: itself, or copies by `value` in a buffer.
+#[allow(clippy::ptr_arg)] // a slice cannot be asked for its type
+fn values_of<'a, A: 'static, B: 'static>(of: &'a Vec<A>, buffer: &'a mut Vec<B>, value: impl Fn(&A) -> B) -> &'a [B] {
+    (of as &dyn Any).downcast_ref::<Vec<B>>().unwrap_or_else(|| {
+        buffer.clear();
+        buffer.extend(of.iter().map(value));
+        buffer
+    })
+}
+
 /// Whether what is left of the momentum balance is of rounding size.
 fn is_solved(r: &Vector6, inertia: &Matrix3<f64>, scale: f64) -> bool {
     let left = TOLERANCE * 1e-2 * scale;
@@ -127,7 +141,7 @@ impl<T: Scalar> Lever<T> {
 
 /// Momentum balance of the step at velocities `u`, per unit mass.
 fn residual(
-    models: &[(ContactModel<f64>, Lever<f64>)],
+    (models, levers): (&[ContactModel<f64>], &[Lever<f64>]),
     dt: f64,
     inertia: &Matrix3<f64>,
     free: (&Vector3<f64>, &Vector3<f64>),
@@ -135,7 +149,7 @@ fn residual(
 ) -> Vector6 {
     let (v, w) = (u.fixed_rows::<3>(0).into_owned(), u.fixed_rows::<3>(3).into_owned());
     let (mut rv, mut rw) = (v - free.0, inertia * (w - free.1));
-    for (contact, lever) in models {
+    for (contact, lever) in models.iter().zip(levers) {
         let (velocity, spin) = lever.relative(contact, &v, &w);
         let f = contact.reaction(&velocity, spin);
         rv -= f.force * dt;
@@ -148,12 +162,17 @@ fn residual(
 }
 
 /// Derivative of the residual.
-fn tangent(models: &[(ContactModel<f64>, Lever<f64>)], dt: f64, inertia: &Matrix3<f64>, u: &Vector6) -> Matrix6 {
+fn tangent(
+    (models, levers): (&[ContactModel<f64>], &[Lever<f64>]),
+    dt: f64,
+    inertia: &Matrix3<f64>,
+    u: &Vector6,
+) -> Matrix6 {
     let (v, w) = (u.fixed_rows::<3>(0).into_owned(), u.fixed_rows::<3>(3).into_owned());
     let mut a = Matrix3::identity();
     let (mut b, mut c) = (Matrix3::zeros(), Matrix3::zeros());
     let mut d = *inertia;
-    for (contact, lever) in models {
+    for (contact, lever) in models.iter().zip(levers) {
         let (velocity, spin) = lever.relative(contact, &v, &w);
         if let Some(stiffness) = contact.stiffness(&velocity, spin) {
             // The contact moves at v - [arm] w, its force turns the body by [arm] f.

@@ -120,7 +120,7 @@ pub(crate) fn rotation_of<T: Scalar>(
 
 /// Notes what a contact did, and keeps its springs. Forces of the contact model are per `unit` of mass.
 pub(crate) fn record<T: Scalar>(
-    out: &mut ContactForce<T>,
+    out: Option<&mut ContactForce<T>>,
     anchor: &mut Anchor<T>,
     contact_model: &ContactModel<T>,
     (u, spin): (&Vector3<T>, T),
@@ -130,11 +130,13 @@ pub(crate) fn record<T: Scalar>(
 ) {
     let reaction = contact_model.reaction(u, spin);
     let (stretch, twist) = contact_model.springs(&reaction, u, spin, dt);
-    out.force = reaction.force * unit;
-    out.torque = reaction.torque * unit;
-    out.slips = reaction.mode == Mode::Slips;
-    out.velocity = *u;
-    out.stretch = stretch;
+    if let Some(out) = out {
+        out.force = reaction.force * unit;
+        out.torque = reaction.torque * unit;
+        out.slips = reaction.mode == Mode::Slips;
+        out.velocity = *u;
+        out.stretch = stretch;
+    }
     anchor.stretch = rotation.map_or(stretch, |r| r.inverse_transform_vector(&stretch));
     anchor.twist = twist;
 }

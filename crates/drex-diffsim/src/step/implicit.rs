@@ -26,7 +26,9 @@ pub(super) fn step<T: Scalar>(
     group(model, work);
     work.anchors.clear();
     work.forces.clear();
-    work.forces.extend(work.contacts.iter().map(ContactForce::of));
+    if !work.forgets_forces {
+        work.forces.extend(work.contacts.iter().map(ContactForce::of));
+    }
     work.anchors.extend(work.contacts.iter().map(Anchor::slack));
     for root in 0..work.islands.len() {
         if work.islands[root] != root {
@@ -110,7 +112,7 @@ fn free_body<T: Scalar>(
         let rotation =
             kinematic_motion(&work.motions, work.contacts[from + k].key.b).map(|m| lift_rotation(&m.pose.rotation));
         record(
-            &mut work.forces[from + k],
+            work.forces.get_mut(from + k),
             &mut work.anchors[from + k],
             contact_model,
             (&u, spin),
@@ -177,7 +179,7 @@ fn island<T: Scalar>(
             let rotation = rotation_of(state, &work.trees, &work.motions, c.key.b);
             let contact_model = &work.island.models[k];
             record(
-                &mut work.forces[index],
+                work.forces.get_mut(index),
                 &mut work.anchors[index],
                 contact_model,
                 (&v, spin),

@@ -29,6 +29,8 @@ pub struct Workspace<T: Scalar> {
     pub(crate) touches: Vec<Touch>,
     pub(crate) contacts: Vec<Contact<T>>,
     pub(crate) forces: Vec<ContactForce<T>>,
+    /// Whether nobody asks for [`Workspace::contacts`].
+    pub(crate) forgets_forces: bool,
     pub(crate) anchors: Vec<Anchor<T>>,
     /// Island of each unit (articulations, then bodies): index of the first unit in it.
     islands: Vec<usize>,
@@ -59,6 +61,7 @@ impl<T: Scalar> Default for Workspace<T> {
             touches: Vec::new(),
             contacts: Vec::new(),
             forces: Vec::new(),
+            forgets_forces: false,
             anchors: Vec::new(),
             islands: Vec::new(),
             models: Vec::new(),

@@ -181,7 +181,7 @@ fn substep<T: Scalar>(
             let c = &work.contacts[from + k];
             let (u, spin) = relative(state, work, c);
             record(
-                &mut work.forces[from + k],
+                work.forces.get_mut(from + k),
                 &mut work.anchors[from + k],
                 contact_model,
                 (&u, spin),
