@@ -17,8 +17,6 @@ use crate::parameters::{Knowledge, Parameter, ParameterSet};
 use crate::problem::{Motion, Problem};
 use crate::{CONTRADICTS_SD, IdentifyOptions, Method, Result, SysidError, adam, checks, hand, invariance, noise};
 
-/// Standard deviations of an encoder beyond which no motion follows it; what MuJoCo does stays below four.
-const UNFOLLOWED: f64 = 10.0;
 /// Standard deviation of log mass above which a recording does not weigh the object.
 pub(crate) const SD_LIMIT: f64 = 0.35;
 /// Standard deviation of log(friction · mass) below which the product counts as known.
@@ -26,8 +24,8 @@ pub(crate) const SD_PRODUCT_LIMIT: f64 = 0.15;
 
 /// Slopes that differ by more than this do not stem from a smooth motion.
 const SLOPES_AGREE: f64 = 0.01;
-/// Misses of poses and of an encoder, in standard deviations of their noise, beyond which an answer is doubtful. Of 106 simulated
-/// pushes by a finger whose interval holds the truth one misses the encoder by more than five.
+/// Misses of poses, in standard deviations of their noise, beyond which an answer is doubtful, and of an encoder beyond which it is none.
+/// Of 106 simulated pushes by a finger whose interval holds the truth one misses the encoder by more than five.
 const MISSED_POSES: f64 = 3.0;
 const MISSED_ENCODER: f64 = 10.0;
 
@@ -66,6 +64,7 @@ pub fn identify_watched(
     };
     let standing = standing.map(|s| collider(&s).map(|c| (s, c))).transpose()?;
     agree(recordings)?;
+    let rough_sd_m = sd_of_rough_mesh_m(object);
     let mut reports = Vec::new();
     let mut problems = Vec::new();
     let mut frictions = Vec::new();
@@ -82,7 +81,9 @@ pub fn identify_watched(
             Some((standing, hull)) if is_on_table(recording) => (standing, hull),
             _ => (object, &shape),
         };
-        let problem = Problem::new(recording, object, shape, options, noise)?;
+        let mut recording = recording.clone();
+        recording.mesh_sd_m = recording.mesh_sd_m.or(rough_sd_m);
+        let problem = Problem::new(&recording, object, shape, options, noise)?;
         if problem.can_weigh() {
             problems.push(problem);
             frictions.push(recording.support.friction);
@@ -103,7 +104,7 @@ pub fn identify_watched(
         error_budget: None,
         estimates: Vec::new(),
         sensitivities: Vec::new(),
-        assumptions: assumptions(recordings, object, options),
+        assumptions: assumptions(recordings, rough_sd_m, options),
         profile: Vec::new(),
         pushes: Vec::new(),
     };
@@ -166,7 +167,7 @@ pub fn identify_watched(
                 decide(&mut answer, &estimate, &joint)?;
                 if answer.verdict == Verdict::Identified {
                     for &i in &fitted {
-                        answer.reason.extend(doubt(&reports[i], options.encoder_m));
+                        answer.reason.extend(doubt(&reports[i]));
                         answer
                             .reason
                             .extend(checks::outside_m(&recordings[i], object).map(|d| elsewhere(&reports[i].name, d)));
@@ -337,7 +338,7 @@ fn cause(joint: &Joint) -> &'static str {
 
 /// Why the best answer of a push by a finger is none: draws were made around a motion that the encoder is not even near.
 fn unfollowed(push: &PushReport, encoder_m: f64) -> Option<String> {
-    let missed_m = push.rms_encoder_m.filter(|m| *m > UNFOLLOWED * encoder_m)?;
+    let missed_m = push.rms_encoder_m.filter(|m| *m > MISSED_ENCODER * encoder_m)?;
     Some(format!(
         "no motion was found that the encoder of `{}` follows: the best one misses it by {:.1} mm, so no mass does what was recorded; \
          check the encoder's clock and the finger's impedance, state the start pose, or repeat the push through the middle of the object",
@@ -347,17 +348,14 @@ fn unfollowed(push: &PushReport, encoder_m: f64) -> Option<String> {
 }
 
 /// What speaks against an answer although it is the best that there is: observations that it misses by far more than their noise.
-fn doubt(push: &PushReport, encoder_m: f64) -> Option<String> {
+fn doubt(push: &PushReport) -> Option<String> {
     let per_axis = |rms: Option<f64>, sd: f64| rms.map_or(0.0, |r| r / (3.0_f64.sqrt() * sd));
     let missed = [
-        ("positions", per_axis(push.rms_position_m, push.position_sd_m), MISSED_POSES),
-        ("rotations", per_axis(push.rms_rotation_rad, push.rotation_sd_rad), MISSED_POSES),
-        ("encoder", push.rms_encoder_m.map_or(0.0, |r| r / encoder_m), MISSED_ENCODER),
+        ("positions", per_axis(push.rms_position_m, push.position_sd_m)),
+        ("rotations", per_axis(push.rms_rotation_rad, push.rotation_sd_rad)),
     ];
-    let (what, times, _) = missed
-        .into_iter()
-        .filter(|(_, times, most)| times > most)
-        .max_by(|a, b| (a.1 / a.2).total_cmp(&(b.1 / b.2)))?;
+    let (what, times) =
+        missed.into_iter().filter(|(_, times)| *times > MISSED_POSES).max_by(|a, b| a.1.total_cmp(&b.1))?;
     Some(format!(
         "; DOUBTFUL: even so the {what} of `{}` are missed by {times:.1} times their noise, so something that was stated, or the shape, is \
          wrong, and the interval may be too narrow",
@@ -426,7 +424,7 @@ fn row(pose: &Pose) -> [f64; 7] {
     [x, y, z, qw, qx, qy, qz]
 }
 
-fn assumptions(recordings: &[PushRecording], object: &Object, options: &IdentifyOptions) -> Vec<String> {
+fn assumptions(recordings: &[PushRecording], rough_sd_m: Option<f64>, options: &IdentifyOptions) -> Vec<String> {
     let mut out =
         vec!["the object is rigid and of uniform density: centre of mass and inertia follow from its mesh".to_owned()];
     let force = recordings.iter().any(|r| matches!(r.drive, Drive::Force(_)));
@@ -444,7 +442,7 @@ fn assumptions(recordings: &[PushRecording], object: &Object, options: &Identify
     if force || finger {
         out.push("gravity and the shape of the support are as stated".into());
         let stated = recordings.iter().find_map(|r| r.mesh_sd_m);
-        out.push(match stated.or_else(|| sd_of_rough_mesh_m(object)) {
+        out.push(match stated.or(rough_sd_m) {
             Some(sd) if sd > 0.0 => format!(
                 "the mesh is known to {:.1} mm{}, and with it the centre of mass, the start and the height of the push",
                 1e3 * sd,

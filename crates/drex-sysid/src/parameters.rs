@@ -3,15 +3,14 @@
 use std::collections::BTreeMap;
 use std::str::FromStr;
 
-use drex_core::{ASSUMED_FRICTION, Object};
+use drex_core::ASSUMED_FRICTION;
 use drex_recording::{PushRecording, StatedParameter};
 use serde::{Deserialize, Serialize};
 
-use crate::object::sd_of_rough_mesh_m;
 use crate::{Result, SysidError};
 
 /// A coefficient of friction that nobody states: of dry solids, 0.13 to 2 (95 %).
-pub(crate) const UNKNOWN_FRICTION: Knowledge = Knowledge::Prior { mean: ASSUMED_FRICTION, sd: 0.7 };
+const UNKNOWN_FRICTION: Knowledge = Knowledge::Prior { mean: ASSUMED_FRICTION, sd: 0.7 };
 
 /// What follows from the shape of the object.
 const OF_THE_SHAPE: [Parameter; 7] = [
@@ -331,8 +330,8 @@ impl ParameterSet {
 
     /// What holds of a mesh that is not exact: where the weight acts, where the object stands and how high the push acts is expected within
     /// the error of the mesh.
-    pub(crate) fn of_mesh(recording: &PushRecording, object: &Object) -> Self {
-        let sd = recording.mesh_sd_m.or_else(|| sd_of_rough_mesh_m(object)).filter(|sd| *sd > 0.0);
+    pub(crate) fn of_mesh(recording: &PushRecording) -> Self {
+        let sd = recording.mesh_sd_m.filter(|sd| *sd > 0.0);
         let entries = sd.map(|sd| OF_THE_SHAPE.map(|p| (p, Knowledge::Prior { mean: 0.0, sd })));
         Self { entries: entries.into_iter().flatten().collect() }
     }

@@ -122,7 +122,7 @@ impl Problem {
             parameters = parameters.or(&ParameterSet::of_unknown_start(place));
         }
         // A start that nobody states is as unsure as its track, however good the mesh.
-        parameters = parameters.or(&ParameterSet::of_mesh(recording, object));
+        parameters = parameters.or(&ParameterSet::of_mesh(recording));
         Ok(Self {
             name,
             world_from_push,

@@ -6,8 +6,6 @@ use super::TriMesh;
 use super::weld::coincident;
 use crate::stats::quantile;
 
-/// Vertices that are looked at.
-const PROBES: usize = 4000;
 /// A neighbourhood beyond this share of the box's diagonal says nothing of roughness.
 const SMALL: f64 = 0.15;
 /// Neighbours below which a quadric fits whatever there is.
@@ -24,10 +22,8 @@ impl TriMesh {
     pub fn roughness_m(&self) -> Option<f64> {
         let (lo, hi) = self.bounds()?;
         let surface = Surface::new(self);
-        let probes: Vec<usize> = surface.vertices().collect();
-        let every = probes.len().div_ceil(PROBES).max(1);
-        let deviations: Vec<Option<f64>> =
-            probes.iter().step_by(every).map(|&v| surface.deviation(v, SMALL * (hi - lo).norm())).collect();
+        let reach_m = SMALL * (hi - lo).norm();
+        let deviations: Vec<Option<f64>> = surface.vertices().map(|v| surface.deviation(v, reach_m)).collect();
         let told: Vec<f64> = deviations.iter().flatten().copied().collect();
         if 4 * told.len() < deviations.len() {
             return None;
@@ -159,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_coarse_mesh_tells_nothing() {
+    fn roughness_of_a_coarse_mesh_is_unknown() {
         assert_eq!(ball(4, 1e-3).roughness_m(), None);
         assert_eq!(TriMesh::default().roughness_m(), None);
         let flat = TriMesh::new(vec![Point3::origin(); 3], vec![[0, 1, 2]]).unwrap();
