@@ -256,7 +256,7 @@ fn relations_hold_for_a_mesh_of_photos() {
     assert_eq!(disagreements("demo", &of_photos(), &RELATIONS), [""; 0]);
 }
 
-/// Nobody says how well the mesh is known: its surface does. As exact, the interval ends at 165 g.
+/// Nobody says how well the mesh is known: its surface does. As exact, the interval ends at 166 g.
 #[test]
 fn a_rough_mesh_is_not_exact() {
     let mut push = of_photos();
