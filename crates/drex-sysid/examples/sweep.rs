@@ -1,7 +1,7 @@
 //! Weighs every recording of a folder of simulated pushes and compares with their truth afterwards.
 //!
 //! ```text
-//! cargo run --release -p drex-sysid --example sweep -- ROOT [--poses noisy|hard|clean] [--force noisy|exact] [--encoder on|off]
+//! cargo run --release -p drex-sysid --example sweep -- ROOT [--poses noisy|hard|clean] [--force noisy|exact] [--encoder exact|noisy|off]
 //!     [--start withheld|given] [--friction given|withheld] [--free NAME]... [--fix NAME=VALUE]... [--dt SECONDS] [--seed N] [--only TEXT]... [--verbose]
 //! ```
 //!
@@ -16,9 +16,13 @@ use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
+use drex_core::stats::normal_pair;
 use drex_mesh::{AssetOptions, build_asset};
 use drex_recording::convert::mujoco_push::{self, Inputs};
+use drex_recording::{Drive, PushRecording};
 use drex_sysid::{Identification, IdentifyOptions, Knowledge, Parameter, Verdict, identify};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde_json::Value;
 
@@ -27,12 +31,19 @@ type Failure = Box<dyn Error + Send + Sync>;
 struct Arguments {
     root: PathBuf,
     inputs: Inputs,
-    encoder: bool,
+    encoder: Encoder,
     start: bool,
     friction: bool,
     options: IdentifyOptions,
     only: Vec<String>,
     verbose: bool,
+}
+
+#[derive(PartialEq)]
+enum Encoder {
+    Exact,
+    Noisy,
+    Off,
 }
 
 /// What one recording gave.
@@ -64,8 +75,10 @@ fn weigh_alone(folder: &Path, arguments: &Arguments) -> Result<Line, Failure> {
 
 fn weigh(folder: &Path, arguments: &Arguments) -> Result<Line, Failure> {
     let mut recording = mujoco_push::load(folder, arguments.inputs)?;
-    if !arguments.encoder {
-        recording = recording.without_encoder();
+    match arguments.encoder {
+        Encoder::Exact => {}
+        Encoder::Noisy => add_encoder_noise(&mut recording, &arguments.options),
+        Encoder::Off => recording = recording.without_encoder(),
     }
     if !arguments.start {
         recording.initial_pose = None;
@@ -110,6 +123,25 @@ fn weigh(folder: &Path, arguments: &Arguments) -> Result<Line, Failure> {
         if arguments.verbose { details(&answer) } else { String::new() },
     );
     Ok(Line { kind, verdict: Some(answer.verdict), error, ends, seconds })
+}
+
+/// An encoder as noisy as the options say, with velocities that are the differences of what it reads; every recording has its own noise.
+fn add_encoder_noise(recording: &mut PushRecording, options: &IdentifyOptions) {
+    let seed = recording.name.bytes().fold(options.seed, |s, b| s.wrapping_mul(31).wrapping_add(u64::from(b)));
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let Drive::Finger(push) = &mut recording.drive else { return };
+    let Some(track) = &mut push.encoder else { return };
+    for position in &mut track.positions {
+        for x in position.iter_mut() {
+            *x += options.encoder_m * normal_pair(random.random(), std::f64::consts::TAU * random.random::<f64>())[0];
+        }
+    }
+    let last = track.positions.len().saturating_sub(1);
+    for (k, velocity) in track.velocities.iter_mut().enumerate() {
+        let (before, after) = (k.saturating_sub(1), (k + 1).min(last));
+        let seconds = track.times_s[after] - track.times_s[before];
+        *velocity = (track.positions[after] - track.positions[before]) / seconds;
+    }
 }
 
 /// The lines `name = value` of a file, if there is one.
@@ -209,7 +241,7 @@ fn read_arguments() -> Result<Arguments, Failure> {
     let mut out = Arguments {
         root: PathBuf::new(),
         inputs: Inputs::default(),
-        encoder: true,
+        encoder: Encoder::Exact,
         start: false,
         friction: true,
         options: IdentifyOptions::default(),
@@ -223,7 +255,14 @@ fn read_arguments() -> Result<Arguments, Failure> {
         match arg.as_str() {
             "--poses" => out.inputs.poses = value()?.parse()?,
             "--force" => out.inputs.force = value()?.parse()?,
-            "--encoder" => out.encoder = value()? == "on",
+            "--encoder" => {
+                out.encoder = match value()?.as_str() {
+                    "exact" => Encoder::Exact,
+                    "noisy" => Encoder::Noisy,
+                    "off" => Encoder::Off,
+                    other => return Err(format!("--encoder {other} is not understood").into()),
+                }
+            }
             "--start" => out.start = value()? == "given",
             "--friction" => out.friction = value()? == "given",
             "--free" => out.options.parameters.set(value()?.parse()?, Knowledge::Free)?,

@@ -86,12 +86,15 @@ fn still(recording: &PushRecording, noise: &PoseNoise) -> bool {
     !poses.windows(2).any(|w| far(&w[0]) && far(&w[1]))
 }
 
-/// The start pose must put the object on its support.
+/// The start pose must put the object on its support, or the middle one of the first poses.
 fn stands(recording: &PushRecording, object: &Object) -> Result<()> {
-    let Some(start) = recording.initial_pose.or(recording.track.poses().first().copied()) else { return Ok(()) };
-    let Some((lo, hi)) = object.bounds_at(&start) else { return Ok(()) };
+    let first = recording.track.poses().iter().take(FIRST_FRAMES);
+    let starts = recording.initial_pose.as_ref().map_or(first.collect(), |start| vec![start]);
+    let mut bounds: Vec<_> = starts.iter().filter_map(|p| object.bounds_at(p)).collect();
+    bounds.sort_by(|a, b| a.0.z.total_cmp(&b.0.z));
+    let Some((lo, hi)) = bounds.get(bounds.len() / 2) else { return Ok(()) };
     let table = recording.support.table_height_m;
-    let highest = support_top(&recording.support, &lo, &hi);
+    let highest = support_top(&recording.support, lo, hi);
     let millimetres = |x: f64| format!("{:.0} mm", 1e3 * x);
     let what = if lo.z > highest + GAP_M {
         format!("the object starts at rest {} above what it should stand on", millimetres(lo.z - highest))
@@ -115,20 +118,22 @@ pub(crate) fn support_top(support: &Support, lo: &Point3<f64>, hi: &Point3<f64>)
     tops.fold(support.table_height_m, f64::max)
 }
 
-/// The first poses must be those of an object at rest: they are the start of the simulation.
+/// The first poses must be those of an object at rest, one outlier aside: they are the start of the simulation.
 fn rests(recording: &PushRecording, noise: &PoseNoise) -> Result<()> {
     let n = FIRST_FRAMES.min(recording.track.len());
     let (times, poses) = (&recording.track.times_s()[..n], &recording.track.poses()[..n]);
-    let mean_t = times.iter().sum::<f64>() / n as f64;
-    let spread: f64 = times.iter().map(|t| (t - mean_t).powi(2)).sum();
-    let slope: Vector3<f64> =
-        times.iter().zip(poses).map(|(t, p)| p.translation.vector * ((t - mean_t) / spread)).sum();
     let span = times[n - 1] - times[0];
-    let limit = (6.0 * noise.position_m / spread.sqrt() * span).max(DRIFT_M);
-    let moved = slope.norm() * span;
-    if moved <= limit {
-        return Ok(());
-    }
+    // How far a line through all but one of the frames goes, as a share of what noise allows.
+    let without = |left_out: usize| {
+        let kept = || times.iter().zip(poses).enumerate().filter(|(k, _)| *k != left_out).map(|(_, row)| row);
+        let mean_t = kept().map(|(t, _)| t).sum::<f64>() / (n - 1) as f64;
+        let spread: f64 = kept().map(|(t, _)| (t - mean_t).powi(2)).sum();
+        let slope: Vector3<f64> = kept().map(|(t, p)| p.translation.vector * ((t - mean_t) / spread)).sum();
+        let moved = slope.norm() * span;
+        (moved, moved / (6.0 * noise.position_m / spread.sqrt() * span).max(DRIFT_M))
+    };
+    let least = (0..n).map(without).min_by(|a, b| a.1.total_cmp(&b.1));
+    let Some((moved, _)) = least.filter(|(_, share)| *share > 1.0) else { return Ok(()) };
     Err(refuse(
         recording,
         format!(

@@ -61,6 +61,13 @@ fn a_start_at_rest_must_be_one() {
         push.initial_pose = None;
         assert!(refusal(&push).is_err());
     }
+    // Nor is one frame that is wild.
+    for wild in 0..5 {
+        let far = Pose::translation(0.03, 0.03, 0.06);
+        let mut push = retracked(lifted(), |k, t, p| Some((t, if k == wild { far * p } else { *p })));
+        push.initial_pose = None;
+        assert_eq!(refusal(&push).ok(), None, "{wild}");
+    }
 }
 
 #[test]
