@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use crate::answer::{ErrorBudget, ParameterEstimate};
 use crate::distribution::EXCLUDES;
 use crate::ensemble::{Gaussian, Round, Steps};
-use crate::joint::{Candidate, Coordinate, ITERATIONS, Joint, Point};
+use crate::joint::{Candidate, Coordinate, Joint, Point};
 use crate::noise::normal;
 use crate::problem::{Problem, Slot};
 use crate::{IdentifyOptions, Knowledge, MassDistribution, Parameter, Result};
@@ -210,21 +210,24 @@ impl Joint {
 
     /// The best minima of the cost near a candidate: where an object rocks they are narrow, and a coarse scan misses them.
     fn minima_near(&self, around: &Candidate, dt_s: f64) -> Vec<Candidate> {
-        let near: Vec<Point> = (-NEAR..=NEAR)
-            .map(|k| {
-                let mut point = around.point.clone();
-                point[0] += NEAR_STEP * f64::from(k);
-                point
-            })
-            .collect();
-        let costs = self.costs(&near, Some(&around.fits), dt_s);
-        let scan: Vec<(Point, f64)> = near.into_iter().zip(costs).collect();
-        minima(&scan, 3).into_iter().map(|p| self.evaluate(p, Some(&around.fits), dt_s)).collect()
+        let near = |k: i32| {
+            let mut point = around.point.clone();
+            point[0] += NEAR_STEP * f64::from(k);
+            self.evaluate(point, Some(&around.fits), dt_s)
+        };
+        let all: Vec<Candidate> = (-NEAR..=NEAR).into_par_iter().map(near).collect();
+        let cost = |k: usize| all.get(k).map_or(f64::INFINITY, |c| c.cost);
+        let is_minimum = |k: usize| cost(k) <= cost(k.wrapping_sub(1)) && cost(k) <= cost(k + 1);
+        let minima: Vec<bool> = (0..all.len()).map(|k| cost(k).is_finite() && is_minimum(k)).collect();
+        let mut found: Vec<Candidate> = all.into_iter().zip(minima).filter_map(|(c, is)| is.then_some(c)).collect();
+        found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        found.truncate(FOLLOWED);
+        found
     }
 
     /// Where descents from points end, best first.
     fn descents(&self, from: Vec<Point>, active: &[usize], dt_s: f64) -> Result<Vec<Candidate>> {
-        let down = |p: Point| self.descend(self.evaluate(p, None, dt_s), active, ITERATIONS, dt_s);
+        let down = |p: Point| self.descend(self.evaluate(p, None, dt_s), active, dt_s);
         let mut found: Vec<Candidate> = from.into_par_iter().map(down).collect::<Result<_>>()?;
         found.retain(|c| c.cost.is_finite());
         found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
@@ -411,7 +414,7 @@ impl Joint {
                     point
                 })
                 .collect();
-            let costs = self.costs(&grid, None, options.scan_dt_s);
+            let costs = self.costs(&grid, options.scan_dt_s);
             let per = grid.len() / masses.len().max(1);
             grid.chunks(per.max(1))
                 .zip(costs.chunks(per.max(1)))
@@ -458,7 +461,7 @@ impl Joint {
                 }));
             }
         }
-        let costs = self.costs(&more, None, dt_s);
+        let costs = self.costs(&more, dt_s);
         scan.extend(more.into_iter().zip(costs));
         scan.sort_by(|a, b| a.0[0].total_cmp(&b.0[0]));
         scan.dedup_by(|a, b| a.0[0] == b.0[0]);
@@ -531,18 +534,13 @@ fn relief(scan: &[(Point, f64)]) -> f64 {
     costs().fold(f64::NEG_INFINITY, f64::max) - costs().fold(f64::INFINITY, f64::min)
 }
 
-/// The local minima of a scan, best first, without those that no refinement makes the best.
+/// The local minima of a scan by mass, best first, without those that no refinement makes the best.
 fn promising(scan: &[(Point, f64)], most: usize) -> Vec<Point> {
     let lowest = scan.iter().map(|s| s.1).fold(f64::INFINITY, f64::min);
-    let cost = |p: &Point| scan.iter().find(|s| s.0 == *p).map_or(f64::INFINITY, |s| s.1);
-    minima(scan, most).into_iter().filter(|p| cost(p) <= 3.0 * lowest + 20.0).collect()
-}
-
-/// The local minima of a scan by mass, best first.
-fn minima(scan: &[(Point, f64)], most: usize) -> Vec<Point> {
     let cost = |k: Option<usize>| k.and_then(|k| scan.get(k)).map_or(f64::INFINITY, |s| s.1);
+    let is_minimum = |k: usize| scan[k].1 <= cost(k.checked_sub(1)) && scan[k].1 <= cost(Some(k + 1));
     let mut found: Vec<&(Point, f64)> = (0..scan.len())
-        .filter(|&k| scan[k].1.is_finite() && scan[k].1 <= cost(k.checked_sub(1)) && scan[k].1 <= cost(Some(k + 1)))
+        .filter(|&k| scan[k].1.is_finite() && scan[k].1 <= 3.0 * lowest + 20.0 && is_minimum(k))
         .map(|k| &scan[k])
         .collect();
     found.sort_by(|a, b| a.1.total_cmp(&b.1));

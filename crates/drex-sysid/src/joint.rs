@@ -15,7 +15,7 @@ use crate::problem::{Motion, Problem, Slot, Values};
 /// Longest Gauss-Newton step in the logarithm of a mass or a friction.
 const MAX_STEP: f64 = 0.5;
 /// Iterations of one descent to the bottom.
-pub(crate) const ITERATIONS: usize = 25;
+const ITERATIONS: usize = 25;
 /// A step that promises less than this much of the cost is not taken; nor is another after one that brought less.
 const PROMISE: f64 = 0.01;
 
@@ -143,7 +143,7 @@ impl Joint {
     }
 
     /// Indices of the coordinates of push `i`, out of `of`.
-    pub(crate) fn coordinates_of(&self, i: usize, of: &[usize]) -> Vec<usize> {
+    fn coordinates_of(&self, i: usize, of: &[usize]) -> Vec<usize> {
         of.iter().copied().filter(|&c| self.coordinates[c].pushes.contains(&i)).collect()
     }
 
@@ -194,8 +194,8 @@ impl Joint {
     }
 
     /// Costs over a grid of points, on all cores; the order of the result is that of the grid.
-    pub(crate) fn costs(&self, grid: &[Point], guess: Option<&[Fit]>, dt_s: f64) -> Vec<f64> {
-        grid.par_iter().map(|p| self.evaluate(p.clone(), guess, dt_s).cost).collect()
+    pub(crate) fn costs(&self, grid: &[Point], dt_s: f64) -> Vec<f64> {
+        grid.par_iter().map(|p| self.evaluate(p.clone(), None, dt_s).cost).collect()
     }
 
     fn prior_cost(&self, point: &Point) -> f64 {
@@ -204,9 +204,9 @@ impl Joint {
     }
 
     /// Levenberg-Marquardt over the coordinates `active` from `now`.
-    pub(crate) fn descend(&self, mut now: Candidate, active: &[usize], most: usize, dt_s: f64) -> Result<Candidate> {
+    pub(crate) fn descend(&self, mut now: Candidate, active: &[usize], dt_s: f64) -> Result<Candidate> {
         let mut damping = 1e-3;
-        for _ in 0..most {
+        for _ in 0..ITERATIONS {
             if !now.cost.is_finite() {
                 break;
             }
@@ -244,7 +244,7 @@ impl Joint {
 
     /// A point moved by `step` in the coordinates `active`, no farther than each may move at once; and the size of the
     /// move, in spans.
-    pub(crate) fn stepped(&self, from: &Point, active: &[usize], step: &DVector<f64>) -> (Point, f64) {
+    fn stepped(&self, from: &Point, active: &[usize], step: &DVector<f64>) -> (Point, f64) {
         let over =
             active.iter().zip(step.iter()).map(|(&c, x)| x.abs() / self.coordinates[c].max_step).fold(1.0, f64::max);
         let (mut point, mut size) = (from.clone(), 0.0_f64);
@@ -300,7 +300,7 @@ impl Joint {
     }
 
     /// Gauss-Newton matrix and gradient over `active`, priors included.
-    pub(crate) fn normal_equations(
+    fn normal_equations(
         &self,
         c: &Candidate,
         active: &[usize],
@@ -346,13 +346,13 @@ impl Problem {
     }
 
     /// The weight of each row, those of the nuisances' priors at the end.
-    pub(crate) fn row_weights(&self, fit: &Fit) -> Vec<f64> {
+    fn row_weights(&self, fit: &Fit) -> Vec<f64> {
         let observed = (0..self.blocks()).flat_map(|k| std::iter::repeat_n(fit.weights[k], self.block(k).1));
         observed.chain(std::iter::repeat_n(1.0, NUISANCES)).collect()
     }
 }
 
 /// Σ w a b.
-pub(crate) fn weighted(w: &[f64], a: &[f64], b: &[f64]) -> f64 {
+fn weighted(w: &[f64], a: &[f64], b: &[f64]) -> f64 {
     w.iter().zip(a).zip(b).map(|((w, a), b)| w * a * b).sum()
 }
