@@ -3,8 +3,9 @@
     python3 shown_motion.py PUSH_MUJOCO [--poses hard|noisy] [--only TEXT]      # needs numpy; PUSH_MUJOCO holds <object>/<scenario>
 
 drex refuses to weigh a push whose poses agree with the best motion that it finds by less than four standard deviations better than in a
-random order (mean and variance over all orders: Hoeffding 1951). Here the motion is the true one, with the true clock and the true error of
-the height: what it leaves below 1 no estimate can weigh under that rule, and what drex refuses above 1 it refuses wrongly.
+random order (mean and variance over all orders: Hoeffding 1951; `shown` in crates/drex-sysid/src/fit.rs, whose constants are repeated
+here). Here the motion is the true one, with the true clock and the true constant error of the height. What it leaves well below 1 is rightly
+refused, and what drex refuses above 1 it refuses wrongly; an estimate, which is fitted to the poses, may do a few hundredths better.
 Printed: a line for each push below 1, then per kind of push how many there are and how many lie below.
 """
 import argparse, collections, json, pathlib
@@ -30,6 +31,8 @@ def main():
             shares[path.parent.name].append(share)
             if share < 1.0:
                 print(f"{name:30s} {share:.2f}", flush=True)
+    if not shares:
+        raise SystemExit(f"no <object>/<scenario>/truth.json with `{args.only}` in its name is in {args.root}")
     for kind, of in shares.items():
         print(f"{kind}: {len(of)} pushes, the true motion of {sum(s < 1.0 for s in of)} is not shown")
 

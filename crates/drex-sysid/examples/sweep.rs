@@ -39,7 +39,6 @@ struct Arguments {
     verbose: bool,
 }
 
-#[derive(PartialEq)]
 enum Encoder {
     Exact,
     Noisy,
