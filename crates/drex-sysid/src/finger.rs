@@ -4,7 +4,8 @@
 //! the contact is found by the simulator, and the encoder's reading of q is an observation. Across the push the tip sticks and
 //! slips on the object's face, which no simulator predicts, but the encoder tells the force: there the servo is replaced
 //! by what it exerted, kp (command − q) − (kv + damping) q̇ with the q that was read, and a weak pull to that q, since a tip on a
-//! round face that nothing holds runs off. Without an encoder all slides are simulated.
+//! round face that nothing holds runs off. Until it touches, the q of its motion alone takes the place of the one that was read, whose
+//! noise would be a force. Without an encoder all slides are simulated.
 //!
 //! Since the slides only translate, tip mass and armature act alike: the links are massless and the whole of it is armature,
 //! which gravity does not see.
@@ -12,13 +13,19 @@
 use std::sync::Arc;
 
 use drex_core::Pose;
-use drex_diffsim::{ActuatorKind, Articulation, Base, Control, Error as SimulationError, Scalar};
+use drex_diffsim::{
+    ActuatorKind, Articulation, Base, Control, Error as SimulationError, Model, Scalar, Scene, State, rollout,
+};
 use drex_recording::{FingerImpedance, FingerPush};
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// Pull across the push to where the tip was read, as a share of its servo.
 pub(crate) const PULL: f64 = 0.1;
+/// A reading this far from where the tip would be alone has touched the object, and one this near has not yet, metres: five and two
+/// standard deviations of a usual encoder.
+const TOUCHES_M: f64 = 5e-4;
+const NOISE_M: f64 = 2e-4;
 
 /// A fingertip and what it is told.
 #[derive(Debug, Clone)]
@@ -43,6 +50,34 @@ struct Reading {
     velocities: Vec<Vector3<f64>>,
     commands: Vec<Vector3<f64>>,
     impedance: FingerImpedance,
+}
+
+impl Reading {
+    /// What was read before the tip touched anything is put onto the motion that it makes alone (`free`, where it is at `times_s`), shifted
+    /// by the mean of what lies between them: noise of the encoder would count as a force there and let the tip wander before it touches.
+    fn steadied_by(mut self, free: &[Vector3<f64>], times_s: &[f64]) -> Self {
+        let mut sum = Vector3::zeros();
+        let mut strays = Vec::with_capacity(free.len());
+        for (k, (read, free)) in self.positions.iter().zip(free).enumerate() {
+            sum += read - free;
+            strays.push((read - free - sum / (k + 1) as f64).norm());
+        }
+        let sure = strays.iter().take_while(|d| **d < TOUCHES_M).count();
+        let alone = strays[..sure].iter().rposition(|d| *d < NOISE_M).unwrap_or(0);
+        if alone < 2 {
+            return self;
+        }
+        let mut mean = (0..alone).map(|k| self.positions[k] - free[k]).sum::<Vector3<f64>>() / alone as f64;
+        mean.x = 0.0;
+        // What is read across the push beside the command while nothing touches is no force.
+        self.commands[..alone].iter_mut().for_each(|c| *c += mean);
+        for k in 0..alone {
+            let (before, after) = (k.saturating_sub(1), (k + 1).min(alone - 1));
+            self.positions[k] = free[k] + mean;
+            self.velocities[k] = (free[after] - free[before]) / (times_s[after] - times_s[before]);
+        }
+        self
+    }
 }
 
 /// Parameters of a finger, any scalar.
@@ -77,12 +112,10 @@ impl Finger {
         let home = Point3::from(i.home_m);
         let along = |p: &Point3<f64>| axes.transpose() * (p - home);
         let commands: Vec<Vector3<f64>> = push.commands.iter().map(along).collect();
-        let first = push.encoder.as_ref().and_then(|e| e.positions.first()).or(push.commands.first());
-        let start = first.map_or(Vector3::zeros(), along).into();
         let mut out = Self {
             control: Control::sampled(&push.command_times_s, commands.iter().map(|c| c.as_slice().to_vec()).collect())?,
             arm,
-            start,
+            start: commands.first().copied().unwrap_or_default().into(),
             encoder_times_s: Vec::new(),
             encoder: Vec::new(),
             friction: i.friction,
@@ -97,6 +130,8 @@ impl Finger {
             };
             out.encoder_times_s.clone_from(&encoder.times_s);
             out.encoder = reading.positions.iter().map(|q| q.x).collect();
+            let reading = reading.steadied_by(&out.free(&encoder.times_s)?, &encoder.times_s);
+            out.start = [out.encoder[0], reading.positions[0].y, reading.positions[0].z];
             out.reading = Some(reading);
             for axis in [1, 2] {
                 out.arm.joints[axis].damping = 0.0;
@@ -105,6 +140,19 @@ impl Finger {
         }
         out.arm.check()?;
         Ok(out)
+    }
+
+    /// Where the tip is at the given times if it touches nothing and its start was at rest, in joint coordinates.
+    fn free(&self, times_s: &[f64]) -> Result<Vec<Vector3<f64>>, SimulationError> {
+        let stated = FingerValues { friction: self.friction, factors: [1.0; 3], joint_friction: 0.0, height: 0.0 };
+        let mut model = Model::<f64>::new(Vec::new());
+        let (arm, q) = self.arm(&stated, model.dt_s);
+        let start = State::new(Vec::new(), vec![arm.at_rest(&q, 0.0)?]);
+        model = model.with_articulation(arm);
+        let mut scene = Scene::empty();
+        scene.controls.push(self.control.clone());
+        let record = rollout(&model, &scene, &start, times_s)?;
+        Ok(record.joints[0].iter().map(|q| Vector3::from_column_slice(q)).collect())
     }
 
     /// Replaces the servos across the push by the force that they exerted, plus a pull of `share` times the servo to where
@@ -191,8 +239,11 @@ fn mjcf(i: &FingerImpedance, axes: &Matrix3<f64>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use drex_diffsim::{Model, Scene, State, rollout};
     use drex_recording::EncoderTrack;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use crate::noise::normal;
 
     fn impedance(home_m: [f64; 3]) -> FingerImpedance {
         FingerImpedance {
@@ -238,6 +289,37 @@ mod tests {
                 assert!((before - after).abs() < 1e-9, "axis {axis}, sample {k}: {before} {after}");
             }
         }
+    }
+
+    /// What an encoder's noise would exert before the tip is about to touch something moves it nowhere.
+    #[test]
+    fn noise_of_the_encoder_does_not_lead_the_tip_astray() {
+        let (home, ahead) = (Point3::origin(), 0.05);
+        let times: Vec<f64> = (0..120).map(|k| 0.01 * f64::from(k)).collect();
+        let mut push = FingerPush {
+            command_times_s: times.clone(),
+            commands: times.iter().map(|t| home + nalgebra::Vector3::x() * (0.1 * t)).collect(),
+            encoder: None,
+            impedance: impedance([0.0; 3]),
+        };
+        let free = Finger::new(&push).unwrap().free(&times).unwrap();
+        let mut random = ChaCha8Rng::seed_from_u64(4);
+        let mut noisy = |x: f64| x + 1e-4 * normal(&mut random);
+        // A wall stops it and leads it up.
+        let read = |q: &Vector3<f64>| Vector3::new(q.x.min(ahead), q.y, 0.2 * (q.x - ahead).max(0.0)).map(&mut noisy);
+        let positions: Vec<Point3<f64>> = free.iter().map(read).map(Point3::from).collect();
+        let velocity = |k: usize| (positions[(k + 1).min(119)] - positions[k.saturating_sub(1)]) / 0.02;
+        let velocities: Vec<_> = (0..120).map(velocity).collect();
+        push.encoder = Some(EncoderTrack { times_s: times.clone(), positions: positions.clone(), velocities });
+        let finger = Finger::new(&push).unwrap();
+        let touch = free.iter().position(|q| q.x > ahead).unwrap();
+        let went = finger.free(&times[..touch - 6]).unwrap();
+        let astray = went.iter().map(|q| q.yz().norm()).fold(0.0, f64::max);
+        assert!(astray < 5e-5, "{astray} m");
+        // What was read is what is observed, and what was read after the touch still drives the tip.
+        assert!(finger.encoder.iter().zip(&positions).all(|(q, p)| *q == p.x));
+        let kept = &finger.reading.as_ref().unwrap().positions[touch..];
+        assert!(kept.iter().zip(&positions[touch..]).all(|(q, p)| *q == p.coords));
     }
 
     /// A finger that follows a step of its command alone is a damped oscillator: x = c (1 - e^(-at) (cos wt + a/w sin wt)).
