@@ -166,7 +166,7 @@ impl Joint {
         let mut others = Vec::new();
         if let Steps::Extrapolated(dt_s) = steps {
             others.push((-1.0, self.draws(gaussian, &root, &z, 2.0 * dt_s, Some(seed))));
-            if self.problems.iter().any(|p| p.factor_sd() > 0.0) {
+            if self.problems.iter().any(|p| p.is_driven_by_noise()) {
                 others.push((2.0, self.draws(gaussian, &root, &z, dt_s, None)));
             }
         }

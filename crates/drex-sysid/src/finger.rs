@@ -19,6 +19,9 @@ use drex_diffsim::{
 use drex_recording::{FingerImpedance, FingerPush};
 use drex_robot::Robot;
 use nalgebra::{Matrix3, Point3, Vector3};
+use rand_chacha::ChaCha8Rng;
+
+use crate::noise;
 
 /// Pull across the push to where the tip was read, as a share of its servo.
 pub(crate) const PULL: f64 = 0.1;
@@ -26,6 +29,8 @@ pub(crate) const PULL: f64 = 0.1;
 /// standard deviations of a usual encoder.
 const TOUCHES_M: f64 = 5e-4;
 const NOISE_M: f64 = 2e-4;
+/// Noise of an encoder below which there is none, metres: simulators of a tip that touches nothing differ by less.
+const SILENT_M: f64 = 1e-5;
 
 /// A fingertip and what it is told.
 #[derive(Debug, Clone)]
@@ -50,6 +55,10 @@ struct Reading {
     velocities: Vec<Vector3<f64>>,
     commands: Vec<Vector3<f64>>,
     impedance: FingerImpedance,
+    /// The first sample at which the tip may touch something.
+    touch: usize,
+    /// Standard deviation of white noise on the positions, metres; zero where nothing tells.
+    noise_m: f64,
 }
 
 impl Reading {
@@ -69,6 +78,9 @@ impl Reading {
         }
         let mut mean = (0..alone).map(|k| self.positions[k] - free[k]).sum::<Vector3<f64>>() / alone as f64;
         mean.x = 0.0;
+        self.touch = alone;
+        let squares = (0..alone).map(|k| (self.positions[k] - free[k] - mean).yz().norm_squared()).sum::<f64>();
+        self.noise_m = Some((squares / (2 * (alone - 1)) as f64).sqrt()).filter(|sd| *sd > SILENT_M).unwrap_or(0.0);
         // What is read across the push beside the command while nothing touches is no force.
         self.commands[..alone].iter_mut().for_each(|c| *c += mean);
         for k in 0..alone {
@@ -127,6 +139,8 @@ impl Finger {
                 velocities: encoder.velocities.iter().map(|v| axes.transpose() * v).collect(),
                 commands: encoder.times_s.iter().map(|t| Vector3::from_column_slice(out.control.at(*t))).collect(),
                 impedance: *i,
+                touch: 0,
+                noise_m: 0.0,
             };
             out.encoder_times_s.clone_from(&encoder.times_s);
             out.encoder = reading.positions.iter().map(|q| q.x).collect();
@@ -158,8 +172,33 @@ impl Finger {
     /// Replaces the servos across the push by the force that they exerted, plus a pull of `share` times the servo to where
     /// the tip was read. Nothing happens without an encoder.
     pub(crate) fn pull_across(&mut self, share: f64) -> Result<(), SimulationError> {
-        let Some(Reading { positions, velocities, commands, impedance: i }) = &self.reading else { return Ok(()) };
-        let (kp, kv) = (share * i.kp_n_m, share * i.kv_ns_m);
+        let Some(reading) = &self.reading else { return Ok(()) };
+        let (kp, kv) = (share * reading.impedance.kp_n_m, share * reading.impedance.kv_ns_m);
+        for axis in [1, 2] {
+            self.arm.actuators[axis].kind = ActuatorKind::Position { kp, kv };
+        }
+        self.control = self.driven_by(reading)?;
+        Ok(())
+    }
+
+    /// What drives the tip, with `noise` (metres) on the readings, if there is any, and with that of differences on their velocities.
+    pub(crate) fn control_with(&self, noise: &[Vector3<f64>]) -> Result<Control, SimulationError> {
+        let Some(reading) = self.reading.as_ref().filter(|_| !noise.is_empty()) else {
+            return Ok(self.control.clone());
+        };
+        let (mut reading, times_s) = (reading.clone(), &self.encoder_times_s);
+        for k in 0..noise.len() {
+            let (before, after) = (k.saturating_sub(1), (k + 1).min(noise.len() - 1));
+            reading.positions[k] += noise[k];
+            reading.velocities[k] += (noise[after] - noise[before]) / (times_s[after] - times_s[before]);
+        }
+        self.driven_by(&reading)
+    }
+
+    /// The commands of servos across the push that are pulled to readings.
+    fn driven_by(&self, reading: &Reading) -> Result<Control, SimulationError> {
+        let Reading { positions, velocities, commands, impedance: i, .. } = reading;
+        let ActuatorKind::Position { kp, kv } = self.arm.actuators[1].kind else { return Ok(self.control.clone()) };
         let rows = (0..positions.len()).map(|k| {
             let next = (k + 1).min(positions.len() - 1);
             let (q, v) = ((positions[k] + positions[next]) * 0.5, (velocities[k] + velocities[next]) * 0.5);
@@ -169,11 +208,20 @@ impl Finger {
             };
             vec![commands[k].x, across(1), across(2)]
         });
-        self.control = Control::sampled(&self.encoder_times_s, rows.collect())?;
-        for axis in [1, 2] {
-            self.arm.actuators[axis].kind = ActuatorKind::Position { kp, kv };
-        }
-        Ok(())
+        Control::sampled(&self.encoder_times_s, rows.collect())
+    }
+
+    /// As much noise as the readings have from the touch on, across the push; empty if they have none.
+    pub(crate) fn noise(&self, sign: f64, random: &mut ChaCha8Rng) -> Vec<Vector3<f64>> {
+        let Some(reading) = self.reading.as_ref().filter(|r| r.noise_m > 0.0) else { return Vec::new() };
+        let mut one = || sign * reading.noise_m * noise::normal(random);
+        let drawn = |k: usize| if k < reading.touch { Vector3::zeros() } else { Vector3::new(0.0, one(), one()) };
+        (0..reading.positions.len()).map(drawn).collect()
+    }
+
+    /// Whether the readings that drive the tip have noise.
+    pub(crate) fn has_noise(&self) -> bool {
+        self.reading.as_ref().is_some_and(|r| r.noise_m > 0.0)
     }
 
     /// The finger with the given parameters for steps of `dt_s`, and its joint coordinates at the start.
@@ -241,7 +289,6 @@ mod tests {
     use super::*;
     use drex_recording::EncoderTrack;
     use rand::SeedableRng;
-    use rand_chacha::ChaCha8Rng;
 
     use crate::noise::normal;
 
@@ -318,8 +365,20 @@ mod tests {
         assert!(astray < 5e-5, "{astray} m");
         // What was read is what is observed, and what was read after the touch still drives the tip.
         assert!(finger.encoder.iter().zip(&positions).all(|(q, p)| *q == p.x));
-        let kept = &finger.reading.as_ref().unwrap().positions[touch..];
+        let reading = finger.reading.as_ref().unwrap();
+        let kept = &reading.positions[touch..];
         assert!(kept.iter().zip(&positions[touch..]).all(|(q, p)| *q == p.coords));
+        // As much noise is drawn from then on; without noise none is.
+        assert!((reading.noise_m / 1e-4 - 1.0).abs() < 0.3, "{}", reading.noise_m);
+        let drawn = finger.noise(1.0, &mut random);
+        let (before, after) = drawn.split_at(touch);
+        assert!(
+            before[..touch - 6].iter().all(|n| *n == Vector3::zeros())
+                && after.iter().all(|n| n.x == 0.0 && n.y != 0.0)
+        );
+        push.encoder.as_mut().unwrap().positions = free.iter().copied().map(Point3::from).collect();
+        let silent = Finger::new(&push).unwrap();
+        assert!(!silent.has_noise() && silent.noise(1.0, &mut random).is_empty());
     }
 
     /// A finger that follows a step of its command alone is a damped oscillator: x = c (1 - e^(-at) (cos wt + a/w sin wt)).

@@ -168,7 +168,7 @@ impl Joint {
         out
     }
 
-    /// Simulates all pushes with the tracks' errors as given and, if `noise` is any, as much noise on the forces as they have, of that
+    /// Simulates all pushes with the tracks' errors as given and, if `noise` is any, as much noise on what drives them as it has, of that
     /// sign; `None` if a simulation fails.
     pub(crate) fn evaluate_at(
         &self,
@@ -182,7 +182,7 @@ impl Joint {
         for (i, (problem, nuisance)) in self.problems.iter().zip(nuisances).enumerate() {
             let mut values = self.values(i, point);
             if let Some((sign, random)) = &mut noise {
-                values.noise_n = problem.force_noise(*sign, random);
+                values.noise = problem.drive_noise(*sign, random);
             }
             let motion = problem.simulate(&values, dt_s).ok()?;
             let fit = problem.evaluate(&motion, nuisance);

@@ -36,12 +36,12 @@ pub(crate) enum Action {
 }
 
 /// Everything a simulation of a push depends on: coordinates of the simulated parameters, which may carry derivatives, errors of the
-/// force in standard deviations, and noise on its samples (empty for none), newtons.
+/// force in standard deviations, and noise on what drives the push (empty for none): on samples of a force, newtons, or of an encoder, metres.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Values<T> {
     pub named: [T; SIMULATED],
     pub errors: Vec<f64>,
-    pub noise_n: Vec<Vector3<f64>>,
+    pub noise: Vec<Vector3<f64>>,
 }
 
 /// One entry of [`Values`].
@@ -163,10 +163,20 @@ impl Problem {
         }
     }
 
-    /// As much noise as a known force has already; empty if it has none.
-    pub(crate) fn force_noise(&self, sign: f64, random: &mut ChaCha8Rng) -> Vec<Vector3<f64>> {
+    /// Whether what drives the push has noise.
+    pub(crate) fn is_driven_by_noise(&self) -> bool {
+        match &self.action {
+            Action::Force(force) => force.factor_sd > 0.0,
+            Action::Finger(finger) => finger.has_noise(),
+            Action::Nothing => false,
+        }
+    }
+
+    /// As much noise as a known force, or what drives a finger, has already; empty if it has none.
+    pub(crate) fn drive_noise(&self, sign: f64, random: &mut ChaCha8Rng) -> Vec<Vector3<f64>> {
         match &self.action {
             Action::Force(force) => force.noise(sign, random),
+            Action::Finger(finger) => finger.noise(sign, random),
             _ => Vec::new(),
         }
     }
@@ -201,7 +211,7 @@ impl Problem {
         if let Action::Finger(finger) = &self.action {
             named[Parameter::FingerFriction as usize] = finger.friction.max(1e-6).ln();
         }
-        let mut out = Values { named: [0.0; SIMULATED], errors: vec![0.0; self.errors()], noise_n: Vec::new() };
+        let mut out = Values { named: [0.0; SIMULATED], errors: vec![0.0; self.errors()], noise: Vec::new() };
         out.named.copy_from_slice(&named[..SIMULATED]);
         out
     }
@@ -254,7 +264,7 @@ impl Problem {
                     dt_s,
                 );
                 arms.push(arm.at_rest(&q, 0.0).map_err(wrap)?);
-                scene.controls.push(finger.control.clone());
+                scene.controls.push(finger.control_with(&values.noise).map_err(wrap)?);
                 model.articulations.push(arm);
             }
             Action::Nothing => {}
@@ -282,7 +292,7 @@ impl Problem {
             scene.forces.push(f);
             Ok(())
         };
-        put(&force.with(&values.errors, &values.noise_n), ForcePoint::Body(force.point), gain)?;
+        put(&force.with(&values.errors, &values.noise), ForcePoint::Body(force.point), gain)?;
         if !force.torques_nm.is_empty() {
             put(&force.torques_nm, ForcePoint::Couple, gain)?;
         }
@@ -357,7 +367,7 @@ impl Values<f64> {
     }
 
     pub(crate) fn lift<T: Scalar>(&self) -> Values<T> {
-        Values { named: self.named.map(T::lift), errors: self.errors.clone(), noise_n: self.noise_n.clone() }
+        Values { named: self.named.map(T::lift), errors: self.errors.clone(), noise: self.noise.clone() }
     }
 }
 
