@@ -62,6 +62,9 @@ fn main() -> Result<(), Failure> {
         let name = f.display().to_string();
         arguments.only.is_empty() || arguments.only.iter().any(|o| name.contains(o))
     });
+    if folders.is_empty() {
+        return Err(format!("{} holds no such recording", arguments.root.display()).into());
+    }
     let lines = folders.par_iter().map(|f| weigh_alone(f, &arguments)).collect::<Result<Vec<_>, _>>()?;
     table(&lines);
     Ok(())
@@ -262,8 +265,8 @@ fn read_arguments() -> Result<Arguments, Failure> {
                     other => return Err(format!("--encoder {other} is not understood").into()),
                 }
             }
-            "--start" => out.start = value()? == "given",
-            "--friction" => out.friction = value()? == "given",
+            "--start" => out.start = is_given(&arg, &value()?)?,
+            "--friction" => out.friction = is_given(&arg, &value()?)?,
             "--free" => out.options.parameters.set(value()?.parse()?, Knowledge::Free)?,
             "--fix" => {
                 let text = value()?;
@@ -282,10 +285,19 @@ fn read_arguments() -> Result<Arguments, Failure> {
     Ok(out)
 }
 
+fn is_given(option: &str, word: &str) -> Result<bool, Failure> {
+    match word {
+        "given" => Ok(true),
+        "withheld" => Ok(false),
+        other => Err(format!("{option} {other} is not understood: given or withheld").into()),
+    }
+}
+
 /// Folders two levels down that hold a `meta.json`, by name.
 fn recordings(root: &Path) -> Result<Vec<PathBuf>, Failure> {
     let mut out = Vec::new();
-    for object in std::fs::read_dir(root)?.collect::<Result<Vec<_>, _>>()? {
+    let objects = std::fs::read_dir(root).map_err(|e| format!("{}: {e}", root.display()))?;
+    for object in objects.collect::<Result<Vec<_>, _>>()? {
         if object.path().is_dir() {
             for scenario in std::fs::read_dir(object.path())?.collect::<Result<Vec<_>, _>>()? {
                 out.extend(Some(scenario.path()).filter(|p| p.join("meta.json").is_file()));

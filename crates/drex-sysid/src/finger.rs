@@ -24,7 +24,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::noise;
 
 /// Pull across the push to where the tip was read, as a share of its servo.
-pub(crate) const PULL: f64 = 0.1;
+const PULL: f64 = 0.1;
 /// A reading this far from where the tip would be alone has touched the object, and one this near has not yet, metres: five and two
 /// standard deviations of a usual encoder.
 const TOUCHES_M: f64 = 5e-4;
@@ -171,7 +171,7 @@ impl Finger {
 
     /// Replaces the servos across the push by the force that they exerted, plus a pull of `share` times the servo to where
     /// the tip was read. Nothing happens without an encoder.
-    pub(crate) fn pull_across(&mut self, share: f64) -> Result<(), SimulationError> {
+    fn pull_across(&mut self, share: f64) -> Result<(), SimulationError> {
         let Some(reading) = &self.reading else { return Ok(()) };
         let (kp, kv) = (share * reading.impedance.kp_n_m, share * reading.impedance.kv_ns_m);
         for axis in [1, 2] {
@@ -379,6 +379,15 @@ mod tests {
         push.encoder.as_mut().unwrap().positions = free.iter().copied().map(Point3::from).collect();
         let silent = Finger::new(&push).unwrap();
         assert!(!silent.has_noise() && silent.noise(1.0, &mut random).is_empty());
+        // A tip that dry friction holds beside its command stays there, and that is no noise.
+        let beside = Vector3::new(0.0, 3e-4, -2e-4);
+        let encoder = push.encoder.as_mut().unwrap();
+        encoder.positions = free.iter().map(|q| Point3::from(q + beside)).collect();
+        encoder.velocities.fill(Vector3::x() * 0.1);
+        let stuck = Finger::new(&push).unwrap();
+        let went = stuck.free(&times).unwrap();
+        let astray = went.iter().map(|q| (q - beside).yz().norm()).fold(0.0, f64::max);
+        assert!(!stuck.has_noise() && astray < 5e-6, "{astray} m");
     }
 
     /// A finger that follows a step of its command alone is a damped oscillator: x = c (1 - e^(-at) (cos wt + a/w sin wt)).

@@ -64,6 +64,8 @@ pub fn identify_watched(
     };
     let standing = standing.map(|s| collider(&s).map(|c| (s, c))).transpose()?;
     agree(recordings)?;
+    // What one push says of the mesh holds for all.
+    let stated_sd_m = recordings.iter().filter_map(|r| r.mesh_sd_m).reduce(f64::max);
     let rough_sd_m = sd_of_rough_mesh_m(object);
     let mut reports = Vec::new();
     let mut problems = Vec::new();
@@ -82,7 +84,7 @@ pub fn identify_watched(
             _ => (object, &shape),
         };
         let mut recording = recording.clone();
-        recording.mesh_sd_m = recording.mesh_sd_m.or(rough_sd_m);
+        recording.mesh_sd_m = stated_sd_m.or(rough_sd_m);
         let problem = Problem::new(&recording, object, shape, options, noise)?;
         if problem.can_weigh() {
             problems.push(problem);
@@ -104,7 +106,7 @@ pub fn identify_watched(
         error_budget: None,
         estimates: Vec::new(),
         sensitivities: Vec::new(),
-        assumptions: assumptions(recordings, rough_sd_m, options),
+        assumptions: assumptions(recordings, [stated_sd_m, rough_sd_m], options),
         profile: Vec::new(),
         pushes: Vec::new(),
     };
@@ -424,7 +426,11 @@ fn row(pose: &Pose) -> [f64; 7] {
     [x, y, z, qw, qx, qy, qz]
 }
 
-fn assumptions(recordings: &[PushRecording], rough_sd_m: Option<f64>, options: &IdentifyOptions) -> Vec<String> {
+fn assumptions(
+    recordings: &[PushRecording],
+    [stated_sd_m, rough_sd_m]: [Option<f64>; 2],
+    options: &IdentifyOptions,
+) -> Vec<String> {
     let mut out =
         vec!["the object is rigid and of uniform density: centre of mass and inertia follow from its mesh".to_owned()];
     let force = recordings.iter().any(|r| matches!(r.drive, Drive::Force(_)));
@@ -441,12 +447,11 @@ fn assumptions(recordings: &[PushRecording], rough_sd_m: Option<f64>, options: &
     }
     if force || finger {
         out.push("gravity and the shape of the support are as stated".into());
-        let stated = recordings.iter().find_map(|r| r.mesh_sd_m);
-        out.push(match stated.or(rough_sd_m) {
+        out.push(match stated_sd_m.or(rough_sd_m) {
             Some(sd) if sd > 0.0 => format!(
                 "the mesh is known to {:.1} mm{}, and with it the centre of mass, the start and the height of the push",
                 1e3 * sd,
-                if stated.is_some() { "" } else { ", since it is rough (mesh_sd_m in push.toml says it better)" },
+                if stated_sd_m.is_some() { "" } else { ", since it is rough (mesh_sd_m in push.toml says it better)" },
             ),
             Some(_) => "the mesh is exact, as stated".into(),
             None => "the mesh is exact; of a scan say how well it is known (mesh_sd_m in push.toml)".into(),

@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use crate::common::{box_mesh, normals, object_of, shared, simulated};
+use crate::common::{box_mesh, normals, object_at, object_of, shared, simulated};
 use drex_core::trajectory::PoseNoise;
 use drex_core::{Object, Pose, Trajectory, TriMesh};
 use drex_diffsim::{AppliedForce, Body, Collider, ConvexPolyhedron, ForcePoint, Model, Part, Scene, State, rollout};
@@ -268,4 +268,19 @@ fn a_rough_mesh_is_not_exact() {
     push.recording.mesh_sd_m = Some(0.0);
     let [low, high] = weigh(&push).ci95_kg.unwrap();
     assert!(high - low < 0.07 * 0.168, "{low} {high}");
+}
+
+/// The pushes are of one mesh: what the `push.toml` of one says about it holds for all.
+#[test]
+fn one_push_says_how_well_the_mesh_is_known() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/pushes/L003/lift_force");
+    let unstated = mujoco_push::load(&folder, Inputs::default()).unwrap();
+    let object = object_at(&unstated.mesh);
+    let mut stated = unstated.clone();
+    stated.mesh_sd_m = Some(0.002);
+    let weigh = |pushes: &[PushRecording]| identify(pushes, &object, &IdentifyOptions::default()).unwrap();
+    let [none, one, both] =
+        [[&unstated; 2], [&unstated, &stated], [&stated; 2]].map(|two| weigh(&two.map(Clone::clone)));
+    assert_eq!((one.mass_kg, one.ci95_kg, &one.assumptions), (both.mass_kg, both.ci95_kg, &both.assumptions));
+    assert_ne!(one.ci95_kg, none.ci95_kg);
 }
