@@ -14,13 +14,6 @@ use std::path::Path;
 use sources::{is_test, leaves, packages, parse, plain, rust_files};
 use syn::visit::{self, Visit};
 
-/// Circles that still stand: package, the module that the children belong to, the children. The list may only shrink.
-const KNOWN: &[(&str, &str, &[&str])] = &[
-    ("drex-grasp", "", &["balance", "grip_force"]),
-    ("drex-trial", "", &["command", "trial"]),
-    ("drex-trial", "", &["control", "engine", "types", "watch"]),
-];
-
 /// `raster::cpu` as `["raster", "cpu"]`.
 type ModulePath = Vec<String>;
 
@@ -270,15 +263,9 @@ fn module_of(file: &Path) -> ModulePath {
     path
 }
 
-/// Whether `known` covers a circle: the same parent, and all its children.
-fn covers(known: &[&str], circle: &Circle) -> bool {
-    circle.children.iter().all(|c| known.contains(&c.as_str()))
-}
-
 #[test]
 fn no_folder_has_an_import_circle() {
     let mut wrong = Vec::new();
-    let mut still = BTreeSet::new();
     for package in packages(&["crates", "apps"]) {
         let mut files = Vec::new();
         for file in rust_files(&package.src) {
@@ -292,24 +279,11 @@ fn no_folder_has_an_import_circle() {
         let modules = read(&files);
         assert!(!modules.is_empty(), "{}: nothing was read", package.name);
         for circle in circles(&modules) {
-            let known = KNOWN.iter().position(|(name, parent, children)| {
-                *name == package.name && *parent == circle.parent && covers(children, &circle)
-            });
-            match known {
-                Some(known) => drop(still.insert(known)),
-                None => wrong.push(format!(
-                    "{}: a circle in `{}` of {}\n{}",
-                    package.name,
-                    circle.parent,
-                    circle.children.join(", "),
-                    circle.text
-                )),
-            }
+            let (parent, children) = (&circle.parent, circle.children.join(", "));
+            wrong.push(format!("{}: a circle in `{parent}` of {children}\n{}", package.name, circle.text));
         }
     }
     assert!(wrong.is_empty(), "import circles between siblings:\n{}", wrong.join("\n"));
-    let gone: Vec<_> = KNOWN.iter().enumerate().filter(|(i, _)| !still.contains(i)).map(|(_, k)| k).collect();
-    assert!(gone.is_empty(), "known circles that are mended: take them off the list: {gone:?}");
 }
 
 /// The circles of a made-up tree of files, as "parent: children".

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::balance::{Goal, Limits, Outcome, balance};
-use crate::grip_force::{by_finger, check, torque_margin, torques};
+use crate::grip_force::{by_finger, torque_margin, torques};
 use crate::{GraspError, GripForceError, GripForceProblem, smallest_forces};
 
 /// How a grip force is shared.
@@ -40,7 +40,7 @@ pub struct Distribution {
 /// [`GripForceError::Total`] with the smallest and largest possible sum if this one is not; otherwise as
 /// [`crate::minimum_grip_force`].
 pub fn distribute(problem: &GripForceProblem, total_n: f64) -> Result<Distribution, GripForceError> {
-    check(problem)?;
+    problem.check()?;
     if !(total_n >= 0.0 && total_n.is_finite()) {
         return Err(
             GraspError::value(format!("a total grip force of {total_n} N"), "give newtons, zero or more").into()
@@ -81,7 +81,7 @@ fn share(problem: &GripForceProblem, total_n: f64) -> Result<Option<Distribution
 /// # Errors
 /// As [`crate::minimum_grip_force`], if no grip force at all carries the load.
 pub fn maximum_grip_force(problem: &GripForceProblem) -> Result<f64, GripForceError> {
-    check(problem)?;
+    problem.check()?;
     largest(problem)
 }
 

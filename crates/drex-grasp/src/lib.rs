@@ -35,8 +35,8 @@ mod grip_force_policy;
 mod hand;
 mod load_bound;
 mod loads;
-mod motors;
 mod power;
+mod problem;
 mod rolling;
 mod search;
 mod synthesis;
@@ -49,14 +49,13 @@ pub use distribute::{Distribution, distribute, maximum_grip_force};
 pub use error::{GraspError, Result};
 pub use find::{ContactOptions, find_contacts};
 pub use grasp::{Grasp, GraspOrigin, OriginCounts};
-pub use grip_force::{
-    GripForceError, GripForceProblem, GripForceSolution, TorqueLimits, minimum_grip_force, smallest_forces,
-};
+pub use grip_force::{GripForceError, GripForceSolution, minimum_grip_force, smallest_forces};
 pub use grip_force_policy::{ForceCommand, GripForcePolicy, PAPER_FORCE_LIMIT_N, paper_force};
 pub use hand::{HandSurface, LinkSurface};
 pub use load_bound::{least_friction, least_friction_index};
 pub use loads::{required_grip_force, shake_loads};
 pub use power::{FingerClosing, PowerGraspOptions, abduction_joints, power_grasps};
+pub use problem::{GripForceProblem, TorqueLimits};
 pub use rolling::{Rolling, RollingError, RollingPath, RollingWaypoint, rolling_path};
 pub use search::{FoundGrasp, SearchOptions, search_grasps};
 pub use synthesis::{pinch_grasps, synthesize_grasps};

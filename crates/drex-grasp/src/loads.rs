@@ -4,7 +4,7 @@ use nalgebra::{Vector3, Vector6};
 
 use crate::balance::{Goal, Limits, Outcome, balance};
 use crate::distribute::largest;
-use crate::grip_force::{check, describe, friction_margin, torques};
+use crate::grip_force::{describe, friction_margin, torques};
 use crate::{GraspError, GripForceError, GripForceProblem, GripForceSolution, smallest_forces};
 
 /// The loads of an object of `mass_kg` at rest and shaken: m (g − a) for a = 0 and for an acceleration of
@@ -67,7 +67,7 @@ pub(crate) struct Required {
 }
 
 pub(crate) fn required(problem: &GripForceProblem, loads: &[Vector6<f64>]) -> Result<Required, GripForceError> {
-    check(problem)?;
+    problem.check()?;
     if loads.is_empty() || loads.iter().any(|l| l.iter().any(|v| !v.is_finite())) {
         let remedy = "give at least one wrench of finite numbers, such as those of shake_loads";
         return Err(GraspError::value(format!("{} loads, or one that is not finite", loads.len()), remedy).into());

@@ -17,7 +17,7 @@ fn main() -> Result<(), Error> {
     let pinch = |turn: f64, mass_kg: f64| GraspSample {
         object: 0,
         joints: vec![0.8 + turn, 0.6 - turn],
-        object_from_palm: Isometry3::translation(0.03 + 0.1 * turn, 0.03, 0.15),
+        object_from_base: Isometry3::translation(0.03 + 0.1 * turn, 0.03, 0.15),
         contacts: vec![true, true],
         grip_force_n: mass_kg * GRAVITY_M_S2 / 0.5,
         mass_kg,

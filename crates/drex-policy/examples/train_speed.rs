@@ -65,7 +65,7 @@ fn made_up() -> Dataset {
             samples.push(GraspSample {
                 object: 0,
                 joints: joints.clone(),
-                object_from_palm: palm,
+                object_from_base: palm,
                 contacts: (0..4).map(|f| f == 0 || wave(kind, 30 + f) > -0.5).collect(),
                 grip_force_n: (1.2 + 0.3 * wave(kind, 40)) * mass_kg * GRAVITY_M_S2 / 0.5,
                 mass_kg,

@@ -31,8 +31,8 @@ pub struct GraspSample {
     pub object: usize,
     /// Joint angles in rad, in the order of [`Dataset::joint_names`].
     pub joints: Vec<f64>,
-    /// Where the palm of the hand is, in the frame of the object's mesh.
-    pub object_from_palm: Pose,
+    /// Pose of the hand's base in the frame of the object's mesh.
+    pub object_from_base: Pose,
     /// Which finger touches, in the order of [`Dataset::fingers`].
     pub contacts: Vec<bool>,
     /// The smallest total grip force that carries the object at `mass_kg` and `friction`: sum of normal forces, N.
@@ -162,7 +162,7 @@ impl Dataset {
                 return Err(self.wrong(at, name, what, "clamp the grasp, or check joint order and units (rad)"));
             }
         }
-        let pose = &sample.object_from_palm;
+        let pose = &sample.object_from_base;
         if pose.translation.vector.iter().chain(pose.rotation.coords.iter()).any(|v| !v.is_finite()) {
             return Err(self.wrong(
                 at,
@@ -232,7 +232,7 @@ impl Dataset {
             o.points.iter().flat_map(|p| p.iter()).chain(o.up.iter()).copied().for_each(&mut number);
         }
         for s in &self.samples {
-            let (translation, quaternion) = drex_core::pose::to_wxyz(&s.object_from_palm);
+            let (translation, quaternion) = drex_core::pose::to_wxyz(&s.object_from_base);
             s.joints.iter().copied().chain(translation).chain(quaternion).for_each(&mut number);
             s.contacts.iter().for_each(|c| number(f64::from(u8::from(*c))));
             [s.grip_force_n, s.mass_kg, s.friction].into_iter().for_each(&mut number);

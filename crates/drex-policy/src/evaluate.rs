@@ -55,10 +55,10 @@ pub(crate) fn grasp_errors(
     for (i, sample) in samples.iter().enumerate() {
         let proposals = propose(i);
         let distance = |p: &PredictedGrasp| {
-            grasp_distance_m((&p.joints, &p.object_from_palm), (&sample.joints, &sample.object_from_palm), length_m)
+            grasp_distance_m((&p.joints, &p.object_from_base), (&sample.joints, &sample.object_from_base), length_m)
         };
         let Some(nearest) = proposals.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))) else { continue };
-        let (a, b) = (&nearest.object_from_palm, &sample.object_from_palm);
+        let (a, b) = (&nearest.object_from_base, &sample.object_from_base);
         sum.distance_m += distance(nearest);
         sum.joint_rms_rad += joint_rms_rad(&nearest.joints, &sample.joints);
         sum.wrist_m += (a.translation.vector - b.translation.vector).norm();
@@ -83,7 +83,7 @@ pub(crate) fn log_densities(
 ) -> Option<(f64, f64)> {
     let mean = |wrist: bool| {
         let of = |(s, p): (&&GraspSample, &Vec<PredictedGrasp>)| {
-            policy.log_density_of(p, &s.joints, wrist.then_some(&s.object_from_palm))
+            policy.log_density_of(p, &s.joints, wrist.then_some(&s.object_from_base))
         };
         samples.iter().zip(proposals).map(of).sum::<f64>() / samples.len() as f64
     };
@@ -109,7 +109,7 @@ pub(crate) fn baselines(
     let mean = grasp_errors(&held_out, length_m, |i| {
         let mut grasp = mean.clone();
         let network_from_object = scenes[held_out[i].object].frame.network_from_object;
-        grasp.object_from_palm = network_from_object.inverse() * grasp.object_from_palm;
+        grasp.object_from_base = network_from_object.inverse() * grasp.object_from_base;
         vec![grasp]
     });
     let mut order: Vec<usize> = (0..recalled.len()).collect();
@@ -157,7 +157,7 @@ pub(crate) fn mode_reports(
         for (i, mode) in modes.iter().enumerate() {
             reports[i].nearest_demonstration_rad =
                 reports[i].nearest_demonstration_rad.min(joint_rms_rad(&mode.joints, &sample.joints));
-            let (a, b) = ((&*mode.joints, &mode.object_from_palm), (&*sample.joints, &sample.object_from_palm));
+            let (a, b) = ((&*mode.joints, &mode.object_from_base), (&*sample.joints, &sample.object_from_base));
             let distance = grasp_distance_m(a, b, policy.card.normalisation.length_m);
             if distance < nearest.1 {
                 nearest = (i, distance);
@@ -174,7 +174,7 @@ pub(crate) fn mode_reports(
 /// A training grasp as a prediction: its mean plain grip force, at another mass and friction, at the same place about another object.
 struct Recalled<'a> {
     sample: &'a GraspSample,
-    network_from_palm: Pose,
+    network_from_base: Pose,
     grip_force: f64,
 }
 
@@ -182,13 +182,13 @@ impl<'a> Recalled<'a> {
     fn new(data: &'a Dataset, poses: &[Pose], grasp: &[usize]) -> Option<Self> {
         let first = *grasp.first()?;
         let grip_force = grasp.iter().map(|&s| grip_force_ratio(&data.samples[s])).sum::<f64>() / grasp.len() as f64;
-        Some(Self { sample: &data.samples[first], network_from_palm: poses[first], grip_force })
+        Some(Self { sample: &data.samples[first], network_from_base: poses[first], grip_force })
     }
 
     fn at(&self, wanted: &GraspSample, scene: &Scene) -> PredictedGrasp {
         PredictedGrasp {
             joints: self.sample.joints.clone(),
-            object_from_palm: scene.frame.network_from_object.inverse() * self.network_from_palm,
+            object_from_base: scene.frame.network_from_object.inverse() * self.network_from_base,
             contacts: self.sample.contacts.iter().map(|c| f64::from(u8::from(*c))).collect(),
             grip_force_n: self.grip_force * wanted.mass_kg * GRAVITY_M_S2 / wanted.friction,
             weight: 1.0,
@@ -203,7 +203,7 @@ fn mean_demonstration(data: &Dataset, poses: &[Pose], split: &Split) -> Predicte
     let wrist: [f64; 9] = std::array::from_fn(|i| mean(&|s| wrist_numbers(&poses[s], 1.0)[i]));
     PredictedGrasp {
         joints: (0..data.joint_names.len()).map(|j| mean(&|s| data.samples[s].joints[j])).collect(),
-        object_from_palm: wrist_pose(&wrist, 1.0),
+        object_from_base: wrist_pose(&wrist, 1.0),
         contacts: (0..data.fingers.len())
             .map(|f| mean(&|s| f64::from(u8::from(data.samples[s].contacts[f]))))
             .collect(),

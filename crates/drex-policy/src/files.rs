@@ -52,7 +52,7 @@ impl Units {
             mass: "kg".into(),
             friction: "coefficient between finger and object".into(),
             grip_force: "N, sum of normal forces".into(),
-            wrist: "object_from_palm, in the frame of the object's points".into(),
+            wrist: "object_from_base, in the frame of the object's points".into(),
         }
     }
 }

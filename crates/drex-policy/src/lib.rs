@@ -41,7 +41,7 @@
 //! by the modes that explain a demonstration.
 //!
 //! # Conventions
-//! SI units; `object_from_palm` maps palm coordinates to object coordinates; joints are named. Training uses f32; everything outside
+//! SI units; `object_from_base` is the pose of the hand's base in the object's frame; joints are named. Training uses f32; everything outside
 //! the network is f64. The same data, options and seed give the same bytes with any number of threads; processors with other vector
 //! units may round differently.
 //!

@@ -64,8 +64,8 @@ impl<'a> Query<'a> {
 pub struct PredictedGrasp {
     /// Joint angles in rad, in the order of [`GraspPolicy::joint_names`], inside the limits.
     pub joints: Vec<f64>,
-    /// Where the palm goes, in the frame the object's points were given in.
-    pub object_from_palm: Pose,
+    /// Pose of the hand's base in the frame the object's points were given in.
+    pub object_from_base: Pose,
     /// Probability of each finger to touch, in the order of [`GraspPolicy::fingers`].
     pub contacts: Vec<f64>,
     /// Total grip force, sum of normal forces, N.
@@ -138,17 +138,17 @@ impl GraspPolicy {
         Ok(grasps)
     }
 
-    /// ln of the density of a grasp, in nats: over rad^J of the joints, and m³ rad³ of the wrist if `object_from_palm` is given;
+    /// ln of the density of a grasp, in nats: over rad^J of the joints, and m³ rad³ of the wrist if `object_from_base` is given;
     /// otherwise the density of the joints whatever the wrist.
     ///
     /// # Errors
     /// As [`predict`](Self::predict), and [`Error::Query`] if the number of joints is not that of the hand.
-    pub fn log_density(&self, query: &Query<'_>, joints: &[f64], object_from_palm: Option<&Pose>) -> Result<f64> {
+    pub fn log_density(&self, query: &Query<'_>, joints: &[f64], object_from_base: Option<&Pose>) -> Result<f64> {
         if joints.len() != self.joint_names().len() {
             let what = format!("{} joint angles for {} joints", joints.len(), self.joint_names().len());
             return Err(Error::query(what, "give one angle per joint, in the order of the policy's joint names"));
         }
-        Ok(self.log_density_of(&self.predict(query)?, joints, object_from_palm))
+        Ok(self.log_density_of(&self.predict(query)?, joints, object_from_base))
     }
 
     pub(crate) fn log_density_of(&self, grasps: &[PredictedGrasp], joints: &[f64], pose: Option<&Pose>) -> f64 {
@@ -161,8 +161,8 @@ impl GraspPolicy {
             let log = match pose {
                 None => log_student(own, log_joints, joints.len()),
                 Some(pose) => {
-                    let gap = (g.object_from_palm.translation.vector - pose.translation.vector).norm() / spread.wrist_m;
-                    let turn = g.object_from_palm.rotation.angle_to(&pose.rotation) / spread.wrist_rad;
+                    let gap = (g.object_from_base.translation.vector - pose.translation.vector).norm() / spread.wrist_m;
+                    let turn = g.object_from_base.rotation.angle_to(&pose.rotation) / spread.wrist_rad;
                     log_student(own + gap * gap + turn * turn, log_joints + log_wrist, joints.len() + 6)
                 }
             };
@@ -250,7 +250,7 @@ impl GraspPolicy {
             let wrist: [f64; 9] = std::array::from_fn(|i| at(layout.wrist() + i));
             PredictedGrasp {
                 joints: (0..layout.joints).map(angle).collect(),
-                object_from_palm: object_from_network * wrist_pose(&wrist, norm.length_m),
+                object_from_base: object_from_network * wrist_pose(&wrist, norm.length_m),
                 contacts: (0..layout.fingers).map(|f| sigmoid(at(layout.contacts() + f))).collect(),
                 grip_force_n: norm.grip_force_n(at(layout.force()), mass_kg, friction),
                 weight: (at(layout.logit()) - log_z).exp(),

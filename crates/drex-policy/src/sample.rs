@@ -39,7 +39,7 @@ impl GraspPolicy {
             }
             let shift = normal_vector(&mut random) * (stretch * spread.wrist_m);
             let turn = normal_vector(&mut random) * (stretch * spread.wrist_rad);
-            let pose = &mut grasp.object_from_palm;
+            let pose = &mut grasp.object_from_base;
             pose.translation = Translation3::from(pose.translation.vector + shift);
             pose.rotation = UnitQuaternion::from_scaled_axis(turn) * pose.rotation;
             drawn.push(grasp);

@@ -65,7 +65,7 @@ fn distinct_grasps(samples: &[GraspSample]) -> Vec<Vec<usize>> {
     let mut index: BTreeMap<Vec<u64>, usize> = BTreeMap::new();
     let mut grasps: Vec<Vec<usize>> = Vec::new();
     for (i, s) in samples.iter().enumerate() {
-        let wrist = s.object_from_palm.translation.vector.iter().chain(s.object_from_palm.rotation.coords.iter());
+        let wrist = s.object_from_base.translation.vector.iter().chain(s.object_from_base.rotation.coords.iter());
         let numbers = s.joints.iter().chain(wrist).map(|v| v.to_bits());
         let key: Vec<u64> = std::iter::once(s.object as u64).chain(numbers).collect();
         let at = *index.entry(key).or_insert(grasps.len());
@@ -124,7 +124,7 @@ mod tests {
         let sample = |angle: f64, mass_kg: f64| GraspSample {
             object: 0,
             joints: vec![angle],
-            object_from_palm: Pose::identity(),
+            object_from_base: Pose::identity(),
             contacts: vec![true],
             grip_force_n: 20.0 * mass_kg,
             mass_kg,

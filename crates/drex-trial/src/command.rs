@@ -1,28 +1,22 @@
-//! From a grasp to what the hand is told: plan_closing the closing, then solve for the grip force on the contacts that it gives.
+//! From a closed hand to what it is commanded: the grip force on the contacts of its closing.
 
 use std::collections::BTreeMap;
 
 use drex_core::Pose;
-use drex_diffsim::Error as SimulationError;
 use drex_grasp::{
-    Contact, ContactOptions, Distribution, ForceCommand, GraspError, GripForceError, GripForcePolicy, GripForceProblem,
-    TorqueLimits, distribute, shake_loads,
+    Contact, Distribution, ForceCommand, GraspError, GripForceError, GripForcePolicy, GripForceProblem, TorqueLimits,
+    distribute, shake_loads,
 };
 use drex_robot::Robot;
-use nalgebra::{DVector, Point3, Vector3};
+use nalgebra::{DVector, Vector3};
 
-use crate::control::{ContactForce, Controller, contact_torques};
-use crate::engine::{Met, Touch};
-use crate::reach::{self, Reach};
-use crate::trial::STEPS_PER_TICK;
-use crate::types::check_mass_and_friction;
-use crate::watch::TABLE_N;
-use crate::{Assumed, Command, Engine, Error, GripForce, NoCommand, Result, Trial, Truth, timeline};
-
-/// Contacts nearer to each other than this on one link count as one, m.
-const SAME_M: f64 = 0.004;
-/// Points of a link that may come to bear on the object once the fingers press, at most.
-const MAY_BEAR: usize = 2;
+use crate::assumed::check_mass_and_friction;
+use crate::closing::ClosingPlan;
+use crate::control::{ContactForce, contact_torques};
+use crate::hand_and_object::HandAndObject;
+use crate::outcome::TABLE_N;
+use crate::reach::Reach;
+use crate::{Assumed, Result, Verdict};
 
 /// Least grip force in units of what the joints' dry friction withstands: once it is shaken a finger presses with what it is told to within that, here with at
 /// least a third.
@@ -32,148 +26,89 @@ const LEVER_M: f64 = 1e-3;
 /// How far inside the edge of what is possible a grip force is asked for: there the programme has room to solve.
 const EDGE: f64 = 1e-4;
 
-/// How the fingers close on the object where it is believed to be.
+/// What is sent to the hand.
 #[derive(Debug, Clone, PartialEq)]
-pub struct ClosingPlan {
-    joints: Vec<f64>,
-    world_from_palm: Pose,
-    reach: Reach,
-    /// Joint angles once the fingers touch, rad.
-    closed: Vec<f64>,
-    /// World, the most pressed first: one per place.
-    touching: Vec<Contact>,
-    /// Where other points of the hand, the palm for one, are so near to the object that pressing fingers bring them to bear on it.
-    near: Vec<Contact>,
-    /// Largest force of the hand on the table, N.
-    table_n: f64,
-    /// Per finger, whether it touches the object.
-    pub fingers_in_contact: Vec<bool>,
+pub struct Command {
+    /// Joint angles of the grasp, model order, rad.
+    pub joints: Vec<f64>,
+    /// Where the base of the hand goes, given where the object is assumed to be.
+    pub world_from_base: Pose,
+    /// Joint torques of the grip force, Jᵀ f, N m, without what holds the hand's own weight.
+    pub torques_nm: Vec<f64>,
+    /// Most that each joint brings to bear on the object, N m: the largest of its torques with this grip force at rest and under the shakes that the
+    /// law reckons with. A joint that holds its place with no more than its torque at rest gives way when the object is shaken.
+    pub limits_nm: Vec<f64>,
+    /// Sum of the normal forces, N.
+    pub grip_force_n: f64,
+    /// Sum of the normal forces per finger, N; the palm is not among them.
+    pub per_finger_n: Vec<f64>,
+    /// The forces that make the grip force, with the believed object at rest on the table.
+    pub contact_forces: Vec<ContactForce>,
+    pub(crate) reach: Reach,
 }
 
-/// See [`Trial::plan_closing`].
-pub(crate) fn plan_closing(
-    trial: &Trial,
-    joints: &[f64],
-    object_from_palm: &Pose,
-    assumed: &Assumed,
-) -> Result<ClosingPlan> {
-    check_mass_and_friction(assumed.mass_kg, assumed.friction)?;
-    if joints.len() != trial.hand.dof() || joints.iter().any(|q| !q.is_finite()) {
-        return Err(Error::value(
-            format!("{} joint angles for the {} joints of {}", joints.len(), trial.hand.dof(), trial.hand.name),
-            "give one finite angle per joint, in the model's order",
-        ));
-    }
-    let object = &trial.object;
-    let world_from_palm = object.world_from_object * object_from_palm;
-    let reach = reach::plan(
-        &trial.hand,
-        &trial.surface,
-        joints,
-        object_from_palm,
-        object.geometry.as_ref(),
-        &object.world_from_object,
-    );
-    let truth = Truth::as_assumed(assumed, 0);
-    let (mut simulation, drives) =
-        trial.simulation(&world_from_palm, &reach, &truth, timeline::CLOSED_S, Engine::Diffsim)?;
-    let mut controller = Controller::new(&trial.hand, &drives, &reach, &[], &[], &trial.effort_nm);
-    let tick_s = trial.options.dt_s * STEPS_PER_TICK as f64;
-    let mut table_n = 0.0_f64;
-    let mut close = || {
-        let mut touches = Vec::new();
-        for i in 0..(timeline::CLOSED_S / tick_s) as usize {
-            let told = controller.command(i as f64 * tick_s, &simulation);
-            for _ in 0..STEPS_PER_TICK {
-                simulation.step(&told)?;
-            }
-            simulation.touches(&mut touches);
-            table_n = table_n.max(touches.iter().filter(|t| t.with == Met::Table).map(|t| t.normal_n).sum());
-        }
-        touches.retain(|t| t.with == Met::Object);
-        Ok(touches)
-    };
-    let mut touches = match close() {
-        Ok(touches) => touches,
-        // A hand that starts inside the object or the table can be thrown out of all bounds: it holds nothing.
-        Err(Error::Simulation(SimulationError::Diverged { .. })) => Vec::new(),
-        Err(other) => return Err(other),
-    };
-    let mut fingers_in_contact = vec![false; trial.surface.fingers.len()];
-    touches.iter().filter_map(|t| trial.surface.finger_of_link[t.link]).for_each(|f| fingers_in_contact[f] = true);
-    let closed = simulation.joints().to_vec();
-    let touching = touching(trial, &mut touches);
-    let near = match touching.is_empty() {
-        // Also where a hand was thrown out of all bounds.
-        true => Vec::new(),
-        false => near(trial, &closed, &world_from_palm, &simulation.world_from_object(), &touching)?,
-    };
-    Ok(ClosingPlan {
-        joints: joints.to_vec(),
-        world_from_palm,
-        reach,
-        closed,
-        touching,
-        near,
-        table_n,
-        fingers_in_contact,
-    })
+/// How much the hand grips: sum of normal forces over all contacts, N.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum GripForce {
+    /// What the cone programme says for the assumed, times the margin of the options.
+    Required,
+    /// This many newtons, or as many as the motors can give.
+    Total(f64),
 }
 
-/// Contacts of the touches.
-fn touching(trial: &Trial, touches: &mut [Touch]) -> Vec<Contact> {
-    touches.sort_by(|a, b| b.normal_n.total_cmp(&a.normal_n));
-    let mut contacts: Vec<Contact> = Vec::new();
-    for touch in touches {
-        let mut contact = Contact::new(Point3::from(touch.point), touch.inward, 0.0);
-        contact.link = touch.link;
-        contact.finger = trial.surface.finger_of_link[touch.link];
-        if !among(&contacts, &contact) {
-            contacts.push(contact);
+/// Why there is no command.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum NoCommand {
+    /// The grasp does not touch the believed object with two fingers.
+    #[error("{touching} fingers touch the object; a grasp needs two")]
+    NoContact {
+        /// Fingers that touch.
+        touching: usize,
+    },
+    /// On its way to the object the hand would press on the table.
+    #[error("the closing hand presses on the table with {force_n:.1} N; take a grasp that is higher")]
+    Table {
+        /// Largest force, N.
+        force_n: f64,
+    },
+    /// The contacts cannot carry the believed weight.
+    #[error("the contacts cannot carry the object: {0}")]
+    CannotCarry(String),
+    /// The motors cannot give the torques.
+    #[error("the motors are too weak: {0}")]
+    TorqueLimit(String),
+    /// The object would be damaged.
+    #[error("the grip force would damage the object: {0}")]
+    Crushes(String),
+}
+
+impl NoCommand {
+    /// The verdict on a grasp for which there is no command.
+    pub fn verdict(&self) -> Verdict {
+        match self {
+            Self::NoContact { .. } => Verdict::NoContact,
+            Self::Table { .. } => Verdict::Table,
+            Self::TorqueLimit(_) => Verdict::TorqueLimit,
+            Self::Crushes(_) => Verdict::Crushed,
+            Self::CannotCarry(_) => Verdict::CannotCarry,
         }
     }
-    contacts
 }
 
-/// Where the hand is near an object that it does not touch there.
-fn near(
-    trial: &Trial,
-    closed: &[f64],
-    world_from_palm: &Pose,
-    world_from_object: &Pose,
-    touching: &[Contact],
-) -> Result<Vec<Contact>> {
-    let mut options = ContactOptions::default();
-    options.max_per_link = MAY_BEAR;
-    let object_from_palm = world_from_object.inverse() * world_from_palm;
-    let surface = trial.object.geometry.as_ref();
-    let mut contacts = trial.surface.contacts(&trial.hand, closed, &object_from_palm, surface, &options)?;
-    for contact in &mut contacts {
-        contact.point = world_from_object * contact.point;
-        contact.normal = world_from_object * contact.normal;
-    }
-    contacts.retain(|c| !among(touching, c));
-    Ok(contacts)
-}
-
-/// Whether the same link has one of these at the same place.
-fn among(contacts: &[Contact], contact: &Contact) -> bool {
-    contacts.iter().any(|c| c.link == contact.link && (c.point - contact.point).norm() < SAME_M)
-}
-
-/// See [`Trial::grip_force`].
+/// See [`Trial::command_closed`](crate::Trial::command_closed).
 pub(crate) fn grip_force(
-    trial: &Trial,
+    pair: &HandAndObject,
     closing: &ClosingPlan,
     assumed: &Assumed,
     grip_force: GripForce,
 ) -> Result<Result<Command, NoCommand>> {
-    let SharedForce { problem, normal_n, forces } = match share_grip_force(trial, closing, assumed, grip_force)? {
-        Ok(share_grip_force) => share_grip_force,
+    let SharedForce { problem, normal_n, forces } = match share_grip_force(pair, closing, assumed, grip_force)? {
+        Ok(share) => share,
         Err(reason) => return Ok(Err(reason)),
     };
-    let ClosingPlan { joints, world_from_palm, reach, closed, .. } = closing;
-    let poses = trial.hand.forward_kinematics(closed, world_from_palm);
+    let ClosingPlan { joints, world_from_base, reach, closed, .. } = closing;
+    let poses = pair.hand.forward_kinematics(closed, world_from_base);
     let contact_forces = |forces: &[Vector3<f64>]| -> Vec<ContactForce> {
         let push = |(c, force): (&Contact, &Vector3<f64>)| ContactForce {
             link: c.link,
@@ -183,14 +118,14 @@ pub(crate) fn grip_force(
         problem.contacts.iter().zip(forces).map(push).collect()
     };
     let torques =
-        |contact_forces: &[ContactForce]| contact_torques(&trial.hand, closed, world_from_palm, contact_forces);
+        |contact_forces: &[ContactForce]| contact_torques(&pair.hand, closed, world_from_base, contact_forces);
     let mut command = Command {
         joints: joints.clone(),
-        world_from_palm: *world_from_palm,
+        world_from_base: *world_from_base,
         torques_nm: Vec::new(),
         limits_nm: Vec::new(),
         grip_force_n: normal_n.iter().sum(),
-        per_finger_n: vec![0.0; trial.surface.fingers.len()],
+        per_finger_n: vec![0.0; pair.surface.fingers.len()],
         contact_forces: contact_forces(&forces),
         reach: reach.clone(),
     };
@@ -201,10 +136,10 @@ pub(crate) fn grip_force(
     }
     command.torques_nm = torques(&command.contact_forces);
     command.limits_nm = command.torques_nm.iter().map(|t| t.abs()).collect();
-    for load in &shake_loads(assumed.mass_kg, trial.options.law.shake_m_s2, &problem.gravity)[1..] {
+    for load in &shake_loads(assumed.mass_kg, pair.options.law.shake_m_s2, &problem.gravity)[1..] {
         let shaken = problem.under(load);
         // Where a shake is beyond the grip force or the motors, the other loads say what a joint may bring.
-        if let Ok(share) = shared(trial, &shaken, command.grip_force_n) {
+        if let Ok(share) = shared(pair, &shaken, command.grip_force_n) {
             let torques = torques(&contact_forces(&share.forces));
             command.limits_nm.iter_mut().zip(torques).for_each(|(l, t)| *l = l.max(t.abs()));
         }
@@ -212,14 +147,14 @@ pub(crate) fn grip_force(
     Ok(Ok(command))
 }
 
-/// See [`Trial::grip_force_n`].
+/// See [`Trial::grip_force_n`](crate::Trial::grip_force_n).
 pub(crate) fn grip_force_n(
-    trial: &Trial,
+    pair: &HandAndObject,
     closing: &ClosingPlan,
     assumed: &Assumed,
     grip_force: GripForce,
 ) -> Result<Result<f64, NoCommand>> {
-    Ok(share_grip_force(trial, closing, assumed, grip_force)?.map(|s| s.normal_n.iter().sum()))
+    Ok(share_grip_force(pair, closing, assumed, grip_force)?.map(|s| s.normal_n.iter().sum()))
 }
 
 /// A grip force on the contacts of a closed hand.
@@ -233,7 +168,7 @@ struct SharedForce {
 
 /// The grip force with the object at rest.
 fn share_grip_force(
-    trial: &Trial,
+    pair: &HandAndObject,
     closing: &ClosingPlan,
     assumed: &Assumed,
     grip_force: GripForce,
@@ -246,14 +181,14 @@ fn share_grip_force(
     if closing.table_n > TABLE_N {
         return Ok(Err(NoCommand::Table { force_n: closing.table_n }));
     }
-    let ClosingPlan { closed, world_from_palm, touching, near, .. } = closing;
-    let mut problem = problem(trial, closed, world_from_palm, touching.clone(), assumed);
-    let needed = |problem: &GripForceProblem| needed_force(&trial.hand, &trial.options.law, problem);
+    let ClosingPlan { closed, world_from_base, touching, near, .. } = closing;
+    let mut problem = problem(pair, closed, world_from_base, touching.clone(), assumed);
+    let needed = |problem: &GripForceProblem| needed_force(&pair.hand, &pair.options.law, problem);
     let mut force = needed(&problem);
     // Contacts that only pressing makes are less certain than those that are there: they are counted on where nothing else carries.
     if force.is_err() && !near.is_empty() {
         let all = touching.iter().chain(near).cloned().collect();
-        let pressed = self::problem(trial, closed, world_from_palm, all, assumed);
+        let pressed = self::problem(pair, closed, world_from_base, all, assumed);
         let by_pressing = needed(&pressed);
         if by_pressing.is_ok() {
             (problem, force) = (pressed, by_pressing);
@@ -261,7 +196,7 @@ fn share_grip_force(
     }
     let share = match grip_force {
         GripForce::Required => force.map(|f| f.distribution),
-        GripForce::Total(total_n) => shared(trial, &problem, total_n),
+        GripForce::Total(total_n) => shared(pair, &problem, total_n),
     };
     let forces = match share {
         Ok(share) => share.forces,
@@ -319,28 +254,28 @@ fn no_command(reason: GripForceError) -> Result<NoCommand> {
 
 /// The cone programme of a closed hand, in world axes about the world's origin.
 fn problem(
-    trial: &Trial,
+    pair: &HandAndObject,
     closed: &[f64],
-    world_from_palm: &Pose,
+    world_from_base: &Pose,
     mut contacts: Vec<Contact>,
     assumed: &Assumed,
 ) -> GripForceProblem {
     contacts.iter_mut().for_each(|c| c.friction = assumed.friction);
-    let poses = trial.hand.forward_kinematics(closed, world_from_palm);
-    let jacobians = contacts.iter().map(|c| trial.hand.jacobian(&poses, c.link, &c.point).0).collect();
+    let poses = pair.hand.forward_kinematics(closed, world_from_base);
+    let jacobians = contacts.iter().map(|c| pair.hand.jacobian(&poses, c.link, &c.point).0).collect();
     let down = Vector3::new(0.0, 0.0, -9.81);
-    let own = trial.hand.gravity_torque(closed, &(world_from_palm.rotation.inverse() * down));
-    let limits_nm = trial
+    let own = pair.hand.gravity_torque(closed, &(world_from_base.rotation.inverse() * down));
+    let limits_nm = pair
         .hand
         .joints
         .iter()
-        .zip(&trial.effort_nm)
+        .zip(&pair.effort_nm)
         .map(|(j, effort)| {
             let cap = (effort - j.friction_loss).max(0.0);
             (-cap, cap)
         })
         .collect();
-    let centre = trial.object.world_from_object * trial.object.mass_properties.center_of_mass;
+    let centre = pair.object.world_from_object * pair.object.mass_properties.center_of_mass;
     let mut problem = GripForceProblem::new(contacts, assumed.mass_kg, centre, down).with_torques(TorqueLimits {
         jacobians,
         limits_nm,
@@ -348,15 +283,15 @@ fn problem(
     });
     // The programme limits contacts: those of a finger share what a finger may.
     let of_finger = |f: usize| problem.contacts.iter().filter(|c| c.finger == Some(f)).count();
-    let most = (0..trial.surface.fingers.len()).map(of_finger).max().unwrap_or(1).max(1);
-    problem.max_normal_n = trial.object.max_finger_n.map(|n| n / most as f64);
+    let most = (0..pair.surface.fingers.len()).map(of_finger).max().unwrap_or(1).max(1);
+    problem.max_normal_n = pair.object.max_finger_n.map(|n| n / most as f64);
     problem
 }
 
 /// A grip force as forces on the object, world, N.
-fn shared(trial: &Trial, problem: &GripForceProblem, total_n: f64) -> Result<Distribution, GripForceError> {
+fn shared(pair: &HandAndObject, problem: &GripForceProblem, total_n: f64) -> Result<Distribution, GripForceError> {
     let mut careful = problem.clone();
-    careful.contacts.iter_mut().for_each(|c| c.friction *= 1.0 - trial.options.law.friction_uncertainty);
+    careful.contacts.iter_mut().for_each(|c| c.friction *= 1.0 - pair.options.law.friction_uncertainty);
     // What could not be carried if friction were lower may be carried with what is believed.
     if matches!(distribute(&careful, total_n), Err(e) if !matches!(e, GripForceError::Total { .. })) {
         careful = problem.clone();
@@ -382,7 +317,7 @@ mod tests {
     use std::sync::Arc;
 
     use drex_core::{ConvexPart, MassProperties, Object, Primitive, PrimitiveShape};
-    use nalgebra::Matrix3;
+    use nalgebra::{Matrix3, Point3};
 
     use super::*;
     use crate::TrialOptions;
@@ -390,11 +325,11 @@ mod tests {
     const RADIUS_M: f64 = 0.03;
 
     /// The index finger and the thumb at opposite sides of a ball; the others touch nothing.
-    fn pinch() -> (Trial, ClosingPlan) {
+    fn pinch() -> (HandAndObject, ClosingPlan) {
         pinch_of(Robot::bundled("leap_right").unwrap())
     }
 
-    fn pinch_of(hand: Robot) -> (Trial, ClosingPlan) {
+    fn pinch_of(hand: Robot) -> (HandAndObject, ClosingPlan) {
         let properties =
             MassProperties { mass_kg: 1.0, center_of_mass: Point3::origin(), inertia: Matrix3::identity() * 3.6e-4 };
         let rest = Pose::translation(0.0, 0.0, RADIUS_M);
@@ -403,9 +338,9 @@ mod tests {
         let ball = Object::of_parts(vec![part], properties).with_rest_pose(rest);
         let hand = Arc::new(hand);
         let joints = vec![0.0; hand.dof()];
-        let trial = Trial::new(hand, ball, TrialOptions::default()).unwrap();
+        let trial = HandAndObject::new(hand, ball, TrialOptions::default()).unwrap();
         // Where the palm is makes torques, not forces: beside the ball they are small.
-        let world_from_palm = Pose::translation(0.0, 0.0, RADIUS_M);
+        let world_from_base = Pose::translation(0.0, 0.0, RADIUS_M);
         let touching = trial.surface.fingers[..2].iter().zip([1.0, -1.0]).map(|(finger, side)| {
             let normal = -side * Vector3::x();
             let mut contact = Contact::new(Point3::from(Vector3::z() * RADIUS_M - normal * RADIUS_M), normal, 0.0);
@@ -415,7 +350,7 @@ mod tests {
         });
         let closing = ClosingPlan {
             joints: joints.clone(),
-            world_from_palm,
+            world_from_base,
             reach: Reach { open: joints.clone(), grasp: joints.clone(), closed: joints.clone(), retreat: Vector3::z() },
             closed: joints,
             touching: touching.collect(),
@@ -436,8 +371,8 @@ mod tests {
         // The smallest push on each finger that turns a joint, by moving the joints a little.
         let least = |contact: &Contact| {
             let at = |q: &[f64]| {
-                let poses = trial.hand.forward_kinematics(q, &pinch.world_from_palm);
-                let start = trial.hand.forward_kinematics(&pinch.closed, &pinch.world_from_palm)[contact.link];
+                let poses = trial.hand.forward_kinematics(q, &pinch.world_from_base);
+                let start = trial.hand.forward_kinematics(&pinch.closed, &pinch.world_from_base)[contact.link];
                 (poses[contact.link] * start.inverse_transform_point(&contact.point)).coords.dot(&contact.normal)
             };
             let moves = |j: usize| {
@@ -459,7 +394,7 @@ mod tests {
         let told = Assumed { mass_kg: 0.1, friction: 1.0 };
         let strongest = |hand: Robot| -> (Vec<f64>, f64) {
             let (trial, pinch) = pinch_of(hand);
-            let problem = problem(&trial, &pinch.closed, &pinch.world_from_palm, pinch.touching.clone(), &told);
+            let problem = problem(&trial, &pinch.closed, &pinch.world_from_base, pinch.touching.clone(), &told);
             let limits = problem.torques.unwrap().limits_nm;
             assert!(limits.iter().all(|(lo, hi)| lo == &-hi));
             let most = grip_force_n(&trial, &pinch, &told, GripForce::Total(1e4)).unwrap().unwrap();
@@ -479,7 +414,7 @@ mod tests {
         let mut silent = allegro;
         (silent.joints[3].effort_limit, silent.actuators[3].force_range) = (None, None);
         let ball = pinch().0.object;
-        let trial = Trial::new(Arc::new(silent), ball, TrialOptions::default());
+        let trial = HandAndObject::new(Arc::new(silent), ball, TrialOptions::default());
         let Err(error) = trial else { panic!("taken") };
         assert!(error.to_string().contains("\"allegro_right\"") && error.to_string().contains("ffj3"), "{error}");
     }
@@ -488,7 +423,7 @@ mod tests {
     fn a_joint_may_bring_what_the_shakes_ask_of_it() {
         let (mut trial, pinch) = pinch();
         let told = Assumed { mass_kg: 0.1, friction: 1.0 };
-        let needed = |trial: &Trial| grip_force(trial, &pinch, &told, GripForce::Required).unwrap().unwrap();
+        let needed = |trial: &HandAndObject| grip_force(trial, &pinch, &told, GripForce::Required).unwrap().unwrap();
         let command = needed(&trial);
         let only_n = grip_force_n(&trial, &pinch, &told, GripForce::Required).unwrap().unwrap();
         assert!((only_n - command.grip_force_n).abs() < 1e-12);
@@ -496,7 +431,7 @@ mod tests {
         let torques = |weights: f64| {
             let mut contact_forces = command.contact_forces.clone();
             contact_forces.iter_mut().for_each(|p| p.force.z = 0.5 * weights * told.mass_kg * 9.81);
-            contact_torques(&trial.hand, &pinch.closed, &pinch.world_from_palm, &contact_forces)
+            contact_torques(&trial.hand, &pinch.closed, &pinch.world_from_base, &contact_forces)
         };
         let close = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4);
         assert!(close(&torques(1.0), &command.torques_nm), "{:?} {:?}", torques(1.0), command.torques_nm);

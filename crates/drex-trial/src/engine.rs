@@ -10,8 +10,9 @@ use drex_diffsim::{
 use drex_robot::Robot;
 use nalgebra::Vector3;
 
-use crate::{Engine, Truth};
-use crate::{Error, Result};
+use serde::{Deserialize, Serialize};
+
+use crate::{Error, Result, Truth};
 
 /// Stiffness and damping of drives of hands whose model has no position drives, N m/rad and N m s/rad.
 const STIFFNESS: f64 = 0.8;
@@ -21,6 +22,29 @@ const DAMPING: f64 = 0.02;
 /// at 1 ms: docs/grasping.md).
 #[cfg(feature = "mujoco")]
 const MUJOCO_STEPS: usize = 2;
+
+/// The engine that a trial runs in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Engine {
+    /// drex-diffsim: the engine that rollouts of the training use.
+    Diffsim,
+    /// MuJoCo, never used in training; only in builds with the feature `mujoco`.
+    Mujoco,
+}
+
+impl Engine {
+    /// Whether this build has the engine.
+    ///
+    /// # Errors
+    /// [`Error::NoMujoco`].
+    pub fn check(self) -> Result<()> {
+        match self {
+            Self::Mujoco if !cfg!(feature = "mujoco") => Err(Error::NoMujoco),
+            _ => Ok(()),
+        }
+    }
+}
 
 /// What the hand meets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

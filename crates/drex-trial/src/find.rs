@@ -7,7 +7,7 @@ use drex_grasp::{Grasp, synthesize_grasps};
 use drex_robot::Robot;
 use rayon::prelude::*;
 
-use crate::types::check_mass_and_friction;
+use crate::assumed::check_mass_and_friction;
 use crate::{
     ConditionSpread, Engine, Evaluator, GripForce, Interval, Result, SelectionOptions, TrialEvaluator, TrialOptions,
     Verdict, select_grasps, wilson,

@@ -7,6 +7,8 @@
 //! What the hand is told ([`Assumed`]) and what is true ([`Truth`]) are kept apart: a command is made from the assumed
 //! alone.
 
+mod assumed;
+mod closing;
 mod command;
 mod control;
 mod engine;
@@ -14,25 +16,31 @@ mod error;
 mod evaluator;
 mod find;
 pub mod formula;
+mod hand_and_object;
+mod options;
+mod outcome;
 mod reach;
 mod selection;
 mod stats;
 mod timeline;
 mod trial;
-mod types;
 mod watch;
 
-pub use command::{ClosingPlan, needed_force};
+pub use assumed::{Assumed, Truth};
+pub use closing::ClosingPlan;
+pub use command::{Command, GripForce, NoCommand, needed_force};
 pub use control::ContactForce;
+pub use engine::Engine;
 pub use error::{Error, Result};
 pub use evaluator::{Condition, ConditionSpread, Evaluation, Evaluator, TrialEvaluator};
 pub use find::{FindOptions, TriedGrasp, find_grasp};
+pub use options::TrialOptions;
+pub use outcome::{Outcome, Verdict};
 pub use reach::{Reach, plan as plan_reach};
 pub use selection::{Selection, SelectionOptions, VALIDATION_SEED, ValidatedGrasp, select_grasps};
 pub use stats::{Interval, paired_difference, wilson};
 pub use timeline::phases;
-pub use trial::Trial;
-pub use types::{Assumed, Command, Engine, Frame, GripForce, NoCommand, Outcome, TrialOptions, Truth, Verdict};
+pub use trial::{Frame, Trial};
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

@@ -38,7 +38,7 @@ pub fn phases() -> [(f64, &'static str); 6] {
 /// The way of the palm: from `retreat` away onto the grasp, up, and shaken along three axes, each both ways, in random order and
 /// with a random turn of the axes about the vertical.
 pub(crate) fn palm_path(
-    world_from_palm: &Pose,
+    world_from_base: &Pose,
     retreat: &Vector3<f64>,
     shake_m_s2: f64,
     seed: u64,
@@ -60,7 +60,7 @@ pub(crate) fn palm_path(
             }
         }
         times.push(t);
-        poses.push(Translation3::from(offset) * world_from_palm);
+        poses.push(Translation3::from(offset) * world_from_base);
     }
     Path::linear(&times, &poses).map_err(Error::from)
 }

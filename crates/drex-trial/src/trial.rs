@@ -3,35 +3,36 @@
 use std::sync::Arc;
 
 use drex_core::{Object, Pose};
-use drex_diffsim::{Collider, Error as SimulationError};
-use drex_grasp::HandSurface;
+use drex_diffsim::Error as SimulationError;
 use drex_robot::Robot;
-use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 use crate::control::Controller;
-use crate::engine::{Drive, Setup, Simulation};
-use crate::reach::Reach;
+use crate::engine::Simulation;
+use crate::hand_and_object::{HandAndObject, STEPS_PER_TICK};
 use crate::watch::Watch;
 use crate::{
-    Assumed, ClosingPlan, Command, Engine, Error, Frame, GripForce, NoCommand, Outcome, Result, TrialOptions, Truth,
+    Assumed, ClosingPlan, Command, Engine, Error, GripForce, NoCommand, Outcome, Result, TrialOptions, Truth, closing,
+    command, timeline,
 };
-use crate::{command, timeline};
 
-/// Distance of the points on the hand by which it is planned, m.
-const SPACING_M: f64 = 0.003;
-/// Steps of the engine per command.
-pub(crate) const STEPS_PER_TICK: usize = 2;
+/// What can be seen of a trial at one time.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Frame {
+    /// From the start of the trial, s.
+    pub time_s: f64,
+    /// The hand's base.
+    pub world_from_base: Pose,
+    /// Joint angles, model order, rad.
+    pub joints: Vec<f64>,
+    /// The object.
+    pub world_from_object: Pose,
+    /// Normal force of each finger, smoothed over 10 ms, N.
+    pub finger_n: Vec<f64>,
+}
 
 /// A hand and an object, ready for trials.
-pub struct Trial {
-    pub(crate) hand: Arc<Robot>,
-    pub(crate) surface: HandSurface,
-    pub(crate) object: Object,
-    pub(crate) collider: Arc<Collider>,
-    pub(crate) options: TrialOptions,
-    /// Largest torque of each joint, model order, N m.
-    pub(crate) effort_nm: Vec<f64>,
-}
+pub struct Trial(HandAndObject);
 
 impl Trial {
     /// Prepares trials of `hand` with `object`.
@@ -40,21 +41,17 @@ impl Trial {
     /// If the hand has no collision shapes, its model does not say what its motors give ([`Robot::effort_limits`]), or an option is
     /// out of range.
     pub fn new(hand: Arc<Robot>, object: Object, options: TrialOptions) -> Result<Self> {
-        options.check()?;
-        let collider = Collider::of_parts(&object.convex_parts)?;
-        let effort_nm = hand.effort_limits()?;
-        let surface = HandSurface::new(&hand, SPACING_M)?;
-        Ok(Self { hand, surface, object, collider: Arc::new(collider), options, effort_nm })
+        HandAndObject::new(hand, object, options).map(Self)
     }
 
     /// The hand.
     pub fn hand(&self) -> &Arc<Robot> {
-        &self.hand
+        &self.0.hand
     }
 
     /// The object.
     pub fn object(&self) -> &Object {
-        &self.object
+        &self.0.object
     }
 
     /// The command for a grasp, given what the hand is told. The inner result says why there is none.
@@ -67,11 +64,11 @@ impl Trial {
     pub fn command(
         &self,
         joints: &[f64],
-        object_from_palm: &Pose,
+        object_from_base: &Pose,
         assumed: &Assumed,
         grip_force: GripForce,
     ) -> Result<Result<Command, NoCommand>> {
-        let closing = self.plan_closing(joints, object_from_palm, assumed)?;
+        let closing = self.plan_closing(joints, object_from_base, assumed)?;
         self.command_closed(&closing, assumed, grip_force)
     }
 
@@ -81,8 +78,8 @@ impl Trial {
     ///
     /// # Errors
     /// If the joint vector does not fit the hand.
-    pub fn plan_closing(&self, joints: &[f64], object_from_palm: &Pose, assumed: &Assumed) -> Result<ClosingPlan> {
-        command::plan_closing(self, joints, object_from_palm, assumed)
+    pub fn plan_closing(&self, joints: &[f64], object_from_base: &Pose, assumed: &Assumed) -> Result<ClosingPlan> {
+        closing::plan_closing(&self.0, joints, object_from_base, assumed)
     }
 
     /// The grip force on the contacts of a closing: the second half of [`Trial::command`].
@@ -95,7 +92,7 @@ impl Trial {
         assumed: &Assumed,
         grip_force: GripForce,
     ) -> Result<Result<Command, NoCommand>> {
-        command::grip_force(self, closing, assumed, grip_force)
+        command::grip_force(&self.0, closing, assumed, grip_force)
     }
 
     /// Sum of the normal forces, N, of the command that [`Trial::command_closed`] gives: what it costs less to know than the command.
@@ -108,7 +105,7 @@ impl Trial {
         assumed: &Assumed,
         grip_force: GripForce,
     ) -> Result<Result<f64, NoCommand>> {
-        command::grip_force_n(self, closing, assumed, grip_force)
+        command::grip_force_n(&self.0, closing, assumed, grip_force)
     }
 
     /// Carries a command out under what is true.
@@ -167,11 +164,12 @@ impl Trial {
     ) -> Result<Outcome> {
         truth.check()?;
         let (mut simulation, drives) =
-            self.simulation(&command.world_from_palm, &command.reach, truth, timeline::SHAKEN_S, engine)?;
+            self.0.simulation(&command.world_from_base, &command.reach, truth, timeline::SHAKEN_S, engine)?;
         let Command { reach, contact_forces, limits_nm, .. } = command;
-        let mut controller = Controller::new(&self.hand, &drives, reach, contact_forces, limits_nm, &self.effort_nm);
-        let tick_s = self.options.dt_s * STEPS_PER_TICK as f64;
-        let mut watch = Watch::new(&self.surface, self.object.max_finger_n, command.grip_force_n, tick_s);
+        let mut controller =
+            Controller::new(&self.0.hand, &drives, reach, contact_forces, limits_nm, &self.0.effort_nm);
+        let tick_s = self.0.options.dt_s * STEPS_PER_TICK as f64;
+        let mut watch = Watch::new(&self.0.surface, self.0.object.max_finger_n, command.grip_force_n, tick_s);
         let ticks = (timeline::SHAKEN_S / tick_s).round() as usize;
         for i in 0..ticks {
             let told = controller.command(i as f64 * tick_s, &simulation);
@@ -191,39 +189,5 @@ impl Trial {
             }
         }
         Ok(watch.finish())
-    }
-
-    /// Everything at the start of a command, with the palm's path until `last_s`.
-    pub(crate) fn simulation(
-        &self,
-        world_from_palm: &Pose,
-        reach: &Reach,
-        truth: &Truth,
-        last_s: f64,
-        engine: Engine,
-    ) -> Result<(Simulation, Vec<Drive>)> {
-        let TrialOptions { shake_m_s2, dt_s, .. } = self.options;
-        let path = timeline::palm_path(world_from_palm, &reach.retreat, shake_m_s2, truth.seed, last_s, dt_s)?;
-        let setup = Setup {
-            hand: &self.hand,
-            object: &self.object,
-            collider: &self.collider,
-            world_from_object: self.true_pose(truth),
-            truth,
-            path,
-            joints: &reach.open,
-            effort_nm: &self.effort_nm,
-            dt_s: self.options.dt_s,
-        };
-        Simulation::new(setup, engine)
-    }
-
-    /// Where the object really is.
-    fn true_pose(&self, truth: &Truth) -> Pose {
-        let believed = self.object.world_from_object;
-        let centre = believed * self.object.mass_properties.center_of_mass;
-        let about = Translation3::from(centre.coords);
-        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), truth.turn_rad);
-        Translation3::new(truth.shift_m[0], truth.shift_m[1], 0.0) * (about * turn * about.inverse()) * believed
     }
 }

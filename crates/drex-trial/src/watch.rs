@@ -5,17 +5,13 @@ use drex_grasp::HandSurface;
 use nalgebra::Vector3;
 
 use crate::engine::{Met, Simulation, Touch};
+use crate::outcome::{Outcome, SLIP_M, TABLE_N, TURN_RAD, Verdict};
 use crate::timeline::{CLOSED_S, HELD_S, LIFTED_S, SQUEEZED_S};
-use crate::{Outcome, Verdict};
 
 /// The rules.
 const HEIGHT_M: f64 = 0.02;
-pub(crate) const TURN_RAD: f64 = 15.0 * std::f64::consts::PI / 180.0;
-pub(crate) const SLIP_M: f64 = 0.005;
 const PENETRATION_M: f64 = 0.002;
 const FINGERS: usize = 2;
-/// The hand may brush the table with this force, N.
-pub(crate) const TABLE_N: f64 = 1.0;
 /// A finger counts as touching from this smoothed force on, N: a contact that is gone for one step of a simulator is none that a hand lost.
 const TOUCH_N: f64 = 0.01;
 /// Time constant with which forces of fingers are smoothed, s: shorter peaks are the simulator's.

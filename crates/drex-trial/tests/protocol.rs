@@ -115,7 +115,7 @@ fn every_failure_has_its_name() {
     assert!(matches!(refused, NoCommand::Crushes(_)), "{refused}");
 
     let mut low = command.clone();
-    low.world_from_palm.translation.z -= 0.07;
+    low.world_from_base.translation.z -= 0.07;
     let table = trial.run(&low, &truth, Engine::Diffsim).unwrap();
     assert_eq!(table.verdict, Verdict::Table);
     // A hand that knows where the table is does not begin.

@@ -176,7 +176,7 @@ impl Learned {
         let query = Query::new(points, self.shown_kg.unwrap_or(assumed.mass_kg), assumed.friction).with_up(*up);
         let proposals = self.policy.predict(&query)?.into_iter().map(|g| Proposal {
             joints: g.joints,
-            object_from_base: g.object_from_palm,
+            object_from_base: g.object_from_base,
             grip_force_n: g.grip_force_n,
             weight: g.weight,
         });
@@ -191,11 +191,11 @@ fn samples<E: Evaluator>(
     masses: &[f64],
     shown_kg: Option<f64>,
 ) -> Result<Vec<GraspSample>> {
-    let (grasp, object_from_palm) = (&validated.grasp, validated.grasp.object_from_base);
+    let (grasp, object_from_base) = (&validated.grasp, validated.grasp.object_from_base);
     let mut out = Vec::new();
     let closed = evaluator.close(
         &grasp.joints_rad,
-        &object_from_palm,
+        &object_from_base,
         &Assumed { mass_kg: masses[0], friction: FRICTIONS[1] },
     )?;
     for (mass_kg, friction) in masses.iter().flat_map(|m| FRICTIONS.map(|f| (*m, f))) {
@@ -204,7 +204,7 @@ fn samples<E: Evaluator>(
             out.push(GraspSample {
                 object: 0,
                 joints: grasp.joints_rad.clone(),
-                object_from_palm,
+                object_from_base,
                 contacts: validated.fingers.clone(),
                 grip_force_n,
                 mass_kg: shown_kg.unwrap_or(mass_kg),
@@ -254,7 +254,7 @@ impl<E: Evaluator> Rollouts for Practice<'_, E> {
 impl<E: Evaluator> Practice<'_, E> {
     fn feedback(&self, grasp: &PredictedGrasp, mass_kg: f64, friction: f64, seed: u64) -> Result<Feedback> {
         let assumed = Assumed { mass_kg, friction };
-        let closed = self.evaluator.close(&grasp.joints, &grasp.object_from_palm, &assumed)?;
+        let closed = self.evaluator.close(&grasp.joints, &grasp.object_from_base, &assumed)?;
         let needed = needed_n(self.evaluator, &closed, &assumed)?;
         let condition = Condition { friction, ..self.spread.conditions(1, seed ^ VALIDATION_SEED)[0] };
         let evaluation = match self.evaluator.command(&closed, &assumed, GripForce::Total(grasp.grip_force_n))? {

@@ -62,7 +62,7 @@ pub struct Prediction {
     /// Angles of the joints, rad.
     pub joints_rad: Vec<f64>,
     /// Pose of the hand's base in the world.
-    pub world_from_palm: PoseRecord,
+    pub world_from_base: PoseRecord,
     /// Probability by the network.
     pub weight: f64,
     /// Place among the proposals in the order in which they are tried, from 1.
@@ -208,7 +208,7 @@ impl Predictor {
     pub fn reach(&self, grasp: &Prediction) -> Result<Reach> {
         let surface = HandSurface::new(&self.robot, ContactOptions::default().spacing_m)?;
         let world_from_object = self.object.world_from_object;
-        let object_from_base = world_from_object.inverse() * grasp.world_from_palm.to_pose()?;
+        let object_from_base = world_from_object.inverse() * grasp.world_from_base.to_pose()?;
         let object = self.object.geometry.exact();
         Ok(plan_reach(&self.robot, &surface, &grasp.joints_rad, &object_from_base, object, &world_from_object))
     }
@@ -218,9 +218,9 @@ impl Predictor {
         let mut options = ContactOptions::with_friction(object.friction);
         options.max_gap_m = MAX_PREDICTED_GAP_M;
         let contacts =
-            surface.contacts(robot, &grasp.joints, &grasp.object_from_palm, object.geometry.exact(), &options)?;
+            surface.contacts(robot, &grasp.joints, &grasp.object_from_base, object.geometry.exact(), &options)?;
         let gravity = object.table().gravity();
-        let torques = TorqueLimits::of_robot(robot, &grasp.joints, &grasp.object_from_palm, &contacts, &gravity)?;
+        let torques = TorqueLimits::of_robot(robot, &grasp.joints, &grasp.object_from_base, &contacts, &gravity)?;
         let problem =
             GripForceProblem::new(contacts, object.mass_kg(), object.center_of_mass(), gravity).with_torques(torques);
         let (force, cannot_hold) = match needed_force(robot, &TrialOptions::default().law, &problem) {
@@ -241,7 +241,7 @@ impl Predictor {
             hand: robot.name.clone(),
             joint_names: robot.joint_names().into_iter().map(str::to_owned).collect(),
             joints_rad: grasp.joints.clone(),
-            world_from_palm: PoseRecord::from(&(object.world_from_object * grasp.object_from_palm)),
+            world_from_base: PoseRecord::from(&(object.world_from_object * grasp.object_from_base)),
             weight: grasp.weight,
             place,
             mass_kg: object.mass_kg(),

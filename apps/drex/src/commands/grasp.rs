@@ -13,8 +13,8 @@ pub fn run(args: &GraspArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
 }
 
 fn text(p: &Prediction) -> String {
-    let [x, y, z] = p.world_from_palm.translation_m;
-    let [qw, qx, qy, qz] = p.world_from_palm.quat_wxyz;
+    let [x, y, z] = p.world_from_base.translation_m;
+    let [qw, qx, qy, qz] = p.world_from_base.quat_wxyz;
     let mut lines = vec![
         format!("{} for {:.0} g at friction {}", p.hand, 1e3 * p.mass_kg, p.friction),
         format!("  palm     {x:.4} {y:.4} {z:.4} m, quaternion {qw:.4} {qx:.4} {qy:.4} {qz:.4} (world)"),

@@ -32,7 +32,7 @@ fn a_trained_twin_grasps_and_deploys() {
     let answer = drex(["grasp", at, "--json", "--mass", "0.2", "--pose", pose]).json();
     assert_eq!(answer["joints_rad"].as_array().unwrap().len(), 16);
     let palm: Vec<f64> =
-        answer["world_from_palm"]["translation_m"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
+        answer["world_from_base"]["translation_m"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
     assert!((palm[0] - 0.4).abs() < 0.3 && (palm[2] - 0.2).abs() < 0.4, "{palm:?}");
     assert!(answer["squeeze_n"].as_f64().unwrap() > 0.0 && answer["paper_force"].as_f64().unwrap() <= 1.0);
     // Twice the mass is twice the paper's number, as long as the same fingers touch.

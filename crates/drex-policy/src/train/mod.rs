@@ -123,7 +123,7 @@ impl<'a> Trainer<'a> {
     fn around(data: &'a Dataset, split: Split, policy: GraspPolicy) -> Self {
         let views: Vec<View> = data.objects.iter().map(|o| View::new(&o.points, o.up(), policy.card.points)).collect();
         let scenes: Vec<Scene> = views.iter().map(|v| policy.look(v, None)).collect();
-        let pose = |s: &GraspSample| scenes[s.object].frame.network_from_object * s.object_from_palm;
+        let pose = |s: &GraspSample| scenes[s.object].frame.network_from_object * s.object_from_base;
         let poses = data.samples.iter().map(pose).collect();
         let adam = Adam::new(&policy.weights.arrays);
         let second = rollout::Second::new(data.objects.len(), policy.modes());
@@ -267,7 +267,7 @@ impl<'a> Trainer<'a> {
             scalars.extend(norm.scalars(sample.mass_kg, sample.friction, scene.frame.table_m));
             targets.push(Target {
                 joints: sample.joints.clone(),
-                wrist: wrist_numbers(&(scene.frame.network_from_object * sample.object_from_palm), norm.length_m),
+                wrist: wrist_numbers(&(scene.frame.network_from_object * sample.object_from_base), norm.length_m),
                 log_ratio: grip_force_ratio(sample).ln(),
                 contacts: sample.contacts.clone(),
                 weight: 1.0,
@@ -399,9 +399,9 @@ fn check_clouds(data: &Dataset, options: &TrainOptions) -> Result<()> {
     }
     let most = LARGEST_OBJECT * options.length_m;
     for (i, sample) in data.samples.iter().enumerate() {
-        let gap = (sample.object_from_palm.translation.vector - centres[sample.object]).norm();
+        let gap = (sample.object_from_base.translation.vector - centres[sample.object]).norm();
         if gap > most {
-            let what = format!("the palm is {gap:.3} m from the object, more than {most} m");
+            let what = format!("the hand is {gap:.3} m from the object, more than {most} m");
             return Err(data.wrong(Some(i), None, what, remedy));
         }
     }

@@ -375,7 +375,7 @@ impl Trainer<'_> {
                 let decode = |row| self.policy.decode(row, &round.scene, t.load);
                 for (a, b) in decode(now).iter().zip(&decode(old)) {
                     joints += crate::metric::joint_rms_rad(&a.joints, &b.joints).powi(2);
-                    wrist += (a.object_from_palm.translation.vector - b.object_from_palm.translation.vector).norm();
+                    wrist += (a.object_from_base.translation.vector - b.object_from_base.translation.vector).norm();
                     count += 1.0;
                 }
             }

@@ -35,7 +35,7 @@ pub fn toy(grasps: usize, masses_kg: &[f64]) -> Dataset {
                 contacts: TOUCHES[usize::from(i % 3 == 2)].to_vec(),
                 friction: FRICTION,
                 joints: joints.clone(),
-                object_from_palm: shift * pose,
+                object_from_base: shift * pose,
                 grip_force_n: ratio * (1.0 + 0.02 * wave(i, 7)) * mass_kg * GRAVITY_M_S2,
                 mass_kg: *mass_kg,
             });

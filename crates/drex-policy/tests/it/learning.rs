@@ -35,7 +35,7 @@ fn two_ways_to_grasp_become_two_modes_with_their_force() {
         assert!((grasps.iter().map(|g| g.weight).sum::<f64>() - 1.0).abs() < 1e-9);
         assert!(grasps[0].weight >= grasps[1].weight);
         for (i, (joints, pose, ratio)) in ways().iter().enumerate() {
-            let distance = |g: &PredictedGrasp| grasp_distance_m((&g.joints, &g.object_from_palm), (joints, pose), 0.1);
+            let distance = |g: &PredictedGrasp| grasp_distance_m((&g.joints, &g.object_from_base), (joints, pose), 0.1);
             let nearest = grasps.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap();
             assert!(distance(nearest) < 0.005, "way {i} at {mass} kg is {} m off", distance(nearest));
             let needed = ratio * mass * GRAVITY_M_S2;
@@ -99,7 +99,7 @@ fn another_sampling_and_another_frame_give_the_same_grasp() {
     points.extend(box_points().iter().take(40).map(|p| p + shift + nalgebra::Vector3::new(0.0, 0.0, 1e-4)));
     let moved = ask(&policy, &points, 0.2);
     for (a, b) in nominal.iter().zip(&moved) {
-        let gap = (b.object_from_palm.translation.vector - a.object_from_palm.translation.vector - shift).norm();
+        let gap = (b.object_from_base.translation.vector - a.object_from_base.translation.vector - shift).norm();
         assert!(gap < 0.003, "wrist off by {gap} m");
         assert!(a.joints.iter().zip(&b.joints).all(|(x, y)| (x - y).abs() < 0.03));
     }
@@ -152,7 +152,7 @@ fn a_turned_object_turns_the_grasp_when_trained_so() {
         for (joints, pose, _) in ways() {
             let pose = turn * pose;
             let distance =
-                |g: &PredictedGrasp| grasp_distance_m((&g.joints, &g.object_from_palm), (&joints, &pose), 0.1);
+                |g: &PredictedGrasp| grasp_distance_m((&g.joints, &g.object_from_base), (&joints, &pose), 0.1);
             let nearest = grasps.iter().map(distance).fold(f64::INFINITY, f64::min);
             assert!(nearest < 0.02, "turned by {angle} rad, {nearest} m off");
         }
@@ -227,9 +227,9 @@ fn up_may_be_any_axis_and_the_table_is_seen() {
     let points: Vec<_> = box_points().iter().map(|p| turn * p).collect();
     let query = Query::new(&points, 0.2, FRICTION).with_up(nalgebra::Vector3::x() * 3.0);
     for (a, b) in nominal.iter().zip(policy.predict(&query).unwrap()) {
-        let expected = turn * a.object_from_palm;
-        assert!((expected.translation.vector - b.object_from_palm.translation.vector).norm() < 1e-5);
-        assert!(expected.rotation.angle_to(&b.object_from_palm.rotation) < 1e-4);
+        let expected = turn * a.object_from_base;
+        assert!((expected.translation.vector - b.object_from_base.translation.vector).norm() < 1e-5);
+        assert!(expected.rotation.angle_to(&b.object_from_base.rotation) < 1e-4);
     }
     // Said or found, the table is the same; another one is another input.
     let said = policy.predict(&Query::new(&box_points(), 0.2, FRICTION).with_table_below_m(0.05)).unwrap();
@@ -255,7 +255,7 @@ fn samples_scatter_as_the_spread_says_and_density_prefers_what_was_shown() {
         .iter()
         .map(|g| {
             let mode = modes.iter().find(|m| m.grip_force_n == g.grip_force_n).unwrap();
-            (g.object_from_palm.translation.vector - mode.object_from_palm.translation.vector).norm_squared() / 3.0
+            (g.object_from_base.translation.vector - mode.object_from_base.translation.vector).norm_squared() / 3.0
         })
         .sum::<f64>()
         / 400.0;

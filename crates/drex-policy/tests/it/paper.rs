@@ -34,7 +34,7 @@ fn dataset(grasps: &[Vec<f64>]) -> Dataset {
     let sample = |joints: &Vec<f64>| GraspSample {
         object: 0,
         joints: joints.clone(),
-        object_from_palm: Pose::translation(0.0, 0.0, 0.1),
+        object_from_base: Pose::translation(0.0, 0.0, 0.1),
         contacts: vec![true; 4],
         grip_force_n: 3.0 * 0.2 * GRAVITY_M_S2,
         mass_kg: 0.2,

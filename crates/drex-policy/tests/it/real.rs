@@ -44,7 +44,7 @@ fn modes_are_nearer_to_real_grasps_than_their_mean_is() {
     });
     let sample = |joints: &Vec<f64>, mass_kg: f64| GraspSample {
         joints: joints.clone(),
-        object_from_palm: Pose::translation(0.0, 0.0, 0.1),
+        object_from_base: Pose::translation(0.0, 0.0, 0.1),
         grip_force_n: 3.0 * mass_kg * GRAVITY_M_S2,
         mass_kg,
         object: 0,
@@ -87,7 +87,7 @@ fn wrists_are_learned_with_the_joints() {
     let joints = kinematics["joints"].as_array().unwrap();
     let world_from_object = matrix(&grasps["X_WO"]);
     // The arm is a chain of revolute joints about z, its hand is welded on.
-    let world_from_palm = |q: &[f64]| {
+    let world_from_base = |q: &[f64]| {
         let arm = joints.iter().take(7).zip(q).fold(Pose::identity(), |pose, (joint, q)| {
             pose * matrix(&joint["T_parent_joint"])
                 * Pose::rotation(Vector3::z() * *q)
@@ -103,7 +103,7 @@ fn wrists_are_learned_with_the_joints() {
         let clamped = q[7..].iter().zip(hand).map(|(q, j)| q.clamp(limit(j, "lower"), limit(j, "upper")));
         let sample = GraspSample {
             joints: clamped.collect(),
-            object_from_palm: world_from_object.inverse() * world_from_palm(&q),
+            object_from_base: world_from_object.inverse() * world_from_base(&q),
             grip_force_n: 0.0,
             mass_kg: 0.0,
             object: 0,
@@ -128,8 +128,8 @@ fn wrists_are_learned_with_the_joints() {
         objects: vec![ObjectCloud::upright("cracker box", mesh.lines().filter_map(vertex).collect())],
         samples,
     };
-    let palm = data.samples.iter().map(|s| s.object_from_palm.translation.vector.norm());
-    assert!(palm.fold(0.0, f64::max) < 0.35, "palms are within reach of the box");
+    let reach = data.samples.iter().map(|s| s.object_from_base.translation.vector.norm());
+    assert!(reach.fold(0.0, f64::max) < 0.35, "hands are within reach of the box");
     let report = report(&data);
     let (found, rules) = (report.held_out.unwrap(), report.baselines.unwrap());
     assert!(found.distance_m < 0.5 * rules.mean_demonstration.distance_m);

@@ -30,7 +30,7 @@ fn data_that_cannot_be_used() {
     check(|d| d.samples[3].joints[1] = f64::NAN, &["sample 3", "'middle'", "NaN"]);
     check(|d| d.samples[4].joints[0] = 2.3, &["sample 4", "'base'", "2.3", "limits", "units"]);
     check(|d| d.samples[2].joints.truncate(1), &["sample 2", "1 joint angles for 3 joints"]);
-    check(|d| d.samples[1].object_from_palm.translation.x = f64::INFINITY, &["sample 1", "wrist", "not finite"]);
+    check(|d| d.samples[1].object_from_base.translation.x = f64::INFINITY, &["sample 1", "wrist", "not finite"]);
     check(|d| d.samples[5].grip_force_n = 0.0, &["sample 5", "grip force is 0 N"]);
     check(|d| d.samples[0].mass_kg = -1.0, &["sample 0", "mass is -1 kg"]);
     check(|d| d.samples[0].grip_force_n = 1e9, &["sample 0", "times the weight", "units"]);
@@ -47,7 +47,7 @@ fn data_that_cannot_be_used() {
     check(|d| d.objects[0].up = nalgebra::Vector3::zeros(), &["'box'", "up"]);
     check(|d| d.objects[0].points.truncate(20), &["'box'", "20 surface points", "takes 48"]);
     check(|d| d.objects[0].points[7].y = f64::NAN, &["'box'", "surface point 7"]);
-    check(|d| d.samples[2].object_from_palm.translation.z = 120.0, &["sample 2", "palm is 119", "metres"]);
+    check(|d| d.samples[2].object_from_base.translation.z = 120.0, &["sample 2", "hand is 119", "metres"]);
     check(|d| d.objects[0].points.iter_mut().for_each(|p| *p *= 1000.0), &["m across", "metres"]);
 }
 

@@ -38,7 +38,7 @@ impl Rollouts for MadeUp {
 }
 
 fn first_way(grasp: &PredictedGrasp) -> bool {
-    grasp.object_from_palm.translation.z > 0.08
+    grasp.object_from_base.translation.z > 0.08
 }
 
 fn options() -> TrainOptions {

@@ -27,7 +27,7 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
 
     let evaluator = Evaluator::new(&scene, mass.grip_kg)?;
     let predicted =
-        predictions.par_iter().map(|p| evaluator.predicted(&p.joints, p.object_from_palm, p)).collect::<Result<_>>()?;
+        predictions.par_iter().map(|p| evaluator.predicted(&p.joints, p.object_from_base, p)).collect::<Result<_>>()?;
     let refined = predictions.par_iter().map(|p| evaluator.refined(p)).collect::<Result<_>>()?;
     let demonstrations = fits
         .grasps

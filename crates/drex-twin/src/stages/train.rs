@@ -109,11 +109,11 @@ fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Resul
     let per_grasp: Vec<Vec<GraspSample>> = accepted
         .par_iter()
         .map(|fit| {
-            let object_from_palm = fit.object_from_base.to_pose()?;
+            let object_from_base = fit.object_from_base.to_pose()?;
             let touching = surface.contacts(
                 &scene.robot,
                 &fit.joints_rad,
-                &object_from_palm,
+                &object_from_base,
                 scene.object.geometry.exact(),
                 &contact,
             )?;
@@ -139,7 +139,7 @@ fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Resul
                 samples.push(GraspSample {
                     object: 0,
                     joints: fit.joints_rad.clone(),
-                    object_from_palm,
+                    object_from_base,
                     contacts: contacts.clone(),
                     grip_force_n,
                     mass_kg,

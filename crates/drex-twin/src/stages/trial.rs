@@ -112,7 +112,7 @@ fn plan(
     let assumed = condition.assumed(mass_kg);
     let mut first = None;
     for (i, proposal) in proposals.iter().enumerate() {
-        let closed = evaluator.close(&proposal.joints, &proposal.object_from_palm, &assumed)?;
+        let closed = evaluator.close(&proposal.joints, &proposal.object_from_base, &assumed)?;
         match evaluator.command(&closed, &assumed, GripForce::Required)? {
             Ok(command) => return Ok(Ok((i + 1, command))),
             Err(reason) => first = first.or(Some(reason)),
