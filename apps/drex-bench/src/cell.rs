@@ -155,7 +155,7 @@ impl<E: Evaluator> Cell<'_, E> {
             Actor::Policy(policy, points, up) => policy.propose(points, up, &assumed)?,
             Actor::Always(proposals) => proposals.clone(),
         };
-        let grip = |p: Proposal| Ok((p.clone(), self.evaluator.close(&p.joints, &p.object_from_base, &assumed)?));
+        let grip = |p: Proposal| self.evaluator.close(&p.grasp, &assumed).map(|closed| (p, closed)).map_err(Into::into);
         proposals.into_par_iter().map(grip).collect()
     }
 
@@ -239,8 +239,9 @@ impl AssumedMass {
 /// The proposal whose hand is nearest.
 fn nearest<'a>(among: &'a [Proposal], to: &Proposal) -> Option<&'a Proposal> {
     let far = |p: &Proposal| {
-        let joints: f64 = p.joints.iter().zip(&to.joints).map(|(a, b)| (a - b).powi(2)).sum();
-        let shift = p.object_from_base.translation.vector - to.object_from_base.translation.vector;
+        let (a, b) = (&p.grasp, &to.grasp);
+        let joints: f64 = a.joints_rad.iter().zip(&b.joints_rad).map(|(a, b)| (a - b).powi(2)).sum();
+        let shift = a.object_from_base.translation.vector - b.object_from_base.translation.vector;
         joints + 100.0 * shift.norm_squared()
     };
     among.iter().min_by(|a, b| far(a).total_cmp(&far(b)))
@@ -274,14 +275,16 @@ mod tests {
 
     use super::*;
     use drex_core::Pose;
+    use drex_grasp::Grasp;
+    use drex_robot::Robot;
     use drex_trial::ConditionSpread;
     use drex_trial::formula::PinchByFirstJoint;
 
     #[test]
     fn the_grip_does_not_change_with_what_is_told_where_it_is_chosen_by_what_is_true() {
+        let grasp = Grasp::new(&Robot::bundled("leap_right").unwrap(), Vec::new(), Pose::identity());
         let proposal = |strongest_n: f64, weight: f64| Proposal {
-            joints: vec![strongest_n],
-            object_from_base: Pose::identity(),
+            grasp: Grasp { joints_rad: vec![strongest_n], ..grasp.clone() },
             grip_force_n: 0.0,
             weight,
         };

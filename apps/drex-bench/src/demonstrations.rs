@@ -8,7 +8,7 @@
 use anyhow::{Context, Result};
 use drex_core::{Pose, Surface};
 use drex_demo::{Demonstration, HandFrame};
-use drex_grasp::{ContactOptions, Grasp, GraspOrigin, HandSurface};
+use drex_grasp::{ContactOptions, EvaluationOptions, Grasp, GraspOrigin, HandSurface};
 use drex_mesh::MeshSdf;
 use drex_retarget::{AugmentOptions, GraspFrame, GraspOptions, TargetHand, augment, retarget_grasp};
 use nalgebra::{Point3, Rotation3, Vector3};
@@ -116,10 +116,11 @@ fn of_demonstration(
     rules.friction = options.friction;
     let surface_of = object.surface();
     let found = retarget_grasp(demo, target, &surface_of, &rules).with_context(|| demo.source.clone())?;
-    let screened = |f: &GraspFrame| -> Result<Option<Grasp>> {
-        let grasp =
-            Grasp::screened(&object.object, &target.robot, surface, &f.q, &f.object_from_base, options.friction)?;
-        Ok(grasp.filter(|g| g.table_clearance_m >= options.clearance_m))
+    let mut limits = EvaluationOptions::of_candidate(&object.object);
+    (limits.contact.friction, limits.min_table_clearance_m) = (options.friction, options.clearance_m);
+    let screened = |f: &GraspFrame| {
+        let grasp = Grasp::new(&target.robot, f.q.clone(), f.object_from_base);
+        grasp.screened(surface, &object.object, &target.robot, &limits)
     };
     let Some(own) = found.frames.iter().find(|f| f.is_accepted() && f.force_closure) else { return Ok(Vec::new()) };
     let Some(own) = screened(own)? else { return Ok(Vec::new()) };

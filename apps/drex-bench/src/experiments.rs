@@ -61,7 +61,7 @@ const SAME_GRASPS: &str = "of the grasps of a policy the one is taken that suits
 pub struct Bench<'a, E> {
     pub hand: &'a TargetHand,
     pub robot: Arc<Robot>,
-    /// A evaluator of grasps of this object.
+    /// An evaluator of grasps of this object.
     pub evaluator: &'a (dyn Fn(&BenchObject) -> Result<E> + Sync),
     pub rollouts: usize,
     pub seed: u64,
@@ -410,20 +410,21 @@ fn mean_grasp(grasps: &[Grasp]) -> Result<Proposal> {
         turn += pose.rotation.coords * sign / n;
     }
     let rotation = UnitQuaternion::try_new(Quaternion::from(turn), 1e-9).unwrap_or(reference);
-    Ok(Proposal {
-        joints,
-        object_from_base: Pose::from_parts(Translation3::from(at), rotation),
-        grip_force_n: 0.0,
-        weight: 1.0,
-    })
+    let object_from_base = Pose::from_parts(Translation3::from(at), rotation);
+    Ok(always(Grasp { joints_rad: joints, object_from_base, ..first.clone() }))
+}
+
+/// A grasp that is always proposed, without a force.
+fn always(grasp: Grasp) -> Proposal {
+    Proposal { grasp, grip_force_n: 0.0, weight: 1.0 }
 }
 
 /// The demonstration nearest to the mean, by joints.
 fn nearest_grasp(grasps: &[Grasp]) -> Result<Proposal> {
     let mean = mean_grasp(grasps)?;
-    let far = |g: &Grasp| g.joints_rad.iter().zip(&mean.joints).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
+    let far = |g: &Grasp| g.joints_rad.iter().zip(&mean.grasp.joints_rad).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
     let g = grasps.iter().min_by(|a, b| far(a).total_cmp(&far(b))).context("there is no grasp")?;
-    Ok(Proposal { joints: g.joints_rad.clone(), object_from_base: g.object_from_base, grip_force_n: 0.0, weight: 1.0 })
+    Ok(always(g.clone()))
 }
 
 #[cfg(test)]
@@ -534,27 +535,19 @@ mod tests {
         let (here, there) = (proposed(&ready), proposed(&other));
         assert!(!here.is_empty() && here.len() == there.len());
         for (a, b) in here.iter().zip(&there) {
-            let off = (turn * a.object_from_base).inverse() * b.object_from_base;
+            let off = (turn * a.grasp.object_from_base).inverse() * b.grasp.object_from_base;
             assert!(off.translation.vector.norm() < 1e-4 && off.rotation.angle() < 1e-3, "{off}");
         }
     }
 
     #[test]
     fn the_mean_of_turned_hands_is_between_them() {
-        let library = |angle: f64, q: f64| Grasp {
-            origin: GraspOrigin::Power,
-            source: 0,
-            joints_rad: vec![q; 2],
-            object_from_base: Pose::rotation(Vector3::z() * angle),
-            contacts: vec![],
-            grip_per_weight: 1.0,
-            table_clearance_m: 0.003,
-            penetration_m: 0.0,
-        };
+        let hand = Robot::bundled("leap_right").unwrap();
+        let library = |angle: f64, q: f64| Grasp::new(&hand, vec![q; 16], Pose::rotation(Vector3::z() * angle));
         let grasps = [library(0.2, 0.1), library(0.6, 0.5), library(0.4, 0.3)];
         let mean = mean_grasp(&grasps).unwrap();
-        assert!((mean.joints[0] - 0.3).abs() < 1e-12);
-        assert!((mean.object_from_base.rotation.angle() - 0.4).abs() < 1e-9);
-        assert_eq!(nearest_grasp(&grasps).unwrap().joints, vec![0.3; 2]);
+        assert!((mean.grasp.joints_rad[0] - 0.3).abs() < 1e-12);
+        assert!((mean.grasp.object_from_base.rotation.angle() - 0.4).abs() < 1e-9);
+        assert_eq!(nearest_grasp(&grasps).unwrap().grasp.joints_rad, vec![0.3; 16]);
     }
 }

@@ -50,7 +50,7 @@ pub fn file(out: Option<&Path>, object: &str) -> Result<Option<PathBuf>> {
 }
 
 /// Layout of the file; raised when grasps are made otherwise.
-const SCHEMA: u32 = 4;
+const SCHEMA: u32 = 5;
 
 impl Library {
     /// The library of the file if it was made of the same things, else a new one, which is written there.
@@ -68,13 +68,10 @@ impl Library {
         }
         let configurations = Configurations::of(hand, options.demonstrations.seed)?;
         let mut grasps = demonstrations::grasps(object, hand, &configurations, &options.demonstrations)?;
-        grasps.extend(synthesize_grasps(
-            &object.object,
-            &hand.robot,
-            options.candidates,
-            options.demonstrations.friction,
-            options.demonstrations.seed,
-        )?);
+        // One library for all frictions that the hand will assume.
+        let mut one = object.object.clone();
+        one.friction = options.demonstrations.friction;
+        grasps.extend(synthesize_grasps(&one, &hand.robot, options.candidates, options.demonstrations.seed)?);
         if grasps.is_empty() {
             bail!(
                 "no grasp of \"{}\" was found for {}: it may be too large for the hand or too low over the table",

@@ -46,7 +46,9 @@ impl BenchObject {
 mod tests {
     #![allow(clippy::unwrap_used)]
 
-    use drex_grasp::{ContactOptions, FingerClosing, Grasp, HandSurface, PowerGraspOptions, power_grasps};
+    use drex_grasp::{
+        ContactOptions, EvaluationOptions, FingerClosing, Grasp, HandSurface, evaluate_with, power_grasps,
+    };
     use drex_robot::Robot;
 
     use super::*;
@@ -56,7 +58,7 @@ mod tests {
     fn bottle(tries: usize, seed: u64) -> (Object, Robot, Vec<Grasp>) {
         let object = BenchObject::new(&objects::named("ketchup_bottle").unwrap()).unwrap().object;
         let robot = Robot::bundled("leap_right").unwrap();
-        let grasps = power_grasps(&object, &robot, tries, seed, &PowerGraspOptions::default()).unwrap();
+        let grasps = power_grasps(&object, &robot, tries, seed).unwrap();
         (object, robot, grasps)
     }
 
@@ -68,11 +70,11 @@ mod tests {
         let surface = HandSurface::new(&robot, ContactOptions::default().spacing_m).unwrap();
         let mut beside_the_tip = 0;
         for g in &grasps {
-            assert!(g.contacts.last() > Some(&0), "no palm: {:?}", g.contacts);
-            assert!(g.table_clearance_m >= 0.002 && closing.is_clear_of_itself(&g.joints_rad));
-            let options = ContactOptions::with_friction(0.5);
-            let pose = g.object_from_base;
-            let contacts = surface.contacts(&robot, &g.joints_rad, &pose, object.geometry.exact(), &options).unwrap();
+            let found =
+                evaluate_with(&surface, g, &object, &robot, &EvaluationOptions::of_synthesised(&object)).unwrap();
+            assert!(found.passed && closing.is_clear_of_itself(&g.joints_rad), "{found:?}");
+            assert!(found.fingers.last().unwrap().contacts > 0, "no palm: {found:?}");
+            let contacts = found.contacts;
             let tips: Vec<usize> = surface.fingers.iter().map(|f| f.tip_link).collect();
             beside_the_tip += usize::from(contacts.iter().any(|c| c.finger.is_some() && !tips.contains(&c.link)));
         }

@@ -117,7 +117,9 @@ fn row(object: &BenchObject, library: &Library, seconds: f64) -> DemosRow {
     let of = |kind: GraspOrigin| library.grasps.iter().filter(move |g| g.origin == kind);
     let mut clips: Vec<usize> = of(GraspOrigin::Retargeted).map(|g| g.source).collect();
     clips.dedup();
-    let mut grip_forces: Vec<f64> = library.grasps.iter().map(|g| g.grip_per_weight).collect();
+    let weight_n = object.object.mass_kg() * object.object.table().gravity().norm();
+    let mut grip_forces: Vec<f64> =
+        library.grasps.iter().map(|g| g.grip_force_n.unwrap_or(f64::INFINITY) / weight_n).collect();
     grip_forces.sort_by(f64::total_cmp);
     DemosRow {
         object: object.spec.name.clone(),

@@ -68,6 +68,29 @@ impl PoseRecord {
     }
 }
 
+/// How serde keeps a [`Pose`] as a [`PoseRecord`]: `#[serde(with = "drex_core::pose::record")]`.
+pub mod record {
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    use super::{Pose, PoseRecord};
+
+    /// Writes the pose as its record.
+    ///
+    /// # Errors
+    /// Those of the serializer.
+    pub fn serialize<S: Serializer>(pose: &Pose, serializer: S) -> Result<S::Ok, S::Error> {
+        PoseRecord::from(pose).serialize(serializer)
+    }
+
+    /// Reads what [`serialize`] wrote.
+    ///
+    /// # Errors
+    /// Those of the deserializer; if the record is no pose.
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Pose, D::Error> {
+        PoseRecord::deserialize(deserializer)?.to_pose().map_err(serde::de::Error::custom)
+    }
+}
+
 /// A pose from a homogeneous 4 x 4 matrix; the rotation is replaced by the nearest proper one.
 ///
 /// # Errors

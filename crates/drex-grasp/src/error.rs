@@ -3,7 +3,7 @@
 /// Result of this crate.
 pub type Result<T, E = GraspError> = std::result::Result<T, E>;
 
-/// A grasp that cannot be analysed. A *bad* grasp is no error: see [`crate::GripForceError`] and [`crate::StaticCheck`].
+/// A grasp that cannot be analysed. A *bad* grasp is no error: see [`crate::GripForceError`] and [`crate::GraspEvaluation`].
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum GraspError {

@@ -2,14 +2,11 @@
 
 use std::fmt;
 
-use drex_core::{Object, Pose, PoseRecord};
+use drex_core::Pose;
 use drex_robot::Robot;
 use serde::{Deserialize, Serialize};
 
-use crate::{ContactOptions, HandSurface, Result, grip_force_per_weight, holds_any_load};
-
-/// Deepest that a hand may be inside the object in a grasp that is worth simulating, metres.
-const MAX_PENETRATION_M: f64 = 0.002;
+use crate::{GraspError, Result};
 
 /// Where a grasp comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -23,6 +20,8 @@ pub enum GraspOrigin {
     Power,
     /// A pinch between opposite points of the surface.
     Pinch,
+    /// Predicted by a network.
+    Predicted,
 }
 
 impl GraspOrigin {
@@ -31,7 +30,7 @@ impl GraspOrigin {
     pub fn perturbed(self) -> Self {
         match self {
             Self::Retargeted | Self::Refined => Self::Refined,
-            Self::Power | Self::Pinch => self,
+            Self::Power | Self::Pinch | Self::Predicted => self,
         }
     }
 }
@@ -48,7 +47,7 @@ pub struct OriginCounts {
 }
 
 impl OriginCounts {
-    /// Counts grasps of these origins.
+    /// Counts grasps of these origins; those that a network predicts descend from all of them and are none.
     pub fn of(origins: impl IntoIterator<Item = GraspOrigin>) -> Self {
         let mut counts = Self::default();
         for origin in origins {
@@ -56,6 +55,7 @@ impl OriginCounts {
                 GraspOrigin::Retargeted => counts.demonstrated += 1,
                 GraspOrigin::Refined => counts.refined += 1,
                 GraspOrigin::Power | GraspOrigin::Pinch => counts.searched += 1,
+                GraspOrigin::Predicted => {}
             }
         }
         counts
@@ -73,119 +73,78 @@ impl fmt::Display for OriginCounts {
     }
 }
 
-/// A grasp of an object on its table, with what is known of it without forces.
+/// A grasp of an object on its table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(into = "GraspRecord", try_from = "GraspRecord")]
 pub struct Grasp {
+    /// Name of the hand's model.
+    pub hand: String,
+    /// Names of the joints of `joints_rad`.
+    pub joint_names: Vec<String>,
+    /// Joint angles, rad.
+    pub joints_rad: Vec<f64>,
+    /// Pose of the hand's base link in the object's frame.
+    #[serde(with = "drex_core::pose::record")]
+    pub object_from_base: Pose,
+    /// Where the hand touches the object; empty as long as nobody has looked.
+    pub contacts: Vec<GraspContact>,
+    /// Smallest sum of normal forces that carries the object at rest, N; `None` as long as nobody has looked.
+    pub grip_force_n: Option<f64>,
     /// Where the grasp comes from.
     pub origin: GraspOrigin,
     /// Number of the demonstration or of the candidate that the grasp comes from.
     pub source: usize,
-    /// Joint angles in the model's order, rad.
-    pub joints_rad: Vec<f64>,
-    /// Pose of the hand's base link in the object's frame.
-    pub object_from_base: Pose,
-    /// Number of contacts of each finger in the model's order, then of the palm.
-    pub contacts: Vec<usize>,
-    /// Smallest sum of normal forces that carries the object at rest, in units of its weight.
-    pub grip_per_weight: f64,
-    /// Height of the hand's lowest point above the table, metres.
-    pub table_clearance_m: f64,
-    /// Depth of the hand's deepest point inside the object, metres; zero or more.
-    pub penetration_m: f64,
+}
+
+/// A point where the hand touches the object, object frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct GraspContact {
+    /// Name of the link.
+    pub link: String,
+    /// Where, on the object's surface, metres.
+    pub point_m: [f64; 3],
+    /// Unit normal into the object.
+    pub normal: [f64; 3],
 }
 
 impl Grasp {
-    /// The grasp with these joint angles (model order, rad) at this pose, if it is worth simulating: the thumb and another
-    /// finger touch, the hand is at most 2 mm inside the object, and the contacts are in force closure at this friction.
-    ///
-    /// # Errors
-    /// If the joint vector does not fit the hand, or a solver gives up.
-    pub fn screened(
-        object: &Object,
-        robot: &Robot,
-        surface: &HandSurface,
-        joints_rad: &[f64],
-        object_from_base: &Pose,
-        friction: f64,
-    ) -> Result<Option<Self>> {
-        let table = object.table();
-        let links = robot.forward_kinematics(joints_rad, object_from_base);
-        let lowest_m = surface.lowest(&links, &table.up).into_iter().fold(f64::INFINITY, f64::min);
-        let exact = object.geometry.exact();
-        let penetration_m = surface.depths(&links, exact, 0.0).into_iter().fold(0.0, f64::max);
-        let options = ContactOptions::with_friction(friction);
-        let contacts = surface.contacts(robot, joints_rad, object_from_base, exact, &options)?;
-        let count = |finger: Option<usize>| contacts.iter().filter(|c| c.finger == finger).count();
-        let counts: Vec<usize> = (0..surface.fingers.len()).map(Some).chain(std::iter::once(None)).map(count).collect();
-        let thumb_touches = surface.thumb().is_none_or(|t| counts[t] > 0);
-        let touching = counts[..surface.fingers.len()].iter().filter(|n| **n > 0).count();
-        let center = object.center_of_mass();
-        if penetration_m > MAX_PENETRATION_M || !thumb_touches || touching < 2 || !holds_any_load(&contacts, &center)? {
-            return Ok(None);
-        }
-        let grip = grip_force_per_weight(&contacts, center, table.up)?;
-        Ok(grip.map(|grip_per_weight| Self {
+    /// The grasp of this hand with these joint angles (model order, rad), a demonstrated one until `origin` says otherwise. What it touches, and how
+    /// hard, is not known yet.
+    pub fn new(robot: &Robot, joints_rad: Vec<f64>, object_from_base: Pose) -> Self {
+        Self {
+            hand: robot.name.clone(),
+            joint_names: robot.joint_names().into_iter().map(str::to_owned).collect(),
+            joints_rad,
+            object_from_base,
+            contacts: Vec::new(),
+            grip_force_n: None,
             origin: GraspOrigin::Retargeted,
             source: 0,
-            joints_rad: joints_rad.to_vec(),
-            object_from_base: *object_from_base,
-            contacts: counts,
-            grip_per_weight,
-            table_clearance_m: lowest_m - table.height_m,
-            penetration_m,
-        }))
-    }
-}
-
-/// A [`Grasp`] as files hold it.
-#[derive(Clone, Serialize, Deserialize)]
-struct GraspRecord {
-    origin: GraspOrigin,
-    source: usize,
-    joints_rad: Vec<f64>,
-    object_from_base: PoseRecord,
-    contacts: Vec<usize>,
-    grip_per_weight: f64,
-    table_clearance_m: f64,
-    penetration_m: f64,
-}
-
-impl From<Grasp> for GraspRecord {
-    fn from(g: Grasp) -> Self {
-        let Grasp { origin, source, joints_rad, contacts, grip_per_weight, table_clearance_m, penetration_m, .. } = g;
-        let object_from_base = PoseRecord::from(&g.object_from_base);
-        Self {
-            origin,
-            source,
-            joints_rad,
-            object_from_base,
-            contacts,
-            grip_per_weight,
-            table_clearance_m,
-            penetration_m,
         }
     }
-}
 
-impl TryFrom<GraspRecord> for Grasp {
-    type Error = drex_core::Error;
-
-    fn try_from(r: GraspRecord) -> Result<Self, drex_core::Error> {
-        let object_from_base = r.object_from_base.to_pose()?;
-        let GraspRecord {
-            origin, source, joints_rad, contacts, grip_per_weight, table_clearance_m, penetration_m, ..
-        } = r;
-        Ok(Self {
-            origin,
-            source,
-            joints_rad,
-            object_from_base,
-            contacts,
-            grip_per_weight,
-            table_clearance_m,
-            penetration_m,
-        })
+    /// Joint angles in the order of the robot's model, rad.
+    ///
+    /// # Errors
+    /// If the grasp is of another hand, or its joints are not those of the robot.
+    pub fn joints_of(&self, robot: &Robot) -> Result<Vec<f64>> {
+        let wrong = |what: String| Err(GraspError::Robot(format!("a grasp of \"{}\" {what}", self.hand)));
+        if self.hand != robot.name {
+            return wrong(format!("is none of \"{}\"; take one of this hand", robot.name));
+        }
+        if self.joint_names.len() != robot.dof() || self.joints_rad.len() != robot.dof() {
+            let (names, angles) = (self.joint_names.len(), self.joints_rad.len());
+            return wrong(format!("has {names} joints with {angles} angles, the hand has {} joints", robot.dof()));
+        }
+        let mut joints = Vec::with_capacity(robot.dof());
+        for (i, name) in robot.joint_names().into_iter().enumerate() {
+            // Nearly always the order is the model's.
+            let here = (self.joint_names[i] == name).then_some(i);
+            let Some(k) = here.or_else(|| self.joint_names.iter().position(|n| n == name)) else {
+                return wrong(format!("says nothing of joint \"{name}\""));
+            };
+            joints.push(self.joints_rad[k]);
+        }
+        Ok(joints)
     }
 }
 

@@ -22,12 +22,12 @@
 mod balance;
 mod ball;
 mod carry;
-mod check;
 mod closure;
 mod cone;
 mod contact;
 mod distribute;
 mod error;
+mod evaluation;
 mod find;
 mod grasp;
 mod grip_force;
@@ -35,30 +35,30 @@ mod grip_force_policy;
 mod hand;
 mod load_bound;
 mod loads;
+mod pinch;
 mod power;
 mod problem;
 mod rolling;
-mod search;
 mod synthesis;
 
 pub use carry::{grip_force_per_weight, holds_any_load};
-pub use check::{CheckOptions, FingerContacts, StaticCheck, StaticGrasp, static_check, static_check_with};
 pub use closure::{ClosureOptions, ForceClosure, force_closure, is_force_closed, min_weight};
 pub use contact::{Contact, characteristic_length_m, grasp_map};
 pub use distribute::{Distribution, distribute, maximum_grip_force};
 pub use error::{GraspError, Result};
+pub use evaluation::{EvaluationOptions, FingerContacts, GraspEvaluation, evaluate, evaluate_with};
 pub use find::{ContactOptions, find_contacts};
-pub use grasp::{Grasp, GraspOrigin, OriginCounts};
+pub use grasp::{Grasp, GraspContact, GraspOrigin, OriginCounts};
 pub use grip_force::{GripForceError, GripForceSolution, minimum_grip_force, smallest_forces};
 pub use grip_force_policy::{ForceCommand, GripForcePolicy, PAPER_FORCE_LIMIT_N, paper_force};
 pub use hand::{HandSurface, LinkSurface};
 pub use load_bound::{least_friction, least_friction_index};
 pub use loads::{required_grip_force, shake_loads};
-pub use power::{FingerClosing, PowerGraspOptions, abduction_joints, power_grasps};
+pub use pinch::pinch_grasps;
+pub use power::{FingerClosing, abduction_joints, power_grasps};
 pub use problem::{GripForceProblem, TorqueLimits};
 pub use rolling::{Rolling, RollingError, RollingPath, RollingWaypoint, rolling_path};
-pub use search::{FoundGrasp, SearchOptions, search_grasps};
-pub use synthesis::{pinch_grasps, synthesize_grasps};
+pub use synthesis::synthesize_grasps;
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

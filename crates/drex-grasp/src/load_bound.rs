@@ -32,7 +32,8 @@ pub fn least_friction(
     let surface = HandSurface::new(robot, ContactOptions::default().spacing_m)?;
     // Those that need the least grip force first: they set a threshold that the others rarely beat.
     let mut order: Vec<&Grasp> = grasps.iter().collect();
-    order.sort_by(|a, b| a.grip_per_weight.total_cmp(&b.grip_per_weight));
+    let force = |g: &Grasp| g.grip_force_n.unwrap_or(f64::INFINITY);
+    order.sort_by(|a, b| force(a).total_cmp(&force(b)));
     let problems: Vec<GripForceProblem> =
         order.par_iter().map(|g| problem(object, robot, &surface, g, mass_kg)).collect::<Result<_>>()?;
     let mut best: Option<f64> = None;

@@ -12,23 +12,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use crate::{ContactOptions, Grasp, GraspOrigin, HandSurface, LinkSurface, Result};
-
-/// What is asked of a power grasp.
-#[derive(Debug, Clone, PartialEq)]
-#[non_exhaustive]
-pub struct PowerGraspOptions {
-    /// Coefficient of friction for force closure.
-    pub friction: f64,
-    /// Least height of the hand above the table, metres.
-    pub clearance_m: f64,
-}
-
-impl Default for PowerGraspOptions {
-    fn default() -> Self {
-        Self { friction: 0.5, clearance_m: 0.002 }
-    }
-}
+use crate::{ContactOptions, EvaluationOptions, Grasp, GraspOrigin, HandSurface, LinkSurface, Result};
 
 /// Turns of a joint at first and at last, rad.
 const CLOSING_STEPS_RAD: [f64; 3] = [0.2, 0.06, 0.015];
@@ -86,14 +70,9 @@ struct Palm {
 ///
 /// # Errors
 /// If the hand has no collision shapes.
-pub fn power_grasps(
-    object: &Object,
-    robot: &Robot,
-    tries: usize,
-    seed: u64,
-    options: &PowerGraspOptions,
-) -> Result<Vec<Grasp>> {
+pub fn power_grasps(object: &Object, robot: &Robot, tries: usize, seed: u64) -> Result<Vec<Grasp>> {
     let closing = FingerClosing::new(robot)?;
+    let limits = EvaluationOptions::of_synthesised(object);
     let sites = object.surface_points(tries, seed);
     let found: Vec<Option<Grasp>> = sites
         .par_iter()
@@ -101,9 +80,9 @@ pub fn power_grasps(
         .map(|(i, site)| {
             let mut rng = ChaCha8Rng::seed_from_u64(seed ^ PLACEMENT_SEED);
             rng.set_stream(i as u64);
-            let placed = (0..PLACEMENTS).find_map(|_| closing.place_palm(object, site, options, &mut rng));
+            let placed = (0..PLACEMENTS).find_map(|_| closing.place_palm(object, site, &limits, &mut rng));
             let Some((q, pose)) = placed else { return Ok(None) };
-            let closed = closing.closed(object, q, &pose, options)?;
+            let closed = closing.closed(object, q, &pose, &limits)?;
             Ok(closed.map(|g| Grasp { origin: GraspOrigin::Power, source: i, ..g }))
         })
         .collect::<Result<_>>()?;
@@ -138,7 +117,7 @@ impl<'a> FingerClosing<'a> {
         &self,
         object: &Object,
         site: &SurfacePoint,
-        options: &PowerGraspOptions,
+        limits: &EvaluationOptions,
         rng: &mut ChaCha8Rng,
     ) -> Option<(Vec<f64>, Pose)> {
         let palm = self.palm.as_ref()?;
@@ -163,7 +142,7 @@ impl<'a> FingerClosing<'a> {
             pose = Translation3::from(along.into_inner() * gap) * pose;
         }
         // What is in the way of the fingers opens them; what cannot move must be free.
-        let clear = |q: &[f64]| self.lowest(object, q, &pose) >= options.clearance_m;
+        let clear = |q: &[f64]| self.lowest(object, q, &pose) >= limits.min_table_clearance_m;
         (clear(&q) && self.open_fingers(object, &mut q, &pose) && clear(&q)).then_some((q, pose))
     }
 
@@ -189,7 +168,7 @@ impl<'a> FingerClosing<'a> {
     }
 
     /// A grasp whose joints and palm are moved by at most `size` times `PERTURBATION_RAD` and `PERTURBATION_M`, closed again; `None` if
-    /// that holds noobject.
+    /// that holds nothing.
     ///
     /// # Errors
     /// If the grasp is none of this hand.
@@ -209,11 +188,11 @@ impl<'a> FingerClosing<'a> {
         let turn = Vector3::from_fn(|_, _| error(PERTURBATION_RAD));
         let pose = grasp.object_from_base * Pose::new(shift, turn);
         self.robot.clamp_to_limits(&mut q);
-        let options = PowerGraspOptions::default();
-        if !self.open_fingers(object, &mut q, &pose) || self.lowest(object, &q, &pose) < options.clearance_m {
+        let limits = EvaluationOptions::of_synthesised(object);
+        if !self.open_fingers(object, &mut q, &pose) || self.lowest(object, &q, &pose) < limits.min_table_clearance_m {
             return Ok(None);
         }
-        let closed = self.closed(object, q, &pose, &options)?;
+        let closed = self.closed(object, q, &pose, &limits)?;
         Ok(closed.map(|g| Grasp { origin: grasp.origin.perturbed(), source: grasp.source, ..g }))
     }
 
@@ -223,13 +202,11 @@ impl<'a> FingerClosing<'a> {
         object: &Object,
         mut q: Vec<f64>,
         pose: &Pose,
-        options: &PowerGraspOptions,
+        limits: &EvaluationOptions,
     ) -> Result<Option<Grasp>> {
         self.close(object, pose, &mut q);
-        let grasp = Grasp::screened(object, self.robot, &self.fine, &q, pose, options.friction)?;
-        Ok(grasp.filter(|g| {
-            g.table_clearance_m >= options.clearance_m && self.self_penetration_m(&q) <= MAX_SELF_PENETRATION_M
-        }))
+        let grasp = Grasp::new(self.robot, q, *pose).screened(&self.fine, object, self.robot, limits)?;
+        Ok(grasp.filter(|g| self.is_clear_of_itself(&g.joints_rad)))
     }
 
     /// Opens fingers that are inside the object; `false` if the palm is, or a finger stays.
@@ -310,11 +287,6 @@ impl<'a> FingerClosing<'a> {
 
     /// Whether the links are out of each other.
     pub fn is_clear_of_itself(&self, q: &[f64]) -> bool {
-        self.self_penetration_m(q) <= MAX_SELF_PENETRATION_M
-    }
-
-    /// How deep links are inside each other, metres; zero or more.
-    fn self_penetration_m(&self, q: &[f64]) -> f64 {
         let poses = self.robot.forward_kinematics(q, &Pose::identity());
         let mut deepest: f64 = 0.0;
         for (link, geom) in self.robot.collision_geoms() {
@@ -329,7 +301,7 @@ impl<'a> FingerClosing<'a> {
                 }
             }
         }
-        deepest
+        deepest <= MAX_SELF_PENETRATION_M
     }
 }
 

@@ -16,7 +16,7 @@ use crate::picture::raster::{Part, View, clearest_azimuth, render_png};
 use drex_core::stats::median;
 use drex_grasp::OriginCounts;
 use drex_twin::Twin;
-use drex_twin::records::{Evaluation, FitFile, FitRecord, JudgedGrasp, Training};
+use drex_twin::records::{EvaluatedGrasp, Evaluation, FitFile, FitRecord, Training};
 
 /// Fits that push the object out of the hand by less than this hold it between the fingers.
 const PUSHED_OUT: f64 = 0.1;
@@ -161,7 +161,7 @@ pub fn evaluation(page: &mut Page, twin: &Twin, asset: &Asset, e: &Evaluation) -
         e.friction
     ));
     let stage = Stage::new(twin, asset)?;
-    let mut best: Vec<&JudgedGrasp> = e.refined.iter().collect();
+    let mut best: Vec<&EvaluatedGrasp> = e.refined.iter().collect();
     best.sort_by(|a, b| {
         b.check.passed.cmp(&a.check.passed).then(b.weight.unwrap_or(0.0).total_cmp(&a.weight.unwrap_or(0.0)))
     });
@@ -181,7 +181,7 @@ pub fn evaluation(page: &mut Page, twin: &Twin, asset: &Asset, e: &Evaluation) -
         [("as predicted", &e.predicted), ("refined on the surface", &e.refined), ("demonstrations", &e.demonstrations)]
             .into_iter()
             .map(|(name, grasps)| {
-                let of = |f: &dyn Fn(&JudgedGrasp) -> Option<f64>| {
+                let of = |f: &dyn Fn(&EvaluatedGrasp) -> Option<f64>| {
                     median(grasps.iter().filter_map(f)).map_or("-".to_owned(), |v| format!("{v:.2}"))
                 };
                 vec![
@@ -214,7 +214,7 @@ pub fn evaluation(page: &mut Page, twin: &Twin, asset: &Asset, e: &Evaluation) -
         .map(|(i, g)| {
             let contacts: Vec<String> = g
                 .check
-                .contacts
+                .fingers
                 .iter()
                 .filter(|c| c.contacts > 0)
                 .map(|c| format!("{} {}", c.finger, c.contacts))

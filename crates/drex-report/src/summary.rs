@@ -11,7 +11,7 @@ use super::push::verdict_text;
 use crate::learned::Learned;
 use drex_grasp::OriginCounts;
 use drex_twin::records::SplatReport;
-use drex_twin::records::{Evaluation, ExecutionFile, FitFile, JudgedGrasp, MassFile, Training, TrialFile};
+use drex_twin::records::{EvaluatedGrasp, Evaluation, ExecutionFile, FitFile, MassFile, Training, TrialFile};
 use drex_twin::{Stage, Twin, records as files};
 
 /// What a run found, as text and as JSON.
@@ -126,11 +126,11 @@ pub fn findings(twin: &Twin, last: Stage) -> Result<Findings> {
 }
 
 /// "3 of 8".
-pub fn passed(grasps: &[JudgedGrasp]) -> String {
+pub fn passed(grasps: &[EvaluatedGrasp]) -> String {
     format!("{} of {}", grasps.iter().filter(|g| g.check.passed).count(), grasps.len())
 }
 
-fn tally(grasps: &[JudgedGrasp]) -> Value {
+fn tally(grasps: &[EvaluatedGrasp]) -> Value {
     json!({ "passed": grasps.iter().filter(|g| g.check.passed).count(), "of": grasps.len() })
 }
 

@@ -8,15 +8,16 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
-use drex_core::{Pose, TablePlane, TriMesh};
-use drex_grasp::{CheckOptions, HandSurface, StaticGrasp, static_check_with};
+use drex_core::{Object, Pose, TablePlane, TriMesh};
+use drex_grasp::{EvaluationOptions, Grasp, HandSurface, evaluate_with};
 use drex_mesh::{GridOptions, GridSdf, MeshSdf, RepairOptions, read_mesh, repair, solid_properties};
 use drex_recording::readers::read_grasps;
 use drex_retarget::{ObjectSurface, Verdict, WristFit, WristFitOptions, fit_wrists};
 use drex_robot::{Robot, Shape, joint_order};
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
@@ -64,20 +65,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let seconds = clock.elapsed().as_secs_f64();
     println!("{} grasps in {seconds:.1} s, {:.0} ms each", fits.len(), 1e3 * seconds / fits.len() as f64);
     spread("recorded distance of thumb tip and furthest fingertip, mm", rows.iter().map(|q| opening_mm(&robot, q)));
-    report(&robot, &fits, &exact, &body, table)?;
+    let mut solid = Object::of_parts(Vec::new(), body);
+    solid.geometry = Arc::new(exact.clone());
+    let level = UnitQuaternion::rotation_between(&table.up, &Vector3::z()).ok_or("the object is upside down")?;
+    let solid = solid.with_rest_pose(Pose::from_parts(Translation3::new(0.0, 0.0, -table.height_m), level));
+    report(&robot, &fits, &solid)?;
     if let Some(out) = option("--out") {
         write(Path::new(&out), &robot, &mesh, &fits)?;
     }
     Ok(())
 }
 
-fn report(
-    robot: &Robot,
-    fits: &[WristFit],
-    exact: &MeshSdf,
-    body: &drex_core::MassProperties,
-    table: TablePlane,
-) -> Result<(), Box<dyn std::error::Error>> {
+fn report(robot: &Robot, fits: &[WristFit], object: &Object) -> Result<(), Box<dyn std::error::Error>> {
     let accepted: Vec<&WristFit> = fits.iter().filter(|f| f.verdict.is_accepted()).collect();
     let held = accepted.iter().filter(|f| f.grip_force_per_weight.is_some()).count();
     let clipped = fits.iter().filter(|f| f.clipped_rad.iter().any(|c| *c != 0.0)).count();
@@ -107,22 +106,15 @@ fn report(
     spread("grip force per weight", accepted.iter().filter_map(|f| f.grip_force_per_weight));
 
     let surface = HandSurface::new(robot, 0.003)?;
-    let mut options = CheckOptions::default();
+    let mut options = EvaluationOptions::of(object);
     options.gamma = 1.5;
     let mut checks = Vec::new();
     for fit in &accepted {
-        let grasp = StaticGrasp {
-            robot,
-            joints: &fit.joints,
-            object_from_base: fit.object_from_base,
-            object: exact,
-            body,
-            table,
-        };
-        checks.push(static_check_with(&surface, &grasp, &options)?);
+        let grasp = Grasp::new(robot, fit.joints.clone(), fit.object_from_base);
+        checks.push(evaluate_with(&surface, &grasp, object, robot, &options)?);
     }
     println!(
-        "static check (gamma 1.5, motors, mu 0.5): {} of {} pass",
+        "evaluation (gamma 1.5, motors, mu 0.5): {} of {} pass",
         checks.iter().filter(|c| c.passed).count(),
         checks.len()
     );
@@ -135,7 +127,7 @@ fn report(
     spread("grip force, N", checks.iter().filter_map(|c| c.grip_force_n));
     spread("friction margin", checks.iter().filter_map(|c| c.friction_margin));
     spread("torque margin", checks.iter().filter_map(|c| c.torque_margin));
-    spread("epsilon", checks.iter().map(|c| c.epsilon));
+    spread("epsilon", checks.iter().filter_map(|c| c.epsilon));
     Ok(())
 }
 

@@ -9,7 +9,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use drex_grasp::{FoundGrasp, HandSurface, SearchOptions, search_grasps};
+use drex_grasp::{Grasp, pinch_grasps};
 use drex_mesh::{AssetOptions, build_asset};
 use drex_robot::Robot;
 use drex_trial::{Assumed, Engine, Error, GripForce, Outcome, Trial, TrialOptions, Truth, Verdict, wilson};
@@ -19,6 +19,8 @@ use rayon::prelude::*;
 
 /// Grasps that are shown.
 const SHOWN: usize = 12;
+/// Pinches that are looked at.
+const CANDIDATES: usize = 20_000;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
@@ -29,31 +31,20 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let asset = build_asset(Path::new(&args[0]), &AssetOptions::default())?;
     let object = asset.to_object("object")?;
     let hand = Arc::new(Robot::bundled("leap_right")?);
-    let points = object.surface_points(2000, 0);
-    let mut options = SearchOptions::default();
-    options.candidates = 20_000;
-    let com = object.center_of_mass();
-    let surface = HandSurface::new(&hand, 0.004)?;
-    let mut found = search_grasps(&hand, &surface, &*object.geometry, &points, &com, &object.table(), &options)?;
-    println!(
-        "{} grasps of {} candidates, {} closed",
-        found.len(),
-        options.candidates,
-        found.iter().filter(|f| f.closed).count()
-    );
-    found.retain(|f| f.closed);
-    found.sort_by(|a, b| a.grip_force_per_weight.total_cmp(&b.grip_force_per_weight));
+    let mut found = pinch_grasps(&object, &hand, CANDIDATES, 0)?;
+    println!("{} grasps of {CANDIDATES} candidates", found.len());
+    let weight_n = 9.81 * object.mass_kg();
+    let weights = |g: &Grasp| g.grip_force_n.unwrap_or(f64::INFINITY) / weight_n;
+    found.sort_by(|a, b| weights(a).total_cmp(&weights(b)));
 
     let trial = Trial::new(hand, object, TrialOptions::default())?;
     let assumed = Assumed { mass_kg: told * mass_kg, friction: 0.55 };
-    let commanded = |f: &&FoundGrasp| {
-        matches!(trial.command(&f.joints, &f.object_from_base, &assumed, GripForce::Required), Ok(Ok(_)))
-    };
-    let shown: Vec<&FoundGrasp> = found.iter().filter(commanded).take(SHOWN).collect();
+    let commanded = |f: &&Grasp| matches!(trial.command(f, &assumed, GripForce::Required), Ok(Ok(_)));
+    let shown: Vec<&Grasp> = found.iter().filter(commanded).take(SHOWN).collect();
     let mut tally = [(0, 0); 2];
     let mut delivered = [Vec::new(), Vec::new()];
     for (index, grasp) in shown.iter().enumerate() {
-        let mut line = format!("{index:>3}  {:4.1} weights", grasp.grip_force_per_weight);
+        let mut line = format!("{index:>3}  {:4.1} weights", weights(grasp));
         for ((engine, sum), ratios) in [Engine::Diffsim, Engine::Mujoco].into_iter().zip(&mut tally).zip(&mut delivered)
         {
             let outcomes = (0..rollouts)
@@ -96,7 +87,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// One rollout: friction from 0.4 to 0.8 and told to a tenth, the object up to 5 mm and 5 degrees off.
 fn attempt(
     trial: &Trial,
-    grasp: &FoundGrasp,
+    grasp: &Grasp,
     (mass_kg, told): (f64, f64),
     seed: u64,
     engine: Engine,
@@ -107,7 +98,7 @@ fn attempt(
     let truth =
         Truth { mass_kg, friction, shift_m: [even(0.005), even(0.005)], turn_rad: even(5f64.to_radians()), seed };
     let assumed = Assumed { mass_kg: told * mass_kg, friction: friction * (1.0 + even(0.1)) };
-    match trial.command(&grasp.joints, &grasp.object_from_base, &assumed, GripForce::Required)? {
+    match trial.command(grasp, &assumed, GripForce::Required)? {
         Ok(command) => trial.run(&command, &truth, engine).map(Some),
         Err(_) => Ok(None),
     }

@@ -2,7 +2,7 @@
 
 use drex_core::Pose;
 use drex_diffsim::Error as SimulationError;
-use drex_grasp::{Contact, ContactOptions};
+use drex_grasp::{Contact, ContactOptions, Grasp};
 use nalgebra::Point3;
 
 use crate::assumed::check_mass_and_friction;
@@ -36,25 +36,18 @@ pub struct ClosingPlan {
 }
 
 /// See [`Trial::plan_closing`](crate::Trial::plan_closing).
-pub(crate) fn plan_closing(
-    pair: &HandAndObject,
-    joints: &[f64],
-    object_from_base: &Pose,
-    assumed: &Assumed,
-) -> Result<ClosingPlan> {
+pub(crate) fn plan_closing(pair: &HandAndObject, grasp: &Grasp, assumed: &Assumed) -> Result<ClosingPlan> {
     check_mass_and_friction(assumed.mass_kg, assumed.friction)?;
-    if joints.len() != pair.hand.dof() || joints.iter().any(|q| !q.is_finite()) {
-        return Err(Error::value(
-            format!("{} joint angles for the {} joints of {}", joints.len(), pair.hand.dof(), pair.hand.name),
-            "give one finite angle per joint, in the model's order",
-        ));
+    let (joints, object_from_base) = (grasp.joints_of(&pair.hand)?, &grasp.object_from_base);
+    if joints.iter().any(|q| !q.is_finite()) {
+        return Err(Error::value("a joint angle of the grasp is not finite", "see where the grasp comes from"));
     }
     let object = &pair.object;
     let world_from_base = object.world_from_object * object_from_base;
     let reach = reach::plan(
         &pair.hand,
         &pair.surface,
-        joints,
+        &joints,
         object_from_base,
         object.geometry.as_ref(),
         &object.world_from_object,
@@ -93,16 +86,7 @@ pub(crate) fn plan_closing(
         true => Vec::new(),
         false => near(pair, &closed, &world_from_base, &simulation.world_from_object(), &touching)?,
     };
-    Ok(ClosingPlan {
-        joints: joints.to_vec(),
-        world_from_base,
-        reach,
-        closed,
-        touching,
-        near,
-        table_n,
-        fingers_in_contact,
-    })
+    Ok(ClosingPlan { joints, world_from_base, reach, closed, touching, near, table_n, fingers_in_contact })
 }
 
 /// Contacts of the touches.

@@ -2,8 +2,9 @@
 
 use std::sync::Arc;
 
+use drex_core::Object;
 use drex_core::stats::normal_pair;
-use drex_core::{Object, Pose};
+use drex_grasp::Grasp;
 use drex_robot::Robot;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -147,8 +148,8 @@ pub trait Evaluator: Sync {
     /// Closes the hand around the object in a dry run.
     ///
     /// # Errors
-    /// If the joint vector does not fit the hand.
-    fn close(&self, joints: &[f64], object_from_base: &Pose, assumed: &Assumed) -> Result<Self::Closed>;
+    /// If the grasp is none of the hand.
+    fn close(&self, grasp: &Grasp, assumed: &Assumed) -> Result<Self::Closed>;
 
     /// The command of a closed hand given what is assumed; the inner error says why there is none.
     ///
@@ -238,8 +239,8 @@ impl Evaluator for TrialEvaluator {
     type Closed = ClosingPlan;
     type Command = Command;
 
-    fn close(&self, joints: &[f64], object_from_base: &Pose, assumed: &Assumed) -> Result<ClosingPlan> {
-        self.trial.plan_closing(joints, object_from_base, assumed)
+    fn close(&self, grasp: &Grasp, assumed: &Assumed) -> Result<ClosingPlan> {
+        self.trial.plan_closing(grasp, assumed)
     }
 
     fn command(&self, closed: &ClosingPlan, assumed: &Assumed, force: GripForce) -> Result<Result<Command, NoCommand>> {

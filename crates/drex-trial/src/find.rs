@@ -64,7 +64,7 @@ pub fn find_grasp(object: &Object, hand: &Robot, options: &FindOptions) -> Resul
     check_mass_and_friction(object.mass_kg(), object.friction)?;
     let hand = Arc::new(hand.clone());
     let evaluator = TrialEvaluator::new(object, &hand, &options.trial, Engine::Diffsim)?;
-    let grasps = synthesize_grasps(object, &hand, options.candidates, object.friction, options.seed)?;
+    let grasps = synthesize_grasps(object, &hand, options.candidates, options.seed)?;
     let spread = ConditionSpread::around(Some(object.friction));
     let selection = SelectionOptions {
         spread,
@@ -81,7 +81,7 @@ pub fn find_grasp(object: &Object, hand: &Robot, options: &FindOptions) -> Resul
         .into_par_iter()
         .map(|condition| {
             let assumed = condition.assumed(mass_kg);
-            let closed = evaluator.close(&grasp.joints_rad, &grasp.object_from_base, &assumed)?;
+            let closed = evaluator.close(&grasp, &assumed)?;
             Ok(match evaluator.command(&closed, &assumed, GripForce::Required)? {
                 Ok(command) => {
                     let verdict = evaluator.evaluate(&command, &condition.truth(mass_kg))?.verdict;

@@ -1,6 +1,6 @@
 //! Evaluators by a formula, which tests of selection and learning use in place of a simulator.
 
-use drex_core::Pose;
+use drex_grasp::Grasp;
 
 use crate::{Assumed, Evaluation, Evaluator, GripForce, NoCommand, Result, Truth, Verdict};
 
@@ -14,7 +14,7 @@ impl Evaluator for PinchFormula {
     type Closed = ();
     type Command = f64;
 
-    fn close(&self, _: &[f64], _: &Pose, _: &Assumed) -> Result<()> {
+    fn close(&self, _: &Grasp, _: &Assumed) -> Result<()> {
         Ok(())
     }
 
@@ -70,8 +70,8 @@ impl Evaluator for PinchByFirstJoint {
     type Closed = f64;
     type Command = f64;
 
-    fn close(&self, joints: &[f64], _: &Pose, _: &Assumed) -> Result<f64> {
-        Ok(joints[0])
+    fn close(&self, grasp: &Grasp, _: &Assumed) -> Result<f64> {
+        Ok(grasp.joints_rad[0])
     }
 
     fn command(&self, closed: &f64, assumed: &Assumed, force: GripForce) -> Result<Result<f64, NoCommand>> {

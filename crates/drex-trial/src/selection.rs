@@ -51,7 +51,7 @@ pub const VALIDATION_SEED: u64 = 0x70_72_61_63;
 pub struct SelectionOptions {
     /// Distribution of the conditions of the trials.
     pub spread: ConditionSpread,
-    /// Grasps of the first rung; zero simulates noobject and selects those that need least force.
+    /// Grasps of the first rung; zero simulates nothing and selects those that need least force.
     pub simulated: usize,
     /// Acceleration of the shakes, m/s².
     pub shake_m_s2: f64,
@@ -119,7 +119,7 @@ pub fn select_grasps<E: Evaluator>(
     let spread = &options.spread;
     let middle = 0.5 * (spread.friction.0 + spread.friction.1);
     // What carries the heaviest where it is smooth carries the others. What can be held where friction is higher counts as well, and what
-    // carries the lightest alone: for some objects noobject else can.
+    // carries the lightest alone: for some objects nothing else can.
     let frictions = [spread.friction.0, middle, spread.friction.1];
     let heaviest = masses_kg.iter().copied().fold(0.0, f64::max);
     let lightest = masses_kg.iter().copied().fold(f64::INFINITY, f64::min);
@@ -137,8 +137,9 @@ pub fn select_grasps<E: Evaluator>(
 
     let least = least_friction_index(object, robot, grasps, heaviest, &frictions, options.shake_m_s2)?;
     let place = |at: Option<usize>| at.unwrap_or(frictions.len());
+    let force = |g: &Grasp| g.grip_force_n.unwrap_or(f64::INFINITY);
     let mut easiest: Vec<(usize, &Grasp)> = least.into_iter().map(place).zip(grasps).collect();
-    easiest.sort_by(|(i, a), (j, b)| i.cmp(j).then(a.grip_per_weight.total_cmp(&b.grip_per_weight)));
+    easiest.sort_by(|(i, a), (j, b)| i.cmp(j).then(force(a).total_cmp(&force(b))));
     // Without practice those that look best are learned as they are.
     let tried = if options.simulated == 0 { MAX_SELECTED } else { options.simulated };
     easiest.truncate(CLOSINGS_PER_SIMULATED * tried);
@@ -163,9 +164,9 @@ pub fn select_grasps<E: Evaluator>(
 }
 
 impl<E: Evaluator> Task<'_, E> {
-    /// Closes the hand; `None` if there is no force for anyobject that it may be asked to carry.
+    /// Closes the hand; `None` if there is no force for anything that it may be asked to carry.
     fn close(&self, grasp: Grasp) -> Result<Option<ClosedGrasp<E::Closed>>> {
-        let closed = self.evaluator.close(&grasp.joints_rad, &grasp.object_from_base, &self.closes_on)?;
+        let closed = self.evaluator.close(&grasp, &self.closes_on)?;
         let needed = |assumed: &Assumed| -> Result<Option<f64>> {
             Ok(self.evaluator.grip_force_n(&closed, assumed, GripForce::Required)?.ok())
         };
@@ -185,7 +186,7 @@ impl<E: Evaluator> Task<'_, E> {
         Ok(None)
     }
 
-    /// Where climbing from each grasp leads, over neighbours that carry more, or the same with less force; noobject for a grasp that has no
+    /// Where climbing from each grasp leads, over neighbours that carry more, or the same with less force; nothing for a grasp that has no
     /// better neighbour. The same for any number of threads.
     fn climb(&self, closed: &[ClosedGrasp<E::Closed>], seed: u64) -> Result<Vec<ClosedGrasp<E::Closed>>> {
         let closing = FingerClosing::new(self.robot)?;
@@ -352,7 +353,7 @@ fn selected(validated: Vec<ValidatedGrasp>) -> Vec<ValidatedGrasp> {
         if new && as_good(&p, MIN_SCORE_SHARE_IF_UNIQUE) { out.push(p) } else { rest.push(p) }
     }
     let room = MAX_SELECTED.saturating_sub(out.len());
-    // Those that often fail where others hold would only be in the way; where noobject holds, they are all there is.
+    // Those that often fail where others hold would only be in the way; where nothing holds, they are all there is.
     out.extend(rest.into_iter().filter(|p| as_good(p, MIN_SCORE_SHARE)).take(room));
     out
 }
@@ -392,7 +393,7 @@ mod tests {
     fn the_first_load_that_is_carried_is_found_by_halving_as_by_looking_at_all() {
         let (object, robot) = cube();
         let task = task(&object, &robot, &[1.0, 0.2]);
-        let grasp = pinch_grasps(&object, &robot, 4000, 0.5, 0).unwrap().swap_remove(0);
+        let grasp = pinch_grasps(&object, &robot, 4000, 0).unwrap().swap_remove(0);
         let loads: Vec<&Assumed> = task.loads.iter().flatten().collect();
         let mut places = Vec::new();
         for strongest in 0..70 {
@@ -419,7 +420,7 @@ mod tests {
         let (object, robot) = cube();
         // As strong, N, as the first joint says in rad: 20 g are at the edge of what that carries.
         let task = task(&object, &robot, &[0.02]);
-        let found = pinch_grasps(&object, &robot, 20_000, 0.5, 0).unwrap();
+        let found = pinch_grasps(&object, &robot, 20_000, 0).unwrap();
         let mut start: Vec<_> =
             found.into_iter().filter_map(|g| task.close(g).unwrap()).filter(|g| g.place > 0).collect();
         // Many of them have no neighbour that is better, or none that is out of the object and off the table.
@@ -449,7 +450,7 @@ mod tests {
     #[test]
     fn of_grasps_that_hold_as_often_those_that_slip_least_come_first() {
         let (object, robot) = cube();
-        let grasp = pinch_grasps(&object, &robot, 4000, 0.5, 0).unwrap().swap_remove(0);
+        let grasp = pinch_grasps(&object, &robot, 4000, 0).unwrap().swap_remove(0);
         let validated = |scores: &[f64]| {
             (ValidatedGrasp { grasp: grasp.clone(), fingers: vec![true; 4], scores: scores.to_vec() }, ())
         };
@@ -462,7 +463,7 @@ mod tests {
     #[test]
     fn what_holds_where_no_better_one_does_is_learned_too() {
         let (object, robot) = cube();
-        let grasp = pinch_grasps(&object, &robot, 4000, 0.5, 0).unwrap().swap_remove(0);
+        let grasp = pinch_grasps(&object, &robot, 4000, 0).unwrap().swap_remove(0);
         let validated = |held: &[u8]| ValidatedGrasp {
             grasp: grasp.clone(),
             fingers: vec![true; 4],

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use drex_core::{Object, Pose};
 use drex_diffsim::Error as SimulationError;
+use drex_grasp::Grasp;
 use drex_robot::Robot;
 
 use crate::control::Controller;
@@ -60,15 +61,14 @@ impl Trial {
     /// the contacts that this gives; where they have none, also on those that pressing fingers bring to bear.
     ///
     /// # Errors
-    /// If the joint vector does not fit the hand or a solver gives up.
+    /// If the grasp is none of this hand or a solver gives up.
     pub fn command(
         &self,
-        joints: &[f64],
-        object_from_base: &Pose,
+        grasp: &Grasp,
         assumed: &Assumed,
         grip_force: GripForce,
     ) -> Result<Result<Command, NoCommand>> {
-        let closing = self.plan_closing(joints, object_from_base, assumed)?;
+        let closing = self.plan_closing(grasp, assumed)?;
         self.command_closed(&closing, assumed, grip_force)
     }
 
@@ -77,9 +77,9 @@ impl Trial {
     /// touches nothing.
     ///
     /// # Errors
-    /// If the joint vector does not fit the hand.
-    pub fn plan_closing(&self, joints: &[f64], object_from_base: &Pose, assumed: &Assumed) -> Result<ClosingPlan> {
-        closing::plan_closing(&self.0, joints, object_from_base, assumed)
+    /// If the grasp is none of this hand.
+    pub fn plan_closing(&self, grasp: &Grasp, assumed: &Assumed) -> Result<ClosingPlan> {
+        closing::plan_closing(&self.0, grasp, assumed)
     }
 
     /// The grip force on the contacts of a closing: the second half of [`Trial::command`].

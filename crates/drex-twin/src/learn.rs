@@ -5,8 +5,8 @@ use std::time::Instant;
 
 use crate::Result;
 use crate::error::{Context, refuse};
-use drex_core::{Object, Pose};
-use drex_grasp::{Grasp, OriginCounts};
+use drex_core::Object;
+use drex_grasp::{Grasp, GraspOrigin, OriginCounts};
 use drex_policy::{
     Dataset, Feedback, GraspPolicy, GraspSample, ObjectCloud, PredictedGrasp, Query, Rollouts, TrainOptions,
     TrainReport, Trainer,
@@ -33,11 +33,9 @@ const MORE_THAN_ANY_N: f64 = 1e4;
 /// A grasp that the network proposes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Proposal {
-    /// Joint angles in the model's order, rad.
-    pub joints: Vec<f64>,
-    /// Pose of the hand's base in the object's frame.
-    pub object_from_base: Pose,
-    /// Grip force, sum of the normal forces, N.
+    /// The grasp.
+    pub grasp: Grasp,
+    /// Grip force by the network, sum of the normal forces, N.
     pub grip_force_n: f64,
     /// Probability among those proposed.
     pub weight: f64,
@@ -155,7 +153,7 @@ impl Learned {
         let mut trainer = Trainer::new(&data, &train)?;
         while trainer.learn()?.is_some() {}
         let learned_s = start.elapsed().as_secs_f64();
-        let practice = Practice { evaluator, spread: options.spread };
+        let practice = Practice { evaluator, data: &data, spread: options.spread };
         while trainer.roll_out(&practice)?.is_some() {}
         let (policy, report) = trainer.finish()?;
         let seconds = [selected_s, learned_s - selected_s, start.elapsed().as_secs_f64() - learned_s];
@@ -175,12 +173,25 @@ impl Learned {
     pub fn propose(&self, points: &[Point3<f64>], up: &Vector3<f64>, assumed: &Assumed) -> Result<Vec<Proposal>> {
         let query = Query::new(points, self.shown_kg.unwrap_or(assumed.mass_kg), assumed.friction).with_up(*up);
         let proposals = self.policy.predict(&query)?.into_iter().map(|g| Proposal {
-            joints: g.joints,
-            object_from_base: g.object_from_base,
+            grasp: grasp_of(self.policy.hand(), self.policy.joint_names(), &g),
             grip_force_n: g.grip_force_n,
             weight: g.weight,
         });
         Ok(proposals.collect())
+    }
+}
+
+/// What a network predicts, as a grasp of this hand. The network's grip force is no part of it: contacts say what force they take.
+pub fn grasp_of(hand: &str, joint_names: &[String], predicted: &PredictedGrasp) -> Grasp {
+    Grasp {
+        hand: hand.to_owned(),
+        joint_names: joint_names.to_vec(),
+        joints_rad: predicted.joints.clone(),
+        object_from_base: predicted.object_from_base,
+        contacts: Vec::new(),
+        grip_force_n: None,
+        origin: GraspOrigin::Predicted,
+        source: 0,
     }
 }
 
@@ -191,20 +202,16 @@ fn samples<E: Evaluator>(
     masses: &[f64],
     shown_kg: Option<f64>,
 ) -> Result<Vec<GraspSample>> {
-    let (grasp, object_from_base) = (&validated.grasp, validated.grasp.object_from_base);
+    let grasp = &validated.grasp;
     let mut out = Vec::new();
-    let closed = evaluator.close(
-        &grasp.joints_rad,
-        &object_from_base,
-        &Assumed { mass_kg: masses[0], friction: FRICTIONS[1] },
-    )?;
+    let closed = evaluator.close(grasp, &Assumed { mass_kg: masses[0], friction: FRICTIONS[1] })?;
     for (mass_kg, friction) in masses.iter().flat_map(|m| FRICTIONS.map(|f| (*m, f))) {
         let assumed = Assumed { mass_kg, friction };
         if let Some(grip_force_n) = needed_n(evaluator, &closed, &assumed)? {
             out.push(GraspSample {
                 object: 0,
                 joints: grasp.joints_rad.clone(),
-                object_from_base,
+                object_from_base: grasp.object_from_base,
                 contacts: validated.fingers.clone(),
                 grip_force_n,
                 mass_kg: shown_kg.unwrap_or(mass_kg),
@@ -229,6 +236,8 @@ fn needed_n<E: Evaluator>(evaluator: &E, closed: &E::Closed, assumed: &Assumed) 
 /// Rollouts of what the network proposes, with its own force.
 struct Practice<'a, E> {
     evaluator: &'a E,
+    /// Names of hand and joints.
+    data: &'a Dataset,
     spread: ConditionSpread,
 }
 
@@ -252,12 +261,13 @@ impl<E: Evaluator> Rollouts for Practice<'_, E> {
 }
 
 impl<E: Evaluator> Practice<'_, E> {
-    fn feedback(&self, grasp: &PredictedGrasp, mass_kg: f64, friction: f64, seed: u64) -> Result<Feedback> {
+    fn feedback(&self, predicted: &PredictedGrasp, mass_kg: f64, friction: f64, seed: u64) -> Result<Feedback> {
         let assumed = Assumed { mass_kg, friction };
-        let closed = self.evaluator.close(&grasp.joints, &grasp.object_from_base, &assumed)?;
+        let grasp = grasp_of(&self.data.hand, &self.data.joint_names, predicted);
+        let closed = self.evaluator.close(&grasp, &assumed)?;
         let needed = needed_n(self.evaluator, &closed, &assumed)?;
         let condition = Condition { friction, ..self.spread.conditions(1, seed ^ VALIDATION_SEED)[0] };
-        let evaluation = match self.evaluator.command(&closed, &assumed, GripForce::Total(grasp.grip_force_n))? {
+        let evaluation = match self.evaluator.command(&closed, &assumed, GripForce::Total(predicted.grip_force_n))? {
             Ok(command) => self.evaluator.validate(&command, &condition.truth(mass_kg))?,
             Err(reason) => Evaluation::refused(&reason),
         };

@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::Result;
 use crate::error::Context;
 use drex_core::{PoseRecord, fsutil};
-use drex_grasp::{GraspOrigin, GripForcePolicy, OriginCounts, StaticCheck};
+use drex_grasp::{GraspEvaluation, GraspOrigin, GripForcePolicy, OriginCounts};
 use drex_hw::driver::ContactRecord;
 use drex_mesh::{FusionReport, ScanEvidence};
 use drex_policy::TrainReport;
@@ -261,24 +261,24 @@ pub struct ClipRecord {
     pub notes: Vec<String>,
 }
 
-/// `policy/evaluation.json`: predicted grasps under the static check.
+/// `policy/evaluation.json`: predicted grasps, evaluated at rest.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Evaluation {
-    /// Mass that the grasps were asked for and judged at, kg.
+    /// Mass that the grasps were asked for and evaluated at, kg.
     pub mass_kg: f64,
     /// Friction that was assumed.
     pub friction: f64,
     /// The network's grasps as predicted.
-    pub predicted: Vec<JudgedGrasp>,
+    pub predicted: Vec<EvaluatedGrasp>,
     /// The same after the wrist was solved again on the object with small finger corrections.
-    pub refined: Vec<JudgedGrasp>,
+    pub refined: Vec<EvaluatedGrasp>,
     /// The demonstrations that it learned from, for comparison.
-    pub demonstrations: Vec<JudgedGrasp>,
+    pub demonstrations: Vec<EvaluatedGrasp>,
 }
 
-/// A grasp and what the static check says of it.
+/// A grasp and its evaluation.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct JudgedGrasp {
+pub struct EvaluatedGrasp {
     /// Joint angles, rad, in the order of the grasp file.
     pub joints_rad: Vec<f64>,
     /// Pose of the hand's base in the object's mesh frame.
@@ -288,8 +288,8 @@ pub struct JudgedGrasp {
     pub predicted_grip_force_n: Option<f64>,
     /// Weight of the mode among the network's answers; absent for demonstrations.
     pub weight: Option<f64>,
-    /// The static check.
-    pub check: StaticCheck,
+    /// The evaluation.
+    pub check: GraspEvaluation,
 }
 
 /// `policy/training.json`.

@@ -1,12 +1,9 @@
 //! Hand, object and table of a twin, as the grasp stages take them.
 
-use drex_core::{MassProperties, Object, Pose, TablePlane};
-use drex_grasp::{CheckOptions, ContactOptions, StaticGrasp};
+use drex_core::{Object, TablePlane};
 use drex_retarget::{ObjectSurface, WristFit, WristFitOptions, fit_wrist};
 use drex_robot::Robot;
-use nalgebra::Vector3;
 
-use crate::error::Context;
 use crate::{Result, Twin};
 
 /// Hand, object and table.
@@ -25,22 +22,8 @@ impl Scene {
     pub(crate) fn of(twin: &Twin) -> Result<Self> {
         let robot = twin.hand()?;
         let object = twin.asset()?.to_object(&twin.manifest.name)?;
-        let table = TablePlane::under(&object.mesh.vertices, Vector3::from(twin.manifest.object.up_in_mesh))
-            .context("the object has no surface")?;
+        let table = object.table();
         Ok(Self { robot, object, table, seed: twin.seed })
-    }
-
-    /// The options of the static check.
-    pub fn check_options(&self) -> CheckOptions {
-        let mut options = CheckOptions::default();
-        options.contact = ContactOptions::with_friction(self.object.friction);
-        options
-    }
-
-    /// A grasp of the object with these mass properties.
-    pub fn grasp<'a>(&'a self, joints: &'a [f64], object_from_base: Pose, body: &'a MassProperties) -> StaticGrasp<'a> {
-        let object = self.object.geometry.exact();
-        StaticGrasp { robot: &self.robot, joints, object_from_base, object, body, table: self.table }
     }
 
     /// The options of the wrist fit.

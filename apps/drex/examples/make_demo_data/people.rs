@@ -5,12 +5,11 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result};
-use drex_core::mesh::sample_surface;
-use drex_core::{Pose, TablePlane};
+use anyhow::Result;
+use drex_core::Pose;
 use drex_demo::{Demonstration, HandFrame, HumanFinger, KEYPOINTS, KeyPoints};
-use drex_grasp::{ContactOptions, FoundGrasp, HandSurface, SearchOptions, search_grasps};
-use drex_mesh::{Asset, GridOptions, GridSdf, MeshSdf};
+use drex_grasp::{Grasp, pinch_grasps};
+use drex_mesh::Asset;
 use drex_retarget::TargetHand;
 use nalgebra::{Point3, Translation3, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -18,10 +17,9 @@ use rand_chacha::ChaCha8Rng;
 
 use super::normal3;
 
-/// Clips, hands that the search looks at, and points of the surface between which it looks.
+/// Clips, and pinches that the search looks at.
 const CLIPS: usize = 4;
 const CANDIDATES: usize = 30_000;
-const SITES: usize = 3000;
 /// Frames of the approach and of the hold, and frames per second.
 const APPROACH: usize = 12;
 const HOLD: usize = 8;
@@ -46,23 +44,18 @@ pub fn make(tin: &Asset, folder: &Path, seed: u64) -> Result<()> {
 }
 
 /// Grasps with the thumb and most fingers, easy to hold, from sides that differ.
-fn holds(tin: &Asset, target: &TargetHand, seed: u64) -> Result<Vec<FoundGrasp>> {
+fn holds(tin: &Asset, target: &TargetHand, seed: u64) -> Result<Vec<Grasp>> {
     let robot = &target.robot;
-    let surface = HandSurface::new(robot, ContactOptions::default().spacing_m)?;
-    let mut around = GridOptions::default();
-    around.margin_m = Some(0.1);
-    let sdf = GridSdf::with_options(MeshSdf::new(&tin.visual)?, &around)?;
-    let table = TablePlane::under(&tin.visual.vertices, Vector3::z()).context("the tin has no vertices")?;
-    let sites = sample_surface(&tin.visual, SITES, seed);
-    let mut search = SearchOptions::default();
-    (search.candidates, search.seed) = (CANDIDATES, seed);
-    let center = tin.properties.center_of_mass;
-    let mut found = search_grasps(robot, &surface, &sdf, &sites, &center, &table, &search)?;
-    found.retain(|f| f.closed);
-    found.sort_by(|a, b| a.grip_force_per_weight.total_cmp(&b.grip_force_per_weight));
-    let mut out: Vec<FoundGrasp> = Vec::new();
+    let mut found = pinch_grasps(&tin.to_object("tin")?, robot, CANDIDATES, seed)?;
+    let fingers = robot.fingers();
+    let touches =
+        |g: &Grasp, links: &[usize]| g.contacts.iter().any(|c| links.iter().any(|l| robot.links[*l].name == c.link));
+    found.retain(|g| fingers.iter().filter(|f| touches(g, &f.links)).count() > 2);
+    let force = |g: &Grasp| g.grip_force_n.unwrap_or(f64::INFINITY);
+    found.sort_by(|a, b| force(a).total_cmp(&force(b)));
+    let mut out: Vec<Grasp> = Vec::new();
     for f in found {
-        let apart = |o: &FoundGrasp| o.object_from_base.rotation.angle_to(&f.object_from_base.rotation) > 0.5;
+        let apart = |o: &Grasp| o.object_from_base.rotation.angle_to(&f.object_from_base.rotation) > 0.5;
         if out.len() < CLIPS && out.iter().all(apart) {
             out.push(f);
         }
@@ -71,7 +64,7 @@ fn holds(tin: &Asset, target: &TargetHand, seed: u64) -> Result<Vec<FoundGrasp>>
 }
 
 /// The hand comes from behind the palm, closes, and holds.
-fn clip(target: &TargetHand, hold: &FoundGrasp, rng: &mut ChaCha8Rng) -> Demonstration {
+fn clip(target: &TargetHand, hold: &Grasp, rng: &mut ChaCha8Rng) -> Demonstration {
     let robot = &target.robot;
     let size = rng.random_range(0.95..1.0);
     let back = (hold.object_from_base.translation.vector - Vector3::z() * 0.04).normalize();
@@ -79,7 +72,7 @@ fn clip(target: &TargetHand, hold: &FoundGrasp, rng: &mut ChaCha8Rng) -> Demonst
     let frames = (0..APPROACH + HOLD)
         .map(|k| {
             let left = 1.0 - (k as f64 / APPROACH as f64).min(1.0);
-            let q: Vec<f64> = hold.joints.iter().zip(&open).map(|(q, o)| q + OPENED * left * (o - q)).collect();
+            let q: Vec<f64> = hold.joints_rad.iter().zip(&open).map(|(q, o)| q + OPENED * left * (o - q)).collect();
             let pose = Translation3::from(back * RETREAT_M * left) * hold.object_from_base;
             let recorded =
                 |p: Point3<f64>, noise: Vector3<f64>| (p + noise * POINT_SD_M).map(|c| (c * 1e5).round() / 1e5);

@@ -1,12 +1,13 @@
-//! Contacts and the static check of the bundled hands on shapes with exact distances.
+//! Contacts and the evaluation of the bundled hands on shapes with exact distances.
 
-use drex_core::{MassProperties, SdfSample, SignedDistance, TablePlane};
+use crate::support;
+use drex_core::{Pose, SdfSample, SignedDistance};
 use drex_grasp::{
-    CheckOptions, ContactOptions, GraspError, GripForceProblem, HandSurface, StaticGrasp, TorqueLimits, find_contacts,
-    minimum_grip_force, static_check,
+    ContactOptions, EvaluationOptions, Grasp, GraspError, GripForceProblem, HandSurface, TorqueLimits, evaluate,
+    find_contacts, minimum_grip_force,
 };
 use drex_robot::Robot;
-use nalgebra::{Isometry3, Matrix3, Point3, Translation3, Vector3};
+use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 
 struct Ball {
     center: Point3<f64>,
@@ -18,10 +19,6 @@ impl SignedDistance for Ball {
         let d = p - self.center;
         SdfSample { distance_m: d.norm() - self.radius, gradient: d.try_normalize(1e-12).unwrap_or_else(Vector3::z) }
     }
-}
-
-fn body(mass_kg: f64, center_of_mass: Point3<f64>) -> MassProperties {
-    MassProperties { mass_kg, center_of_mass, inertia: Matrix3::identity() * 1e-4 }
 }
 
 /// A ball that just touches the index fingertip from the palm's side, sunk in by `depth`.
@@ -130,54 +127,80 @@ fn torques_of_the_robot_do_the_work_of_the_contact_forces() {
 }
 
 #[test]
-fn the_static_check_names_what_is_wrong() {
+fn an_evaluation_names_what_is_wrong() {
     let robot = Robot::bundled("leap_right").unwrap();
     let q = robot.joint_vector::<&str>([]).unwrap();
-    let (ball, _) = ball_at_the_fingertip(&robot, &q, 0.004);
-    let body = body(0.1, ball.center);
-    let table = TablePlane { up: Vector3::z_axis(), height_m: 0.0 };
-    let grasp = StaticGrasp {
-        robot: &robot,
-        joints: &q,
-        object_from_base: Isometry3::identity(),
-        object: &ball,
-        body: &body,
-        table,
-    };
-    let check = static_check(&grasp, &CheckOptions::default()).unwrap();
-    assert!(!check.passed && check.grip_force_n.is_none() && !check.force_closure);
+    let center = ball_at_the_fingertip(&robot, &q, 0.004).0.center;
+    let ball = support::ball(0.02, center, 0.1);
+    let grasp = Grasp::new(&robot, q.clone(), Pose::identity());
+    let defaults = EvaluationOptions::of(&ball);
+    let found = evaluate(&grasp, &ball, &robot, &defaults).unwrap();
+    assert!(!found.passed && found.grip_force_n.is_none() && !found.force_closure);
     for word in ["thumb", "1 of 3 fingers", "inside the object", "below the table", "force closure", "cannot carry"] {
-        assert!(check.failures.iter().any(|f| f.contains(word)), "{word}: {:?}", check.failures);
+        assert!(found.failures.iter().any(|f| f.contains(word)), "{word}: {:?}", found.failures);
     }
-    assert!((check.penetration_mm - 4.0).abs() < 0.5, "{}", check.penetration_mm);
+    assert!((found.penetration_mm - 4.0).abs() < 0.5, "{}", found.penetration_mm);
     // How deep in object and table, and that the rules end there.
     let surface = HandSurface::new(&robot, 0.003).unwrap();
-    let poses = robot.forward_kinematics(&q, &Isometry3::identity());
-    let lowest = surface.lowest(&poses, &table.up).into_iter().fold(f64::INFINITY, f64::min);
-    assert!(lowest < 0.0 && (check.table_penetration_mm + 1e3 * lowest).abs() < 1e-9, "{lowest}");
+    let poses = robot.forward_kinematics(&q, &Pose::identity());
+    let lowest = surface.lowest(&poses, &Vector3::z()).into_iter().fold(f64::INFINITY, f64::min);
+    assert!(lowest < 0.0 && (found.table_penetration_mm + 1e3 * lowest).abs() < 1e-9, "{lowest}");
     for (beyond, says) in [(-1e-6, true), (1e-6, false)] {
-        let mut options = CheckOptions::default();
-        options.max_table_penetration_m = beyond - lowest;
-        options.max_penetration_m = 1e-3 * check.penetration_mm + beyond;
-        let failures = static_check(&grasp, &options).unwrap().failures;
+        let mut options = defaults.clone();
+        options.min_table_clearance_m = lowest - beyond;
+        options.max_penetration_m = 1e-3 * found.penetration_mm + beyond;
+        let failures = evaluate(&grasp, &ball, &robot, &options).unwrap().failures;
         for words in ["below the table", "inside the object"] {
             assert_eq!(failures.iter().any(|f| f.contains(words)), says, "{words}: {failures:?}");
         }
     }
-    // Above a table nothing is below it, also for those who allow nothing.
-    let above = StaticGrasp { table: TablePlane { height_m: lowest - 0.01, ..table }, ..grasp };
-    let mut strict = CheckOptions::default();
-    strict.max_table_penetration_m = 0.0;
-    let failures = static_check(&above, &strict).unwrap().failures;
-    assert!(!failures.iter().any(|f| f.contains("below the table")), "{failures:?}");
-    let mut easy = CheckOptions::default();
+    // A centimetre above a table nothing is below it, and for those who ask for more it is too near.
+    let above = ball.clone().with_rest_pose(Pose::translation(0.0, 0.0, 0.01 - lowest));
+    for (least_m, words) in [(0.0, None), (0.011, Some("only 10.0 mm above the table"))] {
+        let mut options = defaults.clone();
+        options.min_table_clearance_m = least_m;
+        let failures = evaluate(&grasp, &above, &robot, &options).unwrap().failures;
+        let about: Vec<_> = failures.iter().filter(|f| f.contains("the table")).collect();
+        assert!(about.len() == words.iter().len() && words.is_none_or(|w| about[0].contains(w)), "{failures:?}");
+    }
+    let mut easy = defaults.clone();
     (easy.thumb, easy.min_fingers) = (false, 1);
-    let failures = static_check(&grasp, &easy).unwrap().failures;
+    let failures = evaluate(&grasp, &ball, &robot, &easy).unwrap().failures;
     assert!(!failures.iter().any(|f| f.contains("thumb") || f.contains("fingers touch")), "{failures:?}");
-    let contacts: usize = check.contacts.iter().map(|c| c.contacts).sum();
-    assert!(contacts > 0 && check.contacts.last().unwrap().finger == "palm");
-    let refused = static_check(&StaticGrasp { joints: &[0.0; 3], ..grasp }, &CheckOptions::default());
-    assert!(matches!(refused, Err(GraspError::Robot(m)) if m.contains("16 joints")));
+    let contacts: usize = found.fingers.iter().map(|c| c.contacts).sum();
+    assert!(contacts == found.contacts.len() && contacts > 0 && found.fingers.last().unwrap().finger == "palm");
+    // What asks for the verdict alone stops where it is clear.
+    let mut verdict = defaults;
+    verdict.complete = false;
+    let short = evaluate(&grasp, &ball, &robot, &verdict).unwrap();
+    assert!(!short.passed && short.failures.len() < found.failures.len() && short.epsilon.is_none());
+}
+
+#[test]
+fn a_grasp_is_of_one_hand_and_its_joints_have_names() {
+    let robot = Robot::bundled("leap_right").unwrap();
+    let q: Vec<f64> = (0..robot.dof()).map(|j| 0.01 * j as f64).collect();
+    let grasp = Grasp::new(&robot, q.clone(), Pose::translation(0.0, 0.0, 0.1));
+    // In another order they are the same joints, also after a file.
+    let mut turned = grasp.clone();
+    turned.joint_names.reverse();
+    turned.joints_rad.reverse();
+    let text = serde_json::to_string(&turned).unwrap();
+    assert_eq!(serde_json::from_str::<Grasp>(&text).unwrap(), turned);
+    assert_eq!(turned.joints_of(&robot).unwrap(), q);
+    let refused = |grasp: &Grasp, word: &str| match grasp.joints_of(&robot) {
+        Err(GraspError::Robot(message)) => assert!(message.contains(word), "{message}"),
+        other => panic!("{word}: {other:?}"),
+    };
+    let mut other = grasp.clone();
+    other.joint_names[3] = "knee".into();
+    refused(&other, &format!("nothing of joint \"{}\"", robot.joints[3].name));
+    let mut short = grasp.clone();
+    short.joints_rad.truncate(3);
+    refused(&short, "16 joints with 3 angles");
+    let mut left = grasp;
+    left.hand = "allegro_right".into();
+    refused(&left, "none of \"leap_right\"");
 }
 
 #[test]

@@ -6,7 +6,7 @@ mod closure;
 mod force;
 mod grip_force;
 mod hand;
+mod pinch;
 mod rolling;
-mod search;
 #[path = "../support/mod.rs"]
 mod support;

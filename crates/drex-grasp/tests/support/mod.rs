@@ -1,14 +1,24 @@
 //! Grasps that several tests of forces share.
 #![allow(dead_code)] // no test uses all of it
 
+use drex_core::{ConvexPart, MassProperties, Object, Pose, Primitive, PrimitiveShape};
 use drex_grasp::Contact;
-use nalgebra::{Point3, Rotation3, Vector3};
+use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 use proptest::prelude::*;
 
 pub const G: f64 = 9.81;
 
 pub fn down() -> Vector3<f64> {
     Vector3::new(0.0, 0.0, -G)
+}
+
+/// A ball of which the table z = 0 is that of its own frame.
+pub fn ball(radius_m: f64, center: Point3<f64>, mass_kg: f64) -> Object {
+    let object_from_shape = Pose::translation(center.x, center.y, center.z);
+    let shape = PrimitiveShape::Sphere { radius_m };
+    let part = ConvexPart::of_primitive(Primitive { shape, object_from_shape }).unwrap();
+    let inertia = Matrix3::identity() * (0.4 * mass_kg * radius_m * radius_m);
+    Object::of_parts(vec![part], MassProperties { mass_kg, center_of_mass: center, inertia })
 }
 
 /// A thumb on the left against `fingers` fingers on the right, spread along y.

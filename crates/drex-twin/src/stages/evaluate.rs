@@ -1,10 +1,10 @@
-//! The network's grasps judged by the static check, beside the demonstrations it learned from.
+//! The network's grasps evaluated at rest, beside the demonstrations it learned from.
 
 use std::path::PathBuf;
 
 use crate::Result;
-use drex_core::{Pose, PoseRecord};
-use drex_grasp::{HandSurface, StaticCheck, static_check_with};
+use drex_core::{Object, Pose, PoseRecord};
+use drex_grasp::{EvaluationOptions, Grasp, HandSurface, evaluate_with};
 use drex_policy::{GraspPolicy, PredictedGrasp, Query};
 use rayon::prelude::*;
 
@@ -12,7 +12,7 @@ use crate::Progress;
 use crate::Twin;
 use crate::learn::POINTS;
 use crate::records::{EVALUATION, FITS, MASS, POLICY, read_json, write_json};
-use crate::records::{Evaluation, FitFile, JudgedGrasp, MassFile};
+use crate::records::{EvaluatedGrasp, Evaluation, FitFile, MassFile};
 use crate::scene::Scene;
 
 pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>> {
@@ -42,23 +42,26 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
     Ok(vec![twin.path(EVALUATION)])
 }
 
-/// The static check at one mass.
+/// The evaluation at one mass.
 struct Evaluator<'a> {
     scene: &'a Scene,
+    object: Object,
     surface: HandSurface,
-    body: drex_core::MassProperties,
+    options: EvaluationOptions,
 }
 
 impl<'a> Evaluator<'a> {
     fn new(scene: &'a Scene, mass_kg: f64) -> Result<Self> {
-        let surface = HandSurface::new(&scene.robot, scene.check_options().contact.spacing_m)?;
-        Ok(Self { scene, surface, body: scene.object.mass_properties.with_mass(mass_kg) })
+        let object = scene.object.clone().with_mass(mass_kg);
+        let options = EvaluationOptions::of(&object);
+        let surface = HandSurface::new(&scene.robot, options.contact.spacing_m)?;
+        Ok(Self { scene, object, surface, options })
     }
 
-    fn evaluate(&self, joints: &[f64], object_from_base: Pose) -> Result<JudgedGrasp> {
-        let grasp = self.scene.grasp(joints, object_from_base, &self.body);
-        let check: StaticCheck = static_check_with(&self.surface, &grasp, &self.scene.check_options())?;
-        Ok(JudgedGrasp {
+    fn evaluate(&self, joints: &[f64], object_from_base: Pose) -> Result<EvaluatedGrasp> {
+        let grasp = Grasp::new(&self.scene.robot, joints.to_vec(), object_from_base);
+        let check = evaluate_with(&self.surface, &grasp, &self.object, &self.scene.robot, &self.options)?;
+        Ok(EvaluatedGrasp {
             joints_rad: joints.to_vec(),
             object_from_base: PoseRecord::from(&object_from_base),
             predicted_grip_force_n: None,
@@ -67,13 +70,13 @@ impl<'a> Evaluator<'a> {
         })
     }
 
-    fn predicted(&self, joints: &[f64], object_from_base: Pose, from: &PredictedGrasp) -> Result<JudgedGrasp> {
-        let judged = self.evaluate(joints, object_from_base)?;
-        Ok(JudgedGrasp { predicted_grip_force_n: Some(from.grip_force_n), weight: Some(from.weight), ..judged })
+    fn predicted(&self, joints: &[f64], object_from_base: Pose, from: &PredictedGrasp) -> Result<EvaluatedGrasp> {
+        let evaluated = self.evaluate(joints, object_from_base)?;
+        Ok(EvaluatedGrasp { predicted_grip_force_n: Some(from.grip_force_n), weight: Some(from.weight), ..evaluated })
     }
 
     /// The predicted joint angles put onto the surface: wrist solved for them, fingers corrected within the fit's bound.
-    fn refined(&self, p: &PredictedGrasp) -> Result<JudgedGrasp> {
+    fn refined(&self, p: &PredictedGrasp) -> Result<EvaluatedGrasp> {
         let fit = self.scene.fit(&p.joints)?;
         self.predicted(&fit.joints, fit.object_from_base, p)
     }

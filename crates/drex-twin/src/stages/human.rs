@@ -7,7 +7,7 @@ use crate::error::{Context, refuse};
 use crate::manifest::GraspsConfig;
 use drex_core::{Pose, PoseRecord};
 use drex_demo::{Demonstration, LoadOptions};
-use drex_grasp::{HandSurface, grip_force_per_weight};
+use drex_grasp::{ContactOptions, HandSurface, grip_force_per_weight};
 use drex_retarget::{
     AugmentOptions, Augmentation, GraspFrame, GraspOptions, GraspRetargeting, Rejection, TargetHand, Verdict, augment,
     retarget_grasp,
@@ -182,7 +182,7 @@ struct Writer<'a> {
 
 impl<'a> Writer<'a> {
     fn new(scene: &'a Scene) -> Result<Self> {
-        Ok(Self { scene, surface: HandSurface::new(&scene.robot, scene.check_options().contact.spacing_m)? })
+        Ok(Self { scene, surface: HandSurface::new(&scene.robot, ContactOptions::default().spacing_m)? })
     }
 
     /// `before` are the joints that the grasp was corrected from.
@@ -233,7 +233,7 @@ impl<'a> Writer<'a> {
             q,
             object_from_base,
             scene.object.geometry.exact(),
-            &scene.check_options().contact,
+            &ContactOptions::with_friction(scene.object.friction),
         )?;
         Ok(grip_force_per_weight(&contacts, scene.object.center_of_mass(), scene.table.up)?)
     }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use drex_core::Object;
-use drex_grasp::{ContactOptions, Grasp, HandSurface, synthesize_grasps};
+use drex_grasp::{EvaluationOptions, Grasp, HandSurface, synthesize_grasps};
 use drex_robot::Robot;
 use drex_trial::{Engine, TrialEvaluator, TrialOptions};
 
@@ -29,16 +29,17 @@ impl Simulated {
     /// The demonstrated grasps, and those made of them, that are worth simulating; behind them what a synthesis from `search`
     /// candidates finds.
     pub fn grasps(&self, fits: &FitFile, search: usize, seed: u64) -> Result<Vec<Grasp>> {
-        let friction = self.object.friction;
-        let surface = HandSurface::new(&self.robot, ContactOptions::default().spacing_m)?;
+        let options = EvaluationOptions::of_candidate(&self.object);
+        let surface = HandSurface::new(&self.robot, options.contact.spacing_m)?;
         let mut grasps = Vec::new();
         for fit in fits.grasps.iter().filter(|g| g.accepted) {
             let pose = fit.object_from_base.to_pose()?;
-            let screened = Grasp::screened(&self.object, &self.robot, &surface, &fit.joints_rad, &pose, friction)?;
+            let grasp = Grasp::new(&self.robot, fit.joints_rad.clone(), pose);
+            let screened = grasp.screened(&surface, &self.object, &self.robot, &options)?;
             grasps.extend(screened.map(|g| Grasp { source: fit.demonstration, origin: fit.origin(), ..g }));
         }
         if search > 0 {
-            grasps.extend(synthesize_grasps(&self.object, &self.robot, search, friction, seed)?);
+            grasps.extend(synthesize_grasps(&self.object, &self.robot, search, seed)?);
         }
         Ok(grasps)
     }

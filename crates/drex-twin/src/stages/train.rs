@@ -6,7 +6,9 @@ use std::path::PathBuf;
 use crate::Result;
 use crate::error::{Context, refuse};
 use drex_core::fsutil;
-use drex_grasp::{GraspError, GripForceError, GripForcePolicy, GripForceProblem, HandSurface, OriginCounts};
+use drex_grasp::{
+    ContactOptions, GraspError, GripForceError, GripForcePolicy, GripForceProblem, HandSurface, OriginCounts,
+};
 use drex_policy::{Dataset, GraspPolicy, GraspSample, ObjectCloud, TrainOptions};
 use drex_trial::{ConditionSpread, TrialOptions};
 use rayon::prelude::*;
@@ -101,7 +103,7 @@ fn practise(
 /// Each accepted grasp at several masses and frictions, with the grip force that the grip-force policy asks for there, and where the grasps come
 /// from for which it has one.
 fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Result<(Dataset, OriginCounts)> {
-    let contact = scene.check_options().contact;
+    let contact = ContactOptions::with_friction(scene.object.friction);
     let surface = HandSurface::new(&scene.robot, contact.spacing_m)?;
     let law = GripForcePolicy::default();
     let object_friction = twin.friction();

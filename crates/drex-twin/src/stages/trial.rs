@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use crate::Result;
 use crate::error::Context;
 use drex_core::PoseRecord;
-use drex_policy::{GraspPolicy, PredictedGrasp, Query};
+use drex_grasp::Grasp;
+use drex_policy::{GraspPolicy, Query};
 use drex_trial::{
     Command, Condition, ConditionSpread, Evaluator, Frame, GripForce, NoCommand, TrialEvaluator, Verdict, wilson,
 };
@@ -13,7 +14,7 @@ use rayon::prelude::*;
 
 use super::practice::Simulated;
 use crate::Progress;
-use crate::learn::POINTS;
+use crate::learn::{POINTS, grasp_of};
 use crate::records::MassFile;
 use crate::records::{FilmFrame, MASS, POLICY, RolloutRecord, TRIAL, TrialFile, read_json, write_json};
 use crate::{Twin, rank};
@@ -42,7 +43,9 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
     let run = |(condition, true_kg): (&Condition, &f64)| -> Result<(RolloutRecord, Option<Command>)> {
         let assumed = condition.assumed(mass.grip_kg);
         let query = Query::new(&cloud, assumed.mass_kg, assumed.friction).with_up(up);
-        let planned = plan(&simulated.evaluator, &rank::proposals(&policy, &query)?, condition, mass.grip_kg)?;
+        let proposals = rank::proposals(&policy, &query)?;
+        let grasps: Vec<Grasp> = proposals.iter().map(|p| grasp_of(policy.hand(), policy.joint_names(), p)).collect();
+        let planned = plan(&simulated.evaluator, &grasps, condition, mass.grip_kg)?;
         let mut record = RolloutRecord {
             verdict: Verdict::NoContact,
             mass_kg: *true_kg,
@@ -105,14 +108,14 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
 /// The first of the proposals that the hand can be commanded to, with its number from 1; else why the first one cannot.
 fn plan(
     evaluator: &TrialEvaluator,
-    proposals: &[PredictedGrasp],
+    proposals: &[Grasp],
     condition: &Condition,
     mass_kg: f64,
 ) -> Result<Result<(usize, Command), NoCommand>> {
     let assumed = condition.assumed(mass_kg);
     let mut first = None;
     for (i, proposal) in proposals.iter().enumerate() {
-        let closed = evaluator.close(&proposal.joints, &proposal.object_from_base, &assumed)?;
+        let closed = evaluator.close(proposal, &assumed)?;
         match evaluator.command(&closed, &assumed, GripForce::Required)? {
             Ok(command) => return Ok(Ok((i + 1, command))),
             Err(reason) => first = first.or(Some(reason)),

@@ -1,67 +1,22 @@
-//! Grasps for an object nobody has shown how to hold: opposed points of its surface, postures in which the thumb faces the fingers, and
-//! fingers that close until they touch. Candidates are many and cheap; the static conditions at the end decide.
+//! Pinches of an object nobody has shown how to hold: opposed points of its surface, hand configurations in which the thumb faces the
+//! fingers, and fingers that close until they touch. Candidates are many and cheap; the evaluation at the end decides.
 
-use drex_core::{Pose, SignedDistance, SurfacePoint, TablePlane};
+use drex_core::{Object, Pose, SignedDistance, SurfacePoint};
 use drex_robot::{Finger, Robot};
 use nalgebra::{Matrix3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use crate::{Contact, ContactOptions, GraspError, HandSurface, Result, grip_force_per_weight, holds_any_load};
+use crate::power::FingerClosing;
+use crate::{ContactOptions, EvaluationOptions, Grasp, GraspError, GraspOrigin, HandSurface, Result};
 
-/// What is searched for.
-#[derive(Debug, Clone, PartialEq)]
-#[non_exhaustive]
-pub struct SearchOptions {
-    /// Candidates that are looked at.
-    pub candidates: usize,
-    /// Seed of the candidates.
-    pub seed: u64,
-    /// Coulomb friction of hand against object.
-    pub friction: f64,
-    /// Fingers that have to touch besides the thumb.
-    pub min_fingers: usize,
-    /// Deepest penetration of hand and object, m.
-    pub max_penetration_m: f64,
-    /// Least height of the hand over the table, m.
-    pub table_clearance_m: f64,
-}
-
-impl Default for SearchOptions {
-    /// 4000 candidates at friction 0.5, the thumb and two fingers, at most 1.5 mm inside, 3 mm over the table.
-    fn default() -> Self {
-        Self {
-            candidates: 4000,
-            seed: 0,
-            friction: 0.5,
-            min_fingers: 2,
-            max_penetration_m: 0.0015,
-            table_clearance_m: 0.003,
-        }
-    }
-}
-
-/// A grasp that was found.
-#[derive(Debug, Clone, PartialEq)]
-#[non_exhaustive]
-pub struct FoundGrasp {
-    /// Joint angles, model order, rad.
-    pub joints: Vec<f64>,
-    /// Pose of the robot's base in the object's frame.
-    pub object_from_base: Pose,
-    /// Where it touches.
-    pub contacts: Vec<Contact>,
-    /// Smallest sum of normal forces over the weight, no motors considered.
-    pub grip_force_per_weight: f64,
-    /// Whether the contacts are in force closure.
-    pub closed: bool,
-}
-
-/// Postures kept, and tried to find them.
-const POSTURES: usize = 400;
+/// Points of the surface from which opposite ones are searched.
+const SURFACE_POINTS: usize = 3000;
+/// Configurations kept, and tried to find them.
+const CONFIGURATIONS: usize = 400;
 const DRAWS: usize = 6000;
-/// Widths between thumb and fingers that a posture may have, m.
+/// Widths between thumb and fingers that a configuration may have, m.
 const WIDTH_M: (f64, f64) = (0.02, 0.11);
 /// Least opposition of the closing directions of thumb and fingers: minus the cosine of their angle.
 const OPPOSITION: f64 = 0.6;
@@ -69,8 +24,6 @@ const OPPOSITION: f64 = 0.6;
 const ALIGNED: f64 = 0.8;
 /// Steps of the way through the object, at most.
 const MARCH_STEPS: usize = 200;
-/// A finger further away than this after closing does not take part, m.
-const TOUCHES_M: f64 = 0.001;
 /// How far a finger may go to touch, m, and steps on the way.
 const REACH_M: f64 = 0.03;
 const STEPS: usize = 16;
@@ -79,8 +32,8 @@ const REGULAR_M: f64 = 0.01;
 /// How deep closing presses, m.
 const PRESS_M: f64 = 0.0003;
 
-/// A posture in which thumb and fingers face each other.
-struct Posture {
+/// A configuration in which thumb and fingers face each other.
+struct Configuration {
     joints: Vec<f64>,
     /// From the fingers' tips to the thumb's, base frame, unit, and its length.
     axis: Unit<Vector3<f64>>,
@@ -88,27 +41,13 @@ struct Posture {
     middle: Point3<f64>,
 }
 
-/// Searches for grasps of an object on a table, in the order of the candidates.
-///
-/// `surface` are points of the object's surface with outward normals, object frame: the denser, the more opposed pairs.
-/// The same options give the same grasps with any number of threads.
+/// Pinches between opposite points of the surface, from `candidates` that are looked at, in their order. The same for any number of threads.
 ///
 /// # Errors
-/// If the hand has no thumb and finger, there is no surface, or an option is out of range.
-pub fn search_grasps(
-    robot: &Robot,
-    hand: &HandSurface,
-    object: &dyn SignedDistance,
-    surface: &[SurfacePoint],
-    center_of_mass: &Point3<f64>,
-    table: &TablePlane,
-    options: &SearchOptions,
-) -> Result<Vec<FoundGrasp>> {
-    if !(options.friction > 0.0 && options.friction.is_finite() && options.max_penetration_m >= 0.0) {
-        return Err(GraspError::value(
-            format!("friction {} and penetration {} m", options.friction, options.max_penetration_m),
-            "give positive numbers",
-        ));
+/// If the hand has no thumb, finger or collision shapes, or the object's friction is none.
+pub fn pinch_grasps(object: &Object, robot: &Robot, candidates: usize, seed: u64) -> Result<Vec<Grasp>> {
+    if !(object.friction > 0.0 && object.friction.is_finite()) {
+        return Err(GraspError::value(format!("friction {}", object.friction), "give a positive number"));
     }
     let within = |limits: Option<(f64, f64)>| limits.is_none_or(|(lo, hi)| lo <= hi && (hi - lo).is_finite());
     if let Some(joint) = robot.joints.iter().find(|j| !within(j.limits)) {
@@ -117,22 +56,26 @@ pub fn search_grasps(
             "give a finite range in the hand's model, or none",
         ));
     }
-    let postures = postures(robot, hand, options.seed)?;
-    let pairs = pairs(object, surface, options);
-    let search = Search { robot, hand, object, center_of_mass, table, options };
-    let found: Vec<Result<Option<FoundGrasp>>> = (0..options.candidates)
+    let hand = HandSurface::new(robot, ContactOptions::default().spacing_m)?;
+    let (closing, limits) = (FingerClosing::new(robot)?, EvaluationOptions::of_synthesised(object));
+    let configurations = configurations(robot, &hand, seed)?;
+    let pairs = pairs(&*object.geometry, &object.surface_points(SURFACE_POINTS, seed), object.friction, seed);
+    let search = Search { robot, hand: &hand, object, limits: &limits };
+    let found: Vec<Option<Grasp>> = (0..candidates)
         .into_par_iter()
         .map(|i| {
             // One stream per candidate, so that threads do not matter.
-            let mut random = ChaCha8Rng::seed_from_u64(options.seed.wrapping_add(1 + i as u64));
+            let mut random = ChaCha8Rng::seed_from_u64(seed.wrapping_add(1 + i as u64));
             random.set_stream(1);
-            match pairs.is_empty() {
-                true => Ok(None),
-                false => search.candidate(&pairs[random.random_range(0..pairs.len())], &postures, &mut random),
-            }
+            let grasp = match pairs.is_empty() {
+                true => None,
+                false => search.candidate(&pairs[random.random_range(0..pairs.len())], &configurations, &mut random)?,
+            };
+            let clear = grasp.filter(|g| closing.is_clear_of_itself(&g.joints_rad));
+            Ok(clear.map(|g| Grasp { origin: GraspOrigin::Pinch, source: i, ..g }))
         })
-        .collect();
-    found.into_iter().filter_map(Result::transpose).collect()
+        .collect::<Result<_>>()?;
+    Ok(found.into_iter().flatten().collect())
 }
 
 /// Two opposed points of the surface, object frame.
@@ -142,12 +85,12 @@ struct Pair {
 }
 
 /// Pairs of points whose normals face away from each other, found by going straight through the object.
-fn pairs(object: &dyn SignedDistance, surface: &[SurfacePoint], options: &SearchOptions) -> Vec<Pair> {
-    let mut random = ChaCha8Rng::seed_from_u64(options.seed);
+fn pairs(object: &dyn SignedDistance, surface: &[SurfacePoint], friction: f64, seed: u64) -> Vec<Pair> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut out = Vec::new();
     for sample in surface {
         // A direction inside the friction cone.
-        let lean = (options.friction.atan() * 0.7) * random.random_range(0.0..1.0_f64).sqrt();
+        let lean = (friction.atan() * 0.7) * random.random_range(0.0..1.0_f64).sqrt();
         let heading = direction(&mut random);
         let Some(axis) = sample.normal.cross(&heading).try_normalize(1e-6) else { continue };
         let inward = UnitQuaternion::from_axis_angle(&Unit::new_unchecked(axis), lean) * -sample.normal;
@@ -177,8 +120,8 @@ fn through(object: &dyn SignedDistance, from: &Point3<f64>, direction: &Vector3<
     None
 }
 
-/// Postures in which thumb and fingers close towards each other.
-fn postures(robot: &Robot, hand: &HandSurface, seed: u64) -> Result<Vec<Posture>> {
+/// Configurations in which thumb and fingers close towards each other.
+fn configurations(robot: &Robot, hand: &HandSurface, seed: u64) -> Result<Vec<Configuration>> {
     let Some(thumb) = hand.thumb() else {
         return Err(GraspError::Robot(format!("\"{}\" has no thumb; name one in the model", robot.name)));
     };
@@ -230,8 +173,13 @@ fn postures(robot: &Robot, hand: &HandSurface, seed: u64) -> Result<Vec<Posture>
         let width_m = across.norm();
         if (WIDTH_M.0..WIDTH_M.1 + 0.04).contains(&width_m) && mean.dot(&axis) > OPPOSITION {
             let thumb_tip = tip(&hand.fingers[thumb]);
-            out.push(Posture { joints: q, axis, width_m, middle: nalgebra::center(&thumb_tip, &Point3::from(tips)) });
-            if out.len() == POSTURES {
+            out.push(Configuration {
+                joints: q,
+                axis,
+                width_m,
+                middle: nalgebra::center(&thumb_tip, &Point3::from(tips)),
+            });
+            if out.len() == CONFIGURATIONS {
                 break;
             }
         }
@@ -242,39 +190,42 @@ fn postures(robot: &Robot, hand: &HandSurface, seed: u64) -> Result<Vec<Posture>
 struct Search<'a> {
     robot: &'a Robot,
     hand: &'a HandSurface,
-    object: &'a dyn SignedDistance,
-    center_of_mass: &'a Point3<f64>,
-    table: &'a TablePlane,
-    options: &'a SearchOptions,
+    object: &'a Object,
+    limits: &'a EvaluationOptions,
 }
 
 impl Search<'_> {
-    fn candidate(&self, pair: &Pair, postures: &[Posture], random: &mut ChaCha8Rng) -> Result<Option<FoundGrasp>> {
+    fn candidate(
+        &self,
+        pair: &Pair,
+        configurations: &[Configuration],
+        random: &mut ChaCha8Rng,
+    ) -> Result<Option<Grasp>> {
         let across = pair.first - pair.second;
         let width = across.norm();
         // The skin is some millimetres thick, and the fingers have to close yet.
-        let fitting: Vec<&Posture> =
-            postures.iter().filter(|p| (width + 0.01..width + 0.05).contains(&p.width_m)).collect();
+        let fitting: Vec<&Configuration> =
+            configurations.iter().filter(|p| (width + 0.01..width + 0.05).contains(&p.width_m)).collect();
         if fitting.is_empty() {
             return Ok(None);
         }
-        let posture = fitting[random.random_range(0..fitting.len())];
+        let configuration = fitting[random.random_range(0..fitting.len())];
         let (Some(to), Some(turn)) =
-            (Unit::try_new(across, 1e-9), UnitQuaternion::rotation_between(&posture.axis, &across))
+            (Unit::try_new(across, 1e-9), UnitQuaternion::rotation_between(&configuration.axis, &across))
         else {
             return Ok(None);
         };
         let roll = UnitQuaternion::from_axis_angle(&to, random.random_range(0.0..std::f64::consts::TAU));
         let rotation = roll * turn;
         let middle = nalgebra::center(&pair.first, &pair.second);
-        let object_from_base = Pose::from_parts(Translation3::from(middle - rotation * posture.middle), rotation);
+        let object_from_base = Pose::from_parts(Translation3::from(middle - rotation * configuration.middle), rotation);
         // Nearly all of the hand over the table, before anything is solved.
-        let up = self.table.up.into_inner();
-        let mut q = posture.joints.clone();
+        let table = self.object.table();
+        let mut q = configuration.joints.clone();
         let clear = |q: &[f64]| {
             let poses = self.robot.forward_kinematics(q, &object_from_base);
-            let lowest = self.hand.lowest(&poses, &up).into_iter().fold(f64::INFINITY, f64::min);
-            (lowest - self.table.height_m, poses)
+            let lowest = self.hand.lowest(&poses, &table.up).into_iter().fold(f64::INFINITY, f64::min);
+            (lowest - table.height_m, poses)
         };
         let (height, poses) = clear(&q);
         if height < -0.01 || self.depth(&poses) > 0.01 {
@@ -284,15 +235,15 @@ impl Search<'_> {
             self.close(finger, &mut q, &object_from_base);
         }
         let (height, poses) = clear(&q);
-        if height < self.options.table_clearance_m || self.depth(&poses) > self.options.max_penetration_m {
+        if height < self.limits.min_table_clearance_m || self.depth(&poses) > self.limits.max_penetration_m {
             return Ok(None);
         }
-        self.judge(q, object_from_base)
+        Grasp::new(self.robot, q, object_from_base).screened(self.hand, self.object, self.robot, self.limits)
     }
 
     /// Deepest point of the hand in the object, m; zero or less if there is none.
     fn depth(&self, poses: &[Pose]) -> f64 {
-        self.hand.depths(poses, self.object, 0.0).into_iter().fold(f64::NEG_INFINITY, f64::max)
+        self.hand.depths(poses, &*self.object.geometry, 0.0).into_iter().fold(f64::NEG_INFINITY, f64::max)
     }
 
     /// Moves a finger's nearest point onto the surface, by damped least squares within the joint limits.
@@ -302,7 +253,9 @@ impl Search<'_> {
             let mut nearest: Option<(usize, usize, f64)> = None;
             for &link in &finger.links {
                 let limit = nearest.map_or(REACH_M, |n| n.2);
-                if let Some((index, distance)) = self.hand.links[link].nearest(&poses[link], self.object, limit) {
+                if let Some((index, distance)) =
+                    self.hand.links[link].nearest(&poses[link], &*self.object.geometry, limit)
+                {
                     nearest = Some((link, index, distance));
                 }
             }
@@ -311,7 +264,9 @@ impl Search<'_> {
                 return;
             }
             let point = poses[link] * self.hand.links[link].samples()[index].0;
-            let Some(outward) = self.object.signed_distance(&point).gradient.try_normalize(1e-9) else { return };
+            let Some(outward) = self.object.geometry.signed_distance(&point).gradient.try_normalize(1e-9) else {
+                return;
+            };
             let (linear, _) = self.robot.jacobian(&poses, link, &point);
             let j = linear.select_columns(&finger.joints);
             let way = -(distance + PRESS_M).clamp(-0.005, 0.005);
@@ -326,25 +281,6 @@ impl Search<'_> {
             }
             self.robot.clamp_to_limits(q);
         }
-    }
-
-    /// Contacts, and whether they carry.
-    fn judge(&self, joints: Vec<f64>, object_from_base: Pose) -> Result<Option<FoundGrasp>> {
-        let mut options = ContactOptions::with_friction(self.options.friction);
-        options.max_gap_m = TOUCHES_M;
-        options.max_per_link = 1;
-        let contacts = self.hand.contacts(self.robot, &joints, &object_from_base, self.object, &options)?;
-        let touches = |f: usize| contacts.iter().any(|c| c.finger == Some(f));
-        let thumb = self.hand.thumb();
-        let others = (0..self.hand.fingers.len()).filter(|&f| Some(f) != thumb && touches(f)).count();
-        if !thumb.is_some_and(touches) || others < self.options.min_fingers {
-            return Ok(None);
-        }
-        let Some(grip_force) = grip_force_per_weight(&contacts, *self.center_of_mass, self.table.up)? else {
-            return Ok(None);
-        };
-        let closed = holds_any_load(&contacts, self.center_of_mass)?;
-        Ok(Some(FoundGrasp { joints, object_from_base, contacts, grip_force_per_weight: grip_force, closed }))
     }
 }
 
@@ -384,8 +320,7 @@ mod tests {
                 SurfacePoint { point: Point3::from(normal * ball.0), normal }
             })
             .collect();
-        let options = SearchOptions { friction: 0.5, ..SearchOptions::default() };
-        let leans: Vec<f64> = pairs(&ball, &surface, &options)
+        let leans: Vec<f64> = pairs(&ball, &surface, 0.5, 0)
             .iter()
             .map(|p| {
                 assert!((p.second.coords.norm() - ball.0).abs() < 2e-4);
@@ -412,9 +347,9 @@ mod tests {
             let (thumb, middle) = (hand.thumb().unwrap(), robot.mid_range());
             let mut rest = vec![0.0; robot.dof()];
             robot.clamp_to_limits(&mut rest);
-            let postures = postures(&robot, &hand, 3).unwrap();
-            assert!(postures.len() > 50, "{name}: {}", postures.len());
-            for p in &postures {
+            let configurations = configurations(&robot, &hand, 3).unwrap();
+            assert!(configurations.len() > 50, "{name}: {}", configurations.len());
+            for p in &configurations {
                 let mut moved = Vector3::zeros();
                 for (_, finger) in hand.fingers.iter().enumerate().filter(|(f, _)| *f != thumb) {
                     let mut curled = p.joints.clone();
@@ -442,7 +377,7 @@ mod tests {
         let free = robot.require_joint("th_axl").unwrap();
         robot.joints[free].limits = None;
         let hand = HandSurface::new(&robot, 0.006).unwrap();
-        let drawn: Vec<f64> = postures(&robot, &hand, 1).unwrap().iter().map(|p| p.joints[free]).collect();
+        let drawn: Vec<f64> = configurations(&robot, &hand, 1).unwrap().iter().map(|p| p.joints[free]).collect();
         let (low, high) = drawn.iter().fold((0.0_f64, 0.0_f64), |(l, h), q| (l.min(*q), h.max(*q)));
         assert!((-1.0..-0.5).contains(&low) && (0.5..1.0).contains(&high), "{low} to {high} rad");
     }

@@ -1,0 +1,324 @@
+//! Is a grasp any good? Without simulating it: where the hand is, what it touches, and what that holds at rest. It is a calculation, not a
+//! success rate.
+
+use drex_core::Object;
+use drex_robot::Robot;
+use nalgebra::Point3;
+use serde::{Deserialize, Serialize};
+
+use crate::grip_force::describe;
+use crate::{
+    ClosureOptions, Contact, ContactOptions, Grasp, GraspContact, GraspError, GripForceError, GripForceProblem,
+    GripForceSolution, HandSurface, Result, TorqueLimits, force_closure, is_force_closed, minimum_grip_force,
+    smallest_forces,
+};
+
+/// The limits that a grasp has to keep. A stage that needs another limit changes that field, and says why there.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct EvaluationOptions {
+    /// What counts as a contact, and the friction there. A link that is 2 mm off the surface touches: pads give by as much when they are pressed, and
+    /// mesh and pose are no better known.
+    pub contact: ContactOptions,
+    /// Margin γ on the weight: 1 carries it at rest.
+    pub gamma: f64,
+    /// Deepest that the hand may be inside the object, metres: 2 mm, for the reason that 2 mm off touches; deeper a trial starts with a blow.
+    pub max_penetration_m: f64,
+    /// Least height of the hand above the table top, metres. It may be 1 mm below: the table of a scan is no better known.
+    pub min_table_clearance_m: f64,
+    /// Fingers that have to touch besides the thumb: 2, since a pinch of two hard fingertips turns about the line between them.
+    pub min_fingers: usize,
+    /// Whether the thumb has to touch (if the model has one): the other fingers close towards it.
+    pub thumb: bool,
+    /// Soft fingers: torsional friction, metres.
+    pub torsion_m: Option<f64>,
+    /// Damage limit per contact, N.
+    pub max_normal_n: Option<f64>,
+    /// Whether joint torques are limited to what the motors give.
+    pub motors: bool,
+    /// Whether all that is wrong is looked for, and qualities and margins are computed. A search asks for no more than whether a grasp passes, which does
+    /// not depend on it.
+    pub complete: bool,
+}
+
+impl Default for EvaluationOptions {
+    fn default() -> Self {
+        Self {
+            contact: ContactOptions::default(),
+            gamma: 1.0,
+            max_penetration_m: 0.002,
+            min_table_clearance_m: -0.001,
+            min_fingers: 2,
+            thumb: true,
+            torsion_m: None,
+            max_normal_n: None,
+            motors: true,
+            complete: true,
+        }
+    }
+}
+
+impl EvaluationOptions {
+    /// The defaults at the object's friction.
+    pub fn of(object: &Object) -> Self {
+        Self { contact: ContactOptions::with_friction(object.friction), ..Self::default() }
+    }
+
+    /// The limits of a grasp that is yet to be tried: the dry run of its closing says which fingers bring what the motors can give to bear, so the thumb
+    /// and one finger may do, and torques are left to it.
+    pub fn of_candidate(object: &Object) -> Self {
+        Self { min_fingers: 1, motors: false, complete: false, ..Self::of(object) }
+    }
+
+    /// Those of a candidate that was synthesised: no hand has been there yet, so it keeps 2 mm off the table, by which the object may stand elsewhere.
+    pub fn of_synthesised(object: &Object) -> Self {
+        Self { min_table_clearance_m: 0.002, ..Self::of_candidate(object) }
+    }
+}
+
+/// Contacts of one finger.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FingerContacts {
+    /// Name of the finger, or `palm`.
+    pub finger: String,
+    /// Number of contacts.
+    pub contacts: usize,
+    /// Sum of the normal forces in the minimum grip force, N; zero without one.
+    pub normal_n: f64,
+}
+
+/// The outcome of [`evaluate`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct GraspEvaluation {
+    /// Whether nothing is in `failures`.
+    pub passed: bool,
+    /// What is wrong, one sentence each.
+    pub failures: Vec<String>,
+    /// Contacts per finger, the palm last.
+    #[serde(rename = "contacts")]
+    pub fingers: Vec<FingerContacts>,
+    /// The contacts, object frame.
+    #[serde(skip)]
+    pub contacts: Vec<Contact>,
+    /// Deepest point of the hand inside the object, mm; zero or more.
+    pub penetration_mm: f64,
+    /// Deepest point of the hand below the table top, mm; zero or more.
+    pub table_penetration_mm: f64,
+    /// Whether the contacts are in force closure.
+    pub force_closure: bool,
+    /// Ferrari-Canny quality about the centre of mass; see [`crate::ForceClosure`]. `None` if it was not asked for.
+    pub epsilon: Option<f64>,
+    /// Min-weight quality; see [`crate::ForceClosure`]. `None` if it was not asked for.
+    pub min_weight: Option<f64>,
+    /// The minimum grip force, N: sum of the normal forces; `None` if there is none.
+    #[serde(rename = "squeeze_n")]
+    pub grip_force_n: Option<f64>,
+    /// By which fraction friction may fall; `None` without a grip force, or if it was not asked for.
+    pub friction_margin: Option<f64>,
+    /// Least share of a motor's torque left; `None` without a grip force.
+    pub torque_margin: Option<f64>,
+    /// The mass that was carried, kg.
+    pub mass_kg: f64,
+    /// The friction that was assumed.
+    pub friction: f64,
+    /// The margin on the weight.
+    pub gamma: f64,
+}
+
+/// Evaluates a grasp of `object` at rest on its table: contacts per finger, penetration of object and table, force closure, and the minimum
+/// grip force that carries the object's weight.
+///
+/// # Errors
+/// If the grasp is none of this hand, or an option is invalid. A bad grasp is not an error.
+pub fn evaluate(grasp: &Grasp, object: &Object, robot: &Robot, options: &EvaluationOptions) -> Result<GraspEvaluation> {
+    evaluate_with(&HandSurface::new(robot, options.contact.spacing_m)?, grasp, object, robot, options)
+}
+
+/// [`evaluate`] with the hand already sampled, for many grasps of one hand.
+///
+/// # Errors
+/// As [`evaluate`].
+pub fn evaluate_with(
+    surface: &HandSurface,
+    grasp: &Grasp,
+    object: &Object,
+    robot: &Robot,
+    options: &EvaluationOptions,
+) -> Result<GraspEvaluation> {
+    let joints = grasp.joints_of(robot)?;
+    let (object_from_base, geometry) = (&grasp.object_from_base, object.geometry.exact());
+    let (body, table) = (&object.mass_properties, object.table());
+    let contacts = surface.contacts(robot, &joints, object_from_base, geometry, &options.contact)?;
+    let poses = robot.forward_kinematics(&joints, object_from_base);
+    let depth = surface.depths(&poses, geometry, 0.0).into_iter().fold(0.0, f64::max);
+    let lowest = surface.lowest(&poses, &table.up).into_iter().fold(f64::INFINITY, f64::min);
+    let clearance = lowest - table.height_m;
+
+    let mut failures = Vec::new();
+    let count = |finger: Option<usize>| contacts.iter().filter(|c| c.finger == finger).count();
+    touching_fingers(surface, options, &|f| count(Some(f)), &mut failures);
+    if depth > options.max_penetration_m {
+        failures.push(format!("the hand is {:.1} mm inside the object", 1e3 * depth));
+    }
+    if clearance < options.min_table_clearance_m {
+        failures.push(match clearance < 0.0 {
+            true => format!("the hand is {:.1} mm below the table top", -1e3 * clearance),
+            false => format!("the hand is only {:.1} mm above the table top", 1e3 * clearance),
+        });
+    }
+    let goes_on = options.complete || failures.is_empty();
+
+    let closed = goes_on && is_closed(&contacts, body.center_of_mass, options)?;
+    if goes_on && !closed {
+        failures.push("the contacts are not in force closure".into());
+    }
+    let (mut epsilon, mut min_weight) = (None, None);
+    if options.complete {
+        let mut closure = ClosureOptions::about(body.center_of_mass);
+        closure.torsion_m = options.torsion_m;
+        if let Some(quality) = unless_at_the_edge(force_closure(&contacts, &closure))? {
+            (epsilon, min_weight) = (Some(quality.epsilon), Some(quality.min_weight));
+        }
+    }
+    let grip_force = match options.complete || failures.is_empty() {
+        true => {
+            let (grip_force, failure) = grip_force(robot, &joints, grasp, object, &contacts, options)?;
+            failures.extend(failure);
+            grip_force
+        }
+        false => None,
+    };
+
+    let force = |finger: Option<usize>| {
+        grip_force.as_ref().map_or(0.0, |s| match finger {
+            Some(f) => s.per_finger_n.get(f).copied().unwrap_or(0.0),
+            None => s.palm_n,
+        })
+    };
+    let row = |name: &str, finger: Option<usize>| FingerContacts {
+        finger: name.into(),
+        contacts: count(finger),
+        normal_n: force(finger),
+    };
+    let mut fingers: Vec<FingerContacts> =
+        surface.fingers.iter().enumerate().map(|(i, f)| row(&f.name, Some(i))).collect();
+    fingers.push(row("palm", None));
+    Ok(GraspEvaluation {
+        passed: failures.is_empty(),
+        failures,
+        fingers,
+        penetration_mm: 1e3 * depth,
+        table_penetration_mm: 1e3 * (-clearance).max(0.0),
+        force_closure: closed,
+        epsilon,
+        min_weight,
+        grip_force_n: grip_force.as_ref().map(|s| s.total_n),
+        friction_margin: grip_force.as_ref().filter(|_| options.complete).map(|s| s.friction_margin),
+        torque_margin: grip_force.as_ref().map(|s| s.torque_margin),
+        mass_kg: body.mass_kg,
+        friction: options.contact.friction,
+        gamma: options.gamma,
+        contacts,
+    })
+}
+
+impl Grasp {
+    /// The grasp with its contacts and the grip force that the object takes, if it passes an [evaluation](evaluate_with).
+    ///
+    /// # Errors
+    /// As [`evaluate_with`].
+    pub fn screened(
+        mut self,
+        surface: &HandSurface,
+        object: &Object,
+        robot: &Robot,
+        options: &EvaluationOptions,
+    ) -> Result<Option<Self>> {
+        let evaluation = evaluate_with(surface, &self, object, robot, options)?;
+        let contact = |c: &Contact| GraspContact {
+            link: robot.links[c.link].name.clone(),
+            point_m: c.point.into(),
+            normal: c.normal.into(),
+        };
+        self.contacts = evaluation.contacts.iter().map(contact).collect();
+        self.grip_force_n = evaluation.grip_force_n;
+        Ok(evaluation.passed.then_some(self))
+    }
+}
+
+/// The minimum grip force that carries the object, or what is in its way.
+fn grip_force(
+    robot: &Robot,
+    joints: &[f64],
+    grasp: &Grasp,
+    object: &Object,
+    contacts: &[Contact],
+    options: &EvaluationOptions,
+) -> Result<(Option<GripForceSolution>, Option<String>)> {
+    let (body, gravity) = (&object.mass_properties, object.table().gravity());
+    let mut problem =
+        GripForceProblem::new(contacts.to_vec(), body.mass_kg, body.center_of_mass, gravity).with_gamma(options.gamma);
+    problem.torsion_m = options.torsion_m;
+    problem.max_normal_n = options.max_normal_n;
+    if options.motors {
+        problem.torques = Some(TorqueLimits::of_robot(robot, joints, &grasp.object_from_base, contacts, &gravity)?);
+    }
+    let solved = match options.complete {
+        true => minimum_grip_force(&problem),
+        false => smallest_forces(&problem).map(|f| describe(&problem, &f)),
+    };
+    Ok(match solved {
+        Ok(grip_force) => (Some(grip_force), None),
+        Err(GripForceError::Input(GraspError::Solver { .. })) => {
+            (None, Some("the weight is at the very edge of what the contacts can carry".into()))
+        }
+        Err(GripForceError::Input(error)) => return Err(error),
+        Err(GripForceError::Torque { joint, needed_nm, limit_nm }) => {
+            let name = &robot.joints[joint].name;
+            (None, Some(format!("joint \"{name}\" would need {needed_nm:.3} N m and has {limit_nm:.3} N m")))
+        }
+        Err(reason) => (None, Some(reason.to_string())),
+    })
+}
+
+/// Whether the contacts are in force closure; at the very edge they are not.
+fn is_closed(contacts: &[Contact], center_of_mass: Point3<f64>, options: &EvaluationOptions) -> Result<bool> {
+    Ok(unless_at_the_edge(is_force_closed(contacts, &center_of_mass, options.torsion_m))?.unwrap_or(false))
+}
+
+/// At the very edge of what is possible a solver stops half-way: that is no error of the grasp's.
+fn unless_at_the_edge<T>(answer: Result<T>) -> Result<Option<T>> {
+    match answer {
+        Err(GraspError::Solver { .. }) => Ok(None),
+        answer => answer.map(Some),
+    }
+}
+
+/// Whether enough fingers touch, the thumb among them.
+fn touching_fingers(
+    surface: &HandSurface,
+    options: &EvaluationOptions,
+    contacts_of: &dyn Fn(usize) -> usize,
+    failures: &mut Vec<String>,
+) {
+    let thumb = surface.thumb();
+    if options.thumb
+        && let Some(t) = thumb
+        && contacts_of(t) == 0
+    {
+        failures.push("the thumb does not touch the object".into());
+    }
+    let others: Vec<usize> = (0..surface.fingers.len()).filter(|&f| Some(f) != thumb).collect();
+    let touching = others.iter().filter(|&&f| contacts_of(f) > 0).count();
+    if touching < options.min_fingers {
+        let missing: Vec<&str> =
+            others.iter().filter(|&&f| contacts_of(f) == 0).map(|&f| surface.fingers[f].name.as_str()).collect();
+        failures.push(format!(
+            "{touching} of {} fingers touch the object, {} are asked for (not touching: {})",
+            others.len(),
+            options.min_fingers,
+            missing.join(", ")
+        ));
+    }
+}
