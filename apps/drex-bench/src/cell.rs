@@ -274,11 +274,11 @@ mod tests {
     #![allow(clippy::unwrap_used)]
 
     use super::*;
+    use crate::formula::PinchByFirstJoint;
     use drex_core::Pose;
     use drex_grasp::Grasp;
     use drex_robot::Robot;
     use drex_trial::ConditionSpread;
-    use drex_trial::formula::PinchByFirstJoint;
 
     #[test]
     fn the_grip_does_not_change_with_what_is_told_where_it_is_chosen_by_what_is_true() {

@@ -434,7 +434,7 @@ mod tests {
     use drex_trial::Assumed;
 
     use super::*;
-    use drex_trial::formula::PinchFormula;
+    use crate::formula::PinchFormula;
 
     /// A bench with few demonstrations, judged by a formula.
     fn bench(hand: &TargetHand) -> Bench<'_, PinchFormula> {

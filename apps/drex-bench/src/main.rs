@@ -6,6 +6,9 @@ mod cli;
 mod configurations;
 mod demonstrations;
 mod experiments;
+#[cfg(test)]
+#[path = "../../../crates/drex-trial/tests/doubles/formula.rs"]
+mod formula;
 mod library;
 mod object;
 mod objects;

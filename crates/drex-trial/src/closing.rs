@@ -35,6 +35,18 @@ pub struct ClosingPlan {
     pub fingers_in_contact: Vec<bool>,
 }
 
+impl ClosingPlan {
+    /// Joint angles once the fingers touch, model order, rad.
+    pub fn joints_rad(&self) -> &[f64] {
+        &self.closed
+    }
+
+    /// Where the closed hand touches the object, world, the most pressed first.
+    pub fn contacts(&self) -> &[Contact] {
+        &self.touching
+    }
+}
+
 /// See [`Trial::plan_closing`](crate::Trial::plan_closing).
 pub(crate) fn plan_closing(pair: &HandAndObject, grasp: &Grasp, assumed: &Assumed) -> Result<ClosingPlan> {
     check_mass_and_friction(assumed.mass_kg, assumed.friction)?;

@@ -211,7 +211,7 @@ fn share_grip_force(
 ///
 /// # Errors
 /// As [`GripForcePolicy::command`].
-pub fn needed_force(
+fn needed_force(
     hand: &Robot,
     law: &GripForcePolicy,
     problem: &GripForceProblem,

@@ -15,7 +15,6 @@ mod engine;
 mod error;
 mod evaluator;
 mod find;
-pub mod formula;
 mod hand_and_object;
 mod options;
 mod outcome;
@@ -28,7 +27,7 @@ mod watch;
 
 pub use assumed::{Assumed, Truth};
 pub use closing::ClosingPlan;
-pub use command::{Command, GripForce, NoCommand, needed_force};
+pub use command::{Command, GripForce, NoCommand};
 pub use control::ContactForce;
 pub use engine::Engine;
 pub use error::{Error, Result};
@@ -41,6 +40,13 @@ pub use selection::{Selection, SelectionOptions, VALIDATION_SEED, ValidatedGrasp
 pub use stats::{Interval, paired_difference, wilson};
 pub use timeline::phases;
 pub use trial::{Frame, Trial};
+
+// The test double in tests/doubles is a file of several crates.
+#[cfg(test)]
+extern crate self as drex_trial;
+#[cfg(test)]
+#[path = "../tests/doubles/formula.rs"]
+mod formula;
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

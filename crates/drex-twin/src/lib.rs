@@ -74,12 +74,16 @@ pub use {
     hand::with_torque_cap,
     inputs::Stage,
     pipeline::{Reporter, RunOptions, RunSummary},
-    predict::{FingerContact, PredictOptions, Prediction, Predictor, predict},
+    predict::{PredictOptions, Prediction, Predictor, predict},
     progress::Progress,
     scene::Scene,
     stages::recordings,
     twin::Twin,
 };
+
+#[cfg(all(test, feature = "stages"))]
+#[path = "../../drex-trial/tests/doubles/formula.rs"]
+mod formula;
 
 /// Runs the examples of the README as tests.
 #[cfg(all(doctest, feature = "stages"))]

@@ -1,24 +1,26 @@
-//! A grasp for an object that stands somewhere: the network's proposals, the first that the hand can hold, and its grip force.
+//! A grasp for an object that stands somewhere: the network's proposals, a dry run of closing the hand for each, and the grip force of the first
+//! that then holds.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 use drex_core::{ASSUMED_FRICTION, Object, Pose, PoseRecord};
-use drex_grasp::{ContactOptions, ForceCommand, GripForceProblem, HandSurface, TorqueLimits, paper_force};
+use drex_grasp::{ContactOptions, FingerContacts, Grasp, HandSurface, paper_force};
 use drex_mesh::{AssetOptions, LengthUnit, asset_from_mesh, metric_mesh};
 use drex_policy::{GraspPolicy, PredictedGrasp, Query};
 use drex_robot::Robot;
-use drex_trial::{Reach, TrialOptions, needed_force, plan_reach};
-use nalgebra::{Point3, Vector3};
+use drex_trial::{Assumed, Engine, Reach, TrialEvaluator, TrialOptions, plan_reach};
+use nalgebra::{Point3, Translation3, Vector3};
 use serde::Serialize;
 
 use crate::error::{Context, refuse};
 use crate::hand::with_torque_cap;
+use crate::learn::grasp_of;
+use crate::rank::Chosen;
 use crate::records::{MASS, MassFile, POLICY, read_json};
 use crate::{Result, Twin, rank};
 
-/// Largest gap at which a predicted hand counts as touching, metres: less than the fingers move when they close.
-const MAX_PREDICTED_GAP_M: f64 = 0.006;
 /// File that makes a folder that of a policy.
 const POLICY_CARD: &str = "policy.json";
 
@@ -74,11 +76,11 @@ pub struct Prediction {
     /// Grip force by the network, sum of normal forces, N.
     #[serde(rename = "squeeze_n")]
     pub grip_force_n: f64,
-    /// Grip force by the grip-force policy at the predicted contacts, N; absent where they cannot carry the object.
+    /// Grip force by the grip-force policy at the contacts of the closed hand, N; absent where they cannot carry the object.
     #[serde(rename = "needed_squeeze_n")]
     pub needed_grip_force_n: Option<f64>,
-    /// Contacts of each finger, the palm last.
-    pub contacts: Vec<FingerContact>,
+    /// Contacts of each finger once the hand has closed, the palm last.
+    pub contacts: Vec<FingerContacts>,
     /// Joint torques of the grip force with the hand's own weight, N m; empty where there is no grip force.
     pub joint_torques_nm: Vec<f64>,
     /// The paper's normalised force: m g n / 5 N, at most 1.
@@ -88,20 +90,9 @@ pub struct Prediction {
     /// Time of the network, ms; not in files, as it differs from run to run.
     #[serde(skip)]
     pub network_ms: f64,
-    /// Time of contacts and grip force, ms.
+    /// Time of closing the hand in a dry run, and of the grip force, ms.
     #[serde(skip)]
     pub force_ms: f64,
-}
-
-/// Contacts of one finger.
-#[derive(Debug, Clone, Serialize)]
-pub struct FingerContact {
-    /// Name of the finger, or `palm`.
-    pub finger: String,
-    /// Number of contacts.
-    pub contacts: usize,
-    /// Sum of the normal forces, N.
-    pub normal_n: f64,
 }
 
 /// The grasp of `policy` for an object of this mass that stands at this pose, with the bundled model of the policy's hand.
@@ -181,22 +172,17 @@ impl Predictor {
         let start = Instant::now();
         let up = self.object.world_from_object.rotation.inverse() * Vector3::z();
         let query = Query::new(&self.points, self.object.mass_kg(), self.object.friction).with_up(up);
-        let grasps = rank::proposals(&self.policy, &query)?;
+        let predicted = rank::proposals(&self.policy, &query)?;
         let network_ms = 1e3 * start.elapsed().as_secs_f64();
         let start = Instant::now();
-        let surface = HandSurface::new(&self.robot, ContactOptions::default().spacing_m)?;
-        let mut first = None;
-        for (place, grasp) in grasps.iter().enumerate() {
-            let prediction = self.evaluate(&surface, grasp, place + 1)?;
-            let holds = prediction.cannot_hold.is_none();
-            if holds || first.is_none() {
-                first = Some(prediction);
-            }
-            if holds {
-                break;
-            }
-        }
-        let mut prediction = first.context("the policy proposes no grasp")?;
+        let assumed = Assumed { mass_kg: self.object.mass_kg(), friction: self.object.friction };
+        let robot = Arc::new(self.robot.clone());
+        let (options, standing) = (TrialOptions::default(), on_table(&self.object));
+        let evaluator = TrialEvaluator::new(&standing, &robot, &options, Engine::Diffsim)?;
+        let grasps: Vec<Grasp> =
+            predicted.iter().map(|p| grasp_of(self.policy.hand(), self.policy.joint_names(), p)).collect();
+        let chosen = rank::first_commanded(&evaluator, &grasps, &assumed)?;
+        let mut prediction = self.prediction(&predicted[chosen.place - 1], &chosen);
         (prediction.network_ms, prediction.force_ms) = (network_ms, 1e3 * start.elapsed().as_secs_f64());
         Ok(prediction)
     }
@@ -213,56 +199,61 @@ impl Predictor {
         Ok(plan_reach(&self.robot, &surface, &grasp.joints_rad, &object_from_base, object, &world_from_object))
     }
 
-    fn evaluate(&self, surface: &HandSurface, grasp: &PredictedGrasp, place: usize) -> Result<Prediction> {
+    fn prediction(&self, predicted: &PredictedGrasp, chosen: &Chosen<TrialEvaluator>) -> Prediction {
         let Self { robot, object, .. } = self;
-        let mut options = ContactOptions::with_friction(object.friction);
-        options.max_gap_m = MAX_PREDICTED_GAP_M;
-        let contacts =
-            surface.contacts(robot, &grasp.joints, &grasp.object_from_base, object.geometry.exact(), &options)?;
-        let gravity = object.table().gravity();
-        let torques = TorqueLimits::of_robot(robot, &grasp.joints, &grasp.object_from_base, &contacts, &gravity)?;
-        let problem =
-            GripForceProblem::new(contacts, object.mass_kg(), object.center_of_mass(), gravity).with_torques(torques);
-        let (force, cannot_hold) = match needed_force(robot, &TrialOptions::default().law, &problem) {
-            Ok(force) => (Some(force), None),
-            Err(reason) => (None, Some(reason.to_string())),
+        let command = chosen.command.as_ref().ok();
+        let links: Vec<usize> = match command {
+            Some(command) => command.contact_forces.iter().map(|f| f.link).collect(),
+            None => chosen.closed.contacts().iter().map(|c| c.link).collect(),
         };
-        let of = |f: Option<usize>| problem.contacts.iter().filter(move |c| c.finger == f).count();
-        let share = |f: Option<usize>| share_of(force.as_ref(), f);
-        let mut fingers: Vec<FingerContact> = surface
-            .fingers
-            .iter()
-            .enumerate()
-            .map(|(i, f)| FingerContact { finger: f.name.clone(), contacts: of(Some(i)), normal_n: share(Some(i)) })
-            .collect();
-        fingers.push(FingerContact { finger: "palm".into(), contacts: of(None), normal_n: share(None) });
-        let touching = fingers.iter().filter(|f| f.contacts > 0).count();
-        Ok(Prediction {
+        let per_finger_n = command.map_or(&[][..], |c| &c.per_finger_n);
+        let mut contacts: Vec<FingerContacts> = Vec::new();
+        for (i, finger) in robot.fingers().into_iter().enumerate() {
+            contacts.push(FingerContacts {
+                contacts: links.iter().filter(|l| finger.links.contains(l)).count(),
+                finger: finger.name,
+                normal_n: per_finger_n.get(i).copied().unwrap_or(0.0),
+            });
+        }
+        let (of_fingers, of_fingers_n) =
+            contacts.iter().fold((0, 0.0), |(n, newtons), c| (n + c.contacts, newtons + c.normal_n));
+        contacts.push(FingerContacts {
+            finger: "palm".into(),
+            contacts: links.len() - of_fingers,
+            normal_n: command.map_or(0.0, |c| (c.grip_force_n - of_fingers_n).max(0.0)),
+        });
+        let touching = contacts.iter().filter(|f| f.contacts > 0).count();
+        let world_from_base = object.world_from_object * predicted.object_from_base;
+        let down = world_from_base.rotation.inverse() * Vector3::new(0.0, 0.0, -9.81);
+        let own_nm = robot.gravity_torque(chosen.closed.joints_rad(), &down);
+        let joint_torques_nm =
+            command.map(|c| c.torques_nm.iter().zip(own_nm.iter()).map(|(grip, own)| grip + own).collect());
+        Prediction {
             hand: robot.name.clone(),
             joint_names: robot.joint_names().into_iter().map(str::to_owned).collect(),
-            joints_rad: grasp.joints.clone(),
-            world_from_base: PoseRecord::from(&(object.world_from_object * grasp.object_from_base)),
-            weight: grasp.weight,
-            place,
+            joints_rad: predicted.joints.clone(),
+            world_from_base: PoseRecord::from(&world_from_base),
+            weight: predicted.weight,
+            place: chosen.place,
             mass_kg: object.mass_kg(),
             friction: object.friction,
-            grip_force_n: grasp.grip_force_n,
-            needed_grip_force_n: force.as_ref().map(|f| f.total_n),
-            contacts: fingers,
-            joint_torques_nm: force.map(|f| f.distribution.joint_torques_nm).unwrap_or_default(),
+            grip_force_n: predicted.grip_force_n,
+            needed_grip_force_n: command.map(|c| c.grip_force_n),
+            contacts,
+            joint_torques_nm: joint_torques_nm.unwrap_or_default(),
             paper_force: paper_force(object.mass_kg(), 9.81, touching),
-            cannot_hold,
+            cannot_hold: chosen.command.as_ref().err().map(ToString::to_string),
             network_ms: 0.0,
             force_ms: 0.0,
-        })
+        }
     }
 }
 
-fn share_of(force: Option<&ForceCommand>, finger: Option<usize>) -> f64 {
-    force.map_or(0.0, |f| {
-        let d = &f.distribution;
-        finger.map_or(d.palm_n, |i| d.per_finger_n.get(i).copied().unwrap_or(0.0))
-    })
+/// The object, turned as it is, on the table z = 0 about the origin: where the world has its own does not matter.
+fn on_table(object: &Object) -> Object {
+    let turned = Pose::from_parts(Translation3::identity(), object.world_from_object.rotation);
+    let lowest_m = object.bounds_at(&turned).map_or(0.0, |(low, _)| low.z);
+    object.clone().with_rest_pose(Translation3::new(0.0, 0.0, -lowest_m) * turned)
 }
 
 /// The object where the options say that it stands.

@@ -2,8 +2,12 @@
 
 use std::cmp::Ordering;
 
-use crate::Result;
+use drex_grasp::Grasp;
 use drex_policy::{GraspPolicy, PredictedGrasp, Query};
+use drex_trial::{Assumed, Evaluator, GripForce, NoCommand};
+
+use crate::Result;
+use crate::error::Context;
 
 /// A grasp at least this many times as probable as the most probable one is as good as that: what a network thinks of grasps that all held
 /// differs by less.
@@ -32,9 +36,61 @@ pub fn sort<T>(proposals: &mut [T], weight: impl Fn(&T) -> f64, grip_force_n: im
     });
 }
 
+/// A grasp that was chosen.
+pub(crate) struct Chosen<E: Evaluator> {
+    /// Its place among the grasps, from 1.
+    pub place: usize,
+    /// The hand, closed.
+    pub closed: E::Closed,
+    /// Its command; else why none of the grasps has one: the reason of the first.
+    pub command: std::result::Result<E::Command, NoCommand>,
+}
+
+/// Closes the hand in a dry run, grasp by grasp, until it has a command with the grip force that is needed.
+pub(crate) fn first_commanded<E: Evaluator>(evaluator: &E, grasps: &[Grasp], assumed: &Assumed) -> Result<Chosen<E>> {
+    let mut first = None;
+    for (i, grasp) in grasps.iter().enumerate() {
+        let closed = evaluator.close(grasp, assumed)?;
+        let command = evaluator.command(&closed, assumed, GripForce::Required)?;
+        let holds = command.is_ok();
+        if holds || first.is_none() {
+            first = Some(Chosen { place: i + 1, closed, command });
+        }
+        if holds {
+            break;
+        }
+    }
+    first.context("the policy proposes no grasp")
+}
+
 #[cfg(test)]
 mod tests {
-    use super::sort;
+    #![allow(clippy::unwrap_used)]
+
+    use drex_core::Pose;
+    use drex_grasp::Grasp;
+    use drex_robot::Robot;
+    use drex_trial::{Assumed, NoCommand};
+
+    use super::{first_commanded, sort};
+    use crate::formula::PinchByFirstJoint;
+
+    #[test]
+    fn the_first_that_has_a_command_is_chosen_else_the_first_one_says_why() {
+        let hand = Robot::bundled("leap_right").unwrap();
+        // As strong, N, as the first joint says: 100 g at friction 0.5 take 3.6 N.
+        let grasps = |strongest_n: &[f64]| -> Vec<Grasp> {
+            let grasp = |n: &f64| Grasp { joints_rad: vec![*n], ..Grasp::new(&hand, Vec::new(), Pose::identity()) };
+            strongest_n.iter().map(grasp).collect()
+        };
+        let assumed = Assumed { mass_kg: 0.1, friction: 0.5 };
+        let chosen = first_commanded(&PinchByFirstJoint, &grasps(&[3.0, 2.0, 50.0, 60.0]), &assumed).unwrap();
+        assert!((chosen.place, chosen.closed) == (3, 50.0) && (chosen.command.unwrap() - 3.597).abs() < 1e-3);
+        let none = first_commanded(&PinchByFirstJoint, &grasps(&[3.0, 2.0]), &assumed).unwrap();
+        assert_eq!((none.place, none.closed), (1, 3.0));
+        assert!(matches!(none.command, Err(NoCommand::TorqueLimit(_))));
+        assert!(first_commanded(&PinchByFirstJoint, &[], &assumed).is_err());
+    }
 
     #[test]
     fn of_what_is_as_probable_the_gentlest_comes_first() {

@@ -38,17 +38,17 @@ pub const EVALUATION: &str = "policy/evaluation.json";
 /// Result of the trial stage.
 pub const TRIAL: &str = "policy/trial.json";
 
-/// Result of the execute stage,
+/// Result of the execute stage.
 pub const EXECUTION: &str = "policy/execution.json";
-/// and the log of the hand's joints.
+/// Log of the hand's joints while the execute stage ran.
 pub const EXECUTION_LOG: &str = "policy/execution.csv";
 
 /// What of `splat/report.json` is told.
 #[derive(Debug, Clone, Deserialize)]
 pub struct SplatReport {
-    /// Photos that the Gaussians learned from,
+    /// Number of photos that the Gaussians learned from.
     pub photos_trained: usize,
-    /// and that they were compared with.
+    /// Number of photos that they were compared with.
     pub photos_held_out: usize,
     /// Ellipsoids, for looks.
     pub appearance: SplatSet,
@@ -65,7 +65,7 @@ pub struct SplatSet {
     pub held_out: SplatScores,
 }
 
-/// See [`SplatSet::held_out`].
+/// Scores on photos that were held out.
 #[derive(Debug, Clone, Deserialize)]
 pub struct SplatScores {
     /// One per photo.
@@ -77,9 +77,9 @@ pub struct SplatScores {
 pub struct SplatScore {
     /// The photo.
     pub name: String,
-    /// dB; not a number in the file where two pictures are equal.
+    /// Peak signal-to-noise ratio, dB; not a number in the file where two pictures are equal.
     pub psnr: Option<f64>,
-    /// See [`SplatScore::psnr`].
+    /// Structural similarity, at most 1; not a number in the file where it is not defined.
     pub ssim: Option<f64>,
 }
 
@@ -245,17 +245,17 @@ pub struct FitSource {
 pub struct ClipRecord {
     /// The file, relative to the twin folder.
     pub file: String,
-    /// Its frames,
+    /// Number of its frames.
     pub frames: usize,
-    /// those in which the person holds the object,
+    /// Number of frames in which the person holds the object.
     pub held: usize,
-    /// and those of them that were accepted.
+    /// Number of frames with the object held that were accepted.
     pub accepted: usize,
     /// Robot hand per person's hand.
     pub scale: f64,
-    /// How many variants of accepted frames were tried,
+    /// Number of variants of accepted frames that were tried.
     pub attempts: usize,
-    /// and how many became grasps.
+    /// Number of variants that became grasps.
     pub augmented: usize,
     /// Remarks of the reader.
     pub notes: Vec<String>,
@@ -295,9 +295,9 @@ pub struct EvaluatedGrasp {
 /// `policy/training.json`.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Training {
-    /// Grasps that were learned, those held out to measure errors with them,
+    /// Counts of the grasps that were learned, those included that were held out to measure errors with.
     pub learned: OriginCounts,
-    /// of those that were tried: all that fit the object, and what a search found.
+    /// Counts of the grasps that were tried: all that fit the object, and what a search found.
     pub tried: OriginCounts,
     /// Pairs of grasp and mass.
     pub samples: usize,
@@ -311,9 +311,9 @@ pub struct Training {
 /// What became of the grasps that were tried in practice.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct PracticeRecord {
-    /// Those that the motors can hold once the hand has closed,
+    /// Number of grasps that the motors can hold once the hand has closed.
     pub commanded: usize,
-    /// and those that held under most conditions.
+    /// Number of grasps that held under most conditions.
     pub robust: usize,
 }
 
@@ -328,19 +328,19 @@ pub struct TrialFile {
     pub joint_names: Vec<String>,
     /// Mass that the hand takes the object for, kg.
     pub mass_kg: f64,
-    /// Median, 95 % interval and standard deviation of the posterior that true masses are drawn from, kg.
+    /// Median of the posterior that true masses are drawn from, kg.
     pub mass_median_kg: f64,
-    /// See `mass_median_kg`.
+    /// Its 95 % interval, kg.
     pub mass_ci95_kg: [f64; 2],
-    /// See `mass_median_kg`.
+    /// Its standard deviation, kg.
     pub mass_sd_kg: f64,
-    /// Friction: lowest and highest that is true.
+    /// Lowest and highest friction that is true in a rollout.
     pub friction: [f64; 2],
-    /// Rollouts that succeeded, all of them, and the interval at 95 % (Wilson).
+    /// Number of rollouts that succeeded.
     pub held: usize,
-    /// See `held`.
+    /// Number of rollouts.
     pub n: usize,
-    /// See `held`.
+    /// 95 % interval of the share that succeeds (Wilson).
     pub interval: [f64; 2],
     /// Each rollout.
     pub rollouts: Vec<RolloutRecord>,
@@ -355,16 +355,16 @@ pub struct TrialFile {
 pub struct RolloutRecord {
     /// What became of it.
     pub verdict: drex_trial::Verdict,
-    /// True mass, kg, and friction.
+    /// True mass, kg.
     pub mass_kg: f64,
-    /// See `mass_kg`.
+    /// True friction.
     pub friction: f64,
     /// Which of the network's proposals was taken, from 1; 0 if none could be.
     pub proposal: usize,
-    /// Grip force that was commanded, and delivered in the hold, N.
+    /// Grip force that was commanded, N.
     #[serde(rename = "squeeze_n")]
     pub grip_force_n: f64,
-    /// See `grip_force_n`.
+    /// Grip force that was delivered in the hold, N; absent if the rollout ended before.
     pub held_n: Option<f64>,
     /// Share of the friction that was used in the hold.
     pub friction_used: Option<f64>,
@@ -377,7 +377,7 @@ pub struct FilmFrame {
     pub time_s: f64,
     /// The hand's base in the world.
     pub world_from_base: PoseRecord,
-    /// rad.
+    /// Angles of its joints, rad.
     pub joints_rad: Vec<f64>,
     /// The object's mesh frame in the world.
     pub world_from_object: PoseRecord,
@@ -397,17 +397,17 @@ pub struct ExecutionFile {
     /// Why no hand moved; absent if one did. All that follows is empty then.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub not_driven: Option<String>,
-    /// mA or N m.
+    /// Unit of the limits: mA or N m.
     pub unit: String,
     /// Joints of what follows.
     pub joint_names: Vec<String>,
-    /// Before the fingers close, and what closing fingers are told, rad.
+    /// Angles before the fingers close, rad.
     pub open_rad: Vec<f64>,
-    /// See `open_rad`.
+    /// Angles that closing fingers are commanded, rad.
     pub closed_rad: Vec<f64>,
-    /// Most that a joint may press with while the fingers close, and in the hold.
+    /// Most that each joint may press with while the fingers close, in `unit`.
     pub closing_limits: Vec<f64>,
-    /// See `closing_limits`.
+    /// Most that each joint may press with in the hold, in `unit`.
     pub force_limits: Vec<f64>,
     /// Whether the fingers touched and the object was held to the end.
     pub held: bool,

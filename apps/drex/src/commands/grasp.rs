@@ -17,7 +17,7 @@ fn text(p: &Prediction) -> String {
     let [qw, qx, qy, qz] = p.world_from_base.quat_wxyz;
     let mut lines = vec![
         format!("{} for {:.0} g at friction {}", p.hand, 1e3 * p.mass_kg, p.friction),
-        format!("  palm     {x:.4} {y:.4} {z:.4} m, quaternion {qw:.4} {qx:.4} {qy:.4} {qz:.4} (world)"),
+        format!("  base     {x:.4} {y:.4} {z:.4} m, quaternion {qw:.4} {qx:.4} {qy:.4} {qz:.4} (world)"),
     ];
     let joints = p.joint_names.iter().zip(&p.joints_rad).map(|(name, q)| format!("{name} {q:.3}"));
     lines.push(format!("  joints   {} rad", joints.collect::<Vec<_>>().join(", ")));
@@ -35,10 +35,12 @@ fn text(p: &Prediction) -> String {
         lines.push(format!("  torques  at most {most:.3} N m"));
     }
     if let Some(reason) = &p.cannot_hold {
-        lines.push(format!("  warning  none of the proposals can hold it on paper; the first: {reason}"));
+        lines.push(format!(
+            "  warning  none of the proposals can hold it once the hand has closed; the first: {reason}"
+        ));
     }
     lines.push(format!(
-        "  took     {:.1} ms for the network, {:.1} ms for contacts and force; proposal {}",
+        "  took     {:.1} ms for the network, {:.1} ms for closing the hand and its force; proposal {}",
         p.network_ms, p.force_ms, p.place
     ));
     lines.join("\n")

@@ -35,6 +35,11 @@ fn a_trained_twin_grasps_and_deploys() {
         answer["world_from_base"]["translation_m"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
     assert!((palm[0] - 0.4).abs() < 0.3 && (palm[2] - 0.2).abs() < 0.4, "{palm:?}");
     assert!(answer["squeeze_n"].as_f64().unwrap() > 0.0 && answer["paper_force"].as_f64().unwrap() <= 1.0);
+    // The hand closes on the object as it stands, wherever the world's origin is.
+    let moved = drex(["grasp", at, "--json", "--mass", "0.2", "--pose", "0.1,-0.3,0.9,1,0,0,0"]).json();
+    for same in ["contacts", "needed_squeeze_n", "joint_torques_nm", "joints_rad"] {
+        assert_eq!(moved[same], answer[same], "{same}");
+    }
     // Twice the mass is twice the paper's number, as long as the same fingers touch.
     assert_eq!(answer["mass_kg"], 0.2);
 

@@ -3,13 +3,10 @@
 use std::path::PathBuf;
 
 use crate::Result;
-use crate::error::Context;
 use drex_core::PoseRecord;
 use drex_grasp::Grasp;
 use drex_policy::{GraspPolicy, Query};
-use drex_trial::{
-    Command, Condition, ConditionSpread, Evaluator, Frame, GripForce, NoCommand, TrialEvaluator, Verdict, wilson,
-};
+use drex_trial::{Command, Condition, ConditionSpread, Evaluator, Frame, Verdict, wilson};
 use rayon::prelude::*;
 
 use super::practice::Simulated;
@@ -45,7 +42,7 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
         let query = Query::new(&cloud, assumed.mass_kg, assumed.friction).with_up(up);
         let proposals = rank::proposals(&policy, &query)?;
         let grasps: Vec<Grasp> = proposals.iter().map(|p| grasp_of(policy.hand(), policy.joint_names(), p)).collect();
-        let planned = plan(&simulated.evaluator, &grasps, condition, mass.grip_kg)?;
+        let chosen = rank::first_commanded(&simulated.evaluator, &grasps, &assumed)?;
         let mut record = RolloutRecord {
             verdict: Verdict::NoContact,
             mass_kg: *true_kg,
@@ -55,11 +52,11 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
             held_n: None,
             friction_used: None,
         };
-        let command = match planned {
-            Ok((proposal, command)) => {
+        let command = match chosen.command {
+            Ok(command) => {
                 let outcome = simulated.evaluator.evaluate(&command, &condition.truth(*true_kg))?;
                 record.verdict = outcome.verdict;
-                (record.proposal, record.grip_force_n) = (proposal, outcome.grip_force_n);
+                (record.proposal, record.grip_force_n) = (chosen.place, outcome.grip_force_n);
                 (record.held_n, record.friction_used) = (outcome.held_n, outcome.friction_used);
                 Some(command)
             }
@@ -103,25 +100,6 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
     };
     write_json(&twin.output(TRIAL)?, &file)?;
     Ok(vec![twin.path(TRIAL)])
-}
-
-/// The first of the proposals that the hand can be commanded to, with its number from 1; else why the first one cannot.
-fn plan(
-    evaluator: &TrialEvaluator,
-    proposals: &[Grasp],
-    condition: &Condition,
-    mass_kg: f64,
-) -> Result<Result<(usize, Command), NoCommand>> {
-    let assumed = condition.assumed(mass_kg);
-    let mut first = None;
-    for (i, proposal) in proposals.iter().enumerate() {
-        let closed = evaluator.close(proposal, &assumed)?;
-        match evaluator.command(&closed, &assumed, GripForce::Required)? {
-            Ok(command) => return Ok(Ok((i + 1, command))),
-            Err(reason) => first = first.or(Some(reason)),
-        }
-    }
-    Ok(Err(first.context("the policy proposes no grasp")?))
 }
 
 fn frame(f: Frame) -> FilmFrame {

@@ -1,8 +1,9 @@
 //! Evaluators by a formula, which tests of selection and learning use in place of a simulator.
+#![allow(dead_code, missing_docs)] // no test uses all of it
 
 use drex_grasp::Grasp;
 
-use crate::{Assumed, Evaluation, Evaluator, GripForce, NoCommand, Result, Truth, Verdict};
+use drex_trial::{Assumed, Evaluation, Evaluator, GripForce, NoCommand, Result, Truth, Verdict};
 
 /// An evaluator to which every grasp is a pinch that carries friction times grip force against 1.5 times the weight.
 pub struct PinchFormula {
