@@ -8,7 +8,7 @@ use crate::cone::{Affine, Answer, ConeProgram};
 use crate::contact::validate;
 use crate::{Contact, GraspError, Result, characteristic_length_m, grasp_map};
 
-/// How force closure is judged.
+/// How force closure is evaluated.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct ClosureOptions {
@@ -67,7 +67,7 @@ pub struct ForceClosure {
     pub length_m: f64,
 }
 
-/// Judges the force closure of `contacts`.
+/// Evaluates the force closure of `contacts`.
 ///
 /// # Errors
 /// If a contact or an option is invalid, or the solver gives up. No contacts at all is simply not closed.

@@ -12,7 +12,7 @@ pub const PAPER_FORCE_LIMIT_N: f64 = 5.0;
 pub struct GripForcePolicy {
     /// Factor on the grip force required under the loads: covers errors of mass, contact points and joint torques.
     pub margin: f64,
-    /// Friction is believed to be at least the contacts' coefficients times one minus this.
+    /// Friction is assumed to be at least the contacts' coefficients times one minus this.
     pub friction_uncertainty: f64,
     /// Accelerations the grasp has to survive, m/s², in every direction; see [`shake_loads`].
     pub shake_m_s2: f64,
@@ -35,7 +35,7 @@ impl Default for GripForcePolicy {
 pub struct ForceCommand {
     /// Sum of the normal forces to command, N.
     pub total_n: f64,
-    /// The sum that just survives the loads at the lowest friction believed in, N.
+    /// The sum that just survives the loads at the lowest friction assumed, N.
     pub required_n: f64,
     /// Which of [`shake_loads`] asks for it.
     pub binding_load: usize,
@@ -45,14 +45,14 @@ pub struct ForceCommand {
     /// The margin there is: `total_n` over `required_n`. Less than [`GripForcePolicy::margin`] where the limits leave less, more
     /// where the floor asks for more.
     pub margin: f64,
-    /// How the grip force is shared when the object rests, for the lowest friction believed in.
+    /// How the grip force is shared when the object rests, for the lowest friction assumed.
     pub distribution: Distribution,
     /// The same demand as the paper's label, [`paper_force`]; it knows neither friction nor geometry.
     pub paper_force: f64,
 }
 
 impl GripForcePolicy {
-    /// Share of the true friction cone, if friction is what was told, that this law's grip force uses at the contact nearest to slipping under
+    /// Share of the true friction cone, if friction is as assumed, that this law's grip force uses at the contact nearest to slipping under
     /// the worst load: (1 − uncertainty) / margin. Forces learned from measured slip aim at it, so as to mean the same.
     pub fn friction_share(&self) -> f64 {
         (1.0 - self.friction_uncertainty) / self.margin
@@ -89,7 +89,7 @@ impl GripForcePolicy {
     }
 
     /// The force for the problem's contacts, mass and gravity: the minimum grip force that survives rest and shakes at the lowest
-    /// friction believed in, times the margin, at least the floor, at most what the limits allow; shared by [`distribute`]
+    /// friction assumed, times the margin, at least the floor, at most what the limits allow; shared by [`distribute`]
     /// for the object at rest. The problem's `gamma` scales the mass in all loads, its `extra_wrench` acts in all of them.
     ///
     /// # Errors

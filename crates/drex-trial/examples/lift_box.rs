@@ -33,27 +33,27 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     found.sort_by(|a, b| a.grip_force_n.unwrap_or(f64::NAN).total_cmp(&b.grip_force_n.unwrap_or(f64::NAN)));
 
     let trial = Trial::new(hand, object, TrialOptions::default())?;
-    let told = Assumed { mass_kg: 0.15, friction: 0.5 };
-    let truth = Truth::as_assumed(&told, 1);
+    let assumed = Assumed { mass_kg: 0.15, friction: 0.5 };
+    let truth = Truth::as_assumed(&assumed, 1);
     let mut tried = 0;
     for grasp in &found {
         if tried == wanted {
             break;
         }
         // Some grasps that were found cannot be closed, or the motors are too weak for them: that is no error, but a reason.
-        let Ok(command) = trial.command(grasp, &told, GripForce::Required)? else {
+        let Ok(command) = trial.command(grasp, &assumed, GripForce::Required)? else {
             continue;
         };
         tried += 1;
         let enough = trial.run(&command, &truth, Engine::Diffsim)?;
         let third = GripForce::Total(command.grip_force_n / 3.0);
-        let little = match trial.command(grasp, &told, third)? {
+        let little = match trial.command(grasp, &assumed, third)? {
             Ok(little) => format!("{:?}", trial.run(&little, &truth, Engine::Diffsim)?.verdict),
             Err(reason) => reason.to_string(),
         };
         let held = enough.held_n.map_or("nothing".into(), |n| format!("{n:.1} N"));
         println!(
-            "{:5.1} N told, {held} in the hold: {:?}; with a third: {little}",
+            "{:5.1} N commanded, {held} in the hold: {:?}; with a third: {little}",
             command.grip_force_n, enough.verdict
         );
     }

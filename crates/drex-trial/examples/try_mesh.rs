@@ -1,8 +1,8 @@
 //! Grasps for a mesh, found by search, tried over a spread of friction and of where the object is, in the engines there are.
 //!
-//!     cargo run --release -p drex-trial --example try_mesh [--features mujoco] -- MESH.obj KG [ROLLOUTS [TOLD]]
+//!     cargo run --release -p drex-trial --example try_mesh [--features mujoco] -- MESH.obj KG [ROLLOUTS [ASSUMED]]
 //!
-//! TOLD is the mass that the hand is told, in parts of the true one. One line per grasp: ten rollouts in each engine, a star for each
+//! ASSUMED is the mass that the hand assumes, in parts of the true one. One line per grasp: ten rollouts in each engine, a star for each
 //! success, else the first letter of the verdict, `-` where there is no command. Then the rate over all grasps.
 #![allow(clippy::print_stdout)] // the output is the point of an example
 
@@ -26,7 +26,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let mass_kg: f64 = args.get(1).ok_or("give a mesh and a mass in kg")?.parse()?;
     let rollouts: u64 = args.get(2).map_or(Ok(10), |a| a.parse())?;
-    let told: f64 = args.get(3).map_or(Ok(1.0), |a| a.parse())?;
+    let share: f64 = args.get(3).map_or(Ok(1.0), |a| a.parse())?;
 
     let asset = build_asset(Path::new(&args[0]), &AssetOptions::default())?;
     let object = asset.to_object("object")?;
@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     found.sort_by(|a, b| weights(a).total_cmp(&weights(b)));
 
     let trial = Trial::new(hand, object, TrialOptions::default())?;
-    let assumed = Assumed { mass_kg: told * mass_kg, friction: 0.55 };
+    let assumed = Assumed { mass_kg: share * mass_kg, friction: 0.55 };
     let commanded = |f: &&Grasp| matches!(trial.command(f, &assumed, GripForce::Required), Ok(Ok(_)));
     let shown: Vec<&Grasp> = found.iter().filter(commanded).take(SHOWN).collect();
     let mut tally = [(0, 0); 2];
@@ -49,7 +49,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         {
             let outcomes = (0..rollouts)
                 .into_par_iter()
-                .map(|seed| attempt(&trial, grasp, (mass_kg, told), seed, engine))
+                .map(|seed| attempt(&trial, grasp, (mass_kg, share), seed, engine))
                 .collect::<Result<Vec<_>, _>>();
             match outcomes {
                 Ok(outcomes) => {
@@ -84,11 +84,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// One rollout: friction from 0.4 to 0.8 and told to a tenth, the object up to 5 mm and 5 degrees off.
+/// One rollout: friction from 0.4 to 0.8 and assumed to a tenth, the object up to 5 mm and 5 degrees off.
 fn attempt(
     trial: &Trial,
     grasp: &Grasp,
-    (mass_kg, told): (f64, f64),
+    (mass_kg, share): (f64, f64),
     seed: u64,
     engine: Engine,
 ) -> Result<Option<Outcome>, Error> {
@@ -97,7 +97,7 @@ fn attempt(
     let friction = 0.6 + even(0.2);
     let truth =
         Truth { mass_kg, friction, shift_m: [even(0.005), even(0.005)], turn_rad: even(5f64.to_radians()), seed };
-    let assumed = Assumed { mass_kg: told * mass_kg, friction: friction * (1.0 + even(0.1)) };
+    let assumed = Assumed { mass_kg: share * mass_kg, friction: friction * (1.0 + even(0.1)) };
     match trial.command(grasp, &assumed, GripForce::Required)? {
         Ok(command) => trial.run(&command, &truth, engine).map(Some),
         Err(_) => Ok(None),

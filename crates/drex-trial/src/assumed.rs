@@ -18,7 +18,7 @@ pub struct Truth {
     pub mass_kg: f64,
     /// Friction between hand and object, and of the object on the table.
     pub friction: f64,
-    /// Where the object is against where the hand believes it: the true resting pose is
+    /// Where the object is against where the hand assumes it: the true resting pose is
     /// `shift * Object::world_from_object` with a shift in the plane and a turn about the vertical through the object.
     pub shift_m: [f64; 2],
     /// Turn about the vertical, rad.
@@ -28,7 +28,7 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// What is believed is true.
+    /// What is assumed is true.
     pub fn as_assumed(assumed: &Assumed, seed: u64) -> Self {
         Self { mass_kg: assumed.mass_kg, friction: assumed.friction, shift_m: [0.0; 2], turn_rad: 0.0, seed }
     }
@@ -38,7 +38,7 @@ impl Truth {
         if !(self.shift_m.iter().all(|x| x.abs() < 1.0) && self.turn_rad.is_finite()) {
             return Err(Error::value(
                 format!(
-                    "the object is {:?} m and {} rad away from where it is believed to be",
+                    "the object is {:?} m and {} rad away from where it is assumed to be",
                     self.shift_m, self.turn_rad
                 ),
                 "give metres and radians",

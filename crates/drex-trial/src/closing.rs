@@ -17,7 +17,7 @@ const SAME_M: f64 = 0.004;
 /// Points of a link that may come to bear on the object once the fingers press, at most.
 const MAY_BEAR: usize = 2;
 
-/// How the fingers close on the object where it is believed to be.
+/// How the fingers close on the object where it is assumed to be.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ClosingPlan {
     pub(crate) joints: Vec<f64>,
@@ -73,9 +73,9 @@ pub(crate) fn plan_closing(pair: &HandAndObject, grasp: &Grasp, assumed: &Assume
     let mut close = || {
         let mut touches = Vec::new();
         for i in 0..(timeline::CLOSED_S / tick_s) as usize {
-            let told = controller.command(i as f64 * tick_s, &simulation);
+            let commands = controller.command(i as f64 * tick_s, &simulation);
             for _ in 0..STEPS_PER_TICK {
-                simulation.step(&told)?;
+                simulation.step(&commands)?;
             }
             simulation.touches(&mut touches);
             table_n = table_n.max(touches.iter().filter(|t| t.with == Met::Table).map(|t| t.normal_n).sum());

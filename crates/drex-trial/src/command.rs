@@ -18,7 +18,7 @@ use crate::outcome::TABLE_N;
 use crate::reach::Reach;
 use crate::{Assumed, Result, Verdict};
 
-/// Least grip force in units of what the joints' dry friction withstands: once it is shaken a finger presses with what it is told to within that, here with at
+/// Least grip force in units of what the joints' dry friction withstands: once it is shaken a finger presses with what it is commanded to within that, here with at
 /// least a third.
 const FRICTIONS: f64 = 1.5;
 /// A push with less than this lever does not move a joint, m.
@@ -42,7 +42,7 @@ pub struct Command {
     pub grip_force_n: f64,
     /// Sum of the normal forces per finger, N; the palm is not among them.
     pub per_finger_n: Vec<f64>,
-    /// The forces that make the grip force, with the believed object at rest on the table.
+    /// The forces that make the grip force, with the assumed object at rest on the table.
     pub contact_forces: Vec<ContactForce>,
     pub(crate) reach: Reach,
 }
@@ -60,7 +60,7 @@ pub enum GripForce {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum NoCommand {
-    /// The grasp does not touch the believed object with two fingers.
+    /// The grasp does not touch the assumed object with two fingers.
     #[error("{touching} fingers touch the object; a grasp needs two")]
     NoContact {
         /// Fingers that touch.
@@ -72,7 +72,7 @@ pub enum NoCommand {
         /// Largest force, N.
         force_n: f64,
     },
-    /// The contacts cannot carry the believed weight.
+    /// The contacts cannot carry the assumed weight.
     #[error("the contacts cannot carry the object: {0}")]
     CannotCarry(String),
     /// The motors cannot give the torques.
@@ -292,12 +292,12 @@ fn problem(
 fn shared(pair: &HandAndObject, problem: &GripForceProblem, total_n: f64) -> Result<Distribution, GripForceError> {
     let mut careful = problem.clone();
     careful.contacts.iter_mut().for_each(|c| c.friction *= 1.0 - pair.options.law.friction_uncertainty);
-    // What could not be carried if friction were lower may be carried with what is believed.
+    // What could not be carried if friction were lower may be carried with what is assumed.
     if matches!(distribute(&careful, total_n), Err(e) if !matches!(e, GripForceError::Total { .. })) {
         careful = problem.clone();
     }
     match distribute(&careful, total_n) {
-        // Too little for the believed weight is a command all the same: the share of a grip force that would do, scaled.
+        // Too little for the assumed weight is a command all the same: the share of a grip force that would do, scaled.
         Err(GripForceError::Total { smallest_n, .. }) if total_n < smallest_n => {
             let mut least = distribute(&careful, smallest_n * (1.0 + EDGE))?;
             let scale = total_n / smallest_n;
@@ -364,9 +364,9 @@ mod tests {
     #[test]
     fn what_weighs_nearly_nothing_is_pressed_with_more_than_friction_takes() {
         let (trial, pinch) = pinch();
-        let told = |mass_kg: f64| {
-            let told = Assumed { mass_kg, friction: 1.0 };
-            grip_force(&trial, &pinch, &told, GripForce::Required).unwrap().unwrap().grip_force_n
+        let commanded_n = |mass_kg: f64| {
+            let assumed = Assumed { mass_kg, friction: 1.0 };
+            grip_force(&trial, &pinch, &assumed, GripForce::Required).unwrap().unwrap().grip_force_n
         };
         // The smallest push on each finger that turns a joint, by moving the joints a little.
         let least = |contact: &Contact| {
@@ -384,20 +384,24 @@ mod tests {
         };
         let withstood: f64 = pinch.touching.iter().map(least).sum();
         assert!(withstood > 0.1, "{withstood} N");
-        assert!((told(0.001) - (FRICTIONS * withstood).max(1.0)).abs() < 1e-3, "{} {withstood}", told(0.001));
+        assert!(
+            (commanded_n(0.001) - (FRICTIONS * withstood).max(1.0)).abs() < 1e-3,
+            "{} {withstood}",
+            commanded_n(0.001)
+        );
         // What is heavier needs more than that.
-        assert!(told(0.2) > 1.1 * told(0.001), "{} {}", told(0.2), told(0.001));
+        assert!(commanded_n(0.2) > 1.1 * commanded_n(0.001), "{} {}", commanded_n(0.2), commanded_n(0.001));
     }
 
     #[test]
     fn each_hand_has_the_torques_of_its_own_motors() {
-        let told = Assumed { mass_kg: 0.1, friction: 1.0 };
+        let assumed = Assumed { mass_kg: 0.1, friction: 1.0 };
         let strongest = |hand: Robot| -> (Vec<f64>, f64) {
             let (trial, pinch) = pinch_of(hand);
-            let problem = problem(&trial, &pinch.closed, &pinch.world_from_base, pinch.touching.clone(), &told);
+            let problem = problem(&trial, &pinch.closed, &pinch.world_from_base, pinch.touching.clone(), &assumed);
             let limits = problem.torques.unwrap().limits_nm;
             assert!(limits.iter().all(|(lo, hi)| lo == &-hi));
-            let most = grip_force_n(&trial, &pinch, &told, GripForce::Total(1e4)).unwrap().unwrap();
+            let most = grip_force_n(&trial, &pinch, &assumed, GripForce::Total(1e4)).unwrap().unwrap();
             (limits.into_iter().map(|l| l.1).collect(), most)
         };
         let (leap, _) = strongest(Robot::bundled("leap_right").unwrap());
@@ -422,15 +426,15 @@ mod tests {
     #[test]
     fn a_joint_may_bring_what_the_shakes_ask_of_it() {
         let (mut trial, pinch) = pinch();
-        let told = Assumed { mass_kg: 0.1, friction: 1.0 };
-        let needed = |trial: &HandAndObject| grip_force(trial, &pinch, &told, GripForce::Required).unwrap().unwrap();
+        let assumed = Assumed { mass_kg: 0.1, friction: 1.0 };
+        let needed = |trial: &HandAndObject| grip_force(trial, &pinch, &assumed, GripForce::Required).unwrap().unwrap();
         let command = needed(&trial);
-        let only_n = grip_force_n(&trial, &pinch, &told, GripForce::Required).unwrap().unwrap();
+        let only_n = grip_force_n(&trial, &pinch, &assumed, GripForce::Required).unwrap().unwrap();
         assert!((only_n - command.grip_force_n).abs() < 1e-12);
         // Two opposed fingers carry half of any vertical load each, whatever they press with: shaken upwards half as much again.
         let torques = |weights: f64| {
             let mut contact_forces = command.contact_forces.clone();
-            contact_forces.iter_mut().for_each(|p| p.force.z = 0.5 * weights * told.mass_kg * 9.81);
+            contact_forces.iter_mut().for_each(|p| p.force.z = 0.5 * weights * assumed.mass_kg * 9.81);
             contact_torques(&trial.hand, &pinch.closed, &pinch.world_from_base, &contact_forces)
         };
         let close = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4);
@@ -448,9 +452,9 @@ mod tests {
 
     #[test]
     fn what_pressing_brings_to_bear_is_counted_on_where_nothing_else_carries() {
-        let told = Assumed { mass_kg: 0.01, friction: 0.6 };
+        let assumed = Assumed { mass_kg: 0.01, friction: 0.6 };
         let (trial, pinch) = pinch();
-        let needed = |r: &ClosingPlan| grip_force(&trial, r, &told, GripForce::Required).unwrap();
+        let needed = |r: &ClosingPlan| grip_force(&trial, r, &assumed, GripForce::Required).unwrap();
         let both = needed(&pinch).unwrap();
         assert_eq!(both.contact_forces.len(), 2);
         // One side alone cannot carry.
@@ -461,7 +465,7 @@ mod tests {
         one.near = vec![other.clone()];
         let pressed = needed(&one).unwrap();
         assert!(pressed.contact_forces.len() == 2 && (pressed.grip_force_n / both.grip_force_n - 1.0).abs() < 1e-6);
-        let total = grip_force(&trial, &one, &told, GripForce::Total(1.2 * both.grip_force_n)).unwrap().unwrap();
+        let total = grip_force(&trial, &one, &assumed, GripForce::Total(1.2 * both.grip_force_n)).unwrap().unwrap();
         assert!(total.contact_forces.len() == 2 && (total.grip_force_n / both.grip_force_n - 1.2).abs() < 1e-3);
         // Where the contacts of the closing carry, nothing else is counted on.
         let mut more = pinch;

@@ -1,4 +1,4 @@
-//! What the drives are told, tick by tick.
+//! What the drives are commanded, tick by tick.
 
 use drex_core::Pose;
 use drex_robot::Robot;
@@ -6,22 +6,22 @@ use nalgebra::{Point3, Vector3};
 
 use crate::engine::{Drive, Simulation};
 use crate::reach::Reach;
-use crate::timeline::{APPROACHED_S, CLOSED_S, SQUEEZED_S};
+use crate::timeline::{APPROACHED_S, CLOSED_S, GRIPPED_S};
 
 /// Torque beyond a joint's own friction with which fingers close until they touch, N m: four fingers then press with about a newton in
 /// all, the least grip force of the law; more would partly stay in the joints' friction. Joints that have no part in a grip force hold their
 /// place with as much.
 const CLOSING_NM: f64 = 0.02;
 /// Ends of the parts of the grip force, as shares of its time. A finger at rest presses with what it pressed with before, as far as its joints' dry friction
-/// allows. So joints are told less than the grip force by their friction, which lets go of what is too much, then more by as much, which makes good
+/// allows. So joints are commanded less than the grip force by their friction, which lets go of what is too much, then more by as much, which makes good
 /// for what is too little, then the grip force.
 const LET_GO: f64 = 0.5;
 const MADE_GOOD: f64 = 0.8;
 /// Share of a joint's dry friction that is made good for from there on. With none, shaken fingers lose some of what they
-/// press with and drop what they are told to hold; with half, they press with so much more than a small grip force that half
+/// press with and drop what they are commanded to hold; with half, they press with so much more than a small grip force that half
 /// of what is needed holds (docs/grasping.md).
 const FRICTION_SHARE: f64 = 0.25;
-/// Part of the time of closing after which the fingers have been told the whole way; the rest is for settling.
+/// Part of the time of closing after which the fingers have been commanded the whole way; the rest is for settling.
 const CLOSING_SHARE: f64 = 0.75;
 /// Errors of a joint below this do not say which way its friction acts, rad.
 const FRICTION_BLEND_RAD: f64 = 0.01;
@@ -84,10 +84,10 @@ impl<'a> Controller<'a> {
             }
             return self.position(q, |j| own[j] + self.closing[j]);
         }
-        if t < SQUEEZED_S {
-            let s = (t - CLOSED_S) / (SQUEEZED_S - CLOSED_S);
+        if t < GRIPPED_S {
+            let s = (t - CLOSED_S) / (GRIPPED_S - CLOSED_S);
             let grip_force = self.grip_force(q, &base);
-            let told = |j: usize| {
+            let commanded = |j: usize| {
                 let friction = self.friction(j, grip_force[j]);
                 let (less, more) = (grip_force[j] - friction, grip_force[j] + friction);
                 if s < LET_GO {
@@ -98,7 +98,7 @@ impl<'a> Controller<'a> {
                     between(more, self.made_good(j, grip_force[j]), (s - MADE_GOOD) / (1.0 - MADE_GOOD))
                 }
             };
-            return self.position(q, |j| own[j] + told(j));
+            return self.position(q, |j| own[j] + commanded(j));
         }
         // As a drive that holds its place with a limited current: what the object does to the fingers brings no more than the law reckoned with.
         let (held, grip_force) = self.held.take().unwrap_or_else(|| {

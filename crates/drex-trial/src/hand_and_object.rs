@@ -65,10 +65,10 @@ impl HandAndObject {
 
     /// Where the object really is.
     fn true_pose(&self, truth: &Truth) -> Pose {
-        let believed = self.object.world_from_object;
-        let centre = believed * self.object.mass_properties.center_of_mass;
+        let assumed = self.object.world_from_object;
+        let centre = assumed * self.object.mass_properties.center_of_mass;
         let about = Translation3::from(centre.coords);
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), truth.turn_rad);
-        Translation3::new(truth.shift_m[0], truth.shift_m[1], 0.0) * (about * turn * about.inverse()) * believed
+        Translation3::new(truth.shift_m[0], truth.shift_m[1], 0.0) * (about * turn * about.inverse()) * assumed
     }
 }

@@ -1,10 +1,10 @@
-//! Lift, hold, shake: the protocol by which a grasp is judged in a simulator.
+//! Lift, hold, shake: the protocol by which a grasp is evaluated in a simulator.
 //!
 //! The object rests on the table. The open hand comes near, closes until the fingers touch, grips as commanded, lifts by
 //! 20 cm in 2 s, holds for 3 s and is shaken six times. [`Trial::run`] says whether the object stayed in the hand and, if not,
 //! what went wrong first.
 //!
-//! What the hand is told ([`Assumed`]) and what is true ([`Truth`]) are kept apart: a command is made from the assumed
+//! What the hand assumes ([`Assumed`]) and what is true ([`Truth`]) are kept apart: a command is made from the former
 //! alone.
 
 mod assumed;

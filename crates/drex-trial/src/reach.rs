@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Point3, Vector3};
 
 /// Fingers nearer to the object than this take part in a grasp, m.
 const TAKES_PART_M: f64 = 0.008;
-/// How far the fingertips open, and how far into the object they are told to close, m.
+/// How far the fingertips open, and how far into the object they are commanded to close, m.
 const OPEN_M: f64 = 0.022;
 const CLOSE_M: f64 = 0.012;
 /// Part of the way from open to closed at which the grasp is passed: all at the same speed.
@@ -26,7 +26,7 @@ pub struct Reach {
     pub open: Vec<f64>,
     /// With the fingers at the object.
     pub grasp: Vec<f64>,
-    /// What closing fingers are told: inside the object.
+    /// What closing fingers are commanded: inside the object.
     pub closed: Vec<f64>,
     /// Where the hand comes from, relative to the grasp, world, m.
     pub retreat: Vector3<f64>,

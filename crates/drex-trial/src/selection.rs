@@ -256,8 +256,8 @@ impl<E: Evaluator> Task<'_, E> {
         conditions: &[(Condition, f64)],
     ) -> Result<()> {
         for (condition, mass_kg) in &conditions[p.scores.len()..] {
-            let judged = attempt(self.evaluator, closed, condition, *mass_kg)?;
-            p.scores.push(if judged.held() { 1.0 + MARGIN_WEIGHT * judged.safety_margin } else { 0.0 });
+            let evaluation = attempt(self.evaluator, closed, condition, *mass_kg)?;
+            p.scores.push(if evaluation.held() { 1.0 + MARGIN_WEIGHT * evaluation.safety_margin } else { 0.0 });
         }
         Ok(())
     }

@@ -13,7 +13,7 @@ use crate::{Error, Result};
 /// Ends of the phases, s.
 pub(crate) const APPROACHED_S: f64 = 0.5;
 pub(crate) const CLOSED_S: f64 = 1.4;
-pub(crate) const SQUEEZED_S: f64 = 2.0;
+pub(crate) const GRIPPED_S: f64 = 2.0;
 pub(crate) const LIFTED_S: f64 = 4.0;
 pub(crate) const HELD_S: f64 = 7.0;
 pub(crate) const SHAKEN_S: f64 = HELD_S + SHAKES as f64 * SHAKE_S;
@@ -29,7 +29,7 @@ pub fn phases() -> [(f64, &'static str); 6] {
         (0.0, "approach"),
         (APPROACHED_S, "close"),
         (CLOSED_S, "grip force"),
-        (SQUEEZED_S, "lift"),
+        (GRIPPED_S, "lift"),
         (LIFTED_S, "hold"),
         (HELD_S, "shake"),
     ]
@@ -52,7 +52,7 @@ pub(crate) fn palm_path(
     for i in 0..=(last_s / dt_s).ceil() as usize {
         let t = i as f64 * dt_s;
         let mut offset = retreat * (1.0 - smooth(t / APPROACHED_S));
-        offset.z += LIFT_M * smooth((t - SQUEEZED_S) / (LIFTED_S - SQUEEZED_S));
+        offset.z += LIFT_M * smooth((t - GRIPPED_S) / (LIFTED_S - GRIPPED_S));
         if t > HELD_S {
             let index = ((t - HELD_S) / SHAKE_S) as usize;
             if let Some(direction) = shakes.get(index) {
@@ -113,7 +113,7 @@ mod tests {
         assert!(peaks.iter().all(|p| (p / 4.905 - 1.0).abs() < 0.03), "{peaks:?}");
         // During the lift no more than the quintic has: 5.77 h / T².
         let rise = |t: f64| (path.at(t + 1.5 * dt).velocity.z - path.at(t + 0.5 * dt).velocity.z) / dt;
-        let most = (0..1000).map(|i| rise(SQUEEZED_S + f64::from(i) * 2e-3).abs()).fold(0.0, f64::max);
+        let most = (0..1000).map(|i| rise(GRIPPED_S + f64::from(i) * 2e-3).abs()).fold(0.0, f64::max);
         assert!((most - 5.7735 * LIFT_M / 4.0).abs() < 0.01, "{most}");
     }
 

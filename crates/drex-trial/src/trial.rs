@@ -55,9 +55,9 @@ impl Trial {
         &self.0.object
     }
 
-    /// The command for a grasp, given what the hand is told. The inner result says why there is none.
+    /// The command for a grasp, given what the hand assumes. The inner result says why there is none.
     ///
-    /// The fingers' closing is rehearsed in drex-diffsim with the object where it is believed to be; the grip force is planned on
+    /// The fingers' closing is dry-run in drex-diffsim with the object where it is assumed to be; the grip force is planned on
     /// the contacts that this gives; where they have none, also on those that pressing fingers bring to bear.
     ///
     /// # Errors
@@ -72,7 +72,7 @@ impl Trial {
         self.command_closed(&closing, assumed, grip_force)
     }
 
-    /// How the fingers close on the object where it is believed to be, in drex-diffsim: the first half of [`Trial::command`], which
+    /// How the fingers close on the object where it is assumed to be, in drex-diffsim: the first half of [`Trial::command`], which
     /// depends on mass and friction so little that it may be done once for many of them. A grasp with which the simulation diverges
     /// touches nothing.
     ///
@@ -172,9 +172,9 @@ impl Trial {
         let mut watch = Watch::new(&self.0.surface, self.0.object.max_finger_n, command.grip_force_n, tick_s);
         let ticks = (timeline::SHAKEN_S / tick_s).round() as usize;
         for i in 0..ticks {
-            let told = controller.command(i as f64 * tick_s, &simulation);
+            let commands = controller.command(i as f64 * tick_s, &simulation);
             for _ in 0..STEPS_PER_TICK {
-                match simulation.step(&told) {
+                match simulation.step(&commands) {
                     Ok(()) => {}
                     Err(Error::Simulation(SimulationError::Diverged { time_s, .. })) => {
                         return Ok(watch.broke(time_s));

@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 
 use crate::engine::{Met, Simulation, Touch};
 use crate::outcome::{Outcome, SLIP_M, TABLE_N, TURN_RAD, Verdict};
-use crate::timeline::{CLOSED_S, HELD_S, LIFTED_S, SQUEEZED_S};
+use crate::timeline::{CLOSED_S, GRIPPED_S, HELD_S, LIFTED_S};
 
 /// The rules.
 const HEIGHT_M: f64 = 0.02;
@@ -85,10 +85,10 @@ impl<'a> Watch<'a> {
         let on_table = simulation.touches(&mut self.touches);
         self.forces(t);
         let count = self.finger_n.iter().filter(|f| **f > TOUCH_N).count();
-        if (CLOSED_S..=SQUEEZED_S).contains(&t) {
+        if (CLOSED_S..=GRIPPED_S).contains(&t) {
             self.outcome.fingers_in_contact = self.finger_n.iter().map(|f| *f > TOUCH_N).collect();
         }
-        if t < SQUEEZED_S {
+        if t < GRIPPED_S {
             return true;
         }
         let in_palm = simulation.world_from_base().inverse() * simulation.world_from_object();
@@ -136,7 +136,7 @@ impl<'a> Watch<'a> {
         self.finish()
     }
 
-    /// Smooths the normal force of each finger; judges forces and depths on the way.
+    /// Smooths the normal force of each finger; evaluates forces and depths on the way.
     fn forces(&mut self, t: f64) {
         let mut fingers = vec![0.0; self.finger_n.len()];
         let (mut table_n, mut depth) = (0.0, 0.0_f64);

@@ -9,7 +9,7 @@ use drex_trial::{Assumed, Engine, GripForce, NoCommand, Truth, Verdict};
 use rayon::prelude::*;
 use support::{grasps, trial_of};
 
-const TOLD: Assumed = Assumed { mass_kg: 0.15, friction: 0.5 };
+const ASSUMED: Assumed = Assumed { mass_kg: 0.15, friction: 0.5 };
 
 #[test]
 fn the_needed_grip_force_holds_and_a_third_of_it_does_not() {
@@ -19,14 +19,14 @@ fn the_needed_grip_force_holds_and_a_third_of_it_does_not() {
     let outcomes: Vec<_> = found[..8]
         .par_iter()
         .map(|g| {
-            let command = trial.command(g, &TOLD, GripForce::Required).unwrap().unwrap();
-            let enough = trial.run(&command, &Truth::as_assumed(&TOLD, 1), Engine::Diffsim).unwrap();
+            let command = trial.command(g, &ASSUMED, GripForce::Required).unwrap().unwrap();
+            let enough = trial.run(&command, &Truth::as_assumed(&ASSUMED, 1), Engine::Diffsim).unwrap();
             let third = GripForce::Total(command.grip_force_n / 3.0);
-            let little = trial.command(g, &TOLD, third).unwrap().unwrap();
+            let little = trial.command(g, &ASSUMED, third).unwrap().unwrap();
             assert!((little.grip_force_n - command.grip_force_n / 3.0).abs() < 1e-3 * command.grip_force_n);
-            let too_little = trial.run(&little, &Truth::as_assumed(&TOLD, 1), Engine::Diffsim).unwrap();
+            let too_little = trial.run(&little, &Truth::as_assumed(&ASSUMED, 1), Engine::Diffsim).unwrap();
             // Whoever asks only whether it holds gets the same answer.
-            let tried = trial.run_until_failure(&little, &Truth::as_assumed(&TOLD, 1), Engine::Diffsim).unwrap();
+            let tried = trial.run_until_failure(&little, &Truth::as_assumed(&ASSUMED, 1), Engine::Diffsim).unwrap();
             assert_eq!((tried.verdict, tried.failed_at_s), (too_little.verdict, too_little.failed_at_s));
             (enough, too_little)
         })
@@ -53,13 +53,13 @@ fn the_needed_grip_force_holds_and_a_third_of_it_does_not() {
 fn a_small_grip_force_is_not_what_the_closing_left() {
     // Rough enough for a third of the grip force to hold, so that what is delivered can be seen.
     let trial = trial_of(|_, _| {});
-    let rough = Truth { friction: 1.2, ..Truth::as_assumed(&TOLD, 1) };
+    let rough = Truth { friction: 1.2, ..Truth::as_assumed(&ASSUMED, 1) };
     let mut ratios: Vec<f64> = grasps()
         .par_iter()
         .filter_map(|g| {
-            let needed = trial.command(g, &TOLD, GripForce::Required).unwrap().unwrap();
+            let needed = trial.command(g, &ASSUMED, GripForce::Required).unwrap().unwrap();
             let third = GripForce::Total(needed.grip_force_n / 3.0);
-            let little = trial.command(g, &TOLD, third).unwrap().unwrap();
+            let little = trial.command(g, &ASSUMED, third).unwrap().unwrap();
             Some(trial.run(&little, &rough, Engine::Diffsim).unwrap().held_n? / little.grip_force_n)
         })
         .collect();
@@ -74,8 +74,8 @@ fn a_film_shows_the_run_and_does_not_change_it() {
     let trial = trial_of(|_, _| {});
     let found = grasps();
     let g = &found[0];
-    let command = trial.command(g, &TOLD, GripForce::Required).unwrap().unwrap();
-    let truth = Truth::as_assumed(&TOLD, 1);
+    let command = trial.command(g, &ASSUMED, GripForce::Required).unwrap().unwrap();
+    let truth = Truth::as_assumed(&ASSUMED, 1);
     let outcome = trial.run(&command, &truth, Engine::Diffsim).unwrap();
     let (filmed, frames) = trial.record(&command, &truth, Engine::Diffsim, 0.1).unwrap();
     assert_eq!(filmed, outcome);
@@ -100,8 +100,8 @@ fn every_failure_has_its_name() {
     let trial = trial_of(|_, _| {});
     let found = grasps();
     let g = &found[0];
-    let command = trial.command(g, &TOLD, GripForce::Required).unwrap().unwrap();
-    let truth = Truth::as_assumed(&TOLD, 1);
+    let command = trial.command(g, &ASSUMED, GripForce::Required).unwrap().unwrap();
+    let truth = Truth::as_assumed(&ASSUMED, 1);
 
     let heavy = trial.run(&command, &Truth { mass_kg: 3.0, ..truth }, Engine::Diffsim).unwrap();
     assert!(matches!(heavy.verdict, Verdict::Slip | Verdict::Drop), "{heavy:?}");
@@ -112,7 +112,7 @@ fn every_failure_has_its_name() {
     let fragile = trial_of(|object, _| object.max_finger_n = Some(0.2));
     let crushed = fragile.run(&command, &truth, Engine::Diffsim).unwrap();
     assert_eq!(crushed.verdict, Verdict::Crushed);
-    let refused = fragile.command(g, &TOLD, GripForce::Required).unwrap().unwrap_err();
+    let refused = fragile.command(g, &ASSUMED, GripForce::Required).unwrap().unwrap_err();
     assert!(matches!(refused, NoCommand::Crushes(_)), "{refused}");
 
     let mut low = command.clone();
@@ -121,16 +121,16 @@ fn every_failure_has_its_name() {
     assert_eq!(table.verdict, Verdict::Table);
     // A hand that knows where the table is does not begin.
     let moved = |z: f64| Grasp { object_from_base: Pose::translation(0.0, 0.0, z) * g.object_from_base, ..g.clone() };
-    let into_table = trial.command(&moved(-0.03), &TOLD, GripForce::Required).unwrap().unwrap_err();
+    let into_table = trial.command(&moved(-0.03), &ASSUMED, GripForce::Required).unwrap().unwrap_err();
     assert!(matches!(into_table, NoCommand::Table { force_n } if force_n > 1.0), "{into_table}");
 
-    let heavy = Assumed { mass_kg: 5.0, ..TOLD };
+    let heavy = Assumed { mass_kg: 5.0, ..ASSUMED };
     let weak = trial.command(g, &heavy, GripForce::Required).unwrap().unwrap_err();
     assert!(matches!(weak, NoCommand::TorqueLimit(_)), "{weak}");
-    let smooth = Assumed { friction: 0.01, ..TOLD };
+    let smooth = Assumed { friction: 0.01, ..ASSUMED };
     let cannot = trial.command(g, &smooth, GripForce::Required).unwrap().unwrap_err();
     assert!(matches!(cannot, NoCommand::CannotCarry(_) | NoCommand::TorqueLimit(_)), "{cannot}");
-    let nothing = trial.command(&moved(1.0), &TOLD, GripForce::Required).unwrap().unwrap_err();
+    let nothing = trial.command(&moved(1.0), &ASSUMED, GripForce::Required).unwrap().unwrap_err();
     assert_eq!(nothing, NoCommand::NoContact { touching: 0 });
 }
 
@@ -139,15 +139,15 @@ fn numbers_without_meaning_are_refused() {
     let trial = trial_of(|_, _| {});
     let grasp = Grasp::new(trial.hand(), vec![0.0; 16], Pose::identity());
     for (mass_kg, friction) in [(0.0, 0.5), (1000.0, 0.5), (f64::NAN, 0.5), (0.2, 0.0), (0.2, f64::INFINITY)] {
-        let told = Assumed { mass_kg, friction };
-        let message = trial.command(&grasp, &told, GripForce::Required).unwrap_err().to_string();
+        let assumed = Assumed { mass_kg, friction };
+        let message = trial.command(&grasp, &assumed, GripForce::Required).unwrap_err().to_string();
         assert!(message.contains("mass") || message.contains("friction"), "{message}");
     }
     let short = Grasp { joints_rad: vec![0.0; 3], ..grasp };
-    let message = trial.command(&short, &TOLD, GripForce::Required).unwrap_err().to_string();
+    let message = trial.command(&short, &ASSUMED, GripForce::Required).unwrap_err().to_string();
     assert!(message.contains("with 3 angles") && message.contains("leap_right"), "{message}");
     let lost = Grasp { joints_rad: vec![f64::NAN; 16], ..short };
-    let message = trial.command(&lost, &TOLD, GripForce::Required).unwrap_err().to_string();
+    let message = trial.command(&lost, &ASSUMED, GripForce::Required).unwrap_err().to_string();
     assert!(message.contains("not finite"), "{message}");
 }
 
@@ -155,13 +155,13 @@ fn numbers_without_meaning_are_refused() {
 fn threads_change_nothing() {
     let trial = trial_of(|_, _| {});
     let g = &grasps()[0];
-    let command = trial.command(g, &TOLD, GripForce::Required).unwrap().unwrap();
+    let command = trial.command(g, &ASSUMED, GripForce::Required).unwrap().unwrap();
     let all = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             (0..4u64)
                 .into_par_iter()
-                .map(|seed| trial.run(&command, &Truth::as_assumed(&TOLD, seed), Engine::Diffsim).unwrap())
+                .map(|seed| trial.run(&command, &Truth::as_assumed(&ASSUMED, seed), Engine::Diffsim).unwrap())
                 .collect::<Vec<_>>()
         })
     };
@@ -174,8 +174,8 @@ fn a_build_without_mujoco_says_so() {
     assert!(Engine::Diffsim.check().is_ok() && Engine::Mujoco.check().is_err());
     let trial = trial_of(|_, _| {});
     let g = &grasps()[0];
-    let command = trial.command(g, &TOLD, GripForce::Required).unwrap().unwrap();
-    let message = trial.run(&command, &Truth::as_assumed(&TOLD, 1), Engine::Mujoco).unwrap_err().to_string();
+    let command = trial.command(g, &ASSUMED, GripForce::Required).unwrap().unwrap();
+    let message = trial.run(&command, &Truth::as_assumed(&ASSUMED, 1), Engine::Mujoco).unwrap_err().to_string();
     assert!(message.contains("mujoco"), "{message}");
 }
 
@@ -187,8 +187,8 @@ fn both_engines_say_the_same() {
     let agree = found[..6]
         .par_iter()
         .map(|g| {
-            let command = trial.command(g, &TOLD, GripForce::Required).unwrap().unwrap();
-            let of = |engine| trial.run(&command, &Truth::as_assumed(&TOLD, 1), engine).unwrap();
+            let command = trial.command(g, &ASSUMED, GripForce::Required).unwrap().unwrap();
+            let of = |engine| trial.run(&command, &Truth::as_assumed(&ASSUMED, 1), engine).unwrap();
             let (a, b) = (of(Engine::Diffsim), of(Engine::Mujoco));
             eprintln!("{:?} {:?}", a.verdict, b.verdict);
             a.succeeded() == b.succeeded()

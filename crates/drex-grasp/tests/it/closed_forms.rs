@@ -336,14 +336,14 @@ fn the_ball_of_a_frictionless_cage_is_known_and_scales_with_the_length() {
     let contacts = frictionless_cage(0.02);
     let mut options = ClosureOptions::default();
     options.length_m = Some(0.02);
-    let judged = force_closure(&contacts, &options).unwrap();
-    assert!(judged.closed && judged.length_m == 0.02);
+    let evaluation = force_closure(&contacts, &options).unwrap();
+    assert!(evaluation.closed && evaluation.length_m == 0.02);
     // Each axis has the wrenches (±1, ±1) of a force and a torque: the hull reaches max over the axes of |f| + |t|, which on the unit
     // sphere is least where each axis has a third of the square, all in one of the two.
     let least = (1.0_f64 / 3.0).sqrt();
-    assert!((judged.epsilon - least).abs() < 1e-5, "{}", judged.epsilon);
+    assert!((evaluation.epsilon - least).abs() < 1e-5, "{}", evaluation.epsilon);
     // All edges weigh alike: one of twelve each.
-    assert!((judged.min_weight - 1.0 / 12.0).abs() < 1e-6);
+    assert!((evaluation.min_weight - 1.0 / 12.0).abs() < 1e-6);
     assert!((min_weight(&contacts, &options).unwrap() - 1.0 / 12.0).abs() < 1e-6);
     // Torques divided by twice the length count half: |f| + |t| / 2 is least for torques alone.
     options.length_m = Some(0.04);

@@ -66,7 +66,7 @@ fn the_pyramids_turn_with_their_tangent() {
     assert!((with(&contacts, -2.0 * tangent) - value).abs() < 1e-7);
     // The pyramid alone on the spot does change it.
     assert!((with(&turned, tangent) - value).abs() > 1e-4);
-    // With the contact's own tangent it is the value of the whole judgement.
+    // With the contact's own tangent it is the value of the whole evaluation.
     let own = min_weight(&contacts, &ClosureOptions::default()).unwrap();
     assert!((own - closure(&contacts).min_weight).abs() < 1e-9);
     assert_eq!(min_weight(&[], &ClosureOptions::default()).unwrap(), f64::NEG_INFINITY);
