@@ -3,6 +3,7 @@
 
 mod closed_forms;
 mod closure;
+mod evaluation;
 mod force;
 mod grip_force;
 mod hand;
