@@ -21,7 +21,7 @@ pub struct GripForceSolution {
     pub per_finger_n: Vec<f64>,
     /// Sum of the normal forces of the palm, N.
     pub palm_n: f64,
-    /// Torque of each joint, N m; empty if the problem has no [`TorqueLimits`].
+    /// Torque of each joint, N m; empty if the problem has no [`TorqueLimits`](crate::TorqueLimits).
     pub joint_torques_nm: Vec<f64>,
     /// Least 1 − |τ| / |limit| over the joints: 0 at a limit. One if there are no limits.
     pub torque_margin: f64,
