@@ -6,6 +6,7 @@ use drex_core::Pose;
 use drex_robot::Robot;
 use serde::{Deserialize, Serialize};
 
+use crate::find::check_joints;
 use crate::{GraspError, Result};
 
 /// Where a grasp comes from.
@@ -125,7 +126,7 @@ impl Grasp {
     /// Joint angles in the order of the robot's model, rad.
     ///
     /// # Errors
-    /// If the grasp is of another hand, or its joints are not those of the robot.
+    /// If the grasp is of another hand, or its joints are not those of the robot, or an angle is not finite.
     pub fn joints_of(&self, robot: &Robot) -> Result<Vec<f64>> {
         let wrong = |what: String| Err(GraspError::Robot(format!("a grasp of \"{}\" {what}", self.hand)));
         if self.hand != robot.name {
@@ -144,6 +145,7 @@ impl Grasp {
             };
             joints.push(self.joints_rad[k]);
         }
+        check_joints(robot, &joints)?;
         Ok(joints)
     }
 }

@@ -51,9 +51,6 @@ impl ClosingPlan {
 pub(crate) fn plan_closing(pair: &HandAndObject, grasp: &Grasp, assumed: &Assumed) -> Result<ClosingPlan> {
     check_mass_and_friction(assumed.mass_kg, assumed.friction)?;
     let (joints, object_from_base) = (grasp.joints_of(&pair.hand)?, &grasp.object_from_base);
-    if joints.iter().any(|q| !q.is_finite()) {
-        return Err(Error::value("a joint angle of the grasp is not finite", "see where the grasp comes from"));
-    }
     let object = &pair.object;
     let world_from_base = object.world_from_object * object_from_base;
     let reach = reach::plan(

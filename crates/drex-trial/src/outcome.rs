@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn leeway_is_what_the_rules_of_slip_and_turn_leave() {
+    fn the_safety_margin_is_what_the_rules_of_slip_and_turn_leave() {
         let of = |verdict, slip_mm: f64, turn_deg: f64| {
             let outcome = Outcome {
                 verdict,

@@ -215,11 +215,11 @@ impl Predictor {
                 normal_n: per_finger_n.get(i).copied().unwrap_or(0.0),
             });
         }
-        let (of_fingers, of_fingers_n) =
-            contacts.iter().fold((0, 0.0), |(n, newtons), c| (n + c.contacts, newtons + c.normal_n));
+        let of_fingers: usize = contacts.iter().map(|c| c.contacts).sum();
+        let of_fingers_n: f64 = contacts.iter().map(|c| c.normal_n).sum();
         contacts.push(FingerContacts {
             finger: "palm".into(),
-            contacts: links.len() - of_fingers,
+            contacts: links.len().saturating_sub(of_fingers),
             normal_n: command.map_or(0.0, |c| (c.grip_force_n - of_fingers_n).max(0.0)),
         });
         let touching = contacts.iter().filter(|f| f.contacts > 0).count();

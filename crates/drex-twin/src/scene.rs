@@ -1,19 +1,17 @@
-//! Hand, object and table of a twin, as the grasp stages take them.
+//! Hand and object of a twin on its table, as the grasp stages take them.
 
-use drex_core::{Object, TablePlane};
+use drex_core::Object;
 use drex_retarget::{ObjectSurface, WristFit, WristFitOptions, fit_wrist};
 use drex_robot::Robot;
 
 use crate::{Result, Twin};
 
-/// Hand, object and table.
+/// A hand, and the object on its table.
 pub struct Scene {
     /// Model of the hand.
     pub robot: Robot,
     /// The object.
     pub object: Object,
-    /// The table under the object, in the object's frame.
-    pub table: TablePlane,
     seed: u64,
 }
 
@@ -22,8 +20,7 @@ impl Scene {
     pub(crate) fn of(twin: &Twin) -> Result<Self> {
         let robot = twin.hand()?;
         let object = twin.asset()?.to_object(&twin.manifest.name)?;
-        let table = object.table();
-        Ok(Self { robot, object, table, seed: twin.seed })
+        Ok(Self { robot, object, seed: twin.seed })
     }
 
     /// The options of the wrist fit.
@@ -35,7 +32,7 @@ impl Scene {
 
     /// Solves the wrist pose for joint angles.
     pub(crate) fn fit(&self, joints: &[f64]) -> Result<WristFit> {
-        Ok(fit_wrist(&self.robot, joints, &self.surface(), &self.table, &self.fit_options())?)
+        Ok(fit_wrist(&self.robot, joints, &self.surface(), &self.object.table(), &self.fit_options())?)
     }
 
     /// The object as retargeting takes it.

@@ -21,7 +21,7 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
     let mass: MassFile = read_json(&twin.path(MASS))?;
     let policy = GraspPolicy::load(&twin.path(POLICY))?;
     let cloud = scene.object.point_cloud(POINTS, twin.seed);
-    let query = Query::new(&cloud, mass.grip_kg, twin.friction()).with_up(scene.table.up.into_inner());
+    let query = Query::new(&cloud, mass.grip_kg, twin.friction()).with_up(scene.object.table().up.into_inner());
     let predictions = policy.predict(&query)?;
     progress.begin("evaluate", None);
 

@@ -187,7 +187,8 @@ impl<'a> Writer<'a> {
 
     /// `before` are the joints that the grasp was corrected from.
     fn record(&self, grasp: &GraspFrame, before: &[f64], source: FitSource) -> Result<FitRecord> {
-        let Scene { robot, table, .. } = self.scene;
+        let Scene { robot, object, .. } = self.scene;
+        let table = object.table();
         let mut reasons = match &grasp.verdict {
             Verdict::Accepted => Vec::new(),
             Verdict::Rejected(reasons) => reasons.iter().map(ToString::to_string).collect(),
@@ -235,6 +236,6 @@ impl<'a> Writer<'a> {
             scene.object.geometry.exact(),
             &ContactOptions::with_friction(scene.object.friction),
         )?;
-        Ok(grip_force_per_weight(&contacts, scene.object.center_of_mass(), scene.table.up)?)
+        Ok(grip_force_per_weight(&contacts, scene.object.center_of_mass(), scene.object.table().up)?)
     }
 }

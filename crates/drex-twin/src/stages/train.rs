@@ -128,7 +128,7 @@ fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Resul
                     touching.clone(),
                     mass_kg,
                     scene.object.center_of_mass(),
-                    scene.table.gravity(),
+                    scene.object.table().gravity(),
                 );
                 problem.contacts.iter_mut().for_each(|c| c.friction = friction);
                 // The force of a heavy object may be beyond this hand's motors; the law that the network learns is not.
@@ -180,7 +180,7 @@ fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Resul
         objects: vec![ObjectCloud {
             name: twin.manifest.name.clone(),
             points: scene.object.point_cloud(POINTS, twin.seed),
-            up: scene.table.up.into_inner(),
+            up: scene.object.table().up.into_inner(),
         }],
         samples,
     };
